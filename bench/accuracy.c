@@ -1,10 +1,10 @@
 /* accuracy.c: run time against error.
  *
  * Every combination of precision, impact mode and time step lives the same 4 seconds; the truth for
- * a time step dt is the float64 `exact` life at dt/16. Errors are the distance of the centre of
+ * a time step dt is the float64 `exact` life at dt/16. Errors are the distance of the center of
  * mass from the truth's, the largest up to a time, and the difference in loss. Contact makes the
  * lives chaotic: a difference of rounding grows by orders of magnitude per second, so the error of
- * the path is given after 0.2 s and 1 s as well: there it still tells the methods apart. The time
+ * the path is given after 0.2 s and 1 s as well: there it still separates the methods. The time
  * step outweighs all else; so that precision and impact mode can be seen behind it, the last
  * columns compare with float64 `exact` at the same time step. */
 #include "bench.h"
@@ -136,7 +136,7 @@ struct row {
   uint32_t diverged;
 };
 
-/* Of the centre of mass up to frame `end`. */
+/* Of the center of mass up to frame `end`. */
 static struct spread path_error(const struct lives *lives, const struct lives *truth, uint32_t n,
                                 int end, double *errors)
 {
@@ -254,9 +254,9 @@ int bench_accuracy(const struct bench_options *options)
   }
   const struct bench_panel panels[] = {
       {"Against float64 exact at a sixteenth of the time step (4, 2, 1, 0.5 ms from left to right)",
-       "error of the centre of mass in the first second, median, m", against_truth, 2 * MODES},
+       "error of the center of mass in the first second, median, m", against_truth, 2 * MODES},
       {"Against float64 exact at the same time step: precision and impact mode alone",
-       "error of the centre of mass in the first second, median, m", against_same_dt, 2 * MODES}};
+       "error of the center of mass in the first second, median, m", against_same_dt, 2 * MODES}};
   int status = 0;
   if (options->csv != NULL && fclose(file) != 0)
     status = 1;

@@ -76,8 +76,8 @@ void bench_check(int status, const char *what);            /* ends the program u
 /* One series of points (x, y > 0, logarithmic axes), joined by a line. */
 struct bench_series {
   char name[48];
-  const char *colour; /* NULL: by its place */
-  bool marks;         /* squares in place of the line */
+  const char *color; /* NULL: by its place */
+  bool marks;        /* squares in place of the line */
   size_t n;
   double x[BENCH_POINTS], y[BENCH_POINTS];
 };

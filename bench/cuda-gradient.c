@@ -1,21 +1,24 @@
-/* cuda-gradient.c: the device's gradient against float64, and its time. Needs a device to run;
- * built with the module (src/compute/cuda/meson.build).
+/* cuda-gradient.c: compares the device's gradient with float64, and measures its time. Needs a
+ * device to run; built with the module (src/compute/cuda/meson.build).
  *
- *   cuda-gradient reference FILE WEIGHTS [WORKERS]   the float64 gradient of 256 robots, on the
- * processor, into FILE cuda-gradient check [WEIGHTS FILE]…              likeness to such files;
- * bits: two runs, a shard alone, little memory, groups in halves; robots that diverge or whose
- * adjoints do, calls that are cancelled cuda-gradient alone [WORKERS]                    robots
- * whose adjoints begin anew, each alone, against float64 under the same weight and under another
- *   cuda-gradient time [ROBOTS]…                     learning steps of so many robots, with whole
- * groups, some in halves, and halves, otherwise of 1024 and of 8192 cuda-gradient short [ROBOTS
- * STEPS]               a few steps of everything, with whole groups, with some in halves, and with
- *                                                    halves, for compute-sanitizer and profilers
+ * cuda-gradient reference FILE WEIGHTS [WORKERS]
+ *     writes the float64 gradient of 256 robots, computed on the processor, into FILE
+ * cuda-gradient check [WEIGHTS FILE]…
+ *     compares with such files, and the bits of two runs, of one shard, of little memory and of
+ *     groups in halves; robots that diverge or whose adjoints do; cancelled calls
+ * cuda-gradient alone [WORKERS]
+ *     robots whose adjoints restart, one by one, against float64 with the same weight and with
+ *     another
+ * cuda-gradient time [ROBOTS]…
+ *     learning steps of so many robots (1024 and 8192 unless given), with whole groups, with some
+ *     in halves, and with all in halves
+ * cuda-gradient short [ROBOTS STEPS]
+ *     a few steps of everything, in these three ways, for compute-sanitizer and profilers
  *
- * WEIGHTS: the seed of random ones, or a controller's file; "restart:" before it: adjoints begin
- * anew above the bound, with the usual weight
- * ("restart=2:" with 2). Robots are distinct random bodies, each in a training environment; 1000
- * steps, bound 2. One line per measurement; exit status 1 if a bound is missed, 77 without a
- * device. */
+ * WEIGHTS is the seed of random weights, or a controller's file. With "restart:" before it adjoints
+ * restart above the bound with the usual weight ("restart=2:": with 2). Robots are distinct random
+ * bodies, each in a training environment; 1000 steps, bound 2. Prints one line per measurement;
+ * exit status 1 if a bound is missed, 77 without a device. */
 #include "compute/cuda/gradient.h"
 
 #include <math.h>
@@ -321,9 +324,9 @@ static void check_likeness(const char *weights, const char *path, const struct s
   print_counts("float64", &counts);
   char *end;
   (void)strtoull(after_rule(weights), &end, 10);
-  /* What a trained controller makes of 1000 steps is chaos for part of the robots; and beginning
-   * anew is a jump, which other rounding does at another step: with a large weight those few robots
-   * are most of the batch. docs/numerics.md; check_alone looks at them one by one. */
+  /* With a trained controller 1000 steps are chaotic for part of the robots. A restart is a jump,
+   * which other rounding makes at another step: with a large weight these few robots decide the
+   * batch (docs/numerics.md). check_alone compares them one by one. */
   if (*end == 0 && (options.adjoint_rule == MO_ADJOINT_CLIP || options.restart_weight <= 1))
     expect(like.cosine >= COSINE_BOUND, "cosine for random weights at least 0.99");
   drop(&r);
@@ -333,9 +336,9 @@ static void check_likeness(const char *weights, const char *path, const struct s
 
 /* ---- robots alone ---- */
 
-/* Of a batch whose adjoints begin anew, a few robots decide, and theirs are the lives that float16
- * makes another of. So each of them alone: its gradient by the device, begun anew with one weight,
- * against float64's with that weight and with another. */
+/* Where adjoints restart, a few robots decide a batch's gradient, and float16 changes their
+ * rollouts most. So compare each of them by itself: the device's gradient with one weight, against
+ * float64's with that weight and with another. */
 struct alone {
   const struct scene *scene;
   const struct mo_controller *controller;
@@ -397,7 +400,7 @@ static void check_alone(const struct scene *s, uint32_t workers)
       like[w] = likeness_of(r.call.d_parameters, a.gradients[i][w], controller->n_parameters);
       free(a.gradients[i][w]);
     }
-    printf("  robot %u: begins anew %llu times, in float64 %llu; cosine %.6f, error %.3g; against "
+    printf("  robot %u: restarts %llu times, in float64 %llu; cosine %.6f, error %.3g; against "
            "weight %g %.6f, %.3g\n",
            i, (unsigned long long)r.call.counts.clipped_steps, (unsigned long long)a.clipped[i],
            like[0].cosine, like[0].error, alone_weights[1], like[1].cosine, like[1].error);
@@ -406,7 +409,7 @@ static void check_alone(const struct scene *s, uint32_t workers)
     drop(&r);
   }
   qsort(differ, n, sizeof(*differ), ascending);
-  printf("%u robots begin anew: relative error of each alone, median %.3g, p90 %.3g; %u of them "
+  printf("%u robots restart: relative error of each alone, median %.3g, p90 %.3g; %u of them "
          "nearer to float64 with "
          "their weight than with another\n",
          n, n > 0 ? differ[n / 2] : 0, n > 0 ? differ[n * 9 / 10] : 0, nearer);
@@ -453,8 +456,9 @@ static int same_result(const struct result *a, const struct result *b, size_t n_
 }
 
 /* Groups by one block, by two, and some by each, where robots end in a group of 16, where some of a
- * group's 32 rows are empty, where adjoints begin anew, where some diverge, and where some are left
- * out. */
+ * group's 32 rows are empty, where adjoints restart, where some diverge, and where some are left
+ * out.
+ */
 static void check_halves(const struct scene *s)
 {
   const struct {
@@ -464,7 +468,7 @@ static void check_halves(const struct scene *s)
     double stiffness, bound, last_layer; /* times the usual */
   } cases[] = {{"clipped", "", 300, 1, 1, 1},
                {"empty rows", "", 50, 1, 1, 1},
-               {"beginning anew", "restart:", 256, 1, 1, 1},
+               {"restarts", "restart:", 256, 1, 1, 1},
                {"springs 1.7 times as stiff", "", 200, 1.7, 1, 1},
                {"no bound", "", 200, 1, 0, 81}};
   for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {

@@ -1,13 +1,17 @@
-/* cuda.c: the rollouts of a module that computes on GPUs, against float64, and their times.
+/* cuda.c: compares the rollouts of a module that computes on GPUs with float64, and measures their
+ * times.
  *
- *   cuda-bench MODULE check [references]   agreement, bits, divergence, cancelling; references: a
- * file to keep the float64 losses in cuda-bench MODULE time                 8192 bodies × 10
- * environments, evolved bodies, smaller batches cuda-bench MODULE spread               8192 bodies
- * × 10 environments over all devices, and in parts on one cuda-bench MODULE short                a
- * few steps of everything, for compute-sanitizer
+ * cuda-bench MODULE check [FILE]
+ *     agreement, bits, divergence, cancelling; FILE keeps the float64 losses
+ * cuda-bench MODULE time
+ *     8192 bodies × 10 environments, evolved bodies, smaller batches
+ * cuda-bench MODULE spread
+ *     8192 bodies × 10 environments over all devices, and in parts on one
+ * cuda-bench MODULE short
+ *     a few steps of everything, for compute-sanitizer
  *
- * Prints one line per measurement; exit status 1 if a bound is missed, 77 without a device. To be
- * run from the top of the source tree. */
+ * Prints one line per measurement; exit status 1 if a bound is missed, 77 without a device. Run it
+ * from the top of the source tree. */
 #include "../tests/unit/rollout/golden.h"
 
 #include "compute/device.h"
@@ -323,7 +327,7 @@ static void check_sizes(uint32_t n_steps, int with_passive)
       }
       char name[128];
       snprintf(name, sizeof(name),
-               "1 to 144 voxels, %u steps, %s, %s, %s: centre of mass within %.1e m, start %.1e",
+               "1 to 144 voxels, %u steps, %s, %s, %s: center of mass within %.1e m, start %.1e",
                n_steps, kind == 3 ? "passive" : mo_sensor_name(golden.controller->sensor),
                kind == 1 ? "bisection8" : "exact impact", precision_names[precision], worst, start);
       expect(worst <= (precision == MO_DEVICE_EXACT || kind == 3 ? 2e-5 : 2e-3) && start == 0,

@@ -5,8 +5,8 @@
 
 enum { WIDTH = 940, HEIGHT = 440, LEFT = 70, RIGHT = 300, TOP = 40, BOTTOM = 50, TICKS = 5 };
 
-static const char *const colours[] = {"#1b6ca8", "#c0392b", "#1e8449", "#b7950b",
-                                      "#7d3c98", "#5dade2", "#ec7063", "#58d68d"};
+static const char *const colors[] = {"#1b6ca8", "#c0392b", "#1e8449", "#b7950b",
+                                     "#7d3c98", "#5dade2", "#ec7063", "#58d68d"};
 
 static double across(double step, double n_steps)
 {
@@ -19,10 +19,10 @@ static double up(double loss)
   return HEIGHT - BOTTOM - fmin(loss, 1.1) / 1.1 * (HEIGHT - TOP - BOTTOM);
 }
 
-static void line(FILE *file, const double *loss, uint32_t n_steps, const char *colour,
+static void line(FILE *file, const double *loss, uint32_t n_steps, const char *color,
                  const char *style)
 {
-  fprintf(file, "<polyline class=\"%s\" stroke=\"%s\" points=\"", style, colour);
+  fprintf(file, "<polyline class=\"%s\" stroke=\"%s\" points=\"", style, color);
   for (uint32_t i = 1; i <= n_steps; i++)
     if (!isnan(loss[i]))
       fprintf(file, "%.1f,%.1f ", across(i, n_steps), up(loss[i]));
@@ -30,9 +30,9 @@ static void line(FILE *file, const double *loss, uint32_t n_steps, const char *c
 }
 
 static void mean_line(FILE *file, const struct curves_group *group, uint32_t n_steps,
-                      const char *colour)
+                      const char *color)
 {
-  fprintf(file, "<polyline class=\"mean\" stroke=\"%s\" points=\"", colour);
+  fprintf(file, "<polyline class=\"mean\" stroke=\"%s\" points=\"", color);
   for (uint32_t i = 1; i <= n_steps; i++) {
     double sum = 0.0;
     int n = 0;
@@ -88,15 +88,15 @@ int bench_draw_curves(const char *path, uint32_t n_steps, const struct curves_pa
     axes(file, &panels[p], n_steps);
     for (size_t g = 0; g < panels[p].n_groups; g++) {
       const struct curves_group *group = panels[p].groups[g];
-      const char *colour = colours[g % (sizeof(colours) / sizeof(colours[0]))];
+      const char *color = colors[g % (sizeof(colors) / sizeof(colors[0]))];
       for (size_t r = 0; r < group->n_runs; r++)
-        line(file, group->runs[r].loss, n_steps, colour, "run");
-      mean_line(file, group, n_steps, colour);
+        line(file, group->runs[r].loss, n_steps, color, "run");
+      mean_line(file, group, n_steps, color);
       fprintf(file,
               "<line x1=\"%d\" y1=\"%zu\" x2=\"%d\" y2=\"%zu\" stroke=\"%s\" "
               "stroke-width=\"3\"/><text x=\"%d\" "
               "y=\"%zu\">%s</text>\n",
-              WIDTH - RIGHT + 16, TOP + 12 + 20 * g, WIDTH - RIGHT + 40, TOP + 12 + 20 * g, colour,
+              WIDTH - RIGHT + 16, TOP + 12 + 20 * g, WIDTH - RIGHT + 40, TOP + 12 + 20 * g, color,
               WIDTH - RIGHT + 48, TOP + 16 + 20 * g, group->name);
     }
     fprintf(file, "</g>\n");

@@ -113,7 +113,7 @@ static void read_scores(struct evolution *evolution)
   }
 }
 
-/* 1 / (1 + e^f), f a sum over voxels and pairs of neighbours in their order, of random weights. */
+/* 1 / (1 + e^f), f a sum over voxels and pairs of neighbors in their order, of random weights. */
 static double made_up_score(const uint64_t *genotype)
 {
   static double weights[2][MO_DEFAULT_VOXELS];

@@ -1,6 +1,6 @@
 /* gradient_accuracy.c: the float32 gradient of a batch against the float64 reference, at full size:
  * distinct random bodies, each in one training environment, 1000 steps, trained and random
- * controller, with clipping, where adjoints begin anew, and without a bound. The bound is for
+ * controller, with clipping, where adjoints restart, and without a bound. The bound is for
  * random weights, where learning starts. What a trained controller makes of 1000 steps is chaos for
  * part of the robots: float64 does not agree with itself there once the lights are moved by 1e-7 m,
  * which is printed beside. */
@@ -85,20 +85,20 @@ int bench_gradient_accuracy(const struct bench_options *options)
   (void)compare(&scene, scene.controller, "trained controller", robots, options, clip);
   (void)compare(&scene, fresh, "random weights", robots, options, off);
   (void)compare(&scene, scene.controller, "trained controller", robots, options, off);
-  bool anew = true;
+  bool restarted = true;
   for (int i = 0; i < 2; i++) {
     restart.restart_weight = i == 0 ? 1 : MO_RESTART_WEIGHT;
-    anew = compare(&scene, fresh, "random weights", robots, options, restart) && anew;
+    restarted = compare(&scene, fresh, "random weights", robots, options, restart) && restarted;
   }
   restart.adjoint_bound = 8; /* of the shipped controller's recipe */
   (void)compare(&scene, fresh, "random weights", robots, options, restart);
   (void)compare(&scene, scene.controller, "trained controller", robots, options, restart);
   printf("\nbound: cosine with clipping, random weights ≥ %.3f %s\n", COSINE_BOUND,
          random ? "ok" : "MISSED");
-  printf("bound: the same where adjoints begin anew above 2 %s\n", anew ? "ok" : "MISSED");
+  printf("bound: the same where adjoints restart above 2 %s\n", restarted ? "ok" : "MISSED");
   mo_controller_free(fresh);
   free(robots);
   free(environments);
   bench_scene_free(&scene);
-  return random && anew ? 0 : 1;
+  return random && restarted ? 0 : 1;
 }

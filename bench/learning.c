@@ -43,7 +43,8 @@ static const char usage[] =
     "  --warmup N         steps of warm-up of the cosine (default 10)\n"
     "  --bound X          of the adjoint with --clip on (default 2)\n"
     "  --rule clip|restart  above the bound with --clip on (default clip)\n"
-    "  --restart-weight X  of what begins anew, with --rule restart (default 3)\n"
+    "  --restart-weight X  of what a restarted adjoint begins with, with --rule restart (default "
+    "3)\n"
     "  --norm-limit X     of the batch gradient (default 1; 0: none)\n"
     "  --beta1 X, --beta2 X  of Adam (default 0.9, 0.999)\n"
     "                     With none of these eight, inverse_square with one cosine and clipping is "
@@ -354,7 +355,7 @@ static size_t make_runs(const struct plan *plan, struct learning_run runs[RUNS_M
         snprintf(group->name, sizeof(group->name), "%s, adjoint %s",
                  restarts ? "the paper's restarts" : "one cosine",
                  off                                ? "not clipped"
-                 : plan->rule == MO_ADJOINT_RESTART ? "begun anew"
+                 : plan->rule == MO_ADJOINT_RESTART ? "restarted"
                                                     : "clipped");
         n_groups++;
       }

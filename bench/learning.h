@@ -1,5 +1,5 @@
 /* learning.h: what the benchmarks of learning share: one training after another, saved and resumed,
- * told in a CSV file. */
+ * reported in a CSV file. */
 #ifndef MORPHO_BENCH_LEARNING_H
 #define MORPHO_BENCH_LEARNING_H
 

@@ -1,11 +1,11 @@
-/* load.c: does the service answer while the cores compute?
+/* load.c: measures whether the service answers while the cores compute.
  *
  * Starts morphod on a free port with an empty state, keeps its cores busy with a batch of 10,000
  * designs in the paper's test set, and measures from outside, with a client that waits in poll(2)
  * and costs little itself:
- *   1. how long a request of 10,000 designs takes to be accepted (which means: durable), idle and
- * under load;
- *   2. the latency of /healthz over 64 connections that ask without a pause;
+ *   1. how long a request of 10,000 designs takes to be accepted, that is, durable, idle and under
+ *      load;
+ *   2. the latency of /healthz over 64 connections without pauses;
  *   3. how long one interactive design takes from the request to its score. */
 #include <errno.h>
 #include <poll.h>

@@ -1,4 +1,4 @@
-/* space.c: what it costs to draw, recognise, vary and express bodies; `morpho-bench space
+/* space.c: what it costs to draw, recognize, vary and express bodies; `morpho-bench space
  * [bodies]`.
  *
  * Each operation runs over the same sample of random bodies of the default workspace, several

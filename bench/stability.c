@@ -1,7 +1,7 @@
 /* stability.c: which time steps and stiffnesses a rollout survives, beside the bound of the linear
  * theory.
  *
- * Linearised about rest, a mode of the springs' stiffness with eigenvalue λk follows q'' = (1 + e −
+ * Linearized about rest, a mode of the springs' stiffness with eigenvalue λk follows q'' = (1 + e −
  * w) q' − e q from step to step, with e = exp(−drag dt) and w = dt² λ k/m; it decays if and only if
  * w < 2 (1 + e). λ is the largest eigenvalue of the body's springs, found here by the power method.
  * A point of the map is a body in the ten environments of the paper's test set for 1000 steps,
@@ -219,10 +219,10 @@ static void draw_map(const struct map *map, int mode, struct bench_series series
 {
   static const char *const names[] = {"all ten lives go on", "some diverge", "all ten diverge",
                                       "the default", "linear bound"};
-  static const char *const colours[] = {"#58b368", "#f0a30a", "#d6604d", "#1b6ca8", "#111111"};
+  static const char *const colors[] = {"#58b368", "#f0a30a", "#d6604d", "#1b6ca8", "#111111"};
   const struct mo_physics physics = mo_default_physics();
   for (int s = 0; s < SERIES; s++) {
-    series[s] = (struct bench_series){.colour = colours[s], .marks = s < SERIES - 1};
+    series[s] = (struct bench_series){.color = colors[s], .marks = s < SERIES - 1};
     snprintf(series[s].name, sizeof(series[s].name), "%s", names[s]);
   }
   for (int c = 0; c < CELLS; c++) {

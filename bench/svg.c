@@ -48,9 +48,9 @@ static void ticks(FILE *file, const struct axis *axis, bool horizontal)
 }
 
 static void draw_marks(FILE *file, const struct bench_series *series, const struct axis *x,
-                       const struct axis *y, const char *colour)
+                       const struct axis *y, const char *color)
 {
-  fprintf(file, "<path fill=\"%s\" d=\"", colour);
+  fprintf(file, "<path fill=\"%s\" d=\"", color);
   for (size_t i = 0; i < series->n; i++)
     fprintf(file, "M%.0f %.0fh8v8h-8z%s", at(x, series->x[i]) - 4, at(y, series->y[i]) - 4,
             i % 8 == 7 ? "\n" : "");
@@ -59,21 +59,21 @@ static void draw_marks(FILE *file, const struct bench_series *series, const stru
 
 /* Dots where the points are few enough to be told apart. */
 static void draw_line(FILE *file, const struct bench_series *series, const struct axis *x,
-                      const struct axis *y, const char *colour)
+                      const struct axis *y, const char *color)
 {
-  fprintf(file, "<polyline class=\"line\" stroke=\"%s\" points=\"", colour);
+  fprintf(file, "<polyline class=\"line\" stroke=\"%s\" points=\"", color);
   for (size_t i = 0; i < series->n; i++)
     fprintf(file, "%.1f,%.1f ", at(x, series->x[i]), at(y, series->y[i]));
   fprintf(file, "\"/>\n");
   for (size_t i = 0; i < series->n && series->n <= 64; i++)
     fprintf(file, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3\" fill=\"%s\"/>\n", at(x, series->x[i]),
-            at(y, series->y[i]), colour);
+            at(y, series->y[i]), color);
 }
 
 static void draw_panel(FILE *file, const struct bench_panel *panel, const char *x_name)
 {
-  static const char *const colours[] = {"#1b6ca8", "#c0392b", "#1e8449", "#b7950b", "#7d3c98",
-                                        "#5dade2", "#ec7063", "#58d68d", "#f5b041", "#af7ac5"};
+  static const char *const colors[] = {"#1b6ca8", "#c0392b", "#1e8449", "#b7950b", "#7d3c98",
+                                       "#5dade2", "#ec7063", "#58d68d", "#f5b041", "#af7ac5"};
   double x_low = INFINITY, x_high = -INFINITY, y_low = INFINITY, y_high = -INFINITY;
   for (size_t s = 0; s < panel->n_series; s++)
     for (size_t i = 0; i < panel->series[s].n; i++) {
@@ -94,17 +94,16 @@ static void draw_panel(FILE *file, const struct bench_panel *panel, const char *
     const struct bench_series *series = panel->series + s;
     if (series->n == 0)
       continue;
-    const char *colour = series->colour != NULL
-                             ? series->colour
-                             : colours[s % (sizeof(colours) / sizeof(colours[0]))];
+    const char *color =
+        series->color != NULL ? series->color : colors[s % (sizeof(colors) / sizeof(colors[0]))];
     if (series->marks)
-      draw_marks(file, series, &x, &y, colour);
+      draw_marks(file, series, &x, &y, color);
     else
-      draw_line(file, series, &x, &y, colour);
+      draw_line(file, series, &x, &y, color);
     fprintf(file,
             "<line x1=\"%d\" y1=\"%zu\" x2=\"%d\" y2=\"%zu\" stroke=\"%s\" stroke-width=\"3\"/>"
             "<text x=\"%d\" y=\"%zu\">%s</text>\n",
-            WIDTH - RIGHT + 16, row, WIDTH - RIGHT + 40, row, colour, WIDTH - RIGHT + 48, row + 4,
+            WIDTH - RIGHT + 16, row, WIDTH - RIGHT + 40, row, color, WIDTH - RIGHT + 48, row + 4,
             series->name);
     row += 20;
   }

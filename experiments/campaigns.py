@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Runs campaigns of all three modes through the daemon, and tells and draws how they evolve.
+"""Runs campaigns of all three modes through the daemon, and reports and draws how they evolve.
 
 Zero-shot with three seeds, one few-shot and one simultaneous campaign of the same size. The state
 folder is kept: called again, it goes on where it was. Wall time per campaign is the sum of its
@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from own_daemon import ENDED, Daemon, Deadline, cut_off
-from charts import COLOURS, Chart, Panel, Scale
+from charts import COLORS, Chart, Panel, Scale
 import records
 
 MODES = ("zero-shot", "few-shot", "simultaneous")
@@ -23,7 +23,7 @@ COLUMNS = ("mode", "seed", "generation", "mean", "best", "median", "diversity", 
 def rows_of(daemon, campaign):
     """A flat row per generation. Quantiles of the score are p0 (the best) to p100, sizes have their
     mean."""
-    for row in daemon.rows(f"/v1/campaigns/{campaign['id']}/generations"):
+    for row in daemon.items(f"/v1/campaigns/{campaign['id']}/generations"):
         operators, learning, score = row["operators"], row.get("learning") or {}, row["score"]
         yield {
             "mode": campaign["mode"], "seed": campaign["settings"]["seed"],
@@ -47,12 +47,13 @@ def rows_of(daemon, campaign):
 
 def survival(row, operator):
     """Share of the children of an operator, "mutants" or "recombinants", that live on."""
-    return row[f"{operator}_survived"] / row[f"{operator}_born"] if row[f"{operator}_born"] else None
+    born = row[f"{operator}_born"]
+    return row[f"{operator}_survived"] / born if born else None
 
 
 def follow(daemon, campaign, deadline):
-    """Waits for the end of a campaign, telling how far it is, or for the deadline; returns it as it
-    stands then."""
+    """Waits for the end of a campaign, reporting its progress, or for the deadline; returns it as
+    it stands then."""
     while not deadline.is_over():
         campaign = daemon.look("campaigns", campaign, deadline.wait_s())
         if campaign["state"] in ENDED + ("paused", ):
@@ -60,14 +61,16 @@ def follow(daemon, campaign, deadline):
         newest, progress = campaign["newest"], campaign["progress"]
         left = progress["seconds_left"]
         print(f"{campaign['mode']} seed {campaign['settings']['seed']}: " + (
-            f"generation {newest['generation']} of {progress['generations']}, mean {newest['score']['mean']}, "
+            f"generation {newest['generation']} of {progress['generations']}, mean "
+            f"{newest['score']['mean']}, "
             if newest else "") + f"{campaign['phase']} {progress['done']} of {progress['total']}" +
               (f", {left:.0f} s left" if left is not None else ""),
               file=sys.stderr,
               flush=True)
     if campaign["state"] in ("failed", "cancelled", "paused"):
         sys.exit(
-            f"campaign {campaign['id']} {campaign['state']}: {campaign['error'] or campaign['reason']}"
+            f"campaign {campaign['id']} {campaign['state']}: "
+            f"{campaign['error'] or campaign['reason']}"
         )
     return campaign
 
@@ -115,14 +118,14 @@ def table(rows, population):
         ])
     heads = ("mode, seed", "mean at 0", "at the end", "better by", "best at 0", "at the end",
              "diversity at 0", "most", "at the end", "wall time")
-    return records.table(
-        heads, lines
-    ) + f"\n\nPopulation {population}, generations 0 to {int(max(row['generation'] for row in rows))}."
+    newest = int(max(row["generation"] for row in rows))
+    return (records.table(heads, lines) +
+            f"\n\nPopulation {population}, generations 0 to {newest}.")
 
 
 def draw(rows, path):
-    """Three panels against generations: mean and best score, diversity, share of children that survive.
-    """
+    """Three panels against generations: mean and best score, diversity, share of children that
+    survive."""
     panels = [("score: mean (line) and best (dashes)", [("mean", ""), ("best", "5 4")]),
               ("diversity", [("diversity", "")]),
               ("share of the children that live on: recombinants (line), mutants (dashes)",
@@ -149,13 +152,13 @@ def draw(rows, path):
         panel.axes()
         for i, ((mode, seed), group) in enumerate(curves(rows).items()):
             for key, dash in keys:
-                panel.line([(row["generation"], value(row, key)) for row in group], COLOURS[mode],
+                panel.line([(row["generation"], value(row, key)) for row in group], COLORS[mode],
                            dash)
             if p == 0:
                 chart.text(width - right + 14,
                            top + 18 * i + 12,
                            f"{mode}, seed {int(seed)}",
-                           fill=COLOURS[mode])
+                           fill=COLORS[mode])
     chart.text(left, height * len(panels) - 4, "generation")
     chart.save(path)
 

@@ -5,10 +5,10 @@ from xml.sax.saxutils import escape
 
 from records import replace
 
-COLOURS = {"zero-shot": "#1b6ca8", "few-shot": "#c0392b", "simultaneous": "#1e8449"}
+COLORS = {"zero-shot": "#1b6ca8", "few-shot": "#c0392b", "simultaneous": "#1e8449"}
 PALETTE = ("#1b6ca8", "#c0392b", "#1e8449", "#8e44ad", "#d68910", "#148f77", "#7b241c", "#5d6d7e",
            "#b03a9c", "#6e6e1e")
-GREY = "#777"
+GRAY = "#777"
 
 
 class Scale:
@@ -63,7 +63,8 @@ class Chart:
                  height,
                  style=".grid{stroke:#ddd}polyline{fill:none;stroke-width:1.6}"):
         self.out = [
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="12">',
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" '
+            f'font-family="sans-serif" font-size="12">',
             f"<style>{style}</style>", '<rect width="100%" height="100%" fill="#fff"/>'
         ]
 
@@ -73,11 +74,12 @@ class Chart:
         self.out.append(f'<text x="{x}" y="{y}"{given}>{escape(text)}</text>')
 
     def legend(self, x, y, entries, column=170):
-        """Entries in a row: (text, colour, dash)."""
-        for i, (text, colour, dash) in enumerate(entries):
+        """Entries in a row: (text, color, dash)."""
+        for i, (text, color, dash) in enumerate(entries):
             at = x + i * column
             self.out.append(
-                f'<line x1="{at}" y1="{y - 4}" x2="{at + 24}" y2="{y - 4}" stroke="{colour}" stroke-width="2" stroke-dasharray="{dash}"/>'
+                f'<line x1="{at}" y1="{y - 4}" x2="{at + 24}" y2="{y - 4}" stroke="{color}" '
+                f'stroke-width="2" stroke-dasharray="{dash}"/>'
             )
             self.text(at + 30, y, text)
 
@@ -89,7 +91,8 @@ class Chart:
 class Panel:
     """A rectangle of a chart with two scales. left, top, right, bottom: its edges on the page."""
     def __init__(self, chart, left, top, right, bottom, x, y):
-        self.chart, self.left, self.top, self.right, self.bottom, self.x, self.y = chart, left, top, right, bottom, x, y
+        self.chart, self.x, self.y = chart, x, y
+        self.left, self.top, self.right, self.bottom = left, top, right, bottom
 
     def at_x(self, value):
         return self.left + self.x.share(value) * (self.right - self.left)
@@ -103,19 +106,23 @@ class Panel:
     def axes(self, x_name="", y_name="", x_labels=True, x_grid=False):
         for value in self.y.ticks:
             self.chart.out.append(
-                f'<line class="grid" x1="{self.left}" y1="{self.at_y(value):.1f}" x2="{self.right}" y2="{self.at_y(value):.1f}"/>'
-                f'<text x="{self.left - 8}" y="{self.at_y(value) + 4:.1f}" text-anchor="end">{label(value)}</text>'
+                f'<line class="grid" x1="{self.left}" y1="{self.at_y(value):.1f}" '
+                f'x2="{self.right}" y2="{self.at_y(value):.1f}"/>'
+                f'<text x="{self.left - 8}" y="{self.at_y(value) + 4:.1f}" '
+                f'text-anchor="end">{label(value)}</text>'
             )
         taken = -math.inf  # up to where there are labels
         for value in self.x.ticks:
             if x_grid:
                 self.chart.out.append(
-                    f'<line class="grid" x1="{self.at_x(value):.1f}" y1="{self.top}" x2="{self.at_x(value):.1f}" y2="{self.bottom}"/>'
+                    f'<line class="grid" x1="{self.at_x(value):.1f}" y1="{self.top}" '
+                    f'x2="{self.at_x(value):.1f}" y2="{self.bottom}"/>'
                 )
             half = 3.6 * len(label(value))  # of its width, about
             if x_labels and self.at_x(value) - half > taken:
                 self.chart.out.append(
-                    f'<text x="{self.at_x(value):.1f}" y="{self.bottom + 18}" text-anchor="middle">{label(value)}</text>'
+                    f'<text x="{self.at_x(value):.1f}" y="{self.bottom + 18}" '
+                    f'text-anchor="middle">{label(value)}</text>'
                 )
                 taken = self.at_x(value) + half
         if x_name:
@@ -137,49 +144,51 @@ class Panel:
         return " ".join(f"{self.at_x(x):.1f},{self.at_y(y):.1f}" for x, y in values
                         if y is not None)
 
-    def line(self, values, colour, dash="", style=""):
+    def line(self, values, color, dash="", style=""):
         given = f' style="{style}"' if style else ""
         self.chart.out.append(
-            f'<polyline stroke="{colour}" stroke-dasharray="{dash}"{given} points="{self.points(values)}"/>'
+            f'<polyline stroke="{color}" stroke-dasharray="{dash}"{given} '
+            f'points="{self.points(values)}"/>'
         )
 
-    def band(self, values, colour, opacity=0.18):
+    def band(self, values, color, opacity=0.18):
         """values: (x, least, most)."""
         known = [value for value in values if value[1] is not None and value[2] is not None]
         around = [(x, most) for x, _, most in known] + [(x, least)
                                                         for x, least, _ in reversed(known)]
         if len(known) > 1:
             self.chart.out.append(
-                f'<polygon fill="{colour}" fill-opacity="{opacity}" points="{self.points(around)}"/>'
+                f'<polygon fill="{color}" fill-opacity="{opacity}" points="{self.points(around)}"/>'
             )
 
-    def dots(self, values, colour, radius=2.2):
+    def dots(self, values, color, radius=2.2):
         self.chart.out += [
-            f'<circle cx="{self.at_x(x):.1f}" cy="{self.at_y(y):.1f}" r="{radius}" fill="{colour}"/>'
+            f'<circle cx="{self.at_x(x):.1f}" cy="{self.at_y(y):.1f}" r="{radius}" fill="{color}"/>'
             for x, y in values if y is not None
         ]
 
-    def histogram(self, edges, shares, colour):
+    def histogram(self, edges, shares, color):
         """A filled outline over the bins."""
         corners = [(edges[0], 0)]
         for left, right, share in zip(edges, edges[1:], shares):
             corners += [(left, share), (right, share)]
         corners.append((edges[-1], 0))
         self.chart.out.append(
-            f'<polygon fill="{colour}" fill-opacity="0.25" stroke="{colour}" stroke-width="1.2" points="{self.points(corners)}"/>'
+            f'<polygon fill="{color}" fill-opacity="0.25" stroke="{color}" stroke-width="1.2" '
+            f'points="{self.points(corners)}"/>'
         )
 
 
-def bundle(panel, curves, colour, dash="", dots=False):
-    """Several curves of one thing, each a dictionary x → y: a band from least to most and a line of the
-    mean, where all of them are. One that is a single point is a dot."""
+def bundle(panel, curves, color, dash="", dots=False):
+    """Several curves of one thing, each a dictionary x → y: a band from least to most and a line of
+    the mean, where all of them are. One that is a single point is a dot."""
     shared = sorted(
         set.intersection(*(set(x for x, y in curve.items() if y is not None)
                            for curve in curves))) if curves else []
     if len(curves) > 1:
         panel.band([(x, min(curve[x] for curve in curves), max(curve[x] for curve in curves))
-                    for x in shared], colour)
+                    for x in shared], color)
     middle = [(x, sum(curve[x] for curve in curves) / len(curves)) for x in shared]
-    panel.line(middle, colour, dash)
+    panel.line(middle, color, dash)
     if dots or len(middle) == 1:
-        panel.dots(middle, colour)
+        panel.dots(middle, color)

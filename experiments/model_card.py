@@ -78,8 +78,8 @@ def sweeps(count):
 
 
 def evaluate(daemon, arguments, controller, designs, environments):
-    """Losses: a list for each design, None where it diverged. What the daemon has scored before is not
-    computed again."""
+    """Losses: a list for each design, None where it diverged. What the daemon has scored before is
+    not computed again."""
     body = {
         "designs": designs, "environments": environments, "controller": controller,
         "device": arguments.device, "priority": "batch",
@@ -177,7 +177,8 @@ def card(arguments):
         while left > 0:  # a set has 1000 designs at most
             seeds.append(arguments.seed + len(seeds))
             held_out = daemon.call(
-                f"/v1/held-out?seed={seeds[-1]}&designs={min(left, 1000)}&environments={2 * arguments.environments}"
+                f"/v1/held-out?seed={seeds[-1]}&designs={min(left, 1000)}"
+                f"&environments={2 * arguments.environments}"
             )
             environments = held_out["environments"] if len(seeds) == 1 else environments
             designs += [design for design in held_out["designs"]
@@ -192,22 +193,26 @@ def card(arguments):
                             [environment for group in light.values() for environment in group])
         machine = daemon.machine()
         description = json.loads(
-            daemon.fetch(f"/v1/controllers/{arguments.name}",
-                         headers={"Accept": "application/json"}))
+            daemon.fetch(f"/v1/controllers/{arguments.name}"))
     computed = ", ".join(sorted(set(
         machine["gpus"]))) if machine["gpus"] and arguments.device != "cpu" else "processors"
     count = arguments.environments
     parts = [
-        f"Made by `tools/bench model-card` ({computed}): {len(designs)} bodies that no pretraining draws (`/v1/held-out`, "
-        f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}), lives of {arguments.rollout_steps} steps. A score is the distance to the light at the end "
-        "over that at the start: 1 is standing still, 0 is reaching it. The mean is over bodies; its confidence interval comes from drawing the bodies again.",
-        f"**By size of the body**, {len(environments)} environments of the training's distribution:",
+        f"Made by `tools/bench model-card` ({computed}): {len(designs)} bodies that no pretraining "
+        f"draws (`/v1/held-out`, "
+        f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}), rollouts of "
+        f"{arguments.rollout_steps} steps. A score is the distance to the light at the end "
+        "over that at the start: 1 is standing still, 0 is reaching it. The mean is over bodies; "
+        "its confidence interval comes from drawing the bodies again.",
+        f"**By size of the body**, {len(environments)} environments of the training's "
+        f"distribution:",
         records.table(("size", ) + head, [line("all", usual), *by_size(designs, usual)]),
         "**The paper's test set**, ten environments:",
         records.table(("", ) + head, [line("all", paper)]),
         f"**By roughness of the terrain** (σ of its heights), {count} lights 0.4 to 2 m away each:",
         records.table(("σ", ) + head, by_value(SIGMAS_M, by_rough, count, "m", TRAINED_SIGMA_M)),
-        f"**By distance of the light**, {count} environments with σ up to 0.1 m each; the map ends 2.5 m from the start, and its border's heights go on:",
+        f"**By distance of the light**, {count} environments with σ up to 0.1 m each; the map ends "
+        f"2.5 m from the start, and its border's heights continue:",
         records.table(("distance", ) + head,
                       by_value(DISTANCES_M, by_light, count, "m", TRAINED_DISTANCES_M))
     ]

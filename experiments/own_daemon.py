@@ -41,7 +41,8 @@ def add_options(parser, state):
         "--module",
         type=Path,
         help=
-        "module that computes on GPUs (default: morphod-cuda.so beside the build's daemon, if there)"
+        "module that computes on GPUs (default: morphod-cuda.so beside the build's daemon, if "
+        "there)"
     )
     group.add_argument("--devices",
                        default="auto",
@@ -149,8 +150,8 @@ class Daemon:
         self.stop()
 
     def fetch(self, path, data=None, headers=None, method=None, refused=None):
-        """The bytes of a reply. A refusal, but one of the status `refused`, ends the program with what the
-        daemon says."""
+        """The bytes of a reply. A refusal, but one of the status `refused`, ends the program with
+        what the daemon says."""
         request = urllib.request.Request(self.address + path, data, headers or {}, method=method)
         try:
             with urllib.request.urlopen(request, timeout=120) as reply:
@@ -159,7 +160,8 @@ class Daemon:
             if error.code == refused:
                 return error.read()
             sys.exit(
-                f"{request.get_method()} {path}: {error.code} {error.read().decode(errors='replace')}"
+                f"{request.get_method()} {path}: {error.code} "
+                f"{error.read().decode(errors='replace')}"
             )
 
     def call(self, path, body=None, headers=None, method=None):
@@ -169,8 +171,8 @@ class Daemon:
             self.fetch(path, data, {"Content-Type": "application/json", **(headers or {})}, method))
 
     def job_of(self, kind, body, key):
-        """The job of a key, made if there is none yet. The daemon forgets a key after a day: here it is
-        kept as long as the job."""
+        """The job of a key, made if there is none yet. The daemon forgets a key after a day: here
+        it is kept as long as the job."""
         jobs = json.loads(self.jobs.read_text()) if self.jobs.exists() else {}
         if key in jobs:
             job = json.loads(self.fetch(f"/v1/{kind}/{jobs[key]['id']}", refused=404))
@@ -185,8 +187,8 @@ class Daemon:
         return job
 
     def submit(self, kind, body, key=None):
-        """A job that runs alone: whatever else is open is paused until it is asked for again. The same body
-        always gives the same job, which goes on if it was paused or had failed."""
+        """A job that runs alone: whatever else is open is paused until it is asked for again. The
+        same body always gives the same job, which goes on if it was paused or had failed."""
         key = key or "bench-" + hashlib.sha256(json.dumps([kind, body],
                                                           sort_keys=True).encode()).hexdigest()[:40]
         job = self.job_of(kind, body, key)
@@ -211,17 +213,8 @@ class Daemon:
                              for key in ("started_at", "finished_at"))
         return (finished - started).total_seconds()
 
-    def rows(self, path, after=None):
-        """All rows of a curve."""
-        while True:
-            page = self.call(f"{path}?limit=1000" + ("" if after is None else f"&after={after}"))
-            yield from page["items"]
-            if not page["more"]:
-                return
-            after = page["next_after"]
-
     def items(self, path):
-        """All items of a list that is paged by cursor."""
+        """All items of a list, or all rows of a curve."""
         cursor = ""
         while True:
             page = self.call(f"{path}{'&' if '?' in path else '?'}limit=1000{cursor}")
@@ -233,20 +226,20 @@ class Daemon:
     def put_controller(self, name, file):
         data = Path(file).read_bytes()
         return json.loads(
-            self.fetch(f"/v1/controllers/{name}", data,
+            self.fetch(f"/v1/controllers/{name}/file", data,
                        {"Content-Type": "application/octet-stream"}, "PUT"))
 
     def machine(self):
         """What computes: names of the GPUs that work, and the number of threads."""
-        devices = self.call("/v1/devices")["devices"]
+        devices = self.call("/v1/devices")["items"]
         return {
             "gpus": [device["name"] for device in devices if device["state"] == "working"],
-            "workers": self.call("/v1/workers")["n_workers"]
+            "workers": self.call("/v1/threads")["n_threads"]
         }
 
     def stop(self):
-        """SIGTERM: what runs is saved. A daemon that does not end is killed, and goes on from its last
-        checkpoint."""
+        """SIGTERM: what runs is saved. A daemon that does not end is killed, and goes on from its
+        last checkpoint."""
         self.process.terminate()
         try:
             self.process.wait(120)

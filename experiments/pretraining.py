@@ -1,4 +1,4 @@
-"""Pretrains controllers through the daemon, at the paper's scale by default, and tells and draws
+"""Pretrains controllers through the daemon, at the paper's scale by default, and reports and draws
 how they learn.
 
 One call trains one recipe with some seeds, one training after the other. The state folder is kept:
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import own_daemon
 from own_daemon import ENDED, Daemon, Deadline
-from charts import GREY, PALETTE, Chart, Panel, Scale, bundle, decades
+from charts import GRAY, PALETTE, Chart, Panel, Scale, bundle, decades
 import records
 
 TEXTS = ("recipe", "device", "machine", "row")
@@ -67,8 +67,8 @@ def request_of(arguments, seed):
 
 
 def recipe_of(body):
-    """The recipe as one line without commas: always schedule, bound and size; what else differs from
-    the usual."""
+    """The recipe as one line without commas: always schedule, bound and size; what else differs
+    from the usual."""
     schedule = body["schedule"]
     kind, usual = next((name, s) for name, s in SCHEDULES.items() if s["kind"] == schedule["kind"])
     words = [{"one-cosine": "one cosine", "paper-pretrain": "restarts"}.get(kind, kind),
@@ -114,12 +114,12 @@ def rows_of(daemon, training, recipe):
         "seed": training["settings"]["seed"]
     }
     path = f"/v1/trainings/{training['id']}"
-    for row in daemon.rows(f"{path}/steps"):
+    for row in daemon.items(f"{path}/steps"):
         yield {
             **same, **row, "row": "step", "loss": row["mean_loss"],
             "clipped_robots": row["clipped_robots_share"], "skipped": int(row["skipped"])
         }
-    for row in daemon.rows(f"{path}/validations"):
+    for row in daemon.items(f"{path}/validations"):
         yield {
             **same, "row": "validation", "step": row["step"], "loss": row["mean_score"],
             "standard_error": row["standard_error"], "diverged": row["diverged"]
@@ -137,9 +137,10 @@ def is_done(rows, recipe, seed, device, steps, file):
     return file.exists() and len(known) >= steps
 
 
-def tell(training, recipe):
+def report_progress(training, recipe):
     progress = training["progress"]
-    line = f"{recipe}, seed {training['settings']['seed']}: step {progress['step']} of {progress['steps']}"
+    seed = training["settings"]["seed"]
+    line = f"{recipe}, seed {seed}: step {progress['step']} of {progress['steps']}"
     if training["phase"] == "replaying":
         line += f", drawing again {progress['replayed']} of {progress['replay_total']} bodies"
     if progress["mean_loss"] is not None:
@@ -173,7 +174,7 @@ def run(arguments):
                 training = daemon.look("trainings", training, deadline.wait_s())
                 if training["state"] in ENDED + ("paused", ):
                     break
-                tell(training, recipe)
+                report_progress(training, recipe)
             new = list(rows_of(daemon, training, recipe))
             if new:
                 key = (recipe, training["device"], training["settings"]["seed"])
@@ -183,12 +184,14 @@ def run(arguments):
                 records.write(arguments.csv, COLUMNS, known)
             if training["state"] in ("failed", "cancelled", "paused"):
                 sys.exit(
-                    f"training {training['id']} {training['state']}: {training['error'] or training['reason']}"
+                    f"training {training['id']} {training['state']}: "
+                    f"{training['error'] or training['reason']}"
                 )
             if training["state"] != "succeeded":
                 return False
             print(
-                f"{recipe}, seed {body['seed']}: {daemon.elapsed_s(training):.0f} s from start to end, validations and stops included",
+                f"{recipe}, seed {body['seed']}: {daemon.elapsed_s(training):.0f} s from start to "
+                f"end, validations and stops included",
                 file=sys.stderr)
             records.replace(file_of(arguments.folder, recipe, training["settings"]["seed"]),
                             daemon.fetch(f"/v1/trainings/{training['id']}/controller"))
@@ -197,7 +200,7 @@ def run(arguments):
     return True
 
 
-# ---- telling ----
+# ---- progress ----
 
 
 def smooth(curve, half):
@@ -274,8 +277,8 @@ def table(rows):
 
 
 def draw(rows, path):
-    """Loss of the batch against the logarithm of the step, so that its beginning shows; score of the
-    held-out bodies against the step."""
+    """Loss of the batch against the logarithm of the step, so that its beginning shows; score of
+    the held-out bodies against the step."""
     groups = records.group(rows, "recipe", "device")
     last = max(row["step"] for row in rows)
     width, left, right, top, high, gap = 940, 70, 20, 46, 380, 70
@@ -291,14 +294,14 @@ def draw(rows, path):
                       top + p * (high + gap) + high, scales[p], scale)
         panel.title(title)
         panel.axes("step of learning", "distance to the light, end / start", x_grid=True)
-        panel.line([(scales[p].low, PAPER_LOSS), (last, PAPER_LOSS)], GREY, "2 3")
+        panel.line([(scales[p].low, PAPER_LOSS), (last, PAPER_LOSS)], GRAY, "2 3")
         chart.text(*((left + 6, f"{panel.at_y(PAPER_LOSS) - 5:.1f}") if p == 0 else
                      (width - right - 130, f"{panel.at_y(PAPER_LOSS) + 14:.1f}")),
                    f"the paper's end, {PAPER_LOSS}",
-                   fill=GREY)
+                   fill=GRAY)
         panels.append(panel)
     for i, ((recipe, device), group) in enumerate(groups.items()):
-        colour = PALETTE[i % len(PALETTE)]
+        color = PALETTE[i % len(PALETTE)]
         smoothed = []
         for trial in records.group(group, "seed").values():
             curve = smooth(losses(trial), lambda step: min(10, step // 10))
@@ -306,22 +309,22 @@ def draw(rows, path):
                 point for j, point in enumerate(curve)
                 if j == len(curve) - 1 or j < 20 or point[0] % max(1, int(point[0] / 60)) == 0
             ]
-            panels[0].line(kept, colour, style="stroke-width:.8;stroke-opacity:.5")
+            panels[0].line(kept, color, style="stroke-width:.8;stroke-opacity:.5")
             smoothed.append(dict(kept))
         common = sorted(set.intersection(*map(set, smoothed)))
         panels[0].line([(step, sum(curve[step] for curve in smoothed) / len(smoothed))
                         for step in common],
-                       colour,
+                       color,
                        style="stroke-width:2.4")
         validations = [{row["step"]: row["loss"]
                         for row in trial if row["row"] == "validation"}
                        for trial in records.group(group, "seed").values()]
-        bundle(panels[1], validations, colour, dots=True)
+        bundle(panels[1], validations, color, dots=True)
         y = top + 2 * (high + gap) + 20 * i
         chart.legend(
             left, y,
             [(f"{recipe} ({device}), {len(smoothed)} seed{'s' if len(smoothed) > 1 else ''}",
-              colour, "")])
+              color, "")])
     chart.save(path)
 
 
@@ -356,7 +359,7 @@ def options():
     parser.add_argument("--restart-weight",
                         type=float,
                         default=3.0,
-                        help="of what begins anew, under restart (default 3)")
+                        help="of a restarted adjoint, with --rule restart (default 3)")
     parser.add_argument("--beta1", type=float, default=0.9, help="of Adam (default 0.9)")
     parser.add_argument("--beta2", type=float, default=0.999, help="of Adam (default 0.999)")
     parser.add_argument("--epsilon", type=float, default=1e-8, help="of Adam (default 1e-8)")

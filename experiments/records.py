@@ -8,8 +8,8 @@ from pathlib import Path
 
 
 def number(value):
-    """Whole numbers with all digits, so that a seed that was read as one of the others is written as it
-    was."""
+    """Whole numbers with all digits, so that a seed that was read as one of the others is written
+    as it was."""
     if isinstance(value, float):
         return str(int(value)) if value.is_integer() and abs(value) < 1e15 else f"{value:.6g}"
     return "" if value is None else str(value)
@@ -32,8 +32,8 @@ def write(path, columns, rows):
 
 
 def read(path, texts):
-    """Rows; the columns `texts` as text, the others as numbers, None where empty. None of a file that
-    is not there."""
+    """Rows; the columns `texts` as text, the others as numbers, None where empty. None of a file
+    that is not there."""
     if not Path(path).exists():
         return []
     with open(path, encoding="utf-8", newline="") as file:
@@ -63,8 +63,8 @@ def table(heads, lines):
 
 
 def put_between(path, name, text, otherwise=""):
-    """Puts `text` between the markers `name` of a Markdown page, and keeps the rest of it. A page that
-    is not there begins as `otherwise`; markers that are not there are put at its end."""
+    """Puts `text` between the markers `name` of a Markdown page, and keeps the rest of it. A page
+    that is not there begins as `otherwise`; markers that are not there are put at its end."""
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     path = Path(path)
     page = path.read_text(encoding="utf-8") if path.exists() else otherwise

@@ -108,7 +108,7 @@ def result_of(daemon, campaign, request, count):
     last = campaign["newest"]["generation"]
     learning = {}
     if campaign["mode"] != "zero-shot":
-        for row in daemon.rows(f"/v1/campaigns/{campaign['id']}/learning"):
+        for row in daemon.items(f"/v1/campaigns/{campaign['id']}/learning"):
             learning.setdefault(
                 row["generation"],
                 []).append(None if row["mean_loss"] is None else float(f"{row['mean_loss']:.6g}"))
@@ -196,7 +196,8 @@ def options():
         type=float,
         default=2.0,
         help=
-        "of each robot's adjoint where the controller learns; 0: not clipped, as in the paper (default 2)"
+        "of each robot's adjoint where the controller learns; 0: not clipped, as in the paper "
+        "(default 2)"
     )
     parser.add_argument("--rule",
                         choices=("clip", "restart"),
@@ -205,7 +206,7 @@ def options():
     parser.add_argument("--restart-weight",
                         type=float,
                         default=3.0,
-                        help="of what begins anew, under restart (default 3)")
+                        help="of a restarted adjoint, with --rule restart (default 3)")
     parser.add_argument("--few-shot-steps",
                         type=int,
                         default=60,

@@ -1,6 +1,6 @@
 """Figures and tables of `tools/bench reproduction`, from its files alone.
 
-Columns are modes and colours are modes, in every figure. A line is the mean over the trials, a band
+Columns are modes and colors are modes, in every figure. A line is the mean over the trials, a band
 their range."""
 import json
 import math
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import voxels
 from campaigns import MODES, survival, table
-from charts import COLOURS, GREY, Chart, Panel, Scale, bundle, decades
+from charts import COLORS, GRAY, Chart, Panel, Scale, bundle, decades
 import pretraining
 import records
 
@@ -70,8 +70,8 @@ def part_of(losses, child_steps, of_parents):
 
 
 def learning_curves(kept, mode):
-    """Mean losses while learning: (curves, one for each trial; dash). Of step s of n of generation g,
-    at g - 1 + s/n; where a generation has few steps on its parents and on its children, and the
+    """Mean losses while learning: (curves, one for each trial; dash). Of step s of n of generation
+    g, at g - 1 + s/n; where a generation has few steps on its parents and on its children, and the
     curve would be a comb, one of each at g."""
     entries = [entry for entry in kept if entry["mode"] == mode and entry["learning"]]
     if not entries:
@@ -101,7 +101,7 @@ def draw_performance(kept, rows, pretrained, path):
                   ] + [loss for entry in kept for losses in entry["learning"] for loss in losses]
     score = Scale(*decades(everything + [row["loss"] for row in pretrained]), log=True)
     legend = [("test score, mean", "#000", ""), ("test score, best", "#000", "5 4"),
-              ("loss while learning", GREY, ""), ("the same, on children alone", GREY, "2 3")]
+              ("loss while learning", GRAY, ""), ("the same, on children alone", GRAY, "2 3")]
     chart, panel = grid(first + len(modes), 2,
                         "Performance and diversity: mean over the trials and their range", legend)
     if pretrained:
@@ -115,7 +115,7 @@ def draw_performance(kept, rows, pretrained, path):
         ]
         bundle(at, [{step: loss
                      for step, loss in curve if step < 50 or step % 5 == 0}
-                    for curve in smoothed], GREY)
+                    for curve in smoothed], GRAY)
         bundle(at, [{row["step"]: row["loss"]
                      for row in group if row["row"] == "validation"} for group in by_seed],
                PRETRAINING,
@@ -132,14 +132,14 @@ def draw_performance(kept, rows, pretrained, path):
         at.title(mode, 6, 13)
         at.axes("", "" if column else "distance to the light, end / start")
         for curves, dash in learning_curves(kept, mode):
-            bundle(at, curves, GREY, dash)
+            bundle(at, curves, GRAY, dash)
         for key, dash in (("mean", ""), ("best", "5 4")):
             bundle(at, [{row["generation"]: row[key]
-                         for row in group} for group in trials(rows, mode)], COLOURS[mode], dash)
+                         for row in group} for group in trials(rows, mode)], COLORS[mode], dash)
         at = panel(1, column, generations(rows, mode), Scale(0, high))
         at.axes("generation", "" if column > first else "diversity (Hamming / 144)")
         bundle(at, [{row["generation"]: row["diversity"]
-                     for row in group} for group in trials(rows, mode)], COLOURS[mode])
+                     for row in group} for group in trials(rows, mode)], COLORS[mode])
     chart.save(path)
 
 
@@ -159,13 +159,13 @@ def draw_over_generations(rows, path, title, legend, quantities):
             for value, dash in values:
                 bundle(at, [{row["generation"]: value(row)
                              for row in group}
-                            for group in trials(rows, mode)], COLOURS[mode], dash)
+                            for group in trials(rows, mode)], COLORS[mode], dash)
     chart.save(path)
 
 
 def draw_populations(kept, edges, path):
-    """The paper's figure "Evolved populations": distributions in the first population (grey) and in the
-    last (coloured)."""
+    """The paper's figure "Evolved populations": distributions in the first population (gray) and in
+    the last (colored)."""
     modes = [mode for mode in MODES if any(entry["mode"] == mode for entry in kept)]
     quantities = [("score", "score (end / start)"),
                   ("footprint", "footprint (columns of voxels, 0.01 m² each)"),
@@ -173,7 +173,7 @@ def draw_populations(kept, edges, path):
                   ("distinctiveness", "mean Hamming distance to others / 144")]
     chart, panel = grid(
         len(quantities), len(modes),
-        "Populations: the first (grey) and the last (coloured); shares, mean over the trials", [])
+        "Populations: the first (gray) and the last (colored); shares, mean over the trials", [])
     for column, (name, title) in enumerate(quantities):
         bins = edges[name]
         used = [
@@ -192,8 +192,8 @@ def draw_populations(kept, edges, path):
                              max(max(shares[0]), max(shares[1])) * 1.05))
             at.axes(title if r == len(modes) - 1 else "",
                     f"{mode}: share of the designs" if column == 0 else "")
-            for share, colour in zip(shares, (GREY, COLOURS[mode])):
-                at.histogram(bins[low:high + 1], share, colour)
+            for share, color in zip(shares, (GRAY, COLORS[mode])):
+                at.histogram(bins[low:high + 1], share, color)
     chart.save(path)
 
 
@@ -202,22 +202,22 @@ def blocks(kept):
     first = {mode: next((entry for entry in kept if entry["mode"] == mode), None) for mode in MODES}
     shown = next((entry for entry in first.values() if entry), None)
     if shown:
-        yield "the initial population", GREY, shown["champions"][0]
+        yield "the initial population", GRAY, shown["champions"][0]
     for mode in ("simultaneous", "zero-shot", "few-shot"):
         for champions in (first[mode]["champions"][1:] if first[mode] else []):
-            yield f"{mode}, generation {champions['generation']}", COLOURS[mode], champions
+            yield f"{mode}, generation {champions['generation']}", COLORS[mode], champions
 
 
 def draw_champions(kept, path):
-    """The paper's figure "Morphological distinctiveness": designs at even steps over the ranking, most
-    distinct first, scores below."""
+    """The paper's figure "Morphological distinctiveness": designs at even steps over the ranking,
+    most distinct first, scores below."""
     per_row, unit = 10, 8
     wide, high = 12 * voxels.COS * unit + 10, 10 * unit + 22
     shown = list(blocks(kept))
     rows_of = [math.ceil(len(champions["designs"]) / per_row) for _, _, champions in shown]
     chart = Chart(round(20 + per_row * wide), round(20 + sum(34 + n * high for n in rows_of)))
     y = 20.0
-    for (title, colour, champions), n in zip(shown, rows_of):
+    for (title, color, champions), n in zip(shown, rows_of):
         chart.text(10,
                    f"{y + 14:.1f}",
                    title +
@@ -226,7 +226,7 @@ def draw_champions(kept, path):
         for i, design in enumerate(champions["designs"]):
             left, top = 10 + i % per_row * wide, y + 26 + i // per_row * high
             chart.out += voxels.draw(design["genotype"], left, top, unit,
-                                     colour if colour != GREY else "#999999")
+                                     color if color != GRAY else "#999999")
             text = "diverged" if design["score"] is None else f"{design['score']:.3f}"
             chart.text(f"{left + 6 * voxels.COS * unit:.1f}",
                        f"{top + 10 * unit + 14:.1f}",
@@ -258,13 +258,14 @@ def paper_line(name):
 
 
 def own_line(name, experiment, loss, length, size, minutes, gpus):
-    """length: (number, unit); minutes: of each trial. How much less GPU time it took is said of what is
-    as long and as large as the paper's."""
+    """length: (number, unit); minutes: of each trial. How much less GPU time it took is said of
+    what is as long and as large as the paper's."""
     names = ", ".join(f"{gpus.count(gpu)} {gpu}" for gpu in sorted(set(gpus))) or "none"
     spent = [m * len(gpus) for m in minutes]
     is_equal = gpus and spent and length[0] == PAPER_LENGTH.get(experiment) and size == PAPER_SIZE
-    less = f"{PAPER_GPUS * PAPER[experiment][2] / records.mean(spent):.0f} times less" if is_equal and records.mean(
-        spent) else ""
+    less = ""
+    if is_equal and records.mean(spent):
+        less = f"{PAPER_GPUS * PAPER[experiment][2] / records.mean(spent):.0f} times less"
     return [
         "", name, loss, f"{length[0]} {length[1]}",
         spread(minutes, ".1f") + " min", names,
@@ -273,8 +274,8 @@ def own_line(name, experiment, loss, length, size, minutes, gpus):
 
 
 def comparison(kept, rows, pretrained, best):
-    """pretrained: all trainings, of which the table has the best recipe and the paper's; the page has
-    another table of all."""
+    """pretrained: all trainings, of which the table has the best recipe and the paper's; the page
+    has another table of all."""
     lines = [paper_line("pretraining")] if pretrained else []
     for (recipe, device), group in records.group(pretrained, "recipe", "device").items():
         if recipe != best[0]["recipe"] and not recipe.startswith(PAPER_RECIPE):

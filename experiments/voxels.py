@@ -10,14 +10,14 @@ def cells(genotype):
     return [(i // 24, i // 4 % 6, i % 4) for i, digit in enumerate(genotype) if digit == "1"]
 
 
-def shade(colour, factor):
-    """A colour #rrggbb mixed with white (factor above 1) or black."""
-    parts = [int(colour[i:i + 2], 16) for i in (1, 3, 5)]
+def shade(color, factor):
+    """A color #rrggbb mixed with white (factor above 1) or black."""
+    parts = [int(color[i:i + 2], 16) for i in (1, 3, 5)]
     mixed = [part * factor if factor <= 1 else part + (255 - part) * (factor - 1) for part in parts]
     return "#" + "".join(f"{round(part):02x}" for part in mixed)
 
 
-def draw(genotype, left, top, unit, colour):
+def draw(genotype, left, top, unit, color):
     """The body in the box of width 12 · COS · unit and height 10 · unit whose upper left corner is
     given, on the outline of its workspace."""
     def corner(x, y, z):
@@ -37,5 +37,5 @@ def draw(genotype, left, top, unit, colour):
         for (dx, dy, dz), factor, corners in faces:
             if (x + dx, y + dy, z + dz) not in body:
                 points = " ".join(corner(x + i, y + j, z + k) for i, j, k in corners)
-                out.append(f'<polygon fill="{shade(colour, factor)}" points="{points}"/>')
+                out.append(f'<polygon fill="{shade(color, factor)}" points="{points}"/>')
     return out + ["</g>"]

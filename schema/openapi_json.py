@@ -30,7 +30,7 @@ def main():
     check_references(document, document)
     text = json.dumps(document, ensure_ascii=True, separators=(",", ":"))
     if target.endswith(".c"):
-        lines = ['#include "http/openapi.h"', "", "const char mo_openapi_json[] ="]
+        lines = ['#include "api/openapi.h"', "", "const char mo_openapi_json[] ="]
         for start in range(0, len(text), 100):
             piece = text[start:start + 100].replace("\\",
                                                     "\\\\").replace('"', '\\"').replace("?", "\\?")

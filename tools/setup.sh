@@ -1,6 +1,7 @@
-# setup.sh: sourced by the scripts beside it. Finds the repository, installs Debian packages, builds.
+# setup.sh: sourced by the scripts beside it. Finds the repository, installs packages, builds.
 #
-#   install_packages SECTION…   installs what is missing of those sections of tools/packages (root, or sudo)
+#   install_packages SECTION…   installs missing packages of these sections of tools/packages (as
+#                               root, or with sudo)
 #   configure_in FOLDER [ARG…]  configures FOLDER once with the given meson arguments
 #   build_in FOLDER [ARG…]      the same, then builds it, or $targets of it
 
@@ -19,23 +20,26 @@ as_root() {
 }
 
 install_packages() {
-  local section="" line missing=() wanted=" $* "
+  local section="" line status missing=() wanted=" $* "
   while read -r line; do
     case "$line" in
       ''|'#'*) ;;
       '['*']') section=${line#[}; section=${section%]} ;;
-      *) if [[ $wanted == *" $section "* ]] &&
-           [ "$(dpkg-query -W -f '${db:Status-Status}' "$line" 2>/dev/null || true)" != installed ]; then
-           missing+=("$line")
+      *) if [[ $wanted == *" $section "* ]]; then
+           status=$(dpkg-query -W -f '${db:Status-Status}' "$line" 2>/dev/null || true)
+           [ "$status" = installed ] || missing+=("$line")
          fi ;;
     esac
   done < tools/packages
   [ ${#missing[@]} -eq 0 ] && return 0
-  command -v apt-get >/dev/null 2>&1 || fail "these Debian packages are missing, and there is no apt-get: ${missing[*]}"
+  command -v apt-get >/dev/null 2>&1 ||
+    fail "these Debian packages are missing, and there is no apt-get: ${missing[*]}"
   say "installing ${#missing[@]} packages: ${missing[*]}"
-  # An old package list may name files that the mirror no longer has: refresh first, and take what is there if that fails.
+  # An old package list can name files that the mirror no longer has: refresh it first. If that
+  # fails, use the old list.
   as_root env DEBIAN_FRONTEND=noninteractive apt-get update -qq || true
-  as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
+  as_root env DEBIAN_FRONTEND=noninteractive \
+    apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
     fail "apt-get could not install: ${missing[*]}"
 }
 
@@ -45,8 +49,9 @@ export PATH="/usr/sbin:/usr/bin:/sbin:/bin:$PATH"
 configure_in() {
   local folder=$1; shift
   if [ ! -f "$folder/build.ninja" ]; then
-    meson setup "$folder" "$@" >"/tmp/morphod-setup.$$" 2>&1 || { cat "/tmp/morphod-setup.$$"; rm -f "/tmp/morphod-setup.$$"; fail "meson could not configure $folder"; }
-    rm -f "/tmp/morphod-setup.$$"
+    local output
+    output=$(meson setup "$folder" "$@" 2>&1) ||
+      { printf '%s\n' "$output"; fail "meson could not configure $folder"; }
   fi
 }
 

@@ -65,20 +65,18 @@ static int load_rows(struct ctl *ctl, struct campaign *campaign)
     char path[128];
     int n = snprintf(path, sizeof(path), "/v1/campaigns/%s/generations?limit=1000", campaign->id);
     if (after >= 0)
-      snprintf(path + n, sizeof(path) - (size_t)n, "&after=%" PRId64, after);
+      snprintf(path + n, sizeof(path) - (size_t)n, "&cursor=%" PRId64, after);
     json_t *page, *row;
     size_t i;
     status = transport_get_json(ctl, path, 0, &page);
-    more = json_is_true(json_object_get(page, "more"));
     json_array_foreach(json_object_get(page, "items"), i, row)
     {
       if (status == STATUS_OK && !add_row(campaign, read_row(row)))
         status = complain(STATUS_ERROR, "out of memory");
     }
-    const json_t *next =
-        json_object_get(page, "next_after"); /* also skips rows that the server cannot read */
-    more = more && json_is_integer(next) && json_integer_value(next) > after;
-    after = json_integer_value(next);
+    const int64_t next = strtoll(text_of(page, "next_cursor"), NULL, 10);
+    more = json_is_string(json_object_get(page, "next_cursor")) && next > after;
+    after = next;
     json_decref(page);
   }
   return status;

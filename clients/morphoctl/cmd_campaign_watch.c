@@ -41,8 +41,7 @@ static void write_view(void *context, FILE *file, int columns, int rows)
 {
   const struct view *view = context;
   const json_t *campaign = view->campaign.json, *progress = json_object_get(campaign, "progress");
-  const char *bold = view->ctl->colour ? "\033[1m" : "",
-             *plain = view->ctl->colour ? "\033[0m" : "";
+  const char *bold = view->ctl->color ? "\033[1m" : "", *plain = view->ctl->color ? "\033[0m" : "";
   struct lines lines = {file, columns};
   char text[512], generation[96], now[256];
   const char *reason = text_of(campaign, "reason"), *label = text_of(campaign, "label");

@@ -10,10 +10,11 @@
 
 #define CONTROLLER_BYTES_MAX ((size_t)4 << 30)
 
-static int controller_path(const char *name, char **path)
+/* below: "" or "/file". */
+static int controller_path(const char *name, const char *below, char **path)
 {
   char *escaped = escape(name);
-  int n = escaped != NULL ? asprintf(path, "/v1/controllers/%s", escaped) : -1;
+  int n = escaped != NULL ? asprintf(path, "/v1/controllers/%s%s", escaped, below) : -1;
   free(escaped);
   return n >= 0 ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
 }
@@ -78,7 +79,7 @@ int run_controller_info(struct ctl *ctl)
 {
   char *path = NULL;
   json_t *controller = NULL;
-  int status = controller_path(ctl->operands[0], &path);
+  int status = controller_path(ctl->operands[0], "", &path);
   if (status == STATUS_OK)
     status = transport_get_json(ctl, path, 0, &controller);
   if (status == STATUS_OK && ctl->json)
@@ -95,7 +96,7 @@ int run_controller_get(struct ctl *ctl)
   const char *name = ctl->operands[0], *output = option_text(ctl, "output", NULL);
   char *path = NULL, *file_name = NULL;
   struct reply reply = {0};
-  int status = controller_path(name, &path);
+  int status = controller_path(name, "/file", &path);
   if (status == STATUS_OK && output == NULL && asprintf(&file_name, "%s.safetensors", name) < 0)
     status = complain(STATUS_ERROR, "out of memory");
   if (output == NULL)
@@ -123,7 +124,7 @@ int run_controller_put(struct ctl *ctl)
   char *path = NULL, *bytes = NULL;
   size_t n = 0;
   struct reply reply = {0};
-  int status = controller_path(ctl->operands[0], &path);
+  int status = controller_path(ctl->operands[0], "/file", &path);
   if (status == STATUS_OK)
     status = read_input(ctl->operands[1], CONTROLLER_BYTES_MAX, &bytes, &n);
   if (status == STATUS_OK)
@@ -154,7 +155,7 @@ int run_controller_delete(struct ctl *ctl)
 {
   char *path = NULL;
   struct reply reply = {0};
-  int status = controller_path(ctl->operands[0], &path);
+  int status = controller_path(ctl->operands[0], "", &path);
   if (status == STATUS_OK)
     status = transport_send(ctl, &(struct request){.method = "DELETE", .path = path}, &reply);
   if (status == STATUS_OK && !ctl->quiet && !ctl->json)

@@ -57,7 +57,7 @@ int run_devices(struct ctl *ctl)
 {
   json_t *answer = NULL;
   int status = transport_get_json(ctl, "/v1/devices", 0, &answer);
-  const json_t *devices = json_object_get(answer, "devices");
+  const json_t *devices = json_object_get(answer, "items");
   if (status == STATUS_OK && ctl->json)
     print_json(answer);
   else if (status == STATUS_OK && json_array_size(devices) == 0)

@@ -77,7 +77,7 @@ static int save_array(struct ctl *ctl, const char *folder, const char *id, size_
                       size_t environment, const char *array)
 {
   char path[160], *file = NULL;
-  snprintf(path, sizeof(path), "/v1/evaluations/%s/trajectories/%zu?environment=%zu&array=%s", id,
+  snprintf(path, sizeof(path), "/v1/evaluations/%s/trajectories/%zu/file?environment=%zu&array=%s", id,
            design, environment, array);
   struct reply reply;
   int status = transport_send(

@@ -83,7 +83,8 @@ int run_job_show(struct ctl *ctl)
   return status;
 }
 
-static int change(struct ctl *ctl, const char *method, const char *verb)
+/* verb: may be repeated, since a job that is in the state already stays in it. */
+static int change(struct ctl *ctl, const char *verb)
 {
   int worst = STATUS_OK;
   for (size_t i = 0; i < ctl->n_operands; i++) {
@@ -91,9 +92,10 @@ static int change(struct ctl *ctl, const char *method, const char *verb)
     char path[64];
     if (!check_job_id(id))
       return STATUS_USAGE;
-    snprintf(path, sizeof(path), "/v1/jobs/%s%s", id, verb);
+    snprintf(path, sizeof(path), "/v1/jobs/%s/%s", id, verb);
     struct reply reply;
-    int status = transport_send(ctl, &(struct request){.method = method, .path = path}, &reply);
+    int status = transport_send(
+        ctl, &(struct request){.method = "POST", .path = path, .repeatable = true}, &reply);
     json_t *job = status == STATUS_OK ? reply_json(&reply) : NULL;
     if (job != NULL && ctl->json)
       print_json(job);
@@ -112,17 +114,17 @@ static int change(struct ctl *ctl, const char *method, const char *verb)
 
 int run_job_cancel(struct ctl *ctl)
 {
-  return change(ctl, "DELETE", "");
+  return change(ctl, "cancel");
 }
 
 int run_job_pause(struct ctl *ctl)
 {
-  return change(ctl, "POST", "/pause");
+  return change(ctl, "pause");
 }
 
 int run_job_resume(struct ctl *ctl)
 {
-  return change(ctl, "POST", "/resume");
+  return change(ctl, "resume");
 }
 
 int run_job_weight(struct ctl *ctl)
@@ -166,7 +168,7 @@ int prune_checkpoints(struct ctl *ctl, const char *kind, const char *below)
     struct reply reply;
     int status = transport_send(ctl, &(struct request){.method = "DELETE", .path = path}, &reply);
     json_t *value = status == STATUS_OK ? reply_json(&reply) : NULL;
-    size_t n = json_array_size(json_object_get(value, "removed"));
+    size_t n = json_array_size(json_object_get(value, "items"));
     if (value != NULL && ctl->json)
       print_json(value);
     else if (value != NULL && !ctl->quiet)

@@ -27,7 +27,7 @@ int run_status(struct ctl *ctl)
     reply_free(&ready);
   }
   if (status == STATUS_OK)
-    status = transport_get_json(ctl, "/v1/workers", 0, &workers);
+    status = transport_get_json(ctl, "/v1/threads", 0, &workers);
   if (status == STATUS_OK && ctl->json) {
     json_t *all =
         json_pack("{s:O, s:b, s:O}", "health", health, "ready", is_ready, "workers", workers);
@@ -40,7 +40,7 @@ int run_status(struct ctl *ctl)
     print_fact(ctl, "version", "%s", text_of(health, "version"));
     print_fact(ctl, "ready", "%s%s%s", is_ready ? "yes" : "no", *why != 0 ? ": " : "", why);
     print_fact(ctl, "workers", "%" PRId64 " of %" PRId64 " busy", number_of(workers, "n_busy"),
-               number_of(workers, "n_workers"));
+               number_of(workers, "n_threads"));
     print_fact(ctl, "waiting", "%s interactive and %s batch blocks",
                count_text(number_of(workers, "queued_interactive"), a),
                count_text(number_of(workers, "queued_batch"), b));

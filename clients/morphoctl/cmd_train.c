@@ -340,51 +340,19 @@ static int export_controller(struct ctl *ctl, const char *id)
   return status;
 }
 
-/* Returns the last step of a table: the first cell of its last line; −1 if it has no rows. */
-static int64_t last_step(const char *table, size_t n)
-{
-  size_t end = n;
-  while (end > 0 && table[end - 1] == '\n')
-    end--;
-  size_t begin = end;
-  while (begin > 0 && table[begin - 1] != '\n')
-    begin--;
-  return begin > 0 ? strtoll(table + begin, NULL, 10) : -1;
-}
-
-/* Exports a curve as CSV, page by page. */
+/* Exports a curve as CSV. */
 static int export_curve(struct ctl *ctl, const char *id, const char *what, const char *output)
 {
-  char *all = NULL;
-  size_t size = 0;
-  FILE *file = open_memstream(&all, &size);
-  int status = file != NULL ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
-  int64_t after = -1;
-  while (status == STATUS_OK) {
-    char path[96];
-    int n = snprintf(path, sizeof(path), "/v1/trainings/%s/%s", id, what);
-    if (after >= 0)
-      snprintf(path + n, sizeof(path) - (size_t)n, "?after=%" PRId64, after);
-    struct reply reply;
-    status = transport_send(
-        ctl, &(struct request){.method = "GET", .path = path, .accept = "text/csv"}, &reply);
-    const char *body = reply.body != NULL ? reply.body : "";
-    const char *rows = after >= 0 && status == STATUS_OK ? strchr(body, '\n') : body;
-    int64_t last = status == STATUS_OK ? last_step(body, reply.body_bytes) : -1;
-    if (rows != NULL)
-      fputs(rows + (after >= 0 && *rows == '\n'), file);
-    reply_free(&reply);
-    if (last <= after)
-      break;
-    after = last;
-  }
-  if (file != NULL && fclose(file) != 0 && status == STATUS_OK)
-    status = complain(STATUS_ERROR, "out of memory");
+  char path[96];
+  struct reply reply;
+  snprintf(path, sizeof(path), "/v1/trainings/%s/%s", id, what);
+  int status = transport_send(
+      ctl, &(struct request){.method = "GET", .path = path, .accept = "text/csv"}, &reply);
   if (status == STATUS_OK)
-    status = save_output(output, all, size);
+    status = save_output(output, reply.body != NULL ? reply.body : "", reply.body_bytes);
   if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
-    print_plain_line(stderr, "%s: %zu bytes", output, size);
-  free(all);
+    print_plain_line(stderr, "%s: %zu bytes", output, reply.body_bytes);
+  reply_free(&reply);
   return status;
 }
 

@@ -32,8 +32,7 @@ static void write_view(void *context, FILE *file, int columns, int rows)
 {
   const struct view *view = context;
   const json_t *training = view->training.json;
-  const char *bold = view->ctl->colour ? "\033[1m" : "",
-             *plain = view->ctl->colour ? "\033[0m" : "";
+  const char *bold = view->ctl->color ? "\033[1m" : "", *plain = view->ctl->color ? "\033[0m" : "";
   char text[512], more[256];
   const char *phase = text_of(training, "phase"), *reason = text_of(training, "reason");
   snprintf(text, sizeof(text), "%s  %s  %s%s%s%s   training %s", text_of(training, "name"),

@@ -155,7 +155,7 @@ bool print_page(const struct ctl *ctl, json_t *items)
 
 static void print_name(const struct ctl *ctl, const char *name)
 {
-  printf("%s%s%s%*s ", ctl->colour ? "\033[1m" : "", name, ctl->colour ? "\033[0m" : "",
+  printf("%s%s%s%*s ", ctl->color ? "\033[1m" : "", name, ctl->color ? "\033[0m" : "",
          (int)(14 - strlen(name)), "");
 }
 
@@ -171,15 +171,15 @@ void print_fact(const struct ctl *ctl, const char *name, const char *format, ...
 
 void print_state(const struct ctl *ctl, const char *state)
 {
-  const char *colour = strcmp(state, "succeeded") == 0 ? "\033[32m"
-                       : strcmp(state, "failed") == 0  ? "\033[31m"
-                                                       : NULL;
-  if (!ctl->colour)
-    colour = NULL;
+  const char *color = strcmp(state, "succeeded") == 0 ? "\033[32m"
+                      : strcmp(state, "failed") == 0  ? "\033[31m"
+                                                      : NULL;
+  if (!ctl->color)
+    color = NULL;
   print_name(ctl, "state");
-  fputs(colour != NULL ? colour : "", stdout);
+  fputs(color != NULL ? color : "", stdout);
   print_plain(stdout, "%s", state);
-  puts(colour != NULL ? "\033[0m" : "");
+  puts(color != NULL ? "\033[0m" : "");
 }
 
 void print_job_times(const struct ctl *ctl, const json_t *job)

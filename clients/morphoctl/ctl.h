@@ -57,7 +57,7 @@ struct ctl {
   char *token;        /* NULL: none */
   bool json;          /* plain JSON of the API on standard output */
   bool quiet;         /* no progress, no notes */
-  bool colour;        /* on standard output */
+  bool color;         /* on standard output */
   bool progress;      /* standard error is a terminal */
   bool utf8;          /* the locale can show box characters */
   double retry_s;     /* how long a failing connection is retried; < 0: the default */

@@ -39,14 +39,14 @@ static int read_token(struct ctl *ctl)
 
 static int surroundings(struct ctl *ctl)
 {
-  const char *server = getenv("MORPHOD_SERVER"), *no_colour = getenv("NO_COLOR"),
+  const char *server = getenv("MORPHOD_SERVER"), *no_color = getenv("NO_COLOR"),
              *terminal = getenv("TERM");
   ctl->server =
       option_text(ctl, "server", server != NULL && *server != 0 ? server : "http://127.0.0.1:8765");
   ctl->json = option_is_set(ctl, "json");
   ctl->quiet = option_is_set(ctl, "quiet");
   bool dumb = terminal == NULL || strcmp(terminal, "dumb") == 0;
-  ctl->colour = isatty(STDOUT_FILENO) && !dumb && (no_colour == NULL || *no_colour == 0);
+  ctl->color = isatty(STDOUT_FILENO) && !dumb && (no_color == NULL || *no_color == 0);
   ctl->progress = isatty(STDERR_FILENO) && !dumb;
   ctl->utf8 = strcmp(nl_langinfo(CODESET), "UTF-8") == 0;
   int64_t retry = -1;

@@ -105,8 +105,8 @@ static void put_character(const struct grid *grid, FILE *file, int row, int colu
 {
   const struct plot *plot = grid->plot;
   if (grid->marks[row * grid->columns + column] != 0) {
-    fprintf(file, "%s%s%s", plot->colour ? "\033[33m" : "",
-            plot->utf8 ? PLOT_MARK_UTF8 : PLOT_MARK_ASCII, plot->colour ? "\033[0m" : "");
+    fprintf(file, "%s%s%s", plot->color ? "\033[33m" : "",
+            plot->utf8 ? PLOT_MARK_UTF8 : PLOT_MARK_ASCII, plot->color ? "\033[0m" : "");
     return;
   }
   if (!plot->utf8) {

@@ -17,7 +17,7 @@ struct plot {
   size_t n_marks;
   double x_end;      /* the x axis goes from 0 to x_end */
   int width, height; /* of the whole plot, in characters; at least 24 × 4 */
-  bool utf8, colour;
+  bool utf8, color;
 };
 
 #define PLOT_MARK_UTF8  "◆"

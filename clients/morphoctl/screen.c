@@ -106,7 +106,7 @@ int newest_event(struct ctl *ctl, int64_t *newest)
   int status =
       transport_get_json(ctl, "/v1/events?format=json&limit=1&after=999999999999999999", 0, &page);
   if (status == STATUS_OK)
-    *newest = strtoll(text_of(page, "next_after"), NULL, 10);
+    *newest = strtoll(text_of(page, "newest"), NULL, 10);
   json_decref(page);
   return status;
 }

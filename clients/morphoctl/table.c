@@ -89,7 +89,7 @@ void table_print(struct table *table, FILE *file, const struct ctl *ctl)
         widths[c] = width;
     }
   }
-  if (ctl->colour)
+  if (ctl->color)
     fputs("\033[1m", file);
   for (size_t c = 0; c < table->n_columns; c++) {
     size_t length = head_length(table->heads[c]);
@@ -99,7 +99,7 @@ void table_print(struct table *table, FILE *file, const struct ctl *ctl)
     if (c + 1 < table->n_columns)
       pad(file, 2 + (table->right[c] ? 0 : widths[c] - length));
   }
-  fprintf(file, "%s\n", ctl->colour ? "\033[0m" : "");
+  fprintf(file, "%s\n", ctl->color ? "\033[0m" : "");
   for (size_t r = 0; r < table->n_rows; r++) {
     size_t owed = 0; /* spaces before the next cell; lines must not end in spaces */
     for (size_t c = 0; c < table->n_columns; c++) {

@@ -54,11 +54,10 @@ static int load_curve(struct ctl *ctl, const char *id, const char *what, const c
     if (stride > 0)
       n += snprintf(path + n, sizeof(path) - (size_t)n, "&stride=%" PRId64, stride);
     if (after >= 0)
-      snprintf(path + n, sizeof(path) - (size_t)n, "&after=%" PRId64, after);
+      snprintf(path + n, sizeof(path) - (size_t)n, "&cursor=%" PRId64, after);
     json_t *page, *row;
     size_t i;
     status = transport_get_json(ctl, path, 0, &page);
-    more = json_is_true(json_object_get(page, "more"));
     json_array_foreach(json_object_get(page, "items"), i, row)
     {
       const json_t *value = json_object_get(row, key);
@@ -66,10 +65,9 @@ static int load_curve(struct ctl *ctl, const char *id, const char *what, const c
       if (status == STATUS_OK && !training_add(curve, (double)number_of(row, "step"), y))
         status = complain(STATUS_ERROR, "out of memory");
     }
-    const json_t *next =
-        json_object_get(page, "next_after"); /* also skips rows that the server cannot read */
-    more = more && json_is_integer(next) && json_integer_value(next) > after;
-    after = json_integer_value(next);
+    const int64_t next = strtoll(text_of(page, "next_cursor"), NULL, 10);
+    more = json_is_string(json_object_get(page, "next_cursor")) && next > after;
+    after = next;
     json_decref(page);
   }
   return status;
@@ -117,7 +115,7 @@ char *training_plot(const struct ctl *ctl, const struct training *training, int 
                       .width = width,
                       .height = height,
                       .utf8 = ctl->utf8,
-                      .colour = ctl->colour};
+                      .color = ctl->color};
   return plot_draw(&plot);
 }
 

@@ -272,7 +272,7 @@ static bool may_repeat(const struct request *request)
 {
   if (request->once)
     return false;
-  if (strcmp(request->method, "POST") != 0)
+  if (request->repeatable || strcmp(request->method, "POST") != 0)
     return true;
   for (size_t i = 0; i < HEADERS_MAX && request->headers[i] != NULL; i++)
     if (strncasecmp(request->headers[i], "Idempotency-Key:", 16) == 0)

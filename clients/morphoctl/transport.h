@@ -22,6 +22,7 @@ struct request {
   const char *headers[HEADERS_MAX]; /* further headers, "Name: value" */
   unsigned wait_s;                  /* seconds for Prefer: wait, whose header is added (0: none) */
   bool once;                        /* never repeat this request */
+  bool repeatable; /* a POST that may be repeated, because it does nothing the second time */
 };
 
 struct reply {

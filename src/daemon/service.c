@@ -18,6 +18,7 @@
 #include <morpho/compute.h>
 #include <morpho/controller.h>
 
+#include "api/api.h"
 #include "base/clock.h"
 #include "base/json.h"
 #include "daemon/crash.h"
@@ -26,7 +27,6 @@
 #include "daemon/log_writer.h"
 #include "daemon/memory.h"
 #include "daemon/tokens.h"
-#include "http/http.h"
 #include "jobs/jobs.h"
 #include "store/store.h"
 
@@ -49,8 +49,9 @@ struct service {
   struct mo_store *store;
   struct mo_compute *compute;
   struct mo_jobs *jobs;
-  struct mo_http *http;
-  int subscription; /* −1: none */
+  struct mo_api *api;
+  struct mo_http *http; /* of `api` */
+  int subscription;     /* −1: none */
   bool crash_marker;
   void (*fatal)(const char *what);
 };
@@ -343,27 +344,29 @@ static int start_http(struct service *service, const struct settings *settings,
       .max_in_flight = (uint32_t)settings->max_in_flight,
       .client_rate_per_s = (uint32_t)settings->client_rate_per_s,
       .max_body_bytes = settings->max_body_bytes,
-      .max_controller_bytes = settings->max_controller_bytes,
+      .max_file_bytes = settings->max_controller_bytes,
       .header_timeout_ms = (uint32_t)settings->header_timeout_ms,
       .body_timeout_ms = (uint32_t)settings->body_timeout_ms,
       .idle_timeout_ms = (uint32_t)settings->idle_timeout_ms,
       .max_body_memory = body_memory(settings),
-      .version = MORPHOD_VERSION,
       .log = log_request,
-      .log_dropped = log_dropped,
   };
-  struct mo_http_services services = {
-      .store = service->store, .jobs = service->jobs, .compute = service->compute};
+  struct mo_api_services services = {.store = service->store,
+                                     .jobs = service->jobs,
+                                     .compute = service->compute,
+                                     .version = MORPHOD_VERSION,
+                                     .log_dropped = log_dropped};
   if (status == MO_OK) {
-    service->n_listeners = 0; /* mo_http_start owns the listeners, even if it fails */
-    status = mo_http_start(&config, &services, &service->http, message);
+    service->n_listeners = 0; /* mo_api_start owns the listeners, even if it fails */
+    status = mo_api_start(&config, &services, &service->api, message);
     service->n_listeners = config.n_listeners;
-    if (status != MO_OK) /* closed by mo_http_start */
+    if (status != MO_OK) /* closed by mo_api_start */
       for (size_t i = 0; i < service->n_listeners; i++)
         service->listeners[i] = -1;
   }
   if (status == MO_OK) {
     struct mo_http_stats stats;
+    service->http = mo_api_http(service->api);
     mo_http_get_stats(service->http, &stats);
     if (stats.max_connections < settings->max_connections)
       log_warning("the limit of open files allows fewer connections than max_connections: raise it "
@@ -593,8 +596,8 @@ void service_stop(struct service *service)
       unlink(service->unix_paths[i]);
       free(service->unix_paths[i]);
     }
-  if (service->http != NULL) {
-    mo_http_stop(service->http, HTTP_GRACE_MS);
+  if (service->api != NULL) {
+    mo_api_stop(service->api, HTTP_GRACE_MS);
   } else {
     for (size_t i = 0; i < service->n_listeners; i++)
       if (service->listeners[i] >= 0)

@@ -38,42 +38,36 @@
 const struct setting settings_table[] = {
     PATH_ROW("state_dir", state_dir, "",
              "$STATE_DIRECTORY, else $XDG_STATE_HOME/morphod, else ~/.local/state/morphod", false,
-             "Folder of the database, controllers and recordings; made if missing, for the owner "
-             "alone. It must belong "
-             "to the "
-             "user that morphod runs as, and nobody else may write to it."),
+             "Folder of the database, controllers and recordings; made if missing, for its owner "
+             "only. It must belong to the user that morphod runs as, and no other user may write "
+             "to it."),
     LIST_ROW("listen", listen, "127.0.0.1:8765", NULL, false,
              "Addresses to serve: host:port, [ipv6]:port or unix:/path; port 0 takes a free one. "
-             "Sockets that systemd "
-             "passes "
-             "are served besides; then the default is not."),
+             "Sockets that systemd passes are served, too, in place of the default."),
     VALUE_ROW("workers", SETTING_NUMBER, workers, 0, 1024, "0", "one per processor",
               "Threads that compute. Scores do not depend on it."),
     CHOICE_ROW("isa", isa, "auto|x86-64|avx2|avx512", "auto", false,
-               "Instruction set of the kernels. Scores of one set are the same for ever; sets "
-               "differ in the last bits."),
+               "Instruction set of the kernels. Scores of one set never change; sets differ in "
+               "the last bits."),
     VALUE_ROW("worker_nice", SETTING_NUMBER, worker_nice, 0, 19, "5", NULL,
               "Niceness of the computing threads above the process's, so that replies never wait "
               "for computing."),
     LIST_ROW("devices", devices, "auto", NULL, false,
              "GPUs that compute: auto (all that work), none, or their numbers: 0,1. Scores do not "
-             "depend on how many "
-             "there are, but differ from "
-             "the processors' in the last digits."),
+             "depend on their number, but differ from the processors' in the last digits."),
     PATH_ROW("compute_module", compute_module, "",
              "morphod-cuda.so of the installation, if it is there", false,
              "Module that computes on the devices."),
     PATH_ROW("default_controller", default_controller, "",
              "phototaxis.safetensors of the installation", false,
              "Controller file that is stored at the first start: as \"default\", and by its own "
-             "name where that can name a "
-             "controller."),
+             "name where that can name a controller."),
     PATH_ROW("token_file", token_file, "", "credential \"token\", if systemd passes one", true,
              "File with bearer tokens, one per line. Required for addresses beyond loopback."),
     CHOICE_ROW("token_on_loopback", token_on_loopback, "no|yes", "no", false,
-               "Whether loopback addresses ask for a token, too."),
+               "Whether loopback addresses require a token, too."),
     LIST_ROW("allowed_hosts", allowed_hosts, "", "the loopback names and the addresses served",
-             false, "Further names that a request's Host and Origin may carry."),
+             false, "Further names that a request's Host and Origin may have."),
     LIST_ROW(
         "unix_groups", unix_groups, "", "none", false,
         "Groups whose members may use the unix sockets, besides root and the service's own user."),
@@ -97,26 +91,23 @@ const struct setting settings_table[] = {
     VALUE_ROW("max_open_rollouts", SETTING_NUMBER, max_open_rollouts, 1000, UINT64_C(1000000000),
               "20000000", NULL, "Rollouts of all open jobs; more are refused with 503."),
     VALUE_ROW("max_trainings", SETTING_NUMBER, max_trainings, 1, 16, "1", NULL,
-              "Trainings that run side by side; the others wait in the order in which they came."),
+              "Trainings that run at one time; the others wait in order of submission."),
     VALUE_ROW("max_campaigns", SETTING_NUMBER, max_campaigns, 1, 64, "4", NULL,
-              "Campaigns that run side by side; the others wait in the order in which they came."),
+              "Campaigns that run at one time; the others wait in order of submission."),
     VALUE_ROW("max_recorded", SETTING_BYTES, max_recorded_bytes, 0, 16 * GIB, "64M", NULL,
               "Recorded trajectories of one evaluation; a request for more is refused with 422."),
     VALUE_ROW("max_memory", SETTING_BYTES, max_memory, 0, MIB *GIB, "0",
-              "the machine's memory, or the limit of the cgroup or of the process if that is less, "
-              "without an eighth, "
-              "at least 64M",
-              "Memory that the service may take, at least 128M; a training or campaign that would "
-              "take more waits, or "
-              "is refused with 422."),
+              "seven eighths of the machine's memory, or of the limit of the cgroup or process if "
+              "that is less, at least 64M",
+              "Memory that the service may take, at least 128M; a training or campaign that needs "
+              "more waits, or is refused with 422."),
     VALUE_ROW("max_in_flight", SETTING_NUMBER, max_in_flight, 1, 65536, "64", NULL,
-              "Requests of one client handled at one time, event streams and waits for jobs aside; "
-              "more are refused "
-              "with 429."),
+              "Requests of one client handled at one time, without event streams and waits for "
+              "jobs; more are refused with 429."),
     VALUE_ROW("client_rate", SETTING_NUMBER, client_rate_per_s, 0, 1000000, "0", "no limit",
               "Submissions and uploads per second and client; more are refused with 429."),
     VALUE_ROW("events_kept", SETTING_NUMBER, events_kept, 1000, UINT64_C(100000000), "100000", NULL,
-              "Events kept for clients that come back with Last-Event-ID."),
+              "Events kept for clients that reconnect with Last-Event-ID."),
     VALUE_ROW("drain_timeout", SETTING_DURATION, drain_timeout_ms, 0, 60 * SECOND, "5s", NULL,
               "Time that a stop gives running work to finish before it is parked. Parked work "
               "continues at the next start."),
@@ -126,8 +117,8 @@ const struct setting settings_table[] = {
     CHOICE_ROW("log_format", log_format, "text|logfmt|json", "text", false,
                "Format of the log lines on standard error."),
     PATH_ROW("port_file", port_file, "", "none", false,
-             "File that receives the addresses served, one per line, once they are served; removed "
-             "at the end."),
+             "File that receives the addresses served, one per line, once they are served; "
+             "removed at the end."),
 };
 const size_t settings_count = sizeof(settings_table) / sizeof(settings_table[0]);
 _Static_assert(sizeof(settings_table) / sizeof(settings_table[0]) <= SETTINGS_MAX,

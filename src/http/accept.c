@@ -1,4 +1,4 @@
-/* accept.c: the acceptor, and the table of open connections with their deadlines.
+/* accept.c: the acceptor.
  *
  * libmicrohttpd never listens itself; it receives connections from here. So this file keeps the
  * limit on connections and answers beyond it. (The library's own limit leaves clients in the
@@ -12,37 +12,15 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/eventfd.h>
-#include <sys/resource.h>
 #include <sys/un.h>
 #include <unistd.h>
 
-#include "http/server.h"
-
 #include "base/clock.h"
+#include "http/server.h"
 
 #define UNACKED_MS  30000 /* a peer that acknowledges nothing for this long is gone */
 #define KEPT_MAX    16
 #define LEAVING_MAX 32
-#define OTHER_FILES                                                                                \
-  512 /* descriptors for the database, files, devices, and connections that are ending */
-
-static void write_refusal(int fd, unsigned status, const char *id, const char *detail)
-{
-  struct mo_text body = {0}, head = {0};
-  mo_problem_write(&body, status, "about:blank", detail, "", id, NULL);
-  mo_text_format(&head,
-                 "HTTP/1.1 %u %s\r\nContent-Type: application/problem+json\r\nContent-Length: "
-                 "%zu\r\nX-Request-Id: %s\r\n"
-                 "Cache-Control: no-store\r\n%sConnection: close\r\n\r\n",
-                 status, mo_status_title(status), body.size, id,
-                 status == 503 ? "Retry-After: 1\r\n" : "");
-  mo_text_bytes(&head, body.data, body.size);
-  if (!head.failed && !body.failed)
-    (void)!send(fd, head.data, head.size, MSG_NOSIGNAL | MSG_DONTWAIT);
-  mo_text_free(&head);
-  mo_text_free(&body);
-}
 
 static void refuse(struct mo_http *http, struct mo_lingering *linger, int fd, unsigned status,
                    const char *detail)
@@ -50,7 +28,7 @@ static void refuse(struct mo_http *http, struct mo_lingering *linger, int fd, un
   char id[17];
   snprintf(id, sizeof(id), "%016llx",
            (unsigned long long)(http->id_key ^ atomic_fetch_add(&http->next_id, 1)));
-  write_refusal(fd, status, id, detail);
+  mo_write_refusal(fd, status, id, detail);
   shutdown(fd, SHUT_WR);
   mo_linger_add(linger, fd);
   atomic_fetch_add(&http->metrics.refused, 1);
@@ -121,15 +99,6 @@ static void describe_tcp(struct mo_http *http, int fd, const struct sockaddr_sto
 }
 
 /* ---- places ---- */
-
-bool mo_connection_spare(struct mo_connection *connection, int64_t since_us)
-{
-  int64_t seen = atomic_load(&connection->spare_us);
-  while (seen != MO_GAVE_WAY &&
-         !atomic_compare_exchange_weak(&connection->spare_us, &seen, since_us))
-    ;
-  return seen != MO_GAVE_WAY;
-}
 
 static bool is_of(const struct mo_connection *connection, const unsigned char key[16])
 {
@@ -264,12 +233,7 @@ static void take(struct mo_http *http, struct mo_lingering *linger, size_t liste
   int64_t now_us = mo_clock_us();
   atomic_store(&connection->spare_us, now_us);
   atomic_store(&connection->deadline_us, now_us + (int64_t)http->config.header_timeout_ms * 1000);
-  pthread_mutex_lock(&http->connections_lock);
-  http->connections[fd] = connection;
-  if (http->connections_top <= (size_t)fd)
-    http->connections_top = (size_t)fd + 1;
-  pthread_mutex_unlock(&http->connections_lock);
-  atomic_fetch_add(&http->n_connections, 1);
+  mo_connection_add(http, connection);
   /* The library compares no addresses here, so unix sockets share a fixed one. On failure it has
    * closed the descriptor. */
   struct sockaddr_in fixed = {.sin_family = AF_INET};
@@ -319,96 +283,6 @@ static void *acceptor(void *context)
   }
   free(polled);
   return NULL;
-}
-
-struct mo_connection *mo_connection_find(struct mo_http *http, int fd)
-{
-  struct mo_connection *connection = NULL;
-  pthread_mutex_lock(&http->connections_lock);
-  if (fd >= 0 && (size_t)fd < http->connections_size)
-    connection = http->connections[fd];
-  pthread_mutex_unlock(&http->connections_lock);
-  return connection;
-}
-
-void mo_connection_forget(struct mo_http *http, struct mo_connection *connection)
-{
-  pthread_mutex_lock(&http->connections_lock);
-  if (http->connections[connection->fd] == connection)
-    http->connections[connection->fd] = NULL;
-  pthread_mutex_unlock(&http->connections_lock);
-  if (atomic_load(&connection->spare_us) == MO_GAVE_WAY)
-    atomic_fetch_sub(&http->n_leaving, 1);
-  free(connection);
-  atomic_fetch_sub(&http->n_connections, 1);
-}
-
-void mo_connection_cut(struct mo_http *http, const struct mo_connection *connection)
-{
-  pthread_mutex_lock(&http->connections_lock);
-  if (http->connections[connection->fd] == connection)
-    shutdown(connection->fd, SHUT_RDWR);
-  pthread_mutex_unlock(&http->connections_lock);
-}
-
-void mo_connection_refuse(struct mo_http *http, const struct mo_connection *connection,
-                          const char *id, const char *detail)
-{
-  pthread_mutex_lock(&http->connections_lock);
-  if (http->connections[connection->fd] == connection) {
-    write_refusal(connection->fd, 503, id, detail);
-    shutdown(connection->fd, SHUT_RDWR);
-  }
-  pthread_mutex_unlock(&http->connections_lock);
-}
-
-bool mo_connection_has_left(const struct mo_connection *connection)
-{
-  char byte;
-  ssize_t n = recv(connection->fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
-  return n == 0 || (n < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR);
-}
-
-void mo_connections_expire(struct mo_http *http, int64_t now_us)
-{
-  /* The lock keeps the descriptors open until after the shutdown, so that none can be another
-   * connection's. */
-  pthread_mutex_lock(&http->connections_lock);
-  for (size_t fd = 0; fd < http->connections_top; fd++) {
-    struct mo_connection *connection = http->connections[fd];
-    if (connection != NULL && atomic_load(&connection->deadline_us) <= now_us) {
-      atomic_store(&connection->deadline_us, MO_NEVER);
-      atomic_fetch_add(&http->metrics.timed_out, 1);
-      shutdown(connection->fd, SHUT_RDWR);
-    }
-  }
-  pthread_mutex_unlock(&http->connections_lock);
-}
-
-int mo_connections_init(struct mo_http *http, struct mo_message *message)
-{
-  struct rlimit limit;
-  rlim_t wanted = (rlim_t)http->config.max_connections + OTHER_FILES;
-  if (getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < wanted) {
-    limit.rlim_cur = limit.rlim_max < wanted ? limit.rlim_max : wanted;
-    setrlimit(RLIMIT_NOFILE, &limit);
-  }
-  if (getrlimit(RLIMIT_NOFILE, &limit) != 0)
-    limit.rlim_cur = 1024;
-  if (limit.rlim_cur <
-      wanted) { /* accept fewer connections: everything else needs descriptors, too */
-    rlim_t others = limit.rlim_cur / 2 < OTHER_FILES ? limit.rlim_cur / 2 : OTHER_FILES;
-    http->config.max_connections =
-        limit.rlim_cur > others ? (uint32_t)(limit.rlim_cur - others) : 1;
-  }
-  http->connections_size = limit.rlim_cur < (1 << 20) ? (size_t)limit.rlim_cur : (1 << 20);
-  http->connections =
-      calloc(http->connections_size,
-             sizeof(*http->connections)); /* NOLINT(bugprone-sizeof-expression): of pointers */
-  http->stop_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
-  if (http->connections == NULL || http->stop_fd < 0)
-    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the table of connections");
-  return MO_OK;
 }
 
 int mo_acceptor_start(struct mo_http *http, struct mo_message *message)

@@ -12,9 +12,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "http/server.h"
-
 #include "base/clock.h"
+#include "http/server.h"
 
 #define SMALL_BYTES ((UINT64_C(64) << 10) + 1)
 

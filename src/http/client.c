@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "http/server.h"
+#include "http/client.h"
 
 #define KEEP_US 10000000
 

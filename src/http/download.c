@@ -7,12 +7,13 @@
  *
  * The thread that has the request also has the download: the I/O thread while the connection runs,
  * one API thread while it is suspended. */
+#include "http/download.h"
+
 #include <stdlib.h>
 #include <string.h>
 
-#include "http/server.h"
-
 #include "base/clock.h"
+#include "http/server.h"
 
 #define STALL_US    60000000            /* a reader that takes nothing for this long is cut off */
 #define PIECE_BYTES ((uint64_t)1 << 20) /* size of a piece, as counted in the limit on memory */
@@ -53,9 +54,17 @@ static void discard(struct mo_download *download)
   free(download);
 }
 
-enum mo_handled mo_download_open(struct mo_request *request, const char *type, const char *tag,
-                                 uint64_t held, mo_download_more more, void *context,
-                                 void (*free_context)(void *context))
+/* Makes the next piece on an API thread. */
+static void refill(struct mo_request *request)
+{
+  struct mo_download *download = request->download;
+  struct MHD_Connection *mhd = request->mhd;
+  download->failed = make_piece(download) != MO_OK;
+  MHD_resume_connection(mhd); /* from here on the I/O thread has the request */
+}
+
+void mo_download_open(struct mo_request *request, const char *type, const char *tag, uint64_t held,
+                      mo_download_more more, void *context, void (*free_context)(void *context))
 {
   mo_reply_static(request, 200, type, "", 0);
   if (tag != NULL)
@@ -65,7 +74,7 @@ enum mo_handled mo_download_open(struct mo_request *request, const char *type, c
     free_context(context);
     if (request->reply.status == 200)
       mo_reply_error(request, MO_ERR_NO_MEMORY, "reply");
-    return MO_HANDLED;
+    return;
   }
   *download = (struct mo_download){.more = more, .context = context, .free_context = free_context};
   int code = MO_OK;
@@ -86,19 +95,11 @@ enum mo_handled mo_download_open(struct mo_request *request, const char *type, c
       mo_reply_etag(request, "once-%s", request->id);
     if (request->reply.status == 200) {
       request->download = download;
-      return MO_STREAMED;
+      request->refill = refill;
+      return;
     }
   }
   discard(download);
-  return MO_HANDLED;
-}
-
-void mo_download_refill(struct mo_request *request)
-{
-  struct mo_download *download = request->download;
-  struct MHD_Connection *mhd = request->mhd;
-  download->failed = make_piece(download) != MO_OK;
-  MHD_resume_connection(mhd); /* from here on the I/O thread has the request */
 }
 
 /* Gives libmicrohttpd the next bytes. */

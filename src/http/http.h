@@ -1,4 +1,4 @@
-/* http.h: the HTTP interface of the service (schema/openapi.yaml is its contract).
+/* http.h: an HTTP server that knows no job: it serves the routes of a table (route.h).
  *
  * Threads: one acceptor per server takes connections from every listening socket and hands them to
  * libmicrohttpd's pool of I/O threads. I/O threads read requests and write replies, and never wait
@@ -17,10 +17,10 @@
 
 #include <morpho/error.h>
 
-struct mo_store;
-struct mo_jobs;
-struct mo_compute;
+#include "http/route.h"
+
 struct mo_http;
+struct mo_request;
 
 /* One finished request, for a log line. Texts are valid during the call only. They are safe to
  * print: control bytes are replaced. */
@@ -66,8 +66,8 @@ struct mo_http_config {
                           256 each; beyond: 503 */
   uint32_t client_rate_per_s; /* submissions and uploads per second and client; 0: no limit; beyond:
                                  429 */
-  uint64_t max_body_bytes;    /* JSON body of an evaluation; 0: 32 MiB */
-  uint64_t max_controller_bytes; /* controller file; 0: 16 MiB */
+  uint64_t max_body_bytes;    /* JSON body that submits work; 0: 32 MiB */
+  uint64_t max_file_bytes;    /* a file in a body; 0: 16 MiB */
   uint64_t max_body_memory; /* for bodies being received or handled, and large replies not yet read;
                                0: 8 times the larger of the two above. Bodies of one client take at
                                most half; beyond: 429 */
@@ -75,18 +75,20 @@ struct mo_http_config {
   uint32_t body_timeout_ms;   /* from the end of the header to the end of the body; 0: 60 s */
   uint32_t idle_timeout_ms;   /* between requests of one connection; 0: 60 s */
   uint32_t heartbeat_ms;      /* of event streams; 0: 15 s */
-  const char *version;        /* "0.1.0" */
   void (*log)(void *context,
               const struct mo_http_log_entry *entry); /* nullable; called by several threads */
   void *log_context;
-  uint64_t (*log_dropped)(void); /* nullable: number of log lines that were dropped, for /metrics */
 };
 
-/* What the routes use. All must outlive the server. */
-struct mo_http_services {
-  struct mo_store *store;
-  struct mo_jobs *jobs;
-  struct mo_compute *compute;
+/* What is served. All of it must outlive the server. */
+struct mo_http_service {
+  struct mo_routes routes; /* at most MO_ROUTES_MAX */
+  void *context;           /* for the handlers */
+  /* Each nullable. start: before the first connection is accepted; an error ends the start. tick:
+   * about once a second, on the clock thread. stop: after the last reply. */
+  int (*start)(void *context, struct mo_http *http);
+  void (*tick)(void *context);
+  void (*stop)(void *context);
 };
 
 struct mo_http_stats {
@@ -112,12 +114,19 @@ int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_mes
 /* Starts the server. GET /readyz is 503 until mo_http_set_ready. MO_ERR_INVALID: a listener beyond
  * loopback without tokens, a malformed token, no listener; MO_ERR_NO_MEMORY; MO_ERR_IO. Call before
  * other threads use JSON: this seeds the hash function of jansson. */
-int mo_http_start(const struct mo_http_config *config, const struct mo_http_services *services,
+int mo_http_start(const struct mo_http_config *config, const struct mo_http_service *service,
                   struct mo_http **http, struct mo_message *message);
+
+/* Closes the listening sockets, for a caller that fails before mo_http_start. */
+void mo_http_refuse_listeners(const struct mo_http_config *config);
 
 /* Sets readiness. False (draining): /readyz gives 503 and new work is refused with 503; requests in
  * flight are still answered. */
 void mo_http_set_ready(struct mo_http *http, bool ready);
+bool mo_http_is_ready(const struct mo_http *http);
+
+/* Returns the context of the service that a request is for. */
+void *mo_http_context(const struct mo_request *request);
 
 /* Replaces the tokens; requests in flight are not affected. MO_ERR_INVALID (none given though
  * needed, or malformed) and MO_ERR_NO_MEMORY: the old tokens stay. */
@@ -126,7 +135,7 @@ int mo_http_set_tokens(struct mo_http *http, const char *const *tokens, size_t n
 
 /* Stops the server in order: takes no new connections, ends event streams, answers waiting
  * requests, waits up to `grace_ms` for replies in flight, then closes and frees everything.
- * NULL-safe. store, jobs and compute must still exist. */
+ * NULL-safe. What is served must still exist. */
 void mo_http_stop(struct mo_http *http, uint32_t grace_ms);
 
 void mo_http_get_stats(struct mo_http *http, struct mo_http_stats *stats);

@@ -1,5 +1,4 @@
-/* last_reply.c: replies that bypass libmicrohttpd and end their connection, and what becomes of
- * such connections.
+/* last_reply.c: replies that bypass libmicrohttpd and end their connection.
  *
  * The library cannot reply in the middle of a body. It answers requests that it cannot parse by
  * itself: in HTML, after some errors with two headers, and not at all when the connection's memory
@@ -8,41 +7,8 @@
  *
  * The library sends its own pages with MHD_queue_response. The definition in this file replaces
  * that function in the whole program, the library included. Our own replies reach the library's
- * function through mo_queue_response. */
-#include <dlfcn.h>
-#include <errno.h>
-#include <fcntl.h>
-#include <string.h>
-#include <unistd.h>
-
+ * function through mo_queue_response (queue.c). */
 #include "http/server.h"
-
-#include "base/clock.h"
-
-#define LINGER_US    2000000
-#define LINGER_READS 16 /* per call: a client that keeps sending must not block the thread */
-
-typedef enum MHD_Result (*queue_function)(struct MHD_Connection *mhd, unsigned status,
-                                          struct MHD_Response *response);
-static queue_function library_queue;
-
-static void find_library_queue(void)
-{
-  void *found = dlsym(RTLD_NEXT, "MHD_queue_response");
-  memcpy(&library_queue, &found, sizeof(library_queue));
-}
-
-bool mo_last_replies_init(void)
-{
-  static pthread_once_t once = PTHREAD_ONCE_INIT;
-  return pthread_once(&once, find_library_queue) == 0 && library_queue != NULL;
-}
-
-enum MHD_Result mo_queue_response(struct MHD_Connection *mhd, unsigned status,
-                                  struct MHD_Response *response)
-{
-  return library_queue(mhd, status, response);
-}
 
 static enum MHD_Result write_header(void *context, enum MHD_ValueKind kind, const char *name,
                                     const char *value)
@@ -118,48 +84,4 @@ MHD_queue_response(struct MHD_Connection *mhd, unsigned status, struct MHD_Respo
   /* Let the library queue its page and end the connection: not all of its code survives a failure
    * here. */
   return mo_queue_response(mhd, status, response);
-}
-
-/* ---- lingering ---- */
-
-void mo_linger_add(struct mo_lingering *lingering, int fd)
-{
-  pthread_mutex_lock(&lingering->lock);
-  bool room = lingering->n < MO_LINGER_MAX;
-  if (room) {
-    lingering->fd[lingering->n] = fd;
-    lingering->until_us[lingering->n++] = mo_clock_us() + LINGER_US;
-  }
-  pthread_mutex_unlock(&lingering->lock);
-  if (!room)
-    close(fd);
-}
-
-void mo_linger_on(struct mo_lingering *lingering, int64_t now_us)
-{
-  char waste[16384];
-  pthread_mutex_lock(&lingering->lock);
-  for (size_t i = 0; i < lingering->n;) {
-    ssize_t n = 1;
-    for (int k = 0; k < LINGER_READS && n > 0; k++)
-      n = recv(lingering->fd[i], waste, sizeof(waste), MSG_DONTWAIT);
-    if (n == 0 || (n < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR) ||
-        now_us >= lingering->until_us[i]) {
-      close(lingering->fd[i]);
-      lingering->n--;
-      lingering->fd[i] = lingering->fd[lingering->n];
-      lingering->until_us[i] = lingering->until_us[lingering->n];
-    } else {
-      i++;
-    }
-  }
-  pthread_mutex_unlock(&lingering->lock);
-}
-
-void mo_linger_end(struct mo_lingering *lingering)
-{
-  for (size_t i = 0; i < lingering->n; i++)
-    close(lingering->fd[i]);
-  lingering->n = 0;
-  pthread_mutex_destroy(&lingering->lock);
 }

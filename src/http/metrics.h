@@ -1,4 +1,4 @@
-/* metrics.h: counters of the HTTP room and the page /metrics (Prometheus text format). Uses only
+/* metrics.h: counters of the HTTP room, and writers of the Prometheus text format. Uses only
  * atomics and never waits. */
 #ifndef MORPHO_HTTP_METRICS_H
 #define MORPHO_HTTP_METRICS_H
@@ -13,7 +13,8 @@
 #define MO_METRIC_BUCKETS  15
 
 struct mo_metrics {
-  _Atomic uint64_t requests[MO_ROUTES][MO_METRIC_STATUSES];
+  _Atomic uint64_t requests[MO_ROUTES_MAX + 1][MO_METRIC_STATUSES]; /* by the first line of the
+                                                                       path; the last: of no path */
   _Atomic uint64_t latency[MO_METRIC_BUCKETS + 1]; /* not cumulative; the last: above all bounds */
   _Atomic uint64_t latency_us;
   _Atomic uint64_t body_in, body_out;
@@ -23,9 +24,16 @@ struct mo_metrics {
 
 struct mo_http;
 
-/* Counts one request. Streams are not in the histogram of latencies. */
-void mo_metrics_request(struct mo_metrics *metrics, enum mo_route route, unsigned status,
+/* Counts one request. route nullable. Streams are not in the histogram of latencies. */
+void mo_metrics_request(struct mo_http *http, const struct mo_route *route, unsigned status,
                         int64_t duration_us, bool stream);
+/* Write the lines of one metric: its head, or all of it. */
+void mo_metric_head(struct mo_text *text, const char *name, const char *type, const char *help);
+void mo_metric_count(struct mo_text *text, const char *name, const char *type, const char *help,
+                     uint64_t value);
+void mo_metric_number(struct mo_text *text, const char *name, const char *type, const char *help,
+                      double value);
+/* Writes the metrics of this room. */
 void mo_metrics_write(struct mo_http *http, struct mo_text *text);
 
 #endif

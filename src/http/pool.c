@@ -1,20 +1,19 @@
-/* pool.c: the API threads, and the requests that wait for a job to end. server.h says which thread
- * owns a request. */
+/* pool.c: see pool.h. request.h says which thread owns a request. */
 #include <stdlib.h>
 #include <unistd.h>
 
-#include "base/processors.h"
-#include "http/server.h"
-
 #include "base/clock.h"
+#include "base/processors.h"
+#include "http/query.h"
+#include "http/server.h"
 
 /* Chooses the queue of a request. Lists take a core for milliseconds each, and clients that read
  * one often read more. So they have a queue of their own, and run on at most half of the threads
  * and half of the cores. */
 static struct mo_queue *queue_of(struct mo_pool *pool, const struct mo_request *request)
 {
-  bool list = (request->method & (MO_GET | MO_HEAD)) != 0 && mo_routes[request->route].list &&
-              request->stream == NULL;
+  bool list = (request->method & (MO_GET | MO_HEAD)) != 0 &&
+              (request->route->flags & MO_ROUTE_LIST) && request->stream == NULL;
   return list ? &pool->lists : &pool->others;
 }
 
@@ -66,7 +65,38 @@ static void unlink_waiting(struct mo_pool *pool, struct mo_request *request)
   if (request->next_waiting != NULL)
     request->next_waiting->previous_waiting = request->previous_waiting;
   request->next_waiting = request->previous_waiting = NULL;
-  request->wait_job = 0;
+  request->wait_for = 0;
+}
+
+/* Parks a request whose handler waits. False: the wait is over already. */
+static bool park(struct mo_request *request)
+{
+  struct mo_pool *pool = &request->http->pool;
+  pthread_mutex_lock(&pool->lock);
+  bool parked = !request->wait_fired && !pool->closed;
+  if (parked) {
+    request->wait_parked = true;
+    mo_client_park(&request->http->clients, request->client, true);
+  } else {
+    unlink_waiting(pool, request);
+  }
+  pthread_mutex_unlock(&pool->lock);
+  return parked;
+}
+
+/* Runs the handler of a request. False: the request is parked, and may have ended meanwhile. */
+static bool handle(struct mo_request *request)
+{
+  if (request->begun || mo_query_begin(request))
+    request->route->handler(request);
+  while (request->wait_for != 0) {
+    if (park(request))
+      return false;
+    request->wait_over = true;
+    request->route->handler(request);
+  }
+  request->stage = MO_STAGE_REPLY;
+  return true;
 }
 
 static void *worker(void *context)
@@ -86,18 +116,11 @@ static void *worker(void *context)
     pthread_mutex_unlock(&pool->lock);
     atomic_store(&pool->heartbeat_us, mo_clock_us());
     struct MHD_Connection *mhd = request->mhd;
-    bool back = true;
-    if (request->stage == MO_STAGE_REPLY && request->stream != NULL) {
-      mo_stream_refill(request); /* resumes the connection itself */
-      back = false;
-    } else if (request->stage == MO_STAGE_REPLY && request->download != NULL) {
-      mo_download_refill(request); /* resumes the connection itself */
-      back = false;
-    } else {
-      back = mo_handle(request) != MO_PARKED;
-      if (back)
-        request->stage = MO_STAGE_REPLY;
-    }
+    bool back = false;
+    if (request->stage == MO_STAGE_REPLY)
+      request->refill(request); /* resumes the connection itself */
+    else
+      back = handle(request);
     if (back)
       MHD_resume_connection(mhd);
     pthread_mutex_lock(&pool->lock);
@@ -150,10 +173,10 @@ bool mo_pool_give(struct mo_http *http, struct mo_request *request, bool *closed
   return taken;
 }
 
-void mo_wait_begin(struct mo_request *request, int64_t job, int64_t deadline_us)
+void mo_wait_begin(struct mo_request *request, int64_t what, int64_t deadline_us)
 {
   struct mo_pool *pool = &request->http->pool;
-  request->wait_job = job;
+  request->wait_for = what;
   request->wait_deadline_us = deadline_us;
   request->wait_fired = request->wait_parked = false;
   pthread_mutex_lock(&pool->lock);
@@ -163,21 +186,6 @@ void mo_wait_begin(struct mo_request *request, int64_t job, int64_t deadline_us)
     pool->waiting->previous_waiting = request;
   pool->waiting = request;
   pthread_mutex_unlock(&pool->lock);
-}
-
-bool mo_wait_park(struct mo_request *request)
-{
-  struct mo_pool *pool = &request->http->pool;
-  pthread_mutex_lock(&pool->lock);
-  bool park = !request->wait_fired && !pool->closed;
-  if (park) {
-    request->wait_parked = true;
-    mo_client_park(&request->http->clients, request->client, true);
-  } else {
-    unlink_waiting(pool, request);
-  }
-  pthread_mutex_unlock(&pool->lock);
-  return park;
 }
 
 void mo_wait_end(struct mo_request *request)
@@ -201,23 +209,23 @@ static void let_go(struct mo_pool *pool, struct mo_request *request)
   push(pool, request);
 }
 
-/* Ends the waits for this job, and those whose deadline has passed. */
-static void fire(struct mo_http *http, int64_t job, int64_t now_us)
+/* Ends the waits for `what`, and those whose deadline has passed. */
+static void fire(struct mo_http *http, int64_t what, int64_t now_us)
 {
   struct mo_pool *pool = &http->pool;
   pthread_mutex_lock(&pool->lock);
   for (struct mo_request *request = pool->waiting, *next; request != NULL; request = next) {
     next = request->next_waiting;
-    if (request->wait_job != job && request->wait_deadline_us > now_us && now_us != MO_NEVER)
+    if (request->wait_for != what && request->wait_deadline_us > now_us && now_us != MO_NEVER)
       continue;
     let_go(pool, request);
   }
   pthread_mutex_unlock(&pool->lock);
 }
 
-void mo_waits_job_ended(struct mo_http *http, int64_t job)
+void mo_waits_end(struct mo_http *http, int64_t what)
 {
-  fire(http, job, INT64_MIN);
+  fire(http, what, INT64_MIN);
 }
 
 void mo_waits_expire(struct mo_http *http, int64_t now_us)

@@ -7,6 +7,7 @@
 #include "base/clock.h"
 #include "http/field.h"
 #include "http/server.h"
+#include "store/hash.h"
 
 #define SMALL_BYTES                                                                                \
   ((uint64_t)64 << 10) /* of a reply without a limit on memory: refusals must get through */
@@ -101,6 +102,28 @@ void mo_reply_problem(struct mo_request *request, unsigned status, const struct 
   request->reply.authenticate = status == 401;
 }
 
+void mo_reply_bad_parameter(struct mo_request *request, const char *name, const char *detail)
+{
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  if (faults != NULL)
+    mo_faults_add(faults, MO_FAULT_PARAMETER, name, "%s", detail);
+  mo_reply_problem(request, 400, faults, "%s: %s", name, detail);
+  free(faults);
+}
+
+void mo_reply_bad_header(struct mo_request *request, unsigned status, const char *name,
+                         const char *words, const char *detail)
+{
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  if (faults != NULL && name != NULL)
+    mo_faults_add(faults, MO_FAULT_HEADER, name, "%s", words);
+  if (detail != NULL)
+    mo_reply_problem(request, status, faults, "%s", detail);
+  else
+    mo_reply_problem(request, status, faults, NULL);
+  free(faults);
+}
+
 void mo_reply_error(struct mo_request *request, int code, const char *what)
 {
   switch (code) {
@@ -160,6 +183,17 @@ void mo_reply_etag_of_body(struct mo_request *request)
   mo_reply_etag(request, "%.32s", digits);
 }
 
+void mo_reply_text(struct mo_request *request, int error, struct mo_text *text, const char *what)
+{
+  if (error != MO_OK) {
+    mo_text_free(text);
+    mo_reply_error(request, error, what);
+    return;
+  }
+  mo_reply_json(request, 200, text);
+  mo_reply_etag_of_body(request);
+}
+
 void mo_reply_extra(struct mo_request *request, const char *name, const char *format, ...)
 {
   struct mo_reply *reply = &request->reply;
@@ -194,17 +228,8 @@ bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response)
       add(response, "Preference-Applied", reply->applied) &&
       add(response, "WWW-Authenticate", reply->authenticate ? "Bearer realm=\"morphod\"" : "") &&
       add(response, "Connection", reply->close ? "close" : "");
-  if (request->route == MO_ROUTE_CONTROLLER || request->route == MO_ROUTE_TRAJECTORY ||
-      request->route == MO_ROUTE_TRAINING_STEPS ||
-      request->route == MO_ROUTE_TRAINING_VALIDATIONS ||
-      request->route == MO_ROUTE_CAMPAIGN_GENERATIONS ||
-      request->route == MO_ROUTE_CAMPAIGN_LEARNING ||
-      request->route == MO_ROUTE_CAMPAIGN_REPLICATES ||
-      request->route == MO_ROUTE_CAMPAIGN_PHYLOGENY)
+  if (request->route != NULL && (request->route->flags & MO_ROUTE_VARY))
     good = good && add(response, "Vary", "Accept");
-  if (request->route == MO_ROUTE_INDEX)
-    good = good && add(response, "Content-Security-Policy",
-                       "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'");
   for (unsigned i = 0; i < reply->n_extra; i++)
     good = good && add(response, reply->extra[i].name, reply->extra[i].value);
   return good;

@@ -6,63 +6,6 @@
 
 #include "http/field.h"
 
-const struct mo_route_info mo_routes[MO_ROUTES] = {
-    [MO_ROUTE_NONE] = {"other", 0, false, true},
-    [MO_ROUTE_EVALUATIONS] = {"/v1/evaluations", MO_POST, false, false},
-    [MO_ROUTE_EVALUATION] = {"/v1/evaluations/{id}", MO_GET, false, false},
-    [MO_ROUTE_TRAJECTORY] = {"/v1/evaluations/{id}/trajectories/{n}", MO_GET, false, false},
-    [MO_ROUTE_TRAININGS] = {"/v1/trainings", MO_GET | MO_POST, false, false, true},
-    [MO_ROUTE_TRAINING] = {"/v1/trainings/{id}", MO_GET, false, false},
-    [MO_ROUTE_TRAINING_STEPS] = {"/v1/trainings/{id}/steps", MO_GET, false, false, true},
-    [MO_ROUTE_TRAINING_VALIDATIONS] = {"/v1/trainings/{id}/validations", MO_GET, false, false,
-                                       true},
-    [MO_ROUTE_TRAINING_CHECKPOINTS] = {"/v1/trainings/{id}/checkpoints", MO_GET | MO_DELETE, false,
-                                       false, true},
-    [MO_ROUTE_TRAINING_CHECKPOINT] = {"/v1/trainings/{id}/checkpoints/{step}", MO_DELETE, false,
-                                      false},
-    [MO_ROUTE_TRAINING_CONTROLLER] = {"/v1/trainings/{id}/controller", MO_GET, false, false},
-    [MO_ROUTE_TRAINING_HELD_OUT] = {"/v1/trainings/{id}/held-out", MO_GET, false, false, true},
-    [MO_ROUTE_HELD_OUT] = {"/v1/held-out", MO_GET, false, false, true},
-    [MO_ROUTE_CAMPAIGNS] = {"/v1/campaigns", MO_GET | MO_POST, false, false, true},
-    [MO_ROUTE_CAMPAIGN] = {"/v1/campaigns/{id}", MO_GET, false, false},
-    [MO_ROUTE_CAMPAIGN_PAUSE] = {"/v1/campaigns/{id}/pause", MO_POST, false, false},
-    [MO_ROUTE_CAMPAIGN_RESUME] = {"/v1/campaigns/{id}/resume", MO_POST, false, false},
-    [MO_ROUTE_CAMPAIGN_CANCEL] = {"/v1/campaigns/{id}/cancel", MO_POST, false, false},
-    [MO_ROUTE_CAMPAIGN_EXTEND] = {"/v1/campaigns/{id}/extend", MO_POST, false, false},
-    [MO_ROUTE_CAMPAIGN_GENERATIONS] = {"/v1/campaigns/{id}/generations", MO_GET, false, false,
-                                       true},
-    [MO_ROUTE_CAMPAIGN_LEARNING] = {"/v1/campaigns/{id}/learning", MO_GET, false, false, true},
-    [MO_ROUTE_CAMPAIGN_REPLICATES] = {"/v1/campaigns/{id}/replicates", MO_GET, false, false, true},
-    [MO_ROUTE_CAMPAIGN_POPULATION] = {"/v1/campaigns/{id}/population", MO_GET, false, false, true},
-    [MO_ROUTE_CAMPAIGN_DESIGN] = {"/v1/campaigns/{id}/designs/{number}", MO_GET, false, false},
-    [MO_ROUTE_CAMPAIGN_ANCESTORS] = {"/v1/campaigns/{id}/designs/{number}/ancestors", MO_GET, false,
-                                     false, true},
-    [MO_ROUTE_CAMPAIGN_DESCENDANTS] = {"/v1/campaigns/{id}/designs/{number}/descendants", MO_GET,
-                                       false, false, true},
-    [MO_ROUTE_CAMPAIGN_PHYLOGENY] = {"/v1/campaigns/{id}/phylogeny", MO_GET, false, false, true},
-    [MO_ROUTE_CAMPAIGN_CHAMPIONS] = {"/v1/campaigns/{id}/champions", MO_GET | MO_POST, false, false,
-                                     true},
-    [MO_ROUTE_CAMPAIGN_CHECKPOINTS] = {"/v1/campaigns/{id}/checkpoints", MO_GET | MO_DELETE, false,
-                                       false, true},
-    [MO_ROUTE_JOBS] = {"/v1/jobs", MO_GET, false, false, true},
-    [MO_ROUTE_JOB] = {"/v1/jobs/{id}", MO_GET | MO_DELETE, false, false},
-    [MO_ROUTE_JOB_PAUSE] = {"/v1/jobs/{id}/pause", MO_POST, false, false},
-    [MO_ROUTE_JOB_RESUME] = {"/v1/jobs/{id}/resume", MO_POST, false, false},
-    [MO_ROUTE_JOB_WEIGHT] = {"/v1/jobs/{id}/weight", MO_POST, false, false},
-    [MO_ROUTE_DESIGNS] = {"/v1/designs", MO_GET, false, false, true},
-    [MO_ROUTE_DESIGN] = {"/v1/designs/{id}", MO_GET, false, false},
-    [MO_ROUTE_CONTROLLERS] = {"/v1/controllers", MO_GET, false, false, true},
-    [MO_ROUTE_CONTROLLER] = {"/v1/controllers/{name}", MO_GET | MO_PUT | MO_DELETE, false, false},
-    [MO_ROUTE_EVENTS] = {"/v1/events", MO_GET, false, false, true},
-    [MO_ROUTE_WORKERS] = {"/v1/workers", MO_GET, false, true},
-    [MO_ROUTE_DEVICES] = {"/v1/devices", MO_GET, false, true},
-    [MO_ROUTE_HEALTH] = {"/healthz", MO_GET, true, true},
-    [MO_ROUTE_READY] = {"/readyz", MO_GET, true, true},
-    [MO_ROUTE_METRICS] = {"/metrics", MO_GET, false, true},
-    [MO_ROUTE_OPENAPI] = {"/openapi.json", MO_GET, true, true},
-    [MO_ROUTE_INDEX] = {"/", MO_GET, true, true},
-};
-
 static const struct {
   const char *name;
   enum mo_method method;
@@ -104,21 +47,37 @@ static bool matches(const char *pattern, const char *path, size_t size,
   return at == size;
 }
 
-enum mo_route mo_route_find(const char *path, size_t size,
-                            char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES])
+const struct mo_route *mo_route_find(const struct mo_routes *routes, const char *path, size_t size,
+                                     char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES])
 {
-  for (enum mo_route route = MO_ROUTE_NONE + 1; route < MO_ROUTES; route++)
-    if (matches(mo_routes[route].path, path, size, parameters))
-      return route;
-  return MO_ROUTE_NONE;
+  for (size_t i = 0; i < routes->n; i++)
+    if (matches(routes->items[i].path, path, size, parameters))
+      return &routes->items[i];
+  return NULL;
 }
 
-void mo_route_allow(enum mo_route route, char allow[64])
+/* Returns the next line of the same path; NULL: this is the last one. */
+static const struct mo_route *next_of_path(const struct mo_routes *routes,
+                                           const struct mo_route *route)
+{
+  const struct mo_route *next = route + 1;
+  return next < routes->items + routes->n && strcmp(next->path, route->path) == 0 ? next : NULL;
+}
+
+const struct mo_route *mo_route_of_method(const struct mo_routes *routes,
+                                          const struct mo_route *path, enum mo_method method)
+{
+  while (path != NULL && path->method != (method == MO_HEAD ? MO_GET : method))
+    path = next_of_path(routes, path);
+  return path;
+}
+
+void mo_route_allow(const struct mo_routes *routes, const struct mo_route *path, char allow[64])
 {
   size_t at = 0;
-  unsigned allowed = mo_routes[route].methods | MO_OPTIONS;
-  if (allowed & MO_GET)
-    allowed |= MO_HEAD;
+  unsigned allowed = MO_OPTIONS;
+  for (; path != NULL; path = next_of_path(routes, path))
+    allowed |= path->method == MO_GET ? MO_GET | MO_HEAD : (unsigned)path->method;
   for (size_t i = 0; i < sizeof(methods) / sizeof(methods[0]); i++)
     if (allowed & (unsigned)methods[i].method)
       at += (size_t)snprintf(allow + at, 64 - at, "%s%s", at > 0 ? ", " : "", methods[i].name);

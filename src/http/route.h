@@ -1,5 +1,5 @@
-/* route.h: maps paths and methods to routes. The table is the only list of routes: metrics, Allow
- * and the contract test (tests/api) use it. */
+/* route.h: finds the route of a request. The table itself belongs to the service that uses this
+ * room; metrics, Allow and the contract's tests use it, too. */
 #ifndef MORPHO_HTTP_ROUTE_H
 #define MORPHO_HTTP_ROUTE_H
 
@@ -16,77 +16,54 @@ enum mo_method {
   MO_OTHER_METHOD = 0
 };
 
-enum mo_route {
-  MO_ROUTE_NONE = 0, /* no such path */
-  MO_ROUTE_EVALUATIONS,
-  MO_ROUTE_EVALUATION,
-  MO_ROUTE_TRAJECTORY,
-  MO_ROUTE_TRAININGS,
-  MO_ROUTE_TRAINING,
-  MO_ROUTE_TRAINING_STEPS,
-  MO_ROUTE_TRAINING_VALIDATIONS,
-  MO_ROUTE_TRAINING_CHECKPOINTS,
-  MO_ROUTE_TRAINING_CHECKPOINT,
-  MO_ROUTE_TRAINING_CONTROLLER,
-  MO_ROUTE_TRAINING_HELD_OUT,
-  MO_ROUTE_HELD_OUT,
-  MO_ROUTE_CAMPAIGNS,
-  MO_ROUTE_CAMPAIGN,
-  MO_ROUTE_CAMPAIGN_PAUSE,
-  MO_ROUTE_CAMPAIGN_RESUME,
-  MO_ROUTE_CAMPAIGN_CANCEL,
-  MO_ROUTE_CAMPAIGN_EXTEND,
-  MO_ROUTE_CAMPAIGN_GENERATIONS,
-  MO_ROUTE_CAMPAIGN_LEARNING,
-  MO_ROUTE_CAMPAIGN_REPLICATES,
-  MO_ROUTE_CAMPAIGN_POPULATION,
-  MO_ROUTE_CAMPAIGN_DESIGN,
-  MO_ROUTE_CAMPAIGN_ANCESTORS,
-  MO_ROUTE_CAMPAIGN_DESCENDANTS,
-  MO_ROUTE_CAMPAIGN_PHYLOGENY,
-  MO_ROUTE_CAMPAIGN_CHAMPIONS,
-  MO_ROUTE_CAMPAIGN_CHECKPOINTS,
-  MO_ROUTE_JOBS,
-  MO_ROUTE_JOB,
-  MO_ROUTE_JOB_PAUSE,
-  MO_ROUTE_JOB_RESUME,
-  MO_ROUTE_JOB_WEIGHT,
-  MO_ROUTE_DESIGNS,
-  MO_ROUTE_DESIGN,
-  MO_ROUTE_CONTROLLERS,
-  MO_ROUTE_CONTROLLER,
-  MO_ROUTE_EVENTS,
-  MO_ROUTE_WORKERS,
-  MO_ROUTE_DEVICES,
-  MO_ROUTE_HEALTH,
-  MO_ROUTE_READY,
-  MO_ROUTE_METRICS,
-  MO_ROUTE_OPENAPI,
-  MO_ROUTE_INDEX,
-  MO_ROUTES
+enum mo_route_flag {
+  MO_ROUTE_OPEN = 1,   /* needs no token */
+  MO_ROUTE_DIRECT = 2, /* answered without an API thread */
+  MO_ROUTE_HEALTH = 4, /* answered on the connections that are reserved for health requests, too */
+  MO_ROUTE_LIST = 8,   /* gives many items; pool.c limits how many of these run at a time */
+  MO_ROUTE_RATED = 16, /* takes work or data, which client_rate_per_s limits */
+  MO_ROUTE_VARY = 32,  /* the form of the reply depends on Accept */
+  MO_ROUTE_JSON = 64   /* the reply is JSON; another Accept gets 406 */
 };
 
+/* How many bytes the body may have. */
+enum mo_body_limit {
+  MO_BODY_SMALL, /* 64 KiB */
+  MO_BODY_LARGE, /* max_body_bytes of the configuration; a length is required */
+  MO_BODY_FILE   /* max_file_bytes of the configuration; a length is required */
+};
+
+struct mo_request;
+
+/* One method of one path. Lines with the same path follow each other. */
+struct mo_route {
+  const char *path; /* "/v1/jobs/{id}" */
+  enum mo_method method;
+  void (*handler)(struct mo_request *request);
+  unsigned flags; /* of enum mo_route_flag */
+  enum mo_body_limit body;
+  const char *query; /* the query parameters that are known, separated by spaces; "": none */
+};
+
+struct mo_routes {
+  const struct mo_route *items;
+  size_t n;
+};
+#define MO_ROUTES_MAX           96
 #define MO_PATH_PARAMETERS      2
 #define MO_PATH_PARAMETER_BYTES 128
 
-struct mo_route_info {
-  const char *path; /* "/v1/jobs/{id}" */
-  unsigned methods; /* without HEAD (allowed with GET) and OPTIONS (always allowed) */
-  bool open;        /* needs no token */
-  bool direct;      /* answered without an API thread */
-  bool list; /* GET returns many items: a page, a curve, a population. pool.c limits how many run at
-                a time */
-};
-extern const struct mo_route_info mo_routes[MO_ROUTES];
-
 enum mo_method mo_method_of(const char *name);
 
-/* Finds the route of a path as received; percent escapes are decoded per segment. parameters: the
- * values of {…} in order, NUL-terminated. */
-enum mo_route mo_route_find(const char *path, size_t size,
-                            char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES]);
-
-/* Writes the methods of a route: "GET, HEAD, OPTIONS". */
-void mo_route_allow(enum mo_route route, char allow[64]);
+/* Finds the first line of a path as received; percent escapes are decoded per segment. parameters:
+ * the values of {…} in order, NUL-terminated. NULL: there is no such path. */
+const struct mo_route *mo_route_find(const struct mo_routes *routes, const char *path, size_t size,
+                                     char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES]);
+/* Finds the line of a method, from the first line of the path on; HEAD is served as GET. NULL: the
+ * path has no such method. */
+const struct mo_route *mo_route_of_method(const struct mo_routes *routes,
+                                          const struct mo_route *path, enum mo_method method);
+/* Writes the methods of a path, whose first line this is: "GET, HEAD, OPTIONS". */
+void mo_route_allow(const struct mo_routes *routes, const struct mo_route *path, char allow[64]);
 
 #endif

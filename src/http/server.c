@@ -3,7 +3,6 @@
 #include "http/server.h"
 
 #include <fcntl.h>
-#include <inttypes.h>
 #include <malloc.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -14,7 +13,8 @@
 
 #include "base/clock.h"
 #include "base/processors.h"
-#include "http/openapi.h"
+#include "http/download.h"
+#include "http/query.h"
 
 #define DEFAULT_BODY_BYTES (UINT64_C(64) << 10) /* of routes that need no large body */
 #define MANY_CONNECTIONS   64    /* from so many on, freed memory is returned to the system */
@@ -24,32 +24,6 @@
 
 /* ---- start of a request ---- */
 
-static void end_request(struct mo_connection *connection, bool complete);
-
-struct mo_request *mo_request_begin(struct mo_connection *connection, struct MHD_Connection *mhd,
-                                    const char *target)
-{
-  struct mo_http *http = connection->http;
-  struct mo_request *request = calloc(1, sizeof(*request));
-  if (request == NULL)
-    return NULL;
-  request->http = http;
-  request->mhd = mhd;
-  request->connection = connection;
-  request->raw_target = strdup(target);
-  request->wait_s = -1;
-  request->started_us = mo_clock_us();
-  uint64_t number = http->id_key ^ atomic_fetch_add(&http->next_id, 1);
-  snprintf(request->id, sizeof(request->id), "%016" PRIx64, number);
-  size_t n = 0;
-  for (; target[n] != '\0' && target[n] != '?' && n < sizeof(request->path) - 1; n++)
-    request->path[n] =
-        (unsigned char)target[n] > 0x20 && (unsigned char)target[n] < 0x7F ? target[n] : '?';
-  atomic_fetch_add(&http->n_in_flight, 1);
-  connection->request = request;
-  return request;
-}
-
 static void *on_target(void *context, const char *target, struct MHD_Connection *mhd)
 {
   struct mo_http *http = context;
@@ -58,7 +32,7 @@ static void *on_target(void *context, const char *target, struct MHD_Connection 
   struct mo_connection *connection = info != NULL ? info->socket_context : NULL;
   if (connection == NULL)
     return NULL;
-  end_request(connection, false);
+  mo_request_end(connection, false);
   struct mo_request *request = mo_request_begin(connection, mhd, target);
   /* The library would list the query parameters in the connection's memory, could run out of it,
    * and would then not report the end of this request. No code here uses that list, so cut off the
@@ -101,37 +75,14 @@ static void refuse(struct mo_request *request, const struct mo_refusal *refusal)
   free(faults);
 }
 
-/* Says whether the request submits a job, whose description may be long. */
-static bool submits(const struct mo_request *request)
-{
-  return request->method == MO_POST &&
-         (request->route == MO_ROUTE_EVALUATIONS || request->route == MO_ROUTE_TRAININGS ||
-          request->route == MO_ROUTE_CAMPAIGNS);
-}
-
-/* Says whether the request submits work or data, which client_rate limits. Pause, cancel and the
- * like do not count. */
-static bool submits_or_stores(const struct mo_request *request)
-{
-  switch (request->route) {
-  case MO_ROUTE_EVALUATIONS:
-  case MO_ROUTE_TRAININGS:
-  case MO_ROUTE_CAMPAIGNS:
-  case MO_ROUTE_CAMPAIGN_EXTEND:
-  case MO_ROUTE_CAMPAIGN_CHAMPIONS: return request->method == MO_POST;
-  case MO_ROUTE_CONTROLLER: return request->method == MO_PUT;
-  default: return false;
-  }
-}
-
 static uint64_t body_limit(const struct mo_request *request)
 {
   const struct mo_http_config *config = &request->http->config;
-  if (submits(request))
-    return config->max_body_bytes;
-  if (request->route == MO_ROUTE_CONTROLLER && request->method == MO_PUT)
-    return config->max_controller_bytes;
-  return DEFAULT_BODY_BYTES;
+  switch (request->route->body) {
+  case MO_BODY_LARGE: return config->max_body_bytes;
+  case MO_BODY_FILE: return config->max_file_bytes;
+  default: return DEFAULT_BODY_BYTES;
+  }
 }
 
 /* Checks tokens and origins. */
@@ -155,7 +106,7 @@ static bool admitted(struct mo_request *request)
              !mo_guard_origin(framing->origin, framing->host, &http->names)) {
     refusal.header = "Origin";
     refusal.detail = "pages of this origin may not use the service";
-  } else if (strncmp(mo_routes[request->route].path, "/v1/", 4) == 0 &&
+  } else if (request->route != NULL && strncmp(request->route->path, "/v1/", 4) == 0 &&
              !mo_guard_fetch_site(framing->fetch_site)) {
     refusal.header = "Sec-Fetch-Site";
     refusal.detail = "pages of other sites may not use the service";
@@ -164,8 +115,9 @@ static bool admitted(struct mo_request *request)
     refuse(request, &refusal);
     return false;
   }
-  bool open = mo_routes[request->route].open || request->method == MO_OPTIONS;
-  if (is_unix || (request->route != MO_ROUTE_NONE && open))
+  const struct mo_route *route = request->route;
+  if (is_unix || (route != NULL && (route->flags & MO_ROUTE_OPEN)) ||
+      (route != NULL && request->method == MO_OPTIONS))
     return true;
   bool needed =
       request->connection->transport == MO_TRANSPORT_TCP || http->config.token_on_loopback;
@@ -212,40 +164,40 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
     refuse(request, &refusal);
     return;
   }
-  request->route =
-      mo_route_find(request->target.path, request->target.path_size, request->parameters);
+  const struct mo_routes *routes = &request->http->service.routes;
+  const struct mo_route *path =
+      mo_route_find(routes, request->target.path, request->target.path_size, request->parameters);
+  const struct mo_route *route = mo_route_of_method(routes, path, request->method);
+  request->route = route != NULL ? route : path;
   if (!admitted(request))
     return;
   bool star = request->method == MO_OPTIONS && strcmp(request->raw_target, "*") == 0;
-  if (request->route == MO_ROUTE_NONE && !star) {
+  if (path == NULL && !star) {
     mo_reply_problem(request, 404, NULL,
                      "There is nothing at this path; /openapi.json lists what there is.");
     return;
   }
-  if (request->connection->place == MO_PLACE_HEALTH && request->route != MO_ROUTE_HEALTH &&
-      request->route != MO_ROUTE_READY && request->route != MO_ROUTE_METRICS) {
+  if (request->connection->place == MO_PLACE_HEALTH &&
+      (path == NULL || !(path->flags & MO_ROUTE_HEALTH))) {
     mo_reply_problem(request, 503, NULL,
                      "All connections of the service are in use; try again later.");
     request->reply.close = true;
     return;
   }
-  unsigned allowed = mo_routes[request->route].methods;
   if (request->method == MO_OPTIONS) {
     mo_reply_static(request, 204, NULL, "", 0);
     if (!star)
-      mo_route_allow(request->route, request->reply.allow);
+      mo_route_allow(routes, path, request->reply.allow);
     return;
   }
-  if (!(allowed & (unsigned)(request->method == MO_HEAD ? MO_GET : request->method))) {
+  if (route == NULL) {
     mo_reply_problem(request, 405, NULL, "The method %s is not for this path.",
                      request->method_text);
-    mo_route_allow(request->route, request->reply.allow);
+    mo_route_allow(routes, path, request->reply.allow);
     return;
   }
   request->body_limit = body_limit(request);
-  bool takes_body = request->method == MO_POST || request->method == MO_PUT;
-  if (takes_body && request->body_limit > DEFAULT_BODY_BYTES && !request->framing.has_length &&
-      !request->framing.chunked)
+  if (route->body != MO_BODY_SMALL && !request->framing.has_length && !request->framing.chunked)
     mo_reply_problem(
         request, 411, NULL,
         "The length of the body is missing: Content-Length or chunked coding is expected.");
@@ -297,8 +249,9 @@ static enum MHD_Result dispatch(struct mo_request *request)
 {
   struct mo_http *http = request->http;
   bool refused = false, closed = false;
-  if (mo_routes[request->route].direct) {
-    mo_handle_direct(request);
+  if (request->route->flags & MO_ROUTE_DIRECT) {
+    if (mo_query_begin(request))
+      request->route->handler(request);
     return mo_reply_send(request);
   }
   if (request->body == NULL && (request->body = calloc(1, 1)) == NULL) {
@@ -317,7 +270,7 @@ static enum MHD_Result dispatch(struct mo_request *request)
     request->reply.retry_after_s = 1;
     return mo_reply_send(request);
   }
-  if (submits_or_stores(request) &&
+  if ((request->route->flags & MO_ROUTE_RATED) &&
       !mo_client_spend(&http->clients, request->client, http->config.client_rate_per_s,
                        mo_clock_us())) {
     mo_reply_problem(request, 429, NULL,
@@ -391,50 +344,7 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
   return MHD_NO;
 }
 
-/* ---- end of a request ---- */
-
-/* Logs and frees the connection's request, if it has one. complete: the whole reply was sent. */
-static void end_request(struct mo_connection *connection, bool complete)
-{
-  struct mo_http *http = connection->http;
-  struct mo_request *request = connection->request;
-  if (request == NULL)
-    return;
-  connection->request = NULL;
-  bool stream = request->stream != NULL, gave_way = !mo_body_end(request);
-  if (stream)
-    mo_stream_free(request);
-  mo_download_free(request);
-  int64_t now_us = mo_clock_us();
-  bool replied = request->reply.status != 0 && (complete || stream || request->answered);
-  unsigned status = gave_way ? 503 : replied ? request->reply.status : 0;
-  if (gave_way)
-    mo_request_note(request, MO_BODY_GAVE_WAY);
-  mo_metrics_request(&http->metrics, request->route, status, now_us - request->started_us, stream);
-  atomic_fetch_add(&http->metrics.body_out, request->sent);
-  if (http->config.log != NULL) {
-    struct mo_http_log_entry entry = {.client = connection->client,
-                                      .method = request->method_text,
-                                      .path = request->path,
-                                      .reason = request->reason[0] != '\0' ? request->reason : NULL,
-                                      .status = status,
-                                      .body_in = request->body_seen,
-                                      .body_out = request->sent,
-                                      .duration_s = (double)(now_us - request->started_us) * 1e-6};
-    memcpy(entry.request_id, request->id, sizeof(entry.request_id));
-    http->config.log(http->config.log_context, &entry);
-  }
-  atomic_store(&connection->deadline_us, now_us + (int64_t)http->config.idle_timeout_ms * 1000);
-  atomic_store(&connection->receiving, false);
-  mo_connection_spare(connection, now_us);
-  if (request->client != NULL)
-    mo_client_leave(&http->clients, request->client, now_us);
-  mo_request_drop_body(request);
-  mo_reply_clear(&request->reply);
-  free(request->raw_target);
-  free(request);
-  atomic_fetch_sub(&http->n_in_flight, 1);
-}
+/* ---- ends of requests and connections ---- */
 
 static void on_completed(void *context, struct MHD_Connection *mhd, void **state,
                          enum MHD_RequestTerminationCode why)
@@ -444,7 +354,7 @@ static void on_completed(void *context, struct MHD_Connection *mhd, void **state
   struct mo_request *request = *state;
   *state = NULL;
   if (request != NULL)
-    end_request(request->connection, why == MHD_REQUEST_TERMINATED_COMPLETED_OK);
+    mo_request_end(request->connection, why == MHD_REQUEST_TERMINATED_COMPLETED_OK);
 }
 
 static void on_connection(void *context, struct MHD_Connection *mhd, void **socket_context,
@@ -459,7 +369,7 @@ static void on_connection(void *context, struct MHD_Connection *mhd, void **sock
     if (connection != NULL)
       connection->http = http;
   } else if (connection != NULL) {
-    end_request(connection, false); /* after some errors the library does not report its end */
+    mo_request_end(connection, false); /* after some errors the library does not report its end */
     int fd = connection->lingers ? fcntl(connection->fd, F_DUPFD_CLOEXEC, 0) : -1;
     if (fd >= 0)
       mo_linger_add(&http->lingering, fd);
@@ -485,15 +395,6 @@ static size_t on_unescape(void *context, struct MHD_Connection *mhd, char *text)
 }
 
 /* ---- the clock ---- */
-
-static void count_jobs(struct mo_http *http)
-{
-  uint64_t counts[MO_JOB_STATES];
-  if (atomic_exchange(&http->jobs_changed, false) &&
-      mo_store_job_counts(http->services.store, counts) == MO_OK)
-    for (int state = 0; state < MO_JOB_STATES; state++)
-      atomic_store(&http->jobs_by_state[state], counts[state]);
-}
 
 /* Returns memory to the system when most of many connections have ended; malloc would keep it. */
 static void trim_memory(uint32_t n_connections, uint32_t *peak)
@@ -524,7 +425,8 @@ static void *clock_thread(void *context)
       mo_streams_tick(http, now_us);
       mo_waits_tick(http);
       mo_clients_sweep(&http->clients, now_us);
-      count_jobs(http);
+      if (http->service.tick != NULL)
+        http->service.tick(http->service.context);
     }
     atomic_store(&http->clock_us, now_us);
   }
@@ -555,11 +457,10 @@ static void fill_defaults(struct mo_http_config *config)
   config->heartbeat_ms = or_default(config->heartbeat_ms, 15000);
   if (config->max_body_bytes == 0)
     config->max_body_bytes = UINT64_C(32) << 20;
-  if (config->max_controller_bytes == 0)
-    config->max_controller_bytes = UINT64_C(16) << 20;
-  uint64_t larger = config->max_body_bytes > config->max_controller_bytes
-                        ? config->max_body_bytes
-                        : config->max_controller_bytes;
+  if (config->max_file_bytes == 0)
+    config->max_file_bytes = UINT64_C(16) << 20;
+  uint64_t larger = config->max_body_bytes > config->max_file_bytes ? config->max_body_bytes
+                                                                    : config->max_file_bytes;
   if (config->max_body_memory == 0)
     config->max_body_memory = 8 * larger;
 }
@@ -626,7 +527,6 @@ static void destroy(struct mo_http *http)
     close(http->stop_fd);
   if (http->peers_fd >= 0)
     close(http->peers_fd);
-  mo_lattice_free(http->lattice);
   free(http->connections);
   free(http->listeners);
   free(http->listener_transports);
@@ -649,17 +549,10 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
   http->config = *config;
   fill_defaults(&http->config);
-  snprintf(http->version, sizeof(http->version), "%s",
-           config->version != NULL ? config->version : "");
-  struct mo_sha256 contract;
-  mo_sha256_of(mo_openapi_json, mo_openapi_json_size, &contract);
-  mo_sha256_to_hex(&contract, http->contract_tag);
   if (getrandom(&http->id_key, sizeof(http->id_key), 0) != (ssize_t)sizeof(http->id_key))
     http->id_key = (uint64_t)mo_clock_us() << 20;
   http->id_key &= ~UINT64_C(0xFFFFFFFF); /* ids count up after a random prefix */
   int code = adopt_listeners(http, config, message);
-  if (code == MO_OK && (code = mo_lattice_create(MO_DEFAULT_WORKSPACE, &http->lattice)) != MO_OK)
-    mo_fail(message, code, "no memory for the server");
   if (code == MO_OK)
     code = mo_connections_init(http, message);
   if (code == MO_OK &&
@@ -681,31 +574,36 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
   return code;
 }
 
-int mo_http_start(const struct mo_http_config *config, const struct mo_http_services *services,
+void mo_http_refuse_listeners(const struct mo_http_config *config)
+{
+  for (size_t i = 0; i < config->n_listeners; i++)
+    close(config->listeners[i]);
+}
+
+int mo_http_start(const struct mo_http_config *config, const struct mo_http_service *service,
                   struct mo_http **ret, struct mo_message *message)
 {
   struct mo_http *http = calloc(1, sizeof(*http));
   if (http == NULL) {
-    for (size_t i = 0; i < config->n_listeners; i++)
-      close(config->listeners[i]);
+    mo_http_refuse_listeners(config);
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
   }
-  http->services = *services;
+  http->service = *service;
   int code = prepare(http, config, message);
   if (code != MO_OK) {
     mo_acceptor_stop(http);
     destroy(http);
     return code;
   }
-  atomic_store(&http->jobs_changed, true);
-  count_jobs(http);
-  /* Start the pool first: the event listener of mo_streams_start may use its lock at once. */
   code = mo_pool_start(http);
   if (code != MO_OK)
     mo_fail(message, code, "cannot start the API threads");
-  int streams = mo_streams_start(http);
-  if (code == MO_OK && (code = streams) != MO_OK)
-    mo_fail(message, code, "cannot follow the store's events: %s", mo_error_text(code));
+  mo_streams_start(http);
+  if (code == MO_OK && service->start != NULL) {
+    code = service->start(service->context, http);
+    if (code != MO_OK)
+      mo_fail(message, code, "cannot start the service: %s", mo_error_text(code));
+  }
   if (code == MO_OK)
     code = start_daemon(http, message);
   atomic_store(&http->clock_us, mo_clock_us());
@@ -726,6 +624,16 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
 void mo_http_set_ready(struct mo_http *http, bool ready)
 {
   atomic_store(&http->ready, ready);
+}
+
+bool mo_http_is_ready(const struct mo_http *http)
+{
+  return atomic_load(&http->ready);
+}
+
+void *mo_http_context(const struct mo_request *request)
+{
+  return request->http->service.context;
 }
 
 int mo_http_set_tokens(struct mo_http *http, const char *const *tokens, size_t n,
@@ -759,27 +667,9 @@ void mo_http_stop(struct mo_http *http, uint32_t grace_ms)
     atomic_store(&http->clock_stop, true);
     pthread_join(http->clock, NULL);
   }
-  mo_streams_stop(http); /* from here on no event arrives */
+  if (http->service.stop != NULL)
+    http->service.stop(http->service.context); /* from here on no event arrives */
+  mo_streams_stop(http);
   mo_pool_stop(http);
   destroy(http);
-}
-
-void mo_http_get_stats(struct mo_http *http, struct mo_http_stats *stats)
-{
-  *stats = (struct mo_http_stats){
-      .connections = atomic_load(&http->n_connections),
-      .in_flight = atomic_load(&http->n_in_flight),
-      .max_connections = http->config.max_connections,
-      .connections_accepted = atomic_load(&http->metrics.accepted),
-      .connections_refused = atomic_load(&http->metrics.refused),
-      .connections_timed_out = atomic_load(&http->metrics.timed_out),
-      .connections_gave_way = atomic_load(&http->metrics.gave_way),
-  };
-  for (size_t r = 0; r < MO_ROUTES; r++)
-    for (size_t s = 0; s < MO_METRIC_STATUSES; s++)
-      stats->requests += atomic_load_explicit(&http->metrics.requests[r][s], memory_order_relaxed);
-  stats->streams = http->streams.n;
-  stats->queued = http->pool.n_queued;
-  int64_t beats[] = {atomic_load(&http->acceptor_us), atomic_load(&http->clock_us)};
-  stats->heartbeat_us = beats[0] < beats[1] ? beats[0] : beats[1];
 }

@@ -1,64 +1,41 @@
-/* stream.c: event streams (server-sent events).
+/* stream.c: see stream.h.
  *
- * A stream is live or behind. Live: the store's listener writes each new event into the stream's
- * buffer and wakes its connection. Behind (the client asked for older events, or reads more slowly
- * than events come): the listener skips the stream. Whenever its buffer is empty, an API thread
- * fills it from the store; when the store has no more events, the stream is live again. So the
- * memory of a stream is bounded, no event is lost or sent twice, and an idle stream costs only its
- * heartbeat.
+ * A stream is live or behind. Live: mo_streams_send writes each new event into the stream's buffer
+ * and wakes its connection. Behind (the client asked for older events, or reads more slowly than
+ * events come): mo_streams_send skips the stream. Whenever its buffer is empty, an API thread fills
+ * it; when there are no more events, the stream is live again. So the memory of a stream is
+ * bounded, no event is lost or sent twice, and an idle stream costs only its heartbeat.
  *
  * The connection of a stream that waits for events is suspended. One lock guards everything
  * here. */
+#include "http/stream.h"
+
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
 #include "http/server.h"
 
-#include "base/clock.h"
-
 #define BUFFER_BYTES (256 * 1024) /* a live stream with more unread bytes falls behind */
-#define PAGE_EVENTS  200
-#define STALL_US     60000000 /* a reader that takes nothing for this long is dropped */
-#define RETRY_MS     2000     /* how long clients should wait before they reconnect */
+#define STALL_US     60000000     /* a reader that takes nothing for this long is dropped */
+#define RETRY_MS     2000         /* how long clients should wait before they reconnect */
 
 struct mo_stream {
   struct mo_request *request;
   struct mo_stream *next, *previous;
-  int64_t last; /* sequence of the newest event in the buffer or already sent */
-  int64_t job;  /* send only events of this job; 0: all */
+  mo_stream_fill fill;
+  struct mo_stream_place place; /* after: the newest event in the buffer or already sent */
   bool live;
-  bool news; /* for a stream that is behind: events came since the last read of the store */
+  bool news; /* for a stream that is behind: events came since the last call of fill */
   bool ended;
   bool suspended; /* the connection waits for wake */
   bool busy;      /* an API thread fills the buffer; the connection stays suspended until then */
-  bool greeted;   /* the sequence to start after has been checked */
   struct mo_text buffer;
   size_t read;        /* bytes of the buffer that were sent */
   int64_t written_us; /* when bytes were last put into the buffer */
   int64_t taken_us;   /* when the reader last took bytes, or had none to take */
 };
-
-void mo_event_write(struct mo_text *text, const struct mo_event *event)
-{
-  mo_text_format(text, "{\"id\":\"%lld\",\"type\":", (long long)event->sequence);
-  mo_text_json_string(text, event->type, strlen(event->type));
-  if (event->job > 0)
-    mo_text_format(text, ",\"job\":\"%lld\",\"at\":", (long long)event->job);
-  else
-    mo_text_add(text, ",\"job\":null,\"at\":");
-  mo_text_json_time(text, event->time_us);
-  mo_text_add(text, ",\"data\":");
-  mo_text_json_stored(text, event->data);
-  mo_text_add(text, "}");
-}
-
-static void frame(struct mo_text *text, const struct mo_event *event)
-{
-  mo_text_format(text, "id: %lld\nevent: %s\ndata: ", (long long)event->sequence, event->type);
-  mo_event_write(text, event);
-  mo_text_add(text, "\n\n");
-}
 
 static void wake(struct mo_stream *stream)
 {
@@ -84,133 +61,63 @@ static void put(struct mo_stream *stream, const char *bytes, size_t n, int64_t n
   stream->written_us = now_us;
 }
 
-/* Receives new events on the store's writer thread, after a commit. */
-static void listener(void *context, const struct mo_event *events, size_t n)
+void mo_streams_send(struct mo_http *http, int64_t sequence, int64_t topic,
+                     void (*write)(struct mo_text *text, const void *event), const void *event)
 {
-  struct mo_http *http = context;
-  for (size_t i = 0; i < n; i++) {
-    if (strncmp(events[i].type, "job.", 4) == 0 && strcmp(events[i].type, "job.progress") != 0)
-      atomic_store(&http->jobs_changed, true);
-    if (strcmp(events[i].type, "job.finished") == 0)
-      mo_waits_job_ended(http, events[i].job);
-  }
+  struct mo_text text = {0};
+  /* A stream that opens only now is behind, and its first fill finds the event. */
+  if (atomic_load(&http->streams.n) == 0)
+    return;
+  write(&text, event);
   pthread_mutex_lock(&http->streams.lock);
-  int64_t now_us = http->streams.first != NULL ? mo_clock_us() : 0;
-  for (size_t i = 0; i < n && http->streams.first != NULL; i++) {
-    struct mo_text text = {0};
-    frame(&text, &events[i]);
-    for (struct mo_stream *stream = http->streams.first; stream != NULL; stream = stream->next) {
-      if (stream->job != 0 && stream->job != events[i].job)
-        continue;
-      if (!stream->live) {
-        stream->news = true;
-        continue;
-      }
-      if (events[i].sequence <= stream->last)
-        continue;
-      if (text.failed || stream->buffer.size - stream->read + text.size > BUFFER_BYTES) {
-        stream->live = false; /* the rest comes from the store, once the buffer is empty */
-        stream->news = true;
-      } else {
-        put(stream, text.data, text.size, now_us);
-        stream->last = events[i].sequence;
-        atomic_fetch_add(&http->metrics.events_sent, 1);
-      }
-      wake(stream);
+  int64_t now_us = mo_clock_us();
+  for (struct mo_stream *stream = http->streams.first; stream != NULL; stream = stream->next) {
+    if (stream->place.topic != 0 && stream->place.topic != topic)
+      continue;
+    if (!stream->live) {
+      stream->news = true;
+      continue;
     }
-    mo_text_free(&text);
+    if (sequence <= stream->place.after)
+      continue;
+    if (text.failed || stream->buffer.size - stream->read + text.size > BUFFER_BYTES) {
+      stream->live = false; /* the rest comes from fill, once the buffer is empty */
+      stream->news = true;
+    } else {
+      put(stream, text.data, text.size, now_us);
+      stream->place.after = sequence;
+      atomic_fetch_add(&http->metrics.events_sent, 1);
+    }
+    wake(stream);
   }
   pthread_mutex_unlock(&http->streams.lock);
+  mo_text_free(&text);
 }
 
-int mo_streams_start(struct mo_http *http)
+void mo_streams_start(struct mo_http *http)
 {
   pthread_mutex_init(&http->streams.lock, NULL);
-  http->streams.listener = -1;
-  return mo_store_subscribe(http->services.store, listener, http, &http->streams.listener);
 }
 
-int mo_stream_open(struct mo_request *request, int64_t after, int64_t job)
-{
-  struct mo_http *http = request->http;
-  struct mo_stream *stream = calloc(1, sizeof(*stream));
-  if (stream == NULL)
-    return MO_ERR_NO_MEMORY;
-  int64_t newest = 0, now_us = mo_clock_us();
-  char greeting[32];
-  int n = snprintf(greeting, sizeof(greeting), "retry: %d\n\n", RETRY_MS);
-  stream->request = request;
-  stream->job = job;
-  put(stream, greeting, (size_t)n, now_us);
-  if (stream->buffer.failed) {
-    free(stream);
-    return MO_ERR_NO_MEMORY;
-  }
-  if (after < 0) {
-    int64_t got = mo_store_events(http->services.store, INT64_MAX - 1, 0, NULL, 0, NULL, &newest);
-    if (got < 0) {
-      mo_text_free(&stream->buffer);
-      free(stream);
-      return (int)got;
-    }
-    stream->greeted = true;
-  }
-  /* Events between this read and the entry into the list are fetched from the store, like older
-   * ones. */
-  stream->last = after < 0 ? newest : after;
-  pthread_mutex_lock(&http->streams.lock);
-  int result = http->streams.closed                          ? MO_ERR_BUSY
-               : http->streams.n >= http->config.max_streams ? MO_ERR_LIMIT
-                                                             : MO_OK;
-  if (result == MO_OK) {
-    request->stream = stream;
-    stream->next = http->streams.first;
-    if (stream->next != NULL)
-      stream->next->previous = stream;
-    http->streams.first = stream;
-    http->streams.n++;
-  }
-  pthread_mutex_unlock(&http->streams.lock);
-  if (result != MO_OK) {
-    mo_text_free(&stream->buffer);
-    free(stream);
-  }
-  return result;
-}
-
-/* Reads one page from the store into the buffer. True: there may be more. The connection is
- * suspended and the buffer empty. */
-static bool fill(struct mo_http *http, struct mo_stream *stream, struct mo_event *page)
+/* Fills the buffer with one page. True: there may be more. The connection is suspended and the
+ * buffer empty. */
+static bool fill(struct mo_http *http, struct mo_stream *stream)
 {
   pthread_mutex_lock(&http->streams.lock);
-  int64_t after = stream->last;
+  struct mo_stream_place place = stream->place;
   stream->news = false;
   pthread_mutex_unlock(&http->streams.lock);
-  int64_t oldest = 0, newest = 0;
-  int64_t n = mo_store_events(http->services.store, after, stream->job, page, PAGE_EVENTS, &oldest,
-                              &newest);
   struct mo_text text = {0};
-  if (n == MO_ERR_CORRUPT)
-    mo_request_note(stream->request, "the events cannot be read: %s", mo_error_text((int)n));
-  if (n >= 0 && (after < oldest - 1 || (!stream->greeted && after > newest))) {
-    /* The sequence is unknown (pruned, or of another database): the client must start again. */
-    after = after > newest ? newest : oldest - 1;
-    mo_text_format(&text,
-                   "id: %lld\nevent: reset\ndata: {\"oldest\":\"%lld\",\"newest\":\"%lld\"}\n\n",
-                   (long long)after, (long long)oldest, (long long)newest);
-  }
-  for (int64_t i = 0; i < n; i++)
-    frame(&text, &page[i]);
+  int64_t n = stream->fill(stream->request, &place, &text);
   pthread_mutex_lock(&http->streams.lock);
   if (n < 0 || text.failed) {
     stream->ended = true; /* the client reconnects and asks again from its last event */
   } else {
-    stream->greeted = true;
-    stream->last = n > 0 ? page[n - 1].sequence : after;
+    stream->place = place;
     if (text.size > 0)
       put(stream, text.data, text.size, mo_clock_us());
     atomic_fetch_add(&http->metrics.events_sent, (uint64_t)n);
-    stream->live = n < PAGE_EVENTS && !stream->news;
+    stream->live = n < MO_STREAM_PAGE && !stream->news;
   }
   bool more =
       !stream->ended && !stream->live && stream->buffer.size - stream->read < BUFFER_BYTES / 2;
@@ -219,19 +126,54 @@ static bool fill(struct mo_http *http, struct mo_stream *stream, struct mo_event
   return more;
 }
 
-void mo_stream_refill(struct mo_request *request)
+static void refill(struct mo_request *request)
 {
   struct mo_http *http = request->http;
   struct mo_stream *stream = request->stream;
-  struct mo_event *page = malloc(PAGE_EVENTS * sizeof(*page));
-  while (page != NULL && fill(http, stream, page))
+  while (fill(http, stream))
     ;
   pthread_mutex_lock(&http->streams.lock);
-  stream->ended |= page == NULL;
   stream->busy = false;
   wake(stream);
   pthread_mutex_unlock(&http->streams.lock);
-  free(page);
+}
+
+int mo_stream_open(struct mo_request *request, struct mo_stream_place place, mo_stream_fill fill_it)
+{
+  struct mo_http *http = request->http;
+  struct mo_stream *stream = calloc(1, sizeof(*stream));
+  if (stream == NULL)
+    return MO_ERR_NO_MEMORY;
+  char greeting[32];
+  int n = snprintf(greeting, sizeof(greeting), "retry: %d\n\n", RETRY_MS);
+  stream->request = request;
+  stream->place = place;
+  stream->fill = fill_it;
+  put(stream, greeting, (size_t)n, mo_clock_us());
+  pthread_mutex_lock(&http->streams.lock);
+  int error = stream->buffer.failed                         ? MO_ERR_NO_MEMORY
+              : http->streams.closed                        ? MO_ERR_BUSY
+              : http->streams.n >= http->config.max_streams ? MO_ERR_LIMIT
+                                                            : MO_OK;
+  if (error == MO_OK) {
+    request->stream = stream;
+    request->refill = refill;
+    stream->next = http->streams.first;
+    if (stream->next != NULL)
+      stream->next->previous = stream;
+    http->streams.first = stream;
+    http->streams.n++;
+  }
+  pthread_mutex_unlock(&http->streams.lock);
+  if (error != MO_OK) {
+    mo_text_free(&stream->buffer);
+    free(stream);
+    return error;
+  }
+  /* Streams have their own limit, so they take none of their client's places. */
+  mo_client_leave(&http->clients, request->client, mo_clock_us());
+  request->client = NULL;
+  return MO_OK;
 }
 
 /* Gives libmicrohttpd the next bytes. */
@@ -344,7 +286,5 @@ void mo_streams_close(struct mo_http *http)
 
 void mo_streams_stop(struct mo_http *http)
 {
-  if (http->streams.listener >= 0)
-    mo_store_unsubscribe(http->services.store, http->streams.listener);
   pthread_mutex_destroy(&http->streams.lock);
 }

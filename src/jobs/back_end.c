@@ -3,7 +3,7 @@
  * The back end is chosen at submission and never changes. Bits differ between devices and workers,
  * so a training or campaign that continued elsewhere would no longer be a function of its settings.
  * A job whose devices are lost waits for them, paused. */
-#include "jobs/internal.h"
+#include "jobs/state.h"
 
 #define BLOCKS_A_DEVICE 16384 /* more than one call, at ten environments per block */
 #define BLOCKS_A_WORKER 2

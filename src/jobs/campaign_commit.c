@@ -1,9 +1,9 @@
 /* campaign_commit.c: describes and commits a generation while the next one runs.
  *
  * A commit of thousands of designs takes some tenths of a second, during which a device would idle.
- * So a separate thread writes the commit from a copy, and the campaign continues. At most one
- * commit is in progress. All other writes of the campaign come after it: losses, checkpoints, the
- * next commit, the end and a pause wait for the commit. A crash loses at most one uncommitted
+ * So a separate thread writes the commit, and the campaign continues with its other rows. At most
+ * one commit is in progress. All other writes of the campaign come after it: losses, checkpoints,
+ * the next commit, the end and a pause wait for the commit. A crash loses at most one uncommitted
  * generation, which is computed again with the same result. */
 #include <math.h>
 #include <stdlib.h>
@@ -13,17 +13,11 @@
 #include "base/thread.h"
 #include "jobs/campaign_run.h"
 
-/* The rows of a finished generation, in the store's order. */
 struct mo_campaign_writing {
   struct mo_jobs *jobs;
   int64_t id;
-  struct mo_campaign_commit commit; /* points to the arrays below */
-  struct mo_birth *births;          /* (population) */
-  struct mo_bits *forms, *genotypes;
-  struct mo_design_size *sizes;
-  double *child_scores, *parent_scores;
-  uint32_t *parent_numbers, *survivors;
-  struct mo_campaign_loss *losses; /* taken over from the run */
+  struct mo_campaign_commit commit; /* points to rows of the run, and to what follows */
+  struct mo_campaign_loss *losses;  /* taken over from the run */
   struct mo_campaign_step *steps;
   uint8_t *checkpoint;
   char generation_data[480], collapse_data[256];
@@ -34,11 +28,6 @@ struct mo_campaign_writing {
   atomic_bool ended; /* the thread has its status */
   int status;
 };
-
-static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
-{
-  return &run->status.record.settings;
-}
 
 /* ---- what a generation came to ---- */
 
@@ -54,36 +43,13 @@ static double mean_of(const double *scores, uint32_t n)
   return sound > 0 ? sum / sound : NAN;
 }
 
-/* Computes the statistics of the surviving population, from its rows in order of selection. */
-static int describe_population(struct mo_campaign_run *run, struct mo_population_stats *stats)
-{
-  const uint32_t n = run->n_survivors;
-  uint64_t *genotypes = calloc((size_t)n * run->words + 1, sizeof(*genotypes));
-  double *scores = calloc((size_t)n + 1, sizeof(*scores));
-  struct mo_design_size *sizes = calloc((size_t)n + 1, sizeof(*sizes));
-  int error = genotypes == NULL || scores == NULL || sizes == NULL ? MO_ERR_NO_MEMORY : MO_OK;
-  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
-    const uint32_t place = run->survivors[i];
-    memcpy(genotypes + run->words * i, run->genotypes + run->words * place,
-           run->words * sizeof(*genotypes));
-    scores[i] = run->scores[place];
-    sizes[i] = run->sizes[place];
-  }
-  if (error == MO_OK)
-    error = mo_population_stats(settings_of(run)->workspace, genotypes, scores, sizes, n, stats);
-  free(genotypes);
-  free(scores);
-  free(sizes);
-  return error;
-}
-
 static void count_survivors(const struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
   uint32_t young = 0;
   for (uint32_t i = 0; i < run->n_survivors; i++) {
-    if (run->survivors[i] < run->n_parents)
+    if (run->rows->survivors[i] < run->n_parents)
       continue;
-    const enum mo_operator op = run->births[run->survivors[i] - run->n_parents].op;
+    const enum mo_operator op = run->rows->births[run->rows->survivors[i] - run->n_parents].op;
     row->survived_mutants += op == MO_BORN_MUTATION;
     row->survived_recombinants += op == MO_BORN_CROSSOVER;
     young++;
@@ -103,7 +69,7 @@ static void count_rollouts(const struct mo_campaign_run *run, struct mo_campaign
 /* Warns once each time that diversity falls below its share of the maximum so far. */
 static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
-  const double share = settings_of(run)->collapse_share;
+  const double share = run->settings->collapse_share;
   if (row->stats.diversity > run->diversity_max) {
     run->diversity_max = row->stats.diversity;
     run->is_warned = false;
@@ -112,21 +78,24 @@ static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_gene
   run->is_warned = run->is_warned || row->collapse;
 }
 
+/* Describes the generation; the survivors are in the other rows. */
 static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
-  const bool learns = settings_of(run)->mode != MO_ZERO_SHOT;
+  const bool learns = run->settings->mode != MO_ZERO_SHOT;
+  const struct mo_campaign_rows *survivors = run->other_rows;
   int error;
-  *row = (struct mo_campaign_generation){.generation = run->generation,
-                                         .born_before = run->n_designs,
-                                         .n_children = run->n_children,
-                                         .mean_parents = mean_of(run->scores, run->n_parents),
-                                         .mean_children =
-                                             mean_of(run->scores + run->n_parents, run->n_children),
-                                         .variation = run->variation,
-                                         .learning_steps = learns ? run->step : 0,
-                                         .first_loss = learns ? run->first_loss : NAN,
-                                         .last_loss = learns ? run->last_loss : NAN};
-  error = describe_population(run, &row->stats);
+  *row = (struct mo_campaign_generation){
+      .generation = run->generation,
+      .born_before = run->n_designs,
+      .n_children = run->n_children,
+      .mean_parents = mean_of(run->rows->scores, run->n_parents),
+      .mean_children = mean_of(run->rows->scores + run->n_parents, run->n_children),
+      .variation = run->variation,
+      .learning_steps = learns ? run->step : 0,
+      .first_loss = learns ? run->first_loss : NAN,
+      .last_loss = learns ? run->last_loss : NAN};
+  error = mo_population_stats(run->settings->workspace, survivors->genotypes, survivors->scores,
+                              survivors->sizes, run->n_survivors, &row->stats);
   if (error != MO_OK)
     return error;
   count_survivors(run, row);
@@ -136,53 +105,21 @@ static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_g
   return MO_OK;
 }
 
-static const char *number(double value, char text[32])
-{
-  snprintf(text, 32, isfinite(value) ? "%.9g" : "null", value);
-  return text;
-}
-
 static void tell_generation(const struct mo_campaign_run *run,
                             const struct mo_campaign_generation *row, char text[480])
 {
-  const struct mo_campaign_live *live =
-      &run->attempt.runner->live.campaign; /* only this thread changes it */
-  char mean[32], best[32], diversity[32], turnover[32], left[32];
+  const double left = run->runner->live.seconds_left; /* only this thread changes it */
   snprintf(text, 480,
            "{\"id\":\"%lld\",\"generation\":%u,\"generations\":%u,\"mean\":%s,\"best\":%s,"
            "\"diversity\":%s,"
            "\"turnover\":%s,\"seconds_left\":%s}",
-           (long long)run->id, (unsigned)row->generation, (unsigned)settings_of(run)->generations,
-           number(row->stats.mean_score, mean), number(row->stats.quantiles[0], best),
-           number(row->stats.diversity, diversity), number(row->turnover, turnover),
-           number(live->seconds_left < 0 ? NAN : live->seconds_left, left));
+           (long long)run->id, (unsigned)row->generation, (unsigned)run->settings->generations,
+           MO_FIGURE(row->stats.mean_score), MO_FIGURE(row->stats.quantiles[0]),
+           MO_FIGURE(row->stats.diversity), MO_FIGURE(row->turnover),
+           MO_FIGURE(left < 0 ? NAN : left));
 }
 
-/* ---- the copy ---- */
-
-int mo_campaign_writing_create(struct mo_campaign_run *run)
-{
-  const size_t n = settings_of(run)->population;
-  struct mo_campaign_writing *made = calloc(1, sizeof(*made));
-  if (made == NULL)
-    return MO_ERR_NO_MEMORY;
-  run->writing = made;
-  made->jobs = run->jobs;
-  made->id = run->id;
-  made->births = calloc(n, sizeof(*made->births));
-  made->forms = calloc(n, sizeof(*made->forms));
-  made->genotypes = calloc(n, sizeof(*made->genotypes));
-  made->sizes = calloc(n, sizeof(*made->sizes));
-  made->child_scores = calloc(n, sizeof(*made->child_scores));
-  made->parent_scores = calloc(n, sizeof(*made->parent_scores));
-  made->parent_numbers = calloc(n, sizeof(*made->parent_numbers));
-  made->survivors = calloc(n, sizeof(*made->survivors));
-  return made->births == NULL || made->forms == NULL || made->genotypes == NULL ||
-                 made->sizes == NULL || made->child_scores == NULL || made->parent_scores == NULL ||
-                 made->parent_numbers == NULL || made->survivors == NULL
-             ? MO_ERR_NO_MEMORY
-             : MO_OK;
-}
+/* ---- what is written ---- */
 
 /* Frees what belongs to one generation only. */
 static void drop(struct mo_campaign_writing *writing)
@@ -203,32 +140,11 @@ void mo_campaign_writing_free(struct mo_campaign_run *run)
     return;
   mo_campaign_writing_join(run);
   drop(writing);
-  free(writing->births);
-  free(writing->forms);
-  free(writing->genotypes);
-  free(writing->sizes);
-  free(writing->child_scores);
-  free(writing->parent_scores);
-  free(writing->parent_numbers);
-  free(writing->survivors);
   free(writing);
   run->writing = NULL;
 }
 
-static void copy_rows(const struct mo_campaign_run *run, struct mo_campaign_writing *writing)
-{
-  const size_t p = run->n_parents, c = run->n_children;
-  memcpy(writing->births, run->births, c * sizeof(*writing->births));
-  memcpy(writing->forms, run->forms, c * sizeof(*writing->forms));
-  memcpy(writing->genotypes, run->bits + p, c * sizeof(*writing->genotypes));
-  memcpy(writing->sizes, run->sizes + p, c * sizeof(*writing->sizes));
-  memcpy(writing->child_scores, run->scores + p, c * sizeof(*writing->child_scores));
-  memcpy(writing->parent_scores, run->scores, p * sizeof(*writing->parent_scores));
-  memcpy(writing->parent_numbers, run->numbers, p * sizeof(*writing->parent_numbers));
-  memcpy(writing->survivors, run->survivors, run->n_survivors * sizeof(*writing->survivors));
-}
-
-static int copy_learning(const struct mo_campaign_run *run, struct mo_campaign_writing *writing)
+static int take_learning(const struct mo_campaign_run *run, struct mo_campaign_writing *writing)
 {
   const uint32_t n = run->step - run->steps_saved;
   writing->steps = calloc((size_t)n + 1, sizeof(*writing->steps));
@@ -244,28 +160,29 @@ static int copy_learning(const struct mo_campaign_run *run, struct mo_campaign_w
   return error;
 }
 
-static int copy(struct mo_campaign_run *run, struct mo_campaign_writing *writing)
+/* Describes the generation for the store. Only the losses are taken from the run. */
+static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing)
 {
-  const bool is_zero_shot = settings_of(run)->mode == MO_ZERO_SHOT;
+  const bool is_zero_shot = run->settings->mode == MO_ZERO_SHOT;
+  const struct mo_campaign_rows *rows = run->rows;
   writing->commit = (struct mo_campaign_commit){
-      .births = writing->births,
-      .forms = writing->forms,
-      .genotypes = writing->genotypes,
-      .sizes = writing->sizes,
-      .child_scores = writing->child_scores,
-      .parent_numbers = writing->parent_numbers,
-      .parent_scores = writing->parent_scores,
+      .births = rows->births,
+      .forms = rows->forms,
+      .genotypes = rows->bits + run->n_parents,
+      .sizes = rows->sizes + run->n_parents,
+      .child_scores = rows->scores + run->n_parents,
+      .parent_numbers = rows->numbers,
+      .parent_scores = rows->scores,
       .n_parents = run->n_parents,
-      .survivors = writing->survivors,
+      .survivors = rows->survivors,
       .n_survivors = run->n_survivors,
       .fingerprint = mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
       .workers_fingerprint = mo_back_end_fingerprint(run->jobs, MO_ON_CPU),
       .event_data = writing->generation_data,
   };
-  copy_rows(run, writing);
   int error = describe_generation(run, &writing->commit.row);
   if (error == MO_OK && !is_zero_shot)
-    error = copy_learning(run, writing);
+    error = take_learning(run, writing);
   if (error != MO_OK)
     return error;
   const struct mo_campaign_generation *row = &writing->commit.row;
@@ -273,11 +190,10 @@ static int copy(struct mo_campaign_run *run, struct mo_campaign_writing *writing
   mo_campaign_advance(run, 0);
   tell_generation(run, row, writing->generation_data);
   if (row->collapse) {
-    char diversity[32], maximum[32];
     snprintf(writing->collapse_data, sizeof(writing->collapse_data),
              "{\"id\":\"%lld\",\"generation\":%u,\"diversity\":%s,\"maximum\":%s}",
-             (long long)run->id, (unsigned)row->generation, number(row->stats.diversity, diversity),
-             number(run->diversity_max, maximum));
+             (long long)run->id, (unsigned)row->generation, MO_FIGURE(row->stats.diversity),
+             MO_FIGURE(run->diversity_max));
     writing->commit.collapse_data = writing->collapse_data;
   }
   if (is_zero_shot) {
@@ -318,11 +234,15 @@ static void *write_beside(void *context)
 int mo_campaign_commit(struct mo_campaign_run *run)
 {
   struct mo_campaign_writing *writing = run->writing;
-  int error = mo_campaign_settle(run);
-  if (error != MO_OK)
-    return error;
-  (void)mo_campaign_enter(run, MO_CAMPAIGN_SAVE, 0);
-  error = copy(run, writing);
+  int error;
+  if (writing == NULL)
+    writing = run->writing = calloc(1, sizeof(*writing));
+  if (writing == NULL)
+    return MO_ERR_NO_MEMORY;
+  writing->jobs = run->jobs;
+  writing->id = run->id;
+  mo_campaign_enter(run, MO_PHASE_SAVE, 0);
+  error = take(run, writing);
   if (error != MO_OK) {
     drop(writing);
     return error;
@@ -338,7 +258,9 @@ int mo_campaign_commit(struct mo_campaign_run *run)
 
 bool mo_campaign_is_writing(const struct mo_campaign_run *run)
 {
-  return run->writing->is_pending && run->writing->has_thread && !atomic_load(&run->writing->ended);
+  const struct mo_campaign_writing *writing = run->writing;
+  return writing != NULL && writing->is_pending && writing->has_thread &&
+         !atomic_load(&writing->ended);
 }
 
 void mo_campaign_writing_join(struct mo_campaign_run *run)
@@ -366,7 +288,7 @@ int mo_campaign_settle(struct mo_campaign_run *run)
   if (writing == NULL || !writing->is_pending)
     return MO_OK;
   mo_campaign_writing_join(run);
-  error = mo_attempt_persist(&run->attempt, write_again, writing, "a generation");
+  error = mo_runner_persist(run->runner, write_again, writing, "a generation");
   if (error != MO_ERR_CANCELLED) /* a cancelled commit is still pending and precedes other writes */
     drop(writing);
   return error;

@@ -11,7 +11,7 @@
 
 #include "base/clock.h"
 #include "base/thread.h"
-#include "jobs/campaign_run.h"
+#include "jobs/campaign_excluded.h"
 
 #define WAIT_MS_MAX 50
 #define THREADS_MAX 16
@@ -55,41 +55,41 @@ static void end_part(struct mo_exclusion *exclusion, uint64_t n_bodies)
   pthread_mutex_unlock(&exclusion->jobs->exclusions_mutex);
 }
 
-static void draw(struct mo_exclusion *exclusion, uint32_t n_threads, const volatile int *cancel)
+static void end(struct mo_exclusion *exclusion, int error)
 {
-  int error = mo_form_set_create(exclusion->workspace, &exclusion->forms);
-  for (uint32_t i = 0; i < exclusion->lineage.n_parts && error == MO_OK; i++) {
-    const struct mo_lineage_part *part = &exclusion->lineage.parts[i];
-    error = mo_pretraining_forms(part->seed, part->n_bodies, exclusion->workspace, n_threads,
-                                 cancel, &exclusion->n_drawn, exclusion->forms);
-    if (error == MO_OK)
-      end_part(exclusion, part->n_bodies);
-  }
   pthread_mutex_lock(&exclusion->jobs->exclusions_mutex);
   exclusion->state = error == MO_OK ? READY : FAILED;
   exclusion->error = error;
   pthread_mutex_unlock(&exclusion->jobs->exclusions_mutex);
 }
 
-static void *draw_nicely(void *context)
+static void *draw(void *context)
 {
   struct mo_exclusion *exclusion = context;
+  struct mo_compute *compute = exclusion->jobs->compute;
   struct mo_compute_stats stats;
+  int error = mo_form_set_create(exclusion->workspace, &exclusion->forms);
   mo_thread_tag = exclusion->first; /* a fault counts as that campaign's, even after it has left */
-  mo_compute_get_stats(exclusion->jobs->compute, &stats);
-  mo_compute_settle(exclusion->jobs->compute);
-  draw(exclusion, stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX,
-       &exclusion->cancel);
+  mo_compute_get_stats(compute, &stats);
+  mo_compute_settle(compute);
+  for (uint32_t i = 0; i < exclusion->lineage.n_parts && error == MO_OK; i++) {
+    const struct mo_lineage_part *part = &exclusion->lineage.parts[i];
+    error = mo_pretraining_forms(part->seed, part->n_bodies, exclusion->workspace,
+                                 stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX,
+                                 &exclusion->cancel, &exclusion->n_drawn, exclusion->forms);
+    if (error == MO_OK)
+      end_part(exclusion, part->n_bodies);
+  }
+  end(exclusion, error);
   return NULL;
 }
 
-/* Starts the drawing. If no thread can be created, the campaign draws on its own thread, with its
- * niceness; if this campaign is stopped, the others start again. */
-static void begin(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
+/* Starts the drawing. Without a thread, the campaigns that wait for it try again later. */
+static void begin(struct mo_exclusion *exclusion)
 {
-  exclusion->has_thread = mo_thread_create(&exclusion->thread, NULL, draw_nicely, exclusion) == 0;
+  exclusion->has_thread = mo_thread_create(&exclusion->thread, NULL, draw, exclusion) == 0;
   if (!exclusion->has_thread)
-    draw(exclusion, 1, &run->attempt.runner->interrupt);
+    end(exclusion, MO_ERR_NO_MEMORY);
 }
 
 /* ---- the sets ---- */
@@ -117,7 +117,7 @@ static struct mo_exclusion *find_or_add(struct mo_campaign_run *run,
   if (made == NULL)
     return NULL;
   *made = (struct mo_exclusion){.jobs = jobs,
-                                .workspace = run->status.record.settings.workspace,
+                                .workspace = run->settings->workspace,
                                 .lineage = *lineage,
                                 .first = run->id,
                                 .drawer = run->id,
@@ -200,7 +200,7 @@ static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusio
 
 static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
 {
-  struct mo_runner *runner = run->attempt.runner;
+  struct mo_runner *runner = run->runner;
   struct mo_campaign_drawing drawing;
   int status;
   for (uint32_t ms = 1; (status = look(run, exclusion, &drawing)) > 0;
@@ -208,7 +208,7 @@ static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
     if (mo_runner_is_interrupted(runner))
       return MO_ERR_CANCELLED;
     mo_campaign_show_drawing(run, &drawing);
-    mo_runner_sleep(runner, ms, MO_WISH_PAUSE);
+    mo_runner_sleep(runner, ms, MO_REQUEST_PAUSE);
   }
   return status;
 }
@@ -221,9 +221,9 @@ static int join(struct mo_campaign_run *run, const struct mo_lineage *lineage,
   int error;
   if (exclusion == NULL)
     return MO_ERR_NO_MEMORY;
-  (void)mo_campaign_enter(run, MO_CAMPAIGN_PREPARE, exclusion->n_bodies);
+  mo_campaign_enter(run, MO_PHASE_PREPARE, exclusion->n_bodies);
   if (is_new)
-    begin(run, exclusion);
+    begin(exclusion);
   error = await(run, exclusion);
   if (error == MO_OK)
     *joined = exclusion;
@@ -239,14 +239,12 @@ int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **excl
   *exclusion = NULL;
   if (error != MO_OK || lineage.n_parts == 0)
     return error;
-  do
-    error = join(run, &lineage, exclusion);
-  while (error == MO_ERR_CANCELLED && !mo_runner_is_interrupted(run->attempt.runner));
+  error = join(run, &lineage, exclusion);
   mo_campaign_show_drawing(run, NULL);
   if (error == MO_ERR_EXHAUSTED) /* returned as it is, the error would end the campaign as if no
                                     child could be found */
-    return mo_attempt_fail(
-        &run->attempt, MO_ERR_LIMIT,
+    return mo_runner_fail(
+        run->runner, MO_ERR_LIMIT,
         "the controller's lineage names more bodies of pretraining than can be found: submit with "
         "exclude_pretraining false");
   return error;

@@ -16,25 +16,20 @@
 
 #include "base/clock.h"
 
-static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
-{
-  return &run->status.record.settings;
-}
-
 static uint32_t parent_steps(const struct mo_campaign_run *run, uint32_t generation)
 {
-  return generation == 0 ? 0 : settings_of(run)->parent_steps;
+  return generation == 0 ? 0 : run->settings->parent_steps;
 }
 
 static uint32_t steps_of(const struct mo_campaign_run *run, uint32_t generation)
 {
-  return parent_steps(run, generation) + settings_of(run)->child_steps;
+  return parent_steps(run, generation) + run->settings->child_steps;
 }
 
 /* Returns the steps of the training before a generation. */
 static uint32_t steps_before(const struct mo_campaign_run *run, uint32_t generation)
 {
-  if (settings_of(run)->mode == MO_FEW_SHOT || generation == 0)
+  if (run->settings->mode == MO_FEW_SHOT || generation == 0)
     return 0;
   return steps_of(run, 0) + (generation - 1) * steps_of(run, 1);
 }
@@ -77,7 +72,7 @@ int mo_campaign_save_learning(struct mo_campaign_run *run)
     return error;
   snprintf(what, sizeof(what), "the checkpoint of generation %u, step %u",
            (unsigned)run->generation, (unsigned)run->step);
-  return mo_attempt_persist(&run->attempt, write_checkpoint, run, what);
+  return mo_runner_persist(run->runner, write_checkpoint, run, what);
 }
 
 /* Reads the newest checkpoint of a generation. MO_ERR_NOT_FOUND: there is none. MO_ERR_CORRUPT: the
@@ -101,7 +96,7 @@ static int read_checkpoint(struct mo_campaign_run *run, uint32_t generation, uin
   }
   if (error != MO_ERR_CORRUPT && error != MO_ERR_IO && error != MO_ERR_FORMAT)
     return error;
-  snprintf(run->attempt.text, sizeof(run->attempt.text),
+  snprintf(run->runner->text, sizeof(run->runner->text),
            "the checkpoint of generation %u cannot be used (%.100s): put back its file from a "
            "backup of campaigns/, then "
            "resume the campaign, or begin another one",
@@ -114,8 +109,8 @@ int mo_campaign_load_learning(struct mo_campaign_run *run)
   uint32_t step = 0;
   int error = read_checkpoint(run, run->generation - 1, &step);
   return error == MO_ERR_NOT_FOUND
-             ? mo_attempt_fail(&run->attempt, MO_ERR_CORRUPT,
-                               "the learning state that the last generation left is missing")
+             ? mo_runner_fail(run->runner, MO_ERR_CORRUPT,
+                              "the learning state that the last generation left is missing")
              : error;
 }
 
@@ -123,12 +118,12 @@ int mo_campaign_load_learning(struct mo_campaign_run *run)
 
 static const uint64_t *children(const struct mo_campaign_run *run)
 {
-  return run->bits[run->n_parents].words;
+  return run->rows->bits[run->n_parents].words;
 }
 
 static int begin_training(struct mo_campaign_run *run)
 {
-  struct mo_training_settings settings = mo_campaign_training(settings_of(run), run->generation);
+  struct mo_training_settings settings = mo_campaign_training(run->settings, run->generation);
   struct mo_controller *random = NULL;
   struct mo_message message = {.text = ""};
   int error = MO_OK;
@@ -141,7 +136,7 @@ static int begin_training(struct mo_campaign_run *run)
     error = mo_training_create(&settings, random != NULL ? random : run->controller, children(run),
                                run->n_children, &run->learner.training, &message);
   if (error != MO_OK && error != MO_ERR_NO_MEMORY)
-    (void)mo_attempt_fail(&run->attempt, error, message.text);
+    (void)mo_runner_fail(run->runner, error, message.text);
   mo_controller_free(random);
   return error;
 }
@@ -154,16 +149,16 @@ static int restore(struct mo_campaign_run *run)
     run->steps_saved = run->step;
   if (error != MO_ERR_CORRUPT)
     return error;
-  mo_attempt_warn(&run->attempt, error,
-                  "a checkpoint inside a generation is damaged: the generation learns anew");
-  run->attempt.text[0] = '\0';
+  mo_runner_warn(run->runner, error,
+                 "a checkpoint inside a generation is damaged: the generation learns again");
+  run->runner->text[0] = '\0';
   return MO_ERR_NOT_FOUND;
 }
 
 /* Prepares the training at the step where this generation's learning continues. */
 static int prepare_training(struct mo_campaign_run *run)
 {
-  const bool inherits = settings_of(run)->mode == MO_SIMULTANEOUS && run->generation > 0;
+  const bool inherits = run->settings->mode == MO_SIMULTANEOUS && run->generation > 0;
   const bool is_new = run->learner.training == NULL; /* in this process */
   int error = MO_OK;
   run->step = run->steps_saved = 0;
@@ -175,9 +170,9 @@ static int prepare_training(struct mo_campaign_run *run)
       error = inherits ? mo_campaign_load_learning(run) : begin_training(run);
   }
   if (error == MO_OK &&
-      settings_of(run)->mode == MO_SIMULTANEOUS) /* generations may have been added */
+      run->settings->mode == MO_SIMULTANEOUS) /* generations may have been added */
     error = mo_training_set_steps(run->learner.training,
-                                  mo_campaign_training(settings_of(run), 0).n_steps);
+                                  mo_campaign_training(run->settings, 0).n_steps);
   if (error == MO_OK)
     error = mo_learner_prepare(run->jobs, run->status.job.back_end, &run->learner);
   return error;
@@ -204,11 +199,11 @@ static int set_designs(struct mo_campaign_run *run)
   const bool on_children = run->step >= parent_steps(run, run->generation);
   struct mo_message message = {.text = ""};
   int error =
-      mo_learner_set_designs(&run->learner, on_children ? children(run) : run->bits[0].words,
+      mo_learner_set_designs(&run->learner, on_children ? children(run) : run->rows->bits[0].words,
                              on_children ? run->n_children : run->n_parents, &message);
   return error == MO_OK || error == MO_ERR_NO_MEMORY
              ? error
-             : mo_attempt_fail(&run->attempt, error, message.text);
+             : mo_runner_fail(run->runner, error, message.text);
 }
 
 static int tell(struct mo_campaign_run *run)
@@ -249,7 +244,7 @@ static int step(struct mo_campaign_run *run)
   const struct mo_learner_turn turn = {.urgency = run->status.job.priority,
                                        .tag = run->id,
                                        .share = run->share,
-                                       .cancel = &run->attempt.runner->interrupt,
+                                       .cancel = &run->runner->interrupt,
                                        .write = write_what_is_due,
                                        .context = run};
   int error = mo_training_draw(run->learner.training, NULL, NULL, &robots);
@@ -273,9 +268,9 @@ int mo_campaign_learn(struct mo_campaign_run *run)
 {
   const uint32_t n_steps = steps_of(run, run->generation);
   int error;
-  if (settings_of(run)->mode == MO_ZERO_SHOT)
+  if (run->settings->mode == MO_ZERO_SHOT)
     return MO_OK;
-  (void)mo_campaign_enter(run, MO_CAMPAIGN_LEARN, n_steps);
+  mo_campaign_enter(run, MO_PHASE_LEARN, n_steps);
   run->first_loss = run->last_loss = NAN;
   free(run->steps);
   run->steps = calloc((size_t)n_steps + 1, sizeof(*run->steps));
@@ -287,7 +282,7 @@ int mo_campaign_learn(struct mo_campaign_run *run)
   run->checkpoint_us = mo_clock_us();
   while (error == MO_OK && run->step < n_steps) {
     mo_campaign_advance(run, run->step);
-    if (mo_runner_is_interrupted(run->attempt.runner))
+    if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
     error = step(run);
     if (error == MO_OK && run->step < n_steps && run->step == parent_steps(run, run->generation))

@@ -9,7 +9,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "jobs/campaign_run.h"
+#include "jobs/campaign_excluded.h"
+#include "jobs/controllers.h"
 
 #define CONTROLLERS_MAX 64 /* in a lineage, including the campaign's own */
 
@@ -42,13 +43,13 @@ static int tell(const struct reading *reading, const char *field, const char *de
   struct fault fault = {reading, field, detail};
   if (reading->run == NULL)
     return MO_OK;
-  return mo_attempt_persist(&reading->run->attempt, write_fault, &fault,
-                            "a warning about the controller's lineage");
+  return mo_runner_persist(reading->run->runner, write_fault, &fault,
+                           "a warning about the controller's lineage");
 }
 
 static int fail(const struct reading *reading, int error, const char *text)
 {
-  return reading->run != NULL ? mo_attempt_fail(&reading->run->attempt, error, text)
+  return reading->run != NULL ? mo_runner_fail(reading->run->runner, error, text)
                               : mo_fail(reading->message, error, "%s", text);
 }
 
@@ -166,16 +167,8 @@ static int tell_of_length(const struct reading *reading)
 static int load(const struct reading *reading, const struct mo_sha256 *sha256,
                 struct mo_controller **controller)
 {
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  int error = mo_store_controller_bytes(reading->jobs->store, sha256, &bytes, &size);
-  if (error == MO_OK)
-    error = mo_controller_decode(bytes, size, controller, NULL);
-  free(bytes);
-  return reading->run != NULL &&
-                 (error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT)
-             ? mo_attempt_fail_controller(&reading->run->attempt, error, sha256)
-             : error;
+  return reading->run != NULL ? mo_runner_load(reading->run->runner, sha256, controller)
+                              : mo_controller_load(reading->jobs->store, sha256, controller);
 }
 
 /* Reads the lineage from reading->controller up. Frees `ancestor`, which is that controller or

@@ -7,13 +7,28 @@
 #ifndef MORPHO_JOBS_CAMPAIGN_RUN_H
 #define MORPHO_JOBS_CAMPAIGN_RUN_H
 
-#include "jobs/internal.h"
+#include "jobs/campaigns.h"
+#include "jobs/learner.h"
+#include "jobs/scoring.h"
+
+/* The candidates of a generation. */
+struct mo_campaign_rows {
+  uint64_t *genotypes;          /* (2 · population, words) */
+  struct mo_bits *bits;         /* (2 · population) in the default workspace */
+  struct mo_design_size *sizes; /* (2 · population) */
+  double *scores;               /* (2 · population) */
+  uint32_t *numbers, *born;     /* (2 · population) */
+  struct mo_bits *forms;        /* (population) of the children */
+  struct mo_birth *births;      /* (population) of the children */
+  uint32_t *survivors;          /* (population) */
+};
 
 struct mo_campaign_run {
-  struct mo_attempt attempt; /* first */
+  struct mo_runner *runner;
   struct mo_jobs *jobs;
   int64_t id;
   struct mo_campaign_status status; /* from the start of the generation; may be extended since */
+  const struct mo_campaign_settings *settings; /* of the status */
   struct mo_compute_share *share;
   struct mo_controller *controller; /* as submitted; NULL: random weights */
   struct mo_environment *environments;
@@ -24,14 +39,8 @@ struct mo_campaign_run {
 
   uint32_t generation; /* the current one */
   uint32_t n_parents, n_children;
-  uint64_t *genotypes;          /* (2 · population, words) */
-  struct mo_bits *bits;         /* (2 · population) in the default workspace */
-  struct mo_bits *forms;        /* (population) of the children */
-  struct mo_design_size *sizes; /* (2 · population) */
-  double *scores;               /* (2 · population) */
-  uint32_t *numbers, *born;     /* (2 · population) */
-  struct mo_birth *births;      /* (population) of the children */
-  uint32_t *survivors;          /* (population) */
+  /* A commit may still read other_rows (mo_campaign_settle). */
+  struct mo_campaign_rows *rows, *other_rows, all_rows[2];
   uint32_t n_survivors;
   uint64_t n_designs; /* born before this generation */
   struct mo_variation_counts variation;
@@ -47,17 +56,15 @@ struct mo_campaign_run {
   struct mo_campaign_step
       *steps; /* (parent + child steps) rows from steps_saved on are not written yet */
   uint32_t step, steps_saved; /* steps done in this generation; at the last checkpoint */
-  uint32_t steps_base;        /* steps of the training before this generation */
-  bool is_learned;            /* the learning state is that of this generation, or later */
   int64_t checkpoint_us;
   double first_loss, last_loss;
 
   /* Scores of the candidates from `first_scored` on (campaign_score.c). */
+  struct mo_scoring scoring;
   uint32_t first_scored, n_scored;
   struct mo_compute_controller
       *frozen;                     /* zero-shot: weights ready for the back end; NULL at first */
   struct mo_campaign_loss *losses; /* (n_scored) */
-  uint8_t *left;                   /* (n_scored) blocks of the candidate still to finish */
   uint32_t *unsaved;               /* (n_scored) places whose losses are not saved yet */
   uint32_t n_unsaved;
   uint32_t n_done;   /* of n_scored */
@@ -66,8 +73,8 @@ struct mo_campaign_run {
   struct mo_campaign_writing *writing; /* the commit in progress (campaign_commit.c) */
 };
 
-/* ---- campaign_run.c ---- */
-int mo_campaign_enter(struct mo_campaign_run *run, enum mo_campaign_phase phase, uint64_t total);
+/* ---- campaign_live.c ---- */
+void mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_t total);
 /* Sets the progress that the live figures show for the phase. */
 void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done);
 /* Progress of drawing the bodies of pretrainings again. */
@@ -86,18 +93,22 @@ const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase,
 /* Records that a progress event was written. */
 void mo_campaign_told(struct mo_campaign_run *run);
 
+/* ---- campaign_submit.c ---- */
+/* Estimates the memory of a campaign. controller: nullable. Errors as mo_lineage_reckon. */
+int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
+                     const struct mo_sha256 *controller, enum mo_back_end back_end,
+                     struct mo_need *need, struct mo_message *message);
+
 /* ---- campaign_commit.c ---- */
-/* Allocates the state and buffers of the commit thread. The free function accepts a run without
- * them. */
-int mo_campaign_writing_create(struct mo_campaign_run *run); /* MO_ERR_NO_MEMORY */
-void mo_campaign_writing_free(struct mo_campaign_run *run);
-/* Describes the selected generation and starts its commit. The run continues with its own copies,
- * except for the losses, which the commit takes over. */
+/* Describes the selected generation and starts its commit, once the one before is settled. The
+ * commit reads run->rows until it is settled, and takes the losses of a zero-shot campaign. The
+ * survivors are in run->other_rows. */
 int mo_campaign_commit(struct mo_campaign_run *run);
+void mo_campaign_writing_free(struct mo_campaign_run *run);
 /* Returns whether mo_campaign_settle would have to wait for the store. */
 bool mo_campaign_is_writing(const struct mo_campaign_run *run);
 /* Waits for the commit in progress; call it before any other write. MO_OK also if there is none;
- * errors as mo_attempt_persist. MO_ERR_CANCELLED: a request arrived while the commit waited for
+ * errors as mo_runner_persist. MO_ERR_CANCELLED: a request arrived while the commit waited for
  * space; the call may be repeated. */
 int mo_campaign_settle(struct mo_campaign_run *run);
 /* Waits only until the thread has ended. */
@@ -118,33 +129,5 @@ int mo_campaign_score(struct mo_campaign_run *run);
 /* Saves the losses that are not saved yet. */
 int mo_campaign_save_losses(struct mo_campaign_run *run);
 void mo_campaign_free_scores(struct mo_campaign_run *run);
-
-/* ---- campaign_lineage.c ---- */
-/* The pretrainings in the lineage of the campaign's controller, newest first. */
-#define MO_LINEAGE_PARTS_MAX 16
-struct mo_lineage_part {
-  uint64_t seed, n_bodies; /* ≥ 1 */
-};
-struct mo_lineage {
-  struct mo_lineage_part parts[MO_LINEAGE_PARTS_MAX];
-  uint32_t n_parts;
-};
-/* Reads the lineage, reports each unreadable field as an event, and omits what depends on that
- * field. MO_ERR_LIMIT: more bodies than can be drawn again. MO_ERR_CANCELLED: a request arrived
- * while an event waited for space. */
-int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage);
-
-/* Reads the lineage before there is a run, and reports nothing. MO_ERR_LIMIT with a message. */
-int mo_lineage_reckon(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
-                      struct mo_lineage *lineage, struct mo_message *message);
-
-/* ---- campaign_excluded.c ---- */
-/* Returns the forms of the bodies on which the campaign's controller and its ancestors were
- * pretrained. Draws these bodies again, or shares the set of another campaign that has or draws
- * them. *exclusion NULL: there are none. MO_ERR_CANCELLED: a request arrived. */
-int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **exclusion);
-void mo_exclusion_release(struct mo_campaign_run *run,
-                          struct mo_exclusion *exclusion); /* NULL-safe */
-const struct mo_form_set *mo_exclusion_forms(const struct mo_exclusion *exclusion);
 
 #endif

@@ -4,51 +4,91 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "jobs/internal.h"
+#include "jobs/campaign_excluded.h"
+#include "jobs/submission.h"
 
-static int check_environments(const struct mo_campaign_request *request, struct mo_message *message)
+#define MIB             ((uint64_t)1 << 20)
+#define DRAWING_THREADS 16
+/* Measured, and rounded up. */
+#define CAMPAIGN_BYTES  (20 * MIB)          /* controller, packed for the kernels */
+#define CANDIDATE_BYTES ((uint64_t)1 << 10) /* of a population: parents and children */
+#define SCORED_BYTES    ((uint64_t)3 << 10) /* a candidate's losses: computed, saved, found */
+#define DRAWING_BYTES   (3 * MIB)           /* a thread that draws bodies again */
+
+/* ---- memory ---- */
+
+/* Adds the set of all excluded bodies, and a second set that separates the bodies of one part. The
+ * first part in the default workspace needs no second set. */
+static void add_excluded(const struct mo_jobs *jobs, const struct mo_lineage *lineage,
+                         struct mo_workspace workspace, struct mo_need *need)
 {
-  const struct mo_campaign_record *record = &request->record;
-  if (record->environment_set[0] != '\0')
-    return MO_OK;
-  return mo_environments_check(request->environments, record->n_environments, "a campaign",
-                               message);
+  const struct mo_workspace all = MO_DEFAULT_WORKSPACE;
+  const bool is_all = workspace.nx == all.nx && workspace.ny == all.ny && workspace.nz == all.nz;
+  const uint32_t n = jobs->memory.n_workers;
+  uint64_t total = 0, apart = 0,
+           key = UINT64_C(0xcbf29ce484222325) ^ mo_workspace_voxels(workspace);
+  if (lineage->n_parts == 0)
+    return;
+  for (uint32_t i = 0; i < lineage->n_parts; i++) {
+    const struct mo_lineage_part *part = &lineage->parts[i];
+    total += part->n_bodies;
+    if ((i > 0 || !is_all) && part->n_bodies > apart)
+      apart = part->n_bodies;
+    key = ((key ^ part->seed) * UINT64_C(0x100000001b3) ^ part->n_bodies) * UINT64_C(0x100000001b3);
+  }
+  need->shared = mo_form_set_reckon(workspace, total) +
+                 (apart > 0 ? mo_form_set_reckon(all, apart) : 0) +
+                 (n < DRAWING_THREADS ? n : DRAWING_THREADS) * DRAWING_BYTES;
+  need->shared_key = key;
 }
 
-static int check_initial(const struct mo_campaign_request *request, struct mo_message *message)
+int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
+                     const struct mo_sha256 *controller, enum mo_back_end back_end,
+                     struct mo_need *ret, struct mo_message *message)
 {
-  const struct mo_campaign_record *record = &request->record;
-  if (record->n_listed > record->settings.population)
-    return mo_fail(message, MO_ERR_RANGE, "%u designs are listed for a population of %u",
-                   (unsigned)record->n_listed, (unsigned)record->settings.population);
+  const uint64_t n = settings->population;
+  struct mo_need need = {
+      .own = CAMPAIGN_BYTES + 2 * n * CANDIDATE_BYTES +
+             mo_form_set_reckon(settings->workspace, n * (settings->generations + UINT64_C(1)))};
+  struct mo_lineage lineage = {.n_parts = 0};
+  int error = MO_OK;
+  if (controller != NULL && settings->exclude_pretraining)
+    error = mo_lineage_reckon(jobs, controller, &lineage, message);
+  if (error != MO_OK)
+    return error;
+  if (settings->mode == MO_ZERO_SHOT) {
+    need.own += n * SCORED_BYTES;
+  } else {
+    const uint32_t batch = mo_campaign_training(settings, 0).batch;
+    mo_memory_add_learning(jobs, batch, &settings->physics, back_end, &need);
+    need.own += 2 * n * SCORED_BYTES + n * MO_DESIGN_BYTES + batch * MO_ROBOT_BYTES;
+  }
+  add_excluded(jobs, &lineage, settings->workspace, &need);
+  *ret = need;
   return MO_OK;
 }
+
+/* ---- checks ---- */
 
 static int check_request(const struct mo_campaign_request *request, struct mo_message *message)
 {
   const struct mo_campaign_record *record = &request->record;
   int error = mo_campaign_settings_check(&record->settings, message);
-  if (error == MO_OK)
-    error = check_initial(request, message);
-  if (error == MO_OK)
-    error = check_environments(request, message);
+  if (error == MO_OK && record->n_listed > record->settings.population)
+    error = mo_fail(message, MO_ERR_RANGE, "%u designs are listed for a population of %u",
+                    (unsigned)record->n_listed, (unsigned)record->settings.population);
+  if (error == MO_OK && record->environment_set[0] == '\0')
+    error =
+        mo_environments_check(request->environments, record->n_environments, "a campaign", message);
   if (error != MO_OK)
     return error;
   if (record->name[0] != '\0' && record->settings.mode == MO_ZERO_SHOT)
     return mo_fail(message, MO_ERR_INVALID,
                    "a zero-shot campaign makes no controller that could have a name");
-  if (record->name[0] != '\0' && mo_controller_name_check(record->name) != MO_OK)
-    return mo_fail(message, MO_ERR_INVALID, "\"%.64s\" is not a name of a controller",
-                   record->name);
   if (record->replicates > MO_REPLICATES_MAX)
     return mo_fail(message, MO_ERR_RANGE, "1 to %d replicates are possible, not %u",
                    MO_REPLICATES_MAX, (unsigned)record->replicates);
-  if (request->priority != MO_BATCH && request->priority != MO_INTERACTIVE)
-    return mo_fail(message, MO_ERR_INVALID, "no such priority");
-  error = mo_weight_check(request->weight, message);
-  return error != MO_OK
-             ? error
-             : mo_submission_check_texts(request->label, request->idempotency_key, message);
+  return mo_result_check(record->name, request->priority, message);
 }
 
 /* Checks that listed designs fit the campaign's workspace and that no two have one form. */
@@ -84,12 +124,11 @@ static int check_references(struct mo_jobs *jobs, const struct mo_campaign_recor
 {
   struct mo_campaign_status status;
   uint32_t n = 0;
-  int error = MO_OK;
-  if (record->environment_set[0] != '\0')
-    error = mo_store_environment_set_size(jobs->store, record->environment_set, &n);
+  int error = record->environment_set[0] != '\0'
+                  ? mo_environments_count(jobs, record->environment_set, &n, message)
+                  : MO_OK;
   if (error != MO_OK)
-    return mo_fail(message, error, "there is no set of environments \"%.64s\"",
-                   record->environment_set);
+    return error;
   if (record->initial_campaign != 0)
     error = mo_store_campaign(jobs->store, record->initial_campaign, &status);
   if (error == MO_ERR_NOT_FOUND)
@@ -110,100 +149,64 @@ static int check_memory(struct mo_jobs *jobs, const struct mo_campaign_settings 
   struct mo_need need;
   bool has_controller =
       controller != NULL && mo_store_controller(jobs->store, controller, &record) == MO_OK;
-  int error = mo_need_of_campaign(jobs, settings, has_controller ? &record.sha256 : NULL, back_end,
-                                  &need, message);
+  int error = mo_campaign_need(jobs, settings, has_controller ? &record.sha256 : NULL, back_end,
+                               &need, message);
   if (error != MO_OK)
     return error == MO_ERR_LIMIT || error == MO_ERR_NO_MEMORY ? error : MO_OK;
   return mo_memory_check(jobs, &need, message);
-}
-
-static int admit(struct mo_jobs *jobs, uint32_t n, struct mo_message *message)
-{
-  for (uint32_t i = 0; i < n; i++) {
-    int error = mo_jobs_admit(jobs, 0, message);
-    if (error == MO_OK)
-      continue;
-    while (i-- > 0)
-      mo_jobs_closed(jobs, 0);
-    return error;
-  }
-  return MO_OK;
-}
-
-static int admit_and_store(struct mo_jobs *jobs, const struct mo_campaign_submission *submission,
-                           int64_t *id, bool *replayed, struct mo_message *message)
-{
-  const uint32_t n = submission->record.replicates;
-  int error = admit(jobs, n, message);
-  if (error != MO_OK)
-    return error;
-  error = mo_store_submit_campaign(jobs->store, submission, id, replayed);
-  for (uint32_t i = 0; i < n && (error != MO_OK || *replayed); i++)
-    mo_jobs_closed(jobs, 0);
-  if (error != MO_OK)
-    return mo_submission_explain(error, submission->controller, message);
-  if (!*replayed) {
-    atomic_fetch_add(&jobs->submitted, n);
-    mo_runners_wake(&jobs->campaigns);
-  }
-  return MO_OK;
 }
 
 int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *request,
                             int64_t *id, bool *replayed, uint32_t *fault,
                             struct mo_message *message)
 {
-  struct mo_campaign_submission submission = {.record = request->record,
-                                              .controller = request->controller,
+  const struct mo_campaign_record *record = &request->record;
+  const uint32_t replicates = record->replicates > 0 ? record->replicates : 1;
+  const char *controller = request->controller == NULL && record->settings.mode != MO_SIMULTANEOUS
+                               ? "default"
+                               : request->controller;
+  const struct mo_submitting submitting = {.kind = MO_JOB_CAMPAIGN,
+                                           .n_jobs = replicates,
+                                           .weight = request->weight,
+                                           .controller = controller,
+                                           .label = request->label,
+                                           .idempotency_key = request->idempotency_key,
+                                           .body_sha256 = &request->body_sha256};
+  struct mo_campaign_submission submission = {.record = *record,
+                                              .controller = controller,
                                               .environments = request->environments,
                                               .priority = (enum mo_urgency)request->priority,
                                               .weight = request->weight != 0 ? request->weight : 1,
                                               .label = request->label,
                                               .idempotency_key = request->idempotency_key,
                                               .body_sha256 = request->body_sha256};
-  struct mo_bits *forms, *genotypes;
-  const uint32_t n = request->record.n_listed;
+  struct mo_placed placed = {NULL, NULL};
   uint32_t which = 0;
-  int error;
-  if (atomic_load(&jobs->is_stopping))
-    return mo_fail(message, MO_ERR_CANCELLED, "the service is stopping");
-  error = check_request(request, message);
-  if (error != MO_OK)
+  int error = check_request(request, message);
+  if (error == MO_OK)
+    error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
+  if (error != MO_OK || *replayed)
     return error;
-  if (submission.controller == NULL && request->record.settings.mode != MO_SIMULTANEOUS)
-    submission.controller = "default";
-  if (submission.record.replicates == 0)
-    submission.record.replicates = 1;
-  if (request->idempotency_key !=
-      NULL) { /* known keys are answered even when the queue is full, or no device works any more */
-    error = mo_store_replay(jobs->store, request->idempotency_key, &request->body_sha256, id);
-    if (error == MO_OK)
-      *replayed = true;
-    if (error != MO_ERR_NOT_FOUND)
-      return error == MO_OK ? MO_OK : mo_submission_explain(error, submission.controller, message);
-  }
+  submission.record.replicates = replicates;
   error = mo_back_end_choose(jobs, request->back_end, true, true, &submission.back_end, message);
   if (error == MO_OK)
-    error = check_references(jobs, &request->record, message);
+    error = check_references(jobs, record, message);
   if (error == MO_OK)
-    error = check_memory(jobs, &request->record.settings, submission.controller,
-                         submission.back_end, message);
-  if (error != MO_OK)
-    return error;
-  forms = calloc((size_t)n + 1, sizeof(*forms));
-  genotypes = calloc((size_t)n + 1, sizeof(*genotypes));
-  if (forms == NULL || genotypes == NULL)
-    error = mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-  else
-    error = mo_designs_place(request->genotypes, n, forms, genotypes, message);
+    error = check_memory(jobs, &record->settings, controller, submission.back_end, message);
   if (error == MO_OK)
-    error = check_designs(request, forms, genotypes, fault != NULL ? fault : &which, message);
-  submission.forms = forms;
-  submission.genotypes = genotypes;
+    error = mo_placed_create(request->genotypes, record->n_listed, &placed, message);
+  submission.forms = placed.forms;
+  submission.genotypes = placed.genotypes;
   if (error == MO_OK)
-    error = admit_and_store(jobs, &submission, id, replayed, message);
-  free(forms);
-  free(genotypes);
+    error = check_designs(request, placed.forms, placed.genotypes, fault != NULL ? fault : &which,
+                          message);
+  if (error == MO_OK)
+    error = mo_jobs_admit(jobs, replicates, 0, message);
+  if (error == MO_OK)
+    error = mo_submitting_end(jobs, &submitting,
+                              mo_store_submit_campaign(jobs->store, &submission, id, replayed),
+                              *replayed, message);
+  mo_placed_free(&placed);
   return error;
 }
 
@@ -268,14 +271,14 @@ int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generatio
     return MO_OK;
   error = check_extension(jobs, id, generations, message);
   if (error == MO_OK)
-    error = mo_jobs_admit(jobs, 0, message); /* a campaign that has succeeded is open again */
+    error = mo_jobs_admit(jobs, 1, 0, message); /* a campaign that has succeeded is open again */
   if (error != MO_OK)
     return error;
   error = mo_store_extend_campaign(jobs->store, id, generations, key, &before);
   if (error != MO_OK || before != MO_JOB_SUCCEEDED)
-    mo_jobs_closed(jobs, 0);
+    mo_jobs_closed(jobs, 1, 0);
   if (error != MO_OK)
     return explain_extension(error, message);
-  mo_memory_renew(jobs, &mo_campaign_runners, id);
+  mo_memory_renew(jobs, MO_JOB_CAMPAIGN, id);
   return MO_OK;
 }

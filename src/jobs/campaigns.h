@@ -8,11 +8,11 @@
  * current generation are not computed again. The reasons are in docs/evolution.md, "As a job".
  *
  * When the disk is full, or memory or descriptors run out, the campaign waits (shown as paused,
- * with a reason in mo_campaign_live) and continues without a request. */
+ * with a reason in mo_live) and continues without a request. */
 #ifndef MORPHO_JOBS_CAMPAIGNS_H
 #define MORPHO_JOBS_CAMPAIGNS_H
 
-#include "jobs/jobs.h"
+#include "jobs/live.h"
 #include "store/campaigns.h"
 
 struct mo_campaign_request {
@@ -39,33 +39,6 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
  * when the queue is full. */
 int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations,
                             const struct mo_request_key *key, struct mo_message *message);
-/* mo_jobs_cancel, mo_jobs_pause, mo_jobs_resume and mo_jobs_wait work on campaigns, too. */
-
-enum mo_campaign_phase {
-  MO_CAMPAIGN_IDLE = 0, /* does not run in this process */
-  MO_CAMPAIGN_PREPARE,  /* reads its state; draws the bodies of the pretraining again */
-  MO_CAMPAIGN_VARY,
-  MO_CAMPAIGN_LEARN,
-  MO_CAMPAIGN_SCORE,
-  MO_CAMPAIGN_SAVE,
-  MO_CAMPAIGN_WAIT /* for disk space or memory */
-};
-const char *
-mo_campaign_phase_name(enum mo_campaign_phase phase); /* "idle", "preparing", "varying", "learning",
-                                                         "scoring", "saving", "waiting" */
-struct mo_campaign_live {
-  enum mo_campaign_phase phase;
-  uint32_t generation;   /* the current one */
-  uint64_t done, total;  /* of the phase: bodies drawn again (by any campaign), learning steps, or
-                            designs scored */
-  double rollouts_per_s; /* 0: unknown */
-  double seconds_left;   /* of the campaign; of the drawing only, before the first generation is
-                            timed; < 0: unknown */
-  double busy_s;         /* worker seconds since the last start; < 0: no share now */
-  char reason[160]; /* MO_CAMPAIGN_WAIT: why, and what to do; MO_CAMPAIGN_PREPARE: which campaign's
-                       drawing this one waits for; else "" */
-};
-int mo_jobs_campaign_live(struct mo_jobs *jobs, int64_t id, struct mo_campaign_live *live);
 
 /* Selects the champions of a generation's population with mo_champions (generation −1: the newest).
  * rows: space for m; *n: the number of champions. MO_ERR_NOT_FOUND. */

@@ -1,8 +1,33 @@
-/* controllers.c: a small cache of controllers that are ready for the back end; evicts the least
- * recently used. */
+/* controllers.c: loads controllers from the store; a small cache of controllers that are ready for
+ * the back end. */
+#include "jobs/controllers.h"
+
+#include <stdio.h>
 #include <stdlib.h>
 
-#include "jobs/internal.h"
+int mo_controller_load(struct mo_store *store, const struct mo_sha256 *sha256,
+                       struct mo_controller **controller)
+{
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int error = mo_store_controller_bytes(store, sha256, &bytes, &size);
+  if (error == MO_OK)
+    error = mo_controller_decode(bytes, size, controller, NULL);
+  free(bytes);
+  return error;
+}
+
+void mo_controller_describe_fault(const struct mo_sha256 *sha256, const char *then, char text[256])
+{
+  char digits[MO_SHA256_DIGITS + 1];
+  mo_sha256_to_hex(sha256, digits);
+  snprintf(text, 256,
+           "the file controllers/%s.safetensors is missing, damaged or unreadable: store the same "
+           "file again (PUT /v1/controllers/<name>), then %s",
+           digits, then);
+}
+
+/* ---- the cache ---- */
 
 static void free_loaded(struct mo_loaded *loaded)
 {
@@ -12,12 +37,12 @@ static void free_loaded(struct mo_loaded *loaded)
 }
 
 /* Evicts unused controllers, oldest first, until `keep` remain. */
-static void trim(struct mo_jobs *jobs, uint32_t keep)
+static void trim(struct mo_controller_cache *cache, uint32_t keep)
 {
   for (;;) {
     struct mo_loaded **oldest = NULL, *gone;
     uint32_t n = 0;
-    for (struct mo_loaded **link = &jobs->controllers; *link != NULL; link = &(*link)->next) {
+    for (struct mo_loaded **link = &cache->first; *link != NULL; link = &(*link)->next) {
       n++;
       if ((*link)->users == 0 && (oldest == NULL || (*link)->last_used < (*oldest)->last_used))
         oldest = link;
@@ -30,59 +55,56 @@ static void trim(struct mo_jobs *jobs, uint32_t keep)
   }
 }
 
-static int load(struct mo_jobs *jobs, const struct mo_sha256 *sha256, struct mo_loaded *loaded)
+static int load(struct mo_controller_cache *cache, const struct mo_sha256 *sha256,
+                struct mo_loaded *loaded)
 {
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  int error = mo_store_controller_bytes(jobs->store, sha256, &bytes, &size);
+  int error = mo_controller_load(cache->store, sha256, &loaded->controller);
   if (error == MO_OK)
-    error = mo_controller_decode(bytes, size, &loaded->controller, NULL);
-  free(bytes);
-  if (error == MO_OK)
-    error = mo_compute_controller_create(jobs->compute, loaded->controller, &loaded->ready);
+    error = mo_compute_controller_create(cache->compute, loaded->controller, &loaded->ready);
   return error;
 }
 
-int mo_loaded_acquire(struct mo_jobs *jobs, const struct mo_sha256 *sha256, struct mo_loaded **ret)
+int mo_loaded_acquire(struct mo_controller_cache *cache, const struct mo_sha256 *sha256,
+                      struct mo_loaded **ret)
 {
   struct mo_loaded *loaded;
   int error;
-  for (loaded = jobs->controllers; loaded != NULL; loaded = loaded->next)
+  for (loaded = cache->first; loaded != NULL; loaded = loaded->next)
     if (mo_sha256_equal(&loaded->sha256, sha256))
       break;
   if (loaded == NULL) {
-    trim(jobs, jobs->config.controllers_kept - 1);
+    trim(cache, cache->kept - 1);
     loaded = calloc(1, sizeof(*loaded));
     if (loaded == NULL)
       return MO_ERR_NO_MEMORY;
     loaded->sha256 = *sha256;
-    error = load(jobs, sha256, loaded);
+    error = load(cache, sha256, loaded);
     if (error != MO_OK) {
       free_loaded(loaded);
       return error;
     }
-    loaded->next = jobs->controllers;
-    jobs->controllers = loaded;
+    loaded->next = cache->first;
+    cache->first = loaded;
   }
   loaded->users++;
-  loaded->last_used = ++jobs->use_clock;
+  loaded->last_used = ++cache->clock;
   *ret = loaded;
   return MO_OK;
 }
 
-void mo_loaded_release(struct mo_jobs *jobs, struct mo_loaded *loaded)
+void mo_loaded_release(struct mo_controller_cache *cache, struct mo_loaded *loaded)
 {
   if (loaded == NULL)
     return;
   loaded->users--;
-  trim(jobs, jobs->config.controllers_kept);
+  trim(cache, cache->kept);
 }
 
-void mo_loaded_free_all(struct mo_jobs *jobs)
+void mo_loaded_free_all(struct mo_controller_cache *cache)
 {
-  while (jobs->controllers != NULL) {
-    struct mo_loaded *loaded = jobs->controllers;
-    jobs->controllers = loaded->next;
+  while (cache->first != NULL) {
+    struct mo_loaded *loaded = cache->first;
+    cache->first = loaded->next;
     free_loaded(loaded);
   }
 }

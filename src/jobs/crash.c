@@ -2,7 +2,7 @@
 #include <unistd.h>
 
 #include "base/thread.h"
-#include "jobs/internal.h"
+#include "jobs/state.h"
 
 static size_t put_number(char *to, int64_t value)
 {

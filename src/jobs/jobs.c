@@ -1,6 +1,4 @@
-/* jobs.c: start, stop, control, waiting and statistics of the jobs. */
-#include "jobs/jobs.h"
-
+/* jobs.c: the table of kinds; start, stop, control, waiting and statistics of the jobs. */
 #include <errno.h>
 #include <fcntl.h>
 #include <stdlib.h>
@@ -9,46 +7,51 @@
 #include <unistd.h>
 
 #include "base/clock.h"
-#include "jobs/internal.h"
+#include "jobs/submission.h"
+#include "jobs/trainings.h"
 
 #define MARKER_BYTES_MAX 4096
 
-static void set_defaults(struct mo_jobs_config *config, uint32_t n_workers, uint32_t window_device)
+const struct mo_kind *const mo_kinds[MO_JOB_KINDS] = {[MO_JOB_EVALUATION] = &mo_evaluation_kind,
+                                                      [MO_JOB_TRAINING] = &mo_training_kind,
+                                                      [MO_JOB_CAMPAIGN] = &mo_campaign_kind};
+
+/* ---- the configuration ---- */
+
+/* Replaces 0 by the default, and limits the value; most 0: no limit. */
+static void complete(uint32_t *value, uint32_t none, uint32_t most)
 {
-  if (config->max_open_jobs == 0)
-    config->max_open_jobs = 10000;
+  if (*value == 0)
+    *value = none;
+  if (most > 0 && *value > most)
+    *value = most;
+}
+
+static void complete_config(struct mo_jobs *jobs)
+{
+  struct mo_jobs_config *config = &jobs->config;
+  struct mo_compute_stats stats;
+  uint32_t n;
+  mo_compute_get_stats(jobs->compute, &stats);
+  n = stats.n_workers > 0 ? stats.n_workers : 1;
+  complete(&config->max_open_jobs, 10000, 0);
+  complete(&config->max_active_batch, 8, 0);
+  complete(&config->max_active_interactive, 64, 0);
+  complete(&config->max_active_trainings, 1, 16);
+  complete(&config->max_active_campaigns, 4, 64);
+  complete(&config->window_batch, 2 * n, 0);
+  complete(&config->window_interactive, 4 * n, 0);
+  complete(&config->window_device, mo_back_end_window(jobs, MO_ON_DEVICE), 0);
+  complete(&config->controllers_kept, 8, 0);
+  complete(&config->max_attempts, 3, 0);
+  complete(&config->retry_ms, 1000, 0);
+  complete(&config->save_interval_ms, 100, 0);
   if (config->max_open_rollouts == 0)
     config->max_open_rollouts = 20000000;
   if (config->max_recorded_bytes == 0)
     config->max_recorded_bytes = UINT64_C(64) << 20;
   if (config->max_memory > 0 && config->max_recorded_bytes > config->max_memory / 4)
     config->max_recorded_bytes = config->max_memory / 4;
-  if (config->max_active_batch == 0)
-    config->max_active_batch = 8;
-  if (config->max_active_interactive == 0)
-    config->max_active_interactive = 64;
-  if (config->max_active_trainings == 0)
-    config->max_active_trainings = 1;
-  if (config->max_active_trainings > 16)
-    config->max_active_trainings = 16;
-  if (config->max_active_campaigns == 0)
-    config->max_active_campaigns = 4;
-  if (config->max_active_campaigns > 64)
-    config->max_active_campaigns = 64;
-  if (config->window_batch == 0)
-    config->window_batch = 2 * n_workers;
-  if (config->window_interactive == 0)
-    config->window_interactive = 4 * n_workers;
-  if (config->window_device == 0)
-    config->window_device = window_device;
-  if (config->controllers_kept == 0)
-    config->controllers_kept = 8;
-  if (config->max_attempts == 0)
-    config->max_attempts = 3;
-  if (config->retry_ms == 0)
-    config->retry_ms = 1000;
-  if (config->save_interval_ms == 0)
-    config->save_interval_ms = 100;
   config->crash_marker = NULL; /* already read; the caller's strings are not kept */
   config->version = NULL;
 }
@@ -125,33 +128,6 @@ static int recover(struct mo_jobs *jobs, const char *marker)
 
 /* ---- start and stop ---- */
 
-/* Wakes the threads that wait for the end of a job. */
-static void hear(void *context, const struct mo_event *events, size_t n)
-{
-  struct mo_jobs *jobs = context;
-  for (size_t i = 0; i < n; i++)
-    if (strcmp(events[i].type, "job.finished") == 0) {
-      pthread_mutex_lock(&jobs->wait_mutex);
-      jobs->endings++;
-      pthread_cond_broadcast(&jobs->ended);
-      pthread_mutex_unlock(&jobs->wait_mutex);
-      return;
-    }
-}
-
-int mo_jobs_recount(struct mo_jobs *jobs)
-{
-  uint64_t open_jobs = 0, open_rollouts = 0;
-  int error = mo_store_open_work(jobs->store, &open_jobs, &open_rollouts);
-  if (error != MO_OK)
-    return error;
-  pthread_mutex_lock(&jobs->admission_mutex);
-  jobs->open_jobs = open_jobs;
-  jobs->open_rollouts = open_rollouts;
-  pthread_mutex_unlock(&jobs->admission_mutex);
-  return MO_OK;
-}
-
 /* Composes the code versions, on which the bits of a trained controller depend besides its
  * settings. */
 static int name_code(struct mo_jobs *jobs, const char *version)
@@ -183,85 +159,53 @@ static int prepare(struct mo_jobs *jobs, const char *marker, const char *version
     error = mo_store_fingerprint(jobs->store, mo_compute_device_fingerprint(jobs->compute),
                                  &jobs->device_fingerprint);
   if (error == MO_OK)
-    error = mo_compute_share_create(jobs->compute, 1, &jobs->evaluations);
-  if (error == MO_OK)
     error = recover(jobs, marker);
   if (error == MO_OK)
     error = mo_jobs_recount(jobs);
-  if (error == MO_OK)
-    error = mo_store_subscribe(jobs->store, hear, jobs, &jobs->listener);
   return error;
 }
 
-static void init_locks(struct mo_jobs *jobs)
+static void init(struct mo_jobs *jobs)
 {
   pthread_condattr_t monotonic;
   pthread_condattr_init(&monotonic);
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
   pthread_mutex_init(&jobs->admission_mutex, NULL);
-  pthread_mutex_init(&jobs->wait_mutex, NULL);
-  pthread_mutex_init(&jobs->mutex, NULL);
   pthread_mutex_init(&jobs->exclusions_mutex, NULL);
-  mo_memory_init(jobs);
-  mo_runners_init(&jobs->trainings, &monotonic);
-  mo_runners_init(&jobs->campaigns, &monotonic);
   pthread_mutex_init(&jobs->weigh_mutex, NULL);
   pthread_mutex_init(&jobs->shares_mutex, NULL);
-  pthread_cond_init(&jobs->ended, &monotonic);
-  pthread_cond_init(&jobs->news, &monotonic);
-  pthread_cond_init(&jobs->stop_done, &monotonic);
+  mo_memory_init(jobs);
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    mo_runners_init(&jobs->runners[kind], mo_kinds[kind], &monotonic);
   pthread_condattr_destroy(&monotonic);
+}
+
+/* Asks all threads to stop. */
+static void stop(struct mo_jobs *jobs)
+{
+  atomic_store(&jobs->is_stopping, true);
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    mo_runners_stop(&jobs->runners[kind]);
 }
 
 static void free_jobs(struct mo_jobs *jobs)
 {
-  if (jobs->listener != 0)
-    mo_store_unsubscribe(jobs->store, jobs->listener);
-  while (jobs->saving.rollouts != NULL) {
-    struct mo_rollout *rollout = jobs->saving.rollouts;
-    jobs->saving.rollouts = rollout->next_save;
-    free(rollout);
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    mo_runners_free(&jobs->runners[kind]);
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
+    if (mo_kinds[kind]->close != NULL)
+      mo_kinds[kind]->close(jobs);
+    mo_runners_destroy(&jobs->runners[kind]);
   }
-  while (jobs->pending.rollouts != NULL) {
-    struct mo_rollout *rollout = jobs->pending.rollouts;
-    jobs->pending.rollouts = rollout->next_save;
-    free(rollout);
-  }
-  mo_pending_free(&jobs->pending);
-  mo_pending_free(&jobs->saving);
-  while (jobs->wishes != NULL) {
-    struct mo_wish *wish = jobs->wishes;
-    jobs->wishes = wish->next;
-    free(wish);
-  }
-  mo_actives_free_all(jobs);
-  mo_loaded_free_all(jobs);
   mo_lattice_free(jobs->lattice);
   free(jobs->code_versions[MO_ON_CPU]);
   free(jobs->code_versions[MO_ON_DEVICE]);
   mo_memory_free(jobs);
-  mo_runners_destroy(&jobs->trainings);
-  mo_runners_destroy(&jobs->campaigns);
+  pthread_mutex_destroy(&jobs->admission_mutex);
   pthread_mutex_destroy(&jobs->exclusions_mutex);
-  mo_compute_share_free(jobs->evaluations);
   pthread_mutex_destroy(&jobs->weigh_mutex);
   pthread_mutex_destroy(&jobs->shares_mutex);
-  pthread_mutex_destroy(&jobs->admission_mutex);
-  pthread_mutex_destroy(&jobs->wait_mutex);
-  pthread_mutex_destroy(&jobs->mutex);
-  pthread_cond_destroy(&jobs->ended);
-  pthread_cond_destroy(&jobs->news);
-  pthread_cond_destroy(&jobs->stop_done);
   free(jobs);
-}
-
-/* Requests all threads to stop before it waits for the first. */
-static void free_runners(struct mo_jobs *jobs)
-{
-  mo_runners_stop(&jobs->trainings);
-  mo_runners_stop(&jobs->campaigns);
-  mo_runners_free(&jobs->trainings);
-  mo_runners_free(&jobs->campaigns);
 }
 
 int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
@@ -269,123 +213,65 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
                    struct mo_message *message)
 {
   struct mo_jobs *jobs = calloc(1, sizeof(*jobs));
-  struct mo_compute_stats stats;
   int error;
   if (jobs == NULL)
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
   jobs->store = store;
   jobs->compute = compute;
   jobs->config = *config;
-  mo_compute_get_stats(compute, &stats);
-  set_defaults(&jobs->config, stats.n_workers > 0 ? stats.n_workers : 1,
-               mo_back_end_window(jobs, MO_ON_DEVICE));
-  init_locks(jobs);
-  jobs->look = true;
+  complete_config(jobs);
+  init(jobs);
   atomic_store(&jobs->heartbeat_us, mo_clock_us());
   error = prepare(jobs, config->crash_marker, config->version);
-  if (error == MO_OK)
-    error = mo_runners_start(jobs, &jobs->trainings, &mo_training_runners,
-                             jobs->config.max_active_trainings);
-  if (error == MO_OK)
-    error = mo_runners_start(jobs, &jobs->campaigns, &mo_campaign_runners,
-                             jobs->config.max_active_campaigns);
-  if (error == MO_OK && pthread_create(&jobs->thread, NULL, mo_scheduler_loop, jobs) != 0)
-    error = MO_ERR_NO_MEMORY;
+  for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)
+    if (mo_kinds[kind]->open != NULL)
+      error = mo_kinds[kind]->open(jobs);
+  for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)
+    error = mo_runners_start(jobs, &jobs->runners[kind], mo_kinds[kind]->threads(&jobs->config));
   if (error != MO_OK) {
-    free_runners(jobs);
+    stop(jobs);
     free_jobs(jobs);
     return mo_fail(message, error, "the scheduler cannot start: %s", mo_error_text(error));
   }
-  jobs->thread_started = true;
   *ret = jobs;
   return MO_OK;
 }
 
-static struct timespec after_ms(uint32_t ms)
-{
-  struct timespec time;
-  clock_gettime(CLOCK_MONOTONIC, &time);
-  time.tv_sec += ms / 1000;
-  time.tv_nsec += (long)(ms % 1000) * 1000000;
-  if (time.tv_nsec >= 1000000000) {
-    time.tv_sec++;
-    time.tv_nsec -= 1000000000;
-  }
-  return time;
-}
-
 int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
 {
-  struct timespec deadline = after_ms(deadline_ms);
-  bool stopped;
-  atomic_store(&jobs->is_stopping, true);
-  mo_runners_stop(&jobs->trainings);
-  mo_runners_stop(&jobs->campaigns);
-  pthread_mutex_lock(&jobs->mutex);
-  jobs->stopping = true;
-  jobs->look = true;
-  pthread_cond_signal(&jobs->news);
-  while (!jobs->stopped)
-    if (pthread_cond_timedwait(&jobs->stop_done, &jobs->mutex, &deadline) == ETIMEDOUT)
-      break;
-  stopped = jobs->stopped;
-  pthread_mutex_unlock(&jobs->mutex);
-  stopped = mo_runners_wait(&jobs->trainings, &deadline) && stopped;
-  stopped = mo_runners_wait(&jobs->campaigns, &deadline) && stopped;
-  return stopped && !atomic_load(&jobs->no_space) && !atomic_load(&jobs->trainings.unsaved) &&
-                 !atomic_load(&jobs->campaigns.unsaved)
-             ? MO_OK
-             : MO_ERR_BUSY;
+  const int64_t end_us = mo_clock_us() + (int64_t)deadline_ms * 1000;
+  const struct timespec deadline = {.tv_sec = end_us / 1000000,
+                                    .tv_nsec = (end_us % 1000000) * 1000};
+  bool is_saved = true;
+  stop(jobs);
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    is_saved = mo_runners_wait(&jobs->runners[kind], &deadline) &&
+               !atomic_load(&jobs->runners[kind].unsaved) && is_saved;
+  atomic_store(&jobs->abandon, true); /* saves that failed until now have used their time */
+  return is_saved && !atomic_load(&jobs->no_space) ? MO_OK : MO_ERR_BUSY;
 }
 
 void mo_jobs_free(struct mo_jobs *jobs)
 {
   if (jobs == NULL)
     return;
-  atomic_store(&jobs->is_stopping, true);
-  pthread_mutex_lock(&jobs->mutex);
-  jobs->abandon = jobs->stopping; /* an earlier stop has used its time */
-  jobs->stopping = true;
-  jobs->look = true;
-  pthread_cond_signal(&jobs->news);
-  pthread_mutex_unlock(&jobs->mutex);
-  free_runners(jobs);
-  pthread_join(jobs->thread, NULL);
+  stop(jobs);
   free_jobs(jobs);
 }
 
 /* ---- control ---- */
-
-static void tell_scheduler(struct mo_jobs *jobs, struct mo_wish *wish)
-{
-  pthread_mutex_lock(&jobs->mutex);
-  wish->next = jobs->wishes;
-  jobs->wishes = wish;
-  pthread_cond_signal(&jobs->news);
-  pthread_mutex_unlock(&jobs->mutex);
-}
-
-/* Returns the runners of jobs with their own thread; NULL: the scheduler runs the job. */
-static struct mo_runners *runners_of(struct mo_jobs *jobs, enum mo_job_kind kind)
-{
-  switch (kind) {
-  case MO_JOB_TRAINING: return &jobs->trainings;
-  case MO_JOB_CAMPAIGN: return &jobs->campaigns;
-  default: return NULL;
-  }
-}
 
 /* Opens a failed job again; the queue must have space for it. */
 static int retry(struct mo_jobs *jobs, int64_t id, struct mo_runners *runners)
 {
   enum mo_job_state before = MO_JOB_QUEUED;
   struct mo_message message;
-  int error = mo_jobs_admit(jobs, 0, &message);
+  int error = mo_jobs_admit(jobs, 1, 0, &message);
   if (error != MO_OK)
     return error;
   error = mo_store_change_job(jobs->store, id, MO_CHANGE_RETRY, &before);
   if (error != MO_OK || before != MO_JOB_FAILED) /* another request was faster */
-    mo_jobs_closed(jobs, 0);
+    mo_jobs_closed(jobs, 1, 0);
   if (error == MO_OK)
     mo_runners_wake(runners);
   return error;
@@ -393,43 +279,28 @@ static int retry(struct mo_jobs *jobs, int64_t id, struct mo_runners *runners)
 
 static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to)
 {
-  struct mo_wish *wish = calloc(1, sizeof(*wish));
   struct mo_job job;
   struct mo_runners *runners;
   enum mo_job_state before;
-  int error;
-  if (wish == NULL)
-    return MO_ERR_NO_MEMORY;
-  error = mo_store_job(jobs->store, id, &job);
-  runners = error == MO_OK ? runners_of(jobs, job.kind) : NULL;
-  if (runners != NULL && change_to == MO_CHANGE_RESUME && job.state == MO_JOB_FAILED) {
-    free(wish);
-    return retry(jobs, id, runners);
-  }
-  if (error == MO_OK)
-    error = mo_store_change_job(jobs->store, id, change_to, &before);
-  if (error != MO_OK) {
-    free(wish);
+  int error = mo_store_job(jobs->store, id, &job);
+  if (error != MO_OK)
     return error;
-  }
+  runners = &jobs->runners[job.kind];
+  if (runners->kind->run != NULL && change_to == MO_CHANGE_RESUME && job.state == MO_JOB_FAILED)
+    return retry(jobs, id, runners);
+  error = mo_store_change_job(jobs->store, id, change_to, &before);
+  if (error != MO_OK)
+    return error;
   if (change_to == MO_CHANGE_CANCEL) {
-    atomic_fetch_add(&jobs->cancelled, 1);
-    mo_jobs_closed(jobs, job.rollouts_total);
+    atomic_fetch_add(&jobs->jobs_cancelled, 1);
+    mo_jobs_closed(jobs, 1, job.rollouts_total);
   }
-  if (runners != NULL || change_to == MO_CHANGE_RESUME) {
-    free(wish);
-    if (runners != NULL)
-      mo_memory_forget(jobs, id);
-    if (runners == NULL)
-      mo_jobs_wake(jobs);
-    else if (change_to == MO_CHANGE_RESUME)
-      mo_runners_wake(runners);
-    else
-      mo_runners_wish(runners, id, change_to == MO_CHANGE_CANCEL ? MO_WISH_CANCEL : MO_WISH_PAUSE);
-    return MO_OK;
-  }
-  wish->id = id;
-  tell_scheduler(jobs, wish);
+  mo_memory_forget(jobs, id);
+  if (change_to == MO_CHANGE_RESUME)
+    mo_runners_wake(runners);
+  else
+    mo_runners_request(runners, id,
+                       change_to == MO_CHANGE_CANCEL ? MO_REQUEST_CANCEL : MO_REQUEST_PAUSE);
   return MO_OK;
 }
 
@@ -450,95 +321,37 @@ int mo_jobs_resume(struct mo_jobs *jobs, int64_t id)
 
 int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight)
 {
-  struct mo_wish *wish;
   int error;
   if (!(weight >= MO_WEIGHT_MIN && weight <= MO_WEIGHT_MAX))
     return MO_ERR_RANGE;
-  wish = calloc(1, sizeof(*wish));
-  if (wish == NULL)
-    return MO_ERR_NO_MEMORY;
   error = mo_store_set_weight(jobs->store, id, weight);
-  if (error != MO_OK) {
-    free(wish);
+  if (error != MO_OK)
     return error;
-  }
   mo_share_reweigh(jobs, id);
-  wish->id = id;
-  wish->weigh = true;
-  tell_scheduler(jobs, wish);
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    mo_runners_request(&jobs->runners[kind], id, MO_REQUEST_NONE);
   return MO_OK;
 }
 
-/* ---- waiting and figures ---- */
-
-int mo_jobs_wait(struct mo_jobs *jobs, int64_t id, uint32_t timeout_ms, struct mo_job *job)
-{
-  struct timespec deadline = after_ms(timeout_ms);
-  bool late = false;
-  for (;;) {
-    uint64_t endings;
-    int error;
-    pthread_mutex_lock(&jobs->wait_mutex);
-    endings = jobs->endings;
-    pthread_mutex_unlock(&jobs->wait_mutex);
-    error = mo_store_job(jobs->store, id, job);
-    if (error != MO_OK || late || mo_job_state_is_final(job->state))
-      return error;
-    pthread_mutex_lock(&jobs->wait_mutex);
-    while (jobs->endings == endings && !late)
-      late = pthread_cond_timedwait(&jobs->ended, &jobs->wait_mutex, &deadline) == ETIMEDOUT;
-    pthread_mutex_unlock(&jobs->wait_mutex);
-  }
-}
-
-size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX])
-{
-  struct mo_runners *all[] = {&jobs->trainings, &jobs->campaigns};
-  size_t n = 0;
-  for (size_t k = 0; k < sizeof(all) / sizeof(all[0]); k++) {
-    pthread_mutex_lock(&all[k]->mutex);
-    for (uint32_t i = 0; i < all[k]->n && n < MO_WAITING_MAX; i++)
-      if (all[k]->runner[i].id != 0 && all[k]->runner[i].waits)
-        ids[n++] = all[k]->runner[i].id;
-    pthread_mutex_unlock(&all[k]->mutex);
-  }
-  return n;
-}
+/* ---- figures ---- */
 
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
 {
   *stats = (struct mo_jobs_stats){
-      .open_jobs = atomic_load(&jobs->open_jobs),
-      .open_rollouts = atomic_load(&jobs->open_rollouts),
-      .active_batch = atomic_load(&jobs->active_batch),
-      .active_interactive = atomic_load(&jobs->active_interactive),
-      .blocks_in_flight = atomic_load(&jobs->blocks_in_flight),
-      .rollouts_computed = atomic_load(&jobs->computed),
-      .rollouts_cached = atomic_load(&jobs->cached),
-      .rollouts_shared = atomic_load(&jobs->shared),
-      .rollouts_diverged = atomic_load(&jobs->diverged),
-      .jobs_submitted = atomic_load(&jobs->submitted),
-      .jobs_succeeded = atomic_load(&jobs->succeeded),
-      .jobs_failed = atomic_load(&jobs->failed),
-      .jobs_cancelled = atomic_load(&jobs->cancelled),
-      .active_trainings = atomic_load(&jobs->trainings.active),
-      .training_steps = atomic_load(&jobs->training_steps),
-      .training_robots = atomic_load(&jobs->training_robots),
-      .training_diverged = atomic_load(&jobs->training_diverged),
-      .training_zeroed = atomic_load(&jobs->training_zeroed),
-      .training_validations = atomic_load(&jobs->training_validations),
-      .training_checkpoints = atomic_load(&jobs->training_checkpoints),
+#define MO_JOBS_COUNT(name) .name = atomic_load(&jobs->name),
+      MO_JOBS_COUNTS(MO_JOBS_COUNT)
+#undef MO_JOBS_COUNT
+          .active_trainings = atomic_load(&jobs->runners[MO_JOB_TRAINING].active),
+      .active_campaigns = atomic_load(&jobs->runners[MO_JOB_CAMPAIGN].active),
       .training_step_s = (double)atomic_load(&jobs->training_ns) * 1e-9,
-      .active_campaigns = atomic_load(&jobs->campaigns.active),
-      .campaign_generations = atomic_load(&jobs->campaign_generations),
-      .campaign_designs = atomic_load(&jobs->campaign_designs),
-      .campaign_rollouts = atomic_load(&jobs->campaign_rollouts),
-      .campaign_cached = atomic_load(&jobs->campaign_cached),
-      .campaign_diverged = atomic_load(&jobs->campaign_diverged),
-      .campaign_steps = atomic_load(&jobs->campaign_steps),
       .heartbeat_us = atomic_load(&jobs->heartbeat_us),
       .no_space = atomic_load(&jobs->no_space),
       .stopping = atomic_load(&jobs->is_stopping),
   };
   mo_shares_seconds(jobs, stats->worker_s, stats->device_s);
+}
+
+const char *mo_jobs_code_version(const struct mo_jobs *jobs, enum mo_back_end back_end)
+{
+  return jobs->code_versions[back_end];
 }

@@ -1,13 +1,9 @@
-/* jobs.h: accepts evaluations, trainings (jobs/trainings.h) and campaigns (jobs/campaigns.h), runs
- * them on a compute back end, and keeps their results in the store.
+/* jobs.h: accepts jobs of all kinds (evaluations.h, trainings.h, campaigns.h), runs them on a
+ * compute back end, and keeps their results in the store.
  *
- * A scheduler thread claims queued jobs, cuts them into blocks (one design, up to MO_BLOCK_LANES
- * environments), keeps a small window of blocks in flight in the back end, and saves losses in
- * grouped transactions as they arrive. Interactive jobs go first. Batch jobs share the back end by
- * weight. Each running training or campaign has its own share of worker time. All evaluations
- * together have one share, whose weight is the sum of their weights, and divide that share by
- * weight. A score that the store holds, or that another job is computing, is not computed again. A
- * crash loses only the blocks in flight.
+ * Interactive jobs go first. Batch jobs share the back end by weight. Each running training or
+ * campaign has its own share of worker time. All evaluations together have one share, whose weight
+ * is the sum of their weights, and divide that share by weight.
  *
  * States:
  * - queued → running → succeeded | failed
@@ -26,6 +22,10 @@
 #include "store/store.h"
 
 struct mo_jobs;
+
+/* Value of `back_end` in a request beside enum mo_back_end: devices if one works and the job suits
+ * them. */
+#define MO_BACK_END_AUTO (-1)
 
 struct mo_jobs_config {
   uint32_t max_open_jobs;          /* queued, running and paused together; 0: 10000 */
@@ -76,46 +76,6 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
 int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms);
 void mo_jobs_free(struct mo_jobs *jobs); /* stops first if needed; NULL-safe */
 
-/* ---- submission ---- */
-
-/* Values of `back_end`: enum mo_back_end, or MO_BACK_END_AUTO, which means devices if one works and
- * the job suits them. An evaluation suits devices if it is a float32 batch of at least
- * MO_DEVICE_ROLLOUTS_MIN rollouts that neither records nor verifies. */
-#define MO_BACK_END_AUTO       (-1)
-#define MO_DEVICE_ROLLOUTS_MIN 1000
-
-struct mo_evaluation_request {
-  const struct mo_bits *genotypes;           /* (n_designs) valid, not yet placed */
-  uint32_t n_designs;                        /* 1 … MO_DESIGNS_MAX */
-  const char *environment_set;               /* "paper-test", or NULL: `environments` */
-  const struct mo_environment *environments; /* (n_environments) checked */
-  uint32_t n_environments;                   /* 1 … MO_ENVIRONMENTS_MAX; ignored with a set */
-  const char *controller;                    /* name or "sha256:<64 hex>"; NULL: "default" */
-  struct mo_physics physics;                 /* checked */
-  enum mo_precision precision;
-  int priority; /* enum mo_urgency, or −1: interactive up to 64 rollouts that are not for devices */
-  int back_end;      /* enum mo_back_end or MO_BACK_END_AUTO */
-  double weight;     /* MO_WEIGHT_MIN … MO_WEIGHT_MAX; 0: 1 */
-  const char *label; /* nullable */
-  bool verify, record_com, record_masses;
-  uint32_t record_stride;       /* 1 … n_steps; ignored when nothing is recorded */
-  const char *idempotency_key;  /* nullable; ≤ MO_IDEMPOTENCY_BYTES_MAX */
-  struct mo_sha256 body_sha256; /* hash of the request's bytes; used with a key */
-};
-/* Submits an evaluation and returns after the commit. *id: the job. *replayed: the key was known
- * with the same body, and *id is the earlier job. `message` names the invalid value.
- * - MO_ERR_INVALID, MO_ERR_RANGE: a value breaks this contract
- * - MO_ERR_NOT_FOUND: no such controller or set
- * - MO_ERR_CONFLICT: the key was used with another body
- * - MO_ERR_BUSY: the queue is full; try again later
- * - MO_ERR_LIMIT: the job would record more than max_recorded_bytes
- * - MO_ERR_NO_SPACE: the disk is full; try again later
- * - MO_ERR_CANCELLED: `jobs` is stopping
- * - MO_ERR_UNSUPPORTED: the controller is for another workspace
- * - MO_ERR_DEVICE: no device works, or devices cannot do this (float64, recordings, interactive) */
-int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
-                              int64_t *id, bool *replayed, struct mo_message *message);
-
 /* ---- control: each returns after its commit. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: not possible in
  * the job's state. A request for the state that the job already has is a conflict, except pausing a
  * paused job and cancelling a cancelled one. ---- */
@@ -133,33 +93,28 @@ int mo_jobs_resume(struct mo_jobs *jobs, int64_t id);
  * MO_ERR_CONFLICT: the job has ended. */
 int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);
 
-/* ---- waiting: mo_store_subscribe reports every change (event type "job.finished", …); the
- * function below is for a thread that may block ---- */
-/* Waits until the job is final or `timeout_ms` has passed, and fills *job with its last state.
- * MO_ERR_NOT_FOUND. */
-int mo_jobs_wait(struct mo_jobs *jobs, int64_t id, uint32_t timeout_ms, struct mo_job *job);
-
 /* ---- what is going on ---- */
+/* Counts, each kept by the threads that know it. Active: being cut into blocks; all others but
+ * those of open jobs and blocks are since the start. Shared rollouts were computed once for several
+ * evaluations. campaign_rollouts: computed for scores; campaign_cached and campaign_diverged count
+ * found and diverged rollouts of committed generations; campaign_designs: born in them. */
+#define MO_JOBS_COUNTS(X)                                                                          \
+  X(open_jobs)                                                                                     \
+  X(open_rollouts)                                                                                 \
+  X(active_batch) X(active_interactive) X(blocks_in_flight) X(rollouts_computed)                   \
+      X(rollouts_cached) X(rollouts_shared) X(rollouts_diverged) X(jobs_submitted)                 \
+          X(jobs_succeeded) X(jobs_failed) X(jobs_cancelled) X(campaign_generations)               \
+              X(campaign_designs) X(campaign_rollouts) X(campaign_cached) X(campaign_diverged)     \
+                  X(campaign_steps) X(training_steps) X(training_robots) X(training_diverged)      \
+                      X(training_zeroed) X(training_validations) X(training_checkpoints)
 struct mo_jobs_stats {
-  uint64_t open_jobs, open_rollouts;         /* queued, running, paused */
-  uint64_t active_batch, active_interactive; /* jobs being cut into blocks */
-  uint64_t blocks_in_flight;
-  uint64_t rollouts_computed, rollouts_cached, rollouts_shared,
-      rollouts_diverged; /* since the start; shared: computed once for several jobs */
-  uint64_t jobs_submitted, jobs_succeeded, jobs_failed, jobs_cancelled; /* since the start */
-  uint64_t active_trainings; /* running or being prepared */
-  uint64_t active_campaigns; /* running or being prepared */
-  uint64_t campaign_generations,
-      campaign_designs;       /* committed; born in them; since the start, as all below */
-  uint64_t campaign_rollouts; /* computed for scores; campaign_cached and campaign_diverged count
-                               * found and diverged rollouts of committed generations */
-  uint64_t campaign_cached, campaign_diverged;
-  uint64_t campaign_steps; /* learning steps */
-  uint64_t training_steps, training_robots, training_diverged, training_zeroed,
-      training_validations, training_checkpoints; /* since the start */
-  double training_step_s;                         /* total wall time of these steps */
-  double worker_s[MO_JOB_KINDS]; /* worker seconds since the start, by kind of job */
-  double device_s[MO_JOB_KINDS]; /* device seconds, likewise */
+#define MO_JOBS_COUNT(name) uint64_t name;
+  MO_JOBS_COUNTS(MO_JOBS_COUNT)
+#undef MO_JOBS_COUNT
+  uint64_t active_trainings, active_campaigns; /* running or being prepared */
+  double training_step_s;                      /* total wall time of training_steps */
+  double worker_s[MO_JOB_KINDS];               /* worker seconds since the start, by kind of job */
+  double device_s[MO_JOB_KINDS];               /* device seconds, likewise */
   /* Monotonic time of the scheduler's last round (at least one per second). */
   int64_t heartbeat_us;
   bool no_space; /* running jobs wait for disk space; they continue without a request */
@@ -170,9 +125,6 @@ void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats);
 /* Returns the number of trainings and campaigns that wait for disk space or memory now, and their
  * ids for mo_job_query, which shows them as paused while they run. */
 size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX]);
-/* Returns the worker seconds that a running training or campaign has used since its last start.
- * Negative: the job has no share now. */
-double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id);
 
 /* ---- crashes ---- */
 /* For a handler of SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT: writes "<tag> <signal>\n" to `fd`, a

@@ -4,11 +4,12 @@
  * them. So during the gradient one thread of the step draws and lays out the robots of the next
  * step, and the job's thread writes what is due. On workers, where a gradient takes a hundred times
  * as long, that would gain nothing. */
+#include "jobs/learner.h"
+
 #include <stdlib.h>
 
 #include "base/clock.h"
 #include "base/thread.h"
-#include "jobs/internal.h"
 
 #define THREADS_MAX 16
 
@@ -31,7 +32,7 @@ static void *compute(void *context)
 {
   struct mo_learner *learner = context;
   mo_thread_tag = learner->batch.tag;
-  learner->status = mo_compute_gradient(learner->gradients, &learner->batch);
+  learner->error = mo_compute_gradient(learner->gradients, &learner->batch);
   return NULL;
 }
 
@@ -78,11 +79,11 @@ static int wait_for_both(struct mo_learner *learner)
   if (learner->computes)
     pthread_join(learner->computing, NULL);
   else
-    learner->status = mo_compute_gradient(learner->gradients, &learner->batch);
+    learner->error = mo_compute_gradient(learner->gradients, &learner->batch);
   if (learner->draws)
     pthread_join(learner->drawing, NULL);
   learner->computes = learner->draws = false;
-  return mo_back_end_error(learner->back_end, learner->status);
+  return mo_back_end_error(learner->back_end, learner->error);
 }
 
 int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots,
@@ -130,4 +131,25 @@ void mo_learner_free(struct mo_learner *learner)
   free(learner->d_parameters);
   free(learner->outcomes);
   *learner = (struct mo_learner){.training = NULL};
+}
+
+int mo_learned_create(const struct mo_training *training, const struct mo_sha256 *parent,
+                      const char *code_version, const struct mo_training_lineage *code,
+                      struct mo_learned *learned)
+{
+  char digits[MO_SHA256_DIGITS + 1];
+  int error;
+  *learned = (struct mo_learned){.controller = NULL};
+  if (parent != NULL)
+    mo_sha256_to_hex(parent, digits);
+  error = mo_training_export(training, parent != NULL ? digits : NULL, code_version, code,
+                             &learned->controller);
+  return error == MO_OK ? mo_controller_encode(learned->controller, &learned->bytes, &learned->size)
+                        : error;
+}
+
+void mo_learned_free(struct mo_learned *learned)
+{
+  free(learned->bytes);
+  mo_controller_free(learned->controller);
 }

@@ -9,29 +9,22 @@
  * After a process that was killed while several jobs ran, jobs start one at a time, each when the
  * earlier ones have saved something. So the next kill identifies the job at fault
  * (mo_store_requeue). */
+#include "jobs/memory.h"
+
 #include <malloc.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "jobs/campaign_run.h"
+#include "jobs/state.h"
 
 #define MIB           ((uint64_t)1 << 20)
 #define OVERTAKEN_MAX 8
 
 /* Measured, and rounded up. */
-#define SERVICE_BYTES  (64 * MIB)    /* evaluations, requests, caches of the store */
-#define LEARNING_BYTES (28 * MIB)    /* weights, Adam, gradient, a checkpoint while it is written */
-#define SLOT_BYTES     (5 * MIB / 2) /* the gradient of a block */
-#define CAMPAIGN_BYTES (20 * MIB)    /* controller, packed for the kernels */
-#define DRAWN_BYTES                                                                                \
-  ((uint64_t)5 << 10) /* a robot of a pretraining: random body, environment, outcome */
-#define DESIGN_BYTES       ((uint64_t)24 << 10) /* the largest body of the default workspace */
-#define ROBOT_BYTES        ((uint64_t)1 << 10)  /* environment and outcome of a robot in a batch */
-#define CANDIDATE_BYTES    ((uint64_t)1 << 10)  /* of a population: parents and children */
-#define SCORED_BYTES       ((uint64_t)3 << 10)  /* a candidate's losses: computed, saved, found */
-#define DRAWING_BYTES      (3 * MIB)            /* a thread that draws bodies again */
-#define DRAWING_THREADS    16
+#define SERVICE_BYTES      (64 * MIB) /* evaluations, requests, caches of the store */
+#define LEARNING_BYTES     (28 * MIB) /* weights, Adam, gradient, a checkpoint while it is written */
+#define SLOT_BYTES         (5 * MIB / 2)         /* the gradient of a block */
 #define SCRATCH_BYTES      (12 * MIB)            /* a worker's gradients without the tape */
 #define TAPE_STEP_BYTES    ((uint64_t)550 << 10) /* a step of a full block of the largest bodies */
 #define TAPE_SEGMENT_BYTES ((uint64_t)300 << 10) /* the start of a segment of the tape */
@@ -74,9 +67,9 @@ static uint64_t scratch(const struct mo_jobs *jobs, uint32_t n_steps)
   return SCRATCH_BYTES + (tape < whole ? tape : whole);
 }
 
-static void add_learning(const struct mo_jobs *jobs, uint32_t batch,
-                         const struct mo_physics *physics, enum mo_back_end back_end,
-                         struct mo_need *need)
+void mo_memory_add_learning(const struct mo_jobs *jobs, uint32_t batch,
+                            const struct mo_physics *physics, enum mo_back_end back_end,
+                            struct mo_need *need)
 {
   const uint64_t blocks = (batch + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS,
                  n = jobs->memory.n_workers;
@@ -85,74 +78,6 @@ static void add_learning(const struct mo_jobs *jobs, uint32_t batch,
     return;
   need->own += (blocks < 2 * n ? blocks : 2 * n) * SLOT_BYTES;
   need->scratch = (blocks < n ? blocks : n) * scratch(jobs, physics->n_steps);
-}
-
-struct mo_need mo_need_of_training(const struct mo_jobs *jobs,
-                                   const struct mo_training_record *record,
-                                   enum mo_back_end back_end)
-{
-  const struct mo_training_settings *settings = &record->settings;
-  const uint64_t hands = back_end == MO_ON_DEVICE ? 2 : 1,
-                 drawn = (uint64_t)settings->n_steps * settings->batch;
-  struct mo_need need = {0};
-  add_learning(jobs, settings->batch, &settings->physics, back_end, &need);
-  if (settings->kind == MO_TRAINING_PRETRAIN)
-    need.own += hands * settings->batch * DRAWN_BYTES +
-                mo_form_set_reckon(MO_DEFAULT_WORKSPACE, drawn + drawn / (MO_HELD_OUT_ONE_IN - 1));
-  else
-    need.own += record->n_designs * DESIGN_BYTES + hands * settings->batch * ROBOT_BYTES;
-  return need;
-}
-
-/* Adds the set of all excluded bodies, and a second set that separates the bodies of one part. The
- * first part in the default workspace needs no second set. */
-static void add_excluded(const struct mo_jobs *jobs, const struct mo_lineage *lineage,
-                         struct mo_workspace workspace, struct mo_need *need)
-{
-  const struct mo_workspace all = MO_DEFAULT_WORKSPACE;
-  const bool is_all = workspace.nx == all.nx && workspace.ny == all.ny && workspace.nz == all.nz;
-  const uint32_t n = jobs->memory.n_workers;
-  uint64_t total = 0, apart = 0,
-           key = UINT64_C(0xcbf29ce484222325) ^ mo_workspace_voxels(workspace);
-  if (lineage->n_parts == 0)
-    return;
-  for (uint32_t i = 0; i < lineage->n_parts; i++) {
-    const struct mo_lineage_part *part = &lineage->parts[i];
-    total += part->n_bodies;
-    if ((i > 0 || !is_all) && part->n_bodies > apart)
-      apart = part->n_bodies;
-    key = ((key ^ part->seed) * UINT64_C(0x100000001b3) ^ part->n_bodies) * UINT64_C(0x100000001b3);
-  }
-  need->shared = mo_form_set_reckon(workspace, total) +
-                 (apart > 0 ? mo_form_set_reckon(all, apart) : 0) +
-                 (n < DRAWING_THREADS ? n : DRAWING_THREADS) * DRAWING_BYTES;
-  need->shared_key = key;
-}
-
-int mo_need_of_campaign(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
-                        const struct mo_sha256 *controller, enum mo_back_end back_end,
-                        struct mo_need *ret, struct mo_message *message)
-{
-  const uint64_t n = settings->population;
-  struct mo_need need = {
-      .own = CAMPAIGN_BYTES + 2 * n * CANDIDATE_BYTES +
-             mo_form_set_reckon(settings->workspace, n * (settings->generations + UINT64_C(1)))};
-  struct mo_lineage lineage = {.n_parts = 0};
-  int error = MO_OK;
-  if (controller != NULL && settings->exclude_pretraining)
-    error = mo_lineage_reckon(jobs, controller, &lineage, message);
-  if (error != MO_OK)
-    return error;
-  if (settings->mode == MO_ZERO_SHOT) {
-    need.own += n * SCORED_BYTES;
-  } else {
-    const uint32_t batch = mo_campaign_training(settings, 0).batch;
-    add_learning(jobs, batch, &settings->physics, back_end, &need);
-    need.own += 2 * n * SCORED_BYTES + n * DESIGN_BYTES + batch * ROBOT_BYTES;
-  }
-  add_excluded(jobs, &lineage, settings->workspace, &need);
-  *ret = need;
-  return MO_OK;
 }
 
 static uint64_t alone(const struct mo_need *need)
@@ -258,8 +183,7 @@ static bool fits(const struct mo_jobs *jobs, struct mo_memory_user *asker)
   return false;
 }
 
-static struct mo_memory_user *make(struct mo_jobs *jobs, const struct mo_runner_kind *kind,
-                                   int64_t id)
+static struct mo_memory_user *make(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id)
 {
   struct mo_memory_user *made = calloc(1, sizeof(*made));
   if (made == NULL)
@@ -272,7 +196,7 @@ static struct mo_memory_user *make(struct mo_jobs *jobs, const struct mo_runner_
   return NULL;
 }
 
-bool mo_memory_take(struct mo_jobs *jobs, const struct mo_runner_kind *kind, int64_t id)
+bool mo_memory_take(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id)
 {
   struct mo_memory *memory = &jobs->memory;
   struct mo_memory_user *user, *made = NULL, **link;
@@ -313,8 +237,8 @@ static bool clear(struct mo_memory *memory, const struct mo_memory_user *user)
 
 static void wake(struct mo_jobs *jobs)
 {
-  mo_runners_wake(&jobs->trainings);
-  mo_runners_wake(&jobs->campaigns);
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    mo_runners_wake(&jobs->runners[kind]);
 }
 
 void mo_memory_give(struct mo_jobs *jobs, int64_t id)
@@ -341,8 +265,7 @@ void mo_memory_forget(struct mo_jobs *jobs, int64_t id)
   wake(jobs);
 }
 
-void mo_memory_keep(struct mo_jobs *jobs, const struct mo_runner_kind *kind, const int64_t *ids,
-                    int64_t n)
+void mo_memory_keep(struct mo_jobs *jobs, const struct mo_kind *kind, const int64_t *ids, int64_t n)
 {
   struct mo_memory_user **link = &jobs->memory.waiting;
   pthread_mutex_lock(&jobs->memory.mutex);
@@ -358,10 +281,10 @@ void mo_memory_keep(struct mo_jobs *jobs, const struct mo_runner_kind *kind, con
   pthread_mutex_unlock(&jobs->memory.mutex);
 }
 
-void mo_memory_renew(struct mo_jobs *jobs, const struct mo_runner_kind *kind, int64_t id)
+void mo_memory_renew(struct mo_jobs *jobs, enum mo_job_kind kind, int64_t id)
 {
   struct mo_need need = {0};
-  const int error = kind->need(jobs, id, &need);
+  const int error = jobs->runners[kind].kind->need(jobs, id, &need);
   struct mo_memory_user *user;
   pthread_mutex_lock(&jobs->memory.mutex);
   user = *find(&jobs->memory.users, id);

@@ -6,7 +6,7 @@
  * share gets the newest weight. */
 #include <stdlib.h>
 
-#include "jobs/internal.h"
+#include "jobs/state.h"
 
 static double busy_s(const struct mo_compute_share *share)
 {
@@ -116,5 +116,5 @@ void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
   for (const struct mo_job_share *entry = jobs->shares; entry != NULL; entry = entry->next)
     add(entry->share, &worker_s[entry->kind], &device_s[entry->kind]);
   pthread_mutex_unlock(&jobs->shares_mutex);
-  add(jobs->evaluations, &worker_s[MO_JOB_EVALUATION], &device_s[MO_JOB_EVALUATION]);
+  add(jobs->evaluation_share, &worker_s[MO_JOB_EVALUATION], &device_s[MO_JOB_EVALUATION]);
 }

@@ -58,8 +58,8 @@ RULES = [
 
 @schemathesis.hook
 def before_call(_, case, kwargs):
-    """Random cells are hardly ever in one piece, and random names hardly ever those of a controller:
-    without them the rest of a request would never be acted on."""
+    """Random cells are hardly ever in one piece, and random names hardly ever those of a
+    controller: without them the rest of a request would never be acted on."""
     body = kwargs.get("json", case.body)
     if not isinstance(body, dict) or not case.meta or not case.meta.generation.mode.is_positive:
         return

@@ -156,8 +156,8 @@ class Service:
         return self.request("POST", "/v1/evaluations", value, headers=fields)
 
     def raw(self, data, timeout=10, finish=False):
-        """Sends bytes, reads until the other side ends or is silent for a moment; returns (bytes, ended).
-        """
+        """Sends bytes, reads until the other side ends or is silent for a moment; returns (bytes,
+        ended)."""
         with socket.create_connection((self.host, self.port), timeout=timeout) as sock:
             received, ended = b"", False
             try:
@@ -218,7 +218,7 @@ def tiny_controller(service):
     text = json.dumps(header).encode()
     body = struct.pack("<Q", len(text)) + text + bytes(at)
     put = service.request("PUT",
-                          "/v1/controllers/tiny",
+                          "/v1/controllers/tiny/file",
                           body=body,
                           headers={"Content-Type": "application/octet-stream"})
     assert put.status in (200, 201), put.body
@@ -226,8 +226,8 @@ def tiny_controller(service):
 
 
 def split_replies(received):
-    """The replies in what a connection gave: [(status, headers in lower case, body)]. Only those with
-    Content-Length."""
+    """The replies in what a connection gave: [(status, headers in lower case, body)]. Only those
+    with Content-Length."""
     replies = []
     while received:
         head, separator, rest = received.partition(b"\r\n\r\n")

@@ -143,10 +143,12 @@ def test_invalid(service, name):
 # Numbers that JSON can write and float64 cannot hold.
 HUGE = {
     "height": (
-        '{"designs":[{"cells":[[0,0,0]]}],"environments":[{"light_xy_m":[1,1],"terrain_heights_m":[1e400%s]}]}'
+        '{"designs":[{"cells":[[0,0,0]]}],'
+        '"environments":[{"light_xy_m":[1,1],"terrain_heights_m":[1e400%s]}]}'
         % (",0" * 63), "/environments/0/terrain_heights_m/0"),
     "light": (
-        '{"designs":[{"cells":[[0,0,0]]}],"environments":[{"light_xy_m":[1,-1e400],"terrain_sigma_m":0,"seed":1}]}',
+        '{"designs":[{"cells":[[0,0,0]]}],'
+        '"environments":[{"light_xy_m":[1,-1e400],"terrain_sigma_m":0,"seed":1}]}',
         "/environments/0/light_xy_m/1"),
     "cell": ('{"designs":[{"cells":[[1e400,0,0]]}]}', "/designs/0/cells/0/0"),
     "physics": ('{"designs":[{"cells":[[0,0,0]]}],"physics":{"dt_s":1e400}}', "/physics/dt_s"),
@@ -204,7 +206,8 @@ def test_malformed(service, name):
 
 
 def test_escaped_keys(service):
-    body = b'{"\\u0064esigns":[{"c\\u0065lls":[[0,0,0]]}],"ph\\u0079sics":{"n_steps":20,"\\u0069mpact":"exact"}}'
+    body = (b'{"\\u0064esigns":[{"c\\u0065lls":[[0,0,0]]}],'
+            b'"ph\\u0079sics":{"n_steps":20,"\\u0069mpact":"exact"}}')
     reply = service.request("POST", "/v1/evaluations", body=body)
     assert reply.status == 202 and reply.json()["physics"]["impact"] == "exact", reply.body
 

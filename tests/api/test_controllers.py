@@ -26,28 +26,27 @@ def changed(name, **fields):
 
 
 def test_round_trip(service):
-    put = service.request("PUT", "/v1/controllers/round-trip", body=BYTES, headers=FILE)
+    put = service.request("PUT", "/v1/controllers/round-trip/file", body=BYTES, headers=FILE)
     digest = hashlib.sha256(BYTES).hexdigest()
     assert put.status == 201 and put.headers["Location"] == "/v1/controllers/round-trip"
     assert put.json()["sha256"] == digest and put.json()["parameters"] == 620912 and put.json(
     )["workspace"] == [6, 6, 4]
-    got = service.request("GET", "/v1/controllers/round-trip")
+    got = service.request("GET", "/v1/controllers/round-trip/file")
     assert got.body == BYTES and got.headers["Content-Type"] == "application/octet-stream"
     assert service.request("GET",
-                           "/v1/controllers/round-trip",
+                           "/v1/controllers/round-trip/file",
                            headers={"If-None-Match": got.headers["ETag"]}).status == 304
-    by_hash = service.request("GET",
-                              f"/v1/controllers/sha256:{digest}",
-                              headers={"Accept": "application/json"}).json()
+    by_hash = service.request("GET", f"/v1/controllers/sha256:{digest}").json()
     assert by_hash["name"] is None and by_hash["sha256"] == digest
-    assert service.request("GET", f"/v1/controllers/sha256:{digest.upper()}").body == BYTES
+    assert service.request("GET", f"/v1/controllers/sha256:{digest.upper()}/file").body == BYTES
     upper = {"designs": [DESIGN], "physics": SHORT, "controller": "sha256:" + digest.upper()}
     assert service.evaluate(upper).json()["controller"]["sha256"] == digest
     again = service.request("PUT",
-                            "/v1/controllers/round-trip",
+                            "/v1/controllers/round-trip/file",
                             body=BYTES,
                             headers={"Content-Type": "application/vnd.safetensors"})
     assert again.status == 200
+    assert service.request("GET", "/v1/controllers/round-trip").json() == again.json()
     assert service.request("DELETE", "/v1/controllers/round-trip").status == 204
     assert service.request("GET", "/v1/controllers/round-trip").status == 404
     assert service.request("DELETE", "/v1/controllers/round-trip").status == 404
@@ -59,9 +58,10 @@ def test_repointing_changes_what_is_computed(service):
     data[-4:] = struct.pack("<f", 0.5)
     other = pack(HEADER, bytes(data))
     request = {"designs": [DESIGN], "physics": SHORT, "controller": "moving"}
-    service.request("PUT", "/v1/controllers/moving", body=BYTES, headers=FILE)
+    service.request("PUT", "/v1/controllers/moving/file", body=BYTES, headers=FILE)
     first = service.evaluate(request).json()
-    assert service.request("PUT", "/v1/controllers/moving", body=other, headers=FILE).status == 200
+    assert service.request("PUT", "/v1/controllers/moving/file", body=other,
+                           headers=FILE).status == 200
     second = service.evaluate(request).json()
     assert first["controller"]["name"] == second["controller"]["name"] == "moving"
     assert first["controller"]["sha256"] != second["controller"]["sha256"] == hashlib.sha256(
@@ -74,7 +74,7 @@ def test_repointing_changes_what_is_computed(service):
 
 def test_list(service):
     for name in ("list-a", "list-b", "list-c"):
-        service.request("PUT", f"/v1/controllers/{name}", body=BYTES, headers=FILE)
+        service.request("PUT", f"/v1/controllers/{name}/file", body=BYTES, headers=FILE)
     names, cursor = [], ""
     while cursor is not None:
         page = service.request("GET", "/v1/controllers?limit=2" +
@@ -88,7 +88,8 @@ def test_list(service):
 @pytest.mark.parametrize(
     "name", ["UPPER", "-minus", ".dot", "a" * 65, "sha256:" + "0" * 64, "a%20b", "%C3%A9"])
 def test_names(service, name):
-    assert service.request("PUT", f"/v1/controllers/{name}", body=BYTES, headers=FILE).status == 422
+    assert service.request("PUT", f"/v1/controllers/{name}/file", body=BYTES,
+                           headers=FILE).status == 422
 
 
 def test_damaged_file_is_named_and_healed(start):
@@ -96,14 +97,15 @@ def test_damaged_file_is_named_and_healed(start):
     digest = hashlib.sha256(BYTES).hexdigest()
     request = {"designs": [DESIGN], "physics": SHORT}
     (service.state / "controllers" / f"{digest}.safetensors").write_bytes(BYTES[:-4])
-    got = service.request("GET", "/v1/controllers/default")
+    got = service.request("GET", "/v1/controllers/default/file")
     assert got.status == 500 and digest in got.json()["detail"] and "PUT" in got.json()["detail"]
     job = service.evaluate(request).json()
     assert job["state"] == "failed" and job["error"]["code"] == "corrupt" and digest in job[
         "error"]["detail"]
     assert f"{digest}.safetensors" in service.log_text()
-    assert service.request("PUT", "/v1/controllers/default", body=BYTES, headers=FILE).status == 200
-    assert service.request("GET", "/v1/controllers/default").body == BYTES
+    assert service.request("PUT", "/v1/controllers/default/file", body=BYTES,
+                           headers=FILE).status == 200
+    assert service.request("GET", "/v1/controllers/default/file").body == BYTES
     assert service.evaluate(request).json()["state"] == "succeeded"
 
 
@@ -156,7 +158,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile(service, name):
-    reply = service.request("PUT", "/v1/controllers/hostile", body=HOSTILE[name], headers=FILE)
+    reply = service.request("PUT", "/v1/controllers/hostile/file", body=HOSTILE[name], headers=FILE)
     assert reply.status == 422, reply.body
     assert reply.pointers() == [""] and reply.json()["errors"][0]["detail"]
     assert service.request("GET", "/v1/controllers/hostile").status == 404
@@ -164,11 +166,12 @@ def test_hostile(service, name):
 
 def test_upload_limits(start):
     running = start("--max-controller=3M")
-    assert running.request("PUT", "/v1/controllers/big", body=bytes(4 << 20),
+    assert running.request("PUT", "/v1/controllers/big/file", body=bytes(4 << 20),
                            headers=FILE).status == 413
-    assert running.request("PUT", "/v1/controllers/fits", body=BYTES, headers=FILE).status == 201
+    assert running.request("PUT", "/v1/controllers/fits/file", body=BYTES,
+                           headers=FILE).status == 201
     assert running.request("PUT",
-                           "/v1/controllers/x",
+                           "/v1/controllers/x/file",
                            body=BYTES,
                            headers={"Content-Type": "application/json"}).status == 415
 

@@ -41,8 +41,8 @@ def demo(tmp_path):
 
 
 def short(demo):
-    """Without random designs and campaign: what is told of the controller, which is before the scores.
-    """
+    """Without random designs and campaign: what is told of the controller, which is before the
+    scores."""
     lines = demo("--random", "0", "--generations", "0")
     place = next(i for i, line in enumerate(lines) if line.startswith("Controller: "))
     assert any("crawler" in line
@@ -54,14 +54,14 @@ def short(demo):
 
 def test_shipped_default(demo):
     told, _ = short(demo)
-    assert told[
-        0] == f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, the default of this daemon."
+    assert told[0] == (f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, "
+                       "the default of this daemon.")
     assert "shipped" not in told[1]
 
 
 def test_state_of_an_older_program(demo, start, tmp_path):
-    """What the folder has as default stays and is named; the line that is told makes the shipped one
-    the default."""
+    """What the folder has as default stays and is named; the line that is told makes the shipped
+    one the default."""
     (tmp_path / ".morphod").mkdir()
     older = start(state=tmp_path / ".morphod" / "state")
     assert older.stop() == 0
@@ -76,8 +76,8 @@ def test_state_of_an_older_program(demo, start, tmp_path):
                    timeout=60,
                    capture_output=True)
     told, _ = short(demo)
-    assert told[
-        0] == f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, the default of this daemon."
+    assert told[0] == (f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, "
+                       "the default of this daemon.")
     assert "shipped" not in told[1]
     names = subprocess.run([MORPHOCTL, "controller", "list", "--server", address],
                            check=True,

@@ -29,7 +29,8 @@ def test_examples(start, tmp_path):
                           timeout=60,
                           check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
-    assert '"pointer":"/designs/0/cells/1/2"' in done.stdout and "Morphod-Shape: 11,8,3" in done.stdout
+    assert '"pointer":"/designs/0/cells/1/2"' in done.stdout
+    assert "Morphod-Shape: 11,8,3" in done.stdout
     assert "event: job.finished" in done.stdout and '"type":"training.validation"' in done.stdout
     assert (tmp_path / "curve.csv").read_text().count("\n") == 5
     assert (tmp_path / "tuned.safetensors").stat().st_size > 620912 * 4

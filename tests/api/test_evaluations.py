@@ -180,7 +180,7 @@ def test_short_wait_gives_202(service):
     begun = time.monotonic()
     got = service.request("GET", reply.headers["Location"], headers={"Prefer": "wait=1"})
     assert got.status == 200 and 0.8 < time.monotonic() - begun < 3 and got.headers["Retry-After"]
-    cancelled = service.request("DELETE", "/v1/jobs/" + reply.json()["id"])
+    cancelled = service.request("POST", "/v1/jobs/" + reply.json()["id"] + "/cancel")
     assert cancelled.status == 200
     assert await_end(service, reply.headers["Location"]).json()["state"] == "cancelled"
 
@@ -191,8 +191,8 @@ def test_clients_that_left_do_not_wait(start):
     paused = running.request("POST", "/v1/evaluations",
                              {"designs": [DESIGN], "physics": {"n_steps": 1000000}}).json()["id"]
     assert running.request("POST", f"/v1/jobs/{paused}/pause").json()["state"] == "paused"
-    request = f"GET /v1/jobs/{paused} HTTP/1.1\r\nHost: localhost\r\nPrefer: wait=60\r\n\r\n".encode(
-    )
+    request = (f"GET /v1/jobs/{paused} HTTP/1.1\r\nHost: localhost\r\n"
+               "Prefer: wait=60\r\n\r\n").encode()
     waiting = [socket.create_connection((running.host, running.port)) for _ in range(4)]
     for sock in waiting:
         sock.sendall(request)
@@ -206,7 +206,7 @@ def test_clients_that_left_do_not_wait(start):
     while b"morphod_http_requests_in_flight 1\n" not in running.request("GET", "/metrics").body:
         assert time.monotonic() < deadline
         time.sleep(0.1)
-    assert running.request("DELETE", f"/v1/jobs/{paused}").status == 200
+    assert running.request("POST", f"/v1/jobs/{paused}/cancel").status == 200
 
 
 def test_recording(service):
@@ -219,14 +219,12 @@ def test_recording(service):
     assert whole["frames"] == 5 == len(whole["com_m"]) == len(
         whole["masses_m"]) and whole["stride"] == 25
     assert whole["environment"] == 3 and len({len(frame) for frame in whole["masses_m"]}) == 1
-    centre = [
+    center = [
         sum(point[axis] for point in whole["masses_m"][2]) / len(whole["masses_m"][2])
         for axis in range(3)
     ]
-    assert all(math.isclose(a, b, abs_tol=1e-4) for a, b in zip(centre, whole["com_m"][2]))
-    binary = service.request("GET",
-                             path + "?environment=3",
-                             headers={"Accept": "application/octet-stream"})
+    assert all(math.isclose(a, b, abs_tol=1e-4) for a, b in zip(center, whole["com_m"][2]))
+    binary = service.request("GET", path + "/file?environment=3")
     shape = [int(size) for size in binary.headers["Morphod-Shape"].split(",")]
     numbers = struct.unpack(f"<{math.prod(shape)}f", binary.body)
     assert binary.headers["Morphod-Array"] == "masses" and shape == [
@@ -234,21 +232,22 @@ def test_recording(service):
     ]
     flat = [number for frame in whole["masses_m"] for point in frame for number in point]
     assert all(struct.pack("<f", a) == struct.pack("<f", b) for a, b in zip(flat, numbers))
-    com = service.request("GET",
-                          path + "?environment=3&array=com",
-                          headers={"Accept": "application/octet-stream"})
+    com = service.request("GET", path + "/file?environment=3&array=com")
     assert com.headers["Morphod-Shape"] == "5,3"
     again = service.request(
         "GET",
-        path + "?environment=3",
-        headers={"If-None-Match": binary.headers["ETag"], "Accept": "application/octet-stream"})
+        path + "/file?environment=3",
+        headers={"If-None-Match": binary.headers["ETag"]})
     assert again.status == 304
     for bad, status in (("?environment=10", 404), ("?environment=64", 400), ("?environment=x", 400),
-                        ("?array=pose", 400)):
+                        ("/file?array=pose", 400), ("?array=com", 400), ("/file?environment=10",
+                                                                         404)):
         assert service.request("GET", path + bad).status == status, bad
     assert service.request("GET", path[:-1] + "1").status == 404
     assert service.request("GET", path[:-1] + "x").status == 404
     assert service.request("GET", path, headers={"Accept": "text/csv"}).status == 406
+    assert service.request("GET", path + "/file",
+                           headers={"Accept": "application/json"}).status == 406
 
 
 def test_not_recorded(service):
@@ -257,7 +256,7 @@ def test_not_recorded(service):
     value = service.evaluate(
         {"designs": [DESIGN], "physics": SHORT, "record": ["com"], "record_stride": 5}).json()
     assert service.request(
-        "GET", f"/v1/evaluations/{value['id']}/trajectories/0?array=masses").status == 404
+        "GET", f"/v1/evaluations/{value['id']}/trajectories/0/file?array=masses").status == 404
 
 
 def test_jobs_list_and_pages(service):
@@ -282,6 +281,23 @@ def test_jobs_list_and_pages(service):
     assert service.request("GET", f"/v1/jobs/{ids[0]}?x=1").status == 400
 
 
+def test_list(service):
+    """Evaluations have a list as the other kinds of jobs have: without results."""
+    ids = [
+        service.evaluate({"designs": [DESIGN], "physics": SHORT, "label": "of a list"}).json()["id"]
+        for _ in range(3)
+    ]
+    page = service.request("GET", "/v1/evaluations?label=of%20a%20list&limit=2").json()
+    assert [one["id"] for one in page["items"]] == ids[:0:-1] and "results" not in page["items"][0]
+    rest = service.request(
+        "GET", f"/v1/evaluations?label=of%20a%20list&limit=2&cursor={page['next_cursor']}").json()
+    assert [one["id"] for one in rest["items"]] == ids[:1] and rest["next_cursor"] is None
+    assert page["items"][0] == service.request("GET", f"/v1/jobs/{ids[2]}").json()
+    assert service.request("GET", "/v1/evaluations?state=failed").json()["items"] == []
+    for bad in ("?state=lost", "?kind=training", "?limit=0", "?cursor=x"):
+        assert service.request("GET", "/v1/evaluations" + bad).status == 400, bad
+
+
 def test_pause_resume_cancel(service):
     body = {
         "designs": [{"cells": [[x, 0, 0] for x in range(6)]}] + BATCH,
@@ -293,11 +309,12 @@ def test_pause_resume_cancel(service):
     assert service.request("POST", path + "/pause").status == 200
     assert service.request("GET", "/v1/jobs?state=paused").json()["items"][0]["id"] == job["id"]
     assert service.request("POST", path + "/resume").json()["state"] in ("queued", "running")
-    assert service.request("DELETE", path).status == 200
+    assert service.request("POST", path + "/cancel").status == 200
     assert service.request("GET", path).json()["state"] == "cancelled"
-    for method, change in (("DELETE", ""), ("POST", "/pause"), ("POST", "/resume")):
-        assert service.request(method, path + change).status == 409
-        assert service.request(method, "/v1/jobs/123456789" + change).status == 404
+    assert service.request("DELETE", path).status == 405
+    for change in ("/cancel", "/pause", "/resume"):
+        assert service.request("POST", path + change).status == 409
+        assert service.request("POST", "/v1/jobs/123456789" + change).status == 404
 
 
 def test_designs(service):
@@ -369,9 +386,8 @@ def test_interactive_is_short(service):
             "environments": [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.01, "seed": 1}], **more
         })
         assert reply.status in (200, 202), reply.body
-        assert service.request("DELETE",
-                               reply.headers["Location"].replace("evaluations",
-                                                                 "jobs")).status in (200, 202, 409)
+        job = reply.headers["Location"].replace("evaluations", "jobs")
+        assert service.request("POST", job + "/cancel").status in (200, 202, 409)
         return reply.json()["priority"]
 
     assert priority(designs=[FULL], physics={"n_steps": 1001}) == "interactive"
@@ -398,7 +414,7 @@ def test_pausing_frees_the_workers(start):
     assert reply.status == 202
     job = reply.headers["Location"].replace("evaluations", "jobs")
     await_state = time.monotonic() + 30
-    while running.request("GET", "/v1/workers").json()["n_busy"] == 0 or running.request(
+    while running.request("GET", "/v1/threads").json()["n_busy"] == 0 or running.request(
             "GET", job).json()["state"] != "running":
         assert time.monotonic() < await_state
         time.sleep(0.05)
@@ -410,4 +426,4 @@ def test_pausing_frees_the_workers(start):
         assert time.monotonic() < until, "the paused evaluation holds the worker"
         time.sleep(0.1)
     assert running.request("GET", job).json()["state"] == "paused"
-    assert running.request("DELETE", job).status in (200, 202)
+    assert running.request("POST", job + "/cancel").status in (200, 202)

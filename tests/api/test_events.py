@@ -80,13 +80,12 @@ def test_a_job_in_order(service):
 
 def test_resumption_loses_nothing(service):
     service.evaluate({"designs": [DESIGN], "physics": SHORT})
-    whole, after = [], "0"
-    while True:
-        part = page(service, f"&after={after}&limit=7")
+    whole, cursor = [], "0"
+    while cursor is not None:
+        part = page(service, f"&cursor={cursor}&limit=7")
         whole += [event["id"] for event in part["items"]]
-        if not part["items"]:
-            break
-        after = part["next_after"]
+        cursor = part["next_cursor"]
+    assert part["newest"] == whole[-1] and page(service, f"&after={whole[-1]}")["items"] == []
     assert whole == [event["id"]
                      for event in page(service, "&after=0&limit=1000")["items"]][:len(whole)]
     middle = len(whole) // 2
@@ -123,7 +122,7 @@ def test_reset(service):
     assert json.loads(stream.events(1)[0]["data"])["job"] == job
     stream.close()
     beyond = page(service, "&after=999999999999999999")
-    assert beyond["reset"] is True and beyond["items"] == [] and int(beyond["next_after"]) >= int(
+    assert beyond["reset"] is True and beyond["items"] == [] and int(beyond["newest"]) >= int(
         event["id"])
 
 
@@ -204,15 +203,15 @@ def test_streams_end_with_the_service(start):
 
 
 def test_slow_reader_gets_everything_later(service):
-    """More than fits into the sockets' buffers piles up while one reader sleeps; others and the service
-    do not notice."""
+    """More than fits into the sockets' buffers piles up while one reader sleeps; others and the
+    service do not notice."""
     sock = socket.socket()
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     sock.connect((service.host, service.port))
     sock.sendall(b"GET /v1/events?after=0 HTTP/1.0\r\nHost: localhost\r\n\r\n")
     for i in range(60):
         service.request("PUT",
-                        f"/v1/controllers/slow-{i % 3}",
+                        f"/v1/controllers/slow-{i % 3}/file",
                         body=b"",
                         headers={"Content-Type": "application/octet-stream"})
         assert service.request("GET", "/healthz").status == 200

@@ -22,7 +22,7 @@ def put(service, name, **said):
     header["__metadata__"].update({f"morphod.{key}": value for key, value in said.items()})
     text = json.dumps(header).encode()
     reply = service.request("PUT",
-                            f"/v1/controllers/{name}",
+                            f"/v1/controllers/{name}/file",
                             body=struct.pack("<Q", len(text)) + text + file[8 + size:],
                             headers={"Content-Type": "application/octet-stream"})
     assert reply.status == 201, reply.body
@@ -84,15 +84,15 @@ def test_a_drawing_is_told_and_handed_over(start):
     job = service.request("GET", f"/v1/jobs/{second}").json()
     assert job["state"] == "running" and job["reason"] == waits["reason"]
     waits = campaign(service, second)
-    assert service.request("POST", f"/v1/campaigns/{first}/pause").status == 200
+    assert service.request("POST", f"/v1/jobs/{first}/pause").status == 200
     draws = awaited(service, f"/v1/campaigns/{second}", lambda seen: seen["reason"] is None)
     assert draws["phase"] == "preparing" and draws["progress"]["done"] >= waits["progress"]["done"]
-    assert service.request("POST", f"/v1/campaigns/{first}/resume").status == 200
+    assert service.request("POST", f"/v1/jobs/{first}/resume").status == 200
     waits = awaited(service, f"/v1/campaigns/{first}", lambda seen: seen["reason"] is not None)
     assert f"campaign {second} draws" in waits["reason"] and waits["progress"]["done"] >= draws[
         "progress"]["done"]
     begun = time.monotonic()
     for id in (second, first):
-        assert service.request("POST", f"/v1/campaigns/{id}/cancel").status == 200
+        assert service.request("POST", f"/v1/jobs/{id}/cancel").status == 200
         awaited(service, f"/v1/campaigns/{id}", lambda seen: seen["phase"] == "idle")
     assert time.monotonic() - begun < 10

@@ -115,10 +115,10 @@ def test_pretraining(tmp_path):
     assert "old" not in page.read_text()
     # The rule and its weight are part of the recipe, and of the request.
     bench("pretraining", *PRETRAINING, "--seeds=1", "--bound=0.1", "--rule=restart", *ON_DEVICE,
-          *pretraining_in(tmp_path / "anew"))
-    recipes = {row["recipe"] for row in rows(tmp_path / "anew" / "p.csv")}
+          *pretraining_in(tmp_path / "again"))
+    recipes = {row["recipe"] for row in rows(tmp_path / "again" / "p.csv")}
     assert recipes == {"one cosine 0.002..1e-05 bound 0.1 restart 3 lives of 30 / 8 x 6"}
-    assert trainings(tmp_path / "anew", "SELECT settings->>'adjoint_rule',"
+    assert trainings(tmp_path / "again", "SELECT settings->>'adjoint_rule',"
                      " settings->>'restart_weight' FROM runs") == [("restart", 3)]
     refused = bench("pretraining",
                     "--peak=2",
@@ -193,7 +193,8 @@ def test_reproduction(tmp_path):
         "one cosine 0.002 / 8 x 6,cuda,,step,1,1,0.5,1,0,0,\n")
     printed = bench("reproduction", "--report", f"--folder={whole}",
                     f"--pretraining={tmp_path / 'p.csv'}").stdout
-    assert "| morphod, one cosine 0.002 / 8 x 6 | training 0.500; held out – | 1 steps | 0.0 min | none | – |" in printed
+    assert ("| morphod, one cosine 0.002 / 8 x 6 | training 0.500; held out – "
+            "| 1 steps | 0.0 min | none | – |") in printed
 
 
 def test_model_card(tmp_path):

@@ -63,7 +63,7 @@ def attack(service, n, at_once=100):
                     sock.recv(4096)
 
 
-def settle(service):
+def await_quiet(service):
     """Waits until the service has only the connection that asks."""
     deadline = time.monotonic() + 60
     while gauge(service, "morphod_http_connections") != 1:
@@ -75,10 +75,10 @@ def test_hostile_connections_leave_nothing_behind(start):
     service = start("--log-level=error", "--header-timeout=1s", "--body-timeout=1s",
                     "--max-connections=2048")
     attack(service, 2000)  # what a service takes once
-    settle(service)
+    await_quiet(service)
     before = memory(service)
     attack(service, N_CONNECTIONS)
-    settle(service)
+    await_quiet(service)
     deadline = time.monotonic() + 10
     while (grown := memory(service) - before) > 8 << 20 and time.monotonic() < deadline:
         time.sleep(0.1)

@@ -80,7 +80,7 @@ def test_rate_covers_whatever_submits_or_stores(start):
     upload = {
         "body": BOOTSTRAP.read_bytes(), "headers": {"Content-Type": "application/octet-stream"}
     }
-    asked = [("PUT", "/v1/controllers/again", upload),
+    asked = [("PUT", "/v1/controllers/again/file", upload),
              ("POST", "/v1/evaluations", {"value": EVALUATION}),
              ("POST", "/v1/campaigns/1/extend", {"value": {"generations": 2}}),
              ("POST", "/v1/campaigns/1/champions", {"value": {}})]
@@ -89,7 +89,7 @@ def test_rate_covers_whatever_submits_or_stores(start):
         refused = [reply for reply in seen if reply.status == 429]
         assert refused, (path, [reply.status for reply in seen])
         assert all(reply.headers["Retry-After"] == "1" for reply in refused)
-    # Whoever sends too much can still stop what runs.
+    # A client that sends too much can still stop what runs.
     assert 429 not in {service.request("POST", "/v1/jobs/1/pause").status for _ in range(12)}
 
 
@@ -134,7 +134,7 @@ def test_waiting_takes_no_place(start):
                               "/v1/jobs").status != 200:  # until at most one is not parked yet
             assert time.monotonic() < deadline
         connection.request("GET", f"/v1/evaluations/{job}", headers={"Prefer": "wait=60"})
-    assert service.request("DELETE", f"/v1/jobs/{job}").status in (200, 202)
+    assert service.request("POST", f"/v1/jobs/{job}/cancel").status in (200, 202)
     # All are answered, more than may be in flight.
     for connection in waiting:
         reply = connection.getresponse()
@@ -301,8 +301,8 @@ def test_connections_that_fit_need_no_word(start):
 
 @as_root
 def test_one_user_does_not_shut_out_another(start):
-    """64 waits, 1,024 idle connections and four half-sent bodies of one user; prints what another user
-    and health checks feel."""
+    """64 waits, 1,024 idle connections and four half-sent bodies of one user; prints what another
+    user and health checks feel."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 4096)), hard))
     service = start("--header-timeout=10min")
@@ -326,7 +326,8 @@ def test_one_user_does_not_shut_out_another(start):
             for n in range(50))
     health = sorted(seconds(lambda: service.request("GET", "/healthz")) for _ in range(500))
     print(
-        f"another user's evaluation: median {evaluations[25] * 1e3:.1f} ms, longest {evaluations[-1] * 1e3:.1f} ms; "
+        f"another user's evaluation: median {evaluations[25] * 1e3:.1f} ms, longest "
+        f"{evaluations[-1] * 1e3:.1f} ms; "
         f"/healthz: median {health[250] * 1e3:.2f} ms, p99 {health[495] * 1e3:.2f} ms")
     assert evaluations[-1] < 1 and health[495] < 0.2  # 50 ms where nothing else runs
     assert all(is_quiet(sock) for sock in waiting + bodies) and len(idle) == 1024

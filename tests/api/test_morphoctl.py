@@ -1,4 +1,4 @@
-"""morphoctl against the daemon itself. Its behaviour towards servers that break is tested in
+"""morphoctl against the daemon itself. Its behavior towards servers that break is tested in
 tests/unit/morphoctl."""
 
 import fcntl
@@ -256,7 +256,7 @@ def test_training_from_start_to_export(service, ctl, tmp_path):
                "4") == (0, f"training {job}: 1 checkpoint deleted, 12.4 MB\n", "")
     assert ctl("train", "prune", job, "--step", "4")[0] == 3 and ctl("train", "prune", "x")[0] == 2
     status, out, _ = ctl("train", "prune", job, "--json")
-    assert status == 0 and json.loads(out)["removed"] == [6, 2], out
+    assert status == 0 and json.loads(out)["items"] == [{"step": 6}, {"step": 2}], out
     assert ctl("train", "prune", job)[1] == f"training {job}: 0 checkpoints deleted, 0.0 MB\n"
     status, out, err = ctl("train", "compare", "default", "ctl-walker", "--designs", "6",
                            "--environments", "2", "--physics", "n_steps=50")
@@ -315,8 +315,8 @@ def test_training_pause_resume_cancel(ctl):
 
 
 def watch_on_a_terminal(service, command, job, until_seen, farewell):
-    """What 24 lines of 80 columns show until all of `until_seen` came and Ctrl-C was pressed, without
-    the escapes."""
+    """What 24 lines of 80 columns show until all of `until_seen` came and Ctrl-C was pressed,
+    without the escapes."""
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
     watch = subprocess.Popen([MORPHOCTL, "--server", service.addresses[0], command, "watch", job],
@@ -353,7 +353,8 @@ def test_watching_a_training_on_a_terminal(service, ctl):
     view = watch_on_a_terminal(service, "train", job, ("checkpoint of step", " left"),
                                "The training goes on.")
     assert re.search(
-        r"step [\d,]+ of 100,000  [\d.e+]+ bodies/s  (\d+ d )?\d+:\d\d(:\d\d)? left  checkpoint of step \d+",
+        r"step [\d,]+ of 100,000  [\d.e+]+ bodies/s  (\d+ d )?\d+:\d\d(:\d\d)? left  checkpoint of "
+        r"step \d+",
         view), view
     assert service.request("GET", f"/v1/trainings/{job}").json()["state"] == "running"
     assert ctl("train", "cancel", job)[0] == 0
@@ -458,11 +459,11 @@ def test_campaigns_that_learn_and_replicates(service, ctl):
             r"^learning +1 \+ 1 steps a generation, constant", shown, re.M), shown
     assert len(ctl("campaign", "export", ids[0], "--learning", "-")[1].splitlines()) == 1 + 1 + 2
     assert ctl("campaign", "export", ids[0], "--replicates", "-")[1].count("\n") == 3
-    assert ctl(
-        "campaign", "prune", ids[1], ids[1]
-    )[1] == f"campaign {ids[1]}: 1 checkpoint deleted, 12.4 MB\ncampaign {ids[1]}: 0 checkpoints deleted, 0.0 MB\n"
+    assert ctl("campaign", "prune", ids[1], ids[1])[1] == (
+        f"campaign {ids[1]}: 1 checkpoint deleted, 12.4 MB\n"
+        f"campaign {ids[1]}: 0 checkpoints deleted, 0.0 MB\n")
     assert json.loads(ctl("campaign", "prune", ids[1],
-                          "--json")[1]) == {"removed": [], "bytes": 0} and ctl(
+                          "--json")[1]) == {"items": [], "bytes": 0} and ctl(
                               "campaign", "prune", "999999")[0] == 3
     assert "was deleted" in ctl("campaign", "extend", ids[1], "1")[2]
     job = ctl("campaign", "start", "few-shot", *SMALL, "-n", "1", *learn, "--from", ids[0],

@@ -84,8 +84,8 @@ def test_pages(service, evolved, designs):
 
 
 def read_standard(text):
-    """A phylogeny by the ALife data standard (https://alife-data-standards.github.io): its rules, and
-    what follows from them."""
+    """A phylogeny by the ALife data standard (https://alife-data-standards.github.io): its rules,
+    and what follows from them."""
     rows = list(csv.DictReader(io.StringIO(text), strict=True))
     assert {"id", "ancestor_list", "origin_time", "destruction_time"} <= set(rows[0])
     taxa = {}
@@ -393,8 +393,8 @@ def test_replies_of_many_pieces(service, large):
 
 
 def test_readers_that_go_away(service, large):
-    """Some read nothing, some a little; then they leave. The service goes on and keeps nothing of them.
-    """
+    """Some read nothing, some a little; then they leave. The service goes on and keeps nothing of
+    them."""
     for form in ("csv", "newick"):
         for taken in (0, 1, 5000):
             for _ in range(4):
@@ -402,7 +402,8 @@ def test_readers_that_go_away(service, large):
                     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
                     sock.connect((service.host, service.port))
                     sock.sendall(
-                        f"GET {large['links']['phylogeny']}?format={form} HTTP/1.1\r\nHost: localhost\r\n\r\n"
+                        f"GET {large['links']['phylogeny']}?format={form} HTTP/1.1\r\nHost: "
+                        f"localhost\r\n\r\n"
                         .encode())
                     if taken:
                         assert sock.recv(taken)

@@ -55,7 +55,8 @@ class Nginx:
                          for name in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"))
         config = folder / "nginx.conf"
         config.write_text(
-            f"daemon off; master_process off; pid {folder}/pid; error_log {folder}/errors; events {{}}\n"
+            f"daemon off; master_process off; pid {folder}/pid; error_log {folder}/errors; events "
+            f"{{}}\n"
             f"http {{ access_log off; {places}\n{server}}}\n")
         program = shutil.which("nginx", path="/usr/sbin:" + os.environ["PATH"])
         assert program, "nginx is missing: tools/packages names it"
@@ -113,8 +114,8 @@ def test_no_hidden_request(behind, name):
 
 
 def test_requests_pass(behind):
-    """What the tests above rely on: the same request alone is carried out, and refusals of the service
-    come through."""
+    """What the tests above rely on: the same request alone is carried out, and refusals of the
+    service come through."""
     service, nginx = behind
     (status, _, body), = split_replies(nginx.raw(GET + b"Connection: close\r\n\r\n"))
     assert status == 200 and json.loads(body)["status"] == "ok"

@@ -15,7 +15,7 @@ from service import CONTRACT, split_replies, tiny_controller
 HOST = b"Host: 127.0.0.1\r\n"
 GET = b"GET /healthz HTTP/1.1\r\n" + HOST
 POST = b"POST /v1/evaluations HTTP/1.1\r\n" + HOST + b"Content-Type: application/json\r\n"
-SMUGGLED = b"GET /v1/workers HTTP/1.1\r\n" + HOST + b"\r\n"
+SMUGGLED = b"GET /v1/threads HTTP/1.1\r\n" + HOST + b"\r\n"
 END = b"\r\n"
 HIDDEN = b"DELETE /v1/controllers/tiny HTTP/1.1\r\n" + HOST + b"\r\n"
 

@@ -50,11 +50,12 @@ def test_contract_lists_every_operation(service):
 
 
 def test_head(service):
-    for path in ("/healthz", "/metrics", "/v1/jobs", "/v1/controllers", "/v1/controllers/default",
+    for path in ("/healthz", "/metrics", "/v1/jobs", "/v1/controllers",
+                 "/v1/controllers/default/file",
                  "/v1/events"):
         reply = service.request("HEAD", path)
         assert reply.status == 200 and reply.body == b""
-        if path == "/v1/controllers/default":
+        if path == "/v1/controllers/default/file":
             assert int(reply.headers["Content-Length"]) > 2_000_000
 
 
@@ -62,19 +63,21 @@ def test_not_found(service):
     for path in ("/nothing", "/v1", "/v2/jobs", "/v1/jobs/0", "/v1/jobs/x", "/v1/jobs/99999999",
                  "/v1/evaluations/01", "/v1/jobs/1e3", "/v1/designs/" + "0" * 36, "/v1/designs/xyz",
                  "/v1/controllers/nobody", "/v1/controllers/sha256:" + "0" * 64,
-                 "/v1/controllers/UPPER", "/v1/evaluations/99999999/trajectories/0",
+                 "/v1/controllers/UPPER", "/v1/controllers/nobody/file",
+                 "/v1/evaluations/99999999/trajectories/0",
                  "/v1/jobs/" + "9" * 40):
         assert service.request("GET", path).status == 404, path
 
 
 @pytest.mark.parametrize("query", [
     "/v1/jobs?state=lost", "/v1/jobs?kind=magic", "/v1/jobs?limit=0", "/v1/jobs?limit=1001",
-    "/v1/jobs?limit=ten", "/v1/jobs?cursor=x", "/v1/jobs?limit=1&limit=2", "/v1/jobs?colour=red",
+    "/v1/jobs?limit=ten", "/v1/jobs?cursor=x", "/v1/jobs?limit=1&limit=2", "/v1/jobs?color=red",
     "/v1/jobs?state=%zz", "/v1/jobs?cursor=" + "1" * 600, "/v1/designs?sort=age",
     "/v1/designs?controller=default", "/v1/designs?sort=score&cursor=7",
     "/v1/designs?sort=score&environments=moon", "/v1/events?format=xml",
-    "/v1/events?format=json&after=-1", "/v1/events?format=json&job=x", "/v1/controllers?cursor=A",
-    "/healthz?x=1", "/v1/workers?full=1"
+    "/v1/events?format=json&after=-1", "/v1/events?format=json&cursor=x", "/v1/events?cursor=1",
+    "/v1/events?format=json&job=x", "/v1/controllers?cursor=A",
+    "/healthz?x=1", "/v1/threads?full=1"
 ])
 def test_bad_parameters(service, query):
     reply = service.request("GET", query)
@@ -88,8 +91,8 @@ def test_accept(service):
                            headers={"Accept": "text/html, */*;q=0.1"}).status == 200
     assert service.request("GET", "/v1/events",
                            headers={"Accept": "application/json"}).status == 406
-    assert service.request("GET", "/v1/controllers/default",
-                           headers={"Accept": "image/png"}).status == 406
+    for path in ("/v1/controllers/default", "/v1/controllers/default/file"):
+        assert service.request("GET", path, headers={"Accept": "image/png"}).status == 406
 
 
 def metrics(service):
@@ -131,9 +134,9 @@ def test_metrics(service):
         "morphod_http_request_duration_seconds_count", None]
 
 
-def test_workers(service):
-    reply = service.request("GET", "/v1/workers").json()
-    assert reply["n_workers"] == 1 and "float32" in reply["fingerprints"]["float32"]
+def test_threads(service):
+    reply = service.request("GET", "/v1/threads").json()
+    assert reply["n_threads"] == 1 and "float32" in reply["fingerprints"]["float32"]
 
 
 @pytest.mark.parametrize("host, status",
@@ -209,8 +212,10 @@ def test_unix_socket(start, tmp_path):
     assert running.request("GET", "/v1/jobs", unix=True).status == 200
     if os.geteuid() == 0:  # another user is refused
         script = (
-            "import os, socket, sys; os.setgroups([]); os.setgid(65534); os.setuid(65534); s = socket.socket(socket.AF_UNIX); s.connect(sys.argv[1]);"
-            "s.sendall(b'GET /v1/jobs HTTP/1.1\\r\\nHost: x\\r\\n\\r\\n'); print(s.recv(4096).decode())"
+            "import os, socket, sys; os.setgroups([]); os.setgid(65534); os.setuid(65534); s = "
+            "socket.socket(socket.AF_UNIX); s.connect(sys.argv[1]);"
+            "s.sendall(b'GET /v1/jobs HTTP/1.1\\r\\nHost: x\\r\\n\\r\\n'); "
+            "print(s.recv(4096).decode())"
         )
         for folder in (tmp_path, *tmp_path.parents[:3]):
             if str(folder).startswith("/tmp/"):
@@ -279,8 +284,8 @@ def test_pages_of_other_sites(start, tmp_path, unix):
                                "/healthz",
                                headers={**host, "Sec-Fetch-Site": site},
                                unix=unix).status == 200, site
-    reply = running.request("DELETE",
-                            "/v1/jobs/1",
+    reply = running.request("POST",
+                            "/v1/jobs/1/cancel",
                             headers={**host, "Sec-Fetch-Site": "cross-site"},
                             unix=unix)
     assert reply.status == 403 and reply.json()["errors"][0]["header"] == "Sec-Fetch-Site"
@@ -319,7 +324,8 @@ def test_slow_clients_are_cut_off(start):
     beginnings = {
         "header": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: ", 1),
         "line": (b"GET /heal", 1), "body": (
-            b"POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n{",
+            b"POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nContent-Type: "
+            b"application/json\r\nContent-Length: 1000\r\n\r\n{",
             2), "idle": (b"", 1)
     }
     ended = {}

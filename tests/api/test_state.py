@@ -14,8 +14,8 @@ ENVIRONMENT = {key: value for key, value in os.environ.items() if not key.starts
 
 
 def test_tags_name_the_store(start, tmp_path):
-    """What a client keeps of one store is not taken for what another one has under the same numbers.
-    """
+    """What a client keeps of one store is not taken for what another one has under the same
+    numbers."""
     etags = []
     for name in ("one", "other"):
         running = start(state=tmp_path / name)
@@ -302,7 +302,8 @@ def test_files_of_unused_controllers(start, tmp_path):
     running = start(state=tmp_path / "state")
     body = tiny_controller(running)
     digest = hashlib.sha256(body).hexdigest()
-    path, file = f"/v1/controllers/sha256:{digest}", tmp_path / "state" / "controllers" / f"{digest}.safetensors"
+    path = f"/v1/controllers/sha256:{digest}"
+    file = tmp_path / "state" / "controllers" / f"{digest}.safetensors"
     used = running.request("DELETE", path)
     assert used.status == 409 and "the name tiny refers to it" in used.json(
     )["detail"] and file.exists()
@@ -311,17 +312,15 @@ def test_files_of_unused_controllers(start, tmp_path):
     for method in ("GET", "DELETE"):
         assert running.request(method, path).status == 404
     assert tiny_controller(running) == body and file.read_bytes() == body
-    assert running.request("GET", path).body == body
-    default = running.request("GET",
-                              "/v1/controllers/default",
-                              headers={"Accept": "application/json"}).json()["sha256"]
+    assert running.request("GET", path + "/file").body == body
+    default = running.request("GET", "/v1/controllers/default").json()["sha256"]
     evaluation = running.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["id"]
     assert running.request("PUT",
-                           "/v1/controllers/default",
+                           "/v1/controllers/default/file",
                            body=BOOTSTRAP.read_bytes(),
                            headers={"Content-Type": "application/octet-stream"}).status == 200
     assert running.request("PUT",
-                           "/v1/controllers/default",
+                           "/v1/controllers/default/file",
                            body=body,
                            headers={"Content-Type": "application/octet-stream"}).status == 200
     assert running.request("DELETE", "/v1/controllers/bootstrap").status == 204

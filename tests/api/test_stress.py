@@ -13,7 +13,7 @@ BLOCK = {"voxels": "1" * 144}
 DESIGNS = [DESIGN, BLOCK, {"cells": [[x, 2, 0] for x in range(6)]}]
 WORLDS = [
     {"light_xy_m": [2.5, 2.5], "terrain_sigma_m": 0.05,
-     "seed": 1},  # the block's centre of mass: the loss itself has a pole there
+     "seed": 1},  # the block's center of mass: the loss itself has a pole there
     {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 1.0, "seed": 2},
     {"light_xy_m": [1.0, 1.5], "terrain_sigma_m": 0.05, "seed": 3}
 ]
@@ -67,8 +67,7 @@ def learn(service, controller, physics):
         assert row["skipped"] or row["diverged"] + row["zeroed"] < BATCH, row
     if all(row["skipped"] for row in rows):
         start = service.request("GET",
-                                f"/v1/controllers/{controller}",
-                                headers={"Accept": "application/octet-stream"}).body
+                                f"/v1/controllers/{controller}/file").body
         assert parts(result)[1] == parts(start)[1]  # nothing was learned
     for row in plain_json(service.request("GET", training["links"]["validations"]).body)["items"]:
         assert row["diverged"] > 0 if row["mean_score"] is None else row["diverged"] < row[
@@ -124,7 +123,7 @@ def test_nothing_but_numbers(start, tmp_path):
     service = start(state=tmp_path)
     header, weights = parts(BOOTSTRAP.read_bytes())
     put = service.request("PUT",
-                          "/v1/controllers/loud",
+                          "/v1/controllers/loud/file",
                           body=header + struct.pack(f"<{len(weights)}f", *(100 * w
                                                                            for w in weights)),
                           headers={"Content-Type": "application/octet-stream"})

@@ -43,7 +43,7 @@ def test_taken_shown_and_changed(service):
     assert [event["data"]["weight"] for event in events
             if event["type"] == "job.weight"] == [0.001, 1000]
     for job in (plain, heavy):
-        assert service.request("DELETE", f"/v1/jobs/{job['id']}").status == 200
+        assert service.request("POST", f"/v1/jobs/{job['id']}/cancel").status == 200
     assert service.request("POST", path + "/weight", {"weight": 2}).status == 409
     assert service.request("POST", "/v1/jobs/123456789/weight", {"weight": 2}).status == 404
     assert service.request("GET", path).json()["weight"] == 1000
@@ -59,7 +59,7 @@ def test_of_a_training(service):
     assert running["progress"]["busy_s"] > 0
     assert service.request("POST", path + "/weight", {"weight": 0.5}).json()["weight"] == 0.5
     assert service.request("GET", f"/v1/trainings/{training['id']}").json()["weight"] == 0.5
-    assert service.request("DELETE", path).status == 200
+    assert service.request("POST", path + "/cancel").status == 200
     awaited(service, f"/v1/trainings/{training['id']}", lambda state: state["phase"] == "idle")
     seconds = worker_seconds(service)
     assert set(seconds) == {"evaluation", "training", "campaign"} and seconds["training"] > 0
@@ -78,7 +78,7 @@ def test_wrong_weights(service, name):
                        ("/v1/trainings", TRAINING)):
         reply = service.request("POST", path, {**body, "weight": WRONG[name]})
         assert reply.status == 422 and reply.pointers() == ["/weight"], reply.body
-    assert service.request("DELETE", f"/v1/jobs/{job['id']}").json()["weight"] == 1
+    assert service.request("POST", f"/v1/jobs/{job['id']}/cancel").json()["weight"] == 1
 
 
 def test_wrong_bodies(service):

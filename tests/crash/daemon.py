@@ -189,11 +189,13 @@ def check_database(state):
             f"SELECT count(*), count(DISTINCT {key}) FROM {table}").fetchone()
         assert total == distinct, f"{table}: {total - distinct} rows are there twice"
     total, keys = database.execute(
-        "SELECT count(*), count(DISTINCT printf('%d %d %d %d', genotype, controller, physics, environment)) "
+        "SELECT count(*), count(DISTINCT printf('%d %d %d %d', genotype, controller, physics, "
+        "environment)) "
         "FROM scores").fetchone()
     assert total == keys
     for (row, ) in database.execute(
-            "SELECT j.id FROM jobs j JOIN evaluations e ON e.job = j.id WHERE j.state = 3 AND e.done <> "
+            "SELECT j.id FROM jobs j JOIN evaluations e ON e.job = j.id WHERE j.state = 3 AND "
+            "e.done <> "
             "e.n_designs * e.n_environments"):
         raise AssertionError(f"job {row} has succeeded without all its rollouts")
     database.close()

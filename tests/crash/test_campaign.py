@@ -75,7 +75,7 @@ def history(daemon, job):
     result = campaign(daemon, job)["result"]
     weights = None
     if result is not None:
-        reply = daemon.get(f"/v1/controllers/{result['controller']['name']}")
+        reply = daemon.get(f"/v1/controllers/{result['controller']['name']}/file")
         assert reply.status_code == 200 and hashlib.sha256(
             reply.content).hexdigest() == result["controller"]["sha256"]
         weights = result["controller"]["sha256"]
@@ -152,9 +152,12 @@ def kill_one_campaign(daemon, generator, value, round_name, n_kills):
     assert victim.stop()[0] == 0
     for part, what in expected.items():
         assert result[part] == what, f"{part} differ from those of an undisturbed run"
-    # What was counted before a kill and had no commit yet: about a block per worker, of 10 rollouts.
-    # A slow disk can hold back the commit of a generation, and the scores of the next wait for that.
-    # What came between the count and the kill is not counted: the unit test of kills counts exactly.
+    # What was counted before a kill and had no commit yet: about a block per worker, of 10
+    # rollouts.
+    # A slow disk can hold back the commit of a generation, and the scores of the next wait for
+    # that.
+    # What came between the count and the kill is not counted: the unit test of kills counts
+    # exactly.
     assert computed - needed <= (kills * 7 + 2 * value["population"]) * 10
     check_database(victim.state)
     return kills, kills_while_running
@@ -178,8 +181,8 @@ def test_kill_at_random_moments(daemon, soak, seed, mode):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_pauses_stops_and_extensions(daemon, seed, mode):
-    """Paused, stopped, killed while paused, and extended: as if all its generations had been asked for
-    at once."""
+    """Paused, stopped, killed while paused, and extended: as if all its generations had been asked
+    for at once."""
     print(f"seed {seed}")
     quiet = daemon("at-once", workers=2)
     with quiet:
@@ -191,13 +194,13 @@ def test_pauses_stops_and_extensions(daemon, seed, mode):
     one.start()
     job = post(one, "/v1/campaigns", request(mode, seed % 100000, 2))["id"]
     await_campaign(one, job, lambda now: now["phase"] in ("learning", "scoring"))
-    post(one, f"/v1/campaigns/{job}/pause")
+    post(one, f"/v1/jobs/{job}/pause")
     await_campaign(one, job, lambda now: now["state"] == "paused" and now["phase"] == "idle")
     one.kill()
     one.start()
     assert campaign(one, job)["state"] == "paused"
     post(one, f"/v1/campaigns/{job}/extend", {"generations": 1})
-    post(one, f"/v1/campaigns/{job}/resume")
+    post(one, f"/v1/jobs/{job}/resume")
     await_campaign(one, job, lambda now: now["progress"]["generation"] is not None)
     status, seconds = one.stop()
     assert status == 0 and seconds < 10, (status, seconds)

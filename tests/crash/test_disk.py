@@ -101,8 +101,8 @@ def test_full_disk_while_it_computes(one, small_disk, seed):
 
 
 def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
-    """Whatever waits for room, and however often it tries, people can pause, cancel and read; the room
-    that is set aside comes back first."""
+    """Whatever waits for room, and however often it tries, people can pause, cancel and read; the
+    room that is set aside comes back first."""
     reserve = one.state / "reserve"
 
     def held():
@@ -118,7 +118,7 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
         return reply.json()["state"], reply.json()["reason"]
 
     def ask(verb, job, *expected):
-        reply = one.session.post(f"{one.address}/v1/campaigns/{job}/{verb}")
+        reply = one.session.post(f"{one.address}/v1/jobs/{job}/{verb}")
         assert reply.status_code in expected, f"{verb} {job}: {reply.text}\n{one.tail()}"
         if reply.status_code == 507:
             assert "full" in reply.json()["detail"], reply.text
@@ -175,12 +175,12 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
 
 
 def test_killed_on_a_full_disk(one, small_disk, seed):
-    """The way out outlives the process: killed on a full disk it starts again, short of room as it was;
-    where others took the reserve's room it says what to do."""
+    """The way out outlives the process: killed on a full disk it starts again, short of room as it
+    was; where others took the reserve's room it says what to do."""
     reserve = one.state / "reserve"
 
     def cancel(job):
-        reply = one.session.delete(f"{one.address}/v1/jobs/{job}")
+        reply = one.session.post(f"{one.address}/v1/jobs/{job}/cancel")
         assert reply.status_code in (200, 202), f"{reply.text}\n{one.tail()}"
 
     def submit():
@@ -259,10 +259,10 @@ def test_start_on_a_full_disk_of_small_blocks(small_blocks):
     one.log = folder.parent / "log"
     one.port_file = folder.parent / "address"
     with one:
-        pass  # killed: the next start makes the index of the log anew
+        pass  # killed: the next start makes a new index of the log
     statuses = []
     for free in range(0, 80, 4):
-        for name in ("reserve", "morphod.db-shm"):  # made anew
+        for name in ("reserve", "morphod.db-shm"):  # made again
             (one.state / name).unlink(missing_ok=True)
         filler = fill(folder)
         with open(filler, "r+b") as file:

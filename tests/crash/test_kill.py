@@ -93,7 +93,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
     ids = set()
     for key, (request, job) in acknowledged.items():
         again = victim.submit(request, key=key)
-        assert job is None or again == job, "an acknowledged evaluation has another id after the restart"
+        assert job is None or again == job, "an acknowledged evaluation has another id now"
         assert again not in ids, "two keys have one evaluation"
         ids.add(again)
         evaluation = victim.finish(again, timeout_s=1800)

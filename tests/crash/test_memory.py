@@ -92,15 +92,15 @@ def saying(content, **said):
 
 
 def put(daemon, name, content):
-    reply = daemon.session.put(f"{daemon.address}/v1/controllers/{name}",
+    reply = daemon.session.put(f"{daemon.address}/v1/controllers/{name}/file",
                                data=content,
                                headers={"Content-Type": "application/octet-stream"})
     assert reply.status_code in (200, 201), reply.text
 
 
 def test_small_memory(folder, cgroup):
-    """A matrix of jobs, one by one and all at once, where a default campaign would take more than there
-    is."""
+    """A matrix of jobs, one by one and all at once, where a default campaign would take more than
+    there is."""
     with Small(f"{folder}/one", cgroup, workers=2) as one:
         put(one, "pretrained", PRETRAINED.read_bytes())
         absurd = saying(CONTROLLER.read_bytes(),
@@ -160,8 +160,8 @@ def test_small_memory(folder, cgroup):
 
 
 def test_killed_again_and_again(daemon):
-    """A campaign during whose drawing the process is killed three times fails with a sentence; a power
-    cut counts for nothing."""
+    """A campaign during whose drawing the process is killed three times fails with a sentence; a
+    power cut counts for nothing."""
     one = daemon("one")
     one.start()
     put(one, "pretrained", PRETRAINED.read_bytes())

@@ -24,8 +24,8 @@ def saturate(daemon, seed, n=600):
 
 
 def test_sigterm_while_saturated(daemon, seed):
-    """Exit status 0 within 10 s; the work goes on at the next start and loses nothing that was saved.
-    """
+    """Exit status 0 within 10 s; the work goes on at the next start and loses nothing that was
+    saved."""
     print(f"seed {seed}")
     one = daemon("stop").start()
     job = saturate(one, seed)
@@ -39,7 +39,7 @@ def test_sigterm_while_saturated(daemon, seed):
     assert before["state"] in ("queued", "running")
     assert before["rollouts_done"] > 0
     assert before["attempts"] == 0
-    reply = one.session.delete(f"{one.address}/v1/jobs/{job}")
+    reply = one.session.post(f"{one.address}/v1/jobs/{job}/cancel")
     assert reply.status_code in (200, 202)
     assert one.finish(job)["state"] == "cancelled"
     assert one.stop()[0] == 0
@@ -236,8 +236,9 @@ def test_passed_socket(daemon):
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         command = [c for c in one.command() if not c.startswith("--listen")]
-        script = f"import os, sys; os.dup2({server.fileno()}, 3); os.set_inheritable(3, True); " \
-                 "os.environ.update(LISTEN_FDS='1', LISTEN_FDNAMES='http', LISTEN_PID=str(os.getpid())); os.execv(sys.argv[1], sys.argv[1:])"
+        script = (f"import os, sys; os.dup2({server.fileno()}, 3); os.set_inheritable(3, True); "
+                  "os.environ.update(LISTEN_FDS='1', LISTEN_FDNAMES='http', "
+                  "LISTEN_PID=str(os.getpid())); os.execv(sys.argv[1], sys.argv[1:])")
         with open(one.log, "ab") as log:
             one.process = subprocess.Popen(["/usr/bin/python3", "-c", script, *command],
                                            stdout=log,

@@ -75,7 +75,7 @@ def finish(daemon, job, timeout_s=60):
 def weights(daemon, job):
     """The file of a training's result; fails when it is not what its name says."""
     result = training(daemon, job)["controller"]
-    reply = daemon.get(f"/v1/controllers/{result['name']}")
+    reply = daemon.get(f"/v1/controllers/{result['name']}/file")
     assert reply.status_code == 200, reply.text
     assert hashlib.sha256(reply.content).hexdigest() == result["sha256"]
     return reply.content
@@ -85,7 +85,8 @@ def curve(state, job):
     """Everything that a repeat must not change: steps without their times, and validations."""
     database = open_database(state)
     steps = database.execute(
-        "SELECT step, mean_loss, rate, gradient_norm, clipped_share, clipped_robots_share, diverged, zeroed, skipped, "
+        "SELECT step, mean_loss, rate, gradient_norm, clipped_share, clipped_robots_share, "
+        "diverged, zeroed, skipped, "
         "bounded FROM training_steps WHERE job = ? ORDER BY step", (job, )).fetchall()
     validations = database.execute("SELECT * FROM training_validations WHERE job = ? ORDER BY step",
                                    (job, )).fetchall()
@@ -109,8 +110,8 @@ def check_files(state):
 
 
 def test_kill_at_random_moments(daemon, soak, seed):
-    """Killed 20 times, with another number of workers in every life, against undisturbed runs with 1, 2
-    and 7 workers."""
+    """Killed 20 times, with another number of workers in every life, against undisturbed runs with
+    1, 2 and 7 workers."""
     print(f"seed {seed}")
     generator = random.Random(seed)
     n_kills, steps = (200, 1000) if soak else (20, 60)
@@ -165,7 +166,8 @@ def test_kill_at_random_moments(daemon, soak, seed):
                        job) == expected[0], "the weights are not those of an undisturbed run"
     assert victim.stop()[0] == 0
     print(
-        f"{kills} kills of {len(done)} trainings, {kills_while_running} of them while one ran; {all_work} blocks undisturbed"
+        f"{kills} kills of {len(done)} trainings, {kills_while_running} of them while one ran; "
+        f"{all_work} blocks undisturbed"
     )
     assert kills_while_running >= n_kills // 2
     for job in done:
@@ -255,7 +257,7 @@ def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
             }
             assert found == {"running": [], "paused": [first]}, found
         second = train(one, request)
-        assert one.session.delete(f"{one.address}/v1/jobs/{first}").status_code in (200, 202)
+        assert one.session.post(f"{one.address}/v1/jobs/{first}/cancel").status_code in (200, 202)
         await_training(one, first, lambda now: now["state"] == "cancelled")
         await_training(one, second, lambda now: now["state"] == "paused")
         # Not a byte is left: the service lives, and a cancellation is still possible.
@@ -264,7 +266,7 @@ def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
         time.sleep(1.5)
         assert one.process.poll() is None, one.tail()
         assert one.get("/healthz").status_code == 200
-        reply = one.session.delete(f"{one.address}/v1/jobs/{third}")
+        reply = one.session.post(f"{one.address}/v1/jobs/{third}/cancel")
         assert reply.status_code in (200, 202), reply.text
         assert refill > 0
         filler.unlink()

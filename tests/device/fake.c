@@ -1,17 +1,20 @@
 /* fake.c: a module of devices that computes on the processor, for tests on machines without any:
- * scores by the fast path, gradients by blocks of the CPU. It does what the environment says when
- * it is loaded or opens a device: MORPHO_FAKE_DEVICES       how many devices there are (1)
- *   MORPHO_FAKE_ROWS          most rows of a call to `score`, MORPHO_FAKE_SHARDS most shards of one
- * to `gradient`: else no memory MORPHO_FAKE_SPRINGS       a body with more is not supported
- *   MORPHO_FAKE_DELAY_MS      what every call takes longer
- *   MORPHO_FAKE_LOSE          "1:5": device 1 is lost in its fifth call
- *   MORPHO_FAKE_LOSE_IF       every device is lost as soon as a file of this name exists
- *   MORPHO_FAKE_SHUT          this device cannot be opened, MORPHO_FAKE_FULL this one has no memory
- * to be opened MORPHO_FAKE_HASTE         a gradient whose robots were not laid out ahead is invalid
- *   MORPHO_FAKE_FAULT         laying out robots is a fault of memory
- *   MORPHO_FAKE_MEET          layouts are made so many at a time: one that waits 20 s for the
- * others fails MORPHO_FAKE_OLDER         this device has compute capability 8.0, the others
- * have 9.0 MORPHO_FAKE_ABI, MORPHO_FAKE_CODE    what it says of itself */
+ * scores by the fast path, gradients by blocks of the CPU. The environment controls it when it is
+ * loaded or opens a device:
+ *   MORPHO_FAKE_DEVICES   how many devices there are (1)
+ *   MORPHO_FAKE_ROWS      most rows of a call to `score`; more is a lack of memory
+ *   MORPHO_FAKE_SHARDS    most shards of a call to `gradient`; more is a lack of memory
+ *   MORPHO_FAKE_SPRINGS   a body with more is not supported
+ *   MORPHO_FAKE_DELAY_MS  additional time of every call
+ *   MORPHO_FAKE_LOSE      "1:5": device 1 is lost in its fifth call
+ *   MORPHO_FAKE_LOSE_IF   every device is lost as soon as a file of this name exists
+ *   MORPHO_FAKE_SHUT      this device cannot be opened
+ *   MORPHO_FAKE_FULL      this device has no memory to be opened
+ *   MORPHO_FAKE_HASTE     a gradient whose robots were not laid out ahead is invalid
+ *   MORPHO_FAKE_FAULT     laying out robots is a fault of memory
+ *   MORPHO_FAKE_MEET      so many layouts run at a time: one that waits 20 s for the others fails
+ *   MORPHO_FAKE_OLDER     this device has compute capability 8.0, the others have 9.0
+ *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE  what it reports of itself */
 #include "compute/device.h"
 
 #include <pthread.h>
@@ -33,7 +36,7 @@ struct mo_device {
   struct mo_workspace_memory *memory;
   struct mo_gradient_memory *gradient;
   struct mo_pack *passive;
-  const volatile int *cancel; /* of the call under way */
+  const volatile int *cancel; /* of the call in flight */
 };
 
 struct mo_device_controller {

@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "http/campaign_request.h"
+#include "api/campaign_request.h"
 
 static void check_settings(const struct mo_campaign_settings *settings)
 {

@@ -1,9 +1,14 @@
 #!/usr/bin/env bash
-# Says which C files clang-format would change. Exit status 1 if any.
+# Names the C files that clang-format would change. Exit status 1 if there is one.
 set -u
 cd "$(dirname "$0")/../.." || exit 2
-found=$(git ls-files -z '*.c' '*.h' '*.inc' | xargs -0 -P "$(nproc)" -n 50 clang-format --dry-run -Werror 2>&1)
+found=$(git ls-files -z '*.c' '*.h' '*.inc' |
+  xargs -0 -P "$(nproc)" -n 50 clang-format --dry-run -Werror 2>&1)
 [ -z "$found" ] && exit 0
-grep -oE '^[^: ]+\.(c|h|inc):' <<<"$found" | sort -u | sed 's/^/# /; s/:$/: run clang-format -i on it/'
-grep -qE '^[^: ]+\.(c|h|inc):' <<<"$found" || printf '%s\n' "$found"
+files=$(grep -oE '^[^: ]+\.(c|h|inc):' <<<"$found" | sort -u)
+if [ -n "$files" ]; then
+  sed 's/^/# /; s/:$/: run clang-format -i on it/' <<<"$files"
+else
+  printf '%s\n' "$found"
+fi
 exit 1

@@ -21,9 +21,12 @@ ROOMS = {
     "evolution": [],
     "store": ["sqlite3.h", "nettle/"],
     "jobs": [],
-    "http": ["microhttpd.h", "jansson.h"],
+    "http": ["microhttpd.h"],
+    "api": [],
     "daemon": ["systemd/"],
 }
+# A room that includes only these others, although more come before it: the protocol knows no job.
+ONLY = {"http": ["base", "store/hash.h"]}
 LIBRARY = list(ROOMS)[:list(ROOMS).index("store")]  # libmorpho: no output, no exit
 FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "systemd/", "curl/"]
 PUBLIC = {
@@ -75,6 +78,9 @@ def faults_of(room, top):
             elif other is not None and order.index(other) > order.index(room):
                 faults.append(
                     f"{name} includes {include}, of room {other}, which comes after {room}")
+            only = ONLY.get(room)
+            if only is not None and other not in (None, room, *only) and include not in only:
+                faults.append(f"{name} includes {include}: room {room} has no use for {other}")
             for foreign in FOREIGN:
                 if include.startswith(foreign) and foreign not in ROOMS[room]:
                     faults.append(f"{name} includes {include}, which room {room} may not use")
@@ -85,7 +91,8 @@ def faults_of(room, top):
             for number, line in enumerate(bare.splitlines(), 1):
                 if SPEAKS.search(line):
                     faults.append(
-                        f"{name}:{number}: a library neither prints nor ends the process: {line.strip()}"
+                        f"{name}:{number}: a library neither prints nor ends the process: "
+                        f"{line.strip()}"
                     )
     return faults
 
@@ -122,6 +129,7 @@ def self_test():
     cases = {
         "a lower room": ("src/world/a.c", '#include "store/store.h"\n'),
         "a lower room's public header": ("src/morphospace/a.c", "#include <morpho/rollout.h>\n"),
+        "a protocol that knows jobs": ("src/http/a.c", '#include "jobs/jobs.h"\n'),
         "a foreign header": ("src/jobs/a.c", "#include <sqlite3.h>\n"),
         "printing": ("src/rollout/a.c", 'void f(void) { printf("x"); }\n'),
         "ending the process": ("src/base/a.c", "void f(void) { exit(1); }\n"),

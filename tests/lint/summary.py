@@ -22,7 +22,8 @@ def main(arguments):
     passed = failed = skipped = 0
     for path in arguments:
         for case in ET.parse(path).getroot().iter("testcase"):
-            name = f"{path.rsplit('/', 1)[-1][:-4]}: {case.get('classname') or ''} {case.get('name')}"
+            step = path.rsplit("/", 1)[-1][:-4]
+            name = f"{step}: {case.get('classname') or ''} {case.get('name')}"
             if case.find("failure") is not None or case.find("error") is not None:
                 failed += 1
                 print(f"FAILED {name}")

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Runs clang-tidy over the sources that BUILD compiles (default: build). Exit status 1 on a finding.
-# Sources that are compiled several times (kernels) are checked once. One file at a time: with several, clang-tidy 14 takes the
-# va_list of later ones for uninitialized.
+# Sources that are compiled several times (kernels) are checked once. One file per call: with
+# several, clang-tidy 14 takes the va_list of later ones for uninitialized.
 set -u
 cd "$(dirname "$0")/../.." || exit 2
 build=${1:-build}

@@ -89,7 +89,7 @@ static void ancestors(void)
   put("sys/fs/cgroup/slice/user/job.scope/cpu.max", "700000 100000\n");
   put("sys/fs/cgroup/slice/user/cpu.max", "max 100000\n");
   put("sys/fs/cgroup/slice/cpu.max", "800000 100000\n");
-  put("sys/fs/cgroup/slice/neighbour/cpu.max", "100000 100000\n"); /* not on the way up */
+  put("sys/fs/cgroup/slice/neighbor/cpu.max", "100000 100000\n"); /* not on the way up */
   CHECK_INT(mo_quota_processors(root), 7);
   put("sys/fs/cgroup/slice/user/cpu.max", "600000 100000\n");
   CHECK_INT(mo_quota_processors(root), 6);

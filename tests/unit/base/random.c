@@ -218,8 +218,8 @@ static void normal(void)
   CHECK_NEAR(chi, BINS + 1, 4.0 * sqrt(2.0 * (BINS + 1)));
 }
 
-/* Neighbouring streams are independent: the correlation of their numbers vanishes. */
-static void neighbours(void)
+/* Neighboring streams are independent: the correlation of their numbers vanishes. */
+static void neighbors(void)
 {
   const int n = 200000;
   double product = 0.0;
@@ -243,6 +243,6 @@ static const struct check_case cases[] = {
     {"the logarithm is exact to rounding", logarithm},
     {"normal quantiles", quantiles},
     {"normal numbers are normal", normal},
-    {"neighbouring streams are uncorrelated", neighbours},
+    {"neighboring streams are uncorrelated", neighbors},
 };
 CHECK_MAIN(cases)

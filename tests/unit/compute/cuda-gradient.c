@@ -79,9 +79,9 @@ static void contact(enum mo_impact impact)
     mo_contact_move_adjoint(&physics, heights, INFINITY, from, with, d_position, d_velocity);
     double distance = 0, error = 0, size = 0;
     for (int k = 0; k < 3; k++) {
-      const double centre = k < 2 ? MO_WORLD_CENTRE_M : 0;
+      const double center = k < 2 ? MO_WORLD_CENTRE_M : 0;
       distance =
-          fmax(distance, fmax(fabs(p[k] + centre - position[k]), 0.004 * fabs(w[k] - speed[k])));
+          fmax(distance, fmax(fabs(p[k] + center - position[k]), 0.004 * fabs(w[k] - speed[k])));
       error += pow(dp[k] - d_position[k], 2) + pow(15 * (dv[k] - d_velocity[k]), 2);
       size += pow(d_position[k], 2) + pow(15 * d_velocity[k], 2);
     }

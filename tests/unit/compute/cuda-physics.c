@@ -45,7 +45,7 @@ static void heights(void)
   cells_of(terrain, cells);
   for (int i = 0; i < 20000; i++) {
     const float p[2] = {(float)uniform(-4, 4),
-                        (float)uniform(-4, 4)}; /* from the centre: beyond all edges, too */
+                        (float)uniform(-4, 4)}; /* from the center: beyond all edges, too */
     const float x = mo_cuda_coordinate(p[0]), y = mo_cuda_coordinate(p[1]);
     struct mo_cuda_patch patch;
     float slope[2];
@@ -157,7 +157,7 @@ static void springs(void)
     const double truth = (length - wanted) / (length + 1e-8);
     if (length >= 0.02) /* no spring is ever as short; below, 1e-8 of the length counts */
       worst =
-          fmax(worst, fabs(mo_cuda_spring(d[0], d[1], d[2], wanted) - truth) * length); /* metres */
+          fmax(worst, fabs(mo_cuda_spring(d[0], d[1], d[2], wanted) - truth) * length); /* meters */
   }
   CHECK(worst < 2e-7);
   CHECK(0 * mo_cuda_spring(0, 0, 0, 0.1f) == 0);

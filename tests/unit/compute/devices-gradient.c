@@ -21,8 +21,7 @@ static struct gradient differentiate_with(struct mo_gradient_state *state,
                                     .robots = robots,
                                     .n = ROBOTS,
                                     .physics = mo_default_physics(),
-                                    .adjoint_bound =
-                                        0.01, /* each adjoint begins anew at each step */
+                                    .adjoint_bound = 0.01, /* each adjoint restarts at each step */
                                     .adjoint_rule = MO_ADJOINT_RESTART,
                                     .restart_weight = 2.5,
                                     .back_end = back_end,

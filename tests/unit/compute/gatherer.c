@@ -121,6 +121,6 @@ static void builds_what_is_wanted(void)
 
 static const struct check_case cases[] = {
     {"a trickle of blocks does not keep a device waiting", does_not_wait_for_ever},
-    {"bodies are shared by neighbours, and built for those that are wanted", builds_what_is_wanted},
+    {"bodies are shared by neighbors, and built for those that are wanted", builds_what_is_wanted},
 };
 CHECK_MAIN(cases)

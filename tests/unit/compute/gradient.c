@@ -279,7 +279,7 @@ __attribute__((unused)) static void it_is_the_mean(void)
                                               .adjoint_rule = MO_ADJOINT_RESTART,
                                               .restart_weight = 2.5};
   batch.adjoint_bound =
-      options.adjoint_bound; /* each adjoint begins anew at each step, and counts 2.5 times */
+      options.adjoint_bound; /* each adjoint restarts at each step, and counts 2.5 times */
   batch.adjoint_rule = options.adjoint_rule;
   batch.restart_weight = options.restart_weight;
   CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);

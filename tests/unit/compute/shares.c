@@ -1,6 +1,6 @@
 /* Shares on running workers: time by weight between submitters of short and long blocks and of
- * gradients, urgent blocks charged to nobody, the same bits as ever, and shares that come and go.
- * fair.c has the arithmetic. */
+ * gradients, urgent blocks charged to no share, the same bits in any order, and shares that come
+ * and go. fair.c has the arithmetic. */
 #include <morpho/compute.h>
 
 #include "../check.h"
@@ -161,7 +161,7 @@ static double busy_s(const struct mo_compute_share *share)
 
 /* The part of each of n shares in the worker seconds that they get from now on: once they have had
  * `seconds`, as near as `tolerance` to what is wanted. A block that lost its processor for long is
- * a debt that is paid later: four times as long is waited for that. */
+ * a debt that is paid later: twelve times as long is waited for that. */
 static bool gets(struct mo_compute_share *const *shares, int n, double seconds,
                  const double *wanted)
 {
@@ -169,7 +169,7 @@ static bool gets(struct mo_compute_share *const *shares, int n, double seconds,
   bool right = false;
   for (int i = 0; i < n; i++)
     before[i] = busy_s(shares[i]);
-  while ((sum < seconds || (!right && sum < 4 * seconds)) && now_s() < late_s) {
+  while ((sum < seconds || (!right && sum < 12 * seconds)) && now_s() < late_s) {
     usleep(500);
     sum = 0;
     for (int i = 0; i < n; i++)
@@ -316,7 +316,7 @@ static void urgent_blocks_are_charged_to_nobody(void)
   REQUIRE(mo_compute_share_create(compute, 1, &calm) == MO_OK);
   REQUIRE(mo_compute_share_create(compute, 1, &hasty) == MO_OK);
   fill_block(&slow, brain, calm,
-             MO_STEPS_MAX); /* under way for as long as the urgent ones take, then cancelled */
+             MO_STEPS_MAX); /* runs as long as the urgent ones take, then cancelled */
   slow.cancel = &cancel;
   slow.done = note;
   slow.context = &done;

@@ -74,7 +74,7 @@ static void against_textbook(void)
   mo_controller_free(c);
 }
 
-/* With zero matrices a hidden layer is ReLU(shift), whatever its bias: the normalised part of a
+/* With zero matrices a hidden layer is ReLU(shift), whatever its bias: the normalized part of a
  * constant layer is 0. */
 static void closed_form(void)
 {

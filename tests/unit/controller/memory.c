@@ -9,7 +9,7 @@
 
 static int reached; /* whether the failing allocation was asked for in the last call */
 
-static void settle(void)
+static void stop_failing(void)
 {
   reached = left < 0;
   left = -1;
@@ -24,7 +24,7 @@ static int create(void)
 {
   struct mo_controller *c = NULL;
   const int r = mo_controller_create(tiny, MO_SENSOR_INVERSE_SQRT, &c);
-  settle();
+  stop_failing();
   CHECK((c != NULL) == (r == MO_OK));
   mo_controller_free(c);
   return r;
@@ -35,7 +35,7 @@ static int decode(void)
   struct mo_controller *c = NULL;
   struct mo_message message = {""};
   const int r = mo_controller_decode(file, file_size, &c, &message);
-  settle();
+  stop_failing();
   CHECK((c != NULL) == (r == MO_OK));
   CHECK((message.text[0] != '\0') == (r != MO_OK));
   if (c != NULL) {
@@ -53,7 +53,7 @@ static int encode(void)
   uint8_t *bytes = NULL;
   size_t size = 0;
   const int r = mo_controller_encode(shared, &bytes, &size);
-  settle();
+  stop_failing();
   CHECK((bytes != NULL) == (r == MO_OK));
   CHECK(r != MO_OK || (size == file_size && memcmp(bytes, file, size) == 0));
   free(bytes);
@@ -63,7 +63,7 @@ static int encode(void)
 static int put(void)
 {
   const int r = mo_controller_set_metadata(shared, "a key", "a value");
-  settle();
+  stop_failing();
   CHECK((mo_controller_get_metadata(shared, "a key") != NULL) == (r == MO_OK));
   return r;
 }
@@ -77,7 +77,7 @@ static int rollout(void)
   physics.n_steps = 3;
   struct mo_outcome outcome = {.loss = -1};
   const int r = mo_rollout_reference(body, shared, &environment, &physics, NULL, &outcome);
-  settle();
+  stop_failing();
   CHECK((outcome.loss > 0) == (r == MO_OK));
   return r;
 }

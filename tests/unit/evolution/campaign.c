@@ -40,8 +40,8 @@ static uint64_t hash_of(const struct mo_campaign_settings *settings, int generat
   return hash;
 }
 
-/* A seed means the same for ever: a change of these numbers breaks every stored campaign's promise.
- */
+/* A seed always means the same campaign: a change of these numbers breaks the promise of every
+ * stored one. */
 static void frozen(void)
 {
   static const uint64_t expected[] = {0xf8335799e4385b08, 0x1cb3583196a004d1, 0x1be14bcdd46d7c5e,
@@ -391,7 +391,7 @@ static void pretraining_interrupted(void)
 }
 
 static const struct check_case cases[] = {
-    {"a seed means the same for ever", frozen},
+    {"a seed always means the same", frozen},
     {"the seeds of few-shot generations, too", frozen_seeds},
     {"a generation made again from the population and what was seen", made_again},
     {"given designs, then random ones", given},

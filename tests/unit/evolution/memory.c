@@ -174,7 +174,7 @@ static void functions(void)
       descents[i] =
           (struct mo_descent){{i > 0 ? i - 1 : MO_NO_PARENT, MO_NO_PARENT}, MO_BORN_MUTATION};
   }
-  for (int kind = 0; kind < 4; kind++) {
+  for (int kind = 0; mo_selection_words[kind] != NULL; kind++) {
     settings.selection.kind = (enum mo_selection_kind)kind;
     each_fails(select_some, kind == MO_SELECT_NOVELTY ? 5 : kind == MO_SELECT_TOURNAMENT ? 3 : 2);
   }

@@ -61,7 +61,7 @@ static void alive(const struct scene *scene, uint8_t lives[N])
 /* What holds whatever the scheme. */
 static void every_scheme(void)
 {
-  for (int kind = 0; kind < 4; kind++)
+  for (int kind = 0; mo_selection_words[kind] != NULL; kind++)
     for (uint32_t step = 0; step < 60; step++) {
       static struct scene scene;
       uint8_t lives[N];
@@ -126,7 +126,7 @@ static void ties_and_nonsense(void)
   CHECK_INT(scene.n, 0);
   scene.settings.population = 200; /* more places than candidates: all live */
   scene.candidates[17].score = INFINITY;
-  for (int kind = 0; kind < 4; kind++) {
+  for (int kind = 0; mo_selection_words[kind] != NULL; kind++) {
     scene.settings.selection.kind = (enum mo_selection_kind)kind;
     CHECK_INT(run(&scene), MO_OK);
     CHECK(scene.n == N && scene.survivors[N - 1] == 17);
@@ -136,7 +136,7 @@ static void ties_and_nonsense(void)
 /* The order in which candidates come does not matter: the same numbers live. */
 static void any_order(void)
 {
-  for (int kind = 0; kind < 4; kind++)
+  for (int kind = 0; mo_selection_words[kind] != NULL; kind++)
     for (uint32_t step = 0; step < 10; step++) {
       static struct scene scene, turned;
       REQUIRE(make_up(&scene, step, 8, (enum mo_selection_kind)kind) == 0);

@@ -72,7 +72,7 @@ static void split(void)
     }
 }
 
-/* Each place mutates in a quarter of the generations, and neighbours do not go together. */
+/* Each place mutates in a quarter of the generations, and neighbors do not go together. */
 static void groups_are_random(void)
 {
   const struct mo_campaign_settings settings = small_campaign(5, 64);

@@ -119,26 +119,47 @@ static void ids(void)
         !mo_id("1000000000000000000", &id));
 }
 
+/* Finds a path in a small table; the index of its first line, or −1. */
+static const struct mo_route lines[] = {
+    {"/", MO_GET, NULL, 0, MO_BODY_SMALL, ""},
+    {"/v1/jobs", MO_GET, NULL, 0, MO_BODY_SMALL, ""},
+    {"/v1/jobs/{id}", MO_GET, NULL, 0, MO_BODY_SMALL, ""},
+    {"/v1/jobs/{id}", MO_DELETE, NULL, 0, MO_BODY_SMALL, ""},
+    {"/v1/jobs/{id}/pause", MO_POST, NULL, 0, MO_BODY_SMALL, ""},
+    {"/v1/{a}/3/b/{c}", MO_GET, NULL, 0, MO_BODY_SMALL, ""}};
+static const struct mo_routes table = {lines, sizeof(lines) / sizeof(lines[0])};
+static char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES];
+
+static int find(const char *path)
+{
+  const struct mo_route *route = mo_route_find(&table, path, strlen(path), parameters);
+  return route != NULL ? (int)(route - lines) : -1;
+}
+
 static void routes(void)
 {
-  char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES], allow[64];
-  CHECK_INT(mo_route_find("/", 1, parameters), MO_ROUTE_INDEX);
-  CHECK_INT(mo_route_find("/v1/jobs", 8, parameters), MO_ROUTE_JOBS);
-  CHECK_INT(mo_route_find("/v1/jobs/", 9, parameters), MO_ROUTE_NONE);
-  CHECK_INT(mo_route_find("/v1/jobs/17", 11, parameters), MO_ROUTE_JOB);
+  char allow[64];
+  CHECK_INT(find("/"), 0);
+  CHECK_INT(find("/v1/jobs"), 1);
+  CHECK_INT(find("/v1/jobs/"), -1);
+  CHECK_INT(find("/v1/jobs/17"), 2);
   CHECK_TEXT(parameters[0], "17");
-  CHECK_INT(mo_route_find("/v1/jobs/17/pause", 17, parameters), MO_ROUTE_JOB_PAUSE);
-  CHECK_INT(mo_route_find("/v1/jobs//pause", 15, parameters), MO_ROUTE_NONE);
-  CHECK_INT(mo_route_find("//v1/jobs", 9, parameters), MO_ROUTE_NONE);
-  CHECK_INT(mo_route_find("/v1/../v1/jobs", 14, parameters), MO_ROUTE_NONE);
-  CHECK_INT(mo_route_find("/v1/evaluations/3/trajectories/9", 32, parameters), MO_ROUTE_TRAJECTORY);
+  CHECK_INT(find("/v1/jobs/17/pause"), 4);
+  CHECK_INT(find("/v1/jobs//pause"), -1);
+  CHECK_INT(find("//v1/jobs"), -1);
+  CHECK_INT(find("/v1/../v1/jobs"), -1);
+  CHECK_INT(find("/v1/evaluations/3/b/9"), 5);
   CHECK_TEXT(parameters[1], "9");
-  CHECK_INT(mo_route_find("/v1/controllers/sha256%3Aab", 27, parameters), MO_ROUTE_CONTROLLER);
+  CHECK_INT(find("/v1/jobs/sha256%3Aab"), 2);
   CHECK_TEXT(parameters[0], "sha256:ab");
-  CHECK_INT(mo_route_find("/v1/controllers/a%00b", 21, parameters), MO_ROUTE_NONE);
-  CHECK_INT(mo_route_find("*", 1, parameters), MO_ROUTE_NONE);
-  mo_route_allow(MO_ROUTE_JOB, allow);
+  CHECK_INT(find("/v1/jobs/a%00b"), -1);
+  CHECK_INT(find("*"), -1);
+  mo_route_allow(&table, &lines[2], allow);
   CHECK_TEXT(allow, "GET, HEAD, DELETE, OPTIONS");
+  CHECK(mo_route_of_method(&table, &lines[2], MO_DELETE) == &lines[3]);
+  CHECK(mo_route_of_method(&table, &lines[2], MO_HEAD) == &lines[2]);
+  CHECK(mo_route_of_method(&table, &lines[2], MO_POST) == NULL);
+  CHECK(mo_route_of_method(&table, NULL, MO_GET) == NULL);
   CHECK_INT(mo_method_of("get"), MO_OTHER_METHOD);
 }
 

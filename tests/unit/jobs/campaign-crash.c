@@ -51,8 +51,7 @@ static void live(const char *path, int mode, uint32_t n_workers)
   }
   id = submit(&service, &request);
   atomic_store(&shared->runs, true);
-  if (id < 1 || mo_jobs_wait(service.jobs, id, 60000, &job) != MO_OK ||
-      job.state != MO_JOB_SUCCEEDED)
+  if (id < 1 || await_end(service.jobs, id, 60000, &job) != MO_OK || job.state != MO_JOB_SUCCEEDED)
     _exit(4);
   service_close(&service);
   _exit(0);
@@ -82,8 +81,8 @@ static void check_end(const char *path, int mode, int kills, const struct fake_c
          mo_campaign_mode_name((enum mo_campaign_mode)mode), kills,
          (double)rollouts / MO_PAPER_TEST_COUNT / kills,
          (double)robots / request.record.settings.population / kills);
-  /* Two blocks per worker are in flight or wait for their commit; a generation's learning begins
-   * anew. */
+  /* Two blocks per worker are in flight or wait for their commit; a generation's learning starts
+   * over. */
   CHECK(rollouts <= (uint64_t)kills * 2 * 7 * MO_PAPER_TEST_COUNT);
   CHECK(robots <=
         (uint64_t)kills * (PARENT_STEPS + CHILD_STEPS) * request.record.settings.population);

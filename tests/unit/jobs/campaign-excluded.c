@@ -119,7 +119,7 @@ __attribute__((unused)) static void leaves_out_what_was_learned_from(void)
   }
   CHECK(ends_as_plain(&service, ids[0], &origin));
   CHECK(ends_as_plain(&service, ids[1], &origin));
-  REQUIRE(mo_jobs_wait(service.jobs, ids[2], 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, ids[2], 120000, &job) == MO_OK);
   {
     struct history *stored = stored_history(service.fixture.store, ids[2]);
     CHECK(same_history(stored, without));
@@ -145,8 +145,8 @@ __attribute__((unused)) static void leaves_out_what_was_learned_from(void)
 
 /* ---- lineages that cannot be read ---- */
 
-/* How often the campaign told of this field of this controller (its digits, or NULL: any). */
-static int told(struct service *service, int64_t id, const char *digits, const char *field)
+/* How often the campaign reported this field of this controller (its digits, or NULL: any). */
+static int reported(struct service *service, int64_t id, const char *digits, const char *field)
 {
   struct mo_event events[80];
   char quoted[128];
@@ -160,14 +160,14 @@ static int told(struct service *service, int64_t id, const char *digits, const c
   return n_told;
 }
 
-__attribute__((unused)) static void tells_of_what_cannot_be_read(void)
+__attribute__((unused)) static void reports_what_cannot_be_read(void)
 {
   static const char settings[] = "{\"steps\":900,\"batch\":64,\"x\":1}";
   static const char *const fields[] = {"morphod.kind", "morphod.parent", "morphod.seed",
                                        "morphod.step", "morphod.settings"};
   static const struct {
     struct said said;
-    const char *told[3];
+    const char *reported[3];
   } cases[] = {
       {{"pretrain", "random", "31", "0", settings}, {NULL}}, /* no step, no bodies */
       {{"finetune", "random", NULL, NULL, NULL}, {NULL}},
@@ -205,10 +205,10 @@ __attribute__((unused)) static void tells_of_what_cannot_be_read(void)
       CHECK(ends_as_plain(&service, id, &origin)); /* nothing is excluded */
       for (size_t f = 0; f < sizeof(fields) / sizeof(fields[0]); f++) {
         int expected = 0;
-        for (size_t t = 0; t < 3 && cases[i].told[t] != NULL; t++)
-          expected += strcmp(cases[i].told[t], fields[f]) == 0;
-        CHECK_INT(told(&service, id, digits, fields[f]), expected);
-        CHECK_INT(told(&service, id, NULL, fields[f]), expected);
+        for (size_t t = 0; t < 3 && cases[i].reported[t] != NULL; t++)
+          expected += strcmp(cases[i].reported[t], fields[f]) == 0;
+        CHECK_INT(reported(&service, id, digits, fields[f]), expected);
+        CHECK_INT(reported(&service, id, NULL, fields[f]), expected);
       }
     }
   }
@@ -234,9 +234,9 @@ static int put_long(struct service *service, int n, const struct said *first,
   return error;
 }
 
-/* A lineage ends where it is too long to be read, which is told; with too many pretrainings it is
- * refused, and the words say of what. */
-__attribute__((unused)) static void tells_of_long_lineages(void)
+/* A lineage ends where it is too long to be read, which is reported; with too many pretrainings it
+ * is refused, and the words say of what. */
+__attribute__((unused)) static void reports_long_lineages(void)
 {
   const struct said tuned = {"finetune", NULL, NULL, NULL, NULL};
   struct said odd = good, short_one = good;
@@ -250,13 +250,13 @@ __attribute__((unused)) static void tells_of_long_lineages(void)
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
   request.record.settings.generations = 1;
   origin = origin_of(&request);
-  odd.seed = "none"; /* told as far as it is read */
+  odd.seed = "none"; /* reported as far as it is read */
   for (int n = 64; n <= 65; n++) {
     REQUIRE(put_long(&service, n, &odd, &tuned, digits) == MO_OK);
     id = submit(&service, &request);
     CHECK(ends_as_plain(&service, id, &origin));
-    CHECK_INT(told(&service, id, NULL, "morphod.seed"), n == 64);
-    CHECK_INT(told(&service, id, NULL, "morphod.parent"), n == 65);
+    CHECK_INT(reported(&service, id, NULL, "morphod.seed"), n == 64);
+    CHECK_INT(reported(&service, id, NULL, "morphod.parent"), n == 65);
   }
   short_one.step = "1";
   REQUIRE(put_long(&service, 17, &short_one, &short_one, digits) == MO_OK);
@@ -293,9 +293,11 @@ __attribute__((unused)) static void leaves_out_what_can_be_read(void)
   origin.excluded = excluded;
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  CHECK_INT(told(&service, id, first, "morphod.seed"), 1);
-  CHECK_INT(told(&service, id, third, "morphod.step"), 1);
-  CHECK_INT(told(&service, id, NULL, "morphod.seed") + told(&service, id, NULL, "morphod.step"), 2);
+  CHECK_INT(reported(&service, id, first, "morphod.seed"), 1);
+  CHECK_INT(reported(&service, id, third, "morphod.step"), 1);
+  CHECK_INT(reported(&service, id, NULL, "morphod.seed") +
+                reported(&service, id, NULL, "morphod.step"),
+            2);
   mo_form_set_free(excluded);
   service_end(&service);
 }
@@ -332,14 +334,14 @@ static int start_drawing(struct service *service, const char *steps,
 }
 
 /* The figures of a campaign as soon as some of its bodies are drawn. */
-static struct mo_campaign_live await_drawing(struct service *service, int64_t id)
+static struct mo_live await_drawing(struct service *service, int64_t id)
 {
   const double end = now_s() + 60;
-  struct mo_campaign_live live;
+  struct mo_live live;
   do {
     usleep(300);
     live = live_of(service, id);
-  } while ((live.phase != MO_CAMPAIGN_PREPARE || live.done == 0 || live.seconds_left < 0) &&
+  } while ((live.phase != MO_PHASE_PREPARE || live.done == 0 || live.seconds_left < 0) &&
            now_s() < end);
   return live;
 }
@@ -353,7 +355,7 @@ static struct mo_exclusion *exclusions(struct service *service)
   return first;
 }
 
-static bool names(const struct mo_campaign_live *live, int64_t id)
+static bool names(const struct mo_live *live, int64_t id)
 {
   char text[64];
   snprintf(text, sizeof(text), "campaign %lld draws", (long long)id);
@@ -363,17 +365,17 @@ static bool names(const struct mo_campaign_live *live, int64_t id)
 /* Whether one shows that it draws, and the other that it waits for that one. */
 static bool draws_for(struct service *service, int64_t drawer, int64_t other)
 {
-  const struct mo_campaign_live first = live_of(service, drawer), second = live_of(service, other);
-  return first.phase == MO_CAMPAIGN_PREPARE && first.reason[0] == '\0' && names(&second, drawer);
+  const struct mo_live first = live_of(service, drawer), second = live_of(service, other);
+  return first.phase == MO_PHASE_PREPARE && first.reason[0] == '\0' && names(&second, drawer);
 }
 
-/* What one draws, others wait for, and they are told so; when it is paused or cancelled, the
+/* What one draws, others wait for, and they report that; when it is paused or cancelled, the
  * drawing goes on for them. */
 static void hands_the_drawing_over(void)
 {
   struct mo_campaign_request request;
   struct mo_form_set *excluded = NULL;
-  struct mo_campaign_live live;
+  struct mo_live live;
   struct service service;
   struct origin origin;
   char steps[16];
@@ -393,7 +395,7 @@ static void hands_the_drawing_over(void)
   }
   done = live_of(&service, ids[1]).done;
   CHECK_INT(mo_jobs_pause(service.jobs, ids[0]), MO_OK);
-  REQUIRE(await_phase(&service, ids[0], MO_CAMPAIGN_IDLE));
+  REQUIRE(await_phase(&service, ids[0], MO_PHASE_IDLE));
   CHECK_INT(state_of(&service, ids[0]), MO_JOB_PAUSED);
   for (int i = 0;
        i < 500 && !draws_for(&service, ids[1], ids[2]) && !draws_for(&service, ids[2], ids[1]); i++)
@@ -401,16 +403,16 @@ static void hands_the_drawing_over(void)
   CHECK(draws_for(&service, ids[1], ids[2]) || draws_for(&service, ids[2], ids[1]));
   for (int i = 1; i < 3; i++) {
     live = live_of(&service, ids[i]);
-    CHECK(live.phase == MO_CAMPAIGN_PREPARE && live.done >= done); /* not from the beginning */
+    CHECK(live.phase == MO_PHASE_PREPARE && live.done >= done); /* not from the beginning */
   }
-  CHECK_INT(mo_jobs_resume(service.jobs, ids[0]), MO_OK); /* it finds it under way */
+  CHECK_INT(mo_jobs_resume(service.jobs, ids[0]), MO_OK); /* it finds the drawing in progress */
   live = await_drawing(&service, ids[0]);
   CHECK(live.done >= done && live.reason[0] != '\0');
   CHECK_INT(mo_jobs_cancel(service.jobs, ids[live_of(&service, ids[1]).reason[0] == '\0' ? 1 : 2]),
             MO_OK);
   for (uint64_t before = done;; before = live.done) {
     live = live_of(&service, ids[0]);
-    if (live.phase != MO_CAMPAIGN_PREPARE || live.total == 0)
+    if (live.phase != MO_PHASE_PREPARE || live.total == 0)
       break;
     CHECK(live.done >= before);
     usleep(2000);
@@ -425,7 +427,7 @@ static void hands_the_drawing_over(void)
   for (int i = 1; i < 3; i++)
     CHECK(state_of(&service, ids[i]) == MO_JOB_CANCELLED ||
           ends_as_plain(&service, ids[i], &origin));
-  (void)settled(&service);
+  (void)idle_stats(&service);
   CHECK(exclusions(&service) == NULL);
   CHECK_INT(warnings, 0);
   mo_form_set_free(excluded);
@@ -448,9 +450,9 @@ static void draws_for_nobody(void)
   CHECK_INT(mo_jobs_cancel(service.jobs, ids[0]), MO_OK);
   CHECK_INT(mo_jobs_pause(service.jobs, ids[1]), MO_OK);
   for (int i = 0; i < 2; i++)
-    CHECK(await_phase(&service, ids[i], MO_CAMPAIGN_IDLE));
+    CHECK(await_phase(&service, ids[i], MO_PHASE_IDLE));
   CHECK(exclusions(&service) == NULL);
-  CHECK_INT(mo_jobs_resume(service.jobs, ids[1]), MO_OK); /* anew */
+  CHECK_INT(mo_jobs_resume(service.jobs, ids[1]), MO_OK); /* again */
   ids[0] = submit(&service, &request);
   for (int i = 0; i < 2; i++)
     CHECK(await_drawing(&service, ids[i]).done > 0);
@@ -464,11 +466,11 @@ static void draws_for_nobody(void)
 
 /* The time that is left: of the drawing by its own rate; of the generations, too, once there is one
  * beside the first. */
-__attribute__((unused)) static void tells_how_long_it_draws(void)
+__attribute__((unused)) static void reports_how_long_it_draws(void)
 {
   struct mo_campaign_generation rows[SEEN];
   struct mo_campaign_request request;
-  struct mo_campaign_live live;
+  struct mo_live live;
   struct mo_event events[80];
   struct service service;
   double begin, drawing_s, rest;
@@ -479,24 +481,24 @@ __attribute__((unused)) static void tells_how_long_it_draws(void)
   request.record.settings.generations = LONG_GENERATIONS;
   fake_plan.delay_us = 10000;
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_PREPARE));
+  REQUIRE(await_phase(&service, id, MO_PHASE_PREPARE));
   begin = now_s();
   (void)await_drawing(&service, id);
   do { /* half of it */
     usleep(1000);
     live = live_of(&service, id);
-  } while (live.phase == MO_CAMPAIGN_PREPARE && live.done < live.total / 2);
-  REQUIRE(live.phase == MO_CAMPAIGN_PREPARE);
+  } while (live.phase == MO_PHASE_PREPARE && live.done < live.total / 2);
+  REQUIRE(live.phase == MO_PHASE_PREPARE);
   rest = (now_s() - begin) * (double)(live.total - live.done) / (double)live.done;
   printf("# %.2f s left, %.2f s by this clock\n", live.seconds_left, rest);
   CHECK(live.seconds_left > 0.5 * rest && live.seconds_left < 2 * rest + 0.1);
-  while (live_of(&service, id).phase == MO_CAMPAIGN_PREPARE)
+  while (live_of(&service, id).phase == MO_PHASE_PREPARE)
     usleep(300);
   drawing_s = now_s() - begin;
   CHECK(live_of(&service, id).seconds_left < 0); /* nothing is known of the generations */
-  REQUIRE(await_place(&service, id, 2, MO_CAMPAIGN_SCORE));
+  REQUIRE(await_place(&service, id, 2, MO_PHASE_SCORE));
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_IDLE));
+  REQUIRE(await_phase(&service, id, MO_PHASE_IDLE));
   n = mo_store_campaign_generations(service.fixture.store, id, -1, rows, SEEN);
   REQUIRE(n >= 2 && n < SEEN);
   committed = n;
@@ -515,7 +517,7 @@ __attribute__((unused)) static void tells_how_long_it_draws(void)
                                                  rows[committed - 1].seconds);
   REQUIRE(
       await_place(&service, id, (uint32_t)committed + 2,
-                  MO_CAMPAIGN_SCORE)); /* a commit is written while the next generation is scored */
+                  MO_PHASE_SCORE)); /* a commit is written while the next generation is scored */
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
   REQUIRE(mo_store_campaign_generations(service.fixture.store, id, -1, rows, SEEN) > committed);
   CHECK(rows[committed].seconds < drawing_s); /* what was drawn after the pause is no part of it */
@@ -526,10 +528,10 @@ static const struct check_case cases[] = {
     {"hands the drawing over", hands_the_drawing_over},
     {"draws for nobody", draws_for_nobody},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
-    {"tells how long it draws", tells_how_long_it_draws},
+    {"reports how long it draws", reports_how_long_it_draws},
     {"leaves out what was learned from", leaves_out_what_was_learned_from},
-    {"tells of what cannot be read", tells_of_what_cannot_be_read},
-    {"tells of long lineages", tells_of_long_lineages},
+    {"reports what cannot be read", reports_what_cannot_be_read},
+    {"reports long lineages", reports_long_lineages},
     {"leaves out what can be read", leaves_out_what_can_be_read},
 #endif
 };

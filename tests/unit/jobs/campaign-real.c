@@ -5,6 +5,7 @@
 #include "../store/fixture.h"
 #include "jobs/campaigns.h"
 #include "jobs/trainings.h"
+#include "wait.h"
 
 #define BODIES         6
 #define STEPS          30
@@ -111,7 +112,7 @@ static void check_mode(struct alone *alone, enum mo_campaign_mode mode, uint32_t
   REQUIRE(mo_jobs_create(fixture.store, compute, &config, &jobs, &fixture.message) == MO_OK);
   plain.code_version = mo_jobs_code_version(jobs, MO_ON_CPU);
   REQUIRE(mo_jobs_submit_campaign(jobs, &request, &id, &replayed, NULL, &fixture.message) == MO_OK);
-  REQUIRE(mo_jobs_wait(jobs, id, 60000, &job) == MO_OK);
+  REQUIRE(await_end(jobs, id, 60000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   {
     struct origin origin = {.settings = *settings,

@@ -19,9 +19,9 @@ static void check_counts(const struct origin *origin, const struct fake_count *c
   CHECK_INT(atomic_load(&count->robots), robots);
 }
 
-static enum mo_campaign_phase phase_of(int mode, uint32_t round)
+static enum mo_phase phase_of(int mode, uint32_t round)
 {
-  return mode != MO_ZERO_SHOT && round % 2 == 1 ? MO_CAMPAIGN_LEARN : MO_CAMPAIGN_SCORE;
+  return mode != MO_ZERO_SHOT && round % 2 == 1 ? MO_PHASE_LEARN : MO_PHASE_SCORE;
 }
 
 __attribute__((unused)) static void pauses_and_resumes(void)
@@ -42,7 +42,7 @@ __attribute__((unused)) static void pauses_and_resumes(void)
       usleep(5000 * round);
       begin = now_s();
       CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-      CHECK(await_phase(&service, id, MO_CAMPAIGN_IDLE));
+      CHECK(await_phase(&service, id, MO_PHASE_IDLE));
       CHECK(now_s() - begin < 3);
       CHECK_INT(state_of(&service, id), MO_JOB_PAUSED);
       CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
@@ -106,19 +106,19 @@ static void cancels(void)
   scoring = submit(&service, &request);
   waiting = submit(&service, &request);
   CHECK_INT(mo_jobs_cancel(service.jobs, waiting), MO_OK); /* before it starts */
-  REQUIRE(await_phase(&service, learning, MO_CAMPAIGN_LEARN));
+  REQUIRE(await_phase(&service, learning, MO_PHASE_LEARN));
   CHECK_INT(state_of(&service, scoring), MO_JOB_QUEUED); /* one at a time */
   fake_plan.delay_us = 10000000;
   CHECK_INT(mo_jobs_cancel(service.jobs, learning), MO_OK);
-  CHECK(await_phase(&service, learning, MO_CAMPAIGN_IDLE));
+  CHECK(await_phase(&service, learning, MO_PHASE_IDLE));
   fake_plan.gradient_delay_us = 0;
-  REQUIRE(await_phase(&service, scoring, MO_CAMPAIGN_SCORE));
+  REQUIRE(await_phase(&service, scoring, MO_PHASE_SCORE));
   CHECK_INT(mo_jobs_cancel(service.jobs, scoring), MO_OK);
-  CHECK(await_phase(&service, scoring, MO_CAMPAIGN_IDLE));
+  CHECK(await_phase(&service, scoring, MO_PHASE_IDLE));
   CHECK_INT(mo_jobs_cancel(service.jobs, scoring), MO_ERR_CONFLICT);
   CHECK_INT(mo_jobs_extend_campaign(service.jobs, scoring, 1, NULL, NULL), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_controller(service.fixture.store, "never", &record), MO_ERR_NOT_FOUND);
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.open_jobs, 0);
   CHECK_INT(stats.jobs_cancelled, 3);
   service_end(&service);
@@ -141,24 +141,24 @@ __attribute__((unused)) static void extends(void)
     REQUIRE(start(&service, 1) == MO_OK);
     slow_down();
     id = submit(&service, &request);
-    REQUIRE(await_phase(&service, id, MO_CAMPAIGN_SCORE));
+    REQUIRE(await_phase(&service, id, MO_PHASE_SCORE));
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_OK); /* running */
     CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_OK); /* paused */
     CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
-    REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+    REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
     CHECK_INT(job.state, MO_JOB_SUCCEEDED);
-    CHECK_INT(settled(&service).open_jobs, 0);
+    CHECK_INT(idle_stats(&service).open_jobs, 0);
     CHECK_INT(status_of(&service, id).generation, 3);
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, &key, NULL), MO_OK); /* over */
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, &key, NULL), MO_OK); /* the same again */
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_OK);
-    REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+    REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
     while (status_of(&service, id).generation < 5 &&
            job.state == MO_JOB_SUCCEEDED) /* the first was over before the second came */
-      REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+      REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
     CHECK(ends_as_plain(&service, id, &origin));
-    CHECK_INT(settled(&service).open_jobs, 0);
+    CHECK_INT(idle_stats(&service).open_jobs, 0);
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 0, NULL, NULL), MO_ERR_INVALID);
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, MO_GENERATIONS_MAX, NULL, NULL),
               MO_ERR_RANGE);
@@ -210,7 +210,7 @@ static void runs_side_by_side(void)
   evaluation = service_request(genotypes, 20);
   other = service_submit(&service, &evaluation);
   CHECK_INT(mo_jobs_set_weight(service.jobs, ids[0], 500), MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, other, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, other, 120000, &job) == MO_OK);
   CHECK(right(&service, other, genotypes));
   for (int i = 0; i < 3; i++)
     CHECK(ends_as_plain(&service, ids[i], &origins[i]));

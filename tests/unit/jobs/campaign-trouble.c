@@ -64,20 +64,20 @@ __attribute__((unused)) static void tries_three_times(void)
   fake_plan.fail_word = word_of(&origin);
   fake_plan.fail_times = 1000;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_INT(job.attempts, 3);
   CHECK_INT(job.error, MO_ERR_IO);
   CHECK(strstr(job.error_text, "the runner of rollouts reported: input or output failed") != NULL);
   CHECK_INT(status_of(&service, id).generation, 0);
   CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_ERR_CONFLICT);
-  CHECK_INT(settled(&service).jobs_failed, 1);
+  CHECK_INT(idle_stats(&service).jobs_failed, 1);
   /* Nothing is lost: when the cause is gone, it goes on. */
   fake_plan.fail_times = 0;
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
   CHECK(ends_as_plain(&service, id, &origin));
   CHECK_INT(status_of(&service, id).job.error, MO_OK);
-  CHECK_INT(settled(&service).open_jobs, 0);
+  CHECK_INT(idle_stats(&service).open_jobs, 0);
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_ERR_CONFLICT);
   service_end(&service);
 }
@@ -96,12 +96,12 @@ __attribute__((unused)) static void tries_three_times_to_learn(void)
   CHECK(ends_as_plain(&service, id, &origin));
   fake_plan.gradient_fails = 1000;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_IO);
   fake_plan.gradient_status = 0;
   fake_plan.poison = true;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "not a number") != NULL);
   service_end(&service);
 }
@@ -142,13 +142,13 @@ static void waits_for_room(void)
   struct mo_campaign_request request = campaign(MO_FEW_SHOT);
   struct origin origin = origin_of(&request);
   struct service service;
-  struct mo_campaign_live live;
+  struct mo_live live;
   int64_t id, waiting[MO_WAITING_MAX] = {0};
   double begin;
   REQUIRE(start(&service, 1) == MO_OK);
   limit_files(8 << 20);
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_WAIT));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT));
   live = live_of(&service, id);
   CHECK(strstr(live.reason, "no space") != NULL &&
         strstr(live.reason, "checkpoint of generation 0") != NULL);
@@ -161,14 +161,14 @@ static void waits_for_room(void)
   /* Cancelled while it waits. */
   limit_files(8 << 20);
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_WAIT));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT));
   begin = now_s();
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
-  CHECK(await_phase(&service, id, MO_CAMPAIGN_IDLE));
+  CHECK(await_phase(&service, id, MO_PHASE_IDLE));
   CHECK(now_s() - begin < 1);
   /* Stopped while it waits: at once; what it had learned comes again. */
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_WAIT));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT));
   begin = now_s();
   CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_ERR_BUSY);
   CHECK(now_s() - begin < 2);
@@ -198,7 +198,7 @@ static int damage(struct service *service, int64_t id, uint32_t generation, uint
 }
 
 /* What was learned inside a generation is learned again; what a generation left cannot be. */
-__attribute__((unused)) static void tells_of_damaged_checkpoints(void)
+__attribute__((unused)) static void reports_damaged_checkpoints(void)
 {
   struct mo_campaign_request request = campaign(MO_SIMULTANEOUS);
   struct origin origin = origin_of(&request);
@@ -210,7 +210,7 @@ __attribute__((unused)) static void tells_of_damaged_checkpoints(void)
   for (int round = 0; round < 2; round++) {
     uint32_t generation;
     id = submit(&service, &request);
-    REQUIRE(await_place(&service, id, 2, MO_CAMPAIGN_SCORE));
+    REQUIRE(await_place(&service, id, 2, MO_PHASE_SCORE));
     CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
     generation = (uint32_t)status_of(&service, id).generation + 1;
     service_close(&service);
@@ -223,9 +223,9 @@ __attribute__((unused)) static void tells_of_damaged_checkpoints(void)
     if (round == 0) {
       CHECK(ends_as_plain(&service, id, &origin));
       CHECK_INT(warnings, 1);
-      CHECK(strstr(warned, "learns anew") != NULL);
+      CHECK(strstr(warned, "learns again") != NULL);
     } else {
-      REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+      REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
       CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_CORRUPT);
       CHECK(strstr(job.error_text, "cannot be used (it is missing, or its bytes") != NULL &&
             strstr(job.error_text, "backup") != NULL);
@@ -249,7 +249,7 @@ __attribute__((unused)) static void needs_its_controller(void)
            default_digits());
   REQUIRE(truncate(path, 1000) == 0);
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "store the same file again") != NULL);
   service_end(&service);
 }
@@ -351,7 +351,7 @@ __attribute__((unused)) static void refuses(void)
   CHECK_INT(refuse(&service, &bad, "has no population yet", NULL), MO_ERR_CONFLICT);
   for (int i = 0; i < 3; i++)
     CHECK_INT(mo_jobs_cancel(service.jobs, id + i), MO_OK);
-  CHECK_INT(settled(&service).open_jobs, 0);
+  CHECK_INT(idle_stats(&service).open_jobs, 0);
   CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
   bad = campaign(MO_ZERO_SHOT);
   CHECK_INT(refuse(&service, &bad, "stopping", NULL), MO_ERR_CANCELLED);
@@ -368,7 +368,7 @@ static const struct check_case cases[] = {
     {"tries three times", tries_three_times},
     {"waits for memory", waits_for_memory},
     {"tries three times to learn", tries_three_times_to_learn},
-    {"tells of damaged checkpoints", tells_of_damaged_checkpoints},
+    {"reports damaged checkpoints", reports_damaged_checkpoints},
     {"needs its controller", needs_its_controller},
     {"refuses", refuses},
 #endif

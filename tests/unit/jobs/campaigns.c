@@ -1,7 +1,8 @@
 /* campaigns.c: campaigns with a fake back end, whose losses and gradients are functions of their
- * inputs: every mode end to end, against plain loops (campaign_history.h), and what is told of
+ * inputs: every mode end to end, against plain loops (campaign_history.h), and what is reported of
  * them. */
 #include "campaigns.h"
+#include "jobs/trainings.h"
 
 /* For any number of workers; with environments of its own, more than a block takes. */
 static void evolves_in_every_mode(void)
@@ -50,7 +51,7 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   REQUIRE(start(&service, 1) == MO_OK);
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  stats = settled(&service);
+  stats = idle_stats(&service);
   rollouts = status_of(&service, id).n_designs * MO_PAPER_TEST_COUNT;
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, 0);
@@ -61,7 +62,7 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   /* The same once more finds everything; an evaluation of its designs does, too. */
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, rollouts);
   CHECK_INT(mo_store_campaign_generations(service.fixture.store, id, -1, rows, GENERATIONS + 1),
@@ -76,7 +77,7 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   evaluation = service_request(genotypes, POPULATION);
   evaluation.physics = request.record.settings.physics;
   id = service_submit(&service, &evaluation);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK_INT(job.rollouts_cached, POPULATION * MO_PAPER_TEST_COUNT);
   /* A campaign that learns asks its own controller. */
   request = campaign(MO_FEW_SHOT);
@@ -84,9 +85,10 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   origin = origin_of(&request);
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  CHECK_INT(settled(&service).campaign_cached, rollouts);
-  CHECK_INT(settled(&service).campaign_rollouts - rollouts, 3 * POPULATION * MO_PAPER_TEST_COUNT);
-  CHECK_INT(settled(&service).campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
+  CHECK_INT(idle_stats(&service).campaign_cached, rollouts);
+  CHECK_INT(idle_stats(&service).campaign_rollouts - rollouts,
+            3 * POPULATION * MO_PAPER_TEST_COUNT);
+  CHECK_INT(idle_stats(&service).campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
   service_end(&service);
 }
 
@@ -129,7 +131,7 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   origin.given = inherited;
   origin.n_given = 4;
   id = submit(&service, &request);
-  REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 120000, &(struct mo_job){.id = 0}) == MO_OK);
+  REQUIRE(id > 0 && await_end(service.jobs, id, 120000, &(struct mo_job){.id = 0}) == MO_OK);
   history = plain_history(&fake_plain, &origin);
   for (int i = 0; i < 4; i++)
     history->designs[i].descent.op = MO_BORN_INHERITED;
@@ -142,9 +144,9 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   service_end(&service);
 }
 
-/* ---- what is told ---- */
+/* ---- what is reported ---- */
 
-__attribute__((unused)) static void tells_of_its_generations(void)
+__attribute__((unused)) static void reports_its_generations(void)
 {
   struct mo_campaign_request request = campaign(MO_FEW_SHOT);
   struct mo_campaign_generation rows[GENERATIONS + 1];
@@ -160,11 +162,11 @@ __attribute__((unused)) static void tells_of_its_generations(void)
   REQUIRE(start(&service, 1) == MO_OK);
   fake_plan.delay_us = 2000;
   id = submit(&service, &request);
-  REQUIRE(await_place(&service, id, 1, MO_CAMPAIGN_SCORE));
+  REQUIRE(await_place(&service, id, 1, MO_PHASE_SCORE));
   CHECK(live_of(&service, id).total == 2 * POPULATION ||
-        live_of(&service, id).phase != MO_CAMPAIGN_SCORE);
-  CHECK_TEXT(mo_campaign_phase_name(MO_CAMPAIGN_SCORE), "scoring");
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+        live_of(&service, id).phase != MO_PHASE_SCORE);
+  CHECK_TEXT(mo_phase_name(MO_PHASE_SCORE), "scoring");
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   n = mo_store_events(service.fixture.store, 0, id, events, 80, NULL, NULL);
   for (int64_t i = 0; i < n; i++) {
@@ -197,7 +199,7 @@ __attribute__((unused)) static void tells_of_its_generations(void)
   }
   CHECK(expected > 0);
   CHECK_INT(collapses, expected);
-  CHECK_INT(live_of(&service, id + 7).phase, MO_CAMPAIGN_IDLE);
+  CHECK_INT(live_of(&service, id + 7).phase, MO_PHASE_IDLE);
   service_end(&service);
 }
 
@@ -218,9 +220,9 @@ __attribute__((unused)) static void shows_its_champions(void)
     REQUIRE(start(&service, 1) == MO_OK);
     fake_plan.delay_us = 3000;
     id = submit(&service, &request);
-    REQUIRE(await_place(&service, id, 2, MO_CAMPAIGN_SCORE));
+    REQUIRE(await_place(&service, id, 2, MO_PHASE_SCORE));
     CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-    CHECK(await_phase(&service, id, MO_CAMPAIGN_IDLE));
+    CHECK(await_phase(&service, id, MO_PHASE_IDLE));
     for (int round = 0; round < 2; round++) {
       bool has_best = false;
       CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, -1, 4, rows, distinctiveness, &n),
@@ -234,7 +236,7 @@ __attribute__((unused)) static void shows_its_champions(void)
       CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 5, NULL, &evaluation,
                                                   &service.fixture.message),
                 MO_OK);
-      REQUIRE(mo_jobs_wait(service.jobs, evaluation, 120000, &job) == MO_OK);
+      REQUIRE(await_end(service.jobs, evaluation, 120000, &job) == MO_OK);
       CHECK(job.state == MO_JOB_SUCCEEDED && job.priority == MO_INTERACTIVE);
       REQUIRE(mo_store_results(service.fixture.store, evaluation, &results) == MO_OK);
       for (uint32_t i = 0; i < n; i++)
@@ -243,7 +245,7 @@ __attribute__((unused)) static void shows_its_champions(void)
       CHECK_INT(mo_store_trajectory(service.fixture.store, evaluation, 3, 9, &trajectory), MO_OK);
       mo_trajectory_free(trajectory);
       CHECK_INT(mo_jobs_resume(service.jobs, id), round == 0 ? MO_OK : MO_ERR_CONFLICT);
-      REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+      REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
     }
     CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 0, 20, rows, distinctiveness, &n),
               MO_OK);
@@ -286,10 +288,10 @@ __attribute__((unused)) static void gives_its_population_to_a_training(void)
             MO_ERR_CONFLICT);
   CHECK(strstr(service.fixture.message.text, "no generation yet") != NULL);
   fake_plan.delay_us = 0;
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   REQUIRE(mo_jobs_submit_training(service.jobs, &training, &tuning, &replayed,
                                   &service.fixture.message) == MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, tuning, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, tuning, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   REQUIRE(mo_store_training_designs(service.fixture.store, tuning, &genotypes, &n) == MO_OK);
   CHECK_INT(n, 3);
@@ -305,7 +307,7 @@ __attribute__((unused)) static void shows_no_generation_behind_its_last(void)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
   struct service service;
-  struct mo_campaign_live live;
+  struct mo_live live;
   uint32_t most = 0;
   bool behind = false;
   REQUIRE(start(&service, 1) == MO_OK);
@@ -315,8 +317,8 @@ __attribute__((unused)) static void shows_no_generation_behind_its_last(void)
     while (!mo_job_state_is_final(status_of(&service, id).job.state))
       for (int i = 0; i < 1000; i++) {
         live = live_of(&service, id);
-        most = live.generation > most ? live.generation : most;
-        behind |= live.phase == MO_CAMPAIGN_SAVE && live.generation > GENERATIONS;
+        most = live.position > most ? live.position : most;
+        behind |= live.phase == MO_PHASE_SAVE && live.position > GENERATIONS;
       }
   }
   CHECK_INT(most, GENERATIONS);
@@ -329,7 +331,7 @@ static const struct check_case cases[] = {
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"scores nothing twice", scores_nothing_twice},
     {"begins with what is given", begins_with_what_is_given},
-    {"tells of its generations", tells_of_its_generations},
+    {"reports its generations", reports_its_generations},
     {"shows its champions", shows_its_champions},
     {"shows no generation behind its last", shows_no_generation_behind_its_last},
     {"gives its population to a training", gives_its_population_to_a_training},

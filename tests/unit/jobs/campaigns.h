@@ -104,14 +104,14 @@ static inline int start(struct service *service, uint32_t side_by_side)
   return service_open(service);
 }
 
-static inline struct mo_campaign_live live_of(struct service *service, int64_t id)
+static inline struct mo_live live_of(struct service *service, int64_t id)
 {
-  struct mo_campaign_live live;
-  (void)mo_jobs_campaign_live(service->jobs, id, &live);
+  struct mo_live live;
+  mo_jobs_live(service->jobs, id, &live);
   return live;
 }
 
-static inline bool await_phase(struct service *service, int64_t id, enum mo_campaign_phase phase)
+static inline bool await_phase(struct service *service, int64_t id, enum mo_phase phase)
 {
   double end = now_s() + 60;
   while (live_of(service, id).phase != phase)
@@ -122,16 +122,16 @@ static inline bool await_phase(struct service *service, int64_t id, enum mo_camp
   return true;
 }
 
-/* At least so far: a generation that is under way, or a later one, in this phase. */
+/* At least so far: the current generation, or a later one, in this phase. */
 static inline bool await_place(struct service *service, int64_t id, uint32_t generation,
-                               enum mo_campaign_phase phase)
+                               enum mo_phase phase)
 {
   double end = now_s() + 60;
-  struct mo_campaign_live live;
+  struct mo_live live;
   do {
     usleep(300);
     live = live_of(service, id);
-  } while ((live.generation < generation || live.phase != phase) && now_s() < end);
+  } while ((live.position < generation || live.phase != phase) && now_s() < end);
   return live.phase == phase;
 }
 
@@ -146,7 +146,7 @@ static inline struct mo_campaign_status status_of(struct service *service, int64
 static inline bool ends_as_plain(struct service *service, int64_t id, const struct origin *origin)
 {
   struct mo_job job;
-  return mo_jobs_wait(service->jobs, id, 120000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED &&
+  return await_end(service->jobs, id, 120000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED &&
          job.attempts == 0 && is_as_plain(service->fixture.store, id, &fake_plain, origin);
 }
 

@@ -4,7 +4,7 @@
 #include <sqlite3.h>
 
 #include "../check.h"
-#include "jobs/internal.h"
+#include "jobs/state.h"
 #include "service.h"
 #include "watch.h"
 
@@ -22,7 +22,7 @@ static void evaluates(void)
   request.label = "fifty";
   id = service_submit(&service, &request);
   REQUIRE(id > 0);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 10000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK_INT(job.priority, MO_BATCH);
   CHECK_INT(job.rollouts_done, 500);
@@ -30,11 +30,11 @@ static void evaluates(void)
   CHECK(job.rollouts_diverged > 0 && job.rollouts_diverged < 100);
   CHECK(job.started_us >= job.created_us && job.finished_us >= job.started_us);
   CHECK(right(&service, id, genotypes));
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.open_jobs, 0);
   CHECK_INT(stats.open_rollouts, 0);
   CHECK_INT(stats.jobs_succeeded, 1);
-  CHECK_INT(mo_jobs_wait(service.jobs, 99, 1, &job), MO_ERR_NOT_FOUND);
+  CHECK_INT(await_end(service.jobs, 99, 1, &job), MO_ERR_NOT_FOUND);
   free(forms);
   free(genotypes);
   service_end(&service);
@@ -56,9 +56,8 @@ static void computes_nothing_twice(void)
   request = service_request(genotypes + 10, 30); /* 20 of them the same, at the same time */
   request.priority = MO_BATCH;
   second = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, first, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
-  REQUIRE(mo_jobs_wait(service.jobs, second, 10000, &job) == MO_OK &&
-          job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(await_end(service.jobs, first, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(await_end(service.jobs, second, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   CHECK_INT(computed(&service), 400);
   CHECK(right(&service, first, genotypes));
   CHECK(right(&service, second, genotypes + 10));
@@ -69,7 +68,7 @@ static void computes_nothing_twice(void)
   REQUIRE(service_open(&service) == MO_OK);
   request = service_request(twice, 20);
   third = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, third, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(await_end(service.jobs, third, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   CHECK_INT(computed(&service), 0);
   CHECK_INT(job.rollouts_cached, 200);
   CHECK(right(&service, third, twice));
@@ -81,7 +80,7 @@ static void computes_nothing_twice(void)
     twice[i] = genotypes[i % 10];
   request = service_request(twice, 20);
   third = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, third, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(await_end(service.jobs, third, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   CHECK(computed(&service) > 50 && computed(&service) <= 100); /* some small bodies came before */
   CHECK_INT(job.rollouts_cached, 200 - computed(&service));
   CHECK(right(&service, third, twice));
@@ -110,13 +109,12 @@ static void puts_interactive_first_and_shares(void)
   request = service_request(genotypes + 200, 1);
   start = now_s();
   urgent = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, urgent, 10000, &job) == MO_OK &&
-          job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(await_end(service.jobs, urgent, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   CHECK_INT(job.priority, MO_INTERACTIVE);
   CHECK(now_s() - start < 0.2); /* the two others take 0.4 s more */
   CHECK(state_of(&service, a) == MO_JOB_RUNNING && state_of(&service, b) == MO_JOB_RUNNING);
-  REQUIRE(mo_jobs_wait(service.jobs, a, 20000, &job) == MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, b, 20000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, a, 20000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, b, 20000, &job) == MO_OK);
   n = fake_history(tags, 400);
   for (size_t i = 20; i < 60 && i < n; i++) { /* once both run, their blocks alternate */
     of_a += tags[i] == a;
@@ -174,7 +172,7 @@ static void cancels_pauses_resumes(void)
     usleep(1000);
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-  usleep(300000); /* what was in flight lands */
+  usleep(300000); /* what was in flight ends */
   before = computed(&service);
   CHECK(before > 0 && before < 500);
   usleep(50000);
@@ -183,7 +181,7 @@ static void cancels_pauses_resumes(void)
   fake_plan.delay_us = 1000;
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 20000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 20000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK_INT(computed(&service), 500);
   CHECK(right(&service, id, genotypes));
@@ -204,7 +202,7 @@ static void cancels_pauses_resumes(void)
   usleep(5000);
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
   fake_plan.delay_us = 1000;
-  REQUIRE(mo_jobs_wait(service.jobs, other, 20000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, other, 20000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK(right(&service, other, genotypes));
   free(forms);
@@ -249,7 +247,7 @@ static void counts_through_pauses(void)
     CHECK(!mo_job_state_is_final(job.state));
     for (int k = 0; k < 4000 && computed(&service) == 0; k++)
       usleep(2500);
-    /* Paused for good: what was in flight lands and is counted. */
+    /* Paused for good: what was in flight ends and is counted. */
     CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
     usleep(400000);
     first = computed(&service);
@@ -269,7 +267,7 @@ static void counts_through_pauses(void)
     REQUIRE(mo_store_job(service.fixture.store, id, &job) == MO_OK);
     CHECK(job.rollouts_done >= first);
     fake_plan.delay_us = 0;
-    REQUIRE(mo_jobs_wait(service.jobs, id, 20000, &job) == MO_OK);
+    REQUIRE(await_end(service.jobs, id, 20000, &job) == MO_OK);
     CHECK_INT(job.state, MO_JOB_SUCCEEDED);
     CHECK_INT(job.rollouts_done, ROLLOUTS);
     CHECK_INT(job.rollouts_cached, 0);
@@ -281,17 +279,15 @@ static void counts_through_pauses(void)
   }
 }
 
-/* One client pauses, another resumes before the first's call has told the scheduler: the wish finds
- * a job that runs. */
-static void survives_a_late_wish(void)
+/* One client pauses, another resumes before the scheduler has looked: the request finds a job that
+ * is to run. */
+static void survives_a_late_request(void)
 {
   struct service service;
   struct mo_bits *forms, *genotypes;
   struct mo_evaluation_request request;
-  struct mo_wish *wish = calloc(1, sizeof(*wish));
   struct mo_job job;
   int64_t id;
-  REQUIRE(wish != NULL);
   REQUIRE(service_start(&service) == MO_OK);
   REQUIRE(fixture_bodies(16, 60, &forms, &genotypes) == MO_OK);
   fake_plan.delay_us = 5000;
@@ -299,13 +295,10 @@ static void survives_a_late_wish(void)
   id = service_submit(&service, &request);
   CHECK(await_state(&service, id, MO_JOB_RUNNING, 5));
   usleep(20000);
-  wish->id = id;
-  pthread_mutex_lock(&service.jobs->mutex);
-  wish->next = service.jobs->wishes;
-  service.jobs->wishes = wish;
-  pthread_cond_signal(&service.jobs->news);
-  pthread_mutex_unlock(&service.jobs->mutex);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK);
+  mo_runners_request(&service.jobs->runners[MO_JOB_EVALUATION], id, MO_REQUEST_PAUSE);
+  CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+  CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
+  REQUIRE(await_end(service.jobs, id, 10000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK_INT(job.attempts, 0);
   CHECK(right(&service, id, genotypes));
@@ -350,7 +343,7 @@ static void waits_for_a_slow_store(void)
   CHECK(stats.rollouts_computed < IN_MEMORY);
   CHECK_INT(sqlite3_exec(db, "ROLLBACK", NULL, NULL, NULL), SQLITE_OK);
   sqlite3_close(db);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 60000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 60000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK_INT(job.attempts, 0);
   CHECK_INT(computed(&service), DESIGNS * 10);
@@ -393,7 +386,7 @@ static void parks_and_goes_on(void)
   service_close(&service);
   fake_plan.delay_us = 0;
   REQUIRE(service_open(&service) == MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 10000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK_INT(computed(&service), 1000 - first);
   CHECK_INT(job.rollouts_cached, 0); /* its own earlier work is not "cached" */
@@ -415,11 +408,11 @@ static void verifies(void)
   REQUIRE(fixture_bodies(7, 8, &forms, &genotypes) == MO_OK);
   request = service_request(genotypes, 6);
   id = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 10000, &job) == MO_OK);
   request = service_request(genotypes, 8);
   request.verify = true;
   id = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(await_end(service.jobs, id, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   CHECK_INT(computed(&service), 140);
   REQUIRE(mo_store_results(service.fixture.store, id, &results) == MO_OK);
   for (int i = 0; i < 8; i++)
@@ -430,7 +423,7 @@ static void verifies(void)
   /* As if other code had computed them. */
   fake_plan.skew = 1;
   id = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(await_end(service.jobs, id, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   REQUIRE(mo_store_results(service.fixture.store, id, &results) == MO_OK);
   for (int i = 0; i < 8; i++)
     CHECK_INT(results->agrees[i], 0);
@@ -457,7 +450,7 @@ static void records(void)
     request.record_com = request.record_masses = true;
     id = service_submit(&service, &request);
     REQUIRE(id > 0);
-    REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+    REQUIRE(await_end(service.jobs, id, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
     CHECK(right(&service, id, genotypes));
     REQUIRE(mo_store_trajectory(service.fixture.store, id, 2, 9, &trajectory) == MO_OK);
     CHECK_INT(trajectory->n_frames, 11);
@@ -489,7 +482,7 @@ static const struct check_case cases[] = {
     {"puts interactive jobs first and shares among batch jobs", puts_interactive_first_and_shares},
     {"cancels, pauses and resumes", cancels_pauses_resumes},
     {"counts through pauses", counts_through_pauses},
-    {"survives a wish that comes late", survives_a_late_wish},
+    {"survives a request that comes late", survives_a_late_request},
     {"waits for a slow store", waits_for_a_slow_store},
     {"parks at a stop and goes on after it", parks_and_goes_on},
     {"verifies bits", verifies},

@@ -3,6 +3,7 @@
 #ifndef MORPHO_TESTS_JOBS_LEARNING_H
 #define MORPHO_TESTS_JOBS_LEARNING_H
 
+#include "jobs/trainings.h"
 #include "watch.h"
 
 #define STEPS 18
@@ -96,22 +97,22 @@ static inline bool has_result(struct service *service, int64_t id, const struct 
 
 static inline bool await_step(struct service *service, int64_t id, uint32_t step)
 {
-  struct mo_training_live live;
+  struct mo_live live;
   double end = now_s() + 20;
   do {
     usleep(500);
-    (void)mo_jobs_training_live(service->jobs, id, &live);
-  } while (live.step < step && now_s() < end);
-  return live.step >= step;
+    mo_jobs_live(service->jobs, id, &live);
+  } while (live.position < step && now_s() < end);
+  return live.position >= step;
 }
 
-static inline bool await_phase(struct service *service, int64_t id, enum mo_training_phase phase,
-                               struct mo_training_live *live)
+static inline bool await_phase(struct service *service, int64_t id, enum mo_phase phase,
+                               struct mo_live *live)
 {
   double end = now_s() + 20;
   do {
     usleep(500);
-    (void)mo_jobs_training_live(service->jobs, id, live);
+    mo_jobs_live(service->jobs, id, live);
   } while (live->phase != phase && now_s() < end);
   return live->phase == phase;
 }

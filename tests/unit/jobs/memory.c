@@ -1,7 +1,8 @@
-/* memory.c: jobs that do not fit into max_memory are refused, or wait with a reason; whoever has
- * the process killed is found. */
+/* memory.c: jobs that do not fit into max_memory are refused, or wait with a reason; a job
+ * that gets the process killed is found. */
 #include <sqlite3.h>
 
+#include "jobs/campaigns.h"
 #include "learning.h"
 
 #define MIB ((uint64_t)1 << 20)
@@ -25,10 +26,10 @@ static int reopen(struct service *service, uint64_t max_memory, bool was_killed)
 
 static bool await_reason(struct service *service, int64_t id, const char *words)
 {
-  struct mo_training_live live = {.reason = ""};
+  struct mo_live live = {.reason = ""};
   for (double end = now_s() + 20; now_s() < end; usleep(1000)) {
-    (void)mo_jobs_training_live(service->jobs, id, &live);
-    if (live.phase == MO_TRAINING_WAIT && strstr(live.reason, words) != NULL)
+    mo_jobs_live(service->jobs, id, &live);
+    if (live.phase == MO_PHASE_WAIT && strstr(live.reason, words) != NULL)
       return true;
   }
   printf("# job %lld: %s\n", (long long)id, live.reason);
@@ -62,7 +63,7 @@ static void refuses_what_never_fits(void)
   CHECK(await_reason(&service, id, "jobs can have 136 MiB"));
   request = pretraining("");
   small = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, small, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, small, 30000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK_INT(state_of(&service, id), MO_JOB_QUEUED);
   CHECK(await_reason(&service, id, "raise max_memory"));
@@ -74,7 +75,7 @@ static void waits_beside_others(void)
 {
   struct service service;
   struct mo_training_request request = large(), short_one = pretraining("");
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_job job;
   int64_t first, second, id = 0;
   REQUIRE(start(&service, 1) == MO_OK);
@@ -86,10 +87,10 @@ static void waits_beside_others(void)
   second = submit(&service, &request);
   CHECK(await_reason(&service, second, "free of the 236 MiB"));
   CHECK_INT(state_of(&service, second), MO_JOB_QUEUED);
-  /* Those that fit go first, but not for ever. */
+  /* Those that fit go first, but not without end. */
   for (int i = 0; i < 8; i++) {
     id = submit(&service, &short_one);
-    REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+    REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
     CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   }
   id = submit(&service, &short_one);
@@ -97,16 +98,16 @@ static void waits_beside_others(void)
   CHECK_INT(state_of(&service, id), MO_JOB_QUEUED);
   CHECK_INT(mo_jobs_cancel(service.jobs, first), MO_OK);
   CHECK(await_state(&service, second, MO_JOB_RUNNING, 10));
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
-  CHECK_INT(mo_jobs_training_live(service.jobs, second, &live), MO_OK);
-  CHECK(live.phase != MO_TRAINING_WAIT);
+  mo_jobs_live(service.jobs, second, &live);
+  CHECK(live.phase != MO_PHASE_WAIT);
   /* Who waits and is paused holds up nobody. */
   first = submit(&service, &request);
   CHECK(await_reason(&service, first, "MiB"));
   CHECK_INT(mo_jobs_pause(service.jobs, first), MO_OK);
-  CHECK_INT(mo_jobs_training_live(service.jobs, first, &live), MO_OK);
-  CHECK_INT(live.phase, MO_TRAINING_IDLE);
+  mo_jobs_live(service.jobs, first, &live);
+  CHECK_INT(live.phase, MO_PHASE_IDLE);
   CHECK_INT(mo_jobs_cancel(service.jobs, second), MO_OK);
   CHECK_INT(mo_jobs_resume(service.jobs, first), MO_OK);
   CHECK(await_state(&service, first, MO_JOB_RUNNING, 10));
@@ -164,10 +165,10 @@ static void finds_who_has_it_killed(void)
   REQUIRE(mo_store_job(service.fixture.store, id, &job) == MO_OK);
   CHECK_INT(job.attempts, 1);
   fake_plan.gradient_delay_us = 0;
-  REQUIRE(mo_jobs_wait(service.jobs, id, 90000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 90000, &job) == MO_OK);
   CHECK(has_result(&service, id, &expected));
   CHECK_INT(job.attempts, 0); /* forgiven: it has gone on */
-  REQUIRE(mo_jobs_wait(service.jobs, other, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, other, 30000, &job) == MO_OK);
   CHECK(has_result(&service, other, &expected));
   service_end(&service);
 }
@@ -177,14 +178,15 @@ static void blames_who_has_saved_nothing(void)
 {
   struct service service;
   struct mo_training_request request = pretraining("");
+  struct mo_live live = {.position = 0};
   struct mo_job job;
   int64_t proven, other;
   REQUIRE(start(&service, 2) == MO_OK);
   fake_plan.gradient_delay_us = 20000;
   request.record.settings.n_steps = 100000;
   proven = submit(&service, &request);
-  REQUIRE(await_state(&service, proven, MO_JOB_RUNNING, 10));
-  usleep(200000);
+  for (double end = now_s() + 20; live.position == 0 && now_s() < end; usleep(1000))
+    mo_jobs_live(service.jobs, proven, &live);
   CHECK_INT(mo_jobs_pause(service.jobs, proven), MO_OK); /* writes a checkpoint */
   REQUIRE(await_state(&service, proven, MO_JOB_PAUSED, 10));
   CHECK_INT(mo_jobs_resume(service.jobs, proven), MO_OK);

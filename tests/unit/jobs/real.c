@@ -4,7 +4,8 @@
 
 #include "../check.h"
 #include "../store/fixture.h"
-#include "jobs/jobs.h"
+#include "jobs/evaluations.h"
+#include "wait.h"
 
 #define BODIES 12
 #define STEPS  150
@@ -93,7 +94,7 @@ static void gives_the_bits_of_lone_rollouts(void)
     request.record_com = round == 2;
     REQUIRE(mo_jobs_submit_evaluation(real.jobs, &request, &id, &replayed, &real.fixture.message) ==
             MO_OK);
-    REQUIRE(mo_jobs_wait(real.jobs, id, 60000, &job) == MO_OK);
+    REQUIRE(await_end(real.jobs, id, 60000, &job) == MO_OK);
     CHECK_INT(job.state, MO_JOB_SUCCEEDED);
     REQUIRE(mo_store_results(real.fixture.store, id, &results) == MO_OK);
     for (uint32_t n = 0; n < request.n_designs; n++) {

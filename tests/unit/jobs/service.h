@@ -4,7 +4,8 @@
 
 #include "../store/fixture.h"
 #include "fake_compute.h"
-#include "jobs/jobs.h"
+#include "jobs/evaluations.h"
+#include "wait.h"
 
 struct service {
   struct fixture fixture;

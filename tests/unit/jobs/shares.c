@@ -6,7 +6,9 @@
 
 #include "../check.h"
 #include "../store/fixture.h"
+#include "jobs/evaluations.h"
 #include "jobs/trainings.h"
+#include "wait.h"
 
 enum { BODIES = 2000 };
 
@@ -52,7 +54,7 @@ static void a_training_beside_an_evaluation(void)
       .record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN),
                  .checkpoint_every_s = 60,
                  .checkpoints_kept = 1}};
-  struct mo_training_live live = {.step = 0};
+  struct mo_live live = {.position = 0};
   struct mo_job job;
   double end, slowest_s = 0;
   int64_t batch, learns, small;
@@ -72,8 +74,8 @@ static void a_training_beside_an_evaluation(void)
   REQUIRE(mo_jobs_submit_evaluation(jobs, &evaluation, &batch, &replayed, &fixture.message) ==
           MO_OK);
   REQUIRE(mo_jobs_submit_training(jobs, &training, &learns, &replayed, &fixture.message) == MO_OK);
-  for (end = now_s() + 60; live.step < 2 && now_s() < end; usleep(2000))
-    REQUIRE(mo_jobs_training_live(jobs, learns, &live) == MO_OK);
+  for (end = now_s() + 60; live.position < 2 && now_s() < end; usleep(2000))
+    mo_jobs_live(jobs, learns, &live);
   CHECK(training_gets(jobs, 0.5));
   REQUIRE(mo_jobs_set_weight(jobs, learns, 0.25) == MO_OK);
   CHECK(training_gets(jobs, 0.2));
@@ -85,7 +87,7 @@ static void a_training_beside_an_evaluation(void)
     evaluation.genotypes = genotypes + i;
     REQUIRE(mo_jobs_submit_evaluation(jobs, &evaluation, &small, &replayed, &fixture.message) ==
             MO_OK);
-    REQUIRE(mo_jobs_wait(jobs, small, 20000, &job) == MO_OK);
+    REQUIRE(await_end(jobs, small, 20000, &job) == MO_OK);
     CHECK(job.state == MO_JOB_SUCCEEDED && job.priority == MO_INTERACTIVE);
     slowest_s = fmax(slowest_s, now_s() - start);
   }

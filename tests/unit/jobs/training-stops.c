@@ -9,7 +9,7 @@ static void pauses_and_resumes(void)
   struct mo_training_request request = pretraining("");
   struct mo_sha256 expected = undisturbed();
   struct mo_training_status status;
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_job job;
   double begin;
   int64_t id;
@@ -21,7 +21,7 @@ static void pauses_and_resumes(void)
     REQUIRE(await_step(&service, id, step));
     begin = now_s();
     CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-    CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+    CHECK(await_phase(&service, id, MO_PHASE_IDLE, &live));
     CHECK(now_s() - begin < 5);
     REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
     CHECK_INT(status.job.state, MO_JOB_PAUSED);
@@ -37,7 +37,7 @@ static void pauses_and_resumes(void)
     CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
     usleep(5000 * i);
   }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_ERR_CONFLICT);
@@ -68,7 +68,7 @@ static void stops_and_goes_on(void)
     service_close(&service);
     REQUIRE(service_open(&service) == MO_OK);
   }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   CHECK_INT(warnings, 0);
@@ -76,8 +76,8 @@ static void stops_and_goes_on(void)
 }
 
 /* Stopped under one code and continued under another, at whatever step: it goes on, and the lineage
- * tells every change. */
-static void tells_of_other_code(void)
+ * reports every change. */
+static void reports_other_code(void)
 {
   static const char *const codes[] = {"fake gradient", "fake gradient-2", "fake gradient"};
   struct service service;
@@ -109,7 +109,7 @@ static void tells_of_other_code(void)
       CHECK_INT(status.code.codes[status.code.n - 1].from_step, status.checkpoint_step);
     }
   }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   REQUIRE(expect(&request, NULL, NULL, NULL, 0, &lineage, &expected));
   CHECK(has_result(&service, id, &expected));
   n = mo_store_events(service.fixture.store, 0, id, events, 60, NULL, NULL);
@@ -124,7 +124,7 @@ static void cancels(void)
   struct service service;
   struct mo_training_request request = pretraining("never");
   struct mo_controller_record record;
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_jobs_stats stats;
   double begin;
   int64_t id, waiting;
@@ -133,16 +133,16 @@ static void cancels(void)
   id = submit(&service, &request);
   waiting = submit(&service, &request);
   REQUIRE(await_state(&service, id, MO_JOB_RUNNING, 10));
-  REQUIRE(await_phase(&service, id, MO_TRAINING_LEARN, &live));
+  REQUIRE(await_phase(&service, id, MO_PHASE_LEARN, &live));
   CHECK_INT(mo_jobs_cancel(service.jobs, waiting), MO_OK); /* before it starts */
   begin = now_s();
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK); /* inside a gradient */
-  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+  CHECK(await_phase(&service, id, MO_PHASE_IDLE, &live));
   CHECK(now_s() - begin < 3);
   CHECK_INT(state_of(&service, id), MO_JOB_CANCELLED);
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_controller(service.fixture.store, "never", &record), MO_ERR_NOT_FOUND);
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.open_jobs, 0);
   CHECK_INT(stats.jobs_cancelled, 2);
   service_end(&service);
@@ -164,7 +164,7 @@ __attribute__((unused)) static void blames_crashes_on_the_training(void)
 static const struct check_case cases[] = {
     {"pauses and resumes", pauses_and_resumes},
     {"stops and goes on", stops_and_goes_on},
-    {"tells of other code", tells_of_other_code},
+    {"reports other code", reports_other_code},
     {"cancels", cancels},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"blames crashes on the training", blames_crashes_on_the_training},

@@ -22,7 +22,7 @@ static void waits_for_room(void)
   struct service service;
   struct mo_training_request request = pretraining("");
   struct mo_sha256 expected = undisturbed();
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_jobs_stats stats;
   struct mo_job job;
   double begin;
@@ -31,36 +31,36 @@ static void waits_for_room(void)
   CHECK_INT(mo_jobs_waiting(service.jobs, waiting), 0);
   limit_files(8 << 20);
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT, &live));
   CHECK(strstr(live.reason, "no space") != NULL &&
         strstr(live.reason, "checkpoint of step 6") != NULL &&
         strstr(live.reason, "by itself") != NULL);
-  CHECK_INT(live.step, 6);
+  CHECK_INT(live.position, 6);
   CHECK_INT(mo_jobs_waiting(service.jobs, waiting), 1);
   CHECK_INT(waiting[0], id);
   usleep(350000); /* it has tried again */
-  CHECK_INT(mo_jobs_training_live(service.jobs, id, &live), MO_OK);
-  CHECK_INT(live.phase, MO_TRAINING_WAIT);
+  mo_jobs_live(service.jobs, id, &live);
+  CHECK_INT(live.phase, MO_PHASE_WAIT);
   CHECK_INT(warnings, 1);
   /* Somebody pauses it: it has nowhere to save to, and waits on; resumed, it goes on when there is
    * room. */
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
   limit_files(RLIM_INFINITY);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   /* Cancelled while it waits. */
   limit_files(8 << 20);
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT, &live));
   begin = now_s();
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
-  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+  CHECK(await_phase(&service, id, MO_PHASE_IDLE, &live));
   CHECK(now_s() - begin < 1);
   /* Stopped while it waits: at once, without its last steps, which come again. */
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT, &live));
   begin = now_s();
   CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_ERR_BUSY);
   CHECK(now_s() - begin < 2);
@@ -69,7 +69,7 @@ static void waits_for_room(void)
   service_close(&service);
   limit_files(RLIM_INFINITY);
   REQUIRE(service_open(&service) == MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK(has_result(&service, id, &expected));
   service_end(&service);
 }
@@ -81,7 +81,7 @@ static void waits_for_memory(void)
   struct service service;
   struct mo_training_request request = pretraining("");
   struct mo_sha256 expected = undisturbed();
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_job job;
   double begin;
   int64_t id, waiting[MO_WAITING_MAX] = {0};
@@ -91,37 +91,37 @@ static void waits_for_memory(void)
   id = submit(&service, &request);
   for (int fails = 1000; fails > 995;
        fails = fake_plan.gradient_fails) { /* more often than there are attempts */
-    REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+    REQUIRE(await_phase(&service, id, MO_PHASE_WAIT, &live));
     usleep(10000);
   }
-  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT, &live));
   CHECK(strstr(live.reason, "no memory") != NULL && strstr(live.reason, "by itself") != NULL);
   CHECK_INT(mo_jobs_waiting(service.jobs, waiting), 1);
   CHECK_INT(waiting[0], id);
   CHECK_INT(warnings, 1);
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+  CHECK(await_phase(&service, id, MO_PHASE_IDLE, &live));
   CHECK_INT(state_of(&service, id), MO_JOB_PAUSED);
   fake_plan.gradient_fails = 0;
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   fake_plan.gradient_fails = 1000;
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT, &live));
   begin = now_s();
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
-  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+  CHECK(await_phase(&service, id, MO_PHASE_IDLE, &live));
   CHECK(now_s() - begin < 5);
   /* Stopped: the next start goes on. */
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT, &live));
   CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
   service_close(&service);
   fake_plan.gradient_fails = 0;
   REQUIRE(service_open(&service) == MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   service_end(&service);
@@ -132,7 +132,7 @@ static void waits_for_descriptors(void)
   struct service service;
   struct mo_training_request request = pretraining("");
   struct mo_sha256 expected = undisturbed();
-  struct mo_training_live live;
+  struct mo_live live;
   struct rlimit before, none;
   struct mo_job job;
   int64_t id;
@@ -144,12 +144,12 @@ static void waits_for_descriptors(void)
   none = before;
   none.rlim_cur = 3;
   REQUIRE(setrlimit(RLIMIT_NOFILE, &none) == 0);
-  CHECK(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  CHECK(await_phase(&service, id, MO_PHASE_WAIT, &live));
   CHECK(strstr(live.reason, "file descriptor") != NULL && strstr(live.reason, "by itself") != NULL);
   usleep(500000); /* it has tried again */
   CHECK_INT(state_of(&service, id), MO_JOB_RUNNING);
   REQUIRE(setrlimit(RLIMIT_NOFILE, &before) == 0);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   service_end(&service);
@@ -166,19 +166,19 @@ __attribute__((unused)) static void tries_three_times(void)
   fake_plan.gradient_fails = 1;
   fake_plan.gradient_status = MO_ERR_IO;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0); /* one, forgiven by the checkpoint that came after it */
   CHECK_INT(job.error, MO_OK);
   CHECK(has_result(&service, id, &expected));
   fake_plan.gradient_fails = 1000;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_INT(job.attempts, 3);
   CHECK_INT(job.error, MO_ERR_IO);
   CHECK(strstr(job.error_text, "input or output failed") != NULL);
   CHECK_INT(warnings, 4);
-  CHECK_INT(settled(&service).jobs_failed, 1);
+  CHECK_INT(idle_stats(&service).jobs_failed, 1);
   service_end(&service);
 }
 
@@ -220,10 +220,10 @@ __attribute__((unused)) static void passes_over_damaged_checkpoints(void)
     REQUIRE(await_step(&service, id, 2));
     pthread_mutex_lock(&warned_mutex);
     CHECK_INT(warnings, round);
-    CHECK(strstr(warned, round == 1 ? "the one before it is taken" : "begins anew") != NULL);
+    CHECK(strstr(warned, round == 1 ? "the one before it is taken" : "starts over") != NULL);
     pthread_mutex_unlock(&warned_mutex);
   }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   service_end(&service);
@@ -234,7 +234,7 @@ __attribute__((unused)) static void waits_for_the_database(void)
   struct service service;
   struct mo_training_request request = pretraining("");
   struct mo_sha256 expected = undisturbed();
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_job job;
   int64_t id;
   REQUIRE(fault_vfs_register() == SQLITE_OK);
@@ -249,12 +249,12 @@ __attribute__((unused)) static void waits_for_the_database(void)
   for (int i = 0; i < 2; i++) {
     fault_plan.writes_left = 0;
     fault_plan.write_error = i == 0 ? SQLITE_FULL : SQLITE_BUSY;
-    REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+    REQUIRE(await_phase(&service, id, MO_PHASE_WAIT, &live));
     CHECK(strstr(live.reason, i == 0 ? "no space" : "locked") != NULL);
     fault_plan.write_error = 0;
-    REQUIRE(await_phase(&service, id, MO_TRAINING_LEARN, &live));
+    REQUIRE(await_phase(&service, id, MO_PHASE_LEARN, &live));
   }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK(has_result(&service, id, &expected));
   service_end(&service);
 }
@@ -265,7 +265,7 @@ __attribute__((unused)) static void notes_a_failure_when_it_can(void)
   struct service service;
   struct mo_training_request request = pretraining("");
   struct mo_sha256 expected = undisturbed();
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_job job;
   int64_t id;
   request.record.validate_every_steps = 0;
@@ -282,12 +282,12 @@ __attribute__((unused)) static void notes_a_failure_when_it_can(void)
   REQUIRE(await_state(&service, id, MO_JOB_RUNNING, 10));
   fault_plan.writes_left = 0;
   fault_plan.write_error = SQLITE_NOMEM;
-  CHECK(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  CHECK(await_phase(&service, id, MO_PHASE_WAIT, &live));
   CHECK(strstr(live.reason, "no memory") != NULL);
   CHECK_INT(state_of(&service, id), MO_JOB_RUNNING);
   fake_plan.gradient_delay_us = 0;
   fault_plan.write_error = 0;
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0); /* one, forgiven by the checkpoint that came after it */
   CHECK(has_result(&service, id, &expected));
   service_end(&service);

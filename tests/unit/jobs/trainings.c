@@ -1,5 +1,6 @@
 /* trainings.c: trainings with a fake back end, whose gradients are a function of robots and
  * weights: what they ask for, do and leave. */
+#include "jobs/held_out.h"
 #include "learning.h"
 
 static void learns(void)
@@ -14,7 +15,7 @@ static void learns(void)
   struct mo_controller_record record;
   struct mo_event events[60];
   struct mo_jobs_stats stats;
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_held_out held_out;
   struct mo_job job;
   char *metadata = NULL;
@@ -23,7 +24,7 @@ static void learns(void)
   double seconds = -now_s();
   REQUIRE(start(&service, 1) == MO_OK);
   id = submit(&service, &request);
-  REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(id > 0 && await_end(service.jobs, id, 30000, &job) == MO_OK);
   seconds += now_s();
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK_INT(job.steps_done, STEPS);
@@ -56,19 +57,19 @@ static void learns(void)
   CHECK_TEXT(events[0].type, "job.created");
   CHECK_TEXT(events[1].type, "job.started");
   CHECK_TEXT(events[n - 1].type, "job.finished");
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.training_steps, STEPS);
   CHECK_INT(stats.training_robots, STEPS * BATCH);
   CHECK_INT(stats.training_checkpoints, 3);
   CHECK_INT(stats.training_validations, 3);
   CHECK_INT(stats.jobs_succeeded, 1);
   CHECK_INT(stats.open_jobs, 0);
-  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live)); /* its thread follows in a moment */
+  CHECK(await_phase(&service, id, MO_PHASE_IDLE, &live)); /* its thread follows in a moment */
   /* What it was validated on. */
-  CHECK_INT(mo_jobs_training_held_out(service.jobs, id, &held_out), MO_OK);
+  CHECK_INT(mo_store_training(service.fixture.store, id, &status), MO_OK);
+  CHECK_INT(mo_held_out_load(service.fixture.store, &status, &held_out), MO_OK);
   CHECK(held_out.n_designs == 3 && held_out.n_environments == 20);
   mo_held_out_free(&held_out);
-  CHECK_INT(mo_store_training(service.fixture.store, id, &status), MO_OK);
   CHECK_INT(status.step, STEPS);
   CHECK_INT(warnings, 0);
   CHECK_INT(mo_store_check(service.fixture.store, &service.fixture.message), MO_OK);
@@ -88,8 +89,7 @@ static void takes_turns(void)
   for (int i = 0; i < 4; i++)
     ids[i] = submit(&service, &request);
   for (int i = 0; i < 4; i++)
-    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK &&
-            job.state == MO_JOB_SUCCEEDED);
+    REQUIRE(await_end(service.jobs, ids[i], 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   n = fake_history(tags, 4 * STEPS + 1);
   CHECK_INT(n, 4 * STEPS);
   for (size_t i = 0; i < n; i++) {
@@ -105,8 +105,7 @@ static void takes_turns(void)
   for (int i = 0; i < 3; i++)
     ids[i] = submit(&service, &request);
   for (int i = 0; i < 3; i++)
-    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK &&
-            job.state == MO_JOB_SUCCEEDED);
+    REQUIRE(await_end(service.jobs, ids[i], 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   n = fake_history(tags, 3 * STEPS);
   for (size_t i = 1; i < n; i++) {
     changes += tags[i] != tags[i - 1];
@@ -132,13 +131,13 @@ __attribute__((unused)) static void validates_as_an_evaluation_does(void)
   int64_t id;
   REQUIRE(start(&service, 1) == MO_OK);
   id = submit(&service, &request);
-  REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(id > 0 && await_end(service.jobs, id, 30000, &job) == MO_OK);
   REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK && status.has_result);
   row = status.validation;
   REQUIRE(mo_store_controller_bytes(service.fixture.store, &status.result_sha256, &bytes, &size) ==
           MO_OK);
   REQUIRE(mo_controller_decode(bytes, size, &controller, NULL) == MO_OK);
-  REQUIRE(mo_jobs_training_held_out(service.jobs, id, &held_out) == MO_OK);
+  REQUIRE(mo_held_out_load(service.fixture.store, &status, &held_out) == MO_OK);
   for (uint32_t d = 0; d < 3; d++) {
     uint32_t before = diverged;
     double sum = 0;
@@ -189,12 +188,12 @@ __attribute__((unused)) static void tunes_a_population(void)
   REQUIRE(fixture_bodies(31, 30, &forms, &genotypes) == MO_OK);
   evaluation = service_request(genotypes, 30);
   scored = service_submit(&service, &evaluation);
-  REQUIRE(mo_jobs_wait(service.jobs, scored, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, scored, 30000, &job) == MO_OK);
   request.record.settings.kind = MO_TRAINING_FINETUNE;
   request.population = scored;
   request.population_best = 5;
   id = submit(&service, &request);
-  REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(id > 0 && await_end(service.jobs, id, 30000, &job) == MO_OK);
   REQUIRE(mo_store_population(service.fixture.store, scored, 5, &best, &n) == MO_OK && n == 5);
   REQUIRE(mo_store_controller(service.fixture.store, "default", &record) == MO_OK);
   mo_sha256_to_hex(&record.sha256, digits);
@@ -204,7 +203,7 @@ __attribute__((unused)) static void tunes_a_population(void)
   CHECK(status.record.population == scored && status.record.n_designs == 5 &&
         status.record.has_parent);
   CHECK_TEXT(status.record.parent_name, "default");
-  CHECK_INT(mo_jobs_training_held_out(service.jobs, id, &held_out), MO_OK);
+  CHECK_INT(mo_held_out_load(service.fixture.store, &status, &held_out), MO_OK);
   CHECK(held_out.n_designs == 3 && memcmp(held_out.genotypes, best, 3 * sizeof(*best)) == 0);
   mo_held_out_free(&held_out);
   /* From the result, on designs that are listed. */
@@ -214,7 +213,7 @@ __attribute__((unused)) static void tunes_a_population(void)
   request.record.n_designs = 7;
   snprintf(request.record.name, sizeof(request.record.name), "again");
   id = submit(&service, &request);
-  REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(id > 0 && await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK(mo_sha256_equal(&job.controller_sha256, &expected));
   free(best);

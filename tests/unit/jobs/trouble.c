@@ -8,7 +8,7 @@
 
 #include "../check.h"
 #include "../store/fault_vfs.h"
-#include "jobs/internal.h"
+#include "jobs/state.h"
 #include "service.h"
 #include "watch.h"
 
@@ -95,7 +95,7 @@ static void parks_after_three_errors(void)
   fake_plan.fail_status = MO_ERR_NO_MEMORY;
   request = service_request(genotypes, 10);
   id = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 10000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED); /* once is forgiven */
   CHECK_INT(job.attempts, 1);
   CHECK(right(&service, id, genotypes));
@@ -106,12 +106,12 @@ static void parks_after_three_errors(void)
   fake_plan.fail_times = 1000;
   request = service_request(genotypes, 10);
   id = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 20000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 20000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_INT(job.attempts, 3);
   CHECK_INT(job.error, MO_ERR_NO_MEMORY);
   CHECK(strstr(job.error_text, "out of memory") != NULL);
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.open_jobs, 0);
   CHECK_INT(stats.jobs_failed, 1);
   free(forms);
@@ -133,7 +133,7 @@ static void refuses_nan(void)
     request.record_com = recorded != 0;
     fake_plan.poison = true;
     id = service_submit(&service, &request);
-    REQUIRE(mo_jobs_wait(service.jobs, id, 15000, &job) == MO_OK);
+    REQUIRE(await_end(service.jobs, id, 15000, &job) == MO_OK);
     CHECK_INT(job.state, MO_JOB_FAILED);
     CHECK(strstr(job.error_text, "not a number") != NULL);
     CHECK_INT(job.rollouts_done, 0);
@@ -151,7 +151,7 @@ static void refuses_nan(void)
 
 static atomic_int damaged_controllers;
 
-static void hear_warning(void *context, int64_t job, int error, const char *text)
+static void keep_warning_text(void *context, int64_t job, int error, const char *text)
 {
   (void)context;
   (void)job;
@@ -170,7 +170,7 @@ static void names_a_damaged_controller(void)
   int64_t id;
   REQUIRE(service_start(&service) == MO_OK);
   service_close(&service);
-  service.config.warn = hear_warning;
+  service.config.warn = keep_warning_text;
   REQUIRE(service_open(&service) == MO_OK);
   REQUIRE(fixture_bodies(24, 2, &forms, &genotypes) == MO_OK);
   REQUIRE(mo_store_controller(service.fixture.store, "default", &record) == MO_OK);
@@ -180,7 +180,7 @@ static void names_a_damaged_controller(void)
   atomic_store(&damaged_controllers, 0);
   request = service_request(genotypes, 2);
   id = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 15000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 15000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_INT(job.error, MO_ERR_CORRUPT);
   CHECK(strstr(job.error_text, digits) != NULL && strstr(job.error_text, "PUT") != NULL);
@@ -189,7 +189,7 @@ static void names_a_damaged_controller(void)
   /* As it says: */
   REQUIRE(fixture_controller(service.fixture.store, "again", 1, &record) == MO_OK);
   id = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 15000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 15000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   free(forms);
   free(genotypes);
@@ -217,10 +217,10 @@ static void parks_what_cannot_be_saved(void)
     request = service_request(genotypes, 4);
     request.priority = round == 0 ? MO_INTERACTIVE : MO_BATCH;
     id = service_submit(&service, &request);
-    REQUIRE(mo_jobs_wait(service.jobs, id, 15000, &job) == MO_OK);
+    REQUIRE(await_end(service.jobs, id, 15000, &job) == MO_OK);
     CHECK_INT(job.state, MO_JOB_FAILED);
     CHECK_INT(job.attempts, 3);
-    stats = settled(&service);
+    stats = idle_stats(&service);
     CHECK_INT(stats.open_jobs, 0);
     /* The others go on. */
     service.jobs->fingerprints[MO_FLOAT32] = fingerprint;
@@ -231,7 +231,7 @@ static void parks_what_cannot_be_saved(void)
     REQUIRE(fixture_bodies(19, 5, &forms, &genotypes) == MO_OK);
     request = service_request(genotypes, 5);
     id = service_submit(&service, &request);
-    REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK);
+    REQUIRE(await_end(service.jobs, id, 10000, &job) == MO_OK);
     CHECK_INT(job.state, MO_JOB_SUCCEEDED);
     CHECK(right(&service, id, genotypes));
     free(forms);
@@ -289,7 +289,7 @@ static void blames_crashes_on_their_job(void)
   fake_plan.delay_us = 0;
   service_close(&service);
   REQUIRE(service_open(&service) == MO_OK); /* the marker was emptied: nobody is blamed */
-  REQUIRE(mo_jobs_wait(service.jobs, other, 10000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, other, 10000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK_INT(job.attempts, 0);
   free(forms);
@@ -334,14 +334,14 @@ static void waits_for_room(void)
   mo_jobs_get_stats(service.jobs, &stats);
   CHECK_INT(stats.blocks_in_flight, 0); /* nothing is computed that cannot be kept */
   atomic_store(&fault_plan.write_error, 0);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 20000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 20000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK(right(&service, id, genotypes));
   CHECK_INT(computed(&service), 500);
   mo_jobs_get_stats(service.jobs, &stats);
   CHECK(!stats.no_space);
   other = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, other, 20000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, other, 20000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK_INT(mo_store_check(service.fixture.store, &service.fixture.message), MO_OK);
   free(forms);
@@ -378,8 +378,7 @@ static void answers_from_its_cache_of_controllers(void)
   for (int i = 0; i < 5; i++) {
     struct mo_controller *controller = NULL;
     struct mo_physics physics = mo_default_physics();
-    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 10000, &job) == MO_OK &&
-            job.state == MO_JOB_SUCCEEDED);
+    REQUIRE(await_end(service.jobs, ids[i], 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
     REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) ==
             MO_OK);
     mo_controller_randomize(controller, (uint64_t)(100 + i));
@@ -423,7 +422,7 @@ static void *be_a_client(void *context)
       (void)mo_jobs_pause(client->service->jobs, id);
       (void)mo_jobs_resume(client->service->jobs, id);
     }
-    if (mo_jobs_wait(client->service->jobs, id, 20000, &job) != MO_OK ||
+    if (await_end(client->service->jobs, id, 20000, &job) != MO_OK ||
         job.state != MO_JOB_SUCCEEDED || !right(client->service, id, request.genotypes))
       client->failures++;
   }
@@ -449,7 +448,7 @@ static void serves_many_clients(void)
     pthread_join(threads[i], NULL);
     CHECK_INT(clients[i].failures, 0);
   }
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.open_jobs, 0);
   CHECK(stats.rollouts_computed <= 900);
   CHECK_INT(mo_store_check(service.fixture.store, &service.fixture.message), MO_OK);

@@ -6,7 +6,7 @@
 #include <time.h>
 
 #include "../check.h"
-#include "jobs/internal.h"
+#include "jobs/state.h"
 #include "service.h"
 
 static struct mo_controller *weights;
@@ -60,7 +60,7 @@ static inline bool await_state(struct service *service, int64_t id, enum mo_job_
 }
 
 /* The figures follow a commit by a moment. */
-static inline struct mo_jobs_stats settled(struct service *service)
+static inline struct mo_jobs_stats idle_stats(struct service *service)
 {
   struct mo_jobs_stats stats;
   double end = now_s() + 5;
@@ -80,7 +80,7 @@ static pthread_mutex_t warned_mutex = PTHREAD_MUTEX_INITIALIZER;
 
 static int warnings;
 
-static inline void hear(void *context, int64_t job, int error, const char *text)
+static inline void keep_warning(void *context, int64_t job, int error, const char *text)
 {
   (void)context;
   (void)job;
@@ -91,7 +91,7 @@ static inline void hear(void *context, int64_t job, int error, const char *text)
   pthread_mutex_unlock(&warned_mutex);
 }
 
-/* A new folder, closed, for a service that is to be heard when it warns. */
+/* A new folder, closed, for a service whose warnings are kept. */
 static inline int watch_start(struct service *service)
 {
   int error = service_start(service);
@@ -100,7 +100,7 @@ static inline int watch_start(struct service *service)
   warnings = 0;
   warned[0] = '\0';
   pthread_mutex_unlock(&warned_mutex);
-  service->config.warn = hear;
+  service->config.warn = keep_warning;
   return error;
 }
 

@@ -59,9 +59,9 @@ static void among_evaluations(void)
   REQUIRE(await_history(before + 40, 20));
   CHECK_NEAR(part_of(light, before, &n), 0.9, 0.08);
   fake_plan.delay_us = 0;
-  REQUIRE(mo_jobs_wait(service.jobs, light, 20000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(await_end(service.jobs, light, 20000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   CHECK(job.weight == 27);
-  REQUIRE(mo_jobs_wait(service.jobs, heavy, 20000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(await_end(service.jobs, heavy, 20000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   CHECK(job.weight == 3);
   CHECK(right(&service, light, genotypes) && right(&service, heavy, genotypes + BODIES));
   CHECK_INT(mo_jobs_set_weight(service.jobs, light, 1), MO_ERR_CONFLICT);
@@ -76,7 +76,7 @@ static void of_a_training(void)
   struct service service;
   struct mo_training_request request = pretraining("weighed");
   struct mo_sha256 expected = undisturbed();
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_jobs_stats stats;
   struct mo_event events[60];
   struct mo_job job;
@@ -90,13 +90,13 @@ static void of_a_training(void)
   REQUIRE(id > 0 && await_step(&service, id, 1));
   CHECK(fake_weight(id) == 2.5);
   CHECK_INT(fake_shares(), 2);
-  (void)mo_jobs_training_live(service.jobs, id, &live);
+  mo_jobs_live(service.jobs, id, &live);
   CHECK(live.busy_s > 0);
   CHECK_INT(mo_jobs_set_weight(service.jobs, id, 7), MO_OK);
   CHECK_INT(mo_jobs_set_weight(service.jobs, id, 7), MO_OK);
   CHECK(await_weight(id, 7));
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-  REQUIRE(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+  REQUIRE(await_phase(&service, id, MO_PHASE_IDLE, &live));
   CHECK(live.busy_s < 0);
   CHECK_INT(fake_shares(), 1);
   mo_jobs_get_stats(service.jobs, &stats);
@@ -110,12 +110,12 @@ static void of_a_training(void)
   REQUIRE(service_open(&service) == MO_OK); /* and after a restart */
   CHECK_INT(mo_jobs_set_weight(service.jobs, id, 4), MO_OK);
   fake_plan.gradient_delay_us = 0;
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK(job.weight == 4 && fake_weight(id) == 4);
   CHECK(has_result(&service, id, &expected));
   CHECK_INT(mo_jobs_set_weight(service.jobs, id, 1), MO_ERR_CONFLICT);
-  REQUIRE(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+  REQUIRE(await_phase(&service, id, MO_PHASE_IDLE, &live));
   mo_jobs_get_stats(service.jobs, &stats);
   CHECK(stats.worker_s[MO_JOB_TRAINING] > 0 && stats.worker_s[MO_JOB_EVALUATION] == 0);
   n = mo_store_events(service.fixture.store, 0, id, events, 60, NULL, NULL);

@@ -194,7 +194,7 @@ static void move_house(const struct stress *s, const struct mo_robot *drawn, uin
     run->environments[i] = *drawn[i].environment;
     if (s->sigma_m > 0)
       mo_terrain_random(31, step, i, s->sigma_m, run->environments[i].terrain_heights_m);
-    if (s->light_inside) { /* at the centre of mass, where the loss itself has a pole */
+    if (s->light_inside) { /* at the center of mass, where the loss itself has a pole */
       double com[2] = {0, 0};
       for (uint32_t m = 0; m < body->n_masses; m++)
         for (int axis = 0; axis < 2; axis++)

@@ -152,7 +152,7 @@ def test_table_and_request():
         lines = out.splitlines()
         assert re.match(r"#\s+name\s+design\s+voxels\s+score\s+best\s+worst", lines[0]), out
         assert re.match(rf"0\s+walker\s+{ID}\s+1\s+0\.7500\s+0\.5000\s+1\.0000", lines[1]), out
-        assert "\033" not in out + err, "colours without a terminal"
+        assert "\033" not in out + err, "colors without a terminal"
         method, path, headers, body = server.seen[0]
         assert (method, path, headers["Content-Type"]) == ("POST", "/v1/evaluations",
                                                            "application/json")
@@ -165,7 +165,7 @@ def test_table_and_request():
 
 
 def test_text_of_others_is_not_obeyed():
-    """Whoever may submit chooses the label, and a terminal must not obey it."""
+    """Any submitter chooses the label, and a terminal must not obey it."""
     evil = "x\033]0;owned\007\033[2J\u009b31m\x7f\ry"
     with Server([reply(200, {"items": [{**JOB, "label": evil}], "next_cursor": None})]) as server:
         status, out, err = run(server, "job", "list")
@@ -173,7 +173,8 @@ def test_text_of_others_is_not_obeyed():
     hidden = "a\u202egpj\u2066b\u200fc\u061cd\U000e0041e\u200b é😀ü"
     with Server([reply(200, {"items": [{**JOB, "label": hidden}], "next_cursor": None})]) as server:
         status, out, err = run(server, "job", "list")
-        assert status == 0 and r"a\u202egpj\u2066b\u200fc\u061cd\U000e0041e\u200b é😀ü" in out, out + err
+        assert status == 0, out + err
+        assert r"a\u202egpj\u2066b\u200fc\u061cd\U000e0041e\u200b é😀ü" in out, out + err
     with Server([reply(200, {**JOB, "label": hidden})]) as server:
         status, out, err = run(server, "job", "show", "7")
         assert status == 0 and r"a\u202egpj\u2066b" in out and "\u202e" not in out, out + err
@@ -222,8 +223,8 @@ def test_json_is_the_apis():
 
 def test_json_keeps_numbers_as_they_came():
     text = (
-        '{"items":[0.9,1.5e-07,1e+22,-0.1,0.30000000000000004,2.5e-308,17,-3,9007199254740993,{"1.50":"1.50 \\" 0.90000000000000002"},'
-        'true,null],"next_cursor":null}')
+        '{"items":[0.9,1.5e-07,1e+22,-0.1,0.30000000000000004,2.5e-308,17,-3,9007199254740993,'
+        '{"1.50":"1.50 \\" 0.90000000000000002"},true,null],"next_cursor":null}')
     with Server([reply(200, text.encode())] * 2) as server:
         assert run(server, "job", "show", "7", "--json")[1] == text + "\n"
         assert run(server, "job", "list", "--json")[1] == text + "\n"
@@ -297,7 +298,8 @@ def test_gives_up():
         status, _, err = run(server, "eval", "--retry", "1", input_text=ID)
         assert status == 7 and "Draining: the service stops (503)" in err, err
     status, _, err = run("127.0.0.1:1", "job", "list", "--retry", "0")
-    assert status == 4 and "127.0.0.1:1: " in err and "that of MORPHOD_SERVER" in err and "--server" in err, err
+    assert status == 4 and "127.0.0.1:1: " in err, err
+    assert "that of MORPHOD_SERVER" in err and "--server" in err, err
     status, _, err = run("127.0.0.1:1", "job", "list", "--retry", "0", "--server", "unix:/nowhere")
     assert status == 4 and "unix:/nowhere" in err and "that of --server" in err, err
     status, _, err = run("127.0.0.1:1", "watch", "--retry", "0")
@@ -380,9 +382,9 @@ def test_watch_a_failure_in_json():
 
 def test_trajectories_are_numpy_files():
     data = struct.pack("<6f", *range(6))
+    recording = reply(200, data, "application/octet-stream", Morphod_Shape="2,3")
     with tempfile.TemporaryDirectory() as folder, \
-            Server([reply(200, {**JOB, "results": [RESULT]})] +
-                   [reply(200, data, "application/octet-stream", Morphod_Shape="2,3")] * 2) as server:
+            Server([reply(200, {**JOB, "results": [RESULT]})] + [recording] * 2) as server:
         status, _, err = run(server,
                              "eval",
                              "--record",
@@ -391,7 +393,7 @@ def test_trajectories_are_numpy_files():
                              folder + "/out",
                              input_text=ID)
         assert status == 0, err
-        assert server.seen[1][1] == "/v1/evaluations/7/trajectories/0?environment=0&array=com"
+        assert server.seen[1][1] == "/v1/evaluations/7/trajectories/0/file?environment=0&array=com"
         with open(folder + "/out/design-0000-environment-01-com.npy", "rb") as file:
             content = file.read()
         assert content[:8] == b"\x93NUMPY\x01\x00"
@@ -454,7 +456,7 @@ def test_controller_files():
             assert run(server, "controller", "get", "c", "-o", path + ".copy")[0] == 0
             assert run(server, "controller", "delete", "c")[0] == 0
             assert server.seen[0][:2] == (
-                "PUT", "/v1/controllers/c") and server.seen[0][3] == bytes(range(256)) * 100
+                "PUT", "/v1/controllers/c/file") and server.seen[0][3] == bytes(range(256)) * 100
             with open(path + ".copy", "rb") as file:
                 assert file.read() == bytes(range(256)) * 100
 
@@ -478,8 +480,8 @@ TRAINING = {
         "seconds_left": 3600.0, "replayed": 0, "replay_total": 0
     }
 }
-NEWEST = reply(200, {"items": [], "next_after": "41", "reset": True})
-NO_ROWS = reply(200, {"items": [], "next_after": 0, "more": False})
+NEWEST = reply(200, {"items": [], "next_cursor": None, "newest": "41", "reset": True})
+NO_ROWS = reply(200, {"items": [], "next_cursor": None})
 DONE = {
     **TRAINING, "state": "succeeded", "phase": "idle",
     "controller": {"name": "walker",
@@ -489,7 +491,7 @@ DONE = {
 
 def step_rows(first, last, more=False):
     rows = [{"step": n, "mean_loss": 1 / n} for n in range(first, last + 1)]
-    return reply(200, {"items": rows, "next_after": last, "more": more})
+    return reply(200, {"items": rows, "next_cursor": str(last) if more else None})
 
 
 def test_train_start_sends_what_was_asked_for():
@@ -601,7 +603,8 @@ def test_train_watch_goes_on_after_a_break():
         lines = out.splitlines()
         assert lines[0] == "training 7 (pretrain walker) is running, step 2 of 1,400"
         assert lines[1] == (
-            "2026-11-21 10:00:00  step 4 of 1,400  loss 0.5000  gradient 0.25  rate 0.002  clipped 12.5 %  123.4 bodies/s  "
+            "2026-11-21 10:00:00  step 4 of 1,400  loss 0.5000  gradient 0.25  rate 0.002  clipped "
+            "12.5 %  123.4 bodies/s  "
             "25:01:01 left")
         assert lines[2].endswith("validation 0.2500 ± 0.0100 at step 50, 3 of 512 rollouts diverged"
                                  ) and lines[3].endswith("checkpoint of step 50")
@@ -664,7 +667,7 @@ def test_train_watch_draws_on_a_terminal():
             stream(rows + event(60, "job.finished", state="succeeded")),
             reply(200, {**DONE, "name": "w"}),
             step_rows(3, 500),
-            reply(200, {"items": [{"step": 0, "mean_score": 0.9}], "more": False})
+            reply(200, {"items": [{"step": 0, "mean_score": 0.9}], "next_cursor": None})
     ]) as server:
         child, terminal = pty.fork()
         if child == 0:
@@ -724,9 +727,9 @@ def test_train_show_and_list():
 def test_train_export():
     head = b"step,mean_loss\n"
     with tempfile.TemporaryDirectory() as folder, \
-            Server([reply(200, b"weights", "application/octet-stream", Morphod_Step="4"), reply(200, head + b"1,0.5\n2,0.25\n", "text/csv"),
-                    reply(200, head + b"3,0.125\n", "text/csv"), reply(200, head, "text/csv"),
-                    reply(200, b"step,mean_score\n0,1.5\n", "text/csv"), reply(200, b"step,mean_score\n", "text/csv")]) as server:
+            Server([reply(200, b"weights", "application/octet-stream", Morphod_Step="4"),
+                    reply(200, head + b"1,0.5\n2,0.25\n3,0.125\n", "text/csv"),
+                    reply(200, b"step,mean_score\n0,1.5\n", "text/csv")]) as server:
         status, out, err = run(server, "train", "export", "7", "--step", "4", "-o", folder + "/c",
                                "--curve", folder + "/curve", "--validations", "-")
         assert status == 0 and out == "step,mean_score\n0,1.5\n", (out, err)
@@ -736,8 +739,7 @@ def test_train_export():
             assert file.read() == head + b"1,0.5\n2,0.25\n3,0.125\n"
         assert [path for _, path, _, _ in server.seen] == [
             "/v1/trainings/7/controller?step=4", "/v1/trainings/7/steps",
-            "/v1/trainings/7/steps?after=2", "/v1/trainings/7/steps?after=3",
-            "/v1/trainings/7/validations", "/v1/trainings/7/validations?after=0"
+            "/v1/trainings/7/validations"
         ]
     with Server([reply(404, {"title": "Not Found", "detail": "no checkpoint yet"})]) as server:
         assert run(server, "train", "export", "7")[0] == 3
@@ -775,8 +777,11 @@ def test_train_compare():
                                                                 {**held_out, "controller": "new"}]
         # Differences -1, -2, -3, 0: mean -1.5, deviation sqrt(5/3), t(0.975, 3) = 3.182446.
         half = 3.182446305284263 * (5 / 3 / 4)**0.5
-        assert f"-1.5000, 95 % confidence {-1.5 - half:+.4f} to {-1.5 + half:+.4f} (Student t, 4 pairs)" in out, out
-        assert "3 of 4 designs (75.0 %), 1 equal" in out and "1 design that diverged" in out and "is not shown" in out
+        assert (f"-1.5000, 95 % confidence {-1.5 - half:+.4f} to {-1.5 + half:+.4f} "
+                "(Student t, 4 pairs)") in out, out
+        assert "3 of 4 designs (75.0 %), 1 equal" in out
+        assert "1 design that diverged" in out
+        assert "is not shown" in out
         assert re.search(r"^A +old +3\.2500 +1 of 5 +1 of 10 ", out, re.M) and re.search(
             r"^B +new +1\.7500 +0 of 5 +0 of 10 ", out, re.M), out
         value = json.loads(run(server, "train", "compare", "old", "new", "--json")[1])
@@ -820,7 +825,8 @@ def test_watch_tells_of_trainings():
     ]) as server:
         out = run(server, "watch", "--retry", "0")[1].splitlines()
         assert [line[21:] for line in out] == [
-            "training.progress job 7  step 2 of 9  loss 0.5000  gradient 1  rate 0.1  clipped 0.0 %",
+            "training.progress job 7  step 2 of 9  loss 0.5000  gradient 1  rate 0.1  clipped 0.0 "
+            "%",
             "training.validation job 7  0.2500 ± 0.5000 at step 2",
             "training.checkpoint job 7  of step 2", "training.other  job 7"
         ], out
@@ -831,10 +837,10 @@ def test_campaign_whose_generation_is_committed_between_two_requests():
         "id": "7", "mode": "zero-shot", "state": "running", "phase": "scoring",
         "progress": {"generation": None, "generations": 3}
     }
-    rows = {"items": [{"generation": 0, "score": {"mean": 0.5}}], "more": False}
+    rows = {"items": [{"generation": 0, "score": {"mean": 0.5}}], "next_cursor": None}
     with Server([reply(200, campaign),
                  reply(200, rows),
-                 reply(200, {"items": [], "more": False})]) as server:
+                 reply(200, {"items": [], "next_cursor": None})]) as server:
         status, out, err = run(server, "campaign", "show", "7")
         assert status == 0 and "generation 0 of 3" in out and "before generation" not in out, (
             status, out, err)
@@ -846,7 +852,8 @@ def test_job_lists_name_trainings():
     short = {
         **{
             k: TRAINING[k]
-            for k in ("id", "state", "priority", "label", "created_at", "started_at", "finished_at", "attempts", "error", "reason")
+            for k in ("id", "state", "priority", "label", "created_at", "started_at", "finished_at",
+                      "attempts", "error", "reason")
         }, "kind": "training",
         "training": {"kind": "finetune", "name": "walker", "step": 350, "steps": 1400}
     }

@@ -1,4 +1,4 @@
-/* How campaigns are told: sparklines, lines of generations, the view. */
+/* How campaigns are shown: sparklines, lines of generations, the view. */
 #include "campaign.h"
 #include "commands.h"
 

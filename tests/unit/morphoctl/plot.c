@@ -67,7 +67,7 @@ static void marks(void)
   REQUIRE(n_lines == 8);
   CHECK(strchr(lines[0], 'o') != NULL && strchr(lines[5], 'o') != NULL &&
         strchr(lines[2], 'o') == NULL);
-  plot.colour = plot.utf8 = true;
+  plot.color = plot.utf8 = true;
   draw(&plot);
   CHECK(strstr(lines[0], "\033[33m" PLOT_MARK_UTF8 "\033[0m") != NULL);
 }

@@ -59,7 +59,7 @@ static void random_bits(struct mo_workspace w, struct mo_random *random, uint64_
   }
 }
 
-/* Labels spread to neighbours until nothing changes. */
+/* Labels spread to neighbors until nothing changes. */
 static int largest_by_labels(struct mo_workspace w, const uint64_t *bits, uint64_t *largest)
 {
   struct cells cells = unpack(w, bits);

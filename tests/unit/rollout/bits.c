@@ -1,6 +1,6 @@
 /* The bits themselves. Stored scores are compared bit by bit with later ones, under a fingerprint
  * that names the kernels' version. So a change of any bit, wanted or not, must be seen here: 50
- * lives per instruction set and precision, hashed. Whoever changes bits on purpose raises
+ * rollouts per instruction set and precision, hashed. A change of bits on purpose raises
  * MO_KERNEL_VERSION and writes the hashes that this test prints into the table. */
 #include <morpho/rollout.h>
 

@@ -75,7 +75,7 @@ static void exact_against_search(void)
       worst = fmax(worst, fabs(exact - found));
     }
   }
-  printf("# %d segments, %d longer than a metre: largest difference %.1e s, largest gap %.1e m, %d "
+  printf("# %d segments, %d longer than a meter: largest difference %.1e s, largest gap %.1e m, %d "
          "dips that the walk "
          "missed\n",
          tried, crossing, worst, worst_gap, earlier);

@@ -37,7 +37,7 @@ static void exact(void)
   CHECK(isnan(mo_scene_distance(NAN, 1)) && isnan(mo_scene_distance(0, NAN)));
 }
 
-/* Distances as robots have them, in metres; one in eight pairs has numbers of very different size.
+/* Distances as robots have them, in meters; one in eight pairs has numbers of very different size.
  */
 static void frozen(void)
 {

@@ -56,7 +56,7 @@ static void compare(enum mo_isa isa, enum mo_precision precision, int mode)
   qsort(com_error, golden.n, sizeof(double), ascending);
   const double median = 0.5 * (loss_error[(golden.n - 1) / 2] + loss_error[golden.n / 2]);
   const double com_median = 0.5 * (com_error[(golden.n - 1) / 2] + com_error[golden.n / 2]);
-  printf("# %s: |Δloss| median %.2g, 90 %% %.2g, max %.2g; mean %.6f, golden %.6f; centre of mass "
+  printf("# %s: |Δloss| median %.2g, 90 %% %.2g, max %.2g; mean %.6f, golden %.6f; center of mass "
          "at step 200 within "
          "%.2g m\n",
          name, median, loss_error[golden.n * 9 / 10], loss_error[golden.n - 1], mean, golden_mean,

@@ -1,6 +1,6 @@
 /* The bits of the fast gradient, as bits.c does it for scores: a training that goes on after an
- * upgrade must go on with the same weights, or its fingerprint must say that it does not. Whoever
- * changes bits on purpose raises MO_GRADIENT_VERSION and writes the hashes that this test prints
+ * upgrade must go on with the same weights, or its fingerprint must say that it does not. A
+ * change of bits on purpose raises MO_GRADIENT_VERSION and writes the hashes that this test prints
  * into the table. */
 #include <morpho/gradient.h>
 

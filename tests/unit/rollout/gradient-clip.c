@@ -30,7 +30,7 @@ enum { STEPS_MAX = 200 };
 struct watch {
   const struct gradient_case *c;
   enum mo_adjoint_rule rule;
-  double weight;                  /* of what begins anew */
+  double weight;                  /* of a restarted adjoint */
   double com_m[STEPS_MAX + 1][2]; /* after so many steps */
   double scale_m, bound, largest_before, largest_after, factor;
   double kept[2][3 * MO_DEFAULT_MASSES]; /* what the adjoint is to be after it was held against the
@@ -86,7 +86,7 @@ static void after(void *context, uint32_t step, double *dx, double *dv)
   }
 }
 
-/* Where the centre of mass is on the way forward. */
+/* Where the center of mass is on the way forward. */
 static bool go(struct watch *w)
 {
   const struct gradient_case *c = w->c;
@@ -178,7 +178,7 @@ static void bounds_every_step(void)
   gradient_case_free(&c);
 }
 
-static void begins_anew(void)
+static void restarts(void)
 {
   struct gradient_case c;
   struct watch free_run, bounded;
@@ -190,7 +190,7 @@ static void begins_anew(void)
   const double fresh = 1 / sqrt(c.body->n_masses); /* m at the end of a rollout */
   const struct {
     double bound, weight;
-    uint32_t least, most; /* steps that begin anew */
+    uint32_t least, most; /* steps that restart */
   } list[] = {
       {2 * free_run.largest_before, 3, 0, 0}, /* out of reach */
       {2 * fresh, 1, 1, 99},
@@ -203,7 +203,7 @@ static void begins_anew(void)
     memset(gradient, 0, n * sizeof(double));
     REQUIRE(run_by(MO_ADJOINT_RESTART, list[k].weight, &c, list[k].bound, 0, &bounded, gradient,
                    &counts) == MO_OK);
-    printf("# bound %g, weight %g: %llu of %llu steps begin anew, m up to %g before and %g after\n",
+    printf("# bound %g, weight %g: %llu of %llu steps restart, m up to %g before and %g after\n",
            list[k].bound, list[k].weight, (unsigned long long)counts.clipped_steps,
            (unsigned long long)counts.steps, bounded.largest_before, bounded.largest_after);
     CHECK(bounded.largest_after <=
@@ -413,7 +413,7 @@ static void cost(void)
 
 static const struct check_case cases[] = {
     {"the bound holds at every step, and is exact about it", bounds_every_step},
-    {"where it is passed, the adjoint begins anew from where the robot is", begins_anew},
+    {"above the bound, the adjoint restarts from where the robot is", restarts},
     {"a robot whose adjoint is not finite contributes nothing", zeroes_what_is_not_finite},
     {"gradients add up, weighted, in the same bits", adds_up},
     {"memory is bounded, and may run out", memory},

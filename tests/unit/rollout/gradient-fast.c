@@ -231,12 +231,11 @@ static void agrees_on_few_steps(void)
        MO_ADJOINT_CLIP},
       {"1 step", fresh, robots, 17, &one_step, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
       {"bisection", shipped, robots + 3, 4, &bisection, MO_ADJOINT_BOUND, 2e-2, MO_ADJOINT_CLIP},
-      {"beginning anew at each step", shipped, robots, ROBOTS, &chunk_and_part, 0.01, 2e-4,
+      {"restarts at each step", shipped, robots, ROBOTS, &chunk_and_part, 0.01, 2e-4,
        MO_ADJOINT_RESTART},
-      {"beginning anew now and then", fresh, robots + 5, 9, &chunk_and_part, 0.5, 2e-4,
+      {"restarts now and then", fresh, robots + 5, 9, &chunk_and_part, 0.5, 2e-4,
        MO_ADJOINT_RESTART},
-      {"beginning anew, 40 steps", shipped, robots + 3, 4, &forty_steps, 0.7, 2e-3,
-       MO_ADJOINT_RESTART}};
+      {"restarts, 40 steps", shipped, robots + 3, 4, &forty_steps, 0.7, 2e-3, MO_ADJOINT_RESTART}};
   for (size_t i = 0; i < sizeof(list) / sizeof(list[0]); i++)
     compare(MO_ISA_BASELINE, list[i]);
 }
@@ -299,7 +298,7 @@ static bool same_outcome(const struct mo_outcome *a, const struct mo_outcome *b)
          memcmp(a->com_end_m, b->com_end_m, sizeof(a->com_end_m)) == 0;
 }
 
-static void neighbours_do_not_matter(void)
+static void neighbors_do_not_matter(void)
 {
   REQUIRE(setup());
   const struct mo_physics physics = physics_of(60);
@@ -687,7 +686,7 @@ static const struct check_case cases[] = {
 #ifndef __SANITIZE_ADDRESS__
     {"hundreds of steps agree in direction", agrees_over_hundreds_of_steps},
 #endif
-    {"neighbours do not change an outcome", neighbours_do_not_matter},
+    {"neighbors do not change an outcome", neighbors_do_not_matter},
     {"budgets do not change a bit", budgets_do_not_matter},
     {"budgets are kept", budgets_are_kept},
     {"diverged robots contribute nothing", diverged_robots_contribute_nothing},

@@ -59,20 +59,20 @@ static void destroy(struct machine *k)
 }
 
 /* Between (n_masses, 3) and (3, sites). */
-static void put(const struct machine *k, const double *from, double centre, REAL *to)
+static void put(const struct machine *k, const double *from, double center, REAL *to)
 {
   for (uint32_t m = 0; m < k->robot.n_masses; m++)
     for (uint32_t axis = 0; axis < 3; axis++)
       to[axis * k->robot.n_sites + k->robot.mass_site[m]] =
-          (REAL)(from[3 * m + axis] - (axis < 2 ? centre : 0));
+          (REAL)(from[3 * m + axis] - (axis < 2 ? center : 0));
 }
 
-static void get(const struct machine *k, const REAL *from, double centre, double *to)
+static void get(const struct machine *k, const REAL *from, double center, double *to)
 {
   for (uint32_t m = 0; m < k->robot.n_masses; m++)
     for (uint32_t axis = 0; axis < 3; axis++)
       to[3 * m + axis] =
-          from[axis * k->robot.n_sites + k->robot.mass_site[m]] + (axis < 2 ? centre : 0);
+          from[axis * k->robot.n_sites + k->robot.mass_site[m]] + (axis < 2 ? center : 0);
 }
 
 static void put_slots(const struct machine *k, const float *activation)

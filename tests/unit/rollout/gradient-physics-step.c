@@ -51,8 +51,8 @@ static void make_state(struct both *b, struct mo_random *random)
   for (uint32_t m = 0; m < n; m++)
     for (int axis = 0; axis < 3; axis++) {
       const uint32_t i = 3 * m + (uint32_t)axis;
-      const double centre = axis < 2 ? MO_WORLD_CENTRE_M : 0;
-      b->position[i] = rounded(b->position[i] - (axis == 2 ? sink : centre)) + centre;
+      const double center = axis < 2 ? MO_WORLD_CENTRE_M : 0;
+      b->position[i] = rounded(b->position[i] - (axis == 2 ? sink : center)) + center;
       b->velocity[i] = rounded(speed * mo_random_normal(random));
       b->d_position[i] = rounded(mo_random_normal(random));
       b->d_velocity[i] = rounded(0.1 * mo_random_normal(random));

@@ -41,10 +41,10 @@ static int passive_step(const struct mo_body *body, const struct mo_environment 
                               .d_activation = memory + 8 * n + body->n_springs};
   mo_random_init(&random, seed, MO_PURPOSE_CHECK, 2, 0);
   for (size_t i = 0; i < n; i++) {
-    const double centre = i % 3 < 2 ? MO_WORLD_CENTRE_M : 0;
+    const double center = i % 3 < 2 ? MO_WORLD_CENTRE_M : 0;
     reference.position_m[i] =
-        rounded(reference.position_m[i] - centre + 0.002 * (mo_random_uniform(&random) - 0.5)) +
-        centre;
+        rounded(reference.position_m[i] - center + 0.002 * (mo_random_uniform(&random) - 0.5)) +
+        center;
     reference.velocity_m_per_s[i] = rounded(0.1 * mo_random_normal(&random));
     memory[i] = reference.position_m[i];
     memory[n + i] = reference.velocity_m_per_s[i];

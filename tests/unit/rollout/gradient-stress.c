@@ -39,7 +39,7 @@ static void apply(const struct stress *s, uint32_t n_steps, struct gradient_case
   mo_terrain_random(77, 7, 0, s->sigma_m, c->environment.terrain_heights_m);
   for (size_t i = 0; i < c->controller->n_parameters; i++)
     c->controller->parameters[i] = (float)(c->theta[i] * s->weight_factor);
-  if (s->light_inside) { /* at the centre of mass, where the loss itself has a pole */
+  if (s->light_inside) { /* at the center of mass, where the loss itself has a pole */
     double com[2] = {0, 0};
     for (uint32_t i = 0; i < c->body->n_masses; i++)
       for (int axis = 0; axis < 2; axis++)

@@ -84,7 +84,7 @@ static struct energy measure(const struct mo_reference *r)
   return e;
 }
 
-/* With the actuators off a body falls, settles and stops: its energy never exceeds what it began
+/* With the actuators off a body falls, comes to rest: its energy never exceeds what it began
  * with, and in the end next to nothing moves. (From step to step the energy of a symplectic
  * integrator swings, so single steps say nothing.) */
 static void no_energy_gain(void)

@@ -60,7 +60,7 @@ static void free_fall(void)
   close_scene(&s);
 }
 
-/* Without gravity: v = eⁿ v0, x = x0 + dt v0 (e − eⁿ⁺¹)/(1 − e). With it, the speed settles at −g
+/* Without gravity: v = eⁿ v0, x = x0 + dt v0 (e − eⁿ⁺¹)/(1 − e). With it, the speed converges to −g
  * dt/(1 − e). */
 static void drag_decay(void)
 {
@@ -89,10 +89,11 @@ static void drag_decay(void)
 }
 
 /* One voxel that breathes: each corner is displaced by q along all three axes. Edge and two face
- * diagonals add up, along each axis, to −6 k q; with the guard of the step's d/(L + 1e-8) to −w
- * q/dt²,  w = dt² k/m (2 (1 − 1e-8/0.1) + 4 (1 − 1e-8/(0.1 √2))). The step is then q'' = (1 + e −
- * w) q' − e q: two complex roots of modulus sqrt(e), so q_n = e^{n/2} q0 (cos nφ + b sin nφ),  cos
- * φ = (1 + e − w)/(2 sqrt(e)),  b from q_1 = (1 − w) q0. */
+ * diagonals add up, along each axis, to −6 k q; with the guard of the step's d/(L + 1e-8) to
+ *   −w q/dt²,  w = dt² k/m (2 (1 − 1e-8/0.1) + 4 (1 − 1e-8/(0.1 √2))).
+ * The step is then q'' = (1 + e − w) q' − e q: two complex roots of modulus sqrt(e), so
+ *   q_n = e^{n/2} q0 (cos nφ + b sin nφ),  cos φ = (1 + e − w)/(2 sqrt(e)),
+ * with b from q_1 = (1 − w) q0. */
 static void breathing(double drag_per_s, double stiffness_n_per_m)
 {
   struct scene s;
@@ -246,7 +247,7 @@ static void rest(void)
   close_scene(&s);
 }
 
-/* What the controller is told: light less its mean at the body's places, 0 elsewhere, and five
+/* The inputs of the controller: light less its mean at the body's places, 0 elsewhere, and five
  * phases of one clock. */
 static void inputs(void)
 {

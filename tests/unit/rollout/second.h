@@ -1,11 +1,13 @@
 /* second.h: a second implementation of the rollout, for the tests of the gradient. It shares
  * bodies, terrains and constants with the library and nothing else: second.inc is written from
- * docs/model.md on numbers of any kind, and compiled in plain.c  on doubles: the loss for
- * parameters that are doubles, so that they can be moved by less than a float32 ulp, and a
- * signature of every branch that a step took; in dual.c   on dual numbers: the loss with its
- * derivatives along SECOND_LANES directions, by forward-mode differentiation. Values are computed
- * in the order that the model documents, so that they agree with the reference to rounding or
- * better, also where the motion is chaotic. */
+ * docs/model.md on numbers of any kind, and compiled twice:
+ * - in plain.c on doubles: the loss for parameters that are doubles, so that they can be moved by
+ *   less than a float32 ulp, and a signature of every branch that a step took
+ * - in dual.c on dual numbers: the loss with its derivatives along SECOND_LANES directions, by
+ *   forward-mode differentiation
+ *
+ * Values are computed in the order that the model documents, so that they agree with the reference
+ * to rounding or better, also where the motion is chaotic. */
 #ifndef MORPHO_TESTS_SECOND_H
 #define MORPHO_TESTS_SECOND_H
 

@@ -176,12 +176,12 @@ static void tells_the_whole_history(enum mo_campaign_mode mode)
   fixture_end(&fixture);
 }
 
-static void tells_of_frozen_scores(void)
+static void reports_frozen_scores(void)
 {
   tells_the_whole_history(MO_ZERO_SHOT);
 }
 
-static void tells_of_scores_that_change(void)
+static void reports_scores_that_change(void)
 {
   tells_the_whole_history(MO_SIMULTANEOUS);
 }
@@ -227,8 +227,8 @@ static void finds_where_a_form_was_born(void)
 }
 
 static const struct check_case cases[] = {
-    {"tells of frozen scores", tells_of_frozen_scores},
-    {"tells of scores that change", tells_of_scores_that_change},
+    {"reports frozen scores", reports_frozen_scores},
+    {"reports scores that change", reports_scores_that_change},
     {"finds where a form was born", finds_where_a_form_was_born},
 };
 CHECK_MAIN(cases)

@@ -94,7 +94,7 @@ static bool designs_match(const struct life *life, const struct campaign_model *
   return true;
 }
 
-/* What is saved of the generation under way. */
+/* What is saved of the unfinished generation. */
 static bool losses_match(const struct life *life, const struct campaign_model *campaign,
                          char text[300])
 {

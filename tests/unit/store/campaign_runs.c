@@ -247,7 +247,7 @@ static void keeps_losses_of_a_generation(void)
 
 /* What the workers computed for a campaign of devices goes into `scores` as theirs, also after a
  * restart. */
-static void tells_who_computed(void)
+static void names_who_computed(void)
 {
   static const char sql[] = "SELECT count(*) FROM scores WHERE fingerprint=(SELECT id FROM "
                             "fingerprints WHERE text='workers')";
@@ -284,8 +284,8 @@ static void tells_who_computed(void)
   fixture_end(&fixture);
 }
 
-/* Scores of a zero-shot campaign are those of evaluations: found by both, inserted once, whoever
- * was first. */
+/* Scores of a zero-shot campaign are those of evaluations: found by both, inserted once,
+ * whichever was first. */
 static void shares_scores(void)
 {
   struct fixture fixture;
@@ -568,7 +568,7 @@ static const struct check_case cases[] = {
     {"commits in every mode", commits_in_every_mode},
     {"refuses what is wrong", refuses_what_is_wrong},
     {"keeps losses of a generation", keeps_losses_of_a_generation},
-    {"tells who computed a score", tells_who_computed},
+    {"names who computed a score", names_who_computed},
     {"shares scores", shares_scores},
     {"keeps checkpoints", keeps_checkpoints},
     {"removes checkpoints", removes_checkpoints},

@@ -132,8 +132,7 @@ static void *write_checkpoints(void *context)
   return NULL;
 }
 
-/* Whoever asks for the newest checkpoint gets one that is whole, however fast they follow each
- * other. */
+/* A reader of the newest checkpoint gets a whole one, however fast they follow each other. */
 static void reads_checkpoints_while_they_go(void)
 {
   struct fixture fixture;
@@ -163,8 +162,8 @@ static void reads_checkpoints_while_they_go(void)
   fixture_end(&fixture);
 }
 
-/* A process that can open no more files has lost no checkpoint: taken for damaged, the training
- * would begin anew. */
+/* A process that can open no more files has lost no checkpoint. If that were taken for damage, the
+ * training would start over. */
 static void keeps_apart_damage_and_want_of_descriptors(void)
 {
   struct fixture fixture;
@@ -294,9 +293,9 @@ static void *remove_checkpoints(void *context)
   return NULL;
 }
 
-/* A training whose newest checkpoints are damaged writes old steps anew, while somebody deletes
- * those: what is there has its file. */
-static void writes_anew_what_is_removed(void)
+/* A training whose newest checkpoints are damaged writes old steps again, while another
+ * thread deletes those: what is there has its file. */
+static void writes_again_what_is_removed(void)
 {
   struct fixture fixture;
   struct mo_training_submission submission = submission_of(1000);
@@ -334,6 +333,6 @@ static const struct check_case cases[] = {
     {"keeps apart damage and want of descriptors", keeps_apart_damage_and_want_of_descriptors},
     {"survives a full disk", survives_a_full_disk},
     {"removes what is not needed", removes_what_is_not_needed},
-    {"writes anew what is removed", writes_anew_what_is_removed},
+    {"writes again what is removed", writes_again_what_is_removed},
 };
 CHECK_MAIN(cases)

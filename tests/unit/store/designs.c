@@ -305,7 +305,7 @@ static void *delete_contents(void *context)
 }
 
 /* Content that is stored again while it is deleted: no row speaks of a file that has gone. */
-static void stores_anew_what_is_deleted(void)
+static void stores_again_what_is_deleted(void)
 {
   struct fixture fixture;
   struct mo_controller_record record;
@@ -319,7 +319,8 @@ static void stores_anew_what_is_deleted(void)
     mo_sha256_to_hex(&record.sha256, digits);
     snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", fixture.path, digits);
     snprintf(reference, sizeof(reference), "sha256:%s", digits);
-    /* A row that is still there after its file was missed: nobody else makes it anew. */
+    /* A row that is still there after its file is gone would stay: no other call makes that file
+     * again. */
     CHECK(access(path, F_OK) == 0 ||
           mo_store_controller(fixture.store, reference, &seen) == MO_ERR_NOT_FOUND);
   }
@@ -331,7 +332,7 @@ static const struct check_case cases[] = {
     {"keeps every bit of a loss", keeps_every_bit},
     {"ranks designs by score", ranks_designs},
     {"keeps controllers by content and by name", keeps_controllers},
-    {"stores anew what is deleted", stores_anew_what_is_deleted},
+    {"stores again what is deleted", stores_again_what_is_deleted},
     {"ranks a population", ranks_a_population},
 };
 CHECK_MAIN(cases)

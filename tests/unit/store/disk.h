@@ -32,10 +32,10 @@ const struct mo_file_operations *disk_files(const struct disk *disk);
 uint64_t disk_random(struct disk *disk); /* all chances are drawn from the seed */
 
 /* After `n` changes from now on (writes, truncations, syncs, creations, renamings, removals)
- * everything fails; the nth is under way. 0: none. */
+ * everything fails; the nth is in flight. 0: none. */
 void disk_stop_after(struct disk *disk, long n);
 void disk_stop_at_sync(struct disk *disk, long n); /* the first sync at or after that */
-void disk_stop(struct disk *disk);                 /* now: nothing is under way */
+void disk_stop(struct disk *disk);                 /* now: nothing is in flight */
 bool disk_has_stopped(struct disk *disk);
 /* The `n`th call from now on (reads and questions too) fails with an I/O error, or with `lasting`
  * all from there on. 0: none. */

@@ -14,7 +14,7 @@ static int fail(int error)
   return -1;
 }
 
-/* Ends a change that was made: the last one is not heard of. */
+/* Ends a change that was made: the caller of the last one gets no result. */
 static int end(enum turn turn, int result)
 {
   return turn == TURN_LAST ? fail(EIO) : result;

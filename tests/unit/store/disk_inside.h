@@ -38,8 +38,8 @@ enum turn { TURN_OFF, TURN_LAST, TURN_GO };
 
 /* A call that changes nothing. False: it fails. */
 bool disk_ask(struct disk *disk);
-/* A change: off: it does not happen; last: it is under way when everything stops, and its caller
- * never hears of it. */
+/* A change: off: it does not happen; last: it is in flight when everything stops, and its caller
+ * never learns its result. */
 enum turn disk_change(struct disk *disk, bool sync);
 
 /* The name below the state folder; "": it is not there. */

@@ -302,8 +302,8 @@ int fsync(int fd)
   return (int)syscall(SYS_fsync, fd);
 }
 
-/* The file of weights is in its folder, but perhaps not on the disk: nobody may be told that it is,
- * not even later. */
+/* The file of weights is in its folder, but perhaps not on the disk: no caller may learn that it
+ * is, not even later. */
 static void dies_of_a_folder_that_cannot_be_synced(void)
 {
   struct fixture fixture;

@@ -220,24 +220,24 @@ static void changes_states(void)
   fixture_end(&fixture);
 }
 
-struct heard {
+struct received {
   int64_t sequences[64];
   size_t n;
 };
 
-static void hear(void *context, const struct mo_event *events, size_t n)
+static void receive_events(void *context, const struct mo_event *events, size_t n)
 {
-  struct heard *heard = context;
-  for (size_t i = 0; i < n && heard->n < 64; i++)
-    heard->sequences[heard->n++] = events[i].sequence;
+  struct received *received = context;
+  for (size_t i = 0; i < n && received->n < 64; i++)
+    received->sequences[received->n++] = events[i].sequence;
 }
 
-static void tells_of_changes(void)
+static void reports_changes(void)
 {
   struct fixture fixture;
   struct mo_bits *forms, *genotypes;
   struct mo_submission submission;
-  struct heard heard = {.n = 0};
+  struct received received = {.n = 0};
   struct mo_event events[32];
   struct mo_store_config config;
   int64_t id, oldest, newest, n;
@@ -245,13 +245,13 @@ static void tells_of_changes(void)
   int handle;
   REQUIRE(fixture_start(&fixture) == 0);
   REQUIRE(fixture_bodies(4, 1, &forms, &genotypes) == MO_OK);
-  CHECK_INT(mo_store_subscribe(fixture.store, hear, &heard, &handle), MO_OK);
+  CHECK_INT(mo_store_subscribe(fixture.store, receive_events, &received, &handle), MO_OK);
   submission = fixture_submission(forms, genotypes, 1);
   REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
   REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
   mo_store_unsubscribe(fixture.store, handle);
   REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
-  CHECK_INT(heard.n, 3);
+  CHECK_INT(received.n, 3);
   n = mo_store_events(fixture.store, 0, 0, events, 32, &oldest, &newest);
   REQUIRE(n == 5); /* the controller, then created, started, finished, created */
   CHECK_TEXT(events[0].type, "controller.stored");
@@ -260,7 +260,7 @@ static void tells_of_changes(void)
   CHECK_TEXT(events[3].type, "job.finished");
   CHECK(strstr(events[3].data, "\"succeeded\"") != NULL);
   for (size_t i = 0; i < 3; i++)
-    CHECK_INT(heard.sequences[i], events[i + 1].sequence);
+    CHECK_INT(received.sequences[i], events[i + 1].sequence);
   CHECK_INT(oldest, events[0].sequence);
   CHECK_INT(newest, events[4].sequence);
   CHECK_INT(mo_store_events(fixture.store, events[1].sequence, 1, events, 32, NULL, NULL), 2);
@@ -324,7 +324,7 @@ static const struct check_case cases[] = {
     {"answers a repeated key with the same job", answers_a_repeated_key},
     {"pages through jobs", pages_through_jobs},
     {"changes states only as the machine allows", changes_states},
-    {"tells of changes, in order, and prunes", tells_of_changes},
+    {"reports changes, in order, and prunes", reports_changes},
     {"keeps trajectories", keeps_trajectories},
 };
 CHECK_MAIN(cases)

@@ -37,7 +37,7 @@ struct training_model {
   int64_t id;
   uint64_t seed;
   enum mo_job_state state;
-  uint32_t position; /* of the run that is under way */
+  uint32_t position; /* of the current run */
   uint32_t step, n_validations, last_validation;
   uint32_t checkpoints[KEPT_MAX], n_checkpoints; /* ascending */
   uint32_t attempts;

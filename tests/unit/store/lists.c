@@ -168,7 +168,7 @@ static void pages_of_jobs(void)
 
 /* What a page shows is right whichever statement finds it: newest first, of the kind, those that
  * wait as paused. */
-static void pages_tell_the_states_that_are_shown(void)
+static void pages_name_the_states_that_are_shown(void)
 {
   struct fixture fixture;
   struct mo_job jobs[40];
@@ -245,7 +245,7 @@ static void pages_of_everything_else(void)
 
 static const struct check_case cases[] = {
     {"pages of jobs cost what they show", pages_of_jobs},
-    {"pages tell the states that are shown", pages_tell_the_states_that_are_shown},
+    {"pages name the states that are shown", pages_name_the_states_that_are_shown},
     {"other pages cost what they show", pages_of_everything_else},
 };
 CHECK_MAIN(cases)

@@ -1,5 +1,5 @@
 /* power.c: the power fails at any moment, again and again. What was acknowledged is there
- * afterwards, bit for bit; of what was under way nothing or all.
+ * afterwards, bit for bit; of what was in flight nothing or all.
  *
  * A folder lives through several cuts: in the middle of its work, while it is idle, while it is
  * opened, in a row. Between some of them the process alone is killed, and the next one goes on with

@@ -356,7 +356,7 @@ static void starts_when_it_is_full(void)
   epoch = small.fixture.store->epoch;
   for (int n = 1; n <= STARTS; n++) {
     kill_store(&small);
-    if (n == STARTS) /* 32 KiB, made anew */
+    if (n == STARTS) /* 32 KiB, made again */
       CHECK_INT(unlink(index), 0);
     if (n == 1)
       fill_up(small.filler);

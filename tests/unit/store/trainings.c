@@ -246,7 +246,7 @@ static void keeps_the_curve(void)
   CHECK_TEXT(events[n - 1].data,
              "{\"id\":\"1\",\"step\":5,\"mean_score\":0.75,\"standard_error\":0.01,"
              "\"rollouts\":80,\"diverged\":2}");
-  /* Paused: what was under way is taken still. Cancelled: nothing any more. */
+  /* Paused: what was in flight is still accepted. Cancelled: nothing any more. */
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
   CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 1, NULL, NULL), MO_OK);
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2),
@@ -305,8 +305,8 @@ static void finds_steps_in_a_long_curve(void)
   fixture_end(&fixture);
 }
 
-/* The lineage is that of the steps that count: what a run noted where another goes on anew is
- * forgotten. */
+/* The lineage is that of the steps that count: what a run noted of steps that another one repeats
+ * is forgotten. */
 static void names_the_code(void)
 {
   struct fixture fixture;

@@ -1,0 +1,86 @@
+/* api.c: see api.h. */
+#include "api/api.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "api/handlers.h"
+#include "api/openapi.h"
+
+static void count_jobs(struct mo_api *api)
+{
+  uint64_t counts[MO_JOB_STATES];
+  if (atomic_exchange(&api->jobs_changed, false) &&
+      mo_store_job_counts(api->store, counts) == MO_OK)
+    for (int state = 0; state < MO_JOB_STATES; state++)
+      atomic_store(&api->jobs_by_state[state], counts[state]);
+}
+
+static int start(void *context, struct mo_http *http)
+{
+  struct mo_api *api = context;
+  api->http = http;
+  return mo_events_follow(api);
+}
+
+static void tick(void *context)
+{
+  count_jobs(context);
+}
+
+static void stop(void *context)
+{
+  mo_events_leave(context);
+}
+
+static void destroy(struct mo_api *api)
+{
+  mo_lattice_free(api->lattice);
+  free(api);
+}
+
+int mo_api_start(const struct mo_http_config *config, const struct mo_api_services *services,
+                 struct mo_api **ret, struct mo_message *message)
+{
+  struct mo_api *api = calloc(1, sizeof(*api));
+  const struct mo_http_service service = {
+      .routes = mo_api_routes, .context = api, .start = start, .tick = tick, .stop = stop};
+  struct mo_sha256 contract;
+  struct mo_lattice *lattice = NULL;
+  if (api == NULL || mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK) {
+    mo_http_refuse_listeners(config);
+    free(api);
+    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
+  }
+  *api = (struct mo_api){.store = services->store,
+                         .jobs = services->jobs,
+                         .compute = services->compute,
+                         .lattice = lattice,
+                         .log_dropped = services->log_dropped,
+                         .listener = -1,
+                         .jobs_changed = true};
+  snprintf(api->version, sizeof(api->version), "%s",
+           services->version != NULL ? services->version : "");
+  mo_sha256_of(mo_openapi_json, mo_openapi_json_size, &contract);
+  mo_sha256_to_hex(&contract, api->contract_tag);
+  count_jobs(api);
+  int error = mo_http_start(config, &service, &api->http, message);
+  if (error != MO_OK)
+    destroy(api);
+  else
+    *ret = api;
+  return error;
+}
+
+struct mo_http *mo_api_http(struct mo_api *api)
+{
+  return api->http;
+}
+
+void mo_api_stop(struct mo_api *api, uint32_t grace_ms)
+{
+  if (api == NULL)
+    return;
+  mo_http_stop(api->http, grace_ms);
+  destroy(api);
+}

@@ -1,0 +1,29 @@
+/* api.h: the HTTP interface of the service (schema/openapi.yaml is its contract): jobs, designs,
+ * controllers, events, and the state of the service, on top of the HTTP room. */
+#ifndef MORPHO_API_API_H
+#define MORPHO_API_API_H
+
+#include "http/http.h"
+
+struct mo_store;
+struct mo_jobs;
+struct mo_compute;
+struct mo_api;
+
+/* What the routes use. All must outlive the interface. */
+struct mo_api_services {
+  struct mo_store *store;
+  struct mo_jobs *jobs;
+  struct mo_compute *compute;
+  const char *version;           /* "0.1.0" */
+  uint64_t (*log_dropped)(void); /* nullable: number of log lines that were dropped, for /metrics */
+};
+
+/* Starts the server. Errors as mo_http_start. */
+int mo_api_start(const struct mo_http_config *config, const struct mo_api_services *services,
+                 struct mo_api **api, struct mo_message *message);
+struct mo_http *mo_api_http(struct mo_api *api);
+/* As mo_http_stop. */
+void mo_api_stop(struct mo_api *api, uint32_t grace_ms);
+
+#endif

@@ -1,0 +1,235 @@
+/* designs.c: designs and their scores. */
+#include <inttypes.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/campaign_json.h"
+#include "api/handlers.h"
+#include "api/job_json.h"
+
+#define CAMPAIGNS_MAX 100
+
+/* Opens the object and writes what every representation of a design has. */
+static void write_head(struct mo_text *text, const struct mo_bits *form, const struct mo_body *body,
+                       int64_t first_seen_us)
+{
+  mo_text_add(text, "{\"id\":");
+  mo_bits_write_id(text, form);
+  mo_text_format(text, ",\"voxels\":%u,\"masses\":%u,\"springs\":%u,\"genotype\":", body->n_voxels,
+                 body->n_masses, body->n_springs);
+  mo_bits_write(text, form);
+  mo_text_add(text, ",\"first_seen_at\":");
+  mo_text_json_time(text, first_seen_us);
+}
+
+static void write_score(struct mo_text *text, const struct mo_design_score *score)
+{
+  mo_text_add(text, "{\"controller\":");
+  mo_hash_write(text, &score->controller_sha256);
+  mo_text_add(text, ",\"environments\":");
+  if (score->environment_set[0] != '\0') {
+    mo_text_json_string(text, score->environment_set, strlen(score->environment_set));
+  } else {
+    mo_text_add(text, "[");
+    mo_hash_write(text, &score->environment_sha256);
+    mo_text_add(text, "]");
+  }
+  mo_text_add(text, ",\"physics\":");
+  mo_hash_write(text, &score->physics_sha256);
+  mo_text_format(text, ",\"precision\":\"%s\",\"score\":",
+                 score->precision == MO_FLOAT64 ? "float64" : "float32");
+  mo_loss_write(text, score->score);
+  mo_text_add(text, ",\"losses\":[");
+  for (uint32_t k = 0; k < score->n_losses; k++) {
+    if (k > 0)
+      mo_text_bytes(text, ",", 1);
+    mo_loss_write(text, score->losses[k]);
+  }
+  mo_text_add(text, "],\"computed_at\":");
+  mo_text_json_time(text, score->computed_us);
+  mo_text_add(text, ",\"fingerprint\":");
+  mo_text_json_string(text, score->fingerprint, strlen(score->fingerprint));
+  mo_text_add(text, "}");
+}
+
+/* Writes the campaigns in which the design was born. Its lineage differs between campaigns. */
+static int write_campaigns(struct mo_store *store, struct mo_text *text, const struct mo_bits *form)
+{
+  struct mo_campaign_place *places = malloc(CAMPAIGNS_MAX * sizeof(*places));
+  int64_t n = places != NULL ? mo_store_campaigns_of_design(store, form, 0, places, CAMPAIGNS_MAX)
+                             : MO_ERR_NO_MEMORY;
+  int code = n < 0 ? (int)n : MO_OK;
+  mo_text_add(text, ",\"campaigns\":[");
+  for (int64_t i = 0; i < n && code == MO_OK; i++) {
+    struct mo_campaign_design row;
+    code = mo_store_campaign_designs_of(store, places[i].campaign, &places[i].number, 1, &row);
+    if (code != MO_OK)
+      break;
+    mo_text_format(text, "%s{\"campaign\":\"%lld\",\"number\":%u", i > 0 ? "," : "",
+                   (long long)places[i].campaign, places[i].number);
+    mo_campaign_json_life(text, &row);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+  free(places);
+  return code;
+}
+
+void mo_api_get_design(struct mo_request *request)
+{
+  struct mo_api *api = mo_api_of(request);
+  const char *id = request->parameters[0];
+  struct mo_bits form;
+  id += id[0] == 'd' && strlen(id) == MO_DEFAULT_ID_DIGITS + 1; /* as in a CSV */
+  if (mo_genotype_from_id(MO_DEFAULT_WORKSPACE, id, strlen(id), form.words) != MO_OK) {
+    mo_reply_problem(
+        request, 404, NULL,
+        "There is no such design: an id has %d hexadecimal digits of a canonical form.",
+        MO_DEFAULT_ID_DIGITS);
+    return;
+  }
+  struct mo_design *design = NULL;
+  int code = mo_store_design(api->store, &form, &design);
+  if (code != MO_OK) {
+    mo_reply_error(request, code, "design");
+    return;
+  }
+  struct mo_body *body = NULL;
+  struct mo_text text = {0};
+  if ((code = mo_body_create(api->lattice, design->form.words, &body)) != MO_OK) {
+    mo_design_free(design);
+    mo_reply_error(request, code, "design");
+    return;
+  }
+  write_head(&text, &design->form, body, design->first_seen_us);
+  mo_body_free(body);
+  mo_text_add(&text, ",\"orientations\":[");
+  for (uint32_t i = 0; i < design->n_orientations; i++) {
+    const struct mo_design_orientation *orientation = &design->orientations[i];
+    mo_text_add(&text, i > 0 ? ",{\"genotype\":" : "{\"genotype\":");
+    mo_bits_write(&text, &orientation->genotype);
+    mo_text_add(&text, ",\"scores\":[");
+    for (uint32_t k = 0; k < orientation->n_scores; k++) {
+      if (k > 0)
+        mo_text_bytes(&text, ",", 1);
+      write_score(&text, &orientation->scores[k]);
+    }
+    mo_text_add(&text, "]}");
+  }
+  mo_text_format(&text, "],\"truncated\":%s", design->truncated ? "true" : "false");
+  mo_design_free(design);
+  code = write_campaigns(api->store, &text, &form);
+  mo_text_add(&text, "}");
+  mo_reply_text(request, code, &text, "design");
+}
+
+/* Reads the cursor: for sort=id a row, for sort=score the bits of the score and a row. */
+static bool read_cursor(const char *text, struct mo_design_query *query)
+{
+  if (query->sort == MO_DESIGNS_BY_ID)
+    return mo_id(text, &query->after_row);
+  char digits[17] = "";
+  size_t n = strspn(text, "0123456789abcdef");
+  if (n != 16 || text[16] != '-' || !mo_id(text + 17, &query->after_row))
+    return false;
+  memcpy(digits, text, 16);
+  uint64_t bits = strtoull(digits, NULL, 16);
+  memcpy(&query->after_score, &bits, sizeof(bits));
+  return !isnan(query->after_score) && !signbit(query->after_score);
+}
+
+/* Writes one row. MO_ERR_NO_MEMORY; MO_ERR_CORRUPT: the stored form is no body. */
+static int write_row(struct mo_request *request, struct mo_text *text,
+                     const struct mo_design_query *query, const struct mo_design_row *row)
+{
+  struct mo_body *body = NULL;
+  int error = mo_body_create(mo_api_of(request)->lattice, row->form.words, &body);
+  if (error != MO_OK)
+    return error == MO_ERR_NO_MEMORY ? error : MO_ERR_CORRUPT;
+  if (text->data[text->size - 1] == '}')
+    mo_text_bytes(text, ",", 1);
+  write_head(text, &row->form, body, row->first_seen_us);
+  mo_body_free(body);
+  if (query->sort == MO_DESIGNS_BY_SCORE) {
+    mo_text_add(text, ",\"score\":");
+    mo_loss_write(text, row->score);
+    mo_text_add(text, ",\"scored_genotype\":");
+    mo_bits_write(text, &row->genotype);
+  }
+  mo_text_add(text, "}");
+  return MO_OK;
+}
+
+static void write_page(struct mo_request *request, const struct mo_design_query *query,
+                       const struct mo_design_row *rows, size_t n, size_t limit)
+{
+  struct mo_text text = {0};
+  int error = MO_OK;
+  mo_text_add(&text, "{\"items\":[");
+  for (size_t i = 0; i < n && error == MO_OK && !text.failed; i++)
+    error = write_row(request, &text, query, &rows[i]);
+  if (n < limit || n == 0) {
+    mo_text_add(&text, "],\"next_cursor\":null");
+  } else if (query->sort == MO_DESIGNS_BY_ID) {
+    mo_text_format(&text, "],\"next_cursor\":\"%" PRId64 "\"", rows[n - 1].row);
+  } else {
+    uint64_t bits;
+    memcpy(&bits, &rows[n - 1].score, sizeof(bits));
+    mo_text_format(&text, "],\"next_cursor\":\"%016" PRIx64 "-%" PRId64 "\"", bits,
+                   rows[n - 1].genotype_row);
+  }
+  mo_text_add(&text, "}");
+  mo_reply_text(request, error, &text, "page");
+}
+
+void mo_api_list_designs(struct mo_request *request)
+{
+  static const char *const of_score[] = {"controller", "environments"};
+  const char *sort = mo_query(request, "sort"), *cursor = mo_query(request, "cursor");
+  const char *named = mo_query(request, "controller"), *set = mo_query(request, "environments");
+  struct mo_store *store = mo_api_of(request)->store;
+  struct mo_design_query query = {
+      .sort = MO_DESIGNS_BY_ID, .physics = mo_default_physics(), .precision = MO_FLOAT32};
+  size_t limit;
+  if (!mo_query_limit(request, &limit))
+    return;
+  if (sort != NULL && strcmp(sort, "score") == 0)
+    query.sort = MO_DESIGNS_BY_SCORE;
+  else if (sort != NULL && strcmp(sort, "id") != 0) {
+    mo_reply_bad_parameter(request, "sort", "id or score is expected");
+    return;
+  }
+  for (size_t i = 0; i < 2; i++)
+    if (mo_query(request, of_score[i]) != NULL && query.sort != MO_DESIGNS_BY_SCORE) {
+      mo_reply_bad_parameter(request, of_score[i], "this parameter is for sort=score");
+      return;
+    }
+  if (set != NULL && strcmp(set, "paper-test") != 0) {
+    mo_reply_bad_parameter(request, "environments", "paper-test is expected");
+    return;
+  }
+  if (cursor != NULL && !read_cursor(cursor, &query)) {
+    mo_reply_bad_parameter(request, "cursor",
+                           "the next_cursor of an earlier page with the same sort is expected");
+    return;
+  }
+  if (query.sort == MO_DESIGNS_BY_SCORE) {
+    struct mo_controller_record controller;
+    int code = mo_store_controller(store, named != NULL ? named : "default", &controller);
+    if (code != MO_OK) {
+      mo_reply_error(request, code, "controller");
+      return;
+    }
+    query.controller_sha256 = controller.sha256;
+    snprintf(query.environment_set, sizeof(query.environment_set), "paper-test");
+  }
+  struct mo_design_row *rows = malloc(limit * sizeof(*rows));
+  int64_t n = rows != NULL ? mo_store_designs(store, &query, rows, limit) : MO_ERR_NO_MEMORY;
+  if (n < 0)
+    mo_reply_error(request, (int)n, "page");
+  else
+    write_page(request, &query, rows, (size_t)n, limit);
+  free(rows);
+}

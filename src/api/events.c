@@ -1,0 +1,188 @@
+/* events.c: events as a page and as a stream, and what follows the store's events: streams,
+ * requests that wait for a job, and the counts of jobs. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/handlers.h"
+#include "http/pool.h"
+#include "http/stream.h"
+
+/* Writes an event as a JSON object. */
+static void write_event(struct mo_text *text, const struct mo_event *event)
+{
+  mo_text_format(text, "{\"id\":\"%lld\",\"type\":", (long long)event->sequence);
+  mo_text_json_string(text, event->type, strlen(event->type));
+  if (event->job > 0)
+    mo_text_format(text, ",\"job\":\"%lld\",\"at\":", (long long)event->job);
+  else
+    mo_text_add(text, ",\"job\":null,\"at\":");
+  mo_text_json_time(text, event->time_us);
+  mo_text_add(text, ",\"data\":");
+  mo_text_json_stored(text, event->data);
+  mo_text_add(text, "}");
+}
+
+static void write_frame(struct mo_text *text, const void *any)
+{
+  const struct mo_event *event = any;
+  mo_text_format(text, "id: %lld\nevent: %s\ndata: ", (long long)event->sequence, event->type);
+  write_event(text, event);
+  mo_text_add(text, "\n\n");
+}
+
+/* ---- new events ---- */
+
+/* Receives new events on the store's writer thread, after a commit. */
+static void listener(void *context, const struct mo_event *events, size_t n)
+{
+  struct mo_api *api = context;
+  for (size_t i = 0; i < n; i++) {
+    if (strncmp(events[i].type, "job.", 4) == 0 && strcmp(events[i].type, "job.progress") != 0)
+      atomic_store(&api->jobs_changed, true);
+    if (strcmp(events[i].type, "job.finished") == 0)
+      mo_waits_end(api->http, events[i].job);
+    mo_streams_send(api->http, events[i].sequence, events[i].job, write_frame, &events[i]);
+  }
+}
+
+int mo_events_follow(struct mo_api *api)
+{
+  return mo_store_subscribe(api->store, listener, api, &api->listener);
+}
+
+void mo_events_leave(struct mo_api *api)
+{
+  if (api->listener >= 0)
+    mo_store_unsubscribe(api->store, api->listener);
+  api->listener = -1;
+}
+
+/* ---- streams ---- */
+
+/* A mo_stream_fill. */
+static int64_t fill(struct mo_request *request, struct mo_stream_place *place,
+                    struct mo_text *frames)
+{
+  struct mo_event *page = malloc(MO_STREAM_PAGE * sizeof(*page));
+  int64_t oldest = 0, newest = 0;
+  int64_t n = page != NULL ? mo_store_events(mo_api_of(request)->store, place->after, place->topic,
+                                             page, MO_STREAM_PAGE, &oldest, &newest)
+                           : MO_ERR_NO_MEMORY;
+  if (n == MO_ERR_CORRUPT)
+    mo_request_note(request, "the events cannot be read: %s", mo_error_text((int)n));
+  if (n >= 0 && (place->after < oldest - 1 || (!place->greeted && place->after > newest))) {
+    /* The sequence is unknown (pruned, or of another database): the client must start again. */
+    place->after = place->after > newest ? newest : oldest - 1;
+    mo_text_format(frames,
+                   "id: %lld\nevent: reset\ndata: {\"oldest\":\"%lld\",\"newest\":\"%lld\"}\n\n",
+                   (long long)place->after, (long long)oldest, (long long)newest);
+  }
+  for (int64_t i = 0; i < n; i++)
+    write_frame(frames, &page[i]);
+  if (n > 0)
+    place->after = page[n - 1].sequence;
+  place->greeted = true;
+  free(page);
+  return n;
+}
+
+static void open_stream(struct mo_request *request, int64_t after, int64_t job)
+{
+  static const char *const stream_type[] = {"text/event-stream"};
+  struct mo_stream_place place = {.after = after, .topic = job};
+  if (mo_accept_choose(request->framing.accept, stream_type, 1) != 0) {
+    mo_reply_problem(request, 406, NULL,
+                     "This path gives text/event-stream, which the Accept field does not allow; "
+                     "format=json gives a page.");
+    return;
+  }
+  if (request->method == MO_HEAD) {
+    mo_reply_static(request, 200, "text/event-stream", "", 0);
+    return;
+  }
+  int error = MO_OK;
+  if (after < 0) {
+    /* From the next event on: those from now until the stream is open are read from the store. */
+    int64_t n =
+        mo_store_events(mo_api_of(request)->store, INT64_MAX - 1, 0, NULL, 0, NULL, &place.after);
+    error = n < 0 ? (int)n : MO_OK;
+    place.greeted = true;
+  }
+  if (error == MO_OK)
+    error = mo_stream_open(request, place, fill);
+  if (error == MO_ERR_LIMIT) {
+    mo_reply_problem(request, 503, NULL,
+                     "All event streams of the service are in use; try again later.");
+    request->reply.retry_after_s = 5;
+  } else if (error != MO_OK) {
+    mo_reply_error(request, error == MO_ERR_BUSY ? MO_ERR_CANCELLED : error, "stream");
+  }
+}
+
+/* ---- pages ---- */
+
+/* Replies with the page of events after `after`. */
+static void reply_page(struct mo_request *request, int64_t after, int64_t job, size_t limit)
+{
+  struct mo_event *events = malloc(limit * sizeof(*events));
+  int64_t oldest = 0, newest = 0;
+  if (after < 0)
+    after = 0;
+  int64_t n = events != NULL ? mo_store_events(mo_api_of(request)->store, after, job, events, limit,
+                                               &oldest, &newest)
+                             : MO_ERR_NO_MEMORY;
+  if (n < 0) {
+    mo_reply_error(request, (int)n, "page");
+    free(events);
+    return;
+  }
+  struct mo_text text = {0};
+  const char *comma = "";
+  mo_text_add(&text, "{\"items\":[");
+  for (int64_t i = 0; i < n; i++) {
+    mo_text_add(&text, comma);
+    comma = ",";
+    write_event(&text, &events[i]);
+  }
+  mo_text_add(&text, "],\"next_cursor\":");
+  if ((size_t)n == limit && events[n - 1].sequence < newest)
+    mo_text_format(&text, "\"%lld\"", (long long)events[n - 1].sequence);
+  else
+    mo_text_add(&text, "null");
+  mo_text_format(&text, ",\"newest\":\"%lld\"", (long long)newest);
+  mo_text_member_bool(&text, "reset", (after > 0 && after < oldest - 1) || after > newest);
+  mo_text_add(&text, "}");
+  free(events);
+  mo_reply_json(request, 200, &text);
+}
+
+void mo_api_get_events(struct mo_request *request)
+{
+  static const char *const json[] = {"application/json"};
+  static const char place[] = "the id of an event, in decimal digits, is expected";
+  const char *format = mo_query(request, "format"), *from = mo_query(request, "after");
+  const char *of_job = mo_query(request, "job"), *last = request->framing.last_event_id;
+  const char *cursor = mo_query(request, "cursor");
+  bool is_page = format != NULL && strcmp(format, "json") == 0;
+  int64_t after = -1, job = 0;
+  size_t limit;
+  int form;
+  if (!mo_query_limit(request, &limit))
+    return;
+  if (format != NULL && !is_page && strcmp(format, "stream") != 0)
+    mo_reply_bad_parameter(request, "format", "stream or json is expected");
+  else if (from != NULL && !mo_decimal(from, strlen(from), 0, INT64_MAX, &after))
+    mo_reply_bad_parameter(request, "after", place);
+  else if (of_job != NULL && !mo_id(of_job, &job))
+    mo_reply_bad_parameter(request, "job", "the id of a job, in decimal digits, is expected");
+  else if (last != NULL && last[0] != '\0' && !mo_decimal(last, strlen(last), 0, INT64_MAX, &after))
+    mo_reply_bad_header(request, 400, "Last-Event-ID", place, NULL);
+  else if (cursor != NULL &&
+           (!is_page || !mo_decimal(cursor, strlen(cursor), 0, INT64_MAX, &after)))
+    mo_reply_bad_parameter(request, "cursor",
+                           "the next_cursor of an earlier page is expected, with format=json");
+  else if (!is_page)
+    open_stream(request, after, job);
+  else if (mo_accept(request, json, 1, &form))
+    reply_page(request, after, job, limit);
+}

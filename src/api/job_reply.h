@@ -1,0 +1,63 @@
+/* job_reply.h: the kinds of jobs as the interface shows them, and replies about jobs of any
+ * kind. */
+#ifndef MORPHO_API_JOB_REPLY_H
+#define MORPHO_API_JOB_REPLY_H
+
+#include "api/handlers.h"
+#include "jobs/live.h"
+#include "store/campaigns.h"
+#include "store/trainings.h"
+
+/* A kind of job. A status is its row in the store and begins with struct mo_job. */
+struct mo_resource {
+  enum mo_job_kind kind;
+  const char *path; /* "/v1/trainings" */
+  size_t status_size;
+  int (*read)(struct mo_store *store, int64_t id, void *status);
+  /* Reads a page of statuses, newest first. Returns their number or an error. */
+  int64_t (*page)(struct mo_store *store, const struct mo_campaign_query *query, void *statuses,
+                  size_t limit);
+  bool has_live; /* running jobs have a live state; the item of a list needs the whole status */
+  /* Returns the state to show: a running job that waits for space is shown as paused. */
+  enum mo_job_state (*state)(const void *status, const struct mo_live *live);
+  /* Writes the whole resource, or the item of the list of jobs. */
+  int (*write)(struct mo_api *api, struct mo_text *text, const void *status,
+               const struct mo_live *live);
+  void (*write_job)(struct mo_text *text, const void *status, const struct mo_live *live);
+  bool versioned; /* the row's version covers all that is written */
+  bool brief;     /* lists of this kind have the items of the list of jobs */
+};
+extern const struct mo_resource mo_evaluation_resource, mo_training_resource, mo_campaign_resource;
+
+/* Reads a job's status (malloc) and its live state. */
+int mo_status_read(struct mo_api *api, const struct mo_resource *kind, int64_t id, void **status,
+                   struct mo_live *live);
+/* Replies with a job as it stands now: whole, or as an item of the list of jobs. Without a reply,
+ * returns an error. */
+int mo_write_reply(struct mo_request *request, unsigned http_status, const struct mo_resource *kind,
+                   int64_t id, bool whole);
+void mo_reply_of_kind(struct mo_request *request, unsigned http_status,
+                      const struct mo_resource *kind, int64_t id);
+/* Replies 202 to a submission, or 200 if the job is done and the client waited. */
+void mo_reply_submitted(struct mo_request *request, const struct mo_resource *kind, int64_t id,
+                        bool done);
+/* Reads a job, or lets the request wait for its end where Prefer asks for it. False: the request
+ * waits, or the reply is made. kind NULL: any. */
+bool mo_await_job(struct mo_request *request, const struct mo_resource *kind, int64_t id,
+                  struct mo_job *job);
+/* Handles GET of a job of one kind. */
+void mo_get_of_kind(struct mo_request *request, const struct mo_resource *kind);
+/* Handles GET of the list of one kind. group: only campaigns of this group; 0: all. */
+void mo_list_of_kind(struct mo_request *request, const struct mo_resource *kind, int64_t group);
+
+/* Reads what filters a list of jobs: state, label, limit, cursor. waiting: room for the jobs that
+ * wait. False: the 400 is made. */
+bool mo_read_job_query(struct mo_request *request, struct mo_campaign_query *query,
+                       int64_t waiting[MO_WAITING_MAX], size_t *limit);
+/* Replies with a page of n items (negative: an error), of which the last has this cursor. */
+void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit,
+                   int64_t last);
+/* Reads the id in the path of a job of this kind. False: the 404 is made. */
+bool mo_path_job(struct mo_request *request, enum mo_job_kind kind, int64_t *id);
+
+#endif

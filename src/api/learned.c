@@ -1,0 +1,191 @@
+/* learned.c: results of a training: its controller so far, and its held-out designs and
+ * environments. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/handlers.h"
+#include "api/training_json.h"
+
+#define HELD_OUT_DESIGNS_MAX 1000
+#define HELD_OUT_PLACES_MAX  64
+#define SEED_MAX             INT64_C(9007199254740991)
+
+/* ---- the controller ---- */
+
+/* Exports the controller of a checkpoint (step 0: the newest) as a file. *at: its step. */
+static int export_checkpoint(struct mo_api *api, const struct mo_training_status *status,
+                             uint32_t step, uint8_t **bytes, size_t *size, uint32_t *at)
+{
+  struct mo_training *training = NULL;
+  struct mo_controller *controller = NULL;
+  struct mo_message message = {""};
+  uint8_t *stored = NULL;
+  size_t n = 0;
+  char digits[MO_SHA256_DIGITS + 1];
+  mo_sha256_to_hex(&status->record.parent_sha256, digits);
+  int code = mo_store_training_checkpoint_bytes(api->store, status->job.id, step, &stored, &n);
+  if (code == MO_OK)
+    code = mo_training_decode(stored, n, &training, &message);
+  free(stored);
+  if (code == MO_OK) {
+    *at = mo_training_step(training);
+    code = mo_training_export(training, status->record.has_parent ? digits : NULL,
+                              mo_jobs_code_version(api->jobs, status->job.back_end), &status->code,
+                              &controller);
+  }
+  if (code == MO_OK)
+    code = mo_controller_encode(controller, bytes, size);
+  mo_controller_free(controller);
+  mo_training_free(training);
+  return code == MO_ERR_FORMAT ? MO_ERR_CORRUPT : code;
+}
+
+/* Replies that the file of the training's result, or of a checkpoint (step 0: the newest), is
+ * missing or damaged: it is not what its row says. */
+static void reply_damaged(struct mo_request *request, const struct mo_training_status *status,
+                          bool result, uint32_t step)
+{
+  static const char words[] = "in the state folder of the service is missing or damaged.";
+  struct mo_checkpoint_row newest = {.step = step};
+  char digits[MO_SHA256_DIGITS + 1];
+  mo_sha256_to_hex(&status->result_sha256, digits);
+  if (step == 0 && !result)
+    (void)mo_store_checkpoints(mo_api_of(request)->store, status->job.id, &newest, 1);
+  if (result)
+    mo_reply_problem(request, 500, NULL, "The file controllers/%s.safetensors %s", digits, words);
+  else
+    mo_reply_problem(request, 500, NULL, "The file trainings/%lld/%u.checkpoint %s",
+                     (long long)status->job.id, newest.step, words);
+}
+
+void mo_api_get_training_controller(struct mo_request *request)
+{
+  static const char *const types[] = {"application/octet-stream", "application/vnd.safetensors"};
+  struct mo_api *api = mo_api_of(request);
+  bool named = mo_query(request, "step") != NULL;
+  int64_t id, step = 0;
+  int form;
+  if (!mo_accept(request, types, 2, &form) ||
+      !mo_query_number(request, "step", 1, MO_TRAINING_STEPS_MAX, &step) ||
+      !mo_path_id(request, 0, &id))
+    return;
+  struct mo_training_status *status = malloc(sizeof(*status));
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  uint32_t at = 0;
+  int code = status != NULL ? mo_store_training(api->store, id, status) : MO_ERR_NO_MEMORY;
+  if (code != MO_OK) {
+    mo_reply_error(request, code, "training");
+    free(status);
+    return;
+  }
+  uint32_t n_steps = status->record.settings.n_steps;
+  if (status->has_result && (!named || step == n_steps)) {
+    at = n_steps;
+    code = mo_store_controller_bytes(api->store, &status->result_sha256, &bytes, &size);
+  } else {
+    code = export_checkpoint(api, status, (uint32_t)step, &bytes, &size, &at);
+  }
+  if (code == MO_ERR_NOT_FOUND && named)
+    mo_reply_problem(request, 404, NULL,
+                     "The training keeps no checkpoint of step %lld; GET "
+                     "/v1/trainings/%lld/checkpoints lists them.",
+                     (long long)step, (long long)id);
+  else if (code == MO_ERR_NOT_FOUND)
+    mo_reply_problem(request, 404, NULL,
+                     mo_job_state_is_final(status->job.state)
+                         ? "The training has ended without a result and keeps no checkpoint."
+                         : "The training has no checkpoint yet.");
+  else if (code == MO_ERR_CORRUPT)
+    reply_damaged(request, status, at == n_steps && status->has_result, (uint32_t)step);
+  else if (code != MO_OK)
+    mo_reply_error(request, code, "controller");
+  else {
+    struct mo_sha256 hash;
+    char digits[MO_SHA256_DIGITS + 1];
+    mo_sha256_of(bytes, size, &hash);
+    mo_sha256_to_hex(&hash, digits);
+    mo_reply_bytes(request, 200, types[form], (char *)bytes, size);
+    mo_reply_extra(request, "Morphod-Step", "%u", at);
+    mo_reply_etag(request, "%s", digits);
+  }
+  free(status);
+}
+
+/* ---- held-out sets ---- */
+
+static void reply_held_out(struct mo_request *request, const struct mo_bits *genotypes,
+                           uint32_t n_designs, uint64_t seed, uint32_t n_environments,
+                           const struct mo_physics *physics)
+{
+  struct mo_environment *environments = calloc(n_environments, sizeof(*environments));
+  struct mo_text text = {0};
+  if (environments == NULL) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "set");
+    return;
+  }
+  mo_held_out_environments(seed, n_environments, environments);
+  mo_held_out_write(&text, genotypes, n_designs, environments, n_environments, physics);
+  free(environments);
+  mo_reply_json(request, 200, &text);
+  mo_reply_etag_of_body(request);
+}
+
+static int draw(uint64_t seed, uint32_t n, struct mo_bits **genotypes)
+{
+  struct mo_bits *drawn = calloc(n, sizeof(*drawn));
+  _Static_assert(sizeof(*drawn) == MO_DEFAULT_WORDS * sizeof(uint64_t),
+                 "genotypes lie one behind the other");
+  int code = drawn != NULL ? mo_held_out_designs(seed, n, (uint64_t *)drawn) : MO_ERR_NO_MEMORY;
+  if (code != MO_OK)
+    free(drawn);
+  else
+    *genotypes = drawn;
+  return code;
+}
+
+void mo_api_get_training_held_out(struct mo_request *request)
+{
+  int64_t id;
+  if (!mo_path_id(request, 0, &id))
+    return;
+  struct mo_store *store = mo_api_of(request)->store;
+  struct mo_training_status *status = malloc(sizeof(*status));
+  struct mo_bits *genotypes = NULL;
+  uint32_t n = 0;
+  int code = status != NULL ? mo_store_training(store, id, status) : MO_ERR_NO_MEMORY;
+  if (code == MO_OK) {
+    const struct mo_training_settings *settings = &status->record.settings;
+    if (settings->kind == MO_TRAINING_FINETUNE)
+      code = mo_store_training_designs(store, id, &genotypes, &n);
+    else if ((n = settings->held_out_designs) > 0)
+      code = draw(settings->seed, n, &genotypes);
+    if (n > settings->held_out_designs)
+      n = settings->held_out_designs;
+  }
+  if (code != MO_OK)
+    mo_reply_error(request, code, "training");
+  else
+    reply_held_out(request, genotypes, n, status->record.settings.seed,
+                   status->record.settings.held_out_environments, &status->record.settings.physics);
+  free(genotypes);
+  free(status);
+}
+
+void mo_api_get_held_out(struct mo_request *request)
+{
+  int64_t seed = 1, designs = 64, environments = 8;
+  if (!mo_query_number(request, "seed", 0, SEED_MAX, &seed) ||
+      !mo_query_number(request, "designs", 1, HELD_OUT_DESIGNS_MAX, &designs) ||
+      !mo_query_number(request, "environments", 1, HELD_OUT_PLACES_MAX, &environments))
+    return;
+  struct mo_bits *genotypes = NULL;
+  int code = draw((uint64_t)seed, (uint32_t)designs, &genotypes);
+  if (code != MO_OK)
+    mo_reply_error(request, code, "set");
+  else
+    reply_held_out(request, genotypes, (uint32_t)designs, (uint64_t)seed, (uint32_t)environments,
+                   NULL);
+  free(genotypes);
+}

@@ -1,0 +1,10 @@
+/* openapi.h: schema/openapi.yaml as JSON, made by the build. */
+#ifndef MORPHO_API_OPENAPI_H
+#define MORPHO_API_OPENAPI_H
+
+#include <stddef.h>
+
+extern const char mo_openapi_json[];
+extern const size_t mo_openapi_json_size;
+
+#endif

@@ -1,0 +1,383 @@
+/* phylogeny.c: the designs of a campaign: its populations, each design with its lineage, the
+ * whole phylogeny. */
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/campaign_json.h"
+#include "api/job_reply.h"
+#include "api/newick_pieces.h"
+#include "http/download.h"
+
+/* Cursors have at most as many digits as the contract allows; one beyond the last design is the
+ * end. */
+#define NUMBER_CURSOR_MAX     INT64_C(9999999999)
+#define POPULATION_CURSOR_MAX 999999
+
+/* ---- what the calls share ---- */
+
+static void write_rows(struct mo_text *text, const struct mo_campaign_design *rows, size_t n)
+{
+  mo_text_add(text, "\"items\":[");
+  for (size_t i = 0; i < n; i++) {
+    mo_text_add(text, i > 0 ? ",{" : "{");
+    mo_campaign_json_design(text, &rows[i]);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+}
+
+/* Reads a cursor: the number of the last design of the previous page; −1 without one. */
+static bool read_cursor(struct mo_request *request, int64_t *after)
+{
+  const char *cursor = mo_query(request, "cursor");
+  *after = -1;
+  if (cursor == NULL || mo_decimal(cursor, strlen(cursor), 0, NUMBER_CURSOR_MAX, after))
+    return true;
+  mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
+  return false;
+}
+
+/* Writes the member "next_cursor" after the last item of the page; −1: this is the last page. */
+static void write_next(struct mo_text *text, int64_t last)
+{
+  if (last >= 0)
+    mo_text_format(text, ",\"next_cursor\":\"%lld\"", (long long)last);
+  else
+    mo_text_add(text, ",\"next_cursor\":null");
+}
+
+/* ---- populations ---- */
+
+/* Reads the cursor "G-N": N designs of generation G have been sent. */
+static bool read_population_cursor(const char *text, int64_t *generation, int64_t *offset)
+{
+  size_t n = strcspn(text, "-");
+  return text[n] == '-' && mo_decimal(text, n, 0, POPULATION_CURSOR_MAX, generation) &&
+         mo_decimal(text + n + 1, strlen(text + n + 1), 0, POPULATION_CURSOR_MAX, offset);
+}
+
+void mo_api_get_campaign_population(struct mo_request *request)
+{
+  struct mo_store *store = mo_api_of(request)->store;
+  const char *cursor = mo_query(request, "cursor");
+  int64_t id, generation = -1, asked, offset = 0;
+  size_t limit;
+  if (!mo_query_number(request, "generation", 0, MO_GENERATIONS_MAX, &generation) ||
+      !mo_query_limit(request, &limit) || !mo_path_id(request, 0, &id))
+    return;
+  asked = generation;
+  if (cursor != NULL && (!read_population_cursor(cursor, &generation, &offset) ||
+                         (asked >= 0 && asked != generation))) {
+    mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
+    return;
+  }
+  struct mo_campaign_status *status = malloc(sizeof(*status));
+  struct mo_campaign_design *rows = malloc(limit * sizeof(*rows));
+  uint32_t size = 0;
+  int64_t n =
+      status != NULL && rows != NULL ? mo_store_campaign(store, id, status) : MO_ERR_NO_MEMORY;
+  bool known = n == MO_OK;
+  if (known && generation < 0)
+    generation = status->generation; /* later pages stay in this generation, even if the next one is
+                                        committed meanwhile */
+  if (known)
+    n = generation >= 0 ? mo_store_campaign_population(store, id, generation, (uint32_t)offset,
+                                                       rows, limit, &size)
+                        : MO_ERR_NOT_FOUND;
+  if (n == MO_ERR_NOT_FOUND && known && generation < 0) {
+    mo_reply_problem(request, 404, NULL,
+                     "The campaign has no population yet: its first one is not scored.");
+  } else if (n == MO_ERR_NOT_FOUND && known) {
+    mo_reply_problem(request, 404, NULL, "The campaign has no generation %lld: the newest is %lld.",
+                     (long long)generation, (long long)status->generation);
+  } else if (n < 0) {
+    mo_reply_error(request, (int)n, "campaign");
+  } else {
+    struct mo_text text = {0};
+    mo_text_format(&text, "{\"generation\":%lld,\"size\":%u,", (long long)generation, size);
+    write_rows(&text, rows, (size_t)n);
+    offset += n;
+    if (offset < size)
+      mo_text_format(&text, ",\"next_cursor\":\"%lld-%lld\"}", (long long)generation,
+                     (long long)offset);
+    else
+      mo_text_add(&text, ",\"next_cursor\":null}");
+    mo_reply_json(request, 200, &text);
+    mo_reply_etag_of_body(request);
+  }
+  free(status);
+  free(rows);
+}
+
+/* ---- one design and its lineage ---- */
+
+/* The descents of a campaign, and the number of one design, both from the path. Free `descents` in
+ * every case. */
+struct lineage {
+  int64_t id;
+  uint32_t number, n;
+  struct mo_descent *descents;
+};
+
+static void no_such_design(struct mo_request *request, uint32_t n)
+{
+  if (n == 0)
+    mo_reply_problem(request, 404, NULL, "The campaign has no designs yet.");
+  else
+    mo_reply_problem(request, 404, NULL,
+                     "There is no such design: the campaign has the numbers 0 to %u.", n - 1);
+}
+
+/* Reads the lineage. False: the reply is made. */
+static bool read_lineage(struct mo_request *request, struct lineage *lineage)
+{
+  const char *text = request->parameters[1];
+  int64_t number = -1;
+  *lineage = (struct lineage){0};
+  if (!mo_path_job(request, MO_JOB_CAMPAIGN, &lineage->id))
+    return false;
+  if ((text[0] == '0' && text[1] != '\0') ||
+      !mo_decimal(text, strlen(text), 0, UINT32_MAX - 1, &number)) {
+    mo_reply_problem(
+        request, 404, NULL,
+        "There is no such design: its number in the campaign, in decimal digits, is expected.");
+    return false;
+  }
+  int code = mo_store_campaign_descents(mo_api_of(request)->store, lineage->id, &lineage->descents,
+                                        NULL, &lineage->n);
+  if (code != MO_OK)
+    mo_reply_error(request, code, "campaign");
+  else if (number >= lineage->n)
+    no_such_design(request, lineage->n);
+  lineage->number = (uint32_t)number;
+  return code == MO_OK && number < lineage->n;
+}
+
+/* Writes the page of marked designs after `after`: adds "items" and "next_cursor" to `text`. */
+static int write_marked(struct mo_request *request, const struct lineage *lineage,
+                        const uint8_t *marks, int64_t after, size_t limit, struct mo_text *text)
+{
+  uint32_t *numbers = malloc(limit * sizeof(*numbers));
+  struct mo_campaign_design *rows = calloc(limit, sizeof(*rows));
+  size_t n = 0;
+  bool more = false;
+  int code = numbers != NULL && rows != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  for (int64_t i = after + 1; i < lineage->n && code == MO_OK && !more; i++) {
+    if (!marks[i])
+      continue;
+    more = n == limit;
+    if (!more)
+      numbers[n++] = (uint32_t)i;
+  }
+  if (code == MO_OK && n > 0)
+    code = mo_store_campaign_designs_of(mo_api_of(request)->store, lineage->id, numbers, n, rows);
+  if (code == MO_OK) {
+    write_rows(text, rows, n);
+    write_next(text, more ? (int64_t)numbers[n - 1] : -1);
+  }
+  free(numbers);
+  free(rows);
+  return code;
+}
+
+static void finish(struct mo_request *request, int code, struct mo_text *text)
+{
+  mo_text_add(text, "}");
+  mo_reply_text(request, code, text, "campaign");
+}
+
+void mo_api_get_campaign_design(struct mo_request *request)
+{
+  struct mo_store *store = mo_api_of(request)->store;
+  struct lineage lineage = {0};
+  struct mo_campaign_design row;
+  struct mo_text text = {0};
+  int64_t after;
+  size_t limit;
+  if (!mo_query_limit(request, &limit) || !read_cursor(request, &after))
+    return;
+  if (read_lineage(request, &lineage)) {
+    uint8_t *marks = calloc(lineage.n, 1);
+    int code = marks != NULL
+                   ? mo_store_campaign_designs_of(store, lineage.id, &lineage.number, 1, &row)
+                   : MO_ERR_NO_MEMORY;
+    for (uint32_t i = lineage.number + 1; i < lineage.n && code == MO_OK; i++) {
+      const uint32_t *parents = lineage.descents[i].parents;
+      marks[i] = parents[0] == lineage.number || parents[1] == lineage.number;
+    }
+    if (code == MO_OK) {
+      mo_text_format(&text, "{\"campaign\":\"%lld\",", (long long)lineage.id);
+      mo_campaign_json_design(&text, &row);
+      mo_text_add(&text, ",\"children\":{");
+      code = write_marked(request, &lineage, marks, after, limit, &text);
+      mo_text_add(&text, "}");
+    }
+    free(marks);
+    finish(request, code, &text);
+  }
+  free(lineage.descents);
+}
+
+static void handle_relatives(struct mo_request *request,
+                             void (*mark)(const struct mo_descent *descents, uint32_t n,
+                                          uint32_t number, uint8_t *marks))
+{
+  struct lineage lineage = {0};
+  struct mo_text text = {0};
+  int64_t after;
+  size_t limit;
+  if (!mo_query_limit(request, &limit) || !read_cursor(request, &after))
+    return;
+  if (read_lineage(request, &lineage)) {
+    uint8_t *marks = calloc(lineage.n, 1);
+    uint64_t total = 0;
+    int code = marks != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+    if (code == MO_OK) {
+      mark(lineage.descents, lineage.n, lineage.number, marks);
+      for (uint32_t i = 0; i < lineage.n; i++)
+        total += marks[i];
+      mo_text_format(&text, "{\"total\":%llu,", (unsigned long long)total);
+      code = write_marked(request, &lineage, marks, after, limit, &text);
+    }
+    free(marks);
+    finish(request, code, &text);
+  }
+  free(lineage.descents);
+}
+
+void mo_api_get_campaign_ancestors(struct mo_request *request)
+{
+  handle_relatives(request, mo_ancestors);
+}
+
+void mo_api_get_campaign_descendants(struct mo_request *request)
+{
+  handle_relatives(request, mo_descendants);
+}
+
+/* ---- the whole phylogeny ---- */
+
+static void reply_page(struct mo_request *request, int64_t id, int64_t after, size_t limit)
+{
+  struct mo_campaign_design *rows = malloc(limit * sizeof(*rows));
+  int64_t n = rows != NULL
+                  ? mo_store_campaign_designs(mo_api_of(request)->store, id, after, rows, limit)
+                  : MO_ERR_NO_MEMORY;
+  struct mo_text text = {0};
+  if (n >= 0) {
+    mo_text_add(&text, "{");
+    write_rows(&text, rows, (size_t)n);
+    write_next(&text, n > 0 && (size_t)n == limit ? (int64_t)rows[n - 1].number : -1);
+  }
+  free(rows);
+  finish(request, n < 0 ? (int)n : MO_OK, &text);
+}
+
+/* Writes as CSV lines the designs that existed when the reply began. */
+struct lines {
+  struct mo_store *store;
+  int64_t id, after, newest; /* newest: the last generation of the reply */
+  uint64_t left;
+  bool headed;
+};
+
+static int more_lines(void *context, struct mo_text *text)
+{
+  struct lines *lines = context;
+  size_t limit = lines->left < MO_PAGE_MAX ? (size_t)lines->left : MO_PAGE_MAX;
+  if (!lines->headed)
+    mo_text_add(text, mo_campaign_csv_designs);
+  lines->headed = true;
+  if (limit == 0)
+    return 0;
+  struct mo_campaign_design *rows = malloc(limit * sizeof(*rows));
+  int64_t n = rows != NULL
+                  ? mo_store_campaign_designs(lines->store, lines->id, lines->after, rows, limit)
+                  : MO_ERR_NO_MEMORY;
+  for (int64_t i = 0; i < n; i++) {
+    mo_campaign_csv_design(text, &rows[i], lines->newest);
+    lines->after = rows[i].number;
+  }
+  free(rows);
+  if (n <= 0)
+    return n < 0 ? (int)n : MO_ERR_CORRUPT; /* fewer designs than the campaign counts */
+  lines->left -= (uint64_t)n;
+  return lines->left > 0;
+}
+
+static void reply_csv(struct mo_request *request, const struct mo_campaign_status *status,
+                      const char *tag)
+{
+  struct lines *lines = malloc(sizeof(*lines));
+  if (lines == NULL) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "reply");
+    return;
+  }
+  *lines = (struct lines){.store = mo_api_of(request)->store,
+                          .id = status->job.id,
+                          .after = -1,
+                          .newest = status->generation,
+                          .left = status->n_designs};
+  mo_download_open(request, "text/csv; charset=utf-8; header=present", tag, sizeof(*lines),
+                   more_lines, lines, free);
+}
+
+static void reply_newick(struct mo_request *request, const struct mo_campaign_status *status,
+                         const char *tag)
+{
+  struct mo_newick_pieces *pieces = NULL;
+  struct mo_descent *descents = NULL;
+  uint32_t *born = NULL, n = 0;
+  mo_reply_static(request, 200, "text/x-nh; charset=utf-8", "", 0);
+  mo_reply_etag(request, "%s", tag);
+  if (request->reply.status == 304)
+    return; /* answered by the tag, before anything is read */
+  int code =
+      mo_store_campaign_descents(mo_api_of(request)->store, status->job.id, &descents, &born, &n);
+  if (code == MO_OK && n > status->n_designs)
+    n = (uint32_t)status->n_designs; /* only designs that the tag covers */
+  if (code == MO_OK)
+    code = mo_newick_pieces_start(descents, born, n, &pieces);
+  if (code != MO_OK) {
+    mo_reply_error(request, code, "campaign");
+    return;
+  }
+  mo_download_open(request, "text/x-nh; charset=utf-8", tag, mo_newick_pieces_bytes(n),
+                   mo_newick_pieces_more, pieces, mo_newick_pieces_free);
+}
+
+void mo_api_get_campaign_phylogeny(struct mo_request *request)
+{
+  static const char *const paging[] = {"limit", "cursor"};
+  static const char *const forms[] = {"json", "csv", "newick"};
+  static const char *const types[] = {"application/json", "text/csv", "text/x-nh"};
+  int64_t id, after;
+  size_t limit;
+  int form;
+  char tag[104];
+  if (!mo_query_form(request, forms, types, 3, &form) || !mo_query_limit(request, &limit) ||
+      !read_cursor(request, &after) || !mo_path_id(request, 0, &id))
+    return;
+  for (size_t i = 0; i < 2; i++)
+    if (form > 0 && mo_query(request, paging[i]) != NULL) {
+      mo_reply_bad_parameter(request, paging[i],
+                             "this parameter is for JSON: the other forms are whole");
+      return;
+    }
+  struct mo_campaign_status *status = malloc(sizeof(*status));
+  int code =
+      status != NULL ? mo_store_campaign(mo_api_of(request)->store, id, status) : MO_ERR_NO_MEMORY;
+  if (code != MO_OK) {
+    mo_reply_error(request, code, "campaign");
+  } else if (form == 0) {
+    reply_page(request, id, after, limit);
+  } else {
+    snprintf(tag, sizeof(tag), "%" PRIx64 "-phylogeny-2-%s-%lld-%lld-%llu",
+             mo_store_id(mo_api_of(request)->store), forms[form], (long long)id,
+             (long long)status->generation, (unsigned long long)status->n_designs);
+    (form == 1 ? reply_csv : reply_newick)(request, status, tag);
+  }
+  free(status);
+}

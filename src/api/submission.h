@@ -1,0 +1,48 @@
+/* submission.h: what all submissions of work have in common. */
+#ifndef MORPHO_API_SUBMISSION_H
+#define MORPHO_API_SUBMISSION_H
+
+#include "api/handlers.h"
+
+/* The key of a submission and the hash of its body. */
+struct mo_submission_key {
+  char key[256]; /* "": none was sent */
+  struct mo_sha256 body_sha256;
+};
+
+/* Handles a whole submission: checks what every submission must satisfy (JSON, a service that takes
+ * work, a well-formed Idempotency-Key) and calls `submit`, which reads the body and stores the job
+ * (false: it made a reply). True: stored, and the body's memory is freed. */
+bool mo_handle_submission(struct mo_request *request, const char *what,
+                          bool (*submit)(struct mo_request *request,
+                                         const struct mo_submission_key *key,
+                                         struct mo_faults *faults));
+/* Returns the key of a request about job `id`, filled into `known`. The same body for another job,
+ * or for another action (`what`), counts as another request. NULL: no key was sent. */
+const struct mo_request_key *mo_submission_key_of(const struct mo_submission_key *key,
+                                                  const char *what, int64_t id,
+                                                  struct mo_request_key *known);
+
+/* Where the faults of a submission are that only its storing finds. NULL: nowhere, "" the body. */
+struct mo_refusal_pointers {
+  const char *controller, *limit, *empty, *conflict; /* conflict NULL: only a key can conflict */
+  const char *invalid;
+};
+/* Replies why a submission was not stored. faults: those that were found by looking up what the
+ * request names. */
+void mo_reply_not_stored(struct mo_request *request, const struct mo_submission_key *key, int error,
+                         const struct mo_message *message,
+                         const struct mo_refusal_pointers *pointers, struct mo_faults *faults,
+                         const char *what);
+/* Replies that a body cannot be parsed, or that a key was used with another body. */
+void mo_reply_parse_error(struct mo_request *request, int error, const struct mo_faults *faults,
+                          const char *what);
+void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults);
+
+/* Look up what a request names: a controller of the service's workspace (NULL: none), or a job of
+ * this kind (0: none). Add a fault if it does not exist. */
+void mo_look_up_controller(struct mo_store *store, const char *reference, struct mo_faults *faults);
+void mo_look_up_job(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *pointer,
+                    struct mo_faults *faults);
+
+#endif

@@ -1,0 +1,75 @@
+/* connection.h: open connections, and who is at their other end. */
+#ifndef MORPHO_HTTP_CONNECTION_H
+#define MORPHO_HTTP_CONNECTION_H
+
+#include <netinet/in.h>
+#include <pthread.h>
+#include <stdatomic.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <sys/socket.h>
+
+#include <morpho/error.h>
+
+#define MO_NEVER INT64_MAX
+
+struct mo_http;
+struct mo_request;
+
+enum mo_transport { MO_TRANSPORT_LOOPBACK, MO_TRANSPORT_TCP, MO_TRANSPORT_UNIX };
+
+/* A few connections are reserved: some for the unix socket, some for health requests. */
+enum mo_place { MO_PLACE_ORDINARY, MO_PLACE_UNIX, MO_PLACE_HEALTH, MO_PLACES };
+
+#define MO_GAVE_WAY INT64_MIN
+#define MO_STALL_US 1000000 /* a request without progress for this long may be dropped */
+
+struct mo_connection {
+  struct mo_http *http;
+  struct mo_request *request; /* the request in flight; used by the I/O thread only */
+  int fd;
+  enum mo_place place;
+  enum mo_transport transport;
+  unsigned char client_key[16]; /* the client, for limits: the peer's user if it is on this machine,
+                                   else its address */
+  char client[64];              /* for people */
+  _Atomic int64_t deadline_us;  /* the clock thread cuts the connection then */
+  bool lingers; /* closing at once could lose the last reply, while the client still sends */
+  /* Says whether this connection may be cut when a new one needs its place. spare_us is the time
+   * since which the connection is idle, or since which its request (receiving: one has begun) makes
+   * no progress. MO_NEVER: a whole request has arrived. */
+  atomic_bool receiving;
+  _Atomic int64_t spare_us; /* MO_GAVE_WAY: already cut */
+};
+
+/* The table of connections by descriptor (in struct mo_http). */
+int mo_connections_init(struct mo_http *http, struct mo_message *message);
+void mo_connection_add(struct mo_http *http, struct mo_connection *connection);
+struct mo_connection *mo_connection_find(struct mo_http *http, int fd);
+void mo_connection_forget(struct mo_http *http, struct mo_connection *connection);
+/* Cuts all connections whose deadline has passed. */
+void mo_connections_expire(struct mo_http *http, int64_t now_us);
+
+/* Sets spare_us. False: the connection was already cut; what it received must not be handled. */
+bool mo_connection_spare(struct mo_connection *connection, int64_t since_us);
+/* Cuts the connection by shutdown: the I/O thread sees end of file. */
+void mo_connection_cut(struct mo_http *http, const struct mo_connection *connection);
+/* Cuts the connection after sending 503. Only in the middle of a request, before a reply has
+ * begun. */
+void mo_connection_refuse(struct mo_http *http, const struct mo_connection *connection,
+                          const char *id, const char *detail);
+/* Says whether the client of a suspended connection has left: libmicrohttpd does not watch it. */
+bool mo_connection_has_left(const struct mo_connection *connection);
+/* Writes a refusal to a socket as a whole reply. */
+void mo_write_refusal(int fd, unsigned status, const char *id, const char *detail);
+
+int mo_acceptor_start(struct mo_http *http, struct mo_message *message); /* accept.c */
+void mo_acceptor_stop(struct mo_http *http);
+
+bool mo_address_is_loopback(const struct sockaddr_storage *address); /* in listen.c */
+/* Finds the user at the other end of a connection from a loopback address (peer.c). False: not
+ * known. Called by the acceptor. */
+void mo_peers_open(struct mo_http *http);
+bool mo_peer_uid(struct mo_http *http, int fd, const struct sockaddr_storage *peer, uid_t *uid);
+
+#endif

@@ -1,0 +1,46 @@
+/* pool.h: the API threads, and the requests that wait for something to end. */
+#ifndef MORPHO_HTTP_POOL_H
+#define MORPHO_HTTP_POOL_H
+
+#include "http/request.h"
+
+struct mo_queue {
+  struct mo_request *first, *last;
+  uint32_t n; /* without requests taken earlier: ended waits, and further pieces of replies */
+};
+
+struct mo_pool {
+  pthread_mutex_t lock;
+  pthread_cond_t work, idle;
+  struct mo_queue others, lists;
+  uint32_t n_lists, max_lists; /* being handled */
+  atomic_uint n_queued;
+  uint32_t n_running;
+  uint32_t n_outside; /* requests that are suspended: queued, running or parked */
+  bool closed;        /* no new requests are taken */
+  bool quit;
+  pthread_t *threads;
+  uint32_t n_threads;
+  struct mo_request *waiting; /* parked, or about to park */
+  _Atomic int64_t heartbeat_us;
+};
+
+int mo_pool_start(struct mo_http *http);
+/* Queues a request and suspends its connection. False: full or closed; the connection is not
+ * suspended. */
+bool mo_pool_give(struct mo_http *http, struct mo_request *request, bool *closed);
+
+/* Waiting. A handler calls mo_wait_begin, then looks whether `what` has ended. If so it calls
+ * mo_wait_end and replies. If not it returns without a reply: the request is parked, and the
+ * handler runs again, with request->wait_over, when mo_waits_end is called for `what`, when the
+ * deadline passes, or when the client leaves. */
+void mo_wait_begin(struct mo_request *request, int64_t what, int64_t deadline_us);
+void mo_wait_end(struct mo_request *request);
+void mo_waits_end(struct mo_http *http, int64_t what);
+void mo_waits_expire(struct mo_http *http, int64_t now_us); /* MO_NEVER: all */
+void mo_waits_tick(struct mo_http *http); /* wakes requests whose client has left */
+
+void mo_pool_close(struct mo_http *http); /* returns when no connection is suspended */
+void mo_pool_stop(struct mo_http *http);
+
+#endif

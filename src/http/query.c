@@ -1,0 +1,194 @@
+/* query.c: see query.h. */
+#include "http/query.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+#include "http/field.h"
+#include "http/reply.h"
+
+#define WAIT_MAX_S 60
+
+/* ---- query parameters ---- */
+
+/* Finds a name in the route's list. NULL: the route has no such parameter. */
+static const char *find_name(const char *list, const char *name)
+{
+  size_t size = strlen(name);
+  if (size == 0 || strchr(name, ' ') != NULL)
+    return NULL;
+  for (const char *at = list; (at = strstr(at, name)) != NULL; at += size)
+    if ((at == list || at[-1] == ' ') && (at[size] == ' ' || at[size] == '\0'))
+      return at;
+  return NULL;
+}
+
+/* Reads one parameter; text: room for the name and the value. Returns the room that it took. */
+static size_t read_item(struct mo_request *request, const struct mo_query_item *item, char *text,
+                        struct mo_faults *faults)
+{
+  struct mo_query *query = &request->query;
+  char *value = text + item->name_size + 1;
+  size_t room =
+      item->value_size + 1 < MO_QUERY_VALUE_BYTES ? item->value_size + 1 : MO_QUERY_VALUE_BYTES;
+  bool good = mo_percent_decode(item->name, item->name_size, true, text, item->name_size + 1);
+  if (!good || find_name(request->route->query, text) == NULL)
+    mo_faults_add(faults, MO_FAULT_PARAMETER, good ? text : "?", "this path has no such parameter");
+  else if (mo_query(request, text) != NULL || query->n == MO_QUERY_MAX)
+    mo_faults_add(faults, MO_FAULT_PARAMETER, text, "the parameter is given more than once");
+  else if (!mo_percent_decode(item->value, item->value_size, true, value, room))
+    mo_faults_add(faults, MO_FAULT_PARAMETER, text,
+                  "the value is too long, or not UTF-8 in percent escapes");
+  else {
+    query->items[query->n].name = text;
+    query->items[query->n++].value = value;
+  }
+  return item->name_size + item->value_size + 2;
+}
+
+static bool read_query(struct mo_request *request)
+{
+  const char *at = request->target.query;
+  struct mo_query_item item;
+  if (*at == '\0')
+    return true;
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  request->query.text = malloc(2 * strlen(at) + 2); /* a NUL behind each name and value */
+  bool good = faults != NULL && request->query.text != NULL;
+  if (!good)
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
+  for (size_t used = 0; good && mo_query_next(&at, &item);)
+    used += read_item(request, &item, request->query.text + used, faults);
+  if (good && faults->n > 0) {
+    mo_reply_problem(request, 400, faults, NULL);
+    good = false;
+  }
+  free(faults);
+  return good;
+}
+
+bool mo_query_begin(struct mo_request *request)
+{
+  static const char *const json[] = {"application/json"};
+  int form;
+  request->begun = true;
+  return read_query(request) &&
+         (!(request->route->flags & MO_ROUTE_JSON) || mo_accept(request, json, 1, &form));
+}
+
+void mo_query_end(struct mo_request *request)
+{
+  free(request->query.text);
+  request->query = (struct mo_query){0};
+}
+
+const char *mo_query(const struct mo_request *request, const char *name)
+{
+  for (unsigned i = 0; i < request->query.n; i++)
+    if (strcmp(request->query.items[i].name, name) == 0)
+      return request->query.items[i].value;
+  return NULL;
+}
+
+bool mo_query_number(struct mo_request *request, const char *name, int64_t min, int64_t max,
+                     int64_t *number)
+{
+  const char *value = mo_query(request, name);
+  char detail[96];
+  if (value == NULL || mo_decimal(value, strlen(value), min, max, number))
+    return true;
+  snprintf(detail, sizeof(detail), "an integer from %lld to %lld is expected", (long long)min,
+           (long long)max);
+  mo_reply_bad_parameter(request, name, detail);
+  return false;
+}
+
+bool mo_query_limit(struct mo_request *request, size_t *limit)
+{
+  int64_t number = 100;
+  bool good = mo_query_number(request, "limit", 1, MO_LIST_MAX, &number);
+  *limit = (size_t)number;
+  return good;
+}
+
+/* ---- forms ---- */
+
+/* Lists words: "json, csv or newick". */
+static void list_words(const char *const *words, int n, char list[128])
+{
+  size_t at = 0;
+  list[0] = '\0';
+  for (int i = 0; i < n && at < 128; i++)
+    at += (size_t)snprintf(list + at, 128 - at, "%s%s",
+                           i == 0      ? ""
+                           : i + 1 < n ? ", "
+                                       : " or ",
+                           words[i]);
+}
+
+bool mo_accept(struct mo_request *request, const char *const *types, int n, int *form)
+{
+  char list[128];
+  *form = mo_accept_choose(request->framing.accept, types, (size_t)n);
+  if (*form >= 0)
+    return true;
+  list_words(types, n, list);
+  mo_reply_problem(request, 406, NULL, "This path gives %s, which the Accept field does not allow.",
+                   list);
+  return false;
+}
+
+bool mo_query_form(struct mo_request *request, const char *const *names, const char *const *types,
+                   int n, int *form)
+{
+  const char *format = mo_query(request, "format");
+  char list[128], detail[160];
+  if (format == NULL)
+    return mo_accept(request, types, n, form);
+  for (*form = 0; *form < n; (*form)++)
+    if (strcmp(format, names[*form]) == 0)
+      return true;
+  list_words(names, n, list);
+  snprintf(detail, sizeof(detail), "%s is expected", list);
+  mo_reply_bad_parameter(request, "format", detail);
+  return false;
+}
+
+bool mo_check_content(struct mo_request *request, const char *expected, const char *also)
+{
+  char type[64], charset[32];
+  const char *field = request->framing.content_type;
+  const char *coding = request->framing.content_encoding;
+  if (coding != NULL && strcasecmp(coding, "identity") != 0)
+    mo_reply_problem(request, 415, NULL, "The body has a content coding; none is understood.");
+  else if (field == NULL || !mo_content_type(field, type, charset) ||
+           (strcmp(type, expected) != 0 && (also == NULL || strcmp(type, also) != 0)))
+    mo_reply_problem(request, 415, NULL, "The Content-Type must be %s.", expected);
+  else if (charset[0] != '\0' && strcmp(charset, "utf-8") != 0)
+    mo_reply_problem(request, 415, NULL, "The charset must be UTF-8.");
+  else
+    return true;
+  return false;
+}
+
+/* ---- ids and preferences ---- */
+
+bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id)
+{
+  if (mo_id(request->parameters[parameter], id))
+    return true;
+  mo_reply_problem(request, 404, NULL,
+                   "There is no such job: an id is a positive integer in decimal digits.");
+  return false;
+}
+
+bool mo_read_wait(struct mo_request *request)
+{
+  request->wait_s = mo_prefer_wait(request->framing.prefer, WAIT_MAX_S);
+  if (request->wait_s == -2)
+    mo_reply_bad_header(request, 400, "Prefer", "wait must be a number of seconds, as in wait=30",
+                        NULL);
+  return request->wait_s != -2;
+}

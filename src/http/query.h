@@ -1,0 +1,36 @@
+/* query.h: reads what a request says besides its body: query parameters, Accept, Content-Type, ids
+ * in its path. Where a function returns false, the reply (4xx) is made. */
+#ifndef MORPHO_HTTP_QUERY_H
+#define MORPHO_HTTP_QUERY_H
+
+#include "http/request.h"
+
+#define MO_QUERY_VALUE_BYTES 808 /* longest value, with its NUL: 200 characters of UTF-8 fit */
+#define MO_LIST_MAX          1000
+
+/* Checks the route's own rules: each query parameter must be known and come once; Accept must allow
+ * JSON (MO_ROUTE_JSON). Reads the parameters into request->query. */
+bool mo_query_begin(struct mo_request *request);
+void mo_query_end(struct mo_request *request);
+/* Returns the value of a parameter; NULL: absent. */
+const char *mo_query(const struct mo_request *request, const char *name);
+/* Reads `limit`: 1 to MO_LIST_MAX, 100 if absent. */
+bool mo_query_limit(struct mo_request *request, size_t *limit);
+/* Reads an integer within bounds; *number stays if it is absent. */
+bool mo_query_number(struct mo_request *request, const char *name, int64_t min, int64_t max,
+                     int64_t *number);
+/* Chooses one of n representations: by the parameter `format` (one of `names`) or else by Accept
+ * (`types`, in the server's order of preference). */
+bool mo_query_form(struct mo_request *request, const char *const *names, const char *const *types,
+                   int n, int *form);
+/* Chooses a type by Accept. */
+bool mo_accept(struct mo_request *request, const char *const *types, int n, int *form);
+/* Checks that Content-Type is `expected` or `also` (nullable), without a content coding. */
+bool mo_check_content(struct mo_request *request, const char *expected, const char *also);
+/* Reads the id of a job from a path parameter; none can have an id that is not a positive integer
+ * (404). */
+bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id);
+/* Reads Prefer: wait=N into request->wait_s. */
+bool mo_read_wait(struct mo_request *request);
+
+#endif

@@ -1,0 +1,54 @@
+/* reply.h: makes replies and problems, and sends them. */
+#ifndef MORPHO_HTTP_REPLY_H
+#define MORPHO_HTTP_REPLY_H
+
+#include "base/text.h"
+#include "http/problem.h"
+#include "http/request.h"
+
+/* Notes something for the log line of the request, which becomes a warning. */
+void mo_request_note(struct mo_request *request, const char *format, ...)
+    __attribute__((format(printf, 2, 3)));
+
+void mo_reply_json(struct mo_request *request, unsigned status,
+                   struct mo_text *text); /* takes over the text's data */
+void mo_reply_static(struct mo_request *request, unsigned status, const char *type,
+                     const char *body, size_t size);
+void mo_reply_bytes(struct mo_request *request, unsigned status, const char *type, char *body,
+                    size_t size);
+/* Replies with a problem document. faults nullable. detail NULL: that of the first fault, or the
+ * title of the status. */
+void mo_reply_problem(struct mo_request *request, unsigned status, const struct mo_faults *faults,
+                      const char *detail, ...) __attribute__((format(printf, 4, 5)));
+/* Replies with a problem about one query parameter (400), or one header field. detail NULL: what is
+ * said of the field. */
+void mo_reply_bad_parameter(struct mo_request *request, const char *name, const char *detail);
+void mo_reply_bad_header(struct mo_request *request, unsigned status, const char *name,
+                         const char *words, const char *detail);
+/* Replies with the usual problem of an error (500, 503, 507, 404 …). */
+void mo_reply_error(struct mo_request *request, int error, const char *what);
+/* Replies with JSON and its ETag, or with the problem of an error. */
+void mo_reply_text(struct mo_request *request, int error, struct mo_text *text, const char *what);
+/* Sets a strong ETag from parts, and status 304 if the client has that version. Call after a reply
+ * of status 200 was made. */
+void mo_reply_etag(struct mo_request *request, const char *format, ...)
+    __attribute__((format(printf, 2, 3)));
+/* Sets the ETag to the hash of the body; status 200 and 201. */
+void mo_reply_etag_of_body(struct mo_request *request);
+void mo_reply_extra(struct mo_request *request, const char *name, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
+void mo_reply_clear(struct mo_reply *reply);
+bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response);
+enum MHD_Result mo_reply_send(struct mo_request *request);
+
+/* last_reply.c: replies that bypass libmicrohttpd and end their connection. */
+#define MO_HEADER_BYTES 16384
+#define MO_HEADER_WORDS "request line and header may have 16384 bytes together."
+/* Sends request->reply. Call on the I/O thread before any reply was queued; libmicrohttpd must
+ * close the connection afterwards. */
+void mo_reply_last(struct mo_request *request);
+bool mo_last_replies_init(void); /* queue.c; false: libmicrohttpd's function is not found */
+enum MHD_Result mo_queue_response(struct MHD_Connection *mhd, unsigned status,
+                                  struct MHD_Response *response);
+
+#endif

@@ -1,0 +1,125 @@
+/* request.h: one request and its reply.
+ *
+ * Life of a request:
+ * - libmicrohttpd's URI callback creates the request when its target is known.
+ * - The header is checked and the body is received.
+ * - Direct routes and refusals are answered at once. For other routes the connection is suspended
+ *   and the request is queued for the API pool.
+ * - An API thread handles the request. The request may be parked until something ends (pool.h).
+ * - The connection is resumed, and its I/O thread sends the reply, logs the request and frees it.
+ *
+ * The connection owns the request: a request that the library never completes ends with its
+ * connection. Only one thread has a request at a time; requests are handed over under the pool's
+ * lock, or by libmicrohttpd's suspend and resume. */
+#ifndef MORPHO_HTTP_REQUEST_H
+#define MORPHO_HTTP_REQUEST_H
+
+#include <stdatomic.h>
+
+#include <microhttpd.h>
+
+#include "http/guard.h"
+#include "http/route.h"
+
+struct mo_client;
+struct mo_connection;
+struct mo_http;
+
+struct mo_reply {
+  unsigned status; /* 0: no reply yet */
+  const char *type;
+  char *body;        /* malloc; NULL: see fixed */
+  const char *fixed; /* static */
+  size_t size;
+  bool close, authenticate, etagged;
+  unsigned retry_after_s;
+  char etag[112], location[160], allow[64], applied[24];
+  unsigned n_extra;
+  struct {
+    const char *name;
+    char value[96];
+  } extra[6];
+};
+
+/* The query parameters of a request, decoded. */
+#define MO_QUERY_MAX 8
+struct mo_query {
+  char *text; /* malloc: the names and values */
+  unsigned n;
+  struct {
+    const char *name, *value;
+  } items[MO_QUERY_MAX];
+};
+
+#define MO_REASON_BYTES 640 /* size of a note for the log */
+
+enum mo_stage { MO_STAGE_TARGET, MO_STAGE_BODY, MO_STAGE_HANDLING, MO_STAGE_REPLY };
+
+struct mo_request {
+  struct mo_http *http;
+  struct MHD_Connection *mhd;
+  struct mo_connection *connection;
+  enum mo_stage stage;
+  char id[17];
+  char *raw_target; /* as received */
+  struct mo_target target;
+  char path[256]; /* for logs: truncated, control bytes replaced */
+  char method_text[16];
+  enum mo_method method;
+  const struct mo_route *route; /* the line of path and method; of a method that the path lacks, the
+                                   path's first line; NULL: there is no such path */
+  char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES];
+  struct mo_framing framing;
+  bool begun; /* the route's own rules are checked, and `query` is read */
+  struct mo_query query;
+  /* Body. */
+  uint64_t body_limit, body_seen, body_reserved;
+  struct mo_client *body_client; /* the client whose share `body_held` counts in */
+  uint64_t body_held;
+  char *body;
+  size_t body_size, body_capacity;
+  bool body_coming, body_gave_way; /* body.c */
+  struct mo_request *next_body, *previous_body;
+  struct mo_reply reply;
+  char reason[MO_REASON_BYTES]; /* for the log: why the service failed, or what it could not read;
+                                   "": nothing */
+  struct mo_client *client;
+  int64_t started_us;
+  uint64_t sent;
+  bool in_flight, answered; /* answered: by mo_reply_last */
+  /* Waiting (pool.c). */
+  int64_t wait_for, wait_deadline_us;
+  int wait_s; /* requested seconds (Prefer: wait); −1: none */
+  bool wait_fired, wait_parked, wait_over;
+  int64_t kept; /* of the handler, which may run again after a wait; 0 at first */
+  struct mo_request *next_waiting, *previous_waiting;
+  struct mo_request *next_queued;
+  /* A reply that is made piece by piece, or an event stream. refill: makes the next piece on an API
+   * thread and resumes the connection; NULL: the reply is whole. */
+  void (*refill)(struct mo_request *request);
+  struct mo_stream *stream;
+  struct mo_download *download;
+};
+
+/* Creates the request of a connection that has none. NULL: no memory. */
+struct mo_request *mo_request_begin(struct mo_connection *connection, struct MHD_Connection *mhd,
+                                    const char *target);
+/* Logs and frees the connection's request, if it has one. complete: the whole reply was sent. */
+void mo_request_end(struct mo_connection *connection, bool complete);
+
+/* ---- the memory of bodies and of large replies (body.c) ---- */
+
+#define MO_BODY_GAVE_WAY                                                                           \
+  "The body did not go on coming, and others needed its memory; try again later."
+/* Reserves `more` bytes for a request that already holds `held` bytes. False: too little is left. A
+ * request always gets its bytes if no other request holds any. */
+bool mo_body_memory_take(struct mo_http *http, uint64_t held, uint64_t more, bool small);
+/* Appends a piece to the body. MO_ERR_LIMIT: the client has used its share; MO_ERR_NO_MEMORY;
+ * MO_ERR_CANCELLED: the body was dropped. */
+int mo_body_add(struct mo_request *request, const char *bytes, size_t n);
+/* Ends the receiving: from here on the body is never dropped. False: it was dropped already. */
+bool mo_body_end(struct mo_request *request);
+/* Frees the body's memory, after it was read or will not be. */
+void mo_request_drop_body(struct mo_request *request);
+
+#endif

@@ -1,0 +1,35 @@
+/* campaign_excluded.h: the bodies on which a campaign's controller was pretrained. */
+#ifndef MORPHO_JOBS_CAMPAIGN_EXCLUDED_H
+#define MORPHO_JOBS_CAMPAIGN_EXCLUDED_H
+
+#include "jobs/campaign_run.h"
+
+/* ---- campaign_lineage.c ---- */
+/* The pretrainings in the lineage of the campaign's controller, newest first. */
+#define MO_LINEAGE_PARTS_MAX 16
+struct mo_lineage_part {
+  uint64_t seed, n_bodies; /* ≥ 1 */
+};
+struct mo_lineage {
+  struct mo_lineage_part parts[MO_LINEAGE_PARTS_MAX];
+  uint32_t n_parts;
+};
+/* Reads the lineage, reports each unreadable field as an event, and omits what depends on that
+ * field. MO_ERR_LIMIT: more bodies than can be drawn again. MO_ERR_CANCELLED: a request arrived
+ * while an event waited for space. */
+int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage);
+
+/* Reads the lineage before there is a run, and reports nothing. MO_ERR_LIMIT with a message. */
+int mo_lineage_reckon(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
+                      struct mo_lineage *lineage, struct mo_message *message);
+
+/* ---- campaign_excluded.c ---- */
+/* Returns the forms of the bodies on which the campaign's controller and its ancestors were
+ * pretrained. Draws these bodies again, or shares the set of another campaign that has or draws
+ * them. *exclusion NULL: there are none. MO_ERR_CANCELLED: a request arrived. */
+int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **exclusion);
+void mo_exclusion_release(struct mo_campaign_run *run,
+                          struct mo_exclusion *exclusion); /* NULL-safe */
+const struct mo_form_set *mo_exclusion_forms(const struct mo_exclusion *exclusion);
+
+#endif

@@ -1,0 +1,519 @@
+/* evaluation.c: the kind "evaluation": the thread that decides what is computed next.
+ *
+ * Each round takes finished blocks, requests and the result of a save from the inbox; claims queued
+ * jobs while places are free; fills the back end's window, interactive jobs first; starts a save
+ * when one is due; and sleeps until news or the next due time. Among jobs of one priority, the job
+ * with the least virtual time goes next. A block advances the virtual time of its job by rollouts ×
+ * steps / weight. A new job starts at the virtual time of the running ones, so that no job waits
+ * for the others to end. The back end divides its time between all evaluations together and the
+ * trainings and campaigns; the share of evaluations weighs as much as they do. */
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "base/clock.h"
+#include "jobs/evaluation.h"
+#include "jobs/submission.h"
+
+#define DESIGNS_A_ROUND 256
+#define ROUND_US        1000000
+#define CLAIMS_MAX      1024
+
+/* ---- active jobs ---- */
+
+static void free_active(struct mo_evaluations *all, struct mo_active *active)
+{
+  mo_loaded_release(&all->controllers, active->controller);
+  mo_work_free(active->work);
+  mo_grid_free(&active->grid);
+  free(active);
+}
+
+/* Frees the detached jobs that have no references and whose counts are saved; after an error only
+ * when a delay has passed. Such a job may be claimed again. Returns when to look next; 0: at once.
+ */
+static int64_t sweep(struct mo_evaluations *all)
+{
+  const int64_t now = mo_clock_us();
+  int64_t next = INT64_MAX;
+  struct mo_active **link = &all->actives;
+  while (*link != NULL) {
+    struct mo_active *active = *link;
+    if (!active->detached || active->failing || active->changed || active->references > 0) {
+      link = &active->next;
+    } else if (active->until_us > now) {
+      next = active->until_us < next ? active->until_us : next;
+      link = &active->next;
+    } else {
+      *link = active->next;
+      free_active(all, active);
+      next = 0;
+    }
+  }
+  return next;
+}
+
+static uint32_t count_active(const struct mo_evaluations *all, enum mo_urgency priority)
+{
+  uint32_t n = 0;
+  for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
+    n += !active->detached && active->priority == priority;
+  return n;
+}
+
+/* Returns whether an earlier claim of the job still exists. A resumed job is claimed only when its
+ * earlier blocks have finished and are saved; otherwise they would be computed twice and counted as
+ * another job's. */
+static bool is_held(const struct mo_evaluations *all, int64_t id)
+{
+  for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
+    if (active->id == id)
+      return true;
+  return false;
+}
+
+/* Marks what earlier claims of the job have done. */
+static void mark_finished(struct mo_active *active)
+{
+  const struct mo_work *work = active->work;
+  active->total = work->job.rollouts_total;
+  active->private_runs = work->finished != NULL;
+  if (!active->private_runs) {
+    active->done_before = work->job.rollouts_done;
+    active->cached_before = work->job.rollouts_cached;
+    active->diverged_before = work->job.rollouts_diverged;
+    if (work->job.rollouts_done > work->job.rollouts_cached)
+      active->own_before = work->job.rollouts_done - work->job.rollouts_cached;
+    return;
+  }
+  for (uint32_t design = 0; design < work->n_designs; design++)
+    for (uint32_t k = 0; k < work->n_environments; k++)
+      if (work->finished[(size_t)design * work->n_environments + k])
+        (void)mo_grid_finish(&active->grid, design, k);
+  active->done = work->n_finished;
+  active->diverged = work->n_finished_diverged;
+}
+
+static int load_active(struct mo_evaluations *all, struct mo_active *active, char text[256])
+{
+  const struct mo_work *work;
+  int error = mo_store_load_work(all->jobs->store, active->id, &active->work);
+  snprintf(text, 256, "the job could not be prepared: %s",
+           mo_error_text(error != MO_OK ? error : MO_ERR_NO_MEMORY));
+  if (error != MO_OK)
+    return error;
+  work = active->work;
+  active->weight = work->job.weight;
+  active->back_end = work->job.back_end;
+  active->grid = (struct mo_grid){.block = {.lattice = all->jobs->lattice,
+                                            .physics = work->job.physics,
+                                            .precision = work->job.precision,
+                                            .urgency = work->job.priority,
+                                            .back_end = work->job.back_end,
+                                            .cancel = &active->cancel,
+                                            .tag = active->id,
+                                            .share = all->jobs->evaluation_share},
+                                  .genotypes = work->genotypes,
+                                  .environments = work->environments,
+                                  .n_designs = work->n_designs,
+                                  .n_environments = work->n_environments};
+  error = mo_grid_create(&active->grid);
+  if (error != MO_OK)
+    return error;
+  mark_finished(active);
+  error = mo_loaded_acquire(&all->controllers, &active->work->job.controller_sha256,
+                            &active->controller);
+  if (error == MO_OK)
+    active->grid.block.controller = active->controller->ready;
+  if (mo_controller_is_unusable(error))
+    mo_controller_describe_fault(&active->work->job.controller_sha256, "submit again", text);
+  else
+    snprintf(text, 256, "the controller could not be prepared: %s", mo_error_text(error));
+  return error;
+}
+
+static bool claim_one(struct mo_evaluations *all, int64_t id, enum mo_urgency priority)
+{
+  struct mo_active *active = calloc(1, sizeof(*active));
+  char text[256];
+  int error;
+  if (active == NULL)
+    return false;
+  active->id = id;
+  active->priority = priority;
+  active->weight = 1;
+  active->last_event_us = mo_clock_us();
+  error = load_active(all, active, text);
+  active->pass = all->pass[mo_lane_of(active)];
+  active->next = all->actives;
+  all->actives = active;
+  if (mo_pending_update(all, active, MO_STEP_START, MO_OK, NULL) == NULL) {
+    active->detached = true;
+    return false;
+  }
+  if (error != MO_OK) {
+    mo_active_fail(all, active, error, text);
+  } else if (active->done == active->total) {
+    mo_pending_touch(all); /* its last rollouts were saved, but not its end */
+  }
+  return true;
+}
+
+static void claim_priority(struct mo_evaluations *all, enum mo_urgency priority, uint32_t places)
+{
+  int64_t ids[CLAIMS_MAX];
+  uint32_t n_active = count_active(all, priority);
+  size_t limit = (size_t)n_active + places;
+  int64_t n;
+  if (n_active >= places)
+    return;
+  for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
+    limit += active->detached;
+  n = mo_store_queued(all->jobs->store, priority, 0, ids, limit < CLAIMS_MAX ? limit : CLAIMS_MAX);
+  if (n < 0)
+    all->look_again = true; /* within a second */
+  for (int64_t i = 0; i < n && n_active < places; i++) {
+    if (is_held(all, ids[i]))
+      continue;
+    if (!claim_one(all, ids[i], priority))
+      return;
+    n_active++;
+  }
+}
+
+/* ---- after a save ---- */
+
+static void settle_update(struct mo_evaluations *all, struct mo_active *active,
+                          const struct mo_job_update *update)
+{
+  switch (update->step) {
+  case MO_STEP_START:
+  case MO_STEP_PROGRESS:
+    if (!update->applied)
+      mo_active_detach(active); /* paused or cancelled by a request */
+    break;
+  case MO_STEP_SUCCEED:
+    active->detached = true;
+    if (update->applied) {
+      atomic_fetch_add(&all->jobs->jobs_succeeded, 1);
+      mo_jobs_closed(all->jobs, 1, active->total);
+    }
+    break;
+  case MO_STEP_RETRY:
+    active->failing = false;
+    if (update->applied && update->state == MO_JOB_FAILED) {
+      atomic_fetch_add(&all->jobs->jobs_failed, 1);
+      if (active->work != NULL)
+        mo_jobs_closed(all->jobs, 1, active->total);
+      else
+        mo_jobs_recount(all->jobs);
+    } else {
+      active->until_us = mo_clock_us() + (int64_t)all->jobs->config.retry_ms * 1000;
+    }
+    break;
+  case MO_STEP_HALT: active->failing = false; break;
+  case MO_STEP_PARK: break;
+  }
+}
+
+static void settle(struct mo_evaluations *all, int status)
+{
+  struct mo_pending *saving = &all->saving;
+  while (saving->rollouts != NULL) {
+    struct mo_rollout *rollout = saving->rollouts;
+    saving->rollouts = rollout->next_save;
+    mo_rollout_forget(all, rollout);
+  }
+  if (status != MO_OK)
+    for (struct mo_active *active = all->actives; active != NULL; active = active->next)
+      if (!active->detached)
+        mo_active_fail(all, active, status, "its losses could not be saved");
+  for (size_t i = 0; i < saving->updates.n; i++) {
+    const struct mo_job_update *update = &saving->save.updates[i];
+    struct mo_active *active = ((struct mo_active **)saving->owners.rows)[i];
+    if (status == MO_OK)
+      settle_update(all, active, update);
+    else if (update->step == MO_STEP_RETRY || update->step == MO_STEP_HALT)
+      active->failing = mo_pending_update(all, active, update->step, update->error,
+                                          update->error_text) != NULL; /* without the results */
+    active->references--;
+  }
+  mo_pending_clear(saving);
+  all->look_again = true;
+}
+
+static void end_save(struct mo_evaluations *all, int status)
+{
+  all->is_saving = false;
+  atomic_store(&all->jobs->no_space, status == MO_ERR_NO_SPACE);
+  switch (status) {
+  case MO_ERR_NO_SPACE:
+  case MO_ERR_BUSY:
+  case MO_ERR_NO_MEMORY:
+    all->retry_save_us = mo_clock_us() + (int64_t)all->jobs->config.retry_ms * 1000;
+    break;
+  case MO_ERR_IO:
+  case MO_ERR_CANCELLED: all->broken = true; break;
+  default: settle(all, status); break;
+  }
+}
+
+/* ---- filling the window ---- */
+
+static struct mo_active *pick(struct mo_evaluations *all, enum mo_lane lane)
+{
+  const bool is_full = mo_saver_is_full(all);
+  struct mo_active *best = NULL;
+  for (struct mo_active *active = all->actives; active != NULL; active = active->next)
+    if (!active->detached && !active->finishing && mo_lane_of(active) == lane &&
+        !(is_full && (active->work->job.record_com || active->work->job.record_masses)) &&
+        active->grid.cursor < active->grid.n_designs && (best == NULL || active->pass < best->pass))
+      best = active;
+  return best;
+}
+
+/* true: the round's budget of designs is used up, and work is left. */
+static bool fill(struct mo_evaluations *all, enum mo_lane lane, uint32_t window)
+{
+  unsigned budget = DESIGNS_A_ROUND;
+  while (all->n_flights[lane] < window) {
+    struct mo_active *active = pick(all, lane);
+    if (active == NULL)
+      return false;
+    all->pass[lane] = active->pass;
+    (void)mo_active_advance(all, active, &budget);
+    if (budget == 0)
+      return true;
+  }
+  return false;
+}
+
+/* ---- rounds ---- */
+
+struct inbox {
+  struct mo_flight *finished;
+  bool look, requests, saved, stopping;
+  int save_error;
+};
+
+static bool is_empty(const struct mo_evaluations *all)
+{
+  return all->landing.finished == NULL && !all->saved && all->runners->look == all->seen &&
+         all->runners->requests == all->seen_requests;
+}
+
+static void take_inbox(struct mo_evaluations *all, int64_t until_us, struct inbox *inbox)
+{
+  struct mo_runners *runners = all->runners;
+  struct timespec deadline = {.tv_sec = until_us / 1000000, .tv_nsec = (until_us % 1000000) * 1000};
+  pthread_mutex_lock(&runners->mutex);
+  while (is_empty(all))
+    if (pthread_cond_timedwait(&runners->news, &runners->mutex, &deadline) == ETIMEDOUT)
+      break;
+  *inbox = (struct inbox){.finished = all->landing.finished,
+                          .look = runners->look != all->seen,
+                          .requests = runners->requests != all->seen_requests,
+                          .saved = all->saved,
+                          .stopping = runners->stopping,
+                          .save_error = all->save_error};
+  all->landing.finished = NULL;
+  all->saved = false;
+  all->seen = runners->look;
+  all->seen_requests = runners->requests;
+  pthread_mutex_unlock(&runners->mutex);
+}
+
+/* Reads the weight of a job again, and whether it was paused or cancelled: a request says no more
+ * than that some job has changed. Keeps the job's lead or lag in rollout steps. If the job is
+ * resumed before a save in progress has written its start, the database says "running" although no
+ * thread runs it, so requeue it. Requeueing a paused or cancelled job is a no-op. */
+static int review(struct mo_evaluations *all, struct mo_active *active)
+{
+  const double pass = all->pass[mo_lane_of(active)];
+  struct mo_job job;
+  const int error = mo_store_job(all->jobs->store, active->id, &job);
+  if (error != MO_OK)
+    return error;
+  if (job.weight != active->weight)
+    active->pass = pass + (active->pass - pass) * active->weight / job.weight;
+  active->weight = job.weight;
+  if (job.state != MO_JOB_RUNNING && job.state != MO_JOB_QUEUED) { /* its start may be unsaved */
+    mo_active_detach(active); /* a block may take minutes; it is computed again after a pause */
+    (void)mo_pending_update(all, active, MO_STEP_PARK, MO_OK, NULL);
+  }
+  return MO_OK;
+}
+
+static void review_all(struct mo_evaluations *all)
+{
+  all->review_again = false;
+  for (struct mo_active *active = all->actives; active != NULL; active = active->next)
+    if (!active->detached && review(all, active) != MO_OK)
+      all->review_again = true; /* within a second */
+  all->look_again = true;
+}
+
+/* Lets the jobs look up again what they have deferred. */
+static void visit_again(struct mo_evaluations *all)
+{
+  for (struct mo_active *active = all->actives; active != NULL; active = active->next)
+    if (active->has_deferred) {
+      active->has_deferred = false;
+      active->grid.cursor = 0;
+    }
+  all->visit_again = false;
+}
+
+static void weigh_evaluations(struct mo_evaluations *all)
+{
+  double sum = 0;
+  for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
+    if (!active->detached && active->priority == MO_BATCH)
+      sum += active->weight;
+  if (sum <= 0 || sum == all->weight)
+    return;
+  all->weight = sum;
+  mo_compute_share_set_weight(all->jobs->evaluation_share, sum);
+}
+
+/* Claims jobs and launches blocks. Returns whether more can be done at once. */
+static bool go_on(struct mo_evaluations *all, bool look)
+{
+  bool more;
+  if (look) {
+    claim_priority(all, MO_INTERACTIVE, all->jobs->config.max_active_interactive);
+    claim_priority(all, MO_BATCH, all->jobs->config.max_active_batch);
+  }
+  weigh_evaluations(all);
+  if (mo_saver_is_behind(all))
+    return false;
+  more = fill(all, MO_LANE_INTERACTIVE, all->jobs->config.window_interactive);
+  more = fill(all, MO_LANE_DEVICE, all->jobs->config.window_device) || more;
+  return fill(all, MO_LANE_BATCH, all->jobs->config.window_batch) || more;
+}
+
+/* Runs one round of stopping. true: all is done. */
+static bool wind_down(struct mo_evaluations *all, bool *parked)
+{
+  for (struct mo_active *active = all->actives; active != NULL; active = active->next)
+    __atomic_store_n(&active->cancel, 1, __ATOMIC_RELAXED);
+  for (int lane = 0; lane < MO_LANES; lane++)
+    if (all->n_flights[lane] > 0)
+      return false;
+  if (!*parked) {
+    for (struct mo_active *active = all->actives; active != NULL; active = active->next)
+      if (!active->detached && !active->finishing && active->done < active->total)
+        (void)mo_pending_update(all, active, MO_STEP_PARK, MO_OK, NULL);
+    *parked = true;
+  }
+  return mo_saver_idle(all) ||
+         (!all->is_saving &&
+          (atomic_load(&all->jobs->abandon) || all->broken || atomic_load(&all->jobs->no_space)));
+}
+
+static void publish(struct mo_evaluations *all)
+{
+  atomic_store(&all->jobs->active_batch, count_active(all, MO_BATCH));
+  atomic_store(&all->jobs->active_interactive, count_active(all, MO_INTERACTIVE));
+  atomic_store(&all->jobs->heartbeat_us, mo_clock_us());
+}
+
+static void *serve(void *context)
+{
+  struct mo_evaluations *all = ((struct mo_runner *)context)->jobs->evaluations;
+  int64_t until = 0;
+  bool parked = false;
+  for (;;) {
+    struct inbox inbox;
+    int64_t due, next;
+    bool more = false;
+    take_inbox(all, until, &inbox);
+    while (inbox.finished != NULL) {
+      struct mo_flight *flight = inbox.finished;
+      inbox.finished = flight->next;
+      mo_active_land(all, flight);
+    }
+    if (inbox.requests || all->review_again)
+      review_all(all);
+    if (inbox.saved)
+      end_save(all, inbox.save_error);
+    if (all->visit_again)
+      visit_again(all);
+    inbox.look = inbox.look || all->look_again;
+    all->look_again = false;
+    if (inbox.stopping) {
+      if (wind_down(all, &parked))
+        break;
+    } else if (!all->broken && !atomic_load(&all->jobs->no_space)) {
+      more = go_on(all, inbox.look);
+    }
+    due = mo_saver_run(all, inbox.stopping);
+    next = sweep(all);
+    all->look_again = all->look_again || next == 0;
+    publish(all);
+    until = mo_clock_us() + (more ? 0 : ROUND_US);
+    if (due < until)
+      until = due;
+    if (next < until)
+      until = next;
+  }
+  publish(all);
+  return NULL;
+}
+
+/* ---- the kind ---- */
+
+static int open_all(struct mo_jobs *jobs)
+{
+  struct mo_evaluations *all = calloc(1, sizeof(*all));
+  if (all == NULL)
+    return MO_ERR_NO_MEMORY;
+  all->jobs = jobs;
+  all->runners = &jobs->runners[MO_JOB_EVALUATION];
+  all->landing = (struct mo_landing){.mutex = &all->runners->mutex, .news = &all->runners->news};
+  all->look_again = true;
+  all->controllers = (struct mo_controller_cache){
+      .store = jobs->store, .compute = jobs->compute, .kept = jobs->config.controllers_kept};
+  jobs->evaluations = all;
+  return mo_compute_share_create(jobs->compute, 1, &jobs->evaluation_share);
+}
+
+static void free_rollouts(struct mo_pending *pending)
+{
+  while (pending->rollouts != NULL) {
+    struct mo_rollout *rollout = pending->rollouts;
+    pending->rollouts = rollout->next_save;
+    free(rollout);
+  }
+  mo_pending_free(pending);
+}
+
+static void close_all(struct mo_jobs *jobs)
+{
+  struct mo_evaluations *all = jobs->evaluations;
+  if (all == NULL)
+    return;
+  free_rollouts(&all->saving);
+  free_rollouts(&all->pending);
+  while (all->actives != NULL) {
+    struct mo_active *active = all->actives;
+    all->actives = active->next;
+    free_active(all, active);
+  }
+  mo_loaded_free_all(&all->controllers);
+  mo_compute_share_free(jobs->evaluation_share);
+  free(all);
+}
+
+static uint32_t threads(const struct mo_jobs_config *config)
+{
+  (void)config;
+  return 1;
+}
+
+const struct mo_kind mo_evaluation_kind = {.kind = MO_JOB_EVALUATION,
+                                           .threads = threads,
+                                           .open = open_all,
+                                           .close = close_all,
+                                           .serve = serve};

@@ -1,0 +1,131 @@
+/* evaluation.h: the state of the running evaluations. Only for the files evaluation*.c.
+ *
+ * One thread serves all evaluations and owns what is here; other threads only add to the inbox.
+ *
+ * - active: a running job and the grid of its cells
+ * - rollout: one (genotype, controller, physics, environment) that is being computed or waits for
+ *   its commit; other jobs that need it defer the cell until the store has the score
+ * - pending: what the next save will write; at most one save is in progress */
+#ifndef MORPHO_JOBS_EVALUATION_H
+#define MORPHO_JOBS_EVALUATION_H
+
+#include "jobs/controllers.h"
+#include "jobs/scoring.h"
+#include "store/runner.h"
+
+#define MO_ROLLOUT_BUCKETS 4096
+
+/* A queue of jobs that wait for the same resource: workers, workers with priority, devices. Each
+ * lane has its own window and virtual time. */
+enum mo_lane { MO_LANE_BATCH = 0, MO_LANE_INTERACTIVE = 1, MO_LANE_DEVICE = 2, MO_LANES };
+
+struct mo_active {
+  struct mo_work *work; /* NULL: could not be loaded */
+  int64_t id;
+  enum mo_urgency priority;
+  enum mo_back_end back_end;
+  double weight;
+  struct mo_loaded *controller;
+  struct mo_grid grid;
+  uint64_t total, done, cached, diverged;
+  /* Counts reported before this claim of a job that shares rollouts. The job finds its cells in the
+   * store again, in any order; meanwhile the reported counts never decrease. */
+  uint64_t done_before, cached_before, diverged_before;
+  uint64_t own_before; /* rollouts computed before this claim; found in the store, but not counted
+                          as cached */
+  double pass;         /* virtual time: rollout steps / weight; the job with the least goes next */
+  bool private_runs;   /* verify or recording: shares no rollouts and skips look-ups */
+  bool has_deferred;   /* cells; they are visited again after the next save */
+  bool detached; /* cancelled, paused or failed: makes no new blocks; finished ones still count */
+  volatile int cancel; /* set when detached: ends its blocks */
+  bool failing;        /* detached, and its error is not committed yet */
+  bool finishing;      /* a save contains its end */
+  bool changed;        /* counts differ from those last saved */
+  int64_t last_event_us;
+  int64_t until_us;    /* after an error: the job is not claimed again before */
+  uint32_t references; /* from flights and saves */
+  struct mo_active *next;
+};
+
+struct mo_rollout {
+  int64_t genotype, controller, physics, environment;
+  bool on_device;               /* being computed there */
+  struct mo_rollout *next;      /* in its bucket */
+  struct mo_rollout *next_save; /* in pending or in the current save */
+};
+
+/* A growing array. */
+struct mo_rows {
+  void *rows;
+  size_t n, room;
+};
+/* What one save writes. */
+struct mo_pending {
+  struct mo_rows scores, trajectories, designs, updates;
+  struct mo_rows owners;       /* the active of each update, which holds a reference */
+  struct mo_rollout *rollouts; /* to forget after the commit */
+  struct mo_save save;         /* points to the rows, while it is in progress */
+  uint64_t recorded_bytes;
+  int64_t since_us; /* time of the first entry; 0: empty */
+  bool urgent;
+};
+
+struct mo_evaluations {
+  struct mo_jobs *jobs;
+  struct mo_runners *runners;
+  /* The inbox, under the mutex of the runners. */
+  struct mo_landing landing;
+  bool saved;
+  int save_error;
+
+  uint64_t seen, seen_requests; /* of runners->look and ->requests */
+  struct mo_active *actives;
+  uint32_t n_flights[MO_LANES];
+  uint64_t recording_bytes; /* of recordings in flight */
+  struct mo_rollout *buckets[MO_ROLLOUT_BUCKETS];
+  struct mo_controller_cache controllers;
+  struct mo_pending pending, saving;
+  double pass[MO_LANES]; /* virtual time */
+  double weight;         /* of the share */
+  bool is_saving;
+  int64_t retry_save_us; /* time of the next try after lack of space */
+  bool broken;           /* the store is lost: no more work is started */
+  bool look_again;       /* there may be queued jobs */
+  bool review_again;     /* a job could not be read */
+  bool visit_again;      /* rollouts were forgotten: deferred cells can be looked up */
+};
+
+/* ---- evaluation_save.c ---- */
+int mo_pending_score(struct mo_evaluations *all, const struct mo_saved_score *score);
+int mo_pending_design(struct mo_evaluations *all, const struct mo_saved_design *design);
+int mo_pending_trajectory(struct mo_evaluations *all, const struct mo_saved_trajectory *trajectory);
+/* Returns the update, valid until the next one, or NULL. */
+struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_active *active,
+                                        enum mo_job_step step, int error, const char *text);
+void mo_pending_touch(struct mo_evaluations *all); /* marks that something must be saved */
+void mo_pending_clear(struct mo_pending *pending); /* empties it, but keeps its arrays */
+void mo_pending_free(struct mo_pending *pending);
+/* Starts a save when one is due, or at once. Returns the time when the next one is due, INT64_MAX
+ * for none. */
+int64_t mo_saver_run(struct mo_evaluations *all, bool at_once);
+bool mo_saver_idle(const struct mo_evaluations *all); /* nothing pending or in progress */
+/* Returns whether unsaved recordings take so much memory that no new recording may start. */
+bool mo_saver_is_full(const struct mo_evaluations *all);
+/* Returns whether the store lags so far that no new work may start. */
+bool mo_saver_is_behind(const struct mo_evaluations *all);
+
+/* ---- evaluation_blocks.c ---- */
+enum mo_lane mo_lane_of(const struct mo_active *active);
+/* Visits designs of `active` until a block is submitted (1), `budget` designs were visited (0), or
+ * no cell is to do (−1). */
+int mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsigned *budget);
+/* Makes no new blocks of the job, and ends those in flight. */
+void mo_active_detach(struct mo_active *active);
+/* Requeues the job with one more attempt; with MO_ERR_DEVICE, pauses it. */
+void mo_active_fail(struct mo_evaluations *all, struct mo_active *active, int error,
+                    const char *text);
+/* Stores the results of a finished block and frees it. */
+void mo_active_land(struct mo_evaluations *all, struct mo_flight *flight);
+void mo_rollout_forget(struct mo_evaluations *all, struct mo_rollout *rollout);
+
+#endif

@@ -1,0 +1,234 @@
+/* evaluation_save.c: batches results into transactions; at most one save is in progress.
+ *
+ * Losses wait at most save_interval_ms; losses of interactive jobs do not wait. A save is one
+ * transaction: the losses since the last save, the counts of their jobs, and the ends of jobs whose
+ * last loss is included. If the disk is full, the save is kept and tried again every second
+ * (retry_ms). No new work starts meanwhile, nor while the store is so slow that unsaved results
+ * would fill the memory. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/clock.h"
+#include "jobs/evaluation.h"
+
+#define EVENT_EVERY_US 1000000
+#define SCORES_AT_ONCE 4096
+#define SCORES_BEHIND  16384
+#define BYTES_BEHIND   (UINT64_C(64) << 20)
+
+static uint64_t larger(uint64_t a, uint64_t b)
+{
+  return a > b ? a : b;
+}
+
+void mo_pending_touch(struct mo_evaluations *all)
+{
+  if (all->pending.since_us == 0)
+    all->pending.since_us = mo_clock_us();
+}
+
+/* Returns space for one more row, or NULL. */
+static void *add(struct mo_evaluations *all, struct mo_rows *rows, size_t size)
+{
+  if (rows->n == rows->room) {
+    const size_t more = rows->room > 0 ? rows->room * 2 : 64;
+    void *grown = realloc(rows->rows, more * size);
+    if (grown == NULL)
+      return NULL;
+    rows->rows = grown;
+    rows->room = more;
+  }
+  mo_pending_touch(all);
+  return (uint8_t *)rows->rows + size * rows->n++;
+}
+
+int mo_pending_score(struct mo_evaluations *all, const struct mo_saved_score *score)
+{
+  struct mo_saved_score *row = add(all, &all->pending.scores, sizeof(*row));
+  if (row == NULL)
+    return MO_ERR_NO_MEMORY;
+  *row = *score;
+  return MO_OK;
+}
+
+int mo_pending_design(struct mo_evaluations *all, const struct mo_saved_design *design)
+{
+  struct mo_saved_design *row = add(all, &all->pending.designs, sizeof(*row));
+  if (row == NULL)
+    return MO_ERR_NO_MEMORY;
+  *row = *design;
+  return MO_OK;
+}
+
+int mo_pending_trajectory(struct mo_evaluations *all, const struct mo_saved_trajectory *trajectory)
+{
+  struct mo_saved_trajectory *row = add(all, &all->pending.trajectories, sizeof(*row));
+  if (row == NULL)
+    return MO_ERR_NO_MEMORY;
+  *row = *trajectory;
+  all->pending.recorded_bytes +=
+      (uint64_t)trajectory->frames * ((trajectory->com_m != NULL ? 24 : 0) +
+                                      (trajectory->mass_m != NULL ? trajectory->n_masses * 12 : 0));
+  return MO_OK;
+}
+
+struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_active *active,
+                                        enum mo_job_step step, int error, const char *text)
+{
+  struct mo_active **owner = add(all, &all->pending.owners, sizeof(struct mo_active *));
+  struct mo_job_update *update =
+      owner != NULL ? add(all, &all->pending.updates, sizeof(*update)) : NULL;
+  if (update == NULL) {
+    all->pending.owners.n = all->pending.updates.n;
+    return NULL;
+  }
+  *owner = active;
+  *update = (struct mo_job_update){.job = active->id,
+                                   .step = step,
+                                   .total = active->total,
+                                   .done = larger(active->done, active->done_before),
+                                   .cached = larger(active->cached, active->cached_before),
+                                   .diverged = larger(active->diverged, active->diverged_before),
+                                   .started_us = step == MO_STEP_START ? mo_clock_wall_us() : 0,
+                                   .error = error,
+                                   .max_attempts = all->jobs->config.max_attempts};
+  if (text != NULL)
+    snprintf(update->error_text, sizeof(update->error_text), "%s", text);
+  active->references++;
+  return update;
+}
+
+/* Empties the batch but keeps its arrays. */
+void mo_pending_clear(struct mo_pending *pending)
+{
+  const struct mo_saved_trajectory *trajectories = pending->trajectories.rows;
+  for (size_t i = 0; i < pending->trajectories.n; i++) {
+    free((void *)trajectories[i].com_m);
+    free((void *)trajectories[i].mass_m);
+  }
+  pending->scores.n = pending->trajectories.n = pending->designs.n = 0;
+  pending->updates.n = pending->owners.n = 0;
+  pending->rollouts = NULL;
+  pending->recorded_bytes = 0;
+  pending->since_us = 0;
+  pending->urgent = false;
+}
+
+void mo_pending_free(struct mo_pending *pending)
+{
+  mo_pending_clear(pending);
+  free(pending->scores.rows);
+  free(pending->trajectories.rows);
+  free(pending->designs.rows);
+  free(pending->updates.rows);
+  free(pending->owners.rows);
+}
+
+bool mo_saver_idle(const struct mo_evaluations *all)
+{
+  return !all->is_saving && all->saving.since_us == 0 && all->pending.since_us == 0;
+}
+
+bool mo_saver_is_behind(const struct mo_evaluations *all)
+{
+  const struct mo_pending *pending = &all->pending;
+  if (all->saving.since_us != 0 && !all->is_saving)
+    return true; /* the save failed and will be tried again */
+  return pending->scores.n + pending->designs.n >= SCORES_BEHIND ||
+         pending->recorded_bytes >= BYTES_BEHIND;
+}
+
+bool mo_saver_is_full(const struct mo_evaluations *all)
+{
+  const uint64_t most =
+      all->jobs->config.max_memory > 0 ? all->jobs->config.max_memory / 8 : BYTES_BEHIND;
+  return all->recording_bytes + all->pending.recorded_bytes + all->saving.recorded_bytes >=
+         (most < BYTES_BEHIND ? most : BYTES_BEHIND);
+}
+
+static void save_done(struct mo_save *save, int status)
+{
+  struct mo_evaluations *all = save->context;
+  pthread_mutex_lock(&all->runners->mutex);
+  all->saved = true;
+  all->save_error = status;
+  pthread_cond_broadcast(&all->runners->news);
+  pthread_mutex_unlock(&all->runners->mutex);
+}
+
+static void start(struct mo_evaluations *all)
+{
+  struct mo_pending *saving = &all->saving;
+  int error;
+  all->is_saving = true;
+  saving->save = (struct mo_save){.scores = saving->scores.rows,
+                                  .n_scores = saving->scores.n,
+                                  .trajectories = saving->trajectories.rows,
+                                  .n_trajectories = saving->trajectories.n,
+                                  .designs = saving->designs.rows,
+                                  .n_designs = saving->designs.n,
+                                  .updates = saving->updates.rows,
+                                  .n_updates = saving->updates.n,
+                                  .done = save_done,
+                                  .context = all};
+  error = mo_store_save(all->jobs->store, &saving->save);
+  if (error != MO_OK)
+    save_done(&saving->save, error);
+}
+
+/* Adds the counts and ends of the jobs whose losses are pending. */
+static void add_counts(struct mo_evaluations *all)
+{
+  int64_t now = mo_clock_us();
+  for (struct mo_active *active = all->actives; active != NULL; active = active->next) {
+    bool ended = !active->detached && active->done == active->total;
+    struct mo_job_update *update;
+    if (active->finishing || !(active->changed || ended))
+      continue;
+    update =
+        mo_pending_update(all, active, ended ? MO_STEP_SUCCEED : MO_STEP_PROGRESS, MO_OK, NULL);
+    if (update == NULL)
+      continue; /* retried with the next save */
+    active->changed = false;
+    active->finishing = ended;
+    update->quiet = !ended && now - active->last_event_us < EVENT_EVERY_US;
+    if (!ended && !update->quiet)
+      active->last_event_us = now;
+  }
+}
+
+static bool interactive_ended(const struct mo_evaluations *all)
+{
+  for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
+    if (!active->detached && !active->finishing && active->priority == MO_INTERACTIVE &&
+        active->done == active->total)
+      return true;
+  return false;
+}
+
+int64_t mo_saver_run(struct mo_evaluations *all, bool at_once)
+{
+  int64_t now = mo_clock_us();
+  int64_t due;
+  struct mo_pending swap;
+  if (all->is_saving || all->broken)
+    return INT64_MAX;
+  if (all->saving.since_us != 0) { /* a save that failed for lack of space */
+    if (now < all->retry_save_us)
+      return all->retry_save_us;
+    start(all);
+    return INT64_MAX;
+  }
+  if (all->pending.since_us == 0)
+    return INT64_MAX;
+  due = all->pending.since_us + (int64_t)all->jobs->config.save_interval_ms * 1000;
+  if (!at_once && now < due && !all->pending.urgent && all->pending.scores.n < SCORES_AT_ONCE &&
+      !interactive_ended(all))
+    return due;
+  add_counts(all);
+  swap = all->saving;
+  all->saving = all->pending;
+  all->pending = swap;
+  start(all);
+  return INT64_MAX;
+}

@@ -1,0 +1,60 @@
+/* learner.h: learning on the back end, for trainings and for campaigns that learn. */
+#ifndef MORPHO_JOBS_LEARNER_H
+#define MORPHO_JOBS_LEARNER_H
+
+#include <morpho/learning.h>
+
+#include "jobs/state.h"
+
+/* A training with the state that the back end needs for its gradients. */
+struct mo_learner {
+  struct mo_training *training;
+  struct mo_gradient_state *gradients;
+  enum mo_back_end back_end; /* set by mo_learner_prepare */
+  /* The current gradient; batch.computed_on names the back end that computed it. */
+  struct mo_gradient_batch batch;
+  int error;
+  bool computes, draws; /* threads of this step */
+  pthread_t computing, drawing;
+  int64_t start_us;
+  double *d_parameters;
+  struct mo_outcome *outcomes;
+};
+/* Prepares the learner for its training. Call it again when another training of the same controller
+ * and batch takes its place. MO_ERR_NO_MEMORY. */
+int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct mo_learner *learner);
+/* Sets the designs of the training and discards the batch that was laid out ahead. */
+int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, uint32_t n,
+                           struct mo_message *message);
+/* One step: the gradient of the drawn robots, then its application. `write` writes what is due from
+ * earlier steps and may read the state of the training. On devices, `write` and the drawing of the
+ * next robots run during the gradient. On workers, where a gradient takes a hundred times as long,
+ * that would gain nothing, so the gradient starts after `write` succeeds. An error of `write` comes
+ * before one of the gradient. seconds: of the whole step. */
+struct mo_learner_turn {
+  enum mo_urgency urgency;
+  int64_t tag;
+  struct mo_compute_share *share;
+  const volatile int *cancel;
+  int (*write)(void *context);
+  void *context;
+};
+int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots,
+                        const struct mo_learner_turn *turn);
+int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report,
+                     double *seconds);
+void mo_learner_free(struct mo_learner *learner); /* also frees the training */
+
+/* The controller that a training has made, and its file. */
+struct mo_learned {
+  struct mo_controller *controller;
+  uint8_t *bytes;
+  size_t size;
+};
+/* parent, code: nullable. */
+int mo_learned_create(const struct mo_training *training, const struct mo_sha256 *parent,
+                      const char *code_version, const struct mo_training_lineage *code,
+                      struct mo_learned *learned);
+void mo_learned_free(struct mo_learned *learned);
+
+#endif

@@ -1,0 +1,37 @@
+/* live.h: state of a job with a thread of its own that exists only in the running process. */
+#ifndef MORPHO_JOBS_LIVE_H
+#define MORPHO_JOBS_LIVE_H
+
+#include "jobs/jobs.h"
+
+enum mo_phase {
+  MO_PHASE_IDLE = 0, /* not running here */
+  MO_PHASE_REPLAY,   /* training: draws bodies of earlier steps again */
+  MO_PHASE_PREPARE,  /* campaign: loads or draws again what it needs */
+  MO_PHASE_VARY,
+  MO_PHASE_LEARN,
+  MO_PHASE_SCORE,
+  MO_PHASE_VALIDATE,
+  MO_PHASE_SAVE,
+  MO_PHASE_WAIT /* for disk space or memory */
+};
+/* "idle", "replaying", "preparing", "varying", "learning", "scoring", "validating", "saving",
+ * "waiting" */
+const char *mo_phase_name(enum mo_phase phase);
+
+struct mo_live {
+  enum mo_phase phase;
+  uint32_t position;    /* training: steps applied; campaign: the current generation */
+  uint64_t done, total; /* training: bodies drawn again; campaign, of the phase: bodies drawn again
+                           (by any campaign), learning steps, or designs scored */
+  double rate;          /* robots (training) or rollouts (campaign) per second; 0: unknown */
+  double seconds_left;  /* of the job; of the drawing only, before the first generation of a
+                           campaign is timed; < 0: unknown */
+  double busy_s;        /* worker seconds since the last start; < 0: no share now */
+  char reason[160];     /* MO_PHASE_WAIT: why, and what to do; MO_PHASE_PREPARE: the campaign whose
+                           drawing this one waits for; else "" */
+};
+/* Idle if the job does not run. */
+void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live);
+
+#endif

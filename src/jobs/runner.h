@@ -1,0 +1,108 @@
+/* runner.h: the threads that run jobs, requests to them, and what all attempts have in common. */
+#ifndef MORPHO_JOBS_RUNNER_H
+#define MORPHO_JOBS_RUNNER_H
+
+#include <pthread.h>
+#include <stdatomic.h>
+#include <time.h>
+
+#include "jobs/kind.h"
+
+/* A request to a running job; the larger value wins. */
+enum mo_request { MO_REQUEST_NONE = 0, MO_REQUEST_PAUSE, MO_REQUEST_STOP, MO_REQUEST_CANCEL };
+
+/* A thread that runs one job after the other, and its attempt at the current one. */
+struct mo_runner {
+  struct mo_jobs *jobs;
+  struct mo_runners *runners;
+  pthread_t thread;
+  bool has_thread;
+  /* Under the mutex of the runners. */
+  int64_t id; /* 0: runs no job */
+  enum mo_request request;
+  bool waits; /* for disk space or memory */
+  struct mo_live live;
+  /* Shared with the back end. */
+  volatile int interrupt;     /* set with every request */
+  volatile uint64_t replayed; /* of a training: bodies drawn again so far */
+  /* Only for this thread. */
+  bool winding_down; /* a request arrived or the job failed: only computed results are saved */
+  bool is_short;     /* lacks memory: what cannot be saved at once is computed again, later */
+  int error;
+  char text[256]; /* of the error */
+};
+
+/* All threads for one kind of job. */
+struct mo_runners {
+  const struct mo_kind *kind;
+  pthread_mutex_t mutex;
+  pthread_cond_t news;      /* requests, queued jobs, ends of threads */
+  struct mo_runner *runner; /* (n) */
+  uint32_t n;
+  uint32_t alive;    /* running threads */
+  uint64_t look;     /* grows when there may be queued jobs, and at a stop */
+  uint64_t requests; /* grows with every request */
+  bool stopping;
+  atomic_bool unsaved; /* a stopped job could not be saved */
+  atomic_uint_fast64_t active;
+};
+
+/* An error that passes by itself. */
+static inline bool mo_is_shortage(int error)
+{
+  return error == MO_ERR_NO_MEMORY || error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY;
+}
+
+/* ---- runner.c: requests ---- */
+void mo_runners_wake(struct mo_runners *runners);
+/* Passes a request, whose job is stored already, to the runner of the job, if one runs it. A thread
+ * that serves all jobs reads their states and weights again. MO_REQUEST_NONE: only the weight has
+ * changed. */
+void mo_runners_request(struct mo_runners *runners, int64_t id, enum mo_request request);
+/* Returns the runner of a job, or NULL; under the mutex. */
+struct mo_runner *mo_runners_find(struct mo_runners *runners, int64_t id);
+void mo_runner_put_request(struct mo_runner *runner, enum mo_request request); /* likewise */
+enum mo_request mo_runner_requested(struct mo_runner *runner);
+bool mo_runner_is_interrupted(const struct mo_runner *runner);
+/* Sets the phase that the live figures show. Returns the previous one. */
+enum mo_phase mo_runner_enter(struct mo_runner *runner, enum mo_phase phase);
+/* Shows whether the job waits, with the reason. Returns the previous phase. */
+enum mo_phase mo_runner_set_waiting(struct mo_runner *runner, bool waits, enum mo_phase phase,
+                                    const char *reason);
+/* Sleeps until the time is over or a request of at least `least` has arrived. */
+void mo_runner_sleep(struct mo_runner *runner, uint32_t ms, enum mo_request least);
+
+/* Formats a number of an event; "null" if it is not finite. MO_FIGURE: as an argument of "%s". */
+const char *mo_figure(double value, char text[32]);
+#define MO_FIGURE(value) mo_figure((value), (char[32]){0})
+
+/* ---- runner.c: attempts ---- */
+/* Stores the text for an error, and returns the error. */
+int mo_runner_fail(struct mo_runner *runner, int error, const char *text);
+/* Does the same for a job that the store could not read. */
+int mo_runner_fail_unreadable(struct mo_runner *runner, int error);
+/* Loads a controller's file; stores the text for an unusable one. */
+int mo_runner_load(struct mo_runner *runner, const struct mo_sha256 *sha256,
+                   struct mo_controller **controller);
+void mo_runner_warn(const struct mo_runner *runner, int error, const char *text);
+/* Repeats `write` until it succeeds or fails permanently: waits for disk space, memory or
+ * descriptors, and reports that `what` cannot be written. MO_ERR_CANCELLED: a request came first.
+ */
+int mo_runner_persist(struct mo_runner *runner, int (*write)(void *context), void *context,
+                      const char *what);
+/* Ends an attempt with `error`; `run` is for the kind's `save`. MO_ERR_CANCELLED: a request
+ * arrived. MO_ERR_NO_MEMORY: the runner waits, then repeats the attempt. Returns whether the
+ * attempt failed. */
+bool mo_runner_settle(struct mo_runner *runner, int error, void *run);
+
+/* ---- runners.c ---- */
+void mo_runners_init(struct mo_runners *runners, const struct mo_kind *kind,
+                     const pthread_condattr_t *monotonic);
+void mo_runners_destroy(struct mo_runners *runners);
+int mo_runners_start(struct mo_jobs *jobs, struct mo_runners *runners, uint32_t n);
+void mo_runners_stop(struct mo_runners *runners); /* requests a stop without waiting */
+bool mo_runners_wait(struct mo_runners *runners,
+                     const struct timespec *deadline); /* true: all threads have ended */
+void mo_runners_free(struct mo_runners *runners);      /* waits for the stopped threads, frees */
+
+#endif

@@ -1,0 +1,86 @@
+/* scoring.h: scores designs in environments under one controller, as blocks of one design and up to
+ * MO_BLOCK_LANES environments. Evaluations, campaigns and validations use it. */
+#ifndef MORPHO_JOBS_SCORING_H
+#define MORPHO_JOBS_SCORING_H
+
+#include "jobs/state.h"
+
+/* A cell is one design in one environment. */
+enum mo_cell {
+  MO_CELL_TO_DO = 0,
+  MO_CELL_IN_FLIGHT,
+  MO_CELL_DONE,
+  MO_CELL_DEFERRED /* another job computes it */
+};
+
+/* Designs × environments, and what is known of them. */
+struct mo_grid {
+  struct mo_block block;                     /* what all blocks have in common */
+  const struct mo_bits *genotypes;           /* (n_designs) placed */
+  const struct mo_environment *environments; /* (n_environments) */
+  uint32_t n_designs, n_environments;
+  uint8_t *cells;  /* (n_designs, n_environments) enum mo_cell */
+  uint8_t *left;   /* (n_designs) cells that are not done */
+  uint32_t cursor; /* no earlier design has a cell to do */
+};
+/* Allocates the cells of a grid whose other fields are filled in. MO_ERR_NO_MEMORY. */
+int mo_grid_create(struct mo_grid *grid);
+void mo_grid_free(struct mo_grid *grid);
+static inline uint8_t *mo_grid_cell(const struct mo_grid *grid, uint32_t design, uint32_t k)
+{
+  return &grid->cells[(size_t)design * grid->n_environments + k];
+}
+/* Marks a cell as done. Returns whether its design is. */
+bool mo_grid_finish(struct mo_grid *grid, uint32_t design, uint32_t k);
+void mo_grid_finish_design(struct mo_grid *grid, uint32_t design);
+/* Makes a cell to do again. */
+void mo_grid_return(struct mo_grid *grid, uint32_t design, uint32_t k);
+
+/* Blocks that have come back, for the thread that submitted them. */
+struct mo_landing {
+  pthread_mutex_t *mutex;
+  pthread_cond_t *news;
+  struct mo_flight *finished; /* under the mutex */
+};
+
+/* One block in the back end. */
+struct mo_flight {
+  struct mo_block block;
+  struct mo_grid *grid;
+  struct mo_landing *landing;
+  uint32_t design;
+  uint8_t places[MO_BLOCK_LANES]; /* its environments */
+  struct mo_flight *next;         /* in a list of finished or free ones */
+};
+/* Prepares an empty flight for a design. */
+void mo_flight_begin(struct mo_flight *flight, struct mo_grid *grid, uint32_t design,
+                     struct mo_landing *landing);
+/* Adds an environment; false: the flight is full. */
+bool mo_flight_add(struct mo_flight *flight, uint32_t k);
+/* Submits the block. A block that is refused lands at once, with the error. */
+void mo_flight_launch(struct mo_compute *compute, struct mo_flight *flight);
+/* Returns the error of lane i of a finished block, for its job. A diverged rollout has the loss
+ * +infinity. NaN and −infinity must not be stored; no input should give them, so they are an error,
+ * which mo_flight_describe words. */
+int mo_flight_check(const struct mo_flight *flight, uint32_t i);
+void mo_flight_describe(int error, char text[128]);
+
+/* Scores all cells of a grid that are to do, for a job with its own thread. The back end holds two
+ * blocks per worker, or some thousands per device. */
+struct mo_scoring {
+  struct mo_runner *runner;
+  struct mo_grid grid; /* created; what is known is done */
+  void *context;
+  /* Takes the outcomes of a block without error. is_done: the design has no cell left. */
+  void (*take)(void *context, const struct mo_flight *flight, bool is_done);
+  /* Saves what was taken; nullable. Called when blocks have come; on devices, when no more come, or
+   * after a second. What is left at the end is the caller's to save. */
+  int (*save)(void *context);
+  const uint32_t *n_unsaved;
+  void (*show)(void *context, double rollouts_per_s); /* nullable; 0: unknown */
+};
+/* Returns with no block in flight, even after an error; the runner then has its text.
+ * MO_ERR_CANCELLED: a request arrived. */
+int mo_score(struct mo_scoring *scoring);
+
+#endif

@@ -1,0 +1,88 @@
+/* state.h: what all files of this room share: the service's state, and small parts of it that have
+ * no header of their own. */
+#ifndef MORPHO_JOBS_STATE_H
+#define MORPHO_JOBS_STATE_H
+
+#include <stdio.h>
+
+#include "jobs/memory.h"
+#include "jobs/runner.h"
+
+/* A running training's or campaign's share of the back end. */
+struct mo_job_share {
+  int64_t id;
+  enum mo_job_kind kind;
+  struct mo_compute_share *share;
+  struct mo_job_share *next;
+};
+
+struct mo_jobs {
+  struct mo_store *store;
+  struct mo_compute *compute;
+  struct mo_jobs_config config;
+  struct mo_lattice *lattice;
+  int64_t fingerprints[2];    /* by precision */
+  int64_t device_fingerprint; /* 0: there are no devices */
+  char *code_versions[2];     /* by back end */
+  struct mo_runners runners[MO_JOB_KINDS];
+  struct mo_memory memory;
+
+  pthread_mutex_t admission_mutex; /* of open_jobs and open_rollouts */
+
+  /* Shares. */
+  pthread_mutex_t weigh_mutex; /* taken before shares_mutex, so that reading a weight from the store
+                                  and setting it is one operation */
+  pthread_mutex_t shares_mutex; /* held briefly */
+  struct mo_job_share *shares;
+  double ended_s[MO_JOB_KINDS];              /* worker seconds of closed shares */
+  double ended_device_s[MO_JOB_KINDS];       /* device seconds, likewise */
+  struct mo_compute_share *evaluation_share; /* of all evaluations */
+
+  struct mo_evaluations *evaluations; /* evaluation.h */
+  pthread_mutex_t exclusions_mutex;
+  struct mo_exclusion *exclusions; /* bodies of pretrainings, shared by campaigns */
+
+  /* Figures. */
+#define MO_JOBS_COUNT(name) atomic_uint_fast64_t name;
+  MO_JOBS_COUNTS(MO_JOBS_COUNT)
+#undef MO_JOBS_COUNT
+  atomic_uint_fast64_t training_ns;
+  atomic_int_fast64_t heartbeat_us;
+  atomic_bool no_space, is_stopping;
+  atomic_bool abandon; /* stop waiting for saves that fail */
+};
+
+/* ---- shares.c ---- */
+/* Opens a share for the thread of a training or campaign. The share follows the job's weight until
+ * it is closed. Name the share in every block and batch of the job. MO_ERR_NO_MEMORY, and errors of
+ * reading the job. */
+int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind,
+                  struct mo_compute_share **share);
+/* Closes the job's share, if any. None of its blocks may be queued or in flight. */
+void mo_share_close(struct mo_jobs *jobs, int64_t id);
+void mo_share_reweigh(struct mo_jobs *jobs, int64_t id); /* applies a new weight from the store */
+/* Returns the worker seconds that a running training or campaign has used since its last start.
+ * Negative: the job has no share now. */
+double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id);
+void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
+                       double device_s[MO_JOB_KINDS]);
+
+/* ---- back_end.c ---- */
+/* Chooses the back end if the request leaves it open. suits: devices can compute the job; is_large:
+ * devices are worth it. MO_ERR_DEVICE. */
+int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool is_large,
+                       enum mo_back_end *back_end, struct mo_message *message);
+/* MO_ERR_DEVICE: the job needs devices and none works. Check before a job starts: drawing its
+ * bodies again can take minutes. */
+int mo_back_end_check(const struct mo_jobs *jobs, enum mo_back_end back_end);
+/* Maps an error of a block or gradient to that of its job. Lack of device memory pauses the job as
+ * a lost device does, because the lack may last. */
+int mo_back_end_error(enum mo_back_end back_end, int error);
+/* Says why a job on devices is paused (lost devices or lack of memory), and what to do. */
+void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size);
+/* Returns the row of the fingerprint under which float32 scores are stored. */
+int64_t mo_back_end_fingerprint(const struct mo_jobs *jobs, enum mo_back_end back_end);
+/* Returns how many blocks one job keeps submitted. */
+uint32_t mo_back_end_window(const struct mo_jobs *jobs, enum mo_back_end back_end);
+
+#endif

@@ -1,0 +1,55 @@
+/* submission.h: what the submissions of all kinds have in common. */
+#ifndef MORPHO_JOBS_SUBMISSION_H
+#define MORPHO_JOBS_SUBMISSION_H
+
+#include "jobs/state.h"
+#include "store/runner.h"
+
+/* What every request has besides its settings. */
+struct mo_submitting {
+  enum mo_job_kind kind;
+  uint32_t n_jobs; /* that the submission makes */
+  uint64_t rollouts;
+  double weight;
+  const char *controller; /* name, for messages; nullable */
+  const char *label, *idempotency_key;
+  const struct mo_sha256 *body_sha256;
+};
+/* Checks weight, label and key, then looks whether the key is known: known keys are answered even
+ * when the queue is full, or no device works any more. *replayed: *id is the earlier job, and
+ * nothing is left to do. */
+int mo_submitting_begin(struct mo_jobs *jobs, const struct mo_submitting *submitting, int64_t *id,
+                        bool *replayed, struct mo_message *message);
+/* Ends a submission that mo_jobs_admit has admitted, after the store has returned `error`. */
+int mo_submitting_end(struct mo_jobs *jobs, const struct mo_submitting *submitting, int error,
+                      bool replayed, struct mo_message *message);
+
+/* Designs as they are stored; free both arrays with mo_placed_free. */
+struct mo_placed {
+  struct mo_bits *forms;     /* (n) canonical */
+  struct mo_bits *genotypes; /* (n) placed */
+};
+/* Places every genotype and finds its canonical form. MO_ERR_INVALID names the first invalid one.
+ */
+int mo_placed_create(const struct mo_bits *asked, uint32_t n, struct mo_placed *placed,
+                     struct mo_message *message);
+void mo_placed_free(struct mo_placed *placed);
+
+/* Checks 1 to MO_ENVIRONMENTS_MAX environments for simulation. MO_ERR_INVALID, MO_ERR_RANGE. whose:
+ * "an evaluation". */
+int mo_environments_check(const struct mo_environment *environments, uint32_t n, const char *whose,
+                          struct mo_message *message);
+/* Reads the size of a named set. MO_ERR_NOT_FOUND with its message. */
+int mo_environments_count(struct mo_jobs *jobs, const char *set, uint32_t *n,
+                          struct mo_message *message);
+/* Checks the name of a controller that a job will make ("": none), and a job's priority. */
+int mo_result_check(const char *name, int priority, struct mo_message *message);
+
+/* ---- admission.c: the open jobs of all kinds ---- */
+int mo_jobs_admit(struct mo_jobs *jobs, uint32_t n_jobs, uint64_t rollouts,
+                  struct mo_message *message); /* MO_ERR_BUSY */
+/* Subtracts jobs that are no longer open. */
+void mo_jobs_closed(struct mo_jobs *jobs, uint32_t n_jobs, uint64_t rollouts);
+int mo_jobs_recount(struct mo_jobs *jobs); /* counts open jobs and rollouts in the store */
+
+#endif

@@ -1,0 +1,204 @@
+/* The body of POST /v1/evaluations: each fault at its place. */
+#include "unit/check.h"
+
+#include <time.h>
+
+#include "api/evaluation_request.h"
+
+static struct mo_parsed_evaluation parsed;
+static struct mo_faults faults;
+
+static int parse(const char *text)
+{
+  mo_evaluation_parsed_free(&parsed);
+  faults = (struct mo_faults){0};
+  return mo_evaluation_parse(text, strlen(text), &parsed, &faults);
+}
+
+static void defaults(void)
+{
+  REQUIRE(parse("{\"designs\":[{\"cells\":[[1,1,0],[1,1,1]]}]}") == MO_OK);
+  CHECK_INT(parsed.request.n_designs, 1);
+  CHECK_TEXT(parsed.request.environment_set, "paper-test");
+  CHECK_TEXT(parsed.request.controller, "default");
+  CHECK_INT(parsed.request.priority, -1);
+  CHECK(parsed.request.precision == MO_FLOAT32 && !parsed.request.verify &&
+        parsed.request.label == NULL);
+  CHECK(!parsed.request.record_com && !parsed.request.record_masses &&
+        parsed.request.record_stride == 10);
+  CHECK(parsed.request.physics.impact == MO_IMPACT_EXACT && parsed.request.physics.n_steps == 1000);
+  CHECK_INT(mo_genotype_count(MO_DEFAULT_WORKSPACE, parsed.request.genotypes[0].words), 2);
+}
+
+static void everything(void)
+{
+  char text[4096], heights[600] = "0.05";
+  for (int i = 1; i < 64; i++)
+    strcat(heights, ",0.05");
+  snprintf(text, sizeof(text),
+           "{\"label\":\"r\\u00e9\",\"verify\":true,\"priority\":\"interactive\",\"precision\":"
+           "\"float64\",\"record_"
+           "stride\":50,"
+           "\"record\":[\"masses\",\"com\"],\"physics\":{\"impact\":\"bisection12\",\"n_steps\":"
+           "500,\"dt_s\":0.002},"
+           "\"controller\":\"bootstrap\",\"environments\":[{\"light_xy_m\":[4.5,2.5],\"terrain_"
+           "heights_m\":[%s]},"
+           "{\"seed\":3,\"terrain_sigma_m\":0.1,\"light_xy_m\":[1,1]}],\"designs\":[{\"voxels\":"
+           "\"1%0143d\"},{"
+           "\"cells\":[[5,5,3]]}]}",
+           heights, 0);
+  int code = parse(text);
+  if (code != MO_OK)
+    printf("# %s %s\n", faults.items[0].where, faults.items[0].detail);
+  REQUIRE(code == MO_OK);
+  const struct mo_evaluation_request *r = &parsed.request;
+  CHECK(r->n_designs == 2 && r->n_environments == 2 && r->environment_set == NULL);
+  CHECK_TEXT(r->label, "ré");
+  CHECK(r->verify && r->priority == MO_INTERACTIVE && r->precision == MO_FLOAT64 &&
+        r->record_stride == 50);
+  CHECK(r->record_com && r->record_masses && r->physics.bisections == 12 &&
+        r->physics.impact == MO_IMPACT_BISECTION);
+  CHECK(r->physics.n_steps == 500 && r->physics.dt_s == 0.002 && r->physics.mass_kg == 1);
+  double expected[MO_TERRAIN_HEIGHTS];
+  mo_terrain_random(3, 0, 0, 0.1, expected);
+  CHECK(memcmp(r->environments[1].terrain_heights_m, expected, sizeof(expected)) == 0);
+  /* An id is another way to say the same. */
+  char id[MO_DEFAULT_ID_DIGITS + 1];
+  mo_genotype_id(MO_DEFAULT_WORKSPACE, r->genotypes[0].words, id);
+  snprintf(text, sizeof(text), "{\"designs\":[{\"id\":\"%s\"}]}", id);
+  REQUIRE(parse(text) == MO_OK);
+  char again[MO_DEFAULT_ID_DIGITS + 1];
+  mo_genotype_id(MO_DEFAULT_WORKSPACE, parsed.request.genotypes[0].words, again);
+  CHECK_TEXT(again, id);
+}
+
+static void places(void)
+{
+  static const struct {
+    const char *text, *where;
+  } tries[] = {
+      {"{}", ""},
+      {"[]", ""},
+      {"{\"designs\":[]}", "/designs"},
+      {"{\"designs\":{}}", "/designs"},
+      {"{\"designs\":[7]}", "/designs/0"},
+      {"{\"designs\":[{}]}", "/designs/0"},
+      {"{\"designs\":[{\"cells\":[]}]}", "/designs/0/cells"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]},{\"cells\":[[0,0,0],[0,0]]}]}", "/designs/1/cells/1"},
+      {"{\"designs\":[{\"cells\":[[0,0,0,0]]}]}", "/designs/0/cells/0"},
+      {"{\"designs\":[{\"cells\":[[0,0,\"0\"]]}]}", "/designs/0/cells/0/2"},
+      {"{\"designs\":[{\"cells\":[[0,0,0.5]]}]}", "/designs/0/cells/0/2"},
+      {"{\"designs\":[{\"cells\":[[0,0,0],[0,6,0]]}]}", "/designs/0/cells/1/1"},
+      {"{\"designs\":[{\"cells\":[[0,0,4]]}]}", "/designs/0/cells/0/2"},
+      {"{\"designs\":[{\"cells\":[[-1,0,0]]}]}", "/designs/0/cells/0/0"},
+      {"{\"designs\":[{\"cells\":[[1e400,0,0]]}]}", "/designs/0/cells/0/0"},
+      {"{\"designs\":[{\"cells\":[[0,0,0],[1,0,0],[0,0,0]]}]}", "/designs/0/cells/2"},
+      {"{\"designs\":[{\"cells\":[[0,0,0],[1,0,0],[3,0,0]]}]}", "/designs/0/cells/2"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]],\"id\":\"x\"}]}", "/designs/0/id"},
+      {"{\"designs\":[{\"voxels\":\"01\"}]}", "/designs/0/voxels"},
+      {"{\"designs\":[{\"voxels\":5}]}", "/designs/0/voxels"},
+      {"{\"designs\":[{\"id\":\"00\"}]}", "/designs/0/id"},
+      {"{\"designs\":[{\"id\":\"000000000000000000000000000000000001\"}]}", "/designs/0/id"},
+      {"{\"designs\":[{\"cell\":[]}]}", "/designs/0/cell"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"controler\":\"x\"}", "/controler"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"controller\":\"Not A Name\"}", "/controller"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"controller\":\"sha256:12\"}", "/controller"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":\"moon\"}", "/environments"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":7}", "/environments"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[]}", "/environments"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"terrain_"
+       "heights_m\":[1]}]}",
+       "/environments/0/terrain_heights_m"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"terrain_"
+       "heights_m\":[1,1e400]}]"
+       "}",
+       "/environments/0/terrain_heights_m/1"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2000],\"terrain_"
+       "sigma_m\":0,\"seed\":"
+       "0}]}",
+       "/environments/0/light_xy_m/1"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"seed\":0}]}",
+       "/environments/0"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"terrain_sigma_m\":0,\"seed\":0}]"
+       "}",
+       "/environments/0"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"record\":[\"com\",\"com\"]}", "/record/1"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"record\":[\"pose\"]}", "/record/0"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"record_stride\":0}", "/record_stride"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"record_stride\":1001}", "/record_stride"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"dt_s\":0}}", "/physics/dt_s"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"n_steps\":0}}", "/physics/n_steps"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"impact\":\"bisection53\"}}",
+       "/physics/impact"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"impact\":\"bisection08\"}}",
+       "/physics/impact"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"gravity\":1}}", "/physics/gravity"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"precision\":\"float16\"}", "/precision"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"priority\":1}", "/priority"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"verify\":null}", "/verify"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"label\":7}", "/label"},
+  };
+  for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {
+    CHECK_INT(parse(tries[i].text), MO_ERR_INVALID);
+    REQUIRE(faults.n >= 1);
+    CHECK_TEXT(faults.items[0].where, tries[i].where);
+    if (strcmp(faults.items[0].where, tries[i].where) != 0)
+      printf("# %s: %s\n", tries[i].text, faults.items[0].detail);
+  }
+  CHECK_INT(parse("{\"designs\":[{\"cells\":[[0,0,NaN]]}]}"), MO_ERR_FORMAT);
+  CHECK_TEXT(faults.items[0].where, "/designs/0/cells/0/2");
+}
+
+static void labels(void)
+{
+  char text[2000] = "{\"designs\":[{\"cells\":[[0,0,0]]}],\"label\":\"";
+  for (int i = 0; i < 200; i++)
+    strcat(text, "é");
+  size_t n = strlen(text);
+  strcpy(text + n, "\"}");
+  CHECK_INT(parse(text), MO_OK);
+  strcpy(text + n, "x\"}");
+  CHECK_INT(parse(text), MO_ERR_INVALID);
+  CHECK_TEXT(faults.items[0].where, "/label");
+}
+
+/* 10,000 full bodies as cells: the largest useful request, within a fifth of a second. */
+static void largest(void)
+{
+  size_t size = 0, capacity = 20 << 20;
+  char *text = malloc(capacity);
+  REQUIRE(text != NULL);
+  size += (size_t)sprintf(text, "{\"designs\":[");
+  for (int d = 0; d < 10000; d++) {
+    size += (size_t)sprintf(text + size, "%s{\"cells\":[", d > 0 ? "," : "");
+    for (int v = 0; v < 144; v++)
+      size +=
+          (size_t)sprintf(text + size, "%s[%d,%d,%d]", v > 0 ? "," : "", v / 24, v / 4 % 6, v % 4);
+    size += (size_t)sprintf(text + size, "]}");
+  }
+  size += (size_t)sprintf(text + size, "]}");
+  struct timespec start, end;
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &start);
+  mo_evaluation_parsed_free(&parsed);
+  faults = (struct mo_faults){0};
+  int code = mo_evaluation_parse(text, size, &parsed, &faults);
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &end);
+  CHECK_INT(code, MO_OK);
+  CHECK_INT(parsed.request.n_designs, 10000);
+  printf("# %zu bytes in %.0f ms\n", size,
+         (double)(end.tv_sec - start.tv_sec) * 1e3 + (double)(end.tv_nsec - start.tv_nsec) * 1e-6);
+  /* One more is one too many. */
+  text[size - 2] = ',';
+  size = size - 1 + (size_t)sprintf(text + size - 1, "{\"cells\":[[0,0,0]]}]}");
+  mo_evaluation_parsed_free(&parsed);
+  CHECK_INT(mo_evaluation_parse(text, size, &parsed, &faults), MO_ERR_INVALID);
+  CHECK_TEXT(faults.items[0].where, "/designs");
+  mo_evaluation_parsed_free(&parsed);
+  free(text);
+}
+
+static const struct check_case cases[] = {
+    {"defaults", defaults}, {"everything", everything},       {"every fault has its place", places},
+    {"labels", labels},     {"the largest request", largest},
+};
+CHECK_MAIN(cases)

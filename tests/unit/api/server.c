@@ -1,0 +1,648 @@
+/* server.c: the server from inside: limits, heartbeats, logs, and that it ends in order whatever
+ * its clients do. */
+#include "unit/check.h"
+
+#include <arpa/inet.h>
+#include <dirent.h>
+#include <errno.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <pthread.h>
+#include <stdatomic.h>
+#include <sys/fsuid.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <time.h>
+
+#include "api/api.h"
+#include "store/internal.h"
+#include "unit/jobs/service.h"
+
+#define ANOTHER 54321 /* a user */
+
+static struct service service;
+static char address[128];
+static uint16_t port;
+static atomic_uint logged[600];
+static char last_path[64], last_method[16];
+static pthread_mutex_t last_lock = PTHREAD_MUTEX_INITIALIZER;
+
+static void log_request(void *context, const struct mo_http_log_entry *entry)
+{
+  (void)context;
+  atomic_fetch_add(&logged[entry->status], 1);
+  pthread_mutex_lock(&last_lock);
+  snprintf(last_path, sizeof(last_path), "%s", entry->path);
+  snprintf(last_method, sizeof(last_method), "%s", entry->method);
+  pthread_mutex_unlock(&last_lock);
+}
+
+static struct mo_api *start(struct mo_http_config *config)
+{
+  struct mo_api *api = NULL;
+  struct mo_message message = {""};
+  int fd = -1;
+  if (mo_http_listen("127.0.0.1:0", &fd, address, &message) != MO_OK) {
+    printf("# %s\n", message.text);
+    return NULL;
+  }
+  port = (uint16_t)strtoul(strrchr(address, ':') + 1, NULL, 10);
+  config->listeners = &fd;
+  config->n_listeners = 1;
+  config->log = log_request;
+  const struct mo_api_services services = {service.fixture.store, service.jobs, service.compute,
+                                           "test", NULL};
+  int code = mo_api_start(config, &services, &api, &message);
+  if (code != MO_OK)
+    printf("# %s\n", message.text);
+  else
+    mo_http_set_ready(mo_api_http(api), true);
+  return api;
+}
+
+static int dial(void)
+{
+  struct sockaddr_in name = {
+      .sin_family = AF_INET, .sin_port = htons(port), .sin_addr = {htonl(INADDR_LOOPBACK)}};
+  struct timeval limit = {.tv_sec = 30};
+  int fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (fd >= 0 && connect(fd, (struct sockaddr *)&name, sizeof(name)) != 0) {
+    close(fd);
+    return -1;
+  }
+  setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof(limit));
+  return fd;
+}
+
+/* Sends a request; the socket, or −1. */
+static int say(const char *method, const char *path, const char *headers, const char *body)
+{
+  char text[2048];
+  int fd = dial();
+  int n = snprintf(text, sizeof(text),
+                   "%s %s HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: "
+                   "application/json\r\nContent-Length: %zu\r\n%s\r\n%s",
+                   method, path, strlen(body), headers, body);
+  if (fd >= 0 && send(fd, text, (size_t)n, MSG_NOSIGNAL) != n) {
+    close(fd);
+    return -1;
+  }
+  return fd;
+}
+
+/* Reads to the end; the status, 0 if there was none. */
+static int receive(int fd, char *text, size_t size)
+{
+  size_t n = 0;
+  ssize_t part = 0;
+  while (fd >= 0 && n + 1 < size && (part = recv(fd, text + n, size - n - 1, 0)) > 0)
+    n += (size_t)part;
+  text[n] = '\0';
+  if (fd >= 0)
+    close(fd);
+  return n > 12 ? (int)strtol(text + 9, NULL, 10) : 0;
+}
+
+static int ask(const char *method, const char *path, const char *headers, const char *body,
+               char *text, size_t size)
+{
+  return receive(say(method, path, headers, body), text, size);
+}
+
+static int descriptors(void)
+{
+  int n = 0;
+  DIR *folder = opendir("/proc/self/fd");
+  while (folder != NULL && readdir(folder) != NULL)
+    n++;
+  if (folder != NULL)
+    closedir(folder);
+  return n;
+}
+
+static void pause_ms(long ms)
+{
+  struct timespec time = {ms / 1000, ms % 1000 * 1000000};
+  nanosleep(&time, NULL);
+}
+
+static const char one[] = "{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"n_steps\":%d}}";
+
+/* ---- cases ---- */
+
+static void configuration(void)
+{
+  static const char *const brief[] = {"short"}, *const good[] = {"a-token-that-is-long-enough"};
+  const struct mo_api_services services = {service.fixture.store, service.jobs, service.compute,
+                                           "test", NULL};
+  struct mo_http_config config = {0};
+  struct mo_api *api = NULL;
+  struct mo_message message;
+  int fd;
+  CHECK_INT(mo_api_start(&config, &services, &api, &message), MO_ERR_INVALID); /* no listener */
+  REQUIRE(mo_http_listen("0.0.0.0:0", &fd, address, &message) == MO_OK);
+  config.listeners = &fd;
+  config.n_listeners = 1;
+  CHECK_INT(mo_api_start(&config, &services, &api, &message), MO_ERR_INVALID); /* no token */
+  CHECK(strstr(message.text, "token") != NULL);
+  REQUIRE(mo_http_listen("127.0.0.1:0", &fd, address, &message) == MO_OK);
+  config.tokens = brief;
+  config.n_tokens = 1;
+  CHECK_INT(mo_api_start(&config, &services, &api, &message),
+            MO_ERR_INVALID); /* a token that is too short */
+  REQUIRE(mo_http_listen("0.0.0.0:0", &fd, address, &message) == MO_OK);
+  config.tokens = good;
+  REQUIRE(mo_api_start(&config, &services, &api, &message) == MO_OK);
+  CHECK_INT(mo_http_set_tokens(mo_api_http(api), NULL, 0, &message), MO_ERR_INVALID);
+  CHECK_INT(mo_http_set_tokens(mo_api_http(api), brief, 1, &message), MO_ERR_INVALID);
+  CHECK_INT(mo_http_set_tokens(mo_api_http(api), good, 1, &message), MO_OK);
+  mo_api_stop(api, 0);
+  mo_api_stop(NULL, 0);
+}
+
+static void addresses(void)
+{
+  struct mo_message message;
+  char path[300], where[320];
+  int fd, other;
+  bool beyond;
+  static const char *const bad[] = {"",           "127.0.0.1",       ":80",
+                                    "127.0.0.1:", "127.0.0.1:99999", "127.0.0.1:8x",
+                                    "::1:80",     "unix:relative",   "[::1:80"};
+  for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)
+    CHECK_INT(mo_http_listen(bad[i], &fd, NULL, &message), MO_ERR_INVALID);
+  REQUIRE(mo_http_listen("127.0.0.1:0", &fd, address, &message) == MO_OK);
+  CHECK(strncmp(address, "http://127.0.0.1:", 17) == 0);
+  CHECK_INT(mo_http_listen(address + 7, &other, NULL, &message), MO_ERR_CONFLICT);
+  CHECK(mo_http_describe(fd, NULL, &beyond, &message) == MO_OK && !beyond);
+  close(fd);
+  CHECK_INT(mo_http_describe(0, NULL, &beyond, &message), MO_ERR_INVALID);
+  snprintf(path, sizeof(path), "%s/socket", service.fixture.path);
+  snprintf(where, sizeof(where), "unix:%s", path);
+  REQUIRE(mo_http_listen(where, &fd, address, &message) == MO_OK);
+  CHECK_TEXT(address, where);
+  CHECK_INT(mo_http_listen(where, &other, NULL, &message), MO_ERR_CONFLICT); /* somebody listens */
+  close(fd);
+  REQUIRE(mo_http_listen(where, &fd, NULL, &message) == MO_OK); /* nobody does any more */
+  close(fd);
+  unlink(path);
+  FILE *file = fopen(path, "w");
+  REQUIRE(file != NULL);
+  fclose(file);
+  CHECK_INT(mo_http_listen(where, &fd, NULL, &message),
+            MO_ERR_CONFLICT); /* not a socket: not touched */
+  CHECK(access(path, F_OK) == 0);
+  unlink(path);
+}
+
+/* Where a recording of many megabytes is: a client that does not read it has a request in flight.
+ */
+static bool record(char path[64])
+{
+  char text[8192];
+  int status = ask("POST", "/v1/evaluations", "Prefer: wait=20\r\n",
+                   "{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[4,2],"
+                   "\"terrain_sigma_m\":0,\"seed\":1}],"
+                   "\"physics\":{\"n_steps\":100000},\"record\":[\"masses\"],\"record_stride\":1}",
+                   text, sizeof(text));
+  const char *id = strstr(text, "/v1/evaluations/");
+  if (id != NULL)
+    snprintf(path, 64, "%.*s/trajectories/0", (int)strcspn(id, "\r"), id);
+  return status == 200 && id != NULL;
+}
+
+/* The beginning of a reply has come; the rest is not read. */
+static bool begins(int fd)
+{
+  char text[12];
+  return fd >= 0 && recv(fd, text, sizeof(text), MSG_WAITALL) == sizeof(text) &&
+         memcmp(text + 9, "200", 3) == 0;
+}
+
+static void limits(void)
+{
+  struct mo_http_config config = {.max_in_flight = 2};
+  char text[8192], body[256], path[64];
+  struct mo_api *api = start(&config);
+  REQUIRE(api != NULL);
+  atomic_store(&fake_plan.delay_us, 300000);
+  snprintf(body, sizeof(body), one, 11);
+  int first = say("POST", "/v1/evaluations", "Prefer: wait=20\r\n", body);
+  snprintf(body, sizeof(body), one, 12);
+  int second = say("POST", "/v1/evaluations", "Prefer: wait=20\r\n", body);
+  pause_ms(100);
+  CHECK_INT(ask("GET", "/v1/jobs", "", "", text, sizeof(text)),
+            200); /* these wait, which takes no place */
+  struct mo_http_stats stats;
+  mo_http_get_stats(mo_api_http(api), &stats);
+  CHECK(stats.in_flight >= 2 && stats.requests >= 1 && stats.heartbeat_us > 0);
+  atomic_store(&fake_plan.delay_us, 0);
+  CHECK_INT(receive(first, text, sizeof(text)), 200);
+  CHECK_INT(receive(second, text, sizeof(text)), 200);
+  REQUIRE(record(path));
+  first = say("GET", path, "", "");
+  second = say("GET", path, "", "");
+  CHECK(begins(first) && begins(second));
+  CHECK_INT(ask("GET", "/v1/jobs", "", "", text, sizeof(text)), 429);
+  CHECK(strstr(text, "Retry-After: 1") != NULL);
+  CHECK_INT(ask("GET", "/healthz", "", "", text, sizeof(text)), 200);
+  close(first);
+  close(second);
+  pause_ms(200);
+  CHECK_INT(ask("GET", "/v1/jobs", "", "", text, sizeof(text)), 200);
+  mo_api_stop(api, 1000);
+  config = (struct mo_http_config){.client_rate_per_s = 2};
+  api = start(&config);
+  REQUIRE(api != NULL);
+  int accepted = 0, refused = 0;
+  for (int i = 0; i < 6; i++) {
+    snprintf(body, sizeof(body), one, 20 + i);
+    int status = ask("POST", "/v1/evaluations", "", body, text, sizeof(text));
+    accepted += status == 202;
+    refused += status == 429;
+  }
+  CHECK(accepted >= 2 && refused >= 2 && accepted + refused == 6);
+  mo_api_stop(api, 1000);
+}
+
+/* Lists that all wait for the store leave threads to what needs none of it. */
+static void lists_leave_threads(void)
+{
+  enum { LISTS = 12 };
+  struct mo_http_config config = {0};
+  struct mo_store *store = service.fixture.store;
+  struct mo_connection **held = calloc(store->n_readers, sizeof(struct mo_connection *));
+  int lists[LISTS];
+  char text[8192];
+  struct mo_api *api = start(&config);
+  REQUIRE(api != NULL && held != NULL);
+  for (uint32_t i = 0; i < store->n_readers; i++)
+    held[i] = mo_reader_acquire(store);
+  for (int i = 0; i < LISTS; i++)
+    lists[i] = say("GET", i % 2 == 0 ? "/v1/jobs" : "/v1/trainings?limit=1", "", "");
+  pause_ms(300);
+  CHECK_INT(ask("POST", "/v1/evaluations", "", "{", text, sizeof(text)), 400);
+  for (uint32_t i = 0; i < store->n_readers; i++)
+    mo_reader_release(store, held[i]);
+  for (int i = 0; i < LISTS; i++)
+    CHECK_INT(receive(lists[i], text, sizeof(text)), 200);
+  free(held);
+  mo_api_stop(api, 1000);
+}
+
+static void streams_take_no_place(void)
+{
+  struct mo_http_config config = {.max_in_flight = 2, .max_streams = 3};
+  char text[8192];
+  int streams[3];
+  struct mo_api *api = start(&config);
+  REQUIRE(api != NULL);
+  for (int i = 0; i < 3; i++) {
+    streams[i] = say("GET", "/v1/events", "", "");
+    CHECK(streams[i] >= 0 && recv(streams[i], text, 12, MSG_WAITALL) == 12 &&
+          memcmp(text + 9, "200", 3) == 0);
+  }
+  CHECK_INT(ask("GET", "/v1/jobs", "", "", text, sizeof(text)), 200);
+  CHECK_INT(ask("GET", "/v1/events", "", "", text, sizeof(text)), 503); /* their own limit */
+  for (int i = 0; i < 3; i++)
+    close(streams[i]);
+  mo_api_stop(api, 1000);
+}
+
+/* ---- replies of several pieces: the phylogeny of a campaign ---- */
+
+#define PHYLOGENY "/v1/campaigns/%lld/phylogeny?format=%s"
+#define DESIGNS   3000 /* of generations 0 and 1 */
+static long long campaign;
+
+static void evolve(void)
+{
+  static const char body[] =
+      "{\"mode\":\"zero-shot\",\"population\":1500,\"generations\":1,\"exclude_pretraining\":false,"
+      "\"environments\":[{\"light_xy_m\":[4,2.5],\"terrain_sigma_m\":0.1,\"seed\":1}]}";
+  char text[16384], path[64];
+  if (campaign != 0 || ask("POST", "/v1/campaigns", "", body, text, sizeof(text)) != 202)
+    return;
+  campaign = strtoll(strstr(text, "\"id\":\"") + 6, NULL, 10);
+  snprintf(path, sizeof(path), "/v1/campaigns/%lld", campaign);
+  for (int i = 0; i < 60 && strstr(text, "\"succeeded\"") == NULL; i++)
+    ask("GET", path, "Prefer: wait=5\r\n", "", text, sizeof(text));
+}
+
+/* The body of a reply in chunks, put together in its place; NULL: its last chunk is missing. */
+static char *unchunk(char *text)
+{
+  char *from = strstr(text, "\r\n\r\n"), *to = from, *body = from;
+  size_t size = 1;
+  if (from == NULL)
+    return NULL;
+  for (from += 4; size > 0;) {
+    char *end;
+    size = strtoul(from, &end, 16);
+    if (end == from || strlen(end) < size + 4)
+      return NULL;
+    memmove(to, end + 2, size);
+    to += size;
+    from = end + 2 + size + 2;
+  }
+  *to = '\0';
+  return body;
+}
+
+static void long_replies(void)
+{
+  const size_t size = 4 << 20;
+  struct mo_http_config config = {.max_body_bytes = 1 << 20, .max_body_memory = 8 << 20};
+  char *text = malloc(size), path[96];
+  struct mo_api *api = start(&config);
+  REQUIRE(api != NULL && text != NULL);
+  evolve();
+  REQUIRE(campaign > 0);
+  snprintf(path, sizeof(path), PHYLOGENY, campaign, "csv");
+  CHECK_INT(ask("GET", path, "", "", text, size), 200);
+  CHECK(strstr(text, "Transfer-Encoding: chunked") != NULL);
+  const char *body = unchunk(text);
+  REQUIRE(body != NULL);
+  int lines = 0;
+  for (const char *c = body; (c = strchr(c, '\n')) != NULL; c++)
+    lines++;
+  CHECK_INT(lines, DESIGNS + 1);
+  /* Each reply that is being sent counts in the memory of replies, whatever its client does. */
+  int fds[12], refused = 0;
+  for (int i = 0; i < 12; i++) {
+    int small = 2048;
+    fds[i] = say("GET", path, "", "");
+    if (i % 2 == 0)
+      setsockopt(fds[i], SOL_SOCKET, SO_RCVBUF, &small, sizeof(small));
+  }
+  for (int i = 0; i < 12; i++)
+    refused += recv(fds[i], text, 12, MSG_WAITALL) == 12 && memcmp(text + 9, "503", 3) == 0;
+  printf("# %d of 12 refused\n", refused);
+  for (int i = 0; i < 12; i += 2)
+    close(fds[i]);
+  for (int i = 1; i < 12; i += 2)
+    CHECK(receive(fds[i], text, size) >= 0);
+  CHECK_INT(ask("GET", path, "", "", text, size), 200); /* their memory is back */
+  /* The end of the server in the middle of one: the reply is not finished. */
+  int fd = say("GET", path, "", "");
+  CHECK(recv(fd, text, 100, 0) > 0);
+  mo_api_stop(api, 50);
+  receive(fd, text, size);
+  free(text);
+}
+
+/* Readers that do not read hold their replies in memory, up to the limit. */
+static void memory(void)
+{
+  struct mo_http_config config = {.max_body_memory = 24 << 20};
+  char text[8192], path[64];
+  struct mo_api *api = start(&config);
+  REQUIRE(api != NULL);
+  REQUIRE(record(path));
+  int slow = say("GET", path, "", "");
+  CHECK(begins(slow));
+  CHECK_INT(ask("GET", path, "", "", text, sizeof(text)), 503);
+  CHECK(strstr(text, "Retry-After") != NULL);
+  CHECK_INT(ask("GET", "/v1/jobs", "", "", text, sizeof(text)), 200);
+  close(slow);
+  pause_ms(200);
+  CHECK_INT(ask("GET", path, "", "", text, sizeof(text)), 200);
+  mo_api_stop(api, 1000);
+  /* A request that waits for its result needs its body no more. */
+  config = (struct mo_http_config){.max_body_memory = 20000};
+  api = start(&config);
+  REQUIRE(api != NULL);
+  atomic_store(&fake_plan.delay_us, 500000);
+  char body[256];
+  snprintf(body, sizeof(body), one, 13);
+  int waiting = say("POST", "/v1/evaluations", "Prefer: wait=20\r\n", body);
+  pause_ms(150);
+  snprintf(body, sizeof(body), one, 14);
+  CHECK_INT(ask("POST", "/v1/evaluations", "", body, text, sizeof(text)), 202);
+  atomic_store(&fake_plan.delay_us, 0);
+  CHECK_INT(receive(waiting, text, sizeof(text)), 200);
+  mo_api_stop(api, 1000);
+}
+
+/* A connection of a user; only root can open those of others. */
+static int dial_as(unsigned uid)
+{
+  setfsuid(uid); /* of this thread alone: whose the next socket is */
+  int fd = dial();
+  setfsuid(geteuid());
+  return fd;
+}
+
+/* Sends `n` bytes of a body of `size`. */
+static int upload(unsigned uid, size_t size, size_t n)
+{
+  char head[256], piece[1000];
+  int fd = dial_as(uid);
+  int length = snprintf(
+      head, sizeof(head),
+      "POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: "
+      "application/json\r\nContent-Length: %zu\r\n\r\n",
+      size);
+  memset(piece, ' ', sizeof(piece));
+  if (fd >= 0 && send(fd, head, (size_t)length, MSG_NOSIGNAL) != length) {
+    close(fd);
+    return -1;
+  }
+  for (size_t i = 0; i < n; i += sizeof(piece))
+    (void)send(fd, piece, sizeof(piece), MSG_NOSIGNAL);
+  return fd;
+}
+
+/* A client that never ends its uploads leaves room for the others. */
+static void memory_shares(void)
+{
+  struct mo_http_config config = {.max_body_memory = 1 << 20};
+  char text[8192];
+  struct mo_api *api = start(&config);
+  REQUIRE(api != NULL);
+  int half = upload(geteuid(), 400000, 300000);
+  REQUIRE(half >= 0);
+  pause_ms(200);
+  CHECK_INT(receive(upload(geteuid(), 100000, 100000), text, sizeof(text)), 429);
+  CHECK(strstr(text, "Retry-After") != NULL);
+  if (geteuid() == 0)
+    CHECK_INT(receive(upload(ANOTHER, 100000, 100000), text, sizeof(text)),
+              400); /* spaces: taken in and read */
+  pause_ms(1200);   /* but a whole request does not wait for one that does not go on */
+  CHECK_INT(receive(upload(geteuid(), 100000, 100000), text, sizeof(text)), 400);
+  CHECK_INT(receive(half, text, sizeof(text)), 503);
+  CHECK_INT(receive(upload(geteuid(), 100000, 100000), text, sizeof(text)), 400);
+  CHECK_INT(receive(upload(geteuid(), 900000, 900000), text, sizeof(text)),
+            400); /* one alone may be larger */
+  mo_api_stop(api, 1000);
+}
+
+static void draining(void)
+{
+  struct mo_http_config config = {0};
+  char text[8192], body[256];
+  struct mo_api *api = start(&config);
+  REQUIRE(api != NULL);
+  CHECK_INT(ask("GET", "/readyz", "", "", text, sizeof(text)), 200);
+  mo_http_set_ready(mo_api_http(api), false);
+  CHECK_INT(ask("GET", "/readyz", "", "", text, sizeof(text)), 503);
+  snprintf(body, sizeof(body), one, 31);
+  CHECK_INT(ask("POST", "/v1/evaluations", "", body, text, sizeof(text)), 503);
+  CHECK(strstr(text, "Retry-After") != NULL);
+  CHECK_INT(ask("GET", "/v1/jobs", "", "", text, sizeof(text)), 200);
+  CHECK_INT(ask("GET", "/healthz", "", "", text, sizeof(text)), 200);
+  mo_api_stop(api, 1000);
+}
+
+static void waiting_ends_with_the_server(void)
+{
+  struct mo_http_config config = {0};
+  char text[8192], body[256];
+  struct mo_api *api = start(&config);
+  REQUIRE(api != NULL);
+  atomic_store(&fake_plan.delay_us, 500000);
+  snprintf(body, sizeof(body), one, 41);
+  int waiting = say("POST", "/v1/evaluations", "Prefer: wait=60\r\n", body);
+  pause_ms(100);
+  time_t begun = time(NULL);
+  mo_api_stop(api, 2000);
+  CHECK(time(NULL) - begun < 3);
+  CHECK_INT(receive(waiting, text, sizeof(text)), 202); /* accepted, as it stands */
+  atomic_store(&fake_plan.delay_us, 0);
+}
+
+static void heartbeats(void)
+{
+  struct mo_http_config config = {.heartbeat_ms = 1000};
+  char text[4096];
+  struct mo_api *api = start(&config);
+  REQUIRE(api != NULL);
+  int fd = say("GET", "/v1/events", "", "");
+  size_t n = 0;
+  ssize_t part;
+  while (n + 1 < sizeof(text) && (part = recv(fd, text + n, sizeof(text) - n - 1, 0)) > 0) {
+    n += (size_t)part;
+    text[n] = '\0';
+    char *first = strstr(text, ": \n\n");
+    if (first != NULL && strstr(first + 4, ": \n\n") != NULL)
+      break;
+  }
+  CHECK(part > 0);
+  close(fd);
+  mo_api_stop(api, 1000);
+}
+
+static void logs(void)
+{
+  struct mo_http_config config = {0};
+  char text[8192];
+  struct mo_api *api = start(&config);
+  REQUIRE(api != NULL);
+  const unsigned before = atomic_load(&logged[404]), first = atomic_load(&logged[400]);
+  CHECK_INT(ask("GET", "/no%20where/\x7f\"?secret=1", "", "", text, sizeof(text)),
+            400); /* a control byte */
+  for (int i = 0; i < 5000 && atomic_load(&logged[400]) == first; i++)
+    pause_ms(1); /* the reply closes the connection, and is logged when that is closed */
+  CHECK_INT(ask("DELETE", "/no%20where?secret=1", "", "", text, sizeof(text)), 404);
+  mo_api_stop(api, 1000);
+  CHECK_INT(atomic_load(&logged[404]) - before, 1);
+  CHECK_TEXT(last_path, "/no%20where");
+  CHECK_TEXT(last_method, "DELETE");
+}
+
+static atomic_bool churning;
+
+/* One of several sorts of clients, some of them rude, until the end. */
+static void *client(void *context)
+{
+  unsigned sort = *(const unsigned *)context, seed = sort * 7919 + 1;
+  char text[16384], body[256], path[96];
+  snprintf(path, sizeof(path), PHYLOGENY, campaign, sort % 2 == 0 ? "csv" : "newick");
+  while (atomic_load(&churning)) {
+    seed = seed * 1103515245 + 12345;
+    int fd;
+    switch (sort % 6) {
+    case 0: fd = say("GET", "/healthz", "", ""); break;
+    case 1:
+      snprintf(body, sizeof(body), one, (int)(1 + seed % 5000));
+      fd = say("POST", "/v1/evaluations", "Prefer: wait=5\r\n", body);
+      break;
+    case 2: fd = say("GET", "/v1/events?after=0", "", ""); break;
+    case 3: fd = say("GET", "/v1/jobs?limit=20", "", ""); break;
+    case 5: fd = say("GET", path, "", ""); break;
+    default: fd = dial(); break;
+    }
+    if (fd < 0)
+      continue;
+    if (sort % 6 == 2 || seed >> 16 & 1) { /* leaves before the end */
+      struct pollfd polled = {fd, POLLIN, 0};
+      poll(&polled, 1, (int)(seed >> 20 & 15));
+      if (seed >> 17 & 1) {
+        struct linger reset = {1, 0};
+        setsockopt(fd, SOL_SOCKET, SO_LINGER, &reset, sizeof(reset));
+      }
+      close(fd);
+    } else if (sort % 6 == 4) {
+      (void)!send(fd, "GET /he", 7, MSG_NOSIGNAL);
+      close(fd);
+    } else {
+      receive(fd, text, sizeof(text));
+    }
+  }
+  return NULL;
+}
+
+static void ends_under_churn(void)
+{
+  struct mo_http_config config = {
+      .max_connections = 24, .max_streams = 4, .n_io_threads = 4, .header_timeout_ms = 200};
+  pthread_t threads[18];
+  unsigned sorts[18];
+  int rounds = getenv("MORPHO_STOPS") != NULL ? atoi(getenv("MORPHO_STOPS")) : 16,
+      before = descriptors();
+  atomic_store(&fake_plan.delay_us, 3000);
+  for (int round = 0; round < rounds; round++) {
+    struct mo_api *api = start(&config);
+    REQUIRE(api != NULL);
+    atomic_store(&churning, true);
+    for (unsigned i = 0; i < 18; i++) {
+      sorts[i] = i;
+      REQUIRE(pthread_create(&threads[i], NULL, client, &sorts[i]) == 0);
+    }
+    pause_ms(20 + round % 7 * 5);
+    mo_api_stop(api, 50);
+    atomic_store(&churning, false);
+    for (unsigned i = 0; i < 18; i++)
+      pthread_join(threads[i], NULL);
+  }
+  atomic_store(&fake_plan.delay_us, 0);
+  CHECK(atomic_load(&logged[200]) > (unsigned)rounds);
+  CHECK_INT(descriptors(), before);
+}
+
+static const struct check_case cases[] = {
+    {"configuration", configuration},
+    {"addresses", addresses},
+    {"limits of one client", limits},
+    {"lists leave threads to other requests", lists_leave_threads},
+    {"streams take no place of requests", streams_take_no_place},
+    {"long replies", long_replies},
+    {"memory of replies", memory},
+    {"shares of memory", memory_shares},
+    {"draining", draining},
+    {"waiting ends with the server", waiting_ends_with_the_server},
+    {"heartbeats", heartbeats},
+    {"logs", logs},
+    {"ends in order under churn", ends_under_churn},
+};
+
+int main(int argc, char **argv)
+{
+  if (service_start(&service) != MO_OK) {
+    printf("Bail out! no service: %s\n", service.fixture.message.text);
+    return 1;
+  }
+  int status = check_run(cases, sizeof(cases) / sizeof(cases[0]), argc, argv);
+  service_end(&service);
+  return status;
+}
