@@ -2,6 +2,8 @@
 #ifndef MORPHO_STORE_CAMPAIGN_ROWS_H
 #define MORPHO_STORE_CAMPAIGN_ROWS_H
 
+#include "store/campaign_designs.h"
+#include "store/campaign_runs.h"
 #include "store/campaigns.h"
 #include "store/checkpoint_files.h"
 #include "store/runs.h"

@@ -213,7 +213,8 @@ int64_t mo_store_checkpoints(struct mo_store *store, int64_t id, struct mo_check
   static const char sql[] =
       "SELECT generation,step,sha256,size,stored_us FROM checkpoints WHERE job=?1"
       " ORDER BY generation DESC,step DESC LIMIT ?2";
-  return mo_read_rows(store, sql, &id, 1, limit, take_row, rows, sizeof(*rows));
+  return mo_read_page(store, sql, MO_VALUES(mo_int(id), mo_int((int64_t)limit)), take_row, rows,
+                      sizeof(*rows));
 }
 
 /* ---- on request ---- */

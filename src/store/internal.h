@@ -113,6 +113,14 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
 
 struct mo_connection *mo_reader_acquire(struct mo_store *store); /* waits for a free reader */
 void mo_reader_release(struct mo_store *store, struct mo_connection *connection);
+int mo_readers_open(struct mo_store *store);
+/* Calls `take` for each row of a page, on a pooled connection. The last value is the limit. Returns
+ * the number of rows or an error. MO_ERR_LIMIT: limit > MO_PAGE_MAX. */
+int64_t mo_read_each(struct mo_store *store, const char *sql, struct mo_values values,
+                     int (*take)(sqlite3_stmt *statement, void *context), void *context);
+/* The same; `take` copies each row into its place in `rows`. */
+int64_t mo_read_page(struct mo_store *store, const char *sql, struct mo_values values,
+                     int (*take)(sqlite3_stmt *statement, void *row), void *rows, size_t row_size);
 
 /* ---- the reserve (reserve.c) ---- */
 

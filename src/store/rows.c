@@ -197,19 +197,11 @@ static int take(sqlite3_stmt *statement, void *any)
   return MO_OK;
 }
 
-/* The last value is the limit. */
 static int64_t read_page(struct mo_store *store, enum mo_row_table which, const char *sql,
                          struct mo_values values, void *rows)
 {
   struct page page = {&tables[which], rows};
-  struct mo_connection *reader;
-  int64_t n;
-  if (values.at[values.n - 1].integer > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  n = mo_sql_each_with(reader, take, &page, sql, values);
-  mo_reader_release(store, reader);
-  return n;
+  return mo_read_each(store, sql, values, take, &page);
 }
 
 int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t after, uint32_t stride,

@@ -72,8 +72,8 @@ int64_t mo_run_queued(struct mo_store *store, enum mo_job_kind kind, int64_t *id
 {
   static const char sql[] =
       "SELECT id FROM jobs WHERE state=0 AND kind=?1 ORDER BY priority DESC,id LIMIT ?2";
-  const int64_t value = kind;
-  return mo_read_rows(store, sql, &value, 1, limit, take_id, ids, sizeof(*ids));
+  return mo_read_page(store, sql, MO_VALUES(mo_int(kind), mo_int((int64_t)limit)), take_id, ids,
+                      sizeof(*ids));
 }
 
 struct start_arguments {

@@ -268,31 +268,6 @@ int64_t mo_sql_each_with(struct mo_connection *connection,
   return error != MO_OK ? error : step < 0 ? step : n;
 }
 
-int64_t mo_read_rows(struct mo_store *store, const char *sql, const int64_t *values, int n_values,
-                     size_t limit, int (*take)(sqlite3_stmt *statement, void *row), void *rows,
-                     size_t row_size)
-{
-  struct mo_connection *reader;
-  sqlite3_stmt *statement;
-  char *row = rows;
-  int error = MO_OK;
-  int step = 0;
-  int64_t n = 0;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    for (int i = 0; i < n_values; i++)
-      sqlite3_bind_int64(statement, i + 1, values[i]);
-    sqlite3_bind_int64(statement, n_values + 1, (sqlite3_int64)limit);
-    for (; error == MO_OK && (step = mo_sql_step(reader, statement)) > 0; n++, row += row_size)
-      error = take(statement, row);
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : step < 0 ? step : n;
-}
-
 /* ---- columns ---- */
 
 void mo_bind_hash(sqlite3_stmt *statement, int index, const struct mo_sha256 *hash)

@@ -91,13 +91,6 @@ int64_t mo_sql_each_with(struct mo_connection *connection,
                          int (*take)(sqlite3_stmt *row, void *context), void *context,
                          const char *sql, struct mo_values values);
 
-/* Reads a page of rows on a pooled connection: binds `values` to ?1 …, then the limit; `take`
- * copies each row into its place. Returns the number of rows or an error. MO_ERR_LIMIT: limit >
- * MO_PAGE_MAX. */
-int64_t mo_read_rows(struct mo_store *store, const char *sql, const int64_t *values, int n_values,
-                     size_t limit, int (*take)(sqlite3_stmt *statement, void *row), void *rows,
-                     size_t row_size);
-
 /* ---- columns ---- */
 
 /* Binds data that must outlive the step. Binding fails only by a mistake in this room. */

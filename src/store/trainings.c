@@ -7,7 +7,7 @@
 #include <string.h>
 
 #include "base/clock.h"
-#include "store/campaigns.h"
+#include "store/campaign_runs.h"
 #include "store/contents.h"
 #include "store/controllers.h"
 #include "store/jobs.h"

@@ -6,6 +6,8 @@
 #include <math.h>
 
 #include "fixture.h"
+#include "store/campaign_designs.h"
+#include "store/campaign_runs.h"
 #include "store/campaigns.h"
 
 #define MADE_POPULATION   6
