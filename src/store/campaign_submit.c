@@ -7,7 +7,7 @@
 
 #include "base/clock.h"
 #include "store/contents.h"
-#include "store/controllers.h"
+#include "store/controller_rows.h"
 #include "store/fields.h"
 #include "store/submit.h"
 

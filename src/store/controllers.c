@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "store/controllers.h"
+#include "store/controller_rows.h"
 #include "store/folder.h"
 
 #include "base/clock.h"

@@ -1,36 +1,36 @@
-/* controllers.h: controllers as other sources of this room store and find them. Only for this room.
- */
+/* controllers.h: files of weights, by content and by name. Threads and errors as in store.h. */
 #ifndef MORPHO_STORE_CONTROLLERS_H
 #define MORPHO_STORE_CONTROLLERS_H
 
-#include "store/internal.h"
+#include "store/records.h"
 
-/* Finds a controller's row by name or "sha256:…". MO_ERR_NOT_FOUND. */
-int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row);
-/* Reads a controller's sensor. MO_ERR_UNSUPPORTED: its workspace is not the default one. */
-int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_sensor *sensor);
-/* Reports the files of controllers that nothing refers to, or (tell NULL) removes them. */
-int mo_controllers_clean(struct mo_store *store,
-                         void (*tell)(void *context, const char *name, uint64_t bytes),
-                         void *context);
+struct mo_store;
 
-/* Stores a file of weights, then its row and name. Begin: on any thread; row: in an operation; end:
- * always. */
-struct mo_controller_put {
-  const char *name;
-  const struct mo_controller *controller;
-  char *metadata;
-  struct mo_sha256 sha256;
-  size_t size;
-  struct mo_controller_record record;
-  bool created, is_locked;
-  int64_t row; /* result */
-};
-int mo_controller_put_begin(struct mo_store *store, const char *name, const uint8_t *bytes,
+int64_t mo_store_controllers(struct mo_store *store, const char *after_name,
+                             struct mo_controller_record *records,
+                             size_t limit); /* in order of names; after_name NULL: from the first */
+/* `name`: a name, or "sha256:<64 hex>". MO_ERR_NOT_FOUND. */
+int mo_store_controller(struct mo_store *store, const char *name,
+                        struct mo_controller_record *record);
+/* Reads the bytes of a controller's file (malloc) and checks their hash: MO_ERR_CORRUPT. */
+int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sha256,
+                              uint8_t **bytes, size_t *size);
+/* Reads a controller's metadata, a JSON object (malloc). */
+int mo_store_controller_metadata(struct mo_store *store, const struct mo_sha256 *sha256,
+                                 char **json);
+
+/* Stores bytes under a name, or points an existing name to them. The caller has decoded the bytes
+ * with mo_controller_decode and passes the result. *created: the name is new. MO_ERR_FORMAT: not a
+ * name ([a-z0-9][a-z0-9._-]{0,63}). */
+int mo_store_controller_put(struct mo_store *store, const char *name, const uint8_t *bytes,
                             size_t size, const struct mo_controller *controller,
-                            struct mo_controller_put *call);
-char *mo_controller_path(const struct mo_store *store, const struct mo_sha256 *sha256); /* malloc */
-int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call);
-void mo_controller_put_end(struct mo_store *store, struct mo_controller_put *call);
+                            struct mo_controller_record *record, bool *created);
+/* Removes a name. The content stays. MO_ERR_NOT_FOUND. */
+int mo_store_controller_remove(struct mo_store *store, const char *name);
+/* Removes content ("sha256:…") and its file. Reads all scores. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT:
+ * something refers to it; the message says what. */
+int mo_store_controller_delete(struct mo_store *store, const char *reference,
+                               struct mo_message *message);
+int mo_controller_name_check(const char *name); /* MO_OK or MO_ERR_FORMAT */
 
 #endif

@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "store/controllers.h"
+#include "store/controller_rows.h"
 
 /* Describes the first reference to a controller. MO_ERR_NOT_FOUND: there is none. */
 static int find_user(struct mo_connection *reader, int64_t row, char words[128])

@@ -10,7 +10,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "store/controllers.h"
+#include "store/controller_rows.h"
 #include "store/folder.h"
 
 struct round {

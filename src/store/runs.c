@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "base/clock.h"
-#include "store/controllers.h"
+#include "store/controller_rows.h"
 #include "store/fields.h"
 #include "store/jobs.h"
 

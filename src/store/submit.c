@@ -6,7 +6,7 @@
 
 #include "base/clock.h"
 #include "store/contents.h"
-#include "store/controllers.h"
+#include "store/controller_rows.h"
 
 /* ---- idempotency keys ---- */
 

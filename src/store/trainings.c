@@ -9,7 +9,7 @@
 #include "base/clock.h"
 #include "store/campaign_runs.h"
 #include "store/contents.h"
-#include "store/controllers.h"
+#include "store/controller_rows.h"
 #include "store/jobs.h"
 #include "store/rows.h"
 #include "store/runs.h"
