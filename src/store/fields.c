@@ -88,8 +88,8 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
 {
   struct mo_message message;
   int error;
-  /* Settings that the others leave without meaning are not stored: the parameters of other kinds of
-   * selection, and bisections with an exact time of impact. */
+  /* What is not stored has its default: a setting that is newer than the row, the parameters of
+   * other kinds of selection, bisections with an exact time of impact. */
   if (kind == MO_JOB_TRAINING)
     ((struct mo_training_record *)record)->settings =
         mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_WORKSTATION);
