@@ -126,7 +126,7 @@ void mo_campaign_json_job(struct mo_text *text, const void *any, const struct mo
   mo_text_add(text, "}}");
 }
 
-void mo_campaign_json_checkpoint(struct mo_text *text, const struct mo_campaign_checkpoint_row *row)
+void mo_campaign_json_checkpoint(struct mo_text *text, const struct mo_checkpoint_row *row)
 {
   mo_text_format(text, "{\"generation\":%u,\"step\":%u,\"sha256\":", row->generation, row->step);
   mo_hash_write(text, &row->sha256);

@@ -5,6 +5,7 @@
 
 #include "api/handlers.h"
 #include "jobs/live.h"
+#include "store/campaign_designs.h"
 #include "store/campaigns.h"
 #include "store/trainings.h"
 

@@ -125,7 +125,7 @@ void mo_training_json_job(struct mo_text *text, const void *any, const struct mo
 
 /* ---- rows ---- */
 
-void mo_training_json_checkpoint(struct mo_text *text, const struct mo_training_checkpoint_row *row)
+void mo_training_json_checkpoint(struct mo_text *text, const struct mo_checkpoint_row *row)
 {
   mo_text_format(text, "{\"step\":%u,\"sha256\":", row->step);
   mo_hash_write(text, &row->sha256);

@@ -148,6 +148,8 @@ const struct mo_fields mo_learning_fields = {learning_rows,
 
 /* ---- trainings ---- */
 
+const char *const mo_training_kind_words[] = {"pretrain", "finetune", NULL};
+
 #define AT(member) offsetof(struct mo_training_settings, member)
 static const struct mo_field recipe_rows[] = {
     {"steps", MO_FIELD_COUNT, 0, AT(n_steps), .min = 1, .max = MO_TRAINING_STEPS_MAX,
