@@ -4,6 +4,8 @@
 
 #include "bench.h"
 
+#include "store/campaign_designs.h"
+#include "store/campaign_runs.h"
 #include "store/campaigns.h"
 #include "store/runner.h"
 

@@ -251,27 +251,40 @@ CREATE TABLE events(
 ) STRICT;
 CREATE INDEX events_of_job ON events(job, sequence);
 
+-- ---- trainings and campaigns ----
+
+-- What both have. `settings`: a JSON object with every bit of every setting (src/store/fields.c).
+-- json_valid() may not check it: a schema that is not trusted may not call it in SQLite 3.40.
+CREATE TABLE runs(
+  job INTEGER PRIMARY KEY REFERENCES jobs(id),
+  settings TEXT NOT NULL CHECK(settings GLOB '{*}'),
+  name TEXT NOT NULL, -- of the resulting controller; '': <kind>-<job>
+  controller INTEGER REFERENCES controllers(id), -- that it starts from; NULL: random weights
+  controller_name TEXT NOT NULL, -- as requested; '': by hash, or none
+  result INTEGER REFERENCES controllers(id)
+) STRICT;
+
+-- The file trainings/<job>/<step>.checkpoint or campaigns/<job>/<generation>-<step>.checkpoint is
+-- written before its row.
+CREATE TABLE checkpoints(
+  job INTEGER NOT NULL REFERENCES runs(job),
+  generation INTEGER NOT NULL, -- 0 in a training
+  step INTEGER NOT NULL,
+  sha256 BLOB NOT NULL CHECK(length(sha256) = 32),
+  size INTEGER NOT NULL,
+  stored_us INTEGER NOT NULL,
+  PRIMARY KEY(job, generation, step)
+) STRICT, WITHOUT ROWID;
+
 -- ---- trainings ----
 
--- `settings`: struct mo_training_settings as src/store/encode.c writes it: every bit of every
--- setting. Learning curves use REAL, which keeps the bits of all their numbers; NaN (all robots of
--- the step diverged) is NULL.
+-- Learning curves use REAL, which keeps the bits of all their numbers; NaN (all robots of the step
+-- diverged) is NULL.
 CREATE TABLE trainings(
-  job INTEGER PRIMARY KEY REFERENCES jobs(id),
-  kind INTEGER NOT NULL, -- 0 pretrain, 1 finetune
-  settings BLOB NOT NULL,
-  name TEXT NOT NULL, -- of the resulting controller; '': training-<job>
-  parent INTEGER REFERENCES controllers(id), -- NULL: random weights
-  parent_name TEXT NOT NULL, -- as requested; '': by hash, or none
+  job INTEGER PRIMARY KEY REFERENCES runs(job),
   n_designs INTEGER NOT NULL,
   population INTEGER NOT NULL, -- the job whose designs are used; 0: none
-  n_steps INTEGER NOT NULL,
-  validate_every_steps INTEGER NOT NULL,
-  checkpoint_every_steps INTEGER NOT NULL,
-  checkpoint_every_s INTEGER NOT NULL,
-  checkpoints_kept INTEGER NOT NULL,
-  step INTEGER NOT NULL, -- newest row of training_steps
-  result INTEGER REFERENCES controllers(id)
+  step INTEGER NOT NULL -- newest row of training_steps
 ) STRICT;
 
 CREATE TABLE training_designs(
@@ -307,16 +320,6 @@ CREATE TABLE training_validations(
   PRIMARY KEY(job, step)
 ) STRICT, WITHOUT ROWID;
 
--- The file trainings/<job>/<step>.checkpoint is written before its row.
-CREATE TABLE training_checkpoints(
-  job INTEGER NOT NULL REFERENCES trainings(job),
-  step INTEGER NOT NULL,
-  sha256 BLOB NOT NULL CHECK(length(sha256) = 32),
-  size INTEGER NOT NULL,
-  stored_us INTEGER NOT NULL,
-  PRIMARY KEY(job, step)
-) STRICT, WITHOUT ROWID;
-
 -- Which code computed a training's gradients, so that a training that resumed under other code says
 -- so.
 CREATE TABLE training_code(
@@ -328,18 +331,13 @@ CREATE TABLE training_code(
 
 -- ---- campaigns ----
 
--- `settings`: struct mo_campaign_settings as src/store/encode.c writes it: every bit of every
--- setting. `generations` replaces its number of generations, which extensions change. Replicates
--- are campaigns of one group, which has the id of its first campaign; initial designs and
--- environments are stored only with that one. Designs are numbered 0, 1, … in order of birth.
+-- `generations` replaces that of the settings, because extensions change it. Replicates are
+-- campaigns of one group, which has the id of its first campaign; initial designs and environments
+-- are stored only with that one. Designs are numbered 0, 1, … in order of birth.
 CREATE TABLE campaigns(
-  job INTEGER PRIMARY KEY REFERENCES jobs(id),
-  settings BLOB NOT NULL,
+  job INTEGER PRIMARY KEY REFERENCES runs(job),
   generations INTEGER NOT NULL,
-  name TEXT NOT NULL, -- of the resulting controller; '': campaign-<job>
   preset TEXT NOT NULL, -- as requested; '': none
-  controller INTEGER REFERENCES controllers(id), -- NULL: random weights
-  controller_name TEXT NOT NULL, -- as requested; '': by hash, or none
   physics INTEGER NOT NULL REFERENCES physics(id),
   environment_set INTEGER REFERENCES environment_sets(id),
   n_environments INTEGER NOT NULL,
@@ -348,15 +346,13 @@ CREATE TABLE campaigns(
   replicates_of INTEGER NOT NULL, -- the first of the group
   replicate INTEGER NOT NULL,
   replicates INTEGER NOT NULL,
-  checkpoint_every_s INTEGER NOT NULL,
   generation INTEGER NOT NULL, -- newest committed; -1: none
   n_designs INTEGER NOT NULL, -- ever born
   best_score REAL, -- of the newest population; NULL: none
   diversity_max REAL NOT NULL,
   ended INTEGER NOT NULL, -- 0 open, 1 completed, 2 exhausted
   scored_generation INTEGER NOT NULL, -- the generation of campaign_losses
-  scored INTEGER NOT NULL, -- rows in campaign_losses
-  result INTEGER REFERENCES controllers(id)
+  scored INTEGER NOT NULL -- rows in campaign_losses
 ) STRICT;
 CREATE INDEX campaigns_of_group ON campaigns(replicates_of, job);
 
@@ -485,15 +481,4 @@ CREATE TABLE campaign_losses(
   place INTEGER NOT NULL,
   losses BLOB NOT NULL,
   PRIMARY KEY(job, place)
-) STRICT, WITHOUT ROWID;
-
--- The file campaigns/<job>/<generation>-<step>.checkpoint is written before its row.
-CREATE TABLE campaign_checkpoints(
-  job INTEGER NOT NULL REFERENCES campaigns(job),
-  generation INTEGER NOT NULL,
-  step INTEGER NOT NULL,
-  sha256 BLOB NOT NULL CHECK(length(sha256) = 32),
-  size INTEGER NOT NULL,
-  stored_us INTEGER NOT NULL,
-  PRIMARY KEY(job, generation, step)
 ) STRICT, WITHOUT ROWID;

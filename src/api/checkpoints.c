@@ -7,12 +7,11 @@
 
 void mo_api_get_training_checkpoints(struct mo_request *request)
 {
-  struct mo_training_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
+  struct mo_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
   int64_t id;
   if (!mo_path_job(request, MO_JOB_TRAINING, &id))
     return;
-  int64_t n =
-      mo_store_training_checkpoints(mo_api_of(request)->store, id, rows, MO_CHECKPOINTS_KEPT_MAX);
+  int64_t n = mo_store_checkpoints(mo_api_of(request)->store, id, rows, MO_CHECKPOINTS_KEPT_MAX);
   if (n < 0) {
     mo_reply_error(request, (int)n, "page");
     return;
@@ -40,8 +39,8 @@ static void delete_checkpoints(struct mo_request *request, bool one)
                  ? MO_ERR_NOT_FOUND
                  : MO_OK;
   if (code == MO_OK)
-    code = mo_store_training_checkpoints_remove(mo_api_of(request)->store, id, (uint32_t)step,
-                                                &removed);
+    code = mo_store_checkpoints_remove(mo_api_of(request)->store, id, MO_JOB_TRAINING,
+                                       (uint32_t)step, &removed);
   if (code == MO_ERR_NOT_FOUND) {
     mo_reply_problem(request, 404, NULL,
                      "The training keeps no checkpoint of this step; GET "
@@ -59,7 +58,7 @@ static void delete_checkpoints(struct mo_request *request, bool one)
     struct mo_text reply = {0};
     mo_text_add(&reply, "{\"items\":[");
     for (size_t i = 0; i < removed.n; i++)
-      mo_text_format(&reply, "%s{\"step\":%u}", i > 0 ? "," : "", removed.steps[i]);
+      mo_text_format(&reply, "%s{\"step\":%u}", i > 0 ? "," : "", removed.places[i].step);
     mo_text_add(&reply, "]");
     mo_text_member_count(&reply, "bytes", removed.bytes);
     mo_text_add(&reply, "}");
@@ -79,13 +78,12 @@ void mo_api_delete_training_checkpoint(struct mo_request *request)
 
 void mo_api_get_campaign_checkpoints(struct mo_request *request)
 {
-  struct mo_campaign_checkpoint_row rows[MO_CAMPAIGN_CHECKPOINTS_MAX];
+  struct mo_checkpoint_row rows[MO_CHECKPOINTS_MAX];
   struct mo_text text = {0};
   int64_t id;
   if (!mo_path_job(request, MO_JOB_CAMPAIGN, &id))
     return;
-  int64_t n = mo_store_campaign_checkpoints(mo_api_of(request)->store, id, rows,
-                                            MO_CAMPAIGN_CHECKPOINTS_MAX);
+  int64_t n = mo_store_checkpoints(mo_api_of(request)->store, id, rows, MO_CHECKPOINTS_MAX);
   if (n < 0) {
     mo_reply_error(request, (int)n, "page");
     return;
@@ -102,12 +100,13 @@ void mo_api_get_campaign_checkpoints(struct mo_request *request)
 
 void mo_api_delete_campaign_checkpoints(struct mo_request *request)
 {
-  struct mo_campaign_checkpoints_removed removed;
+  struct mo_checkpoints_removed removed;
   struct mo_text text = {0};
   int64_t id;
   if (!mo_path_job(request, MO_JOB_CAMPAIGN, &id))
     return;
-  int code = mo_store_campaign_checkpoints_remove(mo_api_of(request)->store, id, &removed);
+  int code =
+      mo_store_checkpoints_remove(mo_api_of(request)->store, id, MO_JOB_CAMPAIGN, 0, &removed);
   if (code != MO_OK) {
     mo_reply_error(request, code, "campaign");
     return;
@@ -115,7 +114,7 @@ void mo_api_delete_campaign_checkpoints(struct mo_request *request)
   mo_text_add(&text, "{\"items\":[");
   for (size_t i = 0; i < removed.n; i++)
     mo_text_format(&text, "%s{\"generation\":%u,\"step\":%u}", i > 0 ? "," : "",
-                   removed.places[i][0], removed.places[i][1]);
+                   removed.places[i].generation, removed.places[i].step);
   mo_text_add(&text, "]");
   mo_text_member_count(&text, "bytes", removed.bytes);
   mo_text_add(&text, "}");

@@ -47,11 +47,11 @@ static void reply_damaged(struct mo_request *request, const struct mo_training_s
                           bool result, uint32_t step)
 {
   static const char words[] = "in the state folder of the service is missing or damaged.";
-  struct mo_training_checkpoint_row newest = {.step = step};
+  struct mo_checkpoint_row newest = {.step = step};
   char digits[MO_SHA256_DIGITS + 1];
   mo_sha256_to_hex(&status->result_sha256, digits);
   if (step == 0 && !result)
-    (void)mo_store_training_checkpoints(mo_api_of(request)->store, status->job.id, &newest, 1);
+    (void)mo_store_checkpoints(mo_api_of(request)->store, status->job.id, &newest, 1);
   if (result)
     mo_reply_problem(request, 500, NULL, "The file controllers/%s.safetensors %s", digits, words);
   else

@@ -10,5 +10,7 @@
 extern const struct mo_fields mo_campaign_fields;
 /* Of the same struct: what campaigns that learn add, with the members of `learning`. */
 extern const struct mo_fields mo_campaign_learning_fields;
+/* Of enum mo_campaign_mode. */
+extern const char *const mo_campaign_mode_words[];
 
 #endif

@@ -13,6 +13,8 @@
 #define MORPHO_JOBS_CAMPAIGNS_H
 
 #include "jobs/live.h"
+#include "store/campaign_designs.h"
+#include "store/campaign_runs.h"
 #include "store/campaigns.h"
 
 struct mo_campaign_request {

@@ -132,9 +132,8 @@ static int save(struct run *run)
 /* Loads the newest undamaged checkpoint. MO_ERR_NOT_FOUND: there is none. */
 static int load_checkpoint(struct run *run)
 {
-  struct mo_training_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
-  int64_t n =
-      mo_store_training_checkpoints(run->jobs->store, run->id, rows, MO_CHECKPOINTS_KEPT_MAX);
+  struct mo_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
+  int64_t n = mo_store_checkpoints(run->jobs->store, run->id, rows, MO_CHECKPOINTS_KEPT_MAX);
   if (n < 0)
     return (int)n;
   for (int64_t i = 0; i < n; i++) {

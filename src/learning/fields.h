@@ -13,5 +13,7 @@ extern const struct mo_fields mo_learning_fields;
 extern const struct mo_fields mo_recipe_fields;
 /* The same with seed and sensor. */
 extern const struct mo_fields mo_training_fields;
+/* Of enum mo_training_kind: "pretrain", "finetune", NULL. */
+extern const char *const mo_training_kind_words[];
 
 #endif

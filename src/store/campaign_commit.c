@@ -11,11 +11,13 @@
 #include "store/scores.h"
 
 #include "base/clock.h"
+#include "store/contents.h"
+#include "store/rows.h"
 
 struct commit_arguments {
   int64_t id;
   const struct mo_campaign_commit *commit;
-  struct mo_campaign_checkpoint checkpoint;
+  struct mo_checkpoint checkpoint;
   struct mo_campaign_head head;
   int64_t *genotypes;  /* (n_children) rows */
   uint8_t *lives;      /* (n_parents + n_children) */
@@ -121,13 +123,7 @@ static int check_turn(struct mo_store *store, struct commit_arguments *call)
                             ",attempts=0 WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
   const struct mo_campaign_generation *row = &call->commit->row;
   struct mo_connection *writer = &store->writer;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, call->id);
-  sqlite3_bind_int64(statement, 2, store->epoch);
-  error = mo_run_changed(writer, statement);
+  int error = mo_sql_change(writer, sql, mo_int(call->id), mo_int(store->epoch));
   if (error == MO_OK)
     error = mo_campaign_head_get(writer, call->id, &call->head);
   if (error == MO_OK && call->head.generation + 1 != row->generation)
@@ -149,45 +145,37 @@ static int write_size(const struct mo_design_size *size, int64_t *packed)
   return MO_OK;
 }
 
+/* A parent's number, or NULL. */
+static struct mo_value parent_value(const struct mo_campaign_commit *commit, uint32_t child,
+                                    int which)
+{
+  const uint32_t number = parent_number(commit, &commit->births[child], which);
+  return number == MO_NO_PARENT ? mo_null() : mo_int(number);
+}
+
 static int insert_children(struct mo_connection *writer, struct commit_arguments *call,
                            int64_t now_us)
 {
   static const char sql[] =
-      "INSERT INTO "
-      "campaign_designs(job,number,genotype,operator,parent,other_parent,born,died,score,"
-      "size) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10)";
+      "INSERT INTO campaign_designs(job,number,genotype,operator,parent,other_parent,born,died,"
+      "score,size) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10)";
   const struct mo_campaign_commit *commit = call->commit;
-  const int64_t first = (int64_t)commit->row.born_before;
-  sqlite3_stmt *statement;
+  const struct mo_value born = mo_int(commit->row.generation);
   int64_t size = 0;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++)
     error = mo_genotype_row(writer, &commit->forms[i], &commit->genotypes[i], now_us,
                             &call->genotypes[i]);
   for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++) {
-    const struct mo_birth *birth = &commit->births[i];
     uint8_t score[8];
-    statement = mo_sql(writer, sql, &error);
-    if (statement == NULL)
-      return error;
-    error = write_size(&commit->sizes[i], &size);
-    if (error != MO_OK)
-      return error;
     mo_encode_double(commit->child_scores[i], score);
-    sqlite3_bind_int64(statement, 1, call->id);
-    sqlite3_bind_int64(statement, 2, first + i);
-    sqlite3_bind_int64(statement, 3, call->genotypes[i]);
-    sqlite3_bind_int64(statement, 4, birth->op);
-    for (int p = 0; p < 2; p++)
-      if (birth->parents[p] != MO_NO_PARENT)
-        sqlite3_bind_int64(statement, 5 + p, parent_number(commit, birth, p));
-    sqlite3_bind_int64(statement, 7, commit->row.generation);
-    if (!call->lives[commit->n_parents + i])
-      sqlite3_bind_int64(statement, 8, commit->row.generation);
-    sqlite3_bind_blob(statement, 9, score, sizeof(score), SQLITE_STATIC);
-    sqlite3_bind_int64(statement, 10, size);
-    error = mo_sql_run(writer, statement);
-    (void)sqlite3_clear_bindings(statement);
+    error = write_size(&commit->sizes[i], &size);
+    if (error == MO_OK)
+      error = mo_sql_do(writer, sql, mo_int(call->id), mo_int((int64_t)commit->row.born_before + i),
+                        mo_int(call->genotypes[i]), mo_int(commit->births[i].op),
+                        parent_value(commit, i, 0), parent_value(commit, i, 1), born,
+                        call->lives[commit->n_parents + i] ? mo_null() : born,
+                        mo_blob(score, sizeof(score)), mo_int(size));
   }
   return error;
 }
@@ -200,20 +188,13 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
   const struct mo_campaign_commit *commit = call->commit;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->n_parents && error == MO_OK; i++) {
-    sqlite3_stmt *statement;
     uint8_t score[8];
     mo_encode_double(commit->parent_scores[i], score);
     if (call->lives[i] && memcmp(score, call->scores + (size_t)8 * i, 8) == 0)
       continue;
-    statement = mo_sql(writer, sql, &error);
-    if (statement == NULL)
-      return error;
-    sqlite3_bind_int64(statement, 1, call->id);
-    sqlite3_bind_int64(statement, 2, commit->parent_numbers[i]);
-    if (!call->lives[i])
-      sqlite3_bind_int64(statement, 3, commit->row.generation);
-    sqlite3_bind_blob(statement, 4, score, sizeof(score), SQLITE_STATIC);
-    error = mo_run_changed(writer, statement);
+    error = mo_sql_change(writer, sql, mo_int(call->id), mo_int(commit->parent_numbers[i]),
+                          call->lives[i] ? mo_null() : mo_int(commit->row.generation),
+                          mo_blob(score, sizeof(score)));
     if (error == MO_ERR_CONFLICT)
       error = MO_ERR_CORRUPT;
   }
@@ -308,19 +289,9 @@ static int insert_blobs(struct mo_connection *writer, const struct commit_argume
   static const char sql[] =
       "INSERT INTO campaign_populations(job,generation,births,population) VALUES(?1,?2,?3,?4)";
   const struct mo_campaign_commit *commit = call->commit;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, call->id);
-  sqlite3_bind_int64(statement, 2, commit->row.generation);
-  sqlite3_bind_blob(statement, 3, call->births, (int)(commit->row.n_children * MO_BIRTH_BYTES),
-                    SQLITE_STATIC);
-  sqlite3_bind_blob(statement, 4, call->population, (int)(commit->n_survivors * MO_MEMBER_BYTES),
-                    SQLITE_STATIC);
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  return error;
+  return mo_sql_do(writer, sql, mo_int(call->id), mo_int(commit->row.generation),
+                   mo_blob(call->births, (size_t)commit->row.n_children * MO_BIRTH_BYTES),
+                   mo_blob(call->population, (size_t)commit->n_survivors * MO_MEMBER_BYTES));
 }
 
 static int update_campaign(struct mo_connection *writer, const struct commit_arguments *call)
@@ -329,22 +300,18 @@ static int update_campaign(struct mo_connection *writer, const struct commit_arg
       "UPDATE campaigns SET generation=?2,n_designs=?3,best_score=?4,diversity_max=?5,scored=0,"
       "scored_generation=-1 WHERE job=?1";
   const struct mo_campaign_commit *commit = call->commit;
-  double diversity = commit->row.stats.diversity, most = call->head.diversity_max;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, call->id);
-  sqlite3_bind_int64(statement, 2, commit->row.generation);
-  sqlite3_bind_int64(statement, 3, (int64_t)commit->row.born_before + commit->row.n_children);
-  if (commit->n_survivors > 0)
-    sqlite3_bind_double(statement, 4, mo_decode_double(call->population + 4));
-  sqlite3_bind_double(statement, 5, diversity > most ? diversity : most);
-  return mo_sql_run(writer, statement);
+  const double diversity = commit->row.stats.diversity, most = call->head.diversity_max;
+  return mo_sql_do(writer, sql, mo_int(call->id), mo_int(commit->row.generation),
+                   mo_int((int64_t)commit->row.born_before + commit->row.n_children),
+                   commit->n_survivors > 0 ? mo_real(mo_decode_double(call->population + 4))
+                                           : mo_null(),
+                   mo_real(diversity > most ? diversity : most));
 }
 
 static int commit_generation(struct mo_store *store, void *arguments)
 {
+  static const char earlier_sql[] =
+      "SELECT generation,step,size FROM checkpoints WHERE job=?1 AND generation<?2";
   struct commit_arguments *call = arguments;
   const struct mo_campaign_commit *commit = call->commit;
   struct mo_campaign_generation row = commit->row;
@@ -359,14 +326,15 @@ static int commit_generation(struct mo_store *store, void *arguments)
   if (error == MO_OK)
     error = insert_scores(store, call, now_us);
   if (error == MO_OK)
-    error = mo_campaign_generation_write(writer, call->id, &row);
+    error = mo_row_write(writer, MO_CAMPAIGN_GENERATIONS, call->id, &row);
   if (error == MO_OK)
     error = insert_blobs(writer, call);
   for (uint32_t i = 0; i < commit->n_steps && error == MO_OK; i++)
-    error = mo_campaign_step_write(writer, call->id, &commit->steps[i]);
+    error = mo_row_write(writer, MO_CAMPAIGN_STEPS, call->id, &commit->steps[i]);
   if (error == MO_OK)
-    error = commit->checkpoint != NULL ? mo_campaign_checkpoint_row(store, &call->checkpoint)
-                                       : mo_campaign_checkpoint_drop(store, &call->checkpoint);
+    error = commit->checkpoint != NULL
+                ? mo_campaign_checkpoint_row(store, &call->checkpoint, true)
+                : mo_checkpoint_drop(store, earlier_sql, 0, &call->checkpoint);
   if (error == MO_OK && call->head.scored_generation >= 0)
     error = mo_campaign_losses_drop(writer, call->id);
   if (error == MO_OK)
@@ -381,21 +349,17 @@ static int commit_generation(struct mo_store *store, void *arguments)
 int mo_store_campaign_commit(struct mo_store *store, int64_t id,
                              const struct mo_campaign_commit *commit)
 {
-  struct commit_arguments call = {.id = id,
-                                  .commit = commit,
-                                  .checkpoint = {.id = id,
-                                                 .generation = commit->row.generation,
-                                                 .step = commit->checkpoint_step,
-                                                 .committed = true,
-                                                 .size = commit->checkpoint_size}};
+  struct commit_arguments call = {
+      .id = id,
+      .commit = commit,
+      .checkpoint = {.id = id,
+                     .kind = MO_JOB_CAMPAIGN,
+                     .place = {commit->row.generation, commit->checkpoint_step},
+                     .size = commit->checkpoint_size}};
   int error = prepare(&call);
-  pthread_mutex_lock(&store->checkpoints_mutex);
-  if (error == MO_OK && commit->checkpoint != NULL)
-    error = mo_campaign_checkpoint_begin(store, commit->checkpoint, &call.checkpoint);
   if (error == MO_OK)
-    error = mo_write(store, commit_generation, &call);
-  mo_campaign_checkpoint_end(store, &call.checkpoint, error);
-  pthread_mutex_unlock(&store->checkpoints_mutex);
+    error =
+        mo_checkpoint_write(store, commit->checkpoint, &call.checkpoint, commit_generation, &call);
   free(call.genotypes);
   free(call.lives);
   free(call.births);

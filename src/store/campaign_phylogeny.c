@@ -12,17 +12,12 @@ int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t 
 {
   static const char sql[] =
       "SELECT births,population FROM campaign_populations WHERE job=?1 AND generation=?2";
-  int error = MO_OK;
   int n_births, n;
-  int step;
-  *blobs = (struct mo_campaign_blobs){.statement = mo_sql(connection, sql, &error)};
-  if (blobs->statement == NULL)
+  int error;
+  *blobs = (struct mo_campaign_blobs){.n = 0};
+  error = mo_sql_row(connection, &blobs->statement, sql, mo_int(id), mo_int(generation));
+  if (error != MO_OK)
     return error;
-  sqlite3_bind_int64(blobs->statement, 1, id);
-  sqlite3_bind_int64(blobs->statement, 2, generation);
-  step = mo_sql_step(connection, blobs->statement);
-  if (step <= 0)
-    return step < 0 ? step : MO_ERR_NOT_FOUND;
   blobs->births = sqlite3_column_blob(blobs->statement, 0);
   blobs->population = sqlite3_column_blob(blobs->statement, 1);
   n_births = sqlite3_column_bytes(blobs->statement, 0);
@@ -75,26 +70,20 @@ int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t af
 {
   static const char sql[] =
       DESIGN_COLUMNS " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
-  const int64_t values[] = {id, after};
-  return mo_read_rows(store, sql, values, 2, limit, design_from_row, rows, sizeof(*rows));
+  return mo_read_page(store, sql, MO_VALUES(mo_int(id), mo_int(after), mo_int((int64_t)limit)),
+                      design_from_row, rows, sizeof(*rows));
 }
 
 static int load_design(struct mo_connection *reader, int64_t id, uint32_t number,
                        struct mo_campaign_design *design)
 {
   static const char sql[] = DESIGN_COLUMNS " WHERE d.job=?1 AND d.number=?2";
-  int error = MO_OK;
-  int step;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
+  sqlite3_stmt *row;
+  int error = mo_sql_row(reader, &row, sql, mo_int(id), mo_int(number));
+  if (error != MO_OK)
     return error;
-  sqlite3_bind_int64(statement, 1, id);
-  sqlite3_bind_int64(statement, 2, number);
-  step = mo_sql_step(reader, statement);
-  if (step <= 0)
-    return step < 0 ? step : MO_ERR_NOT_FOUND;
-  error = design_from_row(statement, design);
-  (void)sqlite3_reset(statement);
+  error = design_from_row(row, design);
+  (void)sqlite3_reset(row);
   return error;
 }
 
@@ -218,6 +207,13 @@ int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_des
 
 /* ---- where a form was born ---- */
 
+static int take_place(sqlite3_stmt *row, void *any)
+{
+  struct mo_campaign_place *place = any;
+  *place = (struct mo_campaign_place){sqlite3_column_int64(row, 0), mo_column_u32(row, 1)};
+  return MO_OK;
+}
+
 int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_bits *form,
                                      int64_t after_campaign, struct mo_campaign_place *places,
                                      size_t limit)
@@ -227,24 +223,9 @@ int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_bit
       " campaign_designs d ON d.genotype=g.id WHERE x.form=?1 AND d.job>?2"
       " ORDER BY d.job LIMIT ?3";
   uint8_t bytes[MO_BITS_BYTES];
-  struct mo_connection *reader;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
-  int64_t n = 0;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
   mo_encode_bits(form, bytes);
-  reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_blob(statement, 1, bytes, sizeof(bytes), SQLITE_STATIC);
-    sqlite3_bind_int64(statement, 2, after_campaign);
-    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
-    while ((error = mo_sql_step(reader, statement)) > 0)
-      places[n++] = (struct mo_campaign_place){sqlite3_column_int64(statement, 0),
-                                               (uint32_t)sqlite3_column_int64(statement, 1)};
-    (void)sqlite3_clear_bindings(statement);
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : n;
+  return mo_read_page(
+      store, sql,
+      MO_VALUES(mo_blob(bytes, sizeof(bytes)), mo_int(after_campaign), mo_int((int64_t)limit)),
+      take_place, places, sizeof(*places));
 }

@@ -2,8 +2,11 @@
 #ifndef MORPHO_STORE_CAMPAIGN_ROWS_H
 #define MORPHO_STORE_CAMPAIGN_ROWS_H
 
+#include "store/campaign_designs.h"
+#include "store/campaign_runs.h"
 #include "store/campaigns.h"
-#include "store/internal.h"
+#include "store/checkpoint_files.h"
+#include "store/runs.h"
 
 #define MO_BIRTH_BYTES  9  /* operator, two parents */
 #define MO_MEMBER_BYTES 12 /* number, score */
@@ -35,32 +38,11 @@ struct mo_campaign_blobs {
 int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t generation,
                           struct mo_campaign_blobs *blobs);
 
-int mo_campaign_generation_write(struct mo_connection *writer, int64_t id,
-                                 const struct mo_campaign_generation *row);
-int mo_campaign_step_write(struct mo_connection *writer, int64_t id,
-                           const struct mo_campaign_step *row);
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id);
 
-/* A checkpoint that is being written, under checkpoints_mutex. Begin (on any thread) writes the
- * file; row (in an operation) writes the row and deletes the rows of replaced checkpoints; end
- * (always) deletes the files of these. `committed`: the state after the generation. */
-struct mo_campaign_checkpoint {
-  int64_t id;
-  uint32_t generation, step;
-  bool committed;
-  uint64_t size;
-  struct mo_sha256 sha256;
-  char *path;
-  bool was_there;
-  uint32_t dropped[MO_CAMPAIGN_CHECKPOINTS_MAX][2];
-  size_t n_dropped;
-};
-int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,
-                                 struct mo_campaign_checkpoint *checkpoint);
-int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint);
-/* Deletes the rows of checkpoints of generations before `generation`, and writes none. */
-int mo_campaign_checkpoint_drop(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint);
-void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint,
-                                int error);
+/* Writes the row of a checkpoint and deletes the rows that it replaces. is_committed: it is the
+ * state after its generation. */
+int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_checkpoint *checkpoint,
+                               bool is_committed);
 
 #endif

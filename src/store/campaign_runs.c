@@ -1,16 +1,12 @@
-/* campaign_runs.c: what the runner of a campaign does between generations: start, park, finish,
- * read the state.
- *
- * Writes are fenced by the epoch like those of trainings: the campaign must have been started under
- * this opening of the store and must not be final. A campaign that was paused still takes losses
- * and generations, because its thread saves what it has computed. */
+/* campaign_runs.c: what the runner of a campaign does between generations: start, park, checkpoints
+ * inside a generation, the end, the state from which it resumes. Writes are fenced as in runs.h. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "store/campaign_rows.h"
-
-#include "base/clock.h"
+#include "store/contents.h"
+#include "store/rows.h"
 
 /* ---- the queue and the attempt ---- */
 
@@ -61,69 +57,89 @@ int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id,
 
 /* ---- the end ---- */
 
-struct finish_arguments {
-  int64_t id;
+struct end {
   enum mo_campaign_end end;
   uint32_t generations;
-  struct mo_controller_put *put; /* NULL: none */
 };
 
-static int finish(struct mo_store *store, void *arguments)
+/* MO_ERR_CONFLICT: the campaign was extended. */
+static int end_campaign(struct mo_connection *writer, int64_t id, const void *context)
 {
-  static const char job_sql[] =
-      "UPDATE jobs SET state=3," MO_NEXT_VERSION ",finished_us=?3,error=0,error_text=NULL"
-      " WHERE id=?1 AND kind=2 AND state=1 AND epoch=?2"
-      " AND (SELECT generations FROM campaigns WHERE job=?1)<=?4";
-  static const char sql[] = "UPDATE campaigns SET ended=?2,result=nullif(?3,0) WHERE job=?1";
-  const struct finish_arguments *call = arguments;
-  struct mo_connection *writer = &store->writer;
-  char more[256], digits[MO_SHA256_DIGITS + 1];
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, job_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, call->id);
-  sqlite3_bind_int64(statement, 2, store->epoch);
-  sqlite3_bind_int64(statement, 3, mo_clock_wall_us());
-  sqlite3_bind_int64(statement, 4, call->generations);
-  error = mo_run_changed(writer, statement);
-  if (error == MO_OK && call->put != NULL)
-    error = mo_controller_put_row(store, call->put);
-  statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, call->id);
-  sqlite3_bind_int64(statement, 2, call->end);
-  sqlite3_bind_int64(statement, 3, call->put != NULL ? call->put->row : 0);
-  error = mo_sql_run(writer, statement);
-  if (error != MO_OK)
-    return error;
-  snprintf(more, sizeof(more), ",\"end\":\"%s\"",
-           call->end == MO_CAMPAIGN_EXHAUSTED ? "exhausted" : "completed");
-  if (call->put != NULL) {
-    size_t length = strlen(more);
-    mo_sha256_to_hex(&call->put->sha256, digits);
-    snprintf(more + length, sizeof(more) - length, ",\"controller\":\"%s\",\"sha256\":\"%s\"",
-             call->put->name, digits);
-  }
-  return mo_run_announce(store, call->id, MO_JOB_CAMPAIGN, "job.finished", MO_JOB_SUCCEEDED, more);
+  static const char sql[] = "UPDATE campaigns SET ended=?2 WHERE job=?1 AND generations<=?3";
+  const struct end *end = context;
+  return mo_sql_change(writer, sql, mo_int(id), mo_int(end->end), mo_int(end->generations));
 }
 
 int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaign_end end,
                              uint32_t generations, const char *name, const uint8_t *bytes,
                              size_t size, const struct mo_controller *controller)
 {
-  struct mo_controller_put put = {.name = name};
-  struct finish_arguments call = {id, end, generations, controller != NULL ? &put : NULL};
-  int error = MO_OK;
+  const struct mo_run_result result = {name, bytes, size, controller};
+  const struct end context = {end, generations};
   if (end != MO_CAMPAIGN_COMPLETED && end != MO_CAMPAIGN_EXHAUSTED)
     return MO_ERR_INVALID;
-  if (controller != NULL)
-    error = mo_controller_put_begin(store, name, bytes, size, controller, &put);
+  return mo_run_finish(store, id, MO_JOB_CAMPAIGN, &result,
+                       end == MO_CAMPAIGN_EXHAUSTED ? ",\"end\":\"exhausted\""
+                                                    : ",\"end\":\"completed\"",
+                       end_campaign, &context);
+}
+
+/* ---- checkpoints ----
+ *
+ * Two are kept: the state after the newest committed generation, which scored its population, and
+ * the newest state inside the current generation. */
+
+int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_checkpoint *checkpoint,
+                               bool is_committed)
+{
+  /* The next generation needs only the state after this one. A checkpoint inside a generation keeps
+   * the state before that generation. */
+  static const char sql[] = "SELECT generation,step,size FROM checkpoints WHERE job=?1"
+                            " AND NOT (generation=?2 AND step=?3) AND (?4 OR generation<>?2-1)";
+  const int error = mo_checkpoint_row_write(store, checkpoint);
+  return error == MO_OK ? mo_checkpoint_drop(store, sql, is_committed, checkpoint) : error;
+}
+
+struct inside_arguments {
+  struct mo_checkpoint checkpoint;
+  const struct mo_campaign_step *steps;
+  size_t n_steps;
+};
+
+static int save_inside(struct mo_store *store, void *arguments)
+{
+  struct inside_arguments *call = arguments;
+  struct mo_campaign_head head = {0};
+  const int64_t id = call->checkpoint.id;
+  int error = mo_run_touch(store, id, MO_JOB_CAMPAIGN);
   if (error == MO_OK)
-    error = mo_write(store, finish, &call);
-  if (controller != NULL)
-    mo_controller_put_end(store, &put);
+    error = mo_campaign_head_get(&store->writer, id, &head);
+  if (error == MO_OK && head.generation + 1 != call->checkpoint.place.generation)
+    error = MO_ERR_CONFLICT;
+  for (size_t i = 0; i < call->n_steps && error == MO_OK; i++)
+    error = mo_row_write(&store->writer, MO_CAMPAIGN_STEPS, id, &call->steps[i]);
+  return error == MO_OK ? mo_campaign_checkpoint_row(store, &call->checkpoint, false) : error;
+}
+
+int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t generation,
+                                 uint32_t step, const uint8_t *bytes, size_t size,
+                                 const struct mo_campaign_step *steps, size_t n_steps)
+{
+  struct inside_arguments call = {
+      {.id = id, .kind = MO_JOB_CAMPAIGN, .place = {generation, step}, .size = size},
+      steps,
+      n_steps};
+  return mo_checkpoint_write(store, bytes, &call.checkpoint, save_inside, &call);
+}
+
+int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation,
+                                    uint32_t *step, uint8_t **bytes, size_t *size)
+{
+  struct mo_checkpoint_place place;
+  const int error =
+      mo_checkpoint_read(store, id, MO_JOB_CAMPAIGN, generation, -1, &place, bytes, size);
+  if (error == MO_OK)
+    *step = place.step;
   return error;
 }
 
@@ -146,18 +162,12 @@ static int load_member(struct mo_connection *reader, int64_t id, struct mo_campa
   static const char sql[] =
       "SELECT d.born,g.bits,x.form FROM campaign_designs d JOIN genotypes g ON g.id=d.genotype"
       " JOIN designs x ON x.id=g.design WHERE d.job=?1 AND d.number=?2";
-  int error = MO_OK;
-  int step;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  sqlite3_bind_int64(statement, 2, state->numbers[i]);
-  step = mo_sql_step(reader, statement);
-  if (step <= 0)
-    return step < 0 ? step : MO_ERR_CORRUPT;
-  state->born[i] = (uint32_t)sqlite3_column_int64(statement, 0);
-  return mo_column_genotype(statement, 1, 2, &state->genotypes[i], NULL);
+  sqlite3_stmt *row;
+  const int error = mo_sql_row(reader, &row, sql, mo_int(id), mo_int(state->numbers[i]));
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
+  state->born[i] = mo_column_u32(row, 0);
+  return mo_column_genotype(row, 1, 2, &state->genotypes[i], NULL);
 }
 
 static int load_state(struct mo_connection *reader, int64_t id, struct mo_campaign_state *state)
@@ -211,30 +221,30 @@ int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campai
 
 #define EACH_PAGE 4096
 
+struct page {
+  int64_t number; /* of the last design */
+  struct mo_bits *next;
+};
+
+static int take_design(sqlite3_stmt *row, void *any)
+{
+  struct page *page = any;
+  return sqlite3_column_int64(row, 0) != ++page->number ? MO_ERR_CORRUPT
+                                                        : mo_column_bits(row, 1, page->next++);
+}
+
 /* Reads a page of designs. Designs are never deleted, so no reader is held while `take` runs. */
-static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, struct mo_bits *page)
+static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, struct mo_bits *designs)
 {
   static const char sql[] =
       "SELECT d.number,g.bits FROM campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype"
       " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
   struct mo_connection *reader = mo_reader_acquire(store);
-  int error = MO_OK;
-  int64_t n = 0;
-  int step = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, id);
-    sqlite3_bind_int64(statement, 2, after);
-    sqlite3_bind_int64(statement, 3, EACH_PAGE);
-    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-      n++;
-      error = sqlite3_column_int64(statement, 0) != after + n
-                  ? MO_ERR_CORRUPT
-                  : mo_column_bits(statement, 1, &page[n - 1]);
-    }
-  }
+  struct page page = {after, designs};
+  const int64_t n =
+      mo_sql_each(reader, take_design, &page, sql, mo_int(id), mo_int(after), mo_int(EACH_PAGE));
   mo_reader_release(store, reader);
-  return error != MO_OK ? error : step < 0 ? step : n;
+  return n;
 }
 
 int mo_store_campaign_each(struct mo_store *store, int64_t id,

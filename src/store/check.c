@@ -5,6 +5,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "store/controller_rows.h"
+#include "store/folder.h"
+#include "store/jobs.h"
 #include "store/scores.h"
 
 struct walk {
@@ -102,8 +105,11 @@ static int is_finding(struct walk *walk, sqlite3_stmt *row)
 static int check_job(struct walk *walk, sqlite3_stmt *row)
 {
   struct mo_job job;
-  (void)walk;
-  return mo_job_from_row(row, &job);
+  sqlite3_stmt *whole;
+  int error = mo_job_row(walk->reader, sqlite3_column_int64(row, 0), -1, &whole);
+  if (error == MO_OK)
+    error = mo_job_read(whole, &job, NULL);
+  return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
 }
 
 /* ---- files ---- */
@@ -176,16 +182,13 @@ static const struct part {
      check_campaign_losses},
     {"a mean loss is damaged: set_scores, genotype",
      "SELECT genotype,ranking,score,checksum FROM set_scores", check_mean},
-    {"a job is damaged: jobs, row", "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES, check_job},
+    {"a job is damaged: jobs, row", "SELECT id FROM jobs", check_job},
     {"a controller's file is missing or damaged: controllers, row",
      "SELECT id,sha256,size FROM controllers", check_controller},
-    {"a checkpoint's file is missing or damaged: training",
-     "SELECT job,sha256,size,printf('trainings/%d/%d.checkpoint',job,step) FROM"
-     " training_checkpoints",
-     check_checkpoint},
-    {"a checkpoint's file is missing or damaged: campaign",
-     "SELECT job,sha256,size,printf('campaigns/%d/%d-%d.checkpoint',job,generation,step) FROM"
-     " campaign_checkpoints",
+    {"a checkpoint's file is missing or damaged: job",
+     "SELECT c.job,c.sha256,c.size,iif(j.kind=1,printf('trainings/%d/%d.checkpoint',c.job,c.step),"
+     "printf('campaigns/%d/%d-%d.checkpoint',c.job,c.generation,c.step)) FROM checkpoints c"
+     " JOIN jobs j ON j.id=c.job",
      check_checkpoint},
 };
 

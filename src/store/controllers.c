@@ -7,9 +7,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "store/internal.h"
+#include "store/controller_rows.h"
+#include "store/folder.h"
 
 #include "base/clock.h"
+#include "base/text.h"
 
 int mo_controller_name_check(const char *name)
 {
@@ -52,55 +54,22 @@ static int write_file(struct mo_store *store, const struct mo_sha256 *sha256, co
   return error;
 }
 
-/* Writes `text`, which is UTF-8, as a JSON string to `to` (NULL: only counts) and returns its
- * bytes. */
-static size_t quote(const char *text, char *to)
-{
-  size_t n = 0;
-  char piece[8];
-  for (const char *c = text;; c++) {
-    bool end = *c == '\0', start = c == text;
-    int length = 0;
-    if (start)
-      piece[length++] = '"';
-    if (end)
-      piece[length++] = '"';
-    else if (*c == '"' || *c == '\\')
-      length += snprintf(piece + length, sizeof(piece) - 1, "\\%c", *c);
-    else if ((unsigned char)*c < 0x20)
-      length += snprintf(piece + length, sizeof(piece) - 1, "\\u%04x", (unsigned)*c);
-    else
-      piece[length++] = *c;
-    if (to != NULL)
-      memcpy(to + n, piece, (size_t)length);
-    n += (size_t)length;
-    if (end)
-      return n;
-  }
-}
-
 /* Returns the metadata as a JSON object (malloc). */
 static char *metadata_json(const struct mo_controller *controller)
 {
-  size_t size = 3, at = 0;
-  char *text;
-  for (size_t i = 0; i < controller->n_metadata; i++)
-    size +=
-        quote(controller->metadata[i].key, NULL) + quote(controller->metadata[i].value, NULL) + 2;
-  text = malloc(size);
-  if (text == NULL)
-    return NULL;
-  text[at++] = '{';
+  struct mo_text text = {0};
+  mo_text_add(&text, "{");
   for (size_t i = 0; i < controller->n_metadata; i++) {
-    if (i > 0)
-      text[at++] = ',';
-    at += quote(controller->metadata[i].key, text + at);
-    text[at++] = ':';
-    at += quote(controller->metadata[i].value, text + at);
+    const char *key = controller->metadata[i].key, *value = controller->metadata[i].value;
+    mo_text_add(&text, i > 0 ? "," : "");
+    mo_text_json_string(&text, key, strlen(key));
+    mo_text_add(&text, ":");
+    mo_text_json_string(&text, value, strlen(value));
   }
-  text[at++] = '}';
-  text[at] = '\0';
-  return text;
+  mo_text_add(&text, "}");
+  if (text.failed)
+    mo_text_free(&text);
+  return text.data;
 }
 
 static int content_row(struct mo_connection *writer, const struct mo_controller_put *call,
@@ -111,28 +80,14 @@ static int content_row(struct mo_connection *writer, const struct mo_controller_
       "INSERT INTO controllers(sha256,size,sensor,nx,ny,nz,n_parameters,metadata,stored_us) "
       "VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9)";
   const struct mo_controller *controller = call->controller;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, find_sql, &error);
-  if (statement == NULL)
-    return error;
-  mo_bind_hash(statement, 1, &call->sha256);
-  error = mo_sql_integer(writer, statement, row);
+  int error = mo_sql_find(writer, row, find_sql, mo_hash(&call->sha256));
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  statement = mo_sql(writer, insert_sql, &error);
-  if (statement == NULL)
-    return error;
-  mo_bind_hash(statement, 1, &call->sha256);
-  sqlite3_bind_int64(statement, 2, (sqlite3_int64)call->size);
-  sqlite3_bind_int64(statement, 3, controller->sensor);
-  sqlite3_bind_int64(statement, 4, controller->workspace.nx);
-  sqlite3_bind_int64(statement, 5, controller->workspace.ny);
-  sqlite3_bind_int64(statement, 6, controller->workspace.nz);
-  sqlite3_bind_int64(statement, 7, (sqlite3_int64)controller->n_parameters);
-  sqlite3_bind_text(statement, 8, call->metadata, -1, SQLITE_STATIC);
-  sqlite3_bind_int64(statement, 9, now_us);
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
+  error = mo_sql_do(writer, insert_sql, mo_hash(&call->sha256), mo_int((int64_t)call->size),
+                    mo_int(controller->sensor), mo_int(controller->workspace.nx),
+                    mo_int(controller->workspace.ny), mo_int(controller->workspace.nz),
+                    mo_int((int64_t)controller->n_parameters), mo_string(call->metadata),
+                    mo_int(now_us));
   *row = sqlite3_last_insert_rowid(writer->db);
   return error;
 }
@@ -147,38 +102,26 @@ int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call
   struct mo_connection *writer = &store->writer;
   char digits[MO_SHA256_DIGITS + 1], data[256];
   int64_t row = 0, known = 0, version = 0, now_us = mo_clock_wall_us();
-  sqlite3_stmt *statement;
-  int step;
+  sqlite3_stmt *name;
   int error = content_row(writer, call, now_us, &row);
   call->row = row;
-  if (error != MO_OK)
-    return error;
-  statement = mo_sql(writer, find_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_text(statement, 1, call->name, -1, SQLITE_STATIC);
-  step = mo_sql_step(writer, statement);
-  if (step < 0)
-    return step;
-  if (step > 0) {
-    known = sqlite3_column_int64(statement, 0);
-    version = sqlite3_column_int64(statement, 1);
+  if (error == MO_OK)
+    error = mo_sql_row(writer, &name, find_sql, mo_string(call->name));
+  call->created = error == MO_ERR_NOT_FOUND;
+  if (error == MO_OK) {
+    known = sqlite3_column_int64(name, 0);
+    version = sqlite3_column_int64(name, 1);
     if (known == row)
-      now_us = sqlite3_column_int64(statement, 2);
-    (void)sqlite3_reset(statement);
+      now_us = sqlite3_column_int64(name, 2);
+    (void)sqlite3_reset(name);
+  } else if (error != MO_ERR_NOT_FOUND) {
+    return error;
   }
-  call->created = step == 0;
+  error = MO_OK;
   if (known != row) {
     version++;
-    statement = mo_sql(writer, set_sql, &error);
-    if (statement == NULL)
-      return error;
-    sqlite3_bind_text(statement, 1, call->name, -1, SQLITE_STATIC);
-    sqlite3_bind_int64(statement, 2, row);
-    sqlite3_bind_int64(statement, 3, version);
-    sqlite3_bind_int64(statement, 4, now_us);
-    error = mo_sql_run(writer, statement);
-    (void)sqlite3_clear_bindings(statement);
+    error = mo_sql_do(writer, set_sql, mo_string(call->name), mo_int(row), mo_int(version),
+                      mo_int(now_us));
     if (error != MO_OK)
       return error;
     mo_sha256_to_hex(&call->sha256, digits);
@@ -248,19 +191,10 @@ static int remove_name(struct mo_store *store, void *arguments)
 {
   static const char sql[] = "DELETE FROM controller_names WHERE name=?1";
   const char *name = arguments;
-  struct mo_connection *writer = &store->writer;
   char data[128];
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_text(statement, 1, name, -1, SQLITE_STATIC);
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
+  const int error = mo_sql_change(&store->writer, sql, mo_string(name));
   if (error != MO_OK)
-    return error;
-  if (sqlite3_changes(writer->db) == 0)
-    return MO_ERR_NOT_FOUND;
+    return error == MO_ERR_CONFLICT ? MO_ERR_NOT_FOUND : error;
   snprintf(data, sizeof(data), "{\"name\":\"%s\"}", name);
   return mo_writer_event(store, 0, "controller.removed", data);
 }
@@ -274,29 +208,33 @@ int mo_store_controller_remove(struct mo_store *store, const char *name)
 
 /* ---- reading ---- */
 
+int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_sensor *sensor)
+{
+  static const char sql[] = "SELECT sensor,nx,ny,nz FROM controllers WHERE id=?1";
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  sqlite3_stmt *statement;
+  const int error = mo_sql_row(connection, &statement, sql, mo_int(row));
+  bool fits;
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
+  *sensor = (enum mo_sensor)sqlite3_column_int(statement, 0);
+  fits = sqlite3_column_int64(statement, 1) == workspace.nx &&
+         sqlite3_column_int64(statement, 2) == workspace.ny &&
+         sqlite3_column_int64(statement, 3) == workspace.nz;
+  (void)sqlite3_reset(statement);
+  return fits ? MO_OK : MO_ERR_UNSUPPORTED;
+}
+
 int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row)
 {
   static const char by_hash[] = "SELECT id FROM controllers WHERE sha256=?1";
   static const char by_name[] = "SELECT controller FROM controller_names WHERE name=?1";
   struct mo_sha256 sha256;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
-  if (strncmp(name, "sha256:", 7) == 0) {
-    if (mo_sha256_from_hex(name + 7, strlen(name + 7), &sha256) != MO_OK)
-      return MO_ERR_NOT_FOUND;
-    statement = mo_sql(connection, by_hash, &error);
-    if (statement == NULL)
-      return error;
-    mo_bind_hash(statement, 1, &sha256);
-  } else {
-    statement = mo_sql(connection, by_name, &error);
-    if (statement == NULL)
-      return error;
-    sqlite3_bind_text(statement, 1, name, -1, SQLITE_STATIC);
-  }
-  error = mo_sql_integer(connection, statement, row);
-  (void)sqlite3_clear_bindings(statement);
-  return error;
+  if (strncmp(name, "sha256:", 7) != 0)
+    return mo_sql_find(connection, row, by_name, mo_string(name));
+  return mo_sha256_from_hex(name + 7, strlen(name + 7), &sha256) == MO_OK
+             ? mo_sql_find(connection, row, by_hash, mo_hash(&sha256))
+             : MO_ERR_NOT_FOUND;
 }
 
 #define CONTROLLER_COLUMNS "c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters"

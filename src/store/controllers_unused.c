@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "store/internal.h"
+#include "store/controller_rows.h"
 
 /* Describes the first reference to a controller. MO_ERR_NOT_FOUND: there is none. */
 static int find_user(struct mo_connection *reader, int64_t row, char words[128])
@@ -12,8 +12,8 @@ static int find_user(struct mo_connection *reader, int64_t row, char words[128])
   static const char sql[] =
       "SELECT 'the name '||name FROM controller_names WHERE controller=?1 UNION ALL"
       " SELECT 'evaluation '||job FROM evaluations WHERE controller=?1 UNION ALL"
-      " SELECT 'training '||job FROM trainings WHERE ?1 IN (parent,result) UNION ALL"
-      " SELECT 'campaign '||job FROM campaigns WHERE ?1 IN (controller,result) UNION ALL"
+      " SELECT iif(j.kind=1,'training ','campaign ')||j.id FROM runs r JOIN jobs j ON j.id=r.job"
+      " WHERE ?1 IN (r.controller,r.result) UNION ALL"
       " SELECT 'a stored mean score' FROM rankings WHERE controller=?1 UNION ALL"
       " SELECT 'a stored score' FROM conditions WHERE controller=?1 LIMIT 1";
   int error = MO_OK;
@@ -87,16 +87,12 @@ int mo_controllers_clean(struct mo_store *store,
                          void (*tell)(void *context, const char *name, uint64_t bytes),
                          void *context)
 {
-  static const char sql[] = "SELECT id,sha256,size FROM controllers WHERE length(sha256)=32 AND id "
-                            "NOT IN (SELECT controller FROM "
-                            "controller_names"
-                            " UNION SELECT controller FROM evaluations UNION SELECT parent FROM "
-                            "trainings WHERE parent IS NOT NULL"
-                            " UNION SELECT result FROM trainings WHERE result IS NOT NULL"
-                            " UNION SELECT controller FROM campaigns WHERE controller IS NOT NULL"
-                            " UNION SELECT result FROM campaigns WHERE result IS NOT NULL UNION "
-                            "SELECT controller FROM rankings"
-                            " UNION SELECT controller FROM conditions) ORDER BY id";
+  static const char sql[] =
+      "SELECT id,sha256,size FROM controllers WHERE length(sha256)=32 AND id NOT IN ("
+      "SELECT controller FROM controller_names UNION SELECT controller FROM evaluations"
+      " UNION SELECT controller FROM runs WHERE controller IS NOT NULL"
+      " UNION SELECT result FROM runs WHERE result IS NOT NULL"
+      " UNION SELECT controller FROM rankings UNION SELECT controller FROM conditions) ORDER BY id";
   struct mo_connection *reader = mo_reader_acquire(store);
   char digits[MO_SHA256_DIGITS + 1], name[128];
   struct mo_sha256 sha256;

@@ -4,16 +4,11 @@
 
 #include <stdint.h>
 
-#include <morpho/evolution.h>
-
 #include "store/records.h"
 
 #define MO_ENVIRONMENT_BYTES (8 * (2 + MO_TERRAIN_HEIGHTS))
 #define MO_PHYSICS_BYTES     (1 + 9 * 8 + 5 * 4)
 #define MO_BITS_BYTES        18
-#define MO_RULE_BYTES        (4 + 8) /* rule of the adjoint, and the restart weight */
-#define MO_TRAINING_BYTES    (1 + 10 * 4 + 8 + 8 * 8 + MO_PHYSICS_BYTES + MO_RULE_BYTES)
-#define MO_CAMPAIGN_BYTES    (1 + 19 * 4 + 8 + 13 * 8 + MO_PHYSICS_BYTES + MO_RULE_BYTES)
 
 void mo_encode_u32(uint32_t value, uint8_t bytes[4]);
 uint32_t mo_decode_u32(const uint8_t bytes[4]);
@@ -34,18 +29,6 @@ void mo_encode_physics(const struct mo_physics *physics, enum mo_precision preci
 /* MO_ERR_CORRUPT: not an encoding of this version. */
 int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics,
                       enum mo_precision *precision, enum mo_sensor *sensor);
-
-/* Encodes all settings of a training, bit for bit; −0 is kept. */
-void mo_encode_training(const struct mo_training_settings *settings,
-                        uint8_t bytes[MO_TRAINING_BYTES]);
-int mo_decode_training(const uint8_t *bytes, size_t size,
-                       struct mo_training_settings *settings); /* MO_ERR_CORRUPT */
-
-/* Encodes all settings of a campaign, bit for bit; −0 is kept. */
-void mo_encode_campaign(const struct mo_campaign_settings *settings,
-                        uint8_t bytes[MO_CAMPAIGN_BYTES]);
-int mo_decode_campaign(const uint8_t *bytes, size_t size,
-                       struct mo_campaign_settings *settings); /* MO_ERR_CORRUPT */
 
 /* Encodes a genotype as ceil(voxels / 8) bytes, voxel 0 in the top bit of byte 0. */
 void mo_encode_bits(const struct mo_bits *bits, uint8_t bytes[MO_BITS_BYTES]);

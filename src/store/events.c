@@ -5,18 +5,14 @@ static int range(struct mo_connection *reader, int64_t *oldest, int64_t *newest)
 {
   static const char oldest_sql[] = "SELECT coalesce(min(sequence),0) FROM events";
   static const char newest_sql[] = "SELECT coalesce(max(sequence),0) FROM events";
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(reader, oldest_sql, &error);
-  if (statement != NULL)
-    error = mo_sql_integer(reader, statement, oldest);
-  statement = error == MO_OK ? mo_sql(reader, newest_sql, &error) : NULL;
-  if (statement != NULL)
-    error = mo_sql_integer(reader, statement, newest);
-  return error;
+  const int error = mo_sql_find_with(reader, oldest, oldest_sql, (struct mo_values){NULL, 0});
+  return error == MO_OK ? mo_sql_find_with(reader, newest, newest_sql, (struct mo_values){NULL, 0})
+                        : error;
 }
 
-static int take(sqlite3_stmt *row, struct mo_event *event)
+static int take(sqlite3_stmt *row, void *any)
 {
+  struct mo_event **next = any, *event = (*next)++;
   event->sequence = sqlite3_column_int64(row, 0);
   event->time_us = sqlite3_column_int64(row, 1);
   event->job = sqlite3_column_int64(row, 2);
@@ -33,19 +29,8 @@ static int64_t read_events(struct mo_connection *reader, int64_t after, int64_t 
                                 "sequence>?1 ORDER BY sequence LIMIT ?2";
   static const char job_sql[] = "SELECT sequence,time_us,job,type,data FROM events WHERE job=?3 "
                                 "AND sequence>?1 ORDER BY sequence LIMIT ?2";
-  int error = MO_OK;
-  int64_t n = 0;
-  int step = 0;
-  sqlite3_stmt *statement = mo_sql(reader, job != 0 ? job_sql : all_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, after);
-  sqlite3_bind_int64(statement, 2, (sqlite3_int64)limit);
-  if (job != 0)
-    sqlite3_bind_int64(statement, 3, job);
-  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0)
-    error = take(statement, &events[n++]);
-  return step < 0 ? step : error != MO_OK ? error : n;
+  return mo_sql_each(reader, take, &events, job != 0 ? job_sql : all_sql, mo_int(after),
+                     mo_int((int64_t)limit), mo_int(job));
 }
 
 int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, struct mo_event *events,

@@ -1,6 +1,8 @@
 /* fields.c: see fields.h. */
 #include "store/fields.h"
 
+#include <string.h>
+
 #include "evolution/fields.h"
 #include "learning/fields.h"
 #include "store/campaigns.h"
@@ -39,8 +41,13 @@ static const struct mo_field training_rows[] = {
     {"checkpoint", MO_FIELD_GROUP, 0, 0, .group = &checkpoint, .unit = "",
      .help = "when checkpoints are written"},
 };
-#undef AT
 const struct mo_fields mo_training_record_fields = {training_rows, COUNT(training_rows)};
+static const struct mo_field stored_training_rows[] = {
+    {"kind", MO_FIELD_WORD, 0, AT(settings.kind), .words = mo_training_kind_words, .unit = "",
+     .help = ""},
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_training_record_fields},
+};
+#undef AT
 
 /* ---- campaigns ---- */
 
@@ -55,5 +62,42 @@ static const struct mo_field learning_rows[] = {
      .max = MO_CHECKPOINT_SECONDS_MAX, .unit = "s",
      .help = "seconds between two checkpoints within a generation; 0: at its end only"},
 };
-#undef AT
 const struct mo_fields mo_campaign_record_learning_fields = {learning_rows, COUNT(learning_rows)};
+static const struct mo_field stored_campaign_rows[] = {
+    {"mode", MO_FIELD_WORD, 0, AT(settings.mode), .words = mo_campaign_mode_words, .unit = "",
+     .help = ""},
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_campaign_record_fields},
+    {"learning", MO_FIELD_GROUP, 0, 0, .group = &mo_campaign_record_learning_fields, .unit = "",
+     .help = ""},
+};
+#undef AT
+
+/* ---- in the database ---- */
+
+/* By kind of job. */
+static const struct mo_fields stored_fields[MO_JOB_KINDS] = {
+    [MO_JOB_TRAINING] = {stored_training_rows, COUNT(stored_training_rows)},
+    [MO_JOB_CAMPAIGN] = {stored_campaign_rows, COUNT(stored_campaign_rows)}};
+
+void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text)
+{
+  mo_fields_write_object(text, &stored_fields[kind], record);
+}
+
+int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
+{
+  struct mo_message message;
+  int error;
+  /* What is not stored has its default: a setting that is newer than the row, the parameters of
+   * other kinds of selection, bisections with an exact time of impact. */
+  if (kind == MO_JOB_TRAINING)
+    ((struct mo_training_record *)record)->settings =
+        mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_WORKSTATION);
+  else
+    ((struct mo_campaign_record *)record)->settings =
+        mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);
+  error = json == NULL
+              ? MO_ERR_CORRUPT
+              : mo_fields_parse(json, strlen(json), &stored_fields[kind], record, &message);
+  return error == MO_ERR_FORMAT ? MO_ERR_CORRUPT : error;
+}

@@ -3,6 +3,7 @@
 #define MORPHO_STORE_FIELDS_H
 
 #include "base/fields.h"
+#include "store/records.h"
 
 /* struct mo_training_record: the settings, and when to validate and to write checkpoints. */
 extern const struct mo_fields mo_training_record_fields;
@@ -10,5 +11,11 @@ extern const struct mo_fields mo_training_record_fields;
 extern const struct mo_fields mo_campaign_record_fields;
 /* struct mo_campaign_record: the members of `learning`. */
 extern const struct mo_fields mo_campaign_record_learning_fields;
+
+/* The settings of a training (struct mo_training_record) or a campaign (struct mo_campaign_record)
+ * as the database has them: a JSON object, from which every number comes back bit for bit. */
+void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text);
+/* Reads the settings into their record and leaves its other members unchanged. MO_ERR_CORRUPT. */
+int mo_settings_read(enum mo_job_kind kind, const char *json, void *record);
 
 #endif

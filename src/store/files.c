@@ -11,7 +11,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "store/internal.h"
+#include "store/folder.h"
 
 #define PIECE_BYTES ((size_t)1 << 20)
 

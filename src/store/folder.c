@@ -14,7 +14,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "store/internal.h"
+#include "store/folder.h"
 
 static const char *const file_names[] = {"lock",           "reserve",          "morphod.db",
                                          "morphod.db-wal", "morphod.db-shm",   "morphod.db-journal",

@@ -14,7 +14,7 @@
 #include <unistd.h>
 
 #include "schema.h"
-#include "store/internal.h"
+#include "store/folder.h"
 
 /* The version of schema.sql, and the newest. Those before the first were of morphod 0.1. */
 #define FIRST_SCHEMA  9
@@ -282,43 +282,6 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
   return error;
 }
 
-static int open_readers(struct mo_store *store)
-{
-  int error = mo_connection_open(store, false, &store->runner);
-  for (uint32_t i = 0; i < store->n_readers && error == MO_OK; i++)
-    error = mo_connection_open(store, false, &store->readers[i]);
-  return error;
-}
-
-struct mo_connection *mo_reader_acquire(struct mo_store *store)
-{
-  struct mo_connection *found = NULL;
-  pthread_mutex_lock(&store->readers_mutex);
-  while (found == NULL) {
-    for (uint32_t i = 0; i < store->n_readers && found == NULL; i++)
-      if (!store->readers[i].busy)
-        found = &store->readers[i];
-    if (found == NULL)
-      pthread_cond_wait(&store->reader_free, &store->readers_mutex);
-  }
-  found->busy = true;
-  pthread_mutex_unlock(&store->readers_mutex);
-  return found;
-}
-
-void mo_reader_release(struct mo_store *store, struct mo_connection *connection)
-{
-  /* A statement that was not reset would hold back checkpoints. */
-  for (unsigned i = 0; i < connection->n_cached; i++)
-    (void)sqlite3_reset(connection->cache[i].statement);
-  if (!sqlite3_get_autocommit(connection->db))
-    (void)mo_sql_exec(connection, "COMMIT");
-  pthread_mutex_lock(&store->readers_mutex);
-  connection->busy = false;
-  pthread_cond_signal(&store->reader_free);
-  pthread_mutex_unlock(&store->readers_mutex);
-}
-
 static void free_store(struct mo_store *store)
 {
   if (store->readers != NULL)
@@ -432,7 +395,7 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
   if (error == MO_OK)
     error = mo_files_sort_out(store, &store->writer, true);
   if (error == MO_OK)
-    error = open_readers(store);
+    error = mo_readers_open(store);
   if (error == MO_OK) {
     mo_reserve_make(store);
     error = mo_writer_start(store);

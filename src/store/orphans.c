@@ -10,7 +10,8 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "store/internal.h"
+#include "store/controller_rows.h"
+#include "store/folder.h"
 
 struct round {
   struct mo_connection *connection; /* NULL: knows only unfinished files */
@@ -55,11 +56,11 @@ static int judge(struct mo_connection *connection, const char *name, int64_t *wh
 {
   static const char weights_sql[] = "SELECT 2*EXISTS(SELECT 1 FROM controllers WHERE sha256=?1)";
   static const char training_sql[] =
-      "SELECT max(2*EXISTS(SELECT 1 FROM training_checkpoints WHERE job=?1 AND step=?2),"
+      "SELECT max(2*EXISTS(SELECT 1 FROM checkpoints WHERE job=?1 AND step=?2),"
       "EXISTS(SELECT 1 FROM trainings WHERE job=?1))";
-  static const char campaign_sql[] = "SELECT max(2*EXISTS(SELECT 1 FROM campaign_checkpoints WHERE "
-                                     "job=?1 AND generation=?2 AND step=?3),"
-                                     "EXISTS(SELECT 1 FROM campaigns WHERE job=?1))";
+  static const char campaign_sql[] =
+      "SELECT max(2*EXISTS(SELECT 1 FROM checkpoints WHERE job=?1 AND generation=?2 AND step=?3),"
+      "EXISTS(SELECT 1 FROM campaigns WHERE job=?1))";
   const char *file = strrchr(name, '/') + 1;
   const size_t digits = strspn(file, "0123456789abcdef");
   struct mo_sha256 sha256;

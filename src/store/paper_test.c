@@ -1,21 +1,9 @@
 /* paper_test.c: the paper's test set, a constant of the code with rows of its own, so that scores
  * can refer to it. What a folder has once called by its name keeps that meaning there. */
+#include "store/contents.h"
 #include "store/internal.h"
 
 #define NAME "paper-test"
-
-/* Runs a statement with these values as ?1, ?2 and ?3, as far as it has them. */
-static int insert(struct mo_connection *writer, const char *sql, int64_t first, int64_t second,
-                  int64_t third)
-{
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  for (int i = 0; i < sqlite3_bind_parameter_count(statement); i++)
-    sqlite3_bind_int64(statement, i + 1, i == 0 ? first : i == 1 ? second : third);
-  return mo_sql_run(writer, statement);
-}
 
 static int make(struct mo_store *store, void *arguments)
 {
@@ -28,12 +16,12 @@ static int make(struct mo_store *store, void *arguments)
   int error = mo_environment_set_find(writer, NAME, &set, &size);
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  error = insert(writer, set_sql, MO_PAPER_TEST_COUNT, 0, 0);
+  error = mo_sql_do(writer, set_sql, mo_int(MO_PAPER_TEST_COUNT));
   set = sqlite3_last_insert_rowid(writer->db);
   for (unsigned k = 0; k < MO_PAPER_TEST_COUNT && error == MO_OK; k++) {
     error = mo_environment_row(writer, &environments[k], &row);
     if (error == MO_OK)
-      error = insert(writer, member_sql, set, k, row);
+      error = mo_sql_do(writer, member_sql, mo_int(set), mo_int(k), mo_int(row));
   }
   return error;
 }

@@ -87,20 +87,6 @@ struct mo_job {
   uint32_t steps_total, steps_done;
 };
 
-struct mo_event {
-  int64_t sequence; /* ≥ 1, grows by commit order, never reused */
-  int64_t time_us;
-  int64_t job;    /* 0: about no job */
-  char type[32];  /* "job.created", "job.started", "job.weight", "job.progress", "job.paused",
-                     "job.resumed", "job.requeued", "job.finished",  "evaluation.code_changed",
-                     "training.progress",
-                     "training.validation", "training.checkpoint", "training.code_changed",
-                     "campaign.progress",  "campaign.generation", "campaign.diversity_collapse",
-                     "campaign.extended",  "campaign.lineage_unreadable", "controller.stored",
-                     "controller.removed" */
-  char data[512]; /* a JSON object */
-};
-
 struct mo_controller_record {
   char name[MO_NAME_BYTES_MAX + 1]; /* "" when looked up by hash */
   int64_t version;                  /* of the name: grows when the name gets other content */
@@ -153,29 +139,5 @@ struct mo_design {
   bool truncated; /* more than 1000 rollouts are stored; the first 1000 are reported */
 };
 void mo_design_free(struct mo_design *design); /* NULL-safe */
-
-/* The results of an evaluation. Rows are designs, columns are environments, both in the order of
- * the request. */
-struct mo_evaluation_results {
-  uint32_t n_designs, n_environments;
-  struct mo_bits *forms;     /* (n_designs) canonical */
-  struct mo_bits *genotypes; /* (n_designs) placed, as evaluated */
-  double *scores;            /* (n_designs) mean loss; +infinity when a rollout diverged */
-  double *losses; /* (n_designs, n_environments); +infinity: diverged; NaN: not computed yet (never
-                     in a succeeded job) */
-  int32_t *diverged_steps; /* (n_designs, n_environments); 0: did not diverge */
-  /* Verify jobs only, else NULL: `losses` were recomputed by this job; these were stored before. */
-  double *stored_losses; /* (n_designs, n_environments); NaN: none was stored */
-  uint8_t *agrees; /* (n_designs): 1: every stored loss equals the recomputed one, bit for bit */
-};
-void mo_evaluation_results_free(struct mo_evaluation_results *results); /* NULL-safe */
-
-struct mo_trajectory {
-  uint32_t stride, n_frames, n_masses;
-  double dt_s;
-  double *com_m; /* (n_frames, 3) or NULL */
-  float *mass_m; /* (n_frames, n_masses, 3) or NULL */
-};
-void mo_trajectory_free(struct mo_trajectory *trajectory); /* NULL-safe */
 
 #endif

@@ -6,7 +6,9 @@
 #include <string.h>
 
 #include "base/clock.h"
-#include "store/internal.h"
+#include "store/contents.h"
+#include "store/jobs.h"
+#include "store/runs.h"
 
 /* ---- changes ---- */
 
@@ -15,30 +17,6 @@ struct change_arguments {
   enum mo_job_change change;
   enum mo_job_state before;
 };
-
-int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
-                     enum mo_job_kind *kind)
-{
-  static const char sql[] = "SELECT state,kind FROM jobs WHERE id=?1";
-  int64_t found, found_kind;
-  int error = MO_OK;
-  int step;
-  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  step = mo_sql_step(connection, statement);
-  if (step <= 0)
-    return step < 0 ? step : MO_ERR_NOT_FOUND;
-  found = sqlite3_column_int64(statement, 0);
-  found_kind = sqlite3_column_int64(statement, 1);
-  (void)sqlite3_reset(statement);
-  if (found < 0 || found >= MO_JOB_STATES || found_kind < 0 || found_kind >= MO_JOB_KINDS)
-    return MO_ERR_CORRUPT;
-  *kind = (enum mo_job_kind)found_kind;
-  *state = (enum mo_job_state)found;
-  return MO_OK;
-}
 
 /* Checks whether a change is a no-op (*is_idle) or impossible (MO_ERR_CONFLICT). */
 static int check_change(const struct change_arguments *call, enum mo_job_kind kind, bool *is_idle)
@@ -55,6 +33,7 @@ static int check_change(const struct change_arguments *call, enum mo_job_kind ki
 
 static int change_job(struct mo_store *store, void *arguments)
 {
+  /* A change clears MO_ERR_DEVICE, which is shown only while the job waits for a device. */
   static const char sql[] =
       "UPDATE jobs SET state=?2," MO_NEXT_VERSION ",finished_us=?3,"
       "error=CASE error WHEN ?4 THEN 0 ELSE error END,"
@@ -66,32 +45,20 @@ static int change_job(struct mo_store *store, void *arguments)
   static const enum mo_job_state targets[] = {MO_JOB_CANCELLED, MO_JOB_PAUSED, MO_JOB_QUEUED,
                                               MO_JOB_QUEUED};
   struct change_arguments *call = arguments;
-  struct mo_connection *writer = &store->writer;
-  enum mo_job_state target = targets[call->change];
+  const enum mo_job_state target = targets[call->change];
   enum mo_job_kind kind = MO_JOB_EVALUATION;
-  sqlite3_stmt *statement;
   bool is_idle = false;
-  char data[128];
-  int error = mo_job_state_get(writer, call->id, &call->before, &kind);
+  int error = mo_job_state_get(&store->writer, call->id, &call->before, &kind);
   if (error == MO_OK)
     error = check_change(call, kind, &is_idle);
   if (error != MO_OK || is_idle)
     return error;
-  statement = mo_sql(writer, call->change == MO_CHANGE_RETRY ? retry_sql : sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, call->id);
-  sqlite3_bind_int64(statement, 2, target);
-  sqlite3_bind_int64(statement, 3, target == MO_JOB_CANCELLED ? mo_clock_wall_us() : 0);
-  if (call->change != MO_CHANGE_RETRY) /* a change clears MO_ERR_DEVICE, which is shown only while
-                                          the job waits for a device */
-    sqlite3_bind_int64(statement, 4, MO_ERR_DEVICE);
-  error = mo_sql_run(writer, statement);
-  if (error != MO_OK)
-    return error;
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"}",
-           (long long)call->id, mo_job_kind_name(kind), mo_job_state_name(target));
-  return mo_writer_event(store, call->id, types[call->change], data);
+  error =
+      mo_sql_do(&store->writer, call->change == MO_CHANGE_RETRY ? retry_sql : sql, mo_int(call->id),
+                mo_int(target), mo_int(target == MO_JOB_CANCELLED ? mo_clock_wall_us() : 0),
+                mo_int(MO_ERR_DEVICE));
+  return error == MO_OK ? mo_run_announce(store, call->id, kind, types[call->change], target, "")
+                        : error;
 }
 
 int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change change,
@@ -117,27 +84,19 @@ static int set_weight(struct mo_store *store, void *arguments)
   static const char sql[] =
       "UPDATE jobs SET weight=?2," MO_NEXT_VERSION " WHERE id=?1 AND weight<>?2";
   const struct weight_arguments *call = arguments;
-  struct mo_connection *writer = &store->writer;
   enum mo_job_state state = MO_JOB_QUEUED;
   enum mo_job_kind kind = MO_JOB_EVALUATION;
-  sqlite3_stmt *statement;
-  char data[160];
-  int error = mo_job_state_get(writer, call->id, &state, &kind);
+  char more[48];
+  int error = mo_job_state_get(&store->writer, call->id, &state, &kind);
   if (error != MO_OK)
     return error;
   if (mo_job_state_is_final(state))
     return MO_ERR_CONFLICT;
-  statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, call->id);
-  sqlite3_bind_double(statement, 2, call->weight);
-  error = mo_sql_run(writer, statement);
-  if (error != MO_OK || sqlite3_changes(writer->db) == 0)
-    return error;
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\",\"weight\":%.9g}",
-           (long long)call->id, mo_job_kind_name(kind), mo_job_state_name(state), call->weight);
-  return mo_writer_event(store, call->id, "job.weight", data);
+  error = mo_sql_change(&store->writer, sql, mo_int(call->id), mo_real(call->weight));
+  if (error != MO_OK)
+    return error == MO_ERR_CONFLICT ? MO_OK : error;
+  snprintf(more, sizeof(more), ",\"weight\":%.9g", call->weight);
+  return mo_run_announce(store, call->id, kind, "job.weight", state, more);
 }
 
 int mo_store_set_weight(struct mo_store *store, int64_t id, double weight)
@@ -162,34 +121,21 @@ static int requeue(struct mo_store *store, void *arguments)
       "UPDATE jobs SET attempts=" MO_NEXT_ATTEMPT ",error=?2,error_text=?3," MO_NEXT_VERSION ","
       "state=CASE WHEN " MO_NEXT_ATTEMPT ">=?4 THEN 4 ELSE 0 END,"
       "finished_us=CASE WHEN " MO_NEXT_ATTEMPT ">=?4 THEN ?5 ELSE 0 END WHERE id=?1 AND state<=1";
-  static const char sql[] = "UPDATE jobs SET state=0," MO_NEXT_VERSION " WHERE state=1";
-  struct requeue_arguments *call = arguments;
+  static const char sql[] = "UPDATE jobs SET state=0," MO_NEXT_VERSION " WHERE state=?1";
+  const struct requeue_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_state state = MO_JOB_QUEUED;
   enum mo_job_kind kind = MO_JOB_EVALUATION;
-  sqlite3_stmt *statement;
-  char data[128];
   int error = MO_OK;
-  if (call->crashed > 0) {
-    statement = mo_sql(writer, crash_sql, &error);
-    if (statement == NULL)
-      return error;
-    sqlite3_bind_int64(statement, 1, call->crashed);
-    sqlite3_bind_int64(statement, 2, MO_ERR_CANCELLED);
-    sqlite3_bind_text(statement, 3, call->text, -1, SQLITE_STATIC);
-    sqlite3_bind_int64(statement, 4, call->max_attempts);
-    sqlite3_bind_int64(statement, 5, mo_clock_wall_us());
-    error = mo_sql_run(writer, statement);
-    (void)sqlite3_clear_bindings(statement);
-    if (error == MO_OK && sqlite3_changes(writer->db) > 0 &&
-        mo_job_state_get(writer, call->crashed, &state, &kind) == MO_OK && state == MO_JOB_FAILED) {
-      snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"failed\"}",
-               (long long)call->crashed, mo_job_kind_name(kind));
-      error = mo_writer_event(store, call->crashed, "job.finished", data);
-    }
-  }
-  statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;
-  return statement != NULL ? mo_sql_run(writer, statement) : error;
+  if (call->crashed > 0)
+    error = mo_sql_change(writer, crash_sql, mo_int(call->crashed), mo_int(MO_ERR_CANCELLED),
+                          mo_string(call->text), mo_int(call->max_attempts),
+                          mo_int(mo_clock_wall_us()));
+  if (call->crashed > 0 && error == MO_OK &&
+      mo_job_state_get(writer, call->crashed, &state, &kind) == MO_OK && state == MO_JOB_FAILED)
+    error = mo_run_announce(store, call->crashed, kind, "job.finished", MO_JOB_FAILED, "");
+  return error == MO_OK || error == MO_ERR_CONFLICT ? mo_sql_do(writer, sql, mo_int(MO_JOB_RUNNING))
+                                                    : error;
 }
 
 int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts,
@@ -204,20 +150,16 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
 {
   static const char sql[] =
       "SELECT count(*),count(idle),coalesce(max(idle),0) FROM (SELECT iif("
-      "EXISTS(SELECT 1 FROM training_checkpoints WHERE job=j.id AND stored_us>?1) OR "
+      "EXISTS(SELECT 1 FROM checkpoints WHERE job=j.id AND j.kind=1 AND stored_us>?1) OR "
       "EXISTS(SELECT 1 FROM campaign_generations WHERE job=j.id AND stored_us>?1),NULL,j.id) idle"
       " FROM jobs j WHERE j.state=1 AND j.kind<>0)";
   struct mo_connection *reader = mo_reader_acquire(store);
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, since_us);
-    const int step = mo_sql_step(reader, statement);
-    error = step < 0 ? step : MO_OK;
-    *n = step > 0 ? (uint32_t)sqlite3_column_int64(statement, 0) : 0;
-    *n_idle = step > 0 ? (uint32_t)sqlite3_column_int64(statement, 1) : 0;
-    *id = step > 0 ? sqlite3_column_int64(statement, 2) : 0;
-    (void)sqlite3_reset(statement);
+  sqlite3_stmt *row;
+  const int error = mo_sql_row(reader, &row, sql, mo_int(since_us));
+  if (error == MO_OK) {
+    *n = mo_column_u32(row, 0);
+    *n_idle = mo_column_u32(row, 1);
+    *id = sqlite3_column_int64(row, 2);
   }
   mo_reader_release(store, reader);
   return error;
@@ -227,26 +169,6 @@ struct fingerprint_arguments {
   const char *text;
   int64_t id;
 };
-
-int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *id)
-{
-  static const char insert_sql[] = "INSERT OR IGNORE INTO fingerprints(text) VALUES(?1)";
-  static const char find_sql[] = "SELECT id FROM fingerprints WHERE text=?1";
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, insert_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_text(statement, 1, text, -1, SQLITE_STATIC);
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  statement = error == MO_OK ? mo_sql(writer, find_sql, &error) : NULL;
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_text(statement, 1, text, -1, SQLITE_STATIC);
-  error = mo_sql_integer(writer, statement, id);
-  (void)sqlite3_clear_bindings(statement);
-  return error;
-}
 
 static int fingerprint(struct mo_store *store, void *arguments)
 {
@@ -267,18 +189,13 @@ int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollout
 {
   static const char sql[] =
       "SELECT count(*),coalesce(sum(e.n_designs*e.n_environments),0) FROM jobs j"
-      " LEFT JOIN evaluations e ON e.job=j.id WHERE j.state<=2";
+      " LEFT JOIN evaluations e ON e.job=j.id WHERE j.state<=?1";
   struct mo_connection *reader = mo_reader_acquire(store);
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    int step = mo_sql_step(reader, statement);
-    if (step > 0) {
-      *jobs = (uint64_t)sqlite3_column_int64(statement, 0);
-      *rollouts = (uint64_t)sqlite3_column_int64(statement, 1);
-    } else {
-      error = step < 0 ? step : MO_ERR_CORRUPT;
-    }
+  sqlite3_stmt *row;
+  const int error = mo_sql_row(reader, &row, sql, mo_int(MO_JOB_PAUSED));
+  if (error == MO_OK) {
+    *jobs = (uint64_t)sqlite3_column_int64(row, 0);
+    *rollouts = (uint64_t)sqlite3_column_int64(row, 1);
   }
   mo_reader_release(store, reader);
   return error;
@@ -315,76 +232,35 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
                      int64_t *before)
 {
   static const char sql[] =
-      "SELECT " MO_JOB_COLUMNS ",e.controller,e.physics,coalesce(e.environment_set,0),"
-      "coalesce(e.fingerprint,0)" MO_JOB_TABLES "WHERE j.id=?1";
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  int step;
-  if (statement == NULL)
+      "SELECT controller,physics,coalesce(environment_set,0),coalesce(fingerprint,0) FROM "
+      "evaluations WHERE job=?1";
+  sqlite3_stmt *row;
+  int error = mo_job_row(reader, id, MO_JOB_EVALUATION, &row);
+  if (error == MO_OK)
+    error = mo_job_read(row, &work->job, NULL);
+  if (error == MO_OK)
+    error = mo_sql_row(reader, &row, sql, mo_int(id));
+  if (error != MO_OK)
     return error;
-  sqlite3_bind_int64(statement, 1, id);
-  step = mo_sql_step(reader, statement);
-  if (step <= 0)
-    return step < 0 ? step : MO_ERR_NOT_FOUND;
-  error = mo_job_from_row(statement, &work->job);
-  if (error == MO_OK && work->job.kind != MO_JOB_EVALUATION)
-    error = MO_ERR_NOT_FOUND;
-  work->controller = sqlite3_column_int64(statement, MO_JOB_N_COLUMNS);
-  work->physics = sqlite3_column_int64(statement, MO_JOB_N_COLUMNS + 1);
-  work->environment_set = sqlite3_column_int64(statement, MO_JOB_N_COLUMNS + 2);
-  *before = sqlite3_column_int64(statement, MO_JOB_N_COLUMNS + 3);
-  (void)sqlite3_reset(statement);
+  work->controller = sqlite3_column_int64(row, 0);
+  work->physics = sqlite3_column_int64(row, 1);
+  work->environment_set = sqlite3_column_int64(row, 2);
+  *before = sqlite3_column_int64(row, 3);
   work->n_designs = work->job.n_designs;
   work->n_environments = work->job.n_environments;
-  return error;
+  return MO_OK;
 }
 
-static int load_environments(struct mo_connection *reader, int64_t id, struct mo_work *work)
+static int load_designs(struct mo_connection *reader, int64_t id, struct mo_work *work)
 {
   static const char sql[] =
-      "SELECT x.position,x.environment,e.data,e.sha256 FROM evaluation_environments x"
-      " JOIN environments e ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
-  int error = MO_OK;
-  uint32_t n = 0;
-  int step;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  while ((step = mo_sql_step(reader, statement)) > 0) {
-    if (n == work->n_environments || sqlite3_column_int64(statement, 0) != n ||
-        mo_column_environment(statement, 2, 3, &work->environments[n]) != MO_OK)
-      return MO_ERR_CORRUPT;
-    work->environment_rows[n] = sqlite3_column_int64(statement, 1);
-    n++;
-  }
-  if (step < 0)
-    return step;
-  return n == work->n_environments ? MO_OK : MO_ERR_CORRUPT;
-}
-
-static int load_genotypes(struct mo_connection *reader, int64_t id, struct mo_work *work)
-{
-  static const char sql[] = "SELECT x.position,x.genotype,g.bits,d.form FROM evaluation_designs x"
-                            " JOIN genotypes g ON g.id=x.genotype JOIN designs d ON d.id=g.design"
-                            " WHERE x.job=?1 ORDER BY x.position";
-  int error = MO_OK;
-  uint32_t n = 0;
-  int step = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-    if (n == work->n_designs || sqlite3_column_int64(statement, 0) != n)
-      return MO_ERR_CORRUPT;
-    work->genotype_rows[n] = sqlite3_column_int64(statement, 1);
-    error = mo_column_genotype(statement, 2, 3, &work->genotypes[n], NULL);
-    n++;
-  }
-  if (step < 0)
-    return step;
-  return error == MO_OK && n != work->n_designs ? MO_ERR_CORRUPT : error;
+      "SELECT x.genotype,g.bits,d.form FROM evaluation_designs x JOIN genotypes g ON"
+      " g.id=x.genotype JOIN designs d ON d.id=g.design WHERE x.job=?1 ORDER BY x.position";
+  struct mo_designs designs;
+  const int error = mo_designs_read(reader, sql, id, work->n_designs, &designs);
+  work->genotypes = designs.genotypes;
+  work->genotype_rows = designs.rows;
+  return error == MO_OK && designs.n != work->n_designs ? MO_ERR_CORRUPT : error;
 }
 
 /* Marks the rollouts that earlier attempts of a verify or recording job have finished. */
@@ -414,28 +290,28 @@ static int load_finished(struct mo_connection *reader, int64_t id, struct mo_wor
 static int load_work(struct mo_connection *reader, int64_t id, const struct mo_classes *classes,
                      struct mo_work *work)
 {
+  static const char sql[] =
+      "SELECT x.environment,e.data,e.sha256 FROM evaluation_environments x"
+      " JOIN environments e ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
   bool reruns;
   int64_t before = 0;
   int error = load_head(reader, id, work, &before);
   if (error != MO_OK)
     return error;
-  if (work->n_designs == 0 || work->n_environments == 0)
-    return MO_ERR_CORRUPT;
   work->workers = classes->cpu[work->job.precision];
   work->fingerprint = work->job.back_end == MO_ON_DEVICE ? classes->device : work->workers;
   reruns = work->job.verify || work->job.record_com || work->job.record_masses;
   work->environment_rows = calloc(work->n_environments, sizeof(*work->environment_rows));
   work->environments = calloc(work->n_environments, sizeof(*work->environments));
-  work->genotype_rows = calloc(work->n_designs, sizeof(*work->genotype_rows));
-  work->genotypes = calloc(work->n_designs, sizeof(*work->genotypes));
   if (reruns)
     work->finished = calloc((size_t)work->n_designs * work->n_environments, 1);
-  if (work->environment_rows == NULL || work->environments == NULL || work->genotype_rows == NULL ||
-      work->genotypes == NULL || (reruns && work->finished == NULL))
+  if (work->environment_rows == NULL || work->environments == NULL ||
+      (reruns && work->finished == NULL))
     return MO_ERR_NO_MEMORY;
-  error = load_environments(reader, id, work);
+  error = mo_environments_read(reader, sql, id, work->n_environments, work->environments,
+                               work->environment_rows);
   if (error == MO_OK)
-    error = load_genotypes(reader, id, work);
+    error = load_designs(reader, id, work);
   if (error == MO_OK && reruns && before == work->fingerprint)
     error = load_finished(reader, id, work);
   return error;

@@ -10,29 +10,6 @@
 
 /* ---- submission ---- */
 
-struct mo_submission {
-  const struct mo_bits *forms;     /* (n_designs) canonical */
-  const struct mo_bits *genotypes; /* (n_designs) placed */
-  uint32_t n_designs;
-  const char *environment_set;               /* or NULL */
-  const struct mo_environment *environments; /* (n_environments) if there is no set */
-  uint32_t n_environments;
-  const char *controller; /* name or "sha256:<hex>" */
-  struct mo_physics physics;
-  enum mo_precision precision;
-  enum mo_urgency priority;
-  enum mo_back_end back_end;
-  double weight;     /* 0: 1 */
-  const char *label; /* nullable */
-  bool verify, record_com, record_masses;
-  uint32_t record_stride;
-  const char *idempotency_key; /* nullable */
-  struct mo_sha256 body_sha256;
-};
-/* Stores an evaluation in one transaction: designs, genotypes, environments, settings, job, key and
- * event. Errors as in mo_jobs_submit_evaluation. */
-int mo_store_submit(struct mo_store *store, const struct mo_submission *submission, int64_t *id,
-                    bool *replayed);
 /* Finds the job of an idempotency key. MO_ERR_NOT_FOUND: the key is unknown; MO_ERR_CONFLICT: it is
  * known with another body. */
 int mo_store_replay(struct mo_store *store, const char *key, const struct mo_sha256 *body_sha256,

@@ -8,6 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "store/runs.h"
 #include "store/scores.h"
 
 #include "base/clock.h"
@@ -142,40 +143,28 @@ static int set_class(struct mo_store *store, const struct mo_job_update *update)
   static const char before_sql[] =
       "SELECT a.text,b.text FROM evaluations e JOIN fingerprints a ON a.id=e.fingerprint"
       " JOIN fingerprints b ON b.id=?2 WHERE e.job=?1 AND e.fingerprint<>?2";
-  static const char *const sql[] = {"UPDATE evaluations SET fingerprint=?2,workers=?3 WHERE job=?1",
-                                    "DELETE FROM trajectories WHERE job=?1",
-                                    "DELETE FROM recomputed WHERE job=?1"};
+  static const char class_sql[] = "UPDATE evaluations SET fingerprint=?2,workers=?3 WHERE job=?1";
+  static const char trajectories_sql[] = "DELETE FROM trajectories WHERE job=?1";
+  static const char recomputed_sql[] = "DELETE FROM recomputed WHERE job=?1";
   struct mo_connection *writer = &store->writer;
-  char before[MO_FINGERPRINT_BYTES], now[MO_FINGERPRINT_BYTES], data[320];
-  int error = MO_OK, step = 0;
-  sqlite3_stmt *statement = mo_sql(writer, before_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, update->job);
-  sqlite3_bind_int64(statement, 2, update->fingerprint);
-  step = mo_sql_step(writer, statement);
-  if (step < 0)
-    return step;
-  if (step > 0) {
-    mo_column_text(statement, 0, before, sizeof(before));
-    mo_column_text(statement, 1, now, sizeof(now));
-    (void)sqlite3_reset(statement);
+  const struct mo_value job = mo_int(update->job), now = mo_int(update->fingerprint);
+  char data[320];
+  sqlite3_stmt *row;
+  int error = mo_sql_row(writer, &row, before_sql, job, now);
+  if (error == MO_OK) {
     snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"before\":\"%s\",\"fingerprint\":\"%s\"}",
-             (long long)update->job, before, now);
+             (long long)update->job, (const char *)sqlite3_column_text(row, 0),
+             (const char *)sqlite3_column_text(row, 1));
+    (void)sqlite3_reset(row);
     error = mo_writer_event(store, update->job, "evaluation.code_changed", data);
+    if (error == MO_OK)
+      error = mo_sql_do(writer, trajectories_sql, job);
+    if (error == MO_OK)
+      error = mo_sql_do(writer, recomputed_sql, job);
   }
-  for (int i = 0; i < (step > 0 ? 3 : 1) && error == MO_OK; i++) {
-    statement = mo_sql(writer, sql[i], &error);
-    if (statement == NULL)
-      return error;
-    sqlite3_bind_int64(statement, 1, update->job);
-    if (i == 0) {
-      sqlite3_bind_int64(statement, 2, update->fingerprint);
-      sqlite3_bind_int64(statement, 3, update->workers);
-    }
-    error = mo_sql_run(writer, statement);
-  }
-  return error;
+  return error == MO_OK || error == MO_ERR_NOT_FOUND
+             ? mo_sql_do(writer, class_sql, job, now, mo_int(update->workers))
+             : error;
 }
 
 static int apply_update(struct mo_store *store, struct mo_job_update *update)

@@ -3,6 +3,7 @@
  * Statements are string literals beside their use. The cache finds them by address, so that each is
  * prepared once per connection. */
 #include <errno.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -160,30 +161,114 @@ int mo_sql_integer(struct mo_connection *connection, sqlite3_stmt *statement, in
   return MO_OK;
 }
 
-int64_t mo_read_rows(struct mo_store *store, const char *sql, const int64_t *values, int n_values,
-                     size_t limit, int (*take)(sqlite3_stmt *statement, void *row), void *rows,
-                     size_t row_size)
+/* ---- statements with their values ---- */
+
+struct mo_value mo_null(void)
 {
-  struct mo_connection *reader;
-  sqlite3_stmt *statement;
-  char *row = rows;
+  return (struct mo_value){.type = SQLITE_NULL};
+}
+
+struct mo_value mo_int(int64_t value)
+{
+  return (struct mo_value){.type = SQLITE_INTEGER, .integer = value};
+}
+
+struct mo_value mo_real(double value)
+{
+  return (struct mo_value){.type = SQLITE_FLOAT, .real = value};
+}
+
+struct mo_value mo_string(const char *text)
+{
+  return (struct mo_value){.type = text != NULL ? SQLITE_TEXT : SQLITE_NULL, .bytes = text};
+}
+
+struct mo_value mo_blob(const void *bytes, size_t size)
+{
+  return (struct mo_value){.type = SQLITE_BLOB, .bytes = bytes, .size = size};
+}
+
+struct mo_value mo_hash(const struct mo_sha256 *hash)
+{
+  return mo_blob(hash->bytes, sizeof(hash->bytes));
+}
+
+static sqlite3_stmt *bound(struct mo_connection *connection, const char *sql,
+                           struct mo_values values, int *error)
+{
+  sqlite3_stmt *statement = mo_sql(connection, sql, error);
+  for (int i = 0; i < values.n && statement != NULL; i++) {
+    const struct mo_value *value = &values.at[i];
+    switch (value->type) {
+    case SQLITE_INTEGER: sqlite3_bind_int64(statement, i + 1, value->integer); break;
+    case SQLITE_FLOAT: sqlite3_bind_double(statement, i + 1, value->real); break;
+    case SQLITE_TEXT: sqlite3_bind_text(statement, i + 1, value->bytes, -1, SQLITE_STATIC); break;
+    case SQLITE_BLOB:
+      sqlite3_bind_blob(statement, i + 1, value->bytes, (int)value->size, SQLITE_STATIC);
+      break;
+    default: break; /* stays NULL */
+    }
+  }
+  return statement;
+}
+
+int mo_sql_do_with(struct mo_connection *connection, const char *sql, struct mo_values values)
+{
+  int error = MO_OK;
+  sqlite3_stmt *statement = bound(connection, sql, values, &error);
+  if (statement == NULL)
+    return error;
+  error = mo_sql_run(connection, statement);
+  (void)sqlite3_clear_bindings(statement);
+  return error;
+}
+
+int mo_sql_change_with(struct mo_connection *connection, const char *sql, struct mo_values values)
+{
+  const int error = mo_sql_do_with(connection, sql, values);
+  return error == MO_OK && sqlite3_changes(connection->db) == 0 ? MO_ERR_CONFLICT : error;
+}
+
+int mo_sql_row_with(struct mo_connection *connection, sqlite3_stmt **row, const char *sql,
+                    struct mo_values values)
+{
+  int error = MO_OK;
+  *row = bound(connection, sql, values, &error);
+  if (*row == NULL)
+    return error;
+  const int step = mo_sql_step(connection, *row);
+  return step > 0 ? MO_OK : step < 0 ? step : MO_ERR_NOT_FOUND;
+}
+
+int mo_sql_find_with(struct mo_connection *connection, int64_t *value, const char *sql,
+                     struct mo_values values)
+{
+  sqlite3_stmt *row;
+  const int error = mo_sql_row_with(connection, &row, sql, values);
+  if (error != MO_OK)
+    return error;
+  *value = sqlite3_column_int64(row, 0);
+  (void)sqlite3_reset(row);
+  return MO_OK;
+}
+
+int64_t mo_sql_each_with(struct mo_connection *connection,
+                         int (*take)(sqlite3_stmt *row, void *context), void *context,
+                         const char *sql, struct mo_values values)
+{
   int error = MO_OK;
   int step = 0;
   int64_t n = 0;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    for (int i = 0; i < n_values; i++)
-      sqlite3_bind_int64(statement, i + 1, values[i]);
-    sqlite3_bind_int64(statement, n_values + 1, (sqlite3_int64)limit);
-    for (; error == MO_OK && (step = mo_sql_step(reader, statement)) > 0; n++, row += row_size)
-      error = take(statement, row);
-  }
-  mo_reader_release(store, reader);
+  sqlite3_stmt *row = bound(connection, sql, values, &error);
+  if (row == NULL)
+    return error;
+  for (; error == MO_OK && (step = mo_sql_step(connection, row)) > 0; n++)
+    error = take(row, context);
+  (void)sqlite3_reset(row);
   return error != MO_OK ? error : step < 0 ? step : n;
 }
+
+/* ---- columns ---- */
 
 void mo_bind_hash(sqlite3_stmt *statement, int index, const struct mo_sha256 *hash)
 {
@@ -242,6 +327,18 @@ int mo_column_double(sqlite3_stmt *statement, int column, double *value)
     return MO_ERR_CORRUPT;
   *value = mo_decode_double(blob);
   return MO_OK;
+}
+
+double mo_column_number(sqlite3_stmt *statement, int column)
+{
+  return sqlite3_column_type(statement, column) == SQLITE_NULL
+             ? NAN
+             : sqlite3_column_double(statement, column);
+}
+
+uint32_t mo_column_u32(sqlite3_stmt *statement, int column)
+{
+  return (uint32_t)sqlite3_column_int64(statement, column);
 }
 
 void mo_column_text(sqlite3_stmt *statement, int column, char *text, size_t size)

@@ -24,10 +24,10 @@
 #ifndef MORPHO_STORE_STORE_H
 #define MORPHO_STORE_STORE_H
 
+#include "store/controllers.h"
+#include "store/evaluations.h"
+#include "store/events.h"
 #include "store/files.h"
-#include "store/records.h"
-
-struct mo_store;
 
 /* Identifies a request that a client may send again, for idempotency_keep_s: the client's key and
  * a hash of what the request asks for. */
@@ -100,25 +100,7 @@ void mo_store_get_stats(struct mo_store *store, struct mo_store_stats *stats); /
  * finding. */
 int mo_store_check(struct mo_store *store, struct mo_message *message);
 
-/* ---- events ---- */
-
-/* Called on the writer's thread after each commit that made events, in order. It must be short and
- * must not call functions of the store that write. */
-typedef void (*mo_store_listener)(void *context, const struct mo_event *events, size_t n);
-/* MO_ERR_NO_MEMORY, MO_ERR_LIMIT. */
-int mo_store_subscribe(struct mo_store *store, mo_store_listener listener, void *context,
-                       int *ret_handle);
-/* After it returns, the listener is not called again. */
-void mo_store_unsubscribe(struct mo_store *store, int handle);
-
-/* Reads events with sequence > after, ascending, at most `limit`; job 0: of all jobs. Returns the
- * number written to `events` or an error.
- * *oldest, *newest (nullable): the range that is kept (0, 0: none yet), up to 18 digits. If after <
- * *oldest − 1, some events were pruned: `reset`. */
-int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, struct mo_event *events,
-                        size_t limit, int64_t *oldest, int64_t *newest);
-
-/* ---- jobs and evaluations ---- */
+/* ---- jobs ---- */
 
 /* MO_ERR_NOT_FOUND. MO_ERR_CORRUPT: a row cannot be decoded. */
 int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job);
@@ -139,14 +121,6 @@ int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, 
                       size_t limit);
 /* Counts the jobs in each state. */
 int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES]);
-
-/* Reads the results of an evaluation: of an unfinished one, those so far. MO_ERR_NOT_FOUND. */
-int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **results);
-
-/* Reads the trajectory of design n in environment k (both from 0). MO_ERR_NOT_FOUND: no such
- * evaluation, design or environment, or nothing is recorded (yet). */
-int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t k,
-                        struct mo_trajectory **trajectory);
 
 /* ---- designs ---- */
 
@@ -170,34 +144,5 @@ struct mo_design_query {
 };
 int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *query,
                          struct mo_design_row *rows, size_t limit);
-
-/* ---- controllers ---- */
-
-int64_t mo_store_controllers(struct mo_store *store, const char *after_name,
-                             struct mo_controller_record *records,
-                             size_t limit); /* in order of names; after_name NULL: from the first */
-/* `name`: a name, or "sha256:<64 hex>". MO_ERR_NOT_FOUND. */
-int mo_store_controller(struct mo_store *store, const char *name,
-                        struct mo_controller_record *record);
-/* Reads the bytes of a controller's file (malloc) and checks their hash: MO_ERR_CORRUPT. */
-int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sha256,
-                              uint8_t **bytes, size_t *size);
-/* Reads a controller's metadata, a JSON object (malloc). */
-int mo_store_controller_metadata(struct mo_store *store, const struct mo_sha256 *sha256,
-                                 char **json);
-
-/* Stores bytes under a name, or points an existing name to them. The caller has decoded the bytes
- * with mo_controller_decode and passes the result. *created: the name is new. MO_ERR_FORMAT: not a
- * name ([a-z0-9][a-z0-9._-]{0,63}). */
-int mo_store_controller_put(struct mo_store *store, const char *name, const uint8_t *bytes,
-                            size_t size, const struct mo_controller *controller,
-                            struct mo_controller_record *record, bool *created);
-/* Removes a name. The content stays. MO_ERR_NOT_FOUND. */
-int mo_store_controller_remove(struct mo_store *store, const char *name);
-/* Removes content ("sha256:…") and its file. Reads all scores. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT:
- * something refers to it; the message says what. */
-int mo_store_controller_delete(struct mo_store *store, const char *reference,
-                               struct mo_message *message);
-int mo_controller_name_check(const char *name); /* MO_OK or MO_ERR_FORMAT */
 
 #endif

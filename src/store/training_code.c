@@ -7,42 +7,30 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "store/internal.h"
+#include "store/contents.h"
+#include "store/runs.h"
 #include "store/trainings.h"
 
 #define VARIOUS "various"
+
+static int take_code(sqlite3_stmt *row, void *any)
+{
+  struct mo_training_lineage *lineage = any;
+  struct mo_training_code *code = &lineage->codes[lineage->n++];
+  code->from_step = mo_column_u32(row, 0);
+  mo_column_text(row, 1, code->fingerprint, sizeof(code->fingerprint));
+  return MO_OK;
+}
 
 int mo_training_code_load(struct mo_connection *connection, int64_t id,
                           struct mo_training_lineage *lineage)
 {
   static const char sql[] = "SELECT c.from_step,f.text FROM training_code c JOIN fingerprints f ON"
                             " f.id=c.fingerprint WHERE c.job=?1 ORDER BY c.from_step LIMIT ?2";
-  int error = MO_OK;
-  int step;
-  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  sqlite3_bind_int64(statement, 2, MO_LINEAGE_MAX);
+  int64_t n;
   lineage->n = 0;
-  while ((step = mo_sql_step(connection, statement)) > 0) {
-    struct mo_training_code *code = &lineage->codes[lineage->n++];
-    code->from_step = (uint32_t)sqlite3_column_int64(statement, 0);
-    mo_column_text(statement, 1, code->fingerprint, sizeof(code->fingerprint));
-  }
-  return step;
-}
-
-static int forget_from(struct mo_connection *writer, int64_t id, uint32_t step)
-{
-  static const char sql[] = "DELETE FROM training_code WHERE job=?1 AND from_step>=?2";
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  sqlite3_bind_int64(statement, 2, step);
-  return mo_sql_run(writer, statement);
+  n = mo_sql_each(connection, take_code, lineage, sql, mo_int(id), mo_int(MO_LINEAGE_MAX));
+  return n < 0 ? (int)n : MO_OK;
 }
 
 static int insert(struct mo_connection *writer, int64_t id, uint32_t step, const char *fingerprint)
@@ -50,14 +38,8 @@ static int insert(struct mo_connection *writer, int64_t id, uint32_t step, const
   static const char sql[] =
       "INSERT OR REPLACE INTO training_code(job,from_step,fingerprint) VALUES(?1,?2,?3)";
   int64_t row = 0;
-  int error = mo_fingerprint_row(writer, fingerprint, &row);
-  sqlite3_stmt *statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  sqlite3_bind_int64(statement, 2, step);
-  sqlite3_bind_int64(statement, 3, row);
-  return mo_sql_run(writer, statement);
+  const int error = mo_fingerprint_row(writer, fingerprint, &row);
+  return error == MO_OK ? mo_sql_do(writer, sql, mo_int(id), mo_int(step), mo_int(row)) : error;
 }
 
 struct code_arguments {
@@ -78,13 +60,14 @@ static int announce(struct mo_store *store, const struct code_arguments *call, c
 
 static int note(struct mo_store *store, void *arguments)
 {
+  static const char sql[] = "DELETE FROM training_code WHERE job=?1 AND from_step>=?2";
   struct code_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   char before[MO_FINGERPRINT_BYTES];
   uint32_t n;
   int error = mo_run_touch(store, call->id, MO_JOB_TRAINING);
   if (error == MO_OK)
-    error = forget_from(writer, call->id, call->step);
+    error = mo_sql_do(writer, sql, mo_int(call->id), mo_int(call->step));
   if (error == MO_OK)
     error = mo_training_code_load(writer, call->id, call->lineage);
   if (error != MO_OK)

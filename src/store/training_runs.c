@@ -1,16 +1,11 @@
-/* training_runs.c: what the runner of a training writes: its steps and its end. Checkpoints are in
- * training_checkpoints.c.
- *
- * Writes are fenced by the epoch: the training must have been started under this opening of the
- * store and must not be final. A training that was paused, or paused and resumed at once, still
- * takes rows and checkpoints, because its thread saves the steps that it has applied. */
+/* training_runs.c: what the runner of a training writes: steps, checkpoints and the end. Writes are
+ * fenced as in runs.h. */
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 
-#include "base/clock.h"
-#include "store/internal.h"
+#include "store/checkpoint_files.h"
+#include "store/rows.h"
+#include "store/runs.h"
 #include "store/trainings.h"
 
 /* Formats a JSON number; null if it is not finite. */
@@ -38,6 +33,14 @@ int mo_store_training_park(struct mo_store *store, int64_t id, int error, const 
   return mo_run_park(store, id, MO_JOB_TRAINING, error, error_text, max_attempts, after);
 }
 
+int mo_store_training_finish(struct mo_store *store, int64_t id, const char *name,
+                             const uint8_t *bytes, size_t size,
+                             const struct mo_controller *controller)
+{
+  const struct mo_run_result result = {name, bytes, size, controller};
+  return mo_run_finish(store, id, MO_JOB_TRAINING, &result, "", NULL, NULL);
+}
+
 /* ---- progress ---- */
 
 struct progress_arguments {
@@ -48,61 +51,18 @@ struct progress_arguments {
   const char *event_data;
 };
 
-static int write_step(struct mo_connection *writer, int64_t id,
-                      const struct mo_training_step_row *row)
-{
-  static const char sql[] =
-      "INSERT OR REPLACE INTO "
-      "training_steps(job,step,mean_loss,rate,gradient_norm,clipped_share,clipped_robots_share,"
-      "diverged,zeroed,skipped,bounded,seconds) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11,?12)";
-  const struct mo_training_report *report = &row->report;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  sqlite3_bind_int64(statement, 2, report->step);
-  sqlite3_bind_double(statement, 3, report->mean_loss);
-  sqlite3_bind_double(statement, 4, report->rate);
-  sqlite3_bind_double(statement, 5, report->gradient_norm);
-  sqlite3_bind_double(statement, 6, report->clipped_share);
-  sqlite3_bind_double(statement, 7, report->clipped_robots_share);
-  sqlite3_bind_int64(statement, 8, report->diverged);
-  sqlite3_bind_int64(statement, 9, report->zeroed);
-  sqlite3_bind_int64(statement, 10, report->skipped);
-  sqlite3_bind_int64(statement, 11, report->bounded);
-  sqlite3_bind_double(statement, 12, row->seconds);
-  return mo_sql_run(writer, statement);
-}
-
 static int write_validation(struct mo_store *store, int64_t id,
                             const struct mo_training_validation_row *row)
 {
-  static const char sql[] =
-      "INSERT OR REPLACE INTO training_validations(job,step,rollouts,diverged,mean_score,"
-      "standard_error) VALUES(?1,?2,?3,?4,?5,?6)";
-  struct mo_connection *writer = &store->writer;
   char data[256], mean[32], deviation[32];
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  sqlite3_bind_int64(statement, 2, row->step);
-  sqlite3_bind_int64(statement, 3, row->rollouts);
-  sqlite3_bind_int64(statement, 4, row->diverged);
-  sqlite3_bind_double(statement, 5, row->mean_score);
-  sqlite3_bind_double(statement, 6, row->standard_error);
-  error = mo_sql_run(writer, statement);
-  if (error != MO_OK)
-    return error;
+  const int error = mo_row_write(&store->writer, MO_TRAINING_VALIDATIONS, id, row);
   snprintf(data, sizeof(data),
            "{\"id\":\"%lld\",\"step\":%u,\"mean_score\":%s,\"standard_error\":%s,\"rollouts\":%u,"
            "\"diverged\":%u}",
            (long long)id, (unsigned)row->step, number(row->mean_score, mean),
            number(row->standard_error, deviation), (unsigned)row->rollouts,
            (unsigned)row->diverged);
-  return mo_writer_event(store, id, "training.validation", data);
+  return error == MO_OK ? mo_writer_event(store, id, "training.validation", data) : error;
 }
 
 static int progress(struct mo_store *store, void *arguments)
@@ -110,15 +70,12 @@ static int progress(struct mo_store *store, void *arguments)
   static const char sql[] = "UPDATE trainings SET step=max(step,?2) WHERE job=?1";
   const struct progress_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
-  sqlite3_stmt *statement;
   int error = mo_run_touch(store, call->id, MO_JOB_TRAINING);
   for (size_t i = 0; i < call->n_steps && error == MO_OK; i++)
-    error = write_step(writer, call->id, &call->steps[i]);
-  if (error == MO_OK && call->n_steps > 0 && (statement = mo_sql(writer, sql, &error)) != NULL) {
-    sqlite3_bind_int64(statement, 1, call->id);
-    sqlite3_bind_int64(statement, 2, call->steps[call->n_steps - 1].report.step);
-    error = mo_sql_run(writer, statement);
-  }
+    error = mo_row_write(writer, MO_TRAINING_STEPS, call->id, &call->steps[i]);
+  if (error == MO_OK && call->n_steps > 0)
+    error = mo_sql_do(writer, sql, mo_int(call->id),
+                      mo_int(call->steps[call->n_steps - 1].report.step));
   if (error == MO_OK && call->n_steps > 0 && call->event_data != NULL)
     error = mo_writer_event(store, call->id, "training.progress", call->event_data);
   if (error == MO_OK && call->validation != NULL)
@@ -135,53 +92,58 @@ int mo_store_training_progress(struct mo_store *store, int64_t id,
   return mo_write(store, progress, &call);
 }
 
-/* ---- the end ---- */
+/* ---- checkpoints ---- */
 
-struct finish_arguments {
-  int64_t id;
-  struct mo_controller_put put;
+struct checkpoint_arguments {
+  struct mo_checkpoint checkpoint;
+  uint32_t keep;
 };
 
-static int finish(struct mo_store *store, void *arguments)
+static int write_checkpoint(struct mo_store *store, void *arguments)
 {
-  static const char job_sql[] =
-      "UPDATE jobs SET state=3," MO_NEXT_VERSION ",finished_us=?3,error=0,error_text=NULL"
-      " WHERE id=?1 AND kind=1 AND state=1 AND epoch=?2";
-  static const char sql[] = "UPDATE trainings SET result=?2 WHERE job=?1";
-  struct finish_arguments *call = arguments;
-  struct mo_connection *writer = &store->writer;
-  char more[192], digits[MO_SHA256_DIGITS + 1];
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, job_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, call->id);
-  sqlite3_bind_int64(statement, 2, store->epoch);
-  sqlite3_bind_int64(statement, 3, mo_clock_wall_us());
-  error = mo_run_changed(writer, statement);
+  /* Resets the attempts when a checkpoint goes beyond all earlier ones, because that is progress.
+   * An error that recurs at the same step prevents that, so the third attempt still ends the
+   * training. */
+  static const char forgive_sql[] =
+      "UPDATE jobs SET attempts=0 WHERE id=?1 AND attempts>0 AND"
+      " ?2>(SELECT coalesce(max(step),0) FROM checkpoints WHERE job=?1)";
+  /* Later steps, which this step makes false (they were damaged, or another run wrote them), and
+   * those beyond the number to keep. */
+  static const char replaced_sql[] =
+      "SELECT generation,step,size FROM checkpoints WHERE job=?1 AND (step>?3 OR step NOT IN"
+      " (SELECT step FROM checkpoints WHERE job=?1 AND step<=?3 ORDER BY step DESC LIMIT ?4))";
+  struct checkpoint_arguments *call = arguments;
+  struct mo_checkpoint *checkpoint = &call->checkpoint;
+  char data[256], digits[MO_SHA256_DIGITS + 1];
+  int error = mo_run_touch(store, checkpoint->id, MO_JOB_TRAINING);
   if (error == MO_OK)
-    error = mo_controller_put_row(store, &call->put);
-  statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, call->id);
-  sqlite3_bind_int64(statement, 2, call->put.row);
-  error = mo_sql_run(writer, statement);
-  if (error != MO_OK)
-    return error;
-  mo_sha256_to_hex(&call->put.sha256, digits);
-  snprintf(more, sizeof(more), ",\"controller\":\"%s\",\"sha256\":\"%s\"", call->put.name, digits);
-  return mo_run_announce(store, call->id, MO_JOB_TRAINING, "job.finished", MO_JOB_SUCCEEDED, more);
+    error = mo_sql_do(&store->writer, forgive_sql, mo_int(checkpoint->id),
+                      mo_int(checkpoint->place.step));
+  if (error == MO_OK)
+    error = mo_checkpoint_row_write(store, checkpoint);
+  if (error == MO_OK)
+    error = mo_checkpoint_drop(store, replaced_sql, call->keep, checkpoint);
+  mo_sha256_to_hex(&checkpoint->sha256, digits);
+  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"step\":%u,\"sha256\":\"%s\",\"size\":%llu}",
+           (long long)checkpoint->id, (unsigned)checkpoint->place.step, digits,
+           (unsigned long long)checkpoint->size);
+  return error == MO_OK ? mo_writer_event(store, checkpoint->id, "training.checkpoint", data)
+                        : error;
 }
 
-int mo_store_training_finish(struct mo_store *store, int64_t id, const char *name,
-                             const uint8_t *bytes, size_t size,
-                             const struct mo_controller *controller)
+int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step,
+                                 const uint8_t *bytes, size_t size, uint32_t keep)
 {
-  struct finish_arguments call = {.id = id};
-  int error = mo_controller_put_begin(store, name, bytes, size, controller, &call.put);
-  if (error == MO_OK)
-    error = mo_write(store, finish, &call);
-  mo_controller_put_end(store, &call.put);
-  return error;
+  struct checkpoint_arguments call = {
+      {.id = id, .kind = MO_JOB_TRAINING, .place.step = step, .size = size}, keep > 0 ? keep : 1};
+  return step == 0 ? MO_ERR_RANGE
+                   : mo_checkpoint_write(store, bytes, &call.checkpoint, write_checkpoint, &call);
+}
+
+int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t step,
+                                       uint8_t **bytes, size_t *size)
+{
+  struct mo_checkpoint_place place;
+  return mo_checkpoint_read(store, id, MO_JOB_TRAINING, 0, step > 0 ? (int64_t)step : -1, &place,
+                            bytes, size);
 }

@@ -12,10 +12,7 @@
 
 #include <morpho/learning.h>
 
-#include "store/store.h"
-
-#define MO_CHECKPOINTS_KEPT_MAX   100
-#define MO_CHECKPOINT_SECONDS_MAX 86400 /* between two checkpoints */
+#include "store/checkpoints.h"
 
 /* The settings of a training. They never change after submission. */
 struct mo_training_record {
@@ -43,12 +40,6 @@ struct mo_training_validation_row {
   uint32_t step; /* steps that the weights had learned */
   uint32_t rollouts, diverged;
   double mean_score, standard_error; /* of the mean losses of those designs that never diverged */
-};
-struct mo_training_checkpoint_row {
-  uint32_t step;
-  struct mo_sha256 sha256;
-  uint64_t size;
-  int64_t stored_us;
 };
 
 /* The current status of a training, read in one transaction. */
@@ -99,9 +90,6 @@ int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t aft
 int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_t after,
                                       struct mo_training_validation_row *rows,
                                       size_t limit); /* after −1: from the first */
-int64_t mo_store_training_checkpoints(struct mo_store *store, int64_t id,
-                                      struct mo_training_checkpoint_row *rows,
-                                      size_t limit); /* newest first */
 /* Reads the genotypes of a finetuning's designs, in order (malloc). */
 int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
                               uint32_t *n);
@@ -140,17 +128,6 @@ int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
  * MO_ERR_NO_SPACE: nothing changed; try again when there is space. */
 int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step,
                                  const uint8_t *bytes, size_t size, uint32_t keep);
-/* Removes one checkpoint (step > 0), or all that are not needed (0). A training that has ended
- * needs none; any other needs the newest, from which it resumes. May use the reserve.
- * MO_ERR_NOT_FOUND: no such training or checkpoint; MO_ERR_CONFLICT: the training has not ended and
- * resumes from this checkpoint. */
-struct mo_checkpoints_removed {
-  uint32_t steps[MO_CHECKPOINTS_KEPT_MAX]; /* (n) descending */
-  size_t n;
-  uint64_t bytes; /* of the removed files */
-};
-int mo_store_training_checkpoints_remove(struct mo_store *store, int64_t id, uint32_t step,
-                                         struct mo_checkpoints_removed *removed);
 /* running → succeeded. Writes the controller's file, then its row, its name and the training's
  * state in one transaction. */
 int mo_store_training_finish(struct mo_store *store, int64_t id, const char *name,

@@ -118,9 +118,8 @@ def test_pretraining(tmp_path):
           *pretraining_in(tmp_path / "again"))
     recipes = {row["recipe"] for row in rows(tmp_path / "again" / "p.csv")}
     assert recipes == {"one cosine 0.002..1e-05 bound 0.1 restart 3 lives of 30 / 8 x 6"}
-    assert trainings(tmp_path / "again",
-                     "SELECT hex(substr(settings, -12)) FROM trainings") == [("01000000"
-                                                                              "0000000000000840", )]
+    assert trainings(tmp_path / "again", "SELECT settings->>'adjoint_rule',"
+                     " settings->>'restart_weight' FROM runs") == [("restart", 3)]
     refused = bench("pretraining",
                     "--peak=2",
                     *ON_DEVICE,

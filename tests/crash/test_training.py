@@ -99,7 +99,7 @@ def check_files(state):
     database = open_database(state)
     rows = {(str(job), f"{step}.checkpoint"): (bytes(sha256), size)
             for job, step, sha256, size in database.execute(
-                "SELECT job, step, sha256, size FROM training_checkpoints")}
+                "SELECT job, step, sha256, size FROM checkpoints")}
     database.close()
     files = {(path.parent.name, path.name): path
              for path in (pathlib.Path(state) / "trainings").glob("*/*")}

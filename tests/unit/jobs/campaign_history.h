@@ -5,6 +5,8 @@
 #define MORPHO_TESTS_JOBS_CAMPAIGN_HISTORY_H
 
 #include "../check.h"
+#include "store/campaign_designs.h"
+#include "store/campaign_runs.h"
 #include "store/campaigns.h"
 
 #define HISTORY_DESIGNS     1024

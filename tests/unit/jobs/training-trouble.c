@@ -201,7 +201,7 @@ __attribute__((unused)) static void passes_over_damaged_checkpoints(void)
   struct service service;
   struct mo_training_request request = pretraining("");
   struct mo_sha256 expected = undisturbed();
-  struct mo_training_checkpoint_row rows[5];
+  struct mo_checkpoint_row rows[5];
   struct mo_job job;
   int64_t id;
   REQUIRE(start(&service, 1) == MO_OK);
@@ -211,7 +211,7 @@ __attribute__((unused)) static void passes_over_damaged_checkpoints(void)
   for (int round = 1; round <= 2; round++) {
     REQUIRE(await_step(&service, id, 12));
     CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
-    REQUIRE(mo_store_training_checkpoints(service.fixture.store, id, rows, 5) == 2);
+    REQUIRE(mo_store_checkpoints(service.fixture.store, id, rows, 5) == 2);
     service_close(&service);
     for (int i = 0; i < round; i++)
       REQUIRE(damage(&service, id, rows[i].step) == 0);

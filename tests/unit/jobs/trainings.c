@@ -11,7 +11,7 @@ static void learns(void)
   struct mo_training_status status;
   struct mo_training_step_row rows[STEPS + 1];
   struct mo_training_validation_row validations[10];
-  struct mo_training_checkpoint_row checkpoints[10];
+  struct mo_checkpoint_row checkpoints[10];
   struct mo_controller_record record;
   struct mo_event events[60];
   struct mo_jobs_stats stats;
@@ -47,7 +47,7 @@ static void learns(void)
   for (int64_t i = 0; i < n; i++)
     CHECK(validations[i].rollouts == 60 && validations[i].mean_score > 0 &&
           validations[i].mean_score < 1);
-  CHECK_INT(mo_store_training_checkpoints(service.fixture.store, id, checkpoints, 10), 2);
+  CHECK_INT(mo_store_checkpoints(service.fixture.store, id, checkpoints, 10), 2);
   CHECK(checkpoints[0].step == STEPS && checkpoints[1].step == 12);
   n = mo_store_events(service.fixture.store, 0, id, events, 60, NULL, NULL);
   for (int64_t i = 0; i < n; i++)

@@ -94,12 +94,12 @@ struct act life_choose(struct life *life)
 {
   struct act act = {.kind = ACT_PUT, .parts = 1};
   if (life->model.names[0].content < 0) { /* what evaluations score with */
-    act.seed = disk_random(life->disk) | 8;
+    act.seed = disk_random(life->disk) >> 12 | 8;
     return act;
   }
   do {
     act = (struct act){.kind = (enum act_kind)life_some(life, ACT_KINDS),
-                       .seed = disk_random(life->disk)};
+                       .seed = disk_random(life->disk) >> 12};
   } while (!fits(life, &act));
   return act;
 }
@@ -302,12 +302,11 @@ static int do_train(struct life *life, const struct act *act)
                               .seed = act->seed,
                               .n_steps = 100000,
                               .batch = 16,
-                              .learning.schedule = {.kind = MO_SCHEDULE_RESTARTS,
-                                                    .peak = 1e-3,
-                                                    .decay = 0.7,
-                                                    .cycle_steps = 10},
+                              .learning = mo_training_defaults(MO_TRAINING_PRETRAIN).learning,
                               .physics = mo_default_physics(),
-                              .sensor = MO_SENSOR_INVERSE_SQUARE},
+                              .sensor = MO_SENSOR_INVERSE_SQUARE,
+                              .held_out_designs = 1,
+                              .held_out_environments = 1},
                  .checkpoint_every_steps = 12,
                  .checkpoints_kept = 2},
       .priority = MO_BATCH};
@@ -339,7 +338,7 @@ static int do_training(struct life *life, const struct act *act)
   int error;
   switch (act->kind) {
   case ACT_TRAIN_REMOVE:
-    return mo_store_training_checkpoints_remove(life->store, training->id, 0, &removed);
+    return mo_store_checkpoints_remove(life->store, training->id, MO_JOB_TRAINING, 0, &removed);
   case ACT_TRAIN_START: return mo_store_training_start(life->store, training->id);
   case ACT_TRAIN_PROGRESS:
     for (uint32_t i = 0; i < act->n; i++)

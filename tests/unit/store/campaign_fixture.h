@@ -6,6 +6,8 @@
 #include <math.h>
 
 #include "fixture.h"
+#include "store/campaign_designs.h"
+#include "store/campaign_runs.h"
 #include "store/campaigns.h"
 
 #define MADE_POPULATION   6
@@ -16,7 +18,7 @@ campaign_submission(enum mo_campaign_mode mode, uint32_t population, uint32_t ge
 {
   return (struct mo_campaign_submission){
       .record = {.settings = {.mode = mode,
-                              .seed = UINT64_C(0xFEDCBA9876543210),
+                              .seed = UINT64_C(0x1CBA9876543210),
                               .workspace = MO_DEFAULT_WORKSPACE,
                               .population = population,
                               .generations = generations,

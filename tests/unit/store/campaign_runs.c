@@ -527,35 +527,35 @@ static void removes_checkpoints(void)
 {
   struct fixture fixture;
   struct made made = {0};
-  struct mo_campaign_checkpoint_row rows[3];
-  struct mo_campaign_checkpoints_removed removed = {.n = 9};
+  struct mo_checkpoint_row rows[3];
+  struct mo_checkpoints_removed removed = {.n = 9};
   enum mo_job_state before;
   int64_t id = begin(&fixture, &made, MO_SIMULTANEOUS);
   REQUIRE(id > 0);
-  CHECK_INT(mo_store_campaign_checkpoints(fixture.store, id, rows, 3), 0);
+  CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 3), 0);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before),
             MO_OK); /* it has learned nothing yet */
   REQUIRE(commit_with(&made, "after zero", 5) == MO_OK);
   REQUIRE(put_checkpoint(&fixture, id, 1, 1, "one one") == MO_OK);
-  CHECK_INT(mo_store_campaign_checkpoints(fixture.store, id, rows, 3), 2);
+  CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 3), 2);
   CHECK(rows[0].generation == 1 && rows[0].step == 1 && rows[0].size == 7 && rows[0].stored_us > 0);
   CHECK(rows[1].generation == 0 && rows[1].step == 5 && rows[1].size == 10);
   /* It goes on from both, also when it is paused. */
-  CHECK_INT(mo_store_campaign_checkpoints_remove(fixture.store, id + 1, &removed),
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id + 1, MO_JOB_CAMPAIGN, 0, &removed),
             MO_ERR_NOT_FOUND);
   CHECK_INT(removed.n, 9);
-  CHECK_INT(mo_store_campaign_checkpoints_remove(fixture.store, id, &removed), MO_OK);
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_CAMPAIGN, 0, &removed), MO_OK);
   CHECK(removed.n == 0 && removed.bytes == 0 && files_of(&fixture, id) == 2);
   REQUIRE(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL) == MO_OK);
-  CHECK_INT(mo_store_campaign_checkpoints_remove(fixture.store, id, &removed), MO_OK);
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_CAMPAIGN, 0, &removed), MO_OK);
   CHECK(removed.n == 0 && files_of(&fixture, id) == 2);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   REQUIRE(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL) == MO_OK);
-  CHECK_INT(mo_store_campaign_checkpoints_remove(fixture.store, id, &removed), MO_OK);
-  CHECK(removed.n == 2 && removed.places[0][0] == 1 && removed.places[1][1] == 5 &&
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_CAMPAIGN, 0, &removed), MO_OK);
+  CHECK(removed.n == 2 && removed.places[0].generation == 1 && removed.places[1].step == 5 &&
         removed.bytes == 17);
   CHECK_INT(files_of(&fixture, id), -1); /* no folder */
-  CHECK_INT(mo_store_campaign_checkpoints(fixture.store, id, rows, 3), 0);
+  CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 3), 0);
   /* A run that learns late of its end leaves nothing. */
   CHECK_INT(put_checkpoint(&fixture, id, 1, 2, "late"), MO_ERR_CONFLICT);
   CHECK_INT(files_of(&fixture, id), -1);

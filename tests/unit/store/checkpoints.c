@@ -42,7 +42,7 @@ static void keeps_checkpoints(void)
 {
   struct fixture fixture;
   struct mo_training_submission submission = submission_of(100);
-  struct mo_training_checkpoint_row rows[5];
+  struct mo_checkpoint_row rows[5];
   struct mo_training_status status;
   uint8_t *bytes = NULL;
   size_t size = 0;
@@ -59,7 +59,7 @@ static void keeps_checkpoints(void)
                                            strlen(name), 2),
               MO_OK);
   }
-  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 2);
+  CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 5), 2);
   CHECK(rows[0].step == 40 && rows[1].step == 30 && rows[0].size == 14 && rows[0].stored_us > 0);
   CHECK_INT(files_of(&fixture, id), 2);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
@@ -80,7 +80,7 @@ static void keeps_checkpoints(void)
   /* The run goes on from 30: its next checkpoint makes the damaged one go, not the good one. */
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 35, (const uint8_t *)"35", 2, 2),
             MO_OK);
-  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 2);
+  CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 5), 2);
   CHECK(rows[0].step == 35 && rows[1].step == 30);
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
   CHECK_INT(status.checkpoint_step, 35);
@@ -198,7 +198,7 @@ static void survives_a_full_disk(void)
 {
   struct fixture fixture;
   struct mo_training_submission submission = submission_of(100);
-  struct mo_training_checkpoint_row rows[5];
+  struct mo_checkpoint_row rows[5];
   struct rlimit before, small;
   size_t size = 4 << 20;
   uint8_t *bytes = calloc(1, size);
@@ -214,10 +214,10 @@ static void survives_a_full_disk(void)
   setrlimit(RLIMIT_FSIZE, &small);
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 2, bytes, size, 2), MO_ERR_NO_SPACE);
   CHECK_INT(files_of(&fixture, id), 1);
-  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 1);
+  CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 5), 1);
   setrlimit(RLIMIT_FSIZE, &before);
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 2, bytes, size, 2), MO_OK);
-  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 2);
+  CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 5), 2);
   free(bytes);
   fixture_end(&fixture);
 }
@@ -236,7 +236,7 @@ static void removes_what_is_not_needed(void)
   REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
   snprintf(folder, sizeof(folder), "%s/trainings/%lld", fixture.path, (long long)id);
-  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 0, &removed),
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_TRAINING, 0, &removed),
             MO_OK); /* none yet */
   CHECK_INT(removed.n, 0);
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
@@ -246,29 +246,32 @@ static void removes_what_is_not_needed(void)
   REQUIRE(mo_store_training(fixture.store, id, &status) == MO_OK);
   version = status.job.version;
   removed.n = 99;
-  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 50, &removed), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 15, &removed),
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_TRAINING, 50, &removed),
+            MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_TRAINING, 15, &removed),
             MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id + 1, 0, &removed),
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id + 1, MO_JOB_TRAINING, 0, &removed),
             MO_ERR_NOT_FOUND);
   CHECK_INT(removed.n, 99);
   CHECK_INT(files_of(&fixture, id), 5);
-  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 20, &removed), MO_OK);
-  CHECK(removed.n == 1 && removed.steps[0] == 20 && removed.bytes == 5);
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_TRAINING, 20, &removed), MO_OK);
+  CHECK(removed.n == 1 && removed.places[0].step == 20 && removed.bytes == 5);
   CHECK_INT(files_of(&fixture, id), 4);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 20, &bytes, &size),
             MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL),
             MO_OK); /* it is to go on some time */
-  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 50, &removed), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 0, &removed), MO_OK);
-  CHECK(removed.n == 3 && removed.steps[0] == 40 && removed.steps[2] == 10 && removed.bytes == 15);
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_TRAINING, 50, &removed),
+            MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_TRAINING, 0, &removed), MO_OK);
+  CHECK(removed.n == 3 && removed.places[0].step == 40 && removed.places[2].step == 10 &&
+        removed.bytes == 15);
   CHECK_INT(files_of(&fixture, id), 1);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
   free(bytes);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
-  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 0, &removed), MO_OK);
-  CHECK(removed.n == 1 && removed.steps[0] == 50);
+  CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_TRAINING, 0, &removed), MO_OK);
+  CHECK(removed.n == 1 && removed.places[0].step == 50);
   CHECK(access(folder, F_OK) != 0);
   /* A run that learns late of its end leaves nothing. */
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 60, (const uint8_t *)"late", 4, 9),
@@ -286,7 +289,7 @@ static void *remove_checkpoints(void *context)
   struct mo_checkpoints_removed removed;
   while (!atomic_load(&writer->ended))
     for (uint32_t step = 1; step <= 3; step++)
-      (void)mo_store_training_checkpoints_remove(writer->store, writer->id, step, &removed);
+      (void)mo_store_checkpoints_remove(writer->store, writer->id, MO_JOB_TRAINING, step, &removed);
   return NULL;
 }
 
@@ -297,7 +300,7 @@ static void writes_again_what_is_removed(void)
   struct fixture fixture;
   struct mo_training_submission submission = submission_of(1000);
   struct checkpointer remover = {.ended = false};
-  struct mo_training_checkpoint_row rows[9];
+  struct mo_checkpoint_row rows[9];
   uint8_t *bytes = NULL;
   size_t size = 0;
   pthread_t thread;
@@ -319,7 +322,7 @@ static void writes_again_what_is_removed(void)
   }
   atomic_store(&remover.ended, true);
   pthread_join(thread, NULL);
-  n = mo_store_training_checkpoints(fixture.store, remover.id, rows, 9);
+  n = mo_store_checkpoints(fixture.store, remover.id, rows, 9);
   CHECK_INT(files_of(&fixture, remover.id), n);
   fixture_end(&fixture);
 }

@@ -172,7 +172,7 @@ static void keeps_controllers(void)
   CHECK_INT(mo_store_controller_metadata(fixture.store, &first.sha256, &metadata), MO_OK);
   CHECK(metadata != NULL && strstr(metadata, "\"sensor\":\"inverse_sqrt\"") != NULL);
   CHECK(metadata != NULL &&
-        strstr(metadata, "\"note\":\"a \\\"quoted\\\"\\u000a\\\\ \xc3\xa9 note\"") != NULL);
+        strstr(metadata, "\"note\":\"a \\\"quoted\\\"\\n\\\\ \xc3\xa9 note\"") != NULL);
   free(metadata);
   /* The same content under the same name changes nothing; other content moves the name. */
   CHECK_INT(fixture_controller(fixture.store, "default", 1, &second), MO_OK);

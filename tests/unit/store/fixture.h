@@ -8,6 +8,8 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "store/campaign_designs.h"
+#include "store/campaign_runs.h"
 #include "store/campaigns.h"
 #include "store/runner.h"
 
@@ -134,8 +136,8 @@ static inline int fixture_campaign_checkpoint(struct mo_store *store, int64_t id
                                               uint32_t *generation, uint32_t *step, uint8_t **bytes,
                                               size_t *size)
 {
-  struct mo_campaign_checkpoint_row row;
-  const int64_t n = mo_store_campaign_checkpoints(store, id, &row, 1);
+  struct mo_checkpoint_row row;
+  const int64_t n = mo_store_checkpoints(store, id, &row, 1);
   if (n <= 0)
     return n < 0 ? (int)n : MO_ERR_NOT_FOUND;
   *generation = row.generation;

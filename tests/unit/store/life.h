@@ -8,6 +8,8 @@
 #define MORPHO_TESTS_STORE_LIFE_H
 
 #include "disk.h"
+#include "store/campaign_designs.h"
+#include "store/campaign_runs.h"
 #include "store/campaigns.h"
 #include "store/runner.h"
 #include "store/trainings.h"

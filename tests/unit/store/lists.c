@@ -64,15 +64,10 @@ static int fill(struct fixture *fixture)
       "record_stride,done,"
       "cached,"
       "diverged",
-      "kind,settings,name,parent,parent_name,n_designs,population,n_steps,validate_every_steps,"
-      "checkpoint_every_steps,"
-      "checkpoint_every_s,checkpoints_kept,step,result",
-      "settings,generations,name,preset,controller,controller_name,physics,environment_set,n_"
-      "environments,n_listed,"
-      "initial_campaign,replicates_of,replicate,replicates,checkpoint_every_s,generation,n_designs,"
-      "best_score,"
-      "diversity_max,"
-      "ended,scored_generation,scored,result"};
+      "n_designs,population,step",
+      "generations,preset,physics,environment_set,n_environments,n_listed,initial_campaign,"
+      "replicates_of,replicate,replicates,generation,n_designs,best_score,diversity_max,ended,"
+      "scored_generation,scored"};
   char sql[4096];
   int result = SQLITE_OK;
   mo_store_close(fixture->store);
@@ -86,12 +81,14 @@ static int fill(struct fixture *fixture)
              "us,finished_us,"
              "error,label)"
              " SELECT %d,iif(i<24,i%%6,%d),0,1,0,1,1,0,1,1,1,0,iif(i%%100=0,'rare','usual') FROM n;"
+             "INSERT INTO runs SELECT copy,settings,name,controller,controller_name,result FROM"
+             " (SELECT id copy FROM jobs WHERE kind=%d AND id>3),(SELECT * FROM runs WHERE job=%d);"
              "INSERT INTO %s(job,%s) SELECT copy,%s FROM (SELECT id copy FROM jobs WHERE kind=%d "
              "AND id>3),"
              "(SELECT * FROM %s WHERE job=%d);"
              "COMMIT",
-             ROWS, kind, 3 + kind, tables[kind], columns[kind], columns[kind], kind, tables[kind],
-             kind + 1);
+             ROWS, kind, 3 + kind, kind, kind + 1, tables[kind], columns[kind], columns[kind], kind,
+             tables[kind], kind + 1);
     result = outside(fixture, sql);
   }
   if (result == SQLITE_OK)

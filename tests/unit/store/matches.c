@@ -209,8 +209,8 @@ uint32_t life_files(const struct life *life, const char *folder, int64_t id)
 static bool checkpoints_match(const struct life *life, const struct training_model *training,
                               char text[300])
 {
-  struct mo_training_checkpoint_row rows[KEPT_MAX + 1];
-  const int64_t n = mo_store_training_checkpoints(life->store, training->id, rows, KEPT_MAX + 1);
+  struct mo_checkpoint_row rows[KEPT_MAX + 1];
+  const int64_t n = mo_store_checkpoints(life->store, training->id, rows, KEPT_MAX + 1);
   const uint32_t files = life_files(life, "trainings", training->id);
   if (n != training->n_checkpoints)
     return life_differs(text, "training %lld has %lld checkpoints, not %u", (long long)training->id,
@@ -292,6 +292,7 @@ static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
     const char *table;
     int64_t n;
   } counts[] = {{"jobs", model->jobs},
+                {"runs", model->n_trainings + model->n_campaigns},
                 {"evaluations", model->n_evaluations},
                 {"evaluation_designs", designs},
                 {"evaluation_environments", (int64_t)model->n_evaluations * MO_PAPER_TEST_COUNT},
@@ -303,14 +304,13 @@ static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
                 {"trainings", model->n_trainings},
                 {"training_steps", steps},
                 {"training_validations", validations},
-                {"training_checkpoints", checkpoints},
                 {"campaigns", model->n_campaigns},
                 {"campaign_designs", born},
                 {"campaign_generations", generations},
                 {"campaign_populations", generations},
                 {"campaign_losses", losses},
                 {"campaign_steps", learned},
-                {"campaign_checkpoints", states},
+                {"checkpoints", checkpoints + states},
                 {"controllers", model->n_contents},
                 {"controller_names", names},
                 {"idempotency_keys", model->jobs},

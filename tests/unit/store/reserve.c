@@ -240,7 +240,8 @@ static void keeps_it_for_people(void)
     CHECK_INT(mo_store_change_job(small.fixture.store, ids[i], MO_CHANGE_CANCEL, NULL), MO_OK);
   }
   CHECK_INT(mo_store_controller_remove(small.fixture.store, "spare"), MO_OK);
-  CHECK_INT(mo_store_training_checkpoints_remove(small.fixture.store, trained, 1, &removed), MO_OK);
+  CHECK_INT(mo_store_checkpoints_remove(small.fixture.store, trained, MO_JOB_TRAINING, 1, &removed),
+            MO_OK);
   CHECK_INT(removed.n, 1);
   printf("# %d writes in vain\n", atomic_load(&retries.writes));
   atomic_store(&retries.stop, true);

@@ -11,7 +11,7 @@ static inline struct mo_training_submission submission_of(uint32_t n_steps)
 {
   return (struct mo_training_submission){
       .record = {.settings = {.kind = MO_TRAINING_PRETRAIN,
-                              .seed = UINT64_C(0xFEDCBA9876543210),
+                              .seed = UINT64_C(0x1CBA9876543210),
                               .n_steps = n_steps,
                               .batch = 16,
                               .learning.schedule = {.kind = MO_SCHEDULE_RESTARTS,

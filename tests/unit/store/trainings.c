@@ -1,7 +1,7 @@
 /* trainings.c: what the store keeps of trainings: what was asked for, their curves, code, states
  * and results. */
 #include "by_hand.h"
-#include "store/encode.h"
+#include "store/fields.h"
 #include "store/internal.h"
 #include "training_fixture.h"
 
@@ -42,18 +42,23 @@ static bool same_settings(const struct mo_training_settings *a,
 
 static void encodes_every_setting(void)
 {
-  struct mo_training_settings settings = submission_of(10).record.settings, back;
-  uint8_t bytes[MO_TRAINING_BYTES];
-  mo_encode_training(&settings, bytes);
-  CHECK_INT(mo_decode_training(bytes, sizeof(bytes), &back), MO_OK);
-  CHECK(same_settings(&back, &settings));
-  CHECK_INT(mo_decode_training(bytes, sizeof(bytes) - MO_RULE_BYTES, &back), MO_ERR_CORRUPT);
-  bytes[0] = 1;
-  CHECK_INT(mo_decode_training(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
-  bytes[0] = 2;
-  bytes[sizeof(bytes) - MO_RULE_BYTES] = 2; /* no such rule */
-  CHECK_INT(mo_decode_training(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
-  CHECK_INT(mo_decode_training(NULL, 0, &back), MO_ERR_CORRUPT);
+  const struct mo_training_record record = submission_of(10).record;
+  struct mo_training_record back = {.name = "walker"};
+  struct mo_text text = {0};
+  mo_settings_write(MO_JOB_TRAINING, &record, &text);
+  REQUIRE(text.data != NULL);
+  CHECK_INT(mo_settings_read(MO_JOB_TRAINING, text.data, &back), MO_OK);
+  CHECK(same_settings(&back.settings, &record.settings));
+  CHECK(back.validate_every_steps == 11 && back.checkpoint_every_steps == 12 &&
+        back.checkpoint_every_s == 13 && back.checkpoints_kept == 2);
+  CHECK(strcmp(back.name, "walker") == 0);
+  text.data[text.size - 1] = '\0';
+  CHECK_INT(mo_settings_read(MO_JOB_TRAINING, text.data, &back), MO_ERR_CORRUPT);
+  CHECK_INT(mo_settings_read(MO_JOB_TRAINING, "{\"adjoint_rule\":\"none\"}", &back),
+            MO_ERR_CORRUPT);
+  CHECK_INT(mo_settings_read(MO_JOB_TRAINING, "{\"batch\":0}", &back), MO_ERR_CORRUPT);
+  CHECK_INT(mo_settings_read(MO_JOB_TRAINING, NULL, &back), MO_ERR_CORRUPT);
+  mo_text_free(&text);
 }
 
 static void submits_and_reads_back(void)

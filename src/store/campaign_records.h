@@ -1,0 +1,78 @@
+/* campaign_records.h: a campaign and its rows, as the store returns them (store/campaigns.h). */
+#ifndef MORPHO_STORE_CAMPAIGN_RECORDS_H
+#define MORPHO_STORE_CAMPAIGN_RECORDS_H
+
+#include <morpho/evolution.h>
+
+#include "store/checkpoints.h"
+
+#define MO_REPLICATES_MAX 100
+
+/* The settings of a campaign. */
+struct mo_campaign_record {
+  struct mo_campaign_settings settings; /* generations: including extensions */
+  /* Of the resulting controller, of a campaign that learns; "": "campaign-<id>". */
+  char name[MO_NAME_BYTES_MAX + 1];
+  char preset[16]; /* as requested; "": none */
+  bool has_controller;
+  char controller_name[MO_NAME_BYTES_MAX + 8]; /* as requested; "": by hash, or none */
+  struct mo_sha256 controller_sha256;          /* the content of the name at submission */
+  enum mo_sensor sensor; /* of the controller, or of the settings without one */
+  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": listed in the request */
+  uint32_t n_environments;                     /* with a set, the store fills it in */
+  uint32_t n_listed;                           /* initial designs listed in the request */
+  int64_t initial_campaign; /* its newest population at submission is the initial one; 0: none */
+  int64_t group;            /* id of the first replicate; its own for that one */
+  uint32_t replicate, replicates; /* number in the group, from 0; size of the group */
+  uint32_t checkpoint_every_s;    /* inside the learning of a generation; 0: only at its end */
+};
+
+/* A generation as lists show it. All of it is a function of settings and seed, except `seconds`,
+ * `stored_us`, and `rollouts_cached`, which depends on what the store held. */
+struct mo_campaign_generation {
+  uint32_t generation;
+  uint64_t born_before; /* number of its first child: the designs born in earlier generations */
+  uint32_t n_children;
+  struct mo_population_stats stats; /* of the population after selection */
+  double mean_parents,
+      mean_children; /* mean scores before selection, without designs that diverged; NaN: none */
+  struct mo_variation_counts variation;
+  uint32_t survived_mutants,
+      survived_recombinants; /* children that selection kept; fallbacks count as mutants */
+  double turnover;           /* share of the population born in this generation */
+  uint64_t rollouts, rollouts_cached,
+      rollouts_diverged;        /* for scores; cached: found in the store, included in `rollouts` */
+  uint32_t learning_steps;      /* in this generation */
+  double first_loss, last_loss; /* mean training loss of its first and last step; NaN: none */
+  bool collapse;                /* this generation raised the diversity warning */
+  double seconds;               /* wall time since the generation before, without pauses */
+  int64_t stored_us;
+};
+
+struct mo_campaign_step {
+  uint32_t generation, step; /* step from 1 within the generation */
+  bool on_children;
+  struct mo_training_report report;
+  double seconds;
+};
+
+enum mo_campaign_end { MO_CAMPAIGN_OPEN = 0, MO_CAMPAIGN_COMPLETED = 1, MO_CAMPAIGN_EXHAUSTED = 2 };
+
+/* The current status of a campaign, read in one transaction. */
+struct mo_campaign_status {
+  /* Kind, state, version, weight, times, attempts, error; steps_total: generations; steps_done:
+   * committed ones; both without generation 0. */
+  struct mo_job job;
+  struct mo_campaign_record record;
+  int64_t generation;                 /* newest committed; −1: none */
+  struct mo_campaign_generation last; /* generation ≥ 0 */
+  uint64_t n_designs;                 /* ever born */
+  double best_score;                  /* of the newest population; NaN: none */
+  double diversity_max;               /* so far */
+  enum mo_campaign_end end;           /* of a succeeded campaign */
+  uint32_t scored;                    /* designs of the current generation whose losses are saved */
+  bool has_result;
+  struct mo_sha256 result_sha256; /* the controller of a succeeded campaign that learns */
+};
+
+#endif

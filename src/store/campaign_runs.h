@@ -1,0 +1,122 @@
+/* campaign_runs.h: what the runner of a campaign reads and writes. Each write returns after its
+ * commit, with its event. Threads and errors as in store/campaigns.h. */
+#ifndef MORPHO_STORE_CAMPAIGN_RUNS_H
+#define MORPHO_STORE_CAMPAIGN_RUNS_H
+
+#include "store/campaign_records.h"
+
+int64_t mo_store_queued_campaigns(struct mo_store *store, int64_t *ids,
+                                  size_t limit); /* by priority, then ascending */
+/* Start and end an attempt, as mo_store_training_start and _park, with the events job.started,
+ * job.requeued, job.finished. Committing a generation beyond all earlier ones resets the job's
+ * attempts. */
+int mo_store_campaign_start(struct mo_store *store, int64_t id);
+int mo_store_campaign_park(struct mo_store *store, int64_t id, int error, const char *error_text,
+                           uint32_t max_attempts, enum mo_job_state *after);
+
+/* Adds the event "campaign.lineage_unreadable": metadata of a controller in the campaign's lineage
+ * cannot be read. field: of the metadata; detail: why. Both are short and need no escapes in JSON.
+ * MO_ERR_CONFLICT as for trainings. */
+int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id,
+                                    const struct mo_sha256 *sha256, const char *field,
+                                    const char *detail);
+
+/* The newest population in its order, for a campaign that resumes. Reading it returns
+ * MO_ERR_NOT_FOUND when no generation is committed. */
+struct mo_campaign_state {
+  uint32_t generation, n;
+  uint32_t *numbers;         /* (n) */
+  uint32_t *born;            /* (n) generations */
+  struct mo_bits *genotypes; /* (n) */
+  double *scores;            /* (n) */
+  uint64_t n_designs;
+  double diversity_max;
+};
+int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campaign_state **state);
+void mo_campaign_state_free(struct mo_campaign_state *state); /* NULL-safe */
+/* Calls `take` with the genotype of every design ever born, in order, on the caller's thread. Stops
+ * at a non-zero result and returns it. */
+int mo_store_campaign_each(struct mo_store *store, int64_t id,
+                           int (*take)(void *context, const struct mo_bits *genotype),
+                           void *context);
+
+/* Losses of one candidate of the current generation. place: among the candidates to be scored
+ * (zero-shot: children; else parents, then children). */
+struct mo_campaign_loss {
+  uint32_t place;
+  double losses[MO_ENVIRONMENTS_MAX];          /* (n_environments); +infinity: diverged */
+  int32_t diverged_steps[MO_ENVIRONMENTS_MAX]; /* ≥ 0 */
+  uint64_t by_workers; /* bit k: workers, not devices as for the rest, computed environment k */
+};
+/* Saves losses of `generation`, which must follow the newest committed one. Returns after the
+ * commit. Deletes rows of other generations; a place that is saved already keeps its losses.
+ * event_data: JSON of "campaign.progress"; NULL: no event. MO_ERR_CONFLICT as for trainings;
+ * MO_ERR_RANGE: a place ≥ 2 populations. */
+int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t generation,
+                                  const struct mo_campaign_loss *losses, size_t n,
+                                  const char *event_data);
+/* Reads the saved losses of a generation, by place (malloc). */
+int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation,
+                             struct mo_campaign_loss **losses, size_t *n);
+/* Finds genotypes whose losses in all environments of the campaign are stored, under its controller
+ * and physics (zero-shot), by code of this fingerprint. losses: room for n; place: index in
+ * `genotypes`. Returns their number. */
+int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
+                                const struct mo_bits *genotypes, uint32_t n,
+                                struct mo_campaign_loss *losses);
+
+/* Stores a checkpoint of the learning: the file campaigns/<job>/<generation>-<step>.checkpoint,
+ * then its row. step: learning steps done in `generation`; the next generation starts from the last
+ * one (simultaneous). A new checkpoint inside a generation replaces the earlier one of that
+ * generation. steps (nullable): rows of the learning curve since the last call, in the same
+ * transaction; a row written again replaces the old one. MO_ERR_NO_SPACE. */
+int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t generation,
+                                 uint32_t step, const uint8_t *bytes, size_t size,
+                                 const struct mo_campaign_step *steps, size_t n_steps);
+/* Reads the newest checkpoint of one generation. For the newest committed generation it is the
+ * state that scored its population, whatever was learned since. Earlier ones are not kept. */
+int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation,
+                                    uint32_t *step, uint8_t **bytes, size_t *size);
+
+/* A whole generation, committed in one transaction. */
+struct mo_campaign_commit {
+  struct mo_campaign_generation row; /* seconds as measured; the store fills in stored_us */
+  const struct mo_birth *births; /* (row.n_children); parents: places in the population before */
+  const struct mo_bits *forms, *genotypes; /* (row.n_children) of the children */
+  const struct mo_design_size *sizes;      /* (row.n_children) */
+  const double *child_scores;              /* (row.n_children) */
+  const uint32_t *parent_numbers;          /* (n_parents) the population before, in its order */
+  const double *parent_scores;             /* (n_parents) as used by the selection */
+  uint32_t n_parents;
+  const uint32_t *survivors; /* (n_survivors) places in parents, then children; in the order of the
+                                new population */
+  uint32_t n_survivors;
+  /* (n_losses) zero-shot: losses of the children, stored in `scores` like those of evaluations;
+   * else NULL. */
+  const struct mo_campaign_loss *losses;
+  uint32_t n_losses;
+  int64_t fingerprint, workers_fingerprint; /* mo_store_fingerprint; workers_: for by_workers */
+  const struct mo_campaign_step *steps;     /* (n_steps) of the learning curve, not written yet */
+  uint32_t n_steps;
+  const uint8_t *checkpoint; /* simultaneous, few-shot: the learning state at the end, a file
+                                written before the transaction; else NULL */
+  size_t checkpoint_size;
+  uint32_t checkpoint_step;
+  const char *event_data;    /* JSON of "campaign.generation" */
+  const char *collapse_data; /* nullable: JSON of "campaign.diversity_collapse" */
+};
+/* Commits a generation. Generation 0 has no parents: its whole population are children.
+ * MO_ERR_NO_SPACE: nothing changed. MO_ERR_CONFLICT: as for trainings, or another generation is
+ * next. MO_ERR_INVALID, MO_ERR_RANGE: a mistake of the caller: parents are not the stored
+ * population in its order, a survivor is named twice, a score is NaN, or row.born_before is not the
+ * number of designs so far. */
+int mo_store_campaign_commit(struct mo_store *store, int64_t id,
+                             const struct mo_campaign_commit *commit);
+/* running → succeeded. controller (nullable): stored under its name, as by
+ * mo_store_training_finish. MO_ERR_CONFLICT: as for trainings, or the campaign was extended
+ * meanwhile (generations > expected): continue. MO_ERR_INVALID: end is open. */
+int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaign_end end,
+                             uint32_t generations, const char *name, const uint8_t *bytes,
+                             size_t size, const struct mo_controller *controller);
+
+#endif

@@ -1,0 +1,274 @@
+/* checkpoints.c: see checkpoints.h and checkpoint_files.h. */
+#include "store/checkpoint_files.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/clock.h"
+#include "store/folder.h"
+#include "store/runs.h"
+
+/* Returns the path of a checkpoint, or of a job's folder (place NULL) (malloc). */
+static char *path_of(const struct mo_store *store, int64_t id, enum mo_job_kind kind,
+                     const struct mo_checkpoint_place *place)
+{
+  const char *above = kind == MO_JOB_TRAINING ? store->trainings_path : store->campaigns_path;
+  const size_t size = strlen(above) + 80;
+  char *path = malloc(size);
+  if (path == NULL)
+    return NULL;
+  if (place == NULL)
+    snprintf(path, size, "%s/%lld", above, (long long)id);
+  else if (kind == MO_JOB_TRAINING)
+    snprintf(path, size, "%s/%lld/%u.checkpoint", above, (long long)id, (unsigned)place->step);
+  else
+    snprintf(path, size, "%s/%lld/%u-%u.checkpoint", above, (long long)id,
+             (unsigned)place->generation, (unsigned)place->step);
+  return path;
+}
+
+static int take_row(sqlite3_stmt *statement, void *any)
+{
+  struct mo_checkpoint_row *row = any;
+  row->generation = mo_column_u32(statement, 0);
+  row->step = mo_column_u32(statement, 1);
+  row->size = (uint64_t)sqlite3_column_int64(statement, 3);
+  row->stored_us = sqlite3_column_int64(statement, 4);
+  return mo_column_hash(statement, 2, &row->sha256);
+}
+
+/* Finds the newest checkpoint of a generation and step; −1: of any. */
+static int find(struct mo_store *store, int64_t id, int64_t generation, int64_t step,
+                struct mo_checkpoint_row *found)
+{
+  static const char sql[] =
+      "SELECT generation,step,sha256,size,stored_us FROM checkpoints WHERE job=?1"
+      " AND (?2<0 OR generation=?2) AND (?3<0 OR step=?3) ORDER BY generation DESC,step DESC"
+      " LIMIT 1";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  sqlite3_stmt *row;
+  int error = mo_sql_row(reader, &row, sql, mo_int(id), mo_int(generation), mo_int(step));
+  if (error == MO_OK)
+    error = take_row(row, found);
+  mo_reader_release(store, reader);
+  return error;
+}
+
+/* ---- writing ---- */
+
+/* Returns whether a file has these bytes. */
+static bool has_bytes(const char *path, const uint8_t *bytes, size_t size)
+{
+  uint8_t *there = NULL;
+  const bool same = mo_file_read(path, size, &there) == MO_OK && memcmp(there, bytes, size) == 0;
+  free(there);
+  return same;
+}
+
+/* Writes the file. */
+static int begin(struct mo_store *store, const uint8_t *bytes, struct mo_checkpoint *checkpoint)
+{
+  const bool is_training = checkpoint->kind == MO_JOB_TRAINING;
+  char *folder = path_of(store, checkpoint->id, checkpoint->kind, NULL);
+  struct mo_checkpoint_row known;
+  int error = MO_OK;
+  checkpoint->path = path_of(store, checkpoint->id, checkpoint->kind, &checkpoint->place);
+  if (folder == NULL || checkpoint->path == NULL) {
+    free(folder);
+    return MO_ERR_NO_MEMORY;
+  }
+  mo_sha256_of(bytes, checkpoint->size, &checkpoint->sha256);
+  error = find(store, checkpoint->id, checkpoint->place.generation, checkpoint->place.step, &known);
+  checkpoint->was_there = error == MO_OK;
+  if (error == MO_ERR_NOT_FOUND)
+    error = MO_OK;
+  if (error == MO_OK)
+    error =
+        mo_folder_make(store, is_training ? store->trainings_path : store->campaigns_path, folder);
+  /* The checkpoint at the end of a generation may have been stored before as one inside it. */
+  if (error == MO_OK && checkpoint->was_there &&
+      mo_sha256_equal(&known.sha256, &checkpoint->sha256) &&
+      has_bytes(checkpoint->path, bytes, checkpoint->size))
+    error = mo_folder_sync(store, folder);
+  else if (error == MO_OK)
+    error = mo_file_write(store, folder, checkpoint->path, bytes, checkpoint->size);
+  free(folder);
+  return error;
+}
+
+int mo_checkpoint_row_write(struct mo_store *store, const struct mo_checkpoint *checkpoint)
+{
+  static const char sql[] =
+      "INSERT OR REPLACE INTO checkpoints(job,generation,step,sha256,size,stored_us)"
+      " VALUES(?1,?2,?3,?4,?5,?6)";
+  return mo_sql_do(&store->writer, sql, mo_int(checkpoint->id),
+                   mo_int(checkpoint->place.generation), mo_int(checkpoint->place.step),
+                   mo_hash(&checkpoint->sha256), mo_int((int64_t)checkpoint->size),
+                   mo_int(mo_clock_wall_us()));
+}
+
+static int take_place(sqlite3_stmt *row, void *any)
+{
+  struct mo_checkpoints_removed *removed = any;
+  if (removed->n == MO_CHECKPOINTS_MAX)
+    return MO_OK; /* the next checkpoint removes it */
+  removed->places[removed->n++] =
+      (struct mo_checkpoint_place){mo_column_u32(row, 0), mo_column_u32(row, 1)};
+  removed->bytes += (uint64_t)sqlite3_column_int64(row, 2);
+  return MO_OK;
+}
+
+int mo_checkpoint_drop(struct mo_store *store, const char *list_sql, int64_t fourth,
+                       struct mo_checkpoint *checkpoint)
+{
+  static const char sql[] = "DELETE FROM checkpoints WHERE job=?1 AND generation=?2 AND step=?3";
+  struct mo_checkpoints_removed *dropped = &checkpoint->dropped;
+  const struct mo_value id = mo_int(checkpoint->id);
+  int64_t n;
+  dropped->n = 0;
+  dropped->bytes = 0;
+  n = mo_sql_each(&store->writer, take_place, dropped, list_sql, id,
+                  mo_int(checkpoint->place.generation), mo_int(checkpoint->place.step),
+                  mo_int(fourth));
+  for (size_t i = 0; i < dropped->n && n >= 0; i++) {
+    const int error = mo_sql_do(&store->writer, sql, id, mo_int(dropped->places[i].generation),
+                                mo_int(dropped->places[i].step));
+    n = error != MO_OK ? error : n;
+  }
+  return n < 0 ? (int)n : MO_OK;
+}
+
+/* Deletes the files of dropped rows or, after an error, the new file. */
+static void end(struct mo_store *store, struct mo_checkpoint *checkpoint, int error)
+{
+  const struct mo_file_operations *files = store->files;
+  /* After an I/O error it is unknown whether the row exists, so the file stays. */
+  if (error != MO_OK && error != MO_ERR_IO && checkpoint->path != NULL && !checkpoint->was_there) {
+    char *folder = path_of(store, checkpoint->id, checkpoint->kind, NULL);
+    (void)files->unlink(files->context, checkpoint->path);
+    if (folder != NULL)
+      (void)files->rmdir(files->context, folder); /* if it was made for this one */
+    free(folder);
+  }
+  for (size_t i = 0; i < checkpoint->dropped.n && error == MO_OK; i++) {
+    char *path = path_of(store, checkpoint->id, checkpoint->kind, &checkpoint->dropped.places[i]);
+    if (path != NULL)
+      (void)files->unlink(files->context, path); /* if this fails, the next start removes it */
+    free(path);
+  }
+  free(checkpoint->path);
+  checkpoint->path = NULL;
+}
+
+int mo_checkpoint_write(struct mo_store *store, const uint8_t *bytes,
+                        struct mo_checkpoint *checkpoint,
+                        int (*run)(struct mo_store *store, void *arguments), void *arguments)
+{
+  int error;
+  pthread_mutex_lock(&store->checkpoints_mutex);
+  error = bytes != NULL ? begin(store, bytes, checkpoint) : MO_OK;
+  if (error == MO_OK)
+    error = mo_write(store, run, arguments);
+  end(store, checkpoint, error);
+  pthread_mutex_unlock(&store->checkpoints_mutex);
+  return error;
+}
+
+/* ---- reading ---- */
+
+int mo_checkpoint_read(struct mo_store *store, int64_t id, enum mo_job_kind kind,
+                       int64_t generation, int64_t step, struct mo_checkpoint_place *place,
+                       uint8_t **bytes, size_t *size)
+{
+  struct mo_checkpoint_row row, again;
+  uint8_t *found = NULL;
+  int error = find(store, id, generation, step, &row);
+  while (error == MO_OK) {
+    *place = (struct mo_checkpoint_place){row.generation, row.step};
+    char *path = path_of(store, id, kind, place);
+    error = path == NULL ? MO_ERR_NO_MEMORY
+                         : mo_file_read_checked(path, (size_t)row.size, &row.sha256, &found);
+    free(path);
+    if (error != MO_ERR_CORRUPT)
+      break;
+    /* The file is damaged, unless newer checkpoints have replaced it meanwhile: then its row went
+     * first. */
+    error = find(store, id, generation, step, &again);
+    if (error == MO_OK && again.generation == row.generation && again.step == row.step &&
+        mo_sha256_equal(&again.sha256, &row.sha256))
+      error = MO_ERR_CORRUPT;
+    row = again;
+  }
+  if (error != MO_OK)
+    return error;
+  *bytes = found;
+  *size = (size_t)row.size;
+  return MO_OK;
+}
+
+int64_t mo_store_checkpoints(struct mo_store *store, int64_t id, struct mo_checkpoint_row *rows,
+                             size_t limit)
+{
+  static const char sql[] =
+      "SELECT generation,step,sha256,size,stored_us FROM checkpoints WHERE job=?1"
+      " ORDER BY generation DESC,step DESC LIMIT ?2";
+  return mo_read_page(store, sql, MO_VALUES(mo_int(id), mo_int((int64_t)limit)), take_row, rows,
+                      sizeof(*rows));
+}
+
+/* ---- on request ---- */
+
+static int remove_rows(struct mo_store *store, void *arguments)
+{
+#define LISTED                                                                                     \
+  "SELECT generation,step,size FROM checkpoints WHERE job=?1 AND ?2=0 AND (?3=0 OR step=?3)"       \
+  " AND ?4=0"
+#define NEWEST_FIRST " ORDER BY generation DESC,step DESC"
+  static const char all_sql[] = LISTED NEWEST_FIRST;
+  static const char older_sql[] =
+      LISTED " AND step<(SELECT max(step) FROM checkpoints WHERE job=?1)" NEWEST_FIRST;
+#undef NEWEST_FIRST
+#undef LISTED
+  static const char find_sql[] = "SELECT count(*) FROM checkpoints WHERE job=?1 AND step=?2";
+  static const char version_sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1";
+  struct mo_checkpoint *call = arguments;
+  struct mo_connection *writer = &store->writer;
+  enum mo_job_state state;
+  enum mo_job_kind kind;
+  int64_t n = 0;
+  int error = mo_job_state_get(writer, call->id, &state, &kind);
+  call->dropped.n = 0;
+  if (error == MO_OK && kind != call->kind)
+    error = MO_ERR_NOT_FOUND;
+  if (error == MO_OK && kind == MO_JOB_CAMPAIGN && !mo_job_state_is_final(state))
+    return MO_OK;
+  if (error == MO_OK)
+    error = mo_checkpoint_drop(store, mo_job_state_is_final(state) ? all_sql : older_sql, 0, call);
+  if (error == MO_OK && call->dropped.n > 0)
+    return mo_sql_do(writer, version_sql, mo_int(call->id));
+  if (error != MO_OK || call->place.step == 0)
+    return error;
+  error = mo_sql_find(writer, &n, find_sql, mo_int(call->id), mo_int(call->place.step));
+  return error != MO_OK ? error : n > 0 ? MO_ERR_CONFLICT : MO_ERR_NOT_FOUND;
+}
+
+int mo_store_checkpoints_remove(struct mo_store *store, int64_t id, enum mo_job_kind kind,
+                                uint32_t step, struct mo_checkpoints_removed *removed)
+{
+  struct mo_checkpoint call = {.id = id, .kind = kind, .place.step = step};
+  char *folder = path_of(store, id, kind, NULL);
+  int error;
+  if (folder == NULL)
+    return MO_ERR_NO_MEMORY;
+  pthread_mutex_lock(&store->checkpoints_mutex);
+  error = mo_write_urgent(store, remove_rows, &call);
+  end(store, &call, error);
+  if (error == MO_OK)
+    (void)store->files->rmdir(store->files->context, folder); /* if it is empty */
+  pthread_mutex_unlock(&store->checkpoints_mutex);
+  free(folder);
+  if (error == MO_OK)
+    *removed = call.dropped;
+  return error;
+}

@@ -1,0 +1,184 @@
+/* contents.c: see contents.h. */
+#include "store/contents.h"
+
+#include <stdlib.h>
+
+#include "store/internal.h"
+
+/* ---- rows by content: found or inserted ---- */
+
+/* Finds or inserts the row of a table whose rows are identified by the hash of their bytes. */
+static int content_row(struct mo_connection *writer, const char *find_sql, const char *insert_sql,
+                       const uint8_t *bytes, size_t size, int64_t *row)
+{
+  struct mo_sha256 hash;
+  int error;
+  mo_sha256_of(bytes, size, &hash);
+  error = mo_sql_find(writer, row, find_sql, mo_hash(&hash));
+  if (error != MO_ERR_NOT_FOUND)
+    return error;
+  error = mo_sql_do(writer, insert_sql, mo_hash(&hash), mo_blob(bytes, size));
+  *row = sqlite3_last_insert_rowid(writer->db);
+  return error;
+}
+
+int mo_environment_row(struct mo_connection *writer, const struct mo_environment *environment,
+                       int64_t *row)
+{
+  static const char find_sql[] = "SELECT id FROM environments WHERE sha256=?1";
+  static const char insert_sql[] = "INSERT INTO environments(sha256,data) VALUES(?1,?2)";
+  uint8_t bytes[MO_ENVIRONMENT_BYTES];
+  mo_encode_environment(environment, bytes);
+  return content_row(writer, find_sql, insert_sql, bytes, sizeof(bytes), row);
+}
+
+int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physics,
+                   enum mo_precision precision, enum mo_sensor sensor, int64_t *row)
+{
+  static const char find_sql[] = "SELECT id FROM physics WHERE sha256=?1";
+  static const char insert_sql[] = "INSERT INTO physics(sha256,encoding) VALUES(?1,?2)";
+  uint8_t bytes[MO_PHYSICS_BYTES];
+  mo_encode_physics(physics, precision, sensor, bytes);
+  return content_row(writer, find_sql, insert_sql, bytes, sizeof(bytes), row);
+}
+
+int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,
+                    const struct mo_bits *genotype, int64_t now_us, int64_t *row)
+{
+  static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
+  static const char find_design_sql[] = "SELECT id FROM designs WHERE form=?1";
+  static const char insert_design_sql[] = "INSERT INTO designs(form,first_seen_us) VALUES(?1,?2)";
+  static const char insert_sql[] = "INSERT INTO genotypes(bits,design) VALUES(?1,?2)";
+  uint8_t bits[MO_BITS_BYTES], canonical[MO_BITS_BYTES];
+  int64_t design = 0;
+  int error;
+  mo_encode_bits(genotype, bits);
+  error = mo_sql_find(writer, row, find_sql, mo_blob(bits, sizeof(bits)));
+  if (error != MO_ERR_NOT_FOUND)
+    return error;
+  mo_encode_bits(form, canonical);
+  error = mo_sql_find(writer, &design, find_design_sql, mo_blob(canonical, sizeof(canonical)));
+  if (error == MO_ERR_NOT_FOUND) {
+    error =
+        mo_sql_do(writer, insert_design_sql, mo_blob(canonical, sizeof(canonical)), mo_int(now_us));
+    design = sqlite3_last_insert_rowid(writer->db);
+  }
+  if (error == MO_OK)
+    error = mo_sql_do(writer, insert_sql, mo_blob(bits, sizeof(bits)), mo_int(design));
+  *row = sqlite3_last_insert_rowid(writer->db);
+  return error;
+}
+
+int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *id)
+{
+  static const char insert_sql[] = "INSERT OR IGNORE INTO fingerprints(text) VALUES(?1)";
+  static const char find_sql[] = "SELECT id FROM fingerprints WHERE text=?1";
+  const int error = mo_sql_do(writer, insert_sql, mo_string(text));
+  return error == MO_OK ? mo_sql_find(writer, id, find_sql, mo_string(text)) : error;
+}
+
+/* ---- named sets ---- */
+
+int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row,
+                            int64_t *n)
+{
+  static const char sql[] = "SELECT id,n FROM environment_sets WHERE name=?1";
+  sqlite3_stmt *statement;
+  const int error = mo_sql_row(connection, &statement, sql, mo_string(name));
+  if (error != MO_OK)
+    return error;
+  *row = sqlite3_column_int64(statement, 0);
+  *n = sqlite3_column_int64(statement, 1);
+  (void)sqlite3_reset(statement);
+  /* A submission that names no set has row 0. */
+  return *row == 0 || *n < 1 || *n > MO_ENVIRONMENTS_MAX ? MO_ERR_CORRUPT : MO_OK;
+}
+
+int mo_store_environment_set_size(struct mo_store *store, const char *name, uint32_t *n)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int64_t row, size = 0;
+  int error = mo_environment_set_find(reader, name, &row, &size);
+  mo_reader_release(store, reader);
+  if (error == MO_OK)
+    *n = (uint32_t)size;
+  return error;
+}
+
+/* ---- the environments and designs of a job ---- */
+
+int mo_environments_insert(struct mo_connection *writer, const char *copy_sql, const char *sql,
+                           int64_t id, int64_t set, const struct mo_environment *environments,
+                           uint32_t n)
+{
+  int64_t row = 0;
+  int error = MO_OK;
+  if (set != 0)
+    return mo_sql_do(writer, copy_sql, mo_int(id), mo_int(set));
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    error = mo_environment_row(writer, &environments[i], &row);
+    if (error == MO_OK)
+      error = mo_sql_do(writer, sql, mo_int(id), mo_int(i), mo_int(row));
+  }
+  return error;
+}
+
+int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id,
+                      const struct mo_bits *forms, const struct mo_bits *genotypes, uint32_t n,
+                      int64_t now_us)
+{
+  int64_t row = 0;
+  int error = MO_OK;
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    error = mo_genotype_row(writer, &forms[i], &genotypes[i], now_us, &row);
+    if (error == MO_OK)
+      error = mo_sql_do(writer, sql, mo_int(id), mo_int(i), mo_int(row));
+  }
+  return error;
+}
+
+struct environments {
+  struct mo_environment *next;
+  int64_t *next_row; /* nullable */
+  uint32_t n_left;
+};
+
+static int take_environment(sqlite3_stmt *row, void *any)
+{
+  struct environments *list = any;
+  if (list->n_left-- == 0)
+    return MO_ERR_CORRUPT;
+  if (list->next_row != NULL)
+    *list->next_row++ = sqlite3_column_int64(row, 0);
+  return mo_column_environment(row, 1, 2, list->next++);
+}
+
+int mo_environments_read(struct mo_connection *connection, const char *sql, int64_t id, uint32_t n,
+                         struct mo_environment *environments, int64_t *rows)
+{
+  struct environments list = {environments, rows, n};
+  const int64_t found = mo_sql_each(connection, take_environment, &list, sql, mo_int(id));
+  return found < 0 ? (int)found : found == n ? MO_OK : MO_ERR_CORRUPT;
+}
+
+static int take_genotype(sqlite3_stmt *row, void *any)
+{
+  struct mo_designs *designs = any;
+  if (designs->n == designs->n_max)
+    return MO_ERR_CORRUPT;
+  designs->rows[designs->n] = sqlite3_column_int64(row, 0);
+  return mo_column_genotype(row, 1, 2, &designs->genotypes[designs->n++], NULL);
+}
+
+int mo_designs_read(struct mo_connection *connection, const char *sql, int64_t id, uint32_t n_max,
+                    struct mo_designs *designs)
+{
+  int64_t found;
+  *designs = (struct mo_designs){.genotypes = calloc(n_max + 1, sizeof(*designs->genotypes)),
+                                 .rows = calloc(n_max + 1, sizeof(*designs->rows)),
+                                 .n_max = n_max};
+  if (designs->genotypes == NULL || designs->rows == NULL)
+    return MO_ERR_NO_MEMORY;
+  found = mo_sql_each(connection, take_genotype, designs, sql, mo_int(id));
+  return found < 0 ? (int)found : MO_OK;
+}

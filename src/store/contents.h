@@ -1,0 +1,44 @@
+/* contents.h: rows that are identified by their content, and the environments and designs of a job.
+ * Only for this room. */
+#ifndef MORPHO_STORE_CONTENTS_H
+#define MORPHO_STORE_CONTENTS_H
+
+#include "store/sql.h"
+
+/* Find or insert a row. */
+int mo_environment_row(struct mo_connection *writer, const struct mo_environment *environment,
+                       int64_t *row);
+int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physics,
+                   enum mo_precision precision, enum mo_sensor sensor, int64_t *row);
+/* A design and one of its orientations. */
+int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,
+                    const struct mo_bits *genotype, int64_t now_us, int64_t *row);
+int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *id);
+/* Finds a named set and its size, 1 to MO_ENVIRONMENTS_MAX. MO_ERR_NOT_FOUND. */
+int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row,
+                            int64_t *n);
+
+/* Inserts the environments of a job: those of `set` (copy_sql: ?1 job, ?2 set), or if set is 0 the
+ * given ones (sql: ?1 job, ?2 position, ?3 environment). */
+int mo_environments_insert(struct mo_connection *writer, const char *copy_sql, const char *sql,
+                           int64_t id, int64_t set, const struct mo_environment *environments,
+                           uint32_t n);
+/* Inserts the designs of a job, in order. sql: ?1 job, ?2 position, ?3 genotype's row. */
+int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id,
+                      const struct mo_bits *forms, const struct mo_bits *genotypes, uint32_t n,
+                      int64_t now_us);
+/* Reads the environments (n) of a job. sql: ?1 job; columns row, data, sha256. rows: nullable.
+ * MO_ERR_CORRUPT: there are more or fewer. */
+int mo_environments_read(struct mo_connection *connection, const char *sql, int64_t id, uint32_t n,
+                         struct mo_environment *environments, int64_t *rows);
+struct mo_designs {
+  struct mo_bits *genotypes; /* (n) malloc */
+  int64_t *rows;             /* (n) malloc */
+  uint32_t n, n_max;
+};
+/* Reads at most n_max designs of a job. sql: ?1 job; columns row, bits, form. The caller frees
+ * both lists, also after an error. MO_ERR_CORRUPT: there are more. */
+int mo_designs_read(struct mo_connection *connection, const char *sql, int64_t id, uint32_t n_max,
+                    struct mo_designs *designs);
+
+#endif

@@ -1,0 +1,37 @@
+/* controller_rows.h: controllers as other sources of this room store and find them. Only for this
+ * room.
+ */
+#ifndef MORPHO_STORE_CONTROLLER_ROWS_H
+#define MORPHO_STORE_CONTROLLER_ROWS_H
+
+#include "store/internal.h"
+
+/* Finds a controller's row by name or "sha256:…". MO_ERR_NOT_FOUND. */
+int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row);
+/* Reads a controller's sensor. MO_ERR_UNSUPPORTED: its workspace is not the default one. */
+int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_sensor *sensor);
+/* Reports the files of controllers that nothing refers to, or (tell NULL) removes them. */
+int mo_controllers_clean(struct mo_store *store,
+                         void (*tell)(void *context, const char *name, uint64_t bytes),
+                         void *context);
+
+/* Stores a file of weights, then its row and name. Begin: on any thread; row: in an operation; end:
+ * always. */
+struct mo_controller_put {
+  const char *name;
+  const struct mo_controller *controller;
+  char *metadata;
+  struct mo_sha256 sha256;
+  size_t size;
+  struct mo_controller_record record;
+  bool created, is_locked;
+  int64_t row; /* result */
+};
+int mo_controller_put_begin(struct mo_store *store, const char *name, const uint8_t *bytes,
+                            size_t size, const struct mo_controller *controller,
+                            struct mo_controller_put *call);
+char *mo_controller_path(const struct mo_store *store, const struct mo_sha256 *sha256); /* malloc */
+int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call);
+void mo_controller_put_end(struct mo_store *store, struct mo_controller_put *call);
+
+#endif

@@ -1,0 +1,69 @@
+/* evaluations.h: evaluations: submission and results. Threads and errors as in store.h. */
+#ifndef MORPHO_STORE_EVALUATIONS_H
+#define MORPHO_STORE_EVALUATIONS_H
+
+#include "store/records.h"
+
+struct mo_store;
+
+/* ---- submission (by jobs) ---- */
+
+struct mo_submission {
+  const struct mo_bits *forms;     /* (n_designs) canonical */
+  const struct mo_bits *genotypes; /* (n_designs) placed */
+  uint32_t n_designs;
+  const char *environment_set;               /* or NULL */
+  const struct mo_environment *environments; /* (n_environments) if there is no set */
+  uint32_t n_environments;
+  const char *controller; /* name or "sha256:<hex>" */
+  struct mo_physics physics;
+  enum mo_precision precision;
+  enum mo_urgency priority;
+  enum mo_back_end back_end;
+  double weight;     /* 0: 1 */
+  const char *label; /* nullable */
+  bool verify, record_com, record_masses;
+  uint32_t record_stride;
+  const char *idempotency_key; /* nullable */
+  struct mo_sha256 body_sha256;
+};
+/* Stores an evaluation in one transaction: designs, genotypes, environments, settings, job, key and
+ * event. Errors as in mo_jobs_submit_evaluation. */
+int mo_store_submit(struct mo_store *store, const struct mo_submission *submission, int64_t *id,
+                    bool *replayed);
+
+/* ---- results ---- */
+
+/* The results of an evaluation. Rows are designs, columns are environments, both in the order of
+ * the request. */
+struct mo_evaluation_results {
+  uint32_t n_designs, n_environments;
+  struct mo_bits *forms;     /* (n_designs) canonical */
+  struct mo_bits *genotypes; /* (n_designs) placed, as evaluated */
+  double *scores;            /* (n_designs) mean loss; +infinity when a rollout diverged */
+  double *losses; /* (n_designs, n_environments); +infinity: diverged; NaN: not computed yet (never
+                     in a succeeded job) */
+  int32_t *diverged_steps; /* (n_designs, n_environments); 0: did not diverge */
+  /* Verify jobs only, else NULL: `losses` were recomputed by this job; these were stored before. */
+  double *stored_losses; /* (n_designs, n_environments); NaN: none was stored */
+  uint8_t *agrees; /* (n_designs): 1: every stored loss equals the recomputed one, bit for bit */
+};
+void mo_evaluation_results_free(struct mo_evaluation_results *results); /* NULL-safe */
+
+struct mo_trajectory {
+  uint32_t stride, n_frames, n_masses;
+  double dt_s;
+  double *com_m; /* (n_frames, 3) or NULL */
+  float *mass_m; /* (n_frames, n_masses, 3) or NULL */
+};
+void mo_trajectory_free(struct mo_trajectory *trajectory); /* NULL-safe */
+
+/* Reads the results of an evaluation: of an unfinished one, those so far. MO_ERR_NOT_FOUND. */
+int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **results);
+
+/* Reads the trajectory of design n in environment k (both from 0). MO_ERR_NOT_FOUND: no such
+ * evaluation, design or environment, or nothing is recorded (yet). */
+int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t k,
+                        struct mo_trajectory **trajectory);
+
+#endif

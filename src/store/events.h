@@ -1,0 +1,39 @@
+/* events.h: what happened to jobs and controllers, in order. Threads and errors as in store.h. */
+#ifndef MORPHO_STORE_EVENTS_H
+#define MORPHO_STORE_EVENTS_H
+
+#include "store/records.h"
+
+struct mo_store;
+
+struct mo_event {
+  int64_t sequence; /* ≥ 1, grows by commit order, never reused */
+  int64_t time_us;
+  int64_t job;    /* 0: about no job */
+  char type[32];  /* "job.created", "job.started", "job.weight", "job.progress", "job.paused",
+                     "job.resumed", "job.requeued", "job.finished",  "evaluation.code_changed",
+                     "training.progress",
+                     "training.validation", "training.checkpoint", "training.code_changed",
+                     "campaign.progress",  "campaign.generation", "campaign.diversity_collapse",
+                     "campaign.extended",  "campaign.lineage_unreadable", "controller.stored",
+                     "controller.removed" */
+  char data[512]; /* a JSON object */
+};
+
+/* Called on the writer's thread after each commit that made events, in order. It must be short and
+ * must not call functions of the store that write. */
+typedef void (*mo_store_listener)(void *context, const struct mo_event *events, size_t n);
+/* MO_ERR_NO_MEMORY, MO_ERR_LIMIT. */
+int mo_store_subscribe(struct mo_store *store, mo_store_listener listener, void *context,
+                       int *ret_handle);
+/* After it returns, the listener is not called again. */
+void mo_store_unsubscribe(struct mo_store *store, int handle);
+
+/* Reads events with sequence > after, ascending, at most `limit`; job 0: of all jobs. Returns the
+ * number written to `events` or an error.
+ * *oldest, *newest (nullable): the range that is kept (0, 0: none yet), up to 18 digits. If after <
+ * *oldest − 1, some events were pruned: `reset`. */
+int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, struct mo_event *events,
+                        size_t limit, int64_t *oldest, int64_t *newest);
+
+#endif

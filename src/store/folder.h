@@ -1,0 +1,30 @@
+/* folder.h: files and folders of the state folder. Only for this room. */
+#ifndef MORPHO_STORE_FOLDER_H
+#define MORPHO_STORE_FOLDER_H
+
+#include "store/internal.h"
+
+/* Locks the state folder. The caller closes *file_fd in any case, unless it is −1. MO_ERR_BUSY:
+ * another process holds the lock. */
+int mo_state_folder_lock(int fd, const char *path, int *file_fd, struct mo_message *message);
+
+/* Reads a file of `size` bytes (malloc). MO_ERR_NOT_FOUND; MO_ERR_CORRUPT: another size; MO_ERR_IO;
+ * MO_ERR_NO_MEMORY: of memory or descriptors. */
+int mo_file_read(const char *path, size_t size, uint8_t **bytes);
+/* Like mo_file_read for a file that a row refers to. MO_ERR_CORRUPT also: it is missing, or has
+ * another hash. */
+int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *sha256,
+                         uint8_t **bytes);
+/* Writes a file, atomic and durable. `path` is in `folder`. MO_ERR_NO_SPACE: nothing was changed.
+ */
+int mo_file_write(struct mo_store *store, const char *folder, const char *path,
+                  const uint8_t *bytes, size_t size);
+/* MO_ERR_NO_MEMORY: the folder cannot be opened now; MO_ERR_IO is fatal to the store. */
+int mo_folder_sync(struct mo_store *store, const char *path);
+/* Makes a folder if it is missing and makes its name durable in any case. */
+int mo_folder_make(struct mo_store *store, const char *parent, const char *path);
+/* Counts files without rows in store->orphans, and removes those that this program left behind.
+ * connection NULL: recognizes only unfinished files as such. Called before the writer starts. */
+int mo_files_sort_out(struct mo_store *store, struct mo_connection *connection, bool removes);
+
+#endif

@@ -1,0 +1,339 @@
+/* jobs.c: see jobs.h. A job's row has the columns of every kind; those of other kinds are NULL. */
+#include "store/jobs.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "store/campaigns.h"
+#include "store/contents.h"
+#include "store/fields.h"
+#include "store/internal.h"
+#include "store/trainings.h"
+
+/* ---- one job ---- */
+
+static int read_environments(sqlite3_stmt *row, struct mo_job *job)
+{
+  const int64_t n = sqlite3_column_int64(row, MO_COLUMN_N_ENVIRONMENTS);
+  mo_column_text(row, MO_COLUMN_ENVIRONMENT_SET, job->environment_set,
+                 sizeof(job->environment_set));
+  job->n_environments = (uint32_t)n;
+  return n < 1 || n > MO_ENVIRONMENTS_MAX ? MO_ERR_CORRUPT : MO_OK;
+}
+
+static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
+{
+  const int64_t n_designs = sqlite3_column_int64(row, MO_COLUMN_N_DESIGNS);
+  const void *encoding = sqlite3_column_blob(row, MO_COLUMN_PHYSICS);
+  const int recorded = sqlite3_column_int(row, MO_COLUMN_RECORD);
+  (void)record;
+  if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || read_environments(row, job) != MO_OK ||
+      mo_column_hash(row, MO_COLUMN_CONTROLLER, &job->controller_sha256) != MO_OK ||
+      encoding == NULL ||
+      mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, MO_COLUMN_PHYSICS),
+                        &job->physics, &job->precision, &job->sensor) != MO_OK)
+    return MO_ERR_CORRUPT;
+  job->n_designs = (uint32_t)n_designs;
+  job->verify = sqlite3_column_int(row, MO_COLUMN_VERIFY) != 0;
+  job->record_com = (recorded & 1) != 0;
+  job->record_masses = (recorded & 2) != 0;
+  job->record_stride = mo_column_u32(row, MO_COLUMN_RECORD_STRIDE);
+  job->rollouts_total = (uint64_t)n_designs * job->n_environments;
+  job->rollouts_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DONE);
+  job->rollouts_cached = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_CACHED);
+  job->rollouts_diverged = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DIVERGED);
+  return MO_OK;
+}
+
+/* Reads what trainings and campaigns share. */
+static int read_run(sqlite3_stmt *row, struct mo_job *job, void *record)
+{
+  if (sqlite3_column_type(row, MO_COLUMN_CONTROLLER) != SQLITE_NULL &&
+      mo_column_hash(row, MO_COLUMN_CONTROLLER, &job->controller_sha256) != MO_OK)
+    return MO_ERR_CORRUPT;
+  job->precision = MO_FLOAT32;
+  return mo_settings_read(job->kind, (const char *)sqlite3_column_text(row, MO_COLUMN_SETTINGS),
+                          record);
+}
+
+static int read_training(sqlite3_stmt *row, struct mo_job *job, void *any)
+{
+  struct mo_training_record *record = any;
+  const int error = read_run(row, job, record);
+  if (error != MO_OK)
+    return error;
+  job->n_designs = mo_column_u32(row, MO_COLUMN_N_DESIGNS);
+  job->physics = record->settings.physics;
+  job->sensor = record->settings.sensor;
+  job->steps_total = record->settings.n_steps;
+  job->steps_done = mo_column_u32(row, MO_COLUMN_STEP);
+  mo_column_text(row, MO_COLUMN_NAME, record->name, sizeof(record->name));
+  memcpy(record->parent_name, job->controller_name, sizeof(record->parent_name));
+  record->has_parent = sqlite3_column_type(row, MO_COLUMN_CONTROLLER) != SQLITE_NULL;
+  record->parent_sha256 = job->controller_sha256;
+  record->n_designs = job->n_designs;
+  record->population = sqlite3_column_int64(row, MO_COLUMN_POPULATION);
+  return MO_OK;
+}
+
+static int read_campaign(sqlite3_stmt *row, struct mo_job *job, void *any)
+{
+  struct mo_campaign_record *record = any;
+  const int64_t generation = sqlite3_column_int64(row, MO_COLUMN_GENERATION);
+  int error = read_run(row, job, record);
+  if (error == MO_OK)
+    error = read_environments(row, job);
+  if (error != MO_OK)
+    return error;
+  record->settings.generations = mo_column_u32(row, MO_COLUMN_GENERATIONS);
+  job->n_designs = record->settings.population;
+  job->physics = record->settings.physics;
+  job->sensor = record->settings.sensor;
+  job->steps_total = record->settings.generations;
+  job->steps_done = generation > 0 ? (uint32_t)generation : 0;
+  mo_column_text(row, MO_COLUMN_NAME, record->name, sizeof(record->name));
+  mo_column_text(row, MO_COLUMN_PRESET, record->preset, sizeof(record->preset));
+  record->has_controller = sqlite3_column_type(row, MO_COLUMN_CONTROLLER) != SQLITE_NULL;
+  memcpy(record->controller_name, job->controller_name, sizeof(record->controller_name));
+  record->controller_sha256 = job->controller_sha256;
+  record->sensor = job->sensor;
+  memcpy(record->environment_set, job->environment_set, sizeof(record->environment_set));
+  record->n_environments = job->n_environments;
+  record->n_listed = mo_column_u32(row, MO_COLUMN_N_LISTED);
+  record->initial_campaign = sqlite3_column_int64(row, MO_COLUMN_INITIAL_CAMPAIGN);
+  record->group = sqlite3_column_int64(row, MO_COLUMN_REPLICATES_OF);
+  record->replicate = mo_column_u32(row, MO_COLUMN_REPLICATE);
+  record->replicates = mo_column_u32(row, MO_COLUMN_REPLICATES);
+  return MO_OK;
+}
+
+int mo_job_read(sqlite3_stmt *row, struct mo_job *job, void *record)
+{
+  static int (*const read[MO_JOB_KINDS])(sqlite3_stmt * row, struct mo_job * job, void *record) = {
+      read_evaluation, read_training, read_campaign};
+  union {
+    struct mo_training_record training;
+    struct mo_campaign_record campaign;
+  } unused;
+  const int64_t kind = sqlite3_column_int64(row, MO_COLUMN_KIND),
+                state = sqlite3_column_int64(row, MO_COLUMN_STATE),
+                priority = sqlite3_column_int64(row, MO_COLUMN_PRIORITY);
+  memset(job, 0, sizeof(*job));
+  job->id = sqlite3_column_int64(row, MO_COLUMN_ID);
+  job->version = sqlite3_column_int64(row, MO_COLUMN_VERSION);
+  if (kind < 0 || kind >= MO_JOB_KINDS || state < 0 || state >= MO_JOB_STATES ||
+      priority < MO_BATCH || priority > MO_INTERACTIVE)
+    return MO_ERR_CORRUPT;
+  job->kind = (enum mo_job_kind)kind;
+  job->state = (enum mo_job_state)state;
+  job->priority = (enum mo_urgency)priority;
+  job->weight = sqlite3_column_double(row, MO_COLUMN_WEIGHT);
+  job->back_end = sqlite3_column_int(row, MO_COLUMN_BACK_END) != 0 ? MO_ON_DEVICE : MO_ON_CPU;
+  job->has_label = sqlite3_column_type(row, MO_COLUMN_LABEL) != SQLITE_NULL;
+  mo_column_text(row, MO_COLUMN_LABEL, job->label, sizeof(job->label));
+  job->created_us = sqlite3_column_int64(row, MO_COLUMN_CREATED_US);
+  job->started_us = sqlite3_column_int64(row, MO_COLUMN_STARTED_US);
+  job->finished_us = sqlite3_column_int64(row, MO_COLUMN_FINISHED_US);
+  job->attempts = mo_column_u32(row, MO_COLUMN_ATTEMPTS);
+  job->error = sqlite3_column_int(row, MO_COLUMN_ERROR);
+  mo_column_text(row, MO_COLUMN_ERROR_TEXT, job->error_text, sizeof(job->error_text));
+  mo_column_text(row, MO_COLUMN_CONTROLLER_NAME, job->controller_name,
+                 sizeof(job->controller_name));
+  return read[kind](row, job, record != NULL ? record : &unused);
+}
+
+int mo_job_row(struct mo_connection *connection, int64_t id, int kind, sqlite3_stmt **row)
+{
+#define COLUMN(name, sql) "," sql
+  static const char sql[] =
+      "SELECT 0" MO_JOB_COLUMNS(COLUMN) " FROM jobs j LEFT JOIN evaluations e ON e.job=j.id"
+                                        " LEFT JOIN runs r ON r.job=j.id"
+                                        " LEFT JOIN trainings t ON t.job=j.id"
+                                        " LEFT JOIN campaigns m ON m.job=j.id"
+                                        " LEFT JOIN controllers c"
+                                        " ON c.id=coalesce(e.controller,r.controller)"
+                                        " LEFT JOIN controllers x ON x.id=r.result"
+                                        " LEFT JOIN physics p ON p.id=e.physics"
+                                        " LEFT JOIN environment_sets s"
+                                        " ON s.id=coalesce(e.environment_set,m.environment_set)"
+                                        " WHERE j.id=?1 AND (?2<0 OR j.kind=?2)";
+#undef COLUMN
+  return mo_sql_row(connection, row, sql, mo_int(id), mo_int(kind));
+}
+
+static int load_job(struct mo_connection *connection, int64_t id, void *job)
+{
+  sqlite3_stmt *row;
+  int error = mo_job_row(connection, id, -1, &row);
+  if (error != MO_OK)
+    return error;
+  error = mo_job_read(row, job, NULL);
+  (void)sqlite3_reset(row);
+  return error;
+}
+
+int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  struct mo_job found = {0};
+  int error = load_job(reader, id, &found);
+  mo_reader_release(store, reader);
+  if (error == MO_OK || error == MO_ERR_CORRUPT)
+    *job = found;
+  return error;
+}
+
+int mo_read_job(struct mo_store *store, int64_t id,
+                int (*load)(struct mo_connection *reader, int64_t id, void *status), void *status)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = mo_sql_exec(reader, "BEGIN");
+  if (error == MO_OK)
+    error = load(reader, id, status);
+  mo_reader_release(store, reader);
+  return error;
+}
+
+int mo_job_designs(struct mo_store *store, int64_t id,
+                   int (*load)(struct mo_connection *reader, int64_t id, void *designs),
+                   struct mo_bits **genotypes, uint32_t *n)
+{
+  struct mo_designs designs = {.n = 0};
+  const int error = mo_read_job(store, id, load, &designs);
+  free(designs.rows);
+  if (error != MO_OK) {
+    free(designs.genotypes);
+    return error;
+  }
+  *genotypes = designs.genotypes;
+  *n = designs.n;
+  return MO_OK;
+}
+
+/* ---- pages ---- */
+
+/* Queries for pages of jobs, newest first. `select` returns rows of jobs j with their id first;
+ * `where` is a condition that an index answers, on ?4: kind, ?6: group, ?7: label. ?1: ids are
+ * below this; ?2: state; ?3: limit; ?5: ids of waiting jobs, which are shown as paused while they
+ * run. No page needs sorting: each part comes in order from its index, and SQLite merges two of
+ * them. */
+#define PAGE_OF_ALL(select, where)   select " WHERE " where " AND j.id<?1 ORDER BY j.id DESC LIMIT ?3"
+#define PAGE_OF_STATE(select, where) PAGE_OF_ALL(select, where " AND j.state=?2")
+#define PAGE_OF_SHOWN(select, where)                                                               \
+  select                                                                                           \
+      " WHERE " where                                                                              \
+      " AND j.state=?2 AND (?2<>1 OR j.id NOT IN (SELECT value FROM json_each(?5))) AND j.id<?1"   \
+      " UNION ALL " select " WHERE " where                                                         \
+      " AND j.state=1 AND ?2=2 AND +j.id IN (SELECT value FROM json_each(?5))"                     \
+      " AND j.id<?1 ORDER BY 1 DESC LIMIT ?3"
+#define PAGES(select, where)                                                                       \
+  {                                                                                                \
+    PAGE_OF_ALL(select, where), PAGE_OF_STATE(select, where), PAGE_OF_SHOWN(select, where)         \
+  }
+
+/* Returns the index in PAGES of the query. */
+static unsigned page_of(const struct mo_job_query *query)
+{
+  bool waits =
+      query->n_waiting > 0 && (query->state == MO_JOB_RUNNING || query->state == MO_JOB_PAUSED);
+  return query->state < 0 ? 0 : waits ? 2 : 1;
+}
+
+static int bind_page(sqlite3_stmt *statement, const struct mo_job_query *query, int64_t group,
+                     size_t limit)
+{
+  char text[MO_WAITING_MAX * 24 + 8] = "[";
+  size_t size = 1;
+  if (query->n_waiting > MO_WAITING_MAX)
+    return MO_ERR_LIMIT;
+  for (size_t i = 0; i < query->n_waiting; i++)
+    size += (size_t)snprintf(text + size, sizeof(text) - size, "%s%lld", i > 0 ? "," : "",
+                             (long long)query->waiting[i]);
+  text[size++] = ']';
+  /* A statement without one of these parameters refuses the binding, which is no error. */
+  (void)sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
+  (void)sqlite3_bind_int64(statement, 2, query->state);
+  (void)sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
+  (void)sqlite3_bind_int64(statement, 4, query->kind);
+  (void)sqlite3_bind_int64(statement, 6, group);
+  if (query->label != NULL)
+    (void)sqlite3_bind_text(statement, 7, query->label, -1, SQLITE_STATIC);
+  return sqlite3_bind_text(statement, 5, text, (int)size, SQLITE_TRANSIENT) == SQLITE_NOMEM
+             ? MO_ERR_NO_MEMORY
+             : MO_OK;
+}
+
+static int64_t read_ids(struct mo_connection *reader, const char *sql,
+                        const struct mo_job_query *query, int64_t group, int64_t *ids, size_t limit)
+{
+  int error = MO_OK;
+  int64_t n = 0;
+  int step;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement == NULL || (error = bind_page(statement, query, group, limit)) != MO_OK)
+    return error;
+  while ((step = mo_sql_step(reader, statement)) > 0)
+    ids[n++] = sqlite3_column_int64(statement, 0);
+  return step < 0 ? step : n;
+}
+
+int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, int64_t group,
+                     size_t limit,
+                     int (*load)(struct mo_connection *reader, int64_t id, void *status),
+                     void *statuses, size_t status_size)
+{
+#define JOBS   "SELECT j.id FROM jobs j"
+#define GROUPS "SELECT j.id FROM campaigns m CROSS JOIN jobs j ON j.id=m.job"
+  /* By what is asked for: any job, those of a kind, those of a group; then whether by a label. */
+  static const char *const sql[3][2][3] = {
+      {PAGES(JOBS, "TRUE"), PAGES(JOBS, "j.label=?7")},
+      {PAGES(JOBS, "j.kind=?4"), PAGES(JOBS, "j.label=?7 AND j.kind=?4")},
+      {PAGES(GROUPS, "m.replicates_of=?6 AND j.kind=?4"),
+       PAGES(GROUPS, "m.replicates_of=?6 AND j.kind=?4 AND j.label=?7")}};
+#undef GROUPS
+#undef JOBS
+  const int which = group != 0 ? 2 : query->kind >= 0 ? 1 : 0;
+  int64_t ids[MO_PAGE_MAX] = {0};
+  struct mo_connection *reader;
+  int64_t n;
+  int error;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  error = mo_sql_exec(reader, "BEGIN");
+  n = error == MO_OK ? read_ids(reader, sql[which][query->label != NULL][page_of(query)], query,
+                                group, ids, limit)
+                     : error;
+  for (int64_t i = 0; i < n && error == MO_OK; i++)
+    error = load(reader, ids[i], (char *)statuses + (size_t)i * status_size);
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
+}
+
+int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs,
+                      size_t limit)
+{
+  return mo_read_jobs(store, query, 0, limit, load_job, jobs, sizeof(*jobs));
+}
+
+int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES])
+{
+  static const char sql[] = "SELECT state,count(*) FROM jobs GROUP BY state";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  uint64_t found[MO_JOB_STATES] = {0};
+  int error = MO_OK;
+  int step = 0;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  while (statement != NULL && error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+    int state = sqlite3_column_int(statement, 0);
+    if (state >= 0 && state < MO_JOB_STATES)
+      found[state] = (uint64_t)sqlite3_column_int64(statement, 1);
+  }
+  if (step < 0)
+    error = step;
+  mo_reader_release(store, reader);
+  if (error == MO_OK)
+    memcpy(counts, found, sizeof(found));
+  return error;
+}

@@ -1,0 +1,79 @@
+/* jobs.h: rows and pages of jobs of every kind. Only for this room. */
+#ifndef MORPHO_STORE_JOBS_H
+#define MORPHO_STORE_JOBS_H
+
+#include "store/sql.h"
+#include "store/store.h"
+
+/* Columns of j jobs, e evaluations, r runs, t trainings, m campaigns, c the controller, x the
+ * result, p physics, s the named set. */
+#define MO_JOB_COLUMNS(X)                                                                          \
+  X(ID, "j.id")                                                                                    \
+  X(VERSION, "j.version")                                                                          \
+  X(KIND, "j.kind")                                                                                \
+  X(STATE, "j.state")                                                                              \
+  X(PRIORITY, "j.priority")                                                                        \
+  X(WEIGHT, "j.weight")                                                                            \
+  X(BACK_END, "j.back_end")                                                                        \
+  X(LABEL, "j.label")                                                                              \
+  X(CREATED_US, "j.created_us")                                                                    \
+  X(STARTED_US, "j.started_us")                                                                    \
+  X(FINISHED_US, "j.finished_us")                                                                  \
+  X(ATTEMPTS, "j.attempts")                                                                        \
+  X(ERROR, "j.error")                                                                              \
+  X(ERROR_TEXT, "j.error_text")                                                                    \
+  X(CONTROLLER, "c.sha256")                                                                        \
+  X(CONTROLLER_NAME, "coalesce(e.controller_name,r.controller_name)")                              \
+  X(ENVIRONMENT_SET, "s.name")                                                                     \
+  X(N_ENVIRONMENTS, "coalesce(e.n_environments,m.n_environments)")                                 \
+  X(N_DESIGNS, "coalesce(e.n_designs,t.n_designs)")                                                \
+  X(PHYSICS, "p.encoding")                                                                         \
+  X(VERIFY, "e.verify")                                                                            \
+  X(RECORD, "e.record")                                                                            \
+  X(RECORD_STRIDE, "e.record_stride")                                                              \
+  X(DONE, "e.done")                                                                                \
+  X(CACHED, "e.cached")                                                                            \
+  X(DIVERGED, "e.diverged")                                                                        \
+  X(SETTINGS, "r.settings")                                                                        \
+  X(NAME, "r.name")                                                                                \
+  X(RESULT, "x.sha256")                                                                            \
+  X(STEP, "t.step")                                                                                \
+  X(POPULATION, "t.population")                                                                    \
+  X(GENERATIONS, "m.generations")                                                                  \
+  X(GENERATION, "m.generation")                                                                    \
+  X(PRESET, "m.preset")                                                                            \
+  X(N_LISTED, "m.n_listed")                                                                        \
+  X(INITIAL_CAMPAIGN, "m.initial_campaign")                                                        \
+  X(REPLICATES_OF, "m.replicates_of")                                                              \
+  X(REPLICATE, "m.replicate")                                                                      \
+  X(REPLICATES, "m.replicates")                                                                    \
+  X(N_BORN, "m.n_designs")                                                                         \
+  X(BEST_SCORE, "m.best_score")                                                                    \
+  X(DIVERSITY_MAX, "m.diversity_max")                                                              \
+  X(ENDED, "m.ended")                                                                              \
+  X(SCORED, "CASE m.scored_generation WHEN m.generation+1 THEN m.scored ELSE 0 END")
+#define MO_COLUMN(name, sql) MO_COLUMN_##name,
+enum mo_job_column { MO_COLUMN_ZERO = 0, MO_JOB_COLUMNS(MO_COLUMN) };
+#undef MO_COLUMN
+
+/* Steps to the row of a job; kind −1: of any kind. MO_ERR_NOT_FOUND. */
+int mo_job_row(struct mo_connection *connection, int64_t id, int kind, sqlite3_stmt **row);
+/* Reads a job and, into `record` (nullable), the struct mo_training_record or mo_campaign_record of
+ * its kind. MO_ERR_CORRUPT: the row cannot be decoded. */
+int mo_job_read(sqlite3_stmt *row, struct mo_job *job, void *record);
+
+/* Runs `load` in a transaction of its own on a pooled connection. */
+int mo_read_job(struct mo_store *store, int64_t id,
+                int (*load)(struct mo_connection *reader, int64_t id, void *status), void *status);
+/* The same for a `load` that calls mo_designs_read (store/contents.h). genotypes: malloc. */
+int mo_job_designs(struct mo_store *store, int64_t id,
+                   int (*load)(struct mo_connection *reader, int64_t id, void *designs),
+                   struct mo_bits **genotypes, uint32_t *n);
+/* Reads a page of jobs, newest first, in one transaction: `load` reads each into its place. group:
+ * of campaigns, whose query has their kind; 0: any. */
+int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, int64_t group,
+                     size_t limit,
+                     int (*load)(struct mo_connection *reader, int64_t id, void *status),
+                     void *statuses, size_t status_size);
+
+#endif

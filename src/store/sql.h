@@ -1,0 +1,113 @@
+/* sql.h: a connection with its prepared statements, and short forms for the usual queries. Only for
+ * this room. */
+#ifndef MORPHO_STORE_SQL_H
+#define MORPHO_STORE_SQL_H
+
+#include <sqlite3.h>
+
+#include "store/encode.h"
+
+#define MO_STATEMENTS_MAX 192
+
+struct mo_store;
+
+/* A database handle with its prepared statements, used by one thread at a time. */
+struct mo_connection {
+  sqlite3 *db;
+  struct {
+    const char *sql;
+    sqlite3_stmt *statement;
+  } cache[MO_STATEMENTS_MAX];
+  unsigned n_cached;
+  bool busy;
+};
+
+/* Call mo_mapping_init before the first connection. mo_mapping_error translates the error of this
+ * thread's last mapping (mapping.c). */
+void mo_mapping_init(void);
+int mo_mapping_error(void);
+int mo_connection_open(const struct mo_store *store, bool writable,
+                       struct mo_connection *connection);
+void mo_connection_close(struct mo_connection *connection);
+
+/* Returns the cached statement of a string literal (found by its address), reset and without
+ * bindings. NULL: it cannot be prepared; *error says why. */
+sqlite3_stmt *mo_sql(struct mo_connection *connection, const char *sql, int *error);
+/* 1: a row; 0: done (and reset); negative: an error (and reset). */
+int mo_sql_step(struct mo_connection *connection, sqlite3_stmt *statement);
+/* Runs a statement that returns no rows. */
+int mo_sql_run(struct mo_connection *connection, sqlite3_stmt *statement);
+int mo_sql_exec(struct mo_connection *connection, const char *sql);
+/* Reads the integer in the first row. MO_ERR_NOT_FOUND: no rows. */
+int mo_sql_integer(struct mo_connection *connection, sqlite3_stmt *statement, int64_t *value);
+/* Translates SQLite's result code into an MO_ERR_ code. */
+int mo_sql_error(sqlite3 *db, int code);
+
+/* ---- statements with their values ---- */
+
+/* The value of a parameter. Text and bytes must outlive the query. */
+struct mo_value {
+  int type; /* SQLITE_INTEGER … SQLITE_NULL */
+  int64_t integer;
+  double real;
+  const void *bytes;
+  size_t size;
+};
+struct mo_value mo_null(void);
+struct mo_value mo_int(int64_t value);
+struct mo_value mo_real(double value);
+struct mo_value mo_string(const char *text); /* NULL: NULL */
+struct mo_value mo_blob(const void *bytes, size_t size);
+struct mo_value mo_hash(const struct mo_sha256 *hash);
+struct mo_values {
+  const struct mo_value *at;
+  int n;
+};
+#define MO_VALUES(...)                                                                             \
+  ((struct mo_values){(const struct mo_value[]){__VA_ARGS__},                                      \
+                      sizeof((const struct mo_value[]){__VA_ARGS__}) / sizeof(struct mo_value)})
+
+/* Each of these prepares a statement, binds the values to ?1, ?2 … and runs it. */
+#define mo_sql_do(connection, sql, ...) mo_sql_do_with(connection, sql, MO_VALUES(__VA_ARGS__))
+int mo_sql_do_with(struct mo_connection *connection, const char *sql, struct mo_values values);
+/* MO_ERR_CONFLICT: it changed nothing. */
+#define mo_sql_change(connection, sql, ...)                                                        \
+  mo_sql_change_with(connection, sql, MO_VALUES(__VA_ARGS__))
+int mo_sql_change_with(struct mo_connection *connection, const char *sql, struct mo_values values);
+/* Steps to the first row, on which *row stays until it is reset. MO_ERR_NOT_FOUND: no rows. */
+#define mo_sql_row(connection, row, sql, ...)                                                      \
+  mo_sql_row_with(connection, row, sql, MO_VALUES(__VA_ARGS__))
+int mo_sql_row_with(struct mo_connection *connection, sqlite3_stmt **row, const char *sql,
+                    struct mo_values values);
+/* Reads the integer in the first row. MO_ERR_NOT_FOUND: no rows. */
+#define mo_sql_find(connection, value, sql, ...)                                                   \
+  mo_sql_find_with(connection, value, sql, MO_VALUES(__VA_ARGS__))
+int mo_sql_find_with(struct mo_connection *connection, int64_t *value, const char *sql,
+                     struct mo_values values);
+/* Calls `take` for each row. Returns the number of rows or the first error. */
+#define mo_sql_each(connection, take, context, sql, ...)                                           \
+  mo_sql_each_with(connection, take, context, sql, MO_VALUES(__VA_ARGS__))
+int64_t mo_sql_each_with(struct mo_connection *connection,
+                         int (*take)(sqlite3_stmt *row, void *context), void *context,
+                         const char *sql, struct mo_values values);
+
+/* ---- columns ---- */
+
+/* Binds data that must outlive the step. Binding fails only by a mistake in this room. */
+void mo_bind_hash(sqlite3_stmt *statement, int index, const struct mo_sha256 *hash);
+/* Read a column and check it: MO_ERR_CORRUPT. */
+int mo_column_hash(sqlite3_stmt *statement, int column, struct mo_sha256 *hash);
+int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits);
+/* Reads a genotype and its design's form (nullable), and checks that the one is an orientation of
+ * the other: so no damaged body is taken for the one that was scored. */
+int mo_column_genotype(sqlite3_stmt *statement, int bits_column, int form_column,
+                       struct mo_bits *genotype, struct mo_bits *form);
+/* Reads an environment and checks its hash. */
+int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
+                          struct mo_environment *environment);
+int mo_column_double(sqlite3_stmt *statement, int column, double *value); /* 8-byte BLOB */
+double mo_column_number(sqlite3_stmt *statement, int column);             /* NaN: NULL */
+uint32_t mo_column_u32(sqlite3_stmt *statement, int column);
+void mo_column_text(sqlite3_stmt *statement, int column, char *text, size_t size);
+
+#endif
