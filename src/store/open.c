@@ -194,19 +194,13 @@ static int read_header(struct mo_store *store, struct header *header)
 /* Finds or inserts this host in `origins`. */
 static int find_origin(struct mo_connection *writer, int64_t *origin)
 {
-  static const char *const sql[] = {"INSERT INTO origins(text) VALUES(?1) ON CONFLICT DO NOTHING",
-                                    "SELECT id FROM origins WHERE text=?1"};
+  static const char insert_sql[] = "INSERT INTO origins(text) VALUES(?1) ON CONFLICT DO NOTHING";
+  static const char find_sql[] = "SELECT id FROM origins WHERE text=?1";
   struct utsname host;
   int error = uname(&host) == 0 ? MO_OK : MO_ERR_IO;
-  for (int i = 0; i < 2 && error == MO_OK; i++) {
-    sqlite3_stmt *statement = mo_sql(writer, sql[i], &error);
-    if (statement == NULL)
-      return error;
-    sqlite3_bind_text(statement, 1, host.nodename, -1, SQLITE_STATIC);
-    error = i == 0 ? mo_sql_run(writer, statement) : mo_sql_integer(writer, statement, origin);
-    (void)sqlite3_clear_bindings(statement);
-  }
-  return error;
+  if (error == MO_OK)
+    error = mo_sql_do(writer, insert_sql, mo_string(host.nodename));
+  return error == MO_OK ? mo_sql_find(writer, origin, find_sql, mo_string(host.nodename)) : error;
 }
 
 static int count_opening(struct mo_connection *writer, int64_t *origin)

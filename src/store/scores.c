@@ -90,19 +90,6 @@ static size_t key_of(const struct mo_condition *condition, int64_t genotype, int
   return 6 + condition->n;
 }
 
-static sqlite3_stmt *bind_condition(struct mo_connection *writer, const char *sql,
-                                    const struct mo_condition *condition, int *error)
-{
-  sqlite3_stmt *statement = mo_sql(writer, sql, error);
-  if (statement == NULL)
-    return NULL;
-  sqlite3_bind_int64(statement, 1, condition->controller);
-  sqlite3_bind_int64(statement, 2, condition->physics);
-  sqlite3_bind_int64(statement, 3, condition->fingerprint);
-  sqlite3_bind_blob(statement, 4, condition->environments, (int)(8 * condition->n), SQLITE_STATIC);
-  return statement;
-}
-
 int mo_condition_row(struct mo_connection *writer, struct mo_condition *condition)
 {
   static const char find_sql[] = "SELECT id FROM conditions WHERE controller=?1 AND physics=?2 AND "
@@ -111,29 +98,17 @@ int mo_condition_row(struct mo_connection *writer, struct mo_condition *conditio
       "INSERT INTO conditions(controller,physics,fingerprint,environments) VALUES(?1,?2,?3,?4)";
   static const char member_sql[] =
       "INSERT INTO condition_environments(condition,position,environment) VALUES(?1,?2,?3)";
-  int error = MO_OK;
-  sqlite3_stmt *statement = bind_condition(writer, find_sql, condition, &error);
-  if (statement == NULL)
-    return error;
-  error = mo_sql_integer(writer, statement, &condition->id);
-  (void)sqlite3_clear_bindings(statement);
+  const struct mo_values values = MO_VALUES(
+      mo_int(condition->controller), mo_int(condition->physics), mo_int(condition->fingerprint),
+      mo_blob(condition->environments, condition->n * sizeof(*condition->environments)));
+  int error = mo_sql_find_with(writer, &condition->id, find_sql, values);
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  statement = bind_condition(writer, insert_sql, condition, &error);
-  if (statement == NULL)
-    return error;
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
+  error = mo_sql_do_with(writer, insert_sql, values);
   condition->id = sqlite3_last_insert_rowid(writer->db);
-  for (uint32_t k = 0; k < condition->n && error == MO_OK; k++) {
-    statement = mo_sql(writer, member_sql, &error);
-    if (statement == NULL)
-      return error;
-    sqlite3_bind_int64(statement, 1, condition->id);
-    sqlite3_bind_int64(statement, 2, k);
-    sqlite3_bind_int64(statement, 3, condition->environments[k]);
-    error = mo_sql_run(writer, statement);
-  }
+  for (uint32_t k = 0; k < condition->n && error == MO_OK; k++)
+    error = mo_sql_do(writer, member_sql, mo_int(condition->id), mo_int(k),
+                      mo_int(condition->environments[k]));
   return error;
 }
 
@@ -144,25 +119,14 @@ int mo_losses_insert(struct mo_store *store, const struct mo_condition *conditio
   static const char sql[] =
       "INSERT OR IGNORE INTO scores(genotype,condition,origin,computed_us,losses)"
       " VALUES(?1,?2,?3,?4,?5)";
-  struct mo_connection *writer = &store->writer;
   uint8_t bytes[MO_PACKED_BYTES(MO_BLOCK_LANES)];
   int64_t key[KEY_WORDS];
-  size_t size;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  size = mo_pack_losses(key, key_of(condition, genotype, store->origin, now_us, key), losses,
-                        diverged_steps, condition->n, bytes);
-  sqlite3_bind_int64(statement, 1, genotype);
-  sqlite3_bind_int64(statement, 2, condition->id);
-  sqlite3_bind_int64(statement, 3, store->origin);
-  sqlite3_bind_int64(statement, 4, now_us);
-  sqlite3_bind_blob(statement, 5, bytes, (int)size, SQLITE_STATIC);
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  *is_new = error == MO_OK && sqlite3_changes(writer->db) > 0;
-  return error;
+  const size_t size = mo_pack_losses(key, key_of(condition, genotype, store->origin, now_us, key),
+                                     losses, diverged_steps, condition->n, bytes);
+  const int error = mo_sql_change(&store->writer, sql, mo_int(genotype), mo_int(condition->id),
+                                  mo_int(store->origin), mo_int(now_us), mo_blob(bytes, size));
+  *is_new = error == MO_OK;
+  return error == MO_ERR_CONFLICT ? MO_OK : error; /* they are stored already */
 }
 
 int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,
@@ -267,28 +231,16 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_s
   const int64_t key[4] = {score->verify_job, score->design_position, score->environment_position,
                           score->diverged_step};
   struct mo_score before;
-  double values[2];
-  sqlite3_stmt *statement;
+  double values[2] = {score->loss, 0};
   int error = mo_losses_read(writer, score->genotype, score->controller, score->physics,
                              score->fingerprint, 0, &score->environment, 1, &before);
   if (error != MO_OK)
     return error;
   *is_known = before.known;
-  statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  values[0] = score->loss;
   values[1] = before.loss;
-  for (int i = 0; i < 4; i++)
-    sqlite3_bind_int64(statement, i + 1, key[i]);
-  sqlite3_bind_blob(statement, 5, &values[0], 8, SQLITE_STATIC);
-  if (before.known)
-    sqlite3_bind_blob(statement, 6, &values[1], 8, SQLITE_STATIC);
-  sqlite3_bind_int64(statement, 7,
-                     (int64_t)mo_recomputed_checksum(key, values, before.known ? 2 : 1));
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  return error;
+  return mo_sql_do(writer, sql, mo_int(key[0]), mo_int(key[1]), mo_int(key[2]), mo_int(key[3]),
+                   mo_blob(&values[0], 8), before.known ? mo_blob(&values[1], 8) : mo_null(),
+                   mo_int((int64_t)mo_recomputed_checksum(key, values, before.known ? 2 : 1)));
 }
 
 /* Returns how many scores, from the first on, become one row. */
@@ -370,20 +322,14 @@ int mo_ranking_row(struct mo_connection *writer, const struct mo_saved_design *d
       "INSERT INTO rankings(controller,physics,fingerprint,environment_set) VALUES(?1,?2,?3,?4)";
   static const char find_sql[] = "SELECT id FROM rankings WHERE controller=?1 AND physics=?2 AND "
                                  "fingerprint=?3 AND environment_set=?4";
-  static const char *const sql[] = {find_sql, insert_sql, find_sql};
-  int error = MO_ERR_NOT_FOUND;
-  for (int i = 0; i < 3 && error == MO_ERR_NOT_FOUND; i++) {
-    sqlite3_stmt *statement = mo_sql(writer, sql[i], &error);
-    if (statement == NULL)
-      return error;
-    sqlite3_bind_int64(statement, 1, design->controller);
-    sqlite3_bind_int64(statement, 2, design->physics);
-    sqlite3_bind_int64(statement, 3, design->fingerprint);
-    sqlite3_bind_int64(statement, 4, design->environment_set);
-    error = i == 1 ? mo_sql_run(writer, statement) : mo_sql_integer(writer, statement, ranking);
-    if (i == 1 && error == MO_OK)
-      error = MO_ERR_NOT_FOUND;
-  }
+  const struct mo_values values =
+      MO_VALUES(mo_int(design->controller), mo_int(design->physics), mo_int(design->fingerprint),
+                mo_int(design->environment_set));
+  int error = mo_sql_find_with(writer, ranking, find_sql, values);
+  if (error != MO_ERR_NOT_FOUND)
+    return error;
+  error = mo_sql_do_with(writer, insert_sql, values);
+  *ranking = sqlite3_last_insert_rowid(writer->db);
   return error;
 }
 
@@ -392,16 +338,11 @@ int mo_set_score_insert_mean(struct mo_connection *writer, int64_t ranking, int6
 {
   static const char sql[] =
       "INSERT OR IGNORE INTO set_scores(ranking,genotype,score,checksum) VALUES(?1,?2,?3,?4)";
-  int error = MO_OK;
-  sqlite3_stmt *statement = isnan(mean) ? NULL : mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error != MO_OK ? error : MO_ERR_CORRUPT;
+  if (isnan(mean))
+    return MO_ERR_CORRUPT;
   mean = mean == 0 ? 0 : mean; /* REAL has no −0 */
-  sqlite3_bind_int64(statement, 1, ranking);
-  sqlite3_bind_int64(statement, 2, genotype);
-  sqlite3_bind_double(statement, 3, mean);
-  sqlite3_bind_int64(statement, 4, (int64_t)set_score_checksum(ranking, genotype, mean));
-  return mo_sql_run(writer, statement);
+  return mo_sql_do(writer, sql, mo_int(ranking), mo_int(genotype), mo_real(mean),
+                   mo_int((int64_t)set_score_checksum(ranking, genotype, mean)));
 }
 
 int mo_set_score_from_row(sqlite3_stmt *statement, int first, int64_t ranking, int64_t genotype,
@@ -414,51 +355,44 @@ int mo_set_score_from_row(sqlite3_stmt *statement, int first, int64_t ranking, i
              : MO_ERR_CORRUPT;
 }
 
-/* Reads the environments of a named set, in its order. */
-static int read_set(struct mo_connection *connection, int64_t set,
-                    int64_t environments[MO_ENVIRONMENTS_MAX], uint32_t *n)
+struct set {
+  int64_t environments[MO_ENVIRONMENTS_MAX];
+  uint32_t n;
+};
+
+static int take_environment(sqlite3_stmt *row, void *any)
 {
-  static const char sql[] =
-      "SELECT environment FROM environment_set_members WHERE environment_set=?1 ORDER BY position";
-  int error = MO_OK, step = 0;
-  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, set);
-  *n = 0;
-  while ((step = mo_sql_step(connection, statement)) > 0 && *n < MO_ENVIRONMENTS_MAX)
-    environments[(*n)++] = sqlite3_column_int64(statement, 0);
-  (void)sqlite3_reset(statement);
-  return step > 0 ? MO_ERR_CORRUPT : step;
+  struct set *set = any;
+  if (set->n == MO_ENVIRONMENTS_MAX)
+    return MO_ERR_CORRUPT;
+  set->environments[set->n++] = sqlite3_column_int64(row, 0);
+  return MO_OK;
 }
 
 int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design,
                         int64_t ranking)
 {
   static const char known_sql[] = "SELECT 1 FROM set_scores WHERE ranking=?1 AND genotype=?2";
-  int64_t environments[MO_ENVIRONMENTS_MAX] = {0}, known;
+  static const char set_sql[] =
+      "SELECT environment FROM environment_set_members WHERE environment_set=?1 ORDER BY position";
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
-  uint32_t n = 0;
+  struct set set = {.n = 0};
   double sum = 0;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, known_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, ranking);
-  sqlite3_bind_int64(statement, 2, design->genotype);
-  error = mo_sql_integer(writer, statement, &known);
+  int64_t n;
+  int error = mo_sql_find(writer, &n, known_sql, mo_int(ranking), mo_int(design->genotype));
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  error = read_set(writer, design->environment_set, environments, &n);
-  if (error == MO_OK)
-    error = mo_losses_read(writer, design->genotype, design->controller, design->physics,
-                           design->fingerprint, design->workers, environments, n, scores);
-  for (uint32_t k = 0; k < n && error == MO_OK; k++) {
+  n = mo_sql_each(writer, take_environment, &set, set_sql, mo_int(design->environment_set));
+  if (n <= 0)
+    return (int)n;
+  error = mo_losses_read(writer, design->genotype, design->controller, design->physics,
+                         design->fingerprint, design->workers, set.environments, set.n, scores);
+  for (uint32_t k = 0; k < set.n && error == MO_OK; k++) {
     if (!scores[k].known)
       return MO_OK;
     sum += scores[k].loss;
   }
-  return error == MO_OK && n > 0
-             ? mo_set_score_insert_mean(writer, ranking, design->genotype, sum / (double)n)
+  return error == MO_OK
+             ? mo_set_score_insert_mean(writer, ranking, design->genotype, sum / (double)set.n)
              : error;
 }
