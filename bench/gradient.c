@@ -86,20 +86,18 @@ static double block_flop(const struct sample *s, uint32_t block)
 
 static double run_block_s(struct sample *s, struct mo_gradient_memory *memory,
                           const struct mo_gradient_pack *pack, uint32_t block,
-                          struct mo_gradient_profile *profile, struct mo_gradient_counts *counts)
+                          struct mo_gradient_counts *counts)
 {
   const double start = bench_thread_s();
   bench_check(mo_gradient_block(memory, pack, s->ordered + block * MO_GRADIENT_ROBOTS,
-                                block_size(s, block), &s->physics, &s->options, NULL, profile,
-                                s->outcomes, s->d_parameters, counts),
+                                block_size(s, block), &s->physics, &s->options, NULL, s->outcomes,
+                                s->d_parameters, counts),
               "gradient");
   return bench_thread_s() - start;
 }
 
 struct report {
   double ratio, ratio_median, ratio_worst, ms_per_robot, sgemm_best, mib;
-  struct mo_gradient_profile profile;
-  double profile_s;
   struct mo_gradient_counts counts;
 };
 
@@ -113,11 +111,11 @@ static void measure(struct report *report, struct sample *s, const struct mo_con
   bench_check(mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory), "scratch");
   double *ratio = calloc(s->n_blocks, sizeof(*ratio));
   bench_check(ratio == NULL ? MO_ERR_NO_MEMORY : MO_OK, "times");
-  (void)run_block_s(s, memory, pack, 0, NULL, NULL); /* warm-up: touches the scratch */
+  (void)run_block_s(s, memory, pack, 0, NULL); /* warm-up: touches the scratch */
   double total_s = 0, total_flop = 0, before = bench_sgemm_best(sgemm);
   report->sgemm_best = before;
   for (uint32_t block = 0; block < s->n_blocks; block++) {
-    const double block_s = run_block_s(s, memory, pack, block, NULL, &report->counts);
+    const double block_s = run_block_s(s, memory, pack, block, &report->counts);
     const double after = bench_sgemm_best(sgemm), flop = block_flop(s, block);
     ratio[block] = block_s / (flop / fmax(before, after));
     before = after;
@@ -129,10 +127,6 @@ static void measure(struct report *report, struct sample *s, const struct mo_con
   report->ratio = total_s / (total_flop / report->sgemm_best);
   report->ratio_median = bench_median(ratio, s->n_blocks);
   report->ratio_worst = bench_quantile(ratio, s->n_blocks, 1.0);
-  const double start = bench_now_s(); /* the profile's clock */
-  for (uint32_t block = 0; block < s->n_blocks; block += 2)
-    (void)run_block_s(s, memory, pack, block, &report->profile, NULL);
-  report->profile_s = bench_now_s() - start;
   report->mib = (double)mo_gradient_memory_bytes(memory) / (1 << 20);
   free(ratio);
   mo_gradient_memory_free(memory);
@@ -141,27 +135,16 @@ static void measure(struct report *report, struct sample *s, const struct mo_con
 
 static void print_report(const struct report *r, const char *name, bool json)
 {
-  const struct mo_gradient_profile *p = &r->profile;
-  const double rest = r->profile_s - p->pack_s - p->sense_s - p->control_s - p->physics_s -
-                      p->physics_back_s - p->control_back_s - p->parameters_s - p->repeat_s;
-  const double clipped = (double)r->counts.clipped_steps / (double)r->counts.steps,
-               percent = 100 / r->profile_s;
+  const double clipped = (double)r->counts.clipped_steps / (double)r->counts.steps;
   if (json) {
     printf(" \"%s\": {\"ms_per_rollout_with_gradient\": %.3f, \"sgemm_gflop_per_s_best\": %.2f, "
            "\"ratio\": %.4f, "
            "\"ratio_block_median\": %.4f, \"ratio_block_worst\": %.4f,\n"
-           "  \"shares_percent\": {\"pack\": %.2f, \"sensing\": %.2f, \"control\": %.2f, "
-           "\"physics\": %.2f, "
-           "\"physics_back\": %.2f, \"control_back\": %.2f, \"parameters\": %.2f, \"repeated\": "
-           "%.2f, \"rest\": %.2f},\n"
            "  \"scratch_mib\": %.2f, \"clipped_share_of_steps\": %.5f, \"clipped_robots\": %llu, "
            "\"zeroed_robots\": "
            "%llu, \"diverged_robots\": %llu},\n",
            name, r->ms_per_robot, 1e-9 * r->sgemm_best, r->ratio, r->ratio_median, r->ratio_worst,
-           percent * p->pack_s, percent * p->sense_s, percent * p->control_s,
-           percent * p->physics_s, percent * p->physics_back_s, percent * p->control_back_s,
-           percent * p->parameters_s, percent * p->repeat_s, percent * rest, r->mib, clipped,
-           (unsigned long long)r->counts.clipped_robots,
+           r->mib, clipped, (unsigned long long)r->counts.clipped_robots,
            (unsigned long long)r->counts.zeroed_robots,
            (unsigned long long)r->counts.diverged_robots);
     return;
@@ -172,12 +155,6 @@ static void print_report(const struct report *r, const char *name, bool json)
   printf("ratio to three times the controller's arithmetic at that rate: %.3f (by block: median "
          "%.3f, worst %.3f)\n",
          r->ratio, r->ratio_median, r->ratio_worst);
-  printf("time: packing %.1f %%, sensing %.1f %%, control %.1f %%, physics %.1f %%; back: physics "
-         "and sensing %.1f %%, "
-         "control %.1f %%, parameters %.1f %%; repeated %.1f %%, rest %.1f %%\n",
-         percent * p->pack_s, percent * p->sense_s, percent * p->control_s, percent * p->physics_s,
-         percent * p->physics_back_s, percent * p->control_back_s, percent * p->parameters_s,
-         percent * p->repeat_s, percent * rest);
   printf("scratch: %.1f MiB\n", r->mib);
   printf("steps of the way back that were clipped: %.2f %%, in %llu robots; zeroed %llu, diverged "
          "%llu\n",
@@ -199,33 +176,27 @@ static bool print_budgets(struct sample *s, const struct mo_controller *controll
   bool same = true;
   bench_check(first == NULL ? MO_ERR_NO_MEMORY : MO_OK, "gradient");
   bench_check(mo_gradient_pack_create(controller, isa, &pack), "pack");
-  printf(json ? " \"budgets\": ["
-              : "\nbudget, MiB   scratch, MiB   ratio   repeated, %% of the time\n");
+  printf(json ? " \"budgets\": [" : "\nbudget, MiB   scratch, MiB   ratio\n");
   for (int k = 0; k < BUDGETS; k++) {
     struct mo_gradient_memory *memory = NULL;
-    struct mo_gradient_profile profile = {0};
     double total_s = 0, total_flop = 0;
     bench_check(mo_gradient_memory_create((size_t)budgets_mib[k] << 20, &memory), "scratch");
-    (void)run_block_s(s, memory, pack, 0, NULL, NULL);
+    (void)run_block_s(s, memory, pack, 0, NULL);
     const double before = bench_sgemm_best(sgemm);
-    const double start = bench_now_s();
     for (uint32_t i = 0; i < blocks; i++) {
       const uint32_t block = i * (s->n_blocks / 2); /* a large one and a common one */
-      const double once_s = run_block_s(s, memory, pack, block, &profile, NULL);
-      total_s += fmin(once_s, run_block_s(s, memory, pack, block, &profile, NULL));
+      const double once_s = run_block_s(s, memory, pack, block, NULL);
+      total_s += fmin(once_s, run_block_s(s, memory, pack, block, NULL));
       total_flop += block_flop(s, block);
       if (k == 0)
         memcpy(first + i * n, s->d_parameters, n * sizeof(float));
       same = same && memcmp(first + i * n, s->d_parameters, n * sizeof(float)) == 0;
     }
-    const double wall_s = bench_now_s() - start;
     const double rate = fmax(before, bench_sgemm_best(sgemm));
-    printf(json ? "%s{\"budget_mib\": %u, \"scratch_mib\": %.2f, \"ratio\": %.4f, "
-                  "\"repeated_percent\": %.2f}"
-                : "%s%11u %14.1f %7.3f %14.1f\n",
+    printf(json ? "%s{\"budget_mib\": %u, \"scratch_mib\": %.2f, \"ratio\": %.4f}"
+                : "%s%11u %14.1f %7.3f\n",
            json && k > 0 ? ", " : "", budgets_mib[k],
-           (double)mo_gradient_memory_bytes(memory) / (1 << 20), total_s / (total_flop / rate),
-           100 * profile.repeat_s / wall_s);
+           (double)mo_gradient_memory_bytes(memory) / (1 << 20), total_s / (total_flop / rate));
     mo_gradient_memory_free(memory);
   }
   printf(json ? "], \"same_bits_for_any_budget\": %s,\n" : "same bits for any budget: %s\n",

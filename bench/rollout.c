@@ -38,13 +38,13 @@ static void runner_free(struct runner *runner)
 /* Seconds for one body in the first n environments of the paper test set. */
 static double run_s(const struct runner *runner, const struct mo_pack *pack,
                     const struct bench_scene *scene, const struct mo_body *body, uint32_t n,
-                    const struct mo_physics *physics, struct mo_rollout_profile *profile)
+                    const struct mo_physics *physics)
 {
   struct mo_outcome outcomes[MO_BLOCK_LANES];
   const double start = bench_thread_s();
-  bench_check(mo_rollout_block(runner->memory, pack, body, scene->list, n, physics, NULL, NULL,
-                               profile, outcomes),
-              "rollout");
+  bench_check(
+      mo_rollout_block(runner->memory, pack, body, scene->list, n, physics, NULL, NULL, outcomes),
+      "rollout");
   return bench_thread_s() - start;
 }
 
@@ -52,9 +52,9 @@ static double best_run_s(const struct runner *runner, const struct mo_pack *pack
                          const struct bench_scene *scene, const struct mo_body *body, uint32_t n,
                          const struct mo_physics *physics)
 {
-  double best = run_s(runner, pack, scene, body, n, physics, NULL);
+  double best = run_s(runner, pack, scene, body, n, physics);
   for (int repeat = 0; repeat < 4; repeat++) {
-    const double again = run_s(runner, pack, scene, body, n, physics, NULL);
+    const double again = run_s(runner, pack, scene, body, n, physics);
     best = again < best ? again : best;
   }
   return best;
@@ -69,8 +69,7 @@ struct report {
   double sgemm_median, sgemm_best;            /* FLOP/s over the rounds */
   double ratio, ratio_median,
       ratio_worst; /* whole sample against the best sgemm; per round against the round's own */
-  struct mo_rollout_profile profile;
-  double profile_s, active_share;
+  double active_share;
 };
 
 /* The sample in ROUNDS parts, a measurement of sgemm before and after each. */
@@ -80,7 +79,7 @@ static void measure_sample(struct report *report, const struct runner *runner,
   struct bench_sgemm sgemm;
   bench_sgemm_create(&sgemm);
   (void)bench_sgemm_best(&sgemm); /* warm-up */
-  (void)run_s(runner, runner->pack, scene, scene->bodies[0], PAPER, physics, NULL);
+  (void)run_s(runner, runner->pack, scene, scene->bodies[0], PAPER, physics);
   const uint32_t rounds = scene->n_bodies < ROUNDS ? scene->n_bodies : ROUNDS;
   double rate[ROUNDS], sgemm_rate[ROUNDS], ratio[ROUNDS], total_s = 0, total_flop = 0, all_flop = 0;
   double before = bench_sgemm_best(&sgemm);
@@ -90,7 +89,7 @@ static void measure_sample(struct report *report, const struct runner *runner,
     uint32_t n = 0;
     for (uint32_t i = round; i < scene->n_bodies; i += rounds, n++) {
       const struct mo_body *body = scene->bodies[i];
-      round_s += run_s(runner, runner->pack, scene, body, PAPER, physics, NULL);
+      round_s += run_s(runner, runner->pack, scene, body, PAPER, physics);
       flop += bench_controller_flop(body) * PAPER * physics->n_steps;
       all_flop += 2.0 * (double)scene->controller->n_parameters * PAPER * physics->n_steps;
       report->masses += body->n_masses / (double)scene->n_bodies;
@@ -116,17 +115,10 @@ static void measure_sample(struct report *report, const struct runner *runner,
   report->sgemm_median = bench_median(sgemm_rate, rounds);
   report->active_share = total_flop / all_flop;
   bench_sgemm_free(&sgemm);
-  const double start = bench_now_s(); /* the profile's clock */
-  for (uint32_t i = 0; i < scene->n_bodies; i += 4)
-    (void)run_s(runner, runner->pack, scene, scene->bodies[i], PAPER, physics, &report->profile);
-  report->profile_s = bench_now_s() - start;
 }
 
 static void print_sample(const struct report *r, bool json)
 {
-  const struct mo_rollout_profile *p = &r->profile;
-  const double whole = r->profile_s;
-  const double rest = whole - p->pack_s - p->sense_s - p->control_s - p->spring_s - p->contact_s;
   if (json) {
     printf("\"bodies\": %u, \"environments\": %d, \"mean_voxels\": %.2f, \"mean_masses\": %.2f, "
            "\"mean_springs\": %.2f,\n"
@@ -134,14 +126,10 @@ static void print_sample(const struct report *r, bool json)
            " \"sgemm_gflop_per_s_best\": %.2f, \"sgemm_gflop_per_s_median\": %.2f,\n"
            " \"ratio\": %.4f, \"ratio_round_median\": %.4f, \"ratio_round_worst\": %.4f, "
            "\"active_share_of_arithmetic\": "
-           "%.4f,\n"
-           " \"shares\": {\"pack\": %.4f, \"sensing\": %.4f, \"control\": %.4f, \"springs\": %.4f, "
-           "\"contact\": %.4f, "
-           "\"rest\": %.4f},\n",
+           "%.4f,\n",
            r->n_bodies, PAPER, r->voxels, r->masses, r->springs, r->rollouts_per_s,
            r->rollouts_per_s_best, 1e-9 * r->sgemm_best, 1e-9 * r->sgemm_median, r->ratio,
-           r->ratio_median, r->ratio_worst, r->active_share, p->pack_s / whole, p->sense_s / whole,
-           p->control_s / whole, p->spring_s / whole, p->contact_s / whole, rest / whole);
+           r->ratio_median, r->ratio_worst, r->active_share);
     return;
   }
   printf("sample: %u distinct random bodies × %d environments × 1000 steps; on average %.1f "
@@ -156,11 +144,6 @@ static void print_sample(const struct report *r, bool json)
          "median %.3f, worst "
          "%.3f)\n",
          r->ratio, r->ratio_median, r->ratio_worst);
-  printf("time: packing %.1f %%, sensing %.1f %%, control %.1f %%, springs %.1f %%, motion and "
-         "contact %.1f %%, rest "
-         "%.1f %%\n",
-         100 * p->pack_s / whole, 100 * p->sense_s / whole, 100 * p->control_s / whole,
-         100 * p->spring_s / whole, 100 * p->contact_s / whole, 100 * rest / whole);
   printf("controller arithmetic left after dropping absent masses and springs: %.1f %%\n",
          100 * r->active_share);
 }
@@ -202,21 +185,17 @@ static void print_skipping(const struct runner *runner, const struct bench_scene
   struct mo_body *body = bench_box(scene, 4, 4, 4);
   struct mo_physics air = *physics;
   air.drop_height_m = 1000;
-  struct mo_rollout_profile standing = {0}, falling = {0};
-  (void)run_s(runner, runner->pack, scene, body, PAPER, physics, &standing);
-  (void)run_s(runner, runner->pack, scene, body, PAPER, &air, &falling);
   const double with = best_run_s(runner, runner->pack, scene, body, PAPER, physics);
+  const double falling = best_run_s(runner, runner->pack, scene, body, PAPER, &air);
   const double without = best_run_s(runner, runner->passive, scene, body, PAPER, physics);
   const double alone = best_run_s(runner, runner->pack, scene, body, 1, physics);
   const double scale = 1e6 / (PAPER * (double)physics->n_steps);
-  printf(
-      json ? " \"contact_us_per_step\": {\"on_the_ground\": %.4f, \"in_the_air\": %.4f},\n"
-             " \"step_us\": {\"controlled\": %.4f, \"passive\": %.4f, \"one_environment\": %.4f},\n"
-           : "\n64 voxels, µs per rollout step: contact on the ground %.3f, in the air %.3f; whole "
-             "step %.3f, without a "
-             "controller %.3f, in one environment instead of ten %.3f\n",
-      scale * standing.contact_s, scale * falling.contact_s, scale * with, scale * without,
-      scale * PAPER * alone);
+  printf(json ? " \"step_us\": {\"controlled\": %.4f, \"in_the_air\": %.4f, \"passive\": %.4f, "
+                "\"one_environment\": %.4f},\n"
+              : "\n64 voxels, µs per rollout step: %.3f, in the air %.3f, without a controller "
+                "%.3f, in "
+                "one environment instead of ten %.3f\n",
+         scale * with, scale * falling, scale * without, scale * PAPER * alone);
   mo_body_free(body);
 }
 
@@ -261,7 +240,7 @@ static double worker_mib(const struct bench_scene *scene, enum mo_isa isa,
   struct mo_body *body = bench_box(scene, 6, 6, 4);
   struct mo_physics physics = mo_default_physics();
   physics.n_steps = 1;
-  (void)run_s(&runner, runner.pack, scene, body, MO_BLOCK_LANES, &physics, NULL);
+  (void)run_s(&runner, runner.pack, scene, body, MO_BLOCK_LANES, &physics);
   const double mib = 2.0 * (double)mo_workspace_memory_bytes(runner.memory) / (1 << 20);
   mo_body_free(body);
   runner_free(&runner);
@@ -289,8 +268,8 @@ int bench_rollout(const struct bench_options *options)
   const uint32_t few = n < 40 ? n : 40;
   double time64 = 0, time32 = 0;
   for (uint32_t i = 0; i < few; i += 2) {
-    time64 += run_s(&runner64, runner64.pack, &scene, scene.bodies[i], PAPER, &physics, NULL);
-    time32 += run_s(&runner, runner.pack, &scene, scene.bodies[i], PAPER, &physics, NULL);
+    time64 += run_s(&runner64, runner64.pack, &scene, scene.bodies[i], PAPER, &physics);
+    time32 += run_s(&runner, runner.pack, &scene, scene.bodies[i], PAPER, &physics);
   }
   size_t bytes = 0;
   const double one = back_end_rate(&scene, options, 1, few, &physics, &bytes);

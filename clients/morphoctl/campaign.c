@@ -41,8 +41,9 @@ static struct campaign_row read_row(const json_t *json)
                                .seconds = value_of(json, "seconds")};
 }
 
-static bool add_row(struct campaign *campaign, struct campaign_row row)
+static bool add_row(void *context, const json_t *row)
 {
+  struct campaign *campaign = context;
   if (campaign->n == campaign->capacity) {
     size_t capacity = campaign->capacity * 2 + 128;
     struct campaign_row *grown = realloc(campaign->rows, capacity * sizeof(*grown));
@@ -51,35 +52,16 @@ static bool add_row(struct campaign *campaign, struct campaign_row row)
     campaign->rows = grown;
     campaign->capacity = capacity;
   }
-  campaign->rows[campaign->n++] = row;
+  campaign->rows[campaign->n++] = read_row(row);
   return true;
 }
 
 static int load_rows(struct ctl *ctl, struct campaign *campaign)
 {
-  int status = STATUS_OK;
-  bool more = true;
-  int64_t after =
-      campaign->n > 0 ? campaign->rows[campaign->n - 1].generation : -1; /* −1: from the first */
-  while (status == STATUS_OK && more) {
-    char path[128];
-    int n = snprintf(path, sizeof(path), "/v1/campaigns/%s/generations?limit=1000", campaign->id);
-    if (after >= 0)
-      snprintf(path + n, sizeof(path) - (size_t)n, "&cursor=%" PRId64, after);
-    json_t *page, *row;
-    size_t i;
-    status = transport_get_json(ctl, path, 0, &page);
-    json_array_foreach(json_object_get(page, "items"), i, row)
-    {
-      if (status == STATUS_OK && !add_row(campaign, read_row(row)))
-        status = complain(STATUS_ERROR, "out of memory");
-    }
-    const int64_t next = strtoll(text_of(page, "next_cursor"), NULL, 10);
-    more = json_is_string(json_object_get(page, "next_cursor")) && next > after;
-    after = next;
-    json_decref(page);
-  }
-  return status;
+  char path[128];
+  snprintf(path, sizeof(path), "/v1/campaigns/%s/generations?limit=1000", campaign->id);
+  return walk_rows(ctl, path, campaign->n > 0 ? campaign->rows[campaign->n - 1].generation : -1,
+                   add_row, campaign);
 }
 
 /* Updates the progress if the rows are newer: a generation may have been committed between the two
@@ -248,18 +230,6 @@ void campaign_event_text(const char *type, const json_t *data, char *text, size_
     snprintf(text, size, "  %.40s of controller %.12s: %.160s", text_of(data, "field"),
              text_of(data, "controller"), text_of(data, "detail"));
   }
-}
-
-int campaign_outcome(const json_t *campaign)
-{
-  const char *state = text_of(campaign, "state");
-  if (strcmp(state, "succeeded") == 0)
-    return STATUS_OK;
-  const json_t *error = json_object_get(campaign, "error");
-  if (json_is_object(error))
-    return complain(STATUS_NEGATIVE, "campaign %s %s: %s", text_of(campaign, "id"), state,
-                    text_of(error, "detail"));
-  return complain(STATUS_NEGATIVE, "campaign %s is %s", text_of(campaign, "id"), state);
 }
 
 /* ---- the view ---- */

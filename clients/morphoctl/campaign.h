@@ -47,7 +47,5 @@ void campaign_draw(const struct ctl *ctl, const struct campaign *campaign, int c
 
 /* Follows a campaign to its end. An interrupt ends only the command, not the campaign. */
 int watch_campaign(struct ctl *ctl, const char *id);
-/* Returns STATUS_OK if the campaign succeeded, else complains and returns STATUS_NEGATIVE. */
-int campaign_outcome(const json_t *campaign);
 
 #endif

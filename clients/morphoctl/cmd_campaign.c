@@ -12,56 +12,20 @@
 
 /* ---- start ---- */
 
-static const struct field fields[] = {
-    {"preset", "preset", FIELD_WORD},
-    {"population", "population", FIELD_WHOLE},
-    {"generations", "generations", FIELD_WHOLE},
-    {"seed", "seed", FIELD_WHOLE},
-    {"replicates", "replicates", FIELD_WHOLE},
-    {"mutation-share", "mutation.share", FIELD_REAL},
-    {"mutation-rate", "mutation.rate", FIELD_REAL},
-    {"mutation-growth", "mutation.growth", FIELD_REAL},
-    {"collapse-share", "collapse_share", FIELD_REAL},
-    {"name", "name", FIELD_WORD},
-    {"label", "label", FIELD_WORD},
-    {"priority", "priority", FIELD_WORD},
-    {"weight", "weight", FIELD_REAL},
-    {"device", "device", FIELD_WORD},
-};
-static const struct field learning_fields[] = {
-    {"parent-steps", "parent_steps", FIELD_WHOLE},
-    {"child-steps", "child_steps", FIELD_WHOLE},
-    {"batch", "batch", FIELD_WHOLE},
-    {"sensor", "sensor", FIELD_WORD},
-    {"checkpoint-seconds", "checkpoint_every_s", FIELD_WHOLE},
-};
-#define N_OF(array) (sizeof(array) / sizeof((array)[0]))
-
-/* Adds --selection NAME with the options of that kind. */
+/* Adds --selection NAME. The options of a kind need it. */
 static int fill_selection(const struct ctl *ctl, json_t *request)
 {
-  static const struct {
-    const char *kind;
-    struct field field;
-  } options[] = {
-      {"tournament", {"tournament-size", "selection.size", FIELD_WHOLE}},
-      {"novelty", {"novelty-weight", "selection.weight", FIELD_REAL}},
-      {"age-layered", {"layers", "selection.layers", FIELD_WHOLE}},
-      {"age-layered", {"age-gap", "selection.age_gap", FIELD_WHOLE}},
-  };
+  static const char *const options[][2] = {{"tournament", "tournament-size"},
+                                           {"novelty", "novelty-weight"},
+                                           {"age-layered", "layers"},
+                                           {"age-layered", "age-gap"}};
   const char *kind = option_text(ctl, "selection", NULL);
-  int status = STATUS_OK;
+  for (size_t i = 0; i < sizeof(options) / sizeof(options[0]); i++)
+    if (option_is_set(ctl, options[i][1]) && (kind == NULL || strcmp(kind, options[i][0]) != 0))
+      return complain(STATUS_USAGE, "--%s needs --selection %s", options[i][1], options[i][0]);
   if (kind != NULL)
     json_object_set_new(request, "selection", json_pack("{s:s}", "kind", kind));
-  for (size_t i = 0; i < N_OF(options) && status == STATUS_OK; i++) {
-    if (!option_is_set(ctl, options[i].field.option))
-      continue;
-    if (kind == NULL || strcmp(kind, options[i].kind) != 0)
-      return complain(STATUS_USAGE, "--%s needs --selection %s", options[i].field.option,
-                      options[i].kind);
-    status = fill_fields(ctl, request, &options[i].field, 1);
-  }
-  return status;
+  return STATUS_OK;
 }
 
 /* Adds --workspace X,Y,Z. */
@@ -76,22 +40,6 @@ static int fill_workspace(const struct ctl *ctl, json_t *request)
     return complain(STATUS_USAGE, "--workspace: \"%s\" is not X,Y,Z, e.g. 6,6,4", text);
   json_object_set_new(request, "workspace", json_pack("[i, i, i]", x, y, z));
   return STATUS_OK;
-}
-
-static int fill_learning(const struct ctl *ctl, json_t *request)
-{
-  json_t *learning = json_object();
-  int status = learning != NULL ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
-  if (status == STATUS_OK)
-    status = fill_fields(ctl, learning, learning_fields, N_OF(learning_fields));
-  if (status == STATUS_OK)
-    status = fill_optimizer(ctl, learning);
-  if (status == STATUS_OK)
-    status = fill_schedule(ctl, learning);
-  if (status == STATUS_OK && json_object_size(learning) > 0)
-    json_object_set(request, "learning", learning);
-  json_decref(learning);
-  return status;
 }
 
 /* Adds the initial population: the operands, or that of another campaign. */
@@ -121,13 +69,13 @@ static int fill_initial(struct ctl *ctl, json_t *request)
 
 static int fill_request(struct ctl *ctl, json_t *request)
 {
-  int status = fill_fields(ctl, request, fields, N_OF(fields));
-  if (status == STATUS_OK)
-    status = fill_selection(ctl, request);
+  int status = fill_selection(ctl, request);
   if (status == STATUS_OK)
     status = fill_workspace(ctl, request);
   if (status == STATUS_OK)
-    status = fill_learning(ctl, request);
+    status = fill_schedule(ctl, request, "learning.schedule");
+  if (status == STATUS_OK)
+    status = fill_fields(ctl, request);
   if (status == STATUS_OK)
     status = fill_initial(ctl, request);
   if (status == STATUS_OK)
@@ -176,45 +124,36 @@ int run_campaign_start(struct ctl *ctl)
 
 /* ---- list, show ---- */
 
+static void add_campaign(struct table *table, const json_t *item)
+{
+  const json_t *progress = json_object_get(item, "progress"),
+               *newest = json_object_get(item, "newest");
+  const json_t *score = json_object_get(newest, "score"),
+               *settings = json_object_get(item, "settings");
+  char designs[32], generation[32], generations[32], mean[32], best[32], diversity[32], time[32];
+  const char *cells[] = {
+      text_of(item, "id"),
+      text_of(item, "mode"),
+      text_of(item, "state"),
+      count_text(number_of(settings, "population"), designs),
+      json_is_object(newest) ? count_text(number_of(newest, "generation"), generation) : NULL,
+      count_text(number_of(progress, "generations"), generations),
+      score_text(json_object_get(score, "mean"), mean),
+      score_text(json_object_get(json_object_get(score, "quantiles"), "p0"), best),
+      score_text(json_object_get(newest, "diversity"), diversity),
+      time_text(json_object_get(item, "created_at"), time),
+      text_of(item, "label")};
+  table_add(table, cells);
+}
+
 int run_campaign_list(struct ctl *ctl)
 {
-  json_t *items;
+  json_t *items = NULL;
   int status = collect_states(ctl, "/v1/campaigns", &items);
-  if (status != STATUS_OK)
-    return status;
-  if (!print_page(ctl, items)) {
-    struct table table;
-    size_t i;
-    const json_t *item;
-    table_open(
-        &table,
-        ">campaign|mode|state|>designs|>generation|>of|>mean|>best|>diversity|created|label");
-    json_array_foreach(items, i, item)
-    {
-      const json_t *progress = json_object_get(item, "progress"),
-                   *newest = json_object_get(item, "newest");
-      const json_t *score = json_object_get(newest, "score"),
-                   *settings = json_object_get(item, "settings");
-      char designs[32], generation[32], generations[32], mean[32], best[32], diversity[32],
-          time[32];
-      const char *cells[] = {
-          text_of(item, "id"),
-          text_of(item, "mode"),
-          text_of(item, "state"),
-          count_text(number_of(settings, "population"), designs),
-          json_is_object(newest) ? count_text(number_of(newest, "generation"), generation) : NULL,
-          count_text(number_of(progress, "generations"), generations),
-          score_text(json_object_get(score, "mean"), mean),
-          score_text(json_object_get(json_object_get(score, "quantiles"), "p0"), best),
-          score_text(json_object_get(newest, "diversity"), diversity),
-          time_text(json_object_get(item, "created_at"), time),
-          text_of(item, "label")};
-      table_add(&table, cells);
-    }
-    table_print(&table, stdout, ctl);
-  }
-  json_decref(items);
-  return STATUS_OK;
+  return print_list(
+      ctl, status, items,
+      ">campaign|mode|state|>designs|>generation|>of|>mean|>best|>diversity|created|label",
+      add_campaign);
 }
 
 static void print_campaign(const struct ctl *ctl, const json_t *campaign)
@@ -222,30 +161,15 @@ static void print_campaign(const struct ctl *ctl, const json_t *campaign)
   char a[32], b[32], text[256];
   const json_t *settings = json_object_get(campaign, "settings"),
                *group = json_object_get(campaign, "group");
-  const json_t *controller = json_object_get(campaign, "controller"),
-               *error = json_object_get(campaign, "error");
   const json_t *mutation = json_object_get(settings, "mutation"),
                *learning = json_object_get(settings, "learning");
   const json_t *progress = json_object_get(campaign, "progress");
   const json_t *result = json_object_get(json_object_get(campaign, "result"), "controller");
   print_fact(ctl, "campaign", "%s (%s%s%s)", text_of(campaign, "id"), text_of(campaign, "mode"),
              *text_of(campaign, "preset") != 0 ? ", " : "", text_of(campaign, "preset"));
-  print_state(ctl, text_of(campaign, "state"));
-  if (*text_of(campaign, "reason") != 0)
-    print_fact(ctl, "reason", "%s", text_of(campaign, "reason"));
-  print_fact(ctl, "weight", "%g", json_number_value(json_object_get(campaign, "weight")));
-  print_fact(ctl, "device", "%s", text_of(campaign, "device"));
-  if (*text_of(campaign, "label") != 0)
-    print_fact(ctl, "label", "%s", text_of(campaign, "label"));
-  if (json_is_object(error))
-    print_fact(ctl, "error", "%s: %s", text_of(error, "code"), text_of(error, "detail"));
-  if (number_of(campaign, "attempts") > 0)
-    print_fact(ctl, "attempts", "%" PRId64, number_of(campaign, "attempts"));
-  if (json_is_object(controller))
-    print_fact(ctl, "controller", "%s%ssha256:%s", text_of(controller, "name"),
-               *text_of(controller, "name") != 0 ? ", " : "", text_of(controller, "sha256"));
-  else
-    print_fact(ctl, "controller", "random weights, sensor %s", text_of(learning, "sensor"));
+  print_job_state(ctl, campaign, "");
+  print_controller_fact(ctl, "controller", json_object_get(campaign, "controller"),
+                        text_of(learning, "sensor"));
   print_fact(ctl, "population", "%s designs, seed %" PRId64,
              count_text(number_of(settings, "population"), a), number_of(settings, "seed"));
   if (number_of(group, "replicates") > 1)
@@ -276,7 +200,7 @@ static void print_campaign(const struct ctl *ctl, const json_t *campaign)
   if (*text_of(campaign, "end") != 0)
     print_fact(ctl, "end", "%s", text_of(campaign, "end"));
   if (json_is_object(result))
-    print_fact(ctl, "result", "%s, sha256:%s", text_of(result, "name"), text_of(result, "sha256"));
+    print_controller_fact(ctl, "result", result, "");
   print_job_times(ctl, campaign);
 }
 

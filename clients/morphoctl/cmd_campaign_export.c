@@ -56,7 +56,7 @@ static int record_champions(struct ctl *ctl, const char *id, int64_t count, cons
     status = evaluation_wait(ctl, evaluation_id, &evaluation);
   }
   if (status == STATUS_OK)
-    status = evaluation_outcome(evaluation);
+    status = job_outcome("job", evaluation);
   if (status == STATUS_OK)
     status = save_trajectories(ctl, evaluation, folder);
   json_decref(evaluation);
@@ -91,19 +91,6 @@ int run_campaign_champions(struct ctl *ctl)
 }
 
 /* ---- export ---- */
-
-static int export_reply(struct ctl *ctl, const char *path, const char *accept, const char *output)
-{
-  struct reply reply;
-  int status = transport_send(
-      ctl, &(struct request){.method = "GET", .path = path, .accept = accept}, &reply);
-  if (status == STATUS_OK)
-    status = save_output(output, reply.body != NULL ? reply.body : "", reply.body_bytes);
-  if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
-    print_plain_line(stderr, "%s: %zu bytes", output, reply.body_bytes);
-  reply_free(&reply);
-  return status;
-}
 
 /* Writes a population, best first, as designs that `eval` and `train start` can read. */
 static int export_population(struct ctl *ctl, const char *id, const char *output)
@@ -162,7 +149,7 @@ int run_campaign_export(struct ctl *ctl)
       continue;
     n_given++;
     snprintf(path, sizeof(path), "/v1/campaigns/%s/%s", id, tables[i].path);
-    status = export_reply(ctl, path, tables[i].accept, output);
+    status = save_reply(ctl, path, tables[i].accept, output);
   }
   if (status == STATUS_OK && population != NULL)
     status = export_population(ctl, id, population);

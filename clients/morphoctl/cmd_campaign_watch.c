@@ -1,27 +1,21 @@
 /* cmd_campaign_watch.c: campaign watch: shows a campaign while it runs.
  *
- * On a terminal it draws sparklines of the curves and a table of the newest generations, redrawn in
- * place; elsewhere it prints a line per generation. Each event about a generation makes it fetch
- * the generation, so the view always agrees with the API. */
+ * On a terminal it draws sparklines of the curves and a table of the newest generations; elsewhere
+ * it prints a line per generation. Each event about a generation makes it fetch the generation, so
+ * the view always agrees with the API. */
 #include <string.h>
 
 #include "campaign.h"
 #include "commands.h"
-#include "follow.h"
-#include "screen.h"
-#include "table.h"
-#include "transport.h"
+#include "live.h"
 
-#define ASK_S         5 /* without an event for this long, the state is fetched */
+#define ASK_S         5
 #define LINES_BESIDES 13
 
 struct view {
-  struct ctl *ctl;
+  struct live live;
   struct campaign campaign;
-  struct screen screen;
-  size_t told;   /* rows already printed, if not on a terminal */
-  double told_s; /* when the state was last fetched */
-  bool finished;
+  size_t told; /* rows already printed, if not on a terminal */
 };
 
 /* ---- the screen ---- */
@@ -41,7 +35,8 @@ static void write_view(void *context, FILE *file, int columns, int rows)
 {
   const struct view *view = context;
   const json_t *campaign = view->campaign.json, *progress = json_object_get(campaign, "progress");
-  const char *bold = view->ctl->color ? "\033[1m" : "", *plain = view->ctl->color ? "\033[0m" : "";
+  const char *bold = view->live.ctl->color ? "\033[1m" : "",
+             *plain = view->live.ctl->color ? "\033[0m" : "";
   struct lines lines = {file, columns};
   char text[512], generation[96], now[256];
   const char *reason = text_of(campaign, "reason"), *label = text_of(campaign, "label");
@@ -53,7 +48,7 @@ static void write_view(void *context, FILE *file, int columns, int rows)
            *label != 0 ? "  " : "", label, text_of(campaign, "state"), generation,
            view->campaign.id);
   screen_line(file, columns, bold, text, plain);
-  campaign_draw(view->ctl, &view->campaign, columns,
+  campaign_draw(view->live.ctl, &view->campaign, columns,
                 rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES, put_line, &lines);
   campaign_progress_text(campaign, now, sizeof(now));
   screen_line(file, columns, "", now, "");
@@ -64,21 +59,14 @@ static void write_view(void *context, FILE *file, int columns, int rows)
   screen_line(file, columns, "", text, "");
 }
 
-static void draw(struct view *view, bool now)
-{
-  screen_draw(&view->screen, now, write_view, view);
-}
-
 /* ---- state ---- */
 
-static int load(struct view *view)
+static int load(struct live *live)
 {
-  int status = campaign_load(view->ctl, &view->campaign);
-  if (status != STATUS_OK)
-    return status;
-  view->finished = is_final(text_of(view->campaign.json, "state"));
-  view->told_s = monotonic_s();
-  return STATUS_OK;
+  struct view *view = (struct view *)live;
+  int status = campaign_load(live->ctl, &view->campaign);
+  live->job = view->campaign.json;
+  return status;
 }
 
 /* Prints a line for each generation up to `until` that was not printed yet. Only the time of the
@@ -95,18 +83,15 @@ static void tell(struct view *view, int64_t until, const json_t *at)
     campaign_row_text(row, words, sizeof(words));
     snprintf(line, sizeof(line), "%s  %s", generation, words);
     if (at != NULL && row->generation == until)
-      screen_event(&view->screen, view->ctl, at, line);
+      screen_event(&view->live.screen, view->live.ctl, at, line);
     else
-      screen_earlier(&view->screen, view->ctl, line);
+      screen_earlier(&view->live.screen, view->live.ctl, line);
   }
 }
 
-static int load_and_tell(struct view *view)
+static void begin(struct live *live)
 {
-  int status = load(view);
-  if (status == STATUS_OK)
-    tell(view, INT64_MAX, NULL);
-  return status;
+  tell((struct view *)live, INT64_MAX, NULL);
 }
 
 /* Updates "progress" from an event. */
@@ -122,123 +107,69 @@ static void take_progress(struct view *view, const json_t *data)
     json_object_set(view->campaign.json, "phase", json_object_get(data, "phase"));
 }
 
-static int show_event(void *context, const char *type, const char *data)
+static int take_event(struct live *live, const char *type, const json_t *at, const json_t *data,
+                      bool *draw)
 {
-  struct view *view = context;
+  struct view *view = (struct view *)live;
   char line[400], words[256];
-  if (strcmp(type, "reset") == 0)
-    return load_and_tell(view) != STATUS_OK || view->finished;
-  json_t *event = json_loads(data, 0, NULL);
-  const json_t *details = json_object_get(event, "data"), *at = json_object_get(event, "at");
-  bool generation = strcmp(type, "campaign.generation") == 0;
-  int status = STATUS_OK;
-  if (strcmp(type, "campaign.progress") == 0) {
-    take_progress(view, details);
-  } else {
-    status = load(view);
-    if (status == STATUS_OK && generation) {
-      tell(view, number_of(details, "generation"), at);
-    } else if (status == STATUS_OK) {
-      campaign_event_text(type, details, words, sizeof(words));
-      if (strncmp(type, "job.", 4) == 0)
-        snprintf(words, sizeof(words), "  %s", text_of(view->campaign.json, "state"));
-      snprintf(line, sizeof(line), "%.64s%s", type, words);
-      screen_event(&view->screen, view->ctl, at, line);
-    }
+  (void)draw;
+  if (strcmp(type, "reset") == 0) {
+    begin(live);
+    return STATUS_OK;
   }
-  json_decref(event);
-  draw(view, view->finished);
-  return status != STATUS_OK ||
-         (view->finished && !generation); /* more generations may be reported before the end is */
-}
-
-static int look_again(void *context)
-{
-  struct view *view = context;
-  char before[64], reason_before[320], line[400];
-  snprintf(before, sizeof(before), "%s", text_of(view->campaign.json, "phase"));
-  snprintf(reason_before, sizeof(reason_before), "%s", text_of(view->campaign.json, "reason"));
-  int status = load(view);
+  if (strcmp(type, "campaign.progress") == 0) {
+    take_progress(view, data);
+    return STATUS_OK;
+  }
+  int status = live_load(live);
   if (status != STATUS_OK)
     return status;
-  const char *phase = text_of(view->campaign.json, "phase"),
-             *reason = text_of(view->campaign.json, "reason");
-  if (*reason != 0 && (strcmp(before, phase) != 0 || strcmp(reason_before, reason) != 0)) {
-    snprintf(line, sizeof(line), "%s: %.300s", phase, reason);
-    screen_event(&view->screen, view->ctl, NULL, line);
+  if (strcmp(type, "campaign.generation") == 0) {
+    tell(view, number_of(data, "generation"), at);
+    return -1; /* more generations may be reported before the end is */
   }
-  draw(view, true);
+  campaign_event_text(type, data, words, sizeof(words));
+  if (strncmp(type, "job.", 4) == 0)
+    snprintf(words, sizeof(words), "  %s", text_of(live->job, "state"));
+  snprintf(line, sizeof(line), "%.64s%s", type, words);
+  live_line(live, at, line);
   return STATUS_OK;
 }
 
-static int notice(void *context)
+static void report_reason(const struct live *live, const char *phase_before,
+                          const char *reason_before)
 {
-  struct view *view = context;
-  int status = STATUS_OK;
-  if (monotonic_s() - view->told_s > ASK_S)
-    status = look_again(view);
-  return status != STATUS_OK || view->finished;
+  char line[400];
+  const char *phase = text_of(live->job, "phase"), *reason = text_of(live->job, "reason");
+  if (*reason != 0 && (strcmp(phase_before, phase) != 0 || strcmp(reason_before, reason) != 0)) {
+    snprintf(line, sizeof(line), "%s: %.300s", phase, reason);
+    live_line(live, NULL, line);
+  }
 }
 
-static bool is_finished(void *context)
+static int finish(struct live *live)
 {
-  const struct view *view = context;
-  return view->finished;
-}
-
-static int finish(const struct view *view)
-{
-  const json_t *campaign = view->campaign.json, *result = json_object_get(campaign, "result");
-  const json_t *controller = json_object_get(result, "controller");
-  if (!view->ctl->quiet && strcmp(text_of(campaign, "end"), "exhausted") == 0)
+  begin(live);
+  if (!live->ctl->quiet && strcmp(text_of(live->job, "end"), "exhausted") == 0)
     print_plain_line(
         stdout,
         "The morphospace holds no further design that the campaign could find: it ended early.");
-  if (json_is_object(controller) && !view->ctl->quiet)
-    print_plain_line(stdout, "controller %s: sha256:%s", text_of(controller, "name"),
-                     text_of(controller, "sha256"));
-  return campaign_outcome(campaign);
+  live_print_controller(live, json_object_get(json_object_get(live->job, "result"), "controller"));
+  return job_outcome("campaign", live->job);
 }
 
 int watch_campaign(struct ctl *ctl, const char *id)
 {
-  struct view view = {.ctl = ctl, .screen = screen_open(ctl)};
-  int64_t newest = -1;
+  static const struct live_kind kind = {"campaign", "campaign", ASK_S,         load,  write_view,
+                                        begin,      take_event, report_reason, finish};
+  struct view view = {.live = {.kind = &kind, .ctl = ctl, .id = id}};
   snprintf(view.campaign.id, sizeof(view.campaign.id), "%s", id);
-  catch_interrupts(); /* before the first output */
-  int status = newest_event(ctl, &newest);
-  if (status == STATUS_OK)
-    status = load_and_tell(&view);
-  if (status == STATUS_OK)
-    draw(&view, true);
-  struct follow follow = {.ctl = ctl,
-                          .job = id,
-                          .after = newest,
-                          .event = show_event,
-                          .alive = notice,
-                          .broken = look_again,
-                          .ended = is_finished,
-                          .context = &view};
-  if (status == STATUS_OK && !view.finished)
-    status = follow_events(&follow);
-  if (status == STATUS_INTERRUPTED && !ctl->quiet)
-    print_plain_line(stderr,
-                     "The campaign goes on. To watch it again: morphoctl campaign watch %s; to set "
-                     "it aside: morphoctl "
-                     "campaign pause %s; to stop it: morphoctl campaign cancel %s",
-                     id, id, id);
-  else if (status == STATUS_OK && view.finished) {
-    tell(&view, INT64_MAX, NULL);
-    status = finish(&view);
-  } else if (status == STATUS_OK)
-    status = STATUS_ERROR; /* the error was already reported */
+  int status = live_watch(&view.live);
   campaign_free(&view.campaign);
   return status;
 }
 
 int run_campaign_watch(struct ctl *ctl)
 {
-  if (ctl->json)
-    return run_watch(ctl); /* the API's events, one per line */
-  return check_job_id(ctl->operands[0]) ? watch_campaign(ctl, ctl->operands[0]) : STATUS_USAGE;
+  return watch_operand(ctl, watch_campaign);
 }

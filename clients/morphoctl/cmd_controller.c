@@ -19,32 +19,24 @@ static int controller_path(const char *name, const char *below, char **path)
   return n >= 0 ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
 }
 
+static void add_controller(struct table *table, const json_t *controller)
+{
+  char parameters[32], bytes[32], time[32];
+  const char *cells[] = {text_of(controller, "name"),
+                         text_of(controller, "sensor"),
+                         count_text(number_of(controller, "parameters"), parameters),
+                         count_text(number_of(controller, "bytes"), bytes),
+                         time_text(json_object_get(controller, "stored_at"), time),
+                         text_of(controller, "sha256")};
+  table_add(table, cells);
+}
+
 int run_controller_list(struct ctl *ctl)
 {
-  json_t *items;
+  json_t *items = NULL;
   int status = collect(ctl, "/v1/controllers", 0, &items);
-  if (status != STATUS_OK)
-    return status;
-  if (!print_page(ctl, items)) {
-    struct table table;
-    size_t i;
-    const json_t *controller;
-    table_open(&table, "name|sensor|>parameters|>bytes|stored|sha256");
-    json_array_foreach(items, i, controller)
-    {
-      char parameters[32], bytes[32], time[32];
-      const char *cells[] = {text_of(controller, "name"),
-                             text_of(controller, "sensor"),
-                             count_text(number_of(controller, "parameters"), parameters),
-                             count_text(number_of(controller, "bytes"), bytes),
-                             time_text(json_object_get(controller, "stored_at"), time),
-                             text_of(controller, "sha256")};
-      table_add(&table, cells);
-    }
-    table_print(&table, stdout, ctl);
-  }
-  json_decref(items);
-  return STATUS_OK;
+  return print_list(ctl, status, items, "name|sensor|>parameters|>bytes|stored|sha256",
+                    add_controller);
 }
 
 static void print_controller(const struct ctl *ctl, const json_t *controller)

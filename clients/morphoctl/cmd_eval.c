@@ -77,8 +77,8 @@ static int save_array(struct ctl *ctl, const char *folder, const char *id, size_
                       size_t environment, const char *array)
 {
   char path[160], *file = NULL;
-  snprintf(path, sizeof(path), "/v1/evaluations/%s/trajectories/%zu/file?environment=%zu&array=%s", id,
-           design, environment, array);
+  snprintf(path, sizeof(path), "/v1/evaluations/%s/trajectories/%zu/file?environment=%zu&array=%s",
+           id, design, environment, array);
   struct reply reply;
   int status = transport_send(
       ctl, &(struct request){.method = "GET", .path = path, .accept = "application/octet-stream"},
@@ -150,9 +150,7 @@ int run_eval(struct ctl *ctl)
   json_t *request = json_object(), *evaluation = NULL;
   bool wait = !option_is_set(ctl, "no-wait");
   int64_t top = 0;
-  const char *sort = option_text(ctl, "sort", "input"),
-             *priority = option_text(ctl, "priority", NULL);
-  const char *label = option_text(ctl, "label", NULL), *output = option_text(ctl, "output", NULL);
+  const char *sort = option_text(ctl, "sort", "input"), *output = option_text(ctl, "output", NULL);
   int status = read_designs(ctl, &designs);
   if (status == STATUS_OK && !option_number(ctl, "top", 1, DESIGNS_MAX, &top))
     status = STATUS_USAGE;
@@ -166,13 +164,7 @@ int run_eval(struct ctl *ctl)
     status = fill_record(ctl, request);
   if (status == STATUS_OK) {
     json_object_set(request, "designs", designs.list);
-    if (label != NULL)
-      json_object_set_new(request, "label", json_string(label));
-    if (priority != NULL)
-      json_object_set_new(request, "priority", json_string(priority));
-    static const struct field fields[] = {{"weight", "weight", FIELD_REAL},
-                                          {"device", "device", FIELD_WORD}};
-    status = fill_fields(ctl, request, fields, sizeof(fields) / sizeof(fields[0]));
+    status = fill_fields(ctl, request);
   }
   if (status == STATUS_OK)
     status = evaluate(ctl, request, wait, &evaluation);
@@ -200,7 +192,7 @@ int run_eval(struct ctl *ctl)
                        count_text(number_of(evaluation, "rollouts_total"), a),
                        count_text(number_of(evaluation, "rollouts_cached"), b));
     }
-    status = evaluation_outcome(evaluation);
+    status = job_outcome("job", evaluation);
     if (status == STATUS_OK && output != NULL)
       status = save_trajectories(ctl, evaluation, output);
   }
@@ -242,7 +234,7 @@ static int add_evaluation(struct ctl *ctl, struct designs *designs, json_t *requ
   snprintf(path, sizeof(path), "/v1/evaluations/%s", id);
   int status = transport_get_json(ctl, path, 0, &evaluation);
   if (status == STATUS_OK)
-    status = evaluation_outcome(evaluation);
+    status = job_outcome("job", evaluation);
   if (status == STATUS_OK && !json_is_string(json_object_get(evaluation, "environments")) &&
       !option_is_set(ctl, "environments"))
     status = complain(
@@ -294,7 +286,7 @@ int run_verify(struct ctl *ctl)
     status = evaluate(ctl, request, true, &evaluation);
   }
   if (status == STATUS_OK)
-    status = evaluation_outcome(evaluation);
+    status = job_outcome("job", evaluation);
   if (status == STATUS_OK) {
     size_t agree = 0, differ = 0, absent = 0, i;
     json_t *result;

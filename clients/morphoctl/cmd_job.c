@@ -9,55 +9,47 @@
 #include "table.h"
 #include "transport.h"
 
+static void add_job(struct table *table, const json_t *job)
+{
+  char designs[32], count[32], work[48], done[16], time[32];
+  const json_t *training = json_object_get(job, "training"),
+               *campaign = json_object_get(job, "campaign");
+  int64_t total, so_far,
+      n_designs =
+          campaign != NULL ? number_of(campaign, "population") : number_of(job, "n_designs");
+  const char *unit = training != NULL ? "steps" : campaign != NULL ? "generations" : "rollouts";
+  if (training != NULL) {
+    total = number_of(training, "steps");
+    so_far = number_of(training, "step");
+  } else if (campaign != NULL) {
+    total = number_of(campaign, "generations");
+    so_far = number_of(campaign, "generation");
+  } else {
+    total = number_of(job, "rollouts_total");
+    so_far = number_of(job, "rollouts_done");
+  }
+  snprintf(done, sizeof(done), "%d %%", total > 0 ? (int)(100 * so_far / total) : 0);
+  snprintf(work, sizeof(work), "%s %s", count_text(total, count), unit);
+  const char *cells[] = {text_of(job, "id"),
+                         training != NULL   ? text_of(training, "kind")
+                         : campaign != NULL ? text_of(campaign, "mode")
+                                            : text_of(job, "kind"),
+                         text_of(job, "state"),
+                         text_of(job, "priority"),
+                         training != NULL ? "" : count_text(n_designs, designs),
+                         work,
+                         done,
+                         time_text(json_object_get(job, "created_at"), time),
+                         text_of(job, "label")};
+  table_add(table, cells);
+}
+
 int run_job_list(struct ctl *ctl)
 {
-  json_t *items;
+  json_t *items = NULL;
   int status = collect_states(ctl, "/v1/jobs", &items);
-  if (status != STATUS_OK)
-    return status;
-  if (!print_page(ctl, items)) {
-    struct table table;
-    size_t i;
-    const json_t *job;
-    table_open(&table, ">job|kind|state|priority|>designs|>work|>done|created|label");
-    json_array_foreach(items, i, job)
-    {
-      char designs[32], count[32], work[48], done[16], time[32];
-      const json_t *training = json_object_get(job, "training"),
-                   *campaign = json_object_get(job, "campaign");
-      int64_t total, so_far,
-          n_designs =
-              campaign != NULL ? number_of(campaign, "population") : number_of(job, "n_designs");
-      const char *unit = training != NULL ? "steps" : campaign != NULL ? "generations" : "rollouts";
-      if (training != NULL) {
-        total = number_of(training, "steps");
-        so_far = number_of(training, "step");
-      } else if (campaign != NULL) {
-        total = number_of(campaign, "generations");
-        so_far = number_of(campaign, "generation");
-      } else {
-        total = number_of(job, "rollouts_total");
-        so_far = number_of(job, "rollouts_done");
-      }
-      snprintf(done, sizeof(done), "%d %%", total > 0 ? (int)(100 * so_far / total) : 0);
-      snprintf(work, sizeof(work), "%s %s", count_text(total, count), unit);
-      const char *cells[] = {text_of(job, "id"),
-                             training != NULL   ? text_of(training, "kind")
-                             : campaign != NULL ? text_of(campaign, "mode")
-                                                : text_of(job, "kind"),
-                             text_of(job, "state"),
-                             text_of(job, "priority"),
-                             training != NULL ? "" : count_text(n_designs, designs),
-                             work,
-                             done,
-                             time_text(json_object_get(job, "created_at"), time),
-                             text_of(job, "label")};
-      table_add(&table, cells);
-    }
-    table_print(&table, stdout, ctl);
-  }
-  json_decref(items);
-  return STATUS_OK;
+  return print_list(ctl, status, items,
+                    ">job|kind|state|priority|>designs|>work|>done|created|label", add_job);
 }
 
 int run_job_show(struct ctl *ctl)
@@ -83,26 +75,28 @@ int run_job_show(struct ctl *ctl)
   return status;
 }
 
-/* verb: may be repeated, since a job that is in the state already stays in it. */
-static int change(struct ctl *ctl, const char *verb)
+/* Sends a request to /v1/, noun + s, / + id + behind for each job that the operands name, and
+ * reports on each. */
+static int each_job(struct ctl *ctl, struct request request, const char *noun, const char *behind,
+                    void (*report)(const char *noun, const char *id, const json_t *value,
+                                   const struct reply *reply))
 {
   int worst = STATUS_OK;
   for (size_t i = 0; i < ctl->n_operands; i++) {
     const char *id = ctl->operands[i];
-    char path[64];
+    char path[96];
     if (!check_job_id(id))
       return STATUS_USAGE;
-    snprintf(path, sizeof(path), "/v1/jobs/%s/%s", id, verb);
+    snprintf(path, sizeof(path), "/v1/%ss/%s%s", noun, id, behind);
+    request.path = path;
     struct reply reply;
-    int status = transport_send(
-        ctl, &(struct request){.method = "POST", .path = path, .repeatable = true}, &reply);
-    json_t *job = status == STATUS_OK ? reply_json(&reply) : NULL;
-    if (job != NULL && ctl->json)
-      print_json(job);
-    else if (job != NULL && !ctl->quiet)
-      print_plain_line(stdout, "job %s is %s%s", id, text_of(job, "state"),
-                       reply.status == 202 ? ", its running work is being stopped" : "");
-    json_decref(job);
+    int status = transport_send(ctl, &request, &reply);
+    json_t *value = status == STATUS_OK ? reply_json(&reply) : NULL;
+    if (value != NULL && ctl->json)
+      print_json(value);
+    else if (value != NULL && !ctl->quiet)
+      report(noun, id, value, &reply);
+    json_decref(value);
     reply_free(&reply);
     if (status != STATUS_OK)
       worst = status;
@@ -112,19 +106,33 @@ static int change(struct ctl *ctl, const char *verb)
   return worst;
 }
 
+static void report_state(const char *noun, const char *id, const json_t *job,
+                         const struct reply *reply)
+{
+  print_plain_line(stdout, "%s %s is %s%s", noun, id, text_of(job, "state"),
+                   reply->status == 202 ? ", its running work is being stopped" : "");
+}
+
+/* verb: may be repeated, since a job that is in the state already stays in it. */
+static int change(struct ctl *ctl, const char *verb)
+{
+  return each_job(ctl, (struct request){.method = "POST", .repeatable = true}, "job", verb,
+                  report_state);
+}
+
 int run_job_cancel(struct ctl *ctl)
 {
-  return change(ctl, "cancel");
+  return change(ctl, "/cancel");
 }
 
 int run_job_pause(struct ctl *ctl)
 {
-  return change(ctl, "pause");
+  return change(ctl, "/pause");
 }
 
 int run_job_resume(struct ctl *ctl)
 {
-  return change(ctl, "resume");
+  return change(ctl, "/resume");
 }
 
 int run_job_weight(struct ctl *ctl)
@@ -156,31 +164,20 @@ int run_job_weight(struct ctl *ctl)
   return status;
 }
 
+static void report_pruned(const char *noun, const char *id, const json_t *value,
+                          const struct reply *reply)
+{
+  char count[32];
+  const size_t n = json_array_size(json_object_get(value, "items"));
+  (void)reply;
+  print_plain_line(stdout, "%s %s: %s checkpoint%s deleted, %.1f MB", noun, id,
+                   count_text((int64_t)n, count), n == 1 ? "" : "s",
+                   (double)number_of(value, "bytes") * 1e-6);
+}
+
 int prune_checkpoints(struct ctl *ctl, const char *kind, const char *below)
 {
-  int worst = STATUS_OK;
-  for (size_t i = 0; i < ctl->n_operands; i++) {
-    const char *id = ctl->operands[i];
-    char path[96], count[32];
-    if (!check_job_id(id))
-      return STATUS_USAGE;
-    snprintf(path, sizeof(path), "/v1/%ss/%s/checkpoints%s", kind, id, below);
-    struct reply reply;
-    int status = transport_send(ctl, &(struct request){.method = "DELETE", .path = path}, &reply);
-    json_t *value = status == STATUS_OK ? reply_json(&reply) : NULL;
-    size_t n = json_array_size(json_object_get(value, "items"));
-    if (value != NULL && ctl->json)
-      print_json(value);
-    else if (value != NULL && !ctl->quiet)
-      print_plain_line(stdout, "%s %s: %s checkpoint%s deleted, %.1f MB", kind, id,
-                       count_text((int64_t)n, count), n == 1 ? "" : "s",
-                       (double)number_of(value, "bytes") * 1e-6);
-    json_decref(value);
-    reply_free(&reply);
-    if (status != STATUS_OK)
-      worst = status;
-    if (status == STATUS_CONNECTION || status == STATUS_INTERRUPTED)
-      break;
-  }
-  return worst;
+  char behind[64];
+  snprintf(behind, sizeof(behind), "/checkpoints%s", below);
+  return each_job(ctl, (struct request){.method = "DELETE"}, kind, behind, report_pruned);
 }

@@ -12,26 +12,6 @@
 
 /* ---- start ---- */
 
-static const struct field fields[] = {
-    {"preset", "preset", FIELD_WORD},
-    {"name", "name", FIELD_WORD},
-    {"controller", "controller", FIELD_WORD},
-    {"sensor", "sensor", FIELD_WORD},
-    {"steps", "steps", FIELD_WHOLE},
-    {"batch", "batch", FIELD_WHOLE},
-    {"seed", "seed", FIELD_WHOLE},
-    {"validate-every", "validation.every_steps", FIELD_WHOLE},
-    {"validation-designs", "validation.designs", FIELD_WHOLE},
-    {"validation-environments", "validation.environments", FIELD_WHOLE},
-    {"checkpoint-steps", "checkpoint.every_steps", FIELD_WHOLE},
-    {"checkpoint-seconds", "checkpoint.every_s", FIELD_WHOLE},
-    {"checkpoint-keep", "checkpoint.keep", FIELD_WHOLE},
-    {"priority", "priority", FIELD_WORD},
-    {"weight", "weight", FIELD_REAL},
-    {"device", "device", FIELD_WORD},
-    {"label", "label", FIELD_WORD},
-};
-
 /* Makes {"campaign": id} or {"evaluation": id}, depending on the kind of the job. */
 static int name_population(struct ctl *ctl, const char *id, json_t **object)
 {
@@ -101,11 +81,9 @@ int run_train_start(struct ctl *ctl)
   int status = request != NULL ? fill_designs(ctl, finetune, request)
                                : complain(STATUS_ERROR, "out of memory");
   if (status == STATUS_OK)
-    status = fill_fields(ctl, request, fields, sizeof(fields) / sizeof(fields[0]));
+    status = fill_schedule(ctl, request, "schedule");
   if (status == STATUS_OK)
-    status = fill_optimizer(ctl, request);
-  if (status == STATUS_OK)
-    status = fill_schedule(ctl, request);
+    status = fill_fields(ctl, request);
   if (status == STATUS_OK)
     status = request_fill_physics(ctl, request);
   if (status == STATUS_OK)
@@ -134,38 +112,31 @@ int run_train_start(struct ctl *ctl)
 
 /* ---- list, show ---- */
 
+static void add_training(struct table *table, const json_t *item)
+{
+  const json_t *progress = json_object_get(item, "progress");
+  char step[32], steps[32], loss[32], score[32], time[32];
+  const char *cells[] = {
+      text_of(item, "id"),
+      text_of(item, "kind"),
+      text_of(item, "name"),
+      text_of(item, "state"),
+      count_text(number_of(progress, "step"), step),
+      count_text(number_of(progress, "steps"), steps),
+      score_text(json_object_get(progress, "mean_loss"), loss),
+      score_text(json_object_get(json_object_get(item, "validation"), "mean_score"), score),
+      time_text(json_object_get(item, "created_at"), time),
+      text_of(item, "label")};
+  table_add(table, cells);
+}
+
 int run_train_list(struct ctl *ctl)
 {
-  json_t *items;
+  json_t *items = NULL;
   int status = collect_states(ctl, "/v1/trainings", &items);
-  if (status != STATUS_OK)
-    return status;
-  if (!print_page(ctl, items)) {
-    struct table table;
-    size_t i;
-    const json_t *item;
-    table_open(&table, ">training|kind|name|state|>step|>of|>loss|>validation|created|label");
-    json_array_foreach(items, i, item)
-    {
-      const json_t *progress = json_object_get(item, "progress");
-      char step[32], steps[32], loss[32], score[32], time[32];
-      const char *cells[] = {
-          text_of(item, "id"),
-          text_of(item, "kind"),
-          text_of(item, "name"),
-          text_of(item, "state"),
-          count_text(number_of(progress, "step"), step),
-          count_text(number_of(progress, "steps"), steps),
-          score_text(json_object_get(progress, "mean_loss"), loss),
-          score_text(json_object_get(json_object_get(item, "validation"), "mean_score"), score),
-          time_text(json_object_get(item, "created_at"), time),
-          text_of(item, "label")};
-      table_add(&table, cells);
-    }
-    table_print(&table, stdout, ctl);
-  }
-  json_decref(items);
-  return STATUS_OK;
+  return print_list(ctl, status, items,
+                    ">training|kind|name|state|>step|>of|>loss|>validation|created|label",
+                    add_training);
 }
 
 static void print_settings(const struct ctl *ctl, const json_t *settings)
@@ -235,31 +206,15 @@ static void print_code(const struct ctl *ctl, const json_t *code)
 static void print_training(const struct ctl *ctl, const json_t *training)
 {
   char text[256];
-  const json_t *parent = json_object_get(training, "parent"),
+  const json_t *settings = json_object_get(training, "settings"),
                *progress = json_object_get(training, "progress");
   print_fact(ctl, "training", "%s (%s)", text_of(training, "id"), text_of(training, "kind"));
   print_fact(ctl, "name", "%s", text_of(training, "name"));
-  print_state(ctl, text_of(training, "state"));
-  if (*text_of(training, "reason") != 0)
-    print_fact(ctl, "reason", "%s", text_of(training, "reason"));
-  else if (strcmp(text_of(training, "phase"), "idle") != 0)
-    print_fact(ctl, "phase", "%s", text_of(training, "phase"));
-  print_fact(ctl, "weight", "%g", json_number_value(json_object_get(training, "weight")));
-  print_fact(ctl, "device", "%s", text_of(training, "device"));
-  if (*text_of(training, "label") != 0)
-    print_fact(ctl, "label", "%s", text_of(training, "label"));
-  const json_t *error = json_object_get(training, "error");
-  if (json_is_object(error))
-    print_fact(ctl, "error", "%s: %s", text_of(error, "code"), text_of(error, "detail"));
-  if (number_of(training, "attempts") > 0)
-    print_fact(ctl, "attempts", "%" PRId64, number_of(training, "attempts"));
-  if (json_is_object(parent))
-    print_fact(ctl, "from", "%s%ssha256:%s", text_of(parent, "name"),
-               *text_of(parent, "name") != 0 ? ", " : "", text_of(parent, "sha256"));
-  else
-    print_fact(ctl, "from", "random weights, sensor %s",
-               text_of(json_object_get(training, "settings"), "sensor"));
-  print_settings(ctl, json_object_get(training, "settings"));
+  const char *phase = text_of(training, "phase");
+  print_job_state(ctl, training, strcmp(phase, "idle") != 0 ? phase : "");
+  print_controller_fact(ctl, "from", json_object_get(training, "parent"),
+                        text_of(settings, "sensor"));
+  print_settings(ctl, settings);
   training_step_text(number_of(progress, "step"), number_of(progress, "steps"), text, sizeof(text));
   print_fact(ctl, "progress", "%s", text);
   if (number_of(progress, "step") > 0) {
@@ -276,8 +231,7 @@ static void print_training(const struct ctl *ctl, const json_t *training)
   print_code(ctl, json_object_get(training, "code"));
   const json_t *controller = json_object_get(training, "controller");
   if (json_is_object(controller))
-    print_fact(ctl, "controller", "%s, sha256:%s", text_of(controller, "name"),
-               text_of(controller, "sha256"));
+    print_controller_fact(ctl, "controller", controller, "");
   print_job_times(ctl, training);
 }
 
@@ -344,16 +298,8 @@ static int export_controller(struct ctl *ctl, const char *id)
 static int export_curve(struct ctl *ctl, const char *id, const char *what, const char *output)
 {
   char path[96];
-  struct reply reply;
   snprintf(path, sizeof(path), "/v1/trainings/%s/%s", id, what);
-  int status = transport_send(
-      ctl, &(struct request){.method = "GET", .path = path, .accept = "text/csv"}, &reply);
-  if (status == STATUS_OK)
-    status = save_output(output, reply.body != NULL ? reply.body : "", reply.body_bytes);
-  if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
-    print_plain_line(stderr, "%s: %zu bytes", output, reply.body_bytes);
-  reply_free(&reply);
-  return status;
+  return save_reply(ctl, path, "text/csv", output);
 }
 
 int run_train_export(struct ctl *ctl)

@@ -33,7 +33,7 @@ static int score_side(struct ctl *ctl, const json_t *held_out, struct side *side
     status = evaluate(ctl, request, true, &side->evaluation);
   json_decref(request);
   if (status == STATUS_OK)
-    status = evaluation_outcome(side->evaluation);
+    status = job_outcome("job", side->evaluation);
   const json_t *results = json_object_get(side->evaluation, "results"), *result;
   size_t i;
   if (status != STATUS_OK)

@@ -1,29 +1,23 @@
 /* cmd_train_watch.c: train watch: shows a training while it runs.
  *
- * On a terminal it draws a plot of the loss and the numbers of the newest step, redrawn in place
- * with each event; elsewhere it prints a line per event. To miss nothing at the start, it fetches
- * the sequence of the newest event, then the training, then the events after that sequence. */
+ * On a terminal it draws a plot of the loss and the numbers of the newest step; elsewhere it prints
+ * a line per event. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "commands.h"
-#include "follow.h"
-#include "screen.h"
+#include "live.h"
 #include "table.h"
 #include "training.h"
-#include "transport.h"
 
-#define ASK_S         10 /* without an event, the state is fetched: waiting makes no events */
+#define ASK_S         10 /* waiting makes no events */
 #define LINES_BESIDES 6  /* lines of the view besides the plot */
 
 struct view {
-  struct ctl *ctl;
+  struct live live;
   struct training training;
   json_t *progress, *validation; /* the newest values */
-  struct screen screen;
-  double told_s; /* time of the last event, or when the state was last fetched */
-  bool finished;
 };
 
 /* ---- the screen ---- */
@@ -32,7 +26,8 @@ static void write_view(void *context, FILE *file, int columns, int rows)
 {
   const struct view *view = context;
   const json_t *training = view->training.json;
-  const char *bold = view->ctl->color ? "\033[1m" : "", *plain = view->ctl->color ? "\033[0m" : "";
+  const char *bold = view->live.ctl->color ? "\033[1m" : "",
+             *plain = view->live.ctl->color ? "\033[0m" : "";
   char text[512], more[256];
   const char *phase = text_of(training, "phase"), *reason = text_of(training, "reason");
   snprintf(text, sizeof(text), "%s  %s  %s%s%s%s   training %s", text_of(training, "name"),
@@ -41,7 +36,8 @@ static void write_view(void *context, FILE *file, int columns, int rows)
            strcmp(phase, "idle") != 0 ? ")" : "", view->training.id);
   screen_line(file, columns, bold, text, plain);
   int height = rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES;
-  char *plot = training_plot(view->ctl, &view->training, columns > 110 ? 110 : columns - 1, height);
+  char *plot =
+      training_plot(view->live.ctl, &view->training, columns > 110 ? 110 : columns - 1, height);
   if (plot != NULL && height >= 4)
     screen_lines(file, plot);
   free(plot);
@@ -66,7 +62,7 @@ static void write_view(void *context, FILE *file, int columns, int rows)
   screen_line(file, columns, "", text, "");
   training_validation_text(view->validation, more, sizeof(more));
   snprintf(text, sizeof(text), "%s validation %s",
-           view->ctl->utf8 ? PLOT_MARK_UTF8 : PLOT_MARK_ASCII, more);
+           view->live.ctl->utf8 ? PLOT_MARK_UTF8 : PLOT_MARK_ASCII, more);
   screen_line(file, columns, "", text, "");
   if (*reason != 0)
     snprintf(text, sizeof(text), "%s", reason);
@@ -76,29 +72,19 @@ static void write_view(void *context, FILE *file, int columns, int rows)
   screen_line(file, columns, "", text, "");
 }
 
-static void draw(struct view *view, bool now)
-{
-  screen_draw(&view->screen, now, write_view, view);
-}
-
-static void print_event_line(const struct view *view, const json_t *at, const char *words)
-{
-  screen_event(&view->screen, view->ctl, at, words);
-}
-
 /* ---- state ---- */
 
-static int load(struct view *view)
+static int load(struct live *live)
 {
-  int status = training_load(view->ctl, &view->training);
+  struct view *view = (struct view *)live;
+  int status = training_load(live->ctl, &view->training);
   if (status != STATUS_OK)
     return status;
   json_decref(view->progress);
   json_decref(view->validation);
-  view->progress = json_incref(json_object_get(view->training.json, "progress"));
-  view->validation = json_incref(json_object_get(view->training.json, "validation"));
-  view->finished = is_final(text_of(view->training.json, "state"));
-  view->told_s = monotonic_s();
+  live->job = view->training.json;
+  view->progress = json_incref(json_object_get(live->job, "progress"));
+  view->validation = json_incref(json_object_get(live->job, "validation"));
   return STATUS_OK;
 }
 
@@ -133,7 +119,7 @@ static void take_progress(struct view *view, const json_t *at, const json_t *dat
                      sizeof(step));
   training_progress_text(view->progress, numbers, sizeof(numbers));
   snprintf(line, sizeof(line), "%s  %s", step, numbers);
-  print_event_line(view, at, line);
+  live_line(&view->live, at, line);
 }
 
 static void take_validation(struct view *view, const json_t *at, const json_t *data)
@@ -144,134 +130,76 @@ static void take_validation(struct view *view, const json_t *at, const json_t *d
                value_of(data, "mean_score"));
   training_validation_text(view->validation, text, sizeof(text));
   snprintf(line, sizeof(line), "validation %s", text);
-  print_event_line(view, at, line);
+  live_line(&view->live, at, line);
 }
 
 /* Handles a change of state: fetches what else changed. */
 static int take_change(struct view *view, const json_t *at, const char *type)
 {
   char line[160];
-  int status = load(view);
+  int status = live_load(&view->live);
   snprintf(line, sizeof(line), "%.64s  %s", type, text_of(view->training.json, "state"));
-  print_event_line(view, at, line);
+  live_line(&view->live, at, line);
   return status;
 }
 
-static int show_event(void *context, const char *type, const char *data)
+static int take_event(struct live *live, const char *type, const json_t *at, const json_t *data,
+                      bool *draw)
 {
-  struct view *view = context;
-  if (strcmp(type, "reset") == 0)
-    return load(view) != STATUS_OK || view->finished;
-  json_t *event = json_loads(data, 0, NULL);
-  const json_t *details = json_object_get(event, "data"), *at = json_object_get(event, "at");
-  view->told_s = monotonic_s();
-  bool progress = strcmp(type, "training.progress") == 0;
-  int status = STATUS_OK;
-  if (progress)
-    take_progress(view, at, details);
+  struct view *view = (struct view *)live;
+  live->told_s = monotonic_s();
+  *draw = strcmp(type, "training.progress") != 0;
+  if (!*draw)
+    take_progress(view, at, data);
   else if (strcmp(type, "training.validation") == 0)
-    take_validation(view, at, details);
+    take_validation(view, at, data);
   else if (strcmp(type, "training.checkpoint") == 0) {
     char line[64];
-    json_object_set(view->training.json, "checkpoint_step", json_object_get(details, "step"));
-    snprintf(line, sizeof(line), "checkpoint of step %lld", (long long)number_of(details, "step"));
-    print_event_line(view, at, line);
+    json_object_set(live->job, "checkpoint_step", json_object_get(data, "step"));
+    snprintf(line, sizeof(line), "checkpoint of step %lld", (long long)number_of(data, "step"));
+    live_line(live, at, line);
   } else if (strncmp(type, "job.", 4) == 0)
-    status = take_change(view, at, type);
-  json_decref(event);
-  draw(view, !progress || view->finished);
-  return status != STATUS_OK || view->finished;
-}
-
-/* Fetches the state, and reports a new phase or reason. */
-static int look_again(void *context)
-{
-  struct view *view = context;
-  char before[64], line[400];
-  snprintf(before, sizeof(before), "%s", text_of(view->training.json, "phase"));
-  int status = load(view);
-  if (status != STATUS_OK)
-    return status;
-  const char *phase = text_of(view->training.json, "phase"),
-             *reason = text_of(view->training.json, "reason");
-  if (strcmp(before, phase) != 0 && strcmp(phase, "idle") != 0) {
-    snprintf(line, sizeof(line), "%s%s%.300s", phase, *reason != 0 ? ": " : "", reason);
-    print_event_line(view, NULL, line);
-  }
-  draw(view, true);
+    return take_change(view, at, type);
   return STATUS_OK;
 }
 
-static int notice(void *context)
+static void report_phase(const struct live *live, const char *before, const char *reason_before)
 {
-  struct view *view = context;
-  int status = STATUS_OK;
-  if (monotonic_s() - view->told_s > ASK_S)
-    status = look_again(view);
-  return status != STATUS_OK || view->finished;
+  char line[400];
+  const char *phase = text_of(live->job, "phase"), *reason = text_of(live->job, "reason");
+  (void)reason_before;
+  if (strcmp(before, phase) != 0 && strcmp(phase, "idle") != 0) {
+    snprintf(line, sizeof(line), "%s%s%.300s", phase, *reason != 0 ? ": " : "", reason);
+    live_line(live, NULL, line);
+  }
 }
 
-static bool is_finished(void *context)
+static void begin(struct live *live)
 {
-  const struct view *view = context;
-  return view->finished;
+  const struct view *view = (const struct view *)live;
+  char step[96];
+  if (live->screen.live || live->ctl->quiet)
+    return;
+  training_step_text(number_of(view->progress, "step"), number_of(view->progress, "steps"), step,
+                     sizeof(step));
+  print_plain_line(stdout, "training %s (%s %s) is %s, %s", live->id, text_of(live->job, "kind"),
+                   text_of(live->job, "name"), text_of(live->job, "state"), step);
+  fflush(stdout);
 }
 
-static void say_how_to_return(const struct ctl *ctl, const char *id)
+static int finish(struct live *live)
 {
-  if (!ctl->quiet)
-    print_plain_line(stderr,
-                     "The training goes on. To watch it again: morphoctl train watch %s; to set it "
-                     "aside: morphoctl "
-                     "train pause %s; to stop it: morphoctl train cancel %s",
-                     id, id, id);
-}
-
-static int finish(const struct view *view)
-{
-  const json_t *training = view->training.json,
-               *controller = json_object_get(training, "controller");
-  if (json_is_object(controller) && !view->ctl->quiet)
-    print_plain_line(stdout, "controller %s: sha256:%s", text_of(controller, "name"),
-                     text_of(controller, "sha256"));
-  return training_outcome(training);
+  live_print_controller(live, json_object_get(live->job, "controller"));
+  return job_outcome("training", live->job);
 }
 
 int watch_training(struct ctl *ctl, const char *id)
 {
-  struct view view = {.ctl = ctl, .screen = screen_open(ctl)};
-  int64_t newest = -1;
+  static const struct live_kind kind = {"training", "train",    ASK_S,        load,  write_view,
+                                        begin,      take_event, report_phase, finish};
+  struct view view = {.live = {.kind = &kind, .ctl = ctl, .id = id}};
   snprintf(view.training.id, sizeof(view.training.id), "%s", id);
-  catch_interrupts(); /* before the first output */
-  int status = newest_event(ctl, &newest);
-  if (status == STATUS_OK)
-    status = load(&view);
-  if (status == STATUS_OK && !view.screen.live && !ctl->quiet) {
-    char step[96];
-    training_step_text(number_of(view.progress, "step"), number_of(view.progress, "steps"), step,
-                       sizeof(step));
-    print_plain_line(stdout, "training %s (%s %s) is %s, %s", id,
-                     text_of(view.training.json, "kind"), text_of(view.training.json, "name"),
-                     text_of(view.training.json, "state"), step);
-    fflush(stdout);
-  }
-  draw(&view, true);
-  struct follow follow = {.ctl = ctl,
-                          .job = id,
-                          .after = newest,
-                          .event = show_event,
-                          .alive = notice,
-                          .broken = look_again,
-                          .ended = is_finished,
-                          .context = &view};
-  if (status == STATUS_OK && !view.finished)
-    status = follow_events(&follow);
-  if (status == STATUS_INTERRUPTED)
-    say_how_to_return(ctl, id);
-  else if (status == STATUS_OK && view.finished)
-    status = finish(&view);
-  else if (status == STATUS_OK)
-    status = STATUS_ERROR; /* the error was already reported */
+  int status = live_watch(&view.live);
   json_decref(view.progress);
   json_decref(view.validation);
   training_free(&view.training);
@@ -280,7 +208,5 @@ int watch_training(struct ctl *ctl, const char *id)
 
 int run_train_watch(struct ctl *ctl)
 {
-  if (ctl->json)
-    return run_watch(ctl); /* the API's events, one per line */
-  return check_job_id(ctl->operands[0]) ? watch_training(ctl, ctl->operands[0]) : STATUS_USAGE;
+  return watch_operand(ctl, watch_training);
 }

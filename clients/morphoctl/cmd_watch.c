@@ -123,9 +123,14 @@ int run_watch(struct ctl *ctl)
 
 int watch_started(struct ctl *ctl, const char *id, int (*watch)(struct ctl *ctl, const char *id))
 {
-  if (!ctl->json)
-    return watch(ctl, id);
   ctl->operands[0] = id;
   ctl->n_operands = 1;
-  return run_watch(ctl);
+  return watch_operand(ctl, watch);
+}
+
+int watch_operand(struct ctl *ctl, int (*watch)(struct ctl *ctl, const char *id))
+{
+  if (ctl->json)
+    return run_watch(ctl);
+  return check_job_id(ctl->operands[0]) ? watch(ctl, ctl->operands[0]) : STATUS_USAGE;
 }

@@ -24,6 +24,8 @@ int run_watch(struct ctl *ctl);
 /* Follows a job that was just started: prints the API's events one per line with --json, else calls
  * `watch`. */
 int watch_started(struct ctl *ctl, const char *id, int (*watch)(struct ctl *ctl, const char *id));
+/* Follows the job that the first operand names in the same way. */
+int watch_operand(struct ctl *ctl, int (*watch)(struct ctl *ctl, const char *id));
 int run_train_start(struct ctl *ctl);
 int run_train_list(struct ctl *ctl);
 int run_train_show(struct ctl *ctl);
@@ -81,8 +83,9 @@ int evaluation_wait(struct ctl *ctl, const char *id, json_t **evaluation);
 /* Saves the recorded trajectories of an evaluation as NumPy files, with evaluation.json, in a
  * folder, which is created. */
 int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder);
-/* Returns STATUS_OK if the evaluation succeeded, else complains and returns STATUS_NEGATIVE. */
-int evaluation_outcome(const json_t *evaluation);
+/* Returns STATUS_OK if the job succeeded, else complains and returns STATUS_NEGATIVE. noun: what
+ * the complaint calls it. */
+int job_outcome(const char *noun, const json_t *job);
 
 /* Prints the results of a finished evaluation as a table. names: (n) or NULL. */
 void print_results(const struct ctl *ctl, const json_t *evaluation, char *const *names,
@@ -92,11 +95,19 @@ void print_fact(const struct ctl *ctl, const char *name, const char *format, ...
     __attribute__((format(printf, 3, 4)));
 void print_job_facts(const struct ctl *ctl, const json_t *job);
 void print_job_times(const struct ctl *ctl, const json_t *job); /* created, started, finished */
+/* Prints state, reason (without one the phase, if it is not ""), weight, device, label, error and
+ * attempts. */
+void print_job_state(const struct ctl *ctl, const json_t *job, const char *phase);
+/* Prints "NAME, sha256:…"; without a controller, the random weights of this sensor. */
+void print_controller_fact(const struct ctl *ctl, const char *fact, const json_t *controller,
+                           const char *sensor);
 
 /* Prints a job's state, in its color. */
 void print_state(const struct ctl *ctl, const char *state);
 /* Writes the bytes of a reply to a file, or to standard output ("-"). */
 int save_output(const char *path, const void *bytes, size_t n);
+/* Saves the reply to a GET in the same way, and reports its size. */
+int save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output);
 
 /* ---- dump.c ---- */
 
@@ -113,10 +124,19 @@ int show_json(struct ctl *ctl, const char *path);
 
 /* Collects the items of a paged list up to `limit` (0: all) in the array *items, in order. */
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
+/* Fetches the rows of a numbered list behind `after` (−1: from the first), page by page. path: with
+ * its query. take: false: no memory. */
+int walk_rows(struct ctl *ctl, const char *path, int64_t after,
+              bool (*take)(void *context, const json_t *row), void *context);
 /* Checks the options --state, --limit and --all, and collects items by them. */
 int collect_states(struct ctl *ctl, const char *list, json_t **items);
 /* Prints the items as one page if JSON was requested; else prints nothing and returns false. */
 bool print_page(const struct ctl *ctl, json_t *items);
+/* Prints the items that a `collect` with this status gave, as a page or as a table of which `add`
+ * adds the row of an item, and frees them. Returns the status. */
+struct table;
+int print_list(const struct ctl *ctl, int status, json_t *items, const char *heads,
+               void (*add)(struct table *table, const json_t *item));
 
 bool is_final(const char *state);
 bool is_state(const char *word); /* "queued", "running", … */

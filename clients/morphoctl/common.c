@@ -74,6 +74,19 @@ int save_output(const char *path, const void *bytes, size_t n)
   return ok ? STATUS_OK : complain(STATUS_ERROR, "%s: %s", path, strerror(error));
 }
 
+int save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output)
+{
+  struct reply reply;
+  int status = transport_send(
+      ctl, &(struct request){.method = "GET", .path = path, .accept = accept}, &reply);
+  if (status == STATUS_OK)
+    status = save_output(output, reply.body != NULL ? reply.body : "", reply.body_bytes);
+  if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
+    print_plain_line(stderr, "%s: %zu bytes", output, reply.body_bytes);
+  reply_free(&reply);
+  return status;
+}
+
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
 {
   json_t *all = json_array();
@@ -107,6 +120,31 @@ int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
     all = NULL;
   }
   *items = all;
+  return status;
+}
+
+int walk_rows(struct ctl *ctl, const char *path, int64_t after,
+              bool (*take)(void *context, const json_t *row), void *context)
+{
+  int status = STATUS_OK;
+  for (bool more = true; status == STATUS_OK && more;) {
+    char page_path[192];
+    int n = snprintf(page_path, sizeof(page_path), "%s", path);
+    if (after >= 0)
+      snprintf(page_path + n, sizeof(page_path) - (size_t)n, "&cursor=%" PRId64, after);
+    json_t *page, *row;
+    size_t i;
+    status = transport_get_json(ctl, page_path, 0, &page);
+    json_array_foreach(json_object_get(page, "items"), i, row)
+    {
+      if (status == STATUS_OK && !take(context, row))
+        status = complain(STATUS_ERROR, "out of memory");
+    }
+    const int64_t next = strtoll(text_of(page, "next_cursor"), NULL, 10);
+    more = json_is_string(json_object_get(page, "next_cursor")) && next > after;
+    after = next;
+    json_decref(page);
+  }
   return status;
 }
 
@@ -153,6 +191,33 @@ bool print_page(const struct ctl *ctl, json_t *items)
   return true;
 }
 
+int print_list(const struct ctl *ctl, int status, json_t *items, const char *heads,
+               void (*add)(struct table *table, const json_t *item))
+{
+  size_t i;
+  const json_t *item;
+  if (status == STATUS_OK && !print_page(ctl, items)) {
+    struct table table;
+    table_open(&table, heads);
+    json_array_foreach(items, i, item) add(&table, item);
+    table_print(&table, stdout, ctl);
+  }
+  json_decref(items);
+  return status;
+}
+
+int job_outcome(const char *noun, const json_t *job)
+{
+  const char *state = text_of(job, "state");
+  if (strcmp(state, "succeeded") == 0)
+    return STATUS_OK;
+  const json_t *error = json_object_get(job, "error");
+  if (json_is_object(error))
+    return complain(STATUS_NEGATIVE, "%s %s %s: %s", noun, text_of(job, "id"), state,
+                    text_of(error, "detail"));
+  return complain(STATUS_NEGATIVE, "%s %s is %s", noun, text_of(job, "id"), state);
+}
+
 static void print_name(const struct ctl *ctl, const char *name)
 {
   printf("%s%s%s%*s ", ctl->color ? "\033[1m" : "", name, ctl->color ? "\033[0m" : "",
@@ -182,6 +247,35 @@ void print_state(const struct ctl *ctl, const char *state)
   puts(color != NULL ? "\033[0m" : "");
 }
 
+void print_job_state(const struct ctl *ctl, const json_t *job, const char *phase)
+{
+  const json_t *error = json_object_get(job, "error");
+  print_state(ctl, text_of(job, "state"));
+  if (*text_of(job, "reason") != 0)
+    print_fact(ctl, "reason", "%s", text_of(job, "reason"));
+  else if (*phase != 0)
+    print_fact(ctl, "phase", "%s", phase);
+  print_fact(ctl, "weight", "%g", json_number_value(json_object_get(job, "weight")));
+  print_fact(ctl, "device", "%s", text_of(job, "device"));
+  if (*text_of(job, "label") != 0)
+    print_fact(ctl, "label", "%s", text_of(job, "label"));
+  if (json_is_object(error))
+    print_fact(ctl, "error", "%s: %s", text_of(error, "code"), text_of(error, "detail"));
+  if (number_of(job, "attempts") > 0)
+    print_fact(ctl, "attempts", "%" PRId64, number_of(job, "attempts"));
+}
+
+void print_controller_fact(const struct ctl *ctl, const char *fact, const json_t *controller,
+                           const char *sensor)
+{
+  const char *name = text_of(controller, "name");
+  if (json_is_object(controller))
+    print_fact(ctl, fact, "%s%ssha256:%s", name, *name != 0 ? ", " : "",
+               text_of(controller, "sha256"));
+  else
+    print_fact(ctl, fact, "random weights, sensor %s", sensor);
+}
+
 void print_job_times(const struct ctl *ctl, const json_t *job)
 {
   char time[32];
@@ -193,21 +287,9 @@ void print_job_times(const struct ctl *ctl, const json_t *job)
 void print_job_facts(const struct ctl *ctl, const json_t *job)
 {
   char a[32], b[32];
-  const char *state = text_of(job, "state");
   print_fact(ctl, "job", "%s (%s, %s)", text_of(job, "id"), text_of(job, "kind"),
              text_of(job, "priority"));
-  print_state(ctl, state);
-  if (*text_of(job, "reason") != 0)
-    print_fact(ctl, "reason", "%s", text_of(job, "reason"));
-  print_fact(ctl, "weight", "%g", json_number_value(json_object_get(job, "weight")));
-  print_fact(ctl, "device", "%s", text_of(job, "device"));
-  if (*text_of(job, "label") != 0)
-    print_fact(ctl, "label", "%s", text_of(job, "label"));
-  const json_t *error = json_object_get(job, "error");
-  if (json_is_object(error))
-    print_fact(ctl, "error", "%s: %s", text_of(error, "code"), text_of(error, "detail"));
-  if (number_of(job, "attempts") > 0)
-    print_fact(ctl, "attempts", "%" PRId64, number_of(job, "attempts"));
+  print_job_state(ctl, job, "");
   const json_t *training = json_object_get(job, "training");
   if (json_is_object(training)) {
     print_fact(ctl, "name", "%s", text_of(training, "name"));
@@ -226,10 +308,7 @@ void print_job_facts(const struct ctl *ctl, const json_t *job)
     print_job_times(ctl, job);
     return;
   }
-  const json_t *controller = json_object_get(job, "controller");
-  const char *name = text_of(controller, "name");
-  print_fact(ctl, "controller", "%s%ssha256:%s", name, *name != 0 ? ", " : "",
-             text_of(controller, "sha256"));
+  print_controller_fact(ctl, "controller", json_object_get(job, "controller"), "");
   const json_t *environments = json_object_get(job, "environments");
   if (json_is_string(environments))
     print_fact(ctl, "environments", "%s", json_string_value(environments));

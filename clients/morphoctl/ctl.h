@@ -21,11 +21,15 @@ enum status {
   STATUS_INTERRUPTED = 130
 };
 
+enum field_kind { FIELD_WORD, FIELD_WHOLE, FIELD_REAL };
+
 struct option_spec {
   const char *name;  /* without dashes; NULL ends a list */
   char letter;       /* 0: none */
   const char *value; /* name of the value in the help; NULL: a switch */
   const char *help;
+  const char *place; /* of the value in the request: "group.field"; NULL: the command reads it */
+  enum field_kind kind;
 };
 
 struct given {

@@ -4,16 +4,19 @@
 #include <string.h>
 
 #include "commands.h"
+#include "fields.h"
+#include "settings.inc"
 #include "table.h"
 #include "transport.h"
 
 int request_physics(json_t *physics, const char *text)
 {
-  static const char *const keys[] = {"dt_s",          "n_steps",    "stiffness_n_per_m",
-                                     "mass_kg",       "drag_per_s", "gravity_m_per_s2",
-                                     "actuation",     "friction",   "friction_cap",
-                                     "drop_height_m", "impact"};
-  enum { N_KEYS = sizeof(keys) / sizeof(keys[0]) };
+  static const struct {
+    const char *key;
+    enum field_kind kind;
+  } fields[] = {PHYSICS_FIELDS};
+  enum { N_FIELDS = sizeof(fields) / sizeof(fields[0]) };
+  const char *keys[N_FIELDS];
   const char *equals = strchr(text, '=');
   char key[64];
   if (equals == NULL || equals == text || (size_t)(equals - text) >= sizeof(key))
@@ -21,31 +24,20 @@ int request_physics(json_t *physics, const char *text)
   memcpy(key, text, (size_t)(equals - text));
   key[equals - text] = 0;
   size_t k = 0;
-  while (k < N_KEYS && strcmp(keys[k], key) != 0)
+  while (k < N_FIELDS && strcmp(fields[k].key, key) != 0)
     k++;
-  if (k == N_KEYS) {
-    const char *near = nearest_name(key, keys, N_KEYS);
+  if (k == N_FIELDS) {
+    for (k = 0; k < N_FIELDS; k++)
+      keys[k] = fields[k].key;
+    const char *near = nearest_name(key, keys, N_FIELDS);
     return complain(STATUS_USAGE, "--physics: there is no \"%s\"%s%s%s", key,
                     near != NULL ? "; did you mean " : "", near != NULL ? near : "",
                     near != NULL ? "?" : "");
   }
-  const char *value = equals + 1;
-  json_t *json = NULL;
-  char *end = NULL;
-  if (strcmp(key, "impact") == 0) {
-    json = json_string(value);
-  } else if (strcmp(key, "n_steps") == 0) {
-    long long n = strtoll(value, &end, 10);
-    if (*value != 0 && *end == 0)
-      json = json_integer(n);
-  } else {
-    double number = strtod(value, &end);
-    if (*value != 0 && *end == 0)
-      json = json_real(number); /* NULL if it is not finite */
-  }
+  json_t *json = field_value(fields[k].kind, equals + 1);
   if (json == NULL)
-    return complain(STATUS_USAGE, "--physics: \"%s\" is not a %s", value,
-                    k == 1 ? "whole number" : "number");
+    return complain(STATUS_USAGE, "--physics: \"%s\" is not a %s", equals + 1,
+                    field_kind_name(fields[k].kind));
   json_object_set_new(physics, key, json);
   return STATUS_OK;
 }
@@ -201,16 +193,4 @@ int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluat
   snprintf(id, sizeof(id), "%s", text_of(*evaluation, "id"));
   json_decref(*evaluation);
   return evaluation_wait(ctl, id, evaluation);
-}
-
-int evaluation_outcome(const json_t *evaluation)
-{
-  const char *state = text_of(evaluation, "state");
-  if (strcmp(state, "succeeded") == 0)
-    return STATUS_OK;
-  const json_t *error = json_object_get(evaluation, "error");
-  if (json_is_object(error))
-    return complain(STATUS_NEGATIVE, "job %s %s: %s", text_of(evaluation, "id"), state,
-                    text_of(error, "detail"));
-  return complain(STATUS_NEGATIVE, "job %s is %s", text_of(evaluation, "id"), state);
 }

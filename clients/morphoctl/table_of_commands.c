@@ -1,6 +1,23 @@
 /* table_of_commands.c: all commands with their options and help, in the order of the help text. */
 #include "commands.h"
 #include "fields.h"
+#include "settings.inc"
+
+#define JOB_OPTIONS(priority)                                                                      \
+  {"priority", 0, "interactive|batch", priority, "priority", FIELD_WORD},                          \
+      {"weight", 0,                                                                                \
+       "X",      "Part of the cores beside other batch work, 0.001 to 1000 (default: 1).",         \
+       "weight", FIELD_REAL},                                                                      \
+      {"device",                                                                                   \
+       0,                                                                                          \
+       "auto|cpu|cuda",                                                                            \
+       "What computes it: processors, GPUs, or GPUs if one works and it suits them (default: "     \
+       "auto).",                                                                                   \
+       "device",                                                                                   \
+       FIELD_WORD},                                                                                \
+  {                                                                                                \
+    "label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD                       \
+  }
 
 static const struct option_spec eval_options[] = {
     SCORE_OPTIONS,
@@ -10,11 +27,7 @@ static const struct option_spec eval_options[] = {
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
     {"output", 'o', "FOLDER",
      "Where to put recorded trajectories, as NumPy files, and evaluation.json."},
-    {"label", 'l', "TEXT", "A label to find the job by."},
-    {"priority", 0, "interactive|batch", "Default: interactive up to 64 rollouts, else batch."},
-    {"weight", 0, "X", "Part of the cores beside other batch work, 0.001 to 1000 (default: 1)."},
-    {"device", 0, "auto|cpu|cuda",
-     "What computes it: processors, GPUs, or GPUs if one works and it suits them (default: auto)."},
+    JOB_OPTIONS("Default: interactive up to 64 rollouts, else batch."),
     {"wait", 0, NULL, "Wait for the result (the default)."},
     {"no-wait", 0, NULL, "Print the id of the evaluation and do not wait."},
     {"sort", 0, "input|score", "Order of the table (default: input)."},
@@ -55,43 +68,42 @@ static const struct option_spec train_start_options[] = {
     {"preset", 0, "workstation|phototaxis|paper",
      "What is not given: workstation, the defaults below (default); phototaxis, as the shipped "
      "controller was "
-     "pretrained; paper, as in the paper."},
-    {"name", 0, "NAME", "Name of the resulting controller (default: training- and the id)."},
+     "pretrained; paper, as in the paper.",
+     "preset", FIELD_WORD},
+    {"name", 0, "NAME", "Name of the resulting controller (default: training- and the id).", "name",
+     FIELD_WORD},
     {"controller", 'c', "NAME",
      "Controller to start from: a name or sha256:<64 digits> (default: random weights; finetune: "
-     "default)."},
-    {"sensor", 0, "inverse_sqrt|inverse_square",
-     "Sensor of a controller from random weights (default: inverse_sqrt)."},
+     "default).",
+     "controller", FIELD_WORD},
     {"random", 0, "N", "finetune: N random bodies (besides those given)."},
     {"random-seed", 0, "SEED", "Seed of these bodies (default: 1)."},
     {"population", 0, "JOB",
      "finetune: the designs of an evaluation that has succeeded, or the newest population of a "
      "campaign, best first."},
     {"best", 0, "N", "Only the N best of the population (default: all)."},
-    {"steps", 'n', "N", "Steps of learning, 1 to 1,000,000 (default: 1400; finetune: 60)."},
-    {"batch", 'b', "N", "Robots of a step, 1 to 65,536 (default: 256)."},
-    {"seed", 0, "SEED", "Seed of bodies, environments and random weights (default: 1)."},
     {"schedule", 0, "NAME",
      "Learning rate: one-cosine (default), finetune-cosine (default of finetune), paper-pretrain, "
      "paper-finetune, "
      "paper-simultaneous; or restarts, cosine or constant, with the options below."},
-    SCHEDULE_OPTIONS,
-    OPTIMIZER_OPTIONS,
-    {"physics", 'p', "KEY=VALUE",
-     "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
+    TRAINING_OPTIONS{
+        "physics", 'p', "KEY=VALUE",
+        "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
     {"validate-every", 0, "STEPS",
-     "Score the held-out set every so many steps; 0: never (default: 50)."},
-    {"validation-designs", 0, "N", "Designs of the held-out set (default: 64)."},
-    {"validation-environments", 0, "N", "Environments of the held-out set (default: 8)."},
-    {"checkpoint-steps", 0, "N", "Save the state every N steps; 0: by time alone (default: 0)."},
+     "Score the held-out set every so many steps; 0: never (default: 50).",
+     "validation.every_steps", FIELD_WHOLE},
+    {"validation-designs", 0, "N", "Designs of the held-out set (default: 64).",
+     "validation.designs", FIELD_WHOLE},
+    {"validation-environments", 0, "N", "Environments of the held-out set (default: 8).",
+     "validation.environments", FIELD_WHOLE},
+    {"checkpoint-steps", 0, "N", "Save the state every N steps; 0: by time alone (default: 0).",
+     "checkpoint.every_steps", FIELD_WHOLE},
     {"checkpoint-seconds", 0, "N",
-     "Save the state every N seconds; 0: by steps alone (default: 60)."},
-    {"checkpoint-keep", 0, "N", "Keep the newest N checkpoints, 1 to 100 (default: 3)."},
-    {"priority", 0, "batch|interactive", "Default: batch."},
-    {"weight", 0, "X", "Part of the cores beside other work, 0.001 to 1000 (default: 1)."},
-    {"device", 0, "auto|cpu|cuda",
-     "What computes it: processors, GPUs, or GPUs if one works and it suits them (default: auto)."},
-    {"label", 'l', "TEXT", "A label to find the job by."},
+     "Save the state every N seconds; 0: by steps alone (default: 60).", "checkpoint.every_s",
+     FIELD_WHOLE},
+    {"checkpoint-keep", 0, "N", "Keep the newest N checkpoints, 1 to 100 (default: 3).",
+     "checkpoint.keep", FIELD_WHOLE},
+    JOB_OPTIONS("Default: batch."),
     {"watch", 'w', NULL, "Watch it to its end, as train watch does."},
     {"idempotency-key", 0, "KEY",
      "Repeating the same request with the same key gives the same training (default: a new key)."},
@@ -124,11 +136,10 @@ static const struct option_spec train_compare_options[] = {
     {NULL, 0, NULL, NULL}};
 static const struct option_spec campaign_start_options[] = {
     {"preset", 0, "paper|workstation|demo",
-     "8192, 512 (default) or 64 designs, and as many generations as suit them."},
-    {"population", 0, "N", "Designs of the population, 2 to 65,536 (default: the preset's)."},
-    {"generations", 'n', "N", "Generations after the initial one (default: the preset's)."},
-    {"seed", 0, "SEED", "Seed of everything that is random (default: 1)."},
-    {"replicates", 'r', "N", "Start N campaigns with seeds from SEED on, 1 to 100 (default: 1)."},
+     "8192, 512 (default) or 64 designs, and as many generations as suit them.", "preset",
+     FIELD_WORD},
+    {"replicates", 'r', "N", "Start N campaigns with seeds from SEED on, 1 to 100 (default: 1).",
+     "replicates", FIELD_WHOLE},
     {"controller", 'c', "NAME",
      "A name or sha256:<64 digits>; random: random weights (default: default; simultaneous: "
      "random)."},
@@ -136,44 +147,22 @@ static const struct option_spec campaign_start_options[] = {
      "paper-test (default), or a JSON file with a list of environments; - is standard input."},
     {"from", 0, "CAMPAIGN", "Begin with the newest population of another campaign."},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
-    {"mutation-share", 0, "X",
-     "Share of the population that mutates; the rest recombines (default: 0.25)."},
-    {"mutation-rate", 0, "X",
-     "Probability that a voxel flips (default: 1 / voxels of the workspace)."},
-    {"mutation-growth", 0, "X",
-     "Of the rate after each attempt that gave nothing new (default: 1.025)."},
     {"selection", 0, "KIND", "truncation (default), tournament, novelty or age-layered."},
-    {"tournament-size", 0, "N", "tournament: designs of a tournament (default: 4)."},
-    {"novelty-weight", 0, "X", "novelty: weight of being different, 0 to 1 (default: 0.5)."},
-    {"layers", 0, "N", "age-layered: number of layers (default: 4)."},
-    {"age-gap", 0, "N", "age-layered: age limit of the first layer in generations (default: 5)."},
-    {"collapse-share", 0, "X",
-     "Warn when the diversity falls below this share of its maximum; 0: never (default: 0.5)."},
     {"no-exclusions", 0, NULL, "Let bodies be born that the controller was pretrained on."},
-    {"parent-steps", 0, "N",
-     "Learning steps of a generation on the parents (default: few-shot 30, simultaneous 1)."},
-    {"child-steps", 0, "N", "The same on the children."},
-    {"batch", 'b', "N", "Robots of a learning step (default: the population)."},
     {"schedule", 0, "NAME",
      "Learning rate: one-cosine, finetune-cosine, paper-pretrain, paper-finetune (default of "
      "few-shot), "
      "paper-simultaneous (default of simultaneous); or restarts, cosine or constant, with the "
      "options below."},
-    SCHEDULE_OPTIONS,
-    OPTIMIZER_OPTIONS,
-    {"sensor", 0, "inverse_sqrt|inverse_square",
-     "Sensor of a controller from random weights (default: inverse_sqrt)."},
-    {"checkpoint-seconds", 0, "N",
-     "Save the state of learning every N seconds; 0: at its end (default: 60)."},
+    CAMPAIGN_OPTIONS{"checkpoint-seconds", 0, "N",
+                     "Save the state of learning every N seconds; 0: at its end (default: 60).",
+                     "learning.checkpoint_every_s", FIELD_WHOLE},
     {"physics", 'p', "KEY=VALUE",
      "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
     {"name", 0, "NAME",
-     "Name of the controller that a learning campaign makes (default: campaign- and the id)."},
-    {"priority", 0, "batch|interactive", "Default: batch."},
-    {"weight", 0, "X", "Part of the cores beside other work, 0.001 to 1000 (default: 1)."},
-    {"device", 0, "auto|cpu|cuda",
-     "What computes it: processors, GPUs, or GPUs if one works and it suits them (default: auto)."},
-    {"label", 'l', "TEXT", "A label to find the job by."},
+     "Name of the controller that a learning campaign makes (default: campaign- and the id).",
+     "name", FIELD_WORD},
+    JOB_OPTIONS("Default: batch."),
     {"watch", 'w', NULL, "Watch it to its end, as campaign watch does."},
     {"idempotency-key", 0, "KEY",
      "Repeating the same request with the same key gives the same campaign (default: a new key)."},

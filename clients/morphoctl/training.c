@@ -39,38 +39,30 @@ bool training_add(struct training_curve *curve, double x, double y)
   return true;
 }
 
-/* Fetches the rows after the last point. key: the value to draw; stride 0: the path has no
- * stride. */
+struct loading {
+  struct training_curve *curve;
+  const char *key; /* the value to draw */
+};
+
+static bool add_row(void *context, const json_t *row)
+{
+  const struct loading *loading = context;
+  const json_t *value = json_object_get(row, loading->key);
+  return training_add(loading->curve, (double)number_of(row, "step"),
+                      json_is_number(value) ? json_number_value(value) : (double)NAN);
+}
+
+/* Fetches the rows after the last point. stride 0: the path has no stride. */
 static int load_curve(struct ctl *ctl, const char *id, const char *what, const char *key,
                       int64_t stride, struct training_curve *curve)
 {
-  int status = STATUS_OK;
-  bool more = true;
-  int64_t after =
-      curve->n > 0 ? (int64_t)curve->points[curve->n - 1].x : -1; /* −1: from the first */
-  while (status == STATUS_OK && more) {
-    char path[160];
-    int n = snprintf(path, sizeof(path), "/v1/trainings/%s/%s?limit=1000", id, what);
-    if (stride > 0)
-      n += snprintf(path + n, sizeof(path) - (size_t)n, "&stride=%" PRId64, stride);
-    if (after >= 0)
-      snprintf(path + n, sizeof(path) - (size_t)n, "&cursor=%" PRId64, after);
-    json_t *page, *row;
-    size_t i;
-    status = transport_get_json(ctl, path, 0, &page);
-    json_array_foreach(json_object_get(page, "items"), i, row)
-    {
-      const json_t *value = json_object_get(row, key);
-      double y = json_is_number(value) ? json_number_value(value) : (double)NAN;
-      if (status == STATUS_OK && !training_add(curve, (double)number_of(row, "step"), y))
-        status = complain(STATUS_ERROR, "out of memory");
-    }
-    const int64_t next = strtoll(text_of(page, "next_cursor"), NULL, 10);
-    more = json_is_string(json_object_get(page, "next_cursor")) && next > after;
-    after = next;
-    json_decref(page);
-  }
-  return status;
+  struct loading loading = {curve, key};
+  char path[160];
+  int n = snprintf(path, sizeof(path), "/v1/trainings/%s/%s?limit=1000", id, what);
+  if (stride > 0)
+    snprintf(path + n, sizeof(path) - (size_t)n, "&stride=%" PRId64, stride);
+  return walk_rows(ctl, path, curve->n > 0 ? (int64_t)curve->points[curve->n - 1].x : -1, add_row,
+                   &loading);
 }
 
 int training_load(struct ctl *ctl, struct training *training)
@@ -223,16 +215,4 @@ void training_event_text(const char *type, const json_t *data, char *text, size_
              count_text(number_of(data, "from_step"), step), text_of(data, "fingerprint"),
              *before != 0 ? before : "unknown");
   }
-}
-
-int training_outcome(const json_t *training)
-{
-  const char *state = text_of(training, "state");
-  if (strcmp(state, "succeeded") == 0)
-    return STATUS_OK;
-  const json_t *error = json_object_get(training, "error");
-  if (json_is_object(error))
-    return complain(STATUS_NEGATIVE, "training %s %s: %s", text_of(training, "id"), state,
-                    text_of(error, "detail"));
-  return complain(STATUS_NEGATIVE, "training %s is %s", text_of(training, "id"), state);
 }

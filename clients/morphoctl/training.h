@@ -55,7 +55,4 @@ void training_event_text(const char *type, const json_t *data, char *text, size_
  * ends only the command, not the training. */
 int watch_training(struct ctl *ctl, const char *id);
 
-/* Returns STATUS_OK if the training succeeded, else complains and returns STATUS_NEGATIVE. */
-int training_outcome(const json_t *training);
-
 #endif

@@ -44,8 +44,7 @@ enum mo_campaign_mode {
 };
 const char *
 mo_campaign_mode_name(enum mo_campaign_mode mode); /* "zero-shot", "few-shot", "simultaneous" */
-int mo_campaign_mode_from_name(const char *name,
-                               enum mo_campaign_mode *mode); /* MO_ERR_NOT_FOUND */
+extern const char *const mo_campaign_mode_words[]; /* the same, NULL */
 
 /* In every scheme the best candidate survives, and a diverged one survives only when there is
  * nothing better.
@@ -111,7 +110,7 @@ struct mo_campaign_settings {
  * mo_schedule_paper_finetune. Simultaneous: 1 + 1, mo_schedule_paper_simultaneous. */
 enum mo_preset { MO_PRESET_PAPER = 0, MO_PRESET_WORKSTATION = 1, MO_PRESET_DEMO = 2 };
 const char *mo_preset_name(enum mo_preset preset); /* "paper", "workstation", "demo" */
-int mo_preset_from_name(const char *name, enum mo_preset *preset);
+extern const char *const mo_preset_words[];        /* the same, NULL */
 struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum mo_preset preset);
 
 /* MO_ERR_INVALID, MO_ERR_RANGE; message names the setting, its value and what it must be. */

@@ -123,15 +123,6 @@ int mo_gradient_memory_create(size_t budget_bytes, struct mo_gradient_memory **m
 void mo_gradient_memory_free(struct mo_gradient_memory *memory); /* NULL-safe */
 size_t mo_gradient_memory_bytes(const struct mo_gradient_memory *memory);
 
-/* Where time went, in seconds, summed over calls. */
-struct mo_gradient_profile {
-  double pack_s;                                       /* layouts made for the block */
-  double sense_s, control_s, physics_s;                /* forward */
-  double physics_back_s, control_back_s, parameters_s; /* backward */
-  double repeat_s;                                     /* segments run again */
-  uint64_t robot_steps;
-};
-
 /* Orders the n robots so that each run of MO_GRADIENT_ROBOTS fits together (bodies that overlap
  * share work). Depends only on the bodies. order: (n). MO_ERR_NO_MEMORY. */
 int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order);
@@ -148,13 +139,13 @@ int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order
  * Range).
  *
  * The result depends only on the inputs (robots, in this order) and the instruction set. outcomes:
- * (n). pause, profile, counts nullable (counts are added to). MO_ERR_INVALID (a body of another
+ * (n). pause, counts nullable (counts are added to). MO_ERR_INVALID (a body of another
  * workspace, options), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                       const struct mo_gradient_options *options, const struct mo_pause_point *pause,
-                      struct mo_gradient_profile *profile, struct mo_outcome *outcomes,
-                      float *d_parameters, struct mo_gradient_counts *counts);
+                      struct mo_outcome *outcomes, float *d_parameters,
+                      struct mo_gradient_counts *counts);
 
 #ifdef __cplusplus
 }

@@ -118,8 +118,8 @@ enum mo_learning_preset {
   MO_LEARNING_PRESET_PHOTOTAXIS = 1,
   MO_LEARNING_PRESET_PAPER = 2
 };
-/* "workstation", "phototaxis", "paper"; MO_ERR_NOT_FOUND. */
-int mo_learning_preset_from_name(const char *name, enum mo_learning_preset *preset);
+/* "workstation", "phototaxis", "paper", NULL. */
+extern const char *const mo_learning_preset_words[];
 struct mo_training_settings mo_training_preset(enum mo_training_kind kind,
                                                enum mo_learning_preset preset);
 struct mo_training_settings

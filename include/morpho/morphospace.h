@@ -13,6 +13,7 @@
 #ifndef MORPHO_MORPHOSPACE_H
 #define MORPHO_MORPHOSPACE_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -38,6 +39,7 @@ struct mo_workspace {
 
 /* MO_OK; MO_ERR_RANGE for a side of 0; MO_ERR_LIMIT above MO_VOXELS_MAX voxels. */
 int mo_workspace_check(struct mo_workspace workspace);
+bool mo_workspace_equal(struct mo_workspace a, struct mo_workspace b);
 uint32_t mo_workspace_voxels(struct mo_workspace workspace);
 uint32_t mo_workspace_words(struct mo_workspace workspace);
 uint32_t mo_workspace_masses(struct mo_workspace workspace);

@@ -101,13 +101,6 @@ int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
                    enum mo_precision precision, struct mo_pack **pack);
 void mo_pack_free(struct mo_pack *pack);
 
-/* Where time went, in seconds, summed over calls. */
-struct mo_rollout_profile {
-  double pack_s, sense_s, control_s, spring_s,
-      contact_s; /* contact includes velocity and position */
-  uint64_t rollout_steps;
-};
-
 /* Scratch of one worker: grows to the largest body it has seen, then allocates no more. */
 struct mo_workspace_memory;
 int mo_workspace_memory_create(struct mo_workspace_memory **memory);
@@ -115,12 +108,12 @@ void mo_workspace_memory_free(struct mo_workspace_memory *memory);
 size_t mo_workspace_memory_bytes(const struct mo_workspace_memory *memory);
 
 /* Runs one body in n_environments (1 … MO_BLOCK_LANES) environments. recordings: NULL or
- * n_environments of them. outcomes: (n_environments). pause, profile nullable. */
+ * n_environments of them. outcomes: (n_environments). pause nullable. */
 int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack,
                      const struct mo_body *body, const struct mo_environment *const *environments,
                      uint32_t n_environments, const struct mo_physics *physics,
                      const struct mo_recording *recordings, const struct mo_pause_point *pause,
-                     struct mo_rollout_profile *profile, struct mo_outcome *outcomes);
+                     struct mo_outcome *outcomes);
 
 #ifdef __cplusplus
 }

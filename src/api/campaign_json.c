@@ -9,35 +9,6 @@
 #include "api/job_json.h"
 #include "store/fields.h"
 
-enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *status,
-                                          const struct mo_live *live)
-{
-  bool waits = status->job.state == MO_JOB_RUNNING && live->phase == MO_PHASE_WAIT;
-  return waits ? MO_JOB_PAUSED : status->job.state;
-}
-
-static void write_reason(struct mo_text *text, const struct mo_campaign_status *status,
-                         const struct mo_live *live)
-{
-  if (live->reason[0] != '\0' && !mo_job_state_is_final(status->job.state))
-    mo_text_member(text, "reason", live->reason);
-  else if (mo_job_lacks_device(&status->job))
-    mo_text_member(text, "reason", status->job.error_text);
-  else
-    mo_text_add(text, ",\"reason\":null");
-}
-
-/* Writes the name that the resulting controller has or will have. */
-static void write_name(struct mo_text *text, const struct mo_campaign_status *status)
-{
-  char made[40];
-  snprintf(made, sizeof(made), "campaign-%lld", (long long)status->job.id);
-  if (status->record.settings.mode == MO_ZERO_SHOT)
-    mo_text_add(text, ",\"name\":null");
-  else
-    mo_text_member(text, "name", status->record.name[0] != '\0' ? status->record.name : made);
-}
-
 /* ---- settings ---- */
 
 static void write_environments(struct mo_text *text, const struct mo_campaign_record *record)
@@ -87,92 +58,72 @@ static void write_progress(struct mo_text *text, const struct mo_campaign_status
                            const struct mo_live *live)
 {
   bool runs = live->phase != MO_PHASE_IDLE;
-  if (status->generation >= 0)
-    mo_text_format(text, ",\"progress\":{\"generation\":%lld", (long long)status->generation);
-  else
-    mo_text_add(text, ",\"progress\":{\"generation\":null");
-  mo_text_member_count(text, "generations", status->record.settings.generations);
-  if (runs)
-    mo_text_member_count(text, "under_way", live->position);
-  else
-    mo_text_add(text, ",\"under_way\":null");
+  mo_text_format(text, ",\"progress\":{\"generations\":%u", status->record.settings.generations);
+  mo_member_count_if(text, "generation", status->generation >= 0, (uint64_t)status->generation);
+  mo_member_count_if(text, "under_way", runs, live->position);
   mo_text_member_count(text, "done", runs ? live->done : 0);
   mo_text_member_count(text, "total", runs ? live->total : 0);
   mo_text_member_count(text, "designs", status->n_designs);
-  mo_text_member_number(text, "rollouts_per_s", runs && live->rate > 0 ? live->rate : (double)NAN);
-  mo_text_member_number(text, "seconds_left",
-                        runs && live->seconds_left >= 0 ? live->seconds_left : (double)NAN);
-  mo_text_member_number(text, "busy_s", runs && live->busy_s >= 0 ? live->busy_s : (double)NAN);
-  mo_text_add(text, "}");
-}
-
-static void write_end(struct mo_text *text, enum mo_campaign_end end)
-{
-  if (end == MO_CAMPAIGN_COMPLETED)
-    mo_text_member(text, "end", "completed");
-  else if (end == MO_CAMPAIGN_EXHAUSTED)
-    mo_text_member(text, "end", "exhausted");
-  else
-    mo_text_add(text, ",\"end\":null");
-}
-
-static void write_result(struct mo_text *text, const struct mo_campaign_status *status)
-{
-  char made[40];
-  snprintf(made, sizeof(made), "campaign-%lld", (long long)status->job.id);
-  if (!status->has_result) {
-    mo_text_add(text, ",\"result\":null");
-    return;
-  }
-  mo_text_add(text, ",\"result\":{\"controller\":");
-  mo_reference_write(text, status->record.name[0] != '\0' ? status->record.name : made,
-                     &status->result_sha256);
-  mo_text_add(text, "}");
-}
-
-static void write_links(struct mo_text *text, long long id)
-{
-  static const char *const below[] = {"generations", "learning",    "population", "phylogeny",
-                                      "champions",   "checkpoints", "replicates"};
-  mo_text_format(text, ",\"links\":{\"job\":\"/v1/jobs/%lld\",\"events\":\"/v1/events?job=%lld\"",
-                 id, id);
-  for (size_t i = 0; i < sizeof(below) / sizeof(below[0]); i++)
-    mo_text_format(text, ",\"%s\":\"/v1/campaigns/%lld/%s\"", below[i], id, below[i]);
+  mo_member_number_if(text, "rollouts_per_s", runs && live->rate > 0, live->rate);
+  mo_member_number_if(text, "seconds_left", runs && live->seconds_left >= 0, live->seconds_left);
+  mo_member_number_if(text, "busy_s", runs && live->busy_s >= 0, live->busy_s);
   mo_text_add(text, "}");
 }
 
 void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
                             const struct mo_live *live)
 {
+  static const char *const ends[] = {[MO_CAMPAIGN_OPEN] = NULL,
+                                     [MO_CAMPAIGN_COMPLETED] = "completed",
+                                     [MO_CAMPAIGN_EXHAUSTED] = "exhausted"};
+  static const char *const below[] = {"generations", "generations", "learning",    "learning",
+                                      "population",  "population",  "phylogeny",   "phylogeny",
+                                      "champions",   "champions",   "checkpoints", "checkpoints",
+                                      "replicates",  "replicates",  NULL};
   const struct mo_campaign_record *record = &status->record;
-  mo_text_format(text, "{\"id\":\"%lld\",\"mode\":\"%s\"", (long long)status->job.id,
-                 mo_campaign_mode_name(record->settings.mode));
-  if (record->preset[0] != '\0')
-    mo_text_member(text, "preset", record->preset);
-  else
-    mo_text_add(text, ",\"preset\":null");
-  write_name(text, status);
-  mo_job_write_common(text, &status->job, mo_campaign_state_shown(status, live));
-  write_reason(text, status, live);
+  char made[MO_MADE_BYTES];
+  const char *name = mo_result_name(&status->job, record->name, made);
+  mo_text_format(text, "{\"id\":\"%lld\"", (long long)status->job.id);
+  mo_text_member(text, "mode", mo_campaign_mode_name(record->settings.mode));
+  mo_member_text(text, "preset", record->preset[0] != '\0' ? record->preset : NULL);
+  mo_member_text(text, "name", record->settings.mode != MO_ZERO_SHOT ? name : NULL);
+  mo_job_write_head(text, &status->job, live);
   mo_text_member(text, "phase", mo_phase_name(live->phase));
-  mo_text_add(text, ",\"controller\":");
-  if (record->has_controller)
-    mo_reference_write(text, record->controller_name, &record->controller_sha256);
-  else
-    mo_text_add(text, "null");
+  mo_reference_write(text, "controller", record->has_controller, record->controller_name,
+                     &record->controller_sha256);
   write_settings(text, record);
   mo_text_format(text, ",\"group\":{\"id\":\"%lld\",\"replicate\":%u,\"replicates\":%u}",
                  (long long)record->group, record->replicate, record->replicates);
   write_progress(text, status, live);
-  write_end(text, status->end);
+  mo_member_text(text, "end", ends[status->end]);
   mo_text_add(text, ",\"newest\":");
   if (status->generation >= 0)
     mo_columns_json(text, &mo_generation_columns, &status->last);
   else
     mo_text_add(text, "null");
-  write_result(text, status);
-  write_links(text, (long long)status->job.id);
+  if (status->has_result) {
+    mo_text_add(text, ",\"result\":{\"controller\":");
+    mo_controller_write(text, name, &status->result_sha256);
+    mo_text_add(text, "}");
+  } else {
+    mo_member_text(text, "result", NULL);
+  }
+  mo_links_write(text, &status->job, below);
   mo_text_add(text, "}");
+}
+
+void mo_campaign_json_job(struct mo_text *text, const void *any, const struct mo_live *live)
+{
+  const struct mo_campaign_status *status = any;
+  mo_text_format(text, "{\"id\":\"%lld\"", (long long)status->job.id);
+  mo_text_member(text, "kind", mo_job_kind_name(status->job.kind));
+  mo_job_write_head(text, &status->job, live);
+  mo_text_format(text, ",\"campaign\":{\"mode\":\"%s\"",
+                 mo_campaign_mode_name(status->record.settings.mode));
+  mo_text_member_count(text, "population", status->record.settings.population);
+  mo_member_count_if(text, "generation", status->generation >= 0, (uint64_t)status->generation);
+  mo_text_member_count(text, "generations", status->record.settings.generations);
+  mo_text_add(text, "}}");
 }
 
 void mo_campaign_json_checkpoint(struct mo_text *text, const struct mo_checkpoint_row *row)
@@ -182,24 +133,6 @@ void mo_campaign_json_checkpoint(struct mo_text *text, const struct mo_checkpoin
   mo_text_member_count(text, "size", row->size);
   mo_text_member_time(text, "stored_at", row->stored_us);
   mo_text_add(text, "}");
-}
-
-void mo_campaign_json_job(struct mo_text *text, const struct mo_campaign_status *status,
-                          const struct mo_live *live)
-{
-  mo_text_format(text, "{\"id\":\"%lld\"", (long long)status->job.id);
-  mo_text_member(text, "kind", mo_job_kind_name(status->job.kind));
-  mo_job_write_common(text, &status->job, mo_campaign_state_shown(status, live));
-  write_reason(text, status, live);
-  mo_text_format(text, ",\"campaign\":{\"mode\":\"%s\"",
-                 mo_campaign_mode_name(status->record.settings.mode));
-  mo_text_member_count(text, "population", status->record.settings.population);
-  if (status->generation >= 0)
-    mo_text_member_count(text, "generation", (uint64_t)status->generation);
-  else
-    mo_text_add(text, ",\"generation\":null");
-  mo_text_member_count(text, "generations", status->record.settings.generations);
-  mo_text_add(text, "}}");
 }
 
 /* ---- designs ---- */

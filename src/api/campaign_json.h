@@ -5,17 +5,12 @@
 #include "base/text.h"
 #include "jobs/campaigns.h"
 
-/* Returns the state to show: a running campaign that waits for disk space is shown as paused. */
-enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *status,
-                                          const struct mo_live *live);
-
 /* Writes a campaign. live: its current live state. */
 void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
                             const struct mo_live *live);
 void mo_campaign_json_checkpoint(struct mo_text *text, const struct mo_checkpoint_row *row);
-/* Writes a campaign as an item of the list of jobs. */
-void mo_campaign_json_job(struct mo_text *text, const struct mo_campaign_status *status,
-                          const struct mo_live *live);
+/* Writes a campaign as an item of the list of jobs. status: struct mo_campaign_status. */
+void mo_campaign_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 
 /* Writes a design of a campaign: the members of an object without its braces, so that more can
  * follow. */

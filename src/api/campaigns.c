@@ -4,8 +4,8 @@
 #include <stdlib.h>
 
 #include "api/campaign_json.h"
-#include "api/campaign_request.h"
 #include "api/job_reply.h"
+#include "api/requests.h"
 #include "api/submission.h"
 
 /* ---- the kind ---- */
@@ -21,11 +21,6 @@ static int64_t read_page(struct mo_store *store, const struct mo_campaign_query 
   return mo_store_campaigns(store, query, statuses, limit);
 }
 
-static enum mo_job_state state_of(const void *status, const struct mo_live *live)
-{
-  return mo_campaign_state_shown(status, live);
-}
-
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
                        const struct mo_live *live)
 {
@@ -34,20 +29,14 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
   return MO_OK;
 }
 
-static void write_item(struct mo_text *text, const void *status, const struct mo_live *live)
-{
-  mo_campaign_json_job(text, status, live);
-}
-
 const struct mo_resource mo_campaign_resource = {.kind = MO_JOB_CAMPAIGN,
                                                  .path = "/v1/campaigns",
                                                  .status_size = sizeof(struct mo_campaign_status),
                                                  .read = read_status,
                                                  .page = read_page,
                                                  .has_live = true,
-                                                 .state = state_of,
                                                  .write = write_whole,
-                                                 .write_job = write_item};
+                                                 .write_job = mo_campaign_json_job};
 
 /* ---- routes ---- */
 

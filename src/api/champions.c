@@ -2,8 +2,8 @@
 #include <stdlib.h>
 
 #include "api/campaign_json.h"
-#include "api/campaign_request.h"
 #include "api/job_reply.h"
+#include "api/requests.h"
 #include "api/submission.h"
 
 void mo_api_get_campaign_champions(struct mo_request *request)

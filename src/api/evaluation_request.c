@@ -1,15 +1,14 @@
-/* evaluation_request.c: see evaluation_request.h. Every fault names its place: a cell out of bounds
- * is at /designs/3/cells/7/0. */
-#include "api/evaluation_request.h"
-
+/* evaluation_request.c: the body of POST /v1/evaluations. Every fault names its place: a cell out
+ * of bounds is at /designs/3/cells/7/0. */
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/request_parts.h"
+#include "api/requests.h"
 #include "rollout/physics.h"
 
-static void read_record(struct mo_json *json, struct mo_evaluation_request *request)
+static void read_record(struct mo_json *json, void *value)
 {
+  struct mo_evaluation_request *request = value;
   struct mo_json_slice what;
   if (!mo_json_array(json))
     return;
@@ -28,100 +27,70 @@ static void read_record(struct mo_json *json, struct mo_evaluation_request *requ
   }
 }
 
-static int read_request(struct mo_json *json, struct mo_parsed_evaluation *parsed)
+#define AT(member) offsetof(struct mo_parsed_evaluation, member)
+static const char *const precision_words[] = {"float32", "float64", NULL};
+static const struct mo_field_own record = {.read = read_record};
+static const struct mo_field rows[] = {
+    {"designs", MO_FIELD_OWN, 0, AT(parts), .own = &mo_designs_field},
+    {"environments", MO_FIELD_OWN, 0, AT(parts), .own = &mo_environments_field},
+    {"record", MO_FIELD_OWN, 0, AT(request), .own = &record},
+    {"record_stride", MO_FIELD_COUNT, 0, AT(request.record_stride), .min = 1, .max = MO_STEPS_MAX,
+     .unit = "steps", .help = "steps between frames"},
+    {"physics", MO_FIELD_GROUP, 0, AT(request.physics), .group = &mo_physics_fields},
+    {"precision", MO_FIELD_WORD, 0, AT(request.precision), .words = precision_words},
+    {"verify", MO_FIELD_FLAG, 0, AT(request.verify)},
+    {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
+};
+#undef AT
+const struct mo_fields mo_evaluation_request_fields = {rows, sizeof(rows) / sizeof(rows[0])};
+_Static_assert(MO_FLOAT32 == 0 && MO_FLOAT64 == 1, "the words stand in the order of their values");
+
+static int check(struct mo_json *json, void *any)
 {
+  struct mo_parsed_evaluation *parsed = any;
   struct mo_evaluation_request *request = &parsed->request;
-  struct mo_json_slice key;
-  bool designs = false, stride_given = false;
-  int code = MO_OK, choice;
-  int64_t stride = 10;
-  if (!mo_json_object(json))
-    return MO_OK;
-  while (code == MO_OK && mo_json_member(json, &key)) {
-    if (mo_json_is(key, "designs")) {
-      designs = true;
-      code = mo_read_designs(json, &parsed->genotypes, &request->n_designs);
-    } else if (mo_json_is(key, "environments")) {
-      code = mo_read_environments(json, &parsed->environments, &request->n_environments);
-    } else if (mo_json_is(key, "controller")) {
-      mo_read_controller(json, parsed->controller);
-    } else if (mo_json_is(key, "record")) {
-      read_record(json, request);
-    } else if (mo_json_is(key, "record_stride")) {
-      stride_given = mo_json_integer(json, 1, MO_STEPS_MAX, &stride);
-    } else if (mo_json_is(key, "physics")) {
-      mo_fields_read(json, &mo_physics_fields, &request->physics);
-    } else if (mo_json_is(key, "precision")) {
-      if (mo_read_choice(json, "float32", "float64", &choice))
-        request->precision = choice ? MO_FLOAT64 : MO_FLOAT32;
-    } else if (mo_json_is(key, "priority")) {
-      if (mo_read_choice(json, "batch", "interactive", &choice))
-        request->priority = choice ? MO_INTERACTIVE : MO_BATCH;
-    } else if (mo_json_is(key, "weight")) {
-      mo_read_weight(json, &request->weight);
-    } else if (mo_json_is(key, "device")) {
-      mo_read_device(json, &request->back_end);
-    } else if (mo_json_is(key, "label")) {
-      if (mo_read_label(json, parsed->label))
-        request->label = parsed->label;
-    } else if (mo_json_is(key, "verify")) {
-      mo_json_bool(json, &request->verify);
-    } else {
-      mo_read_unknown(
-          json,
-          "designs, environments, controller, record, record_stride, physics, precision, priority, "
-          "weight, device, label, verify");
-    }
-  }
-  if (code != MO_OK || json->stop)
-    return code;
-  if (!designs)
+  const uint32_t steps = request->physics.n_steps;
+  if (!parsed->parts.has_designs)
     mo_json_fault_at(json, 0, "", "designs is missing: an array of 1 to %d designs",
                      MO_DESIGNS_MAX);
-  if (stride_given && stride > request->physics.n_steps)
+  if (parsed->parts.no_controller)
+    mo_json_fault_at(json, 0, "/controller", "null is given; a controller's name is expected");
+  if (request->record_stride > steps)
     mo_json_fault_at(json, 0, "/record_stride",
-                     "%lld is given; at most n_steps, which is %u, is expected", (long long)stride,
-                     request->physics.n_steps);
-  request->record_stride =
-      stride < request->physics.n_steps ? (uint32_t)stride : request->physics.n_steps;
-  return code;
+                     "%u is given; at most n_steps, which is %u, is expected",
+                     request->record_stride, steps);
+  if (request->record_stride == 0)
+    request->record_stride = steps < 10 ? steps : 10;
+  return MO_OK;
 }
 
 int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
                         struct mo_faults *faults)
 {
-  *parsed = (struct mo_parsed_evaluation){.controller = "default", .environment_set = "paper-test"};
-  parsed->request.physics = mo_default_physics();
-  parsed->request.precision = MO_FLOAT32;
-  parsed->request.priority = -1;
-  parsed->request.weight = 1;
-  parsed->request.back_end = MO_BACK_END_AUTO;
-  struct mo_json *json = malloc(sizeof(*json));
-  if (json == NULL)
-    return MO_ERR_NO_MEMORY;
-  mo_json_start(json, text, size, faults);
-  int code = read_request(json, parsed);
-  if (code == MO_OK)
-    mo_json_finish(json);
-  free(json);
-  if (code != MO_OK)
-    return code;
-  if (faults->malformed)
-    return MO_ERR_FORMAT;
-  if (faults->n > 0)
-    return MO_ERR_INVALID;
-  parsed->request.genotypes = parsed->genotypes;
-  parsed->request.controller = parsed->controller;
-  if (parsed->environments != NULL)
-    parsed->request.environments = parsed->environments;
-  else
-    parsed->request.environment_set = parsed->environment_set;
+  struct mo_evaluation_request *request = &parsed->request;
+  *parsed = (struct mo_parsed_evaluation){
+      .request = {.physics = mo_default_physics(), .precision = MO_FLOAT32},
+      .parts = {.priority = -1, .weight = 1, .controller = "default"}};
+  int error = mo_read_body(text, size, &mo_evaluation_request_fields, parsed, &parsed->parts, check,
+                           faults);
+  if (error != MO_OK)
+    return error;
+  const struct mo_parts *parts = &parsed->parts;
+  request->priority = parts->priority;
+  request->back_end = mo_parts_back_end(parts);
+  request->weight = parts->weight;
+  request->label = parts->has_label ? parts->label : NULL;
+  request->controller = parts->controller;
+  request->genotypes = parts->genotypes;
+  request->n_designs = parts->n_designs;
+  request->environments = parts->environments;
+  request->n_environments = parts->n_environments;
+  request->environment_set = parts->environments == NULL ? "paper-test" : NULL;
   return MO_OK;
 }
 
 void mo_evaluation_parsed_free(struct mo_parsed_evaluation *parsed)
 {
-  free(parsed->genotypes);
-  free(parsed->environments);
+  mo_parts_free(&parsed->parts);
   *parsed = (struct mo_parsed_evaluation){0};
 }

@@ -2,9 +2,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/evaluation_request.h"
 #include "api/job_json.h"
 #include "api/job_reply.h"
+#include "api/requests.h"
 #include "api/submission.h"
 
 /* ---- the kind ---- */
@@ -12,12 +12,6 @@
 static int read_status(struct mo_store *store, int64_t id, void *status)
 {
   return mo_store_job(store, id, status);
-}
-
-static enum mo_job_state state_of(const void *status, const struct mo_live *live)
-{
-  (void)live;
-  return ((const struct mo_job *)status)->state;
 }
 
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
@@ -56,7 +50,6 @@ const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,
                                                    .status_size = sizeof(struct mo_job),
                                                    .read = read_status,
                                                    .page = read_page,
-                                                   .state = state_of,
                                                    .write = write_whole,
                                                    .write_job = write_item,
                                                    .versioned = true,

@@ -3,6 +3,7 @@
 #include "rollout/physics.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 void mo_bits_write_bare(struct mo_text *text, const struct mo_bits *bits)
@@ -40,7 +41,7 @@ void mo_hash_write(struct mo_text *text, const struct mo_sha256 *hash)
   mo_text_bytes(text, "\"", 1);
 }
 
-void mo_reference_write(struct mo_text *text, const char *name, const struct mo_sha256 *sha256)
+void mo_controller_write(struct mo_text *text, const char *name, const struct mo_sha256 *sha256)
 {
   mo_text_add(text, "{\"name\":");
   if (name[0] != '\0')
@@ -50,6 +51,16 @@ void mo_reference_write(struct mo_text *text, const char *name, const struct mo_
   mo_text_add(text, ",\"sha256\":");
   mo_hash_write(text, sha256);
   mo_text_add(text, "}");
+}
+
+void mo_reference_write(struct mo_text *text, const char *member, bool known, const char *name,
+                        const struct mo_sha256 *sha256)
+{
+  mo_text_format(text, ",\"%s\":", member);
+  if (known)
+    mo_controller_write(text, name, sha256);
+  else
+    mo_text_add(text, "null");
 }
 
 void mo_loss_write(struct mo_text *text, double loss)
@@ -103,26 +114,51 @@ static void write_results(struct mo_text *text, const struct mo_evaluation_resul
   mo_text_bytes(text, "]", 1);
 }
 
-bool mo_job_lacks_device(const struct mo_job *job)
+/* Says whether a job is paused because no device is available to compute it. */
+static bool lacks_device(const struct mo_job *job)
 {
   return job->state == MO_JOB_PAUSED && job->error == MO_ERR_DEVICE;
 }
 
-void mo_job_write_common(struct mo_text *text, const struct mo_job *job, enum mo_job_state state)
+enum mo_job_state mo_job_state_shown(const struct mo_job *job, const struct mo_live *live)
 {
-  mo_text_member(text, "state", mo_job_state_name(state));
+  bool waits = job->state == MO_JOB_RUNNING && live->phase == MO_PHASE_WAIT;
+  return waits ? MO_JOB_PAUSED : job->state;
+}
+
+void mo_member_text(struct mo_text *text, const char *name, const char *words)
+{
+  if (words != NULL)
+    mo_text_member(text, name, words);
+  else
+    mo_text_format(text, ",\"%s\":null", name);
+}
+
+void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint64_t count)
+{
+  if (known)
+    mo_text_member_count(text, name, count);
+  else
+    mo_member_text(text, name, NULL);
+}
+
+void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number)
+{
+  mo_text_member_number(text, name, known ? number : (double)NAN);
+}
+
+void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const struct mo_live *live)
+{
+  mo_text_member(text, "state", mo_job_state_name(mo_job_state_shown(job, live)));
   mo_text_member(text, "priority", job->priority == MO_INTERACTIVE ? "interactive" : "batch");
   mo_text_member_number(text, "weight", job->weight);
   mo_text_member(text, "device", job->back_end == MO_ON_DEVICE ? "cuda" : "cpu");
-  if (job->has_label)
-    mo_text_member(text, "label", job->label);
-  else
-    mo_text_add(text, ",\"label\":null");
+  mo_member_text(text, "label", job->has_label ? job->label : NULL);
   mo_text_member_time(text, "created_at", job->created_us);
   mo_text_member_time(text, "started_at", job->started_us);
   mo_text_member_time(text, "finished_at", job->finished_us);
   mo_text_member_count(text, "attempts", job->attempts);
-  if (job->state == MO_JOB_FAILED || mo_job_lacks_device(job)) {
+  if (job->state == MO_JOB_FAILED || lacks_device(job)) {
     mo_text_add(text, ",\"error\":{\"detail\":");
     mo_text_json_string(text, job->error_text, strlen(job->error_text));
     mo_text_member(text, "code", mo_error_name(job->error));
@@ -130,6 +166,29 @@ void mo_job_write_common(struct mo_text *text, const struct mo_job *job, enum mo
   } else {
     mo_text_add(text, ",\"error\":null");
   }
+  if (job->kind == MO_JOB_EVALUATION)
+    return;
+  if (live->reason[0] != '\0' && !mo_job_state_is_final(job->state))
+    mo_text_member(text, "reason", live->reason);
+  else
+    mo_member_text(text, "reason", lacks_device(job) ? job->error_text : NULL);
+}
+
+const char *mo_result_name(const struct mo_job *job, const char *asked, char made[MO_MADE_BYTES])
+{
+  snprintf(made, MO_MADE_BYTES, "%s-%lld", mo_job_kind_name(job->kind), (long long)job->id);
+  return asked[0] != '\0' ? asked : made;
+}
+
+void mo_links_write(struct mo_text *text, const struct mo_job *job, const char *const *below)
+{
+  const long long id = (long long)job->id;
+  mo_text_format(text, ",\"links\":{\"job\":\"/v1/jobs/%lld\",\"events\":\"/v1/events?job=%lld\"",
+                 id, id);
+  for (; below[0] != NULL; below += 2)
+    mo_text_format(text, ",\"%s\":\"/v1/%ss/%lld/%s\"", below[0], mo_job_kind_name(job->kind), id,
+                   below[1]);
+  mo_text_add(text, "}");
 }
 
 void mo_job_write(struct mo_text *text, const struct mo_job *job,
@@ -137,9 +196,8 @@ void mo_job_write(struct mo_text *text, const struct mo_job *job,
 {
   mo_text_format(text, "{\"id\":\"%lld\"", (long long)job->id);
   mo_text_member(text, "kind", mo_job_kind_name(job->kind));
-  mo_job_write_common(text, job, job->state);
-  mo_text_add(text, ",\"controller\":");
-  mo_reference_write(text, job->controller_name, &job->controller_sha256);
+  mo_job_write_head(text, job, &(struct mo_live){0});
+  mo_reference_write(text, "controller", true, job->controller_name, &job->controller_sha256);
   if (job->environment_set[0] != '\0')
     mo_text_member(text, "environments", job->environment_set);
   else

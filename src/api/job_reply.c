@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "api/job_json.h"
 #include "base/clock.h"
 #include "http/pool.h"
 
@@ -213,7 +214,7 @@ void mo_list_of_kind(struct mo_request *request, const struct mo_resource *kind,
     struct mo_live live;
     look(api, kind, job, &live);
     last = job->id;
-    if (query.state >= 0 && (int)kind->state(status, &live) != query.state)
+    if (query.state >= 0 && (int)mo_job_state_shown(job, &live) != query.state)
       continue; /* it has just started or stopped waiting */
     if (text.data != NULL && text.data[text.size - 1] == '}')
       mo_text_add(&text, ",");

@@ -19,8 +19,6 @@ struct mo_resource {
   int64_t (*page)(struct mo_store *store, const struct mo_campaign_query *query, void *statuses,
                   size_t limit);
   bool has_live; /* running jobs have a live state; the item of a list needs the whole status */
-  /* Returns the state to show: a running job that waits for space is shown as paused. */
-  enum mo_job_state (*state)(const void *status, const struct mo_live *live);
   /* Writes the whole resource, or the item of the list of jobs. */
   int (*write)(struct mo_api *api, struct mo_text *text, const void *status,
                const struct mo_live *live);

@@ -2,10 +2,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "api/job_json.h"
 #include "api/job_reply.h"
-#include "api/request_parts.h"
+#include "api/requests.h"
 #include "api/submission.h"
-#include "base/number.h"
 
 static const struct mo_resource *const kinds[MO_JOB_KINDS] = {
     [MO_JOB_EVALUATION] = &mo_evaluation_resource,
@@ -41,7 +41,7 @@ static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_
     error = mo_status_read(api, kind, job->id, &read, &live);
     status = read;
   }
-  if (error == MO_OK && (state < 0 || (int)kind->state(status, &live) == state)) {
+  if (error == MO_OK && (state < 0 || (int)mo_job_state_shown(status, &live) == state)) {
     if (text->data != NULL && text->data[text->size - 1] == '}')
       mo_text_add(text, ",");
     kind->write_job(text, status, &live);
@@ -127,31 +127,6 @@ void mo_api_cancel_job(struct mo_request *request)
   change(request, mo_jobs_cancel, "cannot be cancelled");
 }
 
-/* Reads {"weight": x}. MO_ERR_FORMAT, MO_ERR_INVALID: see the faults. */
-static int read_weight(const struct mo_request *request, double *weight, struct mo_faults *faults)
-{
-  struct mo_json *json = malloc(sizeof(*json));
-  struct mo_json_slice key;
-  bool given = false;
-  if (json == NULL)
-    return MO_ERR_NO_MEMORY;
-  mo_json_start(json, request->body != NULL ? request->body : "", request->body_size, faults);
-  bool object = mo_json_object(json);
-  while (object && mo_json_member(json, &key))
-    if (mo_json_is(key, "weight")) {
-      given = true;
-      mo_read_weight(json, weight);
-    } else {
-      mo_read_unknown(json, "weight");
-    }
-  if (object && !json->stop && !given)
-    mo_json_fault_at(json, 0, "", "weight is missing: a number from %s to %s",
-                     MO_NUMBER(MO_WEIGHT_MIN), MO_NUMBER(MO_WEIGHT_MAX));
-  mo_json_finish(json);
-  free(json);
-  return faults->malformed ? MO_ERR_FORMAT : faults->n > 0 ? MO_ERR_INVALID : MO_OK;
-}
-
 void mo_api_set_job_weight(struct mo_request *request)
 {
   double weight = 1;
@@ -159,7 +134,8 @@ void mo_api_set_job_weight(struct mo_request *request)
   if (!mo_path_id(request, 0, &id) || !mo_check_content(request, "application/json", NULL))
     return;
   struct mo_faults *faults = calloc(1, sizeof(*faults));
-  int error = faults != NULL ? read_weight(request, &weight, faults) : MO_ERR_NO_MEMORY;
+  int error = faults != NULL ? mo_weight_parse(request->body, request->body_size, &weight, faults)
+                             : MO_ERR_NO_MEMORY;
   if (error != MO_OK)
     mo_reply_parse_error(request, error, faults, "job");
   else

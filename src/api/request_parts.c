@@ -12,48 +12,65 @@
 #include "store/store.h"
 
 #define SIGMA_MAX_M 10.0
+#define WORD_BYTES  32
 
-void mo_read_unknown(struct mo_json *json, const char *expected)
-{
-  mo_json_fault(json, "unknown field; expected are %s", expected);
-  mo_json_skip(json);
-}
+/* ---- whole bodies ---- */
 
-int mo_find_words(struct mo_json *json, const char *text, size_t size, const char *const *keys,
-                  char (*words)[MO_WORD_BYTES], size_t n)
+int mo_read_body(const char *text, size_t size, const struct mo_fields *fields, void *parsed,
+                 struct mo_parts *parts, int (*check)(struct mo_json *json, void *parsed),
+                 struct mo_faults *faults)
 {
-  struct mo_faults *faults = calloc(1, sizeof(*faults)); /* the second pass reports them */
-  struct mo_json_slice key, word;
-  for (size_t i = 0; i < n; i++)
-    words[i][0] = '\0';
-  if (faults == NULL)
+  struct mo_json *json = malloc(sizeof(*json));
+  int error = MO_OK;
+  if (json == NULL)
     return MO_ERR_NO_MEMORY;
   mo_json_start(json, text, size, faults);
-  if (mo_json_object(json))
-    while (mo_json_member(json, &key)) {
-      size_t i = 0;
-      while (i < n && !mo_json_is(key, keys[i]))
-        i++;
-      if (i == n || mo_json_peek(json) != MO_JSON_STRING) {
-        mo_json_skip(json);
-      } else if (mo_json_string(json, &word) && word.size < MO_WORD_BYTES) {
-        memcpy(words[i], word.bytes, word.size);
-        words[i][word.size] = '\0';
-      }
-    }
-  free(faults);
-  return MO_OK;
+  bool object = mo_json_peek(json) == MO_JSON_OBJECT;
+  mo_fields_read(json, fields, parsed);
+  if (parts != NULL)
+    error = parts->error;
+  if (error == MO_OK && object && !json->stop && check != NULL)
+    error = check(json, parsed);
+  if (error == MO_OK) {
+    mo_json_finish(json);
+    error = faults->malformed ? MO_ERR_FORMAT : faults->n > 0 ? MO_ERR_INVALID : MO_OK;
+  }
+  free(json);
+  return error;
 }
 
-/* ---- numbers ---- */
-
-bool mo_read_count(struct mo_json *json, uint32_t min, uint32_t max, uint32_t *count)
+int mo_find_words(const char *text, size_t size, const char *const keys[2],
+                  const char *const *const words[2], int found[2], bool given[2])
 {
-  int64_t number;
-  if (!mo_json_integer(json, min, max, &number))
-    return false;
-  *count = (uint32_t)number;
-  return true;
+  struct mo_json *json = malloc(sizeof(*json));
+  struct mo_faults *faults = calloc(1, sizeof(*faults)); /* the second pass reports them */
+  struct mo_json_slice key, word;
+  char name[WORD_BYTES];
+  bool memory = json != NULL && faults != NULL;
+  for (int i = 0; i < 2; i++) {
+    found[i] = -1;
+    given[i] = false;
+  }
+  if (memory)
+    mo_json_start(json, text, size, faults);
+  if (memory && mo_json_object(json))
+    while (mo_json_member(json, &key)) {
+      int i = mo_json_is(key, keys[0]) ? 0 : 1;
+      if (i == 0 || mo_json_is(key, keys[1]))
+        given[i] = true;
+      else
+        i = -1;
+      if (i < 0 || mo_json_peek(json) != MO_JSON_STRING) {
+        mo_json_skip(json);
+      } else if (mo_json_string(json, &word) && word.size < WORD_BYTES) {
+        memcpy(name, word.bytes, word.size);
+        name[word.size] = '\0';
+        found[i] = mo_word_index(words[i], name);
+      }
+    }
+  free(json);
+  free(faults);
+  return memory ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
 /* ---- designs ---- */
@@ -201,7 +218,7 @@ static void read_design(struct mo_json *json, struct mo_bits *bits)
     else if (mo_json_is(key, "id"))
       read_id(json, bits->words);
     else {
-      mo_read_unknown(json, "cells, voxels or id");
+      mo_fields_unknown(json, "cells, voxels or id", NULL);
       continue;
     }
     forms++;
@@ -210,7 +227,7 @@ static void read_design(struct mo_json *json, struct mo_bits *bits)
     mo_json_fault_at(json, depth, "", "a design is given by exactly one of cells, voxels and id");
 }
 
-int mo_read_designs(struct mo_json *json, struct mo_bits **genotypes, uint32_t *n_designs)
+static int read_designs(struct mo_json *json, struct mo_bits **genotypes, uint32_t *n_designs)
 {
   unsigned depth = json->depth;
   uint32_t n = 0, capacity = 0;
@@ -286,11 +303,12 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
       has_seed = true;
       mo_json_integer(json, 0, MO_SEED_MAX, &seed);
     } else {
-      mo_read_unknown(json, "light_xy_m, and terrain_heights_m or terrain_sigma_m with seed");
+      mo_fields_unknown(json, "light_xy_m, and terrain_heights_m or terrain_sigma_m with seed",
+                        NULL);
     }
   }
   if (!light)
-    mo_json_fault_at(json, depth, "", "light_xy_m is missing: [x, y] of the light in metres");
+    mo_json_fault_at(json, depth, "", "light_xy_m is missing: [x, y] of the light in meters");
   if (heights ? has_sigma || has_seed : !has_sigma || !has_seed)
     mo_json_fault_at(
         json, depth, "",
@@ -299,8 +317,8 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
     mo_terrain_random((uint64_t)seed, 0, 0, sigma_m, environment->terrain_heights_m);
 }
 
-int mo_read_environments(struct mo_json *json, struct mo_environment **environments,
-                         uint32_t *n_environments)
+static int read_environments(struct mo_json *json, struct mo_environment **environments,
+                             uint32_t *n_environments)
 {
   unsigned depth = json->depth;
   enum mo_json_kind kind = mo_json_peek(json);
@@ -341,52 +359,77 @@ int mo_read_environments(struct mo_json *json, struct mo_environment **environme
   return MO_OK;
 }
 
-/* ---- settings ---- */
+/* ---- names, labels, ids ---- */
 
-void mo_read_controller(struct mo_json *json, char controller[MO_NAME_BYTES_MAX + 8])
+/* Copies a string without NUL bytes into `text`. False: it does not fit. */
+static bool copy_slice(struct mo_json_slice slice, char *text, size_t capacity)
+{
+  if (slice.size >= capacity || memchr(slice.bytes, '\0', slice.size) != NULL)
+    return false;
+  memcpy(text, slice.bytes, slice.size);
+  text[slice.size] = '\0';
+  return true;
+}
+
+static void read_controller(struct mo_json *json, void *value)
+{
+  struct mo_parts *parts = value;
+  struct mo_json_slice name;
+  struct mo_sha256 hash;
+  char text[sizeof(parts->controller)];
+  unsigned depth = json->depth;
+  parts->has_controller = true;
+  parts->no_controller = mo_json_peek(json) == MO_JSON_NULL;
+  if (parts->no_controller)
+    mo_json_skip(json);
+  else if (mo_json_string(json, &name)) {
+    bool good = copy_slice(name, text, sizeof(text)) &&
+                (strncmp(text, "sha256:", 7) == 0
+                     ? mo_sha256_from_hex(text + 7, strlen(text + 7), &hash) == MO_OK
+                     : mo_controller_name_check(text) == MO_OK);
+    if (good)
+      memcpy(parts->controller, text, sizeof(text));
+    else
+      mo_json_fault_at(json, depth, "",
+                       "a controller's name, or sha256: and 64 hexadecimal digits, is expected");
+  }
+}
+
+static void read_name(struct mo_json *json, void *value)
 {
   struct mo_json_slice name;
+  char text[MO_NAME_BYTES_MAX + 1];
   unsigned depth = json->depth;
   if (!mo_json_string(json, &name))
     return;
-  char text[MO_NAME_BYTES_MAX + 8];
-  struct mo_sha256 hash;
-  bool good = name.size < sizeof(text) && memchr(name.bytes, '\0', name.size) == NULL;
-  if (good) {
-    memcpy(text, name.bytes, name.size);
-    text[name.size] = '\0';
-    good = strncmp(text, "sha256:", 7) == 0
-               ? mo_sha256_from_hex(text + 7, strlen(text + 7), &hash) == MO_OK
-               : mo_controller_name_check(text) == MO_OK;
-  }
-  if (!good)
-    mo_json_fault_at(json, depth, "",
-                     "a controller's name, or sha256: and 64 hexadecimal digits, is expected");
-  else
-    memcpy(controller, text, strlen(text) + 1);
-}
-
-void mo_read_name(struct mo_json *json, char name[MO_NAME_BYTES_MAX + 1])
-{
-  struct mo_json_slice words;
-  unsigned depth = json->depth;
-  char text[MO_NAME_BYTES_MAX + 1] = "";
-  if (!mo_json_string(json, &words))
-    return;
-  bool good = words.size <= MO_NAME_BYTES_MAX && memchr(words.bytes, '\0', words.size) == NULL;
-  if (good) {
-    memcpy(text, words.bytes, words.size);
-    text[words.size] = '\0';
-    good = mo_controller_name_check(text) == MO_OK;
-  }
-  if (good)
-    memcpy(name, text, sizeof(text));
+  if (copy_slice(name, text, sizeof(text)) && mo_controller_name_check(text) == MO_OK)
+    memcpy(value, text, strlen(text) + 1);
   else
     mo_json_fault_at(json, depth, "",
                      "a controller's name is expected: 1 to %d of a-z, 0-9, '.', '_' and '-', "
-                     "beginning with a letter "
-                     "or digit",
+                     "beginning with a letter or digit",
                      MO_NAME_BYTES_MAX);
+}
+const struct mo_field_own mo_name_field = {.read = read_name};
+
+static void read_label(struct mo_json *json, void *value)
+{
+  struct mo_parts *parts = value;
+  struct mo_json_slice words;
+  unsigned depth = json->depth;
+  if (!mo_json_string(json, &words))
+    return;
+  size_t characters = 0;
+  for (size_t i = 0; i < words.size; i++)
+    characters += ((unsigned char)words.bytes[i] & 0xC0) != 0x80;
+  if (characters > 200) {
+    mo_json_fault_at(json, depth, "", "%zu characters are given; at most 200 are expected",
+                     characters);
+    return;
+  }
+  parts->has_label = true;
+  memcpy(parts->label, words.bytes, words.size);
+  parts->label[words.size] = '\0';
 }
 
 bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
@@ -403,72 +446,67 @@ bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
   return false;
 }
 
-bool mo_read_label(struct mo_json *json, char label[MO_LABEL_BYTES_MAX + 1])
+/* ---- the tables ---- */
+
+/* Ends the reading after a lack of memory. */
+static void note(struct mo_json *json, struct mo_parts *parts, int error)
 {
-  struct mo_json_slice words;
-  unsigned depth = json->depth;
-  if (!mo_json_string(json, &words))
-    return false;
-  size_t characters = 0;
-  for (size_t i = 0; i < words.size; i++)
-    characters += ((unsigned char)words.bytes[i] & 0xC0) != 0x80;
-  if (characters > 200) {
-    mo_json_fault_at(json, depth, "", "%zu characters are given; at most 200 are expected",
-                     characters);
-    return false;
-  }
-  memcpy(label, words.bytes, words.size);
-  label[words.size] = '\0';
-  return true;
+  parts->error = error;
+  json->stop |= error != MO_OK;
 }
 
-bool mo_read_weight(struct mo_json *json, double *weight)
+static void read_designs_field(struct mo_json *json, void *value)
 {
-  return mo_json_bounded(json, MO_WEIGHT_MIN, MO_WEIGHT_MAX, weight);
+  struct mo_parts *parts = value;
+  parts->has_designs = true;
+  note(json, parts, read_designs(json, &parts->genotypes, &parts->n_designs));
+}
+const struct mo_field_own mo_designs_field = {.read = read_designs_field};
+
+static void read_environments_field(struct mo_json *json, void *value)
+{
+  struct mo_parts *parts = value;
+  note(json, parts, read_environments(json, &parts->environments, &parts->n_environments));
+}
+const struct mo_field_own mo_environments_field = {.read = read_environments_field};
+
+static const char *const priority_words[] = {"batch", "interactive", NULL}; /* enum mo_urgency */
+static const char *const device_words[] = {"auto", "cpu", "cuda", NULL};    /* from −1 on */
+static const struct mo_field_own controller = {.read = read_controller};
+static const struct mo_field_own label = {.read = read_label};
+#define AT(member) offsetof(struct mo_parts, member)
+static const struct mo_field weight_rows[] = {
+    {"weight", MO_FIELD_NUMBER, 0, 0, .min = MO_WEIGHT_MIN, .max = MO_WEIGHT_MAX, .unit = "",
+     .help = "the job's part of the cores among others"},
+};
+const struct mo_fields mo_weight_fields = {weight_rows, 1};
+static const struct mo_field rows[] = {
+    {"controller", MO_FIELD_OWN, 0, 0, .own = &controller, .unit = "",
+     .help = "a controller by name or hash"},
+    {"label", MO_FIELD_OWN, 0, 0, .own = &label, .unit = "", .help = "a text to find the job by"},
+    {"priority", MO_FIELD_WORD, 0, AT(priority), .words = priority_words, .unit = "",
+     .help = "among other work"},
+    {NULL, MO_FIELD_INLINE, 0, AT(weight), .group = &mo_weight_fields},
+    {"device", MO_FIELD_WORD, 0, AT(device), .words = device_words, .unit = "",
+     .help = "where the job is computed"},
+};
+#undef AT
+const struct mo_fields mo_parts_fields = {rows, sizeof(rows) / sizeof(rows[0])};
+
+int mo_parts_back_end(const struct mo_parts *parts)
+{
+  return parts->device - 1;
 }
 
-void mo_read_device(struct mo_json *json, int *back_end)
+const char *mo_parts_controller(const struct mo_parts *parts)
 {
-  struct mo_json_slice word;
-  unsigned depth = json->depth;
-  if (!mo_json_string(json, &word))
-    return;
-  if (mo_json_is(word, "auto"))
-    *back_end = MO_BACK_END_AUTO;
-  else if (mo_json_is(word, "cpu"))
-    *back_end = MO_ON_CPU;
-  else if (mo_json_is(word, "cuda"))
-    *back_end = MO_ON_DEVICE;
-  else
-    mo_json_fault_at(json, depth, "", "\"auto\", \"cpu\" or \"cuda\" is expected");
+  return parts->controller[0] != '\0' ? parts->controller : NULL;
 }
 
-bool mo_read_choice(struct mo_json *json, const char *first, const char *second, int *choice)
+void mo_parts_free(struct mo_parts *parts)
 {
-  struct mo_json_slice word;
-  unsigned depth = json->depth;
-  if (!mo_json_string(json, &word))
-    return false;
-  if (!mo_json_is(word, first) && !mo_json_is(word, second)) {
-    mo_json_fault_at(json, depth, "", "\"%s\" or \"%s\" is expected", first, second);
-    return false;
-  }
-  *choice = mo_json_is(word, second);
-  return true;
+  free(parts->genotypes);
+  free(parts->environments);
 }
-
-bool mo_read_word(struct mo_json *json, int (*find)(const char *word, int *value),
-                  const char *expected, int *value)
-{
-  struct mo_json_slice slice;
-  unsigned depth = json->depth;
-  char word[MO_WORD_BYTES] = "";
-  if (!mo_json_string(json, &slice))
-    return false;
-  if (slice.size < sizeof(word))
-    memcpy(word, slice.bytes, slice.size);
-  if (word[0] != '\0' && find(word, value) == MO_OK)
-    return true;
-  mo_json_fault_at(json, depth, "", "%s is expected", expected);
-  return false;
-}
+_Static_assert(MO_BACK_END_AUTO + 1 == 0 && (int)MO_ON_DEVICE == 1,
+               "the words stand in the order of their values");

@@ -1,61 +1,55 @@
-/* request_parts.h: readers for the parts that several request bodies share: numbers, designs,
- * environments, physics, names, labels. Each function reads one value. An invalid value adds a
- * fault at its place (json.h). */
+/* request_parts.h: what the bodies of several requests share: a table of the members that every
+ * submission may have, readers of designs, environments and names, and the reading of a whole body
+ * by a table (base/fields.h). An invalid value adds a fault at its place (json.h). */
 #ifndef MORPHO_API_REQUEST_PARTS_H
 #define MORPHO_API_REQUEST_PARTS_H
 
 #include "base/fields.h"
 #include "store/records.h"
 
-/* Adds a fault for an unknown key of an object. `expected`: the known keys, in words. */
-void mo_read_unknown(struct mo_json *json, const char *expected);
+struct mo_environment;
 
-/* Finds, in a first pass over the text, the words of these keys, because other members depend on
- * them. A word is "" if it is absent or too long. Adds no faults. MO_ERR_NO_MEMORY. */
-#define MO_WORD_BYTES 32
-int mo_find_words(struct mo_json *json, const char *text, size_t size, const char *const *keys,
-                  char (*words)[MO_WORD_BYTES], size_t n);
+/* What a submission of any kind may ask for. */
+struct mo_parts {
+  int priority; /* enum mo_urgency; −1: not given */
+  int device;   /* 0: any */
+  double weight;
+  bool has_label, has_controller, no_controller, has_designs; /* no_controller: null was given */
+  char label[MO_LABEL_BYTES_MAX + 1];
+  char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
+  struct mo_bits *genotypes;              /* (n_designs) as given, not placed */
+  uint32_t n_designs;
+  struct mo_environment *environments; /* (n_environments); NULL: "paper-test" */
+  uint32_t n_environments;
+  int error; /* MO_ERR_NO_MEMORY */
+};
+/* controller, label, priority, weight, device. */
+extern const struct mo_fields mo_parts_fields;
+extern const struct mo_fields mo_weight_fields; /* of one double */
+/* Fields of struct mo_parts: 1 to MO_DESIGNS_MAX designs; "paper-test" or 1 to MO_ENVIRONMENTS_MAX
+ * environments. */
+extern const struct mo_field_own mo_designs_field, mo_environments_field;
+/* A name for a controller, of MO_NAME_BYTES_MAX + 1 bytes. */
+extern const struct mo_field_own mo_name_field;
 
-/* Reads a count. False: it is something else, and *count is unchanged. */
-bool mo_read_count(struct mo_json *json, uint32_t min, uint32_t max,
-                   uint32_t *count); /* min … max */
+int mo_parts_back_end(const struct mo_parts *parts);           /* as in mo_evaluation_request */
+const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */
+void mo_parts_free(struct mo_parts *parts);
 
-/* Reads 1 to MO_DESIGNS_MAX designs, as given, not placed. *genotypes: malloc; the caller frees it
- * in every case. MO_OK (faults or not) or MO_ERR_NO_MEMORY. */
-int mo_read_designs(struct mo_json *json, struct mo_bits **genotypes, uint32_t *n_designs);
+/* Reads a body by a table into `parsed`, which has `parts` (nullable), then calls `check`
+ * (nullable; MO_OK or MO_ERR_NO_MEMORY), which adds faults about several fields. MO_OK;
+ * MO_ERR_FORMAT: not JSON (faults->malformed); MO_ERR_INVALID: see the faults; MO_ERR_NO_MEMORY. */
+int mo_read_body(const char *text, size_t size, const struct mo_fields *fields, void *parsed,
+                 struct mo_parts *parts, int (*check)(struct mo_json *json, void *parsed),
+                 struct mo_faults *faults);
 
-/* Reads "paper-test" (*environments stays NULL) or an array of 1 to MO_ENVIRONMENTS_MAX
- * environments (malloc; the caller frees it in every case). MO_OK (faults or not) or
- * MO_ERR_NO_MEMORY. */
-int mo_read_environments(struct mo_json *json, struct mo_environment **environments,
-                         uint32_t *n_environments);
-
-/* Reads a controller's name, or "sha256:" and 64 digits. `controller` is unchanged if it is
- * neither. */
-void mo_read_controller(struct mo_json *json, char controller[MO_NAME_BYTES_MAX + 8]);
-
-/* Reads a name for a controller. `name` is unchanged if it is invalid. */
-void mo_read_name(struct mo_json *json, char name[MO_NAME_BYTES_MAX + 1]);
+/* Finds, in a first pass over the text, the words of two keys, because the defaults of other
+ * members depend on them. found: index in `words`; negative: none of them. given: the key is there.
+ * Adds no faults. MO_ERR_NO_MEMORY. */
+int mo_find_words(const char *text, size_t size, const char *const keys[2],
+                  const char *const *const words[2], int found[2], bool given[2]);
 
 /* Reads a job's id from a string. what: "an evaluation". */
 bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id);
-
-/* Reads a label of at most 200 characters. */
-bool mo_read_label(struct mo_json *json, char label[MO_LABEL_BYTES_MAX + 1]);
-
-/* Reads a job's weight, MO_WEIGHT_MIN to MO_WEIGHT_MAX. *weight is unchanged if it is invalid. */
-bool mo_read_weight(struct mo_json *json, double *weight);
-
-/* Reads where a job is to be computed ("auto", "cpu" or "cuda") into *back_end, which is unchanged
- * if the word is none of these. */
-void mo_read_device(struct mo_json *json, int *back_end);
-
-/* Reads one of two words into *choice as 0 or 1. False: it is neither. */
-bool mo_read_choice(struct mo_json *json, const char *first, const char *second, int *choice);
-
-/* Reads a word of a closed list. find: returns MO_OK for a known word; expected: all known words.
- * False: the word is unknown and a fault was added. */
-bool mo_read_word(struct mo_json *json, int (*find)(const char *word, int *value),
-                  const char *expected, int *value);
 
 #endif

@@ -140,7 +140,7 @@ static const char index_page[] =
     "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>morphod</title>\n"
     "<style>body{font-family:sans-serif;max-width:40em;margin:3em "
     "auto;line-height:1.5}</style></head>\n"
-    "<body><h1>morphod</h1>\n<p>Scores of voxel robots, durable and the same for ever.</p>\n<ul>\n"
+    "<body><h1>morphod</h1>\n<p>Scores of voxel robots, durable, and never different.</p>\n<ul>\n"
     "<li><a href=\"/openapi.json\">The HTTP contract</a> (OpenAPI 3.1)</li>\n"
     "<li><a href=\"/v1/jobs\">Jobs</a>, <a href=\"/v1/evaluations\">evaluations</a>, <a "
     "href=\"/v1/trainings\">trainings</a>, <a "

@@ -10,32 +10,9 @@
 #include "rollout/physics.h"
 #include "store/fields.h"
 
-enum mo_job_state mo_training_state(const struct mo_training_status *status,
-                                    const struct mo_live *live)
+static const char *kind_name(const struct mo_training_status *status)
 {
-  bool waits = status->job.state == MO_JOB_RUNNING && live->phase == MO_PHASE_WAIT;
-  return waits ? MO_JOB_PAUSED : status->job.state;
-}
-
-/* Writes why the training makes no progress, also if it was paused and has no space for its
- * checkpoint. */
-static void write_reason(struct mo_text *text, const struct mo_training_status *status,
-                         const struct mo_live *live)
-{
-  if (live->phase == MO_PHASE_WAIT && !mo_job_state_is_final(status->job.state))
-    mo_text_member(text, "reason", live->reason);
-  else if (mo_job_lacks_device(&status->job))
-    mo_text_member(text, "reason", status->job.error_text);
-  else
-    mo_text_add(text, ",\"reason\":null");
-}
-
-/* Writes the name that the result has or will have. */
-static void write_name(struct mo_text *text, const struct mo_training_status *status)
-{
-  char made[40];
-  snprintf(made, sizeof(made), "training-%lld", (long long)status->job.id);
-  mo_text_member(text, "name", status->record.name[0] != '\0' ? status->record.name : made);
+  return status->record.settings.kind == MO_TRAINING_FINETUNE ? "finetune" : "pretrain";
 }
 
 /* Returns the steps applied. After a crash, a run that resumed from a checkpoint may be behind the
@@ -57,10 +34,8 @@ static void write_settings(struct mo_text *text, const struct mo_training_record
     shown.settings.sensor = (enum mo_sensor) - 1; /* null: that of the parent */
   mo_text_add(text, ",\"settings\":{");
   mo_fields_write(text, &mo_training_record_fields, &shown);
-  if (record->settings.kind == MO_TRAINING_FINETUNE)
-    mo_text_member_count(text, "n_designs", record->n_designs);
-  else
-    mo_text_add(text, ",\"n_designs\":null");
+  mo_member_count_if(text, "n_designs", record->settings.kind == MO_TRAINING_FINETUNE,
+                     record->n_designs);
   if (record->population > 0)
     mo_text_format(text, ",\"population\":{\"%s\":\"%lld\"}}", mo_job_kind_name(population_kind),
                    (long long)record->population);
@@ -77,19 +52,17 @@ static void write_progress(struct mo_text *text, const struct mo_training_status
   bool runs = live->phase != MO_PHASE_IDLE, any = status->step > 0;
   mo_text_format(text, ",\"progress\":{\"step\":%u,\"steps\":%u", step_of(status, live),
                  status->record.settings.n_steps);
-  mo_text_member_number(text, "mean_loss", any ? last->mean_loss : (double)NAN);
-  mo_text_member_number(text, "gradient_norm", any ? last->gradient_norm : (double)NAN);
-  mo_text_member_number(text, "rate", any ? last->rate : (double)NAN);
-  mo_text_member_number(text, "clipped_share", any ? last->clipped_share : (double)NAN);
-  mo_text_member_number(text, "clipped_robots_share",
-                        any ? last->clipped_robots_share : (double)NAN);
+  mo_member_number_if(text, "mean_loss", any, last->mean_loss);
+  mo_member_number_if(text, "gradient_norm", any, last->gradient_norm);
+  mo_member_number_if(text, "rate", any, last->rate);
+  mo_member_number_if(text, "clipped_share", any, last->clipped_share);
+  mo_member_number_if(text, "clipped_robots_share", any, last->clipped_robots_share);
   mo_text_member_count(text, "diverged", any ? last->diverged : 0);
   mo_text_member_count(text, "zeroed", any ? last->zeroed : 0);
   mo_text_member_bool(text, "skipped", any && last->skipped);
-  mo_text_member_number(text, "bodies_per_s", runs && live->rate > 0 ? live->rate : (double)NAN);
-  mo_text_member_number(text, "seconds_left",
-                        runs && live->seconds_left >= 0 ? live->seconds_left : (double)NAN);
-  mo_text_member_number(text, "busy_s", runs && live->busy_s >= 0 ? live->busy_s : (double)NAN);
+  mo_member_number_if(text, "bodies_per_s", runs && live->rate > 0, live->rate);
+  mo_member_number_if(text, "seconds_left", runs && live->seconds_left >= 0, live->seconds_left);
+  mo_member_number_if(text, "busy_s", runs && live->busy_s >= 0, live->busy_s);
   mo_text_member_count(text, "replayed", runs ? live->done : 0);
   mo_text_member_count(text, "replay_total", runs ? live->total : 0);
   mo_text_add(text, "}");
@@ -107,36 +80,22 @@ static void write_code(struct mo_text *text, const struct mo_training_lineage *l
   mo_text_add(text, "]");
 }
 
-static void write_links(struct mo_text *text, long long id)
-{
-  mo_text_format(
-      text,
-      ",\"links\":{\"job\":\"/v1/jobs/%lld\",\"steps\":\"/v1/trainings/%lld/"
-      "steps\",\"validations\":"
-      "\"/v1/trainings/%lld/validations\",\"checkpoints\":\"/v1/trainings/%lld/"
-      "checkpoints\",\"controller\":"
-      "\"/v1/trainings/%lld/controller\",\"held_out\":\"/v1/trainings/%lld/held-out\",\"events\":"
-      "\"/v1/events?job=%lld\"}",
-      id, id, id, id, id, id, id);
-}
-
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
                             enum mo_job_kind population_kind, const struct mo_live *live)
 {
+  static const char *const below[] = {"steps",       "steps",       "validations", "validations",
+                                      "checkpoints", "checkpoints", "controller",  "controller",
+                                      "held_out",    "held-out",    NULL};
   const struct mo_training_record *record = &status->record;
-  char made[40];
-  snprintf(made, sizeof(made), "training-%lld", (long long)status->job.id);
-  mo_text_format(text, "{\"id\":\"%lld\",\"kind\":\"%s\"", (long long)status->job.id,
-                 record->settings.kind == MO_TRAINING_FINETUNE ? "finetune" : "pretrain");
-  write_name(text, status);
-  mo_job_write_common(text, &status->job, mo_training_state(status, live));
-  write_reason(text, status, live);
+  char made[MO_MADE_BYTES];
+  const char *name = mo_result_name(&status->job, record->name, made);
+  mo_text_format(text, "{\"id\":\"%lld\"", (long long)status->job.id);
+  mo_text_member(text, "kind", kind_name(status));
+  mo_text_member(text, "name", name);
+  mo_job_write_head(text, &status->job, live);
   mo_text_member(text, "phase", mo_phase_name(live->phase));
-  mo_text_add(text, ",\"parent\":");
-  if (record->has_parent)
-    mo_reference_write(text, record->parent_name, &record->parent_sha256);
-  else
-    mo_text_add(text, "null");
+  mo_reference_write(text, "parent", record->has_parent, record->parent_name,
+                     &record->parent_sha256);
   write_settings(text, record, population_kind);
   write_progress(text, status, live);
   mo_text_add(text, ",\"validation\":");
@@ -144,30 +103,22 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
     mo_columns_json(text, &mo_validation_columns, &status->validation);
   else
     mo_text_add(text, "null");
-  if (status->checkpoint_step > 0)
-    mo_text_member_count(text, "checkpoint_step", status->checkpoint_step);
-  else
-    mo_text_add(text, ",\"checkpoint_step\":null");
+  mo_member_count_if(text, "checkpoint_step", status->checkpoint_step > 0, status->checkpoint_step);
   write_code(text, &status->code);
-  mo_text_add(text, ",\"controller\":");
-  if (status->has_result)
-    mo_reference_write(text, record->name[0] != '\0' ? record->name : made, &status->result_sha256);
-  else
-    mo_text_add(text, "null");
-  write_links(text, (long long)status->job.id);
+  mo_reference_write(text, "controller", status->has_result, name, &status->result_sha256);
+  mo_links_write(text, &status->job, below);
   mo_text_add(text, "}");
 }
 
-void mo_training_json_job(struct mo_text *text, const struct mo_training_status *status,
-                          const struct mo_live *live)
+void mo_training_json_job(struct mo_text *text, const void *any, const struct mo_live *live)
 {
+  const struct mo_training_status *status = any;
+  char made[MO_MADE_BYTES];
   mo_text_format(text, "{\"id\":\"%lld\"", (long long)status->job.id);
   mo_text_member(text, "kind", mo_job_kind_name(status->job.kind));
-  mo_job_write_common(text, &status->job, mo_training_state(status, live));
-  write_reason(text, status, live);
-  mo_text_format(text, ",\"training\":{\"kind\":\"%s\"",
-                 status->record.settings.kind == MO_TRAINING_FINETUNE ? "finetune" : "pretrain");
-  write_name(text, status);
+  mo_job_write_head(text, &status->job, live);
+  mo_text_format(text, ",\"training\":{\"kind\":\"%s\"", kind_name(status));
+  mo_text_member(text, "name", mo_result_name(&status->job, status->record.name, made));
   mo_text_format(text, ",\"step\":%u,\"steps\":%u}}", step_of(status, live),
                  status->record.settings.n_steps);
 }

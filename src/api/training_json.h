@@ -5,17 +5,12 @@
 #include "base/text.h"
 #include "jobs/trainings.h"
 
-/* Returns the state to show: a running training that waits for disk space is shown as paused. */
-enum mo_job_state mo_training_state(const struct mo_training_status *status,
-                                    const struct mo_live *live);
-
 /* Writes a training. live: its current live state. population_kind: the kind of the job
  * record.population, if there is one. */
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
                             enum mo_job_kind population_kind, const struct mo_live *live);
-/* Writes a training as an item of the list of jobs. */
-void mo_training_json_job(struct mo_text *text, const struct mo_training_status *status,
-                          const struct mo_live *live);
+/* Writes a training as an item of the list of jobs. status: struct mo_training_status. */
+void mo_training_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 
 void mo_training_json_checkpoint(struct mo_text *text, const struct mo_checkpoint_row *row);
 

@@ -1,35 +1,24 @@
-/* training_request.c: see training_request.h.
+/* training_request.c: the body of POST /v1/trainings.
  *
  * The defaults depend on kind and preset, and JSON members have no order. A first pass over the
  * text finds these two; a second pass reads all members over their defaults. Checks that involve
  * several fields come last. */
-#include "api/training_request.h"
-
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/request_parts.h"
+#include "api/requests.h"
 #include "store/fields.h"
-
-/* Members of a request besides the settings of the table. */
-#define OTHER_MEMBERS                                                                              \
-  "kind, preset, name, controller, designs, population, priority, weight, device, label"
-
-/* Which members were given, where other members depend on that. */
-struct given {
-  bool kind, controller, no_controller, sensor, designs, population;
-  bool known_kind; /* kind is a valid word */
-  bool object;     /* the body is an object, so fields can be missing */
-  enum mo_learning_preset preset;
-};
 
 /* ---- the designs of another job ---- */
 
-static void read_population(struct mo_json *json, struct mo_parsed_training *parsed)
+static void read_population(struct mo_json *json, void *value)
 {
+  struct mo_parsed_training *parsed = value;
   struct mo_training_request *request = &parsed->request;
   unsigned depth = json->depth, jobs = 0;
   struct mo_json_slice key;
+  int64_t best;
+  parsed->has_population = true;
   if (!mo_json_object(json))
     return;
   while (mo_json_member(json, &key)) {
@@ -39,206 +28,151 @@ static void read_population(struct mo_json *json, struct mo_parsed_training *par
       parsed->population_kind = campaign ? MO_JOB_CAMPAIGN : MO_JOB_EVALUATION;
       mo_read_job_id(json, campaign ? "a campaign" : "an evaluation", &request->population);
     } else if (mo_json_is(key, "best")) {
-      mo_read_count(json, 1, MO_TRAINING_DESIGNS_MAX, &request->population_best);
+      if (mo_json_integer(json, 1, MO_TRAINING_DESIGNS_MAX, &best))
+        request->population_best = (uint32_t)best;
     } else {
-      mo_read_unknown(json, "evaluation or campaign, best");
+      mo_fields_unknown(json, "evaluation or campaign, best", NULL);
     }
   }
   if (!json->stop && jobs != 1)
     mo_json_fault_at(json, depth, "",
                      "a population is that of exactly one job: evaluation, the id of one whose "
-                     "designs are learned "
-                     "from, or campaign, the id of one whose newest population is");
-}
-
-/* ---- names ---- */
-
-static void read_kind(struct mo_json *json, struct given *given)
-{
-  int choice;
-  given->kind = true;
-  given->known_kind = mo_read_choice(json, "pretrain", "finetune", &choice);
-}
-
-static int find_preset(const char *word, int *value)
-{
-  enum mo_learning_preset preset = MO_LEARNING_PRESET_WORKSTATION;
-  int code = mo_learning_preset_from_name(word, &preset);
-  *value = (int)preset;
-  return code;
-}
-
-static void read_preset(struct mo_json *json, struct given *given)
-{
-  int preset;
-  if (mo_read_word(json, find_preset, "\"workstation\", \"phototaxis\" or \"paper\"", &preset))
-    given->preset = (enum mo_learning_preset)preset;
-}
-
-static void read_parent(struct mo_json *json, struct mo_parsed_training *parsed,
-                        struct given *given)
-{
-  given->controller = true;
-  if (mo_json_peek(json) == MO_JSON_NULL) {
-    given->no_controller = true;
-    mo_json_skip(json);
-    return;
-  }
-  mo_read_controller(json, parsed->parent);
+                     "designs are learned from, or campaign, the id of one whose newest population "
+                     "is");
 }
 
 /* ---- the whole ---- */
 
-/* Checks what depends on several fields. */
-static void check_together(struct mo_json *json, struct mo_parsed_training *parsed,
-                           const struct given *given)
+#define AT(member) offsetof(struct mo_parsed_training, member)
+static const char *const kind_words[] = {"pretrain", "finetune", NULL};
+static const struct mo_field_own population = {.read = read_population};
+static const struct mo_field rows[] = {
+    {"kind", MO_FIELD_WORD, 0, AT(request.record.settings.kind), .words = kind_words},
+    {"preset", MO_FIELD_WORD, 0, AT(preset), .words = mo_learning_preset_words},
+    {"name", MO_FIELD_OWN, 0, AT(request.record.name), .own = &mo_name_field},
+    {"designs", MO_FIELD_OWN, 0, AT(parts), .own = &mo_designs_field},
+    {"population", MO_FIELD_OWN, 0, 0, .own = &population},
+    {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
+    {NULL, MO_FIELD_INLINE, 0, AT(request.record), .group = &mo_training_record_fields},
+};
+#undef AT
+const struct mo_fields mo_training_request_fields = {rows, sizeof(rows) / sizeof(rows[0])};
+_Static_assert(MO_TRAINING_PRETRAIN == 0 && MO_TRAINING_FINETUNE == 1,
+               "the words stand in the order of their values");
+
+static void check_finetune(struct mo_json *json, const struct mo_parsed_training *parsed)
 {
-  bool finetune = parsed->request.record.settings.kind == MO_TRAINING_FINETUNE;
-  if (!given->kind)
+  bool designs = parsed->parts.has_designs;
+  if (designs == parsed->has_population)
+    mo_json_fault_at(json, 0, "",
+                     "%s; a finetuning learns from exactly one of designs (a list) and population "
+                     "(those of an evaluation or a campaign)",
+                     designs ? "both designs and population are given"
+                             : "neither designs nor population is given");
+  if (parsed->parts.no_controller)
+    mo_json_fault_at(json, 0, "/controller",
+                     "null is given; a finetuning starts from a controller: its name, or sha256: "
+                     "and 64 hexadecimal digits, is expected");
+  if (parsed->preset == MO_LEARNING_PRESET_PHOTOTAXIS)
+    mo_json_fault_at(json, 0, "/preset",
+                     "\"phototaxis\" is how a controller was pretrained; \"workstation\" or "
+                     "\"paper\" is expected of a finetuning");
+}
+
+static void check_pretrain(struct mo_json *json, const struct mo_parsed_training *parsed)
+{
+  const struct mo_training_settings *settings = &parsed->request.record.settings;
+  const uint64_t bodies = (uint64_t)settings->n_steps * settings->batch;
+  if (parsed->parts.has_designs)
+    mo_json_fault_at(json, 0, "/designs",
+                     "a pretraining draws bodies of its own; designs are expected of a finetuning "
+                     "only");
+  if (parsed->has_population)
+    mo_json_fault_at(json, 0, "/population",
+                     "a pretraining draws bodies of its own; a population is expected of a "
+                     "finetuning only");
+  if (bodies > MO_TRAINING_BODIES_MAX)
+    mo_json_fault_at(json, 0, "/steps",
+                     "%u steps of %u bodies are %llu; at most %llu distinct bodies are expected of "
+                     "a pretraining",
+                     settings->n_steps, settings->batch, (unsigned long long)bodies,
+                     (unsigned long long)MO_TRAINING_BODIES_MAX);
+}
+
+/* Checks what depends on several fields. The sensor is negative unless it was given. */
+static int check(struct mo_json *json, void *any)
+{
+  struct mo_parsed_training *parsed = any;
+  struct mo_training_settings *settings = &parsed->request.record.settings;
+  const struct mo_parts *parts = &parsed->parts;
+  bool finetune = settings->kind == MO_TRAINING_FINETUNE;
+  bool has_sensor = (int)settings->sensor >= 0;
+  if (!parsed->has_kind)
     mo_json_fault_at(json, 0, "", "kind is missing: \"pretrain\" or \"finetune\"");
-  if (!given->known_kind)
-    return;
-  if (finetune) {
-    if (given->designs == given->population)
-      mo_json_fault_at(json, 0, "",
-                       "%s; a finetuning learns from exactly one of designs (a list) and "
-                       "population (those of an "
-                       "evaluation or a campaign)",
-                       given->designs ? "both designs and population are given"
-                                      : "neither designs nor population is given");
-    if (given->no_controller)
-      mo_json_fault_at(json, 0, "/controller",
-                       "null is given; a finetuning starts from a controller: its name, or sha256: "
-                       "and 64 hexadecimal "
-                       "digits, is expected");
-    if (given->preset == MO_LEARNING_PRESET_PHOTOTAXIS)
-      mo_json_fault_at(json, 0, "/preset",
-                       "\"phototaxis\" is how a controller was pretrained; \"workstation\" or "
-                       "\"paper\" is expected of a "
-                       "finetuning");
-  } else {
-    if (given->designs)
-      mo_json_fault_at(
-          json, 0, "/designs",
-          "a pretraining draws bodies of its own; designs are expected of a finetuning alone");
-    if (given->population)
-      mo_json_fault_at(
-          json, 0, "/population",
-          "a pretraining draws bodies of its own; a population is expected of a finetuning alone");
-    const struct mo_training_settings *settings = &parsed->request.record.settings;
-    if ((uint64_t)settings->n_steps * settings->batch > MO_TRAINING_BODIES_MAX)
-      mo_json_fault_at(json, 0, "/steps",
-                       "%u steps of %u bodies are %llu; at most %llu distinct bodies are expected "
-                       "of a pretraining",
-                       settings->n_steps, settings->batch,
-                       (unsigned long long)settings->n_steps * settings->batch,
-                       (unsigned long long)MO_TRAINING_BODIES_MAX);
-  }
-  if (given->sensor && (finetune || (given->controller && !given->no_controller)))
-    mo_json_fault_at(
-        json, 0, "/sensor",
-        "the training starts from a controller, which has its sensor; none is expected here");
-}
-
-static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
-                        struct given *given)
-{
-  struct mo_training_request *request = &parsed->request;
-  struct mo_training_record *record = &request->record;
-  struct mo_json_slice key;
-  int code = MO_OK, choice;
-  given->object = mo_json_object(json);
-  if (!given->object)
-    return MO_OK;
-  while (code == MO_OK && mo_json_member(json, &key)) {
-    if (mo_json_is(key, "kind")) {
-      read_kind(json, given);
-    } else if (mo_json_is(key, "preset")) {
-      read_preset(json, given);
-    } else if (mo_json_is(key, "name")) {
-      mo_read_name(json, record->name);
-    } else if (mo_json_is(key, "controller")) {
-      read_parent(json, parsed, given);
-    } else if (mo_json_is(key, "designs")) {
-      given->designs = true;
-      code = mo_read_designs(json, &parsed->genotypes, &record->n_designs);
-    } else if (mo_json_is(key, "population")) {
-      given->population = true;
-      read_population(json, parsed);
-    } else if (mo_json_is(key, "priority")) {
-      if (mo_read_choice(json, "batch", "interactive", &choice))
-        request->priority = choice ? MO_INTERACTIVE : MO_BATCH;
-    } else if (mo_json_is(key, "device")) {
-      mo_read_device(json, &request->back_end);
-    } else if (mo_json_is(key, "weight")) {
-      mo_read_weight(json, &request->weight);
-    } else if (mo_json_is(key, "label")) {
-      if (mo_read_label(json, parsed->label))
-        request->label = parsed->label;
-    } else {
-      given->sensor |= mo_json_is(key, "sensor");
-      if (!mo_fields_read_member(json, key, &mo_training_record_fields, record))
-        mo_fields_unknown(json, OTHER_MEMBERS, &mo_training_record_fields);
-    }
-  }
-  return code;
-}
-
-static int read_text(struct mo_json *json, const char *text, size_t size,
-                     struct mo_parsed_training *parsed, struct mo_faults *faults)
-{
-  struct mo_training_record *record = &parsed->request.record;
-  struct given given = {0};
-  struct mo_message message = {""};
-  static const char *const keys[] = {"kind", "preset"};
-  char words[2][MO_WORD_BYTES];
-  int code = mo_find_words(json, text, size, keys, words, 2);
-  if (code != MO_OK)
-    return code;
-  enum mo_training_kind kind =
-      strcmp(words[0], "finetune") == 0 ? MO_TRAINING_FINETUNE : MO_TRAINING_PRETRAIN;
-  enum mo_learning_preset preset = MO_LEARNING_PRESET_WORKSTATION;
-  if (mo_learning_preset_from_name(words[1], &preset) != MO_OK)
-    preset = MO_LEARNING_PRESET_WORKSTATION; /* the second pass reports the fault */
-  record->settings = mo_training_preset(kind, preset);
-  record->validate_every_steps = 50;
-  record->checkpoint_every_s = 60;
-  record->checkpoints_kept = 3;
-  mo_json_start(json, text, size, faults);
-  code = read_request(json, parsed, &given);
-  if (code != MO_OK)
-    return code;
-  if (!json->stop && given.object)
-    check_together(json, parsed, &given);
-  mo_json_finish(json);
-  if (kind == MO_TRAINING_FINETUNE && !given.controller)
-    memcpy(parsed->parent, "default", sizeof("default"));
-  if (faults->malformed)
-    return MO_ERR_FORMAT;
-  if (faults->n == 0 && mo_training_settings_check(&record->settings, &message) != MO_OK)
-    mo_faults_add(faults, MO_FAULT_BODY, "", "%s", message.text);
-  return faults->n > 0 ? MO_ERR_INVALID : MO_OK;
+  else if ((int)settings->kind < 0)
+    return MO_OK; /* told already */
+  if (parsed->has_kind && finetune)
+    check_finetune(json, parsed);
+  else if (parsed->has_kind)
+    check_pretrain(json, parsed);
+  if (parsed->has_kind && has_sensor &&
+      (finetune || (parts->has_controller && !parts->no_controller)))
+    mo_json_fault_at(json, 0, "/sensor",
+                     "the training starts from a controller, which has its sensor; none is "
+                     "expected here");
+  return MO_OK;
 }
 
 int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *parsed,
                       struct mo_faults *faults)
 {
-  *parsed = (struct mo_parsed_training){
-      .request = {.priority = MO_BATCH, .back_end = MO_BACK_END_AUTO, .weight = 1}};
-  struct mo_json *json = malloc(sizeof(*json));
-  if (json == NULL)
-    return MO_ERR_NO_MEMORY;
-  int code = read_text(json, text, size, parsed, faults);
-  free(json);
-  if (code == MO_OK || code == MO_ERR_INVALID)
-    parsed->request.parent = parsed->parent[0] != '\0' ? parsed->parent : NULL;
-  if (code == MO_OK)
-    parsed->request.genotypes = parsed->genotypes;
-  return code;
+  static const char *const keys[2] = {"kind", "preset"};
+  const char *const *const words[2] = {kind_words, mo_learning_preset_words};
+  struct mo_training_request *request = &parsed->request;
+  struct mo_training_settings *settings = &request->record.settings;
+  struct mo_parts *parts = &parsed->parts;
+  struct mo_message message = {""};
+  bool given[2];
+  int found[2];
+  *parsed = (struct mo_parsed_training){.parts = {.priority = MO_BATCH, .weight = 1},
+                                        .preset = MO_LEARNING_PRESET_WORKSTATION};
+  int error = mo_find_words(text, size, keys, words, found, given);
+  if (error != MO_OK)
+    return error;
+  /* The second pass reports words that are not known. */
+  const enum mo_training_kind kind = found[0] > 0 ? MO_TRAINING_FINETUNE : MO_TRAINING_PRETRAIN;
+  const enum mo_learning_preset preset =
+      found[1] >= 0 ? (enum mo_learning_preset)found[1] : MO_LEARNING_PRESET_WORKSTATION;
+  request->record = (struct mo_training_record){.settings = mo_training_preset(kind, preset),
+                                                .validate_every_steps = 50,
+                                                .checkpoint_every_s = 60,
+                                                .checkpoints_kept = 3};
+  const enum mo_sensor sensor = settings->sensor;
+  settings->sensor = (enum mo_sensor) - 1;
+  if (found[0] < 0)
+    settings->kind = (enum mo_training_kind) - 1;
+  parsed->has_kind = given[0];
+  error = mo_read_body(text, size, &mo_training_request_fields, parsed, parts, check, faults);
+  if ((int)settings->sensor < 0)
+    settings->sensor = sensor;
+  if (kind == MO_TRAINING_FINETUNE && !parts->has_controller)
+    memcpy(parts->controller, "default", sizeof("default"));
+  if (error == MO_OK && mo_training_settings_check(settings, &message) != MO_OK) {
+    mo_faults_add(faults, MO_FAULT_BODY, "", "%s", message.text);
+    error = MO_ERR_INVALID;
+  }
+  request->parent = mo_parts_controller(parts);
+  request->priority = parts->priority;
+  request->back_end = mo_parts_back_end(parts);
+  request->weight = parts->weight;
+  request->label = parts->has_label ? parts->label : NULL;
+  request->genotypes = parts->genotypes;
+  request->record.n_designs = parts->n_designs;
+  return error;
 }
 
 void mo_training_parsed_free(struct mo_parsed_training *parsed)
 {
-  free(parsed->genotypes);
+  mo_parts_free(&parsed->parts);
   *parsed = (struct mo_parsed_training){0};
 }

@@ -3,9 +3,9 @@
 #include <string.h>
 
 #include "api/job_reply.h"
+#include "api/requests.h"
 #include "api/submission.h"
 #include "api/training_json.h"
-#include "api/training_request.h"
 
 /* ---- the kind ---- */
 
@@ -24,11 +24,6 @@ static int64_t read_page(struct mo_store *store, const struct mo_campaign_query 
                                     .waiting = query->waiting,
                                     .n_waiting = query->n_waiting};
   return mo_store_trainings(store, &jobs, statuses, limit);
-}
-
-static enum mo_job_state state_of(const void *status, const struct mo_live *live)
-{
-  return mo_training_state(status, live);
 }
 
 /* Returns the kind of the job whose designs a training learns from. */
@@ -50,20 +45,14 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
   return MO_OK;
 }
 
-static void write_item(struct mo_text *text, const void *status, const struct mo_live *live)
-{
-  mo_training_json_job(text, status, live);
-}
-
 const struct mo_resource mo_training_resource = {.kind = MO_JOB_TRAINING,
                                                  .path = "/v1/trainings",
                                                  .status_size = sizeof(struct mo_training_status),
                                                  .read = read_status,
                                                  .page = read_page,
                                                  .has_live = true,
-                                                 .state = state_of,
                                                  .write = write_whole,
-                                                 .write_job = write_item};
+                                                 .write_job = mo_training_json_job};
 
 /* ---- routes ---- */
 

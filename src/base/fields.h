@@ -54,7 +54,7 @@ struct mo_field {
   size_t offset;
   double min, max;               /* of counts and numbers */
   const char *const *words;      /* of a word; NULL after the last */
-  const struct mo_fields *group; /* of a group, inline or not */
+  const struct mo_fields *group; /* of a group, inline or not; of an own type: its members */
   const struct mo_field_own *own;
   const char *unit; /* "m", "s"; "": none */
   const char *help; /* one line without a period */

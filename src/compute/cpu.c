@@ -235,7 +235,7 @@ static int simulate(struct worker *worker, struct mo_block *block, int depth, st
                                        .reached = look_up,
                                        .context = &visit};
   status = mo_rollout_block(worker->memory[depth], pack, body, block->environments,
-                            block->n_environments, &block->physics, block->recordings, &pause, NULL,
+                            block->n_environments, &block->physics, block->recordings, &pause,
                             block->outcomes);
   mo_body_free(built);
   return status;
@@ -261,7 +261,7 @@ static int differentiate(struct worker *worker, struct mo_gradient_task *task, i
       .reached = look_up,
       .context = &visit};
   return mo_gradient_block(worker->gradient, task->pack, task->robots, task->n,
-                           &task->block.physics, &task->options, &pause, NULL, task->outcomes,
+                           &task->block.physics, &task->options, &pause, task->outcomes,
                            task->d_parameters, &task->counts);
 }
 

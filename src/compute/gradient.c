@@ -79,11 +79,6 @@ void mo_gradient_state_free(struct mo_gradient_state *state)
   free(state);
 }
 
-static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
-{
-  return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
-}
-
 /* Options for one robot: its share of the batch mean. */
 static struct mo_gradient_options options_of(const struct mo_gradient_batch *batch)
 {
@@ -110,7 +105,7 @@ static int check_robots(const struct mo_robot *robots, uint32_t n, struct mo_wor
 {
   for (uint32_t i = 0; i < n; i++)
     if (robots[i].body == NULL || robots[i].environment == NULL ||
-        !same_workspace(robots[i].body->workspace, workspace) ||
+        !mo_workspace_equal(robots[i].body->workspace, workspace) ||
         mo_environment_check(robots[i].environment, NULL) != MO_OK)
       return MO_ERR_INVALID;
   return MO_OK;
@@ -266,7 +261,7 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
   int status = check(state->compute, batch);
   const bool was_checked = status == MO_OK && batch->back_end == MO_ON_DEVICE &&
                            state->on_devices != NULL &&
-                           same_workspace(batch->controller->workspace, MO_DEFAULT_WORKSPACE) &&
+                           mo_workspace_equal(batch->controller->workspace, MO_DEFAULT_WORKSPACE) &&
                            mo_devices_have_laid_out(state->on_devices, batch);
   if (status == MO_OK && !was_checked)
     status = check_robots(batch->robots, batch->n, batch->controller->workspace);

@@ -23,10 +23,7 @@ const char *mo_sensor_name(enum mo_sensor sensor)
 
 int mo_sensor_from_name(const char *name, enum mo_sensor *sensor)
 {
-  const int i = mo_word_index(mo_sensor_words, name);
-  if (i >= 0)
-    *sensor = (enum mo_sensor)i;
-  return i >= 0 ? MO_OK : i;
+  return mo_word_find(mo_sensor_words, name, sensor);
 }
 
 void mo_controller_mass_order(struct mo_workspace workspace, char text[64])

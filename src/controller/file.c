@@ -2,12 +2,15 @@
  * directly into the parameters, so that a large controller is in memory only once. */
 #include "controller/internal.h"
 
-#include "base/file.h"
-
+#include <errno.h>
+#include <fcntl.h>
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
+
+#define PIECE_BYTES ((size_t)1 << 30) /* for one system call */
 
 int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller **controller,
                          struct mo_message *message)
@@ -36,11 +39,51 @@ int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller
   return MO_OK;
 }
 
+/* Opens a regular file. Returns its descriptor and size. Never blocks, not even on a pipe. */
+static int open_file(const char *path, uint64_t *size, struct mo_message *message)
+{
+  /* O_NONBLOCK: opening a pipe must not wait for a writer. */
+  const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+  if (fd < 0)
+    return mo_fail(message, errno == ENOENT ? MO_ERR_NOT_FOUND : MO_ERR_IO, "cannot open %s: %s",
+                   path, strerrordesc_np(errno));
+  struct stat status;
+  int r = MO_OK;
+  if (fstat(fd, &status) < 0)
+    r = mo_fail(message, MO_ERR_IO, "reading failed: %s", strerrordesc_np(errno));
+  else if (!S_ISREG(status.st_mode))
+    r = mo_fail(message, MO_ERR_IO, "not a regular file");
+  if (r < 0) {
+    close(fd);
+    return r;
+  }
+  *size = (uint64_t)status.st_size;
+  return fd;
+}
+
+static int read_at(int fd, void *buffer, uint64_t size, uint64_t offset, struct mo_message *message)
+{
+  uint8_t *to = buffer;
+  while (size > 0) {
+    const ssize_t n = pread(fd, to, size < PIECE_BYTES ? size : PIECE_BYTES, (off_t)offset);
+    if (n < 0 && errno == EINTR)
+      continue;
+    if (n < 0)
+      return mo_fail(message, MO_ERR_IO, "reading failed: %s", strerrordesc_np(errno));
+    if (n == 0)
+      return mo_fail(message, MO_ERR_IO, "the file became shorter while it was read");
+    to += n;
+    offset += (uint64_t)n;
+    size -= (uint64_t)n;
+  }
+  return MO_OK;
+}
+
 static int read_header(int fd, uint64_t size, struct mo_safetensors *file,
                        struct mo_message *message)
 {
   uint8_t prefix[8] = {0};
-  int r = mo_file_read_at(fd, prefix, size < 8 ? size : 8, 0, message);
+  int r = read_at(fd, prefix, size < 8 ? size : 8, 0, message);
   uint32_t header_size = 0;
   if (r == MO_OK)
     r = mo_safetensors_header_size(prefix, size, &header_size, message);
@@ -49,7 +92,7 @@ static int read_header(int fd, uint64_t size, struct mo_safetensors *file,
   char *header = malloc((size_t)header_size + 1);
   if (header == NULL)
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-  r = mo_file_read_at(fd, header, header_size, 8, message);
+  r = read_at(fd, header, header_size, 8, message);
   if (r == MO_OK)
     r = mo_safetensors_parse(header, header_size, size, file, message);
   free(header);
@@ -68,8 +111,8 @@ static int read_open(int fd, uint64_t size, struct mo_controller **controller,
   if (r < 0 || file.controller == NULL)
     return r;
   for (int i = 0; i < MO_CONTROLLER_TENSORS && r == MO_OK; i++)
-    r = mo_file_read_at(fd, file.controller->parameters + file.tensors[i].offset,
-                        file.tensors[i].count * sizeof(float), file.offsets[i], message);
+    r = read_at(fd, file.controller->parameters + file.tensors[i].offset,
+                file.tensors[i].count * sizeof(float), file.offsets[i], message);
   if (r == MO_OK)
     r = mo_safetensors_check_values(&file, message);
   if (r < 0) {
@@ -84,7 +127,7 @@ int mo_controller_read(const char *path, struct mo_controller **controller,
                        struct mo_message *message)
 {
   uint64_t size = 0;
-  const int fd = mo_file_open(path, &size, message);
+  const int fd = open_file(path, &size, message);
   if (fd < 0)
     return fd;
   const int r = read_open(fd, size, controller, message);

@@ -57,13 +57,13 @@ static const struct mo_field selection_rows[] = {
     {"kind", MO_FIELD_WORD, 0, AT(kind), .words = mo_selection_words, .unit = "",
      .help = "who lives"},
     {"size", MO_FIELD_COUNT, 0, AT(tournament_size), .min = 2, .max = 64, .unit = "designs",
-     .help = "draws of a tournament"},
+     .help = "tournament: designs that are drawn for each place"},
     {"weight", MO_FIELD_NUMBER, 0, AT(novelty_weight), .min = 0, .max = 1, .unit = "",
-     .help = "weight of the rank by novelty"},
+     .help = "novelty: weight of the rank by novelty"},
     {"layers", MO_FIELD_COUNT, 0, AT(n_layers), .min = 2, .max = 16, .unit = "",
-     .help = "layers of age"},
+     .help = "age-layered: layers of age"},
     {"age_gap", MO_FIELD_COUNT, 0, AT(age_gap), .min = 1, .max = 1000, .unit = "generations",
-     .help = "age limit of the youngest layer"},
+     .help = "age-layered: age limit of the youngest layer, in generations"},
 };
 #undef AT
 #define N_SELECTION_ROWS (sizeof(selection_rows) / sizeof(selection_rows[0]))
@@ -162,7 +162,8 @@ static const struct mo_field mutation_rows[] = {
     {"share", MO_FIELD_NUMBER, 0, AT(mutation_share), .min = 0, .max = 1, .unit = "",
      .help = "share of the population that mutates; the rest recombines"},
     {"rate", MO_FIELD_NUMBER, MO_FIELD_ABOVE_MIN | MO_FIELD_NULL, AT(mutation_rate), .min = 0,
-     .max = 0.5, .unit = "", .help = "probability that a voxel flips; null: one voxel on average"},
+     .max = 0.5, .unit = "",
+     .help = "probability that a voxel flips; null (default): one voxel on average"},
     {"growth", MO_FIELD_NUMBER, 0, AT(mutation_growth), .min = 1, .max = 2, .unit = "",
      .help = "factor of the rate after an attempt that gave nothing new"},
 };
@@ -173,13 +174,13 @@ static const struct mo_field campaign_rows[] = {
      .max = MO_POPULATION_MAX, .unit = "designs", .help = "designs that live at a time"},
     {"generations", MO_FIELD_COUNT, 0, AT(generations), .min = 0, .max = MO_GENERATIONS_MAX,
      .unit = "generations", .help = "generations after the initial population"},
-    {"seed", MO_FIELD_SEED, 0, AT(seed), .unit = "", .help = "of every random number"},
+    {"seed", MO_FIELD_SEED, 0, AT(seed), .unit = "", .help = "seed of every random number"},
     {"workspace", MO_FIELD_OWN, 0, AT(workspace), .own = &workspace, .unit = "voxels",
      .help = "box that bodies must fit: [nx, ny, nz]"},
     {"mutation", MO_FIELD_GROUP, 0, 0, .group = &mutation_fields, .unit = "",
      .help = "how designs mutate"},
-    {"selection", MO_FIELD_OWN, 0, AT(selection), .own = &selection, .unit = "",
-     .help = "who lives: a kind, or an object with its settings"},
+    {"selection", MO_FIELD_OWN, 0, AT(selection), .group = &selection_fields, .own = &selection,
+     .unit = "", .help = "who lives: a kind, or an object with its settings"},
     {"exclude_pretraining", MO_FIELD_FLAG, 0, AT(exclude_pretraining), .unit = "",
      .help = "bodies that the controller was pretrained on are never born"},
     {"collapse_share", MO_FIELD_NUMBER, 0, AT(collapse_share), .min = 0, .max = 1, .unit = "",
@@ -195,10 +196,10 @@ static const struct mo_field learning_rows[] = {
     {"child_steps", MO_FIELD_COUNT, 0, AT(child_steps), .min = 0, .max = MO_CAMPAIGN_STEPS_MAX,
      .unit = "steps", .help = "steps of learning on the children in each generation"},
     {"batch", MO_FIELD_COUNT, MO_FIELD_NULL, AT(batch), .min = 1, .max = MO_TRAINING_BATCH_MAX,
-     .unit = "robots", .help = "robots in each step; null: the population"},
+     .unit = "robots", .help = "robots in each step; null (default): the population"},
     {NULL, MO_FIELD_INLINE, 0, AT(learning), .group = &mo_learning_fields},
     {"sensor", MO_FIELD_WORD, MO_FIELD_NULL, AT(sensor), .words = mo_sensor_words, .unit = "",
-     .help = "of a controller that starts from random weights"},
+     .help = "sensor of a controller that starts from random weights"},
 };
 #undef AT
 const struct mo_fields mo_campaign_learning_fields = {learning_rows, sizeof(learning_rows) /

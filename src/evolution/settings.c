@@ -11,21 +11,13 @@
 const char *const mo_campaign_mode_words[] = {"zero-shot", "few-shot", "simultaneous", NULL};
 const char *const mo_selection_words[] = {"truncation", "tournament", "novelty", "age-layered",
                                           NULL};
-static const char *const preset_words[] = {"paper", "workstation", "demo", NULL};
+const char *const mo_preset_words[] = {"paper", "workstation", "demo", NULL};
 static const char *const operator_words[] = {"random",   "listed",    "inherited",
                                              "mutation", "crossover", NULL};
 
 const char *mo_campaign_mode_name(enum mo_campaign_mode mode)
 {
   return mo_word(mo_campaign_mode_words, (unsigned)mode);
-}
-
-int mo_campaign_mode_from_name(const char *name, enum mo_campaign_mode *mode)
-{
-  const int i = mo_word_index(mo_campaign_mode_words, name);
-  if (i >= 0)
-    *mode = (enum mo_campaign_mode)i;
-  return i >= 0 ? MO_OK : i;
 }
 
 const char *mo_selection_name(enum mo_selection_kind kind)
@@ -35,15 +27,7 @@ const char *mo_selection_name(enum mo_selection_kind kind)
 
 const char *mo_preset_name(enum mo_preset preset)
 {
-  return mo_word(preset_words, (unsigned)preset);
-}
-
-int mo_preset_from_name(const char *name, enum mo_preset *preset)
-{
-  const int i = mo_word_index(preset_words, name);
-  if (i >= 0)
-    *preset = (enum mo_preset)i;
-  return i >= 0 ? MO_OK : i;
+  return mo_word(mo_preset_words, (unsigned)preset);
 }
 
 const char *mo_operator_name(enum mo_operator birth)

@@ -123,7 +123,7 @@ static void write_http(struct mo_http *http, struct mo_text *text)
       "Connections that may be open: max_connections, or what the limit of open files leaves.",
       stats.max_connections);
   mo_metric_count(text, "morphod_http_requests_in_flight", "gauge",
-                  "Requests under way, event streams included.", stats.in_flight);
+                  "Requests in flight, event streams included.", stats.in_flight);
   mo_metric_count(text, "morphod_http_requests_queued", "gauge",
                   "Requests waiting for an API thread.", stats.queued);
   mo_metric_count(text, "morphod_http_connections_accepted_total", "counter",

@@ -52,4 +52,7 @@ struct mo_http {
   uint64_t id_key;
 };
 
+/* Starts libmicrohttpd with its callbacks (dispatch.c). */
+int mo_daemon_start(struct mo_http *http, struct mo_message *message);
+
 #endif

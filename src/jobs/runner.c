@@ -30,14 +30,14 @@ struct mo_runner *mo_runners_find(struct mo_runners *runners, int64_t id)
   return NULL;
 }
 
-void mo_runner_put_request(struct mo_runner *runner, enum mo_request request)
+void mo_runner_put_request(struct mo_runner *runner, enum mo_job_request request)
 {
   if (runner->request < request)
     runner->request = request;
   __atomic_store_n(&runner->interrupt, 1, __ATOMIC_RELAXED);
 }
 
-void mo_runners_request(struct mo_runners *runners, int64_t id, enum mo_request request)
+void mo_runners_request(struct mo_runners *runners, int64_t id, enum mo_job_request request)
 {
   struct mo_runner *runner;
   pthread_mutex_lock(&runners->mutex);
@@ -57,9 +57,9 @@ void mo_runners_wake(struct mo_runners *runners)
   pthread_mutex_unlock(&runners->mutex);
 }
 
-enum mo_request mo_runner_requested(struct mo_runner *runner)
+enum mo_job_request mo_runner_requested(struct mo_runner *runner)
 {
-  enum mo_request request;
+  enum mo_job_request request;
   pthread_mutex_lock(&runner->runners->mutex);
   request = runner->request;
   pthread_mutex_unlock(&runner->runners->mutex);
@@ -71,7 +71,7 @@ bool mo_runner_is_interrupted(const struct mo_runner *runner)
   return __atomic_load_n(&runner->interrupt, __ATOMIC_RELAXED) != 0;
 }
 
-void mo_runner_sleep(struct mo_runner *runner, uint32_t ms, enum mo_request least)
+void mo_runner_sleep(struct mo_runner *runner, uint32_t ms, enum mo_job_request least)
 {
   struct mo_runners *runners = runner->runners;
   int64_t end_us = mo_clock_us() + (int64_t)ms * 1000;
@@ -163,7 +163,7 @@ static const char *passing_text(int error)
 int mo_runner_persist(struct mo_runner *runner, int (*write)(void *context), void *context,
                       const char *what)
 {
-  enum mo_request least = runner->winding_down ? MO_REQUEST_STOP : MO_REQUEST_PAUSE;
+  enum mo_job_request least = runner->winding_down ? MO_REQUEST_STOP : MO_REQUEST_PAUSE;
   enum mo_phase phase = MO_PHASE_WAIT;
   char reason[160];
   int error;

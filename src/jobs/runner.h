@@ -9,7 +9,7 @@
 #include "jobs/kind.h"
 
 /* A request to a running job; the larger value wins. */
-enum mo_request { MO_REQUEST_NONE = 0, MO_REQUEST_PAUSE, MO_REQUEST_STOP, MO_REQUEST_CANCEL };
+enum mo_job_request { MO_REQUEST_NONE = 0, MO_REQUEST_PAUSE, MO_REQUEST_STOP, MO_REQUEST_CANCEL };
 
 /* A thread that runs one job after the other, and its attempt at the current one. */
 struct mo_runner {
@@ -19,7 +19,7 @@ struct mo_runner {
   bool has_thread;
   /* Under the mutex of the runners. */
   int64_t id; /* 0: runs no job */
-  enum mo_request request;
+  enum mo_job_request request;
   bool waits; /* for disk space or memory */
   struct mo_live live;
   /* Shared with the back end. */
@@ -58,11 +58,11 @@ void mo_runners_wake(struct mo_runners *runners);
 /* Passes a request, whose job is stored already, to the runner of the job, if one runs it. A thread
  * that serves all jobs reads their states and weights again. MO_REQUEST_NONE: only the weight has
  * changed. */
-void mo_runners_request(struct mo_runners *runners, int64_t id, enum mo_request request);
+void mo_runners_request(struct mo_runners *runners, int64_t id, enum mo_job_request request);
 /* Returns the runner of a job, or NULL; under the mutex. */
 struct mo_runner *mo_runners_find(struct mo_runners *runners, int64_t id);
-void mo_runner_put_request(struct mo_runner *runner, enum mo_request request); /* likewise */
-enum mo_request mo_runner_requested(struct mo_runner *runner);
+void mo_runner_put_request(struct mo_runner *runner, enum mo_job_request request); /* likewise */
+enum mo_job_request mo_runner_requested(struct mo_runner *runner);
 bool mo_runner_is_interrupted(const struct mo_runner *runner);
 /* Sets the phase that the live figures show. Returns the previous one. */
 enum mo_phase mo_runner_enter(struct mo_runner *runner, enum mo_phase phase);
@@ -70,7 +70,7 @@ enum mo_phase mo_runner_enter(struct mo_runner *runner, enum mo_phase phase);
 enum mo_phase mo_runner_set_waiting(struct mo_runner *runner, bool waits, enum mo_phase phase,
                                     const char *reason);
 /* Sleeps until the time is over or a request of at least `least` has arrived. */
-void mo_runner_sleep(struct mo_runner *runner, uint32_t ms, enum mo_request least);
+void mo_runner_sleep(struct mo_runner *runner, uint32_t ms, enum mo_job_request least);
 
 /* Formats a number of an event; "null" if it is not finite. MO_FIGURE: as an argument of "%s". */
 const char *mo_figure(double value, char text[32]);

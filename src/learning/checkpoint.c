@@ -1,29 +1,37 @@
 /* checkpoint.c: encodes and decodes a training.
  *
- * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the fields in the
- * order of header() below, then designs (24 bytes each), weights (float32), first and second
- * moments (float64 each), and a CRC-64 of everything before it. One function writes and reads the
- * same list of fields. Decoding trusts nothing: sizes must agree to the byte, settings must pass
- * the checks of a new training, and numbers must be finite. */
+ * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the size of the
+ * settings (uint32), struct counters, the settings as JSON by their table, then designs (24 bytes
+ * each), weights (float32), first and second moments (float64 each), and a CRC-64 of everything
+ * before it. Decoding trusts nothing: sizes must agree to the byte, settings must pass the checks
+ * of a new training, and numbers must be finite. */
 #include "learning/internal.h"
-
-#include "base/file.h"
 
 #include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
+
+#include "learning/fields.h"
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "checkpoints are little-endian");
 
-#define VERSION      2
-#define HEADER_BYTES 240
-#define SUM_BYTES    sizeof(uint64_t)
+#define VERSION   3
+#define SUM_BYTES sizeof(uint64_t)
 
 static const uint8_t magic[8] = {'m', 'o', 'r', 'p', 'h', 'o', '\r', '\n'};
 
-/* Copies fields to `bytes` or from it; there is room for HEADER_BYTES. */
+/* What stands before the settings, after the magic. */
+struct counters {
+  uint32_t version, settings_bytes;
+  uint32_t kind, sensor, held_out_designs, held_out_environments;
+  uint32_t step, skipped;
+  uint64_t seed, draws, n_designs, n_parameters;
+};
+_Static_assert(sizeof(struct counters) == 64, "without padding");
+#define HEADER_BYTES (sizeof(magic) + sizeof(struct counters))
+
+/* Copies fields to `to` or from `from`. */
 struct codec {
   uint8_t *to;
   const uint8_t *from; /* NULL: writes */
@@ -37,88 +45,6 @@ static void field(struct codec *codec, void *value, size_t size)
   else
     memcpy(codec->to + codec->at, value, size);
   codec->at += size;
-}
-
-static void field_u32(struct codec *codec, uint32_t *value)
-{
-  field(codec, value, sizeof(*value));
-}
-
-static void field_u64(struct codec *codec, uint64_t *value)
-{
-  field(codec, value, sizeof(*value));
-}
-
-static void field_f64(struct codec *codec, double *value)
-{
-  field(codec, value, sizeof(*value));
-}
-
-/* Reads or writes an enumeration's field; a value read may be invalid. */
-static int field_kind(struct codec *codec, int value)
-{
-  field(codec, &value, sizeof(value));
-  return value;
-}
-
-struct counters {
-  uint32_t version, step, skipped, n_designs;
-  uint64_t draws, n_parameters;
-};
-
-static void schedule_fields(struct codec *codec, struct mo_schedule *schedule)
-{
-  schedule->kind = (enum mo_schedule_kind)field_kind(codec, (int)schedule->kind);
-  field_f64(codec, &schedule->peak);
-  field_f64(codec, &schedule->floor);
-  field_f64(codec, &schedule->decay);
-  field_u32(codec, &schedule->cycle_steps);
-  field_u32(codec, &schedule->cycle_growth);
-  field_u32(codec, &schedule->warmup_steps);
-}
-
-static void physics_fields(struct codec *codec, struct mo_physics *physics)
-{
-  field_f64(codec, &physics->dt_s);
-  field_u32(codec, &physics->n_steps);
-  field_f64(codec, &physics->stiffness_n_per_m);
-  field_f64(codec, &physics->mass_kg);
-  field_f64(codec, &physics->drag_per_s);
-  field_f64(codec, &physics->gravity_m_per_s2);
-  field_f64(codec, &physics->actuation);
-  field_f64(codec, &physics->friction);
-  field_f64(codec, &physics->friction_cap);
-  field_f64(codec, &physics->drop_height_m);
-  physics->impact = (enum mo_impact)field_kind(codec, (int)physics->impact);
-  field_u32(codec, &physics->bisections);
-}
-
-static void header(struct codec *codec, struct mo_training_settings *settings,
-                   struct counters *counters)
-{
-  field_u32(codec, &counters->version);
-  settings->kind = (enum mo_training_kind)field_kind(codec, (int)settings->kind);
-  field_u64(codec, &settings->seed);
-  field_u32(codec, &settings->n_steps);
-  field_u32(codec, &settings->batch);
-  schedule_fields(codec, &settings->learning.schedule);
-  field_f64(codec, &settings->learning.beta1);
-  field_f64(codec, &settings->learning.beta2);
-  field_f64(codec, &settings->learning.epsilon);
-  field_f64(codec, &settings->learning.norm_limit);
-  field_f64(codec, &settings->learning.adjoint_bound);
-  settings->learning.adjoint_rule =
-      (enum mo_adjoint_rule)field_kind(codec, (int)settings->learning.adjoint_rule);
-  field_f64(codec, &settings->learning.restart_weight);
-  physics_fields(codec, &settings->physics);
-  settings->sensor = (enum mo_sensor)field_kind(codec, (int)settings->sensor);
-  field_u32(codec, &settings->held_out_designs);
-  field_u32(codec, &settings->held_out_environments);
-  field_u32(codec, &counters->step);
-  field_u32(codec, &counters->skipped);
-  field_u64(codec, &counters->draws);
-  field_u32(codec, &counters->n_designs);
-  field_u64(codec, &counters->n_parameters);
 }
 
 static size_t body_bytes(uint64_t n_designs, uint64_t n_parameters)
@@ -141,29 +67,44 @@ static void body(struct codec *codec, struct mo_training *training)
 
 int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size)
 {
-  /* Fields are passed by address, but writing changes none. A concurrent draw ahead may change the
-   * other members. */
-  struct mo_training copy = {.settings = training->settings,
-                             .controller = training->controller,
+  /* The arrays are passed by address, but writing changes none. A concurrent draw ahead may change
+   * the other members. */
+  const struct mo_training_settings *settings = &training->settings;
+  struct mo_training copy = {.controller = training->controller,
                              .adam = training->adam,
-                             .step = training->step,
-                             .skipped = training->skipped,
                              .n_designs = training->n_designs,
-                             .designs = training->designs,
-                             .draws = training->draws};
-  struct counters counters = {VERSION,        copy.step,  copy.skipped,
-                              copy.n_designs, copy.draws, copy.controller->n_parameters};
-  const size_t all = sizeof(magic) + HEADER_BYTES +
-                     body_bytes(counters.n_designs, counters.n_parameters) + SUM_BYTES;
-  struct codec codec = {.to = malloc(all)};
-  if (codec.to == NULL)
+                             .designs = training->designs};
+  struct mo_text text = {0};
+  mo_fields_write_object(&text, &mo_recipe_fields, settings);
+  struct counters counters = {.version = VERSION,
+                              .settings_bytes = (uint32_t)text.size,
+                              .kind = settings->kind,
+                              .sensor = settings->sensor,
+                              .held_out_designs = settings->held_out_designs,
+                              .held_out_environments = settings->held_out_environments,
+                              .step = training->step,
+                              .skipped = training->skipped,
+                              .seed = settings->seed,
+                              .n_designs = training->n_designs,
+                              .draws = training->draws,
+                              .n_parameters = training->controller->n_parameters};
+  struct codec codec = {.to = text.failed
+                                  ? NULL
+                                  : malloc(HEADER_BYTES + text.size +
+                                           body_bytes(counters.n_designs, counters.n_parameters) +
+                                           SUM_BYTES)};
+  if (codec.to == NULL) {
+    mo_text_free(&text);
     return MO_ERR_NO_MEMORY;
+  }
   memcpy(codec.to, magic, sizeof(magic));
   codec.at = sizeof(magic);
-  header(&codec, &copy.settings, &counters);
+  field(&codec, &counters, sizeof(counters));
+  field(&codec, text.data, text.size);
   body(&codec, &copy);
   uint64_t sum = mo_checksum(codec.to, codec.at);
-  field_u64(&codec, &sum);
+  field(&codec, &sum, sizeof(sum));
+  mo_text_free(&text);
   *bytes = codec.to;
   *size = codec.at;
   return MO_OK;
@@ -174,13 +115,27 @@ static int damaged(struct mo_message *message, const char *what)
   return mo_fail(message, MO_ERR_FORMAT, "the checkpoint is damaged: %s", what);
 }
 
+static int read_settings(const char *text, const struct counters *counters,
+                         struct mo_training_settings *settings, struct mo_message *message)
+{
+  struct mo_message why = {""};
+  *settings = mo_training_defaults((enum mo_training_kind)counters->kind);
+  settings->seed = counters->seed;
+  settings->sensor = (enum mo_sensor)counters->sensor;
+  settings->held_out_designs = counters->held_out_designs;
+  settings->held_out_environments = counters->held_out_environments;
+  int error = mo_fields_parse(text, counters->settings_bytes, &mo_recipe_fields, settings, &why);
+  if (error == MO_OK)
+    error = mo_training_settings_check(settings, &why);
+  if (error == MO_OK || error == MO_ERR_NO_MEMORY)
+    return error;
+  return mo_fail(message, MO_ERR_FORMAT, "the checkpoint's settings are not acceptable: %.180s",
+                 why.text);
+}
+
 static int check_header(const struct mo_training_settings *settings,
                         const struct counters *counters, struct mo_message *message)
 {
-  struct mo_message why = {""};
-  if (mo_training_settings_check(settings, &why) != MO_OK)
-    return mo_fail(message, MO_ERR_FORMAT, "the checkpoint's settings are not acceptable: %.180s",
-                   why.text);
   if (counters->step > settings->n_steps || counters->skipped > counters->step)
     return damaged(message, "it has more steps than its training");
   const bool finetune = settings->kind == MO_TRAINING_FINETUNE;
@@ -213,7 +168,7 @@ static int read_arrays(struct codec *codec, const struct mo_training_settings *s
                        struct mo_message *message)
 {
   struct mo_training *made = NULL;
-  int r = mo_training_allocate(settings, counters->n_designs, &made);
+  int r = mo_training_allocate(settings, (uint32_t)counters->n_designs, &made);
   if (r < 0)
     return mo_fail(message, r, "the training does not fit in memory");
   const uint64_t n = made->controller->n_parameters;
@@ -242,24 +197,25 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
 {
   if (size < sizeof(magic) || memcmp(bytes, magic, sizeof(magic)) != 0)
     return mo_fail(message, MO_ERR_FORMAT, "not a checkpoint of a training");
-  if (size < sizeof(magic) + sizeof(uint32_t) + SUM_BYTES)
+  if (size < HEADER_BYTES + SUM_BYTES)
     return damaged(message, "it is too short");
-  uint32_t version;
-  memcpy(&version, bytes + sizeof(magic), sizeof(version));
-  if (version != VERSION)
+  struct codec codec = {.from = bytes, .at = sizeof(magic)};
+  struct mo_training_settings settings;
+  struct counters counters;
+  field(&codec, &counters, sizeof(counters));
+  if (counters.version != VERSION)
     return mo_fail(message, MO_ERR_FORMAT,
                    "the checkpoint is of version %" PRIu32 "; this program reads version %d",
-                   version, VERSION);
-  if (size < sizeof(magic) + HEADER_BYTES + SUM_BYTES)
-    return damaged(message, "it is too short");
+                   counters.version, VERSION);
   uint64_t sum;
   memcpy(&sum, bytes + size - SUM_BYTES, SUM_BYTES);
   if (sum != mo_checksum(bytes, size - SUM_BYTES))
     return damaged(message, "its checksum is wrong");
-  struct codec codec = {.from = bytes, .at = sizeof(magic)};
-  struct mo_training_settings settings = {0};
-  struct counters counters = {0};
-  header(&codec, &settings, &counters);
-  const int r = check_header(&settings, &counters, message);
+  if (counters.settings_bytes > size - SUM_BYTES - HEADER_BYTES)
+    return damaged(message, "its settings are longer than it");
+  int r = read_settings((const char *)bytes + HEADER_BYTES, &counters, &settings, message);
+  codec.at += counters.settings_bytes;
+  if (r == MO_OK)
+    r = check_header(&settings, &counters, message);
   return r == MO_OK ? read_arrays(&codec, &settings, &counters, size, training, message) : r;
 }

@@ -21,13 +21,13 @@ static const struct mo_field schedule_rows[] = {
     {"floor", MO_FIELD_NUMBER, MO_FIELD_ABOVE_MIN, AT(floor), .min = 0, .max = 1, .unit = "",
      .help = "smallest learning rate"},
     {"decay", MO_FIELD_NUMBER, MO_FIELD_ABOVE_MIN, AT(decay), .min = 0, .max = 1, .unit = "",
-     .help = "factor of the peak from one cycle to the next"},
+     .help = "restarts: factor of the peak from one cycle to the next"},
     {"cycle_steps", MO_FIELD_COUNT, 0, AT(cycle_steps), .min = 1, .max = MO_TRAINING_STEPS_MAX,
-     .unit = "steps", .help = "length of the first cycle"},
+     .unit = "steps", .help = "restarts: steps of the first cycle"},
     {"cycle_growth", MO_FIELD_COUNT, 0, AT(cycle_growth), .min = 1, .max = GROWTH_MAX, .unit = "",
-     .help = "factor of the length from one cycle to the next"},
+     .help = "restarts: factor of the length from one cycle to the next"},
     {"warmup_steps", MO_FIELD_COUNT, 0, AT(warmup_steps), .min = 0, .max = MO_TRAINING_STEPS_MAX,
-     .unit = "steps", .help = "linear growth of the rate before the first cycle"},
+     .unit = "steps", .help = "steps in which the rate grows to its peak"},
 };
 #undef AT
 static const struct mo_fields schedule_fields = {schedule_rows,
@@ -118,27 +118,29 @@ static int check_schedule(const char *name, const void *value, struct mo_message
 #define AT(member) offsetof(struct mo_learning, member)
 static const struct mo_field adam_rows[] = {
     {"beta1", MO_FIELD_NUMBER, MO_FIELD_BELOW_MAX, AT(beta1), .min = 0, .max = 1, .unit = "",
-     .help = "decay of the first moment"},
+     .help = "Adam's decay of the mean of gradients"},
     {"beta2", MO_FIELD_NUMBER, MO_FIELD_BELOW_MAX, AT(beta2), .min = 0, .max = 1, .unit = "",
-     .help = "decay of the second moment"},
+     .help = "Adam's decay of the mean of their squares"},
     {"epsilon", MO_FIELD_NUMBER, MO_FIELD_ABOVE_MIN, AT(epsilon), .min = 0, .max = 1, .unit = "",
-     .help = "added to the root of the second moment"},
+     .help = "Adam's smallest divisor"},
 };
 static const struct mo_fields adam_fields = {adam_rows, sizeof(adam_rows) / sizeof(adam_rows[0])};
 static const struct mo_field_own schedule = {read_schedule, write_schedule, check_schedule};
 static const struct mo_field learning_rows[] = {
-    {"schedule", MO_FIELD_OWN, 0, AT(schedule), .own = &schedule, .unit = "",
-     .help = "learning rate: the name of a schedule, or an object"},
+    {"schedule", MO_FIELD_OWN, 0, AT(schedule), .group = &schedule_fields, .own = &schedule,
+     .unit = "", .help = "learning rate: the name of a schedule, or an object"},
     {"adam", MO_FIELD_GROUP, 0, 0, .group = &adam_fields, .unit = "", .help = "the optimizer"},
     {"gradient_norm_limit", MO_FIELD_NUMBER, 0, AT(norm_limit), .min = 0,
      .max = MO_GRADIENT_NORM_LIMIT_MAX, .unit = "",
-     .help = "bound of the gradient's norm; 0: none"},
+     .help = "largest norm of a step's gradient; 0: no limit"},
     {"adjoint_bound", MO_FIELD_NUMBER, 0, AT(adjoint_bound), .min = 0, .max = MO_ADJOINT_BOUND_MAX,
-     .unit = "", .help = "bound of each robot's adjoint; 0: none"},
+     .unit = "", .help = "bound of each robot's adjoint in the backward pass; 0: no bound"},
     {"adjoint_rule", MO_FIELD_WORD, 0, AT(adjoint_rule), .words = mo_adjoint_words, .unit = "",
      .help = "above the bound: clip, or restart the backward pass"},
     {"restart_weight", MO_FIELD_NUMBER, 0, AT(restart_weight), .min = 0,
-     .max = MO_RESTART_WEIGHT_MAX, .unit = "", .help = "weight of what restarts"},
+     .max = MO_RESTART_WEIGHT_MAX, .unit = "",
+     .help = "restart: weight of what the adjoint restarts with, next to that of a rollout's end; "
+             "0: none"},
 };
 #undef AT
 const struct mo_fields mo_learning_fields = {learning_rows,
@@ -163,9 +165,9 @@ const struct mo_fields mo_recipe_fields = {recipe_rows,
 static const struct mo_field training_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_recipe_fields},
     {"seed", MO_FIELD_SEED, 0, AT(seed), .unit = "",
-     .help = "of bodies, environments and initial weights"},
+     .help = "seed of bodies, environments and initial weights"},
     {"sensor", MO_FIELD_WORD, MO_FIELD_NULL, AT(sensor), .words = mo_sensor_words, .unit = "",
-     .help = "of a controller that starts from random weights"},
+     .help = "sensor of a controller that starts from random weights"},
 };
 #undef AT
 const struct mo_fields mo_training_fields = {training_rows,

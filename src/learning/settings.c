@@ -10,15 +10,7 @@
 
 /* ---- presets ---- */
 
-static const char *const preset_words[] = {"workstation", "phototaxis", "paper", NULL};
-
-int mo_learning_preset_from_name(const char *name, enum mo_learning_preset *preset)
-{
-  const int i = mo_word_index(preset_words, name);
-  if (i >= 0)
-    *preset = (enum mo_learning_preset)i;
-  return i >= 0 ? MO_OK : i;
-}
+const char *const mo_learning_preset_words[] = {"workstation", "phototaxis", "paper", NULL};
 
 struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
 {

@@ -10,6 +10,11 @@ int mo_workspace_check(struct mo_workspace workspace)
   return voxels > MO_VOXELS_MAX ? MO_ERR_LIMIT : MO_OK;
 }
 
+bool mo_workspace_equal(struct mo_workspace a, struct mo_workspace b)
+{
+  return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
+}
+
 uint32_t mo_workspace_voxels(struct mo_workspace workspace)
 {
   return (uint32_t)workspace.nx * workspace.ny * workspace.nz;

@@ -2,13 +2,10 @@
  *
  * The scratch is one allocation that grows to the largest body seen; a block of a body that fits
  * allocates nothing. */
-#include "base/clock.h"
+#include "rollout/carve.h"
 #include "rollout/fast.h"
 
 #include <stdlib.h>
-#include <x86intrin.h>
-
-enum { ALIGNMENT = 64 };
 
 struct mo_workspace_memory {
   char *base;
@@ -37,13 +34,6 @@ size_t mo_workspace_memory_bytes(const struct mo_workspace_memory *memory)
   return memory->size + sizeof(*memory);
 }
 
-static void *carve(char *base, size_t *used, size_t n, size_t size)
-{
-  void *piece = base != NULL ? base + *used : NULL;
-  *used += (n * size + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
-  return piece;
-}
-
 /* Places the scratch arrays of `run` from `base` on (NULL: only counts). Returns their size in
  * bytes. */
 static size_t lay_out(struct mo_fast_run *run, char *base)
@@ -52,30 +42,30 @@ static size_t lay_out(struct mo_fast_run *run, char *base)
   const size_t real = pack->real_bytes, panel = pack->panel, n_masses = run->body->n_masses;
   const size_t n_springs = run->body->n_springs,
                springs_padded = (n_springs + panel - 1) / panel * panel;
-  size_t used = 0;
+  struct carver carver = {base, 0};
   for (int i = 0; i < 2; i++)
-    run->position[i] = carve(base, &used, n_masses * 3 * MO_LANES, real);
-  run->velocity = carve(base, &used, n_masses * 3 * MO_LANES, real);
-  run->start = carve(base, &used, n_masses * 3, sizeof(double));
-  run->spring_ends = carve(base, &used, n_springs * 2, sizeof(uint32_t));
-  run->spring_rest = carve(base, &used, n_springs, real);
-  run->activation = carve(base, &used, 2 * MO_LANES * panel, real);
-  run->terrain = carve(base, &used, (size_t)MO_LANES * MO_CELLS * 4, real);
+    run->position[i] = carve(&carver, n_masses * 3 * MO_LANES, real);
+  run->velocity = carve(&carver, n_masses * 3 * MO_LANES, real);
+  run->start = carve(&carver, n_masses * 3, sizeof(double));
+  run->spring_ends = carve(&carver, n_springs * 2, sizeof(uint32_t));
+  run->spring_rest = carve(&carver, n_springs, real);
+  run->activation = carve(&carver, 2 * MO_LANES * panel, real);
+  run->terrain = carve(&carver, (size_t)MO_LANES * MO_CELLS * 4, real);
   if (!pack->passive) {
-    run->sensor = carve(base, &used, n_masses * MO_LANES, real);
-    run->hidden = carve(base, &used, (size_t)2 * MO_LANES * MO_HIDDEN, real);
-    run->input_weight = carve(base, &used, n_masses * MO_HIDDEN, real);
-    run->output_weight = carve(base, &used, springs_padded * MO_HIDDEN, real);
-    run->output_bias = carve(base, &used, springs_padded, real);
+    run->sensor = carve(&carver, n_masses * MO_LANES, real);
+    run->hidden = carve(&carver, (size_t)2 * MO_LANES * MO_HIDDEN, real);
+    run->input_weight = carve(&carver, n_masses * MO_HIDDEN, real);
+    run->output_weight = carve(&carver, springs_padded * MO_HIDDEN, real);
+    run->output_bias = carve(&carver, springs_padded, real);
   }
-  return used;
+  return carver.used;
 }
 
 static int reserve(struct mo_workspace_memory *memory, size_t bytes)
 {
   if (bytes <= memory->size)
     return MO_OK;
-  char *larger = aligned_alloc(ALIGNMENT, bytes);
+  char *larger = aligned_alloc(MO_ALIGNMENT, bytes);
   if (larger == NULL)
     return MO_ERR_NO_MEMORY;
   free(memory->base);
@@ -84,36 +74,15 @@ static int reserve(struct mo_workspace_memory *memory, size_t bytes)
   return MO_OK;
 }
 
-/* The kernels count ticks of the time stamp counter; the whole block, measured both ways, gives the
- * length of a tick. */
-static int run_profiled(struct mo_fast_run *run, mo_fast_function *function)
-{
-  struct mo_rollout_profile *total = run->profile, block = {0};
-  run->profile = &block;
-  const uint64_t start_ns = mo_clock_ns();
-  const uint64_t start = __rdtsc();
-  const int status = function(run);
-  const double tick_s = 1e-9 * (double)(mo_clock_ns() - start_ns) / (double)(__rdtsc() - start);
-  total->pack_s += block.pack_s * tick_s;
-  total->sense_s += block.sense_s * tick_s;
-  total->control_s += block.control_s * tick_s;
-  total->spring_s += block.spring_s * tick_s;
-  total->contact_s += block.contact_s * tick_s;
-  total->rollout_steps += block.rollout_steps;
-  return status;
-}
-
 int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack,
                      const struct mo_body *body, const struct mo_environment *const *environments,
                      uint32_t n_environments, const struct mo_physics *physics,
                      const struct mo_recording *recordings, const struct mo_pause_point *pause,
-                     struct mo_rollout_profile *profile, struct mo_outcome *outcomes)
+                     struct mo_outcome *outcomes)
 {
   if (n_environments < 1 || n_environments > MO_BLOCK_LANES)
     return MO_ERR_RANGE;
-  if (!pack->passive &&
-      (pack->workspace.nx != body->workspace.nx || pack->workspace.ny != body->workspace.ny ||
-       pack->workspace.nz != body->workspace.nz))
+  if (!pack->passive && !mo_workspace_equal(pack->workspace, body->workspace))
     return MO_ERR_INVALID;
   struct mo_fast_run run = {.pack = pack,
                             .body = body,
@@ -122,12 +91,10 @@ int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *p
                             .physics = physics,
                             .recordings = recordings,
                             .pause = pause,
-                            .profile = profile,
                             .outcomes = outcomes};
   const int status = reserve(memory, lay_out(&run, NULL));
   if (status < 0)
     return status;
   lay_out(&run, memory->base);
-  mo_fast_function *const function = mo_fast_find(pack->isa, pack->precision);
-  return profile != NULL ? run_profiled(&run, function) : function(&run);
+  return mo_fast_find(pack->isa, pack->precision)(&run);
 }

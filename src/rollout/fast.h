@@ -48,7 +48,6 @@ struct mo_fast_run {
   const struct mo_physics *physics;
   const struct mo_recording *recordings;
   const struct mo_pause_point *pause;
-  struct mo_rollout_profile *profile;
   struct mo_outcome *outcomes;
   /* Scratch, carved by block.c. */
   void *input_weight;    /* (256 / panel, n_masses, panel) of the body's masses */
@@ -71,24 +70,8 @@ mo_fast_function mo_fast_baseline_float, mo_fast_baseline_double;
 mo_fast_function mo_fast_avx2_float, mo_fast_avx2_double;
 mo_fast_function mo_fast_avx512_float, mo_fast_avx512_double;
 
-/* For tests, computed by the kernels' own code: tanh over n values in place, and the plain product
- * c = init + x·w. n: a multiple of the vector; x (rows, k); w one panel (k, panel); init (panel); c
- * (rows, panel). */
-struct mo_fast_probe {
-  void *tanh_values;
-  size_t n_tanh;
-  uint32_t rows, k;
-  const void *x, *w, *init;
-  void *c;
-};
-typedef void mo_fast_probe_function(const struct mo_fast_probe *probe);
-mo_fast_probe_function mo_fast_probe_baseline_float, mo_fast_probe_baseline_double;
-mo_fast_probe_function mo_fast_probe_avx2_float, mo_fast_probe_avx2_double;
-mo_fast_probe_function mo_fast_probe_avx512_float, mo_fast_probe_avx512_double;
-
-/* Return the kernels of an instruction set; NULL if this build lacks them. */
+/* Returns the kernel of an instruction set. */
 mo_fast_function *mo_fast_find(enum mo_isa isa, enum mo_precision precision);
-mo_fast_probe_function *mo_fast_probe_find(enum mo_isa isa, enum mo_precision precision);
 uint32_t mo_isa_vector_bytes(enum mo_isa isa);
 
 /* Compute sin and exp from only IEEE operations, so that the bits do not depend on which variant

@@ -1,6 +1,6 @@
 /* gradient_block.c: packs, the scratch of one worker, and the code between mo_gradient_block and
  * the kernels. */
-#include "base/clock.h"
+#include "rollout/carve.h"
 #include "rollout/fast.h"
 #include "rollout/gradient_fast.h"
 
@@ -8,38 +8,29 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
-#include <x86intrin.h>
 
-enum { ALIGNMENT = 64 };
 #define HUGE_PAGE ((size_t)2 << 20)
 
 /* ---- packs ---- */
 
-static float *carve(char *base, size_t *used, size_t n)
-{
-  float *piece = base != NULL ? (float *)(void *)(base + *used) : NULL;
-  *used += (n * sizeof(float) + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
-  return piece;
-}
-
 /* Places the arrays of `pack` from `base` on (NULL: only counts). Returns the bytes. */
 static size_t lay_out(struct mo_gradient_pack *pack, char *base)
 {
-  size_t used = 0;
-  pack->input_weight = carve(base, &used, (size_t)pack->n_masses * MO_HIDDEN);
-  pack->cpg_weight = carve(base, &used, (size_t)MO_CPG_INPUTS * MO_HIDDEN);
+  struct carver carver = {base, 0};
+  pack->input_weight = carve(&carver, (size_t)pack->n_masses * MO_HIDDEN, sizeof(float));
+  pack->cpg_weight = carve(&carver, (size_t)MO_CPG_INPUTS * MO_HIDDEN, sizeof(float));
   for (int l = 0; l < MO_HIDDEN_LAYERS - 1; l++) {
-    pack->forward_weight[l] = carve(base, &used, (size_t)MO_HIDDEN * MO_HIDDEN);
-    pack->backward_weight[l] = carve(base, &used, (size_t)MO_HIDDEN * MO_HIDDEN);
+    pack->forward_weight[l] = carve(&carver, (size_t)MO_HIDDEN * MO_HIDDEN, sizeof(float));
+    pack->backward_weight[l] = carve(&carver, (size_t)MO_HIDDEN * MO_HIDDEN, sizeof(float));
   }
-  pack->output_weight = carve(base, &used, (size_t)pack->n_springs * MO_HIDDEN);
-  pack->output_bias = carve(base, &used, pack->n_springs);
+  pack->output_weight = carve(&carver, (size_t)pack->n_springs * MO_HIDDEN, sizeof(float));
+  pack->output_bias = carve(&carver, pack->n_springs, sizeof(float));
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
-    pack->bias[l] = carve(base, &used, MO_HIDDEN);
-    pack->gain[l] = carve(base, &used, MO_HIDDEN);
-    pack->shift[l] = carve(base, &used, MO_HIDDEN);
+    pack->bias[l] = carve(&carver, MO_HIDDEN, sizeof(float));
+    pack->gain[l] = carve(&carver, MO_HIDDEN, sizeof(float));
+    pack->shift[l] = carve(&carver, MO_HIDDEN, sizeof(float));
   }
-  return used;
+  return carver.used;
 }
 
 /* Packs (256 outputs, n inputs), row-major, into panels of outputs: (256 / panel, n, panel). */
@@ -88,11 +79,6 @@ static void fill(struct mo_gradient_pack *pack, const struct mo_controller *cont
   pack_plain(controller->bias[MO_HIDDEN_LAYERS], controller->n_springs, pack->output_bias);
 }
 
-static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
-{
-  return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
-}
-
 int mo_gradient_pack_create(const struct mo_controller *controller, enum mo_isa isa,
                             struct mo_gradient_pack **ret)
 {
@@ -106,9 +92,9 @@ int mo_gradient_pack_create(const struct mo_controller *controller, enum mo_isa 
                                   .n_inputs = controller->n_inputs,
                                   .n_parameters = controller->n_parameters,
                                   .panel = 2 * mo_isa_vector_bytes(isa) / (uint32_t)sizeof(float)};
-  const size_t head = (sizeof(pack) + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
+  const size_t head = mo_aligned(sizeof(pack));
   pack.bytes = head + lay_out(&pack, NULL);
-  struct mo_gradient_pack *made = aligned_alloc(ALIGNMENT, pack.bytes);
+  struct mo_gradient_pack *made = aligned_alloc(MO_ALIGNMENT, pack.bytes);
   if (made == NULL)
     return MO_ERR_NO_MEMORY;
   lay_out(&pack, (char *)made + head);
@@ -120,7 +106,8 @@ int mo_gradient_pack_create(const struct mo_controller *controller, enum mo_isa 
 
 int mo_gradient_pack_update(struct mo_gradient_pack *pack, const struct mo_controller *controller)
 {
-  if (!same_workspace(pack->workspace, controller->workspace) || pack->sensor != controller->sensor)
+  if (!mo_workspace_equal(pack->workspace, controller->workspace) ||
+      pack->sensor != controller->sensor)
     return MO_ERR_UNSUPPORTED;
   fill(pack, controller);
   return MO_OK;
@@ -185,8 +172,8 @@ int mo_gradient_reserve(struct mo_gradient_buffer *buffer, size_t bytes)
   if (bytes >= HUGE_PAGE)
     return reserve_pages(buffer, bytes);
   release(buffer);
-  const size_t size = (bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
-  char *base = aligned_alloc(ALIGNMENT, size);
+  const size_t size = mo_aligned(bytes);
+  char *base = aligned_alloc(MO_ALIGNMENT, size);
   if (base == NULL)
     return MO_ERR_NO_MEMORY;
   *buffer = (struct mo_gradient_buffer){base, size, false};
@@ -217,38 +204,16 @@ mo_gradient_function *mo_gradient_find(enum mo_isa isa)
   return functions[isa];
 }
 
-/* The kernels count ticks of the time stamp counter; the whole block, measured both ways, gives the
- * length of a tick. */
-static int run_profiled(struct mo_gradient_run *run, mo_gradient_function *function)
-{
-  struct mo_gradient_profile *total = run->profile, block = {0};
-  run->profile = &block;
-  const uint64_t start_ns = mo_clock_ns();
-  const uint64_t start = __rdtsc();
-  const int status = function(run);
-  const double tick_s = 1e-9 * (double)(mo_clock_ns() - start_ns) / (double)(__rdtsc() - start);
-  total->pack_s += block.pack_s * tick_s;
-  total->sense_s += block.sense_s * tick_s;
-  total->control_s += block.control_s * tick_s;
-  total->physics_s += block.physics_s * tick_s;
-  total->physics_back_s += block.physics_back_s * tick_s;
-  total->control_back_s += block.control_back_s * tick_s;
-  total->parameters_s += block.parameters_s * tick_s;
-  total->repeat_s += block.repeat_s * tick_s;
-  total->robot_steps += block.robot_steps;
-  return status;
-}
-
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                       const struct mo_gradient_options *options, const struct mo_pause_point *pause,
-                      struct mo_gradient_profile *profile, struct mo_outcome *outcomes,
-                      float *d_parameters, struct mo_gradient_counts *counts)
+                      struct mo_outcome *outcomes, float *d_parameters,
+                      struct mo_gradient_counts *counts)
 {
   if (n < 1 || n > MO_GRADIENT_ROBOTS || mo_gradient_options_check(options) != MO_OK)
     return MO_ERR_INVALID;
   for (uint32_t i = 0; i < n; i++)
-    if (!same_workspace(robots[i].body->workspace, pack->workspace))
+    if (!mo_workspace_equal(robots[i].body->workspace, pack->workspace))
       return MO_ERR_INVALID;
   struct mo_gradient_counts block = {0};
   struct mo_gradient_run run = {.memory = memory,
@@ -258,12 +223,10 @@ int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradien
                                 .physics = physics,
                                 .options = options,
                                 .pause = pause,
-                                .profile = profile,
                                 .outcomes = outcomes,
                                 .d_parameters = d_parameters,
                                 .counts = &block};
-  mo_gradient_function *const function = mo_gradient_find(pack->isa);
-  const int status = profile != NULL ? run_profiled(&run, function) : function(&run);
+  const int status = mo_gradient_find(pack->isa)(&run);
   if (status == MO_OK && counts != NULL)
     mo_gradient_counts_add(counts, &block);
   return status;

@@ -51,7 +51,6 @@ struct mo_gradient_run {
   const struct mo_physics *physics;
   const struct mo_gradient_options *options;
   const struct mo_pause_point *pause;
-  struct mo_gradient_profile *profile; /* in ticks of the time stamp counter */
   struct mo_outcome *outcomes;
   float *d_parameters;
   struct mo_gradient_counts *counts; /* of this block */

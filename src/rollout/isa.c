@@ -49,13 +49,3 @@ mo_fast_function *mo_fast_find(enum mo_isa isa, enum mo_precision precision)
   };
   return functions[isa][precision];
 }
-
-mo_fast_probe_function *mo_fast_probe_find(enum mo_isa isa, enum mo_precision precision)
-{
-  static mo_fast_probe_function *const functions[MO_ISA_COUNT][2] = {
-      {mo_fast_probe_baseline_float, mo_fast_probe_baseline_double},
-      {mo_fast_probe_avx2_float, mo_fast_probe_avx2_double},
-      {mo_fast_probe_avx512_float, mo_fast_probe_avx512_double},
-  };
-  return functions[isa][precision];
-}

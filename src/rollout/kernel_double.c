@@ -4,5 +4,4 @@
 #define MO_JOIN3(a, b, c) a##b##c
 #define MO_JOIN(a, b, c)  MO_JOIN3(a, b, c)
 #define MO_FAST_RUN       MO_JOIN(mo_fast_, MO_FAST_ISA, _double)
-#define MO_FAST_PROBE     MO_JOIN(mo_fast_probe_, MO_FAST_ISA, _double)
 #include "rollout/kernel.inc"

@@ -3,30 +3,11 @@
  * Hidden layers become panels for the kernels' products. The first and the last layer stay float32,
  * in an order from which a block quickly packs its body's own columns and rows: only those are
  * multiplied. */
+#include "rollout/carve.h"
 #include "rollout/fast.h"
 
 #include <stdlib.h>
 #include <string.h>
-
-enum { ALIGNMENT = 64 };
-
-static size_t aligned(size_t bytes)
-{
-  return (bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
-}
-
-/* Divides one allocation into pieces; with base NULL it only counts. */
-struct carver {
-  char *base;
-  size_t used;
-};
-
-static void *carve(struct carver *carver, size_t n, size_t size)
-{
-  void *piece = carver->base != NULL ? carver->base + carver->used : NULL;
-  carver->used += aligned(n * size);
-  return piece;
-}
 
 static void lay_out(struct mo_pack *pack, struct carver *carver)
 {
@@ -96,7 +77,7 @@ int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
                          .vector = (uint32_t)(mo_isa_vector_bytes(isa) / real_bytes),
                          .real_bytes = real_bytes};
   pack.panel = 2 * pack.vector;
-  struct carver carver = {NULL, aligned(sizeof(pack))};
+  struct carver carver = {NULL, mo_aligned(sizeof(pack))};
   if (controller != NULL) {
     pack.workspace = controller->workspace;
     pack.sensor = controller->sensor;
@@ -105,11 +86,11 @@ int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
     lay_out(&pack, &carver);
   }
   pack.bytes = carver.used;
-  struct mo_pack *made = aligned_alloc(ALIGNMENT, carver.used);
+  struct mo_pack *made = aligned_alloc(MO_ALIGNMENT, carver.used);
   if (made == NULL)
     return MO_ERR_NO_MEMORY;
   if (controller != NULL) {
-    carver = (struct carver){(char *)made, aligned(sizeof(pack))};
+    carver = (struct carver){(char *)made, mo_aligned(sizeof(pack))};
     lay_out(&pack, &carver);
     fill(&pack, controller);
   }

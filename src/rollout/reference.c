@@ -156,16 +156,11 @@ bool mo_reference_step(struct mo_reference *r, uint32_t step)
   return false;
 }
 
-static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
-{
-  return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
-}
-
 int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
                       const struct mo_controller *controller,
                       const struct mo_environment *environment, const struct mo_physics *physics)
 {
-  if (controller != NULL && !same_workspace(controller->workspace, body->workspace))
+  if (controller != NULL && !mo_workspace_equal(controller->workspace, body->workspace))
     return MO_ERR_INVALID;
   *reference =
       (struct mo_reference){.body = body,

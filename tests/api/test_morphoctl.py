@@ -276,7 +276,7 @@ def test_presets_of_trainings(ctl):
             "cycle_growth"] == (3 if more else 22)
         assert ctl("train", "cancel", json.loads(out)["id"])[0] == 0
     status, _, err = ctl("train", "start", "pretrain", "--preset", "demo", *TINY)
-    assert status == 6 and '/preset: "workstation", "phototaxis" or "paper" is expected' in err, err
+    assert status == 6 and '/preset: must be "workstation", "phototaxis" or "paper"' in err, err
     status, _, err = ctl("train", "start", "finetune", "--random", "1", "--preset", "phototaxis",
                          *TINY)
     assert status == 6 and "/preset: " in err, err

@@ -324,7 +324,7 @@ def test_presets(service, name):
 def test_presets_are_named_where_one_is_unknown(service):
     reply = service.request("POST", "/v1/trainings", {"kind": "pretrain", "preset": "laptop"})
     assert reply.status == 422 and [fault["detail"] for fault in reply.json()["errors"]] == [
-        '"workstation", "phototaxis" or "paper" is expected'
+        'must be "workstation", "phototaxis" or "paper", got "laptop"'
     ], reply.body
     reply = service.request("POST", "/v1/trainings", {**TUNE, "preset": "phototaxis"})
     assert "of a finetuning" in reply.json()["errors"][0]["detail"], reply.body

@@ -184,7 +184,7 @@ static int fake_score(struct mo_device *device, struct mo_device_score *score)
       lanes++;
     }
     status = mo_rollout_block(device->memory, pack, score->robots[i].body, environments, lanes,
-                              &score->physics, NULL, &pause, NULL, score->outcomes + i);
+                              &score->physics, NULL, &pause, score->outcomes + i);
     i += lanes;
   }
   return status;
@@ -277,9 +277,8 @@ static int fake_gradient(struct mo_device *device, struct mo_device_gradient *gr
     float *sum = gradient->d_parameters + (size_t)(i / MO_DEVICE_SHARD) * n_parameters;
     const uint32_t left = gradient->n - i,
                    n = left < MO_GRADIENT_ROBOTS ? left : MO_GRADIENT_ROBOTS;
-    status =
-        mo_gradient_block(device->gradient, pack, gradient->robots + i, n, &gradient->physics,
-                          &options, &pause, NULL, gradient->outcomes + i, part, &gradient->counts);
+    status = mo_gradient_block(device->gradient, pack, gradient->robots + i, n, &gradient->physics,
+                               &options, &pause, gradient->outcomes + i, part, &gradient->counts);
     for (uint32_t k = 0; k < n_parameters; k++)
       sum[k] = i % MO_DEVICE_SHARD == 0 ? part[k] : sum[k] + part[k];
   }

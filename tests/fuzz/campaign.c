@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/campaign_request.h"
+#include "api/requests.h"
 
 static void check_settings(const struct mo_campaign_settings *settings)
 {

@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/evaluation_request.h"
+#include "api/requests.h"
 
 static void check_accepted(const struct mo_evaluation_request *request)
 {

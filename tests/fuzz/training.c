@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/training_request.h"
+#include "api/requests.h"
 
 static void check_accepted(const struct mo_training_request *request)
 {

@@ -37,7 +37,10 @@ static void parse(struct mo_text *text)
 static void write(bool as_job)
 {
   struct mo_text text = {0};
-  (as_job ? mo_campaign_json_job : mo_campaign_json_write)(&text, &status, &live);
+  if (as_job)
+    mo_campaign_json_job(&text, &status, &live);
+  else
+    mo_campaign_json_write(&text, &status, &live);
   parse(&text);
 }
 

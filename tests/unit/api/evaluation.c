@@ -3,7 +3,7 @@
 
 #include <time.h>
 
-#include "api/evaluation_request.h"
+#include "api/requests.h"
 
 static struct mo_parsed_evaluation parsed;
 static struct mo_faults faults;

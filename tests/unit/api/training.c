@@ -2,7 +2,7 @@
  * at once. */
 #include "unit/check.h"
 
-#include "api/training_request.h"
+#include "api/requests.h"
 
 static struct mo_parsed_training parsed;
 static struct mo_faults faults;
@@ -307,7 +307,7 @@ static void digits(void)
       {TRAIN "\"restart_weight\":1000000.0000001}",
        "must be at least 0 and at most 1e+06, got 1000000.0000001"},
       {TRAIN "\"weight\":1000.0000000001}",
-       "1000.0000000001 is given; a number from 0.001 to 1000 is expected"},
+       "must be at least 0.001 and at most 1000, got 1000.0000000001"},
       {TRAIN "\"gradient_norm_limit\":1000000.0000001}",
        "must be at least 0 and at most 1e+06, got 1000000.0000001"},
       {TRAIN "\"adam\":{\"epsilon\":1.0000000001}}",

@@ -307,7 +307,7 @@ static void blocks_are_what_was_asked_for(void)
     struct mo_outcome outcomes[MO_PAPER_TEST_COUNT];
     REQUIRE(mo_pack_create(controller, mo_isa_best(), blocks[i].precision, &pack) == MO_OK);
     CHECK_INT(mo_rollout_block(memory, pack, body, blocks[i].environments, MO_PAPER_TEST_COUNT,
-                               &blocks[i].physics, NULL, NULL, NULL, outcomes),
+                               &blocks[i].physics, NULL, NULL, outcomes),
               MO_OK);
     CHECK(memcmp(outcomes, blocks[i].outcomes, sizeof(outcomes)) == 0);
     for (int e = 0; e < MO_PAPER_TEST_COUNT; e++)

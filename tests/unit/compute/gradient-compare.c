@@ -65,7 +65,7 @@ static int run_robot(struct share *s, uint32_t i)
   int status = mo_gradient_reference(robot->body, s->controller, robot->environment, s->physics,
                                      &s->options, s->outcomes + i, s->one, &s->counts);
   if (status == MO_OK)
-    status = mo_gradient_block(s->memory, s->pack, robot, 1, s->physics, &s->options, NULL, NULL,
+    status = mo_gradient_block(s->memory, s->pack, robot, 1, s->physics, &s->options, NULL,
                                &outcome, s->fast, NULL);
   if (status != MO_OK)
     return status;

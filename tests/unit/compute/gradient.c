@@ -75,15 +75,13 @@ int __real_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_
                              const struct mo_robot *list, uint32_t n,
                              const struct mo_physics *physics,
                              const struct mo_gradient_options *options,
-                             const struct mo_pause_point *pause,
-                             struct mo_gradient_profile *profile, struct mo_outcome *results,
+                             const struct mo_pause_point *pause, struct mo_outcome *results,
                              float *gradient, struct mo_gradient_counts *counts);
 int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
                              const struct mo_robot *list, uint32_t n,
                              const struct mo_physics *physics,
                              const struct mo_gradient_options *options,
-                             const struct mo_pause_point *pause,
-                             struct mo_gradient_profile *profile, struct mo_outcome *results,
+                             const struct mo_pause_point *pause, struct mo_outcome *results,
                              float *gradient, struct mo_gradient_counts *counts);
 
 /* Numbers of very different sizes, so that nearly every order of additions has its own bits. */
@@ -102,8 +100,7 @@ int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_
                              const struct mo_robot *list, uint32_t n,
                              const struct mo_physics *physics,
                              const struct mo_gradient_options *options,
-                             const struct mo_pause_point *pause,
-                             struct mo_gradient_profile *profile, struct mo_outcome *results,
+                             const struct mo_pause_point *pause, struct mo_outcome *results,
                              float *gradient, struct mo_gradient_counts *counts)
 {
   if (plan.made_up != NULL) {
@@ -123,8 +120,8 @@ int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_
     if (list[i].body == plan.fail_at)
       status = plan.status;
   if (status == MO_OK)
-    status = __real_mo_gradient_block(memory, pack, list, n, physics, options, pause, profile,
-                                      results, gradient, counts);
+    status = __real_mo_gradient_block(memory, pack, list, n, physics, options, pause, results,
+                                      gradient, counts);
   atomic_fetch_sub(&plan.inside, 1);
   return status;
 }
@@ -609,7 +606,7 @@ __attribute__((unused)) static void the_budget_changes_no_bit(void)
       float *gradient = gradients + (b > 0 ? n : 0);
       REQUIRE(mo_gradient_memory_create(budgets[b], &memory) == MO_OK);
       CHECK_INT(__real_mo_gradient_block(memory, pack, robots + (size_t)block * MO_GRADIENT_ROBOTS,
-                                         MO_GRADIENT_ROBOTS, &physics, &options, NULL, NULL,
+                                         MO_GRADIENT_ROBOTS, &physics, &options, NULL,
                                          outcomes[b > 0], gradient, NULL),
                 MO_OK);
       if (b > 0)
@@ -650,7 +647,7 @@ __attribute__((unused)) static void memory_is_bounded(void)
   for (int i = 0; i < MO_GRADIENT_ROBOTS; i++)
     many[i] = (struct mo_robot){full, environments + i};
   CHECK_INT(__real_mo_gradient_block(memory, pack, many, MO_GRADIENT_ROBOTS, &physics, &options,
-                                     &pause, NULL, results, gradient, NULL),
+                                     &pause, results, gradient, NULL),
             MO_ERR_CANCELLED);
   const size_t scratch = mo_gradient_memory_bytes(memory), scoring = (size_t)16 << 20,
                slots = 2 * controller->n_parameters * sizeof(float);

@@ -52,8 +52,7 @@ static double alone(const struct mo_pack *pack, const struct mo_lattice *lattice
   mo_genotype_place(MO_DEFAULT_WORKSPACE, placed.words);
   if (mo_workspace_memory_create(&memory) == MO_OK &&
       mo_body_create(lattice, placed.words, &body) == MO_OK)
-    (void)mo_rollout_block(memory, pack, body, &environment, 1, physics, NULL, NULL, NULL,
-                           &outcome);
+    (void)mo_rollout_block(memory, pack, body, &environment, 1, physics, NULL, NULL, &outcome);
   mo_body_free(body);
   mo_workspace_memory_free(memory);
   return outcome.loss;

@@ -184,7 +184,7 @@ static void damaged(void)
     blob.bytes[i] ^= (uint8_t)(1 << i % 8);
     expect_refused(blob.bytes, blob.size,
                    i < 8    ? "not a checkpoint"
-                   : i < 12 ? "this program reads version 2"
+                   : i < 12 ? "this program reads version 3"
                             : "checksum is wrong");
     blob.bytes[i] ^= (uint8_t)(1 << i % 8);
   }
@@ -206,80 +206,91 @@ static void damaged(void)
   mo_training_free(training);
 }
 
+/* Writes a value over that of a member of the settings, and blanks over the rest. */
+static void overwrite(uint8_t *bytes, const char *member, const char *value)
+{
+  char *at = strstr((char *)bytes + 72, member);
+  REQUIRE(at != NULL);
+  at += strlen(member);
+  const size_t n = strcspn(at, ",}");
+  REQUIRE(strlen(value) <= n);
+  memset(at, ' ', n);
+  memcpy(at, value, strlen(value));
+}
+
 /* A checksum can be right and the contents wrong all the same: a program that errs, or a hostile
  * file. */
 static void wrong_contents(void)
 {
   enum {
-    RULE = 112,
-    WEIGHT = 116,
-    STEP = 220,
-    SKIPPED = 224,
-    DRAWS = 228,
-    N_DESIGNS = 236,
-    N_PARAMETERS = 240,
-    ARRAYS = 248
+    SETTINGS_BYTES = 12,
+    KIND = 16,
+    SENSOR = 20,
+    STEP = 32,
+    SKIPPED = 36,
+    DRAWS = 48,
+    N_DESIGNS = 56,
+    N_PARAMETERS = 64,
+    SETTINGS = 72
   };
-  const size_t designs = (size_t)4 * MO_DEFAULT_WORDS * 8;
-  const size_t n = 620912, first = ARRAYS + designs + 4 * n, second = first + 8 * n;
+  struct mo_training *training = begin(MO_TRAINING_FINETUNE);
+  REQUIRE(training != NULL);
+  struct blob blob = encoded(training);
+  uint32_t settings_bytes;
+  memcpy(&settings_bytes, blob.bytes + SETTINGS_BYTES, sizeof(settings_bytes));
+  const size_t arrays = SETTINGS + settings_bytes, designs = (size_t)4 * MO_DEFAULT_WORDS * 8;
+  const size_t n = 620912, first = arrays + designs + 4 * n, second = first + 8 * n;
   const double nan = NAN, minus = -1.0;
   const float huge = 2e6F, infinite = INFINITY;
-  const uint32_t zero = 0, many = 13, most = UINT32_MAX, kind = 2;
-  const uint64_t one = 1, all = UINT64_MAX;
+  const uint32_t many = 13, most = UINT32_MAX, kind = 2;
+  const uint64_t none = 0, one = 1, several = 13, all = UINT64_MAX;
   const struct {
     size_t at, size;
     const void *value;
     const char *says;
   } cases[] = {
-      {12, 4, &kind,
+      {KIND, 4, &kind,
        "the checkpoint's settings are not acceptable: kind of training must be 0 (pretrain) or 1 "
        "(finetune), got 2"},
-      {24, 4, &zero,
-       "the checkpoint's settings are not acceptable: steps must be at least 1 and at most "
-       "1000000, got 0"},
-      {28, 4, &most,
-       "the checkpoint's settings are not acceptable: batch must be at least 1 and at most 65536, "
-       "got 4294967295"},
-      {36, 8, &nan,
-       "the checkpoint's settings are not acceptable: schedule.peak must be above 0 and at most 1, "
-       "got a number that "
-       "is not finite"},
-      {RULE, 4, &kind,
-       "the checkpoint's settings are not acceptable: adjoint_rule must be \"clip\" or "
-       "\"restart\", got number 2"},
-      {WEIGHT, 8, &minus,
-       "the checkpoint's settings are not acceptable: restart_weight must be at least 0 and at "
-       "most 1e+06, got -1"},
-      {WEIGHT, 8, &nan,
-       "the checkpoint's settings are not acceptable: restart_weight must be at least 0 and at "
-       "most 1e+06, got a "
-       "number that is not finite"},
+      {SENSOR, 4, &kind, "sensor must be \"inverse_sqrt\" or \"inverse_square\", got number 2"},
+      {SETTINGS_BYTES, 4, &most, "its settings are longer than it"},
+      {SETTINGS_BYTES, 4, &many, "the checkpoint's settings are not acceptable"},
       {STEP, 4, &many, "more steps than its training"},
       {SKIPPED, 4, &many, "more steps than its training"},
       {DRAWS, 8, &one, "stream of bodies"},
-      {N_DESIGNS, 4, &zero, "number of its designs"},
-      {N_DESIGNS, 4, &most, "number of its designs"},
-      {N_DESIGNS, 4, &many, "size does not agree"},
+      {N_DESIGNS, 8, &none, "number of its designs"},
+      {N_DESIGNS, 8, &all, "number of its designs"},
+      {N_DESIGNS, 8, &several, "size does not agree"},
       {N_PARAMETERS, 8, &all, "another number of parameters"},
-      {ARRAYS + 16, 8, &all, "design 0 has bits past"},
-      {ARRAYS + designs, 4, &infinite, "a weight is not finite"},
-      {ARRAYS + designs + 4 * (n - 1), 4, &huge, "a weight is not finite or beyond"},
+      {arrays + 16, 8, &all, "design 0 has bits past"},
+      {arrays + designs, 4, &infinite, "a weight is not finite"},
+      {arrays + designs + 4 * (n - 1), 4, &huge, "a weight is not finite or beyond"},
       {first, 8, &nan, "a moment is not finite"},
       {second + 8 * (n - 1), 8, &nan, "a moment is not finite"},
       {second, 8, &minus, "a second moment is negative"},
   };
-  struct mo_training *training = begin(MO_TRAINING_FINETUNE);
-  REQUIRE(training != NULL);
-  struct blob blob = encoded(training);
+  static const struct {
+    const char *member, *value, *says;
+  } settings[] = {
+      {"\"steps\":", "0", "/steps: 0 is given; an integer from 1 to 1000000 is expected"},
+      {"\"peak\":", "2", "/schedule/peak: must be above 0 and at most 1, got 2"},
+      {"\"adjoint_rule\":", "\"flip\"", "/adjoint_rule: "},
+      {"\"restart_weight\":", "x", "the checkpoint's settings are not acceptable"},
+  };
+  const size_t n_cases = sizeof(cases) / sizeof(cases[0]),
+               n_settings = sizeof(settings) / sizeof(settings[0]);
   CHECK_INT(blob.size, second + 8 * n + 8);
   uint8_t *copy = malloc(blob.size);
   REQUIRE(copy != NULL);
-  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+  for (size_t i = 0; i < n_cases + n_settings; i++) {
     memcpy(copy, blob.bytes, blob.size);
-    memcpy(copy + cases[i].at, cases[i].value, cases[i].size);
+    if (i < n_cases)
+      memcpy(copy + cases[i].at, cases[i].value, cases[i].size);
+    else
+      overwrite(copy, settings[i - n_cases].member, settings[i - n_cases].value);
     const uint64_t sum = mo_checksum(copy, blob.size - 8);
     memcpy(copy + blob.size - 8, &sum, 8);
-    expect_refused(copy, blob.size, cases[i].says);
+    expect_refused(copy, blob.size, i < n_cases ? cases[i].says : settings[i - n_cases].says);
   }
   free(copy);
   free(blob.bytes);

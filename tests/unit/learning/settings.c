@@ -109,16 +109,9 @@ static void presets(void)
 static void preset_names(void)
 {
   static const char *const names[] = {"workstation", "phototaxis", "paper"};
-  for (int i = 0; i < 3; i++) {
-    enum mo_learning_preset preset = MO_LEARNING_PRESET_WORKSTATION;
-    CHECK_INT(mo_learning_preset_from_name(names[i], &preset), MO_OK);
-    CHECK_INT(preset, i);
-  }
-  enum mo_learning_preset preset = MO_LEARNING_PRESET_PAPER;
-  static const char *const others[] = {"", "Paper", "paper ", "demo", "unknown"};
-  for (size_t i = 0; i < sizeof(others) / sizeof(others[0]); i++)
-    CHECK_INT(mo_learning_preset_from_name(others[i], &preset), MO_ERR_NOT_FOUND);
-  CHECK_INT(preset, MO_LEARNING_PRESET_PAPER);
+  for (int i = 0; i < 3; i++)
+    CHECK_TEXT(mo_learning_preset_words[i], names[i]);
+  CHECK(mo_learning_preset_words[3] == NULL);
 }
 
 /* The shipped controller says of itself what its preset would make it say. It is older than

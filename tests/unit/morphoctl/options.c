@@ -122,10 +122,9 @@ static void request(void)
 
 static void help_and_manual(void)
 {
-  const char *source = getenv("MORPHO_SOURCE_DIR");
-  REQUIRE(source != NULL);
-  char path[4096], *manual = calloc(1, 1 << 20);
-  snprintf(path, sizeof(path), "%s/docs/man/morphoctl.1", source);
+  const char *path = getenv("MORPHOCTL_MANUAL");
+  REQUIRE(path != NULL);
+  char *manual = calloc(1, 1 << 20);
   FILE *file = fopen(path, "re");
   REQUIRE(file != NULL && manual != NULL);
   CHECK(fread(manual, 1, (1 << 20) - 1, file) > 1000);

@@ -130,7 +130,7 @@ static void kernels(void)
         REQUIRE(mo_pack_create(controller, (enum mo_isa)isa, (enum mo_precision)precision, &pack) ==
                 MO_OK);
         REQUIRE(mo_rollout_block(memory, pack, body, list, ENVIRONMENTS, &physics, recordings, NULL,
-                                 NULL, outcomes) == MO_OK);
+                                 outcomes) == MO_OK);
         for (uint32_t e = 0; e < ENVIRONMENTS; e++) {
           hash_outcome(&h, outcomes + e, com[e]);
           const float loss = (float)outcomes[e].loss; /* hypot's last bits are the C library's */

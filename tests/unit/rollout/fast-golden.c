@@ -41,7 +41,7 @@ static void compare(enum mo_isa isa, enum mo_precision precision, int mode)
     const struct mo_recording recording = {.stride = 200, .com_m = com[0]};
     struct mo_outcome outcome;
     REQUIRE(mo_rollout_block(memory, pack, golden_case->body, list, 1, &physics, &recording, NULL,
-                             NULL, &outcome) == 0);
+                             &outcome) == 0);
     loss_error[i] = fabs(outcome.loss - golden_case->loss[mode]);
     if (precision == MO_FLOAT32 && loss_error[i] > 1e-2)
       printf("# %s: case %zu bifurcates: loss %.6f, golden %.6f\n", name, i, outcome.loss,

@@ -3,7 +3,7 @@
 #include <morpho/rollout.h>
 
 #include "../check.h"
-#include "rollout/fast.h"
+#include "probe.h"
 
 #include <stdint.h>
 #include <stdlib.h>
@@ -62,8 +62,7 @@ static int run_block(enum mo_isa isa, enum mo_precision precision, const struct 
   if (status == MO_OK)
     status = mo_workspace_memory_create(&memory);
   if (status == MO_OK)
-    status =
-        mo_rollout_block(memory, pack, body, list, n, physics, recordings, NULL, NULL, outcomes);
+    status = mo_rollout_block(memory, pack, body, list, n, physics, recordings, NULL, outcomes);
   mo_workspace_memory_free(memory);
   mo_pack_free(pack);
   return status;
@@ -95,8 +94,7 @@ static void tanh_float(void)
         memcpy(&x[i], &bits, 4);
       }
       memcpy(y, x, sizeof(y));
-      mo_fast_probe_find((enum mo_isa)isa,
-                         MO_FLOAT32)(&(struct mo_fast_probe){.tanh_values = y, .n_tanh = N});
+      run_probe((enum mo_isa)isa, MO_FLOAT32, (struct probe){.tanh_values = y, .n_tanh = N});
       for (uint32_t i = 0; i < N; i++) {
         if (isnan(x[i])) {
           if (!(fabsf(y[i]) <= 1))
@@ -126,8 +124,7 @@ static void tanh_double(void)
         memcpy(&x[i], &bits, 8);
       }
       memcpy(y, x, sizeof(y));
-      mo_fast_probe_find((enum mo_isa)isa,
-                         MO_FLOAT64)(&(struct mo_fast_probe){.tanh_values = y, .n_tanh = N});
+      run_probe((enum mo_isa)isa, MO_FLOAT64, (struct probe){.tanh_values = y, .n_tanh = N});
       for (uint32_t i = 0; i < N; i++) {
         if (isnan(x[i])) {
           if (!(fabs(y[i]) <= 1))
@@ -188,13 +185,13 @@ static void products(void)
       for (uint32_t i = 0; i < panel; i++)
         precision == MO_FLOAT64 ? (void)(storage[2][i] = init[i])
                                 : (void)(((float *)storage[2])[i] = (float)init[i]);
-      mo_fast_probe_find((enum mo_isa)isa,
-                         (enum mo_precision)precision)(&(struct mo_fast_probe){.rows = rows,
-                                                                               .k = K,
-                                                                               .x = storage[0],
-                                                                               .w = storage[1],
-                                                                               .init = storage[2],
-                                                                               .c = storage[3]});
+      run_probe((enum mo_isa)isa, (enum mo_precision)precision,
+                (struct probe){.rows = rows,
+                               .k = K,
+                               .x = storage[0],
+                               .w = storage[1],
+                               .init = storage[2],
+                               .c = storage[3]});
       int wrong = 0;
       for (uint32_t r = 0; r < rows; r++)
         for (uint32_t o = 0; o < panel; o++) {
@@ -345,8 +342,7 @@ static void passive_bodies(void)
     const struct mo_environment *list[1] = {environments};
     REQUIRE(mo_pack_create(NULL, (enum mo_isa)isa, (enum mo_precision)precision, &pack) == MO_OK);
     REQUIRE(mo_workspace_memory_create(&memory) == MO_OK && body != NULL);
-    REQUIRE(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, NULL, NULL, &outcome) ==
-            MO_OK);
+    REQUIRE(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, NULL, &outcome) == MO_OK);
     REQUIRE(mo_rollout_reference(body, NULL, environments, &physics, NULL, &reference) == MO_OK);
     const double tolerance = precision == MO_FLOAT64 ? 1e-11 : 1e-4;
     for (int axis = 0; axis < 3; axis++)
@@ -483,7 +479,7 @@ static void large_bodies(void)
     }
     REQUIRE(mo_pack_create(brain, mo_isa_best(), MO_FLOAT32, &pack) == MO_OK);
     REQUIRE(mo_workspace_memory_create(&memory) == MO_OK);
-    REQUIRE(mo_rollout_block(memory, pack, body, list, large ? 1 : 2, &physics, NULL, NULL, NULL,
+    REQUIRE(mo_rollout_block(memory, pack, body, list, large ? 1 : 2, &physics, NULL, NULL,
                              outcomes) == MO_OK);
     REQUIRE(mo_rollout_reference(body, brain, &environment, &physics, NULL, &reference) == MO_OK);
     for (int axis = 0; axis < 3; axis++)
@@ -517,24 +513,17 @@ static void pauses_and_faults(void)
   REQUIRE(mo_workspace_memory_create(&memory) == MO_OK && body != NULL);
   int calls = 0;
   struct mo_pause_point pause = {.interval = 10, .reached = stop_after_three, .context = &calls};
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, &pause, NULL, &outcome),
+  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, &pause, &outcome),
             MO_ERR_CANCELLED);
   CHECK_INT(calls, 3);
   calls = 3;
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, &pause, NULL, &outcome),
-            MO_OK);
+  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, &pause, &outcome), MO_OK);
   CHECK_INT(calls, 13);
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, 0, &physics, NULL, NULL, NULL, &outcome),
+  CHECK_INT(mo_rollout_block(memory, pack, body, list, 0, &physics, NULL, NULL, &outcome),
             MO_ERR_RANGE);
   CHECK_INT(mo_rollout_block(memory, pack, body, list, MO_BLOCK_LANES + 1, &physics, NULL, NULL,
-                             NULL, &outcome),
+                             &outcome),
             MO_ERR_RANGE);
-  struct mo_rollout_profile profile = {0};
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, NULL, &profile, &outcome),
-            MO_OK);
-  CHECK_INT(profile.rollout_steps, 100);
-  CHECK(profile.control_s > 0 && profile.spring_s > 0 && profile.contact_s > 0 &&
-        profile.sense_s > 0 && profile.pack_s > 0);
   struct mo_pack *other = NULL;
   CHECK_INT(mo_pack_create(controller, MO_ISA_COUNT, MO_FLOAT32, &other), MO_ERR_INVALID);
   struct mo_lattice *small = NULL;
@@ -542,7 +531,7 @@ static void pauses_and_faults(void)
   const uint64_t one = 1;
   REQUIRE(mo_lattice_create((struct mo_workspace){2, 1, 1}, &small) == MO_OK &&
           mo_body_create(small, &one, &voxel) == MO_OK);
-  CHECK_INT(mo_rollout_block(memory, pack, voxel, list, 1, &physics, NULL, NULL, NULL, &outcome),
+  CHECK_INT(mo_rollout_block(memory, pack, voxel, list, 1, &physics, NULL, NULL, &outcome),
             MO_ERR_INVALID);
   mo_body_free(voxel);
   mo_lattice_free(small);
@@ -570,6 +559,6 @@ static const struct check_case cases[] = {
     {"divergence stays in its lane", divergence_stays_in_its_lane},
     {"no mass below the terrain", no_mass_below_the_terrain},
     {"large bodies", large_bodies},
-    {"pauses, profile and faults", pauses_and_faults},
+    {"pauses and faults", pauses_and_faults},
 };
 CHECK_MAIN(cases)

@@ -93,7 +93,7 @@ static int run_block(enum mo_isa isa, int block, uint64_t *h, struct mo_gradient
   if (status == MO_OK)
     status = mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory);
   if (status == MO_OK)
-    status = mo_gradient_block(memory, pack, robots, n, &physics, &options, NULL, NULL, outcomes,
+    status = mo_gradient_block(memory, pack, robots, n, &physics, &options, NULL, outcomes,
                                gradient, counts);
   if (status == MO_OK) {
     hash(h, gradient, controller->n_parameters * sizeof(float));
@@ -173,8 +173,8 @@ static int run_rare(enum mo_isa isa, int life, uint64_t *h, uint32_t *n_finite)
   if (status == MO_OK)
     status = mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory);
   if (status == MO_OK)
-    status = mo_gradient_block(memory, pack, own, N, &physics, &options, NULL, NULL, outcomes,
-                               gradient, &counts);
+    status = mo_gradient_block(memory, pack, own, N, &physics, &options, NULL, outcomes, gradient,
+                               &counts);
   if (status == MO_OK) {
     hash(h, gradient, controller->n_parameters * sizeof(float));
     hash(h, &counts.clipped_steps, sizeof(counts.clipped_steps));

@@ -64,7 +64,6 @@ struct result {
   float *d;
   struct mo_outcome outcomes[ROBOTS];
   struct mo_gradient_counts counts;
-  struct mo_gradient_profile profile;
   int status;
 };
 
@@ -81,7 +80,7 @@ static struct result block(const struct mo_controller *controller, enum mo_isa i
   if (result.d != NULL && mo_gradient_pack_create(controller, isa, &pack) == MO_OK &&
       mo_gradient_memory_create(budget, &memory) == MO_OK)
     result.status = mo_gradient_block(memory, pack, list, n, physics, options, pause,
-                                      &result.profile, result.outcomes, result.d, &result.counts);
+                                      result.outcomes, result.d, &result.counts);
   mo_gradient_memory_free(memory);
   mo_gradient_pack_free(pack);
   return result;
@@ -193,7 +192,6 @@ static void compare_on(enum mo_isa isa, const struct comparison *c)
   }
   CHECK_INT(fast.counts.diverged_robots, c->counts.diverged_robots);
   CHECK_INT(fast.counts.zeroed_robots, c->counts.zeroed_robots);
-  CHECK_INT(fast.profile.robot_steps, (uint64_t)c->n * c->physics->n_steps);
   free(fast.d);
 }
 
@@ -346,14 +344,20 @@ static void budgets_do_not_matter(void)
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
     for (uint32_t n_steps = 30; n_steps <= 77; n_steps += 47) {
       const struct mo_physics physics = physics_of(n_steps);
-      struct result whole =
-          block(shipped, isa, robots + 20, 9, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
-      CHECK(whole.profile.repeat_s == 0 && whole.counts.clipped_steps > 0);
+      /* A pause after every step, forwards, backwards and again. */
+      struct stop whole_stop = {.after = UINT32_MAX};
+      struct mo_pause_point pause = {1, count_down, &whole_stop};
+      struct result whole = block(shipped, isa, robots + 20, 9, &physics, &options,
+                                  MO_GRADIENT_DEFAULT_BYTES, &pause);
+      CHECK_INT(whole_stop.calls, 2 * n_steps);
+      CHECK(whole.counts.clipped_steps > 0);
       for (size_t k = 0; k < sizeof(budgets) / sizeof(budgets[0]); k++) {
+        struct stop part_stop = {.after = UINT32_MAX};
+        pause.context = &part_stop;
         struct result part =
-            block(shipped, isa, robots + 20, 9, &physics, &options, budgets[k], NULL);
+            block(shipped, isa, robots + 20, 9, &physics, &options, budgets[k], &pause);
         CHECK(same_bits(&whole, &part, 9, shipped->n_parameters));
-        CHECK(part.profile.repeat_s > 0 || budgets[k] > 2000000);
+        CHECK(part_stop.calls > 2 * n_steps || budgets[k] > 2000000);
         free(part.d);
       }
       free(whole.d);
@@ -377,9 +381,9 @@ static void budgets_are_kept(void)
   /* The largest bodies, and stopped once the tape has been laid out. */
   struct stop stop = {.after = 1};
   const struct mo_pause_point pause = {.interval = 1, .reached = count_down, .context = &stop};
-  CHECK_INT(mo_gradient_block(memory, pack, large, ROBOTS, &physics, &options, &pause, NULL,
-                              outcomes, d, NULL),
-            MO_ERR_CANCELLED);
+  CHECK_INT(
+      mo_gradient_block(memory, pack, large, ROBOTS, &physics, &options, &pause, outcomes, d, NULL),
+      MO_ERR_CANCELLED);
   printf("# 32 robots of 144 voxels, 1000 steps: %.1f MiB\n",
          (double)mo_gradient_memory_bytes(memory) / (1 << 20));
   CHECK(mo_gradient_memory_bytes(memory) > MO_GRADIENT_DEFAULT_BYTES / 2);
@@ -559,24 +563,24 @@ static void pauses_and_ends(void)
   REQUIRE(mo_gradient_memory_create(1000000, &memory) == MO_OK);
   struct stop stop = {.after = UINT32_MAX};
   struct mo_pause_point pause = {.interval = 7, .reached = count_down, .context = &stop};
-  CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes,
-                              d[0], &counts),
+  CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, outcomes, d[0],
+                              &counts),
             MO_OK);
   const uint32_t calls = stop.calls;
   CHECK(calls >= 2 * physics.n_steps / pause.interval); /* forth and back, and segments again */
   for (uint32_t after = 1; after <= calls; after += 3) {
     stop = (struct stop){.after = after};
     counts = (struct mo_gradient_counts){0};
-    CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes,
-                                d[1], &counts),
+    CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, outcomes, d[1],
+                                &counts),
               MO_ERR_CANCELLED);
     CHECK_INT(stop.calls, after);
     CHECK_INT(counts.robots, 0);
   }
   stop = (struct stop){.after = UINT32_MAX};
   pause.interval = 0; /* never */
-  CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes,
-                              d[1], &counts),
+  CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, outcomes, d[1],
+                              &counts),
             MO_OK);
   CHECK_INT(stop.calls, 0);
   CHECK(memcmp(d[0], d[1], shipped->n_parameters * sizeof(float)) == 0);
@@ -605,9 +609,9 @@ static void packs_can_be_updated(void)
   CHECK(mo_gradient_pack_bytes(pack) > shipped->n_parameters * sizeof(float));
   /* The memory has seen other blocks, too. */
   for (uint32_t n = 1; n <= ROBOTS; n += 9)
-    CHECK_INT(mo_gradient_block(memory, pack, robots, n, &physics, &options, NULL, NULL, outcomes,
-                                d, NULL),
-              MO_OK);
+    CHECK_INT(
+        mo_gradient_block(memory, pack, robots, n, &physics, &options, NULL, outcomes, d, NULL),
+        MO_OK);
   struct result again = block(shipped, mo_isa_best(), robots, 28, &physics, &options,
                               MO_GRADIENT_DEFAULT_BYTES, NULL);
   CHECK(memcmp(d, again.d, shipped->n_parameters * sizeof(float)) == 0);
@@ -617,22 +621,20 @@ static void packs_can_be_updated(void)
   REQUIRE(mo_controller_create((struct mo_workspace){6, 6, 3}, shipped->sensor, &other) == MO_OK);
   CHECK_INT(mo_gradient_pack_update(pack, other), MO_ERR_UNSUPPORTED);
 
-  CHECK_INT(
-      mo_gradient_block(memory, pack, robots, 0, &physics, &options, NULL, NULL, outcomes, d, NULL),
-      MO_ERR_INVALID);
-  CHECK_INT(mo_gradient_block(memory, pack, robots, ROBOTS + 1, &physics, &options, NULL, NULL,
-                              outcomes, d, NULL),
+  CHECK_INT(mo_gradient_block(memory, pack, robots, 0, &physics, &options, NULL, outcomes, d, NULL),
+            MO_ERR_INVALID);
+  CHECK_INT(mo_gradient_block(memory, pack, robots, ROBOTS + 1, &physics, &options, NULL, outcomes,
+                              d, NULL),
             MO_ERR_INVALID);
   const struct mo_gradient_options bad[] = {{-1, 1}, {(double)NAN, 1}, {2, (double)INFINITY}};
   for (int i = 0; i < 3; i++)
-    CHECK_INT(mo_gradient_block(memory, pack, robots, 1, &physics, bad + i, NULL, NULL, outcomes, d,
-                                NULL),
-              MO_ERR_INVALID);
+    CHECK_INT(
+        mo_gradient_block(memory, pack, robots, 1, &physics, bad + i, NULL, outcomes, d, NULL),
+        MO_ERR_INVALID);
   mo_gradient_pack_free(pack);
   REQUIRE(mo_gradient_pack_create(other, mo_isa_best(), &pack) == MO_OK);
-  CHECK_INT(
-      mo_gradient_block(memory, pack, robots, 1, &physics, &options, NULL, NULL, outcomes, d, NULL),
-      MO_ERR_INVALID);
+  CHECK_INT(mo_gradient_block(memory, pack, robots, 1, &physics, &options, NULL, outcomes, d, NULL),
+            MO_ERR_INVALID);
   mo_gradient_pack_free(pack);
   CHECK_INT(mo_gradient_pack_create(shipped, MO_ISA_COUNT, &pack), MO_ERR_UNSUPPORTED);
   mo_gradient_memory_free(memory);

@@ -1,7 +1,7 @@
 /* The kernels' products against OpenBLAS, within what rounding allows for sums of k terms in any
  * order. */
 #include "../check.h"
-#include "rollout/fast.h"
+#include "probe.h"
 
 #include <cblas.h>
 
@@ -43,8 +43,13 @@ static double largest_error(enum mo_isa isa, enum mo_precision precision, uint32
   else
     cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, (int)rows, panel, K, 1.0f, x32, K, w32,
                 panel, 1.0f, expected32, panel);
-  mo_fast_probe_find(isa, precision)(&(struct mo_fast_probe){
-      .rows = rows, .k = K, .x = storage[0], .w = storage[1], .init = storage[2], .c = storage[3]});
+  run_probe(isa, precision,
+            (struct probe){.rows = rows,
+                           .k = K,
+                           .x = storage[0],
+                           .w = storage[1],
+                           .init = storage[2],
+                           .c = storage[3]});
   double worst = 0;
   for (int i = 0; i < (int)rows * panel; i++) {
     const double error = precision == MO_FLOAT64
