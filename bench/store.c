@@ -205,7 +205,9 @@ static int save_all(const struct bench_store_state *state, int64_t id)
   uint32_t saves = 0;
   int error = mo_store_fingerprint(state->store, "bench", &fingerprint);
   if (error == MO_OK)
-    error = mo_store_load_work(state->store, id, &work);
+    error = mo_store_load_work(
+        state->store, id, &(struct mo_classes){{fingerprint, fingerprint}, fingerprint}, &work);
+  update.fingerprint = update.workers = fingerprint;
   if (error == MO_OK)
     error = save_now(state->store, &save);
   start = mo_clock_ns();
@@ -254,11 +256,12 @@ static int fill_jobs(struct bench_store_state *state)
   static const char sql[] =
       "BEGIN; WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n LIMIT 1000000)"
       " INSERT INTO "
-      "jobs(kind,state,priority,version,epoch,attempts,created_us,started_us,finished_us,error)"
-      " SELECT 0,3,0,1,1,0,i,i,i,0 FROM n;"
+      "jobs(kind,state,priority,weight,back_end,version,epoch,attempts,created_us,started_us,"
+      "finished_us,error)"
+      " SELECT 0,3,0,1,0,1,1,0,i,i,i,0 FROM n;"
       "INSERT OR IGNORE INTO evaluations SELECT "
       "j.id,e.controller,e.controller_name,e.physics,e.environment_set,1,10,0,0,1,"
-      "10,0,0 FROM jobs j, (SELECT * FROM evaluations LIMIT 1) e; COMMIT";
+      "10,0,0,NULL,NULL FROM jobs j, (SELECT * FROM evaluations LIMIT 1) e; COMMIT";
   struct mo_store_config config = {.path = state->path};
   char path[600];
   sqlite3 *db = NULL;

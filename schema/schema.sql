@@ -82,31 +82,64 @@ CREATE TABLE fingerprints(
   text TEXT NOT NULL UNIQUE
 ) STRICT;
 
--- One rollout. Rows are never changed or deleted.
-CREATE TABLE scores(
-  genotype INTEGER NOT NULL REFERENCES genotypes(id),
+-- Who computed a score: the host.
+CREATE TABLE origins(
+  id INTEGER PRIMARY KEY,
+  text TEXT NOT NULL UNIQUE
+) STRICT;
+
+-- What a loss depends on besides the genotype: weights, physics, class (fingerprint), and a block
+-- of up to 16 environments that one call computed. `environments`: the ids of the block's
+-- environments, 8 bytes each, little-endian; condition_environments has the same as rows.
+CREATE TABLE conditions(
+  id INTEGER PRIMARY KEY,
   controller INTEGER NOT NULL REFERENCES controllers(id),
   physics INTEGER NOT NULL REFERENCES physics(id),
-  environment INTEGER NOT NULL REFERENCES environments(id),
-  loss BLOB NOT NULL CHECK(length(loss) = 8),
-  diverged_step INTEGER NOT NULL,
   fingerprint INTEGER NOT NULL REFERENCES fingerprints(id),
-  computed_us INTEGER NOT NULL,
-  PRIMARY KEY(genotype, controller, physics, environment)
+  environments BLOB NOT NULL
+    CHECK(length(environments) BETWEEN 8 AND 128 AND length(environments) % 8 = 0),
+  UNIQUE(controller, physics, fingerprint, environments)
+) STRICT;
+
+CREATE TABLE condition_environments(
+  condition INTEGER NOT NULL REFERENCES conditions(id),
+  position INTEGER NOT NULL,
+  environment INTEGER NOT NULL REFERENCES environments(id),
+  PRIMARY KEY(condition, position)
 ) STRICT, WITHOUT ROWID;
 
--- The mean loss of a genotype over a whole named set; +infinity when a rollout diverged. `score` is
--- for sorting; `bits` is exact.
-CREATE TABLE set_scores(
+-- The losses of a genotype under a condition. Rows are never changed or deleted. losses: doubles;
+-- if any rollout diverged the 32-bit steps; a 64-bit checksum of the row and its condition
+-- (src/store/scores.c). Where two rows hold the same environment, the one computed first counts.
+CREATE TABLE scores(
+  genotype INTEGER NOT NULL REFERENCES genotypes(id),
+  condition INTEGER NOT NULL REFERENCES conditions(id),
+  origin INTEGER NOT NULL REFERENCES origins(id),
+  computed_us INTEGER NOT NULL,
+  losses BLOB NOT NULL CHECK(length(losses) BETWEEN 16 AND 200),
+  PRIMARY KEY(genotype, condition)
+) STRICT, WITHOUT ROWID;
+
+-- What a mean loss over a named set depends on besides the genotype.
+CREATE TABLE rankings(
+  id INTEGER PRIMARY KEY,
   controller INTEGER NOT NULL REFERENCES controllers(id),
   physics INTEGER NOT NULL REFERENCES physics(id),
+  fingerprint INTEGER NOT NULL REFERENCES fingerprints(id),
   environment_set INTEGER NOT NULL REFERENCES environment_sets(id),
+  UNIQUE(controller, physics, fingerprint, environment_set)
+) STRICT;
+
+-- The mean loss of a genotype over a whole named set; +infinity when a rollout diverged. REAL keeps
+-- every bit of it but the sign of 0. `checksum`: of ranking, genotype and score.
+CREATE TABLE set_scores(
+  ranking INTEGER NOT NULL REFERENCES rankings(id),
   genotype INTEGER NOT NULL REFERENCES genotypes(id),
   score REAL NOT NULL,
-  bits BLOB NOT NULL CHECK(length(bits) = 8),
-  PRIMARY KEY(controller, physics, environment_set, genotype)
+  checksum INTEGER NOT NULL,
+  PRIMARY KEY(ranking, genotype)
 ) STRICT, WITHOUT ROWID;
-CREATE INDEX set_scores_best ON set_scores(controller, physics, environment_set, score, genotype);
+CREATE INDEX set_scores_best ON set_scores(ranking, score, genotype);
 
 -- kind: 0 evaluation, 1 training, 2 campaign; the job's row in the table of its kind has the same
 -- id. state: 0 queued, 1 running, 2 paused, 3 succeeded, 4 failed, 5 cancelled.
@@ -155,7 +188,9 @@ CREATE TABLE evaluations(
   record_stride INTEGER NOT NULL,
   done INTEGER NOT NULL,
   cached INTEGER NOT NULL,
-  diverged INTEGER NOT NULL
+  diverged INTEGER NOT NULL,
+  fingerprint INTEGER REFERENCES fingerprints(id), -- its class; NULL: not started
+  workers INTEGER REFERENCES fingerprints(id) -- the class of bodies that devices leave to workers
 ) STRICT;
 
 CREATE TABLE evaluation_designs(
@@ -180,6 +215,7 @@ CREATE TABLE recomputed(
   loss BLOB NOT NULL CHECK(length(loss) = 8),
   diverged_step INTEGER NOT NULL,
   stored BLOB CHECK(length(stored) = 8),
+  checksum INTEGER NOT NULL, -- of the row
   PRIMARY KEY(job, position, environment)
 ) STRICT, WITHOUT ROWID;
 
@@ -192,6 +228,7 @@ CREATE TABLE trajectories(
   stride INTEGER NOT NULL,
   frames INTEGER NOT NULL,
   n_masses INTEGER NOT NULL,
+  diverged_step INTEGER NOT NULL,
   com BLOB,
   masses BLOB,
   UNIQUE(job, position, environment)
@@ -437,12 +474,11 @@ CREATE TABLE campaign_steps(
   PRIMARY KEY(job, generation, step)
 ) STRICT, WITHOUT ROWID;
 
--- Losses of the current generation; deleted when it commits. losses: doubles; diverged: 32-bit
--- steps; one per environment.
+-- Losses of the current generation; deleted when it commits. losses: as in `scores`; the top bit of
+-- a step says that workers computed a loss of a campaign that devices compute.
 CREATE TABLE campaign_losses(
   job INTEGER NOT NULL REFERENCES campaigns(job),
   place INTEGER NOT NULL,
   losses BLOB NOT NULL,
-  diverged BLOB NOT NULL,
   PRIMARY KEY(job, place)
 ) STRICT, WITHOUT ROWID;

@@ -51,6 +51,8 @@ static void write_score(struct mo_text *text, const struct mo_design_score *scor
   mo_text_json_time(text, score->computed_us);
   mo_text_add(text, ",\"fingerprint\":");
   mo_text_json_string(text, score->fingerprint, strlen(score->fingerprint));
+  mo_text_add(text, ",\"origin\":");
+  mo_text_json_string(text, score->origin, strlen(score->origin));
   mo_text_add(text, "}");
 }
 
@@ -184,11 +186,29 @@ static void write_page(struct mo_request *request, const struct mo_design_query 
   mo_reply_text(request, error, &text, "page");
 }
 
+static bool is_class(const char *text)
+{
+  const size_t n = strlen(text);
+  for (size_t i = 0; i < n; i++)
+    if (text[i] < ' ' || text[i] > '~')
+      return false;
+  return n > 0 && n < MO_FINGERPRINT_BYTES;
+}
+
+/* Returns the class whose scores are ranked unless another one is asked for: that of the devices,
+ * which compute large batches, or else of the workers. */
+static const char *own_class(const struct mo_compute *compute)
+{
+  const char *devices = mo_compute_device_fingerprint(compute);
+  return devices != NULL ? devices : mo_compute_fingerprint(compute, MO_FLOAT32);
+}
+
 void mo_api_list_designs(struct mo_request *request)
 {
-  static const char *const of_score[] = {"controller", "environments"};
+  static const char *const of_score[] = {"controller", "environments", "class"};
   const char *sort = mo_query(request, "sort"), *cursor = mo_query(request, "cursor");
   const char *named = mo_query(request, "controller"), *set = mo_query(request, "environments");
+  const char *class = mo_query(request, "class");
   struct mo_store *store = mo_api_of(request)->store;
   struct mo_design_query query = {
       .sort = MO_DESIGNS_BY_ID, .physics = mo_default_physics(), .precision = MO_FLOAT32};
@@ -201,13 +221,17 @@ void mo_api_list_designs(struct mo_request *request)
     mo_reply_bad_parameter(request, "sort", "id or score is expected");
     return;
   }
-  for (size_t i = 0; i < 2; i++)
+  for (size_t i = 0; i < 3; i++)
     if (mo_query(request, of_score[i]) != NULL && query.sort != MO_DESIGNS_BY_SCORE) {
       mo_reply_bad_parameter(request, of_score[i], "this parameter is for sort=score");
       return;
     }
   if (set != NULL && strcmp(set, "paper-test") != 0) {
     mo_reply_bad_parameter(request, "environments", "paper-test is expected");
+    return;
+  }
+  if (class != NULL && !is_class(class)) {
+    mo_reply_bad_parameter(request, "class", "a fingerprint is expected, as scores have it");
     return;
   }
   if (cursor != NULL && !read_cursor(cursor, &query)) {
@@ -224,6 +248,8 @@ void mo_api_list_designs(struct mo_request *request)
     }
     query.controller_sha256 = controller.sha256;
     snprintf(query.environment_set, sizeof(query.environment_set), "paper-test");
+    snprintf(query.fingerprint, sizeof(query.fingerprint), "%s",
+             class != NULL ? class : own_class(mo_api_of(request)->compute));
   }
   struct mo_design_row *rows = malloc(limit * sizeof(*rows));
   int64_t n = rows != NULL ? mo_store_designs(store, &query, rows, limit) : MO_ERR_NO_MEMORY;

@@ -195,7 +195,7 @@ static enum log_level level_of(const char *type)
   const char *what = strrchr(type, '.');
   if (what != NULL && strcmp(what, ".progress") == 0)
     return LOG_LEVEL_DEBUG;
-  return strcmp(type, "training.code_changed") == 0 ||
+  return (what != NULL && strcmp(what, ".code_changed") == 0) ||
                  strcmp(type, "campaign.lineage_unreadable") == 0
              ? LOG_LEVEL_WARNING
              : LOG_LEVEL_INFO;

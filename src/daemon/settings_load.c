@@ -446,8 +446,9 @@ static void bounds_text(const struct setting *setting, char *text, size_t capaci
 void settings_print_help(FILE *file)
 {
   fputs("Usage: morphod [FLAG]...\n"
-        "       morphod store clean [--yes] [FLAG]...   removes files that nothing refers to; see "
-        "morphod(8)\n"
+        "       morphod store clean [--yes] [FLAG]...      removes files that nothing refers to\n"
+        "       morphod store check [--sample=N] [FLAG]... reads all that is stored and checks it; "
+        "see morphod(8)\n"
         "Scores voxel robots over HTTP. Runs in the foreground until SIGTERM or SIGINT; SIGHUP "
         "reloads tokens and log "
         "level.\n\n"

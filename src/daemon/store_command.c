@@ -10,7 +10,16 @@
 
 #include "daemon/service.h"
 #include "daemon/settings.h"
+#include "daemon/store_check.h"
 #include "store/store.h"
+
+#define SAMPLE     200 /* losses of each class that `check` computes again */
+#define SAMPLE_MAX 1000000
+
+struct command {
+  bool checks, yes; /* check; otherwise clean */
+  size_t n_sample;
+};
 
 struct listed {
   uint64_t n, bytes;
@@ -50,7 +59,7 @@ static int clean(struct mo_store *store, bool yes)
   return error;
 }
 
-static int run(const char *state_dir, bool yes)
+static int run(const char *state_dir, const struct command *command)
 {
   struct mo_store_config config = {.path = state_dir, .n_readers = 2, .must_exist = true};
   struct mo_message message = {{0}};
@@ -58,12 +67,21 @@ static int run(const char *state_dir, bool yes)
   umask(077);
   int error = mo_store_open(&config, &store, &message);
   if (error == MO_OK)
-    error = clean(store, yes);
+    error = command->checks ? store_check(store, command->n_sample, &message)
+                            : clean(store, command->yes);
   mo_store_close(store);
   if (error == MO_OK)
     return EXIT_OK;
   fprintf(stderr, "morphod: %s\n", message.text[0] != '\0' ? message.text : mo_error_text(error));
   return service_store_status(error);
+}
+
+static bool read_sample(const char *text, size_t *n)
+{
+  char *end = NULL;
+  const unsigned long long value = strtoull(text, &end, 10);
+  *n = (size_t)value;
+  return text[0] >= '0' && text[0] <= '9' && *end == '\0' && value <= SAMPLE_MAX;
 }
 
 int store_command(int argc, const char *const *argv)
@@ -72,14 +90,18 @@ int store_command(int argc, const char *const *argv)
   struct settings_request request = {0};
   struct settings_faults faults = {0};
   const char **flags = calloc((size_t)argc, sizeof(*flags));
-  const bool is_clean = argc > 2 && strcmp(argv[2], "clean") == 0;
-  bool yes = false;
+  const bool is_clean = argc > 2 && strcmp(argv[2], "clean") == 0,
+             is_check = argc > 2 && strcmp(argv[2], "check") == 0;
+  struct command command = {.checks = is_check, .n_sample = SAMPLE};
+  bool is_wrong = !is_clean && !is_check;
   int n = 0, status = EXIT_SYSTEM;
   if (flags == NULL || settings_init(&settings) != MO_OK)
     goto out;
-  for (int i = is_clean ? 2 : 1; i < argc; i++) /* flags[0] is the program's name */
-    if (strcmp(argv[i], "--yes") == 0)
-      yes = true;
+  for (int i = is_wrong ? 1 : 2; i < argc; i++) /* flags[0] is the program's name */
+    if (is_clean && strcmp(argv[i], "--yes") == 0)
+      command.yes = true;
+    else if (is_check && strncmp(argv[i], "--sample=", 9) == 0)
+      is_wrong = !read_sample(argv[i] + 9, &command.n_sample);
     else
       flags[n++] = argv[i];
   settings_load(&settings, n, flags, (const char *const *)environ, &request, &faults);
@@ -89,11 +111,13 @@ int store_command(int argc, const char *const *argv)
   status = faults.n_fatal > 0 ? EXIT_CONFIG : EXIT_OK;
   if (request.action == ACTION_HELP) {
     settings_print_help(stdout);
-  } else if (!is_clean || request.usage_fault || request.action != ACTION_RUN) {
-    fputs("Usage: morphod store clean [--yes] [FLAG]...; see --help\n", stderr);
+  } else if (is_wrong || request.usage_fault || request.action != ACTION_RUN) {
+    fputs("Usage: morphod store clean [--yes] [FLAG]...\n"
+          "       morphod store check [--sample=N] [FLAG]...; see --help\n",
+          stderr);
     status = EXIT_USAGE;
   } else if (status == EXIT_OK) {
-    status = run(settings.state_dir, yes);
+    status = run(settings.state_dir, &command);
   }
 out:
   settings_faults_free(&faults);

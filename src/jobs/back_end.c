@@ -68,7 +68,7 @@ void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size)
 
 int64_t mo_back_end_fingerprint(const struct mo_jobs *jobs, enum mo_back_end back_end)
 {
-  return back_end == MO_ON_DEVICE ? jobs->device_fingerprint : jobs->fingerprints[MO_FLOAT32];
+  return back_end == MO_ON_DEVICE ? jobs->classes.device : jobs->classes.cpu[MO_FLOAT32];
 }
 
 uint32_t mo_back_end_window(const struct mo_jobs *jobs, enum mo_back_end back_end)

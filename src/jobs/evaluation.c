@@ -98,7 +98,7 @@ static void mark_finished(struct mo_active *active)
 static int load_active(struct mo_evaluations *all, struct mo_active *active, char text[256])
 {
   const struct mo_work *work;
-  int error = mo_store_load_work(all->jobs->store, active->id, &active->work);
+  int error = mo_store_load_work(all->jobs->store, active->id, &all->jobs->classes, &active->work);
   snprintf(text, 256, "the job could not be prepared: %s",
            mo_error_text(error != MO_OK ? error : MO_ERR_NO_MEMORY));
   if (error != MO_OK)

@@ -48,9 +48,8 @@ struct mo_active {
 };
 
 struct mo_rollout {
-  int64_t genotype, controller, physics, environment;
-  bool on_device;               /* being computed there */
-  struct mo_rollout *next;      /* in its bucket */
+  int64_t genotype, controller, physics, environment, fingerprint; /* the class of its jobs */
+  struct mo_rollout *next;                                         /* in its bucket */
   struct mo_rollout *next_save; /* in pending or in the current save */
 };
 

@@ -71,12 +71,11 @@ static struct mo_rollout key_of(const struct mo_work *work, uint32_t design, uin
   return (struct mo_rollout){.genotype = work->genotype_rows[design],
                              .controller = work->controller,
                              .physics = work->physics,
-                             .environment = work->environment_rows[k]};
+                             .environment = work->environment_rows[k],
+                             .fingerprint = work->fingerprint};
 }
 
-/* Defers a cell whose rollout another block computes. An interactive job does not wait for a
- * device, whose queue may be seconds long: it computes the rollout again, and the store keeps the
- * result that is saved first. */
+/* Defers a cell whose rollout another block of the class computes. */
 static bool defer(struct mo_evaluations *all, struct mo_active *active, uint32_t design, uint32_t k)
 {
   const struct mo_rollout key = key_of(active->work, design, k);
@@ -84,7 +83,7 @@ static bool defer(struct mo_evaluations *all, struct mo_active *active, uint32_t
   while (rollout != NULL &&
          (rollout->genotype != key.genotype || rollout->environment != key.environment ||
           rollout->controller != key.controller || rollout->physics != key.physics ||
-          (rollout->on_device && active->priority == MO_INTERACTIVE)))
+          rollout->fingerprint != key.fingerprint))
     rollout = rollout->next;
   if (rollout == NULL)
     return false;
@@ -100,7 +99,6 @@ static struct mo_rollout *add_rollout(struct mo_evaluations *all, const struct m
   if (rollout == NULL)
     return NULL;
   *rollout = key_of(active->work, design, k);
-  rollout->on_device = active->back_end == MO_ON_DEVICE;
   bucket = bucket_of(all, rollout);
   rollout->next = *bucket;
   *bucket = rollout;
@@ -123,8 +121,9 @@ static void finish_cell(struct mo_evaluations *all, struct mo_active *active, ui
                         uint32_t k, int32_t diverged_step)
 {
   const struct mo_work *work = active->work;
-  const struct mo_saved_design saved = {work->genotype_rows[design], work->controller,
-                                        work->physics, work->environment_set};
+  const struct mo_saved_design saved = {
+      work->genotype_rows[design], work->controller,  work->physics,
+      work->environment_set,       work->fingerprint, work->workers};
   const bool is_whole = mo_grid_finish(&active->grid, design, k);
   active->done++;
   active->diverged += diverged_step != 0;
@@ -279,7 +278,8 @@ static int advance_design(struct mo_evaluations *all, struct mo_active *active, 
   if (defer_all(all, active, design) == 0)
     return 0; /* without a look-up */
   error = mo_store_scores(all->jobs->store, work->genotype_rows[design], work->controller,
-                          work->physics, work->environment_rows, work->n_environments, scores);
+                          work->physics, work->fingerprint, work->environment_rows,
+                          work->n_environments, scores);
   for (uint32_t k = 0; k < work->n_environments && error == MO_OK; k++) {
     if (!is_open(active, design, k))
       continue;
@@ -330,6 +330,8 @@ static int save_recording(struct mo_evaluations *all, struct flight *flight, uin
                                       .stride = flight->recordings[i].stride,
                                       .frames = flight->frames,
                                       .n_masses = flight->body->n_masses,
+                                      .diverged_step =
+                                          flight->flight.block.outcomes[i].diverged_step,
                                       .com_m = flight->recordings[i].com_m,
                                       .mass_m = flight->recordings[i].mass_m};
   const int error = mo_pending_trajectory(all, &saved);
@@ -352,8 +354,8 @@ static int take(struct mo_evaluations *all, struct flight *flight, uint32_t i)
       .controller = work->controller,
       .physics = work->physics,
       .environment = work->environment_rows[k],
-      .fingerprint = block->computed_on == MO_ON_DEVICE ? all->jobs->device_fingerprint
-                                                        : all->jobs->fingerprints[block->precision],
+      .fingerprint = block->computed_on == MO_ON_DEVICE ? all->jobs->classes.device
+                                                        : all->jobs->classes.cpu[block->precision],
       .loss = outcome->loss,
       .diverged_step = outcome->diverged_step,
       .verify_job = work->job.verify ? active->id : 0,
@@ -367,7 +369,6 @@ static int take(struct mo_evaluations *all, struct flight *flight, uint32_t i)
   if (error != MO_OK)
     return error;
   if (flight->rollouts[i] != NULL) { /* forgotten after the commit */
-    flight->rollouts[i]->on_device = false;
     flight->rollouts[i]->next_save = all->pending.rollouts;
     all->pending.rollouts = flight->rollouts[i];
     flight->rollouts[i] = NULL;

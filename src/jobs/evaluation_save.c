@@ -92,6 +92,10 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
                                    .started_us = step == MO_STEP_START ? mo_clock_wall_us() : 0,
                                    .error = error,
                                    .max_attempts = all->jobs->config.max_attempts};
+  if (active->work != NULL) {
+    update->fingerprint = active->work->fingerprint;
+    update->workers = active->work->workers;
+  }
   if (text != NULL)
     snprintf(update->error_text, sizeof(update->error_text), "%s", text);
   active->references++;

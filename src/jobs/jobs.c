@@ -154,10 +154,10 @@ static int prepare(struct mo_jobs *jobs, const char *marker, const char *version
   for (int precision = 0; precision < 2 && error == MO_OK; precision++)
     error = mo_store_fingerprint(
         jobs->store, mo_compute_fingerprint(jobs->compute, (enum mo_precision)precision),
-        &jobs->fingerprints[precision]);
+        &jobs->classes.cpu[precision]);
   if (error == MO_OK && mo_compute_device_fingerprint(jobs->compute) != NULL)
     error = mo_store_fingerprint(jobs->store, mo_compute_device_fingerprint(jobs->compute),
-                                 &jobs->device_fingerprint);
+                                 &jobs->classes.device);
   if (error == MO_OK)
     error = recover(jobs, marker);
   if (error == MO_OK)

@@ -7,6 +7,7 @@
 
 #include "jobs/memory.h"
 #include "jobs/runner.h"
+#include "store/runner.h"
 
 /* A running training's or campaign's share of the back end. */
 struct mo_job_share {
@@ -21,9 +22,8 @@ struct mo_jobs {
   struct mo_compute *compute;
   struct mo_jobs_config config;
   struct mo_lattice *lattice;
-  int64_t fingerprints[2];    /* by precision */
-  int64_t device_fingerprint; /* 0: there are no devices */
-  char *code_versions[2];     /* by back end */
+  struct mo_classes classes;
+  char *code_versions[2]; /* by back end */
   struct mo_runners runners[MO_JOB_KINDS];
   struct mo_memory memory;
 

@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "store/campaign_rows.h"
+#include "store/scores.h"
 
 #include "base/clock.h"
 #include "store/contents.h"
@@ -200,53 +201,84 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
   return error;
 }
 
-/* Stores the losses of a child like those of an evaluation. */
-static int insert_child_scores(struct mo_connection *writer, const struct commit_arguments *call,
-                               const struct mo_campaign_loss *loss, const int64_t *environments,
+/* The conditions of a campaign's blocks of environments, under the class of its back end (0) and
+ * that of the workers (1); id 0: not found yet. */
+struct conditions {
+  struct mo_condition of[MO_ENVIRONMENTS_MAX / MO_BLOCK_LANES][2];
+  int64_t ranking;
+};
+
+static int find_conditions(struct mo_connection *writer, const struct commit_arguments *call,
+                           struct conditions *conditions)
+{
+  const struct mo_campaign_commit *commit = call->commit;
+  const struct mo_campaign_head *head = &call->head;
+  const struct mo_saved_design design = {.controller = head->controller,
+                                         .physics = head->physics,
+                                         .environment_set = head->environment_set,
+                                         .fingerprint = commit->fingerprint};
+  int64_t environments[MO_ENVIRONMENTS_MAX];
+  int error = mo_campaign_environment_rows(writer, head->group, environments, head->n_environments);
+  for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k++)
+    for (int by_workers = 0; by_workers < 2; by_workers++) {
+      struct mo_condition *condition = &conditions->of[k / MO_BLOCK_LANES][by_workers];
+      condition->controller = head->controller;
+      condition->physics = head->physics;
+      condition->fingerprint = by_workers ? commit->workers_fingerprint : commit->fingerprint;
+      condition->environments[condition->n++] = environments[k];
+    }
+  return error == MO_OK && head->environment_set != 0
+             ? mo_ranking_row(writer, &design, &conditions->ranking)
+             : error;
+}
+
+/* Stores the losses of a child like those of an evaluation. One back end computes a whole block. */
+static int insert_child_scores(struct mo_store *store, const struct commit_arguments *call,
+                               const struct mo_campaign_loss *loss, struct conditions *conditions,
                                int64_t now_us)
 {
   const struct mo_campaign_head *head = &call->head;
   const int64_t genotype = call->genotypes[loss->place];
-  const struct mo_saved_design design = {genotype, head->controller, head->physics,
-                                         head->environment_set};
-  struct mo_saved_score scores[MO_ENVIRONMENTS_MAX];
-  uint32_t n_new = 0;
+  const struct mo_saved_design design = {genotype,
+                                         head->controller,
+                                         head->physics,
+                                         head->environment_set,
+                                         call->commit->fingerprint,
+                                         call->commit->workers_fingerprint};
+  bool all_new = true, is_new = false;
   double sum = 0;
-  int error;
-  for (uint32_t k = 0; k < head->n_environments; k++) {
-    const bool by_workers = loss->by_workers >> k & 1;
-    scores[k] = (struct mo_saved_score){
-        .genotype = genotype,
-        .controller = head->controller,
-        .physics = head->physics,
-        .environment = environments[k],
-        .loss = loss->losses[k],
-        .diverged_step = loss->diverged_steps[k],
-        .fingerprint = by_workers ? call->commit->workers_fingerprint : call->commit->fingerprint};
-    sum += loss->losses[k];
+  int error = MO_OK;
+  for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k += MO_BLOCK_LANES) {
+    struct mo_condition *condition = &conditions->of[k / MO_BLOCK_LANES][loss->by_workers >> k & 1];
+    if (condition->id == 0)
+      error = mo_condition_row(&store->writer, condition);
+    if (error == MO_OK)
+      error = mo_losses_insert(store, condition, genotype, loss->losses + k,
+                               (const uint32_t *)loss->diverged_steps + k, now_us, &is_new);
+    all_new = all_new && is_new;
   }
-  error = mo_scores_insert(writer, scores, head->n_environments, now_us, &n_new);
+  for (uint32_t k = 0; k < head->n_environments; k++)
+    sum += loss->losses[k];
   if (error != MO_OK || head->environment_set == 0)
     return error;
-  return n_new == head->n_environments
-             ? mo_set_score_insert_mean(writer, &design, sum / head->n_environments)
-             : mo_set_score_insert(writer, &design);
+  return all_new ? mo_set_score_insert_mean(&store->writer, conditions->ranking, genotype,
+                                            sum / head->n_environments)
+                 : mo_set_score_insert(&store->writer, &design, conditions->ranking);
 }
 
-static int insert_scores(struct mo_connection *writer, const struct commit_arguments *call,
+static int insert_scores(struct mo_store *store, const struct commit_arguments *call,
                          int64_t now_us)
 {
   const struct mo_campaign_commit *commit = call->commit;
-  const struct mo_campaign_head *head = &call->head;
-  int64_t environments[MO_ENVIRONMENTS_MAX];
+  struct conditions conditions = {.ranking = 0};
   int error;
   if (commit->n_losses == 0)
     return MO_OK;
-  if (head->controller == 0)
+  if (call->head.controller == 0)
     return MO_ERR_INVALID;
-  error = mo_campaign_environment_rows(writer, head->group, environments, head->n_environments);
+  error = find_conditions(&store->writer, call, &conditions);
   for (uint32_t i = 0; i < commit->n_losses && error == MO_OK; i++)
-    error = insert_child_scores(writer, call, &commit->losses[i], environments, now_us);
+    error = insert_child_scores(store, call, &commit->losses[i], &conditions, now_us);
   return error;
 }
 
@@ -292,7 +324,7 @@ static int commit_generation(struct mo_store *store, void *arguments)
   if (error == MO_OK)
     error = update_parents(writer, call);
   if (error == MO_OK)
-    error = insert_scores(writer, call, now_us);
+    error = insert_scores(store, call, now_us);
   if (error == MO_OK)
     error = mo_row_write(writer, MO_CAMPAIGN_GENERATIONS, call->id, &row);
   if (error == MO_OK)

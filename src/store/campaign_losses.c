@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "store/campaign_rows.h"
+#include "store/scores.h"
 
 /* ---- losses of the current generation ---- */
 
@@ -15,8 +16,7 @@ struct losses_arguments {
   const char *event_data;
 };
 
-/* A bit in the column `diverged`, beside the step: workers computed this loss of a campaign that
- * devices compute. */
+/* A bit beside the step: workers computed this loss of a campaign that devices compute. */
 #define BY_WORKERS (UINT32_C(1) << 31)
 
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
@@ -34,20 +34,20 @@ static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_c
                      uint32_t n, int64_t *added)
 {
   static const char sql[] =
-      "INSERT OR IGNORE INTO campaign_losses(job,place,losses,diverged) VALUES(?1,?2,?3,?4)";
-  uint8_t losses[8 * MO_ENVIRONMENTS_MAX], diverged[4 * MO_ENVIRONMENTS_MAX];
+      "INSERT OR IGNORE INTO campaign_losses(job,place,losses) VALUES(?1,?2,?3)";
+  const int64_t key[] = {id, loss->place};
+  uint8_t bytes[MO_PACKED_BYTES(MO_ENVIRONMENTS_MAX)];
+  uint32_t steps[MO_ENVIRONMENTS_MAX];
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
     return error;
-  mo_encode_doubles(loss->losses, n, losses);
   for (uint32_t k = 0; k < n; k++)
-    mo_encode_u32((uint32_t)loss->diverged_steps[k] | (loss->by_workers >> k & 1 ? BY_WORKERS : 0),
-                  diverged + (size_t)4 * k);
+    steps[k] = (uint32_t)loss->diverged_steps[k] | (loss->by_workers >> k & 1 ? BY_WORKERS : 0);
   sqlite3_bind_int64(statement, 1, id);
   sqlite3_bind_int64(statement, 2, loss->place);
-  sqlite3_bind_blob(statement, 3, losses, (int)(8 * n), SQLITE_STATIC);
-  sqlite3_bind_blob(statement, 4, diverged, (int)(4 * n), SQLITE_STATIC);
+  sqlite3_bind_blob(statement, 3, bytes, (int)mo_pack_losses(key, 2, loss->losses, steps, n, bytes),
+                    SQLITE_STATIC);
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   *added += error == MO_OK && sqlite3_changes(writer->db) > 0;
@@ -95,28 +95,25 @@ int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t g
   return mo_write(store, save_losses, &call);
 }
 
-static int loss_from_row(sqlite3_stmt *row, uint32_t n, struct mo_campaign_loss *loss)
+static int loss_from_row(sqlite3_stmt *row, int64_t id, uint32_t n, struct mo_campaign_loss *loss)
 {
-  const void *losses = sqlite3_column_blob(row, 1), *diverged = sqlite3_column_blob(row, 2);
-  if (losses == NULL || diverged == NULL || sqlite3_column_bytes(row, 1) != (int)(8 * n) ||
-      sqlite3_column_bytes(row, 2) != (int)(4 * n))
-    return MO_ERR_CORRUPT;
-  loss->place = (uint32_t)sqlite3_column_int64(row, 0);
-  mo_decode_doubles(losses, n, loss->losses);
+  const int64_t key[] = {id, sqlite3_column_int64(row, 0)};
+  uint32_t steps[MO_ENVIRONMENTS_MAX];
+  int error = mo_unpack_losses(key, 2, sqlite3_column_blob(row, 1),
+                               (size_t)sqlite3_column_bytes(row, 1), n, loss->losses, steps);
+  loss->place = (uint32_t)key[1];
   loss->by_workers = 0;
-  for (uint32_t k = 0; k < n; k++) {
-    const uint32_t step = mo_decode_u32((const uint8_t *)diverged + (size_t)4 * k);
-    loss->diverged_steps[k] = (int32_t)(step & ~BY_WORKERS);
-    loss->by_workers |= (uint64_t)(step >> 31) << k;
+  for (uint32_t k = 0; k < n && error == MO_OK; k++) {
+    loss->diverged_steps[k] = (int32_t)(steps[k] & ~BY_WORKERS);
+    loss->by_workers |= (uint64_t)(steps[k] >> 31) << k;
   }
-  return MO_OK;
+  return error;
 }
 
 static int load_losses(struct mo_connection *reader, int64_t id, uint32_t generation,
                        struct mo_campaign_loss **losses, size_t *n)
 {
-  static const char sql[] =
-      "SELECT place,losses,diverged FROM campaign_losses WHERE job=?1 ORDER BY place";
+  static const char sql[] = "SELECT place,losses FROM campaign_losses WHERE job=?1 ORDER BY place";
   struct mo_campaign_head head = {0};
   sqlite3_stmt *statement;
   int64_t most;
@@ -138,8 +135,9 @@ static int load_losses(struct mo_connection *reader, int64_t id, uint32_t genera
     return error;
   sqlite3_bind_int64(statement, 1, id);
   while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0)
-    error = (int64_t)*n == most ? MO_ERR_CORRUPT
-                                : loss_from_row(statement, head.n_environments, &(*losses)[(*n)++]);
+    error = (int64_t)*n == most
+                ? MO_ERR_CORRUPT
+                : loss_from_row(statement, id, head.n_environments, &(*losses)[(*n)++]);
   if (step < 0)
     return step;
   return error == MO_OK && (int64_t)*n != most ? MO_ERR_CORRUPT : error;
@@ -166,7 +164,7 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
 
 struct known_keys {
   struct mo_campaign_head head;
-  int64_t fingerprint, environments[MO_ENVIRONMENTS_MAX], lowest, highest;
+  int64_t fingerprint, environments[MO_ENVIRONMENTS_MAX];
 };
 
 /* Returns 1 if all losses of a genotype are known. */
@@ -174,13 +172,10 @@ static int find_known(struct mo_connection *reader, const struct known_keys *key
                       const struct mo_bits *genotype, struct mo_campaign_loss *loss)
 {
   static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
-  static const char sql[] =
-      "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
-      " AND physics=?3 AND environment BETWEEN ?4 AND ?5 AND fingerprint=?6";
+  struct mo_score scores[MO_ENVIRONMENTS_MAX];
+  const uint32_t n = keys->head.n_environments;
   uint8_t bits[MO_BITS_BYTES];
-  uint64_t found = 0;
   int64_t row = 0;
-  int step = 0;
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, find_sql, &error);
   if (statement == NULL)
@@ -191,46 +186,24 @@ static int find_known(struct mo_connection *reader, const struct known_keys *key
   (void)sqlite3_clear_bindings(statement);
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? 0 : error;
-  statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, row);
-  sqlite3_bind_int64(statement, 2, keys->head.controller);
-  sqlite3_bind_int64(statement, 3, keys->head.physics);
-  sqlite3_bind_int64(statement, 4, keys->lowest);
-  sqlite3_bind_int64(statement, 5, keys->highest);
-  sqlite3_bind_int64(statement, 6, keys->fingerprint);
+  error = mo_losses_read(reader, row, keys->head.controller, keys->head.physics, keys->fingerprint,
+                         0, keys->environments, n, scores);
   loss->by_workers = 0;
-  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-    int64_t environment = sqlite3_column_int64(statement, 0);
-    for (uint32_t k = 0; k < keys->head.n_environments && error == MO_OK; k++)
-      if (keys->environments[k] == environment) {
-        error = mo_column_double(statement, 1, &loss->losses[k]);
-        loss->diverged_steps[k] = sqlite3_column_int(statement, 2);
-        found |= UINT64_C(1) << k;
-      }
+  for (uint32_t k = 0; k < n && error == MO_OK; k++) {
+    if (!scores[k].known)
+      return 0;
+    loss->losses[k] = scores[k].loss;
+    loss->diverged_steps[k] = scores[k].diverged_step;
   }
-  (void)sqlite3_reset(statement);
-  if (error != MO_OK || step < 0)
-    return error != MO_OK ? error : step;
-  return (uint32_t)__builtin_popcountll(found) == keys->head.n_environments;
+  return error == MO_OK ? 1 : error;
 }
 
 static int load_keys(struct mo_connection *reader, int64_t id, struct known_keys *keys)
 {
   int error = mo_campaign_head_get(reader, id, &keys->head);
-  if (error == MO_OK)
-    error = mo_campaign_environment_rows(reader, keys->head.group, keys->environments,
-                                         keys->head.n_environments);
-  keys->lowest = INT64_MAX;
-  keys->highest = INT64_MIN;
-  for (uint32_t k = 0; k < keys->head.n_environments && error == MO_OK; k++) {
-    if (keys->environments[k] < keys->lowest)
-      keys->lowest = keys->environments[k];
-    if (keys->environments[k] > keys->highest)
-      keys->highest = keys->environments[k];
-  }
-  return error;
+  return error == MO_OK ? mo_campaign_environment_rows(reader, keys->head.group, keys->environments,
+                                                       keys->head.n_environments)
+                        : error;
 }
 
 int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,

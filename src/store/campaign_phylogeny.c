@@ -62,9 +62,7 @@ static int design_from_row(sqlite3_stmt *row, void *any)
                                          .voxels = (uint32_t)(size >> 26 & 1023),
                                          .footprint = (uint32_t)(size >> 36 & 1023)};
   error = mo_column_double(row, 6, &design->score);
-  if (error == MO_OK)
-    error = mo_column_bits(row, 8, &design->genotype);
-  return error == MO_OK ? mo_column_bits(row, 9, &design->form) : error;
+  return error == MO_OK ? mo_column_genotype(row, 8, 9, &design->genotype, &design->form) : error;
 }
 
 int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t after,

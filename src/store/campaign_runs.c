@@ -160,14 +160,14 @@ static int load_member(struct mo_connection *reader, int64_t id, struct mo_campa
                        uint32_t i)
 {
   static const char sql[] =
-      "SELECT d.born,g.bits FROM campaign_designs d JOIN genotypes g ON g.id=d.genotype"
-      " WHERE d.job=?1 AND d.number=?2";
+      "SELECT d.born,g.bits,x.form FROM campaign_designs d JOIN genotypes g ON g.id=d.genotype"
+      " JOIN designs x ON x.id=g.design WHERE d.job=?1 AND d.number=?2";
   sqlite3_stmt *row;
   const int error = mo_sql_row(reader, &row, sql, mo_int(id), mo_int(state->numbers[i]));
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
   state->born[i] = mo_column_u32(row, 0);
-  return mo_column_bits(row, 1, &state->genotypes[i]);
+  return mo_column_genotype(row, 1, 2, &state->genotypes[i], NULL);
 }
 
 static int load_state(struct mo_connection *reader, int64_t id, struct mo_campaign_state *state)

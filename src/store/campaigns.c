@@ -155,8 +155,8 @@ int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo
 static int load_initial(struct mo_connection *reader, int64_t id, void *designs)
 {
   static const char sql[] =
-      "SELECT g.id,g.bits FROM campaign_initial x JOIN genotypes g ON g.id=x.genotype"
-      " WHERE x.job=?1 ORDER BY x.position";
+      "SELECT g.id,g.bits,d.form FROM campaign_initial x JOIN genotypes g ON g.id=x.genotype"
+      " JOIN designs d ON d.id=g.design WHERE x.job=?1 ORDER BY x.position";
   struct mo_campaign_head head;
   const int error = mo_campaign_head_get(reader, id, &head);
   return error == MO_OK ? mo_designs_read(reader, sql, head.group, head.population, designs)

@@ -167,7 +167,7 @@ static int take_genotype(sqlite3_stmt *row, void *any)
   if (designs->n == designs->n_max)
     return MO_ERR_CORRUPT;
   designs->rows[designs->n] = sqlite3_column_int64(row, 0);
-  return mo_column_bits(row, 1, &designs->genotypes[designs->n++]);
+  return mo_column_genotype(row, 1, 2, &designs->genotypes[designs->n++], NULL);
 }
 
 int mo_designs_read(struct mo_connection *connection, const char *sql, int64_t id, uint32_t n_max,

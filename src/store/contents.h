@@ -36,8 +36,8 @@ struct mo_designs {
   int64_t *rows;             /* (n) malloc */
   uint32_t n, n_max;
 };
-/* Reads at most n_max designs of a job. sql: ?1 job; columns row, bits. The caller frees both
- * lists, also after an error. MO_ERR_CORRUPT: there are more. */
+/* Reads at most n_max designs of a job. sql: ?1 job; columns row, bits, form. The caller frees
+ * both lists, also after an error. MO_ERR_CORRUPT: there are more. */
 int mo_designs_read(struct mo_connection *connection, const char *sql, int64_t id, uint32_t n_max,
                     struct mo_designs *designs);
 

@@ -1,6 +1,5 @@
-/* controllers_unused.c: finds and removes content that no name, job or score refers to.
- *
- * Scores have no index by controller, so a search for references reads them all. */
+/* controllers_unused.c: finds and removes content that no name, job or score refers to. Scores
+ * refer to it by their conditions, which are few. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,8 +14,8 @@ static int find_user(struct mo_connection *reader, int64_t row, char words[128])
       " SELECT 'evaluation '||job FROM evaluations WHERE controller=?1 UNION ALL"
       " SELECT iif(j.kind=1,'training ','campaign ')||j.id FROM runs r JOIN jobs j ON j.id=r.job"
       " WHERE ?1 IN (r.controller,r.result) UNION ALL"
-      " SELECT 'a stored mean score' FROM set_scores WHERE controller=?1 UNION ALL"
-      " SELECT 'a stored score' FROM scores WHERE controller=?1 LIMIT 1";
+      " SELECT 'a stored mean score' FROM rankings WHERE controller=?1 UNION ALL"
+      " SELECT 'a stored score' FROM conditions WHERE controller=?1 LIMIT 1";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
   if (statement == NULL)
@@ -93,7 +92,7 @@ int mo_controllers_clean(struct mo_store *store,
       "SELECT controller FROM controller_names UNION SELECT controller FROM evaluations"
       " UNION SELECT controller FROM runs WHERE controller IS NOT NULL"
       " UNION SELECT result FROM runs WHERE result IS NOT NULL"
-      " UNION SELECT controller FROM set_scores UNION SELECT controller FROM scores) ORDER BY id";
+      " UNION SELECT controller FROM rankings UNION SELECT controller FROM conditions) ORDER BY id";
   struct mo_connection *reader = mo_reader_acquire(store);
   char digits[MO_SHA256_DIGITS + 1], name[128];
   struct mo_sha256 sha256;

@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "store/internal.h"
+#include "store/scores.h"
 
 #define ROLLOUTS_MAX 1000 /* the most that are reported of one design */
 
@@ -33,13 +33,16 @@ static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_
   return step < 0 ? step : error != MO_OK ? error : n;
 }
 
-/* Finds the row of a physics setting under a controller's sensor. MO_ERR_NOT_FOUND: it has no
- * scores. */
-static int find_physics(struct mo_connection *reader, const struct mo_design_query *query,
+/* Finds the ranking that a query asks for. MO_ERR_NOT_FOUND: it has no scores. */
+static int find_ranking(struct mo_connection *reader, const struct mo_design_query *query,
                         int64_t *row)
 {
   static const char sensor_sql[] = "SELECT sensor FROM controllers WHERE sha256=?1";
-  static const char physics_sql[] = "SELECT id FROM physics WHERE sha256=?1";
+  static const char sql[] =
+      "SELECT id FROM rankings WHERE controller=(SELECT id FROM controllers WHERE sha256=?1)"
+      " AND physics=(SELECT id FROM physics WHERE sha256=?2)"
+      " AND fingerprint=(SELECT id FROM fingerprints WHERE text=?3)"
+      " AND environment_set=(SELECT id FROM environment_sets WHERE name=?4)";
   struct mo_sha256 hash;
   int64_t sensor;
   int error = MO_OK;
@@ -51,10 +54,13 @@ static int find_physics(struct mo_connection *reader, const struct mo_design_que
   if (error != MO_OK)
     return error;
   mo_physics_hash(&query->physics, query->precision, (enum mo_sensor)sensor, &hash);
-  statement = mo_sql(reader, physics_sql, &error);
+  statement = mo_sql(reader, sql, &error);
   if (statement == NULL)
     return error;
-  mo_bind_hash(statement, 1, &hash);
+  mo_bind_hash(statement, 1, &query->controller_sha256);
+  mo_bind_hash(statement, 2, &hash);
+  sqlite3_bind_text(statement, 3, query->fingerprint, -1, SQLITE_STATIC);
+  sqlite3_bind_text(statement, 4, query->environment_set, -1, SQLITE_STATIC);
   error = mo_sql_integer(reader, statement, row);
   (void)sqlite3_clear_bindings(statement);
   return error;
@@ -64,15 +70,13 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
                              struct mo_design_row *rows, size_t limit)
 {
   static const char sql[] =
-      "SELECT s.genotype,s.bits,g.bits,d.id,d.form,d.first_seen_us FROM set_scores s"
-      " JOIN genotypes g ON g.id=s.genotype JOIN designs d ON d.id=g.design"
-      " WHERE s.controller=(SELECT id FROM controllers WHERE sha256=?1) AND s.physics=?2"
-      " AND s.environment_set=(SELECT id FROM environment_sets WHERE name=?3)"
-      " AND (s.score,s.genotype)>(?4,?5) ORDER BY s.score,s.genotype LIMIT ?6";
-  int64_t physics = 0, n = 0;
+      "SELECT s.genotype,s.score,s.checksum,g.bits,d.id,d.form,d.first_seen_us FROM set_scores s"
+      " JOIN genotypes g ON g.id=s.genotype JOIN designs d ON d.id=g.design WHERE s.ranking=?1"
+      " AND (s.score,s.genotype)>(?2,?3) ORDER BY s.score,s.genotype LIMIT ?4";
+  int64_t ranking = 0, n = 0;
   sqlite3_stmt *statement;
   int step = 0;
-  int error = find_physics(reader, query, &physics);
+  int error = find_ranking(reader, query, &ranking);
   if (error == MO_ERR_NOT_FOUND)
     return 0;
   if (error != MO_OK)
@@ -80,26 +84,21 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
   statement = mo_sql(reader, sql, &error);
   if (statement == NULL)
     return error;
-  mo_bind_hash(statement, 1, &query->controller_sha256);
-  sqlite3_bind_int64(statement, 2, physics);
-  sqlite3_bind_text(statement, 3, query->environment_set, -1, SQLITE_STATIC);
-  sqlite3_bind_double(statement, 4, query->after_row != 0 ? query->after_score : -INFINITY);
-  sqlite3_bind_int64(statement, 5, query->after_row);
-  sqlite3_bind_int64(statement, 6, (sqlite3_int64)limit);
+  sqlite3_bind_int64(statement, 1, ranking);
+  sqlite3_bind_double(statement, 2, query->after_row != 0 ? query->after_score : -INFINITY);
+  sqlite3_bind_int64(statement, 3, query->after_row);
+  sqlite3_bind_int64(statement, 4, (sqlite3_int64)limit);
   while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
     struct mo_design_row *row = &rows[n++];
     memset(row, 0, sizeof(*row));
     row->genotype_row = sqlite3_column_int64(statement, 0);
-    row->row = sqlite3_column_int64(statement, 3);
-    row->first_seen_us = sqlite3_column_int64(statement, 5);
-    error = mo_column_double(statement, 1, &row->score);
+    row->row = sqlite3_column_int64(statement, 4);
+    row->first_seen_us = sqlite3_column_int64(statement, 6);
+    error = mo_set_score_from_row(statement, 1, ranking, row->genotype_row, &row->score);
     if (error == MO_OK)
-      error = mo_column_bits(statement, 2, &row->genotype);
-    if (error == MO_OK)
-      error = mo_column_bits(statement, 4, &row->form);
+      error = mo_column_genotype(statement, 3, 5, &row->genotype, &row->form);
   }
   (void)sqlite3_reset(statement);
-  (void)sqlite3_clear_bindings(statement);
   return step < 0 ? step : error != MO_OK ? error : n;
 }
 
@@ -149,7 +148,8 @@ static struct mo_design_score *add_score(struct mo_design_orientation *orientati
 static int load_orientations(struct mo_connection *reader, int64_t row, struct mo_design *design,
                              int64_t *genotypes)
 {
-  static const char sql[] = "SELECT id,bits FROM genotypes WHERE design=?1 ORDER BY id LIMIT 8";
+  static const char sql[] = "SELECT g.id,g.bits,d.form FROM genotypes g JOIN designs d ON"
+                            " d.id=g.design WHERE g.design=?1 ORDER BY g.id LIMIT 8";
   int error = MO_OK;
   int step = 0;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -159,35 +159,53 @@ static int load_orientations(struct mo_connection *reader, int64_t row, struct m
   while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
     struct mo_bits bits;
     genotypes[design->n_orientations] = sqlite3_column_int64(statement, 0);
-    error = mo_column_bits(statement, 1, &bits);
+    error = mo_column_genotype(statement, 1, 2, &bits, NULL);
     if (error == MO_OK)
       error = add_orientation(design, &bits);
   }
   return step < 0 ? step : error;
 }
 
-/* What a score row belongs to. Consecutive rows of one group with a set form one score. */
+/* What a loss belongs to. Consecutive losses of one group with a set form one score. */
 struct group {
-  int64_t controller, physics, set;
+  int64_t controller, physics, fingerprint, set;
+};
+
+/* Columns of the query below: those of the score, then these. */
+enum {
+  SET = 8,
+  POSITION,
+  SET_NAME,
+  SET_SIZE,
+  CONTROLLER_HASH,
+  PHYSICS_HASH,
+  PHYSICS,
+  ENVIRONMENT_HASH,
+  FINGERPRINT,
+  ORIGIN,
+  ENVIRONMENT,
+  PLACE
 };
 
 static int start_score(sqlite3_stmt *row, struct mo_design_score *score)
 {
-  const void *encoding = sqlite3_column_blob(row, 8);
+  const void *encoding = sqlite3_column_blob(row, PHYSICS);
   struct mo_physics physics;
-  int64_t n = sqlite3_column_int64(row, 5);
-  int error = mo_column_hash(row, 6, &score->controller_sha256);
+  int64_t n = sqlite3_column_int64(row, SET_SIZE);
+  int error = mo_column_hash(row, CONTROLLER_HASH, &score->controller_sha256);
   if (error == MO_OK)
-    error = mo_column_hash(row, 7, &score->physics_sha256);
+    error = mo_column_hash(row, PHYSICS_HASH, &score->physics_sha256);
   if (error == MO_OK)
-    error = encoding == NULL ? MO_ERR_CORRUPT
-                             : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 8),
-                                                 &physics, &score->precision, &score->sensor);
+    error = encoding == NULL
+                ? MO_ERR_CORRUPT
+                : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, PHYSICS), &physics,
+                                    &score->precision, &score->sensor);
   if (error == MO_OK)
-    error = mo_column_hash(row, 9, &score->environment_sha256);
+    error = mo_column_hash(row, ENVIRONMENT_HASH, &score->environment_sha256);
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
     return MO_ERR_CORRUPT;
-  mo_column_text(row, 4, score->environment_set, sizeof(score->environment_set));
+  mo_column_text(row, SET_NAME, score->environment_set, sizeof(score->environment_set));
+  mo_column_text(row, FINGERPRINT, score->fingerprint, sizeof(score->fingerprint));
   score->n_losses = (uint32_t)n;
   for (uint32_t k = 0; k < score->n_losses; k++)
     score->losses[k] = NAN;
@@ -198,18 +216,18 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
                        struct mo_design_orientation *orientation, uint32_t *room)
 {
   static const char sql[] =
-      "SELECT "
-      "x.controller,x.physics,coalesce(m.environment_set,0),coalesce(m.position,0),coalesce(s.name,"
-      "''),"
-      "coalesce(s.n,1),c.sha256,p.sha256,p.encoding,e.sha256,x.loss,x.diverged_step,x.computed_us,"
-      "f.text"
-      " FROM scores x JOIN controllers c ON c.id=x.controller JOIN physics p ON p.id=x.physics"
-      " JOIN environments e ON e.id=x.environment JOIN fingerprints f ON f.id=x.fingerprint"
-      " LEFT JOIN environment_set_members m ON m.environment=x.environment"
-      " LEFT JOIN environment_sets s ON s.id=m.environment_set"
-      " WHERE x.genotype=?1 ORDER BY x.controller,x.physics,3,4,x.environment LIMIT ?2";
-  struct group group = {0, 0, -1};
+      "SELECT " MO_SCORE_COLUMNS ",coalesce(m.environment_set,0),coalesce(m.position,0),"
+      "coalesce(s.name,''),coalesce(s.n,1),k.sha256,p.sha256,p.encoding,e.sha256,f.text,o.text,"
+      "v.environment,v.position FROM scores x JOIN conditions c ON c.id=x.condition"
+      " JOIN condition_environments v ON v.condition=c.id JOIN controllers k ON k.id=c.controller"
+      " JOIN physics p ON p.id=c.physics JOIN fingerprints f ON f.id=c.fingerprint"
+      " JOIN origins o ON o.id=x.origin JOIN environments e ON e.id=v.environment"
+      " LEFT JOIN environment_set_members m ON m.environment=v.environment"
+      " LEFT JOIN environment_sets s ON s.id=m.environment_set WHERE x.genotype=?1"
+      " ORDER BY c.controller,c.physics,9,c.fingerprint,10,v.environment,x.computed_us LIMIT ?2";
+  struct group group = {0, 0, 0, -1};
   struct mo_design_score *score = NULL;
+  int64_t last = 0; /* environment */
   int error = MO_OK;
   int step = 0;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -218,30 +236,46 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
   sqlite3_bind_int64(statement, 1, genotype);
   sqlite3_bind_int64(statement, 2, (sqlite3_int64)*room + 1);
   while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-    struct group here = {sqlite3_column_int64(statement, 0), sqlite3_column_int64(statement, 1),
-                         sqlite3_column_int64(statement, 2)};
-    int64_t position = sqlite3_column_int64(statement, 3);
+    const int64_t position = sqlite3_column_int64(statement, POSITION),
+                  place = sqlite3_column_int64(statement, PLACE),
+                  environment = sqlite3_column_int64(statement, ENVIRONMENT),
+                  computed_us = sqlite3_column_int64(statement, 6);
+    struct mo_condition condition;
+    double losses[MO_BLOCK_LANES];
+    uint32_t steps[MO_BLOCK_LANES];
+    bool is_same;
     if (*room == 0) {
       *room = UINT32_MAX; /* there is at least one row more than reported */
       break;
     }
     (*room)--;
-    if (score == NULL || here.set == 0 || here.controller != group.controller ||
-        here.physics != group.physics || here.set != group.set) {
+    error = mo_score_from_row(statement, 0, &condition, losses, steps);
+    if (error == MO_OK &&
+        (place < 0 || place >= condition.n || condition.environments[place] != environment))
+      error = MO_ERR_CORRUPT;
+    if (error != MO_OK)
+      break;
+    is_same = score != NULL && condition.controller == group.controller &&
+              condition.physics == group.physics && condition.fingerprint == group.fingerprint &&
+              sqlite3_column_int64(statement, SET) == group.set;
+    if (is_same && environment == last)
+      continue; /* another row computed it first */
+    last = environment;
+    group = (struct group){condition.controller, condition.physics, condition.fingerprint,
+                           sqlite3_column_int64(statement, SET)};
+    if (!is_same || group.set == 0) {
       score = add_score(orientation);
       error = score == NULL ? MO_ERR_NO_MEMORY : start_score(statement, score);
     }
-    group = here;
     if (error == MO_OK && (position < 0 || position >= score->n_losses))
       error = MO_ERR_CORRUPT;
-    if (error == MO_OK)
-      error = mo_column_double(statement, 10, &score->losses[position]);
     if (error != MO_OK)
       break;
-    score->diverged_steps[position] = sqlite3_column_int(statement, 11);
-    if (sqlite3_column_int64(statement, 12) > score->computed_us) {
-      score->computed_us = sqlite3_column_int64(statement, 12);
-      mo_column_text(statement, 13, score->fingerprint, sizeof(score->fingerprint));
+    score->losses[position] = losses[place];
+    score->diverged_steps[position] = (int32_t)steps[place];
+    if (computed_us > score->computed_us) {
+      score->computed_us = computed_us;
+      mo_column_text(statement, ORIGIN, score->origin, sizeof(score->origin));
     }
   }
   (void)sqlite3_reset(statement);

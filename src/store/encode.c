@@ -132,12 +132,18 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
   return MO_OK;
 }
 
+/* Reverses the bits of a byte: genotypes have their first voxel in the top bit. */
+static uint8_t reversed(uint8_t byte)
+{
+  return (uint8_t)((byte * UINT64_C(0x0202020202) & UINT64_C(0x010884422010)) % 1023);
+}
+
+_Static_assert(MO_DEFAULT_VOXELS == 8 * MO_BITS_BYTES, "every bit of the bytes is a voxel");
+
 void mo_encode_bits(const struct mo_bits *bits, uint8_t bytes[MO_BITS_BYTES])
 {
-  memset(bytes, 0, MO_BITS_BYTES);
-  for (unsigned v = 0; v < MO_DEFAULT_VOXELS; v++)
-    if ((bits->words[v >> 6] >> (v & 63)) & 1)
-      bytes[v >> 3] |= (uint8_t)(0x80U >> (v & 7));
+  for (unsigned i = 0; i < MO_BITS_BYTES; i++)
+    bytes[i] = reversed((uint8_t)(bits->words[i >> 3] >> 8 * (i & 7)));
 }
 
 int mo_decode_bits(const uint8_t *bytes, size_t size, struct mo_bits *bits)
@@ -145,8 +151,7 @@ int mo_decode_bits(const uint8_t *bytes, size_t size, struct mo_bits *bits)
   if (size != MO_BITS_BYTES || bytes == NULL)
     return MO_ERR_CORRUPT;
   memset(bits, 0, sizeof(*bits));
-  for (unsigned v = 0; v < MO_DEFAULT_VOXELS; v++)
-    if (bytes[v >> 3] & (0x80U >> (v & 7)))
-      bits->words[v >> 6] |= UINT64_C(1) << (v & 63);
+  for (unsigned i = 0; i < MO_BITS_BYTES; i++)
+    bits->words[i >> 3] |= (uint64_t)reversed(bytes[i]) << 8 * (i & 7);
   return MO_OK;
 }

@@ -4,22 +4,22 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "store/internal.h"
+#include "store/scores.h"
 
 /* ---- results ---- */
 
 struct result_keys {
-  int64_t controller, physics;
-  bool verify;
+  int64_t controller, physics, fingerprint, workers; /* fingerprint 0: the job has not started */
+  bool verify, is_complete; /* is_complete: the job has succeeded, so that no loss is missing */
   int64_t environments[MO_ENVIRONMENTS_MAX];
-  int64_t lowest, highest; /* bounds of `environments`, for one range scan per genotype */
 };
 
 static int load_keys(struct mo_connection *reader, int64_t id, struct result_keys *keys,
                      struct mo_evaluation_results *results)
 {
   static const char sql[] =
-      "SELECT controller,physics,verify,n_designs,n_environments FROM evaluations WHERE job=?1";
+      "SELECT controller,physics,verify,n_designs,n_environments,coalesce(fingerprint,0),"
+      "coalesce(workers,0),state=3 FROM evaluations JOIN jobs ON id=job WHERE job=?1";
   static const char environments_sql[] =
       "SELECT position,environment FROM evaluation_environments WHERE job=?1 ORDER BY position";
   int error = MO_OK;
@@ -38,6 +38,9 @@ static int load_keys(struct mo_connection *reader, int64_t id, struct result_key
   keys->verify = sqlite3_column_int(statement, 2) != 0;
   n_designs = sqlite3_column_int64(statement, 3);
   n_environments = sqlite3_column_int64(statement, 4);
+  keys->fingerprint = sqlite3_column_int64(statement, 5);
+  keys->workers = sqlite3_column_int64(statement, 6);
+  keys->is_complete = sqlite3_column_int(statement, 7) != 0;
   (void)sqlite3_reset(statement);
   if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || n_environments < 1 ||
       n_environments > MO_ENVIRONMENTS_MAX)
@@ -48,17 +51,10 @@ static int load_keys(struct mo_connection *reader, int64_t id, struct result_key
   if (statement == NULL)
     return error;
   sqlite3_bind_int64(statement, 1, id);
-  keys->lowest = INT64_MAX;
-  keys->highest = INT64_MIN;
   while ((step = mo_sql_step(reader, statement)) > 0) {
     if (k == results->n_environments || sqlite3_column_int64(statement, 0) != k)
       return MO_ERR_CORRUPT;
-    keys->environments[k] = sqlite3_column_int64(statement, 1);
-    if (keys->environments[k] < keys->lowest)
-      keys->lowest = keys->environments[k];
-    if (keys->environments[k] > keys->highest)
-      keys->highest = keys->environments[k];
-    k++;
+    keys->environments[k++] = sqlite3_column_int64(statement, 1);
   }
   if (step < 0)
     return step;
@@ -93,30 +89,18 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
 static int load_losses(struct mo_connection *reader, const struct result_keys *keys,
                        int64_t genotype, size_t n, struct mo_evaluation_results *results)
 {
-  static const char sql[] =
-      "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
-      " AND physics=?3 AND environment BETWEEN ?4 AND ?5";
-  int error = MO_OK;
-  int step = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, genotype);
-  sqlite3_bind_int64(statement, 2, keys->controller);
-  sqlite3_bind_int64(statement, 3, keys->physics);
-  sqlite3_bind_int64(statement, 4, keys->lowest);
-  sqlite3_bind_int64(statement, 5, keys->highest);
-  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-    int64_t environment = sqlite3_column_int64(statement, 0);
-    double loss = 0;
-    error = mo_column_double(statement, 1, &loss);
-    for (uint32_t k = 0; k < results->n_environments; k++)
-      if (keys->environments[k] == environment) {
-        results->losses[n * results->n_environments + k] = loss;
-        results->diverged_steps[n * results->n_environments + k] = sqlite3_column_int(statement, 2);
-      }
-  }
-  return step < 0 ? step : error;
+  struct mo_score scores[MO_ENVIRONMENTS_MAX];
+  const size_t first = n * results->n_environments;
+  int error = mo_losses_read(reader, genotype, keys->controller, keys->physics, keys->fingerprint,
+                             keys->workers, keys->environments, results->n_environments, scores);
+  for (uint32_t k = 0; k < results->n_environments && error == MO_OK; k++)
+    if (scores[k].known) {
+      results->losses[first + k] = scores[k].loss;
+      results->diverged_steps[first + k] = scores[k].diverged_step;
+    } else if (keys->is_complete) {
+      error = MO_ERR_CORRUPT;
+    }
+  return error;
 }
 
 static int load_designs(struct mo_connection *reader, int64_t id, const struct result_keys *keys,
@@ -137,10 +121,8 @@ static int load_designs(struct mo_connection *reader, int64_t id, const struct r
       error = MO_ERR_CORRUPT;
       break;
     }
-    error = mo_column_bits(statement, 2, &results->genotypes[n]);
-    if (error == MO_OK)
-      error = mo_column_bits(statement, 3, &results->forms[n]);
-    if (error == MO_OK && !keys->verify)
+    error = mo_column_genotype(statement, 2, 3, &results->genotypes[n], &results->forms[n]);
+    if (error == MO_OK && !keys->verify && keys->fingerprint != 0)
       error = load_losses(reader, keys, sqlite3_column_int64(statement, 1), n, results);
     n++;
   }
@@ -161,8 +143,8 @@ static int load_recomputed(struct mo_connection *reader, int64_t id,
                            struct mo_evaluation_results *results)
 {
   static const char sql[] =
-      "SELECT position,environment,loss,diverged_step,stored FROM recomputed WHERE job=?1 ORDER "
-      "BY position,environment";
+      "SELECT position,environment,diverged_step,loss,stored,checksum FROM recomputed"
+      " WHERE job=?1 ORDER BY position,environment";
   int error = MO_OK;
   int step = 0;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -171,18 +153,24 @@ static int load_recomputed(struct mo_connection *reader, int64_t id,
   memset(results->agrees, 1, results->n_designs);
   sqlite3_bind_int64(statement, 1, id);
   while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-    int64_t n = sqlite3_column_int64(statement, 0), k = sqlite3_column_int64(statement, 1);
+    const int64_t n = sqlite3_column_int64(statement, 0), k = sqlite3_column_int64(statement, 1);
+    const int64_t key[4] = {id, n, k, sqlite3_column_int64(statement, 2)};
+    const bool has_stored = sqlite3_column_type(statement, 4) != SQLITE_NULL;
+    double values[2] = {NAN, NAN};
     size_t cell;
     if (n < 0 || n >= results->n_designs || k < 0 || k >= results->n_environments)
       return MO_ERR_CORRUPT;
     cell = (size_t)n * results->n_environments + (size_t)k;
-    error = mo_column_double(statement, 2, &results->losses[cell]);
-    results->diverged_steps[cell] = sqlite3_column_int(statement, 3);
-    if (error == MO_OK && sqlite3_column_type(statement, 4) != SQLITE_NULL) {
-      error = mo_column_double(statement, 4, &results->stored_losses[cell]);
-      if (!same_bits(results->stored_losses[cell], results->losses[cell]))
-        results->agrees[n] = 0;
-    }
+    for (int i = 0; i <= has_stored && error == MO_OK; i++)
+      error = mo_column_double(statement, 3 + i, &values[i]);
+    if (error == MO_OK && mo_recomputed_checksum(key, values, has_stored ? 2 : 1) !=
+                              (uint64_t)sqlite3_column_int64(statement, 5))
+      error = MO_ERR_CORRUPT;
+    results->losses[cell] = values[0];
+    results->stored_losses[cell] = values[1];
+    results->diverged_steps[cell] = (int32_t)key[3];
+    if (has_stored && !same_bits(values[0], values[1]))
+      results->agrees[n] = 0;
   }
   return step < 0 ? step : error;
 }

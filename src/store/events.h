@@ -11,7 +11,8 @@ struct mo_event {
   int64_t time_us;
   int64_t job;    /* 0: about no job */
   char type[32];  /* "job.created", "job.started", "job.weight", "job.progress", "job.paused",
-                     "job.resumed", "job.requeued", "job.finished",  "training.progress",
+                     "job.resumed", "job.requeued", "job.finished",  "evaluation.code_changed",
+                     "training.progress",
                      "training.validation", "training.checkpoint", "training.code_changed",
                      "campaign.progress",  "campaign.generation", "campaign.diversity_collapse",
                      "campaign.extended",  "campaign.lineage_unreadable", "controller.stored",

@@ -38,8 +38,8 @@ struct mo_store {
       *vfs;
   const struct mo_file_operations *files;
   bool must_exist;
-  int folder_fd, lock_fd; /* both locked */
-  int64_t epoch, id;
+  int folder_fd, lock_fd;    /* both locked */
+  int64_t epoch, id, origin; /* origin: the row of this host in `origins` */
   uint64_t events_kept;
   int64_t idempotency_keep_us;
   void (*fatal)(void *context, const char *what);
@@ -132,15 +132,6 @@ bool mo_reserve_free(struct mo_store *store);
 
 /* ---- shared queries ---- */
 
-/* Insert scores of rollouts that have none yet (*n_new: how many), and a genotype's mean over a
- * named set, if the set is complete and the mean is not stored yet. */
-int mo_scores_insert(struct mo_connection *writer, const struct mo_saved_score *scores, size_t n,
-                     int64_t now_us, uint32_t *n_new);
-int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design);
-/* Like mo_set_score_insert when all losses of the set were new, so that the caller knows the mean.
- */
-int mo_set_score_insert_mean(struct mo_connection *writer, const struct mo_saved_design *design,
-                             double mean);
 int mo_training_code_load(struct mo_connection *connection, int64_t id,
                           struct mo_training_lineage *lineage);
 /* Makes the paper's test set if it is missing. When the writer has started. */

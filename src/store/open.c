@@ -10,6 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <sys/utsname.h>
 #include <unistd.h>
 
 #include "schema.h"
@@ -190,7 +191,25 @@ static int read_header(struct mo_store *store, struct header *header)
   return error;
 }
 
-static int count_opening(struct mo_connection *writer)
+/* Finds or inserts this host in `origins`. */
+static int find_origin(struct mo_connection *writer, int64_t *origin)
+{
+  static const char *const sql[] = {"INSERT INTO origins(text) VALUES(?1) ON CONFLICT DO NOTHING",
+                                    "SELECT id FROM origins WHERE text=?1"};
+  struct utsname host;
+  int error = uname(&host) == 0 ? MO_OK : MO_ERR_IO;
+  for (int i = 0; i < 2 && error == MO_OK; i++) {
+    sqlite3_stmt *statement = mo_sql(writer, sql[i], &error);
+    if (statement == NULL)
+      return error;
+    sqlite3_bind_text(statement, 1, host.nodename, -1, SQLITE_STATIC);
+    error = i == 0 ? mo_sql_run(writer, statement) : mo_sql_integer(writer, statement, origin);
+    (void)sqlite3_clear_bindings(statement);
+  }
+  return error;
+}
+
+static int count_opening(struct mo_connection *writer, int64_t *origin)
 {
   int error = mo_sql_exec(
       writer, "BEGIN IMMEDIATE;"
@@ -198,8 +217,11 @@ static int count_opening(struct mo_connection *writer)
               " ON CONFLICT(key) DO UPDATE SET value=value+1;"
               "INSERT INTO meta(key,value) VALUES('clean',0)"
               " ON CONFLICT(key) DO UPDATE SET value=0;"
-              "INSERT INTO meta(key,value) VALUES('id',random()) ON CONFLICT(key) DO NOTHING;"
-              "COMMIT");
+              "INSERT INTO meta(key,value) VALUES('id',random()) ON CONFLICT(key) DO NOTHING;");
+  if (error == MO_OK)
+    error = find_origin(writer, origin);
+  if (error == MO_OK)
+    error = mo_sql_exec(writer, "COMMIT");
   if (error != MO_OK && !sqlite3_get_autocommit(writer->db))
     (void)mo_sql_exec(writer, "ROLLBACK");
   return error;
@@ -247,9 +269,9 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
   if (error == MO_OK && header.version < NEWEST_SCHEMA)
     error = migrate(writer, header.version, message);
   if (error == MO_OK) {
-    error = count_opening(writer);
+    error = count_opening(writer, &store->origin);
     if (error == MO_ERR_NO_SPACE && mo_reserve_free(store))
-      error = count_opening(writer);
+      error = count_opening(writer, &store->origin);
   }
   if (error == MO_OK)
     error = get_pragma(writer, "SELECT value FROM meta WHERE key='epoch'", &store->epoch);

@@ -12,6 +12,7 @@
 
 #include <morpho/compute.h>
 #include <morpho/controller.h>
+#include <morpho/learning.h>
 #include <morpho/morphospace.h>
 #include <morpho/rollout.h>
 #include <morpho/world.h>
@@ -119,8 +120,9 @@ struct mo_design_score {
   uint32_t n_losses;
   double losses[MO_ENVIRONMENTS_MAX]; /* NaN: not computed yet */
   int32_t diverged_steps[MO_ENVIRONMENTS_MAX];
-  int64_t computed_us; /* when the newest rollout was computed */
-  char fingerprint[128];
+  int64_t computed_us;                    /* when the newest rollout was computed */
+  char fingerprint[MO_FINGERPRINT_BYTES]; /* its class */
+  char origin[65];                        /* the host that computed the newest rollout */
 };
 
 struct mo_design_orientation {

@@ -227,10 +227,13 @@ int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_
   return step < 0 ? step : error != MO_OK ? error : n;
 }
 
-static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *work)
+/* *before: the class that computed what is stored of the job; 0: none. */
+static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *work,
+                     int64_t *before)
 {
   static const char sql[] =
-      "SELECT controller,physics,coalesce(environment_set,0) FROM evaluations WHERE job=?1";
+      "SELECT controller,physics,coalesce(environment_set,0),coalesce(fingerprint,0) FROM "
+      "evaluations WHERE job=?1";
   sqlite3_stmt *row;
   int error = mo_job_row(reader, id, MO_JOB_EVALUATION, &row);
   if (error == MO_OK)
@@ -242,6 +245,7 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
   work->controller = sqlite3_column_int64(row, 0);
   work->physics = sqlite3_column_int64(row, 1);
   work->environment_set = sqlite3_column_int64(row, 2);
+  *before = sqlite3_column_int64(row, 3);
   work->n_designs = work->job.n_designs;
   work->n_environments = work->job.n_environments;
   return MO_OK;
@@ -250,8 +254,8 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
 static int load_designs(struct mo_connection *reader, int64_t id, struct mo_work *work)
 {
   static const char sql[] =
-      "SELECT x.genotype,g.bits FROM evaluation_designs x JOIN genotypes g ON g.id=x.genotype"
-      " WHERE x.job=?1 ORDER BY x.position";
+      "SELECT x.genotype,g.bits,d.form FROM evaluation_designs x JOIN genotypes g ON"
+      " g.id=x.genotype JOIN designs d ON d.id=g.design WHERE x.job=?1 ORDER BY x.position";
   struct mo_designs designs;
   const int error = mo_designs_read(reader, sql, id, work->n_designs, &designs);
   work->genotypes = designs.genotypes;
@@ -265,13 +269,7 @@ static int load_finished(struct mo_connection *reader, int64_t id, struct mo_wor
   static const char verify_sql[] =
       "SELECT position,environment,diverged_step FROM recomputed WHERE job=?1";
   static const char record_sql[] =
-      "SELECT t.position,t.environment,x.diverged_step FROM trajectories t"
-      " JOIN evaluations e ON e.job=t.job"
-      " JOIN evaluation_designs d ON d.job=t.job AND d.position=t.position"
-      " JOIN evaluation_environments v ON v.job=t.job AND v.position=t.environment"
-      " JOIN scores x ON x.genotype=d.genotype AND x.controller=e.controller AND "
-      "x.physics=e.physics"
-      " AND x.environment=v.environment WHERE t.job=?1";
+      "SELECT position,environment,diverged_step FROM trajectories WHERE job=?1";
   int error = MO_OK;
   int step;
   sqlite3_stmt *statement = mo_sql(reader, work->job.verify ? verify_sql : record_sql, &error);
@@ -289,15 +287,19 @@ static int load_finished(struct mo_connection *reader, int64_t id, struct mo_wor
   return step;
 }
 
-static int load_work(struct mo_connection *reader, int64_t id, struct mo_work *work)
+static int load_work(struct mo_connection *reader, int64_t id, const struct mo_classes *classes,
+                     struct mo_work *work)
 {
   static const char sql[] =
       "SELECT x.environment,e.data,e.sha256 FROM evaluation_environments x"
       " JOIN environments e ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
   bool reruns;
-  int error = load_head(reader, id, work);
+  int64_t before = 0;
+  int error = load_head(reader, id, work, &before);
   if (error != MO_OK)
     return error;
+  work->workers = classes->cpu[work->job.precision];
+  work->fingerprint = work->job.back_end == MO_ON_DEVICE ? classes->device : work->workers;
   reruns = work->job.verify || work->job.record_com || work->job.record_masses;
   work->environment_rows = calloc(work->n_environments, sizeof(*work->environment_rows));
   work->environments = calloc(work->n_environments, sizeof(*work->environments));
@@ -310,12 +312,13 @@ static int load_work(struct mo_connection *reader, int64_t id, struct mo_work *w
                                work->environment_rows);
   if (error == MO_OK)
     error = load_designs(reader, id, work);
-  if (error == MO_OK && reruns)
+  if (error == MO_OK && reruns && before == work->fingerprint)
     error = load_finished(reader, id, work);
   return error;
 }
 
-int mo_store_load_work(struct mo_store *store, int64_t id, struct mo_work **ret)
+int mo_store_load_work(struct mo_store *store, int64_t id, const struct mo_classes *classes,
+                       struct mo_work **ret)
 {
   struct mo_work *work = calloc(1, sizeof(*work));
   int error;
@@ -324,7 +327,7 @@ int mo_store_load_work(struct mo_store *store, int64_t id, struct mo_work **ret)
   pthread_mutex_lock(&store->runner_mutex);
   error = mo_sql_exec(&store->runner, "BEGIN");
   if (error == MO_OK)
-    error = load_work(&store->runner, id, work);
+    error = load_work(&store->runner, id, classes, work);
   for (unsigned i = 0; i < store->runner.n_cached; i++)
     (void)sqlite3_reset(store->runner.cache[i].statement);
   if (!sqlite3_get_autocommit(store->runner.db))
@@ -336,44 +339,4 @@ int mo_store_load_work(struct mo_store *store, int64_t id, struct mo_work **ret)
   }
   *ret = work;
   return MO_OK;
-}
-
-int mo_store_scores(struct mo_store *store, int64_t genotype, int64_t controller, int64_t physics,
-                    const int64_t *environment_rows, uint32_t n, struct mo_score *scores)
-{
-  static const char sql[] =
-      "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
-      " AND physics=?3 AND environment BETWEEN ?4 AND ?5";
-  int64_t lowest = INT64_MAX, highest = INT64_MIN;
-  struct mo_connection *reader = &store->runner;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
-  int step = 0;
-  for (uint32_t k = 0; k < n; k++) {
-    scores[k] = (struct mo_score){0};
-    if (environment_rows[k] < lowest)
-      lowest = environment_rows[k];
-    if (environment_rows[k] > highest)
-      highest = environment_rows[k];
-  }
-  pthread_mutex_lock(&store->runner_mutex);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, genotype);
-    sqlite3_bind_int64(statement, 2, controller);
-    sqlite3_bind_int64(statement, 3, physics);
-    sqlite3_bind_int64(statement, 4, lowest);
-    sqlite3_bind_int64(statement, 5, highest);
-    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-      int64_t environment = sqlite3_column_int64(statement, 0);
-      struct mo_score score = {.diverged_step = sqlite3_column_int(statement, 2), .known = true};
-      error = mo_column_double(statement, 1, &score.loss);
-      for (uint32_t k = 0; k < n && error == MO_OK; k++)
-        if (environment_rows[k] == environment)
-          scores[k] = score;
-    }
-    (void)sqlite3_reset(statement);
-  }
-  pthread_mutex_unlock(&store->runner_mutex);
-  return step < 0 ? step : error;
 }

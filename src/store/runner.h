@@ -53,10 +53,17 @@ int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollout
 int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after,
                         int64_t *ids, size_t limit);
 
+/* The classes of this process: rows of fingerprints. */
+struct mo_classes {
+  int64_t cpu[2]; /* by precision */
+  int64_t device; /* 0: there are no devices */
+};
+
 /* One evaluation with all that its run needs. */
 struct mo_work {
   struct mo_job job;
   int64_t controller, physics, environment_set; /* rows; set 0: none */
+  int64_t fingerprint, workers; /* its class; that of bodies that devices leave to the workers */
   uint32_t n_designs, n_environments;
   int64_t *environment_rows;           /* (n_environments) */
   struct mo_environment *environments; /* (n_environments) */
@@ -66,7 +73,9 @@ struct mo_work {
                         job finished this rollout; NULL for other jobs */
   uint64_t n_finished, n_finished_diverged;
 };
-int mo_store_load_work(struct mo_store *store, int64_t id, struct mo_work **work);
+/* Loads an evaluation as work of this process's classes. */
+int mo_store_load_work(struct mo_store *store, int64_t id, const struct mo_classes *classes,
+                       struct mo_work **work);
 void mo_work_free(struct mo_work *work); /* NULL-safe */
 
 struct mo_score {
@@ -74,9 +83,10 @@ struct mo_score {
   int32_t diverged_step;
   bool known;
 };
-/* Reads the stored scores of one genotype into scores (n). */
+/* Reads the stored scores of one genotype in one class into scores (n ≤ MO_ENVIRONMENTS_MAX). */
 int mo_store_scores(struct mo_store *store, int64_t genotype, int64_t controller, int64_t physics,
-                    const int64_t *environment_rows, uint32_t n, struct mo_score *scores);
+                    int64_t fingerprint, const int64_t *environment_rows, uint32_t n,
+                    struct mo_score *scores);
 
 /* ---- saving: results of many blocks and jobs in one transaction ---- */
 
@@ -92,12 +102,13 @@ struct mo_saved_trajectory {
   int64_t job;
   uint32_t design_position, environment_position;
   uint32_t stride, frames, n_masses;
+  int32_t diverged_step;
   const double *com_m; /* or NULL */
   const float *mass_m; /* or NULL */
 };
 /* A genotype whose losses over a named set are complete. */
 struct mo_saved_design {
-  int64_t genotype, controller, physics, environment_set;
+  int64_t genotype, controller, physics, environment_set, fingerprint, workers;
 };
 enum mo_job_step {
   MO_STEP_START,    /* queued, or already running under this epoch → running under this epoch */
@@ -113,6 +124,7 @@ struct mo_job_update {
   enum mo_job_step step;
   uint64_t total, done, cached, diverged; /* total 0: the counts do not change */
   int64_t started_us;                     /* start */
+  int64_t fingerprint, workers;           /* start: the class, as in struct mo_work */
   int error;                              /* retry */
   char error_text[256];
   uint32_t max_attempts;

@@ -290,6 +290,21 @@ int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits)
   return mo_decode_bits(blob, (size_t)sqlite3_column_bytes(statement, column), bits);
 }
 
+int mo_column_genotype(sqlite3_stmt *statement, int bits_column, int form_column,
+                       struct mo_bits *genotype, struct mo_bits *form)
+{
+  struct mo_bits stored, canonical = {{0}};
+  int error = mo_column_bits(statement, bits_column, genotype);
+  if (error == MO_OK)
+    error = mo_column_bits(statement, form_column, &stored);
+  if (error != MO_OK)
+    return error;
+  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotype->words, canonical.words);
+  if (form != NULL)
+    *form = stored;
+  return memcmp(&canonical, &stored, sizeof(stored)) == 0 ? MO_OK : MO_ERR_CORRUPT;
+}
+
 int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
                           struct mo_environment *environment)
 {

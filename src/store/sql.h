@@ -98,6 +98,10 @@ void mo_bind_hash(sqlite3_stmt *statement, int index, const struct mo_sha256 *ha
 /* Read a column and check it: MO_ERR_CORRUPT. */
 int mo_column_hash(sqlite3_stmt *statement, int column, struct mo_sha256 *hash);
 int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits);
+/* Reads a genotype and its design's form (nullable), and checks that the one is an orientation of
+ * the other: so no damaged body is taken for the one that was scored. */
+int mo_column_genotype(sqlite3_stmt *statement, int bits_column, int form_column,
+                       struct mo_bits *genotype, struct mo_bits *form);
 /* Reads an environment and checks its hash. */
 int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
                           struct mo_environment *environment);

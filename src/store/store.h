@@ -140,6 +140,7 @@ struct mo_design_query {
   char environment_set[MO_NAME_BYTES_MAX + 1];
   struct mo_physics physics;
   enum mo_precision precision;
+  char fingerprint[MO_FINGERPRINT_BYTES]; /* the class of the scores */
 };
 int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *query,
                          struct mo_design_row *rows, size_t limit);

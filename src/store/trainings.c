@@ -116,8 +116,8 @@ int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *qu
 static int load_designs(struct mo_connection *reader, int64_t id, void *any)
 {
   static const char sql[] =
-      "SELECT g.id,g.bits FROM training_designs x JOIN genotypes g ON g.id=x.genotype"
-      " WHERE x.job=?1 ORDER BY x.position";
+      "SELECT g.id,g.bits,d.form FROM training_designs x JOIN genotypes g ON g.id=x.genotype"
+      " JOIN designs d ON d.id=g.design WHERE x.job=?1 ORDER BY x.position";
   static const char head_sql[] = "SELECT n_designs FROM trainings WHERE job=?1";
   struct mo_designs *designs = any;
   int64_t n = 0;

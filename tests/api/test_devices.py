@@ -3,11 +3,13 @@ show, the same results with any number of devices and whatever happens to them."
 
 import os
 import pathlib
+import platform
 import random
 import re
 import signal
 import subprocess
 import time
+import urllib.parse
 
 import pytest
 
@@ -78,6 +80,25 @@ def test_without_devices(service):
     assert "morphod_device_load" not in service.request("GET", "/metrics").body.decode()
 
 
+def test_ranks_a_class(start):
+    """sort=score ranks one class: the service's own, or the one that is asked for."""
+    service = start(*FLAGS, environment=fake(devices=1))
+
+    def ranked(query):
+        page = service.request("GET", "/v1/designs?sort=score" + query)
+        assert page.status == 200, page.body
+        return len(page.json()["items"])
+
+    processors = service.request("GET", "/v1/threads").json()["fingerprints"]["float32"]
+    run(service, "evaluations", {"designs": DESIGNS[:3], "device": "cuda"})
+    assert (ranked(""), ranked("&class=" + urllib.parse.quote(processors))) == (3, 0)
+    run(service, "evaluations", {"designs": DESIGNS[:2], "device": "cpu"})
+    assert (ranked(""), ranked("&class=" + urllib.parse.quote(processors))) == (3, 2)
+    assert ranked("&class=nobody") == 0
+    for wrong in ("", "x" * 64, "%01", "%C3%A4"):
+        assert service.request("GET", "/v1/designs?sort=score&class=" + wrong).status == 400, wrong
+
+
 def test_evaluations(start):
     plain = start()
     expected = run(plain, "evaluations", LARGE)["results"]
@@ -87,11 +108,15 @@ def test_evaluations(start):
     score = service.request(
         "GET", f"/v1/designs/{expected[0]['id']}").json()["orientations"][0]["scores"][0]
     assert score["fingerprint"] == "fake float32 score-1 sm90"
-    known = run(
-        service, "evaluations",
-        {**LARGE, "device": "cpu"})  # what is stored is not computed again, whatever computed it
-    assert known["device"] == "cpu" and known["rollouts_cached"] == 1000 and known[
-        "results"] == expected
+    # Another class is computed anew, but for the body that the devices left to the processors.
+    for cached in (10, 1000):
+        known = run(service, "evaluations", {**LARGE, "device": "cpu"})
+        assert known["device"] == "cpu" and known["rollouts_cached"] == cached
+        assert known["results"] == expected
+    scores = service.request(
+        "GET", f"/v1/designs/{expected[0]['id']}").json()["orientations"][0]["scores"]
+    assert len({score["fingerprint"] for score in scores}) == len(scores) == 2
+    assert {score["origin"] for score in scores} == {platform.node()}
     small = run(service, "evaluations", {"designs": DESIGNS[:3], "physics": {"n_steps": 21}})
     assert small["device"] == "cpu" and small["priority"] == "interactive"
     small = run(service, "evaluations",

@@ -328,3 +328,33 @@ def test_files_of_unused_controllers(start, tmp_path):
     assert used.status == 409 and f"evaluation {evaluation} refers to it" in used.json()["detail"]
     for text in ("sha256:", "sha256:" + 63 * "0", "sha256:" + 64 * "g", "sha256:" + 64 * "0"):
         assert running.request("DELETE", f"/v1/controllers/{text}").status == 404
+
+
+def test_store_check(start, tmp_path):
+    """What is sound, what is damaged, and a loss that is another one with a right checksum."""
+    state = tmp_path / "state"
+
+    def check(*flags):
+        ended = subprocess.run([BINARY, "store", "check", f"--state-dir={state}", *flags],
+                               capture_output=True,
+                               text=True,
+                               timeout=60,
+                               env=ENVIRONMENT,
+                               check=False)
+        return ended.returncode, ended.stdout, ended.stderr
+
+    running = start(state=state)
+    assert running.evaluate({"designs": [DESIGN], "physics": SHORT}).status == 200
+    assert check()[0] == 75
+    assert running.stop() == 0
+    for flags, again in ((), 'losses of the class "cpu'), (("--sample=0", ), ""):
+        status, printed, _ = check(*flags)
+        assert status == 0 and " 0 findings." in printed and again in printed, printed
+        assert "1 differ" not in printed
+    for wrong in ("--sample=", "--sample=x", "--sample=-1", "--yes"):
+        assert check(wrong)[0] == 64, wrong
+    with contextlib.closing(sqlite3.connect(state / "morphod.db")) as database:
+        database.execute("UPDATE scores SET losses=CAST(x'00'||substr(losses,2) AS BLOB)")
+        database.commit()
+    status, printed, said = check()
+    assert status == 74 and "losses are damaged: scores, genotype 1" in printed, printed

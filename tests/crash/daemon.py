@@ -157,9 +157,11 @@ class Daemon:
 # ---- the database, read while no process uses it ----
 
 SCORES = """
-SELECT g.bits, c.sha256, p.sha256, e.sha256, s.loss, s.diverged_step
-FROM scores s JOIN genotypes g ON g.id = s.genotype JOIN controllers c ON c.id = s.controller
-JOIN physics p ON p.id = s.physics JOIN environments e ON e.id = s.environment
+SELECT g.bits, c.sha256, p.sha256, f.text, e.sha256, s.losses, length(k.environments) / 8, v.position
+FROM scores s JOIN conditions k ON k.id = s.condition JOIN genotypes g ON g.id = s.genotype
+JOIN controllers c ON c.id = k.controller JOIN physics p ON p.id = k.physics
+JOIN fingerprints f ON f.id = k.fingerprint JOIN condition_environments v ON v.condition = k.id
+JOIN environments e ON e.id = v.environment
 """
 
 
@@ -171,9 +173,11 @@ def stored_scores(state):
     """{key: (loss bytes, diverged step)}; fails on a key that is there twice."""
     database = open_database(state)
     scores = {}
-    for *key, loss, step in database.execute(SCORES):
+    for *key, losses, n, place in database.execute(SCORES):
         assert tuple(key) not in scores, "a score is stored twice"
-        scores[tuple(key)] = (loss, step)
+        steps = losses[8 * n:-8] or bytes(4 * n)  # the last eight bytes are the checksum
+        scores[tuple(key)] = (losses[8 * place:8 * place + 8],
+                              int.from_bytes(steps[4 * place:4 * place + 4], "little"))
     database.close()
     return scores
 
@@ -188,11 +192,7 @@ def check_database(state):
         total, distinct = database.execute(
             f"SELECT count(*), count(DISTINCT {key}) FROM {table}").fetchone()
         assert total == distinct, f"{table}: {total - distinct} rows are there twice"
-    total, keys = database.execute(
-        "SELECT count(*), count(DISTINCT printf('%d %d %d %d', genotype, controller, physics, "
-        "environment)) "
-        "FROM scores").fetchone()
-    assert total == keys
+    stored_scores(state)
     for (row, ) in database.execute(
             "SELECT j.id FROM jobs j JOIN evaluations e ON e.job = j.id WHERE j.state = 3 AND "
             "e.done <> "

@@ -208,8 +208,8 @@ static void parks_what_cannot_be_saved(void)
     int64_t id, fingerprint;
     REQUIRE(service_start(&service) == MO_OK);
     REQUIRE(fixture_bodies(21, 4, &forms, &genotypes) == MO_OK);
-    fingerprint = service.jobs->fingerprints[MO_FLOAT32];
-    service.jobs->fingerprints[MO_FLOAT32] = 999; /* no such row: the store refuses the losses */
+    fingerprint = service.jobs->classes.cpu[MO_FLOAT32];
+    service.jobs->classes.cpu[MO_FLOAT32] = 999; /* no such row: the store refuses the losses */
     fake_plan.delay_us = round == 0 ? 0 : 250000;
     fake_plan.fail_word = genotypes[1].words[0];
     fake_plan.fail_times = 1000;
@@ -223,7 +223,7 @@ static void parks_what_cannot_be_saved(void)
     stats = idle_stats(&service);
     CHECK_INT(stats.open_jobs, 0);
     /* The others go on. */
-    service.jobs->fingerprints[MO_FLOAT32] = fingerprint;
+    service.jobs->classes.cpu[MO_FLOAT32] = fingerprint;
     fake_plan.fail_status = 0;
     fake_plan.delay_us = 0;
     free(forms);

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "fixture.h"
 #include "life.h"
 
 /* ---- choosing ---- */
@@ -435,11 +436,14 @@ static void make_part(struct life *life, const struct act *act, const struct mo_
                                                   .frames = 3,
                                                   .n_masses = 8,
                                                   .com_m = part->com_m};
-  part->design = (struct mo_saved_design){work->genotype_rows[design], work->controller,
-                                          work->physics, work->environment_set};
+  part->design =
+      (struct mo_saved_design){work->genotype_rows[design], work->controller,  work->physics,
+                               work->environment_set,       life->fingerprint, life->fingerprint};
   if (evaluation->state == MO_JOB_QUEUED && n == 0)
-    part->updates[n_updates++] =
-        (struct mo_job_update){.job = evaluation->id, .step = MO_STEP_START};
+    part->updates[n_updates++] = (struct mo_job_update){.job = evaluation->id,
+                                                        .step = MO_STEP_START,
+                                                        .fingerprint = life->fingerprint,
+                                                        .workers = life->fingerprint};
   part->updates[n_updates++] = (struct mo_job_update){
       .job = evaluation->id,
       .step = design + 1 == evaluation->n_designs ? MO_STEP_SUCCEED : MO_STEP_PROGRESS,
@@ -468,7 +472,8 @@ static uint32_t do_save(struct life *life, const struct act *act, int *error)
   uint32_t queued = 0;
   uint64_t diverged = 0;
   int32_t step;
-  *error = mo_store_load_work(life->store, evaluation->id, &work);
+  *error =
+      mo_store_load_work(life->store, evaluation->id, fixture_classes(life->fingerprint), &work);
   if (*error != MO_OK)
     return 0;
   for (uint32_t design = 0; design < evaluation->saved; design++)

@@ -91,9 +91,10 @@ static inline int run_by_hand(struct mo_store *store, int64_t id,
   int64_t fingerprint = 0;
   int error = mo_store_fingerprint(store, "by hand", &fingerprint);
   if (error == MO_OK)
-    error = mo_store_load_work(store, id, &work);
+    error = mo_store_load_work(store, id, fixture_classes(fingerprint), &work);
   if (error != MO_OK)
     return error;
+  updates[0].fingerprint = updates[0].workers = fingerprint;
   scores = calloc((size_t)work->n_designs * work->n_environments, sizeof(*scores));
   designs = calloc(work->n_designs, sizeof(*designs));
   for (uint32_t n = 0; n < work->n_designs; n++) {
@@ -111,7 +112,7 @@ static inline int run_by_hand(struct mo_store *store, int64_t id,
                                                         .environment_position = k};
     }
     designs[n] = (struct mo_saved_design){work->genotype_rows[n], work->controller, work->physics,
-                                          work->environment_set};
+                                          work->environment_set,  fingerprint,      fingerprint};
   }
   save.scores = scores;
   save.designs = designs;

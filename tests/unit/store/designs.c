@@ -114,7 +114,7 @@ static void ranks_designs(void)
   struct mo_submission submission;
   struct mo_controller_record record;
   struct mo_design_query query = {
-      .sort = MO_DESIGNS_BY_SCORE, .environment_set = "paper-test", .precision = MO_FLOAT32};
+      .sort = MO_DESIGNS_BY_SCORE, .environment_set = "paper-test", .fingerprint = "by hand"};
   struct mo_design_row rows[8];
   int64_t id, seen = 0;
   double last = -1;
@@ -230,7 +230,8 @@ static int evaluate(struct fixture *fixture, int64_t id, const double losses[6])
   int64_t fingerprint = 0;
   int error = mo_store_fingerprint(fixture->store, "by hand", &fingerprint);
   if (error == MO_OK)
-    error = mo_store_load_work(fixture->store, id, &work);
+    error = mo_store_load_work(fixture->store, id, fixture_classes(fingerprint), &work);
+  updates[0].fingerprint = updates[0].workers = fingerprint;
   for (uint32_t n = 0; n < 6 && error == MO_OK; n++)
     for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
       scores[n * MO_PAPER_TEST_COUNT + k] =

@@ -123,6 +123,14 @@ static inline struct mo_submission fixture_submission(const struct mo_bits *form
                                 .record_stride = 10};
 }
 
+/* The classes of a process that has but one. */
+static inline const struct mo_classes *fixture_classes(int64_t fingerprint)
+{
+  static _Thread_local struct mo_classes classes;
+  classes = (struct mo_classes){{fingerprint, fingerprint}, fingerprint};
+  return &classes;
+}
+
 /* Reads the newest checkpoint of the newest generation that has one. */
 static inline int fixture_campaign_checkpoint(struct mo_store *store, int64_t id,
                                               uint32_t *generation, uint32_t *step, uint8_t **bytes,

@@ -40,7 +40,7 @@ static void submits_and_reads_back(void)
   CHECK_INT(mo_store_queued(fixture.store, MO_BATCH, 0, queued, 4), 1);
   CHECK_INT(queued[0], id);
   CHECK_INT(mo_store_queued(fixture.store, MO_INTERACTIVE, 0, queued, 4), 0);
-  REQUIRE(mo_store_load_work(fixture.store, id, &work) == MO_OK);
+  REQUIRE(mo_store_load_work(fixture.store, id, fixture_classes(1), &work) == MO_OK);
   mo_environment_paper_test(paper);
   CHECK(memcmp(work->environments, paper, sizeof(paper)) == 0);
   CHECK(memcmp(work->genotypes, genotypes, 5 * sizeof(*genotypes)) == 0);

@@ -5,6 +5,7 @@
 
 #include "by_hand.h"
 #include "campaign_fixture.h"
+#include "store/scores.h"
 #include "training_fixture.h"
 
 #define ROWS      10000 /* of each kind */
@@ -22,11 +23,35 @@ static int count_steps(unsigned event, void *context, void *statement, void *tim
   return 0;
 }
 
+/* The checksum of a row of set_scores: ranking, genotype, score. */
+static void checksum(sqlite3_context *context, int n, sqlite3_value **values)
+{
+  const int64_t key[] = {sqlite3_value_int64(values[0]), sqlite3_value_int64(values[1])};
+  const double score = sqlite3_value_double(values[n - 1]);
+  sqlite3_result_int64(context, (int64_t)mo_row_checksum(key, 2, &score, sizeof(score)));
+}
+
+/* The canonical form of a body. */
+static void canonical(sqlite3_context *context, int n, sqlite3_value **values)
+{
+  struct mo_bits bits, form = {{0}};
+  uint8_t bytes[MO_BITS_BYTES];
+  (void)n;
+  (void)mo_decode_bits(sqlite3_value_blob(values[0]), MO_BITS_BYTES, &bits);
+  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, bits.words, form.words);
+  mo_encode_bits(&form, bytes);
+  sqlite3_result_blob(context, bytes, sizeof(bytes), SQLITE_TRANSIENT);
+}
+
 static int watch(sqlite3 *db, char **message, const struct sqlite3_api_routines *routines)
 {
   (void)message;
   (void)routines;
-  return sqlite3_trace_v2(db, SQLITE_TRACE_PROFILE, count_steps, NULL);
+  int result = sqlite3_create_function(db, "checksum", 3, SQLITE_UTF8, NULL, checksum, NULL, NULL);
+  if (result == SQLITE_OK)
+    result = sqlite3_create_function(db, "canonical", 1, SQLITE_UTF8, NULL, canonical, NULL, NULL);
+  return result == SQLITE_OK ? sqlite3_trace_v2(db, SQLITE_TRACE_PROFILE, count_steps, NULL)
+                             : result;
 }
 
 /* Copies of job 1, an evaluation, of 2, a training, and of 3, a campaign, in this order. The oldest
@@ -75,11 +100,13 @@ static int fill(struct fixture *fixture)
         "n,controller_names"
         " WHERE name='default';"
         "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n LIMIT 10000)"
-        " INSERT INTO designs(form,first_seen_us) SELECT randomblob(18),1 FROM n;"
+        " INSERT INTO designs(form,first_seen_us) SELECT canonical(randomblob(18)),1 FROM n;"
         "INSERT INTO genotypes(bits,design) SELECT form,id FROM designs WHERE id NOT IN"
         " (SELECT design FROM genotypes);"
-        "INSERT INTO set_scores SELECT controller,physics,environment_set,g.id,0.5,zeroblob(8) FROM"
-        " genotypes g,evaluations WHERE job=1;"
+        "INSERT INTO fingerprints(text) VALUES('by hand');"
+        "INSERT INTO rankings SELECT 1,controller,physics,1,environment_set FROM evaluations"
+        " WHERE job=1;"
+        "INSERT INTO set_scores SELECT 1,id,0.5,checksum(1,id,0.5) FROM genotypes;"
         "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n LIMIT 10000)"
         " INSERT INTO events(time_us,job,type,data) SELECT 1,iif(i<9,4,5),'job.started','{}' FROM "
         "n;"
@@ -221,7 +248,8 @@ static void pages_of_everything_else(void)
   struct mo_design_query query = {.controller_sha256 = controllers[0].sha256,
                                   .environment_set = "paper-test",
                                   .physics = mo_default_physics(),
-                                  .precision = MO_FLOAT32};
+                                  .precision = MO_FLOAT32,
+                                  .fingerprint = "by hand"};
   (void)all_steps();
   CHECK_INT(mo_store_controllers(fixture.store, NULL, controllers, PAGE), PAGE);
   CHECK_INT(mo_store_controllers(fixture.store, "default", controllers, PAGE), 0);

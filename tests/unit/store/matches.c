@@ -298,7 +298,7 @@ static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
                 {"evaluation_environments", (int64_t)model->n_evaluations * MO_PAPER_TEST_COUNT},
                 {"designs", designs + born},
                 {"genotypes", designs + born},
-                {"scores", scored * MO_PAPER_TEST_COUNT},
+                {"scores", scored},
                 {"set_scores", scored},
                 {"trajectories", saved},
                 {"trainings", model->n_trainings},

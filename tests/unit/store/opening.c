@@ -192,7 +192,7 @@ static void reports_what_contradicts_itself(void)
   int64_t id;
   bool replayed;
   static const char *const damage[] = {
-      "PRAGMA ignore_check_constraints=ON; UPDATE scores SET loss=x'0102'",
+      "PRAGMA ignore_check_constraints=ON; UPDATE scores SET losses=x'0102'",
       "PRAGMA ignore_check_constraints=ON; UPDATE genotypes SET bits=x'01' WHERE id=1",
       "DELETE FROM evaluation_designs WHERE position=1",
       "DELETE FROM evaluation_environments WHERE position=3",
@@ -222,7 +222,7 @@ static void reports_what_contradicts_itself(void)
     results_error = mo_store_results(fixture.store, id, &results);
     if (results_error == MO_OK)
       mo_evaluation_results_free(results);
-    work_error = mo_store_load_work(fixture.store, id, &work);
+    work_error = mo_store_load_work(fixture.store, id, fixture_classes(1), &work);
     if (work_error == MO_OK)
       mo_work_free(work);
     CHECK(job_error == MO_ERR_CORRUPT || results_error == MO_ERR_CORRUPT ||

@@ -185,7 +185,7 @@ static void keeps_the_queues_apart(void)
   CHECK_INT(mo_store_open_work(fixture.store, &jobs, &rollouts), MO_OK);
   CHECK_INT(jobs, 3);
   CHECK_INT(rollouts, 30);
-  CHECK_INT(mo_store_load_work(fixture.store, first, &work), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_load_work(fixture.store, first, fixture_classes(1), &work), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_results(fixture.store, first, &results), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
   free(forms);

@@ -1,0 +1,301 @@
+/* check.c: see check.h. */
+#include "store/check.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "store/controller_rows.h"
+#include "store/folder.h"
+#include "store/jobs.h"
+#include "store/scores.h"
+
+struct walk {
+  struct mo_store *store;
+  struct mo_connection *reader;
+  void (*tell)(void *context, const char *finding);
+  void *context;
+  struct mo_check_counts *counts;
+};
+
+/* ---- rows ---- */
+
+static int check_genotype(struct walk *walk, sqlite3_stmt *row)
+{
+  struct mo_bits bits;
+  (void)walk;
+  return mo_column_genotype(row, 1, 2, &bits, NULL);
+}
+
+static int check_environment(struct walk *walk, sqlite3_stmt *row)
+{
+  struct mo_environment environment;
+  (void)walk;
+  return mo_column_environment(row, 1, 2, &environment);
+}
+
+static int check_physics(struct walk *walk, sqlite3_stmt *row)
+{
+  struct mo_sha256 stored, found;
+  struct mo_physics physics;
+  enum mo_precision precision;
+  enum mo_sensor sensor;
+  const void *encoding = sqlite3_column_blob(row, 1);
+  int error = mo_column_hash(row, 2, &stored);
+  (void)walk;
+  if (error == MO_OK)
+    error = encoding == NULL ? MO_ERR_CORRUPT
+                             : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 1),
+                                                 &physics, &precision, &sensor);
+  if (error != MO_OK)
+    return error;
+  mo_physics_hash(&physics, precision, sensor, &found);
+  return mo_sha256_equal(&stored, &found) ? MO_OK : MO_ERR_CORRUPT;
+}
+
+static int check_score(struct walk *walk, sqlite3_stmt *row)
+{
+  struct mo_condition condition;
+  double losses[MO_BLOCK_LANES];
+  uint32_t steps[MO_BLOCK_LANES];
+  (void)walk;
+  return mo_score_from_row(row, 1, &condition, losses, steps);
+}
+
+static int check_member(struct walk *walk, sqlite3_stmt *row)
+{
+  const int64_t position = sqlite3_column_int64(row, 1), environment = sqlite3_column_int64(row, 2);
+  const uint8_t *bytes = sqlite3_column_blob(row, 3);
+  (void)walk;
+  return bytes != NULL && position >= 0 && position < sqlite3_column_bytes(row, 3) / 8 &&
+                 memcmp(bytes + 8 * position, &environment, 8) == 0
+             ? MO_OK
+             : MO_ERR_CORRUPT;
+}
+
+static int check_campaign_losses(struct walk *walk, sqlite3_stmt *row)
+{
+  const int64_t key[] = {sqlite3_column_int64(row, 0), sqlite3_column_int64(row, 1)};
+  const int64_t n = sqlite3_column_int64(row, 3);
+  double losses[MO_ENVIRONMENTS_MAX];
+  uint32_t steps[MO_ENVIRONMENTS_MAX];
+  (void)walk;
+  return n >= 1 && n <= MO_ENVIRONMENTS_MAX
+             ? mo_unpack_losses(key, 2, sqlite3_column_blob(row, 2),
+                                (size_t)sqlite3_column_bytes(row, 2), (uint32_t)n, losses, steps)
+             : MO_ERR_CORRUPT;
+}
+
+static int check_mean(struct walk *walk, sqlite3_stmt *row)
+{
+  double mean;
+  (void)walk;
+  return mo_set_score_from_row(row, 2, sqlite3_column_int64(row, 1), sqlite3_column_int64(row, 0),
+                               &mean);
+}
+
+/* Rows of this query are findings. */
+static int is_finding(struct walk *walk, sqlite3_stmt *row)
+{
+  (void)walk;
+  (void)row;
+  return MO_ERR_CORRUPT;
+}
+
+static int check_job(struct walk *walk, sqlite3_stmt *row)
+{
+  struct mo_job job;
+  sqlite3_stmt *whole;
+  int error = mo_job_row(walk->reader, sqlite3_column_int64(row, 0), -1, &whole);
+  if (error == MO_OK)
+    error = mo_job_read(whole, &job, NULL);
+  return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
+}
+
+/* ---- files ---- */
+
+static int check_file(struct walk *walk, const char *path, uint64_t size,
+                      const struct mo_sha256 *sha256)
+{
+  uint8_t *bytes = NULL;
+  int error = mo_file_read_checked(path, (size_t)size, sha256, &bytes);
+  free(bytes);
+  walk->counts->files++;
+  return error;
+}
+
+static int check_controller(struct walk *walk, sqlite3_stmt *row)
+{
+  struct mo_sha256 sha256;
+  char *path;
+  int error = mo_column_hash(row, 1, &sha256);
+  if (error != MO_OK)
+    return error;
+  path = mo_controller_path(walk->store, &sha256);
+  error = path == NULL ? MO_ERR_NO_MEMORY
+                       : check_file(walk, path, (uint64_t)sqlite3_column_int64(row, 2), &sha256);
+  free(path);
+  return error;
+}
+
+/* A checkpoint, whose path below the state folder is in column 3. */
+static int check_checkpoint(struct walk *walk, sqlite3_stmt *row)
+{
+  struct mo_sha256 sha256;
+  char name[128], *path = NULL;
+  int error = mo_column_hash(row, 1, &sha256);
+  mo_column_text(row, 3, name, sizeof(name));
+  if (error == MO_OK && asprintf(&path, "%s/%s", walk->store->path, name) < 0)
+    return MO_ERR_NO_MEMORY;
+  if (error == MO_OK)
+    error = check_file(walk, path, (uint64_t)sqlite3_column_int64(row, 2), &sha256);
+  free(path);
+  return error;
+}
+
+/* ---- all of it ---- */
+
+/* Column 0 of each query is the row that a finding names. */
+static const struct part {
+  const char *what, *sql;
+  int (*check)(struct walk *walk, sqlite3_stmt *row);
+} parts[] = {
+    {"a genotype is no orientation of its design, or damaged: genotypes, row",
+     "SELECT g.id,g.bits,d.form FROM genotypes g JOIN designs d ON d.id=g.design", check_genotype},
+    {"an environment is damaged: environments, row", "SELECT id,data,sha256 FROM environments",
+     check_environment},
+    {"physics are damaged: physics, row", "SELECT id,encoding,sha256 FROM physics", check_physics},
+    {"the environments of a condition do not agree: conditions, row",
+     "SELECT v.condition,v.position,v.environment,c.environments FROM condition_environments v"
+     " JOIN conditions c ON c.id=v.condition",
+     check_member},
+    {"environments of a condition are missing: conditions, row",
+     "SELECT id FROM conditions WHERE length(environments)<>8*(SELECT count(*) FROM"
+     " condition_environments WHERE condition=id)",
+     is_finding},
+    {"losses are damaged: scores, genotype",
+     "SELECT x.genotype," MO_SCORE_COLUMNS " FROM scores x JOIN conditions c ON c.id=x.condition",
+     check_score},
+    {"losses of a generation are damaged: campaign",
+     "SELECT l.job,l.place,l.losses,c.n_environments FROM campaign_losses l JOIN campaigns c ON"
+     " c.job=l.job",
+     check_campaign_losses},
+    {"a mean loss is damaged: set_scores, genotype",
+     "SELECT genotype,ranking,score,checksum FROM set_scores", check_mean},
+    {"a job is damaged: jobs, row", "SELECT id FROM jobs", check_job},
+    {"a controller's file is missing or damaged: controllers, row",
+     "SELECT id,sha256,size FROM controllers", check_controller},
+    {"a checkpoint's file is missing or damaged: job",
+     "SELECT c.job,c.sha256,c.size,iif(j.kind=1,printf('trainings/%d/%d.checkpoint',c.job,c.step),"
+     "printf('campaigns/%d/%d-%d.checkpoint',c.job,c.generation,c.step)) FROM checkpoints c"
+     " JOIN jobs j ON j.id=c.job",
+     check_checkpoint},
+};
+
+static int walk_part(struct walk *walk, const struct part *part)
+{
+  int error = MO_OK, step = 0;
+  sqlite3_stmt *statement = mo_sql(walk->reader, part->sql, &error);
+  while (error == MO_OK && (step = mo_sql_step(walk->reader, statement)) > 0) {
+    error = part->check(walk, statement);
+    walk->counts->rows++;
+    if (error == MO_ERR_CORRUPT) {
+      char finding[160];
+      snprintf(finding, sizeof(finding), "%s %lld", part->what,
+               (long long)sqlite3_column_int64(statement, 0));
+      walk->tell(walk->context, finding);
+      walk->counts->findings++;
+      error = MO_OK;
+    }
+  }
+  if (statement != NULL)
+    (void)sqlite3_reset(statement);
+  return step < 0 ? step : error;
+}
+
+int mo_store_check_contents(struct mo_store *store,
+                            void (*tell)(void *context, const char *finding), void *context,
+                            struct mo_check_counts *counts)
+{
+  struct walk walk = {store, mo_reader_acquire(store), tell, context, counts};
+  int error = MO_OK;
+  *counts = (struct mo_check_counts){0};
+  for (size_t i = 0; i < sizeof(parts) / sizeof(parts[0]) && error == MO_OK; i++)
+    error = walk_part(&walk, &parts[i]);
+  mo_reader_release(store, walk.reader);
+  return error;
+}
+
+/* ---- a sample ---- */
+
+static int take_sample(struct mo_connection *reader, sqlite3_stmt *row, uint64_t seed,
+                       struct mo_score_sample *sample)
+{
+  static const char sql[] = "SELECT data,sha256 FROM environments WHERE id=?1";
+  const void *encoding = sqlite3_column_blob(row, 10);
+  struct mo_condition condition;
+  double losses[MO_BLOCK_LANES];
+  uint32_t steps[MO_BLOCK_LANES], k;
+  enum mo_sensor sensor;
+  sqlite3_stmt *statement;
+  int error = mo_score_from_row(row, 0, &condition, losses, steps);
+  if (error == MO_OK)
+    error = mo_column_bits(row, 8, &sample->genotype);
+  if (error == MO_OK)
+    error = mo_column_hash(row, 9, &sample->controller_sha256);
+  if (error == MO_OK)
+    error = encoding == NULL ? MO_ERR_CORRUPT
+                             : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 10),
+                                                 &sample->physics, &sample->precision, &sensor);
+  if (error != MO_OK)
+    return error;
+  k = (uint32_t)(seed % condition.n);
+  sample->loss = losses[k];
+  sample->diverged_step = (int32_t)steps[k];
+  statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, condition.environments[k]);
+  error = mo_sql_step(reader, statement);
+  error = error > 0   ? mo_column_environment(statement, 0, 1, &sample->environment)
+          : error < 0 ? error
+                      : MO_ERR_CORRUPT;
+  (void)sqlite3_reset(statement);
+  return error;
+}
+
+int64_t mo_store_sample(struct mo_store *store, const char *fingerprint, uint64_t seed,
+                        struct mo_score_sample *samples, size_t n)
+{
+  static const char last_sql[] = "SELECT coalesce(max(genotype),0) FROM scores";
+  static const char sql[] =
+      "SELECT " MO_SCORE_COLUMNS ",g.bits,k.sha256,p.encoding FROM scores x"
+      " CROSS JOIN conditions c ON c.id=x.condition JOIN genotypes g ON g.id=x.genotype"
+      " JOIN controllers k ON k.id=c.controller JOIN physics p ON p.id=c.physics"
+      " WHERE x.genotype>=?1 AND c.fingerprint=(SELECT id FROM fingerprints WHERE text=?2)"
+      " ORDER BY x.genotype LIMIT 1";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int64_t last = 0, found = 0;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(reader, last_sql, &error);
+  if (statement != NULL)
+    error = mo_sql_integer(reader, statement, &last);
+  for (size_t i = 0; i < n && error == MO_OK && last > 0; i++) {
+    const uint64_t all = (uint64_t)last, first = 1 + (i * all + seed % all) / n;
+    int result;
+    statement = mo_sql(reader, sql, &error);
+    if (statement == NULL)
+      break;
+    sqlite3_bind_int64(statement, 1, (int64_t)first);
+    sqlite3_bind_text(statement, 2, fingerprint, -1, SQLITE_STATIC);
+    result = mo_sql_step(reader, statement);
+    if (result > 0)
+      error = take_sample(reader, statement, seed + i, &samples[found++]);
+    else
+      error = result;
+    (void)sqlite3_reset(statement);
+    (void)sqlite3_clear_bindings(statement);
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : found;
+}

@@ -1,0 +1,464 @@
+/* scores.c: stored losses.
+ *
+ * A row of `scores` holds the losses of one genotype in a block of up to 16 environments, as one
+ * call computed them, under one condition: weights, physics, class and those environments. Losses
+ * are found by environment, in whichever block it is. Readers check each row against its checksum,
+ * which covers the row and its condition. Rows are never changed: where two of them hold the same
+ * environment, the one computed first counts. */
+#include "store/scores.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "base/clock.h"
+
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "rows are little-endian");
+_Static_assert(MO_BLOCK_LANES == 16, "the schema limits the length of rows");
+
+#define KEY_WORDS (6 + MO_BLOCK_LANES)
+
+/* ---- packed losses ---- */
+
+/* A permutation of h for each word, and of the word for each h. */
+static uint64_t mix(uint64_t h, uint64_t word)
+{
+  h = (h ^ word) * UINT64_C(0x9E3779B97F4A7C15);
+  return h ^ h >> 32;
+}
+
+uint64_t mo_row_checksum(const int64_t *key, size_t n_key, const void *bytes, size_t size)
+{
+  uint64_t h = mix(n_key, size);
+  for (size_t i = 0; i < n_key; i++)
+    h = mix(h, (uint64_t)key[i]);
+  for (size_t i = 0; i < size; i += 8) {
+    uint64_t word = 0;
+    memcpy(&word, (const uint8_t *)bytes + i, size - i < 8 ? size - i : 8);
+    h = mix(h, word);
+  }
+  return h;
+}
+
+size_t mo_pack_losses(const int64_t *key, size_t n_key, const double *losses,
+                      const uint32_t *diverged_steps, uint32_t n, uint8_t *bytes)
+{
+  size_t size = (size_t)8 * n;
+  uint32_t any = 0;
+  uint64_t sum;
+  memcpy(bytes, losses, size);
+  for (uint32_t k = 0; k < n; k++)
+    any |= diverged_steps[k];
+  if (any != 0) {
+    memcpy(bytes + size, diverged_steps, (size_t)4 * n);
+    size += (size_t)4 * n;
+  }
+  sum = mo_row_checksum(key, n_key, bytes, size);
+  memcpy(bytes + size, &sum, 8);
+  return size + 8;
+}
+
+int mo_unpack_losses(const int64_t *key, size_t n_key, const uint8_t *bytes, size_t size,
+                     uint32_t n, double *losses, uint32_t *diverged_steps)
+{
+  const size_t plain = (size_t)8 * n, with_steps = (size_t)12 * n;
+  uint64_t sum;
+  if (bytes == NULL || (size != plain + 8 && size != with_steps + 8))
+    return MO_ERR_CORRUPT;
+  memcpy(&sum, bytes + size - 8, 8);
+  if (sum != mo_row_checksum(key, n_key, bytes, size - 8))
+    return MO_ERR_CORRUPT;
+  memcpy(losses, bytes, plain);
+  if (size == with_steps + 8)
+    memcpy(diverged_steps, bytes + plain, (size_t)4 * n);
+  else
+    memset(diverged_steps, 0, (size_t)4 * n);
+  return MO_OK;
+}
+
+/* ---- rows ---- */
+
+static size_t key_of(const struct mo_condition *condition, int64_t genotype, int64_t origin,
+                     int64_t computed_us, int64_t key[KEY_WORDS])
+{
+  key[0] = genotype;
+  key[1] = condition->controller;
+  key[2] = condition->physics;
+  key[3] = condition->fingerprint;
+  key[4] = origin;
+  key[5] = computed_us;
+  memcpy(key + 6, condition->environments, condition->n * sizeof(*key));
+  return 6 + condition->n;
+}
+
+static sqlite3_stmt *bind_condition(struct mo_connection *writer, const char *sql,
+                                    const struct mo_condition *condition, int *error)
+{
+  sqlite3_stmt *statement = mo_sql(writer, sql, error);
+  if (statement == NULL)
+    return NULL;
+  sqlite3_bind_int64(statement, 1, condition->controller);
+  sqlite3_bind_int64(statement, 2, condition->physics);
+  sqlite3_bind_int64(statement, 3, condition->fingerprint);
+  sqlite3_bind_blob(statement, 4, condition->environments, (int)(8 * condition->n), SQLITE_STATIC);
+  return statement;
+}
+
+int mo_condition_row(struct mo_connection *writer, struct mo_condition *condition)
+{
+  static const char find_sql[] = "SELECT id FROM conditions WHERE controller=?1 AND physics=?2 AND "
+                                 "fingerprint=?3 AND environments=?4";
+  static const char insert_sql[] =
+      "INSERT INTO conditions(controller,physics,fingerprint,environments) VALUES(?1,?2,?3,?4)";
+  static const char member_sql[] =
+      "INSERT INTO condition_environments(condition,position,environment) VALUES(?1,?2,?3)";
+  int error = MO_OK;
+  sqlite3_stmt *statement = bind_condition(writer, find_sql, condition, &error);
+  if (statement == NULL)
+    return error;
+  error = mo_sql_integer(writer, statement, &condition->id);
+  (void)sqlite3_clear_bindings(statement);
+  if (error != MO_ERR_NOT_FOUND)
+    return error;
+  statement = bind_condition(writer, insert_sql, condition, &error);
+  if (statement == NULL)
+    return error;
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  condition->id = sqlite3_last_insert_rowid(writer->db);
+  for (uint32_t k = 0; k < condition->n && error == MO_OK; k++) {
+    statement = mo_sql(writer, member_sql, &error);
+    if (statement == NULL)
+      return error;
+    sqlite3_bind_int64(statement, 1, condition->id);
+    sqlite3_bind_int64(statement, 2, k);
+    sqlite3_bind_int64(statement, 3, condition->environments[k]);
+    error = mo_sql_run(writer, statement);
+  }
+  return error;
+}
+
+int mo_losses_insert(struct mo_store *store, const struct mo_condition *condition, int64_t genotype,
+                     const double *losses, const uint32_t *diverged_steps, int64_t now_us,
+                     bool *is_new)
+{
+  static const char sql[] =
+      "INSERT OR IGNORE INTO scores(genotype,condition,origin,computed_us,losses)"
+      " VALUES(?1,?2,?3,?4,?5)";
+  struct mo_connection *writer = &store->writer;
+  uint8_t bytes[MO_PACKED_BYTES(MO_BLOCK_LANES)];
+  int64_t key[KEY_WORDS];
+  size_t size;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  size = mo_pack_losses(key, key_of(condition, genotype, store->origin, now_us, key), losses,
+                        diverged_steps, condition->n, bytes);
+  sqlite3_bind_int64(statement, 1, genotype);
+  sqlite3_bind_int64(statement, 2, condition->id);
+  sqlite3_bind_int64(statement, 3, store->origin);
+  sqlite3_bind_int64(statement, 4, now_us);
+  sqlite3_bind_blob(statement, 5, bytes, (int)size, SQLITE_STATIC);
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  *is_new = error == MO_OK && sqlite3_changes(writer->db) > 0;
+  return error;
+}
+
+int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,
+                      double *losses, uint32_t *diverged_steps)
+{
+  const void *environments = sqlite3_column_blob(statement, first + 4);
+  const int size = sqlite3_column_bytes(statement, first + 4);
+  int64_t key[KEY_WORDS];
+  size_t n_key;
+  if (environments == NULL || size < 8 || size > 8 * MO_BLOCK_LANES || size % 8 != 0)
+    return MO_ERR_CORRUPT;
+  condition->controller = sqlite3_column_int64(statement, first + 1);
+  condition->physics = sqlite3_column_int64(statement, first + 2);
+  condition->fingerprint = sqlite3_column_int64(statement, first + 3);
+  condition->n = (uint32_t)size / 8;
+  memcpy(condition->environments, environments, (size_t)size);
+  n_key = key_of(condition, sqlite3_column_int64(statement, first),
+                 sqlite3_column_int64(statement, first + 5),
+                 sqlite3_column_int64(statement, first + 6), key);
+  return mo_unpack_losses(key, n_key, sqlite3_column_blob(statement, first + 7),
+                          (size_t)sqlite3_column_bytes(statement, first + 7), condition->n, losses,
+                          diverged_steps);
+}
+
+/* Reads the losses of one class into scores that are not known yet. */
+static int read_class(struct mo_connection *connection, int64_t genotype, int64_t controller,
+                      int64_t physics, int64_t fingerprint, const int64_t *environments, uint32_t n,
+                      struct mo_score *scores)
+{
+  static const char sql[] =
+      "SELECT " MO_SCORE_COLUMNS " FROM scores x CROSS JOIN conditions c ON c.id=x.condition"
+      " WHERE x.genotype=?1 AND c.controller=?2 AND c.physics=?3 AND c.fingerprint=?4";
+  int64_t computed_us[MO_ENVIRONMENTS_MAX] = {0};
+  int error = MO_OK, step = 0;
+  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, genotype);
+  sqlite3_bind_int64(statement, 2, controller);
+  sqlite3_bind_int64(statement, 3, physics);
+  sqlite3_bind_int64(statement, 4, fingerprint);
+  while (error == MO_OK && (step = mo_sql_step(connection, statement)) > 0) {
+    const int64_t time_us = sqlite3_column_int64(statement, 6);
+    struct mo_condition condition = {.n = 0};
+    double losses[MO_BLOCK_LANES];
+    uint32_t steps[MO_BLOCK_LANES];
+    error = mo_score_from_row(statement, 0, &condition, losses, steps);
+    for (uint32_t i = 0; i < condition.n && error == MO_OK; i++)
+      for (uint32_t k = 0; k < n; k++)
+        if (environments[k] == condition.environments[i] &&
+            (!scores[k].known || time_us < computed_us[k])) {
+          scores[k] = (struct mo_score){losses[i], (int32_t)steps[i], true};
+          computed_us[k] = time_us;
+        }
+  }
+  (void)sqlite3_reset(statement);
+  return step < 0 ? step : error;
+}
+
+int mo_losses_read(struct mo_connection *connection, int64_t genotype, int64_t controller,
+                   int64_t physics, int64_t fingerprint, int64_t workers,
+                   const int64_t *environments, uint32_t n, struct mo_score *scores)
+{
+  uint32_t n_known = 0;
+  int error;
+  memset(scores, 0, n * sizeof(*scores));
+  error =
+      read_class(connection, genotype, controller, physics, fingerprint, environments, n, scores);
+  for (uint32_t k = 0; k < n; k++)
+    n_known += scores[k].known;
+  if (error == MO_OK && n_known < n && workers != 0 && workers != fingerprint)
+    error = read_class(connection, genotype, controller, physics, workers, environments, n, scores);
+  return error;
+}
+
+int mo_store_scores(struct mo_store *store, int64_t genotype, int64_t controller, int64_t physics,
+                    int64_t fingerprint, const int64_t *environment_rows, uint32_t n,
+                    struct mo_score *scores)
+{
+  int error;
+  pthread_mutex_lock(&store->runner_mutex);
+  error = mo_losses_read(&store->runner, genotype, controller, physics, fingerprint, 0,
+                         environment_rows, n, scores);
+  pthread_mutex_unlock(&store->runner_mutex);
+  return error;
+}
+
+/* ---- scores of evaluations ---- */
+
+uint64_t mo_recomputed_checksum(const int64_t key[4], const double *values, size_t n)
+{
+  return mo_row_checksum(key, 4, values, n * sizeof(*values));
+}
+
+/* Stores what a verify job computed, beside the loss of its class that was stored before. */
+static int note_recomputed(struct mo_connection *writer, const struct mo_saved_score *score,
+                           bool *is_known)
+{
+  static const char sql[] =
+      "INSERT OR IGNORE INTO recomputed(job,position,environment,diverged_step,loss,stored,"
+      "checksum) VALUES(?1,?2,?3,?4,?5,?6,?7)";
+  const int64_t key[4] = {score->verify_job, score->design_position, score->environment_position,
+                          score->diverged_step};
+  struct mo_score before;
+  double values[2];
+  sqlite3_stmt *statement;
+  int error = mo_losses_read(writer, score->genotype, score->controller, score->physics,
+                             score->fingerprint, 0, &score->environment, 1, &before);
+  if (error != MO_OK)
+    return error;
+  *is_known = before.known;
+  statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  values[0] = score->loss;
+  values[1] = before.loss;
+  for (int i = 0; i < 4; i++)
+    sqlite3_bind_int64(statement, i + 1, key[i]);
+  sqlite3_bind_blob(statement, 5, &values[0], 8, SQLITE_STATIC);
+  if (before.known)
+    sqlite3_bind_blob(statement, 6, &values[1], 8, SQLITE_STATIC);
+  sqlite3_bind_int64(statement, 7,
+                     (int64_t)mo_recomputed_checksum(key, values, before.known ? 2 : 1));
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  return error;
+}
+
+/* Returns how many scores, from the first on, become one row. */
+static uint32_t run_of_scores(const struct mo_saved_score *scores, size_t n)
+{
+  uint32_t i = 1;
+  while (i < n && i < MO_BLOCK_LANES && scores[i].genotype == scores[0].genotype &&
+         scores[i].controller == scores[0].controller && scores[i].physics == scores[0].physics &&
+         scores[i].fingerprint == scores[0].fingerprint &&
+         scores[i].verify_job == scores[0].verify_job)
+    i++;
+  return i;
+}
+
+static bool same_condition(const struct mo_condition *a, const struct mo_condition *b)
+{
+  return a->controller == b->controller && a->physics == b->physics &&
+         a->fingerprint == b->fingerprint && a->n == b->n &&
+         memcmp(a->environments, b->environments, a->n * sizeof(*a->environments)) == 0;
+}
+
+/* Inserts a run of scores. *condition: that of the run before, whose id is used again if it suits.
+ */
+static int insert_run(struct mo_store *store, const struct mo_saved_score *scores, uint32_t n,
+                      int64_t now_us, struct mo_condition *condition)
+{
+  struct mo_condition wanted = {.controller = scores[0].controller,
+                                .physics = scores[0].physics,
+                                .fingerprint = scores[0].fingerprint,
+                                .n = n};
+  double losses[MO_BLOCK_LANES] = {0};
+  uint32_t steps[MO_BLOCK_LANES] = {0};
+  bool all_known = scores[0].verify_job != 0, is_known = false, is_new = false;
+  int error = MO_OK;
+  for (uint32_t k = 0; k < n && error == MO_OK; k++) {
+    wanted.environments[k] = scores[k].environment;
+    losses[k] = scores[k].loss;
+    steps[k] = (uint32_t)scores[k].diverged_step;
+    if (scores[k].verify_job != 0)
+      error = note_recomputed(&store->writer, &scores[k], &is_known);
+    all_known = all_known && is_known;
+  }
+  if (error != MO_OK || all_known)
+    return error;
+  if (!same_condition(&wanted, condition)) {
+    error = mo_condition_row(&store->writer, &wanted);
+    *condition = wanted;
+  }
+  return error == MO_OK ? mo_losses_insert(store, condition, scores[0].genotype, losses, steps,
+                                           now_us, &is_new)
+                        : error;
+}
+
+int mo_scores_insert(struct mo_store *store, const struct mo_saved_score *scores, size_t n,
+                     int64_t now_us)
+{
+  struct mo_condition condition = {.n = 0};
+  int error = MO_OK;
+  for (size_t i = 0; i < n && error == MO_OK;) {
+    const uint32_t run = run_of_scores(scores + i, n - i);
+    error = insert_run(store, scores + i, run, now_us, &condition);
+    i += run;
+  }
+  return error;
+}
+
+/* ---- means over named sets ---- */
+
+static uint64_t set_score_checksum(int64_t ranking, int64_t genotype, double mean)
+{
+  const int64_t key[] = {ranking, genotype};
+  return mo_row_checksum(key, 2, &mean, sizeof(mean));
+}
+
+int mo_ranking_row(struct mo_connection *writer, const struct mo_saved_design *design,
+                   int64_t *ranking)
+{
+  static const char insert_sql[] =
+      "INSERT INTO rankings(controller,physics,fingerprint,environment_set) VALUES(?1,?2,?3,?4)";
+  static const char find_sql[] = "SELECT id FROM rankings WHERE controller=?1 AND physics=?2 AND "
+                                 "fingerprint=?3 AND environment_set=?4";
+  static const char *const sql[] = {find_sql, insert_sql, find_sql};
+  int error = MO_ERR_NOT_FOUND;
+  for (int i = 0; i < 3 && error == MO_ERR_NOT_FOUND; i++) {
+    sqlite3_stmt *statement = mo_sql(writer, sql[i], &error);
+    if (statement == NULL)
+      return error;
+    sqlite3_bind_int64(statement, 1, design->controller);
+    sqlite3_bind_int64(statement, 2, design->physics);
+    sqlite3_bind_int64(statement, 3, design->fingerprint);
+    sqlite3_bind_int64(statement, 4, design->environment_set);
+    error = i == 1 ? mo_sql_run(writer, statement) : mo_sql_integer(writer, statement, ranking);
+    if (i == 1 && error == MO_OK)
+      error = MO_ERR_NOT_FOUND;
+  }
+  return error;
+}
+
+int mo_set_score_insert_mean(struct mo_connection *writer, int64_t ranking, int64_t genotype,
+                             double mean)
+{
+  static const char sql[] =
+      "INSERT OR IGNORE INTO set_scores(ranking,genotype,score,checksum) VALUES(?1,?2,?3,?4)";
+  int error = MO_OK;
+  sqlite3_stmt *statement = isnan(mean) ? NULL : mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error != MO_OK ? error : MO_ERR_CORRUPT;
+  mean = mean == 0 ? 0 : mean; /* REAL has no −0 */
+  sqlite3_bind_int64(statement, 1, ranking);
+  sqlite3_bind_int64(statement, 2, genotype);
+  sqlite3_bind_double(statement, 3, mean);
+  sqlite3_bind_int64(statement, 4, (int64_t)set_score_checksum(ranking, genotype, mean));
+  return mo_sql_run(writer, statement);
+}
+
+int mo_set_score_from_row(sqlite3_stmt *statement, int first, int64_t ranking, int64_t genotype,
+                          double *mean)
+{
+  *mean = sqlite3_column_double(statement, first);
+  return (uint64_t)sqlite3_column_int64(statement, first + 1) ==
+                 set_score_checksum(ranking, genotype, *mean)
+             ? MO_OK
+             : MO_ERR_CORRUPT;
+}
+
+/* Reads the environments of a named set, in its order. */
+static int read_set(struct mo_connection *connection, int64_t set,
+                    int64_t environments[MO_ENVIRONMENTS_MAX], uint32_t *n)
+{
+  static const char sql[] =
+      "SELECT environment FROM environment_set_members WHERE environment_set=?1 ORDER BY position";
+  int error = MO_OK, step = 0;
+  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, set);
+  *n = 0;
+  while ((step = mo_sql_step(connection, statement)) > 0 && *n < MO_ENVIRONMENTS_MAX)
+    environments[(*n)++] = sqlite3_column_int64(statement, 0);
+  (void)sqlite3_reset(statement);
+  return step > 0 ? MO_ERR_CORRUPT : step;
+}
+
+int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design,
+                        int64_t ranking)
+{
+  static const char known_sql[] = "SELECT 1 FROM set_scores WHERE ranking=?1 AND genotype=?2";
+  int64_t environments[MO_ENVIRONMENTS_MAX] = {0}, known;
+  struct mo_score scores[MO_ENVIRONMENTS_MAX];
+  uint32_t n = 0;
+  double sum = 0;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, known_sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, ranking);
+  sqlite3_bind_int64(statement, 2, design->genotype);
+  error = mo_sql_integer(writer, statement, &known);
+  if (error != MO_ERR_NOT_FOUND)
+    return error;
+  error = read_set(writer, design->environment_set, environments, &n);
+  if (error == MO_OK)
+    error = mo_losses_read(writer, design->genotype, design->controller, design->physics,
+                           design->fingerprint, design->workers, environments, n, scores);
+  for (uint32_t k = 0; k < n && error == MO_OK; k++) {
+    if (!scores[k].known)
+      return MO_OK;
+    sum += scores[k].loss;
+  }
+  return error == MO_OK && n > 0
+             ? mo_set_score_insert_mean(writer, ranking, design->genotype, sum / (double)n)
+             : error;
+}

@@ -1,0 +1,67 @@
+/* scores.h: stored losses, packed (scores.c). Only for this room. */
+#ifndef MORPHO_STORE_SCORES_H
+#define MORPHO_STORE_SCORES_H
+
+#include <morpho/compute.h>
+
+#include "store/internal.h"
+
+/* ---- packed losses: doubles; if any rollout diverged the 32-bit steps; a 64-bit checksum ---- */
+
+#define MO_PACKED_BYTES(n) (12 * (size_t)(n) + 8) /* at most */
+/* Returns the checksum of `key` and of bytes. Changing any one word of either changes it. */
+uint64_t mo_row_checksum(const int64_t *key, size_t n_key, const void *bytes, size_t size);
+/* Returns the number of bytes. `key`: what identifies the losses, for the checksum. */
+size_t mo_pack_losses(const int64_t *key, size_t n_key, const double *losses,
+                      const uint32_t *diverged_steps, uint32_t n, uint8_t *bytes);
+/* MO_ERR_CORRUPT: another number of losses, or a wrong checksum. */
+int mo_unpack_losses(const int64_t *key, size_t n_key, const uint8_t *bytes, size_t size,
+                     uint32_t n, double *losses, uint32_t *diverged_steps);
+
+/* ---- rows ---- */
+
+/* What a loss depends on besides the genotype: a row of `conditions`. */
+struct mo_condition {
+  int64_t id, controller, physics, fingerprint;
+  uint32_t n;
+  int64_t environments[MO_BLOCK_LANES];
+};
+/* Finds or inserts a condition, and sets its id. */
+int mo_condition_row(struct mo_connection *writer, struct mo_condition *condition);
+/* Inserts the losses of a genotype under a condition with an id, unless they are stored. */
+int mo_losses_insert(struct mo_store *store, const struct mo_condition *condition, int64_t genotype,
+                     const double *losses, const uint32_t *diverged_steps, int64_t now_us,
+                     bool *is_new);
+/* Decodes a row of MO_SCORE_COLUMNS, from column `first` on; losses and steps (MO_BLOCK_LANES). */
+#define MO_SCORE_COLUMNS                                                                           \
+  "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.origin,x.computed_us,x.losses"
+int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,
+                      double *losses, uint32_t *diverged_steps);
+/* Reads the losses of a genotype in n ≤ MO_ENVIRONMENTS_MAX environments: those of the class
+ * `fingerprint`, and where there are none those of the class `workers` (0: none). */
+int mo_losses_read(struct mo_connection *connection, int64_t genotype, int64_t controller,
+                   int64_t physics, int64_t fingerprint, int64_t workers,
+                   const int64_t *environments, uint32_t n, struct mo_score *scores);
+/* Returns the checksum of a row of `recomputed`, whose key is {job, position, environment, step};
+ * values: the loss and, if n is 2, the stored one. */
+uint64_t mo_recomputed_checksum(const int64_t key[4], const double *values, size_t n);
+/* Inserts scores, as they are saved for a job. */
+int mo_scores_insert(struct mo_store *store, const struct mo_saved_score *scores, size_t n,
+                     int64_t now_us);
+
+/* ---- means over named sets ---- */
+
+/* Finds or inserts a row of `rankings`. */
+int mo_ranking_row(struct mo_connection *writer, const struct mo_saved_design *design,
+                   int64_t *ranking);
+/* Inserts a genotype's mean, if the set is complete and the mean is not stored yet. */
+int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design,
+                        int64_t ranking);
+/* Like mo_set_score_insert for a caller that knows the mean. */
+int mo_set_score_insert_mean(struct mo_connection *writer, int64_t ranking, int64_t genotype,
+                             double mean);
+/* Reads a row's mean in column `first` and checks it against the checksum in the next column. */
+int mo_set_score_from_row(sqlite3_stmt *statement, int first, int64_t ranking, int64_t genotype,
+                          double *mean);
+
+#endif

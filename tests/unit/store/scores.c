@@ -1,0 +1,380 @@
+/* scores.c: packed losses, classes, origins, and what happens to a bit that changes on the disk. */
+#include "store/scores.h"
+
+#include <math.h>
+
+#include "by_hand.h"
+#include "store/check.h"
+
+#define DESIGNS 12
+#define FLIPS   120
+
+static double lively_loss(uint32_t n, uint32_t k)
+{
+  return n % 5 == 4 && k == 3 ? INFINITY : 0.1 * (n + 1) + 0.003 * k;
+}
+
+/* ---- packed losses ---- */
+
+static void packs_losses(void)
+{
+  const int64_t key[] = {7, 8, 9};
+  for (uint32_t n = 1; n <= MO_BLOCK_LANES; n++)
+    for (int diverges = 0; diverges < 2; diverges++) {
+      double losses[MO_BLOCK_LANES], back[MO_BLOCK_LANES];
+      uint32_t steps[MO_BLOCK_LANES] = {0}, back_steps[MO_BLOCK_LANES];
+      uint8_t bytes[MO_PACKED_BYTES(MO_BLOCK_LANES)];
+      size_t size;
+      for (uint32_t k = 0; k < n; k++)
+        losses[k] = lively_loss(4, k);
+      steps[n - 1] = diverges ? 17 : 0;
+      size = mo_pack_losses(key, 3, losses, steps, n, bytes);
+      CHECK_INT(size, (diverges ? 12 : 8) * n + 8);
+      CHECK_INT(mo_unpack_losses(key, 3, bytes, size, n, back, back_steps), MO_OK);
+      CHECK(memcmp(losses, back, 8 * n) == 0 && memcmp(steps, back_steps, 4 * n) == 0);
+      for (size_t bit = 0; bit < 8 * size; bit++) {
+        bytes[bit / 8] ^= (uint8_t)(1 << bit % 8);
+        CHECK_INT(mo_unpack_losses(key, 3, bytes, size, n, back, back_steps), MO_ERR_CORRUPT);
+        bytes[bit / 8] ^= (uint8_t)(1 << bit % 8);
+      }
+      for (int i = 0; i < 3; i++) {
+        int64_t other[] = {7, 8, 9};
+        other[i] ^= 1;
+        CHECK_INT(mo_unpack_losses(other, 3, bytes, size, n, back, back_steps), MO_ERR_CORRUPT);
+      }
+      CHECK_INT(mo_unpack_losses(key, 3, bytes, size - 4, n, back, back_steps), MO_ERR_CORRUPT);
+      CHECK_INT(mo_unpack_losses(key, 3, NULL, size, n, back, back_steps), MO_ERR_CORRUPT);
+    }
+}
+
+/* ---- classes ---- */
+
+static struct mo_work *load(struct fixture *fixture, int64_t id, int64_t fingerprint)
+{
+  struct mo_work *work = NULL;
+  CHECK_INT(mo_store_load_work(fixture->store, id, fixture_classes(fingerprint), &work), MO_OK);
+  return work;
+}
+
+static int save_one(struct fixture *fixture, const struct mo_work *work, const uint32_t *places,
+                    uint32_t n, double loss)
+{
+  struct mo_saved_score scores[MO_BLOCK_LANES];
+  struct mo_save save = {.scores = scores, .n_scores = n};
+  for (uint32_t i = 0; i < n; i++)
+    scores[i] = (struct mo_saved_score){.genotype = work->genotype_rows[0],
+                                        .controller = work->controller,
+                                        .physics = work->physics,
+                                        .environment = work->environment_rows[places[i]],
+                                        .fingerprint = work->fingerprint,
+                                        .loss = loss + places[i]};
+  return save_and_wait(fixture->store, &save);
+}
+
+static uint32_t known_of(struct fixture *fixture, const struct mo_work *work,
+                         struct mo_score scores[MO_PAPER_TEST_COUNT])
+{
+  uint32_t n = 0;
+  CHECK_INT(mo_store_scores(fixture->store, work->genotype_rows[0], work->controller, work->physics,
+                            work->fingerprint, work->environment_rows, MO_PAPER_TEST_COUNT, scores),
+            MO_OK);
+  for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
+    n += scores[k].known;
+  return n;
+}
+
+/* Losses are found by environment, whatever was computed together with it; those of another class
+ * are not found; those computed first stay. */
+static void finds_by_environment_and_class(void)
+{
+  static const uint32_t first[] = {0, 2, 4}, second[] = {4, 3, 9};
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_score scores[MO_PAPER_TEST_COUNT];
+  struct mo_work *work, *other;
+  int64_t id, one = 0, two = 0;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(3, 1, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 1);
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  REQUIRE(mo_store_fingerprint(fixture.store, "one", &one) == MO_OK);
+  REQUIRE(mo_store_fingerprint(fixture.store, "two", &two) == MO_OK);
+  work = load(&fixture, id, one);
+  other = load(&fixture, id, two);
+  REQUIRE(work != NULL && other != NULL);
+  CHECK_INT(save_one(&fixture, work, first, 3, 0.5), MO_OK);
+  CHECK_INT(save_one(&fixture, work, second, 3, 0.75), MO_OK); /* 4 is known already */
+  CHECK_INT(save_one(&fixture, work, first, 3, 0.25), MO_OK);  /* the same again */
+  CHECK_INT(known_of(&fixture, work, scores), 5);
+  CHECK(scores[0].loss == 0.5 && scores[2].loss == 2.5 && scores[4].loss == 4.5);
+  CHECK(scores[3].loss == 3.75 && scores[9].loss == 9.75 && !scores[1].known);
+  CHECK_INT(known_of(&fixture, other, scores), 0);
+  CHECK_INT(save_one(&fixture, other, second, 2, 0.125), MO_OK);
+  CHECK_INT(known_of(&fixture, other, scores), 2);
+  CHECK(scores[4].loss == 4.125 && scores[3].loss == 3.125);
+  CHECK_INT(known_of(&fixture, work, scores), 5);
+  CHECK(scores[4].loss == 4.5);
+  CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM scores"), 3);
+  mo_work_free(work);
+  mo_work_free(other);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+/* A recording job that goes on under other code begins again, and says so. */
+static void goes_on_in_a_new_class(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  double com_m[9] = {0};
+  struct mo_saved_trajectory trajectory = {
+      .stride = 10, .frames = 3, .n_masses = 8, .com_m = com_m};
+  struct mo_job_update update = {.step = MO_STEP_START};
+  struct mo_save save = {.updates = &update, .n_updates = 1};
+  struct mo_event events[8];
+  struct mo_work *work;
+  int64_t id, classes[2] = {0, 0}, n;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(3, 1, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 1);
+  submission.record_com = true;
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  REQUIRE(mo_store_fingerprint(fixture.store, "one", &classes[0]) == MO_OK);
+  REQUIRE(mo_store_fingerprint(fixture.store, "two", &classes[1]) == MO_OK);
+  update.job = trajectory.job = id;
+  for (int round = 0; round < 3; round++) { /* in the second one nothing changes */
+    const int64_t now = classes[round == 2];
+    work = load(&fixture, id, now);
+    REQUIRE(work != NULL);
+    CHECK_INT(work->fingerprint, now);
+    CHECK_INT(work->n_finished, round == 1 ? 1 : 0);
+    mo_work_free(work);
+    update.fingerprint = update.workers = now;
+    CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+    CHECK(update.applied);
+    CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM trajectories"), round == 1);
+    save.trajectories = &trajectory;
+    save.n_trajectories = round == 0;
+    save.n_updates = 0;
+    CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+    save.n_updates = 1;
+    save.n_trajectories = 0;
+  }
+  n = mo_store_events(fixture.store, 0, id, events, 8, NULL, NULL);
+  REQUIRE(n == 5); /* created, three starts, and the change before the last of them */
+  CHECK_TEXT(events[3].type, "evaluation.code_changed");
+  CHECK(strstr(events[3].data, "\"before\":\"one\",\"fingerprint\":\"two\"") != NULL);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+/* ---- damage ---- */
+
+static void count_finding(void *context, const char *finding)
+{
+  (void)finding;
+  (*(int *)context)++;
+}
+
+static uint8_t *read_file(const char *path, size_t *size)
+{
+  FILE *file = fopen(path, "r");
+  uint8_t *bytes = NULL;
+  if (file == NULL || fseek(file, 0, SEEK_END) != 0)
+    return NULL;
+  *size = (size_t)ftell(file);
+  rewind(file);
+  bytes = malloc(*size);
+  if (bytes != NULL && fread(bytes, 1, *size, file) != *size) {
+    free(bytes);
+    bytes = NULL;
+  }
+  fclose(file);
+  return bytes;
+}
+
+/* Changes one bit of the file. */
+static int flip(const char *path, size_t bit)
+{
+  FILE *file = fopen(path, "r+");
+  int byte, error = -1;
+  if (file != NULL && fseek(file, (long)(bit / 8), SEEK_SET) == 0 && (byte = fgetc(file)) != EOF &&
+      fseek(file, (long)(bit / 8), SEEK_SET) == 0 && fputc(byte ^ (1 << bit % 8), file) != EOF)
+    error = 0;
+  if (file != NULL)
+    fclose(file);
+  return error;
+}
+
+/* Returns whether the results are those that were stored. */
+static bool is_the_truth(const struct mo_evaluation_results *results, const struct mo_bits *forms,
+                         const struct mo_bits *genotypes)
+{
+  bool same = results->n_designs == DESIGNS && results->n_environments == MO_PAPER_TEST_COUNT &&
+              memcmp(results->forms, forms, DESIGNS * sizeof(*forms)) == 0 &&
+              memcmp(results->genotypes, genotypes, DESIGNS * sizeof(*genotypes)) == 0;
+  for (uint32_t i = 0; same && i < DESIGNS * MO_PAPER_TEST_COUNT; i++) {
+    const double loss = lively_loss(i / MO_PAPER_TEST_COUNT, i % MO_PAPER_TEST_COUNT);
+    same = memcmp(&results->losses[i], &loss, 8) == 0 &&
+           results->diverged_steps[i] == (isinf(loss) ? 17 : 0);
+  }
+  return same;
+}
+
+/* Returns where rows of scores and bodies are in the database's file: a byte in or beside one. */
+static size_t place_of(const uint8_t *bytes, size_t size, const struct mo_bits *genotypes,
+                       uint32_t n, uint64_t random)
+{
+  uint8_t pattern[MO_BITS_BYTES];
+  const bool is_loss = random % 2 == 0;
+  const size_t length = is_loss ? 16 : MO_BITS_BYTES, extent = is_loss ? 100 : MO_BITS_BYTES;
+  const uint8_t *at;
+  if (is_loss)
+    for (uint32_t k = 0; k < 2; k++)
+      mo_encode_double(lively_loss(n, k), pattern + (size_t)8 * k);
+  else
+    mo_encode_bits(&genotypes[n], pattern);
+  at = memmem(bytes, size, pattern, length);
+  return at == NULL ? 4096 : (size_t)(at - bytes) - 12 + (size_t)(random >> 8) % (extent + 12);
+}
+
+/* A single bit of the database changes, mostly in or beside a score or a body. Results are the
+ * truth, or none. What the results do not say, `store check` finds. */
+static void serves_no_flipped_bit(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  int64_t id;
+  size_t size = 0;
+  char path[512];
+  uint64_t random = 1;
+  int refused = 0, found = 0, harmless = 0;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(9, DESIGNS, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, DESIGNS);
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  REQUIRE(run_by_hand(fixture.store, id, lively_loss) == MO_OK);
+  mo_store_close(fixture.store);
+  fixture.store = NULL;
+  snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
+  uint8_t *bytes = read_file(path, &size);
+  REQUIRE(bytes != NULL);
+  for (int i = 0; i < FLIPS; i++) {
+    struct mo_evaluation_results *results = NULL;
+    struct mo_check_counts counts = {0};
+    int findings = 0, error;
+    size_t bit;
+    random = random * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
+    bit = i % 4 == 0 ? 8 * 4096 + (size_t)(random >> 20) % (8 * (size - 4096)) /* not the schema */
+                     : 8 * place_of(bytes, size, genotypes, (uint32_t)i % DESIGNS, random >> 24) +
+                           (random >> 20) % 8;
+    REQUIRE(flip(path, bit) == 0);
+    error = fixture_reopen(&fixture);
+    if (error == MO_OK) {
+      error = mo_store_results(fixture.store, id, &results);
+      if (error == MO_OK) {
+        const bool is_true = is_the_truth(results, forms, genotypes);
+        CHECK(is_true);
+        if (!is_true)
+          printf("# bit %zu is served\n", bit);
+        mo_evaluation_results_free(results);
+        if (mo_store_check(fixture.store, &fixture.message) != MO_OK ||
+            mo_store_check_contents(fixture.store, count_finding, &findings, &counts) != MO_OK ||
+            findings > 0)
+          found++;
+        else
+          harmless++;
+      } else {
+        refused++;
+      }
+      mo_store_close(fixture.store);
+      fixture.store = NULL;
+    } else {
+      refused++;
+    }
+    FILE *file = fopen(path, "w");
+    REQUIRE(file != NULL && fwrite(bytes, 1, size, file) == size && fclose(file) == 0);
+  }
+  printf("# %d bits: %d refused, %d found by the check, %d in nothing that is read\n", FLIPS,
+         refused, found, harmless);
+  CHECK(refused + found > 10);
+  free(bytes);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+/* What the check reads of a sound store, and what it says of damage. */
+static void checks_contents(void)
+{
+  static const char *const damage[] = {
+      "UPDATE scores SET losses=CAST(zeroblob(8)||substr(losses,9) AS BLOB) WHERE genotype=2",
+      "UPDATE scores SET genotype=genotype+100 WHERE genotype=2",
+      "UPDATE scores SET computed_us=computed_us+1 WHERE genotype=2",
+      "UPDATE conditions SET fingerprint=(SELECT max(id) FROM fingerprints)",
+      "UPDATE condition_environments SET environment=1+environment%2 WHERE position=4",
+      "DELETE FROM condition_environments WHERE position=9",
+      "UPDATE set_scores SET score=score/2 WHERE genotype=3",
+      "UPDATE genotypes SET bits=CAST(substr(bits,1,17)||x'7f' AS BLOB) WHERE id=5",
+      "UPDATE environments SET data=zeroblob(528) WHERE id=3",
+      "UPDATE physics SET sha256=zeroblob(32)",
+      "UPDATE jobs SET state=9",
+  };
+  for (size_t i = 0; i <= sizeof(damage) / sizeof(damage[0]); i++) {
+    const bool is_sound = i == sizeof(damage) / sizeof(damage[0]);
+    struct fixture fixture;
+    struct mo_bits *forms, *genotypes;
+    struct mo_submission submission;
+    struct mo_check_counts counts;
+    struct mo_score_sample samples[4];
+    int64_t id, other;
+    int findings = 0;
+    bool replayed;
+    REQUIRE(fixture_start(&fixture) == 0);
+    REQUIRE(fixture_bodies(9, DESIGNS, &forms, &genotypes) == MO_OK);
+    submission = fixture_submission(forms, genotypes, DESIGNS);
+    REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+    REQUIRE(run_by_hand(fixture.store, id, lively_loss) == MO_OK);
+    REQUIRE(mo_store_fingerprint(fixture.store, "another", &other) == MO_OK);
+    CHECK_INT(mo_store_sample(fixture.store, "by hand", 12345, samples, 4), 4);
+    for (int k = 0; k < 4; k++) {
+      uint32_t n = 0;
+      while (n < DESIGNS && memcmp(&samples[k].genotype, &genotypes[n], sizeof(*genotypes)) != 0)
+        n++;
+      CHECK(n < DESIGNS);
+      CHECK_INT(samples[k].diverged_step, isinf(samples[k].loss) ? 17 : 0);
+    }
+    CHECK_INT(mo_store_sample(fixture.store, "another", 12345, samples, 4), 0);
+    mo_store_close(fixture.store);
+    fixture.store = NULL;
+    if (!is_sound)
+      CHECK_INT(outside(&fixture, damage[i]), SQLITE_OK);
+    REQUIRE(fixture_reopen(&fixture) == MO_OK);
+    CHECK_INT(mo_store_check_contents(fixture.store, count_finding, &findings, &counts), MO_OK);
+    CHECK_INT(counts.findings, findings);
+    CHECK_INT(counts.files, 1);
+    CHECK(is_sound ? findings == 0 && counts.rows > 2 * DESIGNS : findings > 0);
+    if (!is_sound && findings == 0)
+      printf("# not found: %s\n", damage[i]);
+    free(forms);
+    free(genotypes);
+    fixture_end(&fixture);
+  }
+}
+
+static const struct check_case cases[] = {
+    {"packs losses with a checksum", packs_losses},
+    {"finds losses by environment and class", finds_by_environment_and_class},
+    {"goes on in a new class", goes_on_in_a_new_class},
+    {"serves no flipped bit", serves_no_flipped_bit},
+    {"checks contents", checks_contents},
+};
+CHECK_MAIN(cases)
