@@ -108,7 +108,7 @@ def test_evaluations(start):
     score = service.request(
         "GET", f"/v1/designs/{expected[0]['id']}").json()["orientations"][0]["scores"][0]
     assert score["fingerprint"] == "fake float32 score-1 sm90"
-    # Another class is computed anew, but for the body that the devices left to the processors.
+    # Another class is computed again, but for the body that the devices left to the processors.
     for cached in (10, 1000):
         known = run(service, "evaluations", {**LARGE, "device": "cpu"})
         assert known["device"] == "cpu" and known["rollouts_cached"] == cached
