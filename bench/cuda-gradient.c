@@ -244,8 +244,8 @@ static void run_with(struct result *r, const struct mo_controller *controller,
   r->total_s = now_s() - start;
   const struct mo_cuda_gradient_profile *p = mo_cuda_gradient_times(state);
   printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums "
-         "%.4f), host %.3f "
-         "(layout %.3f, upload %.3f); %.1f GB, %u groups, %u in halves, %u passes, %u ways back\n",
+         "%.4f), host %.3f (layout %.3f, upload %.3f); %.1f GB, %u groups, %u in halves, %u "
+         "passes, %u ways back\n",
          n, physics->n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->products_s,
          p->collect_s, r->call.host_s, p->plan_s, p->upload_s, (double)p->device_bytes * 1e-9,
          p->groups, p->halved, p->passes, p->walks);
@@ -316,8 +316,7 @@ static void check_likeness(const char *weights, const char *path, const struct s
   const struct likeness like =
       likeness_of(r.call.d_parameters, reference, controller->n_parameters);
   printf("weights %s: cosine %.6f, relative error %.3g, norms %.6g and %.6g; |difference in loss| "
-         "median %.1e, p90 "
-         "%.1e, most %.1e\n",
+         "median %.1e, p90 %.1e, most %.1e\n",
          weights, like.cosine, like.error, like.norm, like.norm_reference, differ[LIKE / 2],
          differ[LIKE * 9 / 10], differ[LIKE - 1]);
   print_counts("device", &r.call.counts);
@@ -410,8 +409,7 @@ static void check_alone(const struct scene *s, uint32_t workers)
   }
   qsort(differ, n, sizeof(*differ), ascending);
   printf("%u robots restart: relative error of each alone, median %.3g, p90 %.3g; %u of them "
-         "nearer to float64 with "
-         "their weight than with another\n",
+         "nearer to float64 with their weight than with another\n",
          n, n > 0 ? differ[n / 2] : 0, n > 0 ? differ[n * 9 / 10] : 0, nearer);
   expect(n > 0 && nearer * 4 >= n * 3, "at least three in four are nearer to what they should be");
   mo_controller_free(controller);

@@ -510,8 +510,7 @@ static void time_rows(struct mo_device_controller *controller, const char *what,
   for (uint32_t i = 0; i < n; i++)
     mean += outcomes[i].loss / n;
   printf("%s, %u x %u, %.1f masses, %.1f springs, %s: device %.4f s (%.4f to %.4f), host %.4f s, "
-         "together %.4f s; mean "
-         "loss %.5f, bits %016llx\n",
+         "together %.4f s; mean loss %.5f, bits %016llx\n",
          what, n_bodies, n_environments, masses / n_bodies, springs / n_bodies,
          precision_names[precision], device_s[REPEATS / 2], device_s[0], device_s[REPEATS - 1],
          host_s[REPEATS / 2], wall[REPEATS / 2], mean, (unsigned long long)hash_of(outcomes, n));

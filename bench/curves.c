@@ -54,20 +54,18 @@ static void axes(FILE *file, const struct curves_panel *panel, uint32_t n_steps)
     const double step = (double)n_steps * i / TICKS, loss = 0.2 * i;
     fprintf(file,
             "<line x1=\"%.1f\" y1=\"%d\" x2=\"%.1f\" y2=\"%d\" class=\"grid\"/><text x=\"%.1f\" "
-            "y=\"%d\" "
-            "text-anchor=\"middle\">%g</text>\n"
+            "y=\"%d\" text-anchor=\"middle\">%g</text>\n"
             "<line x1=\"%d\" y1=\"%.1f\" x2=\"%d\" y2=\"%.1f\" class=\"grid\"/><text x=\"%d\" "
-            "y=\"%.1f\" "
-            "text-anchor=\"end\">%.1f</text>\n",
+            "y=\"%.1f\" text-anchor=\"end\">%.1f</text>\n",
             across(step, n_steps), TOP, across(step, n_steps), HEIGHT - BOTTOM,
             across(step, n_steps), HEIGHT - BOTTOM + 18, step, LEFT, up(loss), WIDTH - RIGHT,
             up(loss), LEFT - 8, up(loss) + 4, loss);
   }
-  fprintf(file,
-          "<text x=\"%d\" y=\"%d\" text-anchor=\"middle\">step</text>\n<text "
-          "transform=\"translate(20 %d) rotate(-90)\" "
-          "text-anchor=\"middle\">mean loss of the batch</text>\n",
-          (LEFT + WIDTH - RIGHT) / 2, HEIGHT - 12, (TOP + HEIGHT - BOTTOM) / 2);
+  fprintf(
+      file,
+      "<text x=\"%d\" y=\"%d\" text-anchor=\"middle\">step</text>\n<text transform=\"translate(20 "
+      "%d) rotate(-90)\" text-anchor=\"middle\">mean loss of the batch</text>\n",
+      (LEFT + WIDTH - RIGHT) / 2, HEIGHT - 12, (TOP + HEIGHT - BOTTOM) / 2);
 }
 
 int bench_draw_curves(const char *path, uint32_t n_steps, const struct curves_panel *panels,
@@ -94,8 +92,7 @@ int bench_draw_curves(const char *path, uint32_t n_steps, const struct curves_pa
       mean_line(file, group, n_steps, color);
       fprintf(file,
               "<line x1=\"%d\" y1=\"%zu\" x2=\"%d\" y2=\"%zu\" stroke=\"%s\" "
-              "stroke-width=\"3\"/><text x=\"%d\" "
-              "y=\"%zu\">%s</text>\n",
+              "stroke-width=\"3\"/><text x=\"%d\" y=\"%zu\">%s</text>\n",
               WIDTH - RIGHT + 16, TOP + 12 + 20 * g, WIDTH - RIGHT + 40, TOP + 12 + 20 * g, color,
               WIDTH - RIGHT + 48, TOP + 16 + 20 * g, group->name);
     }

@@ -31,8 +31,8 @@ static const char usage[] =
     "  --forms N         bodies of a pretraining that count as seen (default 12000000)\n"
     "  --threads N       that draw these (default 1)\n"
     "  --selection NAME  truncation (default), tournament, novelty, age-layered\n"
-    "  --scores PATH     recorded scores, one to a line, for the designs in order of birth, "
-    "from the start again at the end\n"
+    "  --scores PATH     recorded scores, one to a line, for the designs in order of birth, from "
+    "the start again at the end\n"
     "  --seed N          of the campaign (default 1)\n"
     "  --store PATH      commit every generation to a new state folder there, and read it back\n";
 

@@ -138,11 +138,9 @@ static void print_report(const struct report *r, const char *name, bool json)
   const double clipped = (double)r->counts.clipped_steps / (double)r->counts.steps;
   if (json) {
     printf(" \"%s\": {\"ms_per_rollout_with_gradient\": %.3f, \"sgemm_gflop_per_s_best\": %.2f, "
-           "\"ratio\": %.4f, "
-           "\"ratio_block_median\": %.4f, \"ratio_block_worst\": %.4f,\n"
+           "\"ratio\": %.4f, \"ratio_block_median\": %.4f, \"ratio_block_worst\": %.4f,\n"
            "  \"scratch_mib\": %.2f, \"clipped_share_of_steps\": %.5f, \"clipped_robots\": %llu, "
-           "\"zeroed_robots\": "
-           "%llu, \"diverged_robots\": %llu},\n",
+           "\"zeroed_robots\": %llu, \"diverged_robots\": %llu},\n",
            name, r->ms_per_robot, 1e-9 * r->sgemm_best, r->ratio, r->ratio_median, r->ratio_worst,
            r->mib, clipped, (unsigned long long)r->counts.clipped_robots,
            (unsigned long long)r->counts.zeroed_robots,
@@ -311,8 +309,7 @@ static void print_back_end(const struct back_end *b, const struct sample *s, boo
     printf(" \"robots_per_second_1_worker\": %.2f, \"robots_per_second_2_workers\": %.2f, "
            "\"same_bits\": %s,\n"
            " \"urgent_blocks\": %u, \"urgent_worst_ms\": %.2f, \"robots_per_second_beside_them\": "
-           "%.2f, "
-           "\"worker_mib\": %.2f,\n",
+           "%.2f, \"worker_mib\": %.2f,\n",
            s->n / b->one_s, s->n / b->two_s, b->same ? "true" : "false", b->urgent,
            1e3 * b->urgent_worst_s, s->n / b->disturbed_s, b->worker_mib);
   else
@@ -349,8 +346,7 @@ int bench_gradient(const struct bench_options *options)
   }
   printf(json ? "{\"isa\": \"%s\", \"robots\": %u, \"mean_masses\": %.2f, \"mean_springs\": %.2f,\n"
               : "instruction set: %s\nsample: %u distinct random bodies, each in one training "
-                "environment, 1000 steps; on "
-                "average %.1f masses, %.1f springs\n",
+                "environment, 1000 steps; on average %.1f masses, %.1f springs\n",
          mo_isa_name(options->isa), n, masses, springs);
   measure(&shipped, &sample, scene.controller, options->isa, &sgemm);
   print_report(&shipped, json ? "trained" : "trained controller", json);
@@ -366,8 +362,7 @@ int bench_gradient(const struct bench_options *options)
     printf(" \"kept\": %s}\n", kept ? "true" : "false");
   else
     printf("\nbounds: ratio %.3f ≤ 1.7 %s; a worker's scratch %.1f MiB ≤ 512 %s; urgent block %.1f "
-           "ms ≤ 100 %s; same "
-           "bits %s\n",
+           "ms ≤ 100 %s; same bits %s\n",
            ratio, ratio <= RATIO_BOUND ? "ok" : "MISSED", back_end.worker_mib,
            back_end.worker_mib <= WORKER_MIB_BOUND ? "ok" : "MISSED", 1e3 * back_end.urgent_worst_s,
            back_end.urgent_worst_s <= URGENT_WAIT_BOUND ? "ok" : "MISSED",

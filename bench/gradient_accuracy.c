@@ -47,8 +47,7 @@ static bool compare(const struct bench_scene *scene, const struct mo_controller 
          c.robots.median, c.robots.p90, 100 * c.robots.share_alike);
   if (gradient.adjoint_bound > 0)
     printf("  float64 against itself with the lights moved by 1e-7 m: cosine %.6f; robot by robot "
-           "median %.1e, p90 %.1e; "
-           "below 1e-3 in %.1f %%\n",
+           "median %.1e, p90 %.1e; below 1e-3 in %.1f %%\n",
            c.moved_all.cosine, c.moved_robots.median, c.moved_robots.p90,
            100 * c.moved_robots.share_alike);
   printf("  difference in loss: median %.1e, p90 %.1e, most %.1e\n", c.loss_median, c.loss_p90,

@@ -277,8 +277,7 @@ static void run_one(struct learning_machine *machine, struct learning_run *run, 
     }
     if (report.step % SAVE_EVERY == 0 || report.step == n_steps) {
       printf("  step %4u  loss %.4f  norm %8.3f  rate %.2e  clipped %.1f %% of robots  diverged %u "
-             " zeroed %u  %.1f "
-             "bodies/s\n",
+             " zeroed %u  %.1f bodies/s\n",
              report.step, report.mean_loss, report.gradient_norm, report.rate,
              100.0 * report.clipped_robots_share, report.diverged, report.zeroed,
              run->settings.batch / seconds);

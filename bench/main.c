@@ -9,8 +9,7 @@
 static const char usage[] =
     "Usage: morpho-bench "
     "rollout|gradient|gradient-accuracy|accuracy|stability|load|shares|space|store|stream|learning|"
-    "evolution "
-    "[OPTION…]\n"
+    "evolution [OPTION…]\n"
     "\n"
     "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its "
     "best sgemm rate\n"

@@ -125,24 +125,21 @@ static void print_sample(const struct report *r, bool json)
            " \"rollouts_per_second_and_core\": %.2f, \"rollouts_per_second_best_round\": %.2f,\n"
            " \"sgemm_gflop_per_s_best\": %.2f, \"sgemm_gflop_per_s_median\": %.2f,\n"
            " \"ratio\": %.4f, \"ratio_round_median\": %.4f, \"ratio_round_worst\": %.4f, "
-           "\"active_share_of_arithmetic\": "
-           "%.4f,\n",
+           "\"active_share_of_arithmetic\": %.4f,\n",
            r->n_bodies, PAPER, r->voxels, r->masses, r->springs, r->rollouts_per_s,
            r->rollouts_per_s_best, 1e-9 * r->sgemm_best, 1e-9 * r->sgemm_median, r->ratio,
            r->ratio_median, r->ratio_worst, r->active_share);
     return;
   }
   printf("sample: %u distinct random bodies × %d environments × 1000 steps; on average %.1f "
-         "voxels, %.1f masses, %.1f "
-         "springs\n",
+         "voxels, %.1f masses, %.1f springs\n",
          r->n_bodies, PAPER, r->voxels, r->masses, r->springs);
   printf("rollouts per second and core: %.1f (best round %.1f)\n", r->rollouts_per_s,
          r->rollouts_per_s_best);
   printf("best sgemm rate of one core:  %.1f GFLOP/s (median of the rounds %.1f)\n",
          1e-9 * r->sgemm_best, 1e-9 * r->sgemm_median);
   printf("ratio of time per rollout to the controller's arithmetic at that rate: %.3f (by round: "
-         "median %.3f, worst "
-         "%.3f)\n",
+         "median %.3f, worst %.3f)\n",
          r->ratio, r->ratio_median, r->ratio_worst);
   printf("controller arithmetic left after dropping absent masses and springs: %.1f %%\n",
          100 * r->active_share);
@@ -164,12 +161,11 @@ static double print_sizes(const struct runner *runner, const struct bench_scene 
     struct mo_body *body = bench_box(scene, boxes[i][0], boxes[i][1], boxes[i][2]);
     last_s = best_run_s(runner, runner->pack, scene, body, PAPER, physics) / PAPER;
     first_s = i == 0 ? last_s : first_s;
-    printf(
-        json ? "%s{\"voxels\": %u, \"masses\": %u, \"springs\": %u, \"us_per_rollout_step\": %.4f, "
-               "\"rollouts_per_second\": %.2f}"
-             : "%s%9u %8u %8u %21.3f %12.1f\n",
-        json && i > 0 ? ", " : "", body->n_voxels, body->n_masses, body->n_springs,
-        1e6 * last_s / physics->n_steps, 1 / last_s);
+    printf(json ? "%s{\"voxels\": %u, \"masses\": %u, \"springs\": %u, \"us_per_rollout_step\": "
+                  "%.4f, \"rollouts_per_second\": %.2f}"
+                : "%s%9u %8u %8u %21.3f %12.1f\n",
+           json && i > 0 ? ", " : "", body->n_voxels, body->n_masses, body->n_springs,
+           1e6 * last_s / physics->n_steps, 1 / last_s);
     mo_body_free(body);
   }
   printf(json ? "],\n \"full_over_one_voxel\": %.2f,\n"
@@ -193,8 +189,7 @@ static void print_skipping(const struct runner *runner, const struct bench_scene
   printf(json ? " \"step_us\": {\"controlled\": %.4f, \"in_the_air\": %.4f, \"passive\": %.4f, "
                 "\"one_environment\": %.4f},\n"
               : "\n64 voxels, µs per rollout step: %.3f, in the air %.3f, without a controller "
-                "%.3f, in "
-                "one environment instead of ten %.3f\n",
+                "%.3f, in one environment instead of ten %.3f\n",
          scale * with, scale * falling, scale * without, scale * PAPER * alone);
   mo_body_free(body);
 }
@@ -282,8 +277,7 @@ int bench_rollout(const struct bench_options *options)
               : "float64 takes %.2f times as long as float32\n"
                 "back end: %.1f rollouts/s with one worker, %.1f with two\n"
                 "scratch per worker, largest body, urgent block inside a batch block: %.2f MiB "
-                "(float32), %.2f MiB "
-                "(float64)\n",
+                "(float32), %.2f MiB (float64)\n",
          time64 / time32, one, two, mib32, mib64);
   if (!json)
     printf("\nbounds: ratio %.3f ≤ 1.6 %s; 144 voxels over one %.1f ≥ 3 %s; scratch %.2f MiB ≤ 16 "

@@ -145,9 +145,7 @@ static int ask_small_ones(const struct bench_daemon *daemon, struct mo_body_stre
   }
   double p95_s = bench_quantile(taken, N_INTERACTIVE, 0.95);
   printf("one interactive design × 10 environments, %d times beside them: median %.0f ms, 95th "
-         "percentile %.0f ms, "
-         "longest "
-         "%.0f ms, bound of the percentile 1500 ms  %s\n",
+         "percentile %.0f ms, longest %.0f ms, bound of the percentile 1500 ms  %s\n",
          N_INTERACTIVE, 1e3 * bench_median(taken, N_INTERACTIVE), 1e3 * p95_s,
          1e3 * taken[N_INTERACTIVE - 1], p95_s <= 1.5 ? "ok" : "MISSED");
   return p95_s > 1.5;

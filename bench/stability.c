@@ -200,8 +200,7 @@ static void print_summary(const struct map *map, int mode)
     dt *= pow(linear_bound(map, dt) / physics.stiffness_n_per_m, 0.25);
   fprintf(stderr,
           "%-11s %3u voxels, %-7s λ = %.3f k; at 15000 N/m dt < %.2f ms; border/bound %.2f to "
-          "%.2f; %u of %d points on "
-          "the other side of the bound\n",
+          "%.2f; %u of %d points on the other side of the bound\n",
           map->name, map->body->n_voxels, mode_names[mode], map->eigenvalue, 1e3 * dt, least, most,
           wrong, CELLS);
 }

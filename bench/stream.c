@@ -30,8 +30,7 @@ int bench_stream(int argc, char **argv)
   if (n < REPORTS || n > 1000000000 || threads < 1 || threads > 64) {
     fprintf(stderr,
             "morpho-bench stream [bodies [threads]]: between %d and 1000000000 bodies, 10500000 by "
-            "default; up to 64 "
-            "threads that draw ahead, 1 by default\n",
+            "default; up to 64 threads that draw ahead, 1 by default\n",
             REPORTS);
     return EXIT_FAILURE;
   }

@@ -35,14 +35,12 @@ static void ticks(FILE *file, const struct axis *axis, bool horizontal)
       if (horizontal)
         fprintf(file,
                 "<line x1=\"%.1f\" y1=\"%d\" x2=\"%.1f\" y2=\"%d\" class=\"grid\"/><text "
-                "x=\"%.1f\" y=\"%d\" "
-                "text-anchor=\"middle\">%g</text>\n",
+                "x=\"%.1f\" y=\"%d\" text-anchor=\"middle\">%g</text>\n",
                 p, TOP, p, HEIGHT - BOTTOM, p, HEIGHT - BOTTOM + 18, value);
       else
         fprintf(file,
                 "<line x1=\"%d\" y1=\"%.1f\" x2=\"%d\" y2=\"%.1f\" class=\"grid\"/><text x=\"%d\" "
-                "y=\"%.1f\" "
-                "text-anchor=\"end\">%g</text>\n",
+                "y=\"%.1f\" text-anchor=\"end\">%g</text>\n",
                 LEFT, p, WIDTH - RIGHT, p, LEFT - 8, p + 4, value);
     }
 }

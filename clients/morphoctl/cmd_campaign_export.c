@@ -154,9 +154,7 @@ int run_campaign_export(struct ctl *ctl)
   if (status == STATUS_OK && population != NULL)
     status = export_population(ctl, id, population);
   if (n_given == 0)
-    return complain(
-        STATUS_USAGE,
-        "what is to be exported? --curve, --population, --phylogeny, --newick, --learning or "
-        "--replicates FILE");
+    return complain(STATUS_USAGE, "what is to be exported? --curve, --population, --phylogeny, "
+                                  "--newick, --learning or --replicates FILE");
   return status;
 }

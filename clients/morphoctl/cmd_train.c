@@ -39,15 +39,11 @@ static int fill_designs(struct ctl *ctl, bool finetune, json_t *request)
     return STATUS_USAGE;
   bool listed = ctl->n_operands > 1 || n_random > 0;
   if (!finetune && (listed || population != NULL))
-    return complain(
-        STATUS_USAGE,
-        "a pretraining draws bodies of its own: designs, --random and --population are for "
-        "train start finetune");
+    return complain(STATUS_USAGE, "a pretraining draws bodies of its own: designs, --random and "
+                                  "--population are for train start finetune");
   if (finetune && listed == (population != NULL))
-    return complain(
-        STATUS_USAGE,
-        "a finetuning learns on designs (files, --random N) or on a --population: give one "
-        "of the two");
+    return complain(STATUS_USAGE, "a finetuning learns on designs (files, --random N) or on a "
+                                  "--population: give one of the two");
   if (best > 0 && population == NULL)
     return complain(STATUS_USAGE, "--best is for --population");
   if (population != NULL) {

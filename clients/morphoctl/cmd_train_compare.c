@@ -103,20 +103,17 @@ static void print_verdict(const struct side sides[2], const struct paired *paire
   else if (paired->high < 0)
     print_plain_line(stdout,
                      "%s is better than %s on such designs: its mean score is lower by %.4f (%.0f "
-                     "%% confidence: %.4f "
-                     "to %.4f).",
+                     "%% confidence: %.4f to %.4f).",
                      b, a, -paired->difference, 100 * CONFIDENCE, -paired->high, -paired->low);
   else if (paired->low > 0)
     print_plain_line(stdout,
                      "%s is worse than %s on such designs: its mean score is higher by %.4f (%.0f "
-                     "%% confidence: %.4f "
-                     "to %.4f).",
+                     "%% confidence: %.4f to %.4f).",
                      b, a, paired->difference, 100 * CONFIDENCE, paired->low, paired->high);
   else
     print_plain_line(stdout,
                      "Which of %s and %s is better is not shown: the interval of the difference "
-                     "holds 0. More designs "
-                     "make it narrower.",
+                     "holds 0. More designs make it narrower.",
                      a, b);
 }
 

@@ -43,8 +43,7 @@ static const struct option_spec verify_options[] = {
 static const struct option_spec design_list_options[] = {
     {"sort", 0, "id|score",
      "id: as the designs came (default); score: best first, those with a score on the paper's test "
-     "set, a row per "
-     "orientation."},
+     "set, a row per orientation."},
     {"controller", 'c', "NAME", "Controller of the scores (default: default)."},
     {"limit", 'n', "N", "At most so many (default: 100)."},
     {"all", 'a', NULL, "No limit."},
@@ -67,8 +66,7 @@ static const struct option_spec watch_options[] = {
 static const struct option_spec train_start_options[] = {
     {"preset", 0, "workstation|phototaxis|paper",
      "What is not given: workstation, the defaults below (default); phototaxis, as the shipped "
-     "controller was "
-     "pretrained; paper, as in the paper.",
+     "controller was pretrained; paper, as in the paper.",
      "preset", FIELD_WORD},
     {"name", 0, "NAME", "Name of the resulting controller (default: training- and the id).", "name",
      FIELD_WORD},
@@ -84,8 +82,8 @@ static const struct option_spec train_start_options[] = {
     {"best", 0, "N", "Only the N best of the population (default: all)."},
     {"schedule", 0, "NAME",
      "Learning rate: one-cosine (default), finetune-cosine (default of finetune), paper-pretrain, "
-     "paper-finetune, "
-     "paper-simultaneous; or restarts, cosine or constant, with the options below."},
+     "paper-finetune, paper-simultaneous; or restarts, cosine or constant, with the options "
+     "below."},
     TRAINING_OPTIONS{
         "physics", 'p', "KEY=VALUE",
         "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
@@ -151,9 +149,8 @@ static const struct option_spec campaign_start_options[] = {
     {"no-exclusions", 0, NULL, "Let bodies be born that the controller was pretrained on."},
     {"schedule", 0, "NAME",
      "Learning rate: one-cosine, finetune-cosine, paper-pretrain, paper-finetune (default of "
-     "few-shot), "
-     "paper-simultaneous (default of simultaneous); or restarts, cosine or constant, with the "
-     "options below."},
+     "few-shot), paper-simultaneous (default of simultaneous); or restarts, cosine or constant, "
+     "with the options below."},
     CAMPAIGN_OPTIONS{"checkpoint-seconds", 0, "N",
                      "Save the state of learning every N seconds; 0: at its end (default: 60).",
                      "learning.checkpoint_every_s", FIELD_WHOLE},
@@ -203,24 +200,15 @@ static const struct option_spec controller_get_options[] = {
 const struct command commands[] = {
     {"eval", "[DESIGN]...", "Score designs.",
      "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, or "
-     "an id. Files hold, "
-     "in any "
-     "mixture: JSON designs, alone, one per line or in lists ({\"cells\": [[x,y,z], ...]}, "
-     "{\"voxels\": \"0100...\"}, "
-     "{\"id\": "
-     "\"...\"}, each perhaps with a \"name\"), lists of cells [[x,y,z], ...], 144 digits 0 and 1, "
-     "or ids. # begins a "
-     "comment. "
-     "The score is the mean over the environments of (distance to the light at the end) / (at the "
-     "start): lower is "
-     "better, 1 is "
-     "standing still.",
+     "an id. Files hold, in any mixture: JSON designs, alone, one per line or in lists "
+     "({\"cells\": [[x,y,z], ...]}, {\"voxels\": \"0100...\"}, {\"id\": \"...\"}, each perhaps "
+     "with a \"name\"), lists of cells [[x,y,z], ...], 144 digits 0 and 1, or ids. # begins a "
+     "comment. The score is the mean over the environments of (distance to the light at the end) / "
+     "(at the start): lower is better, 1 is standing still.",
      eval_options, 0, MANY, run_eval},
     {"verify", "[DESIGN]...", "Recompute stored scores and compare the bits.",
      "Exit status 0 if all stored losses have the same bits, 3 if some differ or nothing is "
-     "stored. Of an id, every "
-     "stored "
-     "orientation is verified.",
+     "stored. Of an id, every stored orientation is verified.",
      verify_options, 0, MANY, run_verify},
     {"design show", "ID", "Show a design: its body, layer by layer, and its scores.", NULL, NULL, 1,
      1, run_design_show},
@@ -239,58 +227,49 @@ const struct command commands[] = {
      "Also with trainings and campaigns that have failed.", NULL, 1, MANY, run_job_resume},
     {"job weight", "ID X", "Give a job another part of the cores.",
      "0.001 to 1000; a job with twice the weight of another gets twice the time. It counts at "
-     "once, also while the job "
-     "runs.",
+     "once, also while the job runs.",
      NULL, 2, 2, run_job_weight},
     {"watch", "[JOB]", "Follow a job to its end, or all events.",
      "With --json one event per line. After a break the stream goes on where it was. Exit status "
-     "of a job: 0 if it "
-     "succeeded, 3 "
-     "if not.",
+     "of a job: 0 if it succeeded, 3 if not.",
      watch_options, 0, 1, run_watch},
     {"train start", "pretrain|finetune [DESIGN]...", "Let a controller learn.",
      "pretrain: from random weights or a controller, on an endless stream of distinct random "
-     "bodies. finetune: a "
-     "controller, on the designs given (as those of eval), on random ones, or on a population. The "
-     "training is a job "
-     "of the server, which goes on without morphoctl, and after a crash where it was.",
+     "bodies. finetune: a controller, on the designs given (as those of eval), on random ones, or "
+     "on a population. The training is a job of the server, which goes on without morphoctl, and "
+     "after a crash where it was.",
      train_start_options, 1, MANY, run_train_start},
     {"train list", "", "List trainings, newest first.", NULL, train_list_options, 0, 0,
      run_train_list},
     {"train show", "ID", "Show a training with its curve.", NULL, NULL, 1, 1, run_train_show},
     {"train watch", "ID", "Watch a training learn, to its end.",
      "On a terminal a live plot, else a line per event; with --json the events. Ctrl-C leaves the "
-     "training alone. Exit "
-     "status: 0 if it succeeded, 3 if not.",
+     "training alone. Exit status: 0 if it succeeded, 3 if not.",
      NULL, 1, 1, run_train_watch},
     {"train pause", "ID...", "Set trainings aside, with a checkpoint.", NULL, NULL, 1, MANY,
      run_job_pause},
     {"train resume", "ID...", "Go on with trainings that are paused, or have failed.", NULL, NULL,
      1, MANY, run_job_resume},
     {"train cancel", "ID...", "Cancel trainings.",
-     "Checkpoints that are kept stay: train export gives their "
-     "controllers.",
-     NULL, 1, MANY, run_job_cancel},
+     "Checkpoints that are kept stay: train export gives their controllers.", NULL, 1, MANY,
+     run_job_cancel},
     {"train export", "ID", "Fetch a training's controller, final or so far, and its curves.", NULL,
      train_export_options, 1, 1, run_train_export},
     {"train prune", "ID...", "Delete checkpoints that are not needed.",
      "Of a training that has ended all of them, since its result is a controller of its own; of "
-     "another all but the "
-     "newest, which it goes on "
-     "from. A checkpoint takes 12.4 MB. What is deleted cannot be exported any more.",
+     "another all but the newest, which it goes on from. A checkpoint takes 12.4 MB. What is "
+     "deleted cannot be exported any more.",
      train_prune_options, 1, MANY, run_train_prune},
     {"train compare", "A B", "Compare two controllers on held-out designs.",
      "Scores both controllers on designs and environments that no pretraining draws, and tells the "
-     "mean of the "
-     "differences over designs with its 95 % confidence interval (Student t). Lower scores are "
-     "better.",
+     "mean of the differences over designs with its 95 % confidence interval (Student t). Lower "
+     "scores are better.",
      train_compare_options, 2, 2, run_train_compare},
     {"campaign start", "zero-shot|few-shot|simultaneous [DESIGN]...", "Let a population evolve.",
      "zero-shot: the controller is frozen. few-shot: it learns anew in each generation. "
-     "simultaneous: it learns along. "
-     "DESIGNs (as those of eval) begin the initial population, random bodies fill it up. The "
-     "campaign is a job of the "
-     "server, which goes on without morphoctl, and after a crash where it was.",
+     "simultaneous: it learns along. DESIGNs (as those of eval) begin the initial population, "
+     "random bodies fill it up. The campaign is a job of the server, which goes on without "
+     "morphoctl, and after a crash where it was.",
      campaign_start_options, 1, MANY, run_campaign_start},
     {"campaign list", "", "List campaigns, newest first.", NULL, campaign_list_options, 0, 0,
      run_campaign_list},
@@ -298,8 +277,7 @@ const struct command commands[] = {
      run_campaign_show},
     {"campaign watch", "ID", "Watch a campaign evolve, to its end.",
      "On a terminal live curves and a table, else a line per generation; with --json the events. "
-     "Ctrl-C leaves the "
-     "campaign alone. Exit status: 0 if it succeeded, 3 if not.",
+     "Ctrl-C leaves the campaign alone. Exit status: 0 if it succeeded, 3 if not.",
      NULL, 1, 1, run_campaign_watch},
     {"campaign pause", "ID...", "Set campaigns aside.", NULL, NULL, 1, MANY, run_job_pause},
     {"campaign resume", "ID...", "Go on with campaigns that are paused, or have failed.", NULL,
@@ -318,10 +296,8 @@ const struct command commands[] = {
      campaign_export_options, 1, 1, run_campaign_export},
     {"campaign prune", "ID...", "Delete checkpoints of campaigns that have ended.",
      "12.4 MB for each that learned. Populations, phylogeny and the resulting controller stay. A "
-     "simultaneous campaign "
-     "cannot be extended or resumed after it; of one without a result champions cannot be recorded "
-     "any more. Of a "
-     "campaign that has not ended nothing is deleted.",
+     "simultaneous campaign cannot be extended or resumed after it; of one without a result "
+     "champions cannot be recorded any more. Of a campaign that has not ended nothing is deleted.",
      NULL, 1, MANY, run_campaign_prune},
     {"controller list", "", "List controllers.", NULL, NULL, 0, 0, run_controller_list},
     {"controller info", "NAME", "Show a controller.", NULL, NULL, 1, 1, run_controller_info},

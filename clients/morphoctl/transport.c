@@ -300,8 +300,7 @@ int complain_about_server(const struct ctl *ctl, const char *words)
   complain(0, "%s: %s", ctl->server, words);
   print_plain_line(stderr,
                    "  This address is %s. Is morphod running there? If it listens elsewhere, name "
-                   "its address with "
-                   "--server or MORPHOD_SERVER: http://host:port or unix:/path.",
+                   "its address with --server or MORPHOD_SERVER: http://host:port or unix:/path.",
                    option_is_set(ctl, "server")         ? "that of --server"
                    : variable != NULL && *variable != 0 ? "that of MORPHOD_SERVER"
                                                         : "the default");

@@ -173,9 +173,9 @@ static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *pa
                      "nothing learns in a zero-shot campaign; settings of learning are expected of "
                      "few-shot and simultaneous only");
   else if (parsed->has_sensor && !random)
-    mo_json_fault_at(json, 0, "/learning/sensor",
-                     "the campaign starts from a controller, which has its sensor; none is "
-                     "expected here");
+    mo_json_fault_at(
+        json, 0, "/learning/sensor",
+        "the campaign starts from a controller, which has its sensor; none is expected here");
   if (mode == MO_ZERO_SHOT && parsed->request.record.name[0] != '\0')
     mo_json_fault_at(json, 0, "/name",
                      "a zero-shot campaign gives no controller; a name for it is expected of "
@@ -196,10 +196,10 @@ static void check_learning(struct mo_json *json, const struct mo_campaign_settin
                      "neither parent_steps nor child_steps is above 0; a campaign that learns "
                      "takes a step in each generation");
   if (settings->mode == MO_SIMULTANEOUS && steps > MO_TRAINING_STEPS_MAX)
-    mo_json_fault_at(json, 0, "/learning",
-                     "%llu steps of learning are asked for in all generations together; at most %d "
-                     "are expected",
-                     (unsigned long long)steps, MO_TRAINING_STEPS_MAX);
+    mo_json_fault_at(
+        json, 0, "/learning",
+        "%llu steps of learning are asked for in all generations together; at most %d are expected",
+        (unsigned long long)steps, MO_TRAINING_STEPS_MAX);
 }
 
 /* Checks what depends on several fields. The sensor is negative unless it was given. */

@@ -49,8 +49,8 @@ static void delete_checkpoints(struct mo_request *request, bool one)
   } else if (code == MO_ERR_CONFLICT) {
     mo_reply_problem(request, 409, NULL,
                      "The training has not ended and goes on from its newest checkpoint, that of "
-                     "step %lld, after a restart "
-                     "or a pause; it can be deleted when the training has ended or was cancelled.",
+                     "step %lld, after a restart or a pause; it can be deleted when the training "
+                     "has ended or was cancelled.",
                      (long long)step);
   } else if (code != MO_OK) {
     mo_reply_error(request, code, "checkpoint");

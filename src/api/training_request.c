@@ -35,10 +35,10 @@ static void read_population(struct mo_json *json, void *value)
     }
   }
   if (!json->stop && jobs != 1)
-    mo_json_fault_at(json, depth, "",
-                     "a population is that of exactly one job: evaluation, the id of one whose "
-                     "designs are learned from, or campaign, the id of one whose newest population "
-                     "is");
+    mo_json_fault_at(
+        json, depth, "",
+        "a population is that of exactly one job: evaluation, the id of one whose designs are "
+        "learned from, or campaign, the id of one whose newest population is");
 }
 
 /* ---- the whole ---- */
@@ -84,13 +84,13 @@ static void check_pretrain(struct mo_json *json, const struct mo_parsed_training
   const struct mo_training_settings *settings = &parsed->request.record.settings;
   const uint64_t bodies = (uint64_t)settings->n_steps * settings->batch;
   if (parsed->parts.has_designs)
-    mo_json_fault_at(json, 0, "/designs",
-                     "a pretraining draws bodies of its own; designs are expected of a finetuning "
-                     "only");
+    mo_json_fault_at(
+        json, 0, "/designs",
+        "a pretraining draws bodies of its own; designs are expected of a finetuning only");
   if (parsed->has_population)
-    mo_json_fault_at(json, 0, "/population",
-                     "a pretraining draws bodies of its own; a population is expected of a "
-                     "finetuning only");
+    mo_json_fault_at(
+        json, 0, "/population",
+        "a pretraining draws bodies of its own; a population is expected of a finetuning only");
   if (bodies > MO_TRAINING_BODIES_MAX)
     mo_json_fault_at(json, 0, "/steps",
                      "%u steps of %u bodies are %llu; at most %llu distinct bodies are expected of "
@@ -117,9 +117,9 @@ static int check(struct mo_json *json, void *any)
     check_pretrain(json, parsed);
   if (parsed->has_kind && has_sensor &&
       (finetune || (parts->has_controller && !parts->no_controller)))
-    mo_json_fault_at(json, 0, "/sensor",
-                     "the training starts from a controller, which has its sensor; none is "
-                     "expected here");
+    mo_json_fault_at(
+        json, 0, "/sensor",
+        "the training starts from a controller, which has its sensor; none is expected here");
   return MO_OK;
 }
 

@@ -36,19 +36,19 @@
   }
 
 const struct setting settings_table[] = {
-    PATH_ROW("state_dir", state_dir, "",
-             "$STATE_DIRECTORY, else $XDG_STATE_HOME/morphod, else ~/.local/state/morphod", false,
-             "Folder of the database, controllers and recordings; made if missing, for its owner "
-             "only. It must belong to the user that morphod runs as, and no other user may write "
-             "to it."),
+    PATH_ROW(
+        "state_dir", state_dir, "",
+        "$STATE_DIRECTORY, else $XDG_STATE_HOME/morphod, else ~/.local/state/morphod", false,
+        "Folder of the database, controllers and recordings; made if missing, for its owner only. "
+        "It must belong to the user that morphod runs as, and no other user may write to it."),
     LIST_ROW("listen", listen, "127.0.0.1:8765", NULL, false,
              "Addresses to serve: host:port, [ipv6]:port or unix:/path; port 0 takes a free one. "
              "Sockets that systemd passes are served, too, in place of the default."),
     VALUE_ROW("workers", SETTING_NUMBER, workers, 0, 1024, "0", "one per processor",
               "Threads that compute. Scores do not depend on it."),
     CHOICE_ROW("isa", isa, "auto|x86-64|avx2|avx512", "auto", false,
-               "Instruction set of the kernels. Scores of one set never change; sets differ in "
-               "the last bits."),
+               "Instruction set of the kernels. Scores of one set never change; sets differ in the "
+               "last bits."),
     VALUE_ROW("worker_nice", SETTING_NUMBER, worker_nice, 0, 19, "5", NULL,
               "Niceness of the computing threads above the process's, so that replies never wait "
               "for computing."),
@@ -117,8 +117,8 @@ const struct setting settings_table[] = {
     CHOICE_ROW("log_format", log_format, "text|logfmt|json", "text", false,
                "Format of the log lines on standard error."),
     PATH_ROW("port_file", port_file, "", "none", false,
-             "File that receives the addresses served, one per line, once they are served; "
-             "removed at the end."),
+             "File that receives the addresses served, one per line, once they are served; removed "
+             "at the end."),
 };
 const size_t settings_count = sizeof(settings_table) / sizeof(settings_table[0]);
 _Static_assert(sizeof(settings_table) / sizeof(settings_table[0]) <= SETTINGS_MAX,

@@ -113,8 +113,7 @@ static int check_learning(const struct mo_campaign_settings *settings, struct mo
   if (settings->population > MO_TRAINING_DESIGNS_MAX)
     return mo_fail(message, MO_ERR_RANGE,
                    "population is %" PRIu32
-                   "; it must be at most %d in a campaign that learns (few-shot, "
-                   "simultaneous)",
+                   "; it must be at most %d in a campaign that learns (few-shot, simultaneous)",
                    settings->population, MO_TRAINING_DESIGNS_MAX);
   int r = mo_fields_check(&mo_campaign_learning_fields, settings, message);
   if (r == MO_OK)

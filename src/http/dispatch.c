@@ -218,10 +218,9 @@ static enum MHD_Result receive(struct mo_request *request, const char *bytes, si
                        "The body has more bytes than this path takes, which is %llu.",
                        (unsigned long long)request->body_limit);
     } else if (error == MO_ERR_LIMIT) {
-      mo_reply_problem(
-          request, 429, NULL,
-          "The bodies of this client's requests in flight take half of the memory for all "
-          "clients, which is as much as is allowed.");
+      mo_reply_problem(request, 429, NULL,
+                       "The bodies of this client's requests in flight take half of the memory for "
+                       "all clients, which is as much as is allowed.");
       request->reply.retry_after_s = 1;
     } else if (error != MO_OK) {
       mo_reply_error(request, error, "request");

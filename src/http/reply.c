@@ -88,9 +88,9 @@ void mo_reply_problem(struct mo_request *request, unsigned status, const struct 
   mo_problem_write(&text, status, problem_type(status, faults), words, request->path, request->id,
                    faults);
   mo_text_bytes(&text, "\n", 1);
-  static const char bare[] = "{\"type\":\"about:blank\",\"title\":\"Service "
-                             "Unavailable\",\"status\":503,\"detail\":\"Out of "
-                             "memory.\",\"instance\":\"\",\"request_id\":\"0000000000000000\"}\n";
+  static const char bare[] =
+      "{\"type\":\"about:blank\",\"title\":\"Service Unavailable\",\"status\":503,\"detail\":\"Out "
+      "of memory.\",\"instance\":\"\",\"request_id\":\"0000000000000000\"}\n";
   if (text.failed) {
     mo_text_free(&text);
     mo_reply_static(request, 503, "application/problem+json", bare, sizeof(bare) - 1);

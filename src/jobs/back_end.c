@@ -49,8 +49,7 @@ void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size)
   if (mo_compute_devices_working(jobs->compute) > 0) {
     snprintf(text, size,
              "there is no memory left for even the smallest part of this job: end what else uses "
-             "the devices, then "
-             "resume the job");
+             "the devices, then resume the job");
     return;
   }
   while (i < n && mo_compute_device(jobs->compute, i, &status) == MO_OK &&

@@ -243,9 +243,8 @@ int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **excl
   mo_campaign_show_drawing(run, NULL);
   if (error == MO_ERR_EXHAUSTED) /* returned as it is, the error would end the campaign as if no
                                     child could be found */
-    return mo_runner_fail(
-        run->runner, MO_ERR_LIMIT,
-        "the controller's lineage names more bodies of pretraining than can be found: submit with "
-        "exclude_pretraining false");
+    return mo_runner_fail(run->runner, MO_ERR_LIMIT,
+                          "the controller's lineage names more bodies of pretraining than can be "
+                          "found: submit with exclude_pretraining false");
   return error;
 }

@@ -98,8 +98,7 @@ static int read_checkpoint(struct mo_campaign_run *run, uint32_t generation, uin
     return error;
   snprintf(run->runner->text, sizeof(run->runner->text),
            "the checkpoint of generation %u cannot be used (%.100s): put back its file from a "
-           "backup of campaigns/, then "
-           "resume the campaign, or begin another one",
+           "backup of campaigns/, then resume the campaign, or begin another one",
            (unsigned)generation, error == MO_ERR_IO ? "it cannot be read" : message.text);
   return MO_ERR_CORRUPT;
 }

@@ -127,8 +127,7 @@ static int add_part(const struct reading *reading)
   if (lineage->n_parts == MO_LINEAGE_PARTS_MAX) {
     snprintf(text, sizeof(text),
              "the controller's lineage names more than the %d pretrainings whose bodies can be "
-             "drawn again: "
-             "submit with exclude_pretraining false",
+             "drawn again: submit with exclude_pretraining false",
              MO_LINEAGE_PARTS_MAX);
     return fail(reading, MO_ERR_LIMIT, text);
   }

@@ -231,8 +231,7 @@ static int explain_extension(int error, struct mo_message *message)
   case MO_ERR_UNSUPPORTED:
     return mo_fail(message, error,
                    "its learning rate is one cosine over all generations: with more of them, those "
-                   "that are done would "
-                   "have been others");
+                   "that are done would have been others");
   case MO_ERR_EMPTY:
     return mo_fail(message, error,
                    "the checkpoint of what it has learned, which it would go on from, was deleted");

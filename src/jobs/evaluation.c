@@ -299,7 +299,7 @@ struct inbox {
 
 static bool is_empty(const struct mo_evaluations *all)
 {
-  return all->landing.finished == NULL && !all->saved && all->runners->look == all->seen &&
+  return all->inbox.finished == NULL && !all->saved && all->runners->look == all->seen &&
          all->runners->requests == all->seen_requests;
 }
 
@@ -311,13 +311,13 @@ static void take_inbox(struct mo_evaluations *all, int64_t until_us, struct inbo
   while (is_empty(all))
     if (pthread_cond_timedwait(&runners->news, &runners->mutex, &deadline) == ETIMEDOUT)
       break;
-  *inbox = (struct inbox){.finished = all->landing.finished,
+  *inbox = (struct inbox){.finished = all->inbox.finished,
                           .look = runners->look != all->seen,
                           .requests = runners->requests != all->seen_requests,
                           .saved = all->saved,
                           .stopping = runners->stopping,
                           .save_error = all->save_error};
-  all->landing.finished = NULL;
+  all->inbox.finished = NULL;
   all->saved = false;
   all->seen = runners->look;
   all->seen_requests = runners->requests;
@@ -432,7 +432,7 @@ static void *serve(void *context)
     while (inbox.finished != NULL) {
       struct mo_flight *flight = inbox.finished;
       inbox.finished = flight->next;
-      mo_active_land(all, flight);
+      mo_active_take_back(all, flight);
     }
     if (inbox.requests || all->review_again)
       review_all(all);
@@ -471,7 +471,7 @@ static int open_all(struct mo_jobs *jobs)
     return MO_ERR_NO_MEMORY;
   all->jobs = jobs;
   all->runners = &jobs->runners[MO_JOB_EVALUATION];
-  all->landing = (struct mo_landing){.mutex = &all->runners->mutex, .news = &all->runners->news};
+  all->inbox = (struct mo_inbox){.mutex = &all->runners->mutex, .news = &all->runners->news};
   all->look_again = true;
   all->controllers = (struct mo_controller_cache){
       .store = jobs->store, .compute = jobs->compute, .kept = jobs->config.controllers_kept};

@@ -73,7 +73,7 @@ struct mo_evaluations {
   struct mo_jobs *jobs;
   struct mo_runners *runners;
   /* The inbox, under the mutex of the runners. */
-  struct mo_landing landing;
+  struct mo_inbox inbox;
   bool saved;
   int save_error;
 
@@ -124,7 +124,7 @@ void mo_active_detach(struct mo_active *active);
 void mo_active_fail(struct mo_evaluations *all, struct mo_active *active, int error,
                     const char *text);
 /* Stores the results of a finished block and frees it. */
-void mo_active_land(struct mo_evaluations *all, struct mo_flight *flight);
+void mo_active_take_back(struct mo_evaluations *all, struct mo_flight *flight);
 void mo_rollout_forget(struct mo_evaluations *all, struct mo_rollout *rollout);
 
 #endif

@@ -166,7 +166,7 @@ static struct flight *new_flight(struct mo_evaluations *all, struct mo_active *a
   if (flight == NULL)
     return NULL;
   flight->owner = active;
-  mo_flight_begin(&flight->flight, &active->grid, design, &all->landing);
+  mo_flight_begin(&flight->flight, &active->grid, design, &all->inbox);
   return flight;
 }
 
@@ -388,26 +388,26 @@ static bool somebody_waits(const struct mo_evaluations *all)
   return false;
 }
 
-void mo_active_land(struct mo_evaluations *all, struct mo_flight *landed)
+void mo_active_take_back(struct mo_evaluations *all, struct mo_flight *finished)
 {
-  struct flight *flight = (struct flight *)landed;
+  struct flight *flight = (struct flight *)finished;
   struct mo_active *active = flight->owner;
   char text[128];
   all->n_flights[mo_lane_of(active)]--;
   atomic_fetch_sub(&all->jobs->blocks_in_flight, 1);
-  for (uint32_t i = 0; i < landed->block.n_environments; i++) {
+  for (uint32_t i = 0; i < finished->block.n_environments; i++) {
     const int error = take(all, flight, i);
     if (error == MO_OK)
       continue;
     if (flight->rollouts[i] != NULL)
       mo_rollout_forget(all, flight->rollouts[i]);
-    mo_grid_return(&active->grid, landed->design, landed->places[i]);
+    mo_grid_return(&active->grid, finished->design, finished->places[i]);
     if (error != MO_ERR_CANCELLED) {
       mo_flight_describe(error, text);
       mo_active_fail(all, active, error, text);
     }
   }
-  if (landed->block.urgency == MO_INTERACTIVE || somebody_waits(all))
+  if (finished->block.urgency == MO_INTERACTIVE || somebody_waits(all))
     all->pending.urgent = true;
   free_flight(all, flight);
   active->references--;

@@ -112,10 +112,9 @@ static int recover(struct mo_jobs *jobs, const char *marker)
            signal_number,
            sigdescr_np(signal_number) != NULL ? sigdescr_np(signal_number) : "unknown");
   if (crashed == 0 && jobs->config.killed_us > 0) {
-    snprintf(
-        text, sizeof(text),
-        "the process was killed while it ran this job, which had saved nothing: it may need more "
-        "memory than there is");
+    snprintf(text, sizeof(text),
+             "the process was killed while it ran this job, which had saved nothing: it may need "
+             "more memory than there is");
     error = blame(jobs, &crashed);
     if (error != MO_OK)
       return error;

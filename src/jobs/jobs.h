@@ -98,17 +98,15 @@ int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);
  * those of open jobs and blocks are since the start. Shared rollouts were computed once for several
  * evaluations. campaign_rollouts: computed for scores; campaign_cached and campaign_diverged count
  * found and diverged rollouts of committed generations; campaign_designs: born in them. */
+/* clang-format off */
 #define MO_JOBS_COUNTS(X)                                                                          \
-  X(open_jobs)                                                                                     \
-  X(open_rollouts)                                                                                 \
-  X(active_batch)                                                                                  \
-  X(active_interactive)                                                                            \
-  X(blocks_in_flight) X(rollouts_computed) X(rollouts_cached) X(rollouts_shared)                   \
-      X(rollouts_diverged) X(jobs_submitted) X(jobs_succeeded) X(jobs_failed) X(jobs_cancelled)    \
-          X(campaign_generations) X(campaign_designs) X(campaign_rollouts) X(campaign_cached)      \
-              X(campaign_diverged) X(campaign_steps) X(training_steps) X(training_robots)          \
-                  X(training_diverged) X(training_zeroed) X(training_validations)                  \
-                      X(training_checkpoints)
+  X(open_jobs) X(open_rollouts) X(active_batch) X(active_interactive) X(blocks_in_flight)          \
+  X(rollouts_computed) X(rollouts_cached) X(rollouts_shared) X(rollouts_diverged)                  \
+  X(jobs_submitted) X(jobs_succeeded) X(jobs_failed) X(jobs_cancelled) X(campaign_generations)     \
+  X(campaign_designs) X(campaign_rollouts) X(campaign_cached) X(campaign_diverged)                 \
+  X(campaign_steps) X(training_steps) X(training_robots) X(training_diverged) X(training_zeroed)   \
+  X(training_validations) X(training_checkpoints)
+/* clang-format on */
 struct mo_jobs_stats {
 #define MO_JOBS_COUNT(name) uint64_t name;
   MO_JOBS_COUNTS(MO_JOBS_COUNT)

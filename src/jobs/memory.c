@@ -100,12 +100,11 @@ int mo_memory_check(const struct mo_jobs *jobs, const struct mo_need *need,
         message, MO_ERR_LIMIT,
         "this needs %u MiB of memory and jobs can have %u MiB: ask for less, or raise max_memory",
         mib(alone(need)), mib(room(jobs)));
-  return mo_fail(message, MO_ERR_LIMIT,
-                 "this needs %u MiB of memory, %u MiB of them for the bodies of the controller's "
-                 "pretraining, and jobs "
-                 "can have %u MiB: submit with "
-                 "exclude_pretraining false, or raise max_memory",
-                 mib(alone(need)), mib(need->shared), mib(room(jobs)));
+  return mo_fail(
+      message, MO_ERR_LIMIT,
+      "this needs %u MiB of memory, %u MiB of them for the bodies of the controller's pretraining, "
+      "and jobs can have %u MiB: submit with exclude_pretraining false, or raise max_memory",
+      mib(alone(need)), mib(need->shared), mib(room(jobs)));
 }
 
 /* ---- accounting, under the mutex ---- */

@@ -2,7 +2,7 @@
  *
  * A grid is cut, in order, into blocks of one design and up to MO_BLOCK_LANES environments. What
  * the store knows is marked as done before. The thread that submits blocks takes them back from a
- * landing, stores their results, and submits more, so that the back end always holds a window of
+ * inbox, stores their results, and submits more, so that the back end always holds a window of
  * them. A crash loses the blocks in flight and the results that wait for their commit. */
 #include "jobs/scoring.h"
 
@@ -58,27 +58,27 @@ void mo_grid_return(struct mo_grid *grid, uint32_t design, uint32_t k)
 
 /* ---- flights ---- */
 
-static void land(struct mo_block *block, void *context)
+static void arrive(struct mo_block *block, void *context)
 {
   struct mo_flight *flight = context;
-  struct mo_landing *landing = flight->landing;
+  struct mo_inbox *inbox = flight->inbox;
   (void)block;
-  pthread_mutex_lock(landing->mutex);
-  flight->next = landing->finished;
-  landing->finished = flight;
-  pthread_cond_broadcast(landing->news);
-  pthread_mutex_unlock(landing->mutex);
+  pthread_mutex_lock(inbox->mutex);
+  flight->next = inbox->finished;
+  inbox->finished = flight;
+  pthread_cond_broadcast(inbox->news);
+  pthread_mutex_unlock(inbox->mutex);
 }
 
 void mo_flight_begin(struct mo_flight *flight, struct mo_grid *grid, uint32_t design,
-                     struct mo_landing *landing)
+                     struct mo_inbox *inbox)
 {
   flight->block = grid->block;
   flight->block.genotype = grid->genotypes[design].words;
-  flight->block.done = land;
+  flight->block.done = arrive;
   flight->block.context = flight;
   flight->grid = grid;
-  flight->landing = landing;
+  flight->inbox = inbox;
   flight->design = design;
 }
 
@@ -99,7 +99,7 @@ void mo_flight_launch(struct mo_compute *compute, struct mo_flight *flight)
   if (error == MO_OK)
     return;
   flight->block.status = error;
-  land(&flight->block, flight);
+  arrive(&flight->block, flight);
 }
 
 int mo_flight_check(const struct mo_flight *flight, uint32_t i)
@@ -129,7 +129,7 @@ struct window {
   uint64_t computed;
   pthread_mutex_t mutex;
   pthread_cond_t news;
-  struct mo_landing landing;
+  struct mo_inbox inbox;
 };
 
 static void launch(struct window *window)
@@ -138,7 +138,7 @@ static void launch(struct window *window)
   struct mo_flight *flight = window->free;
   window->free = flight->next;
   window->n_in_flight++;
-  mo_flight_begin(flight, grid, grid->cursor, &window->landing);
+  mo_flight_begin(flight, grid, grid->cursor, &window->inbox);
   for (uint32_t k = 0; k < grid->n_environments; k++)
     if (*mo_grid_cell(grid, grid->cursor, k) == MO_CELL_TO_DO && !mo_flight_add(flight, k))
       break;
@@ -187,16 +187,16 @@ static int take_all(struct window *window)
   struct mo_flight *flight;
   int error = MO_OK;
   pthread_mutex_lock(&window->mutex);
-  while (window->landing.finished == NULL)
+  while (window->inbox.finished == NULL)
     pthread_cond_wait(&window->news, &window->mutex);
-  flight = window->landing.finished;
-  window->landing.finished = NULL;
+  flight = window->inbox.finished;
+  window->inbox.finished = NULL;
   pthread_mutex_unlock(&window->mutex);
   while (flight != NULL) {
     struct mo_flight *next = flight->next;
-    const int landed = take_back(window, flight);
+    const int taken = take_back(window, flight);
     if (error == MO_OK || error == MO_ERR_CANCELLED)
-      error = landed != MO_OK ? landed : error;
+      error = taken != MO_OK ? taken : error;
     flight = next;
   }
   return error;
@@ -210,9 +210,9 @@ static bool is_quiet(struct window *window)
                                     .tv_nsec = (end_us % 1000000) * 1000};
   int status = 0;
   pthread_mutex_lock(&window->mutex);
-  while (window->landing.finished == NULL && status != ETIMEDOUT)
+  while (window->inbox.finished == NULL && status != ETIMEDOUT)
     status = pthread_cond_timedwait(&window->news, &window->mutex, &deadline);
-  const bool quiet = window->landing.finished == NULL;
+  const bool quiet = window->inbox.finished == NULL;
   pthread_mutex_unlock(&window->mutex);
   return quiet;
 }
@@ -248,7 +248,7 @@ static int compute(struct window *window)
 {
   int error = MO_OK;
   for (;;) {
-    int landed;
+    int taken;
     if (error == MO_OK && mo_runner_is_interrupted(window->scoring->runner))
       error = MO_ERR_CANCELLED;
     if (error == MO_OK)
@@ -257,9 +257,9 @@ static int compute(struct window *window)
       return error;
     if (error == MO_OK)
       error = save_what_came(window);
-    landed = take_all(window);
+    taken = take_all(window);
     if (error == MO_OK)
-      error = landed;
+      error = taken;
     show(window);
   }
 }
@@ -279,7 +279,7 @@ int mo_score(struct mo_scoring *scoring)
   pthread_mutex_init(&window.mutex, NULL);
   pthread_cond_init(&window.news, &monotonic);
   pthread_condattr_destroy(&monotonic);
-  window.landing = (struct mo_landing){.mutex = &window.mutex, .news = &window.news};
+  window.inbox = (struct mo_inbox){.mutex = &window.mutex, .news = &window.news};
   window.flights = calloc(n, sizeof(*window.flights));
   for (uint32_t i = 0; i < n && window.flights != NULL; i++) {
     window.flights[i].next = window.free;

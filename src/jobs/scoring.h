@@ -37,7 +37,7 @@ void mo_grid_finish_design(struct mo_grid *grid, uint32_t design);
 void mo_grid_return(struct mo_grid *grid, uint32_t design, uint32_t k);
 
 /* Blocks that have come back, for the thread that submitted them. */
-struct mo_landing {
+struct mo_inbox {
   pthread_mutex_t *mutex;
   pthread_cond_t *news;
   struct mo_flight *finished; /* under the mutex */
@@ -47,17 +47,17 @@ struct mo_landing {
 struct mo_flight {
   struct mo_block block;
   struct mo_grid *grid;
-  struct mo_landing *landing;
+  struct mo_inbox *inbox;
   uint32_t design;
   uint8_t places[MO_BLOCK_LANES]; /* its environments */
   struct mo_flight *next;         /* in a list of finished or free ones */
 };
 /* Prepares an empty flight for a design. */
 void mo_flight_begin(struct mo_flight *flight, struct mo_grid *grid, uint32_t design,
-                     struct mo_landing *landing);
+                     struct mo_inbox *inbox);
 /* Adds an environment; false: the flight is full. */
 bool mo_flight_add(struct mo_flight *flight, uint32_t k);
-/* Submits the block. A block that is refused lands at once, with the error. */
+/* Submits the block. A block that is refused arrives at once, with the error. */
 void mo_flight_launch(struct mo_compute *compute, struct mo_flight *flight);
 /* Returns the error of lane i of a finished block, for its job. A diverged rollout has the loss
  * +infinity. NaN and −infinity must not be stored; no input should give them, so they are an error,

@@ -239,8 +239,8 @@ int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t afte
                                 uint32_t after_step, struct mo_campaign_step *rows, size_t limit)
 {
   static const char sql[] = "SELECT job" CAMPAIGN_STEP_COLUMNS(
-      NAME) " FROM campaign_steps WHERE job=?1 AND (generation,step)>(?2,?3) "
-            "ORDER BY generation,step LIMIT ?4";
+      NAME) " FROM campaign_steps WHERE job=?1 AND (generation,step)>(?2,?3) ORDER BY "
+            "generation,step LIMIT ?4";
   return read_page(
       store, MO_CAMPAIGN_STEPS, sql,
       MO_VALUES(mo_int(id), mo_int(after_generation), mo_int(after_step), mo_int((int64_t)limit)),

@@ -125,10 +125,10 @@ static int resolve(struct mo_connection *writer, const struct mo_submission *sub
 static int insert(struct mo_store *store, const struct mo_job_request *request, const void *any,
                   int64_t *id)
 {
-  static const char sql[] = "INSERT INTO evaluations(job,controller,controller_name,physics,"
-                            "environment_set,n_designs,n_environments,verify,record,record_stride,"
-                            "done,cached,diverged) "
-                            "VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0)";
+  static const char sql[] =
+      "INSERT INTO evaluations(job,controller,controller_name,physics,"
+      "environment_set,n_designs,n_environments,verify,record,record_stride,"
+      "done,cached,diverged) VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0)";
   static const char copy_sql[] =
       "INSERT INTO evaluation_environments(job,position,environment)"
       " SELECT ?1,position,environment FROM environment_set_members WHERE environment_set=?2";

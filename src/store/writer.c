@@ -256,11 +256,11 @@ static void run_batch(struct mo_store *store, struct mo_operation *first)
 static void prune(struct mo_store *store)
 {
   static const char events_sql[] =
-      "DELETE FROM events WHERE sequence IN (SELECT sequence FROM events WHERE sequence <= "
-      "(SELECT max(sequence) FROM events) - ?1 ORDER BY sequence LIMIT " PRUNE_ROWS ")";
+      "DELETE FROM events WHERE sequence IN (SELECT sequence FROM events WHERE sequence <= (SELECT "
+      "max(sequence) FROM events) - ?1 ORDER BY sequence LIMIT " PRUNE_ROWS ")";
   static const char keys_sql[] =
-      "DELETE FROM idempotency_keys WHERE key IN (SELECT key FROM idempotency_keys "
-      "WHERE created_us < ?1 ORDER BY created_us LIMIT " PRUNE_ROWS ")";
+      "DELETE FROM idempotency_keys WHERE key IN (SELECT key FROM idempotency_keys WHERE "
+      "created_us < ?1 ORDER BY created_us LIMIT " PRUNE_ROWS ")";
   struct mo_connection *writer = &store->writer;
   sqlite3_stmt *statement;
   int error = MO_OK;

@@ -128,11 +128,12 @@ def test_waiting_takes_no_place(start):
     service = start("--max-in-flight=2")
     job = endless(service)
     waiting = [service.connection() for _ in range(20)]
-    for connection in waiting:
+    for n, connection in enumerate(waiting):
         deadline = time.monotonic() + 20
         while service.request("GET",
                               "/v1/jobs").status != 200:  # until at most one is not parked yet
             assert time.monotonic() < deadline
+        awaited_metric(service, "morphod_http_requests_in_flight", n + 1)  # the list is answered
         connection.request("GET", f"/v1/evaluations/{job}", headers={"Prefer": "wait=60"})
     assert service.request("POST", f"/v1/jobs/{job}/cancel").status in (200, 202)
     # All are answered, more than may be in flight.

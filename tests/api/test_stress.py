@@ -110,8 +110,8 @@ def check_stored(path):
                 assert all_finite(values), (table, column)
                 checked += len(values)
     for losses, n in database.execute(
-            "SELECT losses, length(environments) / 8 FROM scores "
-            "JOIN conditions ON id = condition"):
+            "SELECT losses, length(environments) / 8 FROM scores"
+            " JOIN conditions ON id = condition"):
         steps = struct.unpack(f"<{n}I", losses[8 * n:-8] or bytes(4 * n))
         for value, step in zip(struct.unpack(f"<{n}d", losses[:8 * n]), steps):
             assert value == math.inf if step > 0 else math.isfinite(value), (value, step)

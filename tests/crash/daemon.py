@@ -158,7 +158,7 @@ class Daemon:
 
 SCORES = """
 SELECT g.bits, c.sha256, p.sha256, f.text, e.sha256, s.losses, length(k.environments) / 8,
-    v.position
+       v.position
 FROM scores s JOIN conditions k ON k.id = s.condition JOIN genotypes g ON g.id = s.genotype
 JOIN controllers c ON c.id = k.controller JOIN physics p ON p.id = k.physics
 JOIN fingerprints f ON f.id = k.fingerprint JOIN condition_environments v ON v.condition = k.id
