@@ -116,12 +116,10 @@ int save_reply(struct ctl *ctl, const char *path, const char *accept, const char
 char *dump_json(const json_t *json, size_t flags);
 /* Prints JSON on one line of standard output. */
 void put_json(const json_t *json, size_t flags);
-
 /* Prints JSON from the API, indented on a terminal. */
 void print_json(const json_t *json);
 /* Prints the reply to a GET: --json of commands that show one thing. */
 int show_json(struct ctl *ctl, const char *path);
-
 /* Collects the items of a paged list up to `limit` (0: all) in the array *items, in order. */
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
 /* Fetches the rows of a numbered list behind `after` (−1: from the first), page by page. path: with

@@ -59,13 +59,11 @@ struct worker {
 };
 
 struct mo_compute {
-  enum mo_isa isa;
+  struct mo_compute_core core;
   int nice;
   atomic_size_t gradient_bytes;
   atomic_uint_fast32_t trims; /* trims requested */
-  struct mo_devices *devices; /* NULL: there are none */
-  uint32_t n_workers;         /* started */
-  struct worker *workers;
+  struct worker *workers;     /* (core.n_workers) */
   pthread_mutex_t mutex;
   pthread_cond_t wake;
   struct queue queues[QUEUES];
@@ -79,39 +77,6 @@ struct mo_compute {
   atomic_size_t worker_bytes_max;
   char fingerprint[2][64], gradient_fingerprint[64];
 };
-
-/* The tag of the innermost block on this thread. Read by a fault handler, so volatile. */
-static _Thread_local volatile int64_t current_tag = -1;
-
-int64_t mo_compute_current_tag(void)
-{
-  return current_tag;
-}
-
-enum mo_isa mo_compute_isa(const struct mo_compute *compute)
-{
-  return compute->isa;
-}
-
-uint32_t mo_compute_workers(const struct mo_compute *compute)
-{
-  return compute->n_workers;
-}
-
-struct mo_devices *mo_compute_get_devices(const struct mo_compute *compute)
-{
-  return compute->devices;
-}
-
-void mo_compute_set_devices(struct mo_compute *compute, struct mo_devices *devices)
-{
-  compute->devices = devices;
-}
-
-void mo_compute_set_tag(int64_t tag)
-{
-  current_tag = tag;
-}
 
 /* ---- queues, under the mutex ---- */
 
@@ -298,12 +263,12 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
                       const struct mo_fair_charge *charge)
 {
   struct mo_compute *compute = worker->compute;
-  const int64_t outer_tag = current_tag;
+  const int64_t outer_tag = mo_compute_current_tag();
   struct meter meter = {.share = block->share != NULL ? block->share : &compute->own,
                         .urgent = charge == NULL,
                         .read_ns = mo_clock_ns(),
                         .overtaken_ns = worker->overtaken_ns};
-  current_tag = block->tag;
+  mo_compute_set_tag(block->tag);
   block->status = block->gradient != NULL ? differentiate(worker, block->gradient, depth, &meter)
                                           : simulate(worker, block, depth, &meter);
   block->computed_on = MO_ON_CPU;
@@ -317,7 +282,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
     atomic_fetch_add(&meter.share->blocks_done, 1);
   }
   block->done(block, block->context); /* the block and its share may be gone now */
-  current_tag = outer_tag;
+  mo_compute_set_tag(outer_tag);
 }
 
 /* ---- workers ---- */
@@ -377,7 +342,7 @@ static int start_worker(struct mo_compute *compute, struct worker *worker, uint3
   snprintf(name, sizeof(name), "mo-worker-%u", number % 10000);
   if (mo_thread_create(&worker->thread, name, work, worker) != 0)
     return MO_ERR_NO_MEMORY;
-  compute->n_workers++;
+  compute->core.n_workers++;
   return MO_OK;
 }
 
@@ -393,6 +358,8 @@ void mo_compute_trim(struct mo_compute *compute)
   pthread_cond_broadcast(&compute->wake);
   pthread_mutex_unlock(&compute->mutex);
 }
+
+static int submit_to_workers(struct mo_compute *compute, struct mo_block *block);
 
 int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_compute **ret)
 {
@@ -410,7 +377,8 @@ int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_comp
     free(compute);
     return MO_ERR_NO_MEMORY;
   }
-  compute->isa = config->isa;
+  compute->core.isa = config->isa;
+  compute->core.submit_to_workers = submit_to_workers;
   compute->nice = config->nice;
   compute->gradient_bytes =
       config->gradient_bytes > 0 ? config->gradient_bytes : MO_GRADIENT_DEFAULT_BYTES;
@@ -440,12 +408,12 @@ void mo_compute_free(struct mo_compute *compute)
 {
   if (compute == NULL)
     return;
-  mo_devices_free(compute->devices);
+  mo_devices_free(compute->core.devices);
   pthread_mutex_lock(&compute->mutex);
   atomic_store(&compute->stopping, true);
   pthread_cond_broadcast(&compute->wake);
   pthread_mutex_unlock(&compute->mutex);
-  for (uint32_t i = 0; i < compute->n_workers; i++) {
+  for (uint32_t i = 0; i < compute->core.n_workers; i++) {
     pthread_join(compute->workers[i].thread, NULL);
     for (int depth = 0; depth < DEPTHS; depth++)
       mo_workspace_memory_free(compute->workers[i].memory[depth]);
@@ -493,7 +461,7 @@ static int enqueue(struct mo_compute *compute, struct mo_block *block, int urgen
   return stopping ? MO_ERR_CANCELLED : MO_OK;
 }
 
-int mo_compute_submit_to_workers(struct mo_compute *compute, struct mo_block *block)
+static int submit_to_workers(struct mo_compute *compute, struct mo_block *block)
 {
   return enqueue(compute, block, URGENT);
 }
@@ -506,7 +474,8 @@ int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
   block->shards = NULL;
   if (block->back_end == MO_ON_DEVICE && block->precision == MO_FLOAT32 &&
       block->recordings == NULL)
-    return compute->devices != NULL ? mo_devices_submit(compute->devices, block) : MO_ERR_DEVICE;
+    return compute->core.devices != NULL ? mo_devices_submit(compute->core.devices, block)
+                                         : MO_ERR_DEVICE;
   return enqueue(compute, block, URGENT);
 }
 
@@ -525,8 +494,8 @@ int mo_compute_share_create(struct mo_compute *compute, double weight,
   if (share == NULL)
     return MO_ERR_NO_MEMORY;
   share->compute = compute;
-  if (compute->devices != NULL &&
-      mo_devices_share_create(compute->devices, weight, &share->on_devices) != MO_OK) {
+  if (compute->core.devices != NULL &&
+      mo_devices_share_create(compute->core.devices, weight, &share->on_devices) != MO_OK) {
     free(share);
     return MO_ERR_NO_MEMORY;
   }
@@ -546,7 +515,7 @@ void mo_compute_share_free(struct mo_compute_share *share)
     mo_fair_remove(&share->compute->fair, share);
     pthread_mutex_unlock(&share->compute->mutex);
     if (share->on_devices != NULL)
-      mo_devices_share_remove(share->compute->devices, share->on_devices);
+      mo_devices_share_remove(share->compute->core.devices, share->on_devices);
   }
   free(share->on_devices);
   free(share);
@@ -558,7 +527,7 @@ void mo_compute_share_set_weight(struct mo_compute_share *share, double weight)
   mo_fair_set_weight(&share->compute->fair, share, weight);
   pthread_mutex_unlock(&share->compute->mutex);
   if (share->on_devices != NULL)
-    mo_devices_share_set_weight(share->compute->devices, share->on_devices, weight);
+    mo_devices_share_set_weight(share->compute->core.devices, share->on_devices, weight);
 }
 
 void mo_compute_share_get_stats(const struct mo_compute_share *share,
@@ -583,7 +552,7 @@ void mo_compute_share_get_stats(const struct mo_compute_share *share,
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats)
 {
   *stats = (struct mo_compute_stats){
-      .n_workers = compute->n_workers,
+      .n_workers = compute->core.n_workers,
       .n_busy = (uint32_t)atomic_load(&compute->n_busy),
       .blocks_done = atomic_load(&compute->blocks_done),
       .rollouts_done = atomic_load(&compute->rollouts_done),

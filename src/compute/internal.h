@@ -18,6 +18,15 @@
  * MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED. */
 int mo_compute_controller_pack(struct mo_compute_controller *controller,
                                enum mo_precision precision, const struct mo_pack **pack);
+
+struct mo_devices;
+/* A back end begins with this. It lets files that cpu.c calls read it without calling cpu.c. */
+struct mo_compute_core {
+  enum mo_isa isa;
+  uint32_t n_workers;         /* started */
+  struct mo_devices *devices; /* NULL: there are none */
+  int (*submit_to_workers)(struct mo_compute *compute, struct mo_block *block);
+};
 enum mo_isa mo_compute_isa(const struct mo_compute *compute);
 uint32_t mo_compute_workers(const struct mo_compute *compute);
 
@@ -60,7 +69,6 @@ int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_ta
  * MO_ERR_CANCELLED. */
 int mo_compute_submit_to_workers(struct mo_compute *compute, struct mo_block *block);
 
-struct mo_devices;
 struct mo_devices *
 mo_compute_get_devices(const struct mo_compute *compute); /* NULL: there are none */
 void mo_compute_set_devices(struct mo_compute *compute, struct mo_devices *devices);

@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "daemon/log.h"
+#include "daemon/settings_parse.h"
 
 /* Called by the back end on one of its threads. */
 static void device_is_lost(void *context, const struct mo_device_status *status)

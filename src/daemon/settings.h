@@ -18,6 +18,8 @@
 
 #include <morpho/error.h>
 
+#include "daemon/settings_faults.h"
+
 enum setting_type {
   SETTING_PATH,     /* char *, NULL when empty */
   SETTING_LIST,     /* struct setting_list */
@@ -82,17 +84,6 @@ struct setting {
 extern const struct setting settings_table[];
 extern const size_t settings_count;
 
-/* Faults in the configuration, one sentence each. `fatal` false: a warning. */
-struct settings_faults {
-  char **texts;
-  bool *fatal;
-  size_t n, n_fatal;
-};
-void settings_fault(struct settings_faults *faults, bool fatal, const char *format, ...)
-    __attribute__((format(printf, 3, 4)));
-void settings_faults_print(const struct settings_faults *faults); /* on standard error */
-void settings_faults_free(struct settings_faults *faults);
-
 /* What the command line requests besides settings. */
 enum settings_action {
   ACTION_RUN = 0,
@@ -139,25 +130,6 @@ int settings_complete(struct settings *settings, const char *const *environment)
  * reports a broken folder apart from a broken configuration.) */
 void settings_check(const struct settings *settings, bool state_dir,
                     struct settings_faults *faults);
-
-/* Parses "127.0.0.1:8765", "[::1]:8765", "localhost:0" or "unix:/run/x". MO_ERR_INVALID with a
- * message. */
-struct listen_address {
-  bool is_unix, is_loopback;
-  char host[256]; /* or the path */
-  uint16_t port;
-};
-int settings_parse_address(const char *text, struct listen_address *address,
-                           struct mo_message *message);
-
-/* The requested devices: "auto", "none", or numbers. */
-#define SETTINGS_DEVICES_MAX 64
-struct device_choice {
-  bool all;
-  uint32_t n, indices[SETTINGS_DEVICES_MAX]; /* (n) when not all; 0: none */
-};
-int settings_parse_devices(const struct setting_list *list, struct device_choice *choice,
-                           struct mo_message *message);
 
 void settings_print_help(FILE *file);
 void settings_print(const struct settings *settings,

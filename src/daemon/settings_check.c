@@ -1,5 +1,5 @@
 /* settings_check.c: checks what the values refer to. Only reads: --check-config changes nothing. */
-#include "settings.h"
+#include "settings_parse.h"
 
 #include <arpa/inet.h>
 #include <ctype.h>

@@ -1,5 +1,5 @@
 /* grid.h: operations on genotypes of any workspace, one voxel at a time. The word-parallel ones of
- * slabs.h must agree with them; shape.c chooses. */
+ * slabs.inc must agree with them; shape.c chooses. */
 #ifndef MORPHO_MORPHOSPACE_GRID_H
 #define MORPHO_MORPHOSPACE_GRID_H
 

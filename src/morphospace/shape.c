@@ -1,10 +1,10 @@
-/* shape.c: components, placement, canonical forms. Chooses between words of voxels (slabs.h) and
+/* shape.c: components, placement, canonical forms. Chooses between words of voxels (slabs.inc) and
  * single voxels (grid.h). */
 #include "morphospace/shape.h"
 
 #include "morphospace/bits.h"
 #include "morphospace/grid.h"
-#include "morphospace/slabs.h"
+#include "morphospace/slabs.inc"
 
 static int is_default(struct mo_workspace workspace)
 {

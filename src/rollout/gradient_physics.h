@@ -27,7 +27,7 @@
 #ifndef MORPHO_ROLLOUT_GRADIENT_PHYSICS_H
 #define MORPHO_ROLLOUT_GRADIENT_PHYSICS_H
 
-#include "rollout/vector.h"
+#include "rollout/vector.inc"
 
 #include "rollout/lane_adjoint.inc"
 

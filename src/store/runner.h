@@ -1,5 +1,4 @@
-/* runner.h: the functions of the store for the jobs room only: submission, changes of state,
- * losses.
+/* runner.h: functions of the store for `jobs` only: submission, changes of state, losses.
  *
  * Row ids of the database appear only here and in jobs. While a job runs, they identify genotypes,
  * controllers, settings and environments in memory. */
@@ -53,10 +52,9 @@ int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollout
 int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after,
                         int64_t *ids, size_t limit);
 
-/* The classes of this process: rows of fingerprints. */
+/* The classes of this process: rows of fingerprints. device 0: there are no devices. */
 struct mo_classes {
-  int64_t cpu[2]; /* by precision */
-  int64_t device; /* 0: there are no devices */
+  int64_t cpu[2], device; /* cpu: by precision */
 };
 
 /* One evaluation with all that its run needs. */

@@ -2,8 +2,8 @@
 """Enforces the order of the rooms: a room includes only itself, rooms above it, and the libraries
 that it is given.
 
-Prints TAP: one line per room, then the rules that hold for all library code. `--self-test` shows
-that each rule can fail."""
+Prints TAP: one line per room, that no files of a room call each other in a circle, then the rules
+that hold for all code, among them the size of private headers, and that each rule can fail."""
 import re
 import sys
 import tempfile
@@ -37,6 +37,10 @@ PUBLIC = {
 INCLUDE = re.compile(r'^\s*#\s*include\s*[<"]([^>"]+)[>"]', re.M)
 SPEAKS = re.compile(
     r"(?<![\w.>])(?:exit|_exit|abort|printf|puts|perror|syslog)\s*\(|\b(?:stdout|stderr)\b")
+HEADER_LINES = 150
+NAME = re.compile(r"\bmo_\w+")
+DEFINITION = re.compile(
+    r"^(?!static\b|typedef\b|extern\b)[a-z][\w \*]*?\b(mo_\w+)\([^;{}]*\)\s*\{", re.M)
 COMMENT = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\\n])*"', re.S)
 
 
@@ -97,6 +101,41 @@ def faults_of(room, top):
     return faults
 
 
+def circles_of(room, top):
+    """Files of a room that call each other in a circle, by the public functions that they name."""
+    texts = {p: COMMENT.sub(" ", p.read_text()) for p in code_files(top / "src" / room)
+             if p.suffix == ".c"}
+    owner = {name: path for path, text in texts.items() for name in DEFINITION.findall(text)}
+    calls = {
+        path: {owner[name] for name in NAME.findall(text) if name in owner} - {path}
+        for path, text in texts.items()
+    }
+    reached = {}
+    for path in texts:
+        reached[path], left = set(), list(calls[path])
+        while left:
+            callee = left.pop()
+            if callee not in reached[path]:
+                reached[path].add(callee)
+                left += calls[callee]
+    return sorted({
+        "these files call each other in a circle: " +
+        ", ".join(sorted(q.name for q in reached[path] if path in reached[q]))
+        for path in texts if path in reached[path]
+    })
+
+
+def headers_of(top):
+    """Private headers that are too long. Those of the CUDA module are as its last check left
+    them."""
+    return [
+        f"{path.relative_to(top)} has {length} lines, more than {HEADER_LINES}"
+        for folder in ("src", "clients") for path in code_files(top / folder)
+        if path.suffix == ".h" and "cuda" not in path.parts
+        for length in [path.read_text().count("\n")] if length > HEADER_LINES
+    ]
+
+
 def client_faults(top):
     faults = []
     for path in code_files(top / "clients"):
@@ -119,7 +158,9 @@ def report(top):
         f"include/morpho/{p.name} belongs to no room" for p in (top / "include/morpho").glob("*.h")
         if p.name not in PUBLIC
     ]
+    results += [(f"no circle in {room}", circles_of(room, top)) for room in ROOMS]
     results.append(("every folder of src is a room", strangers + unlisted))
+    results.append(("private headers are short", headers_of(top)))
     results.append(("clients use the HTTP API alone", client_faults(top)))
     return results
 
@@ -135,16 +176,20 @@ def self_test():
         "ending the process": ("src/base/a.c", "void f(void) { exit(1); }\n"),
         "a client that links the library": ("clients/x/a.c", "#include <morpho/world.h>\n"),
         "a stranger": ("src/other/a.c", "\n"),
+        "a circle": ("src/jobs/a.c", "int mo_a(void)\n{\n  return mo_b();\n}\n",
+                     "src/jobs/b.c", "int mo_b(void)\n{\n  return mo_a();\n}\n"),
+        "a long header": ("src/jobs/a.h", "\n" * (HEADER_LINES + 1)),
     }
     missed = []
-    for rule, (name, text) in cases.items():
+    for rule, files in cases.items():
         with tempfile.TemporaryDirectory() as folder:
             top = Path(folder)
             (top / "include/morpho").mkdir(parents=True)
             for room in ROOMS:
                 (top / "src" / room).mkdir(parents=True)
-            (top / name).parent.mkdir(parents=True, exist_ok=True)
-            (top / name).write_text(text)
+            for name, text in zip(files[::2], files[1::2]):
+                (top / name).parent.mkdir(parents=True, exist_ok=True)
+                (top / name).write_text(text)
             if not any(faults for _, faults in report(top)):
                 missed.append(rule)
     return missed

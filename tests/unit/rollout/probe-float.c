@@ -8,7 +8,7 @@
 
 #include "probe.h"
 
-#include "rollout/vector.h"
+#include "rollout/vector.inc"
 
 #include "rollout/kernel_tiles.inc"
 
