@@ -23,7 +23,7 @@ static const struct option_spec eval_options[] = {
     SCORE_OPTIONS,
     {"random", 0, "N", "Score N random bodies (besides those given)."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
-    {"record", 0, "com,masses", "Record the path of the centre of mass, of all masses, or both."},
+    {"record", 0, "com,masses", "Record the path of the center of mass, of all masses, or both."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
     {"output", 'o', "FOLDER",
      "Where to put recorded trajectories, as NumPy files, and evaluation.json."},
@@ -176,7 +176,7 @@ static const struct option_spec campaign_champions_options[] = {
     {"count", 'n', "N", "How many, 1 to 1000 (default: 12)."},
     {"generation", 0, "G", "Of this generation (default: the newest)."},
     {"output", 'o', "FOLDER",
-     "Also run them in the campaign's environments, and put the paths of their centres of mass "
+     "Also run them in the campaign's environments, and put the paths of their centers of mass "
      "there, as NumPy files."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
     {NULL, 0, NULL, NULL}};
@@ -266,7 +266,7 @@ const struct command commands[] = {
      "scores are better.",
      train_compare_options, 2, 2, run_train_compare},
     {"campaign start", "zero-shot|few-shot|simultaneous [DESIGN]...", "Let a population evolve.",
-     "zero-shot: the controller is frozen. few-shot: it learns anew in each generation. "
+     "zero-shot: the controller is frozen. few-shot: it learns again in each generation. "
      "simultaneous: it learns along. DESIGNs (as those of eval) begin the initial population, "
      "random bodies fill it up. The campaign is a job of the server, which goes on without "
      "morphoctl, and after a crash where it was.",

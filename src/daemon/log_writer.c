@@ -112,7 +112,7 @@ static void *write_lines(void *context)
     pthread_mutex_lock(&writer.lock);
     if (done == n)
       tell_dropped(); /* after a failed write, the next line tries again: a notice of its own loss
-                         would repeat forever */
+                         would repeat without end */
     else
       drop(count_lines(text + done, n - done));
     atomic_fetch_sub(&writer.pending, n);
@@ -177,7 +177,7 @@ void log_writer_stop(int timeout_ms)
   if (waited == 0)
     pthread_join(writer.thread, NULL);
   else
-    pthread_detach(writer.thread); /* the thread may block forever; the process ends without it */
+    pthread_detach(writer.thread); /* the thread may never return; the process ends without it */
 }
 
 void log_writer_last_words(const char *text, size_t n)

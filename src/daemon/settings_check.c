@@ -174,7 +174,7 @@ static void check_state_dir(const char *path, struct settings_faults *faults)
 static void check_token_file(const char *path, struct settings_faults *faults)
 {
   struct stat status;
-  if (stat(path, &status) != 0) { /* before opening: reading a pipe would wait forever */
+  if (stat(path, &status) != 0) { /* before opening: reading a pipe would wait without end */
     settings_fault(faults, true, "token_file: %s: %s", path, strerror(errno));
   } else if (!S_ISREG(status.st_mode)) {
     settings_fault(faults, true, "token_file: %s is not a file", path);

@@ -159,7 +159,7 @@ static bool read_file(struct settings *settings, const char *path, bool required
 {
   struct stat status;
   if (stat(path, &status) == 0 &&
-      S_ISFIFO(status.st_mode)) { /* a reload would wait forever for its writer */
+      S_ISFIFO(status.st_mode)) { /* a reload would wait without end for its writer */
     settings_fault(faults, true, "%s is a pipe, not a file", path);
     return false;
   }

@@ -100,8 +100,8 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *se
                      struct mo_need *need, struct mo_message *message);
 
 /* ---- campaign_commit.c ---- */
-/* Describes the selected generation and starts its commit, once the one before is settled. The
- * commit reads run->rows until it is settled, and takes the losses of a zero-shot campaign. The
+/* Describes the selected generation and starts its commit, once the one before has ended. The
+ * commit reads run->rows until it has ended, and takes the losses of a zero-shot campaign. The
  * survivors are in run->other_rows. */
 int mo_campaign_commit(struct mo_campaign_run *run);
 void mo_campaign_writing_free(struct mo_campaign_run *run);

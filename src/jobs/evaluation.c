@@ -217,7 +217,7 @@ static void settle_update(struct mo_evaluations *all, struct mo_active *active,
   }
 }
 
-static void settle(struct mo_evaluations *all, int status)
+static void decide(struct mo_evaluations *all, int status)
 {
   struct mo_pending *saving = &all->saving;
   while (saving->rollouts != NULL) {
@@ -255,7 +255,7 @@ static void end_save(struct mo_evaluations *all, int status)
     break;
   case MO_ERR_IO:
   case MO_ERR_CANCELLED: all->broken = true; break;
-  default: settle(all, status); break;
+  default: decide(all, status); break;
   }
 }
 

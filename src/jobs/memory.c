@@ -22,10 +22,10 @@
 #define OVERTAKEN_MAX 8
 
 /* Measured, and rounded up. */
-#define SERVICE_BYTES      (64 * MIB) /* evaluations, requests, caches of the store */
-#define LEARNING_BYTES     (28 * MIB) /* weights, Adam, gradient, a checkpoint while it is written */
-#define SLOT_BYTES         (5 * MIB / 2)         /* the gradient of a block */
-#define SCRATCH_BYTES      (12 * MIB)            /* a worker's gradients without the tape */
+#define SERVICE_BYTES      (64 * MIB)    /* evaluations, requests, caches of the store */
+#define LEARNING_BYTES     (28 * MIB)    /* weights, Adam, gradient, a checkpoint being written */
+#define SLOT_BYTES         (5 * MIB / 2) /* the gradient of a block */
+#define SCRATCH_BYTES      (12 * MIB)    /* a worker's gradients without the tape */
 #define TAPE_STEP_BYTES    ((uint64_t)550 << 10) /* a step of a full block of the largest bodies */
 #define TAPE_SEGMENT_BYTES ((uint64_t)300 << 10) /* the start of a segment of the tape */
 

@@ -113,11 +113,11 @@ int mo_training_create(const struct mo_training_settings *settings,
   int r = check_request(settings, parent, designs, n_designs, message);
   if (r < 0)
     return r;
-  struct mo_training_settings settled = *settings;
+  struct mo_training_settings completed = *settings;
   if (parent != NULL)
-    settled.sensor = parent->sensor;
+    completed.sensor = parent->sensor;
   struct mo_training *made = NULL;
-  r = mo_training_allocate(&settled, (uint32_t)n_designs, &made);
+  r = mo_training_allocate(&completed, (uint32_t)n_designs, &made);
   if (r < 0)
     return mo_fail(message, r, "the training does not fit in memory");
   if (parent != NULL)

@@ -218,7 +218,7 @@ int mo_job_designs(struct mo_store *store, int64_t id,
  * below this; ?2: state; ?3: limit; ?5: ids of waiting jobs, which are shown as paused while they
  * run. No page needs sorting: each part comes in order from its index, and SQLite merges two of
  * them. */
-#define PAGE_OF_ALL(select, where)   select " WHERE " where " AND j.id<?1 ORDER BY j.id DESC LIMIT ?3"
+#define PAGE_OF_ALL(rows, where)     rows " WHERE " where " AND j.id<?1 ORDER BY j.id DESC LIMIT ?3"
 #define PAGE_OF_STATE(select, where) PAGE_OF_ALL(select, where " AND j.state=?2")
 #define PAGE_OF_SHOWN(select, where)                                                               \
   select                                                                                           \

@@ -312,7 +312,7 @@ static void probe_space(struct mo_store *store)
 }
 
 /* Copies the log into the database. The log restarts only when no connection reads it, and
- * overlapping readers can prevent that forever. So when it is long, this waits briefly for the
+ * overlapping readers can prevent that without end. So when it is long, this waits briefly for the
  * current readers; new readers use the database. */
 static void checkpoint(struct mo_store *store)
 {
