@@ -200,6 +200,7 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
   if (code != MO_OK)
     mo_fail(message, code, "cannot start the API threads");
   mo_streams_start(http);
+  *ret = http; /* before the service's threads can use it */
   if (code == MO_OK && service->start != NULL) {
     code = service->start(service->context, http);
     if (code != MO_OK)
@@ -216,10 +217,9 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
     code = mo_acceptor_start(http, message);
   if (code != MO_OK) {
     mo_http_stop(http, 0);
-    return code;
+    *ret = NULL;
   }
-  *ret = http;
-  return MO_OK;
+  return code;
 }
 
 void mo_http_set_ready(struct mo_http *http, bool ready)

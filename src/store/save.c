@@ -120,22 +120,6 @@ static int announce(struct mo_store *store, const struct mo_job_update *update)
   return mo_writer_event(store, update->job, type, data);
 }
 
-/* Stores only the counts of a step that came after the job left its state. */
-static int apply_late_counts(struct mo_connection *writer, const struct mo_job_update *update)
-{
-  static const char sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND state IN (0,2)";
-  int error = MO_OK;
-  sqlite3_stmt *statement;
-  if (update->total == 0)
-    return MO_OK;
-  statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, update->job);
-  error = mo_sql_run(writer, statement);
-  return error == MO_OK && sqlite3_changes(writer->db) > 0 ? apply_counts(writer, update) : error;
-}
-
 /* Stores the class of a job that starts. If the process that ran it before had another one, the job
  * goes on in the new class from its beginning: what was recorded and recomputed is deleted. */
 static int set_class(struct mo_store *store, const struct mo_job_update *update)
@@ -167,6 +151,28 @@ static int set_class(struct mo_store *store, const struct mo_job_update *update)
              : error;
 }
 
+/* Stores only the counts of a step that came after the job left its state, and for a start the
+ * class, to which the results of its blocks in flight belong. */
+static int apply_late_counts(struct mo_store *store, const struct mo_job_update *update)
+{
+  static const char sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND state IN (0,2)";
+  struct mo_connection *writer = &store->writer;
+  int error = MO_OK;
+  sqlite3_stmt *statement;
+  if (update->total == 0)
+    return MO_OK;
+  statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, update->job);
+  error = mo_sql_run(writer, statement);
+  if (error != MO_OK || sqlite3_changes(writer->db) == 0)
+    return error;
+  if (update->step == MO_STEP_START && update->fingerprint != 0)
+    error = set_class(store, update);
+  return error == MO_OK ? apply_counts(writer, update) : error;
+}
+
 static int apply_update(struct mo_store *store, struct mo_job_update *update)
 {
   static const char *const sql[] = {start_sql, progress_sql, succeed_sql,
@@ -195,7 +201,7 @@ static int apply_update(struct mo_store *store, struct mo_job_update *update)
   if (error != MO_OK)
     return error;
   if (sqlite3_changes(writer->db) == 0)
-    return apply_late_counts(writer, update);
+    return apply_late_counts(store, update);
   update->applied = true;
   if (update->step == MO_STEP_START && update->fingerprint != 0)
     error = set_class(store, update);
