@@ -198,7 +198,7 @@ static void runs_side_by_side(void)
   int64_t ids[3], other;
   REQUIRE(start(&service, 3) == MO_OK);
   REQUIRE(fixture_bodies(77, 20, &forms, &genotypes) == MO_OK);
-  fake_plan.delay_us = 1000;
+  fake_plan.delay_us = 50000; /* so that the first is not over before its weight is set */
   for (int i = 0; i < 3; i++) {
     requests[i] = campaign((enum mo_campaign_mode)i);
     requests[i].record.settings.seed = 100 + (uint64_t)i;
@@ -210,6 +210,7 @@ static void runs_side_by_side(void)
   evaluation = service_request(genotypes, 20);
   other = service_submit(&service, &evaluation);
   CHECK_INT(mo_jobs_set_weight(service.jobs, ids[0], 500), MO_OK);
+  fake_plan.delay_us = 1000;
   REQUIRE(await_end(service.jobs, other, 120000, &job) == MO_OK);
   CHECK(right(&service, other, genotypes));
   for (int i = 0; i < 3; i++)
