@@ -128,6 +128,9 @@ static void destroy(struct mo_http *http)
     close(http->stop_fd);
   if (http->peers_fd >= 0)
     close(http->peers_fd);
+  /* The library closes a connection that it has not begun to serve without a callback. */
+  for (size_t fd = 0; fd < http->connections_top; fd++)
+    free(http->connections[fd]);
   free(http->connections);
   free(http->listeners);
   free(http->listener_transports);
