@@ -78,17 +78,12 @@ int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_sta
   return error;
 }
 
-int64_t mo_store_campaigns(struct mo_store *store, const struct mo_campaign_query *query,
+int64_t mo_store_campaigns(struct mo_store *store, const struct mo_job_query *query,
                            struct mo_campaign_status *statuses, size_t limit)
 {
-  const struct mo_job_query campaigns = {.before = query->before,
-                                         .state = query->state,
-                                         .kind = MO_JOB_CAMPAIGN,
-                                         .label = query->label,
-                                         .waiting = query->waiting,
-                                         .n_waiting = query->n_waiting};
-  return mo_read_jobs(store, &campaigns, query->group, limit, load_status, statuses,
-                      sizeof(*statuses));
+  struct mo_job_query campaigns = *query;
+  campaigns.kind = MO_JOB_CAMPAIGN;
+  return mo_read_jobs(store, &campaigns, limit, load_status, statuses, sizeof(*statuses));
 }
 
 /* ---- environments and initial designs, which the group shares ---- */

@@ -53,17 +53,7 @@ int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t genera
 
 /* MO_ERR_NOT_FOUND. After an error *status is as it was. */
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status);
-struct mo_campaign_query {
-  int64_t before;    /* only ids below this; 0: from the newest */
-  int state;         /* enum mo_job_state or −1 */
-  int64_t group;     /* 0: any */
-  const char *label; /* nullable; as in mo_job_query */
-  /* (n_waiting ≤ MO_WAITING_MAX) running campaigns that are shown, and so found, as paused;
-   * nullable. */
-  const int64_t *waiting;
-  size_t n_waiting;
-};
-int64_t mo_store_campaigns(struct mo_store *store, const struct mo_campaign_query *query,
+int64_t mo_store_campaigns(struct mo_store *store, const struct mo_job_query *query,
                            struct mo_campaign_status *statuses, size_t limit);
 int mo_store_campaign_environments(struct mo_store *store, int64_t id,
                                    struct mo_environment **environments, uint32_t *n);

@@ -240,8 +240,7 @@ static unsigned page_of(const struct mo_job_query *query)
   return query->state < 0 ? 0 : waits ? 2 : 1;
 }
 
-static int bind_page(sqlite3_stmt *statement, const struct mo_job_query *query, int64_t group,
-                     size_t limit)
+static int bind_page(sqlite3_stmt *statement, const struct mo_job_query *query, size_t limit)
 {
   char text[MO_WAITING_MAX * 24 + 8] = "[";
   size_t size = 1;
@@ -256,7 +255,7 @@ static int bind_page(sqlite3_stmt *statement, const struct mo_job_query *query, 
   (void)sqlite3_bind_int64(statement, 2, query->state);
   (void)sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
   (void)sqlite3_bind_int64(statement, 4, query->kind);
-  (void)sqlite3_bind_int64(statement, 6, group);
+  (void)sqlite3_bind_int64(statement, 6, query->group);
   if (query->label != NULL)
     (void)sqlite3_bind_text(statement, 7, query->label, -1, SQLITE_STATIC);
   return sqlite3_bind_text(statement, 5, text, (int)size, SQLITE_TRANSIENT) == SQLITE_NOMEM
@@ -265,21 +264,20 @@ static int bind_page(sqlite3_stmt *statement, const struct mo_job_query *query, 
 }
 
 static int64_t read_ids(struct mo_connection *reader, const char *sql,
-                        const struct mo_job_query *query, int64_t group, int64_t *ids, size_t limit)
+                        const struct mo_job_query *query, int64_t *ids, size_t limit)
 {
   int error = MO_OK;
   int64_t n = 0;
   int step;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL || (error = bind_page(statement, query, group, limit)) != MO_OK)
+  if (statement == NULL || (error = bind_page(statement, query, limit)) != MO_OK)
     return error;
   while ((step = mo_sql_step(reader, statement)) > 0)
     ids[n++] = sqlite3_column_int64(statement, 0);
   return step < 0 ? step : n;
 }
 
-int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, int64_t group,
-                     size_t limit,
+int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, size_t limit,
                      int (*load)(struct mo_connection *reader, int64_t id, void *status),
                      void *statuses, size_t status_size)
 {
@@ -293,7 +291,7 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, i
        PAGES(GROUPS, "m.replicates_of=?6 AND j.kind=?4 AND j.label=?7")}};
 #undef GROUPS
 #undef JOBS
-  const int which = group != 0 ? 2 : query->kind >= 0 ? 1 : 0;
+  const int which = query->group != 0 ? 2 : query->kind >= 0 ? 1 : 0;
   int64_t ids[MO_PAGE_MAX] = {0};
   struct mo_connection *reader;
   int64_t n;
@@ -303,7 +301,7 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, i
   reader = mo_reader_acquire(store);
   error = mo_sql_exec(reader, "BEGIN");
   n = error == MO_OK ? read_ids(reader, sql[which][query->label != NULL][page_of(query)], query,
-                                group, ids, limit)
+                                ids, limit)
                      : error;
   for (int64_t i = 0; i < n && error == MO_OK; i++)
     error = load(reader, ids[i], (char *)statuses + (size_t)i * status_size);
@@ -314,7 +312,7 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, i
 int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs,
                       size_t limit)
 {
-  return mo_read_jobs(store, query, 0, limit, load_job, jobs, sizeof(*jobs));
+  return mo_read_jobs(store, query, limit, load_job, jobs, sizeof(*jobs));
 }
 
 int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES])

@@ -69,10 +69,9 @@ int mo_read_job(struct mo_store *store, int64_t id,
 int mo_job_designs(struct mo_store *store, int64_t id,
                    int (*load)(struct mo_connection *reader, int64_t id, void *designs),
                    struct mo_bits **genotypes, uint32_t *n);
-/* Reads a page of jobs, newest first, in one transaction: `load` reads each into its place. group:
- * of campaigns, whose query has their kind; 0: any. */
-int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, int64_t group,
-                     size_t limit,
+/* Reads a page of jobs, newest first, in one transaction: `load` reads each into its
+ * place. A query with a group has the kind of campaigns. */
+int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, size_t limit,
                      int (*load)(struct mo_connection *reader, int64_t id, void *status),
                      void *statuses, size_t status_size);
 

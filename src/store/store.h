@@ -113,6 +113,7 @@ struct mo_job_query {
   /* (n_waiting ≤ MO_WAITING_MAX) running jobs that are shown, and so found, as paused; nullable. */
   const int64_t *waiting;
   size_t n_waiting;
+  int64_t group; /* only campaigns of this group of replicates; 0: any job */
 };
 #define MO_WAITING_MAX 80 /* all trainings and campaigns that can run at once */
 /* Reads a page of jobs, newest first, at most `limit` ≤ MO_PAGE_MAX. Returns the number or an

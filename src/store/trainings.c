@@ -110,7 +110,7 @@ int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *qu
 {
   struct mo_job_query trainings = *query;
   trainings.kind = MO_JOB_TRAINING;
-  return mo_read_jobs(store, &trainings, 0, limit, load_status, statuses, sizeof(*statuses));
+  return mo_read_jobs(store, &trainings, limit, load_status, statuses, sizeof(*statuses));
 }
 
 static int load_designs(struct mo_connection *reader, int64_t id, void *any)

@@ -206,7 +206,7 @@ static void starts_replicates(void)
   struct mo_environment *environments = NULL;
   struct mo_campaign_submission submission = campaign_submission(MO_ZERO_SHOT, 10, 30);
   struct mo_campaign_status status, page[8];
-  struct mo_campaign_query query = {.state = -1};
+  struct mo_job_query query = {.state = -1};
   int64_t ids[8], id, again = 0, other;
   uint32_t n = 0;
   bool replayed = true;
@@ -254,7 +254,7 @@ static void starts_replicates(void)
   query.before = id + 2;
   CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 1), 1);
   CHECK_INT(page[0].job.id, id + 1);
-  query = (struct mo_campaign_query){.state = -1, .group = id};
+  query = (struct mo_job_query){.state = -1, .group = id};
   CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 8), 4);
   REQUIRE(mo_store_campaign_start(fixture.store, id + 1) == MO_OK);
   REQUIRE(mo_store_campaign_start(fixture.store, id + 2) == MO_OK);

@@ -185,7 +185,7 @@ static void pages_of_jobs(void)
             .before = places[p], .state = state, .kind = -1, .waiting = waiting, .n_waiting = w};
         CHECK(mo_store_trainings(fixture.store, &query, trainings, PAGE) >= 0);
         cheap("trainings", 1, state, places[p], w > 0);
-        struct mo_campaign_query all = {
+        struct mo_job_query all = {
             .before = places[p], .state = state, .waiting = waiting, .n_waiting = w, .group = 0};
         CHECK(mo_store_campaigns(fixture.store, &all, campaigns, PAGE) >= 0);
         cheap("campaigns", 2, state, places[p], w > 0);
