@@ -11,14 +11,6 @@
 
 /* ---- settings ---- */
 
-static void write_environments(struct mo_text *text, const struct mo_campaign_record *record)
-{
-  if (record->environment_set[0] != '\0')
-    mo_text_member(text, "environments", record->environment_set);
-  else
-    mo_text_format(text, ",\"environments\":{\"count\":%u}", record->n_environments);
-}
-
 static void write_initial(struct mo_text *text, const struct mo_campaign_record *record)
 {
   if (record->initial_campaign > 0)
@@ -27,7 +19,7 @@ static void write_initial(struct mo_text *text, const struct mo_campaign_record 
   else if (record->n_listed > 0)
     mo_text_format(text, ",\"initial\":{\"n_designs\":%u}", record->n_listed);
   else
-    mo_text_add(text, ",\"initial\":\"random\"");
+    mo_text_member(text, "initial", "random");
 }
 
 static void write_settings(struct mo_text *text, const struct mo_campaign_record *record)
@@ -42,9 +34,9 @@ static void write_settings(struct mo_text *text, const struct mo_campaign_record
     settings->sensor = (enum mo_sensor) - 1; /* null: that of the controller */
   mo_text_add(text, ",\"settings\":{");
   mo_fields_write(text, &mo_campaign_record_fields, &shown);
-  write_environments(text, record);
+  mo_member_environments(text, record->environment_set, record->n_environments);
   write_initial(text, record);
-  mo_text_add(text, ",\"learning\":");
+  mo_text_name(text, "learning");
   if (settings->mode == MO_ZERO_SHOT)
     mo_text_add(text, "null");
   else
@@ -83,30 +75,28 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
   const struct mo_campaign_record *record = &status->record;
   char made[MO_MADE_BYTES];
   const char *name = mo_result_name(&status->job, record->name, made);
-  mo_text_format(text, "{\"id\":\"%lld\"", (long long)status->job.id);
+  mo_text_object(text);
+  mo_text_member_id(text, "id", status->job.id);
   mo_text_member(text, "mode", mo_campaign_mode_name(record->settings.mode));
-  mo_member_text(text, "preset", record->preset[0] != '\0' ? record->preset : NULL);
-  mo_member_text(text, "name", record->settings.mode != MO_ZERO_SHOT ? name : NULL);
+  mo_text_member(text, "preset", record->preset[0] != '\0' ? record->preset : NULL);
+  mo_text_member(text, "name", record->settings.mode != MO_ZERO_SHOT ? name : NULL);
   mo_job_write_head(text, &status->job, live);
   mo_text_member(text, "phase", mo_phase_name(live->phase));
-  mo_reference_write(text, "controller", record->has_controller, record->controller_name,
-                     &record->controller_sha256);
+  mo_member_controller(text, "controller", record->has_controller, record->controller_name,
+                       &record->controller_sha256);
   write_settings(text, record);
   mo_text_format(text, ",\"group\":{\"id\":\"%lld\",\"replicate\":%u,\"replicates\":%u}",
                  (long long)record->group, record->replicate, record->replicates);
   write_progress(text, status, live);
-  mo_member_text(text, "end", ends[status->end]);
-  mo_text_add(text, ",\"newest\":");
-  if (status->generation >= 0)
-    mo_columns_json(text, &mo_generation_columns, &status->last);
-  else
-    mo_text_add(text, "null");
+  mo_text_member(text, "end", ends[status->end]);
+  mo_text_name(text, "newest");
+  mo_columns_json(text, &mo_generation_columns, status->generation >= 0 ? &status->last : NULL);
   if (status->has_result) {
-    mo_text_add(text, ",\"result\":{\"controller\":");
-    mo_controller_write(text, name, &status->result_sha256);
+    mo_text_add(text, ",\"result\":{");
+    mo_member_controller(text, "controller", true, name, &status->result_sha256);
     mo_text_add(text, "}");
   } else {
-    mo_member_text(text, "result", NULL);
+    mo_text_member(text, "result", NULL);
   }
   mo_links_write(text, &status->job, below);
   mo_text_add(text, "}");
@@ -115,7 +105,8 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
 void mo_campaign_json_job(struct mo_text *text, const void *any, const struct mo_live *live)
 {
   const struct mo_campaign_status *status = any;
-  mo_text_format(text, "{\"id\":\"%lld\"", (long long)status->job.id);
+  mo_text_object(text);
+  mo_text_member_id(text, "id", status->job.id);
   mo_text_member(text, "kind", mo_job_kind_name(status->job.kind));
   mo_job_write_head(text, &status->job, live);
   mo_text_format(text, ",\"campaign\":{\"mode\":\"%s\"",
@@ -124,15 +115,6 @@ void mo_campaign_json_job(struct mo_text *text, const void *any, const struct mo
   mo_member_count_if(text, "generation", status->generation >= 0, (uint64_t)status->generation);
   mo_text_member_count(text, "generations", status->record.settings.generations);
   mo_text_add(text, "}}");
-}
-
-void mo_campaign_json_checkpoint(struct mo_text *text, const struct mo_checkpoint_row *row)
-{
-  mo_text_format(text, "{\"generation\":%u,\"step\":%u,\"sha256\":", row->generation, row->step);
-  mo_hash_write(text, &row->sha256);
-  mo_text_member_count(text, "size", row->size);
-  mo_text_member_time(text, "stored_at", row->stored_us);
-  mo_text_add(text, "}");
 }
 
 /* ---- designs ---- */
@@ -148,21 +130,18 @@ void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design
 {
   mo_text_add(text, ",\"parents\":[");
   write_parents(text, &row->descent);
-  mo_text_format(text, "],\"operator\":\"%s\",\"born\":%u,\"died\":",
-                 mo_operator_name((enum mo_operator)row->descent.op), row->born);
-  if (row->died >= 0)
-    mo_text_json_integer(text, row->died);
-  else
-    mo_text_add(text, "null");
+  mo_text_add(text, "]");
+  mo_text_member(text, "operator", mo_operator_name((enum mo_operator)row->descent.op));
+  mo_text_member_count(text, "born", row->born);
+  mo_member_count_if(text, "died", row->died >= 0, (uint64_t)row->died);
   mo_text_member_number(text, "score", row->score);
 }
 
 void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row)
 {
-  mo_text_format(text, "\"number\":%u,\"id\":", row->number);
-  mo_bits_write_id(text, &row->form);
-  mo_text_add(text, ",\"genotype\":");
-  mo_bits_write(text, &row->genotype);
+  mo_text_member_count(text, "number", row->number);
+  mo_member_form(text, "id", &row->form);
+  mo_member_bits(text, "genotype", &row->genotype);
   mo_campaign_json_life(text, row);
   mo_text_format(text, ",\"voxels\":%u,\"footprint\":%u,\"masses\":%u,\"springs\":%u",
                  row->size.voxels, row->size.footprint, row->size.masses, row->size.springs);
@@ -178,17 +157,16 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
   write_parents(text, &row->descent);
   mo_text_format(text, root ? "none]\",%u," : "]\",%u,", row->born);
   if (row->died >= 0 && row->died <= end)
-    mo_text_json_integer(text, row->died);
+    mo_text_format(text, "%lld", (long long)row->died);
   else
     mo_text_add(text, "inf");
-  mo_text_format(text, ",%s", mo_operator_name((enum mo_operator)row->descent.op));
-  mo_text_add(text, ",");
+  mo_text_format(text, ",%s,", mo_operator_name((enum mo_operator)row->descent.op));
   if (isfinite(row->score))
     mo_text_json_number(text, row->score);
   mo_text_add(text, ",d"); /* letters, because programs that read tables take 8e00… for a number */
-  mo_bits_write_id_bare(text, &row->form);
+  mo_bits_write_id(text, &row->form);
   mo_text_add(text, ",g");
-  mo_bits_write_bare(text, &row->genotype);
+  mo_bits_write(text, &row->genotype);
   mo_text_format(text, ",%u,%u,%u,%u\n", row->size.voxels, row->size.footprint, row->size.masses,
                  row->size.springs);
 }

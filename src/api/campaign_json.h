@@ -8,7 +8,6 @@
 /* Writes a campaign. live: its current live state. */
 void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
                             const struct mo_live *live);
-void mo_campaign_json_checkpoint(struct mo_text *text, const struct mo_checkpoint_row *row);
 /* Writes a campaign as an item of the list of jobs. status: struct mo_campaign_status. */
 void mo_campaign_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 

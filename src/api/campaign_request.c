@@ -282,12 +282,6 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
   return error;
 }
 
-void mo_campaign_parsed_free(struct mo_parsed_campaign *parsed)
-{
-  mo_parts_free(&parsed->parts);
-  *parsed = (struct mo_parsed_campaign){0};
-}
-
 /* ---- small bodies ---- */
 
 struct counts {

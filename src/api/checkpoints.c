@@ -1,122 +1,77 @@
 /* checkpoints.c: lists and deletes the checkpoints of trainings and campaigns. */
 #include <string.h>
 
-#include "api/campaign_json.h"
-#include "api/job_reply.h"
-#include "api/training_json.h"
+#include "api/job_json.h"
+#include "api/jobs.h"
 
-void mo_api_get_training_checkpoints(struct mo_request *request)
+/* Opens an object with the place of a checkpoint; only campaigns have generations. */
+static void write_place(struct mo_text *text, const struct mo_resource *kind, uint32_t generation,
+                        uint32_t step)
 {
-  struct mo_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
-  int64_t id;
-  if (!mo_path_job(request, MO_JOB_TRAINING, &id))
-    return;
-  int64_t n = mo_store_checkpoints(mo_api_of(request)->store, id, rows, MO_CHECKPOINTS_KEPT_MAX);
-  if (n < 0) {
-    mo_reply_error(request, (int)n, "page");
-    return;
-  }
-  struct mo_text text = {0};
-  mo_text_add(&text, "{\"items\":[");
-  for (int64_t i = 0; i < n; i++) {
-    if (i > 0)
-      mo_text_bytes(&text, ",", 1);
-    mo_training_json_checkpoint(&text, &rows[i]);
-  }
-  mo_text_add(&text, "]}");
-  mo_reply_json(request, 200, &text);
-  mo_reply_etag_of_body(request);
+  mo_text_object(text);
+  if (kind->kind == MO_JOB_CAMPAIGN)
+    mo_text_member_count(text, "generation", generation);
+  mo_text_member_count(text, "step", step);
 }
 
-static void delete_checkpoints(struct mo_request *request, bool one)
+void mo_api_get_checkpoints(struct mo_request *request)
 {
-  struct mo_checkpoints_removed removed;
-  const char *text = request->parameters[1];
-  int64_t id, step = 0;
-  if (!mo_path_job(request, MO_JOB_TRAINING, &id))
+  const struct mo_resource *kind = mo_resource_of(request);
+  struct mo_checkpoint_row rows[MO_CHECKPOINTS_MAX];
+  struct mo_text text = {0};
+  int64_t id;
+  if (!mo_path_job(request, &id))
     return;
-  int code = one && !mo_decimal(text, strlen(text), 1, MO_TRAINING_STEPS_MAX, &step)
-                 ? MO_ERR_NOT_FOUND
-                 : MO_OK;
-  if (code == MO_OK)
-    code = mo_store_checkpoints_remove(mo_api_of(request)->store, id, MO_JOB_TRAINING,
-                                       (uint32_t)step, &removed);
-  if (code == MO_ERR_NOT_FOUND) {
+  int64_t n = mo_store_checkpoints(mo_api_of(request)->store, id, rows, MO_CHECKPOINTS_MAX);
+  mo_text_add(&text, "{\"items\":[");
+  for (int64_t i = 0; i < n; i++) {
+    write_place(&text, kind, rows[i].generation, rows[i].step);
+    mo_member_hash(&text, "sha256", &rows[i].sha256);
+    mo_text_member_count(&text, "size", rows[i].size);
+    mo_text_member_time(&text, "stored_at", rows[i].stored_us);
+    mo_text_add(&text, "}");
+  }
+  mo_text_add(&text, "]}");
+  mo_reply_text(request, n < 0 ? (int)n : MO_OK, &text, "page");
+}
+
+/* Deletes those that are not needed, or the one whose step the path has. */
+void mo_api_delete_checkpoints(struct mo_request *request)
+{
+  const struct mo_resource *kind = mo_resource_of(request);
+  struct mo_checkpoints_removed removed;
+  const char *given = request->parameters[1];
+  const bool one = given[0] != '\0';
+  struct mo_text text = {0};
+  int64_t id, step = 0;
+  if (!mo_path_job(request, &id))
+    return;
+  int error = one && !mo_decimal(given, strlen(given), 1, MO_TRAINING_STEPS_MAX, &step)
+                  ? MO_ERR_NOT_FOUND
+                  : mo_store_checkpoints_remove(mo_api_of(request)->store, id, kind->kind,
+                                                (uint32_t)step, &removed);
+  if (one && error == MO_ERR_NOT_FOUND) {
     mo_reply_problem(request, 404, NULL,
                      "The training keeps no checkpoint of this step; GET "
                      "/v1/trainings/%lld/checkpoints lists them.",
                      (long long)id);
-  } else if (code == MO_ERR_CONFLICT) {
+  } else if (one && error == MO_ERR_CONFLICT) {
     mo_reply_problem(request, 409, NULL,
                      "The training has not ended and goes on from its newest checkpoint, that of "
                      "step %lld, after a restart or a pause; it can be deleted when the training "
                      "has ended or was cancelled.",
                      (long long)step);
-  } else if (code != MO_OK) {
-    mo_reply_error(request, code, "checkpoint");
+  } else if (error != MO_OK) {
+    mo_reply_error(request, error, mo_job_kind_name(kind->kind));
   } else {
-    struct mo_text reply = {0};
-    mo_text_add(&reply, "{\"items\":[");
-    for (size_t i = 0; i < removed.n; i++)
-      mo_text_format(&reply, "%s{\"step\":%u}", i > 0 ? "," : "", removed.places[i].step);
-    mo_text_add(&reply, "]");
-    mo_text_member_count(&reply, "bytes", removed.bytes);
-    mo_text_add(&reply, "}");
-    mo_reply_json(request, 200, &reply);
+    mo_text_add(&text, "{\"items\":[");
+    for (size_t i = 0; i < removed.n; i++) {
+      write_place(&text, kind, removed.places[i].generation, removed.places[i].step);
+      mo_text_add(&text, "}");
+    }
+    mo_text_add(&text, "]");
+    mo_text_member_count(&text, "bytes", removed.bytes);
+    mo_text_add(&text, "}");
+    mo_reply_json(request, 200, &text);
   }
-}
-
-void mo_api_delete_training_checkpoints(struct mo_request *request)
-{
-  delete_checkpoints(request, false);
-}
-
-void mo_api_delete_training_checkpoint(struct mo_request *request)
-{
-  delete_checkpoints(request, true);
-}
-
-void mo_api_get_campaign_checkpoints(struct mo_request *request)
-{
-  struct mo_checkpoint_row rows[MO_CHECKPOINTS_MAX];
-  struct mo_text text = {0};
-  int64_t id;
-  if (!mo_path_job(request, MO_JOB_CAMPAIGN, &id))
-    return;
-  int64_t n = mo_store_checkpoints(mo_api_of(request)->store, id, rows, MO_CHECKPOINTS_MAX);
-  if (n < 0) {
-    mo_reply_error(request, (int)n, "page");
-    return;
-  }
-  mo_text_add(&text, "{\"items\":[");
-  for (int64_t i = 0; i < n; i++) {
-    mo_text_add(&text, i > 0 ? "," : "");
-    mo_campaign_json_checkpoint(&text, &rows[i]);
-  }
-  mo_text_add(&text, "]}");
-  mo_reply_json(request, 200, &text);
-  mo_reply_etag_of_body(request);
-}
-
-void mo_api_delete_campaign_checkpoints(struct mo_request *request)
-{
-  struct mo_checkpoints_removed removed;
-  struct mo_text text = {0};
-  int64_t id;
-  if (!mo_path_job(request, MO_JOB_CAMPAIGN, &id))
-    return;
-  int code =
-      mo_store_checkpoints_remove(mo_api_of(request)->store, id, MO_JOB_CAMPAIGN, 0, &removed);
-  if (code != MO_OK) {
-    mo_reply_error(request, code, "campaign");
-    return;
-  }
-  mo_text_add(&text, "{\"items\":[");
-  for (size_t i = 0; i < removed.n; i++)
-    mo_text_format(&text, "%s{\"generation\":%u,\"step\":%u}", i > 0 ? "," : "",
-                   removed.places[i].generation, removed.places[i].step);
-  mo_text_add(&text, "]");
-  mo_text_member_count(&text, "bytes", removed.bytes);
-  mo_text_add(&text, "}");
-  mo_reply_json(request, 200, &text);
 }

@@ -14,32 +14,20 @@
 static void write_value(struct mo_text *text, const struct mo_column *column, const void *row,
                         bool csv)
 {
-  const char *value = (const char *)row + column->offset;
-  uint32_t count;
-  uint64_t large;
-  double number;
-  bool flag;
+  const void *value = (const char *)row + column->offset;
   switch (column->type) {
-  case MO_COLUMN_COUNT:
-    memcpy(&count, value, sizeof(count));
-    mo_text_format(text, "%" PRIu32, count);
-    break;
-  case MO_COLUMN_LONG:
-    memcpy(&large, value, sizeof(large));
-    mo_text_format(text, "%" PRIu64, large);
-    break;
+  case MO_COLUMN_COUNT: mo_text_format(text, "%" PRIu32, *(const uint32_t *)value); break;
+  case MO_COLUMN_LONG: mo_text_format(text, "%" PRIu64, *(const uint64_t *)value); break;
   case MO_COLUMN_NUMBER:
-    memcpy(&number, value, sizeof(number));
-    if (!csv || isfinite(number))
-      mo_text_json_number(text, number);
+    if (!csv || isfinite(*(const double *)value))
+      mo_text_json_number(text, *(const double *)value);
     break;
   case MO_COLUMN_FLAG:
-    memcpy(&flag, value, sizeof(flag));
-    mo_text_add(text, csv ? (flag ? "1" : "0") : flag ? "true" : "false");
+    mo_text_add(text, csv ? (*(const bool *)value ? "1" : "0")
+                          : (*(const bool *)value ? "true" : "false"));
     break;
   case MO_COLUMN_WORD:
-    memcpy(&flag, value, sizeof(flag));
-    mo_text_format(text, csv ? "%s" : "\"%s\"", column->words[flag]);
+    mo_text_format(text, csv ? "%s" : "\"%s\"", column->words[*(const bool *)value]);
     break;
   }
 }
@@ -64,15 +52,21 @@ static void close_objects(struct mo_text *text, const char *path)
 void mo_columns_json(struct mo_text *text, const struct mo_columns *columns, const void *row)
 {
   const char *open = "";
+  if (row == NULL) {
+    mo_text_add(text, "null");
+    return;
+  }
+  mo_text_object(text);
   for (size_t i = 0; i < columns->n; i++) {
     const char *path = columns->items[i].path;
     size_t shared = shared_part(open, path);
     close_objects(text, open + shared);
-    mo_text_add(text, i == 0 ? "{" : ",");
     path += shared;
-    for (size_t n; path[n = strcspn(path, ".")] == '.'; path += n + 1)
+    for (size_t n; path[n = strcspn(path, ".")] == '.'; path += n + 1) {
+      mo_text_next(text);
       mo_text_format(text, "\"%.*s\":{", (int)n, path);
-    mo_text_format(text, "\"%s\":", path);
+    }
+    mo_text_name(text, path);
     write_value(text, &columns->items[i], row, false);
     open = columns->items[i].path;
   }
@@ -83,11 +77,10 @@ void mo_columns_json(struct mo_text *text, const struct mo_columns *columns, con
 void mo_columns_csv(struct mo_text *text, const struct mo_columns *columns, const void *row)
 {
   for (size_t i = 0; i < columns->n; i++) {
-    if (i > 0)
-      mo_text_bytes(text, ",", 1);
+    mo_text_add(text, i > 0 ? "," : "");
     write_value(text, &columns->items[i], row, true);
   }
-  mo_text_bytes(text, "\n", 1);
+  mo_text_add(text, "\n");
 }
 
 void mo_columns_heading(struct mo_text *text, const struct mo_columns *columns)
@@ -209,19 +202,11 @@ _Static_assert(MO_QUANTILES == 7, "one column for each quantile");
 
 /* ---- replicates ---- */
 
-#define AT(i, member) offsetof(struct mo_replicate_row, numbers[i].member)
-#define NUMBERS(name, i)                                                                           \
-  {name ".least", NUMBER, AT(i, least), name "_least"},                                            \
-      {name ".mean", NUMBER, AT(i, mean), name "_mean"},                                           \
-  {                                                                                                \
-    name ".most", NUMBER, AT(i, most), name "_most"                                                \
-  }
+#define AT(member) offsetof(struct mo_replicate_row, member)
 static const struct mo_column replicate_columns[] = {
-    {"generation", COUNT, offsetof(struct mo_replicate_row, generation)},
-    {"campaigns", COUNT, offsetof(struct mo_replicate_row, campaigns)},
-    NUMBERS("mean_score", 0),
-    NUMBERS("best_score", 1),
-    NUMBERS("diversity", 2),
+    {"generation", COUNT, AT(generation)}, {"campaigns", COUNT, AT(campaigns)},
+    SPREAD("mean_score", AT(spread[0])),   SPREAD("best_score", AT(spread[1])),
+    SPREAD("diversity", AT(spread[2])),
 };
 #undef AT
 const struct mo_columns mo_replicate_columns = COLUMNS(replicate_columns);
@@ -233,23 +218,24 @@ void mo_replicate_add(struct mo_replicate_row *row, const struct mo_campaign_gen
   row->generation = of_one->generation;
   row->campaigns++;
   for (int i = 0; i < MO_REPLICATE_NUMBERS; i++) {
-    double number = numbers[i];
-    if (!isfinite(number))
+    struct mo_spread *spread = &row->spread[i];
+    if (!isfinite(numbers[i]))
       continue;
-    if (row->numbers[i].n == 0 || number < row->numbers[i].least)
-      row->numbers[i].least = number;
-    if (row->numbers[i].n == 0 || number > row->numbers[i].most)
-      row->numbers[i].most = number;
-    row->numbers[i].mean += number;
-    row->numbers[i].n++;
+    if (row->n[i] == 0 || numbers[i] < spread->least)
+      spread->least = numbers[i];
+    if (row->n[i] == 0 || numbers[i] > spread->most)
+      spread->most = numbers[i];
+    spread->mean += numbers[i];
+    row->n[i]++;
   }
 }
 
 void mo_replicate_finish(struct mo_replicate_row *row)
 {
   for (int i = 0; i < MO_REPLICATE_NUMBERS; i++) {
-    row->numbers[i].mean /= row->numbers[i].n; /* of none: NaN */
-    if (row->numbers[i].n == 0)
-      row->numbers[i].least = row->numbers[i].most = NAN;
+    struct mo_spread *spread = &row->spread[i];
+    spread->mean /= row->n[i]; /* of none: NaN */
+    if (row->n[i] == 0)
+      spread->least = spread->most = NAN;
   }
 }

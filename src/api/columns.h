@@ -6,6 +6,8 @@
 
 #include <stddef.h>
 
+#include <morpho/evolution.h>
+
 #include "base/text.h"
 
 enum mo_column_type {
@@ -30,6 +32,7 @@ struct mo_columns {
   size_t n;
 };
 
+/* Writes the row as an object; NULL: null. */
 void mo_columns_json(struct mo_text *text, const struct mo_columns *columns, const void *row);
 /* Write a line of CSV, and the heading. */
 void mo_columns_csv(struct mo_text *text, const struct mo_columns *columns, const void *row);
@@ -48,10 +51,8 @@ extern const struct mo_columns mo_replicate_columns;     /* struct mo_replicate_
 struct mo_campaign_generation;
 struct mo_replicate_row {
   uint32_t generation, campaigns;
-  struct {
-    double least, mean, most; /* mean: the sum, until the row is finished */
-    uint32_t n;
-  } numbers[MO_REPLICATE_NUMBERS];
+  struct mo_spread spread[MO_REPLICATE_NUMBERS]; /* mean: the sum, until the row is finished */
+  uint32_t n[MO_REPLICATE_NUMBERS];
 };
 void mo_replicate_add(struct mo_replicate_row *row, const struct mo_campaign_generation *of_one);
 void mo_replicate_finish(struct mo_replicate_row *row);

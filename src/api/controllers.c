@@ -14,22 +14,16 @@ static int write_controller(struct mo_store *store, struct mo_text *text,
   int code = mo_store_controller_metadata(store, &record->sha256, &metadata);
   if (code != MO_OK)
     return code;
-  mo_text_add(text, "{\"name\":");
-  if (record->name[0] != '\0')
-    mo_text_json_string(text, record->name, strlen(record->name));
-  else
-    mo_text_add(text, "null");
-  mo_text_add(text, ",\"sha256\":");
-  mo_hash_write(text, &record->sha256);
-  mo_text_format(text,
-                 ",\"bytes\":%llu,\"parameters\":%llu,\"sensor\":\"%s\",\"workspace\":[%u,%u,%u],"
-                 "\"metadata\":",
-                 (unsigned long long)record->size, (unsigned long long)record->n_parameters,
-                 mo_sensor_name(record->sensor), record->workspace.nx, record->workspace.ny,
-                 record->workspace.nz);
+  mo_text_object(text);
+  mo_text_member(text, "name", record->name[0] != '\0' ? record->name : NULL);
+  mo_member_hash(text, "sha256", &record->sha256);
+  mo_text_member_count(text, "bytes", record->size);
+  mo_text_member_count(text, "parameters", record->n_parameters);
+  mo_text_member(text, "sensor", mo_sensor_name(record->sensor));
+  mo_text_format(text, ",\"workspace\":[%u,%u,%u],\"metadata\":", record->workspace.nx,
+                 record->workspace.ny, record->workspace.nz);
   mo_text_json_stored(text, metadata);
-  mo_text_add(text, ",\"stored_at\":");
-  mo_text_json_time(text, record->stored_us);
+  mo_text_member_time(text, "stored_at", record->stored_us);
   mo_text_add(text, "}");
   free(metadata);
   return MO_OK;
@@ -57,7 +51,7 @@ void mo_api_list_controllers(struct mo_request *request)
   if (!mo_query_limit(request, &limit))
     return;
   if (cursor != NULL && mo_controller_name_check(cursor) != MO_OK) {
-    mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
+    mo_reply_bad_parameter(request, "cursor", MO_CURSOR_WORDS);
     return;
   }
   struct mo_controller_record *records = malloc(limit * sizeof(*records));
@@ -66,16 +60,10 @@ void mo_api_list_controllers(struct mo_request *request)
   struct mo_text text = {0};
   mo_text_add(&text, "{\"items\":[");
   int code = n < 0 ? (int)n : MO_OK;
-  for (int64_t i = 0; i < n && code == MO_OK; i++) {
-    if (i > 0)
-      mo_text_bytes(&text, ",", 1);
+  for (int64_t i = 0; i < n && code == MO_OK; i++)
     code = write_controller(store, &text, &records[i]);
-  }
-  mo_text_add(&text, "],\"next_cursor\":");
-  if (n > 0 && (size_t)n == limit)
-    mo_text_json_string(&text, records[n - 1].name, strlen(records[n - 1].name));
-  else
-    mo_text_add(&text, "null");
+  mo_text_add(&text, "]");
+  mo_text_member(&text, "next_cursor", n > 0 && (size_t)n == limit ? records[n - 1].name : NULL);
   mo_text_add(&text, "}");
   free(records);
   mo_reply_text(request, code, &text, "page");
@@ -134,35 +122,34 @@ void mo_api_put_controller_file(struct mo_request *request)
   bool created = false;
   if (!mo_check_content(request, "application/octet-stream", "application/vnd.safetensors"))
     return;
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
-  int code = faults == NULL ? MO_ERR_NO_MEMORY : mo_controller_name_check(name);
+  struct mo_faults faults = {0};
+  int code = mo_controller_name_check(name);
   if (code == MO_ERR_FORMAT) {
     mo_faults_add(
-        faults, MO_FAULT_PARAMETER, "name",
+        &faults, MO_FAULT_PARAMETER, "name",
         "1 to 64 of a-z, 0-9, '.', '_' and '-', beginning with a letter or digit, are expected");
-    mo_reply_problem(request, 422, faults, NULL);
-  } else if (code == MO_OK) {
+    mo_reply_problem(request, 422, &faults, NULL);
+    return;
+  }
+  if (code == MO_OK)
     code = mo_controller_decode((const uint8_t *)request->body, request->body_size, &controller,
                                 &message);
-    if (code == MO_ERR_FORMAT || code == MO_ERR_LIMIT || code == MO_ERR_UNSUPPORTED ||
-        code == MO_ERR_INVALID || code == MO_ERR_RANGE) {
-      mo_faults_add(faults, MO_FAULT_BODY, "", "%s", message.text);
-      mo_reply_problem(request, 422, faults, "The body is not a controller: %s.", message.text);
-    } else if (code == MO_OK) {
-      code = mo_store_controller_put(store, name, (const uint8_t *)request->body,
-                                     request->body_size, controller, &record, &created);
-      if (code == MO_OK) {
-        reply_controller(request, created ? 201 : 200, &record);
-        if (request->reply.status == 201)
-          snprintf(request->reply.location, sizeof(request->reply.location), "/v1/controllers/%s",
-                   name);
-      }
-    }
+  if (code == MO_ERR_FORMAT || code == MO_ERR_LIMIT || code == MO_ERR_UNSUPPORTED ||
+      code == MO_ERR_INVALID || code == MO_ERR_RANGE) {
+    mo_faults_add(&faults, MO_FAULT_BODY, "", "%s", message.text);
+    mo_reply_problem(request, 422, &faults, "The body is not a controller: %s.", message.text);
+    return;
   }
-  if (request->reply.status == 0)
+  if (code == MO_OK)
+    code = mo_store_controller_put(store, name, (const uint8_t *)request->body, request->body_size,
+                                   controller, &record, &created);
+  if (code == MO_OK)
+    reply_controller(request, created ? 201 : 200, &record);
+  else
     mo_reply_error(request, code, "controller");
+  if (request->reply.status == 201)
+    snprintf(request->reply.location, sizeof(request->reply.location), "/v1/controllers/%s", name);
   mo_controller_free(controller);
-  free(faults);
 }
 
 void mo_api_delete_controller(struct mo_request *request)

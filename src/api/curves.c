@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "api/columns.h"
-#include "api/job_reply.h"
+#include "api/jobs.h"
 #include "http/download.h"
 
 #define PLACE_MAX     INT64_C(9999999999)
@@ -16,13 +16,14 @@ struct curve;
 
 /* A kind of curve. */
 struct curve_kind {
-  enum mo_job_kind job;
+  const char *name; /* the end of its route */
   const struct mo_columns *columns;
   size_t row_size;
-  bool has_step; /* a place in the curve is a generation and a step, "12.30", not one number */
   /* Reads at most `limit` rows behind the curve's place and moves it behind them. Returns their
    * number or an error. */
   int64_t (*read)(struct curve *curve, void *rows, size_t limit);
+  bool has_step;    /* a place in the curve is a generation and a step, "12.30", not one number */
+  bool has_members; /* its rows are of several campaigns */
 };
 
 struct curve {
@@ -114,27 +115,17 @@ static int64_t read_replicates(struct curve *curve, void *rows, size_t limit)
   return error < 0 ? error : written;
 }
 
-static const struct curve_kind steps = {.job = MO_JOB_TRAINING,
-                                        .columns = &mo_step_columns,
-                                        .row_size = sizeof(struct mo_training_step_row),
-                                        .read = read_steps};
-static const struct curve_kind validations = {.job = MO_JOB_TRAINING,
-                                              .columns = &mo_validation_columns,
-                                              .row_size = sizeof(struct mo_training_validation_row),
-                                              .read = read_validations};
-static const struct curve_kind generations = {.job = MO_JOB_CAMPAIGN,
-                                              .columns = &mo_generation_columns,
-                                              .row_size = sizeof(struct mo_campaign_generation),
-                                              .read = read_generations};
-static const struct curve_kind learning = {.job = MO_JOB_CAMPAIGN,
-                                           .columns = &mo_campaign_step_columns,
-                                           .row_size = sizeof(struct mo_campaign_step),
-                                           .has_step = true,
-                                           .read = read_learning};
-static const struct curve_kind replicates = {.job = MO_JOB_CAMPAIGN,
-                                             .columns = &mo_replicate_columns,
-                                             .row_size = sizeof(struct mo_replicate_row),
-                                             .read = read_replicates};
+static const struct curve_kind kinds[] = {
+    {"steps", &mo_step_columns, sizeof(struct mo_training_step_row), read_steps},
+    {"validations", &mo_validation_columns, sizeof(struct mo_training_validation_row),
+     read_validations},
+    {"generations", &mo_generation_columns, sizeof(struct mo_campaign_generation),
+     read_generations},
+    {"learning", &mo_campaign_step_columns, sizeof(struct mo_campaign_step), read_learning,
+     .has_step = true},
+    {"replicates", &mo_replicate_columns, sizeof(struct mo_replicate_row), read_replicates,
+     .has_members = true},
+};
 
 /* Adds a page. Returns 1: there may be more, 0: there are no more now, or an error. */
 static int add_page(struct curve *curve, struct mo_text *text)
@@ -145,16 +136,14 @@ static int add_page(struct curve *curve, struct mo_text *text)
   int64_t n = limit == 0 ? 0 : rows == NULL ? MO_ERR_NO_MEMORY : kind->read(curve, rows, limit);
   for (int64_t i = 0; i < n; i++) {
     const char *row = rows + (size_t)i * kind->row_size;
-    if (!curve->csv && i > 0)
-      mo_text_bytes(text, ",", 1);
     (curve->csv ? mo_columns_csv : mo_columns_json)(text, kind->columns, row);
   }
   free(rows);
   if (n < 0)
     return (int)n;
   curve->left -= (uint64_t)n;
-  return kind == &replicates ? curve->n_members > 0 && curve->after < curve->newest
-                             : limit > 0 && (size_t)n == limit;
+  return kind->has_members ? curve->n_members > 0 && curve->after < curve->newest
+                           : limit > 0 && (size_t)n == limit;
 }
 
 /* ---- replies ---- */
@@ -200,11 +189,9 @@ static void reply_csv(struct mo_request *request, const struct curve *curve)
 static int find_members(struct curve *curve)
 {
   struct mo_campaign_status *all = malloc(MO_REPLICATES_MAX * sizeof(*all));
-  int64_t n = all != NULL ? MO_OK : MO_ERR_NO_MEMORY;
-  if (n == MO_OK)
-    n = mo_store_campaign(curve->store, curve->id, all);
+  int64_t n = all != NULL ? mo_store_campaign(curve->store, curve->id, all) : MO_ERR_NO_MEMORY;
   if (n == MO_OK) {
-    const struct mo_campaign_query query = {.state = -1, .group = all[0].record.group};
+    const struct mo_job_query query = {.state = -1, .group = all[0].record.group};
     n = mo_store_campaigns(curve->store, &query, all, MO_REPLICATES_MAX);
   }
   curve->newest = INT64_MAX;
@@ -232,7 +219,7 @@ static bool read_cursor(struct mo_request *request, struct curve *curve)
   if (!mo_decimal(text, n, 0, PLACE_MAX, &curve->after) ||
       (text[n] == '.') != curve->kind->has_step ||
       (text[n] == '.' && !mo_decimal(text + n + 1, strlen(text + n + 1), 0, PLACE_MAX, &step))) {
-    mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
+    mo_reply_bad_parameter(request, "cursor", MO_CURSOR_WORDS);
     return false;
   }
   if (curve->after > UINT32_MAX)
@@ -241,50 +228,28 @@ static bool read_cursor(struct mo_request *request, struct curve *curve)
   return true;
 }
 
-static void reply_curve(struct mo_request *request, const struct curve_kind *kind)
+void mo_api_get_curve(struct mo_request *request)
 {
   static const char *const forms[] = {"json", "csv"};
   static const char *const types[] = {"application/json", "text/csv"};
+  const struct curve_kind *kind = kinds;
+  while (strcmp(strrchr(request->route->path, '/') + 1, kind->name) != 0)
+    kind++;
   struct curve curve = {.store = mo_api_of(request)->store, .kind = kind, .after = -1, .stride = 1};
   int64_t limit = 0;
   int form;
   if (!mo_query_form(request, forms, types, 2, &form) || !read_cursor(request, &curve) ||
       !mo_query_number(request, "limit", 1, MO_PAGE_MAX, &limit) ||
       !mo_query_number(request, "stride", 1, MO_TRAINING_STEPS_MAX, &curve.stride) ||
-      !mo_path_job(request, kind->job, &curve.id))
+      !mo_path_job(request, &curve.id))
     return;
   curve.csv = form == 1;
   curve.left = limit > 0 ? (uint64_t)limit : curve.csv ? UINT64_MAX : MO_PAGE_MAX;
-  int error = kind == &replicates ? find_members(&curve) : MO_OK;
+  int error = kind->has_members ? find_members(&curve) : MO_OK;
   if (error != MO_OK)
     mo_reply_error(request, error, "campaign");
   else if (curve.csv)
     reply_csv(request, &curve);
   else
     reply_page(request, &curve);
-}
-
-void mo_api_get_training_steps(struct mo_request *request)
-{
-  reply_curve(request, &steps);
-}
-
-void mo_api_get_training_validations(struct mo_request *request)
-{
-  reply_curve(request, &validations);
-}
-
-void mo_api_get_campaign_generations(struct mo_request *request)
-{
-  reply_curve(request, &generations);
-}
-
-void mo_api_get_campaign_learning(struct mo_request *request)
-{
-  reply_curve(request, &learning);
-}
-
-void mo_api_get_campaign_replicates(struct mo_request *request)
-{
-  reply_curve(request, &replicates);
 }

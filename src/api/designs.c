@@ -15,44 +15,33 @@
 static void write_head(struct mo_text *text, const struct mo_bits *form, const struct mo_body *body,
                        int64_t first_seen_us)
 {
-  mo_text_add(text, "{\"id\":");
-  mo_bits_write_id(text, form);
-  mo_text_format(text, ",\"voxels\":%u,\"masses\":%u,\"springs\":%u,\"genotype\":", body->n_voxels,
-                 body->n_masses, body->n_springs);
-  mo_bits_write(text, form);
-  mo_text_add(text, ",\"first_seen_at\":");
-  mo_text_json_time(text, first_seen_us);
+  mo_text_object(text);
+  mo_member_form(text, "id", form);
+  mo_text_member_count(text, "voxels", body->n_voxels);
+  mo_text_member_count(text, "masses", body->n_masses);
+  mo_text_member_count(text, "springs", body->n_springs);
+  mo_member_bits(text, "genotype", form);
+  mo_text_member_time(text, "first_seen_at", first_seen_us);
 }
 
 static void write_score(struct mo_text *text, const struct mo_design_score *score)
 {
-  mo_text_add(text, "{\"controller\":");
-  mo_hash_write(text, &score->controller_sha256);
-  mo_text_add(text, ",\"environments\":");
+  char digits[MO_SHA256_DIGITS + 1];
+  mo_text_object(text);
+  mo_member_hash(text, "controller", &score->controller_sha256);
   if (score->environment_set[0] != '\0') {
-    mo_text_json_string(text, score->environment_set, strlen(score->environment_set));
+    mo_text_member(text, "environments", score->environment_set);
   } else {
-    mo_text_add(text, "[");
-    mo_hash_write(text, &score->environment_sha256);
-    mo_text_add(text, "]");
+    mo_sha256_to_hex(&score->environment_sha256, digits);
+    mo_text_format(text, ",\"environments\":[\"%s\"]", digits);
   }
-  mo_text_add(text, ",\"physics\":");
-  mo_hash_write(text, &score->physics_sha256);
-  mo_text_format(text, ",\"precision\":\"%s\",\"score\":",
-                 score->precision == MO_FLOAT64 ? "float64" : "float32");
-  mo_loss_write(text, score->score);
-  mo_text_add(text, ",\"losses\":[");
-  for (uint32_t k = 0; k < score->n_losses; k++) {
-    if (k > 0)
-      mo_text_bytes(text, ",", 1);
-    mo_loss_write(text, score->losses[k]);
-  }
-  mo_text_add(text, "],\"computed_at\":");
-  mo_text_json_time(text, score->computed_us);
-  mo_text_add(text, ",\"fingerprint\":");
-  mo_text_json_string(text, score->fingerprint, strlen(score->fingerprint));
-  mo_text_add(text, ",\"origin\":");
-  mo_text_json_string(text, score->origin, strlen(score->origin));
+  mo_member_hash(text, "physics", &score->physics_sha256);
+  mo_text_member(text, "precision", score->precision == MO_FLOAT64 ? "float64" : "float32");
+  mo_text_member_number(text, "score", score->score);
+  mo_member_numbers(text, "losses", score->losses, score->n_losses);
+  mo_text_member_time(text, "computed_at", score->computed_us);
+  mo_text_member(text, "fingerprint", score->fingerprint);
+  mo_text_member(text, "origin", score->origin);
   mo_text_add(text, "}");
 }
 
@@ -69,8 +58,9 @@ static int write_campaigns(struct mo_store *store, struct mo_text *text, const s
     code = mo_store_campaign_designs_of(store, places[i].campaign, &places[i].number, 1, &row);
     if (code != MO_OK)
       break;
-    mo_text_format(text, "%s{\"campaign\":\"%lld\",\"number\":%u", i > 0 ? "," : "",
-                   (long long)places[i].campaign, places[i].number);
+    mo_text_object(text);
+    mo_text_member_id(text, "campaign", places[i].campaign);
+    mo_text_member_count(text, "number", places[i].number);
     mo_campaign_json_life(text, &row);
     mo_text_add(text, "}");
   }
@@ -110,17 +100,15 @@ void mo_api_get_design(struct mo_request *request)
   mo_text_add(&text, ",\"orientations\":[");
   for (uint32_t i = 0; i < design->n_orientations; i++) {
     const struct mo_design_orientation *orientation = &design->orientations[i];
-    mo_text_add(&text, i > 0 ? ",{\"genotype\":" : "{\"genotype\":");
-    mo_bits_write(&text, &orientation->genotype);
+    mo_text_object(&text);
+    mo_member_bits(&text, "genotype", &orientation->genotype);
     mo_text_add(&text, ",\"scores\":[");
-    for (uint32_t k = 0; k < orientation->n_scores; k++) {
-      if (k > 0)
-        mo_text_bytes(&text, ",", 1);
+    for (uint32_t k = 0; k < orientation->n_scores; k++)
       write_score(&text, &orientation->scores[k]);
-    }
     mo_text_add(&text, "]}");
   }
-  mo_text_format(&text, "],\"truncated\":%s", design->truncated ? "true" : "false");
+  mo_text_add(&text, "]");
+  mo_text_member_bool(&text, "truncated", design->truncated);
   mo_design_free(design);
   code = write_campaigns(api->store, &text, &form);
   mo_text_add(&text, "}");
@@ -150,15 +138,11 @@ static int write_row(struct mo_request *request, struct mo_text *text,
   int error = mo_body_create(mo_api_of(request)->lattice, row->form.words, &body);
   if (error != MO_OK)
     return error == MO_ERR_NO_MEMORY ? error : MO_ERR_CORRUPT;
-  if (text->data[text->size - 1] == '}')
-    mo_text_bytes(text, ",", 1);
   write_head(text, &row->form, body, row->first_seen_us);
   mo_body_free(body);
   if (query->sort == MO_DESIGNS_BY_SCORE) {
-    mo_text_add(text, ",\"score\":");
-    mo_loss_write(text, row->score);
-    mo_text_add(text, ",\"scored_genotype\":");
-    mo_bits_write(text, &row->genotype);
+    mo_text_member_number(text, "score", row->score);
+    mo_member_bits(text, "scored_genotype", &row->genotype);
   }
   mo_text_add(text, "}");
   return MO_OK;
@@ -172,14 +156,15 @@ static void write_page(struct mo_request *request, const struct mo_design_query 
   mo_text_add(&text, "{\"items\":[");
   for (size_t i = 0; i < n && error == MO_OK && !text.failed; i++)
     error = write_row(request, &text, query, &rows[i]);
+  mo_text_add(&text, "]");
   if (n < limit || n == 0) {
-    mo_text_add(&text, "],\"next_cursor\":null");
+    mo_text_member(&text, "next_cursor", NULL);
   } else if (query->sort == MO_DESIGNS_BY_ID) {
-    mo_text_format(&text, "],\"next_cursor\":\"%" PRId64 "\"", rows[n - 1].row);
+    mo_text_member_id(&text, "next_cursor", rows[n - 1].row);
   } else {
     uint64_t bits;
     memcpy(&bits, &rows[n - 1].score, sizeof(bits));
-    mo_text_format(&text, "],\"next_cursor\":\"%016" PRIx64 "-%" PRId64 "\"", bits,
+    mo_text_format(&text, ",\"next_cursor\":\"%016" PRIx64 "-%" PRId64 "\"", bits,
                    rows[n - 1].genotype_row);
   }
   mo_text_add(&text, "}");

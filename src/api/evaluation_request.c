@@ -88,9 +88,3 @@ int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluati
   request->environment_set = parts->environments == NULL ? "paper-test" : NULL;
   return MO_OK;
 }
-
-void mo_evaluation_parsed_free(struct mo_parsed_evaluation *parsed)
-{
-  mo_parts_free(&parsed->parts);
-  *parsed = (struct mo_parsed_evaluation){0};
-}

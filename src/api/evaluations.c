@@ -1,17 +1,18 @@
-/* evaluations.c: evaluations: submission, state, results, lists. */
-#include <stdlib.h>
-#include <string.h>
-
+/* evaluations.c: evaluations: submission, state, results. */
 #include "api/job_json.h"
-#include "api/job_reply.h"
-#include "api/requests.h"
+#include "api/jobs.h"
 #include "api/submission.h"
+#include "api/requests.h"
 
-/* ---- the kind ---- */
-
-static int read_status(struct mo_store *store, int64_t id, void *status)
+static int read_status(struct mo_store *store, int64_t id, union mo_job_status *status)
 {
-  return mo_store_job(store, id, status);
+  return mo_store_job(store, id, &status->job);
+}
+
+static int64_t read_page(struct mo_store *store, const struct mo_job_query *query, void *statuses,
+                         size_t limit)
+{
+  return mo_store_jobs(store, query, statuses, limit);
 }
 
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
@@ -35,16 +36,6 @@ static void write_item(struct mo_text *text, const void *status, const struct mo
   mo_job_write(text, status, NULL);
 }
 
-static int64_t read_page(struct mo_store *store, const struct mo_campaign_query *query,
-                         void *statuses, size_t limit)
-{
-  const struct mo_job_query jobs = {.before = query->before,
-                                    .state = query->state,
-                                    .kind = MO_JOB_EVALUATION,
-                                    .label = query->label};
-  return mo_store_jobs(store, &jobs, statuses, limit);
-}
-
 const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,
                                                    .path = "/v1/evaluations",
                                                    .status_size = sizeof(struct mo_job),
@@ -55,52 +46,30 @@ const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,
                                                    .versioned = true,
                                                    .brief = true};
 
-/* ---- routes ---- */
-
-/* Parses and stores the evaluation. False: a reply was made. */
-static bool submit(struct mo_request *request, const struct mo_submission_key *key,
-                   struct mo_faults *faults)
+/* Parses and stores the evaluation. */
+static int submit(struct mo_request *request, struct mo_post *post)
 {
-  static const struct mo_refusal_pointers pointers = {.controller = "/controller",
-                                                      .limit = "/record"};
   struct mo_parsed_evaluation parsed;
-  int error = mo_evaluation_parse(request->body, request->body_size, &parsed, faults);
-  if (error == MO_OK) {
-    struct mo_message message = {""};
-    bool replayed;
-    parsed.request.idempotency_key = key->key[0] != '\0' ? key->key : NULL;
-    parsed.request.body_sha256 = key->body_sha256;
+  bool replayed;
+  int error = mo_evaluation_parse(request->body, request->body_size, &parsed, &post->faults);
+  post->parsed = error == MO_OK;
+  post->pointers = (struct mo_refusal_pointers){.controller = "/controller", .limit = "/record"};
+  parsed.request.idempotency_key = mo_post_key(post);
+  parsed.request.body_sha256 = post->body_sha256;
+  if (error == MO_OK)
     error = mo_jobs_submit_evaluation(mo_api_of(request)->jobs, &parsed.request, &request->kept,
-                                      &replayed, &message);
-    if (error != MO_OK)
-      mo_reply_not_stored(request, key, error, &message, &pointers, faults, "evaluation");
-  } else {
-    mo_reply_parse_error(request, error, faults, "evaluation");
-  }
-  mo_evaluation_parsed_free(&parsed);
-  return error == MO_OK;
+                                      &replayed, &post->message);
+  mo_parts_free(&parsed.parts);
+  return error;
 }
 
 void mo_api_post_evaluation(struct mo_request *request)
 {
+  struct mo_job job;
   if (request->kept == 0 &&
       (!mo_read_wait(request) || !mo_handle_submission(request, "evaluation", submit)))
     return;
-  struct mo_job *job = malloc(sizeof(*job));
-  if (job == NULL)
-    mo_reply_error(request, MO_ERR_NO_MEMORY, "evaluation");
-  else if (mo_await_job(request, &mo_evaluation_resource, request->kept, job))
+  if (mo_await_job(request, &mo_evaluation_resource, request->kept, &job))
     mo_reply_submitted(request, &mo_evaluation_resource, request->kept,
-                       request->wait_s >= 0 && mo_job_state_is_final(job->state));
-  free(job);
-}
-
-void mo_api_get_evaluation(struct mo_request *request)
-{
-  mo_get_of_kind(request, &mo_evaluation_resource);
-}
-
-void mo_api_list_evaluations(struct mo_request *request)
-{
-  mo_list_of_kind(request, &mo_evaluation_resource, 0);
+                       request->wait_s >= 0 && mo_job_state_is_final(job.state));
 }

@@ -7,17 +7,14 @@
 #include "http/pool.h"
 #include "http/stream.h"
 
-/* Writes an event as a JSON object. */
+/* Writes an event as JSON, behind the brace that opens the object. */
 static void write_event(struct mo_text *text, const struct mo_event *event)
 {
-  mo_text_format(text, "{\"id\":\"%lld\",\"type\":", (long long)event->sequence);
-  mo_text_json_string(text, event->type, strlen(event->type));
-  if (event->job > 0)
-    mo_text_format(text, ",\"job\":\"%lld\",\"at\":", (long long)event->job);
-  else
-    mo_text_add(text, ",\"job\":null,\"at\":");
-  mo_text_json_time(text, event->time_us);
-  mo_text_add(text, ",\"data\":");
+  mo_text_member_id(text, "id", event->sequence);
+  mo_text_member(text, "type", event->type);
+  mo_text_member_id(text, "job", event->job > 0 ? event->job : -1);
+  mo_text_member_time(text, "at", event->time_us);
+  mo_text_name(text, "data");
   mo_text_json_stored(text, event->data);
   mo_text_add(text, "}");
 }
@@ -25,7 +22,7 @@ static void write_event(struct mo_text *text, const struct mo_event *event)
 static void write_frame(struct mo_text *text, const void *any)
 {
   const struct mo_event *event = any;
-  mo_text_format(text, "id: %lld\nevent: %s\ndata: ", (long long)event->sequence, event->type);
+  mo_text_format(text, "id: %lld\nevent: %s\ndata: {", (long long)event->sequence, event->type);
   write_event(text, event);
   mo_text_add(text, "\n\n");
 }
@@ -131,29 +128,24 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
   int64_t n = events != NULL ? mo_store_events(mo_api_of(request)->store, after, job, events, limit,
                                                &oldest, &newest)
                              : MO_ERR_NO_MEMORY;
-  if (n < 0) {
-    mo_reply_error(request, (int)n, "page");
-    free(events);
-    return;
-  }
   struct mo_text text = {0};
-  const char *comma = "";
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n; i++) {
-    mo_text_add(&text, comma);
-    comma = ",";
+    mo_text_object(&text);
     write_event(&text, &events[i]);
   }
-  mo_text_add(&text, "],\"next_cursor\":");
-  if ((size_t)n == limit && events[n - 1].sequence < newest)
-    mo_text_format(&text, "\"%lld\"", (long long)events[n - 1].sequence);
-  else
-    mo_text_add(&text, "null");
-  mo_text_format(&text, ",\"newest\":\"%lld\"", (long long)newest);
+  mo_text_add(&text, "]");
+  mo_text_member_id(
+      &text, "next_cursor",
+      n > 0 && (size_t)n == limit && events[n - 1].sequence < newest ? events[n - 1].sequence : -1);
+  mo_text_member_id(&text, "newest", newest);
   mo_text_member_bool(&text, "reset", (after > 0 && after < oldest - 1) || after > newest);
   mo_text_add(&text, "}");
   free(events);
-  mo_reply_json(request, 200, &text);
+  if (n >= 0)
+    mo_reply_json(request, 200, &text);
+  else
+    mo_reply_text(request, (int)n, &text, "page");
 }
 
 void mo_api_get_events(struct mo_request *request)
@@ -161,20 +153,19 @@ void mo_api_get_events(struct mo_request *request)
   static const char *const json[] = {"application/json"};
   static const char place[] = "the id of an event, in decimal digits, is expected";
   const char *format = mo_query(request, "format"), *from = mo_query(request, "after");
-  const char *of_job = mo_query(request, "job"), *last = request->framing.last_event_id;
+  const char *last = request->framing.last_event_id;
   const char *cursor = mo_query(request, "cursor");
   bool is_page = format != NULL && strcmp(format, "json") == 0;
   int64_t after = -1, job = 0;
   size_t limit;
   int form;
-  if (!mo_query_limit(request, &limit))
+  if (!mo_query_limit(request, &limit) ||
+      !mo_query_id(request, "job", "the id of a job, in decimal digits, is expected", &job))
     return;
   if (format != NULL && !is_page && strcmp(format, "stream") != 0)
     mo_reply_bad_parameter(request, "format", "stream or json is expected");
   else if (from != NULL && !mo_decimal(from, strlen(from), 0, INT64_MAX, &after))
     mo_reply_bad_parameter(request, "after", place);
-  else if (of_job != NULL && !mo_id(of_job, &job))
-    mo_reply_bad_parameter(request, "job", "the id of a job, in decimal digits, is expected");
   else if (last != NULL && last[0] != '\0' && !mo_decimal(last, strlen(last), 0, INT64_MAX, &after))
     mo_reply_bad_header(request, 400, "Last-Event-ID", place, NULL);
   else if (cursor != NULL &&

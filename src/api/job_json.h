@@ -6,20 +6,22 @@
 #include "jobs/live.h"
 #include "store/store.h"
 
-void mo_bits_write(struct mo_text *text, const struct mo_bits *bits); /* the genotype in quotes */
-void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form); /* the id in quotes */
-void mo_bits_write_bare(struct mo_text *text,
-                        const struct mo_bits *bits); /* the genotype without quotes */
-void mo_bits_write_id_bare(struct mo_text *text, const struct mo_bits *form);
-void mo_hash_write(struct mo_text *text, const struct mo_sha256 *hash); /* in quotes */
-/* Write further members of an object; null where the value is not known. */
-void mo_member_text(struct mo_text *text, const char *name, const char *words); /* NULL: null */
+/* Write the digits of a genotype, or of an id, without quotes. */
+void mo_bits_write(struct mo_text *text, const struct mo_bits *bits);
+void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form);
+/* Write members of an object: a genotype, the id of a form, a hash, an array of numbers. */
+void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits *bits);
+void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits *form);
+void mo_member_hash(struct mo_text *text, const char *name, const struct mo_sha256 *hash);
+void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n);
+/* Write members that are null where the value is not known. */
 void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint64_t count);
 void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number);
-/* Write a controller as an object of name ("": null) and hash, or as a further member. */
-void mo_controller_write(struct mo_text *text, const char *name, const struct mo_sha256 *sha256);
-void mo_reference_write(struct mo_text *text, const char *member, bool known, const char *name,
-                        const struct mo_sha256 *sha256);
+/* Writes a controller as an object of name ("": null) and hash. */
+void mo_member_controller(struct mo_text *text, const char *member, bool known, const char *name,
+                          const struct mo_sha256 *sha256);
+/* Writes the name of a set of environments; "": the number of those in the request. */
+void mo_member_environments(struct mo_text *text, const char *set, uint32_t n);
 
 /* Returns the state to show: a running job that waits for disk space is shown as paused. */
 enum mo_job_state mo_job_state_shown(const struct mo_job *job, const struct mo_live *live);
@@ -34,7 +36,5 @@ void mo_links_write(struct mo_text *text, const struct mo_job *job, const char *
 /* Writes an evaluation. results nullable: without them. */
 void mo_job_write(struct mo_text *text, const struct mo_job *job,
                   const struct mo_evaluation_results *results);
-/* Writes a loss or score: null when it is not finite. */
-void mo_loss_write(struct mo_text *text, double loss);
 
 #endif

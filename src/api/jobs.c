@@ -1,84 +1,243 @@
-/* jobs.c: jobs of any kind: lists, state, control. */
+/* jobs.c: jobs of any kind: state, lists, control. */
+#include "api/jobs.h"
+
+#include <inttypes.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "api/job_json.h"
-#include "api/job_reply.h"
 #include "api/requests.h"
 #include "api/submission.h"
+#include "base/clock.h"
+#include "base/utf8.h"
+#include "http/pool.h"
 
 static const struct mo_resource *const kinds[MO_JOB_KINDS] = {
     [MO_JOB_EVALUATION] = &mo_evaluation_resource,
     [MO_JOB_TRAINING] = &mo_training_resource,
     [MO_JOB_CAMPAIGN] = &mo_campaign_resource};
 
-void mo_api_get_job(struct mo_request *request)
+const struct mo_resource *mo_resource_of(const struct mo_request *request)
 {
-  int64_t id;
-  if ((!request->wait_over && !mo_read_wait(request)) || !mo_path_id(request, 0, &id))
-    return;
-  struct mo_job *job = malloc(sizeof(*job));
-  if (job == NULL) {
-    mo_reply_error(request, MO_ERR_NO_MEMORY, "job");
-  } else if (mo_await_job(request, NULL, id, job)) {
-    int error = mo_write_reply(request, 200, kinds[job->kind], id, false);
-    if (error != MO_OK)
-      mo_reply_error(request, error, "job");
-  }
-  free(job);
+  for (size_t i = 0; i < MO_JOB_KINDS; i++)
+    if (strncmp(request->route->path, kinds[i]->path, strlen(kinds[i]->path)) == 0)
+      return kinds[i];
+  return NULL;
 }
 
-/* Writes an item of the list. Writes nothing if the job is not, or no longer, in `state` (−1:
- * any). */
-static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_job *job, int state)
+/* ---- one job ---- */
+
+static void read_live(struct mo_api *api, const struct mo_resource *kind, const struct mo_job *job,
+                      struct mo_live *live)
 {
-  const struct mo_resource *kind = kinds[job->kind];
-  struct mo_live live = {0};
-  void *read = NULL;
-  const void *status = job;
-  int error = MO_OK;
-  if (kind->has_live) {
-    error = mo_status_read(api, kind, job->id, &read, &live);
-    status = read;
+  *live = (struct mo_live){.seconds_left = -1};
+  if (kind->has_live && !mo_job_state_is_final(job->state))
+    mo_jobs_live(api->jobs, job->id, live);
+}
+
+int mo_reply_job(struct mo_request *request, unsigned http_status, const struct mo_resource *kind,
+                 int64_t id, bool whole)
+{
+  struct mo_api *api = mo_api_of(request);
+  struct mo_text text = {0};
+  struct mo_live live;
+  union mo_job_status status;
+  const struct mo_job *job = &status.job;
+  int error = kind->read(api->store, id, &status);
+  if (error == MO_OK) {
+    read_live(api, kind, job, &live);
+    if (whole)
+      error = kind->write(api, &text, &status, &live);
+    else
+      kind->write_job(&text, &status, &live);
   }
-  if (error == MO_OK && (state < 0 || (int)mo_job_state_shown(status, &live) == state)) {
-    if (text->data != NULL && text->data[text->size - 1] == '}')
-      mo_text_add(text, ",");
-    kind->write_job(text, status, &live);
+  if (error != MO_OK) {
+    mo_text_free(&text);
+    mo_reply_error(request, error, whole ? mo_job_kind_name(kind->kind) : "job");
+    return error;
   }
-  free(read);
-  return error;
+  mo_reply_json(request, http_status, &text);
+  if (request->reply.status != http_status)
+    return MO_ERR_NO_MEMORY;
+  if (kind->versioned)
+    mo_reply_etag(request, "%" PRIx64 "-%s-%lld-%lld", mo_store_id(api->store),
+                  whole ? mo_job_kind_name(kind->kind) : "job", (long long)job->id,
+                  (long long)job->version);
+  else
+    mo_reply_etag_of_body(request);
+  if (request->wait_s >= 0 && http_status == 200)
+    snprintf(request->reply.applied, sizeof(request->reply.applied), "wait=%d", request->wait_s);
+  if (!mo_job_state_is_final(job->state) && request->method != MO_POST)
+    request->reply.retry_after_s = 1;
+  return MO_OK;
+}
+
+void mo_reply_submitted(struct mo_request *request, const struct mo_resource *kind, int64_t id,
+                        bool done)
+{
+  if (mo_reply_job(request, done ? 200 : 202, kind, id, true) != MO_OK)
+    return;
+  snprintf(request->reply.location, sizeof(request->reply.location), "%s/%lld", kind->path,
+           (long long)id);
+  if (!done)
+    request->reply.retry_after_s = 1;
+}
+
+static int read_of_kind(struct mo_store *store, const struct mo_resource *kind, int64_t id,
+                        struct mo_job *job)
+{
+  int error = mo_store_job(store, id, job);
+  return error == MO_OK && kind != NULL && job->kind != kind->kind ? MO_ERR_NOT_FOUND : error;
+}
+
+bool mo_await_job(struct mo_request *request, const struct mo_resource *kind, int64_t id,
+                  struct mo_job *job)
+{
+  struct mo_store *store = mo_api_of(request)->store;
+  bool may_wait = request->wait_s > 0 && !request->wait_over;
+  if (may_wait)
+    mo_wait_begin(request, id, mo_clock_us() + (int64_t)request->wait_s * 1000000);
+  int error = read_of_kind(store, kind, id, job);
+  if (may_wait && error == MO_OK && !mo_job_state_is_final(job->state))
+    return false;
+  if (may_wait)
+    mo_wait_end(request);
+  if (error != MO_OK)
+    mo_reply_error(request, error, kind != NULL ? mo_job_kind_name(kind->kind) : "job");
+  return error == MO_OK;
+}
+
+void mo_api_get_job(struct mo_request *request)
+{
+  const struct mo_resource *kind = mo_resource_of(request);
+  struct mo_job job;
+  int64_t id;
+  if ((request->wait_over || mo_read_wait(request)) && mo_path_id(request, 0, &id) &&
+      mo_await_job(request, kind, id, &job))
+    mo_reply_job(request, 200, kinds[job.kind], id, kind != NULL);
+}
+
+bool mo_path_job(struct mo_request *request, int64_t *id)
+{
+  const struct mo_resource *kind = mo_resource_of(request);
+  struct mo_job job;
+  if (!mo_path_id(request, 0, id))
+    return false;
+  int error = read_of_kind(mo_api_of(request)->store, kind, *id, &job);
+  if (error != MO_OK)
+    mo_reply_error(request, error, mo_job_kind_name(kind->kind));
+  return error == MO_OK;
+}
+
+/* ---- lists ---- */
+
+void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit,
+                   int64_t last)
+{
+  mo_text_add(text, "]");
+  mo_text_member_id(text, "next_cursor", n > 0 && (size_t)n == limit ? last : -1);
+  mo_text_add(text, "}");
+  mo_reply_text(request, n < 0 ? (int)n : MO_OK, text, "page");
+}
+
+/* Writes an item of a list. listed: the kind of the list; NULL: jobs of any kind. Writes nothing if
+ * the job has just left `state` (−1: any). */
+static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_resource *listed,
+                      const void *item, int state)
+{
+  const struct mo_resource *kind = listed != NULL ? listed : kinds[((struct mo_job *)item)->kind];
+  const void *status = item;
+  union mo_job_status whole;
+  struct mo_live live;
+  if (listed == NULL && kind->has_live) {
+    int error = kind->read(api->store, ((struct mo_job *)item)->id, &whole);
+    if (error != MO_OK)
+      return error;
+    status = &whole;
+  }
+  read_live(api, kind, status, &live);
+  if (state >= 0 && (int)mo_job_state_shown(status, &live) != state)
+    return MO_OK;
+  if (listed != NULL && !kind->brief)
+    return kind->write(api, text, status, &live);
+  kind->write_job(text, status, &live);
+  return MO_OK;
+}
+
+static bool read_state(struct mo_request *request, int *state)
+{
+  const char *text = mo_query(request, "state");
+  enum mo_job_state named;
+  if (text == NULL)
+    return true;
+  if (mo_job_state_from_name(text, &named) == MO_OK) {
+    *state = (int)named;
+    return true;
+  }
+  mo_reply_bad_parameter(request, "state",
+                         "queued, running, paused, succeeded, failed or cancelled is expected");
+  return false;
+}
+
+static bool read_kind(struct mo_request *request, int *kind)
+{
+  const char *text = mo_query(request, "kind");
+  enum mo_job_kind named;
+  if (text == NULL)
+    return true;
+  if (mo_job_kind_from_name(text, &named) == MO_OK) {
+    *kind = (int)named;
+    return true;
+  }
+  mo_reply_bad_parameter(request, "kind", "evaluation, training or campaign is expected");
+  return false;
+}
+
+static bool read_label(struct mo_request *request, const char **label)
+{
+  *label = mo_query(request, "label");
+  const size_t characters = *label != NULL ? mo_utf8_length(*label, strlen(*label)) : 1;
+  if (characters >= 1 && characters <= 200)
+    return true;
+  mo_reply_bad_parameter(request, "label",
+                         "the label of a job, of 1 to 200 characters, is expected");
+  return false;
 }
 
 void mo_api_list_jobs(struct mo_request *request)
 {
   struct mo_api *api = mo_api_of(request);
-  const char *named = mo_query(request, "kind");
+  const struct mo_resource *listed = mo_resource_of(request);
   int64_t waiting[MO_WAITING_MAX];
-  struct mo_campaign_query filter;
-  enum mo_job_kind kind;
+  struct mo_job_query query = {.state = -1,
+                               .kind = listed != NULL ? (int)listed->kind : -1,
+                               .waiting = waiting,
+                               .n_waiting = mo_jobs_waiting(api->jobs, waiting)};
   size_t limit;
-  if (!mo_read_job_query(request, &filter, waiting, &limit))
+  if (!mo_query_limit(request, &limit) || !read_state(request, &query.state) ||
+      !read_label(request, &query.label) ||
+      !mo_query_id(request, "cursor", MO_CURSOR_WORDS, &query.before) ||
+      !read_kind(request, &query.kind) ||
+      !mo_query_id(request, "group", "the id of a group, in decimal digits, is expected",
+                   &query.group))
     return;
-  if (named != NULL && mo_job_kind_from_name(named, &kind) != MO_OK) {
-    mo_reply_bad_parameter(request, "kind", "evaluation, training or campaign is expected");
-    return;
-  }
-  const struct mo_job_query query = {.before = filter.before,
-                                     .state = filter.state,
-                                     .kind = named != NULL ? (int)kind : -1,
-                                     .label = filter.label,
-                                     .waiting = waiting,
-                                     .n_waiting = filter.n_waiting};
-  struct mo_job *jobs = malloc(limit * sizeof(*jobs));
-  int64_t n = jobs != NULL ? mo_store_jobs(api->store, &query, jobs, limit) : MO_ERR_NO_MEMORY;
+  const size_t size = listed != NULL ? listed->status_size : sizeof(struct mo_job);
+  char *page = malloc(limit * size);
+  int64_t n = page == NULL     ? MO_ERR_NO_MEMORY
+              : listed == NULL ? mo_store_jobs(api->store, &query, (struct mo_job *)page, limit)
+                               : listed->page(api->store, &query, page, limit);
   struct mo_text text = {0};
-  int error = MO_OK;
+  int64_t last = 0;
   mo_text_add(&text, "{\"items\":[");
-  for (int64_t i = 0; i < n && error == MO_OK; i++)
-    error = write_item(api, &text, &jobs[i], query.state);
-  mo_reply_page(request, &text, error != MO_OK ? error : n, limit, n > 0 ? jobs[n - 1].id : 0);
-  free(jobs);
+  int error = MO_OK;
+  for (int64_t i = 0; i < n && error == MO_OK; i++) {
+    const void *item = page + (size_t)i * size;
+    last = ((const struct mo_job *)item)->id;
+    error = write_item(api, &text, listed, item, query.state);
+  }
+  mo_reply_page(request, &text, error != MO_OK ? error : n, limit, last);
+  free(page);
 }
 
 /* ---- control ---- */
@@ -86,22 +245,17 @@ void mo_api_list_jobs(struct mo_request *request)
 /* Replies with the job after a change. conflict: what its state does not allow. */
 static void reply_changed(struct mo_request *request, int64_t id, int error, const char *conflict)
 {
-  struct mo_job *job = malloc(sizeof(*job));
-  bool refused = error == MO_ERR_CONFLICT;
-  if (job == NULL)
-    error = MO_ERR_NO_MEMORY;
-  else if (error == MO_OK || refused)
-    error = mo_store_job(mo_api_of(request)->store, id, job);
-  if (error == MO_OK && refused)
-    mo_reply_problem(request, 409, NULL, "The job %s: it is %s.", conflict,
-                     mo_job_state_name(job->state));
-  else if (error == MO_OK)
-    error = mo_write_reply(request, 200, kinds[job->kind], id, false);
+  const bool refused = error == MO_ERR_CONFLICT;
+  struct mo_job job;
+  if (error == MO_OK || refused)
+    error = mo_store_job(mo_api_of(request)->store, id, &job);
   if (error != MO_OK)
     mo_reply_error(request, error, "job");
-  if (request->reply.status == 200)
-    request->reply.retry_after_s = 0;
-  free(job);
+  else if (refused)
+    mo_reply_problem(request, 409, NULL, "The job %s: it is %s.", conflict,
+                     mo_job_state_name(job.state));
+  else
+    mo_reply_job(request, 200, kinds[job.kind], id, false);
 }
 
 static void change(struct mo_request *request, int (*call)(struct mo_jobs *jobs, int64_t id),
@@ -129,17 +283,15 @@ void mo_api_cancel_job(struct mo_request *request)
 
 void mo_api_set_job_weight(struct mo_request *request)
 {
+  struct mo_faults faults = {0};
   double weight = 1;
   int64_t id;
   if (!mo_path_id(request, 0, &id) || !mo_check_content(request, "application/json", NULL))
     return;
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
-  int error = faults != NULL ? mo_weight_parse(request->body, request->body_size, &weight, faults)
-                             : MO_ERR_NO_MEMORY;
+  int error = mo_weight_parse(request->body, request->body_size, &weight, &faults);
   if (error != MO_OK)
-    mo_reply_parse_error(request, error, faults, "job");
+    mo_reply_parse_error(request, error, &faults, "job");
   else
     reply_changed(request, id, mo_jobs_set_weight(mo_api_of(request)->jobs, id, weight),
                   "has no use for a weight");
-  free(faults);
 }

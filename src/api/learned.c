@@ -5,11 +5,12 @@
 #include <string.h>
 
 #include "api/handlers.h"
-#include "api/training_json.h"
+#include "api/job_json.h"
+#include "jobs/trainings.h"
+#include "rollout/physics.h"
 
 #define HELD_OUT_DESIGNS_MAX 1000
 #define HELD_OUT_PLACES_MAX  64
-#define SEED_MAX             INT64_C(9007199254740991)
 
 /* ---- the controller ---- */
 
@@ -70,23 +71,20 @@ void mo_api_get_training_controller(struct mo_request *request)
       !mo_query_number(request, "step", 1, MO_TRAINING_STEPS_MAX, &step) ||
       !mo_path_id(request, 0, &id))
     return;
-  struct mo_training_status *status = malloc(sizeof(*status));
+  struct mo_training_status status;
   uint8_t *bytes = NULL;
   size_t size = 0;
-  uint32_t at = 0;
-  int code = status != NULL ? mo_store_training(api->store, id, status) : MO_ERR_NO_MEMORY;
+  int code = mo_store_training(api->store, id, &status);
   if (code != MO_OK) {
     mo_reply_error(request, code, "training");
-    free(status);
     return;
   }
-  uint32_t n_steps = status->record.settings.n_steps;
-  if (status->has_result && (!named || step == n_steps)) {
-    at = n_steps;
-    code = mo_store_controller_bytes(api->store, &status->result_sha256, &bytes, &size);
-  } else {
-    code = export_checkpoint(api, status, (uint32_t)step, &bytes, &size, &at);
-  }
+  uint32_t at = status.record.settings.n_steps;
+  const bool result = status.has_result && (!named || step == at);
+  if (result)
+    code = mo_store_controller_bytes(api->store, &status.result_sha256, &bytes, &size);
+  else
+    code = export_checkpoint(api, &status, (uint32_t)step, &bytes, &size, &at);
   if (code == MO_ERR_NOT_FOUND && named)
     mo_reply_problem(request, 404, NULL,
                      "The training keeps no checkpoint of step %lld; GET "
@@ -94,11 +92,11 @@ void mo_api_get_training_controller(struct mo_request *request)
                      (long long)step, (long long)id);
   else if (code == MO_ERR_NOT_FOUND)
     mo_reply_problem(request, 404, NULL,
-                     mo_job_state_is_final(status->job.state)
+                     mo_job_state_is_final(status.job.state)
                          ? "The training has ended without a result and keeps no checkpoint."
                          : "The training has no checkpoint yet.");
   else if (code == MO_ERR_CORRUPT)
-    reply_damaged(request, status, at == n_steps && status->has_result, (uint32_t)step);
+    reply_damaged(request, &status, result, (uint32_t)step);
   else if (code != MO_OK)
     mo_reply_error(request, code, "controller");
   else {
@@ -110,11 +108,12 @@ void mo_api_get_training_controller(struct mo_request *request)
     mo_reply_extra(request, "Morphod-Step", "%u", at);
     mo_reply_etag(request, "%s", digits);
   }
-  free(status);
 }
 
 /* ---- held-out sets ---- */
 
+/* Replies with designs and environments as the body of an evaluation request. physics nullable: the
+ * default. genotypes: (n_designs), placed. */
 static void reply_held_out(struct mo_request *request, const struct mo_bits *genotypes,
                            uint32_t n_designs, uint64_t seed, uint32_t n_environments,
                            const struct mo_physics *physics)
@@ -126,61 +125,70 @@ static void reply_held_out(struct mo_request *request, const struct mo_bits *gen
     return;
   }
   mo_held_out_environments(seed, n_environments, environments);
-  mo_held_out_write(&text, genotypes, n_designs, environments, n_environments, physics);
+  mo_text_add(&text, "{\"designs\":[");
+  for (uint32_t i = 0; i < n_designs; i++) {
+    mo_text_object(&text);
+    mo_member_bits(&text, "voxels", &genotypes[i]);
+    mo_text_add(&text, "}");
+  }
+  mo_text_add(&text, "],\"environments\":[");
+  for (uint32_t k = 0; k < n_environments; k++) {
+    mo_text_object(&text);
+    mo_member_numbers(&text, "light_xy_m", environments[k].light_xy_m, 2);
+    mo_member_numbers(&text, "terrain_heights_m", environments[k].terrain_heights_m,
+                      MO_TERRAIN_HEIGHTS);
+    mo_text_add(&text, "}");
+  }
+  mo_text_add(&text, "]");
+  if (physics != NULL) {
+    mo_text_name(&text, "physics");
+    mo_fields_write_object(&text, &mo_physics_fields, physics);
+  }
+  mo_text_add(&text, "}");
   free(environments);
-  mo_reply_json(request, 200, &text);
-  mo_reply_etag_of_body(request);
+  mo_reply_text(request, MO_OK, &text, "set");
 }
 
 static int draw(uint64_t seed, uint32_t n, struct mo_bits **genotypes)
 {
-  struct mo_bits *drawn = calloc(n, sizeof(*drawn));
-  _Static_assert(sizeof(*drawn) == MO_DEFAULT_WORDS * sizeof(uint64_t),
+  _Static_assert(sizeof(**genotypes) == MO_DEFAULT_WORDS * sizeof(uint64_t),
                  "genotypes lie one behind the other");
-  int code = drawn != NULL ? mo_held_out_designs(seed, n, (uint64_t *)drawn) : MO_ERR_NO_MEMORY;
-  if (code != MO_OK)
-    free(drawn);
-  else
-    *genotypes = drawn;
-  return code;
+  *genotypes = calloc(n, sizeof(**genotypes));
+  return *genotypes != NULL ? mo_held_out_designs(seed, n, (*genotypes)->words) : MO_ERR_NO_MEMORY;
 }
 
 void mo_api_get_training_held_out(struct mo_request *request)
 {
+  struct mo_store *store = mo_api_of(request)->store;
+  struct mo_training_status status;
+  struct mo_bits *genotypes = NULL;
+  uint32_t n = 0;
   int64_t id;
   if (!mo_path_id(request, 0, &id))
     return;
-  struct mo_store *store = mo_api_of(request)->store;
-  struct mo_training_status *status = malloc(sizeof(*status));
-  struct mo_bits *genotypes = NULL;
-  uint32_t n = 0;
-  int code = status != NULL ? mo_store_training(store, id, status) : MO_ERR_NO_MEMORY;
-  if (code == MO_OK) {
-    const struct mo_training_settings *settings = &status->record.settings;
-    if (settings->kind == MO_TRAINING_FINETUNE)
-      code = mo_store_training_designs(store, id, &genotypes, &n);
-    else if ((n = settings->held_out_designs) > 0)
-      code = draw(settings->seed, n, &genotypes);
-    if (n > settings->held_out_designs)
-      n = settings->held_out_designs;
-  }
+  const struct mo_training_settings *settings = &status.record.settings;
+  int code = mo_store_training(store, id, &status);
+  if (code == MO_OK && settings->kind == MO_TRAINING_FINETUNE)
+    code = mo_store_training_designs(store, id, &genotypes, &n);
+  else if (code == MO_OK && (n = settings->held_out_designs) > 0)
+    code = draw(settings->seed, n, &genotypes);
   if (code != MO_OK)
     mo_reply_error(request, code, "training");
   else
-    reply_held_out(request, genotypes, n, status->record.settings.seed,
-                   status->record.settings.held_out_environments, &status->record.settings.physics);
+    reply_held_out(request, genotypes,
+                   n < settings->held_out_designs ? n : settings->held_out_designs, settings->seed,
+                   settings->held_out_environments, &settings->physics);
   free(genotypes);
-  free(status);
 }
 
 void mo_api_get_held_out(struct mo_request *request)
 {
   int64_t seed = 1, designs = 64, environments = 8;
-  if (!mo_query_number(request, "seed", 0, SEED_MAX, &seed) ||
+  struct mo_bits *genotypes = NULL;
+  if (!mo_query_number(request, "seed", 0, MO_SEED_MAX, &seed) ||
       !mo_query_number(request, "designs", 1, HELD_OUT_DESIGNS_MAX, &designs) ||
       !mo_query_number(request, "environments", 1, HELD_OUT_PLACES_MAX, &environments))
     return;
-  struct mo_bits *genotypes = NULL;
   int code = draw((uint64_t)seed, (uint32_t)designs, &genotypes);
   if (code != MO_OK)
     mo_reply_error(request, code, "set");

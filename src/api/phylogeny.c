@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "api/campaign_json.h"
-#include "api/job_reply.h"
+#include "api/jobs.h"
 #include "api/newick_pieces.h"
 #include "http/download.h"
 
@@ -19,9 +19,10 @@
 
 static void write_rows(struct mo_text *text, const struct mo_campaign_design *rows, size_t n)
 {
-  mo_text_add(text, "\"items\":[");
+  mo_text_name(text, "items");
+  mo_text_add(text, "[");
   for (size_t i = 0; i < n; i++) {
-    mo_text_add(text, i > 0 ? ",{" : "{");
+    mo_text_object(text);
     mo_campaign_json_design(text, &rows[i]);
     mo_text_add(text, "}");
   }
@@ -35,17 +36,8 @@ static bool read_cursor(struct mo_request *request, int64_t *after)
   *after = -1;
   if (cursor == NULL || mo_decimal(cursor, strlen(cursor), 0, NUMBER_CURSOR_MAX, after))
     return true;
-  mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
+  mo_reply_bad_parameter(request, "cursor", MO_CURSOR_WORDS);
   return false;
-}
-
-/* Writes the member "next_cursor" after the last item of the page; −1: this is the last page. */
-static void write_next(struct mo_text *text, int64_t last)
-{
-  if (last >= 0)
-    mo_text_format(text, ",\"next_cursor\":\"%lld\"", (long long)last);
-  else
-    mo_text_add(text, ",\"next_cursor\":null");
 }
 
 /* ---- populations ---- */
@@ -70,18 +62,17 @@ void mo_api_get_campaign_population(struct mo_request *request)
   asked = generation;
   if (cursor != NULL && (!read_population_cursor(cursor, &generation, &offset) ||
                          (asked >= 0 && asked != generation))) {
-    mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
+    mo_reply_bad_parameter(request, "cursor", MO_CURSOR_WORDS);
     return;
   }
-  struct mo_campaign_status *status = malloc(sizeof(*status));
+  struct mo_campaign_status status;
   struct mo_campaign_design *rows = malloc(limit * sizeof(*rows));
   uint32_t size = 0;
-  int64_t n =
-      status != NULL && rows != NULL ? mo_store_campaign(store, id, status) : MO_ERR_NO_MEMORY;
-  bool known = n == MO_OK;
+  int64_t n = rows != NULL ? mo_store_campaign(store, id, &status) : MO_ERR_NO_MEMORY;
+  const bool known = n == MO_OK;
   if (known && generation < 0)
-    generation = status->generation; /* later pages stay in this generation, even if the next one is
-                                        committed meanwhile */
+    generation = status.generation; /* later pages stay in this generation, even if the next one is
+                                       committed meanwhile */
   if (known)
     n = generation >= 0 ? mo_store_campaign_population(store, id, generation, (uint32_t)offset,
                                                        rows, limit, &size)
@@ -91,23 +82,19 @@ void mo_api_get_campaign_population(struct mo_request *request)
                      "The campaign has no population yet: its first one is not scored.");
   } else if (n == MO_ERR_NOT_FOUND && known) {
     mo_reply_problem(request, 404, NULL, "The campaign has no generation %lld: the newest is %lld.",
-                     (long long)generation, (long long)status->generation);
-  } else if (n < 0) {
-    mo_reply_error(request, (int)n, "campaign");
+                     (long long)generation, (long long)status.generation);
   } else {
     struct mo_text text = {0};
-    mo_text_format(&text, "{\"generation\":%lld,\"size\":%u,", (long long)generation, size);
-    write_rows(&text, rows, (size_t)n);
+    mo_text_format(&text, "{\"generation\":%lld,\"size\":%u", (long long)generation, size);
+    write_rows(&text, rows, n > 0 ? (size_t)n : 0);
     offset += n;
     if (offset < size)
       mo_text_format(&text, ",\"next_cursor\":\"%lld-%lld\"}", (long long)generation,
                      (long long)offset);
     else
       mo_text_add(&text, ",\"next_cursor\":null}");
-    mo_reply_json(request, 200, &text);
-    mo_reply_etag_of_body(request);
+    mo_reply_text(request, n < 0 ? (int)n : MO_OK, &text, "campaign");
   }
-  free(status);
   free(rows);
 }
 
@@ -121,22 +108,13 @@ struct lineage {
   struct mo_descent *descents;
 };
 
-static void no_such_design(struct mo_request *request, uint32_t n)
-{
-  if (n == 0)
-    mo_reply_problem(request, 404, NULL, "The campaign has no designs yet.");
-  else
-    mo_reply_problem(request, 404, NULL,
-                     "There is no such design: the campaign has the numbers 0 to %u.", n - 1);
-}
-
 /* Reads the lineage. False: the reply is made. */
 static bool read_lineage(struct mo_request *request, struct lineage *lineage)
 {
   const char *text = request->parameters[1];
   int64_t number = -1;
   *lineage = (struct lineage){0};
-  if (!mo_path_job(request, MO_JOB_CAMPAIGN, &lineage->id))
+  if (!mo_path_job(request, &lineage->id))
     return false;
   if ((text[0] == '0' && text[1] != '\0') ||
       !mo_decimal(text, strlen(text), 0, UINT32_MAX - 1, &number)) {
@@ -149,8 +127,12 @@ static bool read_lineage(struct mo_request *request, struct lineage *lineage)
                                         NULL, &lineage->n);
   if (code != MO_OK)
     mo_reply_error(request, code, "campaign");
+  else if (lineage->n == 0)
+    mo_reply_problem(request, 404, NULL, "The campaign has no designs yet.");
   else if (number >= lineage->n)
-    no_such_design(request, lineage->n);
+    mo_reply_problem(request, 404, NULL,
+                     "There is no such design: the campaign has the numbers 0 to %u.",
+                     lineage->n - 1);
   lineage->number = (uint32_t)number;
   return code == MO_OK && number < lineage->n;
 }
@@ -175,7 +157,7 @@ static int write_marked(struct mo_request *request, const struct lineage *lineag
     code = mo_store_campaign_designs_of(mo_api_of(request)->store, lineage->id, numbers, n, rows);
   if (code == MO_OK) {
     write_rows(text, rows, n);
-    write_next(text, more ? (int64_t)numbers[n - 1] : -1);
+    mo_text_member_id(text, "next_cursor", more ? (int64_t)numbers[n - 1] : -1);
   }
   free(numbers);
   free(rows);
@@ -188,73 +170,69 @@ static void finish(struct mo_request *request, int code, struct mo_text *text)
   mo_reply_text(request, code, text, "campaign");
 }
 
+/* Reads the page that is asked for, and the lineage. marks: malloc (lineage->n). False: the reply
+ * is made. Free `marks` and the descents in every case. */
+static bool read_relatives(struct mo_request *request, struct lineage *lineage, int64_t *after,
+                           size_t *limit, uint8_t **marks)
+{
+  if (!mo_query_limit(request, limit) || !read_cursor(request, after) ||
+      !read_lineage(request, lineage))
+    return false;
+  *marks = calloc(lineage->n, 1);
+  if (*marks == NULL)
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "campaign");
+  return *marks != NULL;
+}
+
 void mo_api_get_campaign_design(struct mo_request *request)
 {
-  struct mo_store *store = mo_api_of(request)->store;
   struct lineage lineage = {0};
   struct mo_campaign_design row;
   struct mo_text text = {0};
+  uint8_t *marks = NULL;
   int64_t after;
   size_t limit;
-  if (!mo_query_limit(request, &limit) || !read_cursor(request, &after))
-    return;
-  if (read_lineage(request, &lineage)) {
-    uint8_t *marks = calloc(lineage.n, 1);
-    int code = marks != NULL
-                   ? mo_store_campaign_designs_of(store, lineage.id, &lineage.number, 1, &row)
-                   : MO_ERR_NO_MEMORY;
+  if (read_relatives(request, &lineage, &after, &limit, &marks)) {
+    int code = mo_store_campaign_designs_of(mo_api_of(request)->store, lineage.id, &lineage.number,
+                                            1, &row);
     for (uint32_t i = lineage.number + 1; i < lineage.n && code == MO_OK; i++) {
       const uint32_t *parents = lineage.descents[i].parents;
       marks[i] = parents[0] == lineage.number || parents[1] == lineage.number;
     }
     if (code == MO_OK) {
-      mo_text_format(&text, "{\"campaign\":\"%lld\",", (long long)lineage.id);
+      mo_text_object(&text);
+      mo_text_member_id(&text, "campaign", lineage.id);
       mo_campaign_json_design(&text, &row);
       mo_text_add(&text, ",\"children\":{");
       code = write_marked(request, &lineage, marks, after, limit, &text);
       mo_text_add(&text, "}");
     }
-    free(marks);
     finish(request, code, &text);
   }
+  free(marks);
   free(lineage.descents);
 }
 
-static void handle_relatives(struct mo_request *request,
-                             void (*mark)(const struct mo_descent *descents, uint32_t n,
-                                          uint32_t number, uint8_t *marks))
+/* Replies with ancestors or descendants, by the end of the route. */
+void mo_api_get_campaign_relatives(struct mo_request *request)
 {
+  const bool up = strstr(request->route->path, "/ancestors") != NULL;
   struct lineage lineage = {0};
   struct mo_text text = {0};
+  uint8_t *marks = NULL;
+  uint64_t total = 0;
   int64_t after;
   size_t limit;
-  if (!mo_query_limit(request, &limit) || !read_cursor(request, &after))
-    return;
-  if (read_lineage(request, &lineage)) {
-    uint8_t *marks = calloc(lineage.n, 1);
-    uint64_t total = 0;
-    int code = marks != NULL ? MO_OK : MO_ERR_NO_MEMORY;
-    if (code == MO_OK) {
-      mark(lineage.descents, lineage.n, lineage.number, marks);
-      for (uint32_t i = 0; i < lineage.n; i++)
-        total += marks[i];
-      mo_text_format(&text, "{\"total\":%llu,", (unsigned long long)total);
-      code = write_marked(request, &lineage, marks, after, limit, &text);
-    }
-    free(marks);
-    finish(request, code, &text);
+  if (read_relatives(request, &lineage, &after, &limit, &marks)) {
+    (up ? mo_ancestors : mo_descendants)(lineage.descents, lineage.n, lineage.number, marks);
+    for (uint32_t i = 0; i < lineage.n; i++)
+      total += marks[i];
+    mo_text_object(&text);
+    mo_text_member_count(&text, "total", total);
+    finish(request, write_marked(request, &lineage, marks, after, limit, &text), &text);
   }
+  free(marks);
   free(lineage.descents);
-}
-
-void mo_api_get_campaign_ancestors(struct mo_request *request)
-{
-  handle_relatives(request, mo_ancestors);
-}
-
-void mo_api_get_campaign_descendants(struct mo_request *request)
-{
-  handle_relatives(request, mo_descendants);
 }
 
 /* ---- the whole phylogeny ---- */
@@ -266,13 +244,12 @@ static void reply_page(struct mo_request *request, int64_t id, int64_t after, si
                   ? mo_store_campaign_designs(mo_api_of(request)->store, id, after, rows, limit)
                   : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
-  if (n >= 0) {
-    mo_text_add(&text, "{");
-    write_rows(&text, rows, (size_t)n);
-    write_next(&text, n > 0 && (size_t)n == limit ? (int64_t)rows[n - 1].number : -1);
-  }
-  free(rows);
+  mo_text_add(&text, "{");
+  write_rows(&text, rows, n > 0 ? (size_t)n : 0);
+  mo_text_member_id(&text, "next_cursor",
+                    n > 0 && (size_t)n == limit ? (int64_t)rows[n - 1].number : -1);
   finish(request, n < 0 ? (int)n : MO_OK, &text);
+  free(rows);
 }
 
 /* Writes as CSV lines the designs that existed when the reply began. */
@@ -366,9 +343,8 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
                              "this parameter is for JSON: the other forms are whole");
       return;
     }
-  struct mo_campaign_status *status = malloc(sizeof(*status));
-  int code =
-      status != NULL ? mo_store_campaign(mo_api_of(request)->store, id, status) : MO_ERR_NO_MEMORY;
+  struct mo_campaign_status status;
+  int code = mo_store_campaign(mo_api_of(request)->store, id, &status);
   if (code != MO_OK) {
     mo_reply_error(request, code, "campaign");
   } else if (form == 0) {
@@ -376,8 +352,7 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
   } else {
     snprintf(tag, sizeof(tag), "%" PRIx64 "-phylogeny-2-%s-%lld-%lld-%llu",
              mo_store_id(mo_api_of(request)->store), forms[form], (long long)id,
-             (long long)status->generation, (unsigned long long)status->n_designs);
-    (form == 1 ? reply_csv : reply_newick)(request, status, tag);
+             (long long)status.generation, (unsigned long long)status.n_designs);
+    (form == 1 ? reply_csv : reply_newick)(request, &status, tag);
   }
-  free(status);
 }

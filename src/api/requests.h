@@ -2,9 +2,9 @@
  *
  * Each function parses `size` bytes (text[size] must be NUL). MO_OK: complete, with all defaults;
  * MO_ERR_FORMAT: not JSON (faults->malformed); MO_ERR_INVALID: see the faults; MO_ERR_NO_MEMORY.
- * Free in every case. With MO_ERR_INVALID, what the request names (controller, population, initial
- * campaign) still holds valid values, so that the caller can look it up and report all faults at
- * once. The caller sets idempotency_key and body_sha256. */
+ * Free `parts` in every case. With MO_ERR_INVALID, what the request names (controller, population,
+ * initial campaign) still holds valid values, so that the caller can look it up and report all
+ * faults at once. The caller sets idempotency_key and body_sha256. */
 #ifndef MORPHO_API_REQUESTS_H
 #define MORPHO_API_REQUESTS_H
 
@@ -24,7 +24,6 @@ struct mo_parsed_evaluation {
 };
 int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
                         struct mo_faults *faults);
-void mo_evaluation_parsed_free(struct mo_parsed_evaluation *parsed);
 
 struct mo_parsed_training {
   struct mo_training_request request;
@@ -35,7 +34,6 @@ struct mo_parsed_training {
 };
 int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *parsed,
                       struct mo_faults *faults);
-void mo_training_parsed_free(struct mo_parsed_training *parsed);
 
 struct mo_parsed_campaign {
   struct mo_campaign_request request;
@@ -45,7 +43,6 @@ struct mo_parsed_campaign {
 };
 int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed,
                       struct mo_faults *faults);
-void mo_campaign_parsed_free(struct mo_parsed_campaign *parsed);
 
 /* Parse the bodies of POST …/extend (further generations), …/champions and …/weight. */
 int mo_extension_parse(const char *text, size_t size, uint32_t *generations,

@@ -1,7 +1,5 @@
 /* service.c: the state of the service: health, metrics, threads, devices, the contract. All of it
  * is answered on I/O threads. */
-#include <string.h>
-
 #include "api/handlers.h"
 #include "api/openapi.h"
 
@@ -55,52 +53,40 @@ void mo_api_get_threads(struct mo_request *request)
   struct mo_compute_stats c;
   struct mo_text text = {0};
   mo_compute_get_stats(compute, &c);
-  mo_text_format(&text,
-                 "{\"n_threads\":%u,\"n_busy\":%u,\"blocks_done\":%llu,\"rollouts_done\":%llu,"
-                 "\"rollout_steps\":%llu,"
-                 "\"rollouts_diverged\":%llu,\"blocks_preempted\":%llu,\"queued_batch\":%llu,"
-                 "\"queued_interactive\":%llu,"
-                 "\"thread_bytes_max\":%zu,\"busy_s\":",
-                 c.n_workers, c.n_busy, (unsigned long long)c.blocks_done,
-                 (unsigned long long)c.rollouts_done, (unsigned long long)c.rollout_steps,
-                 (unsigned long long)c.rollouts_diverged, (unsigned long long)c.blocks_preempted,
-                 (unsigned long long)c.queued_batch, (unsigned long long)c.queued_interactive,
-                 c.worker_bytes_max);
-  mo_text_json_number(&text, c.busy_s);
-  for (int precision = 0; precision < 2; precision++) {
-    const char *fingerprint =
-        mo_compute_fingerprint(compute, precision == 0 ? MO_FLOAT32 : MO_FLOAT64);
-    mo_text_add(&text, precision == 0 ? ",\"fingerprints\":{\"float32\":" : ",\"float64\":");
-    mo_text_json_string(&text, fingerprint, strlen(fingerprint));
-  }
+  mo_text_object(&text);
+  mo_text_member_count(&text, "n_threads", c.n_workers);
+  mo_text_member_count(&text, "n_busy", c.n_busy);
+  mo_text_member_count(&text, "blocks_done", c.blocks_done);
+  mo_text_member_count(&text, "rollouts_done", c.rollouts_done);
+  mo_text_member_count(&text, "rollout_steps", c.rollout_steps);
+  mo_text_member_count(&text, "rollouts_diverged", c.rollouts_diverged);
+  mo_text_member_count(&text, "blocks_preempted", c.blocks_preempted);
+  mo_text_member_count(&text, "queued_batch", c.queued_batch);
+  mo_text_member_count(&text, "queued_interactive", c.queued_interactive);
+  mo_text_member_count(&text, "thread_bytes_max", c.worker_bytes_max);
+  mo_text_member_number(&text, "busy_s", c.busy_s);
+  mo_text_add(&text, ",\"fingerprints\":{");
+  mo_text_member(&text, "float32", mo_compute_fingerprint(compute, MO_FLOAT32));
+  mo_text_member(&text, "float64", mo_compute_fingerprint(compute, MO_FLOAT64));
   mo_text_add(&text, "}}");
   mo_reply_json(request, 200, &text);
 }
 
-static void write_fingerprint(struct mo_text *text, const char *name, const char *fingerprint)
-{
-  mo_text_format(text, "\"%s\":", name);
-  if (fingerprint != NULL)
-    mo_text_json_string(text, fingerprint, strlen(fingerprint));
-  else
-    mo_text_add(text, "null");
-}
-
 static void write_device(struct mo_text *text, const struct mo_device_status *status)
 {
-  mo_text_format(text, "{\"index\":%u", status->index);
+  const bool works = status->state == MO_DEVICE_WORKS;
+  mo_text_object(text);
+  mo_text_member_count(text, "index", status->index);
   mo_text_member(text, "name", status->name);
   mo_text_member(text, "id", status->id);
-  mo_text_member(text, "state", status->state == MO_DEVICE_WORKS ? "working" : "lost");
-  if (status->state == MO_DEVICE_WORKS)
-    mo_text_add(text, ",\"error\":null");
-  else
-    mo_text_member(text, "error", status->error);
+  mo_text_member(text, "state", works ? "working" : "lost");
+  mo_text_member(text, "error", works ? NULL : status->error);
   mo_text_member_count(text, "memory_bytes", status->memory_bytes);
   mo_text_member_count(text, "free_bytes", status->free_bytes);
   mo_text_member_count(text, "multiprocessors", status->multiprocessors);
-  mo_text_format(text, ",\"capability\":\"%u.%u\",\"busy\":%s", status->capability / 10,
-                 status->capability % 10, status->is_busy ? "true" : "false");
+  mo_text_format(text, ",\"capability\":\"%u.%u\"", status->capability / 10,
+                 status->capability % 10);
+  mo_text_member_bool(text, "busy", status->is_busy);
   mo_text_member_number(text, "load", status->load);
   mo_text_member_number(text, "busy_s", status->busy_s);
   mo_text_member_count(text, "calls", status->calls);
@@ -116,14 +102,11 @@ void mo_api_get_devices(struct mo_request *request)
   struct mo_device_status status;
   struct mo_text text = {0};
   mo_text_add(&text, "{\"items\":[");
-  for (uint32_t i = 0; mo_compute_device(compute, i, &status) == MO_OK; i++) {
-    mo_text_add(&text, i > 0 ? "," : "");
+  for (uint32_t i = 0; mo_compute_device(compute, i, &status) == MO_OK; i++)
     write_device(&text, &status);
-  }
   mo_text_add(&text, "],\"fingerprints\":{");
-  write_fingerprint(&text, "scores", mo_compute_device_fingerprint(compute));
-  mo_text_add(&text, ",");
-  write_fingerprint(&text, "gradients", mo_compute_device_gradient_fingerprint(compute));
+  mo_text_member(&text, "scores", mo_compute_device_fingerprint(compute));
+  mo_text_member(&text, "gradients", mo_compute_device_gradient_fingerprint(compute));
   mo_text_add(&text, "}}");
   mo_reply_json(request, 200, &text);
 }

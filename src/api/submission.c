@@ -2,72 +2,59 @@
 #include "api/submission.h"
 
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "store/runner.h"
 
 /* Checks the request, and reads its key. False: the 4xx or 503 is made. */
-static bool begin(struct mo_request *request, const char *what, struct mo_submission_key *key)
+static bool begin(struct mo_request *request, struct mo_post *post)
 {
   const char *field = request->framing.idempotency_key;
-  *key = (struct mo_submission_key){.key = ""};
   if (!mo_check_content(request, "application/json", NULL))
     return false;
   if (!mo_http_is_ready(mo_api_of(request)->http)) {
-    mo_reply_error(request, MO_ERR_CANCELLED, what);
+    mo_reply_error(request, MO_ERR_CANCELLED, post->what);
     return false;
   }
-  if (field != NULL && !mo_idempotency_key(field, key->key)) {
+  if (field == NULL)
+    return true;
+  if (!mo_idempotency_key(field, post->key)) {
     mo_reply_bad_header(request, 400, "Idempotency-Key",
                         "1 to 255 printable ASCII characters are expected", NULL);
     return false;
   }
-  if (field != NULL)
-    mo_sha256_of(request->body, request->body_size, &key->body_sha256);
+  mo_sha256_of(request->body, request->body_size, &post->body_sha256);
   return true;
 }
 
-bool mo_handle_submission(struct mo_request *request, const char *what,
-                          bool (*submit)(struct mo_request *request,
-                                         const struct mo_submission_key *key,
-                                         struct mo_faults *faults))
+const char *mo_post_key(const struct mo_post *post)
 {
-  struct mo_submission_key key;
-  if (!begin(request, what, &key))
-    return false;
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
-  bool stored = false;
-  if (faults == NULL)
-    mo_reply_error(request, MO_ERR_NO_MEMORY, what);
-  else
-    stored = submit(request, &key, faults);
-  free(faults);
-  if (stored)
-    mo_request_drop_body(request); /* frees memory while this request waits for a result */
-  return stored;
+  return post->key[0] != '\0' ? post->key : NULL;
 }
 
-const struct mo_request_key *mo_submission_key_of(const struct mo_submission_key *key,
-                                                  const char *what, int64_t id,
-                                                  struct mo_request_key *known)
+const char *mo_post_words(const struct mo_post *post, int error)
+{
+  const char *words = post->message.text;
+  return words[0] != '\0' ? words : mo_error_text(error);
+}
+
+const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const char *what,
+                                            int64_t id, struct mo_request_key *known)
 {
   char digits[MO_SHA256_DIGITS + 1], text[MO_SHA256_DIGITS + 64];
-  if (key->key[0] == '\0')
-    return NULL;
-  mo_sha256_to_hex(&key->body_sha256, digits);
+  mo_sha256_to_hex(&post->body_sha256, digits);
   int n = snprintf(text, sizeof(text), "%s %lld %s", what, (long long)id, digits);
-  known->text = key->key;
+  known->text = mo_post_key(post);
   mo_sha256_of(text, (size_t)n, &known->sha256);
-  return known;
+  return known->text != NULL ? known : NULL;
 }
 
 /* Says whether the key was used with another body. */
-static bool key_conflicts(struct mo_store *store, const struct mo_submission_key *key)
+static bool key_conflicts(struct mo_store *store, const struct mo_post *post)
 {
+  const char *key = mo_post_key(post);
   int64_t id;
-  return key->key[0] != '\0' &&
-         mo_store_replay(store, key->key, &key->body_sha256, &id) == MO_ERR_CONFLICT;
+  return key != NULL && mo_store_replay(store, key, &post->body_sha256, &id) == MO_ERR_CONFLICT;
 }
 
 void mo_reply_parse_error(struct mo_request *request, int code, const struct mo_faults *faults,
@@ -83,52 +70,73 @@ void mo_reply_parse_error(struct mo_request *request, int code, const struct mo_
 
 void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults)
 {
-  if (faults != NULL)
-    mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "the key was used with another body");
+  mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "the key was used with another body");
   mo_reply_problem(
       request, 422, faults,
       "The Idempotency-Key was used with another body; use a new key for a new request.");
 }
 
-static void reply_fault(struct mo_request *request, unsigned status, const char *pointer,
-                        const char *words, struct mo_faults *faults)
+/* Replies why a submission was not stored. */
+static void reply_not_stored(struct mo_request *request, struct mo_post *post, int error)
 {
-  mo_faults_add(faults, MO_FAULT_BODY, pointer != NULL ? pointer : "", "%s", words);
-  mo_reply_problem(request, status, faults, NULL);
-}
-
-void mo_reply_not_stored(struct mo_request *request, const struct mo_submission_key *key, int error,
-                         const struct mo_message *message,
-                         const struct mo_refusal_pointers *pointers, struct mo_faults *faults,
-                         const char *what)
-{
-  const char *words = message->text[0] != '\0' ? message->text : mo_error_text(error);
+  const struct mo_refusal_pointers *pointers = &post->pointers;
+  struct mo_faults *faults = &post->faults;
+  const char *pointer = NULL;
+  unsigned status = 422;
   switch (error) {
   case MO_ERR_NOT_FOUND:
   case MO_ERR_UNSUPPORTED:
-    if (faults->n > 0)
+    if (faults->n > 0) {
       mo_reply_problem(request, 422, faults, NULL);
-    else
-      reply_fault(request, 422, pointers->controller, words, faults);
+      return;
+    }
+    pointer = pointers->controller;
     break;
   case MO_ERR_DUPLICATE:
   case MO_ERR_INVALID:
-  case MO_ERR_RANGE: reply_fault(request, 422, pointers->invalid, words, faults); break;
-  case MO_ERR_LIMIT: reply_fault(request, 422, pointers->limit, words, faults); break;
-  case MO_ERR_EMPTY: reply_fault(request, 422, pointers->empty, words, faults); break;
-  case MO_ERR_DEVICE: reply_fault(request, 422, "/device", words, faults); break;
+  case MO_ERR_RANGE: pointer = pointers->invalid; break;
+  case MO_ERR_LIMIT: pointer = pointers->limit; break;
+  case MO_ERR_EMPTY: pointer = pointers->empty; break;
+  case MO_ERR_DEVICE: pointer = "/device"; break;
   case MO_ERR_CONFLICT:
-    if (pointers->conflict == NULL || key_conflicts(mo_api_of(request)->store, key))
+    if (pointers->conflict == NULL || key_conflicts(mo_api_of(request)->store, post)) {
       mo_reply_key_conflict(request, faults);
-    else
-      reply_fault(request, 409, pointers->conflict, words, faults);
+      return;
+    }
+    status = 409;
+    pointer = pointers->conflict;
     break;
   case MO_ERR_BUSY:
     mo_reply_problem(request, 503, NULL, "The queue is full; try again when some work is done.");
     request->reply.retry_after_s = 10;
-    break;
-  default: mo_reply_error(request, error, what); break;
+    return;
+  default: mo_reply_error(request, error, post->what); return;
   }
+  mo_faults_add(faults, MO_FAULT_BODY, pointer != NULL ? pointer : "", "%s",
+                mo_post_words(post, error));
+  mo_reply_problem(request, status, faults, NULL);
+}
+
+bool mo_handle_submission(struct mo_request *request, const char *what,
+                          int (*submit)(struct mo_request *request, struct mo_post *post))
+{
+  struct mo_post post = {.what = what};
+  if (!begin(request, &post))
+    return false;
+  int error = submit(request, &post);
+  if (error == MO_OK)
+    mo_request_drop_body(request); /* frees memory while this request waits for a result */
+  else if (request->reply.status == 0 && post.parsed)
+    reply_not_stored(request, &post, error);
+  else if (request->reply.status == 0)
+    mo_reply_parse_error(request, error, &post.faults, post.what);
+  return error == MO_OK;
+}
+
+bool mo_names_unknown(const struct mo_post *post, int error)
+{
+  return error == MO_ERR_NOT_FOUND || error == MO_ERR_UNSUPPORTED ||
+         (error == MO_ERR_INVALID && !post->parsed);
 }
 
 void mo_look_up_controller(struct mo_store *store, const char *reference, struct mo_faults *faults)
@@ -154,12 +162,9 @@ void mo_look_up_controller(struct mo_store *store, const char *reference, struct
 void mo_look_up_job(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *pointer,
                     struct mo_faults *faults)
 {
-  struct mo_job *job = id > 0 ? malloc(sizeof(*job)) : NULL;
-  if (job == NULL)
-    return;
-  int code = mo_store_job(store, id, job);
-  if (code == MO_ERR_NOT_FOUND || (code == MO_OK && job->kind != kind))
+  struct mo_job job;
+  int code = id > 0 ? mo_store_job(store, id, &job) : MO_ERR_EMPTY;
+  if (code == MO_ERR_NOT_FOUND || (code == MO_OK && job.kind != kind))
     mo_faults_add(faults, MO_FAULT_BODY, pointer, "there is no %s %lld; the id of one is expected",
                   mo_job_kind_name(kind), (long long)id);
-  free(job);
 }

@@ -4,41 +4,46 @@
 
 #include "api/handlers.h"
 
-/* The key of a submission and the hash of its body. */
-struct mo_submission_key {
-  char key[256]; /* "": none was sent */
-  struct mo_sha256 body_sha256;
-};
-
-/* Handles a whole submission: checks what every submission must satisfy (JSON, a service that takes
- * work, a well-formed Idempotency-Key) and calls `submit`, which reads the body and stores the job
- * (false: it made a reply). True: stored, and the body's memory is freed. */
-bool mo_handle_submission(struct mo_request *request, const char *what,
-                          bool (*submit)(struct mo_request *request,
-                                         const struct mo_submission_key *key,
-                                         struct mo_faults *faults));
-/* Returns the key of a request about job `id`, filled into `known`. The same body for another job,
- * or for another action (`what`), counts as another request. NULL: no key was sent. */
-const struct mo_request_key *mo_submission_key_of(const struct mo_submission_key *key,
-                                                  const char *what, int64_t id,
-                                                  struct mo_request_key *known);
-
 /* Where the faults of a submission are that only its storing finds. NULL: nowhere, "" the body. */
 struct mo_refusal_pointers {
   const char *controller, *limit, *empty, *conflict; /* conflict NULL: only a key can conflict */
   const char *invalid;
 };
-/* Replies why a submission was not stored. faults: those that were found by looking up what the
- * request names. */
-void mo_reply_not_stored(struct mo_request *request, const struct mo_submission_key *key, int error,
-                         const struct mo_message *message,
-                         const struct mo_refusal_pointers *pointers, struct mo_faults *faults,
-                         const char *what);
+
+struct mo_post {
+  const char *what; /* "training" */
+  char key[256];    /* "": none was sent */
+  struct mo_sha256 body_sha256;
+  bool parsed; /* the body was read: what is wrong now is found by storing it */
+  struct mo_refusal_pointers pointers;
+  char place[40];            /* for one of them */
+  struct mo_message message; /* why it was not stored */
+  struct mo_faults faults;   /* of the body, and of what it names */
+};
+
+/* Handles a whole submission: checks what every submission must satisfy (JSON, a service that takes
+ * work, a well-formed Idempotency-Key) and calls `submit`, which reads the body and stores the job.
+ * An error of `submit` is replied to unless it made a reply. True: stored, and the body's memory is
+ * freed. */
+bool mo_handle_submission(struct mo_request *request, const char *what,
+                          int (*submit)(struct mo_request *request, struct mo_post *post));
+/* Returns the key; NULL: none was sent. */
+const char *mo_post_key(const struct mo_post *post);
+/* Returns why the submission was not stored. */
+const char *mo_post_words(const struct mo_post *post, int error);
+/* Returns the key of a request about job `id`, filled into `known`. The same body for another job,
+ * or for another action (`what`), counts as another request. NULL: no key was sent. */
+const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const char *what,
+                                            int64_t id, struct mo_request_key *known);
+
 /* Replies that a body cannot be parsed, or that a key was used with another body. */
 void mo_reply_parse_error(struct mo_request *request, int error, const struct mo_faults *faults,
                           const char *what);
 void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults);
 
+/* Says whether to look up what a request names: its storing did not find it, or its body is
+ * invalid, so that the client gets all faults at once. */
+bool mo_names_unknown(const struct mo_post *post, int error);
 /* Look up what a request names: a controller of the service's workspace (NULL: none), or a job of
  * this kind (0: none). Add a fault if it does not exist. */
 void mo_look_up_controller(struct mo_store *store, const char *reference, struct mo_faults *faults);

@@ -12,12 +12,4 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
 /* Writes a training as an item of the list of jobs. status: struct mo_training_status. */
 void mo_training_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 
-void mo_training_json_checkpoint(struct mo_text *text, const struct mo_checkpoint_row *row);
-
-/* Writes designs and environments as the body of an evaluation request. physics nullable: the
- * default. genotypes: (n_designs), placed. */
-void mo_held_out_write(struct mo_text *text, const struct mo_bits *genotypes, uint32_t n_designs,
-                       const struct mo_environment *environments, uint32_t n_environments,
-                       const struct mo_physics *physics);
-
 #endif

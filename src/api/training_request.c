@@ -170,9 +170,3 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
   request->record.n_designs = parts->n_designs;
   return error;
 }
-
-void mo_training_parsed_free(struct mo_parsed_training *parsed)
-{
-  mo_parts_free(&parsed->parts);
-  *parsed = (struct mo_parsed_training){0};
-}

@@ -108,23 +108,22 @@ static struct mo_trajectory *read_trajectory(struct mo_request *request, const c
     mo_reply_bad_parameter(request, "array", "com or masses is expected");
     return NULL;
   }
-  struct mo_job *job = malloc(sizeof(*job));
   struct mo_trajectory *trajectory = NULL;
-  int error = job != NULL ? mo_store_job(store, *id, job) : MO_ERR_NO_MEMORY;
+  struct mo_job job;
+  int error = mo_store_job(store, *id, &job);
   if (error != MO_OK)
     mo_reply_error(request, error, "evaluation");
-  else if ((uint32_t)*n >= job->n_designs || (uint32_t)*k >= job->n_environments)
+  else if ((uint32_t)*n >= job.n_designs || (uint32_t)*k >= job.n_environments)
     mo_reply_problem(request, 404, NULL, "The evaluation has %u designs and %u environments.",
-                     job->n_designs, job->n_environments);
-  else if (!job->record_com && !job->record_masses)
+                     job.n_designs, job.n_environments);
+  else if (!job.record_com && !job.record_masses)
     mo_reply_problem(request, 404, NULL, "The evaluation did not ask for a recording.");
-  else if ((masses && !job->record_masses) || (com && !job->record_com))
+  else if ((masses && !job.record_masses) || (com && !job.record_com))
     mo_reply_problem(request, 404, NULL,
                      "The evaluation did not ask for a recording of this array.");
   else if ((error = mo_store_trajectory(store, *id, (uint32_t)*n, (uint32_t)*k, &trajectory)) !=
            MO_OK)
-    reply_missing(request, job, error);
-  free(job);
+    reply_missing(request, &job, error);
   return trajectory;
 }
 

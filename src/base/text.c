@@ -1,6 +1,7 @@
 /* text.c: see text.h. */
 #include "base/text.h"
 
+#include <inttypes.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -26,14 +27,9 @@ static bool reserve(struct mo_text *text, size_t n)
   if (n < text->capacity - text->size)
     return true;
   size_t capacity = text->capacity < 256 ? 256 : text->capacity;
-  while (capacity - text->size <= n) {
-    if (capacity > SIZE_MAX / 2) {
-      text->failed = true;
-      return false;
-    }
+  while (capacity - text->size <= n && capacity <= SIZE_MAX / 2)
     capacity *= 2;
-  }
-  char *data = realloc(text->data, capacity);
+  char *data = capacity - text->size > n ? realloc(text->data, capacity) : NULL;
   if (data == NULL) {
     text->failed = true;
     return false;
@@ -195,20 +191,11 @@ void mo_text_json_float(struct mo_text *text, float value)
   mo_text_bytes(text, digits, (size_t)n);
 }
 
-void mo_text_json_integer(struct mo_text *text, int64_t value)
-{
-  mo_text_format(text, "%lld", (long long)value);
-}
-
 void mo_text_json_time(struct mo_text *text, int64_t time_us)
 {
-  if (time_us == 0) {
-    mo_text_add(text, "null");
-    return;
-  }
   time_t seconds = (time_t)(time_us / 1000000);
   struct tm parts;
-  if (time_us < 0 || gmtime_r(&seconds, &parts) == NULL) {
+  if (time_us <= 0 || gmtime_r(&seconds, &parts) == NULL) {
     mo_text_add(text, "null");
     return;
   }
@@ -217,46 +204,62 @@ void mo_text_json_time(struct mo_text *text, int64_t time_us)
                  (int)(time_us / 1000 % 1000));
 }
 
-static void begin_member(struct mo_text *text, const char *name)
+void mo_text_next(struct mo_text *text)
 {
-  mo_text_bytes(text, ",\"", 2);
+  const char last = text->size > 0 ? text->data[text->size - 1] : '{';
+  if (last != '{' && last != '[' && last != ':')
+    mo_text_bytes(text, ",", 1);
+}
+
+void mo_text_object(struct mo_text *text)
+{
+  mo_text_next(text);
+  mo_text_bytes(text, "{", 1);
+}
+
+void mo_text_name(struct mo_text *text, const char *name)
+{
+  mo_text_next(text);
+  mo_text_bytes(text, "\"", 1);
   mo_text_add(text, name);
   mo_text_bytes(text, "\":", 2);
 }
 
 void mo_text_member(struct mo_text *text, const char *name, const char *words)
 {
-  begin_member(text, name);
-  mo_text_json_string(text, words, strlen(words));
+  mo_text_name(text, name);
+  if (words != NULL)
+    mo_text_json_string(text, words, strlen(words));
+  else
+    mo_text_add(text, "null");
 }
 
 void mo_text_member_number(struct mo_text *text, const char *name, double value)
 {
-  begin_member(text, name);
+  mo_text_name(text, name);
   mo_text_json_number(text, value);
 }
 
 void mo_text_member_count(struct mo_text *text, const char *name, uint64_t value)
 {
-  mo_text_format(text, ",\"%s\":%llu", name, (unsigned long long)value);
+  mo_text_name(text, name);
+  mo_text_format(text, "%" PRIu64, value);
+}
+
+void mo_text_member_id(struct mo_text *text, const char *name, int64_t id)
+{
+  mo_text_name(text, name);
+  mo_text_format(text, id >= 0 ? "\"%" PRId64 "\"" : "null", id);
 }
 
 void mo_text_member_bool(struct mo_text *text, const char *name, bool value)
 {
-  mo_text_format(text, ",\"%s\":%s", name, value ? "true" : "false");
+  mo_text_name(text, name);
+  mo_text_add(text, value ? "true" : "false");
 }
 
 void mo_text_member_time(struct mo_text *text, const char *name, int64_t time_us)
 {
-  begin_member(text, name);
+  mo_text_name(text, name);
   mo_text_json_time(text, time_us);
-}
-
-void mo_text_hex(struct mo_text *text, const uint8_t *bytes, size_t n)
-{
-  static const char digits[] = "0123456789abcdef";
-  for (size_t i = 0; i < n; i++) {
-    char pair[2] = {digits[bytes[i] >> 4], digits[bytes[i] & 15]};
-    mo_text_bytes(text, pair, 2);
-  }
 }

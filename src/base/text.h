@@ -31,17 +31,24 @@ void mo_text_json_stored(struct mo_text *text, const char *json);
 void mo_text_json_number(struct mo_text *text, double value);
 void mo_text_json_float(struct mo_text *text,
                         float value); /* the same for float32 with 6 to 9 digits */
-void mo_text_json_integer(struct mo_text *text, int64_t value);
 /* Appends "2026-11-21T11:34:04.123Z" in quotes; null for 0. */
 void mo_text_json_time(struct mo_text *text, int64_t time_us);
-/* Append further members of an object: ,"name":value. */
-void mo_text_member(struct mo_text *text, const char *name, const char *words);
+
+/* Appends a comma, unless the text ends with an opening bracket or a colon: before the next item of
+ * an array. The functions below do so themselves. */
+void mo_text_next(struct mo_text *text);
+/* Opens an object. */
+void mo_text_object(struct mo_text *text);
+/* Appends "name": before a value. */
+void mo_text_name(struct mo_text *text, const char *name);
+/* Append a member: "name":value. */
+void mo_text_member(struct mo_text *text, const char *name, const char *words); /* NULL: null */
 void mo_text_member_number(struct mo_text *text, const char *name,
                            double value); /* null if it is not finite */
 void mo_text_member_count(struct mo_text *text, const char *name, uint64_t value);
+/* Digits in quotes; null below 0. */
+void mo_text_member_id(struct mo_text *text, const char *name, int64_t id);
 void mo_text_member_bool(struct mo_text *text, const char *name, bool value);
 void mo_text_member_time(struct mo_text *text, const char *name, int64_t time_us);
-/* Appends lower-case hexadecimal digits, without quotes. */
-void mo_text_hex(struct mo_text *text, const uint8_t *bytes, size_t n);
 
 #endif

@@ -28,6 +28,14 @@ unsigned mo_utf8_sequence(const unsigned char *words, size_t n)
   return length;
 }
 
+size_t mo_utf8_length(const char *text, size_t n)
+{
+  size_t characters = 0;
+  for (size_t i = 0; i < n; i++)
+    characters += ((unsigned char)text[i] & 0xC0) != 0x80;
+  return characters;
+}
+
 bool mo_utf8_is_valid(const char *text)
 {
   for (size_t n = strlen(text), length; n > 0; text += length, n -= length)

@@ -9,5 +9,7 @@
 unsigned mo_utf8_sequence(const unsigned char *words, size_t n);
 /* Says whether the whole text is UTF-8. */
 bool mo_utf8_is_valid(const char *text);
+/* Returns the number of characters in n bytes of UTF-8. */
+size_t mo_utf8_length(const char *text, size_t n);
 
 #endif

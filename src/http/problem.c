@@ -32,29 +32,22 @@ const char *mo_status_title(unsigned status)
   }
 }
 
-static void member(struct mo_text *text, const char *name, const char *value)
-{
-  mo_text_format(text, ",\"%s\":", name);
-  mo_text_json_string(text, value, strlen(value));
-}
-
 void mo_problem_write(struct mo_text *text, unsigned status, const char *type, const char *detail,
                       const char *instance, const char *request_id, const struct mo_faults *faults)
 {
   static const char *const places[] = {"pointer", "parameter", "header"};
   mo_text_format(text, "{\"status\":%u", status);
-  member(text, "type", type);
-  member(text, "title", mo_status_title(status));
-  member(text, "detail", detail);
-  member(text, "instance", instance);
-  member(text, "request_id", request_id);
+  mo_text_member(text, "type", type);
+  mo_text_member(text, "title", mo_status_title(status));
+  mo_text_member(text, "detail", detail);
+  mo_text_member(text, "instance", instance);
+  mo_text_member(text, "request_id", request_id);
   if (faults != NULL && faults->n > 0) {
     mo_text_add(text, ",\"errors\":[");
-    for (unsigned i = 0; i < faults->n; i++) {
-      const struct mo_fault *fault = &faults->items[i];
-      mo_text_add(text, i > 0 ? ",{\"detail\":" : "{\"detail\":");
-      mo_text_json_string(text, fault->detail, strlen(fault->detail));
-      member(text, places[fault->place], fault->where);
+    for (const struct mo_fault *fault = faults->items; fault < faults->items + faults->n; fault++) {
+      mo_text_object(text);
+      mo_text_member(text, "detail", fault->detail);
+      mo_text_member(text, places[fault->place], fault->where);
       mo_text_add(text, "}");
     }
     mo_text_add(text, "]");

@@ -105,6 +105,15 @@ bool mo_query_number(struct mo_request *request, const char *name, int64_t min, 
   return false;
 }
 
+bool mo_query_id(struct mo_request *request, const char *name, const char *words, int64_t *id)
+{
+  const char *value = mo_query(request, name);
+  if (value == NULL || mo_id(value, id))
+    return true;
+  mo_reply_bad_parameter(request, name, words);
+  return false;
+}
+
 bool mo_query_limit(struct mo_request *request, size_t *limit)
 {
   int64_t number = 100;

@@ -19,6 +19,9 @@ bool mo_query_limit(struct mo_request *request, size_t *limit);
 /* Reads an integer within bounds; *number stays if it is absent. */
 bool mo_query_number(struct mo_request *request, const char *name, int64_t min, int64_t max,
                      int64_t *number);
+/* Reads the id of a row likewise. words: what is said of another value. */
+bool mo_query_id(struct mo_request *request, const char *name, const char *words, int64_t *id);
+#define MO_CURSOR_WORDS "the next_cursor of an earlier page is expected"
 /* Chooses one of n representations: by the parameter `format` (one of `names`) or else by Accept
  * (`types`, in the server's order of preference). */
 bool mo_query_form(struct mo_request *request, const char *const *names, const char *const *types,

@@ -1,6 +1,6 @@
 /* body.h: feeds bytes to a reader of request bodies. What is accepted must be valid, what is not
  * must have a fault, and what is JSON is jansson's to say. Included after the target's own
- * READER_PARSED, READER_PARSE, READER_FREE and check_accepted. */
+ * READER_PARSED, READER_PARSE and check_accepted. */
 #include <jansson.h>
 #include <stdlib.h>
 #include <string.h>
@@ -32,7 +32,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     FUZZ_PROMISE(faults->n > 0 && faults->malformed == (code == MO_ERR_FORMAT));
   for (unsigned i = 0; i < faults->n; i++)
     FUZZ_PROMISE(faults->items[i].detail[0] != '\0');
-  READER_FREE(&parsed);
+  mo_parts_free(&parsed.parts);
   if (memchr(text, '\0', size) == NULL && size < 100000) {
     json_error_t error;
     json_t *tree = json_loadb(text, size, JSON_REJECT_DUPLICATES | JSON_DECODE_ANY, &error);

@@ -47,5 +47,4 @@ static void check_accepted(const struct mo_campaign_request *request)
 
 #define READER_PARSED struct mo_parsed_campaign
 #define READER_PARSE  mo_campaign_parse
-#define READER_FREE   mo_campaign_parsed_free
 #include "body.h"

@@ -29,5 +29,4 @@ static void check_accepted(const struct mo_evaluation_request *request)
 
 #define READER_PARSED struct mo_parsed_evaluation
 #define READER_PARSE  mo_evaluation_parse
-#define READER_FREE   mo_evaluation_parsed_free
 #include "body.h"

@@ -30,5 +30,4 @@ static void check_accepted(const struct mo_training_request *request)
 
 #define READER_PARSED struct mo_parsed_training
 #define READER_PARSE  mo_training_parse
-#define READER_FREE   mo_training_parsed_free
 #include "body.h"

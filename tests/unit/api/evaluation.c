@@ -10,7 +10,7 @@ static struct mo_faults faults;
 
 static int parse(const char *text)
 {
-  mo_evaluation_parsed_free(&parsed);
+  mo_parts_free(&parsed.parts);
   faults = (struct mo_faults){0};
   return mo_evaluation_parse(text, strlen(text), &parsed, &faults);
 }
@@ -179,7 +179,7 @@ static void largest(void)
   size += (size_t)sprintf(text + size, "]}");
   struct timespec start, end;
   clock_gettime(CLOCK_THREAD_CPUTIME_ID, &start);
-  mo_evaluation_parsed_free(&parsed);
+  mo_parts_free(&parsed.parts);
   faults = (struct mo_faults){0};
   int code = mo_evaluation_parse(text, size, &parsed, &faults);
   clock_gettime(CLOCK_THREAD_CPUTIME_ID, &end);
@@ -190,10 +190,10 @@ static void largest(void)
   /* One more is one too many. */
   text[size - 2] = ',';
   size = size - 1 + (size_t)sprintf(text + size - 1, "{\"cells\":[[0,0,0]]}]}");
-  mo_evaluation_parsed_free(&parsed);
+  mo_parts_free(&parsed.parts);
   CHECK_INT(mo_evaluation_parse(text, size, &parsed, &faults), MO_ERR_INVALID);
   CHECK_TEXT(faults.items[0].where, "/designs");
-  mo_evaluation_parsed_free(&parsed);
+  mo_parts_free(&parsed.parts);
   free(text);
 }
 

@@ -13,7 +13,7 @@ static struct mo_faults faults;
 
 static int parse(const char *text)
 {
-  mo_training_parsed_free(&parsed);
+  mo_parts_free(&parsed.parts);
   faults = (struct mo_faults){0};
   return mo_training_parse(text, strlen(text), &parsed, &faults);
 }

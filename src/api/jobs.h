@@ -1,0 +1,57 @@
+/* jobs.h: the kinds of jobs as the interface shows them, and replies about jobs of any kind. */
+#ifndef MORPHO_API_JOBS_H
+#define MORPHO_API_JOBS_H
+
+#include "api/handlers.h"
+#include "jobs/live.h"
+#include "store/campaign_designs.h"
+#include "store/campaigns.h"
+#include "store/trainings.h"
+
+/* The row of a job in the store, of any kind. */
+union mo_job_status {
+  struct mo_job job; /* all begin with this */
+  struct mo_training_status training;
+  struct mo_campaign_status campaign;
+};
+
+/* A kind of job. */
+struct mo_resource {
+  enum mo_job_kind kind;
+  const char *path; /* "/v1/trainings" */
+  size_t status_size;
+  int (*read)(struct mo_store *store, int64_t id, union mo_job_status *status);
+  /* Reads a page of statuses, newest first. Returns their number or an error. */
+  int64_t (*page)(struct mo_store *store, const struct mo_job_query *query, void *statuses,
+                  size_t limit);
+  bool has_live; /* running jobs have a live state; the item of a list needs the whole status */
+  /* Writes the whole resource, or the item of the list of jobs. */
+  int (*write)(struct mo_api *api, struct mo_text *text, const void *status,
+               const struct mo_live *live);
+  void (*write_job)(struct mo_text *text, const void *status, const struct mo_live *live);
+  bool versioned; /* the row's version covers all that is written */
+  bool brief;     /* lists of this kind have the items of the list of jobs */
+};
+extern const struct mo_resource mo_evaluation_resource, mo_training_resource, mo_campaign_resource;
+
+/* Returns the kind whose path the request's route begins with; NULL: none. */
+const struct mo_resource *mo_resource_of(const struct mo_request *request);
+/* Replies with a job as it stands now: whole, or as an item of the list of jobs. An error is
+ * replied to, and returned. */
+int mo_reply_job(struct mo_request *request, unsigned http_status, const struct mo_resource *kind,
+                 int64_t id, bool whole);
+/* Replies 202 to a submission, or 200 if the job is done and the client waited. */
+void mo_reply_submitted(struct mo_request *request, const struct mo_resource *kind, int64_t id,
+                        bool done);
+/* Reads a job, or lets the request wait for its end where Prefer asks for it. False: the request
+ * waits, or the reply is made. kind NULL: any. */
+bool mo_await_job(struct mo_request *request, const struct mo_resource *kind, int64_t id,
+                  struct mo_job *job);
+/* Replies with a page of n items (negative: an error), of which the last has this cursor. The text
+ * ends with the last item. */
+void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit,
+                   int64_t last);
+/* Reads the id in the path of a job of the route's kind. False: the 404 is made. */
+bool mo_path_job(struct mo_request *request, int64_t *id);
+
+#endif
