@@ -77,7 +77,7 @@ static void extent(const struct mo_bits *bits, uint32_t size[3])
 
 struct listed {
   struct mo_bits form;
-  uint32_t place, first; /* first: place of the first design with this form */
+  uint32_t place;
 };
 
 static int by_form(const void *a, const void *b)
@@ -87,26 +87,22 @@ static int by_form(const void *a, const void *b)
   return order != 0 ? order : x->place < y->place ? -1 : x->place > y->place;
 }
 
-static int by_place(const void *a, const void *b)
-{
-  const struct listed *x = a, *y = b;
-  return x->place < y->place ? -1 : x->place > y->place;
-}
-
 /* Adds faults for designs that do not fit the campaign's workspace or repeat an earlier one.
  * Designs with faults of their own are empty here. */
 static int check_listed(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
   const struct mo_workspace workspace = parsed->request.record.settings.workspace;
+  const uint32_t n_designs = parsed->parts.n_designs;
+  struct listed *listed = malloc(n_designs * sizeof(*listed));
+  uint32_t *first = malloc(n_designs * sizeof(*first)); /* place of the first one with this form */
   uint32_t n = 0;
-  struct listed *listed = malloc((parsed->parts.n_designs + 1) * sizeof(*listed));
-  if (listed == NULL)
-    return MO_ERR_NO_MEMORY;
-  for (uint32_t i = 0; i < parsed->parts.n_designs; i++) {
+  char below[40];
+  const bool memory = listed != NULL && first != NULL;
+  for (uint32_t i = 0; i < n_designs && memory; i++) {
     uint32_t size[3];
-    char below[40];
     snprintf(below, sizeof(below), "/initial/designs/%u", i);
     extent(&parsed->parts.genotypes[i], size);
+    first[i] = i;
     if (size[0] > workspace.nx || size[1] > workspace.ny || size[2] > workspace.nz)
       mo_json_fault_at(
           json, 0, below,
@@ -115,26 +111,25 @@ static int check_listed(struct mo_json *json, const struct mo_parsed_campaign *p
     else if (size[0] > 0) {
       mo_genotype_canonical(MO_DEFAULT_WORKSPACE, parsed->parts.genotypes[i].words,
                             listed[n].form.words);
-      listed[n].place = listed[n].first = i;
-      n++;
+      listed[n++].place = i;
     }
   }
-  qsort(listed, n, sizeof(*listed), by_form);
+  if (n > 0)
+    qsort(listed, n, sizeof(*listed), by_form);
   for (uint32_t i = 1; i < n; i++)
     if (memcmp(&listed[i].form, &listed[i - 1].form, sizeof(listed[i].form)) == 0)
-      listed[i].first = listed[i - 1].first;
-  qsort(listed, n, sizeof(*listed), by_place);
-  for (uint32_t i = 0; i < n; i++)
-    if (listed[i].first != listed[i].place) {
-      char below[40];
-      snprintf(below, sizeof(below), "/initial/designs/%u", listed[i].place);
+      first[listed[i].place] = first[listed[i - 1].place];
+  for (uint32_t i = 0; i < n_designs && memory; i++)
+    if (first[i] != i) {
+      snprintf(below, sizeof(below), "/initial/designs/%u", i);
       mo_json_fault_at(
           json, 0, below,
           "the design is given twice: it has the form of design %u; each design is born once",
-          listed[i].first);
+          first[i]);
     }
   free(listed);
-  return MO_OK;
+  free(first);
+  return memory ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
 /* ---- the whole ---- */
@@ -238,28 +233,22 @@ static int check(struct mo_json *json, void *any)
 int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed,
                       struct mo_faults *faults)
 {
-  static const char *const keys[2] = {"mode", "preset"};
-  const char *const *const words[2] = {mo_campaign_mode_words, mo_preset_words};
   struct mo_campaign_request *request = &parsed->request;
   struct mo_campaign_record *record = &request->record;
   struct mo_parts *parts = &parsed->parts;
   struct mo_message message = {""};
-  bool given[2];
-  int found[2];
-  *parsed = (struct mo_parsed_campaign){.parts = {.priority = MO_BATCH, .weight = 1}, .mode = -1};
-  int error = mo_find_words(text, size, keys, words, found, given);
-  if (error != MO_OK)
-    return error;
-  /* The second pass reports words that are not known. */
-  const enum mo_campaign_mode mode = found[0] >= 0 ? (enum mo_campaign_mode)found[0] : MO_ZERO_SHOT;
-  const enum mo_preset preset = found[1] >= 0 ? (enum mo_preset)found[1] : MO_PRESET_WORKSTATION;
+  *parsed = (struct mo_parsed_campaign){
+      .parts = {.priority = MO_BATCH, .weight = 1}, .mode = -1, .preset = MO_PRESET_WORKSTATION};
+  mo_read_words(text, size, &(struct mo_fields){rows, 2}, parsed, &parsed->has_mode);
+  const enum mo_campaign_mode mode =
+      parsed->mode >= 0 ? (enum mo_campaign_mode)parsed->mode : MO_ZERO_SHOT;
+  const enum mo_preset preset = (enum mo_preset)parsed->preset;
   *record = (struct mo_campaign_record){
       .settings = mo_campaign_preset(mode, preset), .replicates = 1, .checkpoint_every_s = 60};
   snprintf(record->preset, sizeof(record->preset), "%s", mo_preset_words[preset]);
   const enum mo_sensor sensor = record->settings.sensor;
   record->settings.sensor = (enum mo_sensor) - 1;
-  parsed->has_mode = given[0];
-  error = mo_read_body(text, size, &mo_campaign_request_fields, parsed, parts, check, faults);
+  int error = mo_read_body(text, size, &mo_campaign_request_fields, parsed, parts, check, faults);
   if ((int)record->settings.sensor < 0)
     record->settings.sensor = sensor;
   if (mode != MO_SIMULTANEOUS && !parts->has_controller)

@@ -4,8 +4,8 @@
 
 #include "api/campaign_json.h"
 #include "api/jobs.h"
-#include "api/submission.h"
 #include "api/requests.h"
+#include "api/submission.h"
 
 static int read_status(struct mo_store *store, int64_t id, union mo_job_status *status)
 {

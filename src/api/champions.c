@@ -3,8 +3,8 @@
 
 #include "api/campaign_json.h"
 #include "api/jobs.h"
-#include "api/submission.h"
 #include "api/requests.h"
+#include "api/submission.h"
 
 void mo_api_get_campaign_champions(struct mo_request *request)
 {

@@ -1,35 +1,35 @@
-/* metrics.c: the page /metrics (Prometheus text format). Names follow the rules of Prometheus: base
- * units, _total for counters, no labels with unbounded values. Uses only atomics and never waits.
- */
+/* metrics.c: the page /metrics (Prometheus text format). Uses only atomics and never waits. */
+#include <stdio.h>
 #include <string.h>
 
 #include "api/handlers.h"
 #include "http/metrics.h"
 
+/* Write a metric of one line to `text`. */
+#define GAUGE(name, value, help)   mo_metric(text, name, "gauge", help, (double)(value))
+#define COUNTER(name, value, help) mo_metric(text, name, "counter", help, (double)(value))
+
 static void write_compute(struct mo_api *api, struct mo_text *text)
 {
   struct mo_compute_stats c;
   mo_compute_get_stats(api->compute, &c);
-  mo_metric_count(text, "morphod_workers", "gauge", "Computing threads.", c.n_workers);
-  mo_metric_count(text, "morphod_workers_busy", "gauge", "Computing threads inside a block.",
-                  c.n_busy);
-  mo_metric_number(text, "morphod_worker_busy_seconds_total", "counter",
-                   "Time of computing threads inside blocks.", c.busy_s);
-  mo_metric_count(text, "morphod_worker_scratch_bytes", "gauge",
-                  "Largest scratch memory of one computing thread.", c.worker_bytes_max);
-  mo_metric_count(text, "morphod_blocks_total", "counter", "Blocks computed.", c.blocks_done);
-  mo_metric_count(text, "morphod_blocks_preempted_total", "counter",
-                  "Blocks set aside for urgent ones.", c.blocks_preempted);
+  GAUGE("morphod_workers", c.n_workers, "Computing threads.");
+  GAUGE("morphod_workers_busy", c.n_busy, "Computing threads inside a block.");
+  COUNTER("morphod_worker_busy_seconds_total", c.busy_s,
+          "Time of computing threads inside blocks.");
+  GAUGE("morphod_worker_scratch_bytes", c.worker_bytes_max,
+        "Largest scratch memory of one computing thread.");
+  COUNTER("morphod_blocks_total", c.blocks_done, "Blocks computed.");
+  COUNTER("morphod_blocks_preempted_total", c.blocks_preempted,
+          "Blocks set aside for urgent ones.");
   mo_metric_head(text, "morphod_blocks_queued", "gauge", "Blocks waiting for a computing thread.");
-  mo_text_format(text,
-                 "morphod_blocks_queued{priority=\"interactive\"} "
-                 "%llu\nmorphod_blocks_queued{priority=\"batch\"} %llu\n",
-                 (unsigned long long)c.queued_interactive, (unsigned long long)c.queued_batch);
-  mo_metric_count(text, "morphod_rollouts_total", "counter", "Rollouts computed.", c.rollouts_done);
-  mo_metric_count(text, "morphod_rollout_steps_total", "counter", "Steps of rollouts computed.",
-                  c.rollout_steps);
-  mo_metric_count(text, "morphod_rollouts_diverged_total", "counter",
-                  "Rollouts whose numbers left the sane range.", c.rollouts_diverged);
+  mo_metric_line(text, "morphod_blocks_queued", "priority", "interactive",
+                 (double)c.queued_interactive);
+  mo_metric_line(text, "morphod_blocks_queued", "priority", "batch", (double)c.queued_batch);
+  COUNTER("morphod_rollouts_total", c.rollouts_done, "Rollouts computed.");
+  COUNTER("morphod_rollout_steps_total", c.rollout_steps, "Steps of rollouts computed.");
+  COUNTER("morphod_rollouts_diverged_total", c.rollouts_diverged,
+          "Rollouts whose numbers left the sane range.");
 }
 
 /* Writes one series per device. */
@@ -65,142 +65,116 @@ static void write_devices(struct mo_api *api, struct mo_text *text)
                                      [ROBOTS] = (double)status.gradient_robots_done,
                                      [MEMORY] = (double)status.memory_bytes,
                                      [FREE] = (double)status.free_bytes};
-      mo_text_format(text, "%s{device=\"%u\"} %.17g\n", series[s].name, status.index, values[s]);
+      char index[16];
+      snprintf(index, sizeof(index), "%u", status.index);
+      mo_metric_line(text, series[s].name, "device", index, values[s]);
     }
   }
 }
 
-static void write_jobs(struct mo_api *api, struct mo_text *text)
+static void write_jobs(struct mo_api *api, struct mo_text *text, const struct mo_jobs_stats *j)
 {
-  struct mo_jobs_stats j;
-  mo_jobs_get_stats(api->jobs, &j);
+  static const char finished[] = "morphod_jobs_finished_total";
+  static const char worker[] = "morphod_job_worker_seconds_total";
+  static const char device[] = "morphod_job_device_seconds_total";
   mo_metric_head(text, "morphod_jobs", "gauge", "Jobs by state, at most a second old.");
   for (int state = 0; state < MO_JOB_STATES; state++)
-    mo_text_format(text, "morphod_jobs{state=\"%s\"} %llu\n",
-                   mo_job_state_name((enum mo_job_state)state),
-                   (unsigned long long)atomic_load(&api->jobs_by_state[state]));
-  mo_metric_count(text, "morphod_jobs_submitted_total", "counter", "Jobs accepted since the start.",
-                  j.jobs_submitted);
-  mo_metric_head(text, "morphod_jobs_finished_total", "counter", "Jobs ended since the start.");
-  mo_text_format(text,
-                 "morphod_jobs_finished_total{state=\"succeeded\"} "
-                 "%llu\nmorphod_jobs_finished_total{state=\"failed\"} %llu\n"
-                 "morphod_jobs_finished_total{state=\"cancelled\"} %llu\n",
-                 (unsigned long long)j.jobs_succeeded, (unsigned long long)j.jobs_failed,
-                 (unsigned long long)j.jobs_cancelled);
-  mo_metric_count(text, "morphod_rollouts_open", "gauge", "Rollouts accepted and not yet done.",
-                  j.open_rollouts);
-  mo_metric_count(text, "morphod_rollouts_cached_total", "counter",
-                  "Rollouts found in the store since the start.", j.rollouts_cached);
-  mo_metric_count(text, "morphod_rollouts_shared_total", "counter",
-                  "Rollouts computed once for several jobs since the start.", j.rollouts_shared);
-}
-
-/* Writes the time of the workers, urgent blocks included. */
-static void write_worker_time(struct mo_api *api, struct mo_text *text)
-{
-  struct mo_jobs_stats j;
-  mo_jobs_get_stats(api->jobs, &j);
-  mo_metric_head(text, "morphod_job_worker_seconds_total", "counter",
+    mo_metric_line(text, "morphod_jobs", "state", mo_job_state_name((enum mo_job_state)state),
+                   (double)atomic_load(&api->jobs_by_state[state]));
+  COUNTER("morphod_jobs_submitted_total", j->jobs_submitted, "Jobs accepted since the start.");
+  mo_metric_head(text, finished, "counter", "Jobs ended since the start.");
+  mo_metric_line(text, finished, "state", "succeeded", (double)j->jobs_succeeded);
+  mo_metric_line(text, finished, "state", "failed", (double)j->jobs_failed);
+  mo_metric_line(text, finished, "state", "cancelled", (double)j->jobs_cancelled);
+  GAUGE("morphod_rollouts_open", j->open_rollouts, "Rollouts accepted and not yet done.");
+  COUNTER("morphod_rollouts_cached_total", j->rollouts_cached,
+          "Rollouts found in the store since the start.");
+  COUNTER("morphod_rollouts_shared_total", j->rollouts_shared,
+          "Rollouts computed once for several jobs since the start.");
+  /* Urgent blocks included. */
+  mo_metric_head(text, worker, "counter",
                  "Time of computing threads by kind of job, since the start.");
-  for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
-    mo_text_format(text, "morphod_job_worker_seconds_total{kind=\"%s\"} ",
-                   mo_job_kind_name((enum mo_job_kind)kind));
-    mo_text_json_number(text, j.worker_s[kind]);
-    mo_text_add(text, "\n");
-  }
-  mo_metric_head(text, "morphod_job_device_seconds_total", "counter",
-                 "Time of devices by kind of job, since the start.");
-  for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
-    mo_text_format(text, "morphod_job_device_seconds_total{kind=\"%s\"} ",
-                   mo_job_kind_name((enum mo_job_kind)kind));
-    mo_text_json_number(text, j.device_s[kind]);
-    mo_text_add(text, "\n");
-  }
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    mo_metric_line(text, worker, "kind", mo_job_kind_name((enum mo_job_kind)kind),
+                   j->worker_s[kind]);
+  mo_metric_head(text, device, "counter", "Time of devices by kind of job, since the start.");
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    mo_metric_line(text, device, "kind", mo_job_kind_name((enum mo_job_kind)kind),
+                   j->device_s[kind]);
 }
 
-static void write_trainings(struct mo_api *api, struct mo_text *text)
+static void write_trainings(struct mo_text *text, const struct mo_jobs_stats *j)
 {
-  struct mo_jobs_stats j;
-  mo_jobs_get_stats(api->jobs, &j);
-  mo_metric_count(text, "morphod_trainings_running", "gauge",
-                  "Trainings that run or are being prepared.", j.active_trainings);
-  mo_metric_count(text, "morphod_training_steps_total", "counter",
-                  "Steps of learning since the start.", j.training_steps);
-  mo_metric_number(text, "morphod_training_step_seconds_total", "counter",
-                   "Time of these steps: over their number, seconds per step.", j.training_step_s);
-  mo_metric_count(text, "morphod_training_robots_total", "counter",
-                  "Robots of these steps, each with its gradient.", j.training_robots);
-  mo_metric_count(text, "morphod_training_robots_diverged_total", "counter",
-                  "Of these, robots whose rollout diverged.", j.training_diverged);
-  mo_metric_count(text, "morphod_training_robots_zeroed_total", "counter",
-                  "Of these, robots whose gradient was not finite.", j.training_zeroed);
-  mo_metric_count(text, "morphod_training_validations_total", "counter",
-                  "Validations since the start.", j.training_validations);
-  mo_metric_count(text, "morphod_training_checkpoints_total", "counter",
-                  "Checkpoints written since the start.", j.training_checkpoints);
+  GAUGE("morphod_trainings_running", j->active_trainings,
+        "Trainings that run or are being prepared.");
+  COUNTER("morphod_training_steps_total", j->training_steps, "Steps of learning since the start.");
+  COUNTER("morphod_training_step_seconds_total", j->training_step_s,
+          "Time of these steps: over their number, seconds per step.");
+  COUNTER("morphod_training_robots_total", j->training_robots,
+          "Robots of these steps, each with its gradient.");
+  COUNTER("morphod_training_robots_diverged_total", j->training_diverged,
+          "Of these, robots whose rollout diverged.");
+  COUNTER("morphod_training_robots_zeroed_total", j->training_zeroed,
+          "Of these, robots whose gradient was not finite.");
+  COUNTER("morphod_training_validations_total", j->training_validations,
+          "Validations since the start.");
+  COUNTER("morphod_training_checkpoints_total", j->training_checkpoints,
+          "Checkpoints written since the start.");
 }
 
-static void write_campaigns(struct mo_api *api, struct mo_text *text)
+static void write_campaigns(struct mo_text *text, const struct mo_jobs_stats *j)
 {
-  struct mo_jobs_stats j;
-  mo_jobs_get_stats(api->jobs, &j);
-  mo_metric_count(text, "morphod_campaigns_running", "gauge",
-                  "Campaigns that run or are being prepared.", j.active_campaigns);
-  mo_metric_count(text, "morphod_campaign_generations_total", "counter",
-                  "Generations committed since the start.", j.campaign_generations);
-  mo_metric_count(text, "morphod_campaign_designs_total", "counter",
-                  "Designs born in these generations.", j.campaign_designs);
-  mo_metric_count(text, "morphod_campaign_rollouts_total", "counter",
-                  "Rollouts computed for scores of campaigns.", j.campaign_rollouts);
-  mo_metric_count(text, "morphod_campaign_rollouts_cached_total", "counter",
-                  "Rollouts of committed generations that were found in the store.",
-                  j.campaign_cached);
-  mo_metric_count(text, "morphod_campaign_rollouts_diverged_total", "counter",
-                  "Rollouts of committed generations that diverged.", j.campaign_diverged);
-  mo_metric_count(text, "morphod_campaign_learning_steps_total", "counter",
-                  "Steps of learning in campaigns.", j.campaign_steps);
+  GAUGE("morphod_campaigns_running", j->active_campaigns,
+        "Campaigns that run or are being prepared.");
+  COUNTER("morphod_campaign_generations_total", j->campaign_generations,
+          "Generations committed since the start.");
+  COUNTER("morphod_campaign_designs_total", j->campaign_designs,
+          "Designs born in these generations.");
+  COUNTER("morphod_campaign_rollouts_total", j->campaign_rollouts,
+          "Rollouts computed for scores of campaigns.");
+  COUNTER("morphod_campaign_rollouts_cached_total", j->campaign_cached,
+          "Rollouts of committed generations that were found in the store.");
+  COUNTER("morphod_campaign_rollouts_diverged_total", j->campaign_diverged,
+          "Rollouts of committed generations that diverged.");
+  COUNTER("morphod_campaign_learning_steps_total", j->campaign_steps,
+          "Steps of learning in campaigns.");
 }
 
 static void write_store(struct mo_api *api, struct mo_text *text)
 {
   struct mo_store_stats s;
   mo_store_get_stats(api->store, &s);
-  mo_metric_count(text, "morphod_store_commits_total", "counter", "Commits since the start.",
-                  s.commits);
-  mo_metric_count(text, "morphod_store_operations_total", "counter",
-                  "Operations written since the start.", s.operations);
-  mo_metric_count(text, "morphod_store_operations_failed_total", "counter",
-                  "Operations that failed since the start.", s.operations_failed);
-  mo_metric_count(text, "morphod_store_operations_queued", "gauge",
-                  "Operations waiting for the writer.", s.queued);
-  mo_metric_number(text, "morphod_store_commit_seconds_total", "counter", "Time spent in commits.",
-                   s.commit_s);
-  mo_metric_count(text, "morphod_store_database_bytes", "gauge", "Size of the database.",
-                  s.database_bytes > 0 ? (uint64_t)s.database_bytes : 0);
-  mo_metric_count(text, "morphod_store_wal_bytes", "gauge", "Size of the write-ahead log.",
-                  s.wal_bytes > 0 ? (uint64_t)s.wal_bytes : 0);
-  mo_metric_count(text, "morphod_store_no_space", "gauge", "1 while the disk is full.", s.no_space);
+  COUNTER("morphod_store_commits_total", s.commits, "Commits since the start.");
+  COUNTER("morphod_store_operations_total", s.operations, "Operations written since the start.");
+  COUNTER("morphod_store_operations_failed_total", s.operations_failed,
+          "Operations that failed since the start.");
+  GAUGE("morphod_store_operations_queued", s.queued, "Operations waiting for the writer.");
+  COUNTER("morphod_store_commit_seconds_total", s.commit_s, "Time spent in commits.");
+  GAUGE("morphod_store_database_bytes", s.database_bytes > 0 ? s.database_bytes : 0,
+        "Size of the database.");
+  GAUGE("morphod_store_wal_bytes", s.wal_bytes > 0 ? s.wal_bytes : 0,
+        "Size of the write-ahead log.");
+  GAUGE("morphod_store_no_space", s.no_space, "1 while the disk is full.");
 }
 
 void mo_api_metrics_write(struct mo_api *api, struct mo_text *text)
 {
+  struct mo_jobs_stats jobs;
+  mo_jobs_get_stats(api->jobs, &jobs);
   mo_metric_head(text, "morphod_build_info", "gauge", "1; the labels tell the build.");
   mo_text_format(text, "morphod_build_info{version=\"%s\",fingerprint=", api->version);
   const char *fingerprint = mo_compute_fingerprint(api->compute, MO_FLOAT32);
   mo_text_json_string(text, fingerprint, strlen(fingerprint));
   mo_text_add(text, "} 1\n");
-  mo_metric_count(text, "morphod_ready", "gauge", "1 while new work is taken.",
-                  mo_http_is_ready(api->http));
+  GAUGE("morphod_ready", mo_http_is_ready(api->http), "1 while new work is taken.");
   if (api->log_dropped != NULL)
-    mo_metric_count(text, "morphod_log_lines_dropped_total", "counter",
-                    "Log lines that standard error did not take.", api->log_dropped());
+    COUNTER("morphod_log_lines_dropped_total", api->log_dropped(),
+            "Log lines that standard error did not take.");
   mo_metrics_write(api->http, text);
   write_compute(api, text);
   write_devices(api, text);
-  write_jobs(api, text);
-  write_worker_time(api, text);
-  write_trainings(api, text);
-  write_campaigns(api, text);
+  write_jobs(api, text, &jobs);
+  write_trainings(text, &jobs);
+  write_campaigns(text, &jobs);
   write_store(api, text);
 }

@@ -7,12 +7,12 @@
 #include <string.h>
 
 #include "base/number.h"
+#include "base/utf8.h"
 #include "http/field.h"
 #include "jobs/evaluations.h"
 #include "store/store.h"
 
 #define SIGMA_MAX_M 10.0
-#define WORD_BYTES  32
 
 /* ---- whole bodies ---- */
 
@@ -20,57 +20,41 @@ int mo_read_body(const char *text, size_t size, const struct mo_fields *fields, 
                  struct mo_parts *parts, int (*check)(struct mo_json *json, void *parsed),
                  struct mo_faults *faults)
 {
-  struct mo_json *json = malloc(sizeof(*json));
-  int error = MO_OK;
-  if (json == NULL)
-    return MO_ERR_NO_MEMORY;
-  mo_json_start(json, text, size, faults);
-  bool object = mo_json_peek(json) == MO_JSON_OBJECT;
-  mo_fields_read(json, fields, parsed);
-  if (parts != NULL)
-    error = parts->error;
-  if (error == MO_OK && object && !json->stop && check != NULL)
-    error = check(json, parsed);
-  if (error == MO_OK) {
-    mo_json_finish(json);
-    error = faults->malformed ? MO_ERR_FORMAT : faults->n > 0 ? MO_ERR_INVALID : MO_OK;
-  }
-  free(json);
-  return error;
+  struct mo_json json;
+  mo_json_start(&json, text, size, faults);
+  bool object = mo_json_peek(&json) == MO_JSON_OBJECT;
+  mo_fields_read(&json, fields, parsed);
+  int error = parts != NULL ? parts->error : MO_OK;
+  if (error == MO_OK && object && !json.stop && check != NULL)
+    error = check(&json, parsed);
+  if (error != MO_OK)
+    return error;
+  mo_json_finish(&json);
+  return faults->malformed ? MO_ERR_FORMAT : faults->n > 0 ? MO_ERR_INVALID : MO_OK;
 }
 
-int mo_find_words(const char *text, size_t size, const char *const keys[2],
-                  const char *const *const words[2], int found[2], bool given[2])
+void mo_read_words(const char *text, size_t size, const struct mo_fields *fields, void *parsed,
+                   bool *given)
 {
-  struct mo_json *json = malloc(sizeof(*json));
-  struct mo_faults *faults = calloc(1, sizeof(*faults)); /* the second pass reports them */
-  struct mo_json_slice key, word;
-  char name[WORD_BYTES];
-  bool memory = json != NULL && faults != NULL;
-  for (int i = 0; i < 2; i++) {
-    found[i] = -1;
-    given[i] = false;
+  struct mo_faults faults = {0}; /* the second pass reports them */
+  struct mo_json json;
+  struct mo_json_slice key;
+  mo_json_start(&json, text, size, &faults);
+  if (!mo_json_object(&json))
+    return;
+  while (mo_json_member(&json, &key)) {
+    *given |= mo_json_is(key, fields->rows[0].name);
+    if (!mo_fields_read_member(&json, key, fields, parsed))
+      mo_json_skip(&json);
   }
-  if (memory)
-    mo_json_start(json, text, size, faults);
-  if (memory && mo_json_object(json))
-    while (mo_json_member(json, &key)) {
-      int i = mo_json_is(key, keys[0]) ? 0 : 1;
-      if (i == 0 || mo_json_is(key, keys[1]))
-        given[i] = true;
-      else
-        i = -1;
-      if (i < 0 || mo_json_peek(json) != MO_JSON_STRING) {
-        mo_json_skip(json);
-      } else if (mo_json_string(json, &word) && word.size < WORD_BYTES) {
-        memcpy(name, word.bytes, word.size);
-        name[word.size] = '\0';
-        found[i] = mo_word_index(words[i], name);
-      }
-    }
-  free(json);
-  free(faults);
-  return memory ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
+/* Skips the item that is next, and all after it. */
+static void skip_rest(struct mo_json *json)
+{
+  do
+    mo_json_skip(json);
+  while (mo_json_item(json));
 }
 
 /* ---- designs ---- */
@@ -114,9 +98,7 @@ static bool read_cells(struct mo_json *json, uint64_t *bits)
     if (n == MO_DEFAULT_VOXELS) {
       mo_json_fault_at(json, depth, "", "more than %d cells are given; the workspace has %d",
                        MO_DEFAULT_VOXELS, MO_DEFAULT_VOXELS);
-      mo_json_skip(json);
-      while (mo_json_item(json))
-        mo_json_skip(json);
+      skip_rest(json);
       return false;
     }
     unsigned cell = json->depth;
@@ -124,11 +106,10 @@ static bool read_cells(struct mo_json *json, uint64_t *bits)
     if (!mo_json_array(json))
       continue;
     while (mo_json_item(json)) {
-      if (axis < 3) {
+      if (axis < 3)
         mo_json_integer(json, INT32_MIN, INT32_MAX, &cells[n][axis]);
-      } else {
+      else
         mo_json_skip(json);
-      }
       axis += axis < 4;
     }
     if (axis != 3)
@@ -227,37 +208,45 @@ static void read_design(struct mo_json *json, struct mo_bits *bits)
     mo_json_fault_at(json, depth, "", "a design is given by exactly one of cells, voxels and id");
 }
 
-static int read_designs(struct mo_json *json, struct mo_bits **genotypes, uint32_t *n_designs)
+/* Ends the reading for lack of memory. */
+static void no_memory(struct mo_json *json, struct mo_parts *parts)
 {
+  parts->error = MO_ERR_NO_MEMORY;
+  json->stop = true;
+}
+
+static void read_designs(struct mo_json *json, void *value)
+{
+  struct mo_parts *parts = value;
   unsigned depth = json->depth;
   uint32_t n = 0, capacity = 0;
+  parts->has_designs = true;
   if (!mo_json_array(json))
-    return MO_OK;
-  while (mo_json_item(json)) {
+    return;
+  for (; mo_json_item(json); n++) {
     if (n == MO_DESIGNS_MAX) {
       mo_json_fault_at(json, depth, "", "more than %d designs are given; at most %d are expected",
                        MO_DESIGNS_MAX, MO_DESIGNS_MAX);
-      mo_json_skip(json);
-      while (mo_json_item(json))
-        mo_json_skip(json);
+      skip_rest(json);
       break;
     }
     if (n == capacity) {
       capacity = capacity == 0 ? 64 : capacity * 2;
-      struct mo_bits *grown = realloc(*genotypes, capacity * sizeof(*grown));
-      if (grown == NULL)
-        return MO_ERR_NO_MEMORY;
-      *genotypes = grown;
+      struct mo_bits *grown = realloc(parts->genotypes, capacity * sizeof(*grown));
+      if (grown == NULL) {
+        no_memory(json, parts);
+        return;
+      }
+      parts->genotypes = grown;
     }
-    (*genotypes)[n] = (struct mo_bits){{0}};
-    read_design(json, &(*genotypes)[n]);
-    n++;
+    parts->genotypes[n] = (struct mo_bits){{0}};
+    read_design(json, &parts->genotypes[n]);
   }
   if (n == 0)
     mo_json_fault_at(json, depth, "", "no designs are given; 1 to %d are expected", MO_DESIGNS_MAX);
-  *n_designs = n;
-  return MO_OK;
+  parts->n_designs = n;
 }
+const struct mo_field_own mo_designs_field = {.read = read_designs};
 
 /* ---- environments ---- */
 
@@ -317,47 +306,44 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
     mo_terrain_random((uint64_t)seed, 0, 0, sigma_m, environment->terrain_heights_m);
 }
 
-static int read_environments(struct mo_json *json, struct mo_environment **environments,
-                             uint32_t *n_environments)
+static void read_environments(struct mo_json *json, void *value)
 {
+  struct mo_parts *parts = value;
   unsigned depth = json->depth;
   enum mo_json_kind kind = mo_json_peek(json);
   struct mo_json_slice name;
+  uint32_t n = 0;
   if (kind == MO_JSON_STRING) {
-    if (!mo_json_string(json, &name))
-      return MO_OK;
-    if (!mo_json_is(name, "paper-test"))
+    if (mo_json_string(json, &name) && !mo_json_is(name, "paper-test"))
       mo_json_fault_at(json, depth, "",
                        "there is no such set of environments; \"paper-test\" is expected");
-    return MO_OK;
+    return;
   }
   if (kind != MO_JSON_ARRAY) {
-    if (kind != MO_JSON_NONE) {
-      mo_json_fault(json, "\"paper-test\" or an array of 1 to %d environments is expected",
-                    MO_ENVIRONMENTS_MAX);
-      mo_json_skip(json);
-    }
-    return MO_OK;
+    mo_json_fault(json, "\"paper-test\" or an array of 1 to %d environments is expected",
+                  MO_ENVIRONMENTS_MAX);
+    mo_json_skip(json);
+    return;
   }
-  *environments = calloc(MO_ENVIRONMENTS_MAX, sizeof(**environments));
-  if (*environments == NULL)
-    return MO_ERR_NO_MEMORY;
-  uint32_t n = 0;
+  parts->environments = calloc(MO_ENVIRONMENTS_MAX, sizeof(*parts->environments));
+  if (parts->environments == NULL) {
+    no_memory(json, parts);
+    return;
+  }
   mo_json_array(json);
   while (mo_json_item(json)) {
-    if (n < MO_ENVIRONMENTS_MAX) {
-      read_environment(json, &(*environments)[n]);
-    } else {
+    if (n < MO_ENVIRONMENTS_MAX)
+      read_environment(json, &parts->environments[n]);
+    else
       mo_json_skip(json);
-    }
     n += n <= MO_ENVIRONMENTS_MAX;
   }
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
     mo_json_fault_at(json, depth, "", "%s environments are given; 1 to %d are expected",
                      n == 0 ? "no" : "too many", MO_ENVIRONMENTS_MAX);
-  *n_environments = n;
-  return MO_OK;
+  parts->n_environments = n;
 }
+const struct mo_field_own mo_environments_field = {.read = read_environments};
 
 /* ---- names, labels, ids ---- */
 
@@ -419,9 +405,7 @@ static void read_label(struct mo_json *json, void *value)
   unsigned depth = json->depth;
   if (!mo_json_string(json, &words))
     return;
-  size_t characters = 0;
-  for (size_t i = 0; i < words.size; i++)
-    characters += ((unsigned char)words.bytes[i] & 0xC0) != 0x80;
+  const size_t characters = mo_utf8_length(words.bytes, words.size);
   if (characters > 200) {
     mo_json_fault_at(json, depth, "", "%zu characters are given; at most 200 are expected",
                      characters);
@@ -447,28 +431,6 @@ bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
 }
 
 /* ---- the tables ---- */
-
-/* Ends the reading after a lack of memory. */
-static void note(struct mo_json *json, struct mo_parts *parts, int error)
-{
-  parts->error = error;
-  json->stop |= error != MO_OK;
-}
-
-static void read_designs_field(struct mo_json *json, void *value)
-{
-  struct mo_parts *parts = value;
-  parts->has_designs = true;
-  note(json, parts, read_designs(json, &parts->genotypes, &parts->n_designs));
-}
-const struct mo_field_own mo_designs_field = {.read = read_designs_field};
-
-static void read_environments_field(struct mo_json *json, void *value)
-{
-  struct mo_parts *parts = value;
-  note(json, parts, read_environments(json, &parts->environments, &parts->n_environments));
-}
-const struct mo_field_own mo_environments_field = {.read = read_environments_field};
 
 static const char *const priority_words[] = {"batch", "interactive", NULL}; /* enum mo_urgency */
 static const char *const device_words[] = {"auto", "cpu", "cuda", NULL};    /* from −1 on */

@@ -43,11 +43,10 @@ int mo_read_body(const char *text, size_t size, const struct mo_fields *fields, 
                  struct mo_parts *parts, int (*check)(struct mo_json *json, void *parsed),
                  struct mo_faults *faults);
 
-/* Finds, in a first pass over the text, the words of two keys, because the defaults of other
- * members depend on them. found: index in `words`; negative: none of them. given: the key is there.
- * Adds no faults. MO_ERR_NO_MEMORY. */
-int mo_find_words(const char *text, size_t size, const char *const keys[2],
-                  const char *const *const words[2], int found[2], bool given[2]);
+/* Reads, in a first pass over the text, the words of two rows, because the defaults of other
+ * members depend on them. *given: the key of the first row is there. Adds no faults. */
+void mo_read_words(const char *text, size_t size, const struct mo_fields *fields, void *parsed,
+                   bool *given);
 
 /* Reads a job's id from a string. what: "an evaluation". */
 bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id);

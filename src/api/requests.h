@@ -38,7 +38,7 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
 struct mo_parsed_campaign {
   struct mo_campaign_request request;
   struct mo_parts parts; /* genotypes: of the initial population */
-  int mode, preset;      /* negative: not a valid word */
+  int mode, preset;      /* mode −1: not a valid word */
   bool has_mode, has_learning, has_sensor;
 };
 int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed,

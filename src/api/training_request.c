@@ -126,33 +126,26 @@ static int check(struct mo_json *json, void *any)
 int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *parsed,
                       struct mo_faults *faults)
 {
-  static const char *const keys[2] = {"kind", "preset"};
-  const char *const *const words[2] = {kind_words, mo_learning_preset_words};
   struct mo_training_request *request = &parsed->request;
   struct mo_training_settings *settings = &request->record.settings;
   struct mo_parts *parts = &parsed->parts;
   struct mo_message message = {""};
-  bool given[2];
-  int found[2];
   *parsed = (struct mo_parsed_training){.parts = {.priority = MO_BATCH, .weight = 1},
                                         .preset = MO_LEARNING_PRESET_WORKSTATION};
-  int error = mo_find_words(text, size, keys, words, found, given);
-  if (error != MO_OK)
-    return error;
-  /* The second pass reports words that are not known. */
-  const enum mo_training_kind kind = found[0] > 0 ? MO_TRAINING_FINETUNE : MO_TRAINING_PRETRAIN;
-  const enum mo_learning_preset preset =
-      found[1] >= 0 ? (enum mo_learning_preset)found[1] : MO_LEARNING_PRESET_WORKSTATION;
-  request->record = (struct mo_training_record){.settings = mo_training_preset(kind, preset),
-                                                .validate_every_steps = 50,
-                                                .checkpoint_every_s = 60,
-                                                .checkpoints_kept = 3};
+  settings->kind = (enum mo_training_kind) - 1;
+  mo_read_words(text, size, &(struct mo_fields){rows, 2}, parsed, &parsed->has_kind);
+  const bool known = (int)settings->kind >= 0;
+  const enum mo_training_kind kind = known ? settings->kind : MO_TRAINING_PRETRAIN;
+  request->record =
+      (struct mo_training_record){.settings = mo_training_preset(kind, parsed->preset),
+                                  .validate_every_steps = 50,
+                                  .checkpoint_every_s = 60,
+                                  .checkpoints_kept = 3};
   const enum mo_sensor sensor = settings->sensor;
   settings->sensor = (enum mo_sensor) - 1;
-  if (found[0] < 0)
+  if (!known)
     settings->kind = (enum mo_training_kind) - 1;
-  parsed->has_kind = given[0];
-  error = mo_read_body(text, size, &mo_training_request_fields, parsed, parts, check, faults);
+  int error = mo_read_body(text, size, &mo_training_request_fields, parsed, parts, check, faults);
   if ((int)settings->sensor < 0)
     settings->sensor = sensor;
   if (kind == MO_TRAINING_FINETUNE && !parts->has_controller)

@@ -2,8 +2,8 @@
 #include <string.h>
 
 #include "api/jobs.h"
-#include "api/submission.h"
 #include "api/requests.h"
+#include "api/submission.h"
 #include "api/training_json.h"
 
 static int read_status(struct mo_store *store, int64_t id, union mo_job_status *status)
@@ -53,7 +53,10 @@ static int submit(struct mo_request *request, struct mo_post *post)
   const int64_t population = parsed.request.population;
   const char *pointer =
       parsed.population_kind == MO_JOB_CAMPAIGN ? "/population/campaign" : "/population/evaluation";
-  if (error == MO_OK || error == MO_ERR_INVALID) /* the job with this id may be of another kind */
+  const bool invalid = error == MO_ERR_INVALID;
+  if (invalid)
+    mo_look_up_controller(api->store, parsed.request.parent, faults);
+  if (error == MO_OK || invalid) /* the job with this id may be of another kind */
     mo_look_up_job(api->store, population, parsed.population_kind, pointer, faults);
   if (error == MO_OK && faults->n > 0)
     error = MO_ERR_INVALID;
@@ -67,7 +70,7 @@ static int submit(struct mo_request *request, struct mo_post *post)
     error = mo_jobs_submit_training(api->jobs, &parsed.request, &request->kept, &replayed,
                                     &post->message);
   }
-  if (mo_names_unknown(post, error))
+  if (!invalid && mo_names_unknown(post, error))
     mo_look_up_controller(api->store, parsed.request.parent, faults);
   mo_parts_free(&parsed.parts);
   return error;

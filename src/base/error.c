@@ -4,56 +4,49 @@
 #include <stdarg.h>
 #include <stdio.h>
 
+struct error {
+  int code;
+  const char *name, *text;
+};
+
+static const struct error *find(int code)
+{
+  static const struct error unknown = {0, "unknown", "unknown error"};
+  static const struct error errors[] = {
+      {MO_OK, "ok", "no error"},
+      {MO_ERR_NO_MEMORY, "no_memory", "out of memory"},
+      {MO_ERR_INVALID, "invalid", "invalid value"},
+      {MO_ERR_RANGE, "range", "value out of range"},
+      {MO_ERR_EMPTY, "empty", "empty body"},
+      {MO_ERR_NOT_CONTIGUOUS, "not_contiguous", "body is not contiguous"},
+      {MO_ERR_DUPLICATE, "duplicate", "duplicate"},
+      {MO_ERR_FORMAT, "format", "wrong format"},
+      {MO_ERR_LIMIT, "limit", "limit exceeded"},
+      {MO_ERR_NOT_FOUND, "not_found", "not found"},
+      {MO_ERR_CONFLICT, "conflict", "conflict"},
+      {MO_ERR_IO, "io", "input or output failed"},
+      {MO_ERR_NO_SPACE, "no_space", "no space left on the device"},
+      {MO_ERR_CANCELLED, "cancelled", "cancelled"},
+      {MO_ERR_BUSY, "busy", "busy"},
+      {MO_ERR_EXHAUSTED, "exhausted", "exhausted"},
+      {MO_ERR_CORRUPT, "corrupt", "stored data is corrupt"},
+      {MO_ERR_UNSUPPORTED, "unsupported", "not supported here"},
+      {MO_ERR_DEVICE, "device", "device failed"},
+  };
+  for (size_t i = 0; i < sizeof(errors) / sizeof(errors[0]); i++)
+    if (errors[i].code == code)
+      return &errors[i];
+  return &unknown;
+}
+
 const char *mo_error_text(int code)
 {
-  switch (code) {
-  case MO_OK: return "no error";
-  case MO_ERR_NO_MEMORY: return "out of memory";
-  case MO_ERR_INVALID: return "invalid value";
-  case MO_ERR_RANGE: return "value out of range";
-  case MO_ERR_EMPTY: return "empty body";
-  case MO_ERR_NOT_CONTIGUOUS: return "body is not contiguous";
-  case MO_ERR_DUPLICATE: return "duplicate";
-  case MO_ERR_FORMAT: return "wrong format";
-  case MO_ERR_LIMIT: return "limit exceeded";
-  case MO_ERR_NOT_FOUND: return "not found";
-  case MO_ERR_CONFLICT: return "conflict";
-  case MO_ERR_IO: return "input or output failed";
-  case MO_ERR_NO_SPACE: return "no space left on the device";
-  case MO_ERR_CANCELLED: return "cancelled";
-  case MO_ERR_BUSY: return "busy";
-  case MO_ERR_EXHAUSTED: return "exhausted";
-  case MO_ERR_CORRUPT: return "stored data is corrupt";
-  case MO_ERR_UNSUPPORTED: return "not supported here";
-  case MO_ERR_DEVICE: return "device failed";
-  default: return "unknown error";
-  }
+  return find(code)->text;
 }
 
 const char *mo_error_name(int code)
 {
-  switch (code) {
-  case MO_OK: return "ok";
-  case MO_ERR_NO_MEMORY: return "no_memory";
-  case MO_ERR_INVALID: return "invalid";
-  case MO_ERR_RANGE: return "range";
-  case MO_ERR_EMPTY: return "empty";
-  case MO_ERR_NOT_CONTIGUOUS: return "not_contiguous";
-  case MO_ERR_DUPLICATE: return "duplicate";
-  case MO_ERR_FORMAT: return "format";
-  case MO_ERR_LIMIT: return "limit";
-  case MO_ERR_NOT_FOUND: return "not_found";
-  case MO_ERR_CONFLICT: return "conflict";
-  case MO_ERR_IO: return "io";
-  case MO_ERR_NO_SPACE: return "no_space";
-  case MO_ERR_CANCELLED: return "cancelled";
-  case MO_ERR_BUSY: return "busy";
-  case MO_ERR_EXHAUSTED: return "exhausted";
-  case MO_ERR_CORRUPT: return "corrupt";
-  case MO_ERR_UNSUPPORTED: return "unsupported";
-  case MO_ERR_DEVICE: return "device";
-  default: return "unknown";
-  }
+  return find(code)->name;
 }
 
 int mo_fail(struct mo_message *message, int code, const char *format, ...)

@@ -7,6 +7,10 @@
 
 #include "http/server.h"
 
+/* Write a metric of one line to `text`. */
+#define GAUGE(name, value, help)   mo_metric(text, name, "gauge", help, (double)(value))
+#define COUNTER(name, value, help) mo_metric(text, name, "counter", help, (double)(value))
+
 static const unsigned statuses[MO_METRIC_STATUSES] = {200, 201, 202, 204, 304, 400, 401, 403, 404,
                                                       405, 406, 408, 409, 411, 413, 414, 415, 417,
                                                       422, 429, 431, 500, 501, 503, 505, 507, 0};
@@ -47,18 +51,19 @@ void mo_metric_head(struct mo_text *text, const char *name, const char *type, co
   mo_text_format(text, "# HELP %s %s\n# TYPE %s %s\n", name, help, name, type);
 }
 
-void mo_metric_count(struct mo_text *text, const char *name, const char *type, const char *help,
-                     uint64_t value)
+void mo_metric_line(struct mo_text *text, const char *name, const char *label, const char *of,
+                    double value)
 {
-  mo_metric_head(text, name, type, help);
-  mo_text_format(text, "%s %llu\n", name, (unsigned long long)value);
+  mo_text_format(text, label != NULL ? "%s{%s=\"%s\"} " : "%s ", name, label, of);
+  mo_text_json_number(text, value);
+  mo_text_add(text, "\n");
 }
 
-void mo_metric_number(struct mo_text *text, const char *name, const char *type, const char *help,
-                      double value)
+void mo_metric(struct mo_text *text, const char *name, const char *type, const char *help,
+               double value)
 {
   mo_metric_head(text, name, type, help);
-  mo_text_format(text, "%s %.9g\n", name, value);
+  mo_metric_line(text, name, NULL, NULL, value);
 }
 
 void mo_http_get_stats(struct mo_http *http, struct mo_http_stats *stats)
@@ -111,49 +116,36 @@ static void write_requests(struct mo_http *http, struct mo_text *text)
                  (unsigned long long)n, (double)sum_us * 1e-6, (unsigned long long)n);
 }
 
-static void write_http(struct mo_http *http, struct mo_text *text)
+void mo_metrics_write(struct mo_http *http, struct mo_text *text)
 {
   struct mo_metrics *m = &http->metrics;
   struct mo_http_stats stats;
   mo_http_get_stats(http, &stats);
-  mo_metric_count(text, "morphod_http_connections", "gauge", "Open connections.",
-                  stats.connections);
-  mo_metric_count(
-      text, "morphod_http_connections_max", "gauge",
-      "Connections that may be open: max_connections, or what the limit of open files leaves.",
-      stats.max_connections);
-  mo_metric_count(text, "morphod_http_requests_in_flight", "gauge",
-                  "Requests in flight, event streams included.", stats.in_flight);
-  mo_metric_count(text, "morphod_http_requests_queued", "gauge",
-                  "Requests waiting for an API thread.", stats.queued);
-  mo_metric_count(text, "morphod_http_connections_accepted_total", "counter",
-                  "Connections accepted.", stats.connections_accepted);
-  mo_metric_count(text, "morphod_http_connections_refused_total", "counter",
-                  "Connections refused: too many, or not allowed.", stats.connections_refused);
-  mo_metric_count(text, "morphod_http_connections_timed_out_total", "counter",
-                  "Connections cut off at a deadline.", stats.connections_timed_out);
-  mo_metric_count(text, "morphod_http_connections_gave_way_total", "counter",
-                  "Connections without a whole request that were closed for new ones.",
-                  stats.connections_gave_way);
-  mo_metric_count(text, "morphod_http_bodies_gave_way_total", "counter",
-                  "Half-sent request bodies that were dropped because others needed their memory.",
-                  atomic_load(&m->bodies_gave_way));
-  mo_metric_count(text, "morphod_http_unauthorized_total", "counter",
-                  "Requests without a valid token.", atomic_load(&m->unauthorized));
-  mo_metric_count(text, "morphod_http_request_body_bytes_total", "counter",
-                  "Bytes of request bodies.", atomic_load(&m->body_in));
-  mo_metric_count(text, "morphod_http_response_body_bytes_total", "counter",
-                  "Bytes of reply bodies.", atomic_load(&m->body_out));
-  mo_metric_count(text, "morphod_event_streams", "gauge", "Open event streams.", stats.streams);
-  mo_metric_count(text, "morphod_events_sent_total", "counter", "Events written to streams.",
-                  atomic_load(&m->events_sent));
-  mo_metric_count(text, "morphod_event_streams_dropped_total", "counter",
-                  "Event streams ended because their reader did not read.",
-                  atomic_load(&m->streams_dropped));
-}
-
-void mo_metrics_write(struct mo_http *http, struct mo_text *text)
-{
   write_requests(http, text);
-  write_http(http, text);
+  GAUGE("morphod_http_connections", stats.connections, "Open connections.");
+  GAUGE("morphod_http_connections_max", stats.max_connections,
+        "Connections that may be open: max_connections, or what the limit of open files leaves.");
+  GAUGE("morphod_http_requests_in_flight", stats.in_flight,
+        "Requests in flight, event streams included.");
+  GAUGE("morphod_http_requests_queued", stats.queued, "Requests waiting for an API thread.");
+  COUNTER("morphod_http_connections_accepted_total", stats.connections_accepted,
+          "Connections accepted.");
+  COUNTER("morphod_http_connections_refused_total", stats.connections_refused,
+          "Connections refused: too many, or not allowed.");
+  COUNTER("morphod_http_connections_timed_out_total", stats.connections_timed_out,
+          "Connections cut off at a deadline.");
+  COUNTER("morphod_http_connections_gave_way_total", stats.connections_gave_way,
+          "Connections without a whole request that were closed for new ones.");
+  COUNTER("morphod_http_bodies_gave_way_total", atomic_load(&m->bodies_gave_way),
+          "Half-sent request bodies that were dropped because others needed their memory.");
+  COUNTER("morphod_http_unauthorized_total", atomic_load(&m->unauthorized),
+          "Requests without a valid token.");
+  COUNTER("morphod_http_request_body_bytes_total", atomic_load(&m->body_in),
+          "Bytes of request bodies.");
+  COUNTER("morphod_http_response_body_bytes_total", atomic_load(&m->body_out),
+          "Bytes of reply bodies.");
+  GAUGE("morphod_event_streams", stats.streams, "Open event streams.");
+  COUNTER("morphod_events_sent_total", atomic_load(&m->events_sent), "Events written to streams.");
+  COUNTER("morphod_event_streams_dropped_total", atomic_load(&m->streams_dropped),
+          "Event streams ended because their reader did not read.");
 }

@@ -27,12 +27,12 @@ struct mo_http;
 /* Counts one request. route nullable. Streams are not in the histogram of latencies. */
 void mo_metrics_request(struct mo_http *http, const struct mo_route *route, unsigned status,
                         int64_t duration_us, bool stream);
-/* Write the lines of one metric: its head, or all of it. */
+/* Write the head of a metric, one line of it (label nullable), and all of a metric of one line. */
 void mo_metric_head(struct mo_text *text, const char *name, const char *type, const char *help);
-void mo_metric_count(struct mo_text *text, const char *name, const char *type, const char *help,
-                     uint64_t value);
-void mo_metric_number(struct mo_text *text, const char *name, const char *type, const char *help,
-                      double value);
+void mo_metric_line(struct mo_text *text, const char *name, const char *label, const char *of,
+                    double value);
+void mo_metric(struct mo_text *text, const char *name, const char *type, const char *help,
+               double value);
 /* Writes the metrics of this room. */
 void mo_metrics_write(struct mo_http *http, struct mo_text *text);
 
