@@ -300,9 +300,9 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
     return MO_ERR_LIMIT;
   reader = mo_reader_acquire(store);
   error = mo_sql_exec(reader, "BEGIN");
-  n = error == MO_OK ? read_ids(reader, sql[which][query->label != NULL][page_of(query)], query,
-                                ids, limit)
-                     : error;
+  n = error == MO_OK
+          ? read_ids(reader, sql[which][query->label != NULL][page_of(query)], query, ids, limit)
+          : error;
   for (int64_t i = 0; i < n && error == MO_OK; i++)
     error = load(reader, ids[i], (char *)statuses + (size_t)i * status_size);
   mo_reader_release(store, reader);
