@@ -1,4 +1,8 @@
-/* campaign.c: see campaign.h. */
+/* campaign.c: campaign show and watch: a campaign with its curves.
+ *
+ * On a terminal campaign watch draws sparklines of the curves and a table of the newest
+ * generations; elsewhere it prints a line per generation. Each event about a generation makes it
+ * fetch the generation, so the view always agrees with the API. */
 #include "campaign.h"
 
 #include <inttypes.h>
@@ -8,40 +12,32 @@
 
 #include "commands.h"
 #include "table.h"
-#include "training.h"
-#include "transport.h"
+#include "template.h"
 
-/* ---- rows ---- */
+#define ASK_S         5
+#define LINES_BESIDES 13
 
-static double value_of(const json_t *object, const char *key)
-{
-  const json_t *value = json_object_get(object, key);
-  return json_is_number(value) ? json_number_value(value) : (double)NAN;
-}
+/* ---- generations ---- */
 
-static double survived(const json_t *row, const char *op)
-{
-  const json_t *counts = json_object_get(json_object_get(row, "operators"), op);
-  double born = value_of(counts, "born");
-  return born > 0 ? value_of(counts, "survived") / born : (double)NAN;
-}
+/* What is shown of a generation. */
+static const struct measure {
+  const char *place;      /* in a row of the API; of shares of survivors, the counts */
+  const char *name;       /* of its curve; NULL: it has none */
+  const char *head, *tag; /* in the table, and in a line */
+  int width, digits;
+  const char *unit; /* " %": a share */
+} measures[CAMPAIGN_VALUES] = {
+    {"score.mean", "mean score", "mean", "mean", 10, 4, ""},
+    {"score.quantiles.p50", NULL, "median", NULL, 10, 4, ""},
+    {"score.quantiles.p0", "best score", "best", "  best", 10, 4, ""},
+    {"diversity", "diversity", "diversity", "  diversity", 11, 4, ""},
+    {"operators.mutation", "mutants live", "mutants", "  survived: mutants", 9, 0, " %"},
+    {"operators.crossover", "crossed live", "crossed", " recombinants", 9, 0, " %"},
+    {"voxels.mean", "voxels", "voxels", "  voxels", 8, 1, ""},
+    {"seconds", NULL, "seconds", " ", 11, 1, ""},
+};
 
-static struct campaign_row read_row(const json_t *json)
-{
-  const json_t *score = json_object_get(json, "score"),
-               *quantiles = json_object_get(score, "quantiles");
-  return (struct campaign_row){.generation = number_of(json, "generation"),
-                               .mean = value_of(score, "mean"),
-                               .median = value_of(quantiles, "p50"),
-                               .best = value_of(quantiles, "p0"),
-                               .diversity = value_of(json, "diversity"),
-                               .mutants = survived(json, "mutation"),
-                               .recombinants = survived(json, "crossover"),
-                               .voxels = value_of(json_object_get(json, "voxels"), "mean"),
-                               .seconds = value_of(json, "seconds")};
-}
-
-static bool add_row(void *context, const json_t *row)
+static bool add_row(void *context, json_t *json)
 {
   struct campaign *campaign = context;
   if (campaign->n == campaign->capacity) {
@@ -52,49 +48,35 @@ static bool add_row(void *context, const json_t *row)
     campaign->rows = grown;
     campaign->capacity = capacity;
   }
-  campaign->rows[campaign->n++] = read_row(row);
+  struct campaign_row *row = &campaign->rows[campaign->n++];
+  row->generation = number_of(json, "generation");
+  for (size_t k = 0; k < CAMPAIGN_VALUES; k++) {
+    const json_t *counts = value_at(json, measures[k].place);
+    const double born = real_at(counts, "born");
+    row->values[k] = *measures[k].unit == 0 ? real_at(json, measures[k].place)
+                     : born > 0             ? 100 * real_at(counts, "survived") / born
+                                            : (double)NAN;
+  }
   return true;
 }
 
-static int load_rows(struct ctl *ctl, struct campaign *campaign)
+static int64_t newest_generation(const struct campaign *campaign)
 {
-  char path[128];
-  snprintf(path, sizeof(path), "/v1/campaigns/%s/generations?limit=1000", campaign->id);
-  return walk_rows(ctl, path, campaign->n > 0 ? campaign->rows[campaign->n - 1].generation : -1,
-                   add_row, campaign);
+  return campaign->n > 0 ? campaign->rows[campaign->n - 1].generation : -1;
 }
 
-/* Updates the progress if the rows are newer: a generation may have been committed between the two
- * requests. */
-static void keep_up(struct campaign *campaign)
+static int load(struct live *live)
 {
-  json_t *progress = json_object_get(campaign->json, "progress");
-  const json_t *generation = json_object_get(progress, "generation");
-  const int64_t newest = campaign->n > 0 ? campaign->rows[campaign->n - 1].generation : -1;
-  if (newest >= 0 && (!json_is_integer(generation) || json_integer_value(generation) < newest))
-    (void)json_object_set_new(progress, "generation", json_integer(newest));
-}
-
-int campaign_load(struct ctl *ctl, struct campaign *campaign)
-{
+  struct campaign *campaign = (struct campaign *)live;
   char path[64];
-  json_t *json;
-  snprintf(path, sizeof(path), "/v1/campaigns/%s", campaign->id);
-  int status = transport_get_json(ctl, path, 0, &json);
-  if (status != STATUS_OK)
-    return status;
-  json_decref(campaign->json);
-  campaign->json = json;
-  status = load_rows(ctl, campaign);
-  keep_up(campaign);
+  snprintf(path, sizeof(path), "/v1/campaigns/%s/generations", live->id);
+  int status = walk_items(live->ctl, path, newest_generation(campaign), 0, add_row, campaign);
+  /* A generation may have been committed between the two requests. */
+  json_t *progress = json_object_get(live->job, "progress");
+  const double known = real_at(progress, "generation");
+  if (campaign->n > 0 && !((double)newest_generation(campaign) <= known))
+    json_object_set_new(progress, "generation", json_integer(newest_generation(campaign)));
   return status;
-}
-
-void campaign_free(struct campaign *campaign)
-{
-  json_decref(campaign->json);
-  free(campaign->rows);
-  *campaign = (struct campaign){.json = NULL};
 }
 
 /* ---- sparklines ---- */
@@ -141,171 +123,268 @@ void sparkline(const double *values, size_t n, int width, bool utf8, char *text)
 
 /* ---- texts ---- */
 
-static const char *number_text(double value, const char *format, char text[32])
+static const char *value_text(double value, const struct measure *kind, char text[32])
 {
   if (!isfinite(value))
     return "–";
-  snprintf(text, 32, format,
-           value); /* NOLINT(clang-diagnostic-format-nonliteral): literals of this file */
+  snprintf(text, 32, "%.*f%s", kind->digits, value, kind->unit);
   return text;
-}
-
-void campaign_generation_text(int64_t generation, int64_t generations, char *text, size_t size)
-{
-  char a[32], b[32];
-  if (generation < 0)
-    snprintf(text, size, "before generation 0 of %s", count_text(generations, b));
-  else
-    snprintf(text, size, "generation %s of %s", count_text(generation, a),
-             count_text(generations, b));
-}
-
-void campaign_progress_text(const json_t *campaign, char *text, size_t size)
-{
-  const json_t *progress = json_object_get(campaign, "progress");
-  const char *phase = text_of(campaign, "phase");
-  const json_t *pace = json_object_get(progress, "rollouts_per_s"),
-               *left = json_object_get(progress, "seconds_left");
-  char done[32], total[32], speed[32], time[32];
-  *text = 0;
-  if (*phase == 0 || strcmp(phase, "idle") == 0)
-    return;
-  const char *what = strcmp(phase, "scoring") == 0     ? " designs"
-                     : strcmp(phase, "learning") == 0  ? " steps"
-                     : strcmp(phase, "preparing") == 0 ? " bodies of the pretraining"
-                                                       : "";
-  int n = 0;
-  if (json_is_integer(json_object_get(progress, "under_way")))
-    n = snprintf(text, size, "generation %s: ", count_text(number_of(progress, "under_way"), done));
-  n += snprintf(text + n, size - (size_t)n, "%s", phase);
-  if (number_of(progress, "total") > 0 && *what != 0)
-    n += snprintf(text + n, size - (size_t)n, " %s of %s%s",
-                  count_text(number_of(progress, "done"), done),
-                  count_text(number_of(progress, "total"), total), what);
-  if (json_is_number(pace) && json_number_value(pace) > 0 && (size_t)n < size)
-    n += snprintf(text + n, size - (size_t)n, "  %s rollouts/s",
-                  number_text(json_number_value(pace), "%.0f", speed));
-  if (json_is_number(left) && (size_t)n < size)
-    snprintf(text + n, size - (size_t)n, "  %s %s", duration_text(json_number_value(left), time),
-             strcmp(phase, "preparing") == 0 && number_of(progress, "generation") <= 0
-                 ? "until they are drawn"
-                 : "left");
 }
 
 void campaign_row_text(const struct campaign_row *row, char *text, size_t size)
 {
-  char mean[32], best[32], diversity[32], mutants[32], recombinants[32], voxels[32], seconds[32];
-  snprintf(text, size,
-           "mean %s  best %s  diversity %s  survived: mutants %s recombinants %s  voxels %s  %s s",
-           number_text(row->mean, "%.4f", mean), number_text(row->best, "%.4f", best),
-           number_text(row->diversity, "%.4f", diversity),
-           number_text(100 * row->mutants, "%.0f %%", mutants),
-           number_text(100 * row->recombinants, "%.0f %%", recombinants),
-           number_text(row->voxels, "%.1f", voxels), number_text(row->seconds, "%.1f", seconds));
-}
-
-void campaign_event_text(const char *type, const json_t *data, char *text, size_t size)
-{
-  char generation[96], mean[32], best[32], diversity[32], a[32], b[32];
-  *text = 0;
-  if (strcmp(type, "campaign.generation") == 0) {
-    campaign_generation_text(number_of(data, "generation"), number_of(data, "generations"),
-                             generation, sizeof(generation));
-    snprintf(text, size, "  %s  mean %s  best %s  diversity %s", generation,
-             score_text(json_object_get(data, "mean"), mean),
-             score_text(json_object_get(data, "best"), best),
-             score_text(json_object_get(data, "diversity"), diversity));
-  } else if (strcmp(type, "campaign.progress") == 0) {
-    snprintf(text, size, "  generation %" PRId64 "  %s %s of %s", number_of(data, "generation"),
-             text_of(data, "phase"), count_text(number_of(data, "done"), a),
-             count_text(number_of(data, "total"), b));
-  } else if (strcmp(type, "campaign.extended") == 0) {
-    snprintf(text, size, "  to %s generations", count_text(number_of(data, "generations"), a));
-  } else if (strcmp(type, "campaign.diversity_collapse") == 0) {
-    snprintf(text, size, "  generation %" PRId64 ": diversity %s, it was %s",
-             number_of(data, "generation"),
-             score_text(json_object_get(data, "diversity"), diversity),
-             score_text(json_object_get(data, "maximum"), a));
-  } else if (strcmp(type, "campaign.lineage_unreadable") == 0) {
-    snprintf(text, size, "  %.40s of controller %.12s: %.160s", text_of(data, "field"),
-             text_of(data, "controller"), text_of(data, "detail"));
+  int n = 0;
+  for (size_t k = 0; k < CAMPAIGN_VALUES; k++) {
+    char number[32];
+    if (measures[k].tag != NULL)
+      n += snprintf(text + n, size - (size_t)n, "%s %s", measures[k].tag,
+                    value_text(row->values[k], &measures[k], number));
   }
+  snprintf(text + n, size - (size_t)n, " s");
 }
 
-/* ---- the view ---- */
-
-struct curve {
-  const char *name, *format;
-  size_t offset; /* of the value in struct campaign_row */
-  double scale;
-};
-
-static double row_value(const struct campaign_row *row, const struct curve *curve)
-{
-  double value;
-  memcpy(&value, (const char *)row + curve->offset, sizeof(value));
-  return curve->scale * value;
-}
-
-static void draw_curves(const struct ctl *ctl, const struct campaign *campaign, int columns,
+static void draw_curves(const struct campaign *campaign, int columns,
                         void (*line)(void *context, const char *text), void *context)
 {
-  static const struct curve curves[] = {
-      {"mean score", "%.4f", offsetof(struct campaign_row, mean), 1},
-      {"best score", "%.4f", offsetof(struct campaign_row, best), 1},
-      {"diversity", "%.4f", offsetof(struct campaign_row, diversity), 1},
-      {"mutants live", "%.0f %%", offsetof(struct campaign_row, mutants), 100},
-      {"crossed live", "%.0f %%", offsetof(struct campaign_row, recombinants), 100},
-      {"voxels", "%.1f", offsetof(struct campaign_row, voxels), 1},
-  };
   int width = columns - 26 > 200 ? 200 : columns - 26;
-  double *values = malloc((campaign->n > 0 ? campaign->n : 1) * sizeof(*values));
-  if (values == NULL || width < 4) {
-    free(values);
+  double *curve = malloc(campaign->n * sizeof(*curve));
+  if (curve == NULL || width < 4) {
+    free(curve);
     return;
   }
-  for (size_t c = 0; c < sizeof(curves) / sizeof(curves[0]); c++) {
+  for (size_t k = 0; k < CAMPAIGN_VALUES; k++) {
     char spark[3 * 200 + 1], text[700], number[32];
+    if (measures[k].name == NULL)
+      continue;
     for (size_t i = 0; i < campaign->n; i++)
-      values[i] = row_value(&campaign->rows[i], &curves[c]);
-    sparkline(values, campaign->n, width, ctl->utf8, spark);
-    const char *newest = number_text(values[campaign->n - 1], curves[c].format, number);
-    snprintf(text, sizeof(text), "%-13s %*s%s  %s", curves[c].name, (int)(9 - text_width(newest)),
+      curve[i] = campaign->rows[i].values[k];
+    sparkline(curve, campaign->n, width, campaign->live.ctl->utf8, spark);
+    const char *newest = value_text(curve[campaign->n - 1], &measures[k], number);
+    snprintf(text, sizeof(text), "%-13s %*s%s  %s", measures[k].name, (int)(9 - text_width(newest)),
              "", newest, spark);
     line(context, text);
   }
-  free(values);
+  free(curve);
 }
 
-void campaign_draw(const struct ctl *ctl, const struct campaign *campaign, int columns,
-                   int table_rows, void (*line)(void *context, const char *text), void *context)
+/* Writes a row of the table of generations; row NULL: its heads. */
+static void draw_row(const struct campaign_row *row, char *text, size_t size)
 {
+  int n = row != NULL ? snprintf(text, size, "%10" PRId64, row->generation)
+                      : snprintf(text, size, "generation");
+  for (size_t k = 0; k < CAMPAIGN_VALUES; k++) {
+    char number[32];
+    const char *cell =
+        row != NULL ? value_text(row->values[k], &measures[k], number) : measures[k].head;
+    n += snprintf(text + n, size - (size_t)n, "%*s%s", measures[k].width - (int)text_width(cell),
+                  "", cell);
+  }
+}
+
+void campaign_draw(const struct campaign *campaign, int columns, int table_rows,
+                   void (*line)(void *context, const char *text), void *context)
+{
+  char text[256];
   if (campaign->n == 0) {
     line(context, "no generation yet");
     return;
   }
-  draw_curves(ctl, campaign, columns, line, context);
+  draw_curves(campaign, columns, line, context);
   if (table_rows <= 0)
     return;
   line(context, "");
-  line(context,
-       "generation      mean    median      best  diversity  mutants  crossed  voxels    seconds");
+  draw_row(NULL, text, sizeof(text));
+  line(context, text);
   size_t first = campaign->n > (size_t)table_rows ? campaign->n - (size_t)table_rows : 0;
   for (size_t i = first; i < campaign->n; i++) {
-    const struct campaign_row *row = &campaign->rows[i];
-    static const char *const formats[] = {"%.4f",    "%.4f",    "%.4f", "%.4f",
-                                          "%.0f %%", "%.0f %%", "%.1f", "%.1f"};
-    static const int widths[] = {10, 10, 10, 11, 9, 9, 8, 11};
-    const double values[] = {row->mean,      row->median,        row->best,
-                             row->diversity, 100 * row->mutants, 100 * row->recombinants,
-                             row->voxels,    row->seconds};
-    char text[256], number[32];
-    int n = snprintf(text, sizeof(text), "%10" PRId64, row->generation);
-    for (size_t k = 0; k < sizeof(values) / sizeof(values[0]); k++) {
-      const char *cell = number_text(values[k], formats[k], number);
-      n += snprintf(text + n, sizeof(text) - (size_t)n, "%*s%s", widths[k] - (int)text_width(cell),
-                    "", cell);
-    }
+    draw_row(&campaign->rows[i], text, sizeof(text));
     line(context, text);
   }
+}
+
+/* ---- show ---- */
+
+static void print_line(void *context, const char *text)
+{
+  (void)context;
+  puts(text);
+}
+
+static void print(struct live *live)
+{
+  static const struct fact facts[] = {
+      {"campaign", "{id} ({mode}[, {preset}])"},
+      JOB_STATE_FACTS(""),
+      {"controller",
+       CONTROLLER_WORDS("controller", "|random weights, sensor {settings.learning.sensor}")},
+      {"population", "{settings.population:,} designs, seed {settings.seed}"},
+      {"replicate", "[{group.replicates>1:-}{group.number} of {group.replicates} of campaign "
+                    "{group.id}]"},
+      {"mutation", "{settings.mutation.share:.1%} of the population, rate "
+                   "{settings.mutation.rate:.4g}, growth {settings.mutation.growth:.4g}"},
+      {"selection", "{settings.selection.kind}"},
+      {"learning", "[{settings.learning.parent_steps} + {settings.learning.child_steps} steps a "
+                   "generation, {settings.learning.schedule.kind} from "
+                   "{settings.learning.schedule.peak:.4g} down to "
+                   "{settings.learning.schedule.floor:.4g}]"},
+      {"progress", GENERATION_WORDS("progress.") ", {progress.designs:,} designs born"},
+      {"now", CAMPAIGN_NOW_WORDS},
+      {"end", "{end}"},
+      {"result", CONTROLLER_WORDS("result.controller", "")},
+      JOB_TIME_FACTS,
+      {NULL, NULL}};
+  const struct campaign *campaign = (const struct campaign *)live;
+  json_t *group = json_object_get(live->job, "group");
+  json_object_set_new(group, "number", json_integer(number_of(group, "replicate") + 1));
+  print_facts(live->ctl, live->job, facts);
+  if (campaign->n > 0) {
+    putchar('\n');
+    campaign_draw(campaign, 92, 10, print_line, NULL);
+  }
+}
+
+/* ---- watch ---- */
+
+struct lines {
+  FILE *file;
+  int columns;
+};
+
+static void put_line(void *context, const char *text)
+{
+  const struct lines *lines = context;
+  view_line(lines->file, lines->columns, text);
+}
+
+static void write_view(const struct live *live, FILE *file, int columns, int rows)
+{
+  const bool color = live->ctl->color, ended = is_final(text_of(live->job, "state"));
+  struct lines lines = {file, columns};
+  fputs(color ? "\033[1m" : "", file);
+  view_words(file, columns, live->job,
+             "{mode}[  {label:.64}]  {state}  " GENERATION_WORDS("progress.") "   campaign {id}");
+  fputs(color ? "\033[0m" : "", file);
+  campaign_draw((const struct campaign *)live, columns,
+                rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES, put_line, &lines);
+  view_words(file, columns, live->job, CAMPAIGN_NOW_WORDS);
+  view_words(file, columns, live->job,
+             ended ? "{reason}" : "[{reason}|Ctrl-C leaves; the campaign goes on.]");
+}
+
+/* Prints a line for each generation up to `until` that was not printed yet. Only the time of the
+ * last one is known: that of its event (nullable). */
+static void tell_generations(struct campaign *campaign, int64_t until, const json_t *at)
+{
+  char line[400], words[256], count[32];
+  const json_t *progress = json_object_get(campaign->live.job, "progress");
+  const char *generations = count_text(number_of(progress, "generations"), count);
+  for (; campaign->told < campaign->n && campaign->rows[campaign->told].generation <= until;
+       campaign->told++) {
+    const struct campaign_row *row = &campaign->rows[campaign->told];
+    char generation[32];
+    campaign_row_text(row, words, sizeof(words));
+    snprintf(line, sizeof(line), "generation %s of %s  %s", count_text(row->generation, generation),
+             generations, words);
+    live_line(&campaign->live, row->generation == until && at != NULL ? at : json_null(), line);
+  }
+}
+
+static void begin(struct live *live)
+{
+  tell_generations((struct campaign *)live, INT64_MAX, NULL);
+}
+
+/* Updates "progress" from an event. */
+static void take_progress(json_t *job, json_t *data)
+{
+  static const char *const keys[][2] = {
+      {"generation", "under_way"}, {"done", "done"}, {"total", "total"}};
+  json_t *progress = json_object_get(job, "progress");
+  for (size_t i = 0; i < sizeof(keys) / sizeof(keys[0]); i++)
+    if (json_object_get(data, keys[i][0]) != NULL)
+      json_object_set(progress, keys[i][1], json_object_get(data, keys[i][0]));
+  if (json_object_get(data, "phase") != NULL)
+    json_object_set(job, "phase", json_object_get(data, "phase"));
+}
+
+static int take_event(struct live *live, const char *type, json_t *event, bool *draw)
+{
+  const json_t *at = json_object_get(event, "at");
+  json_t *data = json_object_get(event, "data");
+  (void)draw;
+  if (strcmp(type, "reset") == 0) {
+    begin(live);
+    return STATUS_OK;
+  }
+  if (strcmp(type, "campaign.progress") == 0) {
+    take_progress(live->job, data);
+    return STATUS_OK;
+  }
+  int status = live_load(live);
+  if (status != STATUS_OK)
+    return status;
+  if (strcmp(type, "campaign.generation") == 0) {
+    tell_generations((struct campaign *)live, number_of(data, "generation"), at);
+    return -1; /* more generations may be reported before the end is */
+  }
+  json_object_set(event, "state", json_object_get(live->job, "state"));
+  char line[512] = "{type:.64}";
+  snprintf(line + strlen(line), sizeof(line) - strlen(line), "%s",
+           strncmp(type, "job.", 4) == 0 ? "  {state}" : event_words(type));
+  live_words(live, at, event, line);
+  return STATUS_OK;
+}
+
+static void report_reason(const struct live *live, const char *phase_before,
+                          const char *reason_before)
+{
+  const char *reason = text_of(live->job, "reason");
+  if (*reason != 0 && (strcmp(phase_before, text_of(live->job, "phase")) != 0 ||
+                       strcmp(reason_before, reason) != 0))
+    live_words(live, NULL, live->job, "{phase}: {reason:.300}");
+}
+
+static int finish(struct live *live)
+{
+  begin(live);
+  if (!live->ctl->quiet && strcmp(text_of(live->job, "end"), "exhausted") == 0)
+    puts("The morphospace holds no further design that the campaign could find: it ended early.");
+  if (!live->ctl->quiet && value_at(live->job, "result.controller.sha256") != NULL)
+    print_from(stdout, live->job,
+               "controller {result.controller.name}: sha256:{result.controller.sha256}");
+  return job_outcome("campaign", live->job);
+}
+
+const struct live_kind campaign_kind = {
+    .noun = "campaign",
+    .command = "campaign",
+    .accepted = "campaign {id} is accepted: {mode}, {settings.population:,} designs, "
+                "{settings.generations:,} generations"
+                "[{group.replicates>1:-}, with its replicates]",
+    .ask_s = ASK_S,
+    .load = load,
+    .print = print,
+    .write = write_view,
+    .begin = begin,
+    .event = take_event,
+    .changed = report_reason,
+    .finish = finish};
+
+static int run(struct ctl *ctl, int (*command)(struct live *live))
+{
+  struct campaign campaign = {.live = {.kind = &campaign_kind, .ctl = ctl}};
+  int status = command(&campaign.live);
+  json_decref(campaign.live.job);
+  free(campaign.rows);
+  return status;
+}
+
+int run_campaign_show(struct ctl *ctl)
+{
+  return run(ctl, live_show);
+}
+
+int run_campaign_watch(struct ctl *ctl)
+{
+  return run(ctl, live_watch);
 }

@@ -1,51 +1,49 @@
-/* campaign.h: what the campaign commands share: a campaign with its curves, and how they are
- * shown. */
+/* campaign.h: a campaign with its curves, and how parts of its progress are told. */
 #ifndef MORPHOCTL_CAMPAIGN_H
 #define MORPHOCTL_CAMPAIGN_H
 
-#include <jansson.h>
+#include "live.h"
 
-#include "ctl.h"
+/* Templates (template.h): "generation 12 of 30" of values below a place, "progress." or the like.
+ */
+#define GENERATION_WORDS(place)                                                                    \
+  "[generation {" place "generation:,}|before generation 0] of {" place "generations:,}"
+/* "generation 12: scoring 34 of 64 designs  210 rollouts/s  0:03:12 left"; nothing when the
+ * campaign is not running. */
+#define CAMPAIGN_NOW_WORDS                                                                         \
+  "[{phase!=idle:-}[generation {progress.under_way:,}: ]{phase}"                                   \
+  "[{phase=scoring}" DONE_WORDS " designs|{phase=learning}" DONE_WORDS " steps"                    \
+  "|{phase=preparing}" DONE_WORDS " bodies of the pretraining]"                                    \
+  "[  {progress.rollouts_per_s>0:.0f} rollouts/s]"                                                 \
+  "[  {progress.seconds_left:duration}"                                                            \
+  "[{phase!=preparing:-} left|{progress.generation>0:-} left| until they are drawn]]]"
+#define DONE_WORDS "{progress.total>0:-} {progress.done:,} of {progress.total:,}"
 
-/* What is drawn of a generation; NaN: no value. */
+enum { CAMPAIGN_VALUES = 8 }; /* mean, median, best, diversity, mutants, recombinants, voxels, s */
+
 struct campaign_row {
   int64_t generation;
-  double mean, median, best, diversity, mutants, recombinants, voxels,
-      seconds; /* mutants, recombinants: share that survived */
+  double values[CAMPAIGN_VALUES]; /* NaN: none; of mutants and recombinants, in percent */
 };
 
 struct campaign {
-  char id[24];
-  json_t *json; /* the latest reply of the API */
+  struct live live;
   struct campaign_row *rows;
   size_t n, capacity;
+  size_t told; /* rows already printed, if not on a terminal */
 };
 
-/* Fetches the campaign and the generations since the last fetch. */
-int campaign_load(struct ctl *ctl, struct campaign *campaign);
-void campaign_free(struct campaign *campaign);
+extern const struct live_kind campaign_kind;
 
 /* Draws a curve in `width` characters, the newest value at the right. Characters from least to
  * most: ▁▂▃▄▅▆▇█ if the locale has them, else digits 0 to 9; blanks for missing values. If there
  * are more values than characters, groups are averaged. text: 3 · width + 1 bytes. */
 void sparkline(const double *values, size_t n, int width, bool utf8, char *text);
-
-/* Writes "generation 12 of 30". */
-void campaign_generation_text(int64_t generation, int64_t generations, char *text, size_t size);
-/* Writes the progress: "scoring 34 of 64 designs  210 rollouts/s  0:03:12 left"; "" when the
- * campaign is not running. */
-void campaign_progress_text(const json_t *campaign, char *text, size_t size);
 /* Writes one generation as a line. */
 void campaign_row_text(const struct campaign_row *row, char *text, size_t size);
-/* Writes two spaces and the content of a "campaign.…" event; nothing for other events. */
-void campaign_event_text(const char *type, const json_t *data, char *text, size_t size);
-
 /* Draws the curves as labeled sparklines, then the newest `table_rows` generations as a table, in
  * `columns`. Calls `line` for each line. */
-void campaign_draw(const struct ctl *ctl, const struct campaign *campaign, int columns,
-                   int table_rows, void (*line)(void *context, const char *text), void *context);
-
-/* Follows a campaign to its end. An interrupt ends only the command, not the campaign. */
-int watch_campaign(struct ctl *ctl, const char *id);
+void campaign_draw(const struct campaign *campaign, int columns, int table_rows,
+                   void (*line)(void *context, const char *text), void *context);
 
 #endif

@@ -1,13 +1,11 @@
-/* cmd_campaign.c: campaign start, list, show, extend, prune. */
+/* cmd_campaign.c: campaign start, list, extend, champions, export. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "campaign.h"
 #include "commands.h"
-#include "fields.h"
 #include "table.h"
-#include "training.h"
 #include "transport.h"
 
 /* ---- start ---- */
@@ -58,9 +56,7 @@ static int fill_initial(struct ctl *ctl, json_t *request)
   if (ctl->n_operands < 2)
     return STATUS_OK;
   struct designs designs = {0};
-  int status = STATUS_OK;
-  for (size_t i = 1; i < ctl->n_operands && status == STATUS_OK; i++)
-    status = designs_add_operand(&designs, ctl->operands[i]);
+  int status = add_designs(ctl, 1, 0, 0, &designs);
   if (status == STATUS_OK)
     json_object_set_new(request, "initial", json_pack("{s:O}", "designs", designs.list));
   designs_free(&designs);
@@ -90,147 +86,22 @@ static int fill_request(struct ctl *ctl, json_t *request)
 
 int run_campaign_start(struct ctl *ctl)
 {
-  json_t *request = json_pack("{s:s}", "mode", ctl->operands[0]), *campaign = NULL;
+  json_t *request = json_pack("{s:s}", "mode", ctl->operands[0]);
   int status = request != NULL ? fill_request(ctl, request)
                                : complain(STATUS_USAGE, "the mode is not UTF-8");
   if (status == STATUS_OK)
-    status = post_job(ctl, "/v1/campaigns", request, 0, &campaign);
+    status = live_start(ctl, &campaign_kind, request, run_campaign_watch);
   json_decref(request);
-  bool watch = option_is_set(ctl, "watch");
-  if (status == STATUS_OK && ctl->json && !watch) {
-    print_json(campaign);
-  } else if (status == STATUS_OK) {
-    const json_t *settings = json_object_get(campaign, "settings"),
-                 *group = json_object_get(campaign, "group");
-    int64_t replicates = number_of(group, "replicates"),
-            first = strtoll(text_of(campaign, "id"), NULL, 10);
-    char id[24], population[32], generations[32];
-    snprintf(id, sizeof(id), "%" PRId64, first);
-    for (int64_t i = 0; i < replicates && !watch; i++)
-      printf("%" PRId64 "\n", first + i);
-    if (!ctl->quiet && !ctl->json)
-      print_plain_line(stderr, "campaign %s is accepted: %s, %s designs, %s generations%s%s%s", id,
-                       text_of(campaign, "mode"),
-                       count_text(number_of(settings, "population"), population),
-                       count_text(number_of(settings, "generations"), generations),
-                       replicates > 1 ? ", with its replicates" : "",
-                       watch ? "" : "; morphoctl campaign watch ", watch ? "" : id);
-    if (watch)
-      status = watch_started(ctl, id, watch_campaign);
-  }
-  json_decref(campaign);
   return status;
-}
-
-/* ---- list, show ---- */
-
-static void add_campaign(struct table *table, const json_t *item)
-{
-  const json_t *progress = json_object_get(item, "progress"),
-               *newest = json_object_get(item, "newest");
-  const json_t *score = json_object_get(newest, "score"),
-               *settings = json_object_get(item, "settings");
-  char designs[32], generation[32], generations[32], mean[32], best[32], diversity[32], time[32];
-  const char *cells[] = {
-      text_of(item, "id"),
-      text_of(item, "mode"),
-      text_of(item, "state"),
-      count_text(number_of(settings, "population"), designs),
-      json_is_object(newest) ? count_text(number_of(newest, "generation"), generation) : NULL,
-      count_text(number_of(progress, "generations"), generations),
-      score_text(json_object_get(score, "mean"), mean),
-      score_text(json_object_get(json_object_get(score, "quantiles"), "p0"), best),
-      score_text(json_object_get(newest, "diversity"), diversity),
-      time_text(json_object_get(item, "created_at"), time),
-      text_of(item, "label")};
-  table_add(table, cells);
 }
 
 int run_campaign_list(struct ctl *ctl)
 {
-  json_t *items = NULL;
-  int status = collect_states(ctl, "/v1/campaigns", &items);
-  return print_list(
-      ctl, status, items,
-      ">campaign|mode|state|>designs|>generation|>of|>mean|>best|>diversity|created|label",
-      add_campaign);
-}
-
-static void print_campaign(const struct ctl *ctl, const json_t *campaign)
-{
-  char a[32], b[32], text[256];
-  const json_t *settings = json_object_get(campaign, "settings"),
-               *group = json_object_get(campaign, "group");
-  const json_t *mutation = json_object_get(settings, "mutation"),
-               *learning = json_object_get(settings, "learning");
-  const json_t *progress = json_object_get(campaign, "progress");
-  const json_t *result = json_object_get(json_object_get(campaign, "result"), "controller");
-  print_fact(ctl, "campaign", "%s (%s%s%s)", text_of(campaign, "id"), text_of(campaign, "mode"),
-             *text_of(campaign, "preset") != 0 ? ", " : "", text_of(campaign, "preset"));
-  print_job_state(ctl, campaign, "");
-  print_controller_fact(ctl, "controller", json_object_get(campaign, "controller"),
-                        text_of(learning, "sensor"));
-  print_fact(ctl, "population", "%s designs, seed %" PRId64,
-             count_text(number_of(settings, "population"), a), number_of(settings, "seed"));
-  if (number_of(group, "replicates") > 1)
-    print_fact(ctl, "replicate", "%" PRId64 " of %" PRId64 " of campaign %s",
-               number_of(group, "replicate") + 1, number_of(group, "replicates"),
-               text_of(group, "id"));
-  print_fact(ctl, "mutation", "%s of the population, rate %s, growth %s",
-             share_text(json_object_get(mutation, "share"), text),
-             real_text(json_object_get(mutation, "rate"), a),
-             real_text(json_object_get(mutation, "growth"), b));
-  print_fact(ctl, "selection", "%s", text_of(json_object_get(settings, "selection"), "kind"));
-  if (json_is_object(learning))
-    print_fact(ctl, "learning",
-               "%" PRId64 " + %" PRId64 " steps a generation, %s from %s down to %s",
-               number_of(learning, "parent_steps"), number_of(learning, "child_steps"),
-               text_of(json_object_get(learning, "schedule"), "kind"),
-               real_text(json_object_get(json_object_get(learning, "schedule"), "peak"), a),
-               real_text(json_object_get(json_object_get(learning, "schedule"), "floor"), b));
-  campaign_generation_text(json_is_integer(json_object_get(progress, "generation"))
-                               ? number_of(progress, "generation")
-                               : -1,
-                           number_of(progress, "generations"), text, sizeof(text));
-  print_fact(ctl, "progress", "%s, %s designs born", text,
-             count_text(number_of(progress, "designs"), a));
-  campaign_progress_text(campaign, text, sizeof(text));
-  if (*text != 0)
-    print_fact(ctl, "now", "%s", text);
-  if (*text_of(campaign, "end") != 0)
-    print_fact(ctl, "end", "%s", text_of(campaign, "end"));
-  if (json_is_object(result))
-    print_controller_fact(ctl, "result", result, "");
-  print_job_times(ctl, campaign);
-}
-
-static void print_line(void *context, const char *text)
-{
-  (void)context;
-  print_plain_line(stdout, "%s", text);
-}
-
-int run_campaign_show(struct ctl *ctl)
-{
-  struct campaign campaign = {.json = NULL};
-  const char *id = ctl->operands[0];
-  char path[64];
-  if (!check_job_id(id))
-    return STATUS_USAGE;
-  snprintf(campaign.id, sizeof(campaign.id), "%s", id);
-  snprintf(path, sizeof(path), "/v1/campaigns/%s", id);
-  if (ctl->json)
-    return show_json(ctl, path);
-  int status = campaign_load(ctl, &campaign);
-  if (status == STATUS_OK) {
-    print_campaign(ctl, campaign.json);
-    if (campaign.n > 0) {
-      putchar('\n');
-      campaign_draw(ctl, &campaign, 92, 10, print_line, NULL);
-    }
-  }
-  campaign_free(&campaign);
-  return status;
+  return list_items(ctl, "/v1/campaigns", 50,
+                    ">campaign={id}|mode={mode}|state={state}|>designs={settings.population:,}"
+                    "|>generation=[{newest.generation:,}|–]|>of={progress.generations:,}"
+                    "|>mean={newest.score.mean:.4f}|>best={newest.score.quantiles.p0:.4f}"
+                    "|>diversity={newest.diversity:.4f}|created={created_at:time}|label={label}");
 }
 
 /* ---- extend ---- */
@@ -246,20 +117,132 @@ int run_campaign_extend(struct ctl *ctl)
     return complain(STATUS_USAGE, "\"%s\" is not a number of further generations", more);
   snprintf(path, sizeof(path), "/v1/campaigns/%s/extend", id);
   json_t *request = json_pack("{sI}", "generations", (json_int_t)generations), *campaign = NULL;
-  int status = request != NULL ? post_job(ctl, path, request, 0, &campaign)
-                               : complain(STATUS_ERROR, "out of memory");
-  if (campaign != NULL && ctl->json)
-    print_json(campaign);
-  else if (campaign != NULL && !ctl->quiet)
-    print_plain_line(stdout, "campaign %s is %s, to generation %" PRId64, id,
-                     text_of(campaign, "state"),
-                     number_of(json_object_get(campaign, "progress"), "generations"));
+  int status = post_job(ctl, path, request, 0, &campaign);
+  if (campaign != NULL)
+    tell(ctl, campaign, "campaign {id} is {state}, to generation {progress.generations}");
   json_decref(request);
   json_decref(campaign);
   return status;
 }
 
-int run_campaign_prune(struct ctl *ctl)
+/* ---- champions ---- */
+
+/* Evaluates the champions again with recording, and saves their trajectories into a folder. */
+static int record_champions(struct ctl *ctl, const char *id, int64_t count, const char *folder)
 {
-  return prune_checkpoints(ctl, "campaign", "");
+  int64_t stride = 10;
+  char path[64];
+  json_t *evaluation = NULL;
+  if (!option_number(ctl, "record-stride", 1, 1000000, &stride))
+    return STATUS_USAGE;
+  snprintf(path, sizeof(path), "/v1/campaigns/%s/champions", id);
+  json_t *request =
+      json_pack("{s:I, s:I}", "count", (json_int_t)count, "stride", (json_int_t)stride);
+  int status = evaluate(ctl, path, request, true, &evaluation);
+  json_decref(request);
+  if (status == STATUS_OK)
+    status = job_outcome("job", evaluation);
+  if (status == STATUS_OK)
+    status = save_trajectories(ctl, evaluation, folder);
+  json_decref(evaluation);
+  return status;
+}
+
+int run_campaign_champions(struct ctl *ctl)
+{
+  const char *id = ctl->operands[0], *folder = option_text(ctl, "output", NULL);
+  int64_t count = 12, generation = -1;
+  char path[128];
+  if (!check_job_id(id) || !option_number(ctl, "count", 1, 1000, &count) ||
+      !option_number(ctl, "generation", 0, 1000000, &generation))
+    return STATUS_USAGE;
+  if (folder == NULL && option_is_set(ctl, "record-stride"))
+    return complain(STATUS_USAGE, "--record-stride is for --output");
+  if (folder != NULL && generation >= 0)
+    return complain(
+        STATUS_USAGE,
+        "paths are recorded of the newest generation: --output goes without --generation");
+  int n = snprintf(path, sizeof(path), "/v1/campaigns/%s/champions?count=%" PRId64, id, count);
+  if (generation >= 0)
+    snprintf(path + n, sizeof(path) - (size_t)n, "&generation=%" PRId64, generation);
+  json_t *page;
+  int status = get_json(ctl, &page, "%s", path);
+  if (status == STATUS_OK && ctl->json)
+    print_json(page);
+  else if (status == STATUS_OK)
+    print_table(stdout, ctl, json_object_get(page, "items"),
+                ">number={number}|design={id}|>voxels={voxels:,}|>footprint={footprint:,}"
+                "|>score={score:.4f}|>distinctness={distinctiveness:.4f}|born={operator}"
+                "|>generation={born:,}");
+  json_decref(page);
+  return status == STATUS_OK && folder != NULL ? record_champions(ctl, id, count, folder) : status;
+}
+
+/* ---- export ---- */
+
+/* Writes a population, best first, as designs that `eval` and `train start` can read. */
+static int export_population(struct ctl *ctl, const char *id, const char *output)
+{
+  int64_t generation = -1;
+  char path[128];
+  json_t *items;
+  if (!option_number(ctl, "generation", 0, 1000000, &generation))
+    return STATUS_USAGE;
+  int n = snprintf(path, sizeof(path), "/v1/campaigns/%s/population", id);
+  if (generation >= 0)
+    snprintf(path + n, sizeof(path) - (size_t)n, "?generation=%" PRId64, generation);
+  int status = collect(ctl, path, 0, &items);
+  if (status != STATUS_OK)
+    return status;
+  char *text = NULL;
+  size_t size = 0, i;
+  FILE *file = open_memstream(&text, &size);
+  const json_t *item;
+  json_array_foreach(items, i, item)
+  {
+    if (file != NULL)
+      fprintf(file, "{\"voxels\": \"%s\", \"name\": \"%" PRId64 "\"}\n", text_of(item, "genotype"),
+              number_of(item, "number"));
+  }
+  if (file == NULL || fclose(file) != 0)
+    status = complain(STATUS_ERROR, "out of memory");
+  if (status == STATUS_OK)
+    status = save_output(output, text, size);
+  if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
+    print_plain_line(stderr, "%s: %zu designs", output, json_array_size(items));
+  free(text);
+  json_decref(items);
+  return status;
+}
+
+int run_campaign_export(struct ctl *ctl)
+{
+  static const struct {
+    const char *option, *path, *accept;
+  } tables[] = {
+      {"curve", "generations", "text/csv"},
+      {"learning", "learning", "text/csv"},
+      {"replicates", "replicates", "text/csv"},
+      {"phylogeny", "phylogeny?format=csv", "text/csv"},
+      {"newick", "phylogeny?format=newick", "*/*"},
+  };
+  const char *id = ctl->operands[0], *population = option_text(ctl, "population", NULL);
+  int status = STATUS_OK, n_given = population != NULL;
+  if (!check_job_id(id))
+    return STATUS_USAGE;
+  for (size_t i = 0; i < sizeof(tables) / sizeof(tables[0]) && status == STATUS_OK; i++) {
+    const char *output = option_text(ctl, tables[i].option, NULL);
+    char path[96];
+    if (output == NULL)
+      continue;
+    n_given++;
+    snprintf(path, sizeof(path), "/v1/campaigns/%s/%s", id, tables[i].path);
+    status = save_reply(ctl, path, tables[i].accept, output);
+  }
+  if (status == STATUS_OK && population != NULL)
+    status = export_population(ctl, id, population);
+  if (n_given == 0)
+    return complain(STATUS_USAGE, "what is to be exported? --curve, --population, --phylogeny, "
+                                  "--newick, --learning or --replicates FILE");
+  return status;
 }

@@ -1,13 +1,13 @@
 /* cmd_eval.c: eval and verify. */
 #include <errno.h>
-#include <inttypes.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 
 #include "commands.h"
-#include "fields.h"
 #include "table.h"
+#include "template.h"
 #include "transport.h"
 
 static int fill_record(const struct ctl *ctl, json_t *request)
@@ -46,7 +46,7 @@ static int write_file(const char *path, const void *head, size_t head_bytes, con
 {
   FILE *file = fopen(path, "we");
   bool ok = file != NULL && fwrite(head, 1, head_bytes, file) == head_bytes &&
-            fwrite(bytes, 1, n, file) == n;
+            (n == 0 || fwrite(bytes, 1, n, file) == n);
   int error = errno;
   if (file != NULL && fclose(file) != 0) {
     ok = false;
@@ -92,7 +92,7 @@ static int save_array(struct ctl *ctl, const char *folder, const char *id, size_
                  array) < 0)
       status = complain(STATUS_ERROR, "out of memory");
     else
-      status = write_file(file, head, n, reply.body != NULL ? reply.body : "", reply.body_bytes);
+      status = write_file(file, head, n, reply.body, reply.body_bytes);
   }
   free(file);
   reply_free(&reply);
@@ -128,30 +128,106 @@ int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *fol
   return status;
 }
 
-static int read_designs(struct ctl *ctl, struct designs *designs)
+/* ---- results ---- */
+
+struct ranked {
+  size_t place; /* position in the request */
+  double score; /* +infinity: diverged */
+};
+
+static int compare_ranked(const void *a, const void *b)
 {
-  int64_t n_random = 0, seed = 1;
-  int status = STATUS_OK;
-  if (!option_number(ctl, "random", 1, DESIGNS_MAX, &n_random) ||
-      !option_number(ctl, "seed", 0, INT64_MAX, &seed))
-    return STATUS_USAGE;
-  for (size_t i = 0; i < ctl->n_operands && status == STATUS_OK; i++)
-    status = designs_add_operand(designs, ctl->operands[i]);
-  if (status == STATUS_OK && ctl->n_operands == 0 && n_random == 0)
-    status = designs_add_operand(designs, "-");
-  if (status == STATUS_OK && n_random > 0)
-    status = designs_add_random(designs, (uint64_t)seed, (size_t)n_random);
-  return status;
+  const struct ranked *x = a, *y = b;
+  if (x->score != y->score)
+    return x->score < y->score ? -1 : 1;
+  return x->place < y->place ? -1 : x->place > y->place;
+}
+
+/* Returns a copy of a result with what the table shows besides: number, name, voxels, best, worst,
+ * note. */
+static json_t *result_row(const json_t *result, size_t number, const char *name)
+{
+  const json_t *losses = json_object_get(result, "losses"), *best = NULL, *worst = NULL, *loss,
+               *agrees = json_object_get(result, "agrees");
+  const char *note = json_is_true(agrees)    ? "the same"
+                     : json_is_false(agrees) ? "DIFFERENT"
+                                             : "nothing stored";
+  json_int_t voxels = 0;
+  size_t k;
+  json_array_foreach(losses, k, loss)
+  {
+    if (!json_is_number(loss))
+      continue;
+    if (best == NULL || json_number_value(loss) < json_number_value(best))
+      best = loss;
+    if (worst == NULL || json_number_value(loss) > json_number_value(worst))
+      worst = loss;
+  }
+  for (const char *c = text_of(result, "genotype"); *c != 0; c++)
+    voxels += *c == '1';
+  json_t *row = json_pack("{s:I, s:s*, s:I, s:O*, s:O*}", "number", (json_int_t)number, "name",
+                          name, "voxels", voxels, "best", best, "worst", worst);
+  if (agrees != NULL)
+    json_object_set_new(row, "note", json_string(note));
+  json_object_update_missing(row, (json_t *)result);
+  return row;
+}
+
+void print_results(const struct ctl *ctl, const json_t *evaluation, char *const *names,
+                   bool by_score, size_t top)
+{
+  const json_t *results = json_object_get(evaluation, "results");
+  const size_t n = json_array_size(results), shown = top != 0 && top < n ? top : n;
+  struct ranked *order = calloc(n + 1, sizeof(*order));
+  json_t *rows = json_array();
+  bool named = false, verified = false;
+  char columns[512];
+  for (size_t i = 0; order != NULL && i < n; i++) {
+    const double score = real_at(json_array_get(results, i), "score");
+    order[i] = (struct ranked){i, isnan(score) ? (double)INFINITY : score};
+    named |= names != NULL && names[i] != NULL;
+    verified |= json_object_get(json_array_get(results, i), "agrees") != NULL;
+  }
+  if (order != NULL && by_score)
+    qsort(order, n, sizeof(*order), compare_ranked);
+  for (size_t r = 0; order != NULL && r < shown; r++) {
+    const size_t i = order[r].place;
+    json_array_append_new(
+        rows, result_row(json_array_get(results, i), i, names != NULL ? names[i] : NULL));
+  }
+  snprintf(columns, sizeof(columns),
+           ">#={number}%s|design={id}|>voxels={voxels}|>score={score:.4f}|>best={best:.4f}"
+           "|>worst={worst:.4f}|%s=[{note}|diverged in {diverged:#} of {losses:#} (environment "
+           "{diverged.0.environment}, step {diverged.0.step})]",
+           named ? "|name={name}" : "", verified ? "bits" : "note");
+  print_table(stdout, ctl, rows, columns);
+  if (shown < n)
+    printf("… and %zu more\n", n - shown);
+  json_decref(rows);
+  free(order);
+}
+
+/* Prints an evaluation that was waited for. */
+static void print_evaluation(const struct ctl *ctl, const json_t *evaluation,
+                             const struct designs *designs, bool by_score, size_t top)
+{
+  if (ctl->json)
+    print_json(evaluation);
+  else if (json_object_get(evaluation, "results") != NULL)
+    print_results(ctl, evaluation, designs->names, by_score, top);
 }
 
 int run_eval(struct ctl *ctl)
 {
   struct designs designs = {0};
   json_t *request = json_object(), *evaluation = NULL;
-  bool wait = !option_is_set(ctl, "no-wait");
-  int64_t top = 0;
+  const bool wait = !option_is_set(ctl, "no-wait"), speaks = !ctl->json && !ctl->quiet;
+  int64_t n_random = 0, seed = 1, top = 0;
   const char *sort = option_text(ctl, "sort", "input"), *output = option_text(ctl, "output", NULL);
-  int status = read_designs(ctl, &designs);
+  int status = option_number(ctl, "random", 1, DESIGNS_MAX, &n_random) &&
+                       option_number(ctl, "seed", 0, INT64_MAX, &seed)
+                   ? add_designs(ctl, 0, n_random, seed, &designs)
+                   : STATUS_USAGE;
   if (status == STATUS_OK && !option_number(ctl, "top", 1, DESIGNS_MAX, &top))
     status = STATUS_USAGE;
   if (status == STATUS_OK && strcmp(sort, "input") != 0 && strcmp(sort, "score") != 0)
@@ -167,31 +243,22 @@ int run_eval(struct ctl *ctl)
     status = fill_fields(ctl, request);
   }
   if (status == STATUS_OK)
-    status = evaluate(ctl, request, wait, &evaluation);
+    status = evaluate(ctl, "/v1/evaluations", request, wait, &evaluation);
   if (status == STATUS_OK && !wait) {
     if (ctl->json)
       print_json(evaluation);
     else
-      print_plain_line(stdout, "%s", text_of(evaluation, "id"));
-    if (!ctl->json && !ctl->quiet)
-      print_plain_line(stderr,
-                       "evaluation %s is accepted: %zu designs, %" PRId64
-                       " rollouts; morphoctl watch %s",
-                       text_of(evaluation, "id"), designs.n,
-                       number_of(evaluation, "rollouts_total"), text_of(evaluation, "id"));
+      print_from(stdout, evaluation, "{id}");
+    if (speaks)
+      print_from(stderr, evaluation,
+                 "evaluation {id} is accepted: {n_designs} designs, {rollouts_total} rollouts; "
+                 "morphoctl watch {id}");
   } else if (status == STATUS_OK) {
-    if (ctl->json)
-      print_json(evaluation);
-    else if (json_object_get(evaluation, "results") != NULL)
-      print_results(ctl, evaluation, designs.named ? designs.names : NULL,
-                    strcmp(sort, "score") == 0 || top > 0, (size_t)top);
-    if (!ctl->json && !ctl->quiet) {
-      char a[32], b[32];
-      print_plain_line(stderr, "evaluation %s: %s rollouts, %s of them from the store",
-                       text_of(evaluation, "id"),
-                       count_text(number_of(evaluation, "rollouts_total"), a),
-                       count_text(number_of(evaluation, "rollouts_cached"), b));
-    }
+    print_evaluation(ctl, evaluation, &designs, strcmp(sort, "score") == 0 || top > 0, (size_t)top);
+    if (speaks)
+      print_from(stderr, evaluation,
+                 "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them from "
+                 "the store");
     status = job_outcome("job", evaluation);
     if (status == STATUS_OK && output != NULL)
       status = save_trajectories(ctl, evaluation, output);
@@ -204,22 +271,29 @@ int run_eval(struct ctl *ctl)
 
 /* ---- verify ---- */
 
+/* Adds the oriented bodies of an array of objects with "genotype". */
+static int add_genotypes(struct designs *designs, const json_t *objects)
+{
+  int status = STATUS_OK;
+  size_t i;
+  json_t *object;
+  json_array_foreach(objects, i, object)
+  {
+    const char *genotype = text_of(object, "genotype");
+    if (status == STATUS_OK)
+      status = designs_add_text(designs, "the server's reply", genotype, strlen(genotype));
+  }
+  return status;
+}
+
 /* Adds the orientations in which a design was scored: a score belongs to one oriented body, an id
  * to all of its orientations. */
 static int add_orientations(struct ctl *ctl, struct designs *designs, const char *id)
 {
-  char path[80];
   json_t *design;
-  snprintf(path, sizeof(path), "/v1/designs/%s", id);
-  int status = transport_get_json(ctl, path, 0, &design);
-  size_t i;
-  json_t *orientation;
-  json_array_foreach(json_object_get(design, "orientations"), i, orientation)
-  {
-    const char *genotype = text_of(orientation, "genotype");
-    if (status == STATUS_OK)
-      status = designs_add_text(designs, "the server's reply", genotype, strlen(genotype));
-  }
+  int status = get_json(ctl, &design, "/v1/designs/%s", id);
+  if (status == STATUS_OK)
+    status = add_genotypes(designs, json_object_get(design, "orientations"));
   json_decref(design);
   return status;
 }
@@ -227,35 +301,26 @@ static int add_orientations(struct ctl *ctl, struct designs *designs, const char
 /* Adds what an earlier evaluation requested. */
 static int add_evaluation(struct ctl *ctl, struct designs *designs, json_t *request, const char *id)
 {
-  char path[64];
   json_t *evaluation;
   if (!check_job_id(id))
     return STATUS_USAGE;
-  snprintf(path, sizeof(path), "/v1/evaluations/%s", id);
-  int status = transport_get_json(ctl, path, 0, &evaluation);
+  int status = get_json(ctl, &evaluation, "/v1/evaluations/%s", id);
+  const bool named = json_is_string(json_object_get(evaluation, "environments"));
   if (status == STATUS_OK)
     status = job_outcome("job", evaluation);
-  if (status == STATUS_OK && !json_is_string(json_object_get(evaluation, "environments")) &&
-      !option_is_set(ctl, "environments"))
+  if (status == STATUS_OK && !named && !option_is_set(ctl, "environments"))
     status = complain(
         STATUS_USAGE,
         "evaluation %s has environments of its own: give them again with --environments", id);
-  size_t i;
-  json_t *result;
-  json_array_foreach(json_object_get(evaluation, "results"), i, result)
-  {
-    const char *genotype = text_of(result, "genotype");
-    if (status == STATUS_OK)
-      status = designs_add_text(designs, "the server's reply", genotype, strlen(genotype));
-  }
+  if (status == STATUS_OK)
+    status = add_genotypes(designs, json_object_get(evaluation, "results"));
   if (status == STATUS_OK) {
-    char controller[80];
-    snprintf(controller, sizeof(controller), "sha256:%s",
-             text_of(json_object_get(evaluation, "controller"), "sha256"));
-    json_object_set_new(request, "controller", json_string(controller));
+    json_object_set_new(
+        request, "controller",
+        json_sprintf("sha256:%s", text_of(json_object_get(evaluation, "controller"), "sha256")));
     json_object_set(request, "physics", json_object_get(evaluation, "physics"));
     json_object_set(request, "precision", json_object_get(evaluation, "precision"));
-    if (json_is_string(json_object_get(evaluation, "environments")))
+    if (named)
       json_object_set(request, "environments", json_object_get(evaluation, "environments"));
   }
   json_decref(evaluation);
@@ -283,7 +348,7 @@ int run_verify(struct ctl *ctl)
   if (status == STATUS_OK) {
     json_object_set(request, "designs", designs.list);
     json_object_set_new(request, "verify", json_true());
-    status = evaluate(ctl, request, true, &evaluation);
+    status = evaluate(ctl, "/v1/evaluations", request, true, &evaluation);
   }
   if (status == STATUS_OK)
     status = job_outcome("job", evaluation);
@@ -297,10 +362,7 @@ int run_verify(struct ctl *ctl)
       differ += json_is_false(agrees);
       absent += !json_is_boolean(agrees);
     }
-    if (ctl->json)
-      print_json(evaluation);
-    else
-      print_results(ctl, evaluation, designs.named ? designs.names : NULL, false, 0);
+    print_evaluation(ctl, evaluation, &designs, false, 0);
     if (!ctl->json && !ctl->quiet)
       printf("%zu the same, %zu different, %zu not stored\n", agree, differ, absent);
     if (differ > 0)

@@ -30,7 +30,7 @@ static int score_side(struct ctl *ctl, const json_t *held_out, struct side *side
   }
   int status = request_fill_physics(ctl, request);
   if (status == STATUS_OK)
-    status = evaluate(ctl, request, true, &side->evaluation);
+    status = evaluate(ctl, "/v1/evaluations", request, true, &side->evaluation);
   json_decref(request);
   if (status == STATUS_OK)
     status = job_outcome("job", side->evaluation);
@@ -44,9 +44,8 @@ static int score_side(struct ctl *ctl, const json_t *held_out, struct side *side
     return complain(STATUS_ERROR, "out of memory");
   json_array_foreach(results, i, result)
   {
-    const json_t *score = json_object_get(result, "score");
-    side->scores[i] = json_is_number(score) ? json_number_value(score) : (double)NAN;
-    side->diverged += !json_is_number(score);
+    side->scores[i] = real_at(result, "score");
+    side->diverged += isnan(side->scores[i]);
     side->rollouts += json_array_size(json_object_get(result, "losses"));
     side->rollouts_diverged += json_array_size(json_object_get(result, "diverged"));
   }
@@ -120,26 +119,21 @@ static void print_verdict(const struct side sides[2], const struct paired *paire
 static void print_comparison(const struct ctl *ctl, const struct side sides[2],
                              const struct paired *paired, int64_t seed, int64_t n_environments)
 {
-  struct table table;
-  const double means[2] = {paired->mean_a, paired->mean_b};
+  json_t *rows = json_array();
+  for (int s = 0; s < 2; s++) {
+    json_t *row = side_json(&sides[s], s == 0 ? paired->mean_a : paired->mean_b);
+    json_object_set_new(row, "side", json_string(s == 0 ? "A" : "B"));
+    json_object_set_new(row, "designs", json_integer((json_int_t)sides[s].n));
+    json_object_set_new(row, "rollouts", json_integer((json_int_t)sides[s].rollouts));
+    json_array_append_new(rows, row);
+  }
   print_fact(ctl, "held out", "%zu designs × %" PRId64 " environments, seed %" PRId64, sides[0].n,
              n_environments, seed);
-  table_open(&table, "|controller|>mean score|>diverged designs|>diverged rollouts|sha256");
-  for (int s = 0; s < 2; s++) {
-    char mean[32], designs[64], rollouts[64];
-    snprintf(mean, sizeof(mean), paired->n > 0 ? "%.4f" : "–", means[s]);
-    snprintf(designs, sizeof(designs), "%zu of %zu", sides[s].diverged, sides[s].n);
-    snprintf(rollouts, sizeof(rollouts), "%zu of %zu", sides[s].rollouts_diverged,
-             sides[s].rollouts);
-    const char *cells[] = {s == 0 ? "A" : "B",
-                           sides[s].name,
-                           mean,
-                           designs,
-                           rollouts,
-                           text_of(json_object_get(sides[s].evaluation, "controller"), "sha256")};
-    table_add(&table, cells);
-  }
-  table_print(&table, stdout, ctl);
+  print_table(stdout, ctl, rows,
+              "={side}|controller={controller}|>mean score={mean_score:.4f}"
+              "|>diverged designs={designs_diverged} of {designs}"
+              "|>diverged rollouts={rollouts_diverged} of {rollouts}|sha256={sha256}");
+  json_decref(rows);
   if (paired->n >= 2)
     print_fact(ctl, "B - A", "%+.4f, %.0f %% confidence %+.4f to %+.4f (Student t, %zu pairs)",
                paired->difference, 100 * CONFIDENCE, paired->low, paired->high, paired->n);
@@ -161,12 +155,10 @@ int run_train_compare(struct ctl *ctl)
       !option_number(ctl, "designs", 2, 1000, &n_designs) ||
       !option_number(ctl, "environments", 1, 64, &n_environments))
     return STATUS_USAGE;
-  char path[128];
   json_t *held_out;
-  snprintf(path, sizeof(path),
-           "/v1/held-out?seed=%" PRId64 "&designs=%" PRId64 "&environments=%" PRId64, seed,
-           n_designs, n_environments);
-  int status = transport_get_json(ctl, path, 0, &held_out);
+  int status = get_json(ctl, &held_out,
+                        "/v1/held-out?seed=%" PRId64 "&designs=%" PRId64 "&environments=%" PRId64,
+                        seed, n_designs, n_environments);
   for (int s = 0; s < 2 && status == STATUS_OK; s++)
     status = score_side(ctl, held_out, &sides[s]);
   if (status == STATUS_OK && sides[0].n != sides[1].n)

@@ -1,15 +1,46 @@
 /* cmd_watch.c: watch: follows the event stream, reconnects when it breaks, and ends when the
  * watched job ends. */
-#include <inttypes.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "campaign.h"
 #include "commands.h"
 #include "follow.h"
 #include "table.h"
+#include "template.h"
 #include "training.h"
 #include "transport.h"
+
+/* ---- what events tell ---- */
+
+static const struct {
+  const char *type, *words;
+} events[] = {
+    {"training.progress", "  " STEP_WORDS("data.") "  " NUMBER_WORDS("data.") PACE_WORDS("data.")},
+    {"training.validation", "  " VALIDATION_WORDS("data.")},
+    {"training.checkpoint", "  of step {data.step:,}"},
+    {"training.code_changed",
+     "  after step {data.from_step:,}: {data.fingerprint}, before [{data.before}|unknown]"},
+    {"campaign.generation",
+     "  " GENERATION_WORDS("data.") "  mean {data.mean:.4f}  best {data.best:.4f}  diversity "
+                                    "{data.diversity:.4f}"},
+    {"campaign.progress",
+     "  generation {data.generation}  {data.phase} {data.done:,} of {data.total:,}"},
+    {"campaign.extended", "  to {data.generations:,} generations"},
+    {"campaign.diversity_collapse", "  generation {data.generation}: diversity "
+                                    "{data.diversity:.4f}, it was {data.maximum:.4f}"},
+    {"campaign.lineage_unreadable",
+     "  {data.field:.40} of controller {data.controller:.12}: {data.detail:.160}"},
+};
+
+const char *event_words(const char *type)
+{
+  for (size_t i = 0; i < sizeof(events) / sizeof(events[0]); i++)
+    if (strcmp(events[i].type, type) == 0)
+      return events[i].words;
+  return "[  {data.rollouts_done:,} of {data.rollouts_total>0:,} rollouts]";
+}
+
+/* ---- watch ---- */
 
 struct watch {
   struct ctl *ctl;
@@ -17,6 +48,14 @@ struct watch {
   struct progress progress;
   bool finished, failed, reset;
 };
+
+static void print_event(const char *type, const json_t *event)
+{
+  fill_template(stdout, event, "{at:time}");
+  print_plain(stdout, "  %-15s ", type);
+  fill_template(stdout, event, "[job {job}[  {data.state}]|{data.name}]");
+  print_from(stdout, event, *text_of(event, "job") != 0 ? event_words(type) : "");
+}
 
 static int show_event(void *context, const char *type, const char *data)
 {
@@ -33,35 +72,19 @@ static int show_event(void *context, const char *type, const char *data)
   if (event == NULL)
     return 0;
   const json_t *details = json_object_get(event, "data");
-  const char *job = text_of(event, "job"), *state = text_of(details, "state");
-  int64_t done = number_of(details, "rollouts_done"), total = number_of(details, "rollouts_total");
-  bool progress = strcmp(type, "job.progress") == 0;
   if (ctl->json) {
     put_json(event, JSON_COMPACT);
-  } else if (progress && watch->job != NULL && ctl->progress) {
-    progress_show(&watch->progress, ctl, "running", done, total);
+  } else if (strcmp(type, "job.progress") == 0 && watch->job != NULL && ctl->progress) {
+    progress_show(&watch->progress, ctl, "running", number_of(details, "rollouts_done"),
+                  number_of(details, "rollouts_total"));
   } else {
-    char time[32], words[320] = "", a[32], b[32];
     progress_end(&watch->progress);
-    if (total > 0)
-      snprintf(words, sizeof(words), "  %s of %s rollouts", count_text(done, a),
-               count_text(total, b));
-    else if (strncmp(type, "campaign.", 9) == 0)
-      campaign_event_text(type, details, words, sizeof(words));
-    else
-      training_event_text(type, details, words, sizeof(words));
-    if (*job != 0)
-      print_plain_line(stdout, "%s  %-15s job %s%s%s%s",
-                       time_text(json_object_get(event, "at"), time), type, job,
-                       *state != 0 ? "  " : "", state, words);
-    else
-      print_plain_line(stdout, "%s  %-15s %s", time_text(json_object_get(event, "at"), time), type,
-                       text_of(details, "name"));
+    print_event(type, event);
   }
   fflush(stdout);
   if (watch->job != NULL && strcmp(type, "job.finished") == 0) {
     watch->finished = true;
-    watch->failed = strcmp(state, "succeeded") != 0;
+    watch->failed = strcmp(text_of(details, "state"), "succeeded") != 0;
   }
   json_decref(event);
   return watch->finished;
@@ -70,10 +93,8 @@ static int show_event(void *context, const char *type, const char *data)
 /* Fetches the watched job to see whether it has ended. */
 static int ask(struct watch *watch)
 {
-  char path[64];
   json_t *job;
-  snprintf(path, sizeof(path), "/v1/jobs/%s", watch->job);
-  int status = transport_get_json(watch->ctl, path, 0, &job);
+  int status = get_json(watch->ctl, &job, "/v1/jobs/%s", watch->job);
   if (status == STATUS_OK && is_final(text_of(job, "state"))) {
     watch->finished = true;
     watch->failed = strcmp(text_of(job, "state"), "succeeded") != 0;
@@ -119,18 +140,4 @@ int run_watch(struct ctl *ctl)
   if (status == STATUS_OK && watch.failed)
     status = STATUS_NEGATIVE;
   return status;
-}
-
-int watch_started(struct ctl *ctl, const char *id, int (*watch)(struct ctl *ctl, const char *id))
-{
-  ctl->operands[0] = id;
-  ctl->n_operands = 1;
-  return watch_operand(ctl, watch);
-}
-
-int watch_operand(struct ctl *ctl, int (*watch)(struct ctl *ctl, const char *id))
-{
-  if (ctl->json)
-    return run_watch(ctl);
-  return check_job_id(ctl->operands[0]) ? watch(ctl, ctl->operands[0]) : STATUS_USAGE;
 }

@@ -8,48 +8,15 @@
 #include "ctl.h"
 #include "designs.h"
 
-int run_eval(struct ctl *ctl);
-int run_verify(struct ctl *ctl);
-int run_design_show(struct ctl *ctl);
-int run_design_list(struct ctl *ctl);
-int run_design_draw(struct ctl *ctl);
-int run_design_random(struct ctl *ctl);
-int run_job_list(struct ctl *ctl);
-int run_job_show(struct ctl *ctl);
-int run_job_cancel(struct ctl *ctl);
-int run_job_pause(struct ctl *ctl);
-int run_job_resume(struct ctl *ctl);
-int run_job_weight(struct ctl *ctl);
-int run_watch(struct ctl *ctl);
-/* Follows a job that was just started: prints the API's events one per line with --json, else calls
- * `watch`. */
-int watch_started(struct ctl *ctl, const char *id, int (*watch)(struct ctl *ctl, const char *id));
-/* Follows the job that the first operand names in the same way. */
-int watch_operand(struct ctl *ctl, int (*watch)(struct ctl *ctl, const char *id));
-int run_train_start(struct ctl *ctl);
-int run_train_list(struct ctl *ctl);
-int run_train_show(struct ctl *ctl);
-int run_train_watch(struct ctl *ctl);
-int run_train_export(struct ctl *ctl);
-int run_train_prune(struct ctl *ctl);
-int run_train_compare(struct ctl *ctl);
-int run_campaign_start(struct ctl *ctl);
-int run_campaign_list(struct ctl *ctl);
-int run_campaign_show(struct ctl *ctl);
-int run_campaign_watch(struct ctl *ctl);
-int run_campaign_extend(struct ctl *ctl);
-int run_campaign_prune(struct ctl *ctl);
-int run_campaign_champions(struct ctl *ctl);
-int run_campaign_export(struct ctl *ctl);
-int run_controller_list(struct ctl *ctl);
-int run_controller_info(struct ctl *ctl);
-int run_controller_get(struct ctl *ctl);
-int run_controller_put(struct ctl *ctl);
-int run_controller_delete(struct ctl *ctl);
-int run_status(struct ctl *ctl);
-int run_devices(struct ctl *ctl);
-int run_version(struct ctl *ctl);
-int run_completion(struct ctl *ctl);
+struct request;
+
+command_function run_eval, run_verify, run_design_show, run_design_list, run_design_draw,
+    run_design_random, run_job_list, run_job_show, run_job_change /* cancel, pause, resume */,
+    run_job_weight, run_job_prune, run_watch, run_train_start, run_train_list, run_train_show,
+    run_train_watch, run_train_export, run_train_compare, run_campaign_start, run_campaign_list,
+    run_campaign_show, run_campaign_watch, run_campaign_extend, run_campaign_champions,
+    run_campaign_export, run_controller_list, run_controller_info, run_controller_get,
+    run_controller_put, run_controller_delete, run_status, run_devices, run_version, run_completion;
 
 /* Options that say how designs are scored: controller, environments, physics, precision. See
  * request.c. */
@@ -63,13 +30,25 @@ int run_completion(struct ctl *ctl);
     "precision", 0, "float32|float64", "Precision of the simulation (default: float32)."           \
   }
 
-/* Fills in the body of POST /v1/evaluations, except for its designs. */
+/* ---- request.c ---- */
+
+/* Adds the given options of the command that have a place to the request. The server checks bounds
+ * and reports them. */
+int fill_fields(const struct ctl *ctl, json_t *request);
+/* Adds --schedule, a name or a kind, at its place. The options of a kind need one. Call it before
+ * fill_fields. */
+int fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
+/* Fills in what says how designs are scored, for POST /v1/evaluations and campaigns: controller,
+ * environments, physics, precision. */
 int request_fill(const struct ctl *ctl, json_t *request);
 /* Adds one "key=value" of --physics to `physics`. */
 int request_physics(json_t *physics, const char *text);
-
 /* Adds the --physics options to a request as "physics". */
 int request_fill_physics(const struct ctl *ctl, json_t *request);
+/* Adds the designs of the operands from `first` on, and n_random random ones; those of standard
+ * input if there is neither. */
+int add_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed,
+                struct designs *designs);
 /* Posts a job with the key of --idempotency-key or a new key, so that repeating is safe. *job: the
  * server's reply. */
 int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s,
@@ -77,37 +56,76 @@ int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned 
 
 /* Posts an evaluation. wait: waits for its end and shows progress; *evaluation is then final, with
  * results. */
-int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluation);
-/* Waits in the same way for the end of an evaluation that was posted earlier. */
-int evaluation_wait(struct ctl *ctl, const char *id, json_t **evaluation);
+int evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait,
+             json_t **evaluation);
+
+/* ---- cmd_eval.c ---- */
+
 /* Saves the recorded trajectories of an evaluation as NumPy files, with evaluation.json, in a
  * folder, which is created. */
 int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder);
+/* Prints the results of a finished evaluation as a table. names: (n) or NULL. */
+void print_results(const struct ctl *ctl, const json_t *evaluation, char *const *names,
+                   bool by_score, size_t top);
+
+/* ---- common.c ---- */
+
+const char *text_of(const json_t *object, const char *key); /* "" if absent */
+int64_t number_of(const json_t *object, const char *key);
+double real_at(const json_t *json, const char *place); /* NaN if absent; see template.h */
+
+bool is_one_of(const char *word, const char *const *words, size_t n);
+bool is_final(const char *state);
+/* Checks that an operand is the decimal id of a job; complains if not. */
+bool check_job_id(const char *text);
 /* Returns STATUS_OK if the job succeeded, else complains and returns STATUS_NEGATIVE. noun: what
  * the complaint calls it. */
 int job_outcome(const char *noun, const json_t *job);
 
-/* Prints the results of a finished evaluation as a table. names: (n) or NULL. */
-void print_results(const struct ctl *ctl, const json_t *evaluation, char *const *names,
-                   bool by_score, size_t top);
 /* Prints a fact on a line: "controller   default (sha256 …)". */
 void print_fact(const struct ctl *ctl, const char *name, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
-void print_job_facts(const struct ctl *ctl, const json_t *job);
-void print_job_times(const struct ctl *ctl, const json_t *job); /* created, started, finished */
-/* Prints state, reason (without one the phase, if it is not ""), weight, device, label, error and
- * attempts. */
-void print_job_state(const struct ctl *ctl, const json_t *job, const char *phase);
-/* Prints "NAME, sha256:…"; without a controller, the random weights of this sensor. */
-void print_controller_fact(const struct ctl *ctl, const char *fact, const json_t *controller,
-                           const char *sensor);
+struct fact {
+  const char *name, *words; /* words: a template; if it is filled with nothing, the fact is left
+                               out */
+};
+/* Prints the facts up to one without a name. */
+void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *facts);
 
-/* Prints a job's state, in its color. */
-void print_state(const struct ctl *ctl, const char *state);
-/* Writes the bytes of a reply to a file, or to standard output ("-"). */
+/* "NAME, sha256:…"; otherwise: "" or another alternative. */
+#define CONTROLLER_WORDS(place, otherwise)                                                         \
+  "[[{" place ".name}, ]sha256:{" place ".sha256}" otherwise "]"
+#define JOB_STATE_FACTS(phase)                                                                     \
+  {"state", "{state}"}, {"reason", "{reason}"}, {"phase", phase}, {"weight", "{weight:g}"},        \
+      {"device", "{device}"}, {"label", "{label}"}, {"error", "[{error.code}: {error.detail}]"},   \
+  {                                                                                                \
+    "attempts", "[{attempts>0}]"                                                                   \
+  }
+#define JOB_TIME_FACTS                                                                             \
+  {"created", "{created_at:time}"}, {"started", "{started_at:time}"},                              \
+  {                                                                                                \
+    "finished", "{finished_at:time}"                                                               \
+  }
+
+/* Prints the reply to a GET: JSON with --json, else what `print` makes of it. */
+int show(struct ctl *ctl, const char *path,
+         void (*print)(const struct ctl *ctl, const json_t *json));
+/* Prints JSON with --json, else a template filled with it, unless --quiet. */
+void tell(const struct ctl *ctl, const json_t *json, const char *words);
+/* Writes bytes to a file, or to standard output ("-"). */
 int save_output(const char *path, const void *bytes, size_t n);
 /* Saves the reply to a GET in the same way, and reports its size. */
 int save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output);
+
+/* Hands the items of a paged list to `take` in order, up to `limit` (0: all), those behind `after`
+ * of a numbered list (−1: from the first). take: false: no memory. */
+int walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
+               bool (*take)(void *context, json_t *item), void *context);
+/* Collects such items in the array *items. */
+int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
+/* Prints a list as a table (table.h) or as one page of JSON. The options --limit and --all override
+ * the limit; others filter and sort it. */
+int list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns);
 
 /* ---- dump.c ---- */
 
@@ -118,33 +136,5 @@ char *dump_json(const json_t *json, size_t flags);
 void put_json(const json_t *json, size_t flags);
 /* Prints JSON from the API, indented on a terminal. */
 void print_json(const json_t *json);
-/* Prints the reply to a GET: --json of commands that show one thing. */
-int show_json(struct ctl *ctl, const char *path);
-/* Collects the items of a paged list up to `limit` (0: all) in the array *items, in order. */
-int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
-/* Fetches the rows of a numbered list behind `after` (−1: from the first), page by page. path: with
- * its query. take: false: no memory. */
-int walk_rows(struct ctl *ctl, const char *path, int64_t after,
-              bool (*take)(void *context, const json_t *row), void *context);
-/* Checks the options --state, --limit and --all, and collects items by them. */
-int collect_states(struct ctl *ctl, const char *list, json_t **items);
-/* Prints the items as one page if JSON was requested; else prints nothing and returns false. */
-bool print_page(const struct ctl *ctl, json_t *items);
-/* Prints the items that a `collect` with this status gave, as a page or as a table of which `add`
- * adds the row of an item, and frees them. Returns the status. */
-struct table;
-int print_list(const struct ctl *ctl, int status, json_t *items, const char *heads,
-               void (*add)(struct table *table, const json_t *item));
-
-bool is_final(const char *state);
-bool is_state(const char *word); /* "queued", "running", … */
-/* Checks that an operand is the decimal id of a job; complains if not. */
-bool check_job_id(const char *text);
-/* Deletes checkpoints of the jobs that the operands name, all of one kind ("training", "campaign"),
- * and reports on each. below: "", or the path of one checkpoint. */
-int prune_checkpoints(struct ctl *ctl, const char *kind, const char *below);
-
-const char *text_of(const json_t *object, const char *key); /* "" if absent */
-int64_t number_of(const json_t *object, const char *key);
 
 #endif

@@ -38,6 +38,7 @@ struct given {
 };
 
 struct ctl;
+typedef int command_function(struct ctl *ctl);
 
 struct command {
   const char *name;                  /* "job list" */
@@ -46,7 +47,7 @@ struct command {
   const char *details;               /* further text, or NULL */
   const struct option_spec *options; /* NULL: only the common options */
   size_t min_operands, max_operands;
-  int (*run)(struct ctl *ctl);
+  command_function *run;
 };
 
 /* One run of the program. */

@@ -23,16 +23,15 @@ static int feed(void *context, const char *bytes, size_t n)
 
 static int open_stream(struct follow *follow)
 {
-  char path[128], header[64] = "";
+  char path[128];
+  const char *last = *follow->sse.last_id != 0 ? follow->sse.last_id : NULL;
   int n = snprintf(path, sizeof(path), "/v1/events%s%s", follow->job != NULL ? "?job=" : "",
                    follow->job != NULL ? follow->job : "");
-  if (*follow->sse.last_id != 0)
-    snprintf(header, sizeof(header), "Last-Event-ID: %s", follow->sse.last_id);
-  else if (follow->after >= 0)
+  if (last == NULL && follow->after >= 0)
     snprintf(path + n, sizeof(path) - (size_t)n, "%cafter=%" PRId64,
              follow->job != NULL ? '&' : '?', follow->after);
   sse_reset(&follow->sse);
-  return transport_stream(follow->ctl, path, *header != 0 ? header : NULL, feed, follow);
+  return transport_stream(follow->ctl, path, last, feed, follow);
 }
 
 int follow_events(struct follow *follow)

@@ -2,25 +2,121 @@
  * then the job, then the events after that sequence. */
 #include "live.h"
 
+#include <inttypes.h>
+#include <stdlib.h>
 #include <string.h>
+#include <sys/ioctl.h>
+#include <time.h>
+#include <unistd.h>
 
 #include "commands.h"
 #include "follow.h"
 #include "table.h"
+#include "template.h"
+#include "transport.h"
 
+#define REDRAW_S 0.1
+
+/* ---- the view ---- */
+
+void view_line(FILE *file, int columns, const char *text)
+{
+  size_t n = 0;
+  for (int width = 0; text[n] != 0; n++) {
+    width += ((unsigned char)text[n] & 0xc0) != 0x80;
+    if (width > columns)
+      break;
+  }
+  fprintf(file, "%.*s\033[K\n", (int)n, text);
+}
+
+void view_words(FILE *file, int columns, const json_t *json, const char *words)
+{
+  char *text = text_from(json, words);
+  view_line(file, columns, text != NULL ? text : "");
+  free(text);
+}
+
+void view_lines(FILE *file, const char *text)
+{
+  for (size_t n; *text != 0; text += n + (text[n] == '\n')) {
+    n = strcspn(text, "\n");
+    fprintf(file, "%.*s\033[K\n", (int)n, text);
+  }
+}
+
+static bool can_draw(const struct ctl *ctl)
+{
+  const char *terminal = getenv("TERM");
+  return isatty(STDOUT_FILENO) && terminal != NULL && strcmp(terminal, "dumb") != 0 && !ctl->quiet;
+}
+
+/* Redraws the view, at most ten times per second unless `now`. */
 static void draw(struct live *live, bool now)
 {
-  screen_draw(&live->screen, now, live->kind->write, live);
+  struct winsize window = {0};
+  if (!live->is_drawn || (!now && monotonic_s() - live->drawn_s < REDRAW_S))
+    return;
+  bool known =
+      ioctl(STDOUT_FILENO, TIOCGWINSZ, &window) == 0 && window.ws_col > 0 && window.ws_row > 0;
+  int columns = known ? window.ws_col : 80, rows = known ? window.ws_row : 24;
+  char *text = NULL;
+  size_t size = 0;
+  FILE *file = open_memstream(&text, &size);
+  if (file == NULL)
+    return;
+  live->kind->write(live, file, columns, rows);
+  if (fclose(file) == 0) {
+    if (live->n_lines > 0 && live->n_columns == columns)
+      printf("\033[%dA\r", live->n_lines);
+    else if (live->n_lines > 0)
+      fputs("\033[H\033[2J", stdout); /* the width changed, and with it the place of lines */
+    printf("%s\033[J", text);
+    fflush(stdout);
+    live->n_lines = 0;
+    for (size_t i = 0; i < size; i++)
+      live->n_lines += text[i] == '\n';
+    live->n_columns = columns;
+    live->drawn_s = monotonic_s();
+  }
+  free(text);
 }
 
-void live_line(const struct live *live, const json_t *at, const char *words)
+void live_line(const struct live *live, const json_t *at, const char *text)
 {
-  screen_event(&live->screen, live->ctl, at, words);
+  char now[32] = "";
+  const time_t seconds = time(NULL);
+  struct tm local;
+  if (live->is_drawn || live->ctl->quiet)
+    return;
+  if (at == NULL && localtime_r(&seconds, &local) != NULL)
+    (void)strftime(now, sizeof(now), "%Y-%m-%d %H:%M:%S", &local);
+  char *time = json_is_string(at) ? text_from(at, "{:time}") : NULL;
+  printf("%-19s  ", time != NULL ? time : now);
+  print_plain_line(stdout, "%s", text);
+  fflush(stdout);
+  free(time);
 }
+
+void live_words(const struct live *live, const json_t *at, const json_t *json, const char *words)
+{
+  char *text = text_from(json, words);
+  if (text != NULL)
+    live_line(live, at, text);
+  free(text);
+}
+
+/* ---- the state ---- */
 
 int live_load(struct live *live)
 {
-  int status = live->kind->load(live);
+  json_t *job;
+  int status = get_json(live->ctl, &job, "/v1/%ss/%s", live->kind->noun, live->id);
+  if (status != STATUS_OK)
+    return status;
+  json_decref(live->job);
+  live->job = job;
+  status = live->kind->load(live);
   if (status != STATUS_OK)
     return status;
   live->finished = is_final(text_of(live->job, "state"));
@@ -35,8 +131,7 @@ static int show_event(void *context, const char *type, const char *data)
   int status = strcmp(type, "reset") == 0 ? live_load(live) : STATUS_OK;
   json_t *event = json_loads(data, 0, NULL);
   if (status == STATUS_OK)
-    status = live->kind->event(live, type, json_object_get(event, "at"),
-                               json_object_get(event, "data"), &now);
+    status = live->kind->event(live, type, event, &now);
   json_decref(event);
   draw(live, now || live->finished);
   return status > STATUS_OK || (live->finished && status == STATUS_OK);
@@ -72,18 +167,29 @@ static bool is_finished(void *context)
   return live->finished;
 }
 
-void live_print_controller(const struct live *live, const json_t *controller)
+/* Finds the sequence of the newest event, as reported by a page that starts beyond it. */
+static int newest_event(struct ctl *ctl, int64_t *newest)
 {
-  if (json_is_object(controller) && !live->ctl->quiet)
-    print_plain_line(stdout, "controller %s: sha256:%s", text_of(controller, "name"),
-                     text_of(controller, "sha256"));
+  json_t *page;
+  int status = get_json(ctl, &page, "/v1/events?format=json&limit=1&after=999999999999999999");
+  if (status == STATUS_OK)
+    *newest = strtoll(text_of(page, "newest"), NULL, 10);
+  json_decref(page);
+  return status;
 }
+
+/* ---- commands ---- */
 
 int live_watch(struct live *live)
 {
-  const char *id = live->id, *noun = live->kind->noun, *command = live->kind->command;
+  const char *id = live->ctl->operands[0], *command = live->kind->command;
   int64_t newest = -1;
-  live->screen = screen_open(live->ctl);
+  if (live->ctl->json)
+    return run_watch(live->ctl);
+  if (!check_job_id(id))
+    return STATUS_USAGE;
+  live->id = id;
+  live->is_drawn = can_draw(live->ctl);
   catch_interrupts(); /* before the first output */
   int status = newest_event(live->ctl, &newest);
   if (status == STATUS_OK)
@@ -106,10 +212,57 @@ int live_watch(struct live *live)
     print_plain_line(stderr,
                      "The %s goes on. To watch it again: morphoctl %s watch %s; to set it aside: "
                      "morphoctl %s pause %s; to stop it: morphoctl %s cancel %s",
-                     noun, command, id, command, id, command, id);
+                     live->kind->noun, command, id, command, id, command, id);
   else if (status == STATUS_OK && live->finished)
     status = live->kind->finish(live);
   else if (status == STATUS_OK)
     status = STATUS_ERROR; /* the error was already reported */
+  return status;
+}
+
+int live_show(struct live *live)
+{
+  live->id = live->ctl->operands[0];
+  if (!check_job_id(live->id))
+    return STATUS_USAGE;
+  if (live->ctl->json) {
+    char path[64];
+    snprintf(path, sizeof(path), "/v1/%ss/%s", live->kind->noun, live->id);
+    return show(live->ctl, path, NULL);
+  }
+  int status = live_load(live);
+  if (status == STATUS_OK)
+    live->kind->print(live);
+  return status;
+}
+
+int live_start(struct ctl *ctl, const struct live_kind *kind, const json_t *request,
+               command_function *watch)
+{
+  const bool watches = option_is_set(ctl, "watch");
+  char path[32], id[24];
+  json_t *job;
+  snprintf(path, sizeof(path), "/v1/%ss", kind->noun);
+  int status = post_job(ctl, path, request, 0, &job);
+  snprintf(id, sizeof(id), "%s", text_of(job, "id"));
+  if (status == STATUS_OK && ctl->json && !watches) {
+    print_json(job);
+  } else if (status == STATUS_OK) {
+    const int64_t replicates = number_of(json_object_get(job, "group"), "replicates");
+    for (int64_t i = 0; i < (replicates > 1 ? replicates : 1) && !watches; i++)
+      printf("%" PRId64 "\n", (int64_t)strtoll(id, NULL, 10) + i);
+    if (!ctl->quiet && !ctl->json) {
+      fill_template(stderr, job, kind->accepted);
+      if (!watches)
+        print_plain(stderr, "; morphoctl %s watch %s", kind->command, id);
+      fputc('\n', stderr);
+    }
+    if (watches) {
+      ctl->operands[0] = id;
+      ctl->n_operands = 1;
+      status = watch(ctl);
+    }
+  }
+  json_decref(job);
   return status;
 }

@@ -1,12 +1,11 @@
-/* live.h: watches one job to its end: a view that is redrawn in place on a terminal, else a line
- * per event. */
+/* live.h: shows one job, or watches it to its end: a view that is redrawn in place on a terminal,
+ * else a line per event. */
 #ifndef MORPHOCTL_LIVE_H
 #define MORPHOCTL_LIVE_H
 
 #include <jansson.h>
 
 #include "ctl.h"
-#include "screen.h"
 
 struct live;
 
@@ -14,14 +13,15 @@ struct live;
  * and return an exit status where they return one. */
 struct live_kind {
   const char *noun, *command;     /* "training", "train" */
+  const char *accepted;           /* template of what is told of a job that was started */
   double ask_s;                   /* without an event for this long, the state is fetched */
-  int (*load)(struct live *live); /* fetches the job into `job`, and what belongs to it */
-  void (*write)(void *live, FILE *file, int columns, int rows); /* draws the view */
-  void (*begin)(struct live *live);                             /* prints what is known at first */
+  int (*load)(struct live *live); /* fetches what belongs to the job, after the job itself */
+  void (*print)(struct live *live);
+  void (*write)(const struct live *live, FILE *file, int columns, int rows); /* draws the view */
+  void (*begin)(struct live *live); /* prints what is known at first */
   /* Takes an event; *draw: the view is to be redrawn at once. −1: goes on, even if the job has
    * ended. `reset` says that events were missed; the job was fetched again. */
-  int (*event)(struct live *live, const char *type, const json_t *at, const json_t *data,
-               bool *draw);
+  int (*event)(struct live *live, const char *type, json_t *event, bool *draw);
   /* Prints what changed when the state was fetched without an event. */
   void (*changed)(const struct live *live, const char *phase, const char *reason);
   int (*finish)(struct live *live); /* prints the result */
@@ -31,19 +31,35 @@ struct live {
   const struct live_kind *kind;
   struct ctl *ctl;
   const char *id;
-  json_t *job; /* the latest reply of the API; belongs to what loads it */
-  struct screen screen;
+  json_t *job;            /* the latest reply of the API */
+  bool is_drawn;          /* standard output is a terminal that supports escapes */
+  int n_lines, n_columns; /* drawn now, and the width they were drawn for */
+  double drawn_s;
   double told_s; /* time of the last event that counts, or when the state was last fetched */
   bool finished;
 };
 
+/* Posts a job of this kind, and prints its id, or watches it with --watch. */
+int live_start(struct ctl *ctl, const struct live_kind *kind, const json_t *request,
+               command_function *watch);
+/* Shows the job that the first operand names. */
+int live_show(struct live *live);
+/* Follows this job to its end; prints the API's events one per line with --json. An interrupt ends
+ * only the command, not the job. */
+int live_watch(struct live *live);
+
 /* Fetches the job. */
 int live_load(struct live *live);
-/* Prints a line with the time of an event (NULL: now), if the view is not drawn. */
-void live_line(const struct live *live, const json_t *at, const char *words);
-/* Follows the job to its end. An interrupt ends only the command, not the job. */
-int live_watch(struct live *live);
-/* Prints the controller that a job made, if it made one. */
-void live_print_controller(const struct live *live, const json_t *controller);
+/* Prints a line with the time of an event (NULL: now; JSON's null: not known), if the view is not
+ * drawn: `text`, or a template filled with JSON. */
+void live_line(const struct live *live, const json_t *at, const char *text);
+void live_words(const struct live *live, const json_t *at, const json_t *json, const char *words);
+/* Write lines of a view: a text cut to the width; a filled template; lines drawn before. */
+void view_line(FILE *file, int columns, const char *text);
+void view_words(FILE *file, int columns, const json_t *json, const char *words);
+void view_lines(FILE *file, const char *text);
+
+/* Returns the template of what an event tells, or NULL (cmd_watch.c). */
+const char *event_words(const char *type);
 
 #endif

@@ -1,13 +1,86 @@
-/* request.c: makes the body of an evaluation from options, and waits for its end. */
+/* request.c: makes the bodies of requests from options, posts jobs, and waits for evaluations. */
+#include <errno.h>
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "commands.h"
-#include "fields.h"
 #include "settings.inc"
 #include "table.h"
 #include "transport.h"
+
+/* ---- options that are fields ---- */
+
+/* Reads a value; NULL: it is not of this kind. */
+static json_t *field_value(enum field_kind kind, const char *text)
+{
+  char *end = NULL;
+  errno = 0;
+  if (kind == FIELD_WHOLE) {
+    const long long number = strtoll(text, &end, 10);
+    return *text != 0 && *end == 0 && errno == 0 ? json_integer(number) : NULL;
+  }
+  if (kind == FIELD_REAL) {
+    const double number = strtod(text, &end);
+    return *text != 0 && *end == 0 ? json_real(number) : NULL; /* NULL if it is not finite */
+  }
+  return json_string(text);
+}
+
+static const char *field_kind_name(enum field_kind kind)
+{
+  return kind == FIELD_WHOLE ? "whole number" : kind == FIELD_REAL ? "number" : "text in UTF-8";
+}
+
+/* Puts a value at its place, with the objects around it. Takes the reference. */
+static void fill_place(json_t *request, const char *place, json_t *value)
+{
+  const char *dot;
+  json_t *object = request;
+  while ((dot = strchr(place, '.')) != NULL) {
+    char group[32];
+    snprintf(group, sizeof(group), "%.*s", (int)(dot - place), place);
+    json_t *inner = json_object_get(object, group);
+    if (inner == NULL) {
+      inner = json_object();
+      json_object_set_new(object, group, inner);
+    }
+    object = inner;
+    place = dot + 1;
+  }
+  json_object_set_new(object, place, value);
+}
+
+int fill_fields(const struct ctl *ctl, json_t *request)
+{
+  for (const struct option_spec *spec = ctl->command->options; spec->name != NULL; spec++) {
+    const char *text = spec->place != NULL ? option_text(ctl, spec->name, NULL) : NULL;
+    if (text == NULL)
+      continue;
+    json_t *value = field_value(spec->kind, text);
+    if (value == NULL)
+      return complain(STATUS_USAGE, "--%s: \"%s\" is not a %s", spec->name, text,
+                      field_kind_name(spec->kind));
+    fill_place(request, spec->place, value);
+  }
+  return STATUS_OK;
+}
+
+int fill_schedule(const struct ctl *ctl, json_t *request, const char *place)
+{
+  static const char *const kinds[] = {"restarts", "cosine", "constant"};
+  const char *name = option_text(ctl, "schedule", NULL);
+  const size_t length = strlen(place);
+  const bool kind = name != NULL && is_one_of(name, kinds, 3);
+  for (const struct option_spec *spec = ctl->command->options; spec->name != NULL && !kind; spec++)
+    if (spec->place != NULL && strncmp(spec->place, place, length) == 0 &&
+        spec->place[length] == '.' && option_is_set(ctl, spec->name))
+      return complain(STATUS_USAGE, "--%s needs --schedule restarts, cosine or constant%s",
+                      spec->name, name != NULL ? ": the schedule that is named has its own" : "");
+  if (name != NULL)
+    fill_place(request, place, kind ? json_pack("{s:s}", "kind", name) : json_string(name));
+  return STATUS_OK;
+}
 
 int request_physics(json_t *physics, const char *text)
 {
@@ -16,19 +89,17 @@ int request_physics(json_t *physics, const char *text)
     enum field_kind kind;
   } fields[] = {PHYSICS_FIELDS};
   enum { N_FIELDS = sizeof(fields) / sizeof(fields[0]) };
-  const char *keys[N_FIELDS];
-  const char *equals = strchr(text, '=');
+  const char *keys[N_FIELDS], *equals = strchr(text, '=');
   char key[64];
   if (equals == NULL || equals == text || (size_t)(equals - text) >= sizeof(key))
     return complain(STATUS_USAGE, "--physics: \"%s\" is not KEY=VALUE", text);
-  memcpy(key, text, (size_t)(equals - text));
-  key[equals - text] = 0;
+  snprintf(key, sizeof(key), "%.*s", (int)(equals - text), text);
   size_t k = 0;
-  while (k < N_FIELDS && strcmp(fields[k].key, key) != 0)
+  for (size_t i = 0; i < N_FIELDS; i++)
+    keys[i] = fields[i].key;
+  while (k < N_FIELDS && strcmp(keys[k], key) != 0)
     k++;
   if (k == N_FIELDS) {
-    for (k = 0; k < N_FIELDS; k++)
-      keys[k] = fields[k].key;
     const char *near = nearest_name(key, keys, N_FIELDS);
     return complain(STATUS_USAGE, "--physics: there is no \"%s\"%s%s%s", key,
                     near != NULL ? "; did you mean " : "", near != NULL ? near : "",
@@ -45,13 +116,28 @@ int request_physics(json_t *physics, const char *text)
 int request_fill_physics(const struct ctl *ctl, json_t *request)
 {
   json_t *physics = json_object();
-  int status = physics != NULL ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
+  int status = STATUS_OK;
   for (size_t i = 0; i < ctl->n_given && status == STATUS_OK; i++)
     if (strcmp(ctl->given[i].name, "physics") == 0)
       status = request_physics(physics, ctl->given[i].value);
   if (json_object_size(physics) > 0)
     json_object_set(request, "physics", physics);
   json_decref(physics);
+  return status;
+}
+
+/* ---- designs, environments, the whole ---- */
+
+int add_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed,
+                struct designs *designs)
+{
+  int status = STATUS_OK;
+  for (size_t i = first; i < ctl->n_operands && status == STATUS_OK; i++)
+    status = designs_add_operand(designs, ctl->operands[i]);
+  if (ctl->n_operands == 0 && n_random == 0)
+    status = designs_add_operand(designs, "-");
+  if (status == STATUS_OK && n_random > 0)
+    status = designs_add_random(designs, (uint64_t)seed, (size_t)n_random);
   return status;
 }
 
@@ -106,17 +192,20 @@ int request_fill(const struct ctl *ctl, json_t *request)
   return status == STATUS_OK ? fill_environments(ctl, request) : status;
 }
 
+/* ---- jobs ---- */
+
 /* Waits until the job is final; each request waits up to a second at the server. */
 static int wait_for(struct ctl *ctl, const char *id)
 {
   struct progress progress = {0};
   char path[64];
+  struct request request = {.method = "GET", .path = path, .wait_s = 1};
   int status = STATUS_OK;
   snprintf(path, sizeof(path), "/v1/jobs/%s", id);
   catch_interrupts();
   for (;;) {
     json_t *job;
-    status = transport_get_json(ctl, path, 1, &job);
+    status = send_json(ctl, &request, NULL, &job);
     const char *state = text_of(job, "state");
     bool final = is_final(state);
     if (status == STATUS_OK && !final)
@@ -144,53 +233,40 @@ static int wait_for(struct ctl *ctl, const char *id)
 int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s,
              json_t **job)
 {
-  char generated[33], *key_header = NULL;
+  char generated[33], *body = dump_json(request, JSON_COMPACT);
   const char *key = option_text(ctl, "idempotency-key", NULL);
+  int status = body != NULL ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
   *job = NULL;
-  if (key == NULL) {
-    int status = random_key(generated);
-    if (status != STATUS_OK)
-      return status;
+  if (status == STATUS_OK && key == NULL) {
+    status = random_key(generated);
     key = generated;
   }
-  char *body = dump_json(request, JSON_COMPACT);
-  if (body == NULL || asprintf(&key_header, "Idempotency-Key: %s", key) < 0) {
-    free(body);
-    return complain(STATUS_ERROR, "out of memory");
-  }
-  struct request post = {.method = "POST",
-                         .path = path,
-                         .content_type = "application/json",
-                         .body = body,
-                         .body_bytes = strlen(body),
-                         .headers = {key_header},
-                         .wait_s = wait_s};
-  struct reply reply;
-  int status = transport_send(ctl, &post, &reply);
+  if (status == STATUS_OK)
+    status = send_json(ctl,
+                       &(struct request){.method = "POST",
+                                         .path = path,
+                                         .content_type = "application/json",
+                                         .body = body,
+                                         .body_bytes = strlen(body),
+                                         .key = key,
+                                         .wait_s = wait_s},
+                       NULL, job);
   free(body);
-  free(key_header);
-  if (status == STATUS_OK && (*job = reply_json(&reply)) == NULL)
-    status = STATUS_ERROR;
-  reply_free(&reply);
   return status;
 }
 
-int evaluation_wait(struct ctl *ctl, const char *id, json_t **evaluation)
+int evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait,
+             json_t **evaluation)
 {
-  char path[64];
-  snprintf(path, sizeof(path), "/v1/evaluations/%s", id);
-  *evaluation = NULL;
-  int status = wait_for(ctl, id);
-  return status == STATUS_OK ? transport_get_json(ctl, path, 0, evaluation) : status;
-}
-
-int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluation)
-{
-  int status = post_job(ctl, "/v1/evaluations", request, wait ? 1 : 0, evaluation);
-  if (status != STATUS_OK || !wait || is_final(text_of(*evaluation, "state")))
+  int status = post_job(ctl, path, request, wait ? 1 : 0, evaluation);
+  const char *state = text_of(*evaluation, "state");
+  if (status != STATUS_OK || !wait || json_object_get(*evaluation, "results") != NULL ||
+      (is_final(state) && strcmp(state, "succeeded") != 0))
     return status;
   char id[24];
   snprintf(id, sizeof(id), "%s", text_of(*evaluation, "id"));
   json_decref(*evaluation);
-  return evaluation_wait(ctl, id, evaluation);
+  *evaluation = NULL;
+  status = wait_for(ctl, id);
+  return status == STATUS_OK ? get_json(ctl, evaluation, "/v1/evaluations/%s", id) : status;
 }

@@ -1,66 +1,64 @@
 /* table.c: see table.h. */
 #include "table.h"
 
-#include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
 #include <time.h>
 #include <unistd.h>
 
-void table_open(struct table *table, const char *heads)
+#include "template.h"
+
+#define COLUMNS_MAX 16
+
+struct column {
+  const char *head, *words; /* words: its template, up to a | */
+  int head_bytes;
+  bool right;
+  size_t width;
+};
+
+static size_t read_columns(const char *text, struct column columns[COLUMNS_MAX])
 {
-  *table = (struct table){0};
-  for (const char *c = heads; table->n_columns < COLUMNS_MAX; c++) {
-    size_t column = table->n_columns++;
-    table->right[column] = *c == '>';
-    table->heads[column] = c + table->right[column];
-    c = strchr(c, '|');
-    if (c == NULL)
+  size_t n = 0, depth = 0;
+  while (n < COLUMNS_MAX) {
+    struct column *column = &columns[n++];
+    column->right = *text == '>';
+    column->head = text + column->right;
+    column->head_bytes = (int)strcspn(column->head, "=");
+    column->words = column->head + column->head_bytes + 1;
+    for (text = column->words; *text != 0 && (depth > 0 || *text != '|'); text++)
+      depth = depth + (*text == '[') - (*text == ']');
+    if (*text++ == 0)
       break;
   }
+  return n;
 }
 
-static size_t head_length(const char *head)
+/* Returns the cells of an item, or without one the heads, each with a NUL (malloc). */
+static char *make_row(const json_t *item, struct column *columns, size_t n)
 {
-  return strcspn(head, "|");
-}
-
-void table_add(struct table *table, const char *const *cells)
-{
-  if (table->n_rows == table->capacity) {
-    size_t capacity = table->capacity + table->capacity / 2 + 64;
-    char **grown = realloc(table->cells, capacity * table->n_columns * sizeof(*grown));
-    if (grown == NULL) {
-      table->failed = true;
-      return;
-    }
-    table->cells = grown;
-    table->capacity = capacity;
+  char *row = NULL;
+  size_t size = 0;
+  FILE *file = open_memstream(&row, &size);
+  if (file == NULL)
+    return NULL;
+  for (size_t c = 0; c < n; c++) {
+    if (item != NULL)
+      fill_template(file, item, columns[c].words);
+    else
+      fprintf(file, "%.*s", columns[c].head_bytes, columns[c].head);
+    fputc(0, file);
   }
-  char **row = table->cells + table->n_rows * table->n_columns;
-  for (size_t i = 0; i < table->n_columns; i++) {
-    row[i] = plain_text(cells[i] != NULL ? cells[i] : "–");
-    table->failed |= row[i] == NULL;
+  if (fclose(file) != 0) {
+    free(row);
+    return NULL;
   }
-  table->n_rows++;
-}
-
-void table_drop(struct table *table, size_t column)
-{
-  size_t n = table->n_columns;
-  for (size_t r = 0; r < table->n_rows; r++) {
-    free(table->cells[r * n + column]);
-    for (size_t c = 0, kept = 0; c < n; c++)
-      if (c != column)
-        table->cells[r * (n - 1) + kept++] = table->cells[r * n + c];
-  }
-  for (size_t c = column; c + 1 < n; c++) {
-    table->heads[c] = table->heads[c + 1];
-    table->right[c] = table->right[c + 1];
-  }
-  table->n_columns--;
-  table->capacity = table->n_rows; /* in rows of the new width; may be less than is allocated */
+  const char *cell = row;
+  for (size_t c = 0; c < n; c++, cell += strlen(cell) + 1)
+    if (text_width(cell) > columns[c].width)
+      columns[c].width = text_width(cell);
+  return row;
 }
 
 size_t text_width(const char *text)
@@ -71,94 +69,42 @@ size_t text_width(const char *text)
   return width;
 }
 
-static void pad(FILE *file, size_t n)
+static void print_row(FILE *file, const char *row, const struct column *columns, size_t n)
 {
-  for (; n > 0; n--)
-    fputc(' ', file);
+  size_t owed = 0; /* spaces before the next cell; lines must not end in spaces */
+  for (size_t c = 0; c < n; c++, row += strlen(row) + 1) {
+    const size_t width = text_width(row), gap = columns[c].width - width;
+    owed += columns[c].right ? gap : 0;
+    if (width > 0) {
+      fprintf(file, "%*s%s", (int)owed, "", row);
+      owed = 0;
+    }
+    owed += 2 + (columns[c].right ? 0 : gap);
+  }
 }
 
-void table_print(struct table *table, FILE *file, const struct ctl *ctl)
+void print_table(FILE *file, const struct ctl *ctl, const json_t *items, const char *columns)
 {
-  size_t widths[COLUMNS_MAX];
-  for (size_t c = 0; c < table->n_columns; c++) {
-    widths[c] = head_length(table->heads[c]);
-    for (size_t r = 0; r < table->n_rows; r++) {
-      const char *cell = table->cells[r * table->n_columns + c];
-      size_t width = cell != NULL ? text_width(cell) : 0;
-      if (width > widths[c])
-        widths[c] = width;
-    }
+  struct column parts[COLUMNS_MAX] = {{.width = 0}};
+  const size_t n = read_columns(columns, parts), n_rows = json_array_size(items) + 1;
+  char **rows = calloc(n_rows, sizeof(*rows));
+  bool failed = rows == NULL;
+  for (size_t r = 0; r < n_rows && !failed; r++) {
+    rows[r] = make_row(r > 0 ? json_array_get(items, r - 1) : NULL, parts, n);
+    failed = rows[r] == NULL;
   }
-  if (ctl->color)
-    fputs("\033[1m", file);
-  for (size_t c = 0; c < table->n_columns; c++) {
-    size_t length = head_length(table->heads[c]);
-    if (table->right[c])
-      pad(file, widths[c] - length);
-    fprintf(file, "%.*s", (int)length, table->heads[c]);
-    if (c + 1 < table->n_columns)
-      pad(file, 2 + (table->right[c] ? 0 : widths[c] - length));
+  for (size_t r = 0; rows != NULL && r < n_rows; r++) {
+    const bool bold = r == 0 && ctl->color;
+    if (rows[r] == NULL)
+      break;
+    fputs(bold ? "\033[1m" : "", file);
+    print_row(file, rows[r], parts, n);
+    fputs(bold ? "\033[0m\n" : "\n", file);
+    free(rows[r]);
   }
-  fprintf(file, "%s\n", ctl->color ? "\033[0m" : "");
-  for (size_t r = 0; r < table->n_rows; r++) {
-    size_t owed = 0; /* spaces before the next cell; lines must not end in spaces */
-    for (size_t c = 0; c < table->n_columns; c++) {
-      char *cell = table->cells[r * table->n_columns + c];
-      size_t width = cell != NULL ? text_width(cell) : 0;
-      if (table->right[c])
-        owed += widths[c] - width;
-      if (width > 0) {
-        pad(file, owed);
-        fputs(cell, file);
-        owed = 0;
-      }
-      owed += 2 + (table->right[c] ? 0 : widths[c] - width);
-      free(cell);
-    }
-    fputc('\n', file);
-  }
-  if (table->failed)
+  free(rows);
+  if (failed)
     complain(0, "out of memory: the table is not complete");
-  free(table->cells);
-  *table = (struct table){0};
-}
-
-const char *score_text(const json_t *score, char text[32])
-{
-  if (!json_is_number(score))
-    return "–";
-  snprintf(text, 32, "%.4f", json_number_value(score));
-  return text;
-}
-
-const char *time_text(const json_t *time, char text[32])
-{
-  const char *value = json_string_value(time);
-  struct tm utc = {0}, local;
-  if (value == NULL)
-    return "–";
-  const char *rest = strptime(value, "%Y-%m-%dT%H:%M:%S", &utc);
-  time_t seconds = rest != NULL ? timegm(&utc) : 0;
-  if (rest == NULL || localtime_r(&seconds, &local) == NULL ||
-      strftime(text, 32, "%Y-%m-%d %H:%M:%S", &local) == 0)
-    snprintf(text, 32, "%s", value);
-  return text;
-}
-
-const char *count_text(int64_t n, char text[32])
-{
-  char digits[24];
-  int length = snprintf(digits, sizeof(digits), "%" PRId64, n < 0 ? -n : n);
-  char *out = text;
-  if (n < 0)
-    *out++ = '-';
-  for (int i = 0; i < length; i++) {
-    if (i > 0 && (length - i) % 3 == 0)
-      *out++ = ',';
-    *out++ = digits[i];
-  }
-  *out = 0;
-  return text;
 }
 
 /* ---- progress ---- */
@@ -209,7 +155,6 @@ void progress_show(struct progress *progress, const struct ctl *ctl, const char 
     fputc(']', stderr);
   }
   fflush(stderr);
-  progress->last_s = now;
 }
 
 void progress_end(struct progress *progress)

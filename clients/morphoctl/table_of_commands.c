@@ -1,6 +1,5 @@
 /* table_of_commands.c: all commands with their options and help, in the order of the help text. */
 #include "commands.h"
-#include "fields.h"
 #include "settings.inc"
 
 #define JOB_OPTIONS(priority)                                                                      \
@@ -221,10 +220,10 @@ const struct command commands[] = {
     {"job list", "", "List jobs, newest first.", NULL, job_list_options, 0, 0, run_job_list},
     {"job show", "ID", "Show a job.", NULL, job_show_options, 1, 1, run_job_show},
     {"job cancel", "ID...", "Cancel jobs.", "Scores that are stored already stay.", NULL, 1, MANY,
-     run_job_cancel},
-    {"job pause", "ID...", "Set jobs aside.", NULL, NULL, 1, MANY, run_job_pause},
+     run_job_change},
+    {"job pause", "ID...", "Set jobs aside.", NULL, NULL, 1, MANY, run_job_change},
     {"job resume", "ID...", "Go on with paused jobs.",
-     "Also with trainings and campaigns that have failed.", NULL, 1, MANY, run_job_resume},
+     "Also with trainings and campaigns that have failed.", NULL, 1, MANY, run_job_change},
     {"job weight", "ID X", "Give a job another part of the cores.",
      "0.001 to 1000; a job with twice the weight of another gets twice the time. It counts at "
      "once, also while the job runs.",
@@ -247,19 +246,19 @@ const struct command commands[] = {
      "training alone. Exit status: 0 if it succeeded, 3 if not.",
      NULL, 1, 1, run_train_watch},
     {"train pause", "ID...", "Set trainings aside, with a checkpoint.", NULL, NULL, 1, MANY,
-     run_job_pause},
+     run_job_change},
     {"train resume", "ID...", "Go on with trainings that are paused, or have failed.", NULL, NULL,
-     1, MANY, run_job_resume},
+     1, MANY, run_job_change},
     {"train cancel", "ID...", "Cancel trainings.",
      "Checkpoints that are kept stay: train export gives their controllers.", NULL, 1, MANY,
-     run_job_cancel},
+     run_job_change},
     {"train export", "ID", "Fetch a training's controller, final or so far, and its curves.", NULL,
      train_export_options, 1, 1, run_train_export},
     {"train prune", "ID...", "Delete checkpoints that are not needed.",
      "Of a training that has ended all of them, since its result is a controller of its own; of "
      "another all but the newest, which it goes on from. A checkpoint takes 12.4 MB. What is "
      "deleted cannot be exported any more.",
-     train_prune_options, 1, MANY, run_train_prune},
+     train_prune_options, 1, MANY, run_job_prune},
     {"train compare", "A B", "Compare two controllers on held-out designs.",
      "Scores both controllers on designs and environments that no pretraining draws, and tells the "
      "mean of the differences over designs with its 95 % confidence interval (Student t). Lower "
@@ -279,11 +278,11 @@ const struct command commands[] = {
      "On a terminal live curves and a table, else a line per generation; with --json the events. "
      "Ctrl-C leaves the campaign alone. Exit status: 0 if it succeeded, 3 if not.",
      NULL, 1, 1, run_campaign_watch},
-    {"campaign pause", "ID...", "Set campaigns aside.", NULL, NULL, 1, MANY, run_job_pause},
+    {"campaign pause", "ID...", "Set campaigns aside.", NULL, NULL, 1, MANY, run_job_change},
     {"campaign resume", "ID...", "Go on with campaigns that are paused, or have failed.", NULL,
-     NULL, 1, MANY, run_job_resume},
+     NULL, 1, MANY, run_job_change},
     {"campaign cancel", "ID...", "Cancel campaigns.", "Generations that are complete stay.", NULL,
-     1, MANY, run_job_cancel},
+     1, MANY, run_job_change},
     {"campaign extend", "ID N", "Let a campaign run for N more generations.",
      "Also one that has ended: the result is that of a campaign that was so long from the "
      "beginning.",
@@ -298,7 +297,7 @@ const struct command commands[] = {
      "12.4 MB for each that learned. Populations, phylogeny and the resulting controller stay. A "
      "simultaneous campaign cannot be extended or resumed after it; of one without a result "
      "champions cannot be recorded any more. Of a campaign that has not ended nothing is deleted.",
-     NULL, 1, MANY, run_campaign_prune},
+     NULL, 1, MANY, run_job_prune},
     {"controller list", "", "List controllers.", NULL, NULL, 0, 0, run_controller_list},
     {"controller info", "NAME", "Show a controller.", NULL, NULL, 1, 1, run_controller_info},
     {"controller get", "NAME", "Fetch a controller's safetensors file.", NULL,

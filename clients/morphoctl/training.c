@@ -1,4 +1,7 @@
-/* training.c: see training.h. */
+/* training.c: train show and watch: a training with its curves.
+ *
+ * On a terminal train watch draws a plot of the loss and the numbers of the newest step; elsewhere
+ * it prints a line per event. */
 #include "training.h"
 
 #include <inttypes.h>
@@ -7,13 +10,29 @@
 #include <string.h>
 
 #include "commands.h"
+#include "plot.h"
 #include "table.h"
-#include "transport.h"
+#include "template.h"
+
+#define ASK_S         10   /* waiting makes no events */
+#define LINES_BESIDES 6    /* lines of the view besides the plot */
+#define POINTS_MAX    4000 /* above this, every other point is dropped */
+
+struct curve {
+  const char *key; /* the value to draw */
+  struct plot_point *points;
+  size_t n, capacity;
+};
+
+struct training {
+  struct live live;
+  struct curve losses, validations;
+};
 
 /* ---- curves ---- */
 
 /* Drops every other point, but keeps the newest. */
-static void thin(struct training_curve *curve)
+static void thin(struct curve *curve)
 {
   size_t kept = 0;
   for (size_t i = (curve->n + 1) % 2; i < curve->n; i += 2)
@@ -21,11 +40,13 @@ static void thin(struct training_curve *curve)
   curve->n = kept;
 }
 
-bool training_add(struct training_curve *curve, double x, double y)
+/* Adds a point, and removes earlier points at or beyond its x: after a crash a training may resume
+ * from an earlier step. False: no memory. */
+static bool add_point(struct curve *curve, double x, double y)
 {
   while (curve->n > 0 && curve->points[curve->n - 1].x >= x)
     curve->n--;
-  if (curve->n >= TRAINING_POINTS_MAX)
+  if (curve->n >= POINTS_MAX)
     thin(curve);
   if (curve->n == curve->capacity) {
     size_t capacity = curve->capacity * 2 + 256;
@@ -39,61 +60,36 @@ bool training_add(struct training_curve *curve, double x, double y)
   return true;
 }
 
-struct loading {
-  struct training_curve *curve;
-  const char *key; /* the value to draw */
-};
-
-static bool add_row(void *context, const json_t *row)
+static bool add_row(void *context, json_t *row)
 {
-  const struct loading *loading = context;
-  const json_t *value = json_object_get(row, loading->key);
-  return training_add(loading->curve, (double)number_of(row, "step"),
-                      json_is_number(value) ? json_number_value(value) : (double)NAN);
+  struct curve *curve = context;
+  return add_point(curve, (double)number_of(row, "step"), real_at(row, curve->key));
 }
 
-/* Fetches the rows after the last point. stride 0: the path has no stride. */
-static int load_curve(struct ctl *ctl, const char *id, const char *what, const char *key,
-                      int64_t stride, struct training_curve *curve)
+/* Fetches the rows after the last point. */
+static int load_curve(struct live *live, const char *what, int64_t stride, struct curve *curve)
 {
-  struct loading loading = {curve, key};
   char path[160];
-  int n = snprintf(path, sizeof(path), "/v1/trainings/%s/%s?limit=1000", id, what);
+  int n = snprintf(path, sizeof(path), "/v1/trainings/%s/%s", live->id, what);
   if (stride > 0)
-    snprintf(path + n, sizeof(path) - (size_t)n, "&stride=%" PRId64, stride);
-  return walk_rows(ctl, path, curve->n > 0 ? (int64_t)curve->points[curve->n - 1].x : -1, add_row,
-                   &loading);
+    snprintf(path + n, sizeof(path) - (size_t)n, "?stride=%" PRId64, stride);
+  return walk_items(live->ctl, path, curve->n > 0 ? (int64_t)curve->points[curve->n - 1].x : -1, 0,
+                    add_row, curve);
 }
 
-int training_load(struct ctl *ctl, struct training *training)
+static int load(struct live *live)
 {
-  char path[64];
-  json_t *json;
-  snprintf(path, sizeof(path), "/v1/trainings/%s", training->id);
-  int status = transport_get_json(ctl, path, 0, &json);
-  if (status != STATUS_OK)
-    return status;
-  json_decref(training->json);
-  training->json = json;
-  int64_t step = number_of(json_object_get(json, "progress"), "step");
-  int64_t stride = step / (TRAINING_POINTS_MAX / 2) + 1;
-  status = load_curve(ctl, training->id, "steps", "mean_loss", stride, &training->losses);
-  if (status == STATUS_OK)
-    status = load_curve(ctl, training->id, "validations", "mean_score", 0, &training->validations);
-  return status;
+  struct training *training = (struct training *)live;
+  int64_t step = number_of(json_object_get(live->job, "progress"), "step");
+  int status = load_curve(live, "steps", step / (POINTS_MAX / 2) + 1, &training->losses);
+  return status == STATUS_OK ? load_curve(live, "validations", 0, &training->validations) : status;
 }
 
-void training_free(struct training *training)
+/* Plots both curves (malloc). NULL: there are none yet, or no memory. */
+static char *draw_plot(const struct training *training, int width, int height)
 {
-  json_decref(training->json);
-  free(training->losses.points);
-  free(training->validations.points);
-  *training = (struct training){.json = NULL};
-}
-
-char *training_plot(const struct ctl *ctl, const struct training *training, int width, int height)
-{
-  const struct training_curve *losses = &training->losses, *validations = &training->validations;
+  const struct ctl *ctl = training->live.ctl;
+  const struct curve *losses = &training->losses, *validations = &training->validations;
   if (losses->n + validations->n == 0)
     return NULL;
   double end = losses->n > 0 ? losses->points[losses->n - 1].x : 0;
@@ -111,108 +107,190 @@ char *training_plot(const struct ctl *ctl, const struct training *training, int 
   return plot_draw(&plot);
 }
 
-/* ---- texts ---- */
+/* ---- show ---- */
 
-const char *duration_text(double seconds, char text[32])
+static void print_code(const struct ctl *ctl, const json_t *code)
 {
-  if (!(seconds >= 0) || seconds > 1e9)
-    return "–";
-  long whole = lround(seconds);
-  if (whole >= 2 * 86400)
-    snprintf(text, 32, "%ld d %02ld:%02ld", whole / 86400, whole / 3600 % 24, whole / 60 % 60);
-  else
-    snprintf(text, 32, "%ld:%02ld:%02ld", whole / 3600, whole / 60 % 60, whole % 60);
-  return text;
-}
-
-const char *real_text(const json_t *number, char text[32])
-{
-  if (!json_is_number(number))
-    return "–";
-  snprintf(text, 32, "%.4g", json_number_value(number));
-  return text;
-}
-
-const char *share_text(const json_t *share, char text[32])
-{
-  if (!json_is_number(share))
-    return "–";
-  snprintf(text, 32, "%.1f %%", 100 * json_number_value(share));
-  return text;
-}
-
-void training_step_text(int64_t step, int64_t steps, char *text, size_t size)
-{
-  char a[32], b[32];
-  snprintf(text, size, "step %s of %s", count_text(step, a), count_text(steps, b));
-}
-
-void training_numbers_text(const json_t *progress, char *text, size_t size)
-{
-  char loss[32], gradient[32], rate[32], clipped[32];
-  snprintf(text, size, "loss %s  gradient %s  rate %s  clipped %s",
-           score_text(json_object_get(progress, "mean_loss"), loss),
-           real_text(json_object_get(progress, "gradient_norm"), gradient),
-           real_text(json_object_get(progress, "rate"), rate),
-           share_text(json_object_get(progress, "clipped_share"), clipped));
-}
-
-void training_pace_text(const json_t *progress, char *text, size_t size)
-{
-  char speed[32], left[32];
-  const json_t *bodies = json_object_get(progress, "bodies_per_s"),
-               *seconds = json_object_get(progress, "seconds_left");
-  int n = 0;
-  *text = 0;
-  if (json_is_number(bodies))
-    n = snprintf(text, size, "  %s bodies/s", real_text(bodies, speed));
-  if (json_is_number(seconds) && n >= 0 && (size_t)n < size)
-    snprintf(text + n, size - (size_t)n, "  %s left",
-             duration_text(json_number_value(seconds), left));
-}
-
-void training_progress_text(const json_t *progress, char *text, size_t size)
-{
-  char pace[80];
-  training_numbers_text(progress, text, size);
-  training_pace_text(progress, pace, sizeof(pace));
-  size_t n = strlen(text);
-  snprintf(text + n, size - n, "%s", pace);
-}
-
-void training_validation_text(const json_t *validation, char *text, size_t size)
-{
-  char score[32], error[32], step[32], diverged[64] = "";
-  if (!json_is_object(validation)) {
-    snprintf(text, size, "–");
-    return;
+  size_t i;
+  const json_t *entry;
+  json_array_foreach(code, i, entry)
+  {
+    print_facts(
+        ctl, entry,
+        (const struct fact[]){{i == 0 ? "code" : "",
+                               i == 0 ? "{fingerprint}" : "{fingerprint} after step {from_step}"},
+                              {NULL, NULL}});
   }
-  if (number_of(validation, "diverged") > 0)
-    snprintf(diverged, sizeof(diverged), ", %" PRId64 " of %" PRId64 " rollouts diverged",
-             number_of(validation, "diverged"), number_of(validation, "rollouts"));
-  snprintf(text, size, "%s ± %s at step %s%s",
-           score_text(json_object_get(validation, "mean_score"), score),
-           score_text(json_object_get(validation, "standard_error"), error),
-           count_text(number_of(validation, "step"), step), diverged);
 }
 
-void training_event_text(const char *type, const json_t *data, char *text, size_t size)
+#define LOST_WORDS "{progress.diverged} robots diverged, {progress.zeroed} gave no finite gradient"
+
+static void print(struct live *live)
 {
-  char step[96], words[256];
-  *text = 0;
-  if (strcmp(type, "training.progress") == 0) {
-    training_step_text(number_of(data, "step"), number_of(data, "steps"), step, sizeof(step));
-    training_progress_text(data, words, sizeof(words));
-    snprintf(text, size, "  %s  %s", step, words);
+  static const struct fact facts[] = {
+      {"training", "{id} ({kind})"},
+      {"name", "{name}"},
+      JOB_STATE_FACTS("[{!reason}{phase!=idle}]"),
+      {"from", CONTROLLER_WORDS("parent", "|random weights, sensor {settings.sensor}")},
+      {"batch", "{settings.batch:,} robots, seed {settings.seed}"},
+      {"designs", "[{settings.n_designs:,}[ of evaluation {settings.population.evaluation}"
+                  "| of campaign {settings.population.campaign}]]"},
+      {"schedule", "{settings.schedule.kind}, {settings.schedule.peak:.4g} down to "
+                   "{settings.schedule.floor:.4g}"},
+      {"adam", "{settings.adam.beta1:.4g}, {settings.adam.beta2:.4g}, "
+               "{settings.adam.epsilon:.4g}"},
+      {"limits", "gradient {settings.gradient_norm_limit:.4g}, adjoint "
+                 "{settings.adjoint_bound:.4g} ({settings.adjoint_rule}"
+                 "[{settings.adjoint_rule=restart}, weight {settings.restart_weight:.4g}])"},
+      {"physics", "{settings.physics.n_steps} steps of {settings.physics.dt_s:.4g} s, impact "
+                  "{settings.physics.impact}"},
+      {"validates", "[every {settings.validation.every_steps>0} steps on "
+                    "{settings.validation.designs} designs in {settings.validation.environments} "
+                    "environments]"},
+      {"checkpoints", "[every {settings.checkpoint.every_steps>0} steps"
+                      "[ or every {settings.checkpoint.every_s>0} s]"
+                      "|every {settings.checkpoint.every_s>0} s|at pauses, stops and the end], "
+                      "the newest {settings.checkpoint.keep} kept"},
+      {"progress", STEP_WORDS("progress.")},
+      {"last step", "[{progress.step>0:-}" NUMBER_WORDS("progress.") PACE_WORDS("progress.") "]"},
+      {"", "[{progress.diverged>0:-}" LOST_WORDS "|{progress.zeroed>0:-}" LOST_WORDS "]"},
+      {"validation", VALIDATION_WORDS("validation.")},
+      {"checkpoint", "[of step {checkpoint_step}]"},
+      {NULL, NULL}};
+  static const struct fact last[] = {
+      {"controller", CONTROLLER_WORDS("controller", "")}, JOB_TIME_FACTS, {NULL, NULL}};
+  const struct training *training = (const struct training *)live;
+  print_facts(live->ctl, live->job, facts);
+  /* Usually one line, more if other code continued the training. */
+  print_code(live->ctl, json_object_get(live->job, "code"));
+  print_facts(live->ctl, live->job, last);
+  char *plot = draw_plot(training, 78, 14);
+  if (plot != NULL)
+    printf("\n%s", plot);
+  free(plot);
+}
+
+/* ---- watch ---- */
+
+static void write_view(const struct live *live, FILE *file, int columns, int rows)
+{
+  const struct training *training = (const struct training *)live;
+  const bool color = live->ctl->color, ended = is_final(text_of(live->job, "state"));
+  fputs(color ? "\033[1m" : "", file);
+  view_words(file, columns, live->job, "{name}  {kind}  {state}[ ({phase!=idle})]   training {id}");
+  fputs(color ? "\033[0m" : "", file);
+  int height = rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES;
+  char *plot = draw_plot(training, columns > 110 ? 110 : columns - 1, height);
+  if (plot != NULL && height >= 4)
+    view_lines(file, plot);
+  free(plot);
+  /* The pace is beside the step: with the numbers it does not fit into 80 columns. */
+  view_words(file, columns, live->job, NUMBER_WORDS("progress."));
+  view_words(file, columns, live->job,
+             STEP_WORDS("progress.") "[{phase=replaying}, drawing the bodies of earlier steps "
+                                     "again: {progress.replayed/progress.replay_total:%}"
+                                     "|" PACE_WORDS(
+                                         "progress.") "[  checkpoint of step {checkpoint_step}]]");
+  view_words(file, columns, live->job,
+             live->ctl->utf8 ? PLOT_MARK_UTF8 " validation " VALIDATION_WORDS("validation.")
+                             : PLOT_MARK_ASCII " validation " VALIDATION_WORDS("validation."));
+  view_words(file, columns, live->job,
+             ended ? "{reason}" : "[{reason}|Ctrl-C leaves; the training goes on.]");
+}
+
+/* Updates known values from an event: events have only the numbers that changed. */
+static void merge(json_t *job, const char *key, json_t *data)
+{
+  if (!json_is_object(json_object_get(job, key)))
+    json_object_set_new(job, key, json_object());
+  json_object_update(json_object_get(job, key), data);
+}
+
+static int take_event(struct live *live, const char *type, json_t *event, bool *draw)
+{
+  struct training *training = (struct training *)live;
+  const json_t *at = json_object_get(event, "at");
+  json_t *data = json_object_get(event, "data");
+  const double step = (double)number_of(data, "step");
+  live->told_s = monotonic_s();
+  *draw = strcmp(type, "training.progress") != 0;
+  if (!*draw) {
+    merge(live->job, "progress", data);
+    add_point(&training->losses, step, real_at(data, "mean_loss"));
+    json_object_set_new(live->job, "phase", json_string("learning"));
+    live_words(live, at, live->job,
+               STEP_WORDS("progress.") "  " NUMBER_WORDS("progress.") PACE_WORDS("progress."));
   } else if (strcmp(type, "training.validation") == 0) {
-    training_validation_text(data, words, sizeof(words));
-    snprintf(text, size, "  %s", words);
+    merge(live->job, "validation", data);
+    add_point(&training->validations, step, real_at(data, "mean_score"));
+    live_words(live, at, live->job, "validation " VALIDATION_WORDS("validation."));
   } else if (strcmp(type, "training.checkpoint") == 0) {
-    snprintf(text, size, "  of step %s", count_text(number_of(data, "step"), step));
-  } else if (strcmp(type, "training.code_changed") == 0) {
-    const char *before = text_of(data, "before");
-    snprintf(text, size, "  after step %s: %s, before %s",
-             count_text(number_of(data, "from_step"), step), text_of(data, "fingerprint"),
-             *before != 0 ? before : "unknown");
+    json_object_set(live->job, "checkpoint_step", json_object_get(data, "step"));
+    live_words(live, at, live->job, "checkpoint of step {checkpoint_step}");
+  } else if (strncmp(type, "job.", 4) == 0) { /* fetches what else changed */
+    int status = live_load(live);
+    json_object_set(event, "state", json_object_get(live->job, "state"));
+    live_words(live, at, event, "{type:.64}  {state}");
+    return status;
   }
+  return STATUS_OK;
+}
+
+static void report_phase(const struct live *live, const char *before, const char *reason_before)
+{
+  (void)reason_before;
+  if (strcmp(before, text_of(live->job, "phase")) != 0 &&
+      strcmp(text_of(live->job, "phase"), "idle") != 0)
+    live_words(live, NULL, live->job, "{phase}[: {reason:.300}]");
+}
+
+static void begin(struct live *live)
+{
+  if (live->is_drawn || live->ctl->quiet)
+    return;
+  print_from(stdout, live->job,
+             "training {id} ({kind} {name}) is {state}, " STEP_WORDS("progress."));
+  fflush(stdout);
+}
+
+static int finish(struct live *live)
+{
+  if (!live->ctl->quiet && json_is_object(json_object_get(live->job, "controller")))
+    print_from(stdout, live->job, "controller {controller.name}: sha256:{controller.sha256}");
+  return job_outcome("training", live->job);
+}
+
+const struct live_kind training_kind = {
+    .noun = "training",
+    .command = "train",
+    .accepted = "training {id} is accepted: {settings.steps:,} steps of {settings.batch:,} robots",
+    .ask_s = ASK_S,
+    .load = load,
+    .print = print,
+    .write = write_view,
+    .begin = begin,
+    .event = take_event,
+    .changed = report_phase,
+    .finish = finish};
+
+static int run(struct ctl *ctl, int (*command)(struct live *live))
+{
+  struct training training = {.live = {.kind = &training_kind, .ctl = ctl},
+                              .losses.key = "mean_loss",
+                              .validations.key = "mean_score"};
+  int status = command(&training.live);
+  json_decref(training.live.job);
+  free(training.losses.points);
+  free(training.validations.points);
+  return status;
+}
+
+int run_train_show(struct ctl *ctl)
+{
+  return run(ctl, live_show);
+}
+
+int run_train_watch(struct ctl *ctl)
+{
+  return run(ctl, live_watch);
 }

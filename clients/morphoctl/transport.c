@@ -10,6 +10,8 @@
 
 #include <curl/curl.h>
 
+#include "table.h"
+
 #define REPLY_BYTES_MAX (UINT64_C(2) << 30)
 
 struct transport {
@@ -20,13 +22,6 @@ struct transport {
   char *socket;      /* path of a unix socket, or NULL */
   bool has_answered; /* the server answered once, so it is worth retrying */
 };
-
-static double now_s(void)
-{
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
-}
 
 void pause_s(double seconds)
 {
@@ -46,17 +41,7 @@ int random_key(char key[33])
 
 char *escape(const char *text)
 {
-  static const char safe[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-._~:";
-  char *escaped = malloc(3 * strlen(text) + 1), *end = escaped;
-  if (escaped == NULL)
-    return NULL;
-  for (const unsigned char *c = (const unsigned char *)text; *c != 0; c++)
-    if (strchr(safe, *c) != NULL)
-      *end++ = (char)*c;
-    else
-      end += sprintf(end, "%%%02X", *c);
-  *end = 0;
-  return escaped;
+  return curl_easy_escape(NULL, text, 0); /* without callbacks for memory, free() frees it */
 }
 
 int transport_open(struct ctl *ctl)
@@ -134,40 +119,23 @@ static size_t take_body(char *bytes, size_t size, size_t count, void *context)
   return n;
 }
 
-static void copy_header(const char *line, size_t length, const char *name, char *value,
-                        size_t capacity)
+static void copy_header(CURL *curl, const char *name, char *value, size_t capacity)
 {
-  size_t n = strlen(name);
-  if (length <= n || strncasecmp(line, name, n) != 0 || line[n] != ':')
-    return;
-  line += n + 1;
-  length -= n + 1;
-  while (length > 0 && (*line == ' ' || *line == '\t')) {
-    line++;
-    length--;
-  }
-  while (length > 0 && strchr("\r\n \t", line[length - 1]) != NULL)
-    length--;
-  if (length >= capacity)
-    length = capacity - 1;
-  memcpy(value, line, length);
-  value[length] = 0;
+  struct curl_header *header;
+  if (curl_easy_header(curl, name, 0, CURLH_HEADER, -1, &header) == CURLHE_OK)
+    snprintf(value, capacity, "%s", header->value);
 }
 
-static size_t take_header(char *line, size_t size, size_t count, void *context)
+static void read_headers(CURL *curl, struct reply *reply)
 {
-  struct reply *reply = context;
-  size_t n = size * count;
   char retry[16] = "";
-  copy_header(line, n, "Content-Type", reply->content_type, sizeof(reply->content_type));
-  copy_header(line, n, "Location", reply->location, sizeof(reply->location));
-  copy_header(line, n, "Morphod-Shape", reply->shape, sizeof(reply->shape));
-  copy_header(line, n, "Morphod-Step", reply->step, sizeof(reply->step));
-  copy_header(line, n, "X-Request-Id", reply->request_id, sizeof(reply->request_id));
-  copy_header(line, n, "Retry-After", retry, sizeof(retry));
+  copy_header(curl, "Content-Type", reply->content_type, sizeof(reply->content_type));
+  copy_header(curl, "Morphod-Shape", reply->shape, sizeof(reply->shape));
+  copy_header(curl, "Morphod-Step", reply->step, sizeof(reply->step));
+  copy_header(curl, "X-Request-Id", reply->request_id, sizeof(reply->request_id));
+  copy_header(curl, "Retry-After", retry, sizeof(retry));
   if (*retry >= '0' && *retry <= '9')
     reply->retry_after_s = strtol(retry, NULL, 10);
-  return n;
 }
 
 static int stop_when_interrupted(void *context, curl_off_t a, curl_off_t b, curl_off_t c,
@@ -177,6 +145,7 @@ static int stop_when_interrupted(void *context, curl_off_t a, curl_off_t b, curl
   return interrupted();
 }
 
+/* Adds "name: value" to the headers; nothing if there is no value. */
 static bool append(struct curl_slist **list, const char *name, const char *value)
 {
   char *line = NULL;
@@ -190,6 +159,25 @@ static bool append(struct curl_slist **list, const char *name, const char *value
     return false;
   *list = grown;
   return true;
+}
+
+static bool make_headers(const struct ctl *ctl, const struct request *request,
+                         struct curl_slist **headers)
+{
+  char wait[24], *bearer = NULL;
+  snprintf(wait, sizeof(wait), "wait=%u", request->wait_s);
+  if (ctl->token != NULL && asprintf(&bearer, "Bearer %s", ctl->token) < 0)
+    return false;
+  bool ok =
+      append(headers, "Authorization", bearer) &&
+      append(headers, "Accept", request->accept != NULL ? request->accept : "application/json") &&
+      append(headers, "Content-Type", request->content_type) &&
+      append(headers, "Prefer", request->wait_s > 0 ? wait : NULL) &&
+      append(headers, "Idempotency-Key", request->key) &&
+      append(headers, "Last-Event-ID", request->last_event) &&
+      append(headers, "Expect", ""); /* saves a round trip before a body */
+  free(bearer);
+  return ok;
 }
 
 static bool is_loopback(const char *base)
@@ -210,28 +198,11 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
     transport->aside = curl_easy_init();
   CURL *curl = transport->streaming ? transport->aside : transport->curl;
   struct curl_slist *headers = NULL;
-  char *url = NULL, *bearer = NULL, wait[24];
+  char *url = NULL;
   CURLcode code = CURLE_OUT_OF_MEMORY;
   if (curl == NULL || asprintf(&url, "%s%s", transport->base, request->path) < 0)
     return code;
-  snprintf(wait, sizeof(wait), "wait=%u", request->wait_s);
-  if (ctl->token != NULL && asprintf(&bearer, "Bearer %s", ctl->token) < 0)
-    bearer = NULL;
-  bool ok =
-      (ctl->token == NULL || bearer != NULL) && append(&headers, "Authorization", bearer) &&
-      append(&headers, "Accept", request->accept != NULL ? request->accept : "application/json") &&
-      append(&headers, "Content-Type", request->content_type) &&
-      append(&headers, "Prefer", request->wait_s > 0 ? wait : NULL);
-  struct curl_slist *grown =
-      ok ? curl_slist_append(headers, "Expect:") : NULL; /* saves a round trip before a body */
-  ok = grown != NULL;
-  for (size_t i = 0; ok && i < HEADERS_MAX && request->headers[i] != NULL; i++) {
-    headers = grown;
-    grown = curl_slist_append(headers, request->headers[i]);
-    ok = grown != NULL;
-  }
-  if (ok) {
-    headers = grown;
+  if (make_headers(ctl, request, &headers)) {
     curl_easy_reset(curl);
     curl_easy_setopt(curl, CURLOPT_URL, url);
     curl_easy_setopt(curl, CURLOPT_NOSIGNAL, 1L);
@@ -253,31 +224,23 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
     /* A server that sends nothing for this long is gone; streams have a heartbeat every 15 s. */
     curl_easy_setopt(curl, CURLOPT_LOW_SPEED_LIMIT, 1L);
     curl_easy_setopt(curl, CURLOPT_LOW_SPEED_TIME, 45L + (long)request->wait_s);
-    curl_easy_setopt(curl, CURLOPT_HEADERFUNCTION, take_header);
-    curl_easy_setopt(curl, CURLOPT_HEADERDATA, reply);
     curl_easy_setopt(curl, CURLOPT_WRITEFUNCTION, data != NULL ? data : take_body);
     curl_easy_setopt(curl, CURLOPT_WRITEDATA, data != NULL ? context : reply);
     curl_easy_setopt(curl, CURLOPT_NOPROGRESS, 0L);
     curl_easy_setopt(curl, CURLOPT_XFERINFOFUNCTION, stop_when_interrupted);
     code = curl_easy_perform(curl);
     curl_easy_getinfo(curl, CURLINFO_RESPONSE_CODE, &reply->status);
+    read_headers(curl, reply);
   }
   curl_slist_free_all(headers);
-  free(bearer);
   free(url);
   return code;
 }
 
 static bool may_repeat(const struct request *request)
 {
-  if (request->once)
-    return false;
-  if (request->repeatable || strcmp(request->method, "POST") != 0)
-    return true;
-  for (size_t i = 0; i < HEADERS_MAX && request->headers[i] != NULL; i++)
-    if (strncasecmp(request->headers[i], "Idempotency-Key:", 16) == 0)
-      return true;
-  return false;
+  return !request->once &&
+         (request->repeatable || request->key != NULL || strcmp(request->method, "POST") != 0);
 }
 
 static bool is_passing(CURLcode code)
@@ -310,14 +273,14 @@ int complain_about_server(const struct ctl *ctl, const char *words)
 int transport_try(struct ctl *ctl, const struct request *request, struct reply *reply)
 {
   *reply = (struct reply){.retry_after_s = -1};
-  double begin = now_s(), pause = 0.1;
+  double begin = monotonic_s(), pause = 0.1;
   for (;;) {
     reply_free(reply);
     CURLcode code = perform(ctl, request, reply, NULL, NULL);
     if (code == CURLE_ABORTED_BY_CALLBACK && interrupted())
       return STATUS_INTERRUPTED;
     double limit_s = ctl->retry_s >= 0 ? ctl->retry_s : ctl->transport->has_answered ? 60 : 2;
-    double left_s = limit_s - (now_s() - begin);
+    double left_s = limit_s - (monotonic_s() - begin);
     if (code == CURLE_OK) {
       ctl->transport->has_answered = true;
       bool later = reply->status == 429 || (reply->status == 503 && reply->retry_after_s >= 0);
@@ -390,24 +353,35 @@ int transport_send(struct ctl *ctl, const struct request *request, struct reply 
   return status;
 }
 
-json_t *reply_json(const struct reply *reply)
-{
-  json_error_t error;
-  json_t *json = json_loadb(reply->body != NULL ? reply->body : "", reply->body_bytes, 0, &error);
-  if (json == NULL)
-    complain(STATUS_ERROR, "the server's reply is not JSON: %s", error.text);
-  return json;
-}
-
-int transport_get_json(struct ctl *ctl, const char *path, unsigned wait_s, json_t **json)
+int send_json(struct ctl *ctl, const struct request *request, long *code, json_t **json)
 {
   struct reply reply;
+  json_error_t error;
   *json = NULL;
-  int status = transport_send(
-      ctl, &(struct request){.method = "GET", .path = path, .wait_s = wait_s}, &reply);
-  if (status == STATUS_OK && (*json = reply_json(&reply)) == NULL)
-    status = STATUS_ERROR;
+  int status = transport_send(ctl, request, &reply);
+  if (status == STATUS_OK) {
+    *json = json_loadb(reply.body != NULL ? reply.body : "", reply.body_bytes, 0, &error);
+    if (*json == NULL)
+      status = complain(STATUS_ERROR, "the server's reply is not JSON: %s", error.text);
+  }
+  if (code != NULL)
+    *code = reply.status;
   reply_free(&reply);
+  return status;
+}
+
+int get_json(struct ctl *ctl, json_t **json, const char *format, ...)
+{
+  char *path = NULL;
+  va_list arguments;
+  va_start(arguments, format);
+  const int n = vasprintf(&path, format, arguments);
+  va_end(arguments);
+  *json = NULL;
+  if (n < 0)
+    return complain(STATUS_ERROR, "out of memory");
+  int status = send_json(ctl, &(struct request){.method = "GET", .path = path}, NULL, json);
+  free(path);
   return status;
 }
 
@@ -440,13 +414,13 @@ static size_t take_stream(char *bytes, size_t size, size_t count, void *context)
   return n;
 }
 
-int transport_stream(struct ctl *ctl, const char *path, const char *header,
+int transport_stream(struct ctl *ctl, const char *path, const char *last_event,
                      int (*data)(void *context, const char *bytes, size_t n), void *context)
 {
   struct stream stream = {
       .ctl = ctl, .reply = {.retry_after_s = -1}, .data = data, .context = context};
   struct request request = {
-      .method = "GET", .path = path, .accept = "text/event-stream", .headers = {header}};
+      .method = "GET", .path = path, .accept = "text/event-stream", .last_event = last_event};
   CURLcode code = perform(ctl, &request, &stream.reply, take_stream, &stream);
   int status;
   if (interrupted())

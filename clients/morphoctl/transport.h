@@ -10,8 +10,6 @@
 
 #include "ctl.h"
 
-#define HEADERS_MAX 8
-
 struct request {
   const char *method; /* "GET", … */
   const char *path;   /* begins with "/"; with the query; escaped */
@@ -19,17 +17,18 @@ struct request {
   const char *content_type;
   const void *body;
   size_t body_bytes;
-  const char *headers[HEADERS_MAX]; /* further headers, "Name: value" */
-  unsigned wait_s;                  /* seconds for Prefer: wait, whose header is added (0: none) */
-  bool once;                        /* never repeat this request */
-  bool repeatable; /* a POST that may be repeated, because it does nothing the second time */
+  const char *key;        /* Idempotency-Key; NULL: none */
+  const char *last_event; /* Last-Event-ID; NULL: none */
+  unsigned wait_s;        /* seconds for Prefer: wait (0: none) */
+  bool once;              /* never repeat this request */
+  bool repeatable;        /* a POST that may be repeated, because it does nothing the second time */
 };
 
 struct reply {
   long status;
   char *body; /* a NUL follows the last byte */
   size_t body_bytes, body_capacity;
-  char content_type[96], location[512], shape[64], step[24], request_id[32];
+  char content_type[96], shape[64], step[24], request_id[32];
   long retry_after_s; /* −1: none */
 };
 
@@ -53,13 +52,16 @@ int complain_about_server(const struct ctl *ctl, const char *words);
 /* Prints what a reply of status ≥ 400 says, and returns the exit status for it. */
 int complain_about_reply(const struct ctl *ctl, const struct reply *reply);
 
-/* Gets and parses JSON. *json is NULL on failure. */
-int transport_get_json(struct ctl *ctl, const char *path, unsigned wait_s, json_t **json);
-json_t *reply_json(const struct reply *reply); /* NULL: not JSON, and a complaint was printed */
+/* Sends a request and parses the reply. *json is NULL on failure; *code (nullable): the reply's
+ * status. */
+int send_json(struct ctl *ctl, const struct request *request, long *code, json_t **json);
+/* Gets the JSON of a path, which printf makes. */
+int get_json(struct ctl *ctl, json_t **json, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
 
 /* Reads a stream. Calls `data` with each piece; `data` may send other requests. A non-zero result
- * ends the stream (STATUS_OK). STATUS_CONNECTION: the stream broke. */
-int transport_stream(struct ctl *ctl, const char *path, const char *header,
+ * ends the stream (STATUS_OK). STATUS_CONNECTION: the stream broke. last_event: nullable. */
+int transport_stream(struct ctl *ctl, const char *path, const char *last_event,
                      int (*data)(void *context, const char *bytes, size_t n), void *context);
 
 /* Sleeps, but wakes on an interrupt. */

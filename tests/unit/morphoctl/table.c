@@ -1,67 +1,66 @@
-/* Tables, numbers and times. */
+/* Templates and tables. */
 #include "../check.h"
 
 #include <time.h>
 
 #include "commands.h"
 #include "table.h"
+#include "template.h"
+
+static void templates(void)
+{
+  static const struct {
+    const char *template, *expected;
+  } tries[] = {
+      {"{id} of {deep.0.word}, {n}{none}", "7 of ä, 1234567"},
+      {"{n:,} {zero:,} {minus:,} {small:,} {none:,}", "1,234,567 0 -1,000 999 0"},
+      {"{x:.4f} {x:.4g} {x:g} {none:.4f} {x:.1%}", "0.1235 0.1235 0.123456 – 12.3 %"},
+      {"{word:.3} {list:#} item{list:s}, {none:.3}", "job 1 item, "},
+      {"{at:time} {word:time} {none:time}", "2026-11-21 13:15:02 job.started –"},
+      {"{s:duration} {days:duration} {minus:duration}", "0:12:34 3 d 04:05 –"},
+      {"{n:GiB} {n:MB}", "0.0 1.2"},
+      {"{small/n:%} {n/n:%} {small/zero:%}", "0 % 100 % 0 %"},
+      {"[{none} left out][{empty}|{zero} is there|{n}]", "0 is there"},
+      {"[{zero>0}|{n>999:,}][{n>9999999}]", "1,234,567"},
+      {"[{word=job.started}a][{word!=job.started}b][{!none}c][{!n}d][{n>0:-}e]", "ace"},
+      {"[[{none}x|y{word}][z{none}]]", "yjob.started"},
+      {"{evil}", "?[2J\\u202e"},
+      {"a|b", "a"},
+  };
+  setenv("TZ", "UTC", 1);
+  tzset();
+  json_t *json = json_loads(
+      "{\"id\": \"7\", \"n\": 1234567, \"zero\": 0, \"minus\": -1000, \"small\": 999, \"x\": "
+      "0.123456, \"word\": \"job.started\", \"list\": [1], \"empty\": \"\", \"none\": null, \"s\": "
+      "754, \"days\": 273900, \"at\": \"2026-11-21T13:15:02.123Z\", \"deep\": [{\"word\": \"ä\"}], "
+      "\"evil\": \"\\u001b[2J\\u202e\"}",
+      0, NULL);
+  REQUIRE(json != NULL);
+  for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {
+    char *text = text_from(json, tries[i].template);
+    CHECK_TEXT(text, tries[i].expected);
+    free(text);
+  }
+  json_decref(json);
+}
 
 static void columns(void)
 {
-  struct table table;
   struct ctl ctl = {0};
   char *text = NULL;
   size_t length = 0;
-  table_open(&table, ">#|name|>score");
-  table_add(&table, (const char *[]){"0", "ä", "0.5"});
-  table_add(&table, (const char *[]){"10", "longer", NULL});
+  json_t *items = json_loads("[{\"n\": 0, \"name\": \"ä\", \"score\": 0.5}, {\"n\": 10, \"name\": "
+                             "\"longer\"}]",
+                             0, NULL);
   FILE *memory = open_memstream(&text, &length);
   REQUIRE(memory != NULL);
-  table_print(&table, memory, &ctl);
+  print_table(memory, &ctl, items, ">#={n}|name=[{none}|{name}]|>score={score:.1f}");
   fclose(memory);
   CHECK_TEXT(text, " #  name    score\n"
                    " 0  ä         0.5\n"
                    "10  longer      –\n");
   free(text);
-}
-
-static void a_column_less(void)
-{
-  struct table table;
-  struct ctl ctl = {0};
-  char *text = NULL;
-  size_t length = 0;
-  table_open(&table, "a|b|>c");
-  table_add(&table, (const char *[]){"1", "2", "3"});
-  table_add(&table, (const char *[]){"4", "5", "66"});
-  table_drop(&table, 1);
-  FILE *memory = open_memstream(&text, &length);
-  REQUIRE(memory != NULL);
-  table_print(&table, memory, &ctl);
-  fclose(memory);
-  CHECK_TEXT(text, "a   c\n1   3\n4  66\n");
-  free(text);
-}
-
-static void numbers(void)
-{
-  char text[32];
-  CHECK_TEXT(count_text(0, text), "0");
-  CHECK_TEXT(count_text(999, text), "999");
-  CHECK_TEXT(count_text(1000, text), "1,000");
-  CHECK_TEXT(count_text(-1234567, text), "-1,234,567");
-  json_t *score = json_real(0.123456);
-  CHECK_TEXT(score_text(score, text), "0.1235");
-  json_decref(score);
-  CHECK_TEXT(score_text(json_null(), text), "–");
-  setenv("TZ", "UTC", 1);
-  tzset();
-  json_t *time = json_string("2026-11-21T13:15:02.123Z"), *none = json_string("soon");
-  CHECK_TEXT(time_text(time, text), "2026-11-21 13:15:02");
-  CHECK_TEXT(time_text(none, text), "soon");
-  CHECK_TEXT(time_text(json_null(), text), "–");
-  json_decref(time);
-  json_decref(none);
+  json_decref(items);
 }
 
 static void ids_and_states(void)
@@ -72,8 +71,6 @@ static void ids_and_states(void)
         !is_final("paused") && !is_final(""));
 }
 
-static const struct check_case cases[] = {{"columns", columns},
-                                          {"a column less", a_column_less},
-                                          {"numbers", numbers},
-                                          {"ids and states", ids_and_states}};
+static const struct check_case cases[] = {
+    {"templates", templates}, {"columns", columns}, {"ids and states", ids_and_states}};
 CHECK_MAIN(cases)
