@@ -33,11 +33,14 @@ class Contract:
             node = self.resolver.resolve(node["$ref"])[1]
         return node
 
-    def validate(self, schema, value, where):
+    def validator(self, schema):
         key = json.dumps(schema, sort_keys=True)
         if key not in self.validators:
             self.validators[key] = jsonschema.Draft202012Validator(schema, resolver=self.resolver)
-        faults = sorted(self.validators[key].iter_errors(value), key=str)
+        return self.validators[key]
+
+    def validate(self, schema, value, where):
+        faults = sorted(self.validator(schema).iter_errors(value), key=str)
         assert not faults, f"{where}: {faults[0].message} at {list(faults[0].absolute_path)}"
 
     def find(self, path):

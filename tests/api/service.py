@@ -1,9 +1,14 @@
 """A running morphod, and a client that holds every reply against the contract."""
 
+import csv
+import functools
 import http.client
+import io
 import json
+import math
 import os
 import pathlib
+import re
 import signal
 import socket
 import struct
@@ -149,6 +154,62 @@ class Service:
         CONTRACT.check(method, path, reply.status, reply.headers, reply.body)
         return reply
 
+    def get(self, path, **how):
+        """The JSON of what is there."""
+        reply = self.request("GET", path, **how)
+        assert reply.status == 200, reply.body
+        return reply.json()
+
+    def post(self, path, value=None, **how):
+        """The JSON of what a request gives that is accepted."""
+        reply = self.request("POST", path, value, **how)
+        assert reply.status in (200, 202), reply.body
+        return reply.json()
+
+    def act(self, job, verb, **how):
+        """The reply to a pause, resume or cancel of a job."""
+        return self.request("POST", f"/v1/jobs/{job}/{verb}", **how)
+
+    def upload(self, name, file):
+        """The reply to a controller's file."""
+        return self.request("PUT", f"/v1/controllers/{name}/file", body=file,
+                            headers={"Content-Type": "application/octet-stream"})
+
+    def pages(self, path, limit=1000):
+        """All items of a list, page by page."""
+        items, cursor = [], ""
+        query = path + ("&" if "?" in path else "?") + f"limit={limit}"
+        while cursor is not None:
+            page = self.get(query + (f"&cursor={cursor}" if cursor else ""))
+            assert len(page["items"]) <= limit
+            items += page["items"]
+            cursor = page["next_cursor"]
+        return items
+
+    def table(self, path, **headers):
+        """The rows of a CSV."""
+        reply = self.request("GET", path, headers=headers)
+        assert reply.headers["Content-Type"].startswith("text/csv")
+        return list(csv.DictReader(io.StringIO(reply.body.decode())))
+
+    def tagged(self, path):
+        """A reply with an ETag: it is not sent again to those who have it, and HEAD tells it."""
+        reply = self.request("GET", path)
+        again = self.request("GET", path, headers={"If-None-Match": reply.headers["ETag"]})
+        assert reply.status == 200 and again.status == 304 and again.body == b"", path
+        assert self.request("HEAD", path).headers["ETag"] == reply.headers["ETag"]
+        return reply
+
+    def refuses(self, path, *queries, status=400):
+        for query in queries:
+            assert self.request("GET", path + query).status == status, path + query
+
+    def metric(self, name, **how):
+        """A number of /metrics without labels; None: it is not there."""
+        text = self.request("GET", "/metrics", **how).body.decode()
+        found = re.search(rf"^{name} (\S+)$", text, re.M)
+        return json.loads(found[1]) if found else None
+
     def evaluate(self, value, wait=30, **headers):
         """An evaluation, waited for."""
         fields = {"Prefer": f"wait={wait}"}
@@ -179,15 +240,22 @@ class Service:
             return received, ended
 
 
+def until(holds, seconds=60, every=0.02):
+    """Waits until holds(); what it gave then."""
+    deadline = time.monotonic() + seconds
+    while not (seen := holds()):
+        assert time.monotonic() < deadline, "it never comes"
+        time.sleep(every)
+    return seen
+
+
 def awaited(service, path, holds, seconds=60):
     """What GET gives as soon as holds(it)."""
     deadline = time.monotonic() + seconds
-    while True:
-        seen = service.request("GET", path).json()
-        if holds(seen):
-            return seen
+    while not holds(seen := service.get(path)):
         assert time.monotonic() < deadline, f"{seen}\n{service.log_text()[-2000:]}"
         time.sleep(0.01)
+    return seen
 
 
 def await_end(service, path, seconds=60):
@@ -200,6 +268,41 @@ def await_end(service, path, seconds=60):
         assert time.monotonic() < deadline, reply.body
 
 
+def run(service, kind, value):
+    """A job that has succeeded."""
+    done = await_end(service, f"/v1/{kind}/{service.post(f'/v1/{kind}', value)['id']}").json()
+    assert done["state"] == "succeeded", done
+    return done
+
+
+def at(row, path):
+    """row["a"]["b"] of "a.b"."""
+    return functools.reduce(dict.get, path.split("."), row)
+
+
+def check_rows(service, path, rows, columns, cursor):
+    """That a list of rows comes in pages, behind the cursor of a row, and as CSV with its columns
+    (name: place in a row), with tags, and in no other form."""
+    for media in ({}, {"Accept": "text/csv"}):
+        service.tagged(path + ("?format=csv" if media else ""))
+        whole = service.request("GET", path + "?format=json", headers=media)
+        assert whole.json() == {"items": rows, "next_cursor": None}
+    first = service.get(path + "?limit=2")
+    assert first["items"] == rows[:2] and first["next_cursor"] == cursor(rows[1])
+    assert service.get(f"{path}?cursor={first['next_cursor']}")["items"] == rows[2:]
+    assert service.pages(path, 1) == rows
+    assert service.get(f"{path}?cursor={cursor(rows[-1])}") == {"items": [], "next_cursor": None}
+    lines = service.table(path + "?format=csv")
+    assert lines == service.table(path, Accept="text/csv")
+    assert len(service.table(path + f"?format=csv&limit=1&cursor={cursor(rows[0])}")) == 1
+    for name in columns:
+        place = columns[name] if isinstance(columns, dict) else name
+        told = ["" if at(row, place) is None else at(row, place) for row in rows]
+        assert [type(value)(line[name]) for line, value in zip(lines, told)] == told, name
+    service.refuses(path, "?limit=0", "?limit=1001", "?cursor=x", "?cursor=-1", "?format=newick")
+    assert service.request("GET", path, headers={"Accept": "image/png"}).status == 406
+
+
 def tiny_controller(service):
     """Stores a controller of 1 × 1 × 1 voxels, made here, as "tiny"; returns the file."""
     shapes = {
@@ -210,17 +313,12 @@ def tiny_controller(service):
     }
     header, at = {"__metadata__": {"workspace": "1x1x1"}}, 0
     for name, shape in shapes.items():
-        size = 4
-        for side in shape:
-            size *= side
+        size = 4 * math.prod(shape)
         header[name] = {"dtype": "F32", "shape": shape, "data_offsets": [at, at + size]}
         at += size
     text = json.dumps(header).encode()
     body = struct.pack("<Q", len(text)) + text + bytes(at)
-    put = service.request("PUT",
-                          "/v1/controllers/tiny/file",
-                          body=body,
-                          headers={"Content-Type": "application/octet-stream"})
+    put = service.upload("tiny", body)
     assert put.status in (200, 201), put.body
     return body
 

@@ -44,7 +44,7 @@ def campaign(service):
         "mode": "zero-shot", "population": 4, "generations": 1, "physics": {"n_steps": 5},
         "exclude_pretraining": False
     }
-    id = service.request("POST", "/v1/campaigns", body).json()["id"]
+    id = service.post("/v1/campaigns", body)["id"]
     service.request("GET", f"/v1/jobs/{id}", headers={"Prefer": "wait=60"})
     return id
 

@@ -13,7 +13,7 @@ import urllib.parse
 
 import pytest
 
-from service import BINARY, SOURCE, Service, awaited
+from service import BINARY, SOURCE, Service, awaited, until
 
 MODULE = pathlib.Path(BINARY).parents[2] / "tests" / "device" / "fake-device.so"
 MORPHOCTL = pathlib.Path(
@@ -58,13 +58,12 @@ def run(service, kind, request):
 
 
 def population(service, campaign):
-    items = service.request("GET",
-                            f"/v1/campaigns/{campaign['id']}/population?limit=1000").json()["items"]
+    items = service.get(f"/v1/campaigns/{campaign['id']}/population?limit=1000")["items"]
     return [(item["number"], item["genotype"], item["score"]) for item in items]
 
 
 def devices(service):
-    return service.request("GET", "/v1/devices").json()
+    return service.get("/v1/devices")
 
 
 def test_without_devices(service):
@@ -74,9 +73,9 @@ def test_without_devices(service):
         assert refused.status == 422 and refused.pointers() == ["/device"]
         refused = service.request("POST", f"/v1/{kind}", {**request, "device": "abacus"})
         assert refused.status == 422 and refused.pointers() == ["/device"]
-    taken = service.request("POST", "/v1/evaluations", {**LARGE, "device": "auto"}).json()
+    taken = service.post("/v1/evaluations", {**LARGE, "device": "auto"})
     assert taken["device"] == "cpu"
-    assert service.request("POST", f"/v1/jobs/{taken['id']}/cancel").status == 200
+    assert service.act(taken["id"], "cancel").status == 200
     assert "morphod_device_load" not in service.request("GET", "/metrics").body.decode()
 
 
@@ -89,7 +88,7 @@ def test_ranks_a_class(start):
         assert page.status == 200, page.body
         return len(page.json()["items"])
 
-    processors = service.request("GET", "/v1/threads").json()["fingerprints"]["float32"]
+    processors = service.get("/v1/threads")["fingerprints"]["float32"]
     run(service, "evaluations", {"designs": DESIGNS[:3], "device": "cuda"})
     assert (ranked(""), ranked("&class=" + urllib.parse.quote(processors))) == (3, 0)
     run(service, "evaluations", {"designs": DESIGNS[:2], "device": "cpu"})
@@ -105,16 +104,14 @@ def test_evaluations(start):
     service = start(*FLAGS, environment=fake(devices=2))
     taken = run(service, "evaluations", LARGE)
     assert taken["device"] == "cuda" and taken["results"] == expected
-    score = service.request(
-        "GET", f"/v1/designs/{expected[0]['id']}").json()["orientations"][0]["scores"][0]
+    score = service.get(f"/v1/designs/{expected[0]['id']}")["orientations"][0]["scores"][0]
     assert score["fingerprint"] == "fake float32 score-1 sm90"
     # Another class is computed again, but for the body that the devices left to the processors.
     for cached in (10, 1000):
         known = run(service, "evaluations", {**LARGE, "device": "cpu"})
         assert known["device"] == "cpu" and known["rollouts_cached"] == cached
         assert known["results"] == expected
-    scores = service.request(
-        "GET", f"/v1/designs/{expected[0]['id']}").json()["orientations"][0]["scores"]
+    scores = service.get(f"/v1/designs/{expected[0]['id']}")["orientations"][0]["scores"]
     assert len({score["fingerprint"] for score in scores}) == len(scores) == 2
     assert {score["origin"] for score in scores} == {platform.node()}
     small = run(service, "evaluations", {"designs": DESIGNS[:3], "physics": {"n_steps": 21}})
@@ -178,16 +175,11 @@ def test_same_results(start, undisturbed, more):
 def test_the_last_device_is_lost(start, undisturbed, tmp_path):
     state, trigger = tmp_path / "state", tmp_path / "lose"
     service = start(*FLAGS, state=state, environment=fake(delay_ms=20, lose_if=trigger))
-    jobs = [("campaigns", service.request("POST", "/v1/campaigns",
-                                          {**CAMPAIGN, "generations": 4}).json()["id"]),
-            ("trainings", service.request("POST", "/v1/trainings", TRAINING).json()["id"]),
-            ("evaluations",
-             service.request("POST", "/v1/evaluations",
-                             {**LARGE, "physics": {"n_steps": 100}}).json()["id"])]
-    deadline = time.monotonic() + 30
-    while not any(device["calls"] > 1 for device in devices(service)["items"]):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    jobs = [("campaigns", service.post("/v1/campaigns", {**CAMPAIGN, "generations": 4})["id"]),
+            ("trainings", service.post("/v1/trainings", TRAINING)["id"]),
+            ("evaluations", service.post("/v1/evaluations",
+                                         {**LARGE, "physics": {"n_steps": 100}})["id"])]
+    until(lambda: any(device["calls"] > 1 for device in devices(service)["items"]))
     trigger.touch()
     for kind, job in jobs:
         paused = await_state(service, f"/v1/{kind}/{job}", "paused", "succeeded")
@@ -208,19 +200,19 @@ def test_the_last_device_is_lost(start, undisturbed, tmp_path):
                            text=True,
                            timeout=30)
     assert shown.returncode == 3 and "lost" in shown.stdout and "fallen off its bus" in shown.stderr
-    assert service.request("POST", f"/v1/jobs/{jobs[0][1]}/resume").status == 200  # too early
+    assert service.act(jobs[0][1], "resume").status == 200  # too early
     await_state(service, f"/v1/campaigns/{jobs[0][1]}", "paused")
     assert service.stop() == 0
     without = start(state=state)  # the jobs wait for devices
-    assert without.request("POST", f"/v1/jobs/{jobs[0][1]}/resume").status == 200
+    assert without.act(jobs[0][1], "resume").status == 200
     paused = await_state(without, f"/v1/campaigns/{jobs[0][1]}", "paused")
     assert "there are none" in paused["reason"]
     assert without.stop() == 0
     trigger.unlink()
     service = start(*FLAGS, state=state, environment=fake(devices=2))
     for kind, job in jobs:
-        if service.request("GET", f"/v1/{kind}/{job}").json()["state"] == "paused":
-            assert service.request("POST", f"/v1/jobs/{job}/resume").status == 200
+        if service.get(f"/v1/{kind}/{job}")["state"] == "paused":
+            assert service.act(job, "resume").status == 200
     ended = [await_state(service, f"/v1/{kind}/{job}", "succeeded") for kind, job in jobs]
     assert all(job["error"] is None for job in ended)
     assert population(service, ended[0]) == undisturbed["population"]
@@ -241,8 +233,7 @@ def test_want_of_memory(start, undisturbed, tmp_path):
         assert "no memory" in job["error"]["detail"] and "resume" in job["error"]["detail"]
     assert service.stop() == 0
     service = start(*FLAGS, state=state, environment=fake(devices=2))
-    assert all(
-        service.request("POST", f"/v1/jobs/{job['id']}/resume").status == 200 for _, job in jobs)
+    assert all(service.act(job["id"], "resume").status == 200 for _, job in jobs)
     ended = [await_state(service, f"/v1/{kind}/{job['id']}", "succeeded") for kind, job in jobs]
     assert population(service, ended[0]) == undisturbed["population"]
     assert ended[1]["controller"]["sha256"] == undisturbed["controller"]
@@ -255,14 +246,14 @@ def test_kill(start, undisturbed, tmp_path):
     for attempt in range(5):
         service = start(*FLAGS, state=state, environment=fake(devices=1 + attempt % 3, delay_ms=15))
         if campaign is None:
-            campaign = service.request("POST", "/v1/campaigns", CAMPAIGN).json()["id"]
-            training = service.request("POST", "/v1/trainings", TRAINING).json()["id"]
+            campaign = service.post("/v1/campaigns", CAMPAIGN)["id"]
+            training = service.post("/v1/trainings", TRAINING)["id"]
         time.sleep(0.1 + 0.07 * attempt)
         service.stop(signal.SIGKILL)
     service = start(*FLAGS, state=state, environment=fake(devices=2))
     for job in (campaign, training):  # three lives that saved nothing end it: a person goes on
-        if service.request("GET", f"/v1/jobs/{job}").json()["state"] == "failed":
-            assert service.request("POST", f"/v1/jobs/{job}/resume").status in (200, 202)
+        if service.get(f"/v1/jobs/{job}")["state"] == "failed":
+            assert service.act(job, "resume").status in (200, 202)
     assert population(service, await_state(service, f"/v1/campaigns/{campaign}",
                                            "succeeded")) == undisturbed["population"]
     assert await_state(service, f"/v1/trainings/{training}",
@@ -271,32 +262,22 @@ def test_kill(start, undisturbed, tmp_path):
 
 def test_cancel(start):
     service = start(*FLAGS, environment=fake())
-    job = service.request("POST", "/v1/campaigns",
-                          {**CAMPAIGN, "physics": {"n_steps": 1000000}}).json()["id"]
-    deadline = time.monotonic() + 30
-    while not devices(service)["items"][0]["busy"]:
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    assert service.request("POST", f"/v1/jobs/{job}/cancel").status == 200
-    deadline = time.monotonic() + 10
-    while devices(service)["items"][0]["busy"]:
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    job = service.post("/v1/campaigns", {**CAMPAIGN, "physics": {"n_steps": 1000000}})["id"]
+    until(lambda: devices(service)["items"][0]["busy"])
+    assert service.act(job, "cancel").status == 200
+    until(lambda: not devices(service)["items"][0]["busy"])
 
 
 def test_interactive_evaluations_do_not_wait_for_devices(start):
     """Not even for a rollout that a device is to compute already."""
     service = start(*FLAGS, environment=fake(delay_ms=60000))
-    large = service.request("POST", "/v1/evaluations", {**LARGE, "device": "cuda"}).json()["id"]
-    deadline = time.monotonic() + 30
-    while not devices(service)["items"][0]["busy"]:
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    large = service.post("/v1/evaluations", {**LARGE, "device": "cuda"})["id"]
+    until(lambda: devices(service)["items"][0]["busy"])
     small = service.evaluate({"designs": DESIGNS[:3], "physics": SHORT}).json()
     assert small["state"] == "succeeded" and small["device"] == "cpu" and small[
         "rollouts_cached"] == 0
-    assert service.request("GET", f"/v1/jobs/{large}").json()["rollouts_done"] == 0
-    assert service.request("POST", f"/v1/jobs/{large}/cancel").status == 200
+    assert service.get(f"/v1/jobs/{large}")["rollouts_done"] == 0
+    assert service.act(large, "cancel").status == 200
 
 
 def test_known_keys_are_answered_without_devices(start, tmp_path):
@@ -306,8 +287,7 @@ def test_known_keys_are_answered_without_devices(start, tmp_path):
                                                                                         CAMPAIGN))]
     service = start(*FLAGS, state=state, environment=fake())
     ids = [
-        service.request("POST", f"/v1/{kind}", request, headers=key).json()["id"]
-        for kind, request, key in requests
+        service.post(f"/v1/{kind}", request, headers=key)["id"] for kind, request, key in requests
     ]
     assert service.stop() == 0
     service = start(state=state)
@@ -323,12 +303,8 @@ def test_another_code_is_told(start, tmp_path):
     """A training that goes on under another version of the module says so."""
     state = tmp_path / "state"
     service = start(*FLAGS, state=state, environment=fake(delay_ms=300))
-    job = service.request("POST", "/v1/trainings",
-                          {**TRAINING, "checkpoint": {"every_steps": 1}}).json()["id"]
-    deadline = time.monotonic() + 60
-    while service.request("GET", f"/v1/trainings/{job}").json()["progress"]["step"] < 1:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    job = service.post("/v1/trainings", {**TRAINING, "checkpoint": {"every_steps": 1}})["id"]
+    until(lambda: service.get(f"/v1/trainings/{job}")["progress"]["step"] >= 1)
     assert service.stop() == 0
     service = start(*FLAGS, state=state, environment=fake(code="version-2"))
     ended = await_state(service, f"/v1/trainings/{job}", "succeeded")
@@ -346,7 +322,7 @@ def test_a_gradient_that_devices_do_not_support(start):
     assert training["device"] == "cuda" and training["code"] == expected["code"]
     assert training["code"][0]["fingerprint"].startswith("cpu ")
     steps = [
-        service.request("GET", f"/v1/trainings/{job['id']}/steps").json()["items"]
+        service.get(f"/v1/trainings/{job['id']}/steps")["items"]
         for service, job in ((plain, expected), (service, training))
     ]
     assert [step["mean_loss"] for step in steps[0]] == [step["mean_loss"] for step in steps[1]]
@@ -358,9 +334,8 @@ def test_stored_scores_say_who_computed_them(start):
     campaign = run(service, "campaigns", {**CAMPAIGN, "generations": 2})
     assert campaign["device"] == "cuda" and campaign["state"] == "succeeded"
     sizes = set()
-    for item in service.request(
-            "GET", f"/v1/campaigns/{campaign['id']}/population?limit=1000").json()["items"]:
-        shown = service.request("GET", f"/v1/designs/{item['id']}").json()
+    for item in service.get(f"/v1/campaigns/{campaign['id']}/population?limit=1000")["items"]:
+        shown = service.get(f"/v1/designs/{item['id']}")
         body = next(body for body in shown["orientations"] if body["genotype"] == item["genotype"])
         is_large = item["springs"] > 300
         assert body["scores"][0]["fingerprint"].startswith("cpu " if is_large else "fake ")

@@ -1,16 +1,12 @@
-"""Evaluations: submission, waiting, results, idempotency, recordings, verification; jobs and
-designs that come of them."""
+"""Evaluations: results, waiting, recordings, verification, and designs that come of them."""
 
-import json
 import math
 import socket
 import struct
-import threading
-import time
 
 import pytest
 
-from service import DESIGN, SHORT, await_end
+from service import DESIGN, SHORT, await_end, awaited, run, until
 
 BATCH = [{"cells": [[x, y, 0], [x, y, 1], [(x + 1) % 6, y, 0]]} for x in range(5) for y in range(6)]
 
@@ -26,20 +22,6 @@ def test_one_design(service):
     assert 0 < result["score"] < 1.5
     assert reply.headers["Location"] == f"/v1/evaluations/{value['id']}"
     assert service.request("GET", reply.headers["Location"]).json() == value
-
-
-def test_accepted_then_polled(service):
-    reply = service.request("POST", "/v1/evaluations",
-                            {"designs": [DESIGN], "physics": {"n_steps": 37}, "label": "réglage"})
-    assert reply.status == 202 and "results" not in reply.json()
-    done = await_end(service, reply.headers["Location"])
-    assert done.json()["label"] == "réglage" and len(done.json()["results"]) == 1
-    again = service.request("GET",
-                            reply.headers["Location"],
-                            headers={"If-None-Match": done.headers["ETag"]})
-    assert again.status == 304 and again.body == b""
-    assert service.request("GET", reply.headers["Location"],
-                           headers={"If-None-Match": '"other"'}).status == 200
 
 
 def test_forms_of_a_design_agree(service):
@@ -122,91 +104,44 @@ def test_verify(service):
 
 
 def test_batch(service):
-    reply = service.request("POST", "/v1/evaluations", {"designs": BATCH, "physics": SHORT})
-    assert reply.json()["priority"] == "batch" and reply.json()["n_designs"] == 30
-    results = await_end(service, reply.headers["Location"]).json()["results"]
-    alone = service.evaluate({"designs": [BATCH[7]], "physics": SHORT}).json()["results"][0]
-    assert len(results) == 30 and results[7] == alone
-    assert service.evaluate({"designs": [BATCH[7]], "physics": SHORT,
-                             "priority": "batch"}).json()["priority"] == "batch"
-
-
-def test_idempotency(service):
-    request = {"designs": [DESIGN], "physics": {"n_steps": 23}}
-    key = {"Idempotency-Key": '"key-one"'}
-    first = service.request("POST", "/v1/evaluations", request, headers=key)
-    second = service.request("POST",
-                             "/v1/evaluations",
-                             request,
-                             headers={"Idempotency-Key": "key-one"})
-    assert first.status == second.status == 202 and first.json()["id"] == second.json()["id"]
-    other = service.request("POST", "/v1/evaluations", dict(request, label="other"), headers=key)
-    assert other.status == 422 and other.json()["errors"][0]["header"] == "Idempotency-Key"
-    for bad in ("", '""', "k" * 256, '"a', "a\tb"):
-        assert service.request("POST", "/v1/evaluations", request,
-                               headers={"Idempotency-Key": bad
-                                        }).status in ((202, ) if bad == '"a' else (400, )), bad
-
-
-def test_idempotency_under_a_race(service):
-    request = {"designs": [DESIGN], "physics": {"n_steps": 24}}
-    ids = []
-    threads = [
-        threading.Thread(target=lambda: ids.append(
-            service.request("POST", "/v1/evaluations", request, headers={"Idempotency-Key": "race"})
-            .json()["id"])) for _ in range(16)
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(ids) == 16 and len(set(ids)) == 1
+    job = service.post("/v1/evaluations", {"designs": BATCH, "physics": SHORT})
+    assert job["priority"] == "batch" and job["n_designs"] == 30
+    results = await_end(service, f"/v1/evaluations/{job['id']}").json()["results"]
+    alone = service.evaluate({"designs": [BATCH[7]], "physics": SHORT, "priority": "batch"}).json()
+    assert len(results) == 30 and results[7] == alone["results"][0]
+    assert alone["priority"] == "batch"
 
 
 @pytest.mark.parametrize("prefer", ["wait", "wait=-1", "wait=1.5", "wait=soon"])
 def test_bad_prefer(service, prefer):
-    reply = service.request("POST",
-                            "/v1/evaluations", {"designs": [DESIGN]},
+    reply = service.request("POST", "/v1/evaluations", {"designs": [DESIGN]},
                             headers={"Prefer": prefer})
     assert reply.status == 400 and reply.json()["errors"][0]["header"] == "Prefer"
 
 
 def test_short_wait_gives_202(service):
-    many = [{
-        "cells": [[x, y, z] for x in range(6) for y in range(5 + d % 2) for z in range(1 + d % 3)]
-    } for d in range(60)]
-    reply = service.evaluate({"designs": many, "physics": {"n_steps": 200000}}, wait=1)
+    reply = service.evaluate({"designs": BATCH, "physics": {"n_steps": 200000}}, wait=1)
     assert reply.status == 202 and reply.json()["state"] in ("queued", "running")
-    begun = time.monotonic()
-    got = service.request("GET", reply.headers["Location"], headers={"Prefer": "wait=1"})
-    assert got.status == 200 and 0.8 < time.monotonic() - begun < 3 and got.headers["Retry-After"]
-    cancelled = service.request("POST", "/v1/jobs/" + reply.json()["id"] + "/cancel")
-    assert cancelled.status == 200
-    assert await_end(service, reply.headers["Location"]).json()["state"] == "cancelled"
+    assert service.act(reply.json()["id"], "cancel").status == 200
 
 
 def test_clients_that_left_do_not_wait(start):
     """Those who hang up while they wait do not go on waiting."""
     running = start()
-    paused = running.request("POST", "/v1/evaluations",
-                             {"designs": [DESIGN], "physics": {"n_steps": 1000000}}).json()["id"]
-    assert running.request("POST", f"/v1/jobs/{paused}/pause").json()["state"] == "paused"
+    paused = running.post("/v1/evaluations",
+                          {"designs": [DESIGN], "physics": {"n_steps": 1000000}})["id"]
+    assert running.act(paused, "pause").json()["state"] == "paused"
     request = (f"GET /v1/jobs/{paused} HTTP/1.1\r\nHost: localhost\r\n"
                "Prefer: wait=60\r\n\r\n").encode()
     waiting = [socket.create_connection((running.host, running.port)) for _ in range(4)]
     for sock in waiting:
         sock.sendall(request)
-    deadline = time.monotonic() + 10
-    while b"morphod_http_requests_in_flight 5\n" not in running.request(
-            "GET", "/metrics").body:  # with this one
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+    in_flight = "morphod_http_requests_in_flight"
+    until(lambda: running.metric(in_flight) == 5)  # with the one that asks
     for sock in waiting:
         sock.close()
-    while b"morphod_http_requests_in_flight 1\n" not in running.request("GET", "/metrics").body:
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-    assert running.request("POST", f"/v1/jobs/{paused}/cancel").status == 200
+    until(lambda: running.metric(in_flight) == 1)
+    assert running.act(paused, "cancel").status == 200
 
 
 def test_recording(service):
@@ -215,215 +150,98 @@ def test_recording(service):
         "record_stride": 25
     }).json()
     path = f"/v1/evaluations/{value['id']}/trajectories/0"
-    whole = service.request("GET", path + "?environment=3").json()
-    assert whole["frames"] == 5 == len(whole["com_m"]) == len(
-        whole["masses_m"]) and whole["stride"] == 25
-    assert whole["environment"] == 3 and len({len(frame) for frame in whole["masses_m"]}) == 1
-    center = [
-        sum(point[axis] for point in whole["masses_m"][2]) / len(whole["masses_m"][2])
-        for axis in range(3)
-    ]
+    whole = service.get(path + "?environment=3")
+    masses = whole["masses_m"]
+    assert whole["frames"] == 5 == len(whole["com_m"]) == len(masses) and whole["stride"] == 25
+    assert whole["environment"] == 3 and len({len(frame) for frame in masses}) == 1
+    center = [sum(axis) / len(axis) for axis in zip(*masses[2])]
     assert all(math.isclose(a, b, abs_tol=1e-4) for a, b in zip(center, whole["com_m"][2]))
-    binary = service.request("GET", path + "/file?environment=3")
+    binary = service.tagged(path + "/file?environment=3")
     shape = [int(size) for size in binary.headers["Morphod-Shape"].split(",")]
-    numbers = struct.unpack(f"<{math.prod(shape)}f", binary.body)
-    assert binary.headers["Morphod-Array"] == "masses" and shape == [
-        5, len(whole["masses_m"][0]), 3
-    ]
-    flat = [number for frame in whole["masses_m"] for point in frame for number in point]
-    assert all(struct.pack("<f", a) == struct.pack("<f", b) for a, b in zip(flat, numbers))
+    assert binary.headers["Morphod-Array"] == "masses" and shape == [5, len(masses[0]), 3]
+    flat = [number for frame in masses for point in frame for number in point]
+    assert struct.pack(f"<{math.prod(shape)}f", *flat) == binary.body
     com = service.request("GET", path + "/file?environment=3&array=com")
     assert com.headers["Morphod-Shape"] == "5,3"
-    again = service.request(
-        "GET",
-        path + "/file?environment=3",
-        headers={"If-None-Match": binary.headers["ETag"]})
-    assert again.status == 304
-    for bad, status in (("?environment=10", 404), ("?environment=64", 400), ("?environment=x", 400),
-                        ("/file?array=pose", 400), ("?array=com", 400), ("/file?environment=10",
-                                                                         404)):
-        assert service.request("GET", path + bad).status == status, bad
-    assert service.request("GET", path[:-1] + "1").status == 404
-    assert service.request("GET", path[:-1] + "x").status == 404
-    assert service.request("GET", path, headers={"Accept": "text/csv"}).status == 406
-    assert service.request("GET", path + "/file",
-                           headers={"Accept": "application/json"}).status == 406
+    service.refuses(path, "?environment=64", "?environment=x", "/file?array=pose", "?array=com")
+    service.refuses(path, "?environment=10", "/file?environment=10", status=404)
+    service.refuses(path[:-1], "1", "x", status=404)
+    for below, media in (("", "text/csv"), ("/file", "application/json")):
+        assert service.request("GET", path + below, headers={"Accept": media}).status == 406
 
 
 def test_not_recorded(service):
-    value = service.evaluate({"designs": [DESIGN], "physics": SHORT}).json()
-    assert service.request("GET", f"/v1/evaluations/{value['id']}/trajectories/0").status == 404
-    value = service.evaluate(
-        {"designs": [DESIGN], "physics": SHORT, "record": ["com"], "record_stride": 5}).json()
-    assert service.request(
-        "GET", f"/v1/evaluations/{value['id']}/trajectories/0/file?array=masses").status == 404
-
-
-def test_jobs_list_and_pages(service):
-    ids = [service.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["id"] for _ in range(5)]
-    seen, cursor = [], ""
-    while cursor is not None:
-        page = service.request("GET",
-                               "/v1/jobs?limit=2" + (f"&cursor={cursor}" if cursor else "")).json()
-        assert len(page["items"]) <= 2
-        seen += [job["id"] for job in page["items"]]
-        cursor = page["next_cursor"]
-    assert seen == sorted(seen, key=int,
-                          reverse=True) and set(ids) <= set(seen) and len(seen) == len(set(seen))
-    states = service.request("GET",
-                             "/v1/jobs?state=succeeded&kind=evaluation&limit=1000").json()["items"]
-    assert {job["state"] for job in states} == {"succeeded"}
-    page = service.request("GET", "/v1/jobs?limit=3")
-    assert service.request("GET",
-                           "/v1/jobs?limit=3",
-                           headers={"If-None-Match": page.headers["ETag"]}).status == 304
-    assert service.request("GET", f"/v1/jobs/{ids[0]}").json()["id"] == ids[0]
-    assert service.request("GET", f"/v1/jobs/{ids[0]}?x=1").status == 400
-
-
-def test_list(service):
-    """Evaluations have a list as the other kinds of jobs have: without results."""
-    ids = [
-        service.evaluate({"designs": [DESIGN], "physics": SHORT, "label": "of a list"}).json()["id"]
-        for _ in range(3)
-    ]
-    page = service.request("GET", "/v1/evaluations?label=of%20a%20list&limit=2").json()
-    assert [one["id"] for one in page["items"]] == ids[:0:-1] and "results" not in page["items"][0]
-    rest = service.request(
-        "GET", f"/v1/evaluations?label=of%20a%20list&limit=2&cursor={page['next_cursor']}").json()
-    assert [one["id"] for one in rest["items"]] == ids[:1] and rest["next_cursor"] is None
-    assert page["items"][0] == service.request("GET", f"/v1/jobs/{ids[2]}").json()
-    assert service.request("GET", "/v1/evaluations?state=failed").json()["items"] == []
-    for bad in ("?state=lost", "?kind=training", "?limit=0", "?cursor=x"):
-        assert service.request("GET", "/v1/evaluations" + bad).status == 400, bad
-
-
-def test_pause_resume_cancel(service):
-    body = {
-        "designs": [{"cells": [[x, 0, 0] for x in range(6)]}] + BATCH,
-        "physics": {"n_steps": 200000}, "priority": "batch"
-    }
-    job = service.request("POST", "/v1/evaluations", body).json()
-    path = f"/v1/jobs/{job['id']}"
-    assert service.request("POST", path + "/pause").json()["state"] == "paused"
-    assert service.request("POST", path + "/pause").status == 200
-    assert service.request("GET", "/v1/jobs?state=paused").json()["items"][0]["id"] == job["id"]
-    assert service.request("POST", path + "/resume").json()["state"] in ("queued", "running")
-    assert service.request("POST", path + "/cancel").status == 200
-    assert service.request("GET", path).json()["state"] == "cancelled"
-    assert service.request("DELETE", path).status == 405
-    for change in ("/cancel", "/pause", "/resume"):
-        assert service.request("POST", path + change).status == 409
-        assert service.request("POST", "/v1/jobs/123456789" + change).status == 404
+    request = {"designs": [DESIGN], "physics": SHORT}
+    for more, below in (({}, ""), ({"record": ["com"], "record_stride": 5}, "/file?array=masses")):
+        id = service.evaluate(request | more).json()["id"]
+        service.refuses(f"/v1/evaluations/{id}/trajectories/0", below, status=404)
 
 
 def test_designs(service):
     result = service.evaluate({"designs": [BATCH[9]]}).json()["results"][0]
-    reply = service.request("GET", "/v1/designs/" + result["id"])
-    design = reply.json()
+    path = "/v1/designs/" + result["id"]
+    design = service.tagged(path).json()
     assert design["voxels"] == 3 and design["masses"] == 16
-    scores = {
-        orientation["genotype"]: orientation["scores"]
-        for orientation in design["orientations"]
-    }
-    stored = [
-        score for score in scores[result["genotype"]]
-        if score["environments"] == "paper-test" and score["score"] == result["score"]
-    ]
-    assert stored and stored[0]["losses"] == result["losses"] and "float32" in stored[0][
-        "fingerprint"]
-    assert service.request("GET",
-                           "/v1/designs/" + result["id"],
-                           headers={"If-None-Match": reply.headers["ETag"]}).status == 304
-    assert service.request("GET",
-                           "/v1/designs/" + result["id"].upper()).json()["id"] == result["id"]
-    for sort in ("id", "score"):
-        seen, cursor = [], ""
-        while cursor is not None:
-            page = service.request(
-                "GET", f"/v1/designs?sort={sort}&limit=4" +
-                (f"&cursor={cursor}" if cursor else "")).json()
-            seen += page["items"]
-            cursor = page["next_cursor"]
-        assert result["id"] in {row["id"] for row in seen}
-        if sort == "score":
-            numbers = [row["score"] for row in seen if row["score"] is not None]
-            assert numbers == sorted(numbers) and result["score"] in numbers
-        else:
-            assert len({row["id"] for row in seen}) == len(seen)
-    assert service.request("GET", "/v1/designs?sort=score&controller=nobody").status == 404
+    assert service.get("/v1/designs/" + result["id"].upper()) == design
+    form = next(one for one in design["orientations"] if one["genotype"] == result["genotype"])
+    stored, = (score for score in form["scores"]
+               if score["environments"] == "paper-test" and score["score"] == result["score"])
+    assert stored["losses"] == result["losses"] and "float32" in stored["fingerprint"]
+    by_id, by_score = (service.pages(f"/v1/designs?sort={sort}", 4) for sort in ("id", "score"))
+    assert len({row["id"] for row in by_id}) == len(by_id)
+    assert result["id"] in {row["id"] for row in by_id} & {row["id"] for row in by_score}
+    numbers = [row["score"] for row in by_score if row["score"] is not None]
+    assert numbers == sorted(numbers) and result["score"] in numbers
+    service.refuses("/v1/designs", "?sort=score&controller=nobody", status=404)
 
 
 def test_everything_survives_a_restart(start, tmp_path):
     first = start(state=tmp_path)
     reply = first.evaluate({"designs": BATCH[:5], "physics": SHORT})
-    open_job = first.request("POST",
-                             "/v1/evaluations", {"designs": BATCH, "physics": {"n_steps": 1500}},
-                             headers={"Idempotency-Key": "again"}).json()
+    request = {"designs": BATCH, "physics": {"n_steps": 1500}}
+    key = {"Idempotency-Key": "again"}
+    id = first.post("/v1/evaluations", request, headers=key)["id"]
     assert first.stop() == 0, first.log_text()
     second = start(state=tmp_path)
-    assert second.request("GET", reply.headers["Location"]).json() == reply.json()
-    same = second.request("POST",
-                          "/v1/evaluations", {"designs": BATCH, "physics": {"n_steps": 1500}},
-                          headers={"Idempotency-Key": "again"})
-    assert same.json()["id"] == open_job["id"]
-    assert await_end(second, same.headers["Location"]).json()["state"] == "succeeded"
-    assert second.evaluate({"designs": BATCH[:5],
-                            "physics": SHORT}).json()["results"] == reply.json()["results"]
-    events = second.request("GET", f"/v1/events?format=json&job={open_job['id']}").json()["items"]
-    assert [event["type"]
-            for event in events][0] == "job.created" and events[-1]["type"] == "job.finished"
-    json.dumps(events)
+    assert second.get(reply.headers["Location"]) == reply.json()
+    assert second.post("/v1/evaluations", request, headers=key)["id"] == id
+    assert await_end(second, f"/v1/evaluations/{id}").json()["state"] == "succeeded"
+    again = second.evaluate({"designs": BATCH[:5], "physics": SHORT}).json()
+    assert again["results"] == reply.json()["results"]
+    types = [event["type"] for event in second.get(f"/v1/events?format=json&job={id}")["items"]]
+    assert types[0] == "job.created" and types[-1] == "job.finished"
 
 
 FULL = {"voxels": "1" * 144}
+PLACES = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.01, "seed": k} for k in range(16)]
 
 
-def test_interactive_is_short(service):
+@pytest.mark.parametrize("request_, priority", [
+    ({"designs": [FULL], "physics": {"n_steps": 1001}}, "interactive"),
+    ({"designs": [FULL], "physics": {"n_steps": 1001}, "priority": "batch"}, "batch"),
+    ({"designs": [DESIGN], "physics": {"n_steps": 100000}, "priority": "interactive"},
+     "interactive"),
+    ({"designs": [FULL], "physics": {"n_steps": 100000}, "priority": "interactive"}, "batch"),
+    ({"designs": [FULL], "physics": {"n_steps": 100000}}, "batch"),
+    ({"designs": BATCH, "physics": {"n_steps": 1000000}, "priority": "interactive"}, "batch"),
+    ({"designs": [FULL], "physics": {"n_steps": 15000}, "precision": "float32"}, "interactive"),
+    ({"designs": [FULL], "physics": {"n_steps": 15000}, "precision": "float64"}, "batch")])
+def test_interactive_is_short(service, request_, priority):
     """Interactive work overtakes all else, so what takes long is not, whatever was asked for."""
-    def priority(**more):
-        reply = service.request("POST", "/v1/evaluations", {
-            "environments": [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.01, "seed": 1}], **more
-        })
-        assert reply.status in (200, 202), reply.body
-        job = reply.headers["Location"].replace("evaluations", "jobs")
-        assert service.request("POST", job + "/cancel").status in (200, 202, 409)
-        return reply.json()["priority"]
-
-    assert priority(designs=[FULL], physics={"n_steps": 1001}) == "interactive"
-    assert priority(designs=[FULL], physics={"n_steps": 1001}, priority="batch") == "batch"
-    assert priority(designs=[DESIGN], physics={"n_steps": 100000},
-                    priority="interactive") == "interactive"
-    assert priority(designs=[FULL], physics={"n_steps": 100000}, priority="interactive") == "batch"
-    assert priority(designs=[FULL], physics={"n_steps": 100000}) == "batch"
-    assert priority(designs=BATCH, physics={"n_steps": 1000000}, priority="interactive") == "batch"
-    assert priority(designs=[FULL], physics={"n_steps": 15000},
-                    precision="float32") == "interactive"
-    assert priority(designs=[FULL], physics={"n_steps": 15000}, precision="float64") == "batch"
+    job = service.post("/v1/evaluations", {"environments": PLACES[:1], **request_})
+    assert service.act(job["id"], "cancel").status in (200, 409)
+    assert job["priority"] == priority
 
 
 def test_pausing_frees_the_workers(start):
     """A block of 16 environments and a million steps takes minutes: a pause breaks it off, as a
     cancellation does."""
     running = start("--workers=1")
-    environments = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.01, "seed": k}
-                    for k in range(16)]
-    reply = running.request(
-        "POST", "/v1/evaluations",
-        {"designs": [FULL], "environments": environments, "physics": {"n_steps": 1000000}})
-    assert reply.status == 202
-    job = reply.headers["Location"].replace("evaluations", "jobs")
-    await_state = time.monotonic() + 30
-    while running.request("GET", "/v1/threads").json()["n_busy"] == 0 or running.request(
-            "GET", job).json()["state"] != "running":
-        assert time.monotonic() < await_state
-        time.sleep(0.05)
-    assert running.request("POST", job + "/pause").status in (200, 202)
-    other = running.request("POST", "/v1/evaluations",
-                            {"designs": [DESIGN], "physics": SHORT, "priority": "batch"})
-    until = time.monotonic() + 60
-    while running.request("GET", other.headers["Location"]).json()["state"] != "succeeded":
-        assert time.monotonic() < until, "the paused evaluation holds the worker"
-        time.sleep(0.1)
-    assert running.request("GET", job).json()["state"] == "paused"
-    assert running.request("POST", job + "/cancel").status in (200, 202)
+    job = running.post("/v1/evaluations", {"designs": [FULL], "environments": PLACES,
+                                           "physics": {"n_steps": 1000000}})["id"]
+    awaited(running, f"/v1/jobs/{job}", lambda seen: seen["state"] == "running")
+    awaited(running, "/v1/threads", lambda seen: seen["n_busy"])
+    assert running.act(job, "pause").status in (200, 202)
+    run(running, "evaluations", {"designs": [DESIGN], "physics": SHORT, "priority": "batch"})
+    assert running.get(f"/v1/jobs/{job}")["state"] == "paused"
+    assert running.act(job, "cancel").status in (200, 202)

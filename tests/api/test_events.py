@@ -7,9 +7,7 @@ import socket
 import threading
 import time
 
-import pytest
-
-from service import CONTRACT, DESIGN, SHORT
+from service import CONTRACT, DESIGN, SHORT, until
 
 
 class Stream:
@@ -55,7 +53,7 @@ class Stream:
 
 
 def page(service, query=""):
-    return service.request("GET", "/v1/events?format=json" + query).json()
+    return service.get("/v1/events?format=json" + query)
 
 
 def test_a_job_in_order(service):
@@ -98,8 +96,8 @@ def test_resumption_loses_nothing(service):
 
 
 def test_filter(service):
-    stream_job = service.request("POST", "/v1/evaluations",
-                                 {"designs": [DESIGN], "physics": {"n_steps": 62}}).json()["id"]
+    stream_job = service.post("/v1/evaluations",
+                              {"designs": [DESIGN], "physics": {"n_steps": 62}})["id"]
     service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 63}})
     service.request("GET", f"/v1/jobs/{stream_job}", headers={"Prefer": "wait=20"})
     stream = Stream(service, f"?after=0&job={stream_job}")
@@ -136,8 +134,7 @@ def test_many_streams_see_the_same(service):
     streams = [Stream(service) for _ in range(40)]
     time.sleep(0.3)
     jobs = [
-        service.request("POST", "/v1/evaluations",
-                        {"designs": [DESIGN], "physics": {"n_steps": 70 + i}}).json()["id"]
+        service.post("/v1/evaluations", {"designs": [DESIGN], "physics": {"n_steps": 70 + i}})["id"]
         for i in range(5)
     ]
     for job in jobs:
@@ -157,21 +154,13 @@ def test_many_streams_see_the_same(service):
     assert seen[0] == [str(i) for i in range(int(seen[0][0]), int(seen[0][-1]) + 1)]
 
 
-def streams_open(service):
-    text = service.request("GET", "/metrics").body.decode()
-    return int(re.search(r"^morphod_event_streams (\d+)$", text, re.M).group(1))
-
-
 def test_vanished_readers_are_noticed(service):
-    before = streams_open(service)
+    before = service.metric("morphod_event_streams")
     streams = [Stream(service) for _ in range(10)]
-    assert streams_open(service) == before + 10
+    assert service.metric("morphod_event_streams") == before + 10
     for stream in streams:
         stream.close()
-    deadline = time.monotonic() + 6
-    while streams_open(service) > before:
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+    until(lambda: service.metric("morphod_event_streams") <= before)
 
 
 def test_streams_are_limited(start):
@@ -180,13 +169,7 @@ def test_streams_are_limited(start):
     refused = running.request("GET", "/v1/events")
     assert refused.status == 503
     streams[0].close()
-    deadline = time.monotonic() + 6
-    while True:
-        again = Stream(running)
-        if again.status == 200:
-            break
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+    until(lambda: Stream(running).status == 200)
 
 
 def test_streams_end_with_the_service(start):

@@ -43,7 +43,7 @@ def submit(service, **fields):
 
 
 def campaign(service, id):
-    return service.request("GET", f"/v1/campaigns/{id}").json()
+    return service.get(f"/v1/campaigns/{id}")
 
 
 def test_a_lineage_that_cannot_be_read(start):
@@ -53,8 +53,7 @@ def test_a_lineage_that_cannot_be_read(start):
     done = awaited(service, f"/v1/campaigns/{id}", lambda seen: seen["state"] not in
                    ("queued", "running"))
     assert done["state"] == "succeeded" and done["progress"]["generation"] == 1
-    events = service.request("GET",
-                             f"/v1/events?format=json&job={id}&after=0&limit=100").json()["items"]
+    events = service.get(f"/v1/events?format=json&job={id}&after=0&limit=100")["items"]
     told = [event["data"] for event in events if event["type"] == "campaign.lineage_unreadable"]
     assert [(data["id"], data["controller"], data["field"])
             for data in told] == [(id, digits, "morphod.seed"), (id, digits, "morphod.step")]
@@ -81,18 +80,18 @@ def test_a_drawing_is_told_and_handed_over(start):
         assert 0 < seen["progress"]["done"] < seen["progress"]["total"] == total and seen[
             "progress"]["seconds_left"] > 1
     assert drawn["reason"] is None and f"campaign {first} draws" in waits["reason"]
-    job = service.request("GET", f"/v1/jobs/{second}").json()
+    job = service.get(f"/v1/jobs/{second}")
     assert job["state"] == "running" and job["reason"] == waits["reason"]
     waits = campaign(service, second)
-    assert service.request("POST", f"/v1/jobs/{first}/pause").status == 200
+    assert service.act(first, "pause").status == 200
     draws = awaited(service, f"/v1/campaigns/{second}", lambda seen: seen["reason"] is None)
     assert draws["phase"] == "preparing" and draws["progress"]["done"] >= waits["progress"]["done"]
-    assert service.request("POST", f"/v1/jobs/{first}/resume").status == 200
+    assert service.act(first, "resume").status == 200
     waits = awaited(service, f"/v1/campaigns/{first}", lambda seen: seen["reason"] is not None)
     assert f"campaign {second} draws" in waits["reason"] and waits["progress"]["done"] >= draws[
         "progress"]["done"]
     begun = time.monotonic()
     for id in (second, first):
-        assert service.request("POST", f"/v1/jobs/{id}/cancel").status == 200
+        assert service.act(id, "cancel").status == 200
         awaited(service, f"/v1/campaigns/{id}", lambda seen: seen["phase"] == "idle")
     assert time.monotonic() - begun < 10

@@ -8,7 +8,7 @@ import re
 import socket
 import time
 
-from service import split_replies
+from service import split_replies, until
 
 N_CONNECTIONS = int(os.environ.get("MORPHOD_TEST_HOSTILE",
                                    "20000"))  # 100000 shows more, and takes minutes
@@ -36,13 +36,6 @@ def memory(service):
     return 1024 * int(re.search(r"RssAnon:\s+(\d+) kB", text)[1])
 
 
-def gauge(service, name):
-    """A number from /metrics; None: the service has no connection left to tell it."""
-    found = re.search(rf"^{name} (\d+)$",
-                      service.request("GET", "/metrics").body.decode(), re.MULTILINE)
-    return int(found[1]) if found else None
-
-
 def attack(service, n, at_once=100):
     """Connections in groups: each sends, some read what comes, all leave."""
     kinds = list(HOSTILE.values())
@@ -65,10 +58,7 @@ def attack(service, n, at_once=100):
 
 def await_quiet(service):
     """Waits until the service has only the connection that asks."""
-    deadline = time.monotonic() + 60
-    while gauge(service, "morphod_http_connections") != 1:
-        assert time.monotonic() < deadline, service.request("GET", "/metrics").body.decode()
-        time.sleep(0.05)
+    until(lambda: service.metric("morphod_http_connections") == 1)
 
 
 def test_hostile_connections_leave_nothing_behind(start):
@@ -79,12 +69,9 @@ def test_hostile_connections_leave_nothing_behind(start):
     before = memory(service)
     attack(service, N_CONNECTIONS)
     await_quiet(service)
-    deadline = time.monotonic() + 10
-    while (grown := memory(service) - before) > 8 << 20 and time.monotonic() < deadline:
-        time.sleep(0.1)
-    print(f"{N_CONNECTIONS} connections: {grown} bytes more than {before}")
-    assert grown <= 8 << 20, f"{grown} bytes more after {N_CONNECTIONS} connections"
-    assert gauge(service, "morphod_http_requests_in_flight") == 1
+    until(lambda: memory(service) - before <= 8 << 20, 10)
+    print(f"{N_CONNECTIONS} connections: {memory(service) - before} bytes more than {before}")
+    assert service.metric("morphod_http_requests_in_flight") == 1
 
 
 def test_many_parameters_are_answered(service):

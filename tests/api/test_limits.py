@@ -14,10 +14,11 @@ import time
 import pytest
 
 import service as service_module
-from service import BOOTSTRAP, CONTRACT, DESIGN, SHORT
+from service import BOOTSTRAP, CONTRACT, DESIGN, SHORT, until
 
 EVALUATION = {"designs": [DESIGN], "physics": SHORT}
 USERS = (4001, 4002)  # of no account; only root can open connections as they
+IN_FLIGHT = "morphod_http_requests_in_flight"
 LIBC = ctypes.CDLL(None)
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="connections of several users need root")
 
@@ -50,22 +51,9 @@ def endless(service, **how):
     value = {
         **EVALUATION, "priority": "batch", "precision": "float64", "physics": {"n_steps": 100000}
     }
-    job = service.request("POST", "/v1/evaluations", value, **how).json()["id"]
-    assert service.request("POST", f"/v1/jobs/{job}/pause", **how).status in (200, 202)
+    job = service.post("/v1/evaluations", value, **how)["id"]
+    assert service.act(job, "pause", **how).status in (200, 202)
     return job
-
-
-def metric(service, name, **how):
-    found = re.search(rf"^{name} (\d+)$",
-                      service.request("GET", "/metrics", **how).body.decode(), re.M)
-    return int(found.group(1)) if found else 0
-
-
-def awaited_metric(service, name, value, **how):
-    deadline = time.monotonic() + 30
-    while (seen := metric(service, name, **how)) != value:
-        assert time.monotonic() < deadline, (name, seen)
-        time.sleep(0.02)
 
 
 def status(sock):
@@ -129,13 +117,11 @@ def test_waiting_takes_no_place(start):
     job = endless(service)
     waiting = [service.connection() for _ in range(20)]
     for n, connection in enumerate(waiting):
-        deadline = time.monotonic() + 20
-        while service.request("GET",
-                              "/v1/jobs").status != 200:  # until at most one is not parked yet
-            assert time.monotonic() < deadline
-        awaited_metric(service, "morphod_http_requests_in_flight", n + 1)  # the list is answered
+        # Until at most one is not parked yet.
+        until(lambda: service.request("GET", "/v1/jobs").status == 200)
+        until(lambda: service.metric(IN_FLIGHT) == n + 1)  # the list is answered
         connection.request("GET", f"/v1/evaluations/{job}", headers={"Prefer": "wait=60"})
-    assert service.request("POST", f"/v1/jobs/{job}/cancel").status in (200, 202)
+    assert service.act(job, "cancel").status in (200, 202)
     # All are answered, more than may be in flight.
     for connection in waiting:
         reply = connection.getresponse()
@@ -184,11 +170,11 @@ def test_idle_connections_give_way_oldest_first(start):
     waiting = service.connection()
     waiting.request("GET", f"/v1/jobs/{endless(service)}", headers={"Prefer": "wait=60"})
     idle = [dial(service) for _ in range(34)]
-    awaited_metric(service, "morphod_http_connections", 1 + 20 + 1 + 34, connection=used)
+    until(lambda: service.metric("morphod_http_connections", connection=used) == 1 + 20 + 1 + 34)
     for _ in range(30):
         assert service.request("GET", "/v1/jobs").status == 200
     # At most one for each, and fewer where a connection of a request before is gone or gave way.
-    gone = metric(service, "morphod_http_connections_gave_way_total")
+    gone = service.metric("morphod_http_connections_gave_way_total")
     closed = [not is_open(sock) for sock in idle]
     assert sum(closed) <= gone <= 40 and closed == sorted(closed, reverse=True), (gone, closed)
     assert all(is_open(sock) for sock in working + [used.sock, waiting.sock])
@@ -226,18 +212,16 @@ def test_kept_connections_are_for_health(start, tmp_path):
     # They are held on the unix socket, too: what is left is for health.
     waiting = [service.connection(unix=True) for _ in range(4)]
     job = endless(service, unix=True)
-    awaited_metric(service, "morphod_http_requests_in_flight", 56 + 1)  # with the one that asks
+    until(lambda: service.metric(IN_FLIGHT) == 56 + 1)  # with the one that asks
     for connection in waiting:
         connection.request("GET", f"/v1/jobs/{job}", headers={"Prefer": "wait=60"})
-    awaited_metric(service, "morphod_http_requests_in_flight", 56 + 4 + 1)
+    until(lambda: service.metric(IN_FLIGHT) == 56 + 4 + 1)
     assert service.request("GET", "/v1/jobs", unix=True).status == 503
     assert service.request("GET", "/healthz", unix=True).status == 200
     assert service.request("GET", "/healthz").status == 200
     for sock in held:
         sock.close()
-    deadline = time.monotonic() + 20
-    while service.request("GET", "/v1/jobs").status != 200:
-        assert time.monotonic() < deadline
+    until(lambda: service.request("GET", "/v1/jobs").status == 200)
 
 
 def whole(service, size):
@@ -262,7 +246,7 @@ def test_half_sent_bodies_give_way_to_whole_ones(start):
         assert head.startswith(
             b"HTTP/1.1 503 ") and b"\r\nRetry-After: 1" in head and b"\r\nConnection: close" in head
         CONTRACT.validate({"$ref": "#/components/schemas/Problem"}, json.loads(problem), "503")
-    assert metric(service, "morphod_http_bodies_gave_way_total") == len(received)
+    assert service.metric("morphod_http_bodies_gave_way_total") == len(received)
     assert 'status=503' in service.log_text() and "others needed its memory" in service.log_text()
     assert is_quiet(held[0])
 
@@ -273,10 +257,7 @@ def test_half_sent_bodies_of_all_users_give_way(start):
     held = [half(dial(service, uid), 1000000, 600000) for uid in USERS for _ in range(4)]
     time.sleep(0.5)
     assert whole(service, 1000) == 202  # of the memory that is kept for small ones
-    deadline = time.monotonic() + 30
-    while whole(service, 900000) != 202:
-        assert time.monotonic() < deadline
-        time.sleep(0.2)
+    until(lambda: whole(service, 900000) == 202)
     assert not all(is_quiet(sock) for sock in held)
 
 
@@ -288,7 +269,7 @@ def test_connections_fit_the_limit_of_open_files(start, monkeypatch, tmp_path):
     service = start("--header-timeout=60s")
     held = [dial(service) for _ in range(300)]
     assert service.evaluate(EVALUATION).status == 200
-    assert 64 <= metric(service, "morphod_http_connections_max") <= 192
+    assert 64 <= service.metric("morphod_http_connections_max") <= 192
     assert re.search(r"warning: the limit of open files .*max_connections=1024 used=\d+",
                      service.log_text())
     assert held
@@ -296,7 +277,7 @@ def test_connections_fit_the_limit_of_open_files(start, monkeypatch, tmp_path):
 
 def test_connections_that_fit_need_no_word(start):
     service = start("--max-connections=64")
-    assert metric(service, "morphod_http_connections_max") == 64
+    assert service.metric("morphod_http_connections_max") == 64
     assert "limit of open files" not in service.log_text()
 
 
@@ -313,7 +294,7 @@ def test_one_user_does_not_shut_out_another(start):
         sock.sendall(
             f"GET /v1/jobs/{job} HTTP/1.1\r\nHost: localhost\r\nPrefer: wait=300\r\n\r\n".encode())
     bodies = [half(dial(service, USERS[0]), 30 << 20, 20 << 20) for _ in range(4)]
-    awaited_metric(service, "morphod_http_requests_in_flight", 64 + 4 + 1)
+    until(lambda: service.metric(IN_FLIGHT) == 64 + 4 + 1)
     idle = [dial(service, USERS[0]) for _ in range(1024)]
 
     def seconds(ask):

@@ -11,6 +11,7 @@ import time
 import pytest
 
 REQUESTS = 6000  # 260 bytes of log each at least: more than the buffer's 1 MiB
+DROPPED = "morphod_log_lines_dropped_total"
 PATH = "/" + "x" * 180
 
 
@@ -32,11 +33,6 @@ def ask(service, n):
     connection.close()
 
 
-def dropped(service):
-    text = service.request("GET", "/metrics").body.decode()
-    return int(re.search(r"^morphod_log_lines_dropped_total (\d+)$", text, re.M).group(1))
-
-
 def read_until(end, pattern, seconds=30):
     text, deadline = "", time.monotonic() + seconds
     os.set_blocking(end, False)
@@ -52,10 +48,10 @@ def read_until(end, pattern, seconds=30):
 def test_lines_are_dropped_and_counted(start, unread):
     reading, writing = unread
     service = start(stderr=writing)
-    assert dropped(service) == 0
+    assert service.metric(DROPPED) == 0
     ask(service, REQUESTS)
     assert service.request("GET", "/healthz").status == 200
-    lost = dropped(service)
+    lost = service.metric(DROPPED)
     assert lost > 0
     text = read_until(reading, r"lines were dropped.*\n")
     assert f"lines={lost}\n" in text
@@ -64,7 +60,7 @@ def test_lines_are_dropped_and_counted(start, unread):
     lines = [line for line in text.splitlines() if PATH in line]
     assert len(lines) == REQUESTS + 1 - lost and all(
         re.fullmatch(r"\S+ info: request .* seconds=\S+", line) for line in lines)
-    assert PATH in text.splitlines()[-1] and dropped(service) == lost
+    assert PATH in text.splitlines()[-1] and service.metric(DROPPED) == lost
     assert service.stop() == 0
     assert "stopped work=finished" in read_until(reading, "stopped.*\n")
 

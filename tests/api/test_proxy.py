@@ -8,11 +8,10 @@ import re
 import shutil
 import socket
 import subprocess
-import time
 
 import pytest
 
-from service import SOURCE, Service, split_replies, tiny_controller
+from service import SOURCE, Service, split_replies, tiny_controller, until
 
 HOST = b"Host: lab.example\r\n"
 POST = b"POST /v1/evaluations HTTP/1.1\r\n" + HOST + b"Content-Type: application/json\r\n"
@@ -63,11 +62,7 @@ class Nginx:
         self.process = subprocess.Popen(
             [program, "-e", folder / "errors", "-p", folder, "-c", config],
             stderr=subprocess.DEVNULL)
-        deadline = time.monotonic() + 30
-        while not self.path.exists():
-            assert self.process.poll() is None and time.monotonic() < deadline, (
-                folder / "errors").read_text()
-            time.sleep(0.02)
+        until(lambda: self.path.exists())
 
     def raw(self, data):
         with socket.socket(socket.AF_UNIX) as sock:

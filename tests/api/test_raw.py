@@ -6,11 +6,10 @@ import os
 import random
 import select
 import socket
-import time
 
 import pytest
 
-from service import CONTRACT, split_replies, tiny_controller
+from service import CONTRACT, split_replies, tiny_controller, until
 
 HOST = b"Host: 127.0.0.1\r\n"
 GET = b"GET /healthz HTTP/1.1\r\n" + HOST
@@ -256,9 +255,6 @@ def test_what_the_library_refuses_is_logged_and_counted(start):
         'morphod_http_requests_total{route="other",code="505"} 1\n',
         "morphod_http_requests_in_flight 1\n"
     ]
-    deadline = time.monotonic() + 10  # they end just after their replies
-    while not all(line in (metrics := service.request("GET", "/metrics").body.decode())
-                  for line in wanted):
-        assert time.monotonic() < deadline, metrics
-        time.sleep(0.05)
+    # They end just after their replies.
+    until(lambda: all(line in service.request("GET", "/metrics").body.decode() for line in wanted))
     assert "status=414" in service.log_text() and "status=505" in service.log_text()

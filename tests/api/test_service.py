@@ -13,7 +13,7 @@ import time
 
 import pytest
 
-from service import BINARY, CONTRACT, DESIGN, SHORT, Service
+from service import CONTRACT, DESIGN, SHORT, until
 
 TOKEN = "a-token-of-more-than-16-characters"
 
@@ -197,10 +197,7 @@ def test_tokens_are_replaced_at_run_time(start, tmp_path):
     new = "another-token-of-more-than-16-characters"
     path.write_text(new + "\n")
     running.process.send_signal(signal.SIGHUP)
-    deadline = time.monotonic() + 10
-    while running.request("GET", "/v1/jobs").status == 200:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until(lambda: running.request("GET", "/v1/jobs").status != 200)
     running.token = new
     assert running.request("GET", "/v1/jobs").status == 200
 
@@ -310,12 +307,8 @@ def test_connections_are_limited(start):
                       json.loads(received.split(b"\r\n\r\n")[1]), "503")
     for sock in held:
         sock.close()
-    deadline = time.monotonic() + 5
-    while True:
-        received, _ = running.raw(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        if received.startswith(b"HTTP/1.1 200 "):
-            break
-        assert time.monotonic() < deadline
+    health = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    until(lambda: running.raw(health)[0].startswith(b"HTTP/1.1 200 "))
 
 
 def test_slow_clients_are_cut_off(start):

@@ -21,11 +21,11 @@ def test_tags_name_the_store(start, tmp_path):
         running = start(state=tmp_path / name)
         evaluation = running.evaluate({"designs": [DESIGN], "physics": SHORT,
                                        "record": ["com"]}).json()
-        campaign = running.request(
-            "POST", "/v1/campaigns", {
+        campaign = running.post(
+            "/v1/campaigns", {
                 "mode": "zero-shot", "population": 16, "generations": 1, "physics": SHORT,
                 "exclude_pretraining": False
-            }).json()
+            })
         await_end(running, f"/v1/campaigns/{campaign['id']}")
         paths = [
             f"/v1/jobs/{evaluation['id']}", f"/v1/evaluations/{evaluation['id']}",
@@ -313,7 +313,7 @@ def test_files_of_unused_controllers(start, tmp_path):
         assert running.request(method, path).status == 404
     assert tiny_controller(running) == body and file.read_bytes() == body
     assert running.request("GET", path + "/file").body == body
-    default = running.request("GET", "/v1/controllers/default").json()["sha256"]
+    default = running.get("/v1/controllers/default")["sha256"]
     evaluation = running.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["id"]
     assert running.request("PUT",
                            "/v1/controllers/default/file",

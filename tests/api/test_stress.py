@@ -48,7 +48,7 @@ def learn(service, controller, physics):
         "validation": {"every_steps": 1, "environments": 2},
         "checkpoint": {"every_steps": 1, "every_s": 0, "keep": 2}
     }
-    training = service.request("POST", "/v1/trainings", request).json()
+    training = service.post("/v1/trainings", request)
     while training["state"] not in ("succeeded", "failed"):
         training = plain_json(
             service.request("GET", f"/v1/trainings/{training['id']}",

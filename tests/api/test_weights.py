@@ -23,8 +23,8 @@ def worker_seconds(service):
 
 
 def test_taken_shown_and_changed(service):
-    plain = service.request("POST", "/v1/evaluations", LONG).json()
-    heavy = service.request("POST", "/v1/evaluations", {**LONG, "weight": 2.5}).json()
+    plain = service.post("/v1/evaluations", LONG)
+    heavy = service.post("/v1/evaluations", {**LONG, "weight": 2.5})
     assert plain["weight"] == 1 and heavy["weight"] == 2.5
     path = f"/v1/jobs/{heavy['id']}"
     before = service.request("GET", path)
@@ -32,33 +32,29 @@ def test_taken_shown_and_changed(service):
     assert changed.status == 200 and changed.json()["weight"] == 0.001
     after = service.request("GET", path, headers={"If-None-Match": before.headers["ETag"]})
     assert after.status == 200 and after.json()["weight"] == 0.001
-    assert service.request("POST", path + "/weight", {"weight": 1000}).json()["weight"] == 1000
-    weights = {
-        job["id"]: job["weight"]
-        for job in service.request("GET", "/v1/jobs?limit=10").json()["items"]
-    }
+    assert service.post(path + "/weight", {"weight": 1000})["weight"] == 1000
+    weights = {job["id"]: job["weight"] for job in service.get("/v1/jobs?limit=10")["items"]}
     assert weights[heavy["id"]] == 1000 and weights[plain["id"]] == 1
-    events = service.request(
-        "GET", f"/v1/events?format=json&job={heavy['id']}&after=0&limit=1000").json()["items"]
+    events = service.get(f"/v1/events?format=json&job={heavy['id']}&after=0&limit=1000")["items"]
     assert [event["data"]["weight"] for event in events
             if event["type"] == "job.weight"] == [0.001, 1000]
     for job in (plain, heavy):
-        assert service.request("POST", f"/v1/jobs/{job['id']}/cancel").status == 200
+        assert service.act(job['id'], "cancel").status == 200
     assert service.request("POST", path + "/weight", {"weight": 2}).status == 409
     assert service.request("POST", "/v1/jobs/123456789/weight", {"weight": 2}).status == 404
-    assert service.request("GET", path).json()["weight"] == 1000
+    assert service.get(path)["weight"] == 1000
 
 
 def test_of_a_training(service):
-    training = service.request("POST", "/v1/trainings", {**TRAINING, "weight": 3}).json()
+    training = service.post("/v1/trainings", {**TRAINING, "weight": 3})
     assert training["weight"] == 3
     path = f"/v1/jobs/{training['id']}"
     awaited(service, f"/v1/trainings/{training['id']}",
             lambda state: state["progress"]["step"] >= 2)
-    running = service.request("GET", f"/v1/trainings/{training['id']}").json()
+    running = service.get(f"/v1/trainings/{training['id']}")
     assert running["progress"]["busy_s"] > 0
-    assert service.request("POST", path + "/weight", {"weight": 0.5}).json()["weight"] == 0.5
-    assert service.request("GET", f"/v1/trainings/{training['id']}").json()["weight"] == 0.5
+    assert service.post(path + "/weight", {"weight": 0.5})["weight"] == 0.5
+    assert service.get(f"/v1/trainings/{training['id']}")["weight"] == 0.5
     assert service.request("POST", path + "/cancel").status == 200
     awaited(service, f"/v1/trainings/{training['id']}", lambda state: state["phase"] == "idle")
     seconds = worker_seconds(service)
@@ -73,12 +69,12 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_weights(service, name):
-    job = service.request("POST", "/v1/evaluations", LONG).json()
+    job = service.post("/v1/evaluations", LONG)
     for path, body in ((f"/v1/jobs/{job['id']}/weight", {}), ("/v1/evaluations", LONG),
                        ("/v1/trainings", TRAINING)):
         reply = service.request("POST", path, {**body, "weight": WRONG[name]})
         assert reply.status == 422 and reply.pointers() == ["/weight"], reply.body
-    assert service.request("POST", f"/v1/jobs/{job['id']}/cancel").json()["weight"] == 1
+    assert service.act(job['id'], "cancel").json()["weight"] == 1
 
 
 def test_wrong_bodies(service):
