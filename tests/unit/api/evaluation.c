@@ -1,4 +1,5 @@
-/* The body of POST /v1/evaluations: each fault at its place. */
+/* The body of POST /v1/evaluations: what is read, and how large it can be. Faults and their places
+ * are in tests/api/test_invalid.py. */
 #include "unit/check.h"
 
 #include <time.h>
@@ -72,83 +73,6 @@ static void everything(void)
   CHECK_TEXT(again, id);
 }
 
-static void places(void)
-{
-  static const struct {
-    const char *text, *where;
-  } tries[] = {
-      {"{}", ""},
-      {"[]", ""},
-      {"{\"designs\":[]}", "/designs"},
-      {"{\"designs\":{}}", "/designs"},
-      {"{\"designs\":[7]}", "/designs/0"},
-      {"{\"designs\":[{}]}", "/designs/0"},
-      {"{\"designs\":[{\"cells\":[]}]}", "/designs/0/cells"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]},{\"cells\":[[0,0,0],[0,0]]}]}", "/designs/1/cells/1"},
-      {"{\"designs\":[{\"cells\":[[0,0,0,0]]}]}", "/designs/0/cells/0"},
-      {"{\"designs\":[{\"cells\":[[0,0,\"0\"]]}]}", "/designs/0/cells/0/2"},
-      {"{\"designs\":[{\"cells\":[[0,0,0.5]]}]}", "/designs/0/cells/0/2"},
-      {"{\"designs\":[{\"cells\":[[0,0,0],[0,6,0]]}]}", "/designs/0/cells/1/1"},
-      {"{\"designs\":[{\"cells\":[[0,0,4]]}]}", "/designs/0/cells/0/2"},
-      {"{\"designs\":[{\"cells\":[[-1,0,0]]}]}", "/designs/0/cells/0/0"},
-      {"{\"designs\":[{\"cells\":[[1e400,0,0]]}]}", "/designs/0/cells/0/0"},
-      {"{\"designs\":[{\"cells\":[[0,0,0],[1,0,0],[0,0,0]]}]}", "/designs/0/cells/2"},
-      {"{\"designs\":[{\"cells\":[[0,0,0],[1,0,0],[3,0,0]]}]}", "/designs/0/cells/2"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]],\"id\":\"x\"}]}", "/designs/0/id"},
-      {"{\"designs\":[{\"voxels\":\"01\"}]}", "/designs/0/voxels"},
-      {"{\"designs\":[{\"voxels\":5}]}", "/designs/0/voxels"},
-      {"{\"designs\":[{\"id\":\"00\"}]}", "/designs/0/id"},
-      {"{\"designs\":[{\"id\":\"000000000000000000000000000000000001\"}]}", "/designs/0/id"},
-      {"{\"designs\":[{\"cell\":[]}]}", "/designs/0/cell"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"controler\":\"x\"}", "/controler"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"controller\":\"Not A Name\"}", "/controller"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"controller\":\"sha256:12\"}", "/controller"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":\"moon\"}", "/environments"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":7}", "/environments"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[]}", "/environments"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"terrain_"
-       "heights_m\":[1]}]}",
-       "/environments/0/terrain_heights_m"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"terrain_"
-       "heights_m\":[1,1e400]}]"
-       "}",
-       "/environments/0/terrain_heights_m/1"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2000],\"terrain_"
-       "sigma_m\":0,\"seed\":"
-       "0}]}",
-       "/environments/0/light_xy_m/1"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"seed\":0}]}",
-       "/environments/0"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"terrain_sigma_m\":0,\"seed\":0}]"
-       "}",
-       "/environments/0"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"record\":[\"com\",\"com\"]}", "/record/1"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"record\":[\"pose\"]}", "/record/0"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"record_stride\":0}", "/record_stride"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"record_stride\":1001}", "/record_stride"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"dt_s\":0}}", "/physics/dt_s"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"n_steps\":0}}", "/physics/n_steps"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"impact\":\"bisection53\"}}",
-       "/physics/impact"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"impact\":\"bisection08\"}}",
-       "/physics/impact"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"gravity\":1}}", "/physics/gravity"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"precision\":\"float16\"}", "/precision"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"priority\":1}", "/priority"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"verify\":null}", "/verify"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"label\":7}", "/label"},
-  };
-  for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {
-    CHECK_INT(parse(tries[i].text), MO_ERR_INVALID);
-    REQUIRE(faults.n >= 1);
-    CHECK_TEXT(faults.items[0].where, tries[i].where);
-    if (strcmp(faults.items[0].where, tries[i].where) != 0)
-      printf("# %s: %s\n", tries[i].text, faults.items[0].detail);
-  }
-  CHECK_INT(parse("{\"designs\":[{\"cells\":[[0,0,NaN]]}]}"), MO_ERR_FORMAT);
-  CHECK_TEXT(faults.items[0].where, "/designs/0/cells/0/2");
-}
-
 static void labels(void)
 {
   char text[2000] = "{\"designs\":[{\"cells\":[[0,0,0]]}],\"label\":\"";
@@ -198,7 +122,9 @@ static void largest(void)
 }
 
 static const struct check_case cases[] = {
-    {"defaults", defaults}, {"everything", everything},       {"every fault has its place", places},
-    {"labels", labels},     {"the largest request", largest},
+    {"defaults", defaults},
+    {"everything", everything},
+    {"labels", labels},
+    {"the largest request", largest},
 };
 CHECK_MAIN(cases)

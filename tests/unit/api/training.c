@@ -1,5 +1,5 @@
-/* The body of POST /v1/trainings: defaults by kind and preset, each fault at its place, all of them
- * at once. */
+/* The body of POST /v1/trainings: defaults by kind and preset. Faults and their places are in
+ * tests/api/test_invalid.py. */
 #include "unit/check.h"
 
 #include "api/requests.h"
@@ -167,137 +167,6 @@ static void schedules(void)
   CHECK(schedule->peak == 1e-3 && schedule->cycle_steps == 10 && schedule->cycle_growth == 2);
 }
 
-static void places(void)
-{
-  static const struct {
-    const char *text, *where;
-  } tries[] = {
-      {"[]", ""},
-      {"{}", ""},
-      {"{\"kind\":7}", "/kind"},
-      {"{\"kind\":\"train\"}", "/kind"},
-      {"{\"kind\":\"finetune\"}", ""},
-      {"{\"kind\":\"finetune\"," DESIGNS ",\"population\":{\"evaluation\":\"1\"}}", ""},
-      {TRAIN "\"preset\":\"Paper\"}", "/preset"},
-      {TRAIN "\"preset\":\"demo\"}", "/preset"},
-      {TRAIN "\"preset\":\"\"}", "/preset"},
-      {TRAIN "\"preset\":null}", "/preset"},
-      {TRAIN "\"preset\":{\"name\":\"paper\"}}", "/preset"},
-      {TRAIN "\"preset\":\"paper of which the name is far too long\"}", "/preset"},
-      {TUNE "\"preset\":\"phototaxis\"}", "/preset"},
-      {TRAIN "\"preset\":\"paper\",\"steps\":32769}", "/steps"},
-      {TUNE "\"controller\":null}", "/controller"},
-      {TUNE "\"controller\":\"Not A Name\"}", "/controller"},
-      {TUNE "\"controller\":5}", "/controller"},
-      {TUNE "\"controller\":\"sha256:12\"}", "/controller"},
-      {TUNE "\"sensor\":\"inverse_sqrt\"}", "/sensor"},
-      {TRAIN "\"sensor\":\"inverse_sqrt\",\"controller\":\"default\"}", "/sensor"},
-      {TRAIN "\"sensor\":\"linear\"}", "/sensor"},
-      {TRAIN DESIGNS "}", "/designs"},
-      {TRAIN "\"population\":{\"evaluation\":\"1\"}}", "/population"},
-      {"{\"kind\":\"finetune\",\"designs\":[]}", "/designs"},
-      {"{\"kind\":\"finetune\",\"designs\":[{\"cells\":[[0,0,4]]}]}", "/designs/0/cells/0/2"},
-      {"{\"kind\":\"finetune\",\"population\":12}", "/population"},
-      {"{\"kind\":\"finetune\",\"population\":{}}", "/population"},
-      {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":12}}", "/population/evaluation"},
-      {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"\"}}", "/population/evaluation"},
-      {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"012\"}}", "/population/evaluation"},
-      {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"-1\"}}", "/population/evaluation"},
-      {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"12\",\"best\":0}}",
-       "/population/best"},
-      {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"12\",\"worst\":1}}",
-       "/population/worst"},
-      {TRAIN "\"name\":\"\"}", "/name"},
-      {TRAIN "\"name\":\"A\"}", "/name"},
-      {TRAIN "\"name\":\"12345678901234567890123456789012345678901234567890123456789012345\"}",
-       "/name"},
-      {TRAIN "\"name\":null}", "/name"},
-      {TRAIN "\"steps\":0}", "/steps"},
-      {TRAIN "\"steps\":1000000000}", "/steps"},
-      {TRAIN "\"steps\":1000001}", "/steps"},
-      {TRAIN "\"steps\":1.5}", "/steps"},
-      {TRAIN "\"steps\":\"60\"}", "/steps"},
-      {TRAIN "\"steps\":1000000,\"batch\":65536}", "/steps"},
-      {TRAIN "\"batch\":0}", "/batch"},
-      {TRAIN "\"batch\":-1}", "/batch"},
-      {TRAIN "\"batch\":65537}", "/batch"},
-      {TRAIN "\"seed\":-1}", "/seed"},
-      {TRAIN "\"seed\":9007199254740992}", "/seed"},
-      {TRAIN "\"schedule\":\"cosine\"}", "/schedule"},
-      {TRAIN "\"schedule\":7}", "/schedule"},
-      {TRAIN "\"schedule\":null}", "/schedule"},
-      {TRAIN "\"schedule\":{\"peak\":1}}", "/schedule"},
-      {TRAIN "\"schedule\":{\"kind\":\"linear\"}}", "/schedule/kind"},
-      {TRAIN "\"schedule\":{\"kind\":\"cosine\",\"peak\":-1e-3}}", "/schedule/peak"},
-      {TRAIN "\"schedule\":{\"kind\":\"cosine\",\"peak\":0}}", "/schedule/peak"},
-      {TRAIN "\"schedule\":{\"kind\":\"cosine\",\"peak\":1e400}}", "/schedule/peak"},
-      {TRAIN "\"schedule\":{\"kind\":\"cosine\",\"peak\":2}}", "/schedule/peak"},
-      {TRAIN "\"schedule\":{\"kind\":\"cosine\",\"peak\":\"fast\"}}", "/schedule/peak"},
-      {TRAIN "\"schedule\":{\"kind\":\"cosine\",\"peak\":1e-3,\"floor\":1e-2}}", "/schedule/floor"},
-      {TRAIN "\"schedule\":{\"kind\":\"cosine\",\"floor\":0}}", "/schedule/floor"},
-      {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"decay\":0}}", "/schedule/decay"},
-      {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"decay\":1.5}}", "/schedule/decay"},
-      {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"cycle_steps\":0}}", "/schedule/cycle_steps"},
-      {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"cycle_growth\":0}}", "/schedule/cycle_growth"},
-      {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"cycle_growth\":1001}}",
-       "/schedule/cycle_growth"},
-      {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"warmup_steps\":-1}}", "/schedule/warmup_steps"},
-      {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"warm\":1}}", "/schedule/warm"},
-      {TRAIN "\"adam\":[]}", "/adam"},
-      {TRAIN "\"adam\":{\"beta1\":1}}", "/adam/beta1"},
-      {TRAIN "\"adam\":{\"beta2\":-0.1}}", "/adam/beta2"},
-      {TRAIN "\"adam\":{\"epsilon\":0}}", "/adam/epsilon"},
-      {TRAIN "\"adam\":{\"gamma\":0}}", "/adam/gamma"},
-      {TRAIN "\"gradient_norm_limit\":-1}", "/gradient_norm_limit"},
-      {TRAIN "\"gradient_norm_limit\":1e400}", "/gradient_norm_limit"},
-      {TRAIN "\"gradient_norm_limit\":1e7}", "/gradient_norm_limit"},
-      {TRAIN "\"adjoint_bound\":-2}", "/adjoint_bound"},
-      {TRAIN "\"adjoint_bound\":\"off\"}", "/adjoint_bound"},
-      {TRAIN "\"adjoint_rule\":1}", "/adjoint_rule"},
-      {TRAIN "\"adjoint_rule\":\"Restart\"}", "/adjoint_rule"},
-      {TRAIN "\"adjoint_rule\":null}", "/adjoint_rule"},
-      {TRAIN "\"restart_weight\":-1}", "/restart_weight"},
-      {TRAIN "\"restart_weight\":1e7}", "/restart_weight"},
-      {TRAIN "\"restart_weight\":\"3\"}", "/restart_weight"},
-      {TRAIN "\"restart_weight\":null}", "/restart_weight"},
-      {TRAIN "\"physics\":{\"dt_s\":0}}", "/physics/dt_s"},
-      {TRAIN "\"physics\":{\"gravity\":0}}", "/physics/gravity"},
-      {TRAIN "\"validation\":{\"every_steps\":-1}}", "/validation/every_steps"},
-      {TRAIN "\"validation\":{\"designs\":0}}", "/validation/designs"},
-      {TRAIN "\"validation\":{\"designs\":10001}}", "/validation/designs"},
-      {TRAIN "\"validation\":{\"environments\":65}}", "/validation/environments"},
-      {TRAIN "\"validation\":{\"every\":5}}", "/validation/every"},
-      {TRAIN "\"validation\":50}", "/validation"},
-      {TRAIN "\"checkpoint\":{\"every_steps\":-1}}", "/checkpoint/every_steps"},
-      {TRAIN "\"checkpoint\":{\"every_s\":86401}}", "/checkpoint/every_s"},
-      {TRAIN "\"checkpoint\":{\"keep\":0}}", "/checkpoint/keep"},
-      {TRAIN "\"checkpoint\":{\"keep\":101}}", "/checkpoint/keep"},
-      {TRAIN "\"checkpoint\":{\"path\":\"/\"}}", "/checkpoint/path"},
-      {TRAIN "\"priority\":\"urgent\"}", "/priority"},
-      {TRAIN "\"label\":7}", "/label"},
-      {TRAIN "\"epochs\":7}", "/epochs"},
-  };
-  for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {
-    CHECK_INT(parse(tries[i].text), MO_ERR_INVALID);
-    CHECK_INT(faults.n, 1);
-    CHECK_TEXT(faults.items[0].where, tries[i].where);
-    if (faults.n != 1 || strcmp(faults.items[0].where, tries[i].where) != 0)
-      printf("# %s: %s\n", tries[i].text, faults.items[0].detail);
-    /* What would be right. */
-    static const char *const words[] = {"expected", "missing", "exactly one", "must be"};
-    bool says = false;
-    for (size_t w = 0; w < 4; w++)
-      says |= strstr(faults.items[0].detail, words[w]) != NULL;
-    CHECK(says);
-    if (!says)
-      printf("# %s\n", faults.items[0].detail);
-  }
-  CHECK_INT(parse(TRAIN "\"steps\":NaN}"), MO_ERR_FORMAT);
-  CHECK_TEXT(faults.items[0].where, "/steps");
-  CHECK_INT(parse("{\"kind\":\"pretrain\",\"kind\":\"finetune\"}"), MO_ERR_FORMAT);
-  CHECK_INT(parse(""), MO_ERR_FORMAT);
-}
-
 /* A number just beyond its bound never looks like the bound. */
 static void digits(void)
 {
@@ -327,27 +196,11 @@ static void digits(void)
   }
 }
 
-static void all_at_once(void)
-{
-  static const char *const where[] = {"/steps",         "/batch",  "/schedule/peak",
-                                      "/adjoint_bound", "/epochs", "/sensor"};
-  CHECK_INT(parse(TUNE "\"steps\":1e9,\"batch\":0,\"schedule\":{\"kind\":\"cosine\",\"peak\":-1},"
-                       "\"adjoint_bound\":-1,"
-                       "\"epochs\":3,\"controller\":\"walker\",\"sensor\":\"inverse_sqrt\"}"),
-            MO_ERR_INVALID);
-  REQUIRE(faults.n == 6);
-  for (unsigned i = 0; i < 6; i++)
-    CHECK_TEXT(faults.items[i].where, where[i]);
-  CHECK_TEXT(parsed.request.parent, "walker"); /* to be looked up besides */
-}
-
 static const struct check_case cases[] = {
     {"defaults", defaults},
     {"everything", everything},
     {"presets", presets},
     {"schedules", schedules},
-    {"every fault has its place, and is the only one", places},
     {"numbers just beyond their bounds", digits},
-    {"all faults at once", all_at_once},
 };
 CHECK_MAIN(cases)
