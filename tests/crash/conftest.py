@@ -1,6 +1,7 @@
 """Options and fixtures of the crash tests. Seeds are printed, so that a failure can be repeated:
 --seed N."""
 import os
+import pathlib
 import shutil
 import subprocess
 import sys
@@ -61,8 +62,8 @@ def daemon(folder):
 
 def mounted(folder, *arguments):
     """A mounted file system, or a skip with the reason."""
-    path = f"{folder}/small"
-    os.mkdir(path)
+    path = pathlib.Path(folder) / "small"
+    path.mkdir()
     if os.geteuid() != 0:
         pytest.skip("mounting a small file system needs root")
     mount = subprocess.run(["mount", *arguments, path], capture_output=True, text=True)

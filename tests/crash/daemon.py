@@ -1,5 +1,6 @@
 """A morphod of one's own: started on a free port in a folder of its own, asked over HTTP, stopped
 or killed."""
+import hashlib
 import os
 import pathlib
 import random
@@ -15,6 +16,8 @@ REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
 BUILD = pathlib.Path(os.environ.get("MORPHOD_BUILD", REPOSITORY / "build"))
 MORPHOD = BUILD / "src" / "daemon" / "morphod"
 MORPHOCTL = BUILD / "clients" / "morphoctl" / "morphoctl"
+ACCEPTED = (200, 202)
+ENDED = ("succeeded", "failed", "cancelled")
 CONTROLLER = REPOSITORY / "data" / "controllers" / "bootstrap.safetensors"
 
 
@@ -39,11 +42,12 @@ def bodies(seed, n):
 
 
 class Daemon:
-    def __init__(self, folder, **settings):
+    def __init__(self, folder, beside=None, **settings):
+        """Its log and address are in the folder too, or in one beside it."""
         self.folder = pathlib.Path(folder)
         self.state = self.folder / "state"
-        self.log = self.folder / "log"
-        self.port_file = self.folder / "address"
+        self.log = (beside or self.folder) / "log"
+        self.port_file = (beside or self.folder) / "address"
         self.settings = {"worker_nice": 0, "log_level": "info", "devices": "none", **settings}
         self.process = None
         self.address = None
@@ -67,17 +71,16 @@ class Daemon:
 
     def start(self, timeout_s=60):
         self.spawn()
-        until = time.monotonic() + timeout_s
-        while not self.port_file.exists():
-            if self.process.poll() is not None:
-                raise RuntimeError(f"morphod ended with {self.process.returncode}:\n{self.tail()}")
-            if time.monotonic() > until:
-                raise RuntimeError(f"morphod does not serve after {timeout_s} s:\n{self.tail()}")
-            time.sleep(0.005)
-        self.address = self.port_file.read_text().split()[0]
+        self.await_address(timeout_s)
         self.session.close()
         self.session = requests.Session()
         return self
+
+    def await_address(self, timeout_s=60):
+        self.until(lambda: self.port_file.exists() or self.process.poll() is not None, timeout_s)
+        if not self.port_file.exists():
+            raise RuntimeError(f"morphod ended with {self.process.returncode}:\n{self.tail()}")
+        self.address = self.port_file.read_text().split()[0]
 
     def tail(self, n=30):
         return "\n".join(self.log.read_text(
@@ -101,6 +104,11 @@ class Daemon:
                 f"morphod did not stop within {timeout_s} s:\n{self.tail()}") from None
         return status, time.monotonic() - begin
 
+    def end(self):
+        """An orderly end, after which the database is sound."""
+        assert self.stop()[0] == 0, self.tail()
+        check_database(self.state)
+
     def close(self):
         self.session.close()
         if self.process is not None and self.process.poll() is None:
@@ -117,41 +125,76 @@ class Daemon:
     def get(self, path, **options):
         return self.session.get(self.address + path, timeout=60, **options)
 
+    def json(self, path):
+        reply = self.get(path)
+        assert reply.status_code == 200, reply.text
+        return reply.json()
+
     def counted(self, name):
         """A counter of this life, of those without labels."""
         return int(re.search(rf"^{name} (\d+)$", self.get("/metrics").text, re.M)[1])
 
-    def post(self, request, key=None, wait_s=0, timeout_s=90):
-        headers = {}
-        if key is not None:
-            headers["Idempotency-Key"] = key
+    def send(self, path, value=None, key=None, wait_s=0, timeout_s=90):
+        """The reply to a POST."""
+        headers = {} if key is None else {"Idempotency-Key": key}
         if wait_s:
             headers["Prefer"] = f"wait={wait_s}"
-        return self.session.post(self.address + "/v1/evaluations",
-                                 json=request,
-                                 headers=headers,
+        return self.session.post(self.address + path, json=value, headers=headers,
                                  timeout=timeout_s)
 
-    def submit(self, request, **options):
-        reply = self.post(request, **options)
-        assert reply.status_code in (200, 202), reply.text
-        return reply.json()["id"]
+    def post(self, path, value=None, **options):
+        """The JSON of a POST that is accepted."""
+        reply = self.send(path, value, **options)
+        assert reply.status_code in ACCEPTED, f"{path}: {reply.text}\n{self.tail()}"
+        return reply.json()
 
-    def finish(self, job, timeout_s=120):
-        """Waits for the end of an evaluation and returns it."""
-        until = time.monotonic() + timeout_s
-        while True:
-            reply = self.get(f"/v1/jobs/{job}", headers={"Prefer": "wait=5"})
-            assert reply.status_code == 200, reply.text
-            if reply.json()["state"] in ("succeeded", "failed", "cancelled"):
-                return self.get(f"/v1/evaluations/{job}").json()
-            assert time.monotonic(
-            ) < until, f"job {job} is not done after {timeout_s} s: {reply.text}\n{self.tail()}"
+    def put(self, name, content):
+        """Stores a controller."""
+        reply = self.session.put(f"{self.address}/v1/controllers/{name}/file", data=content,
+                                 headers={"Content-Type": "application/octet-stream"})
+        assert reply.status_code in (200, 201), reply.text
+
+    def act(self, job, verb):
+        return self.post(f"/v1/jobs/{job}/{verb}")
+
+    def evaluate(self, request, **options):
+        """The reply to an evaluation."""
+        return self.send("/v1/evaluations", request, **options)
+
+    def submit(self, request, kind="evaluations", **options):
+        return self.post(f"/v1/{kind}", request, **options)["id"]
+
+    def awaited(self, path, condition, timeout_s=60):
+        """What GET gives as soon as it fulfills the condition."""
+        return self.until(lambda: (now := self.json(path), condition(now)), timeout_s,
+                          lambda seen: seen[1])[0]
+
+    def until(self, look, timeout_s=60, holds=bool):
+        """What look() gives as soon as that holds."""
+        end = time.monotonic() + timeout_s
+        while not holds(seen := look()):
+            assert time.monotonic() < end, f"{seen}\n{self.tail()}"
+            time.sleep(0.005)
+        return seen
+
+    def finish(self, job, kind="evaluations", timeout_s=120):
+        """Waits for the end of a job and returns it."""
+        return self.awaited(f"/v1/{kind}/{job}", lambda now: now["state"] in ENDED, timeout_s)
+
+    def succeed(self, job, kind="evaluations", timeout_s=120, attempts=0):
+        done = self.finish(job, kind, timeout_s)
+        assert done["state"] == "succeeded" and done["attempts"] <= attempts, done
+        return done
 
     def score(self, request, timeout_s=120):
-        evaluation = self.finish(self.submit(request), timeout_s)
-        assert evaluation["state"] == "succeeded", evaluation
-        return evaluation
+        return self.succeed(self.submit(request), timeout_s=timeout_s)
+
+    def result(self, controller):
+        """The file of a job's result; fails when it is not what its hash says."""
+        reply = self.get(f"/v1/controllers/{controller['name']}/file")
+        assert reply.status_code == 200, reply.text
+        assert hashlib.sha256(reply.content).hexdigest() == controller["sha256"]
+        return reply.content
 
 
 # ---- the database, read while no process uses it ----

@@ -2,10 +2,9 @@
 bit is as without a crash."""
 import pathlib
 import random
-import time
 
 import requests
-from daemon import bodies, check_database, stored_scores
+from daemon import bodies, stored_scores
 
 PHYSICS = {"n_steps": 150}
 N_BATCHES = 3
@@ -20,22 +19,20 @@ def batches(seed):
     } for k in range(N_BATCHES)]
 
 
-def run_to_end(daemon, requests_and_keys):
-    jobs = [daemon.submit(request, key=key) for request, key in requests_and_keys]
-    return [daemon.finish(job) for job in jobs]
+def run_to_end(daemon, requests):
+    return [daemon.succeed(job) for job in [daemon.submit(request) for request in requests]]
 
 
 def await_work(daemon, least):
     """The running evaluations, when so many rollouts were computed in this life, or when nothing is
     left to compute."""
-    until = time.monotonic() + 600
-    while True:
-        enough = daemon.counted("morphod_rollouts_total") >= least
-        running, queued = (daemon.get(f"/v1/jobs?state={state}").json()["items"]
+    def look():
+        running, queued = (daemon.json(f"/v1/jobs?state={state}")["items"]
                            for state in ("running", "queued"))
-        if enough or not running + queued:
-            return running
-        assert time.monotonic() < until, daemon.tail()
+        enough = daemon.counted("morphod_rollouts_total") >= least
+        return enough or not running + queued, running
+
+    return daemon.until(look, 600, lambda seen: seen[0])[1]
 
 
 def test_kill_at_random_moments(daemon, soak, seed):
@@ -44,9 +41,8 @@ def test_kill_at_random_moments(daemon, soak, seed):
     n_kills = 200 if soak else 20
     quiet = daemon("undisturbed")
     with quiet:
-        expected = run_to_end(quiet, [(request, None) for request in batches(seed)])
-        assert all(e["state"] == "succeeded" for e in expected)
-        assert quiet.stop()[0] == 0
+        expected = run_to_end(quiet, batches(seed))
+        quiet.end()
     undisturbed = stored_scores(quiet.state)
 
     # Four lives compute about one round, so that kills hit every part of it: just submitted,
@@ -70,7 +66,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
                         } for n in range(N_ENVIRONMENTS)]
                     }
                     key = f"round {round_of} batch {k}"
-                    reply = victim.post(own, key=key)
+                    reply = victim.evaluate(own, key=key)
                     assert reply.status_code == 202, reply.text
                     acknowledged[key] = (own, reply.json()["id"])
             # A request whose reply may be cut off: acknowledged or not, repeating it with its key
@@ -78,7 +74,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
             key = f"cut {kill}"
             own = {"designs": bodies(seed + kill, 3), "physics": PHYSICS}
             acknowledged.setdefault(key, (own, None))
-            reply = victim.post(own, key=key, timeout_s=5)
+            reply = victim.evaluate(own, key=key, timeout_s=5)
             if reply.status_code in (200, 202):
                 acknowledged[key] = (own, reply.json()["id"])
         except requests.ConnectionError:
@@ -96,22 +92,18 @@ def test_kill_at_random_moments(daemon, soak, seed):
         assert job is None or again == job, "an acknowledged evaluation has another id now"
         assert again not in ids, "two keys have one evaluation"
         ids.add(again)
-        evaluation = victim.finish(again, timeout_s=1800)
-        assert evaluation["state"] == "succeeded", evaluation
-        assert evaluation["attempts"] == 0, "a kill counted as an attempt"
+        evaluation = victim.succeed(again, timeout_s=1800)  # a kill is no attempt
         assert evaluation["rollouts_done"] == evaluation["rollouts_total"]
         acknowledged[key] = (request, again)
-    total = victim.get("/v1/jobs?limit=1000").json()
+    total = victim.json("/v1/jobs?limit=1000")
     assert {job["id"] for job in total["items"]} == ids, "there are jobs that nobody asked for"
-    disturbed = run_to_end(victim, [(request, None) for request in batches(seed)])
-    assert victim.stop()[0] == 0
+    disturbed = run_to_end(victim, batches(seed))
+    victim.end()
 
     # The same work as in the undisturbed run, after all those kills: the replies and the stored
     # bits are the same.
     for a, b in zip(expected, disturbed):
         assert a["results"] == b["results"]
-    check_database(victim.state)
-    check_database(quiet.state)
     after = stored_scores(victim.state)
     for key, value in undisturbed.items():
         assert after.get(key) == value
@@ -119,11 +111,9 @@ def test_kill_at_random_moments(daemon, soak, seed):
     # And what was computed between kills has the bits of a run without any.
     replay = daemon("replay")
     with replay:
-        for key, (request, job) in acknowledged.items():
-            replay.submit(request, key=key)
-        for job in [j["id"] for j in replay.get("/v1/jobs?limit=1000").json()["items"]]:
-            assert replay.finish(job, timeout_s=1800)["state"] == "succeeded"
-        run_to_end(replay, [(request, None) for request in batches(seed)])
+        for job in [replay.submit(request) for request, _ in acknowledged.values()]:
+            replay.succeed(job, timeout_s=1800)
+        run_to_end(replay, batches(seed))
         assert replay.stop()[0] == 0
     assert stored_scores(replay.state) == after
 
@@ -157,13 +147,11 @@ def test_kill_at_the_start(daemon, soak, seed):
             kills += 1
         with one:
             assert one.get("/readyz").status_code == 200
-            names = [c["name"] for c in one.get("/v1/controllers").json()["items"]]
+            names = [c["name"] for c in one.json("/v1/controllers")["items"]]
             assert names == ["bootstrap", "default"]
             one.score({"designs": bodies(seed, 2), "physics": PHYSICS})
-            assert one.stop()[0] == 0
-        check_database(one.state)
-    print(
-        f"{needed} calls to start; {kills} kills, {kills_before_serving} of them before it served")
+            one.end()
+    print(f"{needed} calls to start; {kills} kills, {kills_before_serving} before it served")
     assert 2 * kills_before_serving >= kills
 
 

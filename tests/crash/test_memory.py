@@ -9,7 +9,7 @@ import signal
 import time
 
 import pytest
-from daemon import CONTROLLER, REPOSITORY, Daemon, bodies
+from daemon import CONTROLLER, ENDED, REPOSITORY, Daemon, bodies
 
 PRETRAINED = REPOSITORY / "data" / "controllers" / "phototaxis.safetensors"
 LIMIT = 256 << 20
@@ -64,23 +64,6 @@ class Small(Daemon):
         return ["sh", "-c", script, "sh", *super().command(*more)]
 
 
-def post(daemon, path, value):
-    return daemon.session.post(daemon.address + path, json=value, timeout=60)
-
-
-def end(daemon, reply, timeout_s=300):
-    assert reply.status_code == 202, reply.text
-    until = time.monotonic() + timeout_s
-    while True:
-        assert daemon.process.poll() is None, f"it was killed\n{daemon.tail()}"
-        now = daemon.get(reply.headers["Location"]).json()
-        if now["state"] in ("succeeded", "failed", "cancelled"):
-            assert now["state"] == "succeeded" and now["attempts"] == 0, now
-            return now
-        assert time.monotonic() < until, now
-        time.sleep(0.1)
-
-
 def saying(content, **said):
     """The file of a controller with more metadata."""
     size = struct.unpack("<Q", content[:8])[0]
@@ -91,120 +74,94 @@ def saying(content, **said):
     return struct.pack("<Q", len(text)) + text + content[8 + size:]
 
 
-def put(daemon, name, content):
-    reply = daemon.session.put(f"{daemon.address}/v1/controllers/{name}/file",
-                               data=content,
-                               headers={"Content-Type": "application/octet-stream"})
-    assert reply.status_code in (200, 201), reply.text
-
-
 def test_small_memory(folder, cgroup):
     """A matrix of jobs, one by one and all at once, where a default campaign would take more than
     there is."""
     with Small(f"{folder}/one", cgroup, workers=2) as one:
-        put(one, "pretrained", PRETRAINED.read_bytes())
-        absurd = saying(CONTROLLER.read_bytes(),
-                        kind="pretrain",
-                        parent="random",
-                        seed="1",
-                        step="1000000",
-                        settings='{"batch":268}')
-        put(one, "absurd", absurd)
+        def end(job):
+            now = one.awaited(job, lambda now: now["state"] in ENDED, 300)  # and is not killed
+            assert now["state"] == "succeeded" and now["attempts"] == 0, now
+
+        def submit(kind, request):
+            return f"/v1/{kind}/{one.submit(request, kind)}"
+
+        one.put("pretrained", PRETRAINED.read_bytes())
+        one.put("absurd", saying(CONTROLLER.read_bytes(), kind="pretrain", parent="random",
+                                 seed="1", step="1000000", settings='{"batch":268}'))
         campaign = {
             "mode": "zero-shot", "population": 8, "generations": 3, "seed": 1,
             "physics": {"n_steps": 50}
         }
+        drawless = campaign | {"exclude_pretraining": False}
         for name, least in (("pretrained", 256), ("absurd", 4000)):
-            reply = post(one, "/v1/campaigns", {**campaign, "controller": name})
+            reply = one.send("/v1/campaigns", campaign | {"controller": name})
             assert reply.status_code == 422, reply.text
             assert "exclude_pretraining false" in reply.text and "max_memory" in reply.text
             needs, _, free = map(int, re.findall(r"(\d+) MiB", reply.json()["detail"]))
             assert needs > least and free < 256
-            end(
-                one,
-                post(one, "/v1/campaigns",
-                     {**campaign, "controller": name, "exclude_pretraining": False}))
-        huge = post(one, "/v1/trainings", {"kind": "pretrain", "steps": 30000, "batch": 8192})
-        assert huge.status_code == 422 and re.search(r"needs \d+ MiB .* can have \d+ MiB",
-                                                     huge.text), huge.text
-        jobs = [("trainings",
-                 {"kind": "pretrain", "steps": 2, "batch": 128, "validation": {"every_steps": 0}}),
-                ("trainings", {
-                    "kind": "finetune", "designs": [FULL, *bodies(1, 200)], "steps": 2, "batch": 64,
-                    "physics": {"n_steps": 300}
-                }),
-                ("campaigns", {
-                    **campaign, "mode": "few-shot", "population": 32, "generations": 1,
-                    "exclude_pretraining": False, "learning": {"parent_steps": 1, "child_steps": 1}
-                }),
-                ("campaigns", {
-                    **campaign, "population": 2000, "generations": 2, "exclude_pretraining": False,
-                    "physics": {"n_steps": 5}
-                }),
-                ("evaluations",
-                 {"designs": bodies(2, 10000), "physics": {"n_steps": 1}, "priority": "batch"}),
-                ("evaluations", {
-                    "designs": [FULL], "record": ["masses"], "record_stride": 1,
-                    "physics": {"n_steps": 1000}
-                })]
-        for kind, request in jobs:
-            end(one, post(one, f"/v1/{kind}", request))
-        replies = [
-            post(one, f"/v1/{kind}", {**request, "seed": 2}
-                 if kind != "evaluations" else {**request, "verify": kind == "evaluations"})
-            for kind, request in jobs
+            end(submit("campaigns", drawless | {"controller": name}))
+        huge = one.send("/v1/trainings", {"kind": "pretrain", "steps": 30000, "batch": 8192})
+        assert huge.status_code == 422, huge.text
+        assert re.search(r"needs \d+ MiB .* can have \d+ MiB", huge.text), huge.text
+        jobs = [
+            ("trainings", {"kind": "pretrain", "steps": 2, "batch": 128,
+                           "validation": {"every_steps": 0}}),
+            ("trainings", {"kind": "finetune", "designs": [FULL, *bodies(1, 200)], "steps": 2,
+                           "batch": 64, "physics": {"n_steps": 300}}),
+            ("campaigns", drawless | {"mode": "few-shot", "population": 32, "generations": 1,
+                                      "learning": {"parent_steps": 1, "child_steps": 1}}),
+            ("campaigns", drawless | {"population": 2000, "generations": 2,
+                                      "physics": {"n_steps": 5}}),
+            ("evaluations", {"designs": bodies(2, 10000), "physics": {"n_steps": 1},
+                             "priority": "batch"}),
+            ("evaluations", {"designs": [FULL], "record": ["masses"], "record_stride": 1,
+                             "physics": {"n_steps": 1000}})
         ]
-        for reply in replies:
-            end(one, reply)
+        for kind, request in jobs:
+            end(submit(kind, request))
+        again = [submit(kind, request | ({"verify": True} if kind == "evaluations" else
+                                         {"seed": 2})) for kind, request in jobs]
+        for job in again:
+            end(job)
         assert one.stop()[0] == 0
 
 
 def test_killed_again_and_again(daemon):
     """A campaign during whose drawing the process is killed three times fails with a sentence; a
     power cut counts for nothing."""
-    one = daemon("one")
-    one.start()
-    put(one, "pretrained", PRETRAINED.read_bytes())
-    reply = post(
-        one, "/v1/campaigns",
-        {"mode": "zero-shot", "population": 8, "generations": 1, "controller": "pretrained"})
-    assert reply.status_code == 202, reply.text
+    one = daemon("one").start()
+    one.put("pretrained", PRETRAINED.read_bytes())
+    job = one.submit({"mode": "zero-shot", "population": 8, "generations": 1,
+                      "controller": "pretrained"}, "campaigns")
+    path = f"/v1/campaigns/{job}"
 
-    def look():
-        return one.get(reply.headers["Location"]).json()
+    def await_running():
+        one.awaited(path, lambda now: now["state"] == "running")
 
-    def kill():
-        until = time.monotonic() + 60
-        while look()["state"] != "running":
-            assert time.monotonic() < until, look()
-            time.sleep(0.02)
-        one.kill()
-
-    kill()
+    await_running()
+    one.kill()
     (one.state / "crash-marker").write_text("boot 00000000-0000-0000-0000-000000000000\n")
     one.start()
-    assert look()["attempts"] == 0
+    assert one.json(path)["attempts"] == 0
     # A fault of the process outside any job is nobody's.
-    while look()["state"] != "running":
-        time.sleep(0.02)
+    await_running()
     one.process.send_signal(signal.SIGSEGV)
     one.process.wait(30)
     one.start()
-    assert look()["attempts"] == 0
+    assert one.json(path)["attempts"] == 0
     for attempts in (1, 2, 3):
-        kill()
+        await_running()
+        one.kill()
         one.start()
-        assert look()["attempts"] == attempts
-    now = look()
-    assert now["state"] == "failed" and "killed while it ran this job" in now["error"][
-        "detail"], now
+        assert one.json(path)["attempts"] == attempts
+    now = one.json(path)
+    assert now["state"] == "failed", now
+    assert "killed while it ran this job" in now["error"]["detail"], now
     # A person may try again; stopped in good order it counts nothing.
-    assert one.session.post(f"{one.address}/v1/jobs/{now['id']}/resume").status_code in (200, 202)
-    until = time.monotonic() + 60
-    while look()["state"] != "running":
-        assert time.monotonic() < until
-        time.sleep(0.02)
+    one.act(job, "resume")
+    await_running()
     assert one.stop()[0] == 0
     one.start()
-    assert look()["attempts"] == 0 and look()["state"] in ("queued", "running")
+    now = one.json(path)
+    assert now["attempts"] == 0 and now["state"] in ("queued", "running")
     one.stop()

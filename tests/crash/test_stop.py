@@ -14,12 +14,9 @@ from daemon import BUILD, MORPHOCTL, bodies, check_database
 LONG = {"n_steps": 1000}
 
 
-def saturate(daemon, seed, n=600):
-    job = daemon.submit({"designs": bodies(seed, n), "physics": LONG})
-    until = time.monotonic() + 10
-    while daemon.get(f"/v1/jobs/{job}").json()["rollouts_done"] == 0:
-        assert time.monotonic() < until, daemon.tail()
-        time.sleep(0.05)
+def saturate(daemon, seed):
+    job = daemon.submit({"designs": bodies(seed, 600), "physics": LONG})
+    daemon.awaited(f"/v1/jobs/{job}", lambda now: now["rollouts_done"] > 0)
     return job
 
 
@@ -35,12 +32,10 @@ def test_sigterm_while_saturated(daemon, seed):
     print(f"stopped after {seconds:.2f} s")
     check_database(one.state)
     one.start()
-    before = one.get(f"/v1/jobs/{job}").json()
-    assert before["state"] in ("queued", "running")
+    before = one.json(f"/v1/jobs/{job}")
+    assert before["state"] in ("queued", "running") and before["attempts"] == 0
     assert before["rollouts_done"] > 0
-    assert before["attempts"] == 0
-    reply = one.session.post(f"{one.address}/v1/jobs/{job}/cancel")
-    assert reply.status_code in (200, 202)
+    one.act(job, "cancel")
     assert one.finish(job)["state"] == "cancelled"
     assert one.stop()[0] == 0
 
@@ -53,8 +48,9 @@ def test_second_sigterm_is_quick(daemon, seed):
     time.sleep(0.5)
     reply = one.get("/readyz")
     assert reply.status_code == 503 and "Retry-After" in reply.headers
-    refused = one.post({"designs": bodies(seed, 1)})
+    refused = one.evaluate({"designs": bodies(seed, 1)})
     assert refused.status_code == 503 and "Retry-After" in refused.headers
+    assert one.json("/v1/jobs") and one.json("/healthz")
     one.process.send_signal(signal.SIGTERM)
     assert one.process.wait(10) == 0
     assert time.monotonic() - begin < 8
@@ -116,10 +112,7 @@ def test_sighup_reloads_tokens_and_level(daemon):
     def reload(word):
         seen = one.log.read_text().count(word)
         one.process.send_signal(signal.SIGHUP)
-        until = time.monotonic() + 5
-        while one.log.read_text().count(word) == seen:
-            assert time.monotonic() < until, one.tail()
-            time.sleep(0.02)
+        one.until(lambda: one.log.read_text().count(word) > seen, 5)
 
     assert one.get("/v1/jobs").status_code == 401
     assert status("first-token-0123456789") == 200
@@ -145,13 +138,10 @@ def test_crash_counts_against_its_job(daemon, seed):
     one = daemon("crash", workers=1)
     one.start()
     innocent = one.submit({"designs": bodies(seed + 1, 1), "physics": {"n_steps": 100}})
-    assert one.finish(innocent)["state"] == "succeeded"
+    one.succeed(innocent)
     guilty = one.submit({"designs": bodies(seed, 400), "physics": LONG})
     for attempt in range(3):
-        until = time.monotonic() + 10
-        while one.get(f"/v1/jobs/{guilty}").json()["state"] != "running":
-            assert time.monotonic() < until
-            time.sleep(0.02)
+        one.awaited(f"/v1/jobs/{guilty}", lambda now: now["state"] == "running")
 
         def ticks(task):
             with open(f"/proc/{one.process.pid}/task/{task}/stat", encoding="ascii") as file:
@@ -159,25 +149,20 @@ def test_crash_counts_against_its_job(daemon, seed):
             return int(fields[11]) + int(fields[12])
 
         # The thread that computes is soon the one that has used the most processor time.
-        used, busiest = 0, None
-        while used < 30:
-            assert time.monotonic() < until + 20
-            time.sleep(0.05)
-            used, busiest = max((ticks(task), task)
-                                for task in os.listdir(f"/proc/{one.process.pid}/task"))
+        tasks = f"/proc/{one.process.pid}/task"
+        _, busiest = one.until(lambda: max((ticks(task), task) for task in os.listdir(tasks)),
+                               holds=lambda most: most[0] >= 30)
         assert libc.syscall(234, one.process.pid, int(busiest), int(signal.SIGSEGV)) == 0  # tgkill
         assert one.process.wait(10) == -signal.SIGSEGV
         marker = (one.state / "crash-marker").read_text()
         assert marker.splitlines()[-1].split()[0] == guilty, marker
         one.start()
-        job = one.get(f"/v1/jobs/{guilty}").json()
+        job = one.json(f"/v1/jobs/{guilty}")
         assert job["attempts"] == attempt + 1
     assert job["state"] == "failed" and job["error"] is not None
-    assert one.finish(innocent)["state"] == "succeeded"
-    assert one.score({"designs": bodies(seed + 2, 1),
-                      "physics": {"n_steps": 100}})["state"] == "succeeded"
-    assert one.stop()[0] == 0
-    check_database(one.state)
+    one.succeed(innocent)
+    one.score({"designs": bodies(seed + 2, 1), "physics": {"n_steps": 100}})
+    one.end()
 
 
 def test_crash_beside_a_gradient_counts(daemon, monkeypatch):
@@ -190,13 +175,13 @@ def test_crash_beside_a_gradient_counts(daemon, monkeypatch):
     request = {
         "kind": "pretrain", "steps": 5, "batch": 32, "physics": {"n_steps": 20}, "device": "cuda"
     }
-    guilty = one.session.post(one.address + "/v1/trainings", json=request, timeout=30).json()["id"]
+    guilty = one.submit(request, "trainings")
     assert one.process.wait(20) == -signal.SIGSEGV
     marker = (one.state / "crash-marker").read_text()
     assert marker.splitlines()[-1].split()[0] == guilty, marker
     monkeypatch.delenv("MORPHO_FAKE_FAULT")
     one.start()
-    assert one.get(f"/v1/jobs/{guilty}").json()["attempts"] == 1
+    assert one.json(f"/v1/jobs/{guilty}")["attempts"] == 1
     assert one.stop()[0] == 0
 
 
@@ -247,11 +232,7 @@ def test_passed_socket(daemon):
                                            stdout=log,
                                            stderr=log,
                                            pass_fds=[server.fileno()])
-        until = time.monotonic() + 15
-        while not one.port_file.exists():
-            assert time.monotonic() < until and one.process.poll() is None, one.tail()
-            time.sleep(0.02)
-        one.address = one.port_file.read_text().split()[0]
+        one.await_address(15)
         assert one.address == f"http://127.0.0.1:{port}"
         assert one.port_file.read_text().count("\n") == 1
         assert one.get("/healthz").status_code == 200
