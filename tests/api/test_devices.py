@@ -52,9 +52,27 @@ def await_state(service, path, *states, seconds=60):
 
 
 def run(service, kind, request):
+    id = service.post(f"/v1/{kind}", request)["id"]
+    return await_state(service, f"/v1/{kind}/{id}", "succeeded", "failed", "paused")
+
+
+def refused(service, kind, request):
     reply = service.request("POST", f"/v1/{kind}", request)
-    assert reply.status == 202, reply.body
-    return await_state(service, f"/v1/{kind}/{reply.json()['id']}", "succeeded", "failed", "paused")
+    assert reply.status == 422 and reply.pointers() == ["/device"], reply.body
+
+
+def show(service):
+    """What morphoctl says of the devices."""
+    return subprocess.run([MORPHOCTL, "-s", f"http://{service.host}:{service.port}", "devices"],
+                          capture_output=True, text=True, timeout=30, check=False)
+
+
+def check_results(service, jobs, undisturbed):
+    """That the campaign and the training end as those that nothing disturbed."""
+    ended = [await_state(service, f"/v1/{kind}/{job}", "succeeded") for kind, job in jobs]
+    assert all(job["error"] is None for job in ended)
+    assert population(service, ended[0]) == undisturbed["population"]
+    assert ended[1]["controller"]["sha256"] == undisturbed["controller"]
 
 
 def population(service, campaign):
@@ -69,10 +87,8 @@ def devices(service):
 def test_without_devices(service):
     assert devices(service) == {"items": [], "fingerprints": {"scores": None, "gradients": None}}
     for kind, request in (("evaluations", LARGE), ("trainings", TRAINING), ("campaigns", CAMPAIGN)):
-        refused = service.request("POST", f"/v1/{kind}", {**request, "device": "cuda"})
-        assert refused.status == 422 and refused.pointers() == ["/device"]
-        refused = service.request("POST", f"/v1/{kind}", {**request, "device": "abacus"})
-        assert refused.status == 422 and refused.pointers() == ["/device"]
+        for device in ("cuda", "abacus"):
+            refused(service, kind, {**request, "device": device})
     taken = service.post("/v1/evaluations", {**LARGE, "device": "auto"})
     assert taken["device"] == "cpu"
     assert service.act(taken["id"], "cancel").status == 200
@@ -120,8 +136,7 @@ def test_evaluations(start):
                 {"designs": DESIGNS[:3], "physics": {"n_steps": 22}, "device": "cuda"})
     assert small["device"] == "cuda" and small["priority"] == "batch"
     for more in ({"record": ["com"]}, {"precision": "float64"}, {"priority": "interactive"}):
-        refused = service.request("POST", "/v1/evaluations", {**LARGE, "device": "cuda", **more})
-        assert refused.status == 422 and refused.pointers() == ["/device"]
+        refused(service, "evaluations", {**LARGE, "device": "cuda", **more})
         if more != {"priority": "interactive"}:
             assert run(service, "evaluations",
                        {"designs": DESIGNS[:9], **more, "physics": SHORT, "priority": "batch"
@@ -193,12 +208,8 @@ def test_the_last_device_is_lost(start, undisturbed, tmp_path):
     assert run(service, "evaluations",
                {"designs": DESIGNS[:2], "physics": SHORT})["state"] == "succeeded"
     assert run(service, "evaluations", {**LARGE, "physics": {"n_steps": 3}})["device"] == "cpu"
-    refused = service.request("POST", "/v1/campaigns", {**CAMPAIGN, "device": "cuda"})
-    assert refused.status == 422 and refused.pointers() == ["/device"]
-    shown = subprocess.run([MORPHOCTL, "-s", f"http://{service.host}:{service.port}", "devices"],
-                           capture_output=True,
-                           text=True,
-                           timeout=30)
+    refused(service, "campaigns", {**CAMPAIGN, "device": "cuda"})
+    shown = show(service)
     assert shown.returncode == 3 and "lost" in shown.stdout and "fallen off its bus" in shown.stderr
     assert service.act(jobs[0][1], "resume").status == 200  # too early
     await_state(service, f"/v1/campaigns/{jobs[0][1]}", "paused")
@@ -213,51 +224,42 @@ def test_the_last_device_is_lost(start, undisturbed, tmp_path):
     for kind, job in jobs:
         if service.get(f"/v1/{kind}/{job}")["state"] == "paused":
             assert service.act(job, "resume").status == 200
-    ended = [await_state(service, f"/v1/{kind}/{job}", "succeeded") for kind, job in jobs]
-    assert all(job["error"] is None for job in ended)
-    assert population(service, ended[0]) == undisturbed["population"]
-    assert ended[1]["controller"]["sha256"] == undisturbed["controller"]
+    check_results(service, jobs, undisturbed)
 
 
 def test_want_of_memory(start, undisturbed, tmp_path):
     """Not enough for the smallest part: jobs wait, paused, and go on when there is more."""
     state = tmp_path / "state"
     service = start(*FLAGS, state=state, environment=fake(rows=9, shards=0))
-    jobs = [(kind, run(service, kind, {**request, "device": "cuda"}))
-            for kind, request in (("campaigns", CAMPAIGN), ("trainings", TRAINING),
-                                  ("evaluations", {**LARGE, "physics": {"n_steps": 9}}))]
-    for _, job in jobs:
-        assert job["state"] == "paused"
-        assert job["error"]["code"] == "device"
-        assert job["attempts"] == 0
-        assert "no memory" in job["error"]["detail"] and "resume" in job["error"]["detail"]
+    jobs = []
+    for kind, request in (("campaigns", CAMPAIGN), ("trainings", TRAINING),
+                          ("evaluations", {**LARGE, "physics": {"n_steps": 9}})):
+        job = run(service, kind, {**request, "device": "cuda"})
+        assert job["state"] == "paused" and job["attempts"] == 0
+        assert job["error"]["code"] == "device" and "no memory" in job["error"]["detail"]
+        assert "resume" in job["error"]["detail"]
+        jobs.append((kind, job["id"]))
     assert service.stop() == 0
     service = start(*FLAGS, state=state, environment=fake(devices=2))
-    assert all(service.act(job["id"], "resume").status == 200 for _, job in jobs)
-    ended = [await_state(service, f"/v1/{kind}/{job['id']}", "succeeded") for kind, job in jobs]
-    assert population(service, ended[0]) == undisturbed["population"]
-    assert ended[1]["controller"]["sha256"] == undisturbed["controller"]
+    assert all(service.act(job, "resume").status == 200 for _, job in jobs)
+    check_results(service, jobs, undisturbed)
 
 
 def test_kill(start, undisturbed, tmp_path):
     """kill -9 again and again, with another number of devices each time."""
-    state = tmp_path / "state"
-    campaign = training = None
+    state, jobs = tmp_path / "state", []
     for attempt in range(5):
         service = start(*FLAGS, state=state, environment=fake(devices=1 + attempt % 3, delay_ms=15))
-        if campaign is None:
-            campaign = service.post("/v1/campaigns", CAMPAIGN)["id"]
-            training = service.post("/v1/trainings", TRAINING)["id"]
+        if not jobs:
+            jobs = [(kind, service.post(f"/v1/{kind}", request)["id"])
+                    for kind, request in (("campaigns", CAMPAIGN), ("trainings", TRAINING))]
         time.sleep(0.1 + 0.07 * attempt)
         service.stop(signal.SIGKILL)
     service = start(*FLAGS, state=state, environment=fake(devices=2))
-    for job in (campaign, training):  # three lives that saved nothing end it: a person goes on
+    for _, job in jobs:  # three lives that saved nothing end it: a person goes on
         if service.get(f"/v1/jobs/{job}")["state"] == "failed":
             assert service.act(job, "resume").status in (200, 202)
-    assert population(service, await_state(service, f"/v1/campaigns/{campaign}",
-                                           "succeeded")) == undisturbed["population"]
-    assert await_state(service, f"/v1/trainings/{training}",
-                       "succeeded")["controller"]["sha256"] == undisturbed["controller"]
+    check_results(service, jobs, undisturbed)
 
 
 def test_cancel(start):
@@ -368,8 +370,5 @@ def test_without_what_auto_looks_for(start):
             ] == [1] and "a device is lost" in service.log_text()
     service = start(f"--compute-module={MODULE}", "--devices=1", environment=fake(devices=2))
     assert [device["index"] for device in devices(service)["items"]] == [1]
-    shown = subprocess.run([MORPHOCTL, "-s", f"http://{service.host}:{service.port}", "devices"],
-                           capture_output=True,
-                           text=True,
-                           timeout=30)
+    shown = show(service)
     assert shown.returncode == 0 and "Fake device" in shown.stdout and "FAKE-1" in shown.stdout

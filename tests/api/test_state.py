@@ -8,9 +8,19 @@ import sqlite3
 import subprocess
 
 import pytest
-from service import BINARY, BOOTSTRAP, DESIGN, SHORT, await_end, tiny_controller
+from service import BINARY, BOOTSTRAP, DESIGN, SHORT, run, tiny_controller
 
 ENVIRONMENT = {key: value for key, value in os.environ.items() if not key.startswith("MORPHOD")}
+START = ("--listen=127.0.0.1:0", "--devices=none", f"--default-controller={BOOTSTRAP}")
+
+
+def morphod(state, *arguments, user=None, text=""):
+    """The end of the program, which does not stay."""
+    command = [BINARY, *arguments, f"--state-dir={state}"]
+    if user is not None:
+        command = ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups", *command]
+    return subprocess.run(command, input=text, capture_output=True, text=True, timeout=60,
+                          env=ENVIRONMENT, check=False)
 
 
 def test_tags_name_the_store(start, tmp_path):
@@ -19,20 +29,14 @@ def test_tags_name_the_store(start, tmp_path):
     etags = []
     for name in ("one", "other"):
         running = start(state=tmp_path / name)
-        evaluation = running.evaluate({"designs": [DESIGN], "physics": SHORT,
-                                       "record": ["com"]}).json()
-        campaign = running.post(
-            "/v1/campaigns", {
-                "mode": "zero-shot", "population": 16, "generations": 1, "physics": SHORT,
-                "exclude_pretraining": False
-            })
-        await_end(running, f"/v1/campaigns/{campaign['id']}")
-        paths = [
-            f"/v1/jobs/{evaluation['id']}", f"/v1/evaluations/{evaluation['id']}",
-            f"/v1/evaluations/{evaluation['id']}/trajectories/0",
-            f"/v1/campaigns/{campaign['id']}/phylogeny?format=csv",
-            f"/v1/campaigns/{campaign['id']}/phylogeny?format=newick"
-        ]
+        evaluation = running.evaluate({"designs": [DESIGN], "physics": SHORT, "record": ["com"]})
+        campaign = run(running, "campaigns", {
+            "mode": "zero-shot", "population": 16, "generations": 1, "physics": SHORT,
+            "exclude_pretraining": False
+        })
+        id, phylogeny = evaluation.json()["id"], campaign["links"]["phylogeny"]
+        paths = [f"/v1/jobs/{id}", f"/v1/evaluations/{id}", f"/v1/evaluations/{id}/trajectories/0",
+                 phylogeny + "?format=csv", phylogeny + "?format=newick"]
         etags.append({path: running.request("GET", path).headers["ETag"] for path in paths})
         for path in paths:
             for known in etags:
@@ -46,30 +50,12 @@ def test_tags_name_the_store(start, tmp_path):
 
 
 def refused(path, *names, user=None):
-    """What a start on this folder says, which is refused with status 78."""
-    command = [
-        BINARY, f"--state-dir={path}", "--listen=127.0.0.1:0", "--devices=none",
-        f"--default-controller={BOOTSTRAP}"
-    ]
-    if user is not None:
-        command = ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups", *command]
-    ended = subprocess.run(command,
-                           capture_output=True,
-                           text=True,
-                           timeout=30,
-                           env=ENVIRONMENT,
-                           check=False)
-    assert ended.returncode == 78, ended
-    check = subprocess.run([*command, "--check-config"],
-                           capture_output=True,
-                           text=True,
-                           timeout=30,
-                           env=ENVIRONMENT,
-                           check=False)
-    assert check.returncode == 78, check
-    for text in (ended.stderr, check.stderr):
+    """Both a start on this folder and its check end with status 78, and say these names."""
+    for flags in (START, (*START, "--check-config")):
+        ended = morphod(path, *flags, user=user)
+        assert ended.returncode == 78, ended
         for name in names:
-            assert str(name) in text, text
+            assert str(name) in ended.stderr, ended.stderr
 
 
 @pytest.mark.parametrize("mode", (0o770, 0o702, 0o1777))
@@ -134,13 +120,7 @@ def test_a_folder_of_somebody_else(start, tmp_path):
 def test_the_lock_outlives_its_file(start, tmp_path):
     first = start(state=tmp_path / "state")
     (tmp_path / "state" / "lock").unlink()
-    ended = subprocess.run(
-        [BINARY, f"--state-dir={tmp_path / 'state'}", "--listen=127.0.0.1:0", "--devices=none"],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        env=ENVIRONMENT,
-        check=False)
+    ended = morphod(tmp_path / "state", *START)
     assert ended.returncode == 75 and "another process" in ended.stderr, ended
     assert first.request("GET", "/readyz").status == 200
 
@@ -177,15 +157,7 @@ def test_files_without_a_database(tmp_path, name, content):
         (state / "morphod.db").write_bytes(content)
     before = tree(state)
     for _ in range(2):
-        ended = subprocess.run([
-            BINARY, f"--state-dir={state}", "--listen=127.0.0.1:0", "--devices=none",
-            f"--default-controller={BOOTSTRAP}"
-        ],
-                               capture_output=True,
-                               text=True,
-                               timeout=30,
-                               env=ENVIRONMENT,
-                               check=False)
+        ended = morphod(state, *START)
         assert ended.returncode == 78, ended
         for words in (str(state), "lost its database", "morphod.db is missing or empty", "restore",
                       name[:16]):
@@ -238,23 +210,13 @@ def test_a_new_folder_starts(start, tmp_path):
     assert start(state=state).request("GET", "/readyz").status == 200
 
 
-def clean(state, *flags, text=""):
-    return subprocess.run([BINARY, "store", "clean", f"--state-dir={state}", *flags],
-                          input=text,
-                          capture_output=True,
-                          text=True,
-                          timeout=60,
-                          env=ENVIRONMENT,
-                          check=False)
-
-
 def test_orphans_stay_until_they_are_cleaned(start, tmp_path):
     state = tmp_path / "state"
     running = start(state=state)
     body = tiny_controller(running)
     assert running.request("DELETE", "/v1/controllers/tiny").status == 204
     unused = f"controllers/{hashlib.sha256(body).hexdigest()}.safetensors"
-    assert clean(state, "--yes").returncode == 75
+    assert morphod(state, "store", "clean", "--yes").returncode == 75
     assert running.stop() == 0
     before = tree(state)
     put_files(state, {**FILES, "controllers/.tmp-12": 5, "trainings/9/.tmp-3": 5})
@@ -267,20 +229,18 @@ def test_orphans_stay_until_they_are_cleaned(start, tmp_path):
         line = next(line for line in running.log_text().splitlines() if "nothing refers to" in line)
         assert "files=5" in line and "bytes=150" in line and any(name in line for name in FILES)
     for answer in ("n\n", ""):
-        asked = clean(state, text=answer)
+        asked = morphod(state, "store", "clean", text=answer)
         assert asked.returncode == 0 and "Nothing was removed" in asked.stdout, asked
         listed = dict(
             reversed(line.split()) for line in asked.stdout.splitlines() if line.startswith(" "))
         assert {name: int(size) for name, size in listed.items()} == {**FILES, unused: len(body)}
         assert set(tree(state)) == set(after)
-    done = clean(state, text="y\n")
+    done = morphod(state, "store", "clean", text="y\n")
     assert done.returncode == 0 and "Removed" in done.stdout, done
-    assert {name
-            for name in tree(state)
-            if "/" in name} == {name
-                                for name in before if "/" in name} - {unused}
+    kept = {name for name in before if "/" in name} - {unused}
+    assert {name for name in tree(state) if "/" in name} == kept
     assert not (state / "campaigns/x").exists()
-    again = clean(state, "--yes")
+    again = morphod(state, "store", "clean", "--yes")
     assert again.returncode == 0 and again.stdout.startswith("0 files")
     running = start(state=state)
     assert "nothing refers to" not in running.log_text()
@@ -288,46 +248,44 @@ def test_orphans_stay_until_they_are_cleaned(start, tmp_path):
 
 
 def test_clean_makes_no_store(tmp_path):
-    assert clean(tmp_path / "missing",
-                 "--yes").returncode == 74 and not (tmp_path / "missing").exists()
+    missing = tmp_path / "missing"
+    assert morphod(missing, "store", "clean", "--yes").returncode == 74 and not missing.exists()
     tmp_path.chmod(0o700)
-    ended = clean(tmp_path, "--yes")
-    assert ended.returncode == 74 and "no database" in ended.stderr and not (tmp_path /
-                                                                             "morphod.db").exists()
-    assert clean(tmp_path, "--nothing").returncode == 64
+    ended = morphod(tmp_path, "store", "clean", "--yes")
+    assert ended.returncode == 74 and "no database" in ended.stderr
+    assert not (tmp_path / "morphod.db").exists()
+    assert morphod(tmp_path, "store", "clean", "--nothing").returncode == 64
 
 
 def test_files_of_unused_controllers(start, tmp_path):
     """A file goes when nothing refers to it, and comes back by another upload."""
     running = start(state=tmp_path / "state")
+
+    def delete(controller, status):
+        reply = running.request("DELETE", f"/v1/controllers/{controller}")
+        assert reply.status == status, reply.body
+        return reply.json()["detail"] if status == 409 else None
+
     body = tiny_controller(running)
     digest = hashlib.sha256(body).hexdigest()
-    path = f"/v1/controllers/sha256:{digest}"
     file = tmp_path / "state" / "controllers" / f"{digest}.safetensors"
-    used = running.request("DELETE", path)
-    assert used.status == 409 and "the name tiny refers to it" in used.json(
-    )["detail"] and file.exists()
-    assert running.request("DELETE", "/v1/controllers/tiny").status == 204
-    assert running.request("DELETE", path).status == 204 and not file.exists()
-    for method in ("GET", "DELETE"):
-        assert running.request(method, path).status == 404
+    assert "the name tiny refers to it" in delete(f"sha256:{digest}", 409) and file.exists()
+    delete("tiny", 204)
+    delete(f"sha256:{digest}", 204)
+    assert not file.exists()
+    running.refuses(f"/v1/controllers/sha256:{digest}", "", status=404)
+    delete(f"sha256:{digest}", 404)
     assert tiny_controller(running) == body and file.read_bytes() == body
-    assert running.request("GET", path + "/file").body == body
+    again = running.request("GET", f"/v1/controllers/sha256:{digest}/file")
+    assert again.body == body
     default = running.get("/v1/controllers/default")["sha256"]
     evaluation = running.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["id"]
-    assert running.request("PUT",
-                           "/v1/controllers/default/file",
-                           body=BOOTSTRAP.read_bytes(),
-                           headers={"Content-Type": "application/octet-stream"}).status == 200
-    assert running.request("PUT",
-                           "/v1/controllers/default/file",
-                           body=body,
-                           headers={"Content-Type": "application/octet-stream"}).status == 200
-    assert running.request("DELETE", "/v1/controllers/bootstrap").status == 204
-    used = running.request("DELETE", f"/v1/controllers/sha256:{default}")
-    assert used.status == 409 and f"evaluation {evaluation} refers to it" in used.json()["detail"]
+    for content in (BOOTSTRAP.read_bytes(), body):
+        assert running.upload("default", content).status == 200
+    delete("bootstrap", 204)
+    assert f"evaluation {evaluation} refers to it" in delete(f"sha256:{default}", 409)
     for text in ("sha256:", "sha256:" + 63 * "0", "sha256:" + 64 * "g", "sha256:" + 64 * "0"):
-        assert running.request("DELETE", f"/v1/controllers/{text}").status == 404
+        delete(text, 404)
 
 
 def test_store_check(start, tmp_path):
@@ -335,20 +293,15 @@ def test_store_check(start, tmp_path):
     state = tmp_path / "state"
 
     def check(*flags):
-        ended = subprocess.run([BINARY, "store", "check", f"--state-dir={state}", *flags],
-                               capture_output=True,
-                               text=True,
-                               timeout=60,
-                               env=ENVIRONMENT,
-                               check=False)
-        return ended.returncode, ended.stdout, ended.stderr
+        ended = morphod(state, "store", "check", *flags)
+        return ended.returncode, ended.stdout
 
     running = start(state=state)
     assert running.evaluate({"designs": [DESIGN], "physics": SHORT}).status == 200
     assert check()[0] == 75
     assert running.stop() == 0
     for flags, again in ((), 'losses of the class "cpu'), (("--sample=0", ), ""):
-        status, printed, _ = check(*flags)
+        status, printed = check(*flags)
         assert status == 0 and " 0 findings." in printed and again in printed, printed
         assert "1 differ" not in printed
     for wrong in ("--sample=", "--sample=x", "--sample=-1", "--yes"):
@@ -356,5 +309,5 @@ def test_store_check(start, tmp_path):
     with contextlib.closing(sqlite3.connect(state / "morphod.db")) as database:
         database.execute("UPDATE scores SET losses=CAST(x'00'||substr(losses,2) AS BLOB)")
         database.commit()
-    status, printed, said = check()
+    status, printed = check()
     assert status == 74 and "losses are damaged: scores, genotype 1" in printed, printed
