@@ -82,7 +82,7 @@ struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *
               "fingerprint");
   bench_check(mo_store_submit_campaign(campaign->store, &submission, &campaign->id, &replayed),
               "submission");
-  bench_check(mo_store_campaign_start(campaign->store, campaign->id), "start");
+  bench_check(mo_store_run_start(campaign->store, campaign->id), "start");
   campaign->population = settings->population;
   campaign->generation = -1;
   campaign->processor_s = room((size_t)settings->generations + 1, sizeof(*campaign->processor_s));

@@ -193,15 +193,19 @@ CREATE TABLE evaluations(
   workers INTEGER REFERENCES fingerprints(id) -- the class of bodies that devices leave to workers
 ) STRICT;
 
-CREATE TABLE evaluation_designs(
-  job INTEGER NOT NULL REFERENCES evaluations(job),
+-- The designs of an evaluation or a training, in order. Of a campaign (the first of its group) the
+-- initial ones: the listed ones (campaigns.n_listed), then those of initial_campaign's population,
+-- best first.
+CREATE TABLE job_designs(
+  job INTEGER NOT NULL REFERENCES jobs(id),
   position INTEGER NOT NULL,
   genotype INTEGER NOT NULL REFERENCES genotypes(id),
   PRIMARY KEY(job, position)
 ) STRICT, WITHOUT ROWID;
 
-CREATE TABLE evaluation_environments(
-  job INTEGER NOT NULL REFERENCES evaluations(job),
+-- The environments of an evaluation or of a campaign (the first of its group), in order.
+CREATE TABLE job_environments(
+  job INTEGER NOT NULL REFERENCES jobs(id),
   position INTEGER NOT NULL,
   environment INTEGER NOT NULL REFERENCES environments(id),
   PRIMARY KEY(job, position)
@@ -278,47 +282,14 @@ CREATE TABLE checkpoints(
 
 -- ---- trainings ----
 
--- Learning curves use REAL, which keeps the bits of all their numbers; NaN (all robots of the step
--- diverged) is NULL.
+-- The tables of rows of numbers (training_steps, training_validations, campaign_generations,
+-- campaign_steps) are made from the lists of their columns: src/store/columns.c, rows.c.
 CREATE TABLE trainings(
   job INTEGER PRIMARY KEY REFERENCES runs(job),
   n_designs INTEGER NOT NULL,
   population INTEGER NOT NULL, -- the job whose designs are used; 0: none
   step INTEGER NOT NULL -- newest row of training_steps
 ) STRICT;
-
-CREATE TABLE training_designs(
-  job INTEGER NOT NULL REFERENCES trainings(job),
-  position INTEGER NOT NULL,
-  genotype INTEGER NOT NULL REFERENCES genotypes(id),
-  PRIMARY KEY(job, position)
-) STRICT, WITHOUT ROWID;
-
-CREATE TABLE training_steps(
-  job INTEGER NOT NULL REFERENCES trainings(job),
-  step INTEGER NOT NULL, -- from 1
-  mean_loss REAL,
-  rate REAL NOT NULL,
-  gradient_norm REAL,
-  clipped_share REAL NOT NULL,
-  clipped_robots_share REAL NOT NULL,
-  diverged INTEGER NOT NULL,
-  zeroed INTEGER NOT NULL,
-  skipped INTEGER NOT NULL,
-  bounded INTEGER NOT NULL,
-  seconds REAL NOT NULL, -- wall time
-  PRIMARY KEY(job, step)
-) STRICT, WITHOUT ROWID;
-
-CREATE TABLE training_validations(
-  job INTEGER NOT NULL REFERENCES trainings(job),
-  step INTEGER NOT NULL, -- steps that the weights had learned
-  rollouts INTEGER NOT NULL,
-  diverged INTEGER NOT NULL,
-  mean_score REAL,
-  standard_error REAL,
-  PRIMARY KEY(job, step)
-) STRICT, WITHOUT ROWID;
 
 -- Which code computed a training's gradients, so that a training that resumed under other code says
 -- so.
@@ -356,22 +327,6 @@ CREATE TABLE campaigns(
 ) STRICT;
 CREATE INDEX campaigns_of_group ON campaigns(replicates_of, job);
 
-CREATE TABLE campaign_environments(
-  job INTEGER NOT NULL REFERENCES campaigns(job),
-  position INTEGER NOT NULL,
-  environment INTEGER NOT NULL REFERENCES environments(id),
-  PRIMARY KEY(job, position)
-) STRICT, WITHOUT ROWID;
-
--- Listed designs first (campaigns.n_listed), then those of initial_campaign's population, best
--- first.
-CREATE TABLE campaign_initial(
-  job INTEGER NOT NULL REFERENCES campaigns(job),
-  position INTEGER NOT NULL,
-  genotype INTEGER NOT NULL REFERENCES genotypes(id),
-  PRIMARY KEY(job, position)
-) STRICT, WITHOUT ROWID;
-
 -- operator: 0 random, 1 listed, 2 inherited, 3 mutation, 4 crossover. parents: numbers; NULL: none.
 -- died: the first generation whose population lacks the design; NULL: it lives. size: springs +
 -- 2^16 masses + 2^26 voxels + 2^36 footprint.
@@ -390,59 +345,6 @@ CREATE TABLE campaign_designs(
 ) STRICT, WITHOUT ROWID;
 CREATE INDEX campaigns_of_genotype ON campaign_designs(genotype, job);
 
--- One row per generation, for lists. REAL keeps the bits of every number but NaN, which is NULL.
-CREATE TABLE campaign_generations(
-  job INTEGER NOT NULL REFERENCES campaigns(job),
-  generation INTEGER NOT NULL,
-  born_before INTEGER NOT NULL, -- number of its first child
-  n_children INTEGER NOT NULL,
-  n INTEGER NOT NULL,
-  n_diverged INTEGER NOT NULL,
-  mean_score REAL,
-  least_score REAL,
-  score_5 REAL,
-  score_25 REAL,
-  median_score REAL,
-  score_75 REAL,
-  score_95 REAL,
-  most_score REAL,
-  diversity REAL,
-  species INTEGER NOT NULL,
-  least_voxels REAL,
-  mean_voxels REAL,
-  most_voxels REAL,
-  least_footprint REAL,
-  mean_footprint REAL,
-  most_footprint REAL,
-  least_masses REAL,
-  mean_masses REAL,
-  most_masses REAL,
-  least_springs REAL,
-  mean_springs REAL,
-  most_springs REAL,
-  mean_parents REAL,
-  mean_children REAL,
-  mutation_attempts INTEGER NOT NULL,
-  crossover_attempts INTEGER NOT NULL,
-  mutants INTEGER NOT NULL,
-  recombinants INTEGER NOT NULL,
-  fallbacks INTEGER NOT NULL,
-  exhausted INTEGER NOT NULL,
-  survived_mutants INTEGER NOT NULL,
-  survived_recombinants INTEGER NOT NULL,
-  turnover REAL,
-  rollouts INTEGER NOT NULL,
-  rollouts_cached INTEGER NOT NULL,
-  rollouts_diverged INTEGER NOT NULL,
-  learning_steps INTEGER NOT NULL,
-  first_loss REAL,
-  last_loss REAL,
-  collapse INTEGER NOT NULL,
-  seconds REAL, -- wall time
-  stored_us INTEGER NOT NULL,
-  PRIMARY KEY(job, generation)
-) STRICT, WITHOUT ROWID;
-
 -- births: 9 bytes per child: operator, parents as 32-bit numbers (2^32 − 1: none). population: 12
 -- bytes per design, best first: 32-bit number, score. Little-endian. A table of its own keeps the
 -- rows above small, and lets a phylogeny be read in one pass.
@@ -454,25 +356,6 @@ CREATE TABLE campaign_populations(
   population BLOB NOT NULL,
   UNIQUE(job, generation)
 ) STRICT;
-
-CREATE TABLE campaign_steps(
-  job INTEGER NOT NULL REFERENCES campaigns(job),
-  generation INTEGER NOT NULL,
-  step INTEGER NOT NULL, -- from 1 within the generation
-  on_children INTEGER NOT NULL,
-  training_step INTEGER NOT NULL,
-  mean_loss REAL,
-  rate REAL NOT NULL,
-  gradient_norm REAL,
-  clipped_share REAL NOT NULL,
-  clipped_robots_share REAL NOT NULL,
-  diverged INTEGER NOT NULL,
-  zeroed INTEGER NOT NULL,
-  skipped INTEGER NOT NULL,
-  bounded INTEGER NOT NULL,
-  seconds REAL NOT NULL, -- wall time
-  PRIMARY KEY(job, generation, step)
-) STRICT, WITHOUT ROWID;
 
 -- Losses of the current generation; deleted when it commits. losses: as in `scores`; the top bit of
 -- a step says that workers computed a loss of a campaign that devices compute.

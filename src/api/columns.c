@@ -6,7 +6,6 @@
 #include <string.h>
 
 #include "store/campaigns.h"
-#include "store/trainings.h"
 
 /* ---- writing ---- */
 
@@ -29,6 +28,7 @@ static void write_value(struct mo_text *text, const struct mo_column *column, co
   case MO_COLUMN_WORD:
     mo_text_format(text, csv ? "%s" : "\"%s\"", column->words[*(const bool *)value]);
     break;
+  case MO_COLUMN_TIME: break; /* is not shown */
   }
 }
 
@@ -87,129 +87,21 @@ void mo_columns_heading(struct mo_text *text, const struct mo_columns *columns)
 {
   for (size_t i = 0; i < columns->n; i++) {
     const struct mo_column *column = &columns->items[i];
-    mo_text_format(text, "%s%s", i > 0 ? "," : "",
-                   column->csv != NULL ? column->csv : column->path);
+    mo_text_format(text, "%s%s", i > 0 ? "," : "", mo_column_name(column));
   }
   mo_text_bytes(text, "\n", 1);
 }
-
-/* ---- steps of learning ---- */
-
-#define COUNT  MO_COLUMN_COUNT
-#define LONG   MO_COLUMN_LONG
-#define NUMBER MO_COLUMN_NUMBER
-#define FLAG   MO_COLUMN_FLAG
-#define COLUMNS(list)                                                                              \
-  {                                                                                                \
-    list, sizeof(list) / sizeof((list)[0])                                                         \
-  }
-
-/* What a step of learning did, in the rows of trainings and campaigns. */
-#define REPORT(row)                                                                                \
-  {"mean_loss", NUMBER, offsetof(row, report.mean_loss)},                                          \
-      {"rate", NUMBER, offsetof(row, report.rate)},                                                \
-      {"gradient_norm", NUMBER, offsetof(row, report.gradient_norm)},                              \
-      {"clipped_share", NUMBER, offsetof(row, report.clipped_share)},                              \
-      {"clipped_robots_share", NUMBER, offsetof(row, report.clipped_robots_share)},                \
-      {"diverged", COUNT, offsetof(row, report.diverged)},                                         \
-      {"zeroed", COUNT, offsetof(row, report.zeroed)},                                             \
-      {"skipped", FLAG, offsetof(row, report.skipped)},                                            \
-      {"bounded", COUNT, offsetof(row, report.bounded)},                                           \
-  {                                                                                                \
-    "seconds", NUMBER, offsetof(row, seconds)                                                      \
-  }
-
-static const struct mo_column step_columns[] = {
-    {"step", COUNT, offsetof(struct mo_training_step_row, report.step)},
-    REPORT(struct mo_training_step_row),
-};
-const struct mo_columns mo_step_columns = COLUMNS(step_columns);
-
-static const struct mo_column campaign_step_columns[] = {
-    {"generation", COUNT, offsetof(struct mo_campaign_step, generation)},
-    {"step", COUNT, offsetof(struct mo_campaign_step, step)},
-    {"on", MO_COLUMN_WORD, offsetof(struct mo_campaign_step, on_children),
-     .words = {"parents", "children"}},
-    REPORT(struct mo_campaign_step),
-};
-const struct mo_columns mo_campaign_step_columns = COLUMNS(campaign_step_columns);
-
-#define AT(member) offsetof(struct mo_training_validation_row, member)
-static const struct mo_column validation_columns[] = {
-    {"step", COUNT, AT(step)},
-    {"mean_score", NUMBER, AT(mean_score)},
-    {"standard_error", NUMBER, AT(standard_error)},
-    {"rollouts", COUNT, AT(rollouts)},
-    {"diverged", COUNT, AT(diverged)},
-};
-#undef AT
-const struct mo_columns mo_validation_columns = COLUMNS(validation_columns);
-
-/* ---- generations ---- */
-
-/* The least, mean and most of a number; `at` is the offset of its struct mo_spread. */
-#define SPREAD(name, at)                                                                           \
-  {name ".least", NUMBER, (at) + offsetof(struct mo_spread, least), name "_least"},                \
-      {name ".mean", NUMBER, (at) + offsetof(struct mo_spread, mean), name "_mean"},               \
-  {                                                                                                \
-    name ".most", NUMBER, (at) + offsetof(struct mo_spread, most), name "_most"                    \
-  }
-
-#define AT(member) offsetof(struct mo_campaign_generation, member)
-static const struct mo_column generation_columns[] = {
-    {"generation", COUNT, AT(generation)},
-    {"population", COUNT, AT(stats.n)},
-    {"born", COUNT, AT(n_children)},
-    {"first_number", LONG, AT(born_before)},
-    {"score.mean", NUMBER, AT(stats.mean_score), "mean"},
-    {"score.quantiles.p0", NUMBER, AT(stats.quantiles[0]), "p0"},
-    {"score.quantiles.p5", NUMBER, AT(stats.quantiles[1]), "p5"},
-    {"score.quantiles.p25", NUMBER, AT(stats.quantiles[2]), "p25"},
-    {"score.quantiles.p50", NUMBER, AT(stats.quantiles[3]), "p50"},
-    {"score.quantiles.p75", NUMBER, AT(stats.quantiles[4]), "p75"},
-    {"score.quantiles.p95", NUMBER, AT(stats.quantiles[5]), "p95"},
-    {"score.quantiles.p100", NUMBER, AT(stats.quantiles[6]), "p100"},
-    {"score.diverged", COUNT, AT(stats.n_diverged), "diverged"},
-    {"diversity", NUMBER, AT(stats.diversity)},
-    {"species", COUNT, AT(stats.species)},
-    {"turnover", NUMBER, AT(turnover)},
-    {"operators.mutation.born", COUNT, AT(variation.mutants), "mutation_born"},
-    {"operators.mutation.survived", COUNT, AT(survived_mutants), "mutation_survived"},
-    {"operators.mutation.attempts", LONG, AT(variation.mutation_attempts), "mutation_attempts"},
-    {"operators.crossover.born", COUNT, AT(variation.recombinants), "crossover_born"},
-    {"operators.crossover.survived", COUNT, AT(survived_recombinants), "crossover_survived"},
-    {"operators.crossover.attempts", LONG, AT(variation.crossover_attempts), "crossover_attempts"},
-    {"operators.fallbacks", COUNT, AT(variation.fallbacks), "fallbacks"},
-    SPREAD("voxels", AT(stats.voxels)),
-    SPREAD("footprint", AT(stats.footprint)),
-    SPREAD("masses", AT(stats.masses)),
-    SPREAD("springs", AT(stats.springs)),
-    {"parents_mean", NUMBER, AT(mean_parents)},
-    {"children_mean", NUMBER, AT(mean_children)},
-    {"learning.steps", COUNT, AT(learning_steps), "learning_steps"},
-    {"learning.first_loss", NUMBER, AT(first_loss), "first_loss"},
-    {"learning.last_loss", NUMBER, AT(last_loss), "last_loss"},
-    {"rollouts", LONG, AT(rollouts)},
-    {"cached", LONG, AT(rollouts_cached)},
-    {"rollouts_diverged", LONG, AT(rollouts_diverged)},
-    {"exhausted", FLAG, AT(variation.exhausted)},
-    {"collapse", FLAG, AT(collapse)},
-    {"seconds", NUMBER, AT(seconds)},
-};
-#undef AT
-const struct mo_columns mo_generation_columns = COLUMNS(generation_columns);
-_Static_assert(MO_QUANTILES == 7, "one column for each quantile");
 
 /* ---- replicates ---- */
 
 #define AT(member) offsetof(struct mo_replicate_row, member)
 static const struct mo_column replicate_columns[] = {
-    {"generation", COUNT, AT(generation)}, {"campaigns", COUNT, AT(campaigns)},
-    SPREAD("mean_score", AT(spread[0])),   SPREAD("best_score", AT(spread[1])),
-    SPREAD("diversity", AT(spread[2])),
+    {"generation", MO_COLUMN_COUNT, AT(generation)}, {"campaigns", MO_COLUMN_COUNT, AT(campaigns)},
+    MO_SPREAD_COLUMNS("mean_score", AT(spread[0])),  MO_SPREAD_COLUMNS("best_score", AT(spread[1])),
+    MO_SPREAD_COLUMNS("diversity", AT(spread[2])),
 };
 #undef AT
-const struct mo_columns mo_replicate_columns = COLUMNS(replicate_columns);
+const struct mo_columns mo_replicate_columns = MO_COLUMNS(replicate_columns, 0);
 
 void mo_replicate_add(struct mo_replicate_row *row, const struct mo_campaign_generation *of_one)
 {

@@ -169,7 +169,7 @@ void mo_api_get_training_held_out(struct mo_request *request)
   const struct mo_training_settings *settings = &status.record.settings;
   int code = mo_store_training(store, id, &status);
   if (code == MO_OK && settings->kind == MO_TRAINING_FINETUNE)
-    code = mo_store_training_designs(store, id, &genotypes, &n);
+    code = mo_store_job_designs(store, id, &genotypes, &n);
   else if (code == MO_OK && (n = settings->held_out_designs) > 0)
     code = draw(settings->seed, n, &genotypes);
   if (code != MO_OK)

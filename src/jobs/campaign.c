@@ -186,7 +186,7 @@ static int make_first(struct mo_campaign_run *run, uint32_t *n)
   const uint32_t n_listed = run->status.record.n_listed;
   struct mo_bits *given = NULL;
   uint32_t n_given = 0;
-  int error = mo_store_campaign_initial(run->jobs->store, run->id, &given, &n_given);
+  int error = mo_store_job_designs(run->jobs->store, run->id, &given, &n_given);
   if (error == MO_OK && n_given > settings->population)
     error = MO_ERR_CORRUPT;
   for (uint32_t i = 0; i < n_given && error == MO_OK; i++)
@@ -479,9 +479,6 @@ static uint32_t threads(const struct mo_jobs_config *config)
 
 const struct mo_kind mo_campaign_kind = {.kind = MO_JOB_CAMPAIGN,
                                          .threads = threads,
-                                         .queued = mo_store_queued_campaigns,
-                                         .start = mo_store_campaign_start,
-                                         .park = mo_store_campaign_park,
                                          .need = need,
                                          .first = MO_PHASE_PREPARE,
                                          .run_bytes = sizeof(struct mo_campaign_run),

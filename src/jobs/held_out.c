@@ -28,7 +28,7 @@ int mo_held_out_load(struct mo_store *store, const struct mo_training_status *st
   held_out->n_designs = settings->held_out_designs;
   held_out->n_environments = settings->held_out_environments;
   if (settings->kind == MO_TRAINING_FINETUNE) {
-    error = mo_store_training_designs(store, status->job.id, &held_out->genotypes, &n);
+    error = mo_store_job_designs(store, status->job.id, &held_out->genotypes, &n);
     if (n < held_out->n_designs)
       held_out->n_designs = n;
   } else {

@@ -22,11 +22,6 @@ struct mo_kind {
    * below are then unused. */
   void *(*serve)(void *runner);
 
-  /* The queue and the writes that begin and end an attempt, as in store/trainings.h. */
-  int64_t (*queued)(struct mo_store *store, int64_t *ids, size_t limit);
-  int (*start)(struct mo_store *store, int64_t id);
-  int (*park)(struct mo_store *store, int64_t id, int error, const char *error_text,
-              uint32_t max_attempts, enum mo_job_state *after);
   /* Estimates the memory of a job, 0 for an unreadable one: its run will report the error. Returns
    * an error only for a shortage that passes. */
   int (*need)(struct mo_jobs *jobs, int64_t id, struct mo_need *need);

@@ -190,7 +190,7 @@ int mo_runner_persist(struct mo_runner *runner, int (*write)(void *context), voi
 static int write_park(void *context)
 {
   struct mo_runner *runner = context;
-  return runner->runners->kind->park(runner->jobs->store, runner->id, MO_OK, NULL, 0, NULL);
+  return mo_store_run_park(runner->jobs->store, runner->id, MO_OK, NULL, 0, NULL);
 }
 
 /* Ends a stopped attempt: saves computed results and requeues the job, unless it was cancelled. */
@@ -216,8 +216,8 @@ static int write_failure(void *context)
   const struct mo_runner *runner = context;
   struct mo_jobs *jobs = runner->jobs;
   enum mo_job_state after = MO_JOB_QUEUED;
-  int error = runner->runners->kind->park(jobs->store, runner->id, runner->error, runner->text,
-                                          jobs->config.max_attempts, &after);
+  int error = mo_store_run_park(jobs->store, runner->id, runner->error, runner->text,
+                                jobs->config.max_attempts, &after);
   if (error == MO_OK && after == MO_JOB_FAILED) {
     atomic_fetch_add(&jobs->jobs_failed, 1);
     mo_jobs_closed(jobs, 1, 0);

@@ -113,7 +113,7 @@ static bool run(struct mo_runner *runner)
   }
   /* A paused or cancelled job keeps its state. If this write fails, the next process finds the job
    * running and requeues it. */
-  (void)runners->kind->park(runner->jobs->store, runner->id, MO_OK, NULL, 0, NULL);
+  (void)mo_store_run_park(runner->jobs->store, runner->id, MO_OK, NULL, 0, NULL);
   return false;
 }
 
@@ -123,7 +123,7 @@ static bool run_next(struct mo_runner *runner, bool *again)
   const struct mo_kind *kind = runner->runners->kind;
   struct mo_jobs *jobs = runner->jobs;
   int64_t ids[CLAIMS_MAX];
-  int64_t n = kind->queued(jobs->store, ids, CLAIMS_MAX);
+  int64_t n = mo_store_queued_runs(jobs->store, kind->kind, ids, CLAIMS_MAX);
   int64_t id;
   bool failed = false;
   int error;
@@ -133,7 +133,7 @@ static bool run_next(struct mo_runner *runner, bool *again)
   *again = n < 0;
   if (id == 0)
     return false;
-  error = kind->start(jobs->store, id);
+  error = mo_store_run_start(jobs->store, id);
   if (error == MO_OK) {
     mo_thread_tag = id;
     failed = run(runner);

@@ -168,7 +168,7 @@ static int start_over(struct run *run)
   int error =
       record->has_parent ? mo_runner_load(run->runner, &record->parent_sha256, &parent) : MO_OK;
   if (error == MO_OK && record->n_designs > 0)
-    error = mo_store_training_designs(run->jobs->store, run->id, &genotypes, &n);
+    error = mo_store_job_designs(run->jobs->store, run->id, &genotypes, &n);
   if (error == MO_OK)
     error =
         mo_training_create(&record->settings, parent, genotypes != NULL ? genotypes[0].words : NULL,
@@ -597,9 +597,6 @@ static uint32_t threads(const struct mo_jobs_config *config)
 
 const struct mo_kind mo_training_kind = {.kind = MO_JOB_TRAINING,
                                          .threads = threads,
-                                         .queued = mo_store_queued_trainings,
-                                         .start = mo_store_training_start,
-                                         .park = mo_store_training_park,
                                          .need = need,
                                          .first = MO_PHASE_LEARN,
                                          .run_bytes = sizeof(struct run),

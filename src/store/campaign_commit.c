@@ -113,7 +113,6 @@ static int check_parents(struct mo_connection *writer, struct commit_arguments *
       error = MO_ERR_INVALID;
     memcpy(call->scores + (size_t)8 * i, member + 4, 8);
   }
-  (void)sqlite3_reset(blobs.statement);
   return error;
 }
 
@@ -218,7 +217,7 @@ static int find_conditions(struct mo_connection *writer, const struct commit_arg
                                          .environment_set = head->environment_set,
                                          .fingerprint = commit->fingerprint};
   int64_t environments[MO_ENVIRONMENTS_MAX];
-  int error = mo_campaign_environment_rows(writer, head->group, environments, head->n_environments);
+  int error = mo_environments_read(writer, head->group, head->n_environments, NULL, environments);
   for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k++)
     for (int by_workers = 0; by_workers < 2; by_workers++) {
       struct mo_condition *condition = &conditions->of[k / MO_BLOCK_LANES][by_workers];

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "store/campaign_rows.h"
+#include "store/contents.h"
 #include "store/scores.h"
 
 /* ---- losses of the current generation ---- */
@@ -22,12 +23,7 @@ struct losses_arguments {
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
 {
   static const char sql[] = "DELETE FROM campaign_losses WHERE job=?1";
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  return mo_sql_run(writer, statement);
+  return mo_sql_do(writer, sql, mo_int(id));
 }
 
 static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_campaign_loss *loss,
@@ -38,20 +34,13 @@ static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_c
   const int64_t key[] = {id, loss->place};
   uint8_t bytes[MO_PACKED_BYTES(MO_ENVIRONMENTS_MAX)];
   uint32_t steps[MO_ENVIRONMENTS_MAX];
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
+  int error;
   for (uint32_t k = 0; k < n; k++)
     steps[k] = (uint32_t)loss->diverged_steps[k] | (loss->by_workers >> k & 1 ? BY_WORKERS : 0);
-  sqlite3_bind_int64(statement, 1, id);
-  sqlite3_bind_int64(statement, 2, loss->place);
-  sqlite3_bind_blob(statement, 3, bytes, (int)mo_pack_losses(key, 2, loss->losses, steps, n, bytes),
-                    SQLITE_STATIC);
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  *added += error == MO_OK && sqlite3_changes(writer->db) > 0;
-  return error;
+  error = mo_sql_change(writer, sql, mo_int(id), mo_int(loss->place),
+                        mo_blob(bytes, mo_pack_losses(key, 2, loss->losses, steps, n, bytes)));
+  *added += error == MO_OK;
+  return error == MO_ERR_CONFLICT ? MO_OK : error; /* they are saved already */
 }
 
 static int save_losses(struct mo_store *store, void *arguments)
@@ -60,9 +49,8 @@ static int save_losses(struct mo_store *store, void *arguments)
   const struct losses_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   struct mo_campaign_head head = {0};
-  sqlite3_stmt *statement;
   int64_t scored = 0;
-  int error = mo_run_touch(store, call->id, MO_JOB_CAMPAIGN);
+  int error = mo_run_touch(store, call->id);
   if (error == MO_OK)
     error = mo_campaign_head_get(writer, call->id, &head);
   if (error == MO_OK && head.generation + 1 != call->generation)
@@ -75,13 +63,8 @@ static int save_losses(struct mo_store *store, void *arguments)
     error = call->losses[i].place >= 2 * head.population
                 ? MO_ERR_RANGE
                 : save_loss(writer, call->id, &call->losses[i], head.n_environments, &scored);
-  statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, call->id);
-  sqlite3_bind_int64(statement, 2, call->generation);
-  sqlite3_bind_int64(statement, 3, scored);
-  error = mo_sql_run(writer, statement);
+  if (error == MO_OK)
+    error = mo_sql_do(writer, sql, mo_int(call->id), mo_int(call->generation), mo_int(scored));
   if (error == MO_OK && call->event_data != NULL)
     error = mo_writer_event(store, call->id, "campaign.progress", call->event_data);
   return error;
@@ -115,32 +98,24 @@ static int load_losses(struct mo_connection *reader, int64_t id, uint32_t genera
 {
   static const char sql[] = "SELECT place,losses FROM campaign_losses WHERE job=?1 ORDER BY place";
   struct mo_campaign_head head = {0};
-  sqlite3_stmt *statement;
-  int64_t most;
-  int step = 0;
-  int error = mo_sql_exec(reader, "BEGIN");
-  if (error == MO_OK)
-    error = mo_campaign_head_get(reader, id, &head);
+  sqlite3_stmt *row;
+  size_t most;
+  int error = mo_campaign_head_get(reader, id, &head);
   if (error != MO_OK)
     return error;
-  most =
-      head.scored_generation == generation && head.generation + 1 == generation ? head.scored : 0;
-  *losses = calloc((size_t)most + 1, sizeof(**losses));
+  most = head.scored_generation == generation && head.generation + 1 == generation
+             ? (size_t)head.scored
+             : 0;
+  *losses = calloc(most + 1, sizeof(**losses));
   if (*losses == NULL)
     return MO_ERR_NO_MEMORY;
   if (most == 0)
     return MO_OK;
-  statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0)
-    error = (int64_t)*n == most
-                ? MO_ERR_CORRUPT
-                : loss_from_row(statement, id, head.n_environments, &(*losses)[(*n)++]);
-  if (step < 0)
-    return step;
-  return error == MO_OK && (int64_t)*n != most ? MO_ERR_CORRUPT : error;
+  row = mo_sql_rows(reader, &error, sql, mo_int(id));
+  while (mo_sql_next(reader, row, &error))
+    error = *n == most ? MO_ERR_CORRUPT
+                       : loss_from_row(row, id, head.n_environments, &(*losses)[(*n)++]);
+  return error == MO_OK && *n != most ? MO_ERR_CORRUPT : error;
 }
 
 int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation,
@@ -162,48 +137,29 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
 
 /* ---- losses that are stored as scores ---- */
 
-struct known_keys {
-  struct mo_campaign_head head;
-  int64_t fingerprint, environments[MO_ENVIRONMENTS_MAX];
-};
-
-/* Returns 1 if all losses of a genotype are known. */
-static int find_known(struct mo_connection *reader, const struct known_keys *keys,
-                      const struct mo_bits *genotype, struct mo_campaign_loss *loss)
+/* Returns 1 if all losses of a genotype in n environments are known. */
+static int find_known(struct mo_connection *reader, struct mo_saved_design *design,
+                      const int64_t *environments, uint32_t n, const struct mo_bits *genotype,
+                      struct mo_campaign_loss *loss)
 {
   static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
-  const uint32_t n = keys->head.n_environments;
   uint8_t bits[MO_BITS_BYTES];
-  int64_t row = 0;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(reader, find_sql, &error);
-  if (statement == NULL)
-    return error;
+  int error;
   mo_encode_bits(genotype, bits);
-  sqlite3_bind_blob(statement, 1, bits, sizeof(bits), SQLITE_STATIC);
-  error = mo_sql_integer(reader, statement, &row);
-  (void)sqlite3_clear_bindings(statement);
+  error = mo_sql_find(reader, &design->genotype, find_sql, mo_blob(bits, sizeof(bits)));
+  if (error == MO_OK)
+    error = mo_losses_read(reader, design, environments, n, scores);
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? 0 : error;
-  error = mo_losses_read(reader, row, keys->head.controller, keys->head.physics, keys->fingerprint,
-                         0, keys->environments, n, scores);
   loss->by_workers = 0;
-  for (uint32_t k = 0; k < n && error == MO_OK; k++) {
+  for (uint32_t k = 0; k < n; k++) {
     if (!scores[k].known)
       return 0;
     loss->losses[k] = scores[k].loss;
     loss->diverged_steps[k] = scores[k].diverged_step;
   }
-  return error == MO_OK ? 1 : error;
-}
-
-static int load_keys(struct mo_connection *reader, int64_t id, struct known_keys *keys)
-{
-  int error = mo_campaign_head_get(reader, id, &keys->head);
-  return error == MO_OK ? mo_campaign_environment_rows(reader, keys->head.group, keys->environments,
-                                                       keys->head.n_environments)
-                        : error;
+  return 1;
 }
 
 int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
@@ -211,15 +167,19 @@ int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fing
                                 struct mo_campaign_loss *losses)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
-  struct known_keys keys = {.fingerprint = fingerprint};
-  int64_t n_known = 0;
-  int error = mo_sql_exec(reader, "BEGIN");
+  struct mo_campaign_head head = {0};
+  struct mo_saved_design design = {.fingerprint = fingerprint};
+  int64_t environments[MO_ENVIRONMENTS_MAX], n_known = 0;
+  int error = mo_campaign_head_get(reader, id, &head);
   if (error == MO_OK)
-    error = load_keys(reader, id, &keys);
-  for (uint32_t i = 0;
-       i < n && error == MO_OK && keys.head.mode == MO_ZERO_SHOT && keys.head.controller != 0;
-       i++) {
-    int known = find_known(reader, &keys, &genotypes[i], &losses[n_known]);
+    error = mo_environments_read(reader, head.group, head.n_environments, NULL, environments);
+  if (error != MO_OK || head.mode != MO_ZERO_SHOT || head.controller == 0)
+    n = 0;
+  design.controller = head.controller;
+  design.physics = head.physics;
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    const int known = find_known(reader, &design, environments, head.n_environments, &genotypes[i],
+                                 &losses[n_known]);
     if (known < 0)
       error = known;
     else if (known > 0)

@@ -12,22 +12,22 @@ int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t 
 {
   static const char sql[] =
       "SELECT births,population FROM campaign_populations WHERE job=?1 AND generation=?2";
+  sqlite3_stmt *statement;
   int n_births, n;
   int error;
   *blobs = (struct mo_campaign_blobs){.n = 0};
-  error = mo_sql_row(connection, &blobs->statement, sql, mo_int(id), mo_int(generation));
+  error = mo_sql_row(connection, &statement, sql, mo_int(id), mo_int(generation));
   if (error != MO_OK)
     return error;
-  blobs->births = sqlite3_column_blob(blobs->statement, 0);
-  blobs->population = sqlite3_column_blob(blobs->statement, 1);
-  n_births = sqlite3_column_bytes(blobs->statement, 0);
-  n = sqlite3_column_bytes(blobs->statement, 1);
+  blobs->births = sqlite3_column_blob(statement, 0);
+  blobs->population = sqlite3_column_blob(statement, 1);
+  n_births = sqlite3_column_bytes(statement, 0);
+  n = sqlite3_column_bytes(statement, 1);
   blobs->n_births = (uint32_t)n_births / MO_BIRTH_BYTES;
   blobs->n = (uint32_t)n / MO_MEMBER_BYTES;
   if (n_births % MO_BIRTH_BYTES == 0 && n % MO_MEMBER_BYTES == 0 &&
       (blobs->births != NULL || n_births == 0) && (blobs->population != NULL || n == 0))
     return MO_OK;
-  (void)sqlite3_reset(blobs->statement);
   blobs->n = 0;
   return MO_ERR_CORRUPT;
 }
@@ -79,19 +79,15 @@ static int load_design(struct mo_connection *reader, int64_t id, uint32_t number
 {
   static const char sql[] = DESIGN_COLUMNS " WHERE d.job=?1 AND d.number=?2";
   sqlite3_stmt *row;
-  int error = mo_sql_row(reader, &row, sql, mo_int(id), mo_int(number));
-  if (error != MO_OK)
-    return error;
-  error = design_from_row(row, design);
-  (void)sqlite3_reset(row);
-  return error;
+  const int error = mo_sql_row(reader, &row, sql, mo_int(id), mo_int(number));
+  return error == MO_OK ? design_from_row(row, design) : error;
 }
 
 int mo_store_campaign_designs_of(struct mo_store *store, int64_t id, const uint32_t *numbers,
                                  size_t n, struct mo_campaign_design *rows)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
-  int error = mo_sql_exec(reader, "BEGIN");
+  int error = MO_OK;
   for (size_t i = 0; i < n && error == MO_OK; i++)
     error = load_design(reader, id, numbers[i], &rows[i]);
   mo_reader_release(store, reader);
@@ -107,9 +103,7 @@ static int64_t load_population(struct mo_connection *reader, int64_t id, int64_t
   struct mo_campaign_blobs blobs;
   struct mo_campaign_head head = {0};
   int64_t filled = 0;
-  int error = mo_sql_exec(reader, "BEGIN");
-  if (error == MO_OK)
-    error = mo_campaign_head_get(reader, id, &head);
+  int error = mo_campaign_head_get(reader, id, &head);
   if (error == MO_OK)
     error =
         mo_campaign_blobs_get(reader, id, generation < 0 ? head.generation : generation, &blobs);
@@ -149,13 +143,10 @@ static int load_descents(struct mo_connection *reader, int64_t id, struct mo_des
       "SELECT generation,births FROM campaign_populations WHERE job=?1 ORDER BY generation";
   struct mo_campaign_head head = {0};
   struct mo_descent *descents;
-  sqlite3_stmt *statement;
+  sqlite3_stmt *row;
   uint32_t *born;
   size_t filled = 0;
-  int step = 0;
-  int error = mo_sql_exec(reader, "BEGIN");
-  if (error == MO_OK)
-    error = mo_campaign_head_get(reader, id, &head);
+  int error = mo_campaign_head_get(reader, id, &head);
   if (error == MO_OK && head.n_designs > MO_CAMPAIGN_DESIGNS_MAX)
     error = MO_ERR_CORRUPT;
   if (error != MO_OK)
@@ -164,25 +155,21 @@ static int load_descents(struct mo_connection *reader, int64_t id, struct mo_des
   born = *ret_born = with_born ? malloc((head.n_designs + 1) * sizeof(**ret_born)) : NULL;
   if (descents == NULL || (with_born && born == NULL))
     return MO_ERR_NO_MEMORY;
-  statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  while ((step = mo_sql_step(reader, statement)) > 0) {
-    uint32_t generation = (uint32_t)sqlite3_column_int64(statement, 0);
-    const uint8_t *at = sqlite3_column_blob(statement, 1);
-    size_t n = (size_t)sqlite3_column_bytes(statement, 1) / MO_BIRTH_BYTES;
+  row = mo_sql_rows(reader, &error, sql, mo_int(id));
+  while (mo_sql_next(reader, row, &error)) {
+    const uint8_t *at = sqlite3_column_blob(row, 1);
+    const size_t n = (size_t)sqlite3_column_bytes(row, 1) / MO_BIRTH_BYTES;
     if (n > head.n_designs - filled)
       return MO_ERR_CORRUPT;
     for (size_t i = 0; i < n; i++, at += MO_BIRTH_BYTES)
       descents[filled + i] =
           (struct mo_descent){{mo_decode_u32(at + 1), mo_decode_u32(at + 5)}, at[0]};
     for (size_t i = 0; i < n && born != NULL; i++)
-      born[filled + i] = generation;
+      born[filled + i] = mo_column_u32(row, 0);
     filled += n;
   }
   *ret_n = (uint32_t)filled;
-  return step < 0 ? step : filled == head.n_designs ? MO_OK : MO_ERR_CORRUPT;
+  return error == MO_OK && filled != head.n_designs ? MO_ERR_CORRUPT : error;
 }
 
 int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_descent **ret,

@@ -25,15 +25,11 @@ struct mo_campaign_head {
 int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
                          struct mo_campaign_head *head);
 
-/* Reads the row ids of a campaign's environments, in order; n ≤ MO_ENVIRONMENTS_MAX. */
-int mo_campaign_environment_rows(struct mo_connection *connection, int64_t group, int64_t *rows,
-                                 uint32_t n);
-/* The BLOBs of a generation; valid until the statement is reset. MO_ERR_NOT_FOUND; MO_ERR_CORRUPT:
- * a wrong size. */
+/* The BLOBs of a generation, which can be read until the next call. MO_ERR_NOT_FOUND;
+ * MO_ERR_CORRUPT: a wrong size. */
 struct mo_campaign_blobs {
   const uint8_t *births, *population; /* (n_births, MO_BIRTH_BYTES), (n, MO_MEMBER_BYTES) */
   uint32_t n_births, n;
-  sqlite3_stmt *statement;
 };
 int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t generation,
                           struct mo_campaign_blobs *blobs);

@@ -8,24 +8,6 @@
 #include "store/contents.h"
 #include "store/rows.h"
 
-/* ---- the queue and the attempt ---- */
-
-int64_t mo_store_queued_campaigns(struct mo_store *store, int64_t *ids, size_t limit)
-{
-  return mo_run_queued(store, MO_JOB_CAMPAIGN, ids, limit);
-}
-
-int mo_store_campaign_start(struct mo_store *store, int64_t id)
-{
-  return mo_run_start(store, id, MO_JOB_CAMPAIGN);
-}
-
-int mo_store_campaign_park(struct mo_store *store, int64_t id, int error, const char *error_text,
-                           uint32_t max_attempts, enum mo_job_state *after)
-{
-  return mo_run_park(store, id, MO_JOB_CAMPAIGN, error, error_text, max_attempts, after);
-}
-
 /* ---- warnings ---- */
 
 struct fault_arguments {
@@ -36,7 +18,7 @@ struct fault_arguments {
 static int tell_fault(struct mo_store *store, void *arguments)
 {
   const struct fault_arguments *call = arguments;
-  int error = mo_run_touch(store, call->id, MO_JOB_CAMPAIGN);
+  int error = mo_run_touch(store, call->id);
   return error == MO_OK
              ? mo_writer_event(store, call->id, "campaign.lineage_unreadable", call->data)
              : error;
@@ -78,7 +60,7 @@ int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaig
   const struct end context = {end, generations};
   if (end != MO_CAMPAIGN_COMPLETED && end != MO_CAMPAIGN_EXHAUSTED)
     return MO_ERR_INVALID;
-  return mo_run_finish(store, id, MO_JOB_CAMPAIGN, &result,
+  return mo_run_finish(store, id, &result,
                        end == MO_CAMPAIGN_EXHAUSTED ? ",\"end\":\"exhausted\""
                                                     : ",\"end\":\"completed\"",
                        end_campaign, &context);
@@ -111,7 +93,7 @@ static int save_inside(struct mo_store *store, void *arguments)
   struct inside_arguments *call = arguments;
   struct mo_campaign_head head = {0};
   const int64_t id = call->checkpoint.id;
-  int error = mo_run_touch(store, id, MO_JOB_CAMPAIGN);
+  int error = mo_run_touch(store, id);
   if (error == MO_OK)
     error = mo_campaign_head_get(&store->writer, id, &head);
   if (error == MO_OK && head.generation + 1 != call->checkpoint.place.generation)
@@ -174,9 +156,7 @@ static int load_state(struct mo_connection *reader, int64_t id, struct mo_campai
 {
   struct mo_campaign_blobs blobs;
   struct mo_campaign_head head = {0};
-  int error = mo_sql_exec(reader, "BEGIN");
-  if (error == MO_OK)
-    error = mo_campaign_head_get(reader, id, &head);
+  int error = mo_campaign_head_get(reader, id, &head);
   if (error == MO_OK)
     error = mo_campaign_blobs_get(reader, id, head.generation, &blobs);
   if (error != MO_OK)
@@ -221,18 +201,6 @@ int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campai
 
 #define EACH_PAGE 4096
 
-struct page {
-  int64_t number; /* of the last design */
-  struct mo_bits *next;
-};
-
-static int take_design(sqlite3_stmt *row, void *any)
-{
-  struct page *page = any;
-  return sqlite3_column_int64(row, 0) != ++page->number ? MO_ERR_CORRUPT
-                                                        : mo_column_bits(row, 1, page->next++);
-}
-
 /* Reads a page of designs. Designs are never deleted, so no reader is held while `take` runs. */
 static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, struct mo_bits *designs)
 {
@@ -240,11 +208,15 @@ static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, stru
       "SELECT d.number,g.bits FROM campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype"
       " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
   struct mo_connection *reader = mo_reader_acquire(store);
-  struct page page = {after, designs};
-  const int64_t n =
-      mo_sql_each(reader, take_design, &page, sql, mo_int(id), mo_int(after), mo_int(EACH_PAGE));
+  int64_t n = 0;
+  int error = MO_OK;
+  sqlite3_stmt *row =
+      mo_sql_rows(reader, &error, sql, mo_int(id), mo_int(after), mo_int(EACH_PAGE));
+  for (; mo_sql_next(reader, row, &error); n++)
+    error = sqlite3_column_int64(row, 0) == after + 1 + n ? mo_column_bits(row, 1, &designs[n])
+                                                          : MO_ERR_CORRUPT;
   mo_reader_release(store, reader);
-  return n;
+  return error != MO_OK ? error : n;
 }
 
 int mo_store_campaign_each(struct mo_store *store, int64_t id,

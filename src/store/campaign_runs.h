@@ -1,18 +1,10 @@
 /* campaign_runs.h: what the runner of a campaign reads and writes. Each write returns after its
- * commit, with its event. Threads and errors as in store/campaigns.h. */
+ * commit, with its event. Committing a generation beyond all earlier ones resets the job's
+ * attempts. Threads and errors as in store/campaigns.h. */
 #ifndef MORPHO_STORE_CAMPAIGN_RUNS_H
 #define MORPHO_STORE_CAMPAIGN_RUNS_H
 
 #include "store/campaign_records.h"
-
-int64_t mo_store_queued_campaigns(struct mo_store *store, int64_t *ids,
-                                  size_t limit); /* by priority, then ascending */
-/* Start and end an attempt, as mo_store_training_start and _park, with the events job.started,
- * job.requeued, job.finished. Committing a generation beyond all earlier ones resets the job's
- * attempts. */
-int mo_store_campaign_start(struct mo_store *store, int64_t id);
-int mo_store_campaign_park(struct mo_store *store, int64_t id, int error, const char *error_text,
-                           uint32_t max_attempts, enum mo_job_state *after);
 
 /* Adds the event "campaign.lineage_unreadable": metadata of a controller in the campaign's lineage
  * cannot be read. field: of the metadata; detail: why. Both are short and need no escapes in JSON.

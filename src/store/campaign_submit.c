@@ -8,7 +8,7 @@
 #include "base/clock.h"
 #include "store/contents.h"
 #include "store/controller_rows.h"
-#include "store/fields.h"
+#include "store/jobs.h"
 #include "store/submit.h"
 
 struct setting {
@@ -24,11 +24,9 @@ static int resolve(struct mo_connection *writer, const struct mo_campaign_submis
   int error = MO_OK;
   *setting = (struct setting){.record = submission->record,
                               .n_environments = submission->record.n_environments};
-  if (submission->controller != NULL) {
-    error = mo_controller_find(writer, submission->controller, &setting->controller);
-    if (error == MO_OK)
-      error = mo_controller_sensor(writer, setting->controller, &settings->sensor);
-  }
+  if (submission->controller != NULL)
+    error =
+        mo_controller_find(writer, submission->controller, &setting->controller, &settings->sensor);
   if (error == MO_OK)
     error =
         mo_physics_row(writer, &settings->physics, MO_FLOAT32, settings->sensor, &setting->physics);
@@ -43,36 +41,6 @@ static int resolve(struct mo_connection *writer, const struct mo_campaign_submis
 
 /* ---- the population of another campaign ---- */
 
-static int compare_rows(const void *a, const void *b)
-{
-  int64_t x = *(const int64_t *)a, y = *(const int64_t *)b;
-  return (x > y) - (x < y);
-}
-
-struct listed {
-  int64_t *designs; /* (n) rows, ascending */
-  uint32_t n;
-};
-
-static int take_listed(sqlite3_stmt *row, void *any)
-{
-  struct listed *listed = any;
-  listed->designs[listed->n++] = sqlite3_column_int64(row, 0);
-  return MO_OK;
-}
-
-/* Reads the designs that the group lists. */
-static int load_listed(struct mo_connection *writer, int64_t group, uint32_t n,
-                       struct listed *listed)
-{
-  static const char sql[] =
-      "SELECT g.design FROM campaign_initial x JOIN genotypes g ON g.id=x.genotype"
-      " WHERE x.job=?1 LIMIT ?2";
-  const int64_t found = mo_sql_each(writer, take_listed, listed, sql, mo_int(group), mo_int(n));
-  qsort(listed->designs, listed->n, sizeof(*listed->designs), compare_rows);
-  return found < 0 ? (int)found : found == n ? MO_OK : MO_ERR_CORRUPT;
-}
-
 static int fits(const struct mo_bits *bits, struct mo_workspace workspace)
 {
   struct mo_bits moved;
@@ -85,58 +53,44 @@ static int fits(const struct mo_bits *bits, struct mo_workspace workspace)
 /* Finds the genotype of a member. Returns 1: the campaign takes it; 0: its form is listed already,
  * or it does not fit. */
 static int find_member(struct mo_connection *writer, const struct mo_campaign_record *record,
-                       uint32_t number, const struct listed *listed, int64_t *genotype)
+                       uint32_t number, int64_t group, int64_t *genotype)
 {
   static const char sql[] =
-      "SELECT d.genotype,g.design,g.bits FROM campaign_designs d JOIN genotypes g"
-      " ON g.id=d.genotype WHERE d.job=?1 AND d.number=?2";
+      "SELECT d.genotype,g.bits,g.design IN (SELECT l.design FROM job_designs x JOIN genotypes l ON"
+      " l.id=x.genotype WHERE x.job=?3 AND x.position<?4)"
+      " FROM campaign_designs d JOIN genotypes g ON g.id=d.genotype WHERE d.job=?1 AND d.number=?2";
   struct mo_bits bits;
-  int64_t design;
   sqlite3_stmt *row;
-  int error = mo_sql_row(writer, &row, sql, mo_int(record->initial_campaign), mo_int(number));
+  int error = mo_sql_row(writer, &row, sql, mo_int(record->initial_campaign), mo_int(number),
+                         mo_int(group), mo_int(record->n_listed));
+  if (error == MO_OK)
+    error = mo_column_bits(row, 1, &bits);
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
   *genotype = sqlite3_column_int64(row, 0);
-  design = sqlite3_column_int64(row, 1);
-  error = mo_column_bits(row, 2, &bits);
-  (void)sqlite3_reset(row);
-  if (error != MO_OK)
-    return error;
-  return listed->n > 0 &&
-                 bsearch(&design, listed->designs, listed->n, sizeof(design), compare_rows) != NULL
-             ? 0
-             : fits(&bits, record->settings.workspace);
+  return sqlite3_column_int(row, 2) ? 0 : fits(&bits, record->settings.workspace);
 }
 
 static int insert_inherited(struct mo_connection *writer, const struct mo_campaign_record *record,
                             int64_t group)
 {
-  static const char sql[] = "INSERT INTO campaign_initial(job,position,genotype) VALUES(?1,?2,?3)";
-  struct listed listed = {calloc(record->n_listed + 1, sizeof(*listed.designs)), 0};
   struct mo_campaign_blobs blobs = {.n = 0};
   struct mo_campaign_head head = {0};
   uint32_t n = record->n_listed;
-  int error = listed.designs == NULL
-                  ? MO_ERR_NO_MEMORY
-                  : mo_campaign_head_get(writer, record->initial_campaign, &head);
+  int error = mo_campaign_head_get(writer, record->initial_campaign, &head);
   if (error == MO_OK && head.generation < 0)
     error = MO_ERR_CONFLICT;
-  if (error == MO_OK)
-    error = load_listed(writer, group, n, &listed);
   if (error == MO_OK)
     error = mo_campaign_blobs_get(writer, record->initial_campaign, head.generation, &blobs);
   for (uint32_t i = 0; i < blobs.n && n < record->settings.population && error == MO_OK; i++) {
     uint32_t number = mo_decode_u32(blobs.population + (size_t)i * MO_MEMBER_BYTES);
     int64_t genotype = 0;
-    int welcome = find_member(writer, record, number, &listed, &genotype);
+    int welcome = find_member(writer, record, number, group, &genotype);
     if (welcome < 0)
       error = welcome;
     else if (welcome > 0)
-      error = mo_sql_do(writer, sql, mo_int(group), mo_int(n++), mo_int(genotype));
+      error = mo_design_insert(writer, group, n++, genotype);
   }
-  if (blobs.statement != NULL)
-    (void)sqlite3_reset(blobs.statement);
-  free(listed.designs);
   return error;
 }
 
@@ -182,13 +136,6 @@ static int insert_replicate(struct mo_store *store, const struct mo_job_request 
 static int insert(struct mo_store *store, const struct mo_job_request *request, const void *any,
                   int64_t *id)
 {
-  static const char copy_sql[] =
-      "INSERT INTO campaign_environments(job,position,environment)"
-      " SELECT ?1,position,environment FROM environment_set_members WHERE environment_set=?2";
-  static const char environments_sql[] =
-      "INSERT INTO campaign_environments(job,position,environment) VALUES(?1,?2,?3)";
-  static const char initial_sql[] =
-      "INSERT INTO campaign_initial(job,position,genotype) VALUES(?1,?2,?3)";
   const struct mo_campaign_submission *submission = any;
   const struct mo_campaign_record *record = &submission->record;
   struct mo_connection *writer = &store->writer;
@@ -197,10 +144,10 @@ static int insert(struct mo_store *store, const struct mo_job_request *request, 
   for (uint32_t r = 0; r < record->replicates && error == MO_OK; r++)
     error = insert_replicate(store, request, submission, &setting, r, id);
   if (error == MO_OK)
-    error = mo_environments_insert(writer, copy_sql, environments_sql, *id, setting.set,
-                                   submission->environments, (uint32_t)setting.n_environments);
+    error = mo_environments_insert(writer, *id, setting.set, submission->environments,
+                                   (uint32_t)setting.n_environments);
   if (error == MO_OK)
-    error = mo_designs_insert(writer, initial_sql, *id, submission->forms, submission->genotypes,
+    error = mo_designs_insert(writer, *id, submission->forms, submission->genotypes,
                               record->n_listed, mo_clock_wall_us());
   return error == MO_OK && record->initial_campaign != 0 ? insert_inherited(writer, record, *id)
                                                          : error;
@@ -283,16 +230,15 @@ static int extend(struct mo_store *store, void *arguments)
   error = mo_job_state_get(writer, call->id, &state, &kind);
   if (error == MO_OK)
     error = mo_sql_row(writer, &row, find_sql, id); /* not found: of another kind */
+  if (error == MO_OK)
+    error = mo_column_settings(row, 0, MO_JOB_CAMPAIGN, &record);
   if (error != MO_OK)
     return error;
-  error = mo_settings_read(MO_JOB_CAMPAIGN, (const char *)sqlite3_column_text(row, 0), &record);
   generations = (uint64_t)sqlite3_column_int64(row, 1) + call->generations;
   ended = sqlite3_column_int(row, 2);
-  (void)sqlite3_reset(row);
-  if (error == MO_OK && (state > MO_JOB_SUCCEEDED || ended == MO_CAMPAIGN_EXHAUSTED))
-    error = MO_ERR_CONFLICT;
-  if (error == MO_OK)
-    error = check_extension(&record.settings, generations);
+  error = state > MO_JOB_SUCCEEDED || ended == MO_CAMPAIGN_EXHAUSTED
+              ? MO_ERR_CONFLICT
+              : check_extension(&record.settings, generations);
   if (error == MO_OK)
     error = check_learning(writer, call->id, record.settings.mode);
   if (error == MO_OK)

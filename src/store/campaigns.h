@@ -57,12 +57,6 @@ int64_t mo_store_campaigns(struct mo_store *store, const struct mo_job_query *qu
                            struct mo_campaign_status *statuses, size_t limit);
 int mo_store_campaign_environments(struct mo_store *store, int64_t id,
                                    struct mo_environment **environments, uint32_t *n);
-/* Reads the initial designs (malloc): record.n_listed listed ones, then those of initial_campaign's
- * newest population, best first, while the population has room. Designs that are listed already or
- * do not fit the campaign's workspace were left out. */
-int mo_store_campaign_initial(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
-                              uint32_t *n);
-
 /* Reads generations > after (−1: from the first), ascending. */
 int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_t after,
                                       struct mo_campaign_generation *rows, size_t limit);

@@ -40,15 +40,10 @@ static int check_physics(struct walk *walk, sqlite3_stmt *row)
   struct mo_physics physics;
   enum mo_precision precision;
   enum mo_sensor sensor;
-  const void *encoding = sqlite3_column_blob(row, 1);
-  int error = mo_column_hash(row, 2, &stored);
   (void)walk;
-  if (error == MO_OK)
-    error = encoding == NULL ? MO_ERR_CORRUPT
-                             : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 1),
-                                                 &physics, &precision, &sensor);
-  if (error != MO_OK)
-    return error;
+  if (mo_column_hash(row, 2, &stored) != MO_OK ||
+      mo_column_physics(row, 1, &physics, &precision, &sensor) != MO_OK)
+    return MO_ERR_CORRUPT;
   mo_physics_hash(&physics, precision, sensor, &found);
   return mo_sha256_equal(&stored, &found) ? MO_OK : MO_ERR_CORRUPT;
 }
@@ -194,23 +189,21 @@ static const struct part {
 
 static int walk_part(struct walk *walk, const struct part *part)
 {
-  int error = MO_OK, step = 0;
-  sqlite3_stmt *statement = mo_sql(walk->reader, part->sql, &error);
-  while (error == MO_OK && (step = mo_sql_step(walk->reader, statement)) > 0) {
-    error = part->check(walk, statement);
+  int error = MO_OK;
+  sqlite3_stmt *row = mo_sql_rows(walk->reader, &error, part->sql);
+  while (mo_sql_next(walk->reader, row, &error)) {
+    error = part->check(walk, row);
     walk->counts->rows++;
     if (error == MO_ERR_CORRUPT) {
       char finding[160];
       snprintf(finding, sizeof(finding), "%s %lld", part->what,
-               (long long)sqlite3_column_int64(statement, 0));
+               (long long)sqlite3_column_int64(row, 0));
       walk->tell(walk->context, finding);
       walk->counts->findings++;
       error = MO_OK;
     }
   }
-  if (statement != NULL)
-    (void)sqlite3_reset(statement);
-  return step < 0 ? step : error;
+  return error;
 }
 
 int mo_store_check_contents(struct mo_store *store,
@@ -232,36 +225,27 @@ static int take_sample(struct mo_connection *reader, sqlite3_stmt *row, uint64_t
                        struct mo_score_sample *sample)
 {
   static const char sql[] = "SELECT data,sha256 FROM environments WHERE id=?1";
-  const void *encoding = sqlite3_column_blob(row, 10);
   struct mo_condition condition;
   double losses[MO_BLOCK_LANES];
   uint32_t steps[MO_BLOCK_LANES], k;
   enum mo_sensor sensor;
-  sqlite3_stmt *statement;
+  sqlite3_stmt *environment;
   int error = mo_score_from_row(row, 0, &condition, losses, steps);
   if (error == MO_OK)
     error = mo_column_bits(row, 8, &sample->genotype);
   if (error == MO_OK)
     error = mo_column_hash(row, 9, &sample->controller_sha256);
   if (error == MO_OK)
-    error = encoding == NULL ? MO_ERR_CORRUPT
-                             : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 10),
-                                                 &sample->physics, &sample->precision, &sensor);
+    error = mo_column_physics(row, 10, &sample->physics, &sample->precision, &sensor);
   if (error != MO_OK)
     return error;
   k = (uint32_t)(seed % condition.n);
   sample->loss = losses[k];
   sample->diverged_step = (int32_t)steps[k];
-  statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, condition.environments[k]);
-  error = mo_sql_step(reader, statement);
-  error = error > 0   ? mo_column_environment(statement, 0, 1, &sample->environment)
-          : error < 0 ? error
-                      : MO_ERR_CORRUPT;
-  (void)sqlite3_reset(statement);
-  return error;
+  error = mo_sql_row(reader, &environment, sql, mo_int(condition.environments[k]));
+  return error == MO_OK ? mo_column_environment(environment, 0, 1, &sample->environment)
+         : error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT
+                                     : error;
 }
 
 int64_t mo_store_sample(struct mo_store *store, const char *fingerprint, uint64_t seed,
@@ -276,25 +260,13 @@ int64_t mo_store_sample(struct mo_store *store, const char *fingerprint, uint64_
       " ORDER BY x.genotype LIMIT 1";
   struct mo_connection *reader = mo_reader_acquire(store);
   int64_t last = 0, found = 0;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(reader, last_sql, &error);
-  if (statement != NULL)
-    error = mo_sql_integer(reader, statement, &last);
+  int error = mo_sql_find(reader, &last, last_sql);
   for (size_t i = 0; i < n && error == MO_OK && last > 0; i++) {
     const uint64_t all = (uint64_t)last, first = 1 + (i * all + seed % all) / n;
-    int result;
-    statement = mo_sql(reader, sql, &error);
-    if (statement == NULL)
-      break;
-    sqlite3_bind_int64(statement, 1, (int64_t)first);
-    sqlite3_bind_text(statement, 2, fingerprint, -1, SQLITE_STATIC);
-    result = mo_sql_step(reader, statement);
-    if (result > 0)
-      error = take_sample(reader, statement, seed + i, &samples[found++]);
-    else
-      error = result;
-    (void)sqlite3_reset(statement);
-    (void)sqlite3_clear_bindings(statement);
+    sqlite3_stmt *row =
+        mo_sql_rows(reader, &error, sql, mo_int((int64_t)first), mo_string(fingerprint));
+    if (mo_sql_next(reader, row, &error))
+      error = take_sample(reader, row, seed + i, &samples[found++]);
   }
   mo_reader_release(store, reader);
   return error != MO_OK ? error : found;

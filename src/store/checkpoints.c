@@ -14,18 +14,13 @@ static char *path_of(const struct mo_store *store, int64_t id, enum mo_job_kind 
                      const struct mo_checkpoint_place *place)
 {
   const char *above = kind == MO_JOB_TRAINING ? store->trainings_path : store->campaigns_path;
-  const size_t size = strlen(above) + 80;
-  char *path = malloc(size);
-  if (path == NULL)
-    return NULL;
-  if (place == NULL)
-    snprintf(path, size, "%s/%lld", above, (long long)id);
-  else if (kind == MO_JOB_TRAINING)
-    snprintf(path, size, "%s/%lld/%u.checkpoint", above, (long long)id, (unsigned)place->step);
-  else
-    snprintf(path, size, "%s/%lld/%u-%u.checkpoint", above, (long long)id,
-             (unsigned)place->generation, (unsigned)place->step);
-  return path;
+  char file[64] = "", *path;
+  if (place != NULL && kind == MO_JOB_TRAINING)
+    snprintf(file, sizeof(file), "/%u.checkpoint", (unsigned)place->step);
+  else if (place != NULL)
+    snprintf(file, sizeof(file), "/%u-%u.checkpoint", (unsigned)place->generation,
+             (unsigned)place->step);
+  return asprintf(&path, "%s/%lld%s", above, (long long)id, file) >= 0 ? path : NULL;
 }
 
 static int take_row(sqlite3_stmt *statement, void *any)
@@ -46,25 +41,11 @@ static int find(struct mo_store *store, int64_t id, int64_t generation, int64_t 
       "SELECT generation,step,sha256,size,stored_us FROM checkpoints WHERE job=?1"
       " AND (?2<0 OR generation=?2) AND (?3<0 OR step=?3) ORDER BY generation DESC,step DESC"
       " LIMIT 1";
-  struct mo_connection *reader = mo_reader_acquire(store);
-  sqlite3_stmt *row;
-  int error = mo_sql_row(reader, &row, sql, mo_int(id), mo_int(generation), mo_int(step));
-  if (error == MO_OK)
-    error = take_row(row, found);
-  mo_reader_release(store, reader);
-  return error;
+  return mo_read_one(store, sql, MO_VALUES(mo_int(id), mo_int(generation), mo_int(step)), take_row,
+                     found);
 }
 
 /* ---- writing ---- */
-
-/* Returns whether a file has these bytes. */
-static bool has_bytes(const char *path, const uint8_t *bytes, size_t size)
-{
-  uint8_t *there = NULL;
-  const bool same = mo_file_read(path, size, &there) == MO_OK && memcmp(there, bytes, size) == 0;
-  free(there);
-  return same;
-}
 
 /* Writes the file. */
 static int begin(struct mo_store *store, const uint8_t *bytes, struct mo_checkpoint *checkpoint)
@@ -86,12 +67,7 @@ static int begin(struct mo_store *store, const uint8_t *bytes, struct mo_checkpo
   if (error == MO_OK)
     error =
         mo_folder_make(store, is_training ? store->trainings_path : store->campaigns_path, folder);
-  /* The checkpoint at the end of a generation may have been stored before as one inside it. */
-  if (error == MO_OK && checkpoint->was_there &&
-      mo_sha256_equal(&known.sha256, &checkpoint->sha256) &&
-      has_bytes(checkpoint->path, bytes, checkpoint->size))
-    error = mo_folder_sync(store, folder);
-  else if (error == MO_OK)
+  if (error == MO_OK)
     error = mo_file_write(store, folder, checkpoint->path, bytes, checkpoint->size);
   free(folder);
   return error;
@@ -108,35 +84,29 @@ int mo_checkpoint_row_write(struct mo_store *store, const struct mo_checkpoint *
                    mo_int(mo_clock_wall_us()));
 }
 
-static int take_place(sqlite3_stmt *row, void *any)
-{
-  struct mo_checkpoints_removed *removed = any;
-  if (removed->n == MO_CHECKPOINTS_MAX)
-    return MO_OK; /* the next checkpoint removes it */
-  removed->places[removed->n++] =
-      (struct mo_checkpoint_place){mo_column_u32(row, 0), mo_column_u32(row, 1)};
-  removed->bytes += (uint64_t)sqlite3_column_int64(row, 2);
-  return MO_OK;
-}
-
 int mo_checkpoint_drop(struct mo_store *store, const char *list_sql, int64_t fourth,
                        struct mo_checkpoint *checkpoint)
 {
   static const char sql[] = "DELETE FROM checkpoints WHERE job=?1 AND generation=?2 AND step=?3";
   struct mo_checkpoints_removed *dropped = &checkpoint->dropped;
+  struct mo_connection *writer = &store->writer;
   const struct mo_value id = mo_int(checkpoint->id);
-  int64_t n;
+  int error = MO_OK;
+  sqlite3_stmt *row =
+      mo_sql_rows(writer, &error, list_sql, id, mo_int(checkpoint->place.generation),
+                  mo_int(checkpoint->place.step), mo_int(fourth));
   dropped->n = 0;
   dropped->bytes = 0;
-  n = mo_sql_each(&store->writer, take_place, dropped, list_sql, id,
-                  mo_int(checkpoint->place.generation), mo_int(checkpoint->place.step),
-                  mo_int(fourth));
-  for (size_t i = 0; i < dropped->n && n >= 0; i++) {
-    const int error = mo_sql_do(&store->writer, sql, id, mo_int(dropped->places[i].generation),
-                                mo_int(dropped->places[i].step));
-    n = error != MO_OK ? error : n;
+  /* If there are more, the next checkpoint drops them. */
+  while (dropped->n < MO_CHECKPOINTS_MAX && mo_sql_next(writer, row, &error)) {
+    dropped->places[dropped->n++] =
+        (struct mo_checkpoint_place){mo_column_u32(row, 0), mo_column_u32(row, 1)};
+    dropped->bytes += (uint64_t)sqlite3_column_int64(row, 2);
   }
-  return n < 0 ? (int)n : MO_OK;
+  for (size_t i = 0; i < dropped->n && error == MO_OK; i++)
+    error = mo_sql_do(writer, sql, id, mo_int(dropped->places[i].generation),
+                      mo_int(dropped->places[i].step));
+  return error;
 }
 
 /* Deletes the files of dropped rows or, after an error, the new file. */
@@ -146,15 +116,15 @@ static void end(struct mo_store *store, struct mo_checkpoint *checkpoint, int er
   /* After an I/O error it is unknown whether the row exists, so the file stays. */
   if (error != MO_OK && error != MO_ERR_IO && checkpoint->path != NULL && !checkpoint->was_there) {
     char *folder = path_of(store, checkpoint->id, checkpoint->kind, NULL);
-    (void)files->unlink(files->context, checkpoint->path);
+    (void)files->unlink(checkpoint->path);
     if (folder != NULL)
-      (void)files->rmdir(files->context, folder); /* if it was made for this one */
+      (void)files->rmdir(folder); /* if it was made for this one */
     free(folder);
   }
   for (size_t i = 0; i < checkpoint->dropped.n && error == MO_OK; i++) {
     char *path = path_of(store, checkpoint->id, checkpoint->kind, &checkpoint->dropped.places[i]);
     if (path != NULL)
-      (void)files->unlink(files->context, path); /* if this fails, the next start removes it */
+      (void)files->unlink(path); /* if this fails, the next start removes it */
     free(path);
   }
   free(checkpoint->path);
@@ -265,7 +235,7 @@ int mo_store_checkpoints_remove(struct mo_store *store, int64_t id, enum mo_job_
   error = mo_write_urgent(store, remove_rows, &call);
   end(store, &call, error);
   if (error == MO_OK)
-    (void)store->files->rmdir(store->files->context, folder); /* if it is empty */
+    (void)store->files->rmdir(folder); /* if it is empty */
   pthread_mutex_unlock(&store->checkpoints_mutex);
   free(folder);
   if (error == MO_OK)

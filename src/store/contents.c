@@ -15,11 +15,9 @@ static int content_row(struct mo_connection *writer, const char *find_sql, const
   int error;
   mo_sha256_of(bytes, size, &hash);
   error = mo_sql_find(writer, row, find_sql, mo_hash(&hash));
-  if (error != MO_ERR_NOT_FOUND)
-    return error;
-  error = mo_sql_do(writer, insert_sql, mo_hash(&hash), mo_blob(bytes, size));
-  *row = sqlite3_last_insert_rowid(writer->db);
-  return error;
+  return error != MO_ERR_NOT_FOUND
+             ? error
+             : mo_sql_insert(writer, row, insert_sql, mo_hash(&hash), mo_blob(bytes, size));
 }
 
 int mo_environment_row(struct mo_connection *writer, const struct mo_environment *environment,
@@ -58,15 +56,12 @@ int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,
     return error;
   mo_encode_bits(form, canonical);
   error = mo_sql_find(writer, &design, find_design_sql, mo_blob(canonical, sizeof(canonical)));
-  if (error == MO_ERR_NOT_FOUND) {
-    error =
-        mo_sql_do(writer, insert_design_sql, mo_blob(canonical, sizeof(canonical)), mo_int(now_us));
-    design = sqlite3_last_insert_rowid(writer->db);
-  }
-  if (error == MO_OK)
-    error = mo_sql_do(writer, insert_sql, mo_blob(bits, sizeof(bits)), mo_int(design));
-  *row = sqlite3_last_insert_rowid(writer->db);
-  return error;
+  if (error == MO_ERR_NOT_FOUND)
+    error = mo_sql_insert(writer, &design, insert_design_sql, mo_blob(canonical, sizeof(canonical)),
+                          mo_int(now_us));
+  return error == MO_OK
+             ? mo_sql_insert(writer, row, insert_sql, mo_blob(bits, sizeof(bits)), mo_int(design))
+             : error;
 }
 
 int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *id)
@@ -89,9 +84,7 @@ int mo_environment_set_find(struct mo_connection *connection, const char *name, 
     return error;
   *row = sqlite3_column_int64(statement, 0);
   *n = sqlite3_column_int64(statement, 1);
-  (void)sqlite3_reset(statement);
-  /* A submission that names no set has row 0. */
-  return *row == 0 || *n < 1 || *n > MO_ENVIRONMENTS_MAX ? MO_ERR_CORRUPT : MO_OK;
+  return *n < 1 || *n > MO_ENVIRONMENTS_MAX ? MO_ERR_CORRUPT : MO_OK;
 }
 
 int mo_store_environment_set_size(struct mo_store *store, const char *name, uint32_t *n)
@@ -107,10 +100,14 @@ int mo_store_environment_set_size(struct mo_store *store, const char *name, uint
 
 /* ---- the environments and designs of a job ---- */
 
-int mo_environments_insert(struct mo_connection *writer, const char *copy_sql, const char *sql,
-                           int64_t id, int64_t set, const struct mo_environment *environments,
-                           uint32_t n)
+int mo_environments_insert(struct mo_connection *writer, int64_t id, int64_t set,
+                           const struct mo_environment *environments, uint32_t n)
 {
+  static const char copy_sql[] =
+      "INSERT INTO job_environments(job,position,environment)"
+      " SELECT ?1,position,environment FROM environment_set_members WHERE environment_set=?2";
+  static const char sql[] =
+      "INSERT INTO job_environments(job,position,environment) VALUES(?1,?2,?3)";
   int64_t row = 0;
   int error = MO_OK;
   if (set != 0)
@@ -123,62 +120,62 @@ int mo_environments_insert(struct mo_connection *writer, const char *copy_sql, c
   return error;
 }
 
-int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id,
-                      const struct mo_bits *forms, const struct mo_bits *genotypes, uint32_t n,
-                      int64_t now_us)
+int mo_design_insert(struct mo_connection *writer, int64_t id, uint32_t position, int64_t genotype)
+{
+  static const char sql[] = "INSERT INTO job_designs(job,position,genotype) VALUES(?1,?2,?3)";
+  return mo_sql_do(writer, sql, mo_int(id), mo_int(position), mo_int(genotype));
+}
+
+int mo_designs_insert(struct mo_connection *writer, int64_t id, const struct mo_bits *forms,
+                      const struct mo_bits *genotypes, uint32_t n, int64_t now_us)
 {
   int64_t row = 0;
   int error = MO_OK;
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
     error = mo_genotype_row(writer, &forms[i], &genotypes[i], now_us, &row);
     if (error == MO_OK)
-      error = mo_sql_do(writer, sql, mo_int(id), mo_int(i), mo_int(row));
+      error = mo_design_insert(writer, id, i, row);
   }
   return error;
 }
 
-struct environments {
-  struct mo_environment *next;
-  int64_t *next_row; /* nullable */
-  uint32_t n_left;
-};
-
-static int take_environment(sqlite3_stmt *row, void *any)
-{
-  struct environments *list = any;
-  if (list->n_left-- == 0)
-    return MO_ERR_CORRUPT;
-  if (list->next_row != NULL)
-    *list->next_row++ = sqlite3_column_int64(row, 0);
-  return mo_column_environment(row, 1, 2, list->next++);
-}
-
-int mo_environments_read(struct mo_connection *connection, const char *sql, int64_t id, uint32_t n,
+int mo_environments_read(struct mo_connection *connection, int64_t id, uint32_t n,
                          struct mo_environment *environments, int64_t *rows)
 {
-  struct environments list = {environments, rows, n};
-  const int64_t found = mo_sql_each(connection, take_environment, &list, sql, mo_int(id));
-  return found < 0 ? (int)found : found == n ? MO_OK : MO_ERR_CORRUPT;
+  static const char sql[] =
+      "SELECT e.id,e.data,e.sha256 FROM job_environments x JOIN environments e"
+      " ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
+  uint32_t k = 0;
+  int error = MO_OK;
+  sqlite3_stmt *row = mo_sql_rows(connection, &error, sql, mo_int(id));
+  for (; mo_sql_next(connection, row, &error); k++) {
+    if (k == n)
+      return MO_ERR_CORRUPT;
+    if (rows != NULL)
+      rows[k] = sqlite3_column_int64(row, 0);
+    if (environments != NULL)
+      error = mo_column_environment(row, 1, 2, &environments[k]);
+  }
+  return error == MO_OK && k < n ? MO_ERR_CORRUPT : error;
 }
 
-static int take_genotype(sqlite3_stmt *row, void *any)
+int mo_designs_read(struct mo_connection *connection, int64_t id, struct mo_designs *designs)
 {
-  struct mo_designs *designs = any;
-  if (designs->n == designs->n_max)
-    return MO_ERR_CORRUPT;
-  designs->rows[designs->n] = sqlite3_column_int64(row, 0);
-  return mo_column_genotype(row, 1, 2, &designs->genotypes[designs->n++], NULL);
-}
-
-int mo_designs_read(struct mo_connection *connection, const char *sql, int64_t id, uint32_t n_max,
-                    struct mo_designs *designs)
-{
-  int64_t found;
-  *designs = (struct mo_designs){.genotypes = calloc(n_max + 1, sizeof(*designs->genotypes)),
-                                 .rows = calloc(n_max + 1, sizeof(*designs->rows)),
-                                 .n_max = n_max};
-  if (designs->genotypes == NULL || designs->rows == NULL)
-    return MO_ERR_NO_MEMORY;
-  found = mo_sql_each(connection, take_genotype, designs, sql, mo_int(id));
-  return found < 0 ? (int)found : MO_OK;
+  static const char n_sql[] = "SELECT count(*) FROM job_designs WHERE job=?1";
+  static const char sql[] =
+      "SELECT g.id,g.bits,d.form FROM job_designs x JOIN genotypes g ON g.id=x.genotype"
+      " JOIN designs d ON d.id=g.design WHERE x.job=?1 ORDER BY x.position";
+  int64_t n = 0;
+  int error = mo_sql_find(connection, &n, n_sql, mo_int(id));
+  sqlite3_stmt *row;
+  *designs = (struct mo_designs){.genotypes = calloc((size_t)n + 1, sizeof(*designs->genotypes)),
+                                 .rows = calloc((size_t)n + 1, sizeof(*designs->rows))};
+  if (error == MO_OK && (designs->genotypes == NULL || designs->rows == NULL))
+    error = MO_ERR_NO_MEMORY;
+  row = mo_sql_rows(connection, &error, sql, mo_int(id));
+  while (designs->n < n && mo_sql_next(connection, row, &error)) {
+    designs->rows[designs->n] = sqlite3_column_int64(row, 0);
+    error = mo_column_genotype(row, 1, 2, &designs->genotypes[designs->n++], NULL);
+  }
+  return error == MO_OK && designs->n != n ? MO_ERR_CORRUPT : error;
 }

@@ -18,27 +18,23 @@ int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *
 int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row,
                             int64_t *n);
 
-/* Inserts the environments of a job: those of `set` (copy_sql: ?1 job, ?2 set), or if set is 0 the
- * given ones (sql: ?1 job, ?2 position, ?3 environment). */
-int mo_environments_insert(struct mo_connection *writer, const char *copy_sql, const char *sql,
-                           int64_t id, int64_t set, const struct mo_environment *environments,
-                           uint32_t n);
-/* Inserts the designs of a job, in order. sql: ?1 job, ?2 position, ?3 genotype's row. */
-int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id,
-                      const struct mo_bits *forms, const struct mo_bits *genotypes, uint32_t n,
-                      int64_t now_us);
-/* Reads the environments (n) of a job. sql: ?1 job; columns row, data, sha256. rows: nullable.
- * MO_ERR_CORRUPT: there are more or fewer. */
-int mo_environments_read(struct mo_connection *connection, const char *sql, int64_t id, uint32_t n,
+/* Inserts the environments of a job: those of `set`, or if set is 0 the given ones. */
+int mo_environments_insert(struct mo_connection *writer, int64_t id, int64_t set,
+                           const struct mo_environment *environments, uint32_t n);
+/* Inserts the designs of a job, in order. */
+int mo_designs_insert(struct mo_connection *writer, int64_t id, const struct mo_bits *forms,
+                      const struct mo_bits *genotypes, uint32_t n, int64_t now_us);
+int mo_design_insert(struct mo_connection *writer, int64_t id, uint32_t position, int64_t genotype);
+/* Reads the environments (n) of a job and their rows, each nullable. MO_ERR_CORRUPT: there are more
+ * or fewer. */
+int mo_environments_read(struct mo_connection *connection, int64_t id, uint32_t n,
                          struct mo_environment *environments, int64_t *rows);
 struct mo_designs {
   struct mo_bits *genotypes; /* (n) malloc */
   int64_t *rows;             /* (n) malloc */
-  uint32_t n, n_max;
+  uint32_t n;
 };
-/* Reads at most n_max designs of a job. sql: ?1 job; columns row, bits, form. The caller frees
- * both lists, also after an error. MO_ERR_CORRUPT: there are more. */
-int mo_designs_read(struct mo_connection *connection, const char *sql, int64_t id, uint32_t n_max,
-                    struct mo_designs *designs);
+/* Reads the designs of a job. The caller frees both lists, also after an error. */
+int mo_designs_read(struct mo_connection *connection, int64_t id, struct mo_designs *designs);
 
 #endif

@@ -6,10 +6,10 @@
 
 #include "store/internal.h"
 
-/* Finds a controller's row by name or "sha256:…". MO_ERR_NOT_FOUND. */
-int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row);
-/* Reads a controller's sensor. MO_ERR_UNSUPPORTED: its workspace is not the default one. */
-int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_sensor *sensor);
+/* Finds a controller's row and sensor by name or "sha256:…". MO_ERR_NOT_FOUND; MO_ERR_UNSUPPORTED:
+ * its workspace is not the default one. */
+int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row,
+                       enum mo_sensor *sensor);
 /* Reports the files of controllers that nothing refers to, or (tell NULL) removes them. */
 int mo_controllers_clean(struct mo_store *store,
                          void (*tell)(void *context, const char *name, uint64_t bytes),

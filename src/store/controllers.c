@@ -26,30 +26,17 @@ int mo_controller_name_check(const char *name)
 /* Returns "<folder>/<sha256>.safetensors" (malloc). */
 char *mo_controller_path(const struct mo_store *store, const struct mo_sha256 *sha256)
 {
-  char digits[MO_SHA256_DIGITS + 1];
-  size_t size = strlen(store->controllers_path) + MO_SHA256_DIGITS + sizeof("/.safetensors");
-  char *path = malloc(size);
-  if (path == NULL)
-    return NULL;
+  char digits[MO_SHA256_DIGITS + 1], *path;
   mo_sha256_to_hex(sha256, digits);
-  snprintf(path, size, "%s/%s.safetensors", store->controllers_path, digits);
-  return path;
+  return asprintf(&path, "%s/%s.safetensors", store->controllers_path, digits) >= 0 ? path : NULL;
 }
 
 static int write_file(struct mo_store *store, const struct mo_sha256 *sha256, const uint8_t *bytes,
                       size_t size)
 {
   char *path = mo_controller_path(store, sha256);
-  uint8_t *there = NULL;
-  int error;
-  if (path == NULL)
-    return MO_ERR_NO_MEMORY;
-  /* A crash may have left a whole file without its row. */
-  if (mo_file_read(path, size, &there) == MO_OK && memcmp(there, bytes, size) == 0)
-    error = mo_folder_sync(store, store->controllers_path);
-  else
-    error = mo_file_write(store, store->controllers_path, path, bytes, size);
-  free(there);
+  const int error = path != NULL ? mo_file_write(store, store->controllers_path, path, bytes, size)
+                                 : MO_ERR_NO_MEMORY;
   free(path);
   return error;
 }
@@ -83,13 +70,11 @@ static int content_row(struct mo_connection *writer, const struct mo_controller_
   int error = mo_sql_find(writer, row, find_sql, mo_hash(&call->sha256));
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  error = mo_sql_do(writer, insert_sql, mo_hash(&call->sha256), mo_int((int64_t)call->size),
-                    mo_int(controller->sensor), mo_int(controller->workspace.nx),
-                    mo_int(controller->workspace.ny), mo_int(controller->workspace.nz),
-                    mo_int((int64_t)controller->n_parameters), mo_string(call->metadata),
-                    mo_int(now_us));
-  *row = sqlite3_last_insert_rowid(writer->db);
-  return error;
+  return mo_sql_insert(writer, row, insert_sql, mo_hash(&call->sha256), mo_int((int64_t)call->size),
+                       mo_int(controller->sensor), mo_int(controller->workspace.nx),
+                       mo_int(controller->workspace.ny), mo_int(controller->workspace.nz),
+                       mo_int((int64_t)controller->n_parameters), mo_string(call->metadata),
+                       mo_int(now_us));
 }
 
 int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call)
@@ -101,36 +86,29 @@ int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call
       " ON CONFLICT(name) DO UPDATE SET controller=?2,version=?3,stored_us=?4";
   struct mo_connection *writer = &store->writer;
   char digits[MO_SHA256_DIGITS + 1], data[256];
-  int64_t row = 0, known = 0, version = 0, now_us = mo_clock_wall_us();
+  int64_t known = 0;
   sqlite3_stmt *name;
-  int error = content_row(writer, call, now_us, &row);
-  call->row = row;
+  int error;
+  call->record.stored_us = mo_clock_wall_us();
+  call->record.version = 0;
+  error = content_row(writer, call, call->record.stored_us, &call->row);
   if (error == MO_OK)
     error = mo_sql_row(writer, &name, find_sql, mo_string(call->name));
   call->created = error == MO_ERR_NOT_FOUND;
   if (error == MO_OK) {
     known = sqlite3_column_int64(name, 0);
-    version = sqlite3_column_int64(name, 1);
-    if (known == row)
-      now_us = sqlite3_column_int64(name, 2);
-    (void)sqlite3_reset(name);
-  } else if (error != MO_ERR_NOT_FOUND) {
+    call->record.version = sqlite3_column_int64(name, 1);
+    if (known == call->row)
+      call->record.stored_us = sqlite3_column_int64(name, 2);
+  }
+  if ((error != MO_OK && error != MO_ERR_NOT_FOUND) || known == call->row)
     return error;
-  }
-  error = MO_OK;
-  if (known != row) {
-    version++;
-    error = mo_sql_do(writer, set_sql, mo_string(call->name), mo_int(row), mo_int(version),
-                      mo_int(now_us));
-    if (error != MO_OK)
-      return error;
-    mo_sha256_to_hex(&call->sha256, digits);
-    snprintf(data, sizeof(data), "{\"name\":\"%s\",\"sha256\":\"%s\"}", call->name, digits);
-    error = mo_writer_event(store, 0, "controller.stored", data);
-  }
-  call->record.version = version;
-  call->record.stored_us = now_us;
-  return error;
+  call->record.version++;
+  error = mo_sql_do(writer, set_sql, mo_string(call->name), mo_int(call->row),
+                    mo_int(call->record.version), mo_int(call->record.stored_us));
+  mo_sha256_to_hex(&call->sha256, digits);
+  snprintf(data, sizeof(data), "{\"name\":\"%s\",\"sha256\":\"%s\"}", call->name, digits);
+  return error == MO_OK ? mo_writer_event(store, 0, "controller.stored", data) : error;
 }
 
 static int put(struct mo_store *store, void *arguments)
@@ -208,174 +186,203 @@ int mo_store_controller_remove(struct mo_store *store, const char *name)
 
 /* ---- reading ---- */
 
-int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_sensor *sensor)
-{
-  static const char sql[] = "SELECT sensor,nx,ny,nz FROM controllers WHERE id=?1";
-  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
-  sqlite3_stmt *statement;
-  const int error = mo_sql_row(connection, &statement, sql, mo_int(row));
-  bool fits;
-  if (error != MO_OK)
-    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
-  *sensor = (enum mo_sensor)sqlite3_column_int(statement, 0);
-  fits = sqlite3_column_int64(statement, 1) == workspace.nx &&
-         sqlite3_column_int64(statement, 2) == workspace.ny &&
-         sqlite3_column_int64(statement, 3) == workspace.nz;
-  (void)sqlite3_reset(statement);
-  return fits ? MO_OK : MO_ERR_UNSUPPORTED;
-}
+/* Without a name (n: no row), the version is 1 and the time that of the content. */
+#define COLUMNS                                                                                    \
+  "SELECT c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters,n.name,coalesce(n.version,1),"    \
+  "coalesce(n.stored_us,c.stored_us),c.id"
 
-int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row)
+static int read_record(sqlite3_stmt *row, void *any)
 {
-  static const char by_hash[] = "SELECT id FROM controllers WHERE sha256=?1";
-  static const char by_name[] = "SELECT controller FROM controller_names WHERE name=?1";
-  struct mo_sha256 sha256;
-  if (strncmp(name, "sha256:", 7) != 0)
-    return mo_sql_find(connection, row, by_name, mo_string(name));
-  return mo_sha256_from_hex(name + 7, strlen(name + 7), &sha256) == MO_OK
-             ? mo_sql_find(connection, row, by_hash, mo_hash(&sha256))
-             : MO_ERR_NOT_FOUND;
-}
-
-#define CONTROLLER_COLUMNS "c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters"
-
-/* Reads a record. A NULL name means that it was looked up by hash. */
-static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record *record)
-{
-  memset(record, 0, sizeof(*record));
-  record->size = (uint64_t)sqlite3_column_int64(statement, 1);
-  record->sensor = (enum mo_sensor)sqlite3_column_int(statement, 2);
-  record->workspace = (struct mo_workspace){(uint16_t)sqlite3_column_int(statement, 3),
-                                            (uint16_t)sqlite3_column_int(statement, 4),
-                                            (uint16_t)sqlite3_column_int(statement, 5)};
-  record->n_parameters = (uint64_t)sqlite3_column_int64(statement, 6);
-  mo_column_text(statement, 8, record->name, sizeof(record->name));
-  record->version = sqlite3_column_int64(statement, 9);
-  record->stored_us = sqlite3_column_int64(statement, 10);
-  return mo_column_hash(statement, 0, &record->sha256);
+  struct mo_controller_record *record = any;
+  *record = (struct mo_controller_record){.size = (uint64_t)sqlite3_column_int64(row, 1),
+                                          .sensor = (enum mo_sensor)sqlite3_column_int(row, 2),
+                                          .workspace = {(uint16_t)sqlite3_column_int(row, 3),
+                                                        (uint16_t)sqlite3_column_int(row, 4),
+                                                        (uint16_t)sqlite3_column_int(row, 5)},
+                                          .n_parameters = (uint64_t)sqlite3_column_int64(row, 6),
+                                          .version = sqlite3_column_int64(row, 8),
+                                          .stored_us = sqlite3_column_int64(row, 9)};
+  mo_column_text(row, 7, record->name, sizeof(record->name));
+  return mo_column_hash(row, 0, &record->sha256);
 }
 
 int64_t mo_store_controllers(struct mo_store *store, const char *after_name,
                              struct mo_controller_record *records, size_t limit)
 {
-  static const char sql[] =
-      "SELECT " CONTROLLER_COLUMNS
-      ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
-      " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name>?1 ORDER BY n.name";
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int error = MO_OK;
-  size_t n = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    int step = 0;
-    sqlite3_bind_text(statement, 1, after_name != NULL ? after_name : "", -1, SQLITE_STATIC);
-    while (error == MO_OK && n < limit && (step = mo_sql_step(reader, statement)) > 0)
-      error = record_from_row(statement, &records[n++]);
-    if (step < 0)
-      error = step;
-    (void)sqlite3_reset(statement);
-    (void)sqlite3_clear_bindings(statement);
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : (int64_t)n;
+  static const char sql[] = COLUMNS " FROM controller_names n JOIN controllers c ON"
+                                    " c.id=n.controller WHERE n.name>?1 ORDER BY n.name LIMIT ?2";
+  return mo_read_page(
+      store, sql,
+      MO_VALUES(mo_string(after_name != NULL ? after_name : ""), mo_int((int64_t)limit)),
+      read_record, records, sizeof(*records));
+}
+
+/* Finds the row and record of a name or "sha256:…". MO_ERR_NOT_FOUND. */
+static int find_record(struct mo_connection *connection, const char *name, int64_t *id,
+                       struct mo_controller_record *record)
+{
+  static const char by_name[] = COLUMNS " FROM controller_names n JOIN controllers c ON"
+                                        " c.id=n.controller WHERE n.name=?1";
+  static const char by_hash[] = COLUMNS " FROM controllers c LEFT JOIN controller_names n ON FALSE"
+                                        " WHERE c.sha256=?1";
+  struct mo_sha256 sha256;
+  sqlite3_stmt *row;
+  int error = MO_ERR_NOT_FOUND;
+  if (strncmp(name, "sha256:", 7) != 0)
+    error = mo_sql_row(connection, &row, by_name, mo_string(name));
+  else if (mo_sha256_from_hex(name + 7, strlen(name + 7), &sha256) == MO_OK)
+    error = mo_sql_row(connection, &row, by_hash, mo_hash(&sha256));
+  if (error != MO_OK)
+    return error;
+  *id = sqlite3_column_int64(row, 10);
+  return read_record(row, record);
+}
+
+int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row,
+                       enum mo_sensor *sensor)
+{
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  struct mo_controller_record record;
+  const int error = find_record(connection, name, row, &record);
+  if (error != MO_OK)
+    return error;
+  *sensor = record.sensor;
+  return memcmp(&record.workspace, &workspace, sizeof(workspace)) == 0 ? MO_OK : MO_ERR_UNSUPPORTED;
 }
 
 int mo_store_controller(struct mo_store *store, const char *name,
                         struct mo_controller_record *record)
 {
-  static const char by_name[] = "SELECT " CONTROLLER_COLUMNS
-                                ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
-                                " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name=?1";
-  static const char by_row[] =
-      "SELECT " CONTROLLER_COLUMNS ",c.id,NULL,1,c.stored_us FROM controllers c WHERE c.id=?1";
   struct mo_connection *reader = mo_reader_acquire(store);
-  bool hashed = strncmp(name, "sha256:", 7) == 0;
-  sqlite3_stmt *statement = NULL;
-  int64_t row = 0;
-  int error = hashed ? mo_controller_find(reader, name, &row) : MO_OK;
-  if (error == MO_OK)
-    statement = mo_sql(reader, hashed ? by_row : by_name, &error);
-  if (statement != NULL) {
-    int step;
-    if (hashed)
-      sqlite3_bind_int64(statement, 1, row);
-    else
-      sqlite3_bind_text(statement, 1, name, -1, SQLITE_STATIC);
-    step = mo_sql_step(reader, statement);
-    error = step > 0 ? record_from_row(statement, record) : step < 0 ? step : MO_ERR_NOT_FOUND;
-    (void)sqlite3_reset(statement);
-    (void)sqlite3_clear_bindings(statement);
-  }
+  int64_t row;
+  const int error = find_record(reader, name, &row, record);
   mo_reader_release(store, reader);
   return error;
 }
 
-static int content_size(struct mo_store *store, const struct mo_sha256 *sha256, int64_t *size)
+static int take_size(sqlite3_stmt *row, void *size)
+{
+  *(size_t *)size = (size_t)sqlite3_column_int64(row, 0);
+  return MO_OK;
+}
+
+int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sha256,
+                              uint8_t **bytes, size_t *size)
 {
   static const char sql[] = "SELECT size FROM controllers WHERE sha256=?1";
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    mo_bind_hash(statement, 1, sha256);
-    error = mo_sql_integer(reader, statement, size);
-  }
-  mo_reader_release(store, reader);
-  return error;
+  char *path = mo_controller_path(store, sha256);
+  const int error = path != NULL
+                        ? mo_read_one(store, sql, MO_VALUES(mo_hash(sha256)), take_size, size)
+                        : MO_ERR_NO_MEMORY;
+  const int result = error == MO_OK ? mo_file_read_checked(path, *size, sha256, bytes) : error;
+  free(path);
+  return result;
 }
 
-int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sha256, uint8_t **ret,
-                              size_t *ret_size)
+static int take_metadata(sqlite3_stmt *row, void *json)
 {
-  struct mo_sha256 found;
-  uint8_t *bytes = NULL;
-  int64_t size = 0;
-  char *path;
-  int error = content_size(store, sha256, &size);
-  if (error != MO_OK)
-    return error;
-  path = mo_controller_path(store, sha256);
-  if (path == NULL)
-    return MO_ERR_NO_MEMORY;
-  error = size >= 0 ? mo_file_read(path, (size_t)size, &bytes) : MO_ERR_CORRUPT;
-  free(path);
-  if (error == MO_ERR_NOT_FOUND)
-    error = MO_ERR_CORRUPT; /* the row exists, but its file does not */
-  if (error == MO_OK) {
-    mo_sha256_of(bytes, (size_t)size, &found);
-    if (!mo_sha256_equal(&found, sha256)) {
-      free(bytes);
-      error = MO_ERR_CORRUPT;
-    }
-  }
-  if (error == MO_OK) {
-    *ret = bytes;
-    *ret_size = (size_t)size;
-  }
-  return error;
+  const char *text = (const char *)sqlite3_column_text(row, 0);
+  *(char **)json = text != NULL ? strdup(text) : NULL;
+  return *(char **)json != NULL ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
 int mo_store_controller_metadata(struct mo_store *store, const struct mo_sha256 *sha256,
                                  char **json)
 {
   static const char sql[] = "SELECT metadata FROM controllers WHERE sha256=?1";
+  return mo_read_one(store, sql, MO_VALUES(mo_hash(sha256)), take_metadata, json);
+}
+
+/* ---- content that no name, job or score refers to: scores refer by their few conditions ---- */
+
+/* Describes the first reference to a controller. MO_ERR_NOT_FOUND: there is none. */
+static int find_user(struct mo_connection *reader, int64_t id, char words[128])
+{
+  static const char sql[] =
+      "SELECT 'the name '||name FROM controller_names WHERE controller=?1 UNION ALL"
+      " SELECT 'evaluation '||job FROM evaluations WHERE controller=?1 UNION ALL"
+      " SELECT iif(j.kind=1,'training ','campaign ')||j.id FROM runs r JOIN jobs j ON j.id=r.job"
+      " WHERE ?1 IN (r.controller,r.result) UNION ALL"
+      " SELECT 'a stored mean score' FROM rankings WHERE controller=?1 UNION ALL"
+      " SELECT 'a stored score' FROM conditions WHERE controller=?1 LIMIT 1";
+  sqlite3_stmt *row;
+  const int error = mo_sql_row(reader, &row, sql, mo_int(id));
+  if (error == MO_OK)
+    mo_column_text(row, 0, words, 128);
+  return error;
+}
+
+/* Deletes a controller's row. MO_ERR_CONFLICT: a reference was added after the search. */
+static int remove_content(struct mo_store *store, void *id)
+{
+  static const char sql[] = "DELETE FROM controllers WHERE id=?1";
+  struct mo_connection *writer = &store->writer;
+  const int error = mo_sql_do(writer, sql, mo_int(*(const int64_t *)id));
+  if (error == MO_OK)
+    return sqlite3_changes(writer->db) > 0 ? MO_OK : MO_ERR_NOT_FOUND;
+  return sqlite3_extended_errcode(writer->db) == SQLITE_CONSTRAINT_FOREIGNKEY ? MO_ERR_CONFLICT
+                                                                              : error;
+}
+
+/* Deletes the row, then the file. The lock keeps other threads from storing the same content in
+ * between. */
+static int remove_row_and_file(struct mo_store *store, int64_t id, const struct mo_sha256 *sha256)
+{
+  char *path = mo_controller_path(store, sha256);
+  int error;
+  if (path == NULL)
+    return MO_ERR_NO_MEMORY;
+  pthread_rwlock_wrlock(&store->controllers_lock);
+  error = mo_write_urgent(store, remove_content, &id);
+  if (error == MO_OK)
+    (void)store->files->unlink(path); /* if this fails, the next start reports the file */
+  pthread_rwlock_unlock(&store->controllers_lock);
+  free(path);
+  return error;
+}
+
+int mo_store_controller_delete(struct mo_store *store, const char *reference,
+                               struct mo_message *message)
+{
   struct mo_connection *reader = mo_reader_acquire(store);
+  struct mo_controller_record record;
+  char words[128] = "something new";
+  int64_t id = 0;
+  int error = find_record(reader, reference, &id, &record);
+  if (error == MO_OK) {
+    error = find_user(reader, id, words);
+    error = error == MO_OK ? MO_ERR_CONFLICT : error == MO_ERR_NOT_FOUND ? MO_OK : error;
+  }
+  mo_reader_release(store, reader);
+  if (error == MO_OK)
+    error = remove_row_and_file(store, id, &record.sha256);
+  return error == MO_ERR_CONFLICT ? mo_fail(message, error, "%s refers to it", words) : error;
+}
+
+int mo_controllers_clean(struct mo_store *store,
+                         void (*tell)(void *context, const char *name, uint64_t bytes),
+                         void *context)
+{
+  static const char sql[] =
+      "SELECT id,sha256,size FROM controllers WHERE id NOT IN ("
+      "SELECT controller FROM controller_names UNION SELECT controller FROM evaluations"
+      " UNION SELECT controller FROM runs WHERE controller IS NOT NULL"
+      " UNION SELECT result FROM runs WHERE result IS NOT NULL"
+      " UNION SELECT controller FROM rankings UNION SELECT controller FROM conditions) ORDER BY id";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  char digits[MO_SHA256_DIGITS + 1], name[128];
+  struct mo_sha256 sha256;
   int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    int step;
-    mo_bind_hash(statement, 1, sha256);
-    step = mo_sql_step(reader, statement);
-    error = step < 0 ? step : step == 0 ? MO_ERR_NOT_FOUND : MO_OK;
-    if (step > 0) {
-      const char *text = (const char *)sqlite3_column_text(statement, 0);
-      char *copy = text != NULL ? strdup(text) : NULL;
-      if (copy == NULL)
-        error = MO_ERR_NO_MEMORY;
-      else
-        *json = copy;
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql);
+  while (mo_sql_next(reader, row, &error)) {
+    error = mo_column_hash(row, 1, &sha256);
+    if (error == MO_OK && tell != NULL) {
+      mo_sha256_to_hex(&sha256, digits);
+      snprintf(name, sizeof(name), "controllers/%s.safetensors", digits);
+      tell(context, name, (uint64_t)sqlite3_column_int64(row, 2));
+    } else if (error == MO_OK) {
+      error = remove_row_and_file(store, sqlite3_column_int64(row, 0), &sha256);
     }
-    (void)sqlite3_reset(statement);
   }
   mo_reader_release(store, reader);
   return error;

@@ -9,28 +9,13 @@
 
 /* ---- lists ---- */
 
-static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_query *query,
-                           struct mo_design_row *rows, size_t limit)
+static int read_by_row(sqlite3_stmt *row, void *any)
 {
-  static const char sql[] =
-      "SELECT id,form,first_seen_us FROM designs WHERE id>?1 ORDER BY id LIMIT ?2";
-  int error = MO_OK;
-  int64_t n = 0;
-  int step = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, query->after_row);
-  sqlite3_bind_int64(statement, 2, (sqlite3_int64)limit);
-  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-    struct mo_design_row *row = &rows[n++];
-    memset(row, 0, sizeof(*row));
-    row->row = sqlite3_column_int64(statement, 0);
-    error = mo_column_bits(statement, 1, &row->form);
-    row->first_seen_us = sqlite3_column_int64(statement, 2);
-    row->score = NAN;
-  }
-  return step < 0 ? step : error != MO_OK ? error : n;
+  struct mo_design_row *design = any;
+  *design = (struct mo_design_row){.row = sqlite3_column_int64(row, 0),
+                                   .first_seen_us = sqlite3_column_int64(row, 2),
+                                   .score = NAN};
+  return mo_column_bits(row, 1, &design->form);
 }
 
 /* Finds the ranking that a query asks for. MO_ERR_NOT_FOUND: it has no scores. */
@@ -43,27 +28,15 @@ static int find_ranking(struct mo_connection *reader, const struct mo_design_que
       " AND physics=(SELECT id FROM physics WHERE sha256=?2)"
       " AND fingerprint=(SELECT id FROM fingerprints WHERE text=?3)"
       " AND environment_set=(SELECT id FROM environment_sets WHERE name=?4)";
+  const struct mo_value controller = mo_hash(&query->controller_sha256);
   struct mo_sha256 hash;
   int64_t sensor;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(reader, sensor_sql, &error);
-  if (statement == NULL)
-    return error;
-  mo_bind_hash(statement, 1, &query->controller_sha256);
-  error = mo_sql_integer(reader, statement, &sensor);
+  const int error = mo_sql_find(reader, &sensor, sensor_sql, controller);
   if (error != MO_OK)
     return error;
   mo_physics_hash(&query->physics, query->precision, (enum mo_sensor)sensor, &hash);
-  statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  mo_bind_hash(statement, 1, &query->controller_sha256);
-  mo_bind_hash(statement, 2, &hash);
-  sqlite3_bind_text(statement, 3, query->fingerprint, -1, SQLITE_STATIC);
-  sqlite3_bind_text(statement, 4, query->environment_set, -1, SQLITE_STATIC);
-  error = mo_sql_integer(reader, statement, row);
-  (void)sqlite3_clear_bindings(statement);
-  return error;
+  return mo_sql_find(reader, row, sql, controller, mo_hash(&hash), mo_string(query->fingerprint),
+                     mo_string(query->environment_set));
 }
 
 static int64_t list_by_score(struct mo_connection *reader, const struct mo_design_query *query,
@@ -74,64 +47,46 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
       " JOIN genotypes g ON g.id=s.genotype JOIN designs d ON d.id=g.design WHERE s.ranking=?1"
       " AND (s.score,s.genotype)>(?2,?3) ORDER BY s.score,s.genotype LIMIT ?4";
   int64_t ranking = 0, n = 0;
-  sqlite3_stmt *statement;
-  int step = 0;
+  sqlite3_stmt *row;
   int error = find_ranking(reader, query, &ranking);
   if (error == MO_ERR_NOT_FOUND)
     return 0;
-  if (error != MO_OK)
-    return error;
-  statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, ranking);
-  sqlite3_bind_double(statement, 2, query->after_row != 0 ? query->after_score : -INFINITY);
-  sqlite3_bind_int64(statement, 3, query->after_row);
-  sqlite3_bind_int64(statement, 4, (sqlite3_int64)limit);
-  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-    struct mo_design_row *row = &rows[n++];
-    memset(row, 0, sizeof(*row));
-    row->genotype_row = sqlite3_column_int64(statement, 0);
-    row->row = sqlite3_column_int64(statement, 4);
-    row->first_seen_us = sqlite3_column_int64(statement, 6);
-    error = mo_set_score_from_row(statement, 1, ranking, row->genotype_row, &row->score);
+  row = mo_sql_rows(reader, &error, sql, mo_int(ranking),
+                    mo_real(query->after_row != 0 ? query->after_score : -INFINITY),
+                    mo_int(query->after_row), mo_int((int64_t)limit));
+  while (mo_sql_next(reader, row, &error)) {
+    struct mo_design_row *design = &rows[n++];
+    *design = (struct mo_design_row){.row = sqlite3_column_int64(row, 4),
+                                     .first_seen_us = sqlite3_column_int64(row, 6),
+                                     .genotype_row = sqlite3_column_int64(row, 0)};
+    error = mo_set_score_from_row(row, 1, ranking, design->genotype_row, &design->score);
     if (error == MO_OK)
-      error = mo_column_genotype(statement, 3, 5, &row->genotype, &row->form);
+      error = mo_column_genotype(row, 3, 5, &design->genotype, &design->form);
   }
-  (void)sqlite3_reset(statement);
-  return step < 0 ? step : error != MO_OK ? error : n;
+  return error != MO_OK ? error : n;
 }
 
 int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *query,
                          struct mo_design_row *rows, size_t limit)
 {
+  static const char sql[] =
+      "SELECT id,form,first_seen_us FROM designs WHERE id>?1 ORDER BY id LIMIT ?2";
   struct mo_connection *reader;
   int64_t n;
+  if (query->sort != MO_DESIGNS_BY_SCORE)
+    return mo_read_page(store, sql, MO_VALUES(mo_int(query->after_row), mo_int((int64_t)limit)),
+                        read_by_row, rows, sizeof(*rows));
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
   reader = mo_reader_acquire(store);
-  n = mo_sql_exec(reader, "BEGIN");
-  if (n == MO_OK)
-    n = query->sort == MO_DESIGNS_BY_SCORE ? list_by_score(reader, query, rows, limit)
-                                           : list_by_row(reader, query, rows, limit);
+  n = list_by_score(reader, query, rows, limit);
   mo_reader_release(store, reader);
   return n;
 }
 
 /* ---- one design ---- */
 
-static int add_orientation(struct mo_design *design, const struct mo_bits *genotype)
-{
-  struct mo_design_orientation *more =
-      realloc(design->orientations, (design->n_orientations + 1) * sizeof(*design->orientations));
-  if (more == NULL)
-    return MO_ERR_NO_MEMORY;
-  design->orientations = more;
-  design->orientations[design->n_orientations] =
-      (struct mo_design_orientation){.genotype = *genotype};
-  design->n_orientations++;
-  return MO_OK;
-}
+#define ORIENTATIONS_MAX 8 /* of one design */
 
 /* Appends an empty score to an orientation. */
 static struct mo_design_score *add_score(struct mo_design_orientation *orientation)
@@ -145,25 +100,22 @@ static struct mo_design_score *add_score(struct mo_design_orientation *orientati
   return &more[orientation->n_scores++];
 }
 
-static int load_orientations(struct mo_connection *reader, int64_t row, struct mo_design *design,
-                             int64_t *genotypes)
+static int load_orientations(struct mo_connection *reader, int64_t id, struct mo_design *design,
+                             int64_t genotypes[ORIENTATIONS_MAX])
 {
   static const char sql[] = "SELECT g.id,g.bits,d.form FROM genotypes g JOIN designs d ON"
-                            " d.id=g.design WHERE g.design=?1 ORDER BY g.id LIMIT 8";
+                            " d.id=g.design WHERE g.design=?1 ORDER BY g.id LIMIT ?2";
   int error = MO_OK;
-  int step = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, row);
-  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-    struct mo_bits bits;
-    genotypes[design->n_orientations] = sqlite3_column_int64(statement, 0);
-    error = mo_column_genotype(statement, 1, 2, &bits, NULL);
-    if (error == MO_OK)
-      error = add_orientation(design, &bits);
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id), mo_int(ORIENTATIONS_MAX));
+  design->orientations = calloc(ORIENTATIONS_MAX, sizeof(*design->orientations));
+  if (design->orientations == NULL)
+    return MO_ERR_NO_MEMORY;
+  while (mo_sql_next(reader, row, &error)) {
+    genotypes[design->n_orientations] = sqlite3_column_int64(row, 0);
+    error = mo_column_genotype(row, 1, 2, &design->orientations[design->n_orientations++].genotype,
+                               NULL);
   }
-  return step < 0 ? step : error;
+  return error;
 }
 
 /* What a loss belongs to. Consecutive losses of one group with a set form one score. */
@@ -189,17 +141,13 @@ enum {
 
 static int start_score(sqlite3_stmt *row, struct mo_design_score *score)
 {
-  const void *encoding = sqlite3_column_blob(row, PHYSICS);
   struct mo_physics physics;
   int64_t n = sqlite3_column_int64(row, SET_SIZE);
   int error = mo_column_hash(row, CONTROLLER_HASH, &score->controller_sha256);
   if (error == MO_OK)
     error = mo_column_hash(row, PHYSICS_HASH, &score->physics_sha256);
   if (error == MO_OK)
-    error = encoding == NULL
-                ? MO_ERR_CORRUPT
-                : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, PHYSICS), &physics,
-                                    &score->precision, &score->sensor);
+    error = mo_column_physics(row, PHYSICS, &physics, &score->precision, &score->sensor);
   if (error == MO_OK)
     error = mo_column_hash(row, ENVIRONMENT_HASH, &score->environment_sha256);
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
@@ -229,13 +177,9 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
   struct mo_design_score *score = NULL;
   int64_t last = 0; /* environment */
   int error = MO_OK;
-  int step = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, genotype);
-  sqlite3_bind_int64(statement, 2, (sqlite3_int64)*room + 1);
-  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+  sqlite3_stmt *statement =
+      mo_sql_rows(reader, &error, sql, mo_int(genotype), mo_int((int64_t)*room + 1));
+  while (mo_sql_next(reader, statement, &error)) {
     const int64_t position = sqlite3_column_int64(statement, POSITION),
                   place = sqlite3_column_int64(statement, PLACE),
                   environment = sqlite3_column_int64(statement, ENVIRONMENT),
@@ -278,14 +222,13 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
       mo_column_text(statement, ORIGIN, score->origin, sizeof(score->origin));
     }
   }
-  (void)sqlite3_reset(statement);
   for (uint32_t i = 0; i < orientation->n_scores; i++) {
     double sum = 0;
     for (uint32_t k = 0; k < orientation->scores[i].n_losses; k++)
       sum += orientation->scores[i].losses[k];
     orientation->scores[i].score = sum / orientation->scores[i].n_losses;
   }
-  return step < 0 ? step : error;
+  return error;
 }
 
 static int load_design(struct mo_connection *reader, const struct mo_bits *form,
@@ -293,27 +236,17 @@ static int load_design(struct mo_connection *reader, const struct mo_bits *form,
 {
   static const char sql[] = "SELECT id,first_seen_us FROM designs WHERE form=?1";
   uint8_t bytes[MO_BITS_BYTES];
-  int64_t genotypes[8] = {0};
+  int64_t genotypes[ORIENTATIONS_MAX] = {0};
   uint32_t room = ROLLOUTS_MAX;
-  int64_t row;
-  int step;
-  int error = mo_sql_exec(reader, "BEGIN");
-  sqlite3_stmt *statement = error == MO_OK ? mo_sql(reader, sql, &error) : NULL;
-  if (statement == NULL)
-    return error;
+  sqlite3_stmt *row;
+  int error;
   mo_encode_bits(form, bytes);
-  sqlite3_bind_blob(statement, 1, bytes, sizeof(bytes), SQLITE_STATIC);
-  step = mo_sql_step(reader, statement);
-  if (step > 0) {
-    row = sqlite3_column_int64(statement, 0);
-    design->first_seen_us = sqlite3_column_int64(statement, 1);
-  }
-  (void)sqlite3_reset(statement);
-  (void)sqlite3_clear_bindings(statement);
-  if (step <= 0)
-    return step < 0 ? step : MO_ERR_NOT_FOUND;
+  error = mo_sql_row(reader, &row, sql, mo_blob(bytes, sizeof(bytes)));
+  if (error != MO_OK)
+    return error;
   design->form = *form;
-  error = load_orientations(reader, row, design, genotypes);
+  design->first_seen_us = sqlite3_column_int64(row, 1);
+  error = load_orientations(reader, sqlite3_column_int64(row, 0), design, genotypes);
   for (uint32_t i = 0; i < design->n_orientations && error == MO_OK && room != UINT32_MAX; i++)
     error = load_scores(reader, genotypes[i], &design->orientations[i], &room);
   design->truncated = room == UINT32_MAX;

@@ -96,8 +96,6 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
   else
     ((struct mo_campaign_record *)record)->settings =
         mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);
-  error = json == NULL
-              ? MO_ERR_CORRUPT
-              : mo_fields_parse(json, strlen(json), &stored_fields[kind], record, &message);
+  error = mo_fields_parse(json, strlen(json), &stored_fields[kind], record, &message);
   return error == MO_ERR_FORMAT ? MO_ERR_CORRUPT : error;
 }

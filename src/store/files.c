@@ -21,39 +21,38 @@ static int open_error(void)
   return errno == EMFILE || errno == ENFILE || errno == ENOMEM ? MO_ERR_NO_MEMORY : MO_ERR_IO;
 }
 
+static int read_all(int fd, size_t size, uint8_t *bytes)
+{
+  for (size_t filled = 0; filled < size;) {
+    const ssize_t n = read(fd, bytes + filled, size - filled);
+    if (n <= 0 && !(n < 0 && errno == EINTR))
+      return MO_ERR_IO;
+    filled += n > 0 ? (size_t)n : 0;
+  }
+  return MO_OK;
+}
+
 int mo_file_read(const char *path, size_t size, uint8_t **ret)
 {
   /* O_NONBLOCK: opening a pipe must not wait for a writer. */
-  int fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
-  size_t filled = 0;
-  uint8_t *bytes;
+  const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+  uint8_t *bytes = NULL;
   struct stat status;
+  int error = MO_OK;
   if (fd < 0)
     return errno == ENOENT ? MO_ERR_NOT_FOUND : open_error();
-  if (fstat(fd, &status) != 0 || (uint64_t)status.st_size != size) {
-    close(fd);
-    return MO_ERR_CORRUPT;
-  }
-  bytes = malloc(size > 0 ? size : 1);
-  if (bytes == NULL) {
-    close(fd);
-    return MO_ERR_NO_MEMORY;
-  }
-  while (filled < size) {
-    ssize_t n = read(fd, bytes + filled, size - filled);
-    if (n < 0 && errno == EINTR)
-      continue;
-    if (n <= 0)
-      break;
-    filled += (size_t)n;
-  }
+  if (fstat(fd, &status) != 0 || (uint64_t)status.st_size != size)
+    error = MO_ERR_CORRUPT;
+  else if ((bytes = malloc(size > 0 ? size : 1)) == NULL)
+    error = MO_ERR_NO_MEMORY;
+  else
+    error = read_all(fd, size, bytes);
   close(fd);
-  if (filled < size) {
+  if (error == MO_OK)
+    *ret = bytes;
+  else
     free(bytes);
-    return MO_ERR_IO;
-  }
-  *ret = bytes;
-  return MO_OK;
+  return error;
 }
 
 int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *sha256,
@@ -71,70 +70,10 @@ int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *
   return MO_ERR_CORRUPT;
 }
 
-/* ---- the system's operations ---- */
+/* ---- writing ---- */
 
-static int system_open(void *context, const char *path, int flags)
-{
-  (void)context;
-  return open(path, flags, 0600);
-}
-
-static ssize_t system_write(void *context, int fd, const void *bytes, size_t size)
-{
-  (void)context;
-  return write(fd, bytes, size);
-}
-
-static int system_sync(void *context, int fd)
-{
-  (void)context;
-  return fsync(fd);
-}
-
-static int system_close(void *context, int fd)
-{
-  (void)context;
-  return close(fd);
-}
-
-static int system_rename(void *context, const char *from, const char *to)
-{
-  (void)context;
-  return rename(from, to);
-}
-
-static int system_unlink(void *context, const char *path)
-{
-  (void)context;
-  return unlink(path);
-}
-
-static int system_mkdir(void *context, const char *path)
-{
-  (void)context;
-  return mkdir(path, 0700);
-}
-
-static int system_rmdir(void *context, const char *path)
-{
-  (void)context;
-  return rmdir(path);
-}
-
-const struct mo_file_operations *mo_file_operations_system(void)
-{
-  static const struct mo_file_operations operations = {.open = system_open,
-                                                       .write = system_write,
-                                                       .sync = system_sync,
-                                                       .close = system_close,
-                                                       .rename = system_rename,
-                                                       .unlink = system_unlink,
-                                                       .mkdir = system_mkdir,
-                                                       .rmdir = system_rmdir};
-  return &operations;
-}
-
-/* ---- whole files and folders ---- */
+const struct mo_file_operations mo_system_files = {open,   write,  fsync, close,
+                                                   rename, unlink, mkdir, rmdir};
 
 static int write_error(void)
 {
@@ -150,42 +89,43 @@ static int write_and_sync(const struct mo_store *store, int fd, const uint8_t *b
     ssize_t n;
     if (atomic_load(&store->is_short)) /* freed space of the reserve is for urgent operations */
       return MO_ERR_NO_SPACE;
-    n = files->write(files->context, fd, bytes + written, left < PIECE_BYTES ? left : PIECE_BYTES);
+    n = files->write(fd, bytes + written, left < PIECE_BYTES ? left : PIECE_BYTES);
     if (n < 0 && errno == EINTR)
       continue;
     if (n < 0)
       return write_error();
     written += (size_t)n;
   }
-  return files->sync(files->context, fd) == 0 ? MO_OK : write_error();
+  return files->sync(fd) == 0 ? MO_OK : write_error();
+}
+
+/* Returns whether a file has these bytes. */
+static bool has_bytes(const char *path, const uint8_t *bytes, size_t size)
+{
+  uint8_t *there = NULL;
+  const bool same = mo_file_read(path, size, &there) == MO_OK && memcmp(there, bytes, size) == 0;
+  free(there);
+  return same;
 }
 
 int mo_file_write(struct mo_store *store, const char *folder, const char *path,
                   const uint8_t *bytes, size_t size)
 {
   const struct mo_file_operations *files = store->files;
-  size_t temporary_size = strlen(folder) + 64;
-  char *temporary = malloc(temporary_size);
-  int fd;
-  int error;
-  if (temporary == NULL)
+  char *temporary;
+  int fd, error;
+  if (has_bytes(path, bytes, size)) /* a crash may have left it without its row */
+    return mo_folder_sync(store, folder);
+  if (asprintf(&temporary, "%s/.tmp-%u", folder, atomic_fetch_add(&store->file_counter, 1)) < 0)
     return MO_ERR_NO_MEMORY;
-  snprintf(temporary, temporary_size, "%s/.tmp-%u", folder,
-           atomic_fetch_add(&store->file_counter, 1));
-  fd =
-      files->open(files->context, temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW);
-  if (fd < 0) {
+  fd = files->open(temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, 0600);
+  error = fd < 0 ? write_error() : write_and_sync(store, fd, bytes, size);
+  if (fd >= 0 && files->close(fd) != 0 && error == MO_OK)
     error = write_error();
-    free(temporary);
-    return error;
-  }
-  error = write_and_sync(store, fd, bytes, size);
-  if (files->close(files->context, fd) != 0 && error == MO_OK)
+  if (error == MO_OK && files->rename(temporary, path) != 0)
     error = write_error();
-  if (error == MO_OK && files->rename(files->context, temporary, path) != 0)
-    error = write_error();
-  if (error != MO_OK)
-    (void)files->unlink(files->context, temporary);
+  if (error != MO_OK && fd >= 0)
+    (void)files->unlink(temporary);
   free(temporary);
   return error == MO_OK ? mo_folder_sync(store, folder) : error;
 }
@@ -195,14 +135,14 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path,
 int mo_folder_sync(struct mo_store *store, const char *path)
 {
   const struct mo_file_operations *files = store->files;
-  int fd = files->open(files->context, path, O_RDONLY | O_CLOEXEC | O_DIRECTORY);
+  int fd = files->open(path, O_RDONLY | O_CLOEXEC | O_DIRECTORY);
   int error = MO_OK;
   if (fd < 0)
     error = open_error();
-  else if (files->sync(files->context, fd) != 0)
+  else if (files->sync(fd) != 0)
     error = MO_ERR_IO;
   if (fd >= 0)
-    (void)files->close(files->context, fd);
+    (void)files->close(fd);
   if (error == MO_ERR_IO)
     mo_store_declare_fatal(store, "a folder of files cannot be synced");
   return error;
@@ -212,7 +152,7 @@ int mo_folder_sync(struct mo_store *store, const char *path)
  * lacked a descriptor, before it synced the name. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path)
 {
-  if (store->files->mkdir(store->files->context, path) != 0 && errno != EEXIST)
+  if (store->files->mkdir(path, 0700) != 0 && errno != EEXIST)
     return write_error();
   return mo_folder_sync(store, parent);
 }

@@ -5,23 +5,20 @@
 #ifndef MORPHO_STORE_FILES_H
 #define MORPHO_STORE_FILES_H
 
-#include <stdbool.h>
 #include <stddef.h>
 #include <sys/types.h>
 
 /* Each is like the system call of its name: −1 and errno. Called from any thread. */
 struct mo_file_operations {
-  int (*open)(void *context, const char *path,
-              int flags); /* new files get mode 0600; also opens folders, to sync them */
-  ssize_t (*write)(void *context, int fd, const void *bytes, size_t size);
-  int (*sync)(void *context, int fd); /* of a file or folder */
-  int (*close)(void *context, int fd);
-  int (*rename)(void *context, const char *from, const char *to);
-  int (*unlink)(void *context, const char *path);
-  int (*mkdir)(void *context, const char *path); /* mode 0700 */
-  int (*rmdir)(void *context, const char *path);
-  void *context;
+  int (*open)(const char *path, int flags, ...); /* also opens folders, to sync them */
+  ssize_t (*write)(int fd, const void *bytes, size_t size);
+  int (*sync)(int fd); /* of a file or folder */
+  int (*close)(int fd);
+  int (*rename)(const char *from, const char *to);
+  int (*unlink)(const char *path);
+  int (*mkdir)(const char *path, mode_t mode);
+  int (*rmdir)(const char *path);
 };
-const struct mo_file_operations *mo_file_operations_system(void);
+extern const struct mo_file_operations mo_system_files;
 
 #endif

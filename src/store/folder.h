@@ -15,8 +15,8 @@ int mo_file_read(const char *path, size_t size, uint8_t **bytes);
  * another hash. */
 int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *sha256,
                          uint8_t **bytes);
-/* Writes a file, atomic and durable. `path` is in `folder`. MO_ERR_NO_SPACE: nothing was changed.
- */
+/* Writes a file, atomic and durable, unless it has these bytes already. `path` is in `folder`.
+ * MO_ERR_NO_SPACE: nothing was changed. */
 int mo_file_write(struct mo_store *store, const char *folder, const char *path,
                   const uint8_t *bytes, size_t size);
 /* MO_ERR_NO_MEMORY: the folder cannot be opened now; MO_ERR_IO is fatal to the store. */

@@ -49,10 +49,8 @@ struct mo_store {
   /* Readers. */
   pthread_mutex_t readers_mutex;
   pthread_cond_t reader_free;
-  struct mo_connection *readers;
+  struct mo_connection *readers; /* (n_readers + 1) the last is the scheduler's */
   uint32_t n_readers;
-  pthread_mutex_t runner_mutex;
-  struct mo_connection runner; /* the scheduler's */
 
   /* The writer. `mutex` guards the list of operations and `closing`; only the writer's thread
    * touches the rest. */
@@ -111,16 +109,19 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
 
 /* ---- reading ---- */
 
-struct mo_connection *mo_reader_acquire(struct mo_store *store); /* waits for a free reader */
+/* Wait for a free reader, and for the scheduler's. It reads in one transaction until its release.
+ * If that cannot start, all its statements return the error. */
+struct mo_connection *mo_reader_acquire(struct mo_store *store);
+struct mo_connection *mo_runner_acquire(struct mo_store *store);
 void mo_reader_release(struct mo_store *store, struct mo_connection *connection);
 int mo_readers_open(struct mo_store *store);
-/* Calls `take` for each row of a page, on a pooled connection. The last value is the limit. Returns
- * the number of rows or an error. MO_ERR_LIMIT: limit > MO_PAGE_MAX. */
-int64_t mo_read_each(struct mo_store *store, const char *sql, struct mo_values values,
-                     int (*take)(sqlite3_stmt *statement, void *context), void *context);
-/* The same; `take` copies each row into its place in `rows`. */
+/* Calls `take` for each row of a page and its place in `rows`, on a pooled connection. The last
+ * value is the limit. Returns the number of rows or an error. MO_ERR_LIMIT: limit > MO_PAGE_MAX. */
 int64_t mo_read_page(struct mo_store *store, const char *sql, struct mo_values values,
                      int (*take)(sqlite3_stmt *statement, void *row), void *rows, size_t row_size);
+/* Calls `take` for the first row. MO_ERR_NOT_FOUND: there is none. */
+int mo_read_one(struct mo_store *store, const char *sql, struct mo_values values,
+                int (*take)(sqlite3_stmt *statement, void *row), void *ret);
 
 /* ---- the reserve (reserve.c) ---- */
 

@@ -25,14 +25,12 @@ static int read_environments(sqlite3_stmt *row, struct mo_job *job)
 static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
 {
   const int64_t n_designs = sqlite3_column_int64(row, MO_COLUMN_N_DESIGNS);
-  const void *encoding = sqlite3_column_blob(row, MO_COLUMN_PHYSICS);
   const int recorded = sqlite3_column_int(row, MO_COLUMN_RECORD);
   (void)record;
   if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || read_environments(row, job) != MO_OK ||
       mo_column_hash(row, MO_COLUMN_CONTROLLER, &job->controller_sha256) != MO_OK ||
-      encoding == NULL ||
-      mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, MO_COLUMN_PHYSICS),
-                        &job->physics, &job->precision, &job->sensor) != MO_OK)
+      mo_column_physics(row, MO_COLUMN_PHYSICS, &job->physics, &job->precision, &job->sensor) !=
+          MO_OK)
     return MO_ERR_CORRUPT;
   job->n_designs = (uint32_t)n_designs;
   job->verify = sqlite3_column_int(row, MO_COLUMN_VERIFY) != 0;
@@ -46,6 +44,12 @@ static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
   return MO_OK;
 }
 
+int mo_column_settings(sqlite3_stmt *row, int column, enum mo_job_kind kind, void *record)
+{
+  const char *json = (const char *)sqlite3_column_text(row, column);
+  return json != NULL ? mo_settings_read(kind, json, record) : mo_column_missing(row);
+}
+
 /* Reads what trainings and campaigns share. */
 static int read_run(sqlite3_stmt *row, struct mo_job *job, void *record)
 {
@@ -53,8 +57,7 @@ static int read_run(sqlite3_stmt *row, struct mo_job *job, void *record)
       mo_column_hash(row, MO_COLUMN_CONTROLLER, &job->controller_sha256) != MO_OK)
     return MO_ERR_CORRUPT;
   job->precision = MO_FLOAT32;
-  return mo_settings_read(job->kind, (const char *)sqlite3_column_text(row, MO_COLUMN_SETTINGS),
-                          record);
+  return mo_column_settings(row, MO_COLUMN_SETTINGS, job->kind, record);
 }
 
 static int read_training(sqlite3_stmt *row, struct mo_job *job, void *any)
@@ -165,12 +168,8 @@ int mo_job_row(struct mo_connection *connection, int64_t id, int kind, sqlite3_s
 static int load_job(struct mo_connection *connection, int64_t id, void *job)
 {
   sqlite3_stmt *row;
-  int error = mo_job_row(connection, id, -1, &row);
-  if (error != MO_OK)
-    return error;
-  error = mo_job_read(row, job, NULL);
-  (void)sqlite3_reset(row);
-  return error;
+  const int error = mo_job_row(connection, id, -1, &row);
+  return error == MO_OK ? mo_job_read(row, job, NULL) : error;
 }
 
 int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job)
@@ -188,19 +187,25 @@ int mo_read_job(struct mo_store *store, int64_t id,
                 int (*load)(struct mo_connection *reader, int64_t id, void *status), void *status)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
-  int error = mo_sql_exec(reader, "BEGIN");
-  if (error == MO_OK)
-    error = load(reader, id, status);
+  const int error = load(reader, id, status);
   mo_reader_release(store, reader);
   return error;
 }
 
-int mo_job_designs(struct mo_store *store, int64_t id,
-                   int (*load)(struct mo_connection *reader, int64_t id, void *designs),
-                   struct mo_bits **genotypes, uint32_t *n)
+static int load_designs(struct mo_connection *reader, int64_t id, void *designs)
+{
+  static const char sql[] = "SELECT coalesce(m.replicates_of,j.id) FROM jobs j"
+                            " LEFT JOIN campaigns m ON m.job=j.id WHERE j.id=?1";
+  int64_t owner;
+  const int error = mo_sql_find(reader, &owner, sql, mo_int(id));
+  return error == MO_OK ? mo_designs_read(reader, owner, designs) : error;
+}
+
+int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
+                         uint32_t *n)
 {
   struct mo_designs designs = {.n = 0};
-  const int error = mo_read_job(store, id, load, &designs);
+  const int error = mo_read_job(store, id, load_designs, &designs);
   free(designs.rows);
   if (error != MO_OK) {
     free(designs.genotypes);
@@ -240,41 +245,14 @@ static unsigned page_of(const struct mo_job_query *query)
   return query->state < 0 ? 0 : waits ? 2 : 1;
 }
 
-static int bind_page(sqlite3_stmt *statement, const struct mo_job_query *query, size_t limit)
+/* Writes the ids of the waiting jobs as JSON. */
+static void write_waiting(const struct mo_job_query *query, char text[MO_WAITING_MAX * 24 + 8])
 {
-  char text[MO_WAITING_MAX * 24 + 8] = "[";
   size_t size = 1;
-  if (query->n_waiting > MO_WAITING_MAX)
-    return MO_ERR_LIMIT;
+  text[0] = '[';
   for (size_t i = 0; i < query->n_waiting; i++)
-    size += (size_t)snprintf(text + size, sizeof(text) - size, "%s%lld", i > 0 ? "," : "",
-                             (long long)query->waiting[i]);
-  text[size++] = ']';
-  /* A statement without one of these parameters refuses the binding, which is no error. */
-  (void)sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
-  (void)sqlite3_bind_int64(statement, 2, query->state);
-  (void)sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
-  (void)sqlite3_bind_int64(statement, 4, query->kind);
-  (void)sqlite3_bind_int64(statement, 6, query->group);
-  if (query->label != NULL)
-    (void)sqlite3_bind_text(statement, 7, query->label, -1, SQLITE_STATIC);
-  return sqlite3_bind_text(statement, 5, text, (int)size, SQLITE_TRANSIENT) == SQLITE_NOMEM
-             ? MO_ERR_NO_MEMORY
-             : MO_OK;
-}
-
-static int64_t read_ids(struct mo_connection *reader, const char *sql,
-                        const struct mo_job_query *query, int64_t *ids, size_t limit)
-{
-  int error = MO_OK;
-  int64_t n = 0;
-  int step;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL || (error = bind_page(statement, query, limit)) != MO_OK)
-    return error;
-  while ((step = mo_sql_step(reader, statement)) > 0)
-    ids[n++] = sqlite3_column_int64(statement, 0);
-  return step < 0 ? step : n;
+    size += (size_t)sprintf(text + size, "%s%lld", i > 0 ? "," : "", (long long)query->waiting[i]);
+  memcpy(text + size, "]", 2);
 }
 
 int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, size_t limit,
@@ -292,17 +270,21 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
 #undef GROUPS
 #undef JOBS
   const int which = query->group != 0 ? 2 : query->kind >= 0 ? 1 : 0;
-  int64_t ids[MO_PAGE_MAX] = {0};
+  char waiting[MO_WAITING_MAX * 24 + 8];
+  int64_t ids[MO_PAGE_MAX] = {0}, n = 0;
   struct mo_connection *reader;
-  int64_t n;
-  int error;
-  if (limit > MO_PAGE_MAX)
+  sqlite3_stmt *row;
+  int error = MO_OK;
+  if (limit > MO_PAGE_MAX || query->n_waiting > MO_WAITING_MAX)
     return MO_ERR_LIMIT;
+  write_waiting(query, waiting);
   reader = mo_reader_acquire(store);
-  error = mo_sql_exec(reader, "BEGIN");
-  n = error == MO_OK
-          ? read_ids(reader, sql[which][query->label != NULL][page_of(query)], query, ids, limit)
-          : error;
+  row = mo_sql_rows(reader, &error, sql[which][query->label != NULL][page_of(query)],
+                    mo_int(query->before > 0 ? query->before : INT64_MAX), mo_int(query->state),
+                    mo_int((int64_t)limit), mo_int(query->kind), mo_string(waiting),
+                    mo_int(query->group), mo_string(query->label));
+  while (mo_sql_next(reader, row, &error))
+    ids[n++] = sqlite3_column_int64(row, 0);
   for (int64_t i = 0; i < n && error == MO_OK; i++)
     error = load(reader, ids[i], (char *)statuses + (size_t)i * status_size);
   mo_reader_release(store, reader);
@@ -317,21 +299,14 @@ int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, 
 
 int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES])
 {
-  static const char sql[] = "SELECT state,count(*) FROM jobs GROUP BY state";
+  static const char sql[] =
+      "SELECT state,count(*) FROM jobs WHERE state BETWEEN 0 AND 5 GROUP BY state";
   struct mo_connection *reader = mo_reader_acquire(store);
-  uint64_t found[MO_JOB_STATES] = {0};
   int error = MO_OK;
-  int step = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  while (statement != NULL && error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-    int state = sqlite3_column_int(statement, 0);
-    if (state >= 0 && state < MO_JOB_STATES)
-      found[state] = (uint64_t)sqlite3_column_int64(statement, 1);
-  }
-  if (step < 0)
-    error = step;
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql);
+  memset(counts, 0, MO_JOB_STATES * sizeof(*counts));
+  while (mo_sql_next(reader, row, &error))
+    counts[sqlite3_column_int(row, 0)] = (uint64_t)sqlite3_column_int64(row, 1);
   mo_reader_release(store, reader);
-  if (error == MO_OK)
-    memcpy(counts, found, sizeof(found));
   return error;
 }

@@ -15,6 +15,7 @@
 
 #include "schema.h"
 #include "store/folder.h"
+#include "store/rows.h"
 
 /* The version of schema.sql, and the newest. Those before the first were of morphod 0.1. */
 #define FIRST_SCHEMA  9
@@ -22,11 +23,8 @@
 
 static char *join(const char *folder, const char *name)
 {
-  size_t size = strlen(folder) + strlen(name) + 2;
-  char *path = malloc(size);
-  if (path != NULL)
-    snprintf(path, size, "%s/%s", folder, name);
-  return path;
+  char *path;
+  return asprintf(&path, "%s/%s", folder, name) >= 0 ? path : NULL;
 }
 
 static int prepare_folder(struct mo_store *store, const char *path, struct mo_message *message)
@@ -73,13 +71,6 @@ static int look_for_database(struct mo_store *store, struct mo_message *message)
   return MO_OK;
 }
 
-static int get_pragma(struct mo_connection *connection, const char *sql, int64_t *value)
-{
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
-  return statement != NULL ? mo_sql_integer(connection, statement, value) : error;
-}
-
 /* A check that cannot have a page reports that like damage, in a row, with SQLite's code at its
  * end: memory was short, or a read failed. */
 static int finding_error(struct mo_connection *connection, const char *text)
@@ -93,25 +84,19 @@ static int finding_error(struct mo_connection *connection, const char *text)
 /* Runs a check that answers "ok" in one row. */
 static int run_check(struct mo_connection *connection, const char *sql, struct mo_message *message)
 {
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
-  char text[160];
-  int step;
-  if (statement == NULL)
-    return error;
-  step = mo_sql_step(connection, statement);
-  if (step < 0)
-    return mo_fail(message, step, "the database cannot be read: %s", mo_error_text(step));
-  if (step == 0)
+  sqlite3_stmt *row;
+  char text[160] = "ok";
+  int error = mo_sql_row(connection, &row, sql);
+  if (error == MO_OK)
+    mo_column_text(row, 0, text, sizeof(text));
+  mo_sql_reset(connection);
+  if (error == MO_OK && strcmp(text, "ok") != 0)
+    error = finding_error(connection, text);
+  else if (error == MO_OK || error == MO_ERR_NOT_FOUND)
     return MO_OK;
-  mo_column_text(statement, 0, text, sizeof(text));
-  (void)sqlite3_reset(statement);
-  if (strcmp(text, "ok") == 0)
-    return MO_OK;
-  step = finding_error(connection, text);
-  if (step != MO_ERR_CORRUPT)
-    return mo_fail(message, step, "the database cannot be read: %s", mo_error_text(step));
-  return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: %s", text);
+  return error == MO_ERR_CORRUPT && strcmp(text, "ok") != 0
+             ? mo_fail(message, error, "the database is damaged: %s", text)
+             : mo_fail(message, error, "the database cannot be read: %s", mo_error_text(error));
 }
 
 /* Makes a new database (from = 0), or brings one of an older schema up to date. */
@@ -127,6 +112,8 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
   }
   /* In the same transaction, so that the database opens after a kill between this commit and the
    * first opening's. */
+  if (error == MO_OK && from == 0)
+    error = mo_rows_create(writer);
   if (error == MO_OK && from == 0)
     error = mo_sql_exec(writer, "INSERT INTO meta(key,value) VALUES('epoch',0),('clean',1)");
   if (error == MO_OK) {
@@ -149,18 +136,14 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
 static int use_log(const struct mo_store *store, struct mo_connection *writer,
                    struct mo_message *message)
 {
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, "PRAGMA journal_mode=WAL", &error);
+  sqlite3_stmt *row;
   char mode[16] = "";
-  int step;
-  if (statement == NULL)
+  const int error = mo_sql_row(writer, &row, "PRAGMA journal_mode=WAL");
+  if (error == MO_OK)
+    mo_column_text(row, 0, mode, sizeof(mode));
+  else if (error != MO_ERR_NOT_FOUND)
     return error;
-  step = mo_sql_step(writer, statement);
-  if (step < 0)
-    return step;
-  if (step > 0)
-    mo_column_text(statement, 0, mode, sizeof(mode));
-  (void)sqlite3_reset(statement);
+  mo_sql_reset(writer);
   if (strcmp(mode, "wal") == 0)
     return MO_OK;
   return mo_fail(message, MO_ERR_UNSUPPORTED,
@@ -181,11 +164,11 @@ static int read_header(struct mo_store *store, struct header *header)
   struct mo_connection *writer = &store->writer;
   int error = mo_connection_open(store, true, writer);
   if (error == MO_OK)
-    error = get_pragma(writer, "PRAGMA application_id", &header->application);
+    error = mo_sql_find(writer, &header->application, "PRAGMA application_id");
   if (error == MO_OK)
-    error = get_pragma(writer, "PRAGMA user_version", &header->version);
+    error = mo_sql_find(writer, &header->version, "PRAGMA user_version");
   if (error == MO_OK)
-    error = get_pragma(writer, "SELECT count(*) FROM sqlite_schema", &header->tables);
+    error = mo_sql_find(writer, &header->tables, "SELECT count(*) FROM sqlite_schema");
   if (error == MO_ERR_NO_SPACE)
     mo_connection_close(writer);
   return error;
@@ -251,7 +234,7 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
                    store->path, store->controllers_path);
   error = use_log(store, writer, message);
   if (error == MO_OK && header.version > 0) {
-    error = get_pragma(writer, "SELECT value FROM meta WHERE key='clean'", &clean);
+    error = mo_sql_find(writer, &clean, "SELECT value FROM meta WHERE key='clean'");
     if (error == MO_OK && !clean)
       error = run_check(writer, "PRAGMA quick_check(1)", message);
     if (error == MO_ERR_NOT_FOUND)
@@ -268,9 +251,9 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
       error = count_opening(writer, &store->origin);
   }
   if (error == MO_OK)
-    error = get_pragma(writer, "SELECT value FROM meta WHERE key='epoch'", &store->epoch);
+    error = mo_sql_find(writer, &store->epoch, "SELECT value FROM meta WHERE key='epoch'");
   if (error == MO_OK)
-    error = get_pragma(writer, "SELECT value FROM meta WHERE key='id'", &store->id);
+    error = mo_sql_find(writer, &store->id, "SELECT value FROM meta WHERE key='id'");
   if (error != MO_OK && message != NULL && message->text[0] == '\0')
     mo_fail(message, error, "cannot prepare %s: %s", store->database_path, mo_error_text(error));
   return error;
@@ -278,10 +261,8 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
 
 static void free_store(struct mo_store *store)
 {
-  if (store->readers != NULL)
-    for (uint32_t i = 0; i < store->n_readers; i++)
-      mo_connection_close(&store->readers[i]);
-  mo_connection_close(&store->runner);
+  for (uint32_t i = 0; store->readers != NULL && i <= store->n_readers; i++)
+    mo_connection_close(&store->readers[i]);
   mo_connection_close(&store->writer);
   if (store->lock_fd >= 0)
     close(store->lock_fd);
@@ -289,7 +270,6 @@ static void free_store(struct mo_store *store)
     close(store->folder_fd);
   pthread_mutex_destroy(&store->readers_mutex);
   pthread_cond_destroy(&store->reader_free);
-  pthread_mutex_destroy(&store->runner_mutex);
   pthread_mutex_destroy(&store->mutex);
   pthread_cond_destroy(&store->work);
   pthread_mutex_destroy(&store->listeners_mutex);
@@ -316,7 +296,7 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
     return NULL;
   store->folder_fd = store->lock_fd = -1;
   mo_mapping_init();
-  store->files = config->files != NULL ? config->files : mo_file_operations_system();
+  store->files = config->files != NULL ? config->files : &mo_system_files;
   store->n_readers = config->n_readers > 0 ? config->n_readers : 4;
   store->events_kept = config->events_kept > 0 ? config->events_kept : 100000;
   store->idempotency_keep_us =
@@ -329,7 +309,6 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
   store->fatal_context = config->fatal_context;
   pthread_mutex_init(&store->readers_mutex, NULL);
   pthread_cond_init(&store->reader_free, NULL);
-  pthread_mutex_init(&store->runner_mutex, NULL);
   pthread_mutex_init(&store->mutex, NULL);
   pthread_mutex_init(&store->listeners_mutex, NULL);
   pthread_mutex_init(&store->checkpoints_mutex, NULL);
@@ -345,7 +324,7 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
   store->campaigns_path = join(path, "campaigns");
   store->reserve_path = join(path, "reserve");
   store->vfs = config->vfs != NULL ? strdup(config->vfs) : NULL;
-  store->readers = calloc(store->n_readers, sizeof(*store->readers));
+  store->readers = calloc(store->n_readers + 1, sizeof(*store->readers));
   if (store->database_path == NULL || store->controllers_path == NULL ||
       store->trainings_path == NULL || store->campaigns_path == NULL ||
       store->reserve_path == NULL || store->readers == NULL ||
@@ -421,9 +400,8 @@ void mo_store_close(struct mo_store *store)
     (void)sqlite3_db_config(store->writer.db, SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, NULL);
   } else {
     /* Close readers first, so that the last checkpoint can empty the log. */
-    for (uint32_t i = 0; i < store->n_readers; i++)
+    for (uint32_t i = 0; i <= store->n_readers; i++)
       mo_connection_close(&store->readers[i]);
-    mo_connection_close(&store->runner);
     if (mo_sql_exec(&store->writer, "UPDATE meta SET value=1 WHERE key='clean'") == MO_OK)
       (void)sqlite3_wal_checkpoint_v2(store->writer.db, NULL, SQLITE_CHECKPOINT_TRUNCATE, NULL,
                                       NULL);
@@ -438,23 +416,16 @@ uint64_t mo_store_id(const struct mo_store *store)
 
 static int check_connection(struct mo_connection *connection, struct mo_message *message)
 {
+  sqlite3_stmt *row;
+  char table[64];
   int error = run_check(connection, "PRAGMA integrity_check(1)", message);
-  sqlite3_stmt *statement;
-  int step;
+  if (error == MO_OK)
+    error = mo_sql_row(connection, &row, "PRAGMA foreign_key_check");
   if (error != MO_OK)
-    return error;
-  statement = mo_sql(connection, "PRAGMA foreign_key_check", &error);
-  if (statement == NULL)
-    return error;
-  step = mo_sql_step(connection, statement);
-  if (step > 0) {
-    char table[64];
-    mo_column_text(statement, 0, table, sizeof(table));
-    (void)sqlite3_reset(statement);
-    return mo_fail(message, MO_ERR_CORRUPT,
-                   "the database is damaged: a row of %s refers to nothing", table);
-  }
-  return step;
+    return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+  mo_column_text(row, 0, table, sizeof(table));
+  return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: a row of %s refers to nothing",
+                 table);
 }
 
 int mo_store_check(struct mo_store *store, struct mo_message *message)

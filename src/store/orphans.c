@@ -34,23 +34,6 @@ static bool is_of_form(const char *name, const char *format, int n, long long nu
   return strcmp(name, again) == 0 && numbers[0] >= 0 && numbers[1] >= 0 && numbers[2] >= 0;
 }
 
-/* Runs a query that returns an enum whose. Its parameters are the numbers, or a hash. */
-static int ask(struct mo_connection *connection, const char *sql, const long long numbers[3],
-               const struct mo_sha256 *sha256, int64_t *whose)
-{
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
-  if (statement == NULL)
-    return error;
-  if (sha256 != NULL)
-    mo_bind_hash(statement, 1, sha256);
-  for (int i = 0; sha256 == NULL && i < sqlite3_bind_parameter_count(statement); i++)
-    sqlite3_bind_int64(statement, i + 1, numbers[i]);
-  error = mo_sql_integer(connection, statement, whose);
-  (void)sqlite3_clear_bindings(statement);
-  return error;
-}
-
 /* Decides whose a file is. connection NULL: recognizes only unfinished files. */
 static int judge(struct mo_connection *connection, const char *name, int64_t *whose)
 {
@@ -69,13 +52,14 @@ static int judge(struct mo_connection *connection, const char *name, int64_t *wh
   if (*whose == LEFT_OVER || connection == NULL)
     return MO_OK;
   if (is_of_form(name, "trainings/%lld/%lld.checkpoint", 2, numbers))
-    return ask(connection, training_sql, numbers, NULL, whose);
+    return mo_sql_find(connection, whose, training_sql, mo_int(numbers[0]), mo_int(numbers[1]));
   if (is_of_form(name, "campaigns/%lld/%lld-%lld.checkpoint", 3, numbers))
-    return ask(connection, campaign_sql, numbers, NULL, whose);
+    return mo_sql_find(connection, whose, campaign_sql, mo_int(numbers[0]), mo_int(numbers[1]),
+                       mo_int(numbers[2]));
   if (strncmp(name, "controllers/", 12) == 0 && file == name + 12 &&
       strcmp(file + digits, ".safetensors") == 0 &&
       mo_sha256_from_hex(file, digits, &sha256) == MO_OK)
-    return ask(connection, weights_sql, numbers, &sha256, whose);
+    return mo_sql_find(connection, whose, weights_sql, mo_hash(&sha256));
   return MO_OK;
 }
 
@@ -88,7 +72,7 @@ static int visit(struct mo_store *store, const struct round *round, const FTSENT
     round->tell(round->context, name, (uint64_t)entry->fts_statp->st_size);
   if (error == MO_OK &&
       (whose == UNKNOWN ? round->removes_unknown : whose == LEFT_OVER && round->removes_left_over))
-    (void)store->files->unlink(store->files->context, entry->fts_path);
+    (void)store->files->unlink(entry->fts_path);
   return error;
 }
 
@@ -106,7 +90,7 @@ static int walk(struct mo_store *store, const struct round *round)
         (entry->fts_info == FTS_NS && !is_missing))
       error = MO_ERR_IO;
     else if (entry->fts_info == FTS_DP && entry->fts_level > 0 && round->removes_unknown)
-      (void)store->files->rmdir(store->files->context, entry->fts_path); /* if it is empty */
+      (void)store->files->rmdir(entry->fts_path); /* if it is empty */
     else if (entry->fts_info != FTS_D && entry->fts_info != FTS_DP && !is_missing)
       error = visit(store, round, entry);
   }

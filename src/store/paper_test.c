@@ -16,8 +16,7 @@ static int make(struct mo_store *store, void *arguments)
   int error = mo_environment_set_find(writer, NAME, &set, &size);
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  error = mo_sql_do(writer, set_sql, mo_int(MO_PAPER_TEST_COUNT));
-  set = sqlite3_last_insert_rowid(writer->db);
+  error = mo_sql_insert(writer, &set, set_sql, mo_int(MO_PAPER_TEST_COUNT));
   for (unsigned k = 0; k < MO_PAPER_TEST_COUNT && error == MO_OK; k++) {
     error = mo_environment_row(writer, &environments[k], &row);
     if (error == MO_OK)

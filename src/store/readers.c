@@ -1,20 +1,24 @@
-/* readers.c: the pool of connections that read, and pages of rows. */
+/* readers.c: the pool of connections that read, each in one transaction from its acquisition to its
+ * release. The last one is the scheduler's, which so never waits for clients. */
 #include "store/internal.h"
+
+static const char commit_sql[] = "COMMIT";
 
 int mo_readers_open(struct mo_store *store)
 {
-  int error = mo_connection_open(store, false, &store->runner);
-  for (uint32_t i = 0; i < store->n_readers && error == MO_OK; i++)
+  int error = MO_OK;
+  for (uint32_t i = 0; i <= store->n_readers && error == MO_OK; i++)
     error = mo_connection_open(store, false, &store->readers[i]);
   return error;
 }
 
-struct mo_connection *mo_reader_acquire(struct mo_store *store)
+static struct mo_connection *acquire(struct mo_store *store, uint32_t first, uint32_t end)
 {
   struct mo_connection *found = NULL;
+  int error = MO_OK;
   pthread_mutex_lock(&store->readers_mutex);
   while (found == NULL) {
-    for (uint32_t i = 0; i < store->n_readers && found == NULL; i++)
+    for (uint32_t i = first; i < end && found == NULL; i++)
       if (!store->readers[i].busy)
         found = &store->readers[i];
     if (found == NULL)
@@ -22,51 +26,60 @@ struct mo_connection *mo_reader_acquire(struct mo_store *store)
   }
   found->busy = true;
   pthread_mutex_unlock(&store->readers_mutex);
+  /* Prepared first, because ending a transaction must not depend on free memory. */
+  (void)mo_sql_rows(found, &error, commit_sql);
+  found->error = error == MO_OK ? mo_sql_do(found, "BEGIN") : error;
   return found;
+}
+
+struct mo_connection *mo_reader_acquire(struct mo_store *store)
+{
+  return acquire(store, 0, store->n_readers);
+}
+
+struct mo_connection *mo_runner_acquire(struct mo_store *store)
+{
+  return acquire(store, store->n_readers, store->n_readers + 1);
 }
 
 void mo_reader_release(struct mo_store *store, struct mo_connection *connection)
 {
-  /* A statement that was not reset would hold back checkpoints. */
-  for (unsigned i = 0; i < connection->n_cached; i++)
-    (void)sqlite3_reset(connection->cache[i].statement);
+  mo_sql_reset(connection); /* a statement that is not reset would hold back checkpoints */
+  connection->error = MO_OK;
   if (!sqlite3_get_autocommit(connection->db))
-    (void)mo_sql_exec(connection, "COMMIT");
+    (void)mo_sql_do(connection, commit_sql);
   pthread_mutex_lock(&store->readers_mutex);
   connection->busy = false;
-  pthread_cond_signal(&store->reader_free);
+  pthread_cond_broadcast(&store->reader_free);
   pthread_mutex_unlock(&store->readers_mutex);
-}
-
-int64_t mo_read_each(struct mo_store *store, const char *sql, struct mo_values values,
-                     int (*take)(sqlite3_stmt *statement, void *context), void *context)
-{
-  struct mo_connection *reader;
-  int64_t n;
-  if (values.at[values.n - 1].integer > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  n = mo_sql_each_with(reader, take, context, sql, values);
-  mo_reader_release(store, reader);
-  return n;
-}
-
-struct page {
-  int (*take)(sqlite3_stmt *statement, void *row);
-  char *row;
-  size_t row_size;
-};
-
-static int take_row(sqlite3_stmt *statement, void *any)
-{
-  struct page *page = any;
-  const int error = page->take(statement, page->row);
-  page->row += page->row_size;
-  return error;
 }
 
 int64_t mo_read_page(struct mo_store *store, const char *sql, struct mo_values values,
                      int (*take)(sqlite3_stmt *statement, void *row), void *rows, size_t row_size)
 {
-  return mo_read_each(store, sql, values, take_row, &(struct page){take, rows, row_size});
+  struct mo_connection *reader;
+  sqlite3_stmt *row;
+  char *at = rows;
+  int64_t n = 0;
+  int error = MO_OK;
+  if (values.at[values.n - 1].integer > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  row = mo_sql_rows_with(reader, &error, sql, values);
+  for (; mo_sql_next(reader, row, &error); n++, at += row_size)
+    error = take(row, at);
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
+}
+
+int mo_read_one(struct mo_store *store, const char *sql, struct mo_values values,
+                int (*take)(sqlite3_stmt *statement, void *row), void *ret)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  sqlite3_stmt *row;
+  int error = mo_sql_row_with(reader, &row, sql, values);
+  if (error == MO_OK)
+    error = take(row, ret);
+  mo_reader_release(store, reader);
+  return error;
 }

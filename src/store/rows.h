@@ -1,5 +1,5 @@
-/* rows.h: rows of numbers that trainings and campaigns write: each row is a struct. Only for this
- * room. */
+/* rows.h: rows of numbers that trainings and campaigns write, in tables made from lists of columns.
+ * Only for this room. */
 #ifndef MORPHO_STORE_ROWS_H
 #define MORPHO_STORE_ROWS_H
 
@@ -9,8 +9,12 @@ enum mo_row_table {
   MO_TRAINING_STEPS,       /* struct mo_training_step_row */
   MO_TRAINING_VALIDATIONS, /* struct mo_training_validation_row */
   MO_CAMPAIGN_GENERATIONS, /* struct mo_campaign_generation */
-  MO_CAMPAIGN_STEPS        /* struct mo_campaign_step */
+  MO_CAMPAIGN_STEPS,       /* struct mo_campaign_step */
+  MO_ROW_TABLES
 };
+
+/* Makes the tables, whose columns are those of store/columns.h. */
+int mo_rows_create(struct mo_connection *writer);
 
 /* Writes a row of a job; a row written again replaces the old one. */
 int mo_row_write(struct mo_connection *writer, enum mo_row_table which, int64_t id,

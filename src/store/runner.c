@@ -209,22 +209,15 @@ int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_
   static const char sql[] = "SELECT id FROM jobs INDEXED BY jobs_queued WHERE state=0 AND "
                             "priority=?1 AND id>?2 AND kind=0"
                             " ORDER BY id LIMIT ?3";
-  struct mo_connection *reader = &store->runner;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
+  struct mo_connection *reader = mo_runner_acquire(store);
   int64_t n = 0;
-  int step = 0;
-  pthread_mutex_lock(&store->runner_mutex);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, priority);
-    sqlite3_bind_int64(statement, 2, after);
-    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
-    while ((step = mo_sql_step(reader, statement)) > 0)
-      ids[n++] = sqlite3_column_int64(statement, 0);
-  }
-  pthread_mutex_unlock(&store->runner_mutex);
-  return step < 0 ? step : error != MO_OK ? error : n;
+  int error = MO_OK;
+  sqlite3_stmt *row =
+      mo_sql_rows(reader, &error, sql, mo_int(priority), mo_int(after), mo_int((int64_t)limit));
+  while (mo_sql_next(reader, row, &error))
+    ids[n++] = sqlite3_column_int64(row, 0);
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
 }
 
 /* *before: the class that computed what is stored of the job; 0: none. */
@@ -253,11 +246,8 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
 
 static int load_designs(struct mo_connection *reader, int64_t id, struct mo_work *work)
 {
-  static const char sql[] =
-      "SELECT x.genotype,g.bits,d.form FROM evaluation_designs x JOIN genotypes g ON"
-      " g.id=x.genotype JOIN designs d ON d.id=g.design WHERE x.job=?1 ORDER BY x.position";
   struct mo_designs designs;
-  const int error = mo_designs_read(reader, sql, id, work->n_designs, &designs);
+  const int error = mo_designs_read(reader, id, &designs);
   work->genotypes = designs.genotypes;
   work->genotype_rows = designs.rows;
   return error == MO_OK && designs.n != work->n_designs ? MO_ERR_CORRUPT : error;
@@ -271,28 +261,22 @@ static int load_finished(struct mo_connection *reader, int64_t id, struct mo_wor
   static const char record_sql[] =
       "SELECT position,environment,diverged_step FROM trajectories WHERE job=?1";
   int error = MO_OK;
-  int step;
-  sqlite3_stmt *statement = mo_sql(reader, work->job.verify ? verify_sql : record_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  while ((step = mo_sql_step(reader, statement)) > 0) {
-    int64_t n = sqlite3_column_int64(statement, 0), k = sqlite3_column_int64(statement, 1);
-    if (n < 0 || n >= work->n_designs || k < 0 || k >= work->n_environments)
+  sqlite3_stmt *row =
+      mo_sql_rows(reader, &error, work->job.verify ? verify_sql : record_sql, mo_int(id));
+  while (mo_sql_next(reader, row, &error)) {
+    const uint32_t n = mo_column_u32(row, 0), k = mo_column_u32(row, 1);
+    if (n >= work->n_designs || k >= work->n_environments)
       return MO_ERR_CORRUPT;
-    work->finished[(size_t)n * work->n_environments + (size_t)k] = 1;
+    work->finished[(size_t)n * work->n_environments + k] = 1;
     work->n_finished++;
-    work->n_finished_diverged += sqlite3_column_int(statement, 2) != 0;
+    work->n_finished_diverged += sqlite3_column_int(row, 2) != 0;
   }
-  return step;
+  return error;
 }
 
 static int load_work(struct mo_connection *reader, int64_t id, const struct mo_classes *classes,
                      struct mo_work *work)
 {
-  static const char sql[] =
-      "SELECT x.environment,e.data,e.sha256 FROM evaluation_environments x"
-      " JOIN environments e ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
   bool reruns;
   int64_t before = 0;
   int error = load_head(reader, id, work, &before);
@@ -308,7 +292,7 @@ static int load_work(struct mo_connection *reader, int64_t id, const struct mo_c
   if (work->environment_rows == NULL || work->environments == NULL ||
       (reruns && work->finished == NULL))
     return MO_ERR_NO_MEMORY;
-  error = mo_environments_read(reader, sql, id, work->n_environments, work->environments,
+  error = mo_environments_read(reader, id, work->n_environments, work->environments,
                                work->environment_rows);
   if (error == MO_OK)
     error = load_designs(reader, id, work);
@@ -321,18 +305,13 @@ int mo_store_load_work(struct mo_store *store, int64_t id, const struct mo_class
                        struct mo_work **ret)
 {
   struct mo_work *work = calloc(1, sizeof(*work));
+  struct mo_connection *reader;
   int error;
   if (work == NULL)
     return MO_ERR_NO_MEMORY;
-  pthread_mutex_lock(&store->runner_mutex);
-  error = mo_sql_exec(&store->runner, "BEGIN");
-  if (error == MO_OK)
-    error = load_work(&store->runner, id, classes, work);
-  for (unsigned i = 0; i < store->runner.n_cached; i++)
-    (void)sqlite3_reset(store->runner.cache[i].statement);
-  if (!sqlite3_get_autocommit(store->runner.db))
-    (void)mo_sql_exec(&store->runner, "COMMIT");
-  pthread_mutex_unlock(&store->runner_mutex);
+  reader = mo_runner_acquire(store);
+  error = load_work(reader, id, classes, work);
+  mo_reader_release(store, reader);
   if (error != MO_OK) {
     mo_work_free(work);
     return error;

@@ -13,18 +13,49 @@ int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_s
                      enum mo_job_kind *kind)
 {
   static const char sql[] = "SELECT state,kind FROM jobs WHERE id=?1";
-  int64_t found, found_kind;
   sqlite3_stmt *row;
   const int error = mo_sql_row(connection, &row, sql, mo_int(id));
   if (error != MO_OK)
     return error;
-  found = sqlite3_column_int64(row, 0);
-  found_kind = sqlite3_column_int64(row, 1);
-  (void)sqlite3_reset(row);
-  if (found < 0 || found >= MO_JOB_STATES || found_kind < 0 || found_kind >= MO_JOB_KINDS)
-    return MO_ERR_CORRUPT;
-  *kind = (enum mo_job_kind)found_kind;
-  *state = (enum mo_job_state)found;
+  *state = (enum mo_job_state)sqlite3_column_int(row, 0);
+  *kind = (enum mo_job_kind)sqlite3_column_int(row, 1);
+  return MO_OK;
+}
+
+/* The start of an evaluation may be written after its first block, and with its end. */
+#define SET     "UPDATE jobs SET " MO_NEXT_VERSION
+#define RUNNING " WHERE id=?1 AND state=1 AND epoch=?2 RETURNING state,kind"
+#define STARTED " WHERE id=?1 AND (state=1 AND epoch=?2 OR state=0 AND kind=0) RETURNING state,kind"
+static const char *const step_sql[] = {
+    [MO_STEP_START] = SET ",state=1,epoch=?2,"
+                          "started_us=CASE started_us WHEN 0 THEN ?3 ELSE started_us END"
+                          " WHERE id=?1 AND (state=0 OR state=1 AND epoch=?2 AND kind=0)"
+                          " RETURNING state,kind",
+    [MO_STEP_PROGRESS] = SET RUNNING,
+    [MO_STEP_SUCCEED] = SET ",state=3,finished_us=?3,error=0,error_text=NULL" RUNNING,
+    [MO_STEP_RETRY] =
+        SET ",attempts=" MO_NEXT_ATTEMPT ",error=?4,error_text=?5,"
+            "state=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN 4 ELSE 0 END,"
+            "finished_us=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN ?3 ELSE 0 END" STARTED,
+    [MO_STEP_PARK] = SET ",state=0" RUNNING,
+    [MO_STEP_HALT] = SET ",state=2,error=?4,error_text=?5" STARTED};
+#undef STARTED
+#undef RUNNING
+#undef SET
+
+int mo_job_step(struct mo_store *store, struct mo_job_update *update, enum mo_job_kind *kind)
+{
+  const bool is_known = update->step == MO_STEP_START && update->started_us != 0;
+  const int64_t now_us = is_known ? update->started_us : mo_clock_wall_us();
+  sqlite3_stmt *row;
+  const int error = mo_sql_row(&store->writer, &row, step_sql[update->step], mo_int(update->job),
+                               mo_int(store->epoch), mo_int(now_us), mo_int(update->error),
+                               mo_string(update->error_text), mo_int(update->max_attempts));
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_ERR_CONFLICT : error;
+  update->state = (enum mo_job_state)sqlite3_column_int(row, 0);
+  *kind = (enum mo_job_kind)sqlite3_column_int(row, 1);
+  (void)sqlite3_reset(row); /* ends the change */
   return MO_OK;
 }
 
@@ -44,11 +75,11 @@ int mo_run_insert(struct mo_connection *writer, int64_t id, enum mo_job_kind kin
   return error;
 }
 
-int mo_run_touch(struct mo_store *store, int64_t id, enum mo_job_kind kind)
+int mo_run_touch(struct mo_store *store, int64_t id)
 {
   static const char sql[] =
-      "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND kind=?3 AND state<=2 AND epoch=?2";
-  return mo_sql_change(&store->writer, sql, mo_int(id), mo_int(store->epoch), mo_int(kind));
+      "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND state<=2 AND epoch=?2";
+  return mo_sql_change(&store->writer, sql, mo_int(id), mo_int(store->epoch));
 }
 
 int mo_run_announce(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *type,
@@ -68,7 +99,8 @@ static int take_id(sqlite3_stmt *statement, void *id)
   return MO_OK;
 }
 
-int64_t mo_run_queued(struct mo_store *store, enum mo_job_kind kind, int64_t *ids, size_t limit)
+int64_t mo_store_queued_runs(struct mo_store *store, enum mo_job_kind kind, int64_t *ids,
+                             size_t limit)
 {
   static const char sql[] =
       "SELECT id FROM jobs WHERE state=0 AND kind=?1 ORDER BY priority DESC,id LIMIT ?2";
@@ -76,88 +108,49 @@ int64_t mo_run_queued(struct mo_store *store, enum mo_job_kind kind, int64_t *id
                       sizeof(*ids));
 }
 
-struct start_arguments {
-  int64_t id;
-  enum mo_job_kind kind;
-};
-
-static int start(struct mo_store *store, void *arguments)
+static int run_step(struct mo_store *store, void *arguments)
 {
-  static const char sql[] = "UPDATE jobs SET state=1,epoch=?2," MO_NEXT_VERSION ","
-                            "started_us=CASE started_us WHEN 0 THEN ?3 ELSE started_us END"
-                            " WHERE id=?1 AND kind=?4 AND state=0";
-  const struct start_arguments *call = arguments;
-  const int error = mo_sql_change(&store->writer, sql, mo_int(call->id), mo_int(store->epoch),
-                                  mo_int(mo_clock_wall_us()), mo_int(call->kind));
-  return error == MO_OK
-             ? mo_run_announce(store, call->id, call->kind, "job.started", MO_JOB_RUNNING, "")
-             : error;
+  struct mo_job_update *update = arguments;
+  enum mo_job_kind kind;
+  const int error = mo_job_step(store, update, &kind);
+  if (error == MO_ERR_CONFLICT && update->step != MO_STEP_START)
+    return mo_job_state_get(&store->writer, update->job, &update->state, &kind);
+  return error != MO_OK ? error
+                        : mo_run_announce(store, update->job, kind,
+                                          update->state == MO_JOB_RUNNING  ? "job.started"
+                                          : update->state == MO_JOB_FAILED ? "job.finished"
+                                          : update->state == MO_JOB_PAUSED ? "job.paused"
+                                                                           : "job.requeued",
+                                          update->state, "");
 }
 
-int mo_run_start(struct mo_store *store, int64_t id, enum mo_job_kind kind)
+int mo_store_run_start(struct mo_store *store, int64_t id)
 {
-  struct start_arguments call = {id, kind};
-  return mo_write(store, start, &call);
+  return mo_write(store, run_step, &(struct mo_job_update){.job = id, .step = MO_STEP_START});
 }
 
-struct park_arguments {
-  int64_t id;
-  enum mo_job_kind kind;
-  int error;
-  const char *text;
-  uint32_t max_attempts;
-  enum mo_job_state after;
-};
-
-static int park(struct mo_store *store, void *arguments)
+int mo_store_run_park(struct mo_store *store, int64_t id, int error, const char *error_text,
+                      uint32_t max_attempts, enum mo_job_state *after)
 {
-#define RUNS " WHERE id=?1 AND kind=?3 AND state=1 AND epoch=?2"
-  static const char park_sql[] = "UPDATE jobs SET state=0," MO_NEXT_VERSION RUNS;
-  static const char halt_sql[] =
-      "UPDATE jobs SET state=2," MO_NEXT_VERSION ",error=?4,error_text=?5" RUNS;
-  static const char retry_sql[] =
-      "UPDATE jobs SET attempts=" MO_NEXT_ATTEMPT "," MO_NEXT_VERSION ",error=?4,error_text=?5,"
-      "state=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN 4 ELSE 0 END,"
-      "finished_us=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN ?7 ELSE 0 END" RUNS;
-#undef RUNS
-  struct park_arguments *call = arguments;
-  struct mo_connection *writer = &store->writer;
-  const struct mo_value id = mo_int(call->id), epoch = mo_int(store->epoch),
-                        is_kind = mo_int(call->kind), code = mo_int(call->error),
-                        text = mo_string(call->text);
-  enum mo_job_kind kind;
-  int error = call->error == MO_OK ? mo_sql_do(writer, park_sql, id, epoch, is_kind)
-              : call->error == MO_ERR_DEVICE
-                  ? mo_sql_do(writer, halt_sql, id, epoch, is_kind, code, text)
-                  : mo_sql_do(writer, retry_sql, id, epoch, is_kind, code, text,
-                              mo_int(call->max_attempts), mo_int(mo_clock_wall_us()));
-  const bool applied = error == MO_OK && sqlite3_changes(writer->db) > 0;
-  if (error == MO_OK)
-    error = mo_job_state_get(writer, call->id, &call->after, &kind);
-  if (error != MO_OK || !applied)
-    return error;
-  return mo_run_announce(store, call->id, call->kind,
-                         call->after == MO_JOB_FAILED   ? "job.finished"
-                         : call->after == MO_JOB_PAUSED ? "job.paused"
-                                                        : "job.requeued",
-                         call->after, "");
-}
-
-int mo_run_park(struct mo_store *store, int64_t id, enum mo_job_kind kind, int error,
-                const char *error_text, uint32_t max_attempts, enum mo_job_state *after)
-{
-  struct park_arguments call = {id, kind, error, error_text, max_attempts, MO_JOB_QUEUED};
-  const int result = mo_write(store, park, &call);
+  struct mo_job_update update = {.job = id,
+                                 .step = error == MO_OK           ? MO_STEP_PARK
+                                         : error == MO_ERR_DEVICE ? MO_STEP_HALT
+                                                                  : MO_STEP_RETRY,
+                                 .error = error,
+                                 .max_attempts = max_attempts};
+  int result;
+  snprintf(update.error_text, sizeof(update.error_text), "%s",
+           error_text != NULL ? error_text : "");
+  result = mo_write(store, run_step, &update);
   if (result == MO_OK && after != NULL)
-    *after = call.after;
+    *after = update.state;
   return result;
 }
 
 /* ---- the end ---- */
 
 struct finish_arguments {
-  int64_t id;
-  enum mo_job_kind kind;
+  struct mo_job_update update;
   struct mo_controller_put *put; /* NULL: no result */
   const char *more;
   int (*end)(struct mo_connection *writer, int64_t id, const void *context);
@@ -166,47 +159,44 @@ struct finish_arguments {
 
 static int finish(struct mo_store *store, void *arguments)
 {
-  static const char job_sql[] =
-      "UPDATE jobs SET state=3," MO_NEXT_VERSION ",finished_us=?3,error=0,error_text=NULL"
-      " WHERE id=?1 AND kind=?4 AND state=1 AND epoch=?2";
   static const char sql[] = "UPDATE runs SET result=?2 WHERE job=?1";
-  const struct finish_arguments *call = arguments;
+  struct finish_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
+  const int64_t id = call->update.job;
+  enum mo_job_kind kind;
   char more[256], digits[MO_SHA256_DIGITS + 1];
-  int error = mo_sql_change(writer, job_sql, mo_int(call->id), mo_int(store->epoch),
-                            mo_int(mo_clock_wall_us()), mo_int(call->kind));
+  int error = mo_job_step(store, &call->update, &kind);
   if (error == MO_OK && call->end != NULL)
-    error = call->end(writer, call->id, call->context);
+    error = call->end(writer, id, call->context);
   snprintf(more, sizeof(more), "%s", call->more);
   if (error == MO_OK && call->put != NULL) {
     error = mo_controller_put_row(store, call->put);
     if (error == MO_OK)
-      error = mo_sql_do(writer, sql, mo_int(call->id), mo_int(call->put->row));
+      error = mo_sql_do(writer, sql, mo_int(id), mo_int(call->put->row));
     mo_sha256_to_hex(&call->put->sha256, digits);
     snprintf(more, sizeof(more), "%s,\"controller\":\"%s\",\"sha256\":\"%s\"", call->more,
              call->put->name, digits);
   }
-  return error == MO_OK
-             ? mo_run_announce(store, call->id, call->kind, "job.finished", MO_JOB_SUCCEEDED, more)
-             : error;
+  return error == MO_OK ? mo_run_announce(store, id, kind, "job.finished", MO_JOB_SUCCEEDED, more)
+                        : error;
 }
 
-int mo_run_finish(struct mo_store *store, int64_t id, enum mo_job_kind kind,
-                  const struct mo_run_result *result, const char *more,
+int mo_run_finish(struct mo_store *store, int64_t id, const struct mo_run_result *result,
+                  const char *more,
                   int (*end)(struct mo_connection *writer, int64_t id, const void *context),
                   const void *context)
 {
   const bool has_result = result->controller != NULL;
   struct mo_controller_put put = {.name = result->name};
-  struct finish_arguments call = {id, kind, has_result ? &put : NULL, more, end, context};
+  struct finish_arguments call = {
+      {.job = id, .step = MO_STEP_SUCCEED}, has_result ? &put : NULL, more, end, context};
   int error = MO_OK;
   if (has_result)
     error = mo_controller_put_begin(store, result->name, result->bytes, result->size,
                                     result->controller, &put);
   if (error == MO_OK)
     error = mo_write(store, finish, &call);
-  if (has_result)
-    mo_controller_put_end(store, &put);
+  mo_controller_put_end(store, &put);
   return error;
 }
 

@@ -104,8 +104,7 @@ int mo_condition_row(struct mo_connection *writer, struct mo_condition *conditio
   int error = mo_sql_find_with(writer, &condition->id, find_sql, values);
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  error = mo_sql_do_with(writer, insert_sql, values);
-  condition->id = sqlite3_last_insert_rowid(writer->db);
+  error = mo_sql_insert_with(writer, &condition->id, insert_sql, values);
   for (uint32_t k = 0; k < condition->n && error == MO_OK; k++)
     error = mo_sql_do(writer, member_sql, mo_int(condition->id), mo_int(k),
                       mo_int(condition->environments[k]));
@@ -152,28 +151,24 @@ int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *c
 }
 
 /* Reads the losses of one class into scores that are not known yet. */
-static int read_class(struct mo_connection *connection, int64_t genotype, int64_t controller,
-                      int64_t physics, int64_t fingerprint, const int64_t *environments, uint32_t n,
+static int read_class(struct mo_connection *connection, const struct mo_saved_design *design,
+                      int64_t fingerprint, const int64_t *environments, uint32_t n,
                       struct mo_score *scores)
 {
   static const char sql[] =
       "SELECT " MO_SCORE_COLUMNS " FROM scores x CROSS JOIN conditions c ON c.id=x.condition"
       " WHERE x.genotype=?1 AND c.controller=?2 AND c.physics=?3 AND c.fingerprint=?4";
   int64_t computed_us[MO_ENVIRONMENTS_MAX] = {0};
-  int error = MO_OK, step = 0;
-  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, genotype);
-  sqlite3_bind_int64(statement, 2, controller);
-  sqlite3_bind_int64(statement, 3, physics);
-  sqlite3_bind_int64(statement, 4, fingerprint);
-  while (error == MO_OK && (step = mo_sql_step(connection, statement)) > 0) {
-    const int64_t time_us = sqlite3_column_int64(statement, 6);
+  int error = MO_OK;
+  sqlite3_stmt *row =
+      mo_sql_rows(connection, &error, sql, mo_int(design->genotype), mo_int(design->controller),
+                  mo_int(design->physics), mo_int(fingerprint));
+  while (mo_sql_next(connection, row, &error)) {
+    const int64_t time_us = sqlite3_column_int64(row, 6);
     struct mo_condition condition = {.n = 0};
     double losses[MO_BLOCK_LANES];
     uint32_t steps[MO_BLOCK_LANES];
-    error = mo_score_from_row(statement, 0, &condition, losses, steps);
+    error = mo_score_from_row(row, 0, &condition, losses, steps);
     for (uint32_t i = 0; i < condition.n && error == MO_OK; i++)
       for (uint32_t k = 0; k < n; k++)
         if (environments[k] == condition.environments[i] &&
@@ -182,23 +177,21 @@ static int read_class(struct mo_connection *connection, int64_t genotype, int64_
           computed_us[k] = time_us;
         }
   }
-  (void)sqlite3_reset(statement);
-  return step < 0 ? step : error;
+  return error;
 }
 
-int mo_losses_read(struct mo_connection *connection, int64_t genotype, int64_t controller,
-                   int64_t physics, int64_t fingerprint, int64_t workers,
+int mo_losses_read(struct mo_connection *connection, const struct mo_saved_design *design,
                    const int64_t *environments, uint32_t n, struct mo_score *scores)
 {
   uint32_t n_known = 0;
   int error;
   memset(scores, 0, n * sizeof(*scores));
-  error =
-      read_class(connection, genotype, controller, physics, fingerprint, environments, n, scores);
+  error = read_class(connection, design, design->fingerprint, environments, n, scores);
   for (uint32_t k = 0; k < n; k++)
     n_known += scores[k].known;
-  if (error == MO_OK && n_known < n && workers != 0 && workers != fingerprint)
-    error = read_class(connection, genotype, controller, physics, workers, environments, n, scores);
+  if (error == MO_OK && n_known < n && design->workers != 0 &&
+      design->workers != design->fingerprint)
+    error = read_class(connection, design, design->workers, environments, n, scores);
   return error;
 }
 
@@ -206,11 +199,13 @@ int mo_store_scores(struct mo_store *store, int64_t genotype, int64_t controller
                     int64_t fingerprint, const int64_t *environment_rows, uint32_t n,
                     struct mo_score *scores)
 {
-  int error;
-  pthread_mutex_lock(&store->runner_mutex);
-  error = mo_losses_read(&store->runner, genotype, controller, physics, fingerprint, 0,
-                         environment_rows, n, scores);
-  pthread_mutex_unlock(&store->runner_mutex);
+  const struct mo_saved_design design = {.genotype = genotype,
+                                         .controller = controller,
+                                         .physics = physics,
+                                         .fingerprint = fingerprint};
+  struct mo_connection *reader = mo_runner_acquire(store);
+  const int error = mo_losses_read(reader, &design, environment_rows, n, scores);
+  mo_reader_release(store, reader);
   return error;
 }
 
@@ -232,8 +227,11 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_s
                           score->diverged_step};
   struct mo_score before;
   double values[2] = {score->loss, 0};
-  int error = mo_losses_read(writer, score->genotype, score->controller, score->physics,
-                             score->fingerprint, 0, &score->environment, 1, &before);
+  const struct mo_saved_design design = {.genotype = score->genotype,
+                                         .controller = score->controller,
+                                         .physics = score->physics,
+                                         .fingerprint = score->fingerprint};
+  const int error = mo_losses_read(writer, &design, &score->environment, 1, &before);
   if (error != MO_OK)
     return error;
   *is_known = before.known;
@@ -325,12 +323,9 @@ int mo_ranking_row(struct mo_connection *writer, const struct mo_saved_design *d
   const struct mo_values values =
       MO_VALUES(mo_int(design->controller), mo_int(design->physics), mo_int(design->fingerprint),
                 mo_int(design->environment_set));
-  int error = mo_sql_find_with(writer, ranking, find_sql, values);
-  if (error != MO_ERR_NOT_FOUND)
-    return error;
-  error = mo_sql_do_with(writer, insert_sql, values);
-  *ranking = sqlite3_last_insert_rowid(writer->db);
-  return error;
+  const int error = mo_sql_find_with(writer, ranking, find_sql, values);
+  return error == MO_ERR_NOT_FOUND ? mo_sql_insert_with(writer, ranking, insert_sql, values)
+                                   : error;
 }
 
 int mo_set_score_insert_mean(struct mo_connection *writer, int64_t ranking, int64_t genotype,
@@ -355,44 +350,33 @@ int mo_set_score_from_row(sqlite3_stmt *statement, int first, int64_t ranking, i
              : MO_ERR_CORRUPT;
 }
 
-struct set {
-  int64_t environments[MO_ENVIRONMENTS_MAX];
-  uint32_t n;
-};
-
-static int take_environment(sqlite3_stmt *row, void *any)
-{
-  struct set *set = any;
-  if (set->n == MO_ENVIRONMENTS_MAX)
-    return MO_ERR_CORRUPT;
-  set->environments[set->n++] = sqlite3_column_int64(row, 0);
-  return MO_OK;
-}
-
 int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design,
                         int64_t ranking)
 {
   static const char known_sql[] = "SELECT 1 FROM set_scores WHERE ranking=?1 AND genotype=?2";
-  static const char set_sql[] =
-      "SELECT environment FROM environment_set_members WHERE environment_set=?1 ORDER BY position";
+  static const char set_sql[] = "SELECT environment FROM environment_set_members"
+                                " WHERE environment_set=?1 ORDER BY position LIMIT ?2";
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
-  struct set set = {.n = 0};
+  int64_t environments[MO_ENVIRONMENTS_MAX], known;
+  uint32_t n = 0;
   double sum = 0;
-  int64_t n;
-  int error = mo_sql_find(writer, &n, known_sql, mo_int(ranking), mo_int(design->genotype));
+  sqlite3_stmt *row;
+  int error = mo_sql_find(writer, &known, known_sql, mo_int(ranking), mo_int(design->genotype));
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  n = mo_sql_each(writer, take_environment, &set, set_sql, mo_int(design->environment_set));
-  if (n <= 0)
-    return (int)n;
-  error = mo_losses_read(writer, design->genotype, design->controller, design->physics,
-                         design->fingerprint, design->workers, set.environments, set.n, scores);
-  for (uint32_t k = 0; k < set.n && error == MO_OK; k++) {
+  error = MO_OK;
+  row = mo_sql_rows(writer, &error, set_sql, mo_int(design->environment_set),
+                    mo_int(MO_ENVIRONMENTS_MAX));
+  while (mo_sql_next(writer, row, &error))
+    environments[n++] = sqlite3_column_int64(row, 0);
+  if (error == MO_OK)
+    error = mo_losses_read(writer, design, environments, n, scores);
+  for (uint32_t k = 0; k < n && error == MO_OK; k++) {
     if (!scores[k].known)
       return MO_OK;
     sum += scores[k].loss;
   }
-  return error == MO_OK
-             ? mo_set_score_insert_mean(writer, ranking, design->genotype, sum / (double)set.n)
+  return error == MO_OK && n > 0
+             ? mo_set_score_insert_mean(writer, ranking, design->genotype, sum / n)
              : error;
 }

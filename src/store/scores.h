@@ -39,8 +39,7 @@ int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *c
                       double *losses, uint32_t *diverged_steps);
 /* Reads the losses of a genotype in n ≤ MO_ENVIRONMENTS_MAX environments: those of the class
  * `fingerprint`, and where there are none those of the class `workers` (0: none). */
-int mo_losses_read(struct mo_connection *connection, int64_t genotype, int64_t controller,
-                   int64_t physics, int64_t fingerprint, int64_t workers,
+int mo_losses_read(struct mo_connection *connection, const struct mo_saved_design *design,
                    const int64_t *environments, uint32_t n, struct mo_score *scores);
 /* Returns the checksum of a row of `recomputed`, whose key is {job, position, environment, step};
  * values: the loss and, if n is 2, the stored one. */

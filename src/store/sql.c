@@ -97,68 +97,16 @@ void mo_connection_close(struct mo_connection *connection)
   connection->db = NULL;
 }
 
-sqlite3_stmt *mo_sql(struct mo_connection *connection, const char *sql, int *error)
-{
-  sqlite3_stmt *statement;
-  int result;
-  for (unsigned i = 0; i < connection->n_cached; i++)
-    if (connection->cache[i].sql == sql) {
-      statement = connection->cache[i].statement;
-      (void)sqlite3_reset(statement);
-      (void)sqlite3_clear_bindings(statement);
-      return statement;
-    }
-  if (connection->n_cached == MO_STATEMENTS_MAX) {
-    *error = MO_ERR_LIMIT;
-    return NULL;
-  }
-  result = sqlite3_prepare_v3(connection->db, sql, -1, SQLITE_PREPARE_PERSISTENT, &statement, NULL);
-  if (result != SQLITE_OK) {
-    /* If a statement does not fit the schema, the schema is not that of its version. */
-    *error =
-        (result & 0xff) == SQLITE_ERROR ? MO_ERR_CORRUPT : mo_sql_error(connection->db, result);
-    return NULL;
-  }
-  connection->cache[connection->n_cached].sql = sql;
-  connection->cache[connection->n_cached].statement = statement;
-  connection->n_cached++;
-  return statement;
-}
-
-int mo_sql_step(struct mo_connection *connection, sqlite3_stmt *statement)
-{
-  int result = sqlite3_step(statement);
-  int error;
-  if (result == SQLITE_ROW)
-    return 1;
-  error = mo_sql_error(connection->db, result);
-  (void)sqlite3_reset(statement);
-  return error;
-}
-
-int mo_sql_run(struct mo_connection *connection, sqlite3_stmt *statement)
-{
-  int step = mo_sql_step(connection, statement);
-  if (step > 0) {
-    (void)sqlite3_reset(statement);
-    return MO_OK;
-  }
-  return step;
-}
-
 int mo_sql_exec(struct mo_connection *connection, const char *sql)
 {
   return mo_sql_error(connection->db, sqlite3_exec(connection->db, sql, NULL, NULL, NULL));
 }
 
-int mo_sql_integer(struct mo_connection *connection, sqlite3_stmt *statement, int64_t *value)
+void mo_sql_reset(struct mo_connection *connection)
 {
-  int step = mo_sql_step(connection, statement);
-  if (step <= 0)
-    return step < 0 ? step : MO_ERR_NOT_FOUND;
-  *value = sqlite3_column_int64(statement, 0);
-  (void)sqlite3_reset(statement);
-  return MO_OK;
+  for (unsigned i = 0; i < connection->n_cached; i++)
+    if (sqlite3_stmt_busy(connection->cache[i].statement))
+      (void)sqlite3_reset(connection->cache[i].statement);
 }
 
 /* ---- statements with their values ---- */
@@ -193,10 +141,41 @@ struct mo_value mo_hash(const struct mo_sha256 *hash)
   return mo_blob(hash->bytes, sizeof(hash->bytes));
 }
 
-static sqlite3_stmt *bound(struct mo_connection *connection, const char *sql,
-                           struct mo_values values, int *error)
+/* Returns the cached statement of a string literal, reset. */
+static sqlite3_stmt *prepared(struct mo_connection *connection, const char *sql, int *error)
 {
-  sqlite3_stmt *statement = mo_sql(connection, sql, error);
+  sqlite3_stmt *statement;
+  int result;
+  for (unsigned i = 0; i < connection->n_cached; i++)
+    if (connection->cache[i].sql == sql) {
+      (void)sqlite3_reset(connection->cache[i].statement);
+      return connection->cache[i].statement;
+    }
+  if (connection->n_cached == MO_STATEMENTS_MAX) {
+    *error = MO_ERR_LIMIT;
+    return NULL;
+  }
+  result = sqlite3_prepare_v3(connection->db, sql, -1, SQLITE_PREPARE_PERSISTENT, &statement, NULL);
+  if (result != SQLITE_OK) {
+    /* If a statement does not fit the schema, the schema is not that of its version. */
+    *error =
+        (result & 0xff) == SQLITE_ERROR ? MO_ERR_CORRUPT : mo_sql_error(connection->db, result);
+    return NULL;
+  }
+  connection->cache[connection->n_cached].sql = sql;
+  connection->cache[connection->n_cached].statement = statement;
+  connection->n_cached++;
+  return statement;
+}
+
+sqlite3_stmt *mo_sql_rows_with(struct mo_connection *connection, int *error, const char *sql,
+                               struct mo_values values)
+{
+  sqlite3_stmt *statement;
+  if (*error == MO_OK)
+    *error = connection->error;
+  statement = *error == MO_OK ? prepared(connection, sql, error) : NULL;
+  /* A statement without one of the parameters refuses its value, which is no error. */
   for (int i = 0; i < values.n && statement != NULL; i++) {
     const struct mo_value *value = &values.at[i];
     switch (value->type) {
@@ -204,22 +183,40 @@ static sqlite3_stmt *bound(struct mo_connection *connection, const char *sql,
     case SQLITE_FLOAT: sqlite3_bind_double(statement, i + 1, value->real); break;
     case SQLITE_TEXT: sqlite3_bind_text(statement, i + 1, value->bytes, -1, SQLITE_STATIC); break;
     case SQLITE_BLOB:
-      sqlite3_bind_blob(statement, i + 1, value->bytes, (int)value->size, SQLITE_STATIC);
+      sqlite3_bind_blob64(statement, i + 1, value->bytes, value->size, SQLITE_STATIC);
       break;
-    default: break; /* stays NULL */
+    default: sqlite3_bind_null(statement, i + 1);
     }
   }
   return statement;
 }
 
+bool mo_sql_next(struct mo_connection *connection, sqlite3_stmt *row, int *error)
+{
+  const int result = *error == MO_OK ? sqlite3_step(row) : SQLITE_DONE;
+  if (result == SQLITE_ROW)
+    return true;
+  if (*error == MO_OK)
+    *error = mo_sql_error(connection->db, result);
+  if (row != NULL)
+    (void)sqlite3_reset(row);
+  return false;
+}
+
+int mo_sql_row_with(struct mo_connection *connection, sqlite3_stmt **row, const char *sql,
+                    struct mo_values values)
+{
+  int error = MO_OK;
+  *row = mo_sql_rows_with(connection, &error, sql, values);
+  return mo_sql_next(connection, *row, &error) || error != MO_OK ? error : MO_ERR_NOT_FOUND;
+}
+
 int mo_sql_do_with(struct mo_connection *connection, const char *sql, struct mo_values values)
 {
   int error = MO_OK;
-  sqlite3_stmt *statement = bound(connection, sql, values, &error);
-  if (statement == NULL)
-    return error;
-  error = mo_sql_run(connection, statement);
-  (void)sqlite3_clear_bindings(statement);
+  sqlite3_stmt *statement = mo_sql_rows_with(connection, &error, sql, values);
+  if (mo_sql_next(connection, statement, &error))
+    (void)sqlite3_reset(statement);
   return error;
 }
 
@@ -229,15 +226,12 @@ int mo_sql_change_with(struct mo_connection *connection, const char *sql, struct
   return error == MO_OK && sqlite3_changes(connection->db) == 0 ? MO_ERR_CONFLICT : error;
 }
 
-int mo_sql_row_with(struct mo_connection *connection, sqlite3_stmt **row, const char *sql,
-                    struct mo_values values)
+int mo_sql_insert_with(struct mo_connection *connection, int64_t *row, const char *sql,
+                       struct mo_values values)
 {
-  int error = MO_OK;
-  *row = bound(connection, sql, values, &error);
-  if (*row == NULL)
-    return error;
-  const int step = mo_sql_step(connection, *row);
-  return step > 0 ? MO_OK : step < 0 ? step : MO_ERR_NOT_FOUND;
+  const int error = mo_sql_do_with(connection, sql, values);
+  *row = sqlite3_last_insert_rowid(connection->db);
+  return error;
 }
 
 int mo_sql_find_with(struct mo_connection *connection, int64_t *value, const char *sql,
@@ -252,34 +246,19 @@ int mo_sql_find_with(struct mo_connection *connection, int64_t *value, const cha
   return MO_OK;
 }
 
-int64_t mo_sql_each_with(struct mo_connection *connection,
-                         int (*take)(sqlite3_stmt *row, void *context), void *context,
-                         const char *sql, struct mo_values values)
-{
-  int error = MO_OK;
-  int step = 0;
-  int64_t n = 0;
-  sqlite3_stmt *row = bound(connection, sql, values, &error);
-  if (row == NULL)
-    return error;
-  for (; error == MO_OK && (step = mo_sql_step(connection, row)) > 0; n++)
-    error = take(row, context);
-  (void)sqlite3_reset(row);
-  return error != MO_OK ? error : step < 0 ? step : n;
-}
-
 /* ---- columns ---- */
 
-void mo_bind_hash(sqlite3_stmt *statement, int index, const struct mo_sha256 *hash)
+int mo_column_missing(sqlite3_stmt *statement)
 {
-  (void)sqlite3_bind_blob(statement, index, hash->bytes, sizeof(hash->bytes), SQLITE_STATIC);
+  return sqlite3_errcode(sqlite3_db_handle(statement)) == SQLITE_NOMEM ? MO_ERR_NO_MEMORY
+                                                                       : MO_ERR_CORRUPT;
 }
 
 int mo_column_hash(sqlite3_stmt *statement, int column, struct mo_sha256 *hash)
 {
   const void *blob = sqlite3_column_blob(statement, column);
   if (blob == NULL || sqlite3_column_bytes(statement, column) != (int)sizeof(hash->bytes))
-    return MO_ERR_CORRUPT;
+    return mo_column_missing(statement);
   memcpy(hash->bytes, blob, sizeof(hash->bytes));
   return MO_OK;
 }
@@ -320,11 +299,19 @@ int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
   return MO_OK;
 }
 
+int mo_column_physics(sqlite3_stmt *statement, int column, struct mo_physics *physics,
+                      enum mo_precision *precision, enum mo_sensor *sensor)
+{
+  const void *encoding = sqlite3_column_blob(statement, column);
+  return mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(statement, column), physics,
+                           precision, sensor);
+}
+
 int mo_column_double(sqlite3_stmt *statement, int column, double *value)
 {
   const void *blob = sqlite3_column_blob(statement, column);
   if (blob == NULL || sqlite3_column_bytes(statement, column) != 8)
-    return MO_ERR_CORRUPT;
+    return mo_column_missing(statement);
   *value = mo_decode_double(blob);
   return MO_OK;
 }

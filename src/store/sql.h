@@ -20,6 +20,7 @@ struct mo_connection {
   } cache[MO_STATEMENTS_MAX];
   unsigned n_cached;
   bool busy;
+  int error; /* of the start of its transaction: all statements return it */
 };
 
 /* Call mo_mapping_init before the first connection. mo_mapping_error translates the error of this
@@ -29,19 +30,6 @@ int mo_mapping_error(void);
 int mo_connection_open(const struct mo_store *store, bool writable,
                        struct mo_connection *connection);
 void mo_connection_close(struct mo_connection *connection);
-
-/* Returns the cached statement of a string literal (found by its address), reset and without
- * bindings. NULL: it cannot be prepared; *error says why. */
-sqlite3_stmt *mo_sql(struct mo_connection *connection, const char *sql, int *error);
-/* 1: a row; 0: done (and reset); negative: an error (and reset). */
-int mo_sql_step(struct mo_connection *connection, sqlite3_stmt *statement);
-/* Runs a statement that returns no rows. */
-int mo_sql_run(struct mo_connection *connection, sqlite3_stmt *statement);
-int mo_sql_exec(struct mo_connection *connection, const char *sql);
-/* Reads the integer in the first row. MO_ERR_NOT_FOUND: no rows. */
-int mo_sql_integer(struct mo_connection *connection, sqlite3_stmt *statement, int64_t *value);
-/* Translates SQLite's result code into an MO_ERR_ code. */
-int mo_sql_error(sqlite3 *db, int code);
 
 /* ---- statements with their values ---- */
 
@@ -67,14 +55,20 @@ struct mo_values {
   ((struct mo_values){(const struct mo_value[]){__VA_ARGS__},                                      \
                       sizeof((const struct mo_value[]){__VA_ARGS__}) / sizeof(struct mo_value)})
 
-/* Each of these prepares a statement, binds the values to ?1, ?2 … and runs it. */
+/* Each of these prepares a string literal (once: it is found by its address), binds the values to
+ * ?1, ?2 … and runs it. A row can be read until its statement runs again, or until mo_sql_reset. */
 #define mo_sql_do(connection, sql, ...) mo_sql_do_with(connection, sql, MO_VALUES(__VA_ARGS__))
 int mo_sql_do_with(struct mo_connection *connection, const char *sql, struct mo_values values);
 /* MO_ERR_CONFLICT: it changed nothing. */
 #define mo_sql_change(connection, sql, ...)                                                        \
   mo_sql_change_with(connection, sql, MO_VALUES(__VA_ARGS__))
 int mo_sql_change_with(struct mo_connection *connection, const char *sql, struct mo_values values);
-/* Steps to the first row, on which *row stays until it is reset. MO_ERR_NOT_FOUND: no rows. */
+/* Inserts a row and returns its id in *row. */
+#define mo_sql_insert(connection, row, sql, ...)                                                   \
+  mo_sql_insert_with(connection, row, sql, MO_VALUES(__VA_ARGS__))
+int mo_sql_insert_with(struct mo_connection *connection, int64_t *row, const char *sql,
+                       struct mo_values values);
+/* Steps to the first row. MO_ERR_NOT_FOUND: no rows. */
 #define mo_sql_row(connection, row, sql, ...)                                                      \
   mo_sql_row_with(connection, row, sql, MO_VALUES(__VA_ARGS__))
 int mo_sql_row_with(struct mo_connection *connection, sqlite3_stmt **row, const char *sql,
@@ -84,17 +78,23 @@ int mo_sql_row_with(struct mo_connection *connection, sqlite3_stmt **row, const 
   mo_sql_find_with(connection, value, sql, MO_VALUES(__VA_ARGS__))
 int mo_sql_find_with(struct mo_connection *connection, int64_t *value, const char *sql,
                      struct mo_values values);
-/* Calls `take` for each row. Returns the number of rows or the first error. */
-#define mo_sql_each(connection, take, context, sql, ...)                                           \
-  mo_sql_each_with(connection, take, context, sql, MO_VALUES(__VA_ARGS__))
-int64_t mo_sql_each_with(struct mo_connection *connection,
-                         int (*take)(sqlite3_stmt *row, void *context), void *context,
-                         const char *sql, struct mo_values values);
+/* Returns a statement whose rows mo_sql_next reads one by one, until there are none or *error is
+ * not MO_OK. Neither does anything if *error is set before. */
+#define mo_sql_rows(connection, error, sql, ...)                                                   \
+  mo_sql_rows_with(connection, error, sql, MO_VALUES(__VA_ARGS__))
+sqlite3_stmt *mo_sql_rows_with(struct mo_connection *connection, int *error, const char *sql,
+                               struct mo_values values);
+bool mo_sql_next(struct mo_connection *connection, sqlite3_stmt *row, int *error);
+/* Ends all reading of rows. */
+void mo_sql_reset(struct mo_connection *connection);
+int mo_sql_exec(struct mo_connection *connection, const char *sql);
+/* Translates SQLite's result code into an MO_ERR_ code. */
+int mo_sql_error(sqlite3 *db, int code);
 
 /* ---- columns ---- */
 
-/* Binds data that must outlive the step. Binding fails only by a mistake in this room. */
-void mo_bind_hash(sqlite3_stmt *statement, int index, const struct mo_sha256 *hash);
+/* Returns why a column has no value although it must: MO_ERR_CORRUPT, or MO_ERR_NO_MEMORY. */
+int mo_column_missing(sqlite3_stmt *statement);
 /* Read a column and check it: MO_ERR_CORRUPT. */
 int mo_column_hash(sqlite3_stmt *statement, int column, struct mo_sha256 *hash);
 int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits);
@@ -105,6 +105,8 @@ int mo_column_genotype(sqlite3_stmt *statement, int bits_column, int form_column
 /* Reads an environment and checks its hash. */
 int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
                           struct mo_environment *environment);
+int mo_column_physics(sqlite3_stmt *statement, int column, struct mo_physics *physics,
+                      enum mo_precision *precision, enum mo_sensor *sensor);
 int mo_column_double(sqlite3_stmt *statement, int column, double *value); /* 8-byte BLOB */
 double mo_column_number(sqlite3_stmt *statement, int column);             /* NaN: NULL */
 uint32_t mo_column_u32(sqlite3_stmt *statement, int column);

@@ -25,6 +25,7 @@
 #define MORPHO_STORE_STORE_H
 
 #include "store/controllers.h"
+#include "store/designs.h"
 #include "store/evaluations.h"
 #include "store/events.h"
 #include "store/files.h"
@@ -123,27 +124,17 @@ int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, 
 /* Counts the jobs in each state. */
 int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES]);
 
-/* ---- designs ---- */
+/* ---- the attempts of trainings and campaigns ---- */
 
-int mo_store_design(struct mo_store *store, const struct mo_bits *form,
-                    struct mo_design **design); /* MO_ERR_NOT_FOUND */
-
-enum mo_design_sort {
-  MO_DESIGNS_BY_ID = 0 /* in the order in which they were first seen */,
-  MO_DESIGNS_BY_SCORE = 1 /* best first */
-};
-struct mo_design_query {
-  enum mo_design_sort sort;
-  int64_t after_row;  /* by id: the last row; by score: the last genotype_row; 0: from the first */
-  double after_score; /* by score, with after_row: the last score */
-  /* by score: the setting of the scores (designs without such a score are left out) */
-  struct mo_sha256 controller_sha256;
-  char environment_set[MO_NAME_BYTES_MAX + 1];
-  struct mo_physics physics;
-  enum mo_precision precision;
-  char fingerprint[MO_FINGERPRINT_BYTES]; /* the class of the scores */
-};
-int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *query,
-                         struct mo_design_row *rows, size_t limit);
+/* Reads the ids of queued trainings or campaigns, by priority, then ascending. */
+int64_t mo_store_queued_runs(struct mo_store *store, enum mo_job_kind kind, int64_t *ids,
+                             size_t limit);
+/* queued → running. MO_ERR_CONFLICT. */
+int mo_store_run_start(struct mo_store *store, int64_t id);
+/* Ends an attempt. error MO_OK (a stop): running → queued, attempts stay. MO_ERR_DEVICE: running →
+ * paused. Otherwise attempts grow by one: → queued, or at max_attempts → failed. A job that is not
+ * running stays as it is. *after (nullable): the resulting state. */
+int mo_store_run_park(struct mo_store *store, int64_t id, int error, const char *error_text,
+                      uint32_t max_attempts, enum mo_job_state *after);
 
 #endif

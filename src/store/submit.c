@@ -17,15 +17,12 @@ int mo_key_find(struct mo_connection *connection, const char *key, const struct 
   struct mo_sha256 known;
   sqlite3_stmt *row;
   int error = mo_sql_row(connection, &row, sql, mo_string(key));
+  if (error == MO_OK)
+    error = mo_column_hash(row, 1, &known);
   if (error != MO_OK)
     return error;
-  error = mo_column_hash(row, 1, &known);
-  if (error == MO_OK && !mo_sha256_equal(&known, body))
-    error = MO_ERR_CONFLICT;
-  if (error == MO_OK)
-    *id = sqlite3_column_int64(row, 0);
-  (void)sqlite3_reset(row);
-  return error;
+  *id = sqlite3_column_int64(row, 0);
+  return mo_sha256_equal(&known, body) ? MO_OK : MO_ERR_CONFLICT;
 }
 
 int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo_sha256 *body,
@@ -54,12 +51,10 @@ int mo_job_insert(struct mo_connection *writer, const struct mo_job_request *req
   static const char sql[] =
       "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
       "finished_us,error,weight,back_end) VALUES(?1,0,?2,1,0,0,?3,?4,0,0,0,?5,?6)";
-  const int error =
-      mo_sql_do(writer, sql, mo_int(kind), mo_int(request->priority), mo_string(request->label),
-                mo_int(mo_clock_wall_us()), mo_real(request->weight > 0 ? request->weight : 1),
-                mo_int(request->back_end));
-  *id = sqlite3_last_insert_rowid(writer->db);
-  return error;
+  return mo_sql_insert(writer, id, sql, mo_int(kind), mo_int(request->priority),
+                       mo_string(request->label), mo_int(mo_clock_wall_us()),
+                       mo_real(request->weight > 0 ? request->weight : 1),
+                       mo_int(request->back_end));
 }
 
 struct submit_arguments {
@@ -110,11 +105,9 @@ static int resolve(struct mo_connection *writer, const struct mo_submission *sub
                    int64_t *controller, int64_t *physics, int64_t *set, int64_t *n_environments)
 {
   enum mo_sensor sensor = MO_SENSOR_INVERSE_SQRT;
-  int error = mo_controller_find(writer, submission->controller, controller);
+  int error = mo_controller_find(writer, submission->controller, controller, &sensor);
   *set = 0;
   *n_environments = submission->n_environments;
-  if (error == MO_OK)
-    error = mo_controller_sensor(writer, *controller, &sensor);
   if (error == MO_OK)
     error = mo_physics_row(writer, &submission->physics, submission->precision, sensor, physics);
   return error == MO_OK && submission->environment_set != NULL
@@ -129,13 +122,6 @@ static int insert(struct mo_store *store, const struct mo_job_request *request, 
       "INSERT INTO evaluations(job,controller,controller_name,physics,"
       "environment_set,n_designs,n_environments,verify,record,record_stride,"
       "done,cached,diverged) VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0)";
-  static const char copy_sql[] =
-      "INSERT INTO evaluation_environments(job,position,environment)"
-      " SELECT ?1,position,environment FROM environment_set_members WHERE environment_set=?2";
-  static const char environments_sql[] =
-      "INSERT INTO evaluation_environments(job,position,environment) VALUES(?1,?2,?3)";
-  static const char designs_sql[] =
-      "INSERT INTO evaluation_designs(job,position,genotype) VALUES(?1,?2,?3)";
   const struct mo_submission *submission = any;
   const char *name =
       strncmp(submission->controller, "sha256:", 7) == 0 ? "" : submission->controller;
@@ -152,10 +138,10 @@ static int insert(struct mo_store *store, const struct mo_job_request *request, 
         mo_int((submission->record_com ? 1 : 0) + (submission->record_masses ? 2 : 0)),
         mo_int(submission->record_stride));
   if (error == MO_OK)
-    error = mo_environments_insert(writer, copy_sql, environments_sql, *id, set,
-                                   submission->environments, submission->n_environments);
+    error = mo_environments_insert(writer, *id, set, submission->environments,
+                                   submission->n_environments);
   if (error == MO_OK)
-    error = mo_designs_insert(writer, designs_sql, *id, submission->forms, submission->genotypes,
+    error = mo_designs_insert(writer, *id, submission->forms, submission->genotypes,
                               submission->n_designs, mo_clock_wall_us());
   snprintf(data, sizeof(data),
            "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\",\"rollouts_total\":%llu}",

@@ -1,9 +1,11 @@
-/* training_runs.c: what the runner of a training writes: steps, checkpoints and the end. Writes are
- * fenced as in runs.h. */
+/* training_runs.c: what the runner of a training writes: steps, checkpoints, code and the end.
+ * Writes are fenced as in runs.h. */
 #include <math.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "store/checkpoint_files.h"
+#include "store/contents.h"
 #include "store/rows.h"
 #include "store/runs.h"
 #include "store/trainings.h"
@@ -15,30 +17,12 @@ static const char *number(double value, char text[32])
   return text;
 }
 
-/* ---- the queue and the attempt ---- */
-
-int64_t mo_store_queued_trainings(struct mo_store *store, int64_t *ids, size_t limit)
-{
-  return mo_run_queued(store, MO_JOB_TRAINING, ids, limit);
-}
-
-int mo_store_training_start(struct mo_store *store, int64_t id)
-{
-  return mo_run_start(store, id, MO_JOB_TRAINING);
-}
-
-int mo_store_training_park(struct mo_store *store, int64_t id, int error, const char *error_text,
-                           uint32_t max_attempts, enum mo_job_state *after)
-{
-  return mo_run_park(store, id, MO_JOB_TRAINING, error, error_text, max_attempts, after);
-}
-
 int mo_store_training_finish(struct mo_store *store, int64_t id, const char *name,
                              const uint8_t *bytes, size_t size,
                              const struct mo_controller *controller)
 {
   const struct mo_run_result result = {name, bytes, size, controller};
-  return mo_run_finish(store, id, MO_JOB_TRAINING, &result, "", NULL, NULL);
+  return mo_run_finish(store, id, &result, "", NULL, NULL);
 }
 
 /* ---- progress ---- */
@@ -70,7 +54,7 @@ static int progress(struct mo_store *store, void *arguments)
   static const char sql[] = "UPDATE trainings SET step=max(step,?2) WHERE job=?1";
   const struct progress_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
-  int error = mo_run_touch(store, call->id, MO_JOB_TRAINING);
+  int error = mo_run_touch(store, call->id);
   for (size_t i = 0; i < call->n_steps && error == MO_OK; i++)
     error = mo_row_write(writer, MO_TRAINING_STEPS, call->id, &call->steps[i]);
   if (error == MO_OK && call->n_steps > 0)
@@ -115,7 +99,7 @@ static int write_checkpoint(struct mo_store *store, void *arguments)
   struct checkpoint_arguments *call = arguments;
   struct mo_checkpoint *checkpoint = &call->checkpoint;
   char data[256], digits[MO_SHA256_DIGITS + 1];
-  int error = mo_run_touch(store, checkpoint->id, MO_JOB_TRAINING);
+  int error = mo_run_touch(store, checkpoint->id);
   if (error == MO_OK)
     error = mo_sql_do(&store->writer, forgive_sql, mo_int(checkpoint->id),
                       mo_int(checkpoint->place.step));
@@ -146,4 +130,96 @@ int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint3
   struct mo_checkpoint_place place;
   return mo_checkpoint_read(store, id, MO_JOB_TRAINING, 0, step > 0 ? (int64_t)step : -1, &place,
                             bytes, size);
+}
+
+/* ---- which code computed the steps ----
+ *
+ * There is one row for each change: from this step on, this fingerprint. Before its first step, a
+ * run stores its code under the step at which it starts, and deletes the rows from there on, whose
+ * steps it computes again. So after any crash the rows below a step describe the weights at that
+ * step, and a run that computes no step leaves no row. */
+
+#define VARIOUS "various"
+
+int mo_training_code_load(struct mo_connection *connection, int64_t id,
+                          struct mo_training_lineage *lineage)
+{
+  static const char sql[] = "SELECT c.from_step,f.text FROM training_code c JOIN fingerprints f ON"
+                            " f.id=c.fingerprint WHERE c.job=?1 ORDER BY c.from_step LIMIT ?2";
+  int error = MO_OK;
+  sqlite3_stmt *row = mo_sql_rows(connection, &error, sql, mo_int(id), mo_int(MO_LINEAGE_MAX));
+  for (lineage->n = 0; mo_sql_next(connection, row, &error);) {
+    struct mo_training_code *code = &lineage->codes[lineage->n++];
+    code->from_step = mo_column_u32(row, 0);
+    mo_column_text(row, 1, code->fingerprint, sizeof(code->fingerprint));
+  }
+  return error;
+}
+
+static int insert_code(struct mo_connection *writer, int64_t id, uint32_t step,
+                       const char *fingerprint)
+{
+  static const char sql[] =
+      "INSERT OR REPLACE INTO training_code(job,from_step,fingerprint) VALUES(?1,?2,?3)";
+  int64_t row = 0;
+  const int error = mo_fingerprint_row(writer, fingerprint, &row);
+  return error == MO_OK ? mo_sql_do(writer, sql, mo_int(id), mo_int(step), mo_int(row)) : error;
+}
+
+struct code_arguments {
+  int64_t id;
+  uint32_t step;
+  const char *fingerprint;
+  struct mo_training_lineage *lineage;
+};
+
+static int announce_code(struct mo_store *store, const struct code_arguments *call,
+                         const char *before)
+{
+  char data[320];
+  snprintf(data, sizeof(data),
+           "{\"id\":\"%lld\",\"from_step\":%u,\"before\":\"%s\",\"fingerprint\":\"%s\"}",
+           (long long)call->id, (unsigned)call->step, before, call->fingerprint);
+  return mo_writer_event(store, call->id, "training.code_changed", data);
+}
+
+static int note_code(struct mo_store *store, void *arguments)
+{
+  static const char sql[] = "DELETE FROM training_code WHERE job=?1 AND from_step>=?2";
+  struct code_arguments *call = arguments;
+  struct mo_connection *writer = &store->writer;
+  char before[MO_FINGERPRINT_BYTES];
+  uint32_t n;
+  int error = mo_run_touch(store, call->id);
+  if (error == MO_OK)
+    error = mo_sql_do(writer, sql, mo_int(call->id), mo_int(call->step));
+  if (error == MO_OK)
+    error = mo_training_code_load(writer, call->id, call->lineage);
+  if (error != MO_OK)
+    return error;
+  n = call->lineage->n;
+  snprintf(before, sizeof(before), "%s", n > 0 ? call->lineage->codes[n - 1].fingerprint : "");
+  if (n > 0 && strcmp(before, call->fingerprint) == 0)
+    return MO_OK;
+  if (n < MO_LINEAGE_MAX)
+    error = insert_code(writer, call->id, call->step, call->fingerprint);
+  else if (strcmp(before, VARIOUS) != 0) /* no room for another entry */
+    error = insert_code(writer, call->id, call->lineage->codes[n - 1].from_step, VARIOUS);
+  if (error == MO_OK)
+    error = mo_training_code_load(writer, call->id, call->lineage);
+  return error == MO_OK && n > 0 ? announce_code(store, call, before) : error;
+}
+
+int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
+                           const char *fingerprint, struct mo_training_lineage *lineage)
+{
+  struct code_arguments call = {id, step, fingerprint, lineage};
+  size_t size = strlen(fingerprint);
+  if (size == 0 || size >= MO_FINGERPRINT_BYTES)
+    return MO_ERR_RANGE;
+  for (size_t i = 0; i < size; i++)
+    if (fingerprint[i] < ' ' || fingerprint[i] > '~' || fingerprint[i] == '"' ||
+        fingerprint[i] == '\\')
+      return MO_ERR_INVALID;
+  return mo_write(store, note_code, &call);
 }

@@ -22,19 +22,14 @@ static int insert(struct mo_store *store, const struct mo_job_request *request, 
 {
   static const char sql[] =
       "INSERT INTO trainings(job,n_designs,population,step) VALUES(?1,?2,?3,0)";
-  static const char designs_sql[] =
-      "INSERT INTO training_designs(job,position,genotype) VALUES(?1,?2,?3)";
   const struct mo_training_submission *submission = any;
   struct mo_training_record record = submission->record;
   struct mo_connection *writer = &store->writer;
   int64_t parent = 0;
   char data[160];
   int error = MO_OK;
-  if (submission->parent != NULL) {
-    error = mo_controller_find(writer, submission->parent, &parent);
-    if (error == MO_OK)
-      error = mo_controller_sensor(writer, parent, &record.settings.sensor);
-  }
+  if (submission->parent != NULL)
+    error = mo_controller_find(writer, submission->parent, &parent, &record.settings.sensor);
   if (error == MO_OK)
     error = mo_job_insert(writer, request, MO_JOB_TRAINING, id);
   if (error == MO_OK)
@@ -44,7 +39,7 @@ static int insert(struct mo_store *store, const struct mo_job_request *request, 
     error =
         mo_sql_do(writer, sql, mo_int(*id), mo_int(record.n_designs), mo_int(record.population));
   if (error == MO_OK)
-    error = mo_designs_insert(writer, designs_sql, *id, submission->forms, submission->genotypes,
+    error = mo_designs_insert(writer, *id, submission->forms, submission->genotypes,
                               record.n_designs, mo_clock_wall_us());
   snprintf(data, sizeof(data),
            "{\"id\":\"%lld\",\"kind\":\"training\",\"state\":\"queued\",\"steps\":%u}",
@@ -62,29 +57,19 @@ int mo_store_submit_training(struct mo_store *store,
 
 /* ---- one training ---- */
 
-static int load_head(struct mo_connection *reader, int64_t id, struct mo_training_status *status)
-{
-  sqlite3_stmt *row;
-  int error = mo_job_row(reader, id, MO_JOB_TRAINING, &row);
-  if (error != MO_OK)
-    return error;
-  error = mo_job_read(row, &status->job, &status->record);
-  if (error == MO_OK)
-    error = mo_run_result_read(row, &status->has_result, &status->result_sha256);
-  status->step = status->job.steps_done;
-  (void)sqlite3_reset(row);
-  return error;
-}
-
 static int load_status(struct mo_connection *reader, int64_t id, void *any)
 {
   static const char checkpoint_sql[] = "SELECT coalesce(max(step),0) FROM checkpoints WHERE job=?1";
   struct mo_training_status *status = any;
+  sqlite3_stmt *row;
   bool has_step;
   int64_t step = 0;
-  int error;
+  int error = mo_job_row(reader, id, MO_JOB_TRAINING, &row);
   memset(status, 0, sizeof(*status));
-  error = load_head(reader, id, status);
+  if (error == MO_OK)
+    error = mo_job_read(row, &status->job, &status->record);
+  if (error == MO_OK)
+    error = mo_run_result_read(row, &status->has_result, &status->result_sha256);
   if (error == MO_OK)
     error = mo_row_newest(reader, MO_TRAINING_STEPS, id, &status->last, &has_step);
   if (error == MO_OK)
@@ -92,6 +77,7 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
                           &status->has_validation);
   if (error == MO_OK)
     error = mo_sql_find(reader, &step, checkpoint_sql, mo_int(id));
+  status->step = status->job.steps_done;
   status->checkpoint_step = (uint32_t)step;
   return error == MO_OK ? mo_training_code_load(reader, id, &status->code) : error;
 }
@@ -111,26 +97,6 @@ int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *qu
   struct mo_job_query trainings = *query;
   trainings.kind = MO_JOB_TRAINING;
   return mo_read_jobs(store, &trainings, limit, load_status, statuses, sizeof(*statuses));
-}
-
-static int load_designs(struct mo_connection *reader, int64_t id, void *any)
-{
-  static const char sql[] =
-      "SELECT g.id,g.bits,d.form FROM training_designs x JOIN genotypes g ON g.id=x.genotype"
-      " JOIN designs d ON d.id=g.design WHERE x.job=?1 ORDER BY x.position";
-  static const char head_sql[] = "SELECT n_designs FROM trainings WHERE job=?1";
-  struct mo_designs *designs = any;
-  int64_t n = 0;
-  int error = mo_sql_find(reader, &n, head_sql, mo_int(id));
-  if (error == MO_OK)
-    error = mo_designs_read(reader, sql, id, (uint32_t)n, designs);
-  return error == MO_OK && designs->n != n ? MO_ERR_CORRUPT : error;
-}
-
-int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
-                              uint32_t *n)
-{
-  return mo_job_designs(store, id, load_designs, genotypes, n);
 }
 
 /* ---- populations ---- */

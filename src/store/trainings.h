@@ -90,9 +90,6 @@ int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t aft
 int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_t after,
                                       struct mo_training_validation_row *rows,
                                       size_t limit); /* after −1: from the first */
-/* Reads the genotypes of a finetuning's designs, in order (malloc). */
-int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
-                              uint32_t *n);
 /* Reads a checkpoint's bytes (malloc) and checks their hash: MO_ERR_CORRUPT. step 0: the newest. */
 int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t step,
                                        uint8_t **bytes, size_t *size);
@@ -105,12 +102,8 @@ int mo_store_population(struct mo_store *store, int64_t id, uint32_t best,
 
 /* ---- the runner's writes: each returns after its commit, with its event ---- */
 
-/* Reads the ids of queued trainings, by priority, then ascending. */
-int64_t mo_store_queued_trainings(struct mo_store *store, int64_t *ids, size_t limit);
-/* All writes below but the start return MO_ERR_CONFLICT when the training is over, or was not
- * started under this opening of the store. */
-/* queued → running. MO_ERR_CONFLICT. */
-int mo_store_training_start(struct mo_store *store, int64_t id);
+/* All return MO_ERR_CONFLICT when the training is over, or was not started under this opening of
+ * the store. */
 /* Writes rows of steps and validations, with the event "training.progress" of the last step. */
 int mo_store_training_progress(struct mo_store *store, int64_t id,
                                const struct mo_training_step_row *steps, size_t n_steps,
@@ -133,10 +126,5 @@ int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t st
 int mo_store_training_finish(struct mo_store *store, int64_t id, const char *name,
                              const uint8_t *bytes, size_t size,
                              const struct mo_controller *controller);
-/* Ends an attempt. error MO_OK (a stop): running → queued, attempts stay. MO_ERR_DEVICE: running →
- * paused. Otherwise attempts grow by one: → queued, or at max_attempts → failed. A training that is
- * not running stays as it is. *after (nullable): the resulting state. */
-int mo_store_training_park(struct mo_store *store, int64_t id, int error, const char *error_text,
-                           uint32_t max_attempts, enum mo_job_state *after);
 
 #endif

@@ -32,8 +32,7 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
   static const char sql[] = "INSERT INTO events(time_us,job,type,data) VALUES(?1,?2,?3,?4)";
   struct mo_connection *writer = &store->writer;
   struct mo_event *event;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
+  int error;
   if (store->n_events == store->events_capacity) {
     size_t capacity = store->events_capacity > 0 ? store->events_capacity * 2 : 64;
     struct mo_event *events = realloc(store->events, capacity * sizeof(*events));
@@ -50,20 +49,10 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
   memcpy(event->data, data, strlen(data) + 1);
   event->time_us = mo_clock_wall_us();
   event->job = job;
-  statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, event->time_us);
-  sqlite3_bind_int64(statement, 2, job);
-  sqlite3_bind_text(statement, 3, event->type, -1, SQLITE_STATIC);
-  sqlite3_bind_text(statement, 4, event->data, -1, SQLITE_STATIC);
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  if (error != MO_OK)
-    return error;
-  event->sequence = sqlite3_last_insert_rowid(writer->db);
-  store->n_events++;
-  return MO_OK;
+  error = mo_sql_insert(writer, &event->sequence, sql, mo_int(event->time_us), mo_int(job),
+                        mo_string(event->type), mo_string(event->data));
+  store->n_events += error == MO_OK;
+  return error;
 }
 
 void mo_store_declare_fatal(struct mo_store *store, const char *what)
@@ -85,22 +74,14 @@ static const char savepoint_sql[] = "SAVEPOINT operation";
 static const char rollback_to_sql[] = "ROLLBACK TO operation";
 static const char release_sql[] = "RELEASE operation";
 
-static int run_sql(struct mo_store *store, const char *sql)
-{
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(&store->writer, sql, &error);
-  return statement != NULL ? mo_sql_run(&store->writer, statement) : error;
-}
-
 static int prepare_transactions(struct mo_store *store)
 {
   static const char *const sql[] = {begin_sql,     commit_sql,      rollback_sql,
                                     savepoint_sql, rollback_to_sql, release_sql};
   int error = MO_OK;
   for (size_t i = 0; i < sizeof(sql) / sizeof(sql[0]); i++)
-    if (mo_sql(&store->writer, sql[i], &error) == NULL)
-      return error;
-  return MO_OK;
+    (void)mo_sql_rows(&store->writer, &error, sql[i]);
+  return error;
 }
 
 /* Runs an operation in the open transaction. While the store is short of space, an operation that
@@ -110,6 +91,7 @@ static int run_operation(struct mo_store *store, struct mo_operation *operation)
   const sqlite3_int64 before = sqlite3_total_changes64(store->writer.db);
   const int error = operation->run(store, operation->arguments);
   const bool is_refused = !operation->is_urgent && atomic_load(&store->is_short);
+  mo_sql_reset(&store->writer);
   return error == MO_OK && is_refused && sqlite3_total_changes64(store->writer.db) != before
              ? MO_ERR_NO_SPACE
              : error;
@@ -122,7 +104,7 @@ static int run_in_savepoint(struct mo_store *store, struct mo_operation *operati
   struct mo_connection *writer = &store->writer;
   int error = MO_OK;
   operation->first_event = store->n_events;
-  error = run_sql(store, savepoint_sql);
+  error = mo_sql_do(&store->writer, savepoint_sql);
   if (error != MO_OK)
     return error; /* there is no savepoint to roll back to */
   operation->status = run_operation(store, operation);
@@ -130,15 +112,15 @@ static int run_in_savepoint(struct mo_store *store, struct mo_operation *operati
     return operation->status != MO_OK ? operation->status : MO_ERR_IO;
   if (operation->status != MO_OK) {
     store->n_events = operation->first_event;
-    error = run_sql(store, rollback_to_sql);
+    error = mo_sql_do(&store->writer, rollback_to_sql);
   }
-  return error == MO_OK ? run_sql(store, release_sql) : error;
+  return error == MO_OK ? mo_sql_do(&store->writer, release_sql) : error;
 }
 
 static int commit(struct mo_store *store)
 {
   int64_t start = mo_clock_us();
-  int error = run_sql(store, commit_sql);
+  int error = mo_sql_do(&store->writer, commit_sql);
   if (error == MO_OK) {
     atomic_fetch_add(&store->commits, 1);
     atomic_fetch_add(&store->commit_ns, (uint64_t)(mo_clock_us() - start) * 1000);
@@ -149,7 +131,7 @@ static int commit(struct mo_store *store)
 static void abandon(struct mo_store *store)
 {
   if (!sqlite3_get_autocommit(store->writer.db))
-    (void)run_sql(store, rollback_sql);
+    (void)mo_sql_do(&store->writer, rollback_sql);
   store->n_events = 0;
 }
 
@@ -158,7 +140,7 @@ static int run_alone(struct mo_store *store, struct mo_operation *operation)
   int error;
   if (atomic_load(&store->is_fatal))
     return MO_ERR_IO;
-  error = run_sql(store, begin_sql);
+  error = mo_sql_do(&store->writer, begin_sql);
   if (error == MO_OK)
     error = run_operation(store, operation);
   if (error == MO_OK)
@@ -202,7 +184,7 @@ static void release(struct mo_store *store, struct mo_operation *operation)
 /* Runs all operations in one transaction. */
 static int run_together(struct mo_store *store, struct mo_operation *first)
 {
-  int error = atomic_load(&store->is_fatal) ? MO_ERR_IO : run_sql(store, begin_sql);
+  int error = atomic_load(&store->is_fatal) ? MO_ERR_IO : mo_sql_do(&store->writer, begin_sql);
   store->n_events = 0;
   for (struct mo_operation *operation = first; operation != NULL && error == MO_OK;
        operation = operation->next)
@@ -262,26 +244,15 @@ static void prune(struct mo_store *store)
       "DELETE FROM idempotency_keys WHERE key IN (SELECT key FROM idempotency_keys WHERE "
       "created_us < ?1 ORDER BY created_us LIMIT " PRUNE_ROWS ")";
   struct mo_connection *writer = &store->writer;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
+  int error = mo_sql_do(writer, begin_sql);
   store->last_prune_us = mo_clock_us();
   store->events_since_prune = 0;
-  if (run_sql(store, begin_sql) != MO_OK) {
-    abandon(store);
-    return;
-  }
-  statement = mo_sql(writer, events_sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, (sqlite3_int64)store->events_kept);
-    error = mo_sql_run(writer, statement);
-    if (sqlite3_changes(writer->db) > 0)
-      store->events_since_prune = PRUNE_EVERY; /* there may be more: prune again soon */
-  }
-  statement = error == MO_OK ? mo_sql(writer, keys_sql, &error) : NULL;
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, mo_clock_wall_us() - store->idempotency_keep_us);
-    error = mo_sql_run(writer, statement);
-  }
+  if (error == MO_OK)
+    error = mo_sql_do(writer, events_sql, mo_int((int64_t)store->events_kept));
+  if (error == MO_OK && sqlite3_changes(writer->db) > 0)
+    store->events_since_prune = PRUNE_EVERY; /* there may be more: prune again soon */
+  if (error == MO_OK)
+    error = mo_sql_do(writer, keys_sql, mo_int(mo_clock_wall_us() - store->idempotency_keep_us));
   if (error == MO_OK)
     error = commit(store);
   if (error == MO_ERR_IO)
@@ -336,10 +307,7 @@ static void checkpoint(struct mo_store *store)
 static void maintain(struct mo_store *store)
 {
   static const char pages_sql[] = "PRAGMA page_count";
-  struct mo_connection *writer = &store->writer;
-  sqlite3_stmt *statement;
   int64_t pages;
-  int error = MO_OK;
   if (atomic_load(&store->is_fatal))
     return;
   if (atomic_load(&store->is_short) || !atomic_load(&store->no_space))
@@ -352,8 +320,7 @@ static void maintain(struct mo_store *store)
     if (store->wal_frames >= store->checkpoint_frames)
       checkpoint(store);
   }
-  statement = mo_sql(writer, pages_sql, &error);
-  if (statement != NULL && mo_sql_integer(writer, statement, &pages) == MO_OK)
+  if (mo_sql_find(&store->writer, &pages, pages_sql) == MO_OK)
     atomic_store(&store->database_bytes, pages * 4096);
 }
 

@@ -293,7 +293,7 @@ __attribute__((unused)) static void gives_its_population_to_a_training(void)
                                   &service.fixture.message) == MO_OK);
   REQUIRE(await_end(service.jobs, tuning, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
-  REQUIRE(mo_store_training_designs(service.fixture.store, tuning, &genotypes, &n) == MO_OK);
+  REQUIRE(mo_store_job_designs(service.fixture.store, tuning, &genotypes, &n) == MO_OK);
   CHECK_INT(n, 3);
   REQUIRE(mo_store_campaign_population(service.fixture.store, id, -1, 0, rows, 3, &n) == 3);
   for (int i = 0; i < 3; i++)

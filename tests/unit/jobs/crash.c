@@ -104,7 +104,7 @@ static void check_end(const char *path, const struct mo_bits *genotypes, const c
   CHECK_INT(query(path, "SELECT count(*) FROM events WHERE type='job.finished'"), SUBMISSIONS);
   CHECK_INT(query(path, "SELECT count(*) FROM evaluations WHERE done<>n_designs*n_environments"),
             0);
-  CHECK_INT(query(path, "SELECT count(*) FROM (SELECT job,position FROM evaluation_designs GROUP "
+  CHECK_INT(query(path, "SELECT count(*) FROM (SELECT job,position FROM job_designs GROUP "
                         "BY 1,2 HAVING count(*)>1)"),
             0);
   memset(&service, 0, sizeof(service));

@@ -339,7 +339,7 @@ static int do_training(struct life *life, const struct act *act)
   switch (act->kind) {
   case ACT_TRAIN_REMOVE:
     return mo_store_checkpoints_remove(life->store, training->id, MO_JOB_TRAINING, 0, &removed);
-  case ACT_TRAIN_START: return mo_store_training_start(life->store, training->id);
+  case ACT_TRAIN_START: return mo_store_run_start(life->store, training->id);
   case ACT_TRAIN_PROGRESS:
     for (uint32_t i = 0; i < act->n; i++)
       rows[i] = life_step(training->seed, training->position + i + 1);
@@ -352,8 +352,8 @@ static int do_training(struct life *life, const struct act *act)
     free(bytes);
     return error;
   case ACT_TRAIN_PARK:
-    return mo_store_training_park(life->store, training->id, act->n > 0 ? MO_ERR_NO_MEMORY : MO_OK,
-                                  act->n > 0 ? "out of memory" : NULL, 3, NULL);
+    return mo_store_run_park(life->store, training->id, act->n > 0 ? MO_ERR_NO_MEMORY : MO_OK,
+                             act->n > 0 ? "out of memory" : NULL, 3, NULL);
   default: /* finish */
     put_start(&put, act->seed);
     snprintf(name, sizeof(name), "training-%lld", (long long)training->id);

@@ -302,13 +302,13 @@ int campaign_do(struct life *life, const struct act *act)
   const struct campaign_model *campaign = &life->model.campaigns[act->index];
   switch (act->kind) {
   case ACT_CAMPAIGN: return submit(life, act);
-  case ACT_CAMPAIGN_START: return mo_store_campaign_start(life->store, campaign->id);
+  case ACT_CAMPAIGN_START: return mo_store_run_start(life->store, campaign->id);
   case ACT_CAMPAIGN_LOSSES: return save_losses(life, campaign, act->n);
   case ACT_CAMPAIGN_CHECKPOINT: return save_checkpoint(life, campaign, act->n);
   case ACT_CAMPAIGN_GENERATION: return commit(life, campaign, act->index);
   case ACT_CAMPAIGN_PARK:
-    return mo_store_campaign_park(life->store, campaign->id, act->n > 0 ? MO_ERR_NO_MEMORY : MO_OK,
-                                  act->n > 0 ? "out of memory" : NULL, 3, NULL);
+    return mo_store_run_park(life->store, campaign->id, act->n > 0 ? MO_ERR_NO_MEMORY : MO_OK,
+                             act->n > 0 ? "out of memory" : NULL, 3, NULL);
   default: return finish(life, campaign, act->seed);
   }
 }

@@ -31,24 +31,24 @@ static bool file_fails(void)
   return true;
 }
 
-static int faulty_open(void *context, const char *path, int flags)
+static int faulty_open(const char *path, int flags, ...)
 {
-  return file_fails() ? -1 : mo_file_operations_system()->open(context, path, flags);
+  return file_fails() ? -1 : mo_system_files.open(path, flags, 0600);
 }
 
-static ssize_t faulty_write(void *context, int fd, const void *bytes, size_t size)
+static ssize_t faulty_write(int fd, const void *bytes, size_t size)
 {
-  return file_fails() ? -1 : mo_file_operations_system()->write(context, fd, bytes, size);
+  return file_fails() ? -1 : mo_system_files.write(fd, bytes, size);
 }
 
-static int faulty_rename(void *context, const char *from, const char *to)
+static int faulty_rename(const char *from, const char *to)
 {
-  return file_fails() ? -1 : mo_file_operations_system()->rename(context, from, to);
+  return file_fails() ? -1 : mo_system_files.rename(from, to);
 }
 
-static int faulty_mkdir(void *context, const char *path)
+static int faulty_mkdir(const char *path, mode_t mode)
 {
-  return file_fails() ? -1 : mo_file_operations_system()->mkdir(context, path);
+  return file_fails() ? -1 : mo_system_files.mkdir(path, mode);
 }
 
 /* ---- a life on them ---- */
@@ -62,7 +62,7 @@ static int begin(struct life *life)
   atomic_store(&fault_plan.sync_error, 0);
   atomic_store(&fault_plan.once, false);
   atomic_store(&fatal_calls, 0);
-  files = *mo_file_operations_system();
+  files = mo_system_files;
   files.open = faulty_open;
   files.write = faulty_write;
   files.rename = faulty_rename;
@@ -130,7 +130,7 @@ static void has_no_room_for_files(void)
         CHECK(digest(&life) == before);
         REQUIRE(mo_store_requeue(life.fixture.store, 0, 3, "") == MO_OK);
         if (part > START && part != START_AGAIN)
-          REQUIRE(mo_store_campaign_start(life.fixture.store, life.id) == MO_OK);
+          REQUIRE(mo_store_run_start(life.fixture.store, life.id) == MO_OK);
         before = digest(&life);
       } else if (error != MO_OK) {
         CHECK(digest(&life) == before);
@@ -198,7 +198,7 @@ static void fails_everywhere(bool at_sync)
     }
     CHECK_INT(mo_store_check(life.fixture.store, &life.fixture.message), MO_OK);
     REQUIRE(mo_store_requeue(life.fixture.store, 0, 3, "") == MO_OK);
-    REQUIRE(mo_store_campaign_start(life.fixture.store, life.id) == MO_OK);
+    REQUIRE(mo_store_run_start(life.fixture.store, life.id) == MO_OK);
     if (at_sync && all + nothing == 4)
       break;
   }

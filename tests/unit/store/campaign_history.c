@@ -156,7 +156,7 @@ static void tells_the_whole_history(enum mo_campaign_mode mode)
   REQUIRE(model != NULL && fixture_start(&fixture) == 0);
   id = campaign_submit(&fixture, &submission);
   REQUIRE(made_start(&made, fixture.store, id, mode, MADE_POPULATION, 9) == MO_OK);
-  REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   for (int g = 0; g <= UNTIL; g++) {
     REQUIRE(made_next(&made) == MO_OK);
     REQUIRE(mo_store_campaign_commit(fixture.store, id, &made.commit) == MO_OK);
@@ -198,7 +198,7 @@ static void finds_where_a_form_was_born(void)
   REQUIRE(fixture_start(&fixture) == 0);
   for (int i = 0; i < 3; i++) {
     ids[i] = campaign_submit(&fixture, &submission);
-    REQUIRE(mo_store_campaign_start(fixture.store, ids[i]) == MO_OK);
+    REQUIRE(mo_store_run_start(fixture.store, ids[i]) == MO_OK);
     REQUIRE(made_start(&made[i], fixture.store, ids[i], MO_ZERO_SHOT, MADE_POPULATION,
                        i == 1 ? 8 : 9) == MO_OK);
     REQUIRE(made_next(&made[i]) == MO_OK);

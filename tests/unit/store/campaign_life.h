@@ -117,7 +117,7 @@ static inline int live_on(struct life *life, int part)
     submission.idempotency_key = "once";
     return mo_store_submit_campaign(store, &submission, &life->id, &replayed);
   case START:
-  case START_AGAIN: return mo_store_campaign_start(store, life->id);
+  case START_AGAIN: return mo_store_run_start(store, life->id);
   case SAVE_LOSSES:
     return mo_store_campaign_save_losses(store, life->id, 0, life->made.losses, 4, "{}");
   case CHECKPOINT:
@@ -130,7 +130,7 @@ static inline int live_on(struct life *life, int part)
   case SECOND_COMMIT:
   case THIRD_COMMIT: return commit_life(life);
   case PARK:
-    return mo_store_campaign_park(store, life->id, MO_ERR_NO_MEMORY, "out of memory", 3, &state);
+    return mo_store_run_park(store, life->id, MO_ERR_NO_MEMORY, "out of memory", 3, &state);
   case EXTEND: return mo_store_extend_campaign(store, life->id, 3, NULL, &state);
   default:
     return mo_store_campaign_finish(store, life->id, MO_CAMPAIGN_COMPLETED, 4, "walker",

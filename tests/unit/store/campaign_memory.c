@@ -117,7 +117,7 @@ static int read_all(const struct life *life)
   if (found == MO_OK)
     found = mo_store_campaign_environments(store, life->id, &environments, &n);
   if (found == MO_OK)
-    found = mo_store_campaign_initial(store, life->id, &initial, &n);
+    found = mo_store_job_designs(store, life->id, &initial, &n);
   if (found == MO_OK)
     found = mo_store_campaign_state(store, life->id, &state);
   if (found == MO_OK)

@@ -26,7 +26,7 @@ static int64_t begin(struct fixture *fixture, struct made *made, enum mo_campaig
   if (id > 0)
     error = made_start(made, fixture->store, id, mode, MADE_POPULATION, 9);
   if (id > 0 && error == MO_OK)
-    error = mo_store_campaign_start(fixture->store, id);
+    error = mo_store_run_start(fixture->store, id);
   return error != MO_OK ? error : id;
 }
 
@@ -37,7 +37,7 @@ static int live_again(struct fixture *fixture, struct made *made)
   made->store = fixture->store;
   if (error == MO_OK)
     error = mo_store_requeue(fixture->store, 0, 3, "");
-  return error == MO_OK ? mo_store_campaign_start(fixture->store, made->id) : error;
+  return error == MO_OK ? mo_store_run_start(fixture->store, made->id) : error;
 }
 
 static void commits_generations(enum mo_campaign_mode mode)
@@ -50,7 +50,7 @@ static void commits_generations(enum mo_campaign_mode mode)
   struct mo_campaign_generation last;
   int64_t id = begin(&fixture, &made, mode);
   REQUIRE(id > 0);
-  CHECK_INT(mo_store_campaign_start(fixture.store, id), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
   REQUIRE(made_generation(&made) == MO_OK);
   CHECK(made_is_stored(&made));
   for (int g = 1; g <= UNTIL; g++)
@@ -177,7 +177,7 @@ static void refuses_what_is_wrong(void)
             MO_ERR_CONFLICT);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, NULL), MO_OK);
   CHECK_INT(mo_store_campaign_commit(fixture.store, id, &made.commit), MO_ERR_CONFLICT);
-  REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
   CHECK_INT(mo_store_campaign_commit(fixture.store, id, &made.commit), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 2, made.losses, 1, NULL),
@@ -341,7 +341,7 @@ static void shares_scores(void)
   made_apply(&made);
   /* Another campaign of the same: what is stored stays, though it says otherwise. */
   second = campaign_submit(&fixture, &submission);
-  REQUIRE(mo_store_campaign_start(fixture.store, second) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, second) == MO_OK);
   REQUIRE(made_start(&other, fixture.store, second, MO_ZERO_SHOT, MADE_POPULATION, 9) == MO_OK);
   other.state++;
   CHECK_INT(made_generation(&other), MO_OK);

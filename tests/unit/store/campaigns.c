@@ -72,7 +72,6 @@ static void encodes_every_setting(void)
   text.data[text.size - 1] = '\0';
   CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back), MO_ERR_CORRUPT);
   CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, "{\"mode\":\"none\"}", &back), MO_ERR_CORRUPT);
-  CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, NULL, &back), MO_ERR_CORRUPT);
   mo_text_free(&text);
   for (size_t i = 0; i < sizeof(kinds) / sizeof(kinds[0]); i++) {
     record.settings.selection.kind = kinds[i];
@@ -137,7 +136,7 @@ static void submits_and_reads_back(void)
   CHECK_INT(status.n_designs, 0);
   CHECK(isnan(status.best_score) && status.diversity_max == 0 && status.end == MO_CAMPAIGN_OPEN &&
         !status.has_result);
-  CHECK_INT(mo_store_campaign_initial(fixture.store, id, &found, &n), MO_OK);
+  CHECK_INT(mo_store_job_designs(fixture.store, id, &found, &n), MO_OK);
   CHECK(n == 3 && memcmp(found, genotypes, 3 * sizeof(*found)) == 0);
   free(found);
   CHECK_INT(mo_store_campaign_environments(fixture.store, id, &environments, &n), MO_OK);
@@ -190,7 +189,7 @@ static void submits_and_reads_back(void)
   CHECK_INT(campaign_submit(&fixture, &submission), MO_ERR_RANGE);
   CHECK_INT(mo_store_campaign(fixture.store, 99, &status), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_campaign_environments(fixture.store, 99, &environments, &n), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_initial(fixture.store, 99, &found, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_job_designs(fixture.store, 99, &found, &n), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_job_counts(fixture.store, (uint64_t[MO_JOB_STATES]){0}), MO_OK);
   CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, -1}, jobs, 10), 2);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
@@ -228,7 +227,7 @@ static void starts_replicates(void)
     CHECK_INT(status.record.replicate, r);
     CHECK_INT(status.record.replicates, 4);
     CHECK(status.record.settings.seed == (uint64_t)MO_SEED_MAX - 3 + r);
-    CHECK_INT(mo_store_campaign_initial(fixture.store, id + r, &found, &n), MO_OK);
+    CHECK_INT(mo_store_job_designs(fixture.store, id + r, &found, &n), MO_OK);
     CHECK(n == 3 && memcmp(found, genotypes, 3 * sizeof(*found)) == 0);
     free(found);
     CHECK_INT(mo_store_campaign_environments(fixture.store, id + r, &environments, &n), MO_OK);
@@ -243,10 +242,10 @@ static void starts_replicates(void)
   CHECK_INT(mo_store_submit_campaign(fixture.store, &submission, &again, &replayed),
             MO_ERR_CONFLICT);
   /* Interactive ones first, then as they came. */
-  CHECK_INT(mo_store_queued_campaigns(fixture.store, ids, 8), 5);
+  CHECK_INT(mo_store_queued_runs(fixture.store, MO_JOB_CAMPAIGN, ids, 8), 5);
   CHECK(ids[0] == id && ids[1] == id + 1 && ids[3] == id + 3 && ids[4] == other);
-  CHECK_INT(mo_store_queued_campaigns(fixture.store, ids, 2), 2);
-  CHECK_INT(mo_store_queued_trainings(fixture.store, ids, 8), 0);
+  CHECK_INT(mo_store_queued_runs(fixture.store, MO_JOB_CAMPAIGN, ids, 2), 2);
+  CHECK_INT(mo_store_queued_runs(fixture.store, MO_JOB_TRAINING, ids, 8), 0);
   CHECK_INT(mo_store_queued(fixture.store, MO_INTERACTIVE, 0, ids, 8), 0);
   /* Lists, newest first. */
   CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 8), 5);
@@ -256,8 +255,8 @@ static void starts_replicates(void)
   CHECK_INT(page[0].job.id, id + 1);
   query = (struct mo_job_query){.state = -1, .group = id};
   CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 8), 4);
-  REQUIRE(mo_store_campaign_start(fixture.store, id + 1) == MO_OK);
-  REQUIRE(mo_store_campaign_start(fixture.store, id + 2) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id + 1) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id + 2) == MO_OK);
   query.state = MO_JOB_RUNNING;
   CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 8), 2);
   CHECK(page[0].job.id == id + 2 && page[1].job.id == id + 1);
@@ -294,7 +293,7 @@ static void inherits_a_population(void)
   CHECK_INT(mo_store_population(fixture.store, first, 0, &best, &n), MO_ERR_CONFLICT);
   submission.record.initial_campaign = 77;
   CHECK_INT(campaign_submit(&fixture, &submission), MO_ERR_NOT_FOUND);
-  REQUIRE(mo_store_campaign_start(fixture.store, first) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, first) == MO_OK);
   REQUIRE(made_start(&made, fixture.store, first, MO_ZERO_SHOT, MADE_POPULATION, 9) == MO_OK);
   REQUIRE(made_generation(&made) == MO_OK);
   REQUIRE(made_generation(&made) == MO_OK);
@@ -312,7 +311,7 @@ static void inherits_a_population(void)
   CHECK(n == 2 && memcmp(best, before, 2 * sizeof(*best)) == 0);
   free(best);
   REQUIRE(made_generation(&made) == MO_OK);
-  CHECK_INT(mo_store_campaign_initial(fixture.store, second, &found, &n), MO_OK);
+  CHECK_INT(mo_store_job_designs(fixture.store, second, &found, &n), MO_OK);
   CHECK(n == MADE_POPULATION && memcmp(found, before, sizeof(before)) == 0);
   free(found);
   /* One of its designs is listed, turned or not: it comes once, first. The last ones have no place.
@@ -327,7 +326,7 @@ static void inherits_a_population(void)
   submission.record.settings.population = 4;
   second = campaign_submit(&fixture, &submission);
   REQUIRE(second > 0);
-  CHECK_INT(mo_store_campaign_initial(fixture.store, second, &found, &n), MO_OK);
+  CHECK_INT(mo_store_job_designs(fixture.store, second, &found, &n), MO_OK);
   CHECK(n == 4 && memcmp(&found[0], &listed, sizeof(listed)) == 0 &&
         memcmp(&found[1], &before[0], sizeof(listed)) == 0 &&
         memcmp(&found[2], &before[2], sizeof(listed)) == 0 &&
@@ -338,7 +337,7 @@ static void inherits_a_population(void)
   submission.record.n_listed = 0;
   second = campaign_submit(&fixture, &submission);
   REQUIRE(second > 0);
-  CHECK_INT(mo_store_campaign_initial(fixture.store, second, &found, &n), MO_OK);
+  CHECK_INT(mo_store_job_designs(fixture.store, second, &found, &n), MO_OK);
   CHECK_INT(n, 0);
   free(found);
   made_free(&made);
@@ -406,7 +405,7 @@ static void finishes_and_extends(void)
   CHECK_INT(
       mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 9, NULL, NULL, 0, NULL),
       MO_ERR_CONFLICT);
-  REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   finish_with(&fixture, id, controller);
   /* Succeeded: queued again, without its end. */
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 2, NULL, &before), MO_OK);
@@ -422,7 +421,7 @@ static void finishes_and_extends(void)
   /* Queued, running, paused: just longer. */
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   CHECK_INT(before, MO_JOB_QUEUED);
-  REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   CHECK(before == MO_JOB_RUNNING && campaign_state(&fixture, id) == MO_JOB_RUNNING);
   CHECK_INT(
@@ -473,7 +472,7 @@ static void finishes_and_extends(void)
   id = campaign_submit(&fixture, &submission);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   /* Exhausted: there is nothing new to find. */
-  REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_OPEN, 2, NULL, NULL, 0, NULL),
             MO_ERR_INVALID);
   CHECK_INT(
@@ -488,8 +487,8 @@ static void finishes_and_extends(void)
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_CONFLICT);
   id = campaign_submit(&fixture, &submission);
-  REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 1, NULL),
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 1, NULL),
             MO_OK);
   CHECK_INT(campaign_state(&fixture, id), MO_JOB_FAILED);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_CONFLICT);
@@ -509,15 +508,14 @@ static void parks_and_requeues(void)
   int64_t id;
   REQUIRE(fixture_start(&fixture) == 0);
   id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT); /* not a training */
-  REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK(strcmp(campaign_event(&fixture, id).type, "job.started") == 0);
-  CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
+  CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
   CHECK(after == MO_JOB_QUEUED && strcmp(campaign_event(&fixture, id).type, "job.requeued") == 0);
-  CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_OK, NULL, 3, &after),
+  CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after),
             MO_OK); /* it does not run */
   /* A process that dies leaves it running; the next one queues it again. */
-  REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_OK);
   CHECK_INT(campaign_state(&fixture, id), MO_JOB_RUNNING);
   CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
@@ -525,27 +523,26 @@ static void parks_and_requeues(void)
   /* An error, a crash, an error: the third is the last, unless a generation comes between. */
   REQUIRE(made_start(&made, fixture.store, id, MO_FEW_SHOT, MADE_POPULATION, 3) == MO_OK);
   for (int round = 0; round < 2; round++) {
-    REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
-    CHECK_INT(
-        mo_store_campaign_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
-        MO_OK);
+    REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
+    CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+              MO_OK);
     CHECK_INT(after, MO_JOB_QUEUED);
     CHECK_INT(mo_store_requeue(fixture.store, id, 3, "killed"), MO_OK);
     CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
     CHECK_INT(job.attempts, 2);
     CHECK_TEXT(job.error_text, "killed");
-    REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
+    REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
     if (round == 0) {
       REQUIRE(made_generation(&made) == MO_OK);
       CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
       CHECK_INT(job.attempts, 0);
-      CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
+      CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
     }
   }
-  CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+  CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
             MO_OK);
   CHECK_INT(after, MO_JOB_FAILED);
-  CHECK_INT(mo_store_campaign_start(fixture.store, id), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
   CHECK(strstr(campaign_event(&fixture, id).data, "\"kind\":\"campaign\",\"state\":\"failed\"") !=
         NULL);
   /* A retry, not a mere resumption, takes it up again; nothing of one that is not over, and none
@@ -563,13 +560,13 @@ static void parks_and_requeues(void)
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RETRY, NULL), MO_ERR_CONFLICT);
   /* One that is paused stays so. */
   id = campaign_submit(&fixture, &submission);
-  REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
-  CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
+  CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
   CHECK_INT(after, MO_JOB_PAUSED);
-  CHECK_INT(mo_store_campaign_start(fixture.store, id), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, NULL), MO_OK);
-  CHECK_INT(mo_store_campaign_start(fixture.store, id), MO_OK);
+  CHECK_INT(mo_store_run_start(fixture.store, id), MO_OK);
   made_free(&made);
   fixture_end(&fixture);
 }

@@ -50,7 +50,7 @@ static void keeps_checkpoints(void)
   int64_t id;
   REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size),
             MO_ERR_NOT_FOUND);
   for (uint32_t step = 10; step <= 40; step += 10) {
@@ -145,7 +145,7 @@ static void reads_checkpoints_while_they_go(void)
   REQUIRE(fixture_start(&fixture) == 0);
   writer.store = fixture.store;
   writer.id = submit(&fixture, &submission);
-  REQUIRE(mo_store_training_start(fixture.store, writer.id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, writer.id) == MO_OK);
   REQUIRE(mo_store_training_checkpoint(fixture.store, writer.id, 1, (const uint8_t *)"1", 1, 1) ==
           MO_OK);
   REQUIRE(pthread_create(&thread, NULL, write_checkpoints, &writer) == 0);
@@ -175,7 +175,7 @@ static void keeps_apart_damage_and_want_of_descriptors(void)
   int next;
   REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   REQUIRE(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2) ==
           MO_OK);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
@@ -205,7 +205,7 @@ static void survives_a_full_disk(void)
   int64_t id;
   REQUIRE(bytes != NULL && fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 1, bytes, 1000, 2), MO_OK);
   signal(SIGXFSZ, SIG_IGN);
   getrlimit(RLIMIT_FSIZE, &before);
@@ -239,7 +239,7 @@ static void removes_what_is_not_needed(void)
   CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_TRAINING, 0, &removed),
             MO_OK); /* none yet */
   CHECK_INT(removed.n, 0);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   for (uint32_t step = 10; step <= 50; step += 10)
     REQUIRE(mo_store_training_checkpoint(fixture.store, id, step, (const uint8_t *)"state", 5, 9) ==
             MO_OK);
@@ -308,7 +308,7 @@ static void writes_again_what_is_removed(void)
   REQUIRE(fixture_start(&fixture) == 0);
   remover.store = fixture.store;
   remover.id = submit(&fixture, &submission);
-  REQUIRE(mo_store_training_start(fixture.store, remover.id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, remover.id) == MO_OK);
   REQUIRE(pthread_create(&thread, NULL, remove_checkpoints, &remover) == 0);
   for (int i = 0; i < 150; i++) {
     uint32_t step = (uint32_t)(1 + i % 3);

@@ -120,7 +120,8 @@ struct disk *disk_new(uint64_t seed, unsigned lies)
   pthread_mutex_init(&disk->mutex, NULL);
   disk->chance = seed;
   disk->lies = lies;
-  disk_files_start(disk);
+  for (size_t i = 0; i < FILES_MAX; i++)
+    disk->files[i].fd = -1;
   if (make_base(disk) != 0) {
     free(disk);
     return NULL;
@@ -154,11 +155,6 @@ const char *disk_folder(const struct disk *disk)
 const char *disk_vfs(const struct disk *disk)
 {
   return disk->vfs.zName;
-}
-
-const struct mo_file_operations *disk_files(const struct disk *disk)
-{
-  return &disk->operations;
 }
 
 void disk_stop_after(struct disk *disk, long n)

@@ -28,7 +28,8 @@ struct disk *disk_new(uint64_t seed,
 void disk_free(struct disk *disk);    /* NULL-safe; the store is closed */
 const char *disk_folder(const struct disk *disk); /* the state folder: another one after a cut */
 const char *disk_vfs(const struct disk *disk);
-const struct mo_file_operations *disk_files(const struct disk *disk);
+/* The store's own files on a disk: on one at a time. */
+const struct mo_file_operations *disk_files(struct disk *disk);
 uint64_t disk_random(struct disk *disk); /* all chances are drawn from the seed */
 
 /* After `n` changes from now on (writes, truncations, syncs, creations, renamings, removals)

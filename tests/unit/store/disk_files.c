@@ -8,6 +8,8 @@
 
 #include "disk_inside.h"
 
+static struct disk *disk; /* whose files the store of this process writes */
+
 static int fail(int error)
 {
   errno = error;
@@ -20,9 +22,10 @@ static int end(enum turn turn, int result)
   return turn == TURN_LAST ? fail(EIO) : result;
 }
 
-static int disk_open(void *context, const char *path, int flags)
+static int disk_close(int fd);
+
+static int disk_open(const char *path, int flags, ...)
 {
-  struct disk *disk = context;
   const char *name = disk_below(disk, path);
   enum turn turn = TURN_GO;
   struct inode *inode;
@@ -54,14 +57,12 @@ static int disk_open(void *context, const char *path, int flags)
     snprintf(disk->files[slot].folder, sizeof(disk->files[slot].folder), "%s", name);
   }
   pthread_mutex_unlock(&disk->mutex);
-  if (turn == TURN_LAST && fd >= 0) {
-    (void)disk->operations.close(disk, fd);
-    fd = -1;
-  }
+  if (turn == TURN_LAST && fd >= 0)
+    (void)disk_close(fd);
   return turn == TURN_GO ? fd : fail(EIO);
 }
 
-static size_t slot_of(const struct disk *disk, int fd)
+static size_t slot_of(int fd)
 {
   size_t slot = 0;
   while (slot < FILES_MAX && disk->files[slot].fd != fd)
@@ -71,14 +72,13 @@ static size_t slot_of(const struct disk *disk, int fd)
   return slot;
 }
 
-static ssize_t disk_write(void *context, int fd, const void *bytes, size_t size)
+static ssize_t disk_write(int fd, const void *bytes, size_t size)
 {
-  struct disk *disk = context;
   ssize_t written = -1;
   enum turn turn;
   size_t slot;
   pthread_mutex_lock(&disk->mutex);
-  slot = slot_of(disk, fd);
+  slot = slot_of(fd);
   turn = disk_change(disk, false);
   if (turn != TURN_OFF)
     written = write(fd, bytes, size);
@@ -90,13 +90,12 @@ static ssize_t disk_write(void *context, int fd, const void *bytes, size_t size)
   return turn == TURN_GO ? written : fail(EIO);
 }
 
-static int disk_sync(void *context, int fd)
+static int disk_sync(int fd)
 {
-  struct disk *disk = context;
   enum turn turn;
   size_t slot;
   pthread_mutex_lock(&disk->mutex);
-  slot = slot_of(disk, fd);
+  slot = slot_of(fd);
   turn = disk_change(disk, true);
   if (turn == TURN_GO) {
     if (disk->files[slot].inode == NULL && (disk->lies & DISK_FORGETS_FOLDERS) == 0)
@@ -108,18 +107,16 @@ static int disk_sync(void *context, int fd)
   return turn == TURN_GO ? 0 : fail(EIO);
 }
 
-static int disk_close(void *context, int fd)
+static int disk_close(int fd)
 {
-  struct disk *disk = context;
   pthread_mutex_lock(&disk->mutex);
-  disk->files[slot_of(disk, fd)].fd = -1;
+  disk->files[slot_of(fd)].fd = -1;
   pthread_mutex_unlock(&disk->mutex);
   return close(fd);
 }
 
-static int disk_rename(void *context, const char *from, const char *to)
+static int disk_rename(const char *from, const char *to)
 {
-  struct disk *disk = context;
   enum turn turn;
   int result = -1;
   pthread_mutex_lock(&disk->mutex);
@@ -136,7 +133,7 @@ static int disk_rename(void *context, const char *from, const char *to)
 }
 
 /* A removal, or a new folder. */
-static int change_name(struct disk *disk, enum name_kind kind, const char *path)
+static int change_name(enum name_kind kind, const char *path)
 {
   enum turn turn;
   int result = -1;
@@ -154,26 +151,27 @@ static int change_name(struct disk *disk, enum name_kind kind, const char *path)
   return end(turn, result);
 }
 
-static int disk_unlink(void *context, const char *path)
+static int disk_unlink(const char *path)
 {
-  return change_name(context, NAME_REMOVED, path);
+  return change_name(NAME_REMOVED, path);
 }
 
-static int disk_mkdir(void *context, const char *path)
+static int disk_mkdir(const char *path, mode_t mode)
 {
-  return change_name(context, NAME_MADE, path);
+  (void)mode;
+  return change_name(NAME_MADE, path);
 }
 
-static int disk_rmdir(void *context, const char *path)
+static int disk_rmdir(const char *path)
 {
-  return change_name(context, NAME_FOLDER_REMOVED, path);
+  return change_name(NAME_FOLDER_REMOVED, path);
 }
 
-void disk_files_start(struct disk *disk)
+const struct mo_file_operations *disk_files(struct disk *used)
 {
-  disk->operations =
-      (struct mo_file_operations){disk_open,   disk_write, disk_sync,  disk_close, disk_rename,
-                                  disk_unlink, disk_mkdir, disk_rmdir, disk};
-  for (size_t i = 0; i < FILES_MAX; i++)
-    disk->files[i].fd = -1;
+  static const struct mo_file_operations operations = {disk_open,  disk_write,  disk_sync,
+                                                       disk_close, disk_rename, disk_unlink,
+                                                       disk_mkdir, disk_rmdir};
+  disk = used;
+  return &operations;
 }

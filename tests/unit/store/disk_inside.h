@@ -30,7 +30,6 @@ struct disk {
     char folder[240]; /* when it is one */
     int64_t at;
   } files[FILES_MAX];
-  struct mo_file_operations operations;
   sqlite3_vfs vfs, *real;
 };
 
@@ -50,8 +49,7 @@ void disk_note(struct disk *disk, enum name_kind kind, const char *path, const c
 struct inode *disk_create(struct disk *disk, const char *path);
 void disk_sync_folder(struct disk *disk, const char *folder);
 
-void disk_files_start(struct disk *disk); /* its operations: disk_files.c */
-int disk_vfs_start(struct disk *disk);    /* SQLite's: disk_vfs.c. 0 or −1 */
+int disk_vfs_start(struct disk *disk); /* SQLite's: disk_vfs.c. 0 or −1 */
 void disk_vfs_end(struct disk *disk);
 
 #endif

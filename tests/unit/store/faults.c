@@ -204,7 +204,7 @@ static int live_on(struct training_life *life, int part)
   switch (part) {
   case SUBMIT: return mo_store_submit_training(store, &life->submission, &life->id, &replayed);
   case START:
-  case START_AGAIN: return mo_store_training_start(store, life->id);
+  case START_AGAIN: return mo_store_run_start(store, life->id);
   case PROGRESS:
     return mo_store_training_progress(store, life->id, rows, 20, &validation, "{\"id\":\"1\"}");
   case FIRST_CHECKPOINT:
@@ -212,7 +212,7 @@ static int live_on(struct training_life *life, int part)
   case SECOND_CHECKPOINT:
     return mo_store_training_checkpoint(store, life->id, 20, state, sizeof(state), 1);
   case PARK:
-    return mo_store_training_park(store, life->id, MO_ERR_NO_MEMORY, "out of memory", 3, &after);
+    return mo_store_run_park(store, life->id, MO_ERR_NO_MEMORY, "out of memory", 3, &after);
   default:
     return mo_store_training_finish(store, life->id, "walker", life->weights, life->size,
                                     life->controller);

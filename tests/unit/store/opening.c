@@ -194,8 +194,8 @@ static void reports_what_contradicts_itself(void)
   static const char *const damage[] = {
       "PRAGMA ignore_check_constraints=ON; UPDATE scores SET losses=x'0102'",
       "PRAGMA ignore_check_constraints=ON; UPDATE genotypes SET bits=x'01' WHERE id=1",
-      "DELETE FROM evaluation_designs WHERE position=1",
-      "DELETE FROM evaluation_environments WHERE position=3",
+      "DELETE FROM job_designs WHERE position=1",
+      "DELETE FROM job_environments WHERE position=3",
       "UPDATE jobs SET state=42",
       "UPDATE physics SET encoding=x'02'",
       "UPDATE evaluations SET n_designs=1000000",

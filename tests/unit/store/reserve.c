@@ -219,7 +219,7 @@ static void keeps_it_for_people(void)
   for (int i = 0; i < JOBS; i++)
     CHECK_INT(mo_store_submit(small.fixture.store, &one, &ids[i], &replayed), MO_OK);
   trained = submit(&small.fixture, &training);
-  CHECK_INT(mo_store_training_start(small.fixture.store, trained), MO_OK);
+  CHECK_INT(mo_store_run_start(small.fixture.store, trained), MO_OK);
   for (uint32_t step = 1; step <= 2; step++)
     CHECK_INT(mo_store_training_checkpoint(small.fixture.store, trained, step,
                                            (const uint8_t *)"state", 5, 2),
@@ -349,7 +349,7 @@ static void starts_when_it_is_full(void)
   for (int i = 0; i < 3; i++)
     CHECK_INT(mo_store_submit(small.fixture.store, &one, &ids[i], &replayed), MO_OK);
   trained = submit(&small.fixture, &training);
-  CHECK_INT(mo_store_training_start(small.fixture.store, trained), MO_OK);
+  CHECK_INT(mo_store_run_start(small.fixture.store, trained), MO_OK);
   snprintf(index, sizeof(index), "%s/morphod.db-shm", small.fixture.path);
   whole = size_of(small.reserve);
   fill_all(&small);

@@ -57,7 +57,6 @@ static void encodes_every_setting(void)
   CHECK_INT(mo_settings_read(MO_JOB_TRAINING, "{\"adjoint_rule\":\"none\"}", &back),
             MO_ERR_CORRUPT);
   CHECK_INT(mo_settings_read(MO_JOB_TRAINING, "{\"batch\":0}", &back), MO_ERR_CORRUPT);
-  CHECK_INT(mo_settings_read(MO_JOB_TRAINING, NULL, &back), MO_ERR_CORRUPT);
   mo_text_free(&text);
 }
 
@@ -117,11 +116,11 @@ static void submits_and_reads_back(void)
   CHECK(status.record.has_parent && mo_sha256_equal(&status.record.parent_sha256, &record.sha256));
   CHECK_TEXT(status.record.parent_name, "default");
   CHECK_INT(status.record.settings.sensor, MO_SENSOR_INVERSE_SQRT); /* the parent's */
-  CHECK_INT(mo_store_training_designs(fixture.store, second, &found, &n), MO_OK);
+  CHECK_INT(mo_store_job_designs(fixture.store, second, &found, &n), MO_OK);
   CHECK_INT(n, 20);
   CHECK(found != NULL && memcmp(found, genotypes, 20 * sizeof(*found)) == 0);
   free(found);
-  CHECK_INT(mo_store_training_designs(fixture.store, second + 1, &found, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_job_designs(fixture.store, second + 1, &found, &n), MO_ERR_NOT_FOUND);
   tune.parent = "nobody";
   CHECK_INT(submit(&fixture, &tune), MO_ERR_NOT_FOUND);
   REQUIRE(mo_controller_create((struct mo_workspace){2, 2, 2}, MO_SENSOR_INVERSE_SQRT, &small) ==
@@ -180,14 +179,13 @@ static void keeps_the_queues_apart(void)
   second = submit(&fixture, &training);
   CHECK_INT(mo_store_queued(fixture.store, MO_BATCH, 0, ids, 5), 1);
   CHECK_INT(ids[0], id);
-  CHECK_INT(mo_store_queued_trainings(fixture.store, ids, 5), 2);
+  CHECK_INT(mo_store_queued_runs(fixture.store, MO_JOB_TRAINING, ids, 5), 2);
   CHECK(ids[0] == first && ids[1] == second);
   CHECK_INT(mo_store_open_work(fixture.store, &jobs, &rollouts), MO_OK);
   CHECK_INT(jobs, 3);
   CHECK_INT(rollouts, 30);
   CHECK_INT(mo_store_load_work(fixture.store, first, fixture_classes(1), &work), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_results(fixture.store, first, &results), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
   free(forms);
   free(genotypes);
   fixture_end(&fixture);
@@ -209,8 +207,8 @@ static void keeps_the_curve(void)
     rows[i] = row_of(i + 1);
   CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 10, NULL, NULL),
             MO_ERR_CONFLICT); /* not started */
-  CHECK_INT(mo_store_training_start(fixture.store, id), MO_OK);
-  CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_run_start(fixture.store, id), MO_OK);
+  CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 10, NULL, "{\"id\":\"1\"}"), MO_OK);
   CHECK_INT(mo_store_training_progress(fixture.store, id, NULL, 0, &validation, NULL), MO_OK);
   /* Steps 5 to 7 are run again: nothing changes but their times. */
@@ -320,7 +318,7 @@ static void names_the_code(void)
   REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
   CHECK_INT(mo_store_training_code(fixture.store, id, 0, "one", &lineage), MO_ERR_CONFLICT);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_training_code(fixture.store, id, 0, "none", &lineage),
             MO_OK); /* it came to no step */
   CHECK_INT(mo_store_training_code(fixture.store, id, 0, "one", &lineage), MO_OK);
@@ -350,7 +348,7 @@ static void names_the_code(void)
   CHECK_INT(mo_store_training_code(fixture.store, id, 40, "four", &lineage),
             MO_ERR_CONFLICT); /* of an earlier life */
   CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   for (uint32_t step = 40; step < 40 + MO_LINEAGE_MAX; step++) {
     snprintf(name, sizeof(name), "code %u", (unsigned)step);
     CHECK_INT(mo_store_training_code(fixture.store, id, step, name, &lineage), MO_OK);
@@ -378,7 +376,7 @@ static void finds_by_the_state_that_is_shown(void)
   REQUIRE(fixture_start(&fixture) == 0);
   for (int i = 0; i < 6; i++) {
     ids[i] = submit(&fixture, &submission);
-    REQUIRE(i == 5 || mo_store_training_start(fixture.store, ids[i]) == MO_OK);
+    REQUIRE(i == 5 || mo_store_run_start(fixture.store, ids[i]) == MO_OK);
   }
   waiting[0] = ids[1];
   waiting[1] = ids[3]; /* paused while it waited */
@@ -430,13 +428,13 @@ static void finishes_with_its_controller(void)
   CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller),
             MO_ERR_CONFLICT);
   CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_ERR_NOT_FOUND);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
   CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller),
             MO_ERR_CONFLICT);
   CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, NULL), MO_OK);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller), MO_OK);
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
   CHECK_INT(status.job.state, MO_JOB_SUCCEEDED);
@@ -464,61 +462,59 @@ static void parks_and_requeues(void)
   int64_t id, n;
   REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_training_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
   CHECK_INT(after, MO_JOB_QUEUED);
   /* A process that dies leaves it running; the next one queues it again. */
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_OK);
   CHECK_INT(state_of(&fixture, id), MO_JOB_RUNNING);
   CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
   CHECK_INT(state_of(&fixture, id), MO_JOB_QUEUED);
   /* An error, a crash, an error: the third is the last. */
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
             MO_OK);
   CHECK_INT(after, MO_JOB_QUEUED);
   CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
   CHECK_INT(job.attempts, 1);
   CHECK_TEXT(job.error_text, "out of memory");
   CHECK_INT(mo_store_requeue(fixture.store, id, 3, "killed"), MO_OK);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
             MO_OK);
   CHECK_INT(after, MO_JOB_FAILED);
-  CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
   n = mo_store_events(fixture.store, 0, id, events, 10, NULL, NULL);
   CHECK(n > 0 && strcmp(events[n - 1].type, "job.finished") == 0);
   CHECK(n > 0 && strstr(events[n - 1].data, "\"kind\":\"training\",\"state\":\"failed\"") != NULL);
   /* One that is paused stays so. */
   id = submit(&fixture, &submission);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
-  CHECK_INT(mo_store_training_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
+  CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
   CHECK_INT(after, MO_JOB_PAUSED);
-  CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
   /* Errors with progress between them are forgiven; errors at one step are not, whatever checkpoint
    * is written again. */
   id = submit(&fixture, &submission);
   for (uint32_t round = 1; round <= 5; round++) {
-    REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+    REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
     CHECK_INT(
         mo_store_training_checkpoint(fixture.store, id, 10 * round, (const uint8_t *)"x", 1, 2),
         MO_OK);
-    CHECK_INT(
-        mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
-        MO_OK);
+    CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+              MO_OK);
     CHECK_INT(after, MO_JOB_QUEUED);
     CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
     CHECK_INT(job.attempts, 1);
   }
   for (uint32_t attempt = 2; attempt <= 3; attempt++) {
-    REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+    REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
     CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"x", 1, 2),
               MO_OK);
-    CHECK_INT(
-        mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
-        MO_OK);
+    CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+              MO_OK);
     CHECK_INT(after, attempt < 3 ? MO_JOB_QUEUED : MO_JOB_FAILED);
   }
   fixture_end(&fixture);

@@ -1,0 +1,37 @@
+/* designs.h: designs and their scores. Threads and errors as in store.h. */
+#ifndef MORPHO_STORE_DESIGNS_H
+#define MORPHO_STORE_DESIGNS_H
+
+#include "store/records.h"
+
+struct mo_store;
+
+int mo_store_design(struct mo_store *store, const struct mo_bits *form,
+                    struct mo_design **design); /* MO_ERR_NOT_FOUND */
+
+enum mo_design_sort {
+  MO_DESIGNS_BY_ID = 0 /* in the order in which they were first seen */,
+  MO_DESIGNS_BY_SCORE = 1 /* best first */
+};
+struct mo_design_query {
+  enum mo_design_sort sort;
+  int64_t after_row;  /* by id: the last row; by score: the last genotype_row; 0: from the first */
+  double after_score; /* by score, with after_row: the last score */
+  /* by score: the setting of the scores (designs without such a score are left out) */
+  struct mo_sha256 controller_sha256;
+  char environment_set[MO_NAME_BYTES_MAX + 1];
+  struct mo_physics physics;
+  enum mo_precision precision;
+  char fingerprint[MO_FINGERPRINT_BYTES]; /* the class of the scores */
+};
+int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *query,
+                         struct mo_design_row *rows, size_t limit);
+
+/* Reads the designs of a job, in order (malloc): those listed in the request. Of a campaign: the
+ * initial ones: record.n_listed listed ones, then those of initial_campaign's newest population,
+ * best first, while the population has room; designs that are listed already or do not fit the
+ * campaign's workspace were left out. MO_ERR_NOT_FOUND. */
+int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
+                         uint32_t *n);
+
+#endif
