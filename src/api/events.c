@@ -167,7 +167,7 @@ void mo_api_get_events(struct mo_request *request)
   else if (from != NULL && !mo_decimal(from, strlen(from), 0, INT64_MAX, &after))
     mo_reply_bad_parameter(request, "after", place);
   else if (last != NULL && last[0] != '\0' && !mo_decimal(last, strlen(last), 0, INT64_MAX, &after))
-    mo_reply_bad_header(request, 400, "Last-Event-ID", place, NULL);
+    mo_reply_bad_header(request, "Last-Event-ID", place);
   else if (cursor != NULL &&
            (!is_page || !mo_decimal(cursor, strlen(cursor), 0, INT64_MAX, &after)))
     mo_reply_bad_parameter(request, "cursor",

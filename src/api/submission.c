@@ -19,8 +19,8 @@ static bool begin(struct mo_request *request, struct mo_post *post)
   if (field == NULL)
     return true;
   if (!mo_idempotency_key(field, post->key)) {
-    mo_reply_bad_header(request, 400, "Idempotency-Key",
-                        "1 to 255 printable ASCII characters are expected", NULL);
+    mo_reply_bad_header(request, "Idempotency-Key",
+                        "1 to 255 printable ASCII characters are expected");
     return false;
   }
   mo_sha256_of(request->body, request->body_size, &post->body_sha256);

@@ -4,7 +4,6 @@
 #include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "base/number.h"
@@ -77,13 +76,10 @@ static void read_count(struct mo_json *json, const struct mo_field *field, void 
   const int64_t max = field->type == MO_FIELD_SEED ? MO_SEED_MAX : (int64_t)field->max;
   if (!mo_json_integer(json, (int64_t)field->min, max, &number))
     return;
-  if (field->type == MO_FIELD_SEED) {
-    uint64_t seed = (uint64_t)number;
-    memcpy(value, &seed, sizeof(seed));
-  } else {
-    uint32_t count = (uint32_t)number;
-    memcpy(value, &count, sizeof(count));
-  }
+  if (field->type == MO_FIELD_SEED)
+    *(uint64_t *)value = (uint64_t)number;
+  else
+    *(uint32_t *)value = (uint32_t)number;
 }
 
 static void read_number(struct mo_json *json, const struct mo_field *field, void *value)
@@ -93,7 +89,7 @@ static void read_number(struct mo_json *json, const struct mo_field *field, void
   if (!mo_json_number(json, &number))
     return;
   if (is_within(field, number))
-    memcpy(value, &number, sizeof(number));
+    *(double *)value = number;
   else
     mo_json_fault(json, "%s, got %s", bounds_of(field, bounds), MO_NUMBER(number));
 }
@@ -106,7 +102,7 @@ static void read_word(struct mo_json *json, const struct mo_field *field, void *
     return;
   for (int i = 0; field->words[i] != NULL; i++)
     if (mo_json_is(word, field->words[i])) {
-      memcpy(value, &i, sizeof(i));
+      *(int *)value = i;
       return;
     }
   char list[MO_WORDS_BYTES];
@@ -186,80 +182,52 @@ void mo_fields_read(struct mo_json *json, const struct mo_fields *fields, void *
 int mo_fields_parse(const char *text, size_t size, const struct mo_fields *fields, void *settings,
                     struct mo_message *message)
 {
-  struct mo_json *json = malloc(sizeof(*json));
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
-  int error = MO_ERR_NO_MEMORY;
-  if (json != NULL && faults != NULL) {
-    mo_json_start(json, text, size, faults);
-    mo_fields_read(json, fields, settings);
-    const bool whole = mo_json_finish(json);
-    error = whole && faults->n == 0 ? MO_OK : MO_ERR_FORMAT;
-  }
-  if (error == MO_ERR_FORMAT)
-    mo_fail(message, error, "%s: %s", faults->items[0].where, faults->items[0].detail);
-  free(faults);
-  free(json);
-  return error;
+  struct mo_faults faults = {0};
+  struct mo_json json;
+  mo_json_start(&json, text, size, &faults);
+  mo_fields_read(&json, fields, settings);
+  if (mo_json_finish(&json) && faults.n == 0)
+    return MO_OK;
+  return mo_fail(message, MO_ERR_FORMAT, "%s: %s", faults.items[0].where, faults.items[0].detail);
 }
 
 /* ---- writing ---- */
 
 static uint64_t count_at(const struct mo_field *field, const void *value)
 {
-  uint32_t count = 0;
-  uint64_t seed = 0;
-  if (field->type == MO_FIELD_SEED)
-    memcpy(&seed, value, sizeof(seed));
-  else
-    memcpy(&count, value, sizeof(count));
-  return field->type == MO_FIELD_SEED ? seed : count;
+  return field->type == MO_FIELD_SEED ? *(const uint64_t *)value : *(const uint32_t *)value;
 }
 
-static double number_at(const void *value)
+/* Says whether null stands for the value. */
+static bool is_null(const struct mo_field *field, const void *value)
 {
-  double number;
-  memcpy(&number, value, sizeof(number));
-  return number;
-}
-
-static int word_at(const void *value)
-{
-  int word;
-  memcpy(&word, value, sizeof(word));
-  return word;
-}
-
-static void write_number(struct mo_text *text, double number)
-{
-  mo_text_add(text, isfinite(number) ? MO_NUMBER(number) : "null");
+  if (!(field->flags & MO_FIELD_NULL))
+    return false;
+  switch (field->type) {
+  case MO_FIELD_COUNT:
+  case MO_FIELD_SEED: return count_at(field, value) == 0;
+  case MO_FIELD_NUMBER: return *(const double *)value == 0;
+  case MO_FIELD_WORD: return *(const int *)value < 0;
+  default: return false;
+  }
 }
 
 static void write_value(struct mo_text *text, const struct mo_field *field, const void *value)
 {
-  bool flag;
+  if (is_null(field, value)) {
+    mo_text_add(text, "null");
+    return;
+  }
   switch (field->type) {
   case MO_FIELD_COUNT:
-  case MO_FIELD_SEED:
-    if ((field->flags & MO_FIELD_NULL) && count_at(field, value) == 0)
-      mo_text_add(text, "null");
-    else
-      mo_text_format(text, "%" PRIu64, count_at(field, value));
-    break;
+  case MO_FIELD_SEED: mo_text_format(text, "%" PRIu64, count_at(field, value)); break;
   case MO_FIELD_NUMBER:
-    if ((field->flags & MO_FIELD_NULL) && number_at(value) == 0)
-      mo_text_add(text, "null");
-    else
-      write_number(text, number_at(value));
+    mo_text_add(text,
+                isfinite(*(const double *)value) ? MO_NUMBER(*(const double *)value) : "null");
     break;
-  case MO_FIELD_FLAG:
-    memcpy(&flag, value, sizeof(flag));
-    mo_text_add(text, flag ? "true" : "false");
-    break;
+  case MO_FIELD_FLAG: mo_text_add(text, *(const bool *)value ? "true" : "false"); break;
   case MO_FIELD_WORD:
-    if ((field->flags & MO_FIELD_NULL) && word_at(value) < 0)
-      mo_text_add(text, "null");
-    else
-      mo_text_format(text, "\"%s\"", mo_word(field->words, (unsigned)word_at(value)));
+    mo_text_format(text, "\"%s\"", mo_word(field->words, *(const unsigned *)value));
     break;
   case MO_FIELD_GROUP: mo_fields_write_object(text, field->group, value); break;
   case MO_FIELD_OWN: field->own->write(text, value); break;
@@ -271,10 +239,8 @@ void mo_fields_write(struct mo_text *text, const struct mo_fields *fields, const
 {
   for (size_t i = 0; i < fields->n; i++) {
     const struct mo_field *field = &fields->rows[i];
-    if (i > 0)
-      mo_text_add(text, ",");
     if (field->type != MO_FIELD_INLINE)
-      mo_text_format(text, "\"%s\":", field->name);
+      mo_text_name(text, field->name);
     write_value(text, field, at_const(settings, field));
   }
 }
@@ -329,8 +295,8 @@ static int check(const struct mo_fields *fields, const char *above, const void *
     case MO_FIELD_COUNT:
       error = check_number(field, path, (double)count_at(field, value), message);
       break;
-    case MO_FIELD_NUMBER: error = check_number(field, path, number_at(value), message); break;
-    case MO_FIELD_WORD: error = check_word(field, path, word_at(value), message); break;
+    case MO_FIELD_NUMBER: error = check_number(field, path, *(const double *)value, message); break;
+    case MO_FIELD_WORD: error = check_word(field, path, *(const int *)value, message); break;
     case MO_FIELD_INLINE:
     case MO_FIELD_GROUP: error = check(field->group, path, value, message); break;
     case MO_FIELD_OWN:

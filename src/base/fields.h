@@ -76,7 +76,7 @@ void mo_fields_read(struct mo_json *json, const struct mo_fields *fields, void *
 void mo_fields_unknown(struct mo_json *json, const char *known, const struct mo_fields *fields);
 
 /* Parses a whole text from mo_fields_write_object. Missing members stay unchanged. MO_ERR_FORMAT,
- * with the first fault in `message`; MO_ERR_NO_MEMORY. */
+ * with the first fault in `message`. */
 int mo_fields_parse(const char *text, size_t size, const struct mo_fields *fields, void *settings,
                     struct mo_message *message);
 

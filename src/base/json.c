@@ -14,12 +14,60 @@
 
 /* ---- places ---- */
 
-static int hex_value(char c)
+/* Reads four hexadecimal digits; −1: they are none. */
+static long four_digits(const char *bytes, size_t n)
 {
-  return c >= '0' && c <= '9'   ? c - '0'
-         : c >= 'a' && c <= 'f' ? c - 'a' + 10
-         : c >= 'A' && c <= 'F' ? c - 'A' + 10
-                                : -1;
+  long code = 0;
+  for (size_t k = 0; k < 4; k++) {
+    const int digit = k < n ? mo_hex_digit(bytes[k]) : -1;
+    if (digit < 0)
+      return -1;
+    code = code << 4 | digit;
+  }
+  return code;
+}
+
+/* Reads the escape that `bytes` begins with. Returns the character; −1: *words says what is
+ * wrong. */
+static long read_escape(const char *bytes, size_t n, size_t *size, const char **words)
+{
+  static const char names[] = "\"\\/bfnrt", values[] = "\"\\/\b\f\n\r\t";
+  const char *name = n > 1 && bytes[1] != '\0' ? strchr(names, bytes[1]) : NULL;
+  *size = 2;
+  if (name != NULL)
+    return values[name - names];
+  *size = 6;
+  const long code = n > 1 && bytes[1] == 'u' ? four_digits(bytes + 2, n - 2) : 0;
+  const bool is_high = code >= 0xD800 && code < 0xDC00;
+  const long low =
+      is_high && n > 8 && bytes[6] == '\\' && bytes[7] == 'u' ? four_digits(bytes + 8, n - 8) : -1;
+  if (n < 2 || bytes[1] != 'u')
+    *words = "an unknown escape";
+  else if (code < 0)
+    *words = "\\u needs four hexadecimal digits";
+  else if (code == 0)
+    *words = "\\u0000 is not allowed";
+  else if (code >= 0xDC00 && code < 0xE000)
+    *words = "a low surrogate without a high one";
+  else if (!is_high)
+    return code;
+  else if (low < 0xDC00 || low >= 0xE000)
+    *words = "a high surrogate without a low one";
+  else {
+    *size = 12;
+    return 0x10000 + ((code - 0xD800) << 10) + (low - 0xDC00);
+  }
+  return -1;
+}
+
+/* Writes a character as UTF-8; returns its length. */
+static unsigned encode(unsigned long code, char bytes[4])
+{
+  const unsigned length = code < 0x80 ? 1 : code < 0x800 ? 2 : code < 0x10000 ? 3 : 4;
+  for (unsigned k = length; k-- > 1; code >>= 6)
+    bytes[k] = (char)(0x80 | (code & 0x3F));
+  bytes[0] = (char)(length == 1 ? code : 0xF00UL >> length | code);
+  return length;
 }
 
 /* Decodes the escapes of a string that was checked before. Writes at most `capacity` bytes; returns
@@ -27,52 +75,14 @@ static int hex_value(char c)
 static size_t decode(struct mo_json_slice raw, char *out, size_t capacity)
 {
   size_t n = 0;
-  for (size_t i = 0; i < raw.size;) {
-    unsigned long code;
-    char c = raw.bytes[i];
-    if (c != '\\') {
-      if (n < capacity)
-        out[n] = c;
-      n++, i++;
-      continue;
-    }
-    char kind = raw.bytes[i + 1];
-    i += 2;
-    if (kind != 'u') {
-      if (n < capacity)
-        out[n] = (char)(kind == 'b'   ? '\b'
-                        : kind == 'f' ? '\f'
-                        : kind == 'n' ? '\n'
-                        : kind == 'r' ? '\r'
-                        : kind == 't' ? '\t'
-                                      : kind);
-      n++;
-      continue;
-    }
-    code = 0;
-    for (int k = 0; k < 4; k++)
-      code = code << 4 | (unsigned long)hex_value(raw.bytes[i++]);
-    if (code >= 0xD800 && code < 0xDC00) {
-      unsigned long low = 0;
-      i += 2;
-      for (int k = 0; k < 4; k++)
-        low = low << 4 | (unsigned long)hex_value(raw.bytes[i++]);
-      code = 0x10000 + ((code - 0xD800) << 10) + (low - 0xDC00);
-    }
-    char bytes[4];
-    unsigned length;
-    if (code < 0x80) {
-      bytes[0] = (char)code, length = 1;
-    } else if (code < 0x800) {
-      bytes[0] = (char)(0xC0 | code >> 6), bytes[1] = (char)(0x80 | (code & 0x3F)), length = 2;
-    } else if (code < 0x10000) {
-      bytes[0] = (char)(0xE0 | code >> 12), bytes[1] = (char)(0x80 | (code >> 6 & 0x3F));
-      bytes[2] = (char)(0x80 | (code & 0x3F)), length = 3;
-    } else {
-      bytes[0] = (char)(0xF0 | code >> 18), bytes[1] = (char)(0x80 | (code >> 12 & 0x3F));
-      bytes[2] = (char)(0x80 | (code >> 6 & 0x3F)), bytes[3] = (char)(0x80 | (code & 0x3F)),
-      length = 4;
-    }
+  for (size_t i = 0, size; i < raw.size; i += size) {
+    const char *words = NULL;
+    char bytes[4] = {raw.bytes[i]};
+    unsigned length = 1;
+    size = 1;
+    if (raw.bytes[i] == '\\')
+      length =
+          encode((unsigned long)read_escape(raw.bytes + i, raw.size - i, &size, &words), bytes);
     for (unsigned k = 0; k < length; k++, n++)
       if (n < capacity)
         out[n] = bytes[k];
@@ -80,7 +90,8 @@ static size_t decode(struct mo_json_slice raw, char *out, size_t capacity)
   return n;
 }
 
-void mo_json_pointer(const struct mo_json *json, unsigned depth, char *pointer, size_t size)
+/* Writes the pointer of the value that began when `depth` levels were open. */
+static void write_pointer(const struct mo_json *json, unsigned depth, char *pointer, size_t size)
 {
   size_t at = 0;
   for (unsigned d = 0; d < depth && d < json->depth; d++) {
@@ -112,39 +123,22 @@ void mo_json_pointer(const struct mo_json *json, unsigned depth, char *pointer, 
   pointer[at] = '\0';
 }
 
-static void fault_words(struct mo_json *json, unsigned depth, const char *below, const char *words)
+void mo_json_fault_at(struct mo_json *json, unsigned depth, const char *below, const char *format,
+                      ...)
 {
-  char pointer[sizeof(json->faults->items[0].where)];
-  mo_json_pointer(json, depth, pointer, sizeof(pointer));
+  char words[256], pointer[sizeof(json->faults->items[0].where)];
+  va_list arguments;
+  if (json->stop)
+    return;
+  va_start(arguments, format);
+  vsnprintf(words, sizeof(words), format, arguments);
+  va_end(arguments);
+  write_pointer(json, depth, pointer, sizeof(pointer));
   size_t n = strlen(pointer);
   if (n + strlen(below) < sizeof(pointer))
     memcpy(pointer + n, below, strlen(below) + 1);
   mo_faults_add(json->faults, MO_FAULT_BODY, pointer, "%s", words);
-  if (mo_faults_full(json->faults))
-    json->stop = true;
-}
-
-void mo_json_fault_at(struct mo_json *json, unsigned depth, const char *below, const char *format,
-                      ...)
-{
-  char words[256];
-  va_list arguments;
-  va_start(arguments, format);
-  vsnprintf(words, sizeof(words), format, arguments);
-  va_end(arguments);
-  if (!json->stop)
-    fault_words(json, depth, below, words);
-}
-
-void mo_json_fault(struct mo_json *json, const char *format, ...)
-{
-  char words[256];
-  va_list arguments;
-  va_start(arguments, format);
-  vsnprintf(words, sizeof(words), format, arguments);
-  va_end(arguments);
-  if (!json->stop)
-    fault_words(json, json->depth, "", words);
+  json->stop = mo_faults_full(json->faults);
 }
 
 /* Reports where the text stops being JSON, and ends the reading. */
@@ -159,9 +153,7 @@ static bool syntax(struct mo_json *json, const char *words)
   }
   json->faults->n = 0; /* earlier faults of a text that is not JSON mean nothing */
   json->faults->malformed = true;
-  char detail[256];
-  snprintf(detail, sizeof(detail), "line %zu, column %zu: %s", line, column, words);
-  fault_words(json, json->depth, "", detail);
+  mo_json_fault(json, "line %zu, column %zu: %s", line, column, words);
   json->stop = true;
   return false;
 }
@@ -172,11 +164,9 @@ void mo_json_start(struct mo_json *json, const char *text, size_t size, struct m
 {
   json->text = text;
   json->size = size;
-  json->at = 0;
   json->faults = faults;
+  json->at = json->depth = json->n_keys = 0;
   json->stop = false;
-  json->depth = 0;
-  json->n_keys = 0;
 }
 
 static void skip_space(struct mo_json *json)
@@ -262,36 +252,9 @@ static bool raw_string(struct mo_json *json, struct mo_json_slice *raw, bool *pl
     const char *words = NULL;
     if (text[at] == '\\') {
       *plain = false;
-      char kind = at + 1 < json->size ? json->text[at + 1] : '\0';
-      at += 2;
-      if (kind == 'u') {
-        unsigned long code = 0;
-        for (int k = 0; k < 4 && words == NULL; k++, at++) {
-          int digit = at < json->size ? hex_value(json->text[at]) : -1;
-          if (digit < 0)
-            words = "\\u needs four hexadecimal digits";
-          code = code << 4 | (unsigned long)(digit & 15);
-        }
-        if (words == NULL && code == 0)
-          words = "\\u0000 is not allowed";
-        else if (words == NULL && code >= 0xDC00 && code < 0xE000)
-          words = "a low surrogate without a high one";
-        else if (words == NULL && code >= 0xD800 && code < 0xDC00) {
-          unsigned long low = 0;
-          bool ok = at + 6 <= json->size && json->text[at] == '\\' && json->text[at + 1] == 'u';
-          for (int k = 2; k < 6 && ok; k++) {
-            int digit = hex_value(json->text[at + (size_t)k]);
-            ok = digit >= 0;
-            low = low << 4 | (unsigned long)(digit & 15);
-          }
-          if (!ok || low < 0xDC00 || low >= 0xE000)
-            words = "a high surrogate without a low one";
-          else
-            at += 6;
-        }
-      } else if (kind == '\0' || strchr("\"\\/bfnrt", kind) == NULL) {
-        words = "an unknown escape";
-      }
+      size_t length;
+      (void)read_escape(json->text + at, json->size - at, &length, &words);
+      at += length;
     } else if (text[at] < 0x20) {
       words = "a control character in a string; write it as an escape";
     } else {
@@ -355,17 +318,12 @@ static bool raw_number(struct mo_json *json, struct mo_json_slice *raw)
 
 /* ---- values ---- */
 
-static const char *kind_words(enum mo_json_kind kind)
+static bool mismatch(struct mo_json *json, enum mo_json_kind kind, const char *expected)
 {
   static const char *const words[] = {"nothing",  "an object", "an array", "a string",
                                       "a number", "true",      "false",    "null"};
-  return words[kind];
-}
-
-static bool mismatch(struct mo_json *json, enum mo_json_kind kind, const char *expected)
-{
   if (kind != MO_JSON_NONE) {
-    mo_json_fault(json, "%s is given; %s is expected", kind_words(kind), expected);
+    mo_json_fault(json, "%s is given; %s is expected", words[kind], expected);
     mo_json_skip(json);
   }
   return false;

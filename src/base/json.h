@@ -93,16 +93,12 @@ bool mo_json_member(struct mo_json *json, struct mo_json_slice *key);
 
 void mo_json_skip(struct mo_json *json);
 
-/* Adds a fault at the value that is being read (between values: at the previous item). */
-void mo_json_fault(struct mo_json *json, const char *format, ...)
-    __attribute__((format(printf, 2, 3)));
 /* Adds a fault at `below` ("" or "/cells/7") under the value that began when `depth` levels were
  * open. */
 void mo_json_fault_at(struct mo_json *json, unsigned depth, const char *below, const char *format,
                       ...) __attribute__((format(printf, 4, 5)));
-/* Writes the pointer of the value that began when `depth` levels were open. */
-void mo_json_pointer(const struct mo_json *json, unsigned depth, char *pointer, size_t size);
-
+/* Adds a fault at the value that is being read (between values: at the previous item). */
+#define mo_json_fault(json, ...) mo_json_fault_at(json, (json)->depth, "", __VA_ARGS__)
 bool mo_json_is(struct mo_json_slice slice, const char *words);
 
 #endif

@@ -16,3 +16,11 @@ const char *mo_number_text(double value, char text[MO_NUMBER_BYTES])
       *c = '.';
   return text;
 }
+
+int mo_hex_digit(char c)
+{
+  return c >= '0' && c <= '9'   ? c - '0'
+         : c >= 'a' && c <= 'f' ? c - 'a' + 10
+         : c >= 'A' && c <= 'F' ? c - 'A' + 10
+                                : -1;
+}

@@ -45,6 +45,7 @@ struct service {
   size_t n_listeners;
   char address_text[LISTENERS_MAX][ADDRESS_BYTES];
   const char *addresses[LISTENERS_MAX];
+  gid_t groups[64];                /* that may use unix sockets */
   char *unix_paths[LISTENERS_MAX]; /* sockets created here, to be removed; else NULL */
   struct mo_store *store;
   struct mo_compute *compute;
@@ -320,14 +321,13 @@ static int start_http(struct service *service, const struct settings *settings,
   int status = tokens_read(settings->token_file, &tokens, message);
   if (status != MO_OK)
     return status;
-  gid_t groups[64];
   for (size_t i = 0; i < settings->unix_groups.n && status == MO_OK; i++) {
     const struct group *group = getgrnam(settings->unix_groups.items[i]);
     if (group == NULL)
       status = mo_fail(message, MO_ERR_INVALID, "unix_groups: there is no group \"%s\"",
                        settings->unix_groups.items[i]);
     else
-      groups[i] = group->gr_gid;
+      service->groups[i] = group->gr_gid;
   }
   struct mo_http_config config = {
       .listeners = service->listeners,
@@ -337,7 +337,7 @@ static int start_http(struct service *service, const struct settings *settings,
       .tokens = tokens.items,
       .n_tokens = tokens.n,
       .token_on_loopback = settings->token_on_loopback != 0,
-      .unix_groups = groups,
+      .unix_groups = service->groups,
       .n_unix_groups = settings->unix_groups.n,
       .max_connections = (uint32_t)settings->max_connections,
       .max_streams = (uint32_t)settings->max_streams,

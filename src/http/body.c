@@ -31,26 +31,15 @@ bool mo_body_memory_take(struct mo_http *http, uint64_t held, uint64_t more, boo
 
 static void leave_list(struct mo_request *request)
 {
-  if (!request->body_coming)
-    return;
-  if (request->previous_body != NULL)
-    request->previous_body->next_body = request->next_body;
-  else
-    request->http->bodies = request->next_body;
-  if (request->next_body != NULL)
-    request->next_body->previous_body = request->previous_body;
+  if (request->body_coming)
+    LIST_REMOVE(request, other_bodies);
   request->body_coming = false;
 }
 
 static void join_list(struct mo_request *request)
 {
-  if (request->body_coming)
-    return;
-  request->previous_body = NULL;
-  request->next_body = request->http->bodies;
-  if (request->next_body != NULL)
-    request->next_body->previous_body = request;
-  request->http->bodies = request;
+  if (!request->body_coming)
+    LIST_INSERT_HEAD(&request->http->bodies, request, other_bodies);
   request->body_coming = true;
 }
 
@@ -106,9 +95,10 @@ static int reserve(struct mo_request *request, size_t n)
 static bool drop_another(const struct mo_request *request, bool of_client)
 {
   struct mo_http *http = request->http;
-  struct mo_request *stalest = NULL;
+  struct mo_request *stalest = NULL, *other;
   int64_t stalest_us = mo_clock_us() - MO_STALL_US;
-  for (struct mo_request *other = http->bodies; other != NULL; other = other->next_body) {
+  LIST_FOREACH(other, &http->bodies, other_bodies)
+  {
     int64_t since_us = atomic_load(&other->connection->spare_us);
     bool helps = !of_client ||
                  memcmp(other->connection->client_key, request->connection->client_key, 16) == 0;

@@ -1,14 +1,20 @@
-/* connection.c: the table of open connections, their deadlines, and how one of them is cut. */
+/* connection.c: the table of open connections, their deadlines, how one of them is cut, and how it
+ * lingers. */
 #include <errno.h>
 #include <stdlib.h>
 #include <sys/eventfd.h>
 #include <sys/resource.h>
+#include <unistd.h>
 
+#include "base/clock.h"
 #include "http/problem.h"
 #include "http/server.h"
 
 /* Descriptors for the database, files, devices, and connections that are ending. */
 #define OTHER_FILES 512
+
+#define LINGER_US    2000000
+#define LINGER_READS 16 /* per call: a client that keeps sending must not block the thread */
 
 void mo_write_refusal(int fd, unsigned status, const char *id, const char *detail)
 {
@@ -134,4 +140,48 @@ int mo_connections_init(struct mo_http *http, struct mo_message *message)
   if (http->connections == NULL || http->stop_fd < 0)
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the table of connections");
   return MO_OK;
+}
+
+/* ---- lingering ---- */
+
+void mo_linger_add(struct mo_lingering *lingering, int fd)
+{
+  pthread_mutex_lock(&lingering->lock);
+  bool room = lingering->n < MO_LINGER_MAX;
+  if (room) {
+    lingering->fd[lingering->n] = fd;
+    lingering->until_us[lingering->n++] = mo_clock_us() + LINGER_US;
+  }
+  pthread_mutex_unlock(&lingering->lock);
+  if (!room)
+    close(fd);
+}
+
+void mo_linger_on(struct mo_lingering *lingering, int64_t now_us)
+{
+  char waste[16384];
+  pthread_mutex_lock(&lingering->lock);
+  for (size_t i = 0; i < lingering->n;) {
+    ssize_t n = 1;
+    for (int k = 0; k < LINGER_READS && n > 0; k++)
+      n = recv(lingering->fd[i], waste, sizeof(waste), MSG_DONTWAIT);
+    if (n == 0 || (n < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR) ||
+        now_us >= lingering->until_us[i]) {
+      close(lingering->fd[i]);
+      lingering->n--;
+      lingering->fd[i] = lingering->fd[lingering->n];
+      lingering->until_us[i] = lingering->until_us[lingering->n];
+    } else {
+      i++;
+    }
+  }
+  pthread_mutex_unlock(&lingering->lock);
+}
+
+void mo_linger_end(struct mo_lingering *lingering)
+{
+  for (size_t i = 0; i < lingering->n; i++)
+    close(lingering->fd[i]);
+  lingering->n = 0;
+  pthread_mutex_destroy(&lingering->lock);
 }

@@ -63,13 +63,23 @@ bool mo_connection_has_left(const struct mo_connection *connection);
 /* Writes a refusal to a socket as a whole reply. */
 void mo_write_refusal(int fd, unsigned status, const char *id, const char *detail);
 
+/* For a moment, reads and discards what clients still send after their last reply: closing at once
+ * would reset the connection and lose the reply. */
+#define MO_LINGER_MAX 128
+struct mo_lingering {
+  pthread_mutex_t lock;
+  int fd[MO_LINGER_MAX];
+  int64_t until_us[MO_LINGER_MAX];
+  size_t n;
+};
+/* Takes over the descriptor, already shut down for writing. */
+void mo_linger_add(struct mo_lingering *lingering, int fd);
+void mo_linger_on(struct mo_lingering *lingering, int64_t now_us);
+void mo_linger_end(struct mo_lingering *lingering);
+
 int mo_acceptor_start(struct mo_http *http, struct mo_message *message); /* accept.c */
 void mo_acceptor_stop(struct mo_http *http);
 
 bool mo_address_is_loopback(const struct sockaddr_storage *address); /* in listen.c */
-/* Finds the user at the other end of a connection from a loopback address (peer.c). False: not
- * known. Called by the acceptor. */
-void mo_peers_open(struct mo_http *http);
-bool mo_peer_uid(struct mo_http *http, int fd, const struct sockaddr_storage *peer, uid_t *uid);
 
 #endif

@@ -7,7 +7,6 @@
 #include <string.h>
 
 #include "base/clock.h"
-#include "http/download.h"
 #include "http/query.h"
 
 #define DEFAULT_BODY_BYTES (UINT64_C(64) << 10) /* of routes that need no large body */
@@ -59,13 +58,12 @@ static enum MHD_Result collect(void *context, enum MHD_ValueKind kind, const cha
 
 static void refuse(struct mo_request *request, const struct mo_refusal *refusal)
 {
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
-  if (faults != NULL && refusal->header != NULL)
-    mo_faults_add(faults, MO_FAULT_HEADER, refusal->header, "%s", refusal->detail);
-  mo_reply_problem(request, refusal->status, faults, "The request is not acceptable: %s.",
+  struct mo_faults faults = {0};
+  if (refusal->header != NULL)
+    mo_faults_add(&faults, MO_FAULT_HEADER, refusal->header, "%s", refusal->detail);
+  mo_reply_problem(request, refusal->status, &faults, "The request is not acceptable: %s.",
                    refusal->detail);
   request->reply.close = refusal->close;
-  free(faults);
 }
 
 static uint64_t body_limit(const struct mo_request *request)
@@ -134,25 +132,22 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
   struct mo_refusal refusal = {431, true, NULL, "the header is too large; " MO_HEADER_WORDS};
   const union MHD_ConnectionInfo *info =
       MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_REQUEST_HEADER_SIZE);
-  struct header_list *list = malloc(sizeof(*list));
+  struct header_list list = {.n = 0};
   size_t n = 0;
   for (; method[n] != '\0' && n < sizeof(request->method_text) - 1; n++)
     request->method_text[n] =
         (unsigned char)method[n] > 0x20 && (unsigned char)method[n] < 0x7F ? method[n] : '?';
   request->method = mo_method_of(method);
-  if (list == NULL || request->raw_target == NULL) {
-    free(list);
+  if (request->raw_target == NULL) {
     mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
     request->reply.close = true;
     return;
   }
-  list->n = 0;
-  MHD_get_connection_values_n(mhd, MHD_HEADER_KIND, collect, list);
+  MHD_get_connection_values_n(mhd, MHD_HEADER_KIND, collect, &list);
   bool good = info != NULL && info->header_size <= MO_HEADER_BYTES &&
-              mo_guard_headers(list->items, list->n, strcmp(version, "HTTP/1.0") == 0,
+              mo_guard_headers(list.items, list.n, strcmp(version, "HTTP/1.0") == 0,
                                &request->framing, &refusal) &&
               mo_guard_target(request->raw_target, &request->target, &refusal);
-  free(list);
   if (!good) {
     refuse(request, &refusal);
     return;
@@ -329,9 +324,7 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
       *size = 0;
       return MHD_YES;
     }
-    return request->stream != NULL     ? mo_stream_send(request)
-           : request->download != NULL ? mo_download_send(request)
-                                       : mo_reply_send(request);
+    return mo_reply_send(request);
   }
   return MHD_NO;
 }

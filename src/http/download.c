@@ -63,6 +63,35 @@ static void refill(struct mo_request *request)
   MHD_resume_connection(mhd); /* from here on the I/O thread has the request */
 }
 
+/* Gives libmicrohttpd the next bytes. */
+static ssize_t reader(void *context, uint64_t position, char *out, size_t capacity)
+{
+  (void)position;
+  struct mo_request *request = context;
+  struct mo_download *download = request->download;
+  size_t ready = download->failed ? 0 : download->piece.size - download->read;
+  bool closed;
+  atomic_store(&request->connection->deadline_us, mo_clock_us() + STALL_US);
+  if (ready > 0) {
+    size_t n = ready < capacity ? ready : capacity;
+    memcpy(out, download->piece.data + download->read, n);
+    download->read += n;
+    request->sent += n;
+    return (ssize_t)n;
+  }
+  if (download->failed)
+    return MHD_CONTENT_READER_END_WITH_ERROR;
+  if (download->last)
+    return MHD_CONTENT_READER_END_OF_STREAM;
+  struct MHD_Connection *mhd = request->mhd;
+  MHD_suspend_connection(mhd);
+  if (!mo_pool_give(request->http, request, &closed)) { /* the server is stopping */
+    download->failed = true;
+    MHD_resume_connection(mhd);
+  }
+  return 0;
+}
+
 void mo_download_open(struct mo_request *request, const char *type, const char *tag, uint64_t held,
                       mo_download_more more, void *context, void (*free_context)(void *context))
 {
@@ -96,55 +125,11 @@ void mo_download_open(struct mo_request *request, const char *type, const char *
     if (request->reply.status == 200) {
       request->download = download;
       request->refill = refill;
+      request->reader = reader;
       return;
     }
   }
   discard(download);
-}
-
-/* Gives libmicrohttpd the next bytes. */
-static ssize_t reader(void *context, uint64_t position, char *out, size_t capacity)
-{
-  (void)position;
-  struct mo_request *request = context;
-  struct mo_download *download = request->download;
-  size_t ready = download->failed ? 0 : download->piece.size - download->read;
-  bool closed;
-  atomic_store(&request->connection->deadline_us, mo_clock_us() + STALL_US);
-  if (ready > 0) {
-    size_t n = ready < capacity ? ready : capacity;
-    memcpy(out, download->piece.data + download->read, n);
-    download->read += n;
-    request->sent += n;
-    return (ssize_t)n;
-  }
-  if (download->failed)
-    return MHD_CONTENT_READER_END_WITH_ERROR;
-  if (download->last)
-    return MHD_CONTENT_READER_END_OF_STREAM;
-  struct MHD_Connection *mhd = request->mhd;
-  MHD_suspend_connection(mhd);
-  if (!mo_pool_give(request->http, request, &closed)) { /* the server is stopping */
-    download->failed = true;
-    MHD_resume_connection(mhd);
-  }
-  return 0;
-}
-
-enum MHD_Result mo_download_send(struct mo_request *request)
-{
-  struct MHD_Response *response =
-      MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 64 * 1024, reader, request, NULL);
-  if (response == NULL)
-    return MHD_NO;
-  atomic_store(&request->connection->deadline_us, mo_clock_us() + STALL_US);
-  if (atomic_load(&request->http->stopping))
-    request->reply.close = true;
-  enum MHD_Result result = mo_reply_headers(request, response)
-                               ? mo_queue_response(request->mhd, request->reply.status, response)
-                               : MHD_NO;
-  MHD_destroy_response(response);
-  return result;
 }
 
 void mo_download_free(struct mo_request *request)

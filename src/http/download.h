@@ -13,7 +13,6 @@ typedef int (*mo_download_more)(void *context, struct mo_text *text);
  * again. held: bytes that `context` takes besides a piece. */
 void mo_download_open(struct mo_request *request, const char *type, const char *tag, uint64_t held,
                       mo_download_more more, void *context, void (*free_context)(void *context));
-enum MHD_Result mo_download_send(struct mo_request *request);
 void mo_download_free(struct mo_request *request); /* no-op without a download */
 
 #endif

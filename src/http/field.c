@@ -7,15 +7,8 @@
 #include <string.h>
 #include <strings.h>
 
+#include "base/number.h"
 #include "base/utf8.h"
-
-static int hex_digit(char c)
-{
-  return c >= '0' && c <= '9'   ? c - '0'
-         : c >= 'a' && c <= 'f' ? c - 'a' + 10
-         : c >= 'A' && c <= 'F' ? c - 'A' + 10
-                                : -1;
-}
 
 bool mo_percent_decode(const char *text, size_t n, bool plus, char *out, size_t capacity)
 {
@@ -23,9 +16,9 @@ bool mo_percent_decode(const char *text, size_t n, bool plus, char *out, size_t 
   for (size_t i = 0; i < n; i++) {
     unsigned char c = (unsigned char)text[i];
     if (c == '%') {
-      if (n - i < 3 || hex_digit(text[i + 1]) < 0 || hex_digit(text[i + 2]) < 0)
+      if (n - i < 3 || mo_hex_digit(text[i + 1]) < 0 || mo_hex_digit(text[i + 2]) < 0)
         return false;
-      c = (unsigned char)(hex_digit(text[i + 1]) << 4 | hex_digit(text[i + 2]));
+      c = (unsigned char)(mo_hex_digit(text[i + 1]) << 4 | mo_hex_digit(text[i + 2]));
       i += 2;
     } else if (c == '+' && plus) {
       c = ' ';
@@ -34,14 +27,8 @@ bool mo_percent_decode(const char *text, size_t n, bool plus, char *out, size_t 
       return false;
     out[at++] = (char)c;
   }
-  for (size_t i = 0; i < at;) {
-    unsigned length = mo_utf8_sequence((const unsigned char *)out + i, at - i);
-    if (length == 0)
-      return false;
-    i += length;
-  }
   out[at] = '\0';
-  return true;
+  return mo_utf8_is_valid(out);
 }
 
 bool mo_query_next(const char **query, struct mo_query_item *item)

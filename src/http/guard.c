@@ -139,37 +139,6 @@ bool mo_guard_target(const char *target, struct mo_target *parts, struct mo_refu
   return true;
 }
 
-int mo_names_copy(struct mo_names *names, const char *const *items, size_t n)
-{
-  struct mo_names copy = {.items = calloc(n > 0 ? n : 1, sizeof(char *))};
-  if (copy.items == NULL)
-    return MO_ERR_NO_MEMORY;
-  for (size_t i = 0; i < n; i++) {
-    if (strcmp(items[i], "*") == 0) {
-      copy.any = true;
-      continue;
-    }
-    char *name = strdup(items[i]);
-    if (name == NULL) {
-      mo_names_free(&copy);
-      return MO_ERR_NO_MEMORY;
-    }
-    for (char *c = name; *c != '\0'; c++)
-      *c = (char)tolower((unsigned char)*c);
-    copy.items[copy.n++] = name;
-  }
-  *names = copy;
-  return MO_OK;
-}
-
-void mo_names_free(struct mo_names *names)
-{
-  for (size_t i = 0; i < names->n; i++)
-    free(names->items[i]);
-  free(names->items);
-  *names = (struct mo_names){0};
-}
-
 /* Says whether host and port are one of the configured names. A name without a port matches every
  * port. */
 static bool is_named(const char *host, unsigned port, const struct mo_names *names)
@@ -203,7 +172,10 @@ bool mo_guard_host(const char *host, size_t n, bool local, const struct mo_names
   /* DNS rebinding cannot fake a numeric address: the browser would already have to be at that
    * address. */
   literal = literal && (!local || is_loopback(name));
-  return names->any || literal || strcmp(name, "localhost") == 0 || is_named(name, port, names);
+  for (size_t i = 0; i < names->n; i++)
+    if (strcmp(names->items[i], "*") == 0)
+      return true;
+  return literal || strcmp(name, "localhost") == 0 || is_named(name, port, names);
 }
 
 bool mo_guard_origin(const char *origin, const char *host, const struct mo_names *names)

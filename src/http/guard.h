@@ -50,12 +50,9 @@ struct mo_target {
 bool mo_guard_target(const char *target, struct mo_target *parts, struct mo_refusal *refusal);
 
 struct mo_names {
-  char **items; /* lower case, "host" or "host:port" */
+  const char *const *items; /* "host" or "host:port"; "*": any */
   size_t n;
-  bool any;
 };
-int mo_names_copy(struct mo_names *names, const char *const *items, size_t n);
-void mo_names_free(struct mo_names *names);
 
 /* Accepts a Host that is a numeric address, a loopback name, or one of `names`. local: of numeric
  * addresses, only those of loopback. */

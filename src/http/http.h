@@ -37,7 +37,9 @@ struct mo_http_log_entry {
   double duration_s;  /* from the end of the header to the end of the reply */
 };
 
-/* The kind of a listening socket is read from the socket itself: TCP on a loopback address, TCP
+/* The server copies the tokens. The other names and groups must outlive it.
+ *
+ * The kind of a listening socket is read from the socket itself: TCP on a loopback address, TCP
  * elsewhere, or unix. */
 struct mo_http_config {
   const int *listeners; /* listening sockets; mo_http_start takes them over: the server closes them,

@@ -7,7 +7,7 @@
  *
  * The library sends its own pages with MHD_queue_response. The definition in this file replaces
  * that function in the whole program, the library included. Our own replies reach the library's
- * function through mo_queue_response (queue.c). */
+ * function through mo_queue_response (reply.c). */
 #include "http/server.h"
 
 static enum MHD_Result write_header(void *context, enum MHD_ValueKind kind, const char *name,

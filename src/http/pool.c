@@ -26,12 +26,7 @@ static bool is_new(const struct mo_request *request)
 static void push(struct mo_pool *pool, struct mo_request *request)
 {
   struct mo_queue *queue = queue_of(pool, request);
-  request->next_queued = NULL;
-  if (queue->last != NULL)
-    queue->last->next_queued = request;
-  else
-    queue->first = request;
-  queue->last = request;
+  STAILQ_INSERT_TAIL(&queue->requests, request, next_queued);
   queue->n += is_new(request);
   pool->n_queued++;
   pthread_cond_signal(&pool->work);
@@ -40,15 +35,14 @@ static void push(struct mo_pool *pool, struct mo_request *request)
 /* Takes the next request that may run, the older of the two queues' first. NULL: none. */
 static struct mo_request *take(struct mo_pool *pool, bool *is_list)
 {
-  const struct mo_request *other = pool->others.first;
-  struct mo_request *next = pool->n_lists < pool->max_lists ? pool->lists.first : NULL;
+  const struct mo_request *other = STAILQ_FIRST(&pool->others.requests);
+  struct mo_request *next =
+      pool->n_lists < pool->max_lists ? STAILQ_FIRST(&pool->lists.requests) : NULL;
   *is_list = next != NULL && (other == NULL || next->started_us < other->started_us);
   struct mo_queue *queue = *is_list ? &pool->lists : &pool->others;
-  if ((next = queue->first) == NULL)
+  if ((next = STAILQ_FIRST(&queue->requests)) == NULL)
     return NULL;
-  queue->first = next->next_queued;
-  if (queue->first == NULL)
-    queue->last = NULL;
+  STAILQ_REMOVE_HEAD(&queue->requests, next_queued);
   queue->n -= is_new(next);
   pool->n_queued--;
   pool->n_running++;
@@ -56,15 +50,9 @@ static struct mo_request *take(struct mo_pool *pool, bool *is_list)
   return next;
 }
 
-static void unlink_waiting(struct mo_pool *pool, struct mo_request *request)
+static void unlink_waiting(struct mo_request *request)
 {
-  if (request->previous_waiting != NULL)
-    request->previous_waiting->next_waiting = request->next_waiting;
-  else
-    pool->waiting = request->next_waiting;
-  if (request->next_waiting != NULL)
-    request->next_waiting->previous_waiting = request->previous_waiting;
-  request->next_waiting = request->previous_waiting = NULL;
+  LIST_REMOVE(request, others_waiting);
   request->wait_for = 0;
 }
 
@@ -78,7 +66,7 @@ static bool park(struct mo_request *request)
     request->wait_parked = true;
     mo_client_park(&request->http->clients, request->client, true);
   } else {
-    unlink_waiting(pool, request);
+    unlink_waiting(request);
   }
   pthread_mutex_unlock(&pool->lock);
   return parked;
@@ -126,7 +114,7 @@ static void *worker(void *context)
     pthread_mutex_lock(&pool->lock);
     pool->n_running--;
     pool->n_lists -= is_list;
-    if (is_list && pool->lists.first != NULL)
+    if (is_list && !STAILQ_EMPTY(&pool->lists.requests))
       pthread_cond_signal(&pool->work); /* a thread that skipped this request may be asleep */
     if (back)
       pool->n_outside--;
@@ -142,6 +130,8 @@ int mo_pool_start(struct mo_http *http)
   pthread_mutex_init(&pool->lock, NULL);
   pthread_cond_init(&pool->work, NULL);
   pthread_cond_init(&pool->idle, NULL);
+  STAILQ_INIT(&pool->others.requests);
+  STAILQ_INIT(&pool->lists.requests);
   atomic_store(&pool->heartbeat_us, mo_clock_us());
   uint32_t half = mo_processors() / 2, most = http->config.n_api_threads / 2;
   pool->max_lists = half < 1 || most < 1 ? 1 : half < most ? half : most;
@@ -180,11 +170,7 @@ void mo_wait_begin(struct mo_request *request, int64_t what, int64_t deadline_us
   request->wait_deadline_us = deadline_us;
   request->wait_fired = request->wait_parked = false;
   pthread_mutex_lock(&pool->lock);
-  request->previous_waiting = NULL;
-  request->next_waiting = pool->waiting;
-  if (pool->waiting != NULL)
-    pool->waiting->previous_waiting = request;
-  pool->waiting = request;
+  LIST_INSERT_HEAD(&pool->waiting, request, others_waiting);
   pthread_mutex_unlock(&pool->lock);
 }
 
@@ -192,7 +178,7 @@ void mo_wait_end(struct mo_request *request)
 {
   struct mo_pool *pool = &request->http->pool;
   pthread_mutex_lock(&pool->lock);
-  unlink_waiting(pool, request);
+  unlink_waiting(request);
   pthread_mutex_unlock(&pool->lock);
 }
 
@@ -203,7 +189,7 @@ static void let_go(struct mo_pool *pool, struct mo_request *request)
   request->wait_fired = true;
   if (!request->wait_parked)
     return;
-  unlink_waiting(pool, request);
+  unlink_waiting(request);
   mo_client_park(&request->http->clients, request->client, false);
   request->wait_over = true;
   push(pool, request);
@@ -214,11 +200,11 @@ static void fire(struct mo_http *http, int64_t what, int64_t now_us)
 {
   struct mo_pool *pool = &http->pool;
   pthread_mutex_lock(&pool->lock);
-  for (struct mo_request *request = pool->waiting, *next; request != NULL; request = next) {
-    next = request->next_waiting;
-    if (request->wait_for != what && request->wait_deadline_us > now_us && now_us != MO_NEVER)
-      continue;
-    let_go(pool, request);
+  for (struct mo_request *request = LIST_FIRST(&pool->waiting), *next; request != NULL;
+       request = next) {
+    next = LIST_NEXT(request, others_waiting);
+    if (request->wait_for == what || request->wait_deadline_us <= now_us)
+      let_go(pool, request);
   }
   pthread_mutex_unlock(&pool->lock);
 }
@@ -237,8 +223,9 @@ void mo_waits_tick(struct mo_http *http)
 {
   struct mo_pool *pool = &http->pool;
   pthread_mutex_lock(&pool->lock);
-  for (struct mo_request *request = pool->waiting, *next; request != NULL; request = next) {
-    next = request->next_waiting;
+  for (struct mo_request *request = LIST_FIRST(&pool->waiting), *next; request != NULL;
+       request = next) {
+    next = LIST_NEXT(request, others_waiting);
     if (request->wait_parked && mo_connection_has_left(request->connection))
       let_go(pool, request);
   }

@@ -5,7 +5,7 @@
 #include "http/request.h"
 
 struct mo_queue {
-  struct mo_request *first, *last;
+  STAILQ_HEAD(, mo_request) requests;
   uint32_t n; /* without requests taken earlier: ended waits, and further pieces of replies */
 };
 
@@ -21,7 +21,7 @@ struct mo_pool {
   bool quit;
   pthread_t *threads;
   uint32_t n_threads;
-  struct mo_request *waiting; /* parked, or about to park */
+  LIST_HEAD(, mo_request) waiting; /* parked, or about to park */
   _Atomic int64_t heartbeat_us;
 };
 

@@ -54,19 +54,17 @@ static bool read_query(struct mo_request *request)
   struct mo_query_item item;
   if (*at == '\0')
     return true;
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  struct mo_faults faults = {0};
   request->query.text = malloc(2 * strlen(at) + 2); /* a NUL behind each name and value */
-  bool good = faults != NULL && request->query.text != NULL;
-  if (!good)
+  if (request->query.text == NULL) {
     mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
-  for (size_t used = 0; good && mo_query_next(&at, &item);)
-    used += read_item(request, &item, request->query.text + used, faults);
-  if (good && faults->n > 0) {
-    mo_reply_problem(request, 400, faults, NULL);
-    good = false;
+    return false;
   }
-  free(faults);
-  return good;
+  for (size_t used = 0; mo_query_next(&at, &item);)
+    used += read_item(request, &item, request->query.text + used, &faults);
+  if (faults.n > 0)
+    mo_reply_problem(request, 400, &faults, NULL);
+  return faults.n == 0;
 }
 
 bool mo_query_begin(struct mo_request *request)
@@ -197,7 +195,6 @@ bool mo_read_wait(struct mo_request *request)
 {
   request->wait_s = mo_prefer_wait(request->framing.prefer, WAIT_MAX_S);
   if (request->wait_s == -2)
-    mo_reply_bad_header(request, 400, "Prefer", "wait must be a number of seconds, as in wait=30",
-                        NULL);
+    mo_reply_bad_header(request, "Prefer", "wait must be a number of seconds, as in wait=30");
   return request->wait_s != -2;
 }

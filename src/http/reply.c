@@ -1,4 +1,5 @@
 /* reply.c: makes replies and problems, and hands them to libmicrohttpd. */
+#include <dlfcn.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -102,26 +103,22 @@ void mo_reply_problem(struct mo_request *request, unsigned status, const struct 
   request->reply.authenticate = status == 401;
 }
 
-void mo_reply_bad_parameter(struct mo_request *request, const char *name, const char *detail)
+static void reply_fault(struct mo_request *request, enum mo_fault_place place, const char *name,
+                        const char *words)
 {
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
-  if (faults != NULL)
-    mo_faults_add(faults, MO_FAULT_PARAMETER, name, "%s", detail);
-  mo_reply_problem(request, 400, faults, "%s: %s", name, detail);
-  free(faults);
+  struct mo_faults faults = {0};
+  mo_faults_add(&faults, place, name, "%s", words);
+  mo_reply_problem(request, 400, &faults, NULL);
 }
 
-void mo_reply_bad_header(struct mo_request *request, unsigned status, const char *name,
-                         const char *words, const char *detail)
+void mo_reply_bad_parameter(struct mo_request *request, const char *name, const char *words)
 {
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
-  if (faults != NULL && name != NULL)
-    mo_faults_add(faults, MO_FAULT_HEADER, name, "%s", words);
-  if (detail != NULL)
-    mo_reply_problem(request, status, faults, "%s", detail);
-  else
-    mo_reply_problem(request, status, faults, NULL);
-  free(faults);
+  reply_fault(request, MO_FAULT_PARAMETER, name, words);
+}
+
+void mo_reply_bad_header(struct mo_request *request, const char *name, const char *words)
+{
+  reply_fault(request, MO_FAULT_HEADER, name, words);
 }
 
 void mo_reply_error(struct mo_request *request, int code, const char *what)
@@ -235,6 +232,30 @@ bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response)
   return good;
 }
 
+/* ---- sending ---- */
+
+/* libmicrohttpd's own MHD_queue_response, which last_reply.c replaces in this program. */
+static enum MHD_Result (*library_queue)(struct MHD_Connection *mhd, unsigned status,
+                                        struct MHD_Response *response);
+
+static void find_library_queue(void)
+{
+  void *found = dlsym(RTLD_NEXT, "MHD_queue_response");
+  memcpy(&library_queue, &found, sizeof(library_queue));
+}
+
+bool mo_last_replies_init(void)
+{
+  static pthread_once_t once = PTHREAD_ONCE_INIT;
+  return pthread_once(&once, find_library_queue) == 0 && library_queue != NULL;
+}
+
+enum MHD_Result mo_queue_response(struct MHD_Connection *mhd, unsigned status,
+                                  struct MHD_Response *response)
+{
+  return library_queue(mhd, status, response);
+}
+
 /* Frees the request's body, and counts a large reply in the limit on memory until it is sent: slow
  * readers could otherwise hold any amount. A reply always passes if nothing else is counted. */
 static bool reserve_reply(struct mo_request *request)
@@ -254,12 +275,16 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
 {
   struct mo_reply *reply = &request->reply;
   struct MHD_Response *response;
-  if (!reserve_reply(request)) {
+  if (request->reader == NULL && !reserve_reply(request)) {
     mo_reply_problem(request, 503, NULL, "Too many large replies are being read; try again later.");
     reply->retry_after_s = 5;
   }
   bool empty = reply->status == 204;
-  if (empty || reply->body == NULL)
+  if (request->reader != NULL)
+    response = MHD_create_response_from_callback(MHD_SIZE_UNKNOWN,
+                                                 request->stream != NULL ? 16 * 1024 : 64 * 1024,
+                                                 request->reader, request, NULL);
+  else if (empty || reply->body == NULL)
     response = MHD_create_response_from_buffer(
         empty ? 0 : reply->size, (void *)(empty ? "" : reply->fixed), MHD_RESPMEM_PERSISTENT);
   else
@@ -270,9 +295,12 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
     reply->body = NULL; /* the response owns it now */
   /* The library sends no body for these, only its length. */
   request->sent = request->method == MO_HEAD || reply->status == 304 || empty ? 0 : reply->size;
-  /* Slow readers are cut off after a minute, plus a second for every 64 KiB. */
+  /* Slow readers are cut off after a minute, plus a second for every 64 KiB. Those of streams and
+   * downloads are timed piece by piece. */
   atomic_store(&request->connection->deadline_us,
-               mo_clock_us() + 60000000 + (int64_t)(reply->size >> 16) * 1000000);
+               request->stream != NULL
+                   ? MO_NEVER
+                   : mo_clock_us() + 60000000 + (int64_t)(reply->size >> 16) * 1000000);
   if (atomic_load(&request->http->stopping))
     reply->close = true;
   request->connection->lingers |= reply->close;

@@ -20,11 +20,9 @@ void mo_reply_bytes(struct mo_request *request, unsigned status, const char *typ
  * title of the status. */
 void mo_reply_problem(struct mo_request *request, unsigned status, const struct mo_faults *faults,
                       const char *detail, ...) __attribute__((format(printf, 4, 5)));
-/* Replies with a problem about one query parameter (400), or one header field. detail NULL: what is
- * said of the field. */
-void mo_reply_bad_parameter(struct mo_request *request, const char *name, const char *detail);
-void mo_reply_bad_header(struct mo_request *request, unsigned status, const char *name,
-                         const char *words, const char *detail);
+/* Reply with a problem about one query parameter, or one header field (400). */
+void mo_reply_bad_parameter(struct mo_request *request, const char *name, const char *words);
+void mo_reply_bad_header(struct mo_request *request, const char *name, const char *words);
 /* Replies with the usual problem of an error (500, 503, 507, 404 …). */
 void mo_reply_error(struct mo_request *request, int error, const char *what);
 /* Replies with JSON and its ETag, or with the problem of an error. */
@@ -47,7 +45,7 @@ enum MHD_Result mo_reply_send(struct mo_request *request);
 /* Sends request->reply. Call on the I/O thread before any reply was queued; libmicrohttpd must
  * close the connection afterwards. */
 void mo_reply_last(struct mo_request *request);
-bool mo_last_replies_init(void); /* queue.c; false: libmicrohttpd's function is not found */
+bool mo_last_replies_init(void); /* false: libmicrohttpd's function is not found */
 enum MHD_Result mo_queue_response(struct MHD_Connection *mhd, unsigned status,
                                   struct MHD_Response *response);
 

@@ -15,6 +15,7 @@
 #define MORPHO_HTTP_REQUEST_H
 
 #include <stdatomic.h>
+#include <sys/queue.h>
 
 #include <microhttpd.h>
 
@@ -31,7 +32,7 @@ struct mo_reply {
   char *body;        /* malloc; NULL: see fixed */
   const char *fixed; /* static */
   size_t size;
-  bool close, authenticate, etagged;
+  bool close, authenticate;
   unsigned retry_after_s;
   char etag[112], location[160], allow[64], applied[24];
   unsigned n_extra;
@@ -79,24 +80,26 @@ struct mo_request {
   char *body;
   size_t body_size, body_capacity;
   bool body_coming, body_gave_way; /* body.c */
-  struct mo_request *next_body, *previous_body;
+  LIST_ENTRY(mo_request) other_bodies;
   struct mo_reply reply;
   char reason[MO_REASON_BYTES]; /* for the log: why the service failed, or what it could not read;
                                    "": nothing */
   struct mo_client *client;
   int64_t started_us;
   uint64_t sent;
-  bool in_flight, answered; /* answered: by mo_reply_last */
+  bool answered; /* answered: by mo_reply_last */
   /* Waiting (pool.c). */
   int64_t wait_for, wait_deadline_us;
   int wait_s; /* requested seconds (Prefer: wait); −1: none */
   bool wait_fired, wait_parked, wait_over;
   int64_t kept; /* of the handler, which may run again after a wait; 0 at first */
-  struct mo_request *next_waiting, *previous_waiting;
-  struct mo_request *next_queued;
+  LIST_ENTRY(mo_request) others_waiting;
+  STAILQ_ENTRY(mo_request) next_queued;
   /* A reply that is made piece by piece, or an event stream. refill: makes the next piece on an API
-   * thread and resumes the connection; NULL: the reply is whole. */
+   * thread and resumes the connection. reader: gives libmicrohttpd the next bytes; NULL: the reply
+   * is whole. */
   void (*refill)(struct mo_request *request);
+  MHD_ContentReaderCallback reader;
   struct mo_stream *stream;
   struct mo_download *download;
 };

@@ -1,6 +1,7 @@
 /* server.c: start, stop, and the clock thread. See http.h for the threads. */
 #include "http/server.h"
 
+#include <linux/netlink.h>
 #include <malloc.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -85,6 +86,12 @@ static void fill_defaults(struct mo_http_config *config)
     config->max_body_memory = 8 * larger;
 }
 
+void mo_http_refuse_listeners(const struct mo_http_config *config)
+{
+  for (size_t i = 0; i < config->n_listeners; i++)
+    close(config->listeners[i]);
+}
+
 /* Takes over the listening sockets, and finds out whether one is beyond loopback. */
 static int adopt_listeners(struct mo_http *http, const struct mo_http_config *config,
                            struct mo_message *message)
@@ -92,8 +99,7 @@ static int adopt_listeners(struct mo_http *http, const struct mo_http_config *co
   http->listeners = calloc(config->n_listeners + 1, sizeof(int));
   http->listener_transports = calloc(config->n_listeners + 1, sizeof(enum mo_transport));
   if (http->listeners == NULL || http->listener_transports == NULL) {
-    for (size_t i = 0; i < config->n_listeners; i++)
-      close(config->listeners[i]);
+    mo_http_refuse_listeners(config);
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
   }
   int code = MO_OK;
@@ -119,7 +125,6 @@ static int adopt_listeners(struct mo_http *http, const struct mo_http_config *co
 static void destroy(struct mo_http *http)
 {
   mo_tokens_free(&http->tokens);
-  mo_names_free(&http->names);
   mo_clients_free(&http->clients);
   mo_linger_end(&http->lingering);
   pthread_mutex_destroy(&http->connections_lock);
@@ -134,7 +139,6 @@ static void destroy(struct mo_http *http)
   free(http->connections);
   free(http->listeners);
   free(http->listener_transports);
-  free(http->unix_groups);
   free(http);
 }
 
@@ -142,7 +146,7 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
                    struct mo_message *message)
 {
   http->stop_fd = -1;
-  mo_peers_open(http);
+  http->peers_fd = socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_SOCK_DIAG);
   pthread_mutex_init(&http->connections_lock, NULL);
   pthread_mutex_init(&http->bodies_lock, NULL);
   pthread_mutex_init(&http->lingering.lock, NULL);
@@ -152,6 +156,7 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
   if (mo_tokens_init(&http->tokens) != MO_OK || mo_clients_init(&http->clients) != MO_OK)
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
   http->config = *config;
+  http->names = (struct mo_names){config->allowed_hosts, config->n_allowed_hosts};
   fill_defaults(&http->config);
   if (getrandom(&http->id_key, sizeof(http->id_key), 0) != (ssize_t)sizeof(http->id_key))
     http->id_key = (uint64_t)mo_clock_us() << 20;
@@ -159,29 +164,13 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
   int code = adopt_listeners(http, config, message);
   if (code == MO_OK)
     code = mo_connections_init(http, message);
-  if (code == MO_OK &&
-      (code = mo_names_copy(&http->names, config->allowed_hosts, config->n_allowed_hosts)) != MO_OK)
-    mo_fail(message, code, "no memory for the server");
   if (code == MO_OK)
     code = mo_tokens_set(&http->tokens, config->tokens, config->n_tokens, message);
   if (code == MO_OK && config->n_tokens == 0 &&
       (http->beyond_loopback || config->token_on_loopback))
     code = mo_fail(message, MO_ERR_INVALID,
                    "an address beyond loopback is served: at least one bearer token is needed");
-  if (code == MO_OK && config->n_unix_groups > 0) {
-    http->unix_groups = calloc(config->n_unix_groups, sizeof(gid_t));
-    if (http->unix_groups == NULL)
-      return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
-    memcpy(http->unix_groups, config->unix_groups, config->n_unix_groups * sizeof(gid_t));
-    http->n_unix_groups = config->n_unix_groups;
-  }
   return code;
-}
-
-void mo_http_refuse_listeners(const struct mo_http_config *config)
-{
-  for (size_t i = 0; i < config->n_listeners; i++)
-    close(config->listeners[i]);
 }
 
 int mo_http_start(const struct mo_http_config *config, const struct mo_http_service *service,

@@ -9,17 +9,14 @@
 #include "http/connection.h"
 #include "http/guard.h"
 #include "http/http.h"
-#include "http/linger.h"
 #include "http/metrics.h"
 #include "http/pool.h"
 #include "http/reply.h"
 #include "http/stream.h"
 
 struct mo_http {
-  struct mo_http_config config; /* defaults filled in; do not use its pointers */
+  struct mo_http_config config; /* defaults filled in */
   struct mo_http_service service;
-  gid_t *unix_groups;
-  size_t n_unix_groups;
   struct mo_names names;
   struct mo_tokens tokens;
   bool beyond_loopback;
@@ -46,7 +43,7 @@ struct mo_http {
   struct mo_metrics metrics;
   atomic_uint n_in_flight;
   pthread_mutex_t bodies_lock;
-  struct mo_request *bodies; /* being received */
+  LIST_HEAD(, mo_request) bodies; /* being received */
   _Atomic uint64_t body_memory;
   _Atomic uint64_t next_id;
   uint64_t id_key;

@@ -23,7 +23,7 @@
 
 struct mo_stream {
   struct mo_request *request;
-  struct mo_stream *next, *previous;
+  LIST_ENTRY(mo_stream) others;
   mo_stream_fill fill;
   struct mo_stream_place place; /* after: the newest event in the buffer or already sent */
   bool live;
@@ -65,13 +65,15 @@ void mo_streams_send(struct mo_http *http, int64_t sequence, int64_t topic,
                      void (*write)(struct mo_text *text, const void *event), const void *event)
 {
   struct mo_text text = {0};
+  struct mo_stream *stream;
   /* A stream that opens only now is behind, and its first fill finds the event. */
   if (atomic_load(&http->streams.n) == 0)
     return;
   write(&text, event);
   pthread_mutex_lock(&http->streams.lock);
   int64_t now_us = mo_clock_us();
-  for (struct mo_stream *stream = http->streams.first; stream != NULL; stream = stream->next) {
+  LIST_FOREACH(stream, &http->streams.open, others)
+  {
     if (stream->place.topic != 0 && stream->place.topic != topic)
       continue;
     if (!stream->live) {
@@ -138,44 +140,6 @@ static void refill(struct mo_request *request)
   pthread_mutex_unlock(&http->streams.lock);
 }
 
-int mo_stream_open(struct mo_request *request, struct mo_stream_place place, mo_stream_fill fill_it)
-{
-  struct mo_http *http = request->http;
-  struct mo_stream *stream = calloc(1, sizeof(*stream));
-  if (stream == NULL)
-    return MO_ERR_NO_MEMORY;
-  char greeting[32];
-  int n = snprintf(greeting, sizeof(greeting), "retry: %d\n\n", RETRY_MS);
-  stream->request = request;
-  stream->place = place;
-  stream->fill = fill_it;
-  put(stream, greeting, (size_t)n, mo_clock_us());
-  pthread_mutex_lock(&http->streams.lock);
-  int error = stream->buffer.failed                         ? MO_ERR_NO_MEMORY
-              : http->streams.closed                        ? MO_ERR_BUSY
-              : http->streams.n >= http->config.max_streams ? MO_ERR_LIMIT
-                                                            : MO_OK;
-  if (error == MO_OK) {
-    request->stream = stream;
-    request->refill = refill;
-    stream->next = http->streams.first;
-    if (stream->next != NULL)
-      stream->next->previous = stream;
-    http->streams.first = stream;
-    http->streams.n++;
-  }
-  pthread_mutex_unlock(&http->streams.lock);
-  if (error != MO_OK) {
-    mo_text_free(&stream->buffer);
-    free(stream);
-    return error;
-  }
-  /* Streams have their own limit, so they take none of their client's places. */
-  mo_client_leave(&http->clients, request->client, mo_clock_us());
-  request->client = NULL;
-  return MO_OK;
-}
-
 /* Gives libmicrohttpd the next bytes. */
 static ssize_t reader(void *context, uint64_t position, char *out, size_t capacity)
 {
@@ -212,23 +176,42 @@ static ssize_t reader(void *context, uint64_t position, char *out, size_t capaci
   return result;
 }
 
-enum MHD_Result mo_stream_send(struct mo_request *request)
+int mo_stream_open(struct mo_request *request, struct mo_stream_place place, mo_stream_fill fill_it)
 {
-  struct MHD_Response *response =
-      MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 16 * 1024, reader, request, NULL);
-  if (response == NULL)
-    return MHD_NO;
-  request->reply.status = 200;
-  atomic_store(&request->connection->deadline_us, MO_NEVER); /* see mo_streams_tick */
-  enum MHD_Result result = MHD_NO;
-  if (MHD_add_response_header(response, "Content-Type", "text/event-stream") == MHD_YES &&
-      MHD_add_response_header(response, "Cache-Control", "no-store") == MHD_YES &&
-      MHD_add_response_header(response, "X-Accel-Buffering", "no") == MHD_YES &&
-      MHD_add_response_header(response, "X-Content-Type-Options", "nosniff") == MHD_YES &&
-      MHD_add_response_header(response, "X-Request-Id", request->id) == MHD_YES)
-    result = mo_queue_response(request->mhd, 200, response);
-  MHD_destroy_response(response);
-  return result;
+  struct mo_http *http = request->http;
+  struct mo_stream *stream = calloc(1, sizeof(*stream));
+  if (stream == NULL)
+    return MO_ERR_NO_MEMORY;
+  char greeting[32];
+  int n = snprintf(greeting, sizeof(greeting), "retry: %d\n\n", RETRY_MS);
+  stream->request = request;
+  stream->place = place;
+  stream->fill = fill_it;
+  put(stream, greeting, (size_t)n, mo_clock_us());
+  pthread_mutex_lock(&http->streams.lock);
+  int error = stream->buffer.failed                         ? MO_ERR_NO_MEMORY
+              : http->streams.closed                        ? MO_ERR_BUSY
+              : http->streams.n >= http->config.max_streams ? MO_ERR_LIMIT
+                                                            : MO_OK;
+  if (error == MO_OK) {
+    request->stream = stream;
+    request->refill = refill;
+    request->reader = reader;
+    LIST_INSERT_HEAD(&http->streams.open, stream, others);
+    http->streams.n++;
+  }
+  pthread_mutex_unlock(&http->streams.lock);
+  if (error != MO_OK) {
+    mo_text_free(&stream->buffer);
+    free(stream);
+    return error;
+  }
+  mo_reply_static(request, 200, "text/event-stream", "", 0);
+  mo_reply_extra(request, "X-Accel-Buffering", "no");
+  /* Streams have their own limit, so they take none of their client's places. */
+  mo_client_leave(&http->clients, request->client, mo_clock_us());
+  request->client = NULL;
+  return MO_OK;
 }
 
 void mo_stream_free(struct mo_request *request)
@@ -236,12 +219,7 @@ void mo_stream_free(struct mo_request *request)
   struct mo_streams *streams = &request->http->streams;
   struct mo_stream *stream = request->stream;
   pthread_mutex_lock(&streams->lock);
-  if (stream->previous != NULL)
-    stream->previous->next = stream->next;
-  else
-    streams->first = stream->next;
-  if (stream->next != NULL)
-    stream->next->previous = stream->previous;
+  LIST_REMOVE(stream, others);
   streams->n--;
   pthread_mutex_unlock(&streams->lock);
   mo_text_free(&stream->buffer);
@@ -252,8 +230,10 @@ void mo_stream_free(struct mo_request *request)
 void mo_streams_tick(struct mo_http *http, int64_t now_us)
 {
   static const char beat[] = ": \n\n";
+  struct mo_stream *stream;
   pthread_mutex_lock(&http->streams.lock);
-  for (struct mo_stream *stream = http->streams.first; stream != NULL; stream = stream->next) {
+  LIST_FOREACH(stream, &http->streams.open, others)
+  {
     bool unread = stream->buffer.size > stream->read;
     if (stream->suspended) {
       if (mo_connection_has_left(stream->request->connection))
@@ -275,9 +255,11 @@ void mo_streams_tick(struct mo_http *http, int64_t now_us)
 
 void mo_streams_close(struct mo_http *http)
 {
+  struct mo_stream *stream;
   pthread_mutex_lock(&http->streams.lock);
   http->streams.closed = true;
-  for (struct mo_stream *stream = http->streams.first; stream != NULL; stream = stream->next) {
+  LIST_FOREACH(stream, &http->streams.open, others)
+  {
     stream->ended = true;
     wake(stream);
   }

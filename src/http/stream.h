@@ -8,7 +8,7 @@
 struct mo_stream;
 struct mo_streams {
   pthread_mutex_t lock;
-  struct mo_stream *first;
+  LIST_HEAD(, mo_stream) open;
   atomic_uint n;
   bool closed;
 };
@@ -32,7 +32,6 @@ int mo_stream_open(struct mo_request *request, struct mo_stream_place place, mo_
  * can be read by mo_stream_fill. write: appends the frame. */
 void mo_streams_send(struct mo_http *http, int64_t sequence, int64_t topic,
                      void (*write)(struct mo_text *text, const void *event), const void *event);
-enum MHD_Result mo_stream_send(struct mo_request *request);
 void mo_stream_free(struct mo_request *request);
 void mo_streams_start(struct mo_http *http);
 /* Sends heartbeats, drops slow and vanished readers. */

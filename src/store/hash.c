@@ -10,6 +10,7 @@
 
 #include <nettle/sha2.h>
 
+#include "base/number.h"
 #include "store/encode.h"
 
 void mo_sha256_of(const void *data, size_t size, struct mo_sha256 *hash)
@@ -31,25 +32,14 @@ void mo_sha256_to_hex(const struct mo_sha256 *hash, char digits[MO_SHA256_DIGITS
   digits[MO_SHA256_DIGITS] = '\0';
 }
 
-static int hex_value(char c)
-{
-  if (c >= '0' && c <= '9')
-    return c - '0';
-  if (c >= 'a' && c <= 'f')
-    return c - 'a' + 10;
-  if (c >= 'A' && c <= 'F')
-    return c - 'A' + 10;
-  return -1;
-}
-
 int mo_sha256_from_hex(const char *digits, size_t length, struct mo_sha256 *hash)
 {
   struct mo_sha256 result;
   if (length != MO_SHA256_DIGITS)
     return MO_ERR_FORMAT;
   for (size_t i = 0; i < sizeof(result.bytes); i++) {
-    int high = hex_value(digits[2 * i]);
-    int low = hex_value(digits[2 * i + 1]);
+    int high = mo_hex_digit(digits[2 * i]);
+    int low = mo_hex_digit(digits[2 * i + 1]);
     if (high < 0 || low < 0)
       return MO_ERR_FORMAT;
     result.bytes[i] = (uint8_t)(high * 16 + low);
