@@ -173,7 +173,12 @@ static json_t *result_row(const json_t *result, size_t number, const char *name)
   return row;
 }
 
-void print_results(const struct ctl *ctl, const json_t *evaluation, char *const *names,
+static const char *name_of(const struct designs *designs, size_t i)
+{
+  return designs != NULL && i < designs->n ? designs->names[i] : NULL;
+}
+
+void print_results(const struct ctl *ctl, const json_t *evaluation, const struct designs *designs,
                    bool by_score, size_t top)
 {
   const json_t *results = json_object_get(evaluation, "results");
@@ -185,15 +190,14 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, char *const 
   for (size_t i = 0; order != NULL && i < n; i++) {
     const double score = real_at(json_array_get(results, i), "score");
     order[i] = (struct ranked){i, isnan(score) ? (double)INFINITY : score};
-    named |= names != NULL && names[i] != NULL;
+    named |= name_of(designs, i) != NULL;
     verified |= json_object_get(json_array_get(results, i), "agrees") != NULL;
   }
   if (order != NULL && by_score)
     qsort(order, n, sizeof(*order), compare_ranked);
   for (size_t r = 0; order != NULL && r < shown; r++) {
     const size_t i = order[r].place;
-    json_array_append_new(
-        rows, result_row(json_array_get(results, i), i, names != NULL ? names[i] : NULL));
+    json_array_append_new(rows, result_row(json_array_get(results, i), i, name_of(designs, i)));
   }
   snprintf(columns, sizeof(columns),
            ">#={number}%s|design={id}|>voxels={voxels}|>score={score:.4f}|>best={best:.4f}"
@@ -214,7 +218,7 @@ static void print_evaluation(const struct ctl *ctl, const json_t *evaluation,
   if (ctl->json)
     print_json(evaluation);
   else if (json_object_get(evaluation, "results") != NULL)
-    print_results(ctl, evaluation, designs->names, by_score, top);
+    print_results(ctl, evaluation, designs, by_score, top);
 }
 
 int run_eval(struct ctl *ctl)

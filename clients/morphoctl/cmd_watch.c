@@ -107,13 +107,8 @@ static int ask(struct watch *watch)
 static int look_again(void *context)
 {
   struct watch *watch = context;
-  return watch->job != NULL && watch->reset ? ask(watch) : STATUS_OK;
-}
-
-static bool is_finished(void *context)
-{
-  const struct watch *watch = context;
-  return watch->finished;
+  int status = watch->job != NULL && watch->reset ? ask(watch) : STATUS_OK;
+  return status == STATUS_OK && watch->finished ? -1 : status;
 }
 
 int run_watch(struct ctl *ctl)
@@ -131,7 +126,6 @@ int run_watch(struct ctl *ctl)
                           .after = after,
                           .event = show_event,
                           .broken = look_again,
-                          .ended = is_finished,
                           .context = &watch};
   catch_interrupts();
   if (status == STATUS_OK)

@@ -18,18 +18,6 @@ command_function run_eval, run_verify, run_design_show, run_design_list, run_des
     run_campaign_export, run_controller_list, run_controller_info, run_controller_get,
     run_controller_put, run_controller_delete, run_status, run_devices, run_version, run_completion;
 
-/* Options that say how designs are scored: controller, environments, physics, precision. See
- * request.c. */
-#define SCORE_OPTIONS                                                                              \
-  {"controller", 'c', "NAME", "Controller: a name or sha256:<64 digits> (default: default)."},     \
-      {"environments", 'e', "FILE",                                                                \
-       "paper-test (default), or a JSON file with a list of environments; - is standard input."},  \
-      {"physics", 'p', "KEY=VALUE",                                                                \
-       "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},          \
-  {                                                                                                \
-    "precision", 0, "float32|float64", "Precision of the simulation (default: float32)."           \
-  }
-
 /* ---- request.c ---- */
 
 /* Adds the given options of the command that have a place to the request. The server checks bounds
@@ -64,8 +52,9 @@ int evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait
 /* Saves the recorded trajectories of an evaluation as NumPy files, with evaluation.json, in a
  * folder, which is created. */
 int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder);
-/* Prints the results of a finished evaluation as a table. names: (n) or NULL. */
-void print_results(const struct ctl *ctl, const json_t *evaluation, char *const *names,
+/* Prints the results of a finished evaluation as a table. designs: nullable, for
+ * their names. */
+void print_results(const struct ctl *ctl, const json_t *evaluation, const struct designs *designs,
                    bool by_score, size_t top);
 
 /* ---- common.c ---- */

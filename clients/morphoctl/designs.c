@@ -8,6 +8,8 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "commands.h"
+
 int read_input(const char *path, size_t limit, char **text, size_t *length)
 {
   bool standard = strcmp(path, "-") == 0;
@@ -15,41 +17,32 @@ int read_input(const char *path, size_t limit, char **text, size_t *length)
   if (file == NULL)
     return complain(STATUS_USAGE, "%s: %s", path, strerror(errno));
   const char *name = standard ? "standard input" : path;
-  size_t n = 0, capacity = 0;
-  char *bytes = NULL;
-  int status = STATUS_OK;
-  for (;;) {
-    if (n + 1 >= capacity) {
-      capacity = capacity + capacity / 2 + 65536;
-      char *grown = realloc(bytes, capacity);
-      if (grown == NULL) {
-        status = complain(STATUS_ERROR, "out of memory");
-        break;
-      }
-      bytes = grown;
-    }
-    size_t got = fread(bytes + n, 1, capacity - n - 1, file);
-    n += got;
-    if (n > limit) {
-      status = complain(STATUS_USAGE, "%s is larger than %zu MiB", name, limit >> 20);
-      break;
-    }
-    if (got == 0) {
-      if (ferror(file))
-        status = complain(STATUS_USAGE, "%s: %s", name, strerror(errno));
-      break;
-    }
-  }
+  char block[65536];
+  size_t n = 0;
+  *text = NULL;
+  FILE *memory = open_memstream(text, length);
+  bool ok = memory != NULL;
+  do {
+    n = fread(block, 1, sizeof(block), file);
+    ok = ok && fwrite(block, 1, n, memory) == n && fflush(memory) == 0;
+  } while (ok && n > 0 && *length <= limit);
+  const int error = ferror(file) ? errno : 0;
+  if (memory != NULL)
+    ok &= fclose(memory) == 0;
   if (!standard)
     fclose(file);
-  if (status != STATUS_OK || bytes == NULL) {
-    free(bytes);
-    return status;
+  int status = STATUS_OK;
+  if (!ok)
+    status = complain(STATUS_ERROR, "out of memory");
+  else if (*length > limit)
+    status = complain(STATUS_USAGE, "%s is larger than %zu MiB", name, limit >> 20);
+  else if (error != 0)
+    status = complain(STATUS_USAGE, "%s: %s", name, strerror(error));
+  if (status != STATUS_OK) {
+    free(*text);
+    *text = NULL;
   }
-  bytes[n] = 0;
-  *text = bytes;
-  *length = n;
-  return STATUS_OK;
+  return status;
 }
 
 bool is_id(const char *text, size_t length)
@@ -58,12 +51,7 @@ bool is_id(const char *text, size_t length)
     text++;
     length--;
   }
-  if (length != ID_DIGITS)
-    return false;
-  for (size_t i = 0; i < length; i++)
-    if (!isxdigit((unsigned char)text[i]))
-      return false;
-  return true;
+  return length == ID_DIGITS && strspn(text, "0123456789abcdefABCDEF") >= length;
 }
 
 bool is_voxels(const char *text, size_t length)
@@ -87,11 +75,7 @@ static int add(struct designs *designs, json_t *design, const char *name)
     json_decref(design);
     return complain(STATUS_USAGE, "more than %d designs in one request; split them", DESIGNS_MAX);
   }
-  names[designs->n] = NULL;
-  if (name != NULL) {
-    names[designs->n] = strdup(name);
-    designs->named = true;
-  }
+  names[designs->n] = name != NULL ? strdup(name) : NULL;
   if (json_array_append_new(designs->list, design) != 0) {
     free(names[designs->n]);
     return complain(STATUS_ERROR, "out of memory");
@@ -147,10 +131,7 @@ static int add_json(struct designs *designs, const char *source, size_t line, js
   {
     if (strcmp(key, "name") == 0 || strcmp(key, "description") == 0)
       continue;
-    bool known = false;
-    for (size_t i = 0; i < 3; i++)
-      known |= strcmp(key, forms[i]) == 0;
-    if (!known) {
+    if (!is_one_of(key, forms, 3)) {
       json_decref(design);
       const char *near = nearest_name(key, forms, 3);
       return complain(
@@ -345,4 +326,31 @@ bool design_voxels(const json_t *design, char voxels[VOXELS + 1])
     voxels[voxel_index(point[0], point[1], point[2])] = '1';
   }
   return true;
+}
+
+/* ---- drawing: each layer is a grid seen from above, x to the right, y up ---- */
+
+void draw_body(FILE *file, const char voxels[VOXELS + 1], bool utf8)
+{
+  int highest = 0;
+  for (int x = 0; x < WORKSPACE_X; x++)
+    for (int y = 0; y < WORKSPACE_Y; y++)
+      for (int z = 0; z < WORKSPACE_Z; z++)
+        if (voxels[voxel_index(x, y, z)] == '1' && z > highest)
+          highest = z;
+  const char *full = utf8 ? "██" : "##";
+  const char *empty = utf8 ? "· " : ". ";
+  for (int z = 0; z <= highest; z++)
+    fprintf(file, "   z = %d        %s", z, z == highest ? "\n" : "");
+  for (int y = WORKSPACE_Y - 1; y >= 0; y--) {
+    for (int z = 0; z <= highest; z++) {
+      fprintf(file, "%s", z == 0 ? (y == WORKSPACE_Y - 1 ? "y  " : "   ") : "   ");
+      for (int x = 0; x < WORKSPACE_X; x++)
+        fputs(voxels[voxel_index(x, y, z)] == '1' ? full : empty, file);
+      if (z < highest)
+        fputc(' ', file);
+    }
+    fputc('\n', file);
+  }
+  fputs(utf8 ? "   x →\n" : "   x ->\n", file);
 }

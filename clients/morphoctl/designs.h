@@ -26,7 +26,6 @@ struct designs {
   json_t *list; /* array of objects in the form of the API */
   char **names; /* (n), entries may be NULL */
   size_t n;
-  bool named; /* at least one entry has a name */
 };
 
 /* Adds the designs in `text`. source: its name in messages. STATUS_OK, or STATUS_USAGE or
@@ -48,8 +47,6 @@ bool is_voxels(const char *text, size_t length);
 
 /* Reads a whole file or standard input ("-"): malloc, NUL-terminated. */
 int read_input(const char *path, size_t limit, char **text, size_t *length);
-
-/* ---- draw.c ---- */
 
 /* Draws a body as layers side by side, the lowest first; layers above the body are left out. */
 void draw_body(FILE *file, const char voxels[VOXELS + 1], bool utf8);

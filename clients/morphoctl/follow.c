@@ -2,10 +2,110 @@
 #include "follow.h"
 
 #include <inttypes.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "table.h"
 #include "transport.h"
+
+/* ---- server-sent events: lines end with LF, CR or CRLF; several "data" lines of an event are
+ * joined; a blank line ends the event; lines that begin with a colon are comments ---- */
+
+static int append(char **text, size_t *length, const char *bytes, size_t n)
+{
+  if (*length + n + 1 > SSE_BYTES_MAX)
+    return -1;
+  char *grown = realloc(*text, *length + n + 1);
+  if (grown == NULL)
+    return -1;
+  memcpy(grown + *length, bytes, n);
+  *length += n;
+  grown[*length] = 0;
+  *text = grown;
+  return 0;
+}
+
+static int take_line(struct sse *sse,
+                     int (*event)(void *context, const char *type, const char *id,
+                                  const char *data),
+                     void *context)
+{
+  const char *line = sse->line != NULL ? sse->line : "";
+  if (sse->line_bytes == 0) { /* the event is complete */
+    int status = 0;
+    if (*sse->id != 0)
+      memcpy(sse->last_id, sse->id, sizeof(sse->id));
+    if (sse->data_bytes > 0) {
+      sse->data[sse->data_bytes - 1] = 0; /* without the last newline */
+      status = event(context, *sse->type != 0 ? sse->type : "message", sse->id, sse->data);
+    }
+    sse->data_bytes = 0;
+    *sse->type = *sse->id = 0;
+    return status;
+  }
+  size_t name = strcspn(line, ":");
+  const char *value = line + name;
+  if (*value == ':')
+    value++;
+  if (*value == ' ')
+    value++;
+  if (name == 4 && strncmp(line, "data", 4) == 0) {
+    if (append(&sse->data, &sse->data_bytes, value, strlen(value)) != 0 ||
+        append(&sse->data, &sse->data_bytes, "\n", 1) != 0)
+      return -1;
+  } else if (name == 5 && strncmp(line, "event", 5) == 0) {
+    snprintf(sse->type, sizeof(sse->type), "%s", value);
+  } else if (name == 2 && strncmp(line, "id", 2) == 0) {
+    snprintf(sse->id, sizeof(sse->id), "%s", value);
+  }
+  return 0;
+}
+
+int sse_feed(struct sse *sse, const char *bytes, size_t n,
+             int (*event)(void *context, const char *type, const char *id, const char *data),
+             void *context)
+{
+  int status = 0;
+  for (size_t i = 0; i < n && status == 0;) {
+    if (sse->skip_newline && bytes[i] == '\n') {
+      sse->skip_newline = false;
+      i++;
+      continue;
+    }
+    sse->skip_newline = false;
+    size_t length = 0;
+    while (i + length < n && bytes[i + length] != '\n' && bytes[i + length] != '\r')
+      length++;
+    if (append(&sse->line, &sse->line_bytes, bytes + i, length) != 0)
+      return -1;
+    i += length;
+    if (i < n) {
+      sse->skip_newline = bytes[i] == '\r';
+      i++;
+      status = take_line(sse, event, context);
+      sse->line_bytes = 0;
+      if (sse->line != NULL)
+        *sse->line = 0;
+    }
+  }
+  return status;
+}
+
+void sse_reset(struct sse *sse)
+{
+  sse->line_bytes = sse->data_bytes = 0;
+  sse->skip_newline = false;
+  *sse->type = *sse->id = 0;
+}
+
+void sse_free(struct sse *sse)
+{
+  free(sse->line);
+  free(sse->data);
+  *sse = (struct sse){0};
+}
+
+/* ---- the stream ---- */
 
 static int take_event(void *context, const char *type, const char *id, const char *data)
 {
@@ -60,11 +160,9 @@ int follow_events(struct follow *follow)
     pause_s(pause);
     pause = pause * 2 > 5 ? 5 : pause * 2;
     status = interrupted() ? STATUS_INTERRUPTED : STATUS_OK;
-    if (status == STATUS_OK && follow->broken != NULL)
+    if (status == STATUS_OK)
       status = follow->broken(follow->context);
-    if (follow->ended != NULL && follow->ended(follow->context))
-      break;
   }
   sse_free(&follow->sse);
-  return status;
+  return status > STATUS_OK ? status : STATUS_OK;
 }

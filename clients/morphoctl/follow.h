@@ -4,7 +4,25 @@
 #define MORPHOCTL_FOLLOW_H
 
 #include "ctl.h"
-#include "sse.h"
+
+#define SSE_BYTES_MAX (1 << 20)
+
+struct sse {
+  char *line, *data; /* the current line and the current event */
+  size_t line_bytes, data_bytes;
+  char type[64], id[32];
+  char last_id[32]; /* id of the last complete event, where to continue; "" none yet */
+  bool skip_newline;
+};
+
+/* Reads n bytes. Calls `event` for each complete event that has data; a non-zero result ends the
+ * reading and is returned. −1: an event is larger than SSE_BYTES_MAX, or no memory. */
+int sse_feed(struct sse *sse, const char *bytes, size_t n,
+             int (*event)(void *context, const char *type, const char *id, const char *data),
+             void *context);
+/* Drops an incomplete event but keeps last_id, for a new connection. */
+void sse_reset(struct sse *sse);
+void sse_free(struct sse *sse);
 
 struct follow {
   struct ctl *ctl;
@@ -16,14 +34,14 @@ struct follow {
   /* Called after the events of each sign of life, an event or a heartbeat (at least every 15 s).
    * Nullable; non-zero ends the following. */
   int (*alive)(void *context);
-  /* Called after each break, before the stream is opened again. Nullable; STATUS_OK continues. */
+  /* Called after each break, before the stream is opened again. STATUS_OK continues;
+   * −1: the job has ended. */
   int (*broken)(void *context);
-  bool (*ended)(void *context); /* says whether `broken` found the job ended (nullable) */
   void *context;
   struct sse sse; /* private */
 };
 
-/* Follows events. STATUS_OK: `event` or `ended` ended the following; STATUS_INTERRUPTED;
+/* Follows events. STATUS_OK: `event` or `broken` ended the following; STATUS_INTERRUPTED;
  * STATUS_CONNECTION: no sign of life for as long as --retry says; else the status of an error that
  * was already reported. */
 int follow_events(struct follow *follow);

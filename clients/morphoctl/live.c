@@ -149,22 +149,14 @@ static int look_again(void *context)
     return status;
   live->kind->changed(live, phase, reason);
   draw(live, true);
-  return STATUS_OK;
+  return live->finished ? -1 : STATUS_OK;
 }
 
 static int notice(void *context)
 {
   struct live *live = context;
-  int status = STATUS_OK;
-  if (monotonic_s() - live->told_s > live->kind->ask_s)
-    status = look_again(live);
-  return status != STATUS_OK || live->finished;
-}
-
-static bool is_finished(void *context)
-{
-  const struct live *live = context;
-  return live->finished;
+  const bool late = monotonic_s() - live->told_s > live->kind->ask_s;
+  return (late && look_again(live) != STATUS_OK) || live->finished;
 }
 
 /* Finds the sequence of the newest event, as reported by a page that starts beyond it. */
@@ -204,7 +196,6 @@ int live_watch(struct live *live)
                           .event = show_event,
                           .alive = notice,
                           .broken = look_again,
-                          .ended = is_finished,
                           .context = live};
   if (status == STATUS_OK && !live->finished)
     status = follow_events(&follow);

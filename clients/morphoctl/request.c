@@ -235,9 +235,11 @@ int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned 
 {
   char generated[33], *body = dump_json(request, JSON_COMPACT);
   const char *key = option_text(ctl, "idempotency-key", NULL);
-  int status = body != NULL ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
+  int status = STATUS_OK;
   *job = NULL;
-  if (status == STATUS_OK && key == NULL) {
+  if (body == NULL)
+    return complain(STATUS_ERROR, "out of memory");
+  if (key == NULL) {
     status = random_key(generated);
     key = generated;
   }

@@ -2,66 +2,78 @@
 #include "commands.h"
 #include "settings.inc"
 
-#define JOB_OPTIONS(priority)                                                                      \
-  {"priority", 0, "interactive|batch", priority, "priority", FIELD_WORD},                          \
-      {"weight", 0,                                                                                \
-       "X",      "Part of the cores beside other batch work, 0.001 to 1000 (default: 1).",         \
-       "weight", FIELD_REAL},                                                                      \
-      {"device",                                                                                   \
-       0,                                                                                          \
-       "auto|cpu|cuda",                                                                            \
-       "What computes it: processors, GPUs, or GPUs if one works and it suits them (default: "     \
-       "auto).",                                                                                   \
-       "device",                                                                                   \
-       FIELD_WORD},                                                                                \
-  {                                                                                                \
-    "label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD                       \
-  }
+/* Options of several commands. */
+#define PHYSICS                                                                                    \
+  "physics", 'p', "KEY=VALUE",                                                                     \
+      "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."
+#define ENVIRONMENTS                                                                               \
+  "environments", 'e', "FILE",                                                                     \
+      "paper-test (default), or a JSON file with a list of environments; - is standard input."
+#define WEIGHT                                                                                     \
+  "weight", 0, "X", "Part of the cores beside other batch work, 0.001 to 1000 (default: 1).",      \
+      "weight", FIELD_REAL
+#define DEVICE                                                                                     \
+  "device", 0, "auto|cpu|cuda",                                                                    \
+      "What computes it: processors, GPUs, or GPUs if one works and it suits them (default: "      \
+      "auto).",                                                                                    \
+      "device", FIELD_WORD
+#define KEY(job)                                                                                   \
+  "idempotency-key", 0, "KEY",                                                                     \
+      "Repeating the same request with the same key gives the same " job " (default: a new key)."
+/* Options of lists. */
+#define STATE(jobs)                                                                                \
+  "state", 0, "STATE",                                                                             \
+      "Only " jobs " that are queued, running, paused, succeeded, failed or cancelled."
+#define LABELED   "label", 'l', "TEXT", "Only those with this label."
+#define NEWEST    "limit", 'n', "N", "At most so many, newest first (default: 50)."
+#define UNLIMITED "all", 'a', NULL, "No limit."
 
 static const struct option_spec eval_options[] = {
-    SCORE_OPTIONS,
+    {"controller", 'c', "NAME", "Controller: a name or sha256:<64 digits> (default: default)."},
+    {ENVIRONMENTS},
+    {PHYSICS},
+    {"precision", 0, "float32|float64", "Precision of the simulation (default: float32)."},
     {"random", 0, "N", "Score N random bodies (besides those given)."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
     {"record", 0, "com,masses", "Record the path of the center of mass, of all masses, or both."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
     {"output", 'o', "FOLDER",
      "Where to put recorded trajectories, as NumPy files, and evaluation.json."},
-    JOB_OPTIONS("Default: interactive up to 64 rollouts, else batch."),
+    {"priority", 0, "interactive|batch", "Default: interactive up to 64 rollouts, else batch.",
+     "priority", FIELD_WORD},
+    {WEIGHT},
+    {DEVICE},
+    {"label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD},
     {"wait", 0, NULL, "Wait for the result (the default)."},
     {"no-wait", 0, NULL, "Print the id of the evaluation and do not wait."},
     {"sort", 0, "input|score", "Order of the table (default: input)."},
     {"top", 0, "N", "Only the N best of the table."},
-    {"idempotency-key", 0, "KEY",
-     "Repeating the same request with the same key gives the same evaluation (default: a new "
-     "key)."},
-    {NULL, 0, NULL, NULL}};
+    {KEY("evaluation")},
+    {NULL}};
 static const struct option_spec verify_options[] = {
-    SCORE_OPTIONS,
+    {"controller", 'c', "NAME", "Controller: a name or sha256:<64 digits> (default: default)."},
+    {ENVIRONMENTS},
+    {PHYSICS},
+    {"precision", 0, "float32|float64", "Precision of the simulation (default: float32)."},
     {"evaluation", 0, "ID", "Verify all designs of an earlier evaluation, with its settings."},
-    {NULL, 0, NULL, NULL}};
+    {NULL}};
 static const struct option_spec design_list_options[] = {
     {"sort", 0, "id|score",
      "id: as the designs came (default); score: best first, those with a score on the paper's test "
      "set, a row per orientation."},
     {"controller", 'c', "NAME", "Controller of the scores (default: default)."},
     {"limit", 'n', "N", "At most so many (default: 100)."},
-    {"all", 'a', NULL, "No limit."},
-    {NULL, 0, NULL, NULL}};
+    {UNLIMITED},
+    {NULL}};
 static const struct option_spec random_options[] = {{"count", 'n', "N", "How many (default: 1)."},
                                                     {"seed", 0, "SEED", "Seed (default: 1)."},
-                                                    {NULL, 0, NULL, NULL}};
+                                                    {NULL}};
 static const struct option_spec job_list_options[] = {
-    {"state", 0, "STATE",
-     "Only jobs that are queued, running, paused, succeeded, failed or cancelled."},
-    {"label", 'l', "TEXT", "Only those with this label."},
-    {"limit", 'n', "N", "At most so many, newest first (default: 50)."},
-    {"all", 'a', NULL, "No limit."},
-    {NULL, 0, NULL, NULL}};
+    {STATE("jobs")}, {LABELED}, {NEWEST}, {UNLIMITED}, {NULL}};
 static const struct option_spec job_show_options[] = {{"results", 'r', NULL, "The results, too."},
-                                                      {NULL, 0, NULL, NULL}};
+                                                      {NULL}};
 static const struct option_spec watch_options[] = {
-    {"after", 0, "EVENT", "Begin behind this event; 0: with the oldest that is kept."},
-    {NULL, 0, NULL, NULL}};
+    {"after", 0, "EVENT", "Begin behind this event; 0: with the oldest that is kept."}, {NULL}};
 static const struct option_spec train_start_options[] = {
     {"preset", 0, "workstation|phototaxis|paper",
      "What is not given: workstation, the defaults below (default); phototaxis, as the shipped "
@@ -83,9 +95,7 @@ static const struct option_spec train_start_options[] = {
      "Learning rate: one-cosine (default), finetune-cosine (default of finetune), paper-pretrain, "
      "paper-finetune, paper-simultaneous; or restarts, cosine or constant, with the options "
      "below."},
-    TRAINING_OPTIONS{
-        "physics", 'p', "KEY=VALUE",
-        "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
+    TRAINING_OPTIONS{PHYSICS},
     {"validate-every", 0, "STEPS",
      "Score the held-out set every so many steps; 0: never (default: 50).",
      "validation.every_steps", FIELD_WHOLE},
@@ -100,18 +110,15 @@ static const struct option_spec train_start_options[] = {
      FIELD_WHOLE},
     {"checkpoint-keep", 0, "N", "Keep the newest N checkpoints, 1 to 100 (default: 3).",
      "checkpoint.keep", FIELD_WHOLE},
-    JOB_OPTIONS("Default: batch."),
+    {"priority", 0, "interactive|batch", "Default: batch.", "priority", FIELD_WORD},
+    {WEIGHT},
+    {DEVICE},
+    {"label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD},
     {"watch", 'w', NULL, "Watch it to its end, as train watch does."},
-    {"idempotency-key", 0, "KEY",
-     "Repeating the same request with the same key gives the same training (default: a new key)."},
-    {NULL, 0, NULL, NULL}};
+    {KEY("training")},
+    {NULL}};
 static const struct option_spec train_list_options[] = {
-    {"state", 0, "STATE",
-     "Only trainings that are queued, running, paused, succeeded, failed or cancelled."},
-    {"label", 'l', "TEXT", "Only those with this label."},
-    {"limit", 'n', "N", "At most so many, newest first (default: 50)."},
-    {"all", 'a', NULL, "No limit."},
-    {NULL, 0, NULL, NULL}};
+    {STATE("trainings")}, {LABELED}, {NEWEST}, {UNLIMITED}, {NULL}};
 static const struct option_spec train_export_options[] = {
     {"output", 'o', "FILE",
      "Where to put the controller (default: training-ID-step-N.safetensors; -: standard output)."},
@@ -121,16 +128,15 @@ static const struct option_spec train_export_options[] = {
     {"curve", 0, "FILE",
      "The curve as CSV, a line per step; -: standard output. Alone: no controller."},
     {"validations", 0, "FILE", "The validations as CSV; -: standard output. Alone: no controller."},
-    {NULL, 0, NULL, NULL}};
+    {NULL}};
 static const struct option_spec train_prune_options[] = {
-    {"step", 0, "N", "Only the checkpoint of this step."}, {NULL, 0, NULL, NULL}};
+    {"step", 0, "N", "Only the checkpoint of this step."}, {NULL}};
 static const struct option_spec train_compare_options[] = {
     {"seed", 0, "SEED", "Seed of the held-out set (default: 1)."},
     {"designs", 'd', "N", "Designs of the set, 2 to 1,000 (default: 64)."},
     {"environments", 'e', "N", "Environments of each design, 1 to 64 (default: 8)."},
-    {"physics", 'p', "KEY=VALUE",
-     "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
-    {NULL, 0, NULL, NULL}};
+    {PHYSICS},
+    {NULL}};
 static const struct option_spec campaign_start_options[] = {
     {"preset", 0, "paper|workstation|demo",
      "8192, 512 (default) or 64 designs, and as many generations as suit them.", "preset",
@@ -140,8 +146,7 @@ static const struct option_spec campaign_start_options[] = {
     {"controller", 'c', "NAME",
      "A name or sha256:<64 digits>; random: random weights (default: default; simultaneous: "
      "random)."},
-    {"environments", 'e', "FILE",
-     "paper-test (default), or a JSON file with a list of environments; - is standard input."},
+    {ENVIRONMENTS},
     {"from", 0, "CAMPAIGN", "Begin with the newest population of another campaign."},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
     {"selection", 0, "KIND", "truncation (default), tournament, novelty or age-layered."},
@@ -153,24 +158,24 @@ static const struct option_spec campaign_start_options[] = {
     CAMPAIGN_OPTIONS{"checkpoint-seconds", 0, "N",
                      "Save the state of learning every N seconds; 0: at its end (default: 60).",
                      "learning.checkpoint_every_s", FIELD_WHOLE},
-    {"physics", 'p', "KEY=VALUE",
-     "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
+    {PHYSICS},
     {"name", 0, "NAME",
      "Name of the controller that a learning campaign makes (default: campaign- and the id).",
      "name", FIELD_WORD},
-    JOB_OPTIONS("Default: batch."),
+    {"priority", 0, "interactive|batch", "Default: batch.", "priority", FIELD_WORD},
+    {WEIGHT},
+    {DEVICE},
+    {"label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD},
     {"watch", 'w', NULL, "Watch it to its end, as campaign watch does."},
-    {"idempotency-key", 0, "KEY",
-     "Repeating the same request with the same key gives the same campaign (default: a new key)."},
-    {NULL, 0, NULL, NULL}};
+    {KEY("campaign")},
+    {NULL}};
 static const struct option_spec campaign_list_options[] = {
-    {"state", 0, "STATE",
-     "Only campaigns that are queued, running, paused, succeeded, failed or cancelled."},
-    {"label", 'l', "TEXT", "Only those with this label."},
+    {STATE("campaigns")},
+    {LABELED},
     {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
-    {"limit", 'n', "N", "At most so many, newest first (default: 50)."},
-    {"all", 'a', NULL, "No limit."},
-    {NULL, 0, NULL, NULL}};
+    {NEWEST},
+    {UNLIMITED},
+    {NULL}};
 static const struct option_spec campaign_champions_options[] = {
     {"count", 'n', "N", "How many, 1 to 1000 (default: 12)."},
     {"generation", 0, "G", "Of this generation (default: the newest)."},
@@ -178,7 +183,7 @@ static const struct option_spec campaign_champions_options[] = {
      "Also run them in the campaign's environments, and put the paths of their centers of mass "
      "there, as NumPy files."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
-    {NULL, 0, NULL, NULL}};
+    {NULL}};
 static const struct option_spec campaign_export_options[] = {
     {"curve", 0, "FILE",
      "Statistics of each generation as CSV; - is standard output, here and below."},
@@ -189,10 +194,10 @@ static const struct option_spec campaign_export_options[] = {
     {"newick", 0, "FILE", "The tree of first parents in Newick format."},
     {"learning", 0, "FILE", "Every step of learning as CSV."},
     {"replicates", 0, "FILE", "Mean, least and most over the replicates, by generation, as CSV."},
-    {NULL, 0, NULL, NULL}};
+    {NULL}};
 static const struct option_spec controller_get_options[] = {
     {"output", 'o', "FILE", "Where to put it (default: NAME.safetensors; -: standard output)."},
-    {NULL, 0, NULL, NULL}};
+    {NULL}};
 
 #define MANY ((size_t)-1)
 

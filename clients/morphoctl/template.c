@@ -98,7 +98,8 @@ static void put_value(FILE *file, const json_t *value, const char *form)
   else if (json_is_string(value) && strcmp(form, "time") == 0)
     put_time(file, json_string_value(value));
   else if (json_is_string(value))
-    print_plain(file, "%.*s", *form == '.' ? atoi(form + 1) : -1, json_string_value(value));
+    print_plain(file, "%.*s", *form == '.' ? (int)strtol(form + 1, NULL, 10) : -1,
+                json_string_value(value));
   else if (json_is_integer(value) && *form == 0)
     fprintf(file, "%" PRId64, (int64_t)json_integer_value(value));
   else if (json_is_number(value))

@@ -1,7 +1,7 @@
 /* Server-sent events, cut anywhere. */
 #include "../check.h"
 
-#include "sse.h"
+#include "follow.h"
 
 static char seen[4096];
 
