@@ -10,7 +10,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "daemon/log_writer.h"
+#include "daemon/log.h"
 #include "jobs/jobs.h"
 
 static const int signals[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
@@ -33,7 +33,7 @@ static void crashed(int number)
   if (marker >= 0)
     mo_jobs_crash_note((int)marker, number);
   static const char text[] = "morphod: crashed\n";
-  log_writer_last_words(text, sizeof(text) - 1);
+  log_last_words(text, sizeof(text) - 1);
   raise(number); /* blocked until this handler returns */
 }
 

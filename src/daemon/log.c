@@ -1,9 +1,18 @@
 /* log.c: see log.h. A line is built in a fixed buffer on the stack: logging allocates nothing and
- * returns no errors. */
+ * returns no errors.
+ *
+ * Lines go into a ring of bounded size, and one thread writes them, so that no other thread waits
+ * for a slow reader of the log. If standard error is not read, that thread blocks and the ring
+ * fills up. Lines that do not fit are dropped and counted; once half of the ring is free again, one
+ * line reports their number. Standard error keeps its inherited mode, because other processes may
+ * share it. */
 #include "log.h"
 
+#include <errno.h>
 #include <inttypes.h>
 #include <math.h>
+#include <poll.h>
+#include <pthread.h>
 #include <stdarg.h>
 #include <stdatomic.h>
 #include <stdlib.h>
@@ -12,17 +21,19 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "log_writer.h"
+#define RING_BYTES        ((size_t)1 << 20)
+#define LAST_WORDS_ROUNDS 100 /* of one millisecond each */
 
 static const char *const level_names[] = {"error", "warning", "info", "debug"};
 static const int level_priorities[] = {3, 4, 6, 7};
 
-/* The one piece of process-wide state that a logger needs. */
 static struct {
   enum log_format format;
   bool journal;
   atomic_int level;
 } logger = {.format = LOG_FORMAT_TEXT, .level = LOG_LEVEL_INFO};
+
+/* ---- lines ---- */
 
 struct line {
   char *text;
@@ -46,13 +57,12 @@ static void put_text(struct line *line, const char *text)
 __attribute__((format(printf, 2, 3))) static void put_format(struct line *line, const char *format,
                                                              ...)
 {
-  char text[64];
+  const size_t room = line->capacity - 2 - line->length;
   va_list arguments;
   va_start(arguments, format);
-  int n = vsnprintf(text, sizeof(text), format, arguments);
+  const int n = vsnprintf(line->text + line->length, room + 1, format, arguments);
   va_end(arguments);
-  if (n > 0)
-    put(line, text, n < (int)sizeof(text) ? (size_t)n : sizeof(text) - 1);
+  line->length += n < 0 ? 0 : (size_t)n < room ? (size_t)n : room;
 }
 
 /* JSON string escapes serve all formats: a quoted value holds no raw control byte, so it cannot
@@ -103,7 +113,6 @@ static void put_value(struct line *line, enum log_format format, const struct lo
     else
       put_text(line, format == LOG_FORMAT_JSON ? "null" : "nan");
     break;
-  case LOG_KIND_BOOL: put_text(line, field->value.boolean ? "true" : "false"); break;
   }
 }
 
@@ -124,54 +133,30 @@ size_t log_format_line(char *text, size_t capacity, enum log_format format, bool
                        const struct log_field *fields, size_t n_fields)
 {
   struct line line = {.text = text, .capacity = capacity};
+  const bool json = format == LOG_FORMAT_JSON, plain = format == LOG_FORMAT_TEXT;
+  if (json)
+    line.capacity -= 2; /* so that a quote and the closing brace always fit */
   if (priority)
     put_format(&line, "<%d>", level_priorities[level]);
-  switch (format) {
-  case LOG_FORMAT_TEXT:
-    if (time_us > 0) {
-      put_time(&line, time_us);
-      put_text(&line, " ");
-    }
-    put_format(&line, "%s: ", level_names[level]);
-    put_text(&line, message);
-    for (size_t i = 0; i < n_fields; i++) {
-      put_format(&line, " %s=", fields[i].name);
-      put_value(&line, format, &fields[i]);
-    }
-    break;
-  case LOG_FORMAT_LOGFMT:
-    if (time_us > 0) {
-      put_text(&line, "time=");
-      put_time(&line, time_us);
-      put_text(&line, " ");
-    }
-    put_format(&line, "level=%s msg=", level_names[level]);
+  put_text(&line, json ? "{" : "");
+  if (time_us > 0) {
+    put_text(&line, json ? "\"time\":\"" : plain ? "" : "time=");
+    put_time(&line, time_us);
+    put_text(&line, json ? "\"," : " ");
+  }
+  if (plain)
+    put_format(&line, "%s: %s", level_names[level], message);
+  else
+    put_format(&line, json ? "\"level\":\"%s\",\"msg\":" : "level=%s msg=", level_names[level]);
+  if (!plain)
     put_quoted(&line, message);
-    for (size_t i = 0; i < n_fields; i++) {
-      put_format(&line, " %s=", fields[i].name);
-      put_value(&line, format, &fields[i]);
-    }
-    break;
-  case LOG_FORMAT_JSON:
-    put_text(&line, "{");
-    if (time_us > 0) {
-      put_text(&line, "\"time\":\"");
-      put_time(&line, time_us);
-      put_text(&line, "\",");
-    }
-    put_format(&line, "\"level\":\"%s\",\"msg\":", level_names[level]);
-    put_quoted(&line, message);
-    for (size_t i = 0; i < n_fields; i++) {
-      if (line.capacity - line.length < 128)
-        break; /* so that the closing brace always fits */
-      put_format(&line, ",\"%s\":", fields[i].name);
-      /* Leave space for the closing quote and brace, and for the limit of the field itself. */
-      struct line part = {.text = line.text, .capacity = line.capacity - 2, .length = line.length};
-      put_value(&part, format, &fields[i]);
-      line.length = part.length;
-    }
+  for (size_t i = 0; i < n_fields && !(json && line.capacity - line.length < 128); i++) {
+    put_format(&line, json ? ",\"%s\":" : " %s=", fields[i].name);
+    put_value(&line, format, &fields[i]);
+  }
+  if (json) {
+    line.capacity += 2;
     put_text(&line, "}");
-    break;
   }
   /* Messages come from the program, but a newline in one must not forge a second line. */
   for (size_t i = 0; i < line.length; i++)
@@ -181,6 +166,204 @@ size_t log_format_line(char *text, size_t capacity, enum log_format format, bool
   line.text[line.length] = 0;
   return line.length;
 }
+
+static size_t format_now(char line[LOG_LINE_BYTES], enum log_level level, const char *message,
+                         const struct log_field *fields, size_t n_fields)
+{
+  struct timespec now;
+  clock_gettime(CLOCK_REALTIME, &now);
+  int64_t time_us = logger.journal ? 0 : (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
+  return log_format_line(line, LOG_LINE_BYTES, logger.format, logger.journal, time_us, level,
+                         message, fields, n_fields);
+}
+
+static size_t format_notice(char line[LOG_LINE_BYTES], uint64_t n)
+{
+  const struct log_field fields[] = {LOG_INT("lines", n)};
+  return format_now(line, LOG_LEVEL_WARNING,
+                    "log lines were dropped: standard error did not take them", fields, 1);
+}
+
+/* ---- the thread that writes ---- */
+
+static struct {
+  pthread_mutex_t lock;
+  pthread_cond_t filled, empty;
+  pthread_t thread;
+  bool quit;
+  size_t begin, size; /* of the pending bytes in the ring */
+  uint64_t untold;    /* lines dropped since the last notice */
+  atomic_bool running;
+  atomic_size_t pending; /* bytes in the ring and those being written; changed under the lock */
+  _Atomic uint64_t dropped;
+  char ring[RING_BYTES];
+} writer = {.lock = PTHREAD_MUTEX_INITIALIZER};
+
+/* Appends to the ring, under the lock. False: no space. */
+static bool push(const char *line, size_t n)
+{
+  if (n > RING_BYTES - writer.size)
+    return false;
+  size_t at = (writer.begin + writer.size) % RING_BYTES;
+  size_t first = n < RING_BYTES - at ? n : RING_BYTES - at;
+  memcpy(writer.ring + at, line, first);
+  memcpy(writer.ring, line + first, n - first);
+  writer.size += n;
+  atomic_fetch_add(&writer.pending, n);
+  pthread_cond_signal(&writer.filled);
+  return true;
+}
+
+/* Reports dropped lines, under the lock, once half of the ring is free, so that a slow reader does
+ * not get a notice for every few lines. */
+static void tell_dropped(void)
+{
+  char line[LOG_LINE_BYTES];
+  if (writer.untold > 0 && writer.size <= RING_BYTES / 2 &&
+      push(line, format_notice(line, writer.untold)))
+    writer.untold = 0;
+}
+
+static void drop(const char *lines, size_t n)
+{
+  for (size_t i = 0; i < n; i++)
+    if (lines[i] == '\n') {
+      writer.untold++;
+      atomic_fetch_add(&writer.dropped, 1);
+    }
+}
+
+/* Takes, under the lock, as many whole lines as one write to a pipe keeps together. */
+static size_t take(char text[LOG_LINE_BYTES])
+{
+  size_t n = writer.size < LOG_LINE_BYTES ? writer.size : LOG_LINE_BYTES;
+  size_t first = n < RING_BYTES - writer.begin ? n : RING_BYTES - writer.begin;
+  memcpy(text, writer.ring + writer.begin, first);
+  memcpy(text + first, writer.ring, n - first);
+  while (n > 0 && text[n - 1] != '\n')
+    n--;
+  writer.begin = (writer.begin + n) % RING_BYTES;
+  writer.size -= n;
+  return n;
+}
+
+/* Returns how many bytes were written: all, unless standard error fails. */
+static size_t write_all(const char *text, size_t n)
+{
+  size_t done = 0;
+  while (done < n) {
+    ssize_t written = write(STDERR_FILENO, text + done, n - done);
+    if (written >= 0)
+      done += (size_t)written;
+    else if (errno == EAGAIN) /* another process set O_NONBLOCK */
+      (void)poll(&(struct pollfd){.fd = STDERR_FILENO, .events = POLLOUT}, 1, -1);
+    else if (errno != EINTR)
+      break;
+  }
+  return done;
+}
+
+static void *write_lines(void *context)
+{
+  (void)context;
+  char text[LOG_LINE_BYTES];
+  pthread_mutex_lock(&writer.lock);
+  while (writer.size > 0 || !writer.quit) {
+    if (writer.size == 0) {
+      pthread_cond_wait(&writer.filled, &writer.lock);
+      continue;
+    }
+    size_t n = take(text);
+    pthread_mutex_unlock(&writer.lock);
+    size_t done = write_all(text, n);
+    pthread_mutex_lock(&writer.lock);
+    if (done == n)
+      tell_dropped(); /* after a failed write, the next line tries again: a notice of its own loss
+                         would repeat without end */
+    else
+      drop(text + done, n - done);
+    atomic_fetch_sub(&writer.pending, n);
+    if (atomic_load(&writer.pending) == 0)
+      pthread_cond_broadcast(&writer.empty);
+  }
+  pthread_mutex_unlock(&writer.lock);
+  return NULL;
+}
+
+int log_start(void)
+{
+  pthread_condattr_t monotonic;
+  if (atomic_load(&writer.running))
+    return 0;
+  pthread_condattr_init(&monotonic);
+  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
+  pthread_cond_init(&writer.filled, NULL);
+  pthread_cond_init(&writer.empty, &monotonic);
+  pthread_condattr_destroy(&monotonic);
+  if (pthread_create(&writer.thread, NULL, write_lines, NULL) != 0)
+    return -1;
+  atomic_store(&writer.running, true);
+  return 0;
+}
+
+/* Writes a whole line. Never blocks once the thread runs. */
+static void put_line(const char *line, size_t n)
+{
+  if (!atomic_load(&writer.running)) {
+    (void)write_all(line, n);
+    return;
+  }
+  pthread_mutex_lock(&writer.lock);
+  tell_dropped();
+  /* Drop lines until their number can be reported, so that the notice stands where they are
+   * missing. */
+  if (writer.untold > 0 || !push(line, n))
+    drop(line, n);
+  pthread_mutex_unlock(&writer.lock);
+}
+
+void log_stop(int timeout_ms)
+{
+  struct timespec until;
+  int waited = 0;
+  if (!atomic_load(&writer.running))
+    return;
+  clock_gettime(CLOCK_MONOTONIC, &until);
+  until.tv_sec += timeout_ms / 1000;
+  until.tv_nsec += timeout_ms % 1000 * 1000000L;
+  if (until.tv_nsec >= 1000000000L) {
+    until.tv_sec++;
+    until.tv_nsec -= 1000000000L;
+  }
+  pthread_mutex_lock(&writer.lock);
+  while (atomic_load(&writer.pending) > 0 && waited == 0)
+    waited = pthread_cond_timedwait(&writer.empty, &writer.lock, &until);
+  writer.quit = true;
+  pthread_cond_signal(&writer.filled);
+  pthread_mutex_unlock(&writer.lock);
+  if (waited == 0)
+    pthread_join(writer.thread, NULL);
+  else
+    pthread_detach(writer.thread); /* the thread may never return; the process ends without it */
+}
+
+void log_last_words(const char *text, size_t n)
+{
+  struct pollfd room = {.fd = STDERR_FILENO, .events = POLLOUT};
+  for (int i = 0; i < LAST_WORDS_ROUNDS && atomic_load(&writer.pending) > 0; i++)
+    (void)poll(NULL, 0, 1);
+  if (poll(&room, 1, 0) == 1 && (room.revents & POLLOUT) != 0) {
+    ssize_t written = write(STDERR_FILENO, text, n);
+    (void)written;
+  }
+}
+
+uint64_t log_dropped(void)
+{
+  return atomic_load(&writer.dropped);
+}
+
+/* ---- the logger ---- */
 
 /* systemd sets JOURNAL_STREAM to "device:inode" of the stream that it connected. */
 static bool stderr_is_journal(void)
@@ -211,53 +394,10 @@ bool log_enabled(enum log_level level)
   return (int)level <= atomic_load_explicit(&logger.level, memory_order_relaxed);
 }
 
-int log_level_from_name(const char *name, enum log_level *level)
-{
-  for (size_t i = 0; i < sizeof(level_names) / sizeof(level_names[0]); i++)
-    if (strcmp(name, level_names[i]) == 0) {
-      *level = (enum log_level)i;
-      return 0;
-    }
-  return -1;
-}
-
-int log_format_from_name(const char *name, enum log_format *format)
-{
-  static const char *const names[] = {"text", "logfmt", "json"};
-  for (size_t i = 0; i < sizeof(names) / sizeof(names[0]); i++)
-    if (strcmp(name, names[i]) == 0) {
-      *format = (enum log_format)i;
-      return 0;
-    }
-  return -1;
-}
-
-static size_t format_now(char line[LOG_LINE_BYTES], enum log_level level, const char *message,
-                         const struct log_field *fields, size_t n_fields)
-{
-  struct timespec now;
-  clock_gettime(CLOCK_REALTIME, &now);
-  int64_t time_us = logger.journal ? 0 : (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
-  return log_format_line(line, LOG_LINE_BYTES, logger.format, logger.journal, time_us, level,
-                         message, fields, n_fields);
-}
-
-static size_t format_notice(char line[LOG_LINE_BYTES], uint64_t n)
-{
-  const struct log_field fields[] = {LOG_INT("lines", n)};
-  return format_now(line, LOG_LEVEL_WARNING,
-                    "log lines were dropped: standard error did not take them", fields, 1);
-}
-
-int log_start(void)
-{
-  return log_writer_start(format_notice);
-}
-
 void log_write(enum log_level level, const char *message, const struct log_field *fields,
                size_t n_fields)
 {
   char line[LOG_LINE_BYTES];
   if (log_enabled(level))
-    log_writer_put(line, format_now(line, level, message, fields, n_fields));
+    put_line(line, format_now(line, level, message, fields, n_fields));
 }

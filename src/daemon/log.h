@@ -12,10 +12,13 @@
 #include <stdint.h>
 #include <stdio.h>
 
+/* Longest line; at most PIPE_BUF, so that lines of several processes never mix. */
+#define LOG_LINE_BYTES 4096
+
 enum log_level { LOG_LEVEL_ERROR = 0, LOG_LEVEL_WARNING, LOG_LEVEL_INFO, LOG_LEVEL_DEBUG };
 enum log_format { LOG_FORMAT_TEXT = 0, LOG_FORMAT_LOGFMT, LOG_FORMAT_JSON };
 
-enum log_kind { LOG_KIND_TEXT, LOG_KIND_INT, LOG_KIND_REAL, LOG_KIND_BOOL };
+enum log_kind { LOG_KIND_TEXT, LOG_KIND_INT, LOG_KIND_REAL };
 
 struct log_field {
   const char *name; /* [a-z0-9_]+ */
@@ -24,7 +27,6 @@ struct log_field {
     const char *text; /* NULL is written as null */
     int64_t integer;
     double real;
-    bool boolean;
   } value;
 };
 
@@ -49,16 +51,17 @@ struct log_field {
 
 /* Sets format and level, and finds out whether standard error is the journal. */
 void log_open(enum log_format format, enum log_level level);
-/* Starts a thread that writes the lines, so that callers do not wait (log_writer.h). 0, or −1: no
- * thread. */
+/* Starts a thread that writes the lines; before, they are written at once. 0, or −1: no thread. */
 int log_start(void);
+/* Waits at most `timeout_ms` until everything is written; later lines are kept and not written. */
+void log_stop(int timeout_ms);
+/* For signal handlers that end the process: gives the thread a moment for pending lines, then
+ * writes `text` if standard error accepts it. */
+void log_last_words(const char *text, size_t n);
+/* Returns the number of lines since the start that did not reach standard error. */
+uint64_t log_dropped(void);
 void log_set_level(enum log_level level);
 bool log_enabled(enum log_level level);
-
-/* Looks up "error", "warning", "info", "debug"; "text", "logfmt", "json". 0, or −1 for an unknown
- * name. */
-int log_level_from_name(const char *name, enum log_level *level);
-int log_format_from_name(const char *name, enum log_format *format);
 
 void log_write(enum log_level level, const char *message, const struct log_field *fields,
                size_t n_fields);

@@ -14,7 +14,6 @@
 
 #include "daemon/crash.h"
 #include "daemon/log.h"
-#include "daemon/log_writer.h"
 #include "daemon/service.h"
 #include "daemon/settings.h"
 #include "daemon/store_command.h"
@@ -55,10 +54,8 @@ static int64_t now_us(clockid_t clock)
 static void report_faults(const struct settings_faults *faults)
 {
   for (size_t i = 0; i < faults->n; i++)
-    if (faults->fatal[i])
-      log_error("configuration", LOG_TEXT("fault", faults->texts[i]));
-    else
-      log_warning("configuration", LOG_TEXT("fault", faults->texts[i]));
+    LOG_AT(faults->items[i].fatal ? LOG_LEVEL_ERROR : LOG_LEVEL_WARNING, "configuration",
+           LOG_TEXT("fault", faults->items[i].text));
 }
 
 /* Loads flags, environment and file into `settings`, and collects faults. */
@@ -73,6 +70,26 @@ static void load(struct process *process, struct settings *settings,
                 faults);
   if (settings_complete(settings, (const char *const *)environ) != MO_OK)
     settings_fault(faults, true, "out of memory");
+}
+
+/* Logs that a setting has another value now, which it takes if it can be reloaded. Others keep
+ * their old value for the next comparison. */
+static void apply(struct settings *current, const struct settings *read,
+                  const struct setting *setting)
+{
+  struct mo_message ignored;
+  char *old = settings_value_text(current, setting), *fresh = settings_value_text(read, setting);
+  const bool differs = old != NULL && fresh != NULL && strcmp(old, fresh) != 0;
+  if (differs && setting->reloads)
+    log_info("setting changed", LOG_TEXT("setting", setting->name), LOG_TEXT("value", fresh));
+  else if (differs)
+    log_warning("setting needs a restart to change", LOG_TEXT("setting", setting->name),
+                LOG_TEXT("value", old), LOG_TEXT("new_value", fresh));
+  if (setting->reloads && fresh != NULL)
+    settings_set(current, setting, fresh,
+                 (enum setting_source)read->source[setting - settings_table], false, &ignored);
+  free(old);
+  free(fresh);
 }
 
 /* Applies a valid new configuration on SIGHUP, and logs what needs a restart. */
@@ -92,33 +109,9 @@ static void reload(struct process *process)
   } else if (service_reload_tokens(process->service, &settings, &message) != MO_OK) {
     log_error("reload refused; the old tokens stay", LOG_TEXT("reason", message.text));
   } else {
-    for (size_t i = 0; i < settings_count; i++) {
-      char *old = settings_value_text(&process->settings, &settings_table[i]);
-      char *fresh = settings_value_text(&settings, &settings_table[i]);
-      if (old != NULL && fresh != NULL && strcmp(old, fresh) != 0) {
-        if (settings_table[i].reloads)
-          log_info("setting changed", LOG_TEXT("setting", settings_table[i].name),
-                   LOG_TEXT("value", fresh));
-        else
-          log_warning("setting needs a restart to change",
-                      LOG_TEXT("setting", settings_table[i].name), LOG_TEXT("value", old),
-                      LOG_TEXT("new_value", fresh));
-      }
-      free(old);
-      free(fresh);
-    }
-    log_set_level((enum log_level)settings.log_level);
-    /* Settings that need a restart keep their old value for the next comparison; reloaded ones take
-     * the new value. */
-    struct mo_message ignored;
     for (size_t i = 0; i < settings_count; i++)
-      if (settings_table[i].reloads) {
-        char *fresh = settings_value_text(&settings, &settings_table[i]);
-        if (fresh != NULL)
-          settings_set(&process->settings, &settings_table[i], fresh,
-                       (enum setting_source)settings.source[i], false, &ignored);
-        free(fresh);
-      }
+      apply(&process->settings, &settings, &settings_table[i]);
+    log_set_level((enum log_level)settings.log_level);
     log_info("reloaded");
   }
   settings_faults_free(&faults);
@@ -132,7 +125,7 @@ static void out_of_time(int number)
 {
   (void)number;
   static const char text[] = "morphod: the stop took too long; ended at its deadline\n";
-  log_writer_last_words(text, sizeof(text) - 1);
+  log_last_words(text, sizeof(text) - 1);
   crash_forgive();
   _exit(EXIT_OK);
 }
@@ -323,7 +316,7 @@ int main(int argc, char **argv)
     else if (action == ACTION_RUN && status == EXIT_OK)
       status = serve(&process);
   }
-  log_writer_stop(LOG_FLUSH_MS);
+  log_stop(LOG_FLUSH_MS);
   settings_faults_free(&faults);
   if (status == EXIT_STATE && process.service != NULL) {
     crash_forgive();

@@ -24,7 +24,6 @@
 #include "daemon/crash.h"
 #include "daemon/devices.h"
 #include "daemon/log.h"
-#include "daemon/log_writer.h"
 #include "daemon/memory.h"
 #include "daemon/tokens.h"
 #include "jobs/jobs.h"

@@ -17,13 +17,9 @@
 #define AT(settings, row)  ((void *)((char *)(settings) + (row)->offset))
 #define CAT(settings, row) ((const void *)((const char *)(settings) + (row)->offset))
 
-#define PATH_ROW(n, field, initial, words, reloads, help)                                          \
+#define TEXT_ROW(n, type, field, initial, words, reloads, help)                                    \
   {                                                                                                \
-    n, SETTING_PATH, reloads, offsetof(struct settings, field), 0, 0, initial, words, NULL, help   \
-  }
-#define LIST_ROW(n, field, initial, words, reloads, help)                                          \
-  {                                                                                                \
-    n, SETTING_LIST, reloads, offsetof(struct settings, field), 0, 0, initial, words, NULL, help   \
+    n, type, reloads, offsetof(struct settings, field), 0, 0, initial, words, NULL, help           \
   }
 #define VALUE_ROW(n, type, field, min, max, initial, words, help)                                  \
   {                                                                                                \
@@ -36,12 +32,12 @@
   }
 
 const struct setting settings_table[] = {
-    PATH_ROW(
-        "state_dir", state_dir, "",
+    TEXT_ROW(
+        "state_dir", SETTING_PATH, state_dir, "",
         "$STATE_DIRECTORY, else $XDG_STATE_HOME/morphod, else ~/.local/state/morphod", false,
         "Folder of the database, controllers and recordings; made if missing, for its owner only. "
         "It must belong to the user that morphod runs as, and no other user may write to it."),
-    LIST_ROW("listen", listen, "127.0.0.1:8765", NULL, false,
+    TEXT_ROW("listen", SETTING_LIST, listen, "127.0.0.1:8765", NULL, false,
              "Addresses to serve: host:port, [ipv6]:port or unix:/path; port 0 takes a free one. "
              "Sockets that systemd passes are served, too, in place of the default."),
     VALUE_ROW("workers", SETTING_NUMBER, workers, 0, 1024, "0", "one per processor",
@@ -52,24 +48,26 @@ const struct setting settings_table[] = {
     VALUE_ROW("worker_nice", SETTING_NUMBER, worker_nice, 0, 19, "5", NULL,
               "Niceness of the computing threads above the process's, so that replies never wait "
               "for computing."),
-    LIST_ROW("devices", devices, "auto", NULL, false,
+    TEXT_ROW("devices", SETTING_LIST, devices, "auto", NULL, false,
              "GPUs that compute: auto (all that work), none, or their numbers: 0,1. Scores do not "
              "depend on their number, but differ from the processors' in the last digits."),
-    PATH_ROW("compute_module", compute_module, "",
+    TEXT_ROW("compute_module", SETTING_PATH, compute_module, "",
              "morphod-cuda.so of the installation, if it is there", false,
              "Module that computes on the devices."),
-    PATH_ROW("default_controller", default_controller, "",
+    TEXT_ROW("default_controller", SETTING_PATH, default_controller, "",
              "phototaxis.safetensors of the installation", false,
              "Controller file that is stored at the first start: as \"default\", and by its own "
              "name where that can name a controller."),
-    PATH_ROW("token_file", token_file, "", "credential \"token\", if systemd passes one", true,
+    TEXT_ROW("token_file", SETTING_PATH, token_file, "",
+             "credential \"token\", if systemd passes one", true,
              "File with bearer tokens, one per line. Required for addresses beyond loopback."),
     CHOICE_ROW("token_on_loopback", token_on_loopback, "no|yes", "no", false,
                "Whether loopback addresses require a token, too."),
-    LIST_ROW("allowed_hosts", allowed_hosts, "", "the loopback names and the addresses served",
-             false, "Further names that a request's Host and Origin may have."),
-    LIST_ROW(
-        "unix_groups", unix_groups, "", "none", false,
+    TEXT_ROW("allowed_hosts", SETTING_LIST, allowed_hosts, "",
+             "the loopback names and the addresses served", false,
+             "Further names that a request's Host and Origin may have."),
+    TEXT_ROW(
+        "unix_groups", SETTING_LIST, unix_groups, "", "none", false,
         "Groups whose members may use the unix sockets, besides root and the service's own user."),
     VALUE_ROW("max_connections", SETTING_NUMBER, max_connections, 1, 65536, "1024", NULL,
               "Connections at one time; idle ones give way to new ones, and where none is idle, "
@@ -116,7 +114,7 @@ const struct setting settings_table[] = {
                "also for health checks."),
     CHOICE_ROW("log_format", log_format, "text|logfmt|json", "text", false,
                "Format of the log lines on standard error."),
-    PATH_ROW("port_file", port_file, "", "none", false,
+    TEXT_ROW("port_file", SETTING_PATH, port_file, "", "none", false,
              "File that receives the addresses served, one per line, once they are served; removed "
              "at the end."),
 };
@@ -126,41 +124,35 @@ _Static_assert(sizeof(settings_table) / sizeof(settings_table[0]) <= SETTINGS_MA
 
 void settings_fault(struct settings_faults *faults, bool fatal, const char *format, ...)
 {
+  struct settings_fault *items =
+      realloc(faults->items, (faults->n + 1) * sizeof(*items)); /* without memory, only counted */
   char *text = NULL;
   va_list arguments;
   va_start(arguments, format);
-  int n = vasprintf(&text, format, arguments);
+  if (vasprintf(&text, format, arguments) < 0)
+    text = NULL;
   va_end(arguments);
-  char **texts = realloc(faults->texts, (faults->n + 1) * sizeof(*texts));
-  if (texts != NULL)
-    faults->texts = texts;
-  bool *flags = realloc(faults->fatal, (faults->n + 1) * sizeof(*flags));
-  if (flags != NULL)
-    faults->fatal = flags;
   faults->n_fatal += fatal;
-  if (n < 0)
-    return;
-  if (texts == NULL || flags == NULL) {
-    free(text); /* the count of fatal faults still reports an error */
-    return;
-  }
-  faults->texts[faults->n] = text;
-  faults->fatal[faults->n] = fatal;
-  faults->n++;
+  if (items != NULL)
+    faults->items = items;
+  if (items != NULL && text != NULL)
+    faults->items[faults->n++] = (struct settings_fault){text, fatal};
+  else
+    free(text);
 }
 
 void settings_faults_print(const struct settings_faults *faults)
 {
   for (size_t i = 0; i < faults->n; i++)
-    fprintf(stderr, "morphod: %s%s\n", faults->fatal[i] ? "" : "warning: ", faults->texts[i]);
+    fprintf(stderr, "morphod: %s%s\n",
+            faults->items[i].fatal ? "" : "warning: ", faults->items[i].text);
 }
 
 void settings_faults_free(struct settings_faults *faults)
 {
   for (size_t i = 0; i < faults->n; i++)
-    free(faults->texts[i]);
-  free(faults->texts);
-  free(faults->fatal);
+    free(faults->items[i].text);
+  free(faults->items);
   *faults = (struct settings_faults){0};
 }
 
@@ -203,44 +195,29 @@ static int set_list(struct setting_list *list, const char *text, bool append,
   return MO_OK;
 }
 
-struct unit {
+/* Units from the largest on. A number is written with the first that divides it and is not only
+ * another name. */
+static const struct unit {
+  enum setting_type type;
   const char *name;
   uint64_t factor;
-};
-static const struct unit byte_units[] = {{"", 1},      {"K", KIB}, {"KiB", KIB}, {"M", MIB},
-                                         {"MiB", MIB}, {"G", GIB}, {"GiB", GIB}};
-static const struct unit time_units[] = {
-    {"s", SECOND}, {"ms", 1}, {"min", 60 * SECOND}, {"h", HOUR}, {"", SECOND}};
-static const struct unit no_units[] = {{"", 1}};
+  bool is_other_name;
+} units[] = {{SETTING_NUMBER, "", 1, false},         {SETTING_BYTES, "G", GIB, false},
+             {SETTING_BYTES, "GiB", GIB, true},      {SETTING_BYTES, "M", MIB, false},
+             {SETTING_BYTES, "MiB", MIB, true},      {SETTING_BYTES, "K", KIB, false},
+             {SETTING_BYTES, "KiB", KIB, true},      {SETTING_BYTES, "", 1, false},
+             {SETTING_DURATION, "h", HOUR, false},   {SETTING_DURATION, "min", 60 * SECOND, true},
+             {SETTING_DURATION, "s", SECOND, false}, {SETTING_DURATION, "", SECOND, true},
+             {SETTING_DURATION, "ms", 1, false}};
+enum { N_UNITS = sizeof(units) / sizeof(units[0]) };
 
-static int units_of(enum setting_type type, const struct unit **units)
+void settings_number_text(enum setting_type type, uint64_t value, char *text, size_t capacity)
 {
-  switch (type) {
-  case SETTING_BYTES: *units = byte_units; return (int)(sizeof(byte_units) / sizeof(byte_units[0]));
-  case SETTING_DURATION:
-    *units = time_units;
-    return (int)(sizeof(time_units) / sizeof(time_units[0]));
-  default: *units = no_units; return 1;
-  }
-}
-
-/* Writes the shortest text that reads back as the same value. */
-static void write_number(enum setting_type type, uint64_t value, char *text, size_t capacity)
-{
-  if (type == SETTING_BYTES && value != 0 && value % GIB == 0)
-    snprintf(text, capacity, "%" PRIu64 "G", value / GIB);
-  else if (type == SETTING_BYTES && value != 0 && value % MIB == 0)
-    snprintf(text, capacity, "%" PRIu64 "M", value / MIB);
-  else if (type == SETTING_BYTES && value != 0 && value % KIB == 0)
-    snprintf(text, capacity, "%" PRIu64 "K", value / KIB);
-  else if (type == SETTING_DURATION && value != 0 && value % HOUR == 0)
-    snprintf(text, capacity, "%" PRIu64 "h", value / HOUR);
-  else if (type == SETTING_DURATION && value % SECOND == 0)
-    snprintf(text, capacity, "%" PRIu64 "s", value / SECOND);
-  else if (type == SETTING_DURATION)
-    snprintf(text, capacity, "%" PRIu64 "ms", value);
-  else
-    snprintf(text, capacity, "%" PRIu64, value);
+  const struct unit *unit = units;
+  while (unit->type != type || unit->is_other_name || value % unit->factor != 0 ||
+         (value == 0 && unit->factor > SECOND)) /* 0 is "0" or "0s" */
+    unit++;
+  snprintf(text, capacity, "%" PRIu64 "%s", value / unit->factor, unit->name);
 }
 
 static int set_number(const struct setting *setting, const char *text, uint64_t *number,
@@ -249,25 +226,21 @@ static int set_number(const struct setting *setting, const char *text, uint64_t 
   static const char *const wanted[] = {[SETTING_NUMBER] = "a whole number",
                                        [SETTING_BYTES] = "a size such as 64M",
                                        [SETTING_DURATION] = "a duration such as 10s"};
-  const struct unit *units;
-  int n_units = units_of(setting->type, &units);
-  char *end = NULL;
+  char *end = "none";
   errno = 0;
   unsigned long long value = isdigit((unsigned char)*text) ? strtoull(text, &end, 10) : 0;
-  if (end == NULL)
-    return mo_fail(message, MO_ERR_INVALID, "\"%.60s\" is not %s", text, wanted[setting->type]);
   end += strspn(end, " ");
-  int u = 0;
-  while (u < n_units && strcmp(end, units[u].name) != 0)
+  size_t u = 0;
+  while (u < N_UNITS && (units[u].type != setting->type || strcmp(end, units[u].name) != 0))
     u++;
-  if (u == n_units)
+  if (u == N_UNITS)
     return mo_fail(message, MO_ERR_INVALID, "\"%.60s\" is not %s", text, wanted[setting->type]);
   uint64_t scaled;
   if (errno == ERANGE || __builtin_mul_overflow((uint64_t)value, units[u].factor, &scaled) ||
       scaled < setting->min || scaled > setting->max) {
     char low[32], high[32];
-    write_number(setting->type, setting->min, low, sizeof(low));
-    write_number(setting->type, setting->max, high, sizeof(high));
+    settings_number_text(setting->type, setting->min, low, sizeof(low));
+    settings_number_text(setting->type, setting->max, high, sizeof(high));
     return mo_fail(message, MO_ERR_RANGE, "%.60s is not between %s and %s", text, low, high);
   }
   *number = scaled;
@@ -367,25 +340,18 @@ char *settings_value_text(const struct settings *settings, const struct setting 
   }
   case SETTING_LIST: {
     const struct setting_list *list = CAT(settings, setting);
-    size_t length = 1;
-    for (size_t i = 0; i < list->n; i++)
-      length += strlen(list->items[i]) + 2;
-    char *text = malloc(length);
-    if (text == NULL)
-      return NULL;
-    char *end = text;
-    *end = 0;
-    for (size_t i = 0; i < list->n; i++) {
-      if (i > 0)
-        end = stpcpy(end, ", ");
-      end = stpcpy(end, list->items[i]);
-    }
-    return text;
+    char *text = NULL;
+    size_t length = 0;
+    FILE *file = open_memstream(&text, &length);
+    for (size_t i = 0; file != NULL && i < list->n; i++)
+      fprintf(file, "%s%s", i > 0 ? ", " : "", list->items[i]);
+    return file != NULL && fclose(file) == 0 ? text : NULL;
   }
   case SETTING_NUMBER:
   case SETTING_BYTES:
   case SETTING_DURATION:
-    write_number(setting->type, *(const uint64_t *)CAT(settings, setting), number, sizeof(number));
+    settings_number_text(setting->type, *(const uint64_t *)CAT(settings, setting), number,
+                         sizeof(number));
     return strdup(number);
   case SETTING_CHOICE: {
     const char *c = setting->choices;

@@ -138,6 +138,8 @@ void settings_print_table(FILE *file); /* Markdown */
 
 /* Returns the value of a setting as text (malloc; NULL without memory). */
 char *settings_value_text(const struct settings *settings, const struct setting *setting);
+/* Writes a number of a type of settings: the shortest text that reads back as the same value. */
+void settings_number_text(enum setting_type type, uint64_t value, char *text, size_t capacity);
 void settings_flag_name(const struct setting *setting, char *text,
                         size_t capacity); /* "--state-dir" */
 void settings_variable_name(const struct setting *setting, char *text,

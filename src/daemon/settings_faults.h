@@ -7,8 +7,10 @@
 
 /* Faults in the configuration, one sentence each. `fatal` false: a warning. */
 struct settings_faults {
-  char **texts;
-  bool *fatal;
+  struct settings_fault {
+    char *text;
+    bool fatal;
+  } * items;
   size_t n, n_fatal;
 };
 void settings_fault(struct settings_faults *faults, bool fatal, const char *format, ...)

@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #define FILE_MAX (1 << 20)
 
@@ -16,6 +17,7 @@ struct flag {
   const char *help;
 };
 static const struct flag action_flags[] = {
+    {"--foreground", ACTION_RUN, "Accepted for clarity: there is no other mode."},
     {"--help", ACTION_HELP, "Print this text."},
     {"--version", ACTION_VERSION, "Print the version."},
     {"--check-config", ACTION_CHECK,
@@ -231,12 +233,45 @@ static void usage(struct settings_request *request, struct settings_faults *faul
 }
 
 static void apply_flag(struct settings *settings, const struct setting *setting, const char *flag,
-                       const char *value, struct settings_faults *faults)
+                       size_t length, const char *value, struct settings_faults *faults)
 {
   struct mo_message message = {{0}};
   bool again = settings->source[setting - settings_table] == SOURCE_FLAG;
   if (settings_set(settings, setting, value, SOURCE_FLAG, again, &message) != MO_OK)
-    settings_fault(faults, true, "%s: %s", flag, message.text);
+    settings_fault(faults, true, "%.*s: %s", (int)length, flag, message.text);
+}
+
+/* Returns the setting of a flag, and its name, as a setting is called. */
+static const struct setting *find_flag(const char *flag, size_t length, char name[64])
+{
+  *name = 0;
+  if (length > 2 && length < 64)
+    snprintf(name, 64, "%.*s", (int)length - 2, flag + 2);
+  const bool is_flag = strncmp(flag, "--", 2) == 0 && strchr(name, '_') == NULL;
+  for (char *c = name; *c != 0; c++)
+    if (*c == '-')
+      *c = '_';
+  return is_flag ? find(name) : NULL;
+}
+
+static void unknown_flag(struct settings_request *request, struct settings_faults *faults,
+                         const char *flag, size_t length, const char *name)
+{
+  const struct setting *near = *name != 0 ? nearest(name) : NULL;
+  char why[128] = "is not a flag; see --help", meant[80];
+  if (near != NULL) {
+    settings_flag_name(near, meant, sizeof(meant));
+    snprintf(why, sizeof(why), "is not a flag; did you mean %s?", meant);
+  }
+  usage(request, faults, flag, length, why);
+}
+
+static const struct flag *find_action(const char *flag, size_t length)
+{
+  for (size_t a = 0; a < n_action_flags; a++)
+    if (strlen(action_flags[a].name) == length && strncmp(flag, action_flags[a].name, length) == 0)
+      return &action_flags[a];
+  return NULL;
 }
 
 /* Reads the command line once. `settings` NULL: looks only for the action and --config, which
@@ -246,58 +281,34 @@ static void read_flags(struct settings *settings, int argc, const char *const *a
 {
   bool first_walk = settings == NULL;
   for (int i = 1; i < argc; i++) {
-    const char *equals = strchr(argv[i], '=');
-    size_t length = equals != NULL ? (size_t)(equals - argv[i]) : strlen(argv[i]);
-    bool known = length == 12 && strncmp(argv[i], "--foreground", length) ==
-                                     0; /* the only mode: accepted without effect */
-    for (size_t a = 0; a < n_action_flags && !known; a++)
-      if (strlen(action_flags[a].name) == length &&
-          strncmp(argv[i], action_flags[a].name, length) == 0) {
-        known = true;
-        if (first_walk && request->action != ACTION_HELP)
-          request->action = action_flags[a].action;
-      }
-    if (known) {
+    const char *flag = argv[i], *equals = strchr(flag, '=');
+    size_t length = equals != NULL ? (size_t)(equals - flag) : strlen(flag);
+    const struct flag *action = find_action(flag, length);
+    char name[64];
+    if (action != NULL) {
       if (first_walk && equals != NULL)
-        usage(request, faults, argv[i], length, "takes no value");
+        usage(request, faults, flag, length, "takes no value");
+      if (first_walk && request->action != ACTION_HELP && action->action != ACTION_RUN)
+        request->action = action->action;
       continue;
     }
-    const struct setting *setting = NULL;
-    char flag[80];
-    for (size_t s = 0; s < settings_count && setting == NULL; s++) {
-      settings_flag_name(&settings_table[s], flag, sizeof(flag));
-      if (strlen(flag) == length && strncmp(flag, argv[i], length) == 0)
-        setting = &settings_table[s];
-    }
-    bool is_config = length == 8 && strncmp(argv[i], "--config", length) == 0;
+    const struct setting *setting = find_flag(flag, length, name);
+    bool is_config = length == 8 && strncmp(flag, "--config", length) == 0;
     if (setting == NULL && !is_config) {
-      if (first_walk) {
-        char name[64] = "";
-        const struct setting *near = NULL;
-        if (length > 2 && length < sizeof(name)) {
-          for (size_t k = 2; k < length; k++)
-            name[k - 2] = argv[i][k] == '-' ? '_' : argv[i][k];
-          near = nearest(name);
-        }
-        if (near != NULL)
-          settings_flag_name(near, flag, sizeof(flag));
-        char why[128] = "is not a flag; see --help";
-        if (near != NULL)
-          snprintf(why, sizeof(why), "is not a flag; did you mean %s?", flag);
-        usage(request, faults, argv[i], length, why);
-      }
+      if (first_walk)
+        unknown_flag(request, faults, flag, length, name);
       continue;
     }
     if (equals == NULL && i + 1 >= argc) {
       if (first_walk)
-        usage(request, faults, argv[i], length, "needs a value");
+        usage(request, faults, flag, length, "needs a value");
       break;
     }
     const char *value = equals != NULL ? equals + 1 : argv[++i];
     if (is_config)
       request->config = value;
     else if (!first_walk)
-      apply_flag(settings, setting, flag, value, faults);
+      apply_flag(settings, setting, flag, length, value, faults);
   }
 }
 
@@ -370,13 +381,10 @@ int settings_complete(struct settings *settings, const char *const *environment)
       char *path = NULL;
       if (asprintf(&path, "%s/token", credentials) < 0)
         return MO_ERR_NO_MEMORY;
-      FILE *file = fopen(path, "re");
-      if (file == NULL) {
-        free(path);
-      } else {
-        fclose(file);
+      if (access(path, R_OK) == 0)
         settings->token_file = path;
-      }
+      else
+        free(path);
     }
   }
   return MO_OK;
@@ -406,22 +414,9 @@ static void print_wrapped(FILE *file, int indent, const char *text)
   fputc('\n', file);
 }
 
-static const char *value_word(const struct setting *setting)
-{
-  switch (setting->type) {
-  case SETTING_PATH: return "PATH";
-  case SETTING_LIST: return "LIST";
-  case SETTING_NUMBER: return "NUMBER";
-  case SETTING_BYTES: return "SIZE";
-  case SETTING_DURATION: return "TIME";
-  case SETTING_CHOICE: return setting->choices;
-  }
-  return "VALUE";
-}
-
 static void bounds_text(const struct setting *setting, char *text, size_t capacity)
 {
-  struct settings values = {0};
+  char low[32], high[32];
   *text = 0;
   if (setting->type == SETTING_CHOICE) {
     char *out = text;
@@ -433,18 +428,17 @@ static void bounds_text(const struct setting *setting, char *text, size_t capaci
     }
     *out = 0;
   } else if (setting->type != SETTING_PATH && setting->type != SETTING_LIST) {
-    *(uint64_t *)((char *)&values + setting->offset) = setting->min;
-    char *low = settings_value_text(&values, setting);
-    *(uint64_t *)((char *)&values + setting->offset) = setting->max;
-    char *high = settings_value_text(&values, setting);
-    snprintf(text, capacity, "%s to %s", low != NULL ? low : "", high != NULL ? high : "");
-    free(low);
-    free(high);
+    settings_number_text(setting->type, setting->min, low, sizeof(low));
+    settings_number_text(setting->type, setting->max, high, sizeof(high));
+    snprintf(text, capacity, "%s to %s", low, high);
   }
 }
 
 void settings_print_help(FILE *file)
 {
+  static const char *const words[] = {
+      [SETTING_PATH] = "PATH",  [SETTING_LIST] = "LIST",     [SETTING_NUMBER] = "NUMBER",
+      [SETTING_BYTES] = "SIZE", [SETTING_DURATION] = "TIME", [SETTING_CHOICE] = NULL};
   fputs("Usage: morphod [FLAG]...\n"
         "       morphod store clean [--yes] [FLAG]...      removes files that nothing refers to\n"
         "       morphod store check [--sample=N] [FLAG]... reads all that is stored and checks it; "
@@ -453,9 +447,7 @@ void settings_print_help(FILE *file)
         "reloads tokens and log level.\n\n"
         "  --config PATH\n"
         "      Configuration file (default: $CONFIGURATION_DIRECTORY/morphod.conf, else\n"
-        "      /etc/morphod/morphod.conf, if it exists).\n"
-        "  --foreground\n"
-        "      Accepted for clarity: there is no other mode.\n",
+        "      /etc/morphod/morphod.conf, if it exists).\n",
         file);
   for (size_t i = 0; i < n_action_flags; i++) {
     fprintf(file, "  %s\n", action_flags[i].name);
@@ -469,7 +461,8 @@ void settings_print_help(FILE *file)
     char flag[80], bounds[128], text[1024];
     settings_flag_name(setting, flag, sizeof(flag));
     bounds_text(setting, bounds, sizeof(bounds));
-    fprintf(file, "  %s %s\n", flag, value_word(setting));
+    fprintf(file, "  %s %s\n", flag,
+            setting->choices != NULL ? setting->choices : words[setting->type]);
     const char *initial =
         setting->initial_words != NULL ? setting->initial_words : setting->initial;
     if (setting->type == SETTING_CHOICE || *bounds == 0)
@@ -509,16 +502,13 @@ void settings_print_table(FILE *file)
     const char *kind = setting->type == SETTING_PATH   ? "path"
                        : setting->type == SETTING_LIST ? "list"
                                                        : bounds;
-    if (setting->initial_words == NULL)
-      fprintf(file, "| `%s` | `%s` | `%s` | `%s` | %s | %s%s |\n", setting->name, flag, name,
-              setting->initial, kind, setting->help, setting->reloads ? " SIGHUP applies it." : "");
-    else if (*setting->initial != 0)
-      fprintf(file, "| `%s` | `%s` | `%s` | `%s`: %s | %s | %s%s |\n", setting->name, flag, name,
-              setting->initial, setting->initial_words, kind, setting->help,
-              setting->reloads ? " SIGHUP applies it." : "");
-    else
-      fprintf(file, "| `%s` | `%s` | `%s` | %s | %s | %s%s |\n", setting->name, flag, name,
-              setting->initial_words, kind, setting->help,
-              setting->reloads ? " SIGHUP applies it." : "");
+    const bool shown = *setting->initial != 0 || setting->initial_words == NULL;
+    fprintf(file, "| `%s` | `%s` | `%s` | ", setting->name, flag, name);
+    if (shown)
+      fprintf(file, "`%s`", setting->initial);
+    if (setting->initial_words != NULL)
+      fprintf(file, "%s%s", shown ? ": " : "", setting->initial_words);
+    fprintf(file, " | %s | %s%s |\n", kind, setting->help,
+            setting->reloads ? " SIGHUP applies it." : "");
   }
 }

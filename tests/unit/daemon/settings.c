@@ -17,10 +17,10 @@ static const struct setting *row(const char *name)
 static bool has_fault(const struct settings_faults *faults, const char *part)
 {
   for (size_t i = 0; i < faults->n; i++)
-    if (strstr(faults->texts[i], part) != NULL)
+    if (strstr(faults->items[i].text, part) != NULL)
       return true;
   for (size_t i = 0; i < faults->n; i++)
-    printf("# fault: %s\n", faults->texts[i]);
+    printf("# fault: %s\n", faults->items[i].text);
   return false;
 }
 
