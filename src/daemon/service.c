@@ -53,6 +53,8 @@ struct service {
   struct mo_http *http; /* of `api` */
   int subscription;     /* −1: none */
   bool crash_marker;
+  char *last_marker; /* of the process before, if it crashed; else NULL */
+  int64_t killed_us; /* when the process before began, if it was killed; else 0 */
   void (*fatal)(const char *what);
 };
 
@@ -80,12 +82,23 @@ static int make_folders(const char *path, struct mo_message *message)
   return status;
 }
 
-static int add_listener(struct service *service, int fd)
+/* Takes a passed socket (address NULL), or listens on an address. */
+static int add_listener(struct service *service, int fd, const char *address,
+                        struct mo_message *message)
 {
-  if (service->n_listeners >= LISTENERS_MAX)
-    return MO_ERR_LIMIT;
-  service->addresses[service->n_listeners] = service->address_text[service->n_listeners];
+  const size_t place = service->n_listeners;
+  bool beyond;
+  if (place == LISTENERS_MAX)
+    return mo_fail(message, MO_ERR_LIMIT, "more than %d sockets", LISTENERS_MAX);
+  int status = address != NULL
+                   ? mo_http_listen(address, &fd, service->address_text[place], message)
+                   : mo_http_describe(fd, service->address_text[place], &beyond, message);
+  if (status != MO_OK)
+    return status;
+  service->addresses[place] = service->address_text[place];
   service->listeners[service->n_listeners++] = fd;
+  if (address != NULL && strncmp(address, "unix:", 5) == 0)
+    service->unix_paths[place] = strdup(address + 5);
   return MO_OK;
 }
 
@@ -93,45 +106,27 @@ static int open_listeners(struct service *service, const struct settings *settin
                           struct mo_message *message)
 {
   char **names = NULL;
-  int n_passed = sd_listen_fds_with_names(1, &names);
+  const int n_passed = sd_listen_fds_with_names(1, &names);
   if (n_passed < 0)
     return mo_fail(message, MO_ERR_IO, "cannot take the sockets that were passed: %s",
                    strerror(-n_passed));
   int status = MO_OK;
   for (int i = 0; i < n_passed && status == MO_OK; i++) {
-    bool beyond;
-    int fd = SD_LISTEN_FDS_START + i;
-    if (service->n_listeners == LISTENERS_MAX)
-      status = mo_fail(message, MO_ERR_LIMIT, "more than %d sockets", LISTENERS_MAX);
-    else
-      status = mo_http_describe(fd, service->address_text[service->n_listeners], &beyond, message);
-    if (status == MO_OK)
-      status = add_listener(service, fd);
+    status = add_listener(service, SD_LISTEN_FDS_START + i, NULL, message);
     if (status == MO_OK)
       log_debug("socket taken", LOG_TEXT("name", names != NULL ? names[i] : NULL),
-                LOG_TEXT("address", service->addresses[service->n_listeners - 1]));
+                LOG_TEXT("address", service->addresses[i]));
   }
   for (int i = 0; names != NULL && names[i] != NULL; i++)
     free(names[i]);
   free(names);
-  if (status != MO_OK)
-    return status;
   size_t row = 0;
   while (settings_table[row].offset != offsetof(struct settings, listen))
     row++;
   if (n_passed > 0 && settings->source[row] == SOURCE_DEFAULT)
-    return MO_OK;
-  for (size_t i = 0; i < settings->listen.n && status == MO_OK; i++) {
-    int fd;
-    if (service->n_listeners == LISTENERS_MAX)
-      return mo_fail(message, MO_ERR_LIMIT, "more than %d sockets", LISTENERS_MAX);
-    size_t place = service->n_listeners;
-    status = mo_http_listen(settings->listen.items[i], &fd, service->address_text[place], message);
-    if (status == MO_OK)
-      status = add_listener(service, fd);
-    if (status == MO_OK && strncmp(settings->listen.items[i], "unix:", 5) == 0)
-      service->unix_paths[place] = strdup(settings->listen.items[i] + 5);
-  }
+    return status;
+  for (size_t i = 0; i < settings->listen.n && status == MO_OK; i++)
+    status = add_listener(service, -1, settings->listen.items[i], message);
   return status;
 }
 
@@ -319,7 +314,7 @@ static int start_http(struct service *service, const struct settings *settings,
   struct tokens tokens;
   int status = tokens_read(settings->token_file, &tokens, message);
   if (status != MO_OK)
-    return status;
+    return status == MO_ERR_IO ? MO_ERR_INVALID : status; /* not that of a socket */
   for (size_t i = 0; i < settings->unix_groups.n && status == MO_OK; i++) {
     const struct group *group = getgrnam(settings->unix_groups.items[i]);
     if (group == NULL)
@@ -396,8 +391,92 @@ int service_store_status(int error)
   return exit_status_of(error, needs_a_person ? EXIT_CONFIG : EXIT_STATE);
 }
 
-static int fail_with(struct mo_message *message, int error, int otherwise)
+static int open_store(struct service *service, const struct settings *settings,
+                      struct mo_message *message)
 {
+  /* A migration, or the check after an unclean stop, takes time in proportion to the database:
+   * systemd must not end it. */
+  sd_notifyf(0, "STATUS=Opening the state folder\nEXTEND_TIMEOUT_USEC=%" PRIu64, OPEN_LIMIT_US);
+  const struct mo_store_config config = {.path = settings->state_dir,
+                                         .n_readers = STORE_READERS,
+                                         .events_kept = settings->events_kept,
+                                         .fatal = store_is_broken,
+                                         .fatal_context = service};
+  mo_store_limit_memory(max_memory_of(settings) / 8);
+  int error = make_folders(settings->state_dir, message);
+  if (error == MO_OK)
+    error = mo_store_open(&config, &service->store, message);
+  if (error == MO_OK)
+    error = crash_open(settings->state_dir, &service->last_marker, &service->killed_us, message);
+  if (error != MO_OK)
+    return error;
+  service->crash_marker = true;
+  if (service->last_marker != NULL)
+    log_warning("the last process crashed while it computed a job",
+                LOG_TEXT("marker", service->last_marker));
+  const struct mo_orphans *orphans = mo_store_orphans(service->store);
+  if (orphans->n > 0)
+    log_warning("files that nothing refers to are left alone; `morphod store clean` removes them",
+                LOG_INT("files", (int64_t)orphans->n), LOG_INT("bytes", (int64_t)orphans->bytes),
+                LOG_TEXT("first", orphans->first));
+  mo_store_subscribe(service->store, log_events, service, &service->subscription);
+  return MO_OK;
+}
+
+static int start_workers(struct service *service, const struct settings *settings,
+                         struct mo_message *message)
+{
+  const struct mo_compute_config config = {
+      .n_workers = (uint32_t)settings->workers,
+      .isa = settings->isa == 0 ? mo_isa_best() : (enum mo_isa)(settings->isa - 1),
+      .nice = (int)settings->worker_nice};
+  const int error = mo_compute_create_cpu(&config, &service->compute);
+  return error == MO_OK ? MO_OK : mo_fail(message, error, "workers: %s", mo_error_text(error));
+}
+
+static int open_devices(struct service *service, const struct settings *settings,
+                        struct mo_message *message)
+{
+  return devices_open(service->compute, settings, message);
+}
+
+static int start_jobs(struct service *service, const struct settings *settings,
+                      struct mo_message *message)
+{
+  const struct mo_jobs_config config = {.max_open_jobs = (uint32_t)settings->max_open_jobs,
+                                        .max_open_rollouts = settings->max_open_rollouts,
+                                        .max_recorded_bytes = settings->max_recorded_bytes,
+                                        .max_active_trainings = (uint32_t)settings->max_trainings,
+                                        .max_active_campaigns = (uint32_t)settings->max_campaigns,
+                                        .version = MORPHOD_VERSION,
+                                        .max_memory = max_memory_of(settings),
+                                        .crash_marker = service->last_marker,
+                                        .killed_us = service->killed_us,
+                                        .warn = job_has_failed};
+  return mo_jobs_create(service->store, service->compute, &config, &service->jobs, message);
+}
+
+/* The parts in the order in which they start, with the exit status of an error: `status`, but
+ * `other_status` for the errors listed. */
+static const struct part {
+  int (*start)(struct service *service, const struct settings *settings,
+               struct mo_message *message);
+  enum exit_status status, other_status;
+  int others[3];
+} parts[] = {
+    {open_listeners, EXIT_UNAVAILABLE, EXIT_CONFIG, {MO_ERR_INVALID}},
+    {open_store, EXIT_STATE, EXIT_CONFIG, {MO_ERR_FORMAT, MO_ERR_INVALID, MO_ERR_CONFLICT}},
+    {start_workers, EXIT_SYSTEM, EXIT_SYSTEM, {0}},
+    {open_devices, EXIT_CONFIG, EXIT_CONFIG, {0}},
+    {store_default_controller, EXIT_CONFIG, EXIT_STATE, {MO_ERR_NO_SPACE, MO_ERR_CORRUPT}},
+    {start_jobs, EXIT_INTERNAL, EXIT_STATE, {MO_ERR_IO, MO_ERR_NO_SPACE}},
+    {start_http, EXIT_CONFIG, EXIT_UNAVAILABLE, {MO_ERR_IO}},
+};
+
+/* Completes the message about a part that could not start, and returns the exit status. */
+static int fail_with(struct mo_message *message, int error, const struct part *part)
+{
+  int status = part->status;
   if (message->text[0] == 0)
     snprintf(message->text, sizeof(message->text), "%s", mo_error_text(error));
   if (error == MO_ERR_NO_SPACE) {
@@ -405,7 +484,10 @@ static int fail_with(struct mo_message *message, int error, int otherwise)
     snprintf(message->text + n, sizeof(message->text) - n,
              ": make room on the disk of the state folder, then start again");
   }
-  return exit_status_of(error, otherwise);
+  for (size_t i = 0; i < sizeof(part->others) / sizeof(part->others[0]); i++)
+    if (part->others[i] == error)
+      status = part->other_status;
+  return exit_status_of(error, status);
 }
 
 int service_start(const struct settings *settings, void (*fatal)(const char *what),
@@ -415,109 +497,21 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   struct service *service = calloc(1, sizeof(*service));
   if (service == NULL || (service->state_dir = strdup(settings->state_dir)) == NULL) {
     free(service);
-    return fail_with(message, MO_ERR_NO_MEMORY, EXIT_SYSTEM);
+    mo_fail(message, MO_ERR_NO_MEMORY, "%s", mo_error_text(MO_ERR_NO_MEMORY));
+    return EXIT_SYSTEM;
   }
   service->fatal = fatal;
   service->subscription = -1;
-  char *last_marker = NULL;
-  int64_t killed_us = 0;
-  const uint64_t max_memory = max_memory_of(settings);
-  int exit_status = EXIT_OK;
-  int error = open_listeners(service, settings, message);
-  if (error != MO_OK) {
-    exit_status =
-        fail_with(message, error, error == MO_ERR_INVALID ? EXIT_CONFIG : EXIT_UNAVAILABLE);
-    goto out;
-  }
-
-  /* A migration, or the check after an unclean stop, takes time in proportion to the database:
-   * systemd must not end it. */
-  sd_notifyf(0, "STATUS=Opening the state folder\nEXTEND_TIMEOUT_USEC=%" PRIu64, OPEN_LIMIT_US);
-  error = make_folders(settings->state_dir, message);
-  struct mo_store_config store = {.path = settings->state_dir,
-                                  .n_readers = STORE_READERS,
-                                  .events_kept = settings->events_kept,
-                                  .fatal = store_is_broken,
-                                  .fatal_context = service};
-  mo_store_limit_memory(max_memory / 8);
-  if (error == MO_OK)
-    error = mo_store_open(&store, &service->store, message);
-  if (error == MO_OK)
-    error = crash_open(settings->state_dir, &last_marker, &killed_us, message);
-  if (error != MO_OK) {
-    exit_status = fail_with(message, error, service_store_status(error));
-    goto out;
-  }
-  service->crash_marker = true;
-  if (last_marker != NULL)
-    log_warning("the last process crashed while it computed a job",
-                LOG_TEXT("marker", last_marker));
-  const struct mo_orphans *orphans = mo_store_orphans(service->store);
-  if (orphans->n > 0)
-    log_warning("files that nothing refers to are left alone; `morphod store clean` removes them",
-                LOG_INT("files", (int64_t)orphans->n), LOG_INT("bytes", (int64_t)orphans->bytes),
-                LOG_TEXT("first", orphans->first));
-  mo_store_subscribe(service->store, log_events, service, &service->subscription);
-
-  struct mo_compute_config compute = {.n_workers = (uint32_t)settings->workers,
-                                      .isa = settings->isa == 0 ? mo_isa_best()
-                                                                : (enum mo_isa)(settings->isa - 1),
-                                      .nice = (int)settings->worker_nice};
-  error = mo_compute_create_cpu(&compute, &service->compute);
-  if (error != MO_OK) {
-    mo_fail(message, error, "workers: %s", mo_error_text(error));
-    exit_status = fail_with(message, error, EXIT_SYSTEM);
-    goto out;
-  }
-
-  error = devices_open(service->compute, settings, message);
-  if (error != MO_OK) {
-    exit_status = fail_with(message, error, EXIT_CONFIG);
-    goto out;
-  }
-
-  error = store_default_controller(service, settings, message);
-  if (error != MO_OK) {
-    exit_status =
-        fail_with(message, error,
-                  error == MO_ERR_NO_SPACE || error == MO_ERR_CORRUPT ? EXIT_STATE : EXIT_CONFIG);
-    goto out;
-  }
-
-  struct mo_jobs_config jobs = {.max_open_jobs = (uint32_t)settings->max_open_jobs,
-                                .max_open_rollouts = settings->max_open_rollouts,
-                                .max_recorded_bytes = settings->max_recorded_bytes,
-                                .max_active_trainings = (uint32_t)settings->max_trainings,
-                                .max_active_campaigns = (uint32_t)settings->max_campaigns,
-                                .version = MORPHOD_VERSION,
-                                .max_memory = max_memory,
-                                .crash_marker = last_marker,
-                                .killed_us = killed_us,
-                                .warn = job_has_failed};
-  error = mo_jobs_create(service->store, service->compute, &jobs, &service->jobs, message);
-  if (error != MO_OK) {
-    exit_status =
-        fail_with(message, error,
-                  error == MO_ERR_IO || error == MO_ERR_NO_SPACE ? EXIT_STATE : EXIT_INTERNAL);
-    goto out;
-  }
-
-  error = start_http(service, settings, message);
-  if (error != MO_OK) {
-    exit_status = fail_with(message, error,
-                            error == MO_ERR_IO && settings->token_file == NULL ? EXIT_UNAVAILABLE
-                                                                               : EXIT_CONFIG);
-    goto out;
+  for (size_t i = 0; i < sizeof(parts) / sizeof(parts[0]); i++) {
+    const int error = parts[i].start(service, settings, message);
+    if (error != MO_OK) {
+      service_stop(service);
+      return fail_with(message, error, &parts[i]);
+    }
   }
   mo_http_set_ready(service->http, true);
   *ret_service = service;
-  service = NULL;
-
-out:
-  free(last_marker);
-  if (service != NULL)
-    service_stop(service);
-  return exit_status;
+  return EXIT_OK;
 }
 
 size_t service_addresses(const struct service *service, const char *const **addresses)
@@ -609,6 +603,7 @@ void service_stop(struct service *service)
   mo_store_close(service->store);
   if (service->crash_marker)
     crash_close(service->state_dir);
+  free(service->last_marker);
   free(service->state_dir);
   free(service);
 }
