@@ -268,15 +268,18 @@ struct mo_descent {
 void mo_ancestors(const struct mo_descent *descents, uint32_t n, uint32_t number, uint8_t *marks);
 void mo_descendants(const struct mo_descent *descents, uint32_t n, uint32_t number, uint8_t *marks);
 
-/* Writes the Newick text of the forest in which each design hangs on its first parent, one line
+/* The Newick text of the forest in which each design hangs on its first parent, one line
  * ("…;\n") per root, children in order of birth. A label is "n" and the number: readers take a bare
  * number at an inner node for a confidence. Branch lengths are generations; a root has none.
- * Iterative. `write` receives the text in pieces; its non-zero return stops the call and is
- * returned. born: (n) generations. keep: nullable (n) bytes: only these designs and the paths to
- * their roots. MO_ERR_NO_MEMORY. */
-int mo_newick(const struct mo_descent *descents, const uint32_t *born, const uint8_t *keep,
-              uint32_t n, int (*write)(void *context, const char *text, size_t length),
-              void *context);
+ * Iterative. Both arrays, (n), must outlive it; born: generations. MO_ERR_NO_MEMORY. */
+struct mo_newick;
+int mo_newick_create(const struct mo_descent *descents, const uint32_t *born, uint32_t n,
+                     struct mo_newick **newick);
+/* Writes the next part of the text, without a NUL, into `size` ≥ MO_NEWICK_PIECE bytes. False: that
+ * was the last one. */
+#define MO_NEWICK_PIECE 64 /* more than any one piece: "n4294967295:4294967295)" */
+bool mo_newick_next(struct mo_newick *newick, char *text, size_t size, size_t *length);
+void mo_newick_free(struct mo_newick *newick); /* NULL-safe */
 
 #ifdef __cplusplus
 }

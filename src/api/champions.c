@@ -1,7 +1,7 @@
 /* champions.c: the champions of a campaign, and recordings of them. */
 #include <stdlib.h>
 
-#include "api/campaign_json.h"
+#include "api/job_json.h"
 #include "api/jobs.h"
 #include "api/requests.h"
 #include "api/submission.h"

@@ -5,7 +5,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/campaign_json.h"
 #include "api/handlers.h"
 #include "api/job_json.h"
 

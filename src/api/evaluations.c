@@ -1,8 +1,76 @@
 /* evaluations.c: evaluations: submission, state, results. */
+#include <math.h>
+
 #include "api/job_json.h"
 #include "api/jobs.h"
 #include "api/requests.h"
 #include "api/submission.h"
+#include "rollout/physics.h"
+
+/* ---- the kind ---- */
+
+static void write_result(struct mo_text *text, const struct mo_evaluation_results *results,
+                         uint32_t d)
+{
+  const uint32_t columns = results->n_environments;
+  const int32_t *steps = &results->diverged_steps[(size_t)d * columns];
+  mo_text_object(text);
+  mo_member_form(text, "id", &results->forms[d]);
+  mo_member_bits(text, "genotype", &results->genotypes[d]);
+  mo_text_member_number(text, "score", results->scores[d]);
+  mo_member_numbers(text, "losses", &results->losses[(size_t)d * columns], columns);
+  mo_text_add(text, ",\"diverged\":[");
+  for (uint32_t k = 0; k < columns; k++)
+    if (steps[k] != 0) {
+      mo_text_next(text);
+      mo_text_format(text, "{\"environment\":%u,\"step\":%d}", k, (int)steps[k]);
+    }
+  mo_text_add(text, "]");
+  if (results->stored_losses != NULL) {
+    const double *stored = &results->stored_losses[(size_t)d * columns];
+    bool any = false;
+    for (uint32_t k = 0; k < columns; k++)
+      any |= !isnan(stored[k]);
+    mo_member_numbers(text, "stored_losses", stored, columns);
+    if (any)
+      mo_text_member_bool(text, "agrees", results->agrees[d]);
+    else
+      mo_text_member(text, "agrees", NULL);
+  }
+  mo_text_add(text, "}");
+}
+
+/* Writes an evaluation. results nullable: without them. */
+static void write_job(struct mo_text *text, const struct mo_job *job,
+                      const struct mo_evaluation_results *results)
+{
+  mo_text_object(text);
+  mo_text_member_id(text, "id", job->id);
+  mo_text_member(text, "kind", mo_job_kind_name(job->kind));
+  mo_job_write_head(text, job, &(struct mo_live){0});
+  mo_member_controller(text, "controller", true, job->controller_name, &job->controller_sha256);
+  mo_member_environments(text, job->environment_set, job->n_environments);
+  mo_text_name(text, "physics");
+  mo_fields_write_object(text, &mo_physics_fields, &job->physics);
+  mo_text_member(text, "precision", job->precision == MO_FLOAT64 ? "float64" : "float32");
+  mo_text_format(text, ",\"record\":[%s%s%s]", job->record_com ? "\"com\"" : "",
+                 job->record_com && job->record_masses ? "," : "",
+                 job->record_masses ? "\"masses\"" : "");
+  mo_text_member_count(text, "record_stride", job->record_stride > 0 ? job->record_stride : 1);
+  mo_text_member_bool(text, "verify", job->verify);
+  mo_text_member_count(text, "n_designs", job->n_designs);
+  mo_text_member_count(text, "rollouts_total", job->rollouts_total);
+  mo_text_member_count(text, "rollouts_done", job->rollouts_done);
+  mo_text_member_count(text, "rollouts_cached", job->rollouts_cached);
+  mo_text_member_count(text, "rollouts_diverged", job->rollouts_diverged);
+  if (results != NULL) {
+    mo_text_add(text, ",\"results\":[");
+    for (uint32_t d = 0; d < results->n_designs; d++)
+      write_result(text, results, d);
+    mo_text_add(text, "]");
+  }
+  mo_text_add(text, "}");
+}
 
 static int read_status(struct mo_store *store, int64_t id, union mo_job_status *status)
 {
@@ -25,7 +93,7 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
   if (job->state == MO_JOB_SUCCEEDED)
     error = mo_store_results(api->store, job->id, &results);
   if (error == MO_OK)
-    mo_job_write(text, job, results);
+    write_job(text, job, results);
   mo_evaluation_results_free(results);
   return error;
 }
@@ -33,7 +101,7 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
 static void write_item(struct mo_text *text, const void *status, const struct mo_live *live)
 {
   (void)live;
-  mo_job_write(text, status, NULL);
+  write_job(text, status, NULL);
 }
 
 const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,
@@ -45,6 +113,8 @@ const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,
                                                    .write_job = write_item,
                                                    .versioned = true,
                                                    .brief = true};
+
+/* ---- submission ---- */
 
 /* Parses and stores the evaluation. */
 static int submit(struct mo_request *request, struct mo_post *post)

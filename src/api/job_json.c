@@ -76,37 +76,6 @@ void mo_member_environments(struct mo_text *text, const char *set, uint32_t n)
     mo_text_format(text, ",\"environments\":{\"count\":%u}", n);
 }
 
-static void write_result(struct mo_text *text, const struct mo_evaluation_results *results,
-                         uint32_t d)
-{
-  const uint32_t columns = results->n_environments;
-  const int32_t *steps = &results->diverged_steps[(size_t)d * columns];
-  mo_text_object(text);
-  mo_member_form(text, "id", &results->forms[d]);
-  mo_member_bits(text, "genotype", &results->genotypes[d]);
-  mo_text_member_number(text, "score", results->scores[d]);
-  mo_member_numbers(text, "losses", &results->losses[(size_t)d * columns], columns);
-  mo_text_add(text, ",\"diverged\":[");
-  for (uint32_t k = 0; k < columns; k++)
-    if (steps[k] != 0) {
-      mo_text_next(text);
-      mo_text_format(text, "{\"environment\":%u,\"step\":%d}", k, (int)steps[k]);
-    }
-  mo_text_add(text, "]");
-  if (results->stored_losses != NULL) {
-    const double *stored = &results->stored_losses[(size_t)d * columns];
-    bool any = false;
-    for (uint32_t k = 0; k < columns; k++)
-      any |= !isnan(stored[k]);
-    mo_member_numbers(text, "stored_losses", stored, columns);
-    if (any)
-      mo_text_member_bool(text, "agrees", results->agrees[d]);
-    else
-      mo_text_member(text, "agrees", NULL);
-  }
-  mo_text_add(text, "}");
-}
-
 /* Says whether a job is paused because no device is available to compute it. */
 static bool lacks_device(const struct mo_job *job)
 {
@@ -173,36 +142,5 @@ void mo_links_write(struct mo_text *text, const struct mo_job *job, const char *
   for (; below[0] != NULL; below += 2)
     mo_text_format(text, ",\"%s\":\"/v1/%ss/%lld/%s\"", below[0], mo_job_kind_name(job->kind), id,
                    below[1]);
-  mo_text_add(text, "}");
-}
-
-void mo_job_write(struct mo_text *text, const struct mo_job *job,
-                  const struct mo_evaluation_results *results)
-{
-  mo_text_object(text);
-  mo_text_member_id(text, "id", job->id);
-  mo_text_member(text, "kind", mo_job_kind_name(job->kind));
-  mo_job_write_head(text, job, &(struct mo_live){0});
-  mo_member_controller(text, "controller", true, job->controller_name, &job->controller_sha256);
-  mo_member_environments(text, job->environment_set, job->n_environments);
-  mo_text_name(text, "physics");
-  mo_fields_write_object(text, &mo_physics_fields, &job->physics);
-  mo_text_member(text, "precision", job->precision == MO_FLOAT64 ? "float64" : "float32");
-  mo_text_format(text, ",\"record\":[%s%s%s]", job->record_com ? "\"com\"" : "",
-                 job->record_com && job->record_masses ? "," : "",
-                 job->record_masses ? "\"masses\"" : "");
-  mo_text_member_count(text, "record_stride", job->record_stride > 0 ? job->record_stride : 1);
-  mo_text_member_bool(text, "verify", job->verify);
-  mo_text_member_count(text, "n_designs", job->n_designs);
-  mo_text_member_count(text, "rollouts_total", job->rollouts_total);
-  mo_text_member_count(text, "rollouts_done", job->rollouts_done);
-  mo_text_member_count(text, "rollouts_cached", job->rollouts_cached);
-  mo_text_member_count(text, "rollouts_diverged", job->rollouts_diverged);
-  if (results != NULL) {
-    mo_text_add(text, ",\"results\":[");
-    for (uint32_t d = 0; d < results->n_designs; d++)
-      write_result(text, results, d);
-    mo_text_add(text, "]");
-  }
   mo_text_add(text, "}");
 }

@@ -1,10 +1,10 @@
-/* job_json.h: writes jobs and evaluations as JSON, as in the contract. */
+/* job_json.h: writes jobs, and designs of campaigns, as in the contract. */
 #ifndef MORPHO_API_JOB_JSON_H
 #define MORPHO_API_JOB_JSON_H
 
 #include "base/text.h"
-#include "jobs/live.h"
-#include "store/store.h"
+#include "jobs/campaigns.h"
+#include "jobs/trainings.h"
 
 /* Write the digits of a genotype, or of an id, without quotes. */
 void mo_bits_write(struct mo_text *text, const struct mo_bits *bits);
@@ -33,8 +33,29 @@ void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const str
 const char *mo_result_name(const struct mo_job *job, const char *asked, char made[MO_MADE_BYTES]);
 /* Writes the paths of what belongs to a job. below: pairs of member and path, then NULL. */
 void mo_links_write(struct mo_text *text, const struct mo_job *job, const char *const *below);
-/* Writes an evaluation. results nullable: without them. */
-void mo_job_write(struct mo_text *text, const struct mo_job *job,
-                  const struct mo_evaluation_results *results);
+
+/* Writes a training. live: its current live state. population_kind: the kind of the job
+ * record.population, if there is one. */
+void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
+                            enum mo_job_kind population_kind, const struct mo_live *live);
+/* Writes a training as an item of the list of jobs. status: struct mo_training_status. */
+void mo_training_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
+
+/* Writes a campaign. live: its current live state. */
+void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
+                            const struct mo_live *live);
+/* Writes a campaign as an item of the list of jobs. status: struct mo_campaign_status. */
+void mo_campaign_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
+
+/* Writes a design of a campaign: the members of an object without its braces, so that more can
+ * follow. */
+void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row);
+/* Writes what the campaign did with the design, as further members: parents, operator, born, died,
+ * score. */
+void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row);
+/* Writes a line of the phylogeny in the ALife data standard. end: the last generation to report; a
+ * design that died later is written as alive. */
+void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row,
+                            int64_t end);
 
 #endif

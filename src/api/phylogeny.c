@@ -1,19 +1,75 @@
 /* phylogeny.c: the designs of a campaign: its populations, each design with its lineage, the
  * whole phylogeny. */
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/campaign_json.h"
+#include "api/job_json.h"
 #include "api/jobs.h"
-#include "api/newick_pieces.h"
 #include "http/download.h"
 
 /* Cursors have at most as many digits as the contract allows; one beyond the last design is the
  * end. */
 #define NUMBER_CURSOR_MAX     INT64_C(9999999999)
 #define POPULATION_CURSOR_MAX 999999
+
+static const char newick_type[] = "text/x-nh; charset=utf-8";
+
+/* ---- one design as JSON and CSV ---- */
+
+static void write_parents(struct mo_text *text, const struct mo_descent *descent)
+{
+  for (int i = 0, n = 0; i < 2; i++)
+    if (descent->parents[i] != MO_NO_PARENT)
+      mo_text_format(text, n++ > 0 ? ",%u" : "%u", descent->parents[i]);
+}
+
+void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row)
+{
+  mo_text_add(text, ",\"parents\":[");
+  write_parents(text, &row->descent);
+  mo_text_add(text, "]");
+  mo_text_member(text, "operator", mo_operator_name((enum mo_operator)row->descent.op));
+  mo_text_member_count(text, "born", row->born);
+  mo_member_count_if(text, "died", row->died >= 0, (uint64_t)row->died);
+  mo_text_member_number(text, "score", row->score);
+}
+
+void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row)
+{
+  mo_text_member_count(text, "number", row->number);
+  mo_member_form(text, "id", &row->form);
+  mo_member_bits(text, "genotype", &row->genotype);
+  mo_campaign_json_life(text, row);
+  mo_text_format(text, ",\"voxels\":%u,\"footprint\":%u,\"masses\":%u,\"springs\":%u",
+                 row->size.voxels, row->size.footprint, row->size.masses, row->size.springs);
+}
+
+static const char csv_heading[] = "id,ancestor_list,origin_time,destruction_time,operator,"
+                                  "score,design,genotype,voxels,footprint,masses,springs\n";
+
+void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row, int64_t end)
+{
+  bool root = row->descent.parents[0] == MO_NO_PARENT && row->descent.parents[1] == MO_NO_PARENT;
+  mo_text_format(text, "%u,\"[", row->number);
+  write_parents(text, &row->descent);
+  mo_text_format(text, root ? "none]\",%u," : "]\",%u,", row->born);
+  if (row->died >= 0 && row->died <= end)
+    mo_text_format(text, "%lld", (long long)row->died);
+  else
+    mo_text_add(text, "inf");
+  mo_text_format(text, ",%s,", mo_operator_name((enum mo_operator)row->descent.op));
+  if (isfinite(row->score))
+    mo_text_json_number(text, row->score);
+  mo_text_add(text, ",d"); /* letters, because programs that read tables take 8e00… for a number */
+  mo_bits_write_id(text, &row->form);
+  mo_text_add(text, ",g");
+  mo_bits_write(text, &row->genotype);
+  mo_text_format(text, ",%u,%u,%u,%u\n", row->size.voxels, row->size.footprint, row->size.masses,
+                 row->size.springs);
+}
 
 /* ---- what the calls share ---- */
 
@@ -265,7 +321,7 @@ static int more_lines(void *context, struct mo_text *text)
   struct lines *lines = context;
   size_t limit = lines->left < MO_PAGE_MAX ? (size_t)lines->left : MO_PAGE_MAX;
   if (!lines->headed)
-    mo_text_add(text, mo_campaign_csv_designs);
+    mo_text_add(text, csv_heading);
   lines->headed = true;
   if (limit == 0)
     return 0;
@@ -301,28 +357,58 @@ static void reply_csv(struct mo_request *request, const struct mo_campaign_statu
                    more_lines, lines, free);
 }
 
+/* Writes the Newick text of the designs. */
+struct tree {
+  struct mo_descent *descents;
+  uint32_t *born;
+  struct mo_newick *newick;
+};
+
+static int more_tree(void *context, struct mo_text *text)
+{
+  struct tree *tree = context;
+  char piece[64 * 1024];
+  size_t size;
+  const bool more = mo_newick_next(tree->newick, piece, sizeof(piece), &size);
+  mo_text_bytes(text, piece, size);
+  return more;
+}
+
+static void free_tree(void *context)
+{
+  struct tree *tree = context;
+  mo_newick_free(tree->newick);
+  free(tree->descents);
+  free(tree->born);
+  free(tree);
+}
+
 static void reply_newick(struct mo_request *request, const struct mo_campaign_status *status,
                          const char *tag)
 {
-  struct mo_newick_pieces *pieces = NULL;
-  struct mo_descent *descents = NULL;
-  uint32_t *born = NULL, n = 0;
-  mo_reply_static(request, 200, "text/x-nh; charset=utf-8", "", 0);
+  uint32_t n = 0;
+  mo_reply_static(request, 200, newick_type, "", 0);
   mo_reply_etag(request, "%s", tag);
   if (request->reply.status == 304)
     return; /* answered by the tag, before anything is read */
-  int code =
-      mo_store_campaign_descents(mo_api_of(request)->store, status->job.id, &descents, &born, &n);
-  if (code == MO_OK && n > status->n_designs)
+  struct tree *tree = calloc(1, sizeof(*tree));
+  if (tree == NULL) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "campaign");
+    return;
+  }
+  int code = mo_store_campaign_descents(mo_api_of(request)->store, status->job.id, &tree->descents,
+                                        &tree->born, &n);
+  if (n > status->n_designs)
     n = (uint32_t)status->n_designs; /* only designs that the tag covers */
   if (code == MO_OK)
-    code = mo_newick_pieces_start(descents, born, n, &pieces);
+    code = mo_newick_create(tree->descents, tree->born, n, &tree->newick);
   if (code != MO_OK) {
+    free_tree(tree);
     mo_reply_error(request, code, "campaign");
     return;
   }
-  mo_download_open(request, "text/x-nh; charset=utf-8", tag, mo_newick_pieces_bytes(n),
-                   mo_newick_pieces_more, pieces, mo_newick_pieces_free);
+  mo_download_open(request, newick_type, tag, n * (sizeof(*tree->descents) + 3 * sizeof(uint32_t)),
+                   more_tree, tree, free_tree);
 }
 
 void mo_api_get_campaign_phylogeny(struct mo_request *request)

@@ -1,10 +1,130 @@
 /* trainings.c: trainings: submission and state. */
-#include <string.h>
+#include <math.h>
 
+#include "api/columns.h"
+#include "api/job_json.h"
 #include "api/jobs.h"
 #include "api/requests.h"
 #include "api/submission.h"
-#include "api/training_json.h"
+#include "store/fields.h"
+
+/* ---- as JSON ---- */
+
+static const char *kind_name(const struct mo_training_status *status)
+{
+  return status->record.settings.kind == MO_TRAINING_FINETUNE ? "finetune" : "pretrain";
+}
+
+/* Returns the steps applied. After a crash, a run that resumed from a checkpoint may be behind the
+ * stored curve. A run that is being prepared does not know its step yet. */
+static uint32_t step_of(const struct mo_training_status *status, const struct mo_live *live)
+{
+  if (live->phase == MO_PHASE_IDLE)
+    return status->step;
+  return live->position > 0 ? live->position : status->checkpoint_step;
+}
+
+static void write_settings(struct mo_text *text, const struct mo_training_record *record,
+                           enum mo_job_kind population_kind)
+{
+  struct mo_training_record shown = *record;
+  if (record->has_parent)
+    shown.settings.sensor = (enum mo_sensor) - 1; /* null: that of the parent */
+  mo_text_add(text, ",\"settings\":{");
+  mo_fields_write(text, &mo_training_record_fields, &shown);
+  mo_member_count_if(text, "n_designs", record->settings.kind == MO_TRAINING_FINETUNE,
+                     record->n_designs);
+  if (record->population > 0)
+    mo_text_format(text, ",\"population\":{\"%s\":\"%lld\"}}", mo_job_kind_name(population_kind),
+                   (long long)record->population);
+  else
+    mo_text_add(text, ",\"population\":null}");
+}
+
+static void write_progress(struct mo_text *text, const struct mo_training_status *status,
+                           const struct mo_live *live)
+{
+  static const struct mo_training_report none = {.mean_loss = NAN,
+                                                 .gradient_norm = NAN,
+                                                 .rate = NAN,
+                                                 .clipped_share = NAN,
+                                                 .clipped_robots_share = NAN};
+  const struct mo_training_report *last = status->step > 0 ? &status->last.report : &none;
+  bool runs = live->phase != MO_PHASE_IDLE;
+  mo_text_format(text, ",\"progress\":{\"step\":%u,\"steps\":%u", step_of(status, live),
+                 status->record.settings.n_steps);
+  mo_text_member_number(text, "mean_loss", last->mean_loss);
+  mo_text_member_number(text, "gradient_norm", last->gradient_norm);
+  mo_text_member_number(text, "rate", last->rate);
+  mo_text_member_number(text, "clipped_share", last->clipped_share);
+  mo_text_member_number(text, "clipped_robots_share", last->clipped_robots_share);
+  mo_text_member_count(text, "diverged", last->diverged);
+  mo_text_member_count(text, "zeroed", last->zeroed);
+  mo_text_member_bool(text, "skipped", last->skipped);
+  mo_member_number_if(text, "bodies_per_s", runs && live->rate > 0, live->rate);
+  mo_member_number_if(text, "seconds_left", runs && live->seconds_left >= 0, live->seconds_left);
+  mo_member_number_if(text, "busy_s", runs && live->busy_s >= 0, live->busy_s);
+  mo_text_member_count(text, "replayed", runs ? live->done : 0);
+  mo_text_member_count(text, "replay_total", runs ? live->total : 0);
+  mo_text_add(text, "}");
+}
+
+static void write_code(struct mo_text *text, const struct mo_training_lineage *lineage)
+{
+  mo_text_add(text, ",\"code\":[");
+  for (uint32_t i = 0; i < lineage->n; i++) {
+    mo_text_object(text);
+    mo_text_member_count(text, "from_step", lineage->codes[i].from_step);
+    mo_text_member(text, "fingerprint", lineage->codes[i].fingerprint);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+}
+
+void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
+                            enum mo_job_kind population_kind, const struct mo_live *live)
+{
+  static const char *const below[] = {"steps",       "steps",       "validations", "validations",
+                                      "checkpoints", "checkpoints", "controller",  "controller",
+                                      "held_out",    "held-out",    NULL};
+  const struct mo_training_record *record = &status->record;
+  char made[MO_MADE_BYTES];
+  const char *name = mo_result_name(&status->job, record->name, made);
+  mo_text_object(text);
+  mo_text_member_id(text, "id", status->job.id);
+  mo_text_member(text, "kind", kind_name(status));
+  mo_text_member(text, "name", name);
+  mo_job_write_head(text, &status->job, live);
+  mo_text_member(text, "phase", mo_phase_name(live->phase));
+  mo_member_controller(text, "parent", record->has_parent, record->parent_name,
+                       &record->parent_sha256);
+  write_settings(text, record, population_kind);
+  write_progress(text, status, live);
+  mo_text_name(text, "validation");
+  mo_columns_json(text, &mo_validation_columns,
+                  status->has_validation ? &status->validation : NULL);
+  mo_member_count_if(text, "checkpoint_step", status->checkpoint_step > 0, status->checkpoint_step);
+  write_code(text, &status->code);
+  mo_member_controller(text, "controller", status->has_result, name, &status->result_sha256);
+  mo_links_write(text, &status->job, below);
+  mo_text_add(text, "}");
+}
+
+void mo_training_json_job(struct mo_text *text, const void *any, const struct mo_live *live)
+{
+  const struct mo_training_status *status = any;
+  char made[MO_MADE_BYTES];
+  mo_text_object(text);
+  mo_text_member_id(text, "id", status->job.id);
+  mo_text_member(text, "kind", mo_job_kind_name(status->job.kind));
+  mo_job_write_head(text, &status->job, live);
+  mo_text_format(text, ",\"training\":{\"kind\":\"%s\"", kind_name(status));
+  mo_text_member(text, "name", mo_result_name(&status->job, status->record.name, made));
+  mo_text_format(text, ",\"step\":%u,\"steps\":%u}}", step_of(status, live),
+                 status->record.settings.n_steps);
+}
+
+/* ---- the kind ---- */
 
 static int read_status(struct mo_store *store, int64_t id, union mo_job_status *status)
 {
@@ -41,6 +161,8 @@ const struct mo_resource mo_training_resource = {.kind = MO_JOB_TRAINING,
                                                  .has_live = true,
                                                  .write = write_whole,
                                                  .write_job = mo_training_json_job};
+
+/* ---- submission ---- */
 
 /* Parses and stores the training. */
 static int submit(struct mo_request *request, struct mo_post *post)

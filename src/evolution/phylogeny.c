@@ -35,130 +35,95 @@ void mo_descendants(const struct mo_descent *descents, uint32_t n, uint32_t numb
 
 /* ---- Newick ---- */
 
-#define BUFFER_BYTES 8192
-#define PIECE_BYTES  64 /* more than any one piece: ")n4294967295:4294967295;\n" */
-
-struct writer {
-  int (*write)(void *context, const char *text, size_t length);
-  void *context;
-  size_t used;
-  char buffer[BUFFER_BYTES];
-};
-
-static int flush(struct writer *writer)
-{
-  const size_t used = writer->used;
-  writer->used = 0;
-  return used > 0 ? writer->write(writer->context, writer->buffer, used) : 0;
-}
-
-static int put(struct writer *writer, const char *text, size_t length)
-{
-  const int r = writer->used + length > BUFFER_BYTES ? flush(writer) : 0;
-  if (r != 0)
-    return r;
-  memcpy(writer->buffer + writer->used, text, length);
-  writer->used += length;
-  return 0;
-}
-
 /* The forest: each design hangs on its first parent. */
-struct forest {
+struct mo_newick {
   const struct mo_descent *descents;
   const uint32_t *born;
-  uint32_t *child; /* (n) first child; MO_NO_PARENT */
-  uint32_t *next;  /* (n) next child of the same parent */
-  uint8_t *kept;   /* (n) */
+  uint32_t n, root; /* root: the first number that may be the root of a further tree */
+  uint32_t at;      /* the design that is next; MO_NO_PARENT: between two trees */
+  bool is_open;     /* its children are written */
+  uint32_t *child;  /* (n) first child; MO_NO_PARENT */
+  uint32_t *next;   /* (n) next child of the same parent */
 };
 
-static uint32_t parent_of(const struct forest *forest, uint32_t i)
+static uint32_t parent_of(const struct mo_newick *newick, uint32_t i)
 {
-  const uint32_t parent = forest->descents[i].parents[0];
+  const uint32_t parent = newick->descents[i].parents[0];
   return parent < i ? parent : MO_NO_PARENT;
 }
 
-/* Builds the child lists from the last design to the first: a parent comes after all its children,
- * and lists end up ascending. */
-static void grow(const struct forest *forest, const uint8_t *keep, uint32_t n)
+int mo_newick_create(const struct mo_descent *descents, const uint32_t *born, uint32_t n,
+                     struct mo_newick **ret)
 {
-  memset(forest->child, 0xff, n * sizeof(*forest->child));
-  memset(forest->next, 0xff, n * sizeof(*forest->next));
-  for (uint32_t i = n; i-- > 0;) {
-    const uint32_t parent = parent_of(forest, i);
-    if (keep == NULL || keep[i])
-      forest->kept[i] = 1;
-    if (!forest->kept[i] || parent == MO_NO_PARENT)
+  struct mo_newick *newick = malloc(sizeof(*newick));
+  const size_t bytes = (n > 0 ? n : 1) * sizeof(uint32_t);
+  if (newick == NULL)
+    return MO_ERR_NO_MEMORY;
+  *newick = (struct mo_newick){.descents = descents,
+                               .born = born,
+                               .n = n,
+                               .at = MO_NO_PARENT,
+                               .child = malloc(bytes),
+                               .next = malloc(bytes)};
+  if (newick->child == NULL || newick->next == NULL) {
+    mo_newick_free(newick);
+    return MO_ERR_NO_MEMORY;
+  }
+  memset(newick->child, 0xff, bytes);
+  memset(newick->next, 0xff, bytes);
+  for (uint32_t i = n; i-- > 0;) { /* from the last on, so that the lists end up ascending */
+    const uint32_t parent = parent_of(newick, i);
+    if (parent == MO_NO_PARENT)
       continue;
-    forest->kept[parent] = 1;
-    forest->next[i] = forest->child[parent];
-    forest->child[parent] = i;
+    newick->next[i] = newick->child[parent];
+    newick->child[parent] = i;
   }
+  *ret = newick;
+  return MO_OK;
 }
 
-static int put_label(const struct forest *forest, uint32_t i, struct writer *writer)
+/* Writes the next piece: an opening parenthesis, or a label with what follows it. */
+static size_t step(struct mo_newick *newick, char text[MO_NEWICK_PIECE])
 {
-  char text[PIECE_BYTES];
-  const uint32_t parent = parent_of(forest, i);
-  int length;
-  if (parent == MO_NO_PARENT)
-    length = snprintf(text, sizeof(text), "n%" PRIu32 ";\n", i);
-  else
-    length = snprintf(
-        text, sizeof(text), "n%" PRIu32 ":%" PRIu32, i,
-        forest->born[i] > forest->born[parent] ? forest->born[i] - forest->born[parent] : 0);
-  return put(writer, text, (size_t)length);
+  const uint32_t i = newick->at, parent = parent_of(newick, i), *born = newick->born;
+  if (!newick->is_open && newick->child[i] != MO_NO_PARENT) {
+    newick->at = newick->child[i];
+    text[0] = '(';
+    return 1;
+  }
+  if (parent == MO_NO_PARENT) {
+    newick->at = MO_NO_PARENT;
+    return (size_t)snprintf(text, MO_NEWICK_PIECE, "n%" PRIu32 ";\n", i);
+  }
+  newick->is_open = newick->next[i] == MO_NO_PARENT;
+  newick->at = newick->is_open ? parent : newick->next[i];
+  return (size_t)snprintf(text, MO_NEWICK_PIECE, "n%" PRIu32 ":%" PRIu32 "%c", i,
+                          born[i] > born[parent] ? born[i] - born[parent] : 0,
+                          newick->is_open ? ')' : ',');
 }
 
-static int put_tree(const struct forest *forest, uint32_t root, struct writer *writer)
+bool mo_newick_next(struct mo_newick *newick, char *text, size_t size, size_t *length)
 {
-  int r = 0;
-  for (uint32_t i = root; r == 0;) {
-    for (; r == 0 && forest->child[i] != MO_NO_PARENT; i = forest->child[i])
-      r = put(writer, "(", 1);
-    if (r == 0)
-      r = put_label(forest, i, writer);
-    while (r == 0 && i != root && forest->next[i] == MO_NO_PARENT) {
-      i = parent_of(forest, i);
-      r = put(writer, ")", 1);
-      if (r == 0)
-        r = put_label(forest, i, writer);
+  *length = 0;
+  while (size - *length >= MO_NEWICK_PIECE) {
+    if (newick->at == MO_NO_PARENT) {
+      while (newick->root < newick->n && parent_of(newick, newick->root) != MO_NO_PARENT)
+        newick->root++;
+      if (newick->root == newick->n)
+        return false;
+      newick->at = newick->root++;
+      newick->is_open = false;
     }
-    if (r != 0 || i == root)
-      break;
-    i = forest->next[i];
-    r = put(writer, ",", 1);
+    *length += step(newick, text + *length);
   }
-  return r;
+  return true;
 }
 
-int mo_newick(const struct mo_descent *descents, const uint32_t *born, const uint8_t *keep,
-              uint32_t n, int (*write)(void *context, const char *text, size_t length),
-              void *context)
+void mo_newick_free(struct mo_newick *newick)
 {
-  if (n == 0)
-    return MO_OK;
-  struct writer *writer = malloc(sizeof(*writer));
-  struct forest forest = {.descents = descents,
-                          .born = born,
-                          .child = malloc(n * sizeof(*forest.child)),
-                          .next = malloc(n * sizeof(*forest.next)),
-                          .kept = calloc(n, 1)};
-  int r = MO_ERR_NO_MEMORY;
-  if (writer != NULL && forest.child != NULL && forest.next != NULL && forest.kept != NULL) {
-    writer->write = write;
-    writer->context = context;
-    writer->used = 0;
-    grow(&forest, keep, n);
-    r = 0;
-    for (uint32_t i = 0; i < n && r == 0; i++)
-      if (forest.kept[i] && parent_of(&forest, i) == MO_NO_PARENT)
-        r = put_tree(&forest, i, writer);
-    if (r == 0)
-      r = flush(writer);
-  }
-  free(forest.kept);
-  free(forest.next);
-  free(forest.child);
-  free(writer);
-  return r;
+  if (newick == NULL)
+    return;
+  free(newick->child);
+  free(newick->next);
+  free(newick);
 }

@@ -7,10 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/campaign_json.h"
 #include "api/columns.h"
-#include "api/newick_pieces.h"
-#include "api/training_json.h"
+#include "api/job_json.h"
 
 static struct mo_training_status training;
 static struct mo_campaign_status campaign;
@@ -369,59 +367,6 @@ static void replicates(void)
   check_row(&mo_replicate_columns, &row, "3,3,0.25,0.375,0.5,,,,0,");
 }
 
-static int gather(void *context, const char *text, size_t length)
-{
-  mo_text_bytes(context, text, length);
-  return 0;
-}
-
-/* A comb of n designs, each the child of the one before. */
-static void comb(uint32_t n, struct mo_descent **descents, uint32_t **born)
-{
-  *descents = calloc(n, sizeof(**descents));
-  *born = calloc(n, sizeof(**born));
-  for (uint32_t i = 0; i < n; i++) {
-    (*descents)[i] = (struct mo_descent){.parents = {i > 0 ? i - 1 : MO_NO_PARENT, MO_NO_PARENT}};
-    (*born)[i] = i;
-  }
-}
-
-static void newick(void)
-{
-  const uint32_t n = 50000;
-  struct mo_text whole = {0}, pieces_text = {0}, piece = {0};
-  struct mo_newick_pieces *pieces;
-  struct mo_descent *descents;
-  uint32_t *born;
-  int more = 1, count = 0;
-  comb(n, &descents, &born);
-  CHECK_INT(mo_newick(descents, born, NULL, n, gather, &whole), MO_OK);
-  CHECK_INT(mo_newick_pieces_start(descents, born, n, &pieces), MO_OK);
-  while (more > 0) {
-    more = mo_newick_pieces_more(pieces, &piece);
-    mo_text_bytes(&pieces_text, piece.data, piece.size);
-    piece.size = 0;
-    count++;
-  }
-  mo_newick_pieces_free(pieces);
-  CHECK_INT(more, 0);
-  CHECK(count > 5 && pieces_text.size == whole.size &&
-        memcmp(pieces_text.data, whole.data, whole.size) == 0);
-  for (int taken = 0; taken < 3; taken++) { /* readers that leave */
-    comb(n, &descents, &born);
-    CHECK_INT(mo_newick_pieces_start(descents, born, n, &pieces), MO_OK);
-    for (int i = 0; i < taken; i++)
-      CHECK_INT(mo_newick_pieces_more(pieces, &piece), 1);
-    mo_newick_pieces_free(pieces);
-  }
-  CHECK(mo_newick_pieces_bytes(n) > n);
-  json_decref(json);
-  json = NULL;
-  mo_text_free(&whole);
-  mo_text_free(&pieces_text);
-  mo_text_free(&piece);
-}
-
 static const struct check_case cases[] = {
     {"a training that is fresh", fresh_training},
     {"a campaign that is fresh", fresh_campaign},
@@ -433,6 +378,5 @@ static const struct check_case cases[] = {
     {"rows of trainings", training_rows},
     {"designs and their lives", designs},
     {"replicates", replicates},
-    {"newick in pieces", newick},
 };
 CHECK_MAIN(cases)
