@@ -248,45 +248,37 @@ static void targets(void)
     CHECK(!mo_guard_target(bad[i], &parts, &refusal) && refusal.status == 400 && refusal.close);
 }
 
+#define TEXTS(...)                                                                                 \
+  (const char *const[])                                                                            \
+  {                                                                                                \
+    __VA_ARGS__, NULL                                                                              \
+  }
+
+static void check_hosts(const char *const *hosts, bool local, const struct mo_names *names,
+                        bool good)
+{
+  for (; *hosts != NULL; hosts++) {
+    if (mo_guard_host(*hosts, strlen(*hosts), local, names) != good)
+      printf("# %s\n", *hosts);
+    CHECK(mo_guard_host(*hosts, strlen(*hosts), local, names) == good);
+  }
+}
+
 static void hosts(void)
 {
   static const char *const configured[] = {"Robots.example", "lab.example:9000"};
   const struct mo_names names = {configured, 2};
-  const struct {
-    const char *host;
-    bool good;
-  } tries[] = {{"localhost", true},
-               {"LOCALHOST:8765", true},
-               {"127.0.0.1:1", true},
-               {"[::1]:8765", true},
-               {"192.168.1.7", true},
-               {"robots.example", true},
-               {"ROBOTS.example:77", true},
-               {"lab.example:9000", true},
-               {"lab.example", false},
-               {"evil.example", false},
-               {"", false},
-               {"localhost.evil.example", false},
-               {"localhost:0", false},
-               {"localhost:99999", false},
-               {"local host", false},
-               {"localhost:8765:1", false},
-               {"[::1", false},
-               {"user@localhost", false},
-               {"127.0.0.1.nip.io", false}};
-  for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {
-    CHECK(mo_guard_host(tries[i].host, strlen(tries[i].host), false, &names) == tries[i].good);
-    if (mo_guard_host(tries[i].host, strlen(tries[i].host), false, &names) != tries[i].good)
-      printf("# %s\n", tries[i].host);
-  }
-  static const struct {
-    const char *host;
-    bool good;
-  } locals[] = {{"localhost", true}, {"127.0.0.1:8765", true}, {"127.1.2.3", true},
-                {"[::1]", true},     {"robots.example", true}, {"[::1]:8765", true},
-                {"10.0.0.7", false}, {"[fe80::1]", false},     {"evil.example:8765", false}};
-  for (size_t i = 0; i < sizeof(locals) / sizeof(locals[0]); i++)
-    CHECK(mo_guard_host(locals[i].host, strlen(locals[i].host), true, &names) == locals[i].good);
+  check_hosts(TEXTS("localhost", "LOCALHOST:8765", "127.0.0.1:1", "[::1]:8765", "192.168.1.7",
+                    "robots.example", "ROBOTS.example:77", "lab.example:9000"),
+              false, &names, true);
+  check_hosts(TEXTS("lab.example", "evil.example", "", "localhost.evil.example", "localhost:0",
+                    "localhost:99999", "local host", "localhost:8765:1", "[::1", "user@localhost",
+                    "127.0.0.1.nip.io"),
+              false, &names, false);
+  check_hosts(
+      TEXTS("localhost", "127.0.0.1:8765", "127.1.2.3", "[::1]", "robots.example", "[::1]:8765"),
+      true, &names, true);
+  check_hosts(TEXTS("10.0.0.7", "[fe80::1]", "evil.example:8765"), true, &names, false);
   CHECK(mo_guard_fetch_site(NULL));
   CHECK(mo_guard_fetch_site("same-origin"));
   CHECK(mo_guard_fetch_site("none"));
