@@ -13,7 +13,6 @@ BYTES = BOOTSTRAP.read_bytes()
 HEADER_SIZE = struct.unpack("<Q", BYTES[:8])[0]
 HEADER = json.loads(BYTES[8:8 + HEADER_SIZE])
 DATA = BYTES[8 + HEADER_SIZE:]
-FILE = {"Content-Type": "application/octet-stream"}
 
 
 def pack(header, data=DATA):
@@ -26,69 +25,55 @@ def changed(name, **fields):
 
 
 def test_round_trip(service):
-    put = service.request("PUT", "/v1/controllers/round-trip/file", body=BYTES, headers=FILE)
-    digest = hashlib.sha256(BYTES).hexdigest()
-    assert put.status == 201 and put.headers["Location"] == "/v1/controllers/round-trip"
-    assert put.json()["sha256"] == digest and put.json()["parameters"] == 620912 and put.json(
-    )["workspace"] == [6, 6, 4]
-    got = service.request("GET", "/v1/controllers/round-trip/file")
+    put = service.upload("round-trip", BYTES)
+    digest, path = hashlib.sha256(BYTES).hexdigest(), "/v1/controllers/round-trip"
+    assert put.status == 201 and put.headers["Location"] == path
+    assert put.json()["sha256"] == digest and put.json()["parameters"] == 620912
+    assert put.json()["workspace"] == [6, 6, 4]
+    got = service.tagged(path + "/file")
     assert got.body == BYTES and got.headers["Content-Type"] == "application/octet-stream"
-    assert service.request("GET",
-                           "/v1/controllers/round-trip/file",
-                           headers={"If-None-Match": got.headers["ETag"]}).status == 304
     by_hash = service.get(f"/v1/controllers/sha256:{digest}")
     assert by_hash["name"] is None and by_hash["sha256"] == digest
-    assert service.request("GET", f"/v1/controllers/sha256:{digest.upper()}/file").body == BYTES
-    upper = {"designs": [DESIGN], "physics": SHORT, "controller": "sha256:" + digest.upper()}
-    assert service.evaluate(upper).json()["controller"]["sha256"] == digest
-    again = service.request("PUT",
-                            "/v1/controllers/round-trip/file",
-                            body=BYTES,
+    upper = "sha256:" + digest.upper()
+    assert service.request("GET", f"/v1/controllers/{upper}/file").body == BYTES
+    request = {"designs": [DESIGN], "physics": SHORT, "controller": upper}
+    assert service.evaluate(request).json()["controller"]["sha256"] == digest
+    again = service.request("PUT", path + "/file", body=BYTES,
                             headers={"Content-Type": "application/vnd.safetensors"})
-    assert again.status == 200
-    assert service.get("/v1/controllers/round-trip") == again.json()
-    assert service.request("DELETE", "/v1/controllers/round-trip").status == 204
-    assert service.request("GET", "/v1/controllers/round-trip").status == 404
-    assert service.request("DELETE", "/v1/controllers/round-trip").status == 404
+    assert again.status == 200 and service.get(path) == again.json()
+    assert service.request("DELETE", path).status == 204
+    service.refuses(path, "", status=404)
+    assert service.request("DELETE", path).status == 404
     assert service.request("DELETE", "/v1/controllers/default").status == 409
 
 
 def test_repointing_changes_what_is_computed(service):
-    data = bytearray(DATA)
-    data[-4:] = struct.pack("<f", 0.5)
-    other = pack(HEADER, bytes(data))
+    other = pack(HEADER, DATA[:-4] + struct.pack("<f", 0.5))
     request = {"designs": [DESIGN], "physics": SHORT, "controller": "moving"}
-    service.request("PUT", "/v1/controllers/moving/file", body=BYTES, headers=FILE)
+    service.upload("moving", BYTES)
     first = service.evaluate(request).json()
-    assert service.request("PUT", "/v1/controllers/moving/file", body=other,
-                           headers=FILE).status == 200
-    second = service.evaluate(request).json()
-    assert first["controller"]["name"] == second["controller"]["name"] == "moving"
-    assert first["controller"]["sha256"] != second["controller"]["sha256"] == hashlib.sha256(
-        other).hexdigest()
-    by_hash = service.evaluate(dict(request,
-                                    controller="sha256:" + first["controller"]["sha256"])).json()
-    assert by_hash["results"] == first["results"] and by_hash["rollouts_cached"] == 10 and by_hash[
-        "controller"]["name"] is None
+    assert service.upload("moving", other).status == 200
+    second = service.evaluate(request).json()["controller"]
+    assert first["controller"]["name"] == second["name"] == "moving"
+    before = first["controller"]["sha256"]
+    assert before != second["sha256"] == hashlib.sha256(other).hexdigest()
+    by_hash = service.evaluate(request | {"controller": "sha256:" + before}).json()
+    assert by_hash["results"] == first["results"] and by_hash["rollouts_cached"] == 10
+    assert by_hash["controller"]["name"] is None
 
 
 def test_list(service):
     for name in ("list-a", "list-b", "list-c"):
-        service.request("PUT", f"/v1/controllers/{name}/file", body=BYTES, headers=FILE)
-    names, cursor = [], ""
-    while cursor is not None:
-        page = service.get("/v1/controllers?limit=2" + (f"&cursor={cursor}" if cursor else ""))
-        names += [item["name"] for item in page["items"]]
-        cursor = page["next_cursor"]
-    assert names == sorted(names) and {"default", "bootstrap", "list-a", "list-b", "list-c"
-                                       } <= set(names)
+        service.upload(name, BYTES)
+    names = [item["name"] for item in service.pages("/v1/controllers", 2)]
+    assert names == sorted(names)
+    assert {"default", "bootstrap", "list-a", "list-b", "list-c"} <= set(names)
 
 
 @pytest.mark.parametrize(
     "name", ["UPPER", "-minus", ".dot", "a" * 65, "sha256:" + "0" * 64, "a%20b", "%C3%A9"])
 def test_names(service, name):
-    assert service.request("PUT", f"/v1/controllers/{name}/file", body=BYTES,
-                           headers=FILE).status == 422
+    assert service.upload(name, BYTES).status == 422
 
 
 def test_damaged_file_is_named_and_healed(start):
@@ -102,8 +87,7 @@ def test_damaged_file_is_named_and_healed(start):
     assert job["state"] == "failed" and job["error"]["code"] == "corrupt" and digest in job[
         "error"]["detail"]
     assert f"{digest}.safetensors" in service.log_text()
-    assert service.request("PUT", "/v1/controllers/default/file", body=BYTES,
-                           headers=FILE).status == 200
+    assert service.upload("default", BYTES).status == 200
     assert service.request("GET", "/v1/controllers/default/file").body == BYTES
     assert service.evaluate(request).json()["state"] == "succeeded"
 
@@ -190,7 +174,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile(service, name):
-    reply = service.request("PUT", "/v1/controllers/hostile/file", body=HOSTILE[name], headers=FILE)
+    reply = service.upload("hostile", HOSTILE[name])
     assert reply.status == 422, reply.body
     assert reply.pointers() == [""] and reply.json()["errors"][0]["detail"]
     assert service.request("GET", "/v1/controllers/hostile").status == 404
@@ -198,10 +182,8 @@ def test_hostile(service, name):
 
 def test_upload_limits(start):
     running = start("--max-controller=3M")
-    assert running.request("PUT", "/v1/controllers/big/file", body=bytes(4 << 20),
-                           headers=FILE).status == 413
-    assert running.request("PUT", "/v1/controllers/fits/file", body=BYTES,
-                           headers=FILE).status == 201
+    assert running.upload("big", bytes(4 << 20)).status == 413
+    assert running.upload("fits", BYTES).status == 201
     assert running.request("PUT",
                            "/v1/controllers/x/file",
                            body=BYTES,

@@ -193,10 +193,7 @@ def test_slow_reader_gets_everything_later(service):
     sock.connect((service.host, service.port))
     sock.sendall(b"GET /v1/events?after=0 HTTP/1.0\r\nHost: localhost\r\n\r\n")
     for i in range(60):
-        service.request("PUT",
-                        f"/v1/controllers/slow-{i % 3}/file",
-                        body=b"",
-                        headers={"Content-Type": "application/octet-stream"})
+        service.upload(f"slow-{i % 3}", b"")
         assert service.request("GET", "/healthz").status == 200
     service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 65}})
     newest = page(service, "&after=0&limit=1000")["items"][-1]["id"]

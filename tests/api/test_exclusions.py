@@ -5,7 +5,7 @@ import json
 import struct
 import time
 
-from service import BOOTSTRAP, awaited
+from service import BOOTSTRAP, awaited, run
 
 HERE = [{"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
 SMALL = {
@@ -21,10 +21,7 @@ def put(service, name, **said):
     header = json.loads(file[8:8 + size])
     header["__metadata__"].update({f"morphod.{key}": value for key, value in said.items()})
     text = json.dumps(header).encode()
-    reply = service.request("PUT",
-                            f"/v1/controllers/{name}/file",
-                            body=struct.pack("<Q", len(text)) + text + file[8 + size:],
-                            headers={"Content-Type": "application/octet-stream"})
+    reply = service.upload(name, struct.pack("<Q", len(text)) + text + file[8 + size:])
     assert reply.status == 201, reply.body
     return reply.json()["sha256"]
 
@@ -37,31 +34,23 @@ def pretrained(steps, seed="31"):
 
 
 def submit(service, **fields):
-    reply = service.request("POST", "/v1/campaigns", {**SMALL, **fields})
-    assert reply.status == 202, reply.body
-    return reply.json()["id"]
-
-
-def campaign(service, id):
-    return service.get(f"/v1/campaigns/{id}")
+    return service.post("/v1/campaigns", {**SMALL, **fields})["id"]
 
 
 def test_a_lineage_that_cannot_be_read(start):
     service = start()
     digits = put(service, "odd", **pretrained("many", seed="none"))
-    id = submit(service, controller="odd")
-    done = awaited(service, f"/v1/campaigns/{id}", lambda seen: seen["state"] not in
-                   ("queued", "running"))
-    assert done["state"] == "succeeded" and done["progress"]["generation"] == 1
+    done = run(service, "campaigns", SMALL | {"controller": "odd"})
+    assert done["progress"]["generation"] == 1
+    id = done["id"]
     events = service.get(f"/v1/events?format=json&job={id}&after=0&limit=100")["items"]
     told = [event["data"] for event in events if event["type"] == "campaign.lineage_unreadable"]
     assert [(data["id"], data["controller"], data["field"])
             for data in told] == [(id, digits, "morphod.seed"), (id, digits, "morphod.step")]
-    lines = [
-        line for line in service.log_text().splitlines() if "campaign.lineage_unreadable" in line
-    ]
-    assert len(lines) == 2 and all("warning" in line.lower() and digits in line
-                                   for line in lines) and "morphod.seed" in lines[0]
+    lines = [line for line in service.log_text().splitlines()
+             if "campaign.lineage_unreadable" in line]
+    assert len(lines) == 2 and "morphod.seed" in lines[0]
+    assert all("warning" in line.lower() and digits in line for line in lines)
 
 
 def test_a_drawing_is_told_and_handed_over(start):
@@ -75,21 +64,20 @@ def test_a_drawing_is_told_and_handed_over(start):
     waits = awaited(service, f"/v1/campaigns/{second}",
                     lambda seen: seen["progress"]["seconds_left"] is not None)
     for seen in (drawn, waits):
-        assert seen["state"] == "running" and seen["phase"] == "preparing" and seen[
-            "newest"] is None, seen
-        assert 0 < seen["progress"]["done"] < seen["progress"]["total"] == total and seen[
-            "progress"]["seconds_left"] > 1
+        assert seen["state"] == "running" and seen["phase"] == "preparing", seen
+        assert 0 < seen["progress"]["done"] < seen["progress"]["total"] == total
+        assert seen["newest"] is None and seen["progress"]["seconds_left"] > 1
     assert drawn["reason"] is None and f"campaign {first} draws" in waits["reason"]
     job = service.get(f"/v1/jobs/{second}")
     assert job["state"] == "running" and job["reason"] == waits["reason"]
-    waits = campaign(service, second)
+    waits = service.get(f"/v1/campaigns/{second}")
     assert service.act(first, "pause").status == 200
     draws = awaited(service, f"/v1/campaigns/{second}", lambda seen: seen["reason"] is None)
     assert draws["phase"] == "preparing" and draws["progress"]["done"] >= waits["progress"]["done"]
     assert service.act(first, "resume").status == 200
     waits = awaited(service, f"/v1/campaigns/{first}", lambda seen: seen["reason"] is not None)
-    assert f"campaign {second} draws" in waits["reason"] and waits["progress"]["done"] >= draws[
-        "progress"]["done"]
+    assert f"campaign {second} draws" in waits["reason"]
+    assert waits["progress"]["done"] >= draws["progress"]["done"]
     begun = time.monotonic()
     for id in (second, first):
         assert service.act(id, "cancel").status == 200

@@ -48,9 +48,8 @@ def half(sock, size, sent):
 
 def endless(service, **how):
     """A job that does not end by itself."""
-    value = {
-        **EVALUATION, "priority": "batch", "precision": "float64", "physics": {"n_steps": 100000}
-    }
+    value = EVALUATION | {"priority": "batch", "precision": "float64",
+                          "physics": {"n_steps": 100000}}
     job = service.post("/v1/evaluations", value, **how)["id"]
     assert service.act(job, "pause", **how).status in (200, 202)
     return job

@@ -125,12 +125,8 @@ def check_stored(path):
 def test_nothing_but_numbers(start, tmp_path):
     service = start(state=tmp_path)
     header, weights = parts(BOOTSTRAP.read_bytes())
-    put = service.request("PUT",
-                          "/v1/controllers/loud/file",
-                          body=header + struct.pack(f"<{len(weights)}f", *(100 * w
-                                                                           for w in weights)),
-                          headers={"Content-Type": "application/octet-stream"})
-    assert put.status == 201, put.body
+    loud = struct.pack(f"<{len(weights)}f", *(100 * weight for weight in weights))
+    assert service.upload("loud", header + loud).status == 201
     told = {}
     for controller in ("default", "loud"):
         for name, changes in PHYSICS.items():
