@@ -95,80 +95,42 @@ def test_damaged_file_is_named_and_healed(start):
 FIRST = "net.0.weight"
 SECOND = "net.0.bias"
 HOSTILE = {
-    "empty":
-    b"",
-    "seven bytes":
-    BYTES[:7],
-    "header only":
-    BYTES[:8 + HEADER_SIZE],
-    "cut in the header":
-    BYTES[:100],
-    "cut in the data":
-    BYTES[:-4],
-    "a byte more":
-    BYTES + b"\0",
-    "header of 2^63 bytes":
-    struct.pack("<Q", 1 << 63) + BYTES[8:],
-    "header of 2^64 - 1 bytes":
-    b"\xff" * 8 + BYTES[8:],
-    "header larger than the file":
-    struct.pack("<Q", len(BYTES)) + BYTES[8:],
-    "huge header":
-    pack(b"{" + b" " * (2 << 20) + b"}"),
-    "header not JSON":
-    pack(b"{nonsense}"),
-    "header an array":
-    pack([]),
-    "header not UTF-8":
-    pack(b'{"\xff":1}'),
-    "deep header":
-    pack(b"[" * 100000),
-    "no tensors":
-    pack({}),
-    "tensor missing":
-    pack({name: value
-          for name, value in HEADER.items() if name != SECOND}),
-    "tensor too many":
-    pack({**HEADER, "net.99.weight": HEADER[SECOND]}),
-    "repeated tensor":
-    pack(
-        json.dumps(HEADER).encode()[:-1] + b',"net.0.bias":' + json.dumps(HEADER[SECOND]).encode() +
-        b"}"),
-    "wrong type":
-    changed(SECOND, dtype="F16"),
-    "wrong shape":
-    changed(FIRST, shape=[1, 2]),
-    "turned shape":
-    changed(FIRST, shape=HEADER[FIRST]["shape"][::-1]),
-    "shape overflow":
-    changed(FIRST, shape=[1 << 40, 1 << 40]),
-    "negative shape":
-    changed(FIRST, shape=[-256, -250]),
-    "overlapping offsets":
-    changed(SECOND, data_offsets=[0, 1024]),
-    "offsets beyond the end":
-    changed(SECOND, data_offsets=[len(DATA), len(DATA) + 1024]),
-    "offsets reversed":
-    changed(SECOND, data_offsets=HEADER[SECOND]["data_offsets"][::-1]),
-    "offsets of text":
-    changed(SECOND, data_offsets=["0", "4"]),
-    "offsets negative":
-    changed(SECOND, data_offsets=[-4, 1020]),
-    "unknown sensor":
-    pack({**HEADER, "__metadata__": {**HEADER.get("__metadata__", {}), "sensor": "nose"}}),
-    "metadata not text":
-    pack({**HEADER, "__metadata__": {"a": 1}}),
-    "workspace that does not fit":
-    pack({**HEADER, "__metadata__": {**HEADER.get("__metadata__", {}), "workspace": "9x9x9"}}),
-    "not a number inside":
-    pack(HEADER,
-         struct.pack("<f", float("nan")) + DATA[4:]),
-    "infinity inside":
-    pack(HEADER, DATA[:-4] + struct.pack("<f", float("inf"))),
-    "JSON":
-    b'{"designs":[]}',
-    "zeros":
-    bytes(100000),
+    "empty": b"",
+    "seven bytes": BYTES[:7],
+    "header only": BYTES[:8 + HEADER_SIZE],
+    "cut in the header": BYTES[:100],
+    "cut in the data": BYTES[:-4],
+    "a byte more": BYTES + b"\0",
+    "header of 2^63 bytes": struct.pack("<Q", 1 << 63) + BYTES[8:],
+    "header of 2^64 - 1 bytes": b"\xff" * 8 + BYTES[8:],
+    "header larger than the file": struct.pack("<Q", len(BYTES)) + BYTES[8:],
+    "huge header": pack(b"{" + b" " * (2 << 20) + b"}"),
+    "header not JSON": pack(b"{nonsense}"),
+    "header an array": pack([]),
+    "header not UTF-8": pack(b'{"\xff":1}'),
+    "deep header": pack(b"[" * 100000),
+    "no tensors": pack({}),
+    "tensor missing": pack({name: HEADER[name] for name in HEADER if name != SECOND}),
+    "tensor too many": pack({**HEADER, "net.99.weight": HEADER[SECOND]}),
+    "repeated tensor": pack(json.dumps(HEADER).encode()[:-1] + b',"net.0.bias":' +
+                            json.dumps(HEADER[SECOND]).encode() + b"}"),
+    "wrong type": changed(SECOND, dtype="F16"),
+    "wrong shape": changed(FIRST, shape=[1, 2]),
+    "turned shape": changed(FIRST, shape=HEADER[FIRST]["shape"][::-1]),
+    "shape overflow": changed(FIRST, shape=[1 << 40, 1 << 40]),
+    "negative shape": changed(FIRST, shape=[-256, -250]),
+    "overlapping offsets": changed(SECOND, data_offsets=[0, 1024]),
+    "offsets beyond the end": changed(SECOND, data_offsets=[len(DATA), len(DATA) + 1024]),
+    "offsets reversed": changed(SECOND, data_offsets=HEADER[SECOND]["data_offsets"][::-1]),
+    "offsets of text": changed(SECOND, data_offsets=["0", "4"]),
+    "offsets negative": changed(SECOND, data_offsets=[-4, 1020]),
+    "unknown sensor": changed("__metadata__", sensor="nose"),
+    "metadata not text": pack({**HEADER, "__metadata__": {"a": 1}}),
+    "workspace that does not fit": changed("__metadata__", workspace="9x9x9"),
+    "not a number inside": pack(HEADER, struct.pack("<f", float("nan")) + DATA[4:]),
+    "infinity inside": pack(HEADER, DATA[:-4] + struct.pack("<f", float("inf"))),
+    "JSON": b'{"designs":[]}',
+    "zeros": bytes(100000),
 }
 
 

@@ -61,18 +61,16 @@ static void read_file(const uint8_t *data, size_t size)
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
   static const double firsts[8] = {0.0, 1e-3, -1.5, NAN, INFINITY, 2e6, -0.0, 1e-310};
-  if (size == 0 || (data[0] % 2 != 0 && size < 1 + COUNTERS)) {
+  if (size == 0 || (data[0] % 2 != 0 && size < 1 + COUNTERS))
     return 0;
-  }
   if (data[0] % 2 == 0) {
     read_file(data + 1, size - 1);
     return 0;
   }
   uint32_t settings_bytes;
   memcpy(&settings_bytes, data + 1 + SETTINGS_BYTES, sizeof(settings_bytes));
-  if (settings_bytes > size - 1 - COUNTERS) {
+  if (settings_bytes > size - 1 - COUNTERS)
     return 0;
-  }
   const size_t header = COUNTERS + settings_bytes;
   uint64_t n_designs;
   memcpy(&n_designs, data + 1 + N_DESIGNS, sizeof(n_designs));
@@ -80,9 +78,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
   size_t given = size - 1 - header < designs ? size - 1 - header : designs;
   size_t whole = MAGIC + header + designs + PARAMETERS * 20 + sizeof(uint64_t);
   uint8_t *file = calloc(1, whole);
-  if (file == NULL) {
+  if (file == NULL)
     return 0;
-  }
   memcpy(file, "morpho\r\n", MAGIC);
   memcpy(file + MAGIC, data + 1, header + given);
   const double first = firsts[data[0] >> 1 & 7];

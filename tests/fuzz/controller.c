@@ -16,13 +16,11 @@ static void check_controller(const struct mo_controller *controller)
 {
   uint8_t *bytes = NULL;
   size_t size = 0;
-  for (size_t i = 0; i < controller->n_parameters; i++) {
+  for (size_t i = 0; i < controller->n_parameters; i++)
     FUZZ_PROMISE(isfinite(controller->parameters[i]));
-  }
   int code = mo_controller_encode(controller, &bytes, &size);
-  if (code == MO_ERR_LIMIT || code == MO_ERR_NO_MEMORY) {
-    return; /* escapes can make a header longer than the one that was read */
-  }
+  if (code == MO_ERR_LIMIT || code == MO_ERR_NO_MEMORY)
+    return;
   FUZZ_PROMISE(code == MO_OK);
   struct mo_controller *again = NULL;
   struct mo_message message;
@@ -58,18 +56,16 @@ static void read_file(const uint8_t *data, size_t size)
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
   static const float firsts[4] = {0.0F, -1.5F, NAN, INFINITY};
-  if (size == 0) {
+  if (size == 0)
     return 0;
-  }
   if (data[0] % 2 == 0) {
     read_file(data + 1, size - 1);
     return 0;
   }
   uint64_t header = size - 1;
   uint8_t *file = calloc(1, 8 + header + TINY_FLOATS * sizeof(float));
-  if (file == NULL) {
+  if (file == NULL)
     return 0;
-  }
   memcpy(file, &header, 8);
   memcpy(file + 8, data + 1, header);
   memcpy(file + 8 + header, &firsts[data[0] >> 1 & 3], sizeof(float));

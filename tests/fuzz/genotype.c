@@ -83,15 +83,13 @@ static void read_bytes(struct mo_workspace workspace, const uint8_t *data, size_
     memset(bits, 0, sizeof(bits));
     for (uint32_t v = 0; v < voxels; v++)
       bits[v / 64] |= (uint64_t)(data[v / 8] >> v % 8 & 1) << v % 64;
-    if (mo_genotype_is_contiguous(workspace, bits) == 1) {
+    if (mo_genotype_is_contiguous(workspace, bits) == 1)
       check_body(workspace, bits);
-    }
     uint32_t before = mo_genotype_count(workspace, bits);
     FUZZ_PROMISE(mo_genotype_keep_largest(workspace, bits) == MO_OK);
     FUZZ_PROMISE(mo_genotype_count(workspace, bits) <= before);
-    if (before > 0) {
+    if (before > 0)
       check_body(workspace, bits);
-    }
   }
 }
 
@@ -124,9 +122,8 @@ static void read_cells(struct mo_workspace workspace, const uint8_t *data, size_
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-  if (size < 2) {
+  if (size < 2)
     return 0;
-  }
   struct mo_workspace workspace =
       workspaces[data[1] % (sizeof(workspaces) / sizeof(workspaces[0]))];
   switch (data[0] & 3) {

@@ -13,9 +13,8 @@
 static int feed(const uint8_t *data, size_t size)
 {
   uint8_t *exact = malloc(size > 0 ? size : 1);
-  if (exact == NULL) {
+  if (exact == NULL)
     return -1;
-  }
   memcpy(exact, data, size);
   LLVMFuzzerTestOneInput(exact, size);
   free(exact);
@@ -32,12 +31,10 @@ static int replay_file(const char *path, uint8_t *buffer)
   size_t size = fread(buffer, 1, INPUT_BYTES_MAX, file);
   int code = ferror(file) ? -1 : 0;
   fclose(file);
-  if (code == 0) {
+  if (code == 0)
     code = feed(buffer, size);
-  }
-  for (size_t cut = 0; code == 0 && cut < size && cut < PREFIXES; cut++) {
+  for (size_t cut = 0; code == 0 && cut < size && cut < PREFIXES; cut++)
     code = feed(buffer, cut);
-  }
   return code;
 }
 

@@ -37,27 +37,28 @@ static void log_request(void *context, const struct mo_http_log_entry *entry)
   pthread_mutex_unlock(&last_lock);
 }
 
-static struct mo_api *start(struct mo_http_config *config)
+static struct mo_api *api; /* of the case that runs */
+
+static bool start(struct mo_http_config config)
 {
-  struct mo_api *api = NULL;
   struct mo_message message = {""};
   int fd = -1;
   if (mo_http_listen("127.0.0.1:0", &fd, address, &message) != MO_OK) {
     printf("# %s\n", message.text);
-    return NULL;
+    return false;
   }
   port = (uint16_t)strtoul(strrchr(address, ':') + 1, NULL, 10);
-  config->listeners = &fd;
-  config->n_listeners = 1;
-  config->log = log_request;
+  config.listeners = &fd;
+  config.n_listeners = 1;
+  config.log = log_request;
   const struct mo_api_services services = {service.fixture.store, service.jobs, service.compute,
                                            "test", NULL};
-  int code = mo_api_start(config, &services, &api, &message);
+  int code = mo_api_start(&config, &services, &api, &message);
   if (code != MO_OK)
     printf("# %s\n", message.text);
   else
     mo_http_set_ready(mo_api_http(api), true);
-  return api;
+  return code == MO_OK;
 }
 
 static int dial(void)
@@ -149,7 +150,6 @@ static void configuration(void)
   const struct mo_api_services services = {service.fixture.store, service.jobs, service.compute,
                                            "test", NULL};
   struct mo_http_config config = {0};
-  struct mo_api *api = NULL;
   struct mo_message message;
   int fd;
   CHECK_INT(mo_api_start(&config, &services, &api, &message), MO_ERR_INVALID); /* no listener */
@@ -231,10 +231,8 @@ static bool begins(int fd)
 
 static void limits(void)
 {
-  struct mo_http_config config = {.max_in_flight = 2};
   char path[64];
-  struct mo_api *api = start(&config);
-  REQUIRE(api != NULL);
+  REQUIRE(start((struct mo_http_config){.max_in_flight = 2}));
   atomic_store(&fake_plan.delay_us, 300000);
   int first = submit(11, "Prefer: wait=20\r\n");
   int second = submit(12, "Prefer: wait=20\r\n");
@@ -258,9 +256,7 @@ static void limits(void)
   pause_ms(200);
   CHECK_INT(ask("GET", "/v1/jobs", "", ""), 200);
   mo_api_stop(api, 1000);
-  config = (struct mo_http_config){.client_rate_per_s = 2};
-  api = start(&config);
-  REQUIRE(api != NULL);
+  REQUIRE(start((struct mo_http_config){.client_rate_per_s = 2}));
   int accepted = 0, refused = 0;
   for (int i = 0; i < 6; i++) {
     int status = finish(submit(20 + i, ""));
@@ -275,12 +271,10 @@ static void limits(void)
 static void lists_leave_threads(void)
 {
   enum { LISTS = 12 };
-  struct mo_http_config config = {0};
   struct mo_store *store = service.fixture.store;
   struct mo_connection **held = calloc(store->n_readers, sizeof(struct mo_connection *));
   int lists[LISTS];
-  struct mo_api *api = start(&config);
-  REQUIRE(api != NULL && held != NULL);
+  REQUIRE(start((struct mo_http_config){0}) && held != NULL);
   for (uint32_t i = 0; i < store->n_readers; i++)
     held[i] = mo_reader_acquire(store);
   for (int i = 0; i < LISTS; i++)
@@ -297,10 +291,8 @@ static void lists_leave_threads(void)
 
 static void streams_take_no_place(void)
 {
-  struct mo_http_config config = {.max_in_flight = 2, .max_streams = 3};
   int streams[3];
-  struct mo_api *api = start(&config);
-  REQUIRE(api != NULL);
+  REQUIRE(start((struct mo_http_config){.max_in_flight = 2, .max_streams = 3}));
   for (int i = 0; i < 3; i++) {
     streams[i] = say("GET", "/v1/events", "", "");
     CHECK(streams[i] >= 0 && recv(streams[i], text, 12, MSG_WAITALL) == 12 &&
@@ -355,10 +347,8 @@ static char *unchunk(char *reply)
 
 static void long_replies(void)
 {
-  struct mo_http_config config = {.max_body_bytes = 1 << 20, .max_body_memory = 8 << 20};
   char path[96];
-  struct mo_api *api = start(&config);
-  REQUIRE(api != NULL);
+  REQUIRE(start((struct mo_http_config){.max_body_bytes = 1 << 20, .max_body_memory = 8 << 20}));
   evolve();
   REQUIRE(campaign > 0);
   snprintf(path, sizeof(path), PHYLOGENY, campaign, "csv");
@@ -396,10 +386,8 @@ static void long_replies(void)
 /* Readers that do not read hold their replies in memory, up to the limit. */
 static void memory(void)
 {
-  struct mo_http_config config = {.max_body_memory = 24 << 20};
   char path[64];
-  struct mo_api *api = start(&config);
-  REQUIRE(api != NULL);
+  REQUIRE(start((struct mo_http_config){.max_body_memory = 24 << 20}));
   REQUIRE(record(path));
   int slow = say("GET", path, "", "");
   CHECK(begins(slow));
@@ -411,9 +399,7 @@ static void memory(void)
   CHECK_INT(ask("GET", path, "", ""), 200);
   mo_api_stop(api, 1000);
   /* A request that waits for its result needs its body no more. */
-  config = (struct mo_http_config){.max_body_memory = 20000};
-  api = start(&config);
-  REQUIRE(api != NULL);
+  REQUIRE(start((struct mo_http_config){.max_body_memory = 20000}));
   atomic_store(&fake_plan.delay_us, 500000);
   int waiting = submit(13, "Prefer: wait=20\r\n");
   pause_ms(150);
@@ -455,9 +441,7 @@ static int upload(unsigned uid, size_t size, size_t n)
 /* A client that never ends its uploads leaves room for the others. */
 static void memory_shares(void)
 {
-  struct mo_http_config config = {.max_body_memory = 1 << 20};
-  struct mo_api *api = start(&config);
-  REQUIRE(api != NULL);
+  REQUIRE(start((struct mo_http_config){.max_body_memory = 1 << 20}));
   int half = upload(geteuid(), 400000, 300000);
   REQUIRE(half >= 0);
   pause_ms(200);
@@ -475,9 +459,7 @@ static void memory_shares(void)
 
 static void waiting_ends_with_the_server(void)
 {
-  struct mo_http_config config = {0};
-  struct mo_api *api = start(&config);
-  REQUIRE(api != NULL);
+  REQUIRE(start((struct mo_http_config){0}));
   atomic_store(&fake_plan.delay_us, 500000);
   int waiting = submit(41, "Prefer: wait=60\r\n");
   pause_ms(100);
@@ -490,9 +472,7 @@ static void waiting_ends_with_the_server(void)
 
 static void heartbeats(void)
 {
-  struct mo_http_config config = {.heartbeat_ms = 1000};
-  struct mo_api *api = start(&config);
-  REQUIRE(api != NULL);
+  REQUIRE(start((struct mo_http_config){.heartbeat_ms = 1000}));
   int fd = say("GET", "/v1/events", "", "");
   size_t n = 0;
   ssize_t part;
@@ -510,9 +490,7 @@ static void heartbeats(void)
 
 static void logs(void)
 {
-  struct mo_http_config config = {0};
-  struct mo_api *api = start(&config);
-  REQUIRE(api != NULL);
+  REQUIRE(start((struct mo_http_config){0}));
   const unsigned before = atomic_load(&logged[404]), first = atomic_load(&logged[400]);
   CHECK_INT(ask("GET", "/no%20where/\x7f\"?secret=1", "", ""), 400); /* a control byte */
   for (int i = 0; i < 5000 && atomic_load(&logged[400]) == first; i++)
@@ -573,8 +551,7 @@ static void ends_under_churn(void)
       before = descriptors();
   atomic_store(&fake_plan.delay_us, 3000);
   for (int round = 0; round < rounds; round++) {
-    struct mo_api *api = start(&config);
-    REQUIRE(api != NULL);
+    REQUIRE(start(config));
     atomic_store(&churning, true);
     for (unsigned i = 0; i < 18; i++) {
       sorts[i] = i;

@@ -75,9 +75,8 @@ static void clock_goes_on(void)
 static void texts(void)
 {
   for (int code = MO_ERR_DEVICE; code <= MO_OK; code++) {
-    for (int other = MO_ERR_DEVICE; other < code; other++) {
+    for (int other = MO_ERR_DEVICE; other < code; other++)
       CHECK(strcmp(mo_error_text(code), mo_error_text(other)) != 0);
-    }
     CHECK(strcmp(mo_error_text(code), "unknown error") != 0);
   }
   CHECK_TEXT(mo_error_text(1), "unknown error");

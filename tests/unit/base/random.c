@@ -11,9 +11,8 @@ static void vector(const uint32_t counter[4], const uint32_t key[2], const uint3
 {
   uint32_t out[4];
   mo_philox4x32_10(counter, key, out);
-  for (int i = 0; i < 4; i++) {
+  for (int i = 0; i < 4; i++)
     CHECK_INT(out[i], expected[i]);
-  }
 }
 
 /* The known answers that Random123 publishes for philox4x32-10. */
@@ -39,9 +38,8 @@ static void stream_layout(void)
     uint32_t out[4];
     mo_philox4x32_10((uint32_t[4]){block, 0x98765432, 77, 3U << 16 | 0xfedc},
                      (uint32_t[2]){0x89abcdef, 0x01234567}, out);
-    for (int i = 0; i < 4; i++) {
+    for (int i = 0; i < 4; i++)
       CHECK_INT(mo_random_u32(&random), out[i]);
-    }
   }
   struct mo_random other;
   mo_random_init(&random, 1, MO_PURPOSE_CHECK, 0, 0);
@@ -59,15 +57,13 @@ static void fill_equals_single_numbers(void)
       struct mo_random b;
       mo_random_init(&a, n, MO_PURPOSE_CHECK, before, 3);
       mo_random_init(&b, n, MO_PURPOSE_CHECK, before, 3);
-      for (uint32_t i = 0; i < before; i++) {
+      for (uint32_t i = 0; i < before; i++)
         CHECK_INT(mo_random_u32(&a), mo_random_u32(&b));
-      }
       uint32_t numbers[200];
       mo_random_fill(&a, numbers, n);
       int wrong = 0;
-      for (size_t i = 0; i < n; i++) {
+      for (size_t i = 0; i < n; i++)
         wrong += numbers[i] != mo_random_u32(&b);
-      }
       CHECK_INT(wrong, 0);
       CHECK_INT(mo_random_u32(&a), mo_random_u32(&b));
     }
@@ -89,9 +85,8 @@ static void streams_differ(void)
   mo_random_init(&random, 1, MO_PURPOSE_BODY, 2, (UINT64_C(1) << 32) + 3);
   first[4] = mo_random_u32(&random);
   for (int i = 0; i < 5; i++) {
-    for (int j = 0; j < i; j++) {
+    for (int j = 0; j < i; j++)
       CHECK(first[i] != first[j]);
-    }
   }
 }
 
@@ -143,9 +138,8 @@ static void below(void)
    * often. */
   int low = 0;
   const int n = 100000;
-  for (int i = 0; i < n; i++) {
+  for (int i = 0; i < n; i++)
     low += mo_random_below(&random, UINT32_C(3) << 30) % 3 == 0;
-  }
   CHECK_NEAR((double)low / n, 1.0 / 3, 4.0 * sqrt(2.0 / 9 / n));
 }
 
@@ -175,9 +169,8 @@ static void quantiles(void)
     double z = mo_normal_quantile(p);
     /* relative error of the tail grows with z² times that of z */
     CHECK_NEAR(0.5 * erfc(-z / sqrt(2.0)) / p, 1.0, 1e-15 * (4.0 + 2.0 * z * z));
-    if (p > 1e-9) {
+    if (p > 1e-9)
       CHECK_NEAR(mo_normal_quantile(1.0 - p), -z, 1e-6);
-    }
   }
 }
 
