@@ -51,7 +51,7 @@ COMMON = {
     "/physics/gravity": [{"gravity": 9.8}],
     "/priority": ["urgent", 1],
     "/label": ["x" * 201, 7],
-    "/weight": [0, 1001],
+    "/weight": [0, -1, 0.0009, 1000.1, 1e300, "2", None],
 }
 SEED = {"/seed": [-1, 2**53]}
 LEARNING = {  # what trainings and campaigns say of it
@@ -207,7 +207,8 @@ TOGETHER = [
     ("trainings", PRETRAIN | {"preset": "paper", "steps": 32769}, ["/steps"]),
     ("trainings", PRETRAIN | {"steps": 10**6, "batch": 65536}, ["/steps"]),
     ("trainings", PRETRAIN | {"sensor": "inverse_sqrt", "controller": "default"}, ["/sensor"]),
-    ("trainings", {"kind": "finetune", "population": {"evaluation": "999999", "campaign": "9"}},
+    ("trainings",
+     {"kind": "finetune", "population": {"evaluation": "999999", "campaign": "999999"}},
      ["/population", "/population/campaign"]),
     ("trainings", {"kind": "finetune", "population": {"evaluation": "999999", "best": 0}},
      ["/population/best", "/population/evaluation"]),

@@ -23,9 +23,10 @@ JOBS = {
     "trainings": TRAINING,
     "campaigns": CAMPAIGN,
 }
-BATCH = [{"cells": [[x, y, 0], [x, y, 1], [(x + 1) % 6, y, 0]]} for x in range(5) for y in range(6)]
+PLATES = [{"cells": [[x, y, 0] for x in range(width) for y in range(depth)]}
+          for width in range(1, 7) for depth in range(1, 7)]
 LONG = {
-    "evaluations": {"designs": BATCH, "physics": {"n_steps": 60000}, "priority": "batch"},
+    "evaluations": {"designs": PLATES, "physics": {"n_steps": 5000}, "priority": "batch"},
     "trainings": TRAINING | {"steps": 100000},
     "campaigns": CAMPAIGN | {"population": 16, "generations": 100000, "physics": {"n_steps": 300}},
 }

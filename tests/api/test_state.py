@@ -187,15 +187,17 @@ def test_a_database_that_was_lost(start, tmp_path, lost):
     assert after == before
 
 
-def test_a_folder_of_version_0_1(start, tmp_path):
+@pytest.mark.parametrize("version, words", [(8, ("was written by morphod 0.1", "empty folder")),
+                                            (9999, ("newer", ))])
+def test_a_folder_of_another_version(start, tmp_path, version, words):
     state = tmp_path / "state"
     assert start(state=state).stop() == 0
     with contextlib.closing(sqlite3.connect(state / "morphod.db")) as database:
-        database.execute("PRAGMA user_version=8")
+        database.execute(f"PRAGMA user_version={version}")
     before = tree(state)
-    old = start(state=state, wait=False)
-    assert old.process.wait(30) == 78
-    assert "was written by morphod 0.1" in old.log_text() and "empty folder" in old.log_text()
+    other = start(state=state, wait=False)
+    assert other.process.wait(30) == 78
+    assert all(word in other.log_text() for word in words)
     assert tree(state) == before
 
 

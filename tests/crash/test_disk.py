@@ -8,7 +8,7 @@ import subprocess
 import time
 
 import pytest
-from daemon import MORPHOD, Daemon, bodies, open_database, stored_scores
+from daemon import MORPHOD, Daemon, bodies, stored_scores
 
 PHYSICS = {"n_steps": 100}
 FULL = (503, 507)  # statuses
@@ -266,14 +266,3 @@ def test_state_folder_is_a_file(folder):
     file.write_text("x")
     refuses(file)
     assert file.read_text() == "x"
-
-
-def test_newer_database_is_refused(daemon):
-    one = daemon("newer")
-    with one:
-        assert one.stop()[0] == 0
-    with contextlib.closing(open_database(one.state)) as database:
-        database.execute("PRAGMA user_version = 9999")
-    one.spawn()
-    assert one.process.wait(20) == 78
-    assert "newer" in one.tail(), one.tail()

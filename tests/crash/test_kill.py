@@ -153,12 +153,3 @@ def test_kill_at_the_start(daemon, soak, seed):
             one.end()
     print(f"{needed} calls to start; {kills} kills, {kills_before_serving} before it served")
     assert 2 * kills_before_serving >= kills
-
-
-def test_one_state_folder_one_process(daemon):
-    first = daemon("shared").start()
-    second = daemon("shared")
-    second.port_file = second.folder / "second"
-    second.spawn()
-    assert second.process.wait(20) == 75
-    assert first.get("/readyz").status_code == 200

@@ -256,15 +256,6 @@ static void limits(void)
   pause_ms(200);
   CHECK_INT(ask("GET", "/v1/jobs", "", ""), 200);
   mo_api_stop(api, 1000);
-  REQUIRE(start((struct mo_http_config){.client_rate_per_s = 2}));
-  int accepted = 0, refused = 0;
-  for (int i = 0; i < 6; i++) {
-    int status = finish(submit(20 + i, ""));
-    accepted += status == 202;
-    refused += status == 429;
-  }
-  CHECK(accepted >= 2 && refused >= 2 && accepted + refused == 6);
-  mo_api_stop(api, 1000);
 }
 
 /* Lists that all wait for the store leave threads to what needs none of it. */
@@ -308,7 +299,6 @@ static void streams_take_no_place(void)
 /* ---- replies of several pieces: the phylogeny of a campaign ---- */
 
 #define PHYLOGENY "/v1/campaigns/%lld/phylogeny?format=%s"
-#define DESIGNS   3000 /* of generations 0 and 1 */
 static long long campaign;
 
 static void evolve(void)
@@ -325,26 +315,7 @@ static void evolve(void)
     ask("GET", path, "Prefer: wait=5\r\n", "");
 }
 
-/* The body of a reply in chunks, put together in its place; NULL: its last chunk is missing. */
-static char *unchunk(char *reply)
-{
-  char *from = strstr(reply, "\r\n\r\n"), *to = from, *body = from;
-  size_t size = 1;
-  if (from == NULL)
-    return NULL;
-  for (from += 4; size > 0;) {
-    char *end;
-    size = strtoul(from, &end, 16);
-    if (end == from || strlen(end) < size + 4)
-      return NULL;
-    memmove(to, end + 2, size);
-    to += size;
-    from = end + 2 + size + 2;
-  }
-  *to = '\0';
-  return body;
-}
-
+/* Each reply that is being sent counts in the memory of replies, whatever its client does. */
 static void long_replies(void)
 {
   char path[96];
@@ -352,15 +323,6 @@ static void long_replies(void)
   evolve();
   REQUIRE(campaign > 0);
   snprintf(path, sizeof(path), PHYLOGENY, campaign, "csv");
-  CHECK_INT(ask("GET", path, "", ""), 200);
-  CHECK(strstr(text, "Transfer-Encoding: chunked") != NULL);
-  const char *body = unchunk(text);
-  REQUIRE(body != NULL);
-  int lines = 0;
-  for (const char *c = body; (c = strchr(c, '\n')) != NULL; c++)
-    lines++;
-  CHECK_INT(lines, DESIGNS + 1);
-  /* Each reply that is being sent counts in the memory of replies, whatever its client does. */
   int fds[12], refused = 0;
   for (int i = 0; i < 12; i++) {
     int small = 2048;
@@ -376,11 +338,7 @@ static void long_replies(void)
   for (int i = 1; i < 12; i += 2)
     CHECK(finish(fds[i]) >= 0);
   CHECK_INT(ask("GET", path, "", ""), 200); /* their memory is back */
-  /* The end of the server in the middle of one: the reply is not finished. */
-  int fd = say("GET", path, "", "");
-  CHECK(recv(fd, text, 100, 0) > 0);
   mo_api_stop(api, 50);
-  finish(fd);
 }
 
 /* Readers that do not read hold their replies in memory, up to the limit. */
