@@ -5,7 +5,7 @@
  *   CHECK_MAIN(cases)
  *
  * A failed check prints a diagnostic and goes on; a case with a failed check is "not ok". REQUIRE
- * leaves the case. */
+ * leaves the case. CHECK_MAIN_WITH(setup, cases) calls `setup` before the first case. */
 #ifndef MORPHO_TESTS_CHECK_H
 #define MORPHO_TESTS_CHECK_H
 
@@ -68,10 +68,52 @@ static int check_failures;
     }                                                                                              \
   } while (0)
 
+/* A message, a struct mo_message, has these words in it. */
+#define CHECK_SAYS(message, words)                                                                 \
+  do {                                                                                             \
+    if (strstr((message).text, (words)) == NULL) {                                                 \
+      check_failures++;                                                                            \
+      printf("# %s:%d: \"%s\" lacks \"%s\"\n", __FILE__, __LINE__, (message).text, (words));       \
+    }                                                                                              \
+  } while (0)
+
+/* The first n elements of two arrays are the same bytes. */
+#define SAME(a, b, n) (memcmp((a), (b), (size_t)(n) * sizeof(*(a))) == 0)
+
+#define COUNT(array) (sizeof(array) / sizeof((array)[0]))
+
+/* ---- what goes by itself: at the end of the case, or, made by `setup`, of the program ---- */
+
+static struct check_kept {
+  void (*drop)(void *thing);
+  void *thing;
+} check_kept[16384];
+static size_t check_n_kept;
+
+static inline void *check_keep(void *thing, void (*drop)(void *thing))
+{
+  if (check_n_kept == COUNT(check_kept)) {
+    printf("Bail out! a case keeps too much\n");
+    exit(1);
+  }
+  check_kept[check_n_kept++] = (struct check_kept){drop, thing};
+  return thing;
+}
+
+/* Drops all but the oldest n, the newest first. */
+static inline void check_drop_to(size_t n)
+{
+  while (check_n_kept > n) {
+    check_n_kept--;
+    check_kept[check_n_kept].drop(check_kept[check_n_kept].thing);
+  }
+}
+
 /* argv[1], if given: only the cases whose name contains it. */
 static inline int check_run(const struct check_case *cases, size_t n, int argc, char **argv)
 {
   const char *wanted = argc > 1 ? argv[1] : "";
+  const size_t kept = check_n_kept;
   int planned = 0, number = 0, failed = 0;
   setvbuf(stdout, NULL, _IOLBF, 0);
   for (size_t i = 0; i < n; i++)
@@ -82,18 +124,27 @@ static inline int check_run(const struct check_case *cases, size_t n, int argc, 
       continue;
     check_failures = 0;
     cases[i].run();
+    check_drop_to(kept);
     printf("%s %d - %s\n", check_failures ? "not ok" : "ok", ++number, cases[i].name);
     failed += check_failures != 0;
   }
   if (planned == 0)
     printf("Bail out! no case is called \"%s\"\n", wanted);
+  check_drop_to(0);
   return failed != 0 || planned == 0;
 }
 
 #define CHECK_MAIN(cases)                                                                          \
   int main(int argc, char **argv)                                                                  \
   {                                                                                                \
-    return check_run(cases, sizeof(cases) / sizeof((cases)[0]), argc, argv);                       \
+    return check_run(cases, COUNT(cases), argc, argv);                                             \
+  }
+
+#define CHECK_MAIN_WITH(setup, cases)                                                              \
+  int main(int argc, char **argv)                                                                  \
+  {                                                                                                \
+    setup();                                                                                       \
+    return check_run(cases, COUNT(cases), argc, argv);                                             \
   }
 
 #endif

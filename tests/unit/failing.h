@@ -3,7 +3,11 @@
 #ifndef MORPHO_TESTS_FAILING_H
 #define MORPHO_TESTS_FAILING_H
 
-#include <stddef.h>
+#include "check.h"
+
+#include <morpho/error.h>
+
+#include <stdbool.h>
 
 void *__real_malloc(size_t size);
 void *__real_calloc(size_t count, size_t size);
@@ -46,6 +50,25 @@ void *__wrap_aligned_alloc(size_t alignment, size_t size)
 char *__wrap_strdup(const char *text)
 {
   return fails() ? NULL : __real_strdup(text);
+}
+
+/* Runs `work` with the first, the second, … allocation failing, until none is left to fail; at
+ * least so many must have been there. */
+static inline void each_fails(int (*work)(void), int least)
+{
+  for (int failed = 0; failed < 10000; failed++) {
+    left = failed;
+    const int r = work();
+    const bool reached = left < 0;
+    left = -1;
+    CHECK_INT(r, reached ? MO_ERR_NO_MEMORY : MO_OK);
+    if (!reached) {
+      printf("# %d allocations failed in turn\n", failed);
+      CHECK(failed >= least);
+      return;
+    }
+  }
+  CHECK(0); /* it never ends */
 }
 
 #endif

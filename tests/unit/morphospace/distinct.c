@@ -3,11 +3,7 @@
  * 1.43 million distinct bodies are known to average 79 masses, 389 springs and 23 voxels, 32 % of
  * draws being new. By default a smaller stream is drawn, whose averages are smaller too, because
  * the small bodies run out slowly; the full size is drawn when MORPHO_TEST_FULL is set. */
-#include "../check.h"
-
-#include "base/clock.h"
-
-#include <morpho/morphospace.h>
+#include "../make.h"
 
 static const struct mo_workspace home = {6, 6, 4};
 
@@ -15,44 +11,33 @@ struct figures {
   double masses, springs, voxels, new_share;
 };
 
-static int figures_of(uint32_t n, struct figures *figures)
+static struct figures figures_of(uint32_t n)
 {
-  struct mo_lattice *lattice = NULL;
-  struct mo_body_stream *stream = NULL;
-  if (mo_lattice_create(home, &lattice) != MO_OK ||
-      mo_body_stream_create(home, 1, &stream) != MO_OK) {
-    mo_lattice_free(lattice);
-    return -1;
-  }
-  *figures = (struct figures){0};
-  int failed = 0;
-  uint64_t start = mo_clock_ns();
-  for (uint32_t i = 0; i < n && !failed; i++) {
+  const struct mo_lattice *lattice = make_lattice(home);
+  struct mo_body_stream *stream = make_body_stream(home, 1);
+  struct figures figures = {0};
+  const double start_s = now_s();
+  for (uint32_t i = 0; i < n; i++) {
     uint64_t bits[MO_DEFAULT_WORDS];
     struct mo_body *body = NULL;
-    failed =
-        mo_body_stream_next(stream, bits) != MO_OK || mo_body_create(lattice, bits, &body) != MO_OK;
-    if (!failed) {
-      figures->masses += (double)body->n_masses / n;
-      figures->springs += (double)body->n_springs / n;
-      figures->voxels += (double)body->n_voxels / n;
-    }
+    make_check(mo_body_stream_next(stream, bits), "a body");
+    make_check(mo_body_create(lattice, bits, &body), "a body");
+    figures.masses += (double)body->n_masses / n;
+    figures.springs += (double)body->n_springs / n;
+    figures.voxels += (double)body->n_voxels / n;
     mo_body_free(body);
   }
-  figures->new_share = (double)n / (double)mo_body_stream_draws(stream);
+  figures.new_share = (double)n / (double)mo_body_stream_draws(stream);
   printf("# %u distinct bodies in %.2f s: %.2f masses, %.2f springs, %.2f voxels on average; %.2f "
          "%% of draws are new\n",
-         n, (double)(mo_clock_ns() - start) * 1e-9, figures->masses, figures->springs,
-         figures->voxels, 100.0 * figures->new_share);
-  mo_body_stream_free(stream);
-  mo_lattice_free(lattice);
-  return failed ? -1 : 0;
+         n, now_s() - start_s, figures.masses, figures.springs, figures.voxels,
+         100.0 * figures.new_share);
+  return figures;
 }
 
 static void hundred_thousand(void)
 {
-  struct figures figures;
-  REQUIRE(figures_of(100000, &figures) == 0);
+  const struct figures figures = figures_of(100000);
   CHECK(figures.new_share > 0.3 && figures.new_share < 0.5);
   CHECK(figures.masses > 60.0 && figures.masses < 79.0);
 }
@@ -63,8 +48,7 @@ static void full_stream(void)
     printf("# set MORPHO_TEST_FULL for the stream of 1.43 million bodies\n");
     return;
   }
-  struct figures figures;
-  REQUIRE(figures_of(1430000, &figures) == 0);
+  const struct figures figures = figures_of(1430000);
   CHECK_NEAR(figures.masses, 79.0, 1.0);
   CHECK_NEAR(figures.springs, 389.0, 5.0);
   CHECK_NEAR(figures.voxels, 23.0, 0.5);
@@ -75,29 +59,19 @@ static void full_stream(void)
 static void million_springs(void)
 {
   const struct mo_workspace large = {64, 48, 40};
-  struct mo_lattice *lattice = NULL;
-  uint64_t start = mo_clock_ns();
-  REQUIRE(mo_lattice_create(large, &lattice) == MO_OK);
-  double lattice_ms = (double)(mo_clock_ns() - start) * 1e-6;
+  static uint64_t bits[64 * 48 * 40 / 64], other[64 * 48 * 40 / 64];
+  static char id[64 * 48 * 40 / 4 + 1], other_id[64 * 48 * 40 / 4 + 1];
+  const double start_s = now_s();
+  const struct mo_lattice *lattice = make_lattice(large);
+  const double lattice_s = now_s() - start_s;
   CHECK_INT(lattice->n_masses, 65 * 49 * 41);
-  uint32_t words = mo_workspace_words(large);
-  static uint64_t bits[64 * 48 * 40 / 64];
-  static uint64_t other[64 * 48 * 40 / 64];
-  static char id[64 * 48 * 40 / 4 + 1];
-  static char other_id[64 * 48 * 40 / 4 + 1];
-  memset(bits, 0xff, words * sizeof(uint64_t));
-  struct mo_body *body = NULL;
-  start = mo_clock_ns();
-  REQUIRE(mo_body_create(lattice, bits, &body) == MO_OK);
-  printf("# %u masses, %u springs: lattice %.1f ms, body %.1f ms\n", body->n_masses,
-         body->n_springs, lattice_ms, (double)(mo_clock_ns() - start) * 1e-6);
-  CHECK(body->n_springs > 1000000);
-  CHECK_INT(body->n_springs, lattice->n_springs);
-  CHECK_INT(body->n_masses, lattice->n_masses);
-  mo_body_free(body);
-
-  struct mo_random random;
-  mo_random_init(&random, 61, MO_PURPOSE_CHECK, 0, 0);
+  const struct mo_body *full = make_full_body(lattice);
+  printf("# %u masses, %u springs: lattice %.1f ms, body %.1f ms\n", full->n_masses,
+         full->n_springs, 1e3 * lattice_s, 1e3 * (now_s() - start_s - lattice_s));
+  CHECK(full->n_springs > 1000000);
+  CHECK_INT(full->n_springs, lattice->n_springs);
+  CHECK_INT(full->n_masses, lattice->n_masses);
+  struct mo_random random = dice(61, 0, 0);
   int big = 0;
   for (int i = 0; i < 5; i++) {
     REQUIRE(mo_genotype_random(large, &random, bits) == MO_OK);
@@ -114,40 +88,23 @@ static void million_springs(void)
     CHECK_INT(mo_genotype_mutate(large, bits, 0.01, &random, other), MO_OK);
     CHECK_INT(mo_genotype_is_contiguous(large, other), 1);
     CHECK_INT(mo_genotype_crossover(large, bits, bits, other), MO_ERR_EMPTY);
-    REQUIRE(mo_body_create(lattice, bits, &body) == MO_OK);
-    CHECK_INT(body->n_voxels, mo_genotype_count(large, bits));
-    mo_body_free(body);
+    CHECK_INT(make_body(lattice, bits)->n_voxels, mo_genotype_count(large, bits));
   }
   CHECK(big > 0);
-  mo_lattice_free(lattice);
 }
 
 /* The largest workspaces that are accepted, in three shapes. */
 static void largest_workspaces(void)
 {
   static const struct mo_workspace several[] = {{128, 128, 64}, {16, 65535, 1}, {1, 1, 65535}};
-  for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
-    struct mo_lattice *lattice = NULL;
-    REQUIRE(mo_lattice_create(several[i], &lattice) == MO_OK);
-    uint32_t words = mo_workspace_words(several[i]);
-    uint32_t voxels = mo_workspace_voxels(several[i]);
-    uint64_t *bits = calloc(words, sizeof(uint64_t));
-    REQUIRE(bits != NULL);
-    for (uint32_t v = 0; v < voxels; v++) {
-      bits[v / 64] |= UINT64_C(1) << v % 64;
-    }
-    struct mo_body *body = NULL;
-    CHECK_INT(mo_genotype_is_contiguous(several[i], bits), 1);
-    CHECK_INT(mo_body_create(lattice, bits, &body), MO_OK);
-    CHECK(body != NULL && body->n_springs == lattice->n_springs &&
-          body->n_masses == lattice->n_masses);
-    CHECK(body != NULL && body->mass_xyz[3 * body->n_masses - 3] == several[i].nx &&
+  for (size_t i = 0; i < COUNT(several); i++) {
+    struct mo_lattice *lattice = make_lattice(several[i]);
+    const struct mo_body *body = make_full_body(lattice);
+    CHECK(body->n_springs == lattice->n_springs && body->n_masses == lattice->n_masses);
+    CHECK(body->mass_xyz[3 * body->n_masses - 3] == several[i].nx &&
           body->mass_xyz[3 * body->n_masses - 2] == several[i].ny &&
           body->mass_xyz[3 * body->n_masses - 1] == several[i].nz);
     CHECK_INT(lattice->spring_b[lattice->n_springs - 1], lattice->n_masses - 1);
-    mo_body_free(body);
-    free(bits);
-    mo_lattice_free(lattice);
   }
 }
 

@@ -1,6 +1,6 @@
 /* forms.c: the set of forms against a sorted list, its memory, and the stream of distinct bodies.
  */
-#include "../check.h"
+#include "../make.h"
 
 #include "morphospace/form_set.h"
 
@@ -13,8 +13,7 @@ static void set_is_exact(void)
   REQUIRE(mo_form_set_create(home, &set) == MO_OK);
   /* Forms from a small range, so that about half come again; a bit array knows which. */
   static uint8_t seen[N];
-  struct mo_random random;
-  mo_random_init(&random, 51, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(51, 0, 0);
   uint64_t count = 0;
   int wrong = 0;
   for (int i = 0; i < N; i++) {
@@ -44,9 +43,8 @@ static void set_of_other_workspaces(void)
 {
   static const struct mo_workspace several[] = {
       {1, 1, 1}, {2, 2, 2}, {4, 4, 4}, {5, 5, 5}, {12, 12, 8}};
-  for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
-    struct mo_form_set *set = NULL;
-    REQUIRE(mo_form_set_create(several[i], &set) == MO_OK);
+  for (size_t i = 0; i < COUNT(several); i++) {
+    struct mo_form_set *set = make_form_set(several[i]);
     uint64_t form[18] = {0};
     uint32_t voxels = mo_workspace_voxels(several[i]);
     for (uint32_t v = 0; v < voxels; v++) {
@@ -57,7 +55,6 @@ static void set_of_other_workspaces(void)
       CHECK_INT(mo_form_set_has(set, form), 1);
     }
     CHECK_INT(mo_form_set_count(set), voxels);
-    mo_form_set_free(set);
   }
 }
 
@@ -70,11 +67,10 @@ static void set_of_many(void)
   static uint64_t forms[MANY][3], hashes[MANY];
   static uint8_t marks[MANY];
   for (int t = 0; t < 3; t++) {
-    struct mo_form_set *set = NULL, *plain = NULL;
-    struct mo_random random;
     int wrong = 0;
-    mo_random_init(&random, 52, MO_PURPOSE_CHECK, 0, 0);
-    REQUIRE(mo_form_set_create(home, &set) == MO_OK && mo_form_set_create(home, &plain) == MO_OK);
+    struct mo_random random = dice(52, 0, 0);
+    struct mo_form_set *set = make_form_set(home);
+    struct mo_form_set *plain = make_form_set(home);
     for (int part = 0; part < 2; part++) { /* the second time half of them are there */
       for (uint64_t i = 0; i < MANY; i++) {
         const uint64_t k = mo_random_below(&random, MANY / 2) + (uint64_t)part * (MANY / 4) + 1;
@@ -97,16 +93,13 @@ static void set_of_many(void)
     CHECK_INT(wrong, 0);
     CHECK_INT(mo_form_set_count(set), mo_form_set_count(plain));
     CHECK_INT(mo_form_set_bytes(set), mo_form_set_bytes(plain));
-    mo_form_set_free(set);
-    mo_form_set_free(plain);
   }
 }
 
 /* At every size the set stays below 30 bytes a form: ten million fit in 300 MiB. */
 static void set_is_small(void)
 {
-  struct mo_form_set *set = NULL;
-  REQUIRE(mo_form_set_create(home, &set) == MO_OK);
+  struct mo_form_set *set = make_form_set(home);
   double worst = 0.0;
   for (uint64_t i = 0; i < 1000000; i++) {
     uint64_t form[3] = {i + 1, 0, 0};
@@ -122,16 +115,13 @@ static void set_is_small(void)
   }
   printf("# at worst %.2f bytes a form\n", worst);
   CHECK(worst < 30.0 && worst > 18.0);
-  mo_form_set_free(set);
 }
 
 static void stream_is_distinct(void)
 {
   enum { N = 3000 };
-  struct mo_body_stream *stream = NULL;
-  REQUIRE(mo_body_stream_create(home, 1, &stream) == MO_OK);
-  static uint64_t forms[N][3];
-  static uint64_t bodies[N][3];
+  struct mo_body_stream *stream = make_body_stream(home, 1);
+  static uint64_t forms[N][3], bodies[N][3];
   int wrong = 0;
   for (int i = 0; i < N; i++) {
     uint64_t form[3];
@@ -142,24 +132,19 @@ static void stream_is_distinct(void)
     mo_genotype_canonical(home, bodies[i], forms[i]);
     wrong += memcmp(form, forms[i], sizeof(form)) != 0;
   }
-  for (int i = 0; i < N; i++) {
-    for (int j = 0; j < i; j++) {
+  for (int i = 0; i < N; i++)
+    for (int j = 0; j < i; j++)
       wrong += memcmp(forms[i], forms[j], sizeof(forms[i])) == 0;
-    }
-  }
   CHECK_INT(wrong, 0);
   uint64_t draws = mo_body_stream_draws(stream);
   CHECK(draws > N);
-  mo_body_stream_free(stream);
 
   /* Its bodies are the plain draws, less those seen before. */
-  struct mo_form_set *seen = NULL;
-  REQUIRE(mo_form_set_create(home, &seen) == MO_OK);
+  struct mo_form_set *seen = make_form_set(home);
   int n = 0;
   for (uint64_t i = 0; i < draws; i++) {
     struct mo_random random;
-    uint64_t bits[3];
-    uint64_t form[3];
+    uint64_t bits[3], form[3];
     mo_random_init(&random, 1, MO_PURPOSE_BODY, 0, i);
     REQUIRE(mo_genotype_random(home, &random, bits) == MO_OK);
     mo_genotype_canonical(home, bits, form);
@@ -170,15 +155,13 @@ static void stream_is_distinct(void)
   }
   CHECK_INT(n, N);
   CHECK_INT(wrong, 0);
-  mo_form_set_free(seen);
   mo_body_stream_free(NULL);
 }
 
 /* 2 × 2 × 1 has four designs: one, two, three and four voxels. */
 static void stream_runs_dry(void)
 {
-  struct mo_body_stream *stream = NULL;
-  REQUIRE(mo_body_stream_create((struct mo_workspace){2, 2, 1}, 3, &stream) == MO_OK);
+  struct mo_body_stream *stream = make_body_stream((struct mo_workspace){2, 2, 1}, 3);
   uint64_t bits;
   uint32_t sizes = 0;
   for (int i = 0; i < 4; i++) {
@@ -189,7 +172,6 @@ static void stream_runs_dry(void)
   bits = 77;
   CHECK_INT(mo_body_stream_next(stream, &bits), MO_ERR_EXHAUSTED);
   CHECK(bits == 77);
-  mo_body_stream_free(stream);
 }
 
 static const struct check_case cases[] = {

@@ -1,63 +1,51 @@
 /* genotype.c: cells, text and ids in and out, and what they refuse. */
-#include "../check.h"
+#include "../make.h"
 
 #include <morpho/morphospace.h>
 
 static const struct mo_workspace home = {6, 6, 4};
 
-static int cells(const int64_t (*list)[3], size_t n, struct mo_cell_fault *fault)
-{
-  uint64_t bits[3] = {1, 2, 3};
-  *fault = (struct mo_cell_fault){99, 99, 99};
-  int code = mo_genotype_from_cells(home, list, n, bits, fault);
-  if (code != MO_OK) {
-    CHECK(bits[0] == 1 && bits[1] == 2 && bits[2] == 3); /* outputs untouched */
-  }
-  return code;
-}
-
 static void from_cells(void)
 {
-  struct mo_cell_fault fault;
-  uint64_t bits[3];
+  static const struct {
+    size_t n;
+    int64_t cells[4][3];
+    int code;
+    size_t cell;
+    int axis; /* −1: not said */
+    size_t other;
+  } refused[] = {
+      {0, {{0}}, MO_ERR_EMPTY, 99, -1, 99},
+      {3, {{0, 0, 0}, {1, 0, 4}, {9, 9, 9}}, MO_ERR_RANGE, 1, 2, 99},
+      {1, {{0, INT64_MIN, 0}}, MO_ERR_RANGE, 0, 1, 99},
+      {1, {{INT64_C(1) << 32, 0, 0}}, MO_ERR_RANGE, 0, 0, 99},
+      {4, {{0, 0, 0}, {1, 0, 0}, {2, 0, 0}, {1, 0, 0}}, MO_ERR_DUPLICATE, 3, -1, 1},
+      {4, {{3, 3, 3}, {3, 3, 2}, {0, 0, 0}, {0, 0, 1}}, MO_ERR_NOT_CONTIGUOUS, 2, -1, 99},
+      {2, {{3, 3, 3}, {3, 2, 2}}, MO_ERR_NOT_CONTIGUOUS, 1, -1, 99}, /* an edge does not connect */
+      {2, {{0, 0, 3}, {0, 1, 0}}, MO_ERR_NOT_CONTIGUOUS, 1, -1, 99}, /* nor do the end of a column
+                                                                      */
+      {2, {{0, 5, 0}, {1, 0, 0}}, MO_ERR_NOT_CONTIGUOUS, 1, -1, 99}, /* and the start of the next */
+  };
   const int64_t good[3][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}};
+  uint64_t bits[3];
   CHECK_INT(mo_genotype_from_cells(home, good, 3, bits, NULL), MO_OK);
   CHECK(bits[0] == (1 | UINT64_C(1) << 24 | UINT64_C(1) << 28) && bits[1] == 0 && bits[2] == 0);
-
-  CHECK_INT(cells(good, 0, &fault), MO_ERR_EMPTY);
-  const int64_t out[3][3] = {{0, 0, 0}, {1, 0, 4}, {9, 9, 9}};
-  CHECK_INT(cells(out, 3, &fault), MO_ERR_RANGE);
-  CHECK_INT(fault.cell, 1);
-  CHECK_INT(fault.axis, 2);
-  const int64_t negative[1][3] = {{0, INT64_MIN, 0}};
-  CHECK_INT(cells(negative, 1, &fault), MO_ERR_RANGE);
-  CHECK_INT(fault.cell, 0);
-  CHECK_INT(fault.axis, 1);
-  const int64_t huge[1][3] = {{INT64_C(1) << 32, 0, 0}};
-  CHECK_INT(cells(huge, 1, &fault), MO_ERR_RANGE);
-  CHECK_INT(fault.axis, 0);
-  const int64_t twice[4][3] = {{0, 0, 0}, {1, 0, 0}, {2, 0, 0}, {1, 0, 0}};
-  CHECK_INT(cells(twice, 4, &fault), MO_ERR_DUPLICATE);
-  CHECK_INT(fault.cell, 3);
-  CHECK_INT(fault.other, 1);
-  const int64_t apart[4][3] = {{3, 3, 3}, {3, 3, 2}, {0, 0, 0}, {0, 0, 1}};
-  CHECK_INT(cells(apart, 4, &fault), MO_ERR_NOT_CONTIGUOUS);
-  CHECK_INT(fault.cell, 2);
-  /* Edges and corners do not connect. */
-  const int64_t edge[2][3] = {{3, 3, 3}, {3, 2, 2}};
-  CHECK_INT(cells(edge, 2, &fault), MO_ERR_NOT_CONTIGUOUS);
-  /* Nor does the end of one column with the start of the next. */
-  const int64_t wrap_z[2][3] = {{0, 0, 3}, {0, 1, 0}};
-  CHECK_INT(cells(wrap_z, 2, &fault), MO_ERR_NOT_CONTIGUOUS);
-  const int64_t wrap_y[2][3] = {{0, 5, 0}, {1, 0, 0}};
-  CHECK_INT(cells(wrap_y, 2, &fault), MO_ERR_NOT_CONTIGUOUS);
+  for (size_t i = 0; i < COUNT(refused); i++) {
+    struct mo_cell_fault fault = {99, 99, 99};
+    bits[0] = 7;
+    CHECK_INT(mo_genotype_from_cells(home, refused[i].cells, refused[i].n, bits, &fault),
+              refused[i].code);
+    CHECK(bits[0] == 7); /* outputs untouched */
+    CHECK(refused[i].code == MO_ERR_EMPTY || fault.cell == refused[i].cell);
+    CHECK(refused[i].axis < 0 || (int)fault.axis == refused[i].axis);
+    CHECK(refused[i].code != MO_ERR_DUPLICATE || fault.other == refused[i].other);
+  }
 }
 
 static void from_text(void)
 {
   char text[145];
-  uint64_t bits[3];
-  uint64_t same[3];
+  uint64_t bits[3], same[3];
   struct mo_cell_fault fault;
   memset(text, '1', 144);
   CHECK_INT(mo_genotype_from_text(home, text, 144, bits, &fault), MO_OK);
@@ -80,8 +68,7 @@ static void from_text(void)
   CHECK_INT(mo_genotype_from_text(home, "", 0, bits, NULL), MO_ERR_RANGE);
   CHECK(bits[0] == 0 && bits[1] == 0 && bits[2] == 0x8000);
 
-  struct mo_random random;
-  mo_random_init(&random, 3, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(3, 0, 0);
   for (int i = 0; i < 1000; i++) {
     REQUIRE(mo_genotype_random(home, &random, bits) == MO_OK);
     mo_genotype_to_text(home, bits, text);
@@ -93,17 +80,14 @@ static void from_text(void)
 
 static void ids(void)
 {
-  struct mo_random random;
-  mo_random_init(&random, 5, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(5, 0, 0);
   static const struct mo_workspace several[] = {{6, 6, 4}, {3, 5, 2}, {1, 1, 1},
                                                 {2, 1, 1}, {7, 3, 1}, {12, 11, 10}};
-  for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
+  for (size_t i = 0; i < COUNT(several); i++) {
     struct mo_workspace w = several[i];
     size_t digits = (mo_workspace_voxels(w) + 3) / 4;
     for (int round = 0; round < 300; round++) {
-      uint64_t bits[21];
-      uint64_t form[21];
-      uint64_t same[21] = {0};
+      uint64_t bits[21], form[21], same[21] = {0};
       char id[400];
       REQUIRE(mo_genotype_random(w, &random, bits) == MO_OK);
       mo_genotype_id(w, bits, id);
@@ -121,29 +105,28 @@ static void ids(void)
 
 static void bad_ids(void)
 {
-  uint64_t form[3] = {7, 7, 7};
-  const char *one = "800000000000000000000000000000000000";
-  CHECK_INT(mo_genotype_from_id(home, one, 35, form), MO_ERR_FORMAT);
-  CHECK_INT(mo_genotype_from_id(home, "8000000000000000000000000000000000000", 37, form),
-            MO_ERR_FORMAT);
-  CHECK_INT(mo_genotype_from_id(home, "80000000000000000000000000000000000g", 36, form),
-            MO_ERR_FORMAT);
-  CHECK_INT(mo_genotype_from_id(home, "000000000000000000000000000000000000", 36, form),
-            MO_ERR_EMPTY);
-  CHECK_INT(mo_genotype_from_id(home, "a00000000000000000000000000000000000", 36, form),
-            MO_ERR_NOT_CONTIGUOUS);
-  CHECK_INT(mo_genotype_from_id(home, "400000000000000000000000000000000000", 36, form),
-            MO_ERR_FORMAT); /* not aligned */
-  CHECK_INT(mo_genotype_from_id(home, "800000800000000000000000000000000000", 36, form),
-            MO_ERR_FORMAT); /* lies along x */
+  static const struct {
+    const char *id;
+    int code;
+  } refused[] = {
+      {"80000000000000000000000000000000000", MO_ERR_FORMAT},
+      {"8000000000000000000000000000000000000", MO_ERR_FORMAT},
+      {"80000000000000000000000000000000000g", MO_ERR_FORMAT},
+      {"000000000000000000000000000000000000", MO_ERR_EMPTY},
+      {"a00000000000000000000000000000000000", MO_ERR_NOT_CONTIGUOUS},
+      {"400000000000000000000000000000000000", MO_ERR_FORMAT}, /* not aligned */
+      {"800000800000000000000000000000000000", MO_ERR_FORMAT}, /* lies along x */
+  };
+  uint64_t form[3] = {7, 7, 7}, upper[3], lower[3];
+  for (size_t i = 0; i < COUNT(refused); i++)
+    CHECK_INT(mo_genotype_from_id(home, refused[i].id, strlen(refused[i].id), form),
+              refused[i].code);
   CHECK(form[0] == 7 && form[1] == 7 && form[2] == 7);
-  CHECK_INT(mo_genotype_from_id(home, one, 36, form), MO_OK);
+  CHECK_INT(mo_genotype_from_id(home, "800000000000000000000000000000000000", 36, form), MO_OK);
   CHECK(form[0] == 1 && form[1] == 0 && form[2] == 0);
-  uint64_t upper[3];
-  uint64_t lower[3];
   CHECK_INT(mo_genotype_from_id(home, "F00000000000000000000000000000000000", 36, upper), MO_OK);
   CHECK_INT(mo_genotype_from_id(home, "f00000000000000000000000000000000000", 36, lower), MO_OK);
-  CHECK(memcmp(upper, lower, sizeof(upper)) == 0);
+  CHECK(SAME(upper, lower, 3));
   const struct mo_workspace odd = {3, 1, 1};
   CHECK_INT(mo_genotype_from_id(odd, "e", 1, form), MO_OK);
   CHECK_INT(mo_genotype_from_id(odd, "f", 1, form), MO_ERR_FORMAT); /* a bit past the last voxel */

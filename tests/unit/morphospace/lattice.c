@@ -1,12 +1,12 @@
 /* lattice.c: counts, orders and incidence of masses and springs, against brute force. */
-#include "../check.h"
+#include "../make.h"
 
 #include <morpho/morphospace.h>
 
 static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1},
                                                  {1, 1, 2}, {1, 2, 1}, {3, 5, 2},
                                                  {6, 4, 4}, {2, 3, 7}, {12, 9, 10}};
-#define WORKSPACES (sizeof(workspaces) / sizeof(workspaces[0]))
+#define WORKSPACES COUNT(workspaces)
 
 static void full_default(void)
 {
@@ -15,26 +15,19 @@ static void full_default(void)
   CHECK_INT(mo_workspace_words(w), 3);
   CHECK_INT(mo_workspace_masses(w), 245);
   CHECK_INT(mo_workspace_springs(w), 1648);
-  struct mo_lattice *lattice = NULL;
-  REQUIRE(mo_lattice_create(w, &lattice) == MO_OK);
+  struct mo_lattice *lattice = make_lattice(w);
   uint64_t bits[3] = {UINT64_MAX, UINT64_MAX, 0xffff};
-  struct mo_body *body = NULL;
-  CHECK_INT(mo_body_create(lattice, bits, &body), MO_OK);
-  REQUIRE(body != NULL);
+  const struct mo_body *body = make_body(lattice, bits);
   CHECK_INT(body->n_voxels, 144);
   CHECK_INT(body->n_masses, 245);
   CHECK_INT(body->n_springs, 1648);
+  int diagonals = 0;
   for (uint32_t s = 0; s < body->n_springs; s++) {
     CHECK(body->spring_lattice[s] == s && body->spring_a[s] == lattice->spring_a[s] &&
           body->spring_b[s] == lattice->spring_b[s]);
-  }
-  int diagonals = 0;
-  for (uint32_t s = 0; s < body->n_springs; s++) {
     diagonals += body->spring_diagonal[s];
   }
   CHECK_INT(diagonals, 1032);
-  mo_body_free(body);
-  mo_lattice_free(lattice);
 }
 
 static void limits(void)
@@ -68,9 +61,8 @@ static int relation(struct mo_workspace w, uint32_t a, uint32_t b)
   coordinates(w, b, q);
   int far = 0;
   for (int i = 0; i < 3; i++) {
-    if (abs(p[i] - q[i]) > 1) {
+    if (abs(p[i] - q[i]) > 1)
       return 0;
-    }
     far += abs(p[i] - q[i]);
   }
   return far == 1 || far == 2 ? far : 0;
@@ -80,8 +72,7 @@ static void springs_in_order(void)
 {
   for (size_t i = 0; i < WORKSPACES; i++) {
     struct mo_workspace w = workspaces[i];
-    struct mo_lattice *lattice = NULL;
-    REQUIRE(mo_lattice_create(w, &lattice) == MO_OK);
+    struct mo_lattice *lattice = make_lattice(w);
     uint32_t s = 0;
     uint32_t wrong = 0;
     for (uint32_t a = 0; a < lattice->n_masses; a++) {
@@ -97,7 +88,6 @@ static void springs_in_order(void)
     CHECK_INT(wrong, 0);
     CHECK_INT(s, lattice->n_springs);
     CHECK_INT(lattice->n_masses, mo_workspace_masses(w));
-    mo_lattice_free(lattice);
   }
 }
 
@@ -105,8 +95,7 @@ static void voxels_hold_their_springs(void)
 {
   for (size_t i = 0; i < WORKSPACES; i++) {
     struct mo_workspace w = workspaces[i];
-    struct mo_lattice *lattice = NULL;
-    REQUIRE(mo_lattice_create(w, &lattice) == MO_OK);
+    struct mo_lattice *lattice = make_lattice(w);
     uint32_t wrong = 0;
     for (uint32_t v = 0; v < lattice->n_voxels; v++) {
       const int low[3] = {(int)(v / w.nz / w.ny), (int)(v / w.nz % w.ny), (int)(v % w.nz)};
@@ -115,9 +104,8 @@ static void voxels_hold_their_springs(void)
         int at[3];
         coordinates(w, m, at);
         int corner = 1;
-        for (int k = 0; k < 3; k++) {
+        for (int k = 0; k < 3; k++)
           corner = corner && (at[k] == low[k] || at[k] == low[k] + 1);
-        }
         if (corner) {
           wrong += n_mass >= 8 || lattice->voxel_mass[8 * v + n_mass] != m;
           n_mass++;
@@ -138,19 +126,16 @@ static void voxels_hold_their_springs(void)
       wrong += n_mass != 8 || n_spring != 24;
     }
     CHECK_INT(wrong, 0);
-    mo_lattice_free(lattice);
   }
 }
 
 /* A body's lists against the definition: what any of its voxels holds. */
 static void bodies(void)
 {
-  struct mo_random random;
-  mo_random_init(&random, 7, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(7, 0, 0);
   for (size_t i = 0; i < WORKSPACES; i++) {
     struct mo_workspace w = workspaces[i];
-    struct mo_lattice *lattice = NULL;
-    REQUIRE(mo_lattice_create(w, &lattice) == MO_OK);
+    struct mo_lattice *lattice = make_lattice(w);
     static uint8_t mass[2000];
     static uint8_t spring[14000];
     uint64_t bits[20] = {0};
@@ -166,12 +151,10 @@ static void bodies(void)
       if (mo_random_below(&random, 3) == 0 || v + 1 == lattice->n_voxels) {
         bits[v / 64] |= UINT64_C(1) << v % 64;
         voxels++;
-        for (int k = 0; k < 8; k++) {
+        for (int k = 0; k < 8; k++)
           mass[lattice->voxel_mass[8 * v + k]] = 1;
-        }
-        for (int k = 0; k < 24; k++) {
+        for (int k = 0; k < 24; k++)
           spring[lattice->voxel_spring[24 * v + k]] = 1;
-        }
       }
     }
     REQUIRE(mo_body_create(lattice, bits, &body) == MO_OK);
@@ -203,7 +186,6 @@ static void bodies(void)
     CHECK_INT(voxels, body->n_voxels);
     CHECK_INT(wrong, 0);
     mo_body_free(body);
-    mo_lattice_free(lattice);
   }
 }
 

@@ -1,27 +1,15 @@
 /* variation.c: random bodies, mutation and crossover: validity, rates, determinism. */
-#include "../check.h"
-
-#include <morpho/morphospace.h>
+#include "plain.h"
 
 static const struct mo_workspace home = {6, 6, 4};
-
-static int is_placed(struct mo_workspace w, const uint64_t *bits)
-{
-  uint64_t placed[16];
-  size_t bytes = mo_workspace_words(w) * sizeof(uint64_t);
-  memcpy(placed, bits, bytes);
-  mo_genotype_place(w, placed);
-  return memcmp(placed, bits, bytes) == 0;
-}
 
 static void random_bodies(void)
 {
   static const struct mo_workspace several[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1},
                                                 {3, 5, 2}, {6, 4, 4}, {10, 10, 9}};
-  for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
+  for (size_t i = 0; i < COUNT(several); i++) {
     struct mo_workspace w = several[i];
-    struct mo_random random;
-    mo_random_init(&random, 41, MO_PURPOSE_CHECK, 0, i);
+    struct mo_random random = dice(41, 0, i);
     for (int round = 0; round < 500; round++) {
       uint64_t bits[16];
       REQUIRE(mo_genotype_random(w, &random, bits) == MO_OK);
@@ -34,18 +22,15 @@ static void random_bodies(void)
 /* Without distinctness: 37 masses, 171 springs, 10 voxels on average. */
 static void averages(void)
 {
-  struct mo_lattice *lattice = NULL;
-  REQUIRE(mo_lattice_create(home, &lattice) == MO_OK);
+  struct mo_lattice *lattice = make_lattice(home);
   const int n = 20000;
-  double masses = 0.0;
-  double springs = 0.0;
-  double voxels = 0.0;
+  double masses = 0, springs = 0, voxels = 0;
   for (int i = 0; i < n; i++) {
     struct mo_random random;
     uint64_t bits[3];
-    struct mo_body *body = NULL;
     mo_random_init(&random, 1, MO_PURPOSE_BODY, 0, (uint64_t)i);
     REQUIRE(mo_genotype_random(home, &random, bits) == MO_OK);
+    struct mo_body *body = NULL;
     REQUIRE(mo_body_create(lattice, bits, &body) == MO_OK);
     masses += (double)body->n_masses / n;
     springs += (double)body->n_springs / n;
@@ -57,16 +42,13 @@ static void averages(void)
   CHECK_NEAR(masses, 37.0, 1.5);
   CHECK_NEAR(springs, 171.0, 8.0);
   CHECK_NEAR(voxels, 10.0, 0.6);
-  mo_lattice_free(lattice);
 }
 
 static void mutation(void)
 {
-  struct mo_random random;
-  mo_random_init(&random, 42, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(42, 0, 0);
   for (int round = 0; round < 2000; round++) {
-    uint64_t parent[3];
-    uint64_t child[3];
+    uint64_t parent[3], child[3];
     REQUIRE(mo_genotype_random(home, &random, parent) == MO_OK);
     int code = mo_genotype_mutate(home, parent, 1.0 / 144, &random, child);
     if (code == MO_OK) {
@@ -77,8 +59,7 @@ static void mutation(void)
     }
   }
   /* Rate 0 gives the parent, rate 1 its complement's largest component. */
-  uint64_t parent[3];
-  uint64_t child[3] = {5, 5, 5};
+  uint64_t parent[3], child[3] = {5, 5, 5};
   REQUIRE(mo_genotype_random(home, &random, parent) == MO_OK);
   CHECK_INT(mo_genotype_mutate(home, parent, 0.0, &random, child), MO_OK);
   CHECK(memcmp(parent, child, sizeof(parent)) == 0);
@@ -100,8 +81,7 @@ static void mutation(void)
 static void mutation_rate(void)
 {
   const uint64_t full[3] = {UINT64_MAX, UINT64_MAX, 0xffff};
-  struct mo_random random;
-  mo_random_init(&random, 43, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(43, 0, 0);
   const int n = 20000;
   double flips = 0.0;
   int unchanged = 0;
@@ -118,13 +98,9 @@ static void mutation_rate(void)
 
 static void crossover(void)
 {
-  struct mo_random random;
-  mo_random_init(&random, 44, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(44, 0, 0);
   for (int round = 0; round < 2000; round++) {
-    uint64_t a[3];
-    uint64_t b[3];
-    uint64_t child[3] = {9, 9, 9};
-    uint64_t reverse[3];
+    uint64_t a[3], b[3], child[3] = {9, 9, 9}, reverse[3];
     REQUIRE(mo_genotype_random(home, &random, a) == MO_OK &&
             mo_genotype_random(home, &random, b) == MO_OK);
     CHECK_INT(mo_genotype_crossover(home, a, a, child), MO_ERR_EMPTY);

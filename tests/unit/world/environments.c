@@ -1,42 +1,28 @@
 /* environments.c: random terrains, training environments and the paper test set against what they
  * are meant to be. */
-#include "../check.h"
-
-#include <morpho/random.h>
-#include <morpho/world.h>
-
-/* Equal bit by bit, on purpose: the same name gives the same bits. */
-static int same_bits(const void *a, const void *b, size_t size)
-{
-  return memcmp(a, b, size) == 0;
-}
+#include "../make.h"
 
 static double lowest(const double heights_m[64])
 {
   double low = heights_m[0];
-  for (int k = 1; k < 64; k++) {
+  for (int k = 1; k < 64; k++)
     low = fmin(low, heights_m[k]);
-  }
   return low;
 }
 
 static double deviation(const double heights_m[64])
 {
-  double mean = 0.0;
-  double square = 0.0;
-  for (int k = 0; k < 64; k++) {
+  double mean = 0, square = 0;
+  for (int k = 0; k < 64; k++)
     mean += heights_m[k] / 64;
-  }
-  for (int k = 0; k < 64; k++) {
+  for (int k = 0; k < 64; k++)
     square += (heights_m[k] - mean) * (heights_m[k] - mean) / 63;
-  }
   return sqrt(square);
 }
 
 static void terrains(void)
 {
-  double heights[64];
-  double square = 0.0;
+  double heights[64], other[64], square = 0;
   const int n = 2000;
   for (int i = 0; i < n; i++) {
     mo_terrain_random(8, 1, (uint64_t)i, 0.06, heights);
@@ -47,26 +33,23 @@ static void terrains(void)
   /* The mean of the sample variance is σ², with relative error sqrt(2/(63 n)). */
   CHECK_NEAR(square / (0.06 * 0.06), 1.0, 4.0 * sqrt(2.0 / 63 / n));
   mo_terrain_random(8, 1, 0, 0.0, heights);
-  for (int k = 0; k < 64; k++) {
+  for (int k = 0; k < 64; k++)
     CHECK(heights[k] == MO_TERRAIN_FLOOR_M);
-  }
-  double other[64];
   mo_terrain_random(8, 1, 5, 0.06, heights);
   mo_terrain_random(8, 1, 5, 0.06, other);
-  CHECK(same_bits(heights, other, sizeof(heights)));
+  CHECK(SAME(heights, other, COUNT(heights)));
   mo_terrain_random(9, 1, 5, 0.06, other);
-  CHECK(!same_bits(heights, other, sizeof(heights)));
+  CHECK(!SAME(heights, other, COUNT(heights)));
   mo_terrain_random(8, 2, 5, 0.06, other);
-  CHECK(!same_bits(heights, other, sizeof(heights)));
+  CHECK(!SAME(heights, other, COUNT(heights)));
 }
 
 /* Uniform by area: r² is uniform between 0.16 and 4, the angle is uniform. */
 static void training(void)
 {
   enum { N = 40000, BINS = 16 };
-  int by_area[BINS] = {0};
-  int by_angle[BINS] = {0};
-  double sigma_sum = 0.0;
+  int by_area[BINS] = {0}, by_angle[BINS] = {0};
+  double sigma_sum = 0, chi_area = 0, chi_angle = 0;
   for (int i = 0; i < N; i++) {
     struct mo_environment environment;
     mo_environment_training(3, 4, (uint64_t)i, &environment);
@@ -82,8 +65,6 @@ static void training(void)
     by_angle[angle > BINS - 1 ? BINS - 1 : angle]++;
     sigma_sum += deviation(environment.terrain_heights_m);
   }
-  double chi_area = 0.0;
-  double chi_angle = 0.0;
   const double expected = (double)N / BINS;
   for (int i = 0; i < BINS; i++) {
     chi_area += (by_area[i] - expected) * (by_area[i] - expected) / expected;
@@ -97,11 +78,10 @@ static void training(void)
 
 static void test_set(void)
 {
-  struct mo_environment environments[MO_PAPER_TEST_COUNT];
-  struct mo_environment again[MO_PAPER_TEST_COUNT];
+  struct mo_environment environments[MO_PAPER_TEST_COUNT], again[MO_PAPER_TEST_COUNT];
   mo_environment_paper_test(environments);
   mo_environment_paper_test(again);
-  CHECK(same_bits(environments, again, sizeof(environments)));
+  CHECK(SAME(environments, again, COUNT(environments)));
   int used[2] = {0, 0};
   for (int i = 0; i < MO_PAPER_TEST_COUNT; i++) {
     CHECK_INT(mo_environment_check(&environments[i], NULL), MO_OK);
@@ -115,14 +95,12 @@ static void test_set(void)
     struct mo_random random;
     double z[64];
     mo_random_init(&random, MO_PAPER_TEST_SEED, MO_PURPOSE_TEST_SET, 0, (uint64_t)i + 1);
-    for (int k = 0; k < 64; k++) {
+    for (int k = 0; k < 64; k++)
       z[k] = mo_random_normal(&random);
-    }
     const double *heights = environments[i].terrain_heights_m;
     double sigma = (heights[1] - heights[0]) / (z[1] - z[0]);
-    for (int k = 2; k < 64; k++) {
+    for (int k = 2; k < 64; k++)
       CHECK_NEAR(heights[k] - heights[0], sigma * (z[k] - z[0]), 1e-12);
-    }
     int level = (int)lround(sigma / 0.02);
     printf("# environment %d: light (%.4f, %.4f) m, sigma %.4f m\n", i,
            environments[i].light_xy_m[0], environments[i].light_xy_m[1], sigma);

@@ -1,21 +1,6 @@
 /* golden.c: bits that must never change: stored scores and seeds refer to them. A new hash here is
  * a new file format. */
-#include "../check.h"
-
-#include <morpho/morphospace.h>
-#include <morpho/world.h>
-
-#define FNV_START UINT64_C(0xcbf29ce484222325)
-
-/* FNV-1a, 64 bits. */
-static uint64_t fold(uint64_t hash, const void *data, size_t size)
-{
-  const unsigned char *bytes = data;
-  for (size_t i = 0; i < size; i++) {
-    hash = (hash ^ bytes[i]) * UINT64_C(0x100000001b3);
-  }
-  return hash;
-}
+#include "../make.h"
 
 static void expect(const char *what, uint64_t actual, uint64_t expected)
 {
@@ -26,8 +11,7 @@ static void expect(const char *what, uint64_t actual, uint64_t expected)
 static void bodies(void)
 {
   const struct mo_workspace home = MO_DEFAULT_WORKSPACE;
-  uint64_t placed = FNV_START;
-  uint64_t ids = FNV_START;
+  uint64_t placed = FNV_START, ids = FNV_START;
   for (uint64_t i = 0; i < 1000; i++) {
     struct mo_random random;
     uint64_t bits[MO_DEFAULT_WORDS];
@@ -35,8 +19,8 @@ static void bodies(void)
     mo_random_init(&random, 1, MO_PURPOSE_BODY, 0, i);
     REQUIRE(mo_genotype_random(home, &random, bits) == MO_OK);
     mo_genotype_id(home, bits, id);
-    placed = fold(placed, bits, sizeof(bits));
-    ids = fold(ids, id, MO_DEFAULT_ID_DIGITS);
+    hash(&placed, bits, sizeof(bits));
+    hash(&ids, id, MO_DEFAULT_ID_DIGITS);
   }
   expect("first 1000 random bodies", placed, UINT64_C(0x867d538b6eed327d));
   expect("their ids", ids, UINT64_C(0x4413e6cfe70d426c));
@@ -45,58 +29,57 @@ static void bodies(void)
 static void children(void)
 {
   const struct mo_workspace home = MO_DEFAULT_WORKSPACE;
-  uint64_t hash = FNV_START;
+  uint64_t h = FNV_START;
   uint64_t parent[MO_DEFAULT_WORDS] = {0};
   for (uint64_t i = 0; i < 1000; i++) {
     struct mo_random random;
-    uint64_t other[MO_DEFAULT_WORDS];
-    uint64_t child[MO_DEFAULT_WORDS] = {0};
+    uint64_t other[MO_DEFAULT_WORDS], child[MO_DEFAULT_WORDS] = {0};
     mo_random_init(&random, 2, MO_PURPOSE_BODY, 0, i);
     REQUIRE(mo_genotype_random(home, &random, other) == MO_OK);
     mo_genotype_crossover(home, parent, other, child);
-    hash = fold(hash, child, sizeof(child));
+    hash(&h, child, sizeof(child));
     mo_random_init(&random, 2, MO_PURPOSE_MUTATION, 5, i);
     mo_genotype_mutate(home, other, 0.02, &random, child);
-    hash = fold(hash, child, sizeof(child));
+    hash(&h, child, sizeof(child));
     memcpy(parent, other, sizeof(parent));
   }
-  expect("1000 crossovers and mutations", hash, UINT64_C(0x7067c1f79882edb6));
+  expect("1000 crossovers and mutations", h, UINT64_C(0x7067c1f79882edb6));
 }
 
 static void normals(void)
 {
-  uint64_t hash = FNV_START;
-  struct mo_random random;
-  mo_random_init(&random, 3, MO_PURPOSE_CHECK, 0, 0);
+  uint64_t h = FNV_START;
+  struct mo_random random = dice(3, 0, 0);
   for (int i = 0; i < 100000; i++) {
     double z = mo_random_normal(&random);
-    hash = fold(hash, &z, sizeof(z));
+    hash(&h, &z, sizeof(z));
   }
-  expect("100000 normal numbers", hash, UINT64_C(0x531fde0565f5cc95));
+  expect("100000 normal numbers", h, UINT64_C(0x531fde0565f5cc95));
 }
 
 static void environments(void)
 {
   struct mo_environment set[MO_PAPER_TEST_COUNT];
   mo_environment_paper_test(set);
-  expect("paper test set", fold(FNV_START, set, sizeof(set)), UINT64_C(0x6f554be07560e57d));
-  uint64_t hash = FNV_START;
+  uint64_t h = FNV_START;
+  hash(&h, set, sizeof(set));
+  expect("paper test set", h, UINT64_C(0x6f554be07560e57d));
+  h = FNV_START;
   for (uint64_t i = 0; i < 1000; i++) {
     struct mo_environment environment;
     mo_environment_training(1, 7, i, &environment);
-    hash = fold(hash, &environment, sizeof(environment));
+    hash(&h, &environment, sizeof(environment));
   }
-  expect("1000 training environments", hash, UINT64_C(0xd5d18799692b594e));
+  expect("1000 training environments", h, UINT64_C(0xd5d18799692b594e));
 }
 
 static void springs(void)
 {
-  struct mo_lattice *lattice = NULL;
-  REQUIRE(mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK);
-  uint64_t hash = fold(FNV_START, lattice->spring_a, lattice->n_springs * sizeof(uint32_t));
-  hash = fold(hash, lattice->spring_b, lattice->n_springs * sizeof(uint32_t));
-  expect("the default lattice's springs", hash, UINT64_C(0x8a8694acbf9a5d55));
-  mo_lattice_free(lattice);
+  struct mo_lattice *lattice = make_lattice(MO_DEFAULT_WORKSPACE);
+  uint64_t h = FNV_START;
+  hash(&h, lattice->spring_a, lattice->n_springs * sizeof(uint32_t));
+  hash(&h, lattice->spring_b, lattice->n_springs * sizeof(uint32_t));
+  expect("the default lattice's springs", h, UINT64_C(0x8a8694acbf9a5d55));
 }
 
 static const struct check_case cases[] = {

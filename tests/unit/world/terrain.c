@@ -1,22 +1,16 @@
 /* terrain.c: heights and gradients against corner values, differences and closed forms. */
-#include "../check.h"
-
-#include <morpho/random.h>
-#include <morpho/world.h>
+#include "../make.h"
 
 #define SPACING (5.0 / 7.0)
 
 static void corners(void)
 {
   double heights[64];
-  for (int k = 0; k < 64; k++) {
+  for (int k = 0; k < 64; k++)
     heights[k] = sin(3.0 * k) * 0.1;
-  }
-  for (int j = 0; j < 8; j++) {
-    for (int i = 0; i < 8; i++) {
+  for (int j = 0; j < 8; j++)
+    for (int i = 0; i < 8; i++)
       CHECK_NEAR(mo_terrain_height(heights, i * SPACING, j * SPACING), heights[j * 8 + i], 1e-15);
-    }
-  }
 }
 
 /* A bilinear function is met exactly everywhere. */
@@ -28,8 +22,7 @@ static void bilinear(void)
     double y = k / 8 * SPACING; // NOLINT(bugprone-integer-division): the row
     heights[k] = 0.3 + 0.2 * x - 0.1 * y + 0.05 * x * y;
   }
-  struct mo_random random;
-  mo_random_init(&random, 1, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(1, 0, 0);
   for (int n = 0; n < 1000; n++) {
     double x = 5.0 * mo_random_uniform(&random);
     double y = 5.0 * mo_random_uniform(&random);
@@ -45,8 +38,7 @@ static void differences(void)
 {
   double heights[64];
   mo_terrain_random(5, 0, 0, 0.1, heights);
-  struct mo_random random;
-  mo_random_init(&random, 2, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(2, 0, 0);
   double step = 1e-6;
   for (int n = 0; n < 1000; n++) {
     /* inside one cell, so that no line between cells lies within the step */
@@ -98,27 +90,27 @@ static void outside(void)
 static void checks(void)
 {
   struct mo_environment environment;
-  mo_environment_training(1, 2, 3, &environment);
   uint32_t where = 99;
+  mo_environment_training(1, 2, 3, &environment);
   CHECK_INT(mo_environment_check(&environment, &where), MO_OK);
   CHECK_INT(where, 99);
-  struct mo_environment bad = environment;
-  bad.light_xy_m[1] = NAN;
-  CHECK_INT(mo_environment_check(&bad, &where), MO_ERR_INVALID);
-  CHECK_INT(where, 1);
-  bad = environment;
-  bad.light_xy_m[0] = -1000.5;
-  CHECK_INT(mo_environment_check(&bad, &where), MO_ERR_RANGE);
-  CHECK_INT(where, 0);
-  bad = environment;
-  bad.terrain_heights_m[63] = -INFINITY;
-  CHECK_INT(mo_environment_check(&bad, &where), MO_ERR_INVALID);
-  CHECK_INT(where, 65);
-  bad = environment;
-  bad.terrain_heights_m[7] = 100.5;
-  CHECK_INT(mo_environment_check(&bad, NULL), MO_ERR_RANGE);
-  bad.terrain_heights_m[7] = 100.0;
-  CHECK_INT(mo_environment_check(&bad, NULL), MO_OK);
+  const struct {
+    double *number;
+    double value;
+    int code;
+    uint32_t where;
+  } bad[] = {{&environment.light_xy_m[1], NAN, MO_ERR_INVALID, 1},
+             {&environment.light_xy_m[0], -1000.5, MO_ERR_RANGE, 0},
+             {&environment.terrain_heights_m[63], -INFINITY, MO_ERR_INVALID, 65},
+             {&environment.terrain_heights_m[7], 100.5, MO_ERR_RANGE, 9},
+             {&environment.terrain_heights_m[7], 100.0, MO_OK, 9}};
+  for (size_t i = 0; i < COUNT(bad); i++) {
+    const double good = *bad[i].number;
+    *bad[i].number = bad[i].value;
+    CHECK_INT(mo_environment_check(&environment, &where), bad[i].code);
+    CHECK_INT(where, bad[i].where);
+    *bad[i].number = good;
+  }
 }
 
 static const struct check_case cases[] = {
