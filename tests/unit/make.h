@@ -41,10 +41,10 @@ MAKE(pack, (const struct mo_controller *c, enum mo_isa isa, enum mo_precision pr
 MAKE(workspace_memory, (void), &made)
 MAKE(gradient_pack, (const struct mo_controller *c, enum mo_isa isa), c, isa, &made)
 MAKE(gradient_memory, (size_t budget_bytes), budget_bytes, &made)
-MAKE(compute_controller, (struct mo_compute *compute, const struct mo_controller *c), compute, c,
+MAKE(compute_controller, (struct mo_compute * compute, const struct mo_controller *c), compute, c,
      &made)
-MAKE(compute_share, (struct mo_compute *compute, double weight), compute, weight, &made)
-MAKE(gradient_state, (struct mo_compute *compute), compute, &made)
+MAKE(compute_share, (struct mo_compute * compute, double weight), compute, weight, &made)
+MAKE(gradient_state, (struct mo_compute * compute), compute, &made)
 MAKE(training,
      (const struct mo_training_settings *settings, const struct mo_controller *parent,
       const uint64_t *designs, size_t n),
@@ -143,6 +143,25 @@ static inline struct mo_random dice(uint64_t seed, uint32_t step, uint64_t index
   struct mo_random random;
   mo_random_init(&random, seed, MO_PURPOSE_CHECK, step, index);
   return random;
+}
+
+/* ---- settings ---- */
+
+/* One field of settings, a value for it, and what a check must say of that. */
+struct field_case {
+  void *field;
+  size_t size; /* 2: uint16_t; 4: uint32_t or an enumeration; 8: double */
+  double value;
+  int code;
+  const char *says;
+};
+#define FIELD(lvalue) &(lvalue), sizeof(lvalue)
+
+static inline void set_field(void *field, size_t size, double value)
+{
+  const uint16_t two = (uint16_t)value;
+  const uint32_t four = (uint32_t)(int64_t)value;
+  memcpy(field, size == 2 ? (const void *)&two : size == 4 ? (const void *)&four : &value, size);
 }
 
 /* ---- numbers ---- */

@@ -14,27 +14,6 @@ static struct mo_design_size sizes[2 * N];
 static struct mo_descent descents[N];
 static uint32_t born[N];
 
-/* Runs `work` with the first, the second, … allocation failing, until none is left to fail. */
-static void each_fails(int (*work)(void), int least)
-{
-  int failed = 0;
-  for (long k = 0; k < 5000; k++) {
-    left = k;
-    const int r = work();
-    const int reached = left < 0;
-    left = -1;
-    if (!reached) {
-      CHECK_INT(r, MO_OK);
-      printf("# %d allocations failed in turn\n", failed);
-      CHECK(failed >= least);
-      return;
-    }
-    failed++;
-    CHECK_INT(r, MO_ERR_NO_MEMORY);
-  }
-  CHECK(0); /* it never ends */
-}
-
 /* Also what a set needs as it grows. */
 static int initial(void)
 {
@@ -182,7 +161,7 @@ static void functions(void)
 
 static void large_workspaces(void)
 {
-  struct mo_random random = check_stream(1, 1);
+  struct mo_random random = dice(77, 1, 1);
   REQUIRE(mo_lattice_create(large, &lattice) == MO_OK &&
           mo_genotype_random(large, &random, large_body) == MO_OK);
   each_fails(large_size, 1);

@@ -10,7 +10,7 @@ static uint32_t born[N];
 /* Births in order; parents anywhere before, some without. */
 static void make_up(uint32_t step)
 {
-  struct mo_random random = check_stream(step, 0);
+  struct mo_random random = dice(77, step, 0);
   for (uint32_t i = 0; i < N; i++) {
     uint32_t first = MO_NO_PARENT, second = MO_NO_PARENT;
     born[i] = 0;
@@ -38,33 +38,22 @@ static void climb(uint32_t number, uint8_t *marks)
   }
 }
 
-static void ancestors(void)
+static void ancestors_and_descendants(void)
 {
   for (uint32_t step = 0; step < 20; step++) {
     make_up(step);
     for (uint32_t number = 0; number < N; number += 7) {
-      uint8_t marks[N] = {0}, expected[N] = {0};
-      mo_ancestors(descents, N, number, marks);
+      uint8_t above[N] = {0}, below[N] = {0}, expected[N] = {0};
+      mo_ancestors(descents, N, number, above);
+      mo_descendants(descents, N, number, below);
       climb(number, expected);
-      CHECK(memcmp(marks, expected, N) == 0);
-      CHECK(!marks[number]);
-    }
-  }
-}
-
-static void descendants(void)
-{
-  for (uint32_t step = 0; step < 20; step++) {
-    make_up(step);
-    for (uint32_t number = 0; number < N; number += 7) {
-      uint8_t marks[N] = {0}, expected[N] = {0};
-      mo_descendants(descents, N, number, marks);
-      for (uint32_t i = 0; i < N; i++) { /* whose ancestor it is */
-        uint8_t above[N] = {0};
-        climb(i, above);
-        expected[i] = above[number];
+      CHECK(SAME(above, expected, N));
+      CHECK(!above[number]);
+      for (uint32_t i = 0; i < N; i++) { /* those whose ancestor it is */
+        uint8_t marks[N] = {0};
+        climb(i, marks);
+        CHECK(below[i] == marks[number]);
       }
-      CHECK(memcmp(marks, expected, N) == 0);
     }
   }
 }
@@ -184,10 +173,9 @@ static void newick_by_hand(void)
 static void depth(void)
 {
   const uint32_t n = 200000;
-  struct mo_descent *chain = calloc(n, sizeof(*chain));
-  uint32_t *when = calloc(n, sizeof(*when));
-  uint8_t *marks = calloc(n, 1);
-  REQUIRE(chain != NULL && when != NULL && marks != NULL);
+  struct mo_descent *chain = make_zeros(n, sizeof(*chain));
+  uint32_t *when = make_zeros(n, sizeof(*when));
+  uint8_t *marks = make_zeros(n, 1);
   for (int star = 0; star < 2; star++) {
     for (uint32_t i = 0; i < n; i++) {
       chain[i] = (struct mo_descent){{i == 0 ? MO_NO_PARENT
@@ -220,14 +208,10 @@ static void depth(void)
     CHECK_INT(below, n - 1);
     free(text.bytes);
   }
-  free(chain);
-  free(when);
-  free(marks);
 }
 
 static const struct check_case cases[] = {
-    {"ancestors as recursion finds them", ancestors},
-    {"descendants are those whose ancestor it is", descendants},
+    {"ancestors and descendants as recursion finds them", ancestors_and_descendants},
     {"numbers outside and parents that are none", numbers_outside},
     {"newick as recursion writes it", newick},
     {"newick by hand", newick_by_hand},

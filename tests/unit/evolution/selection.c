@@ -12,10 +12,10 @@ struct scene {
 
 /* N candidates of generations 0 … 20 (the current one) with a few equal scores, `diverged` of 96
  * without one. */
-static int make_up(struct scene *scene, uint32_t step, uint32_t diverged,
-                   enum mo_selection_kind kind)
+static void make_up(struct scene *scene, uint32_t step, uint32_t diverged,
+                    enum mo_selection_kind kind)
 {
-  struct mo_random random = check_stream(step, 500);
+  struct mo_random random = dice(77, step, 500);
   scene->settings = small_campaign(step + 1, N / 2);
   scene->settings.selection.kind = kind;
   for (uint32_t i = 0; i < N; i++) {
@@ -24,11 +24,9 @@ static int make_up(struct scene *scene, uint32_t step, uint32_t diverged,
     scene->candidates[i] = (struct mo_candidate){.score = lost ? INFINITY : score,
                                                  .number = (i * 37) % N + 1000,
                                                  .born = mo_random_below(&random, 21)};
-    if (mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, scene->genotypes + (size_t)W * i) !=
-        MO_OK)
-      return -1;
+    make_check(mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, scene->genotypes + (size_t)W * i),
+               "a body");
   }
-  return 0;
 }
 
 static int run(struct scene *scene)
@@ -65,7 +63,7 @@ static void every_scheme(void)
     for (uint32_t step = 0; step < 60; step++) {
       static struct scene scene;
       uint8_t lives[N];
-      REQUIRE(make_up(&scene, step, step % 3 * 35, (enum mo_selection_kind)kind) == 0);
+      make_up(&scene, step, step % 3 * 35, (enum mo_selection_kind)kind);
       scene.settings.selection.novelty_weight = 0.25 * (step % 5);
       scene.settings.selection.age_gap = 1 + step % 4;
       scene.settings.population = 1 + step % 70;
@@ -99,7 +97,7 @@ static void truncation(void)
   for (uint32_t step = 0; step < 50; step++) {
     static struct scene scene;
     uint8_t lives[N];
-    REQUIRE(make_up(&scene, step, step % 2 * 10, MO_SELECT_TRUNCATION) == 0);
+    make_up(&scene, step, step % 2 * 10, MO_SELECT_TRUNCATION);
     CHECK_INT(run(&scene), MO_OK);
     alive(&scene, lives);
     for (uint32_t i = 0; i < N; i++)
@@ -110,7 +108,7 @@ static void truncation(void)
 static void ties_and_nonsense(void)
 {
   static struct scene scene;
-  REQUIRE(make_up(&scene, 1, 0, MO_SELECT_TRUNCATION) == 0);
+  make_up(&scene, 1, 0, MO_SELECT_TRUNCATION);
   for (uint32_t i = 0; i < N; i++)
     scene.candidates[i].score = i % 2 ? 0.0 : -0.0; /* all equal: by number */
   CHECK_INT(run(&scene), MO_OK);
@@ -139,7 +137,7 @@ static void any_order(void)
   for (int kind = 0; mo_selection_words[kind] != NULL; kind++)
     for (uint32_t step = 0; step < 10; step++) {
       static struct scene scene, turned;
-      REQUIRE(make_up(&scene, step, 8, (enum mo_selection_kind)kind) == 0);
+      make_up(&scene, step, 8, (enum mo_selection_kind)kind);
       turned = scene;
       for (uint32_t i = 0; i < N; i++) {
         turned.candidates[i] = scene.candidates[N - 1 - i];
@@ -163,7 +161,7 @@ static void tournament(void)
     uint32_t same = 0;
     static struct scene scene;
     for (uint32_t step = 0; step < 200; step++) {
-      REQUIRE(make_up(&scene, 3, 0, MO_SELECT_TOURNAMENT) == 0);
+      make_up(&scene, 3, 0, MO_SELECT_TOURNAMENT);
       scene.settings.selection.tournament_size = sizes[k];
       scene.settings.seed = step;
       scene.settings.population = 24;
@@ -191,7 +189,7 @@ static void tournament_odds(void)
   static struct scene scene;
   uint32_t times[N] = {0};
   const uint32_t draws = 20000;
-  REQUIRE(make_up(&scene, 4, 0, MO_SELECT_TOURNAMENT) == 0);
+  make_up(&scene, 4, 0, MO_SELECT_TOURNAMENT);
   scene.settings.selection.tournament_size = 3;
   scene.settings.population = 2;
   for (uint32_t i = 0; i < draws; i++) {
@@ -222,7 +220,7 @@ static void novelty(void)
     uint32_t rank[N], outlived = 0;
     uint64_t distance[N];
     uint8_t lives[N];
-    REQUIRE(make_up(&scene, step, 0, MO_SELECT_NOVELTY) == 0);
+    make_up(&scene, step, 0, MO_SELECT_NOVELTY);
     scene.settings.selection.novelty_weight = weight;
     CHECK_INT(run(&scene), MO_OK);
     alive(&scene, lives);
@@ -260,7 +258,7 @@ static void age_layers(void)
   for (uint32_t step = 0; step < 60; step++) {
     static struct scene scene;
     uint8_t lives[N], expected[N] = {0};
-    REQUIRE(make_up(&scene, step, 0, MO_SELECT_AGE_LAYERED) == 0);
+    make_up(&scene, step, 0, MO_SELECT_AGE_LAYERED);
     const uint32_t layers = 2 + step % 5, gap = 1 + step % 3;
     scene.settings.selection.n_layers = layers;
     scene.settings.selection.age_gap = gap;
@@ -298,7 +296,7 @@ static void one_age(void)
 {
   static struct scene scene;
   for (uint32_t born = 20; born <= 30; born += 10) {
-    REQUIRE(make_up(&scene, 2, 0, MO_SELECT_AGE_LAYERED) == 0);
+    make_up(&scene, 2, 0, MO_SELECT_AGE_LAYERED);
     for (uint32_t i = 0; i < N; i++)
       scene.candidates[i].born = born;
     CHECK_INT(run(&scene), MO_OK);

@@ -1,24 +1,26 @@
 /* statistics.c: diversity, distinctiveness, sizes and champions against their definitions. */
 #include "fixture.h"
 
-/* n random bodies of a workspace, some of them twice; NULL: no memory. */
+/* n random bodies of a workspace, some of them twice. */
 static uint64_t *bodies_of(struct mo_workspace workspace, uint32_t n, uint32_t step)
 {
   const uint32_t words = mo_workspace_words(workspace);
-  uint64_t *bodies = calloc((size_t)n * words, sizeof(*bodies));
-  for (uint32_t i = 0; bodies != NULL && i < n; i++) {
-    struct mo_random random = check_stream(step, i / 5 * 5 + (i % 5 < 3 ? i % 5 : 0));
-    if (mo_genotype_random(workspace, &random, bodies + (size_t)words * i) != MO_OK) {
-      free(bodies);
-      return NULL;
-    }
+  uint64_t *bodies = make_zeros((size_t)n * words, sizeof(*bodies));
+  for (uint32_t i = 0; i < n; i++) {
+    struct mo_random random = dice(77, step, i / 5 * 5 + (i % 5 < 3 ? i % 5 : 0));
+    make_check(mo_genotype_random(workspace, &random, bodies + (size_t)words * i), "a body");
   }
   return bodies;
 }
 
 static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1},
                                                  {3, 3, 3}, {6, 6, 2}, {20, 9, 7}};
-#define WORKSPACES (sizeof(workspaces) / sizeof(workspaces[0]))
+#define WORKSPACES COUNT(workspaces)
+
+static bool has(const uint64_t *bits, uint32_t v)
+{
+  return bits[v / 64] >> v % 64 & 1;
+}
 
 static void distances(void)
 {
@@ -27,7 +29,6 @@ static void distances(void)
       const struct mo_workspace w = workspaces[k];
       const uint32_t words = mo_workspace_words(w), voxels = mo_workspace_voxels(w);
       uint64_t *bodies = bodies_of(w, n, n);
-      REQUIRE(bodies != NULL);
       double each[130];
       mo_distinctiveness(w, bodies, n, each);
       uint64_t all = 0;
@@ -35,14 +36,12 @@ static void distances(void)
         uint64_t sum = 0;
         for (uint32_t j = 0; j < n; j++)
           for (uint32_t v = 0; v < voxels; v++)
-            sum += (bodies[(size_t)words * i + v / 64] >> v % 64 & 1) !=
-                   (bodies[(size_t)words * j + v / 64] >> v % 64 & 1);
+            sum += has(bodies + (size_t)words * i, v) != has(bodies + (size_t)words * j, v);
         all += sum;
         CHECK(each[i] == (double)sum / ((double)(n - 1) * voxels));
       }
       CHECK(mo_diversity(w, bodies, n) ==
             (double)(all / 2) / ((double)((uint64_t)n * (n - 1) / 2) * voxels));
-      free(bodies);
     }
 }
 
@@ -64,30 +63,25 @@ static void sizes(void)
 {
   for (size_t k = 0; k < WORKSPACES; k++) {
     const struct mo_workspace w = workspaces[k];
-    struct mo_lattice *lattice = NULL;
     uint64_t *bodies = bodies_of(w, 100, 3);
-    REQUIRE(bodies != NULL && mo_lattice_create(w, &lattice) == MO_OK);
+    struct mo_lattice *lattice = make_lattice(w);
     for (uint32_t i = 0; i < 100; i++) {
       const uint64_t *bits = bodies + (size_t)mo_workspace_words(w) * i;
-      struct mo_body *body = NULL;
       struct mo_design_size size;
-      REQUIRE(mo_body_create(lattice, bits, &body) == MO_OK);
+      struct mo_body *body = make_body(lattice, bits);
       CHECK_INT(mo_design_size(lattice, bits, &size), MO_OK);
       uint32_t footprint = 0;
       for (uint32_t x = 0; x < w.nx; x++)
         for (uint32_t y = 0; y < w.ny; y++) {
           bool any = false;
           for (uint32_t z = 0; z < w.nz; z++)
-            any |= plain_bit(w, bits, x, y, z);
+            any |= has(bits, (x * w.ny + y) * w.nz + z);
           footprint += any;
         }
       CHECK(size.voxels == body->n_voxels && size.masses == body->n_masses &&
             size.springs == body->n_springs);
       CHECK_INT(size.footprint, footprint);
-      mo_body_free(body);
     }
-    free(bodies);
-    mo_lattice_free(lattice);
   }
 }
 
@@ -98,13 +92,12 @@ static void populations(void)
   double scores[21];
   struct mo_design_size size[21];
   struct mo_population_stats stats;
-  struct plain_set set = {0};
-  REQUIRE(bodies != NULL);
+  struct id_list list = {0};
   for (uint32_t i = 0; i < 21; i++) {
     scores[i] = (double)((i * 8) % 21) / 20.0; /* 0 … 1 in another order */
     size[i] = (struct mo_design_size){
         .voxels = i + 1, .footprint = 4, .masses = 100 - i, .springs = i * i};
-    plain_add(&set, w, bodies + (size_t)W * i);
+    id_add(&list, w, bodies + (size_t)W * i);
   }
   CHECK_INT(mo_population_stats(w, bodies, scores, size, 21, &stats), MO_OK);
   CHECK(stats.n == 21 && stats.n_diverged == 0);
@@ -113,7 +106,7 @@ static void populations(void)
   for (int q = 0; q < MO_QUANTILES; q++)
     CHECK_NEAR(stats.quantiles[q], expected[q], 1e-15);
   CHECK(stats.diversity == mo_diversity(w, bodies, 21) && stats.diversity > 0.0);
-  CHECK_INT(stats.species, plain_distinct(&set));
+  CHECK_INT(stats.species, id_distinct(&list));
   CHECK(stats.species < 21 && stats.species > 5);
   CHECK(stats.voxels.least == 1 && stats.voxels.mean == 11 && stats.voxels.most == 21);
   CHECK(stats.footprint.least == 4 && stats.footprint.mean == 4 && stats.footprint.most == 4);
@@ -131,8 +124,6 @@ static void populations(void)
         stats.diversity == 0.0);
   CHECK_INT(mo_population_stats(w, bodies, some, size, 0, &stats), MO_OK);
   CHECK(stats.n == 0 && stats.species == 0 && stats.voxels.mean == 0.0);
-  free(set.forms);
-  free(bodies);
 }
 
 /* ---- champions ---- */
@@ -164,9 +155,8 @@ static void champions(void)
   double scores[N];
   uint32_t order[N], picks[N];
   for (uint32_t step = 0; step < 5; step++) {
-    struct mo_random random = check_stream(step, 1000);
+    struct mo_random random = dice(77, step, 1000);
     uint64_t *bodies = bodies_of(MO_DEFAULT_WORKSPACE, N, step);
-    REQUIRE(bodies != NULL);
     for (uint32_t i = 0; i < N; i++)
       scores[i] =
           mo_random_below(&random, 8) == 0 ? INFINITY : (double)mo_random_below(&random, 40) / 40.0;
@@ -204,7 +194,6 @@ static void champions(void)
     }
     CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, 0, picks), MO_OK);
     CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, N + 1, picks), MO_ERR_RANGE);
-    free(bodies);
   }
 }
 

@@ -11,7 +11,7 @@ static bool is_placed(struct mo_workspace w, const uint64_t *bits)
     return false;
   memcpy(again, bits, words * sizeof(uint64_t));
   mo_genotype_place(w, again);
-  return memcmp(again, bits, words * sizeof(uint64_t)) == 0;
+  return SAME(again, bits, words);
 }
 
 /* ---- 25 % mutate, 75 % recombine ---- */
@@ -20,9 +20,8 @@ static void check_births(const struct made_up_campaign *campaign)
 {
   const struct mo_campaign_settings *s = &campaign->settings;
   const uint32_t n = campaign->n, mutants = (uint32_t)floor(s->mutation_share * n + 0.5);
-  uint8_t *mutates = calloc(n, 1);
+  uint8_t *mutates = make_zeros(n, 1);
   uint64_t attempts = 0, pairs = 0;
-  REQUIRE(mutates != NULL);
   CHECK_INT(campaign->n_children, s->population);
   CHECK_INT(campaign->counts.mutants - campaign->counts.fallbacks, mutants);
   CHECK_INT(campaign->counts.recombinants + campaign->counts.fallbacks, s->population - mutants);
@@ -53,22 +52,19 @@ static void check_births(const struct made_up_campaign *campaign)
   CHECK_INT(campaign->counts.mutation_attempts, attempts);
   CHECK_INT(campaign->counts.crossover_attempts,
             pairs + (campaign->counts.fallbacks > 0 ? 1000 : 0));
-  free(mutates);
 }
 
 static void split(void)
 {
   static const double shares[] = {0.0, 0.1, 0.25, 0.333, 0.5, 0.9, 1.0};
   static const uint32_t populations[] = {6, 7, 10, 33, 64, 90, 201};
-  for (size_t k = 0; k < sizeof(populations) / sizeof(populations[0]); k++)
-    for (size_t j = 0; j < sizeof(shares) / sizeof(shares[0]); j++) {
+  for (size_t k = 0; k < COUNT(populations); k++)
+    for (size_t j = 0; j < COUNT(shares); j++) {
       struct mo_campaign_settings settings = small_campaign(k + 1, populations[k]);
-      struct made_up_campaign campaign;
       settings.mutation_share = shares[j];
-      REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK &&
-              campaign_vary(&campaign) == MO_OK);
-      check_births(&campaign);
-      campaign_free(&campaign);
+      struct made_up_campaign *campaign = make_campaign(&settings, NULL);
+      campaign_vary(campaign);
+      check_births(campaign);
     }
 }
 
@@ -76,15 +72,14 @@ static void split(void)
 static void groups_are_random(void)
 {
   const struct mo_campaign_settings settings = small_campaign(5, 64);
-  struct made_up_campaign campaign;
   uint32_t times[64] = {0}, together = 0;
-  REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK);
+  struct made_up_campaign *campaign = make_campaign(&settings, NULL);
   for (int g = 0; g < 200; g++) {
     uint8_t mutates[64] = {0};
-    REQUIRE(campaign_vary(&campaign) == MO_OK);
+    campaign_vary(campaign);
     for (uint32_t i = 0; i < 16; i++) {
-      times[campaign.births[i].parents[0]]++;
-      mutates[campaign.births[i].parents[0]] = 1;
+      times[campaign->births[i].parents[0]]++;
+      mutates[campaign->births[i].parents[0]] = 1;
     }
     for (int i = 1; i < 64; i++)
       together += mutates[i] & mutates[i - 1];
@@ -92,7 +87,6 @@ static void groups_are_random(void)
   for (int i = 0; i < 64; i++)
     CHECK_NEAR(times[i], 50, 4.5 * sqrt(200 * 0.25 * 0.75));
   CHECK_NEAR(together, 200 * 63 * (16.0 / 64) * (15.0 / 63), 5 * sqrt(200 * 63 * 0.06));
-  campaign_free(&campaign);
 }
 
 /* All pairs of those that recombine are as likely. */
@@ -102,15 +96,13 @@ static void pairs_are_random(void)
   uint32_t times[5][5] = {{0}}, all = 0;
   settings.mutation_share = 0.0;
   for (uint64_t seed = 0; seed < 1500; seed++) {
-    struct made_up_campaign campaign;
     settings.seed = seed;
-    REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK &&
-            campaign_vary(&campaign) == MO_OK);
-    if (campaign.births[0].attempts == 1) {
-      times[campaign.births[0].parents[0]][campaign.births[0].parents[1]]++;
+    struct made_up_campaign *campaign = make_campaign(&settings, NULL);
+    campaign_vary(campaign);
+    if (campaign->births[0].attempts == 1) {
+      times[campaign->births[0].parents[0]][campaign->births[0].parents[1]]++;
       all++;
     }
-    campaign_free(&campaign);
   }
   for (int a = 0; a < 5; a++)
     for (int b = 0; b < 5; b++)
@@ -123,24 +115,22 @@ static void children(void)
 {
   static const struct mo_workspace workspaces[] = {{6, 6, 4}, {6, 6, 4}, {3, 3, 3},
                                                    {6, 5, 1}, {6, 6, 2}, {12, 10, 6}};
-  for (size_t k = 0; k < sizeof(workspaces) / sizeof(workspaces[0]); k++)
+  for (size_t k = 0; k < COUNT(workspaces); k++)
     for (uint64_t seed = 1; seed <= 4; seed++) {
       struct mo_campaign_settings settings = small_campaign(seed, 32);
-      struct made_up_campaign campaign;
       settings.workspace = workspaces[k];
-      REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK);
+      struct made_up_campaign *campaign = make_campaign(&settings, NULL);
       for (int g = 0; g < 12; g++) {
-        REQUIRE(campaign_vary(&campaign) == MO_OK);
-        CHECK_INT(campaign.n_children, 32);
-        for (uint32_t i = 0; i < campaign.n + campaign.n_children; i++) {
-          const uint64_t *bits = campaign.genotypes + campaign.words * i;
+        campaign_vary(campaign);
+        CHECK_INT(campaign->n_children, 32);
+        for (uint32_t i = 0; i < campaign->n + campaign->n_children; i++) {
+          const uint64_t *bits = genotype_of(campaign, i);
           CHECK_INT(mo_genotype_is_contiguous(settings.workspace, bits),
                     1); /* 0 also for an empty one */
           CHECK(is_placed(settings.workspace, bits));
         }
-        REQUIRE(campaign_select(&campaign) == MO_OK);
+        campaign_select(campaign);
       }
-      campaign_free(&campaign);
     }
 }
 
@@ -149,35 +139,31 @@ static void children(void)
 static void inheritance(void)
 {
   const struct mo_campaign_settings settings = small_campaign(9, 64);
-  struct made_up_campaign campaign;
-  REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK);
+  struct made_up_campaign *campaign = make_campaign(&settings, NULL);
   for (int g = 0; g < 20; g++) {
-    REQUIRE(campaign_vary(&campaign) == MO_OK);
-    for (uint32_t i = 0; i < campaign.n_children; i++) {
-      const struct mo_birth *birth = &campaign.births[i];
-      const uint64_t *child = campaign.genotypes + (size_t)W * (campaign.n + i);
+    campaign_vary(campaign);
+    for (uint32_t i = 0; i < campaign->n_children; i++) {
+      const struct mo_birth *birth = &campaign->births[i];
+      const uint64_t *child = genotype_of(campaign, campaign->n + i);
       uint64_t expected[W];
       if (birth->op != MO_BORN_CROSSOVER)
         continue;
       CHECK_INT(mo_genotype_crossover(MO_DEFAULT_WORKSPACE,
-                                      campaign.genotypes + (size_t)W * birth->parents[0],
-                                      campaign.genotypes + (size_t)W * birth->parents[1], expected),
+                                      genotype_of(campaign, birth->parents[0]),
+                                      genotype_of(campaign, birth->parents[1]), expected),
                 MO_OK);
-      CHECK(memcmp(child, expected, sizeof(expected)) == 0);
+      CHECK(SAME(child, expected, W));
     }
-    REQUIRE(campaign_select(&campaign) == MO_OK);
+    campaign_select(campaign);
   }
-  campaign_free(&campaign);
 }
 
 static void uniqueness(void)
 {
   for (uint64_t seed = 1; seed <= 3; seed++) {
     const struct mo_campaign_settings settings = small_campaign(seed, 64);
-    struct mo_form_set *excluded = NULL;
-    struct made_up_campaign campaign;
-    struct plain_set set = {0};
-    REQUIRE(mo_form_set_create(MO_DEFAULT_WORKSPACE, &excluded) == MO_OK);
+    struct id_list list = {0};
+    struct mo_form_set *excluded = make_form_set(MO_DEFAULT_WORKSPACE);
     /* Excluded: 500 bodies of the very stream of the initial population, so that it must leave some
      * out; later the first children of the same campaign without exclusion, so that variation must,
      * too. */
@@ -188,36 +174,31 @@ static void uniqueness(void)
       REQUIRE(mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, body) == MO_OK);
       mo_genotype_canonical(MO_DEFAULT_WORKSPACE, body, form);
       if (mo_form_set_add(excluded, form) == 1)
-        REQUIRE(plain_add(&set, MO_DEFAULT_WORKSPACE, body) == MO_OK);
+        id_add(&list, MO_DEFAULT_WORKSPACE, body);
     }
-    REQUIRE(campaign_start(&campaign, &settings, excluded) == MO_OK);
-    REQUIRE(campaign_vary(&campaign) == MO_OK);
-    for (uint32_t i = 0; i < campaign.n_children; i++) {
+    struct made_up_campaign *campaign = make_campaign(&settings, excluded);
+    campaign_vary(campaign);
+    for (uint32_t i = 0; i < campaign->n_children; i++) {
       uint64_t form[W];
-      const uint64_t *child = campaign.genotypes + (size_t)W * (campaign.n + i);
+      const uint64_t *child = genotype_of(campaign, campaign->n + i);
       mo_genotype_canonical(MO_DEFAULT_WORKSPACE, child, form);
       CHECK_INT(mo_form_set_add(excluded, form), 1);
-      REQUIRE(plain_add(&set, MO_DEFAULT_WORKSPACE, child) == MO_OK);
+      id_add(&list, MO_DEFAULT_WORKSPACE, child);
     }
     const uint64_t n_excluded = mo_form_set_count(excluded);
-    campaign_free(&campaign);
-    REQUIRE(campaign_start(&campaign, &settings, excluded) == MO_OK);
-    for (uint32_t i = 0; i < campaign.n; i++)
-      REQUIRE(plain_add(&set, MO_DEFAULT_WORKSPACE, campaign.genotypes + (size_t)W * i) == MO_OK);
+    campaign = make_campaign(&settings, excluded);
+    for (uint32_t i = 0; i < campaign->n; i++)
+      id_add(&list, MO_DEFAULT_WORKSPACE, genotype_of(campaign, i));
     for (int g = 0; g < 40; g++) {
-      REQUIRE(campaign_vary(&campaign) == MO_OK);
-      CHECK_INT(campaign.n_children, 64);
-      for (uint32_t i = 0; i < campaign.n_children; i++)
-        REQUIRE(plain_add(&set, MO_DEFAULT_WORKSPACE,
-                          campaign.genotypes + (size_t)W * (campaign.n + i)) == MO_OK);
-      REQUIRE(campaign_select(&campaign) == MO_OK);
+      campaign_vary(campaign);
+      CHECK_INT(campaign->n_children, 64);
+      for (uint32_t i = 0; i < campaign->n_children; i++)
+        id_add(&list, MO_DEFAULT_WORKSPACE, genotype_of(campaign, campaign->n + i));
+      campaign_select(campaign);
     }
-    CHECK_INT(set.n, n_excluded + 64 * 41);
-    CHECK_INT(plain_distinct(&set), set.n);
-    CHECK_INT(mo_seen_count(campaign.seen), 64 * 41);
-    campaign_free(&campaign);
-    mo_form_set_free(excluded);
-    free(set.forms);
+    CHECK_INT(list.n, n_excluded + 64 * 41);
+    CHECK_INT(id_distinct(&list), list.n);
+    CHECK_INT(mo_seen_count(campaign->seen), 64 * 41);
   }
 }
 
@@ -306,7 +287,7 @@ static void escalation(void)
 static void rate_has_an_end(void)
 {
   struct mo_campaign_settings settings = small_campaign(3, 1);
-  struct mo_seen *seen = NULL;
+  struct mo_seen *seen = make_seen(settings.workspace, NULL);
   struct mo_birth birth;
   struct mo_variation_counts counts;
   uint64_t child[W];
@@ -314,7 +295,6 @@ static void rate_has_an_end(void)
   settings.mutation_rate = 0.5;
   settings.mutation_growth = 2.0;
   settings.mutation_share = 1.0;
-  REQUIRE(mo_seen_create(settings.workspace, NULL, &seen) == MO_OK);
   for (uint32_t i = 0; i < 300; i++) {
     uint32_t n = 0;
     settings.seed = i;
@@ -323,17 +303,16 @@ static void rate_has_an_end(void)
     voxels += mo_genotype_count(settings.workspace, child);
   }
   CHECK(voxels / 300 > 60 && voxels / 300 < 74); /* largest pieces of half the voxels */
-  mo_seen_free(seen);
 
   /* In one voxel a rate above 1/2 would empty it ever more often: all 2^16 attempts are made, none
    * succeeds. */
   settings.workspace = (struct mo_workspace){1, 1, 1};
   const uint64_t one = 1;
   uint32_t n = 7;
-  REQUIRE(mo_seen_create(settings.workspace, NULL, &seen) == MO_OK && mo_seen_add(seen, &one) == 1);
+  seen = make_seen(settings.workspace, NULL);
+  REQUIRE(mo_seen_add(seen, &one) == 1);
   CHECK_INT(mo_variation(&settings, 1, &one, 1, seen, child, &birth, &n, &counts, NULL), MO_OK);
   CHECK(n == 0 && counts.exhausted && counts.mutation_attempts == 65536);
-  mo_seen_free(seen);
 }
 
 /* ---- when nothing new comes ---- */
@@ -342,30 +321,29 @@ static void fallback(void)
 {
   for (uint64_t seed = 1; seed <= SEEDS; seed++) {
     struct mo_campaign_settings settings = small_campaign(seed, 20);
-    struct made_up_campaign campaign;
     settings.mutation_share = 0.0;
-    REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK);
-    memmove(campaign.genotypes + W, campaign.genotypes + (size_t)W * (1 + seed % 19),
+    struct made_up_campaign *campaign = make_campaign(&settings, NULL);
+    memmove(campaign->genotypes + W, campaign->genotypes + (size_t)W * (1 + seed % 19),
             W * sizeof(uint64_t));
-    campaign.n = 2; /* two parents: one pair, one child at most */
-    REQUIRE(campaign_vary(&campaign) == MO_OK);
-    CHECK_INT(campaign.n_children, 20);
-    CHECK(campaign.counts.recombinants <= 1 && !campaign.counts.exhausted);
-    CHECK_INT(campaign.counts.fallbacks, 20 - campaign.counts.recombinants);
-    CHECK_INT(campaign.counts.mutants, campaign.counts.fallbacks);
+    campaign->n = 2; /* two parents: one pair, one child at most */
+    campaign_vary(campaign);
+    CHECK_INT(campaign->n_children, 20);
+    CHECK(campaign->counts.recombinants <= 1 && !campaign->counts.exhausted);
+    CHECK_INT(campaign->counts.fallbacks, 20 - campaign->counts.recombinants);
+    CHECK_INT(campaign->counts.mutants, campaign->counts.fallbacks);
     uint64_t pairs = 1000, attempts = 0;
     uint32_t of_first = 0;
     for (uint32_t i = 0; i < 20; i++) {
-      const struct mo_birth *birth = &campaign.births[i];
-      CHECK(birth->op == (i < campaign.counts.recombinants ? MO_BORN_CROSSOVER : MO_BORN_MUTATION));
-      *(i < campaign.counts.recombinants ? &pairs : &attempts) += birth->attempts;
+      const struct mo_birth *birth = &campaign->births[i];
+      CHECK(birth->op ==
+            (i < campaign->counts.recombinants ? MO_BORN_CROSSOVER : MO_BORN_MUTATION));
+      *(i < campaign->counts.recombinants ? &pairs : &attempts) += birth->attempts;
       CHECK(birth->parents[0] < 2);
       of_first += birth->op == MO_BORN_MUTATION && birth->parents[0] == 0;
     }
-    CHECK(of_first > 0 && of_first < campaign.counts.fallbacks);
-    CHECK_INT(campaign.counts.crossover_attempts, pairs);
-    CHECK_INT(campaign.counts.mutation_attempts, attempts);
-    campaign_free(&campaign);
+    CHECK(of_first > 0 && of_first < campaign->counts.fallbacks);
+    CHECK_INT(campaign->counts.crossover_attempts, pairs);
+    CHECK_INT(campaign->counts.mutation_attempts, attempts);
   }
 }
 
@@ -373,31 +351,27 @@ static void fallback(void)
 static void few_parents(void)
 {
   const struct mo_campaign_settings settings = small_campaign(8, 16);
-  struct made_up_campaign campaign;
-  REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK);
-  campaign.n = 1;
-  REQUIRE(campaign_vary(&campaign) == MO_OK);
-  CHECK(campaign.n_children == 16 && campaign.counts.fallbacks == 16 &&
-        campaign.counts.crossover_attempts == 0);
-  campaign.n = 0;
-  REQUIRE(campaign_vary(&campaign) == MO_OK);
-  CHECK(campaign.n_children == 0 && campaign.counts.exhausted);
-  campaign.n = 3; /* one mutates; of two there is one pair */
-  REQUIRE(campaign_vary(&campaign) == MO_OK);
-  CHECK(campaign.n_children == 16 && campaign.counts.mutants - campaign.counts.fallbacks == 1);
-  campaign_free(&campaign);
+  struct made_up_campaign *campaign = make_campaign(&settings, NULL);
+  campaign->n = 1;
+  campaign_vary(campaign);
+  CHECK(campaign->n_children == 16 && campaign->counts.fallbacks == 16 &&
+        campaign->counts.crossover_attempts == 0);
+  campaign->n = 0;
+  campaign_vary(campaign);
+  CHECK(campaign->n_children == 0 && campaign->counts.exhausted);
+  campaign->n = 3; /* one mutates; of two there is one pair */
+  campaign_vary(campaign);
+  CHECK(campaign->n_children == 16 && campaign->counts.mutants - campaign->counts.fallbacks == 1);
 }
 
 /* Every form that a workspace holds, by trying all sets of voxels. */
 static size_t count_forms(struct mo_workspace w)
 {
-  struct plain_set set = {0};
+  struct id_list list = {0};
   for (uint64_t bits = 1; bits >> mo_workspace_voxels(w) == 0; bits++)
-    if (mo_genotype_is_contiguous(w, &bits) == 1 && plain_add(&set, w, &bits) != MO_OK)
-      return 0;
-  const size_t n = plain_distinct(&set);
-  free(set.forms);
-  return n;
+    if (mo_genotype_is_contiguous(w, &bits) == 1)
+      id_add(&list, w, &bits);
+  return id_distinct(&list);
 }
 
 static void exhaustion(void)
@@ -405,28 +379,26 @@ static void exhaustion(void)
   static const struct mo_workspace workspaces[] = {{1, 1, 1}, {2, 1, 1}, {2, 2, 1},
                                                    {1, 1, 3}, {2, 2, 2}, {3, 3, 1}};
   static const size_t known[] = {1, 2, 4, 3};
-  for (size_t k = 0; k < sizeof(workspaces) / sizeof(workspaces[0]); k++)
+  for (size_t k = 0; k < COUNT(workspaces); k++)
     for (uint32_t population = 2; population <= 64; population *= 8) {
       const size_t forms = count_forms(workspaces[k]);
       struct mo_campaign_settings settings = small_campaign(1, population);
-      struct made_up_campaign campaign;
       size_t born;
       int generations = 0;
       settings.workspace = workspaces[k];
       CHECK(k > 3 || forms == known[k]);
-      REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK);
-      CHECK_INT(campaign.n, forms < population ? forms : population);
-      born = campaign.n;
+      struct made_up_campaign *campaign = make_campaign(&settings, NULL);
+      CHECK_INT(campaign->n, forms < population ? forms : population);
+      born = campaign->n;
       do {
-        REQUIRE(campaign_vary(&campaign) == MO_OK);
-        CHECK(campaign.counts.exhausted == (campaign.n_children < population));
-        born += campaign.n_children;
-        REQUIRE(campaign_select(&campaign) == MO_OK);
-      } while (!campaign.counts.exhausted && ++generations < 100);
+        campaign_vary(campaign);
+        CHECK(campaign->counts.exhausted == (campaign->n_children < population));
+        born += campaign->n_children;
+        campaign_select(campaign);
+      } while (!campaign->counts.exhausted && ++generations < 100);
       CHECK_INT(born, forms);
-      REQUIRE(campaign_vary(&campaign) == MO_OK);
-      CHECK(campaign.n_children == 0 && campaign.counts.exhausted);
-      campaign_free(&campaign);
+      campaign_vary(campaign);
+      CHECK(campaign->n_children == 0 && campaign->counts.exhausted);
     }
 }
 
@@ -434,37 +406,30 @@ static void exhaustion(void)
 static void nothing_left(void)
 {
   struct mo_campaign_settings settings = small_campaign(1, 8);
-  struct mo_form_set *excluded = NULL;
-  struct made_up_campaign campaign;
   settings.workspace = (struct mo_workspace){2, 1, 1};
   const uint64_t forms[] = {1, 3};
-  REQUIRE(mo_form_set_create(settings.workspace, &excluded) == MO_OK);
+  struct mo_form_set *excluded = make_form_set(settings.workspace);
   CHECK(mo_form_set_add(excluded, &forms[0]) == 1 && mo_form_set_add(excluded, &forms[1]) == 1);
-  REQUIRE(campaign_start(&campaign, &settings, excluded) == MO_OK);
-  CHECK_INT(campaign.n, 0);
-  campaign_free(&campaign);
-  mo_form_set_free(excluded);
+  struct made_up_campaign *campaign = make_campaign(&settings, excluded);
+  CHECK_INT(campaign->n, 0);
 }
 
 static void cancelled(void)
 {
   const struct mo_campaign_settings settings = small_campaign(8, 16);
-  struct made_up_campaign campaign;
-  const volatile int yes = 1, no = 0;
+  struct made_up_campaign *campaign = make_campaign(&settings, NULL);
+  const volatile int cancel[] = {1, 0};
   uint32_t n = 77;
-  REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK);
-  uint64_t *children = campaign.genotypes + (size_t)W * campaign.n;
-  CHECK_INT(mo_variation(&settings, 1, campaign.genotypes, 16, campaign.seen, children,
-                         campaign.births, &n, &campaign.counts, &yes),
+  for (int i = 0; i < 2; i++) {
+    CHECK_INT(mo_variation(&settings, 1, campaign->genotypes, 16, campaign->seen,
+                           genotype_of(campaign, campaign->n), campaign->births, &n,
+                           &campaign->counts, &cancel[i]),
+              cancel[i] ? MO_ERR_CANCELLED : MO_OK);
+    CHECK_INT(n, cancel[i] ? 77 : 16);
+  }
+  CHECK_INT(mo_population_initial(&settings, campaign->seen, campaign->genotypes, 0, &n, NULL,
+                                  &cancel[0]),
             MO_ERR_CANCELLED);
-  CHECK_INT(n, 77);
-  CHECK_INT(mo_variation(&settings, 1, campaign.genotypes, 16, campaign.seen, children,
-                         campaign.births, &n, &campaign.counts, &no),
-            MO_OK);
-  CHECK_INT(n, 16);
-  CHECK_INT(mo_population_initial(&settings, campaign.seen, campaign.genotypes, 0, &n, NULL, &yes),
-            MO_ERR_CANCELLED);
-  campaign_free(&campaign);
 }
 
 static const struct check_case cases[] = {

@@ -17,19 +17,6 @@ int __wrap_mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bit
   return __real_mo_body_stream_next_form(stream, bits, form);
 }
 
-static bool is_body_of(const struct mo_body *body, const struct mo_lattice *lattice,
-                       const uint64_t *design)
-{
-  struct mo_body *made = NULL;
-  if (mo_body_create(lattice, design, &made) != MO_OK)
-    return false;
-  const bool same =
-      body->n_springs == made->n_springs && body->n_masses == made->n_masses &&
-      memcmp(body->spring_lattice, made->spring_lattice, made->n_springs * sizeof(uint32_t)) == 0;
-  mo_body_free(made);
-  return same;
-}
-
 /* The bodies of the current step, as they came out of the stream. */
 static const uint64_t *drawn(const struct mo_training *training)
 {
@@ -42,8 +29,17 @@ static struct mo_training *pretraining(uint64_t seed, uint32_t batch, uint32_t n
   settings.seed = seed;
   settings.batch = batch;
   settings.n_steps = n_steps;
-  struct mo_training *training = NULL;
-  return mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK ? training : NULL;
+  return make_training(&settings, NULL, NULL, 0);
+}
+
+/* Draws that must fail, at once or when there are no more bodies. */
+static void expect_failure(struct mo_training *training, long bodies, int code)
+{
+  const struct mo_robot *robots = NULL;
+  left = bodies;
+  CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), code);
+  CHECK(robots == NULL);
+  left = -1;
 }
 
 /* 20,000 bodies over several steps: all forms differ, none is held out; environments are those
@@ -51,15 +47,12 @@ static struct mo_training *pretraining(uint64_t seed, uint32_t batch, uint32_t n
 static void distinct(void)
 {
   struct mo_training *training = pretraining(3, 2500, 8);
-  struct mo_form_set *seen = NULL;
-  struct made_up made_up;
-  REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
-  REQUIRE(mo_form_set_create(MO_DEFAULT_WORKSPACE, &seen) == MO_OK);
+  struct made_up *made_up = make_made_up(training);
+  struct mo_form_set *seen = make_form_set(MO_DEFAULT_WORKSPACE);
   uint32_t held_out = 0, again = 0, other = 0;
   for (uint32_t step = 0; step < 8; step++) {
-    const struct mo_robot *robots, *same;
-    REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
-    REQUIRE(mo_training_draw(training, NULL, NULL, &same) == MO_OK && same == robots);
+    const struct mo_robot *robots = draw(training);
+    REQUIRE(draw(training) == robots);
     for (uint32_t i = 0; i < 2500; i++) {
       struct mo_environment environment;
       uint64_t form[MO_DEFAULT_WORDS];
@@ -69,18 +62,14 @@ static void distinct(void)
       held_out += mo_held_out_form(form);
       again += mo_form_set_add(seen, form) != 1;
       mo_environment_training(3, step, i, &environment);
-      other += memcmp(&environment, robots[i].environment, sizeof(environment)) != 0;
+      other += !SAME(&environment, robots[i].environment, 1);
     }
-    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
-                              NULL) == MO_OK);
+    REQUIRE(apply(training, made_up, NULL) == MO_OK);
   }
   CHECK_INT(held_out, 0);
   CHECK_INT(again, 0);
   CHECK_INT(other, 0);
   CHECK_INT(mo_form_set_count(seen), 20000);
-  mo_form_set_free(seen);
-  made_up_free(&made_up);
-  mo_training_free(training);
 }
 
 static void held_out_designs(void)
@@ -88,8 +77,7 @@ static void held_out_designs(void)
   enum { N = 400 };
   static uint64_t designs[N * MO_DEFAULT_WORDS], few[10 * MO_DEFAULT_WORDS],
       others[N * MO_DEFAULT_WORDS];
-  struct mo_form_set *seen = NULL;
-  REQUIRE(mo_form_set_create(MO_DEFAULT_WORKSPACE, &seen) == MO_OK);
+  struct mo_form_set *seen = make_form_set(MO_DEFAULT_WORKSPACE);
   REQUIRE(mo_held_out_designs(1, N, designs) == MO_OK && mo_held_out_designs(1, 10, few) == MO_OK);
   REQUIRE(mo_held_out_designs(2, N, others) == MO_OK);
   CHECK(memcmp(designs, few, sizeof(few)) == 0);
@@ -104,7 +92,6 @@ static void held_out_designs(void)
   CHECK_INT(forms, N);
   CHECK_INT(mo_held_out_designs(1, MO_TRAINING_DESIGNS_MAX + 1, designs), MO_ERR_RANGE);
   CHECK_INT(mo_held_out_designs(1, 0, NULL), MO_OK);
-  mo_form_set_free(seen);
 }
 
 /* One form in 16 is held out, and it is always the same ones: the choice is part of what a
@@ -114,9 +101,8 @@ static void held_out_share(void)
   uint32_t held_out = 0;
   uint64_t marks = 0;
   for (uint32_t i = 0; i < 32000; i++) {
-    struct mo_random random;
     uint64_t form[MO_DEFAULT_WORDS];
-    mo_random_init(&random, 1, MO_PURPOSE_CHECK, 0, i);
+    struct mo_random random = dice(1, 0, i);
     form[0] = mo_random_u64(&random);
     form[1] = mo_random_u64(&random);
     form[2] = mo_random_u64(&random) >> 48;
@@ -155,122 +141,18 @@ static void finetuning_turns(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
   struct mo_training *training = finetuning(&settings, 3, 1.0F);
-  struct made_up made_up;
-  REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
+  struct made_up *made_up = make_made_up(training);
   for (uint32_t step = 0; step < 4; step++) {
-    const struct mo_robot *robots;
-    REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+    const struct mo_robot *robots = draw(training);
     for (uint32_t i = 0; i < 5; i++) {
       struct mo_environment environment;
       CHECK(is_body_of(robots[i].body, training->lattice,
                        training->designs + (size_t)MO_DEFAULT_WORDS * ((5 * step + i) % 3)));
       mo_environment_training(1, step, i, &environment);
-      CHECK(memcmp(&environment, robots[i].environment, sizeof(environment)) == 0);
+      CHECK(SAME(&environment, robots[i].environment, 1));
     }
-    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
-                              NULL) == MO_OK);
+    REQUIRE(apply(training, made_up, NULL) == MO_OK);
   }
-  made_up_free(&made_up);
-  mo_training_free(training);
-}
-
-/* No bodies left: the draw says so, again and again, nothing is lost, and with new bodies it goes
- * on as if nothing had been. */
-static void exhausted(void)
-{
-  struct mo_training *training = pretraining(4, 300, 3), *other = pretraining(4, 300, 3);
-  const struct mo_robot *robots = NULL, *expected;
-  REQUIRE(training != NULL && other != NULL);
-  left = 100;
-  CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_EXHAUSTED);
-  CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_EXHAUSTED);
-  CHECK(robots == NULL);
-  CHECK_INT(mo_training_step(training), 0);
-  left = -1;
-  REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
-  REQUIRE(mo_training_draw(other, NULL, NULL, &expected) == MO_OK);
-  int different = 0;
-  for (uint32_t i = 0; i < 300; i++)
-    different +=
-        !is_body_of(robots[i].body, other->lattice, drawn(other) + (size_t)MO_DEFAULT_WORDS * i);
-  CHECK_INT(different, 0);
-  mo_training_free(training);
-  mo_training_free(other);
-}
-
-/* The same where the step's first draws were held out: no body of it is there yet, but the stream
- * has moved on. */
-static void exhausted_at_a_held_out_form(void)
-{
-  struct mo_training *training = pretraining(5, 2, 100), *other = pretraining(5, 2, 100);
-  struct made_up made_up;
-  uint32_t held_out = 0;
-  int different = 0;
-  REQUIRE(training != NULL && other != NULL && made_up_create(&made_up, training) == 0);
-  for (uint32_t step = 0; step < 100; step++) {
-    const struct mo_robot *robots;
-    left = 1;
-    CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_EXHAUSTED);
-    held_out += training->hands[step % 2].n_drawn == 0;
-    left = 0;
-    CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_EXHAUSTED);
-    left = -1;
-    REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
-    REQUIRE(mo_training_draw(other, NULL, NULL, &robots) == MO_OK);
-    different +=
-        memcmp(drawn(training), drawn(other), 2 * MO_DEFAULT_WORDS * sizeof(uint64_t)) != 0;
-    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
-                              NULL) == MO_OK);
-    REQUIRE(mo_training_apply(other, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) ==
-            MO_OK);
-  }
-  printf("# %u of 100 steps began with a form that is held out\n", held_out);
-  CHECK(held_out > 0);
-  CHECK_INT(different, 0);
-  made_up_free(&made_up);
-  mo_training_free(training);
-  mo_training_free(other);
-}
-
-/* A replay is cancelled, goes on, counts, and notices a stream that is not the one it was. */
-static void replay(void)
-{
-  struct mo_training *training = pretraining(6, 200, 4), *restored = NULL;
-  struct made_up made_up;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
-  for (int step = 0; step < 3; step++)
-    REQUIRE(advance(training, &made_up, NULL) == MO_OK);
-  REQUIRE(mo_training_encode(training, &bytes, &size) == MO_OK);
-  REQUIRE(mo_training_decode(bytes, size, &restored, NULL) == MO_OK);
-  const volatile int cancel = 1;
-  volatile uint64_t replayed = 0;
-  const struct mo_robot *robots, *expected;
-  CHECK_INT(mo_training_draw(restored, &cancel, &replayed, &robots), MO_ERR_CANCELLED);
-  left = 250;
-  CHECK_INT(mo_training_draw(restored, NULL, &replayed, &robots), MO_ERR_EXHAUSTED);
-  left = -1;
-  CHECK(replayed > 100 && replayed <= 250);
-  REQUIRE(mo_training_draw(restored, NULL, &replayed, &robots) == MO_OK);
-  CHECK_INT(replayed, 600);
-  REQUIRE(mo_training_draw(training, NULL, NULL, &expected) == MO_OK);
-  int different = 0;
-  for (uint32_t i = 0; i < 200; i++)
-    different +=
-        !is_body_of(robots[i].body, training->lattice,
-                    drawn(training) + (size_t)MO_DEFAULT_WORDS * i) ||
-        memcmp(robots[i].environment, expected[i].environment, sizeof(struct mo_environment)) != 0;
-  CHECK_INT(different, 0);
-  mo_training_free(restored);
-  REQUIRE(mo_training_decode(bytes, size, &restored, NULL) == MO_OK);
-  restored->draws++;
-  CHECK_INT(mo_training_draw(restored, NULL, NULL, &robots), MO_ERR_CORRUPT);
-  CHECK_INT(mo_training_draw(restored, NULL, NULL, &robots), MO_ERR_CORRUPT);
-  mo_training_free(restored);
-  free(bytes);
-  made_up_free(&made_up);
-  mo_training_free(training);
 }
 
 static int differences(const struct mo_training *a, const struct mo_robot *x,
@@ -278,12 +160,70 @@ static int differences(const struct mo_training *a, const struct mo_robot *x,
 {
   int different = 0;
   for (uint32_t i = 0; i < n; i++)
-    different += !is_body_of(x[i].body, a->lattice, drawn(a) + (size_t)MO_DEFAULT_WORDS * i) ||
-                 x[i].body->n_springs != y[i].body->n_springs ||
-                 memcmp(x[i].body->spring_lattice, y[i].body->spring_lattice,
-                        y[i].body->n_springs * sizeof(uint32_t)) != 0 ||
-                 memcmp(x[i].environment, y[i].environment, sizeof(struct mo_environment)) != 0;
+    different +=
+        !is_body_of(x[i].body, a->lattice, drawn(a) + (size_t)MO_DEFAULT_WORDS * i) ||
+        x[i].body->n_springs != y[i].body->n_springs ||
+        !SAME(x[i].body->spring_lattice, y[i].body->spring_lattice, y[i].body->n_springs) ||
+        !SAME(x[i].environment, y[i].environment, 1);
   return different;
+}
+
+/* No bodies left: the draw says so, again and again, nothing is lost, and with new bodies it goes
+ * on as if nothing had been. */
+static void exhausted(void)
+{
+  struct mo_training *training = pretraining(4, 300, 3), *other = pretraining(4, 300, 3);
+  expect_failure(training, 100, MO_ERR_EXHAUSTED);
+  expect_failure(training, 0, MO_ERR_EXHAUSTED);
+  CHECK_INT(mo_training_step(training), 0);
+  const struct mo_robot *robots = draw(training);
+  CHECK_INT(differences(training, robots, draw(other), 300), 0);
+}
+
+/* The same where the step's first draws were held out: no body of it is there yet, but the stream
+ * has moved on. */
+static void exhausted_at_a_held_out_form(void)
+{
+  struct mo_training *training = pretraining(5, 2, 100), *other = pretraining(5, 2, 100);
+  struct made_up *made_up = make_made_up(training);
+  uint32_t held_out = 0;
+  int different = 0;
+  for (uint32_t step = 0; step < 100; step++) {
+    expect_failure(training, 1, MO_ERR_EXHAUSTED);
+    held_out += training->hands[step % 2].n_drawn == 0;
+    expect_failure(training, 0, MO_ERR_EXHAUSTED);
+    draw(training);
+    draw(other);
+    different += !SAME(drawn(training), drawn(other), 2 * MO_DEFAULT_WORDS);
+    REQUIRE(apply(training, made_up, NULL) == MO_OK && apply(other, made_up, NULL) == MO_OK);
+  }
+  printf("# %u of 100 steps began with a form that is held out\n", held_out);
+  CHECK(held_out > 0);
+  CHECK_INT(different, 0);
+}
+
+/* A replay is cancelled, goes on, counts, and notices a stream that is not the one it was. */
+static void replay(void)
+{
+  struct mo_training *training = pretraining(6, 200, 4);
+  struct made_up *made_up = make_made_up(training);
+  for (int step = 0; step < 3; step++)
+    REQUIRE(advance(training, made_up, NULL) == MO_OK);
+  struct mo_training *restored = decoded(encoded(training)), *wrong = decoded(encoded(training));
+  const volatile int cancel = 1;
+  volatile uint64_t replayed = 0;
+  const struct mo_robot *robots;
+  CHECK_INT(mo_training_draw(restored, &cancel, &replayed, &robots), MO_ERR_CANCELLED);
+  left = 250;
+  CHECK_INT(mo_training_draw(restored, NULL, &replayed, &robots), MO_ERR_EXHAUSTED);
+  left = -1;
+  CHECK(replayed > 100 && replayed <= 250);
+  REQUIRE(mo_training_draw(restored, NULL, &replayed, &robots) == MO_OK);
+  CHECK_INT(replayed, 600);
+  CHECK_INT(differences(restored, robots, draw(training), 200), 0);
+  wrong->draws++;
+  expect_failure(wrong, -1, MO_ERR_CORRUPT);
+  expect_failure(wrong, -1, MO_ERR_CORRUPT);
 }
 
 /* Robots drawn ahead, on several threads, with stops on the way, and checkpoints between, are those
@@ -292,21 +232,15 @@ static void ahead(void)
 {
   enum { N = 700, STEPS = 6 };
   for (uint32_t threads = 1; threads <= 5; threads += 2) {
-    struct mo_training *plain = pretraining(8, N, STEPS), *training = pretraining(8, N, STEPS),
-                       *restored = NULL;
-    struct made_up made_up;
-    uint8_t *bytes = NULL, *expected_bytes = NULL;
-    size_t size = 0, expected_size = 0;
-    const struct mo_robot *robots, *expected, *same;
+    struct mo_training *plain = pretraining(8, N, STEPS), *training = pretraining(8, N, STEPS);
+    struct made_up *made_up = make_made_up(plain);
+    const volatile int cancel = 1;
     int different = 0;
-    REQUIRE(plain != NULL && training != NULL && made_up_create(&made_up, plain) == 0);
     CHECK_INT(mo_training_draw_ahead(training, NULL), MO_ERR_CONFLICT); /* nothing is drawn yet */
     mo_training_set_threads(training, threads);
     for (uint32_t step = 0; step < STEPS; step++) {
-      REQUIRE(mo_training_draw(plain, NULL, NULL, &expected) == MO_OK);
-      REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+      const struct mo_robot *expected = draw(plain), *robots = draw(training);
       if (step % 3 == 1) {
-        const volatile int cancel = 1;
         left = N / 2;
         CHECK_INT(mo_training_draw_ahead(training, NULL), MO_ERR_EXHAUSTED);
         left = -1;
@@ -314,31 +248,19 @@ static void ahead(void)
       }
       if (step % 3 != 2)
         CHECK_INT(mo_training_draw_ahead(training, NULL), MO_OK);
-      REQUIRE(mo_training_draw(training, NULL, NULL, &same) == MO_OK && same == robots);
+      CHECK(draw(training) == robots);
       different += differences(training, robots, expected, N);
-      REQUIRE(mo_training_encode(training, &bytes, &size) == MO_OK);
-      REQUIRE(mo_training_encode(plain, &expected_bytes, &expected_size) == MO_OK);
-      CHECK(size == expected_size && memcmp(bytes, expected_bytes, size) == 0);
+      CHECK(same_state(training, plain));
       if (step == 3) {
-        REQUIRE(mo_training_decode(bytes, size, &restored, NULL) == MO_OK);
-        mo_training_free(training);
-        training = restored;
+        training = decoded(encoded(training));
         mo_training_set_threads(training, threads);
-        REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
-        different += differences(training, robots, expected, N);
+        different += differences(training, draw(training), expected, N);
       }
-      free(bytes);
-      free(expected_bytes);
-      REQUIRE(mo_training_apply(plain, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) ==
-              MO_OK);
-      REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
-                                NULL) == MO_OK);
+      REQUIRE(apply(plain, made_up, NULL) == MO_OK && apply(training, made_up, NULL) == MO_OK);
     }
     CHECK_INT(different, 0);
     CHECK_INT(mo_training_draw_ahead(training, NULL), MO_ERR_CONFLICT);
-    made_up_free(&made_up);
-    mo_training_free(plain);
-    mo_training_free(training);
+    check_drop_to(0);
   }
 }
 
@@ -347,25 +269,20 @@ static void ahead_of_new_designs(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
   struct mo_training *training = finetuning(&settings, 3, 1.0F);
-  const struct mo_robot *robots;
-  struct made_up made_up;
-  REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
-  REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
-  REQUIRE(mo_training_draw_ahead(training, NULL) == MO_OK);
-  REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) ==
-          MO_OK);
+  struct made_up *made_up = make_made_up(training);
   uint64_t design[MO_DEFAULT_WORDS];
+  draw(training);
+  REQUIRE(mo_training_draw_ahead(training, NULL) == MO_OK);
+  REQUIRE(apply(training, made_up, NULL) == MO_OK);
   memcpy(design, training->designs + (size_t)2 * MO_DEFAULT_WORDS, sizeof(design));
   REQUIRE(mo_training_set_designs(training, design, 1, NULL) == MO_OK);
-  REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+  const struct mo_robot *robots = draw(training);
   for (uint32_t i = 0; i < 5; i++) {
     struct mo_environment environment;
     CHECK(is_body_of(robots[i].body, training->lattice, design));
     mo_environment_training(1, 1, i, &environment);
-    CHECK(memcmp(&environment, robots[i].environment, sizeof(environment)) == 0);
+    CHECK(SAME(&environment, robots[i].environment, 1));
   }
-  made_up_free(&made_up);
-  mo_training_free(training);
 }
 
 static const struct check_case cases[] = {

@@ -3,9 +3,9 @@
 #ifndef MORPHO_TESTS_LEARNING_FIXTURE_H
 #define MORPHO_TESTS_LEARNING_FIXTURE_H
 
-#include "../check.h"
+#include "../make.h"
 
-#include <morpho/learning.h>
+#include <stdbool.h>
 
 struct made_up {
   size_t n;
@@ -23,22 +23,14 @@ static inline struct mo_training_settings small_settings(enum mo_training_kind k
   return settings;
 }
 
-static inline void made_up_free(struct made_up *made_up)
+static inline struct made_up *make_made_up(const struct mo_training *training)
 {
-  free(made_up->gradient);
-  free(made_up->outcomes);
-}
-
-static inline int made_up_create(struct made_up *made_up, const struct mo_training *training)
-{
-  made_up->counts = (struct mo_gradient_counts){0};
+  struct made_up *made_up = make_zeros(1, sizeof(*made_up));
   made_up->n = mo_training_controller(training)->n_parameters;
-  made_up->gradient = calloc(made_up->n, sizeof(double));
-  made_up->outcomes = calloc(mo_training_settings_of(training)->batch, sizeof(struct mo_outcome));
-  if (made_up->gradient != NULL && made_up->outcomes != NULL)
-    return 0;
-  made_up_free(made_up);
-  return -1;
+  made_up->gradient = make_zeros(made_up->n, sizeof(double));
+  made_up->outcomes =
+      make_zeros(mo_training_settings_of(training)->batch, sizeof(struct mo_outcome));
+  return made_up;
 }
 
 /* A gradient that depends on the weights, the robots and the step: what is lost of any of them
@@ -66,6 +58,20 @@ static inline void make_up(struct made_up *made_up, const struct mo_training *tr
         1e-3 * (mo_random_uniform(&random) - 0.5) + 1e-2 * weights[i] + 1e-6 * of_robots;
 }
 
+static inline const struct mo_robot *draw(struct mo_training *training)
+{
+  const struct mo_robot *robots = NULL;
+  make_check(mo_training_draw(training, NULL, NULL, &robots), "draw");
+  return robots;
+}
+
+static inline int apply(struct mo_training *training, const struct made_up *made_up,
+                        struct mo_training_report *report)
+{
+  return mo_training_apply(training, made_up->gradient, made_up->outcomes, &made_up->counts,
+                           report);
+}
+
 static inline int advance(struct mo_training *training, struct made_up *made_up,
                           struct mo_training_report *report)
 {
@@ -74,29 +80,64 @@ static inline int advance(struct mo_training *training, struct made_up *made_up,
   if (r < 0)
     return r;
   make_up(made_up, training, robots);
-  return mo_training_apply(training, made_up->gradient, made_up->outcomes, &made_up->counts,
-                           report);
+  return apply(training, made_up, report);
 }
 
-/* A finetuning on the first n held-out designs, from random weights times `factor`. NULL: failed.
- */
+/* A finetuning on the first n held-out designs, from random weights times `factor`. */
 static inline struct mo_training *finetuning(const struct mo_training_settings *settings,
                                              uint32_t n, float factor)
 {
-  struct mo_controller *parent = NULL;
+  struct mo_controller *parent = make_random_controller(settings->sensor, 7);
+  uint64_t *designs = make_zeros(n, MO_DEFAULT_WORDS * sizeof(uint64_t));
+  make_check(mo_held_out_designs(1, n, designs), "designs");
+  for (size_t i = 0; i < parent->n_parameters; i++)
+    parent->parameters[i] *= factor;
+  return make_training(settings, parent, designs, n);
+}
+
+/* ---- checkpoints ---- */
+
+struct blob {
+  uint8_t *bytes;
+  size_t size;
+};
+
+static inline struct blob encoded(const struct mo_training *training)
+{
+  struct blob blob = {NULL, 0};
+  make_check(mo_training_encode(training, &blob.bytes, &blob.size), "encode");
+  check_keep(blob.bytes, free);
+  return blob;
+}
+
+static inline bool same_blob(struct blob a, struct blob b)
+{
+  return a.size == b.size && memcmp(a.bytes, b.bytes, a.size) == 0;
+}
+
+static inline struct mo_training *decoded(struct blob blob)
+{
   struct mo_training *training = NULL;
-  uint64_t *designs = calloc(n, MO_DEFAULT_WORDS * sizeof(uint64_t));
-  if (designs != NULL && mo_held_out_designs(1, n, designs) == MO_OK &&
-      mo_controller_create(MO_DEFAULT_WORKSPACE, settings->sensor, &parent) == MO_OK) {
-    mo_controller_randomize(parent, 7);
-    for (size_t i = 0; i < parent->n_parameters; i++)
-      parent->parameters[i] *= factor;
-    if (mo_training_create(settings, parent, designs, n, &training, NULL) < 0)
-      training = NULL;
-  }
-  mo_controller_free(parent);
-  free(designs);
-  return training;
+  make_check(mo_training_decode(blob.bytes, blob.size, &training, NULL), "decode");
+  return check_keep(training, drop_training);
+}
+
+static inline bool same_state(const struct mo_training *a, const struct mo_training *b)
+{
+  return same_blob(encoded(a), encoded(b));
+}
+
+/* ---- bodies ---- */
+
+static inline bool is_body_of(const struct mo_body *body, const struct mo_lattice *lattice,
+                              const uint64_t *design)
+{
+  struct mo_body *made = NULL;
+  make_check(mo_body_create(lattice, design, &made), "a body");
+  const bool same = body->n_springs == made->n_springs && body->n_masses == made->n_masses &&
+                    SAME(body->spring_lattice, made->spring_lattice, made->n_springs);
+  mo_body_free(made);
+  return same;
 }
 
 #endif

@@ -5,32 +5,10 @@
 
 #include "../failing.h"
 
-/* Runs `work` with the first, the second, … allocation failing, until none is left to fail. */
-static void each_fails(int (*work)(void))
-{
-  int failed = 0;
-  for (long k = 0; k < 5000; k++) {
-    left = k;
-    const int r = work();
-    const int reached = left < 0;
-    left = -1;
-    if (!reached) {
-      CHECK_INT(r, MO_OK);
-      printf("# %d allocations failed in turn\n", failed);
-      CHECK(failed > 0);
-      return;
-    }
-    failed++;
-    CHECK_INT(r, MO_ERR_NO_MEMORY);
-  }
-  CHECK(0); /* it never ends */
-}
-
 static struct mo_controller *parent;
 static uint64_t designs[2 * MO_DEFAULT_WORDS];
 static struct mo_training *shared;
-static uint8_t *checkpoint;
-static size_t checkpoint_size;
+static struct blob checkpoint;
 
 static int create(void)
 {
@@ -45,7 +23,7 @@ static int create(void)
 static int decode(void)
 {
   struct mo_training *training = NULL;
-  const int r = mo_training_decode(checkpoint, checkpoint_size, &training, NULL);
+  const int r = mo_training_decode(checkpoint.bytes, checkpoint.size, &training, NULL);
   CHECK((training != NULL) == (r == MO_OK));
   mo_training_free(training);
   return r;
@@ -74,8 +52,7 @@ static int set_designs(void)
 {
   uint64_t other[MO_DEFAULT_WORDS];
   memcpy(other, designs, sizeof(other));
-  const int r = mo_training_set_designs(shared, other, 1, NULL);
-  return r;
+  return mo_training_set_designs(shared, other, 1, NULL);
 }
 
 static int hold_out(void)
@@ -88,18 +65,15 @@ static void functions(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
   REQUIRE(mo_held_out_designs(3, 2, designs) == MO_OK);
-  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &parent) == MO_OK);
-  REQUIRE(mo_training_create(&settings, parent, designs, 2, &shared, NULL) == MO_OK);
-  REQUIRE(mo_training_encode(shared, &checkpoint, &checkpoint_size) == MO_OK);
-  each_fails(create);
-  each_fails(encode);
-  each_fails(decode);
-  each_fails(export);
-  each_fails(set_designs);
-  each_fails(hold_out);
-  free(checkpoint);
-  mo_training_free(shared);
-  mo_controller_free(parent);
+  parent = make_controller(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT);
+  shared = make_training(&settings, parent, designs, 2);
+  checkpoint = encoded(shared);
+  each_fails(create, 1);
+  each_fails(encode, 1);
+  each_fails(decode, 1);
+  each_fails(export, 1);
+  each_fails(set_designs, 1);
+  each_fails(hold_out, 1);
 }
 
 /* A draw that runs out of memory goes on at the next call, with the same robots. */
@@ -107,21 +81,15 @@ static void draws(void)
 {
   for (int kind = 0; kind < 2; kind++) {
     struct mo_training_settings settings = small_settings((enum mo_training_kind)kind);
-    const struct mo_robot *robots, *expected;
-    struct mo_training *training = NULL, *other = NULL;
-    if (kind == MO_TRAINING_FINETUNE) {
-      training = finetuning(&settings, 3, 1.0F);
-      other = finetuning(&settings, 3, 1.0F);
-    } else {
-      mo_training_create(&settings, NULL, NULL, 0, &training, NULL);
-      mo_training_create(&settings, NULL, NULL, 0, &other, NULL);
-    }
-    REQUIRE(training != NULL && other != NULL);
-    REQUIRE(mo_training_draw(other, NULL, NULL, &expected) == MO_OK);
+    struct mo_training *both[2];
+    for (int i = 0; i < 2; i++)
+      both[i] = kind == MO_TRAINING_FINETUNE ? finetuning(&settings, 3, 1.0F)
+                                             : make_training(&settings, NULL, NULL, 0);
+    const struct mo_robot *robots, *expected = draw(both[1]);
     int r = MO_ERR_NO_MEMORY, failed = 0;
     for (long k = 0; k < 1000 && r == MO_ERR_NO_MEMORY; k++) {
       left = k; /* each call gets one allocation further than the last */
-      r = mo_training_draw(training, NULL, NULL, &robots);
+      r = mo_training_draw(both[0], NULL, NULL, &robots);
       left = -1;
       failed += r == MO_ERR_NO_MEMORY;
     }
@@ -132,8 +100,6 @@ static void draws(void)
       CHECK(robots[i].body->n_springs == expected[i].body->n_springs);
       CHECK(robots[i].environment->light_xy_m[0] == expected[i].environment->light_xy_m[0]);
     }
-    mo_training_free(training);
-    mo_training_free(other);
   }
 }
 

@@ -1,109 +1,45 @@
 /* settings.c: presets, and requests that must be refused with a reason. */
 #include "fixture.h"
 
-static void defaults(void)
-{
-  const struct mo_training_settings pretrain = mo_training_defaults(MO_TRAINING_PRETRAIN);
-  const struct mo_training_settings finetune = mo_training_defaults(MO_TRAINING_FINETUNE);
-  CHECK_INT(mo_training_settings_check(&pretrain, NULL), MO_OK);
-  CHECK_INT(mo_training_settings_check(&finetune, NULL), MO_OK);
-  CHECK(pretrain.n_steps == 1400 && pretrain.batch == 256 && finetune.n_steps == 60);
-  CHECK(pretrain.learning.schedule.kind == MO_SCHEDULE_COSINE &&
-        pretrain.learning.adjoint_bound == 2.0 && pretrain.learning.norm_limit == 1.0);
-  CHECK(pretrain.learning.adjoint_rule == MO_ADJOINT_CLIP &&
-        finetune.learning.adjoint_rule == MO_ADJOINT_CLIP);
-  CHECK(pretrain.learning.restart_weight == 3.0 && finetune.learning.restart_weight == 3.0);
-  CHECK(pretrain.learning.beta1 == 0.9 && pretrain.learning.beta2 == 0.999);
-}
-
-/* ---- presets ---- */
-
-static void check_schedule(const struct mo_schedule *actual, struct mo_schedule expected)
-{
-  CHECK(actual->kind == expected.kind && actual->peak == expected.peak &&
-        actual->floor == expected.floor);
-  CHECK(actual->decay == expected.decay && actual->cycle_steps == expected.cycle_steps);
-  CHECK(actual->cycle_growth == expected.cycle_growth &&
-        actual->warmup_steps == expected.warmup_steps);
-}
-
-static void check_preset(enum mo_training_kind kind, enum mo_learning_preset preset,
-                         struct mo_training_settings expected)
-{
-  const struct mo_training_settings s = mo_training_preset(kind, preset);
-  CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
-  CHECK(s.kind == kind && s.seed == 1 && s.n_steps == expected.n_steps &&
-        s.batch == expected.batch);
-  check_schedule(&s.learning.schedule, expected.learning.schedule);
-  CHECK(s.learning.beta1 == expected.learning.beta1 && s.learning.beta2 == 0.999 &&
-        s.learning.epsilon == 1e-8 && s.learning.norm_limit == 1);
-  CHECK(s.learning.adjoint_bound == expected.learning.adjoint_bound &&
-        s.learning.adjoint_rule == expected.learning.adjoint_rule &&
-        s.learning.restart_weight == 3);
-  CHECK(s.physics.n_steps == 1000 && s.physics.dt_s == 0.004 &&
-        s.physics.impact == MO_IMPACT_EXACT);
-  CHECK(s.sensor == MO_SENSOR_INVERSE_SQRT && s.held_out_designs == 64 &&
-        s.held_out_environments == 8);
-}
-
 static void presets(void)
 {
-  const struct mo_schedule one_cosine = {MO_SCHEDULE_COSINE, 2e-3, 1e-5, 1, 1, 1, 10},
-                           finetune_cosine = {MO_SCHEDULE_COSINE, 3e-4, 1e-6, 1, 100, 1, 0},
-                           shipped = {MO_SCHEDULE_RESTARTS, 2e-3, 1e-5, 0.75, 61, 22, 5},
-                           paper = {MO_SCHEDULE_RESTARTS, 1e-3, 1e-5, 0.7, 10, 2, 0},
-                           paper_finetune = {MO_SCHEDULE_RESTARTS, 3.5e-4, 3.5e-5, 1, 100, 1, 0};
-  const struct {
-    enum mo_training_kind kind;
-    enum mo_learning_preset preset;
-    struct mo_training_settings expected;
-  } all[] = {
-      {MO_TRAINING_PRETRAIN,
-       MO_LEARNING_PRESET_WORKSTATION,
-       {.n_steps = 1400,
-        .batch = 256,
-        .learning.schedule = one_cosine,
-        .learning.beta1 = 0.9,
-        .learning.adjoint_bound = 2}},
-      {MO_TRAINING_PRETRAIN,
-       MO_LEARNING_PRESET_PHOTOTAXIS,
-       {.n_steps = 1400,
-        .batch = 8192,
-        .learning.schedule = shipped,
-        .learning.beta1 = 0.8,
-        .learning.adjoint_bound = 8,
-        .learning.adjoint_rule = MO_ADJOINT_RESTART}},
-      {MO_TRAINING_PRETRAIN,
-       MO_LEARNING_PRESET_PAPER,
-       {.n_steps = 1400,
-        .batch = 8192,
-        .learning.schedule = paper,
-        .learning.beta1 = 0.9,
-        .learning.adjoint_bound = 0}},
-      {MO_TRAINING_FINETUNE,
-       MO_LEARNING_PRESET_WORKSTATION,
-       {.n_steps = 60,
-        .batch = 256,
-        .learning.schedule = finetune_cosine,
-        .learning.beta1 = 0.9,
-        .learning.adjoint_bound = 2}},
-      {MO_TRAINING_FINETUNE,
-       MO_LEARNING_PRESET_PHOTOTAXIS, /* has none */
-       {.n_steps = 60,
-        .batch = 256,
-        .learning.schedule = finetune_cosine,
-        .learning.beta1 = 0.9,
-        .learning.adjoint_bound = 2}},
-      {MO_TRAINING_FINETUNE,
-       MO_LEARNING_PRESET_PAPER,
-       {.n_steps = 60,
-        .batch = 8192,
-        .learning.schedule = paper_finetune,
-        .learning.beta1 = 0.9,
-        .learning.adjoint_bound = 0}},
-  };
-  for (size_t i = 0; i < sizeof(all) / sizeof(all[0]); i++)
-    check_preset(all[i].kind, all[i].preset, all[i].expected);
+  static const struct mo_schedule one_cosine = {MO_SCHEDULE_COSINE, 2e-3, 1e-5, 1, 1, 1, 10},
+                                  finetune = {MO_SCHEDULE_COSINE, 3e-4, 1e-6, 1, 100, 1, 0},
+                                  shipped = {MO_SCHEDULE_RESTARTS, 2e-3, 1e-5, 0.75, 61, 22, 5},
+                                  paper = {MO_SCHEDULE_RESTARTS, 1e-3, 1e-5, 0.7, 10, 2, 0},
+                                  paper_finetune = {
+                                      MO_SCHEDULE_RESTARTS, 3.5e-4, 3.5e-5, 1, 100, 1, 0};
+  static const struct {
+    uint32_t n_steps, batch;
+    const struct mo_schedule *schedule;
+    double beta1, bound;
+    enum mo_adjoint_rule rule;
+  } all[2][3] = {{{1400, 256, &one_cosine, 0.9, 2, MO_ADJOINT_CLIP},
+                  {1400, 8192, &shipped, 0.8, 8, MO_ADJOINT_RESTART},
+                  {1400, 8192, &paper, 0.9, 0, MO_ADJOINT_CLIP}},
+                 {{60, 256, &finetune, 0.9, 2, MO_ADJOINT_CLIP},
+                  {60, 256, &finetune, 0.9, 2, MO_ADJOINT_CLIP}, /* phototaxis has none */
+                  {60, 8192, &paper_finetune, 0.9, 0, MO_ADJOINT_CLIP}}};
+  for (int kind = 0; kind < 2; kind++)
+    for (int preset = 0; preset < 3; preset++) {
+      const struct mo_training_settings s =
+          mo_training_preset((enum mo_training_kind)kind, (enum mo_learning_preset)preset);
+      const struct mo_schedule *a = &s.learning.schedule, *b = all[kind][preset].schedule;
+      CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
+      CHECK((int)s.kind == kind && s.seed == 1 && s.n_steps == all[kind][preset].n_steps &&
+            s.batch == all[kind][preset].batch);
+      CHECK(a->kind == b->kind && a->peak == b->peak && a->floor == b->floor);
+      CHECK(a->decay == b->decay && a->cycle_steps == b->cycle_steps &&
+            a->cycle_growth == b->cycle_growth && a->warmup_steps == b->warmup_steps);
+      CHECK(s.learning.beta1 == all[kind][preset].beta1 && s.learning.beta2 == 0.999 &&
+            s.learning.epsilon == 1e-8 && s.learning.norm_limit == 1);
+      CHECK(s.learning.adjoint_bound == all[kind][preset].bound &&
+            s.learning.adjoint_rule == all[kind][preset].rule && s.learning.restart_weight == 3);
+      CHECK(s.physics.n_steps == 1000 && s.physics.dt_s == 0.004 &&
+            s.physics.impact == MO_IMPACT_EXACT);
+      CHECK(s.sensor == MO_SENSOR_INVERSE_SQRT && s.held_out_designs == 64 &&
+            s.held_out_environments == 8);
+    }
 }
 
 static void preset_names(void)
@@ -121,14 +57,9 @@ static void shipped(void)
   const struct mo_training_settings settings =
       mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_PHOTOTAXIS);
   static const char weight[] = ",\"restart_weight\":3";
-  const char *root = getenv("MORPHO_SOURCE_DIR");
-  char path[1024], expected[2048];
-  struct mo_controller *file = NULL, *made = NULL;
-  struct mo_training *training = NULL;
-  snprintf(path, sizeof(path), "%s/data/controllers/phototaxis.safetensors",
-           root != NULL ? root : ".");
-  REQUIRE(mo_controller_read(path, &file, NULL) == MO_OK);
-  REQUIRE(mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK);
+  char expected[2048];
+  struct mo_controller *file = make_shipped_controller("phototaxis"), *made = NULL;
+  struct mo_training *training = make_training(&settings, NULL, NULL, 0);
   REQUIRE(mo_training_export(training, NULL, "", NULL, &made) == MO_OK);
   const char *is = mo_controller_get_metadata(file, "morphod.settings");
   const char *would_be = mo_controller_get_metadata(made, "morphod.settings");
@@ -146,197 +77,152 @@ static void shipped(void)
                mo_controller_get_metadata(made, same[i]));
   CHECK_TEXT(mo_controller_get_metadata(file, "morphod.step"), "1400");
   CHECK_INT(file->sensor, settings.sensor);
-  mo_training_free(training);
   mo_controller_free(made);
-  mo_controller_free(file);
 }
 
 /* ---- what is refused ---- */
 
-static void expect(int actual, int code, const struct mo_message *message, const char *says)
-{
-  CHECK_INT(actual, code);
-  if (strstr(message->text, says) == NULL) {
-    printf("# \"%s\" lacks \"%s\"\n", message->text, says);
-    CHECK(0);
-  }
-}
-
 static void refused_settings(void)
 {
-  static const struct {
-    enum {
-      KIND,
-      STEPS,
-      BATCH,
-      BETA1,
-      BETA2,
-      EPSILON,
-      NORM,
-      BOUND,
-      RULE,
-      WEIGHT,
-      SENSOR,
-      DESIGNS,
-      ENVIRONMENTS,
-      PEAK,
-      DT
-    } what;
-    double value;
-    int code;
-    const char *says;
-  } cases[] = {
-      {KIND, 2, MO_ERR_INVALID, "kind of training must be 0 (pretrain) or 1 (finetune), got 2"},
-      {STEPS, 0, MO_ERR_RANGE, "steps must be at least 1 and at most 1000000, got 0"},
-      {STEPS, 1e9, MO_ERR_RANGE, "steps must be at least 1 and at most 1000000, got 1000000000"},
-      {BATCH, 0, MO_ERR_RANGE, "batch must be at least 1 and at most 65536, got 0"},
-      {BATCH, 65537, MO_ERR_RANGE, "batch must be at least 1 and at most 65536, got 65537"},
-      {BATCH, 65536, MO_OK, ""},
-      {BETA1, 1, MO_ERR_RANGE, "adam.beta1 must be at least 0 and below 1, got 1"},
-      {BETA1, -0.1, MO_ERR_RANGE, "adam.beta1 must be at least 0 and below 1, got -0.1"},
-      {BETA1, NAN, MO_ERR_INVALID,
-       "adam.beta1 must be at least 0 and below 1, got a number that is not finite"},
-      {BETA2, 1.5, MO_ERR_RANGE, "adam.beta2 must be at least 0 and below 1, got 1.5"},
-      {EPSILON, 0, MO_ERR_RANGE, "adam.epsilon must be above 0 and at most 1, got 0"},
-      {NORM, -1, MO_ERR_RANGE, "gradient_norm_limit must be at least 0 and at most 1e+06, got -1"},
-      {NORM, INFINITY, MO_ERR_INVALID,
-       "gradient_norm_limit must be at least 0 and at most 1e+06, got a number that is not finite"},
-      {NORM, 0, MO_OK, ""},
-      {BOUND, -2, MO_ERR_RANGE, "adjoint_bound must be at least 0 and at most 1e+06, got -2"},
-      {BOUND, NAN, MO_ERR_INVALID,
-       "adjoint_bound must be at least 0 and at most 1e+06, got a number that is not finite"},
-      {RULE, 2, MO_ERR_INVALID, "adjoint_rule must be \"clip\" or \"restart\", got number 2"},
-      {RULE, -1, MO_ERR_INVALID, "adjoint_rule must be \"clip\" or \"restart\", got number -1"},
-      {RULE, MO_ADJOINT_RESTART, MO_OK, ""},
-      {WEIGHT, -1, MO_ERR_RANGE, "restart_weight must be at least 0 and at most 1e+06, got -1"},
-      {WEIGHT, 1000000.0000001, MO_ERR_RANGE,
-       "restart_weight must be at least 0 and at most 1e+06, got 1000000.0000001"},
-      {WEIGHT, 1e7, MO_ERR_RANGE, "restart_weight must be at least 0 and at most 1e+06, got 1e+07"},
-      {WEIGHT, NAN, MO_ERR_INVALID,
-       "restart_weight must be at least 0 and at most 1e+06, got a number that is not finite"},
-      {WEIGHT, 0, MO_OK, ""},
-      {WEIGHT, MO_RESTART_WEIGHT_MAX, MO_OK, ""},
-      {SENSOR, 2, MO_ERR_INVALID, "inverse_sqrt"},
-      {DESIGNS, 10001, MO_ERR_RANGE, "held-out designs must be at most 10000, got 10001"},
-      {ENVIRONMENTS, 65, MO_ERR_RANGE, "held-out environments must be at most 64, got 65"},
-      {ENVIRONMENTS, 0, MO_OK, ""},
-      {PEAK, -1e-3, MO_ERR_RANGE, "schedule.peak must be above 0 and at most 1, got -0.001"},
-      {DT, 1, MO_ERR_RANGE, "physics.dt_s must be at least 1e-07 and at most 0.1, got 1"},
+  static struct mo_training_settings s;
+  static const struct field_case cases[] = {
+      {FIELD(s.kind), 2, MO_ERR_INVALID,
+       "kind of training must be 0 (pretrain) or 1 (finetune), got 2"},
+      {FIELD(s.n_steps), 0, MO_ERR_RANGE, "steps must be at least 1 and at most 1000000, got 0"},
+      {FIELD(s.n_steps), 1e9, MO_ERR_RANGE, "at most 1000000, got 1000000000"},
+      {FIELD(s.batch), 0, MO_ERR_RANGE, "batch must be at least 1 and at most 65536, got 0"},
+      {FIELD(s.batch), 65537, MO_ERR_RANGE, "at most 65536, got 65537"},
+      {FIELD(s.batch), 65536, MO_OK, ""},
+      {FIELD(s.learning.beta1), 1, MO_ERR_RANGE,
+       "adam.beta1 must be at least 0 and below 1, got 1"},
+      {FIELD(s.learning.beta1), -0.1, MO_ERR_RANGE, "at least 0 and below 1, got -0.1"},
+      {FIELD(s.learning.beta1), NAN, MO_ERR_INVALID, "below 1, got a number that is not finite"},
+      {FIELD(s.learning.beta2), 1.5, MO_ERR_RANGE,
+       "adam.beta2 must be at least 0 and below 1, got 1.5"},
+      {FIELD(s.learning.epsilon), 0, MO_ERR_RANGE,
+       "adam.epsilon must be above 0 and at most 1, got 0"},
+      {FIELD(s.learning.norm_limit), -1, MO_ERR_RANGE,
+       "gradient_norm_limit must be at least 0 and at most 1e+06, got -1"},
+      {FIELD(s.learning.norm_limit), INFINITY, MO_ERR_INVALID, "got a number that is not finite"},
+      {FIELD(s.learning.norm_limit), 0, MO_OK, ""},
+      {FIELD(s.learning.adjoint_bound), -2, MO_ERR_RANGE,
+       "adjoint_bound must be at least 0 and at most 1e+06, got -2"},
+      {FIELD(s.learning.adjoint_bound), NAN, MO_ERR_INVALID, "got a number that is not finite"},
+      {FIELD(s.learning.adjoint_rule), 2, MO_ERR_INVALID,
+       "adjoint_rule must be \"clip\" or \"restart\", got number 2"},
+      {FIELD(s.learning.adjoint_rule), -1, MO_ERR_INVALID, "got number -1"},
+      {FIELD(s.learning.adjoint_rule), MO_ADJOINT_RESTART, MO_OK, ""},
+      {FIELD(s.learning.restart_weight), -1, MO_ERR_RANGE,
+       "restart_weight must be at least 0 and at most 1e+06, got -1"},
+      {FIELD(s.learning.restart_weight), 1000000.0000001, MO_ERR_RANGE, "got 1000000.0000001"},
+      {FIELD(s.learning.restart_weight), NAN, MO_ERR_INVALID, "got a number that is not finite"},
+      {FIELD(s.learning.restart_weight), 0, MO_OK, ""},
+      {FIELD(s.learning.restart_weight), MO_RESTART_WEIGHT_MAX, MO_OK, ""},
+      {FIELD(s.sensor), 2, MO_ERR_INVALID, "inverse_sqrt"},
+      {FIELD(s.held_out_designs), 10001, MO_ERR_RANGE,
+       "held-out designs must be at most 10000, got 10001"},
+      {FIELD(s.held_out_environments), 65, MO_ERR_RANGE,
+       "held-out environments must be at most 64, got 65"},
+      {FIELD(s.held_out_environments), 0, MO_OK, ""},
+      {FIELD(s.learning.schedule.peak), -1e-3, MO_ERR_RANGE,
+       "schedule.peak must be above 0 and at most 1, got -0.001"},
+      {FIELD(s.physics.dt_s), 1, MO_ERR_RANGE,
+       "physics.dt_s must be at least 1e-07 and at most 0.1, got 1"},
   };
-  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
-    struct mo_training_settings s = mo_training_defaults(MO_TRAINING_PRETRAIN);
-    struct mo_message message = {""};
-    const double value = cases[i].value;
-    switch (cases[i].what) {
-    case KIND: s.kind = (enum mo_training_kind)value; break;
-    case STEPS: s.n_steps = (uint32_t)value; break;
-    case BATCH: s.batch = (uint32_t)value; break;
-    case BETA1: s.learning.beta1 = value; break;
-    case BETA2: s.learning.beta2 = value; break;
-    case EPSILON: s.learning.epsilon = value; break;
-    case NORM: s.learning.norm_limit = value; break;
-    case BOUND: s.learning.adjoint_bound = value; break;
-    case RULE: s.learning.adjoint_rule = (enum mo_adjoint_rule)(int)value; break;
-    case WEIGHT: s.learning.restart_weight = value; break;
-    case SENSOR: s.sensor = (enum mo_sensor)value; break;
-    case DESIGNS: s.held_out_designs = (uint32_t)value; break;
-    case ENVIRONMENTS: s.held_out_environments = (uint32_t)value; break;
-    case PEAK: s.learning.schedule.peak = value; break;
-    case DT: s.physics.dt_s = value; break;
-    }
-    expect(mo_training_settings_check(&s, &message), cases[i].code, &message, cases[i].says);
+  struct mo_message message;
+  for (size_t i = 0; i < COUNT(cases); i++) {
     struct mo_training *training = NULL;
-    if (cases[i].code != MO_OK) {
+    s = mo_training_defaults(MO_TRAINING_PRETRAIN);
+    set_field(cases[i].field, cases[i].size, cases[i].value);
+    message.text[0] = '\0';
+    CHECK_INT(mo_training_settings_check(&s, &message), cases[i].code);
+    CHECK_SAYS(message, cases[i].says);
+    if (cases[i].code != MO_OK)
       CHECK_INT(mo_training_create(&s, NULL, NULL, 0, &training, NULL), cases[i].code);
-      CHECK(training == NULL);
-    }
+    CHECK(training == NULL);
   }
-  struct mo_training_settings s = mo_training_defaults(MO_TRAINING_PRETRAIN);
-  struct mo_message message = {""};
+  s = mo_training_defaults(MO_TRAINING_PRETRAIN);
   s.n_steps = MO_TRAINING_STEPS_MAX;
   CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
   s.batch = 8192;
-  expect(mo_training_settings_check(&s, &message), MO_ERR_RANGE, &message,
-         "steps × batch is 8192000000");
+  CHECK_INT(mo_training_settings_check(&s, &message), MO_ERR_RANGE);
+  CHECK_SAYS(message, "steps × batch is 8192000000");
   s.kind = MO_TRAINING_FINETUNE; /* draws no bodies */
   CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
 }
 
+enum { W = MO_DEFAULT_WORDS };
+
 static void refused_requests(void)
 {
-  const struct mo_training_settings pretrain = mo_training_defaults(MO_TRAINING_PRETRAIN);
-  const struct mo_training_settings finetune = mo_training_defaults(MO_TRAINING_FINETUNE);
+  const struct mo_training_settings pretrain = mo_training_defaults(MO_TRAINING_PRETRAIN),
+                                    finetune = mo_training_defaults(MO_TRAINING_FINETUNE);
+  struct mo_controller *parent = make_controller(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQUARE);
+  struct mo_controller *tiny =
+      make_controller((struct mo_workspace){1, 2, 3}, MO_SENSOR_INVERSE_SQRT);
+  uint64_t good[2 * W], empty[2 * W], apart[2 * W], beyond[2 * W];
+  REQUIRE(mo_held_out_designs(1, 2, good) == MO_OK);
+  memcpy(empty, good, sizeof(good));
+  memset(empty + W, 0, W * sizeof(uint64_t));
+  memcpy(apart, empty, sizeof(good));
+  apart[W] = 1; /* a corner of the workspace */
+  memcpy(beyond, apart, sizeof(good));
+  beyond[2 * W - 1] = UINT64_C(1) << 63;
+  const struct {
+    const struct mo_training_settings *settings;
+    const struct mo_controller *parent;
+    const uint64_t *designs;
+    size_t n;
+    int code;
+    const char *says;
+  } cases[] = {
+      {&finetune, NULL, good, 2, MO_ERR_INVALID, "needs a controller to start from"},
+      {&finetune, parent, NULL, 0, MO_ERR_INVALID, "needs 1 to 10000 designs"},
+      {&finetune, parent, good, 10001, MO_ERR_RANGE, "10001 designs"},
+      {&pretrain, NULL, good, 2, MO_ERR_INVALID, "draws its own bodies"},
+      {&pretrain, tiny, NULL, 0, MO_ERR_UNSUPPORTED, "1x2x3 voxels; trainings need one for 6x6x4"},
+      {&finetune, tiny, good, 2, MO_ERR_UNSUPPORTED, "1x2x3"},
+      {&finetune, parent, empty, 2, MO_ERR_INVALID, "design 1 is empty or not in one piece"},
+      {&finetune, parent, apart, 2, MO_ERR_INVALID, "design 1 is not placed"},
+      {&finetune, parent, beyond, 2, MO_ERR_INVALID, "design 1 has bits past the last voxel"},
+  };
   struct mo_training *training = NULL;
-  struct mo_controller *parent = NULL, *tiny = NULL;
-  struct mo_message message = {""};
-  uint64_t designs[2 * MO_DEFAULT_WORDS];
-  REQUIRE(mo_held_out_designs(1, 2, designs) == MO_OK);
-  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQUARE, &parent) == MO_OK);
-  REQUIRE(mo_controller_create((struct mo_workspace){1, 2, 3}, MO_SENSOR_INVERSE_SQRT, &tiny) ==
-          MO_OK);
-  expect(mo_training_create(&finetune, NULL, designs, 2, &training, &message), MO_ERR_INVALID,
-         &message, "needs a controller to start from");
-  expect(mo_training_create(&finetune, parent, NULL, 0, &training, &message), MO_ERR_INVALID,
-         &message, "needs 1 to 10000 designs");
-  expect(mo_training_create(&finetune, parent, designs, 10001, &training, &message), MO_ERR_RANGE,
-         &message, "10001 designs");
-  expect(mo_training_create(&pretrain, NULL, designs, 2, &training, &message), MO_ERR_INVALID,
-         &message, "draws its own bodies");
-  expect(mo_training_create(&pretrain, tiny, NULL, 0, &training, &message), MO_ERR_UNSUPPORTED,
-         &message, "1x2x3 voxels; trainings need one for 6x6x4");
-  expect(mo_training_create(&finetune, tiny, designs, 2, &training, &message), MO_ERR_UNSUPPORTED,
-         &message, "1x2x3");
-  const uint64_t good = designs[MO_DEFAULT_WORDS];
-  memset(designs + MO_DEFAULT_WORDS, 0, MO_DEFAULT_WORDS * sizeof(uint64_t));
-  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID,
-         &message, "design 1 is empty or not in one piece");
-  designs[MO_DEFAULT_WORDS] = UINT64_C(1); /* a corner of the workspace */
-  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID,
-         &message, "design 1 is not placed");
-  designs[2 * MO_DEFAULT_WORDS - 1] = UINT64_C(1) << 63;
-  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID,
-         &message, "design 1 has bits past the last voxel");
-  designs[MO_DEFAULT_WORDS] = good;
-  parent->parameters[17] = NAN;
-  expect(mo_training_create(&pretrain, parent, NULL, 0, &training, &message), MO_ERR_INVALID,
-         &message, "parameter 17");
-  parent->parameters[17] = -2e6F;
-  expect(mo_training_create(&pretrain, parent, NULL, 0, &training, &message), MO_ERR_INVALID,
-         &message, "parameter 17");
+  struct mo_message message;
+  for (size_t i = 0; i < COUNT(cases); i++) {
+    CHECK_INT(mo_training_create(cases[i].settings, cases[i].parent, cases[i].designs, cases[i].n,
+                                 &training, &message),
+              cases[i].code);
+    CHECK_SAYS(message, cases[i].says);
+  }
+  for (int i = 0; i < 2; i++) {
+    parent->parameters[17] = i == 0 ? NAN : -2e6F;
+    CHECK_INT(mo_training_create(&pretrain, parent, NULL, 0, &training, &message), MO_ERR_INVALID);
+    CHECK_SAYS(message, "parameter 17");
+  }
   CHECK(training == NULL);
-  parent->parameters[17] =
-      0.25F; /* a good one keeps its weights and its sensor, whatever the settings say */
-  REQUIRE(mo_training_create(&pretrain, parent, NULL, 0, &training, &message) == MO_OK);
+  parent->parameters[17] = 0.25F; /* a good one keeps its weights and its sensor */
+  training = make_training(&pretrain, parent, NULL, 0);
   CHECK(mo_training_controller(training)->parameters[17] == 0.25F);
   CHECK_INT(mo_training_controller(training)->sensor, MO_SENSOR_INVERSE_SQUARE);
   CHECK_INT(mo_training_settings_of(training)->sensor, MO_SENSOR_INVERSE_SQUARE);
-  mo_training_free(training);
-  mo_controller_free(parent);
-  mo_controller_free(tiny);
   mo_training_free(NULL);
 }
 
 /* Random weights come from the seed: the same seed, the same weights; another one, others. */
 static void initial_weights(void)
 {
-  struct mo_training *trainings[3];
+  const struct mo_controller *c[3];
   for (int i = 0; i < 3; i++) {
     struct mo_training_settings s = mo_training_defaults(MO_TRAINING_PRETRAIN);
     s.seed = i == 2 ? 9 : 8;
-    REQUIRE(mo_training_create(&s, NULL, NULL, 0, &trainings[i], NULL) == MO_OK);
+    c[i] = mo_training_controller(make_training(&s, NULL, NULL, 0));
   }
-  const struct mo_controller *c[3] = {mo_training_controller(trainings[0]),
-                                      mo_training_controller(trainings[1]),
-                                      mo_training_controller(trainings[2])};
-  CHECK(memcmp(c[0]->parameters, c[1]->parameters, c[0]->n_parameters * sizeof(float)) == 0);
-  CHECK(memcmp(c[0]->parameters, c[2]->parameters, c[0]->n_parameters * sizeof(float)) != 0);
+  CHECK(SAME(c[0]->parameters, c[1]->parameters, c[0]->n_parameters));
+  CHECK(!SAME(c[0]->parameters, c[2]->parameters, c[0]->n_parameters));
   CHECK(c[0]->norm_gain[1][5] == 1.0F && c[0]->bias[2][7] == 0.0F);
-  for (int i = 0; i < 3; i++)
-    mo_training_free(trainings[i]);
 }
 
 static const struct check_case cases[] = {
-    {"defaults", defaults},
     {"presets", presets},
     {"names of presets", preset_names},
     {"the shipped controller has the settings of its preset", shipped},

@@ -4,7 +4,7 @@
 #include <morpho/compute.h>
 #include <morpho/learning.h>
 
-#include "../check.h"
+#include "../make.h"
 #include "learning/internal.h"
 
 #include <stdbool.h>
@@ -62,8 +62,7 @@ static void the_reverser_reverses(void)
 {
   static const double dts_s[] = {0.004, 0.005};
   for (int d = 0; d < 2; d++) {
-    struct mo_controller *c = NULL;
-    REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
+    struct mo_controller *c = make_controller(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT);
     const double dt_s = whole_parts(dts_s[d]);
     make_reverser(c, dt_s);
     double inputs[MO_DEFAULT_MASSES + MO_CPG_INPUTS] = {0}, outputs[SPRINGS_SHOWN],
@@ -87,7 +86,6 @@ static void the_reverser_reverses(void)
            kept, 999 * SPRINGS_SHOWN);
     CHECK(least > 0.999);
     CHECK_INT(kept, 0);
-    mo_controller_free(c);
   }
 }
 
@@ -114,7 +112,7 @@ static const struct stress stresses[] = {
     {"everything", 4, 0.005, 100, 10, 1, true, true, false},
     {"everything, reversal", 4, 0.005, 1, 10, 1, true, true, true},
 };
-enum { STRESSES = sizeof(stresses) / sizeof(stresses[0]) };
+enum { STRESSES = COUNT(stresses) };
 
 struct training_run {
   struct mo_training *training;
@@ -128,61 +126,37 @@ struct training_run {
 
 static void draw_designs(const struct stress *s, uint64_t (*designs)[MO_DEFAULT_WORDS])
 {
-  struct mo_body_stream *stream = NULL;
-  if (mo_body_stream_create(MO_DEFAULT_WORKSPACE, 31, &stream) != MO_OK)
-    return;
+  struct mo_body_stream *stream = make_body_stream(MO_DEFAULT_WORKSPACE, 31);
   for (uint32_t i = 0; i < ROBOTS; i++)
     if (s->full || i == 0) {
       designs[i][0] = designs[i][1] = UINT64_MAX;
       designs[i][2] = 0xffff;
     } else {
-      (void)mo_body_stream_next(stream, designs[i]);
+      make_check(mo_body_stream_next(stream, designs[i]), "a body");
     }
-  mo_body_stream_free(stream);
 }
 
-static bool start(const struct stress *s, enum mo_sensor sensor, double bound, uint32_t n_steps,
+static void start(const struct stress *s, enum mo_sensor sensor, double bound, uint32_t n_steps,
                   struct training_run *run)
 {
-  struct mo_message message = {""};
   memset(run, 0, sizeof(*run));
   draw_designs(s, run->designs);
-  if (mo_controller_create(MO_DEFAULT_WORKSPACE, sensor, &run->start) != MO_OK)
-    return false;
+  run->start = make_random_controller(sensor, 31);
   struct mo_training_settings settings = mo_training_defaults(MO_TRAINING_FINETUNE);
   settings.batch = ROBOTS;
   settings.held_out_designs = 0;
   settings.learning.adjoint_bound = bound;
-  settings.learning.schedule = (struct mo_schedule){.kind = MO_SCHEDULE_CONSTANT,
-                                                    .peak = 1e-2,
-                                                    .floor = 1e-2,
-                                                    .decay = 1,
-                                                    .cycle_steps = 1,
-                                                    .cycle_growth = 1};
+  settings.learning.schedule = (struct mo_schedule){MO_SCHEDULE_CONSTANT, 1e-2, 1e-2, 1, 1, 1, 0};
   settings.physics.n_steps = n_steps;
   settings.physics.stiffness_n_per_m *= s->stiffness_factor;
   settings.physics.dt_s = s->reverser ? whole_parts(s->dt_s) : s->dt_s;
   settings.physics.drop_height_m = s->drop_m;
-  if (s->reverser) {
+  for (size_t i = 0; i < run->start->n_parameters; i++)
+    run->start->parameters[i] *= (float)s->weight_factor;
+  if (s->reverser)
     make_reverser(run->start, settings.physics.dt_s);
-  } else {
-    mo_controller_randomize(run->start, 31);
-    for (size_t i = 0; i < run->start->n_parameters; i++)
-      run->start->parameters[i] *= (float)s->weight_factor;
-  }
-  run->gradient = calloc(run->start->n_parameters, sizeof(double));
-  const int status =
-      mo_training_create(&settings, run->start, run->designs[0], ROBOTS, &run->training, &message);
-  if (status != MO_OK)
-    printf("# %s: %s\n", s->name, message.text);
-  return run->gradient != NULL && status == MO_OK;
-}
-
-static void finish(struct training_run *run)
-{
-  mo_training_free(run->training);
-  mo_controller_free(run->start);
-  free(run->gradient);
+  run->gradient = make_zeros(run->start->n_parameters, sizeof(double));
+  run->training = make_training(&settings, run->start, run->designs[0], ROBOTS);
 }
 
 /* The robots that the training drew, in the worlds of the condition. */
@@ -292,13 +266,11 @@ static void one_step(const struct stress *s, struct mo_gradient_state *state,
 /* The last robots again with what was learned, by the scoring kernels. */
 static void score(struct mo_compute *compute, struct training_run *run, struct tally *tally)
 {
-  struct mo_compute_controller *brain = NULL;
-  struct mo_lattice *lattice = NULL;
   struct mo_block blocks[SCORED];
   const struct mo_training_settings *settings = mo_training_settings_of(run->training);
-  REQUIRE(mo_compute_controller_create(compute, mo_training_controller(run->training), &brain) ==
-          MO_OK);
-  REQUIRE(mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK);
+  struct mo_compute_controller *brain =
+      make_compute_controller(compute, mo_training_controller(run->training));
+  struct mo_lattice *lattice = make_lattice(MO_DEFAULT_WORKSPACE);
   for (uint32_t i = 0; i < SCORED; i++) {
     blocks[i] = (struct mo_block){
         .lattice = lattice,
@@ -315,17 +287,12 @@ static void score(struct mo_compute *compute, struct training_run *run, struct t
       tally->scores++;
       tally->scores_diverged += blocks[i].outcomes[e].diverged_step > 0;
     }
-  mo_compute_controller_free(brain);
-  mo_lattice_free(lattice);
 }
 
 static void run_all(uint32_t n_steps, uint32_t training_steps, bool thorough)
 {
-  struct mo_compute *compute = NULL;
-  struct mo_gradient_state *state = NULL;
-  const struct mo_compute_config config = {.n_workers = 2, .isa = mo_isa_best()};
-  REQUIRE(mo_compute_create_cpu(&config, &compute) == MO_OK &&
-          mo_gradient_state_create(compute, &state) == MO_OK);
+  struct mo_compute *compute = make_compute(2);
+  struct mo_gradient_state *state = make_gradient_state(compute);
   static struct training_run run;
   uint64_t diverged = 0, contributed = 0;
   printf("# %u steps of training on %d robots of %u steps, each with both sensors%s\n",
@@ -343,14 +310,15 @@ static void run_all(uint32_t n_steps, uint32_t training_steps, bool thorough)
       if (!thorough && variant > 1)
         continue;
       const int failures = check_failures;
-      REQUIRE(start(&stresses[k], sensor, off ? 0 : MO_ADJOINT_BOUND, n_steps, &run));
+      const size_t kept = check_n_kept;
+      start(&stresses[k], sensor, off ? 0 : MO_ADJOINT_BOUND, n_steps, &run);
       for (uint32_t step = 0; step < training_steps; step++)
         one_step(&stresses[k], state, &run, &tally);
       score(compute, &run, &tally);
       if (check_failures > failures)
         printf("# in \"%s\", %s, bound %s\n", stresses[k].name, mo_sensor_name(sensor),
                off ? "off" : "2");
-      finish(&run);
+      check_drop_to(kept);
     }
     printf("# %-31s %6llu %8llu %6llu %7.2f %11.1e %13.1e %15.1e %8llu %7llu/%llu\n",
            stresses[k].name, (unsigned long long)tally.robots, (unsigned long long)tally.diverged,
@@ -363,8 +331,6 @@ static void run_all(uint32_t n_steps, uint32_t training_steps, bool thorough)
     contributed += tally.robots - tally.diverged - tally.zeroed;
   }
   CHECK(diverged > 0 && contributed > 0); /* both sides of the border were met */
-  mo_gradient_state_free(state);
-  mo_compute_free(compute);
 }
 
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)

@@ -49,8 +49,7 @@ static int learn(struct mo_training *training, struct made_up *made_up, bool sav
                               &made_up->outcomes[i], made_up->gradient, &made_up->counts);
   struct mo_training_report report = {0};
   if (r == MO_OK)
-    r = mo_training_apply(training, made_up->gradient, made_up->outcomes, &made_up->counts,
-                          &report);
+    r = apply(training, made_up, &report);
   if (save)
     printf("# step %u: loss %.6f, gradient norm %.3g, rate %.3g\n", report.step, report.mean_loss,
            report.gradient_norm, report.rate);
@@ -60,48 +59,25 @@ static int learn(struct mo_training *training, struct made_up *made_up, bool sav
 static void learns(void)
 {
   struct mo_training *training = begin(), *again = begin();
-  struct mo_lattice *lattice = NULL;
-  struct mo_body *bodies[DESIGNS] = {NULL};
+  const struct mo_body *bodies[DESIGNS];
   uint64_t designs[DESIGNS * MO_DEFAULT_WORDS];
-  struct made_up made_up;
-  REQUIRE(training != NULL && again != NULL && made_up_create(&made_up, training) == 0);
+  struct made_up *made_up = make_made_up(training);
   REQUIRE(mo_held_out_designs(1, DESIGNS, designs) == MO_OK);
-  REQUIRE(mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK);
+  struct mo_lattice *lattice = make_lattice(MO_DEFAULT_WORKSPACE);
   for (int i = 0; i < DESIGNS; i++)
-    REQUIRE(mo_body_create(lattice, designs + (size_t)MO_DEFAULT_WORDS * i, &bodies[i]) == MO_OK);
+    bodies[i] = make_body(lattice, designs + (size_t)MO_DEFAULT_WORDS * i);
   const struct mo_physics *physics = &mo_training_settings_of(training)->physics;
-  const double before =
-      loss_of(mo_training_controller(training), (const struct mo_body *const *)bodies, physics);
+  const double before = loss_of(mo_training_controller(training), bodies, physics);
   for (uint32_t step = 0; step < STEPS; step++) {
-    REQUIRE(learn(training, &made_up, true) == MO_OK);
-    if (step == 4) { /* the other one is interrupted here and there */
-      uint8_t *bytes = NULL;
-      size_t size = 0;
-      REQUIRE(mo_training_encode(again, &bytes, &size) == MO_OK);
-      mo_training_free(again);
-      again = NULL;
-      REQUIRE(mo_training_decode(bytes, size, &again, NULL) == MO_OK);
-      free(bytes);
-    }
-    REQUIRE(learn(again, &made_up, false) == MO_OK);
+    REQUIRE(learn(training, made_up, true) == MO_OK);
+    if (step == 4) /* the other one is interrupted */
+      again = decoded(encoded(again));
+    REQUIRE(learn(again, made_up, false) == MO_OK);
   }
-  const double after =
-      loss_of(mo_training_controller(training), (const struct mo_body *const *)bodies, physics);
+  const double after = loss_of(mo_training_controller(training), bodies, physics);
   printf("# loss of all %d robots: %.6f before, %.6f after\n", STEPS * BATCH, before, after);
   CHECK(after < before - 0.001);
-  uint8_t *a = NULL, *b = NULL;
-  size_t n = 0, m = 0;
-  REQUIRE(mo_training_encode(training, &a, &n) == MO_OK &&
-          mo_training_encode(again, &b, &m) == MO_OK);
-  CHECK(n == m && memcmp(a, b, n) == 0);
-  free(a);
-  free(b);
-  for (int i = 0; i < DESIGNS; i++)
-    mo_body_free(bodies[i]);
-  mo_lattice_free(lattice);
-  made_up_free(&made_up);
-  mo_training_free(training);
-  mo_training_free(again);
+  CHECK(same_state(training, again));
 }
 
 static const struct check_case cases[] = {{"a tiny training lowers its loss", learns}};
