@@ -109,6 +109,30 @@ static inline void check_drop_to(size_t n)
   }
 }
 
+static inline size_t check_place_of(const void *thing)
+{
+  size_t place = 0;
+  while (place < check_n_kept && check_kept[place].thing != thing)
+    place++;
+  return place;
+}
+
+/* Drops `thing` and all that was kept after it. */
+static inline void check_drop_from(const void *thing)
+{
+  check_drop_to(check_place_of(thing));
+}
+
+/* Hands a kept thing back to the caller. */
+static inline void *check_take(void *thing)
+{
+  const size_t place = check_place_of(thing);
+  check_n_kept--;
+  for (size_t i = place; i < check_n_kept; i++)
+    check_kept[i] = check_kept[i + 1];
+  return thing;
+}
+
 /* argv[1], if given: only the cases whose name contains it. */
 static inline int check_run(const struct check_case *cases, size_t n, int argc, char **argv)
 {

@@ -3,48 +3,39 @@
 #ifndef MORPHO_TEST_DEVICES_FIXTURE_H
 #define MORPHO_TEST_DEVICES_FIXTURE_H
 
-#include <morpho/compute.h>
-
-#include "../check.h"
-
-#include <stdatomic.h>
+#include "fixture.h"
 
 enum { DESIGNS = 40, ENVIRONMENTS = 10, STEPS = 30, ROBOTS = 2100, ROBOT_STEPS = 4 };
 
-static struct mo_controller *controller;
-static struct mo_lattice *lattice;
 static struct mo_environment environments[ENVIRONMENTS];
 static uint64_t genotypes[DESIGNS][MO_DEFAULT_WORDS];
 static struct mo_body *bodies[DESIGNS];
 static struct mo_robot robots[ROBOTS];
 
-static int setup(void)
+static void make_robots_of_designs(void)
+{
+  struct mo_body_stream *stream = make_body_stream(MO_DEFAULT_WORKSPACE, 3);
+  make_scene();
+  for (uint32_t i = 0; i < ENVIRONMENTS; i++)
+    mo_environment_training(3, 0, i, environments + i);
+  for (uint32_t d = 0; d < DESIGNS; d++) {
+    make_check(mo_body_stream_next(stream, genotypes[d]), "a body");
+    bodies[d] = make_body(lattice, genotypes[d]);
+  }
+  for (uint32_t i = 0; i < ROBOTS; i++)
+    robots[i] = (struct mo_robot){bodies[i % DESIGNS], environments + i % ENVIRONMENTS};
+}
+
+/* Devices without a fault: nothing is set. */
+static void reset(void)
 {
   static const char *const names[] = {"DEVICES", "ROWS", "SHARDS", "SPRINGS", "DELAY_MS", "LOSE",
                                       "SHUT",    "FULL", "ABI",    "HASTE",   "MEET",     "OLDER"};
-  struct mo_body_stream *stream = NULL;
-  for (size_t i = 0; i < sizeof(names) / sizeof(names[0]); i++) {
+  for (size_t i = 0; i < COUNT(names); i++) {
     char name[64];
     snprintf(name, sizeof(name), "MORPHO_FAKE_%s", names[i]);
     unsetenv(name);
   }
-  if (controller != NULL)
-    return 1;
-  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK ||
-      mo_body_stream_create(MO_DEFAULT_WORKSPACE, 3, &stream) != MO_OK ||
-      mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) != MO_OK)
-    return 0;
-  mo_controller_randomize(controller, 5);
-  for (uint32_t i = 0; i < ENVIRONMENTS; i++)
-    mo_environment_training(3, 0, i, environments + i);
-  for (uint32_t d = 0; d < DESIGNS; d++)
-    if (mo_body_stream_next(stream, genotypes[d]) != MO_OK ||
-        mo_body_create(lattice, genotypes[d], &bodies[d]) != MO_OK)
-      return 0;
-  mo_body_stream_free(stream);
-  for (uint32_t i = 0; i < ROBOTS; i++)
-    robots[i] = (struct mo_robot){bodies[i % DESIGNS], environments + i % ENVIRONMENTS};
-  return 1;
 }
 
 static void set(const char *name, const char *value)
@@ -66,12 +57,10 @@ static void note_loss(void *context, const struct mo_device_status *status)
 
 static struct mo_compute *open_devices(const char *n)
 {
-  const struct mo_compute_config config = {.n_workers = 2, .isa = mo_isa_best()};
   const struct mo_devices_config devices = {.module = FAKE_DEVICE, .lost = note_loss};
-  struct mo_compute *compute = NULL;
+  struct mo_compute *compute = make_compute(2);
   struct mo_message message = {.text = ""};
   atomic_store(&n_lost, 0);
-  CHECK_INT(mo_compute_create_cpu(&config, &compute), MO_OK);
   if (n != NULL) {
     set("MORPHO_FAKE_DEVICES", n);
     CHECK_INT(mo_compute_add_devices(compute, &devices, &message), MO_OK);

@@ -3,42 +3,16 @@
  */
 #include "gradient-compare.h"
 
-#include "../check.h"
-
-#include <stdlib.h>
+#include "../make.h"
 
 /* least_cosine 0: printed for comparison alone. */
 static void compare(uint32_t n, uint32_t n_steps, bool trained, double least_cosine)
 {
-  struct mo_controller *controller = NULL;
-  struct mo_lattice *lattice = NULL;
-  struct mo_body_stream *stream = NULL;
-  REQUIRE(mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK);
-  REQUIRE(mo_body_stream_create(MO_DEFAULT_WORKSPACE, 11, &stream) == MO_OK);
-  if (trained) {
-    char path[4096];
-    const char *root = getenv("MORPHO_SOURCE_DIR");
-    snprintf(path, sizeof(path), "%s/data/controllers/bootstrap.safetensors",
-             root != NULL ? root : ".");
-    REQUIRE(mo_controller_read(path, &controller, NULL) == MO_OK);
-  } else {
-    REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) ==
-            MO_OK);
-    mo_controller_randomize(controller, 11);
-  }
-  struct mo_robot *robots = calloc(n, sizeof(*robots));
-  struct mo_body **bodies = calloc(n, sizeof(struct mo_body *));
-  struct mo_environment *environments = calloc(n, sizeof(*environments));
-  REQUIRE(robots != NULL && bodies != NULL && environments != NULL);
-  for (uint32_t i = 0; i < n; i++) {
-    uint64_t bits[MO_DEFAULT_WORDS];
-    REQUIRE(mo_body_stream_next(stream, bits) == MO_OK &&
-            mo_body_create(lattice, bits, &bodies[i]) == MO_OK);
-    mo_environment_training(11, 0, i, environments + i);
-    robots[i] = (struct mo_robot){bodies[i], environments + i};
-  }
-  struct mo_physics physics = mo_default_physics();
-  physics.n_steps = n_steps;
+  const struct mo_controller *controller = trained
+                                               ? make_shipped_controller("bootstrap")
+                                               : make_random_controller(MO_SENSOR_INVERSE_SQRT, 11);
+  const struct mo_robot *robots = make_robots(make_lattice(MO_DEFAULT_WORKSPACE), 11, 11, n);
+  const struct mo_physics physics = physics_of(n_steps);
   /* Without the bound, too, in short lives: long ones would show nothing else. */
   for (int off = 0; off < (n_steps < 500 ? 2 : 1); off++) {
     struct gradient_comparison c;
@@ -70,14 +44,6 @@ static void compare(uint32_t n, uint32_t n_steps, bool trained, double least_cos
     CHECK(least >= least_cosine);
     CHECK_NEAR(c.all.norm_fast / c.all.norm_reference, 1.0, 5e-3);
   }
-  for (uint32_t i = 0; i < n; i++)
-    mo_body_free(bodies[i]);
-  free(bodies);
-  free(robots);
-  free(environments);
-  mo_controller_free(controller);
-  mo_body_stream_free(stream);
-  mo_lattice_free(lattice);
 }
 
 static void short_random(void)

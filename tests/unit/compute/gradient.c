@@ -1,14 +1,6 @@
 /* The gradient of a batch: the same bits for any number of workers and whether or not urgent blocks
  * overtake; cancelled, wrong and out of memory it says so. */
-#include <morpho/compute.h>
-
-#include "../check.h"
-
-#include <pthread.h>
-#include <stdatomic.h>
-#include <stdbool.h>
-#include <time.h>
-#include <unistd.h>
+#include "fixture.h"
 
 enum { ROBOTS = 150 };
 
@@ -21,43 +13,16 @@ enum { ROBOTS = 150 };
 #define LIVES(steps) (steps)
 #endif
 
-static struct mo_controller *controller;
-static struct mo_lattice *lattice;
-static struct mo_body *bodies[ROBOTS];
-static struct mo_environment environments[ROBOTS];
-static struct mo_robot robots[ROBOTS];
+static struct mo_robot *robots;
 static double *d_parameters[2];
 static struct mo_outcome outcomes[2][ROBOTS];
 
-static int setup(void)
+static void setup(void)
 {
-  if (controller != NULL)
-    return 1;
-  struct mo_body_stream *stream = NULL;
-  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK ||
-      mo_body_stream_create(MO_DEFAULT_WORKSPACE, 3, &stream) != MO_OK ||
-      mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) != MO_OK)
-    return 0;
-  mo_controller_randomize(controller, 5);
-  for (uint32_t i = 0; i < ROBOTS; i++) {
-    uint64_t bits[MO_DEFAULT_WORDS];
-    if (mo_body_stream_next(stream, bits) != MO_OK ||
-        mo_body_create(lattice, bits, &bodies[i]) != MO_OK)
-      return 0;
-    mo_environment_training(3, 0, i, environments + i);
-    robots[i] = (struct mo_robot){bodies[i], environments + i};
-  }
-  mo_body_stream_free(stream);
+  make_scene();
+  robots = make_robots(lattice, 3, 3, ROBOTS);
   for (int k = 0; k < 2; k++)
-    d_parameters[k] = malloc(controller->n_parameters * sizeof(double));
-  return d_parameters[0] != NULL && d_parameters[1] != NULL;
-}
-
-static double now_s(void)
-{
-  struct timespec time;
-  clock_gettime(CLOCK_MONOTONIC, &time);
-  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
+    d_parameters[k] = make_zeros(controller->n_parameters, sizeof(double));
 }
 
 /* Stands in front of the real one: fails the block that begins with a certain robot, counts those
@@ -126,13 +91,6 @@ int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_
   return status;
 }
 
-static struct mo_compute *make_compute(uint32_t n_workers)
-{
-  struct mo_compute *compute = NULL;
-  const struct mo_compute_config config = {.n_workers = n_workers, .isa = mo_isa_best(), .nice = 1};
-  return mo_compute_create_cpu(&config, &compute) == MO_OK ? compute : NULL;
-}
-
 static struct mo_gradient_batch make_batch(uint32_t n, uint32_t n_steps, int result)
 {
   struct mo_gradient_batch batch = {.controller = controller,
@@ -156,19 +114,17 @@ static bool same_counts(const struct mo_gradient_counts *a, const struct mo_grad
 
 static bool same_results(uint32_t n)
 {
-  return memcmp(d_parameters[0], d_parameters[1], controller->n_parameters * sizeof(double)) == 0 &&
-         memcmp(outcomes[0], outcomes[1], n * sizeof(outcomes[0][0])) == 0;
+  return SAME(d_parameters[0], d_parameters[1], controller->n_parameters) &&
+         SAME(outcomes[0], outcomes[1], n);
 }
 
 static void same_bits_for_any_workers(void)
 {
-  REQUIRE(setup());
   static const uint32_t workers[] = {1, 2, 7};
   struct mo_gradient_counts first = {0};
   for (int run = 0; run < 3; run++) {
     struct mo_compute *compute = make_compute(workers[run]);
-    struct mo_gradient_state *state = NULL;
-    REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
+    struct mo_gradient_state *state = make_gradient_state(compute);
     for (int again = 0; again < 2; again++) { /* the second call finds everything made */
       struct mo_gradient_batch batch =
           make_batch(ROBOTS, LIVES(40), run == 0 && again == 0 ? 0 : 1);
@@ -180,14 +136,12 @@ static void same_bits_for_any_workers(void)
       else
         CHECK(same_results(ROBOTS) && same_counts(&batch.counts, &first));
     }
-    struct mo_compute_stats stats;
-    mo_compute_get_stats(compute, &stats);
+    const struct mo_compute_stats stats = stats_of(compute);
     CHECK_INT(stats.gradient_robots_done, 2 * ROBOTS);
     CHECK_INT(stats.gradient_robots_diverged + stats.gradient_robots_zeroed, 0);
     CHECK_INT(stats.blocks_done, 2 * ((ROBOTS + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS));
     CHECK_INT(stats.rollouts_done, 0);
-    mo_gradient_state_free(state);
-    mo_compute_free(compute);
+    check_drop_from(compute);
   }
   double largest = 0;
   for (size_t i = 0; i < controller->n_parameters; i++)
@@ -204,12 +158,12 @@ static void add_plainly(const struct mo_robot *list, uint32_t n_robots, double *
 {
   static uint32_t order[MANY];
   const size_t n = controller->n_parameters;
-  float *block = malloc(n * sizeof(float));
-  double *shard = malloc(n * sizeof(double));
+  float *block = make_zeros(n, sizeof(float));
+  double *shard = make_zeros(n, sizeof(double));
   CHECK_INT(mo_gradient_arrange(list, n_robots, order), MO_OK);
   memset(by_shards, 0, n * sizeof(double));
   memset(in_one_row, 0, n * sizeof(double));
-  for (uint32_t first = 0; first < n_robots && block != NULL && shard != NULL; first += SHARD) {
+  for (uint32_t first = 0; first < n_robots; first += SHARD) {
     memset(shard, 0, n * sizeof(double));
     for (uint32_t at = first; at < first + SHARD && at < n_robots; at += MO_GRADIENT_ROBOTS) {
       make_up(order[at], block);
@@ -221,55 +175,47 @@ static void add_plainly(const struct mo_robot *list, uint32_t n_robots, double *
     for (size_t i = 0; i < n; i++)
       by_shards[i] += shard[i];
   }
-  free(shard);
-  free(block);
+  check_drop_from(block);
 }
 
 /* Blocks of 32 robots are added in order within shards of 1024, and these in order. */
 static void shards_are_added_in_order(void)
 {
-  REQUIRE(setup());
   static const uint32_t sizes[] = {MANY, SHARD + 1, SHARD}, workers[] = {1, 3};
   static struct mo_environment many_environments[MANY];
   static struct mo_robot many[MANY];
   static struct mo_outcome many_outcomes[MANY];
-  const size_t bytes = controller->n_parameters * sizeof(double);
-  double *in_one_row = malloc(bytes);
-  REQUIRE(in_one_row != NULL);
+  const size_t n = controller->n_parameters;
+  double *in_one_row = make_zeros(n, sizeof(double));
   for (uint32_t i = 0; i < MANY; i++) {
-    many_environments[i] = environments[i % ROBOTS];
-    many[i] = (struct mo_robot){bodies[i % ROBOTS], &many_environments[i]};
+    many_environments[i] = *robots[i % ROBOTS].environment;
+    many[i] = (struct mo_robot){robots[i % ROBOTS].body, &many_environments[i]};
   }
   plan.made_up = many_environments;
   for (int w = 0; w < 2; w++) {
     struct mo_compute *compute = make_compute(workers[w]);
-    struct mo_gradient_state *state = NULL;
-    REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
-    for (size_t size = 0; size < sizeof(sizes) / sizeof(sizes[0]); size++) {
+    struct mo_gradient_state *state = make_gradient_state(compute);
+    for (size_t size = 0; size < COUNT(sizes); size++) {
       struct mo_gradient_batch batch = make_batch(sizes[size], 1, 0);
       batch.robots = many;
       batch.outcomes = many_outcomes;
       CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
       add_plainly(many, sizes[size], d_parameters[1], in_one_row);
-      CHECK(memcmp(batch.d_parameters, d_parameters[1], bytes) == 0);
+      CHECK(SAME(batch.d_parameters, d_parameters[1], n));
       /* With one shard, and one block more, there is but one order. */
-      CHECK((memcmp(in_one_row, d_parameters[1], bytes) == 0) == (sizes[size] < MANY));
+      CHECK(SAME(in_one_row, d_parameters[1], n) == (sizes[size] < MANY));
     }
-    mo_gradient_state_free(state);
-    mo_compute_free(compute);
+    check_drop_from(compute);
   }
   plan.made_up = NULL;
-  free(in_one_row);
 }
 
 /* The batch's gradient is the mean of its robots' gradients, each robot's outcome is its own. */
 __attribute__((unused)) static void it_is_the_mean(void)
 {
-  REQUIRE(setup());
   enum { N = 40, STEPS = 60 };
   struct mo_compute *compute = make_compute(2);
-  struct mo_gradient_state *state = NULL;
-  REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
+  struct mo_gradient_state *state = make_gradient_state(compute);
   struct mo_gradient_batch batch = make_batch(N, STEPS, 0);
   const struct mo_gradient_options options = {.adjoint_bound = 0.01,
                                               .weight = 1.0 / N,
@@ -284,26 +230,20 @@ __attribute__((unused)) static void it_is_the_mean(void)
   const size_t n = controller->n_parameters;
   memset(d_parameters[1], 0, n * sizeof(double));
   for (uint32_t i = 0; i < N; i++) {
-    CHECK_INT(mo_gradient_reference(bodies[i], controller, environments + i, &batch.physics,
-                                    &options, outcomes[1] + i, d_parameters[1], NULL),
+    CHECK_INT(mo_gradient_reference(robots[i].body, controller, robots[i].environment,
+                                    &batch.physics, &options, outcomes[1] + i, d_parameters[1],
+                                    NULL),
               MO_OK);
     CHECK_NEAR(outcomes[0][i].loss, outcomes[1][i].loss, 1e-3);
     for (int axis = 0; axis < 3; axis++)
       CHECK_NEAR(outcomes[0][i].com_end_m[axis], outcomes[1][i].com_end_m[axis], 1e-3);
   }
-  double ab = 0, aa = 0, bb = 0;
-  for (size_t i = 0; i < n; i++) {
-    ab += d_parameters[0][i] * d_parameters[1][i];
-    aa += d_parameters[0][i] * d_parameters[0][i];
-    bb += d_parameters[1][i] * d_parameters[1][i];
-  }
-  printf("# %d robots, %d steps: 1 - cosine %.2g, norm %.9g against %.9g\n", N, STEPS,
-         1 - ab / sqrt(aa * bb), sqrt(aa), sqrt(bb));
-  CHECK(bb > 0);
-  CHECK(ab / sqrt(aa * bb) > 0.999); /* float32: a mass touches a step earlier or later */
-  CHECK_NEAR(sqrt(aa / bb), 1.0, 1e-3);
-  mo_gradient_state_free(state);
-  mo_compute_free(compute);
+  double ratio;
+  const double cosine = cosine_of(d_parameters[0], d_parameters[1], n, &ratio);
+  printf("# %d robots, %d steps: 1 - cosine %.2g, norms' ratio %.9g\n", N, STEPS, 1 - cosine,
+         ratio);
+  CHECK(cosine > 0.999); /* float32: a mass touches a step earlier or later */
+  CHECK_NEAR(ratio, 1.0, 1e-3);
 }
 
 /* A call in a thread of its own. */
@@ -323,33 +263,36 @@ static void *make_call(void *argument)
   return NULL;
 }
 
-static void fill_block(struct mo_block *block, struct mo_compute_controller *brain, uint32_t body,
-                       uint32_t steps)
+static struct mo_block urgent_block(struct mo_compute_controller *brain, uint32_t i)
 {
-  *block = (struct mo_block){.body = bodies[body],
-                             .controller = brain,
-                             .environments = {environments},
-                             .n_environments = 1,
-                             .physics = mo_default_physics(),
-                             .urgency = MO_INTERACTIVE,
-                             .tag = 9};
-  block->physics.n_steps = steps;
+  struct mo_block block =
+      block_of(NULL, robots[i].body, brain, robots[0].environment, 1, LIVES(20));
+  block.urgency = MO_INTERACTIVE;
+  block.tag = 9;
+  return block;
+}
+
+/* Lets a call begin, with so many blocks inside. */
+static void begin_call(struct call *call, int blocks)
+{
+  atomic_store(&plan.begun, 0);
+  make_check(pthread_create(&call->thread, NULL, make_call, call) != 0, "a thread");
+  while (atomic_load(&plan.begun) < blocks)
+    usleep(100);
 }
 
 /* One worker: interactive scoring blocks come while it is inside a gradient, and neither notices
  * the other. */
 static void urgent_blocks_overtake(void)
 {
-  REQUIRE(setup());
   enum { N = 64, STEPS = LIVES(150), URGENT = 8 };
   struct mo_compute *compute = make_compute(1);
-  struct mo_compute_controller *brain = NULL;
   struct call call = {0};
-  REQUIRE(compute != NULL && mo_gradient_state_create(compute, &call.state) == MO_OK);
-  REQUIRE(mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  call.state = make_gradient_state(compute);
+  struct mo_compute_controller *brain = make_compute_controller(compute, controller);
   struct mo_block calm[URGENT], urgent[URGENT];
   for (uint32_t i = 0; i < URGENT; i++)
-    fill_block(calm + i, brain, i, LIVES(20));
+    calm[i] = urgent_block(brain, i);
   CHECK_INT(mo_compute_run(compute, calm, URGENT), MO_OK);
   struct mo_gradient_batch batch = make_batch(N, STEPS, 0);
   double start_s = now_s();
@@ -357,76 +300,54 @@ static void urgent_blocks_overtake(void)
   const double block_s = (now_s() - start_s) * MO_GRADIENT_ROBOTS / N;
 
   call.batch = make_batch(N, STEPS, 1);
-  atomic_store(&plan.begun, 0);
   atomic_store(&plan.wrong_tags, 0);
-  REQUIRE(pthread_create(&call.thread, NULL, make_call, &call) == 0);
-  while (atomic_load(&plan.begun) == 0)
-    usleep(100);
+  begin_call(&call, 1);
   double worst_s = 0;
   for (uint32_t i = 0; i < URGENT; i++) {
-    fill_block(urgent + i, brain, i, LIVES(20));
+    urgent[i] = urgent_block(brain, i);
     start_s = now_s();
     CHECK_INT(mo_compute_run(compute, urgent + i, 1), MO_OK);
     worst_s = fmax(worst_s, now_s() - start_s);
-    CHECK(memcmp(urgent[i].outcomes, calm[i].outcomes, sizeof(calm[i].outcomes[0])) == 0);
+    CHECK(SAME(urgent[i].outcomes, calm[i].outcomes, 1));
   }
   CHECK(atomic_load(&call.returned) == 0);
   pthread_join(call.thread, NULL);
   CHECK_INT(call.status, MO_OK);
   CHECK(same_results(N) && same_counts(&batch.counts, &call.batch.counts));
   CHECK_INT(atomic_load(&plan.wrong_tags), 0);
-  struct mo_compute_stats stats;
-  mo_compute_get_stats(compute, &stats);
+  const struct mo_compute_stats stats = stats_of(compute);
   CHECK(stats.blocks_preempted >= URGENT / 2); /* a few may fall between two gradient blocks */
   printf("# slowest of %d urgent blocks: %.1f ms, inside gradient blocks of %.0f ms\n", URGENT,
          1e3 * worst_s, 1e3 * block_s);
   CHECK(worst_s < block_s);
-  mo_compute_controller_free(brain);
-  mo_gradient_state_free(call.state);
-  mo_compute_free(compute);
 }
 
 /* An urgent gradient waits for the block that runs and for none that waits. */
 static void urgent_gradients_go_first(void)
 {
-  REQUIRE(setup());
-  enum { CALM = 3 };
   struct mo_compute *compute = make_compute(1);
-  struct mo_compute_controller *brain = NULL;
   struct call calls[2] = {{0}, {0}};
-  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
   for (int i = 0; i < 2; i++) {
-    REQUIRE(mo_gradient_state_create(compute, &calls[i].state) == MO_OK);
+    calls[i].state = make_gradient_state(compute);
     calls[i].batch = make_batch(i == 0 ? ROBOTS : 3, LIVES(30), i);
     calls[i].batch.urgency = i == 0 ? MO_BATCH : MO_INTERACTIVE;
   }
-  atomic_store(&plan.begun, 0);
-  REQUIRE(pthread_create(&calls[0].thread, NULL, make_call, calls) == 0);
-  while (atomic_load(&plan.begun) == 0)
-    usleep(100);
+  begin_call(&calls[0], 1);
   CHECK_INT(mo_compute_gradient(calls[1].state, &calls[1].batch), MO_OK);
   CHECK(atomic_load(&calls[0].returned) == 0);
   pthread_join(calls[0].thread, NULL);
   CHECK_INT(calls[0].status, MO_OK);
-  for (int i = 0; i < 2; i++)
-    mo_gradient_state_free(calls[i].state);
-  mo_compute_controller_free(brain);
-  mo_compute_free(compute);
 }
 
 static void cancelled_calls_come_back(void)
 {
-  REQUIRE(setup());
   struct mo_compute *compute = make_compute(2);
   struct call call = {0};
   int cancel = 0;
-  REQUIRE(compute != NULL && mo_gradient_state_create(compute, &call.state) == MO_OK);
+  call.state = make_gradient_state(compute);
   call.batch = make_batch(ROBOTS, 5000, 1); /* many seconds */
   call.batch.cancel = &cancel;
-  atomic_store(&plan.begun, 0);
-  REQUIRE(pthread_create(&call.thread, NULL, make_call, &call) == 0);
-  while (atomic_load(&plan.begun) < 2)
-    usleep(100);
+  begin_call(&call, 2);
   usleep(20000);
   CHECK(atomic_load(&call.returned) == 0);
   const double start_s = now_s();
@@ -444,22 +365,18 @@ static void cancelled_calls_come_back(void)
   struct mo_gradient_batch batch = make_batch(ROBOTS, LIVES(40), 0);
   CHECK_INT(mo_compute_gradient(call.state, &batch), MO_OK);
   CHECK(same_results(ROBOTS) && same_counts(&batch.counts, &call.batch.counts));
-  mo_gradient_state_free(call.state);
-  mo_compute_free(compute);
 }
 
 /* A block that fails ends the call with its error, whichever block it is; the other blocks in work
  * are waited for. */
 static void failed_blocks_end_the_call(void)
 {
-  REQUIRE(setup());
   struct mo_compute *compute = make_compute(2);
-  struct mo_gradient_state *state = NULL;
-  REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
+  struct mo_gradient_state *state = make_gradient_state(compute);
   atomic_store(&plan.most_inside, 0);
   for (uint32_t robot = 0; robot < ROBOTS; robot += 37) {
     struct mo_gradient_batch batch = make_batch(ROBOTS, 10, 0);
-    plan.fail_at = bodies[robot];
+    plan.fail_at = robots[robot].body;
     plan.status = MO_ERR_NO_MEMORY;
     CHECK_INT(mo_compute_gradient(state, &batch), MO_ERR_NO_MEMORY);
     CHECK_INT(atomic_load(&plan.inside), 0);
@@ -468,23 +385,17 @@ static void failed_blocks_end_the_call(void)
   CHECK(atomic_load(&plan.most_inside) >= 1 && atomic_load(&plan.most_inside) <= 2);
   struct mo_gradient_batch batch = make_batch(ROBOTS, 10, 0);
   CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
-  mo_gradient_state_free(state);
-  mo_compute_free(compute);
 }
 
 static void faults_are_refused(void)
 {
-  REQUIRE(setup());
   struct mo_compute *compute = make_compute(1);
-  struct mo_gradient_state *state = NULL;
-  struct mo_lattice *small = NULL;
-  struct mo_body *stranger = NULL;
   struct mo_robot others[ROBOTS];
-  struct mo_environment bad = environments[0];
+  struct mo_environment bad = *robots[0].environment;
   const uint64_t one = 1;
-  REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
-  REQUIRE(mo_lattice_create((struct mo_workspace){2, 2, 2}, &small) == MO_OK);
-  REQUIRE(mo_body_create(small, &one, &stranger) == MO_OK);
+  struct mo_gradient_state *state = make_gradient_state(compute);
+  struct mo_lattice *small = make_lattice((struct mo_workspace){2, 2, 2});
+  struct mo_body *stranger = make_body(small, &one);
   bad.light_xy_m[1] = NAN;
   enum { FAULTS = 18 };
   for (int fault = 0; fault < FAULTS; fault++) {
@@ -520,36 +431,27 @@ static void faults_are_refused(void)
   CHECK(strcmp(mo_compute_gradient_fingerprint(compute),
                mo_compute_fingerprint(compute, MO_FLOAT32)) != 0);
   mo_gradient_state_free(NULL);
-  mo_body_free(stranger);
-  mo_lattice_free(small);
-  mo_gradient_state_free(state);
-  mo_compute_free(compute);
 }
 
 /* One state serves controllers of different workspaces and sensors, one after the other; diverged
  * robots are counted. */
 static void one_state_takes_any_controller(void)
 {
-  REQUIRE(setup());
   struct mo_compute *compute = make_compute(2);
-  struct mo_gradient_state *state = NULL;
-  struct mo_controller *other = NULL;
-  struct mo_lattice *large = NULL;
-  struct mo_body *body = NULL;
   struct mo_outcome outcome;
-  REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
+  struct mo_gradient_state *state = make_gradient_state(compute);
   const struct mo_workspace workspace = {8, 5, 5};
   uint64_t bits[8] = {0x3f};
-  REQUIRE(mo_lattice_create(workspace, &large) == MO_OK &&
-          mo_body_create(large, bits, &body) == MO_OK);
-  REQUIRE(mo_controller_create(workspace, MO_SENSOR_INVERSE_SQUARE, &other) == MO_OK);
+  struct mo_lattice *large = make_lattice(workspace);
+  struct mo_body *body = make_body(large, bits);
+  struct mo_controller *other = make_controller(workspace, MO_SENSOR_INVERSE_SQUARE);
   mo_controller_randomize(other, 8);
-  double *gradient = malloc(other->n_parameters * sizeof(double));
-  REQUIRE(gradient != NULL && other->n_parameters > controller->n_parameters);
+  double *gradient = make_zeros(other->n_parameters, sizeof(double));
+  CHECK(other->n_parameters > controller->n_parameters);
   for (int round = 0; round < 4; round++) {
     struct mo_gradient_batch batch = make_batch(34, LIVES(20), round / 2);
     if (round % 2 == 1) {
-      const struct mo_robot alone = {body, environments};
+      const struct mo_robot alone = {body, robots[0].environment};
       batch.controller = other;
       batch.robots = &alone;
       batch.n = 1;
@@ -574,93 +476,8 @@ static void one_state_takes_any_controller(void)
   CHECK_INT(diverged, 34);
   CHECK_INT(stiff.counts.diverged_robots, 34);
   CHECK_INT(not_zero, 0);
-  struct mo_compute_stats stats;
-  mo_compute_get_stats(compute, &stats);
+  const struct mo_compute_stats stats = stats_of(compute);
   CHECK_INT(stats.gradient_robots_diverged, 34);
-  free(gradient);
-  mo_controller_free(other);
-  mo_body_free(body);
-  mo_lattice_free(large);
-  mo_gradient_state_free(state);
-  mo_compute_free(compute);
-}
-
-/* Where the tape does not fit its budget, steps are run again: not a bit of any block may show it.
- */
-__attribute__((unused)) static void the_budget_changes_no_bit(void)
-{
-  REQUIRE(setup());
-  enum { STEPS = 40, BLOCKS = ROBOTS / MO_GRADIENT_ROBOTS };
-  static const size_t budgets[] = {MO_GRADIENT_DEFAULT_BYTES, (size_t)4 << 20, 1};
-  const size_t n = controller->n_parameters;
-  struct mo_physics physics = mo_default_physics();
-  const struct mo_gradient_options options = mo_default_gradient_options();
-  struct mo_gradient_pack *pack = NULL;
-  float *gradients = malloc(2 * n * sizeof(float));
-  size_t bytes[3] = {0, 0, 0};
-  physics.n_steps = STEPS;
-  REQUIRE(gradients != NULL && mo_gradient_pack_create(controller, mo_isa_best(), &pack) == MO_OK);
-  for (int block = 0; block < BLOCKS; block++)
-    for (int b = 0; b < 3; b++) {
-      struct mo_gradient_memory *memory = NULL;
-      float *gradient = gradients + (b > 0 ? n : 0);
-      REQUIRE(mo_gradient_memory_create(budgets[b], &memory) == MO_OK);
-      CHECK_INT(__real_mo_gradient_block(memory, pack, robots + (size_t)block * MO_GRADIENT_ROBOTS,
-                                         MO_GRADIENT_ROBOTS, &physics, &options, NULL,
-                                         outcomes[b > 0], gradient, NULL),
-                MO_OK);
-      if (b > 0)
-        CHECK(memcmp(gradients, gradient, n * sizeof(float)) == 0);
-      CHECK(memcmp(outcomes[0], outcomes[b > 0], MO_GRADIENT_ROBOTS * sizeof(outcomes[0][0])) == 0);
-      bytes[b] = mo_gradient_memory_bytes(memory);
-      mo_gradient_memory_free(memory);
-    }
-  CHECK(bytes[0] > bytes[1] && bytes[1] >= bytes[2]);
-  mo_gradient_pack_free(pack);
-  free(gradients);
-}
-
-/* What a worker holds at the default settings: 32 full lattices for 1000 steps, cancelled as soon
- * as the scratch is there. */
-__attribute__((unused)) static int at_once(void *context)
-{
-  (void)context;
-  return 1;
-}
-
-__attribute__((unused)) static void memory_is_bounded(void)
-{
-  REQUIRE(setup());
-  uint64_t bits[MO_DEFAULT_WORDS] = {UINT64_MAX, UINT64_MAX, 0xffff};
-  struct mo_body *full = NULL;
-  struct mo_gradient_memory *memory = NULL;
-  struct mo_gradient_pack *pack = NULL;
-  struct mo_robot many[MO_GRADIENT_ROBOTS];
-  struct mo_outcome results[MO_GRADIENT_ROBOTS];
-  const struct mo_physics physics = mo_default_physics();
-  const struct mo_gradient_options options = mo_default_gradient_options();
-  const struct mo_pause_point pause = {.interval = 1, .reached = at_once};
-  float *gradient = malloc(controller->n_parameters * sizeof(float));
-  REQUIRE(gradient != NULL && mo_body_create(lattice, bits, &full) == MO_OK);
-  REQUIRE(mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory) == MO_OK);
-  REQUIRE(mo_gradient_pack_create(controller, mo_isa_best(), &pack) == MO_OK);
-  for (int i = 0; i < MO_GRADIENT_ROBOTS; i++)
-    many[i] = (struct mo_robot){full, environments + i};
-  CHECK_INT(__real_mo_gradient_block(memory, pack, many, MO_GRADIENT_ROBOTS, &physics, &options,
-                                     &pause, results, gradient, NULL),
-            MO_ERR_CANCELLED);
-  const size_t scratch = mo_gradient_memory_bytes(memory), scoring = (size_t)16 << 20,
-               slots = 2 * controller->n_parameters * sizeof(float);
-  printf("# scratch %.1f MiB, two results %.1f MiB, pack (shared) %.1f MiB; scoring takes at most "
-         "16 MiB\n",
-         (double)scratch / (1 << 20), (double)slots / (1 << 20),
-         (double)mo_gradient_pack_bytes(pack) / (1 << 20));
-  CHECK(scratch > 0 && scratch + slots + scoring + mo_gradient_pack_bytes(pack) <= (size_t)512
-                                                                                       << 20);
-  free(gradient);
-  mo_gradient_pack_free(pack);
-  mo_gradient_memory_free(memory);
-  mo_body_free(full);
 }
 
 static const struct check_case cases[] = {
@@ -674,8 +491,6 @@ static const struct check_case cases[] = {
     {"one state takes any controller", one_state_takes_any_controller},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing of it is shared */
     {"it is the mean", it_is_the_mean},
-    {"the budget changes no bit", the_budget_changes_no_bit},
-    {"memory is bounded", memory_is_bounded},
 #endif
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_WITH(setup, cases)

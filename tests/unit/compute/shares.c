@@ -1,15 +1,7 @@
 /* Shares on running workers: time by weight between submitters of short and long blocks and of
  * gradients, urgent blocks charged to no share, the same bits in any order, and shares that come
  * and go. fair.c has the arithmetic. */
-#include <morpho/compute.h>
-
-#include "../check.h"
-
-#include <pthread.h>
-#include <stdatomic.h>
-#include <stdbool.h>
-#include <time.h>
-#include <unistd.h>
+#include "fixture.h"
 
 enum { BODIES = 64, ROBOTS = 320, INSIDE = 6, LENGTHS = 3 };
 
@@ -31,63 +23,24 @@ static const double tolerance = 0.3;
 static const uint32_t lengths[LENGTHS] = {10, 60, 200}; /* steps */
 static const double tolerance = 0.1;
 #endif
-static struct mo_controller *controller;
-static struct mo_lattice *lattice;
-static struct mo_environment environments[MO_PAPER_TEST_COUNT], training_environments[ROBOTS];
-static struct mo_body *bodies[BODIES];
-static struct mo_robot robots[ROBOTS];
+static struct mo_environment environments[MO_PAPER_TEST_COUNT];
+static struct mo_robot *robots;
 static struct mo_outcome expected[LENGTHS][MO_BLOCK_LANES];
 
-static int setup(void)
+static void setup(void)
 {
-  if (controller != NULL)
-    return 1;
-  struct mo_body_stream *stream = NULL;
+  make_scene();
   mo_environment_paper_test(environments);
-  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK ||
-      mo_body_stream_create(MO_DEFAULT_WORKSPACE, 3, &stream) != MO_OK ||
-      mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) != MO_OK)
-    return 0;
-  mo_controller_randomize(controller, 5);
-  for (uint32_t i = 0; i < BODIES; i++) {
-    uint64_t bits[MO_DEFAULT_WORDS];
-    if (mo_body_stream_next(stream, bits) != MO_OK ||
-        mo_body_create(lattice, bits, &bodies[i]) != MO_OK)
-      return 0;
-  }
-  for (uint32_t i = 0; i < ROBOTS; i++) {
-    mo_environment_training(3, 0, i, training_environments + i);
-    robots[i] = (struct mo_robot){bodies[i % BODIES], training_environments + i};
-  }
-  mo_body_stream_free(stream);
-  return 1;
-}
-
-static double now_s(void)
-{
-  struct timespec time;
-  clock_gettime(CLOCK_MONOTONIC, &time);
-  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
-}
-
-static struct mo_compute *make_compute(uint32_t n_workers)
-{
-  struct mo_compute *compute = NULL;
-  const struct mo_compute_config config = {.n_workers = n_workers, .isa = mo_isa_best()};
-  return mo_compute_create_cpu(&config, &compute) == MO_OK ? compute : NULL;
+  robots = make_robots(lattice, 3, 3, ROBOTS);
+  for (uint32_t i = BODIES; i < ROBOTS; i++)
+    robots[i].body = robots[i % BODIES].body;
 }
 
 static void fill_block(struct mo_block *block, struct mo_compute_controller *brain,
                        struct mo_compute_share *share, uint32_t steps)
 {
-  *block = (struct mo_block){.body = bodies[7],
-                             .controller = brain,
-                             .n_environments = MO_PAPER_TEST_COUNT,
-                             .physics = mo_default_physics(),
-                             .share = share};
-  block->physics.n_steps = steps;
-  for (uint32_t i = 0; i < MO_PAPER_TEST_COUNT; i++)
-    block->environments[i] = environments + i;
+  *block = block_of(NULL, robots[7].body, brain, environments, MO_PAPER_TEST_COUNT, steps);
+  block->share = share;
 }
 
 /* ---- submitters that keep INSIDE blocks queued or running until they are told to stop ---- */
@@ -145,11 +98,8 @@ static void begin(struct submitter *submitter, struct mo_compute *compute,
 
 static int end(struct submitter *submitter)
 {
-  const double late_s = now_s() + 60;
   atomic_store(&submitter->stop, true);
-  while (atomic_load(&submitter->inside) > 0 && now_s() < late_s)
-    usleep(500);
-  return atomic_load(&submitter->inside) == 0 && atomic_load(&submitter->wrong) == 0;
+  return await(&submitter->inside, 0) && atomic_load(&submitter->wrong) == 0;
 }
 
 static double busy_s(const struct mo_compute_share *share)
@@ -200,15 +150,13 @@ static int expect(struct mo_compute *compute, struct mo_compute_controller *brai
 
 static void time_by_weight(void)
 {
-  REQUIRE(setup());
   struct mo_compute *compute = make_compute(2);
-  struct mo_compute_controller *brain = NULL;
   struct mo_compute_share *shares[3];
   static struct submitter submitters[3];
-  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  struct mo_compute_controller *brain = make_compute_controller(compute, controller);
   REQUIRE(expect(compute, brain) == MO_OK);
   for (int i = 0; i < 3; i++)
-    REQUIRE(mo_compute_share_create(compute, 1 << i, &shares[i]) == MO_OK);
+    shares[i] = make_compute_share(compute, 1 << i);
   begin(&submitters[0], compute, brain, shares[0], 2, 1); /* long ones alone */
   begin(&submitters[1], compute, brain, shares[1], 0, 1); /* short ones alone */
   begin(&submitters[2], compute, brain, shares[2], 0, 3);
@@ -221,10 +169,7 @@ static void time_by_weight(void)
     mo_compute_share_get_stats(shares[i], &stats);
     CHECK_INT(stats.waiting, 0);
     CHECK(stats.blocks_done > 0 && stats.urgent_s == 0);
-    mo_compute_share_free(shares[i]);
   }
-  mo_compute_controller_free(brain);
-  mo_compute_free(compute);
 }
 
 /* ---- gradients ---- */
@@ -263,16 +208,14 @@ static void *learn(void *argument)
  */
 static void gradients_beside_scores(void)
 {
-  REQUIRE(setup());
   struct mo_compute *compute = make_compute(2);
-  struct mo_compute_controller *brain = NULL;
   struct mo_compute_share *shares[2];
   static struct submitter submitter;
   pthread_t thread;
-  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  struct mo_compute_controller *brain = make_compute_controller(compute, controller);
   REQUIRE(expect(compute, brain) == MO_OK);
   for (int i = 0; i < 2; i++)
-    REQUIRE(mo_compute_share_create(compute, 1, &shares[i]) == MO_OK);
+    shares[i] = make_compute_share(compute, 1);
   struct learner learner = {.compute = compute, .share = shares[0]};
   REQUIRE(pthread_create(&thread, NULL, learn, &learner) == 0);
   begin(&submitter, compute, brain, shares[1], 0, 3);
@@ -281,44 +224,23 @@ static void gradients_beside_scores(void)
   pthread_join(thread, NULL);
   CHECK_INT(learner.status, MO_OK);
   CHECK(end(&submitter));
-  for (int i = 0; i < 2; i++)
-    mo_compute_share_free(shares[i]);
-  mo_compute_controller_free(brain);
-  mo_compute_free(compute);
 }
 
 /* ---- urgent blocks ---- */
 
-static void note(struct mo_block *block, void *context)
-{
-  (void)block;
-  atomic_fetch_add((atomic_int *)context, 1);
-}
-
-static bool await(atomic_int *done, int n)
-{
-  const double late_s = now_s() + 60;
-  while (atomic_load(done) < n && now_s() < late_s)
-    usleep(200);
-  return atomic_load(done) == n;
-}
-
 static void urgent_blocks_are_charged_to_nobody(void)
 {
-  REQUIRE(setup());
   struct mo_compute *compute = make_compute(1);
-  struct mo_compute_controller *brain = NULL;
-  struct mo_compute_share *calm = NULL, *hasty = NULL;
   struct mo_block slow, urgent[4];
   atomic_int done = 0;
   int cancel = 0;
-  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
-  REQUIRE(mo_compute_share_create(compute, 1, &calm) == MO_OK);
-  REQUIRE(mo_compute_share_create(compute, 1, &hasty) == MO_OK);
+  struct mo_compute_controller *brain = make_compute_controller(compute, controller);
+  struct mo_compute_share *calm = make_compute_share(compute, 1);
+  struct mo_compute_share *hasty = make_compute_share(compute, 1);
   fill_block(&slow, brain, calm,
              MO_STEPS_MAX); /* runs as long as the urgent ones take, then cancelled */
   slow.cancel = &cancel;
-  slow.done = note;
+  slow.done = count_one;
   slow.context = &done;
   REQUIRE(mo_compute_submit(compute, &slow) == MO_OK);
   struct mo_compute_stats stats;
@@ -329,7 +251,7 @@ static void urgent_blocks_are_charged_to_nobody(void)
   for (int i = 0; i < 4; i++) {
     fill_block(urgent + i, brain, hasty, 5 * lengths[2]);
     urgent[i].urgency = MO_INTERACTIVE;
-    urgent[i].done = note;
+    urgent[i].done = count_one;
     urgent[i].context = &done;
     REQUIRE(mo_compute_submit(compute, urgent + i) == MO_OK);
   }
@@ -353,10 +275,6 @@ static void urgent_blocks_are_charged_to_nobody(void)
    * loaded the machine is. */
   CHECK(of_calm.busy_s + of_hasty.busy_s <= (1 + 1e-9) * stats.busy_s);
   CHECK(of_calm.busy_s + of_hasty.busy_s > stats.busy_s / 2);
-  mo_compute_share_free(calm);
-  mo_compute_share_free(hasty);
-  mo_compute_controller_free(brain);
-  mo_compute_free(compute);
 }
 
 /* ---- shares that come and go ---- */
@@ -385,7 +303,7 @@ static void *visit(void *argument)
       fill_block(blocks + i, visitor->brain, share, i == 0 ? MO_STEPS_MAX : lengths[0]);
       blocks[i].cancel = &cancel;
       blocks[i].urgency = i == 3 ? MO_INTERACTIVE : MO_BATCH;
-      blocks[i].done = note;
+      blocks[i].done = count_one;
       blocks[i].context = &done;
       if (mo_compute_submit(visitor->compute, blocks + i) != MO_OK)
         atomic_fetch_add(visitor->wrong, 1);
@@ -404,11 +322,9 @@ static void *visit(void *argument)
 
 static void shares_come_and_go(void)
 {
-  REQUIRE(setup());
   enum { THREADS = 6 };
   struct mo_compute *compute = make_compute(3);
-  struct mo_compute_controller *brain = NULL;
-  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  struct mo_compute_controller *brain = make_compute_controller(compute, controller);
   pthread_t threads[THREADS];
   struct visitor visitors[THREADS];
   atomic_int wrong = 0;
@@ -419,36 +335,29 @@ static void shares_come_and_go(void)
   for (int i = 0; i < THREADS; i++)
     pthread_join(threads[i], NULL);
   CHECK_INT(atomic_load(&wrong), 0);
-  struct mo_compute_stats stats;
-  mo_compute_get_stats(compute, &stats);
+  const struct mo_compute_stats stats = stats_of(compute);
   CHECK_INT(stats.queued_batch + stats.queued_interactive, 0);
-  mo_compute_controller_free(brain);
-  mo_compute_free(compute);
 }
 
 /* The back end ends while blocks of shares wait: all come back, and the shares may be freed after
  * it. */
 static void the_end_with_blocks_waiting(void)
 {
-  REQUIRE(setup());
   enum { N = 8 };
   struct mo_compute *compute = make_compute(1), *other = make_compute(1);
-  struct mo_compute_controller *brain = NULL;
   struct mo_compute_share *shares[2];
   struct mo_block blocks[N];
   atomic_int done = 0;
-  REQUIRE(compute != NULL && other != NULL &&
-          mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  struct mo_compute_controller *brain = make_compute_controller(compute, controller);
   for (int i = 0; i < 2; i++)
-    REQUIRE(mo_compute_share_create(compute, i == 0 ? -1 : 1e9, &shares[i]) == MO_OK);
+    shares[i] = make_compute_share(compute, i == 0 ? -1 : 1e9);
   for (int i = 0; i < N; i++) {
     fill_block(blocks + i, brain, shares[i % 2], MO_STEPS_MAX);
-    blocks[i].done = note;
+    blocks[i].done = count_one;
     blocks[i].context = &done;
     CHECK_INT(mo_compute_submit(other, blocks + i), MO_ERR_INVALID); /* not its share */
     REQUIRE(mo_compute_submit(compute, blocks + i) == MO_OK);
   }
-  struct mo_gradient_state *state = NULL;
   struct mo_gradient_batch batch = {.controller = controller,
                                     .robots = robots,
                                     .n = 1,
@@ -456,18 +365,13 @@ static void the_end_with_blocks_waiting(void)
                                     .share = shares[0],
                                     .d_parameters = (double[1]){0},
                                     .outcomes = blocks[0].outcomes};
-  REQUIRE(mo_gradient_state_create(other, &state) == MO_OK);
+  struct mo_gradient_state *state = make_gradient_state(other);
   CHECK_INT(mo_compute_gradient(state, &batch), MO_ERR_INVALID);
-  mo_gradient_state_free(state);
-  mo_compute_free(other);
-  mo_compute_free(compute);
+  mo_compute_free(check_take(compute));
   CHECK_INT(atomic_load(&done), N);
   for (int i = 0; i < N; i++)
     CHECK_INT(blocks[i].status, MO_ERR_CANCELLED);
-  for (int i = 0; i < 2; i++)
-    mo_compute_share_free(shares[i]);
   mo_compute_share_free(NULL);
-  mo_compute_controller_free(brain);
 }
 
 static const struct check_case cases[] = {
@@ -477,4 +381,4 @@ static const struct check_case cases[] = {
     {"shares come and go", shares_come_and_go},
     {"the end with blocks waiting", the_end_with_blocks_waiting},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_WITH(setup, cases)

@@ -1,5 +1,5 @@
 /* forward.c: the network against closed forms, and against itself on subsets of springs. */
-#include "../check.h"
+#include "../make.h"
 
 #include <morpho/controller.h>
 #include <morpho/random.h>
@@ -39,12 +39,9 @@ static void textbook(const struct mo_controller *c, const double *inputs, double
 
 static void against_textbook(void)
 {
-  struct mo_controller *c = NULL;
-  REQUIRE(mo_controller_create((struct mo_workspace){2, 1, 2}, MO_SENSOR_INVERSE_SQRT, &c) ==
-          MO_OK);
+  struct mo_controller *c = make_controller((struct mo_workspace){2, 1, 2}, MO_SENSOR_INVERSE_SQRT);
   mo_controller_randomize(c, 7);
-  struct mo_random random;
-  mo_random_init(&random, 1, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(1, 0, 0);
   for (int l = 0; l < 4; l++)
     for (uint32_t i = 0; i < (l < 3 ? 256 : c->n_springs); i++) {
       c->bias[l][i] = (float)mo_random_normal(&random);
@@ -71,16 +68,13 @@ static void against_textbook(void)
     for (int i = 0; i < 3; i++)
       CHECK(some[i] == all[springs[i]]); /* bit for bit */
   }
-  mo_controller_free(c);
 }
 
 /* With zero matrices a hidden layer is ReLU(shift), whatever its bias: the normalized part of a
  * constant layer is 0. */
 static void closed_form(void)
 {
-  struct mo_controller *c = NULL;
-  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) ==
-          MO_OK);
+  struct mo_controller *c = make_controller((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT);
   for (int i = 0; i < 256; i++) {
     c->bias[2][i] = 3.0F;
     c->norm_shift[2][i] = i % 2 ? 0.25F : -0.25F;
@@ -92,7 +86,6 @@ static void closed_form(void)
   CHECK_NEAR(outputs[0], tanh(128 * 0.25 / 64), 1e-15);
   CHECK_NEAR(outputs[1], tanh(0.5), 1e-15);
   CHECK_NEAR(outputs[2], 0, 0);
-  mo_controller_free(c);
 }
 
 static const struct check_case cases[] = {{"closed form", closed_form},

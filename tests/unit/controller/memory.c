@@ -140,7 +140,7 @@ int main(int argc, char **argv)
       mo_controller_encode(shared, &file, &file_size) < 0 ||
       mo_lattice_create(tiny, &lattice) < 0 || mo_body_create(lattice, &bits, &body) < 0)
     return 1;
-  const int r = check_run(cases, sizeof(cases) / sizeof(cases[0]), argc, argv);
+  const int r = check_run(cases, COUNT(cases), argc, argv);
   mo_body_free(body);
   mo_lattice_free(lattice);
   mo_controller_free(shared);

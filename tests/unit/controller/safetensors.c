@@ -1,6 +1,6 @@
 /* safetensors.c: files of controllers, kind and hostile. The hostile ones start from a good 1x1x1
  * file; a text of its header is replaced, and the message must name the fault. */
-#include "../check.h"
+#include "../make.h"
 
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -183,7 +183,7 @@ static void hostile_headers(void)
   REQUIRE(good.bytes != NULL);
   char *header = header_text(&good);
   REQUIRE(header != NULL);
-  for (size_t i = 0; i < sizeof(edits) / sizeof(edits[0]); i++) {
+  for (size_t i = 0; i < COUNT(edits); i++) {
     const struct edit *e = &edits[i];
     const char *at = strstr(header, e->find);
     if (at == NULL) {
@@ -217,7 +217,7 @@ static void not_an_object(void)
   struct blob good = good_file();
   REQUIRE(good.bytes != NULL);
   const char *const texts[] = {"", "[]", " {}", "\xef\xbb\xbf{}", "null", "\"{\"", "\n{}"};
-  for (size_t i = 0; i < sizeof(texts) / sizeof(texts[0]); i++)
+  for (size_t i = 0; i < COUNT(texts); i++)
     expect_header(&good, texts[i], texts[i], strlen(texts[i]), MO_ERR_FORMAT,
                   "its first byte must be '{'");
   expect_header(&good, "unfinished", "{", 1, MO_ERR_FORMAT, "not valid JSON");
@@ -281,7 +281,7 @@ static void lengths(void)
                 {1 << 20, MO_ERR_FORMAT},       {good.size - 7, MO_ERR_FORMAT},
                 {good.size - 8, MO_ERR_FORMAT}, {0, MO_ERR_FORMAT},
                 {header - 8, MO_ERR_FORMAT},    {header + 8, MO_ERR_FORMAT}};
-  for (size_t i = 0; i < sizeof(claims) / sizeof(claims[0]); i++) {
+  for (size_t i = 0; i < COUNT(claims); i++) {
     memcpy(good.bytes, &claims[i].claim, 8);
     expect("header length", &good, claims[i].code, NULL);
   }
@@ -381,8 +381,7 @@ static void random_damage(void)
   REQUIRE(good.bytes != NULL);
   uint64_t header;
   memcpy(&header, good.bytes, 8);
-  struct mo_random random;
-  mo_random_init(&random, 11, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(11, 0, 0);
   int accepted = 0, refused = 0;
   for (int trial = 0; trial < 20000; trial++) {
     uint8_t saved[4];
@@ -417,10 +416,10 @@ static void random_damage(void)
 
 static void round_trip(void)
 {
-  struct mo_controller *a = NULL, *b = NULL;
+  struct mo_controller *b = NULL;
   struct mo_message message = {""};
-  REQUIRE(mo_controller_create((struct mo_workspace){2, 1, 3}, MO_SENSOR_INVERSE_SQUARE, &a) ==
-          MO_OK);
+  struct mo_controller *a =
+      make_controller((struct mo_workspace){2, 1, 3}, MO_SENSOR_INVERSE_SQUARE);
   mo_controller_randomize(a, 9);
   CHECK_INT(
       mo_controller_set_metadata(a, "note", "\"quotes\" \\ \b\f\n\r\t \x01\x1f\x7f / \xc2\xb5"),
@@ -441,7 +440,6 @@ static void round_trip(void)
   CHECK(first.size == second.size && memcmp(first.bytes, second.bytes, first.size) == 0);
   free(first.bytes);
   free(second.bytes);
-  mo_controller_free(a);
   mo_controller_free(b);
 }
 
@@ -545,9 +543,8 @@ static void read_faults(void)
   CHECK_INT(mo_controller_read(path, &c, &message), MO_ERR_FORMAT);
   CHECK_TEXT(message.text, "tensor net.0.weight is missing");
   /* A sparse file beyond the limit. */
-  if (ftruncate(fd, (off_t)MO_CONTROLLER_FILE_MAX + 1) == 0) {
+  if (ftruncate(fd, (off_t)MO_CONTROLLER_FILE_MAX + 1) == 0)
     CHECK_INT(mo_controller_read(path, &c, &message), MO_ERR_LIMIT);
-  }
   close(fd);
   unlink(path);
   CHECK(c == NULL);
@@ -555,9 +552,7 @@ static void read_faults(void)
 
 static void header_overflow(void)
 {
-  struct mo_controller *c = NULL;
-  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) ==
-          MO_OK);
+  struct mo_controller *c = make_controller((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT);
   char *text = calloc(1, 65537), key[8];
   REQUIRE(text != NULL);
   memset(text, 'a', 65536);
@@ -569,7 +564,6 @@ static void header_overflow(void)
   CHECK_INT(mo_controller_encode(c, &blob.bytes, &blob.size), MO_ERR_LIMIT);
   CHECK(blob.bytes == NULL);
   free(text);
-  mo_controller_free(c);
 }
 
 static const struct check_case cases[] = {
@@ -592,7 +586,7 @@ int main(int argc, char **argv)
     printf("Bail out! no temporary folder\n");
     return 1;
   }
-  const int r = check_run(cases, sizeof(cases) / sizeof(cases[0]), argc, argv);
+  const int r = check_run(cases, COUNT(cases), argc, argv);
   rmdir(folder);
   return r;
 }

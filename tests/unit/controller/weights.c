@@ -1,5 +1,5 @@
 /* weights.c: a controller in memory: sizes, views, initial weights, metadata, names. */
-#include "../check.h"
+#include "../make.h"
 
 #include <morpho/controller.h>
 
@@ -7,8 +7,7 @@ static const struct mo_workspace tiny = {1, 1, 1};
 
 static void sizes(void)
 {
-  struct mo_controller *c = NULL;
-  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
+  struct mo_controller *c = make_controller(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT);
   CHECK_INT(c->n_parameters, 620912);
   CHECK_INT(c->n_inputs, 250);
   CHECK_INT(c->n_springs, 1648);
@@ -28,7 +27,6 @@ static void sizes(void)
                      (p >= c->norm_gain[2] && p < c->norm_gain[2] + 256);
     REQUIRE(*p == (gain ? 1.0F : 0.0F));
   }
-  mo_controller_free(c);
   mo_controller_free(NULL);
 }
 
@@ -48,9 +46,8 @@ static void refuses_sizes(void)
 
 static void randomize(void)
 {
-  struct mo_controller *a = NULL, *b = NULL;
-  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &a) == MO_OK);
-  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &b) == MO_OK);
+  struct mo_controller *a = make_controller(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT);
+  struct mo_controller *b = make_controller(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT);
   b->bias[0][3] = 5.0F;
   b->norm_shift[1][3] = 5.0F;
   mo_controller_randomize(a, 42);
@@ -76,14 +73,11 @@ static void randomize(void)
   }
   for (int i = 0; i < 256; i++)
     REQUIRE(a->bias[0][i] == 0 && a->norm_gain[2][i] == 1 && a->norm_shift[2][i] == 0);
-  mo_controller_free(a);
-  mo_controller_free(b);
 }
 
 static void metadata(void)
 {
-  struct mo_controller *c = NULL;
-  REQUIRE(mo_controller_create(tiny, MO_SENSOR_INVERSE_SQUARE, &c) == MO_OK);
+  struct mo_controller *c = make_controller(tiny, MO_SENSOR_INVERSE_SQUARE);
   CHECK_TEXT(mo_controller_get_metadata(c, "sensor"), "inverse_square");
   CHECK_TEXT(mo_controller_get_metadata(c, "workspace"), "1x1x1");
   CHECK_TEXT(mo_controller_get_metadata(c, "mass_order"), "x-major lattice (x*2+y)*2+z");
@@ -107,7 +101,7 @@ static void metadata(void)
                               "\xee\x80\x80",
                               "\xf0\x90\x80\x80",
                               "\xf4\x8f\xbf\xbf"};
-  for (size_t i = 0; i < sizeof(good) / sizeof(good[0]); i++)
+  for (size_t i = 0; i < COUNT(good); i++)
     CHECK_INT(mo_controller_set_metadata(c, "note", good[i]), MO_OK);
   const char *const bad[] = {"\xff",
                              "\x80",
@@ -121,7 +115,7 @@ static void metadata(void)
                              "\xf4\x90\x80\x80",
                              "\xe2\x82",
                              "\xf8\x88\x80\x80\x80"};
-  for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)
+  for (size_t i = 0; i < COUNT(bad); i++)
     CHECK_INT(mo_controller_set_metadata(c, "note", bad[i]), MO_ERR_INVALID);
   CHECK_INT(mo_controller_set_metadata(c, "\xc3", "x"), MO_ERR_INVALID);
   CHECK_INT(mo_controller_set_metadata(c, "note", NULL), MO_ERR_INVALID);
@@ -139,7 +133,6 @@ static void metadata(void)
   }
   CHECK_INT(mo_controller_set_metadata(c, "one more", ""), MO_ERR_LIMIT);
   CHECK_INT(mo_controller_set_metadata(c, "note", "still possible"), MO_OK);
-  mo_controller_free(c);
 }
 
 static void sensors(void)

@@ -2,14 +2,11 @@
  * that names the kernels' version. So a change of any bit, wanted or not, must be seen here: 50
  * rollouts per instruction set and precision, hashed. A change of bits on purpose raises
  * MO_KERNEL_VERSION and writes the hashes that this test prints into the table. */
-#include <morpho/rollout.h>
-
-#include "../check.h"
+#include "../make.h"
 #include "compute/internal.h"
 
 #include <gnu/libc-version.h>
 #include <inttypes.h>
-#include <stdlib.h>
 
 #define HASHED_VERSION 1 /* the MO_KERNEL_VERSION that the hashes belong to */
 
@@ -32,27 +29,20 @@ static struct mo_controller *controller;
 static struct mo_lattice *lattice;
 static struct mo_environment environments[ENVIRONMENTS];
 
-static int setup(void)
+static void setup(void)
 {
-  if (controller != NULL)
-    return 1;
-  char path[4096];
-  const char *root = getenv("MORPHO_SOURCE_DIR");
-  snprintf(path, sizeof(path), "%s/data/controllers/bootstrap.safetensors",
-           root != NULL ? root : ".");
   mo_environment_paper_test(environments);
-  return mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK &&
-         mo_controller_read(path, &controller, NULL) == MO_OK;
+  lattice = make_lattice(MO_DEFAULT_WORKSPACE);
+  controller = make_shipped_controller("bootstrap");
 }
 
 /* 1 voxel, three random bodies, all 144 voxels. */
-static struct mo_body *body_number(uint32_t number)
+static const struct mo_body *body_number(uint32_t number)
 {
   static const uint32_t size[BODIES] = {1, 4, 14, 40, MO_DEFAULT_VOXELS};
   const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
   uint64_t bits[MO_DEFAULT_WORDS];
-  struct mo_random random;
-  mo_random_init(&random, 21, MO_PURPOSE_CHECK, 0, number);
+  struct mo_random random = dice(21, 0, number);
   do {
     memset(bits, 0, sizeof(bits));
     for (uint32_t v = 0; v < MO_DEFAULT_VOXELS; v++)
@@ -63,15 +53,13 @@ static struct mo_body *body_number(uint32_t number)
     mo_genotype_keep_largest(workspace, bits);
   } while (mo_genotype_count(workspace, bits) < size[number]);
   mo_genotype_place(workspace, bits);
-  struct mo_body *body = NULL;
-  return mo_body_create(lattice, bits, &body) == MO_OK ? body : NULL;
+  return make_body(lattice, bits);
 }
 
 /* Both impact modes and both sensors; stiff springs, which diverge, for one body. */
 static struct mo_physics physics_number(uint32_t number)
 {
-  struct mo_physics physics = mo_default_physics();
-  physics.n_steps = STEPS;
+  struct mo_physics physics = physics_of(STEPS);
   physics.impact = number % 2 == 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
   if (number == 3)
     physics.stiffness_n_per_m = 22500;
@@ -81,13 +69,6 @@ static struct mo_physics physics_number(uint32_t number)
 static enum mo_sensor sensor_number(uint32_t number)
 {
   return number % 3 == 2 ? MO_SENSOR_INVERSE_SQUARE : MO_SENSOR_INVERSE_SQRT;
-}
-
-/* FNV-1a. */
-static void hash(uint64_t *h, const void *bytes, size_t n)
-{
-  for (size_t i = 0; i < n; i++)
-    *h = (*h ^ ((const uint8_t *)bytes)[i]) * UINT64_C(0x100000001b3);
 }
 
 static void hash_outcome(uint64_t *h, const struct mo_outcome *outcome,
@@ -101,10 +82,8 @@ static void hash_outcome(uint64_t *h, const struct mo_outcome *outcome,
 
 static void kernels(void)
 {
-  REQUIRE(setup());
   CHECK_INT(MO_KERNEL_VERSION, HASHED_VERSION);
-  struct mo_workspace_memory *memory = NULL;
-  REQUIRE(mo_workspace_memory_create(&memory) == MO_OK);
+  struct mo_workspace_memory *memory = make_workspace_memory();
   const struct mo_environment *list[ENVIRONMENTS];
   for (uint32_t e = 0; e < ENVIRONMENTS; e++)
     list[e] = environments + e;
@@ -114,21 +93,19 @@ static void kernels(void)
         printf("# %s: not on this processor\n", mo_isa_name((enum mo_isa)isa));
         continue;
       }
-      uint64_t h = UINT64_C(0xcbf29ce484222325);
+      uint64_t h = FNV_START;
       int diverged = 0;
       for (uint32_t number = 0; number < BODIES; number++) {
-        struct mo_body *body = body_number(number);
+        const struct mo_body *body = body_number(number);
         const struct mo_physics physics = physics_number(number);
         struct mo_outcome outcomes[ENVIRONMENTS];
         double com[ENVIRONMENTS][FRAMES * 3];
         struct mo_recording recordings[ENVIRONMENTS];
         for (uint32_t e = 0; e < ENVIRONMENTS; e++)
           recordings[e] = (struct mo_recording){.stride = STRIDE, .com_m = com[e]};
-        struct mo_pack *pack = NULL;
         controller->sensor = sensor_number(number);
-        REQUIRE(body != NULL);
-        REQUIRE(mo_pack_create(controller, (enum mo_isa)isa, (enum mo_precision)precision, &pack) ==
-                MO_OK);
+        struct mo_pack *pack =
+            make_pack(controller, (enum mo_isa)isa, (enum mo_precision)precision);
         REQUIRE(mo_rollout_block(memory, pack, body, list, ENVIRONMENTS, &physics, recordings, NULL,
                                  outcomes) == MO_OK);
         for (uint32_t e = 0; e < ENVIRONMENTS; e++) {
@@ -137,8 +114,6 @@ static void kernels(void)
           hash(&h, &loss, sizeof(loss));
           diverged += outcomes[e].diverged_step > 0;
         }
-        mo_pack_free(pack);
-        mo_body_free(body);
       }
       if (h != kernel_hashes[isa][precision])
         printf("# %s, %s: the bits hash to 0x%016" PRIx64 ", version %d had 0x%016" PRIx64 "\n",
@@ -147,24 +122,21 @@ static void kernels(void)
       CHECK(h == kernel_hashes[isa][precision]);
       CHECK(diverged > 0 && diverged <= ENVIRONMENTS);
     }
-  mo_workspace_memory_free(memory);
 }
 
 /* The reference calls sin, exp and tanh of the C library, which has variants with and without fused
  * operations. */
 static void reference(void)
 {
-  REQUIRE(setup());
   if (strcmp(gnu_get_libc_version(), "2.36") != 0 || mo_isa_best() < MO_ISA_AVX2) {
     printf("# another C library or processor than the hash was made with\n");
     return;
   }
-  uint64_t h = UINT64_C(0xcbf29ce484222325);
+  uint64_t h = FNV_START;
   for (uint32_t number = 0; number < BODIES; number++) {
-    struct mo_body *body = body_number(number);
+    const struct mo_body *body = body_number(number);
     const struct mo_physics physics = physics_number(number);
     controller->sensor = sensor_number(number);
-    REQUIRE(body != NULL);
     for (uint32_t e = number % 2; e < ENVIRONMENTS; e += 4) {
       struct mo_outcome outcome;
       double com[FRAMES * 3];
@@ -174,7 +146,6 @@ static void reference(void)
       hash_outcome(&h, &outcome, com);
       hash(&h, &outcome.loss, sizeof(outcome.loss));
     }
-    mo_body_free(body);
   }
   if (h != reference_hash)
     printf("# the reference's bits hash to 0x%016" PRIx64 "\n", h);
@@ -185,4 +156,4 @@ static const struct check_case cases[] = {
     {"the kernels' bits have not changed", kernels},
     {"the reference's bits have not changed", reference},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_WITH(setup, cases)

@@ -101,7 +101,7 @@ static void exact_at_limits(void)
   }
   const double corners[][2] = {{0, 0},  {5, 5}, {-1, 2}, {6, 2},
                                {2, -1}, {2, 6}, {5, 0},  {1e6, -1e6}};
-  for (size_t i = 0; i < sizeof(corners) / sizeof(corners[0]); i++)
+  for (size_t i = 0; i < COUNT(corners); i++)
     for (int k = 0; k < 4; k++) {
       const double p[3] = {corners[i][0], corners[i][1], 0.252},
                    v[3] = {k & 1 ? 500.0 : -500.0, k & 2 ? 1.0 : 0.0, -1};

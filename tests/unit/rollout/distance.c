@@ -6,7 +6,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "../check.h"
+#include "../make.h"
 #include "rollout/scene.h"
 
 #define PAIRS 200000
@@ -23,8 +23,8 @@ static void exact(void)
   static const double triples[][3] = {{3, 4, 5},       {5, 12, 13}, {8, 15, 17},     {20, 21, 29},
                                       {119, 120, 169}, {0, 7, 7},   {1, 0x1p-60, 1}, {0, 0, 0}};
   static const int scales[] = {0, -20, 300, -300, 1000, -1000};
-  for (size_t i = 0; i < sizeof(triples) / sizeof(triples[0]); i++)
-    for (size_t s = 0; s < sizeof(scales) / sizeof(scales[0]); s++) {
+  for (size_t i = 0; i < COUNT(triples); i++)
+    for (size_t s = 0; s < COUNT(scales); s++) {
       const double a = ldexp(triples[i][0], scales[s]), b = ldexp(triples[i][1], scales[s]);
       const double c = ldexp(triples[i][2], scales[s]);
       same(mo_scene_distance(a, b), c);
@@ -41,10 +41,9 @@ static void exact(void)
  */
 static void frozen(void)
 {
-  uint64_t h = UINT64_C(0xcbf29ce484222325);
+  uint64_t h = FNV_START;
   double worst = 0;
-  struct mo_random random;
-  mo_random_init(&random, 5, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_random random = dice(5, 0, 0);
   for (uint64_t i = 0; i < PAIRS; i++) {
     const double x = 8 * mo_random_uniform(&random) - 4;
     const double y =

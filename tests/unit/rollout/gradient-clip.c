@@ -1,14 +1,10 @@
 /* gradient-clip.c: what the adjoint's bound does, what is done about numbers that are not finite,
  * memory and time, and the contract's edges. Linked with calloc wrapped, so that allocations can be
  * counted and made to fail. */
-#include <math.h>
-#include <stdbool.h>
-#include <time.h>
-
-#include <morpho/gradient.h>
-
-#include "../check.h"
 #include "gradient-cases.h"
+
+#include <stdbool.h>
+
 #include "rollout/adjoint.h"
 
 void *__real_calloc(size_t count, size_t size);
@@ -132,15 +128,19 @@ static int run(const struct gradient_case *c, double bound, uint32_t inject_at, 
 static double *prepare(struct gradient_case *c, uint32_t n_steps, struct watch *w)
 {
   struct mo_gradient_counts counts = {0};
-  if (gradient_case_create(3, c) < 0)
-    return NULL;
+  *c = make_gradient_case(3);
   c->physics.n_steps = n_steps;
-  double *gradient = calloc(c->controller->n_parameters, sizeof(double));
-  if (gradient != NULL && run(c, 0, 0, w, gradient, &counts) < 0) {
-    free(gradient);
-    return NULL;
-  }
+  double *gradient = make_zeros(c->controller->n_parameters, sizeof(double));
+  make_check(run(c, 0, 0, w, gradient, &counts), "gradient");
   return gradient;
+}
+
+static bool is_zero(const double *x, size_t n)
+{
+  size_t i = 0;
+  while (i < n && x[i] == 0)
+    i++;
+  return i == n;
 }
 
 static void bounds_every_step(void)
@@ -148,10 +148,8 @@ static void bounds_every_step(void)
   struct gradient_case c;
   struct watch free_run, bounded;
   double *unbounded = prepare(&c, 200, &free_run);
-  REQUIRE(unbounded != NULL);
   const size_t n = c.controller->n_parameters;
-  double *gradient = malloc(n * sizeof(double));
-  REQUIRE(gradient != NULL);
+  double *gradient = make_zeros(n, sizeof(double));
   printf("# unbounded: m up to %g\n", free_run.largest_before);
   const double bounds[] = {2 * free_run.largest_before, 0.5 * free_run.largest_before,
                            0.1 * free_run.largest_before};
@@ -170,12 +168,8 @@ static void bounds_every_step(void)
     CHECK_INT(counts.clipped_robots, k > 0);
     CHECK_INT(counts.robots, 1);
     CHECK_INT(counts.zeroed_robots, 0);
-    CHECK((memcmp(gradient, unbounded, n * sizeof(double)) == 0) ==
-          (k == 0)); /* out of reach: the same bits as off */
+    CHECK(SAME(gradient, unbounded, n) == (k == 0)); /* out of reach: the same bits as off */
   }
-  free(gradient);
-  free(unbounded);
-  gradient_case_free(&c);
 }
 
 static void restarts(void)
@@ -183,10 +177,8 @@ static void restarts(void)
   struct gradient_case c;
   struct watch free_run, bounded;
   double *unbounded = prepare(&c, 200, &free_run);
-  REQUIRE(unbounded != NULL);
   const size_t n = c.controller->n_parameters;
-  double *gradient = malloc(n * sizeof(double)), *clipped = calloc(n, sizeof(double));
-  REQUIRE(gradient != NULL && clipped != NULL);
+  double *gradient = make_zeros(n, sizeof(double)), *clipped = make_zeros(n, sizeof(double));
   const double fresh = 1 / sqrt(c.body->n_masses); /* m at the end of a rollout */
   const struct {
     double bound, weight;
@@ -198,7 +190,7 @@ static void restarts(void)
       {2 * fresh, 0, 1, 1},       /* what ends stays ended */
       {0.5 * fresh, 1, 200, 200}, /* passed by an adjoint that has just begun */
   };
-  for (size_t k = 0; k < sizeof(list) / sizeof(list[0]); k++) {
+  for (size_t k = 0; k < COUNT(list); k++) {
     struct mo_gradient_counts counts = {0};
     memset(gradient, 0, n * sizeof(double));
     REQUIRE(run_by(MO_ADJOINT_RESTART, list[k].weight, &c, list[k].bound, 0, &bounded, gradient,
@@ -212,15 +204,11 @@ static void restarts(void)
     CHECK_INT(counts.clipped_steps, bounded.above);
     CHECK_INT(bounded.astray, 0);
     CHECK(bounded.above >= list[k].least && bounded.above <= list[k].most);
-    CHECK((memcmp(gradient, unbounded, n * sizeof(double)) == 0) == (k == 0));
+    CHECK(SAME(gradient, unbounded, n) == (k == 0));
   }
   struct mo_gradient_counts counts = {0};
   REQUIRE(run(&c, 0.5 * fresh, 0, &bounded, clipped, &counts) == MO_OK);
-  CHECK(memcmp(gradient, clipped, n * sizeof(double)) != 0);
-  free(clipped);
-  free(gradient);
-  free(unbounded);
-  gradient_case_free(&c);
+  CHECK(!SAME(gradient, clipped, n));
 }
 
 static void zeroes_what_is_not_finite(void)
@@ -228,7 +216,6 @@ static void zeroes_what_is_not_finite(void)
   struct gradient_case c;
   struct watch w;
   double *gradient = prepare(&c, 40, &w);
-  REQUIRE(gradient != NULL);
   const size_t n = c.controller->n_parameters;
   for (uint32_t inject_at = 1; inject_at <= 40; inject_at += 13) {
     struct mo_gradient_counts counts = {0};
@@ -243,20 +230,16 @@ static void zeroes_what_is_not_finite(void)
       touched += gradient[i] != (double)i;
     CHECK_INT(touched, 0);
   }
-  free(gradient);
-  gradient_case_free(&c);
 }
 
 /* Adds weight · gradient to what is there, in the same bits each time; the outcome is the rollout's
  * own. */
 static void adds_up(void)
 {
-  struct gradient_case c;
-  REQUIRE(gradient_case_create(1, &c) == 0);
+  struct gradient_case c = make_gradient_case(1);
   c.physics.n_steps = 37; /* not a square: the last segment is shorter */
   const size_t n = c.controller->n_parameters;
-  double *once = calloc(2 * n, sizeof(double)), *twice = once + n;
-  REQUIRE(once != NULL);
+  double *once = make_zeros(2 * n, sizeof(double)), *twice = once + n;
   struct mo_gradient_options options = mo_default_gradient_options();
   struct mo_outcome outcome, plain;
   struct mo_gradient_counts counts = {0};
@@ -266,12 +249,12 @@ static void adds_up(void)
                                 &outcome, once, &counts) == MO_OK);
   REQUIRE(mo_rollout_reference(c.body, c.controller, &c.environment, &c.physics, NULL, &plain) ==
           MO_OK);
-  CHECK(memcmp(&outcome, &plain, sizeof(plain)) == 0);
+  CHECK(SAME(&outcome, &plain, 1));
   options.weight = 0.5;
   for (int k = 0; k < 2; k++)
     REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options,
                                   &outcome, twice, &counts) == MO_OK);
-  CHECK(memcmp(once, twice, n * sizeof(double)) == 0);
+  CHECK(SAME(once, twice, n));
   CHECK_INT(counts.robots, 3);
   CHECK_INT(counts.steps, 3 * 37);
   /* Only the body's masses and springs have a gradient. */
@@ -283,17 +266,12 @@ static void adds_up(void)
     masses += once[first[0] + i] != 0;
   CHECK_INT(springs, c.body->n_springs);
   CHECK(masses == c.body->n_masses || masses == 0); /* 0: neuron 0 never fired */
-  free(once);
-  gradient_case_free(&c);
 }
 
 static void refuses(void)
 {
-  struct gradient_case c, other;
-  REQUIRE(gradient_case_create(1, &c) == 0);
-  REQUIRE(gradient_case_create(3, &other) == 0);
-  double *gradient = calloc(c.controller->n_parameters, sizeof(double));
-  REQUIRE(gradient != NULL);
+  struct gradient_case c = make_gradient_case(1), other = make_gradient_case(3);
+  double *gradient = make_zeros(c.controller->n_parameters, sizeof(double));
   struct mo_gradient_counts counts = {0};
   struct mo_outcome outcome = {.loss = -7};
   const struct {
@@ -316,7 +294,7 @@ static void refuses(void)
       {c.controller, 2, 1, MO_ERR_INVALID, MO_ADJOINT_RESTART, (double)NAN},
   };
   c.physics.n_steps = 3;
-  for (size_t k = 0; k < sizeof(faults) / sizeof(faults[0]); k++) {
+  for (size_t k = 0; k < COUNT(faults); k++) {
     const struct mo_gradient_options options = {.adjoint_bound = faults[k].bound,
                                                 .weight = faults[k].weight,
                                                 .adjoint_rule = faults[k].rule,
@@ -327,24 +305,17 @@ static void refuses(void)
   }
   CHECK_INT(counts.robots, 0);
   CHECK_NEAR(outcome.loss, -7, 0);
-  for (size_t i = 0; i < c.controller->n_parameters; i++)
-    if (gradient[i] != 0)
-      CHECK(gradient[i] == 0);
-  free(gradient);
-  gradient_case_free(&other);
-  gradient_case_free(&c);
+  CHECK(is_zero(gradient, c.controller->n_parameters));
 }
 
 /* All 144 voxels, 1000 steps; too stiff, so that the rollout diverges soon after everything was
  * allocated. */
 static void memory(void)
 {
-  struct gradient_case c;
-  REQUIRE(gradient_case_create(0, &c) == 0);
+  struct gradient_case c = make_gradient_case(0);
   CHECK_INT(c.body->n_masses, MO_DEFAULT_MASSES);
   c.physics.stiffness_n_per_m *= 4;
-  double *gradient = calloc(c.controller->n_parameters, sizeof(double));
-  REQUIRE(gradient != NULL);
+  double *gradient = make_zeros(c.controller->n_parameters, sizeof(double));
   const struct mo_gradient_options options = mo_default_gradient_options();
   struct mo_outcome outcome = {.loss = -7};
   struct mo_gradient_counts counts = {0};
@@ -368,47 +339,7 @@ static void memory(void)
   CHECK(outcome.diverged_step > 0 && isinf(outcome.loss));
   CHECK_INT(counts.diverged_robots, 1);
   CHECK_INT(counts.steps, 0);
-  for (size_t i = 0; i < c.controller->n_parameters; i++)
-    if (gradient[i] != 0)
-      CHECK(gradient[i] == 0);
-  free(gradient);
-  gradient_case_free(&c);
-}
-
-static double now_s(void)
-{
-  struct timespec t;
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
-  return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
-
-/* Printed, not judged: machines differ. */
-static void cost(void)
-{
-  static const uint32_t numbers[] = {3, 10, 0};
-  for (int k = 0; k < 3; k++) {
-    struct gradient_case c;
-    REQUIRE(gradient_case_create(numbers[k], &c) == 0);
-    c.physics.n_steps = 100;
-    double *gradient = calloc(c.controller->n_parameters, sizeof(double));
-    REQUIRE(gradient != NULL);
-    const struct mo_gradient_options options = mo_default_gradient_options();
-    struct mo_outcome outcome;
-    const double start_s = now_s();
-    REQUIRE(mo_rollout_reference(c.body, c.controller, &c.environment, &c.physics, NULL,
-                                 &outcome) == MO_OK);
-    const double rollout_s = now_s() - start_s;
-    REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options,
-                                  &outcome, gradient, NULL) == MO_OK);
-    const double gradient_s = now_s() - start_s - rollout_s;
-    printf("# %u masses, %u springs: a step takes %.3f ms forward alone, %.3f ms with its "
-           "gradient: %.1f times\n",
-           c.body->n_masses, c.body->n_springs, rollout_s * 10, gradient_s * 10,
-           gradient_s / rollout_s);
-    CHECK(rollout_s > 0 && gradient_s > 0);
-    free(gradient);
-    gradient_case_free(&c);
-  }
+  CHECK(is_zero(gradient, c.controller->n_parameters));
 }
 
 static const struct check_case cases[] = {
@@ -417,7 +348,6 @@ static const struct check_case cases[] = {
     {"a robot whose adjoint is not finite contributes nothing", zeroes_what_is_not_finite},
     {"gradients add up, weighted, in the same bits", adds_up},
     {"memory is bounded, and may run out", memory},
-    {"cost of a step", cost},
     {"bad arguments change nothing", refuses},
 };
 CHECK_MAIN(cases)

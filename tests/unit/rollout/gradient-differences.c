@@ -9,12 +9,8 @@
  * another terrain cell. A difference across a kink does not converge. plain.c returns a signature
  * of all those choices per step; where the two ends' signatures differ the direction is counted as
  * crossing at that h, and reported apart. Convergence is asserted for the others. */
-#include <math.h>
 #include <stdbool.h>
 
-#include <morpho/gradient.h>
-
-#include "../check.h"
 #include "gradient-cases.h"
 
 #define STEP_SIZES 7
@@ -27,15 +23,9 @@ struct comparison {
   uint32_t n;
 };
 
-static int by_size(const void *a, const void *b)
-{
-  const double x = *(const double *)a, y = *(const double *)b;
-  return x < y ? -1 : x > y;
-}
-
 static double quantile(double *sorted, uint32_t n, double q)
 {
-  qsort(sorted, n, sizeof(*sorted), by_size);
+  qsort(sorted, n, sizeof(*sorted), ascending);
   return n > 0 ? sorted[(uint32_t)(q * (n - 1))] : (double)NAN;
 }
 
@@ -43,8 +33,7 @@ static void make_direction(const struct gradient_case *c, uint32_t k, uint32_t n
 {
   size_t first[MO_CONTROLLER_TENSORS], count[MO_CONTROLLER_TENSORS];
   gradient_tensors(c->controller, first, count);
-  struct mo_random random;
-  mo_random_init(&random, 77, MO_PURPOSE_CHECK, 6, 1000 * k + number);
+  struct mo_random random = dice(77, 6, 1000 * k + number);
   for (int t = 0; t < MO_CONTROLLER_TENSORS; t++) {
     double square = 0;
     for (size_t i = first[t]; i < first[t] + count[t]; i++)
@@ -102,36 +91,25 @@ static void compare_direction(struct gradient_case *c, struct buffers *b, const 
     out[a].n++;
 }
 
-static int prepare(const struct gradient_case *c, const uint32_t *at, uint32_t n_at,
-                   struct buffers *b)
+static struct buffers prepare(const struct gradient_case *c, const uint32_t *at, uint32_t n_at)
 {
   const struct mo_gradient_options options = {.adjoint_bound = 0, .weight = 1};
   const size_t n = c->controller->n_parameters;
-  *b = (struct buffers){.u = malloc(n * sizeof(double)),
-                        .moved = malloc(n * sizeof(double)),
-                        .signatures = malloc(c->physics.n_steps * sizeof(uint64_t))};
+  struct buffers b = {.u = make_zeros(n, sizeof(double)),
+                      .moved = make_zeros(n, sizeof(double)),
+                      .signatures = make_zeros(c->physics.n_steps, sizeof(uint64_t))};
   for (uint32_t a = 0; a < n_at; a++) {
     struct mo_physics physics = c->physics;
     struct mo_outcome outcome;
     struct mo_gradient_counts counts = {0};
     physics.n_steps = at[a];
-    b->gradient[a] = calloc(n, sizeof(double));
-    if (b->gradient[a] == NULL ||
-        mo_gradient_reference(c->body, c->controller, &c->environment, &physics, &options, &outcome,
-                              b->gradient[a], &counts) < 0 ||
-        counts.zeroed_robots + counts.diverged_robots != 0)
-      return -1;
+    b.gradient[a] = make_zeros(n, sizeof(double));
+    CHECK_INT(mo_gradient_reference(c->body, c->controller, &c->environment, &physics, &options,
+                                    &outcome, b.gradient[a], &counts),
+              MO_OK);
+    CHECK_INT(counts.zeroed_robots + counts.diverged_robots, 0);
   }
-  return b->u != NULL && b->moved != NULL && b->signatures != NULL ? 0 : -1;
-}
-
-static void release(struct buffers *b)
-{
-  for (int a = 0; a < 3; a++)
-    free(b->gradient[a]);
-  free(b->u);
-  free(b->moved);
-  free(b->signatures);
+  return b;
 }
 
 /* The table; returns the smallest median error of directions that cross nothing, where at least 4
@@ -165,28 +143,22 @@ static double print_table(uint32_t steps, struct comparison *c)
 static void run_cases(const uint32_t *numbers, uint32_t n_cases, uint32_t n_directions,
                       const uint32_t *at, uint32_t n_at, const double *tolerances)
 {
-  struct comparison *comparisons = calloc(n_at, sizeof(*comparisons));
-  REQUIRE(comparisons != NULL);
+  struct comparison *comparisons = make_zeros(n_at, sizeof(*comparisons));
   for (uint32_t k = 0; k < n_cases; k++) {
-    struct gradient_case c;
-    struct buffers b;
-    REQUIRE(gradient_case_create(numbers[k], &c) == 0);
+    struct gradient_case c = make_gradient_case(numbers[k]);
     c.physics.impact = MO_IMPACT_EXACT;
     c.physics.n_steps = at[n_at - 1];
-    REQUIRE(prepare(&c, at, n_at, &b) == 0);
+    struct buffers b = prepare(&c, at, n_at);
     for (uint32_t d = 0; d < n_directions; d++) {
       make_direction(&c, numbers[k], d, b.u);
       compare_direction(&c, &b, at, n_at, comparisons);
     }
-    release(&b);
-    gradient_case_free(&c);
   }
   for (uint32_t a = 0; a < n_at; a++) {
     const double best = print_table(at[a], &comparisons[a]);
     CHECK(best <= tolerances[a]);
     CHECK(best > 0); /* two ways to compute, not one */
   }
-  free(comparisons);
 }
 
 static void short_runs(void)

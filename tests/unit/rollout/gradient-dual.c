@@ -1,48 +1,33 @@
 /* gradient-dual.c: the adjoint against forward-mode dual numbers in an implementation of its own
  * (second.h). Every case has 16 random directions: one in each of the 14 tensors, and two in all
  * parameters. */
-#include <math.h>
 #include <stdbool.h>
 
-#include <morpho/gradient.h>
-
-#include "../check.h"
 #include "gradient-cases.h"
 #include "rollout/contact.h"
 
 #define TOLERANCE 1e-10
-#define NO_TOUCH                                                                                   \
-  1e-15 /* before the first contact the gradient is 0, and on dual numbers the rounding of a sum   \
-           that cancels */
+#define NO_TOUCH  1e-15 /* before the first contact: the rounding of a sum that cancels */
 
-struct directions {
-  double *memory;
-  struct second_parameters along;
-};
-
-static int make_directions(const struct gradient_case *c, uint32_t k, struct directions *d)
+static struct second_parameters make_directions(const struct gradient_case *c, uint32_t k)
 {
   const size_t n = c->controller->n_parameters;
-  d->memory = malloc((1 + SECOND_WHOLES) * n * sizeof(double));
-  if (d->memory == NULL)
-    return -1;
-  struct mo_random random;
-  mo_random_init(&random, 77, MO_PURPOSE_CHECK, 3, k);
+  double *memory = make_zeros((1 + SECOND_WHOLES) * n, sizeof(double));
+  struct mo_random random = dice(77, 3, k);
   for (size_t i = 0; i < (1 + SECOND_WHOLES) * n; i++)
-    d->memory[i] = mo_random_normal(&random);
-  d->along = (struct second_parameters){c->theta, d->memory, {d->memory + n, d->memory + 2 * n}};
-  return 0;
+    memory[i] = mo_random_normal(&random);
+  return (struct second_parameters){c->theta, memory, {memory + n, memory + 2 * n}};
 }
 
 /* gradient · each of the directions */
-static void project(const struct gradient_case *c, const struct directions *d,
+static void project(const struct gradient_case *c, const struct second_parameters *d,
                     const double *gradient, double along[SECOND_LANES])
 {
   size_t first[MO_CONTROLLER_TENSORS], count[MO_CONTROLLER_TENSORS];
   gradient_tensors(c->controller, first, count);
   for (int lane = 0; lane < SECOND_LANES; lane++) {
     const int whole = lane - MO_CONTROLLER_TENSORS;
-    const double *direction = whole < 0 ? d->along.alone : d->along.whole[whole];
+    const double *direction = whole < 0 ? d->alone : d->whole[whole];
     const size_t begin = whole < 0 ? first[lane] : 0;
     const size_t n = whole < 0 ? count[lane] : c->controller->n_parameters;
     along[lane] = 0;
@@ -53,7 +38,7 @@ static void project(const struct gradient_case *c, const struct directions *d,
 
 /* One length of one case: the largest relative error over the directions, or −1 if no mass has
  * struck anything yet. Zero tensors are counted. */
-static double compare(struct gradient_case *c, const struct directions *d, uint32_t steps,
+static double compare(struct gradient_case *c, const struct second_parameters *d, uint32_t steps,
                       const struct dual *dual, double *gradient, uint32_t *zeros)
 {
   const struct mo_gradient_options options = {.adjoint_bound = 0, .weight = 1};
@@ -96,16 +81,13 @@ static void run_cases(const uint32_t *at, uint32_t n_at)
     printf(" %u", at[a]);
   printf(" steps\n");
   for (uint32_t k = 0; k < GRADIENT_CASES; k++) {
-    struct gradient_case c;
-    struct directions d;
-    REQUIRE(gradient_case_create(k, &c) == 0);
-    REQUIRE(make_directions(&c, k, &d) == 0);
-    double *gradient = malloc(c.controller->n_parameters * sizeof(double));
-    REQUIRE(gradient != NULL);
+    struct gradient_case c = make_gradient_case(k);
+    const struct second_parameters d = make_directions(&c, k);
+    double *gradient = make_zeros(c.controller->n_parameters, sizeof(double));
     c.physics.n_steps = at[n_at - 1];
     const struct second_setup setup = {c.body, &c.environment, &c.physics, c.controller->sensor};
     struct dual losses[4];
-    REQUIRE(dual_rollout(&setup, &d.along, at, n_at, losses, NULL) == 0);
+    REQUIRE(dual_rollout(&setup, &d, at, n_at, losses, NULL) == 0);
     printf("# %4u %6u %7u %7.2f %-14s %-9s |", k, c.body->n_masses, c.body->n_springs, c.sigma_m,
            mo_sensor_name(c.controller->sensor),
            c.physics.impact == MO_IMPACT_EXACT ? "exact" : "bisection");
@@ -128,9 +110,7 @@ static void run_cases(const uint32_t *at, uint32_t n_at)
       worst_of_all = fmax(worst_of_all, worst);
     }
     printf("\n");
-    free(gradient);
-    free(d.memory);
-    gradient_case_free(&c);
+    check_drop_to(0);
   }
   CHECK(untouched <= 5);
   printf("# largest relative error of %u directional derivatives: %.2e\n",
@@ -149,53 +129,64 @@ static void long_runs(void)
   run_cases(at, 1);
 }
 
-/* One mass anywhere on, above and beyond the map: the transposed derivative of one step against
- * dual numbers, input by input. */
+/* One mass and the transposed derivative of its step, against dual numbers input by input. */
+struct mass {
+  const struct mo_physics *physics;
+  struct mo_environment environment;
+  double p[3], v[3], back_p[3], back_v[3];
+};
+
+/* Returns the branches taken (0: no contact); relative: to the largest of the six. */
+static uint64_t step_back(struct mass *m, double *error)
+{
+  const struct second_setup setup = {NULL, &m->environment, m->physics, MO_SENSOR_INVERSE_SQRT};
+  const double *heights_m = m->environment.terrain_heights_m;
+  struct dual dp[3] = {{0}}, dv[3] = {{0}};
+  double forward[6] = {0}, size = 0;
+  for (int i = 0; i < 3; i++) {
+    dp[i].v = m->p[i];
+    dv[i].v = m->v[i];
+    dp[i].t[i] = 1;
+    dv[i].t[3 + i] = 1;
+  }
+  const uint64_t branch = dual_move(&setup, dp, dv);
+  for (int lane = 0; lane < 6; lane++) {
+    for (int i = 0; i < 3; i++)
+      forward[lane] += m->back_p[i] * dp[i].t[lane] + m->back_v[i] * dv[i].t[lane];
+    size = fmax(size, fabs(forward[lane]));
+  }
+  mo_contact_move_adjoint(m->physics, heights_m, mo_terrain_highest(heights_m), m->p, m->v,
+                          m->back_p, m->back_v);
+  *error = 0;
+  for (int i = 0; i < 3; i++)
+    *error = fmax(
+        *error, fmax(fabs(m->back_p[i] - forward[i]), fabs(m->back_v[i] - forward[3 + i])) / size);
+  return branch;
+}
+
+/* Anywhere on, above and beyond the map. */
 static void contact(void)
 {
-  struct mo_random random;
-  mo_random_init(&random, 77, MO_PURPOSE_CHECK, 4, 0);
+  struct mo_random random = dice(77, 4, 0);
   uint32_t struck = 0, capped = 0, crossed = 0, outside = 0;
-  double worst = 0;
+  double worst = 0, error;
   for (uint32_t k = 0; k < 20000; k++) {
     struct mo_physics physics = mo_default_physics();
-    struct mo_environment environment = {0};
+    struct mass m = {.physics = &physics};
     physics.impact = k % 4 == 0 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
     physics.dt_s = k % 3 == 0 ? 0.1 : 0.004; /* long enough to cross cells */
-    mo_terrain_random(77, 5, k % 50, 0.1, environment.terrain_heights_m);
-    const struct second_setup setup = {NULL, &environment, &physics, MO_SENSOR_INVERSE_SQRT};
-    double p[3], v[3], back_p[3], back_v[3];
-    struct dual dp[3] = {{0}}, dv[3] = {{0}};
+    mo_terrain_random(77, 5, k % 50, 0.1, m.environment.terrain_heights_m);
     for (int i = 0; i < 3; i++) {
-      p[i] = -0.5 + 6 * mo_random_uniform(&random);
-      v[i] = (k % 5 == 0 ? 20 : 2) * mo_random_normal(&random);
-      back_p[i] = mo_random_normal(&random);
-      back_v[i] = mo_random_normal(&random);
+      m.p[i] = -0.5 + 6 * mo_random_uniform(&random);
+      m.v[i] = (k % 5 == 0 ? 20 : 2) * mo_random_normal(&random);
+      m.back_p[i] = mo_random_normal(&random);
+      m.back_v[i] = mo_random_normal(&random);
     }
-    v[2] = -2 * fabs(v[2]);
-    p[2] = mo_terrain_height(environment.terrain_heights_m, p[0], p[1]) +
-           0.5 * physics.dt_s * fabs(v[2]) * mo_random_uniform(&random);
-    for (int i = 0; i < 3; i++) {
-      dp[i].v = p[i];
-      dv[i].v = v[i];
-      dp[i].t[i] = 1;
-      dv[i].t[3 + i] = 1;
-    }
-    const uint64_t branch = dual_move(&setup, dp, dv);
-    double forward[6] = {0};
-    for (int lane = 0; lane < 6; lane++)
-      for (int i = 0; i < 3; i++)
-        forward[lane] += back_p[i] * dp[i].t[lane] + back_v[i] * dv[i].t[lane];
-    double size = 0;
-    mo_contact_move_adjoint(&physics, environment.terrain_heights_m,
-                            mo_terrain_highest(environment.terrain_heights_m), p, v, back_p,
-                            back_v);
-    for (int lane = 0; lane < 6; lane++)
-      size = fmax(size, fabs(forward[lane]));
-    for (int i = 0; i < 3; i++) {
-      worst = fmax(worst, fabs(back_p[i] - forward[i]) / size);
-      worst = fmax(worst, fabs(back_v[i] - forward[3 + i]) / size);
-    }
+    m.v[2] = -2 * fabs(m.v[2]);
+    m.p[2] = mo_terrain_height(m.environment.terrain_heights_m, m.p[0], m.p[1]) +
+             0.5 * physics.dt_s * fabs(m.v[2]) * mo_random_uniform(&random);
+    const uint64_t branch = step_back(&m, &error);
+    worst = fmax(worst, error);
     struck += branch != 0;
     capped += branch != 0 && (branch & 2) == 0;
     crossed += branch != 0 && branch >> 16 != (branch >> 4 & 4095);
@@ -208,60 +199,40 @@ static void contact(void)
   CHECK(struck > 5000 && capped > 300 && struck - capped > 300 && crossed > 100 && outside > 100);
 }
 
-/* One mass that lies on the ground and leaves it so slowly that the ground soon rises to meet it:
- * the closing speed is next to 0, but nothing grows by that, because the mass lies on the ground
+/* A mass that lies on the ground and leaves it so slowly that the ground soon rises to meet it: the
+ * closing speed is next to 0, but nothing grows by that, because the mass lies on the ground
  * wherever it is. */
 static void lying(void)
 {
-  struct mo_random random;
-  mo_random_init(&random, 78, MO_PURPOSE_CHECK, 4, 0);
+  const double cell_m = MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1);
   const struct mo_physics physics = mo_default_physics();
+  struct mo_random random = dice(78, 4, 0);
   uint32_t met = 0;
-  double worst = 0, largest = 0;
+  double worst = 0, largest = 0, error;
   for (uint32_t k = 0; k < 20000; k++) {
-    struct mo_environment environment = {0};
-    double *heights_m = environment.terrain_heights_m, slope[2], p[3], v[3], back_p[3], back_v[3];
-    const struct second_setup setup = {NULL, &environment, &physics, MO_SENSOR_INVERSE_SQRT};
-    struct dual dp[3] = {{0}}, dv[3] = {{0}};
+    struct mass m = {.physics = &physics};
+    double *heights_m = m.environment.terrain_heights_m, slope[2];
     mo_terrain_random(78, 5, k % 50, 0.1, heights_m);
     for (int i = 0; i < 3; i++) {
-      p[i] = 0.5 + 4 * mo_random_uniform(&random);
-      v[i] = mo_random_normal(&random);
-      back_p[i] = 2 * mo_random_uniform(&random) - 1;
-      back_v[i] = physics.dt_s * (2 * mo_random_uniform(&random) - 1);
+      m.p[i] = 0.5 + 4 * mo_random_uniform(&random);
+      m.v[i] = mo_random_normal(&random);
+      m.back_p[i] = 2 * mo_random_uniform(&random) - 1;
+      m.back_v[i] = physics.dt_s * (2 * mo_random_uniform(&random) - 1);
     }
-    mo_terrain_gradient(heights_m, p[0], p[1], slope);
-    p[2] = mo_terrain_height(heights_m, p[0], p[1]) - 1e-12;
-    v[2] = slope[0] * v[0] + slope[1] * v[1] + 1e-5 * mo_random_uniform(&random);
-    const double impact_s = mo_impact_exact(heights_m, p, v, physics.dt_s);
-    for (int i = 0; i < 3; i++) {
-      dp[i].v = p[i];
-      dv[i].v = v[i];
-      dp[i].t[i] = 1;
-      dv[i].t[3 + i] = 1;
-    }
-    const uint64_t branch = dual_move(&setup, dp, dv);
-    const double cell_m = MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1);
-    bool same_cell =
-        branch != 0 && impact_s > 0; /* dual.c lets go of the ground at the border of a cell */
-    for (int i = 0; i < 2; i++)
-      same_cell = same_cell && floor(p[i] / cell_m) == floor((p[i] + impact_s * v[i]) / cell_m);
+    mo_terrain_gradient(heights_m, m.p[0], m.p[1], slope);
+    m.p[2] = mo_terrain_height(heights_m, m.p[0], m.p[1]) - 1e-12;
+    m.v[2] = slope[0] * m.v[0] + slope[1] * m.v[1] + 1e-5 * mo_random_uniform(&random);
+    const double impact_s = mo_impact_exact(heights_m, m.p, m.v, physics.dt_s);
+    bool same_cell = step_back(&m, &error) != 0 && impact_s > 0;
+    for (int i = 0; i < 2; i++) /* dual.c lets go of the ground at the border of a cell */
+      same_cell =
+          same_cell && floor(m.p[i] / cell_m) == floor((m.p[i] + impact_s * m.v[i]) / cell_m);
     if (!same_cell)
       continue;
     met++;
-    double forward[6] = {0}, size = 0;
-    for (int lane = 0; lane < 6; lane++) {
-      for (int i = 0; i < 3; i++)
-        forward[lane] += back_p[i] * dp[i].t[lane] + back_v[i] * dv[i].t[lane];
-      size = fmax(size, fabs(forward[lane]));
-    }
-    mo_contact_move_adjoint(&physics, heights_m, mo_terrain_highest(heights_m), p, v, back_p,
-                            back_v);
-    for (int i = 0; i < 3; i++) {
-      worst =
-          fmax(worst, fmax(fabs(back_p[i] - forward[i]), fabs(back_v[i] - forward[3 + i])) / size);
-      largest = fmax(largest, fabs(back_p[i]));
-    }
+    worst = fmax(worst, error);
+    for (int i = 0; i < 3; i++)
+      largest = fmax(largest, fabs(m.back_p[i]));
   }
   printf("# %u masses met the ground again within a cell; error %.1e, largest adjoint %.2f of "
          "inputs up to 1\n",

@@ -1,8 +1,5 @@
 /* The float32 gradient of blocks against the float64 reference, and what does not change it. */
-#include <morpho/gradient.h>
-
-#include "../check.h"
-#include "bodies.h"
+#include "../make.h"
 
 #include <float.h>
 #include <stdbool.h>
@@ -12,27 +9,16 @@ enum { ROBOTS = MO_GRADIENT_ROBOTS };
 static struct mo_lattice *lattice;
 static struct mo_controller *shipped, *fresh;
 static struct mo_environment environments[ROBOTS];
-static struct mo_robot
-    robots[ROBOTS]; /* random distinct bodies; the first has one voxel, the last all of them */
+static struct mo_robot *robots; /* random; the first has one voxel, the last all of them */
 
-static int setup(void)
+static void setup(void)
 {
-  if (shipped != NULL)
-    return 1;
-  char path[4096];
-  const char *root = getenv("MORPHO_SOURCE_DIR");
-  snprintf(path, sizeof(path), "%s/data/controllers/bootstrap.safetensors",
-           root != NULL ? root : ".");
-  struct mo_body_stream *stream = NULL;
-  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK ||
-      mo_controller_read(path, &shipped, NULL) != MO_OK ||
-      mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQUARE, &fresh) != MO_OK ||
-      mo_body_stream_create(MO_DEFAULT_WORKSPACE, 4, &stream) != MO_OK)
-    return 0;
-  mo_controller_randomize(fresh, 8);
+  struct mo_random random = dice(9, 0, 0);
+  uint64_t one[MO_DEFAULT_WORDS] = {1};
+  lattice = make_lattice(MO_DEFAULT_WORKSPACE);
+  shipped = make_shipped_controller("bootstrap");
+  fresh = make_random_controller(MO_SENSOR_INVERSE_SQUARE, 8);
   /* A norm's parameters that are not 1 and 0, biases that are not 0. */
-  struct mo_random random;
-  mo_random_init(&random, 9, MO_PURPOSE_CHECK, 0, 0);
   for (int l = 0; l <= MO_HIDDEN_LAYERS; l++) {
     for (uint32_t i = 0; i < (l < MO_HIDDEN_LAYERS ? MO_HIDDEN : fresh->n_springs); i++)
       fresh->bias[l][i] = (float)(0.2 * mo_random_uniform(&random) - 0.1);
@@ -41,22 +27,16 @@ static int setup(void)
       fresh->norm_shift[l][i] = (float)(0.4 * mo_random_uniform(&random) - 0.2);
     }
   }
+  robots = make_robots(lattice, 4, 6, ROBOTS);
+  mo_genotype_place(MO_DEFAULT_WORKSPACE, one);
+  for (uint32_t i = ROBOTS - 2; i > 0; i--)
+    robots[i].body = robots[i - 1].body;
+  robots[0].body = make_body(lattice, one);
+  robots[ROBOTS - 1].body = make_full_body(lattice);
   for (uint32_t i = 0; i < ROBOTS; i++) {
-    uint64_t bits[MO_DEFAULT_WORDS] = {1};
-    struct mo_body *body = NULL;
-    mo_environment_training(6, 0, i, environments + i);
-    if (i == ROBOTS - 1)
-      for (uint32_t v = 0; v < MO_DEFAULT_VOXELS; v++)
-        bits[v >> 6] |= UINT64_C(1) << (v & 63);
-    else if (i > 0 && mo_body_stream_next(stream, bits) != MO_OK)
-      return 0;
-    mo_genotype_place(MO_DEFAULT_WORKSPACE, bits);
-    if (mo_body_create(lattice, bits, &body) != MO_OK)
-      return 0;
-    robots[i] = (struct mo_robot){body, environments + i};
+    environments[i] = *robots[i].environment;
+    robots[i].environment = environments + i;
   }
-  mo_body_stream_free(stream);
-  return 1;
 }
 
 /* One call with everything that it needs. */
@@ -67,23 +47,28 @@ struct result {
   int status;
 };
 
-static struct result block(const struct mo_controller *controller, enum mo_isa isa,
+static struct result block(const struct mo_controller *controller, int isa,
                            const struct mo_robot *list, uint32_t n,
                            const struct mo_physics *physics,
                            const struct mo_gradient_options *options, size_t budget,
                            const struct mo_pause_point *pause)
 {
-  struct result result = {.status = MO_ERR_NO_MEMORY};
-  struct mo_gradient_pack *pack = NULL;
-  struct mo_gradient_memory *memory = NULL;
-  result.d = calloc(controller->n_parameters, sizeof(float));
-  if (result.d != NULL && mo_gradient_pack_create(controller, isa, &pack) == MO_OK &&
-      mo_gradient_memory_create(budget, &memory) == MO_OK)
-    result.status = mo_gradient_block(memory, pack, list, n, physics, options, pause,
-                                      result.outcomes, result.d, &result.counts);
-  mo_gradient_memory_free(memory);
-  mo_gradient_pack_free(pack);
+  struct result result = {.d = make_zeros(controller->n_parameters, sizeof(float))};
+  const size_t kept = check_n_kept;
+  result.status = mo_gradient_block(
+      make_gradient_memory(budget), make_gradient_pack(controller, (enum mo_isa)isa), list, n,
+      physics, options, pause, result.outcomes, result.d, &result.counts);
+  check_drop_to(kept);
   return result;
+}
+
+/* With the usual budget, and without a pause. */
+static struct result plain(const struct mo_controller *controller, int isa,
+                           const struct mo_robot *list, uint32_t n,
+                           const struct mo_physics *physics,
+                           const struct mo_gradient_options *options)
+{
+  return block(controller, isa, list, n, physics, options, MO_GRADIENT_DEFAULT_BYTES, NULL);
 }
 
 /* Of all numbers; not a number if one of them is none. */
@@ -103,13 +88,6 @@ static int count_down(void *context)
 {
   struct stop *stop = context;
   return ++stop->calls >= stop->after;
-}
-
-static struct mo_physics physics_of(uint32_t n_steps)
-{
-  struct mo_physics physics = mo_default_physics();
-  physics.n_steps = n_steps;
-  return physics;
 }
 
 struct tensor {
@@ -151,7 +129,7 @@ struct comparison {
   uint32_t n;
   const struct mo_physics *physics;
   double bound, tolerance;
-  enum mo_adjoint_rule rule;
+  int rule; /* enum mo_adjoint_rule */
   /* Of the reference. */
   double *d;
   struct mo_outcome outcomes[ROBOTS];
@@ -159,15 +137,14 @@ struct comparison {
 };
 
 /* Each tensor of the block's gradient against the sum of the robots' references. */
-static void compare_on(enum mo_isa isa, const struct comparison *c)
+static void compare_on(int isa, const struct comparison *c)
 {
   const struct mo_gradient_options options = {.adjoint_bound = c->bound,
                                               .weight = 0.25,
-                                              .adjoint_rule = c->rule,
+                                              .adjoint_rule = (enum mo_adjoint_rule)c->rule,
                                               .restart_weight = MO_RESTART_WEIGHT};
   struct tensor list_of[MO_CONTROLLER_TENSORS];
-  struct result fast = block(c->controller, isa, c->robots, c->n, c->physics, &options,
-                             MO_GRADIENT_DEFAULT_BYTES, NULL);
+  struct result fast = plain(c->controller, isa, c->robots, c->n, c->physics, &options);
   CHECK_INT(fast.status, MO_OK);
   for (uint32_t i = 0; i < c->n; i++) {
     CHECK_INT(fast.outcomes[i].diverged_step, c->outcomes[i].diverged_step);
@@ -182,7 +159,8 @@ static void compare_on(enum mo_isa isa, const struct comparison *c)
     CHECK(error <= c->tolerance);
     worst = fmax(worst, error);
   }
-  printf("# %-40s %-7s worst tensor's relative error %.2e\n", c->name, mo_isa_name(isa), worst);
+  printf("# %-40s %-7s worst tensor's relative error %.2e\n", c->name,
+         mo_isa_name((enum mo_isa)isa), worst);
   CHECK_INT(fast.counts.robots, c->counts.robots);
   CHECK_INT(fast.counts.steps, c->counts.steps);
   if (c->rule == MO_ADJOINT_RESTART) {
@@ -192,7 +170,6 @@ static void compare_on(enum mo_isa isa, const struct comparison *c)
   }
   CHECK_INT(fast.counts.diverged_robots, c->counts.diverged_robots);
   CHECK_INT(fast.counts.zeroed_robots, c->counts.zeroed_robots);
-  free(fast.d);
 }
 
 /* On the instruction sets from `first` on. */
@@ -200,16 +177,14 @@ static void compare(enum mo_isa first, struct comparison c)
 {
   const struct mo_gradient_options options = {.adjoint_bound = c.bound,
                                               .weight = 0.25,
-                                              .adjoint_rule = c.rule,
+                                              .adjoint_rule = (enum mo_adjoint_rule)c.rule,
                                               .restart_weight = MO_RESTART_WEIGHT};
-  c.d = calloc(c.controller->n_parameters, sizeof(double));
-  REQUIRE(c.d != NULL);
+  c.d = make_zeros(c.controller->n_parameters, sizeof(double));
   for (uint32_t i = 0; i < c.n; i++)
     REQUIRE(mo_gradient_reference(c.robots[i].body, c.controller, c.robots[i].environment,
                                   c.physics, &options, &c.outcomes[i], c.d, &c.counts) == MO_OK);
   for (int isa = (int)first; isa <= (int)mo_isa_best(); isa++)
-    compare_on((enum mo_isa)isa, &c);
-  free(c.d);
+    compare_on(isa, &c);
 }
 
 static void agrees_on_few_steps(void)
@@ -217,24 +192,21 @@ static void agrees_on_few_steps(void)
   struct mo_physics chunk_and_part = physics_of(13), one_step = physics_of(1),
                     bisection = physics_of(40), forty_steps = physics_of(40);
   bisection.impact = MO_IMPACT_BISECTION;
-  REQUIRE(setup());
+  enum { CLIP = MO_ADJOINT_CLIP, RESTART = MO_ADJOINT_RESTART };
+  const double bound = MO_ADJOINT_BOUND;
+  const struct mo_physics *short_life = &chunk_and_part;
   const struct comparison list[] = {
-      {"32 robots, random weights", fresh, robots, ROBOTS, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4,
-       MO_ADJOINT_CLIP},
-      {"32 robots, trained", shipped, robots, ROBOTS, &chunk_and_part, 0, 2e-4, MO_ADJOINT_CLIP},
-      {"one voxel", fresh, robots, 1, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
-      {"all voxels", fresh, robots + ROBOTS - 1, 1, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4,
-       MO_ADJOINT_CLIP},
-      {"5 robots", shipped, robots + 7, 5, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4,
-       MO_ADJOINT_CLIP},
-      {"1 step", fresh, robots, 17, &one_step, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
-      {"bisection", shipped, robots + 3, 4, &bisection, MO_ADJOINT_BOUND, 2e-2, MO_ADJOINT_CLIP},
-      {"restarts at each step", shipped, robots, ROBOTS, &chunk_and_part, 0.01, 2e-4,
-       MO_ADJOINT_RESTART},
-      {"restarts now and then", fresh, robots + 5, 9, &chunk_and_part, 0.5, 2e-4,
-       MO_ADJOINT_RESTART},
-      {"restarts, 40 steps", shipped, robots + 3, 4, &forty_steps, 0.7, 2e-3, MO_ADJOINT_RESTART}};
-  for (size_t i = 0; i < sizeof(list) / sizeof(list[0]); i++)
+      {"32 robots, random weights", fresh, robots, ROBOTS, short_life, bound, 2e-4, CLIP},
+      {"32 robots, trained", shipped, robots, ROBOTS, short_life, 0, 2e-4, CLIP},
+      {"one voxel", fresh, robots, 1, short_life, bound, 2e-4, CLIP},
+      {"all voxels", fresh, robots + ROBOTS - 1, 1, short_life, bound, 2e-4, CLIP},
+      {"5 robots", shipped, robots + 7, 5, short_life, bound, 2e-4, CLIP},
+      {"1 step", fresh, robots, 17, &one_step, bound, 2e-4, CLIP},
+      {"bisection", shipped, robots + 3, 4, &bisection, bound, 2e-2, CLIP},
+      {"restarts at each step", shipped, robots, ROBOTS, short_life, 0.01, 2e-4, RESTART},
+      {"restarts now and then", fresh, robots + 5, 9, short_life, 0.5, 2e-4, RESTART},
+      {"restarts, 40 steps", shipped, robots + 3, 4, &forty_steps, 0.7, 2e-3, RESTART}};
+  for (size_t i = 0; i < COUNT(list); i++)
     compare(MO_ISA_BASELINE, list[i]);
 }
 
@@ -254,83 +226,66 @@ static double cosine(const float *a, const double *b, size_t n)
  * takes another way; of most robots, and of the batch, the direction stays. */
 static void agrees_over_hundreds_of_steps(void)
 {
-  REQUIRE(setup());
   enum { N = 12, FIRST = 8 };
   const struct mo_physics physics = physics_of(200);
   const struct mo_gradient_options options = mo_default_gradient_options();
   const size_t n = shipped->n_parameters;
-  double *one = calloc(n, sizeof(double)), *sum = calloc(n, sizeof(double));
-  REQUIRE(one != NULL && sum != NULL);
+  double *one = make_zeros(n, sizeof(double)), *sum = make_zeros(n, sizeof(double));
   uint32_t alike = 0;
   for (uint32_t i = FIRST; i < FIRST + N; i++) {
     struct mo_outcome outcome;
     memset(one, 0, n * sizeof(double));
     REQUIRE(mo_gradient_reference(robots[i].body, shipped, robots[i].environment, &physics,
                                   &options, &outcome, one, NULL) == MO_OK);
-    struct result fast = block(shipped, mo_isa_best(), robots + i, 1, &physics, &options,
-                               MO_GRADIENT_DEFAULT_BYTES, NULL);
+    struct result fast = plain(shipped, mo_isa_best(), robots + i, 1, &physics, &options);
     CHECK_INT(fast.status, MO_OK);
     CHECK_NEAR(fast.outcomes[0].loss, outcome.loss, 1e-3);
     alike += cosine(fast.d, one, n) > 0.9999;
     for (size_t k = 0; k < n; k++)
       sum[k] += one[k];
-    free(fast.d);
   }
-  struct result fast = block(shipped, mo_isa_best(), robots + FIRST, N, &physics, &options,
-                             MO_GRADIENT_DEFAULT_BYTES, NULL);
+  struct result fast = plain(shipped, mo_isa_best(), robots + FIRST, N, &physics, &options);
   const double together = cosine(fast.d, sum, n);
   printf("# 200 steps: %u of %d robots alike, the batch: 1 - cosine %.2g\n", alike, N,
          1 - together);
   CHECK(alike >= N * 3 / 4);
   CHECK(together > 0.999);
-  free(fast.d);
-  free(one);
-  free(sum);
 }
 #endif
 
 static bool same_outcome(const struct mo_outcome *a, const struct mo_outcome *b)
 {
-  return memcmp(&a->loss, &b->loss, sizeof(a->loss)) == 0 && a->diverged_step == b->diverged_step &&
-         memcmp(a->com_start_m, b->com_start_m, sizeof(a->com_start_m)) == 0 &&
-         memcmp(a->com_end_m, b->com_end_m, sizeof(a->com_end_m)) == 0;
+  return SAME(&a->loss, &b->loss, 1) && a->diverged_step == b->diverged_step &&
+         SAME(a->com_start_m, b->com_start_m, 3) && SAME(a->com_end_m, b->com_end_m, 3);
 }
 
 static void neighbors_do_not_matter(void)
 {
-  REQUIRE(setup());
   const struct mo_physics physics = physics_of(60);
   const struct mo_gradient_options options = mo_default_gradient_options();
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
     struct mo_robot reversed[ROBOTS];
     for (uint32_t i = 0; i < ROBOTS; i++)
       reversed[i] = robots[ROBOTS - 1 - i];
-    struct result all =
-        block(shipped, isa, robots, ROBOTS, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
-    struct result back =
-        block(shipped, isa, reversed, ROBOTS, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    struct result all = plain(shipped, isa, robots, ROBOTS, &physics, &options);
+    struct result back = plain(shipped, isa, reversed, ROBOTS, &physics, &options);
     for (uint32_t i = 0; i < ROBOTS; i++) {
       CHECK(same_outcome(all.outcomes + i, back.outcomes + ROBOTS - 1 - i));
       if (i % 7 != 0)
         continue;
-      struct result alone =
-          block(shipped, isa, robots + i, 1, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+      struct result alone = plain(shipped, isa, robots + i, 1, &physics, &options);
       CHECK(same_outcome(all.outcomes + i, alone.outcomes));
-      free(alone.d);
     }
-    free(all.d);
-    free(back.d);
   }
 }
 
 static bool same_bits(const struct result *a, const struct result *b, uint32_t n,
                       size_t n_parameters)
 {
-  bool same = memcmp(a->d, b->d, n_parameters * sizeof(float)) == 0 &&
-              a->counts.steps == b->counts.steps &&
+  bool same = SAME(a->d, b->d, n_parameters) && a->counts.steps == b->counts.steps &&
               a->counts.clipped_steps == b->counts.clipped_steps &&
               a->counts.clipped_robots == b->counts.clipped_robots &&
-              memcmp(&a->counts.largest, &b->counts.largest, sizeof(double)) == 0;
+              SAME(&a->counts.largest, &b->counts.largest, 1);
   for (uint32_t i = 0; i < n; i++)
     same = same && same_outcome(a->outcomes + i, b->outcomes + i);
   return same;
@@ -338,7 +293,6 @@ static bool same_bits(const struct result *a, const struct result *b, uint32_t n
 
 static void budgets_do_not_matter(void)
 {
-  REQUIRE(setup());
   static const size_t budgets[] = {0, 600000, 1500000, 4000000};
   const struct mo_gradient_options options = {.adjoint_bound = 1e-3, .weight = 1};
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
@@ -351,33 +305,28 @@ static void budgets_do_not_matter(void)
                                   MO_GRADIENT_DEFAULT_BYTES, &pause);
       CHECK_INT(whole_stop.calls, 2 * n_steps);
       CHECK(whole.counts.clipped_steps > 0);
-      for (size_t k = 0; k < sizeof(budgets) / sizeof(budgets[0]); k++) {
+      for (size_t k = 0; k < COUNT(budgets); k++) {
         struct stop part_stop = {.after = UINT32_MAX};
         pause.context = &part_stop;
         struct result part =
             block(shipped, isa, robots + 20, 9, &physics, &options, budgets[k], &pause);
         CHECK(same_bits(&whole, &part, 9, shipped->n_parameters));
         CHECK(part_stop.calls > 2 * n_steps || budgets[k] > 2000000);
-        free(part.d);
       }
-      free(whole.d);
     }
 }
 
 static void budgets_are_kept(void)
 {
-  REQUIRE(setup());
   const struct mo_physics physics = physics_of(1000);
   const struct mo_gradient_options options = mo_default_gradient_options();
-  struct mo_gradient_pack *pack = NULL;
-  struct mo_gradient_memory *memory = NULL;
   struct mo_outcome outcomes[ROBOTS];
-  float *d = calloc(shipped->n_parameters, sizeof(float));
+  float *d = make_zeros(shipped->n_parameters, sizeof(float));
   struct mo_robot large[ROBOTS];
   for (uint32_t i = 0; i < ROBOTS; i++)
     large[i] = (struct mo_robot){robots[ROBOTS - 1].body, environments + i};
-  REQUIRE(mo_gradient_pack_create(shipped, mo_isa_best(), &pack) == MO_OK);
-  REQUIRE(mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory) == MO_OK);
+  struct mo_gradient_pack *pack = make_gradient_pack(shipped, mo_isa_best());
+  struct mo_gradient_memory *memory = make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES);
   /* The largest bodies, and stopped once the tape has been laid out. */
   struct stop stop = {.after = 1};
   const struct mo_pause_point pause = {.interval = 1, .reached = count_down, .context = &stop};
@@ -388,16 +337,12 @@ static void budgets_are_kept(void)
          (double)mo_gradient_memory_bytes(memory) / (1 << 20));
   CHECK(mo_gradient_memory_bytes(memory) > MO_GRADIENT_DEFAULT_BYTES / 2);
   CHECK(mo_gradient_memory_bytes(memory) < MO_GRADIENT_DEFAULT_BYTES + ((size_t)32 << 20));
-  mo_gradient_memory_free(memory);
-  mo_gradient_pack_free(pack);
-  free(d);
 }
 
 /* With springs 2.5 times as stiff as usual a single voxel is stable, and everything larger blows
  * up. */
 static void diverged_robots_contribute_nothing(void)
 {
-  REQUIRE(setup());
   enum { N = 10 };
   struct mo_physics physics = physics_of(50);
   physics.stiffness_n_per_m *= 2.5;
@@ -408,8 +353,7 @@ static void diverged_robots_contribute_nothing(void)
       list[k][i] = (struct mo_robot){robots[i % 2 == 0 ? 0 : 12 + i].body,
                                      environments + i + (i % 2 == 0 ? 0 : N * k)};
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
-    struct result a =
-        block(shipped, isa, list[0], N, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    struct result a = plain(shipped, isa, list[0], N, &physics, &options);
     struct result b = block(shipped, isa, list[1], N, &physics, &options, 100000, NULL);
     CHECK_INT(a.counts.diverged_robots, N / 2);
     CHECK_INT(b.counts.diverged_robots, N / 2);
@@ -423,15 +367,11 @@ static void diverged_robots_contribute_nothing(void)
     }
     CHECK(other);
     CHECK(largest(a.d, shipped->n_parameters) > 0);
-    CHECK(memcmp(a.d, b.d, shipped->n_parameters * sizeof(float)) == 0);
-    free(a.d);
-    free(b.d);
-    struct result none =
-        block(shipped, isa, robots + 12, N, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    CHECK(SAME(a.d, b.d, shipped->n_parameters));
+    struct result none = plain(shipped, isa, robots + 12, N, &physics, &options);
     CHECK_INT(none.counts.diverged_robots, N);
     CHECK_INT(none.counts.steps, 0);
     CHECK(largest(none.d, shipped->n_parameters) == 0);
-    free(none.d);
   }
 }
 
@@ -455,9 +395,7 @@ static struct explosion find_explosion(enum mo_isa isa)
   struct mo_robot worst = {0};
   for (uint32_t i = 0; i < CANDIDATES; i++) {
     const struct mo_robot robot = {robots[27].body, environments + candidates[i]};
-    struct result r =
-        block(shipped, isa, &robot, 1, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
-    free(r.d);
+    struct result r = plain(shipped, isa, &robot, 1, &physics, &options);
     if (r.counts.largest < 300 && e.n_calm < 3)
       e.calm[e.n_calm++] = robot;
     if (r.counts.largest > e.largest) {
@@ -481,8 +419,7 @@ static void explosion_is_zeroed(const struct explosion *e, const struct mo_contr
 {
   const struct mo_physics physics = physics_of(1000);
   const struct mo_gradient_options options = {.adjoint_bound = 0, .weight = weight};
-  struct result a =
-      block(controller, isa, e->all, e->n_all, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+  struct result a = plain(controller, isa, e->all, e->n_all, &physics, &options);
   struct result b = block(controller, isa, e->calm, e->n_calm, &physics, &options, 20000000, NULL);
   CHECK_INT(a.counts.zeroed_robots, 1);
   CHECK_INT(b.counts.zeroed_robots, 0);
@@ -490,20 +427,16 @@ static void explosion_is_zeroed(const struct explosion *e, const struct mo_contr
   CHECK(a.counts.steps > e->n_calm * physics.n_steps);
   CHECK_INT(b.counts.steps, e->n_calm * physics.n_steps);
   CHECK(largest(b.d, controller->n_parameters) > 0);
-  CHECK(memcmp(a.d, b.d, controller->n_parameters * sizeof(float)) == 0);
+  CHECK(SAME(a.d, b.d, controller->n_parameters));
   for (uint32_t i = 0; i < e->n_all; i++)
     CHECK(isfinite(a.outcomes[i].loss));
-  free(a.d);
-  free(b.d);
 }
 
 /* The shipped controller with the last layer's weights times 2^exponent and what they multiply over
  * it: the same rollouts to the bit, but on the way back there are larger numbers between. */
 static struct mo_controller *steep(int exponent)
 {
-  struct mo_controller *controller = NULL;
-  if (mo_controller_create(MO_DEFAULT_WORKSPACE, shipped->sensor, &controller) != MO_OK)
-    return NULL;
+  struct mo_controller *controller = make_controller(MO_DEFAULT_WORKSPACE, shipped->sensor);
   memcpy(controller->parameters, shipped->parameters, shipped->n_parameters * sizeof(float));
   float *last = controller->weight[MO_HIDDEN_LAYERS];
   for (size_t i = 0; i < (size_t)controller->n_springs * MO_HIDDEN; i++)
@@ -521,46 +454,35 @@ static struct mo_controller *steep(int exponent)
  * the weight is not. */
 static void explosions_are_zeroed(void)
 {
-  REQUIRE(setup());
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
     const struct explosion e = find_explosion((enum mo_isa)isa);
     REQUIRE(e.largest > 1e9 && e.n_calm >= 2);
-    struct mo_controller *controller = steep(ilogb((double)FLT_MAX / (e.largest / 1e4)));
-    REQUIRE(controller != NULL);
-    explosion_is_zeroed(&e, controller, (enum mo_isa)isa, 1);
+    explosion_is_zeroed(&e, steep(ilogb((double)FLT_MAX / (e.largest / 1e4))), (enum mo_isa)isa, 1);
     explosion_is_zeroed(&e, shipped, (enum mo_isa)isa, (double)FLT_MAX / (e.largest / 1e4));
-    mo_controller_free(controller);
   }
 }
 
 /* A weight that no gradient survives. */
 static void gradients_out_of_range_are_zeroed(void)
 {
-  REQUIRE(setup());
   const struct mo_physics physics = physics_of(60); /* all of them have pushed off */
   const struct mo_gradient_options options = {.adjoint_bound = MO_ADJOINT_BOUND, .weight = 1e300};
-  struct result none =
-      block(fresh, mo_isa_best(), robots, 12, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+  struct result none = plain(fresh, mo_isa_best(), robots, 12, &physics, &options);
   CHECK_INT(none.counts.zeroed_robots, 12);
   CHECK(largest(none.d, fresh->n_parameters) == 0);
-  free(none.d);
 }
 
 static void pauses_and_ends(void)
 {
-  REQUIRE(setup());
   enum { N = 3 };
   const struct mo_physics physics = physics_of(50);
   const struct mo_gradient_options options = mo_default_gradient_options();
-  struct mo_gradient_pack *pack = NULL;
-  struct mo_gradient_memory *memory = NULL;
   struct mo_outcome outcomes[N];
   struct mo_gradient_counts counts = {0};
-  float *d[2] = {calloc(shipped->n_parameters, sizeof(float)),
-                 calloc(shipped->n_parameters, sizeof(float))};
-  REQUIRE(d[0] != NULL && d[1] != NULL);
-  REQUIRE(mo_gradient_pack_create(shipped, mo_isa_best(), &pack) == MO_OK);
-  REQUIRE(mo_gradient_memory_create(1000000, &memory) == MO_OK);
+  float *d[2] = {make_zeros(shipped->n_parameters, sizeof(float)),
+                 make_zeros(shipped->n_parameters, sizeof(float))};
+  struct mo_gradient_pack *pack = make_gradient_pack(shipped, mo_isa_best());
+  struct mo_gradient_memory *memory = make_gradient_memory(1000000);
   struct stop stop = {.after = UINT32_MAX};
   struct mo_pause_point pause = {.interval = 7, .reached = count_down, .context = &stop};
   CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, outcomes, d[0],
@@ -583,28 +505,18 @@ static void pauses_and_ends(void)
                               &counts),
             MO_OK);
   CHECK_INT(stop.calls, 0);
-  CHECK(memcmp(d[0], d[1], shipped->n_parameters * sizeof(float)) == 0);
-  mo_gradient_memory_free(memory);
-  mo_gradient_pack_free(pack);
-  free(d[0]);
-  free(d[1]);
+  CHECK(SAME(d[0], d[1], shipped->n_parameters));
 }
 
 static void packs_can_be_updated(void)
 {
-  REQUIRE(setup());
   const struct mo_physics physics = physics_of(20);
   const struct mo_gradient_options options = mo_default_gradient_options();
-  struct mo_controller *other = NULL;
-  struct mo_gradient_pack *pack = NULL;
-  struct mo_gradient_memory *memory = NULL;
+  struct mo_gradient_pack *pack =
+      make_gradient_pack(make_random_controller(shipped->sensor, 99), mo_isa_best());
+  struct mo_gradient_memory *memory = make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES);
   struct mo_outcome outcomes[ROBOTS];
-  float *d = calloc(shipped->n_parameters, sizeof(float));
-  REQUIRE(d != NULL &&
-          mo_controller_create(MO_DEFAULT_WORKSPACE, shipped->sensor, &other) == MO_OK);
-  mo_controller_randomize(other, 99);
-  REQUIRE(mo_gradient_pack_create(other, mo_isa_best(), &pack) == MO_OK);
-  REQUIRE(mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory) == MO_OK);
+  float *d = make_zeros(shipped->n_parameters, sizeof(float));
   CHECK_INT(mo_gradient_pack_update(pack, shipped), MO_OK);
   CHECK(mo_gradient_pack_bytes(pack) > shipped->n_parameters * sizeof(float));
   /* The memory has seen other blocks, too. */
@@ -612,66 +524,60 @@ static void packs_can_be_updated(void)
     CHECK_INT(
         mo_gradient_block(memory, pack, robots, n, &physics, &options, NULL, outcomes, d, NULL),
         MO_OK);
-  struct result again = block(shipped, mo_isa_best(), robots, 28, &physics, &options,
-                              MO_GRADIENT_DEFAULT_BYTES, NULL);
-  CHECK(memcmp(d, again.d, shipped->n_parameters * sizeof(float)) == 0);
-  free(again.d);
-  CHECK_INT(mo_gradient_pack_update(pack, fresh), MO_ERR_UNSUPPORTED); /* another sensor */
-  mo_controller_free(other);
-  REQUIRE(mo_controller_create((struct mo_workspace){6, 6, 3}, shipped->sensor, &other) == MO_OK);
-  CHECK_INT(mo_gradient_pack_update(pack, other), MO_ERR_UNSUPPORTED);
+  struct result again = plain(shipped, mo_isa_best(), robots, 28, &physics, &options);
+  CHECK(SAME(d, again.d, shipped->n_parameters));
+}
 
-  CHECK_INT(mo_gradient_block(memory, pack, robots, 0, &physics, &options, NULL, outcomes, d, NULL),
-            MO_ERR_INVALID);
-  CHECK_INT(mo_gradient_block(memory, pack, robots, ROBOTS + 1, &physics, &options, NULL, outcomes,
-                              d, NULL),
-            MO_ERR_INVALID);
-  const struct mo_gradient_options bad[] = {{-1, 1}, {(double)NAN, 1}, {2, (double)INFINITY}};
-  for (int i = 0; i < 3; i++)
-    CHECK_INT(
-        mo_gradient_block(memory, pack, robots, 1, &physics, bad + i, NULL, outcomes, d, NULL),
-        MO_ERR_INVALID);
-  mo_gradient_pack_free(pack);
-  REQUIRE(mo_gradient_pack_create(other, mo_isa_best(), &pack) == MO_OK);
-  CHECK_INT(mo_gradient_block(memory, pack, robots, 1, &physics, &options, NULL, outcomes, d, NULL),
-            MO_ERR_INVALID);
-  mo_gradient_pack_free(pack);
+static void faults_are_refused(void)
+{
+  const struct mo_physics physics = physics_of(20);
+  const struct mo_controller *other =
+      make_controller((struct mo_workspace){6, 6, 3}, shipped->sensor);
+  struct mo_gradient_pack *pack = make_gradient_pack(shipped, mo_isa_best());
+  struct mo_gradient_memory *memory = make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES);
+  struct mo_outcome outcomes[ROBOTS];
+  float *d = make_zeros(shipped->n_parameters, sizeof(float));
+  CHECK_INT(mo_gradient_pack_update(pack, fresh), MO_ERR_UNSUPPORTED); /* another sensor */
+  CHECK_INT(mo_gradient_pack_update(pack, other), MO_ERR_UNSUPPORTED);
+  const struct {
+    const struct mo_gradient_pack *pack;
+    uint32_t n;
+    struct mo_gradient_options options;
+  } bad[] = {{pack, 0, mo_default_gradient_options()},
+             {pack, ROBOTS + 1, mo_default_gradient_options()},
+             {pack, 1, {-1, 1}},
+             {pack, 1, {(double)NAN, 1}},
+             {pack, 1, {2, (double)INFINITY}},
+             {make_gradient_pack(other, mo_isa_best()), 1, mo_default_gradient_options()}};
+  for (size_t i = 0; i < COUNT(bad); i++)
+    CHECK_INT(mo_gradient_block(memory, bad[i].pack, robots, bad[i].n, &physics, &bad[i].options,
+                                NULL, outcomes, d, NULL),
+              MO_ERR_INVALID);
   CHECK_INT(mo_gradient_pack_create(shipped, MO_ISA_COUNT, &pack), MO_ERR_UNSUPPORTED);
-  mo_gradient_memory_free(memory);
   mo_gradient_pack_free(NULL);
   mo_gradient_memory_free(NULL);
-  mo_controller_free(other);
-  free(d);
 }
 
 /* 46,000 springs and 4913 masses: more than the windows in which tiles are made. */
 static void large_bodies(void)
 {
-  REQUIRE(setup());
   const struct mo_workspace workspace = {16, 16, 16};
-  struct mo_lattice *large = NULL;
-  struct mo_controller *controller = NULL;
-  struct mo_body *whole = full_body(workspace, &large), *part = NULL;
+  const struct mo_lattice *large = make_lattice(workspace);
+  struct mo_controller *controller = make_controller(workspace, MO_SENSOR_INVERSE_SQRT);
   uint64_t bits[64] = {0};
   for (uint32_t v = 0; v < 4096; v += 16) /* a plate with a post */
     bits[v >> 6] |= UINT64_C(1) << (v & 63);
   bits[32] |= 0xff;
-  REQUIRE(whole != NULL && mo_body_create(large, bits, &part) == MO_OK);
-  REQUIRE(mo_controller_create(workspace, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
   mo_controller_randomize(controller, 3);
-  const struct mo_robot list[] = {{whole, environments}, {part, environments + 1}};
+  const struct mo_robot list[] = {{make_full_body(large), environments},
+                                  {make_body(large, bits), environments + 1}};
   const struct mo_physics physics = physics_of(5);
   compare(mo_isa_best(), (struct comparison){"large bodies", controller, list, 2, &physics,
                                              MO_ADJOINT_BOUND, 2e-4, .d = NULL});
-  mo_controller_free(controller);
-  mo_body_free(whole);
-  mo_body_free(part);
-  mo_lattice_free(large);
 }
 
 static void arrangement(void)
 {
-  REQUIRE(setup());
   uint32_t order[ROBOTS], seen = 0;
   CHECK_INT(mo_gradient_arrange(robots, ROBOTS, order), MO_OK);
   for (uint32_t i = 0; i < ROBOTS; i++) {
@@ -695,8 +601,9 @@ static const struct check_case cases[] = {
     {"explosions are zeroed", explosions_are_zeroed},
     {"gradients out of range are zeroed", gradients_out_of_range_are_zeroed},
     {"pauses and ends", pauses_and_ends},
-    {"packs can be updated, faults are refused", packs_can_be_updated},
+    {"packs can be updated", packs_can_be_updated},
+    {"faults are refused", faults_are_refused},
     {"large bodies", large_bodies},
     {"arrangement", arrangement},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_WITH(setup, cases)

@@ -3,9 +3,6 @@
 #ifndef MORPHO_TESTS_GRADIENT_PHYSICS_BOTH_H
 #define MORPHO_TESTS_GRADIENT_PHYSICS_BOTH_H
 
-#include <math.h>
-#include <stdlib.h>
-
 #include "gradient-cases.h"
 #include "gradient-physics.h"
 #include "rollout/adjoint.h"
@@ -27,46 +24,45 @@ struct both {
   bool *at_kink;                   /* (n_masses) */
   double *shift_m, *shift_m_per_s; /* where the reference's contact takes the branch that float32
                                       took; 0 but at kinks */
-  double *memory;
 };
 
-static inline void both_free(struct both *b)
+static inline void drop_reference(void *reference)
 {
-  mo_reference_done(&b->reference);
-  free(b->memory);
-  free(b->at_kink);
+  mo_reference_done(reference);
 }
 
-static inline bool both_create(const struct gradient_case *c, struct both *b)
+static inline struct both *make_both(const struct gradient_case *c)
 {
-  const size_t n = 3 * (size_t)c->body->n_masses, springs = c->body->n_springs;
-  *b = (struct both){.c = c};
+  const size_t n = 3 * (size_t)c->body->n_masses, springs = c->body->n_springs,
+               tape = mo_controller_tape_doubles(c->controller, c->body->n_springs);
+  struct both *b = make_zeros(1, sizeof(*b));
+  b->c = c;
   b->scene = (struct physics_scene){c->body, &c->environment, &c->physics, c->controller->sensor};
-  if (mo_reference_init(&b->reference, c->body, c->controller, &c->environment, &c->physics) < 0)
-    return false;
-  const size_t tape = mo_controller_tape_doubles(c->controller, c->body->n_springs);
-  b->memory = calloc(19 * n + tape + 3 * springs + c->controller->n_inputs, sizeof(double));
-  b->at_kink = calloc(c->body->n_masses, sizeof(bool));
-  if (b->memory == NULL || b->at_kink == NULL) {
-    both_free(b);
-    return false;
-  }
-  double *at = b->memory;
+  make_check(mo_reference_init(&b->reference, c->body, c->controller, &c->environment, &c->physics),
+             "reference");
+  check_keep(&b->reference, drop_reference);
   double **vectors[] = {&b->position,          &b->velocity,           &b->d_position,
                         &b->d_velocity,        &b->adjoint.d_position, &b->adjoint.d_velocity,
                         &b->adjoint.d_impulse, &b->tape.position_m,    &b->tape.velocity_m_per_s,
                         &b->fast.next_m,       &b->fast.next_m_per_s,  &b->fast.d_position,
                         &b->fast.d_velocity,   &b->d_sensors,          &b->fast_sensors,
                         &b->shift_m,           &b->shift_m_per_s};
-  for (size_t i = 0; i < sizeof(vectors) / sizeof(vectors[0]); i++, at += n)
-    *vectors[i] = at;
-  b->adjoint.d_activation = at;
-  b->fast_d_activation = at + springs;
-  b->adjoint.d_input = at + 2 * springs;
-  b->tape.control = mo_controller_tape_place(c->controller, c->body->n_springs,
-                                             at + 2 * springs + c->controller->n_inputs);
+  for (size_t i = 0; i < COUNT(vectors); i++)
+    *vectors[i] = make_zeros(n, sizeof(double));
+  b->at_kink = make_zeros(c->body->n_masses, sizeof(bool));
+  b->adjoint.d_activation = make_zeros(springs, sizeof(double));
+  b->fast_d_activation = make_zeros(springs, sizeof(double));
+  b->adjoint.d_input = make_zeros(c->controller->n_inputs, sizeof(double));
+  b->tape.control =
+      mo_controller_tape_place(c->controller, c->body->n_springs, make_zeros(tape, sizeof(double)));
   b->reference.tape = &b->tape;
-  return true;
+  b->fast.position_m = b->position;
+  b->fast.velocity_m_per_s = b->velocity;
+  b->fast.activation = b->tape.control.output;
+  b->fast.sensors = b->fast_sensors;
+  b->fast.d_sensors = b->d_sensors;
+  b->fast.d_activation = b->fast_d_activation;
+  return b;
 }
 
 /* What float32 can hold. */

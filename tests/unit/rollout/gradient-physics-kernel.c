@@ -5,7 +5,6 @@
 #include "rollout/gradient_physics.inc"
 
 #include <stdlib.h>
-#include <x86intrin.h>
 
 #include "gradient-physics.h"
 
@@ -75,12 +74,6 @@ static void get(const struct machine *k, const REAL *from, double center, double
           from[axis * k->robot.n_sites + k->robot.mass_site[m]] + (axis < 2 ? center : 0);
 }
 
-static void put_slots(const struct machine *k, const float *activation)
-{
-  for (uint32_t i = 0; i < k->robot.n_springs; i++)
-    k->slots[i] = activation[k->robot.slot_spring[i]];
-}
-
 static bool step(const struct physics_scene *scene, struct physics_step *s)
 {
   struct machine k;
@@ -90,6 +83,7 @@ static bool step(const struct physics_scene *scene, struct physics_step *s)
   struct mo_outcome outcome;
   REAL *velocity = k.state + 3 * (size_t)r->n_sites;
   phys_start(r, k.state, &outcome);
+  phys_fetch(r);
   put(&k, s->position_m, MO_WORLD_CENTRE_M, k.state);
   put(&k, s->velocity_m_per_s, 0, velocity);
   for (uint32_t i = 0; i < r->n_springs; i++)
@@ -129,57 +123,6 @@ static bool step(const struct physics_scene *scene, struct physics_step *s)
   return true;
 }
 
-static bool live(const struct physics_scene *scene, struct physics_life *life)
-{
-  struct machine k;
-  const uint32_t n_steps = scene->physics->n_steps;
-  if (!create(&k, scene, n_steps))
-    return false;
-  struct phys_robot *r = &k.robot;
-  double *d = malloc(6 * (size_t)r->n_masses * sizeof(double));
-  if (d == NULL) {
-    destroy(&k);
-    return false;
-  }
-  uint32_t n = 0;
-  phys_start(r, k.state, &life->outcome);
-  phys_fetch(r);
-  for (; n < n_steps && life->outcome.diverged_step == 0; n++) {
-    REAL *record = k.records + n * r->n_record_reals;
-    put_slots(&k, life->activation + (size_t)n * r->n_springs);
-    phys_keep(r, k.state, record);
-    if (!phys_step(r, record, k.slots, k.state, k.scratch))
-      life->outcome.diverged_step = (int32_t)n + 1;
-  }
-  phys_finish(r, k.state, &life->outcome);
-  phys_back_start(r, life->outcome.com_end_m, 1.0, k.adjoint);
-  life->finite = life->outcome.diverged_step == 0;
-  life->largest = 0;
-  life->clipped = 0;
-  for (; n > 0 && life->finite; n--) {
-    if (life->adjoint != NULL) {
-      get(&k, k.adjoint, 0, d);
-      get(&k, k.adjoint + 3 * (size_t)r->n_sites, 0, d + 3 * (size_t)r->n_masses);
-      life->adjoint(life->context, n, d, d + 3 * (size_t)r->n_masses);
-    }
-    double m;
-    bool clipped;
-    const REAL *record = k.records + (n - 1) * r->n_record_reals;
-    const struct mo_gradient_options options = {
-        .adjoint_bound = life->bound, .adjoint_rule = life->rule, .restart_weight = 1.0};
-    life->finite = phys_limit(r, &options, record, k.adjoint, &m, &clipped);
-    if (!life->finite)
-      break;
-    life->largest = fmax(life->largest, m);
-    life->clipped += clipped;
-    put_slots(&k, life->activation + (size_t)(n - 1) * r->n_springs);
-    phys_step_back(r, record, k.slots, k.adjoint, k.d_slots, k.scratch);
-  }
-  free(d);
-  destroy(&k);
-  return true;
-}
-
 static bool clip(const struct physics_scene *scene, double bound, double *d_position,
                  double *d_velocity, double *m, bool *clipped, bool *finite)
 {
@@ -212,65 +155,4 @@ static bool start(const struct physics_scene *scene, struct mo_outcome *outcome,
   return true;
 }
 
-/* A rollout's averages; the least of several rounds. */
-static bool time_functions(const struct physics_scene *scene, const float *activation,
-                           struct physics_times *times, uint32_t counts[4])
-{
-  struct machine k;
-  const uint32_t n_steps = scene->physics->n_steps;
-  if (!create(&k, scene, n_steps))
-    return false;
-  struct phys_robot *r = &k.robot;
-  counts[0] = r->n_vectors;
-  counts[1] = counts[2] = 0;
-  for (uint32_t i = 0; i < r->n_vectors * PHYS_DIRECTIONS; i++) {
-    counts[1] += r->tiles[i].mask != 0;
-    counts[2] += r->arrivals[i] != 0;
-  }
-  counts[3] = (uint32_t)r->n_record_reals;
-  double *const each[5] = {&times->sense, &times->step, &times->clip, &times->step_back,
-                           &times->sense_back};
-  for (int i = 0; i < 5; i++)
-    *each[i] = INFINITY;
-  for (int round = 0; round < 5; round++) {
-    uint64_t sum[5] = {0};
-    struct mo_outcome outcome;
-    phys_start(r, k.state, &outcome);
-    for (uint32_t n = 0; n < n_steps; n++) {
-      REAL *record = k.records + n * r->n_record_reals;
-      put_slots(&k, activation + (size_t)n * r->n_springs);
-      const uint64_t t0 = __rdtsc();
-      phys_keep(r, k.state, record);
-      phys_sense(r, record, k.sensors);
-      const uint64_t t1 = __rdtsc();
-      phys_step(r, record, k.slots, k.state, k.scratch);
-      sum[0] += t1 - t0;
-      sum[1] += __rdtsc() - t1;
-    }
-    phys_finish(r, k.state, &outcome);
-    phys_back_start(r, outcome.com_end_m, 1.0, k.adjoint);
-    const struct mo_gradient_options options = mo_default_gradient_options();
-    for (uint32_t n = n_steps; n-- > 0;) {
-      const REAL *record = k.records + n * r->n_record_reals;
-      double m;
-      bool clipped;
-      put_slots(&k, activation + (size_t)n * r->n_springs);
-      const uint64_t t0 = __rdtsc();
-      phys_limit(r, &options, record, k.adjoint, &m, &clipped);
-      const uint64_t t1 = __rdtsc();
-      phys_step_back(r, record, k.slots, k.adjoint, k.d_slots, k.scratch);
-      const uint64_t t2 = __rdtsc();
-      phys_sense_back(r, record, k.sensors, k.adjoint);
-      sum[2] += t1 - t0;
-      sum[3] += t2 - t1;
-      sum[4] += __rdtsc() - t2;
-    }
-    for (int i = 0; i < 5; i++)
-      *each[i] = fmin(*each[i], (double)sum[i] / n_steps);
-  }
-  destroy(&k);
-  return true;
-}
-
-const struct physics_functions MO_JOIN(physics_, MO_FAST_ISA, ) = {step, live, clip, start,
-                                                                   time_functions};
+const struct physics_functions MO_JOIN(physics_, MO_FAST_ISA, ) = {step, clip, start};

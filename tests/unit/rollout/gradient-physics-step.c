@@ -7,13 +7,7 @@
  * off by no more than NEAR_M and NEAR_M_PER_S, must come to what float32 came to, both ways. There
  * must be few such masses; all others, and all that hangs on their branch, must agree without
  * exception. */
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
 
-#include <morpho/random.h>
-
-#include "../check.h"
 #include "gradient-physics-both.h"
 #include "rollout/contact.h"
 
@@ -135,12 +129,6 @@ static bool run_both(struct both *b, const struct physics_functions *f, uint32_t
   mo_adjoint_step(r, &b->tape, &b->adjoint);
   for (uint32_t m = 0; m < c->body->n_masses; m++)
     b->d_sensors[m] = b->adjoint.d_input[c->body->mass_lattice[m]];
-  b->fast.position_m = b->position;
-  b->fast.velocity_m_per_s = b->velocity;
-  b->fast.activation = b->tape.control.output;
-  b->fast.sensors = b->fast_sensors;
-  b->fast.d_sensors = b->d_sensors;
-  b->fast.d_activation = b->fast_d_activation;
   return f->step(&b->scene, &b->fast);
 }
 
@@ -286,28 +274,23 @@ static void one_step(void)
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
     struct tally t = {0};
     for (uint32_t k = 0; k < GRADIENT_CASES; k++) {
-      struct gradient_case c;
-      struct both b;
-      struct mo_random random, near;
-      REQUIRE(gradient_case_create(k, &c) == 0);
-      mo_random_init(&random, 5, MO_PURPOSE_CHECK, 1, k);
-      REQUIRE(both_create(&c, &b));
-      mo_random_init(&near, 5, MO_PURPOSE_CHECK, 2, k);
+      struct gradient_case c = make_gradient_case(k);
+      struct mo_random random = dice(5, 1, k), near = dice(5, 2, k);
+      struct both *b = make_both(&c);
       for (uint32_t i = 0; i < 40; i++) {
-        make_state(&b, &random);
+        make_state(b, &random);
         if (i % 2 == 1)
-          go_to_kinks(&b, &random, i);
-        if (!run_to_agreement(&b, functions[isa], i, &near)) {
+          go_to_kinks(b, &random, i);
+        if (!run_to_agreement(b, functions[isa], i, &near)) {
           printf("# case %u, state %u: the reference diverged\n", k, i);
           continue;
         }
         char where[64];
         snprintf(where, sizeof(where), "%s, case %u, state %u", mo_isa_name((enum mo_isa)isa), k,
                  i);
-        compare(&b, where, &t);
+        compare(b, where, &t);
       }
-      both_free(&b);
-      gradient_case_free(&c);
+      check_drop_to(0);
     }
     printf("# %s: %u steps, %u masses, %u of them struck, %u of those at a kink\n",
            mo_isa_name((enum mo_isa)isa), t.steps, t.masses, t.hits, t.kinks);

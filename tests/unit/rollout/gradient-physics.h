@@ -29,35 +29,12 @@ struct physics_step {
   double *d_activation; /* (n_springs) out */
 };
 
-/* A rollout from the start with given activations (n_steps, n_springs), and back. `adjoint`: NULL,
- * or called as mo_gradient_probe's `before` is. */
-struct physics_life {
-  const float *activation;
-  double bound;
-  enum mo_adjoint_rule rule;
-  void (*adjoint)(void *context, uint32_t step, double *d_position, double *d_velocity);
-  void *context;
-  struct mo_outcome outcome;
-  double largest;
-  uint32_t clipped;
-  bool finite;
-};
-
-/* Time stamps per call, the least of some. */
-struct physics_times {
-  double sense, step, clip, step_back, sense_back;
-};
-
 struct physics_functions {
   bool (*step)(const struct physics_scene *scene, struct physics_step *step); /* false: no memory */
-  bool (*live)(const struct physics_scene *scene, struct physics_life *life);
   bool (*clip)(const struct physics_scene *scene, double bound, double *d_position,
                double *d_velocity, double *m, bool *clipped, bool *finite);
   bool (*start)(const struct physics_scene *scene, struct mo_outcome *outcome, double *position_m,
                 double *d_position);
-  bool (*time)(const struct physics_scene *scene, const float *activation,
-               struct physics_times *times,
-               uint32_t counts[4]); /* vectors, tiles, vectors of arrivals, reals of a record */
 };
 extern const struct physics_functions physics_baseline, physics_avx2, physics_avx512;
 

@@ -1,10 +1,6 @@
 /* gradient-stress.c: settings far outside of what the physics is made for. Whatever happens, no
  * number that is not finite reaches the gradient, and each robot is accounted for. */
-#include <math.h>
 
-#include <morpho/gradient.h>
-
-#include "../check.h"
 #include "gradient-cases.h"
 
 struct stress {
@@ -27,7 +23,6 @@ static const struct stress stresses[] = {
     {"weights x100, light inside", 1, 0.004, 100, 0, 1.0, 1},
     {"everything", 4, 0.005, 100, 10, 1.0, 1},
 };
-#define STRESSES (sizeof(stresses) / sizeof(stresses[0]))
 
 static void apply(const struct stress *s, uint32_t n_steps, struct gradient_case *c)
 {
@@ -58,15 +53,13 @@ static void run(const uint32_t *numbers, uint32_t n_cases, uint32_t n_steps)
          n_steps);
   printf("# %-26s diverged zeroed clipped steps  largest m   largest |gradient|, bound 2 and off\n",
          "");
-  for (size_t s = 0; s < STRESSES; s++) {
+  for (size_t s = 0; s < COUNT(stresses); s++) {
     struct mo_gradient_counts counts = {0};
     double largest[2] = {0, 0};
     for (uint32_t k = 0; k < n_cases; k++) {
-      struct gradient_case c;
-      REQUIRE(gradient_case_create(numbers[k], &c) == 0);
+      struct gradient_case c = make_gradient_case(numbers[k]);
       apply(&stresses[s], n_steps, &c);
-      double *gradient = malloc(c.controller->n_parameters * sizeof(double));
-      REQUIRE(gradient != NULL);
+      double *gradient = make_zeros(c.controller->n_parameters, sizeof(double));
       for (int off = 0; off < 2; off++) {
         const struct mo_gradient_options options = {.adjoint_bound = off ? 0 : MO_ADJOINT_BOUND,
                                                     .weight = 1};
@@ -88,8 +81,6 @@ static void run(const uint32_t *numbers, uint32_t n_cases, uint32_t n_steps)
         CHECK((outcome.diverged_step != 0) == (counts.diverged_robots > one.diverged_robots));
         largest[off] = fmax(largest[off], size);
       }
-      free(gradient);
-      gradient_case_free(&c);
     }
     printf("# %-26s %8llu %6llu %13llu  %9.1e   %9.1e %9.1e\n", stresses[s].name,
            (unsigned long long)counts.diverged_robots, (unsigned long long)counts.zeroed_robots,

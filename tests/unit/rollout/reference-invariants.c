@@ -1,11 +1,6 @@
 /* reference-invariants.c: what holds for any body on any ground: random bodies and environments,
  * step by step. */
-#include "../check.h"
-
-#include "bodies.h"
-#include "golden.h"
-
-#include <morpho/random.h>
+#include "../make.h"
 
 #include "rollout/reference.h"
 
@@ -14,16 +9,36 @@
 static struct mo_lattice *lattice;
 static struct mo_controller *bootstrap;
 
+static void setup(void)
+{
+  lattice = make_lattice(MO_DEFAULT_WORKSPACE);
+  bootstrap = make_shipped_controller("bootstrap");
+}
+
 static struct mo_body *random_body(uint64_t index)
 {
-  struct mo_random random;
+  struct mo_random random = dice(77, 0, index);
   uint64_t bits[MO_DEFAULT_WORDS];
-  struct mo_body *body = NULL;
-  mo_random_init(&random, 77, MO_PURPOSE_CHECK, 0, index);
-  if (mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, bits) < 0 ||
-      mo_body_create(lattice, bits, &body) < 0)
-    return NULL;
-  return body;
+  make_check(mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, bits), "a body");
+  return make_body(lattice, bits);
+}
+
+static struct mo_environment environment_of(uint64_t seed, uint64_t index)
+{
+  struct mo_environment environment;
+  mo_environment_training(seed, 0, index, &environment);
+  return environment;
+}
+
+static struct mo_outcome outcome_of(const struct mo_body *body, const struct mo_controller *brain,
+                                    const struct mo_environment *environment,
+                                    const struct mo_physics *physics,
+                                    const struct mo_recording *recording)
+{
+  struct mo_outcome outcome;
+  make_check(mo_rollout_reference(body, brain, environment, physics, recording, &outcome),
+             "rollout");
+  return outcome;
 }
 
 /* Every step, every mass: on or above the ground. Rough terrain, some of it far rougher than in
@@ -33,9 +48,7 @@ static void never_below_ground(void)
   uint64_t checked = 0, touching = 0;
   for (uint64_t i = 0; i < BODIES; i++) {
     struct mo_body *body = random_body(i);
-    REQUIRE(body != NULL);
-    struct mo_environment environment;
-    mo_environment_training(77, 0, i, &environment);
+    struct mo_environment environment = environment_of(77, i);
     if (i % 4 == 3)
       for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
         environment.terrain_heights_m[k] *= 5;
@@ -54,7 +67,6 @@ static void never_below_ground(void)
       }
     }
     mo_reference_done(&r);
-    mo_body_free(body);
   }
   printf("# %llu masses looked at, %.1f %% on the ground\n", (unsigned long long)checked,
          100 * (double)touching / (double)checked);
@@ -92,9 +104,7 @@ static void no_energy_gain(void)
   double highest = -INFINITY, fastest = 0;
   for (uint64_t i = 0; i < BODIES; i++) {
     struct mo_body *body = random_body(1000 + i);
-    REQUIRE(body != NULL);
-    struct mo_environment environment;
-    mo_environment_training(78, 0, i, &environment);
+    struct mo_environment environment = environment_of(78, i);
     struct mo_physics physics = mo_default_physics();
     physics.impact = i % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
     physics.drop_height_m = i % 3 ? 0 : 0.5;
@@ -112,7 +122,6 @@ static void no_energy_gain(void)
     }
     fastest = fmax(fastest, measure(&r).kinetic / (double)body->n_masses);
     mo_reference_done(&r);
-    mo_body_free(body);
   }
   printf("# highest energy above the start: %.2e of all that can be lost; at most %.1e J per mass "
          "move in the end\n",
@@ -124,16 +133,15 @@ static void no_energy_gain(void)
 /* On flat ground a passive body does the same wherever it stands. */
 static void translation(void)
 {
-  struct mo_environment environment = flat_environment(0.1, 4, 4);
-  struct mo_physics physics = mo_default_physics();
-  physics.n_steps = 300;
+  struct mo_environment environment = {.light_xy_m = {4, 4}};
+  struct mo_physics physics = physics_of(300);
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+    environment.terrain_heights_m[k] = 0.1;
   physics.drop_height_m = 0.3;
   for (uint64_t i = 0; i < 20; i++) {
-    struct mo_random random;
-    uint64_t bits[MO_DEFAULT_WORDS], moved[MO_DEFAULT_WORDS] = {0};
-    mo_random_init(&random, 79, MO_PURPOSE_CHECK, 0, i);
+    struct mo_random random = dice(79, 0, i);
+    uint64_t bits[MO_DEFAULT_WORDS], aligned[MO_DEFAULT_WORDS], moved[MO_DEFAULT_WORDS] = {0};
     REQUIRE(mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, bits) == MO_OK);
-    uint64_t aligned[MO_DEFAULT_WORDS];
     REQUIRE(mo_genotype_image(MO_DEFAULT_WORKSPACE, bits, 0, aligned) == MO_OK);
     int fits = 1;
     for (uint32_t v = 0; v < MO_DEFAULT_VOXELS; v++)
@@ -145,18 +153,13 @@ static void translation(void)
       }
     if (!fits)
       continue;
-    struct mo_body *a = NULL, *b = NULL;
-    struct mo_outcome here, there;
-    REQUIRE(mo_body_create(lattice, aligned, &a) == MO_OK &&
-            mo_body_create(lattice, moved, &b) == MO_OK);
-    CHECK_INT(mo_rollout_reference(a, NULL, &environment, &physics, NULL, &here), MO_OK);
-    CHECK_INT(mo_rollout_reference(b, NULL, &environment, &physics, NULL, &there), MO_OK);
-    CHECK_NEAR(there.com_end_m[0], here.com_end_m[0] + 0.1, 1e-9);
-    CHECK_NEAR(there.com_end_m[1], here.com_end_m[1], 1e-9);
-    CHECK_NEAR(there.com_end_m[2], here.com_end_m[2], 1e-9);
+    const struct mo_outcome here = outcome_of(make_body(lattice, aligned), NULL, &environment,
+                                              &physics, NULL),
+                            there = outcome_of(make_body(lattice, moved), NULL, &environment,
+                                               &physics, NULL);
+    for (int axis = 0; axis < 3; axis++)
+      CHECK_NEAR(there.com_end_m[axis], here.com_end_m[axis] + (axis == 0 ? 0.1 : 0), 1e-9);
     CHECK(here.com_end_m[2] < here.com_start_m[2] - 0.25); /* it did fall */
-    mo_body_free(a);
-    mo_body_free(b);
   }
 }
 
@@ -167,19 +170,15 @@ static void divergence(void)
   struct mo_physics physics = mo_default_physics();
   physics.stiffness_n_per_m *= 100;
   physics.n_steps = 200;
-  struct mo_environment environment;
-  mo_environment_training(80, 0, 0, &environment);
-  double *com = malloc(201 * 3 * sizeof(double));
+  struct mo_environment environment = environment_of(80, 0);
+  double *com = make_zeros(201 * 3, sizeof(double));
   for (uint64_t i = 0; i < 20; i++) {
     struct mo_body *body = random_body(2000 + i);
-    REQUIRE(body != NULL && com != NULL);
     const size_t n = (size_t)body->n_masses * 3;
-    float *masses = malloc(201 * n * sizeof(float));
-    REQUIRE(masses != NULL);
+    float *masses = make_zeros(201 * n, sizeof(float));
     const struct mo_recording recording = {1, com, masses};
-    struct mo_outcome outcome;
-    CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, &recording, &outcome),
-              MO_OK);
+    const struct mo_outcome outcome =
+        outcome_of(body, bootstrap, &environment, &physics, &recording);
     REQUIRE(outcome.diverged_step > 0 && outcome.diverged_step <= 200);
     CHECK(isinf(outcome.loss) && outcome.loss > 0);
     for (size_t k = 0; k < (size_t)201 * 3; k++)
@@ -189,88 +188,68 @@ static void divergence(void)
     /* From the step before on, the record stands still, and the outcome agrees with it. */
     const size_t last = (size_t)outcome.diverged_step - 1;
     for (size_t frame = last; frame <= 200; frame++)
-      CHECK(memcmp(com + 3 * frame, com + 3 * last, 3 * sizeof(double)) == 0);
-    CHECK(memcmp(outcome.com_end_m, com + 3 * last, 3 * sizeof(double)) == 0);
-    CHECK(memcmp(outcome.com_start_m, com, 3 * sizeof(double)) == 0);
-    free(masses);
-    mo_body_free(body);
+      CHECK(SAME(com + 3 * frame, com + 3 * last, 3));
+    CHECK(SAME(outcome.com_end_m, com + 3 * last, 3));
+    CHECK(SAME(outcome.com_start_m, com, 3));
   }
-  free(com);
 }
 
 /* The whole workspace, a fall from 10 m, and a light in the middle of the body. */
 static void extremes(void)
 {
-  struct mo_lattice *own = NULL;
-  struct mo_body *body = full_body(MO_DEFAULT_WORKSPACE, &own);
-  REQUIRE(body != NULL);
-  struct mo_environment environment;
-  mo_environment_training(81, 0, 0, &environment);
+  const struct mo_body *body = make_full_body(lattice);
+  struct mo_environment environment = environment_of(81, 0);
   environment.light_xy_m[0] = environment.light_xy_m[1] = MO_WORLD_CENTRE_M;
   struct mo_physics physics = mo_default_physics();
-  struct mo_outcome outcome;
-  CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, NULL, &outcome), MO_OK);
+  struct mo_outcome outcome = outcome_of(body, bootstrap, &environment, &physics, NULL);
   CHECK_INT(outcome.diverged_step, 0);
   CHECK(isfinite(outcome.loss)); /* large: the body starts where it should end */
   environment.light_xy_m[0] = 3.5;
-  CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, NULL, &outcome), MO_OK);
+  outcome = outcome_of(body, bootstrap, &environment, &physics, NULL);
   CHECK(outcome.diverged_step == 0 && outcome.loss < 1);
   printf("# 144 voxels: loss %.4f\n", outcome.loss);
   physics.drop_height_m = 10;
   physics.n_steps = 6000;
-  CHECK_INT(mo_rollout_reference(body, NULL, &environment, &physics, NULL, &outcome), MO_OK);
+  outcome = outcome_of(body, NULL, &environment, &physics, NULL);
   CHECK_INT(outcome.diverged_step, 0);
   CHECK_NEAR(outcome.com_start_m[2], 10 + 0.2 + mo_terrain_highest(environment.terrain_heights_m),
              0.3);
   CHECK(outcome.com_end_m[2] < 1);
   CHECK_NEAR(outcome.loss, 1, 0.2);
-  mo_body_free(body);
-  mo_lattice_free(own);
 }
 
 /* Recording at a stride looks at the same rollout. */
 static void recordings(void)
 {
   struct mo_body *body = random_body(3000);
-  REQUIRE(body != NULL);
-  struct mo_environment environment;
-  mo_environment_training(82, 0, 0, &environment);
-  struct mo_physics physics = mo_default_physics();
-  physics.n_steps = 100;
+  struct mo_environment environment = environment_of(82, 0);
+  struct mo_physics physics = physics_of(100);
   const size_t n = (size_t)body->n_masses * 3;
   double every[101 * 3], seventh[15 * 3];
-  float *masses = malloc(101 * n * sizeof(float));
-  REQUIRE(masses != NULL);
-  struct mo_outcome a, b, c;
+  float *masses = make_zeros(101 * n, sizeof(float));
   const struct mo_recording all = {1, every, masses}, some = {7, seventh, NULL};
-  CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, &all, &a), MO_OK);
-  CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, &some, &b), MO_OK);
-  CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, NULL, &c), MO_OK);
-  CHECK(memcmp(&a, &b, sizeof(a)) == 0 && memcmp(&a, &c, sizeof(a)) == 0);
+  const struct mo_outcome a = outcome_of(body, bootstrap, &environment, &physics, &all),
+                          b = outcome_of(body, bootstrap, &environment, &physics, &some),
+                          c = outcome_of(body, bootstrap, &environment, &physics, NULL);
+  CHECK(SAME(&a, &b, 1) && SAME(&a, &c, 1));
   for (size_t frame = 0; frame < 15; frame++)
-    CHECK(memcmp(every + 21 * frame, seventh + 3 * frame, 3 * sizeof(double)) == 0);
-  CHECK(memcmp(every + 300, a.com_end_m, 3 * sizeof(double)) == 0);
+    CHECK(SAME(every + 21 * frame, seventh + 3 * frame, 3));
+  CHECK(SAME(every + 300, a.com_end_m, 3));
   double mean = 0;
   for (size_t i = 0; i < body->n_masses; i++)
     mean += (double)masses[100 * n + 3 * i] / body->n_masses;
   CHECK_NEAR(mean, a.com_end_m[0], 1e-6);
-  free(masses);
-  mo_body_free(body);
 }
 
 static void wrong_workspace(void)
 {
-  struct mo_lattice *own = NULL;
-  struct mo_body *body = full_body((struct mo_workspace){6, 6, 3}, &own);
-  struct mo_environment environment = flat_environment(0, 1, 1);
-  struct mo_physics physics = mo_default_physics();
+  const struct mo_body *body = make_full_body(make_lattice((struct mo_workspace){6, 6, 3}));
+  const struct mo_environment environment = {.light_xy_m = {1, 1}};
+  const struct mo_physics physics = mo_default_physics();
   struct mo_outcome outcome = {.loss = 7};
-  REQUIRE(body != NULL);
   CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, NULL, &outcome),
             MO_ERR_INVALID);
   CHECK_NEAR(outcome.loss, 7, 0);
-  mo_body_free(body);
-  mo_lattice_free(own);
 }
 
 static const struct check_case cases[] = {{"no mass below the ground", never_below_ground},
@@ -280,19 +259,4 @@ static const struct check_case cases[] = {{"no mass below the ground", never_bel
                                           {"extremes", extremes},
                                           {"recordings", recordings},
                                           {"another workspace's controller", wrong_workspace}};
-
-int main(int argc, char **argv)
-{
-  char *path = golden_path("data/controllers/bootstrap.safetensors");
-  struct mo_message message = {""};
-  if (path == NULL || mo_controller_read(path, &bootstrap, &message) < 0 ||
-      mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) < 0) {
-    printf("Bail out! %s\n", message.text);
-    return 1;
-  }
-  const int r = check_run(cases, sizeof(cases) / sizeof(cases[0]), argc, argv);
-  mo_lattice_free(lattice);
-  mo_controller_free(bootstrap);
-  free(path);
-  return r;
-}
+CHECK_MAIN_WITH(setup, cases)

@@ -1,91 +1,94 @@
 /* reference-physics.c: the reference's mechanics against closed forms of the discrete step
  *   v ← e v + J/m − g dt,  x ← x + dt v,  e = exp(−drag · dt). */
-#include "../check.h"
-
-#include "bodies.h"
-
-#include <morpho/random.h>
+#include "../make.h"
 
 #include "rollout/reference.h"
 
 static const struct mo_workspace one = {1, 1, 1};
 
+static struct mo_environment flat_environment(double height_m, double light_x_m, double light_y_m)
+{
+  struct mo_environment environment = {.light_xy_m = {light_x_m, light_y_m}};
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+    environment.terrain_heights_m[k] = height_m;
+  return environment;
+}
+
 struct scene {
-  struct mo_lattice *lattice;
-  struct mo_body *body;
+  const struct mo_body *body;
   struct mo_environment environment;
   struct mo_physics physics;
   struct mo_reference r;
 };
 
-/* A full workspace high above flat ground, passive. */
-static int open_scene(struct scene *s, struct mo_workspace workspace)
+static void drop_reference(void *reference)
 {
-  *s = (struct scene){.environment = flat_environment(0.1, 1, 1), .physics = mo_default_physics()};
-  s->physics.drop_height_m = 100;
-  s->body = full_body(workspace, &s->lattice);
-  return s->body != NULL ? mo_reference_init(&s->r, s->body, NULL, &s->environment, &s->physics)
-                         : -1;
+  mo_reference_done(reference);
 }
 
-static void close_scene(struct scene *s)
+/* A full workspace high above flat ground, passive or with a controller. Most physics may be
+ * changed later. */
+static struct scene *make_scene(struct mo_workspace workspace, struct mo_physics physics,
+                                const struct mo_controller *controller)
 {
-  mo_reference_done(&s->r);
-  mo_body_free(s->body);
-  mo_lattice_free(s->lattice);
+  struct scene *s = make_zeros(1, sizeof(*s));
+  s->body = make_full_body(make_lattice(workspace));
+  s->environment = flat_environment(0.1, 1, 1);
+  s->physics = physics;
+  s->physics.drop_height_m = 100;
+  make_check(mo_reference_init(&s->r, s->body, controller, &s->environment, &s->physics),
+             "reference");
+  check_keep(&s->r, drop_reference);
+  return s;
 }
 
 /* Without drag: z = z0 − g dt² n (n + 1) / 2. */
 static void free_fall(void)
 {
-  struct scene s;
-  REQUIRE(open_scene(&s, MO_DEFAULT_WORKSPACE) == MO_OK);
-  s.physics.drag_per_s = 0;
-  CHECK_INT(s.body->n_masses, 245);
-  CHECK_INT(s.body->n_springs, 1648);
+  struct scene *s = make_scene(MO_DEFAULT_WORKSPACE, mo_default_physics(), NULL);
+  s->physics.drag_per_s = 0;
+  CHECK_INT(s->body->n_masses, 245);
+  CHECK_INT(s->body->n_springs, 1648);
   double start[245][3];
-  memcpy(start, s.r.position_m, sizeof(start));
+  memcpy(start, s->r.position_m, sizeof(start));
   CHECK_NEAR(start[0][0], 2.2, 1e-15);
   CHECK_NEAR(start[244][1], 2.8, 1e-15);
   CHECK_NEAR(start[0][2], 100.1, 1e-13);
   CHECK_NEAR(start[244][2], 100.5, 1e-13);
   for (uint32_t n = 0; n < 900; n++)
-    REQUIRE(mo_reference_step(&s.r, n));
+    REQUIRE(mo_reference_step(&s->r, n));
   const double fallen = 9.8 * 0.004 * 0.004 * 900 * 901 / 2;
   for (int i = 0; i < 245; i++) {
-    CHECK_NEAR(s.r.position_m[3 * i], start[i][0], 1e-11);
-    CHECK_NEAR(s.r.position_m[3 * i + 2], start[i][2] - fallen, 1e-10);
-    CHECK_NEAR(s.r.velocity_m_per_s[3 * i + 2], -9.8 * 0.004 * 900, 1e-10);
+    CHECK_NEAR(s->r.position_m[3 * i], start[i][0], 1e-11);
+    CHECK_NEAR(s->r.position_m[3 * i + 2], start[i][2] - fallen, 1e-10);
+    CHECK_NEAR(s->r.velocity_m_per_s[3 * i + 2], -9.8 * 0.004 * 900, 1e-10);
   }
-  close_scene(&s);
 }
 
 /* Without gravity: v = eⁿ v0, x = x0 + dt v0 (e − eⁿ⁺¹)/(1 − e). With it, the speed converges to −g
  * dt/(1 − e). */
 static void drag_decay(void)
 {
-  struct scene s;
-  REQUIRE(open_scene(&s, one) == MO_OK);
-  s.physics.gravity_m_per_s2 = 0;
+  struct scene *s = make_scene(one, mo_default_physics(), NULL);
+  s->physics.gravity_m_per_s2 = 0;
   const double v0[3] = {1, -2, 3}, e = exp(-15 * 0.004);
   double start[24];
-  memcpy(start, s.r.position_m, sizeof(start));
+  memcpy(start, s->r.position_m, sizeof(start));
   for (int k = 0; k < 24; k++)
-    s.r.velocity_m_per_s[k] = v0[k % 3];
+    s->r.velocity_m_per_s[k] = v0[k % 3];
   for (uint32_t n = 1; n <= 200; n++) {
-    REQUIRE(mo_reference_step(&s.r, n - 1));
+    REQUIRE(mo_reference_step(&s->r, n - 1));
     for (int k = 0; k < 24; k++) {
-      CHECK_NEAR(s.r.velocity_m_per_s[k], pow(e, n) * v0[k % 3], 1e-11);
-      CHECK_NEAR(s.r.position_m[k], start[k] + 0.004 * v0[k % 3] * (e - pow(e, n + 1)) / (1 - e),
+      CHECK_NEAR(s->r.velocity_m_per_s[k], pow(e, n) * v0[k % 3], 1e-11);
+      CHECK_NEAR(s->r.position_m[k], start[k] + 0.004 * v0[k % 3] * (e - pow(e, n + 1)) / (1 - e),
                  1e-12);
     }
   }
-  s.physics.gravity_m_per_s2 = 9.8;
+  s->physics.gravity_m_per_s2 = 9.8;
   for (uint32_t n = 0; n < 800; n++)
-    REQUIRE(mo_reference_step(&s.r, n));
+    REQUIRE(mo_reference_step(&s->r, n));
   for (int i = 0; i < 8; i++)
-    CHECK_NEAR(s.r.velocity_m_per_s[3 * i + 2], -9.8 * 0.004 / (1 - e), 1e-11);
-  close_scene(&s);
+    CHECK_NEAR(s->r.velocity_m_per_s[3 * i + 2], -9.8 * 0.004 / (1 - e), 1e-11);
 }
 
 /* One voxel that breathes: each corner is displaced by q along all three axes. Edge and two face
@@ -96,36 +99,34 @@ static void drag_decay(void)
  * with b from q_1 = (1 − w) q0. */
 static void breathing(double drag_per_s, double stiffness_n_per_m)
 {
-  struct scene s;
-  REQUIRE(open_scene(&s, one) == MO_OK);
-  s.physics.gravity_m_per_s2 = 0;
-  s.physics.drag_per_s = drag_per_s;
-  s.physics.stiffness_n_per_m = stiffness_n_per_m;
-  const double dt = s.physics.dt_s, e = exp(-drag_per_s * dt), q0 = 1e-3, guard = 1e-8;
+  struct scene *s = make_scene(one, mo_default_physics(), NULL);
+  s->physics.gravity_m_per_s2 = 0;
+  s->physics.drag_per_s = drag_per_s;
+  s->physics.stiffness_n_per_m = stiffness_n_per_m;
+  const double dt = s->physics.dt_s, e = exp(-drag_per_s * dt), q0 = 1e-3, guard = 1e-8;
   const double w =
       dt * dt * stiffness_n_per_m * (2 * (1 - guard / 0.1) + 4 * (1 - guard / (0.1 * sqrt(2))));
   const double phi = acos((1 + e - w) / (2 * sqrt(e)));
   const double b = ((1 - w) / sqrt(e) - cos(phi)) / sin(phi);
   double start[24], side[24];
-  memcpy(start, s.r.position_m, sizeof(start));
+  memcpy(start, s->r.position_m, sizeof(start));
   for (int i = 0; i < 8; i++)
     for (int axis = 0; axis < 3; axis++) {
-      side[3 * i + axis] = s.body->mass_xyz[3 * i + axis] ? 1 : -1;
-      s.r.position_m[3 * i + axis] += q0 * side[3 * i + axis];
+      side[3 * i + axis] = s->body->mass_xyz[3 * i + axis] ? 1 : -1;
+      s->r.position_m[3 * i + axis] += q0 * side[3 * i + axis];
     }
   double worst = 0, largest = 0;
   for (uint32_t n = 1; n <= 400; n++) {
-    REQUIRE(mo_reference_step(&s.r, n - 1));
+    REQUIRE(mo_reference_step(&s->r, n - 1));
     const double q = pow(e, 0.5 * n) * q0 * (cos(n * phi) + b * sin(n * phi));
     for (int k = 0; k < 24; k++)
-      worst = fmax(worst, fabs(s.r.position_m[k] - start[k] - q * side[k]));
+      worst = fmax(worst, fabs(s->r.position_m[k] - start[k] - q * side[k]));
     largest = fmax(largest, fabs(q));
   }
   printf("# drag %g /s, stiffness %g N/m: w = %.4f, largest error %.1e m of %.1e m\n", drag_per_s,
          stiffness_n_per_m, w, worst, largest);
   CHECK(worst < 2e-9 * largest / q0);
   CHECK(largest > 0.1 * q0);
-  close_scene(&s);
 }
 
 static void breathing_spring(void)
@@ -140,30 +141,26 @@ static void breathing_spring(void)
  * and angular momentum stay. */
 static void momentum(void)
 {
-  struct scene s;
-  REQUIRE(open_scene(&s, (struct mo_workspace){3, 2, 2}) == MO_OK);
-  struct mo_controller *controller = NULL;
-  REQUIRE(mo_controller_create((struct mo_workspace){3, 2, 2}, MO_SENSOR_INVERSE_SQRT,
-                               &controller) == MO_OK);
+  const struct mo_workspace workspace = {3, 2, 2};
+  struct mo_controller *controller = make_controller(workspace, MO_SENSOR_INVERSE_SQRT);
+  struct mo_physics physics = mo_default_physics();
   mo_controller_randomize(controller, 1);
   for (uint32_t i = 0; i < controller->n_springs; i++)
     controller->bias[3][i] = i % 3 ? 1.0F : -1.0F;
-  mo_reference_done(&s.r);
-  s.physics.gravity_m_per_s2 = 0;
-  s.physics.drag_per_s = 0;
-  s.physics.dt_s = 0.002;
-  s.physics.mass_kg = 1.7;
-  REQUIRE(mo_reference_init(&s.r, s.body, controller, &s.environment, &s.physics) == MO_OK);
-  struct mo_random random;
-  mo_random_init(&random, 2, MO_PURPOSE_CHECK, 0, 0);
-  const uint32_t n = s.body->n_masses;
+  physics.gravity_m_per_s2 = 0;
+  physics.drag_per_s = 0;
+  physics.dt_s = 0.002;
+  physics.mass_kg = 1.7;
+  struct scene *s = make_scene(workspace, physics, controller);
+  struct mo_random random = dice(2, 0, 0);
+  const uint32_t n = s->body->n_masses;
   for (uint32_t k = 0; k < 3 * n; k++)
-    s.r.velocity_m_per_s[k] = 0.5 * mo_random_normal(&random);
+    s->r.velocity_m_per_s[k] = 0.5 * mo_random_normal(&random);
   double before[6] = {0}, moved = 0;
   for (int pass = 0; pass < 2; pass++) {
     double sum[6] = {0};
     for (uint32_t i = 0; i < n; i++) {
-      const double *x = s.r.position_m + 3 * i, *v = s.r.velocity_m_per_s + 3 * i;
+      const double *x = s->r.position_m + 3 * i, *v = s->r.velocity_m_per_s + 3 * i;
       const double arm[3] = {x[0] - 2.5, x[1] - 2.5, x[2] - 100};
       for (int a = 0; a < 3; a++) {
         sum[a] += v[a];
@@ -176,41 +173,34 @@ static void momentum(void)
       before[a] = sum[a];
     }
     for (uint32_t step = 0; pass == 0 && step < 500; step++)
-      REQUIRE(mo_reference_step(&s.r, step));
-    for (uint32_t k = 0; k < s.body->n_springs && pass == 0; k++)
-      moved = fmax(moved, fabs(s.r.activation[k]));
+      REQUIRE(mo_reference_step(&s->r, step));
+    for (uint32_t k = 0; k < s->body->n_springs && pass == 0; k++)
+      moved = fmax(moved, fabs(s->r.activation[k]));
   }
   CHECK(moved > 0.5); /* the controller did pull */
-  mo_controller_free(controller);
-  close_scene(&s);
 }
 
 /* Largest deviation from a rigid lattice at rest after many steps, from a tiny disturbance. */
 static double disturbance_after(struct mo_workspace workspace, double dt_s, uint32_t steps)
 {
-  struct scene s;
-  if (open_scene(&s, workspace) < 0)
-    return NAN;
-  s.physics.dt_s = dt_s;
-  s.physics.gravity_m_per_s2 = 0;
-  double *start = malloc(3 * sizeof(double) * s.body->n_masses);
-  struct mo_random random;
-  mo_random_init(&random, 3, MO_PURPOSE_CHECK, 0, 0);
-  double largest = start != NULL ? 0 : NAN;
-  for (uint32_t k = 0; start != NULL && k < 3 * s.body->n_masses; k++) {
-    start[k] = s.r.position_m[k];
-    s.r.position_m[k] += 1e-7 * mo_random_normal(&random);
+  struct scene *s = make_scene(workspace, mo_default_physics(), NULL);
+  s->physics.dt_s = dt_s;
+  s->physics.gravity_m_per_s2 = 0;
+  double *start = make_zeros(3 * (size_t)s->body->n_masses, sizeof(double));
+  struct mo_random random = dice(3, 0, 0);
+  double largest = 0;
+  for (uint32_t k = 0; k < 3 * s->body->n_masses; k++) {
+    start[k] = s->r.position_m[k];
+    s->r.position_m[k] += 1e-7 * mo_random_normal(&random);
   }
   double drift[3] = {0}; /* the disturbance's mean stays: nothing holds the body */
   for (uint32_t n = 0; n < steps; n++)
-    if (!mo_reference_step(&s.r, n))
+    if (!mo_reference_step(&s->r, n))
       break;
-  for (uint32_t k = 0; start != NULL && k < 3 * s.body->n_masses; k++)
-    drift[k % 3] += (s.r.position_m[k] - start[k]) / s.body->n_masses;
-  for (uint32_t k = 0; start != NULL && k < 3 * s.body->n_masses; k++)
-    largest = fmax(largest, fabs(s.r.position_m[k] - start[k] - drift[k % 3]));
-  free(start);
-  close_scene(&s);
+  for (uint32_t k = 0; k < 3 * s->body->n_masses; k++)
+    drift[k % 3] += (s->r.position_m[k] - start[k]) / s->body->n_masses;
+  for (uint32_t k = 0; k < 3 * s->body->n_masses; k++)
+    largest = fmax(largest, fabs(s->r.position_m[k] - start[k] - drift[k % 3]));
   return largest;
 }
 
@@ -235,37 +225,31 @@ static void stability(void)
 /* A body at rest in the air without gravity has nothing to do. */
 static void rest(void)
 {
-  struct scene s;
-  REQUIRE(open_scene(&s, (struct mo_workspace){2, 2, 2}) == MO_OK);
-  s.physics.gravity_m_per_s2 = 0;
+  struct scene *s = make_scene((struct mo_workspace){2, 2, 2}, mo_default_physics(), NULL);
+  s->physics.gravity_m_per_s2 = 0;
   double start[81];
-  memcpy(start, s.r.position_m, sizeof(start));
+  memcpy(start, s->r.position_m, sizeof(start));
   for (uint32_t n = 0; n < 1000; n++)
-    REQUIRE(mo_reference_step(&s.r, n));
+    REQUIRE(mo_reference_step(&s->r, n));
   for (int k = 0; k < 81; k++)
-    CHECK_NEAR(s.r.position_m[k], start[k], 1e-11);
-  close_scene(&s);
+    CHECK_NEAR(s->r.position_m[k], start[k], 1e-11);
 }
 
 /* The inputs of the controller: light less its mean at the body's places, 0 elsewhere, and five
  * phases of one clock. */
 static void inputs(void)
 {
-  struct mo_lattice *lattice = NULL;
-  struct mo_body *body = NULL;
-  struct mo_controller *controller = NULL;
   uint64_t bits[MO_DEFAULT_WORDS] = {0};
   const uint32_t voxel = (2 * 6 + 3) * 4;
   bits[voxel >> 6] |= UINT64_C(1) << (voxel & 63);
-  REQUIRE(mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK);
-  REQUIRE(mo_body_create(lattice, bits, &body) == MO_OK);
-  struct mo_environment environment = flat_environment(0.3, 1.25, 3.5);
-  struct mo_physics physics = mo_default_physics();
+  const struct mo_body *body = make_body(make_lattice(MO_DEFAULT_WORKSPACE), bits);
+  const struct mo_environment environment = flat_environment(0.3, 1.25, 3.5);
+  const struct mo_physics physics = mo_default_physics();
   for (int sensor = 0; sensor < 2; sensor++) {
-    REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, (enum mo_sensor)sensor, &controller) ==
-            MO_OK);
     struct mo_reference r;
-    REQUIRE(mo_reference_init(&r, body, controller, &environment, &physics) == MO_OK);
+    REQUIRE(mo_reference_init(&r, body,
+                              make_controller(MO_DEFAULT_WORKSPACE, (enum mo_sensor)sensor),
+                              &environment, &physics) == MO_OK);
     CHECK_NEAR(r.light_m[2], 0.3, 1e-15);
     double light[8], mean = 0, expected[250] = {0};
     for (int i = 0; i < 8; i++) {
@@ -283,98 +267,77 @@ static void inputs(void)
     for (int j = 0; j < 250; j++)
       CHECK_NEAR(r.input[j], expected[j], 1e-13);
     mo_reference_done(&r);
-    mo_controller_free(controller);
   }
-  mo_body_free(body);
-  mo_lattice_free(lattice);
 }
 
 /* One spring shortened by its activation: rest length L0 (1 + 0.2 a). */
 static void actuation(void)
 {
-  struct mo_controller *controller = NULL;
-  struct scene s;
-  REQUIRE(open_scene(&s, one) == MO_OK);
-  REQUIRE(mo_controller_create(one, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
-  mo_reference_done(&s.r);
-  s.physics.gravity_m_per_s2 = 0;
-  for (uint32_t k = 0; k < s.body->n_springs; k++) {
+  struct mo_controller *controller = make_controller(one, MO_SENSOR_INVERSE_SQRT);
+  struct mo_physics physics = mo_default_physics();
+  physics.gravity_m_per_s2 = 0;
+  for (uint32_t k = 0; k < controller->n_springs; k++) {
+    struct scene *s = make_scene(one, physics, controller);
     const double a = k % 2 ? tanh(0.5) : -tanh(0.25),
-                 length = s.body->spring_diagonal[k] ? 0.1 * sqrt(2) : 0.1;
+                 length = s->body->spring_diagonal[k] ? 0.1 * sqrt(2) : 0.1;
     memset(controller->bias[3], 0, 24 * sizeof(float));
     controller->bias[3][k] = k % 2 ? 0.5F : -0.25F;
-    REQUIRE(mo_reference_init(&s.r, s.body, controller, &s.environment, &s.physics) == MO_OK);
-    REQUIRE(mo_reference_step(&s.r, 0));
+    REQUIRE(mo_reference_step(&s->r, 0));
     const double expected =
         15000 * 0.2 * a * length * 0.004 / (1 + 1e-8 / length); /* pushes its ends apart */
     double push = 0, others = 0;
-    const uint32_t i = s.body->spring_a[k], j = s.body->spring_b[k];
+    const uint32_t i = s->body->spring_a[k], j = s->body->spring_b[k];
     for (int axis = 0; axis < 3; axis++) {
       const double d =
-          (double)s.body->mass_xyz[3 * j + axis] - (double)s.body->mass_xyz[3 * i + axis];
-      push += s.r.velocity_m_per_s[3 * j + axis] * d / (length * 10);
+          (double)s->body->mass_xyz[3 * j + axis] - (double)s->body->mass_xyz[3 * i + axis];
+      push += s->r.velocity_m_per_s[3 * j + axis] * d / (length * 10);
       for (uint32_t m = 0; m < 8; m++)
         if (m != i && m != j)
-          others = fmax(others, fabs(s.r.velocity_m_per_s[3 * m + axis]));
+          others = fmax(others, fabs(s->r.velocity_m_per_s[3 * m + axis]));
     }
     CHECK_NEAR(push, expected, 1e-9);
     CHECK(others < 1e-9);
-    mo_reference_done(&s.r);
   }
-  mo_controller_free(controller);
-  mo_body_free(s.body);
-  mo_lattice_free(s.lattice);
 }
 
 static void settings(void)
 {
   struct mo_message message;
-  struct mo_physics p = mo_default_physics();
+  static struct mo_physics p;
+  p = mo_default_physics();
   CHECK_INT(mo_physics_check(&p, &message), MO_OK);
   CHECK_INT(mo_recording_frames(&p, 1), 1001);
   CHECK_INT(mo_recording_frames(&p, 3), 334);
   CHECK_INT(mo_recording_frames(&p, 1000), 2);
   CHECK_INT(mo_recording_frames(&p, 1001), 1);
   CHECK_INT(mo_recording_frames(&p, 0), 0);
-  const struct {
-    size_t offset;
-    const char *name;
-    double bad;
-  } fields[] = {{offsetof(struct mo_physics, dt_s), "dt_s", 0},
-                {offsetof(struct mo_physics, dt_s), "dt_s", 0.2},
-                {offsetof(struct mo_physics, stiffness_n_per_m), "stiffness_n_per_m", -1},
-                {offsetof(struct mo_physics, mass_kg), "mass_kg", 0},
-                {offsetof(struct mo_physics, drag_per_s), "drag_per_s", -1e-9},
-                {offsetof(struct mo_physics, gravity_m_per_s2), "gravity_m_per_s2", 1001},
-                {offsetof(struct mo_physics, actuation), "actuation", 1},
-                {offsetof(struct mo_physics, friction), "friction", -0.1},
-                {offsetof(struct mo_physics, friction_cap), "friction_cap", 1.01},
-                {offsetof(struct mo_physics, drop_height_m), "drop_height_m", -1}};
-  for (size_t i = 0; i < sizeof(fields) / sizeof(fields[0]); i++) {
-    const double values[] = {fields[i].bad, NAN, INFINITY};
-    for (int k = 0; k < 3; k++) {
+  static const struct field_case fields[] = {
+      {FIELD(p.dt_s), 0, MO_ERR_RANGE, "dt_s must be"},
+      {FIELD(p.dt_s), 0.2, MO_ERR_RANGE, "dt_s must be"},
+      {FIELD(p.stiffness_n_per_m), -1, MO_ERR_RANGE, "stiffness_n_per_m must be"},
+      {FIELD(p.mass_kg), 0, MO_ERR_RANGE, "mass_kg must be"},
+      {FIELD(p.drag_per_s), -1e-9, MO_ERR_RANGE, "drag_per_s must be"},
+      {FIELD(p.gravity_m_per_s2), 1001, MO_ERR_RANGE, "gravity_m_per_s2 must be"},
+      {FIELD(p.actuation), 1, MO_ERR_RANGE, "actuation must be"},
+      {FIELD(p.friction), -0.1, MO_ERR_RANGE, "friction must be"},
+      {FIELD(p.friction_cap), 1.01, MO_ERR_RANGE, "friction_cap must be"},
+      {FIELD(p.drop_height_m), -1, MO_ERR_RANGE, "drop_height_m must be"},
+      {FIELD(p.n_steps), 0, MO_ERR_RANGE, "n_steps"},
+      {FIELD(p.n_steps), MO_STEPS_MAX + 1, MO_ERR_RANGE, "n_steps"},
+      {FIELD(p.bisections), 0, MO_ERR_RANGE, "bisections"},
+      {FIELD(p.bisections), 53, MO_ERR_RANGE, "bisections"},
+      {FIELD(p.impact), 2, MO_ERR_INVALID, "impact"},
+  };
+  for (size_t i = 0; i < COUNT(fields); i++) {
+    const double values[] = {fields[i].value, NAN, INFINITY};
+    for (int k = 0; k < (fields[i].size == sizeof(double) ? 3 : 1); k++) {
       p = mo_default_physics();
-      memcpy((char *)&p + fields[i].offset, &values[k], sizeof(double));
-      CHECK_INT(mo_physics_check(&p, &message), k == 0 ? MO_ERR_RANGE : MO_ERR_INVALID);
-      CHECK(strncmp(message.text, fields[i].name, strlen(fields[i].name)) == 0 &&
-            strstr(message.text, "must be") != NULL);
+      set_field(fields[i].field, fields[i].size, values[k]);
+      CHECK_INT(mo_physics_check(&p, &message), k == 0 ? fields[i].code : MO_ERR_INVALID);
+      CHECK_SAYS(message, fields[i].says);
+      CHECK_INT(mo_physics_check(&p, NULL), k == 0 ? fields[i].code : MO_ERR_INVALID);
     }
-    CHECK_INT(mo_physics_check(&p, NULL), MO_ERR_INVALID);
   }
-  const uint32_t steps[] = {0, MO_STEPS_MAX + 1}, bisections[] = {0, 53};
-  for (int k = 0; k < 2; k++) {
-    p = mo_default_physics();
-    p.n_steps = steps[k];
-    CHECK_INT(mo_physics_check(&p, &message), MO_ERR_RANGE);
-    CHECK(strstr(message.text, "n_steps") != NULL);
-    p = mo_default_physics();
-    p.bisections = bisections[k];
-    CHECK_INT(mo_physics_check(&p, &message), MO_ERR_RANGE);
-    CHECK(strstr(message.text, "bisections") != NULL);
-  }
-  p = mo_default_physics();
-  p.impact = (enum mo_impact)2;
-  CHECK_INT(mo_physics_check(&p, &message), MO_ERR_INVALID);
 }
 
 static const struct check_case cases[] = {{"free fall", free_fall},
