@@ -11,6 +11,7 @@
 #include <curl/curl.h>
 
 #include "table.h"
+#include "template.h"
 
 #define REPLY_BYTES_MAX (UINT64_C(2) << 30)
 
@@ -100,23 +101,11 @@ void reply_free(struct reply *reply)
 static size_t take_body(char *bytes, size_t size, size_t count, void *context)
 {
   struct reply *reply = context;
-  size_t n = size * count;
-  if (reply->body_bytes + n > REPLY_BYTES_MAX)
+  if (reply->file == NULL)
+    reply->file = open_memstream(&reply->body, &reply->body_bytes);
+  if (reply->file == NULL || (size_t)ftello(reply->file) + size * count > REPLY_BYTES_MAX)
     return 0;
-  size_t needed = reply->body_bytes + n + 1;
-  if (needed > reply->body_capacity) { /* grow by half: a reply of 10,000 results comes in thousands
-                                          of pieces */
-    size_t capacity = needed + needed / 2 + 4096;
-    char *grown = realloc(reply->body, capacity);
-    if (grown == NULL)
-      return 0;
-    reply->body = grown;
-    reply->body_capacity = capacity;
-  }
-  memcpy(reply->body + reply->body_bytes, bytes, n);
-  reply->body_bytes += n;
-  reply->body[reply->body_bytes] = 0;
-  return n;
+  return fwrite(bytes, 1, size * count, reply->file);
 }
 
 static void copy_header(CURL *curl, const char *name, char *value, size_t capacity)
@@ -161,23 +150,17 @@ static bool append(struct curl_slist **list, const char *name, const char *value
   return true;
 }
 
-static bool make_headers(const struct ctl *ctl, const struct request *request,
-                         struct curl_slist **headers)
+static bool make_headers(const struct request *request, struct curl_slist **headers)
 {
-  char wait[24], *bearer = NULL;
+  char wait[24];
   snprintf(wait, sizeof(wait), "wait=%u", request->wait_s);
-  if (ctl->token != NULL && asprintf(&bearer, "Bearer %s", ctl->token) < 0)
-    return false;
-  bool ok =
-      append(headers, "Authorization", bearer) &&
-      append(headers, "Accept", request->accept != NULL ? request->accept : "application/json") &&
-      append(headers, "Content-Type", request->content_type) &&
-      append(headers, "Prefer", request->wait_s > 0 ? wait : NULL) &&
-      append(headers, "Idempotency-Key", request->key) &&
-      append(headers, "Last-Event-ID", request->last_event) &&
-      append(headers, "Expect", ""); /* saves a round trip before a body */
-  free(bearer);
-  return ok;
+  return append(headers, "Accept",
+                request->accept != NULL ? request->accept : "application/json") &&
+         append(headers, "Content-Type", request->content_type) &&
+         append(headers, "Prefer", request->wait_s > 0 ? wait : NULL) &&
+         append(headers, "Idempotency-Key", request->key) &&
+         append(headers, "Last-Event-ID", request->last_event) &&
+         append(headers, "Expect", ""); /* saves a round trip before a body */
 }
 
 static bool is_loopback(const char *base)
@@ -202,7 +185,7 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
   CURLcode code = CURLE_OUT_OF_MEMORY;
   if (curl == NULL || asprintf(&url, "%s%s", transport->base, request->path) < 0)
     return code;
-  if (make_headers(ctl, request, &headers)) {
+  if (make_headers(request, &headers)) {
     curl_easy_reset(curl);
     curl_easy_setopt(curl, CURLOPT_URL, url);
     curl_easy_setopt(curl, CURLOPT_NOSIGNAL, 1L);
@@ -213,8 +196,11 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
     if (is_loopback(transport->base)) /* a proxy from the environment is another machine, and must
                                          not get the token */
       curl_easy_setopt(curl, CURLOPT_PROXY, "");
+    if (ctl->token != NULL) {
+      curl_easy_setopt(curl, CURLOPT_HTTPAUTH, CURLAUTH_BEARER);
+      curl_easy_setopt(curl, CURLOPT_XOAUTH2_BEARER, ctl->token);
+    }
     curl_easy_setopt(curl, CURLOPT_HTTPHEADER, headers);
-    curl_easy_setopt(curl, CURLOPT_CUSTOMREQUEST, request->method);
     if (strcmp(request->method, "GET") != 0) {
       curl_easy_setopt(curl, CURLOPT_POSTFIELDS, request->body != NULL ? request->body : "");
       curl_easy_setopt(curl, CURLOPT_POSTFIELDSIZE_LARGE, (curl_off_t)request->body_bytes);
@@ -231,6 +217,9 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
     code = curl_easy_perform(curl);
     curl_easy_getinfo(curl, CURLINFO_RESPONSE_CODE, &reply->status);
     read_headers(curl, reply);
+    if (reply->file != NULL && fclose(reply->file) != 0)
+      code = CURLE_OUT_OF_MEMORY;
+    reply->file = NULL;
   }
   curl_slist_free_all(headers);
   free(url);
@@ -319,13 +308,7 @@ int complain_about_reply(const struct ctl *ctl, const struct reply *reply)
   json_t *fault;
   json_array_foreach(json_object_get(problem, "errors"), i, fault)
   {
-    const char *text = json_string_value(json_object_get(fault, "detail"));
-    const char *pointer = json_string_value(json_object_get(fault, "pointer"));
-    const char *parameter = json_string_value(json_object_get(fault, "parameter"));
-    const char *header = json_string_value(json_object_get(fault, "header"));
-    const char *place = pointer != NULL ? pointer : parameter != NULL ? parameter : header;
-    print_plain_line(stderr, "  %s%s%s", place != NULL ? place : "", place != NULL ? ": " : "",
-                     text != NULL ? text : "");
+    print_from(stderr, fault, "  [{pointer}: |{parameter}: |{header}: ]{detail}");
   }
   if (reply->status >= 500 && *reply->request_id != 0)
     print_plain_line(stderr, "  request %s", reply->request_id);

@@ -1,7 +1,6 @@
 /* settings_check.c: checks what the values refer to. Only reads: --check-config changes nothing. */
 #include "settings_parse.h"
 
-#include <arpa/inet.h>
 #include <ctype.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -9,73 +8,14 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
-#include <sys/un.h>
 #include <unistd.h>
 
 #include <morpho/controller.h>
 #include <morpho/rollout.h>
 
+#include "http/server.h"
 #include "store/store.h"
 #include "tokens.h"
-
-static bool is_loopback(const char *host)
-{
-  struct in_addr v4;
-  struct in6_addr v6;
-  if (inet_pton(AF_INET, host, &v4) == 1)
-    return (ntohl(v4.s_addr) >> 24) == 127;
-  if (inet_pton(AF_INET6, host, &v6) == 1)
-    return IN6_IS_ADDR_LOOPBACK(&v6);
-  return strcmp(host, "localhost") == 0;
-}
-
-int settings_parse_address(const char *text, struct listen_address *address,
-                           struct mo_message *message)
-{
-  struct listen_address result = {0};
-  if (strncmp(text, "unix:", 5) == 0) {
-    const char *path = text + 5;
-    if (*path != '/')
-      return mo_fail(message, MO_ERR_INVALID, "\"%.100s\": the path of a unix socket starts with /",
-                     text);
-    if (strlen(path) >= sizeof(((struct sockaddr_un *)0)->sun_path))
-      return mo_fail(message, MO_ERR_RANGE,
-                     "\"%.100s…\": the path of a unix socket has at most %zu bytes", text,
-                     sizeof(((struct sockaddr_un *)0)->sun_path) - 1);
-    result.is_unix = result.is_loopback = true;
-    snprintf(result.host, sizeof(result.host), "%s", path);
-    *address = result;
-    return MO_OK;
-  }
-  const char *colon = strrchr(text, ':');
-  if (colon == NULL || !isdigit((unsigned char)colon[1]))
-    return mo_fail(message, MO_ERR_INVALID,
-                   "\"%.100s\" is not host:port, [ipv6]:port or unix:/path", text);
-  char *end;
-  errno = 0;
-  unsigned long port = strtoul(colon + 1, &end, 10);
-  if (*end != 0)
-    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\" does not end in a port number", text);
-  if (errno != 0 || port > 65535)
-    return mo_fail(message, MO_ERR_RANGE, "\"%.100s\": a port is at most 65535", text);
-  size_t length = (size_t)(colon - text);
-  const char *host = text;
-  if (length >= 2 && host[0] == '[' && host[length - 1] == ']') {
-    host++;
-    length -= 2;
-  } else if (memchr(host, ':', length) != NULL) {
-    return mo_fail(message, MO_ERR_INVALID,
-                   "\"%.100s\": an IPv6 address stands in brackets: [::1]:8765", text);
-  }
-  if (length == 0 || length >= sizeof(result.host))
-    return mo_fail(message, MO_ERR_INVALID,
-                   "\"%.100s\" has no host; 0.0.0.0 stands for every address", text);
-  memcpy(result.host, host, length);
-  result.port = (uint16_t)port;
-  result.is_loopback = is_loopback(result.host);
-  *address = result;
-  return MO_OK;
-}
 
 int settings_parse_devices(const struct setting_list *list, struct device_choice *choice,
                            struct mo_message *message)
@@ -210,10 +150,10 @@ static void check_listen(const struct settings *settings, struct settings_faults
   if (settings->listen.n == 0)
     settings_fault(faults, true, "listen: no address");
   for (size_t i = 0; i < settings->listen.n; i++) {
-    struct listen_address address = {0};
+    struct mo_listen_address address = {0};
     struct mo_message message = {{0}};
     const char *text = settings->listen.items[i];
-    if (settings_parse_address(text, &address, &message) != MO_OK) {
+    if (mo_http_parse_address(text, &address, &message) != MO_OK) {
       settings_fault(faults, true, "listen: %s", message.text);
       continue;
     }

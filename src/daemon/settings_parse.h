@@ -5,16 +5,6 @@
 
 #include "daemon/settings.h"
 
-/* Parses "127.0.0.1:8765", "[::1]:8765", "localhost:0" or "unix:/run/x". MO_ERR_INVALID with a
- * message. */
-struct listen_address {
-  bool is_unix, is_loopback;
-  char host[256]; /* or the path */
-  uint16_t port;
-};
-int settings_parse_address(const char *text, struct listen_address *address,
-                           struct mo_message *message);
-
 /* The requested devices: "auto", "none", or numbers. */
 #define SETTINGS_DEVICES_MAX 64
 struct device_choice {

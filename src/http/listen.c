@@ -1,5 +1,6 @@
 /* listen.c: opens listening sockets, and describes those that were passed to the process. */
 #include <arpa/inet.h>
+#include <ctype.h>
 #include <errno.h>
 #include <netdb.h>
 #include <stdio.h>
@@ -58,13 +59,69 @@ int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_mes
   return MO_OK;
 }
 
+/* Says whether a host to listen on is loopback by its number or name. */
+static bool is_loopback_host(const char *host)
+{
+  struct in_addr v4;
+  struct in6_addr v6;
+  if (inet_pton(AF_INET, host, &v4) == 1)
+    return (ntohl(v4.s_addr) >> 24) == 127;
+  if (inet_pton(AF_INET6, host, &v6) == 1)
+    return IN6_IS_ADDR_LOOPBACK(&v6);
+  return strcmp(host, "localhost") == 0;
+}
+
+int mo_http_parse_address(const char *text, struct mo_listen_address *address,
+                          struct mo_message *message)
+{
+  struct mo_listen_address result = {0};
+  if (strncmp(text, "unix:", 5) == 0) {
+    const char *path = text + 5;
+    if (*path != '/')
+      return mo_fail(message, MO_ERR_INVALID, "\"%.100s\": the path of a unix socket starts with /",
+                     text);
+    if (strlen(path) >= sizeof(((struct sockaddr_un *)0)->sun_path))
+      return mo_fail(message, MO_ERR_INVALID,
+                     "\"%.100s…\": the path of a unix socket has at most %zu bytes", text,
+                     sizeof(((struct sockaddr_un *)0)->sun_path) - 1);
+    result.is_unix = result.is_loopback = true;
+    snprintf(result.host, sizeof(result.host), "%s", path);
+    *address = result;
+    return MO_OK;
+  }
+  const char *colon = strrchr(text, ':');
+  if (colon == NULL || !isdigit((unsigned char)colon[1]))
+    return mo_fail(message, MO_ERR_INVALID,
+                   "\"%.100s\" is not host:port, [ipv6]:port or unix:/path", text);
+  char *end;
+  errno = 0;
+  unsigned long port = strtoul(colon + 1, &end, 10);
+  if (*end != 0)
+    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\" does not end in a port number", text);
+  if (errno != 0 || port > 65535)
+    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\": a port is at most 65535", text);
+  size_t length = (size_t)(colon - text);
+  const char *host = text;
+  if (length >= 2 && host[0] == '[' && host[length - 1] == ']') {
+    host++;
+    length -= 2;
+  } else if (memchr(host, ':', length) != NULL) {
+    return mo_fail(message, MO_ERR_INVALID,
+                   "\"%.100s\": an IPv6 address stands in brackets: [::1]:8765", text);
+  }
+  if (length == 0 || length >= sizeof(result.host))
+    return mo_fail(message, MO_ERR_INVALID,
+                   "\"%.100s\" has no host; 0.0.0.0 stands for every address", text);
+  memcpy(result.host, host, length);
+  result.port = (uint16_t)port;
+  result.is_loopback = is_loopback_host(result.host);
+  *address = result;
+  return MO_OK;
+}
+
 static int listen_unix(const char *path, struct mo_message *message)
 {
   struct sockaddr_un name = {.sun_family = AF_UNIX};
-  if (path[0] != '/' || strlen(path) >= sizeof(name.sun_path))
-    return mo_fail(message, MO_ERR_INVALID,
-                   "a unix socket needs an absolute path of at most %zu characters: %s",
-                   sizeof(name.sun_path) - 1, path);
   memcpy(name.sun_path, path, strlen(path) + 1);
   struct stat status;
   if (lstat(path, &status) == 0) {
@@ -92,35 +149,20 @@ static int listen_unix(const char *path, struct mo_message *message)
   return fd;
 }
 
-static int listen_tcp(const char *where, struct mo_message *message)
+static int listen_tcp(const char *text, const struct mo_listen_address *where,
+                      struct mo_message *message)
 {
-  char host[256];
-  const char *colon = strrchr(where, ':');
-  size_t n = colon != NULL ? (size_t)(colon - where) : 0;
-  const char *start = where;
-  if (n >= 2 && where[0] == '[' && where[n - 1] == ']') {
-    start++;
-    n -= 2;
-  } else if (memchr(where, ':', n) != NULL) {
-    n = 0;
-  }
-  char *end = NULL;
-  unsigned long port =
-      colon != NULL && colon[1] >= '0' && colon[1] <= '9' ? strtoul(colon + 1, &end, 10) : 65536;
-  if (n == 0 || n >= sizeof(host) || port > 65535 || *end != '\0')
-    return mo_fail(message, MO_ERR_INVALID,
-                   "%s is not an address; host:port, [ipv6]:port or unix:/path is expected", where);
-  memcpy(host, start, n);
-  host[n] = '\0';
+  char port[8];
+  snprintf(port, sizeof(port), "%u", where->port);
   struct addrinfo hints = {.ai_socktype = SOCK_STREAM, .ai_flags = AI_PASSIVE | AI_ADDRCONFIG},
                   *found = NULL;
   struct in6_addr v6;
   struct in_addr v4;
-  if (inet_pton(AF_INET, host, &v4) == 1 || inet_pton(AF_INET6, host, &v6) == 1)
+  if (inet_pton(AF_INET, where->host, &v4) == 1 || inet_pton(AF_INET6, where->host, &v6) == 1)
     hints.ai_flags = AI_PASSIVE | AI_NUMERICHOST;
-  int status = getaddrinfo(host, colon + 1, &hints, &found);
+  int status = getaddrinfo(where->host, port, &hints, &found);
   if (status != 0)
-    return mo_fail(message, MO_ERR_NOT_FOUND, "the name %s is not known: %s", host,
+    return mo_fail(message, MO_ERR_NOT_FOUND, "the name %s is not known: %s", where->host,
                    gai_strerror(status));
   int one = 1, code = MO_OK;
   int fd = socket(found->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
@@ -132,7 +174,7 @@ static int listen_tcp(const char *where, struct mo_message *message)
       setsockopt(fd, IPPROTO_IPV6, IPV6_V6ONLY, &one, sizeof(one));
     if (bind(fd, found->ai_addr, found->ai_addrlen) != 0 || listen(fd, BACKLOG) != 0) {
       code = mo_fail(message, errno == EADDRINUSE ? MO_ERR_CONFLICT : MO_ERR_IO,
-                     "cannot serve %s: %s", where, strerror(errno));
+                     "cannot serve %s: %s", text, strerror(errno));
       close(fd);
     }
   }
@@ -142,8 +184,10 @@ static int listen_tcp(const char *where, struct mo_message *message)
 
 int mo_http_listen(const char *where, int *fd, char *address, struct mo_message *message)
 {
-  int result = strncmp(where, "unix:", 5) == 0 ? listen_unix(where + 5, message)
-                                               : listen_tcp(where, message);
+  struct mo_listen_address parts;
+  int result = mo_http_parse_address(where, &parts, message);
+  if (result == MO_OK)
+    result = parts.is_unix ? listen_unix(parts.host, message) : listen_tcp(where, &parts, message);
   if (result < 0)
     return result;
   bool beyond;

@@ -52,4 +52,14 @@ struct mo_http {
 /* Starts libmicrohttpd with its callbacks (dispatch.c). */
 int mo_daemon_start(struct mo_http *http, struct mo_message *message);
 
+/* Parses an address to listen on: "127.0.0.1:8765", "[::1]:8765", "localhost:0" or
+ * "unix:/run/x". MO_ERR_INVALID with a message. */
+struct mo_listen_address {
+  bool is_unix, is_loopback;
+  char host[256]; /* or the path */
+  uint16_t port;
+};
+int mo_http_parse_address(const char *text, struct mo_listen_address *address,
+                          struct mo_message *message);
+
 #endif
