@@ -8,6 +8,7 @@ import os
 import pty
 import re
 import select
+import shlex
 import signal
 import struct
 import subprocess
@@ -20,17 +21,18 @@ from service import BINARY, BOOTSTRAP, DESIGN, SOURCE
 MORPHOCTL = os.environ.get(
     "MORPHOCTL",
     os.path.join(os.path.dirname(BINARY), "..", "..", "clients", "morphoctl", "morphoctl"))
-SHORT = ["--physics", "n_steps=20"]
+SHORT = "--physics n_steps=20"
 CELLS = json.dumps(DESIGN)
 
 
 @pytest.fixture(scope="module")
 def ctl(service):
-    def run(*arguments, server=None, input_text="", **variables):
+
+    def run(command, *arguments, server=None, input_text="", **variables):
         environment = {k: v for k, v in os.environ.items() if not k.startswith("MORPHOD")}
         environment.update({"MORPHOD_SERVER": server or service.addresses[0], "LC_ALL": "C.UTF-8"},
                            **variables)
-        done = subprocess.run([MORPHOCTL, *arguments],
+        done = subprocess.run([MORPHOCTL, *shlex.split(command), *arguments],
                               input=input_text,
                               capture_output=True,
                               text=True,
@@ -44,7 +46,7 @@ def ctl(service):
 def test_named_designs(ctl):
     files = sorted(str(p) for p in (SOURCE / "data" / "designs").glob("*.json"))
     assert len(files) >= 8
-    status, out, err = ctl("eval", *SHORT, *files)
+    status, out, err = ctl(f"eval {SHORT}", *files)
     assert status == 0, err
     lines = out.splitlines()
     assert len(lines) == len(files) + 1
@@ -56,12 +58,7 @@ def test_named_designs(ctl):
 
 
 def test_the_json_is_the_apis(service, ctl):
-    status, out, _ = ctl("eval",
-                         *SHORT,
-                         "--json",
-                         "--label",
-                         "from the command line",
-                         input_text=CELLS)
+    status, out, _ = ctl(f"eval {SHORT} --json --label 'from the command line'", input_text=CELLS)
     assert status == 0
     evaluation = json.loads(out)
     assert evaluation == service.request("GET", f"/v1/evaluations/{evaluation['id']}").json()
@@ -70,118 +67,111 @@ def test_the_json_is_the_apis(service, ctl):
 
 def test_the_same_key_is_the_same_evaluation(ctl):
     ids = {
-        json.loads(ctl("eval", *SHORT, "--json", "--idempotency-key", "once",
-                       input_text=CELLS)[1])["id"]
+        json.loads(ctl(f"eval {SHORT} --json --idempotency-key once", input_text=CELLS)[1])["id"]
         for _ in range(2)
     }
     assert len(ids) == 1
-    status, _, err = ctl("eval", *SHORT, "--idempotency-key", "once", input_text='[[0,0,0]]')
+    status, _, err = ctl(f"eval {SHORT} --idempotency-key once", input_text='[[0,0,0]]')
     assert status == 6 and "key" in err.lower(), err
 
 
 def test_faults_name_their_place(ctl):
     status, out, err = ctl("eval", input_text="[[0,0,0],[5,5,3]]\n[[1,1,1]]")
     assert (status, out) == (6, "") and "/designs/0/cells/1" in err, err
-    status, _, err = ctl("eval", "--controller", "nobody", input_text=CELLS)
+    status, _, err = ctl("eval --controller nobody", input_text=CELLS)
     assert status in (3, 6) and "nobody" in err, err
-    status, _, err = ctl("eval", "--physics", "dt_s=7", input_text=CELLS)
+    status, _, err = ctl("eval --physics dt_s=7", input_text=CELLS)
     assert status == 6 and "/physics/dt_s" in err, err
 
 
 def test_verify(ctl):
-    evaluation = json.loads(ctl("eval", *SHORT, "--json", input_text=CELLS)[1])
-    status, out, err = ctl("verify", *SHORT, "-", input_text=CELLS)
+    evaluation = json.loads(ctl(f"eval {SHORT} --json", input_text=CELLS)[1])
+    status, out, err = ctl(f"verify {SHORT} -", input_text=CELLS)
     assert status == 0 and "the same" in out, (out, err)
-    status, out, err = ctl("verify", "--evaluation", evaluation["id"])
+    status, out, err = ctl(f"verify --evaluation {evaluation['id']}")
     assert status == 0 and "1 the same, 0 different, 0 not stored" in out, (out, err)
-    status, out, err = ctl("verify", *SHORT, evaluation["results"][0]["id"])
+    status, out, err = ctl(f"verify {SHORT} {evaluation['results'][0]['id']}")
     assert status == 0 and "the same" in out, (out, err)
-    status, out, err = ctl("verify", "--physics", "n_steps=7", "-", input_text=CELLS)
+    status, out, err = ctl("verify --physics n_steps=7 -", input_text=CELLS)
     assert status == 3 and "nothing" in err, (out, err)
 
 
 def test_designs(ctl):
-    identity = json.loads(ctl("eval", *SHORT, "--json", input_text=CELLS)[1])["results"][0]["id"]
-    status, out, err = ctl("design", "show", identity)
+    identity = json.loads(ctl(f"eval {SHORT} --json", input_text=CELLS)[1])["results"][0]["id"]
+    status, out, err = ctl(f"design show {identity}")
     assert status == 0 and identity in out and "██" in out and "z = 1" in out, (out, err)
-    drawn = ctl("design", "show", identity,
+    drawn = ctl(f"design show {identity}",
                 LC_ALL="C")[1].count("##")  # once for each orientation that was scored
     assert drawn >= 4 and drawn % 4 == 0
-    assert ctl("design", "show", "f" * 36)[0] in (0, 3)
-    assert ctl("design", "show", "xyz")[0] == 2
-    status, out, _ = ctl("design", "list", "--all")
+    assert ctl(f"design show {'f' * 36}")[0] in (0, 3)
+    assert ctl("design show xyz")[0] == 2
+    status, out, _ = ctl("design list --all")
     assert status == 0 and identity in out
-    assert json.loads(ctl("design", "show", identity, "--json")[1])["id"] == identity
+    assert json.loads(ctl(f"design show {identity} --json")[1])["id"] == identity
     ctl("eval",
         input_text=CELLS)  # the paper's test set with the default physics: what is sorted by score
-    status, out, _ = ctl("design", "list", "--sort", "score", "--limit", "1")
+    status, out, _ = ctl("design list --sort score --limit 1")
     assert status == 0 and len(out.splitlines()) == 2
 
 
 def test_jobs(ctl):
-    status, out, _ = ctl("eval", "--no-wait", "--random", "500", "--seed", "5", "--label",
-                         "long one")
+    status, out, _ = ctl("eval --no-wait --random 500 --seed 5 --label 'long one'")
     job = out.strip()
     assert status == 0 and job.isdigit()
-    assert ctl("job", "pause", job)[0] == 0
-    assert "paused" in ctl("job", "show", job)[1]
+    assert ctl(f"job pause {job}")[0] == 0
+    assert "paused" in ctl(f"job show {job}")[1]
     assert any(line.split()[0] == job and "paused" in line
-               for line in ctl("job", "list", "--state", "paused")[1].splitlines()[1:])
+               for line in ctl("job list --state paused")[1].splitlines()[1:])
     assert [
         line.split()[0]
-        for line in ctl("job", "list", "--label", "long one", "--state", "paused")[1].splitlines()
+        for line in ctl("job list --label 'long one' --state paused")[1].splitlines()
     ] == ["job", job]
-    assert ctl("job", "list", "-l", "long & two", "--json")[1].startswith('{"items":[],')
-    assert ctl("job", "weight", job, "2.5") == (0, f"job {job} has the weight 2.5\n", "")
-    assert re.search(r"^weight +2.5$", ctl("job", "show", job)[1], re.M)
-    assert ctl("job", "weight", job, "0")[0] == 6 and ctl("job", "weight", job, "2x")[0] == 2
-    assert ctl("job", "resume", job)[0] == 0
-    status, out, err = ctl("job", "cancel", job)
+    assert ctl("job list -l 'long & two' --json")[1].startswith('{"items":[],')
+    assert ctl(f"job weight {job} 2.5") == (0, f"job {job} has the weight 2.5\n", "")
+    assert re.search(r"^weight +2.5$", ctl(f"job show {job}")[1], re.M)
+    assert ctl(f"job weight {job} 0")[0] == 6 and ctl(f"job weight {job} 2x")[0] == 2
+    assert ctl(f"job resume {job}")[0] == 0
+    status, out, err = ctl(f"job cancel {job}")
     assert status == 0, err
-    status, out, _ = ctl("watch", job)
+    status, out, _ = ctl(f"watch {job}")
     assert status == 3 and "job.finished" in out and "cancelled" in out, out
-    assert ctl("job", "cancel", job)[0] == 3
-    assert ctl("job", "show", "999999")[0] == 3
+    assert ctl(f"job cancel {job}")[0] == 3
+    assert ctl("job show 999999")[0] == 3
 
 
 def test_watch_a_job(ctl):
-    job = ctl("eval", *SHORT, "--no-wait", "--random", "20", "--seed", "6")[1].strip()
-    status, out, err = ctl("watch", job)
+    job = ctl(f"eval {SHORT} --no-wait --random 20 --seed 6")[1].strip()
+    status, out, err = ctl(f"watch {job}")
     assert status == 0, err
     kinds = [line.split()[2] for line in out.splitlines()]
     assert kinds[0] == "job.created" and kinds[-1] == "job.finished", out
-    events = [json.loads(line) for line in ctl("watch", job, "--json")[1].splitlines()]
+    events = [json.loads(line) for line in ctl(f"watch {job} --json")[1].splitlines()]
     assert [int(e["id"]) for e in events] == sorted(int(e["id"]) for e in events)
-    status, out, _ = ctl("job", "show", job, "--results")
+    status, out, _ = ctl(f"job show {job} --results")
     assert status == 0 and "succeeded" in out and len(out.splitlines()) > 20
 
 
 def test_controllers(service, ctl, tmp_path):
     assert re.search(r"^bootstrap +inverse_sqrt +620,912 +2,484,856 +20\d\d-",
-                     ctl("controller", "list")[1], re.M)
-    status, out, err = ctl("controller", "put", "mine", str(BOOTSTRAP))
+                     ctl("controller list")[1], re.M)
+    status, out, err = ctl(f"controller put mine {str(BOOTSTRAP)}")
     assert status == 0 and hashlib.sha256(BOOTSTRAP.read_bytes()).hexdigest() in out, err
-    assert "620,912" in ctl("controller", "info", "mine")[1]
+    assert "620,912" in ctl("controller info mine")[1]
     copy = tmp_path / "copy.safetensors"
-    assert ctl("controller", "get", "mine", "--output", str(copy))[0] == 0
+    assert ctl(f"controller get mine --output {str(copy)}")[0] == 0
     assert copy.read_bytes() == BOOTSTRAP.read_bytes()
     short = tmp_path / "short.safetensors"
     short.write_bytes(BOOTSTRAP.read_bytes()[:1000])
-    assert ctl("controller", "put", "short", str(short))[0] == 6
-    assert ctl("controller", "delete", "mine")[0] == 0
-    assert ctl("controller", "info", "mine")[0] == 3
+    assert ctl(f"controller put short {str(short)}")[0] == 6
+    assert ctl("controller delete mine")[0] == 0
+    assert ctl("controller info mine")[0] == 3
 
 
 def test_trajectories(ctl, tmp_path):
-    status, _, err = ctl("eval",
-                         *SHORT,
-                         "--record",
-                         "com,masses",
-                         "--record-stride",
-                         "5",
-                         "--output",
-                         str(tmp_path / "out"),
-                         input_text=CELLS)
+    status, _, err = ctl(
+        f"eval {SHORT} --record com,masses --record-stride 5 --output "
+        f"{str(tmp_path / 'out')}",
+        input_text=CELLS)
     assert status == 0, err
     files = sorted(p.name for p in (tmp_path / "out").iterdir())
     assert len(files) == 1 + 2 * 10 and "design-0000-environment-09-masses.npy" in files
@@ -194,9 +184,10 @@ def test_trajectories(ctl, tmp_path):
 def test_environments_of_a_file(ctl, tmp_path):
     path = tmp_path / "environments.json"
     path.write_text(
-        json.dumps([{"light_xy_m": [2.5, 4.5], "terrain_heights_m": [0.05] * 64},
-                    {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 3}]))
-    status, out, err = ctl("eval", *SHORT, "--json", "--environments", str(path), input_text=CELLS)
+        json.dumps([{"light_xy_m": [2.5, 4.5], "terrain_heights_m": [0.05] * 64}, {
+            "light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 3
+        }]))
+    status, out, err = ctl(f"eval {SHORT} --json --environments {str(path)}", input_text=CELLS)
     assert status == 0, err
     assert len(json.loads(out)["results"][0]["losses"]) == 2
 
@@ -204,45 +195,43 @@ def test_environments_of_a_file(ctl, tmp_path):
 def test_status(ctl):
     status, out, _ = ctl("status")
     assert status == 0 and re.search(r"^ready +yes", out, re.M), out
-    assert json.loads(ctl("status", "--json")[1])["ready"] is True
+    assert json.loads(ctl("status --json")[1])["ready"] is True
 
 
-TINY = [
-    "--steps", "6", "--batch", "4", "--physics", "n_steps=30", "--validate-every", "3",
-    "--validation-designs", "3", "--validation-environments", "2"
-]
+TINY = ("--steps 6 --batch 4 --physics n_steps=30 --validate-every 3 --validation-designs 3 "
+        "--validation-environments 2")
 
 
 def test_training_from_start_to_export(service, ctl, tmp_path):
-    status, out, err = ctl("train", "start", "pretrain", "--name", "ctl-walker", "--label",
-                           "by hand", "--checkpoint-steps", "2", *TINY, "--watch")
+    status, out, err = ctl("train start pretrain --name ctl-walker --label 'by hand' "
+                           f"--checkpoint-steps 2 {TINY} --watch")
     assert status == 0, (out, err)
     assert re.match(r"training \d+ \(pretrain ctl-walker\) is (queued|running), step \d of 6",
                     out), out
     assert re.search(r"^controller ctl-walker: sha256:[0-9a-f]{64}$", out, re.M), out
     job = re.match(r"training (\d+)", out)[1]
-    assert ctl("train", "watch", job)[0] == 0
-    events = [json.loads(line) for line in ctl("train", "watch", job, "--json")[1].splitlines()]
+    assert ctl(f"train watch {job}")[0] == 0
+    events = [json.loads(line) for line in ctl(f"train watch {job} --json")[1].splitlines()]
     assert events[-1]["type"] == "job.finished" and "training.checkpoint" in {
         event["type"]
         for event in events
     }
-    shown = ctl("train", "show", job)[1]
+    shown = ctl(f"train show {job}")[1]
     assert re.search(r"^progress +step 6 of 6$", shown, re.M) and re.search(
         r"^label +by hand$", shown, re.M) and "step 6" in shown.splitlines()[-1]
     assert re.search(r"^code +cpu \S+ float32 gradient-\d+$", shown, re.M), shown
-    assert json.loads(ctl("train", "show", job,
-                          "--json")[1]) == service.request("GET", f"/v1/trainings/{job}").json()
+    assert json.loads(ctl(f"train show {job} --json")[1]) == service.request(
+        "GET", f"/v1/trainings/{job}").json()
     assert any(line.split()[:4] == [job, "pretrain", "ctl-walker", "succeeded"]
-               for line in ctl("train", "list")[1].splitlines())
+               for line in ctl("train list")[1].splitlines())
     assert any(line.split()[:3] == [job, "pretrain", "succeeded"]
-               for line in ctl("job", "list")[1].splitlines())
+               for line in ctl("job list")[1].splitlines())
     files = [str(tmp_path / name) for name in ("end", "middle", "curve.csv", "validations.csv")]
-    status, _, err = ctl("train", "export", job, "--output", files[0], "--curve", files[2],
-                         "--validations", files[3])
+    status, _, err = ctl(f"train export {job} --output {files[0]} --curve {files[2]} "
+                         f"--validations {files[3]}")
     assert status == 0, err
-    assert ctl("train", "export", job, "--step", "4", "--output", files[1])[0] == 0
-    assert ctl("train", "export", job, "--step", "5")[0] == 3
+    assert ctl(f"train export {job} --step 4 --output {files[1]}")[0] == 0
+    assert ctl(f"train export {job} --step 5")[0] == 3
     end, middle = [open(path, "rb").read() for path in files[:2]]
     assert hashlib.sha256(end).hexdigest() in out and middle != end
     lines = (tmp_path / "curve.csv").read_text().splitlines()
@@ -252,21 +241,21 @@ def test_training_from_start_to_export(service, ctl, tmp_path):
     assert [
         line.split(",")[0] for line in (tmp_path / "validations.csv").read_text().splitlines()[1:]
     ] == ["0", "3", "6"]
-    assert ctl("train", "prune", job, "--step",
-               "4") == (0, f"training {job}: 1 checkpoint deleted, 12.4 MB\n", "")
-    assert ctl("train", "prune", job, "--step", "4")[0] == 3 and ctl("train", "prune", "x")[0] == 2
-    status, out, _ = ctl("train", "prune", job, "--json")
+    assert ctl(f"train prune {job} --step 4") == (
+        0, f"training {job}: 1 checkpoint deleted, 12.4 MB\n", "")
+    assert ctl(f"train prune {job} --step 4")[0] == 3 and ctl("train prune x")[0] == 2
+    status, out, _ = ctl(f"train prune {job} --json")
     assert status == 0 and json.loads(out)["items"] == [{"step": 6}, {"step": 2}], out
-    assert ctl("train", "prune", job)[1] == f"training {job}: 0 checkpoints deleted, 0.0 MB\n"
-    status, out, err = ctl("train", "compare", "default", "ctl-walker", "--designs", "6",
-                           "--environments", "2", "--physics", "n_steps=50")
+    assert ctl(f"train prune {job}")[1] == f"training {job}: 0 checkpoints deleted, 0.0 MB\n"
+    status, out, err = ctl("train compare default ctl-walker --designs 6 --environments 2 "
+                           "--physics n_steps=50")
     assert status == 0 and "Student t, 6 pairs" in out, (out, err)
 
 
 def test_presets_of_trainings(ctl):
-    for more, schedule in ((), 61), (("--schedule", "restarts", "--cycle-growth", "3"), 10):
-        status, out, err = ctl("train", "start", "pretrain", "--preset", "phototaxis", "--beta2",
-                               "0.99", *more, *TINY, "--json")
+    for more, schedule in ("", 61), ("--schedule restarts --cycle-growth 3", 10):
+        status, out, err = ctl(f"train start pretrain --preset phototaxis --beta2 0.99 {more} "
+                               f"{TINY} --json")
         assert status == 0, err
         settings = json.loads(out)["settings"]
         assert settings["steps"] == 6 and settings["adam"] == {
@@ -274,44 +263,39 @@ def test_presets_of_trainings(ctl):
         } and settings["adjoint_rule"] == "restart"
         assert settings["schedule"]["cycle_steps"] == schedule and settings["schedule"][
             "cycle_growth"] == (3 if more else 22)
-        assert ctl("train", "cancel", json.loads(out)["id"])[0] == 0
-    status, _, err = ctl("train", "start", "pretrain", "--preset", "demo", *TINY)
+        assert ctl(f"train cancel {json.loads(out)['id']}")[0] == 0
+    status, _, err = ctl(f"train start pretrain --preset demo {TINY}")
     assert status == 6 and '/preset: must be "workstation", "phototaxis" or "paper"' in err, err
-    status, _, err = ctl("train", "start", "finetune", "--random", "1", "--preset", "phototaxis",
-                         *TINY)
+    status, _, err = ctl(f"train start finetune --random 1 --preset phototaxis {TINY}")
     assert status == 6 and "/preset: " in err, err
-    status, out, _ = ctl("train", "start", "--help")
+    status, out, _ = ctl("train start --help")
     assert status == 0 and "--preset workstation|phototaxis|paper" in out, out
 
 
 def test_finetuning(ctl):
-    status, out, err = ctl("train", "start", "finetune", "--random", "3", "--name", "ctl-tuned",
-                           *TINY, "--json")
+    status, out, err = ctl(f"train start finetune --random 3 --name ctl-tuned {TINY} --json")
     assert status == 0, err
     value = json.loads(out)
     assert value["settings"]["n_designs"] == 3 and value["parent"]["name"] == "default"
-    assert ctl("train", "watch", value["id"])[0] == 0
-    evaluation = json.loads(ctl("eval", *SHORT, "--random", "5", "--json")[1])
-    status, out, err = ctl("train", "start", "finetune", "--population", evaluation["id"], "--best",
-                           "2", *TINY)
-    assert status == 0 and json.loads(ctl("train", "show", out.strip(),
-                                          "--json")[1])["settings"]["n_designs"] == 2, err
-    status, _, err = ctl("train", "start", "finetune", "--random", "3", "--controller", "nobody",
-                         "--batch", "0")
+    assert ctl(f"train watch {value['id']}")[0] == 0
+    evaluation = json.loads(ctl(f"eval {SHORT} --random 5 --json")[1])
+    status, out, err = ctl(f"train start finetune --population {evaluation['id']} --best 2 {TINY}")
+    assert status == 0 and json.loads(
+        ctl(f"train show {out.strip()} --json")[1])["settings"]["n_designs"] == 2, err
+    status, _, err = ctl("train start finetune --random 3 --controller nobody --batch 0")
     assert status == 6 and "/controller: " in err and "/batch: " in err, err
 
 
 def test_training_pause_resume_cancel(ctl):
-    job = ctl("train", "start", "pretrain", "--steps", "100000", "--batch", "2", "--physics",
-              "n_steps=20", "--validate-every", "0")[1].strip()
-    assert ctl("train", "pause", job) == (0, f"job {job} is paused\n", "")
-    assert re.search(r"^state +paused$", ctl("train", "show", job)[1], re.M)
-    assert any(line.split()[0] == job
-               for line in ctl("train", "list", "--state", "paused")[1].splitlines())
-    assert ctl("train", "resume", job)[0] == 0
-    assert ctl("train", "cancel", job)[0] == 0
-    assert ctl("train", "watch", job)[0] == 3
-    assert ctl("train", "resume", job)[0] == 3 and ctl("train", "show", "999999")[0] == 3
+    job = ctl("train start pretrain --steps 100000 --batch 2 --physics n_steps=20 "
+              "--validate-every 0")[1].strip()
+    assert ctl(f"train pause {job}") == (0, f"job {job} is paused\n", "")
+    assert re.search(r"^state +paused$", ctl(f"train show {job}")[1], re.M)
+    assert any(line.split()[0] == job for line in ctl("train list --state paused")[1].splitlines())
+    assert ctl(f"train resume {job}")[0] == 0
+    assert ctl(f"train cancel {job}")[0] == 0
+    assert ctl(f"train watch {job}")[0] == 3
+    assert ctl(f"train resume {job}")[0] == 3 and ctl("train show 999999")[0] == 3
 
 
 def watch_on_a_terminal(service, command, job, until_seen, farewell):
@@ -348,39 +332,25 @@ def watch_on_a_terminal(service, command, job, until_seen, farewell):
 
 def test_watching_a_training_on_a_terminal(service, ctl):
     """The live view fits 80 columns with all its numbers; Ctrl-C leaves the training alone."""
-    job = ctl("train", "start", "pretrain", "--steps", "100000", "--batch", "2", "--physics",
-              "n_steps=20", "--checkpoint-steps", "50", "--validation-designs", "2")[1].strip()
+    job = ctl("train start pretrain --steps 100000 --batch 2 --physics n_steps=20 "
+              "--checkpoint-steps 50 --validation-designs 2")[1].strip()
     view = watch_on_a_terminal(service, "train", job, ("checkpoint of step", " left"),
                                "The training goes on.")
     assert re.search(
         r"step [\d,]+ of 100,000  [\d.e+]+ bodies/s  (\d+ d )?\d+:\d\d(:\d\d)? left  checkpoint of "
-        r"step \d+",
-        view), view
+        r"step \d+", view), view
     assert service.request("GET", f"/v1/trainings/{job}").json()["state"] == "running"
-    assert ctl("train", "cancel", job)[0] == 0
+    assert ctl(f"train cancel {job}")[0] == 0
 
 
-SMALL = ["--preset", "demo", "--population", "6", "--physics", "n_steps=20"]
+SMALL = "--preset demo --population 6 --physics n_steps=20"
 
 
 def test_campaign_from_start_to_export(service, ctl, tmp_path):
-    status, out, err = ctl("campaign",
-                           "start",
-                           "zero-shot",
-                           *SMALL,
-                           "-n",
-                           "3",
-                           "--label",
-                           "by hand",
-                           "--selection",
-                           "tournament",
-                           "--tournament-size",
-                           "2",
-                           "--workspace",
-                           "5,5,3",
-                           "--watch",
-                           "-",
-                           input_text=CELLS)
+    status, out, err = ctl(
+        f"campaign start zero-shot {SMALL} -n 3 --label 'by hand' --selection "
+        "tournament --tournament-size 2 --workspace 5,5,3 --watch -",
+        input_text=CELLS)
     assert status == 0, err
     assert re.findall(r"generation (\d) of 3  mean \d\.\d{4}  best ", out) == ["0", "1", "2",
                                                                                "3"], out
@@ -389,29 +359,27 @@ def test_campaign_from_start_to_export(service, ctl, tmp_path):
     assert told["label"] == "by hand" and told["settings"]["workspace"] == [5, 5, 3]
     assert told["settings"]["selection"] == {"kind": "tournament", "size": 2
                                              } and told["settings"]["initial"] != "random"
-    assert json.loads(ctl("campaign", "show", campaign, "--json")[1]) == told
-    shown = ctl("campaign", "show", campaign)[1]
+    assert json.loads(ctl(f"campaign show {campaign} --json")[1]) == told
+    shown = ctl(f"campaign show {campaign}")[1]
     assert re.search(r"^progress +generation 3 of 3, 24 designs born$", shown, re.M), shown
     assert re.search(r"^mean score +\d\.\d{4}  \S{4}$", shown, re.M) and re.search(
         r"^ +3 +\d\.\d{4}", shown, re.M), shown
     assert any(line.split()[:4] == [campaign, "zero-shot", "succeeded", "6"]
-               for line in ctl("campaign", "list")[1].splitlines())
+               for line in ctl("campaign list")[1].splitlines())
     assert any(
         line.split()[:7] == [campaign, "zero-shot", "succeeded", "batch", "6", "3", "generations"]
-        for line in ctl("job", "list")[1].splitlines())
-    events = [
-        json.loads(line) for line in ctl("campaign", "watch", campaign, "--json")[1].splitlines()
-    ]
+        for line in ctl("job list")[1].splitlines())
+    events = [json.loads(line) for line in ctl(f"campaign watch {campaign} --json")[1].splitlines()]
     assert [e["data"]["generation"] for e in events
             if e["type"] == "campaign.generation"] == [0, 1, 2, 3]
-    champions = ctl("campaign", "champions", campaign, "-n", "3", "-o", str(tmp_path / "paths"))
+    champions = ctl(f"campaign champions {campaign} -n 3 -o {str(tmp_path / 'paths')}")
     assert champions[0] == 0 and len(champions[1].splitlines()) == 4, champions
     assert len(list((tmp_path / "paths").glob("design-*-com.npy"))) == 30
     files = {
         what: str(tmp_path / what)
         for what in ("curve", "population", "phylogeny", "newick", "learning", "replicates")
     }
-    status, _, err = ctl("campaign", "export", campaign,
+    status, _, err = ctl(f"campaign export {campaign}",
                          *(part for what, path in files.items() for part in (f"--{what}", path)))
     assert status == 0, err
     rows = {what: open(path, encoding="utf-8").read().splitlines() for what, path in files.items()}
@@ -419,96 +387,92 @@ def test_campaign_from_start_to_export(service, ctl, tmp_path):
         rows["phylogeny"]) == 25 and len(rows["learning"]) == 1
     assert rows["phylogeny"][0].startswith(
         "id,ancestor_list,origin_time,destruction_time") and rows["newick"][0].endswith(";")
-    scores = ctl("eval", *SHORT, "--json", files["population"])
-    assert [r["score"] for r in json.loads(scores[1])["results"]
-            ] == sorted(r["score"] for r in json.loads(scores[1])["results"])
-    assert ctl("campaign", "extend", campaign,
-               "2") == (0, f"campaign {campaign} is queued, to generation 5\n", "")
-    assert ctl("campaign", "watch", campaign)[0] == 0
-    lines = ctl("campaign", "watch", campaign)[1].splitlines()
+    scores = ctl(f"eval {SHORT} --json {files['population']}")
+    assert [r["score"] for r in json.loads(scores[1])["results"]] == sorted(
+        r["score"] for r in json.loads(scores[1])["results"])
+    assert ctl(f"campaign extend {campaign} 2") == (
+        0, f"campaign {campaign} is queued, to generation 5\n", "")
+    assert ctl(f"campaign watch {campaign}")[0] == 0
+    lines = ctl(f"campaign watch {campaign}")[1].splitlines()
     assert len(lines) == 6 and all(
         re.match(rf" {{21}}generation {i} of 5  mean ", line)
         for i, line in enumerate(lines)), "long ago: without a time"
-    assert ctl("campaign", "export", campaign, "--curve", "-")[1].splitlines()[:5] == rows["curve"]
-    status, out, err = ctl("train", "start", "finetune", "--population", campaign, "--best", "3",
-                           *TINY)
+    assert ctl(f"campaign export {campaign} --curve -")[1].splitlines()[:5] == rows["curve"]
+    status, out, err = ctl(f"train start finetune --population {campaign} --best 3 {TINY}")
     assert status == 0, err
-    shown = ctl("train", "show", out.strip())[1]
+    shown = ctl(f"train show {out.strip()}")[1]
     assert re.search(rf"^designs +3 of campaign {campaign}$", shown, re.M), shown
 
 
 def test_campaigns_that_learn_and_replicates(service, ctl):
-    learn = ["--child-steps", "1", "--parent-steps", "1", "--batch", "3"]
-    status, out, err = ctl("campaign", "start", "simultaneous", *SMALL, "-n", "1", *learn,
-                           "--schedule", "constant", "--peak", "0.001", "--sensor",
-                           "inverse_square", "--replicates", "2", "--seed", "7", "--name",
-                           "ctl-evolved")
+    learn = "--child-steps 1 --parent-steps 1 --batch 3"
+    status, out, err = ctl(f"campaign start simultaneous {SMALL} -n 1 {learn} --schedule "
+                           "constant --peak 0.001 --sensor inverse_square --replicates 2 --seed "
+                           "7 --name ctl-evolved")
     assert status == 0, err
     ids = out.split()
     assert len(ids) == 2 and int(ids[1]) == int(ids[0]) + 1
-    assert all(ctl("campaign", "watch", i)[0] == 0 for i in ids)
-    listed = json.loads(
-        ctl("campaign", "list", "--group", ids[0], "--state", "succeeded", "--json")[1])["items"]
-    assert [item["id"]
-            for item in listed] == ids[::-1] and ctl("campaign", "list", "--group", "x")[0] == 2
-    shown = ctl("campaign", "show", ids[1])[1]
+    assert all(ctl(f"campaign watch {i}")[0] == 0 for i in ids)
+    listed = json.loads(ctl(f"campaign list --group {ids[0]} --state succeeded --json")[1])["items"]
+    assert [item["id"] for item in listed] == ids[::-1] and ctl("campaign list --group x")[0] == 2
+    shown = ctl(f"campaign show {ids[1]}")[1]
     assert re.search(rf"^replicate +2 of 2 of campaign {ids[0]}$", shown, re.M) and re.search(
         r"^population +6 designs, seed 8$", shown, re.M), shown
     assert re.search(
         r"^controller +random weights, sensor inverse_square$", shown, re.M) and re.search(
             r"^learning +1 \+ 1 steps a generation, constant", shown, re.M), shown
-    assert len(ctl("campaign", "export", ids[0], "--learning", "-")[1].splitlines()) == 1 + 1 + 2
-    assert ctl("campaign", "export", ids[0], "--replicates", "-")[1].count("\n") == 3
-    assert ctl("campaign", "prune", ids[1], ids[1])[1] == (
+    assert len(ctl(f"campaign export {ids[0]} --learning -")[1].splitlines()) == 1 + 1 + 2
+    assert ctl(f"campaign export {ids[0]} --replicates -")[1].count("\n") == 3
+    assert ctl(f"campaign prune {ids[1]} {ids[1]}")[1] == (
         f"campaign {ids[1]}: 1 checkpoint deleted, 12.4 MB\n"
         f"campaign {ids[1]}: 0 checkpoints deleted, 0.0 MB\n")
-    assert json.loads(ctl("campaign", "prune", ids[1],
-                          "--json")[1]) == {"items": [], "bytes": 0} and ctl(
-                              "campaign", "prune", "999999")[0] == 3
-    assert "was deleted" in ctl("campaign", "extend", ids[1], "1")[2]
-    job = ctl("campaign", "start", "few-shot", *SMALL, "-n", "1", *learn, "--from", ids[0],
-              "--quiet")[1].strip()
-    assert ctl("campaign", "watch", job)[0] == 0
-    assert service.request(
-        "GET", f"/v1/campaigns/{job}").json()["settings"]["initial"] == {"campaign": ids[0]}
+    assert json.loads(ctl(f"campaign prune {ids[1]} --json")[1]) == {"items": [], "bytes": 0
+                                                                     } and ctl("campaign prune "
+                                                                               "999999")[0] == 3
+    assert "was deleted" in ctl(f"campaign extend {ids[1]} 1")[2]
+    job = ctl(f"campaign start few-shot {SMALL} -n 1 {learn} --from {ids[0]} --quiet")[1].strip()
+    assert ctl(f"campaign watch {job}")[0] == 0
+    assert service.request("GET", f"/v1/campaigns/{job}").json()["settings"]["initial"] == {
+        "campaign": ids[0]
+    }
 
 
 def test_wrong_campaigns(ctl):
-    for arguments, words in ((["start", "sideways"], "zero-shot"),
-                             (["start", "zero-shot", "--population", "1"], "population"),
-                             (["start", "zero-shot", "--child-steps",
-                               "3"], "learning"), (["start", "zero-shot", "--controller",
-                                                    "random"], "controller")):
+    for arguments, words in ((["start", "sideways"], "zero-shot"), ([
+            "start", "zero-shot", "--population", "1"
+    ], "population"), (["start", "zero-shot", "--child-steps", "3"], "learning"), ([
+            "start", "zero-shot", "--controller", "random"
+    ], "controller")):
         status, _, err = ctl("campaign", *arguments)
         assert status == 6 and words in err, (arguments, err)
     for arguments, words in ((["start", "zero-shot", "--layers", "3"], "--selection age-layered"),
-                             (["start", "zero-shot", "--workspace",
-                               "6,6"], "X,Y,Z"), (["start", "zero-shot", "--from",
-                                                   "0"], "id of a job"),
-                             (["extend", "1",
-                               "none"], "further generations"), (["export",
-                                                                  "1"], "what is to be exported"),
-                             (["champions", "1", "-o", "x", "--generation", "0"], "newest")):
+                             (["start", "zero-shot", "--workspace", "6,6"], "X,Y,Z"), ([
+                                 "start", "zero-shot", "--from", "0"
+                             ], "id of a job"), (["extend", "1", "none"], "further generations"), ([
+                                 "export", "1"
+                             ], "what is to be exported"), ([
+                                 "champions", "1", "-o", "x", "--generation", "0"
+                             ], "newest")):
         status, _, err = ctl("campaign", *arguments)
         assert status == 2 and words in err, (arguments, err)
-    assert ctl("campaign", "show", "999999")[0] == 3 and ctl("campaign", "extend", "999999",
-                                                             "1")[0] == 3
+    assert ctl("campaign show 999999")[0] == 3 and ctl("campaign extend 999999 1")[0] == 3
 
 
 def test_watching_a_campaign_on_a_terminal(service, ctl):
     """The live view fits 80 columns and 24 lines; Ctrl-C leaves the campaign alone."""
-    job = ctl("campaign", "start", "zero-shot", *SMALL, "-n", "100000", "-q")[1].strip()
+    job = ctl(f"campaign start zero-shot {SMALL} -n 100000 -q")[1].strip()
     view = watch_on_a_terminal(service, "campaign", job,
                                ("voxels", "Ctrl-C leaves", " left", "running  generation "),
                                "The campaign goes on.")
     assert re.search(r"zero-shot  running  generation [\d,]+ of 100,000   campaign",
                      view) and re.search(r"diversity +0\.\d{4}  ", view), view
     assert service.request("GET", f"/v1/campaigns/{job}").json()["state"] == "running"
-    assert ctl("campaign", "pause", job)[0] == 0 and re.search(r"^state +paused$",
-                                                               ctl("campaign", "show", job)[1],
-                                                               re.M)
-    assert ctl("campaign", "resume", job)[0] == 0 and ctl(
-        "campaign", "cancel", job)[0] == 0 and ctl("campaign", "watch", job)[0] == 3
+    assert ctl(f"campaign pause {job}")[0] == 0 and re.search(r"^state +paused$",
+                                                              ctl(f"campaign show {job}")[1], re.M)
+    assert ctl(f"campaign resume {job}")[0] == 0 and ctl(f"campaign cancel {job}")[0] == 0 and ctl(
+        "campaign "
+        "watch "
+        f"{job}")[0] == 3
 
 
 def test_help_of_a_command(ctl):
@@ -517,7 +481,7 @@ def test_help_of_a_command(ctl):
         assert status == 0 and err == "" and out.startswith("Usage: morphoctl " + " ".join(words))
         assert out == ctl(*words, "--help")[1]
     assert ctl("help")[1] == ctl("--help")[1]
-    status, out, err = ctl("help", "campain")
+    status, out, err = ctl("help campain")
     assert status == 2 and out == "" and "campain" in err
 
 
@@ -531,7 +495,7 @@ def test_unix_socket_and_token(start, ctl, tmp_path):
                     listen=("127.0.0.1:0", f"unix:{path}"),
                     token="a-token-of-some-length")
     tcp = next(a for a in service.addresses if a.startswith("http"))
-    assert ctl("job", "list", server=tcp)[0] == 5
-    assert ctl("job", "list", server=tcp, MORPHOD_TOKEN="another-token-altogether")[0] == 5
-    assert ctl("job", "list", "--token-file", str(tokens), server=tcp)[0] == 0
-    assert ctl("job", "list", server=f"unix:{path}")[0] == 0
+    assert ctl("job list", server=tcp)[0] == 5
+    assert ctl("job list", server=tcp, MORPHOD_TOKEN="another-token-altogether")[0] == 5
+    assert ctl(f"job list --token-file {str(tokens)}", server=tcp)[0] == 0
+    assert ctl("job list", server=f"unix:{path}")[0] == 0

@@ -8,6 +8,7 @@ import json
 import os
 import pty
 import re
+import shlex
 import signal
 import socketserver
 import struct
@@ -34,7 +35,9 @@ RESULT = {"id": ID, "genotype": VOXELS, "score": 0.75, "losses": [0.5, 1.0], "di
 
 
 class Server:
-    """Replies come from a list of functions, one per request; the requests are kept."""
+    """Replies come from a list, one per request: functions, or JSON with status 200. The requests
+    are kept."""
+
     def __init__(self, replies, path=None):
         self.replies, self.seen = list(replies), []
         outer = self
@@ -45,8 +48,8 @@ class Server:
             def handle_any(self):
                 body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
                 outer.seen.append((self.command, self.path, dict(self.headers), body))
-                outer.replies.pop(0)(self) if outer.replies else reply(
-                    500, {"title": "no reply left"})(self)
+                answer = outer.replies.pop(0) if outer.replies else reply(500, {"title": "none"})
+                (answer if callable(answer) else reply(200, answer))(self)
 
             do_GET = do_POST = do_PUT = do_DELETE = handle_any
 
@@ -59,6 +62,7 @@ class Server:
         if path is not None:
 
             class UnixServer(socketserver.ThreadingUnixStreamServer):
+
                 def get_request(self):
                     connection, _ = super().get_request()
                     return connection, ("unix", 0)
@@ -80,6 +84,7 @@ class Server:
 
 
 def reply(status, body=None, content_type=None, **headers):
+
     def send(handler):
         data = body if isinstance(body,
                                   bytes) else b"" if body is None else json.dumps(body).encode()
@@ -103,6 +108,7 @@ def broken(handler):
 
 
 def stream(text):
+
     def send(handler):
         handler.send_response(200)
         handler.send_header("Content-Type", "text/event-stream")
@@ -114,20 +120,22 @@ def stream(text):
     return send
 
 
-def run(server, *arguments, input_text="", **variables):
+def run(server, command, input_text="", **variables):
     environment = {k: v for k, v in os.environ.items() if not k.startswith("MORPHOD_")}
-    environment.update(
-        {
-            "MORPHOD_SERVER": server if isinstance(server, str) else server.address, "TZ": "UTC",
-            "LC_ALL": "C.UTF-8"
-        }, **variables)
-    done = subprocess.run([MORPHOCTL, *arguments],
-                          input=input_text,
-                          capture_output=True,
-                          text=True,
-                          timeout=60,
-                          env=environment)
+    address = server if isinstance(server, str) else server.address
+    environment.update({"MORPHOD_SERVER": address, "TZ": "UTC", "LC_ALL": "C.UTF-8"}, **variables)
+    done = subprocess.run([MORPHOCTL, *shlex.split(command)], input=input_text, text=True,
+                          capture_output=True, timeout=60, env=environment)
     return done.returncode, done.stdout, done.stderr
+
+
+def ask(replies, command, status=0, **more):
+    """Runs a command against a server with these replies, checks its exit status, and returns what
+    it wrote on standard output and standard error, and the requests."""
+    with Server(replies) as server:
+        code, out, err = run(server, command, **more)
+        assert code == status, (code, out, err)
+        return out, err, server.seen
 
 
 def event(number, kind, **data):
@@ -138,327 +146,208 @@ def event(number, kind, **data):
 
 
 def test_table_and_request():
-    with Server([reply(200, {**JOB, "results": [RESULT]})]) as server:
-        status, out, err = run(server,
-                               "eval",
-                               "--label",
-                               "x",
-                               "--physics",
-                               "n_steps=20",
-                               "--record",
-                               "com",
-                               input_text='{"name": "walker", "cells": [[0,0,0]]}')
-        assert status == 0, err
-        lines = out.splitlines()
-        assert re.match(r"#\s+name\s+design\s+voxels\s+score\s+best\s+worst", lines[0]), out
-        assert re.match(rf"0\s+walker\s+{ID}\s+1\s+0\.7500\s+0\.5000\s+1\.0000", lines[1]), out
-        assert "\033" not in out + err, "colors without a terminal"
-        method, path, headers, body = server.seen[0]
-        assert (method, path, headers["Content-Type"]) == ("POST", "/v1/evaluations",
-                                                           "application/json")
-        assert headers["Prefer"].startswith("wait=") and re.fullmatch("[0-9a-f]{32}",
-                                                                      headers["Idempotency-Key"])
-        assert json.loads(body) == {
-            "designs": [{"cells": [[0, 0, 0]]}], "label": "x", "physics": {"n_steps": 20},
-            "record": ["com"]
-        }
+    out, err, seen = ask([{**JOB, "results": [RESULT]}],
+                         "eval --label x --physics n_steps=20 --record com",
+                         input_text='{"name": "walker", "cells": [[0,0,0]]}')
+    lines = out.splitlines()
+    assert re.match(r"#\s+name\s+design\s+voxels\s+score\s+best\s+worst", lines[0]), out
+    assert re.match(rf"0\s+walker\s+{ID}\s+1\s+0\.7500\s+0\.5000\s+1\.0000", lines[1]), out
+    assert "\033" not in out + err, "colors without a terminal"
+    method, path, headers, body = seen[0]
+    assert (method, path) == ("POST", "/v1/evaluations")
+    assert headers["Content-Type"] == "application/json" and headers["Prefer"].startswith("wait=")
+    assert re.fullmatch("[0-9a-f]{32}", headers["Idempotency-Key"])
+    assert json.loads(body) == {
+        "designs": [{"cells": [[0, 0, 0]]}], "label": "x", "physics": {"n_steps": 20},
+        "record": ["com"]
+    }
 
 
 def test_text_of_others_is_not_obeyed():
     """Any submitter chooses the label, and a terminal must not obey it."""
     evil = "x\033]0;owned\007\033[2J\u009b31m\x7f\ry"
-    with Server([reply(200, {"items": [{**JOB, "label": evil}], "next_cursor": None})]) as server:
-        status, out, err = run(server, "job", "list")
-        assert status == 0 and "x?]0;owned??[2J?31m??y" in out, out + err
     hidden = "a\u202egpj\u2066b\u200fc\u061cd\U000e0041e\u200b é😀ü"
-    with Server([reply(200, {"items": [{**JOB, "label": hidden}], "next_cursor": None})]) as server:
-        status, out, err = run(server, "job", "list")
-        assert status == 0, out + err
-        assert r"a\u202egpj\u2066b\u200fc\u061cd\U000e0041e\u200b é😀ü" in out, out + err
-    with Server([reply(200, {**JOB, "label": hidden})]) as server:
-        status, out, err = run(server, "job", "show", "7")
-        assert status == 0 and r"a\u202egpj\u2066b" in out and "\u202e" not in out, out + err
-    problem = {
-        "type": "about:blank", "title": evil, "status": 422, "detail": "no" + evil,
-        "errors": [{"detail": evil, "pointer": "/" + evil}]
-    }
+    for label, shown in ((evil, "x?]0;owned??[2J?31m??y"),
+                         (hidden, r"a\u202egpj\u2066b\u200fc\u061cd\U000e0041e\u200b é😀ü")):
+        page = {"items": [{**JOB, "label": label}], "next_cursor": None}
+        assert shown in ask([page], "job list")[0]
+        assert shown in ask([{**JOB, "label": label}], "job show 7")[0]
+    problem = {"title": evil, "detail": "no" + evil,
+               "errors": [{"detail": evil, "pointer": "/" + evil}]}
+    failed = {**JOB, "label": evil, "state": "failed", "error": {"code": "io", "detail": evil}}
     metadata = {"name": "a", "sha256": "a" * 64, "metadata": {"k" + evil: evil}}
-    shown = []
-    with Server([
-            reply(
-                200,
-                {**JOB, "label": evil, "state": "failed", "error": {"code": "io", "detail": evil}}),
-            reply(200, metadata),
-            reply(422, problem),
-            stream(event(1, "job." + evil.replace("\r", ""), state="a" + evil))
-    ] + [reply(404, problem)] * 3) as server:
-        shown.append(run(server, "job", "show", "7"))
-        shown.append(run(server, "controller", "info", "a"))
-        shown.append(run(server, "job", "show", "8"))
-        shown.append(run(server, "watch", "--retry", "0"))
-    for status, out, err in shown:
-        assert "31m" in out + err, (status, out, err)
+    events = stream(event(1, "job." + evil.replace("\r", ""), state="a" + evil))
+    for reply_, command, status in ((failed, "job show 7", 0), (metadata, "controller info a", 0),
+                                    (reply(422, problem), "job show 8", 6),
+                                    (events, "watch --retry 0", 4)):
+        out, err, _ = ask([reply_] + [reply(500, problem)] * 3, command, status=status)
+        assert "31m" in out + err, (out, err)
         assert not re.search("[\0-\x09\x0b-\x1f\x7f-\x9f]", out + err), (out, err)
 
 
 def test_no_proxy_between_loopback_addresses():
-    with Server([reply(200, JOB)]) as server:
-        assert run(server,
-                   "job",
-                   "show",
-                   "7",
-                   "--retry",
-                   "0",
-                   http_proxy="http://127.0.0.1:1",
-                   all_proxy="http://127.0.0.1:1")[0] == 0
-        assert server.seen[0][1] == "/v1/jobs/7"
+    proxies = {"http_proxy": "http://127.0.0.1:1", "all_proxy": "http://127.0.0.1:1"}
+    assert ask([JOB], "job show 7 --retry 0", **proxies)[2][0][1] == "/v1/jobs/7"
 
 
 def test_json_is_the_apis():
     evaluation = {**JOB, "results": [RESULT]}
-    with Server([reply(200, evaluation)]) as server:
-        status, out, _ = run(server, "eval", "--json", input_text=VOXELS)
-        assert status == 0 and json.loads(out) == evaluation
-
-
-def test_json_keeps_numbers_as_they_came():
-    text = (
-        '{"items":[0.9,1.5e-07,1e+22,-0.1,0.30000000000000004,2.5e-308,17,-3,9007199254740993,'
-        '{"1.50":"1.50 \\" 0.90000000000000002"},true,null],"next_cursor":null}')
-    with Server([reply(200, text.encode())] * 2) as server:
-        assert run(server, "job", "show", "7", "--json")[1] == text + "\n"
-        assert run(server, "job", "list", "--json")[1] == text + "\n"
-    hidden = "a\u202e\x7f\u009b\U000e0041é"
-    with Server([reply(200, {"label": hidden})]) as server:
-        assert run(server, "job", "show", "7",
-                   "--json")[1] == r'{"label":"a\u202e\u007f\u009b\udb40\udc41é"}' + "\n"
+    assert json.loads(ask([evaluation], "eval --json", input_text=VOXELS)[0]) == evaluation
+    text = ('{"items":[0.9,1.5e-07,1e+22,-0.1,0.30000000000000004,2.5e-308,17,-3,9007199254740993,'
+            '{"1.50":"1.50 \\" 0.90000000000000002"},true,null],"next_cursor":null}')
+    for command in "job show 7 --json", "job list --json":
+        assert ask([reply(200, text.encode())], command)[0] == text + "\n"
+    hidden = {"label": "a\u202e\x7f\u009b\U000e0041é"}
+    escaped = r'{"label":"a\u202e\u007f\u009b\udb40\udc41é"}' + "\n"
+    assert ask([hidden], "job show 7 --json")[0] == escaped
 
 
 def test_waits_for_the_end():
-    with Server([
-            reply(202, {**JOB, "state": "queued"}),
-            reply(200, {**JOB, "state": "running", "rollouts_done": 1}),
-            reply(200, JOB),
-            reply(200, {**JOB, "results": [RESULT]})
-    ]) as server:
-        status, out, _ = run(server, "eval", input_text=ID)
-        assert status == 0 and "0.7500" in out
-        assert [s[1] for s in server.seen
-                ] == ["/v1/evaluations", "/v1/jobs/7", "/v1/jobs/7", "/v1/evaluations/7"]
+    replies = [reply(202, {**JOB, "state": "queued"}),
+               {**JOB, "state": "running", "rollouts_done": 1}, JOB, {**JOB, "results": [RESULT]}]
+    out, _, seen = ask(replies, "eval", input_text=ID)
+    assert "0.7500" in out
+    assert [s[1] for s in seen] == ["/v1/evaluations", "/v1/jobs/7", "/v1/jobs/7",
+                                    "/v1/evaluations/7"]
 
 
 def test_no_wait():
-    with Server([reply(202, {**JOB, "state": "queued"})]) as server:
-        status, out, _ = run(server, "eval", "--no-wait", input_text=ID)
-        assert (status, out) == (0, "7\n")
-        assert "Prefer" not in server.seen[0][2]
+    out, _, seen = ask([reply(202, {**JOB, "state": "queued"})], "eval --no-wait", input_text=ID)
+    assert out == "7\n" and "Prefer" not in seen[0][2]
 
 
-def test_failed_job():
-    failed = {
-        **JOB, "state": "failed", "error": {"code": "crashed", "detail": "it crashed three times"}
-    }
-    with Server([reply(200, failed)]) as server:
-        status, _, err = run(server, "eval", input_text=ID)
-        assert status == 3 and "it crashed three times" in err
-
-
-def test_diverged():
-    with Server([
-            reply(
-                200, {
-                    **JOB, "results": [{
-                        **RESULT, "score": None, "losses": [None, 1.0],
-                        "diverged": [{"environment": 0, "step": 17}]
-                    }]
-                })
-    ]) as server:
-        status, out, _ = run(server, "eval", input_text=ID)
-        assert status == 0 and "diverged in 1 of 2 (environment 0, step 17)" in out, out
+def test_failures():
+    failed = {**JOB, "state": "failed", "error": {"code": "crashed", "detail": "three times"}}
+    assert "three times" in ask([failed], "eval", status=3, input_text=ID)[1]
+    diverged = {**RESULT, "score": None, "losses": [None, 1.0],
+                "diverged": [{"environment": 0, "step": 17}]}
+    out = ask([{**JOB, "results": [diverged]}], "eval", input_text=ID)[0]
+    assert "diverged in 1 of 2 (environment 0, step 17)" in out, out
 
 
 def test_repeats_with_the_same_key():
-    with Server([
-            broken,
-            reply(503, {"title": "busy"}, Retry_After="0"),
-            reply(429, {"title": "busy"}, Retry_After="1"),
-            reply(200, {**JOB, "results": [RESULT]})
-    ]) as server:
-        status, _, err = run(server, "eval", input_text=ID)
-        assert status == 0, err
-        keys = {s[2]["Idempotency-Key"] for s in server.seen}
-        assert len(server.seen) == 4 and len(keys) == 1
-        assert len({s[3] for s in server.seen}) == 1
+    replies = [broken, reply(503, {"title": "busy"}, Retry_After="0"),
+               reply(429, {"title": "busy"}, Retry_After="1"), {**JOB, "results": [RESULT]}]
+    seen = ask(replies, "eval", input_text=ID)[2]
+    assert len(seen) == 4 and len({s[2]["Idempotency-Key"] for s in seen}) == 1
+    assert len({s[3] for s in seen}) == 1
 
 
 def test_gives_up():
-    with Server(
-        [reply(503, {"title": "Draining", "detail": "the service stops"},
-               Retry_After="30")]) as server:
-        status, _, err = run(server, "eval", "--retry", "1", input_text=ID)
-        assert status == 7 and "Draining: the service stops (503)" in err, err
-    status, _, err = run("127.0.0.1:1", "job", "list", "--retry", "0")
-    assert status == 4 and "127.0.0.1:1: " in err, err
-    assert "that of MORPHOD_SERVER" in err and "--server" in err, err
-    status, _, err = run("127.0.0.1:1", "job", "list", "--retry", "0", "--server", "unix:/nowhere")
-    assert status == 4 and "unix:/nowhere" in err and "that of --server" in err, err
-    status, _, err = run("127.0.0.1:1", "watch", "--retry", "0")
-    assert status == 4 and "MORPHOD_SERVER" in err, err
-    status, _, err = run("", "job", "list", "--retry", "0", http_proxy="http://127.0.0.1:1")
+    draining = reply(503, {"title": "Draining", "detail": "the service stops"}, Retry_After="30")
+    err = ask([draining], "eval --retry 1", status=7, input_text=ID)[1]
+    assert "Draining: the service stops (503)" in err, err
+    for command, words in (("job list", ("127.0.0.1:1: ", "that of MORPHOD_SERVER", "--server")),
+                           ("job list --server unix:/nowhere",
+                            ("unix:/nowhere", "that of --server")), ("watch", ("MORPHOD_SERVER",))):
+        status, _, err = run("127.0.0.1:1", command + " --retry 0")
+        assert status == 4 and all(word in err for word in words), err
+    status, _, err = run("", "job list --retry 0", http_proxy="http://127.0.0.1:1")
     assert "127.0.0.1:8765" not in err or "the default" in err, err
 
 
 def test_faults_are_printed():
-    problem = {
-        "type": "about:blank", "title": "Unprocessable Content", "status": 422,
-        "detail": "2 faults", "instance": "/", "request_id": "0" * 16,
-        "errors": [{"detail": "not contiguous", "pointer": "/designs/0/cells/1"},
-                   {"detail": "unknown", "header": "Prefer"}]
-    }
-    with Server([reply(422, problem)]) as server:
-        status, out, err = run(server, "eval", input_text="[[0,0,0],[5,5,3]]")
-        assert status == 6 and out == ""
-        assert "/designs/0/cells/1: not contiguous" in err and "Prefer: unknown" in err, err
+    problem = {"title": "Unprocessable Content", "detail": "2 faults",
+               "errors": [{"detail": "not contiguous", "pointer": "/designs/0/cells/1"},
+                          {"detail": "unknown", "header": "Prefer"}]}
+    out, err, _ = ask([reply(422, problem)], "eval", status=6, input_text="[[0,0,0],[5,5,3]]")
+    assert out == "" and "/designs/0/cells/1: not contiguous" in err, err
+    assert "Prefer: unknown" in err, err
 
 
 def test_exit_statuses():
-    for code, expected in ((401, 5), (403, 5), (404, 3), (409, 3), (400, 6), (413, 6), (500, 1),
-                           (507, 7)):
-        with Server([reply(code, {"title": "T", "detail": "D"})]) as server:
-            status, _, err = run(server, "job", "show", "7", "--retry", "0")
-            assert status == expected, (code, status, err)
-    with Server([reply(200, b"<html>", "text/html")]) as server:
-        assert run(server, "job", "show", "7")[0] == 1
+    for code, status in ((401, 5), (403, 5), (404, 3), (409, 3), (400, 6), (413, 6), (500, 1),
+                         (507, 7)):
+        problem = reply(code, {"title": "T", "detail": "D"})
+        ask([problem], "job show 7 --retry 0", status=status)
+    ask([reply(200, b"<html>", "text/html")], "job show 7", status=1)
 
 
 def test_token():
     with tempfile.NamedTemporaryFile("w") as file:
         file.write("# the token\n\nfrom-a-file\n")
         file.flush()
-        with Server([reply(200, JOB), reply(200, JOB), reply(200, JOB)]) as server:
-            assert run(server, "job", "show", "7", MORPHOD_TOKEN="from-a-variable")[0] == 0
-            assert run(server,
-                       "job",
-                       "show",
-                       "7",
-                       "--token-file",
-                       file.name,
-                       MORPHOD_TOKEN="from-a-variable")[0] == 0
-            assert run(server, "job", "show", "7")[0] == 0
-            assert [s[2].get("Authorization")
-                    for s in server.seen] == ["Bearer from-a-variable", "Bearer from-a-file", None]
+        for more, variables, sent in (
+            ("", {"MORPHOD_TOKEN": "from-a-variable"}, "Bearer from-a-variable"),
+            (f"--token-file {file.name}", {"MORPHOD_TOKEN": "other"}, "Bearer from-a-file"),
+            ("", {}, None)):
+            seen = ask([JOB], f"job show 7 {more}", **variables)[2]
+            assert seen[0][2].get("Authorization") == sent
 
 
 def test_unix_socket():
-    with tempfile.TemporaryDirectory() as folder, Server([reply(200, JOB)],
-                                                         path=folder + "/s") as server:
-        status, out, err = run(server, "job", "show", "7")
+    with tempfile.TemporaryDirectory() as folder, Server([JOB], path=folder + "/s") as server:
+        status, out, err = run(server, "job show 7")
         assert status == 0 and "succeeded" in out, err
 
 
 def test_watch_goes_on_after_a_break():
-    with Server([
-            reply(200, {**JOB, "state": "running"}),
-            stream(event(3, "job.created", state="queued") + "id: 4\nevent: job.pro"),
-            stream(
-                event(4, "job.progress", state="running", rollouts_done=1, rollouts_total=2) +
-                event(5, "job.finished", state="succeeded"))
-    ]) as server:
-        status, out, err = run(server, "watch", "7")
-        assert status == 0, err
-        assert [l.split()[2]
-                for l in out.splitlines()] == ["job.created", "job.progress", "job.finished"], out
-        assert server.seen[1][1] == "/v1/events?job=7&after=0" and server.seen[2][2][
-            "Last-Event-ID"] == "3"
-
-
-def test_watch_a_failure_in_json():
-    with Server(
-        [reply(200, {**JOB, "state": "running"}),
-         stream(event(5, "job.finished", state="failed"))]) as server:
-        status, out, _ = run(server, "watch", "7", "--json")
-        assert status == 3 and json.loads(out)["data"] == {"state": "failed"}
+    running = {**JOB, "state": "running"}
+    out, _, seen = ask([
+        running,
+        stream(event(3, "job.created", state="queued") + "id: 4\nevent: job.pro"),
+        stream(event(4, "job.progress", state="running", rollouts_done=1, rollouts_total=2) +
+               event(5, "job.finished", state="succeeded"))], "watch 7")
+    assert [l.split()[2] for l in out.splitlines()
+            ] == ["job.created", "job.progress", "job.finished"], out
+    assert seen[1][1] == "/v1/events?job=7&after=0" and seen[2][2]["Last-Event-ID"] == "3"
+    failed = stream(event(5, "job.finished", state="failed"))
+    out = ask([running, failed], "watch 7 --json", status=3)[0]
+    assert json.loads(out)["data"] == {"state": "failed"}
 
 
 def test_trajectories_are_numpy_files():
     data = struct.pack("<6f", *range(6))
     recording = reply(200, data, "application/octet-stream", Morphod_Shape="2,3")
-    with tempfile.TemporaryDirectory() as folder, \
-            Server([reply(200, {**JOB, "results": [RESULT]})] + [recording] * 2) as server:
-        status, _, err = run(server,
-                             "eval",
-                             "--record",
-                             "com",
-                             "--output",
-                             folder + "/out",
-                             input_text=ID)
-        assert status == 0, err
-        assert server.seen[1][1] == "/v1/evaluations/7/trajectories/0/file?environment=0&array=com"
+    with tempfile.TemporaryDirectory() as folder:
+        seen = ask([{**JOB, "results": [RESULT]}] + [recording] * 2,
+                   f"eval --record com --output {folder}/out", input_text=ID)[2]
+        assert seen[1][1] == "/v1/evaluations/7/trajectories/0/file?environment=0&array=com"
         with open(folder + "/out/design-0000-environment-01-com.npy", "rb") as file:
             content = file.read()
-        assert content[:8] == b"\x93NUMPY\x01\x00"
-        length = struct.unpack("<H", content[8:10])[0]
-        assert (10 + length) % 64 == 0
-        head = content[10:10 + length]
-        assert eval(head) == {"descr": "<f4", "fortran_order": False, "shape": (2, 3)
-                              } and head.endswith(b"\n")
-        assert content[10 + length:] == data
         with open(folder + "/out/evaluation.json", encoding="utf-8") as file:
             assert json.load(file)["id"] == "7"
+    assert content[:8] == b"\x93NUMPY\x01\x00"
+    length = struct.unpack("<H", content[8:10])[0]
+    head = content[10:10 + length]
+    assert (10 + length) % 64 == 0 and head.endswith(b"\n")
+    assert eval(head) == {"descr": "<f4", "fortran_order": False, "shape": (2, 3)}
+    assert content[10 + length:] == data
 
 
 def test_pages():
-    first, second = {"items": [JOB] * 2,
-                     "next_cursor": "a/b"}, {"items": [JOB], "next_cursor": None}
-    with Server([reply(200, first), reply(200, second)]) as server:
-        status, out, _ = run(server, "job", "list", "--all")
-        assert status == 0 and len(out.splitlines()) == 4
-        assert [s[1] for s in server.seen
-                ] == ["/v1/jobs?limit=1000", "/v1/jobs?limit=1000&cursor=a%2Fb"]
+    pages = [{"items": [JOB] * 2, "next_cursor": "a/b"}, {"items": [JOB], "next_cursor": None}]
+    out, _, seen = ask(pages, "job list --all")
+    assert len(out.splitlines()) == 4
+    assert [s[1] for s in seen] == ["/v1/jobs?limit=1000", "/v1/jobs?limit=1000&cursor=a%2Fb"]
 
 
 def test_verify():
-    for agrees, expected in ((True, 0), (False, 3), (None, 3)):
-        with Server([
-                reply(
-                    200,
-                    {**JOB, "results": [{**RESULT, "stored_losses": [0.5, 1.0], "agrees": agrees}]})
-        ]) as server:
-            status, out, _ = run(server, "verify", VOXELS)
-            assert status == expected, out
-            assert json.loads(server.seen[0][3])["verify"] is True
+    def verified(agrees):
+        return {**JOB, "results": [{**RESULT, "stored_losses": [0.5, 1.0], "agrees": agrees}]}
 
-
-def test_verify_an_id_asks_for_its_orientations():
+    for agrees, status in ((True, 0), (False, 3), (None, 3)):
+        seen = ask([verified(agrees)], f"verify {VOXELS}", status=status)[2]
+        assert json.loads(seen[0][3])["verify"] is True
+    # Of an id, the orientations are asked for.
     design = {"id": ID, "orientations": [{"genotype": VOXELS, "scores": []}]}
-    with Server([
-            reply(200, design),
-            reply(200,
-                  {**JOB, "results": [{**RESULT, "stored_losses": [0.5, 1.0], "agrees": True}]})
-    ]) as server:
-        assert run(server, "verify", ID)[0] == 0
-        assert json.loads(server.seen[1][3])["designs"] == [{"voxels": VOXELS}]
+    seen = ask([design, verified(True)], f"verify {ID}")[2]
+    assert json.loads(seen[1][3])["designs"] == [{"voxels": VOXELS}]
 
 
 def test_controller_files():
+    content = bytes(range(256)) * 100
     with tempfile.TemporaryDirectory() as folder:
         path = folder + "/c.safetensors"
         with open(path, "wb") as file:
-            file.write(bytes(range(256)) * 100)
-        described = {"name": "c", "sha256": "b" * 64}
-        with Server([
-                reply(201, described),
-                reply(200,
-                      bytes(range(256)) * 100, "application/octet-stream"),
-                reply(204)
-        ]) as server:
-            assert run(server, "controller", "put", "c", path)[0] == 0
-            assert run(server, "controller", "get", "c", "-o", path + ".copy")[0] == 0
-            assert run(server, "controller", "delete", "c")[0] == 0
-            assert server.seen[0][:2] == (
-                "PUT", "/v1/controllers/c/file") and server.seen[0][3] == bytes(range(256)) * 100
-            with open(path + ".copy", "rb") as file:
-                assert file.read() == bytes(range(256)) * 100
+            file.write(content)
+        seen = ask([reply(201, {"name": "c", "sha256": "b" * 64})], f"controller put c {path}")[2]
+        assert seen[0][:2] == ("PUT", "/v1/controllers/c/file") and seen[0][3] == content
+        ask([reply(200, content, "application/octet-stream")],
+            f"controller get c -o {path}.copy")
+        with open(path + ".copy", "rb") as file:
+            assert file.read() == content
+    ask([reply(204)], "controller delete c")
 
 
 TRAINING = {
@@ -466,167 +355,124 @@ TRAINING = {
     "label": None, "attempts": 0, "error": None, "created_at": "2026-11-21T10:00:00.000Z",
     "started_at": "2026-11-21T10:00:00.000Z", "finished_at": None, "reason": None,
     "phase": "learning", "parent": None, "validation": None, "checkpoint_step": None,
-    "controller": None, "settings": {
+    "controller": None,
+    "settings": {
         "steps": 1400, "batch": 256, "seed": 1, "sensor": "inverse_sqrt", "n_designs": None,
         "population": None, "schedule": {"kind": "cosine", "peak": 0.002, "floor": 1e-05},
-        "adam": {"beta1": 0.9, "beta2": 0.999, "epsilon": 1e-08
-                 }, "gradient_norm_limit": 1.0, "adjoint_bound": 2.0, "adjoint_rule": "clip",
-        "restart_weight": 3.0, "physics": {"dt_s": 0.004, "n_steps": 20, "impact": "exact"},
-        "validation": {"every_steps": 50, "designs": 64, "environments": 8
-                       }, "checkpoint": {"every_steps": 0, "every_s": 60, "keep": 3}
-    }, "progress": {
+        "adam": {"beta1": 0.9, "beta2": 0.999, "epsilon": 1e-08}, "gradient_norm_limit": 1.0,
+        "adjoint_bound": 2.0, "adjoint_rule": "clip", "restart_weight": 3.0,
+        "physics": {"dt_s": 0.004, "n_steps": 20, "impact": "exact"},
+        "validation": {"every_steps": 50, "designs": 64, "environments": 8},
+        "checkpoint": {"every_steps": 0, "every_s": 60, "keep": 3}
+    },
+    "progress": {
         "step": 2, "steps": 1400, "mean_loss": 0.75, "gradient_norm": 0.5, "rate": 0.001,
         "clipped_share": 0.03, "diverged": 0, "zeroed": 0, "bodies_per_s": 100.0,
         "seconds_left": 3600.0, "replayed": 0, "replay_total": 0
     }
 }
-NEWEST = reply(200, {"items": [], "next_cursor": None, "newest": "41", "reset": True})
-NO_ROWS = reply(200, {"items": [], "next_cursor": None})
-DONE = {
-    **TRAINING, "state": "succeeded", "phase": "idle",
-    "controller": {"name": "walker",
-                   "sha256": "c" * 64}, "progress": {**TRAINING["progress"], "step": 1400}
-}
+NEWEST = {"items": [], "next_cursor": None, "newest": "41", "reset": True}
+NO_ROWS = {"items": [], "next_cursor": None}
+DONE = {**TRAINING, "state": "succeeded", "phase": "idle",
+        "controller": {"name": "walker", "sha256": "c" * 64},
+        "progress": {**TRAINING["progress"], "step": 1400}}
 
 
-def step_rows(first, last, more=False):
+def step_rows(first, last):
     rows = [{"step": n, "mean_loss": 1 / n} for n in range(first, last + 1)]
-    return reply(200, {"items": rows, "next_cursor": str(last) if more else None})
+    return {"items": rows, "next_cursor": None}
 
 
 def test_train_start_sends_what_was_asked_for():
-    with Server([reply(202, TRAINING)]) as server:
-        status, out, err = run(
-            server, "train", "start", "pretrain", "--name", "walker", "--steps", "1400", "-b",
-            "256", "--seed", "3", "--sensor", "inverse_square", "--schedule", "restarts", "--peak",
-            "2e-3", "--floor", "1e-5", "--decay", "0.7", "--cycle-steps", "10", "--cycle-growth",
-            "2", "--warmup-steps", "5", "--beta1", "0.8", "--beta2", "0.99", "--epsilon", "1e-7",
-            "--gradient-norm-limit", "0", "--adjoint-bound", "8", "--adjoint-rule", "restart",
-            "--restart-weight", "0.5", "-p", "n_steps=20", "--validate-every", "5",
-            "--validation-designs", "4", "--validation-environments", "2", "--checkpoint-steps",
-            "7", "--checkpoint-seconds", "0", "--checkpoint-keep", "2", "--priority", "batch",
-            "--label", "x")
-        assert (status, out) == (0, "7\n") and "morphoctl train watch 7" in err, (out, err)
-        method, path, headers, body = server.seen[0]
-        assert (method, path) == ("POST", "/v1/trainings") and re.fullmatch(
-            "[0-9a-f]{32}", headers["Idempotency-Key"]) and "Prefer" not in headers
-        assert json.loads(body) == {
-            "kind": "pretrain", "name": "walker", "steps": 1400, "batch": 256, "seed": 3,
-            "sensor": "inverse_square", "schedule": {
-                "kind": "restarts", "peak": 0.002, "floor": 1e-05, "decay": 0.7, "cycle_steps": 10,
-                "cycle_growth": 2, "warmup_steps": 5
-            }, "adam": {"beta1": 0.8, "beta2": 0.99,
-                        "epsilon": 1e-07}, "gradient_norm_limit": 0.0, "adjoint_bound": 8.0,
-            "adjoint_rule": "restart", "restart_weight": 0.5, "physics": {"n_steps": 20},
-            "validation": {"every_steps": 5, "designs": 4, "environments": 2},
-            "checkpoint": {"every_steps": 7, "every_s": 0,
-                           "keep": 2}, "priority": "batch", "label": "x"
-        }
+    out, err, seen = ask(
+        [reply(202, TRAINING)],
+        "train start pretrain --name walker --steps 1400 -b 256 --seed 3 --sensor inverse_square "
+        "--schedule restarts --peak 2e-3 --floor 1e-5 --decay 0.7 --cycle-steps 10 "
+        "--cycle-growth 2 --warmup-steps 5 --beta1 0.8 --beta2 0.99 --epsilon 1e-7 "
+        "--gradient-norm-limit 0 --adjoint-bound 8 --adjoint-rule restart --restart-weight 0.5 "
+        "-p n_steps=20 --validate-every 5 --validation-designs 4 --validation-environments 2 "
+        "--checkpoint-steps 7 --checkpoint-seconds 0 --checkpoint-keep 2 --priority batch "
+        "--label x")
+    assert out == "7\n" and "morphoctl train watch 7" in err, (out, err)
+    method, path, headers, body = seen[0]
+    assert (method, path) == ("POST", "/v1/trainings") and "Prefer" not in headers
+    assert re.fullmatch("[0-9a-f]{32}", headers["Idempotency-Key"])
+    assert json.loads(body) == {
+        "kind": "pretrain", "name": "walker", "steps": 1400, "batch": 256, "seed": 3,
+        "sensor": "inverse_square",
+        "schedule": {"kind": "restarts", "peak": 0.002, "floor": 1e-05, "decay": 0.7,
+                     "cycle_steps": 10, "cycle_growth": 2, "warmup_steps": 5},
+        "adam": {"beta1": 0.8, "beta2": 0.99, "epsilon": 1e-07}, "gradient_norm_limit": 0.0,
+        "adjoint_bound": 8.0, "adjoint_rule": "restart", "restart_weight": 0.5,
+        "physics": {"n_steps": 20},
+        "validation": {"every_steps": 5, "designs": 4, "environments": 2},
+        "checkpoint": {"every_steps": 7, "every_s": 0, "keep": 2}, "priority": "batch", "label": "x"
+    }
 
 
 def test_train_start_finetune():
-    with Server([
-            reply(202, TRAINING),
-            reply(200, JOB),
-            reply(202, TRAINING),
-            reply(200, {**JOB, "kind": "campaign"}),
-            reply(202, TRAINING),
-            reply(202, TRAINING)
-    ]) as server:
-        assert run(server, "train", "start", "finetune", VOXELS, "-c", "walker", "--schedule",
-                   "one-cosine")[0] == 0
-        assert json.loads(server.seen[0][3]) == {
-            "kind": "finetune", "controller": "walker", "designs": [{"voxels": VOXELS}],
-            "schedule": "one-cosine"
-        }
-        assert run(server, "train", "start", "finetune", "--population", "12", "--best",
-                   "64")[0] == 0
-        assert server.seen[1][:2] == ("GET", "/v1/jobs/12")  # whose population it is
-        assert json.loads(server.seen[2][3]) == {
-            "kind": "finetune", "population": {"evaluation": "12", "best": 64}
-        }
-        assert run(server, "train", "start", "finetune", "--population", "13")[0] == 0
-        assert json.loads(
-            server.seen[4][3]) == {"kind": "finetune", "population": {"campaign": "13"}}
-        assert run(server, "train", "start", "finetune", "--random", "5", "--random-seed",
-                   "9")[0] == 0
-        assert len(json.loads(server.seen[5][3])["designs"]) == 5
+    for words, job, sent in (
+        (f"{VOXELS} -c walker --schedule one-cosine", None,
+         {"controller": "walker", "designs": [{"voxels": VOXELS}], "schedule": "one-cosine"}),
+        ("--population 12 --best 64", JOB, {"population": {"evaluation": "12", "best": 64}}),
+        ("--population 13", {**JOB, "kind": "campaign"}, {"population": {"campaign": "13"}})):
+        replies = ([job] if job is not None else []) + [reply(202, TRAINING)]
+        seen = ask(replies, "train start finetune " + words)[2]
+        assert json.loads(seen[-1][3]) == {"kind": "finetune", **sent}
+        assert job is None or seen[0][1] == f"/v1/jobs/{words.split()[1]}"  # whose population it is
+    seen = ask([reply(202, TRAINING)], "train start finetune --random 5 --random-seed 9")[2]
+    assert len(json.loads(seen[0][3])["designs"]) == 5
 
 
 def test_train_start_that_makes_no_sense():
-    with Server([]) as server:
-        for words in (["x"], ["finetune"], ["pretrain", VOXELS], ["pretrain", "--random", "3"],
-                      ["pretrain", "--population", "1"], ["finetune", VOXELS, "--population",
-                                                          "1"], ["finetune", VOXELS, "--best", "2"],
-                      ["pretrain", "--peak",
-                       "1e-3"], ["pretrain", "--schedule", "one-cosine", "--peak",
-                                 "1e-3"], ["pretrain", "--steps",
-                                           "1e3"], ["pretrain", "--steps", "9" * 30],
-                      ["pretrain", "--adjoint-bound",
-                       "inf"], ["pretrain", "--beta1",
-                                ""], ["pretrain", "-p",
-                                      "gravity=1"], ["finetune", "--population",
-                                                     "x"], ["pretrain", "--stepps", "3"]):
-            status, out, err = run(server, "train", "start", *words)
-            assert status == 2 and out == "" and err.startswith("morphoctl: "), (words, status, err)
-        assert server.seen == []
+    for words in ("x", "finetune", f"pretrain {VOXELS}", "pretrain --random 3",
+                  "pretrain --population 1", f"finetune {VOXELS} --population 1",
+                  f"finetune {VOXELS} --best 2", "pretrain --peak 1e-3",
+                  "pretrain --schedule one-cosine --peak 1e-3", "pretrain --steps 1e3",
+                  "pretrain --steps " + "9" * 30, "pretrain --adjoint-bound inf",
+                  "pretrain --beta1 ''", "pretrain -p gravity=1", "finetune --population x",
+                  "pretrain --stepps 3"):
+        out, err, seen = ask([], "train start " + words, status=2)
+        assert out == "" and err.startswith("morphoctl: ") and seen == [], (words, err)
 
 
 def test_train_watch_goes_on_after_a_break():
-    progress = {
-        "id": "7", "step": 4, "steps": 1400, "mean_loss": 0.5, "gradient_norm": 0.25, "rate": 0.002,
-        "clipped_share": 0.125, "bodies_per_s": 123.4, "seconds_left": 90061.0
-    }
-    with Server([
-            NEWEST,
-            reply(200, TRAINING),
-            step_rows(1, 2), NO_ROWS,
-            stream(event(42, "training.progress", **progress) + "id: 43\nevent: trai"),
-            reply(200, TRAINING), NO_ROWS, NO_ROWS,
-            stream(
-                event(43,
-                      "training.validation",
-                      id="7",
-                      step=50,
-                      mean_score=0.25,
-                      standard_error=0.01,
-                      rollouts=512,
-                      diverged=3) + event(44, "training.checkpoint", id="7", step=50) +
-                event(45, "job.paused", state="paused")),
-            reply(200, {**TRAINING, "state": "paused", "phase": "idle"}), NO_ROWS, NO_ROWS,
-            reply(200, {**TRAINING, "state": "paused", "phase": "idle"}), NO_ROWS, NO_ROWS,
-            stream(event(46, "job.finished", state="succeeded")),
-            reply(200, DONE), NO_ROWS, NO_ROWS
-    ]) as server:
-        status, out, err = run(server, "train", "watch", "7")
-        assert status == 0, (out, err)
-        lines = out.splitlines()
-        assert lines[0] == "training 7 (pretrain walker) is running, step 2 of 1,400"
-        assert lines[1] == (
-            "2026-11-21 10:00:00  step 4 of 1,400  loss 0.5000  gradient 0.25  rate 0.002  clipped "
-            "12.5 %  123.4 bodies/s  "
-            "25:01:01 left")
-        assert lines[2].endswith("validation 0.2500 ± 0.0100 at step 50, 3 of 512 rollouts diverged"
-                                 ) and lines[3].endswith("checkpoint of step 50")
-        assert lines[4].endswith("job.paused  paused") and lines[5].endswith(
-            "job.finished  succeeded")
-        assert lines[6] == "controller walker: sha256:" + "c" * 64 and len(lines) == 7
-        streams = [(path, headers.get("Last-Event-ID")) for _, path, headers, _ in server.seen
-                   if path.startswith("/v1/events?job")]
-        assert streams == [("/v1/events?job=7&after=41", None), ("/v1/events?job=7", "42"),
-                           ("/v1/events?job=7", "45")]
-        assert "\033" not in out
+    progress = {"id": "7", "step": 4, "steps": 1400, "mean_loss": 0.5, "gradient_norm": 0.25,
+                "rate": 0.002, "clipped_share": 0.125, "bodies_per_s": 123.4,
+                "seconds_left": 90061.0}
+    validation = {"step": 50, "mean_score": 0.25, "standard_error": 0.01, "rollouts": 512,
+                  "diverged": 3}
+    paused = {**TRAINING, "state": "paused", "phase": "idle"}
+    out, _, seen = ask([
+        NEWEST, TRAINING, step_rows(1, 2), NO_ROWS,
+        stream(event(42, "training.progress", **progress) + "id: 43\nevent: trai"),
+        TRAINING, NO_ROWS, NO_ROWS,
+        stream(event(43, "training.validation", id="7", **validation) +
+               event(44, "training.checkpoint", id="7", step=50) +
+               event(45, "job.paused", state="paused")),
+        paused, NO_ROWS, NO_ROWS, paused, NO_ROWS, NO_ROWS,
+        stream(event(46, "job.finished", state="succeeded")), DONE, NO_ROWS, NO_ROWS
+    ], "train watch 7")
+    assert [line.removeprefix("2026-11-21 10:00:00  ") for line in out.splitlines()] == [
+        "training 7 (pretrain walker) is running, step 2 of 1,400",
+        "step 4 of 1,400  loss 0.5000  gradient 0.25  rate 0.002  clipped 12.5 %  123.4 bodies/s  "
+        "25:01:01 left",
+        "validation 0.2500 ± 0.0100 at step 50, 3 of 512 rollouts diverged",
+        "checkpoint of step 50", "job.paused  paused", "job.finished  succeeded",
+        "controller walker: sha256:" + "c" * 64
+    ], out
+    streams = [(path, headers.get("Last-Event-ID")) for _, path, headers, _ in seen
+               if path.startswith("/v1/events?job")]
+    assert streams == [("/v1/events?job=7&after=41", None), ("/v1/events?job=7", "42"),
+                       ("/v1/events?job=7", "45")]
 
 
 def test_train_watch_one_that_has_ended():
-    for ended, expected in ((DONE, 0), ({**DONE, "state": "cancelled", "controller": None}, 3), ({
-            **DONE, "state": "failed", "controller": None,
-            "error": {"code": "io", "detail": "the disk broke"}
-    }, 3)):
-        with Server([NEWEST, reply(200, ended), step_rows(1, 5), NO_ROWS]) as server:
-            status, _, err = run(server, "train", "watch", "7")
-            assert status == expected and ("the disk broke" in err) == (ended["error"]
-                                                                        is not None), err
+    error = {"code": "io", "detail": "the disk broke"}
+    for changes, status, words in (({}, 0, ""), ({"state": "cancelled"}, 3, "is cancelled"),
+                                   ({"state": "failed", "error": error}, 3, "the disk broke")):
+        replies = [NEWEST, {**DONE, **changes}, step_rows(1, 5), NO_ROWS]
+        assert words in ask(replies, "train watch 7", status=status)[1]
 
 
 def test_train_watch_is_left_with_an_interrupt():
@@ -638,232 +484,181 @@ def test_train_watch_is_left_with_an_interrupt():
         arrived.set()
         time.sleep(20)
 
-    with Server([NEWEST, reply(200, TRAINING), step_rows(1, 2), NO_ROWS, silent]) as server:
+    with Server([NEWEST, TRAINING, step_rows(1, 2), NO_ROWS, silent]) as server:
         environment = {**os.environ, "MORPHOD_SERVER": server.address, "LC_ALL": "C.UTF-8"}
-        process = subprocess.Popen([MORPHOCTL, "train", "watch", "7"],
-                                   stdout=subprocess.PIPE,
-                                   stderr=subprocess.PIPE,
-                                   text=True,
-                                   env=environment)
+        process = subprocess.Popen([MORPHOCTL, "train", "watch", "7"], stdout=subprocess.PIPE,
+                                   stderr=subprocess.PIPE, text=True, env=environment)
         assert arrived.wait(20)
-        assert process.stdout.readline().startswith(
-            "training 7") and "step 3" in process.stdout.readline()
+        assert process.stdout.readline().startswith("training 7")
+        assert "step 3" in process.stdout.readline()
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=20)
-        assert process.returncode == 130 and all(f"morphoctl train {verb} 7" in err
-                                                 for verb in ("watch", "pause", "cancel")), err
+        assert process.returncode == 130, err
+        assert all(f"morphoctl train {verb} 7" in err for verb in ("watch", "pause", "cancel")), err
+
+
+def shown_on_a_terminal(server, *command):
+    """What the command writes in a pseudo-terminal of 80 × 24."""
+    child, terminal = pty.fork()
+    if child == 0:
+        os.environ.update(MORPHOD_SERVER=server.address, LC_ALL="C.UTF-8", TERM="xterm")
+        os.execv(MORPHOCTL, [MORPHOCTL, *command])
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    data, piece = b"", b" "
+    while piece:
+        data += piece
+        try:
+            piece = os.read(terminal, 65536)
+        except OSError:  # the end of a pseudo-terminal
+            break
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0, data
+    return data.decode()
 
 
 def test_train_watch_draws_on_a_terminal():
-    """In a pseudo-terminal of 80 × 24: the same lines again and again, never more than there are.
-    """
+    """The same lines again and again, never more than there are."""
     rows = "".join(
         event(42 + n, "training.progress", step=n + 3, mean_loss=0.5 / (n + 1)) for n in range(5))
     evil = {**TRAINING, "name": "w\033]0;x\007", "label": "\033[2J"}
     with Server([
-            NEWEST,
-            reply(200, evil),
-            step_rows(1, 2), NO_ROWS,
-            stream(rows + event(60, "job.finished", state="succeeded")),
-            reply(200, {**DONE, "name": "w"}),
-            step_rows(3, 500),
-            reply(200, {"items": [{"step": 0, "mean_score": 0.9}], "next_cursor": None})
+            NEWEST, evil, step_rows(1, 2), NO_ROWS,
+            stream(rows + event(60, "job.finished", state="succeeded")), {**DONE, "name": "w"},
+            step_rows(3, 500), {"items": [{"step": 0, "mean_score": 0.9}], "next_cursor": None}
     ]) as server:
-        child, terminal = pty.fork()
-        if child == 0:
-            os.environ.update(MORPHOD_SERVER=server.address, LC_ALL="C.UTF-8", TERM="xterm")
-            os.execv(MORPHOCTL, [MORPHOCTL, "train", "watch", "7"])
-        fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-        data = b""
-        while True:
-            try:
-                piece = os.read(terminal, 65536)
-            except OSError:
-                break
-            if not piece:
-                break
-            data += piece
-        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0, data
-        text = data.decode()
-        assert "\033]0" not in text and "\033[2J" not in text and "w?]0;x?" in text
-        frames = text.split("\033[J")
-        assert len(frames) >= 3 and "Ctrl-C leaves" in frames[0] and "◆" in frames[
-            -2] and "step 500" in frames[-2]
-        for frame in frames[:-1]:
-            assert frame.count("\n") <= 23, frame
-            for line in re.sub(r"\033\[[0-9]*[A-Za-z]", "", frame).replace("\r", "").split("\n"):
-                assert len(line) <= 80, line
-        up = re.findall(r"\033\[(\d+)A", text)
-        assert [int(n) for n in up] == [frame.count("\n") for frame in frames[:len(up)]]
+        text = shown_on_a_terminal(server, "train", "watch", "7")
+    assert "\033]0" not in text and "\033[2J" not in text and "w?]0;x?" in text
+    frames = text.split("\033[J")
+    assert len(frames) >= 3 and "Ctrl-C leaves" in frames[0]
+    assert "◆" in frames[-2] and "step 500" in frames[-2]
+    for frame in frames[:-1]:
+        assert frame.count("\n") <= 23, frame
+        for line in re.sub(r"\033\[[0-9]*[A-Za-z]", "", frame).replace("\r", "").split("\n"):
+            assert len(line) <= 80, line
+    up = re.findall(r"\033\[(\d+)A", text)
+    assert [int(n) for n in up] == [frame.count("\n") for frame in frames[:len(up)]]
 
 
 def test_train_show_and_list():
-    with Server([
-            reply(200, {
-                **TRAINING, "parent": {"name": "default", "sha256": "d" * 64}, "reason": "no space"
-            }),
-            step_rows(1, 2), NO_ROWS,
-            reply(
-                200, {
-                    **TRAINING, "settings": {
-                        **TRAINING["settings"], "adjoint_bound": 8.0, "adjoint_rule": "restart"
-                    }
-                }), NO_ROWS, NO_ROWS,
-            reply(200, {"items": [TRAINING, DONE], "next_cursor": None})
-    ]) as server:
-        status, out, err = run(server, "train", "show", "7")
-        assert status == 0, err
-        assert "gradient 1, adjoint 2 (clip)\n" in out, out
-        assert re.search(r"^from +default, sha256:d+$", out, re.M) and re.search(
-            "^progress +step 2 of 1,400$", out, re.M) and "⠁" <= max(out) <= "⣿", out
-        assert re.search(r"^reason +no space$", out, re.M)
-        assert "gradient 1, adjoint 8 (restart, weight 3)\n" in run(server, "train", "show", "7")[1]
-        status, out, _ = run(server, "train", "list", "--state", "running")
-        assert status == 0 and len(
-            out.splitlines()) == 3 and server.seen[-1][1] == "/v1/trainings?state=running&limit=50"
-        assert run(server, "train", "list", "--state", "ended")[0] == 2
+    job = {**TRAINING, "parent": {"name": "default", "sha256": "d" * 64}, "reason": "no space"}
+    out = ask([job, step_rows(1, 2), NO_ROWS], "train show 7")[0]
+    for line in ("reason +no space", "from +default, sha256:d+", "progress +step 2 of 1,400",
+                 r"limits +gradient 1, adjoint 2 \(clip\)"):
+        assert re.search(f"^{line}$", out, re.M), (line, out)
+    assert "⠁" <= max(out) <= "⣿", out
+    settings = {**TRAINING["settings"], "adjoint_bound": 8.0, "adjoint_rule": "restart"}
+    out = ask([{**TRAINING, "settings": settings}, NO_ROWS, NO_ROWS], "train show 7")[0]
+    assert "gradient 1, adjoint 8 (restart, weight 3)\n" in out, out
+    page = {"items": [TRAINING, DONE], "next_cursor": None}
+    out, _, seen = ask([page], "train list --state running")
+    assert len(out.splitlines()) == 3 and seen[0][1] == "/v1/trainings?state=running&limit=50"
+    ask([], "train list --state ended", status=2)
 
 
 def test_train_export():
-    head = b"step,mean_loss\n"
-    with tempfile.TemporaryDirectory() as folder, \
-            Server([reply(200, b"weights", "application/octet-stream", Morphod_Step="4"),
-                    reply(200, head + b"1,0.5\n2,0.25\n3,0.125\n", "text/csv"),
-                    reply(200, b"step,mean_score\n0,1.5\n", "text/csv")]) as server:
-        status, out, err = run(server, "train", "export", "7", "--step", "4", "-o", folder + "/c",
-                               "--curve", folder + "/curve", "--validations", "-")
-        assert status == 0 and out == "step,mean_score\n0,1.5\n", (out, err)
-        with open(folder + "/c", "rb") as file:
-            assert file.read() == b"weights"
-        with open(folder + "/curve", "rb") as file:
-            assert file.read() == head + b"1,0.5\n2,0.25\n3,0.125\n"
-        assert [path for _, path, _, _ in server.seen] == [
-            "/v1/trainings/7/controller?step=4", "/v1/trainings/7/steps",
-            "/v1/trainings/7/validations"
-        ]
-    with Server([reply(404, {"title": "Not Found", "detail": "no checkpoint yet"})]) as server:
-        assert run(server, "train", "export", "7")[0] == 3
+    curve = b"step,mean_loss\n1,0.5\n2,0.25\n3,0.125\n"
+    with tempfile.TemporaryDirectory() as folder:
+        out, _, seen = ask([
+            reply(200, b"weights", "application/octet-stream", Morphod_Step="4"),
+            reply(200, curve, "text/csv"), reply(200, b"step,mean_score\n0,1.5\n", "text/csv")
+        ], f"train export 7 --step 4 -o {folder}/c --curve {folder}/curve --validations -")
+        for name, content in (("c", b"weights"), ("curve", curve)):
+            with open(f"{folder}/{name}", "rb") as file:
+                assert file.read() == content
+    assert out == "step,mean_score\n0,1.5\n"
+    assert [path for _, path, _, _ in seen] == ["/v1/trainings/7/controller?step=4",
+                                                "/v1/trainings/7/steps",
+                                                "/v1/trainings/7/validations"]
+    ask([reply(404, {"title": "Not Found", "detail": "no checkpoint"})], "train export 7", status=3)
 
 
 def scored(identity, scores):
-    results = [{
-        **RESULT, "score": score, "losses": [score, score],
-        "diverged": [] if score is not None else [{"environment": 0, "step": 3}]
-    } for score in scores]
-    return reply(200, {
-        **JOB, "id": identity, "controller": {"name": "x", "sha256": "e" * 64}, "results": results
-    })
+    results = [{**RESULT, "score": score, "losses": [score, score],
+                "diverged": [] if score is not None else [{"environment": 0, "step": 3}]}
+               for score in scores]
+    return {**JOB, "id": identity, "controller": {"name": "x", "sha256": "e" * 64},
+            "results": results}
 
 
 def test_train_compare():
-    held_out = {
-        "designs": [{"voxels": VOXELS}] * 5,
-        "environments": [{"light_xy_m": [1, 2], "terrain_sigma_m": 0, "seed": 1}] * 2
-    }
-    a, b = [2.0, 4.0, 6.0, 1.0, None], [1.0, 2.0, 3.0, 1.0, 0.5]
-    with Server([
-            reply(200, held_out),
-            scored("8", a),
-            scored("9", b),
-            reply(200, held_out),
-            scored("8", a),
-            scored("9", b)
-    ]) as server:
-        status, out, err = run(server, "train", "compare", "old", "new", "--seed", "3", "--designs",
-                               "5", "--environments", "2")
-        assert status == 0, err
-        assert server.seen[0][1] == "/v1/held-out?seed=3&designs=5&environments=2"
-        assert [json.loads(s[3]) for s in server.seen[1:3]] == [{**held_out, "controller": "old"},
-                                                                {**held_out, "controller": "new"}]
-        # Differences -1, -2, -3, 0: mean -1.5, deviation sqrt(5/3), t(0.975, 3) = 3.182446.
-        half = 3.182446305284263 * (5 / 3 / 4)**0.5
-        assert (f"-1.5000, 95 % confidence {-1.5 - half:+.4f} to {-1.5 + half:+.4f} "
-                "(Student t, 4 pairs)") in out, out
-        assert "3 of 4 designs (75.0 %), 1 equal" in out
-        assert "1 design that diverged" in out
-        assert "is not shown" in out
-        assert re.search(r"^A +old +3\.2500 +1 of 5 +1 of 10 ", out, re.M) and re.search(
-            r"^B +new +1\.7500 +0 of 5 +0 of 10 ", out, re.M), out
-        value = json.loads(run(server, "train", "compare", "old", "new", "--json")[1])
-        assert value["pairs"] == 4 and value["difference"] == -1.5 and abs(
-            value["high"] - (half - 1.5)) < 1e-12 and value["verdict"] == "undecided"
-        assert value["a"]["designs_diverged"] == 1 and value["improved"] == 3 and value[
-            "held_out"] == {"seed": 1, "designs": 5, "environments": 8}
-    for scores, verdict in (([0.5, 0.6, 0.5, 0.6,
-                              0.5], "better"), ([1.5, 1.6, 1.5, 1.6,
-                                                 1.5], "worse"), ([None] * 5, "undecided")):
-        with Server([reply(200, held_out),
-                     scored("8", [1.0] * 5),
-                     scored("9", scores)] * 2) as server:
-            assert json.loads(run(server, "train", "compare", "a", "b",
-                                  "--json")[1])["verdict"] == verdict
-            words = {
-                "better": "b is better than a", "worse": "b is worse than a",
-                "undecided": "Too few designs"
-            }[verdict]
-            assert words in run(server, "train", "compare", "a", "b")[1]
+    held_out = {"designs": [{"voxels": VOXELS}] * 5,
+                "environments": [{"light_xy_m": [1, 2], "terrain_sigma_m": 0, "seed": 1}] * 2}
+    replies = [held_out, scored("8", [2.0, 4.0, 6.0, 1.0, None]),
+               scored("9", [1.0, 2.0, 3.0, 1.0, 0.5])]
+    out, _, seen = ask(replies,
+                       "train compare old new --seed 3 --designs 5 --environments 2")
+    assert seen[0][1] == "/v1/held-out?seed=3&designs=5&environments=2"
+    assert [json.loads(s[3]) for s in seen[1:3]] == [{**held_out, "controller": name}
+                                                     for name in ("old", "new")]
+    # Differences -1, -2, -3, 0: mean -1.5, deviation sqrt(5/3), t(0.975, 3) = 3.182446.
+    half = 3.182446305284263 * (5 / 3 / 4)**0.5
+    for words in (f"-1.5000, 95 % confidence {-1.5 - half:+.4f} to {-1.5 + half:+.4f} "
+                  "(Student t, 4 pairs)", "3 of 4 designs (75.0 %), 1 equal",
+                  "1 design that diverged", "is not shown"):
+        assert words in out, (words, out)
+    assert re.search(r"^A +old +3\.2500 +1 of 5 +1 of 10 ", out, re.M), out
+    assert re.search(r"^B +new +1\.7500 +0 of 5 +0 of 10 ", out, re.M), out
+    value = json.loads(ask(replies, "train compare old new --json")[0])
+    assert value["pairs"] == 4 and value["difference"] == -1.5 and value["improved"] == 3
+    assert abs(value["high"] - (half - 1.5)) < 1e-12 and value["verdict"] == "undecided"
+    assert value["a"]["designs_diverged"] == 1
+    assert value["held_out"] == {"seed": 1, "designs": 5, "environments": 8}
+    for scores, verdict, words in (
+        ([0.5, 0.6, 0.5, 0.6, 0.5], "better", "b is better than a"),
+        ([1.5, 1.6, 1.5, 1.6, 1.5], "worse", "b is worse than a"),
+        ([None] * 5, "undecided", "Too few designs")):
+        replies = [held_out, scored("8", [1.0] * 5), scored("9", scores)]
+        assert json.loads(ask(replies, "train compare a b --json")[0])["verdict"] == verdict
+        assert words in ask(replies, "train compare a b")[0]
 
 
-def test_watch_tells_of_trainings():
-    with Server([
-            stream(
-                event(1,
-                      "training.progress",
-                      step=2,
-                      steps=9,
-                      mean_loss=0.5,
-                      gradient_norm=1,
-                      rate=0.1,
-                      clipped_share=0) + event(2,
-                                               "training.validation",
-                                               step=2,
-                                               mean_score=0.25,
-                                               standard_error=0.5,
-                                               rollouts=8,
-                                               diverged=0) +
-                event(3, "training.checkpoint", step=2) + event(4, "training.other", x=1))
-    ]) as server:
-        out = run(server, "watch", "--retry", "0")[1].splitlines()
-        assert [line[21:] for line in out] == [
-            "training.progress job 7  step 2 of 9  loss 0.5000  gradient 1  rate 0.1  clipped 0.0 "
-            "%",
-            "training.validation job 7  0.2500 ± 0.5000 at step 2",
-            "training.checkpoint job 7  of step 2", "training.other  job 7"
-        ], out
+def test_watch_tells_what_happened():
+    told = [
+        ("training.progress", {"step": 2, "steps": 9, "mean_loss": 0.5, "gradient_norm": 1,
+                               "rate": 0.1, "clipped_share": 0},
+         "  step 2 of 9  loss 0.5000  gradient 1  rate 0.1  clipped 0.0 %"),
+        ("training.validation", {"step": 2, "mean_score": 0.25, "standard_error": 0.5,
+                                 "rollouts": 8, "diverged": 0}, "  0.2500 ± 0.5000 at step 2"),
+        ("training.checkpoint", {"step": 2}, "  of step 2"),
+        ("training.code_changed", {"from_step": 2, "fingerprint": "new", "before": None},
+         "  after step 2: new, before unknown"),
+        ("campaign.generation", {"generation": 7, "generations": 30, "mean": 0.5, "best": None,
+                                 "diversity": 0.25},
+         "  generation 7 of 30  mean 0.5000  best –  diversity 0.2500"),
+        ("campaign.progress", {"generation": 7, "phase": "scoring", "done": 3, "total": 1234},
+         "  generation 7  scoring 3 of 1,234"),
+        ("campaign.extended", {"generations": 1234}, "  to 1,234 generations"),
+        ("campaign.diversity_collapse", {"generation": 7, "diversity": 0.1, "maximum": 0.5},
+         "  generation 7: diversity 0.1000, it was 0.5000"),
+        ("campaign.lineage_unreadable", {"controller": "0123456789abcdef", "field": "morphod.seed",
+                                         "detail": "no number"},
+         "  morphod.seed of controller 0123456789ab: no number"),
+        ("job.progress", {"state": "running", "rollouts_done": 3, "rollouts_total": 1234},
+         "  running  3 of 1,234 rollouts"), ("training.other", {"x": 1}, "")]
+    events = "".join(event(n, kind, **data) for n, (kind, data, _) in enumerate(told, 1))
+    out = ask([stream(events)], "watch --retry 0", status=4)[0]
+    assert [line[21:] for line in out.splitlines()
+            ] == [f"{kind:<15} job 7{words}" for kind, _, words in told], out
 
 
 def test_campaign_whose_generation_is_committed_between_two_requests():
-    campaign = {
-        "id": "7", "mode": "zero-shot", "state": "running", "phase": "scoring",
-        "progress": {"generation": None, "generations": 3}
-    }
+    campaign = {"id": "7", "mode": "zero-shot", "state": "running", "phase": "scoring",
+                "progress": {"generation": None, "generations": 3}}
     rows = {"items": [{"generation": 0, "score": {"mean": 0.5}}], "next_cursor": None}
-    with Server([reply(200, campaign),
-                 reply(200, rows),
-                 reply(200, {"items": [], "next_cursor": None})]) as server:
-        status, out, err = run(server, "campaign", "show", "7")
-        assert status == 0 and "generation 0 of 3" in out and "before generation" not in out, (
-            status, out, err)
-        assert [path for _, path, _, _ in server.seen
-                ] == ["/v1/campaigns/7", "/v1/campaigns/7/generations?limit=1000"]
+    out, _, seen = ask([campaign, rows], "campaign show 7")
+    assert "generation 0 of 3" in out and "before generation" not in out, out
+    assert [path for _, path, _, _ in seen] == ["/v1/campaigns/7",
+                                                "/v1/campaigns/7/generations?limit=1000"]
 
 
 def test_job_lists_name_trainings():
-    short = {
-        **{
-            k: TRAINING[k]
-            for k in ("id", "state", "priority", "label", "created_at", "started_at", "finished_at",
-                      "attempts", "error", "reason")
-        }, "kind": "training",
-        "training": {"kind": "finetune", "name": "walker", "step": 350, "steps": 1400}
-    }
-    with Server([reply(200, {"items": [short, JOB], "next_cursor": None}),
-                 reply(200, short)]) as server:
-        out = run(server, "job", "list")[1]
-        assert re.search(r"7 +finetune +running +batch +1,400 steps +25 %", out) and re.search(
-            r"7 +evaluation +succeeded .* 2 rollouts +100 %", out), out
-        out = run(server, "job", "show", "7")[1]
-        assert "step 350 of 1,400; morphoctl train show 7" in out, out
+    short = {key: TRAINING[key] for key in ("id", "state", "priority", "label", "created_at",
+                                            "started_at", "finished_at", "attempts", "error")}
+    short.update(kind="training",
+                 training={"kind": "finetune", "name": "walker", "step": 350, "steps": 1400})
+    out = ask([{"items": [short, JOB], "next_cursor": None}], "job list")[0]
+    assert re.search(r"7 +finetune +running +batch +1,400 steps +25 %", out), out
+    assert re.search(r"7 +evaluation +succeeded .* 2 rollouts +100 %", out), out
+    assert "step 350 of 1,400; morphoctl train show 7" in ask([short], "job show 7")[0]
 
 
 tests = [(name, value) for name, value in sorted(globals().items()) if name.startswith("test_")]
