@@ -5,14 +5,18 @@
 
 #include "commands.h"
 
-static int parse(struct ctl *ctl, int argc, const char *const *argv)
+/* Parses the words of a line behind "morphoctl". */
+static int parse(struct ctl *ctl, const char *line)
 {
+  static char words[256];
+  const char *argv[32] = {"morphoctl"};
+  int argc = 1;
+  snprintf(words, sizeof(words), "%s", line);
+  for (char *word = strtok(words, " "); word != NULL; word = strtok(NULL, " "))
+    argv[argc++] = word;
   *ctl = (struct ctl){0};
   return options_parse(ctl, argc, argv);
 }
-#define PARSE(ctl, ...)                                                                            \
-  parse((ctl), (int)(sizeof((const char *[]){__VA_ARGS__}) / sizeof(char *)),                      \
-        (const char *[]){__VA_ARGS__})
 
 static void commands_are_sound(void)
 {
@@ -31,9 +35,7 @@ static void commands_are_sound(void)
 static void forms(void)
 {
   struct ctl ctl;
-  CHECK_INT(
-      PARSE(&ctl, "morphoctl", "eval", "a", "--controller=x", "-c", "y", "-q", "--", "--b", "-"),
-      -1);
+  CHECK_INT(parse(&ctl, "eval a --controller=x -c y -q -- --b -"), -1);
   CHECK_TEXT(ctl.command->name, "eval");
   CHECK_INT(ctl.n_operands, 3);
   CHECK_TEXT(ctl.operands[1], "--b");
@@ -41,15 +43,13 @@ static void forms(void)
   CHECK_TEXT(option_text(&ctl, "label", "none"), "none");
   CHECK(option_is_set(&ctl, "quiet") && !option_is_set(&ctl, "json"));
   options_free(&ctl);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "job", "list", "-n7"), -1);
+  CHECK_INT(parse(&ctl, "job list -n7"), -1);
   int64_t n = 50;
   CHECK(option_number(&ctl, "limit", 1, 10, &n));
   CHECK_INT(n, 7);
   CHECK(!option_number(&ctl, "limit", 8, 10, &n));
   options_free(&ctl);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "--server", "unix:/x", "-j", "--retry=3", "job", "list", "-q",
-                  "-s", "y"),
-            -1);
+  CHECK_INT(parse(&ctl, "--server unix:/x -j --retry=3 job list -q -s y"), -1);
   CHECK_TEXT(ctl.command->name, "job list");
   CHECK(option_is_set(&ctl, "json") && option_is_set(&ctl, "quiet"));
   CHECK_TEXT(option_text(&ctl, "retry", ""), "3");
@@ -60,41 +60,28 @@ static void forms(void)
 
 static void mistakes(void)
 {
-  struct ctl ctl;
-  CHECK_INT(PARSE(&ctl, "morphoctl"), STATUS_USAGE);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "evil"), STATUS_USAGE);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "--limit", "3", "job", "list"), STATUS_USAGE);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "--server"), STATUS_USAGE);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "--json=1", "job", "list"), STATUS_USAGE);
-  options_free(&ctl);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "job"), STATUS_USAGE);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "job", "lost"), STATUS_USAGE);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "eval", "--verify"), STATUS_USAGE);
-  options_free(&ctl);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "eval", "--label"), STATUS_USAGE);
-  options_free(&ctl);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "eval", "--no-wait=1"), STATUS_USAGE);
-  options_free(&ctl);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "eval", "-qj"), STATUS_USAGE);
-  options_free(&ctl);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "design", "show"), STATUS_USAGE);
-  options_free(&ctl);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "status", "x"), STATUS_USAGE);
-  options_free(&ctl);
+  static const char *const lines[] = {
+      "",         "evil",        "--limit 3 job list", "--server",     "--json=1 job list",
+      "job",      "job lost",    "eval --verify",      "eval --label", "eval --no-wait=1",
+      "eval -qj", "design show", "status x",
+  };
+  for (size_t i = 0; i < sizeof(lines) / sizeof(lines[0]); i++) {
+    struct ctl ctl;
+    CHECK_INT(parse(&ctl, lines[i]), STATUS_USAGE);
+    options_free(&ctl);
+  }
 }
 
 static void physics(void)
 {
+  static const char *const good[] = {"dt_s=0.002", "n_steps=200", "impact=bisection8"},
+                           *const bad[] = {"dt=0.002",  "dt_s",     "=1",
+                                           "dt_s=fast", "dt_s=inf", "n_steps=1.5"};
   json_t *object = json_object();
-  CHECK_INT(request_physics(object, "dt_s=0.002"), STATUS_OK);
-  CHECK_INT(request_physics(object, "n_steps=200"), STATUS_OK);
-  CHECK_INT(request_physics(object, "impact=bisection8"), STATUS_OK);
-  CHECK_INT(request_physics(object, "dt=0.002"), STATUS_USAGE);
-  CHECK_INT(request_physics(object, "dt_s"), STATUS_USAGE);
-  CHECK_INT(request_physics(object, "=1"), STATUS_USAGE);
-  CHECK_INT(request_physics(object, "dt_s=fast"), STATUS_USAGE);
-  CHECK_INT(request_physics(object, "dt_s=inf"), STATUS_USAGE);
-  CHECK_INT(request_physics(object, "n_steps=1.5"), STATUS_USAGE);
+  for (size_t i = 0; i < sizeof(good) / sizeof(good[0]); i++)
+    CHECK_INT(request_physics(object, good[i]), STATUS_OK);
+  for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)
+    CHECK_INT(request_physics(object, bad[i]), STATUS_USAGE);
   char *text = json_dumps(object, JSON_COMPACT | JSON_SORT_KEYS);
   CHECK_TEXT(text, "{\"dt_s\":0.002,\"impact\":\"bisection8\",\"n_steps\":200}");
   free(text);
@@ -105,16 +92,14 @@ static void request(void)
 {
   struct ctl ctl;
   json_t *object = json_object();
-  CHECK_INT(PARSE(&ctl, "morphoctl", "eval", "-c", "sha", "--precision", "float64", "-p",
-                  "n_steps=9", "-e", "paper-test"),
-            -1);
+  CHECK_INT(parse(&ctl, "eval -c sha --precision float64 -p n_steps=9 -e paper-test"), -1);
   CHECK_INT(request_fill(&ctl, object), STATUS_OK);
   char *text = json_dumps(object, JSON_COMPACT | JSON_SORT_KEYS);
   CHECK_TEXT(text, "{\"controller\":\"sha\",\"environments\":\"paper-test\",\"physics\":{\"n_"
                    "steps\":9},\"precision\":\"float64\"}");
   free(text);
   options_free(&ctl);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "eval", "--precision", "float16"), -1);
+  CHECK_INT(parse(&ctl, "eval --precision float16"), -1);
   CHECK_INT(request_fill(&ctl, object), STATUS_USAGE);
   options_free(&ctl);
   json_decref(object);
