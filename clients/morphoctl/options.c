@@ -1,5 +1,6 @@
 /* options.c: parses the command line. Options may be anywhere, the common ones even before the
  * command; "--" ends them. "--name=value" and "--name value" are the same. */
+#include "base/words.h"
 #include "ctl.h"
 
 #include <errno.h>
@@ -56,74 +57,13 @@ int complain(int status, const char *format, ...)
   return status;
 }
 
-static size_t distance(const char *a, const char *b)
-{
-  size_t row[64];
-  size_t m = strlen(b);
-  if (m >= sizeof(row) / sizeof(row[0]))
-    return SIZE_MAX;
-  for (size_t j = 0; j <= m; j++)
-    row[j] = j;
-  for (size_t i = 1; a[i - 1] != 0; i++) {
-    size_t diagonal = row[0];
-    row[0] = i;
-    for (size_t j = 1; j <= m; j++) {
-      size_t best = diagonal + (a[i - 1] != b[j - 1]);
-      if (row[j] + 1 < best)
-        best = row[j] + 1;
-      if (row[j - 1] + 1 < best)
-        best = row[j - 1] + 1;
-      diagonal = row[j];
-      row[j] = best;
-    }
-  }
-  return row[m];
-}
-
 const char *nearest_name(const char *name, const char *const *names, size_t n)
 {
-  const char *best = NULL;
-  size_t best_distance = strlen(name) / 3 + 2;
-  for (size_t i = 0; i < n; i++) {
-    size_t d = distance(name, names[i]);
-    if (d < best_distance) {
-      best_distance = d;
-      best = names[i];
-    }
-  }
-  return best;
+  const int nearest = mo_word_nearest(name, names, n, sizeof(*names));
+  return nearest >= 0 ? names[nearest] : NULL;
 }
 
 /* ---- help ---- */
-
-static void print_wrapped(FILE *file, int indent, const char *text)
-{
-  int column = 0;
-  for (const char *c = text; *c != 0;) {
-    int length = (int)strcspn(c, " \n");
-    if (column == 0) {
-      fprintf(file, "%*s", indent, "");
-      column = indent;
-    } else if (column + 1 + length > 78) {
-      fprintf(file, "\n%*s", indent, "");
-      column = indent;
-    } else if (column > indent) {
-      fputc(' ', file);
-      column++;
-    }
-    fprintf(file, "%.*s", length, c);
-    column += length;
-    c += length;
-    if (*c == '\n') {
-      fputc('\n', file);
-      column = 0;
-      c++;
-    } else {
-      c += strspn(c, " ");
-    }
-  }
-  fputc('\n', file);
-}
 
 static void print_options(FILE *file, const struct option_spec *options)
 {
@@ -134,7 +74,7 @@ static void print_options(FILE *file, const struct option_spec *options)
     else
       fprintf(file, "  --%s%s%s\n", spec->name, spec->value != NULL ? " " : "",
               spec->value != NULL ? spec->value : "");
-    print_wrapped(file, 6, spec->help);
+    mo_words_wrap(file, 6, spec->help);
   }
 }
 
@@ -143,10 +83,10 @@ void options_print_help(FILE *file, const struct command *command)
   if (command != NULL) {
     fprintf(file, "Usage: morphoctl %s [OPTION]...%s%s\n", command->name,
             *command->operands != 0 ? " " : "", command->operands);
-    print_wrapped(file, 0, command->summary);
+    mo_words_wrap(file, 0, command->summary);
     if (command->details != NULL) {
       fputc('\n', file);
-      print_wrapped(file, 0, command->details);
+      mo_words_wrap(file, 0, command->details);
     }
     if (command->options != NULL) {
       fputs("\nOptions:\n", file);

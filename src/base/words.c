@@ -1,6 +1,7 @@
 /* words.c: see words.h. */
 #include "base/words.h"
 
+#include <stdint.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -46,4 +47,72 @@ const char *mo_words_list(const char *const *words, char text[MO_WORDS_BYTES])
     size += n > 0 ? (size_t)n : 0;
   }
   return text;
+}
+
+/* Returns how many characters must be put in, taken out or replaced to turn `a` into `b`. */
+static size_t distance(const char *a, const char *b)
+{
+  size_t row[64];
+  size_t m = strlen(b);
+  if (m >= sizeof(row) / sizeof(row[0]))
+    return SIZE_MAX;
+  for (size_t j = 0; j <= m; j++)
+    row[j] = j;
+  for (size_t i = 1; a[i - 1] != 0; i++) {
+    size_t diagonal = row[0];
+    row[0] = i;
+    for (size_t j = 1; j <= m; j++) {
+      size_t best = diagonal + (a[i - 1] != b[j - 1]);
+      if (row[j] + 1 < best)
+        best = row[j] + 1;
+      if (row[j - 1] + 1 < best)
+        best = row[j - 1] + 1;
+      diagonal = row[j];
+      row[j] = best;
+    }
+  }
+  return row[m];
+}
+
+int mo_word_nearest(const char *name, const char *const *first, size_t n, size_t stride)
+{
+  size_t least = strlen(name) / 3 + 2;
+  int nearest = MO_ERR_NOT_FOUND;
+  for (size_t i = 0; i < n; i++) {
+    const size_t d = distance(name, *(const char *const *)((const char *)first + i * stride));
+    if (d < least) {
+      least = d;
+      nearest = (int)i;
+    }
+  }
+  return nearest;
+}
+
+void mo_words_wrap(FILE *file, int indent, const char *text)
+{
+  int column = 0;
+  for (const char *c = text; *c != 0;) {
+    int length = (int)strcspn(c, " \n");
+    if (column == 0) {
+      fprintf(file, "%*s", indent, "");
+      column = indent;
+    } else if (column + 1 + length > 78) {
+      fprintf(file, "\n%*s", indent, "");
+      column = indent;
+    } else if (column > indent) {
+      fputc(' ', file);
+      column++;
+    }
+    fprintf(file, "%.*s", length, c);
+    column += length;
+    c += length;
+    if (*c == '\n') {
+      fputc('\n', file);
+      column = 0;
+      c++;
+    } else {
+      c += strspn(c, " ");
+    }
+  }
+  fputc('\n', file);
 }

@@ -1,9 +1,10 @@
-/* words.h: closed lists of words, such as the names of an enumeration. A list is an array that ends
- * with NULL. */
+/* words.h: closed lists of words, such as the names of an enumeration, and text for people. A list
+ * is an array that ends with NULL. */
 #ifndef MORPHO_BASE_WORDS_H
 #define MORPHO_BASE_WORDS_H
 
 #include <stddef.h>
+#include <stdio.h>
 
 #define MO_WORDS_BYTES 256
 
@@ -16,5 +17,11 @@ int mo_word_index(const char *const *words, const char *name);
 int mo_word_find(const char *const *words, const char *name, void *value);
 /* Lists all words as in a sentence, with quotes: "red", "green" or "blue". Returns text. */
 const char *mo_words_list(const char *const *words, char text[MO_WORDS_BYTES]);
+
+/* Returns the index of the word that is nearest to a mistyped one, or MO_ERR_NOT_FOUND: none is
+ * near. first: the first of n pointers to words, each `stride` bytes after the one before. */
+int mo_word_nearest(const char *name, const char *const *first, size_t n, size_t stride);
+/* Writes help text in lines of at most 78 columns, each after `indent` spaces. */
+void mo_words_wrap(FILE *file, int indent, const char *text);
 
 #endif

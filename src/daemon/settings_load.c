@@ -7,6 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+
+#include "base/words.h"
 #include <unistd.h>
 
 #define FILE_MAX (1 << 20)
@@ -29,44 +31,12 @@ static const struct flag action_flags[] = {
 };
 static const size_t n_action_flags = sizeof(action_flags) / sizeof(action_flags[0]);
 
-static size_t distance(const char *a, const char *b)
-{
-  size_t row[64];
-  size_t m = strlen(b);
-  if (m >= sizeof(row) / sizeof(row[0]))
-    return SIZE_MAX;
-  for (size_t j = 0; j <= m; j++)
-    row[j] = j;
-  for (size_t i = 1; a[i - 1] != 0; i++) {
-    size_t diagonal = row[0];
-    row[0] = i;
-    for (size_t j = 1; j <= m; j++) {
-      size_t above = row[j];
-      size_t best = diagonal + (a[i - 1] != b[j - 1]);
-      if (above + 1 < best)
-        best = above + 1;
-      if (row[j - 1] + 1 < best)
-        best = row[j - 1] + 1;
-      diagonal = above;
-      row[j] = best;
-    }
-  }
-  return row[m];
-}
-
 /* Returns the setting whose name is nearest to a mistyped one; NULL if none is near. */
 static const struct setting *nearest(const char *name)
 {
-  const struct setting *best = NULL;
-  size_t best_distance = strlen(name) / 3 + 2;
-  for (size_t i = 0; i < settings_count; i++) {
-    size_t d = distance(name, settings_table[i].name);
-    if (d < best_distance) {
-      best_distance = d;
-      best = &settings_table[i];
-    }
-  }
-  return best;
+  const int i =
+      mo_word_nearest(name, &settings_table[0].name, settings_count, sizeof(settings_table[0]));
+  return i >= 0 ? &settings_table[i] : NULL;
 }
 
 static const struct setting *find(const char *name)
@@ -390,30 +360,6 @@ int settings_complete(struct settings *settings, const char *const *environment)
   return MO_OK;
 }
 
-/* Writes help text in lines of at most 78 columns, each after `indent` spaces. */
-static void print_wrapped(FILE *file, int indent, const char *text)
-{
-  int column = 0;
-  for (const char *c = text; *c != 0;) {
-    int length = (int)strcspn(c, " ");
-    if (column == 0) {
-      fprintf(file, "%*s", indent, "");
-      column = indent;
-    } else if (column + 1 + length > 78) {
-      fprintf(file, "\n%*s", indent, "");
-      column = indent;
-    } else {
-      fputc(' ', file);
-      column++;
-    }
-    fprintf(file, "%.*s", length, c);
-    column += length;
-    c += length;
-    c += strspn(c, " ");
-  }
-  fputc('\n', file);
-}
-
 static void bounds_text(const struct setting *setting, char *text, size_t capacity)
 {
   char low[32], high[32];
@@ -451,7 +397,7 @@ void settings_print_help(FILE *file)
         file);
   for (size_t i = 0; i < n_action_flags; i++) {
     fprintf(file, "  %s\n", action_flags[i].name);
-    print_wrapped(file, 6, action_flags[i].help);
+    mo_words_wrap(file, 6, action_flags[i].help);
   }
   fputs("\nSettings: flag before environment variable before file before default. In the file\n"
         "--state-dir is state_dir, in the environment MORPHOD_STATE_DIR, and so on.\n\n",
@@ -469,7 +415,7 @@ void settings_print_help(FILE *file)
       snprintf(text, sizeof(text), "%s Default: %s.", setting->help, initial);
     else
       snprintf(text, sizeof(text), "%s Default: %s (%s).", setting->help, initial, bounds);
-    print_wrapped(file, 6, text);
+    mo_words_wrap(file, 6, text);
   }
 }
 
