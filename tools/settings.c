@@ -7,7 +7,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/number.h"
+#include "base/text.h"
 #include "evolution/fields.h"
 #include "learning/fields.h"
 #include "rollout/physics.h"

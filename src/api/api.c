@@ -7,6 +7,19 @@
 #include "api/handlers.h"
 #include "api/openapi.h"
 
+/* ---- routes ---- */
+
+static const struct mo_route table[] = {
+#define ROUTE(PATH, METHOD, HANDLER, FLAGS, BODY, QUERY)                                           \
+  {PATH, MO_##METHOD, mo_api_##HANDLER, FLAGS, MO_BODY_##BODY, QUERY},
+#include "api/routes.inc"
+};
+_Static_assert(sizeof(table) / sizeof(table[0]) <= MO_ROUTES_MAX, "metrics count by route");
+
+static const struct mo_routes routes = {table, sizeof(table) / sizeof(table[0])};
+
+/* ---- start and stop ---- */
+
 static void count_jobs(struct mo_api *api)
 {
   uint64_t counts[MO_JOB_STATES];
@@ -44,7 +57,7 @@ int mo_api_start(const struct mo_http_config *config, const struct mo_api_servic
 {
   struct mo_api *api = calloc(1, sizeof(*api));
   const struct mo_http_service service = {
-      .routes = mo_api_routes, .context = api, .start = start, .tick = tick, .stop = stop};
+      .routes = routes, .context = api, .start = start, .tick = tick, .stop = stop};
   struct mo_sha256 contract;
   struct mo_lattice *lattice = NULL;
   if (api == NULL || mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK) {

@@ -89,13 +89,14 @@ void mo_api_get_controller(struct mo_request *request)
 
 void mo_api_get_controller_file(struct mo_request *request)
 {
-  static const char *const types[] = {"application/octet-stream", "application/vnd.safetensors"};
+  static const char *const types[] = {"application/octet-stream", "application/vnd.safetensors",
+                                      NULL};
   struct mo_controller_record record;
   char digits[MO_SHA256_DIGITS + 1];
   uint8_t *bytes = NULL;
   size_t size = 0;
   int form;
-  if (!mo_accept(request, types, 2, &form) || !read_record(request, &record))
+  if (!mo_accept(request, types, &form) || !read_record(request, &record))
     return;
   int error = mo_store_controller_bytes(mo_api_of(request)->store, &record.sha256, &bytes, &size);
   mo_sha256_to_hex(&record.sha256, digits);

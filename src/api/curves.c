@@ -230,15 +230,15 @@ static bool read_cursor(struct mo_request *request, struct curve *curve)
 
 void mo_api_get_curve(struct mo_request *request)
 {
-  static const char *const forms[] = {"json", "csv"};
-  static const char *const types[] = {"application/json", "text/csv"};
+  static const char *const forms[] = {"json", "csv", NULL};
+  static const char *const types[] = {"application/json", "text/csv", NULL};
   const struct curve_kind *kind = kinds;
   while (strcmp(strrchr(request->route->path, '/') + 1, kind->name) != 0)
     kind++;
   struct curve curve = {.store = mo_api_of(request)->store, .kind = kind, .after = -1, .stride = 1};
   int64_t limit = 0;
   int form;
-  if (!mo_query_form(request, forms, types, 2, &form) || !read_cursor(request, &curve) ||
+  if (!mo_query_form(request, forms, types, &form) || !read_cursor(request, &curve) ||
       !mo_query_number(request, "limit", 1, MO_PAGE_MAX, &limit) ||
       !mo_query_number(request, "stride", 1, MO_TRAINING_STEPS_MAX, &curve.stride) ||
       !mo_path_job(request, &curve.id))

@@ -190,30 +190,23 @@ static const char *own_class(const struct mo_compute *compute)
 void mo_api_list_designs(struct mo_request *request)
 {
   static const char *const of_score[] = {"controller", "environments", "class"};
-  const char *sort = mo_query(request, "sort"), *cursor = mo_query(request, "cursor");
-  const char *named = mo_query(request, "controller"), *set = mo_query(request, "environments");
+  static const char *const sorts[] = {"id", "score", NULL}, *const sets[] = {"paper-test", NULL};
+  const char *cursor = mo_query(request, "cursor"), *named = mo_query(request, "controller");
   const char *class = mo_query(request, "class");
   struct mo_store *store = mo_api_of(request)->store;
-  struct mo_design_query query = {
-      .sort = MO_DESIGNS_BY_ID, .physics = mo_default_physics(), .precision = MO_FLOAT32};
+  struct mo_design_query query = {.physics = mo_default_physics(), .precision = MO_FLOAT32};
   size_t limit;
-  if (!mo_query_limit(request, &limit))
+  int sort = MO_DESIGNS_BY_ID, set = 0;
+  if (!mo_query_limit(request, &limit) || !mo_query_word(request, "sort", sorts, &sort))
     return;
-  if (sort != NULL && strcmp(sort, "score") == 0)
-    query.sort = MO_DESIGNS_BY_SCORE;
-  else if (sort != NULL && strcmp(sort, "id") != 0) {
-    mo_reply_bad_parameter(request, "sort", "id or score is expected");
-    return;
-  }
+  query.sort = (enum mo_design_sort)sort;
   for (size_t i = 0; i < 3; i++)
     if (mo_query(request, of_score[i]) != NULL && query.sort != MO_DESIGNS_BY_SCORE) {
       mo_reply_bad_parameter(request, of_score[i], "this parameter is for sort=score");
       return;
     }
-  if (set != NULL && strcmp(set, "paper-test") != 0) {
-    mo_reply_bad_parameter(request, "environments", "paper-test is expected");
+  if (!mo_query_word(request, "environments", sets, &set))
     return;
-  }
   if (class != NULL && !is_class(class)) {
     mo_reply_bad_parameter(request, "class", "a fingerprint is expected, as scores have it");
     return;

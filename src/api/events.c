@@ -85,7 +85,7 @@ static int64_t fill(struct mo_request *request, struct mo_stream_place *place,
 
 static void open_stream(struct mo_request *request, int64_t after, int64_t job)
 {
-  static const char *const stream_type[] = {"text/event-stream"};
+  static const char *const stream_type[] = {"text/event-stream", NULL};
   struct mo_stream_place place = {.after = after, .topic = job};
   if (mo_accept_choose(request->framing.accept, stream_type, 1) != 0) {
     mo_reply_problem(request, 406, NULL,
@@ -150,21 +150,19 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
 
 void mo_api_get_events(struct mo_request *request)
 {
-  static const char *const json[] = {"application/json"};
+  static const char *const json[] = {"application/json", NULL};
+  static const char *const formats[] = {"stream", "json", NULL};
   static const char place[] = "the id of an event, in decimal digits, is expected";
-  const char *format = mo_query(request, "format"), *from = mo_query(request, "after");
+  const char *from = mo_query(request, "after");
   const char *last = request->framing.last_event_id;
   const char *cursor = mo_query(request, "cursor");
-  bool is_page = format != NULL && strcmp(format, "json") == 0;
   int64_t after = -1, job = 0;
   size_t limit;
-  int form;
-  if (!mo_query_limit(request, &limit) ||
+  int is_page = 0, form;
+  if (!mo_query_limit(request, &limit) || !mo_query_word(request, "format", formats, &is_page) ||
       !mo_query_id(request, "job", "the id of a job, in decimal digits, is expected", &job))
     return;
-  if (format != NULL && !is_page && strcmp(format, "stream") != 0)
-    mo_reply_bad_parameter(request, "format", "stream or json is expected");
-  else if (from != NULL && !mo_decimal(from, strlen(from), 0, INT64_MAX, &after))
+  if (from != NULL && !mo_decimal(from, strlen(from), 0, INT64_MAX, &after))
     mo_reply_bad_parameter(request, "after", place);
   else if (last != NULL && last[0] != '\0' && !mo_decimal(last, strlen(last), 0, INT64_MAX, &after))
     mo_reply_bad_header(request, "Last-Event-ID", place);
@@ -174,6 +172,6 @@ void mo_api_get_events(struct mo_request *request)
                            "the next_cursor of an earlier page is expected, with format=json");
   else if (!is_page)
     open_stream(request, after, job);
-  else if (mo_accept(request, json, 1, &form))
+  else if (mo_accept(request, json, &form))
     reply_page(request, after, job, limit);
 }

@@ -30,7 +30,6 @@ static inline struct mo_api *mo_api_of(const struct mo_request *request)
   return mo_http_context(request);
 }
 
-extern const struct mo_routes mo_api_routes;
 #define ROUTE(PATH, METHOD, HANDLER, FLAGS, BODY, QUERY)                                           \
   void mo_api_##HANDLER(struct mo_request *request);
 #include "api/routes.inc"

@@ -57,15 +57,20 @@ void mo_member_controller(struct mo_text *text, const char *member, bool known, 
   mo_text_add(text, "}");
 }
 
-void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n)
+void mo_json_numbers(struct mo_text *text, const double *numbers, size_t n)
 {
-  mo_text_name(text, name);
-  mo_text_bytes(text, "[", 1);
+  mo_text_add(text, "[");
   for (size_t i = 0; i < n; i++) {
     mo_text_next(text);
     mo_text_json_number(text, numbers[i]);
   }
-  mo_text_bytes(text, "]", 1);
+  mo_text_add(text, "]");
+}
+
+void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n)
+{
+  mo_text_name(text, name);
+  mo_json_numbers(text, numbers, n);
 }
 
 void mo_member_environments(struct mo_text *text, const char *set, uint32_t n)

@@ -10,7 +10,7 @@
 #include "api/requests.h"
 #include "api/submission.h"
 #include "base/clock.h"
-#include "base/utf8.h"
+#include "base/text.h"
 #include "http/pool.h"
 
 static const struct mo_resource *const kinds[MO_JOB_KINDS] = {
@@ -165,35 +165,6 @@ static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_
   return MO_OK;
 }
 
-static bool read_state(struct mo_request *request, int *state)
-{
-  const char *text = mo_query(request, "state");
-  enum mo_job_state named;
-  if (text == NULL)
-    return true;
-  if (mo_job_state_from_name(text, &named) == MO_OK) {
-    *state = (int)named;
-    return true;
-  }
-  mo_reply_bad_parameter(request, "state",
-                         "queued, running, paused, succeeded, failed or cancelled is expected");
-  return false;
-}
-
-static bool read_kind(struct mo_request *request, int *kind)
-{
-  const char *text = mo_query(request, "kind");
-  enum mo_job_kind named;
-  if (text == NULL)
-    return true;
-  if (mo_job_kind_from_name(text, &named) == MO_OK) {
-    *kind = (int)named;
-    return true;
-  }
-  mo_reply_bad_parameter(request, "kind", "evaluation, training or campaign is expected");
-  return false;
-}
-
 static bool read_label(struct mo_request *request, const char **label)
 {
   *label = mo_query(request, "label");
@@ -215,10 +186,11 @@ void mo_api_list_jobs(struct mo_request *request)
                                .waiting = waiting,
                                .n_waiting = mo_jobs_waiting(api->jobs, waiting)};
   size_t limit;
-  if (!mo_query_limit(request, &limit) || !read_state(request, &query.state) ||
+  if (!mo_query_limit(request, &limit) ||
+      !mo_query_word(request, "state", mo_job_state_words, &query.state) ||
       !read_label(request, &query.label) ||
       !mo_query_id(request, "cursor", MO_CURSOR_WORDS, &query.before) ||
-      !read_kind(request, &query.kind) ||
+      !mo_query_word(request, "kind", mo_job_kind_words, &query.kind) ||
       !mo_query_id(request, "group", "the id of a group, in decimal digits, is expected",
                    &query.group))
     return;
@@ -258,27 +230,23 @@ static void reply_changed(struct mo_request *request, int64_t id, int error, con
     mo_reply_job(request, 200, kinds[job.kind], id, false);
 }
 
-static void change(struct mo_request *request, int (*call)(struct mo_jobs *jobs, int64_t id),
-                   const char *conflict)
+/* Pauses, resumes or cancels, as the end of the route says. */
+void mo_api_change_job(struct mo_request *request)
 {
+  static const struct {
+    const char *name;
+    int (*call)(struct mo_jobs *jobs, int64_t id);
+    const char *conflict;
+  } changes[] = {{"pause", mo_jobs_pause, "cannot be paused"},
+                 {"resume", mo_jobs_resume, "cannot be resumed"},
+                 {"cancel", mo_jobs_cancel, "cannot be cancelled"}};
+  const char *name = strrchr(request->route->path, '/') + 1;
+  size_t i = 0;
   int64_t id;
+  while (strcmp(changes[i].name, name) != 0)
+    i++;
   if (mo_path_id(request, 0, &id))
-    reply_changed(request, id, call(mo_api_of(request)->jobs, id), conflict);
-}
-
-void mo_api_pause_job(struct mo_request *request)
-{
-  change(request, mo_jobs_pause, "cannot be paused");
-}
-
-void mo_api_resume_job(struct mo_request *request)
-{
-  change(request, mo_jobs_resume, "cannot be resumed");
-}
-
-void mo_api_cancel_job(struct mo_request *request)
-{
-  change(request, mo_jobs_cancel, "cannot be cancelled");
+    reply_changed(request, id, changes[i].call(mo_api_of(request)->jobs, id), changes[i].conflict);
 }
 
 void mo_api_set_job_weight(struct mo_request *request)

@@ -62,12 +62,13 @@ static void reply_damaged(struct mo_request *request, const struct mo_training_s
 
 void mo_api_get_training_controller(struct mo_request *request)
 {
-  static const char *const types[] = {"application/octet-stream", "application/vnd.safetensors"};
+  static const char *const types[] = {"application/octet-stream", "application/vnd.safetensors",
+                                      NULL};
   struct mo_api *api = mo_api_of(request);
   bool named = mo_query(request, "step") != NULL;
   int64_t id, step = 0;
   int form;
-  if (!mo_accept(request, types, 2, &form) ||
+  if (!mo_accept(request, types, &form) ||
       !mo_query_number(request, "step", 1, MO_TRAINING_STEPS_MAX, &step) ||
       !mo_path_id(request, 0, &id))
     return;

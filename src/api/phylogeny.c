@@ -414,13 +414,13 @@ static void reply_newick(struct mo_request *request, const struct mo_campaign_st
 void mo_api_get_campaign_phylogeny(struct mo_request *request)
 {
   static const char *const paging[] = {"limit", "cursor"};
-  static const char *const forms[] = {"json", "csv", "newick"};
-  static const char *const types[] = {"application/json", "text/csv", "text/x-nh"};
+  static const char *const forms[] = {"json", "csv", "newick", NULL};
+  static const char *const types[] = {"application/json", "text/csv", "text/x-nh", NULL};
   int64_t id, after;
   size_t limit;
   int form;
   char tag[104];
-  if (!mo_query_form(request, forms, types, 3, &form) || !mo_query_limit(request, &limit) ||
+  if (!mo_query_form(request, forms, types, &form) || !mo_query_limit(request, &limit) ||
       !read_cursor(request, &after) || !mo_path_id(request, 0, &id))
     return;
   for (size_t i = 0; i < 2; i++)

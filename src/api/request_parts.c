@@ -1,13 +1,12 @@
-/* request_parts.c: see request_parts.h. Every fault names its place: a cell out of bounds is at
- * /designs/3/cells/7/0. */
-#include "api/request_parts.h"
+/* request_parts.c: what the bodies of several requests share. Every fault names its place: a cell
+ * out of bounds is at /designs/3/cells/7/0. */
+#include "api/requests.h"
 
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/number.h"
-#include "base/utf8.h"
+#include "base/text.h"
 #include "http/field.h"
 #include "jobs/evaluations.h"
 #include "store/store.h"

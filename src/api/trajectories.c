@@ -4,24 +4,25 @@
 #include <string.h>
 
 #include "api/handlers.h"
+#include "api/job_json.h"
 
 static void write_frames(struct mo_text *text, const struct mo_trajectory *t)
 {
+  const size_t numbers = (size_t)t->n_masses * 3;
   if (t->com_m != NULL) {
     mo_text_add(text, ",\"com_m\":[");
-    for (uint32_t f = 0; f < t->n_frames; f++)
-      for (int axis = 0; axis < 3; axis++) {
-        mo_text_add(text, axis > 0 ? "," : f > 0 ? "],[" : "[");
-        mo_text_json_number(text, t->com_m[(size_t)f * 3 + (size_t)axis]);
-      }
-    mo_text_add(text, "]]");
+    for (uint32_t f = 0; f < t->n_frames; f++) {
+      mo_text_next(text);
+      mo_json_numbers(text, &t->com_m[(size_t)f * 3], 3);
+    }
+    mo_text_add(text, "]");
   }
   if (t->mass_m != NULL) {
     mo_text_add(text, ",\"masses_m\":[");
     for (uint32_t f = 0; f < t->n_frames; f++) {
+      const float *frame = &t->mass_m[f * numbers];
       mo_text_add(text, f > 0 ? "],[" : "[");
-      const float *frame = &t->mass_m[(size_t)f * t->n_masses * 3];
-      for (size_t i = 0; i < (size_t)t->n_masses * 3; i++) {
+      for (size_t i = 0; i < numbers; i++) {
         mo_text_add(text, i % 3 > 0 ? "," : i > 0 ? "],[" : "[");
         mo_text_json_float(text, frame[i]);
       }
@@ -55,22 +56,6 @@ static void reply_binary(struct mo_request *request, const struct mo_trajectory 
 }
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the binary form is little-endian");
 
-/* Replies with the trajectory. *masses: the binary form holds the masses, not the center of mass.
- */
-static void reply_trajectory(struct mo_request *request, const struct mo_trajectory *t, int64_t id,
-                             int64_t n, int64_t k)
-{
-  struct mo_text text = {0};
-  mo_text_format(&text,
-                 "{\"evaluation\":\"%lld\",\"design\":%lld,\"environment\":%lld,\"stride\":%u,"
-                 "\"frames\":%u,\"dt_s\":",
-                 (long long)id, (long long)n, (long long)k, t->stride, t->n_frames);
-  mo_text_json_number(&text, t->dt_s);
-  write_frames(&text, t);
-  mo_text_add(&text, "}");
-  mo_reply_json(request, 200, &text);
-}
-
 /* Says why there is no such recording. */
 static void reply_missing(struct mo_request *request, const struct mo_job *job, int error)
 {
@@ -85,76 +70,86 @@ static void reply_missing(struct mo_request *request, const struct mo_job *job, 
                      state);
 }
 
-/* Reads the trajectory that the path and `environment` name. array: "com" or "masses", which must
- * have been recorded; NULL: any. NULL: the reply is made. */
-static struct mo_trajectory *read_trajectory(struct mo_request *request, const char *array,
-                                             int64_t *id, int64_t *n, int64_t *k)
+/* What the path and the query name. */
+struct place {
+  int64_t evaluation, design, environment;
+  int array; /* 0: com, 1: masses, −1: any */
+};
+
+/* Reads the trajectory. NULL: the reply is made. */
+static struct mo_trajectory *read_trajectory(struct mo_request *request, struct place *place)
 {
+  static const char *const arrays[] = {"com", "masses", NULL};
   struct mo_store *store = mo_api_of(request)->store;
   const char *design = request->parameters[1];
-  *k = 0;
-  if (!mo_path_id(request, 0, id))
+  *place = (struct place){.array = -1};
+  if (!mo_path_id(request, 0, &place->evaluation))
     return NULL;
-  if (!mo_decimal(design, strlen(design), 0, MO_DESIGNS_MAX - 1, n)) {
+  if (!mo_decimal(design, strlen(design), 0, MO_DESIGNS_MAX - 1, &place->design)) {
     mo_reply_problem(request, 404, NULL,
                      "There is no such design: its place in the request, from 0, is expected.");
     return NULL;
   }
-  if (!mo_query_number(request, "environment", 0, MO_ENVIRONMENTS_MAX - 1, k))
+  if (!mo_query_number(request, "environment", 0, MO_ENVIRONMENTS_MAX - 1, &place->environment) ||
+      !mo_query_word(request, "array", arrays, &place->array))
     return NULL;
-  bool com = array != NULL && strcmp(array, "com") == 0,
-       masses = array != NULL && strcmp(array, "masses") == 0;
-  if (array != NULL && !com && !masses) {
-    mo_reply_bad_parameter(request, "array", "com or masses is expected");
-    return NULL;
-  }
+  const uint32_t d = (uint32_t)place->design, k = (uint32_t)place->environment;
   struct mo_trajectory *trajectory = NULL;
   struct mo_job job;
-  int error = mo_store_job(store, *id, &job);
+  int error = mo_store_job(store, place->evaluation, &job);
   if (error != MO_OK)
     mo_reply_error(request, error, "evaluation");
-  else if ((uint32_t)*n >= job.n_designs || (uint32_t)*k >= job.n_environments)
+  else if (d >= job.n_designs || k >= job.n_environments)
     mo_reply_problem(request, 404, NULL, "The evaluation has %u designs and %u environments.",
                      job.n_designs, job.n_environments);
   else if (!job.record_com && !job.record_masses)
     mo_reply_problem(request, 404, NULL, "The evaluation did not ask for a recording.");
-  else if ((masses && !job.record_masses) || (com && !job.record_com))
+  else if ((place->array == 1 && !job.record_masses) || (place->array == 0 && !job.record_com))
     mo_reply_problem(request, 404, NULL,
                      "The evaluation did not ask for a recording of this array.");
-  else if ((error = mo_store_trajectory(store, *id, (uint32_t)*n, (uint32_t)*k, &trajectory)) !=
-           MO_OK)
+  else if ((error = mo_store_trajectory(store, place->evaluation, d, k, &trajectory)) != MO_OK)
     reply_missing(request, &job, error);
   return trajectory;
 }
 
 void mo_api_get_trajectory(struct mo_request *request)
 {
-  int64_t id, n, k;
-  struct mo_trajectory *trajectory = read_trajectory(request, NULL, &id, &n, &k);
+  struct mo_text text = {0};
+  struct place place;
+  struct mo_trajectory *trajectory = read_trajectory(request, &place);
   if (trajectory == NULL)
     return;
-  reply_trajectory(request, trajectory, id, n, k);
-  mo_reply_etag(request, "%" PRIx64 "-trajectory-%lld-%lld-%lld",
-                mo_store_id(mo_api_of(request)->store), (long long)id, (long long)n, (long long)k);
+  mo_text_object(&text);
+  mo_text_member_id(&text, "evaluation", place.evaluation);
+  mo_text_member_count(&text, "design", (uint64_t)place.design);
+  mo_text_member_count(&text, "environment", (uint64_t)place.environment);
+  mo_text_member_count(&text, "stride", trajectory->stride);
+  mo_text_member_count(&text, "frames", trajectory->n_frames);
+  mo_text_member_number(&text, "dt_s", trajectory->dt_s);
+  write_frames(&text, trajectory);
+  mo_text_add(&text, "}");
+  mo_reply_json(request, 200, &text);
+  mo_reply_etag(request, "%" PRIx64 "-trajectory-%" PRId64 "-%" PRId64 "-%" PRId64,
+                mo_store_id(mo_api_of(request)->store), place.evaluation, place.design,
+                place.environment);
   mo_trajectory_free(trajectory);
 }
 
 void mo_api_get_trajectory_file(struct mo_request *request)
 {
-  static const char *const types[] = {"application/octet-stream"};
+  static const char *const types[] = {"application/octet-stream", NULL};
   const char *array = mo_query(request, "array");
-  int64_t id, n, k;
+  struct place place;
   int form;
-  if (!mo_accept(request, types, 1, &form))
+  if (!mo_accept(request, types, &form))
     return;
-  struct mo_trajectory *trajectory = read_trajectory(request, array, &id, &n, &k);
+  struct mo_trajectory *trajectory = read_trajectory(request, &place);
   if (trajectory == NULL)
     return;
-  bool com = array != NULL && strcmp(array, "com") == 0;
-  reply_binary(request, trajectory, !com && trajectory->mass_m != NULL);
+  reply_binary(request, trajectory, place.array != 0 && trajectory->mass_m != NULL);
   if (request->reply.status == 200)
-    mo_reply_etag(request, "%" PRIx64 "-file-%lld-%lld-%lld-%s",
-                  mo_store_id(mo_api_of(request)->store), (long long)id, (long long)n, (long long)k,
-                  array != NULL ? array : "");
+    mo_reply_etag(request, "%" PRIx64 "-file-%" PRId64 "-%" PRId64 "-%" PRId64 "-%s",
+                  mo_store_id(mo_api_of(request)->store), place.evaluation, place.design,
+                  place.environment, array != NULL ? array : "");
   mo_trajectory_free(trajectory);
 }

@@ -5,7 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/utf8.h"
+#include "base/text.h"
 
 /* Drops an incomplete UTF-8 sequence from the end of a truncated text. */
 static void trim_utf8(char *text)

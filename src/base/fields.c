@@ -6,7 +6,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/number.h"
+#include "base/text.h"
 
 static const void *at_const(const void *settings, const struct mo_field *field)
 {

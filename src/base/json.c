@@ -9,8 +9,7 @@
 
 #include <morpho/error.h>
 
-#include "base/number.h"
-#include "base/utf8.h"
+#include "base/text.h"
 
 /* ---- places ---- */
 

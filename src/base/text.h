@@ -1,7 +1,5 @@
-/* text.h: a growing text, for JSON and other replies.
- *
- * After a failed allocation `failed` is set and later calls do nothing, so writers check it once,
- * at the end. */
+/* text.h: characters, numbers, and a growing text, for JSON and other replies. Different numbers
+ * always have different texts, so that no message contradicts itself. */
 #ifndef MORPHO_BASE_TEXT_H
 #define MORPHO_BASE_TEXT_H
 
@@ -9,6 +7,31 @@
 #include <stddef.h>
 #include <stdint.h>
 
+/* ---- characters and numbers ---- */
+
+/* Returns the length of the UTF-8 sequence at `words` (n ≥ 1 bytes long), 0 if it is invalid: no
+ * overlong forms, no surrogates, nothing past U+10FFFF. */
+unsigned mo_utf8_sequence(const unsigned char *words, size_t n);
+/* Says whether the whole text is UTF-8. */
+bool mo_utf8_is_valid(const char *text);
+/* Returns the number of characters in n bytes of UTF-8. */
+size_t mo_utf8_length(const char *text, size_t n);
+
+#define MO_NUMBER_BYTES 32
+
+/* Writes a number as a short text that reads back as the same number, with six digits or more where
+ * the number has them. The decimal point does not depend on the locale. */
+const char *mo_number_text(double value, char text[MO_NUMBER_BYTES]);
+/* Makes the same text as an argument of "%s"; valid until the end of the block. */
+#define MO_NUMBER(value) mo_number_text((value), (char[MO_NUMBER_BYTES]){0})
+
+/* Returns the value of a hexadecimal digit; −1: it is none. */
+int mo_hex_digit(char c);
+
+/* ---- the growing text ---- */
+
+/* After a failed allocation `failed` is set and later calls do nothing, so writers check it once,
+ * at the end. */
 struct mo_text {
   char *data; /* malloc; a NUL follows the last byte when size > 0; may be handed over */
   size_t size, capacity;

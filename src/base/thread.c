@@ -2,6 +2,7 @@
 #include "base/thread.h"
 
 #include <signal.h>
+#include <stdbool.h>
 
 _Thread_local volatile int64_t mo_thread_tag = -1;
 
@@ -19,4 +20,52 @@ int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *con
   if (error == 0 && name != NULL)
     (void)pthread_setname_np(*thread, name);
   return error;
+}
+
+/* ---- loops ---- */
+
+struct range {
+  void (*part)(void *context, size_t first, size_t end);
+  void *context;
+  size_t first, end;
+  int64_t tag;
+  pthread_t thread;
+  bool started;
+};
+
+static void *run(void *argument)
+{
+  const struct range *range = argument;
+  mo_thread_tag = range->tag;
+  range->part(range->context, range->first, range->end);
+  return NULL;
+}
+
+void mo_parallel(uint32_t n_threads, size_t n,
+                 void (*part)(void *context, size_t first, size_t end), void *context)
+{
+  struct range ranges[MO_PARALLEL_THREADS_MAX];
+  size_t n_ranges = n_threads < MO_PARALLEL_THREADS_MAX ? n_threads : MO_PARALLEL_THREADS_MAX;
+  if (n_ranges > n)
+    n_ranges = n;
+  if (n_ranges <= 1) {
+    if (n > 0)
+      part(context, 0, n);
+    return;
+  }
+  for (size_t i = 0; i < n_ranges; i++) {
+    const size_t rest = n % n_ranges; /* the first ranges take one more */
+    ranges[i] = (struct range){.part = part,
+                               .context = context,
+                               .tag = mo_thread_tag,
+                               .first = n / n_ranges * i + (i < rest ? i : rest)};
+    ranges[i].end = ranges[i].first + n / n_ranges + (i < rest);
+    ranges[i].started = i > 0 && mo_thread_create(&ranges[i].thread, NULL, run, &ranges[i]) == 0;
+  }
+  for (size_t i = 0; i < n_ranges; i++)
+    if (!ranges[i].started)
+      run(&ranges[i]);
+  for (size_t i = 0; i < n_ranges; i++)
+    if (ranges[i].started)
+      pthread_join(ranges[i].thread, NULL);
 }

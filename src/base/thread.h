@@ -1,8 +1,9 @@
-/* thread.h: threads that block signals. */
+/* thread.h: threads that block signals, and loops on several of them. */
 #ifndef MORPHO_BASE_THREAD_H
 #define MORPHO_BASE_THREAD_H
 
 #include <pthread.h>
+#include <stddef.h>
 #include <stdint.h>
 
 /* Identifies whose work this thread does, e.g. a job's id; −1: nobody's. mo_parallel passes it on
@@ -14,5 +15,16 @@ extern _Thread_local volatile int64_t mo_thread_tag;
  * characters, or NULL. */
 int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *context),
                      void *context);
+
+#define MO_PARALLEL_THREADS_MAX 64
+
+/* Calls part(context, first, end) for consecutive ranges that together cover 0 … n − 1, each once.
+ * Uses up to n_threads threads, the caller's included (0 counts as 1), and returns when all calls
+ * have returned. The threads exist only for the loop; starting one costs some 20 µs, so a range
+ * should take much longer. The result of a range must not depend on other ranges, or on how the
+ * ranges are cut. If a thread cannot be started, the loop runs on fewer. The new threads block
+ * signals. */
+void mo_parallel(uint32_t n_threads, size_t n,
+                 void (*part)(void *context, size_t first, size_t end), void *context);
 
 #endif

@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/parallel.h"
+#include "base/thread.h"
 
 enum { BODIES_PER_THREAD = 100 }; /* about a millisecond */
 

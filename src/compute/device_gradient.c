@@ -12,7 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/parallel.h"
+#include "base/thread.h"
 
 enum { SUM_THREADS_MAX = 16 };
 

@@ -11,7 +11,7 @@
 
 #include <morpho/random.h>
 
-#include "base/utf8.h"
+#include "base/text.h"
 #include "base/words.h"
 
 const char *const mo_sensor_words[] = {"inverse_sqrt", "inverse_square", NULL};

@@ -20,7 +20,7 @@
 
 #include <jansson.h>
 
-#include "base/number.h"
+#include "base/text.h"
 
 #define DEPTH_MAX 64
 

@@ -9,7 +9,7 @@
  * never finds too many new ones. */
 #include "evolution/internal.h"
 
-#include "base/parallel.h"
+#include "base/thread.h"
 #include "morphospace/bits.h"
 #include "morphospace/form_set.h"
 

@@ -7,8 +7,7 @@
 #include <string.h>
 #include <strings.h>
 
-#include "base/number.h"
-#include "base/utf8.h"
+#include "base/text.h"
 
 bool mo_percent_decode(const char *text, size_t n, bool plus, char *out, size_t capacity)
 {
@@ -84,29 +83,47 @@ static size_t trimmed(const char *at, size_t n)
   return n;
 }
 
+/* Takes the next part of a list, without the blanks around it, and moves behind its separator.
+ * False: at the end. */
+static bool next_part(const char **at, const char *separator, const char **part, size_t *n)
+{
+  const char *start = skip_blank(*at);
+  const size_t size = strcspn(start, separator);
+  if (**at == '\0')
+    return false;
+  *part = start;
+  *n = trimmed(start, size);
+  *at = start + size + (start[size] != '\0');
+  return true;
+}
+
+/* Takes the quotes off a value that has them. */
+static void unquote(const char **value, size_t *n)
+{
+  if (*n < 2 || (*value)[0] != '"' || (*value)[*n - 1] != '"')
+    return;
+  (*value)++;
+  *n -= 2;
+}
+
 int mo_prefer_wait(const char *field, int max)
 {
-  if (field == NULL)
-    return -1;
-  for (const char *at = field; *at != '\0';) {
-    at = skip_blank(at);
-    size_t n = strcspn(at, ",");
-    size_t name = strcspn(at, ",;=");
-    if (trimmed(at, name) == 4 && strncasecmp(at, "wait", 4) == 0) {
-      if (name >= n || at[name] != '=')
-        return -2;
-      const char *value = skip_blank(at + name + 1);
-      size_t size = trimmed(value, strcspn(value, ",;"));
-      if (size >= 2 && value[0] == '"' && value[size - 1] == '"')
-        value++, size -= 2;
-      int64_t seconds;
-      if (!mo_decimal(value, size, 0, INT64_MAX, &seconds))
-        return -2;
-      return seconds > max ? max : (int)seconds;
-    }
-    at += n;
-    if (*at == ',')
-      at++;
+  const char *part, *value;
+  size_t n, size;
+  int64_t seconds;
+  while (field != NULL && next_part(&field, ",", &part, &n)) {
+    const size_t name = strcspn(part, ",;=");
+    if (trimmed(part, name) != 4 || strncasecmp(part, "wait", 4) != 0)
+      continue;
+    if (part[name] != '=')
+      return -2;
+    part += name + 1;
+    value = skip_blank(part);
+    size = trimmed(value, strcspn(value, ",;"));
+    unquote(&value, &size);
+    if (!mo_decimal(value, size, 0, INT64_MAX, &seconds))
+      return -2;
+    return seconds > max ? max : (int)seconds;
   }
   return -1;
 }
@@ -140,25 +157,21 @@ int mo_accept_choose(const char *field, const char *const *types, size_t n)
     return 0;
   int best = -1, best_q = 0;
   for (size_t t = 0; t < n; t++) {
-    const char *type = types[t];
-    size_t major = strcspn(type, "/");
+    const char *type = types[t], *at = field, *part;
+    size_t major = strcspn(type, "/"), size;
     int q = 0, specific = -1; /* from the most specific element that matches this type */
-    for (const char *at = field; *at != '\0';) {
-      at = skip_blank(at);
-      size_t size = strcspn(at, ",");
-      size_t name = trimmed(at, strcspn(at, ",;"));
+    while (next_part(&at, ",", &part, &size)) {
+      size_t name = trimmed(part, strcspn(part, ",;"));
       int rank =
-          name == strlen(type) && strncasecmp(at, type, name) == 0                             ? 2
-          : name == major + 2 && strncasecmp(at, type, major + 1) == 0 && at[major + 1] == '*' ? 1
-          : name == 3 && strncmp(at, "*/*", 3) == 0                                            ? 0
-                                                                                               : -1;
+          name == strlen(type) && strncasecmp(part, type, name) == 0 ? 2
+          : name == major + 2 && strncasecmp(part, type, major + 1) == 0 && part[major + 1] == '*'
+              ? 1
+          : name == 3 && strncmp(part, "*/*", 3) == 0 ? 0
+                                                      : -1;
       if (rank > specific) {
         specific = rank;
-        q = quality(at, size);
+        q = quality(part, size);
       }
-      at += size;
-      if (*at == ',')
-        at++;
     }
     if (q > best_q) {
       best_q = q;
@@ -191,33 +204,30 @@ bool mo_etag_matches(const char *field, const char *etag)
   return false;
 }
 
+static void copy_lower(char *out, const char *text, size_t n)
+{
+  for (size_t i = 0; i < n; i++)
+    out[i] = (char)tolower((unsigned char)text[i]);
+  out[n] = '\0';
+}
+
 bool mo_content_type(const char *field, char type[64], char charset[32])
 {
+  const char *part;
+  size_t n;
   charset[0] = '\0';
-  const char *at = skip_blank(field);
-  size_t n = trimmed(at, strcspn(at, ";"));
-  if (n == 0 || n >= 64 || memchr(at, '/', n) == NULL)
+  if (!next_part(&field, ";", &part, &n) || n == 0 || n >= 64 || memchr(part, '/', n) == NULL)
     return false;
-  for (size_t i = 0; i < n; i++)
-    type[i] = (char)tolower((unsigned char)at[i]);
-  type[n] = '\0';
-  at += strcspn(at, ";");
-  while (*at == ';') {
-    at = skip_blank(at + 1);
-    size_t size = trimmed(at, strcspn(at, ";"));
-    if (size > 8 && strncasecmp(at, "charset=", 8) == 0) {
-      const char *value = at + 8;
-      size -= 8;
-      if (size >= 2 && value[0] == '"' && value[size - 1] == '"')
-        value++, size -= 2;
-      if (size >= 32)
+  copy_lower(type, part, n);
+  while (next_part(&field, ";", &part, &n))
+    if (n > 8 && strncasecmp(part, "charset=", 8) == 0) {
+      part += 8;
+      n -= 8;
+      unquote(&part, &n);
+      if (n >= 32)
         return false;
-      for (size_t i = 0; i < size; i++)
-        charset[i] = (char)tolower((unsigned char)value[i]);
-      charset[size] = '\0';
+      copy_lower(charset, part, n);
     }
-    at += strcspn(at, ";");
-  }
   return true;
 }
 
@@ -262,12 +272,10 @@ bool mo_authority_split(const char *text, size_t n, char host[256], unsigned *po
     size = colon != NULL ? (size_t)(colon - text) : n;
     if (size == 0 || size >= 256)
       return false;
-    for (size_t i = 0; i < size; i++) {
+    for (size_t i = 0; i < size; i++)
       if (!isalnum((unsigned char)text[i]) && strchr("-._", text[i]) == NULL)
         return false;
-      host[i] = (char)tolower((unsigned char)text[i]);
-    }
-    host[size] = '\0';
+    copy_lower(host, text, size);
     struct in_addr address;
     *literal = inet_pton(AF_INET, host, &address) == 1;
   }

@@ -6,6 +6,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "base/words.h"
 #include "http/field.h"
 #include "http/reply.h"
 
@@ -69,11 +70,11 @@ static bool read_query(struct mo_request *request)
 
 bool mo_query_begin(struct mo_request *request)
 {
-  static const char *const json[] = {"application/json"};
+  static const char *const json[] = {"application/json", NULL};
   int form;
   request->begun = true;
   return read_query(request) &&
-         (!(request->route->flags & MO_ROUTE_JSON) || mo_accept(request, json, 1, &form));
+         (!(request->route->flags & MO_ROUTE_JSON) || mo_accept(request, json, &form));
 }
 
 void mo_query_end(struct mo_request *request)
@@ -120,47 +121,52 @@ bool mo_query_limit(struct mo_request *request, size_t *limit)
   return good;
 }
 
-/* ---- forms ---- */
+/* ---- words ---- */
 
 /* Lists words: "json, csv or newick". */
-static void list_words(const char *const *words, int n, char list[128])
+static void list_words(const char *const *words, char list[MO_WORDS_BYTES])
 {
   size_t at = 0;
-  list[0] = '\0';
-  for (int i = 0; i < n && at < 128; i++)
-    at += (size_t)snprintf(list + at, 128 - at, "%s%s",
-                           i == 0      ? ""
-                           : i + 1 < n ? ", "
-                                       : " or ",
+  for (size_t i = 0; words[i] != NULL && at < MO_WORDS_BYTES; i++)
+    at += (size_t)snprintf(list + at, MO_WORDS_BYTES - at, "%s%s",
+                           i == 0                 ? ""
+                           : words[i + 1] != NULL ? ", "
+                                                  : " or ",
                            words[i]);
 }
 
-bool mo_accept(struct mo_request *request, const char *const *types, int n, int *form)
+bool mo_query_word(struct mo_request *request, const char *name, const char *const *words, int *i)
 {
-  char list[128];
-  *form = mo_accept_choose(request->framing.accept, types, (size_t)n);
+  const char *value = mo_query(request, name);
+  const int found = value != NULL ? mo_word_index(words, value) : *i;
+  char list[MO_WORDS_BYTES], detail[MO_WORDS_BYTES + 16];
+  if (value == NULL || found >= 0) {
+    *i = found;
+    return true;
+  }
+  list_words(words, list);
+  snprintf(detail, sizeof(detail), "%s is expected", list);
+  mo_reply_bad_parameter(request, name, detail);
+  return false;
+}
+
+bool mo_accept(struct mo_request *request, const char *const *types, int *form)
+{
+  char list[MO_WORDS_BYTES];
+  *form = mo_accept_choose(request->framing.accept, types, mo_words_count(types));
   if (*form >= 0)
     return true;
-  list_words(types, n, list);
+  list_words(types, list);
   mo_reply_problem(request, 406, NULL, "This path gives %s, which the Accept field does not allow.",
                    list);
   return false;
 }
 
 bool mo_query_form(struct mo_request *request, const char *const *names, const char *const *types,
-                   int n, int *form)
+                   int *form)
 {
-  const char *format = mo_query(request, "format");
-  char list[128], detail[160];
-  if (format == NULL)
-    return mo_accept(request, types, n, form);
-  for (*form = 0; *form < n; (*form)++)
-    if (strcmp(format, names[*form]) == 0)
-      return true;
-  list_words(names, n, list);
-  snprintf(detail, sizeof(detail), "%s is expected", list);
-  mo_reply_bad_parameter(request, "format", detail);
-  return false;
+  return mo_query(request, "format") != NULL ? mo_query_word(request, "format", names, form)
+                                             : mo_accept(request, types, form);
 }
 
 bool mo_check_content(struct mo_request *request, const char *expected, const char *also)

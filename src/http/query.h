@@ -22,12 +22,14 @@ bool mo_query_number(struct mo_request *request, const char *name, int64_t min, 
 /* Reads the id of a row likewise. words: what is said of another value. */
 bool mo_query_id(struct mo_request *request, const char *name, const char *words, int64_t *id);
 #define MO_CURSOR_WORDS "the next_cursor of an earlier page is expected"
-/* Chooses one of n representations: by the parameter `format` (one of `names`) or else by Accept
- * (`types`, in the server's order of preference). */
+/* Reads one of a list of words (base/words.h); *i, its index, stays if the parameter is absent. */
+bool mo_query_word(struct mo_request *request, const char *name, const char *const *words, int *i);
+/* Chooses a representation: by the parameter `format` (one of `names`) or else by Accept (`types`,
+ * in the server's order of preference). Both lists end with NULL. */
 bool mo_query_form(struct mo_request *request, const char *const *names, const char *const *types,
-                   int n, int *form);
+                   int *form);
 /* Chooses a type by Accept. */
-bool mo_accept(struct mo_request *request, const char *const *types, int n, int *form);
+bool mo_accept(struct mo_request *request, const char *const *types, int *form);
 /* Checks that Content-Type is `expected` or `also` (nullable), without a content coding. */
 bool mo_check_content(struct mo_request *request, const char *expected, const char *also);
 /* Reads the id of a job from a path parameter; none can have an id that is not a positive integer

@@ -11,7 +11,7 @@
 #include <string.h>
 
 #include "base/clock.h"
-#include "base/parallel.h"
+#include "base/thread.h"
 #include "jobs/campaign_excluded.h"
 
 #define HISTORY_ROWS        64

@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/parallel.h"
+#include "base/thread.h"
 #include "jobs/campaign_run.h"
 
 #define SAVED_AT_ONCE           1024

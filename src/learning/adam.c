@@ -9,7 +9,7 @@
  * all. */
 #include "learning/internal.h"
 
-#include "base/parallel.h"
+#include "base/thread.h"
 
 #include <math.h>
 #include <stdatomic.h>

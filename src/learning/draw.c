@@ -10,7 +10,7 @@
  * about a robot depends only on its number, and is made on several threads. */
 #include "learning/internal.h"
 
-#include "base/parallel.h"
+#include "base/thread.h"
 
 #include <stdatomic.h>
 #include <stdlib.h>

@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/number.h"
+#include "base/text.h"
 #include "learning/fields.h"
 
 #define CODE_BYTES (MO_LINEAGE_MAX * (MO_FINGERPRINT_BYTES + 48) + 4)

@@ -4,7 +4,7 @@
 
 #include <math.h>
 
-#include "base/number.h"
+#include "base/text.h"
 #include "rollout/physics.h"
 
 /* ---- schedule ---- */

@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/number.h"
+#include "base/text.h"
 
 int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_message *message)
 {

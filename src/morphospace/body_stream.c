@@ -5,7 +5,7 @@
  * their numbers. With one thread nothing is made ahead. */
 #include <morpho/morphospace.h>
 
-#include "base/parallel.h"
+#include "base/thread.h"
 #include "morphospace/bits.h"
 
 #define FRUITLESS_MAX (UINT32_C(1) << 20)

@@ -11,7 +11,7 @@
  * thread. A form's slot is prefetched some forms ahead: in a set of millions it is in no cache. */
 #include "morphospace/form_set.h"
 
-#include "base/parallel.h"
+#include "base/thread.h"
 #include "morphospace/bits.h"
 
 #include <math.h>

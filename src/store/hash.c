@@ -10,7 +10,7 @@
 
 #include <nettle/sha2.h>
 
-#include "base/number.h"
+#include "base/text.h"
 #include "store/encode.h"
 
 void mo_sha256_of(const void *data, size_t size, struct mo_sha256 *hash)

@@ -1,41 +1,22 @@
 /* records.c: names of states and kinds, and the functions that free what the store returns. */
+#include "base/words.h"
 #include "store/runner.h"
 
 #include <stdlib.h>
 #include <string.h>
 
-static const char *const state_names[MO_JOB_STATES] = {"queued",    "running", "paused",
-                                                       "succeeded", "failed",  "cancelled"};
-static const char *const kind_names[] = {"evaluation", "training", "campaign"};
+const char *const mo_job_state_words[] = {"queued", "running",   "paused", "succeeded",
+                                          "failed", "cancelled", NULL};
+const char *const mo_job_kind_words[] = {"evaluation", "training", "campaign", NULL};
 
 const char *mo_job_state_name(enum mo_job_state state)
 {
-  return (unsigned)state < MO_JOB_STATES ? state_names[state] : "unknown";
-}
-
-int mo_job_state_from_name(const char *name, enum mo_job_state *state)
-{
-  for (int i = 0; i < MO_JOB_STATES; i++)
-    if (strcmp(name, state_names[i]) == 0) {
-      *state = (enum mo_job_state)i;
-      return MO_OK;
-    }
-  return MO_ERR_NOT_FOUND;
+  return mo_word(mo_job_state_words, state);
 }
 
 const char *mo_job_kind_name(enum mo_job_kind kind)
 {
-  return (unsigned)kind < sizeof(kind_names) / sizeof(kind_names[0]) ? kind_names[kind] : "unknown";
-}
-
-int mo_job_kind_from_name(const char *name, enum mo_job_kind *kind)
-{
-  for (size_t i = 0; i < sizeof(kind_names) / sizeof(kind_names[0]); i++)
-    if (strcmp(name, kind_names[i]) == 0) {
-      *kind = (enum mo_job_kind)i;
-      return MO_OK;
-    }
-  return MO_ERR_NOT_FOUND;
+  return mo_word(mo_job_kind_words, kind);
 }
 
 void mo_design_free(struct mo_design *design)

@@ -44,9 +44,8 @@ enum mo_job_state {
 };
 #define MO_JOB_STATES 6
 const char *mo_job_state_name(enum mo_job_state state); /* "queued" … "cancelled" */
-int mo_job_state_from_name(const char *name, enum mo_job_state *state); /* MO_ERR_NOT_FOUND */
-const char *mo_job_kind_name(enum mo_job_kind kind); /* "evaluation", "training", "campaign" */
-int mo_job_kind_from_name(const char *name, enum mo_job_kind *kind); /* MO_ERR_NOT_FOUND */
+const char *mo_job_kind_name(enum mo_job_kind kind);    /* "evaluation", "training", "campaign" */
+extern const char *const mo_job_state_words[], *const mo_job_kind_words[]; /* base/words.h */
 static inline bool mo_job_state_is_final(enum mo_job_state state)
 {
   return state >= MO_JOB_SUCCEEDED;

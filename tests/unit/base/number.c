@@ -1,5 +1,5 @@
 /* Numbers in messages: different numbers have different texts. */
-#include "base/number.h"
+#include "base/text.h"
 
 #include <float.h>
 
