@@ -13,8 +13,7 @@
  * Prints one line per measurement; exit status 1 if a bound is missed, 77 without a device. Run it
  * from the top of the source tree. */
 #include "../tests/unit/rollout/golden.h"
-
-#include "compute/device.h"
+#include "device.h"
 
 #include <dlfcn.h>
 #include <math.h>
@@ -22,42 +21,17 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 #include <unistd.h>
 
-enum { RANDOM = 1000, THREADS_MAX = 32, REPEATS = 3 };
+enum { RANDOM = 1000, REPEATS = 3 };
 
 static const struct mo_device_module *module;
 static struct mo_device *device;
 static struct golden golden;
-static int missed;
 
-static double now_s(void)
+static const char *error_of_module(void)
 {
-  struct timespec time;
-  clock_gettime(CLOCK_MONOTONIC, &time);
-  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
-}
-
-static void must(int status, const char *what)
-{
-  if (status == MO_OK)
-    return;
-  fprintf(stderr, "cuda-bench: %s: %s (%s)\n", what, mo_error_text(status),
-          device != NULL ? module->error(device) : "no device");
-  exit(1);
-}
-
-static void expect(int held, const char *what)
-{
-  printf("%s: %s\n", held ? "ok" : "MISSED", what);
-  missed |= !held;
-}
-
-static int ascending(const void *a, const void *b)
-{
-  const double x = *(const double *)a, y = *(const double *)b;
-  return (x > y) - (x < y);
+  return device != NULL ? module->error(device) : "no device";
 }
 
 /* ---- scenes ---- */
@@ -69,29 +43,12 @@ static struct mo_body *body_of(const uint64_t *bits)
   return body;
 }
 
-static struct mo_body **random_bodies(uint32_t n, uint64_t seed)
-{
-  struct mo_body_stream *stream = NULL;
-  struct mo_body **bodies = calloc(n, sizeof(*bodies));
-  must(bodies == NULL ? MO_ERR_NO_MEMORY
-                      : mo_body_stream_create(MO_DEFAULT_WORKSPACE, seed, &stream),
-       "bodies");
-  for (uint32_t i = 0; i < n; i++) {
-    uint64_t bits[MO_DEFAULT_WORDS];
-    must(mo_body_stream_next(stream, bits), "stream");
-    bodies[i] = body_of(bits);
-  }
-  mo_body_stream_free(stream);
-  return bodies;
-}
-
 /* What a population looks like after some time: descendants of a few bodies. */
 static struct mo_body **evolved_bodies(uint32_t n)
 {
   enum { FOUNDERS = 24 };
   uint64_t founder[FOUNDERS][MO_DEFAULT_WORDS];
-  struct mo_body **bodies = calloc(n, sizeof(*bodies));
-  must(bodies == NULL ? MO_ERR_NO_MEMORY : MO_OK, "bodies");
+  struct mo_body **bodies = must_have(calloc(n, sizeof(*bodies)));
   struct mo_random random;
   mo_random_init(&random, 7, MO_PURPOSE_CHECK, 0, 0);
   for (int f = 0; f < FOUNDERS; f++)
@@ -109,38 +66,56 @@ static struct mo_body **evolved_bodies(uint32_t n)
   return bodies;
 }
 
-static void free_bodies(struct mo_body **bodies, uint32_t n)
+/* Rows: each body in `each` environments of the paper's test, one after the other. */
+struct rows {
+  struct mo_environment environments[MO_PAPER_TEST_COUNT];
+  struct mo_robot *robots;
+  struct mo_outcome *outcomes;
+  uint32_t n;
+};
+
+static struct rows *make_rows(struct mo_body *const *bodies, uint32_t n_bodies, uint32_t each)
 {
-  for (uint32_t i = 0; i < n; i++)
-    mo_body_free(bodies[i]);
-  free(bodies);
+  struct rows *rows = must_have(calloc(1, sizeof(*rows)));
+  rows->n = n_bodies * each;
+  rows->robots = must_have(calloc(rows->n, sizeof(*rows->robots)));
+  rows->outcomes = must_have(calloc(rows->n, sizeof(*rows->outcomes)));
+  mo_environment_paper_test(rows->environments);
+  for (uint32_t i = 0; i < rows->n; i++)
+    rows->robots[i] =
+        (struct mo_robot){bodies[i / each], rows->environments + i % MO_PAPER_TEST_COUNT};
+  return rows;
+}
+
+static void free_rows(struct rows *rows)
+{
+  free(rows->outcomes);
+  free(rows->robots);
+  free(rows);
 }
 
 static struct mo_device_score run(struct mo_device_controller *controller,
                                   const struct mo_robot *robots, uint32_t n,
-                                  const struct mo_physics *physics,
-                                  enum mo_device_precision precision, struct mo_outcome *outcomes)
+                                  const struct mo_physics *physics, struct mo_outcome *outcomes)
 {
   struct mo_device_score score = {.controller = controller,
                                   .robots = robots,
                                   .n = n,
                                   .physics = *physics,
-                                  .precision = precision,
                                   .outcomes = outcomes};
   memset(outcomes, 0x7f, n * sizeof(*outcomes));
   must(module->score(device, &score), "score");
   return score;
 }
 
-static const char *const precision_names[] = {"exact", "fast"};
+/* ---- agreement ---- */
 
 /* |Δloss| and Δloss of rows whose truth is finite. */
-static void compare(const char *name, int bounded, const struct mo_outcome *outcomes,
-                    const double *truth, uint32_t n)
+static void compare(const char *name, const struct mo_outcome *outcomes, const double *truth,
+                    uint32_t n)
 {
-  double *error = malloc(n * sizeof(*error)), mean = 0;
+  double *error = must_have(malloc(n * sizeof(*error))), mean = 0;
   uint32_t used = 0, apart = 0;
-  must(error == NULL ? MO_ERR_NO_MEMORY : MO_OK, "errors");
   for (uint32_t i = 0; i < n; i++) {
     if (isfinite(truth[i]) && isfinite(outcomes[i].loss)) {
       error[used++] = fabs(outcomes[i].loss - truth[i]);
@@ -149,40 +124,32 @@ static void compare(const char *name, int bounded, const struct mo_outcome *outc
       apart++;
     }
   }
-  qsort(error, used, sizeof(*error), ascending);
   mean /= used;
-  const double median = 0.5 * (error[(used - 1) / 2] + error[used / 2]);
-  printf("%s: %u rollouts, |d loss| median %.2e, 90 %% %.2e, max %.2e, mean d %+.2e, diverged "
-         "apart %u\n",
-         name, used, median, error[used * 9 / 10], error[used - 1], mean, apart);
-  if (bounded)
-    expect(median <= 1e-3 && fabs(mean) <= 0.003 && apart == 0, name);
+  const double median = quantile(error, used, 0.5);
+  expect(median <= 1e-3 && fabs(mean) <= 0.003 && apart == 0,
+         "%s: %u rollouts, |d loss| median %.2e, 90 %% %.2e, max %.2e, mean d %+.2e, diverged "
+         "apart %u",
+         name, used, median, quantile(error, used, 0.9), error[used - 1], mean, apart);
   free(error);
 }
 
-/* ---- agreement ---- */
-
 static void check_golden(struct mo_device_controller *controller)
 {
+  static const char *const names[GOLDEN_MODES] = {"golden, exact impact", "golden, bisection8"};
   const uint32_t n = (uint32_t)golden.n;
-  struct mo_robot *robots = calloc(n, sizeof(*robots));
-  struct mo_outcome *outcomes = calloc(n, sizeof(*outcomes));
-  double *truth = calloc(n, sizeof(*truth));
-  must(robots == NULL || outcomes == NULL || truth == NULL ? MO_ERR_NO_MEMORY : MO_OK, "golden");
-  for (uint32_t i = 0; i < n; i++)
-    robots[i] = (struct mo_robot){golden.cases[i].body, &golden.cases[i].environment};
-  for (int mode = 0; mode < GOLDEN_MODES; mode++)
-    for (int precision = 0; precision < 2; precision++) {
-      struct mo_physics physics = mo_default_physics();
-      physics.impact = mode == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
-      for (uint32_t i = 0; i < n; i++)
-        truth[i] = golden.cases[i].loss[mode];
-      run(controller, robots, n, &physics, (enum mo_device_precision)precision, outcomes);
-      char name[64];
-      snprintf(name, sizeof(name), "golden, %s, %s", mode == 0 ? "exact impact" : "bisection8",
-               precision_names[precision]);
-      compare(name, precision == MO_DEVICE_EXACT, outcomes, truth, n);
+  struct mo_robot *robots = must_have(calloc(n, sizeof(*robots)));
+  struct mo_outcome *outcomes = must_have(calloc(n, sizeof(*outcomes)));
+  double *truth = must_have(calloc(n, sizeof(*truth)));
+  for (int mode = 0; mode < GOLDEN_MODES; mode++) {
+    struct mo_physics physics = mo_default_physics();
+    physics.impact = mode == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+    for (uint32_t i = 0; i < n; i++) {
+      robots[i] = (struct mo_robot){golden.cases[i].body, &golden.cases[i].environment};
+      truth[i] = golden.cases[i].loss[mode];
     }
+    run(controller, robots, n, &physics, outcomes);
+    compare(names[mode], outcomes, truth, n);
+  }
   free(truth);
   free(outcomes);
   free(robots);
@@ -220,15 +187,7 @@ static void load_references(const char *path, const struct mo_robot *robots, dou
       return;
   }
   struct references references = {robots, loss, 0};
-  pthread_t threads[THREADS_MAX];
-  const long processors = sysconf(_SC_NPROCESSORS_ONLN);
-  const int n = processors > THREADS_MAX ? THREADS_MAX : (int)processors;
-  for (int t = 0; t < n; t++)
-    must(pthread_create(threads + t, NULL, compute_references, &references) == 0 ? MO_OK
-                                                                                 : MO_ERR_NO_MEMORY,
-         "thread");
-  for (int t = 0; t < n; t++)
-    pthread_join(threads[t], NULL);
+  on_threads(sysconf(_SC_NPROCESSORS_ONLN), compute_references, &references);
   file = path != NULL ? fopen(path, "wb") : NULL;
   if (file != NULL) {
     fwrite(loss, sizeof(*loss), RANDOM, file);
@@ -238,42 +197,30 @@ static void load_references(const char *path, const struct mo_robot *robots, dou
 
 static void check_random(struct mo_device_controller *controller, const char *path)
 {
-  struct mo_body **bodies = random_bodies(RANDOM, 20251101);
-  struct mo_environment *environments = calloc(RANDOM, sizeof(*environments));
-  struct mo_robot *robots = calloc(RANDOM, sizeof(*robots));
-  struct mo_outcome *outcomes = calloc(RANDOM, sizeof(*outcomes));
-  double *truth = calloc(RANDOM, sizeof(*truth));
-  must(environments == NULL || robots == NULL || outcomes == NULL || truth == NULL
-           ? MO_ERR_NO_MEMORY
-           : MO_OK,
-       "random rollouts");
+  struct mo_body **bodies = random_bodies(golden.lattice, RANDOM, 20251101);
+  static struct mo_environment environments[RANDOM];
+  static struct mo_robot robots[RANDOM];
+  static struct mo_outcome outcomes[RANDOM];
+  static double truth[RANDOM];
   for (uint32_t i = 0; i < RANDOM; i++) {
     mo_environment_held_out(20251101, i, environments + i);
     robots[i] = (struct mo_robot){bodies[i], environments + i};
   }
   load_references(path, robots, truth);
   const struct mo_physics physics = mo_default_physics();
-  for (int precision = 0; precision < 2; precision++) {
-    run(controller, robots, RANDOM, &physics, (enum mo_device_precision)precision, outcomes);
-    char name[64];
-    snprintf(name, sizeof(name), "random, exact impact, %s", precision_names[precision]);
-    compare(name, precision == MO_DEVICE_EXACT, outcomes, truth, RANDOM);
-  }
-  free(truth);
-  free(outcomes);
-  free(robots);
-  free(environments);
+  run(controller, robots, RANDOM, &physics, outcomes);
+  compare("random, exact impact", outcomes, truth, RANDOM);
   free_bodies(bodies, RANDOM);
 }
 
 /* A box of voxels on the floor. */
-static struct mo_body *box(int nx, int ny, int nz)
+static struct mo_body *box(const int size[3])
 {
   int64_t cells[MO_DEFAULT_VOXELS][3];
   size_t n = 0;
-  for (int x = 0; x < nx; x++)
-    for (int y = 0; y < ny; y++)
-      for (int z = 0; z < nz; z++, n++) {
+  for (int x = 0; x < size[0]; x++)
+    for (int y = 0; y < size[1]; y++)
+      for (int z = 0; z < size[2]; z++, n++) {
         cells[n][0] = x;
         cells[n][1] = y;
         cells[n][2] = z;
@@ -286,97 +233,87 @@ static struct mo_body *box(int nx, int ny, int nz)
 }
 
 /* Short lives of bodies of all sizes against float64: there the paths have not parted yet. */
-static void check_sizes(uint32_t n_steps, int with_passive)
+static void check_sizes(uint32_t n_steps)
 {
   static const int sizes[][3] = {{1, 1, 1}, {2, 1, 1}, {3, 2, 1}, {3, 3, 3},
                                  {6, 6, 1}, {6, 6, 2}, {6, 6, 4}};
+  static const struct {
+    const char *name;
+    enum mo_sensor sensor;
+    enum mo_impact impact;
+    int is_passive;
+  } kinds[] = {{"inverse root", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0},
+               {"inverse root, bisection8", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_BISECTION, 0},
+               {"inverse square", MO_SENSOR_INVERSE_SQUARE, MO_IMPACT_EXACT, 0},
+               {"passive", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 1}};
   enum { SIZES = sizeof(sizes) / sizeof(sizes[0]), PLACES = 3 };
-  struct mo_environment environments[MO_PAPER_TEST_COUNT];
   struct mo_body *bodies[SIZES];
-  struct mo_robot robots[SIZES * PLACES];
-  struct mo_outcome outcomes[SIZES * PLACES], truth;
-  mo_environment_paper_test(environments);
-  for (int b = 0; b < SIZES; b++) {
-    bodies[b] = box(sizes[b][0], sizes[b][1], sizes[b][2]);
-    for (int e = 0; e < PLACES; e++)
-      robots[b * PLACES + e] = (struct mo_robot){bodies[b], environments + e};
-  }
+  for (int b = 0; b < SIZES; b++)
+    bodies[b] = box(sizes[b]);
+  struct rows *rows = make_rows(bodies, SIZES, PLACES);
   const enum mo_sensor sensor = golden.controller->sensor;
-  for (int kind = 0; kind < 3 + with_passive; kind++) {
-    /* Sensor, impact: (0, exact), (0, bisection), (1, exact); then no controller. */
+  for (size_t kind = 0; kind < sizeof(kinds) / sizeof(kinds[0]); kind++) {
     struct mo_device_controller *controller = NULL;
     struct mo_physics physics = mo_default_physics();
+    double worst = 0, start = 0;
     physics.n_steps = n_steps;
     physics.drop_height_m = 0.05;
-    physics.impact = kind == 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
-    golden.controller->sensor = kind == 2 ? MO_SENSOR_INVERSE_SQUARE : MO_SENSOR_INVERSE_SQRT;
-    if (kind < 3)
+    physics.impact = kinds[kind].impact;
+    golden.controller->sensor = kinds[kind].sensor;
+    if (!kinds[kind].is_passive)
       must(module->controller_create(device, golden.controller, &controller), "controller");
-    for (int precision = 0; precision < 2; precision++) {
-      double worst = 0, start = 0;
-      run(controller, robots, SIZES * PLACES, &physics, (enum mo_device_precision)precision,
-          outcomes);
-      for (int r = 0; r < SIZES * PLACES; r++) {
-        must(mo_rollout_reference(robots[r].body, kind < 3 ? golden.controller : NULL,
-                                  robots[r].environment, &physics, NULL, &truth),
-             "reference");
-        for (int axis = 0; axis < 3; axis++) {
-          worst = fmax(worst, fabs(outcomes[r].com_end_m[axis] - truth.com_end_m[axis]));
-          start = fmax(start, fabs(outcomes[r].com_start_m[axis] - truth.com_start_m[axis]));
-        }
+    run(controller, rows->robots, rows->n, &physics, rows->outcomes);
+    for (uint32_t r = 0; r < rows->n; r++) {
+      const struct mo_outcome *outcome = rows->outcomes + r;
+      struct mo_outcome truth;
+      must(mo_rollout_reference(rows->robots[r].body,
+                                kinds[kind].is_passive ? NULL : golden.controller,
+                                rows->robots[r].environment, &physics, NULL, &truth),
+           "reference");
+      for (int axis = 0; axis < 3; axis++) {
+        worst = fmax(worst, fabs(outcome->com_end_m[axis] - truth.com_end_m[axis]));
+        start = fmax(start, fabs(outcome->com_start_m[axis] - truth.com_start_m[axis]));
       }
-      char name[128];
-      snprintf(name, sizeof(name),
-               "1 to 144 voxels, %u steps, %s, %s, %s: center of mass within %.1e m, start %.1e",
-               n_steps, kind == 3 ? "passive" : mo_sensor_name(golden.controller->sensor),
-               kind == 1 ? "bisection8" : "exact impact", precision_names[precision], worst, start);
-      expect(worst <= (precision == MO_DEVICE_EXACT || kind == 3 ? 2e-5 : 2e-3) && start == 0,
-             name);
     }
+    expect(worst <= 2e-5 && start == 0,
+           "1 to 144 voxels, %u steps, %s: center of mass within %.1e m, start %.1e", n_steps,
+           kinds[kind].name, worst, start);
     module->controller_free(device, controller);
   }
   golden.controller->sensor = sensor;
+  free_rows(rows);
   for (int b = 0; b < SIZES; b++)
     mo_body_free(bodies[b]);
 }
 
 static void check_bits(struct mo_device_controller *controller, uint32_t n_bodies, uint32_t n_steps)
 {
-  struct mo_environment environments[MO_PAPER_TEST_COUNT];
-  struct mo_body **bodies = random_bodies(n_bodies, 5);
-  const uint32_t n = n_bodies * 3;
-  struct mo_robot *robots = calloc(2 * (size_t)n, sizeof(*robots)), *turned = robots + n;
-  struct mo_outcome *outcomes = calloc(2 * (size_t)n, sizeof(*outcomes)), *again = outcomes + n;
-  must(robots == NULL || outcomes == NULL ? MO_ERR_NO_MEMORY : MO_OK, "rows");
-  mo_environment_paper_test(environments);
-  for (uint32_t i = 0; i < n; i++) {
-    robots[i] = (struct mo_robot){bodies[i / 3], environments + i % MO_PAPER_TEST_COUNT};
-    turned[n - 1 - i] = robots[i];
-  }
+  struct mo_body **bodies = random_bodies(golden.lattice, n_bodies, 5);
+  struct rows *rows = make_rows(bodies, n_bodies, 3);
+  const uint32_t n = rows->n;
+  struct mo_robot *turned = must_have(calloc(n, sizeof(*turned)));
+  struct mo_outcome *again = must_have(calloc(n, sizeof(*again)));
+  int same = 1;
+  for (uint32_t i = 0; i < n; i++)
+    turned[n - 1 - i] = rows->robots[i];
   struct mo_physics physics = mo_default_physics();
   physics.n_steps = n_steps;
-  for (int precision = 0; precision < 2; precision++) {
-    char name[64];
-    run(controller, robots, n, &physics, (enum mo_device_precision)precision, outcomes);
-    run(controller, robots, n, &physics, (enum mo_device_precision)precision, again);
-    snprintf(name, sizeof(name), "two runs give the same bits, %s", precision_names[precision]);
-    expect(memcmp(outcomes, again, n * sizeof(*outcomes)) == 0, name);
-    run(controller, turned, n, &physics, (enum mo_device_precision)precision, again);
-    int same = 1;
-    for (uint32_t i = 0; i < n; i++)
-      same &= memcmp(outcomes + i, again + n - 1 - i, sizeof(*outcomes)) == 0;
-    snprintf(name, sizeof(name), "so does the reverse order, %s", precision_names[precision]);
-    expect(same, name);
-    same = 1;
-    for (uint32_t i = 0; i < n; i += n / 7 + 1) {
-      run(controller, robots + i, 1, &physics, (enum mo_device_precision)precision, again);
-      same &= memcmp(outcomes + i, again, sizeof(*outcomes)) == 0;
-    }
-    snprintf(name, sizeof(name), "and a row alone, %s", precision_names[precision]);
-    expect(same, name);
+  run(controller, rows->robots, n, &physics, rows->outcomes);
+  run(controller, rows->robots, n, &physics, again);
+  expect(memcmp(rows->outcomes, again, n * sizeof(*again)) == 0, "two runs give the same bits");
+  run(controller, turned, n, &physics, again);
+  for (uint32_t i = 0; i < n; i++)
+    same &= memcmp(rows->outcomes + i, again + n - 1 - i, sizeof(*again)) == 0;
+  expect(same, "so does the reverse order");
+  same = 1;
+  for (uint32_t i = 0; i < n; i += n / 7 + 1) {
+    run(controller, rows->robots + i, 1, &physics, again);
+    same &= memcmp(rows->outcomes + i, again, sizeof(*again)) == 0;
   }
-  free(outcomes);
-  free(robots);
+  expect(same, "and a row alone");
+  free(again);
+  free(turned);
+  free_rows(rows);
   free_bodies(bodies, n_bodies);
 }
 
@@ -384,39 +321,32 @@ static void check_bits(struct mo_device_controller *controller, uint32_t n_bodie
 static void check_divergence(struct mo_device_controller *controller)
 {
   enum { N = 64 };
-  struct mo_environment environments[MO_PAPER_TEST_COUNT];
-  struct mo_body **bodies = random_bodies(N, 9);
-  struct mo_robot robots[N];
-  struct mo_outcome outcomes[N], truth;
-  mo_environment_paper_test(environments);
-  for (uint32_t i = 0; i < N; i++)
-    robots[i] = (struct mo_robot){bodies[i], environments + i % MO_PAPER_TEST_COUNT};
+  struct mo_body **bodies = random_bodies(golden.lattice, N, 9);
+  struct rows *rows = make_rows(bodies, N, 1);
   struct mo_physics physics = mo_default_physics();
   physics.stiffness_n_per_m *= 4;
   physics.n_steps = 200;
-  run(controller, robots, N, &physics, MO_DEVICE_EXACT, outcomes);
+  run(controller, rows->robots, N, &physics, rows->outcomes);
   int diverged = 0, agree = 1;
   double apart = 0;
   for (uint32_t i = 0; i < N; i++) {
-    must(mo_rollout_reference(bodies[i], golden.controller, robots[i].environment, &physics, NULL,
-                              &truth),
+    const struct mo_outcome *o = rows->outcomes + i;
+    struct mo_outcome truth;
+    must(mo_rollout_reference(bodies[i], golden.controller, rows->robots[i].environment, &physics,
+                              NULL, &truth),
          "reference");
     diverged += truth.diverged_step != 0;
-    agree &=
-        (truth.diverged_step != 0) == (outcomes[i].diverged_step != 0) &&
-        abs(truth.diverged_step - outcomes[i].diverged_step) <= 2 &&
-        isinf(truth.loss) == isinf(outcomes[i].loss) &&
-        isfinite(outcomes[i].com_end_m[0] + outcomes[i].com_end_m[1] + outcomes[i].com_end_m[2]);
-    if (truth.diverged_step == outcomes[i].diverged_step)
-      for (int axis = 0; axis < 3; axis++)
-        apart = fmax(apart, fabs(truth.com_end_m[axis] - outcomes[i].com_end_m[axis]));
+    agree &= (truth.diverged_step != 0) == (o->diverged_step != 0) &&
+             abs(truth.diverged_step - o->diverged_step) <= 2 &&
+             isinf(truth.loss) == isinf(o->loss) &&
+             isfinite(o->com_end_m[0] + o->com_end_m[1] + o->com_end_m[2]);
+    for (int axis = 0; axis < 3 && truth.diverged_step == o->diverged_step; axis++)
+      apart = fmax(apart, fabs(truth.com_end_m[axis] - o->com_end_m[axis]));
   }
-  char name[128];
-  snprintf(
-      name, sizeof(name),
-      "stiffness x 4: %d of %d diverge, the same rows within 2 steps; last place within %.1e m",
-      diverged, N, apart);
-  expect(diverged > 0 && agree, name);
+  expect(diverged > 0 && agree,
+         "stiffness x 4: %d of %d diverge, the same rows within 2 steps; last place within %.1e m",
+         diverged, N, apart);
+  free_rows(rows);
   free_bodies(bodies, N);
 }
 
@@ -431,26 +361,24 @@ static void *raise_flag(void *unused)
 
 static void check_cancel(struct mo_device_controller *controller)
 {
-  struct mo_physics physics = mo_default_physics();
-  physics.n_steps = 100000; /* seconds */
   struct mo_robot robot = {golden.cases[0].body, &golden.cases[0].environment};
   struct mo_outcome outcome;
   struct mo_device_score score = {.controller = controller,
                                   .robots = &robot,
                                   .n = 1,
-                                  .physics = physics,
+                                  .physics = mo_default_physics(),
                                   .cancel = &flag,
                                   .outcomes = &outcome};
   pthread_t thread;
+  score.physics.n_steps = 100000; /* seconds */
   flag = 0;
   must(pthread_create(&thread, NULL, raise_flag, NULL) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
   const double start = now_s();
   const int status = module->score(device, &score);
   const double took = now_s() - start;
   pthread_join(thread, NULL);
-  char name[96];
-  snprintf(name, sizeof(name), "a flag raised after 20 ms ends a call after %.0f ms", 1e3 * took);
-  expect(status == MO_ERR_CANCELLED && took < 0.2, name);
+  expect(status == MO_ERR_CANCELLED && took < 0.2,
+         "a flag raised after 20 ms ends a call after %.0f ms", 1e3 * took);
   flag = 0;
   score.physics.n_steps = 10;
   expect(module->score(device, &score) == MO_OK && isfinite(outcome.loss), "the next call works");
@@ -476,60 +404,46 @@ static uint64_t hash_of(const struct mo_outcome *outcomes, uint32_t n)
 }
 
 static void time_rows(struct mo_device_controller *controller, const char *what,
-                      struct mo_body **bodies, uint32_t n_bodies, uint32_t n_environments,
-                      enum mo_device_precision precision, double bound_s)
+                      struct mo_body **bodies, uint32_t n_bodies, uint32_t each, double bound_s)
 {
-  struct mo_environment environments[MO_PAPER_TEST_COUNT];
-  const uint32_t n = n_bodies * n_environments;
-  struct mo_robot *robots = calloc(n, sizeof(*robots));
-  struct mo_outcome *outcomes = calloc(n, sizeof(*outcomes));
-  must(robots == NULL || outcomes == NULL ? MO_ERR_NO_MEMORY : MO_OK, "rows");
-  mo_environment_paper_test(environments);
-  double masses = 0, springs = 0;
-  for (uint32_t b = 0; b < n_bodies; b++) {
-    masses += bodies[b]->n_masses;
-    springs += bodies[b]->n_springs;
-    for (uint32_t e = 0; e < n_environments; e++)
-      robots[b * n_environments + e] =
-          (struct mo_robot){bodies[b], environments + (n_environments == 1 ? b % 10 : e)};
-  }
+  struct rows *rows = make_rows(bodies, n_bodies, each);
   const struct mo_physics physics = mo_default_physics();
-  double wall[REPEATS], device_s[REPEATS], host_s[REPEATS];
-  run(controller, robots, n, &physics, precision, outcomes);
+  double wall[REPEATS], device_s[REPEATS], host_s[REPEATS], masses = 0, springs = 0, mean = 0;
+  for (uint32_t b = 0; b < n_bodies; b++) {
+    masses += (double)bodies[b]->n_masses / n_bodies;
+    springs += (double)bodies[b]->n_springs / n_bodies;
+  }
+  run(controller, rows->robots, rows->n, &physics, rows->outcomes);
   for (int i = 0; i < REPEATS; i++) {
     const double start = now_s();
-    const struct mo_device_score score = run(controller, robots, n, &physics, precision, outcomes);
+    const struct mo_device_score score =
+        run(controller, rows->robots, rows->n, &physics, rows->outcomes);
     wall[i] = now_s() - start;
     device_s[i] = score.device_s;
     host_s[i] = score.host_s;
   }
-  qsort(wall, REPEATS, sizeof(*wall), ascending);
-  qsort(device_s, REPEATS, sizeof(*device_s), ascending);
-  qsort(host_s, REPEATS, sizeof(*host_s), ascending);
-  double mean = 0;
-  for (uint32_t i = 0; i < n; i++)
-    mean += outcomes[i].loss / n;
-  printf("%s, %u x %u, %.1f masses, %.1f springs, %s: device %.4f s (%.4f to %.4f), host %.4f s, "
+  for (uint32_t i = 0; i < rows->n; i++)
+    mean += rows->outcomes[i].loss / rows->n;
+  const double median = quantile(device_s, REPEATS, 0.5), together = quantile(wall, REPEATS, 0.5);
+  printf("%s, %u x %u, %.1f masses, %.1f springs: device %.4f s (%.4f to %.4f), host %.4f s, "
          "together %.4f s; mean loss %.5f, bits %016llx\n",
-         what, n_bodies, n_environments, masses / n_bodies, springs / n_bodies,
-         precision_names[precision], device_s[REPEATS / 2], device_s[0], device_s[REPEATS - 1],
-         host_s[REPEATS / 2], wall[REPEATS / 2], mean, (unsigned long long)hash_of(outcomes, n));
+         what, n_bodies, each, masses, springs, median, device_s[0], device_s[REPEATS - 1],
+         quantile(host_s, REPEATS, 0.5), together, mean,
+         (unsigned long long)hash_of(rows->outcomes, rows->n));
   if (bound_s > 0)
-    expect(wall[REPEATS / 2] <= bound_s, what);
-  free(outcomes);
-  free(robots);
+    expect(together <= bound_s, "%s", what);
+  free_rows(rows);
 }
 
 static void time_all(struct mo_device_controller *controller)
 {
   enum { N = 8192 };
-  struct mo_body **bodies = random_bodies(N, 1), **evolved = evolved_bodies(N);
-  time_rows(controller, "random bodies", bodies, N, 10, MO_DEVICE_EXACT, 1.0);
-  time_rows(controller, "random bodies", bodies, N, 10, MO_DEVICE_FAST, 0);
-  time_rows(controller, "evolved bodies", evolved, N, 10, MO_DEVICE_EXACT, 1.0);
-  time_rows(controller, "random bodies", bodies, N, 1, MO_DEVICE_EXACT, 0);
-  time_rows(controller, "random bodies", bodies, 1024, 1, MO_DEVICE_EXACT, 0);
-  time_rows(controller, "random bodies", bodies, 102, 10, MO_DEVICE_EXACT, 0);
+  struct mo_body **bodies = random_bodies(golden.lattice, N, 1), **evolved = evolved_bodies(N);
+  time_rows(controller, "random bodies", bodies, N, 10, 1.0);
+  time_rows(controller, "evolved bodies", evolved, N, 10, 1.0);
+  time_rows(controller, "random bodies", bodies, N, 1, 0);
+  time_rows(controller, "random bodies", bodies, 1024, 1, 0);
+  time_rows(controller, "random bodies", bodies, 102, 10, 0);
   free_bodies(evolved, N);
   free_bodies(bodies, N);
 }
@@ -559,24 +473,22 @@ static void *score_part(void *context)
 /* Parts on devices of their own, at once, or one after the other on the first. The longest; the
  * best of three. */
 static double time_parts(struct mo_device *const *devices,
-                         struct mo_device_controller *const *controllers,
-                         const struct mo_robot *robots, uint32_t n, uint32_t n_parts, int at_once,
-                         struct mo_outcome *outcomes)
+                         struct mo_device_controller *const *controllers, struct rows *rows,
+                         uint32_t n_parts, int at_once)
 {
   double best = INFINITY;
   for (int repeat = -1; repeat < REPEATS; repeat++) { /* the first warms up */
     struct part parts[PARTS_MAX];
     double longest = 0;
     for (uint32_t i = 0; i < n_parts; i++) {
-      const uint32_t first = (uint32_t)((uint64_t)n * i / n_parts),
-                     end = (uint32_t)((uint64_t)n * (i + 1) / n_parts);
+      const uint32_t first = (uint32_t)((uint64_t)rows->n * i / n_parts),
+                     end = (uint32_t)((uint64_t)rows->n * (i + 1) / n_parts);
       parts[i] = (struct part){.device = devices[at_once ? i : 0],
                                .score = {.controller = controllers[at_once ? i : 0],
-                                         .robots = robots + first,
+                                         .robots = rows->robots + first,
                                          .n = end - first,
                                          .physics = mo_default_physics(),
-                                         .precision = MO_DEVICE_EXACT,
-                                         .outcomes = outcomes + first}};
+                                         .outcomes = rows->outcomes + first}};
       if (!at_once)
         score_part(&parts[i]);
       else
@@ -598,43 +510,35 @@ static double time_parts(struct mo_device *const *devices,
 
 static void spread(uint32_t n_devices)
 {
-  enum { N = 8192, ROWS = N * MO_PAPER_TEST_COUNT };
+  enum { N = 8192 };
   struct mo_device *devices[PARTS_MAX] = {device};
   struct mo_device_controller *controllers[PARTS_MAX] = {NULL};
-  struct mo_environment environments[MO_PAPER_TEST_COUNT];
-  struct mo_body **bodies = random_bodies(N, 1);
-  struct mo_robot *robots = calloc(ROWS, sizeof(*robots));
-  struct mo_outcome *outcomes = calloc(ROWS, sizeof(*outcomes));
-  must(robots == NULL || outcomes == NULL ? MO_ERR_NO_MEMORY : MO_OK, "rows");
-  mo_environment_paper_test(environments);
-  for (uint32_t i = 0; i < ROWS; i++)
-    robots[i] =
-        (struct mo_robot){bodies[i / MO_PAPER_TEST_COUNT], environments + i % MO_PAPER_TEST_COUNT};
+  struct mo_body **bodies = random_bodies(golden.lattice, N, 1);
+  struct rows *rows = make_rows(bodies, N, MO_PAPER_TEST_COUNT);
   n_devices = n_devices < PARTS_MAX ? n_devices : PARTS_MAX;
   for (uint32_t i = 0; i < n_devices; i++) {
     if (i > 0)
       must(module->open(i, &devices[i]), "open");
     must(module->controller_create(devices[i], golden.controller, &controllers[i]), "controller");
   }
-  const double alone = time_parts(devices, controllers, robots, ROWS, 1, 1, outcomes);
-  const uint64_t bits = hash_of(outcomes, ROWS);
-  printf("random bodies, %d x %d, exact, host and device: %.4f s\n", N, MO_PAPER_TEST_COUNT, alone);
+  const double alone = time_parts(devices, controllers, rows, 1, 1);
+  const uint64_t bits = hash_of(rows->outcomes, rows->n);
+  printf("random bodies, %d x %d, host and device: %.4f s\n", N, MO_PAPER_TEST_COUNT, alone);
   for (uint32_t n = 2; n <= PARTS_MAX; n *= 2) {
     const int at_once = n <= n_devices;
-    const double longest = time_parts(devices, controllers, robots, ROWS, n, at_once, outcomes);
-    printf("%s of %u parts: %.4f s, 1 / %.2f of the whole\n",
+    const double longest = time_parts(devices, controllers, rows, n, at_once);
+    expect(hash_of(rows->outcomes, rows->n) == bits,
+           "the same bits; %s of %u parts: %.4f s, 1 / %.2f of the whole",
            at_once ? "on as many devices at once, the longest"
                    : "one after the other on one device, the longest",
            n, longest, alone / longest);
-    expect(hash_of(outcomes, ROWS) == bits, "the same bits");
   }
   for (uint32_t i = 0; i < n_devices; i++) {
     module->controller_free(devices[i], controllers[i]);
     if (i > 0)
       module->close(devices[i]);
   }
-  free(outcomes);
-  free(robots);
+  free_rows(rows);
   free_bodies(bodies, N);
 }
 
@@ -659,6 +563,7 @@ int main(int argc, char **argv)
   }
   const char *what = argc > 2 ? argv[2] : "check";
   load(argv[1]);
+  device_error = error_of_module;
   uint32_t n = 0;
   must(module->count(&n), "count");
   if (n == 0) {
@@ -678,10 +583,10 @@ int main(int argc, char **argv)
   } else if (strcmp(what, "spread") == 0) {
     spread(n);
   } else if (strcmp(what, "short") == 0) {
-    check_sizes(3, 1);
+    check_sizes(3);
     check_bits(controller, 20, 3);
   } else {
-    check_sizes(40, 1);
+    check_sizes(40);
     check_golden(controller);
     check_random(controller, argc > 3 ? argv[3] : NULL);
     check_bits(controller, 400, 1000);
@@ -691,5 +596,5 @@ int main(int argc, char **argv)
   module->controller_free(device, controller);
   module->close(device);
   golden_free(&golden);
-  return missed;
+  return missed();
 }

@@ -262,7 +262,7 @@ uint32_t mo_compute_devices_working(const struct mo_compute *compute); /* withou
 int mo_compute_device(struct mo_compute *compute, uint32_t position,
                       struct mo_device_status *status);
 /* Like the fingerprints below, for scores and gradients that devices compute, such as "cuda float32
- * score 3 sm90". NULL: no devices. */
+ * score 4 sm90". NULL: no devices. */
 const char *mo_compute_device_fingerprint(const struct mo_compute *compute);
 const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *compute);
 

@@ -6,8 +6,8 @@
  * one thread at a time; calls on different devices run concurrently. `lay_out`, `layout_free`,
  * `allocate` and `release` may be called from any thread, also during a call on a device.
  *
- * Same bits: the outcome of a row depends only on its body, environment, controller, physics,
- * precision and the device's compute capability: not on its neighbors in the call, nor on the
+ * Same bits: the outcome of a row depends only on its body, environment, controller, physics
+ * and the device's compute capability: not on its neighbors in the call, nor on the
  * device's number. Two runs give the same bits.
  *
  * Errors. After an error the results of the call are undefined; after all but MO_ERR_DEVICE the
@@ -36,7 +36,7 @@
 extern "C" {
 #endif
 
-#define MO_DEVICE_ABI      3
+#define MO_DEVICE_ABI      4
 #define MO_DEVICE_SHARD    1024 /* consecutive robots whose gradients are one float32 sum */
 #define MO_DEVICE_ROWS_MAX 131072
 
@@ -52,11 +52,6 @@ struct mo_device_info {
   uint32_t capability; /* 90: compute capability 9.0 */
 };
 
-enum mo_device_precision {
-  MO_DEVICE_EXACT = 0, /* products of split float16, close to float32: used for scores */
-  MO_DEVICE_FAST = 1   /* plain float16 products */
-};
-
 /* Losses of rows. All pointers are borrowed for the call. */
 struct mo_device_score {
   struct mo_device_controller *controller; /* NULL: passive bodies */
@@ -64,7 +59,6 @@ struct mo_device_score {
       *robots; /* (n) rows: body, environment; faster if rows of one body are adjacent */
   uint32_t n;  /* 1 … MO_DEVICE_ROWS_MAX */
   struct mo_physics physics; /* checked */
-  enum mo_device_precision precision;
   const volatile int *cancel; /* NULL or a flag, read between launches of at most 100 ms */
   /* Results. */
   struct mo_outcome *outcomes; /* (n) */
@@ -95,8 +89,8 @@ struct mo_device_gradient {
 struct mo_device_module {
   uint32_t abi;     /* MO_DEVICE_ABI; stays the first member in every version */
   const char *name; /* "cuda" */
-  const char *score_code, *fast_code, *gradient_code; /* code versions: exact, fast, gradient; with
-                                                         the capability they identify the bits */
+  const char *score_code, *gradient_code; /* code versions; with the capability they identify the
+                                             bits */
   int (*count)(uint32_t *n); /* usable devices of this machine; 0 without a driver */
   int (*open)(uint32_t index, struct mo_device **device);
   void (*close)(struct mo_device *device); /* after its controllers are freed; NULL-safe */

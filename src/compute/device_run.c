@@ -252,7 +252,6 @@ static int score(struct mo_unit *unit, struct mo_chunk *chunk,
       .robots = chunk->robots + row,
       .n = (last < chunk->n_active ? chunk->first_row[last] : chunk->n_rows) - row,
       .physics = chunk->blocks[first]->physics,
-      .precision = MO_DEVICE_EXACT,
       .cancel = &unit->cancel,
       .outcomes = chunk->outcomes + row};
   const bool is_one = last - first == 1, is_too_large = !is_one && call.n > unit->row_limit;

@@ -297,7 +297,6 @@ const struct mo_device_module *mo_device_module(void)
   static struct mo_device_module module = {.abi = MO_DEVICE_ABI,
                                            .name = "fake",
                                            .score_code = "score-1",
-                                           .fast_code = "fast-1",
                                            .gradient_code = "gradient-1",
                                            .count = fake_count,
                                            .open = fake_open,

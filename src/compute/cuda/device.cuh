@@ -18,14 +18,14 @@ struct mo_cuda_gradient_state; /* gradient.cu's own */
 struct mo_device {
   int index, multiprocessors;
   bool lost;
-  bool wide; /* which of the kernels scores rows */
+  const struct mo_cuda_score_kernel *score; /* which scores rows */
   char error[256];
   cudaStream_t stream;
   cudaEvent_t begin, end;
   int *cancel; /* in pinned memory: read by kernels while they run */
   int *cancel_on_device;
   /* On the device. */
-  mo_cuda_buffer plan, environments, velocities, outcomes, generators, counter;
+  mo_cuda_buffer plan, velocities, outcomes, generators, counter;
   /* Pinned memory of the host. */
   mo_cuda_buffer staged_plan, staged_outcomes, staged_generators;
   double generators_dt_s; /* for which `generators` holds `generators_steps` steps */
@@ -34,7 +34,7 @@ struct mo_device {
 };
 
 struct mo_device_controller {
-  char *weights[2]; /* by enum mo_device_precision */
+  char *weights;
 };
 
 /* MO_OK, or the code for `status`, whose text and the name of what failed are kept. */

@@ -9,7 +9,7 @@ extern "C" {
 #endif
 
 /* Version of the code, for fingerprints: changes with every change of a bit. */
-#define MO_CUDA_GRADIENT_CODE "gradient-5"
+#define MO_CUDA_GRADIENT_CODE "gradient-6"
 
 /* What lasts from one call to the next on one device: its buffers, which grow to what the calls
  * need. */

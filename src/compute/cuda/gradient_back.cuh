@@ -48,7 +48,7 @@ template <int MT, int SHARE> struct back : walker<MT, SHARE> {
   __nv_bfloat16 *outputs, *left;
   float2 *part;
   int *failed; /* (rows) */
-  lane_row *rows;
+  mo_plan_scene *rows;
   uint8_t *output_tile;
   float *norm_sums; /* (halves, layers, 2, 256) of all steps */
   int n_outputs;
@@ -91,8 +91,8 @@ template <int MT, int SHARE> struct back : walker<MT, SHARE> {
     shared += ROWS * MO_GK_ROW * 2;
     part = (float2 *)shared;
     shared += ROWS * MO_GK_PART * 8;
-    rows = (lane_row *)shared;
-    shared += ROWS * sizeof(lane_row);
+    rows = (mo_plan_scene *)shared;
+    shared += ROWS * sizeof(mo_plan_scene);
     own::load_rows(rows, k.rows + g.first_row);
     norm_sums = k.sums + g.sum_at + mo_gp_sum_of(&g).norm + half * MO_GP_NORM_FLOATS;
     outputs = (__nv_bfloat16 *)shared;

@@ -36,7 +36,7 @@ template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::st
 template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::restart(int r)
 {
   const int n = own_masses(r), from = first + own_begin(r);
-  const lane_row &of = rows[own_row(r)];
+  const mo_plan_scene &of = rows[own_row(r)];
   double dx = 0, dy = 0;
 #pragma unroll 1
   for (int m = lane; m < n; m += 32) {
@@ -137,13 +137,13 @@ __device__ __forceinline__ void back<MT, SHARE>::strikes_back(uint32_t step, int
     const int m = *aside(i);
     const float v[3] = {__ldg(velocity + m), __ldg(velocity + n_masses + m), __ldg(velocity + 2 * n_masses + m)};
     const bool second = is_second(m);
-    const lane_row &of = rows[own_row(second)];
+    const mo_plan_scene &of = rows[own_row(second)];
     const float s = second ? scale[1] : scale[0];
     back_mass &to = mass[first + m];
     float *d = gx + 3 * (first + m);
     const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
     float dp[3] = {s * d[0], s * d[1], s * d[2]}, dv[3] = {s * to.z_gx.y, s * to.gyz.x, s * to.gyz.y};
-    mo_move_back(&k.physics, of.heights, of.highest, p, v, dp, dv);
+    lane_move_back(&k.physics, of.heights, of.highest, p, v, dp, dv);
     for (int axis = 0; axis < 3; axis++)
       d[axis] = dp[axis];
     to.z_gx.y = dv[0];
@@ -158,14 +158,14 @@ __device__ __forceinline__ void back<MT, SHARE>::move_one(int m, const float *v,
   bool struck = false;
   if (m < end()) {
     const bool second = is_second(m);
-    const lane_row &of = rows[own_row(second)];
+    const mo_plan_scene &of = rows[own_row(second)];
     const float s = second ? scale[1] : scale[0];
     float *d = gx + 3 * (first + m);
     back_mass &to = mass[first + m];
     const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
     float next[3];
-    mo_ground g;
-    struck = s > 0 && mo_strikes(&k.physics, of.heights, of.highest, p, v, next, &g);
+    lane_cell g;
+    struck = s > 0 && lane_strikes(&k.physics, of.heights, of.highest, p, v, next, &g);
     if (!struck) {
       float dp[3] = {0, 0, 0}, dv[3] = {0, 0, 0};
       if (s > 0) {
@@ -303,12 +303,14 @@ template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::sp
     for (int i = 0; i < N; i++) {
       const uint32_t next = c + i + 1 < n ? (i + 1 < N ? now[(i + 1) % N] : then[0]) : s;
       const back_mass next_other = load_mass(own_mass, MO_GP_SPRING_OTHER(next));
-      const float a = (float)kept_now[i] * (1.0f / 32767.0f);
+      const float a = activation_of(kept_now[i]);
       const float d[3] = {here.xy.x - other.xy.x, here.xy.y - other.xy.y, here.z_gx.x - other.z_gx.x};
       const float across[3] = {other.z_gx.y - here.z_gx.y, other.gyz.x - here.gyz.x, other.gyz.y - here.gyz.y};
-      const float rest = MO_GP_SPRING_DIAGONAL(s) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
+      const struct lane_length length = lane_length_of(lane_squared(d));
       float dd[3];
-      const float d_sum = mo_spring_pull_back(&k.physics, rest, a, d, across, dd) * fmaf(-a, a, 1.0f);
+      const float d_wanted =
+          -lane_spring_back(k.physics.pull, &length, wanted_length(k.physics, s, a), d, across, dd);
+      const float d_sum = d_wanted * (rest_length(s) * k.physics.actuation) * fmaf(-a, a, 1.0f);
       for (int axis = 0; axis < 3; axis++)
         sum[axis] += dd[axis];
       const uint32_t row = MO_GP_SPRING_ROW(s);
@@ -383,12 +385,12 @@ template <int MT, int SHARE>
 __device__ __forceinline__ void back<MT, SHARE>::push_back(int m, float d, const float (&mean)[2])
 {
   const bool second = is_second(m);
-  const lane_row &of = rows[own_row(second)];
+  const mo_plan_scene &of = rows[own_row(second)];
   back_mass &to = mass[first + m];
   float *d_place = gx + 3 * (first + m);
   const float2 z_gx = to.z_gx, gyz = to.gyz;
   const float away[3] = {to.xy.x - of.light[0], to.xy.y - of.light[1], z_gx.x - of.light[2]};
-  const float push = (d - (second ? mean[1] : mean[0])) * mo_light_slope(&k.physics, away);
+  const float push = (d - (second ? mean[1] : mean[0])) * lane_light_slope(k.sensor, lane_squared(away));
   for (int axis = 0; axis < 3; axis++)
     d_place[axis] = fmaf(push, away[axis], d_place[axis]);
   to.z_gx.y = z_gx.y * k.physics.keep;

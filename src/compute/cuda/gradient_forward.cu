@@ -49,7 +49,7 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   int16_t *outputs;
   __half *left; /* (rows, MO_GK_ROW) */
   float2 *part;
-  lane_row *rows;
+  mo_plan_scene *rows;
   uint8_t *output_tile;
   uint8_t *input; /* (n_own) each mass's place among the inputs */
   int n_outputs;
@@ -86,8 +86,8 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     shared += ROWS * MO_GK_ROW * 2;
     part = (float2 *)shared;
     shared += ROWS * MO_GK_PART * 8;
-    rows = (lane_row *)shared;
-    shared += ROWS * sizeof(lane_row);
+    rows = (mo_plan_scene *)shared;
+    shared += ROWS * sizeof(mo_plan_scene);
     own::load_rows(rows, k.rows + g.first_row);
     outputs = (int16_t *)shared;
     shared += (ROWS * width * 2 + 15) / 16 * 16;
@@ -116,7 +116,7 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
       ((uint4 *)to)[lane] = make_uint4(0, 0, 0, 0);
       __syncwarp();
       if (n > 0 && !dead[r]) {
-        const lane_row &of = rows[row];
+        const mo_plan_scene &of = rows[row];
         const float lx = of.light[0], ly = of.light[1], lz = of.light[2];
         float light[8], sum = 0;
 #pragma unroll
@@ -126,7 +126,7 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
           if (m < n) {
             const float4 p = x[first + from + m];
             const float d[3] = {p.x - lx, p.y - ly, p.z - lz};
-            light[j] = mo_light(&k.physics, d);
+            light[j] = lane_light(k.sensor, lane_squared(d));
           }
           sum += light[j];
         }
@@ -384,8 +384,8 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
         const spring q = spring_of(next);
         keep[(c + i) * 32] = p.a;
         const float d[3] = {here.x - p.other.x, here.y - p.other.y, here.z - p.other.z};
-        const float rest = MO_GP_SPRING_DIAGONAL(s) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
-        const float f = mo_spring_pull(&k.physics, rest, (float)p.a * (1.0f / 32767.0f), d);
+        const struct lane_length length = lane_length_of(lane_squared(d));
+        const float f = lane_spring(k.physics.pull, &length, wanted_length(k.physics, s, activation_of(p.a)));
         for (int axis = 0; axis < 3; axis++)
           sum[axis] = fmaf(-f, d[axis], sum[axis]);
         if (s & MO_GP_SPRING_LAST) {
@@ -412,12 +412,10 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   /* The state after the step. false: not a sane one. */
   __device__ __forceinline__ bool leave(int m, const float *p, const float *u)
   {
-    const float places = (p[0] + p[1] + p[2]) * 0.0f;
     x[first + m] = make_float4(p[0], p[1], p[2], 0);
     for (int axis = 0; axis < 3; axis++)
       v[3 * (first + m) + axis] = k.physics.keep * u[axis] - (axis == 2 ? k.physics.fall : 0.0f);
-    return fmaf(u[0], u[0], fmaf(u[1], u[1], fmaf(u[2], u[2], places))) <=
-           (float)(MO_DIVERGED_SPEED_M_PER_S * MO_DIVERGED_SPEED_M_PER_S);
+    return lane_is_sane(p, u);
   }
 
   __device__ __forceinline__ void move(uint32_t step)
@@ -430,17 +428,17 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
       bool struck = false;
       if (m < end()) {
         const bool second = is_second(m), ended = second ? dead[1] : dead[0];
-        const lane_row &of = rows[own_row(second)];
+        const mo_plan_scene &of = rows[own_row(second)];
         const float *pv = v + 3 * (first + m);
         const float4 before = x[first + m];
         const float p[3] = {before.x, before.y, before.z};
         const float u[3] = {ended ? 0.0f : pv[0], ended ? 0.0f : pv[1], ended ? 0.0f : pv[2]};
         float next[3];
-        mo_ground ground;
+        lane_cell ground;
         keep[m] = u[0];
         keep[n_masses + m] = u[1];
         keep[2 * n_masses + m] = u[2];
-        struck = !ended && mo_strikes(&k.physics, of.heights, of.highest, p, u, next, &ground);
+        struck = !ended && lane_strikes(&k.physics, of.heights, of.highest, p, u, next, &ground);
         if (ended)
           leave(m, p, u);
         else if (!struck && !leave(m, next, u))
@@ -451,11 +449,11 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
         if (lane < aside.n) {
           const int at = aside.mass[lane];
           const bool second = is_second(at);
-          const lane_row &of = rows[own_row(second)];
+          const mo_plan_scene &of = rows[own_row(second)];
           const float *pv = v + 3 * (first + at);
           const float4 before = x[first + at];
           float p[3] = {before.x, before.y, before.z}, u[3] = {pv[0], pv[1], pv[2]};
-          mo_move(&k.physics, of.heights, of.highest, p, u);
+          lane_move(&k.physics, of.heights, of.highest, p, u);
           if (!leave(at, p, u))
             (second ? sane[1] : sane[0]) = false;
         }

@@ -6,8 +6,8 @@
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
 #define MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
 
-#include "compute/cuda/adjoint.cuh"
 #include "compute/cuda/gradient_plan.h"
+#include "compute/cuda/lane.cuh"
 
 #include <cuda_bf16.h>
 #include <cuda_fp16.h>
@@ -53,7 +53,8 @@ struct mo_gk {
   float *position, *velocity;   /* (n_masses, 3) between parts: the state, or ∂loss/∂ it */
   struct mo_gk_result *results; /* (n_rows) */
   struct mo_gk_weights weights;
-  struct mo_lane_physics physics;
+  struct lane_physics physics;
+  enum mo_sensor sensor;
   double bound, restart_weight;
   bool restarts; /* MO_ADJOINT_RESTART */
   int walked;    /* MO_GK_WHOLE … : how groups of 32 rows are walked */
@@ -227,26 +228,29 @@ static int allow_shared_for_all(Kernel *const (&kernels)[N], uint32_t block_byte
   return status;
 }
 
-static __device__ __forceinline__ float sum_lanes(float x)
+/* A spring's activation from the tape; its length without one, and the length that it wants to have. */
+static __device__ __forceinline__ float activation_of(int16_t kept)
+{
+  return (float)kept * (1.0f / 32767.0f);
+}
+
+static __device__ __forceinline__ float rest_length(uint32_t spring)
+{
+  return MO_GP_SPRING_DIAGONAL(spring) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
+}
+
+static __device__ __forceinline__ float wanted_length(const lane_physics &k, uint32_t spring, float activation)
+{
+  return lane_wanted(rest_length(spring), k.actuation, activation);
+}
+
+template <class T> static __device__ __forceinline__ T sum_lanes(T x)
 {
 #pragma unroll
   for (int k = 16; k > 0; k >>= 1)
     x += __shfl_xor_sync(0xffffffffu, x, k);
   return x;
 }
-
-static __device__ __forceinline__ double sum_lanes(double x)
-{
-#pragma unroll
-  for (int k = 16; k > 0; k >>= 1)
-    x += __shfl_xor_sync(0xffffffffu, x, k);
-  return x;
-}
-
-/* A row's light and terrain in shared memory. */
-struct lane_row {
-  float light[3], highest, heights[MO_TERRAIN_HEIGHTS];
-};
 
 /* What a block walks: a group, whose warps have a pair each (SHARE 1), two rows of 32 or one of 16; or half of a group of 32 rows (SHARE 2), where
  * two warps have a pair: one of its rows each, and each some of the springs of both. Rows and masses are counted in the block; on the tape and
@@ -332,11 +336,11 @@ template <int MT, int SHARE> struct walker {
       asm volatile("bar.sync %0, %1;" ::"r"(1 + warp / SHARE), "n"(32 * SHARE) : "memory");
   }
 
-  __device__ __forceinline__ void load_rows(lane_row *to, const mo_gp_row *rows) const
+  __device__ __forceinline__ void load_rows(mo_plan_scene *to, const mo_gp_row *rows) const
   {
-    enum { WORDS = sizeof(lane_row) / 4 };
+    enum { WORDS = sizeof(mo_plan_scene) / 4 };
     for (int i = threadIdx.x; i < ROWS * WORDS; i += MO_GK_THREADS)
-      ((float *)to)[i] = rows[group_row(i / WORDS)].light[i % WORDS];
+      ((float *)to)[i] = ((const float *)&rows[group_row(i / WORDS)].scene)[i % WORDS];
   }
 };
 

@@ -220,19 +220,12 @@ static void fill_row(struct shard *s, struct mo_gp_row *row)
   mo_scene_start(body, environment, s->physics, s->scratch);
   mo_scene_com(s->scratch, body->n_masses, start->com_start_m);
   mo_scene_light(environment, light);
-  for (int axis = 0; axis < 2; axis++) {
+  for (int axis = 0; axis < 2; axis++)
     row->light_m[axis] = light[axis] - MO_WORLD_CENTRE_M;
-    row->light[axis] = (float)row->light_m[axis];
-  }
-  row->light[2] = (float)light[2];
   row->start_m =
       mo_scene_distance(start->com_start_m[0] - light[0], start->com_start_m[1] - light[1]) +
       MO_LOSS_GUARD_M;
-  row->highest = (float)environment->terrain_heights_m[0];
-  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++) {
-    row->heights[k] = (float)environment->terrain_heights_m[k];
-    row->highest = fmaxf(row->highest, row->heights[k]);
-  }
+  row->scene = mo_plan_scene_of(environment);
   for (size_t i = 0; i < body->n_masses; i++) {
     input[i] = (uint8_t)body->mass_lattice[i];
     for (size_t axis = 0; axis < 3; axis++)

@@ -22,7 +22,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include <morpho/gradient.h>
+#include "compute/cuda/plan.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -79,9 +79,7 @@ struct mo_gp_group {
 struct mo_gp_row {
   double light_m[2]; /* from the world's centre */
   double start_m;    /* distance to it at the start + 1e-8 */
-  float light[3];    /* the same light; z is absolute */
-  float highest;     /* of the terrain */
-  float heights[MO_TERRAIN_HEIGHTS];
+  struct mo_plan_scene scene;
   uint32_t robot; /* of the batch; MO_GP_NO_ROBOT: an empty row */
   uint32_t n_masses;
 };

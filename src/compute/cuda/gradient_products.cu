@@ -6,15 +6,15 @@
 
 enum {
   DEPTH = 32, /* rows × steps at a time */
-  M = MO_GK_JOB_COLUMNS,
-  N = MO_HIDDEN,
-  M_ROW = M + 8,
-  N_ROW = N + 8,
+  LEFT = MO_GK_JOB_COLUMNS,
+  RIGHT = MO_HIDDEN,
+  LEFT_ROW = LEFT + 8,
+  RIGHT_ROW = RIGHT + 8,
   STAGES = 4,
-  STAGE_BYTES = DEPTH * (M_ROW + N_ROW) * 2,
+  STAGE_BYTES = DEPTH * (LEFT_ROW + RIGHT_ROW) * 2,
   THREADS = 512
 };
-static_assert(DEPTH * M == THREADS * 8 && DEPTH * N == 2 * THREADS * 8,
+static_assert(DEPTH * LEFT == THREADS * 8 && DEPTH * RIGHT == 2 * THREADS * 8,
               "a thread copies three times 16 bytes of a stage");
 
 /* What a thread copies, stage by stage: 16 bytes of the left operand, and of the right one in two rows. */
@@ -26,15 +26,15 @@ struct copies {
 
   __device__ __forceinline__ explicit copies(const operands &o)
   {
-    const int row = (int)threadIdx.x / (M / 8), column = (int)threadIdx.x % (M / 8) * 8;
+    const int row = (int)threadIdx.x / (LEFT / 8), column = (int)threadIdx.x % (LEFT / 8) * 8;
     left_there = column < o.left_columns;
     left = o.left + (size_t)row * o.left_row + (left_there ? column : 0);
-    left_to = (uint32_t)(row * M_ROW + column) * 2;
+    left_to = (uint32_t)(row * LEFT_ROW + column) * 2;
     left_step = DEPTH * o.left_row;
     left_rows = o.depth - row;
-    const int right_at = (int)threadIdx.x / (N / 8), right_column = (int)threadIdx.x % (N / 8) * 8;
-    right = o.right + (size_t)right_at * N + right_column;
-    right_to = (uint32_t)(DEPTH * M_ROW + right_at * N_ROW + right_column) * 2;
+    const int right_at = (int)threadIdx.x / (RIGHT / 8), right_column = (int)threadIdx.x % (RIGHT / 8) * 8;
+    right = o.right + (size_t)right_at * RIGHT + right_column;
+    right_to = (uint32_t)(DEPTH * LEFT_ROW + right_at * RIGHT_ROW + right_column) * 2;
     right_rows = o.depth - right_at;
   }
 
@@ -43,9 +43,9 @@ struct copies {
   {
     copy_ahead(stage + left_to, left, left_there && left_rows > 0);
     copy_ahead(stage + right_to, right, right_rows > 0);
-    copy_ahead(stage + right_to + DEPTH / 2 * N_ROW * 2, right + DEPTH / 2 * N, right_rows > DEPTH / 2);
+    copy_ahead(stage + right_to + DEPTH / 2 * RIGHT_ROW * 2, right + DEPTH / 2 * RIGHT, right_rows > DEPTH / 2);
     left += left_step;
-    right += DEPTH * N;
+    right += DEPTH * RIGHT;
     left_rows -= DEPTH;
     right_rows -= DEPTH;
   }
@@ -61,9 +61,9 @@ static __global__ void __launch_bounds__(THREADS, 1)
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, m0 = (warp & 3) * 32, n0 = (warp >> 2) * 64;
   const bool idle = m0 >= o.left_columns;
   const uint32_t base = shared_address(shared);
-  const uint32_t left_at = (uint32_t)(((lane & 7) + (lane >> 4) * 8) * M_ROW + m0 + ((lane >> 3) & 1) * 8) * 2;
+  const uint32_t left_at = (uint32_t)(((lane & 7) + (lane >> 4) * 8) * LEFT_ROW + m0 + ((lane >> 3) & 1) * 8) * 2;
   const uint32_t right_at =
-      (uint32_t)(DEPTH * M_ROW + ((lane & 7) + ((lane >> 3) & 1) * 8) * N_ROW + n0 + (lane >> 4) * 8) * 2;
+      (uint32_t)(DEPTH * LEFT_ROW + ((lane & 7) + ((lane >> 3) & 1) * 8) * RIGHT_ROW + n0 + (lane >> 4) * 8) * 2;
   float c[2][8][4], sums[2][4] = {};
 #pragma unroll
   for (int i = 0; i < 2; i++)
@@ -94,10 +94,10 @@ static __global__ void __launch_bounds__(THREADS, 1)
       uint32_t a[2][4], b[4][4];
 #pragma unroll
       for (int m = 0; m < 2; m++)
-        load_matrices_transposed(a[m], stage + left_at + (uint32_t)(d * M_ROW + m * 16) * 2);
+        load_matrices_transposed(a[m], stage + left_at + (uint32_t)(d * LEFT_ROW + m * 16) * 2);
 #pragma unroll
       for (int j = 0; j < 4; j++)
-        load_matrices_transposed(b[j], stage + right_at + (uint32_t)(d * N_ROW + j * 16) * 2);
+        load_matrices_transposed(b[j], stage + right_at + (uint32_t)(d * RIGHT_ROW + j * 16) * 2);
 #pragma unroll
       for (int m = 0; m < 2; m++)
 #pragma unroll

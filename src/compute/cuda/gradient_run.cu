@@ -354,21 +354,6 @@ int compute(work &w)
   return r;
 }
 
-mo_lane_physics lane_physics(const mo_physics &p, mo_sensor sensor)
-{
-  mo_lane_physics l = {};
-  l.dt = (float)p.dt_s;
-  l.friction = (float)p.friction;
-  l.friction_cap = (float)p.friction_cap;
-  l.bisections = p.impact == MO_IMPACT_BISECTION ? (int)p.bisections : 0;
-  l.keep = (float)exp(-p.drag_per_s * p.dt_s);
-  l.fall = (float)(p.gravity_m_per_s2 * p.dt_s);
-  l.pull = (float)(p.dt_s * p.stiffness_n_per_m / p.mass_kg);
-  l.actuation = (float)p.actuation;
-  l.inverse_square = sensor == MO_SENSOR_INVERSE_SQUARE;
-  return l;
-}
-
 /* sin(10 t + 2πk/5) of so many steps. */
 void make_generators(mo_cuda_gradient_state *s, uint32_t n_steps, double dt_s)
 {
@@ -430,7 +415,8 @@ int mo_gradient_run_plan(mo_cuda_gradient_state *s, mo_device_gradient *call, mo
     int r = mo_gradient_pass_next(&plan, shard, group, n_steps, budget, &w.p);
     if (r < 0)
       return r;
-    w.k.physics = lane_physics(call->physics, call->controller->sensor);
+    w.k.physics = lane_physics_of(&call->physics);
+    w.k.sensor = call->controller->sensor;
     w.k.bound = call->adjoint_bound;
     w.k.restarts = call->adjoint_rule == MO_ADJOINT_RESTART;
     w.k.restart_weight = call->restart_weight;

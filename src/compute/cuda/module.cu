@@ -49,8 +49,8 @@ void close(mo_device *device)
     return;
   cudaSetDevice(device->index);
   mo_cuda_gradient_free(device->gradient);
-  mo_cuda_buffer *const buffers[] = {&device->plan,     &device->environments, &device->velocities,
-                                     &device->outcomes, &device->generators,   &device->counter};
+  mo_cuda_buffer *const buffers[] = {&device->plan, &device->velocities, &device->outcomes, &device->generators,
+                                     &device->counter};
   mo_cuda_buffer *const pinned[] = {&device->staged_plan, &device->staged_outcomes, &device->staged_generators};
   for (mo_cuda_buffer *buffer : buffers)
     mo_cuda_release(buffer);
@@ -121,9 +121,9 @@ cudaError_t set_up(mo_device *device)
     *device->cancel = 0;
     status = cudaHostGetDevicePointer((void **)&device->cancel_on_device, device->cancel, 0);
   }
-  device->wide = is_wide();
+  device->score = is_wide() ? &mo_cuda_score_wide : &mo_cuda_score_narrow;
   if (status == cudaSuccess)
-    status = mo_cuda_score_prepare(device->wide);
+    status = device->score->prepare();
   return status;
 }
 
@@ -187,20 +187,18 @@ void controller_free(mo_device *device, mo_device_controller *controller)
   if (controller == nullptr)
     return;
   cudaSetDevice(device->index);
-  for (char *weights : controller->weights)
-    cudaFree(weights);
+  cudaFree(controller->weights);
   cudaGetLastError();
   delete controller;
 }
 
-int upload(mo_device *device, const mo_controller *controller, int precision, char **weights)
+int upload(mo_device *device, const mo_controller *controller, char **weights)
 {
-  const bool exact = precision == MO_DEVICE_EXACT;
-  const size_t bytes = mo_weights_layout(exact).bytes;
+  const size_t bytes = mo_weights_layout().bytes;
   void *packed = aligned_alloc(256, (bytes + 255) / 256 * 256);
   if (packed == nullptr)
     return MO_ERR_NO_MEMORY;
-  int status = mo_weights_pack(controller, exact, packed);
+  int status = mo_weights_pack(controller, packed);
   if (status == MO_OK) {
     status = mo_cuda_check(device, cudaMalloc((void **)weights, bytes), "weights");
     if (status == MO_ERR_NO_MEMORY) {
@@ -223,8 +221,8 @@ int controller_create(mo_device *device, const mo_controller *controller, mo_dev
   mo_device_controller *made = new (std::nothrow) mo_device_controller();
   if (made == nullptr)
     return MO_ERR_NO_MEMORY;
-  for (int precision = 0; status == MO_OK && precision < 2; precision++)
-    status = upload(device, controller, precision, &made->weights[precision]);
+  if (status == MO_OK)
+    status = upload(device, controller, &made->weights);
   if (status != MO_OK)
     controller_free(device, made);
   else
@@ -279,8 +277,7 @@ extern "C" const struct mo_device_module *mo_device_module(void)
   static const struct mo_device_module module = {
       MO_DEVICE_ABI,
       "cuda",
-      is_wide() ? "score 3 wide" : "score 3",
-      is_wide() ? "fast 3 wide" : "fast 3",
+      is_wide() ? "score 4 wide" : "score 4",
       MO_CUDA_GRADIENT_CODE,
       count,
       open,

@@ -9,32 +9,24 @@
 #include <cuda_fp16.h>
 #include <stdint.h>
 
-#define MO_CUDA_UNIT_BYTES 512 /* of one column */
+#define MO_CUDA_UNIT_BYTES   512 /* of one column */
+#define MO_CUDA_COLUMN_BYTES (MO_WEIGHTS_UNITS * MO_CUDA_UNIT_BYTES)
 
-template <bool EXACT> struct mo_cuda_network {
-  static constexpr int UNITS = EXACT ? MO_WEIGHTS_UNITS_EXACT : MO_WEIGHTS_UNITS_FAST;
-  static constexpr int COLUMN_BYTES = UNITS * MO_CUDA_UNIT_BYTES;
-};
-
-/* Two values of the activations; EXACT: and what rounding them left, `low` bytes further on. */
-template <bool EXACT>
+/* Two values of the activations, and what rounding them left, `low` bytes further on. */
 __device__ __forceinline__ void mo_cuda_store_pair(char *place, uint32_t low, float first, float second)
 {
   const __half2 high = __floats2half2_rn(first, second);
   *reinterpret_cast<__half2 *>(place) = high;
-  if (EXACT) {
-    const float2 back = __half22float2(high);
-    *reinterpret_cast<__half2 *>(place + low) = __floats2half2_rn(first - back.x, second - back.y);
-  }
+  const float2 back = __half22float2(high);
+  *reinterpret_cast<__half2 *>(place + low) = __floats2half2_rn(first - back.x, second - back.y);
 }
 
 /* One of them. */
-template <bool EXACT> __device__ __forceinline__ void mo_cuda_store_one(char *place, uint32_t low, float value)
+__device__ __forceinline__ void mo_cuda_store_one(char *place, uint32_t low, float value)
 {
   const __half high = __float2half_rn(value);
   *reinterpret_cast<__half *>(place) = high;
-  if (EXACT)
-    *reinterpret_cast<__half *>(place + low) = __float2half_rn(value - __half2float(high));
+  *reinterpret_cast<__half *>(place + low) = __float2half_rn(value - __half2float(high));
 }
 
 __device__ __forceinline__ uint4 mo_cuda_load_weights(const char *address)

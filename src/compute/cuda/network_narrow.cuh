@@ -1,8 +1,8 @@
 /* network_narrow.cuh: products and LayerNorm for at most 40 rows of one thread block of 256 threads, by mma.sync.
  *
  * Activations lie in shared memory as right operands: (columns of 8 rows, units, 32 slots) of 16 bytes. Slot n·4 + t of a unit holds what the
- * lane (n, t) multiplies: registers r0, r1 of the unit's first half, then of its second (weights.h): the high and low parts of one tile
- * (EXACT), or two tiles (FAST). Slots are swizzled, so that a warp's loads meet no bank twice.
+ * lane (n, t) multiplies: registers r0, r1 of the unit's first half, then of its second (weights.h): the high and low parts of one tile.
+ * Slots are swizzled, so that a warp's loads meet no bank twice.
  *
  * A warp computes 32 outputs (two tiles of 16) of a hidden layer for all rows. Each output of each row is its own sum, in a fixed order over
  * the units; units of inputs that no mass of the group has are left out, which changes no bit, since they would add products with 0. */
@@ -17,8 +17,7 @@
 #define MO_CUDA_BLOCKS           2   /* on a multiprocessor */
 #define MO_CUDA_CHUNKS           352 /* of 32 places: more than fit the shared memory */
 #define MO_CUDA_BYTES            MO_CUDA_SCORE_NARROW_BYTES
-#define MO_CUDA_PAD_BYTES(units) 0                              /* behind the activations' columns */
-#define MO_CUDA_PARTIAL          (MO_CUDA_WARPS * MO_CUDA_ROWS) /* float2 */
+#define MO_CUDA_PAD_BYTES        0   /* behind the activations' columns */
 
 /* Byte offset within a unit of what the lane (n, t) multiplies. */
 __device__ __forceinline__ uint32_t mo_cuda_slot(uint32_t n, uint32_t t)
@@ -27,12 +26,11 @@ __device__ __forceinline__ uint32_t mo_cuda_slot(uint32_t n, uint32_t t)
   return (slot ^ (slot >> 3 << 1)) * 16;
 }
 
-/* Byte offset within a column of output pair (g, g + 8) of tile `tile`, of the column's row n. EXACT: the high parts; the low ones stand 8
- * bytes further on. */
-template <bool EXACT> __device__ __forceinline__ uint32_t mo_cuda_place(uint32_t n, uint32_t tile, uint32_t g)
+/* Byte offset within a column of output pair (g, g + 8) of tile `tile`, of the column's row n: of
+ * the high parts; the low ones stand 8 bytes further on. */
+__device__ __forceinline__ uint32_t mo_cuda_place(uint32_t n, uint32_t tile, uint32_t g)
 {
-  const uint32_t unit = EXACT ? tile : tile >> 1, half = EXACT ? 0 : (tile & 1) * 8;
-  return unit * MO_CUDA_UNIT_BYTES + mo_cuda_slot(n, g >> 1) + (g & 1) * 4 + half;
+  return tile * MO_CUDA_UNIT_BYTES + mo_cuda_slot(n, g >> 1) + (g & 1) * 4;
 }
 
 /* A group's activations. */
@@ -45,9 +43,9 @@ __device__ __forceinline__ mo_cuda_activations mo_cuda_activations_of(char *memo
   return mo_cuda_activations{memory};
 }
 
-template <bool EXACT> __device__ __forceinline__ char *mo_cuda_column(const mo_cuda_activations &x, uint32_t r)
+__device__ __forceinline__ char *mo_cuda_column(const mo_cuda_activations &x, uint32_t r)
 {
-  return x.memory + (r >> 3) * mo_cuda_network<EXACT>::COLUMN_BYTES;
+  return x.memory + (r >> 3) * MO_CUDA_COLUMN_BYTES;
 }
 
 /* What a thread does after it has written activations, before the barrier after which others read them. */
@@ -56,21 +54,19 @@ __device__ __forceinline__ void mo_cuda_activations_written()
 }
 
 /* Zeros for a row, by sixteen lanes, of which this is lane `own`. */
-template <bool EXACT>
 __device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, uint32_t r, uint32_t own)
 {
 #pragma unroll
-  for (uint32_t unit = own >> 2; unit < mo_cuda_network<EXACT>::UNITS; unit += 4)
-    *reinterpret_cast<uint4 *>(mo_cuda_column<EXACT>(x, r) + unit * MO_CUDA_UNIT_BYTES + mo_cuda_slot(r & 7, own & 3)) =
+  for (uint32_t unit = own >> 2; unit < MO_WEIGHTS_UNITS; unit += 4)
+    *reinterpret_cast<uint4 *>(mo_cuda_column(x, r) + unit * MO_CUDA_UNIT_BYTES + mo_cuda_slot(r & 7, own & 3)) =
         make_uint4(0, 0, 0, 0);
 }
 
 /* A value of a row's first layer. */
-template <bool EXACT>
 __device__ __forceinline__ void mo_cuda_put_input(const mo_cuda_activations &x, uint32_t r, uint32_t input, float value)
 {
-  char *place = mo_cuda_column<EXACT>(x, r) + mo_cuda_place<EXACT>(r & 7, input >> 4, input & 7) + (input >> 3 & 1) * 2;
-  mo_cuda_store_one<EXACT>(place, 8, value);
+  char *place = mo_cuda_column(x, r) + mo_cuda_place(r & 7, input >> 4, input & 7) + (input >> 3 & 1) * 2;
+  mo_cuda_store_one(place, 8, value);
 }
 
 __device__ __forceinline__ void mo_cuda_mma(float (&c)[4], const uint4 &a, uint32_t b0, uint32_t b1)
@@ -82,7 +78,7 @@ __device__ __forceinline__ void mo_cuda_mma(float (&c)[4], const uint4 &a, uint3
 }
 
 /* One unit: TILES tiles of outputs × COLUMNS columns. */
-template <bool EXACT, int TILES, int COLUMNS>
+template <int TILES, int COLUMNS>
 __device__ __forceinline__ void mo_cuda_multiply(float (&sum)[TILES][COLUMNS][4], const uint4 (&a)[TILES][2],
                                                  const char *x, const uint32_t (&column)[COLUMNS])
 {
@@ -90,11 +86,11 @@ __device__ __forceinline__ void mo_cuda_multiply(float (&sum)[TILES][COLUMNS][4]
 #pragma unroll
   for (int c = 0; c < COLUMNS; c++)
     b[c] = *reinterpret_cast<const uint4 *>(x + column[c]);
-    /* EXACT: high · low, low · high, high · high; FAST: one tile, then the other. All columns in turn: no product waits for another. */
+  /* High · low, low · high, high · high. All columns in turn: no product waits for another. */
 #pragma unroll
-  for (int turn = EXACT ? 0 : 1; turn < 3; turn++) {
-    const int half = EXACT ? turn == 1 : turn == 2;    /* of the weights */
-    const bool second = EXACT ? turn == 0 : turn == 2; /* half of the activations */
+  for (int turn = 0; turn < 3; turn++) {
+    const int half = turn == 1;     /* of the weights */
+    const bool second = turn == 0;  /* half of the activations */
 #pragma unroll
     for (int c = 0; c < COLUMNS; c++)
 #pragma unroll
@@ -122,11 +118,11 @@ template <int SUMS> struct mo_cuda_ahead {
 
 /* Adds to `sum` over all units. row: this lane's weights of each tile; a unit is 2 · HALF bytes. x: the activations, at this lane's slot;
  * column: byte offsets of the columns. */
-template <bool EXACT, int HALF, int TILES, int COLUMNS>
+template <int HALF, int TILES, int COLUMNS>
 __device__ __forceinline__ void mo_cuda_product(float (&sum)[TILES][COLUMNS][4], const char *const (&row)[TILES],
                                                 const char *x, const uint32_t (&column)[COLUMNS])
 {
-  constexpr int UNITS = mo_cuda_network<EXACT>::UNITS;
+  constexpr int UNITS = MO_WEIGHTS_UNITS;
   constexpr int AHEAD = mo_cuda_ahead<TILES * COLUMNS>::UNITS, STAGES = AHEAD + 1;
   uint4 a[STAGES][TILES][2];
 #pragma unroll
@@ -139,12 +135,12 @@ __device__ __forceinline__ void mo_cuda_product(float (&sum)[TILES][COLUMNS][4],
       if (u + i + AHEAD < UNITS)
         mo_cuda_load_unit<HALF, TILES>(a[(i + AHEAD) % STAGES], row, (uint32_t)(u + i + AHEAD) * 2 * HALF);
       if (u + i < UNITS)
-        mo_cuda_multiply<EXACT, TILES, COLUMNS>(sum, a[i], x + (u + i) * MO_CUDA_UNIT_BYTES, column);
+        mo_cuda_multiply<TILES, COLUMNS>(sum, a[i], x + (u + i) * MO_CUDA_UNIT_BYTES, column);
     }
 }
 
 /* The same over the units whose bits are set in `units` (one at least). */
-template <bool EXACT, int HALF, int TILES, int COLUMNS>
+template <int HALF, int TILES, int COLUMNS>
 __device__ __forceinline__ void mo_cuda_product_of(float (&sum)[TILES][COLUMNS][4], const char *const (&row)[TILES],
                                                    const char *x, const uint32_t (&column)[COLUMNS], uint32_t units)
 {
@@ -160,7 +156,7 @@ __device__ __forceinline__ void mo_cuda_product_of(float (&sum)[TILES][COLUMNS][
         const int next = __ffs((int)units) - 1;
         if (units != 0)
           mo_cuda_load_unit<HALF, TILES>(a[1 - i], row, (uint32_t)next * 2 * HALF);
-        mo_cuda_multiply<EXACT, TILES, COLUMNS>(sum, a[i], x + u * MO_CUDA_UNIT_BYTES, column);
+        mo_cuda_multiply<TILES, COLUMNS>(sum, a[i], x + u * MO_CUDA_UNIT_BYTES, column);
         u = next;
       }
 }
@@ -217,7 +213,7 @@ __device__ __forceinline__ float2 mo_cuda_moments(const float2 (&part)[MO_CUDA_W
 }
 
 /* LayerNorm and ReLU of a hidden layer's sums, into `x`. Two barriers: all warps have read the old x, and all have written the new. */
-template <bool EXACT, int COLUMNS>
+template <int COLUMNS>
 __device__ __forceinline__ void mo_cuda_normalize(float (&h)[2][COLUMNS][4], const float *gain, const float *shift,
                                                   float epsilon, float2 *partial, char *x, uint32_t warp, uint32_t lane)
 {
@@ -257,10 +253,10 @@ __device__ __forceinline__ void mo_cuda_normalize(float (&h)[2][COLUMNS][4], con
 #pragma unroll
         for (int e = 0; e < 2; e++)
           y[m][e] = fmaxf(fmaf((h[m][c][n + 2 * e] - mean) * factor, scale[m][e], offset[m][e]), 0.0f);
-      char *out = x + c * mo_cuda_network<EXACT>::COLUMN_BYTES;
+      char *out = x + c * MO_CUDA_COLUMN_BYTES;
 #pragma unroll
       for (int m = 0; m < 2; m++)
-        mo_cuda_store_pair<EXACT>(out + mo_cuda_place<EXACT>(2 * t + n, 2 * warp + m, g), 8, y[m][0], y[m][1]);
+        mo_cuda_store_pair(out + mo_cuda_place(2 * t + n, 2 * warp + m, g), 8, y[m][0], y[m][1]);
     }
   __syncthreads();
 }

@@ -15,9 +15,8 @@
 #define MO_CUDA_BLOCKS           1   /* on a multiprocessor */
 #define MO_CUDA_CHUNKS           672 /* of 32 places: more than fit the shared memory */
 #define MO_CUDA_BYTES            MO_CUDA_SCORE_WIDE_BYTES
-#define MO_CUDA_PAD_BYTES(units) ((units)*4 * 16) /* behind the activations' columns */
+#define MO_CUDA_PAD_BYTES        (MO_WEIGHTS_UNITS * 4 * 16) /* behind the activations' columns */
 #define MO_CUDA_MOMENTS          17               /* float2 from row to row: sixteen warps' */
-#define MO_CUDA_PARTIAL          ((MO_CUDA_MOMENTS + 1) * MO_CUDA_ROWS)
 
 /* A group's activations. */
 struct mo_cuda_activations {
@@ -30,12 +29,10 @@ __device__ __forceinline__ mo_cuda_activations mo_cuda_activations_of(char *memo
   return mo_cuda_activations{memory, columns * 128 + 16};
 }
 
-/* Where values g and g + 8 of tile `tile` of a row stand. EXACT: the high parts; the low ones two chunks further on. */
-template <bool EXACT>
+/* Where values g and g + 8 of tile `tile` of a row stand: the high parts; the low ones two chunks further on. */
 __device__ __forceinline__ char *mo_cuda_place(const mo_cuda_activations &x, uint32_t r, uint32_t tile, uint32_t g)
 {
-  const uint32_t chunk = EXACT ? tile * 4 + (g & 1) : tile * 2 + (g & 1);
-  return x.memory + chunk * x.chunk + r * 16 + (g >> 1) * 4;
+  return x.memory + (tile * 4 + (g & 1)) * x.chunk + r * 16 + (g >> 1) * 4;
 }
 
 /* What a thread does after it has written activations, before the barrier after which the matrix unit reads them. */
@@ -45,19 +42,17 @@ __device__ __forceinline__ void mo_cuda_activations_written()
 }
 
 /* Zeros for a row, by sixteen lanes, of which this is lane `own`. */
-template <bool EXACT>
 __device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, uint32_t r, uint32_t own)
 {
 #pragma unroll
-  for (uint32_t i = 0; i < mo_cuda_network<EXACT>::UNITS / 4; i++)
+  for (uint32_t i = 0; i < MO_WEIGHTS_UNITS / 4; i++)
     *reinterpret_cast<uint4 *>(x.memory + (own + 16 * i) * x.chunk + r * 16) = make_uint4(0, 0, 0, 0);
 }
 
 /* A value of a row's first layer. */
-template <bool EXACT>
 __device__ __forceinline__ void mo_cuda_put_input(const mo_cuda_activations &x, uint32_t r, uint32_t input, float value)
 {
-  mo_cuda_store_one<EXACT>(mo_cuda_place<EXACT>(x, r, input >> 4, input & 7) + (input >> 3 & 1) * 2, 2 * x.chunk,
+  mo_cuda_store_one(mo_cuda_place(x, r, input >> 4, input & 7) + (input >> 3 & 1) * 2, 2 * x.chunk,
                            value);
 }
 
@@ -131,11 +126,10 @@ struct mo_cuda_stream {
 
 /* The ring of units that weights are loaded into: one that is multiplied, the others ahead of it. Fewer for more sums: all must have
  * registers, or the compiler waits for each product. */
-template <bool EXACT, int COLUMNS> struct mo_cuda_ring {
-  static constexpr int UNITS = mo_cuda_network<EXACT>::UNITS;
-  static constexpr int SLOTS = !EXACT ? 3 : COLUMNS <= 5 ? 5 : COLUMNS <= 8 ? 4 : 3;
+template <int COLUMNS> struct mo_cuda_ring {
+  static constexpr int SLOTS = COLUMNS <= 5 ? 5 : COLUMNS <= 8 ? 4 : 3;
   static constexpr int AHEAD = SLOTS - 1;
-  static constexpr int TURN = UNITS % SLOTS; /* where the product before ended, and this one finds its first unit */
+  static constexpr int TURN = MO_WEIGHTS_UNITS % SLOTS; /* where the product before ended, and this one finds its first unit */
   uint4 slot[SLOTS][2];
 };
 
@@ -159,10 +153,10 @@ __device__ __forceinline__ void mo_cuda_load_unit(uint4 (&slot)[2], mo_cuda_stre
   __syncwarp();
 }
 
-template <bool EXACT, int COLUMNS>
-__device__ __forceinline__ void mo_cuda_begin_ring(mo_cuda_ring<EXACT, COLUMNS> &ring, mo_cuda_stream &stream)
+template <int COLUMNS>
+__device__ __forceinline__ void mo_cuda_begin_ring(mo_cuda_ring<COLUMNS> &ring, mo_cuda_stream &stream)
 {
-  using Ring = mo_cuda_ring<EXACT, COLUMNS>;
+  using Ring = mo_cuda_ring<COLUMNS>;
 #pragma unroll
   for (int i = 0; i < Ring::AHEAD; i++)
     mo_cuda_load_unit(ring.slot[(i + Ring::TURN) % Ring::SLOTS], stream);
@@ -170,12 +164,12 @@ __device__ __forceinline__ void mo_cuda_begin_ring(mo_cuda_ring<EXACT, COLUMNS> 
 
 /* Adds to `sum` over all units, and loads the first units of what is multiplied after it. `stream` becomes that. Written out: at the end of a
  * loop all loads would be waited for. */
-template <bool EXACT, int COLUMNS>
-__device__ __forceinline__ void mo_cuda_product(float (&sum)[COLUMNS][4], mo_cuda_ring<EXACT, COLUMNS> &ring,
+template <int COLUMNS>
+__device__ __forceinline__ void mo_cuda_product(float (&sum)[COLUMNS][4], mo_cuda_ring<COLUMNS> &ring,
                                                 mo_cuda_stream &stream, const mo_cuda_stream &after,
                                                 const mo_cuda_activations &x)
 {
-  using Ring = mo_cuda_ring<EXACT, COLUMNS>;
+  using Ring = mo_cuda_ring<COLUMNS>;
   mo_cuda_descriptor b = mo_cuda_descriptor_of(x);
   const uint32_t half = 2 * x.chunk >> 4;
   uint4 ahead[Ring::AHEAD][2];
@@ -186,25 +180,20 @@ __device__ __forceinline__ void mo_cuda_product(float (&sum)[COLUMNS][4], mo_cud
   for (int i = 0; i < 2 * Ring::AHEAD; i++)
     ring.slot[i / 2][i % 2] = ahead[i / 2][i % 2];
 #pragma unroll
-  for (int u = 0; u < Ring::UNITS; u++) {
+  for (int u = 0; u < MO_WEIGHTS_UNITS; u++) {
     const uint4(&a)[2] = ring.slot[u % Ring::SLOTS];
     /* Else the descriptors of all units are computed beforehand, for which there is no room. */
     asm volatile("" : "+r"(b.low));
     const uint64_t first = mo_cuda_descriptor_at(b, 0), second = mo_cuda_descriptor_at(b, half);
     asm volatile("wgmma.fence.sync.aligned;" ::: "memory");
-    if (EXACT) {
-      mo_cuda_wgmma<COLUMNS>(sum, a[0], second);
-      mo_cuda_wgmma<COLUMNS>(sum, a[1], first);
-      mo_cuda_wgmma<COLUMNS>(sum, a[0], first);
-    } else {
-      mo_cuda_wgmma<COLUMNS>(sum, a[0], first);
-      mo_cuda_wgmma<COLUMNS>(sum, a[1], second);
-    }
+    mo_cuda_wgmma<COLUMNS>(sum, a[0], second);
+    mo_cuda_wgmma<COLUMNS>(sum, a[1], first);
+    mo_cuda_wgmma<COLUMNS>(sum, a[0], first);
     asm volatile("wgmma.commit_group.sync.aligned;" ::: "memory");
     b.low += 2 * half;
     /* The unit before has been multiplied: its slot is free. */
     asm volatile("wgmma.wait_group.sync.aligned 1;" ::: "memory");
-    if (u + Ring::AHEAD == Ring::UNITS)
+    if (u + Ring::AHEAD == MO_WEIGHTS_UNITS)
       stream = after;
     mo_cuda_load_unit(ring.slot[(u + Ring::AHEAD) % Ring::SLOTS], stream);
   }
@@ -284,7 +273,7 @@ __device__ __forceinline__ void mo_cuda_moments(const float2 *partial, float2 *m
 
 /* LayerNorm and ReLU of a hidden layer's sums, into the activations. Three barriers: all warps have read the old activations and written
  * their moments; the rows' moments are there; all have written the new activations. */
-template <bool EXACT, int COLUMNS>
+template <int COLUMNS>
 __device__ __forceinline__ void mo_cuda_normalize(float (&h)[COLUMNS][4], const float *gain, const float *shift,
                                                   float epsilon, float2 *partial, const mo_cuda_activations &x)
 {
@@ -303,7 +292,7 @@ __device__ __forceinline__ void mo_cuda_normalize(float (&h)[COLUMNS][4], const 
   __syncthreads();
   mo_cuda_moments(partial, moments, COLUMNS * MO_PLAN_COLUMN, epsilon);
   __syncthreads();
-  char *place = mo_cuda_place<EXACT>(x, 2 * t, warp, g);
+  char *place = mo_cuda_place(x, 2 * t, warp, g);
 #pragma unroll
   for (int c = 0; c < COLUMNS; c++) {
     const float4 two = *reinterpret_cast<const float4 *>(moments + c * MO_PLAN_COLUMN + 2 * t);
@@ -314,7 +303,7 @@ __device__ __forceinline__ void mo_cuda_normalize(float (&h)[COLUMNS][4], const 
 #pragma unroll
       for (int e = 0; e < 2; e++)
         y[e] = fmaxf(fmaf((h[c][n + 2 * e] - mean) * factor, scale[e], offset[e]), 0.0f);
-      mo_cuda_store_pair<EXACT>(place + c * 128 + n * 16, 2 * x.chunk, y[0], y[1]);
+      mo_cuda_store_pair(place + c * 128 + n * 16, 2 * x.chunk, y[0], y[1]);
     }
   }
   mo_cuda_activations_written();

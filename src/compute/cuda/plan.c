@@ -5,6 +5,9 @@
  * body by body and group by group, each independent of the others. */
 #include "compute/cuda/plan.h"
 
+#include "rollout/scene.h"
+
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -182,7 +185,7 @@ static void lay_out(struct mo_plan *plan)
   struct mo_plan_block *block = &plan->block;
   size_t used = 0;
   block->environments =
-      place(&used, plan->n_environments, MO_PLAN_ENVIRONMENT_DOUBLES * sizeof(double));
+      place(&used, plan->n_environments, sizeof(struct mo_plan_environment));
   block->bodies = place(&used, plan->n_bodies, sizeof(struct mo_plan_body));
   block->pairs = place(&used, plan->n_bodies, sizeof(struct mo_plan_pairs));
   block->links = place(&used, n_quads, MO_PLAN_LINKS * sizeof(uint32_t));
@@ -446,6 +449,22 @@ int mo_plan_slots(uint16_t *slots)
 
 /* ---- filling ---- */
 
+struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment)
+{
+  struct mo_plan_scene scene;
+  double light[3];
+  mo_scene_light(environment, light);
+  for (int axis = 0; axis < 3; axis++)
+    scene.light[axis] = (float)(light[axis] - (axis < 2 ? MO_WORLD_CENTRE_M : 0));
+  double top = -INFINITY;
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++) {
+    scene.heights[k] = (float)environment->terrain_heights_m[k];
+    top = fmax(top, environment->terrain_heights_m[k]);
+  }
+  scene.highest = (float)(top + 1e-6 * (1 + fabs(top)));
+  return scene;
+}
+
 /* A body's own slot of a slot of the lattice. */
 static uint32_t own_slot(const struct mo_plan_pairs *pairs, uint32_t slot)
 {
@@ -564,7 +583,7 @@ void mo_plan_fill(const struct mo_plan *plan, void *memory, uint32_t share, uint
   char *base = memory;
   struct input_order order;
   order_inputs(&order);
-  double *environments = (double *)(void *)(base + block->environments);
+  struct mo_plan_environment *environments = (void *)(base + block->environments);
   struct mo_plan_body *bodies = (struct mo_plan_body *)(void *)(base + block->bodies);
   uint32_t *links = (uint32_t *)(void *)(base + block->links),
            *masses = (uint32_t *)(void *)(base + block->masses);
@@ -577,9 +596,9 @@ void mo_plan_fill(const struct mo_plan *plan, void *memory, uint32_t share, uint
     bodies[b] = header;
   }
   for (uint32_t e = share; e < plan->n_environments; e += n_shares) {
-    double *out = environments + (size_t)e * MO_PLAN_ENVIRONMENT_DOUBLES;
-    memcpy(out, plan->environments[e]->light_xy_m, 2 * sizeof(double));
-    memcpy(out + 2, plan->environments[e]->terrain_heights_m, MO_TERRAIN_HEIGHTS * sizeof(double));
+    memcpy(environments[e].heights_m, plan->environments[e]->terrain_heights_m,
+           sizeof(environments[e].heights_m));
+    environments[e].scene = mo_plan_scene_of(plan->environments[e]);
   }
   struct mo_plan_group *groups = (struct mo_plan_group *)(void *)(base + block->groups);
   for (uint32_t g = share; g < plan->n_groups; g += n_shares) {

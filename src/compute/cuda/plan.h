@@ -98,12 +98,21 @@ struct mo_plan_tile {
   uint16_t pair[MO_PLAN_TILE];
 };
 
-/* An environment as the device reads it: light (x, y), then heights, in float64. */
-#define MO_PLAN_ENVIRONMENT_DOUBLES (2 + MO_TERRAIN_HEIGHTS)
+/* An environment as lanes read it; x, y from the world's center. */
+struct mo_plan_scene {
+  float light[3];
+  float highest; /* a little above the terrain, so that rounding in its polynomials never counts */
+  float heights[MO_TERRAIN_HEIGHTS];
+};
+/* And with its heights in float64, for the start. */
+struct mo_plan_environment {
+  double heights_m[MO_TERRAIN_HEIGHTS];
+  struct mo_plan_scene scene;
+};
 
 /* Where what lies in the block: offsets in bytes, each a multiple of 256. */
 struct mo_plan_block {
-  size_t environments; /* double (n_environments, MO_PLAN_ENVIRONMENT_DOUBLES) */
+  size_t environments; /* struct mo_plan_environment (n_environments) */
   size_t bodies;       /* struct mo_plan_body (n_bodies) */
   size_t pairs;        /* struct mo_plan_pairs (n_bodies) */
   size_t links;        /* uint32_t (…, MO_PLAN_LINKS) */
@@ -174,6 +183,8 @@ void mo_plan_fill(const struct mo_plan *plan, void *block, uint32_t share, uint3
  * places are masses that tend to be used together, those in the middle of the lattice's floor
  * first. */
 int mo_plan_input_mass(uint32_t input);
+
+struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment);
 
 /* Where a body's list of inputs has the device's mass m: sixteen lanes sense a row, of which lane l
  * has masses l, l + 16, … side by side. */

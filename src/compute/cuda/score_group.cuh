@@ -38,11 +38,10 @@ struct Shared {
   Part parts[kRows];
   Row rows[kRows];
   __align__(16) Home homes[kRows]; /* those of no row have the pairs of no part: none */
-  const mo_cuda_cell *cells[kRows];
+  const float *heights[kRows];
   uint32_t chunks[kChunks]; /* part << 16 | number */
   int insane[kRows], diverged[kRows];
   uint32_t n_chunks, group;
-  uint32_t input_units; /* bits: units of the first layer that may not be 0 */
   int cancelled;
   mo_plan_group plan;
   mo_weights_scalars scalars;
@@ -94,7 +93,7 @@ __device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint
   const Part &part = shared.parts[row.part];
   const mo_plan_row plan = score.rows[shared.plan.first_row + r];
   const uint32_t *masses = score.masses + part.first_mass;
-  const double *heights = score.heights + (size_t)plan.environment * MO_PLAN_ENVIRONMENT_DOUBLES + 2;
+  const double *heights = score.environments[plan.environment].heights_m;
   uint32_t lowest = 255;
   for (uint32_t m = lane; m < row.n_masses; m += 32)
     lowest = min(lowest, MO_PLAN_MASS_Z(masses[m]));
@@ -152,14 +151,14 @@ __device__ __forceinline__ Shared &shared_of_block()
 }
 
 /* Of the group that the block has. */
-template <bool EXACT> __device__ __forceinline__ Memory memory_of(const mo_cuda_score &score)
+__device__ __forceinline__ Memory memory_of(const mo_cuda_score &score)
 {
   const mo_plan_group &plan = shared_of_block().plan;
   const uint32_t columns = (plan.n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN;
   Memory memory;
   memory.x = mo_cuda_activations_of(block_memory + kSharedBytes, columns);
-  memory.position = reinterpret_cast<float *>(memory.x.memory + columns * mo_cuda_network<EXACT>::COLUMN_BYTES +
-                                              MO_CUDA_PAD_BYTES(mo_cuda_network<EXACT>::UNITS));
+  memory.position = reinterpret_cast<float *>(memory.x.memory + columns * MO_CUDA_COLUMN_BYTES +
+                                              MO_CUDA_PAD_BYTES);
   memory.pairs = reinterpret_cast<mo_plan_pairs *>(memory.position + 3 * plan.n_places);
   memory.lengths = reinterpret_cast<float *>(memory.pairs + plan.n_parts + 1);
   /* There is room: a group that fills the memory has at least as many bytes of lengths as of positions. */
@@ -201,7 +200,7 @@ __device__ void deal_chunks(const mo_cuda_score &score, Shared &shared)
 }
 
 /* What the group's rows and parts are, once per group. */
-__device__ void begin_group(const mo_cuda_score &score, Shared &shared, uint32_t units, const Memory &memory)
+__device__ void begin_group(const mo_cuda_score &score, Shared &shared, const Memory &memory)
 {
   const uint32_t thread = threadIdx.x, lane = thread & 31, warp = thread >> 5;
   const mo_plan_group &plan = shared.plan;
@@ -226,10 +225,9 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, uint32_t
     shared.insane[thread] = 0;
     shared.diverged[thread] = 0;
     if (thread < plan.n_rows) {
-      const mo_cuda_environment *environment = score.environments + score.rows[plan.first_row + thread].environment;
-      shared.light[thread] =
-          make_float4(environment->light[0], environment->light[1], environment->light[2], environment->highest);
-      shared.cells[thread] = environment->cells;
+      const mo_plan_scene &scene = score.environments[score.rows[plan.first_row + thread].environment].scene;
+      shared.light[thread] = make_float4(scene.light[0], scene.light[1], scene.light[2], scene.highest);
+      shared.heights[thread] = scene.heights;
     } else {
       shared.homes[thread] = Home{0, (uint16_t)plan.n_parts, 0};
     }
@@ -241,9 +239,6 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, uint32_t
       for (uint32_t c = 0; c * 32 < shared.parts[p].n_masses * shared.parts[p].n_rows; c++)
         shared.chunks[n++] = p << 16 | c;
     shared.n_chunks = n;
-    shared.input_units = 0;
-    for (uint32_t tile = 0; tile < MO_WEIGHTS_TILES; tile++)
-      shared.input_units |= (plan.input_tiles >> tile & 1u) << tile * units / MO_WEIGHTS_TILES;
   }
   __syncthreads();
   deal_chunks(score, shared);

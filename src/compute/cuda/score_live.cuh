@@ -18,7 +18,6 @@
 
 namespace {
 
-template <bool EXACT>
 __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS) live(const __grid_constant__ mo_cuda_score score)
 {
   Shared &shared = shared_of_block();
@@ -41,18 +40,18 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS) live(const __
       shared.plan = score.groups[shared.group];
     __syncthreads();
     const uint32_t n_rows = shared.plan.n_rows;
-    const Memory memory = memory_of<EXACT>(score);
+    const Memory memory = memory_of(score);
     const mo_sensor sensor = (mo_sensor)shared.scalars.sensor;
-    begin_group(score, shared, mo_cuda_network<EXACT>::UNITS, memory);
+    begin_group(score, shared, memory);
     for (uint32_t step = 0; step < score.n_steps; step++) {
       const Start start = score.weights != nullptr && thread < MO_HIDDEN ? load_start(score, step) : Start{};
-      sense<EXACT>(score, shared, sensor, memory.position, memory.x, step);
+      sense(score, shared, sensor, memory.position, memory.x, step);
       if (score.weights != nullptr) {
         if (thread < MO_HIDDEN)
           shared.first[thread] = start_of_first_layer(start);
         mo_cuda_activations_written();
         __syncthreads();
-        think<EXACT>(score, shared, memory);
+        think(score, shared, memory);
         __syncthreads();
       }
       pull(shared, memory.position, memory.lengths, memory.velocity);
@@ -76,32 +75,20 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS) live(const __
 
 cudaError_t prepare_live()
 {
-  const cudaError_t status =
-      cudaFuncSetAttribute(live<true>, cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
-  if (status != cudaSuccess)
-    return status;
-  return cudaFuncSetAttribute(live<false>, cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
+  return cudaFuncSetAttribute(live, cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
 }
 
-mo_cuda_score_shape shape_of_live(bool exact)
+cudaError_t launch_live(const mo_cuda_score &score, uint32_t blocks, cudaStream_t stream)
 {
-  mo_cuda_score_shape shape = {};
-  const size_t units = exact ? MO_WEIGHTS_UNITS_EXACT : MO_WEIGHTS_UNITS_FAST;
-  shape.rows = MO_CUDA_ROWS;
-  shape.blocks = MO_CUDA_BLOCKS;
-  shape.group_bytes = MO_CUDA_BYTES - kSharedBytes - sizeof(mo_plan_pairs) - MO_CUDA_PAD_BYTES(units);
-  shape.column_bytes = units * MO_CUDA_UNIT_BYTES;
-  return shape;
-}
-
-cudaError_t launch_live(const mo_cuda_score &score, bool exact, uint32_t blocks, cudaStream_t stream)
-{
-  if (exact)
-    live<true><<<blocks, MO_CUDA_THREADS, MO_CUDA_BYTES, stream>>>(score);
-  else
-    live<false><<<blocks, MO_CUDA_THREADS, MO_CUDA_BYTES, stream>>>(score);
+  live<<<blocks, MO_CUDA_THREADS, MO_CUDA_BYTES, stream>>>(score);
   return cudaGetLastError();
 }
+
+/* The kernel that score.cu or score_wide.cu makes of this file. */
+constexpr mo_cuda_score_kernel kLive = {
+    MO_CUDA_ROWS, MO_CUDA_BLOCKS,
+    MO_CUDA_BYTES - kSharedBytes - sizeof(mo_plan_pairs) - MO_CUDA_PAD_BYTES, MO_CUDA_COLUMN_BYTES,
+    prepare_live, launch_live};
 
 } // namespace
 

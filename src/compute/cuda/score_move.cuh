@@ -59,7 +59,8 @@ __device__ __forceinline__ void pull_four(const uint4 &quad, const Reach &reach,
   }
 #pragma unroll
   for (int i = 0; i < MO_PLAN_LINKS; i++) {
-    const float q = mo_cuda_spring(d[i][0], d[i][1], d[i][2], length[i]);
+    const struct lane_length along = lane_length_of(lane_squared(d[i]));
+    const float q = lane_spring(1.0f, &along, length[i]);
     for (int axis = 0; axis < 3; axis++)
       j[axis] = fmaf(q, d[i][axis], j[axis]);
   }
@@ -103,7 +104,7 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
 {
   const mo_cuda_score &score = shared.score;
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, n = shared.n_chunks;
-  const mo_cuda_constants &k = score.constants;
+  const lane_physics &k = score.physics;
   const Part *part, *next_part;
   Item item = item_at(shared, warp, lane, &part), next = item_at(shared, warp + MO_CUDA_WARPS, lane, &next_part);
   uint32_t mass = __ldg(score.masses + part->first_mass + item.mass);
@@ -167,7 +168,7 @@ __device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared,
       const uint32_t row = part->first_row + item.row;
       float *at = position + 3 * item.place;
       float p[3] = {at[0], at[1], at[2]};
-      if (mo_cuda_move(&score.constants, shared.cells[row], shared.light[row].w, p, v)) {
+      if (lane_move(&score.physics, shared.heights[row], shared.light[row].w, p, v)) {
         speed[0] = v[0];
         speed[1] = v[1];
         speed[2] = v[2];
@@ -175,7 +176,7 @@ __device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared,
       at[0] = p[0];
       at[1] = p[1];
       at[2] = p[2];
-      if (!mo_cuda_is_sane(&score.constants, p, v))
+      if (!lane_is_sane(p, v))
         atomicOr(&shared.insane[row], 1);
     }
     item = next;

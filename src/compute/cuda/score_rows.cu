@@ -64,21 +64,6 @@ int make_plan(mo_plan *plan, const mo_device_score *score, const mo_plan_options
   return mo_plan_cut(plan, &options);
 }
 
-mo_cuda_constants constants_of(const mo_physics &physics)
-{
-  mo_cuda_constants k = {};
-  k.dt = (float)physics.dt_s;
-  k.keep = (float)exp(-physics.drag_per_s * physics.dt_s);
-  k.fall = (float)(physics.gravity_m_per_s2 * physics.dt_s);
-  k.pull = (float)(physics.dt_s * physics.stiffness_n_per_m / physics.mass_kg);
-  k.actuation = (float)physics.actuation;
-  k.friction = (float)physics.friction;
-  k.friction_cap = (float)physics.friction_cap;
-  k.fastest_squared = (float)(MO_DIVERGED_SPEED_M_PER_S * MO_DIVERGED_SPEED_M_PER_S);
-  k.bisections = physics.impact == MO_IMPACT_EXACT ? 0 : physics.bisections;
-  return k;
-}
-
 uint32_t most_places(const mo_plan &plan)
 {
   uint32_t most = 0;
@@ -94,7 +79,6 @@ int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t pl
     size_t bytes;
   } wanted[] = {
       {&device->plan, plan.block.bytes},
-      {&device->environments, plan.n_environments * sizeof(mo_cuda_environment)},
       {&device->velocities, (size_t)blocks * 3 * places * sizeof(float)},
       {&device->outcomes, plan.n * sizeof(mo_cuda_outcome)},
       {&device->counter, sizeof(uint32_t)},
@@ -113,10 +97,8 @@ mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_d
 {
   const char *base = (const char *)device->plan.memory;
   const mo_plan_block &block = plan.block;
-  const bool exact = score->precision == MO_DEVICE_EXACT;
   mo_cuda_score s = {};
-  s.heights = (const double *)(base + block.environments);
-  s.environments = (mo_cuda_environment *)device->environments.memory;
+  s.environments = (const mo_plan_environment *)(base + block.environments);
   s.bodies = (const mo_plan_body *)(base + block.bodies);
   s.pairs = (const mo_plan_pairs *)(base + block.pairs);
   s.links = (const uint32_t *)(base + block.links);
@@ -128,17 +110,15 @@ mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_d
   s.rows = (const mo_plan_row *)(base + block.rows);
   s.tiles = (const mo_plan_tile *)(base + block.tiles);
   s.columns = (const uint16_t *)(base + block.columns);
-  s.weights = score->controller == nullptr ? nullptr : score->controller->weights[score->precision];
+  s.weights = score->controller == nullptr ? nullptr : score->controller->weights;
   s.generators = (const float *)device->generators.memory;
   s.velocities = (float *)device->velocities.memory;
   s.outcomes = (mo_cuda_outcome *)device->outcomes.memory;
   s.next_group = (uint32_t *)device->counter.memory;
   s.cancel = device->cancel_on_device;
-  s.layout = mo_weights_layout(exact);
-  s.constants = constants_of(score->physics);
-  s.dt_s = score->physics.dt_s;
+  s.layout = mo_weights_layout();
+  s.physics = lane_physics_of(&score->physics);
   s.drop_height_m = score->physics.drop_height_m;
-  s.n_environments = plan.n_environments;
   s.n_groups = plan.n_groups;
   s.n_steps = score->physics.n_steps;
   s.max_places = places;
@@ -181,8 +161,7 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   if (error == cudaSuccess)
     error = cudaMemsetAsync(device->counter.memory, 0, sizeof(uint32_t), device->stream);
   if (error == cudaSuccess)
-    error = mo_cuda_score_launch(arguments(device, plan, score, places), device->wide,
-                                 score->precision == MO_DEVICE_EXACT, blocks, device->stream);
+    error = device->score->launch(arguments(device, plan, score, places), blocks, device->stream);
   if (error == cudaSuccess)
     error = cudaMemcpyAsync(device->staged_outcomes.memory, device->outcomes.memory, plan.n * sizeof(mo_cuda_outcome),
                             cudaMemcpyDeviceToHost, device->stream);
@@ -198,8 +177,7 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
 
 bool is_valid(const mo_device_score *score)
 {
-  if (score->n == 0 || score->robots == nullptr || score->outcomes == nullptr ||
-      (score->precision != MO_DEVICE_EXACT && score->precision != MO_DEVICE_FAST))
+  if (score->n == 0 || score->robots == nullptr || score->outcomes == nullptr)
     return false;
   for (uint32_t r = 0; r < score->n; r++)
     if (score->robots[r].body == nullptr || score->robots[r].environment == nullptr)
@@ -214,15 +192,15 @@ int mo_cuda_score_rows(mo_device *device, mo_device_score *score)
   const double start_s = now_s();
   if (!is_valid(score))
     return MO_ERR_INVALID;
-  const mo_cuda_score_shape shape = mo_cuda_score_shape_of(device->wide, score->precision == MO_DEVICE_EXACT);
-  const uint32_t blocks = (uint32_t)device->multiprocessors * shape.blocks;
+  const mo_cuda_score_kernel &kernel = *device->score;
+  const uint32_t blocks = (uint32_t)device->multiprocessors * kernel.blocks;
   mo_plan_options options = {};
-  options.rows = rows_wanted(score->n, blocks, shape.rows);
-  options.group_bytes = shape.group_bytes;
-  options.column_bytes = shape.column_bytes;
-  options.part_bytes = MO_CUDA_SCORE_PART_BYTES;
-  options.place_bytes = MO_CUDA_SCORE_PLACE_BYTES;
-  options.length_bytes = MO_CUDA_SCORE_LENGTH_BYTES;
+  options.rows = rows_wanted(score->n, blocks, kernel.rows);
+  options.group_bytes = kernel.group_bytes;
+  options.column_bytes = kernel.column_bytes;
+  options.part_bytes = sizeof(mo_plan_pairs);
+  options.place_bytes = 3 * sizeof(float);
+  options.length_bytes = sizeof(float);
   mo_plan plan;
   float device_ms = 0;
   int status = make_plan(&plan, score, options);

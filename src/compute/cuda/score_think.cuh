@@ -9,13 +9,12 @@ namespace {
 
 __device__ __forceinline__ float light_at(mo_sensor sensor, const float *p, const float4 &light)
 {
-  const float dx = p[0] - light.x, dy = p[1] - light.y, dz = p[2] - light.z;
-  return mo_cuda_light(sensor, fmaf(dx, dx, fmaf(dy, dy, dz * dz)));
+  const float d[3] = {p[0] - light.x, p[1] - light.y, p[2] - light.z};
+  return lane_light(sensor, lane_squared(d));
 }
 
 /* Two rows per warp, sixteen lanes each (lane bit 3 is the row's). A lane computes the light at every sixteenth mass, and keeps it until the
  * row's mean is known. */
-template <bool EXACT>
 __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared, mo_sensor sensor,
                                       const float *position, const mo_cuda_activations &x, uint32_t step)
 {
@@ -30,7 +29,7 @@ __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared
     const uint32_t input[4] = {inputs.x, inputs.y, inputs.z, inputs.w};
     const uint32_t most = max(row.n_masses, __shfl_xor_sync(kAll, row.n_masses, 8));
     if (score.weights != nullptr)
-      mo_cuda_clear_row<EXACT>(x, r, own);
+      mo_cuda_clear_row(x, r, own);
     /* Four masses at a time, without a branch: those that there are not count nothing. */
     float sum[4] = {0.0f, 0.0f, 0.0f, 0.0f}, value[kMost];
 #pragma unroll
@@ -67,7 +66,7 @@ __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared
       if (16 * i >= most)
         break;
       if (own + 16 * i < row.n_masses)
-        mo_cuda_put_input<EXACT>(x, r, input[i / 4] >> i % 4 * 8 & 0xffu, value[i] - mean);
+        mo_cuda_put_input(x, r, input[i / 4] >> i % 4 * 8 & 0xffu, value[i] - mean);
     }
   }
 }
@@ -163,7 +162,7 @@ __device__ __forceinline__ Output output_of(const mo_cuda_score &score, const Sh
   return Output{score.weights + score.layout.output,
                 reinterpret_cast<const float2 *>(score.weights + score.layout.output_bias),
                 shared.scalars.output,
-                score.constants.actuation,
+                score.physics.actuation,
                 shared.homes,
                 memory.pairs,
                 memory.lengths};
@@ -173,11 +172,12 @@ __device__ __forceinline__ Output output_of(const mo_cuda_score &score, const Sh
 __device__ __forceinline__ void put_sums(const Output &output, const Home (&home)[2], uint32_t pair, const float2 &bias,
                                          const float (&sum)[4])
 {
-  const float rest = rest_length(2 * pair < MO_PLAN_EDGES), reach = rest * output.actuation;
+  const float rest = rest_length(2 * pair < MO_PLAN_EDGES);
   float wanted[4];
 #pragma unroll
   for (int k = 0; k < 4; k++)
-    wanted[k] = fmaf(reach, mo_cuda_tanh(fmaf(sum[k], output.scale, k < 2 ? bias.x : bias.y)), rest);
+    wanted[k] = lane_wanted(rest, output.actuation,
+                            mo_cuda_tanh(fmaf(sum[k], output.scale, k < 2 ? bias.x : bias.y)));
   put_lengths(output, home, pair, wanted);
 }
 

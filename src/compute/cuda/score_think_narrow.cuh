@@ -8,18 +8,18 @@
 namespace {
 
 /* One hidden layer for all rows, in place. */
-template <bool EXACT, int COLUMNS>
+template <int COLUMNS>
 __device__ __forceinline__ void hidden_layer(const Layer &layer, uint32_t units, float2 *partial, char *x)
 {
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, g = lane >> 2, t = lane & 3;
-  constexpr uint32_t kUnits = mo_cuda_network<EXACT>::UNITS;
+  constexpr uint32_t kUnits = MO_WEIGHTS_UNITS;
   constexpr int kHalf = 8 * MO_WEIGHTS_PAIR_BYTES / 2; /* of a tile's unit */
   const char *row[2];
   uint32_t column[COLUMNS];
   float sum[2][COLUMNS][4];
 #pragma unroll
   for (int c = 0; c < COLUMNS; c++)
-    column[c] = c * mo_cuda_network<EXACT>::COLUMN_BYTES;
+    column[c] = c * MO_CUDA_COLUMN_BYTES;
 #pragma unroll
   for (int m = 0; m < 2; m++) {
     row[m] = layer.matrix + (2 * warp + m) * kUnits * 2 * kHalf + lane * MO_WEIGHTS_LOAD_BYTES;
@@ -33,27 +33,26 @@ __device__ __forceinline__ void hidden_layer(const Layer &layer, uint32_t units,
   }
   const char *mine = x + mo_cuda_slot(g, t);
   if (units == (1u << kUnits) - 1)
-    mo_cuda_product<EXACT, kHalf, 2, COLUMNS>(sum, row, mine, column);
+    mo_cuda_product<kHalf, 2, COLUMNS>(sum, row, mine, column);
   else
-    mo_cuda_product_of<EXACT, kHalf, 2, COLUMNS>(sum, row, mine, column, units);
-  mo_cuda_normalize<EXACT, COLUMNS>(sum, layer.gain, layer.shift, layer.epsilon, partial, x, warp, lane);
+    mo_cuda_product_of<kHalf, 2, COLUMNS>(sum, row, mine, column, units);
+  mo_cuda_normalize<COLUMNS>(sum, layer.gain, layer.shift, layer.epsilon, partial, x, warp, lane);
 }
 
-template <bool EXACT>
 __device__ __forceinline__ void hidden_layers(const mo_cuda_score &score, Shared &shared, const Memory &memory)
 {
   char *x = memory.x.memory;
-  constexpr uint32_t kUnits = mo_cuda_network<EXACT>::UNITS;
+  constexpr uint32_t kUnits = MO_WEIGHTS_UNITS;
 #pragma unroll 1
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     const Layer layer = layer_of(score, shared, l);
-    const uint32_t units = l == 0 ? shared.input_units : (1u << kUnits) - 1;
+    const uint32_t units = l == 0 ? shared.plan.input_tiles : (1u << kUnits) - 1;
     switch ((shared.plan.n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN) {
-    case 1: hidden_layer<EXACT, 1>(layer, units, memory.partial, x); break;
-    case 2: hidden_layer<EXACT, 2>(layer, units, memory.partial, x); break;
-    case 3: hidden_layer<EXACT, 3>(layer, units, memory.partial, x); break;
-    case 4: hidden_layer<EXACT, 4>(layer, units, memory.partial, x); break;
-    default: hidden_layer<EXACT, 5>(layer, units, memory.partial, x);
+    case 1: hidden_layer<1>(layer, units, memory.partial, x); break;
+    case 2: hidden_layer<2>(layer, units, memory.partial, x); break;
+    case 3: hidden_layer<3>(layer, units, memory.partial, x); break;
+    case 4: hidden_layer<4>(layer, units, memory.partial, x); break;
+    default: hidden_layer<5>(layer, units, memory.partial, x);
     }
   }
 }
@@ -86,7 +85,7 @@ __device__ __forceinline__ uint32_t tiles_of(const mo_cuda_score &score, const S
 }
 
 /* TILES tiles of springs for the columns that have them: COLUMNS of them. */
-template <bool EXACT, int TILES, int COLUMNS>
+template <int TILES, int COLUMNS>
 __device__ __forceinline__ void act_tiles(const Output &output, const Tiles &tiles, const char *x)
 {
   const uint32_t lane = threadIdx.x & 31, g = lane >> 2, t = lane & 3;
@@ -97,11 +96,11 @@ __device__ __forceinline__ void act_tiles(const Output &output, const Tiles &til
   for (int m = 0; m < TILES; m++)
     row[m] =
         output.matrix +
-        (tiles.pair[m] == MO_PLAN_NO_PAIR ? 0 : tiles.pair[m]) * mo_cuda_network<EXACT>::UNITS * MO_WEIGHTS_PAIR_BYTES +
+        (tiles.pair[m] == MO_PLAN_NO_PAIR ? 0 : tiles.pair[m]) * MO_WEIGHTS_UNITS * MO_WEIGHTS_PAIR_BYTES +
         t * MO_WEIGHTS_LOAD_BYTES;
 #pragma unroll
   for (int c = 0; c < COLUMNS; c++) {
-    column[c] = (uint32_t)(__ffs((int)columns) - 1) * mo_cuda_network<EXACT>::COLUMN_BYTES;
+    column[c] = (uint32_t)(__ffs((int)columns) - 1) * MO_CUDA_COLUMN_BYTES;
     columns &= columns - 1;
 #pragma unroll
     for (int m = 0; m < TILES; m++)
@@ -109,10 +108,10 @@ __device__ __forceinline__ void act_tiles(const Output &output, const Tiles &til
       for (int k = 0; k < 4; k++)
         sum[m][c][k] = 0.0f;
   }
-  mo_cuda_product<EXACT, MO_WEIGHTS_PAIR_BYTES / 2, TILES, COLUMNS>(sum, row, x + mo_cuda_slot(g, t), column);
+  mo_cuda_product<MO_WEIGHTS_PAIR_BYTES / 2, TILES, COLUMNS>(sum, row, x + mo_cuda_slot(g, t), column);
 #pragma unroll
   for (int c = 0; c < COLUMNS; c++) {
-    const uint32_t first = column[c] / (mo_cuda_network<EXACT>::COLUMN_BYTES / MO_PLAN_COLUMN);
+    const uint32_t first = column[c] / (MO_CUDA_COLUMN_BYTES / MO_PLAN_COLUMN);
     const Home home[2] = {output.homes[first + 2 * t], output.homes[first + 2 * t + 1]};
 #pragma unroll
     for (int m = 0; m < TILES; m++) {
@@ -125,20 +124,19 @@ __device__ __forceinline__ void act_tiles(const Output &output, const Tiles &til
   }
 }
 
-template <bool EXACT, int TILES>
+template <int TILES>
 __device__ __forceinline__ void act_tiles_of(const Output &output, const Tiles &tiles, const char *x)
 {
   switch (__popc(tiles.columns)) {
-  case 1: act_tiles<EXACT, TILES, 1>(output, tiles, x); break;
-  case 2: act_tiles<EXACT, TILES, 2>(output, tiles, x); break;
-  case 3: act_tiles<EXACT, TILES, 3>(output, tiles, x); break;
-  case 4: act_tiles<EXACT, TILES, 4>(output, tiles, x); break;
-  default: act_tiles<EXACT, TILES, 5>(output, tiles, x);
+  case 1: act_tiles<TILES, 1>(output, tiles, x); break;
+  case 2: act_tiles<TILES, 2>(output, tiles, x); break;
+  case 3: act_tiles<TILES, 3>(output, tiles, x); break;
+  case 4: act_tiles<TILES, 4>(output, tiles, x); break;
+  default: act_tiles<TILES, 5>(output, tiles, x);
   }
 }
 
 /* The last layer. */
-template <bool EXACT>
 __device__ __forceinline__ void act(const mo_cuda_score &score, const Shared &shared, const Memory &memory)
 {
   const Output output = output_of(score, shared, memory);
@@ -148,20 +146,19 @@ __device__ __forceinline__ void act(const mo_cuda_score &score, const Shared &sh
   for (uint32_t round = 1; count > 0; round++) {
     const uint32_t after = tiles_of(score, shared, round, &next);
     if (count == 2)
-      act_tiles_of<EXACT, 2>(output, now, x);
+      act_tiles_of<2>(output, now, x);
     else
-      act_tiles_of<EXACT, 1>(output, now, x);
+      act_tiles_of<1>(output, now, x);
     now = next;
     count = after;
   }
 }
 
 /* Between two barriers, after sensing. */
-template <bool EXACT>
 __device__ __forceinline__ void think(const mo_cuda_score &score, Shared &shared, const Memory &memory)
 {
-  hidden_layers<EXACT>(score, shared, memory);
-  act<EXACT>(score, shared, memory);
+  hidden_layers(score, shared, memory);
+  act(score, shared, memory);
 }
 
 } // namespace

@@ -24,33 +24,33 @@ __device__ __forceinline__ Tile tile_of(const mo_cuda_score &score, const Shared
 }
 
 /* The weights of a hidden layer's tile, and of a tile of springs; those of no pair are the first pair's. */
-template <bool EXACT> __device__ __forceinline__ mo_cuda_stream stream_of(const Layer &layer)
+__device__ __forceinline__ mo_cuda_stream stream_of(const Layer &layer)
 {
   constexpr uint32_t kHalf = 8 * MO_WEIGHTS_PAIR_BYTES / 2;
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
-  return mo_cuda_stream{layer.matrix + warp * mo_cuda_network<EXACT>::UNITS * 2 * kHalf + lane * MO_WEIGHTS_LOAD_BYTES,
+  return mo_cuda_stream{layer.matrix + warp * MO_WEIGHTS_UNITS * 2 * kHalf + lane * MO_WEIGHTS_LOAD_BYTES,
                         kHalf};
 }
 
-template <bool EXACT> __device__ __forceinline__ mo_cuda_stream stream_of(const Output &output, const Tile &tile)
+__device__ __forceinline__ mo_cuda_stream stream_of(const Output &output, const Tile &tile)
 {
   const uint32_t pair = tile.pair == MO_PLAN_NO_PAIR ? 0 : tile.pair;
-  return mo_cuda_stream{output.matrix + pair * mo_cuda_network<EXACT>::UNITS * MO_WEIGHTS_PAIR_BYTES +
+  return mo_cuda_stream{output.matrix + pair * MO_WEIGHTS_UNITS * MO_WEIGHTS_PAIR_BYTES +
                             (threadIdx.x & 3) * MO_WEIGHTS_LOAD_BYTES,
                         MO_WEIGHTS_PAIR_BYTES / 2};
 }
 
 /* The network for a group of COLUMNS columns. What it needs of the call and of the group it reads from shared memory itself: what the rest of
  * the kernel held in registers for it would be missing, and the compiler would wait for each product. */
-template <bool EXACT, int COLUMNS> __device__ __forceinline__ void think_of()
+template <int COLUMNS> __device__ __forceinline__ void think_of()
 {
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, g = lane >> 2, t = lane & 3;
   const Shared &shared = shared_of_block();
   const mo_cuda_score &score = shared.score;
-  const Memory memory = memory_of<EXACT>(score);
+  const Memory memory = memory_of(score);
   const Output output = output_of(score, shared, memory);
-  mo_cuda_ring<EXACT, COLUMNS> ring;
-  mo_cuda_stream stream = stream_of<EXACT>(layer_of(score, shared, 0));
+  mo_cuda_ring<COLUMNS> ring;
+  mo_cuda_stream stream = stream_of(layer_of(score, shared, 0));
   mo_cuda_begin_ring(ring, stream);
   float sum[COLUMNS][4];
   Tile tile = tile_of(score, shared, 0);
@@ -58,15 +58,15 @@ template <bool EXACT, int COLUMNS> __device__ __forceinline__ void think_of()
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     const Layer layer = layer_of(score, shared, l);
     const mo_cuda_stream after =
-        l + 1 < MO_HIDDEN_LAYERS ? stream_of<EXACT>(layer_of(score, shared, l + 1)) : stream_of<EXACT>(output, tile);
+        l + 1 < MO_HIDDEN_LAYERS ? stream_of(layer_of(score, shared, l + 1)) : stream_of(output, tile);
     const float from[2] = {layer.start[warp * 16 + g], layer.start[warp * 16 + 8 + g]};
 #pragma unroll
     for (int c = 0; c < COLUMNS; c++)
 #pragma unroll
       for (int k = 0; k < 4; k++)
         sum[c][k] = from[k / 2];
-    mo_cuda_product<EXACT, COLUMNS>(sum, ring, stream, after, memory.x);
-    mo_cuda_normalize<EXACT, COLUMNS>(sum, layer.gain, layer.shift, layer.epsilon, memory.partial, memory.x);
+    mo_cuda_product<COLUMNS>(sum, ring, stream, after, memory.x);
+    mo_cuda_normalize<COLUMNS>(sum, layer.gain, layer.shift, layer.epsilon, memory.partial, memory.x);
   }
   /* Rounds of sixteen tiles; a warpgroup ends when there is none left for its first warp. */
   const uint32_t rounds = (shared.plan.n_tiles + MO_CUDA_WARPS - 1 - (warp & ~3u)) / MO_CUDA_WARPS;
@@ -78,7 +78,7 @@ template <bool EXACT, int COLUMNS> __device__ __forceinline__ void think_of()
 #pragma unroll
       for (int k = 0; k < 4; k++)
         sum[c][k] = 0.0f;
-    mo_cuda_product<EXACT, COLUMNS>(sum, ring, stream, stream_of<EXACT>(output, next), memory.x);
+    mo_cuda_product<COLUMNS>(sum, ring, stream, stream_of(output, next), memory.x);
     if (tile.pair != MO_PLAN_NO_PAIR) {
       const float2 bias = __ldg(output.bias + tile.pair);
 #pragma unroll
@@ -94,19 +94,19 @@ template <bool EXACT, int COLUMNS> __device__ __forceinline__ void think_of()
 }
 
 /* Between two barriers, after sensing. */
-template <bool EXACT> __device__ __forceinline__ void think(const mo_cuda_score &, const Shared &shared, const Memory &)
+__device__ __forceinline__ void think(const mo_cuda_score &, const Shared &shared, const Memory &)
 {
   switch ((shared.plan.n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN) {
-  case 1: think_of<EXACT, 1>(); break;
-  case 2: think_of<EXACT, 2>(); break;
-  case 3: think_of<EXACT, 3>(); break;
-  case 4: think_of<EXACT, 4>(); break;
-  case 5: think_of<EXACT, 5>(); break;
-  case 6: think_of<EXACT, 6>(); break;
-  case 7: think_of<EXACT, 7>(); break;
-  case 8: think_of<EXACT, 8>(); break;
-  case 9: think_of<EXACT, 9>(); break;
-  default: think_of<EXACT, 10>();
+  case 1: think_of<1>(); break;
+  case 2: think_of<2>(); break;
+  case 3: think_of<3>(); break;
+  case 4: think_of<4>(); break;
+  case 5: think_of<5>(); break;
+  case 6: think_of<6>(); break;
+  case 7: think_of<7>(); break;
+  case 8: think_of<8>(); break;
+  case 9: think_of<9>(); break;
+  default: think_of<10>();
   }
 }
 

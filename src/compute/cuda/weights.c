@@ -64,11 +64,10 @@ static size_t place(size_t *used, size_t bytes)
   return at;
 }
 
-struct mo_weights_layout mo_weights_layout(int exact)
+struct mo_weights_layout mo_weights_layout(void)
 {
-  struct mo_weights_layout layout = {.units =
-                                         exact ? MO_WEIGHTS_UNITS_EXACT : MO_WEIGHTS_UNITS_FAST};
-  const size_t pair = (size_t)layout.units * MO_WEIGHTS_PAIR_BYTES;
+  struct mo_weights_layout layout;
+  const size_t pair = (size_t)MO_WEIGHTS_UNITS * MO_WEIGHTS_PAIR_BYTES;
   size_t used = 0;
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++)
     layout.hidden[l] = place(&used, MO_HIDDEN / 2 * pair);
@@ -101,13 +100,12 @@ static void put_tile(const float *const row[2], uint32_t tile, float scale, int 
 
 /* A pair of outputs; unit_halves: from unit to unit; half_halves: from a unit's first half to its
  * second. */
-static void put_pair(const float *const row[2], int exact, float scale, uint16_t *out,
-                     size_t unit_halves, size_t half_halves)
+static void put_pair(const float *const row[2], float scale, uint16_t *out, size_t unit_halves,
+                     size_t half_halves)
 {
-  const uint32_t units = exact ? MO_WEIGHTS_UNITS_EXACT : MO_WEIGHTS_UNITS_FAST;
-  for (uint32_t u = 0; u < units; u++) {
-    put_tile(row, exact ? u : 2 * u, scale, 0, out + u * unit_halves);
-    put_tile(row, exact ? u : 2 * u + 1, scale, exact, out + u * unit_halves + half_halves);
+  for (uint32_t u = 0; u < MO_WEIGHTS_UNITS; u++) {
+    put_tile(row, u, scale, 0, out + u * unit_halves);
+    put_tile(row, u, scale, 1, out + u * unit_halves + half_halves);
   }
 }
 
@@ -130,7 +128,7 @@ static void put_scaled(const float *values, size_t n, float scale, float *out)
     out[i] = values[i] * scale;
 }
 
-int mo_weights_pack(const struct mo_controller *controller, int exact, void *memory)
+int mo_weights_pack(const struct mo_controller *controller, void *memory)
 {
   const struct mo_workspace w = controller->workspace;
   if (w.nx != 6 || w.ny != 6 || w.nz != 4)
@@ -141,7 +139,7 @@ int mo_weights_pack(const struct mo_controller *controller, int exact, void *mem
       if (!(16.0f * fabsf(controller->norm_gain[l][o]) + fabsf(controller->norm_shift[l][o]) <=
             HIDDEN_LIMIT))
         return MO_ERR_UNSUPPORTED;
-  const struct mo_weights_layout layout = mo_weights_layout(exact);
+  const struct mo_weights_layout layout = mo_weights_layout();
   char *base = memory;
   struct mo_weights_scalars scalars = {.sensor = (uint32_t)controller->sensor};
   int mass_of[MO_PLAN_INPUTS];
@@ -163,7 +161,7 @@ int mo_weights_pack(const struct mo_controller *controller, int exact, void *mem
       if (!(fabsf(controller->bias[l][o] * scale) <= BIAS_LIMIT))
         return MO_ERR_UNSUPPORTED;
     uint16_t *out = (uint16_t *)(void *)(base + layout.hidden[l]);
-    for (uint32_t tile = 0; tile < MO_WEIGHTS_TILES; tile++)
+    for (uint32_t tile = 0; tile < MO_WEIGHTS_UNITS; tile++)
       for (uint32_t g = 0; g < 8; g++) {
         float ordered[2][MO_PLAN_INPUTS];
         const float *rows[2];
@@ -174,9 +172,8 @@ int mo_weights_pack(const struct mo_controller *controller, int exact, void *mem
           if (l == 0)
             rows[h] = ordered[h];
         }
-        put_pair(rows, exact, scale,
-                 out + tile * layout.units * 8 * PAIR_HALVES + g * PAIR_HALVES / 2, 8 * PAIR_HALVES,
-                 4 * PAIR_HALVES);
+        put_pair(rows, scale, out + tile * MO_WEIGHTS_UNITS * 8 * PAIR_HALVES + g * PAIR_HALVES / 2,
+                 8 * PAIR_HALVES, 4 * PAIR_HALVES);
       }
     for (uint32_t o = 0; l == 0 && o < MO_HIDDEN; o++)
       for (uint32_t i = 0; i < MO_CPG_INPUTS; i++)
@@ -198,8 +195,9 @@ int mo_weights_pack(const struct mo_controller *controller, int exact, void *mem
         controller->bias[MO_HIDDEN_LAYERS][s];
   }
   for (uint32_t p = 0; p < MO_PLAN_PAIRS; p++)
-    put_pair(rows + 2 * (size_t)p, exact, ldexpf(1.0f, exponent),
-             (uint16_t *)(void *)(base + layout.output) + (size_t)p * layout.units * PAIR_HALVES,
+    put_pair(rows + 2 * (size_t)p, ldexpf(1.0f, exponent),
+             (uint16_t *)(void *)(base + layout.output) +
+                 (size_t)p * MO_WEIGHTS_UNITS * PAIR_HALVES,
              PAIR_HALVES, PAIR_HALVES / 2);
   memcpy(base + layout.scalars, &scalars, sizeof(scalars));
   return MO_OK;

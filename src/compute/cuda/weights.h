@@ -8,8 +8,8 @@
  * g and g + 8 of a layer has one register of the next layer's right operand complete.
  *
  * A lane's four registers of one tile of inputs, (g, r0), (g + 8, r0), (g, r1), (g + 8, r1), are 16
- * bytes: one load. Two of them are a *unit*: MO_DEVICE_EXACT: the values of one tile of inputs,
- * then what rounding them to float16 left; MO_DEVICE_FAST:  the values of two tiles, 2u and 2u + 1.
+ * bytes: one load. Two of them are a *unit*: the values of one tile of inputs, then what rounding
+ * them to float16 left.
  *
  * Each matrix is scaled by a power of two, so that its largest value lies in [2^11, 2^12): what is
  * left by rounding stays clear of float16's subnormal numbers. A hidden layer's bias is scaled
@@ -33,14 +33,11 @@ extern "C" {
 
 #define MO_WEIGHTS_LOAD_BYTES 16
 #define MO_WEIGHTS_PAIR_BYTES 128 /* of one unit of one pair of outputs */
-#define MO_WEIGHTS_TILES                                                                           \
-  16 /* of 16 values: a hidden layer's outputs, or the first layer's inputs */
-#define MO_WEIGHTS_UNITS_EXACT 16
-#define MO_WEIGHTS_UNITS_FAST  8
+/* Tiles of 16 values: a hidden layer's outputs, or inputs, of each of which there is a unit. */
+#define MO_WEIGHTS_UNITS 16
 
 /* Where what lies: offsets in bytes from the start, each a multiple of 256. */
 struct mo_weights_layout {
-  uint32_t units;                  /* per pair of outputs: MO_WEIGHTS_UNITS_EXACT or _FAST */
   size_t hidden[MO_HIDDEN_LAYERS]; /* matrices; the first layer's inputs stand as mo_plan_input_mass
                                       says */
   size_t output;                   /* matrix */
@@ -59,14 +56,13 @@ struct mo_weights_scalars {
   uint32_t sensor;                 /* enum mo_sensor */
 };
 
-/* exact: non-zero for MO_DEVICE_EXACT. */
-struct mo_weights_layout mo_weights_layout(int exact);
+struct mo_weights_layout mo_weights_layout(void);
 
 /* Writes the layout, 16-byte aligned. MO_ERR_UNSUPPORTED: another workspace than the default;
  * LayerNorm gains and shifts so large that hidden values might leave float16's range; hidden
  * weights or biases so large that LayerNorm's sums or epsilon might leave float32's.
  * MO_ERR_NO_MEMORY. */
-int mo_weights_pack(const struct mo_controller *controller, int exact, void *memory);
+int mo_weights_pack(const struct mo_controller *controller, void *memory);
 
 /* float32 to float16 and back, to the nearest, ties to even; above 65504 infinity. */
 uint16_t mo_weights_half(float value);

@@ -1,8 +1,8 @@
-/* The device's float32 physics, compiled for the host, against the float64 physics of src/rollout.
- */
+/* The device's float32 physics and its derivatives, compiled for the host, against the float64
+ * physics of src/rollout. */
 #include "../check.h"
 
-#include "compute/cuda/physics.cuh"
+#include "compute/cuda/lane.cuh"
 
 #include "rollout/contact.h"
 
@@ -15,173 +15,251 @@ static double uniform(double low, double high)
   return low + (high - low) * mo_random_uniform(&dice);
 }
 
-static struct mo_cuda_constants constants_of(const struct mo_physics *physics)
+static int ascending(const void *a, const void *b)
 {
-  return (struct mo_cuda_constants){
-      .dt = (float)physics->dt_s,
-      .keep = (float)exp(-physics->drag_per_s * physics->dt_s),
-      .fall = (float)(physics->gravity_m_per_s2 * physics->dt_s),
-      .pull = (float)(physics->dt_s * physics->stiffness_n_per_m / physics->mass_kg),
-      .actuation = (float)physics->actuation,
-      .friction = (float)physics->friction,
-      .friction_cap = (float)physics->friction_cap,
-      .fastest_squared = (float)(MO_DIVERGED_SPEED_M_PER_S * MO_DIVERGED_SPEED_M_PER_S),
-      .bisections = physics->impact == MO_IMPACT_EXACT ? 0 : physics->bisections,
-  };
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
 }
 
-static void cells_of(const double *heights, struct mo_cuda_cell *cells)
+/* Rounded to float32, so that both sides have the same ground. */
+static void random_heights(double highest, double heights[MO_TERRAIN_HEIGHTS],
+                           float heights32[MO_TERRAIN_HEIGHTS])
 {
-  for (int k = 0; k < MO_CUDA_CELLS; k++)
-    cells[k] = mo_cuda_cell_of(heights, k % MO_CUDA_CELLS_SIDE - 1, k / MO_CUDA_CELLS_SIDE - 1);
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+    heights[k] = heights32[k] = (float)uniform(0, highest);
 }
 
-static void heights(void)
+static void terrain(void)
 {
+  double heights[MO_TERRAIN_HEIGHTS], worst = 0, steepest = 0;
+  float heights32[MO_TERRAIN_HEIGHTS];
   mo_random_init(&dice, 1, MO_PURPOSE_CHECK, 0, 0);
-  double terrain[MO_TERRAIN_HEIGHTS], worst = 0, steepest = 0;
-  struct mo_cuda_cell cells[MO_CUDA_CELLS];
-  mo_terrain_random(2, 0, 0, 0.1, terrain);
-  cells_of(terrain, cells);
-  for (int i = 0; i < 20000; i++) {
-    const float p[2] = {(float)uniform(-4, 4),
-                        (float)uniform(-4, 4)}; /* from the center: beyond all edges, too */
-    const float x = mo_cuda_coordinate(p[0]), y = mo_cuda_coordinate(p[1]);
-    struct mo_cuda_patch patch;
+  random_heights(0.1, heights, heights32);
+  for (int i = 0; i < 20000; i++) { /* beyond all edges, too */
+    const float p[2] = {(float)uniform(-4, 4), (float)uniform(-4, 4)};
+    const float x = lane_coordinate(p[0]), y = lane_coordinate(p[1]);
+    struct lane_cell g;
     float slope[2];
     double gradient[2];
-    mo_cuda_patch_load(cells, mo_cuda_cell_number(x), mo_cuda_cell_number(y), &patch);
-    mo_cuda_slope(&patch, x, y, slope);
-    mo_terrain_gradient(terrain, p[0] + 2.5, p[1] + 2.5, gradient);
-    worst = fmax(worst, fabs((double)mo_cuda_height(&patch, x, y) -
-                             mo_terrain_height(terrain, p[0] + 2.5, p[1] + 2.5)));
+    const float height = lane_ground(heights32, p[0], p[1], &g);
+    lane_slope(&g, p[0], p[1], slope);
+    mo_terrain_gradient(heights, p[0] + 2.5, p[1] + 2.5, gradient);
+    worst = fmax(worst, fabs((double)height - mo_terrain_height(heights, p[0] + 2.5, p[1] + 2.5)));
     if (fabs((double)x - roundf(x)) > 1e-5 && fabs((double)y - roundf(y)) > 1e-5)
       for (int axis = 0; axis < 2; axis++)
         steepest = fmax(steepest, fabs((double)slope[axis] - gradient[axis]));
   }
   CHECK(worst < 1e-6);
   CHECK(steepest < 2e-6);
-  CHECK_INT(mo_cuda_cell_number(NAN), 7);
-  CHECK_INT(mo_cuda_cell_number(1e30f), 7);
-  CHECK_INT(mo_cuda_cell_number(-1e30f), -1);
+  CHECK(lane_cell_number(NAN) == 7 && lane_cell_number(1e30f) == 7);
+  CHECK(lane_cell_number(-1e30f) == -1);
 }
 
-/* Random masses near rough ground, slow and fast: some cross several cells in a step, some start
- * below the ground. */
-static void check_contact(enum mo_impact impact, double speed, double allowed, int least_met)
+enum { STRIKES = 20000 };
+
+/* Masses that meet the ground, forward and back: near it and above it, some below it, some across
+ * borders of cells and beyond the map, at up to `reach` m/s in each direction, every eighth `far`
+ * times as fast. */
+static void check_contact(enum mo_impact impact, double reach, double far, double median_m,
+                          double most_m, double most_apart)
 {
-  mo_random_init(&dice, 3, MO_PURPOSE_CHECK, 0, (uint64_t)impact);
+  static double moved[STRIKES], differ[STRIKES];
   struct mo_physics physics = mo_default_physics();
   physics.impact = impact;
-  const struct mo_cuda_constants k = constants_of(&physics);
-  double terrain[MO_TERRAIN_HEIGHTS], worst = 0;
-  struct mo_cuda_cell cells[MO_CUDA_CELLS];
-  int met = 0, apart = 0;
-  for (int i = 0; i < 20000; i++) {
-    if (i % 1000 == 0) {
-      mo_terrain_random(4, 0, (uint64_t)i, 0.2, terrain);
-      cells_of(terrain, cells);
+  const struct lane_physics lane = lane_physics_of(&physics);
+  int n = 0, crossing = 0;
+  mo_random_init(&dice, 11, MO_PURPOSE_CHECK, 0, impact);
+  while (n < STRIKES) {
+    double heights[MO_TERRAIN_HEIGHTS];
+    float heights32[MO_TERRAIN_HEIGHTS];
+    random_heights(n % 2 == 0 ? 0.1 : 0.5, heights, heights32);
+    const double speed_m_per_s = n % 8 == 0 ? far * reach : reach;
+    const float x = (float)uniform(-2.7, 2.7), y = (float)uniform(-2.7, 2.7);
+    const float z =
+        (float)(mo_terrain_height(heights, x + MO_WORLD_CENTRE_M, y + MO_WORLD_CENTRE_M) +
+                uniform(1e-4, 0.004) * speed_m_per_s / 2);
+    const float v[3] = {(float)uniform(-speed_m_per_s, speed_m_per_s),
+                        (float)uniform(-speed_m_per_s, speed_m_per_s),
+                        (float)uniform(-speed_m_per_s, 0)};
+    const float start[3] = {x, y, z};
+    float p[3] = {x, y, z}, w[3] = {v[0], v[1], v[2]}, dp[3], dv[3];
+    double position[3] = {x + MO_WORLD_CENTRE_M, y + MO_WORLD_CENTRE_M, z},
+           speed[3] = {v[0], v[1], v[2]}, d_position[3], d_velocity[3];
+    const double from[3] = {position[0], position[1], position[2]}, with[3] = {v[0], v[1], v[2]};
+    if (!lane_move(&lane, heights32, 1e9f, p, w))
+      continue;
+    mo_contact_move(&physics, heights, INFINITY, position, speed);
+    for (int k = 0; k < 3; k++) {
+      d_position[k] = dp[k] = (float)uniform(-1, 1);
+      d_velocity[k] = dv[k] = (float)uniform(-0.05, 0.05);
     }
-    const double highest = mo_terrain_highest(terrain);
-    float p[3] = {(float)uniform(-3, 3), (float)uniform(-3, 3), 0};
-    p[2] = (float)(mo_terrain_height(terrain, p[0] + 2.5, p[1] + 2.5) + uniform(-1e-3, 1e-2));
-    float v[3] = {(float)uniform(-speed, speed), (float)uniform(-speed, speed),
-                  (float)uniform(-speed, 0.2 * speed)};
-    double from[3] = {p[0] + 2.5, p[1] + 2.5, p[2]}, to[3] = {v[0], v[1], v[2]};
-    met += mo_cuda_move(&k, cells, (float)(highest + 1e-6), p, v);
-    mo_contact_move(&physics, terrain, highest, from, to);
-    double error = 0;
-    for (int axis = 0; axis < 3; axis++) {
-      error = fmax(error, fabs((double)p[axis] - from[axis] + (axis < 2 ? 2.5 : 0)));
-      error = fmax(error, fabs((double)v[axis] - to[axis]) * physics.dt_s);
+    lane_move_back(&lane, heights32, 1e9f, start, v, dp, dv);
+    mo_contact_move_adjoint(&physics, heights, INFINITY, from, with, d_position, d_velocity);
+    double distance = 0, error = 0, size = 0;
+    for (int k = 0; k < 3; k++) {
+      const double center = k < 2 ? MO_WORLD_CENTRE_M : 0;
+      distance =
+          fmax(distance, fmax(fabs(p[k] + center - position[k]), 0.004 * fabs(w[k] - speed[k])));
+      error += pow(dp[k] - d_position[k], 2) + pow(15 * (dv[k] - d_velocity[k]), 2);
+      size += pow(d_position[k], 2) + pow(15 * d_velocity[k], 2);
     }
-    /* Where rounding decides whether a grazing mass touches, or which half a bisection keeps, the
-     * results part. */
-    if (error > allowed)
-      apart++;
-    else
-      worst = fmax(worst, error);
+    crossing += floor(from[0] * 1.4) != floor((from[0] + 0.004 * v[0]) * 1.4);
+    moved[n] = distance;
+    differ[n++] = sqrt(error / size);
   }
-  printf("# %s, %g m/s: %d met the ground, %d of 20000 apart, the others within %.1e m\n",
-         impact == MO_IMPACT_EXACT ? "exact" : "bisection8", speed, met, apart, worst);
-  CHECK(met > least_met);
-  CHECK(apart <= 20);
+  qsort(moved, STRIKES, sizeof(*moved), ascending);
+  qsort(differ, STRIKES, sizeof(*differ), ascending);
+  printf("# %d strikes, %d across a border: moved apart median %.1e m, 99 %% %.1e; derivative "
+         "differs by median %.1e, 99 %% %.1e\n",
+         STRIKES, crossing, moved[STRIKES / 2], moved[STRIKES * 99 / 100], differ[STRIKES / 2],
+         differ[STRIKES * 99 / 100]);
+  CHECK(crossing > 500);
+  CHECK(moved[STRIKES / 2] < median_m && moved[STRIKES * 99 / 100] < most_m);
+  CHECK(differ[STRIKES / 2] < 1e-5 && differ[STRIKES * 99 / 100] < most_apart);
 }
 
 static void contact(void)
 {
-  check_contact(MO_IMPACT_EXACT, 2, 3e-6, 5000);
-  check_contact(MO_IMPACT_EXACT, 500, 3e-4, 5000); /* 2 m in a step */
-  check_contact(MO_IMPACT_BISECTION, 2, 3e-6, 5000);
+  check_contact(MO_IMPACT_EXACT, 2, 30, 1e-6, 1e-5, 1e-2);
+  check_contact(MO_IMPACT_BISECTION, 2, 30, 1e-6, 1e-2, 1e-1);
+}
+
+/* A mass in the air only flies; what strikes at the next step lies on the ground, for float32 as
+ * for float64. */
+static void lying(void)
+{
+  const struct mo_physics physics = mo_default_physics();
+  const struct lane_physics lane = lane_physics_of(&physics);
+  double heights[MO_TERRAIN_HEIGHTS];
+  float heights32[MO_TERRAIN_HEIGHTS];
+  int below = 0;
+  mo_random_init(&dice, 12, MO_PURPOSE_CHECK, 0, 0);
+  for (int n = 0; n < 2000; n++) {
+    random_heights(0.3, heights, heights32);
+    float p[3] = {(float)uniform(-2, 2), (float)uniform(-2, 2), 0.31f},
+          v[3] = {(float)uniform(-1, 1), (float)uniform(-1, 1), 0};
+    for (int step = 0; step < 60; step++) {
+      struct lane_cell g;
+      v[2] -= 0.04f;
+      lane_move(&lane, heights32, 0.3f, p, v);
+      below += p[2] < lane_ground(heights32, p[0], p[1], &g);
+    }
+  }
+  CHECK(below == 0);
+  float p[3] = {0, 0, 2}, v[3] = {1, 2, 3}, dp[3] = {1, 2, 3}, dv[3] = {0.5f, 0, 0};
+  lane_move_back(&lane, heights32, 0.3f, p, v, dp, dv);
+  CHECK_NEAR(dv[0], 0.504, 1e-6);
+  CHECK_NEAR(dv[2], 0.012, 1e-6);
+  CHECK(dp[0] == 1 && dp[1] == 2 && dp[2] == 3);
 }
 
 /* Whatever a diverging life hands over, the routines end, and leave what is found to be insane. */
 static void insanity(void)
 {
   const struct mo_physics physics = mo_default_physics();
-  struct mo_cuda_constants k = constants_of(&physics);
-  double terrain[MO_TERRAIN_HEIGHTS];
-  struct mo_cuda_cell cells[MO_CUDA_CELLS];
+  struct lane_physics lane = lane_physics_of(&physics);
+  double heights[MO_TERRAIN_HEIGHTS];
+  float heights32[MO_TERRAIN_HEIGHTS];
   const float odd[] = {NAN, INFINITY, -INFINITY, 1e30f, -1e30f, 0.0f};
-  mo_terrain_random(5, 0, 0, 0.1, terrain);
-  cells_of(terrain, cells);
+  random_heights(0.1, heights, heights32);
   for (int mode = 0; mode < 2; mode++) {
-    k.bisections = mode == 0 ? 0 : 8;
+    lane.bisections = mode == 0 ? 0 : 8;
     for (int a = 0; a < 6; a++)
       for (int b = 0; b < 6; b++)
         for (int axis = 0; axis < 3; axis++) {
           float p[3] = {0.1f, 0.2f, 0.3f}, v[3] = {0.1f, 0.1f, -0.1f};
           p[axis] = odd[a];
           v[2 - axis] = odd[b];
-          mo_cuda_move(&k, cells, 1.0f, p, v);
+          lane_move(&lane, heights32, 1.0f, p, v);
           if (a == 0 && b == 0)
-            CHECK(!mo_cuda_is_sane(&k, p, v));
+            CHECK(!lane_is_sane(p, v));
         }
   }
   const float p[3] = {0, 0, 0}, slow[3] = {999, 0, 0}, quick[3] = {0, 1001, 0},
               lost[3] = {INFINITY, 0, 0};
-  CHECK(mo_cuda_is_sane(&k, p, slow));
-  CHECK(!mo_cuda_is_sane(&k, p, quick));
-  CHECK(!mo_cuda_is_sane(&k, lost, slow));
+  CHECK(lane_is_sane(p, slow));
+  CHECK(!lane_is_sane(p, quick));
+  CHECK(!lane_is_sane(lost, slow));
+}
+
+/* ---- springs and sensors, against differences in float64 ---- */
+
+/* What a spring of length |d| gives a velocity per meter, in effect times `across` · d. */
+static double loss64(const struct mo_physics *p, double wanted, const double *d,
+                     const double *across)
+{
+  const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+  return p->dt_s * p->stiffness_n_per_m / p->mass_kg * (length - wanted) / (length + 1e-8) *
+         (across[0] * d[0] + across[1] * d[1] + across[2] * d[2]);
 }
 
 static void springs(void)
 {
-  mo_random_init(&dice, 6, MO_PURPOSE_CHECK, 0, 0);
+  const struct mo_physics physics = mo_default_physics();
+  const struct lane_physics lane = lane_physics_of(&physics);
   double worst = 0;
-  for (int i = 0; i < 20000; i++) {
-    const float d[3] = {(float)uniform(-0.2, 0.2), (float)uniform(-0.2, 0.2),
-                        (float)uniform(-0.2, 0.2)};
+  mo_random_init(&dice, 13, MO_PURPOSE_CHECK, 0, 0);
+  for (int n = 0; n < 3000; n++) {
     const float wanted = (float)uniform(0.08, 0.17);
-    const double length = sqrt((double)d[0] * d[0] + (double)d[1] * d[1] + (double)d[2] * d[2]);
-    const double truth = (length - wanted) / (length + 1e-8);
-    if (length >= 0.02) /* no spring is ever as short; below, 1e-8 of the length counts */
-      worst =
-          fmax(worst, fabs(mo_cuda_spring(d[0], d[1], d[2], wanted) - truth) * length); /* meters */
+    const float d[3] = {(float)uniform(-0.1, 0.1), (float)uniform(-0.1, 0.1),
+                        (float)uniform(0.02, 0.1)};
+    const float across[3] = {(float)uniform(-1, 1), (float)uniform(-1, 1), (float)uniform(-1, 1)};
+    double d64[3] = {d[0], d[1], d[2]};
+    const double across64[3] = {across[0], across[1], across[2]}, h = 1e-6;
+    const struct lane_length length = lane_length_of(lane_squared(d));
+    const float q = lane_spring(lane.pull, &length, wanted);
+    float dd[3];
+    const float d_wanted = -lane_spring_back(lane.pull, &length, wanted, d, across, dd);
+    CHECK_NEAR(q * (across[0] * d[0] + across[1] * d[1] + across[2] * d[2]),
+               loss64(&physics, wanted, d64, across64), 1e-4);
+    double size = 0, error = 0;
+    for (int k = 0; k < 3; k++) {
+      const double at = d64[k];
+      d64[k] = at + h;
+      const double up = loss64(&physics, wanted, d64, across64);
+      d64[k] = at - h;
+      const double down = loss64(&physics, wanted, d64, across64);
+      d64[k] = at;
+      size += pow((up - down) / (2 * h), 2);
+      error += pow((up - down) / (2 * h) - dd[k], 2);
+    }
+    const double slope = (loss64(&physics, wanted + h, d64, across64) -
+                          loss64(&physics, wanted - h, d64, across64)) /
+                         (2 * h);
+    worst = fmax(worst, sqrt(error / size));
+    CHECK_NEAR(d_wanted, slope, 1e-3);
   }
-  CHECK(worst < 2e-7);
-  CHECK(0 * mo_cuda_spring(0, 0, 0, 0.1f) == 0);
-  CHECK(isfinite(mo_cuda_spring(1e-12f, 0, 0, 0.1f)));
+  CHECK(worst < 1e-4);
+  const struct lane_length none = lane_length_of(0), short_one = lane_length_of(1e-24f);
+  CHECK(isfinite(lane_spring(1, &none, 0.1f)) && isfinite(lane_spring(1, &short_one, 0.1f)));
+}
+
+static double light64(enum mo_sensor sensor, double distance)
+{
+  return sensor == MO_SENSOR_INVERSE_SQUARE ? 1 / (distance * distance + 1e-4)
+                                            : 1 / (sqrt(distance + 1e-8) + 1e-8);
 }
 
 static void lights(void)
 {
-  double worst[2] = {0, 0};
-  for (int i = 0; i < 20000; i++) {
-    const double distance = i == 0 ? 0 : exp(-18.0 + 20.0 * i / 20000);
-    const float squared = (float)(distance * distance);
-    const double d = sqrt((double)squared);
-    const double truth[2] = {1.0 / (sqrt(d + 1e-8) + 1e-8), 1.0 / (d * d + 1e-4)};
-    worst[0] = fmax(worst[0], fabs(mo_cuda_light(MO_SENSOR_INVERSE_SQRT, squared) / truth[0] - 1));
-    worst[1] =
-        fmax(worst[1], fabs(mo_cuda_light(MO_SENSOR_INVERSE_SQUARE, squared) / truth[1] - 1));
-  }
-  CHECK(worst[0] < 1e-6);
-  CHECK(worst[1] < 1e-6);
+  for (int sensor = 0; sensor < 2; sensor++)
+    for (int i = 0; i < 20000; i++) {
+      const float squared = (float)exp(2 * (-18.0 + 20.0 * i / 20000));
+      const double d = sqrt((double)squared), h = 1e-4 * d;
+      const double slope =
+          (light64((enum mo_sensor)sensor, d + h) - light64((enum mo_sensor)sensor, d - h)) /
+          (2 * h) / d;
+      CHECK_NEAR(lane_light((enum mo_sensor)sensor, squared) / light64((enum mo_sensor)sensor, d),
+                 1, 1e-6);
+      if (d > 0.1)
+        CHECK_NEAR(lane_light_slope((enum mo_sensor)sensor, squared) / slope, 1, 1e-5);
+    }
+  CHECK(lane_light_slope(MO_SENSOR_INVERSE_SQRT, 0) == 0);
 }
 
-static const struct check_case cases[] = {{"terrain", heights},
-                                          {"contact", contact},
+static const struct check_case cases[] = {{"terrain", terrain},
+                                          {"contact, forward and back", contact},
+                                          {"masses that lie on the ground", lying},
                                           {"what is not finite", insanity},
                                           {"springs", springs},
                                           {"light", lights}};

@@ -144,12 +144,14 @@ static void rows_once(void)
   }
   for (int r = 0; r < N; r++)
     CHECK_INT(seen[r], 1);
-  const double *heights = (const double *)(const void *)(f.block + f.plan.block.environments);
+  const struct mo_plan_environment *laid = (const void *)(f.block + f.plan.block.environments);
   for (uint32_t e = 0; e < PLACES; e++) {
-    CHECK(memcmp(heights + e * MO_PLAN_ENVIRONMENT_DOUBLES, f.plan.environments[e]->light_xy_m,
-                 16) == 0);
-    CHECK(memcmp(heights + e * MO_PLAN_ENVIRONMENT_DOUBLES + 2,
-                 f.plan.environments[e]->terrain_heights_m, 512) == 0);
+    const struct mo_environment *environment = f.plan.environments[e];
+    CHECK(memcmp(laid[e].heights_m, environment->terrain_heights_m, sizeof(laid[e].heights_m)) ==
+          0);
+    CHECK_NEAR(laid[e].scene.light[0] + MO_WORLD_CENTRE_M, environment->light_xy_m[0], 1e-6);
+    CHECK_NEAR(laid[e].scene.heights[9], environment->terrain_heights_m[9], 1e-7);
+    CHECK(laid[e].scene.highest > mo_terrain_highest(environment->terrain_heights_m));
   }
   release(&f);
 }

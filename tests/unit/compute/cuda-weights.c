@@ -51,30 +51,25 @@ static void halves(void)
 
 /* Value `input` of the left operand's row g (h = 0) or g + 8 (h = 1), read as lane (g, t) reads it.
  */
-static double decode(const uint16_t *first_unit, size_t unit_halves, size_t half_halves, int exact,
-                     uint32_t h, uint32_t input)
+static double decode(const uint16_t *first_unit, size_t unit_halves, size_t half_halves, uint32_t h,
+                     uint32_t input)
 {
   const uint32_t tile = input / 16, e = input % 16 / 8, t = input % 8 / 2, r = input % 2;
-  const uint16_t *unit = first_unit + (exact ? tile : tile / 2) * unit_halves;
-  const uint32_t at = 8 * t + 4 * r + 2 * h + e;
-  if (exact)
-    return (double)mo_weights_from_half(unit[at]) +
-           (double)mo_weights_from_half(unit[half_halves + at]);
-  return mo_weights_from_half(unit[(tile % 2) * half_halves + at]);
+  const uint16_t *place = first_unit + tile * unit_halves + 8 * t + 4 * r + 2 * h + e;
+  return (double)mo_weights_from_half(place[0]) + (double)mo_weights_from_half(place[half_halves]);
 }
 
-static void check_layout(int exact)
+static void values(void)
 {
-  const struct mo_weights_layout layout = mo_weights_layout(exact);
+  const struct mo_weights_layout layout = mo_weights_layout();
   char *packed = aligned_alloc(256, (layout.bytes + 255) / 256 * 256);
   uint16_t slots[MO_DEFAULT_SPRINGS];
   REQUIRE(packed != NULL && setup());
-  REQUIRE(mo_weights_pack(controller, exact, packed) == MO_OK);
+  REQUIRE(mo_weights_pack(controller, packed) == MO_OK);
   REQUIRE(mo_plan_slots(slots) == MO_OK);
   const struct mo_weights_scalars *scalars = (const void *)(packed + layout.scalars);
   CHECK_INT(scalars->sensor, MO_SENSOR_INVERSE_SQUARE);
-  /* Rounding: of a float16, or of what a float16 leaves of one. */
-  const double bound = exact ? 0x1p-22 : 0x1p-11;
+  const double bound = 0x1p-22; /* of rounding what a float16 leaves to another */
   double worst = 0;
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     const uint16_t *matrix = (const void *)(packed + layout.hidden[l]);
@@ -94,8 +89,7 @@ static void check_layout(int exact)
         const double weight =
             column < 0 ? 0 : controller->weight[l][o * n_inputs + (uint32_t)column];
         const double value =
-            decode(matrix + (size_t)tile * layout.units * 512 + g * 32, 512, 256, exact, h, i) /
-            scale;
+            decode(matrix + (size_t)tile * MO_WEIGHTS_UNITS * 512 + g * 32, 512, 256, h, i) / scale;
         worst = fmax(worst, fabs(value - weight) - bound * fabs(weight));
       }
     }
@@ -114,8 +108,8 @@ static void check_layout(int exact)
     CHECK_NEAR(bias[slots[s]], controller->bias[MO_HIDDEN_LAYERS][s], 0);
     for (uint32_t i = 0; i < MO_HIDDEN; i++) {
       const double weight = controller->weight[MO_HIDDEN_LAYERS][(size_t)s * MO_HIDDEN + i];
-      const double value = decode(output + (size_t)(slots[s] / 2) * layout.units * 64, 64, 32,
-                                  exact, slots[s] % 2U, i) *
+      const double value = decode(output + (size_t)(slots[s] / 2) * MO_WEIGHTS_UNITS * 64, 64, 32,
+                                  slots[s] % 2U, i) *
                            scalars->output;
       worst = fmax(worst, fabs(value - weight) - bound * fabs(weight));
     }
@@ -124,47 +118,37 @@ static void check_layout(int exact)
   free(packed);
 }
 
-static void exact(void)
-{
-  check_layout(1);
-}
-
-static void fast(void)
-{
-  check_layout(0);
-}
-
 static void refusals(void)
 {
   struct mo_controller *other = NULL;
-  const struct mo_weights_layout layout = mo_weights_layout(1);
+  const struct mo_weights_layout layout = mo_weights_layout();
   char *packed = aligned_alloc(256, (layout.bytes + 255) / 256 * 256);
   REQUIRE(packed != NULL && setup());
   REQUIRE(mo_controller_create((struct mo_workspace){3, 3, 3}, MO_SENSOR_INVERSE_SQRT, &other) ==
           MO_OK);
-  CHECK_INT(mo_weights_pack(other, 1, packed), MO_ERR_UNSUPPORTED);
+  CHECK_INT(mo_weights_pack(other, packed), MO_ERR_UNSUPPORTED);
   mo_controller_free(other);
   const float gain = controller->norm_gain[1][7];
   controller->norm_gain[1][7] = 4000.0f; /* √256 times that is beyond float16 */
-  CHECK_INT(mo_weights_pack(controller, 1, packed), MO_ERR_UNSUPPORTED);
+  CHECK_INT(mo_weights_pack(controller, packed), MO_ERR_UNSUPPORTED);
   controller->norm_gain[1][7] = -3000.0f;
-  CHECK_INT(mo_weights_pack(controller, 1, packed), MO_OK);
+  CHECK_INT(mo_weights_pack(controller, packed), MO_OK);
   controller->norm_gain[1][7] = gain;
   /* What LayerNorm squares, and its epsilon beside that, must be float32 numbers. */
   const float bias = controller->bias[1][7], weight = controller->weight[2][9];
   controller->bias[1][7] = 1e20f;
-  CHECK_INT(mo_weights_pack(controller, 0, packed), MO_ERR_UNSUPPORTED);
+  CHECK_INT(mo_weights_pack(controller, packed), MO_ERR_UNSUPPORTED);
   controller->bias[1][7] = 1e4f;
-  CHECK_INT(mo_weights_pack(controller, 0, packed), MO_OK);
+  CHECK_INT(mo_weights_pack(controller, packed), MO_OK);
   controller->bias[1][7] = bias;
   controller->weight[2][9] = 1e30f;
-  CHECK_INT(mo_weights_pack(controller, 1, packed), MO_ERR_UNSUPPORTED);
+  CHECK_INT(mo_weights_pack(controller, packed), MO_ERR_UNSUPPORTED);
   controller->weight[2][9] = 1e10f;
-  CHECK_INT(mo_weights_pack(controller, 1, packed), MO_OK);
+  CHECK_INT(mo_weights_pack(controller, packed), MO_OK);
   controller->weight[2][9] = weight;
   free(packed);
 }
 
 static const struct check_case cases[] = {
-    {"float16", halves}, {"exact", exact}, {"fast", fast}, {"refusals", refusals}};
+    {"float16", halves}, {"values", values}, {"refusals", refusals}};
 CHECK_MAIN(cases)

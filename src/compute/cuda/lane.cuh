@@ -1,0 +1,282 @@
+/* lane.cuh: rollout/lane_physics.inc and lane_adjoint.inc for a lane of a device: a vector of one
+ * float.
+ *
+ * What they leave to the kernels is here: which cell of the terrain a lane gets, segments that
+ * leave their cell, which are cut at its borders, and whole moves of a mass, forward and back.
+ * Scoring and the gradient include the same lines. So does a test without a device: this file is
+ * valid C17, too.
+ *
+ * Operations are fused where v_fma says so and nowhere else: this file is to be compiled without
+ * contraction (nvcc -fmad=false), so that the way back sees every strike that the way forward saw.
+ */
+#ifndef MORPHO_COMPUTE_CUDA_LANE_CUH
+#define MORPHO_COMPUTE_CUDA_LANE_CUH
+
+#include <math.h>
+#include <stdbool.h>
+#include <stdint.h>
+
+#ifdef __CUDACC__
+#define MO_INLINE static __host__ __device__ __forceinline__
+extern "C" {
+#include "rollout/fast.h"
+}
+#else
+#define MO_INLINE static inline __attribute__((unused))
+#include "rollout/fast.h"
+#endif
+
+typedef float REAL, V;
+typedef bool M;
+
+#define v_set(x)         ((float)(x))
+#define v_fma(a, b, c)   fmaf(a, b, c)
+#define v_fnma(a, b, c)  fmaf(-(a), b, c)
+#define v_min(a, b)      fminf(a, b)
+#define v_max(a, b)      fmaxf(a, b)
+#define v_abs(a)         fabsf(a)
+#define v_copysign(a, b) copysignf(a, b)
+#define v_floor(a)       floorf(a)
+#define v_lt(a, b)       ((a) < (b))
+#define v_le(a, b)       ((a) <= (b))
+#define v_eq(a, b)       ((a) == (b))
+#define v_sel(m, a, b)   ((m) ? (a) : (b))
+#define v_keep(m, a)     ((m) ? (a) : 0.0f)
+
+/* Divisions and roots are the device's own instructions, within two units of the last place, as is
+ * float32 arithmetic around them; their subnormal operands count as 0. */
+MO_INLINE V v_div(V a, V b)
+{
+#ifdef __CUDA_ARCH__
+  V quotient;
+  asm("div.approx.ftz.f32 %0, %1, %2;" : "=f"(quotient) : "f"(a), "f"(b));
+  return quotient;
+#else
+  return a / b;
+#endif
+}
+
+MO_INLINE V v_sqrt(V a)
+{
+#ifdef __CUDA_ARCH__
+  V root;
+  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));
+  return root;
+#else
+  return sqrtf(a);
+#endif
+}
+
+#ifdef __CUDACC__
+#pragma nv_diag_suppress 1675 /* their loops are unrolled without being asked for */
+#endif
+#define LANE_HEIGHT float
+#include "rollout/lane_adjoint.inc"
+
+/* ---- terrain ---- */
+
+/* heights: (64), as in mo_environment; i, j: whole numbers. */
+MO_INLINE struct lane_cell lane_cell_at(const float *heights, V i, V j)
+{
+  struct lane_cell g;
+  float corners[4], polynomial[4];
+  lane_corners(heights, (int)i, (int)j, corners);
+  lane_polynomial(corners, polynomial);
+  g.i = i;
+  g.j = j;
+  g.h = polynomial[0];
+  g.a = polynomial[1];
+  g.b = polynomial[2];
+  g.c = polynomial[3];
+  return g;
+}
+
+/* The cell under a place in meters from the world's center; returns the height there. */
+MO_INLINE V lane_ground(const float *heights, V x, V y, struct lane_cell *g)
+{
+  const V u = lane_coordinate(x), w = lane_coordinate(y);
+  *g = lane_cell_at(heights, lane_cell_number(u), lane_cell_number(w));
+  return lane_height(g, u - g->i, w - g->j);
+}
+
+/* The gradient of g's polynomial at that place. */
+MO_INLINE void lane_slope(const struct lane_cell *g, V x, V y, V slope[2])
+{
+  slope[0] = lane_slope_x(g, lane_coordinate(y) - g->j);
+  slope[1] = lane_slope_y(g, lane_coordinate(x) - g->i);
+}
+
+/* ---- time of impact ---- */
+
+/* When a segment at `start` with `speed`, in cells, leaves cell `cell`. */
+MO_INLINE V lane_leave_time(V start, V speed, V cell)
+{
+  if (speed > 0 && cell < MO_TERRAIN_SIDE - 1)
+    return v_div(cell + 1 - start, speed);
+  if (speed < 0 && cell >= 0)
+    return v_div(cell - start, speed);
+  return INFINITY;
+}
+
+/* When a segment strikes, and in which cell. */
+struct lane_impact {
+  V time, i, j;
+};
+
+/* From p with velocity v, in closed form: the segment leaves its cell. */
+MO_INLINE struct lane_impact lane_impact_across(const float *heights, V dt, const V p[3],
+                                                const V v[3])
+{
+  const V x = lane_coordinate(p[0]), y = lane_coordinate(p[1]);
+  const V dx = v[0] * LANE_CELLS_PER_M, dy = v[1] * LANE_CELLS_PER_M;
+  struct lane_impact impact = {dt, lane_cell_number(x), lane_cell_number(y)};
+  V from = 0;
+  for (int piece = 0; piece < 4 * MO_TERRAIN_SIDE; piece++) {
+    const V leave_x = lane_leave_time(x, dx, impact.i), leave_y = lane_leave_time(y, dy, impact.j);
+    const V to = v_min(v_min(leave_x, leave_y), dt);
+    if (to > from) {
+      const struct lane_cell g = lane_cell_at(heights, impact.i, impact.j);
+      const struct lane_descent d = lane_descend(
+          &g, v_fma(from, dx, x) - g.i, v_fma(from, dy, y) - g.j, v_fma(from, v[2], p[2]), v);
+      if (d.comes && from + d.time <= to) {
+        impact.time = from + d.time;
+        return impact;
+      }
+      from = to;
+    }
+    if (!(to < dt))
+      break; /* below the ground by rounding only */
+    if (leave_x <= leave_y)
+      impact.i += dx > 0 ? 1.0f : -1.0f;
+    else
+      impact.j += dy > 0 ? 1.0f : -1.0f;
+  }
+  return impact;
+}
+
+/* The same by n halvings of the step, wherever the segment leads. */
+MO_INLINE struct lane_impact lane_impact_halving(const float *heights, V dt, uint32_t n,
+                                                 const V p[3], const V v[3])
+{
+  struct lane_cell g;
+  V low = 0, high = dt;
+  for (uint32_t k = 0; k < n; k++) {
+    const V middle = 0.5f * (low + high);
+    if (v_fma(middle, v[2], p[2]) <
+        lane_ground(heights, v_fma(middle, v[0], p[0]), v_fma(middle, v[1], p[1]), &g))
+      high = middle;
+    else
+      low = middle;
+  }
+  const struct lane_impact impact = {low, lane_cell_number(lane_coordinate(v_fma(low, v[0], p[0]))),
+                                     lane_cell_number(lane_coordinate(v_fma(low, v[1], p[1])))};
+  return impact;
+}
+
+/* ---- moves ---- */
+
+/* A strike as a lane sees it. */
+struct lane_hit {
+  struct lane_cell cell; /* where it struck */
+  struct lane_strike strike;
+  bool crosses,
+      stays; /* the segment leaves its cell; the strike ends in the cell where it struck */
+};
+
+/* From p with velocity v; next: the ground under the end of the straight segment. */
+MO_INLINE struct lane_hit lane_hit_of(const struct lane_physics *k, const float *heights,
+                                      const struct lane_cell *next, const V p[3], const V v[3])
+{
+  struct lane_hit hit;
+  const V x = lane_coordinate(p[0]), y = lane_coordinate(p[1]);
+  V time;
+  hit.cell = *next;
+  hit.crosses = !lane_within(next, x, y);
+  if (k->bisections > 0 || hit.crosses) {
+    const struct lane_impact impact = k->bisections > 0
+                                          ? lane_impact_halving(heights, k->dt, k->bisections, p, v)
+                                          : lane_impact_across(heights, k->dt, p, v);
+    time = impact.time;
+    hit.cell = lane_cell_at(heights, impact.i, impact.j);
+  } else {
+    const struct lane_descent d = lane_descend(next, x - next->i, y - next->j, p[2], v);
+    time = v_sel(d.comes, d.time, k->dt);
+  }
+  hit.strike = lane_strike_at(k, &hit.cell, lane_in_step(k, time), p, v);
+  hit.stays = lane_within(&hit.cell, lane_coordinate(hit.strike.end[0]),
+                          lane_coordinate(hit.strike.end[1]));
+  return hit;
+}
+
+/* Whether a mass at p with velocity v strikes the ground; no ground is above `highest`. next: where
+ * its straight segment ends, g: the ground there. */
+MO_INLINE bool lane_strikes(const struct lane_physics *k, const float *heights, V highest,
+                            const V p[3], const V v[3], V next[3], struct lane_cell *g)
+{
+  for (int axis = 0; axis < 3; axis++)
+    next[axis] = v_fma(k->dt, v[axis], p[axis]);
+  return next[2] < highest && next[2] < lane_ground(heights, next[0], next[1], g);
+}
+
+/* A mass moves from p with velocity v for one step; p and v become those after it. true: it struck
+ * the ground. */
+MO_INLINE bool lane_move(const struct lane_physics *k, const float *heights, V highest, V p[3],
+                         V v[3])
+{
+  V next[3];
+  struct lane_cell g;
+  if (!lane_strikes(k, heights, highest, p, v, next, &g)) {
+    for (int axis = 0; axis < 3; axis++)
+      p[axis] = next[axis];
+    return false;
+  }
+  const struct lane_hit hit = lane_hit_of(k, heights, &g, p, v);
+  const struct lane_strike *s = &hit.strike;
+  V rise = lane_rise(&hit.cell, s);
+  g = hit.cell;
+  if (!hit.stays)
+    rise = s->end[2] - lane_ground(heights, s->end[0], s->end[1], &g);
+  p[0] = s->end[0];
+  p[1] = s->end[1];
+  p[2] = lane_landing(&g, lane_coordinate(p[0]) - g.i, lane_coordinate(p[1]) - g.j, rise);
+  for (int axis = 0; axis < 3; axis++)
+    v[axis] = s->slid[axis];
+  return true;
+}
+
+/* The derivative of lane_move at the p and v that it was given. dp, dv: ∂loss/∂ what it made of
+ * them; replaced by ∂loss/∂ what it was given. */
+MO_INLINE void lane_move_back(const struct lane_physics *k, const float *heights, V highest,
+                              const V p[3], const V v[3], V dp[3], V dv[3])
+{
+  V next[3], slope[2];
+  struct lane_cell g;
+  if (!lane_strikes(k, heights, highest, p, v, next, &g)) {
+    for (int axis = 0; axis < 3; axis++)
+      dv[axis] = v_fma(k->dt, dp[axis], dv[axis]);
+    return;
+  }
+  const struct lane_hit hit = lane_hit_of(k, heights, &g, p, v);
+  const struct lane_strike *s = &hit.strike;
+  bool above = lane_rise(&hit.cell, s) >= 0;
+  g = hit.cell;
+  if (!hit.stays)
+    above = lane_ground(heights, s->end[0], s->end[1], &g) <= s->end[2];
+  lane_slope(&g, s->end[0], s->end[1], slope);
+  struct lane_strike_back b =
+      lane_strike_back_of(k, &hit.cell, s, v, above, slope[0], slope[1], dp, dv);
+
+  const bool lies = p[2] <= lane_ground(heights, p[0], p[1], &g);
+  lane_lies_back(&hit.cell, s, v, lies, &b);
+  if (lies && hit.crosses) { /* the gradients at the impact and at p are of two cells */
+    lane_slope(&g, p[0], p[1], slope);
+    b.dp[0] = b.hit[0] + b.push * (s->gx - slope[0]);
+    b.dp[1] = b.hit[1] + b.push * (s->gy - slope[1]);
+  }
+  for (int axis = 0; axis < 3; axis++) {
+    dp[axis] = b.dp[axis];
+    dv[axis] = b.dv[axis];
+  }
+}
+
+#endif
