@@ -1,7 +1,6 @@
 /* gradient_back.cu: the way back through physics, sensors and network, from a launch's last step to its first. Leaves ∂loss/∂ what each layer
  * sums for the products that give the parameters' gradient. A row whose adjoint is not finite becomes zeros from there on and is reported; the
  * host then walks back again without it, so that nothing of it is left in the sums. */
-#include "compute/cuda/gradient_back.cuh"
 #include "compute/cuda/gradient_back_physics.cuh"
 
 /* ∂loss/∂ outputs on their way to the tape: of each eight tiles, sixteen bytes for each thread. */
@@ -25,87 +24,6 @@ struct output_copy {
     to += 16;
   }
 };
-
-template <int MT, int SHARE>
-__device__ __forceinline__ void back<MT, SHARE>::load_normal(int layer, uint32_t step, __half2 (&n)[MT][2][2],
-                                                             float (&factor)[MT][2])
-{
-  const int column = warp * 16 + 4 * (lane & 3);
-  const uint2 *normal =
-      (const uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
-  const float *scale = (const float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
-#pragma unroll
-  for (int m = 0; m < MT; m++)
-#pragma unroll
-    for (int h = 0; h < 2; h++) {
-      const int row = group_row(m * 16 + h * 8 + (lane >> 2));
-      uint2 two;
-      asm volatile("ld.global.cs.v2.u32 {%0, %1}, [%2];"
-                   : "=r"(two.x), "=r"(two.y)
-                   : "l"(normal + row * (MO_HIDDEN / 4) + (column >> 2)));
-      asm volatile("ld.global.nc.f32 %0, [%1];" : "=f"(factor[m][h]) : "l"(scale + row));
-      n[m][h][0] = *(const __half2 *)&two.x;
-      n[m][h][1] = *(const __half2 *)&two.y;
-    }
-}
-
-/* sums: ∂loss/∂ what ReLU gave. Leaves ∂loss/∂ what the layer summed in `left`, and on the tape where n was. */
-template <int MT, int SHARE>
-__device__ __forceinline__ void
-back<MT, SHARE>::norm_relu_back(int layer, uint32_t step, warp_sums<MT> &sums, const __half2 (&n)[MT][2][2],
-                                const float (&factors)[MT][2], const norm_columns &columns)
-{
-  const int column = warp * 16 + 4 * (lane & 3);
-  uint2 *dense = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
-  float2 s[MT][2], d_shifts[MT][2], d_gains[MT][2];
-  float *gain_sum = norm_sums + layer * 2 * MO_HIDDEN + column, *shift_sum = gain_sum + MO_HIDDEN;
-#pragma unroll
-  for (int j = 0; j < 2; j++) {
-    const float2 gain = columns.gain[j], shift = columns.shift[j];
-#pragma unroll
-    for (int m = 0; m < MT; m++)
-#pragma unroll
-      for (int h = 0; h < 2; h++) {
-        const float2 at = __half22float2(n[m][h][j]);
-        const float d0 = fmaf(at.x, gain.x, shift.x) > 0 ? sums.c[m][j][2 * h] : 0.0f;
-        const float d1 = fmaf(at.y, gain.y, shift.y) > 0 ? sums.c[m][j][2 * h + 1] : 0.0f;
-        float2 &d_shift = d_shifts[half_of(h)][j], &d_gain = d_gains[half_of(h)][j];
-        d_shift = begins(m, h) ? make_float2(d0, d1) : make_float2(d_shift.x + d0, d_shift.y + d1);
-        d_gain = begins(m, h) ? make_float2(d0 * at.x, d1 * at.y)
-                              : make_float2(fmaf(d0, at.x, d_gain.x), fmaf(d1, at.y, d_gain.y));
-        const float e0 = d0 * gain.x, e1 = d1 * gain.y;
-        sums.c[m][j][2 * h] = e0;
-        sums.c[m][j][2 * h + 1] = e1;
-        const float2 part_of = make_float2(e0 + e1, fmaf(e0, at.x, e1 * at.y));
-        s[m][h] = j == 0 ? part_of : make_float2(s[m][h].x + part_of.x, s[m][h].y + part_of.y);
-      }
-  }
-  add_columns(shift_sum, d_shifts);
-  add_columns(gain_sum, d_gains);
-  sum_rows<MT>(part, warp, lane, s);
-#pragma unroll
-  for (int m = 0; m < MT; m++)
-#pragma unroll
-    for (int h = 0; h < 2; h++) {
-      const int row = m * 16 + h * 8 + (lane >> 2);
-      const float factor = factors[m][h], mean = s[m][h].x * (1.0f / MO_HIDDEN), along = s[m][h].y * (1.0f / MO_HIDDEN);
-      float2 d[2];
-      bool sound = true;
-#pragma unroll
-      for (int j = 0; j < 2; j++) {
-        const float2 at = __half22float2(n[m][h][j]);
-        d[j] = make_float2(factor * (sums.c[m][j][2 * h] - fmaf(at.x, along, mean)),
-                           factor * (sums.c[m][j][2 * h + 1] - fmaf(at.y, along, mean)));
-        sound = sound && fabsf(d[j].x) <= MO_GK_LARGE && fabsf(d[j].y) <= MO_GK_LARGE;
-      }
-      if (!sound)
-        failed[row] = 1;
-      const uint2 both = four(__float22bfloat162_rn(d[0]), __float22bfloat162_rn(d[1]));
-      *(uint2 *)(left + row * MO_GK_ROW + column) = both;
-      __stcs(dense + group_row(row) * (MO_HIDDEN / 4) + (column >> 2), both);
-    }
-  __syncthreads();
-}
 
 /* As load_weights, and where it is written: the compiler would put loads last, to have their registers for something else. */
 static __device__ __forceinline__ uint4 load_weights_here(const uint4 *p)
@@ -164,236 +82,377 @@ static __device__ __forceinline__ uint4 load_tile(const uint4 *from, uint32_t fo
   return load_weights_here((const uint4 *)((const char *)from + (uint64_t)__byte_perm(four, 0, 0x4440 + k) * 512));
 }
 
-/* As many tiles as the ring has, which then has those whose numbers are the bytes of `then`. FIRST: the first `before` are left out. */
-template <int MT, int SHARE>
-template <bool FIRST>
-__device__ __forceinline__ void back<MT, SHARE>::add_round(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead,
-                                                           left_tile<MT> (&a)[2], uint32_t left_at, const uint4 *from,
-                                                           const uint2 &then, int before)
-{
-#pragma unroll
-  for (int i = 0; i < MO_GK_AHEAD_BACK; i++) {
-    a[(i + 1) % 2].load(left_at + (uint32_t)(i + 1) * 32, width * 2); /* beyond the last: not used */
-    if (!FIRST || i >= before)
-      a[i % 2].add(sums, ahead.w[i]);
-    ahead.w[i] = load_tile(from, i < 4 ? then.x : then.y, i % 4);
-  }
-}
+template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
+  using own = back_physics<MT, SHARE>;
+  using own::activation_at, own::begin, own::end, own::end_step, own::excluded, own::failed,
+      own::first, own::first_row, own::first_step, own::forget, own::g, own::group_first,
+      own::group_row, own::gx, own::half, own::half_begin, own::HELD, own::hold, own::input,
+      own::k, own::lane, own::lane_begin, own::layer_bytes, own::left, own::mass, own::move_back,
+      own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::normal_at, own::output_at,
+      own::output_tile, own::outputs, own::own_row, own::part, own::position_at, own::result,
+      own::ROWS, own::scale_at, own::sense_back, own::springs_back, own::start, own::tape,
+      own::TAPE_ROWS, own::velocity_at, own::warp, own::width;
+  using typename own::held;
+  /* What this block has of the group's chunks: the first, and how many. */
+  int block_chunk, block_chunks;
+  float *norm_sums; /* (halves, layers, 2, 256) of all steps */
 
-/* Where the tiles are is known two rounds before they are multiplied, so that nothing keeps a load from its place. */
-template <int MT, int SHARE>
-__device__ __forceinline__ void back<MT, SHARE>::add_last(uint32_t step, warp_sums<MT> &sums,
-                                                          weights_ahead<MO_GK_AHEAD_BACK> &ahead)
-{
-  enum { N = MO_GK_AHEAD_BACK };
-  const int before = lead();
-  uint32_t left_at = left_address(outputs, width * 2, lane) - (uint32_t)before * 32;
-  const uint2 *numbers = (const uint2 *)output_tile + 1;
-  const uint4 *last = last_tiles(), *hidden = hidden_tiles(2);
-  const int n = (before + n_outputs) / N;
-  int round = 0;
-  uint2 then = numbers[0];
-  left_tile<MT> a[2];
-  const int row = warp * 2 + lane / 16, part_of = lane % 16;
-  const bool any = row < ROWS;
-  output_copy copy = {
-      shared_address(outputs + row * width) + (uint32_t)part_of * 16 - (uint32_t)before * 32,
-      (uint4 *)(tape + output_at + ((size_t)step * TAPE_ROWS + group_row(row)) * (n_outputs * MO_GP_TILE * 2)) +
-          part_of - 2 * before};
-  a[0].load(left_at, width * 2);
-  if (before > 0) {
-    copy.read(any && part_of >= 2 * before);
-    add_round<true>(sums, ahead, a, left_at, n > 1 ? last : hidden, then, before);
-    copy.write(any && part_of >= 2 * before);
-    left_at += N * 32;
-    then = *++numbers;
-    round++;
+  __device__ __forceinline__ back(const mo_gk &args, const mo_gp_group &group, unsigned char *shared,
+                                  const mo_gk_task &task)
+      : own(args, group, shared, task)
+  {
+    block_chunk = SHARE > 1 && half > 0 ? (int)g.pair[own::PAIRS].first_chunk : 0;
+    block_chunks = (SHARE > 1 && half == 0 ? (int)g.pair[own::PAIRS].first_chunk : n_chunks) - block_chunk;
+    norm_sums = k.sums + g.sum_at + mo_gp_sum_of(&g).norm + half * MO_GP_NORM_FLOATS;
+    if ((int)threadIdx.x < n_outputs)
+      output_tile[lead() + threadIdx.x] = g.output_tile[threadIdx.x];
+    if (threadIdx.x < MO_GK_AHEAD_BACK)
+      output_tile[lead() + n_outputs + threadIdx.x] = (uint8_t)threadIdx.x; /* then the first of a hidden layer */
   }
-#pragma unroll 1
-  for (; round < n; round++) {
-    const uint2 after = *++numbers;
-    copy.read(any);
-    add_round<false>(sums, ahead, a, left_at, round + 1 < n ? last : hidden, then, 0);
-    copy.write(any);
-    left_at += N * 32;
-    then = after;
-  }
-}
 
-/* `ahead` has the last layer's first weights. */
-template <int MT, int SHARE>
-__device__ __forceinline__ void back<MT, SHARE>::control_back(uint32_t step, weights_ahead<MO_GK_AHEAD_BACK> &ahead)
-{
-  const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
-  const int column = warp * 16 + 4 * (lane & 3);
-  __half2 n[MT][2][2];
-  float factors[MT][2];
-  warp_sums<MT> sums;
-  norm_columns columns;
-  sums.clear();
-  load_normal(2, step, n, factors);
-  add_last(step, sums, ahead);
-  columns.load(k.weights, 2, column);
-  norm_relu_back(2, step, sums, n, factors, columns);
-#pragma unroll 1
-  for (int layer = 2; layer > 0; layer--) {
-    sums.clear();
-    load_normal(layer - 1, step, n, factors);
-    add_sixteen<MT, true>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(layer), hidden_tiles(layer - 1));
-    columns.load(k.weights, layer - 1, column);
-    norm_relu_back(layer - 1, step, sums, n, factors, columns);
+  /* Which of the block's halves row 16 m + 8 h + lane / 4 is of, and whether it is this lane's first of it. */
+  static __device__ __forceinline__ int half_of(int h)
+  {
+    return MT > 1 ? h : 0;
   }
-  sums.clear();
-  add_sixteen<MT, false>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(0), nullptr);
-  __syncthreads();
-#pragma unroll
-  for (int m = 0; m < MT; m++)
-#pragma unroll
-    for (int h = 0; h < 2; h++)
-      *(uint2 *)(left + (m * 16 + h * 8 + (lane >> 2)) * MO_GK_ROW + column) =
-          four(__floats2bfloat162_rn(sums.c[m][0][2 * h], sums.c[m][0][2 * h + 1]),
-               __floats2bfloat162_rn(sums.c[m][1][2 * h], sums.c[m][1][2 * h + 1]));
-  __syncthreads();
-}
+  static __device__ __forceinline__ bool begins(int m, int h)
+  {
+    return m == 0 && (MT > 1 || h == 0);
+  }
 
-/* What the step before this one will read: of a half, its own masses, chunks and rows. */
-template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::fetch_step(uint32_t step)
-{
-  enum { ROW_BYTES = MO_HIDDEN * 2 };
-  const uint32_t masses = 4 * n_masses, normals = TAPE_ROWS * ROW_BYTES;
-  if (SHARE == 1) {
-    fetch(tape + position_at + (size_t)step * 3 * masses, 3 * masses);
-    fetch(tape + velocity_at + (size_t)step * 3 * masses, 3 * masses);
-  } else {
-#pragma unroll 1
-    for (uint32_t axis = 0; axis < 3; axis++) {
-      const size_t at = (size_t)(3 * step + axis) * masses + 4 * half_begin;
-      fetch(tape + position_at + at, 4 * n_own);
-      fetch(tape + velocity_at + at, 4 * n_own);
+  /* Sums over rows of this lane's four columns, by halves, added to those of all steps. Lanes 4, 8 and 16 apart have other rows of the same columns;
+   * each of them ends with one column, of one half. */
+  __device__ __forceinline__ void add_columns(float *to, const float2 (&d)[MT][2])
+  {
+    const bool odd = lane & 4, second = lane & 8, upper = lane & 16;
+    float sum[MT];
+#pragma unroll
+    for (int h = 0; h < MT; h++) {
+      float2 near = odd ? make_float2(d[h][0].y, d[h][1].y) : make_float2(d[h][0].x, d[h][1].x);
+      const float2 far = odd ? make_float2(d[h][0].x, d[h][1].x) : make_float2(d[h][0].y, d[h][1].y);
+      near.x += __shfl_xor_sync(0xffffffffu, far.x, 4);
+      near.y += __shfl_xor_sync(0xffffffffu, far.y, 4);
+      sum[h] = second ? near.y : near.x;
+      sum[h] += __shfl_xor_sync(0xffffffffu, second ? near.x : near.y, 8);
+    }
+    to += 2 * second + odd;
+    if (MT > 1)
+      atomicAdd(to + (upper ? MO_GP_NORM_FLOATS : 0),
+                (upper ? sum[MT - 1] : sum[0]) + __shfl_xor_sync(0xffffffffu, upper ? sum[0] : sum[MT - 1], 16));
+    else {
+      sum[0] += __shfl_xor_sync(0xffffffffu, sum[0], 16);
+      if (!upper)
+        atomicAdd(to, sum[0]);
     }
   }
-  fetch(tape + activation_at + ((size_t)step * n_chunks + block_chunk) * 64, 64 * block_chunks);
-#pragma unroll 1
-  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
-    const unsigned char *rows_at = tape + normal_at + l * layer_bytes + (size_t)step * normals;
-    if (SHARE == 1) {
-      fetch(rows_at, normals);
-    } else {
-      fetch(rows_at + group_row(0) * ROW_BYTES, 8 * ROW_BYTES);
-      fetch(rows_at + group_row(8) * ROW_BYTES, 8 * ROW_BYTES);
-    }
-  }
-}
 
-template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::run()
-{
-  const uint64_t state = 3 * (g.first_mass + group_first());
-  float *own_gx = gx + 3 * first;
-  const bool is_first = end_step == k.n_steps;
-  for (uint32_t i = threadIdx.x; i < ROWS * width / 2; i += MO_GK_THREADS)
-    ((uint32_t *)outputs)[i] = 0;
-  if (is_first)
-    for (int i = threadIdx.x; i < MT * MO_GP_NORM_FLOATS; i += MO_GK_THREADS)
-      norm_sums[i] = 0;
-  if (threadIdx.x < ROWS)
-    failed[threadIdx.x] = 0;
-#pragma unroll
-  for (int r = 0; r < MT; r++) {
-    const int row = own_row(r);
-    const mo_gk_result &before = k.results[first_row + group_row(row)];
-    excluded[r] = before.diverged || before.excluded || before.zeroed;
-    if (lane == 0) {
-      const double start_m = k.rows[first_row + group_row(row)].start_m;
-      const back_row now = {
-          start_m * start_m, before.largest * before.largest, before.steps, before.clipped, before.zeroed, 0};
-      result[row] = now;
-    }
+  /* The first of the tiles of springs for this warp's neurons; of its sixteen tiles of a hidden layer. */
+  __device__ __forceinline__ const uint4 *last_tiles() const
+  {
+    return k.weights.back[3] + (uint32_t)warp * MO_GP_OUTPUT_TILES * 32 + lane;
   }
-  __syncthreads();
-  if (is_first)
-    start();
-  else
-    for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
-      own_gx[i] = k.position[state + i];
-      ((float *)(mass + first + i / 3))[3 + i % 3] = k.velocity[state + i];
-    }
-  __syncwarp();
-  uint32_t inputs = 0;
+  __device__ __forceinline__ const uint4 *hidden_tiles(int layer) const
+  {
+    return k.weights.back[layer] + (uint32_t)warp * (16 * 32) + lane;
+  }
+
+  /* Springs' tiles go by the ring's length, the first time fewer: so many are left out before the first. */
+  __device__ __forceinline__ int lead() const
+  {
+    return (MO_GK_AHEAD_BACK - n_outputs % MO_GK_AHEAD_BACK) % MO_GK_AHEAD_BACK;
+  }
+
+  /* The ring's first places are those left out, or hold nothing that is used. */
+  __device__ __forceinline__ void start_ahead(weights_ahead<MO_GK_AHEAD_BACK> &ahead) const
+  {
+    const int before = lead();
+    ahead.start([&](int i) { return last_tiles() + (i < before ? 0 : output_tile[i] * 32); });
+  }
+
+  static __device__ __forceinline__ void fetch(const void *from, uint32_t bytes)
+  {
+#pragma unroll 1
+    for (uint32_t i = threadIdx.x * 128; i < bytes; i += MO_GK_THREADS * 128)
+      asm volatile("prefetch.global.L2 [%0];" ::"l"((const char *)from + i));
+  }
+
+  __device__ __forceinline__ void load_normal(int layer, uint32_t step, __half2 (&n)[MT][2][2],
+                                                               float (&factor)[MT][2])
+  {
+    const int column = warp * 16 + 4 * (lane & 3);
+    const uint2 *normal =
+        (const uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
+    const float *scale = (const float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
 #pragma unroll
-  for (int i = 0; i < HELD; i++)
-    if (lane_begin() + 32 * i < end())
-      inputs |= (uint32_t)__ldg(input + lane_begin() + 32 * i) << 8 * i;
-  for (uint32_t step = end_step; step-- > first_step;) {
-    held h;
-    forget();
-    hold(step, h);
-    if (step > 0)
-      fetch_step(step - 1);
-    move_back(step, h);
-    springs_back(step);
-    forget();
-    weights_ahead<MO_GK_AHEAD_BACK> ahead;
-    start_ahead(ahead);
+    for (int m = 0; m < MT; m++)
+#pragma unroll
+      for (int h = 0; h < 2; h++) {
+        const int row = group_row(m * 16 + h * 8 + (lane >> 2));
+        uint2 two;
+        asm volatile("ld.global.cs.v2.u32 {%0, %1}, [%2];"
+                     : "=r"(two.x), "=r"(two.y)
+                     : "l"(normal + row * (MO_HIDDEN / 4) + (column >> 2)));
+        asm volatile("ld.global.nc.f32 %0, [%1];" : "=f"(factor[m][h]) : "l"(scale + row));
+        n[m][h][0] = *(const __half2 *)&two.x;
+        n[m][h][1] = *(const __half2 *)&two.y;
+      }
+  }
+
+  /* sums: ∂loss/∂ what ReLU gave. Leaves ∂loss/∂ what the layer summed in `left`, and on the tape where n was. */
+  __device__ __forceinline__ void
+  norm_relu_back(int layer, uint32_t step, warp_sums<MT> &sums, const __half2 (&n)[MT][2][2],
+                                  const float (&factors)[MT][2], const norm_columns &columns)
+  {
+    const int column = warp * 16 + 4 * (lane & 3);
+    uint2 *dense = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
+    float2 s[MT][2], d_shifts[MT][2], d_gains[MT][2];
+    float *gain_sum = norm_sums + layer * 2 * MO_HIDDEN + column, *shift_sum = gain_sum + MO_HIDDEN;
+#pragma unroll
+    for (int j = 0; j < 2; j++) {
+      const float2 gain = columns.gain[j], shift = columns.shift[j];
+#pragma unroll
+      for (int m = 0; m < MT; m++)
+#pragma unroll
+        for (int h = 0; h < 2; h++) {
+          const float2 at = __half22float2(n[m][h][j]);
+          const float d0 = fmaf(at.x, gain.x, shift.x) > 0 ? sums.c[m][j][2 * h] : 0.0f;
+          const float d1 = fmaf(at.y, gain.y, shift.y) > 0 ? sums.c[m][j][2 * h + 1] : 0.0f;
+          float2 &d_shift = d_shifts[half_of(h)][j], &d_gain = d_gains[half_of(h)][j];
+          d_shift = begins(m, h) ? make_float2(d0, d1) : make_float2(d_shift.x + d0, d_shift.y + d1);
+          d_gain = begins(m, h) ? make_float2(d0 * at.x, d1 * at.y)
+                                : make_float2(fmaf(d0, at.x, d_gain.x), fmaf(d1, at.y, d_gain.y));
+          const float e0 = d0 * gain.x, e1 = d1 * gain.y;
+          sums.c[m][j][2 * h] = e0;
+          sums.c[m][j][2 * h + 1] = e1;
+          const float2 part_of = make_float2(e0 + e1, fmaf(e0, at.x, e1 * at.y));
+          s[m][h] = j == 0 ? part_of : make_float2(s[m][h].x + part_of.x, s[m][h].y + part_of.y);
+        }
+    }
+    add_columns(shift_sum, d_shifts);
+    add_columns(gain_sum, d_gains);
+    sum_rows<MT>(part, warp, lane, s);
+#pragma unroll
+    for (int m = 0; m < MT; m++)
+#pragma unroll
+      for (int h = 0; h < 2; h++) {
+        const int row = m * 16 + h * 8 + (lane >> 2);
+        const float factor = factors[m][h], mean = s[m][h].x * (1.0f / MO_HIDDEN), along = s[m][h].y * (1.0f / MO_HIDDEN);
+        float2 d[2];
+        bool sound = true;
+#pragma unroll
+        for (int j = 0; j < 2; j++) {
+          const float2 at = __half22float2(n[m][h][j]);
+          d[j] = make_float2(factor * (sums.c[m][j][2 * h] - fmaf(at.x, along, mean)),
+                             factor * (sums.c[m][j][2 * h + 1] - fmaf(at.y, along, mean)));
+          sound = sound && fabsf(d[j].x) <= MO_GK_LARGE && fabsf(d[j].y) <= MO_GK_LARGE;
+        }
+        if (!sound)
+          failed[row] = 1;
+        const uint2 both = four(__float22bfloat162_rn(d[0]), __float22bfloat162_rn(d[1]));
+        *(uint2 *)(left + row * MO_GK_ROW + column) = both;
+        __stcs(dense + group_row(row) * (MO_HIDDEN / 4) + (column >> 2), both);
+      }
     __syncthreads();
-    fetch(k.springs + (g.first_chunk + block_chunk) * 32,
-          128 * block_chunks); /* they may be gone until the next step */
-    control_back(step, ahead);
-    forget();
-    sense_back(inputs);
   }
-  for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
-    k.position[state + i] = own_gx[i];
-    k.velocity[state + i] = ((const float *)(mass + first + i / 3))[3 + i % 3];
-  }
-  __syncthreads();
+
+  /* As many tiles as the ring has, which then has those whose numbers are the bytes of `then`. FIRST: the first `before` are left out. */
+  template <bool FIRST>
+  __device__ __forceinline__ void add_round(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead,
+                                                             left_tile<MT> (&a)[2], uint32_t left_at, const uint4 *from,
+                                                             const uint2 &then, int before)
+  {
 #pragma unroll
-  for (int r = 0; r < MT; r++)
-    if (lane == 0) {
-      const int row = own_row(r);
-      mo_gk_result &after = k.results[first_row + group_row(row)];
-      after.largest = sqrt(result[row].largest);
-      after.steps = result[row].steps;
-      after.clipped = result[row].clipped;
-      after.zeroed = result[row].zeroed || (failed[row] && !excluded[r]);
+    for (int i = 0; i < MO_GK_AHEAD_BACK; i++) {
+      a[(i + 1) % 2].load(left_at + (uint32_t)(i + 1) * 32, width * 2); /* beyond the last: not used */
+      if (!FIRST || i >= before)
+        a[i % 2].add(sums, ahead.w[i]);
+      ahead.w[i] = load_tile(from, i < 4 ? then.x : then.y, i % 4);
     }
-}
+  }
 
-/* Of 16 rows: rare, and with registers of its own. */
-static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group &g, unsigned char *shared,
-                                               const mo_gk_task &task)
-{
-  back<1, 1>(k, g, shared, task).run();
-}
+  /* Where the tiles are is known two rounds before they are multiplied, so that nothing keeps a load from its place. */
+  __device__ __forceinline__ void add_last(uint32_t step, warp_sums<MT> &sums,
+                                                            weights_ahead<MO_GK_AHEAD_BACK> &ahead)
+  {
+    enum { N = MO_GK_AHEAD_BACK };
+    const int before = lead();
+    uint32_t left_at = left_address(outputs, width * 2, lane) - (uint32_t)before * 32;
+    const uint2 *numbers = (const uint2 *)output_tile + 1;
+    const uint4 *last = last_tiles(), *hidden = hidden_tiles(2);
+    const int n = (before + n_outputs) / N;
+    int round = 0;
+    uint2 then = numbers[0];
+    left_tile<MT> a[2];
+    const int row = warp * 2 + lane / 16, part_of = lane % 16;
+    const bool any = row < ROWS;
+    output_copy copy = {
+        shared_address(outputs + row * width) + (uint32_t)part_of * 16 - (uint32_t)before * 32,
+        (uint4 *)(tape + output_at + ((size_t)step * TAPE_ROWS + group_row(row)) * (n_outputs * MO_GP_TILE * 2)) +
+            part_of - 2 * before};
+    a[0].load(left_at, width * 2);
+    if (before > 0) {
+      copy.read(any && part_of >= 2 * before);
+      add_round<true>(sums, ahead, a, left_at, n > 1 ? last : hidden, then, before);
+      copy.write(any && part_of >= 2 * before);
+      left_at += N * 32;
+      then = *++numbers;
+      round++;
+    }
+#pragma unroll 1
+    for (; round < n; round++) {
+      const uint2 after = *++numbers;
+      copy.read(any);
+      add_round<false>(sums, ahead, a, left_at, round + 1 < n ? last : hidden, then, 0);
+      copy.write(any);
+      left_at += N * 32;
+      then = after;
+    }
+  }
 
-/* WALKED: how groups of 32 rows are. */
-template <int WALKED>
-static __global__ void __launch_bounds__(MO_GK_THREADS, 1) back_kernel(const __grid_constant__ mo_gk k)
-{
-  extern __shared__ __align__(16) unsigned char shared[];
-  mo_gk_task task;
-  if (!take_task(k, (uint32_t *)shared, &task))
-    return;
-  const mo_gp_group &g = k.groups[(task.walk & ~MO_GK_HALVED) >> 1];
-  if (WALKED == MO_GK_MIXED && (task.walk & MO_GK_HALVED) != 0)
-    back<1, 2>(k, g, shared, task).run();
-  else if (g.n_rows == MO_GP_ROWS_MAX)
-    back<WALKED == MO_GK_HALVES ? 1 : 2, WALKED == MO_GK_HALVES ? 2 : 1>(k, g, shared, task).run();
-  else
-    walk_small(k, g, shared, task);
-  end_task(k, task);
-}
+  /* `ahead` has the last layer's first weights. */
+  __device__ __forceinline__ void control_back(uint32_t step, weights_ahead<MO_GK_AHEAD_BACK> &ahead)
+  {
+    const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
+    const int column = warp * 16 + 4 * (lane & 3);
+    __half2 n[MT][2][2];
+    float factors[MT][2];
+    warp_sums<MT> sums;
+    norm_columns columns;
+    sums.clear();
+    load_normal(2, step, n, factors);
+    add_last(step, sums, ahead);
+    columns.load(k.weights, 2, column);
+    norm_relu_back(2, step, sums, n, factors, columns);
+#pragma unroll 1
+    for (int layer = 2; layer > 0; layer--) {
+      sums.clear();
+      load_normal(layer - 1, step, n, factors);
+      add_sixteen<MT, true>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(layer), hidden_tiles(layer - 1));
+      columns.load(k.weights, layer - 1, column);
+      norm_relu_back(layer - 1, step, sums, n, factors, columns);
+    }
+    sums.clear();
+    add_sixteen<MT, false>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(0), nullptr);
+    __syncthreads();
+#pragma unroll
+    for (int m = 0; m < MT; m++)
+#pragma unroll
+      for (int h = 0; h < 2; h++)
+        *(uint2 *)(left + (m * 16 + h * 8 + (lane >> 2)) * MO_GK_ROW + column) =
+            four(__floats2bfloat162_rn(sums.c[m][0][2 * h], sums.c[m][0][2 * h + 1]),
+                 __floats2bfloat162_rn(sums.c[m][1][2 * h], sums.c[m][1][2 * h + 1]));
+    __syncthreads();
+  }
 
-static void (*const kernels[])(const mo_gk) = {back_kernel<MO_GK_WHOLE>, back_kernel<MO_GK_HALVES>,
-                                               back_kernel<MO_GK_MIXED>};
+  /* What the step before this one will read: of a half, its own masses, chunks and rows. */
+  __device__ __forceinline__ void fetch_step(uint32_t step)
+  {
+    enum { ROW_BYTES = MO_HIDDEN * 2 };
+    const uint32_t masses = 4 * n_masses, normals = TAPE_ROWS * ROW_BYTES;
+    if (SHARE == 1) {
+      fetch(tape + position_at + (size_t)step * 3 * masses, 3 * masses);
+      fetch(tape + velocity_at + (size_t)step * 3 * masses, 3 * masses);
+    } else {
+#pragma unroll 1
+      for (uint32_t axis = 0; axis < 3; axis++) {
+        const size_t at = (size_t)(3 * step + axis) * masses + 4 * half_begin;
+        fetch(tape + position_at + at, 4 * n_own);
+        fetch(tape + velocity_at + at, 4 * n_own);
+      }
+    }
+    fetch(tape + activation_at + ((size_t)step * n_chunks + block_chunk) * 64, 64 * block_chunks);
+#pragma unroll 1
+    for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
+      const unsigned char *rows_at = tape + normal_at + l * layer_bytes + (size_t)step * normals;
+      if (SHARE == 1) {
+        fetch(rows_at, normals);
+      } else {
+        fetch(rows_at + group_row(0) * ROW_BYTES, 8 * ROW_BYTES);
+        fetch(rows_at + group_row(8) * ROW_BYTES, 8 * ROW_BYTES);
+      }
+    }
+  }
+
+  __device__ __forceinline__ void run()
+  {
+    const uint64_t state = 3 * (g.first_mass + group_first());
+    float *own_gx = gx + 3 * first;
+    const bool is_first = end_step == k.n_steps;
+    for (uint32_t i = threadIdx.x; i < ROWS * width / 2; i += MO_GK_THREADS)
+      ((uint32_t *)outputs)[i] = 0;
+    if (is_first)
+      for (int i = threadIdx.x; i < MT * MO_GP_NORM_FLOATS; i += MO_GK_THREADS)
+        norm_sums[i] = 0;
+    if (threadIdx.x < ROWS)
+      failed[threadIdx.x] = 0;
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      const int row = own_row(r);
+      const mo_gk_result &before = k.results[first_row + group_row(row)];
+      excluded[r] = before.diverged || before.excluded || before.zeroed;
+      if (lane == 0) {
+        const double start_m = k.rows[first_row + group_row(row)].start_m;
+        const back_row now = {
+            start_m * start_m, before.largest * before.largest, before.steps, before.clipped, before.zeroed, 0};
+        result[row] = now;
+      }
+    }
+    __syncthreads();
+    if (is_first)
+      start();
+    else
+      for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
+        own_gx[i] = k.position[state + i];
+        ((float *)(mass + first + i / 3))[3 + i % 3] = k.velocity[state + i];
+      }
+    __syncwarp();
+    uint32_t inputs = 0;
+#pragma unroll
+    for (int i = 0; i < HELD; i++)
+      if (lane_begin() + 32 * i < end())
+        inputs |= (uint32_t)__ldg(input + lane_begin() + 32 * i) << 8 * i;
+    for (uint32_t step = end_step; step-- > first_step;) {
+      held h;
+      forget();
+      hold(step, h);
+      if (step > 0)
+        fetch_step(step - 1);
+      move_back(step, h);
+      springs_back(step);
+      forget();
+      weights_ahead<MO_GK_AHEAD_BACK> ahead;
+      start_ahead(ahead);
+      __syncthreads();
+      fetch(k.springs + (g.first_chunk + block_chunk) * 32,
+            128 * block_chunks); /* they may be gone until the next step */
+      control_back(step, ahead);
+      forget();
+      sense_back(inputs);
+    }
+    for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
+      k.position[state + i] = own_gx[i];
+      k.velocity[state + i] = ((const float *)(mass + first + i / 3))[3 + i % 3];
+    }
+    __syncthreads();
+#pragma unroll
+    for (int r = 0; r < MT; r++)
+      if (lane == 0) {
+        const int row = own_row(r);
+        mo_gk_result &after = k.results[first_row + group_row(row)];
+        after.largest = sqrt(result[row].largest);
+        after.steps = result[row].steps;
+        after.clipped = result[row].clipped;
+        after.zeroed = result[row].zeroed || (failed[row] && !excluded[r]);
+      }
+  }
+};
 
 extern "C" int mo_gk_open_back(uint32_t block_bytes, uint32_t *dynamic_bytes)
 {
-  return allow_shared_for_all(kernels, block_bytes, dynamic_bytes);
+  return way_kernels<back>::open(block_bytes, dynamic_bytes);
 }
 
 extern "C" int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream)
 {
-  const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
-  kernels[k->walked]<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
-  return (int)cudaGetLastError();
+  return way_kernels<back>::launch(k, shared_bytes, stream);
 }

@@ -1,223 +1,21 @@
-/* gradient_back_physics.cuh: the way back through a step's contact, springs and sensors, for the warp that has the two bodies. */
+/* gradient_back_physics.cuh: a group on the way back: where its numbers are, and the way through a
+ * step's contact, springs and sensors, for the warp that has the two bodies. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_BACK_PHYSICS_CUH
 #define MORPHO_COMPUTE_CUDA_GRADIENT_BACK_PHYSICS_CUH
 
-#include "compute/cuda/gradient_back.cuh"
+#include "compute/cuda/gradient_kernels.cuh"
 
-/* ∂loss/∂ the final state of row r, whose centre of mass is (dx, dy) from the light, times `weight`. */
-template <int MT, int SHARE>
-__device__ __forceinline__ void back<MT, SHARE>::aim(int r, double dx, double dy, double weight)
-{
-  const int n = own_masses(r), from = first + own_begin(r);
-  const double far = sqrt(dx * dx + dy * dy), start_m = k.rows[first_row + group_row(own_row(r))].start_m;
-  const double scale = far > 0 && !excluded[r] && n > 0 ? weight / (far * start_m * n) : 0.0;
-#pragma unroll 1
-  for (int m = lane; m < n; m += 32) {
-    float *p = gx + 3 * (from + m);
-    p[0] = (float)(dx * scale);
-    p[1] = (float)(dy * scale);
-    p[2] = 0;
-    mass[from + m].z_gx.y = 0;
-    mass[from + m].gyz = make_float2(0, 0);
-  }
-}
+/* What a launch finds out about a row. */
+struct back_row {
+  double start_squared, largest; /* squares, too: largest of the adjoints' norms times start_m */
+  uint32_t steps, clipped;
+  int zeroed, padding;
+};
 
-template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::start()
-{
-#pragma unroll
-  for (int r = 0; r < MT; r++) {
-    const int row = group_row(own_row(r));
-    const double *light = k.rows[first_row + row].light_m, *com = k.results[first_row + row].com_end;
-    aim(r, com[0] - light[0], com[1] - light[1], 1.0);
-  }
-}
-
-/* Row r's adjoint begins anew, with the masses where they are before the step: rare, and small rather than fast. */
-template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::restart(int r)
-{
-  const int n = own_masses(r), from = first + own_begin(r);
-  const mo_plan_scene &of = rows[own_row(r)];
-  double dx = 0, dy = 0;
-#pragma unroll 1
-  for (int m = lane; m < n; m += 32) {
-    const float2 xy = mass[from + m].xy;
-    dx += (double)xy.x - (double)of.light[0];
-    dy += (double)xy.y - (double)of.light[1];
-  }
-#pragma unroll 1
-  for (int far = 16; far > 0; far >>= 1) {
-    dx += __shfl_xor_sync(0xffffffffu, dx, far);
-    dy += __shfl_xor_sync(0xffffffffu, dy, far);
-  }
-  aim(r, dx / n, dy / n, k.restart_weight);
-}
-
-/* Asks for where this warp's masses were before `step`, and for how fast the first of each lane's were: they come while something else goes on. */
-template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::hold(uint32_t step, held &h)
-{
-  const float *position = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + group_first();
-  const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first();
-#pragma unroll
-  for (int i = 0; i < HELD; i++) {
-    const int m = lane_begin() + 32 * i;
-#pragma unroll
-    for (int axis = 0; axis < 3; axis++)
-      h.v[i][axis] = m < end() ? __ldg(velocity + axis * n_masses + m) : 0.0f;
-  }
-#pragma unroll 1
-  for (int m = lane_begin(); m < end(); m += 32) {
-    const uint32_t to = shared_address(&mass[first + m]);
-    copy_ahead(to, position + m);
-    copy_ahead(to + 4, position + n_masses + m);
-    copy_ahead(to + 8, position + 2 * n_masses + m);
-  }
-}
-
-/* Measures the adjoints of this warp's rows' states, says by what to scale them, or, by bits, which are to begin anew. Compared are squares. */
-template <int MT, int SHARE> __device__ __forceinline__ uint32_t back<MT, SHARE>::limit(float (&scale)[2])
-{
-  uint32_t anew = 0;
-  double sum_x[2] = {0, 0}, sum_v[2] = {0, 0};
-#pragma unroll 1
-  for (int m = lane_begin(); m < end(); m += 32) {
-    const float *a = gx + 3 * (first + m);
-    const float2 yz = mass[first + m].gyz;
-    const double x = a[0], y = a[1], z = a[2], u = mass[first + m].z_gx.y, v = yz.x, w = yz.y;
-    const double of_x = fma(x, x, fma(y, y, z * z)), of_v = fma(u, u, fma(v, v, w * w));
-    if (is_second(m)) {
-      sum_x[1] += of_x;
-      sum_v[1] += of_v;
-    } else {
-      sum_x[0] += of_x;
-      sum_v[0] += of_v;
-    }
-  }
-#pragma unroll
-  for (int far = 16; far > 0; far >>= 1)
-#pragma unroll
-    for (int r = 0; r < MT; r++) {
-      sum_x[r] += __shfl_xor_sync(0xffffffffu, sum_x[r], far);
-      sum_v[r] += __shfl_xor_sync(0xffffffffu, sum_v[r], far);
-    }
-  scale[0] = scale[1] = 0;
-#pragma unroll
-  for (int r = 0; r < MT; r++) {
-    if (excluded[r] || own_masses(r) == 0)
-      continue;
-    back_row &of = result[own_row(r)]; /* all lanes have the same to write: the first does */
-    const double square = of.start_squared * fmax(sum_x[r], MO_ADJOINT_RATE_PER_S * MO_ADJOINT_RATE_PER_S * sum_v[r]);
-    const bool bad = !(sum_x[r] < 1e300) || !(sum_v[r] < 1e300) || failed[own_row(r)];
-    const bool scaled = !bad && k.bound > 0 && square > k.bound * k.bound;
-    __syncwarp();
-    if (lane == 0) {
-      of.steps++;
-      of.clipped += scaled;
-      if (bad)
-        of.zeroed = 1;
-      else
-        of.largest = fmax(of.largest, square);
-    }
-    if (bad) {
-      excluded[r] = true;
-      continue;
-    }
-    scale[r] = scaled && !k.restarts ? (float)(k.bound / sqrt(square)) : 1.0f;
-    anew |= scaled && k.restarts ? 1u << r : 0u;
-  }
-  return anew;
-}
-
-/* The masses that strike the ground, of which all are known: each lane has one. */
-template <int MT, int SHARE>
-__device__ __forceinline__ void back<MT, SHARE>::strikes_back(uint32_t step, int n, const float (&scale)[2])
-{
-  const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first();
-#pragma unroll 1
-  for (int i = lane; i < n; i += 32) {
-    const int m = *aside(i);
-    const float v[3] = {__ldg(velocity + m), __ldg(velocity + n_masses + m), __ldg(velocity + 2 * n_masses + m)};
-    const bool second = is_second(m);
-    const mo_plan_scene &of = rows[own_row(second)];
-    const float s = second ? scale[1] : scale[0];
-    back_mass &to = mass[first + m];
-    float *d = gx + 3 * (first + m);
-    const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
-    float dp[3] = {s * d[0], s * d[1], s * d[2]}, dv[3] = {s * to.z_gx.y, s * to.gyz.x, s * to.gyz.y};
-    lane_move_back(&k.physics, of.heights, of.highest, p, v, dp, dv);
-    for (int axis = 0; axis < 3; axis++)
-      d[axis] = dp[axis];
-    to.z_gx.y = dv[0];
-    to.gyz = make_float2(dv[1], dv[2]);
-  }
-}
-
-/* A mass that does not strike; one that does is put aside: few do, and it takes long. */
-template <int MT, int SHARE>
-__device__ __forceinline__ void back<MT, SHARE>::move_one(int m, const float *v, const float (&scale)[2], int &n_aside)
-{
-  bool struck = false;
-  if (m < end()) {
-    const bool second = is_second(m);
-    const mo_plan_scene &of = rows[own_row(second)];
-    const float s = second ? scale[1] : scale[0];
-    float *d = gx + 3 * (first + m);
-    back_mass &to = mass[first + m];
-    const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
-    float next[3];
-    lane_cell g;
-    struck = s > 0 && lane_strikes(&k.physics, of.heights, of.highest, p, v, next, &g);
-    if (!struck) {
-      float dp[3] = {0, 0, 0}, dv[3] = {0, 0, 0};
-      if (s > 0) {
-        const float2 yz = to.gyz;
-        const float before[3] = {s * to.z_gx.y, s * yz.x, s * yz.y};
-        for (int axis = 0; axis < 3; axis++) {
-          dp[axis] = s * d[axis];
-          dv[axis] = fmaf(k.physics.dt, dp[axis], before[axis]);
-        }
-      }
-      for (int axis = 0; axis < 3; axis++)
-        d[axis] = dp[axis];
-      to.z_gx.y = dv[0];
-      to.gyz = make_float2(dv[1], dv[2]);
-    }
-  }
-  const uint32_t which = __ballot_sync(0xffffffffu, struck);
-  if (struck)
-    *aside(n_aside + __popc(which & ((1u << lane) - 1))) = (uint16_t)m;
-  n_aside += __popc(which);
-}
-
-template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::move_back(uint32_t step, const held &h)
-{
-  float scale[2];
-  int n_aside = 0;
-  const uint32_t anew = limit(scale);
-  wait_copies();
-  __syncwarp();
-  if (anew != 0) {
-#pragma unroll
-    for (int r = 0; r < MT; r++)
-      if (anew >> r & 1)
-        restart(r);
-    __syncwarp();
-  }
-#pragma unroll
-  for (int i = 0; i < HELD; i++)
-    move_one(lane_begin() + 32 * i, h.v[i], scale, n_aside);
-#pragma unroll 1
-  for (int far = 32 * HELD; begin() + far < end(); far += 32) {
-    const int m = lane_begin() + far;
-    const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first() + m;
-    float v[3];
-    for (int axis = 0; axis < 3; axis++)
-      v[axis] = m < end() ? __ldg(velocity + axis * n_masses) : 0.0f;
-    move_one(m, v, scale, n_aside);
-  }
-  __syncwarp();
-  strikes_back(step, n_aside, scale);
-  pair_sync(); /* springs are of both rows */
-}
+/* What a spring asks of the mass at its other end. */
+struct back_mass {
+  float2 xy, z_gx, gyz; /* position; ∂loss/∂ velocity */
+};
 
 /* Read once: the first-level cache is left to others. */
 static __device__ __forceinline__ uint32_t load_once(const uint32_t *p)
@@ -266,135 +64,404 @@ static __device__ __forceinline__ void store_if_less(uint32_t a, uint32_t b, uin
       : "memory");
 }
 
-/* As on the way forward. ∂loss/∂ a spring's output goes to its place from one of its ends. */
-template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::springs_back(uint32_t step)
-{
-  enum { N = MO_GK_SPRINGS_AHEAD_BACK };
-  const int16_t *kept = (const int16_t *)(tape + activation_at) + (size_t)step * n_chunks * 32 + chunk_at;
-  const int n = own_chunks;
-  if (n == 0)
-    return;
-  const uint32_t own_mass = kept_value(shared_address(mass + first)),
-                 own_gx = kept_value(shared_address(gx + 3 * first));
-  const uint32_t to = kept_value(shared_address(outputs + pair_row(0) * width)),
-                 to_second = kept_value((pair_row(1) - pair_row(0)) * width * 2);
-  uint32_t bad = 0;
-  uint32_t now[N], then[N];
-  int16_t kept_now[N], kept_then[N];
-#pragma unroll
-  for (int i = 0; i < N; i++) {
-    now[i] = load_once(list + 32 * i);
-    kept_now[i] = load_once(kept + 32 * i);
-  }
-  uint32_t s = now[0], at = MO_GP_SPRING_OWN(s);
-  back_mass other = load_mass(own_mass, MO_GP_SPRING_OTHER(s)),
-            here = load_mass(own_mass, at == MO_GP_NO_MASS ? 0 : at);
-  float sum[3] = {0, 0, 0};
-  for (int c = 0;; c += N) {
-    const uint32_t *far = list + 32 * (c + N);
-    const int16_t *kept_far = kept + 32 * (c + N);
-#pragma unroll
-    for (int i = 0; i < N; i++) {
-      then[i] = load_once(far + 32 * i);
-      kept_then[i] = load_once(kept_far + 32 * i);
-    }
-    __syncwarp(); /* here, not where they are needed */
-#pragma unroll
-    for (int i = 0; i < N; i++) {
-      const uint32_t next = c + i + 1 < n ? (i + 1 < N ? now[(i + 1) % N] : then[0]) : s;
-      const back_mass next_other = load_mass(own_mass, MO_GP_SPRING_OTHER(next));
-      const float a = activation_of(kept_now[i]);
-      const float d[3] = {here.xy.x - other.xy.x, here.xy.y - other.xy.y, here.z_gx.x - other.z_gx.x};
-      const float across[3] = {other.z_gx.y - here.z_gx.y, other.gyz.x - here.gyz.x, other.gyz.y - here.gyz.y};
-      const struct lane_length length = lane_length_of(lane_squared(d));
-      float dd[3];
-      const float d_wanted =
-          -lane_spring_back(k.physics.pull, &length, wanted_length(k.physics, s, a), d, across, dd);
-      const float d_sum = d_wanted * (rest_length(s) * k.physics.actuation) * fmaf(-a, a, 1.0f);
-      for (int axis = 0; axis < 3; axis++)
-        sum[axis] += dd[axis];
-      const uint32_t row = MO_GP_SPRING_ROW(s);
-      if (!(fabsf(d_sum) <= MO_GK_LARGE))
-        bad |= 1 + row;
-      store_if_less(at, MO_GP_SPRING_OTHER(s), to + 2 * MO_GP_SPRING_OUTPUT(s) + row * to_second, d_sum);
-      if (s & MO_GP_SPRING_LAST) {
-        if (at != MO_GP_NO_MASS)
-          for (int axis = 0; axis < 3; axis++)
-            add_shared(own_gx + 12 * at + 4 * axis, sum[axis]);
-        at = MO_GP_SPRING_OWN(next);
-        here = load_mass(own_mass, at == MO_GP_NO_MASS ? 0 : at);
-        sum[0] = sum[1] = sum[2] = 0;
-      }
-      if (c + i + 1 == n) {
-        if (bad & 1)
-          atomicOr(failed + pair_row(0), 1);
-        if (bad & 2)
-          atomicOr(failed + pair_row(1), 1);
-        __syncwarp();
-        return;
-      }
-      s = next;
-      other = next_other;
-    }
-#pragma unroll
-    for (int i = 0; i < N; i++) {
-      now[i] = then[i];
-      kept_now[i] = kept_then[i];
-    }
-  }
-}
-
-/* ∂loss/∂ what a mass senses, less its row's mean. inputs: of the first of this lane's masses, their places among the network's inputs. */
-template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::sense_back(uint32_t inputs)
-{
-  float d[HELD], sum[2] = {0, 0};
-  const auto sensed = [&](int m, uint32_t at) {
-    return __bfloat162float(left[own_row(is_second(m)) * MO_GK_ROW + at]);
+template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
+  using own = walker<MT, SHARE>;
+  using own::activation_at, own::begin, own::chunk_at, own::end, own::first, own::first_row,
+      own::g, own::group_first, own::group_row, own::is_second, own::k, own::lane, own::lane_begin,
+      own::list, own::n0, own::n1, own::n_chunks, own::n_masses, own::n_outputs, own::n_own,
+      own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row,
+      own::pair_sync, own::position_at, own::ROWS, own::rows, own::tape, own::velocity_at,
+      own::warp, own::width;
+  enum { HELD = 4 };
+  /* The first of a lane's masses, on their way from the tape. */
+  struct held {
+    float v[HELD][3];
   };
-#pragma unroll
-  for (int i = 0; i < HELD; i++) {
-    const int m = lane_begin() + 32 * i;
-    d[i] = m < end() ? sensed(m, inputs >> 8 * i & 0xffu) : 0.0f;
-    sum[0] += is_second(m) ? 0.0f : d[i];
-    sum[1] += is_second(m) ? d[i] : 0.0f;
-  }
-#pragma unroll 1
-  for (int m = lane_begin() + 32 * HELD; m < end(); m += 32) {
-    const float more = sensed(m, __ldg(input + m));
-    sum[0] += is_second(m) ? 0.0f : more;
-    sum[1] += is_second(m) ? more : 0.0f;
-  }
-#pragma unroll
-  for (int far = 16; far > 0; far >>= 1)
-#pragma unroll
-    for (int r = 0; r < MT; r++)
-      sum[r] += __shfl_xor_sync(0xffffffffu, sum[r], far);
-  const float mean[2] = {sum[0] / (float)max(own_masses(0), 1), sum[1] / (float)max(own_masses(MT - 1), 1)};
-#pragma unroll
-  for (int i = 0; i < HELD; i++)
-    if (lane_begin() + 32 * i < end())
-      push_back(lane_begin() + 32 * i, d[i], mean);
-#pragma unroll 1
-  for (int m = lane_begin() + 32 * HELD; m < end(); m += 32)
-    push_back(m, sensed(m, __ldg(input + m)), mean);
-  __syncwarp();
-}
+  const uint8_t *input;
+  back_mass *mass; /* (n_own) */
+  float *gx;       /* (n_own, 3) ∂loss/∂ positions */
+  __nv_bfloat16 *outputs, *left;
+  int *failed; /* (rows) */
+  bool excluded[2];
+  back_row *result; /* (rows) */
 
-/* To the mass's adjoint, whose velocity then goes back through drag. */
-template <int MT, int SHARE>
-__device__ __forceinline__ void back<MT, SHARE>::push_back(int m, float d, const float (&mean)[2])
-{
-  const bool second = is_second(m);
-  const mo_plan_scene &of = rows[own_row(second)];
-  back_mass &to = mass[first + m];
-  float *d_place = gx + 3 * (first + m);
-  const float2 z_gx = to.z_gx, gyz = to.gyz;
-  const float away[3] = {to.xy.x - of.light[0], to.xy.y - of.light[1], z_gx.x - of.light[2]};
-  const float push = (d - (second ? mean[1] : mean[0])) * lane_light_slope(k.sensor, lane_squared(away));
-  for (int axis = 0; axis < 3; axis++)
-    d_place[axis] = fmaf(push, away[axis], d_place[axis]);
-  to.z_gx.y = z_gx.y * k.physics.keep;
-  to.gyz = make_float2(gyz.x * k.physics.keep, gyz.y * k.physics.keep);
-}
+  __device__ __forceinline__ back_physics(const mo_gk &args, const mo_gp_group &group, unsigned char *shared,
+                                          const mo_gk_task &task)
+      : own(args, group, shared, task, (args.n_steps - 1) / args.part_steps - task.part)
+  {
+    input = k.input + g.first_mass + group_first();
+    outputs = (__nv_bfloat16 *)own::output_memory;
+    left = (__nv_bfloat16 *)own::left_memory;
+    failed = (int *)own::behind;
+    result = (back_row *)(failed + ROWS);
+    mass = (back_mass *)(result + ROWS);
+    gx = (float *)(mass + n_own);
+  }
+
+  /* What follows from these is made again where it is needed: the compiler would make it before the first step, and have no registers for it. */
+  __device__ __forceinline__ void forget()
+  {
+    asm volatile(""
+                 : "+r"(warp), "+r"(lane), "+r"(n_masses), "+r"(n_chunks), "+r"(first), "+r"(n0), "+r"(n1),
+                   "+r"(n_outputs));
+  }
+
+  /* The i-th mass put aside: in the rows of the network's last adjoint that this warp alone has read. */
+  __device__ __forceinline__ uint16_t *aside(int i)
+  {
+    return (uint16_t *)left + own_row(i >> 8) * MO_GK_ROW + (i & 255);
+  }
+
+  static __device__ __forceinline__ void copy_ahead(uint32_t to, const float *from)
+  {
+    asm volatile("cp.async.ca.shared.global [%0], [%1], 4;" ::"r"(to), "l"(from) : "memory");
+  }
+  static __device__ __forceinline__ void wait_copies()
+  {
+    asm volatile("cp.async.wait_all;" ::: "memory");
+  }
+
+  /* ∂loss/∂ the final state of row r, whose centre of mass is (dx, dy) from the light, times `weight`. */
+  __device__ __forceinline__ void aim(int r, double dx, double dy, double weight)
+  {
+    const int n = own_masses(r), from = first + own_begin(r);
+    const double far = sqrt(dx * dx + dy * dy), start_m = k.rows[first_row + group_row(own_row(r))].start_m;
+    const double scale = far > 0 && !excluded[r] && n > 0 ? weight / (far * start_m * n) : 0.0;
+#pragma unroll 1
+    for (int m = lane; m < n; m += 32) {
+      float *p = gx + 3 * (from + m);
+      p[0] = (float)(dx * scale);
+      p[1] = (float)(dy * scale);
+      p[2] = 0;
+      mass[from + m].z_gx.y = 0;
+      mass[from + m].gyz = make_float2(0, 0);
+    }
+  }
+
+  __device__ __forceinline__ void start()
+  {
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      const int row = group_row(own_row(r));
+      const double *light = k.rows[first_row + row].light_m, *com = k.results[first_row + row].com_end;
+      aim(r, com[0] - light[0], com[1] - light[1], 1.0);
+    }
+  }
+
+  /* Row r's adjoint begins anew, with the masses where they are before the step: rare, and small rather than fast. */
+  __device__ __forceinline__ void restart(int r)
+  {
+    const int n = own_masses(r), from = first + own_begin(r);
+    const mo_plan_scene &of = rows[own_row(r)];
+    double dx = 0, dy = 0;
+#pragma unroll 1
+    for (int m = lane; m < n; m += 32) {
+      const float2 xy = mass[from + m].xy;
+      dx += (double)xy.x - (double)of.light[0];
+      dy += (double)xy.y - (double)of.light[1];
+    }
+#pragma unroll 1
+    for (int far = 16; far > 0; far >>= 1) {
+      dx += __shfl_xor_sync(0xffffffffu, dx, far);
+      dy += __shfl_xor_sync(0xffffffffu, dy, far);
+    }
+    aim(r, dx / n, dy / n, k.restart_weight);
+  }
+
+  /* Asks for where this warp's masses were before `step`, and for how fast the first of each lane's were: they come while something else goes on. */
+  __device__ __forceinline__ void hold(uint32_t step, held &h)
+  {
+    const float *position = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + group_first();
+    const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first();
+#pragma unroll
+    for (int i = 0; i < HELD; i++) {
+      const int m = lane_begin() + 32 * i;
+#pragma unroll
+      for (int axis = 0; axis < 3; axis++)
+        h.v[i][axis] = m < end() ? __ldg(velocity + axis * n_masses + m) : 0.0f;
+    }
+#pragma unroll 1
+    for (int m = lane_begin(); m < end(); m += 32) {
+      const uint32_t to = shared_address(&mass[first + m]);
+      copy_ahead(to, position + m);
+      copy_ahead(to + 4, position + n_masses + m);
+      copy_ahead(to + 8, position + 2 * n_masses + m);
+    }
+  }
+
+  /* Measures the adjoints of this warp's rows' states, says by what to scale them, or, by bits, which are to begin anew. Compared are squares. */
+  __device__ __forceinline__ uint32_t limit(float (&scale)[2])
+  {
+    uint32_t anew = 0;
+    double sum_x[2] = {0, 0}, sum_v[2] = {0, 0};
+#pragma unroll 1
+    for (int m = lane_begin(); m < end(); m += 32) {
+      const float *a = gx + 3 * (first + m);
+      const float2 yz = mass[first + m].gyz;
+      const double x = a[0], y = a[1], z = a[2], u = mass[first + m].z_gx.y, v = yz.x, w = yz.y;
+      const double of_x = fma(x, x, fma(y, y, z * z)), of_v = fma(u, u, fma(v, v, w * w));
+      if (is_second(m)) {
+        sum_x[1] += of_x;
+        sum_v[1] += of_v;
+      } else {
+        sum_x[0] += of_x;
+        sum_v[0] += of_v;
+      }
+    }
+#pragma unroll
+    for (int far = 16; far > 0; far >>= 1)
+#pragma unroll
+      for (int r = 0; r < MT; r++) {
+        sum_x[r] += __shfl_xor_sync(0xffffffffu, sum_x[r], far);
+        sum_v[r] += __shfl_xor_sync(0xffffffffu, sum_v[r], far);
+      }
+    scale[0] = scale[1] = 0;
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      if (excluded[r] || own_masses(r) == 0)
+        continue;
+      back_row &of = result[own_row(r)]; /* all lanes have the same to write: the first does */
+      const double square = of.start_squared * fmax(sum_x[r], MO_ADJOINT_RATE_PER_S * MO_ADJOINT_RATE_PER_S * sum_v[r]);
+      const bool bad = !(sum_x[r] < 1e300) || !(sum_v[r] < 1e300) || failed[own_row(r)];
+      const bool scaled = !bad && k.bound > 0 && square > k.bound * k.bound;
+      __syncwarp();
+      if (lane == 0) {
+        of.steps++;
+        of.clipped += scaled;
+        if (bad)
+          of.zeroed = 1;
+        else
+          of.largest = fmax(of.largest, square);
+      }
+      if (bad) {
+        excluded[r] = true;
+        continue;
+      }
+      scale[r] = scaled && !k.restarts ? (float)(k.bound / sqrt(square)) : 1.0f;
+      anew |= scaled && k.restarts ? 1u << r : 0u;
+    }
+    return anew;
+  }
+
+  /* The masses that strike the ground, of which all are known: each lane has one. */
+  __device__ __forceinline__ void strikes_back(uint32_t step, int n, const float (&scale)[2])
+  {
+    const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first();
+#pragma unroll 1
+    for (int i = lane; i < n; i += 32) {
+      const int m = *aside(i);
+      const float v[3] = {__ldg(velocity + m), __ldg(velocity + n_masses + m), __ldg(velocity + 2 * n_masses + m)};
+      const bool second = is_second(m);
+      const mo_plan_scene &of = rows[own_row(second)];
+      const float s = second ? scale[1] : scale[0];
+      back_mass &to = mass[first + m];
+      float *d = gx + 3 * (first + m);
+      const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
+      float dp[3] = {s * d[0], s * d[1], s * d[2]}, dv[3] = {s * to.z_gx.y, s * to.gyz.x, s * to.gyz.y};
+      lane_move_back(&k.physics, of.heights, of.highest, p, v, dp, dv);
+      for (int axis = 0; axis < 3; axis++)
+        d[axis] = dp[axis];
+      to.z_gx.y = dv[0];
+      to.gyz = make_float2(dv[1], dv[2]);
+    }
+  }
+
+  /* A mass that does not strike; one that does is put aside: few do, and it takes long. */
+  __device__ __forceinline__ void move_one(int m, const float *v, const float (&scale)[2], int &n_aside)
+  {
+    bool struck = false;
+    if (m < end()) {
+      const bool second = is_second(m);
+      const mo_plan_scene &of = rows[own_row(second)];
+      const float s = second ? scale[1] : scale[0];
+      float *d = gx + 3 * (first + m);
+      back_mass &to = mass[first + m];
+      const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
+      float next[3];
+      lane_cell g;
+      struck = s > 0 && lane_strikes(&k.physics, of.heights, of.highest, p, v, next, &g);
+      if (!struck) {
+        float dp[3] = {0, 0, 0}, dv[3] = {0, 0, 0};
+        if (s > 0) {
+          const float2 yz = to.gyz;
+          const float before[3] = {s * to.z_gx.y, s * yz.x, s * yz.y};
+          for (int axis = 0; axis < 3; axis++) {
+            dp[axis] = s * d[axis];
+            dv[axis] = fmaf(k.physics.dt, dp[axis], before[axis]);
+          }
+        }
+        for (int axis = 0; axis < 3; axis++)
+          d[axis] = dp[axis];
+        to.z_gx.y = dv[0];
+        to.gyz = make_float2(dv[1], dv[2]);
+      }
+    }
+    const uint32_t which = __ballot_sync(0xffffffffu, struck);
+    if (struck)
+      *aside(n_aside + __popc(which & ((1u << lane) - 1))) = (uint16_t)m;
+    n_aside += __popc(which);
+  }
+
+  __device__ __forceinline__ void move_back(uint32_t step, const held &h)
+  {
+    float scale[2];
+    int n_aside = 0;
+    const uint32_t anew = limit(scale);
+    wait_copies();
+    __syncwarp();
+    if (anew != 0) {
+#pragma unroll
+      for (int r = 0; r < MT; r++)
+        if (anew >> r & 1)
+          restart(r);
+      __syncwarp();
+    }
+#pragma unroll
+    for (int i = 0; i < HELD; i++)
+      move_one(lane_begin() + 32 * i, h.v[i], scale, n_aside);
+#pragma unroll 1
+    for (int far = 32 * HELD; begin() + far < end(); far += 32) {
+      const int m = lane_begin() + far;
+      const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first() + m;
+      float v[3];
+      for (int axis = 0; axis < 3; axis++)
+        v[axis] = m < end() ? __ldg(velocity + axis * n_masses) : 0.0f;
+      move_one(m, v, scale, n_aside);
+    }
+    __syncwarp();
+    strikes_back(step, n_aside, scale);
+    pair_sync(); /* springs are of both rows */
+  }
+
+  /* As on the way forward. ∂loss/∂ a spring's output goes to its place from one of its ends. */
+  __device__ __forceinline__ void springs_back(uint32_t step)
+  {
+    enum { N = MO_GK_SPRINGS_AHEAD_BACK };
+    const int16_t *kept = (const int16_t *)(tape + activation_at) + (size_t)step * n_chunks * 32 + chunk_at;
+    const int n = own_chunks;
+    if (n == 0)
+      return;
+    const uint32_t own_mass = kept_value(shared_address(mass + first)),
+                   own_gx = kept_value(shared_address(gx + 3 * first));
+    const uint32_t to = kept_value(shared_address(outputs + pair_row(0) * width)),
+                   to_second = kept_value((pair_row(1) - pair_row(0)) * width * 2);
+    uint32_t bad = 0;
+    uint32_t now[N], then[N];
+    int16_t kept_now[N], kept_then[N];
+#pragma unroll
+    for (int i = 0; i < N; i++) {
+      now[i] = load_once(list + 32 * i);
+      kept_now[i] = load_once(kept + 32 * i);
+    }
+    uint32_t s = now[0], at = MO_GP_SPRING_OWN(s);
+    back_mass other = load_mass(own_mass, MO_GP_SPRING_OTHER(s)),
+              here = load_mass(own_mass, at == MO_GP_NO_MASS ? 0 : at);
+    float sum[3] = {0, 0, 0};
+    for (int c = 0;; c += N) {
+      const uint32_t *far = list + 32 * (c + N);
+      const int16_t *kept_far = kept + 32 * (c + N);
+#pragma unroll
+      for (int i = 0; i < N; i++) {
+        then[i] = load_once(far + 32 * i);
+        kept_then[i] = load_once(kept_far + 32 * i);
+      }
+      __syncwarp(); /* here, not where they are needed */
+#pragma unroll
+      for (int i = 0; i < N; i++) {
+        const uint32_t next = c + i + 1 < n ? (i + 1 < N ? now[(i + 1) % N] : then[0]) : s;
+        const back_mass next_other = load_mass(own_mass, MO_GP_SPRING_OTHER(next));
+        const float a = activation_of(kept_now[i]);
+        const float d[3] = {here.xy.x - other.xy.x, here.xy.y - other.xy.y, here.z_gx.x - other.z_gx.x};
+        const float across[3] = {other.z_gx.y - here.z_gx.y, other.gyz.x - here.gyz.x, other.gyz.y - here.gyz.y};
+        const struct lane_length length = lane_length_of(lane_squared(d));
+        float dd[3];
+        const float d_wanted =
+            -lane_spring_back(k.physics.pull, &length, wanted_length(k.physics, s, a), d, across, dd);
+        const float d_sum = d_wanted * (rest_length(s) * k.physics.actuation) * fmaf(-a, a, 1.0f);
+        for (int axis = 0; axis < 3; axis++)
+          sum[axis] += dd[axis];
+        const uint32_t row = MO_GP_SPRING_ROW(s);
+        if (!(fabsf(d_sum) <= MO_GK_LARGE))
+          bad |= 1 + row;
+        store_if_less(at, MO_GP_SPRING_OTHER(s), to + 2 * MO_GP_SPRING_OUTPUT(s) + row * to_second, d_sum);
+        if (s & MO_GP_SPRING_LAST) {
+          if (at != MO_GP_NO_MASS)
+            for (int axis = 0; axis < 3; axis++)
+              add_shared(own_gx + 12 * at + 4 * axis, sum[axis]);
+          at = MO_GP_SPRING_OWN(next);
+          here = load_mass(own_mass, at == MO_GP_NO_MASS ? 0 : at);
+          sum[0] = sum[1] = sum[2] = 0;
+        }
+        if (c + i + 1 == n) {
+          if (bad & 1)
+            atomicOr(failed + pair_row(0), 1);
+          if (bad & 2)
+            atomicOr(failed + pair_row(1), 1);
+          __syncwarp();
+          return;
+        }
+        s = next;
+        other = next_other;
+      }
+#pragma unroll
+      for (int i = 0; i < N; i++) {
+        now[i] = then[i];
+        kept_now[i] = kept_then[i];
+      }
+    }
+  }
+
+  /* ∂loss/∂ what a mass senses, less its row's mean. inputs: of the first of this lane's masses, their places among the network's inputs. */
+  __device__ __forceinline__ void sense_back(uint32_t inputs)
+  {
+    float d[HELD], sum[2] = {0, 0};
+    const auto sensed = [&](int m, uint32_t at) {
+      return __bfloat162float(left[own_row(is_second(m)) * MO_GK_ROW + at]);
+    };
+#pragma unroll
+    for (int i = 0; i < HELD; i++) {
+      const int m = lane_begin() + 32 * i;
+      d[i] = m < end() ? sensed(m, inputs >> 8 * i & 0xffu) : 0.0f;
+      sum[0] += is_second(m) ? 0.0f : d[i];
+      sum[1] += is_second(m) ? d[i] : 0.0f;
+    }
+#pragma unroll 1
+    for (int m = lane_begin() + 32 * HELD; m < end(); m += 32) {
+      const float more = sensed(m, __ldg(input + m));
+      sum[0] += is_second(m) ? 0.0f : more;
+      sum[1] += is_second(m) ? more : 0.0f;
+    }
+#pragma unroll
+    for (int far = 16; far > 0; far >>= 1)
+#pragma unroll
+      for (int r = 0; r < MT; r++)
+        sum[r] += __shfl_xor_sync(0xffffffffu, sum[r], far);
+    const float mean[2] = {sum[0] / (float)max(own_masses(0), 1), sum[1] / (float)max(own_masses(MT - 1), 1)};
+#pragma unroll
+    for (int i = 0; i < HELD; i++)
+      if (lane_begin() + 32 * i < end())
+        push_back(lane_begin() + 32 * i, d[i], mean);
+#pragma unroll 1
+    for (int m = lane_begin() + 32 * HELD; m < end(); m += 32)
+      push_back(m, sensed(m, __ldg(input + m)), mean);
+    __syncwarp();
+  }
+
+  /* To the mass's adjoint, whose velocity then goes back through drag. */
+  __device__ __forceinline__ void push_back(int m, float d, const float (&mean)[2])
+  {
+    const bool second = is_second(m);
+    const mo_plan_scene &of = rows[own_row(second)];
+    back_mass &to = mass[first + m];
+    float *d_place = gx + 3 * (first + m);
+    const float2 z_gx = to.z_gx, gyz = to.gyz;
+    const float away[3] = {to.xy.x - of.light[0], to.xy.y - of.light[1], z_gx.x - of.light[2]};
+    const float push = (d - (second ? mean[1] : mean[0])) * lane_light_slope(k.sensor, lane_squared(away));
+    for (int axis = 0; axis < 3; axis++)
+      d_place[axis] = fmaf(push, away[axis], d_place[axis]);
+    to.z_gx.y = z_gx.y * k.physics.keep;
+    to.gyz = make_float2(gyz.x * k.physics.keep, gyz.y * k.physics.keep);
+  }
+};
 
 #endif

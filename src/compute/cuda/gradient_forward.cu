@@ -28,70 +28,30 @@ struct strikes {
 
 template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   using own = walker<MT, SHARE>;
-  using own::begin, own::end, own::first, own::first_chunk, own::group_first, own::group_row, own::half_begin,
-      own::is_second, own::lane, own::n0, own::n1, own::n_own, own::own_begin, own::own_chunks, own::own_masses,
-      own::own_row, own::pair_row, own::pair_sync, own::ROWS, own::TAPE_ROWS, own::warp;
-  const mo_gk &k;
-  const mo_gp_group &g;
-  /* Copies of what the group says: a store to the tape might change the original, as far as the compiler knows. */
-  int n_masses, n_chunks;
-  uint32_t first_row;
-  const uint32_t *list; /* this lane's springs */
-  uint32_t chunk_at;
-  unsigned char *tape;
-  uint32_t position_at, velocity_at, activation_at, input_at, normal_at, hidden_at,
-      scale_at;         /* on the group's tape, in bytes */
-  uint32_t layer_bytes; /* from one layer to the next */
-  uint32_t width;       /* of the outputs in shared memory */
-  float *norms;         /* (layers, 3, 256) biases, gains, shifts */
-  float4 *x;            /* (n_own) */
-  float *v;             /* (n_own, 3) as the springs find it, after drag and gravity */
+  using own::activation_at, own::begin, own::chunk_at, own::end, own::end_step, own::first,
+      own::first_row, own::first_step, own::g, own::group_first, own::group_row, own::half_begin,
+      own::hidden_at, own::input_at, own::is_second, own::k, own::lane, own::layer_bytes,
+      own::list, own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::normal_at,
+      own::output_tile, own::own_begin, own::own_chunks, own::own_masses, own::own_row,
+      own::pair_row, own::pair_sync, own::part, own::position_at, own::rows, own::scale_at,
+      own::tape, own::TAPE_ROWS, own::velocity_at, own::warp, own::width;
   int16_t *outputs;
-  __half *left; /* (rows, MO_GK_ROW) */
-  float2 *part;
-  mo_plan_scene *rows;
-  uint8_t *output_tile;
+  __half *left;   /* (rows, MO_GK_ROW) */
+  float *norms;   /* (layers, 3, 256) biases, gains, shifts */
+  float4 *x;      /* (n_own) */
+  float *v;       /* (n_own, 3) as the springs find it, after drag and gravity */
   uint8_t *input; /* (n_own) each mass's place among the inputs */
-  int n_outputs;
-  bool dead[2];                  /* rows of this warp whose rollout has ended */
-  uint32_t first_step, end_step; /* of this part */
+  bool dead[2];   /* rows of this warp whose rollout has ended */
 
   __device__ __forceinline__ forward(const mo_gk &args, const mo_gp_group &group, unsigned char *shared,
                                      const mo_gk_task &task)
-      : own(group, task.walk & 1), k(args), g(group), first_step(task.part * args.part_steps),
-        end_step(min(first_step + args.part_steps, args.n_steps))
+      : own(args, group, shared, task, task.part)
   {
-    n_masses = (int)g.n_masses;
-    n_chunks = (int)g.n_chunks;
-    first_row = g.first_row;
-    list = k.springs + (g.first_chunk + first_chunk) * 32 + lane;
-    chunk_at = first_chunk * 32 + lane;
-    const mo_gp_tape at = mo_gp_tape_of(&g, k.n_steps);
-    tape = k.tape + g.tape_at;
-    position_at = (uint32_t)at.position;
-    velocity_at = (uint32_t)at.velocity;
-    activation_at = (uint32_t)at.activation;
-    input_at = (uint32_t)at.input;
-    normal_at = (uint32_t)at.normal[0];
-    hidden_at = (uint32_t)at.hidden[0];
-    layer_bytes = (uint32_t)(at.normal[1] - at.normal[0]);
-    scale_at = (uint32_t)at.scale;
-    width = g.n_outputs * MO_GP_TILE + 8;
-    n_outputs = (int)g.n_outputs;
-    output_tile = shared;
     if (threadIdx.x < MO_GP_OUTPUT_TILES)
       output_tile[threadIdx.x] = g.output_tile[threadIdx.x];
-    shared += 128;
-    left = (__half *)shared;
-    shared += ROWS * MO_GK_ROW * 2;
-    part = (float2 *)shared;
-    shared += ROWS * MO_GK_PART * 8;
-    rows = (mo_plan_scene *)shared;
-    shared += ROWS * sizeof(mo_plan_scene);
-    own::load_rows(rows, k.rows + g.first_row);
-    outputs = (int16_t *)shared;
-    shared += (ROWS * width * 2 + 15) / 16 * 16;
-    norms = (float *)shared;
+    outputs = (int16_t *)own::output_memory;
+    left = (__half *)own::left_memory;
+    norms = (float *)own::behind;
     for (int layer = 0; layer < MO_HIDDEN_LAYERS; layer++)
       for (int i = threadIdx.x; i < MO_HIDDEN; i += MO_GK_THREADS) {
         float *to = norms + 3 * MO_HIDDEN * layer + i;
@@ -99,8 +59,7 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
         to[MO_HIDDEN] = k.weights.gain[layer][i];
         to[2 * MO_HIDDEN] = k.weights.shift[layer][i];
       }
-    shared += MO_HIDDEN_LAYERS * 3 * MO_HIDDEN * 4;
-    x = (float4 *)shared;
+    x = (float4 *)(norms + MO_HIDDEN_LAYERS * 3 * MO_HIDDEN);
     v = (float *)(x + n_own);
     input = (uint8_t *)(v + 3 * n_own);
     for (int i = threadIdx.x; i < n_own; i += MO_GK_THREADS)
@@ -539,42 +498,12 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   }
 };
 
-/* Of 16 rows: rare, and with registers of its own. */
-static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group &g, unsigned char *shared,
-                                               const mo_gk_task &task)
-{
-  forward<1, 1>(k, g, shared, task).run();
-}
-
-/* WALKED: how groups of 32 rows are. */
-template <int WALKED>
-static __global__ void __launch_bounds__(MO_GK_THREADS, 1) forward_kernel(const __grid_constant__ mo_gk k)
-{
-  extern __shared__ __align__(16) unsigned char shared[];
-  mo_gk_task task;
-  if (!take_task(k, (uint32_t *)shared, &task))
-    return;
-  const mo_gp_group &g = k.groups[(task.walk & ~MO_GK_HALVED) >> 1];
-  if (WALKED == MO_GK_MIXED && (task.walk & MO_GK_HALVED) != 0)
-    forward<1, 2>(k, g, shared, task).run();
-  else if (g.n_rows == MO_GP_ROWS_MAX)
-    forward<WALKED == MO_GK_HALVES ? 1 : 2, WALKED == MO_GK_HALVES ? 2 : 1>(k, g, shared, task).run();
-  else
-    walk_small(k, g, shared, task);
-  end_task(k, task);
-}
-
-static void (*const kernels[])(const mo_gk) = {forward_kernel<MO_GK_WHOLE>, forward_kernel<MO_GK_HALVES>,
-                                               forward_kernel<MO_GK_MIXED>};
-
 extern "C" int mo_gk_open_forward(uint32_t block_bytes, uint32_t *dynamic_bytes)
 {
-  return allow_shared_for_all(kernels, block_bytes, dynamic_bytes);
+  return way_kernels<forward>::open(block_bytes, dynamic_bytes);
 }
 
 extern "C" int mo_gk_forward(const struct mo_gk *k, uint32_t shared_bytes, void *stream)
 {
-  const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
-  kernels[k->walked]<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
-  return (int)cudaGetLastError();
+  return way_kernels<forward>::launch(k, shared_bytes, stream);
 }

@@ -214,20 +214,6 @@ template <class Kernel> static int allow_shared(Kernel kernel, uint32_t block_by
   return (int)cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)*dynamic_bytes);
 }
 
-/* The same for the kernels of one way, by MO_GK_WHOLE … : what each of them can have. */
-template <class Kernel, size_t N>
-static int allow_shared_for_all(Kernel *const (&kernels)[N], uint32_t block_bytes, uint32_t *dynamic_bytes)
-{
-  int status = 0;
-  *dynamic_bytes = block_bytes;
-  for (size_t i = 0; i < N && status == 0; i++) {
-    uint32_t bytes = 0;
-    status = allow_shared(kernels[i], block_bytes, &bytes);
-    *dynamic_bytes = min(*dynamic_bytes, bytes);
-  }
-  return status;
-}
-
 /* A spring's activation from the tape; its length without one, and the length that it wants to have. */
 static __device__ __forceinline__ float activation_of(int16_t kept)
 {
@@ -256,14 +242,39 @@ template <class T> static __device__ __forceinline__ T sum_lanes(T x)
  * two warps have a pair: one of its rows each, and each some of the springs of both. Rows and masses are counted in the block; on the tape and
  * in the tables they are the group's. */
 template <int MT, int SHARE> struct walker {
+  const mo_gk &k;
+  const mo_gp_group &g;
   enum { ROWS = 16 * MT, TAPE_ROWS = SHARE > 1 ? MO_GP_ROWS_MAX : ROWS, PAIRS = MO_GP_WARPS / SHARE };
   int warp, lane, half, half_begin; /* its first mass, of the group's */
   int first, n0, n1, n_own;         /* the pair's first mass; masses of its rows; of all of the block */
   int own_chunks;
   uint32_t first_chunk; /* of the group's */
+  /* Copies of what the group says: a store might change the original, as far as the compiler
+   * knows. */
+  int n_masses, n_chunks, n_outputs;
+  uint32_t first_row;
+  const uint32_t *list; /* this lane's springs */
+  uint32_t chunk_at;
+  unsigned char *tape;
+  /* On the group's tape, in bytes; layer_bytes: from one layer to the next. */
+  uint32_t position_at, velocity_at, activation_at, input_at, normal_at, hidden_at, scale_at, output_at;
+  uint32_t layer_bytes;
+  uint32_t width; /* of the outputs in shared memory, or of ∂loss/∂ them */
+  uint32_t first_step, end_step;
+  /* In shared memory. */
+  uint8_t *output_tile; /* (128) */
+  void *left_memory;    /* (rows, MO_GK_ROW) what a layer is given, 16 bits each */
+  float2 *part;
+  mo_plan_scene *rows;
+  void *output_memory;   /* (rows, width) 16 bits each */
+  unsigned char *behind; /* of the way's own */
 
-  __device__ __forceinline__ walker(const mo_gp_group &g, uint32_t nth_half)
-      : warp(threadIdx.x / 32), lane(threadIdx.x % 32), half(SHARE > 1 ? (int)nth_half : 0)
+  /* part_number: which steps of the walk are the task's. */
+  __device__ __forceinline__ walker(const mo_gk &args, const mo_gp_group &group, unsigned char *shared,
+                                    const mo_gk_task &task, uint32_t part_number)
+      : k(args), g(group), warp(threadIdx.x / 32), lane(threadIdx.x % 32),
+        half(SHARE > 1 ? (int)(task.walk & 1) : 0), first_step(part_number * args.part_steps),
+        end_step(min(first_step + args.part_steps, args.n_steps))
   {
     const mo_gp_pair &pair = g.pair[PAIRS * half + warp / SHARE];
     half_begin = SHARE > 1 ? (int)g.pair[PAIRS * half].first_mass : 0;
@@ -273,6 +284,31 @@ template <int MT, int SHARE> struct walker {
     n1 = MT * SHARE > 1 ? (int)pair.n_masses[1] : 0;
     first_chunk = pair.first_chunk + (has_second() ? pair.split : 0);
     own_chunks = (int)(SHARE == 1 ? pair.n_chunks : has_second() ? pair.n_chunks - pair.split : pair.split);
+    n_masses = (int)g.n_masses;
+    n_chunks = (int)g.n_chunks;
+    n_outputs = (int)g.n_outputs;
+    first_row = g.first_row;
+    list = k.springs + (g.first_chunk + first_chunk) * 32 + lane;
+    chunk_at = first_chunk * 32 + lane;
+    const mo_gp_tape at = mo_gp_tape_of(&g, k.n_steps);
+    tape = k.tape + g.tape_at;
+    position_at = (uint32_t)at.position;
+    velocity_at = (uint32_t)at.velocity;
+    activation_at = (uint32_t)at.activation;
+    input_at = (uint32_t)at.input;
+    normal_at = (uint32_t)at.normal[0];
+    hidden_at = (uint32_t)at.hidden[0];
+    layer_bytes = (uint32_t)(at.normal[1] - at.normal[0]);
+    scale_at = (uint32_t)at.scale;
+    output_at = (uint32_t)at.d_output;
+    width = g.n_outputs * MO_GP_TILE + 8;
+    output_tile = shared;
+    left_memory = shared + 128;
+    part = (float2 *)(shared + 128 + ROWS * MO_GK_ROW * 2);
+    rows = (mo_plan_scene *)(part + ROWS * MO_GK_PART);
+    load_rows();
+    output_memory = rows + ROWS;
+    behind = (unsigned char *)output_memory + (ROWS * width * 2 + 15) / 16 * 16;
   }
 
   /* Whether this warp's only row is the pair's second. */
@@ -336,11 +372,63 @@ template <int MT, int SHARE> struct walker {
       asm volatile("bar.sync %0, %1;" ::"r"(1 + warp / SHARE), "n"(32 * SHARE) : "memory");
   }
 
-  __device__ __forceinline__ void load_rows(mo_plan_scene *to, const mo_gp_row *rows) const
+  __device__ __forceinline__ void load_rows() const
   {
     enum { WORDS = sizeof(mo_plan_scene) / 4 };
     for (int i = threadIdx.x; i < ROWS * WORDS; i += MO_GK_THREADS)
-      ((float *)to)[i] = ((const float *)&rows[group_row(i / WORDS)].scene)[i % WORDS];
+      ((float *)rows)[i] = ((const float *)&k.rows[g.first_row + group_row(i / WORDS)].scene)[i % WORDS];
+  }
+};
+
+/* Of 16 rows: rare, and with registers of its own. */
+template <template <int, int> class Way>
+static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group &g,
+                                               unsigned char *shared, const mo_gk_task &task)
+{
+  Way<1, 1>(k, g, shared, task).run();
+}
+
+/* WALKED: how groups of 32 rows are. */
+template <template <int, int> class Way, int WALKED>
+static __global__ void __launch_bounds__(MO_GK_THREADS, 1) way_kernel(const __grid_constant__ mo_gk k)
+{
+  extern __shared__ __align__(16) unsigned char shared[];
+  mo_gk_task task;
+  if (!take_task(k, (uint32_t *)shared, &task))
+    return;
+  const mo_gp_group &g = k.groups[(task.walk & ~MO_GK_HALVED) >> 1];
+  if (WALKED == MO_GK_MIXED && (task.walk & MO_GK_HALVED) != 0)
+    Way<1, 2>(k, g, shared, task).run();
+  else if (g.n_rows == MO_GP_ROWS_MAX)
+    Way<WALKED == MO_GK_HALVES ? 1 : 2, WALKED == MO_GK_HALVES ? 2 : 1>(k, g, shared, task).run();
+  else
+    walk_small<Way>(k, g, shared, task);
+  end_task(k, task);
+}
+
+/* A way's kernels, by MO_GK_WHOLE … . */
+template <template <int, int> class Way> struct way_kernels {
+  static constexpr void (*kernels[])(const mo_gk) = {
+      way_kernel<Way, MO_GK_WHOLE>, way_kernel<Way, MO_GK_HALVES>, way_kernel<Way, MO_GK_MIXED>};
+
+  /* What each of them can have of shared memory. */
+  static int open(uint32_t block_bytes, uint32_t *dynamic_bytes)
+  {
+    int status = 0;
+    *dynamic_bytes = block_bytes;
+    for (size_t i = 0; i < 3 && status == 0; i++) {
+      uint32_t bytes = 0;
+      status = allow_shared(kernels[i], block_bytes, &bytes);
+      *dynamic_bytes = min(*dynamic_bytes, bytes);
+    }
+    return status;
+  }
+
+  static int launch(const mo_gk *k, uint32_t shared_bytes, void *stream)
+  {
+    const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
+    kernels[k->walked]<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
+    return (int)cudaGetLastError();
   }
 };
 
