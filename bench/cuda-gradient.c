@@ -20,6 +20,7 @@
  * bodies, each in a training environment; 1000 steps, bound 2. Prints one line per measurement;
  * exit status 1 if a bound is missed, 77 without a device. */
 #include "compute/cuda/gradient.h"
+#include "device.h"
 
 #include <math.h>
 #include <pthread.h>
@@ -28,56 +29,15 @@
 #include <string.h>
 #include <time.h>
 
-enum { LIKE = 256, MOST = 8192, REPEATS = 5, BLOCKS = 16, WORKERS_MAX = 64 };
+enum { LIKE = 256, MOST = 8192, REPEATS = 5, BLOCKS = 16 };
 #define COSINE_BOUND 0.99
 #define STEP_BOUND_S 0.25
 
-static int missed;
-static struct mo_cuda_gradient_state *state;
+static struct mo_device *device;
 
-static double now_s(void)
+static const char *error_of_device(void)
 {
-  struct timespec time;
-  clock_gettime(CLOCK_MONOTONIC, &time);
-  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
-}
-
-static void must(int status, const char *what)
-{
-  if (status >= 0)
-    return;
-  fprintf(stderr, "cuda-gradient: %s: %s %s\n", what, mo_error_text(status),
-          state != NULL ? mo_cuda_gradient_error(state) : "");
-  exit(1);
-}
-
-static void *must_have(void *memory)
-{
-  must(memory != NULL ? MO_OK : MO_ERR_NO_MEMORY, "memory");
-  return memory;
-}
-
-static void expect(int held, const char *what)
-{
-  printf("%s: %s\n", held ? "ok" : "MISSED", what);
-  missed |= !held;
-}
-
-static int ascending(const void *a, const void *b)
-{
-  const double x = *(const double *)a, y = *(const double *)b;
-  return (x > y) - (x < y);
-}
-
-static void on_threads(uint32_t workers, void *(*work)(void *context), void *context)
-{
-  pthread_t threads[WORKERS_MAX];
-  workers = workers < 1 ? 1 : workers > WORKERS_MAX ? WORKERS_MAX : workers;
-  for (uint32_t i = 0; i < workers; i++)
-    must(pthread_create(&threads[i], NULL, work, context) == 0 ? MO_OK : MO_ERR_NO_MEMORY,
-         "thread");
-  for (uint32_t i = 0; i < workers; i++)
-    pthread_join(threads[i], NULL);
+  return device != NULL ? mo_device_module()->error(device) : "no device";
 }
 
 /* ---- scenes ---- */
@@ -92,28 +52,20 @@ struct scene {
 
 static void make_scene(struct scene *s, uint32_t n)
 {
-  struct mo_body_stream *stream = NULL;
   *s = (struct scene){.n = n,
-                      .bodies = must_have(calloc(n, sizeof(*s->bodies))),
                       .environments = must_have(calloc(n, sizeof(*s->environments))),
                       .robots = must_have(calloc(n, sizeof(*s->robots)))};
   must(mo_lattice_create(MO_DEFAULT_WORKSPACE, &s->lattice), "lattice");
-  must(mo_body_stream_create(MO_DEFAULT_WORKSPACE, 1, &stream), "bodies");
+  s->bodies = random_bodies(s->lattice, n, 1);
   for (uint32_t i = 0; i < n; i++) {
-    uint64_t bits[MO_DEFAULT_WORDS];
-    must(mo_body_stream_next(stream, bits), "bodies");
-    must(mo_body_create(s->lattice, bits, &s->bodies[i]), "body");
     mo_environment_training(1, 0, i, &s->environments[i]);
     s->robots[i] = (struct mo_robot){s->bodies[i], &s->environments[i]};
   }
-  mo_body_stream_free(stream);
 }
 
 static void drop_scene(struct scene *s)
 {
-  for (uint32_t i = 0; i < s->n; i++)
-    mo_body_free(s->bodies[i]);
-  free(s->bodies);
+  free_bodies(s->bodies, s->n);
   free(s->environments);
   free(s->robots);
   mo_lattice_free(s->lattice);
@@ -162,7 +114,6 @@ struct reference {
   struct mo_gradient_counts counts[BLOCKS];
   double *sums[BLOCKS];
   struct mo_outcome outcomes[LIKE];
-  pthread_mutex_t lock;
   uint32_t next;
 };
 
@@ -171,9 +122,7 @@ static void *reference_work(void *context)
   struct reference *r = context;
   const struct mo_physics physics = mo_default_physics();
   for (;;) {
-    pthread_mutex_lock(&r->lock);
-    const uint32_t block = r->next++;
-    pthread_mutex_unlock(&r->lock);
+    const uint32_t block = __atomic_fetch_add(&r->next, 1, __ATOMIC_RELAXED);
     if (block >= BLOCKS)
       return NULL;
     for (uint32_t i = block; i < LIKE; i += BLOCKS)
@@ -186,7 +135,7 @@ static void *reference_work(void *context)
 
 static int make_reference(const char *path, const char *weights, uint32_t workers)
 {
-  static struct reference r = {.lock = PTHREAD_MUTEX_INITIALIZER};
+  static struct reference r;
   struct mo_controller *controller = weights_of(weights);
   make_scene(&r.scene, LIKE);
   r.controller = controller;
@@ -194,7 +143,7 @@ static int make_reference(const char *path, const char *weights, uint32_t worker
   r.options.weight = 1.0 / LIKE;
   for (int i = 0; i < BLOCKS; i++)
     r.sums[i] = must_have(calloc(controller->n_parameters, sizeof(double)));
-  on_threads(workers, reference_work, &r);
+  on_threads((long)workers, reference_work, &r);
   for (int i = 1; i < BLOCKS; i++) {
     mo_gradient_counts_add(&r.counts[0], &r.counts[i]);
     for (size_t k = 0; k < controller->n_parameters; k++)
@@ -220,6 +169,18 @@ struct result {
   double total_s;
 };
 
+/* Versions that compute the same have the same. */
+static uint64_t hash_of(const float *values, size_t n)
+{
+  uint64_t hash = UINT64_C(14695981039346656037);
+  for (size_t i = 0; i < n; i++) {
+    uint32_t bits;
+    memcpy(&bits, &values[i], sizeof(bits));
+    hash = (hash ^ bits) * UINT64_C(1099511628211);
+  }
+  return hash;
+}
+
 static void run_with(struct result *r, const struct mo_controller *controller,
                      const struct scene *s, uint32_t first, uint32_t n,
                      const struct mo_physics *physics, const struct mo_gradient_options *options,
@@ -240,15 +201,16 @@ static void run_with(struct result *r, const struct mo_controller *controller,
   memset(r->call.d_parameters, 0,
          shards * controller->n_parameters * sizeof(float)); /* as a caller's, which lasts */
   const double start = now_s();
-  must(mo_cuda_gradient_run(state, &r->call, memory_bytes), "gradient");
+  must(mo_cuda_gradient_run(device, &r->call, memory_bytes), "gradient");
   r->total_s = now_s() - start;
-  const struct mo_cuda_gradient_profile *p = mo_cuda_gradient_times(state);
+  const struct mo_cuda_gradient_profile *p = mo_cuda_gradient_times(device);
   printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums "
          "%.4f), host %.3f (layout %.3f, upload %.3f); %.1f GB, %u groups, %u in halves, %u "
-         "passes, %u ways back\n",
+         "passes, %u ways back; bits %016llx\n",
          n, physics->n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->products_s,
          p->collect_s, r->call.host_s, p->plan_s, p->upload_s, (double)p->device_bytes * 1e-9,
-         p->groups, p->halved, p->passes, p->walks);
+         p->groups, p->halved, p->passes, p->walks,
+         (unsigned long long)hash_of(r->call.d_parameters, shards * controller->n_parameters));
 }
 
 static void run(struct result *r, const struct mo_controller *controller, const struct scene *s,
@@ -312,13 +274,12 @@ static void check_likeness(const char *weights, const char *path, const struct s
   run_with(&r, controller, s, 0, LIKE, &physics, &options, 0);
   for (int i = 0; i < LIKE; i++)
     differ[i] = fabs(r.call.outcomes[i].loss - outcomes[i].loss);
-  qsort(differ, LIKE, sizeof(*differ), ascending);
   const struct likeness like =
       likeness_of(r.call.d_parameters, reference, controller->n_parameters);
   printf("weights %s: cosine %.6f, relative error %.3g, norms %.6g and %.6g; |difference in loss| "
          "median %.1e, p90 %.1e, most %.1e\n",
-         weights, like.cosine, like.error, like.norm, like.norm_reference, differ[LIKE / 2],
-         differ[LIKE * 9 / 10], differ[LIKE - 1]);
+         weights, like.cosine, like.error, like.norm, like.norm_reference,
+         quantile(differ, LIKE, 0.5), quantile(differ, LIKE, 0.9), differ[LIKE - 1]);
   print_counts("device", &r.call.counts);
   print_counts("float64", &counts);
   char *end;
@@ -343,7 +304,6 @@ struct alone {
   const struct mo_controller *controller;
   double *gradients[LIKE][2]; /* with each weight; NULL where the adjoint stays within the bound */
   uint64_t clipped[LIKE];     /* steps */
-  pthread_mutex_t lock;
   uint32_t next;
 };
 
@@ -354,9 +314,7 @@ static void *alone_work(void *context)
   struct alone *a = context;
   const struct mo_physics physics = mo_default_physics();
   for (;;) {
-    pthread_mutex_lock(&a->lock);
-    const uint32_t i = a->next++;
-    pthread_mutex_unlock(&a->lock);
+    const uint32_t i = __atomic_fetch_add(&a->next, 1, __ATOMIC_RELAXED);
     if (i >= LIKE)
       return NULL;
     for (int w = 0; w < 2; w++) {
@@ -380,7 +338,7 @@ static void *alone_work(void *context)
 
 static void check_alone(const struct scene *s, uint32_t workers)
 {
-  static struct alone a = {.lock = PTHREAD_MUTEX_INITIALIZER};
+  static struct alone a;
   struct mo_controller *controller = weights_of("1");
   const struct mo_physics physics = mo_default_physics();
   const struct mo_gradient_options options = options_of("restart:");
@@ -388,7 +346,7 @@ static void check_alone(const struct scene *s, uint32_t workers)
   uint32_t n = 0, nearer = 0;
   a.scene = s;
   a.controller = controller;
-  on_threads(workers, alone_work, &a);
+  on_threads((long)workers, alone_work, &a);
   for (uint32_t i = 0; i < LIKE; i++) {
     struct result r;
     struct likeness like[2];
@@ -407,27 +365,32 @@ static void check_alone(const struct scene *s, uint32_t workers)
     nearer += like[0].error < like[1].error;
     drop(&r);
   }
-  qsort(differ, n, sizeof(*differ), ascending);
   printf("%u robots restart: relative error of each alone, median %.3g, p90 %.3g; %u of them "
          "nearer to float64 with their weight than with another\n",
-         n, n > 0 ? differ[n / 2] : 0, n > 0 ? differ[n * 9 / 10] : 0, nearer);
+         n, n > 0 ? quantile(differ, n, 0.5) : 0, n > 0 ? quantile(differ, n, 0.9) : 0, nearer);
   expect(n > 0 && nearer * 4 >= n * 3, "at least three in four are nearer to what they should be");
   mo_controller_free(controller);
 }
 
 /* ---- bits ---- */
 
+static int same_result(const struct result *a, const struct result *b)
+{
+  const size_t shards = (a->call.n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
+  return memcmp(a->call.d_parameters, b->call.d_parameters,
+                shards * a->call.controller->n_parameters * sizeof(float)) == 0 &&
+         memcmp(a->call.outcomes, b->call.outcomes, a->call.n * sizeof(*a->call.outcomes)) == 0 &&
+         memcmp(&a->call.counts, &b->call.counts, sizeof(a->call.counts)) == 0;
+}
+
 static void check_bits(const struct scene *s, uint32_t n_steps)
 {
   const uint32_t n = MO_DEVICE_SHARD, all = 2 * n;
   struct mo_controller *controller = weights_of("1");
-  const size_t bytes = controller->n_parameters * sizeof(float);
   struct result a, b;
   run(&a, controller, s, 0, all, n_steps, 0);
   run(&b, controller, s, 0, all, n_steps, 0);
-  expect(memcmp(a.call.d_parameters, b.call.d_parameters, 2 * bytes) == 0 &&
-             memcmp(a.call.outcomes, b.call.outcomes, all * sizeof(*a.call.outcomes)) == 0,
-         "two runs give the same bits");
+  expect(same_result(&a, &b), "two runs give the same bits");
   drop(&b);
   run(&b, controller, s, n, n, n_steps, 0);
   const float *with = a.call.d_parameters + controller->n_parameters;
@@ -436,21 +399,13 @@ static void check_bits(const struct scene *s, uint32_t n_steps)
     same &= b.call.d_parameters[k] == 2 * with[k]; /* its weight is 1/1024, not 1/2048 */
   expect(same, "a shard has the same bits alone");
   drop(&b);
-  mo_cuda_gradient_trim(state);
+  mo_cuda_gradient_trim(device);
   run(&b, controller, s, 0, all, n_steps, UINT64_C(3) << 30);
-  expect(mo_cuda_gradient_times(state)->passes == 2 &&
-             memcmp(a.call.d_parameters, b.call.d_parameters, 2 * bytes) == 0,
+  expect(mo_cuda_gradient_times(device)->passes == 2 && same_result(&a, &b),
          "with memory for one shard, one after the other, the same bits");
   drop(&b);
   drop(&a);
   mo_controller_free(controller);
-}
-
-static int same_result(const struct result *a, const struct result *b, size_t n_parameters)
-{
-  return memcmp(a->call.d_parameters, b->call.d_parameters, n_parameters * sizeof(float)) == 0 &&
-         memcmp(a->call.outcomes, b->call.outcomes, a->call.n * sizeof(*a->call.outcomes)) == 0 &&
-         memcmp(&a->call.counts, &b->call.counts, sizeof(a->call.counts)) == 0;
 }
 
 /* Groups by one block, by two, and some by each, where robots end in a group of 16, where some of a
@@ -473,38 +428,33 @@ static void check_halves(const struct scene *s)
     struct mo_controller *controller = weights_of("1");
     struct mo_physics physics = mo_default_physics();
     struct mo_gradient_options options = options_of(cases[i].options);
-    struct result whole, some, halves;
-    char what[96];
+    struct result ways[3];
+    uint32_t halved[3];
     physics.stiffness_n_per_m *= cases[i].stiffness;
     options.adjoint_bound *= cases[i].bound;
     for (size_t k = 0; k < (size_t)controller->n_springs * MO_HIDDEN; k++)
       controller->weight[MO_HIDDEN_LAYERS][k] *= (float)cases[i].last_layer;
-    mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_NEVER);
-    run_with(&whole, controller, s, 0, cases[i].n, &physics, &options, 0);
-    const uint32_t n_whole = mo_cuda_gradient_times(state)->halved;
-    mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_SOME);
-    run_with(&some, controller, s, 0, cases[i].n, &physics, &options, 0);
-    const uint32_t n_some = mo_cuda_gradient_times(state)->halved;
-    mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_ALWAYS);
-    run_with(&halves, controller, s, 0, cases[i].n, &physics, &options, 0);
-    mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_IF_FASTER);
-    expect(n_whole == 0 && n_some > 0 && n_some < mo_cuda_gradient_times(state)->halved,
+    for (int way = 0; way < 3; way++) {
+      mo_cuda_gradient_set_halves(device, (enum mo_cuda_halves)(MO_CUDA_HALVES_NEVER + way));
+      run_with(&ways[way], controller, s, 0, cases[i].n, &physics, &options, 0);
+      halved[way] = mo_cuda_gradient_times(device)->halved;
+    }
+    mo_cuda_gradient_set_halves(device, MO_CUDA_HALVES_IF_FASTER);
+    expect(halved[0] == 0 && halved[1] > 0 && halved[1] < halved[2],
            "whole groups, some in halves, all in halves");
-    snprintf(what, sizeof(what), "whole groups and halves have the same bits: %s", cases[i].name);
-    expect(same_result(&whole, &halves, controller->n_parameters), what);
-    snprintf(what, sizeof(what), "so have some of both: %s", cases[i].name);
-    expect(same_result(&whole, &some, controller->n_parameters), what);
-    print_counts(cases[i].name, &whole.call.counts);
-    drop(&whole);
-    drop(&some);
-    drop(&halves);
+    expect(same_result(&ways[0], &ways[2]), "whole groups and halves have the same bits: %s",
+           cases[i].name);
+    expect(same_result(&ways[0], &ways[1]), "so have some of both: %s", cases[i].name);
+    print_counts(cases[i].name, &ways[0].call.counts);
+    for (int way = 0; way < 3; way++)
+      drop(&ways[way]);
     mo_controller_free(controller);
   }
 }
 
-static int is_finite(const struct result *r, size_t n)
+static int is_finite(const struct result *r)
 {
-  for (size_t k = 0; k < n; k++)
+  for (size_t k = 0; k < r->call.controller->n_parameters; k++)
     if (!isfinite(r->call.d_parameters[k]))
       return 0;
   return 1;
@@ -524,12 +474,9 @@ static void check_rare(const struct scene *s)
   run_with(&a, controller, s, 0, FEW, &physics, &options, 0);
   run_with(&b, controller, s, 0, FEW, &physics, &options, 0);
   print_counts("springs 1.7 times as stiff", &a.call.counts);
-  expect(a.call.counts.diverged_robots > 0 && a.call.counts.diverged_robots < FEW &&
-             is_finite(&a, controller->n_parameters),
+  expect(a.call.counts.diverged_robots > 0 && a.call.counts.diverged_robots < FEW && is_finite(&a),
          "some diverge, the others' gradient is finite");
-  expect(memcmp(a.call.d_parameters, b.call.d_parameters,
-                controller->n_parameters * sizeof(float)) == 0,
-         "twice the same");
+  expect(same_result(&a, &b), "twice the same");
   drop(&a);
   drop(&b);
   physics = mo_default_physics();
@@ -539,17 +486,14 @@ static void check_rare(const struct scene *s)
     for (size_t k = 0; k < (size_t)controller->n_springs * MO_HIDDEN; k++)
       controller->weight[MO_HIDDEN_LAYERS][k] *= 3;
     run_with(&a, controller, s, 0, FEW, &physics, &options, 0);
-    const uint32_t walks = mo_cuda_gradient_times(state)->walks;
+    const uint32_t walks = mo_cuda_gradient_times(device)->walks;
     zeroed = a.call.counts.zeroed_robots;
     print_counts("no bound", &a.call.counts);
-    expect(is_finite(&a, controller->n_parameters) && (walks > 1) == (zeroed > 0),
+    expect(is_finite(&a) && (walks > 1) == (zeroed > 0),
            "the gradient is finite, and taken again where a robot is left out");
     if (zeroed > 0) {
       run_with(&b, controller, s, 0, FEW, &physics, &options, 0);
-      expect(memcmp(a.call.d_parameters, b.call.d_parameters,
-                    controller->n_parameters * sizeof(float)) == 0 &&
-                 memcmp(a.call.outcomes, b.call.outcomes, FEW * sizeof(*a.call.outcomes)) == 0,
-             "twice the same");
+      expect(same_result(&a, &b), "twice the same");
       drop(&b);
     }
     drop(&a);
@@ -581,14 +525,13 @@ static void check_cancel(const struct scene *s)
   call.cancel = &cancel_flag;
   must(pthread_create(&thread, NULL, cancel_soon, NULL) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
   const double start = now_s();
-  const int status = mo_cuda_gradient_run(state, &call, 0);
-  printf("cancelled after 0.030 s: ended after %.3f s\n", now_s() - start);
-  expect(status == MO_ERR_CANCELLED && now_s() - start < 0.1, "a cancelled call ends");
+  const int status = mo_cuda_gradient_run(device, &call, 0);
+  const double took = now_s() - start;
+  expect(status == MO_ERR_CANCELLED && took < 0.1, "cancelled after 0.030 s: ended after %.3f s",
+         took);
   pthread_join(thread, NULL);
   run(&after, controller, s, 0, n, 1000, 0);
-  expect(memcmp(before.call.d_parameters, after.call.d_parameters,
-                controller->n_parameters * sizeof(float)) == 0,
-         "the call after it gives what the one before gave");
+  expect(same_result(&before, &after), "the call after it gives what the one before gave");
   free(call.d_parameters);
   free(call.outcomes);
   drop(&before);
@@ -602,24 +545,23 @@ static void time_steps(const struct scene *s, uint32_t n, enum mo_cuda_halves ha
   static const char *const names[] = {
       "", " as whole groups", " as groups some of which are in halves", " as groups in halves"};
   struct mo_controller *controller = weights_of("1");
-  double total[REPEATS], device[REPEATS];
-  mo_cuda_gradient_set_halves(state, halves);
+  double total[REPEATS], device_s[REPEATS];
+  mo_cuda_gradient_set_halves(device, halves);
   for (int i = -1; i < REPEATS; i++) {
     struct result r;
     run(&r, controller, s, 0, n, 1000, 0);
     if (i >= 0) {
       total[i] = r.total_s;
-      device[i] = r.call.device_s;
+      device_s[i] = r.call.device_s;
     }
     drop(&r);
   }
-  qsort(total, REPEATS, sizeof(*total), ascending);
-  qsort(device, REPEATS, sizeof(*device), ascending);
-  mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_IF_FASTER);
-  printf("%u robots%s: median %.3f s, of the device %.3f s\n", n, names[halves], total[REPEATS / 2],
-         device[REPEATS / 2]);
+  mo_cuda_gradient_set_halves(device, MO_CUDA_HALVES_IF_FASTER);
+  printf("%u robots%s: median %.3f s, of the device %.3f s\n", n, names[halves],
+         quantile(total, REPEATS, 0.5), quantile(device_s, REPEATS, 0.5));
   if (bound_s > 0)
-    expect(device[REPEATS / 2] <= bound_s, "a learning step of 8192 within 0.25 s of the device");
+    expect(quantile(device_s, REPEATS, 0.5) <= bound_s,
+           "a learning step of 8192 within 0.25 s of the device");
   mo_controller_free(controller);
 }
 
@@ -628,10 +570,14 @@ int main(int argc, char **argv)
   const char *what = argc > 1 ? argv[1] : "check";
   if (strcmp(what, "reference") == 0 && argc > 3)
     return make_reference(argv[2], argv[3], argc > 4 ? (uint32_t)atoi(argv[4]) : 1);
-  if (mo_cuda_gradient_create(0, &state) < 0) {
+  uint32_t n_devices = 0;
+  must(mo_device_module()->count(&n_devices), "count");
+  if (n_devices == 0) {
     printf("no device\n");
     return 77;
   }
+  device_error = error_of_device;
+  must(mo_device_module()->open(0, &device), "open");
   struct scene s;
   if (strcmp(what, "time") == 0) {
     make_scene(&s, MOST);
@@ -658,7 +604,7 @@ int main(int argc, char **argv)
     struct mo_controller *controller = weights_of("1");
     for (int halves = MO_CUDA_HALVES_NEVER; halves <= MO_CUDA_HALVES_ALWAYS; halves++) {
       struct result r;
-      mo_cuda_gradient_set_halves(state, (enum mo_cuda_halves)halves);
+      mo_cuda_gradient_set_halves(device, (enum mo_cuda_halves)halves);
       run(&r, controller, &s, 0, n, n_steps, 0);
       drop(&r);
     }
@@ -673,6 +619,6 @@ int main(int argc, char **argv)
     check_cancel(&s);
   }
   drop_scene(&s);
-  mo_cuda_gradient_free(state);
-  return missed;
+  mo_device_module()->close(device);
+  return missed();
 }

@@ -1,8 +1,8 @@
 /* gradient.cu: calls for gradients, and what they need of a device: checked here, laid out by gradient_layout.cu, run by gradient_run.cu. */
-#include "compute/cuda/gradient_state.cuh"
+#include "compute/cuda/device.cuh"
 
 #include <math.h>
-#include <stdlib.h>
+#include <stdio.h>
 
 #include <algorithm>
 #include <new>
@@ -10,17 +10,15 @@
 
 namespace {
 
-int place_weights(mo_cuda_gradient_state *s)
+int place_weights(mo_device *device)
 {
+  mo_cuda_gradient_state *s = &device->gradient;
   const size_t tile = 32 * sizeof(uint4), tiles = 3 * 256 + (size_t)MO_GP_OUTPUT_TILES * 16;
   const size_t floats = 3 * 3 * MO_HIDDEN + MO_GP_OUTPUT_TILES * MO_GP_TILE;
-  s->weights.bytes = 2 * tiles * tile + floats * sizeof(float);
-  const cudaError_t status = cudaMalloc(&s->weights.at, s->weights.bytes);
-  if (status != cudaSuccess) {
-    s->weights = mo_gradient_buffer();
-    return s->fail(status, "device memory");
-  }
-  uint4 *at = (uint4 *)s->weights.at;
+  const int r = mo_cuda_reserve(device, &s->weights, 2 * tiles * tile + floats * sizeof(float));
+  if (r < 0)
+    return r;
+  uint4 *at = (uint4 *)s->weights.memory;
   for (int l = 0; l <= MO_HIDDEN_LAYERS; l++) {
     const size_t n = (l < MO_HIDDEN_LAYERS ? 256 : (size_t)MO_GP_OUTPUT_TILES * 16) * 32;
     s->tiles.forward[l] = at;
@@ -77,87 +75,48 @@ bool is_default(mo_workspace w)
 
 } // namespace
 
-/* What a launch of either way can have of shared memory. */
-static cudaError_t open_kernels(int device, uint32_t *shared_bytes)
+int mo_cuda_gradient_open(mo_device *device)
 {
+  mo_cuda_gradient_state *s = &device->gradient;
   uint32_t forward = 0, back = 0, products = 0;
   int block = 0;
-  cudaError_t status = cudaDeviceGetAttribute(&block, cudaDevAttrMaxSharedMemoryPerBlockOptin, device);
-  if (status == cudaSuccess)
-    status = (cudaError_t)mo_gk_open_forward((uint32_t)block, &forward);
-  if (status == cudaSuccess)
-    status = (cudaError_t)mo_gk_open_back((uint32_t)block, &back);
-  if (status == cudaSuccess)
-    status = (cudaError_t)mo_gk_open_products((uint32_t)block, &products);
-  *shared_bytes = std::min(forward, back);
-  return status;
+  const int status = in_turn(
+      [&] { return (int)cudaDeviceGetAttribute(&block, cudaDevAttrMaxSharedMemoryPerBlockOptin, device->index); },
+      [&] { return mo_gk_open_forward((uint32_t)block, &forward); },
+      [&] { return mo_gk_open_back((uint32_t)block, &back); },
+      [&] { return mo_gk_open_products((uint32_t)block, &products); },
+      [&] { return (int)cudaStreamCreateWithFlags(&s->beside, cudaStreamNonBlocking); },
+      [&] {
+        cudaError_t created = cudaEventCreate(&s->copied);
+        for (cudaEvent_t &mark : s->marks)
+          created = created == cudaSuccess ? cudaEventCreate(&mark) : created;
+        return (int)created;
+      },
+      [&] { return (int)cudaMalloc((void **)&s->cancel, sizeof(*s->cancel)); });
+  s->shared_bytes = std::min(forward, back); /* what a launch of either way can have */
+  return mo_cuda_check(device, (cudaError_t)status, "opening: gradient");
 }
 
-int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
+void mo_cuda_gradient_set_halves(struct mo_device *device, enum mo_cuda_halves halves)
 {
-  mo_cuda_gradient_state *s = (mo_cuda_gradient_state *)calloc(1, sizeof(*s));
-  if (s == nullptr)
-    return MO_ERR_NO_MEMORY;
-  s->device = device;
-  s->generators = new (std::nothrow) std::vector<float>();
-  if (s->generators == nullptr) {
-    free(s);
-    return MO_ERR_NO_MEMORY;
-  }
-  cudaError_t status = cudaSetDevice(device);
-  if (status == cudaSuccess)
-    status = open_kernels(device, &s->shared_bytes);
-  size_t free_bytes = 0, total_bytes = 0;
-  if (status == cudaSuccess)
-    status = cudaMemGetInfo(&free_bytes, &total_bytes);
-  s->total_bytes = total_bytes;
-  if (status == cudaSuccess)
-    status = cudaDeviceGetAttribute(&s->multiprocessors, cudaDevAttrMultiProcessorCount, device);
-  if (status == cudaSuccess)
-    status = cudaStreamCreateWithFlags(&s->stream, cudaStreamNonBlocking);
-  if (status == cudaSuccess)
-    status = cudaStreamCreateWithFlags(&s->beside, cudaStreamNonBlocking);
-  for (cudaEvent_t &mark : s->marks)
-    if (status == cudaSuccess)
-      status = cudaEventCreate(&mark);
-  if (status == cudaSuccess)
-    status = cudaEventCreate(&s->copied);
-  if (status == cudaSuccess)
-    status = cudaMalloc((void **)&s->cancel, sizeof(*s->cancel));
-  if (status != cudaSuccess) {
-    mo_cuda_gradient_free(s);
-    (void)cudaGetLastError();
-    return status == cudaErrorMemoryAllocation ? MO_ERR_NO_MEMORY : MO_ERR_DEVICE;
-  }
-  *ret = s;
-  return MO_OK;
+  device->gradient.halves = halves;
 }
 
-void mo_cuda_gradient_set_halves(struct mo_cuda_gradient_state *s, enum mo_cuda_halves halves)
+void mo_cuda_gradient_trim(struct mo_device *device)
 {
-  s->halves = halves;
+  cudaSetDevice(device->index);
+  for (mo_cuda_buffer &b : device->gradient.buffers)
+    mo_cuda_release(&b);
 }
 
-void mo_cuda_gradient_trim(struct mo_cuda_gradient_state *s)
+void mo_cuda_gradient_close(mo_device *device)
 {
-  cudaSetDevice(s->device);
-  for (mo_gradient_buffer &b : s->buffers) {
-    cudaFree(b.at);
-    b = mo_gradient_buffer();
-  }
-}
-
-void mo_cuda_gradient_free(struct mo_cuda_gradient_state *s)
-{
-  if (s == nullptr)
-    return;
-  mo_cuda_gradient_trim(s);
+  mo_cuda_gradient_state *s = &device->gradient;
+  mo_cuda_gradient_trim(device);
   mo_cuda_gradient_layout_free(s->layout);
-  delete s->generators;
-  cudaFree(s->weights.at);
-  cudaFreeHost(s->sums.at);
-  cudaFreeHost(s->results.at);
-  cudaFreeHost(s->parameters.at);
+  mo_cuda_release(&s->weights);
+  for (mo_cuda_buffer *b : {&s->sums, &s->results, &s->parameters})
+    mo_cuda_release_pinned(b);
   cudaFree(s->cancel);
   for (cudaEvent_t mark : s->marks)
     if (mark != nullptr)
@@ -166,63 +125,56 @@ void mo_cuda_gradient_free(struct mo_cuda_gradient_state *s)
     cudaEventDestroy(s->copied);
   if (s->beside != nullptr)
     cudaStreamDestroy(s->beside);
-  if (s->stream != nullptr)
-    cudaStreamDestroy(s->stream);
-  free(s);
 }
 
-int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_gradient *call, uint64_t memory_bytes)
+int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *call, uint64_t memory_bytes)
 {
   const double since = now_s();
+  mo_cuda_gradient_state *s = &device->gradient;
   s->profile = mo_cuda_gradient_profile();
-  s->error[0] = 0;
   call->counts = mo_gradient_counts();
   call->host_s = call->device_s = 0;
   if (!is_valid(call))
     return MO_ERR_INVALID;
   if (!is_default(call->controller->workspace) || !fits_half(call->controller)) {
-    snprintf(s->error, sizeof(s->error), "not a controller that these kernels do");
+    snprintf(device->error, sizeof(device->error), "not a controller that these kernels do");
     return MO_ERR_UNSUPPORTED;
   }
-  cudaError_t status = cudaSetDevice(s->device);
-  if (status == cudaSuccess)
-    status = cudaStreamSynchronize(s->beside);
-  if (status == cudaSuccess)
-    status = cudaMemsetAsync(s->cancel, 0, sizeof(*s->cancel), s->stream);
-  if (status != cudaSuccess)
-    return s->fail(status, "device");
-  if (s->weights.at == nullptr) {
-    const int r = place_weights(s);
-    if (r < 0)
-      return r;
-  }
   mo_device_layout *layout = call->layout;
-  int r = MO_OK;
-  if (layout == nullptr || !mo_gradient_layout_is_of(layout, s, call)) {
-    r = mo_cuda_gradient_lay_out(s, call->robots, call->n, &call->physics, &s->layout);
-    layout = s->layout;
-  }
+  int r = in_turn(
+      [&] {
+        return mo_cuda_check(device,
+                             in_turn([&] { return cudaSetDevice(device->index); },
+                                     [&] { return cudaStreamSynchronize(s->beside); },
+                                     [&] { return cudaMemsetAsync(s->cancel, 0, sizeof(*s->cancel), device->stream); }),
+                             "device");
+      },
+      [&] { return s->weights.memory == nullptr ? place_weights(device) : MO_OK; },
+      [&] {
+        /* Physics is compared by the caller, who says that it is the same; a device with another size of shared
+         * memory forms other groups. */
+        if (layout != nullptr && layout->robots == call->robots && layout->n == call->n &&
+            layout->shared_bytes == s->shared_bytes)
+          return (int)MO_OK;
+        const int laid = mo_cuda_gradient_lay_out(device, call->robots, call->n, &call->physics, &s->layout);
+        layout = s->layout;
+        return laid;
+      });
   if (r < 0)
     return r;
   s->profile.plan_s = now_s() - since;
   try {
-    r = mo_gradient_run_plan(s, call, layout->plan, memory_bytes);
+    r = mo_gradient_run_plan(device, call, layout->plan, memory_bytes);
   } catch (const std::bad_alloc &) { /* of the host */
-    cudaStreamSynchronize(s->stream);
+    cudaStreamSynchronize(device->stream);
     r = MO_ERR_NO_MEMORY;
   }
-  s->profile.device_bytes = s->held();
   call->device_s = s->profile.forward_s + s->profile.back_s + s->profile.products_s + s->profile.collect_s;
   call->host_s = now_s() - since - call->device_s;
   return r;
 }
 
-const char *mo_cuda_gradient_error(const struct mo_cuda_gradient_state *s)
+const struct mo_cuda_gradient_profile *mo_cuda_gradient_times(const struct mo_device *device)
 {
-  return s->error;
-}
-
-const struct mo_cuda_gradient_profile *mo_cuda_gradient_times(const struct mo_cuda_gradient_state *s)
-{
-  return &s->profile;
+  return &device->gradient.profile;
 }

@@ -1,4 +1,4 @@
-/* gradient.h: gradients on one device, for module.cu. */
+/* gradient.h: gradients on one device, for module.cu and for bench/cuda-gradient.c. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_H
 #define MORPHO_COMPUTE_CUDA_GRADIENT_H
 
@@ -11,16 +11,22 @@ extern "C" {
 /* Version of the code, for fingerprints: changes with every change of a bit. */
 #define MO_CUDA_GRADIENT_CODE "gradient-6"
 
-/* What lasts from one call to the next on one device: its buffers, which grow to what the calls
- * need. */
-struct mo_cuda_gradient_state;
-int mo_cuda_gradient_create(
-    int device, struct mo_cuda_gradient_state **ret); /* MO_ERR_NO_MEMORY, MO_ERR_DEVICE */
-void mo_cuda_gradient_free(struct mo_cuda_gradient_state *state); /* NULL-safe */
+/* mo_device_module.gradient. memory_bytes: most device memory to use; 0: what is free. */
+int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *gradient,
+                         uint64_t memory_bytes);
+/* mo_device_module.lay_out, .layout_free, .allocate, .release. */
+int mo_cuda_gradient_lay_out(const struct mo_device *device, const struct mo_robot *robots,
+                             uint32_t n, const struct mo_physics *physics,
+                             struct mo_device_layout **layout);
+void mo_cuda_gradient_layout_free(struct mo_device_layout *layout);
+void *mo_cuda_gradient_allocate(const struct mo_device *device, size_t bytes);
+void mo_cuda_gradient_release(void *memory);
+
 /* Gives device memory back: others need it. It is asked for again by the next call. */
-void mo_cuda_gradient_trim(struct mo_cuda_gradient_state *state);
+void mo_cuda_gradient_trim(struct mo_device *device);
+
 /* Whether groups of 32 robots are walked in halves, by two blocks each: the bits are the same.
- * MO_CUDA_HALVES_SOME: those half of the groups that take longest. For checks: the state begins
+ * MO_CUDA_HALVES_SOME: those half of the groups that take longest. For checks: a device begins
  * with MO_CUDA_HALVES_IF_FASTER, which asks how many multiprocessors there are. */
 enum mo_cuda_halves {
   MO_CUDA_HALVES_IF_FASTER,
@@ -28,20 +34,7 @@ enum mo_cuda_halves {
   MO_CUDA_HALVES_SOME,
   MO_CUDA_HALVES_ALWAYS
 };
-void mo_cuda_gradient_set_halves(struct mo_cuda_gradient_state *state, enum mo_cuda_halves halves);
-
-/* mo_device_module.gradient. memory_bytes: most device memory to use; 0: what is free. */
-int mo_cuda_gradient_run(struct mo_cuda_gradient_state *state, struct mo_device_gradient *gradient,
-                         uint64_t memory_bytes);
-/* mo_device_module.lay_out, .layout_free, .allocate, .release. */
-int mo_cuda_gradient_lay_out(const struct mo_cuda_gradient_state *state,
-                             const struct mo_robot *robots, uint32_t n,
-                             const struct mo_physics *physics, struct mo_device_layout **layout);
-void mo_cuda_gradient_layout_free(struct mo_device_layout *layout);
-void *mo_cuda_gradient_allocate(const struct mo_cuda_gradient_state *state, size_t bytes);
-void mo_cuda_gradient_release(void *memory);
-const char *
-mo_cuda_gradient_error(const struct mo_cuda_gradient_state *state); /* text of the last failure */
+void mo_cuda_gradient_set_halves(struct mo_device *device, enum mo_cuda_halves halves);
 
 /* Of the last call. */
 struct mo_cuda_gradient_profile {
@@ -51,8 +44,7 @@ struct mo_cuda_gradient_profile {
   uint32_t passes, groups, walks; /* parts in which the call went; groups; ways back */
   uint32_t halved;                /* groups that were walked in halves */
 };
-const struct mo_cuda_gradient_profile *
-mo_cuda_gradient_times(const struct mo_cuda_gradient_state *state);
+const struct mo_cuda_gradient_profile *mo_cuda_gradient_times(const struct mo_device *device);
 
 #ifdef __cplusplus
 }

@@ -1,6 +1,6 @@
 /* gradient_layout.cu: batches laid out before their weights are known, in memory that devices reach faster. Any thread may do that, while the device is
  * in a call: of the device it asks for constants alone. */
-#include "compute/cuda/gradient_state.cuh"
+#include "compute/cuda/device.cuh"
 
 #include <stdlib.h>
 
@@ -14,10 +14,10 @@ struct header {
 };
 enum { HEADER_BYTES = 256 };
 
-void *mo_cuda_gradient_allocate(const struct mo_cuda_gradient_state *s, size_t bytes)
+void *mo_cuda_gradient_allocate(const struct mo_device *device, size_t bytes)
 {
   void *memory = nullptr;
-  cudaError_t status = cudaSetDevice(s->device);
+  cudaError_t status = cudaSetDevice(device->index);
   if (status == cudaSuccess)
     status = cudaHostAlloc(&memory, bytes + HEADER_BYTES, cudaHostAllocPortable);
   const bool is_plain = status != cudaSuccess;
@@ -27,7 +27,7 @@ void *mo_cuda_gradient_allocate(const struct mo_cuda_gradient_state *s, size_t b
   }
   if (memory == nullptr)
     return nullptr;
-  *(header *)memory = header{is_plain, s->device};
+  *(header *)memory = header{is_plain, device->index};
   return (char *)memory + HEADER_BYTES;
 }
 
@@ -45,12 +45,12 @@ void mo_cuda_gradient_release(void *memory)
   cudaFreeHost(all);
 }
 
-static void *allocate_table(void *state, size_t bytes)
+static void *allocate_table(void *device, size_t bytes)
 {
-  return mo_cuda_gradient_allocate((const mo_cuda_gradient_state *)state, bytes);
+  return mo_cuda_gradient_allocate((const mo_device *)device, bytes);
 }
 
-int mo_cuda_gradient_lay_out(const struct mo_cuda_gradient_state *s, const struct mo_robot *robots, uint32_t n,
+int mo_cuda_gradient_lay_out(const struct mo_device *device, const struct mo_robot *robots, uint32_t n,
                              const struct mo_physics *physics, struct mo_device_layout **ret)
 {
   mo_device_layout *layout = *ret;
@@ -62,15 +62,15 @@ int mo_cuda_gradient_lay_out(const struct mo_cuda_gradient_state *s, const struc
       return MO_ERR_NO_MEMORY;
     layout->plan.allocate = allocate_table;
     layout->plan.release = mo_cuda_gradient_release;
-    layout->plan.context = (void *)s;
+    layout->plan.context = (void *)device;
   }
-  const mo_gp_options options = {MO_DEVICE_SHARD, s->shared_bytes,
+  const mo_gp_options options = {MO_DEVICE_SHARD, device->gradient.shared_bytes,
                                  std::min(8u, std::max(1u, std::thread::hardware_concurrency()))};
   layout->robots = nullptr;
   const int r = mo_gradient_plan_make(robots, n, physics, &options, &layout->plan);
   if (r < 0)
     return r;
-  layout->shared_bytes = s->shared_bytes;
+  layout->shared_bytes = device->gradient.shared_bytes;
   layout->robots = robots;
   layout->n = n;
   return MO_OK;
@@ -82,11 +82,4 @@ void mo_cuda_gradient_layout_free(struct mo_device_layout *layout)
     return;
   mo_gradient_plan_free(&layout->plan);
   free(layout);
-}
-
-/* Physics is compared by the caller, who says that it is the same; a device with another size of shared memory forms other groups. */
-bool mo_gradient_layout_is_of(const mo_device_layout *layout, const mo_cuda_gradient_state *s,
-                              const mo_device_gradient *call)
-{
-  return layout->robots == call->robots && layout->n == call->n && layout->shared_bytes == s->shared_bytes;
 }

@@ -3,13 +3,14 @@
  * It is cut into passes of whole shards that fit the device's memory; nearly always it is one. A pass runs forward over all steps, back
  * again, which leaves what the products need where the tape was, and takes the products. A row whose adjoint turns out not to be finite was added
  * until then: both ways are walked again without it. That is rare. */
+#include "compute/cuda/device.cuh"
 #include "compute/cuda/gradient_pass.h"
-#include "compute/cuda/gradient_state.cuh"
 extern "C" {
 #include "rollout/scene.h"
 }
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include <algorithm>
@@ -22,7 +23,8 @@ namespace {
 enum { PART_STEPS = 50, PRODUCT_STEPS = 1000, RESERVE_BYTES = 768 << 20 };
 
 struct work {
-  mo_cuda_gradient_state *s;
+  mo_device *device;
+  mo_cuda_gradient_state *s; /* the device's */
   mo_device_gradient *call;
   const mo_gradient_plan *plan;
   mo_gradient_pass p;
@@ -32,16 +34,22 @@ struct work {
   mo_gk_result *results; /* (n_rows) in pinned memory */
 };
 
+int check(work &w, int status, const char *what)
+{
+  return mo_cuda_check(w.device, (cudaError_t)status, what);
+}
+
 /* How many of the wide groups, those first that take longest, are walked by two blocks each. loads: by falling cost. */
-uint32_t count_halved(const mo_cuda_gradient_state *s, const std::vector<mo_gradient_load> &loads)
+uint32_t count_halved(const mo_device *device, const std::vector<mo_gradient_load> &loads)
 {
   const uint32_t n_wide =
       (uint32_t)std::count_if(loads.begin(), loads.end(), [](const mo_gradient_load &load) { return load.wide; });
-  return s->halves == MO_CUDA_HALVES_NEVER    ? 0
-         : s->halves == MO_CUDA_HALVES_ALWAYS ? n_wide
-         : s->halves == MO_CUDA_HALVES_SOME
+  const mo_cuda_halves halves = device->gradient.halves;
+  return halves == MO_CUDA_HALVES_NEVER    ? 0
+         : halves == MO_CUDA_HALVES_ALWAYS ? n_wide
+         : halves == MO_CUDA_HALVES_SOME
              ? (n_wide + 1) / 2
-             : mo_gradient_halved(loads.data(), (uint32_t)loads.size(), (uint32_t)s->multiprocessors);
+             : mo_gradient_halved(loads.data(), (uint32_t)loads.size(), (uint32_t)device->multiprocessors);
 }
 
 /* One that is handed out, and the parts done of each half of each group. */
@@ -65,7 +73,7 @@ int upload_pass(work &w)
   shards.push_back(w.p.end);
   std::stable_sort(loads.begin(), loads.end(),
                    [](const mo_gradient_load &a, const mo_gradient_load &b) { return a.cost > b.cost; });
-  const uint32_t most_halved = count_halved(s, loads);
+  const uint32_t most_halved = count_halved(w.device, loads);
   bool all_halved = true;
   w.n_halved = 0;
   for (const mo_gradient_load &load : loads) {
@@ -92,14 +100,13 @@ int upload_pass(work &w)
   w.k.n_walks = (uint32_t)walks.size();
   const mo_controller *controller = w.call->controller;
   const uint64_t parameters_bytes = controller->n_parameters * 4, results_bytes = plan.n_rows * sizeof(mo_gk_result);
-  int r = s->reserve_pinned(s->results, results_bytes);
-  if (r == MO_OK)
-    r = s->reserve_pinned(s->parameters, parameters_bytes);
+  int r = in_turn([&] { return mo_cuda_reserve_pinned(w.device, &s->results, results_bytes); },
+                  [&] { return mo_cuda_reserve_pinned(w.device, &s->parameters, parameters_bytes); });
   if (r < 0)
     return r;
-  w.results = (mo_gk_result *)s->results.at;
+  w.results = (mo_gk_result *)s->results.memory;
   memset(w.results, 0, results_bytes);
-  memcpy(s->parameters.at, controller->parameters, parameters_bytes);
+  memcpy(s->parameters.memory, controller->parameters, parameters_bytes);
   const struct {
     mo_gradient_place p;
     const void *from;
@@ -112,41 +119,42 @@ int upload_pass(work &w)
                {ORDER, walks.data(), walks.size() * 4},
                {JOBS, jobs.data(), jobs.size() * 4},
                {SHARDS, shards.data(), shards.size() * 4},
-               {GENERATORS, s->generators->data(), s->generators->size() * 4},
                {RESULTS, w.results, results_bytes},
-               {PARAMETERS, s->parameters.at, parameters_bytes}};
+               {PARAMETERS, s->parameters.memory, parameters_bytes}};
   for (const auto &part : parts)
     if (r == MO_OK)
-      r = s->upload(part.p, part.from, part.bytes);
+      r = mo_cuda_upload(w.device, &s->buffers[part.p], part.from, part.bytes);
+  const struct {
+    mo_gradient_place p;
+    uint64_t bytes;
+  } room[] = {{VELOCITY, plan.n_masses * 12},
+              {TAPE, w.p.tape},
+              {TICKETS, tickets_bytes(plan)},
+              {SUMS, 4 * w.p.sums},
+              {D_PARAMETERS, (w.p.end_shard - w.p.first_shard) * parameters_bytes}};
+  for (const auto &part : room)
+    if (r == MO_OK)
+      r = mo_cuda_reserve(w.device, &s->buffers[part.p], part.bytes);
   if (r == MO_OK)
-    r = s->reserve(VELOCITY, plan.n_masses * 12);
-  if (r == MO_OK)
-    r = s->reserve(TAPE, w.p.tape);
-  if (r == MO_OK)
-    r = s->reserve(TICKETS, tickets_bytes(plan));
-  if (r == MO_OK)
-    r = s->reserve(SUMS, 4 * w.p.sums);
-  if (r == MO_OK)
-    r = s->reserve(D_PARAMETERS, (uint64_t)(w.p.end_shard - w.p.first_shard) * w.call->controller->n_parameters * 4);
+    r = mo_cuda_generators(w.device, &w.call->physics);
   if (r < 0)
     return r;
-  w.k.groups = s->of<mo_gp_group>(GROUPS);
-  w.k.rows = s->of<mo_gp_row>(ROWS);
-  w.k.order = s->of<uint32_t>(ORDER);
-  w.k.input = s->of<uint8_t>(INPUT);
-  w.k.springs = s->of<uint32_t>(SPRINGS);
-  w.k.generators = s->of<float>(GENERATORS);
-  w.k.tape = s->of<unsigned char>(TAPE);
-  w.k.sums = s->of<float>(SUMS);
-  w.k.position = s->of<float>(POSITION);
-  w.k.velocity = s->of<float>(VELOCITY);
-  w.k.results = s->of<mo_gk_result>(RESULTS);
+  w.k.groups = s->buffers[GROUPS].of<mo_gp_group>();
+  w.k.rows = s->buffers[ROWS].of<mo_gp_row>();
+  w.k.order = s->buffers[ORDER].of<uint32_t>();
+  w.k.input = s->buffers[INPUT].of<uint8_t>();
+  w.k.springs = s->buffers[SPRINGS].of<uint32_t>();
+  w.k.generators = w.device->generators.of<float>();
+  w.k.tape = s->buffers[TAPE].of<unsigned char>();
+  w.k.sums = s->buffers[SUMS].of<float>();
+  w.k.position = s->buffers[POSITION].of<float>();
+  w.k.velocity = s->buffers[VELOCITY].of<float>();
+  w.k.results = s->buffers[RESULTS].of<mo_gk_result>();
   w.k.weights = s->tiles;
-  w.k.tickets = s->of<uint32_t>(TICKETS);
+  w.k.tickets = s->buffers[TICKETS].of<uint32_t>();
   w.k.cancel = s->cancel;
   /* The vectors end here: copies from pageable memory are staged before cudaMemcpyAsync returns. What is pinned stays until the pass ends. */
-  const int status = mo_gk_pack(s->of<float>(PARAMETERS), &s->tiles, s->stream);
-  return status == 0 ? MO_OK : s->fail((cudaError_t)status, "weights");
+  return check(w, mo_gk_pack(s->buffers[PARAMETERS].of<float>(), &s->tiles, w.device->stream), "weights");
 }
 
 bool cancelled(const work &w)
@@ -173,25 +181,19 @@ int wait_for(work &w, cudaEvent_t mark)
     std::this_thread::sleep_for(std::chrono::microseconds(50));
   }
   if (status != cudaSuccess)
-    return w.s->fail(status, "kernel");
+    return check(w, status, "kernel");
   return pass_on(w) ? MO_ERR_CANCELLED : MO_OK;
-}
-
-int check(mo_cuda_gradient_state *s, int status, const char *what)
-{
-  return status == 0 ? MO_OK : s->fail((cudaError_t)status, what);
 }
 
 /* A way through all steps: no task has been handed out, and none is done. */
 int walk(work &w, int (*way)(const mo_gk *k, uint32_t shared_bytes, void *stream), cudaEvent_t after, const char *what)
 {
-  mo_cuda_gradient_state *s = w.s;
-  int r = check(s, cudaMemsetAsync(s->buffers[TICKETS].at, 0, tickets_bytes(*w.plan), s->stream), what);
-  if (r == MO_OK)
-    r = check(s, way(&w.k, w.p.shared, s->stream), what);
-  if (r == MO_OK)
-    r = check(s, cudaEventRecord(after, s->stream), what);
-  return r;
+  const cudaStream_t stream = w.device->stream;
+  return check(w,
+               in_turn([&] { return (int)cudaMemsetAsync(w.s->buffers[TICKETS].memory, 0, tickets_bytes(*w.plan), stream); },
+                       [&] { return way(&w.k, w.p.shared, stream); },
+                       [&] { return (int)cudaEventRecord(after, stream); }),
+               what);
 }
 
 int multiply(work &w, cudaEvent_t after)
@@ -200,9 +202,9 @@ int multiply(work &w, cudaEvent_t after)
   int r = MO_OK;
   for (uint32_t first = 0; first < w.k.n_steps && r == MO_OK; first += PRODUCT_STEPS) {
     const uint32_t end = std::min<uint32_t>(first + PRODUCT_STEPS, w.k.n_steps);
-    r = check(s, mo_gk_products(&w.k, s->of<uint32_t>(JOBS), w.n_jobs, first, end, s->stream), "products");
+    r = check(w, mo_gk_products(&w.k, s->buffers[JOBS].of<uint32_t>(), w.n_jobs, first, end, w.device->stream), "products");
   }
-  return r == MO_OK ? check(s, cudaEventRecord(after, s->stream), "products") : r;
+  return r == MO_OK ? check(w, cudaEventRecord(after, w.device->stream), "products") : r;
 }
 
 /* Memory that the device writes to while the host does something else. */
@@ -217,12 +219,14 @@ bool is_pinned(const void *memory)
 /* What came of the rows, to the host, which reports it while the products are taken. */
 int copy_results(work &w, cudaEvent_t after)
 {
-  mo_cuda_gradient_state *s = w.s;
-  const int r = check(s,
-                      cudaMemcpyAsync(w.results, s->buffers[RESULTS].at, w.plan->n_rows * sizeof(mo_gk_result),
-                                      cudaMemcpyDeviceToHost, s->stream),
-                      "copy from the device");
-  return r == MO_OK ? check(s, cudaEventRecord(after, s->stream), "copy from the device") : r;
+  const uint64_t bytes = w.plan->n_rows * sizeof(mo_gk_result);
+  const cudaStream_t stream = w.device->stream;
+  return check(
+      w,
+      in_turn(
+          [&] { return cudaMemcpyAsync(w.results, w.s->buffers[RESULTS].memory, bytes, cudaMemcpyDeviceToHost, stream); },
+          [&] { return cudaEventRecord(after, stream); }),
+      "copy from the device");
 }
 
 /* Sums of the shards, to the host. */
@@ -231,30 +235,26 @@ int collect(work &w, float *to, cudaEvent_t after)
   mo_cuda_gradient_state *s = w.s;
   const uint32_t n = w.p.end_shard - w.p.first_shard;
   const uint64_t bytes = n * w.call->controller->n_parameters * 4;
-  int r =
-      check(s, mo_gk_collect(&w.k, s->of<uint32_t>(SHARDS), n, w.call->weight, s->of<float>(D_PARAMETERS), s->stream),
-            "sums");
-  if (r == MO_OK)
-    r = check(s, cudaMemcpyAsync(to, s->buffers[D_PARAMETERS].at, bytes, cudaMemcpyDeviceToHost, s->stream),
-              "copy from the device");
-  return r == MO_OK ? check(s, cudaEventRecord(after, s->stream), "copy from the device") : r;
+  float *sums = s->buffers[D_PARAMETERS].of<float>();
+  const cudaStream_t stream = w.device->stream;
+  return check(
+      w,
+      in_turn([&] { return mo_gk_collect(&w.k, s->buffers[SHARDS].of<uint32_t>(), n, w.call->weight, sums, stream); },
+              [&] { return (int)cudaMemcpyAsync(to, sums, bytes, cudaMemcpyDeviceToHost, stream); },
+              [&] { return (int)cudaEventRecord(after, stream); }),
+      "sums");
 }
 
 /* All of a pass, one after the other on the device: it never waits for the host. */
 int ask_for_pass(work &w, float *to)
 {
-  mo_cuda_gradient_state *s = w.s;
-  s->profile.walks++;
-  int r = check(s, cudaEventRecord(s->marks[0], s->stream), "device");
-  if (r == MO_OK)
-    r = walk(w, mo_gk_forward, s->marks[1], "rollouts");
-  if (r == MO_OK)
-    r = walk(w, mo_gk_back, s->marks[2], "way back");
-  if (r == MO_OK)
-    r = copy_results(w, s->copied);
-  if (r == MO_OK)
-    r = multiply(w, s->marks[3]);
-  return r == MO_OK ? collect(w, to, s->marks[4]) : r;
+  const cudaEvent_t *marks = w.s->marks;
+  w.s->profile.walks++;
+  return in_turn([&] { return check(w, cudaEventRecord(marks[0], w.device->stream), "device"); },
+                 [&] { return walk(w, mo_gk_forward, marks[1], "rollouts"); },
+                 [&] { return walk(w, mo_gk_back, marks[2], "way back"); },
+                 [&] { return copy_results(w, w.s->copied); }, [&] { return multiply(w, marks[3]); },
+                 [&] { return collect(w, to, marks[4]); });
 }
 
 int finish_pass(work &w)
@@ -264,7 +264,7 @@ int finish_pass(work &w)
   int r = wait_for(w, s->marks[4]);
   for (int i = 0; i < 4 && r == MO_OK; i++) {
     float ms = 0;
-    r = check(s, cudaEventElapsedTime(&ms, s->marks[i], s->marks[i + 1]), "clock");
+    r = check(w, cudaEventElapsedTime(&ms, s->marks[i], s->marks[i + 1]), "clock");
     *parts[i] += 1e-3 * (double)ms;
   }
   return r;
@@ -329,9 +329,9 @@ int run_until_finite(work &w, float *to)
       x.largest = 0;
       x.diverged = 0;
     }
-    r = w.s->upload(RESULTS, again.data(), again.size() * sizeof(again[0]));
-    if (r == MO_OK)
-      r = w.s->upload(POSITION, w.plan->position, w.plan->n_masses * 12);
+    r = in_turn(
+        [&] { return mo_cuda_upload(w.device, &w.s->buffers[RESULTS], again.data(), again.size() * sizeof(again[0])); },
+        [&] { return mo_cuda_upload(w.device, &w.s->buffers[POSITION], w.plan->position, w.plan->n_masses * 12); });
     if (r < 0)
       return r;
   }
@@ -346,26 +346,12 @@ int compute(work &w)
   float *const to = w.call->d_parameters + w.p.first_shard * n_parameters;
   if (is_pinned(to))
     return run_until_finite(w, to);
-  int r = s->reserve_pinned(s->sums, bytes);
+  int r = mo_cuda_reserve_pinned(w.device, &s->sums, bytes);
   if (r == MO_OK)
-    r = run_until_finite(w, (float *)s->sums.at);
+    r = run_until_finite(w, (float *)s->sums.memory);
   if (r == MO_OK)
-    memcpy(to, s->sums.at, bytes);
+    memcpy(to, s->sums.memory, bytes);
   return r;
-}
-
-/* sin(10 t + 2πk/5) of so many steps. */
-void make_generators(mo_cuda_gradient_state *s, uint32_t n_steps, double dt_s)
-{
-  const size_t n = (size_t)n_steps * MO_CPG_INPUTS;
-  if (s->generators_dt_s == dt_s && s->generators->size() == n)
-    return;
-  s->generators->resize(n);
-  for (uint32_t step = 0; step < n_steps; step++)
-    for (int i = 0; i < MO_CPG_INPUTS; i++)
-      (*s->generators)[(size_t)step * MO_CPG_INPUTS + i] =
-          (float)sin(MO_CPG_RAD_PER_S * (step * dt_s) + 2.0 * M_PI * i / MO_CPG_INPUTS);
-  s->generators_dt_s = dt_s;
 }
 
 /* What of `bytes` the buffers may take, each a little larger than it is asked to be. */
@@ -374,41 +360,47 @@ uint64_t share_of(uint64_t bytes)
   return bytes > RESERVE_BYTES ? (bytes - RESERVE_BYTES) / 65 * 64 : 0;
 }
 
+uint64_t held(const mo_device *device)
+{
+  uint64_t sum = device->gradient.weights.bytes;
+  for (const mo_cuda_buffer &b : device->gradient.buffers)
+    sum += b.bytes;
+  return sum;
+}
+
 /* What a pass may take of the device's memory. The driver is asked only where the buffers may have to grow: now and then it takes
  * ten milliseconds to answer. */
-int find_budget(mo_cuda_gradient_state *s, mo_gradient_plan &plan, uint32_t n_steps, uint64_t most, uint64_t *budget)
+int find_budget(mo_device *device, mo_gradient_plan &plan, uint32_t n_steps, uint64_t most, uint64_t *budget)
 {
   mo_gradient_pass all = {};
-  *budget = share_of(s->held());
+  *budget = share_of(held(device));
   if (most == 0 && mo_gradient_pass_next(&plan, 0, 0, n_steps, *budget, &all) == MO_OK && all.end == plan.n_groups)
     return MO_OK;
   size_t free_bytes = 0, total = 0;
-  const cudaError_t status = cudaMemGetInfo(&free_bytes, &total);
-  if (status != cudaSuccess)
-    return s->fail(status, "device");
-  *budget = share_of(free_bytes + s->held());
+  const int r = mo_cuda_check(device, cudaMemGetInfo(&free_bytes, &total), "device");
+  *budget = share_of(free_bytes + held(device));
   if (most > 0)
     *budget = std::min(*budget, most);
-  return MO_OK;
+  return r;
 }
 
 } // namespace
 
-int mo_gradient_run_plan(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &plan,
-                         uint64_t memory_bytes)
+int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradient_plan &plan, uint64_t memory_bytes)
 {
+  mo_cuda_gradient_state *s = &device->gradient;
   const uint32_t n_steps = call->physics.n_steps;
   uint64_t budget = 0;
-  if (!mo_gradient_can_be_held(&plan, n_steps, share_of(s->total_bytes))) {
-    snprintf(s->error, sizeof(s->error), "a tape of %u steps is too long for this device", (unsigned)n_steps);
+  if (!mo_gradient_can_be_held(&plan, n_steps, share_of(device->total_bytes))) {
+    snprintf(device->error, sizeof(device->error), "a tape of %u steps is too long for this device", (unsigned)n_steps);
     return MO_ERR_UNSUPPORTED;
   }
-  int found = find_budget(s, plan, n_steps, memory_bytes, &budget);
+  int found = find_budget(device, plan, n_steps, memory_bytes, &budget);
   if (found < 0)
     return found;
-  make_generators(s, n_steps, call->physics.dt_s);
   for (uint32_t group = 0, shard = 0; group < plan.n_groups;) {
     work w = {};
+    w.device = device;
     w.s = s;
     w.call = call;
     w.plan = &plan;
@@ -425,17 +417,18 @@ int mo_gradient_run_plan(mo_cuda_gradient_state *s, mo_device_gradient *call, mo
     const double since = now_s();
     r = upload_pass(w);
     if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls are in the way: all go, and are asked for again */
-      cudaStreamSynchronize(s->stream);
-      mo_cuda_gradient_trim(s);
+      cudaStreamSynchronize(device->stream);
+      mo_cuda_gradient_trim(device);
       r = upload_pass(w);
     }
     s->profile.upload_s += now_s() - since;
     if (r == MO_OK)
       r = compute(w);
     if (r < 0) {
-      cudaStreamSynchronize(s->stream);
+      cudaStreamSynchronize(device->stream);
       return r;
     }
+    s->profile.device_bytes = held(device);
     s->profile.passes++;
     s->profile.groups += w.p.end - w.p.first;
     s->profile.halved += w.n_halved;

@@ -1,6 +1,5 @@
 /* module.cu: the table of functions that the service loads: devices and controllers. */
 #include "compute/cuda/device.cuh"
-#include "compute/cuda/gradient.h"
 #include "compute/cuda/score.cuh"
 
 #include <new>
@@ -48,7 +47,7 @@ void close(mo_device *device)
   if (device == nullptr)
     return;
   cudaSetDevice(device->index);
-  mo_cuda_gradient_free(device->gradient);
+  mo_cuda_gradient_close(device);
   mo_cuda_buffer *const buffers[] = {&device->plan, &device->velocities, &device->outcomes, &device->generators,
                                      &device->counter};
   mo_cuda_buffer *const pinned[] = {&device->staged_plan, &device->staged_outcomes, &device->staged_generators};
@@ -72,11 +71,10 @@ void close(mo_device *device)
 bool can_wide(int index)
 {
   int major = 0, minor = 0, bytes = 0;
-  cudaError_t status = cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, index);
-  if (status == cudaSuccess)
-    status = cudaDeviceGetAttribute(&minor, cudaDevAttrComputeCapabilityMinor, index);
-  if (status == cudaSuccess)
-    status = cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, index);
+  const cudaError_t status =
+      in_turn([&] { return cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, index); },
+              [&] { return cudaDeviceGetAttribute(&minor, cudaDevAttrComputeCapabilityMinor, index); },
+              [&] { return cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, index); });
   if (status != cudaSuccess)
     cudaGetLastError(); /* opening will tell */
   return status == cudaSuccess && 10 * major + minor == MO_CUDA_SCORE_WIDE_CAPABILITY &&
@@ -106,32 +104,21 @@ bool is_wide()
 
 cudaError_t set_up(mo_device *device)
 {
-  cudaError_t status = cudaSetDevice(device->index);
-  if (status == cudaSuccess)
-    status = cudaDeviceGetAttribute(&device->multiprocessors, cudaDevAttrMultiProcessorCount, device->index);
-  if (status == cudaSuccess)
-    status = cudaStreamCreateWithFlags(&device->stream, cudaStreamNonBlocking);
-  if (status == cudaSuccess)
-    status = cudaEventCreate(&device->begin);
-  if (status == cudaSuccess)
-    status = cudaEventCreate(&device->end);
-  if (status == cudaSuccess)
-    status = cudaHostAlloc((void **)&device->cancel, sizeof(int), cudaHostAllocMapped);
-  if (status == cudaSuccess) {
-    *device->cancel = 0;
-    status = cudaHostGetDevicePointer((void **)&device->cancel_on_device, device->cancel, 0);
-  }
+  size_t free_bytes = 0, total_bytes = 0;
   device->score = is_wide() ? &mo_cuda_score_wide : &mo_cuda_score_narrow;
-  if (status == cudaSuccess)
-    status = device->score->prepare();
-  return status;
-}
-
-int open_gradient(mo_device *device)
-{
-  const int status = mo_cuda_gradient_create(device->index, &device->gradient);
-  if (status != MO_OK)
-    snprintf(device->error, sizeof(device->error), "opening: gradient");
+  const cudaError_t status = in_turn(
+      [&] { return cudaSetDevice(device->index); },
+      [&] { return cudaDeviceGetAttribute(&device->multiprocessors, cudaDevAttrMultiProcessorCount, device->index); },
+      [&] { return cudaMemGetInfo(&free_bytes, &total_bytes); },
+      [&] { return cudaStreamCreateWithFlags(&device->stream, cudaStreamNonBlocking); },
+      [&] { return cudaEventCreate(&device->begin); }, [&] { return cudaEventCreate(&device->end); },
+      [&] { return cudaHostAlloc((void **)&device->cancel, sizeof(int), cudaHostAllocMapped); },
+      [&] {
+        *device->cancel = 0;
+        return cudaHostGetDevicePointer((void **)&device->cancel_on_device, device->cancel, 0);
+      },
+      [&] { return device->score->prepare(); });
+  device->total_bytes = total_bytes;
   return status;
 }
 
@@ -146,9 +133,8 @@ int open(uint32_t index, mo_device **ret)
   if (device == nullptr)
     return MO_ERR_NO_MEMORY;
   device->index = ordinal;
-  int status = mo_cuda_check(device, set_up(device), "opening");
-  if (status == MO_OK)
-    status = open_gradient(device);
+  const int status = in_turn([=] { return mo_cuda_check(device, set_up(device), "opening"); },
+                             [=] { return mo_cuda_gradient_open(device); });
   if (status != MO_OK)
     close(device);
   else
@@ -160,11 +146,9 @@ int info(mo_device *device, mo_device_info *info)
 {
   cudaDeviceProp properties;
   size_t free_bytes = 0, total_bytes = 0;
-  cudaError_t error = cudaSetDevice(device->index);
-  if (error == cudaSuccess)
-    error = cudaGetDeviceProperties(&properties, device->index);
-  if (error == cudaSuccess)
-    error = cudaMemGetInfo(&free_bytes, &total_bytes);
+  const cudaError_t error = in_turn([&] { return cudaSetDevice(device->index); },
+                                    [&] { return cudaGetDeviceProperties(&properties, device->index); },
+                                    [&] { return cudaMemGetInfo(&free_bytes, &total_bytes); });
   const int status = mo_cuda_check(device, error, "properties");
   if (status != MO_OK)
     return status;
@@ -202,7 +186,7 @@ int upload(mo_device *device, const mo_controller *controller, char **weights)
   if (status == MO_OK) {
     status = mo_cuda_check(device, cudaMalloc((void **)weights, bytes), "weights");
     if (status == MO_ERR_NO_MEMORY) {
-      mo_cuda_gradient_trim(device->gradient);
+      mo_cuda_gradient_trim(device);
       status = mo_cuda_check(device, cudaMalloc((void **)weights, bytes), "weights");
     }
   }
@@ -239,30 +223,13 @@ int score(mo_device *device, mo_device_score *score)
     status = mo_cuda_score_rows(device, score);
   if (status != MO_ERR_NO_MEMORY || device->lost)
     return status;
-  mo_cuda_gradient_trim(device->gradient); /* its tape is most of what is taken */
+  mo_cuda_gradient_trim(device); /* its tape is most of what is taken */
   return mo_cuda_score_rows(device, score);
 }
 
 int gradient(mo_device *device, mo_device_gradient *gradient)
 {
-  if (device->lost)
-    return MO_ERR_DEVICE;
-  const int status = mo_cuda_gradient_run(device->gradient, gradient, 0);
-  if (status < 0)
-    snprintf(device->error, sizeof(device->error), "%s", mo_cuda_gradient_error(device->gradient));
-  device->lost = status == MO_ERR_DEVICE;
-  return status;
-}
-
-int lay_out(const mo_device *device, const mo_robot *robots, uint32_t n, const mo_physics *physics,
-            mo_device_layout **layout)
-{
-  return mo_cuda_gradient_lay_out(device->gradient, robots, n, physics, layout);
-}
-
-void *allocate(const mo_device *device, size_t bytes)
-{
-  return mo_cuda_gradient_allocate(device->gradient, bytes);
+  return device->lost ? MO_ERR_DEVICE : mo_cuda_gradient_run(device, gradient, 0);
 }
 
 const char *error(const mo_device *device)
@@ -287,9 +254,9 @@ extern "C" const struct mo_device_module *mo_device_module(void)
       controller_free,
       score,
       gradient,
-      lay_out,
+      mo_cuda_gradient_lay_out,
       mo_cuda_gradient_layout_free,
-      allocate,
+      mo_cuda_gradient_allocate,
       mo_cuda_gradient_release,
       error,
   };

@@ -10,20 +10,12 @@ extern "C" {
 #include <stdlib.h>
 #include <string.h>
 #include <thread>
-#include <time.h>
 #include <unistd.h>
 #include <vector>
 
 namespace {
 
 constexpr uint32_t kThreadsMax = 8, kBodiesPerThread = 256;
-
-double now_s()
-{
-  timespec time;
-  clock_gettime(CLOCK_MONOTONIC, &time);
-  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
-}
 
 /* Rows of a group: few enough that all blocks have work, and that the last of several rounds of groups is a full one. */
 uint32_t rows_wanted(uint32_t n, uint32_t blocks, uint32_t most)
@@ -74,23 +66,14 @@ uint32_t most_places(const mo_plan &plan)
 
 int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t places)
 {
-  const struct {
-    mo_cuda_buffer *buffer;
-    size_t bytes;
-  } wanted[] = {
-      {&device->plan, plan.block.bytes},
-      {&device->velocities, (size_t)blocks * 3 * places * sizeof(float)},
-      {&device->outcomes, plan.n * sizeof(mo_cuda_outcome)},
-      {&device->counter, sizeof(uint32_t)},
-  };
-  int status = MO_OK;
-  for (size_t i = 0; status == MO_OK && i < sizeof(wanted) / sizeof(wanted[0]); i++)
-    status = mo_cuda_reserve(device, wanted[i].buffer, wanted[i].bytes);
-  if (status == MO_OK)
-    status = mo_cuda_reserve_pinned(device, &device->staged_plan, plan.block.bytes);
-  if (status == MO_OK)
-    status = mo_cuda_reserve_pinned(device, &device->staged_outcomes, plan.n * sizeof(mo_cuda_outcome));
-  return status;
+  const size_t outcomes = plan.n * sizeof(mo_cuda_outcome);
+  return in_turn(
+      [&] { return mo_cuda_reserve(device, &device->plan, plan.block.bytes); },
+      [&] { return mo_cuda_reserve(device, &device->velocities, (size_t)blocks * 3 * places * sizeof(float)); },
+      [&] { return mo_cuda_reserve(device, &device->outcomes, outcomes); },
+      [&] { return mo_cuda_reserve(device, &device->counter, sizeof(uint32_t)); },
+      [&] { return mo_cuda_reserve_pinned(device, &device->staged_plan, plan.block.bytes); },
+      [&] { return mo_cuda_reserve_pinned(device, &device->staged_outcomes, outcomes); });
 }
 
 mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_device_score *score, uint32_t places)
@@ -154,19 +137,17 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   status = mo_cuda_generators(device, &score->physics); /* begins a copy: from here on it is waited for */
   if (status != MO_OK)
     return status;
-  cudaError_t error = cudaEventRecord(device->begin, device->stream);
-  if (error == cudaSuccess)
-    error = cudaMemcpyAsync(device->plan.memory, device->staged_plan.memory, plan.block.bytes, cudaMemcpyHostToDevice,
-                            device->stream);
-  if (error == cudaSuccess)
-    error = cudaMemsetAsync(device->counter.memory, 0, sizeof(uint32_t), device->stream);
-  if (error == cudaSuccess)
-    error = device->score->launch(arguments(device, plan, score, places), blocks, device->stream);
-  if (error == cudaSuccess)
-    error = cudaMemcpyAsync(device->staged_outcomes.memory, device->outcomes.memory, plan.n * sizeof(mo_cuda_outcome),
-                            cudaMemcpyDeviceToHost, device->stream);
-  if (error == cudaSuccess)
-    error = cudaEventRecord(device->end, device->stream);
+  const cudaStream_t stream = device->stream;
+  const cudaError_t error = in_turn(
+      [&] { return cudaEventRecord(device->begin, stream); },
+      [&] { return cudaMemcpyAsync(device->plan.memory, block, plan.block.bytes, cudaMemcpyHostToDevice, stream); },
+      [&] { return cudaMemsetAsync(device->counter.memory, 0, sizeof(uint32_t), stream); },
+      [&] { return device->score->launch(arguments(device, plan, score, places), blocks, stream); },
+      [&] {
+        return cudaMemcpyAsync(device->staged_outcomes.memory, device->outcomes.memory,
+                               plan.n * sizeof(mo_cuda_outcome), cudaMemcpyDeviceToHost, stream);
+      },
+      [&] { return cudaEventRecord(device->end, stream); });
   const int launched = mo_cuda_check(device, error, "launch");
   /* Whatever was launched must have ended before its buffers are used again. */
   status = mo_cuda_wait(device, score->cancel);
