@@ -127,12 +127,11 @@ def circles_of(room, top):
 
 
 def headers_of(top):
-    """Private headers that are too long. Those of the CUDA module are as its last check left
-    them."""
+    """Private headers that are too long."""
     return [
         f"{path.relative_to(top)} has {length} lines, more than {HEADER_LINES}"
         for folder in ("src", "clients") for path in code_files(top / folder)
-        if path.suffix == ".h" and "cuda" not in path.parts
+        if path.suffix == ".h"
         for length in [path.read_text().count("\n")] if length > HEADER_LINES
     ]
 

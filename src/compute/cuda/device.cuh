@@ -6,6 +6,7 @@
 
 #include "compute/cuda/gradient.h"
 #include "compute/cuda/gradient_kernels.cuh"
+#include "compute/cuda/gradient_plan.h"
 #include "compute/cuda/weights.h"
 
 #include <cuda_runtime.h>

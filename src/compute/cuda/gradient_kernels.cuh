@@ -6,7 +6,7 @@
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
 #define MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
 
-#include "compute/cuda/gradient_plan.h"
+#include "compute/cuda/gradient_tables.h"
 #include "compute/cuda/lane.cuh"
 
 #include <cuda_bf16.h>

@@ -2,21 +2,17 @@
  * in memory of its own, and then put together in their order. */
 #include "compute/cuda/gradient_plan.h"
 
+#include "compute/cuda/plan.h"
+
+#include "base/parallel.h"
 #include "rollout/scene.h"
 
 #include <math.h>
-#include <pthread.h>
 #include <stdbool.h>
 #include <stdlib.h>
 #include <string.h>
 
-enum {
-  HALF = MO_GP_ROWS_MAX / 2,
-  PAIR_MASSES = 512,
-  MASS_SPRINGS = 18,
-  LARGE_LEAST = 4,
-  WORKERS_MAX = 64
-};
+enum { HALF = MO_GP_ROWS_MAX / 2, PAIR_MASSES = 512, MASS_SPRINGS = 18, LARGE_LEAST = 4 };
 
 enum { GROUPS, ROWS, POSITION, INPUT, SPRINGS, STARTS, ORDER = STARTS, SCRATCH, MEMORIES };
 
@@ -39,7 +35,7 @@ struct shard {
   float *position;
   uint8_t *input;
   uint32_t *springs;
-  struct mo_outcome *starts; /* of the whole batch */
+  struct mo_gradient_plan *plan;
   double *scratch;
   struct mo_gp_memory memory[MEMORIES];
   int status;
@@ -72,6 +68,19 @@ static void *reserve_table(struct mo_gradient_plan *plan, int table, uint64_t by
 }
 
 /* ---- groups ---- */
+
+uint32_t mo_gp_shared_bytes(uint32_t n_rows, uint32_t n_masses, uint32_t n_outputs)
+{
+  const uint32_t rows =
+      n_rows * (2 * (n_outputs * MO_GP_TILE + 8) /* activations, or ∂loss/∂ them */
+                + 2 * (MO_HIDDEN + 8)            /* what a layer is given */
+                + 8 * (MO_GP_WARPS + 2)          /* partial sums */
+                + 4 * (4 + MO_TERRAIN_HEIGHTS)   /* light and terrain */
+                + 4 + 32);                       /* flags; what is counted */
+  const uint32_t forward = n_masses * 29 + 4 * MO_HIDDEN * 3 * MO_HIDDEN_LAYERS,
+                 back = n_masses * 36;
+  return rows + (forward > back ? forward : back) + 1024;
+}
 
 /* The i-th of a group of n, of the shard's robots. */
 static uint32_t member(const struct shard *s, uint32_t n, uint32_t i)
@@ -213,7 +222,7 @@ static void fill_row(struct shard *s, struct mo_gp_row *row)
   const struct mo_robot *robot = s->robots + row->robot;
   const struct mo_body *body = robot->body;
   const struct mo_environment *environment = robot->environment;
-  struct mo_outcome *start = s->starts + row->robot;
+  struct mo_outcome *start = s->plan->starts + row->robot;
   float *position = s->position + 3 * s->n_masses;
   uint8_t *input = s->input + s->n_masses;
   double light[3];
@@ -374,51 +383,21 @@ static void put(const struct shard *s, struct mo_gradient_plan *plan)
            s->n_chunks * MO_GP_LANES * sizeof(*s->springs));
 }
 
-/* ---- threads ---- */
-
-struct team {
-  struct shard *shards;
-  uint32_t n_shards, n_workers;
-  struct mo_gradient_plan *plan; /* NULL: shards are laid out; else they are put there */
-};
-
-struct worker {
-  struct team *team;
-  uint32_t number;
-  pthread_t thread;
-};
-
-static void *work(void *context)
-{
-  const struct worker *worker = context;
-  const struct team *team = worker->team;
-  for (uint32_t i = worker->number; i < team->n_shards; i += team->n_workers)
-    if (team->plan == NULL)
-      team->shards[i].status = lay_out(&team->shards[i]);
-    else
-      put(&team->shards[i], team->plan);
-  return NULL;
-}
-
-/* The calling thread is one of the workers; what threads cannot be had for, it does itself. */
-static void work_all(struct team *team)
-{
-  struct worker workers[WORKERS_MAX];
-  bool started[WORKERS_MAX] = {false};
-  for (uint32_t i = 0; i < team->n_workers; i++) {
-    workers[i] = (struct worker){.team = team, .number = i};
-    if (i > 0)
-      started[i] = pthread_create(&workers[i].thread, NULL, work, &workers[i]) == 0;
-  }
-  for (uint32_t i = 0; i < team->n_workers; i++)
-    if (!started[i])
-      work(&workers[i]);
-  for (uint32_t i = 1; i < team->n_workers; i++)
-    if (started[i])
-      pthread_join(workers[i].thread, NULL);
-}
-
 /* ---- the whole ---- */
+
+static void lay_out_shards(void *context, size_t first, size_t end)
+{
+  struct shard *shards = context;
+  for (; first < end; first++)
+    shards[first].status = lay_out(&shards[first]);
+}
+
+static void put_shards(void *context, size_t first, size_t end)
+{
+  const struct shard *shards = context;
+  for (; first < end; first++)
+    put(&shards[first], shards[first].plan);
+}
 
 /* Says where each shard goes, and has the memory for all of them. */
 static int place(struct mo_gradient_plan *plan, struct shard *shards)
@@ -483,13 +462,6 @@ int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n,
   if (plan->starts == NULL || shards == NULL)
     return MO_ERR_NO_MEMORY;
   memset(plan->starts, 0, n * sizeof(*plan->starts));
-  struct team team = {shards, plan->n_shards, options->workers, NULL};
-  if (team.n_workers > plan->n_shards)
-    team.n_workers = plan->n_shards;
-  if (team.n_workers < 1)
-    team.n_workers = 1;
-  if (team.n_workers > WORKERS_MAX)
-    team.n_workers = WORKERS_MAX;
   for (uint32_t i = 0; i < plan->n_shards; i++) {
     const uint32_t first = i * options->shard;
     struct shard s = {.robots = robots,
@@ -498,17 +470,15 @@ int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n,
                       .number = i,
                       .first = first,
                       .n = n - first < options->shard ? n - first : options->shard,
-                      .starts = plan->starts};
+                      .plan = plan};
     memcpy(s.memory, shards[i].memory, sizeof(s.memory));
     shards[i] = s;
   }
-  work_all(&team);
+  mo_parallel(options->workers, plan->n_shards, lay_out_shards, shards);
   const int status = place(plan, shards);
-  if (status < 0)
-    return status;
-  team.plan = plan;
-  work_all(&team);
-  return MO_OK;
+  if (status == MO_OK)
+    mo_parallel(options->workers, plan->n_shards, put_shards, shards);
+  return status;
 }
 
 void mo_gradient_plan_free(struct mo_gradient_plan *plan)

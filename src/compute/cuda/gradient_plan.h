@@ -1,169 +1,15 @@
 /* gradient_plan.h: a batch of robots laid out for the device that differentiates them. Plain C, no
- * CUDA.
- *
- * The batch falls into shards of consecutive robots, and a shard into groups of 32 or 16 rows (a
- * row is a robot in its environment), larger bodies first; where sixteen large ones exceed a
- * block's shared memory, some rows stay empty. A group lives in one thread block of sixteen warps.
- * Warp w simulates rows w and w + 16 of its group, as one body: a *pair*. A lane takes a mass and
- * adds up its springs, each of which is computed from both ends: so no two lanes write one number.
- * Its masses go by falling number of springs, 32 at a time, and the springs of 32 masses as
- * *chunks*, the n-th of each mass in the n-th.
- *
- * Where a device has multiprocessors for it, a group of 32 rows can be walked by two blocks, each
- * of which has half of the pairs and two warps to a pair. What these sum over rows themselves is
- * summed by such *halves* in any case, so that the bits are the same: pairs 0 … 7, 8 … 15.
- *
- * The last layer is multiplied for those *tiles* of sixteen springs that some row of the group has;
- * the first for all inputs: groups lack none that would be worth leaving out. How a shard is laid
- * out depends on its robots alone. */
+ * CUDA. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_PLAN_H
 #define MORPHO_COMPUTE_CUDA_GRADIENT_PLAN_H
 
-#include <stddef.h>
-#include <stdint.h>
+#include "compute/cuda/gradient_tables.h"
 
-#include "compute/cuda/plan.h"
+#include <stddef.h>
 
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-enum {
-  MO_GP_WARPS = 16,
-  MO_GP_LANES = 32,
-  MO_GP_ROWS_MAX = 32,
-  MO_GP_HALF_ROWS = 16,
-  MO_GP_NORM_FLOATS = MO_HIDDEN_LAYERS * 2 * MO_HIDDEN, /* what a half sums over its rows */
-  MO_GP_TILE = 16,
-  MO_GP_INPUTS = 256,       /* 245 masses, 5 generators, 6 places that stay empty */
-  MO_GP_OUTPUT_TILES = 103, /* 1648 springs */
-  MO_GP_NONE = 0xff
-};
-#define MO_GP_NO_ROBOT UINT32_MAX
-
-/* A spring of one of a pair's masses: that mass and the one at the other end, place among the
- * group's outputs, which row, whether it is a diagonal, whether it is in the last chunk of these 32
- * masses. A mass with fewer springs than the first of the 32 is tied to itself, which gives
- * nothing; lanes without a mass have MO_GP_NO_MASS. */
-#define MO_GP_SPRING(own, other, output, row, diagonal)                                            \
-  ((uint32_t)(diagonal) << 30 | (uint32_t)(row) << 29 | (uint32_t)(output) << 18 |                 \
-   (uint32_t)(other) << 9 | (uint32_t)(own))
-#define MO_GP_SPRING_LAST        (UINT32_C(1) << 31)
-#define MO_GP_SPRING_OWN(s)      ((s)&0x1ffu)
-#define MO_GP_SPRING_OTHER(s)    ((s) >> 9 & 0x1ffu)
-#define MO_GP_SPRING_OUTPUT(s)   ((s) >> 18 & 0x7ffu)
-#define MO_GP_SPRING_ROW(s)      ((s) >> 29 & 1u)
-#define MO_GP_SPRING_DIAGONAL(s) ((s) >> 30 & 1u)
-#define MO_GP_NO_MASS            0x1ffu
-
-struct mo_gp_pair {
-  uint32_t first_mass;            /* of the group's masses */
-  uint32_t n_masses[2];           /* of row w and of row w + 16 */
-  uint32_t first_chunk, n_chunks; /* of the group's chunks */
-  uint32_t split;                 /* how many of them the first of two warps has */
-};
-
-struct mo_gp_group {
-  uint32_t n_rows;    /* 32 or 16 */
-  uint32_t first_row; /* of all rows */
-  uint32_t shard;
-  uint32_t n_masses, n_chunks;
-  uint32_t n_outputs;               /* tiles */
-  uint64_t first_mass, first_chunk; /* of those of all groups */
-  uint64_t tape_at,
-      sum_at; /* bytes from the start of the tape; floats from the start of the sums */
-  uint8_t output_tile[MO_GP_OUTPUT_TILES + 1], output_place[MO_GP_OUTPUT_TILES + 1];
-  struct mo_gp_pair pair[MO_GP_WARPS];
-};
-
-struct mo_gp_row {
-  double light_m[2]; /* from the world's centre */
-  double start_m;    /* distance to it at the start + 1e-8 */
-  struct mo_plan_scene scene;
-  uint32_t robot; /* of the batch; MO_GP_NO_ROBOT: an empty row */
-  uint32_t n_masses;
-};
-
-/* Where in a group's part of the tape things lie, in bytes; each is (n_steps, …) of its own. */
-struct mo_gp_tape {
-  uint64_t position;                 /* float (3, n_masses) */
-  uint64_t velocity;                 /* float (3, n_masses) before contact */
-  uint64_t activation;               /* int16 (n_chunks, 32) in units of 1/32767 */
-  uint64_t input;                    /* bfloat16 (n_rows, 256) */
-  uint64_t normal[MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256); the way back leaves ∂loss/∂ what the
-                                        layer sums there, bfloat16 */
-  uint64_t hidden[MO_HIDDEN_LAYERS]; /* bfloat16 (n_rows, 256) */
-  uint64_t scale;                    /* float (MO_HIDDEN_LAYERS, n_rows) */
-  uint64_t d_output; /* bfloat16 (n_rows, 16 n_outputs): ∂loss/∂ what the last layer sums */
-  uint64_t bytes;
-};
-/* And in a group's sums, in floats. */
-struct mo_gp_sum {
-  uint64_t output;      /* (16 n_outputs, 256) */
-  uint64_t hidden[2];   /* (256, 256) */
-  uint64_t input;       /* (256, 256) */
-  uint64_t output_bias; /* (16 n_outputs) */
-  uint64_t bias;        /* (layers, 256) */
-  uint64_t norm;        /* (halves, layers, 2, 256): gains, shifts */
-  uint64_t floats;
-};
-
-#define MO_GP_ALIGN(bytes) (((uint64_t)(bytes) + 255) / 256 * 256)
-
-#ifdef __CUDACC__
-#define MO_GP_BOTH static __host__ __device__ inline
-#else
-#define MO_GP_BOTH static inline
-#endif
-
-MO_GP_BOTH struct mo_gp_tape mo_gp_tape_of(const struct mo_gp_group *g, uint32_t n_steps)
-{
-  struct mo_gp_tape t;
-  const uint64_t n = n_steps, rows = g->n_rows;
-  uint64_t at = 0;
-  t.position = at, at += MO_GP_ALIGN(n * g->n_masses * 12);
-  t.velocity = at, at += MO_GP_ALIGN(n * g->n_masses * 12);
-  t.activation = at, at += MO_GP_ALIGN(n * g->n_chunks * MO_GP_LANES * 2);
-  t.input = at, at += MO_GP_ALIGN(n * rows * MO_GP_INPUTS * 2);
-  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
-    t.normal[l] = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN * 2);
-    t.hidden[l] = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN * 2);
-  }
-  t.scale = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN_LAYERS * 4);
-  t.d_output = at, at += MO_GP_ALIGN(n * rows * g->n_outputs * MO_GP_TILE * 2);
-  t.bytes = at;
-  return t;
-}
-
-MO_GP_BOTH struct mo_gp_sum mo_gp_sum_of(const struct mo_gp_group *g)
-{
-  struct mo_gp_sum s;
-  uint64_t at = 0;
-  s.output = at, at += (uint64_t)g->n_outputs * MO_GP_TILE * MO_HIDDEN;
-  for (int l = 0; l < 2; l++)
-    s.hidden[l] = at, at += MO_HIDDEN * MO_HIDDEN;
-  s.input = at, at += (uint64_t)MO_GP_INPUTS * MO_HIDDEN;
-  s.output_bias = at, at += (uint64_t)g->n_outputs * MO_GP_TILE;
-  s.bias = at, at += MO_HIDDEN_LAYERS * MO_HIDDEN;
-  s.norm = at, at += g->n_rows / MO_GP_HALF_ROWS * MO_GP_NORM_FLOATS;
-  s.floats = at;
-  return s;
-}
-
-/* Shared memory of a group, in bytes, on the way forward and back: places and velocities with what
- * LayerNorm is given, or with their adjoints. */
-MO_GP_BOTH uint32_t mo_gp_shared_bytes(uint32_t n_rows, uint32_t n_masses, uint32_t n_outputs)
-{
-  const uint32_t rows =
-      n_rows * (2 * (n_outputs * MO_GP_TILE + 8) /* activations, or ∂loss/∂ them */
-                + 2 * (MO_HIDDEN + 8)            /* what a layer is given */
-                + 8 * (MO_GP_WARPS + 2)          /* partial sums */
-                + 4 * (4 + MO_TERRAIN_HEIGHTS)   /* light and terrain */
-                + 4 + 32);                       /* flags; what is counted */
-  const uint32_t forward = n_masses * 29 + 4 * MO_HIDDEN * 3 * MO_HIDDEN_LAYERS,
-                 back = n_masses * 36;
-  return rows + (forward > back ? forward : back) + 1024;
-}
 
 struct mo_gp_options {
   uint32_t shard;        /* robots of a shard */
@@ -195,6 +41,10 @@ struct mo_gradient_plan {
   void (*release)(void *memory);
   void *context;
 };
+
+/* Shared memory of a group, in bytes, on the way forward and back: places and velocities with what
+ * LayerNorm is given, or with their adjoints. */
+uint32_t mo_gp_shared_bytes(uint32_t n_rows, uint32_t n_masses, uint32_t n_outputs);
 
 /* plan: zeros, or what an earlier call left. `robots` and what they point to are read only here.
  * MO_ERR_UNSUPPORTED: another workspace than the default, or a body that shared_bytes do not hold

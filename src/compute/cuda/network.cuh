@@ -3,7 +3,7 @@
 #ifndef MORPHO_COMPUTE_CUDA_NETWORK_CUH
 #define MORPHO_COMPUTE_CUDA_NETWORK_CUH
 
-#include "compute/cuda/plan.h"
+#include "compute/cuda/plan_block.h"
 #include "compute/cuda/weights.h"
 
 #include <cuda_fp16.h>

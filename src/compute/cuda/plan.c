@@ -5,6 +5,7 @@
  * body by body and group by group, each independent of the others. */
 #include "compute/cuda/plan.h"
 
+#include "rollout/carve.h"
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -27,20 +28,16 @@ struct distinct {
   uint32_t mask, n;
 };
 
-static int distinct_create(struct distinct *set, uint32_t n)
+/* Room for n keys; with c->base NULL only counts. */
+static void carve_distinct(struct distinct *set, struct carver *c, uint32_t n)
 {
   uint32_t size = 64;
   while (size < 2 * (uint64_t)n)
     size *= 2;
-  *set = (struct distinct){calloc(size, sizeof(*set->key)), malloc(size * sizeof(*set->value)),
+  *set = (struct distinct){carve(c, size, sizeof(*set->key)), carve(c, size, sizeof(*set->value)),
                            size - 1, 0};
-  return set->key == NULL || set->value == NULL ? MO_ERR_NO_MEMORY : MO_OK;
-}
-
-static void distinct_free(struct distinct *set)
-{
-  free(set->key);
-  free(set->value);
+  if (c->base != NULL)
+    memset(set->key, 0, size * sizeof(*set->key));
 }
 
 /* The number of `key`, in order of first appearance. */
@@ -184,8 +181,7 @@ static void lay_out(struct mo_plan *plan)
   }
   struct mo_plan_block *block = &plan->block;
   size_t used = 0;
-  block->environments =
-      place(&used, plan->n_environments, sizeof(struct mo_plan_environment));
+  block->environments = place(&used, plan->n_environments, sizeof(struct mo_plan_environment));
   block->bodies = place(&used, plan->n_bodies, sizeof(struct mo_plan_body));
   block->pairs = place(&used, plan->n_bodies, sizeof(struct mo_plan_pairs));
   block->links = place(&used, n_quads, MO_PLAN_LINKS * sizeof(uint32_t));
@@ -227,34 +223,18 @@ static int ascending(const void *a, const void *b)
 
 /* Bodies, with what was measured of them, by body_key, then by appearance; then the rows by body.
  */
-static int arrange(struct mo_plan *plan)
+static void arrange(struct mo_plan *plan)
 {
   const uint32_t n = plan->n_bodies;
-  const struct mo_body **bodies = malloc(n * sizeof(const struct mo_body *));
-  struct mo_plan_body *headers = malloc(n * sizeof(*headers));
-  struct mo_plan_pairs *pairs = malloc(n * sizeof(*pairs));
-  uint32_t *number = malloc(2 * (size_t)n * sizeof(*number)), *next = number + n;
-  if (bodies == NULL || headers == NULL || pairs == NULL || number == NULL) {
-    free((void *)bodies);
-    free(headers);
-    free(pairs);
-    free(number);
-    return MO_ERR_NO_MEMORY;
-  }
+  uint32_t *number = plan->number, *next = number + n;
   qsort(plan->keys, n, sizeof(*plan->keys), ascending);
   for (uint32_t i = 0; i < n; i++) {
     const uint32_t b = (uint32_t)plan->keys[i];
     number[b] = i;
-    bodies[i] = plan->bodies[b];
-    headers[i] = plan->headers[b];
-    pairs[i] = plan->pairs[b];
+    plan->bodies[i] = plan->found[b];
+    plan->headers[i] = plan->measured[b];
+    plan->pairs[i] = plan->measured_pairs[b];
   }
-  free((void *)plan->bodies);
-  free(plan->headers);
-  free(plan->pairs);
-  plan->bodies = bodies;
-  plan->headers = headers;
-  plan->pairs = pairs;
   memset(plan->rows_of_body, 0, n * sizeof(*plan->rows_of_body));
   for (uint32_t r = 0; r < plan->n; r++)
     plan->rows_of_body[number[plan->body_of[r]]]++;
@@ -263,8 +243,6 @@ static int arrange(struct mo_plan *plan)
   for (uint32_t r = 0; r < plan->n; r++)
     plan->rows[next[number[plan->body_of[r]]]++] =
         (struct mo_plan_row){.row = r, .environment = plan->environment_of[r]};
-  free(number);
-  return MO_OK;
 }
 
 static int is_default(const struct mo_body *body)
@@ -282,7 +260,7 @@ static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *
     if (!again && !is_default(robot->body))
       return MO_ERR_UNSUPPORTED;
     plan->body_of[r] = again ? plan->body_of[r - 1] : distinct_add(bodies, robot->body);
-    plan->bodies[plan->body_of[r]] = robot->body;
+    plan->found[plan->body_of[r]] = robot->body;
     plan->environment_of[r] = distinct_add(environments, robot->environment);
     plan->environments[plan->environment_of[r]] = robot->environment;
   }
@@ -291,47 +269,53 @@ static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *
   return MO_OK;
 }
 
+/* The plan's own memory, most of which is touched only as far as there are bodies; with base NULL
+ * only counts. */
+static size_t carve_plan(struct mo_plan *plan, struct distinct *bodies,
+                         struct distinct *environments, char *base)
+{
+  struct carver c = {base, 0};
+  const uint32_t n = plan->n;
+  plan->bodies = carve(&c, n, sizeof(*plan->bodies));
+  plan->found = carve(&c, n, sizeof(*plan->found));
+  plan->environments = carve(&c, n, sizeof(*plan->environments));
+  plan->headers = carve(&c, n, sizeof(*plan->headers));
+  plan->measured = carve(&c, n, sizeof(*plan->measured));
+  plan->pairs = carve(&c, n, sizeof(*plan->pairs));
+  plan->measured_pairs = carve(&c, n, sizeof(*plan->measured_pairs));
+  plan->slots = carve(&c, MO_DEFAULT_SPRINGS, sizeof(*plan->slots));
+  plan->groups = carve(&c, n, sizeof(*plan->groups));
+  plan->parts = carve(&c, 2 * (size_t)n, sizeof(*plan->parts));
+  plan->rows = carve(&c, n, sizeof(*plan->rows));
+  plan->body_of = carve(&c, n, sizeof(*plan->body_of));
+  plan->environment_of = carve(&c, n, sizeof(*plan->environment_of));
+  plan->rows_of_body = carve(&c, n, sizeof(*plan->rows_of_body));
+  plan->number = carve(&c, 2 * (size_t)n, sizeof(*plan->number));
+  plan->keys = carve(&c, n, sizeof(*plan->keys));
+  carve_distinct(bodies, &c, n);
+  carve_distinct(environments, &c, n);
+  return c.used;
+}
+
 int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n)
 {
+  struct distinct bodies, environments;
   *plan = (struct mo_plan){.robots = robots, .n = n};
   if (n == 0)
     return MO_ERR_INVALID;
-  struct distinct bodies = {0}, environments = {0};
-  plan->body_of = malloc(3 * (size_t)n * sizeof(*plan->body_of));
-  plan->slots = malloc(MO_DEFAULT_SPRINGS * sizeof(*plan->slots));
-  plan->bodies = malloc(n * sizeof(const struct mo_body *));
-  plan->environments = malloc(n * sizeof(const struct mo_environment *));
-  int status = plan->body_of == NULL || plan->slots == NULL || plan->bodies == NULL ||
-                       plan->environments == NULL
-                   ? MO_ERR_NO_MEMORY
-                   : mo_plan_slots(plan->slots);
-  if (status == MO_OK) {
-    plan->environment_of = plan->body_of + n;
-    plan->rows_of_body = plan->environment_of + n;
-    status = distinct_create(&bodies, n);
-  }
-  if (status == MO_OK)
-    status = distinct_create(&environments, n);
-  if (status == MO_OK)
-    status = find(plan, &bodies, &environments);
-  if (status == MO_OK) {
-    const size_t room = plan->n_bodies > 0 ? plan->n_bodies : 1; /* malloc(0) may give NULL */
-    plan->headers = malloc(room * sizeof(*plan->headers));
-    plan->pairs = malloc(room * sizeof(*plan->pairs));
-    plan->keys = malloc(room * sizeof(*plan->keys));
-    if (plan->headers == NULL || plan->pairs == NULL || plan->keys == NULL)
-      status = MO_ERR_NO_MEMORY;
-  }
-  distinct_free(&bodies);
-  distinct_free(&environments);
-  return status;
+  plan->memory = malloc(carve_plan(plan, &bodies, &environments, NULL));
+  if (plan->memory == NULL)
+    return MO_ERR_NO_MEMORY;
+  carve_plan(plan, &bodies, &environments, plan->memory);
+  const int status = mo_plan_slots(plan->slots);
+  return status == MO_OK ? find(plan, &bodies, &environments) : status;
 }
 
 void mo_plan_measure(struct mo_plan *plan, uint32_t share, uint32_t n_shares)
 {
   for (uint32_t b = share; b < plan->n_bodies; b += n_shares) {
-    plan->headers[b] = measure(plan, plan->bodies[b], plan->pairs + b);
-    plan->keys[b] = (uint64_t)body_key(plan->bodies[b]) << 32 | b;
+    plan->measured[b] = measure(plan, plan->found[b], plan->measured_pairs + b);
+    plan->keys[b] = (uint64_t)body_key(plan->found[b]) << 32 | b;
   }
 }
 
@@ -339,13 +323,8 @@ int mo_plan_cut(struct mo_plan *plan, const struct mo_plan_options *options)
 {
   if (options->rows < 1 || options->rows > MO_PLAN_ROWS_MAX)
     return MO_ERR_INVALID;
-  plan->rows = malloc(plan->n * sizeof(*plan->rows));
-  plan->parts = malloc(2 * (size_t)plan->n * sizeof(*plan->parts));
-  plan->groups = malloc(plan->n * sizeof(*plan->groups));
-  int status = plan->rows == NULL || plan->parts == NULL || plan->groups == NULL ? MO_ERR_NO_MEMORY
-                                                                                 : arrange(plan);
-  if (status == MO_OK)
-    status = cut_groups(plan, options);
+  arrange(plan);
+  const int status = cut_groups(plan, options);
   if (status == MO_OK)
     lay_out(plan);
   return status;
@@ -353,16 +332,7 @@ int mo_plan_cut(struct mo_plan *plan, const struct mo_plan_options *options)
 
 void mo_plan_free(struct mo_plan *plan)
 {
-  free((void *)plan->bodies);
-  free((void *)plan->environments);
-  free(plan->body_of);
-  free(plan->keys);
-  free(plan->headers);
-  free(plan->pairs);
-  free(plan->slots);
-  free(plan->groups);
-  free(plan->parts);
-  free(plan->rows);
+  free(plan->memory);
   *plan = (struct mo_plan){0};
 }
 

@@ -3,7 +3,7 @@
 #define MORPHO_COMPUTE_CUDA_SCORE_CUH
 
 #include "compute/cuda/lane.cuh"
-#include "compute/cuda/plan.h"
+#include "compute/cuda/plan_block.h"
 #include "compute/cuda/weights.h"
 
 #include <cuda_runtime.h>

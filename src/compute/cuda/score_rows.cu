@@ -1,17 +1,19 @@
 /* score_rows.cu: from rows to outcomes: plan, upload, launch, losses. */
 #include "compute/cuda/device.cuh"
+#include "compute/cuda/plan.h"
 #include "compute/cuda/score.cuh"
 
 extern "C" {
+#include "base/parallel.h"
 #include "rollout/scene.h"
 }
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+
+#include <algorithm>
 #include <thread>
-#include <unistd.h>
-#include <vector>
 
 namespace {
 
@@ -25,25 +27,30 @@ uint32_t rows_wanted(uint32_t n, uint32_t blocks, uint32_t most)
   return (uint32_t)((rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN * MO_PLAN_COLUMN);
 }
 
-/* Work on a plan by shares, on several processors where there is enough of it. */
-template <typename Work> void share_out(const mo_plan &plan, Work work)
+/* What is done to a plan by shares. */
+struct Shares {
+  mo_plan *plan;
+  void *block; /* where it is written; nullptr: it is measured */
+  uint32_t n;
+};
+
+void do_shares(void *context, size_t first, size_t end)
 {
-  const long processors = sysconf(_SC_NPROCESSORS_ONLN);
-  const uint32_t most = processors < 1 ? 1 : processors > (long)kThreadsMax ? kThreadsMax : (uint32_t)processors;
-  const uint32_t useful = (plan.n_bodies + kBodiesPerThread - 1) / kBodiesPerThread;
-  const uint32_t n = useful < most ? useful : most;
-  std::vector<std::thread> threads;
-  uint32_t share = 1;
-  try {
-    for (threads.reserve(n); share < n; share++)
-      threads.emplace_back(work, share, n);
-  } catch (...) { /* no further thread: this one does what is left */
-  }
-  work(0, n);
-  for (; share < n; share++)
-    work(share, n);
-  for (std::thread &thread : threads)
-    thread.join();
+  const Shares &shares = *static_cast<const Shares *>(context);
+  for (uint32_t share = (uint32_t)first; share < end; share++)
+    if (shares.block == nullptr)
+      mo_plan_measure(shares.plan, share, shares.n);
+    else
+      mo_plan_fill(shares.plan, shares.block, share, shares.n);
+}
+
+/* On several processors where there is enough of it. */
+void share_out(mo_plan *plan, void *block)
+{
+  const uint32_t processors = std::max(1u, std::thread::hardware_concurrency());
+  const uint32_t useful = (plan->n_bodies + kBodiesPerThread - 1) / kBodiesPerThread;
+  Shares shares = {plan, block, std::min({useful, processors, kThreadsMax})};
+  mo_parallel(shares.n, shares.n, do_shares, &shares);
 }
 
 /* From rows to groups. */
@@ -52,7 +59,7 @@ int make_plan(mo_plan *plan, const mo_device_score *score, const mo_plan_options
   const int status = mo_plan_create(plan, score->robots, score->n);
   if (status != MO_OK)
     return status;
-  share_out(*plan, [plan](uint32_t share, uint32_t n) { mo_plan_measure(plan, share, n); });
+  share_out(plan, nullptr);
   return mo_plan_cut(plan, &options);
 }
 
@@ -122,7 +129,7 @@ void hand_over(const mo_cuda_outcome *from, const mo_device_score *score)
 }
 
 /* From the plan to outcomes in pinned memory. */
-int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, uint32_t blocks, float *device_ms)
+int run(mo_device *device, mo_plan &plan, const mo_device_score *score, uint32_t blocks, float *device_ms)
 {
   const uint32_t places = most_places(plan);
   if (plan.n_groups < blocks)
@@ -131,7 +138,7 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   if (status != MO_OK)
     return status;
   void *block = device->staged_plan.memory;
-  share_out(plan, [&plan, block](uint32_t share, uint32_t n) { mo_plan_fill(&plan, block, share, n); });
+  share_out(&plan, block);
   if (score->cancel != nullptr && __atomic_load_n(score->cancel, __ATOMIC_RELAXED) != 0)
     return MO_ERR_CANCELLED;
   status = mo_cuda_generators(device, &score->physics); /* begins a copy: from here on it is waited for */
