@@ -85,36 +85,3 @@ def test_keys_and_preferences(start):
                                     headers={header: text})
             assert (reply.status != 400) == (re.search(pattern, text)
                                              is not None), (header, text, reply.body)
-
-
-def refused(service, name, value):
-    reply = service.request(
-        "POST", "/v1/evaluations",
-        {"designs": [DESIGN], "physics": {"n_steps": 5, name: value}, "record_stride": 1})
-    assert reply.status in (202, 422), reply.body
-    return reply.status == 422
-
-
-def test_physics(service):
-    for name, schema in CONTRACT.document["components"]["schemas"]["PhysicsRequest"][
-            "properties"].items():
-        if schema["type"] == "string":
-            continue
-        least, most = schema["minimum"], schema["maximum"]
-        assert not refused(service, name, least) and refused(
-            service, name, least - 1e-9 if schema["type"] == "number" else least - 1), name
-        assert refused(service, name,
-                       most * 1.0001 if schema["type"] == "number" else most + 1), name
-        if name != "n_steps":  # it would take its time
-            assert not refused(service, name, most), name
-
-
-def test_limits_of_learning(service):
-    """Asked for with a fault besides, so that nothing is trained."""
-    properties = CONTRACT.document["components"]["schemas"]["TrainingRequest"]["properties"]
-    for name in ("gradient_norm_limit", "adjoint_bound", "restart_weight"):
-        most = CONTRACT.resolve(properties[name])["maximum"]
-        for value, right in ((most, []), (most * 1.0001, ["/" + name])):
-            reply = service.request("POST", "/v1/trainings",
-                                    {"kind": "pretrain", name: value, "batch": 0})
-            assert sorted(reply.pointers()) == sorted(["/batch", *right]), (name, value, reply.body)

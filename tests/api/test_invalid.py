@@ -50,7 +50,7 @@ COMMON = {
     "/physics/impact": [{"impact": impact} for impact in ("soft", "bisection53", "bisection08")],
     "/physics/gravity": [{"gravity": 9.8}],
     "/priority": ["urgent", 1],
-    "/label": ["x" * 201, 7],
+    "/label": ["x" * 201, "é" * 201, 7],
     "/weight": [0, -1, 0.0009, 1000.1, 1e300, "2", None],
 }
 SEED = {"/seed": [-1, 2**53]}

@@ -1,4 +1,4 @@
-/* The body of POST /v1/evaluations: what is read, and how large it can be. Faults and their places
+/* The body of POST /v1/evaluations: what is read. Faults and their places
  * are in tests/api/test_invalid.py. */
 #include "unit/check.h"
 
@@ -71,52 +71,5 @@ static void everything(void)
   CHECK_TEXT(again, id);
 }
 
-static void labels(void)
-{
-  char text[2000] = "{\"designs\":[{\"cells\":[[0,0,0]]}],\"label\":\"";
-  for (int i = 0; i < 200; i++)
-    strcat(text, "é");
-  size_t n = strlen(text);
-  strcpy(text + n, "\"}");
-  CHECK_INT(parse(text), MO_OK);
-  strcpy(text + n, "x\"}");
-  CHECK_INT(parse(text), MO_ERR_INVALID);
-  CHECK_TEXT(faults.items[0].where, "/label");
-}
-
-/* 10,000 full bodies as cells: the largest useful request. */
-static void largest(void)
-{
-  size_t size = 0, capacity = 20 << 20;
-  char *text = malloc(capacity);
-  REQUIRE(text != NULL);
-  size += (size_t)sprintf(text, "{\"designs\":[");
-  for (int d = 0; d < 10000; d++) {
-    size += (size_t)sprintf(text + size, "%s{\"cells\":[", d > 0 ? "," : "");
-    for (int v = 0; v < 144; v++)
-      size +=
-          (size_t)sprintf(text + size, "%s[%d,%d,%d]", v > 0 ? "," : "", v / 24, v / 4 % 6, v % 4);
-    size += (size_t)sprintf(text + size, "]}");
-  }
-  size += (size_t)sprintf(text + size, "]}");
-  mo_parts_free(&parsed.parts);
-  faults = (struct mo_faults){0};
-  CHECK_INT(mo_evaluation_parse(text, size, &parsed, &faults), MO_OK);
-  CHECK_INT(parsed.request.n_designs, 10000);
-  /* One more is one too many. */
-  text[size - 2] = ',';
-  size = size - 1 + (size_t)sprintf(text + size - 1, "{\"cells\":[[0,0,0]]}]}");
-  mo_parts_free(&parsed.parts);
-  CHECK_INT(mo_evaluation_parse(text, size, &parsed, &faults), MO_ERR_INVALID);
-  CHECK_TEXT(faults.items[0].where, "/designs");
-  mo_parts_free(&parsed.parts);
-  free(text);
-}
-
-static const struct check_case cases[] = {
-    {"defaults", defaults},
-    {"everything", everything},
-    {"labels", labels},
-    {"the largest request", largest},
-};
+static const struct check_case cases[] = {{"defaults", defaults}, {"everything", everything}};
 CHECK_MAIN(cases)

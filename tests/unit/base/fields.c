@@ -127,6 +127,8 @@ static void refuses(const char *text, const char *expected)
 static void says_what_is_wrong(void)
 {
   refuses("{\"rate\":0}", "/rate: must be above 0 and at most 1e+06, got 0");
+  refuses("{\"rate\":1000000.0000001}",
+          "/rate: must be above 0 and at most 1e+06, got 1000000.0000001");
   refuses("{\"inner\":{\"share\":1}}", "/inner/share: must be at least 0 and below 1, got 1");
   refuses("{\"color\":\"blue\"}", "/color: must be \"red\" or \"green\", got \"blue\"");
   refuses("{\"inner\":{\"size\":1}}", "/inner/size: unknown field; expected are share, steps");
