@@ -50,15 +50,8 @@ class UnixConnection(http.client.HTTPConnection):
 class Service:
     """Starts the daemon on a free port (or as `listen` says) with its state in a temporary folder.
     """
-    def __init__(self,
-                 *flags,
-                 listen=("127.0.0.1:0", ),
-                 state=None,
-                 token=None,
-                 wait=True,
-                 environment=None,
-                 stderr=None,
-                 user=None):
+    def __init__(self, *flags, listen=("127.0.0.1:0", ), state=None, token=None, wait=True,
+                 environment=None, stderr=None, user=None):
         self.folder = tempfile.TemporaryDirectory(prefix="morphod-test-")
         base = pathlib.Path(self.folder.name)
         self.state = pathlib.Path(state) if state else base / "state"
@@ -69,21 +62,16 @@ class Service:
         command = [BINARY, f"--state-dir={self.state}", f"--port-file={port_file}", "--workers=1"]
         command += [f"--listen={address}" for address in listen]
         command += [f"--default-controller={BOOTSTRAP}", *flags]
-        if not any(flag.startswith("--devices")
-                   for flag in flags):  # tests are of processors but where they say otherwise
+        # Tests are of processors but where they say otherwise.
+        if not any(flag.startswith("--devices") for flag in flags):
             command.append("--devices=none")
-        environment = {
-            **{key: value
-               for key, value in os.environ.items() if not key.startswith("MORPHOD")},
-            **(environment or {})
-        }
+        inherited = {key: value for key, value in os.environ.items()
+                     if not key.startswith("MORPHOD")}
         if user is not None:
             os.chown(base, user, user)
             command = ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups", *command]
-        self.process = subprocess.Popen(command,
-                                        stdout=self.log,
-                                        stderr=stderr or self.log,
-                                        env=environment)
+        self.process = subprocess.Popen(command, stdout=self.log, stderr=stderr or self.log,
+                                        env=inherited | (environment or {}))
         deadline = time.monotonic() + 30
         while wait and not (port_file.exists() and
                             port_file.read_text().count("\n") >= len(listen)):
@@ -126,13 +114,7 @@ class Service:
             return UnixConnection(self.unix, timeout)
         return http.client.HTTPConnection(self.host, self.port, timeout=timeout)
 
-    def request(self,
-                method,
-                path,
-                value=None,
-                body=None,
-                headers=None,
-                connection=None,
+    def request(self, method, path, value=None, body=None, headers=None, connection=None,
                 unix=False):
         """Sends `value` as JSON, or `body` as it is; checks the reply against the contract."""
         headers = dict(headers or {})
@@ -210,11 +192,9 @@ class Service:
         found = re.search(rf"^{name} (\S+)$", text, re.M)
         return json.loads(found[1]) if found else None
 
-    def evaluate(self, value, wait=30, **headers):
-        """An evaluation, waited for."""
-        fields = {"Prefer": f"wait={wait}"}
-        fields.update({name.replace("_", "-"): text for name, text in headers.items()})
-        return self.request("POST", "/v1/evaluations", value, headers=fields)
+    def evaluate(self, value, wait=30):
+        """The reply to an evaluation, waited for."""
+        return self.request("POST", "/v1/evaluations", value, headers={"Prefer": f"wait={wait}"})
 
     def raw(self, data, timeout=10, finish=False):
         """Sends bytes, reads until the other side ends or is silent for a moment; returns (bytes,

@@ -79,8 +79,7 @@ def test_keys_and_preferences(start):
     for header, texts in (("Idempotency-Key", KEYS), ("Prefer", PREFER)):
         pattern = schema_of(operation, header)["pattern"]
         for text in texts:
-            reply = service.request("POST",
-                                    "/v1/evaluations",
+            reply = service.request("POST", "/v1/evaluations",
                                     {"designs": [DESIGN], "physics": {"n_steps": 5}},
                                     headers={header: text})
             assert (reply.status != 400) == (re.search(pattern, text)

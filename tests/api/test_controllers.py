@@ -146,9 +146,7 @@ def test_upload_limits(start):
     running = start("--max-controller=3M")
     assert running.upload("big", bytes(4 << 20)).status == 413
     assert running.upload("fits", BYTES).status == 201
-    assert running.request("PUT",
-                           "/v1/controllers/x/file",
-                           body=BYTES,
+    assert running.request("PUT", "/v1/controllers/x/file", body=BYTES,
                            headers={"Content-Type": "application/json"}).status == 415
 
 

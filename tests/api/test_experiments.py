@@ -36,12 +36,8 @@ def command(name, *arguments):
 
 
 def bench(name, *arguments, status=0, **environment):
-    done = subprocess.run(command(name, *arguments),
-                          capture_output=True,
-                          text=True,
-                          timeout=120,
-                          env={**os.environ, **environment},
-                          check=False)
+    done = subprocess.run(command(name, *arguments), capture_output=True, text=True, timeout=120,
+                          env={**os.environ, **environment}, check=False)
     assert done.returncode == status, done.stdout + done.stderr
     return done
 
@@ -72,14 +68,8 @@ def test_pretraining(tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     seeds = "--seeds=1,20261122"
     bench("pretraining", *PRETRAINING, seeds, *ON_DEVICE, *pretraining_in(whole))
-    cut = bench("pretraining",
-                *PRETRAINING,
-                seeds,
-                *ON_DEVICE,
-                *pretraining_in(parts),
-                "--limit-s=2",
-                status=CUT_OFF,
-                MORPHO_FAKE_DELAY_MS="400")
+    cut = bench("pretraining", *PRETRAINING, seeds, *ON_DEVICE, *pretraining_in(parts),
+                "--limit-s=2", status=CUT_OFF, MORPHO_FAKE_DELAY_MS="400")
     assert "time is up" in cut.stderr
     assert len(rows(parts / "p.csv")) < len(rows(whole / "p.csv"))
     begun = set(trainings(parts))
@@ -120,32 +110,19 @@ def test_pretraining(tmp_path):
     assert recipes == {"one cosine 0.002..1e-05 bound 0.1 restart 3 lives of 30 / 8 x 6"}
     assert trainings(tmp_path / "again", "SELECT settings->>'adjoint_rule',"
                      " settings->>'restart_weight' FROM runs") == [("restart", 3)]
-    refused = bench("pretraining",
-                    "--peak=2",
-                    *ON_DEVICE,
-                    *pretraining_in(tmp_path / "refused"),
+    refused = bench("pretraining", "--peak=2", *ON_DEVICE, *pretraining_in(tmp_path / "refused"),
                     status=1)
     assert "/schedule/peak" in refused.stderr
-    assert "does not belong" in bench("pretraining",
-                                      "--cycle=5",
-                                      *NO_DAEMON,
-                                      *pretraining_in(tmp_path / "refused"),
-                                      status=1).stderr
+    assert "does not belong" in bench("pretraining", "--cycle=5", *NO_DAEMON,
+                                      *pretraining_in(tmp_path / "refused"), status=1).stderr
 
 
 def test_reproduction(tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     bench("reproduction", *REPRODUCTION, *ON_DEVICE, f"--state={tmp_path / 'one'}",
           f"--folder={whole}")
-    bench("reproduction",
-          *REPRODUCTION,
-          *ON_DEVICE,
-          f"--state={tmp_path / 'two'}",
-          f"--folder={parts}",
-          "--modes",
-          "simultaneous",
-          "--limit-s=2",
-          status=CUT_OFF,
+    bench("reproduction", *REPRODUCTION, *ON_DEVICE, f"--state={tmp_path / 'two'}",
+          f"--folder={parts}", "--modes", "simultaneous", "--limit-s=2", status=CUT_OFF,
           MORPHO_FAKE_DELAY_MS="400")
     assert len(rows(parts / "generations.csv")) < 4
     # In another order: what was cut off is set aside meanwhile.
@@ -290,12 +267,8 @@ for flag; do case $flag in --port-file=*) echo http://127.0.0.1:1 >"${{flag#*=}}
 exec sleep 60
 """)
     deaf.chmod(0o755)
-    bench("model_card",
-          f"--controller={BOOTSTRAP}",
-          f"--morphod={deaf}",
-          f"--state={tmp_path / 'state'}",
-          f"--markdown={tmp_path / 'page.md'}",
-          status=1)
+    bench("model_card", f"--controller={BOOTSTRAP}", f"--morphod={deaf}",
+          f"--state={tmp_path / 'state'}", f"--markdown={tmp_path / 'page.md'}", status=1)
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "pid").read_text()), 0)
 

@@ -66,8 +66,7 @@ def learn(service, controller, physics):
         assert (row["mean_loss"] is None) == (row["diverged"] == BATCH), row
         assert row["skipped"] or row["diverged"] + row["zeroed"] < BATCH, row
     if all(row["skipped"] for row in rows):
-        start = service.request("GET",
-                                f"/v1/controllers/{controller}/file").body
+        start = service.request("GET", f"/v1/controllers/{controller}/file").body
         assert parts(result)[1] == parts(start)[1]  # nothing was learned
     for row in plain_json(service.request("GET", training["links"]["validations"]).body)["items"]:
         assert row["diverged"] > 0 if row["mean_score"] is None else row["diverged"] < row[

@@ -17,9 +17,7 @@ from daemon import MORPHOD, Daemon  # noqa: E402
 
 def pytest_addoption(parser):
     parser.addoption("--soak", action="store_true", help="200 kills instead of 20")
-    parser.addoption("--seed",
-                     type=int,
-                     default=None,
+    parser.addoption("--seed", type=int, default=None,
                      help="seed of the random moments (default: the time)")
 
 

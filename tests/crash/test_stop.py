@@ -162,8 +162,7 @@ def test_crash_counts_against_its_job(daemon, seed):
 def test_crash_beside_a_gradient_counts(daemon, monkeypatch):
     """So does a fault on the thread that lays out the next robots while a device computes."""
     monkeypatch.setenv("MORPHO_FAKE_FAULT", "1")
-    one = daemon("beside",
-                 devices="auto",
+    one = daemon("beside", devices="auto",
                  compute_module=BUILD / "tests" / "device" / "fake-device.so")
     one.start()
     request = {
@@ -222,16 +221,13 @@ def test_passed_socket(daemon):
                   "os.environ.update(LISTEN_FDS='1', LISTEN_FDNAMES='http', "
                   "LISTEN_PID=str(os.getpid())); os.execv(sys.argv[1], sys.argv[1:])")
         with open(one.log, "ab") as log:
-            one.process = subprocess.Popen(["/usr/bin/python3", "-c", script, *command],
-                                           stdout=log,
-                                           stderr=log,
-                                           pass_fds=[server.fileno()])
+            one.process = subprocess.Popen(["/usr/bin/python3", "-c", script, *command], stdout=log,
+                                           stderr=log, pass_fds=[server.fileno()])
         one.await_address(15)
         assert one.address == f"http://127.0.0.1:{port}"
         assert one.port_file.read_text().count("\n") == 1
         assert one.get("/healthz").status_code == 200
-    status = subprocess.run([MORPHOCTL, "status", "--server", one.address],
-                            capture_output=True,
+    status = subprocess.run([MORPHOCTL, "status", "--server", one.address], capture_output=True,
                             text=True)
     assert status.returncode == 0, status.stderr
     assert one.stop()[0] == 0
