@@ -206,15 +206,14 @@ def first_address(process, folder):
 @pytest.fixture
 def long_card(tmp_path):
     """A benchmark that is at work for some time, and its daemon's address."""
-    process = subprocess.Popen(command("model_card", f"--controller={BOOTSTRAP}", "--bodies=400",
-                                       "--environments=8", f"--morphod={BINARY}", "--devices=none",
-                                       "--workers=1", f"--state={tmp_path / 'state'}",
-                                       f"--markdown={tmp_path / 'page.md'}"),
-                               stdout=subprocess.PIPE,
-                               stderr=subprocess.PIPE,
-                               text=True,
-                               preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL)
-                               )  # ignored where the tests run under nohup
+    process = subprocess.Popen(
+        command("model_card", f"--controller={BOOTSTRAP}", "--bodies=400", "--environments=8",
+                f"--morphod={BINARY}", "--devices=none", "--workers=1",
+                f"--state={tmp_path / 'state'}", f"--markdown={tmp_path / 'page.md'}"),
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=os.environ | {"MORPHOD_DRAIN_TIMEOUT": "1s"},
+        # It is ignored where the tests run under nohup.
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL))
     try:
         address = first_address(process, tmp_path / "state")
         assert any("rollouts" in line for line in process.stderr), "it has ended"

@@ -60,13 +60,14 @@ class Daemon:
             f"--port-file={self.port_file}", f"--default-controller={CONTROLLER}", *flags, *more
         ]
 
-    def spawn(self):
+    def spawn(self, command=None, pass_fds=(), **environment):
         """Starts the process without waiting for it."""
         self.folder.mkdir(parents=True, exist_ok=True)
         self.port_file.unlink(missing_ok=True)
-        environment = {k: v for k, v in os.environ.items() if not k.startswith("MORPHOD_")}
+        inherited = {k: v for k, v in os.environ.items() if not k.startswith("MORPHOD_")}
         with open(self.log, "ab") as log:
-            self.process = subprocess.Popen(self.command(), stdout=log, stderr=log, env=environment)
+            self.process = subprocess.Popen(command or self.command(), stdout=log, stderr=log,
+                                            env=inherited | environment, pass_fds=pass_fds)
         return self
 
     def start(self, timeout_s=60):

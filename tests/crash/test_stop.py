@@ -186,17 +186,10 @@ def test_watchdog_and_readiness(daemon):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server:
         server.bind(path)
         server.settimeout(10)
-        environment = {**os.environ, "NOTIFY_SOCKET": path, "WATCHDOG_USEC": "1000000"}
-        with open(one.log, "ab") as log:
-            one.process = subprocess.Popen(one.command(), stdout=log, stderr=log, env=environment)
+        one.spawn(NOTIFY_SOCKET=path, WATCHDOG_USEC="1000000")
 
         def wait_for(word):
-            until = time.monotonic() + 15
-            while time.monotonic() < until:
-                message = server.recv(4096).decode()
-                if word in message:
-                    return message
-            raise AssertionError(f"no {word}")
+            return one.until(lambda: server.recv(4096).decode(), 15, lambda told: word in told)
 
         wait_for("EXTEND_TIMEOUT_USEC=")  # a large database is not a hang
         wait_for("READY=1")
@@ -220,9 +213,7 @@ def test_passed_socket(daemon):
         script = (f"import os, sys; os.dup2({server.fileno()}, 3); os.set_inheritable(3, True); "
                   "os.environ.update(LISTEN_FDS='1', LISTEN_FDNAMES='http', "
                   "LISTEN_PID=str(os.getpid())); os.execv(sys.argv[1], sys.argv[1:])")
-        with open(one.log, "ab") as log:
-            one.process = subprocess.Popen(["/usr/bin/python3", "-c", script, *command], stdout=log,
-                                           stderr=log, pass_fds=[server.fileno()])
+        one.spawn(["/usr/bin/python3", "-c", script, *command], [server.fileno()])
         one.await_address(15)
         assert one.address == f"http://127.0.0.1:{port}"
         assert one.port_file.read_text().count("\n") == 1
