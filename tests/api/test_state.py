@@ -117,11 +117,14 @@ def test_a_folder_of_somebody_else(start, tmp_path):
     refused(private, "morphod.db", "uid 1", user=65534)
 
 
-def test_the_lock_outlives_its_file(start, tmp_path):
+def test_one_folder_has_one_process(start, tmp_path):
+    """Also when the file of the lock is deleted."""
     first = start(state=tmp_path / "state")
-    (tmp_path / "state" / "lock").unlink()
-    ended = morphod(tmp_path / "state", *START)
-    assert ended.returncode == 75 and "another process" in ended.stderr, ended
+    for is_there in (True, False):
+        if not is_there:
+            (tmp_path / "state" / "lock").unlink()
+        ended = morphod(tmp_path / "state", *START)
+        assert ended.returncode == 75 and "another process" in ended.stderr, ended
     assert first.request("GET", "/readyz").status == 200
 
 
