@@ -165,22 +165,21 @@ class Daemon:
     def submit(self, request, kind="evaluations", **options):
         return self.post(f"/v1/{kind}", request, **options)["id"]
 
-    def awaited(self, path, condition, timeout_s=60):
+    def awaited(self, path, condition, timeout_s=60, every_s=0.005):
         """What GET gives as soon as it fulfills the condition."""
-        return self.until(lambda: (now := self.json(path), condition(now)), timeout_s,
-                          lambda seen: seen[1])[0]
+        return self.until(lambda: self.json(path), timeout_s, condition, every_s)
 
-    def until(self, look, timeout_s=60, holds=bool):
+    def until(self, look, timeout_s=60, holds=bool, every_s=0.005):
         """What look() gives as soon as that holds."""
         end = time.monotonic() + timeout_s
         while not holds(seen := look()):
             assert time.monotonic() < end, f"{seen}\n{self.tail()}"
-            time.sleep(0.005)
+            time.sleep(every_s)
         return seen
 
     def finish(self, job, kind="evaluations", timeout_s=120):
         """Waits for the end of a job and returns it."""
-        return self.awaited(f"/v1/{kind}/{job}", lambda now: now["state"] in ENDED, timeout_s)
+        return self.awaited(f"/v1/{kind}/{job}", lambda now: now["state"] in ENDED, timeout_s, 0.05)
 
     def succeed(self, job, kind="evaluations", timeout_s=120, attempts=0):
         done = self.finish(job, kind, timeout_s)

@@ -79,7 +79,7 @@ def test_small_memory(folder, cgroup):
     there is."""
     with Small(f"{folder}/one", cgroup, workers=2) as one:
         def end(job):
-            now = one.awaited(job, lambda now: now["state"] in ENDED, 300)  # and is not killed
+            now = one.awaited(job, lambda now: now["state"] in ENDED, 300, 0.1)
             assert now["state"] == "succeeded" and now["attempts"] == 0, now
 
         def submit(kind, request):
