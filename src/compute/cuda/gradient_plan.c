@@ -4,7 +4,7 @@
 
 #include "compute/cuda/plan.h"
 
-#include "base/parallel.h"
+#include "base/thread.h"
 #include "rollout/scene.h"
 
 #include <math.h>

@@ -4,7 +4,7 @@
 #include "compute/cuda/score.cuh"
 
 extern "C" {
-#include "base/parallel.h"
+#include "base/thread.h"
 #include "rollout/scene.h"
 }
 
