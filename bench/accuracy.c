@@ -40,13 +40,9 @@ struct lives {
 
 static void lives_create(struct lives *lives, uint32_t n)
 {
-  lives->com_m = calloc(n, sizeof(*lives->com_m));
-  lives->loss = calloc(n, sizeof(*lives->loss));
-  lives->diverged = calloc(n, 1);
-  bench_check(lives->com_m == NULL || lives->loss == NULL || lives->diverged == NULL
-                  ? MO_ERR_NO_MEMORY
-                  : MO_OK,
-              "paths");
+  lives->com_m = bench_zeros(n, sizeof(*lives->com_m));
+  lives->loss = bench_zeros(n, sizeof(*lives->loss));
+  lives->diverged = bench_zeros(n, 1);
 }
 
 static void lives_free(struct lives *lives)
@@ -71,9 +67,8 @@ static void live(struct lives *lives, const struct bench_scene *scene, struct mo
                  enum mo_precision precision)
 {
   const uint32_t n = scene->n_bodies;
-  struct mo_block *blocks = calloc(n, sizeof(*blocks));
-  struct mo_recording *recordings = calloc(n, sizeof(*recordings));
-  bench_check(blocks == NULL || recordings == NULL ? MO_ERR_NO_MEMORY : MO_OK, "blocks");
+  struct mo_block *blocks = bench_zeros(n, sizeof(*blocks));
+  struct mo_recording *recordings = bench_zeros(n, sizeof(*recordings));
   for (uint32_t i = 0; i < n; i++) {
     recordings[i] = (struct mo_recording){.stride = (uint32_t)lround(FRAME_S / dt_s),
                                           .com_m = lives->com_m[i][0]};
@@ -206,23 +201,16 @@ static void add_point(struct bench_series *series, double ms, double error)
 int bench_accuracy(const struct bench_options *options)
 {
   const uint32_t n = options->bodies > 0 ? options->bodies : options->quick ? 10 : 100;
-  FILE *file = options->csv != NULL ? fopen(options->csv, "w") : stdout;
-  if (file == NULL) {
-    perror(options->csv);
-    return 1;
-  }
+  FILE *file = bench_table(options);
   struct bench_scene scene;
   struct lives truth, same_dt, lives;
-  struct mo_compute *compute = NULL;
   struct mo_compute_controller *controller = NULL;
   bench_scene_create(&scene, options, n);
   lives_create(&truth, n);
   lives_create(&same_dt, n);
   lives_create(&lives, n);
-  double *errors = calloc(n, sizeof(*errors));
-  bench_check(errors == NULL ? MO_ERR_NO_MEMORY : MO_OK, "errors");
-  const struct mo_compute_config config = {.n_workers = options->workers, .isa = options->isa};
-  bench_check(mo_compute_create_cpu(&config, &compute), "back end");
+  double *errors = bench_zeros(n, sizeof(*errors));
+  struct mo_compute *compute = bench_compute(options->workers, options->isa);
   bench_check(mo_compute_controller_create(compute, scene.controller, &controller), "controller");
 
   static struct bench_series against_truth[2 * MODES], against_same_dt[2 * MODES];
@@ -257,14 +245,8 @@ int bench_accuracy(const struct bench_options *options)
        "error of the center of mass in the first second, median, m", against_truth, 2 * MODES},
       {"Against float64 exact at the same time step: precision and impact mode alone",
        "error of the center of mass in the first second, median, m", against_same_dt, 2 * MODES}};
-  int status = 0;
-  if (options->csv != NULL && fclose(file) != 0)
-    status = 1;
-  if (options->svg != NULL &&
-      bench_draw(options->svg, "milliseconds per rollout of 4 s, one core", panels, 2) != 0) {
-    perror(options->svg);
-    status = 1;
-  }
+  const int status =
+      bench_finish(options, file, "milliseconds per rollout of 4 s, one core", panels, 2);
   free(errors);
   mo_compute_controller_free(controller);
   mo_compute_free(compute);

@@ -16,6 +16,7 @@ struct bench_options {
   const char *controller; /* path */
   const char *module;     /* path of a module for GPUs; NULL: the processors */
   const char *csv, *svg;  /* NULL: not written */
+  const char *morphod;    /* path of the daemon */
 };
 
 int bench_rollout(const struct bench_options *options);
@@ -28,18 +29,21 @@ int bench_store(int argc, char **argv);
 int bench_stream(int argc, char **argv);
 int bench_learning(int argc, char **argv);
 int bench_evolution(int argc, char **argv);
-int bench_load(const char *program, const struct bench_options *options); /* program: morphod */
-int bench_shares(const char *program, const struct bench_options *options);
+int bench_load(const struct bench_options *options);
+int bench_shares(const struct bench_options *options);
 
 /* Everything that rollouts need; ends the program with a message if it cannot be had. */
 struct bench_scene {
   struct mo_lattice *lattice;
   struct mo_controller *controller;
+  struct mo_controller *random; /* of the same sensor, weights of the seed */
   struct mo_environment environments[MO_PAPER_TEST_COUNT];
   const struct mo_environment
       *list[MO_BLOCK_LANES]; /* the paper test set, then from its start again */
   uint32_t n_bodies;
-  struct mo_body **bodies; /* distinct random bodies of the seed's stream */
+  struct mo_body **bodies;         /* distinct random bodies of the seed's stream */
+  struct mo_environment *training; /* of the seed's first step, one for each body */
+  struct mo_robot *robots;         /* (n_bodies) each body in its environment of these */
 };
 void bench_scene_create(struct bench_scene *scene, const struct bench_options *options,
                         uint32_t n_bodies);
@@ -65,6 +69,15 @@ double bench_controller_flop(const struct mo_body *body);
 int bench_word(const char *const *words, const char *word);
 enum mo_isa bench_isa(const char *name);
 
+/* A whole number; ends the program if the text is none from `least` to `most`. */
+uint64_t bench_number(const char *text, uint64_t least, uint64_t most);
+
+/* n elements, all zeros; ends the program if memory is short. To be freed. */
+void *bench_zeros(size_t n, size_t size);
+/* Workers; ends the program if they cannot be had. 0: one per processor. */
+struct mo_compute *bench_compute(uint32_t workers, enum mo_isa isa);
+double bench_peak_mib(void); /* largest resident memory of this process so far; 0: unknown */
+
 double bench_now_s(void);
 double
 bench_thread_s(void); /* processor time of this thread: other work on the machine does not count */
@@ -86,8 +99,11 @@ struct bench_panel {
   const struct bench_series *series;
   size_t n_series;
 };
-/* Charts one below the other as an SVG file. 0 or −1 with errno set. */
-int bench_draw(const char *path, const char *x_name, const struct bench_panel *panels,
-               size_t n_panels);
+/* The file for rows of CSV; ends the program if it cannot be written. */
+FILE *bench_table(const struct bench_options *options);
+/* Ends that file and draws charts one below the other as an SVG file, each where it is asked for.
+ * The benchmark's exit status. */
+int bench_finish(const struct bench_options *options, FILE *table, const char *x_name,
+                 const struct bench_panel *panels, size_t n_panels);
 
 #endif

@@ -3,6 +3,7 @@
 
 #include "base/words.h"
 
+#include <errno.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -38,6 +39,48 @@ int bench_word(const char *const *words, const char *word)
     exit(2);
   }
   return i;
+}
+
+uint64_t bench_number(const char *text, uint64_t least, uint64_t most)
+{
+  char *end = NULL;
+  errno = 0;
+  const unsigned long long value = strtoull(text, &end, 10);
+  if (errno != 0 || end == text || *end != '\0' || text[0] == '-' || value < least ||
+      value > most) {
+    fprintf(stderr, "morpho-bench: \"%s\" is not a whole number from %llu to %llu\n", text,
+            (unsigned long long)least, (unsigned long long)most);
+    exit(2);
+  }
+  return value;
+}
+
+void *bench_zeros(size_t n, size_t size)
+{
+  void *memory = calloc(n > 0 ? n : 1, size);
+  bench_check(memory == NULL ? MO_ERR_NO_MEMORY : MO_OK, "memory");
+  return memory;
+}
+
+struct mo_compute *bench_compute(uint32_t workers, enum mo_isa isa)
+{
+  const struct mo_compute_config config = {.n_workers = workers, .isa = isa};
+  struct mo_compute *compute = NULL;
+  bench_check(mo_compute_create_cpu(&config, &compute), "back end");
+  return compute;
+}
+
+double bench_peak_mib(void)
+{
+  FILE *file = fopen("/proc/self/status", "r");
+  char line[256];
+  double kib = 0.0;
+  while (file != NULL && fgets(line, sizeof(line), file) != NULL)
+    if (strncmp(line, "VmHWM:", 6) == 0)
+      kib = strtod(line + 6, NULL);
+  if (file != NULL)
+    fclose(file);
+  return kib / 1024.0;
 }
 
 enum mo_isa bench_isa(const char *name)
@@ -82,12 +125,18 @@ void bench_scene_create(struct bench_scene *scene, const struct bench_options *o
     scene->list[i] = scene->environments + i % MO_PAPER_TEST_COUNT;
   struct mo_body_stream *stream = NULL;
   bench_check(mo_body_stream_create(MO_DEFAULT_WORKSPACE, options->seed, &stream), "body stream");
-  scene->bodies = calloc(n_bodies > 0 ? n_bodies : 1, sizeof(*scene->bodies));
-  bench_check(scene->bodies == NULL ? MO_ERR_NO_MEMORY : MO_OK, "bodies");
+  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, scene->controller->sensor, &scene->random),
+              "controller");
+  mo_controller_randomize(scene->random, options->seed);
+  scene->bodies = bench_zeros(n_bodies, sizeof(*scene->bodies));
+  scene->training = bench_zeros(n_bodies, sizeof(*scene->training));
+  scene->robots = bench_zeros(n_bodies, sizeof(*scene->robots));
   for (uint32_t i = 0; i < n_bodies; i++) {
     uint64_t bits[MO_DEFAULT_WORDS];
     bench_check(mo_body_stream_next(stream, bits), "body stream");
     bench_check(mo_body_create(scene->lattice, bits, &scene->bodies[i]), "body");
+    mo_environment_training(options->seed, 0, i, scene->training + i);
+    scene->robots[i] = (struct mo_robot){scene->bodies[i], scene->training + i};
   }
   mo_body_stream_free(stream);
 }
@@ -97,7 +146,10 @@ void bench_scene_free(struct bench_scene *scene)
   for (uint32_t i = 0; i < scene->n_bodies; i++)
     mo_body_free(scene->bodies[i]);
   free(scene->bodies);
+  free(scene->training);
+  free(scene->robots);
   mo_lattice_free(scene->lattice);
+  mo_controller_free(scene->random);
   mo_controller_free(scene->controller);
 }
 

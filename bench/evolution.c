@@ -65,26 +65,6 @@ struct evolution {
   struct mo_variation_counts counts; /* of all generations */
 };
 
-static double status_mib(const char *field)
-{
-  FILE *file = fopen("/proc/self/status", "r");
-  char line[256];
-  double kib = 0.0;
-  while (file != NULL && fgets(line, sizeof(line), file) != NULL)
-    if (strncmp(line, field, strlen(field)) == 0)
-      kib = strtod(line + strlen(field), NULL);
-  if (file != NULL)
-    fclose(file);
-  return kib / 1024.0;
-}
-
-static void *room(size_t n, size_t size)
-{
-  void *memory = calloc(n > 0 ? n : 1, size);
-  bench_check(memory == NULL ? MO_ERR_NO_MEMORY : MO_OK, "memory");
-  return memory;
-}
-
 static void read_scores(struct evolution *evolution)
 {
   FILE *file = fopen(evolution->scores_path, "r");
@@ -180,18 +160,18 @@ static void create(struct evolution *evolution)
 {
   const struct mo_campaign_settings *settings = &evolution->settings;
   const size_t n = settings->population;
-  evolution->genotypes = room(2 * n, W * sizeof(uint64_t));
-  evolution->next = room(2 * n, W * sizeof(uint64_t));
-  evolution->candidates = room(2 * n, sizeof(*evolution->candidates));
-  evolution->next_candidates = room(2 * n, sizeof(*evolution->candidates));
-  evolution->sizes = room(2 * n, sizeof(*evolution->sizes));
-  evolution->next_sizes = room(2 * n, sizeof(*evolution->sizes));
-  evolution->births = room(n, sizeof(*evolution->births));
-  evolution->survivors = room(2 * n, sizeof(*evolution->survivors));
-  evolution->scores = room(n, sizeof(*evolution->scores));
+  evolution->genotypes = bench_zeros(2 * n, W * sizeof(uint64_t));
+  evolution->next = bench_zeros(2 * n, W * sizeof(uint64_t));
+  evolution->candidates = bench_zeros(2 * n, sizeof(*evolution->candidates));
+  evolution->next_candidates = bench_zeros(2 * n, sizeof(*evolution->candidates));
+  evolution->sizes = bench_zeros(2 * n, sizeof(*evolution->sizes));
+  evolution->next_sizes = bench_zeros(2 * n, sizeof(*evolution->sizes));
+  evolution->births = bench_zeros(n, sizeof(*evolution->births));
+  evolution->survivors = bench_zeros(2 * n, sizeof(*evolution->survivors));
+  evolution->scores = bench_zeros(n, sizeof(*evolution->scores));
   for (int phase = 0; phase < PHASES; phase++)
-    evolution->seconds[phase] = room(settings->generations, sizeof(double));
-  evolution->total = room(settings->generations, sizeof(double));
+    evolution->seconds[phase] = bench_zeros(settings->generations, sizeof(double));
+  evolution->total = bench_zeros(settings->generations, sizeof(double));
   bench_check(mo_lattice_create(settings->workspace, &evolution->lattice), "lattice");
   bench_check(mo_form_set_create(settings->workspace, &evolution->excluded), "set of forms");
   double start = bench_now_s();
@@ -345,26 +325,13 @@ static int report(struct evolution *evolution)
          (double)counts->mutation_attempts / (counts->mutants > 0 ? counts->mutants : 1),
          (double)counts->crossover_attempts / (counts->recombinants > 0 ? counts->recombinants : 1),
          counts->fallbacks);
-  const double peak = status_mib("VmHWM:");
+  const double peak = bench_peak_mib();
   printf("memory: excluded forms %.1f MiB, process at its largest %.1f MiB\n",
          (double)mo_form_set_bytes(evolution->excluded) / 0x1p20, peak);
   const int good = worst <= BOUND_S && peak <= BOUND_MIB && !counts->exhausted;
   printf("bounds: worst generation %.1f s, %.0f MiB: %s\n", BOUND_S, BOUND_MIB,
          good ? "kept" : "MISSED");
   return good ? EXIT_SUCCESS : EXIT_FAILURE;
-}
-
-static uint64_t number(const char *text, uint64_t low, uint64_t high)
-{
-  char *end = NULL;
-  errno = 0;
-  const unsigned long long value = strtoull(text, &end, 10);
-  if (errno != 0 || end == text || *end != '\0' || text[0] == '-' || value < low || value > high) {
-    fprintf(stderr, "morpho-bench: \"%s\" is not a whole number from %llu to %llu\n", text,
-            (unsigned long long)low, (unsigned long long)high);
-    exit(2);
-  }
-  return value;
 }
 
 static void read_options(struct evolution *evolution, int argc, char **argv)
@@ -384,16 +351,16 @@ static void read_options(struct evolution *evolution, int argc, char **argv)
   while ((option = getopt_long(argc, argv, "h", options, NULL)) != -1)
     switch (option) {
     case 'p':
-      settings->population = (uint32_t)number(optarg, MO_POPULATION_MIN, MO_POPULATION_MAX);
+      settings->population = (uint32_t)bench_number(optarg, MO_POPULATION_MIN, MO_POPULATION_MAX);
       break;
-    case 'g': settings->generations = (uint32_t)number(optarg, 1, MO_GENERATIONS_MAX); break;
-    case 'f': evolution->n_forms = number(optarg, 0, MO_TRAINING_BODIES_MAX); break;
-    case 'T': evolution->n_threads = (uint32_t)number(optarg, 1, 64); break;
+    case 'g': settings->generations = (uint32_t)bench_number(optarg, 1, MO_GENERATIONS_MAX); break;
+    case 'f': evolution->n_forms = bench_number(optarg, 0, MO_TRAINING_BODIES_MAX); break;
+    case 'T': evolution->n_threads = (uint32_t)bench_number(optarg, 1, 64); break;
     case 's':
       settings->selection.kind = (enum mo_selection_kind)bench_word(mo_selection_words, optarg);
       break;
     case 'r': evolution->scores_path = optarg; break;
-    case 'S': settings->seed = number(optarg, 0, UINT64_MAX); break;
+    case 'S': settings->seed = bench_number(optarg, 0, UINT64_MAX); break;
     case 't': evolution->store_path = optarg; break;
     case 'h': fputs(usage, stdout); exit(0);
     default: fputs(usage, stderr); exit(2);

@@ -3,25 +3,24 @@
 #include "evolution_store.h"
 
 #include "bench.h"
+#include "state.h"
 
 #include "store/campaign_designs.h"
 #include "store/campaign_runs.h"
 #include "store/campaigns.h"
 #include "store/runner.h"
 
-#include <ftw.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 #define PAGE_ROWS 1000
 #define PAGES     200
 
 struct bench_campaign {
-  char path[512];
+  const char *path;
   struct mo_store *store;
   int64_t id, fingerprint;
   uint32_t population;
@@ -34,50 +33,18 @@ struct bench_campaign {
   double *parent_scores, *child_scores;
 };
 
-static void *room(size_t n, size_t size)
-{
-  void *memory = calloc(n > 0 ? n : 1, size);
-  bench_check(memory == NULL ? MO_ERR_NO_MEMORY : MO_OK, "memory");
-  return memory;
-}
-
-static int remove_entry(const char *path, const struct stat *status, int kind, struct FTW *place)
-{
-  (void)status;
-  (void)kind;
-  (void)place;
-  return remove(path);
-}
-
 struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *settings,
                                              const char *folder)
 {
-  struct bench_campaign *campaign = room(1, sizeof(*campaign));
+  struct bench_campaign *campaign = bench_zeros(1, sizeof(*campaign));
   const struct mo_campaign_submission submission = {
       .record = {.settings = *settings, .environment_set = "paper-test", .replicates = 1},
       .controller = "default",
       .weight = 1};
   const size_t n = settings->population;
-  struct mo_store_config config = {.path = campaign->path};
-  struct mo_controller_record record;
-  struct mo_controller *controller = NULL;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  bool created, replayed;
-  snprintf(campaign->path, sizeof(campaign->path), "%s/morpho-bench-XXXXXX", folder);
-  if (mkdtemp(campaign->path) == NULL) {
-    fprintf(stderr, "morpho-bench: cannot make a folder in %s\n", folder);
-    exit(1);
-  }
-  bench_check(mo_store_open(&config, &campaign->store, NULL), "store");
-  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller),
-              "controller");
-  bench_check(mo_controller_encode(controller, &bytes, &size), "controller");
-  bench_check(mo_store_controller_put(campaign->store, "default", bytes, size, controller, &record,
-                                      &created),
-              "controller");
-  free(bytes);
-  mo_controller_free(controller);
+  bool replayed;
+  campaign->path = bench_state_make(folder);
+  campaign->store = bench_state_open(campaign->path);
   bench_check(mo_store_fingerprint(campaign->store, "no rollouts", &campaign->fingerprint),
               "fingerprint");
   bench_check(mo_store_submit_campaign(campaign->store, &submission, &campaign->id, &replayed),
@@ -85,13 +52,14 @@ struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *
   bench_check(mo_store_run_start(campaign->store, campaign->id), "start");
   campaign->population = settings->population;
   campaign->generation = -1;
-  campaign->processor_s = room((size_t)settings->generations + 1, sizeof(*campaign->processor_s));
-  campaign->forms = room(n, sizeof(*campaign->forms));
-  campaign->genotypes = room(n, sizeof(*campaign->genotypes));
-  campaign->losses = room(n, sizeof(*campaign->losses));
-  campaign->numbers = room(n, sizeof(*campaign->numbers));
-  campaign->parent_scores = room(n, sizeof(*campaign->parent_scores));
-  campaign->child_scores = room(n, sizeof(*campaign->child_scores));
+  campaign->processor_s =
+      bench_zeros((size_t)settings->generations + 1, sizeof(*campaign->processor_s));
+  campaign->forms = bench_zeros(n, sizeof(*campaign->forms));
+  campaign->genotypes = bench_zeros(n, sizeof(*campaign->genotypes));
+  campaign->losses = bench_zeros(n, sizeof(*campaign->losses));
+  campaign->numbers = bench_zeros(n, sizeof(*campaign->numbers));
+  campaign->parent_scores = bench_zeros(n, sizeof(*campaign->parent_scores));
+  campaign->child_scores = bench_zeros(n, sizeof(*campaign->child_scores));
   return campaign;
 }
 
@@ -100,7 +68,6 @@ void bench_campaign_free(struct bench_campaign *campaign)
   if (campaign == NULL)
     return;
   mo_store_close(campaign->store);
-  (void)nftw(campaign->path, remove_entry, 16, FTW_DEPTH | FTW_PHYS);
   free(campaign->processor_s);
   free(campaign->forms);
   free(campaign->genotypes);
@@ -179,7 +146,7 @@ static int64_t read_descents(struct bench_campaign *campaign, bool with_ancestor
   const int status =
       mo_store_campaign_descents(campaign->store, campaign->id, &descents, &born, &n);
   if (status == MO_OK && with_ancestors) {
-    uint8_t *marks = room(n, 1);
+    uint8_t *marks = bench_zeros(n, 1);
     mo_ancestors(descents, n, number, marks);
     free(marks);
   }
@@ -219,7 +186,7 @@ static int64_t read_page(struct bench_campaign *campaign, enum page kind, uint32
 
 static void read_pages(struct bench_campaign *campaign)
 {
-  struct mo_campaign_design *rows = room(PAGE_ROWS, sizeof(*rows));
+  struct mo_campaign_design *rows = bench_zeros(PAGE_ROWS, sizeof(*rows));
   double ms[PAGES];
   printf("\n%-24s     median        p99    longest (ms, %d reads at random places)\n", "reading",
          PAGES);

@@ -24,9 +24,8 @@ static void score(struct mo_compute *compute, const struct scene *scene,
 {
   const uint32_t per_design = (scene->n_environments + MO_BLOCK_LANES - 1) / MO_BLOCK_LANES;
   const size_t n = (size_t)scene->n_designs * per_design;
-  struct mo_block *blocks = calloc(n, sizeof(*blocks));
+  struct mo_block *blocks = bench_zeros(n, sizeof(*blocks));
   struct mo_compute_controller *prepared = NULL;
-  bench_check(blocks == NULL ? MO_ERR_NO_MEMORY : MO_OK, "scores");
   bench_check(mo_compute_controller_create(compute, controller, &prepared), "controller");
   for (size_t b = 0; b < n; b++) {
     struct mo_block *block = &blocks[b];
@@ -102,14 +101,10 @@ int bench_finetune(const struct bench_options *options, const struct mo_training
     fprintf(stderr, "morpho-bench: %s: %s\n", options->controller, message.text);
     return EXIT_FAILURE;
   }
-  scene.designs = calloc(n_designs + (size_t)1, MO_DEFAULT_WORDS * sizeof(uint64_t));
-  scene.environments = calloc(n_environments + (size_t)1, sizeof(struct mo_environment));
-  double *before = calloc(n_designs + (size_t)1, sizeof(double)),
-         *after = calloc(n_designs + (size_t)1, sizeof(double));
-  bench_check(scene.designs == NULL || scene.environments == NULL || before == NULL || after == NULL
-                  ? MO_ERR_NO_MEMORY
-                  : MO_OK,
-              "designs");
+  scene.designs = bench_zeros(n_designs, MO_DEFAULT_WORDS * sizeof(uint64_t));
+  scene.environments = bench_zeros(n_environments, sizeof(struct mo_environment));
+  double *before = bench_zeros(n_designs, sizeof(double)),
+         *after = bench_zeros(n_designs, sizeof(double));
   bench_check(mo_lattice_create(MO_DEFAULT_WORKSPACE, &scene.lattice), "lattice");
   bench_check(mo_held_out_designs(settings->seed, n_designs, scene.designs), "designs");
   mo_held_out_environments(settings->seed, n_environments, scene.environments);

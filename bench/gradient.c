@@ -25,45 +25,29 @@ enum { SAMPLE = 256, BUDGETS = 5 };
 struct sample {
   const struct bench_scene *scene;
   uint32_t n, n_blocks;
-  struct mo_environment *environments;
-  struct mo_robot *robots;  /* (n) as drawn */
-  struct mo_robot *ordered; /* (n) as arranged */
+  struct mo_robot *ordered; /* (n) the scene's, as arranged */
   float *d_parameters;
   struct mo_outcome outcomes[MO_GRADIENT_ROBOTS];
   struct mo_gradient_options options;
   struct mo_physics physics;
 };
 
-static void sample_create(struct sample *s, const struct bench_scene *scene,
-                          const struct bench_options *options)
+static void sample_create(struct sample *s, const struct bench_scene *scene)
 {
   *s = (struct sample){.scene = scene, .n = scene->n_bodies, .physics = mo_default_physics()};
   s->n_blocks = (s->n + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS;
   s->options = (struct mo_gradient_options){MO_ADJOINT_BOUND, 1.0 / s->n};
-  s->environments = calloc(s->n, sizeof(*s->environments));
-  s->robots = calloc(s->n, sizeof(*s->robots));
-  s->ordered = calloc(s->n, sizeof(*s->ordered));
-  uint32_t *order = calloc(s->n, sizeof(*order));
-  s->d_parameters = calloc(scene->controller->n_parameters, sizeof(float));
-  bench_check(s->environments == NULL || s->robots == NULL || s->ordered == NULL || order == NULL ||
-                      s->d_parameters == NULL
-                  ? MO_ERR_NO_MEMORY
-                  : MO_OK,
-              "sample");
-  for (uint32_t i = 0; i < s->n; i++) {
-    mo_environment_training(options->seed, 0, i, s->environments + i);
-    s->robots[i] = (struct mo_robot){scene->bodies[i], s->environments + i};
-  }
-  bench_check(mo_gradient_arrange(s->robots, s->n, order), "order");
+  s->ordered = bench_zeros(s->n, sizeof(*s->ordered));
+  uint32_t *order = bench_zeros(s->n, sizeof(*order));
+  s->d_parameters = bench_zeros(scene->controller->n_parameters, sizeof(float));
+  bench_check(mo_gradient_arrange(scene->robots, s->n, order), "order");
   for (uint32_t i = 0; i < s->n; i++)
-    s->ordered[i] = s->robots[order[i]];
+    s->ordered[i] = scene->robots[order[i]];
   free(order);
 }
 
 static void sample_free(struct sample *s)
 {
-  free(s->environments);
-  free(s->robots);
   free(s->ordered);
   free(s->d_parameters);
 }
@@ -109,8 +93,7 @@ static void measure(struct report *report, struct sample *s, const struct mo_con
   *report = (struct report){0};
   bench_check(mo_gradient_pack_create(controller, isa, &pack), "pack");
   bench_check(mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory), "scratch");
-  double *ratio = calloc(s->n_blocks, sizeof(*ratio));
-  bench_check(ratio == NULL ? MO_ERR_NO_MEMORY : MO_OK, "times");
+  double *ratio = bench_zeros(s->n_blocks, sizeof(*ratio));
   (void)run_block_s(s, memory, pack, 0, NULL); /* warm-up: touches the scratch */
   double total_s = 0, total_flop = 0, before = bench_sgemm_best(sgemm);
   report->sgemm_best = before;
@@ -170,9 +153,8 @@ static bool print_budgets(struct sample *s, const struct mo_controller *controll
   const size_t n = controller->n_parameters;
   const uint32_t blocks = s->n_blocks < 2 ? s->n_blocks : 2;
   struct mo_gradient_pack *pack = NULL;
-  float *first = calloc(blocks * n, sizeof(float));
+  float *first = bench_zeros(blocks * n, sizeof(float));
   bool same = true;
-  bench_check(first == NULL ? MO_ERR_NO_MEMORY : MO_OK, "gradient");
   bench_check(mo_gradient_pack_create(controller, isa, &pack), "pack");
   printf(json ? " \"budgets\": [" : "\nbudget, MiB   scratch, MiB   ratio\n");
   for (int k = 0; k < BUDGETS; k++) {
@@ -237,16 +219,13 @@ static void *submit_urgent(void *argument)
 static double run_batch_s(const struct sample *s, enum mo_isa isa, uint32_t workers,
                           struct urgent *urgent, double *d_parameters, double *worker_mib)
 {
-  struct mo_compute *compute = NULL;
+  struct mo_compute *compute = bench_compute(workers, isa);
   struct mo_gradient_state *state = NULL;
-  struct mo_outcome *outcomes = calloc(s->n, sizeof(*outcomes));
-  const struct mo_compute_config config = {.n_workers = workers, .isa = isa};
+  struct mo_outcome *outcomes = bench_zeros(s->n, sizeof(*outcomes));
   pthread_t thread;
-  bench_check(outcomes == NULL ? MO_ERR_NO_MEMORY : MO_OK, "outcomes");
-  bench_check(mo_compute_create_cpu(&config, &compute), "back end");
   bench_check(mo_gradient_state_create(compute, &state), "state");
   struct mo_gradient_batch batch = {.controller = s->scene->controller,
-                                    .robots = s->robots,
+                                    .robots = s->scene->robots,
                                     .n = s->n,
                                     .physics = s->physics,
                                     .adjoint_bound = MO_ADJOINT_BOUND,
@@ -288,10 +267,8 @@ static void measure_back_end(struct back_end *b, const struct sample *s, enum mo
   const size_t n = s->scene->controller->n_parameters;
   double *gradient[3];
   struct urgent urgent;
-  for (int k = 0; k < 3; k++) {
-    gradient[k] = calloc(n, sizeof(double));
-    bench_check(gradient[k] == NULL ? MO_ERR_NO_MEMORY : MO_OK, "gradient");
-  }
+  for (int k = 0; k < 3; k++)
+    gradient[k] = bench_zeros(n, sizeof(double));
   b->one_s = run_batch_s(s, isa, 1, NULL, gradient[0], &b->worker_mib);
   b->two_s = run_batch_s(s, isa, 2, NULL, gradient[1], &b->worker_mib);
   b->disturbed_s = run_batch_s(s, isa, 2, &urgent, gradient[2], &b->worker_mib);
@@ -331,15 +308,11 @@ int bench_gradient(const struct bench_options *options)
   struct sample sample;
   struct report shipped, random;
   struct back_end back_end = {0};
-  struct mo_controller *fresh = NULL;
   double masses = 0, springs = 0;
   bench_scene_create(&scene, options, n);
-  sample_create(&sample, &scene, options);
+  sample_create(&sample, &scene);
   bench_sgemm_create(&sgemm);
   (void)bench_sgemm_best(&sgemm); /* warm-up */
-  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, scene.controller->sensor, &fresh),
-              "controller");
-  mo_controller_randomize(fresh, options->seed);
   for (uint32_t i = 0; i < n; i++) {
     masses += scene.bodies[i]->n_masses / (double)n;
     springs += scene.bodies[i]->n_springs / (double)n;
@@ -350,7 +323,7 @@ int bench_gradient(const struct bench_options *options)
          mo_isa_name(options->isa), n, masses, springs);
   measure(&shipped, &sample, scene.controller, options->isa, &sgemm);
   print_report(&shipped, json ? "trained" : "trained controller", json);
-  measure(&random, &sample, fresh, options->isa, &sgemm);
+  measure(&random, &sample, scene.random, options->isa, &sgemm);
   print_report(&random, json ? "random" : "random weights", json);
   const bool same = print_budgets(&sample, scene.controller, options->isa, &sgemm, json);
   measure_back_end(&back_end, &sample, options->isa);
@@ -367,7 +340,6 @@ int bench_gradient(const struct bench_options *options)
            back_end.worker_mib <= WORKER_MIB_BOUND ? "ok" : "MISSED", 1e3 * back_end.urgent_worst_s,
            back_end.urgent_worst_s <= URGENT_WAIT_BOUND ? "ok" : "MISSED",
            same && back_end.same ? "ok" : "MISSED");
-  mo_controller_free(fresh);
   bench_sgemm_free(&sgemm);
   sample_free(&sample);
   bench_scene_free(&scene);

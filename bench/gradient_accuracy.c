@@ -8,14 +8,13 @@
 
 #include "../tests/unit/compute/gradient-compare.h"
 
-#include <stdlib.h>
 #include <unistd.h>
 
 #define COSINE_BOUND 0.999
 
 static bool compare(const struct bench_scene *scene, const struct mo_controller *controller,
-                    const char *name, const struct mo_robot *robots,
-                    const struct bench_options *options, struct mo_gradient_options gradient)
+                    const char *name, const struct bench_options *options,
+                    struct mo_gradient_options gradient)
 {
   const struct mo_physics physics = mo_default_physics();
   const long online = sysconf(_SC_NPROCESSORS_ONLN);
@@ -23,7 +22,7 @@ static bool compare(const struct bench_scene *scene, const struct mo_controller 
                            : online > 0         ? (uint32_t)online
                                                 : 1;
   struct gradient_comparison c;
-  bench_check(gradient_compare(controller, robots, scene->n_bodies, &physics, &gradient,
+  bench_check(gradient_compare(controller, scene->robots, scene->n_bodies, &physics, &gradient,
                                options->isa, workers < 64 ? workers : 64,
                                gradient.adjoint_bound > 0, &c),
               "gradient");
@@ -63,41 +62,27 @@ int bench_gradient_accuracy(const struct bench_options *options)
 {
   const uint32_t n = options->bodies > 0 ? options->bodies : options->quick ? 26 : 256;
   struct bench_scene scene;
-  struct mo_controller *fresh = NULL;
   bench_scene_create(&scene, options, n);
-  struct mo_environment *environments = calloc(n, sizeof(*environments));
-  struct mo_robot *robots = calloc(n, sizeof(*robots));
-  bench_check(environments == NULL || robots == NULL ? MO_ERR_NO_MEMORY : MO_OK, "robots");
-  for (uint32_t i = 0; i < n; i++) {
-    mo_environment_training(options->seed, 0, i, environments + i);
-    robots[i] = (struct mo_robot){scene.bodies[i], environments + i};
-  }
-  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, scene.controller->sensor, &fresh),
-              "controller");
-  mo_controller_randomize(fresh, options->seed);
   printf("instruction set: %s; %u robots, 1000 steps\n", mo_isa_name(options->isa), n);
   const struct mo_gradient_options clip = mo_default_gradient_options();
   struct mo_gradient_options restart = clip, off = clip;
   restart.adjoint_rule = MO_ADJOINT_RESTART;
   off.adjoint_bound = 0;
-  const bool random = compare(&scene, fresh, "random weights", robots, options, clip);
-  (void)compare(&scene, scene.controller, "trained controller", robots, options, clip);
-  (void)compare(&scene, fresh, "random weights", robots, options, off);
-  (void)compare(&scene, scene.controller, "trained controller", robots, options, off);
+  const bool random = compare(&scene, scene.random, "random weights", options, clip);
+  (void)compare(&scene, scene.controller, "trained controller", options, clip);
+  (void)compare(&scene, scene.random, "random weights", options, off);
+  (void)compare(&scene, scene.controller, "trained controller", options, off);
   bool restarted = true;
   for (int i = 0; i < 2; i++) {
     restart.restart_weight = i == 0 ? 1 : MO_RESTART_WEIGHT;
-    restarted = compare(&scene, fresh, "random weights", robots, options, restart) && restarted;
+    restarted = compare(&scene, scene.random, "random weights", options, restart) && restarted;
   }
   restart.adjoint_bound = 8; /* of the shipped controller's recipe */
-  (void)compare(&scene, fresh, "random weights", robots, options, restart);
-  (void)compare(&scene, scene.controller, "trained controller", robots, options, restart);
+  (void)compare(&scene, scene.random, "random weights", options, restart);
+  (void)compare(&scene, scene.controller, "trained controller", options, restart);
   printf("\nbound: cosine with clipping, random weights ≥ %.3f %s\n", COSINE_BOUND,
          random ? "ok" : "MISSED");
   printf("bound: the same where adjoints restart above 2 %s\n", restarted ? "ok" : "MISSED");
-  mo_controller_free(fresh);
-  free(robots);
-  free(environments);
   bench_scene_free(&scene);
   return random && restarted ? 0 : 1;
 }

@@ -92,8 +92,7 @@ void learning_machine_create(struct learning_machine *machine, const struct benc
                              uint32_t batch)
 {
   struct mo_controller *controller = NULL;
-  const struct mo_compute_config config = {.n_workers = options->workers, .isa = options->isa};
-  bench_check(mo_compute_create_cpu(&config, &machine->compute), "compute");
+  machine->compute = bench_compute(options->workers, options->isa);
   machine->back_end = MO_ON_CPU;
   if (options->module != NULL) {
     const struct mo_devices_config devices = {.module = options->module};
@@ -107,10 +106,8 @@ void learning_machine_create(struct learning_machine *machine, const struct benc
   bench_check(mo_gradient_state_create(machine->compute, &machine->gradients), "gradients");
   bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller),
               "controller");
-  machine->d_parameters = calloc(controller->n_parameters, sizeof(double));
-  machine->outcomes = calloc(batch, sizeof(struct mo_outcome));
-  bench_check(machine->d_parameters == NULL || machine->outcomes == NULL ? MO_ERR_NO_MEMORY : MO_OK,
-              "batch");
+  machine->d_parameters = bench_zeros(controller->n_parameters, sizeof(double));
+  machine->outcomes = bench_zeros(batch, sizeof(struct mo_outcome));
   mo_controller_free(controller);
 }
 
@@ -322,9 +319,8 @@ static struct learning_run make_run(const struct plan *plan, int sensor, int res
     fprintf(stderr, "morpho-bench: %s\n", message.text);
     exit(2);
   }
-  run.loss = calloc(s->n_steps + (size_t)1, sizeof(double));
-  run.seconds = calloc(s->n_steps + (size_t)1, sizeof(double));
-  bench_check(run.loss == NULL || run.seconds == NULL ? MO_ERR_NO_MEMORY : MO_OK, "runs");
+  run.loss = bench_zeros(s->n_steps + (size_t)1, sizeof(double));
+  run.seconds = bench_zeros(s->n_steps + (size_t)1, sizeof(double));
   for (uint32_t i = 0; i <= s->n_steps; i++)
     run.loss[i] = NAN;
   return run;
@@ -463,18 +459,10 @@ static double real(const char *option, const char *text)
   return value;
 }
 
-/* A number of a recipe that takes the place of the usual ones. */
-static double own_recipe(const char *option, const char *text, struct plan *plan)
+static void choose(const char *option, const char *text, const char *const *words, bool chosen[2])
 {
-  plan->own_recipe = true;
-  return real(option, text);
-}
-
-static void choose(const char *option, const char *text, const char *first, const char *second,
-                   bool chosen[2])
-{
-  chosen[0] = strcmp(text, first) == 0 || strcmp(text, "both") == 0;
-  chosen[1] = strcmp(text, second) == 0 || strcmp(text, "both") == 0;
+  for (int i = 0; i < 2; i++)
+    chosen[i] = strcmp(text, words[i]) == 0 || strcmp(text, "both") == 0;
   if (!chosen[0] && !chosen[1])
     wrong(option, text);
 }
@@ -491,105 +479,92 @@ static void read_seeds(char *text, struct plan *plan)
     wrong("seeds", "");
 }
 
+/* What an option's text is, and so what it sets. */
+enum kind {
+  FLAG,  /* none; bool */
+  PAIR,  /* one of two words, or both; bool[2] */
+  WHOLE, /* uint32_t */
+  REAL,  /* double */
+  PATH,  /* const char * */
+  SEEDS, /* the plan's seeds */
+  RULE,  /* enum mo_adjoint_rule */
+  ISA    /* enum mo_isa */
+};
+
+struct setting {
+  const char *name;
+  enum kind kind;
+  void *target;
+  uint64_t most;        /* WHOLE */
+  const char *words[2]; /* PAIR */
+  bool own_recipe;
+};
+
+static void set(const struct setting *setting, char *text, struct plan *plan)
+{
+  switch (setting->kind) {
+  case FLAG: *(bool *)setting->target = true; break;
+  case PAIR: choose(setting->name, text, setting->words, setting->target); break;
+  case WHOLE:
+    *(uint32_t *)setting->target = (uint32_t)whole(setting->name, text, setting->most);
+    break;
+  case REAL: *(double *)setting->target = real(setting->name, text); break;
+  case PATH: *(const char **)setting->target = text; break;
+  case SEEDS: read_seeds(text, plan); break;
+  case RULE: plan->rule = (enum mo_adjoint_rule)bench_word(mo_adjoint_words, text); break;
+  case ISA: *(enum mo_isa *)setting->target = bench_isa(text); break;
+  }
+  plan->own_recipe |= setting->own_recipe;
+}
+
 static void read_options(int argc, char **argv, struct plan *plan, struct bench_options *options)
 {
-  enum {
-    SENSOR = 256,
-    SCHEDULE,
-    CLIP,
-    SEEDS,
-    BATCH,
-    STEPS,
-    PEAK,
-    WARMUP,
-    BOUND,
-    RULE,
-    RESTART_WEIGHT,
-    NORM_LIMIT,
-    BETA1,
-    BETA2,
-    WORKERS,
-    MODULE,
-    ISA,
-    CSV,
-    FOLDER,
-    SVG,
-    REPORT,
-    FINETUNE,
-    CONTROLLER,
-    DESIGNS,
-    ENVIRONMENTS
+  const struct setting settings[] = {
+      {"sensor", PAIR, plan->sensors, .words = {"inverse_sqrt", "inverse_square"}},
+      {"schedule", PAIR, plan->schedules, .words = {"cosine", "restarts"}},
+      {"clip", PAIR, plan->clips, .words = {"on", "off"}},
+      {"seeds", SEEDS, plan},
+      {"batch", WHOLE, &plan->batch, MO_TRAINING_BATCH_MAX},
+      {"steps", WHOLE, &plan->steps, MO_TRAINING_STEPS_MAX},
+      {"peak", REAL, &plan->peak, .own_recipe = true},
+      {"warmup", WHOLE, &plan->warmup, MO_TRAINING_STEPS_MAX, .own_recipe = true},
+      {"bound", REAL, &plan->bound, .own_recipe = true},
+      {"rule", RULE, &plan->rule, .own_recipe = true},
+      {"restart-weight", REAL, &plan->restart_weight, .own_recipe = true},
+      {"norm-limit", REAL, &plan->norm_limit, .own_recipe = true},
+      {"beta1", REAL, &plan->beta1, .own_recipe = true},
+      {"beta2", REAL, &plan->beta2, .own_recipe = true},
+      {"workers", WHOLE, &options->workers, 1024},
+      {"module", PATH, &options->module},
+      {"isa", ISA, &options->isa},
+      {"csv", PATH, &options->csv},
+      {"folder", PATH, &plan->folder},
+      {"svg", PATH, &options->svg},
+      {"report", FLAG, &plan->report},
+      {"finetune", FLAG, &plan->finetune},
+      {"controller", PATH, &options->controller},
+      {"designs", WHOLE, &plan->designs, MO_TRAINING_DESIGNS_MAX},
+      {"environments", WHOLE, &plan->environments, MO_HELD_OUT_ENVIRONMENTS_MAX},
   };
-  static const struct option long_options[] = {{"sensor", 1, NULL, SENSOR},
-                                               {"schedule", 1, NULL, SCHEDULE},
-                                               {"clip", 1, NULL, CLIP},
-                                               {"seeds", 1, NULL, SEEDS},
-                                               {"batch", 1, NULL, BATCH},
-                                               {"steps", 1, NULL, STEPS},
-                                               {"peak", 1, NULL, PEAK},
-                                               {"warmup", 1, NULL, WARMUP},
-                                               {"bound", 1, NULL, BOUND},
-                                               {"rule", 1, NULL, RULE},
-                                               {"restart-weight", 1, NULL, RESTART_WEIGHT},
-                                               {"norm-limit", 1, NULL, NORM_LIMIT},
-                                               {"beta1", 1, NULL, BETA1},
-                                               {"beta2", 1, NULL, BETA2},
-                                               {"workers", 1, NULL, WORKERS},
-                                               {"module", 1, NULL, MODULE},
-                                               {"isa", 1, NULL, ISA},
-                                               {"csv", 1, NULL, CSV},
-                                               {"folder", 1, NULL, FOLDER},
-                                               {"svg", 1, NULL, SVG},
-                                               {"report", 0, NULL, REPORT},
-                                               {"finetune", 0, NULL, FINETUNE},
-                                               {"controller", 1, NULL, CONTROLLER},
-                                               {"designs", 1, NULL, DESIGNS},
-                                               {"environments", 1, NULL, ENVIRONMENTS},
-                                               {"help", 0, NULL, 'h'},
-                                               {NULL, 0, NULL, 0}};
-  int option, place = 0;
+  enum { N = sizeof(settings) / sizeof(settings[0]), FIRST = 256 };
+  struct option long_options[N + 2] = {{0}};
+  for (int i = 0; i < N; i++)
+    long_options[i] = (struct option){settings[i].name,
+                                      settings[i].kind == FLAG ? no_argument : required_argument,
+                                      NULL, FIRST + i};
+  long_options[N] = (struct option){"help", no_argument, NULL, 'h'};
+  int option;
   optind = 0;
-  while ((option = getopt_long(argc, argv, "h", long_options, &place)) != -1) {
-    const char *name = long_options[place].name;
-    switch (option) {
-    case SENSOR: choose(name, optarg, "inverse_sqrt", "inverse_square", plan->sensors); break;
-    case SCHEDULE: choose(name, optarg, "cosine", "restarts", plan->schedules); break;
-    case CLIP: choose(name, optarg, "on", "off", plan->clips); break;
-    case SEEDS: read_seeds(optarg, plan); break;
-    case BATCH: plan->batch = (uint32_t)whole(name, optarg, MO_TRAINING_BATCH_MAX); break;
-    case STEPS: plan->steps = (uint32_t)whole(name, optarg, MO_TRAINING_STEPS_MAX); break;
-    case PEAK: plan->peak = own_recipe(name, optarg, plan); break;
-    case WARMUP:
-      plan->warmup = (uint32_t)whole(name, optarg, MO_TRAINING_STEPS_MAX);
-      plan->own_recipe = true;
-      break;
-    case BOUND: plan->bound = own_recipe(name, optarg, plan); break;
-    case RULE:
-      plan->rule = (enum mo_adjoint_rule)bench_word(mo_adjoint_words, optarg);
-      plan->own_recipe = true;
-      break;
-    case RESTART_WEIGHT: plan->restart_weight = own_recipe(name, optarg, plan); break;
-    case NORM_LIMIT: plan->norm_limit = own_recipe(name, optarg, plan); break;
-    case BETA1: plan->beta1 = own_recipe(name, optarg, plan); break;
-    case BETA2: plan->beta2 = own_recipe(name, optarg, plan); break;
-    case MODULE: options->module = optarg; break;
-    case WORKERS: options->workers = (uint32_t)whole(name, optarg, 1024); break;
-    case ISA: options->isa = bench_isa(optarg); break;
-    case CSV: options->csv = optarg; break;
-    case FOLDER: plan->folder = optarg; break;
-    case SVG: options->svg = optarg; break;
-    case REPORT: plan->report = true; break;
-    case FINETUNE: plan->finetune = true; break;
-    case CONTROLLER: options->controller = optarg; break;
-    case DESIGNS: plan->designs = (uint32_t)whole(name, optarg, MO_TRAINING_DESIGNS_MAX); break;
-    case ENVIRONMENTS:
-      plan->environments = (uint32_t)whole(name, optarg, MO_HELD_OUT_ENVIRONMENTS_MAX);
-      break;
-    case 'h': fputs(usage, stdout); exit(0);
-    default: fputs(usage, stderr); exit(2);
+  while ((option = getopt_long(argc, argv, "h", long_options, NULL)) != -1) {
+    if (option == 'h') {
+      fputs(usage, stdout);
+      exit(0);
     }
+    if (option == '?')
+      break;
+    set(&settings[option - FIRST], optarg, plan);
   }
-  if (optind < argc) {
+  if (option == '?' || optind < argc) {
     fputs(usage, stderr);
     exit(2);
   }

@@ -86,19 +86,18 @@ static int verdict(const char *what, double value, double bound, const char *uni
   return value > bound;
 }
 
-int bench_load(const char *program, const struct bench_options *options)
+int bench_load(const struct bench_options *options)
 {
   struct bench_daemon daemon;
   struct mo_body_stream *stream, *others;
   int missed = 0, status = 0, second_status = 0;
-  double *samples = malloc(SAMPLES_MAX * sizeof(*samples)), rate = 0, interactive[N_INTERACTIVE];
-  if (samples == NULL)
-    bench_die("memory");
+  double *samples = bench_zeros(SAMPLES_MAX, sizeof(*samples)), rate = 0;
+  double interactive[N_INTERACTIVE];
   signal(SIGPIPE, SIG_IGN);
   bench_check(mo_body_stream_create(MO_DEFAULT_WORKSPACE, options->seed, &stream), "random bodies");
   bench_check(mo_body_stream_create(MO_DEFAULT_WORKSPACE, options->seed + 1, &others),
               "random bodies");
-  bench_daemon_start(&daemon, program, options->controller, NULL);
+  bench_daemon_start(&daemon, options, NULL);
   double idle_s = submit(&daemon, stream, &status);
   sleep(2); /* now every core computes */
   size_t n = ask_health(&daemon, options->quick ? 3 : 15, samples, &rate);

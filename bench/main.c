@@ -1,9 +1,7 @@
 /* morpho-bench: how fast and how exact the rollouts are on this machine. Called by tools/bench. */
 #include "bench.h"
 
-#include <errno.h>
 #include <getopt.h>
-#include <stdlib.h>
 #include <string.h>
 
 static const char usage[] =
@@ -42,18 +40,20 @@ static const char usage[] =
     "  --json             `rollout`, `gradient`: machine-readable result\n"
     "  --quick            a tenth of the bodies\n";
 
-static uint64_t number(const char *text, uint64_t most)
-{
-  char *end = NULL;
-  errno = 0;
-  const unsigned long long value = strtoull(text, &end, 10);
-  if (errno != 0 || end == text || *end != '\0' || text[0] == '-' || value > most) {
-    fprintf(stderr, "morpho-bench: \"%s\" is not a whole number from 0 to %llu\n", text,
-            (unsigned long long)most);
-    exit(2);
-  }
-  return value;
-}
+static const struct {
+  const char *name;
+  int (*run)(const struct bench_options *options);
+  int (*run_with)(int argc, char **argv); /* in its place: takes what follows its name */
+} benchmarks[] = {{"rollout", bench_rollout, NULL},
+                  {"gradient", bench_gradient, NULL},
+                  {"gradient-accuracy", bench_gradient_accuracy, NULL},
+                  {"accuracy", bench_accuracy, NULL},
+                  {"stability", bench_stability, NULL},
+                  {"load", bench_load, NULL},
+                  {"shares", bench_shares, NULL},
+                  {"space", NULL, bench_space},
+                  {"store", NULL, bench_store},
+                  {"stream", NULL, bench_stream}};
 
 int main(int argc, char **argv)
 {
@@ -69,9 +69,10 @@ int main(int argc, char **argv)
                                                {"quick", no_argument, NULL, 'q'},
                                                {"help", no_argument, NULL, 'h'},
                                                {NULL, 0, NULL, 0}};
-  struct bench_options options = {
-      .seed = 1, .isa = mo_isa_best(), .controller = "data/controllers/bootstrap.safetensors"};
-  const char *morphod = "build/src/daemon/morphod";
+  struct bench_options options = {.seed = 1,
+                                  .isa = mo_isa_best(),
+                                  .controller = "data/controllers/bootstrap.safetensors",
+                                  .morphod = "build/src/daemon/morphod"};
   bench_sgemm_choose(argv);
   if (argc > 1 && strcmp(argv[1], "learning") == 0) /* has options of its own */
     return bench_learning(argc - 1, argv + 1);
@@ -80,45 +81,32 @@ int main(int argc, char **argv)
   int option;
   while ((option = getopt_long(argc, argv, "h", long_options, NULL)) != -1)
     switch (option) {
-    case 'b': options.bodies = (uint32_t)number(optarg, 100000); break;
-    case 's': options.seed = number(optarg, UINT64_MAX); break;
-    case 'w': options.workers = (uint32_t)number(optarg, 1024); break;
+    case 'b': options.bodies = (uint32_t)bench_number(optarg, 0, 100000); break;
+    case 's': options.seed = bench_number(optarg, 0, UINT64_MAX); break;
+    case 'w': options.workers = (uint32_t)bench_number(optarg, 0, 1024); break;
     case 'i': options.isa = bench_isa(optarg); break;
     case 'c': options.controller = optarg; break;
     case 'C': options.csv = optarg; break;
     case 'S': options.svg = optarg; break;
-    case 'm': morphod = optarg; break;
+    case 'm': options.morphod = optarg; break;
     case 'j': options.json = true; break;
     case 'q': options.quick = true; break;
     case 'h': fputs(usage, stdout); return 0;
     default: fputs(usage, stderr); return 2;
     }
-  if (optind < argc && strcmp(argv[optind], "space") == 0)
-    return bench_space(argc - optind, argv + optind);
-  if (optind < argc && strcmp(argv[optind], "stream") == 0)
-    return bench_stream(argc - optind, argv + optind);
-  if (optind < argc && strcmp(argv[optind], "store") == 0)
-    return bench_store(argc - optind, argv + optind);
-  if (optind + 1 != argc) {
-    fputs(usage, stderr);
-    return 2;
-  }
   setvbuf(stdout, NULL, _IOLBF, 0);
-  const char *name = argv[optind];
-  if (strcmp(name, "rollout") == 0)
-    return bench_rollout(&options);
-  if (strcmp(name, "gradient") == 0)
-    return bench_gradient(&options);
-  if (strcmp(name, "gradient-accuracy") == 0)
-    return bench_gradient_accuracy(&options);
-  if (strcmp(name, "accuracy") == 0)
-    return bench_accuracy(&options);
-  if (strcmp(name, "stability") == 0)
-    return bench_stability(&options);
-  if (strcmp(name, "load") == 0)
-    return bench_load(morphod, &options);
-  if (strcmp(name, "shares") == 0)
-    return bench_shares(morphod, &options);
-  fprintf(stderr, "morpho-bench: unknown benchmark \"%s\"\n", name);
+  const char *name = optind < argc ? argv[optind] : "";
+  for (size_t i = 0; i < sizeof(benchmarks) / sizeof(benchmarks[0]); i++) {
+    if (strcmp(name, benchmarks[i].name) != 0)
+      continue;
+    if (benchmarks[i].run_with != NULL)
+      return benchmarks[i].run_with(argc - optind, argv + optind);
+    if (optind + 1 == argc)
+      return benchmarks[i].run(&options);
+  }
+  if (optind + 1 == argc)
+    fprintf(stderr, "morpho-bench: unknown benchmark \"%s\"\n", name);
+  else
+    fputs(usage, stderr);
   return 2;
 }

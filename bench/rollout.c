@@ -199,13 +199,10 @@ static double back_end_rate(const struct bench_scene *scene, const struct bench_
                             uint32_t workers, uint32_t n_bodies, const struct mo_physics *physics,
                             size_t *worker_bytes)
 {
-  struct mo_compute *compute = NULL;
+  struct mo_compute *compute = bench_compute(workers, options->isa);
   struct mo_compute_controller *controller = NULL;
-  const struct mo_compute_config config = {.n_workers = workers, .isa = options->isa};
-  bench_check(mo_compute_create_cpu(&config, &compute), "back end");
   bench_check(mo_compute_controller_create(compute, scene->controller, &controller), "controller");
-  struct mo_block *blocks = calloc(n_bodies, sizeof(*blocks));
-  bench_check(blocks == NULL ? MO_ERR_NO_MEMORY : MO_OK, "blocks");
+  struct mo_block *blocks = bench_zeros(n_bodies, sizeof(*blocks));
   for (uint32_t i = 0; i < n_bodies; i++) {
     blocks[i] = (struct mo_block){.body = scene->bodies[i],
                                   .controller = controller,

@@ -20,16 +20,17 @@ _Noreturn void bench_die(const char *what)
   exit(1);
 }
 
-void bench_daemon_start(struct bench_daemon *daemon, const char *program, const char *controller,
+void bench_daemon_start(struct bench_daemon *daemon, const struct bench_options *options,
                         const char *const *flags)
 {
+  const char *program = options->morphod;
   char state[96], ports[96], defaults[4200], address[128] = "";
   snprintf(daemon->folder, sizeof(daemon->folder), "/tmp/morphod-bench-XXXXXX");
   if (mkdtemp(daemon->folder) == NULL)
     bench_die("a temporary folder");
   snprintf(state, sizeof(state), "--state-dir=%s/state", daemon->folder);
   snprintf(ports, sizeof(ports), "--port-file=%s/addresses", daemon->folder);
-  snprintf(defaults, sizeof(defaults), "--default-controller=%s", controller);
+  snprintf(defaults, sizeof(defaults), "--default-controller=%s", options->controller);
   daemon->pid = fork();
   if (daemon->pid < 0)
     bench_die("fork");

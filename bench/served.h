@@ -16,7 +16,7 @@ struct bench_daemon {
 
 /* On a free port, with an empty state in a folder of its own; flags: further ones, NULL at the end,
  * or NULL. */
-void bench_daemon_start(struct bench_daemon *daemon, const char *program, const char *controller,
+void bench_daemon_start(struct bench_daemon *daemon, const struct bench_options *options,
                         const char *const *flags);
 void bench_daemon_stop(const struct bench_daemon *daemon);
 

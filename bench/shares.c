@@ -151,7 +151,7 @@ static int ask_small_ones(const struct bench_daemon *daemon, struct mo_body_stre
   return p95_s > 1.5;
 }
 
-int bench_shares(const char *program, const struct bench_options *options)
+int bench_shares(const struct bench_options *options)
 {
   static const char *const flags[] = {"--max-campaigns=4", NULL};
   struct bench_daemon daemon;
@@ -160,7 +160,7 @@ int bench_shares(const char *program, const struct bench_options *options)
   int missed = 0;
   signal(SIGPIPE, SIG_IGN);
   bench_check(mo_body_stream_create(MO_DEFAULT_WORKSPACE, options->seed, &stream), "random bodies");
-  bench_daemon_start(&daemon, program, options->controller, flags);
+  bench_daemon_start(&daemon, options, flags);
   submit_all(&daemon, options, stream, jobs);
   await_all(&daemon, jobs);
   sleep(10);

@@ -5,10 +5,9 @@
  * times; the fastest run counts. The last table times one body of over a million springs. */
 #include "bench.h"
 
-#include "base/clock.h"
-
 #include <morpho/morphospace.h>
-#include <stdio.h>
+
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -34,9 +33,8 @@ static void draw(struct sample *sample)
 
 static void canonicalise(struct sample *sample)
 {
-  for (uint32_t i = 0; i < sample->n; i++) {
+  for (uint32_t i = 0; i < sample->n; i++)
     mo_genotype_canonical(sample->workspace, sample->bodies[i], sample->forms[i]);
-  }
 }
 
 static void place(struct sample *sample)
@@ -95,12 +93,9 @@ static void cross(struct sample *sample)
 static void insert(struct sample *sample)
 {
   struct mo_form_set *set = NULL;
-  if (mo_form_set_create(sample->workspace, &set) != MO_OK) {
-    return;
-  }
-  for (uint32_t i = 0; i < sample->n; i++) {
+  bench_check(mo_form_set_create(sample->workspace, &set), "set of forms");
+  for (uint32_t i = 0; i < sample->n; i++)
     sample->sink += (uint64_t)mo_form_set_add(set, sample->forms[i]);
-  }
   mo_form_set_free(set);
 }
 
@@ -108,9 +103,8 @@ static void express(struct sample *sample)
 {
   for (uint32_t i = 0; i < sample->n; i++) {
     struct mo_body *body = NULL;
-    if (mo_body_create(sample->lattice, sample->bodies[i], &body) == MO_OK) {
-      sample->sink += body->n_springs;
-    }
+    bench_check(mo_body_create(sample->lattice, sample->bodies[i], &body), "body");
+    sample->sink += body->n_springs;
     mo_body_free(body);
   }
 }
@@ -118,9 +112,7 @@ static void express(struct sample *sample)
 static void stream(struct sample *sample)
 {
   struct mo_body_stream *bodies = NULL;
-  if (mo_body_stream_create(sample->workspace, 1, &bodies) != MO_OK) {
-    return;
-  }
+  bench_check(mo_body_stream_create(sample->workspace, 1, &bodies), "body stream");
   uint64_t bits[MO_DEFAULT_WORDS];
   while (mo_body_stream_draws(bodies) < sample->n && mo_body_stream_next(bodies, bits) == MO_OK) {
     sample->sink += bits[0];
@@ -130,44 +122,33 @@ static void stream(struct sample *sample)
 
 static void measure(struct sample *sample, const char *name, void (*run)(struct sample *))
 {
-  uint64_t best = UINT64_MAX;
+  double best_s = INFINITY;
   for (int i = 0; i < RUNS; i++) {
-    uint64_t start = mo_clock_ns();
+    const double start = bench_now_s();
     run(sample);
-    uint64_t took = mo_clock_ns() - start;
-    best = took < best ? took : best;
+    best_s = fmin(best_s, bench_now_s() - start);
   }
-  printf("%-46s %10.1f ns\n", name, (double)best / sample->n);
+  printf("%-46s %10.1f ns\n", name, 1e9 * best_s / sample->n);
 }
 
-static int large_body(void)
+static void large_body(void)
 {
   const struct mo_workspace workspace = {64, 48, 40};
-  uint64_t start = mo_clock_ns();
   struct mo_lattice *lattice = NULL;
-  if (mo_lattice_create(workspace, &lattice) != MO_OK) {
-    return EXIT_FAILURE;
-  }
-  double lattice_ms = (double)(mo_clock_ns() - start) * 1e-6;
-  uint32_t words = mo_workspace_words(workspace);
-  uint64_t *bits = malloc(words * sizeof(uint64_t));
   struct mo_body *body = NULL;
-  int code = MO_ERR_NO_MEMORY;
-  if (bits != NULL) {
-    memset(bits, 0xff, words * sizeof(uint64_t));
-    start = mo_clock_ns();
-    code = mo_body_create(lattice, bits, &body);
-  }
-  if (code == MO_OK) {
-    double body_ms = (double)(mo_clock_ns() - start) * 1e-6;
-    printf("\nfull %u x %u x %u workspace: %u masses, %u springs; lattice %.1f ms, body %.1f ms\n",
-           workspace.nx, workspace.ny, workspace.nz, body->n_masses, body->n_springs, lattice_ms,
-           body_ms);
-  }
+  const uint32_t words = mo_workspace_words(workspace);
+  uint64_t *bits = bench_zeros(words, sizeof(uint64_t));
+  memset(bits, 0xff, words * sizeof(uint64_t));
+  const double start = bench_now_s();
+  bench_check(mo_lattice_create(workspace, &lattice), "lattice");
+  const double middle = bench_now_s();
+  bench_check(mo_body_create(lattice, bits, &body), "body");
+  printf("\nfull %u x %u x %u workspace: %u masses, %u springs; lattice %.1f ms, body %.1f ms\n",
+         workspace.nx, workspace.ny, workspace.nz, body->n_masses, body->n_springs,
+         1e3 * (middle - start), 1e3 * (bench_now_s() - middle));
   mo_body_free(body);
   free(bits);
   mo_lattice_free(lattice);
-  return code == MO_OK ? EXIT_SUCCESS : EXIT_FAILURE;
 }
 
 int bench_space(int argc, char **argv)
@@ -180,15 +161,9 @@ int bench_space(int argc, char **argv)
   }
   struct sample sample = {.workspace = MO_DEFAULT_WORKSPACE, .n = (uint32_t)n};
   struct mo_lattice *lattice = NULL;
-  sample.bodies = calloc(sample.n, sizeof(*sample.bodies));
-  sample.forms = calloc(sample.n, sizeof(*sample.forms));
-  if (sample.bodies == NULL || sample.forms == NULL ||
-      mo_lattice_create(sample.workspace, &lattice) != MO_OK) {
-    fprintf(stderr, "morpho-bench space: out of memory\n");
-    free(sample.bodies);
-    free(sample.forms);
-    return EXIT_FAILURE;
-  }
+  sample.bodies = bench_zeros(sample.n, sizeof(*sample.bodies));
+  sample.forms = bench_zeros(sample.n, sizeof(*sample.forms));
+  bench_check(mo_lattice_create(sample.workspace, &lattice), "lattice");
   sample.lattice = lattice;
   printf("%u random bodies of 6 x 6 x 4 voxels, one core, best of %d runs, per body:\n", sample.n,
          RUNS);
@@ -205,8 +180,8 @@ int bench_space(int argc, char **argv)
   mo_lattice_free(lattice);
   free(sample.bodies);
   free(sample.forms);
-  if (sample.sink == 1) { /* practically never: the results were needed */
+  if (sample.sink == 1) /* practically never: the results were needed */
     printf("\n");
-  }
-  return large_body();
+  large_body();
+  return EXIT_SUCCESS;
 }

@@ -65,8 +65,7 @@ static double linear_bound(const struct map *map, double dt)
 static double largest_eigenvalue(const struct mo_body *body)
 {
   const uint32_t n = 3 * body->n_masses;
-  double *x = calloc(n, sizeof(*x)), *y = calloc(n, sizeof(*y)), value = 0;
-  bench_check(x == NULL || y == NULL ? MO_ERR_NO_MEMORY : MO_OK, "modes");
+  double *x = bench_zeros(n, sizeof(*x)), *y = bench_zeros(n, sizeof(*y)), value = 0;
   struct mo_random random;
   mo_random_init(&random, 1, MO_PURPOSE_CHECK, 0, 0);
   for (uint32_t i = 0; i < n; i++)
@@ -146,10 +145,9 @@ static uint32_t count_diverged(const struct mo_block *block, int32_t *first)
 /* All grid points at once, then all time steps' borders, halving by halving. */
 static void explore(const struct runner *runner, struct map *map, int mode)
 {
-  struct mo_block *blocks = calloc(CELLS, sizeof(*blocks));
+  struct mo_block *blocks = bench_zeros(CELLS, sizeof(*blocks));
   double low[TIMES], high[TIMES];
   int32_t first;
-  bench_check(blocks == NULL ? MO_ERR_NO_MEMORY : MO_OK, "blocks");
   for (int c = 0; c < CELLS; c++)
     fill(runner, map->body, mode,
          physics_of(dt_s(c / STIFFNESSES), stiffness_n_per_m(c % STIFFNESSES)), blocks + c);
@@ -247,14 +245,9 @@ int bench_stability(const struct bench_options *options)
   struct bench_panel panels[BODIES * MODES];
   struct bench_scene scene;
   struct runner runner = {.scene = &scene};
-  FILE *file = options->csv != NULL ? fopen(options->csv, "w") : stdout;
-  if (file == NULL) {
-    perror(options->csv);
-    return 1;
-  }
+  FILE *file = bench_table(options);
   bench_scene_create(&scene, options, 0);
-  const struct mo_compute_config config = {.n_workers = options->workers, .isa = options->isa};
-  bench_check(mo_compute_create_cpu(&config, &runner.compute), "back end");
+  runner.compute = bench_compute(options->workers, options->isa);
   bench_check(mo_compute_controller_create(runner.compute, NULL, &runner.controller[0]),
               "controller");
   bench_check(mo_compute_controller_create(runner.compute, scene.controller, &runner.controller[1]),
@@ -280,14 +273,7 @@ int bench_stability(const struct bench_options *options)
       panels[p] = (struct bench_panel){titles[p], "stiffness, N/m", series[p], SERIES};
     }
   }
-  int status = 0;
-  if (options->csv != NULL && fclose(file) != 0)
-    status = 1;
-  if (options->svg != NULL &&
-      bench_draw(options->svg, "time step, ms", panels, BODIES * MODES) != 0) {
-    perror(options->svg);
-    status = 1;
-  }
+  const int status = bench_finish(options, file, "time step, ms", panels, BODIES * MODES);
   for (int b = 0; b < BODIES; b++)
     mo_body_free(maps[b].body);
   for (int mode = 0; mode < MODES; mode++)

@@ -5,23 +5,8 @@
 
 #include <morpho/learning.h>
 #include <stdlib.h>
-#include <string.h>
 
 #define REPORTS 10
-
-/* Largest resident memory of this process so far, in bytes; 0: unknown. */
-static double peak_bytes(void)
-{
-  FILE *file = fopen("/proc/self/status", "r");
-  char line[256];
-  double kib = 0.0;
-  while (file != NULL && fgets(line, sizeof(line), file) != NULL)
-    if (strncmp(line, "VmHWM:", 6) == 0)
-      kib = strtod(line + 6, NULL);
-  if (file != NULL)
-    fclose(file);
-  return kib * 1024.0;
-}
 
 int bench_stream(int argc, char **argv)
 {
@@ -49,7 +34,7 @@ int bench_stream(int argc, char **argv)
     }
     if (++i == next || i == n) {
       printf("%12ld %14llu %10.1f %16.1f\n", i, (unsigned long long)mo_body_stream_draws(stream),
-             bench_now_s() - start, peak_bytes() / 0x1p20);
+             bench_now_s() - start, bench_peak_mib());
       next += n / REPORTS;
     }
   }

@@ -1,7 +1,8 @@
-/* svg.c: line charts with logarithmic axes. */
+/* svg.c: line charts with logarithmic axes, and the tables that they show. */
 #include "bench.h"
 
 #include <math.h>
+#include <stdlib.h>
 
 enum { WIDTH = 860, HEIGHT = 560, LEFT = 80, RIGHT = 230, TOP = 50, BOTTOM = 60 };
 
@@ -107,8 +108,8 @@ static void draw_panel(FILE *file, const struct bench_panel *panel, const char *
   }
 }
 
-int bench_draw(const char *path, const char *x_name, const struct bench_panel *panels,
-               size_t n_panels)
+static int draw(const char *path, const char *x_name, const struct bench_panel *panels,
+                size_t n_panels)
 {
   FILE *file = fopen(path, "w");
   if (file == NULL)
@@ -127,4 +128,27 @@ int bench_draw(const char *path, const char *x_name, const struct bench_panel *p
   }
   fprintf(file, "</svg>\n");
   return fclose(file) == 0 ? 0 : -1;
+}
+
+FILE *bench_table(const struct bench_options *options)
+{
+  FILE *table = options->csv != NULL ? fopen(options->csv, "w") : stdout;
+  if (table == NULL) {
+    perror(options->csv);
+    exit(1);
+  }
+  return table;
+}
+
+int bench_finish(const struct bench_options *options, FILE *table, const char *x_name,
+                 const struct bench_panel *panels, size_t n_panels)
+{
+  int status = 0;
+  if (options->csv != NULL && fclose(table) != 0)
+    status = 1;
+  if (options->svg != NULL && draw(options->svg, x_name, panels, n_panels) != 0) {
+    perror(options->svg);
+    status = 1;
+  }
+  return status;
 }
