@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-from own_daemon import ENDED, Daemon, Deadline, cut_off
+from own_daemon import Daemon, Deadline, add_options, cut_off, ended_well
 from charts import COLORS, Chart, Panel, Scale
 import records
 
@@ -51,28 +51,16 @@ def survival(row, operator):
     return row[f"{operator}_survived"] / born if born else None
 
 
-def follow(daemon, campaign, deadline):
-    """Waits for the end of a campaign, reporting its progress, or for the deadline; returns it as
-    it stands then."""
-    while not deadline.is_over():
-        campaign = daemon.look("campaigns", campaign, deadline.wait_s())
-        if campaign["state"] in ENDED + ("paused", ):
-            break
-        newest, progress = campaign["newest"], campaign["progress"]
-        left = progress["seconds_left"]
-        print(f"{campaign['mode']} seed {campaign['settings']['seed']}: " + (
-            f"generation {newest['generation']} of {progress['generations']}, mean "
-            f"{newest['score']['mean']}, "
-            if newest else "") + f"{campaign['phase']} {progress['done']} of {progress['total']}" +
-              (f", {left:.0f} s left" if left is not None else ""),
-              file=sys.stderr,
-              flush=True)
-    if campaign["state"] in ("failed", "cancelled", "paused"):
-        sys.exit(
-            f"campaign {campaign['id']} {campaign['state']}: "
-            f"{campaign['error'] or campaign['reason']}"
-        )
-    return campaign
+def progress_of(campaign):
+    newest, progress = campaign["newest"], campaign["progress"]
+    line = f"{campaign['mode']} seed {campaign['settings']['seed']}: "
+    if newest:
+        line += (f"generation {newest['generation']} of {progress['generations']}, mean "
+                 f"{newest['score']['mean']}, ")
+    line += f"{campaign['phase']} {progress['done']} of {progress['total']}"
+    if progress["seconds_left"] is not None:
+        line += f", {progress['seconds_left']:.0f} s left"
+    return line
 
 
 def run(arguments):
@@ -90,8 +78,9 @@ def run(arguments):
             }
             key = re.sub(r"\W+", "-",
                          f"bench-{mode}-{arguments.population}-{arguments.generations}-{seed}")
-            campaign = follow(daemon, daemon.submit("campaigns", body, key), deadline)
-            if campaign["state"] != "succeeded":
+            campaign = daemon.follow("campaigns", daemon.submit("campaigns", body, key), deadline,
+                                     progress_of)
+            if not ended_well("campaign", campaign):
                 sys.exit(cut_off())
             rows += rows_of(daemon, campaign)
     records.write(arguments.csv, COLUMNS, rows)
@@ -165,21 +154,15 @@ def draw(rows, path):
 
 def main():
     parser = argparse.ArgumentParser(prog="tools/bench campaigns", description=__doc__)
-    parser.add_argument("--population", type=int, default=64)
-    parser.add_argument("--generations", type=int, default=30)
-    parser.add_argument("--seeds", type=int, default=3, help="zero-shot campaigns (default 3)")
+    add_options(parser, ("--population", int, 64, None), ("--generations", int, 30, None),
+                ("--seeds", int, 3, "zero-shot campaigns (default 3)"))
     parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES)
-    parser.add_argument("--build", type=Path, default=Path("build"))
-    parser.add_argument("--state",
-                        type=Path,
-                        default=Path(".morphod/bench-campaigns"),
-                        help="kept between calls")
-    parser.add_argument("--csv", type=Path, default=Path("campaigns.csv"))
-    parser.add_argument("--svg", type=Path, default=Path("campaigns.svg"))
-    parser.add_argument(
-        "--report",
-        action="store_true",
-        help="run nothing: only the table and the drawing of what the CSV file holds")
+    add_options(parser, ("--build", Path, Path("build"), None),
+                ("--state", Path, Path(".morphod/bench-campaigns"), "kept between calls"),
+                ("--csv", Path, Path("campaigns.csv"), None),
+                ("--svg", Path, Path("campaigns.svg"), None),
+                ("--report", bool, False,
+                 "run nothing: only the table and the drawing of what the CSV file holds"))
     arguments = parser.parse_args()
     if not arguments.report:
         run(arguments)

@@ -7,7 +7,6 @@ distance to the light at the end over that at the start, the mean over bodies of
 environments; its 95 % confidence interval comes from drawing the bodies again (bootstrap). Rollouts
 that diverge are left out of the means and counted. The page keeps what stands outside of the
 markers."""
-import argparse
 import json
 import math
 import random
@@ -17,7 +16,7 @@ import sys
 from pathlib import Path
 
 import own_daemon
-from own_daemon import ENDED, Daemon, Deadline
+from own_daemon import Daemon, Deadline
 import records
 
 CENTRE_M = 2.5
@@ -85,17 +84,11 @@ def evaluate(daemon, arguments, controller, designs, environments):
         "device": arguments.device, "priority": "batch",
         "physics": {"n_steps": arguments.rollout_steps}
     }
-    job = daemon.submit("evaluations", body)
-    while job["state"] not in ENDED + ("paused", ):
-        if arguments.deadline.is_over():
-            sys.exit(own_daemon.cut_off())
-        job = daemon.look("evaluations", job, arguments.deadline.wait_s())
-        print(f"{job['rollouts_done']} of {job['rollouts_total']} rollouts",
-              file=sys.stderr,
-              flush=True)
-    if job["state"] != "succeeded":
-        sys.exit(
-            f"evaluation {job['id']} {job['state']}: {job['error'] or 'somebody asked for that'}")
+    job = daemon.follow(
+        "evaluations", daemon.submit("evaluations", body), arguments.deadline,
+        lambda job: f"{job['rollouts_done']} of {job['rollouts_total']} rollouts")
+    if not own_daemon.ended_well("evaluation", job):
+        sys.exit(own_daemon.cut_off())
     return [result["losses"] for result in job["results"]]
 
 
@@ -220,29 +213,16 @@ def card(arguments):
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="tools/bench model-card",
-                                     description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = own_daemon.parser_of("model-card", __doc__)
     parser.add_argument("--controller", type=Path, required=True, help="safetensors file")
-    parser.add_argument("--name", help="of the controller (default: that of the file)")
-    parser.add_argument("--bodies", type=int, default=1000, help="held-out bodies (default 1000)")
-    parser.add_argument(
-        "--seed",
-        type=int,
-        default=1,
-        help="of the held-out set; each further thousand bodies takes the next (default 1)")
-    parser.add_argument(
-        "--environments",
-        type=int,
-        default=8,
-        help="for each roughness and distance, 1 to 8; twice as many for the sizes (default 8)")
-    parser.add_argument("--rollout-steps",
-                        type=int,
-                        default=1000,
-                        help="steps of a life, for trials (default 1000)")
-    own_daemon.add_limit(parser)
-    own_daemon.add_options(parser, ".morphod/bench-model-card")
-    parser.add_argument("--markdown", type=Path, help="page (default data/controllers/NAME.md)")
+    own_daemon.add_options(
+        parser, ("--name", str, None, "of the controller (default: that of the file)"),
+        ("--bodies", int, 1000, "held-out bodies (default 1000)"),
+        ("--seed", int, 1,
+         "of the held-out set; each further thousand bodies takes the next (default 1)"),
+        ("--environments", int, 8, "for each roughness and distance, 1 to 8; twice as many for "
+         "the sizes (default 8)"), own_daemon.ROLLOUT_STEPS, own_daemon.LIMIT,
+        ("--markdown", Path, None, "page (default data/controllers/NAME.md)"))
     arguments = parser.parse_args()
     if not 1 <= arguments.environments <= 8 or not 1 <= arguments.bodies <= 10000:
         sys.exit("--environments takes 1 to 8, --bodies 1 to 10000")

@@ -4,6 +4,7 @@ way, its state folder kept.
 Also what every benchmark that may be cut off needs: a deadline (--limit-s, SIGTERM, SIGINT, SIGHUP)
 that is looked at between two waits, never inside one, so that a stop always finds the daemon and
 the files whole."""
+import argparse
 import ctypes
 import hashlib
 import json
@@ -27,50 +28,58 @@ CUT_OFF = 3  # exit status: time is up, call again
 ENDED = ("succeeded", "failed", "cancelled")
 
 
-def add_options(parser, state):
-    """Where the daemon is and where it keeps its state: the same options for every benchmark."""
-    group = parser.add_argument_group("the daemon")
-    group.add_argument("--build",
-                       type=Path,
-                       default=Path("build"),
-                       help="folder of the build (default build)")
-    group.add_argument("--morphod",
-                       type=Path,
-                       help="the daemon itself (default: that of the build)")
-    group.add_argument(
-        "--module",
-        type=Path,
-        help=
-        "module that computes on GPUs (default: morphod-cuda.so beside the build's daemon, if "
-        "there)"
-    )
-    group.add_argument("--devices",
-                       default="auto",
-                       help="GPUs, as morphod's --devices (default auto)")
-    group.add_argument("--device",
-                       choices=("auto", "cpu", "cuda"),
-                       default="auto",
-                       help="what computes the jobs (default auto)")
-    group.add_argument("--workers",
-                       type=int,
-                       help="threads of the processors (default: one per processor)")
-    group.add_argument("--state",
-                       type=Path,
-                       default=Path(state),
-                       help=f"folder that is kept between calls (default {state})")
+SEEDS = ("--seeds", lambda text: [int(seed) for seed in text.split(",")], [1, 2, 3],
+         "default 1,2,3")
+ABOVE_BOUND = (("--rule", ("clip", "restart"), "clip", "above the bound (default clip)"),
+               ("--restart-weight", float, 3.0,
+                "of a restarted adjoint, with --rule restart (default 3)"))
+ROLLOUT_STEPS = ("--rollout-steps", int, 1000, "steps of a life, for trials (default 1000)")
+LIMIT = ("--limit-s", float, None,
+         "stop the daemon in order after so many seconds and exit with 3; called again, it goes on")
+DAEMON = (("--build", Path, Path("build"), "folder of the build (default build)"),
+          ("--morphod", Path, None, "the daemon itself (default: that of the build)"),
+          ("--module", Path, None, "module that computes on GPUs (default: morphod-cuda.so beside "
+           "the build's daemon, if there)"),
+          ("--devices", str, "auto", "GPUs, as morphod's --devices (default auto)"),
+          ("--device", ("auto", "cpu", "cuda"), "auto", "what computes the jobs (default auto)"),
+          ("--workers", int, None, "threads of the processors (default: one per processor)"))
 
 
-def add_limit(parser):
-    parser.add_argument(
-        "--limit-s",
-        type=float,
-        help=
-        "stop the daemon in order after so many seconds and exit with 3; called again, it goes on")
+def add_options(parser, *rows):
+    """Options by rows: name; type, the words it may be, or bool for one without a value; default;
+    help."""
+    for name, kind, usual, text in rows:
+        if kind is bool:
+            parser.add_argument(name, action="store_true", help=text)
+        elif callable(kind):
+            parser.add_argument(name, type=kind, default=usual, help=text)
+        else:
+            parser.add_argument(name, choices=kind, default=usual, help=text)
+
+
+def parser_of(benchmark, description):
+    """With the options of the daemon: where it is and where it keeps its state."""
+    parser = argparse.ArgumentParser(prog=f"tools/bench {benchmark}",
+                                     description=description,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    state = f".morphod/bench-{benchmark}"
+    add_options(parser.add_argument_group("the daemon"), *DAEMON,
+                ("--state", Path, Path(state),
+                 f"folder that is kept between calls (default {state})"))
+    return parser
 
 
 def cut_off():
     print("time is up: the daemon was stopped in order; call again to go on", file=sys.stderr)
     return CUT_OFF
+
+
+def ended_well(kind, job):
+    """Whether it has succeeded; one that failed or was stopped ends the program."""
+    if job["state"] in ("failed", "cancelled", "paused"):
+        sys.exit(f"{kind} {job['id']} {job['state']}: "
+                 f"{job['error'] or job.get('reason') or 'somebody asked for that'}")
+    return job["state"] == "succeeded"
 
 
 class Deadline:
@@ -131,7 +140,7 @@ class Daemon:
 
     @classmethod
     def of(cls, arguments, *flags):
-        """As the options of add_options say."""
+        """As the options of parser_of say."""
         program = arguments.morphod or arguments.build / "src/daemon/morphod"
         module = arguments.module or arguments.build / "src/compute/cuda/morphod-cuda.so"
         if arguments.module and not module.exists():
@@ -203,6 +212,16 @@ class Daemon:
 
     def look(self, kind, job, wait_s):
         return self.call(f"/v1/{kind}/{job['id']}", headers={"Prefer": f"wait={wait_s}"})
+
+    def follow(self, kind, job, deadline, progress):
+        """Waits for the end of a job, or for the deadline; returns it as it stands then.
+        progress(job): a line that says how far it has come."""
+        while not deadline.is_over():
+            job = self.look(kind, job, deadline.wait_s())
+            if job["state"] in ENDED + ("paused", ):
+                break
+            print(progress(job), file=sys.stderr, flush=True)
+        return job
 
     @staticmethod
     def elapsed_s(job):

@@ -5,14 +5,13 @@ One call trains one recipe with some seeds, one training after the other. The st
 called again, it goes on where it was, and gives the same numbers. A row of the CSV file is a step
 or a validation; rows of many recipes gather there. A training all of whose rows are in the CSV file
 and whose controller is in the folder is not run again, even without its state."""
-import argparse
 import bisect
 import hashlib
 import sys
 from pathlib import Path
 
 import own_daemon
-from own_daemon import ENDED, Daemon, Deadline
+from own_daemon import Daemon, Deadline
 from charts import GRAY, PALETTE, Chart, Panel, Scale, bundle, decades
 import records
 
@@ -137,7 +136,7 @@ def is_done(rows, recipe, seed, device, steps, file):
     return file.exists() and len(known) >= steps
 
 
-def report_progress(training, recipe):
+def progress_of(training, recipe):
     progress = training["progress"]
     seed = training["settings"]["seed"]
     line = f"{recipe}, seed {seed}: step {progress['step']} of {progress['steps']}"
@@ -149,7 +148,7 @@ def report_progress(training, recipe):
         line += f", {training['settings']['batch'] / progress['bodies_per_s']:.2f} s per step"
     if progress["seconds_left"] is not None:
         line += f", {progress['seconds_left']:.0f} s left"
-    print(line, file=sys.stderr, flush=True)
+    return line
 
 
 def run(arguments):
@@ -169,12 +168,8 @@ def run(arguments):
     with Daemon.of(arguments, "--max-trainings=1") as daemon:
         print(f"on {daemon.machine()}", file=sys.stderr)
         for body in wanted:
-            training = daemon.submit("trainings", body)
-            while not deadline.is_over():
-                training = daemon.look("trainings", training, deadline.wait_s())
-                if training["state"] in ENDED + ("paused", ):
-                    break
-                report_progress(training, recipe)
+            training = daemon.follow("trainings", daemon.submit("trainings", body), deadline,
+                                     lambda job: progress_of(job, recipe))
             new = list(rows_of(daemon, training, recipe))
             if new:
                 key = (recipe, training["device"], training["settings"]["seed"])
@@ -182,12 +177,7 @@ def run(arguments):
                     row for row in known if (row["recipe"], row["device"], row["seed"]) != key
                 ] + new
                 records.write(arguments.csv, COLUMNS, known)
-            if training["state"] in ("failed", "cancelled", "paused"):
-                sys.exit(
-                    f"training {training['id']} {training['state']}: "
-                    f"{training['error'] or training['reason']}"
-                )
-            if training["state"] != "succeeded":
+            if not own_daemon.ended_well("training", training):
                 return False
             print(
                 f"{recipe}, seed {body['seed']}: {daemon.elapsed_s(training):.0f} s from start to "
@@ -329,85 +319,37 @@ def draw(rows, path):
 
 
 def options():
-    parser = argparse.ArgumentParser(prog="tools/bench pretraining",
-                                     description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds",
-                        type=lambda text: [int(seed) for seed in text.split(",")],
-                        default=[1, 2, 3],
-                        help="default 1,2,3")
-    parser.add_argument("--steps", type=int, default=1400)
-    parser.add_argument("--batch", type=int, default=8192)
-    parser.add_argument("--schedule",
-                        choices=SCHEDULES,
-                        default="one-cosine",
-                        help="restarts: the same as paper-pretrain")
-    for name, text in (("peak", "largest rate"), ("floor", "smallest rate"),
-                       ("decay", "of the peak from one restart to the next")):
-        parser.add_argument(f"--{name}", type=float, help=text + " (default: the schedule's)")
-    for name, text in (("warmup", "steps"), ("cycle", "steps to the first restart"),
-                       ("growth", "of the cycles")):
-        parser.add_argument(f"--{name}", type=int, help=text + " (default: the schedule's)")
-    parser.add_argument("--bound",
-                        type=float,
-                        default=2.0,
-                        help="of each robot's adjoint; 0: not clipped, as in the paper (default 2)")
-    parser.add_argument("--rule",
-                        choices=("clip", "restart"),
-                        default="clip",
-                        help="above the bound (default clip)")
-    parser.add_argument("--restart-weight",
-                        type=float,
-                        default=3.0,
-                        help="of a restarted adjoint, with --rule restart (default 3)")
-    parser.add_argument("--beta1", type=float, default=0.9, help="of Adam (default 0.9)")
-    parser.add_argument("--beta2", type=float, default=0.999, help="of Adam (default 0.999)")
-    parser.add_argument("--epsilon", type=float, default=1e-8, help="of Adam (default 1e-8)")
-    parser.add_argument("--impact",
-                        default="exact",
-                        help="time of impact: exact, or bisection8 as in the paper (default exact)")
-    parser.add_argument("--norm-limit",
-                        type=float,
-                        default=1.0,
-                        help="of the gradient of a batch; 0: off (default 1)")
-    parser.add_argument("--sensor",
-                        choices=("inverse_sqrt", "inverse_square"),
-                        default="inverse_sqrt")
-    parser.add_argument("--validation-every",
-                        type=int,
-                        default=50,
-                        help="steps (default 50; 0: never)")
-    parser.add_argument("--validation-designs",
-                        type=int,
-                        default=256,
-                        help="held-out bodies (default 256)")
-    parser.add_argument("--validation-environments",
-                        type=int,
-                        default=8,
-                        help="held-out environments of each (default 8)")
-    parser.add_argument("--rollout-steps",
-                        type=int,
-                        default=1000,
-                        help="steps of a life, for trials (default 1000)")
-    own_daemon.add_limit(parser)
-    own_daemon.add_options(parser, ".morphod/bench-pretraining")
-    parser.add_argument("--csv",
-                        type=Path,
-                        default=Path("pretraining.csv"),
-                        help="read at the start, rewritten with what is new")
-    parser.add_argument("--svg", type=Path, default=Path("pretraining.svg"))
-    parser.add_argument("--folder",
-                        type=Path,
-                        default=Path("controllers"),
-                        help="for the final controllers (default controllers)")
-    parser.add_argument(
-        "--markdown",
-        type=Path,
-        help="page that gets the table between the markers pretraining: begin and end")
-    parser.add_argument(
-        "--report",
-        action="store_true",
-        help="run nothing: only the table and the drawing of what the CSV file holds")
+    parser = own_daemon.parser_of("pretraining", __doc__)
+    own = "(default: the schedule's)"
+    own_daemon.add_options(
+        parser, own_daemon.SEEDS, ("--steps", int, 1400, None), ("--batch", int, 8192, None),
+        ("--schedule", SCHEDULES, "one-cosine", "restarts: the same as paper-pretrain"),
+        ("--peak", float, None, f"largest rate {own}"),
+        ("--floor", float, None, f"smallest rate {own}"),
+        ("--decay", float, None, f"of the peak from one restart to the next {own}"),
+        ("--warmup", int, None, f"steps {own}"),
+        ("--cycle", int, None, f"steps to the first restart {own}"),
+        ("--growth", int, None, f"of the cycles {own}"),
+        ("--bound", float, 2.0,
+         "of each robot's adjoint; 0: not clipped, as in the paper (default 2)"),
+        *own_daemon.ABOVE_BOUND, ("--beta1", float, 0.9, "of Adam (default 0.9)"),
+        ("--beta2", float, 0.999, "of Adam (default 0.999)"),
+        ("--epsilon", float, 1e-8, "of Adam (default 1e-8)"),
+        ("--impact", str, "exact",
+         "time of impact: exact, or bisection8 as in the paper (default exact)"),
+        ("--norm-limit", float, 1.0, "of the gradient of a batch; 0: off (default 1)"),
+        ("--sensor", ("inverse_sqrt", "inverse_square"), "inverse_sqrt", None),
+        ("--validation-every", int, 50, "steps (default 50; 0: never)"),
+        ("--validation-designs", int, 256, "held-out bodies (default 256)"),
+        ("--validation-environments", int, 8, "held-out environments of each (default 8)"),
+        own_daemon.ROLLOUT_STEPS, own_daemon.LIMIT,
+        ("--csv", Path, Path("pretraining.csv"), "read at the start, rewritten with what is new"),
+        ("--svg", Path, Path("pretraining.svg"), None),
+        ("--folder", Path, Path("controllers"), "for the final controllers (default controllers)"),
+        ("--markdown", Path, None,
+         "page that gets the table between the markers pretraining: begin and end"),
+        ("--report", bool, False,
+         "run nothing: only the table and the drawing of what the CSV file holds"))
     return parser
 
 

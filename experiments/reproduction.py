@@ -7,7 +7,6 @@ the rest: settings, learning curves, the distributions of the first and the last
 champions with their voxels. A campaign that is whole there, with the same settings, is not run
 again, even without its state. The figures and tables are made from these two files alone, and from
 the CSV file of `tools/bench pretraining`."""
-import argparse
 import bisect
 import hashlib
 import json
@@ -15,8 +14,8 @@ import sys
 from pathlib import Path
 
 import own_daemon
-from own_daemon import Daemon, Deadline
-from campaigns import MODES, follow, rows_of
+from own_daemon import Daemon, Deadline, ended_well
+from campaigns import MODES, progress_of, rows_of
 import records
 import reproduction_report
 
@@ -158,8 +157,9 @@ def run(arguments):
         for sha256, file in zip(controllers, arguments.controller):
             daemon.put_controller(f"reproduction-{sha256[:12]}", file)
         for request in wanted:
-            campaign = follow(daemon, daemon.submit("campaigns", request), deadline)
-            whole = campaign["state"] == "succeeded"
+            campaign = daemon.follow("campaigns", daemon.submit("campaigns", request), deadline,
+                                     progress_of)
+            whole = ended_well("campaign", campaign)
             if campaign["newest"] is not None:
                 keep(arguments, done, rows, campaign, list(rows_of(daemon, campaign)),
                      result_of(daemon, campaign, request, arguments.champions) if whole else None)
@@ -169,73 +169,30 @@ def run(arguments):
 
 
 def options():
-    parser = argparse.ArgumentParser(prog="tools/bench reproduction",
-                                     description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = own_daemon.parser_of("reproduction", __doc__)
     parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES)
-    parser.add_argument("--seeds",
-                        type=lambda text: [int(seed) for seed in text.split(",")],
-                        default=[1, 2, 3],
-                        help="default 1,2,3")
-    parser.add_argument("--population", type=int, default=8192)
-    for mode, usual in (("zero-shot", 100), ("few-shot", 7), ("simultaneous", 180)):
-        parser.add_argument(f"--generations-{mode}",
-                            type=int,
-                            default=usual,
-                            help=f"default {usual}, as in the paper")
-    parser.add_argument(
-        "--controller",
-        type=Path,
-        nargs="+",
-        default=[own_daemon.SHIPPED],
-        help=
-        "safetensors, pretrained: one for all trials, or one for each seed (default: the project's)"
-    )
-    parser.add_argument(
-        "--bound",
-        type=float,
-        default=2.0,
-        help=
-        "of each robot's adjoint where the controller learns; 0: not clipped, as in the paper "
-        "(default 2)"
-    )
-    parser.add_argument("--rule",
-                        choices=("clip", "restart"),
-                        default="clip",
-                        help="above the bound (default clip)")
-    parser.add_argument("--restart-weight",
-                        type=float,
-                        default=3.0,
-                        help="of a restarted adjoint, with --rule restart (default 3)")
-    parser.add_argument("--few-shot-steps",
-                        type=int,
-                        default=60,
-                        help="of learning in each generation (default 60)")
-    parser.add_argument("--champions",
-                        type=int,
-                        default=20,
-                        help="to draw of each population (default 20)")
-    parser.add_argument("--rollout-steps",
-                        type=int,
-                        default=1000,
-                        help="steps of a life, for trials (default 1000)")
-    own_daemon.add_limit(parser)
-    own_daemon.add_options(parser, ".morphod/bench-reproduction")
-    parser.add_argument("--folder",
-                        type=Path,
-                        default=Path("reproduction"),
-                        help="of CSV, JSON and figures (default reproduction)")
-    parser.add_argument(
-        "--pretraining",
-        type=Path,
-        help="CSV file of `tools/bench pretraining`, for the first figure and the table")
-    parser.add_argument(
-        "--markdown",
-        type=Path,
-        help="page that gets the tables between the markers reproduction: begin and end")
-    parser.add_argument("--report",
-                        action="store_true",
-                        help="run nothing: only the figures and tables of what the folder holds")
+    own_daemon.add_options(
+        parser, own_daemon.SEEDS, ("--population", int, 8192, None),
+        *((f"--generations-{mode}", int, usual, f"default {usual}, as in the paper")
+          for mode, usual in (("zero-shot", 100), ("few-shot", 7), ("simultaneous", 180))))
+    parser.add_argument("--controller", type=Path, nargs="+", default=[own_daemon.SHIPPED],
+                        help="safetensors, pretrained: one for all trials, or one for each seed "
+                        "(default: the project's)")
+    own_daemon.add_options(
+        parser,
+        ("--bound", float, 2.0, "of each robot's adjoint where the controller learns; 0: not "
+         "clipped, as in the paper (default 2)"), *own_daemon.ABOVE_BOUND,
+        ("--few-shot-steps", int, 60, "of learning in each generation (default 60)"),
+        ("--champions", int, 20, "to draw of each population (default 20)"),
+        own_daemon.ROLLOUT_STEPS, own_daemon.LIMIT,
+        ("--folder", Path, Path("reproduction"),
+         "of CSV, JSON and figures (default reproduction)"),
+        ("--pretraining", Path, None,
+         "CSV file of `tools/bench pretraining`, for the first figure and the table"),
+        ("--markdown", Path, None,
+         "page that gets the tables between the markers reproduction: begin and end"),
+        ("--report", bool, False,
+         "run nothing: only the figures and tables of what the folder holds"))
     return parser
 
 
