@@ -58,7 +58,7 @@ struct mo_device_score {
   const struct mo_robot
       *robots; /* (n) rows: body, environment; faster if rows of one body are adjacent */
   uint32_t n;  /* 1 … MO_DEVICE_ROWS_MAX */
-  struct mo_physics physics; /* checked */
+  struct mo_physics physics;  /* checked */
   const volatile int *cancel; /* NULL or a flag, read between launches of at most 100 ms */
   /* Results. */
   struct mo_outcome *outcomes; /* (n) */
@@ -91,7 +91,7 @@ struct mo_device_module {
   const char *name; /* "cuda" */
   const char *score_code, *gradient_code; /* code versions; with the capability they identify the
                                              bits */
-  int (*count)(uint32_t *n); /* usable devices of this machine; 0 without a driver */
+  int (*count)(uint32_t *n);              /* usable devices of this machine; 0 without a driver */
   int (*open)(uint32_t index, struct mo_device **device);
   void (*close)(struct mo_device *device); /* after its controllers are freed; NULL-safe */
   int (*info)(struct mo_device *device, struct mo_device_info *info);
