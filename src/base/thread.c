@@ -4,7 +4,7 @@
 #include <signal.h>
 #include <stdbool.h>
 
-_Thread_local volatile int64_t mo_thread_tag = -1;
+__thread volatile int64_t mo_thread_tag = -1;
 
 int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *context),
                      void *context)

@@ -7,8 +7,8 @@
 #include <stdint.h>
 
 /* Identifies whose work this thread does, e.g. a job's id; −1: nobody's. mo_parallel passes it on
- * to its threads. Signal handlers may read it. */
-extern _Thread_local volatile int64_t mo_thread_tag;
+ * to its threads. Signal handlers may read it. __thread: C++, too, has that. */
+extern __thread volatile int64_t mo_thread_tag;
 
 /* Starts a thread like pthread_create. The thread blocks all signals except those of its own
  * faults: a blocked fault would end the process before a handler can note the work. name: up to 15
