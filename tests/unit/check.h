@@ -20,6 +20,8 @@ struct check_case {
 };
 
 static int check_failures;
+/* Runs a case between what all cases of a program need before and after; NULL: nothing. */
+static void (*check_around)(void (*run)(void));
 
 #define CHECK(condition)                                                                           \
   do {                                                                                             \
@@ -147,7 +149,10 @@ static inline int check_run(const struct check_case *cases, size_t n, int argc, 
     if (strstr(cases[i].name, wanted) == NULL)
       continue;
     check_failures = 0;
-    cases[i].run();
+    if (check_around != NULL)
+      check_around(cases[i].run);
+    else
+      cases[i].run();
     check_drop_to(kept);
     printf("%s %d - %s\n", check_failures ? "not ok" : "ok", ++number, cases[i].name);
     failed += check_failures != 0;
@@ -161,6 +166,13 @@ static inline int check_run(const struct check_case *cases, size_t n, int argc, 
 #define CHECK_MAIN(cases)                                                                          \
   int main(int argc, char **argv)                                                                  \
   {                                                                                                \
+    return check_run(cases, COUNT(cases), argc, argv);                                             \
+  }
+
+#define CHECK_MAIN_AROUND(cases, around)                                                           \
+  int main(int argc, char **argv)                                                                  \
+  {                                                                                                \
+    check_around = around;                                                                         \
     return check_run(cases, COUNT(cases), argc, argv);                                             \
   }
 

@@ -58,27 +58,27 @@ campaign_submission(enum mo_campaign_mode mode, uint32_t population, uint32_t ge
       .label = "a label"};
 }
 
-static inline int64_t campaign_submit(struct fixture *fixture,
+static inline int64_t campaign_submit(struct fixture *in,
                                       const struct mo_campaign_submission *submission)
 {
   int64_t id = 0;
   bool replayed = true;
-  int error = mo_store_submit_campaign(fixture->store, submission, &id, &replayed);
+  int error = mo_store_submit_campaign(in->store, submission, &id, &replayed);
   return error != MO_OK ? error : id;
 }
 
-static inline enum mo_job_state campaign_state(struct fixture *fixture, int64_t id)
+static inline enum mo_job_state campaign_state(struct fixture *in, int64_t id)
 {
   struct mo_job job = {.state = MO_JOB_FAILED};
-  (void)mo_store_job(fixture->store, id, &job);
+  (void)mo_store_job(in->store, id, &job);
   return job.state;
 }
 
 /* The newest event of a job. */
-static inline struct mo_event campaign_event(struct fixture *fixture, int64_t id)
+static inline struct mo_event campaign_event(struct fixture *in, int64_t id)
 {
   struct mo_event events[200] = {{0}};
-  int64_t n = mo_store_events(fixture->store, 0, id, events, 200, NULL, NULL);
+  int64_t n = mo_store_events(in->store, 0, id, events, 200, NULL, NULL);
   return events[n > 0 ? n - 1 : 0];
 }
 

@@ -1,6 +1,7 @@
 /* campaign_history.c: every design that a campaign bore, against a model that is kept beside it. */
 #include "../check.h"
 #include "campaign_fixture.h"
+#include "one_store.h"
 
 #define UNTIL 40 /* generations after the first */
 #define BORN  ((UNTIL + 1) * MADE_POPULATION)
@@ -56,33 +57,33 @@ static bool same_design(const struct mo_campaign_design *a, const struct mo_camp
          memcmp(&a->size, &b->size, sizeof(a->size)) == 0;
 }
 
-static void check_designs(struct fixture *fixture, int64_t id, const struct model *model)
+static void check_designs(int64_t id, const struct model *model)
 {
   static const uint32_t some[] = {7, 3, BORN - 1, 0, 3};
   struct mo_campaign_design page[50];
   uint32_t n_read = 0;
   int64_t n;
-  while ((n = mo_store_campaign_designs(fixture->store, id, (int64_t)n_read - 1, page, 7)) > 0)
+  while ((n = mo_store_campaign_designs(fixture.store, id, (int64_t)n_read - 1, page, 7)) > 0)
     for (int64_t i = 0; i < n; i++, n_read++)
       CHECK(same_design(&page[i], &model->designs[n_read]));
   CHECK(n == 0 && n_read == BORN);
-  CHECK_INT(mo_store_campaign_designs_of(fixture->store, id, some, 5, page), MO_OK);
+  CHECK_INT(mo_store_campaign_designs_of(fixture.store, id, some, 5, page), MO_OK);
   for (int i = 0; i < 5; i++)
     CHECK(same_design(&page[i], &model->designs[some[i]]));
-  CHECK_INT(mo_store_campaign_designs_of(fixture->store, id, (const uint32_t[]){1, BORN}, 2, page),
+  CHECK_INT(mo_store_campaign_designs_of(fixture.store, id, (const uint32_t[]){1, BORN}, 2, page),
             MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_designs_of(fixture->store, 99, some, 1, page), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_designs(fixture->store, 99, -1, page, 7), 0);
-  CHECK_INT(mo_store_campaign_designs(fixture->store, id, -1, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
+  CHECK_INT(mo_store_campaign_designs_of(fixture.store, 99, some, 1, page), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign_designs(fixture.store, 99, -1, page, 7), 0);
+  CHECK_INT(mo_store_campaign_designs(fixture.store, id, -1, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
 }
 
-static void check_populations(struct fixture *fixture, int64_t id, const struct model *model)
+static void check_populations(int64_t id, const struct model *model)
 {
   struct mo_campaign_design page[MADE_POPULATION], expected;
   uint32_t n = 0;
   for (int64_t g = -1; g <= UNTIL; g++) {
     int64_t at = g < 0 ? UNTIL : g;
-    CHECK_INT(mo_store_campaign_population(fixture->store, id, g, 0, page, MADE_POPULATION, &n),
+    CHECK_INT(mo_store_campaign_population(fixture.store, id, g, 0, page, MADE_POPULATION, &n),
               MADE_POPULATION);
     CHECK_INT(n, MADE_POPULATION);
     for (uint32_t i = 0; i < MADE_POPULATION; i++) {
@@ -91,22 +92,22 @@ static void check_populations(struct fixture *fixture, int64_t id, const struct 
       CHECK(same_design(&page[i], &expected));
     }
   }
-  CHECK_INT(mo_store_campaign_population(fixture->store, id, 3, 2, page, 2, &n), 2);
+  CHECK_INT(mo_store_campaign_population(fixture.store, id, 3, 2, page, 2, &n), 2);
   CHECK(n == MADE_POPULATION && page[0].number == model->population[3][2] &&
         page[1].number == model->population[3][3]);
-  CHECK_INT(mo_store_campaign_population(fixture->store, id, 3, MADE_POPULATION, page, 2, &n), 0);
-  CHECK_INT(mo_store_campaign_population(fixture->store, id, UNTIL + 1, 0, page, 2, &n),
+  CHECK_INT(mo_store_campaign_population(fixture.store, id, 3, MADE_POPULATION, page, 2, &n), 0);
+  CHECK_INT(mo_store_campaign_population(fixture.store, id, UNTIL + 1, 0, page, 2, &n),
             MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_population(fixture->store, 99, -1, 0, page, 2, &n), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_population(fixture->store, id, 3, 0, page, MO_PAGE_MAX + 1, &n),
+  CHECK_INT(mo_store_campaign_population(fixture.store, 99, -1, 0, page, 2, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign_population(fixture.store, id, 3, 0, page, MO_PAGE_MAX + 1, &n),
             MO_ERR_LIMIT);
 }
 
-static void check_descents(struct fixture *fixture, int64_t id, const struct model *model)
+static void check_descents(int64_t id, const struct model *model)
 {
   struct mo_descent *descents = NULL;
   uint32_t *born = NULL, n = 0;
-  REQUIRE(mo_store_campaign_descents(fixture->store, id, &descents, &born, &n) == MO_OK);
+  REQUIRE(mo_store_campaign_descents(fixture.store, id, &descents, &born, &n) == MO_OK);
   CHECK_INT(n, BORN);
   for (uint32_t i = 0; i < n; i++)
     CHECK(descents[i].parents[0] == model->designs[i].descent.parents[0] &&
@@ -114,10 +115,10 @@ static void check_descents(struct fixture *fixture, int64_t id, const struct mod
           descents[i].op == model->designs[i].descent.op && born[i] == model->designs[i].born);
   free(descents);
   free(born);
-  REQUIRE(mo_store_campaign_descents(fixture->store, id, &descents, NULL, &n) == MO_OK);
+  REQUIRE(mo_store_campaign_descents(fixture.store, id, &descents, NULL, &n) == MO_OK);
   CHECK_INT(n, BORN);
   free(descents);
-  CHECK_INT(mo_store_campaign_descents(fixture->store, 99, &descents, &born, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign_descents(fixture.store, 99, &descents, &born, &n), MO_ERR_NOT_FOUND);
 }
 
 struct taken {
@@ -136,24 +137,23 @@ static int take(void *context, const struct mo_bits *genotype)
   return 0;
 }
 
-static void check_each(struct fixture *fixture, int64_t id, const struct model *model)
+static void check_each(int64_t id, const struct model *model)
 {
   struct taken taken = {model, 0, BORN, true};
-  CHECK_INT(mo_store_campaign_each(fixture->store, id, take, &taken), MO_OK);
+  CHECK_INT(mo_store_campaign_each(fixture.store, id, take, &taken), MO_OK);
   CHECK(taken.same && taken.n == BORN);
   taken = (struct taken){model, 0, 10, true};
-  CHECK_INT(mo_store_campaign_each(fixture->store, id, take, &taken), 42);
+  CHECK_INT(mo_store_campaign_each(fixture.store, id, take, &taken), 42);
   CHECK(taken.same && taken.n == 10);
 }
 
 static void tells_the_whole_history(enum mo_campaign_mode mode)
 {
-  struct fixture fixture;
   struct made made = {0};
   struct mo_campaign_submission submission = campaign_submission(mode, MADE_POPULATION, UNTIL);
   struct model *model = calloc(1, sizeof(*model));
   int64_t id;
-  REQUIRE(model != NULL && fixture_start(&fixture) == 0);
+  REQUIRE(model != NULL);
   id = campaign_submit(&fixture, &submission);
   REQUIRE(made_start(&made, fixture.store, id, mode, MADE_POPULATION, 9) == MO_OK);
   REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
@@ -164,16 +164,15 @@ static void tells_the_whole_history(enum mo_campaign_mode mode)
     made_apply(&made);
   }
   for (int life = 0; life < 2; life++) {
-    check_designs(&fixture, id, model);
-    check_populations(&fixture, id, model);
-    check_descents(&fixture, id, model);
-    check_each(&fixture, id, model);
+    check_designs(id, model);
+    check_populations(id, model);
+    check_descents(id, model);
+    check_each(id, model);
     REQUIRE(fixture_reopen(&fixture) == MO_OK);
   }
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   made_free(&made);
   free(model);
-  fixture_end(&fixture);
 }
 
 static void reports_frozen_scores(void)
@@ -189,13 +188,11 @@ static void reports_scores_that_change(void)
 /* Forms are found in every campaign that bore them, whichever way round. */
 static void finds_where_a_form_was_born(void)
 {
-  struct fixture fixture;
   struct made made[3] = {{0}};
   struct mo_campaign_submission submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, 3);
   struct mo_campaign_place places[4];
   struct mo_bits nowhere = {{1}}, form, turned;
   int64_t ids[3];
-  REQUIRE(fixture_start(&fixture) == 0);
   for (int i = 0; i < 3; i++) {
     ids[i] = campaign_submit(&fixture, &submission);
     REQUIRE(mo_store_run_start(fixture.store, ids[i]) == MO_OK);
@@ -223,7 +220,6 @@ static void finds_where_a_form_was_born(void)
             MO_ERR_LIMIT);
   for (int i = 0; i < 3; i++)
     made_free(&made[i]);
-  fixture_end(&fixture);
 }
 
 static const struct check_case cases[] = {
@@ -231,4 +227,4 @@ static const struct check_case cases[] = {
     {"reports scores that change", reports_scores_that_change},
     {"finds where a form was born", finds_where_a_form_was_born},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_AROUND(cases, with_a_store)

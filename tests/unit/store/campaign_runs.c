@@ -6,6 +6,7 @@
 #include "../check.h"
 #include "by_hand.h"
 #include "campaign_fixture.h"
+#include "one_store.h"
 
 #define UNTIL 5 /* generations after the first */
 
@@ -15,40 +16,39 @@ static bool same_bits(double a, double b)
 }
 
 /* A campaign of a mode that was started, its runner at hand. */
-static int64_t begin(struct fixture *fixture, struct made *made, enum mo_campaign_mode mode)
+static int64_t begin(struct made *made, enum mo_campaign_mode mode)
 {
   struct mo_campaign_submission submission = campaign_submission(mode, MADE_POPULATION, UNTIL);
   int64_t id;
-  int error = fixture_start(fixture) == 0 ? MO_OK : MO_ERR_IO;
+  int error = fixture_start(&fixture) == 0 ? MO_OK : MO_ERR_IO;
   if (error != MO_OK)
     return error;
-  id = campaign_submit(fixture, &submission);
+  id = campaign_submit(&fixture, &submission);
   if (id > 0)
-    error = made_start(made, fixture->store, id, mode, MADE_POPULATION, 9);
+    error = made_start(made, fixture.store, id, mode, MADE_POPULATION, 9);
   if (id > 0 && error == MO_OK)
-    error = mo_store_run_start(fixture->store, id);
+    error = mo_store_run_start(fixture.store, id);
   return error != MO_OK ? error : id;
 }
 
 /* Another life of the process: the campaign runs again. */
-static int live_again(struct fixture *fixture, struct made *made)
+static int live_again(struct made *made)
 {
-  int error = fixture_reopen(fixture);
-  made->store = fixture->store;
+  int error = fixture_reopen(&fixture);
+  made->store = fixture.store;
   if (error == MO_OK)
-    error = mo_store_requeue(fixture->store, 0, 3, "");
-  return error == MO_OK ? mo_store_run_start(fixture->store, made->id) : error;
+    error = mo_store_requeue(fixture.store, 0, 3, "");
+  return error == MO_OK ? mo_store_run_start(fixture.store, made->id) : error;
 }
 
 static void commits_generations(enum mo_campaign_mode mode)
 {
-  struct fixture fixture;
   struct made made = {0};
   struct mo_campaign_status status;
   struct mo_campaign_generation rows[UNTIL + 2];
   struct mo_campaign_step steps[2 * UNTIL + 3];
   struct mo_campaign_generation last;
-  int64_t id = begin(&fixture, &made, mode);
+  int64_t id = begin(&made, mode);
   REQUIRE(id > 0);
   CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
   REQUIRE(made_generation(&made) == MO_OK);
@@ -98,7 +98,6 @@ static void commits_generations(enum mo_campaign_mode mode)
   }
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   made_free(&made);
-  fixture_end(&fixture);
 }
 
 static void commits_in_every_mode(void)
@@ -112,7 +111,6 @@ static void commits_in_every_mode(void)
  * nothing changes. */
 static void refuses_what_is_wrong(void)
 {
-  struct fixture fixture;
   struct made made = {0}, child;
   struct mo_campaign_commit commit;
   struct mo_event before, after;
@@ -120,7 +118,7 @@ static void refuses_what_is_wrong(void)
   struct mo_birth births[MADE_POPULATION];
   struct mo_design_size sizes[MADE_POPULATION];
   double scores[MADE_POPULATION];
-  int64_t id = begin(&fixture, &made, MO_ZERO_SHOT);
+  int64_t id = begin(&made, MO_ZERO_SHOT);
   REQUIRE(id > 0 && made_generation(&made) == MO_OK && made_next(&made) == MO_OK);
   before = campaign_event(&fixture, id);
   child = made; /* what is committed in the end */
@@ -185,17 +183,15 @@ static void refuses_what_is_wrong(void)
   CHECK(made_is_stored(&made));
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   made_free(&made);
-  fixture_end(&fixture);
 }
 
 static void keeps_losses_of_a_generation(void)
 {
-  struct fixture fixture;
   struct made made = {0};
   struct mo_campaign_loss *losses = NULL, more;
   struct mo_campaign_status status;
   size_t n = 9;
-  int64_t id = begin(&fixture, &made, MO_FEW_SHOT);
+  int64_t id = begin(&made, MO_FEW_SHOT);
   REQUIRE(id > 0 && made_next(&made) == MO_OK);
   CHECK_INT(mo_store_campaign_losses(fixture.store, id, 0, &losses, &n), MO_OK);
   CHECK_INT(n, 0);
@@ -212,7 +208,7 @@ static void keeps_losses_of_a_generation(void)
   CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 0, &more, 1, NULL), MO_ERR_RANGE);
   more.place--;
   CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 0, &more, 1, NULL), MO_OK);
-  REQUIRE(live_again(&fixture, &made) == MO_OK);
+  REQUIRE(live_again(&made) == MO_OK);
   CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
   CHECK_INT(status.scored, 5);
   CHECK_INT(mo_store_campaign_losses(fixture.store, id, 0, &losses, &n), MO_OK);
@@ -242,7 +238,6 @@ static void keeps_losses_of_a_generation(void)
   CHECK_INT(mo_store_campaign_losses(fixture.store, 99, 1, &losses, &n), MO_ERR_NOT_FOUND);
   CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM campaign_losses"), 2);
   made_free(&made);
-  fixture_end(&fixture);
 }
 
 /* What the workers computed for a campaign of devices goes into `scores` as theirs, also after a
@@ -251,15 +246,14 @@ static void names_who_computed(void)
 {
   static const char sql[] = "SELECT count(*) FROM scores s JOIN conditions c ON c.id=s.condition "
                             "JOIN fingerprints f ON f.id=c.fingerprint WHERE f.text='workers'";
-  struct fixture fixture;
   struct made made = {0};
   struct mo_campaign_loss known[MADE_POPULATION], *losses = NULL;
   size_t n = 0;
-  int64_t id = begin(&fixture, &made, MO_ZERO_SHOT), fingerprint = made.fingerprint;
+  int64_t id = begin(&made, MO_ZERO_SHOT), fingerprint = made.fingerprint;
   REQUIRE(id > 0 && made_next(&made) == MO_OK);
   made.losses[2].by_workers = ~(UINT64_MAX << MO_PAPER_TEST_COUNT);
   CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 0, made.losses, 3, NULL), MO_OK);
-  REQUIRE(live_again(&fixture, &made) == MO_OK);
+  REQUIRE(live_again(&made) == MO_OK);
   REQUIRE(mo_store_campaign_losses(fixture.store, id, 0, &losses, &n) == MO_OK && n == 3);
   for (uint32_t i = 0; i < 3; i++) {
     CHECK(losses[i].by_workers == made.losses[i].by_workers);
@@ -280,14 +274,12 @@ static void names_who_computed(void)
   CHECK_INT(known[0].place, 2);
   made_apply(&made);
   made_free(&made);
-  fixture_end(&fixture);
 }
 
 /* Scores of a zero-shot campaign are those of evaluations: found by both, inserted once,
  * whichever was first. */
 static void shares_scores(void)
 {
-  struct fixture fixture;
   struct made made = {0}, other = {0};
   struct mo_campaign_submission submission =
       campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, UNTIL);
@@ -300,7 +292,7 @@ static void shares_scores(void)
   struct mo_controller_record controller;
   double first_loss;
   int64_t n;
-  int64_t id = begin(&fixture, &made, MO_ZERO_SHOT), second, fingerprint = made.fingerprint;
+  int64_t id = begin(&made, MO_ZERO_SHOT), second, fingerprint = made.fingerprint;
   REQUIRE(id > 0 && made_next(&made) == MO_OK);
   CHECK_INT(mo_store_campaign_known(fixture.store, id, fingerprint, made.children, MADE_POPULATION,
                                     known),
@@ -369,25 +361,23 @@ static void shares_scores(void)
             MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   made_free(&made);
-  fixture_end(&fixture);
   /* A campaign that learns has no scores to share. */
-  id = begin(&fixture, &other, MO_FEW_SHOT);
+  id = begin(&other, MO_FEW_SHOT);
   REQUIRE(id > 0 && made_generation(&other) == MO_OK);
   CHECK_INT(mo_store_campaign_known(fixture.store, id, fingerprint, other.children, MADE_POPULATION,
                                     known),
             0);
   made_free(&other);
-  fixture_end(&fixture);
 }
 
 /* ---- checkpoints ---- */
 
-static int files_of(const struct fixture *fixture, int64_t id)
+static int files_of(int64_t id)
 {
   char path[600];
   int n = 0;
   DIR *folder;
-  snprintf(path, sizeof(path), "%s/campaigns/%lld", fixture->path, (long long)id);
+  snprintf(path, sizeof(path), "%s/campaigns/%lld", fixture.path, (long long)id);
   folder = opendir(path);
   if (folder == NULL)
     return -1;
@@ -397,24 +387,22 @@ static int files_of(const struct fixture *fixture, int64_t id)
   return n;
 }
 
-static bool newest_is(struct fixture *fixture, int64_t id, uint32_t generation, uint32_t step,
-                      const char *text)
+static bool newest_is(int64_t id, uint32_t generation, uint32_t step, const char *text)
 {
   uint32_t found_generation = 99, found_step = 99;
   uint8_t *bytes = NULL;
   size_t size = 0;
-  bool same = fixture_campaign_checkpoint(fixture->store, id, &found_generation, &found_step,
-                                          &bytes, &size) == MO_OK &&
+  bool same = fixture_campaign_checkpoint(fixture.store, id, &found_generation, &found_step, &bytes,
+                                          &size) == MO_OK &&
               found_generation == generation && found_step == step && size == strlen(text) &&
               memcmp(bytes, text, size) == 0;
   free(bytes);
   return same;
 }
 
-static int put_checkpoint(struct fixture *fixture, int64_t id, uint32_t generation, uint32_t step,
-                          const char *text)
+static int put_checkpoint(int64_t id, uint32_t generation, uint32_t step, const char *text)
 {
-  return mo_store_campaign_checkpoint(fixture->store, id, generation, step, (const uint8_t *)text,
+  return mo_store_campaign_checkpoint(fixture.store, id, generation, step, (const uint8_t *)text,
                                       strlen(text), NULL, 0);
 }
 
@@ -433,7 +421,6 @@ static int commit_with(struct made *made, const char *text, uint32_t step)
 
 static void keeps_checkpoints(void)
 {
-  struct fixture fixture;
   struct made made = {0};
   struct mo_campaign_step rows[3] = {
       {.generation = 1, .step = 1, .report = {.step = 3, .mean_loss = 0.5}},
@@ -443,20 +430,20 @@ static void keeps_checkpoints(void)
   char path[600];
   FILE *file;
   size_t size = 0;
-  int64_t id = begin(&fixture, &made, MO_SIMULTANEOUS);
+  int64_t id = begin(&made, MO_SIMULTANEOUS);
   REQUIRE(id > 0);
   CHECK_INT(fixture_campaign_checkpoint(fixture.store, id, &generation, &step, &bytes, &size),
             MO_ERR_NOT_FOUND);
-  CHECK_INT(put_checkpoint(&fixture, id, 1, 1, "out of turn"), MO_ERR_CONFLICT);
-  CHECK_INT(files_of(&fixture, id), -1); /* no folder */
-  CHECK_INT(put_checkpoint(&fixture, id, 0, 1, "zero one"), MO_OK);
-  CHECK(newest_is(&fixture, id, 0, 1, "zero one"));
-  CHECK_INT(put_checkpoint(&fixture, id, 0, 2, "zero two"), MO_OK);
-  CHECK(newest_is(&fixture, id, 0, 2, "zero two") && files_of(&fixture, id) == 1);
+  CHECK_INT(put_checkpoint(id, 1, 1, "out of turn"), MO_ERR_CONFLICT);
+  CHECK_INT(files_of(id), -1); /* no folder */
+  CHECK_INT(put_checkpoint(id, 0, 1, "zero one"), MO_OK);
+  CHECK(newest_is(id, 0, 1, "zero one"));
+  CHECK_INT(put_checkpoint(id, 0, 2, "zero two"), MO_OK);
+  CHECK(newest_is(id, 0, 2, "zero two") && files_of(id) == 1);
   /* The state after a generation replaces what is inside it. */
   CHECK_INT(commit_with(&made, "after zero", 5), MO_OK);
-  CHECK(newest_is(&fixture, id, 0, 5, "after zero") && files_of(&fixture, id) == 1);
-  CHECK_INT(put_checkpoint(&fixture, id, 0, 6, "too late"), MO_ERR_CONFLICT);
+  CHECK(newest_is(id, 0, 5, "after zero") && files_of(id) == 1);
+  CHECK_INT(put_checkpoint(id, 0, 6, "too late"), MO_ERR_CONFLICT);
   /* Inside the next one, it stays. */
   CHECK_INT(
       mo_store_campaign_checkpoint(fixture.store, id, 1, 1, (const uint8_t *)"one one", 7, rows, 1),
@@ -464,7 +451,7 @@ static void keeps_checkpoints(void)
   CHECK_INT(
       mo_store_campaign_checkpoint(fixture.store, id, 1, 2, (const uint8_t *)"one two", 7, rows, 2),
       MO_OK);
-  CHECK(newest_is(&fixture, id, 1, 2, "one two") && files_of(&fixture, id) == 2);
+  CHECK(newest_is(id, 1, 2, "one two") && files_of(id) == 2);
   CHECK_INT(mo_store_campaign_steps(fixture.store, id, 0, 2, rows, 3), 2);
   CHECK(rows[0].report.mean_loss == 0.5 && isnan(rows[1].report.mean_loss));
   CHECK_INT(mo_store_campaign_checkpoint_of(fixture.store, id, 0, &step, &bytes, &size), MO_OK);
@@ -473,10 +460,10 @@ static void keeps_checkpoints(void)
   CHECK_INT(mo_store_campaign_checkpoint_of(fixture.store, id, 2, &step, &bytes, &size),
             MO_ERR_NOT_FOUND);
   /* Of an earlier run that came further, or whose bytes were others. */
-  CHECK_INT(put_checkpoint(&fixture, id, 1, 1, "again one"), MO_OK);
-  CHECK(newest_is(&fixture, id, 1, 1, "again one") && files_of(&fixture, id) == 2);
-  CHECK_INT(put_checkpoint(&fixture, id, 1, 1, "another one"), MO_OK);
-  CHECK(newest_is(&fixture, id, 1, 1, "another one") && files_of(&fixture, id) == 2);
+  CHECK_INT(put_checkpoint(id, 1, 1, "again one"), MO_OK);
+  CHECK(newest_is(id, 1, 1, "again one") && files_of(id) == 2);
+  CHECK_INT(put_checkpoint(id, 1, 1, "another one"), MO_OK);
+  CHECK(newest_is(id, 1, 1, "another one") && files_of(id) == 2);
   /* What a process that dies leaves without a row goes at the next start; what is not ours stays.
    */
   snprintf(path, sizeof(path), "%s/campaigns/%lld/1-7.checkpoint", fixture.path, (long long)id);
@@ -490,25 +477,25 @@ static void keeps_checkpoints(void)
   REQUIRE(file != NULL && fclose(file) == 0);
   snprintf(path, sizeof(path), "%s/campaigns/77", fixture.path);
   REQUIRE(mkdir(path, 0700) == 0);
-  CHECK_INT(files_of(&fixture, id), 4);
-  REQUIRE(live_again(&fixture, &made) == MO_OK);
-  CHECK_INT(files_of(&fixture, id), 3);
+  CHECK_INT(files_of(id), 4);
+  REQUIRE(live_again(&made) == MO_OK);
+  CHECK_INT(files_of(id), 3);
   CHECK(access(path, F_OK) == 0);
-  CHECK(newest_is(&fixture, id, 1, 1, "another one"));
+  CHECK(newest_is(id, 1, 1, "another one"));
   CHECK_INT(mo_store_orphans(fixture.store)->n, 1);
   CHECK(strstr(mo_store_orphans(fixture.store)->first, "/1-x.checkpoint") != NULL);
   /* The checkpoint at the end of the learning is that of the commit, too. */
-  CHECK_INT(put_checkpoint(&fixture, id, 1, 5, "after one"), MO_OK);
+  CHECK_INT(put_checkpoint(id, 1, 5, "after one"), MO_OK);
   CHECK_INT(commit_with(&made, "after one", 5), MO_OK);
-  CHECK(newest_is(&fixture, id, 1, 5, "after one"));
-  CHECK_INT(files_of(&fixture, id), 2); /* and the one that is not ours */
+  CHECK(newest_is(id, 1, 5, "after one"));
+  CHECK_INT(files_of(id), 2); /* and the one that is not ours */
   /* Without one, what is older than the generation goes. */
   REQUIRE(made_generation(&made) == MO_OK);
   CHECK_INT(fixture_campaign_checkpoint(fixture.store, id, &generation, &step, &bytes, &size),
             MO_ERR_NOT_FOUND);
-  CHECK_INT(files_of(&fixture, id), 1);
+  CHECK_INT(files_of(id), 1);
   /* Damage is found. */
-  CHECK_INT(put_checkpoint(&fixture, id, 3, 1, "three one"), MO_OK);
+  CHECK_INT(put_checkpoint(id, 3, 1, "three one"), MO_OK);
   snprintf(path, sizeof(path), "%s/campaigns/%lld/3-1.checkpoint", fixture.path, (long long)id);
   file = fopen(path, "w");
   REQUIRE(file != NULL && fputs("three ONE", file) >= 0 && fclose(file) == 0);
@@ -517,26 +504,24 @@ static void keeps_checkpoints(void)
   REQUIRE(unlink(path) == 0);
   CHECK_INT(fixture_campaign_checkpoint(fixture.store, id, &generation, &step, &bytes, &size),
             MO_ERR_CORRUPT);
-  CHECK_INT(put_checkpoint(&fixture, id, 3, 1, "three one"), MO_OK);
-  CHECK(newest_is(&fixture, id, 3, 1, "three one"));
+  CHECK_INT(put_checkpoint(id, 3, 1, "three one"), MO_OK);
+  CHECK(newest_is(id, 3, 1, "three one"));
   made_free(&made);
-  fixture_end(&fixture);
 }
 
 static void removes_checkpoints(void)
 {
-  struct fixture fixture;
   struct made made = {0};
   struct mo_checkpoint_row rows[3];
   struct mo_checkpoints_removed removed = {.n = 9};
   enum mo_job_state before;
-  int64_t id = begin(&fixture, &made, MO_SIMULTANEOUS);
+  int64_t id = begin(&made, MO_SIMULTANEOUS);
   REQUIRE(id > 0);
   CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 3), 0);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before),
             MO_OK); /* it has learned nothing yet */
   REQUIRE(commit_with(&made, "after zero", 5) == MO_OK);
-  REQUIRE(put_checkpoint(&fixture, id, 1, 1, "one one") == MO_OK);
+  REQUIRE(put_checkpoint(id, 1, 1, "one one") == MO_OK);
   CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 3), 2);
   CHECK(rows[0].generation == 1 && rows[0].step == 1 && rows[0].size == 7 && rows[0].stored_us > 0);
   CHECK(rows[1].generation == 0 && rows[1].step == 5 && rows[1].size == 10);
@@ -545,23 +530,22 @@ static void removes_checkpoints(void)
             MO_ERR_NOT_FOUND);
   CHECK_INT(removed.n, 9);
   CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_CAMPAIGN, 0, &removed), MO_OK);
-  CHECK(removed.n == 0 && removed.bytes == 0 && files_of(&fixture, id) == 2);
+  CHECK(removed.n == 0 && removed.bytes == 0 && files_of(id) == 2);
   REQUIRE(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL) == MO_OK);
   CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_CAMPAIGN, 0, &removed), MO_OK);
-  CHECK(removed.n == 0 && files_of(&fixture, id) == 2);
+  CHECK(removed.n == 0 && files_of(id) == 2);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   REQUIRE(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL) == MO_OK);
   CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_CAMPAIGN, 0, &removed), MO_OK);
   CHECK(removed.n == 2 && removed.places[0].generation == 1 && removed.places[1].step == 5 &&
         removed.bytes == 17);
-  CHECK_INT(files_of(&fixture, id), -1); /* no folder */
+  CHECK_INT(files_of(id), -1); /* no folder */
   CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 3), 0);
   /* A run that learns late of its end leaves nothing. */
-  CHECK_INT(put_checkpoint(&fixture, id, 1, 2, "late"), MO_ERR_CONFLICT);
-  CHECK_INT(files_of(&fixture, id), -1);
+  CHECK_INT(put_checkpoint(id, 1, 2, "late"), MO_ERR_CONFLICT);
+  CHECK_INT(files_of(id), -1);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   made_free(&made);
-  fixture_end(&fixture);
 }
 
 static const struct check_case cases[] = {
@@ -573,4 +557,4 @@ static const struct check_case cases[] = {
     {"keeps checkpoints", keeps_checkpoints},
     {"removes checkpoints", removes_checkpoints},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_AROUND(cases, with_a_store)

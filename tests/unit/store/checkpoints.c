@@ -9,15 +9,16 @@
 #include <sys/stat.h>
 
 #include "../check.h"
+#include "one_store.h"
 #include "training_fixture.h"
 
-static int files_of(const struct fixture *fixture, int64_t id)
+static int files_of(int64_t id)
 {
   char path[512];
   struct dirent *entry;
   DIR *folder;
   int n = 0;
-  snprintf(path, sizeof(path), "%s/trainings/%lld", fixture->path, (long long)id);
+  snprintf(path, sizeof(path), "%s/trainings/%lld", fixture.path, (long long)id);
   folder = opendir(path);
   while (folder != NULL && (entry = readdir(folder)) != NULL)
     n += entry->d_name[0] != '.' || strncmp(entry->d_name, ".tmp-", 5) == 0;
@@ -26,11 +27,11 @@ static int files_of(const struct fixture *fixture, int64_t id)
   return n;
 }
 
-static int put_file(const struct fixture *fixture, const char *name, const char *text)
+static int put_file(const char *name, const char *text)
 {
   char path[512];
   FILE *file;
-  snprintf(path, sizeof(path), "%s/trainings/%s", fixture->path, name);
+  snprintf(path, sizeof(path), "%s/trainings/%s", fixture.path, name);
   file = fopen(path, "w");
   if (file == NULL)
     return -1;
@@ -40,7 +41,6 @@ static int put_file(const struct fixture *fixture, const char *name, const char 
 
 static void keeps_checkpoints(void)
 {
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(100);
   struct mo_checkpoint_row rows[5];
   struct mo_training_status status;
@@ -48,7 +48,6 @@ static void keeps_checkpoints(void)
   size_t size = 0;
   char name[512];
   int64_t id;
-  REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
   REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size),
@@ -61,7 +60,7 @@ static void keeps_checkpoints(void)
   }
   CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 5), 2);
   CHECK(rows[0].step == 40 && rows[1].step == 30 && rows[0].size == 14 && rows[0].stored_us > 0);
-  CHECK_INT(files_of(&fixture, id), 2);
+  CHECK_INT(files_of(id), 2);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
   CHECK(size == 14 && memcmp(bytes, "state after 40", 14) == 0);
   free(bytes);
@@ -71,10 +70,10 @@ static void keeps_checkpoints(void)
             MO_ERR_NOT_FOUND);
   /* Damage is noticed: another byte, another length, no file. */
   snprintf(name, sizeof(name), "%lld/40.checkpoint", (long long)id);
-  REQUIRE(put_file(&fixture, name, "state after 41") == 0);
+  REQUIRE(put_file(name, "state after 41") == 0);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size),
             MO_ERR_CORRUPT);
-  REQUIRE(put_file(&fixture, name, "state") == 0);
+  REQUIRE(put_file(name, "state") == 0);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size),
             MO_ERR_CORRUPT);
   /* The run goes on from 30: its next checkpoint makes the damaged one go, not the good one. */
@@ -87,29 +86,28 @@ static void keeps_checkpoints(void)
   /* A file that a crash left without its row, an unfinished one, and those of nobody, which stay.
    */
   snprintf(name, sizeof(name), "%lld/36.checkpoint", (long long)id);
-  REQUIRE(put_file(&fixture, name, "36") == 0);
+  REQUIRE(put_file(name, "36") == 0);
   snprintf(name, sizeof(name), "%lld/.tmp-7", (long long)id);
-  REQUIRE(put_file(&fixture, name, "half") == 0);
+  REQUIRE(put_file(name, "half") == 0);
   snprintf(name, sizeof(name), "%s/trainings/77", fixture.path);
-  REQUIRE(mkdir(name, 0700) == 0 && put_file(&fixture, "77/5.checkpoint", "5") == 0);
+  REQUIRE(mkdir(name, 0700) == 0 && put_file("77/5.checkpoint", "5") == 0);
   snprintf(name, sizeof(name), "%lld/036.checkpoint", (long long)id);
-  REQUIRE(put_file(&fixture, name, "not as we write it") == 0);
-  CHECK_INT(files_of(&fixture, id), 5);
+  REQUIRE(put_file(name, "not as we write it") == 0);
+  CHECK_INT(files_of(id), 5);
   CHECK_INT(fixture_reopen(&fixture), MO_OK);
-  CHECK_INT(files_of(&fixture, id), 3);
-  CHECK_INT(files_of(&fixture, 77), 1);
+  CHECK_INT(files_of(id), 3);
+  CHECK_INT(files_of(77), 1);
   CHECK_INT(mo_store_orphans(fixture.store)->n, 2);
   CHECK_INT(mo_store_orphans(fixture.store)->bytes, 19);
   CHECK_INT(mo_store_clean(fixture.store, NULL, NULL), MO_OK);
-  CHECK_INT(files_of(&fixture, id), 2);
-  CHECK_INT(files_of(&fixture, 77), 0);
+  CHECK_INT(files_of(id), 2);
+  CHECK_INT(files_of(77), 0);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 35, &bytes, &size), MO_OK);
   free(bytes);
   /* Of an earlier life of the process: not this one's to write. */
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"50", 2, 2),
             MO_ERR_CONFLICT);
-  CHECK_INT(files_of(&fixture, id), 2);
-  fixture_end(&fixture);
+  CHECK_INT(files_of(id), 2);
 }
 
 struct checkpointer {
@@ -135,14 +133,12 @@ static void *write_checkpoints(void *context)
 /* A reader of the newest checkpoint gets a whole one, however fast they follow each other. */
 static void reads_checkpoints_while_they_go(void)
 {
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(1000);
   struct checkpointer writer = {.ended = false};
   uint8_t *bytes = NULL;
   size_t size = 0;
   pthread_t thread;
   int bad = 0;
-  REQUIRE(fixture_start(&fixture) == 0);
   writer.store = fixture.store;
   writer.id = submit(&fixture, &submission);
   REQUIRE(mo_store_run_start(fixture.store, writer.id) == MO_OK);
@@ -159,21 +155,18 @@ static void reads_checkpoints_while_they_go(void)
   CHECK_INT(bad, 0);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, writer.id, 299, &bytes, &size),
             MO_ERR_NOT_FOUND);
-  fixture_end(&fixture);
 }
 
 /* A process that can open no more files has lost no checkpoint. If that were taken for damage, the
  * training would start over. */
 static void keeps_apart_damage_and_want_of_descriptors(void)
 {
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(100);
   struct rlimit before, small;
   uint8_t *bytes = NULL;
   size_t size = 0;
   int64_t id;
   int next;
-  REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
   REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   REQUIRE(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2) ==
@@ -190,20 +183,18 @@ static void keeps_apart_damage_and_want_of_descriptors(void)
   setrlimit(RLIMIT_NOFILE, &before);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
   free(bytes);
-  fixture_end(&fixture);
 }
 
 /* Files larger than a limit cannot be written: as on a full disk, but for small ones. */
 static void survives_a_full_disk(void)
 {
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(100);
   struct mo_checkpoint_row rows[5];
   struct rlimit before, small;
   size_t size = 4 << 20;
   uint8_t *bytes = calloc(1, size);
   int64_t id;
-  REQUIRE(bytes != NULL && fixture_start(&fixture) == 0);
+  REQUIRE(bytes != NULL);
   id = submit(&fixture, &submission);
   REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 1, bytes, 1000, 2), MO_OK);
@@ -213,19 +204,17 @@ static void survives_a_full_disk(void)
   small.rlim_cur = 3 << 20;
   setrlimit(RLIMIT_FSIZE, &small);
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 2, bytes, size, 2), MO_ERR_NO_SPACE);
-  CHECK_INT(files_of(&fixture, id), 1);
+  CHECK_INT(files_of(id), 1);
   CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 5), 1);
   setrlimit(RLIMIT_FSIZE, &before);
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 2, bytes, size, 2), MO_OK);
   CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 5), 2);
   free(bytes);
-  fixture_end(&fixture);
 }
 
 /* What is needed to go on stays; of a training that has ended nothing is. */
 static void removes_what_is_not_needed(void)
 {
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(1000);
   struct mo_checkpoints_removed removed = {.n = 99};
   struct mo_training_status status;
@@ -233,7 +222,6 @@ static void removes_what_is_not_needed(void)
   size_t size = 0;
   char folder[512];
   int64_t id, version;
-  REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
   snprintf(folder, sizeof(folder), "%s/trainings/%lld", fixture.path, (long long)id);
   CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_TRAINING, 0, &removed),
@@ -253,10 +241,10 @@ static void removes_what_is_not_needed(void)
   CHECK_INT(mo_store_checkpoints_remove(fixture.store, id + 1, MO_JOB_TRAINING, 0, &removed),
             MO_ERR_NOT_FOUND);
   CHECK_INT(removed.n, 99);
-  CHECK_INT(files_of(&fixture, id), 5);
+  CHECK_INT(files_of(id), 5);
   CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_TRAINING, 20, &removed), MO_OK);
   CHECK(removed.n == 1 && removed.places[0].step == 20 && removed.bytes == 5);
-  CHECK_INT(files_of(&fixture, id), 4);
+  CHECK_INT(files_of(id), 4);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 20, &bytes, &size),
             MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL),
@@ -266,7 +254,7 @@ static void removes_what_is_not_needed(void)
   CHECK_INT(mo_store_checkpoints_remove(fixture.store, id, MO_JOB_TRAINING, 0, &removed), MO_OK);
   CHECK(removed.n == 3 && removed.places[0].step == 40 && removed.places[2].step == 10 &&
         removed.bytes == 15);
-  CHECK_INT(files_of(&fixture, id), 1);
+  CHECK_INT(files_of(id), 1);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
   free(bytes);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
@@ -280,7 +268,6 @@ static void removes_what_is_not_needed(void)
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
   CHECK(status.checkpoint_step == 0 && status.job.version > version);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  fixture_end(&fixture);
 }
 
 static void *remove_checkpoints(void *context)
@@ -297,7 +284,6 @@ static void *remove_checkpoints(void *context)
  * thread deletes those: what is there has its file. */
 static void writes_again_what_is_removed(void)
 {
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(1000);
   struct checkpointer remover = {.ended = false};
   struct mo_checkpoint_row rows[9];
@@ -305,7 +291,6 @@ static void writes_again_what_is_removed(void)
   size_t size = 0;
   pthread_t thread;
   int64_t n;
-  REQUIRE(fixture_start(&fixture) == 0);
   remover.store = fixture.store;
   remover.id = submit(&fixture, &submission);
   REQUIRE(mo_store_run_start(fixture.store, remover.id) == MO_OK);
@@ -323,8 +308,7 @@ static void writes_again_what_is_removed(void)
   atomic_store(&remover.ended, true);
   pthread_join(thread, NULL);
   n = mo_store_checkpoints(fixture.store, remover.id, rows, 9);
-  CHECK_INT(files_of(&fixture, remover.id), n);
-  fixture_end(&fixture);
+  CHECK_INT(files_of(remover.id), n);
 }
 
 static const struct check_case cases[] = {
@@ -335,4 +319,4 @@ static const struct check_case cases[] = {
     {"removes what is not needed", removes_what_is_not_needed},
     {"writes again what is removed", writes_again_what_is_removed},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_AROUND(cases, with_a_store)

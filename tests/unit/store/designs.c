@@ -3,31 +3,29 @@
 #include <math.h>
 
 #include "by_hand.h"
+#include "one_store.h"
 #include "training_fixture.h"
 
 static void shares_designs_between_orientations(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes, images[2], same_forms[2];
+  struct mo_bits images[2], same_forms[2];
   struct mo_submission submission;
   struct mo_design *design = NULL;
   int64_t id;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(5, 40, &forms, &genotypes) == MO_OK);
-  images[0] = genotypes[0];
+  REQUIRE(fixture_bodies(5, 40, &fixture.forms, &fixture.genotypes) == MO_OK);
+  images[0] = fixture.genotypes[0];
   for (unsigned i = 0; i < 40; i++) { /* a body that is not its own mirror image */
-    REQUIRE(mo_genotype_image(MO_DEFAULT_WORKSPACE, genotypes[i].words, 4, images[1].words) ==
-            MO_OK);
+    REQUIRE(mo_genotype_image(MO_DEFAULT_WORKSPACE, fixture.genotypes[i].words, 4,
+                              images[1].words) == MO_OK);
     mo_genotype_place(MO_DEFAULT_WORKSPACE, images[1].words);
-    images[0] = genotypes[i];
-    same_forms[0] = same_forms[1] = forms[i];
+    images[0] = fixture.genotypes[i];
+    same_forms[0] = same_forms[1] = fixture.forms[i];
     if (memcmp(&images[0], &images[1], sizeof(images[0])) != 0)
       break;
   }
   REQUIRE(memcmp(&images[0], &images[1], sizeof(images[0])) != 0);
   submission = fixture_submission(same_forms, images, 2);
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&submission);
   REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
   CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM designs"), 1);
   REQUIRE(mo_store_design(fixture.store, &same_forms[0], &design) == MO_OK);
@@ -40,10 +38,7 @@ static void shares_designs_between_orientations(void)
   CHECK_TEXT(design->orientations[1].scores[0].fingerprint, "by hand");
   CHECK_NEAR(design->orientations[1].scores[0].score, 0.2045, 1e-12);
   mo_design_free(design);
-  CHECK_INT(mo_store_design(fixture.store, &genotypes[39], &design), MO_ERR_NOT_FOUND);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
+  CHECK_INT(mo_store_design(fixture.store, &fixture.genotypes[39], &design), MO_ERR_NOT_FOUND);
 }
 
 static double odd_loss(uint32_t n, uint32_t k)
@@ -59,23 +54,17 @@ static double other_loss(uint32_t n, uint32_t k)
 
 static void keeps_every_bit(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
+  struct mo_submission submission = draw_evaluation(2, 3);
   struct mo_evaluation_results *results = NULL;
   struct mo_environment environments[6];
   int64_t id, again;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(2, 3, &forms, &genotypes) == MO_OK);
   for (unsigned k = 0; k < 6; k++)
     mo_environment_training(9, 0, k, &environments[k]);
   environments[2].light_xy_m[0] = -0.0;
-  submission = fixture_submission(forms, genotypes, 3);
   submission.environment_set = NULL;
   submission.environments = environments;
   submission.n_environments = 6;
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&submission);
   REQUIRE(run_by_hand(fixture.store, id, odd_loss) == MO_OK);
   REQUIRE(fixture_reopen(&fixture) == MO_OK);
   REQUIRE(mo_store_results(fixture.store, id, &results) == MO_OK);
@@ -86,11 +75,11 @@ static void keeps_every_bit(void)
       CHECK_INT(results->diverged_steps[n * 6 + k], isinf(expected) ? 17 : 0);
     }
   CHECK(isinf(results->scores[0]));
-  CHECK(memcmp(results->forms, forms, 3 * sizeof(*forms)) == 0);
+  CHECK(memcmp(results->forms, fixture.forms, 3 * sizeof(*fixture.forms)) == 0);
   mo_evaluation_results_free(results);
   /* A second writer of the same scores changes nothing; a verify job reports both. */
   submission.verify = true;
-  REQUIRE(mo_store_submit(fixture.store, &submission, &again, &replayed) == MO_OK);
+  again = submit_evaluation(&submission);
   REQUIRE(run_by_hand(fixture.store, again, other_loss) == MO_OK);
   REQUIRE(mo_store_results(fixture.store, again, &results) == MO_OK);
   REQUIRE(results->agrees != NULL && results->stored_losses != NULL);
@@ -102,27 +91,18 @@ static void keeps_every_bit(void)
   CHECK(results->agrees == NULL);
   mo_evaluation_results_free(results);
   CHECK_INT(mo_store_results(fixture.store, 77, &results), MO_ERR_NOT_FOUND);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 static void ranks_designs(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
+  struct mo_submission submission = draw_evaluation(6, 20);
   struct mo_controller_record record;
   struct mo_design_query query = {
       .sort = MO_DESIGNS_BY_SCORE, .environment_set = "paper-test", .fingerprint = "by hand"};
   struct mo_design_row rows[8];
   int64_t id, seen = 0;
   double last = -1;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(6, 20, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, 20);
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&submission);
   REQUIRE(mo_store_controller(fixture.store, "default", &record) == MO_OK);
   query.controller_sha256 = record.sha256;
   query.physics = mo_default_physics();
@@ -134,7 +114,7 @@ static void ranks_designs(void)
     for (int64_t i = 0; i < n; i++) {
       CHECK(rows[i].score > last);
       last = rows[i].score;
-      CHECK(memcmp(&rows[i].form, &forms[seen], sizeof(forms[0])) == 0);
+      CHECK(memcmp(&rows[i].form, &fixture.forms[seen], sizeof(fixture.forms[0])) == 0);
       seen++;
     }
     if (n == 0)
@@ -145,24 +125,19 @@ static void ranks_designs(void)
   CHECK_INT(seen, 20);
   query = (struct mo_design_query){.sort = MO_DESIGNS_BY_ID};
   CHECK_INT(mo_store_designs(fixture.store, &query, rows, 8), 8);
-  CHECK(memcmp(&rows[7].form, &forms[7], sizeof(forms[0])) == 0);
+  CHECK(memcmp(&rows[7].form, &fixture.forms[7], sizeof(fixture.forms[0])) == 0);
   query.after_row = rows[7].row;
   CHECK_INT(mo_store_designs(fixture.store, &query, rows, 8), 8);
-  CHECK(memcmp(&rows[0].form, &forms[8], sizeof(forms[0])) == 0);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
+  CHECK(memcmp(&rows[0].form, &fixture.forms[8], sizeof(fixture.forms[0])) == 0);
 }
 
 static void keeps_controllers(void)
 {
-  struct fixture fixture;
   struct mo_controller_record first, second, listed[4];
   char path[512], digits[65], reference[80], *metadata = NULL;
   uint8_t *bytes = NULL;
   size_t size = 0;
   FILE *file;
-  REQUIRE(fixture_start(&fixture) == 0);
   CHECK_INT(mo_store_controller(fixture.store, "default", &first), MO_OK);
   CHECK_INT(first.version, 1);
   CHECK_INT(first.n_parameters, 620912);
@@ -214,11 +189,10 @@ static void keeps_controllers(void)
   free(bytes);
   unlink(path);
   CHECK_INT(mo_store_controller_bytes(fixture.store, &first.sha256, &bytes, &size), MO_ERR_CORRUPT);
-  fixture_end(&fixture);
 }
 
 /* Ends an evaluation of 6 designs with losses of which design i's are losses[i]. */
-static int evaluate(struct fixture *fixture, int64_t id, const double losses[6])
+static int evaluate(int64_t id, const double losses[6])
 {
   struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER};
   struct mo_job_update updates[2] = {{.job = id, .step = MO_STEP_START},
@@ -228,9 +202,9 @@ static int evaluate(struct fixture *fixture, int64_t id, const double losses[6])
       .scores = scores, .updates = updates, .n_updates = 2, .done = save_done, .context = &waiter};
   struct mo_work *work = NULL;
   int64_t fingerprint = 0;
-  int error = mo_store_fingerprint(fixture->store, "by hand", &fingerprint);
+  int error = mo_store_fingerprint(fixture.store, "by hand", &fingerprint);
   if (error == MO_OK)
-    error = mo_store_load_work(fixture->store, id, fixture_classes(fingerprint), &work);
+    error = mo_store_load_work(fixture.store, id, fixture_classes(fingerprint), &work);
   updates[0].fingerprint = updates[0].workers = fingerprint;
   for (uint32_t n = 0; n < 6 && error == MO_OK; n++)
     for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
@@ -244,7 +218,7 @@ static int evaluate(struct fixture *fixture, int64_t id, const double losses[6])
                                   .diverged_step = isinf(losses[n]) ? 3 : 0};
   save.n_scores = 6 * MO_PAPER_TEST_COUNT;
   if (error == MO_OK)
-    error = mo_store_save(fixture->store, &save);
+    error = mo_store_save(fixture.store, &save);
   pthread_mutex_lock(&waiter.mutex);
   while (!waiter.done && error == MO_OK)
     pthread_cond_wait(&waiter.changed, &waiter.mutex);
@@ -256,37 +230,29 @@ static int evaluate(struct fixture *fixture, int64_t id, const double losses[6])
 static void ranks_a_population(void)
 {
   static const double losses[6] = {0.5, 0.25, INFINITY, 0.75, 0.125, 0.25};
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes, *best = NULL;
-  struct mo_submission evaluation;
+  struct mo_bits *best = NULL;
+  struct mo_submission evaluation = draw_evaluation(5, 6);
   struct mo_training_submission training = submission_of(10);
   int64_t id = 0;
   uint32_t n = 0;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(5, 6, &forms, &genotypes) == MO_OK);
-  forms[5] = forms[1]; /* asked for twice */
-  genotypes[5] = genotypes[1];
-  evaluation = fixture_submission(forms, genotypes, 6);
-  REQUIRE(mo_store_submit(fixture.store, &evaluation, &id, &replayed) == MO_OK);
+  fixture.forms[5] = fixture.forms[1]; /* asked for twice */
+  fixture.genotypes[5] = fixture.genotypes[1];
+  id = submit_evaluation(&evaluation);
   CHECK_INT(mo_store_population(fixture.store, id, 0, &best, &n), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_population(fixture.store, id + 1, 0, &best, &n), MO_ERR_NOT_FOUND);
-  REQUIRE(evaluate(&fixture, id, losses) == MO_OK);
+  REQUIRE(evaluate(id, losses) == MO_OK);
   CHECK_INT(mo_store_population(fixture.store, id, 0, &best, &n), MO_OK);
   CHECK_INT(n, 4);
-  CHECK(n == 4 && memcmp(&best[0], &genotypes[4], sizeof(*best)) == 0 &&
-        memcmp(&best[1], &genotypes[1], sizeof(*best)) == 0 &&
-        memcmp(&best[2], &genotypes[0], sizeof(*best)) == 0 &&
-        memcmp(&best[3], &genotypes[3], sizeof(*best)) == 0);
+  CHECK(n == 4 && memcmp(&best[0], &fixture.genotypes[4], sizeof(*best)) == 0 &&
+        memcmp(&best[1], &fixture.genotypes[1], sizeof(*best)) == 0 &&
+        memcmp(&best[2], &fixture.genotypes[0], sizeof(*best)) == 0 &&
+        memcmp(&best[3], &fixture.genotypes[3], sizeof(*best)) == 0);
   free(best);
   CHECK_INT(mo_store_population(fixture.store, id, 2, &best, &n), MO_OK);
   CHECK_INT(n, 2);
   free(best);
   CHECK_INT(mo_store_population(fixture.store, submit(&fixture, &training), 0, &best, &n),
             MO_ERR_NOT_FOUND);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 static void *delete_contents(void *context)
@@ -308,10 +274,8 @@ static void *delete_contents(void *context)
 /* Content that is stored again while it is deleted: no row speaks of a file that has gone. */
 static void stores_again_what_is_deleted(void)
 {
-  struct fixture fixture;
   struct mo_controller_record record;
   pthread_t thread;
-  REQUIRE(fixture_start(&fixture) == 0);
   REQUIRE(pthread_create(&thread, NULL, delete_contents, fixture.store) == 0);
   while (pthread_tryjoin_np(thread, NULL) != 0) {
     struct mo_controller_record seen;
@@ -325,7 +289,6 @@ static void stores_again_what_is_deleted(void)
     CHECK(access(path, F_OK) == 0 ||
           mo_store_controller(fixture.store, reference, &seen) == MO_ERR_NOT_FOUND);
   }
-  fixture_end(&fixture);
 }
 
 static const struct check_case cases[] = {
@@ -336,4 +299,4 @@ static const struct check_case cases[] = {
     {"stores again what is deleted", stores_again_what_is_deleted},
     {"ranks a population", ranks_a_population},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_AROUND(cases, with_a_store)

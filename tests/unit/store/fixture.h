@@ -17,6 +17,7 @@ struct fixture {
   char path[256];
   struct mo_store *store;
   struct mo_message message;
+  struct mo_bits *forms, *genotypes; /* of fixture_evaluation */
 };
 
 static inline int fixture_remove_entry(const char *path, const struct stat *status, int kind,
@@ -54,6 +55,14 @@ static inline void fixture_end(struct fixture *fixture)
 {
   mo_store_close(fixture->store);
   fixture_remove(fixture->path);
+  free(fixture->forms);
+  free(fixture->genotypes);
+}
+
+static inline void fixture_close(struct fixture *fixture)
+{
+  mo_store_close(fixture->store);
+  fixture->store = NULL;
 }
 
 /* Weights drawn from a seed, stored under a name. */

@@ -1,21 +1,17 @@
 /* jobs.c: what the store keeps of jobs: evaluations with their results and trajectories, keys,
  * states, events, pages. */
 #include "by_hand.h"
+#include "one_store.h"
 
 static void submits_and_reads_back(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
+  struct mo_submission submission = draw_evaluation(1, 5);
   struct mo_controller_record record;
   struct mo_job job;
   struct mo_work *work = NULL;
   struct mo_environment paper[MO_PAPER_TEST_COUNT];
   int64_t id = 0, queued[4];
   bool replayed = true;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(1, 5, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, 5);
   submission.label = "first \xc3\xa9vidence";
   submission.precision = MO_FLOAT64;
   submission.physics.drop_height_m = 0.25;
@@ -43,7 +39,7 @@ static void submits_and_reads_back(void)
   REQUIRE(mo_store_load_work(fixture.store, id, fixture_classes(1), &work) == MO_OK);
   mo_environment_paper_test(paper);
   CHECK(memcmp(work->environments, paper, sizeof(paper)) == 0);
-  CHECK(memcmp(work->genotypes, genotypes, 5 * sizeof(*genotypes)) == 0);
+  CHECK(memcmp(work->genotypes, fixture.genotypes, 5 * sizeof(*fixture.genotypes)) == 0);
   mo_work_free(work);
   submission.controller = "nobody";
   CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_ERR_NOT_FOUND);
@@ -52,22 +48,14 @@ static void submits_and_reads_back(void)
   CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_jobs(fixture.store, &any_job, &job, 1), 1);
   CHECK_INT(job.id, 1); /* the refused ones left nothing */
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 static void answers_a_repeated_key(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
+  struct mo_submission submission = draw_evaluation(3, 1);
   struct mo_store_config config;
   int64_t id = 0, again = 0;
   bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(3, 1, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, 1);
   submission.idempotency_key = "key-1";
   mo_sha256_of("body", 4, &submission.body_sha256);
   CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_OK);
@@ -96,26 +84,17 @@ static void answers_a_repeated_key(void)
   usleep(50000);
   CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again),
             MO_ERR_NOT_FOUND);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 static void pages_through_jobs(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
+  struct mo_submission submission = draw_evaluation(4, 1);
   struct mo_job *page = calloc(10, sizeof(*page));
   struct mo_job_query query = any_job;
   uint64_t counts[MO_JOB_STATES];
-  int64_t id, expected = 25;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(4, 1, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, 1);
+  int64_t expected = 25;
   for (int i = 0; i < 25; i++)
-    REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+    REQUIRE(submit_evaluation(&submission) > 0);
   CHECK_INT(mo_store_change_job(fixture.store, 10, MO_CHANGE_CANCEL, NULL), MO_OK);
   CHECK_INT(mo_store_change_job(fixture.store, 20, MO_CHANGE_CANCEL, NULL), MO_OK);
   for (;;) {
@@ -140,26 +119,17 @@ static void pages_through_jobs(void)
   CHECK_INT(counts[MO_JOB_QUEUED], 23);
   CHECK_INT(counts[MO_JOB_CANCELLED], 2);
   free(page);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 static void changes_states(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
+  struct mo_submission submission = draw_evaluation(4, 1);
   struct mo_job job;
   enum mo_job_state before;
   struct mo_job_update update = {.step = MO_STEP_START};
   struct mo_save save = {.updates = &update, .n_updates = 1};
   int64_t id;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(4, 1, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, 1);
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&submission);
   update.job = id;
   CHECK_INT(mo_store_change_job(fixture.store, 99, MO_CHANGE_PAUSE, &before), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, &before), MO_OK);
@@ -194,7 +164,7 @@ static void changes_states(void)
   CHECK(job.finished_us > 0);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, &before), MO_ERR_CONFLICT);
   /* Fenced: what another opening of the store started is not ours to end. */
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&submission);
   update = (struct mo_job_update){.job = id, .step = MO_STEP_START};
   CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
   REQUIRE(fixture_reopen(&fixture) == MO_OK);
@@ -215,9 +185,6 @@ static void changes_states(void)
   REQUIRE(mo_store_job(fixture.store, id, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_TEXT(job.error_text, "signal 11");
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 struct received {
@@ -234,23 +201,17 @@ static void receive_events(void *context, const struct mo_event *events, size_t 
 
 static void reports_changes(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
+  struct mo_submission submission = draw_evaluation(4, 1);
   struct received received = {.n = 0};
   struct mo_event events[32];
   struct mo_store_config config;
   int64_t id, oldest, newest, n;
-  bool replayed;
   int handle;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(4, 1, &forms, &genotypes) == MO_OK);
   CHECK_INT(mo_store_subscribe(fixture.store, receive_events, &received, &handle), MO_OK);
-  submission = fixture_submission(forms, genotypes, 1);
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&submission);
   REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
   mo_store_unsubscribe(fixture.store, handle);
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&submission);
   CHECK_INT(received.n, 3);
   n = mo_store_events(fixture.store, 0, 0, events, 32, &oldest, &newest);
   REQUIRE(n == 5); /* the controller, then created, started, finished, created */
@@ -277,16 +238,11 @@ static void reports_changes(void)
   n = mo_store_events(fixture.store, 0, 0, events, 32, &oldest, &newest);
   CHECK(n == 32 && oldest > 900 && newest == 1205);
   CHECK_INT(events[0].sequence, oldest);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 static void keeps_trajectories(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
+  struct mo_submission submission = draw_evaluation(4, 2);
   struct mo_trajectory *trajectory = NULL;
   double com[9] = {1, -0.0, NAN, 4, 5, 6, 7, 8, 9};
   float mass[18] = {0.1F, -0.0F, NAN};
@@ -299,12 +255,8 @@ static void keeps_trajectories(void)
                                       .mass_m = mass};
   struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
   int64_t id;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(4, 2, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, 2);
   submission.record_com = submission.record_masses = true;
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&submission);
   saved.job = id;
   CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
   CHECK_INT(mo_store_trajectory(fixture.store, id, 1, 3, &trajectory), MO_ERR_NOT_FOUND);
@@ -314,9 +266,6 @@ static void keeps_trajectories(void)
   CHECK(trajectory->stride == 500 && trajectory->n_frames == 3 && trajectory->n_masses == 2 &&
         trajectory->dt_s == 0.004);
   mo_trajectory_free(trajectory);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 static const struct check_case cases[] = {
@@ -327,4 +276,4 @@ static const struct check_case cases[] = {
     {"reports changes, in order, and prunes", reports_changes},
     {"keeps trajectories", keeps_trajectories},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_AROUND(cases, with_a_store)

@@ -5,6 +5,7 @@
 
 #include "by_hand.h"
 #include "campaign_fixture.h"
+#include "one_store.h"
 #include "store/scores.h"
 #include "training_fixture.h"
 
@@ -56,7 +57,7 @@ static int watch(sqlite3 *db, char **message, const struct sqlite3_api_routines 
 
 /* Copies of job 1, an evaluation, of 2, a training, and of 3, a campaign, in this order. The oldest
  * 24 of each kind are in all states in turn, all others in one. */
-static int fill(struct fixture *fixture)
+static int fill(void)
 {
   static const char *const tables[] = {"evaluations", "trainings", "campaigns"};
   static const char *const columns[] = {
@@ -70,8 +71,8 @@ static int fill(struct fixture *fixture)
       "scored_generation,scored"};
   char sql[4096];
   int result = SQLITE_OK;
-  mo_store_close(fixture->store);
-  fixture->store = NULL;
+  mo_store_close(fixture.store);
+  fixture.store = NULL;
   for (int kind = 0; kind < 3 && result == SQLITE_OK; kind++) {
     snprintf(sql, sizeof(sql),
              "BEGIN;"
@@ -89,11 +90,11 @@ static int fill(struct fixture *fixture)
              "COMMIT",
              ROWS, kind, 3 + kind, kind, kind + 1, tables[kind], columns[kind], columns[kind], kind,
              tables[kind], kind + 1);
-    result = outside(fixture, sql);
+    result = outside(&fixture, sql);
   }
   if (result == SQLITE_OK)
     result = outside(
-        fixture,
+        &fixture,
         "BEGIN;"
         "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n LIMIT 10000)"
         " INSERT INTO controller_names SELECT 'copy-'||i,controller,1,stored_us FROM "
@@ -111,30 +112,20 @@ static int fill(struct fixture *fixture)
         " INSERT INTO events(time_us,job,type,data) SELECT 1,iif(i<9,4,5),'job.started','{}' FROM "
         "n;"
         "COMMIT");
-  return result == SQLITE_OK ? fixture_reopen(fixture) : MO_ERR_IO;
+  return result == SQLITE_OK ? fixture_reopen(&fixture) : MO_ERR_IO;
 }
 
-static int start(struct fixture *fixture)
+static int start(void)
 {
   struct mo_training_submission training = submission_of(10);
   struct mo_campaign_submission campaign = campaign_submission(MO_ZERO_SHOT, 8, 3);
-  struct mo_bits *forms = NULL, *genotypes = NULL;
-  int64_t id = 0;
-  bool replayed;
-  int error = sqlite3_auto_extension((void (*)(void))watch) == SQLITE_OK ? fixture_start(fixture)
-                                                                         : MO_ERR_IO;
-  if (error == MO_OK)
-    error = fixture_bodies(1, 1, &forms, &genotypes);
-  if (error == MO_OK) {
-    struct mo_submission evaluation = fixture_submission(forms, genotypes, 1);
-    error = mo_store_submit(fixture->store, &evaluation, &id, &replayed);
-  }
-  free(forms);
-  free(genotypes);
-  if (error == MO_OK &&
-      (submit(fixture, &training) != 2 || campaign_submit(fixture, &campaign) != 3))
-    error = MO_ERR_CONFLICT;
-  return error == MO_OK ? fill(fixture) : error;
+  struct mo_submission evaluation = draw_evaluation(1, 1);
+  if (sqlite3_auto_extension((void (*)(void))watch) != SQLITE_OK)
+    return MO_ERR_IO;
+  if (submit_evaluation(&evaluation) != 1 || submit(&fixture, &training) != 2 ||
+      campaign_submit(&fixture, &campaign) != 3)
+    return MO_ERR_CONFLICT;
+  return fill();
 }
 
 static int64_t all_steps(void)
@@ -155,11 +146,10 @@ static void cheap(const char *what, int kind, int state, int64_t before, bool wa
  */
 static void pages_of_jobs(void)
 {
-  struct fixture fixture;
   struct mo_job jobs[PAGE];
   struct mo_training_status trainings[PAGE];
   struct mo_campaign_status campaigns[PAGE];
-  REQUIRE(start(&fixture) == MO_OK);
+  REQUIRE(start() == MO_OK);
   const int64_t places[] = {0, 2 * ROWS + 20, ROWS + 20, 20, 2};
   /* Of the trainings and campaigns that run. */
   const int64_t waiting[] = {ROWS + 5, ROWS + 11, 2 * ROWS + 5};
@@ -190,16 +180,14 @@ static void pages_of_jobs(void)
         CHECK(mo_store_campaigns(fixture.store, &all, campaigns, PAGE) >= 0);
         cheap("campaigns", 2, state, places[p], w > 0);
       }
-  fixture_end(&fixture);
 }
 
 /* What a page shows is right whichever statement finds it: newest first, of the kind, those that
  * wait as paused. */
 static void pages_name_the_states_that_are_shown(void)
 {
-  struct fixture fixture;
   struct mo_job jobs[40];
-  REQUIRE(start(&fixture) == MO_OK);
+  REQUIRE(start() == MO_OK);
   const int64_t first =
       4 + ROWS; /* trainings: every sixth is queued, the next runs, the next is paused */
   const int64_t waiting[] = {first + 7, first + 1};
@@ -234,16 +222,14 @@ static void pages_name_the_states_that_are_shown(void)
   CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 0);
   query = (struct mo_job_query){.state = MO_JOB_SUCCEEDED, .kind = MO_JOB_CAMPAIGN};
   CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 4);
-  fixture_end(&fixture);
 }
 
 static void pages_of_everything_else(void)
 {
-  struct fixture fixture;
   struct mo_controller_record controllers[PAGE];
   struct mo_design_row designs[PAGE];
   struct mo_event events[PAGE];
-  REQUIRE(start(&fixture) == MO_OK);
+  REQUIRE(start() == MO_OK);
   REQUIRE(mo_store_controller(fixture.store, "default", &controllers[0]) == MO_OK);
   struct mo_design_query query = {.controller_sha256 = controllers[0].sha256,
                                   .environment_set = "paper-test",
@@ -268,7 +254,6 @@ static void pages_of_everything_else(void)
     CHECK(mo_store_events(fixture.store, 100, job, events, PAGE, NULL, NULL) >= 0);
     cheap("events", -1, -1, 0, false);
   }
-  fixture_end(&fixture);
 }
 
 static const struct check_case cases[] = {
@@ -276,4 +261,4 @@ static const struct check_case cases[] = {
     {"pages name the states that are shown", pages_name_the_states_that_are_shown},
     {"other pages cost what they show", pages_of_everything_else},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_AROUND(cases, with_a_store)

@@ -4,6 +4,7 @@
 #include <math.h>
 
 #include "by_hand.h"
+#include "one_store.h"
 #include "store/check.h"
 
 #define DESIGNS 12
@@ -49,15 +50,14 @@ static void packs_losses(void)
 
 /* ---- classes ---- */
 
-static struct mo_work *load(struct fixture *fixture, int64_t id, int64_t fingerprint)
+static struct mo_work *load(int64_t id, int64_t fingerprint)
 {
   struct mo_work *work = NULL;
-  CHECK_INT(mo_store_load_work(fixture->store, id, fixture_classes(fingerprint), &work), MO_OK);
+  CHECK_INT(mo_store_load_work(fixture.store, id, fixture_classes(fingerprint), &work), MO_OK);
   return work;
 }
 
-static int save_one(struct fixture *fixture, const struct mo_work *work, const uint32_t *places,
-                    uint32_t n, double loss)
+static int save_one(const struct mo_work *work, const uint32_t *places, uint32_t n, double loss)
 {
   struct mo_saved_score scores[MO_BLOCK_LANES];
   struct mo_save save = {.scores = scores, .n_scores = n};
@@ -68,14 +68,13 @@ static int save_one(struct fixture *fixture, const struct mo_work *work, const u
                                         .environment = work->environment_rows[places[i]],
                                         .fingerprint = work->fingerprint,
                                         .loss = loss + places[i]};
-  return save_and_wait(fixture->store, &save);
+  return save_and_wait(fixture.store, &save);
 }
 
-static uint32_t known_of(struct fixture *fixture, const struct mo_work *work,
-                         struct mo_score scores[MO_PAPER_TEST_COUNT])
+static uint32_t known_of(const struct mo_work *work, struct mo_score scores[MO_PAPER_TEST_COUNT])
 {
   uint32_t n = 0;
-  CHECK_INT(mo_store_scores(fixture->store, work->genotype_rows[0], work->controller, work->physics,
+  CHECK_INT(mo_store_scores(fixture.store, work->genotype_rows[0], work->controller, work->physics,
                             work->fingerprint, work->environment_rows, MO_PAPER_TEST_COUNT, scores),
             MO_OK);
   for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
@@ -88,48 +87,37 @@ static uint32_t known_of(struct fixture *fixture, const struct mo_work *work,
 static void finds_by_environment_and_class(void)
 {
   static const uint32_t first[] = {0, 2, 4}, second[] = {4, 3, 9};
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
+  struct mo_submission submission = draw_evaluation(3, 1);
   struct mo_score scores[MO_PAPER_TEST_COUNT];
   struct mo_work *work, *other;
   int64_t id, one = 0, two = 0;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(3, 1, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, 1);
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&submission);
   REQUIRE(mo_store_fingerprint(fixture.store, "one", &one) == MO_OK);
   REQUIRE(mo_store_fingerprint(fixture.store, "two", &two) == MO_OK);
-  work = load(&fixture, id, one);
-  other = load(&fixture, id, two);
+  work = load(id, one);
+  other = load(id, two);
   REQUIRE(work != NULL && other != NULL);
-  CHECK_INT(save_one(&fixture, work, first, 3, 0.5), MO_OK);
-  CHECK_INT(save_one(&fixture, work, second, 3, 0.75), MO_OK); /* 4 is known already */
-  CHECK_INT(save_one(&fixture, work, first, 3, 0.25), MO_OK);  /* the same again */
-  CHECK_INT(known_of(&fixture, work, scores), 5);
+  CHECK_INT(save_one(work, first, 3, 0.5), MO_OK);
+  CHECK_INT(save_one(work, second, 3, 0.75), MO_OK); /* 4 is known already */
+  CHECK_INT(save_one(work, first, 3, 0.25), MO_OK);  /* the same again */
+  CHECK_INT(known_of(work, scores), 5);
   CHECK(scores[0].loss == 0.5 && scores[2].loss == 2.5 && scores[4].loss == 4.5);
   CHECK(scores[3].loss == 3.75 && scores[9].loss == 9.75 && !scores[1].known);
-  CHECK_INT(known_of(&fixture, other, scores), 0);
-  CHECK_INT(save_one(&fixture, other, second, 2, 0.125), MO_OK);
-  CHECK_INT(known_of(&fixture, other, scores), 2);
+  CHECK_INT(known_of(other, scores), 0);
+  CHECK_INT(save_one(other, second, 2, 0.125), MO_OK);
+  CHECK_INT(known_of(other, scores), 2);
   CHECK(scores[4].loss == 4.125 && scores[3].loss == 3.125);
-  CHECK_INT(known_of(&fixture, work, scores), 5);
+  CHECK_INT(known_of(work, scores), 5);
   CHECK(scores[4].loss == 4.5);
   CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM scores"), 3);
   mo_work_free(work);
   mo_work_free(other);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 /* A recording job that goes on under other code begins again, and says so. */
 static void goes_on_in_a_new_class(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
+  struct mo_submission submission = draw_evaluation(3, 1);
   double com_m[9] = {0};
   struct mo_saved_trajectory trajectory = {
       .stride = 10, .frames = 3, .n_masses = 8, .com_m = com_m};
@@ -138,18 +126,14 @@ static void goes_on_in_a_new_class(void)
   struct mo_event events[8];
   struct mo_work *work;
   int64_t id, classes[2] = {0, 0}, n;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(3, 1, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, 1);
   submission.record_com = true;
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&submission);
   REQUIRE(mo_store_fingerprint(fixture.store, "one", &classes[0]) == MO_OK);
   REQUIRE(mo_store_fingerprint(fixture.store, "two", &classes[1]) == MO_OK);
   update.job = trajectory.job = id;
   for (int round = 0; round < 3; round++) { /* in the second one nothing changes */
     const int64_t now = classes[round == 2];
-    work = load(&fixture, id, now);
+    work = load(id, now);
     REQUIRE(work != NULL);
     CHECK_INT(work->fingerprint, now);
     CHECK_INT(work->n_finished, round == 1 ? 1 : 0);
@@ -169,9 +153,6 @@ static void goes_on_in_a_new_class(void)
   REQUIRE(n == 5); /* created, three starts, and the change before the last of them */
   CHECK_TEXT(events[3].type, "evaluation.code_changed");
   CHECK(strstr(events[3].data, "\"before\":\"one\",\"fingerprint\":\"two\"") != NULL);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 /* ---- damage ---- */
@@ -248,22 +229,15 @@ static size_t place_of(const uint8_t *bytes, size_t size, const struct mo_bits *
  * truth, or none. What the results do not say, `store check` finds. */
 static void serves_no_flipped_bit(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
+  struct mo_submission submission = draw_evaluation(9, DESIGNS);
   int64_t id;
   size_t size = 0;
   char path[512];
   uint64_t random = 1;
   int refused = 0, found = 0, harmless = 0;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(9, DESIGNS, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, DESIGNS);
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&submission);
   REQUIRE(run_by_hand(fixture.store, id, lively_loss) == MO_OK);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
+  fixture_close(&fixture);
   snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
   uint8_t *bytes = read_file(path, &size);
   REQUIRE(bytes != NULL);
@@ -273,15 +247,16 @@ static void serves_no_flipped_bit(void)
     int findings = 0, error;
     size_t bit;
     random = random * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
-    bit = i % 4 == 0 ? 8 * 4096 + (size_t)(random >> 20) % (8 * (size - 4096)) /* not the schema */
-                     : 8 * place_of(bytes, size, genotypes, (uint32_t)i % DESIGNS, random >> 24) +
-                           (random >> 20) % 8;
+    bit = i % 4 == 0
+              ? 8 * 4096 + (size_t)(random >> 20) % (8 * (size - 4096)) /* not the schema */
+              : 8 * place_of(bytes, size, fixture.genotypes, (uint32_t)i % DESIGNS, random >> 24) +
+                    (random >> 20) % 8;
     REQUIRE(flip(path, bit) == 0);
     error = fixture_reopen(&fixture);
     if (error == MO_OK) {
       error = mo_store_results(fixture.store, id, &results);
       if (error == MO_OK) {
-        const bool is_true = is_the_truth(results, forms, genotypes);
+        const bool is_true = is_the_truth(results, fixture.forms, fixture.genotypes);
         CHECK(is_true);
         if (!is_true)
           printf("# bit %zu is served\n", bit);
@@ -307,9 +282,6 @@ static void serves_no_flipped_bit(void)
          refused, found, harmless);
   CHECK(refused + found > 10);
   free(bytes);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 /* What the check reads of a sound store, and what it says of damage. */
@@ -330,24 +302,19 @@ static void checks_contents(void)
   };
   for (size_t i = 0; i <= sizeof(damage) / sizeof(damage[0]); i++) {
     const bool is_sound = i == sizeof(damage) / sizeof(damage[0]);
-    struct fixture fixture;
-    struct mo_bits *forms, *genotypes;
-    struct mo_submission submission;
+    struct mo_submission submission = draw_evaluation(9, DESIGNS);
     struct mo_check_counts counts;
     struct mo_score_sample samples[4];
     int64_t id, other;
     int findings = 0;
-    bool replayed;
-    REQUIRE(fixture_start(&fixture) == 0);
-    REQUIRE(fixture_bodies(9, DESIGNS, &forms, &genotypes) == MO_OK);
-    submission = fixture_submission(forms, genotypes, DESIGNS);
-    REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+    id = submit_evaluation(&submission);
     REQUIRE(run_by_hand(fixture.store, id, lively_loss) == MO_OK);
     REQUIRE(mo_store_fingerprint(fixture.store, "another", &other) == MO_OK);
     CHECK_INT(mo_store_sample(fixture.store, "by hand", 12345, samples, 4), 4);
     for (int k = 0; k < 4; k++) {
       uint32_t n = 0;
-      while (n < DESIGNS && memcmp(&samples[k].genotype, &genotypes[n], sizeof(*genotypes)) != 0)
+      while (n < DESIGNS &&
+             memcmp(&samples[k].genotype, &fixture.genotypes[n], sizeof(*fixture.genotypes)) != 0)
         n++;
       CHECK(n < DESIGNS);
       CHECK_INT(samples[k].diverged_step, isinf(samples[k].loss) ? 17 : 0);
@@ -364,9 +331,8 @@ static void checks_contents(void)
     CHECK(is_sound ? findings == 0 && counts.rows > 2 * DESIGNS : findings > 0);
     if (!is_sound && findings == 0)
       printf("# not found: %s\n", damage[i]);
-    free(forms);
-    free(genotypes);
     fixture_end(&fixture);
+    REQUIRE(fixture_start(&fixture) == MO_OK);
   }
 }
 
@@ -377,4 +343,4 @@ static const struct check_case cases[] = {
     {"serves no flipped bit", serves_no_flipped_bit},
     {"checks contents", checks_contents},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_AROUND(cases, with_a_store)

@@ -41,19 +41,18 @@ static inline struct mo_training_submission submission_of(uint32_t n_steps)
       .label = "a label"};
 }
 
-static inline int64_t submit(struct fixture *fixture,
-                             const struct mo_training_submission *submission)
+static inline int64_t submit(struct fixture *in, const struct mo_training_submission *submission)
 {
   int64_t id = 0;
   bool replayed = true;
-  int error = mo_store_submit_training(fixture->store, submission, &id, &replayed);
+  int error = mo_store_submit_training(in->store, submission, &id, &replayed);
   return error != MO_OK ? error : id;
 }
 
-static inline enum mo_job_state state_of(struct fixture *fixture, int64_t id)
+static inline enum mo_job_state state_of(struct fixture *in, int64_t id)
 {
   struct mo_job job = {.state = MO_JOB_FAILED};
-  (void)mo_store_job(fixture->store, id, &job);
+  (void)mo_store_job(in->store, id, &job);
   return job.state;
 }
 

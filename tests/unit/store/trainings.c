@@ -1,6 +1,7 @@
 /* trainings.c: what the store keeps of trainings: what was asked for, their curves, code, states
  * and results. */
 #include "by_hand.h"
+#include "one_store.h"
 #include "store/fields.h"
 #include "store/internal.h"
 #include "training_fixture.h"
@@ -17,27 +18,19 @@ static int64_t steps_of_readers(struct mo_store *store)
   return sum;
 }
 
+/* Returns whether settings are stored as the same text. */
 static bool same_settings(const struct mo_training_settings *a,
                           const struct mo_training_settings *b)
 {
-  return a->kind == b->kind && a->seed == b->seed && a->n_steps == b->n_steps &&
-         a->batch == b->batch && a->learning.schedule.kind == b->learning.schedule.kind &&
-         a->learning.schedule.peak == b->learning.schedule.peak &&
-         a->learning.schedule.floor == b->learning.schedule.floor &&
-         a->learning.schedule.decay == b->learning.schedule.decay &&
-         a->learning.schedule.cycle_steps == b->learning.schedule.cycle_steps &&
-         a->learning.schedule.cycle_growth == b->learning.schedule.cycle_growth &&
-         a->learning.schedule.warmup_steps == b->learning.schedule.warmup_steps &&
-         a->learning.beta1 == b->learning.beta1 && a->learning.beta2 == b->learning.beta2 &&
-         a->learning.epsilon == b->learning.epsilon &&
-         a->learning.norm_limit == b->learning.norm_limit &&
-         a->learning.adjoint_bound == b->learning.adjoint_bound &&
-         a->learning.adjoint_rule == b->learning.adjoint_rule &&
-         a->learning.restart_weight == b->learning.restart_weight &&
-         a->physics.n_steps == b->physics.n_steps && a->physics.dt_s == b->physics.dt_s &&
-         a->physics.bisections == b->physics.bisections && a->sensor == b->sensor &&
-         a->held_out_designs == b->held_out_designs &&
-         a->held_out_environments == b->held_out_environments;
+  struct mo_text texts[2] = {{0}, {0}};
+  bool same;
+  mo_settings_write(MO_JOB_TRAINING, &(struct mo_training_record){.settings = *a}, &texts[0]);
+  mo_settings_write(MO_JOB_TRAINING, &(struct mo_training_record){.settings = *b}, &texts[1]);
+  same =
+      texts[0].data != NULL && texts[1].data != NULL && strcmp(texts[0].data, texts[1].data) == 0;
+  mo_text_free(&texts[0]);
+  mo_text_free(&texts[1]);
+  return same;
 }
 
 static void encodes_every_setting(void)
@@ -62,8 +55,7 @@ static void encodes_every_setting(void)
 
 static void submits_and_reads_back(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes, *found = NULL;
+  struct mo_bits *found = NULL;
   struct mo_training_submission submission = submission_of(1000), tune = submission_of(60);
   struct mo_training_status status, page[5];
   struct mo_controller_record record;
@@ -75,8 +67,7 @@ static void submits_and_reads_back(void)
   int64_t id, second, again = 0;
   bool replayed = false, created;
   uint32_t n = 0;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(5, 20, &forms, &genotypes) == MO_OK);
+  REQUIRE(fixture_bodies(5, 20, &fixture.forms, &fixture.genotypes) == MO_OK);
   submission.idempotency_key = "key";
   id = submit(&fixture, &submission);
   REQUIRE(id > 0);
@@ -106,8 +97,8 @@ static void submits_and_reads_back(void)
   tune.record.settings.kind = MO_TRAINING_FINETUNE;
   tune.record.n_designs = 20;
   tune.record.name[0] = '\0';
-  tune.forms = forms;
-  tune.genotypes = genotypes;
+  tune.forms = fixture.forms;
+  tune.genotypes = fixture.genotypes;
   tune.parent = "default";
   second = submit(&fixture, &tune);
   REQUIRE(second > id);
@@ -118,7 +109,7 @@ static void submits_and_reads_back(void)
   CHECK_INT(status.record.settings.sensor, MO_SENSOR_INVERSE_SQRT); /* the parent's */
   CHECK_INT(mo_store_job_designs(fixture.store, second, &found, &n), MO_OK);
   CHECK_INT(n, 20);
-  CHECK(found != NULL && memcmp(found, genotypes, 20 * sizeof(*found)) == 0);
+  CHECK(found != NULL && memcmp(found, fixture.genotypes, 20 * sizeof(*found)) == 0);
   free(found);
   CHECK_INT(mo_store_job_designs(fixture.store, second + 1, &found, &n), MO_ERR_NOT_FOUND);
   tune.parent = "nobody";
@@ -155,27 +146,18 @@ static void submits_and_reads_back(void)
   CHECK_TEXT(job.controller_name, "default");
   CHECK_INT(fixture_reopen(&fixture), MO_OK);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 static void keeps_the_queues_apart(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission evaluation;
+  struct mo_submission evaluation = draw_evaluation(5, 3);
   struct mo_training_submission training = submission_of(10);
   struct mo_evaluation_results *results = NULL;
   struct mo_work *work = NULL;
   int64_t ids[5] = {0}, first, second, id = 0;
   uint64_t jobs = 0, rollouts = 0;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(5, 3, &forms, &genotypes) == MO_OK);
-  evaluation = fixture_submission(forms, genotypes, 3);
   first = submit(&fixture, &training);
-  REQUIRE(mo_store_submit(fixture.store, &evaluation, &id, &replayed) == MO_OK);
+  id = submit_evaluation(&evaluation);
   second = submit(&fixture, &training);
   CHECK_INT(mo_store_queued(fixture.store, MO_BATCH, 0, ids, 5), 1);
   CHECK_INT(ids[0], id);
@@ -186,14 +168,10 @@ static void keeps_the_queues_apart(void)
   CHECK_INT(rollouts, 30);
   CHECK_INT(mo_store_load_work(fixture.store, first, fixture_classes(1), &work), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_results(fixture.store, first, &results), MO_ERR_NOT_FOUND);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
 }
 
 static void keeps_the_curve(void)
 {
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(100);
   struct mo_training_step_row rows[10], found[10];
   struct mo_training_validation_row validation = {5, 80, 2, 0.75, 0.01}, validations[5];
@@ -201,7 +179,6 @@ static void keeps_the_curve(void)
   struct mo_event events[20];
   int64_t id, n;
   int progress = 0;
-  REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
   for (uint32_t i = 0; i < 10; i++)
     rows[i] = row_of(i + 1);
@@ -253,7 +230,6 @@ static void keeps_the_curve(void)
   CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 1, NULL, NULL), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 11, (const uint8_t *)"eleven", 6, 2),
             MO_ERR_CONFLICT);
-  fixture_end(&fixture);
 }
 
 /* A page of every nth step does not read the steps between. */
@@ -262,16 +238,14 @@ static void finds_steps_in_a_long_curve(void)
   static const char fill[] =
       "WITH RECURSIVE s(x) AS (SELECT 1 UNION ALL SELECT x+1 FROM s WHERE x<100000) INSERT INTO "
       "training_steps SELECT 1,x,0.5,0.001,1,0,0,0,0,0,0,0.25 FROM s";
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(100000);
   struct mo_training_step_row *rows = calloc(MO_PAGE_MAX, sizeof(*rows));
   char path[512];
   sqlite3 *db = NULL;
   int64_t n = MO_PAGE_MAX, begin, middle, end;
-  REQUIRE(rows != NULL && fixture_start(&fixture) == 0);
+  REQUIRE(rows != NULL);
   REQUIRE(submit(&fixture, &submission) == 1);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
+  fixture_close(&fixture);
   snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
   REQUIRE(sqlite3_open(path, &db) == SQLITE_OK);
   CHECK_INT(sqlite3_exec(db, fill, NULL, NULL, NULL), SQLITE_OK);
@@ -300,14 +274,12 @@ static void finds_steps_in_a_long_curve(void)
             0);
   CHECK_INT(mo_store_training_steps(fixture.store, 2, 0, 2, rows, 5), 0);
   free(rows);
-  fixture_end(&fixture);
 }
 
 /* The lineage is that of the steps that count: what a run noted of steps that another one repeats
  * is forgotten. */
 static void names_the_code(void)
 {
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(100);
   struct mo_training_lineage lineage;
   struct mo_training_status status;
@@ -315,7 +287,6 @@ static void names_the_code(void)
   char name[32];
   int64_t id, n;
   int changes = 0;
-  REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
   CHECK_INT(mo_store_training_code(fixture.store, id, 0, "one", &lineage), MO_ERR_CONFLICT);
   REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
@@ -360,20 +331,17 @@ static void names_the_code(void)
   CHECK_INT(mo_store_training_code(fixture.store, id, 99, "", &lineage), MO_ERR_RANGE);
   CHECK_INT(mo_store_training_code(fixture.store, id, 99, "a \"quote\"", &lineage), MO_ERR_INVALID);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  fixture_end(&fixture);
 }
 
 /* One that waits for room runs in the rows and is shown as paused: the filter goes by what is
  * shown, page by page. */
 static void finds_by_the_state_that_is_shown(void)
 {
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(10);
   struct mo_training_status page[8];
   struct mo_job jobs[8];
   int64_t ids[6], waiting[2], none[MO_WAITING_MAX + 1] = {0};
   struct mo_job_query query = {.kind = -1, .waiting = waiting, .n_waiting = 2};
-  REQUIRE(fixture_start(&fixture) == 0);
   for (int i = 0; i < 6; i++) {
     ids[i] = submit(&fixture, &submission);
     REQUIRE(i == 5 || mo_store_run_start(fixture.store, ids[i]) == MO_OK);
@@ -406,12 +374,10 @@ static void finds_by_the_state_that_is_shown(void)
   query.n_waiting++;
   CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 8), MO_ERR_LIMIT);
   CHECK_INT(mo_store_trainings(fixture.store, &query, page, 8), MO_ERR_LIMIT);
-  fixture_end(&fixture);
 }
 
 static void finishes_with_its_controller(void)
 {
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(100);
   struct mo_training_status status;
   struct mo_controller_record record;
@@ -420,7 +386,6 @@ static void finishes_with_its_controller(void)
   uint8_t *bytes = NULL;
   size_t size = 0;
   int64_t id, n;
-  REQUIRE(fixture_start(&fixture) == 0);
   REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
   mo_controller_randomize(controller, 77);
   REQUIRE(mo_controller_encode(controller, &bytes, &size) == MO_OK);
@@ -449,18 +414,15 @@ static void finishes_with_its_controller(void)
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   free(bytes);
   mo_controller_free(controller);
-  fixture_end(&fixture);
 }
 
 static void parks_and_requeues(void)
 {
-  struct fixture fixture;
   struct mo_training_submission submission = submission_of(100);
   struct mo_event events[10];
   enum mo_job_state after = MO_JOB_CANCELLED;
   struct mo_job job;
   int64_t id, n;
-  REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
   REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
@@ -517,7 +479,6 @@ static void parks_and_requeues(void)
               MO_OK);
     CHECK_INT(after, attempt < 3 ? MO_JOB_QUEUED : MO_JOB_FAILED);
   }
-  fixture_end(&fixture);
 }
 
 static const struct check_case cases[] = {
@@ -531,4 +492,4 @@ static const struct check_case cases[] = {
     {"finishes with its controller", finishes_with_its_controller},
     {"parks and requeues", parks_and_requeues},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_AROUND(cases, with_a_store)
