@@ -1,5 +1,5 @@
-/* campaign_faults.c: a campaign on disks that are full or fail, at every operation of every part of
- * its life: all of a part is there, or nothing of it. */
+/* campaign_faults.c: jobs on disks that are full or fail, at every operation of every part of their
+ * lives: all of a part is there, or nothing of it. */
 #include <errno.h>
 #include <stdatomic.h>
 
@@ -78,18 +78,21 @@ static void is_full_everywhere(void)
   int failures = 0;
   REQUIRE(begin(&life) == MO_OK);
   for (int part = SUBMIT; part < LIFE; part++) {
+    struct mo_store_stats stats;
     uint64_t before = 0;
     int error = MO_ERR_NO_SPACE;
     REQUIRE(prepare_life(&life, part) == MO_OK);
     before = digest(&life);
-    for (long writes = 0; writes < 300 && error != MO_OK; writes++) {
+    for (long writes = 0; writes < 400 && error != MO_OK; writes++) {
       atomic_store(&fault_plan.writes_left, writes);
       atomic_store(&fault_plan.write_error, SQLITE_FULL);
       error = live_on(&life, part);
       atomic_store(&fault_plan.write_error, 0);
       if (error != MO_OK) {
         failures++;
+        mo_store_get_stats(life.fixture.store, &stats);
         CHECK_INT(error, MO_ERR_NO_SPACE);
+        CHECK(stats.no_space && !stats.fatal);
         CHECK(digest(&life) == before);
       }
     }
@@ -129,8 +132,8 @@ static void has_no_room_for_files(void)
         REQUIRE(open_life(&life) == MO_OK);
         CHECK(digest(&life) == before);
         REQUIRE(mo_store_requeue(life.fixture.store, 0, 3, "") == MO_OK);
-        if (part > START && part != START_AGAIN)
-          REQUIRE(mo_store_run_start(life.fixture.store, life.id) == MO_OK);
+        if (runs_before(&life, part) != 0)
+          REQUIRE(mo_store_run_start(life.fixture.store, runs_before(&life, part)) == MO_OK);
         before = digest(&life);
       } else if (error != MO_OK) {
         CHECK(digest(&life) == before);

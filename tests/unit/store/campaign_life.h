@@ -1,5 +1,5 @@
-/* campaign_life.h: a campaign's life in the store, in parts that can fail, and all that is stored
- * as a number. */
+/* campaign_life.h: the lives of a campaign, an evaluation and a training in the store, in parts
+ * that can fail, and all that is stored as a number. */
 #ifndef MORPHO_TESTS_STORE_CAMPAIGN_LIFE_H
 #define MORPHO_TESTS_STORE_CAMPAIGN_LIFE_H
 
@@ -7,6 +7,7 @@
 #include <sqlite3.h>
 
 #include "campaign_fixture.h"
+#include "store/trainings.h"
 
 struct life {
   struct fixture fixture;
@@ -16,8 +17,10 @@ struct life {
   uint8_t *weights;
   size_t size;
   struct made made;
-  int64_t id;
+  int64_t id, training;
 };
+
+#define LIFE_DESIGNS 300 /* of the evaluation; the first 3 are listed for the campaign */
 
 enum {
   SUBMIT,
@@ -32,8 +35,25 @@ enum {
   THIRD_COMMIT,
   EXTEND,
   FINISH,
+  EVALUATE,
+  TRAIN,
+  TRAIN_START,
+  TRAIN_PROGRESS,
+  TRAIN_CHECKPOINT,
+  TRAIN_CHECKPOINT_AGAIN,
+  TRAIN_PARK,
+  TRAIN_START_AGAIN,
+  TRAIN_FINISH,
   LIFE
 };
+
+/* Returns the job that must run before a part; 0: none. */
+static inline int64_t runs_before(const struct life *life, int part)
+{
+  if (part == START_AGAIN || part == TRAIN_START_AGAIN)
+    return 0;
+  return part > START && part <= FINISH ? life->id : part > TRAIN_START ? life->training : 0;
+}
 
 static inline int open_life(struct life *life)
 {
@@ -59,7 +79,7 @@ static inline int begin_life(struct life *life, const struct mo_store_config *co
   if (error == MO_OK)
     error = fixture_controller(life->fixture.store, "default", 1, &record);
   if (error == MO_OK)
-    error = fixture_bodies(55, 3, &life->forms, &life->genotypes);
+    error = fixture_bodies(55, LIFE_DESIGNS, &life->forms, &life->genotypes);
   if (error == MO_OK)
     error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &life->controller);
   if (error == MO_OK) {
@@ -102,11 +122,46 @@ static inline int prepare_life(struct life *life, int part)
              : MO_OK;
 }
 
+static inline int train_on(struct life *life, int part)
+{
+  const struct mo_training_submission submission = {
+      .record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN), .checkpoints_kept = 1}};
+  const struct mo_training_validation_row validation = {
+      .step = 20, .rollouts = 4, .mean_score = 0.5};
+  static const uint8_t state[5000];
+  struct mo_store *store = life->fixture.store;
+  struct mo_training_step_row rows[20];
+  enum mo_job_state after;
+  bool replayed;
+  for (uint32_t i = 0; i < 20; i++)
+    rows[i] =
+        (struct mo_training_step_row){.report = {.step = i + 1, .mean_loss = 0.5, .rate = 1e-3}};
+  switch (part) {
+  case TRAIN: return mo_store_submit_training(store, &submission, &life->training, &replayed);
+  case TRAIN_START:
+  case TRAIN_START_AGAIN: return mo_store_run_start(store, life->training);
+  case TRAIN_PROGRESS:
+    return mo_store_training_progress(store, life->training, rows, 20, &validation, "{}");
+  case TRAIN_CHECKPOINT:
+    return mo_store_training_checkpoint(store, life->training, 10, state, sizeof(state), 1);
+  case TRAIN_CHECKPOINT_AGAIN:
+    return mo_store_training_checkpoint(store, life->training, 20, state, sizeof(state), 1);
+  case TRAIN_PARK:
+    return mo_store_run_park(store, life->training, MO_ERR_NO_MEMORY, "out of memory", 3, &after);
+  default:
+    return mo_store_training_finish(store, life->training, "runner", life->weights, life->size,
+                                    life->controller);
+  }
+}
+
 static inline int live_on(struct life *life, int part)
 {
   struct mo_store *store = life->fixture.store;
   struct mo_campaign_submission submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, 1);
+  const struct mo_submission evaluation =
+      fixture_submission(life->forms, life->genotypes, LIFE_DESIGNS);
   enum mo_job_state state;
+  int64_t id;
   bool replayed;
   switch (part) {
   case SUBMIT:
@@ -132,9 +187,11 @@ static inline int live_on(struct life *life, int part)
   case PARK:
     return mo_store_run_park(store, life->id, MO_ERR_NO_MEMORY, "out of memory", 3, &state);
   case EXTEND: return mo_store_extend_campaign(store, life->id, 3, NULL, &state);
-  default:
+  case EVALUATE: return mo_store_submit(store, &evaluation, &id, &replayed);
+  case FINISH:
     return mo_store_campaign_finish(store, life->id, MO_CAMPAIGN_COMPLETED, 4, "walker",
                                     life->weights, life->size, life->controller);
+  default: return train_on(life, part);
   }
 }
 
@@ -170,12 +227,14 @@ static inline uint64_t table_digest(sqlite3 *db, const char *name, uint64_t hash
   return hash;
 }
 
-static inline uint64_t files_digest(const struct life *life, uint64_t hash)
+/* The names of the files of a job. */
+static inline uint64_t files_digest(const struct life *life, const char *kind, int64_t id,
+                                    uint64_t hash)
 {
   char path[512];
   uint64_t sum = 0; /* in whatever order they come */
   DIR *folder;
-  snprintf(path, sizeof(path), "%s/campaigns/%lld", life->fixture.path, (long long)life->id);
+  snprintf(path, sizeof(path), "%s/%s/%lld", life->fixture.path, kind, (long long)id);
   folder = opendir(path);
   for (struct dirent *entry; folder != NULL && (entry = readdir(folder)) != NULL;)
     if (strncmp(entry->d_name, ".", 1) != 0)
@@ -185,8 +244,7 @@ static inline uint64_t files_digest(const struct life *life, uint64_t hash)
   return mix(hash, &sum, sizeof(sum));
 }
 
-/* Every row of every table but `meta`, which counts openings, and the names of the campaign's
- * files. */
+/* Every row of every table but `meta`, which counts openings, and the names of checkpoints. */
 static inline uint64_t digest(const struct life *life)
 {
   char path[512];
@@ -204,7 +262,8 @@ static inline uint64_t digest(const struct life *life)
       hash = table_digest(db, (const char *)sqlite3_column_text(tables, 0), hash);
   sqlite3_finalize(tables);
   sqlite3_close(db);
-  return files_digest(life, hash);
+  hash = files_digest(life, "campaigns", life->id, hash);
+  return files_digest(life, "trainings", life->training, hash);
 }
 
 #endif

@@ -41,49 +41,6 @@ static int start_failing(struct fixture *fixture)
   return error == MO_OK ? fixture_controller(fixture->store, "default", 1, &record) : error;
 }
 
-static void survives_a_full_disk(void)
-{
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
-  struct mo_store_stats stats;
-  struct mo_job job;
-  int64_t id = 0;
-  int failures = 0;
-  bool replayed;
-  REQUIRE(start_failing(&fixture) == MO_OK);
-  REQUIRE(fixture_bodies(1, 300, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, 300);
-  /* Full at the first write, the second, …: at every point of a transaction, until it fits. */
-  for (long writes = 0; writes < 400; writes++) {
-    int error;
-    atomic_store(&fault_plan.writes_left, writes);
-    atomic_store(&fault_plan.write_error, SQLITE_FULL);
-    error = mo_store_submit(fixture.store, &submission, &id, &replayed);
-    mo_store_get_stats(fixture.store, &stats);
-    atomic_store(&fault_plan.write_error, 0);
-    if (error == MO_OK) { /* all its writes came before the fault */
-      CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
-      break;
-    }
-    failures++;
-    CHECK_INT(error, MO_ERR_NO_SPACE);
-    CHECK(stats.no_space);
-    CHECK_INT(
-        mo_store_jobs(fixture.store, &(struct mo_job_query){.state = -1, .kind = -1}, &job, 1), 0);
-    CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM designs"), 0);
-  }
-  CHECK(failures >= 10);
-  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_OK);
-  mo_store_get_stats(fixture.store, &stats);
-  CHECK(!stats.no_space && !stats.fatal);
-  CHECK_INT(atomic_load(&fatal_calls), 0);
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
-}
-
 static void notices_that_there_is_room_again(void)
 {
   struct fixture fixture;
@@ -164,129 +121,6 @@ static void dies_of_a_failing_disk(void)
     free(genotypes);
     fixture_end(&fixture);
   }
-}
-
-/* ---- trainings ---- */
-
-struct training_life {
-  struct fixture fixture;
-  struct mo_training_submission submission;
-  struct mo_controller *controller;
-  uint8_t *weights;
-  size_t size;
-  int64_t id;
-};
-
-enum {
-  SUBMIT,
-  START,
-  PROGRESS,
-  FIRST_CHECKPOINT,
-  SECOND_CHECKPOINT,
-  PARK,
-  START_AGAIN,
-  FINISH,
-  LIFE
-};
-
-static int live_on(struct training_life *life, int part)
-{
-  struct mo_store *store = life->fixture.store;
-  static const uint8_t state[5000];
-  struct mo_training_step_row rows[20];
-  const struct mo_training_validation_row validation = {
-      .step = 20, .rollouts = 4, .mean_score = 0.5};
-  enum mo_job_state after;
-  bool replayed;
-  for (uint32_t i = 0; i < 20; i++)
-    rows[i] =
-        (struct mo_training_step_row){.report = {.step = i + 1, .mean_loss = 0.5, .rate = 1e-3}};
-  switch (part) {
-  case SUBMIT: return mo_store_submit_training(store, &life->submission, &life->id, &replayed);
-  case START:
-  case START_AGAIN: return mo_store_run_start(store, life->id);
-  case PROGRESS:
-    return mo_store_training_progress(store, life->id, rows, 20, &validation, "{\"id\":\"1\"}");
-  case FIRST_CHECKPOINT:
-    return mo_store_training_checkpoint(store, life->id, 10, state, sizeof(state), 1);
-  case SECOND_CHECKPOINT:
-    return mo_store_training_checkpoint(store, life->id, 20, state, sizeof(state), 1);
-  case PARK:
-    return mo_store_run_park(store, life->id, MO_ERR_NO_MEMORY, "out of memory", 3, &after);
-  default:
-    return mo_store_training_finish(store, life->id, "walker", life->weights, life->size,
-                                    life->controller);
-  }
-}
-
-/* What is there after `parts` of a life: all of them, and nothing of the next. */
-static void check_life(struct training_life *life, int parts)
-{
-  struct mo_store *store = life->fixture.store;
-  static struct mo_training_status status;
-  struct mo_controller_record record;
-  char path[512];
-  if (parts <= SUBMIT) {
-    CHECK_INT(
-        mo_store_trainings(store, &(struct mo_job_query){.state = -1, .kind = -1}, &status, 1), 0);
-    return;
-  }
-  REQUIRE(mo_store_training(store, life->id, &status) == MO_OK);
-  CHECK_INT(status.job.state, parts > FINISH                           ? MO_JOB_SUCCEEDED
-                              : parts <= START || parts == START_AGAIN ? MO_JOB_QUEUED
-                                                                       : MO_JOB_RUNNING);
-  CHECK_INT(status.step, parts > PROGRESS ? 20 : 0);
-  CHECK_INT(status.has_validation, parts > PROGRESS);
-  CHECK_INT(status.checkpoint_step, parts > SECOND_CHECKPOINT  ? 20
-                                    : parts > FIRST_CHECKPOINT ? 10
-                                                               : 0);
-  CHECK_INT(status.job.attempts, parts > PARK);
-  CHECK_INT(status.has_result, parts > FINISH);
-  CHECK_INT(mo_store_controller(store, "walker", &record),
-            parts > FINISH ? MO_OK : MO_ERR_NOT_FOUND);
-  for (uint32_t step = 10; step <= 20; step += 10) { /* files are those of rows */
-    snprintf(path, sizeof(path), "%s/trainings/%lld/%u.checkpoint", life->fixture.path,
-             (long long)life->id, step);
-    CHECK_INT(access(path, F_OK), status.checkpoint_step == step ? 0 : -1);
-  }
-}
-
-/* The database is full at the first write, the second, … of every part of a training's life. */
-static void trains_on_a_full_disk(void)
-{
-  struct training_life life = {.id = 0};
-  int failures = 0;
-  REQUIRE(start_failing(&life.fixture) == MO_OK);
-  life.submission = (struct mo_training_submission){
-      .record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN), .checkpoints_kept = 1}};
-  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &life.controller) ==
-          MO_OK);
-  mo_controller_randomize(life.controller, 7);
-  REQUIRE(mo_controller_encode(life.controller, &life.weights, &life.size) == MO_OK);
-  for (int part = SUBMIT; part < LIFE; part++) {
-    int error = MO_ERR_NO_SPACE;
-    for (long writes = 0; writes < 100 && error != MO_OK; writes++) {
-      atomic_store(&fault_plan.writes_left, writes);
-      atomic_store(&fault_plan.write_error, SQLITE_FULL);
-      error = live_on(&life, part);
-      atomic_store(&fault_plan.write_error, 0);
-      if (error != MO_OK) {
-        failures++;
-        CHECK_INT(error, MO_ERR_NO_SPACE);
-        check_life(&life, part);
-      }
-    }
-    CHECK_INT(error, MO_OK);
-    check_life(&life, part + 1);
-  }
-  CHECK(failures >= 2 * LIFE);
-  CHECK_INT(atomic_load(&fatal_calls), 0);
-  CHECK_INT(fixture_reopen(&life.fixture), MO_OK);
-  CHECK_INT(mo_store_check(life.fixture.store, &life.fixture.message), MO_OK);
-  check_life(&life, LIFE);
-  free(life.weights);
-  mo_controller_free(life.controller);
-  fixture_end(&life.fixture);
 }
 
 /* In place of the C library's. */
@@ -559,8 +393,6 @@ static void refuses_an_unwritable_folder(void)
 }
 
 static const struct check_case cases[] = {
-    {"survives a disk that is full at any write", survives_a_full_disk},
-    {"trains on a full disk", trains_on_a_full_disk},
     {"notices that there is room again", notices_that_there_is_room_again},
     {"dies of a disk that fails, and recovers", dies_of_a_failing_disk},
     {"dies of a folder that cannot be synced", dies_of_a_folder_that_cannot_be_synced},
