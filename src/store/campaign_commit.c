@@ -19,11 +19,11 @@ struct commit_arguments {
   const struct mo_campaign_commit *commit;
   struct mo_checkpoint checkpoint;
   struct mo_campaign_head head;
-  int64_t *genotypes;  /* (n_children) rows */
-  uint8_t *lives;      /* (n_parents + n_children) */
-  uint8_t *births;     /* (n_children, MO_BIRTH_BYTES) */
-  uint8_t *population; /* (n_survivors, MO_MEMBER_BYTES) */
-  uint8_t *scores;     /* (n_parents, 8) as stored before */
+  int64_t *genotypes;               /* (n_children) rows */
+  uint8_t *lives;                   /* (n_parents + n_children) */
+  struct mo_birth_row *births;      /* (n_children) */
+  struct mo_member_row *population; /* (n_survivors) */
+  double *scores;                   /* (n_parents) as stored before */
 };
 
 /* ---- checks of the request ---- */
@@ -35,61 +35,37 @@ static uint32_t parent_number(const struct mo_campaign_commit *commit, const str
                                                : commit->parent_numbers[birth->parents[which]];
 }
 
-static int check_births(const struct mo_campaign_commit *commit)
-{
-  for (uint32_t i = 0; i < commit->row.n_children; i++) {
-    const struct mo_birth *birth = &commit->births[i];
-    if ((unsigned)birth->op >= MO_OPERATORS || isnan(commit->child_scores[i]))
-      return MO_ERR_INVALID;
-    for (int p = 0; p < 2; p++)
-      if (birth->parents[p] != MO_NO_PARENT && birth->parents[p] >= commit->n_parents)
-        return MO_ERR_INVALID;
-  }
-  for (uint32_t i = 0; i < commit->n_losses; i++)
-    if (commit->losses[i].place >= commit->row.n_children)
-      return MO_ERR_INVALID;
-  return MO_OK;
-}
-
 /* Prepares the BLOBs, and marks the survivors. */
 static int prepare(struct commit_arguments *call)
 {
   const struct mo_campaign_commit *commit = call->commit;
   uint32_t n_children = commit->row.n_children, n_parents = commit->n_parents;
   uint64_t n = (uint64_t)n_parents + n_children;
-  int error;
   if (n_children > MO_POPULATION_MAX || n_parents > MO_POPULATION_MAX || commit->n_survivors > n ||
       commit->row.born_before + n_children > MO_CAMPAIGN_DESIGNS_MAX)
     return MO_ERR_RANGE;
-  error = check_births(commit);
-  if (error != MO_OK)
-    return error;
   call->genotypes = calloc(n_children + 1, sizeof(*call->genotypes));
   call->lives = calloc(n + 1, 1);
-  call->births = calloc(n_children + 1, MO_BIRTH_BYTES);
-  call->population = calloc(commit->n_survivors + 1, MO_MEMBER_BYTES);
-  call->scores = calloc(n_parents + 1, 8);
+  call->births = calloc(n_children + 1, sizeof(*call->births));
+  call->population = calloc(commit->n_survivors + 1, sizeof(*call->population));
+  call->scores = calloc(n_parents + 1, sizeof(*call->scores));
   if (call->genotypes == NULL || call->lives == NULL || call->births == NULL ||
       call->population == NULL || call->scores == NULL)
     return MO_ERR_NO_MEMORY;
-  for (uint32_t i = 0; i < n_children; i++) {
-    uint8_t *at = call->births + (size_t)i * MO_BIRTH_BYTES;
-    at[0] = (uint8_t)commit->births[i].op;
-    mo_encode_u32(parent_number(commit, &commit->births[i], 0), at + 1);
-    mo_encode_u32(parent_number(commit, &commit->births[i], 1), at + 5);
-  }
+  for (uint32_t i = 0; i < n_children; i++)
+    call->births[i] = (struct mo_birth_row){(uint8_t)commit->births[i].op,
+                                            {parent_number(commit, &commit->births[i], 0),
+                                             parent_number(commit, &commit->births[i], 1)}};
   for (uint32_t i = 0; i < commit->n_survivors; i++) {
-    uint32_t place = commit->survivors[i];
-    bool is_child = place >= n_parents;
+    const uint32_t place = commit->survivors[i];
     if (place >= n || call->lives[place])
       return MO_ERR_INVALID;
     call->lives[place] = 1;
-    mo_encode_u32(is_child ? (uint32_t)commit->row.born_before + place - n_parents
-                           : commit->parent_numbers[place],
-                  call->population + (size_t)i * MO_MEMBER_BYTES);
-    mo_encode_double(is_child ? commit->child_scores[place - n_parents]
-                              : commit->parent_scores[place],
-                     call->population + (size_t)i * MO_MEMBER_BYTES + 4);
+    call->population[i] =
+        place < n_parents
+            ? (struct mo_member_row){commit->parent_numbers[place], commit->parent_scores[place]}
+            : (struct mo_member_row){(uint32_t)commit->row.born_before + place - n_parents,
+                                     commit->child_scores[place - n_parents]};
   }
   return MO_OK;
 }
@@ -98,20 +74,19 @@ static int prepare(struct commit_arguments *call)
 static int check_parents(struct mo_connection *writer, struct commit_arguments *call)
 {
   const struct mo_campaign_commit *commit = call->commit;
-  struct mo_campaign_blobs blobs;
+  struct mo_campaign_members members;
   int error = MO_OK;
   if (call->head.generation < 0)
     return commit->n_parents == 0 ? MO_OK : MO_ERR_INVALID;
-  error = mo_campaign_blobs_get(writer, call->id, call->head.generation, &blobs);
+  error = mo_campaign_members_get(writer, call->id, call->head.generation, &members);
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
-  if (blobs.n != commit->n_parents)
+  if (members.n != commit->n_parents)
     error = MO_ERR_INVALID;
-  for (uint32_t i = 0; i < blobs.n && error == MO_OK; i++) {
-    const uint8_t *member = blobs.population + (size_t)i * MO_MEMBER_BYTES;
-    if (mo_decode_u32(member) != commit->parent_numbers[i] || isnan(commit->parent_scores[i]))
+  for (uint32_t i = 0; i < members.n && error == MO_OK; i++) {
+    if (members.population[i].number != commit->parent_numbers[i])
       error = MO_ERR_INVALID;
-    memcpy(call->scores + (size_t)8 * i, member + 4, 8);
+    call->scores[i] = members.population[i].score;
   }
   return error;
 }
@@ -134,14 +109,10 @@ static int check_turn(struct mo_store *store, struct commit_arguments *call)
 
 /* ---- designs ---- */
 
-static int write_size(const struct mo_design_size *size, int64_t *packed)
+static int64_t packed_size(const struct mo_design_size *size)
 {
-  if (size->springs > UINT16_MAX || size->masses > 1023 || size->voxels > 1023 ||
-      size->footprint > 1023)
-    return MO_ERR_RANGE;
-  *packed = (int64_t)((uint64_t)size->springs | (uint64_t)size->masses << 16 |
-                      (uint64_t)size->voxels << 26 | (uint64_t)size->footprint << 36);
-  return MO_OK;
+  return (int64_t)((uint64_t)size->springs | (uint64_t)size->masses << 16 |
+                   (uint64_t)size->voxels << 26 | (uint64_t)size->footprint << 36);
 }
 
 /* A parent's number, or NULL. */
@@ -160,22 +131,16 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
       "score,size) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10)";
   const struct mo_campaign_commit *commit = call->commit;
   const struct mo_value born = mo_int(commit->row.generation);
-  int64_t size = 0;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++)
     error = mo_genotype_row(writer, &commit->forms[i], &commit->genotypes[i], now_us,
                             &call->genotypes[i]);
-  for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++) {
-    uint8_t score[8];
-    mo_encode_double(commit->child_scores[i], score);
-    error = write_size(&commit->sizes[i], &size);
-    if (error == MO_OK)
-      error = mo_sql_do(writer, sql, mo_int(call->id), mo_int((int64_t)commit->row.born_before + i),
-                        mo_int(call->genotypes[i]), mo_int(commit->births[i].op),
-                        parent_value(commit, i, 0), parent_value(commit, i, 1), born,
-                        call->lives[commit->n_parents + i] ? mo_null() : born,
-                        mo_blob(score, sizeof(score)), mo_int(size));
-  }
+  for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++)
+    error = mo_sql_do(writer, sql, mo_int(call->id), mo_int((int64_t)commit->row.born_before + i),
+                      mo_int(call->genotypes[i]), mo_int(commit->births[i].op),
+                      parent_value(commit, i, 0), parent_value(commit, i, 1), born,
+                      call->lives[commit->n_parents + i] ? mo_null() : born,
+                      mo_blob(&commit->child_scores[i], 8), mo_int(packed_size(&commit->sizes[i])));
   return error;
 }
 
@@ -187,13 +152,11 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
   const struct mo_campaign_commit *commit = call->commit;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->n_parents && error == MO_OK; i++) {
-    uint8_t score[8];
-    mo_encode_double(commit->parent_scores[i], score);
-    if (call->lives[i] && memcmp(score, call->scores + (size_t)8 * i, 8) == 0)
+    if (call->lives[i] && memcmp(&commit->parent_scores[i], &call->scores[i], 8) == 0)
       continue;
     error = mo_sql_change(writer, sql, mo_int(call->id), mo_int(commit->parent_numbers[i]),
                           call->lives[i] ? mo_null() : mo_int(commit->row.generation),
-                          mo_blob(score, sizeof(score)));
+                          mo_blob(&commit->parent_scores[i], 8));
     if (error == MO_ERR_CONFLICT)
       error = MO_ERR_CORRUPT;
   }
@@ -289,8 +252,8 @@ static int insert_blobs(struct mo_connection *writer, const struct commit_argume
       "INSERT INTO campaign_populations(job,generation,births,population) VALUES(?1,?2,?3,?4)";
   const struct mo_campaign_commit *commit = call->commit;
   return mo_sql_do(writer, sql, mo_int(call->id), mo_int(commit->row.generation),
-                   mo_blob(call->births, (size_t)commit->row.n_children * MO_BIRTH_BYTES),
-                   mo_blob(call->population, (size_t)commit->n_survivors * MO_MEMBER_BYTES));
+                   mo_blob(call->births, commit->row.n_children * sizeof(*call->births)),
+                   mo_blob(call->population, commit->n_survivors * sizeof(*call->population)));
 }
 
 static int update_campaign(struct mo_connection *writer, const struct commit_arguments *call)
@@ -302,8 +265,7 @@ static int update_campaign(struct mo_connection *writer, const struct commit_arg
   const double diversity = commit->row.stats.diversity, most = call->head.diversity_max;
   return mo_sql_do(writer, sql, mo_int(call->id), mo_int(commit->row.generation),
                    mo_int((int64_t)commit->row.born_before + commit->row.n_children),
-                   commit->n_survivors > 0 ? mo_real(mo_decode_double(call->population + 4))
-                                           : mo_null(),
+                   commit->n_survivors > 0 ? mo_real(call->population[0].score) : mo_null(),
                    mo_real(diversity > most ? diversity : most));
 }
 

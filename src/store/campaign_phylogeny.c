@@ -7,29 +7,22 @@
 
 #include "store/campaign_rows.h"
 
-int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t generation,
-                          struct mo_campaign_blobs *blobs)
+int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_t generation,
+                            struct mo_campaign_members *members)
 {
   static const char sql[] =
-      "SELECT births,population FROM campaign_populations WHERE job=?1 AND generation=?2";
-  sqlite3_stmt *statement;
-  int n_births, n;
-  int error;
-  *blobs = (struct mo_campaign_blobs){.n = 0};
-  error = mo_sql_row(connection, &statement, sql, mo_int(id), mo_int(generation));
+      "SELECT population FROM campaign_populations WHERE job=?1 AND generation=?2";
+  sqlite3_stmt *row;
+  const int error = mo_sql_row(connection, &row, sql, mo_int(id), mo_int(generation));
+  size_t size;
   if (error != MO_OK)
     return error;
-  blobs->births = sqlite3_column_blob(statement, 0);
-  blobs->population = sqlite3_column_blob(statement, 1);
-  n_births = sqlite3_column_bytes(statement, 0);
-  n = sqlite3_column_bytes(statement, 1);
-  blobs->n_births = (uint32_t)n_births / MO_BIRTH_BYTES;
-  blobs->n = (uint32_t)n / MO_MEMBER_BYTES;
-  if (n_births % MO_BIRTH_BYTES == 0 && n % MO_MEMBER_BYTES == 0 &&
-      (blobs->births != NULL || n_births == 0) && (blobs->population != NULL || n == 0))
-    return MO_OK;
-  blobs->n = 0;
-  return MO_ERR_CORRUPT;
+  members->population = sqlite3_column_blob(row, 0);
+  size = (size_t)sqlite3_column_bytes(row, 0);
+  members->n = (uint32_t)(size / sizeof(*members->population));
+  return size % sizeof(*members->population) == 0 && (members->population != NULL || size == 0)
+             ? MO_OK
+             : mo_column_missing(row);
 }
 
 /* ---- designs ---- */
@@ -100,22 +93,21 @@ static int64_t load_population(struct mo_connection *reader, int64_t id, int64_t
                                uint32_t offset, struct mo_campaign_design *rows, size_t limit,
                                uint32_t *n)
 {
-  struct mo_campaign_blobs blobs;
+  struct mo_campaign_members members;
   struct mo_campaign_head head = {0};
   int64_t filled = 0;
   int error = mo_campaign_head_get(reader, id, &head);
   if (error == MO_OK)
-    error =
-        mo_campaign_blobs_get(reader, id, generation < 0 ? head.generation : generation, &blobs);
+    error = mo_campaign_members_get(reader, id, generation < 0 ? head.generation : generation,
+                                    &members);
   if (error != MO_OK)
     return error;
-  *n = blobs.n;
-  for (uint32_t i = offset; i < blobs.n && (size_t)filled < limit; i++) {
-    const uint8_t *member = blobs.population + (size_t)i * MO_MEMBER_BYTES;
-    error = load_design(reader, id, mo_decode_u32(member), &rows[filled]);
+  *n = members.n;
+  for (uint32_t i = offset; i < members.n && (size_t)filled < limit; i++) {
+    error = load_design(reader, id, members.population[i].number, &rows[filled]);
     if (error != MO_OK)
       return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
-    rows[filled++].score = mo_decode_double(member + 4);
+    rows[filled++].score = members.population[i].score;
   }
   return filled;
 }
@@ -157,13 +149,13 @@ static int load_descents(struct mo_connection *reader, int64_t id, struct mo_des
     return MO_ERR_NO_MEMORY;
   row = mo_sql_rows(reader, &error, sql, mo_int(id));
   while (mo_sql_next(reader, row, &error)) {
-    const uint8_t *at = sqlite3_column_blob(row, 1);
-    const size_t n = (size_t)sqlite3_column_bytes(row, 1) / MO_BIRTH_BYTES;
+    const struct mo_birth_row *births = sqlite3_column_blob(row, 1);
+    const size_t n = (size_t)sqlite3_column_bytes(row, 1) / sizeof(*births);
     if (n > head.n_designs - filled)
       return MO_ERR_CORRUPT;
-    for (size_t i = 0; i < n; i++, at += MO_BIRTH_BYTES)
+    for (size_t i = 0; i < n; i++)
       descents[filled + i] =
-          (struct mo_descent){{mo_decode_u32(at + 1), mo_decode_u32(at + 5)}, at[0]};
+          (struct mo_descent){{births[i].parents[0], births[i].parents[1]}, births[i].op};
     for (size_t i = 0; i < n && born != NULL; i++)
       born[filled + i] = mo_column_u32(row, 0);
     filled += n;

@@ -8,8 +8,15 @@
 #include "store/checkpoint_files.h"
 #include "store/runs.h"
 
-#define MO_BIRTH_BYTES  9  /* operator, two parents */
-#define MO_MEMBER_BYTES 12 /* number, score */
+/* As campaign_populations has them. */
+struct mo_birth_row {
+  uint8_t op;
+  uint32_t parents[2]; /* numbers */
+} __attribute__((packed));
+struct mo_member_row {
+  uint32_t number;
+  double score;
+} __attribute__((packed));
 
 /* The part of a campaign's row that operations need. */
 struct mo_campaign_head {
@@ -25,14 +32,14 @@ struct mo_campaign_head {
 int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
                          struct mo_campaign_head *head);
 
-/* The BLOBs of a generation, which can be read until the next call. MO_ERR_NOT_FOUND;
+/* The population of a generation, which can be read until the next call. MO_ERR_NOT_FOUND;
  * MO_ERR_CORRUPT: a wrong size. */
-struct mo_campaign_blobs {
-  const uint8_t *births, *population; /* (n_births, MO_BIRTH_BYTES), (n, MO_MEMBER_BYTES) */
-  uint32_t n_births, n;
+struct mo_campaign_members {
+  const struct mo_member_row *population; /* (n) best first */
+  uint32_t n;
 };
-int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t generation,
-                          struct mo_campaign_blobs *blobs);
+int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_t generation,
+                            struct mo_campaign_members *members);
 
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id);
 

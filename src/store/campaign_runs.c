@@ -154,28 +154,27 @@ static int load_member(struct mo_connection *reader, int64_t id, struct mo_campa
 
 static int load_state(struct mo_connection *reader, int64_t id, struct mo_campaign_state *state)
 {
-  struct mo_campaign_blobs blobs;
+  struct mo_campaign_members members = {.n = 0};
   struct mo_campaign_head head = {0};
   int error = mo_campaign_head_get(reader, id, &head);
   if (error == MO_OK)
-    error = mo_campaign_blobs_get(reader, id, head.generation, &blobs);
+    error = mo_campaign_members_get(reader, id, head.generation, &members);
   if (error != MO_OK)
     return error;
   state->generation = (uint32_t)head.generation;
-  state->n = blobs.n;
+  state->n = members.n;
   state->n_designs = head.n_designs;
   state->diversity_max = head.diversity_max;
-  state->numbers = calloc(blobs.n + 1, sizeof(*state->numbers));
-  state->born = calloc(blobs.n + 1, sizeof(*state->born));
-  state->genotypes = calloc(blobs.n + 1, sizeof(*state->genotypes));
-  state->scores = calloc(blobs.n + 1, sizeof(*state->scores));
+  state->numbers = calloc(members.n + 1, sizeof(*state->numbers));
+  state->born = calloc(members.n + 1, sizeof(*state->born));
+  state->genotypes = calloc(members.n + 1, sizeof(*state->genotypes));
+  state->scores = calloc(members.n + 1, sizeof(*state->scores));
   if (state->numbers == NULL || state->born == NULL || state->genotypes == NULL ||
       state->scores == NULL)
     return MO_ERR_NO_MEMORY;
-  for (uint32_t i = 0; i < blobs.n && error == MO_OK; i++) {
-    const uint8_t *member = blobs.population + (size_t)i * MO_MEMBER_BYTES;
-    state->numbers[i] = mo_decode_u32(member);
-    state->scores[i] = mo_decode_double(member + 4);
+  for (uint32_t i = 0; i < members.n && error == MO_OK; i++) {
+    state->numbers[i] = members.population[i].number;
+    state->scores[i] = members.population[i].score;
     error = load_member(reader, id, state, i);
   }
   return error;

@@ -100,8 +100,8 @@ struct mo_campaign_commit {
 /* Commits a generation. Generation 0 has no parents: its whole population are children.
  * MO_ERR_NO_SPACE: nothing changed. MO_ERR_CONFLICT: as for trainings, or another generation is
  * next. MO_ERR_INVALID, MO_ERR_RANGE: a mistake of the caller: parents are not the stored
- * population in its order, a survivor is named twice, a score is NaN, or row.born_before is not the
- * number of designs so far. */
+ * population in its order, a survivor is named twice, or row.born_before is not the number of
+ * designs so far. */
 int mo_store_campaign_commit(struct mo_store *store, int64_t id,
                              const struct mo_campaign_commit *commit);
 /* running → succeeded. controller (nullable): stored under its name, as by

@@ -74,18 +74,17 @@ static int find_member(struct mo_connection *writer, const struct mo_campaign_re
 static int insert_inherited(struct mo_connection *writer, const struct mo_campaign_record *record,
                             int64_t group)
 {
-  struct mo_campaign_blobs blobs = {.n = 0};
+  struct mo_campaign_members members = {.n = 0};
   struct mo_campaign_head head = {0};
   uint32_t n = record->n_listed;
   int error = mo_campaign_head_get(writer, record->initial_campaign, &head);
   if (error == MO_OK && head.generation < 0)
     error = MO_ERR_CONFLICT;
   if (error == MO_OK)
-    error = mo_campaign_blobs_get(writer, record->initial_campaign, head.generation, &blobs);
-  for (uint32_t i = 0; i < blobs.n && n < record->settings.population && error == MO_OK; i++) {
-    uint32_t number = mo_decode_u32(blobs.population + (size_t)i * MO_MEMBER_BYTES);
+    error = mo_campaign_members_get(writer, record->initial_campaign, head.generation, &members);
+  for (uint32_t i = 0; i < members.n && n < record->settings.population && error == MO_OK; i++) {
     int64_t genotype = 0;
-    int welcome = find_member(writer, record, number, group, &genotype);
+    int welcome = find_member(writer, record, members.population[i].number, group, &genotype);
     if (welcome < 0)
       error = welcome;
     else if (welcome > 0)

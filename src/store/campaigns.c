@@ -69,11 +69,7 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
 
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status)
 {
-  struct mo_campaign_status found;
-  const int error = mo_read_job(store, id, load_status, &found);
-  if (error == MO_OK)
-    *status = found;
-  return error;
+  return mo_read_job(store, id, load_status, status);
 }
 
 int64_t mo_store_campaigns(struct mo_store *store, const struct mo_job_query *query,

@@ -51,7 +51,7 @@ int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t genera
 
 /* ---- reading: lists of an unknown campaign are empty; all else returns MO_ERR_NOT_FOUND ---- */
 
-/* MO_ERR_NOT_FOUND. After an error *status is as it was. */
+/* MO_ERR_NOT_FOUND. */
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status);
 int64_t mo_store_campaigns(struct mo_store *store, const struct mo_job_query *query,
                            struct mo_campaign_status *statuses, size_t limit);

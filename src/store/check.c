@@ -20,27 +20,24 @@ struct walk {
 
 /* ---- rows ---- */
 
-static int check_genotype(struct walk *walk, sqlite3_stmt *row)
+static int check_genotype(sqlite3_stmt *row)
 {
   struct mo_bits bits;
-  (void)walk;
   return mo_column_genotype(row, 1, 2, &bits, NULL);
 }
 
-static int check_environment(struct walk *walk, sqlite3_stmt *row)
+static int check_environment(sqlite3_stmt *row)
 {
   struct mo_environment environment;
-  (void)walk;
   return mo_column_environment(row, 1, 2, &environment);
 }
 
-static int check_physics(struct walk *walk, sqlite3_stmt *row)
+static int check_physics(sqlite3_stmt *row)
 {
   struct mo_sha256 stored, found;
   struct mo_physics physics;
   enum mo_precision precision;
   enum mo_sensor sensor;
-  (void)walk;
   if (mo_column_hash(row, 2, &stored) != MO_OK ||
       mo_column_physics(row, 1, &physics, &precision, &sensor) != MO_OK)
     return MO_ERR_CORRUPT;
@@ -48,51 +45,46 @@ static int check_physics(struct walk *walk, sqlite3_stmt *row)
   return mo_sha256_equal(&stored, &found) ? MO_OK : MO_ERR_CORRUPT;
 }
 
-static int check_score(struct walk *walk, sqlite3_stmt *row)
+static int check_score(sqlite3_stmt *row)
 {
   struct mo_condition condition;
   double losses[MO_BLOCK_LANES];
   uint32_t steps[MO_BLOCK_LANES];
-  (void)walk;
   return mo_score_from_row(row, 1, &condition, losses, steps);
 }
 
-static int check_member(struct walk *walk, sqlite3_stmt *row)
+static int check_member(sqlite3_stmt *row)
 {
   const int64_t position = sqlite3_column_int64(row, 1), environment = sqlite3_column_int64(row, 2);
   const uint8_t *bytes = sqlite3_column_blob(row, 3);
-  (void)walk;
   return bytes != NULL && position >= 0 && position < sqlite3_column_bytes(row, 3) / 8 &&
                  memcmp(bytes + 8 * position, &environment, 8) == 0
              ? MO_OK
              : MO_ERR_CORRUPT;
 }
 
-static int check_campaign_losses(struct walk *walk, sqlite3_stmt *row)
+static int check_campaign_losses(sqlite3_stmt *row)
 {
   const int64_t key[] = {sqlite3_column_int64(row, 0), sqlite3_column_int64(row, 1)};
   const int64_t n = sqlite3_column_int64(row, 3);
   double losses[MO_ENVIRONMENTS_MAX];
   uint32_t steps[MO_ENVIRONMENTS_MAX];
-  (void)walk;
   return n >= 1 && n <= MO_ENVIRONMENTS_MAX
              ? mo_unpack_losses(key, 2, sqlite3_column_blob(row, 2),
                                 (size_t)sqlite3_column_bytes(row, 2), (uint32_t)n, losses, steps)
              : MO_ERR_CORRUPT;
 }
 
-static int check_mean(struct walk *walk, sqlite3_stmt *row)
+static int check_mean(sqlite3_stmt *row)
 {
   double mean;
-  (void)walk;
   return mo_set_score_from_row(row, 2, sqlite3_column_int64(row, 1), sqlite3_column_int64(row, 0),
                                &mean);
 }
 
 /* Rows of this query are findings. */
-static int is_finding(struct walk *walk, sqlite3_stmt *row)
+static int is_finding(sqlite3_stmt *row)
 {
-  (void)walk;
   (void)row;
   return MO_ERR_CORRUPT;
 }
@@ -153,7 +145,8 @@ static int check_checkpoint(struct walk *walk, sqlite3_stmt *row)
 /* Column 0 of each query is the row that a finding names. */
 static const struct part {
   const char *what, *sql;
-  int (*check)(struct walk *walk, sqlite3_stmt *row);
+  int (*check)(sqlite3_stmt *row);                       /* MO_ERR_CORRUPT: a finding */
+  int (*check_in)(struct walk *walk, sqlite3_stmt *row); /* in place of `check` */
 } parts[] = {
     {"a genotype is no orientation of its design, or damaged: genotypes, row",
      "SELECT g.id,g.bits,d.form FROM genotypes g JOIN designs d ON d.id=g.design", check_genotype},
@@ -177,14 +170,14 @@ static const struct part {
      check_campaign_losses},
     {"a mean loss is damaged: set_scores, genotype",
      "SELECT genotype,ranking,score,checksum FROM set_scores", check_mean},
-    {"a job is damaged: jobs, row", "SELECT id FROM jobs", check_job},
+    {"a job is damaged: jobs, row", "SELECT id FROM jobs", .check_in = check_job},
     {"a controller's file is missing or damaged: controllers, row",
-     "SELECT id,sha256,size FROM controllers", check_controller},
+     "SELECT id,sha256,size FROM controllers", .check_in = check_controller},
     {"a checkpoint's file is missing or damaged: job",
      "SELECT c.job,c.sha256,c.size,iif(j.kind=1,printf('trainings/%d/%d.checkpoint',c.job,c.step),"
      "printf('campaigns/%d/%d-%d.checkpoint',c.job,c.generation,c.step)) FROM checkpoints c"
      " JOIN jobs j ON j.id=c.job",
-     check_checkpoint},
+     .check_in = check_checkpoint},
 };
 
 static int walk_part(struct walk *walk, const struct part *part)
@@ -192,7 +185,7 @@ static int walk_part(struct walk *walk, const struct part *part)
   int error = MO_OK;
   sqlite3_stmt *row = mo_sql_rows(walk->reader, &error, part->sql);
   while (mo_sql_next(walk->reader, row, &error)) {
-    error = part->check(walk, row);
+    error = part->check != NULL ? part->check(row) : part->check_in(walk, row);
     walk->counts->rows++;
     if (error == MO_ERR_CORRUPT) {
       char finding[160];

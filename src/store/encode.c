@@ -1,134 +1,73 @@
-/* encode.c: fixed little-endian layouts. */
+/* encode.c: see encode.h. */
 #include "store/encode.h"
 
 #include <string.h>
 
-void mo_encode_u32(uint32_t value, uint8_t bytes[4])
-{
-  for (int i = 0; i < 4; i++)
-    bytes[i] = (uint8_t)(value >> (8 * i));
-}
+_Static_assert(sizeof(struct mo_environment) == 8 * (2 + MO_TERRAIN_HEIGHTS),
+               "nothing but doubles");
 
-uint32_t mo_decode_u32(const uint8_t bytes[4])
-{
-  uint32_t value = 0;
-  for (int i = 3; i >= 0; i--)
-    value = (value << 8) | bytes[i];
-  return value;
-}
-
-void mo_encode_double(double value, uint8_t bytes[8])
-{
-  uint64_t word;
-  memcpy(&word, &value, sizeof(word));
-  for (int i = 0; i < 8; i++)
-    bytes[i] = (uint8_t)(word >> (8 * i));
-}
-
-double mo_decode_double(const uint8_t bytes[8])
-{
-  uint64_t word = 0;
-  double value;
-  for (int i = 7; i >= 0; i--)
-    word = (word << 8) | bytes[i];
-  memcpy(&value, &word, sizeof(value));
-  return value;
-}
-
-void mo_encode_doubles(const double *values, size_t n, uint8_t *bytes)
-{
-  for (size_t i = 0; i < n; i++)
-    mo_encode_double(values[i], bytes + 8 * i);
-}
-
-void mo_decode_doubles(const uint8_t *bytes, size_t n, double *values)
-{
-  for (size_t i = 0; i < n; i++)
-    values[i] = mo_decode_double(bytes + 8 * i);
-}
-
-void mo_encode_floats(const float *values, size_t n, uint8_t *bytes)
-{
-  for (size_t i = 0; i < n; i++) {
-    uint32_t word;
-    memcpy(&word, &values[i], sizeof(word));
-    mo_encode_u32(word, bytes + 4 * i);
-  }
-}
-
-void mo_decode_floats(const uint8_t *bytes, size_t n, float *values)
-{
-  for (size_t i = 0; i < n; i++) {
-    uint32_t word = mo_decode_u32(bytes + 4 * i);
-    memcpy(&values[i], &word, sizeof(word));
-  }
-}
-
-/* Writes −0 as 0, so that equal environments have one row and are computed once. */
 void mo_encode_environment(const struct mo_environment *environment,
                            uint8_t bytes[MO_ENVIRONMENT_BYTES])
 {
-  for (size_t i = 0; i < 2 + MO_TERRAIN_HEIGHTS; i++) {
-    double value = i < 2 ? environment->light_xy_m[i] : environment->terrain_heights_m[i - 2];
-    mo_encode_double(value == 0.0 ? 0.0 : value, bytes + 8 * i);
-  }
+  struct mo_environment encoded = *environment;
+  for (int i = 0; i < 2; i++)
+    encoded.light_xy_m[i] += 0.0; /* −0 + 0 is 0 */
+  for (int i = 0; i < MO_TERRAIN_HEIGHTS; i++)
+    encoded.terrain_heights_m[i] += 0.0;
+  memcpy(bytes, &encoded, sizeof(encoded));
 }
 
-void mo_decode_environment(const uint8_t bytes[MO_ENVIRONMENT_BYTES],
-                           struct mo_environment *environment)
-{
-  mo_decode_doubles(bytes, 2, environment->light_xy_m);
-  mo_decode_doubles(bytes + 16, MO_TERRAIN_HEIGHTS, environment->terrain_heights_m);
-}
+struct physics_encoding {
+  uint8_t version;
+  double values[9];
+  uint32_t n_steps, impact, bisections, precision, sensor;
+} __attribute__((packed));
+_Static_assert(sizeof(struct physics_encoding) == MO_PHYSICS_BYTES, "hash.c describes the bytes");
 
 void mo_encode_physics(const struct mo_physics *physics, enum mo_precision precision,
                        enum mo_sensor sensor, uint8_t bytes[MO_PHYSICS_BYTES])
 {
-  const double values[9] = {
-      physics->dt_s,       physics->stiffness_n_per_m, physics->mass_kg,
-      physics->drag_per_s, physics->gravity_m_per_s2,  physics->actuation,
-      physics->friction,   physics->friction_cap,      physics->drop_height_m};
-  uint8_t *words = bytes + 1 + 9 * 8;
-  bytes[0] = 1;
-  for (size_t i = 0; i < 9; i++)
-    mo_encode_double(values[i] == 0.0 ? 0.0 : values[i], bytes + 1 + 8 * i);
-  mo_encode_u32(physics->n_steps, words);
-  mo_encode_u32((uint32_t)physics->impact, words + 4);
-  mo_encode_u32(physics->impact == MO_IMPACT_BISECTION ? physics->bisections : 0, words + 8);
-  mo_encode_u32((uint32_t)precision, words + 12);
-  mo_encode_u32((uint32_t)sensor, words + 16);
+  struct physics_encoding encoded = {
+      .version = 1,
+      .values = {physics->dt_s, physics->stiffness_n_per_m, physics->mass_kg, physics->drag_per_s,
+                 physics->gravity_m_per_s2, physics->actuation, physics->friction,
+                 physics->friction_cap, physics->drop_height_m},
+      .n_steps = physics->n_steps,
+      .impact = (uint32_t)physics->impact,
+      .bisections = physics->impact == MO_IMPACT_BISECTION ? physics->bisections : 0,
+      .precision = (uint32_t)precision,
+      .sensor = (uint32_t)sensor};
+  for (int i = 0; i < 9; i++)
+    encoded.values[i] += 0.0; /* −0 + 0 is 0 */
+  memcpy(bytes, &encoded, sizeof(encoded));
 }
 
 int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics,
                       enum mo_precision *precision, enum mo_sensor *sensor)
 {
-  const uint8_t *words;
-  uint32_t impact, chosen_precision, chosen_sensor;
-  if (size != MO_PHYSICS_BYTES || bytes[0] != 1)
+  struct physics_encoding found;
+  if (size != sizeof(found))
     return MO_ERR_CORRUPT;
-  words = bytes + 1 + 9 * 8;
-  impact = mo_decode_u32(words + 4);
-  chosen_precision = mo_decode_u32(words + 12);
-  chosen_sensor = mo_decode_u32(words + 16);
-  if (impact > MO_IMPACT_BISECTION || chosen_precision > MO_FLOAT64 ||
-      chosen_sensor > MO_SENSOR_INVERSE_SQUARE)
+  memcpy(&found, bytes, sizeof(found));
+  if (found.version != 1 || found.impact > MO_IMPACT_BISECTION || found.precision > MO_FLOAT64 ||
+      found.sensor > MO_SENSOR_INVERSE_SQUARE)
     return MO_ERR_CORRUPT;
   *physics = (struct mo_physics){
-      .dt_s = mo_decode_double(bytes + 1),
-      .n_steps = mo_decode_u32(words),
-      .stiffness_n_per_m = mo_decode_double(bytes + 9),
-      .mass_kg = mo_decode_double(bytes + 17),
-      .drag_per_s = mo_decode_double(bytes + 25),
-      .gravity_m_per_s2 = mo_decode_double(bytes + 33),
-      .actuation = mo_decode_double(bytes + 41),
-      .friction = mo_decode_double(bytes + 49),
-      .friction_cap = mo_decode_double(bytes + 57),
-      .drop_height_m = mo_decode_double(bytes + 65),
-      .impact = (enum mo_impact)impact,
-      .bisections = impact == MO_IMPACT_BISECTION ? mo_decode_u32(words + 8) : 8,
+      .dt_s = found.values[0],
+      .n_steps = found.n_steps,
+      .stiffness_n_per_m = found.values[1],
+      .mass_kg = found.values[2],
+      .drag_per_s = found.values[3],
+      .gravity_m_per_s2 = found.values[4],
+      .actuation = found.values[5],
+      .friction = found.values[6],
+      .friction_cap = found.values[7],
+      .drop_height_m = found.values[8],
+      .impact = (enum mo_impact)found.impact,
+      .bisections = found.impact == MO_IMPACT_BISECTION ? found.bisections : 8,
   };
-  *precision = (enum mo_precision)chosen_precision;
-  *sensor = (enum mo_sensor)chosen_sensor;
+  *precision = (enum mo_precision)found.precision;
+  *sensor = (enum mo_sensor)found.sensor;
   return MO_OK;
 }
 

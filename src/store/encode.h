@@ -1,4 +1,4 @@
-/* encode.h: encodes numbers and records as bytes for the database, little-endian everywhere. */
+/* encode.h: records as bytes of the database. Numbers are little-endian, as in memory. */
 #ifndef MORPHO_STORE_ENCODE_H
 #define MORPHO_STORE_ENCODE_H
 
@@ -6,23 +6,16 @@
 
 #include "store/records.h"
 
-#define MO_ENVIRONMENT_BYTES (8 * (2 + MO_TERRAIN_HEIGHTS))
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "rows are little-endian");
+
+#define MO_ENVIRONMENT_BYTES sizeof(struct mo_environment)
 #define MO_PHYSICS_BYTES     (1 + 9 * 8 + 5 * 4)
 #define MO_BITS_BYTES        18
 
-void mo_encode_u32(uint32_t value, uint8_t bytes[4]);
-uint32_t mo_decode_u32(const uint8_t bytes[4]);
-void mo_encode_double(double value, uint8_t bytes[8]);
-double mo_decode_double(const uint8_t bytes[8]);
-void mo_encode_doubles(const double *values, size_t n, uint8_t *bytes);
-void mo_decode_doubles(const uint8_t *bytes, size_t n, double *values);
-void mo_encode_floats(const float *values, size_t n, uint8_t *bytes);
-void mo_decode_floats(const uint8_t *bytes, size_t n, float *values);
-
+/* Writes −0 as 0, so that equal environments have one row and are computed once. The bytes of an
+ * environment are those of its struct. */
 void mo_encode_environment(const struct mo_environment *environment,
                            uint8_t bytes[MO_ENVIRONMENT_BYTES]);
-void mo_decode_environment(const uint8_t bytes[MO_ENVIRONMENT_BYTES],
-                           struct mo_environment *environment);
 
 void mo_encode_physics(const struct mo_physics *physics, enum mo_precision precision,
                        enum mo_sensor sensor, uint8_t bytes[MO_PHYSICS_BYTES]);

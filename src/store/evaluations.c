@@ -201,9 +201,9 @@ static int read_trajectory(sqlite3_stmt *row, void *any)
   if ((com != NULL && trajectory->com_m == NULL) || (masses != NULL && trajectory->mass_m == NULL))
     return MO_ERR_NO_MEMORY;
   if (com != NULL)
-    mo_decode_doubles(com, n_com, trajectory->com_m);
+    memcpy(trajectory->com_m, com, n_com * 8);
   if (masses != NULL)
-    mo_decode_floats(masses, n_mass, trajectory->mass_m);
+    memcpy(trajectory->mass_m, masses, n_mass * 4);
   return MO_OK;
 }
 

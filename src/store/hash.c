@@ -8,9 +8,9 @@
 
 #include <string.h>
 
+#include <nettle/base16.h>
 #include <nettle/sha2.h>
 
-#include "base/text.h"
 #include "store/encode.h"
 
 void mo_sha256_of(const void *data, size_t size, struct mo_sha256 *hash)
@@ -24,26 +24,20 @@ void mo_sha256_of(const void *data, size_t size, struct mo_sha256 *hash)
 
 void mo_sha256_to_hex(const struct mo_sha256 *hash, char digits[MO_SHA256_DIGITS + 1])
 {
-  static const char hex[] = "0123456789abcdef";
-  for (size_t i = 0; i < sizeof(hash->bytes); i++) {
-    digits[2 * i] = hex[hash->bytes[i] >> 4];
-    digits[2 * i + 1] = hex[hash->bytes[i] & 15];
-  }
+  base16_encode_update(digits, sizeof(hash->bytes), hash->bytes);
   digits[MO_SHA256_DIGITS] = '\0';
 }
 
 int mo_sha256_from_hex(const char *digits, size_t length, struct mo_sha256 *hash)
 {
+  struct base16_decode_ctx context;
   struct mo_sha256 result;
-  if (length != MO_SHA256_DIGITS)
+  size_t size = sizeof(result.bytes);
+  base16_decode_init(&context);
+  if (length != MO_SHA256_DIGITS ||
+      !base16_decode_update(&context, &size, result.bytes, length, digits) ||
+      size != sizeof(result.bytes))
     return MO_ERR_FORMAT;
-  for (size_t i = 0; i < sizeof(result.bytes); i++) {
-    int high = mo_hex_digit(digits[2 * i]);
-    int low = mo_hex_digit(digits[2 * i + 1]);
-    if (high < 0 || low < 0)
-      return MO_ERR_FORMAT;
-    result.bytes[i] = (uint8_t)(high * 16 + low);
-  }
   *hash = result;
   return MO_OK;
 }

@@ -34,8 +34,8 @@ struct mo_operation {
 };
 
 struct mo_store {
-  char *path, *database_path, *controllers_path, *trainings_path, *campaigns_path, *reserve_path,
-      *vfs;
+  char *path, *database_path, *controllers_path, *trainings_path, *campaigns_path, *reserve_path;
+  const char *vfs;
   const struct mo_file_operations *files;
   bool must_exist;
   int folder_fd, lock_fd;    /* both locked */

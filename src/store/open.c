@@ -268,13 +268,7 @@ static void free_store(struct mo_store *store)
     close(store->lock_fd);
   if (store->folder_fd >= 0)
     close(store->folder_fd);
-  pthread_mutex_destroy(&store->readers_mutex);
-  pthread_cond_destroy(&store->reader_free);
-  pthread_mutex_destroy(&store->mutex);
   pthread_cond_destroy(&store->work);
-  pthread_mutex_destroy(&store->listeners_mutex);
-  pthread_mutex_destroy(&store->checkpoints_mutex);
-  pthread_rwlock_destroy(&store->controllers_lock);
   free(store->events);
   free(store->readers);
   free(store->path);
@@ -283,52 +277,51 @@ static void free_store(struct mo_store *store)
   free(store->trainings_path);
   free(store->campaigns_path);
   free(store->reserve_path);
-  free(store->vfs);
   free(store);
 }
 
 /* `path`: without links; the store takes ownership. */
 static struct mo_store *create_store(const struct mo_store_config *config, char *path)
 {
-  struct mo_store *store = calloc(1, sizeof(*store));
+  struct mo_store *store = malloc(sizeof(*store));
   pthread_condattr_t monotonic;
   if (store == NULL)
     return NULL;
-  store->folder_fd = store->lock_fd = -1;
   mo_mapping_init();
-  store->files = config->files != NULL ? config->files : &mo_system_files;
-  store->n_readers = config->n_readers > 0 ? config->n_readers : 4;
-  store->events_kept = config->events_kept > 0 ? config->events_kept : 100000;
-  store->idempotency_keep_us =
-      (config->idempotency_keep_s > 0 ? config->idempotency_keep_s : 86400) * 1000000;
-  store->checkpoint_frames = config->checkpoint_frames > 0 && config->checkpoint_frames <= 1000000
-                                 ? (int)config->checkpoint_frames
-                                 : MO_CHECKPOINT_FRAMES;
-  store->must_exist = config->must_exist;
-  store->fatal = config->fatal;
-  store->fatal_context = config->fatal_context;
-  pthread_mutex_init(&store->readers_mutex, NULL);
-  pthread_cond_init(&store->reader_free, NULL);
-  pthread_mutex_init(&store->mutex, NULL);
-  pthread_mutex_init(&store->listeners_mutex, NULL);
-  pthread_mutex_init(&store->checkpoints_mutex, NULL);
-  pthread_rwlock_init(&store->controllers_lock, NULL);
+  *store = (struct mo_store){
+      .path = path,
+      .database_path = join(path, "morphod.db"),
+      .controllers_path = join(path, "controllers"),
+      .trainings_path = join(path, "trainings"),
+      .campaigns_path = join(path, "campaigns"),
+      .reserve_path = join(path, "reserve"),
+      .vfs = config->vfs,
+      .files = config->files != NULL ? config->files : &mo_system_files,
+      .must_exist = config->must_exist,
+      .folder_fd = -1,
+      .lock_fd = -1,
+      .events_kept = config->events_kept > 0 ? config->events_kept : 100000,
+      .idempotency_keep_us =
+          (config->idempotency_keep_s > 0 ? config->idempotency_keep_s : 86400) * 1000000,
+      .fatal = config->fatal,
+      .fatal_context = config->fatal_context,
+      .readers_mutex = PTHREAD_MUTEX_INITIALIZER,
+      .reader_free = PTHREAD_COND_INITIALIZER,
+      .n_readers = config->n_readers > 0 ? config->n_readers : 4,
+      .mutex = PTHREAD_MUTEX_INITIALIZER,
+      .checkpoint_frames =
+          config->checkpoint_frames > 0 ? (int)config->checkpoint_frames : MO_CHECKPOINT_FRAMES,
+      .checkpoints_mutex = PTHREAD_MUTEX_INITIALIZER,
+      .controllers_lock = PTHREAD_RWLOCK_INITIALIZER,
+      .listeners_mutex = PTHREAD_MUTEX_INITIALIZER};
   pthread_condattr_init(&monotonic);
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
   pthread_cond_init(&store->work, &monotonic);
   pthread_condattr_destroy(&monotonic);
-  store->path = path;
-  store->database_path = join(path, "morphod.db");
-  store->controllers_path = join(path, "controllers");
-  store->trainings_path = join(path, "trainings");
-  store->campaigns_path = join(path, "campaigns");
-  store->reserve_path = join(path, "reserve");
-  store->vfs = config->vfs != NULL ? strdup(config->vfs) : NULL;
   store->readers = calloc(store->n_readers + 1, sizeof(*store->readers));
   if (store->database_path == NULL || store->controllers_path == NULL ||
       store->trainings_path == NULL || store->campaigns_path == NULL ||
-      store->reserve_path == NULL || store->readers == NULL ||
-      (config->vfs != NULL && store->vfs == NULL)) {
+      store->reserve_path == NULL || store->readers == NULL) {
     free_store(store);
     return NULL;
   }

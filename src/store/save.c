@@ -5,7 +5,6 @@
  * are stored in any case, because they are true. So are the counts of a job that is not final;
  * otherwise blocks that finish after a pause would seem to be another job's work. */
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "store/runs.h"
@@ -20,23 +19,13 @@ static int save_trajectory(struct mo_connection *writer,
       "INSERT OR IGNORE INTO "
       "trajectories(job,position,environment,stride,frames,n_masses,com,masses,diverged_step)"
       " VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9)";
-  size_t n_com = trajectory->com_m != NULL ? (size_t)trajectory->frames * 3 : 0;
-  size_t n_mass =
-      trajectory->mass_m != NULL ? (size_t)trajectory->frames * trajectory->n_masses * 3 : 0;
-  uint8_t *bytes = malloc(n_com * 8 + n_mass * 4 + 1);
-  int error;
-  if (bytes == NULL)
-    return MO_ERR_NO_MEMORY;
-  mo_encode_doubles(trajectory->com_m, n_com, bytes);
-  mo_encode_floats(trajectory->mass_m, n_mass, bytes + n_com * 8);
-  error = mo_sql_do(writer, sql, mo_int(trajectory->job), mo_int(trajectory->design_position),
-                    mo_int(trajectory->environment_position), mo_int(trajectory->stride),
-                    mo_int(trajectory->frames), mo_int(trajectory->n_masses),
-                    n_com > 0 ? mo_blob(bytes, n_com * 8) : mo_null(),
-                    n_mass > 0 ? mo_blob(bytes + n_com * 8, n_mass * 4) : mo_null(),
-                    mo_int(trajectory->diverged_step));
-  free(bytes);
-  return error;
+  const size_t n = trajectory->frames, n_masses = trajectory->n_masses;
+  return mo_sql_do(writer, sql, mo_int(trajectory->job), mo_int(trajectory->design_position),
+                   mo_int(trajectory->environment_position), mo_int(trajectory->stride),
+                   mo_int(trajectory->frames), mo_int(trajectory->n_masses),
+                   mo_blob(trajectory->com_m, n * 3 * sizeof(*trajectory->com_m)), /* NULL: NULL */
+                   mo_blob(trajectory->mass_m, n * n_masses * 3 * sizeof(*trajectory->mass_m)),
+                   mo_int(trajectory->diverged_step));
 }
 
 /* ---- steps of jobs ---- */

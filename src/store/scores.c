@@ -12,7 +12,6 @@
 
 #include "base/clock.h"
 
-_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "rows are little-endian");
 _Static_assert(MO_BLOCK_LANES == 16, "the schema limits the length of rows");
 
 #define KEY_WORDS (6 + MO_BLOCK_LANES)

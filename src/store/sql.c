@@ -289,13 +289,13 @@ int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
 {
   const void *bytes = sqlite3_column_blob(statement, data);
   struct mo_sha256 hash, found;
-  if (bytes == NULL || sqlite3_column_bytes(statement, data) != MO_ENVIRONMENT_BYTES ||
+  if (bytes == NULL || (size_t)sqlite3_column_bytes(statement, data) != MO_ENVIRONMENT_BYTES ||
       mo_column_hash(statement, sha256, &hash) != MO_OK)
     return MO_ERR_CORRUPT;
   mo_sha256_of(bytes, MO_ENVIRONMENT_BYTES, &found);
   if (!mo_sha256_equal(&hash, &found))
     return MO_ERR_CORRUPT;
-  mo_decode_environment(bytes, environment);
+  memcpy(environment, bytes, sizeof(*environment));
   return MO_OK;
 }
 
@@ -312,7 +312,7 @@ int mo_column_double(sqlite3_stmt *statement, int column, double *value)
   const void *blob = sqlite3_column_blob(statement, column);
   if (blob == NULL || sqlite3_column_bytes(statement, column) != 8)
     return mo_column_missing(statement);
-  *value = mo_decode_double(blob);
+  memcpy(value, blob, sizeof(*value));
   return MO_OK;
 }
 

@@ -44,8 +44,8 @@ struct mo_value {
 struct mo_value mo_null(void);
 struct mo_value mo_int(int64_t value);
 struct mo_value mo_real(double value);
-struct mo_value mo_string(const char *text); /* NULL: NULL */
-struct mo_value mo_blob(const void *bytes, size_t size);
+struct mo_value mo_string(const char *text);             /* NULL: NULL */
+struct mo_value mo_blob(const void *bytes, size_t size); /* NULL: NULL */
 struct mo_value mo_hash(const struct mo_sha256 *hash);
 struct mo_values {
   const struct mo_value *at;

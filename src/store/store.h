@@ -39,7 +39,8 @@ struct mo_request_key {
 
 struct mo_store_config {
   const char *path; /* the state folder; must exist and be writable */
-  const char *vfs;  /* NULL: SQLite's default; tests name one that fails on demand */
+  const char *
+      vfs; /* NULL: SQLite's default; must outlive the store; tests name one that fails on demand */
   const struct mo_file_operations *files; /* NULL: the system's; must outlive the store; tests pass
                                              a table that fails on demand */
   uint32_t n_readers;                     /* read connections; 0: 4 */

@@ -84,11 +84,7 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
 
 int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status)
 {
-  struct mo_training_status found;
-  const int error = mo_read_job(store, id, load_status, &found);
-  if (error == MO_OK)
-    *status = found;
-  return error;
+  return mo_read_job(store, id, load_status, status);
 }
 
 int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,

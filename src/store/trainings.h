@@ -78,7 +78,7 @@ int mo_store_submit_training(struct mo_store *store,
 
 /* ---- reading ---- */
 
-/* MO_ERR_NOT_FOUND. After an error *status is as it was. */
+/* MO_ERR_NOT_FOUND. */
 int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status);
 /* As mo_store_jobs, but only trainings, whatever the query's kind. */
 int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,

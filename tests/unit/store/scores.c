@@ -217,8 +217,7 @@ static size_t place_of(const uint8_t *bytes, size_t size, const struct mo_bits *
   const size_t length = is_loss ? 16 : MO_BITS_BYTES, extent = is_loss ? 100 : MO_BITS_BYTES;
   const uint8_t *at;
   if (is_loss)
-    for (uint32_t k = 0; k < 2; k++)
-      mo_encode_double(lively_loss(n, k), pattern + (size_t)8 * k);
+    memcpy(pattern, (double[]){lively_loss(n, 0), lively_loss(n, 1)}, 16);
   else
     mo_encode_bits(&genotypes[n], pattern);
   at = memmem(bytes, size, pattern, length);
