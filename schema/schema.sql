@@ -57,7 +57,7 @@ CREATE TABLE environments(
 CREATE TABLE environment_sets(
   id INTEGER PRIMARY KEY,
   name TEXT NOT NULL UNIQUE,
-  n INTEGER NOT NULL
+  n INTEGER NOT NULL CHECK(n BETWEEN 1 AND 64)
 ) STRICT;
 
 CREATE TABLE environment_set_members(

@@ -93,42 +93,27 @@ static int loss_from_row(sqlite3_stmt *row, int64_t id, uint32_t n, struct mo_ca
   return error;
 }
 
-static int load_losses(struct mo_connection *reader, int64_t id, uint32_t generation,
-                       struct mo_campaign_loss **losses, size_t *n)
-{
-  static const char sql[] = "SELECT place,losses FROM campaign_losses WHERE job=?1 ORDER BY place";
-  struct mo_campaign_head head = {0};
-  sqlite3_stmt *row;
-  size_t most;
-  int error = mo_campaign_head_get(reader, id, &head);
-  if (error != MO_OK)
-    return error;
-  most = head.scored_generation == generation && head.generation + 1 == generation
-             ? (size_t)head.scored
-             : 0;
-  *losses = calloc(most + 1, sizeof(**losses));
-  if (*losses == NULL)
-    return MO_ERR_NO_MEMORY;
-  if (most == 0)
-    return MO_OK;
-  row = mo_sql_rows(reader, &error, sql, mo_int(id));
-  while (mo_sql_next(reader, row, &error))
-    error = *n == most ? MO_ERR_CORRUPT
-                       : loss_from_row(row, id, head.n_environments, &(*losses)[(*n)++]);
-  return error == MO_OK && *n != most ? MO_ERR_CORRUPT : error;
-}
-
 int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation,
                              struct mo_campaign_loss **ret, size_t *ret_n)
 {
+  static const char sql[] = "SELECT place,losses FROM campaign_losses WHERE job=?1 ORDER BY place";
   struct mo_connection *reader = mo_reader_acquire(store);
-  struct mo_campaign_loss *losses = NULL;
+  struct mo_campaign_head head = {0};
+  int error = mo_campaign_head_get(reader, id, &head);
+  const bool is_current = head.scored_generation == generation && head.generation + 1 == generation;
+  const size_t most = is_current ? (size_t)head.scored : 0;
+  struct mo_campaign_loss *losses = calloc(most + 1, sizeof(*losses));
   size_t n = 0;
-  int error = load_losses(reader, id, generation, &losses, &n);
+  sqlite3_stmt *row;
+  if (error == MO_OK && losses == NULL)
+    error = MO_ERR_NO_MEMORY;
+  row = mo_sql_rows(reader, &error, sql, mo_int(id));
+  while (n < most && mo_sql_next(reader, row, &error))
+    error = loss_from_row(row, id, head.n_environments, &losses[n++]);
   mo_reader_release(store, reader);
-  if (error != MO_OK) {
+  if (error != MO_OK || n != most) {
     free(losses);
-    return error;
+    return error != MO_OK ? error : MO_ERR_CORRUPT;
   }
   *ret = losses;
   *ret_n = n;

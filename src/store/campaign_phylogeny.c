@@ -128,60 +128,45 @@ int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t
 
 /* ---- descents ---- */
 
-static int load_descents(struct mo_connection *reader, int64_t id, struct mo_descent **ret,
-                         uint32_t **ret_born, bool with_born, uint32_t *ret_n)
+int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_descent **ret,
+                               uint32_t **ret_born, uint32_t *ret_n)
 {
   static const char sql[] =
       "SELECT generation,births FROM campaign_populations WHERE job=?1 ORDER BY generation";
+  struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_head head = {0};
-  struct mo_descent *descents;
-  sqlite3_stmt *row;
-  uint32_t *born;
-  size_t filled = 0;
   int error = mo_campaign_head_get(reader, id, &head);
-  if (error == MO_OK && head.n_designs > MO_CAMPAIGN_DESIGNS_MAX)
-    error = MO_ERR_CORRUPT;
-  if (error != MO_OK)
-    return error;
-  descents = *ret = malloc((head.n_designs + 1) * sizeof(**ret));
-  born = *ret_born = with_born ? malloc((head.n_designs + 1) * sizeof(**ret_born)) : NULL;
-  if (descents == NULL || (with_born && born == NULL))
-    return MO_ERR_NO_MEMORY;
+  struct mo_descent *descents = malloc((head.n_designs + 1) * sizeof(*descents));
+  uint32_t *born = malloc((head.n_designs + 1) * sizeof(*born)), filled = 0;
+  sqlite3_stmt *row;
+  if (error == MO_OK && (descents == NULL || born == NULL))
+    error = MO_ERR_NO_MEMORY;
   row = mo_sql_rows(reader, &error, sql, mo_int(id));
   while (mo_sql_next(reader, row, &error)) {
     const struct mo_birth_row *births = sqlite3_column_blob(row, 1);
     const size_t n = (size_t)sqlite3_column_bytes(row, 1) / sizeof(*births);
     if (n > head.n_designs - filled)
-      return MO_ERR_CORRUPT;
-    for (size_t i = 0; i < n; i++)
-      descents[filled + i] =
+      error = MO_ERR_CORRUPT;
+    for (size_t i = 0; i < n && error == MO_OK; i++, filled++) {
+      descents[filled] =
           (struct mo_descent){{births[i].parents[0], births[i].parents[1]}, births[i].op};
-    for (size_t i = 0; i < n && born != NULL; i++)
-      born[filled + i] = mo_column_u32(row, 0);
-    filled += n;
+      born[filled] = mo_column_u32(row, 0);
+    }
   }
-  *ret_n = (uint32_t)filled;
-  return error == MO_OK && filled != head.n_designs ? MO_ERR_CORRUPT : error;
-}
-
-int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_descent **ret,
-                               uint32_t **ret_born, uint32_t *ret_n)
-{
-  struct mo_connection *reader = mo_reader_acquire(store);
-  struct mo_descent *descents = NULL;
-  uint32_t *born = NULL, n = 0;
-  int error = load_descents(reader, id, &descents, &born, ret_born != NULL, &n);
+  if (error == MO_OK && filled != head.n_designs)
+    error = MO_ERR_CORRUPT;
   mo_reader_release(store, reader);
-  if (error != MO_OK) {
+  if (error == MO_OK) {
+    *ret = descents;
+    *ret_n = filled;
+  } else {
     free(descents);
-    free(born);
-    return error;
   }
-  *ret = descents;
-  if (ret_born != NULL)
+  if (error == MO_OK && ret_born != NULL)
     *ret_born = born;
-  *ret_n = n;
-  return MO_OK;
+  else
+    free(born);
+  return error;
 }
 
 /* ---- where a form was born ---- */

@@ -127,8 +127,9 @@ int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t
 
 /* ---- the state from which a run resumes ---- */
 
-void mo_campaign_state_free(struct mo_campaign_state *state)
+void mo_campaign_state_free(void *any)
 {
+  struct mo_campaign_state *state = any;
   if (state == NULL)
     return;
   free(state->numbers);
@@ -152,8 +153,10 @@ static int load_member(struct mo_connection *reader, int64_t id, struct mo_campa
   return mo_column_genotype(row, 1, 2, &state->genotypes[i], NULL);
 }
 
-static int load_state(struct mo_connection *reader, int64_t id, struct mo_campaign_state *state)
+static int load_state(struct mo_connection *reader, const void *key, void *ret)
 {
+  const int64_t id = *(const int64_t *)key;
+  struct mo_campaign_state *state = ret;
   struct mo_campaign_members members = {.n = 0};
   struct mo_campaign_head head = {0};
   int error = mo_campaign_head_get(reader, id, &head);
@@ -182,20 +185,9 @@ static int load_state(struct mo_connection *reader, int64_t id, struct mo_campai
 
 int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campaign_state **ret)
 {
-  struct mo_campaign_state *state = calloc(1, sizeof(*state));
-  struct mo_connection *reader;
   int error;
-  if (state == NULL)
-    return MO_ERR_NO_MEMORY;
-  reader = mo_reader_acquire(store);
-  error = load_state(reader, id, state);
-  mo_reader_release(store, reader);
-  if (error != MO_OK) {
-    mo_campaign_state_free(state);
-    return error;
-  }
-  *ret = state;
-  return MO_OK;
+  *ret = mo_read_whole(store, sizeof(**ret), load_state, &id, mo_campaign_state_free, &error);
+  return error;
 }
 
 #define EACH_PAGE 4096

@@ -25,7 +25,7 @@ struct mo_campaign_state {
   double diversity_max;
 };
 int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campaign_state **state);
-void mo_campaign_state_free(struct mo_campaign_state *state); /* NULL-safe */
+void mo_campaign_state_free(void *state); /* NULL-safe */
 /* Calls `take` with the genotype of every design ever born, in order, on the caller's thread. Stops
  * at a non-zero result and returns it. */
 int mo_store_campaign_each(struct mo_store *store, int64_t id,

@@ -74,27 +74,25 @@ int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *
 
 /* ---- named sets ---- */
 
+#define FIND_SET "SELECT id,n FROM environment_sets WHERE name=?1"
+
 int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row,
                             int64_t *n)
 {
-  static const char sql[] = "SELECT id,n FROM environment_sets WHERE name=?1";
   sqlite3_stmt *statement;
-  const int error = mo_sql_row(connection, &statement, sql, mo_string(name));
+  const int error = mo_sql_row(connection, &statement, FIND_SET, mo_string(name));
   if (error != MO_OK)
     return error;
   *row = sqlite3_column_int64(statement, 0);
   *n = sqlite3_column_int64(statement, 1);
-  return *n < 1 || *n > MO_ENVIRONMENTS_MAX ? MO_ERR_CORRUPT : MO_OK;
+  return MO_OK;
 }
 
 int mo_store_environment_set_size(struct mo_store *store, const char *name, uint32_t *n)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int64_t row, size = 0;
-  int error = mo_environment_set_find(reader, name, &row, &size);
-  mo_reader_release(store, reader);
-  if (error == MO_OK)
-    *n = (uint32_t)size;
+  int64_t found[2] = {0, 0};
+  const int error = mo_read_integers(store, FIND_SET, MO_VALUES(mo_string(name)), 2, found);
+  *n = (uint32_t)found[1];
   return error;
 }
 

@@ -260,23 +260,19 @@ int mo_store_controller(struct mo_store *store, const char *name,
   return error;
 }
 
-static int take_size(sqlite3_stmt *row, void *size)
-{
-  *(size_t *)size = (size_t)sqlite3_column_int64(row, 0);
-  return MO_OK;
-}
-
 int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sha256,
                               uint8_t **bytes, size_t *size)
 {
   static const char sql[] = "SELECT size FROM controllers WHERE sha256=?1";
   char *path = mo_controller_path(store, sha256);
-  const int error = path != NULL
-                        ? mo_read_one(store, sql, MO_VALUES(mo_hash(sha256)), take_size, size)
-                        : MO_ERR_NO_MEMORY;
-  const int result = error == MO_OK ? mo_file_read_checked(path, *size, sha256, bytes) : error;
+  int64_t stored = 0;
+  int error = path != NULL ? mo_read_integers(store, sql, MO_VALUES(mo_hash(sha256)), 1, &stored)
+                           : MO_ERR_NO_MEMORY;
+  if (error == MO_OK)
+    error = mo_file_read_checked(path, (size_t)stored, sha256, bytes);
   free(path);
-  return result;
+  *size = (size_t)stored;
+  return error;
 }
 
 static int take_metadata(sqlite3_stmt *row, void *json)

@@ -231,10 +231,10 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
   return error;
 }
 
-static int load_design(struct mo_connection *reader, const struct mo_bits *form,
-                       struct mo_design *design)
+static int load_design(struct mo_connection *reader, const void *form, void *ret)
 {
   static const char sql[] = "SELECT id,first_seen_us FROM designs WHERE form=?1";
+  struct mo_design *design = ret;
   uint8_t bytes[MO_BITS_BYTES];
   int64_t genotypes[ORIENTATIONS_MAX] = {0};
   uint32_t room = ROLLOUTS_MAX;
@@ -244,7 +244,7 @@ static int load_design(struct mo_connection *reader, const struct mo_bits *form,
   error = mo_sql_row(reader, &row, sql, mo_blob(bytes, sizeof(bytes)));
   if (error != MO_OK)
     return error;
-  design->form = *form;
+  design->form = *(const struct mo_bits *)form;
   design->first_seen_us = sqlite3_column_int64(row, 1);
   error = load_orientations(reader, sqlite3_column_int64(row, 0), design, genotypes);
   for (uint32_t i = 0; i < design->n_orientations && error == MO_OK && room != UINT32_MAX; i++)
@@ -255,18 +255,7 @@ static int load_design(struct mo_connection *reader, const struct mo_bits *form,
 
 int mo_store_design(struct mo_store *store, const struct mo_bits *form, struct mo_design **ret)
 {
-  struct mo_design *design = calloc(1, sizeof(*design));
-  struct mo_connection *reader;
   int error;
-  if (design == NULL)
-    return MO_ERR_NO_MEMORY;
-  reader = mo_reader_acquire(store);
-  error = load_design(reader, form, design);
-  mo_reader_release(store, reader);
-  if (error != MO_OK) {
-    mo_design_free(design);
-    return error;
-  }
-  *ret = design;
-  return MO_OK;
+  *ret = mo_read_whole(store, sizeof(**ret), load_design, form, mo_design_free, &error);
+  return error;
 }

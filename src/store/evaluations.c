@@ -141,35 +141,32 @@ static int load_recomputed(struct mo_connection *reader, int64_t id,
   return error;
 }
 
-int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **ret)
+static int load_results(struct mo_connection *reader, const void *key, void *ret)
 {
-  struct mo_evaluation_results *results = calloc(1, sizeof(*results));
-  struct mo_connection *reader;
+  const int64_t id = *(const int64_t *)key;
+  struct mo_evaluation_results *results = ret;
   struct result_keys keys;
-  int error;
-  if (results == NULL)
-    return MO_ERR_NO_MEMORY;
-  reader = mo_reader_acquire(store);
-  error = load_keys(reader, id, &keys, results);
+  int error = load_keys(reader, id, &keys, results);
   if (error == MO_OK)
     error = allocate_results(results, keys.verify);
   if (error == MO_OK)
     error = load_designs(reader, id, &keys, results);
   if (error == MO_OK && keys.verify)
     error = load_recomputed(reader, id, results);
-  mo_reader_release(store, reader);
-  if (error != MO_OK) {
-    mo_evaluation_results_free(results);
-    return error;
-  }
-  for (uint32_t n = 0; n < results->n_designs; n++) {
+  for (uint32_t n = 0; n < results->n_designs && error == MO_OK; n++) {
     double sum = 0;
     for (uint32_t k = 0; k < results->n_environments; k++)
       sum += results->losses[(size_t)n * results->n_environments + k];
     results->scores[n] = sum / results->n_environments;
   }
-  *ret = results;
-  return MO_OK;
+  return error;
+}
+
+int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **ret)
+{
+  int error;
+  *ret = mo_read_whole(store, sizeof(**ret), load_results, &id, mo_evaluation_results_free, &error);
+  return error;
 }
 
 /* ---- trajectories ---- */

@@ -48,7 +48,7 @@ struct mo_evaluation_results {
   double *stored_losses; /* (n_designs, n_environments); NaN: none was stored */
   uint8_t *agrees; /* (n_designs): 1: every stored loss equals the recomputed one, bit for bit */
 };
-void mo_evaluation_results_free(struct mo_evaluation_results *results); /* NULL-safe */
+void mo_evaluation_results_free(void *results); /* NULL-safe */
 
 struct mo_trajectory {
   uint32_t stride, n_frames, n_masses;
@@ -56,7 +56,7 @@ struct mo_trajectory {
   double *com_m; /* (n_frames, 3) or NULL */
   float *mass_m; /* (n_frames, n_masses, 3) or NULL */
 };
-void mo_trajectory_free(struct mo_trajectory *trajectory); /* NULL-safe */
+void mo_trajectory_free(void *trajectory); /* NULL-safe */
 
 /* Reads the results of an evaluation: of an unfinished one, those so far. MO_ERR_NOT_FOUND. */
 int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **results);

@@ -122,6 +122,13 @@ int64_t mo_read_page(struct mo_store *store, const char *sql, struct mo_values v
 /* Calls `take` for the first row. MO_ERR_NOT_FOUND: there is none. */
 int mo_read_one(struct mo_store *store, const char *sql, struct mo_values values,
                 int (*take)(sqlite3_stmt *statement, void *row), void *ret);
+/* Reads the first n columns of the first row. MO_ERR_NOT_FOUND: there is none. */
+int mo_read_integers(struct mo_store *store, const char *sql, struct mo_values values, int n,
+                     int64_t *integers);
+/* Calls `load` with a new object, `size` bytes of zeros. NULL: *error. */
+void *mo_read_whole(struct mo_store *store, size_t size,
+                    int (*load)(struct mo_connection *reader, const void *key, void *ret),
+                    const void *key, void (*release)(void *ret), int *error);
 
 /* ---- the reserve (reserve.c) ---- */
 

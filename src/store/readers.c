@@ -1,5 +1,7 @@
 /* readers.c: the pool of connections that read, each in one transaction from its acquisition to its
  * release. The last one is the scheduler's, which so never waits for clients. */
+#include <stdlib.h>
+
 #include "store/internal.h"
 
 static const char commit_sql[] = "COMMIT";
@@ -82,4 +84,35 @@ int mo_read_one(struct mo_store *store, const char *sql, struct mo_values values
     error = take(row, ret);
   mo_reader_release(store, reader);
   return error;
+}
+
+int mo_read_integers(struct mo_store *store, const char *sql, struct mo_values values, int n,
+                     int64_t *integers)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  sqlite3_stmt *row;
+  const int error = mo_sql_row_with(reader, &row, sql, values);
+  for (int i = 0; i < n && error == MO_OK; i++)
+    integers[i] = sqlite3_column_int64(row, i);
+  mo_reader_release(store, reader);
+  return error;
+}
+
+void *mo_read_whole(struct mo_store *store, size_t size,
+                    int (*load)(struct mo_connection *reader, const void *key, void *ret),
+                    const void *key, void (*release)(void *ret), int *error)
+{
+  void *ret = calloc(1, size);
+  struct mo_connection *reader;
+  if (ret == NULL) {
+    *error = MO_ERR_NO_MEMORY;
+    return NULL;
+  }
+  reader = mo_reader_acquire(store);
+  *error = load(reader, key, ret);
+  mo_reader_release(store, reader);
+  if (*error == MO_OK)
+    return ret;
+  release(ret);
+  return NULL;
 }

@@ -19,8 +19,9 @@ const char *mo_job_kind_name(enum mo_job_kind kind)
   return mo_word(mo_job_kind_words, kind);
 }
 
-void mo_design_free(struct mo_design *design)
+void mo_design_free(void *any)
 {
+  struct mo_design *design = any;
   if (design == NULL)
     return;
   for (uint32_t i = 0; i < design->n_orientations; i++)
@@ -29,8 +30,9 @@ void mo_design_free(struct mo_design *design)
   free(design);
 }
 
-void mo_evaluation_results_free(struct mo_evaluation_results *results)
+void mo_evaluation_results_free(void *any)
 {
+  struct mo_evaluation_results *results = any;
   if (results == NULL)
     return;
   free(results->forms);
@@ -43,8 +45,9 @@ void mo_evaluation_results_free(struct mo_evaluation_results *results)
   free(results);
 }
 
-void mo_trajectory_free(struct mo_trajectory *trajectory)
+void mo_trajectory_free(void *any)
 {
+  struct mo_trajectory *trajectory = any;
   if (trajectory == NULL)
     return;
   free(trajectory->com_m);

@@ -137,6 +137,6 @@ struct mo_design {
   struct mo_design_orientation *orientations; /* (n_orientations) the first seen first */
   bool truncated; /* more than 1000 rollouts are stored; the first 1000 are reported */
 };
-void mo_design_free(struct mo_design *design); /* NULL-safe */
+void mo_design_free(void *design); /* NULL-safe */
 
 #endif

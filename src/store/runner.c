@@ -153,15 +153,11 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
       "EXISTS(SELECT 1 FROM checkpoints WHERE job=j.id AND j.kind=1 AND stored_us>?1) OR "
       "EXISTS(SELECT 1 FROM campaign_generations WHERE job=j.id AND stored_us>?1),NULL,j.id) idle"
       " FROM jobs j WHERE j.state=1 AND j.kind<>0)";
-  struct mo_connection *reader = mo_reader_acquire(store);
-  sqlite3_stmt *row;
-  const int error = mo_sql_row(reader, &row, sql, mo_int(since_us));
-  if (error == MO_OK) {
-    *n = mo_column_u32(row, 0);
-    *n_idle = mo_column_u32(row, 1);
-    *id = sqlite3_column_int64(row, 2);
-  }
-  mo_reader_release(store, reader);
+  int64_t found[3] = {0, 0, 0};
+  const int error = mo_read_integers(store, sql, MO_VALUES(mo_int(since_us)), 3, found);
+  *n = (uint32_t)found[0];
+  *n_idle = (uint32_t)found[1];
+  *id = found[2];
   return error;
 }
 
@@ -190,14 +186,10 @@ int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollout
   static const char sql[] =
       "SELECT count(*),coalesce(sum(e.n_designs*e.n_environments),0) FROM jobs j"
       " LEFT JOIN evaluations e ON e.job=j.id WHERE j.state<=?1";
-  struct mo_connection *reader = mo_reader_acquire(store);
-  sqlite3_stmt *row;
-  const int error = mo_sql_row(reader, &row, sql, mo_int(MO_JOB_PAUSED));
-  if (error == MO_OK) {
-    *jobs = (uint64_t)sqlite3_column_int64(row, 0);
-    *rollouts = (uint64_t)sqlite3_column_int64(row, 1);
-  }
-  mo_reader_release(store, reader);
+  int64_t found[2] = {0, 0};
+  const int error = mo_read_integers(store, sql, MO_VALUES(mo_int(MO_JOB_PAUSED)), 2, found);
+  *jobs = (uint64_t)found[0];
+  *rollouts = (uint64_t)found[1];
   return error;
 }
 
