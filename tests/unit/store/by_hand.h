@@ -40,6 +40,14 @@ static inline int64_t outside_integer(const struct fixture *fixture, const char 
   return value;
 }
 
+/* Closes the store, runs SQL behind its back, and returns the error of opening it again. */
+static inline int reopen_after(struct fixture *closed, const char *sql)
+{
+  fixture_close(closed);
+  CHECK_INT(outside(closed, sql), SQLITE_OK);
+  return fixture_reopen(closed);
+}
+
 struct waiter {
   pthread_mutex_t mutex;
   pthread_cond_t changed;

@@ -1,24 +1,19 @@
 /* opening.c: which databases the store opens, and how it notices damage. */
 #include "by_hand.h"
-#include "campaign_fixture.h"
+#include "one_store.h"
 #include "store/internal.h"
-#include "training_fixture.h"
 
 static void opens_and_locks(void)
 {
-  struct fixture fixture;
-  struct mo_store_config config;
+  struct mo_store_config config = {.path = fixture.path};
   struct mo_store *second = NULL;
-  REQUIRE(fixture_start(&fixture) == 0);
   CHECK_INT(fixture.store->epoch, 1);
-  config = (struct mo_store_config){.path = fixture.path};
   CHECK_INT(mo_store_open(&config, &second, &fixture.message), MO_ERR_BUSY);
   CHECK(strstr(fixture.message.text, "another process") != NULL);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   REQUIRE(fixture_reopen(&fixture) == MO_OK);
   CHECK_INT(fixture.store->epoch, 2);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
+  fixture_close(&fixture);
   CHECK_INT(outside_integer(&fixture, "PRAGMA application_id"), 0x6D727068);
   CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 9);
   CHECK_INT(outside_integer(&fixture, "SELECT value FROM meta WHERE key='clean'"), 1);
@@ -29,168 +24,104 @@ static void opens_and_locks(void)
             0);
   config.path = "/nonexistent/folder";
   CHECK_INT(mo_store_open(&config, &second, &fixture.message), MO_ERR_NOT_FOUND);
-  fixture_end(&fixture);
+}
+
+/* Writes noise over n bytes of the database from `at` on. */
+static void scribble(long at, int n)
+{
+  char path[512];
+  FILE *file;
+  snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
+  file = fopen(path, "r+");
+  REQUIRE(file != NULL);
+  fseek(file, at, SEEK_SET);
+  for (int i = 0; i < n; i++)
+    fputc(0x5a, file);
+  fclose(file);
 }
 
 static void refuses_what_is_not_ours(void)
 {
-  struct fixture fixture;
-  char path[512];
-  FILE *file;
-  REQUIRE(fixture_start(&fixture) == 0);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
-  /* Written by a newer program. */
-  REQUIRE(outside(&fixture, "PRAGMA user_version=99") == SQLITE_OK);
-  CHECK_INT(fixture_reopen(&fixture), MO_ERR_UNSUPPORTED);
-  CHECK(strstr(fixture.message.text, "99") != NULL);
-  REQUIRE(outside(&fixture, "PRAGMA user_version=9; PRAGMA application_id=7") == SQLITE_OK);
+  CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
+  CHECK(strstr(fixture.message.text, "99") != NULL); /* written by a newer program */
+  CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=9; PRAGMA application_id=7"),
+            MO_ERR_FORMAT);
+  CHECK_INT(reopen_after(&fixture, "PRAGMA application_id=1836216424"), MO_OK);
+  fixture_close(&fixture);
+  scribble(0, 8192); /* no database, whatever its name says */
   CHECK_INT(fixture_reopen(&fixture), MO_ERR_FORMAT);
-  REQUIRE(outside(&fixture, "PRAGMA application_id=1836216424") == SQLITE_OK);
-  CHECK_INT(fixture_reopen(&fixture), MO_OK);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
-  snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
-  file = fopen(path, "w");
-  REQUIRE(file != NULL);
-  for (int i = 0; i < 200; i++)
-    fputs("this is no database, whatever its name says\n", file);
-  fclose(file);
-  CHECK_INT(fixture_reopen(&fixture), MO_ERR_FORMAT);
-  fixture_end(&fixture);
 }
 
 /* The folder is refused, says so, and is left as it was. */
 static void refuses_version_0_1(void)
 {
-  struct fixture fixture;
-  REQUIRE(fixture_start(&fixture) == 0);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
   for (int version = 1; version <= 8; version++) {
     char sql[64];
     snprintf(sql, sizeof(sql), "PRAGMA user_version=%d", version);
-    REQUIRE(outside(&fixture, sql) == SQLITE_OK);
-    CHECK_INT(fixture_reopen(&fixture), MO_ERR_UNSUPPORTED);
+    CHECK_INT(reopen_after(&fixture, sql), MO_ERR_UNSUPPORTED);
     CHECK(strstr(fixture.message.text, "was written by morphod 0.1") != NULL);
     CHECK(strstr(fixture.message.text, fixture.path) != NULL);
     CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), version);
     CHECK_INT(outside_integer(&fixture, "SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  REQUIRE(outside(&fixture, "PRAGMA user_version=9") == SQLITE_OK);
-  CHECK_INT(fixture_reopen(&fixture), MO_OK);
-  fixture_end(&fixture);
+  CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=9"), MO_OK);
 }
 
-static void notices_damage_after_an_unclean_stop(void)
-{
-  struct fixture fixture;
-  char path[512];
-  FILE *file;
-  REQUIRE(fixture_start(&fixture) == 0);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
-  REQUIRE(outside(&fixture, "UPDATE meta SET value=0 WHERE key='clean'") == SQLITE_OK);
-  CHECK_INT(fixture_reopen(&fixture), MO_OK); /* unclean, but whole */
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
-  REQUIRE(outside(&fixture,
-                  "UPDATE meta SET value=0 WHERE key='clean'; PRAGMA wal_checkpoint(TRUNCATE)") ==
-          SQLITE_OK);
-  snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
-  file = fopen(path, "r+");
-  REQUIRE(file != NULL);
-  /* The root page of some index becomes noise; the header and the schema stay. */
-  fseek(file,
-        4096L *
-            (long)(outside_integer(
-                       &fixture, "SELECT rootpage FROM sqlite_schema WHERE name='jobs_by_state'") -
-                   1),
-        SEEK_SET);
-  for (int i = 0; i < 4096; i++)
-    fputc(0x5a, file);
-  fclose(file);
-  CHECK_INT(fixture_reopen(&fixture), MO_ERR_CORRUPT);
-  fixture_end(&fixture);
-}
-
-/* Rows that the schema does not allow count as damage, too. */
-static void checks_rows_after_an_unclean_stop(void)
-{
-  struct fixture fixture;
-  REQUIRE(fixture_start(&fixture) == 0);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
-  REQUIRE(outside(&fixture,
-                  "PRAGMA ignore_check_constraints=ON; UPDATE environments SET data=x'02' WHERE "
-                  "id=3; UPDATE meta SET value=0 WHERE key='clean'") == SQLITE_OK);
-  CHECK_INT(fixture_reopen(&fixture), MO_ERR_CORRUPT);
-  CHECK(strstr(fixture.message.text, "CHECK constraint failed in environments") != NULL);
-  fixture_end(&fixture);
-}
-
-/* A set of this name that the folder has already is left alone; one that is missing is made. */
-static void makes_the_paper_test_once(void)
-{
-  struct fixture fixture;
-  REQUIRE(fixture_start(&fixture) == 0);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
-  REQUIRE(outside(&fixture, "DELETE FROM environment_set_members WHERE position=1") == SQLITE_OK);
-  REQUIRE(fixture_reopen(&fixture) == MO_OK);
-  CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM environment_set_members"),
-            MO_PAPER_TEST_COUNT - 1);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
-  REQUIRE(outside(&fixture, "DELETE FROM environment_set_members; DELETE FROM environment_sets") ==
-          SQLITE_OK);
-  REQUIRE(fixture_reopen(&fixture) == MO_OK);
-  CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM environment_set_members"),
-            MO_PAPER_TEST_COUNT);
-  CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM environments"), MO_PAPER_TEST_COUNT);
-  fixture_end(&fixture);
-}
-
+/* The root page of a table or an index becomes noise; the header and the schema stay. */
 static void names_damaged_pages(void)
 {
-  static const char *const damaged[] = {"environments", "jobs_by_state"}; /* a table, an index */
+  static const char *const damaged[] = {"environments", "jobs_by_state"};
   for (size_t i = 0; i < sizeof(damaged) / sizeof(damaged[0]); i++) {
-    struct fixture fixture;
-    char path[512], sql[128];
-    FILE *file;
-    REQUIRE(fixture_start(&fixture) == 0);
-    mo_store_close(fixture.store);
-    fixture.store = NULL;
+    char sql[128];
+    long page;
+    CHECK_INT(reopen_after(&fixture, "UPDATE meta SET value=0 WHERE key='clean'"),
+              MO_OK); /* unclean, but whole */
+    fixture_close(&fixture);
     REQUIRE(outside(&fixture,
                     "UPDATE meta SET value=0 WHERE key='clean'; PRAGMA wal_checkpoint(TRUNCATE)") ==
             SQLITE_OK);
-    snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
     snprintf(sql, sizeof(sql), "SELECT rootpage FROM sqlite_schema WHERE name='%s'", damaged[i]);
-    const long page = (long)outside_integer(&fixture, sql);
-    file = fopen(path, "r+");
-    REQUIRE(file != NULL && page > 1);
-    fseek(file, 4096L * (page - 1), SEEK_SET);
-    for (int k = 0; k < 4096; k++)
-      fputc(0x5a, file);
-    fclose(file);
+    page = (long)outside_integer(&fixture, sql);
+    REQUIRE(page > 1);
+    scribble(4096L * (page - 1), 4096);
     CHECK_INT(fixture_reopen(&fixture), MO_ERR_CORRUPT);
     snprintf(sql, sizeof(sql), "Page %ld: ", page);
     CHECK(strstr(fixture.message.text, "the database is damaged") != NULL &&
           strstr(fixture.message.text, sql) != NULL);
     fixture_end(&fixture);
+    REQUIRE(fixture_start(&fixture) == MO_OK);
   }
+}
+
+/* Rows that the schema does not allow count as damage, too. */
+static void checks_rows_after_an_unclean_stop(void)
+{
+  CHECK_INT(reopen_after(&fixture,
+                         "PRAGMA ignore_check_constraints=ON; UPDATE environments SET data=x'02'"
+                         " WHERE id=3; UPDATE meta SET value=0 WHERE key='clean'"),
+            MO_ERR_CORRUPT);
+  CHECK(strstr(fixture.message.text, "CHECK constraint failed in environments") != NULL);
+}
+
+/* A set of this name that the folder has already is left alone; one that is missing is made. */
+static void makes_the_paper_test_once(void)
+{
+  static const char members[] = "SELECT count(*) FROM environment_set_members";
+  CHECK_INT(reopen_after(&fixture, "DELETE FROM environment_set_members WHERE position=1"), MO_OK);
+  CHECK_INT(outside_integer(&fixture, members), MO_PAPER_TEST_COUNT - 1);
+  CHECK_INT(
+      reopen_after(&fixture, "DELETE FROM environment_set_members; DELETE FROM environment_sets"),
+      MO_OK);
+  CHECK_INT(outside_integer(&fixture, members), MO_PAPER_TEST_COUNT);
+  CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM environments"), MO_PAPER_TEST_COUNT);
 }
 
 static void reports_what_contradicts_itself(void)
 {
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
   struct mo_evaluation_results *results = NULL;
   struct mo_work *work = NULL;
   struct mo_job job;
   int64_t id;
-  bool replayed;
   static const char *const damage[] = {
       "PRAGMA ignore_check_constraints=ON; UPDATE scores SET losses=x'0102'",
       "PRAGMA ignore_check_constraints=ON; UPDATE genotypes SET bits=x'01' WHERE id=1",
@@ -203,20 +134,14 @@ static void reports_what_contradicts_itself(void)
       "DELETE FROM evaluations",
   };
   for (size_t i = 0; i < sizeof(damage) / sizeof(damage[0]); i++) {
-    const struct mo_job_query all = {.state = -1, .kind = -1};
     uint64_t counts[MO_JOB_STATES];
     int job_error, list_error, results_error, work_error;
-    REQUIRE(fixture_start(&fixture) == 0);
-    REQUIRE(fixture_bodies(7, 4, &forms, &genotypes) == MO_OK);
-    submission = fixture_submission(forms, genotypes, 4);
-    REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+    const struct mo_submission submission = draw_evaluation(7, 4);
+    id = submit_evaluation(&submission);
     REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
-    mo_store_close(fixture.store);
-    fixture.store = NULL;
-    REQUIRE(outside(&fixture, damage[i]) == SQLITE_OK);
-    REQUIRE(fixture_reopen(&fixture) == MO_OK);
+    REQUIRE(reopen_after(&fixture, damage[i]) == MO_OK);
     job_error = mo_store_job(fixture.store, id, &job);
-    list_error = (int)mo_store_jobs(fixture.store, &all, &job, 1);
+    list_error = (int)mo_store_jobs(fixture.store, &any_job, &job, 1);
     CHECK_INT(list_error, job_error == MO_OK ? 1 : job_error);
     CHECK_INT(mo_store_job_counts(fixture.store, counts), MO_OK);
     results_error = mo_store_results(fixture.store, id, &results);
@@ -231,20 +156,18 @@ static void reports_what_contradicts_itself(void)
     CHECK(results_error == MO_OK || results_error == MO_ERR_CORRUPT ||
           results_error == MO_ERR_NOT_FOUND);
     CHECK(work_error == MO_OK || work_error == MO_ERR_CORRUPT || work_error == MO_ERR_NOT_FOUND);
-    free(forms);
-    free(genotypes);
     fixture_end(&fixture);
+    REQUIRE(fixture_start(&fixture) == MO_OK);
   }
 }
 
 static const struct check_case cases[] = {
     {"opens, counts its openings, and keeps others out", opens_and_locks},
     {"refuses newer schemas and files that are not its own", refuses_what_is_not_ours},
-    {"notices damage after an unclean stop", notices_damage_after_an_unclean_stop},
     {"checks rows after one", checks_rows_after_an_unclean_stop},
     {"makes the paper's test set once", makes_the_paper_test_once},
-    {"names damaged pages", names_damaged_pages},
+    {"names damaged pages after an unclean stop", names_damaged_pages},
     {"refuses a folder of version 0.1", refuses_version_0_1},
     {"reports what contradicts itself", reports_what_contradicts_itself},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_AROUND(cases, with_a_store)

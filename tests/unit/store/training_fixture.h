@@ -9,36 +9,22 @@
 
 static inline struct mo_training_submission submission_of(uint32_t n_steps)
 {
-  return (struct mo_training_submission){
-      .record = {.settings = {.kind = MO_TRAINING_PRETRAIN,
-                              .seed = UINT64_C(0x1CBA9876543210),
-                              .n_steps = n_steps,
-                              .batch = 16,
-                              .learning.schedule = {.kind = MO_SCHEDULE_RESTARTS,
-                                                    .peak = 1e-3,
-                                                    .floor = 1e-5,
-                                                    .decay = 0.7,
-                                                    .cycle_steps = 10,
-                                                    .cycle_growth = 2,
-                                                    .warmup_steps = 3},
-                              .learning.beta1 = 0.9,
-                              .learning.beta2 = 0.999,
-                              .learning.epsilon = 1e-8,
-                              .learning.norm_limit = 1,
-                              .learning.adjoint_bound = 2,
-                              .learning.adjoint_rule = MO_ADJOINT_RESTART,
-                              .learning.restart_weight = 2.5,
-                              .physics = mo_default_physics(),
-                              .sensor = MO_SENSOR_INVERSE_SQUARE,
-                              .held_out_designs = 5,
-                              .held_out_environments = 7},
-                 .name = "walker",
-                 .validate_every_steps = 11,
-                 .checkpoint_every_steps = 12,
-                 .checkpoint_every_s = 13,
-                 .checkpoints_kept = 2},
-      .priority = MO_BATCH,
-      .label = "a label"};
+  return (struct mo_training_submission){.record = {.settings = {.kind = MO_TRAINING_PRETRAIN,
+                                                                 .seed = UINT64_C(0x1CBA9876543210),
+                                                                 .n_steps = n_steps,
+                                                                 .batch = 16,
+                                                                 .learning = fixture_learning(),
+                                                                 .physics = mo_default_physics(),
+                                                                 .sensor = MO_SENSOR_INVERSE_SQUARE,
+                                                                 .held_out_designs = 5,
+                                                                 .held_out_environments = 7},
+                                                    .name = "walker",
+                                                    .validate_every_steps = 11,
+                                                    .checkpoint_every_steps = 12,
+                                                    .checkpoint_every_s = 13,
+                                                    .checkpoints_kept = 2},
+                                         .priority = MO_BATCH,
+                                         .label = "a label"};
 }
 
 static inline int64_t submit(struct fixture *in, const struct mo_training_submission *submission)
