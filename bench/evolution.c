@@ -382,7 +382,7 @@ int bench_evolution(int argc, char **argv)
     read_scores(&evolution);
   printf("population %u, %u generations, selection by %s; real variation; ",
          evolution.settings.population, evolution.settings.generations,
-         mo_selection_name(evolution.settings.selection.kind));
+         mo_selection_words[evolution.settings.selection.kind]);
   if (evolution.n_recorded > 0)
     printf("%zu recorded scores of %s, over and over\n", evolution.n_recorded,
            evolution.scores_path);

@@ -296,7 +296,8 @@ static struct learning_run make_run(const struct plan *plan, int sensor, int res
   s->seed = seed;
   s->batch = plan->batch;
   s->n_steps = plan->steps;
-  s->learning.schedule = restarts ? mo_schedule_paper_pretrain() : mo_schedule_one_cosine();
+  s->learning.schedule = restarts ? mo_schedule_presets[MO_SCHEDULE_PAPER_PRETRAIN]
+                                  : mo_schedule_presets[MO_SCHEDULE_ONE_COSINE];
   if (!restarts)
     s->learning.schedule.warmup_steps = plan->warmup;
   if (plan->peak > 0.0)
@@ -620,7 +621,7 @@ int bench_learning(int argc, char **argv)
                       .n_seeds = 3,
                       .steps = 0,
                       .batch = 256,
-                      .warmup = mo_schedule_one_cosine().warmup_steps,
+                      .warmup = mo_schedule_presets[MO_SCHEDULE_ONE_COSINE].warmup_steps,
                       .bound = MO_ADJOINT_BOUND,
                       .rule = MO_ADJOINT_CLIP,
                       .restart_weight = MO_RESTART_WEIGHT,
@@ -643,7 +644,7 @@ int bench_learning(int argc, char **argv)
   settings.learning.adjoint_rule = plan.clips[0] ? plan.rule : MO_ADJOINT_CLIP;
   settings.learning.restart_weight = plan.restart_weight;
   if (!plan.schedules[0])
-    settings.learning.schedule = mo_schedule_paper_finetune();
+    settings.learning.schedule = mo_schedule_presets[MO_SCHEDULE_PAPER_FINETUNE];
   if (plan.peak > 0.0)
     settings.learning.schedule.peak = plan.peak;
   return bench_finetune(&options, &settings, plan.designs, plan.environments);

@@ -42,9 +42,8 @@ enum mo_campaign_mode {
       1, /* each generation starts learning from the pretrained weights; parents are scored again */
   MO_SIMULTANEOUS = 2 /* each generation inherits weights and optimizer; parents are scored again */
 };
-const char *
-mo_campaign_mode_name(enum mo_campaign_mode mode); /* "zero-shot", "few-shot", "simultaneous" */
-extern const char *const mo_campaign_mode_words[]; /* the same, NULL */
+extern const char
+    *const mo_campaign_mode_words[]; /* "zero-shot", "few-shot", "simultaneous", NULL */
 
 /* In every scheme the best candidate survives, and a diverged one survives only when there is
  * nothing better.
@@ -66,7 +65,6 @@ enum mo_selection_kind {
 };
 extern const char
     *const mo_selection_words[]; /* "truncation", "tournament", "novelty", "age-layered", NULL */
-const char *mo_selection_name(enum mo_selection_kind kind);
 
 struct mo_selection {
   enum mo_selection_kind kind;
@@ -107,10 +105,9 @@ struct mo_campaign_settings {
 /* Presets: population 8192 ("paper", with the paper's generations: 100, 7, 180), 512
  * ("workstation"; 100, 10, 180), 64 ("demo"; 30, 3, 30). Everything else is as in the paper, except
  * adjoint_bound (MO_ADJOINT_BOUND; the paper has 0). Few-shot: 30 + 30 steps,
- * mo_schedule_paper_finetune. Simultaneous: 1 + 1, mo_schedule_paper_simultaneous. */
+ * simultaneous: 1 + 1, each with the paper's schedule. */
 enum mo_preset { MO_PRESET_PAPER = 0, MO_PRESET_WORKSTATION = 1, MO_PRESET_DEMO = 2 };
-const char *mo_preset_name(enum mo_preset preset); /* "paper", "workstation", "demo" */
-extern const char *const mo_preset_words[];        /* the same, NULL */
+extern const char *const mo_preset_words[]; /* "paper", "workstation", "demo", NULL */
 struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum mo_preset preset);
 
 /* MO_ERR_INVALID, MO_ERR_RANGE; message names the setting, its value and what it must be. */
@@ -161,8 +158,8 @@ enum mo_operator {
   MO_BORN_CROSSOVER = 4
 };
 #define MO_OPERATORS 5
-const char *mo_operator_name(
-    enum mo_operator birth); /* "random", "listed", "inherited", "mutation", "crossover" */
+extern const char
+    *const mo_operator_words[]; /* "random", "listed", "inherited", "mutation", "crossover", NULL */
 
 #define MO_NO_PARENT UINT32_MAX
 struct mo_birth {

@@ -54,15 +54,16 @@ struct mo_schedule {
   uint32_t warmup_steps; /* the rate grows linearly from peak/warmup to peak before the rest begins;
                             0: none. A shorter training ends during the warm-up */
 };
-/* The paper's three schedules: pretraining (1e-3 → 1e-5, cycles 10, 20, 40, …, decay 0.7),
- * finetuning between generations (3.5e-4 → 3.5e-5 over one cycle of 100), simultaneous co-design
- * (as pretraining with decay 0.65); and this program's own defaults. */
-struct mo_schedule mo_schedule_paper_pretrain(void);
-struct mo_schedule mo_schedule_paper_finetune(void);
-struct mo_schedule mo_schedule_paper_simultaneous(void);
-struct mo_schedule mo_schedule_one_cosine(void); /* 2e-3 → 1e-5, warm-up 10 steps */
-struct mo_schedule
-mo_schedule_finetune(void); /* one cosine, 3e-4 → 1e-6: fully annealed at any length */
+/* The paper's three schedules, and this program's own defaults. */
+enum mo_schedule_preset {
+  MO_SCHEDULE_PAPER_PRETRAIN,     /* 1e-3 → 1e-5, cycles 10, 20, 40, …, decay 0.7 */
+  MO_SCHEDULE_PAPER_FINETUNE,     /* between generations: 3.5e-4 → 3.5e-5 over one cycle of 100 */
+  MO_SCHEDULE_PAPER_SIMULTANEOUS, /* as pretraining with decay 0.65 */
+  MO_SCHEDULE_ONE_COSINE,         /* 2e-3 → 1e-5, warm-up 10 steps */
+  MO_SCHEDULE_FINETUNE_COSINE     /* 3e-4 → 1e-6: fully annealed at any length */
+};
+extern const struct mo_schedule mo_schedule_presets[];
+extern const char *const mo_schedule_preset_words[]; /* "paper-pretrain", …, NULL */
 /* Returns the learning rate of step `step` (from 0) of a training of n_steps, for a schedule that
  * passed mo_training_settings_check. In step s of a cycle of n steps, or s of the n steps after the
  * warm-up of one cosine, the rate is floor + (peak − floor) (1 + cos(π s/n))/2; where decay takes
@@ -86,6 +87,9 @@ struct mo_learning {
   double restart_weight;             /* for MO_ADJOINT_RESTART; MO_RESTART_WEIGHT */
 };
 
+/* The defaults above, with a schedule. */
+struct mo_learning mo_learning_defaults(enum mo_schedule_preset schedule);
+
 struct mo_training_settings {
   enum mo_training_kind kind;
   uint64_t seed;    /* of bodies, environments and, when there is no parent, initial weights */
@@ -104,15 +108,13 @@ struct mo_training_settings {
 /* Presets: whole sets of settings, each of which can be changed. Seed 1, physics, sensor, epsilon,
  * beta2, norm_limit and what is held out are the same in all; unless noted, so are Adam and the
  * adjoint's bound.
- *   workstation  1400 steps of 256 by mo_schedule_one_cosine; finetuning: 60 steps by
- *                mo_schedule_finetune
+ *   workstation  1400 steps of 256 by one cosine; finetuning: 60 steps by the finetune cosine
  *   phototaxis   how the controller of this name was made: 1400 steps of 8192; after a
  *                warm-up of 5 steps, restarts from 2e-3 to 1e-5, the first cycle of 61 steps,
  *                the next 22 times as long with 0.75 of the peak; beta1 0.8;
  *                MO_ADJOINT_RESTART above 8, weight 3. Only for pretraining: finetuning uses
  *                workstation's
- *   paper        1400 steps of 8192 by mo_schedule_paper_pretrain; finetuning: 60 by
- *                mo_schedule_paper_finetune; adjoint_bound 0 */
+ *   paper        1400 steps of 8192 by the paper's schedule; finetuning: 60; adjoint_bound 0 */
 enum mo_learning_preset {
   MO_LEARNING_PRESET_WORKSTATION = 0,
   MO_LEARNING_PRESET_PHOTOTAXIS = 1,

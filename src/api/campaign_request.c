@@ -150,7 +150,7 @@ static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(request.record), .group = &mo_campaign_record_fields},
 };
 #undef AT
-const struct mo_fields mo_campaign_request_fields = {rows, sizeof(rows) / sizeof(rows[0])};
+const struct mo_fields mo_campaign_request_fields = MO_FIELDS(rows);
 
 /* Checks what depends on the mode. */
 static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *parsed)
@@ -162,7 +162,7 @@ static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *pa
     mo_json_fault_at(json, 0, "/controller",
                      "null is given; a %s campaign needs a controller: its name, or sha256: and 64 "
                      "hexadecimal digits, is expected",
-                     mo_campaign_mode_name(mode));
+                     mo_campaign_mode_words[mode]);
   if (mode == MO_ZERO_SHOT && parsed->has_learning)
     mo_json_fault_at(json, 0, "/learning",
                      "nothing learns in a zero-shot campaign; settings of learning are expected of "

@@ -75,7 +75,7 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
   const char *name = mo_result_name(&status->job, record->name, made);
   mo_text_object(text);
   mo_text_member_id(text, "id", status->job.id);
-  mo_text_member(text, "mode", mo_campaign_mode_name(record->settings.mode));
+  mo_text_member(text, "mode", mo_campaign_mode_words[record->settings.mode]);
   mo_text_member(text, "preset", record->preset[0] != '\0' ? record->preset : NULL);
   mo_text_member(text, "name", record->settings.mode != MO_ZERO_SHOT ? name : NULL);
   mo_job_write_head(text, &status->job, live);
@@ -108,7 +108,7 @@ void mo_campaign_json_job(struct mo_text *text, const void *any, const struct mo
   mo_text_member(text, "kind", mo_job_kind_name(status->job.kind));
   mo_job_write_head(text, &status->job, live);
   mo_text_format(text, ",\"campaign\":{\"mode\":\"%s\"",
-                 mo_campaign_mode_name(status->record.settings.mode));
+                 mo_campaign_mode_words[status->record.settings.mode]);
   mo_text_member_count(text, "population", status->record.settings.population);
   mo_member_count_if(text, "generation", status->generation >= 0, (uint64_t)status->generation);
   mo_text_member_count(text, "generations", status->record.settings.generations);

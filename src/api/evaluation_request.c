@@ -42,7 +42,7 @@ static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
 };
 #undef AT
-const struct mo_fields mo_evaluation_request_fields = {rows, sizeof(rows) / sizeof(rows[0])};
+const struct mo_fields mo_evaluation_request_fields = MO_FIELDS(rows);
 _Static_assert(MO_FLOAT32 == 0 && MO_FLOAT64 == 1, "the words stand in the order of their values");
 
 static int check(struct mo_json *json, void *any)

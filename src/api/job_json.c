@@ -133,12 +133,6 @@ void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const str
                                        : NULL);
 }
 
-const char *mo_result_name(const struct mo_job *job, const char *asked, char made[MO_MADE_BYTES])
-{
-  snprintf(made, MO_MADE_BYTES, "%s-%lld", mo_job_kind_name(job->kind), (long long)job->id);
-  return asked[0] != '\0' ? asked : made;
-}
-
 void mo_links_write(struct mo_text *text, const struct mo_job *job, const char *const *below)
 {
   const long long id = (long long)job->id;

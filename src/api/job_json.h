@@ -30,9 +30,6 @@ enum mo_job_state mo_job_state_shown(const struct mo_job *job, const struct mo_l
 /* Writes the members that jobs of every kind have, from state to error, and why a training or
  * campaign makes no progress. */
 void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const struct mo_live *live);
-/* Returns the name that the resulting controller has or will have. */
-#define MO_MADE_BYTES 40
-const char *mo_result_name(const struct mo_job *job, const char *asked, char made[MO_MADE_BYTES]);
 /* Writes the paths of what belongs to a job. below: pairs of member and path, then NULL. */
 void mo_links_write(struct mo_text *text, const struct mo_job *job, const char *const *below);
 

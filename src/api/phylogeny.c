@@ -31,7 +31,7 @@ void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design
   mo_text_add(text, ",\"parents\":[");
   write_parents(text, &row->descent);
   mo_text_add(text, "]");
-  mo_text_member(text, "operator", mo_operator_name((enum mo_operator)row->descent.op));
+  mo_text_member(text, "operator", mo_operator_words[row->descent.op]);
   mo_text_member_count(text, "born", row->born);
   mo_member_count_if(text, "died", row->died >= 0, (uint64_t)row->died);
   mo_text_member_number(text, "score", row->score);
@@ -60,7 +60,7 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
     mo_text_format(text, "%lld", (long long)row->died);
   else
     mo_text_add(text, "inf");
-  mo_text_format(text, ",%s,", mo_operator_name((enum mo_operator)row->descent.op));
+  mo_text_format(text, ",%s,", mo_operator_words[row->descent.op]);
   if (isfinite(row->score))
     mo_text_json_number(text, row->score);
   mo_text_add(text, ",d"); /* letters, because programs that read tables take 8e00… for a number */

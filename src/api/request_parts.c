@@ -452,7 +452,7 @@ static const struct mo_field rows[] = {
      .help = "where the job is computed"},
 };
 #undef AT
-const struct mo_fields mo_parts_fields = {rows, sizeof(rows) / sizeof(rows[0])};
+const struct mo_fields mo_parts_fields = MO_FIELDS(rows);
 
 int mo_parts_back_end(const struct mo_parts *parts)
 {

@@ -56,7 +56,7 @@ static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(request.record), .group = &mo_training_record_fields},
 };
 #undef AT
-const struct mo_fields mo_training_request_fields = {rows, sizeof(rows) / sizeof(rows[0])};
+const struct mo_fields mo_training_request_fields = MO_FIELDS(rows);
 _Static_assert(MO_TRAINING_PRETRAIN == 0 && MO_TRAINING_FINETUNE == 1,
                "the words stand in the order of their values");
 

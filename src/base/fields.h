@@ -64,6 +64,11 @@ struct mo_fields {
   const struct mo_field *rows;
   size_t n;
 };
+/* The initializer for an array of rows. */
+#define MO_FIELDS(rows)                                                                            \
+  {                                                                                                \
+    rows, sizeof(rows) / sizeof((rows)[0])                                                         \
+  }
 
 /* Reads the value of member `key` into `settings`. False: no row has this name. An invalid value
  * adds a fault and leaves the setting unchanged. */

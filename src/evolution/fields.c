@@ -105,7 +105,7 @@ static void read_selection_object(struct mo_json *json, struct mo_selection *sel
     if (given[i] && !has_row(read.kind, i)) {
       snprintf(below, sizeof(below), "/%s", selection_rows[i].name);
       mo_json_fault_at(json, depth, below, "selection by %s has no %s",
-                       mo_selection_name(read.kind), selection_rows[i].name);
+                       mo_selection_words[read.kind], selection_rows[i].name);
     }
   if (json->faults->n == before)
     *selection = read;
@@ -167,8 +167,7 @@ static const struct mo_field mutation_rows[] = {
     {"growth", MO_FIELD_NUMBER, 0, AT(mutation_growth), .min = 1, .max = 2, .unit = "",
      .help = "factor of the rate after an attempt that gave nothing new"},
 };
-static const struct mo_fields mutation_fields = {mutation_rows,
-                                                 sizeof(mutation_rows) / sizeof(mutation_rows[0])};
+static const struct mo_fields mutation_fields = MO_FIELDS(mutation_rows);
 static const struct mo_field campaign_rows[] = {
     {"population", MO_FIELD_COUNT, 0, AT(population), .min = MO_POPULATION_MIN,
      .max = MO_POPULATION_MAX, .unit = "designs", .help = "designs that live at a time"},
@@ -188,8 +187,7 @@ static const struct mo_field campaign_rows[] = {
     {"physics", MO_FIELD_GROUP, 0, AT(physics), .group = &mo_physics_fields, .unit = "",
      .help = "constants of the world"},
 };
-const struct mo_fields mo_campaign_fields = {campaign_rows,
-                                             sizeof(campaign_rows) / sizeof(campaign_rows[0])};
+const struct mo_fields mo_campaign_fields = MO_FIELDS(campaign_rows);
 static const struct mo_field learning_rows[] = {
     {"parent_steps", MO_FIELD_COUNT, 0, AT(parent_steps), .min = 0, .max = MO_CAMPAIGN_STEPS_MAX,
      .unit = "steps", .help = "steps of learning on the parents in each generation"},
@@ -202,5 +200,4 @@ static const struct mo_field learning_rows[] = {
      .help = "sensor of a controller that starts from random weights"},
 };
 #undef AT
-const struct mo_fields mo_campaign_learning_fields = {learning_rows, sizeof(learning_rows) /
-                                                                         sizeof(learning_rows[0])};
+const struct mo_fields mo_campaign_learning_fields = MO_FIELDS(learning_rows);

@@ -23,7 +23,7 @@ struct mo_rank {
   uint64_t number;
   uint32_t place;
 };
-/* rank.c: sorts ascending by score, then by number. */
+/* statistics.c: sorts ascending by score, then by number, so that no two have the same rank. */
 void mo_rank_sort(struct mo_rank *ranks, uint32_t n);
 
 /* statistics.c: computes each genotype's exact sum of Hamming distances to all others;

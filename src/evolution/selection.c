@@ -126,61 +126,39 @@ static int choose(struct choice *choice)
   return MO_OK;
 }
 
-static int select_ranked(const struct mo_campaign_settings *settings, uint32_t generation,
-                         const uint64_t *genotypes, const struct mo_candidate *candidates,
-                         const struct mo_rank *ranks, uint32_t n, uint8_t *lives,
-                         uint32_t *survivors, uint32_t *n_survivors)
-{
-  const uint32_t places = n < settings->population ? n : settings->population;
-  uint32_t sound = 0;
-  while (sound < n && ranks[sound].score != INFINITY)
-    sound++;
-  if (sound > places) {
-    struct choice choice = {.settings = settings,
-                            .generation = generation,
-                            .genotypes = genotypes,
-                            .candidates = candidates,
-                            .n_candidates = n,
-                            .ranks = ranks,
-                            .n = sound,
-                            .places = places,
-                            .lives = lives};
-    const int r = choose(&choice);
-    if (r < 0)
-      return r;
-  } else {
-    memset(lives, 1, places); /* diverged ones rank last */
-  }
-  uint32_t found = 0;
-  for (uint32_t i = 0; i < n && found < places; i++)
-    if (lives[i])
-      survivors[found++] = ranks[i].place;
-  *n_survivors = found;
-  return MO_OK;
-}
-
 int mo_select(const struct mo_campaign_settings *settings, uint32_t generation,
               const uint64_t *genotypes, const struct mo_candidate *candidates, uint32_t n,
               uint32_t *survivors, uint32_t *n_survivors)
 {
-  for (uint32_t i = 0; i < n; i++)
-    if (isnan(candidates[i].score))
-      return MO_ERR_INVALID;
-  if (n == 0 || settings->population == 0) {
-    *n_survivors = 0;
-    return MO_OK;
+  const uint32_t places = n < settings->population ? n : settings->population;
+  struct mo_rank *ranks = malloc((n + (size_t)1) * sizeof(*ranks));
+  uint8_t *lives = calloc(n + (size_t)1, 1);
+  struct choice choice = {.settings = settings,
+                          .generation = generation,
+                          .genotypes = genotypes,
+                          .candidates = candidates,
+                          .n_candidates = n,
+                          .ranks = ranks,
+                          .places = places,
+                          .lives = lives};
+  int r = ranks != NULL && lives != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < n && r == MO_OK; i++) {
+    ranks[i] = (struct mo_rank){candidates[i].score, candidates[i].number, i};
+    choice.n += candidates[i].score != INFINITY;
+    r = isnan(candidates[i].score) ? MO_ERR_INVALID : MO_OK;
   }
-  struct mo_rank *ranks = malloc(n * sizeof(*ranks));
-  uint8_t *lives = calloc(n, 1);
-  int r = MO_ERR_NO_MEMORY;
-  if (ranks != NULL && lives != NULL) {
-    for (uint32_t i = 0; i < n; i++)
-      ranks[i] = (struct mo_rank){
-          .score = candidates[i].score, .number = candidates[i].number, .place = i};
+  if (r == MO_OK) {
     mo_rank_sort(ranks, n);
-    r = select_ranked(settings, generation, genotypes, candidates, ranks, n, lives, survivors,
-                      n_survivors);
+    if (choice.n > places)
+      r = choose(&choice);
+    else
+      memset(lives, 1, places); /* diverged ones rank last */
   }
+  if (r == MO_OK)
+    *n_survivors = 0;
+  for (uint32_t i = 0; i < n && r == MO_OK && *n_survivors < places; i++)
+    if (lives[i])
+      survivors[(*n_survivors)++] = ranks[i].place;
   free(lives);
   free(ranks);
   return r;

@@ -12,28 +12,8 @@ const char *const mo_campaign_mode_words[] = {"zero-shot", "few-shot", "simultan
 const char *const mo_selection_words[] = {"truncation", "tournament", "novelty", "age-layered",
                                           NULL};
 const char *const mo_preset_words[] = {"paper", "workstation", "demo", NULL};
-static const char *const operator_words[] = {"random",   "listed",    "inherited",
-                                             "mutation", "crossover", NULL};
-
-const char *mo_campaign_mode_name(enum mo_campaign_mode mode)
-{
-  return mo_word(mo_campaign_mode_words, (unsigned)mode);
-}
-
-const char *mo_selection_name(enum mo_selection_kind kind)
-{
-  return mo_word(mo_selection_words, (unsigned)kind);
-}
-
-const char *mo_preset_name(enum mo_preset preset)
-{
-  return mo_word(mo_preset_words, (unsigned)preset);
-}
-
-const char *mo_operator_name(enum mo_operator birth)
-{
-  return mo_word(operator_words, (unsigned)birth);
-}
+const char *const mo_operator_words[] = {"random",   "listed",    "inherited",
+                                         "mutation", "crossover", NULL};
 
 /* ---- presets ---- */
 
@@ -63,15 +43,8 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
       .parent_steps = steps[m],
       .child_steps = steps[m],
       .batch = 0,
-      .learning.schedule =
-          m == MO_SIMULTANEOUS ? mo_schedule_paper_simultaneous() : mo_schedule_paper_finetune(),
-      .learning.beta1 = 0.9,
-      .learning.beta2 = 0.999,
-      .learning.epsilon = 1e-8,
-      .learning.norm_limit = 1.0,
-      .learning.adjoint_bound = MO_ADJOINT_BOUND,
-      .learning.adjoint_rule = MO_ADJOINT_CLIP,
-      .learning.restart_weight = MO_RESTART_WEIGHT,
+      .learning = mo_learning_defaults(m == MO_SIMULTANEOUS ? MO_SCHEDULE_PAPER_SIMULTANEOUS
+                                                            : MO_SCHEDULE_PAPER_FINETUNE),
       .sensor = MO_SENSOR_INVERSE_SQRT,
       .physics = mo_default_physics(),
   };

@@ -19,49 +19,30 @@
 
 /* ---- resumption ---- */
 
-/* Allocates the rows of one generation. */
-static int create_rows(struct mo_campaign_run *run, struct mo_campaign_rows *rows)
+/* Allocates the rows of two generations. */
+static int allocate(struct mo_campaign_run *run)
 {
-  const size_t n = run->settings->population;
-  rows->genotypes = calloc(2 * n * run->words, sizeof(*rows->genotypes));
-  rows->bits = calloc(2 * n, sizeof(*rows->bits));
-  rows->sizes = calloc(2 * n, sizeof(*rows->sizes));
-  rows->scores = calloc(2 * n, sizeof(*rows->scores));
-  rows->numbers = calloc(2 * n, sizeof(*rows->numbers));
-  rows->born = calloc(2 * n, sizeof(*rows->born));
-  rows->forms = calloc(n, sizeof(*rows->forms));
-  rows->births = calloc(n, sizeof(*rows->births));
-  rows->survivors = calloc(n, sizeof(*rows->survivors));
-  return rows->genotypes == NULL || rows->bits == NULL || rows->sizes == NULL ||
-                 rows->scores == NULL || rows->numbers == NULL || rows->born == NULL ||
-                 rows->forms == NULL || rows->births == NULL || rows->survivors == NULL
-             ? MO_ERR_NO_MEMORY
-             : MO_OK;
+  const size_t n = run->settings->population, words = mo_workspace_words(run->settings->workspace);
+  bool is_whole = true;
+  for (int i = 0; i < 2; i++) {
+    struct mo_campaign_rows *rows = &run->all_rows[i];
+#define MO_COLUMN(type, name, length)                                                              \
+  rows->name = calloc(length, sizeof(type));                                                       \
+  is_whole = is_whole && rows->name != NULL;
+    MO_CAMPAIGN_COLUMNS(MO_COLUMN)
+#undef MO_COLUMN
+  }
+  run->words = words;
+  run->rows = &run->all_rows[0];
+  run->other_rows = &run->all_rows[1];
+  return is_whole ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
 static void free_rows(struct mo_campaign_rows *rows)
 {
-  free(rows->genotypes);
-  free(rows->bits);
-  free(rows->sizes);
-  free(rows->scores);
-  free(rows->numbers);
-  free(rows->born);
-  free(rows->forms);
-  free(rows->births);
-  free(rows->survivors);
-}
-
-static int allocate(struct mo_campaign_run *run)
-{
-  int error;
-  run->words = mo_workspace_words(run->settings->workspace);
-  run->rows = &run->all_rows[0];
-  run->other_rows = &run->all_rows[1];
-  error = create_rows(run, run->rows);
-  if (error == MO_OK)
-    error = create_rows(run, run->other_rows);
-  return error;
+#define MO_COLUMN(type, name, length) free(rows->name);
+  MO_CAMPAIGN_COLUMNS(MO_COLUMN)
+#undef MO_COLUMN
 }
 
 static uint64_t *genotype(const struct mo_campaign_run *run, uint32_t place)
@@ -122,35 +103,28 @@ static int read_population(struct mo_campaign_run *run)
   return error;
 }
 
-struct remembering {
-  struct mo_campaign_run *run;
-  uint64_t *moved;
-};
-
 static int remember(void *context, const struct mo_bits *born)
 {
-  const struct remembering *remembering = context;
-  struct mo_campaign_run *run = remembering->run;
-  int error = mo_genotype_move(MO_DEFAULT_WORKSPACE, born->words, run->settings->workspace,
-                               remembering->moved);
+  struct mo_campaign_run *run = context;
+  struct mo_bits moved;
+  int error =
+      mo_genotype_move(MO_DEFAULT_WORKSPACE, born->words, run->settings->workspace, moved.words);
   if (error == MO_OK)
-    error = mo_seen_add(run->seen, remembering->moved);
+    error = mo_seen_add(run->seen, moved.words);
   return error < 0 ? error : MO_OK;
 }
 
 /* Collects the designs that must not be born again. */
 static int read_seen(struct mo_campaign_run *run)
 {
-  struct remembering remembering = {run, calloc(run->words, sizeof(uint64_t))};
-  int error = remembering.moved == NULL ? MO_ERR_NO_MEMORY : MO_OK;
-  if (error == MO_OK && run->settings->exclude_pretraining)
+  int error = MO_OK;
+  if (run->settings->exclude_pretraining)
     error = mo_exclusion_acquire(run, &run->exclusion);
   if (error == MO_OK)
     error =
         mo_seen_create(run->settings->workspace, mo_exclusion_forms(run->exclusion), &run->seen);
   if (error == MO_OK)
-    error = mo_store_campaign_each(run->jobs->store, run->id, remember, &remembering);
-  free(remembering.moved);
+    error = mo_store_campaign_each(run->jobs->store, run->id, remember, run);
   return error;
 }
 
@@ -166,8 +140,6 @@ static int prepare(struct mo_campaign_run *run)
     error = mo_runner_load(run->runner, &run->status.record.controller_sha256, &run->controller);
   if (error == MO_OK)
     error = allocate(run);
-  if (error == MO_OK)
-    error = mo_share_open(run->jobs, run->id, MO_JOB_CAMPAIGN, &run->share);
   if (error == MO_OK)
     error = mo_store_campaign_environments(run->jobs->store, run->id, &run->environments,
                                            &run->n_environments);
@@ -344,12 +316,8 @@ static int write_end(void *context)
   struct mo_campaign_run *run = ending->run;
   const struct mo_campaign_record *record = &run->status.record;
   struct mo_learned learned = {.controller = NULL};
-  char name[MO_NAME_BYTES_MAX + 1];
+  char made[MO_MADE_BYTES];
   int error = MO_OK;
-  if (record->name[0] != '\0')
-    snprintf(name, sizeof(name), "%s", record->name);
-  else
-    snprintf(name, sizeof(name), "campaign-%lld", (long long)run->id);
   if (run->learner.training != NULL)
     error = mo_learned_create(run->learner.training,
                               record->has_controller ? &record->controller_sha256 : NULL,
@@ -357,7 +325,8 @@ static int write_end(void *context)
   if (error == MO_OK)
     error = mo_store_campaign_finish(
         run->jobs->store, run->id, ending->end, record->settings.generations,
-        learned.controller != NULL ? name : NULL, learned.bytes, learned.size, learned.controller);
+        learned.controller != NULL ? mo_result_name(&run->status.job, record->name, made) : NULL,
+        learned.bytes, learned.size, learned.controller);
   mo_learned_free(&learned);
   return error;
 }
@@ -430,7 +399,6 @@ static void clean_up(void *context)
   mo_campaign_writing_free(run);
   mo_campaign_free_scores(run);
   mo_campaign_free_learning(run);
-  mo_share_close(run->jobs, run->id);
   mo_compute_controller_free(run->frozen);
   mo_controller_free(run->controller);
   mo_seen_free(run->seen);
@@ -472,13 +440,7 @@ static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
   return mo_is_shortage(error) ? error : MO_OK;
 }
 
-static uint32_t threads(const struct mo_jobs_config *config)
-{
-  return config->max_active_campaigns;
-}
-
 const struct mo_kind mo_campaign_kind = {.kind = MO_JOB_CAMPAIGN,
-                                         .threads = threads,
                                          .need = need,
                                          .first = MO_PHASE_PREPARE,
                                          .run_bytes = sizeof(struct mo_campaign_run),

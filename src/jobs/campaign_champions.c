@@ -10,33 +10,20 @@
 
 /* ---- champions ---- */
 
-/* Reads a whole population, best first (malloc). */
-static int read_population(struct mo_store *store, int64_t id, int64_t generation,
+/* Reads a whole population of at most `most` designs, best first (malloc). */
+static int read_population(struct mo_store *store, int64_t id, int64_t generation, uint32_t most,
                            struct mo_campaign_design **designs, uint32_t *n)
 {
-  struct mo_campaign_design *rows = calloc(MO_PAGE_MAX, sizeof(*rows)), *grown;
-  uint32_t read = 0;
-  int64_t got;
-  if (rows == NULL)
-    return MO_ERR_NO_MEMORY;
-  *n = 0;
-  got = mo_store_campaign_population(store, id, generation, 0, rows, MO_PAGE_MAX, n);
-  if (got > 0 && *n > MO_PAGE_MAX) {
-    grown = realloc(rows, *n * sizeof(*rows));
-    if (grown == NULL)
-      got = MO_ERR_NO_MEMORY;
-    else
-      rows = grown;
-  }
-  while (got > 0) {
-    uint32_t size = *n;
-    read += (uint32_t)got;
-    if (read >= size)
-      break;
+  struct mo_campaign_design *rows = calloc(most, sizeof(*rows));
+  uint32_t read = 0, size = 0;
+  int64_t got = rows != NULL ? 1 : MO_ERR_NO_MEMORY;
+  while (got > 0 && read < most) {
+    const uint32_t before = size, left = most - read;
     got = mo_store_campaign_population(store, id, generation, read, rows + read,
-                                       size - read < MO_PAGE_MAX ? size - read : MO_PAGE_MAX, n);
-    if (*n != size) /* a newer generation was committed meanwhile */
+                                       left < MO_PAGE_MAX ? left : MO_PAGE_MAX, &size);
+    if (read > 0 && size != before) /* a newer generation was committed meanwhile */
       got = MO_ERR_BUSY;
+    read += got > 0 ? (uint32_t)got : 0;
   }
   if (got < 0) {
     free(rows);
@@ -69,7 +56,7 @@ static int choose(struct mo_workspace workspace, const struct mo_campaign_design
     rows[i] = designs[picks[i]];
     memcpy(picked + words * i, genotypes + words * picks[i], words * sizeof(*picked));
   }
-  if (error == MO_OK)
+  if (error == MO_OK && distinctiveness != NULL)
     mo_distinctiveness(workspace, picked, m, distinctiveness);
   free(genotypes);
   free(picked);
@@ -91,7 +78,8 @@ int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generat
   if (error == MO_OK && generation < 0)
     error = MO_ERR_NOT_FOUND;
   if (error == MO_OK)
-    error = read_population(jobs->store, id, generation, &designs, &size);
+    error = read_population(jobs->store, id, generation, status.record.settings.population,
+                            &designs, &size);
   if (error != MO_OK)
     return error;
   if (m > size)
@@ -198,7 +186,6 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t
   struct mo_campaign_design *rows;
   struct mo_bits *genotypes;
   struct mo_sha256 sha256;
-  double *distinctiveness;
   char name[MO_NAME_BYTES_MAX + 1];
   bool created = false;
   uint32_t n = 0;
@@ -215,11 +202,9 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t
     return mo_fail(message, error, "campaign %lld: %s", (long long)id, mo_error_text(error));
   rows = calloc(m, sizeof(*rows));
   genotypes = calloc(m, sizeof(*genotypes));
-  distinctiveness = calloc(m, sizeof(*distinctiveness));
-  error =
-      rows == NULL || genotypes == NULL || distinctiveness == NULL
-          ? MO_ERR_NO_MEMORY
-          : mo_jobs_campaign_champions(jobs, id, status.generation, m, rows, distinctiveness, &n);
+  error = rows == NULL || genotypes == NULL
+              ? MO_ERR_NO_MEMORY
+              : mo_jobs_campaign_champions(jobs, id, status.generation, m, rows, NULL, &n);
   for (uint32_t i = 0; i < n; i++)
     genotypes[i] = rows[i].genotype;
   sha256 = status.has_result ? status.result_sha256 : status.record.controller_sha256;
@@ -234,6 +219,5 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t
     (void)mo_store_controller_remove(jobs->store, name);
   free(rows);
   free(genotypes);
-  free(distinctiveness);
   return error;
 }

@@ -24,9 +24,8 @@ struct mo_campaign_writing {
   pthread_t thread;
   bool is_pending; /* started, and not yet known to be committed */
   bool has_thread;
-  bool was_tried;    /* the thread has tried to write; its status was not read yet */
   atomic_bool ended; /* the thread has its status */
-  int status;
+  int status;        /* of the newest try; MO_ERR_BUSY: none yet */
 };
 
 /* ---- what a generation came to ---- */
@@ -187,7 +186,7 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
     return error;
   const struct mo_campaign_generation *row = &writing->commit.row;
   run->generation_s = row->seconds - run->prepared_s;
-  mo_campaign_advance(run, 0);
+  mo_campaign_advance(run, 0, 0);
   tell_generation(run, row, writing->generation_data);
   if (row->collapse) {
     snprintf(writing->collapse_data, sizeof(writing->collapse_data),
@@ -207,8 +206,9 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
 
 /* ---- writing ---- */
 
-static int write_generation(struct mo_campaign_writing *writing)
+static int write_generation(void *context)
 {
+  struct mo_campaign_writing *writing = context;
   struct mo_jobs *jobs = writing->jobs;
   const struct mo_campaign_generation *row = &writing->commit.row;
   const int error = mo_store_campaign_commit(jobs->store, writing->id, &writing->commit);
@@ -249,10 +249,10 @@ int mo_campaign_commit(struct mo_campaign_run *run)
   }
   run->steps_saved = run->step;
   run->n_unsaved = 0; /* losses are in the commit */
-  writing->is_pending = writing->was_tried = true;
+  writing->is_pending = true;
+  writing->status = MO_ERR_BUSY;
   atomic_store(&writing->ended, false);
   writing->has_thread = mo_thread_create(&writing->thread, NULL, write_beside, writing) == 0;
-  writing->was_tried = writing->has_thread;
   return writing->has_thread ? MO_OK : mo_campaign_settle(run);
 }
 
@@ -272,15 +272,6 @@ void mo_campaign_writing_join(struct mo_campaign_run *run)
   writing->has_thread = false;
 }
 
-/* Returns the thread's result on the first call, then writes again. */
-static int write_again(void *context)
-{
-  struct mo_campaign_writing *writing = context;
-  const bool was_tried = writing->was_tried;
-  writing->was_tried = false;
-  return was_tried ? writing->status : write_generation(writing);
-}
-
 int mo_campaign_settle(struct mo_campaign_run *run)
 {
   struct mo_campaign_writing *writing = run->writing;
@@ -288,7 +279,9 @@ int mo_campaign_settle(struct mo_campaign_run *run)
   if (writing == NULL || !writing->is_pending)
     return MO_OK;
   mo_campaign_writing_join(run);
-  error = mo_runner_persist(run->runner, write_again, writing, "a generation");
+  error = writing->status;
+  if (mo_is_shortage(error))
+    error = mo_runner_persist(run->runner, write_generation, writing, "a generation");
   if (error != MO_ERR_CANCELLED) /* a cancelled commit is still pending and precedes other writes */
     drop(writing);
   return error;

@@ -16,7 +16,7 @@
 #define WAIT_MS_MAX 50
 #define THREADS_MAX 16
 
-enum state { MAKING = 0, READY, FAILED /* look-ups skip it */ };
+#define DRAWING 1
 
 struct mo_exclusion {
   struct mo_jobs *jobs;
@@ -35,8 +35,7 @@ struct mo_exclusion {
   int64_t drawer;    /* other campaigns report that they wait for this one; 0: it has left, and the
                         next to look replaces it */
   uint64_t n_before; /* bodies of finished parts */
-  enum state state;
-  int error; /* FAILED */
+  int status;        /* DRAWING, MO_OK, or the error: look-ups skip it */
   struct mo_exclusion *next;
 };
 
@@ -58,8 +57,7 @@ static void end_part(struct mo_exclusion *exclusion, uint64_t n_bodies)
 static void end(struct mo_exclusion *exclusion, int error)
 {
   pthread_mutex_lock(&exclusion->jobs->exclusions_mutex);
-  exclusion->state = error == MO_OK ? READY : FAILED;
-  exclusion->error = error;
+  exclusion->status = error;
   pthread_mutex_unlock(&exclusion->jobs->exclusions_mutex);
 }
 
@@ -96,7 +94,7 @@ static void begin(struct mo_exclusion *exclusion)
 
 static bool is_same(const struct mo_exclusion *a, const struct mo_exclusion *b)
 {
-  if (a->state == FAILED || a->lineage.n_parts != b->lineage.n_parts ||
+  if (a->status < 0 || a->lineage.n_parts != b->lineage.n_parts ||
       a->workspace.nx != b->workspace.nx || a->workspace.ny != b->workspace.ny ||
       a->workspace.nz != b->workspace.nz)
     return false;
@@ -118,6 +116,7 @@ static struct mo_exclusion *find_or_add(struct mo_campaign_run *run,
     return NULL;
   *made = (struct mo_exclusion){.jobs = jobs,
                                 .workspace = run->settings->workspace,
+                                .status = DRAWING,
                                 .lineage = *lineage,
                                 .first = run->id,
                                 .drawer = run->id,
@@ -174,7 +173,7 @@ void mo_exclusion_release(struct mo_campaign_run *run, struct mo_exclusion *excl
 
 /* ---- waiting ---- */
 
-/* Returns 1 with the progress in *drawing while the set is drawn, then MO_OK or the error. */
+/* Returns DRAWING with the progress in *drawing, then MO_OK or the error. */
 static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusion,
                 struct mo_campaign_drawing *drawing)
 {
@@ -188,7 +187,7 @@ static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusio
       .total = exclusion->n_bodies,
       .seconds_left = -1,
       .drawer = exclusion->drawer};
-  status = exclusion->state == MAKING ? 1 : exclusion->error;
+  status = exclusion->status;
   pthread_mutex_unlock(&run->jobs->exclusions_mutex);
   /* All bodies take about as long: between a second and a minute, the rate changes by a few
    * percent. */
@@ -234,9 +233,15 @@ static int join(struct mo_campaign_run *run, const struct mo_lineage *lineage,
 
 int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **exclusion)
 {
-  struct mo_lineage lineage;
-  int error = mo_lineage_read(run, &lineage);
+  struct mo_message message = {""};
+  struct mo_lineage lineage = {.n_parts = 0};
+  int error = MO_OK;
   *exclusion = NULL;
+  if (run->controller != NULL)
+    error =
+        mo_lineage_read(run->jobs, &run->status.record.controller_sha256, run, &lineage, &message);
+  if (error == MO_ERR_LIMIT)
+    return mo_runner_fail(run->runner, error, message.text);
   if (error != MO_OK || lineage.n_parts == 0)
     return error;
   error = join(run, &lineage, exclusion);

@@ -14,14 +14,12 @@ struct mo_lineage {
   struct mo_lineage_part parts[MO_LINEAGE_PARTS_MAX];
   uint32_t n_parts;
 };
-/* Reads the lineage, reports each unreadable field as an event, and omits what depends on that
- * field. MO_ERR_LIMIT: more bodies than can be drawn again. MO_ERR_CANCELLED: a request arrived
- * while an event waited for space. */
-int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage);
-
-/* Reads the lineage before there is a run, and reports nothing. MO_ERR_LIMIT with a message. */
-int mo_lineage_reckon(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
-                      struct mo_lineage *lineage, struct mo_message *message);
+/* Reads the lineage of a controller and omits what depends on an unreadable field. run (nullable):
+ * reports each such field as an event of the campaign. MO_ERR_LIMIT with a message: more bodies
+ * than can be drawn again. MO_ERR_CANCELLED: a request arrived while an event waited for space. */
+int mo_lineage_read(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
+                    struct mo_campaign_run *run, struct mo_lineage *lineage,
+                    struct mo_message *message);
 
 /* ---- campaign_excluded.c ---- */
 /* Returns the forms of the bodies on which the campaign's controller and its ancestors were

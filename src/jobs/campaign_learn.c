@@ -113,6 +113,39 @@ int mo_campaign_load_learning(struct mo_campaign_run *run)
              : error;
 }
 
+/* ---- what is due between steps ---- */
+
+static int tell(struct mo_campaign_run *run)
+{
+  char progress[256];
+  const char *data =
+      mo_campaign_progress(run, "learning", run->step, steps_of(run, run->generation), progress);
+  int error;
+  if (data == NULL || mo_campaign_is_writing(run))
+    return MO_OK;
+  error = mo_campaign_settle(run);
+  if (error == MO_OK)
+    error =
+        mo_store_campaign_save_losses(run->jobs->store, run->id, run->generation, NULL, 0, data);
+  run->progress_us = mo_clock_us();
+  return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY
+             ? MO_OK
+             : error; /* a lost progress event is no error */
+}
+
+static bool checkpoint_is_due(const struct mo_campaign_run *run)
+{
+  const uint32_t every_s = run->status.record.checkpoint_every_s;
+  return every_s > 0 && mo_clock_us() - run->checkpoint_us >= (int64_t)every_s * 1000000;
+}
+
+static int write_what_is_due(void *context)
+{
+  struct mo_campaign_run *run = context;
+  const int error = checkpoint_is_due(run) ? mo_campaign_save_learning(run) : MO_OK;
+  return error == MO_OK ? tell(run) : error;
+}
+
 /* ---- where it begins ---- */
 
 static const uint64_t *children(const struct mo_campaign_run *run)
@@ -173,7 +206,8 @@ static int prepare_training(struct mo_campaign_run *run)
     error = mo_training_set_steps(run->learner.training,
                                   mo_campaign_training(run->settings, 0).n_steps);
   if (error == MO_OK)
-    error = mo_learner_prepare(run->jobs, run->status.job.back_end, &run->learner);
+    error =
+        mo_learner_prepare(&run->learner, run->runner, &run->status.job, write_what_is_due, run);
   return error;
 }
 
@@ -205,50 +239,13 @@ static int set_designs(struct mo_campaign_run *run)
              : mo_runner_fail(run->runner, error, message.text);
 }
 
-static int tell(struct mo_campaign_run *run)
-{
-  char progress[256];
-  const char *data =
-      mo_campaign_progress(run, "learning", run->step, steps_of(run, run->generation), progress);
-  int error;
-  if (data == NULL || mo_campaign_is_writing(run))
-    return MO_OK;
-  error = mo_campaign_settle(run);
-  if (error == MO_OK)
-    error =
-        mo_store_campaign_save_losses(run->jobs->store, run->id, run->generation, NULL, 0, data);
-  mo_campaign_told(run);
-  return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY
-             ? MO_OK
-             : error; /* a lost progress event is no error */
-}
-
-static bool checkpoint_is_due(const struct mo_campaign_run *run)
-{
-  const uint32_t every_s = run->status.record.checkpoint_every_s;
-  return every_s > 0 && mo_clock_us() - run->checkpoint_us >= (int64_t)every_s * 1000000;
-}
-
-static int write_what_is_due(void *context)
-{
-  struct mo_campaign_run *run = context;
-  const int error = checkpoint_is_due(run) ? mo_campaign_save_learning(run) : MO_OK;
-  return error == MO_OK ? tell(run) : error;
-}
-
 static int step(struct mo_campaign_run *run)
 {
   struct mo_campaign_step *row = &run->steps[run->step];
   const struct mo_robot *robots = NULL;
-  const struct mo_learner_turn turn = {.urgency = run->status.job.priority,
-                                       .tag = run->id,
-                                       .share = run->share,
-                                       .cancel = &run->runner->interrupt,
-                                       .write = write_what_is_due,
-                                       .context = run};
   int error = mo_training_draw(run->learner.training, NULL, NULL, &robots);
   if (error == MO_OK)
-    error = mo_learner_gradient(&run->learner, robots, &turn);
+    error = mo_learner_gradient(&run->learner, robots);
   if (error == MO_OK)
     error = mo_learner_apply(&run->learner, &row->report, &row->seconds);
   if (error != MO_OK)
@@ -280,7 +277,7 @@ int mo_campaign_learn(struct mo_campaign_run *run)
     error = set_designs(run);
   run->checkpoint_us = mo_clock_us();
   while (error == MO_OK && run->step < n_steps) {
-    mo_campaign_advance(run, run->step);
+    mo_campaign_advance(run, run->step, 0);
     if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
     error = step(run);

@@ -16,11 +16,11 @@
 
 struct reading {
   struct mo_jobs *jobs;
-  struct mo_campaign_run *run; /* NULL: estimates only, and reports nothing */
-  struct mo_message *message;  /* for an estimate only; nullable */
+  struct mo_campaign_run *run; /* NULL: reports nothing */
+  struct mo_message *message;
   struct mo_lineage *lineage;
-  const struct mo_controller *controller; /* the controller being read */
-  const struct mo_sha256 *sha256;         /* of its file */
+  struct mo_controller *controller; /* the controller being read */
+  struct mo_sha256 sha256;          /* of its file */
 };
 
 /* ---- what cannot be read ---- */
@@ -34,7 +34,7 @@ static int write_fault(void *context)
 {
   const struct fault *fault = context;
   const struct mo_campaign_run *run = fault->reading->run;
-  return mo_store_campaign_lineage_fault(run->jobs->store, run->id, fault->reading->sha256,
+  return mo_store_campaign_lineage_fault(run->jobs->store, run->id, &fault->reading->sha256,
                                          fault->field, fault->detail);
 }
 
@@ -45,12 +45,6 @@ static int tell(const struct reading *reading, const char *field, const char *de
     return MO_OK;
   return mo_runner_persist(reading->run->runner, write_fault, &fault,
                            "a warning about the controller's lineage");
-}
-
-static int fail(const struct reading *reading, int error, const char *text)
-{
-  return reading->run != NULL ? mo_runner_fail(reading->run->runner, error, text)
-                              : mo_fail(reading->message, error, "%s", text);
 }
 
 /* ---- one controller ---- */
@@ -104,7 +98,6 @@ static int add_part(const struct reading *reading)
   struct mo_lineage *lineage = reading->lineage;
   struct mo_lineage_part part = {0, 0};
   const char *kind = mo_controller_get_metadata(reading->controller, "morphod.kind");
-  char text[256];
   uint64_t most = MO_TRAINING_BODIES_MAX; /* total of all parts */
   int error = MO_OK;
   if (kind != NULL && strcmp(kind, "pretrain") == 0)
@@ -117,20 +110,16 @@ static int add_part(const struct reading *reading)
     return error;
   for (uint32_t i = 0; i < lineage->n_parts; i++)
     most -= lineage->parts[i].n_bodies;
-  if (part.n_bodies > most) {
-    snprintf(text, sizeof(text),
-             "the controller's lineage names more bodies of pretraining than the %" PRIu64
-             " that can be drawn again: submit with exclude_pretraining false",
-             MO_TRAINING_BODIES_MAX);
-    return fail(reading, MO_ERR_LIMIT, text);
-  }
-  if (lineage->n_parts == MO_LINEAGE_PARTS_MAX) {
-    snprintf(text, sizeof(text),
-             "the controller's lineage names more than the %d pretrainings whose bodies can be "
-             "drawn again: submit with exclude_pretraining false",
-             MO_LINEAGE_PARTS_MAX);
-    return fail(reading, MO_ERR_LIMIT, text);
-  }
+  if (part.n_bodies > most)
+    return mo_fail(reading->message, MO_ERR_LIMIT,
+                   "the controller's lineage names more bodies of pretraining than the %" PRIu64
+                   " that can be drawn again: submit with exclude_pretraining false",
+                   MO_TRAINING_BODIES_MAX);
+  if (lineage->n_parts == MO_LINEAGE_PARTS_MAX)
+    return mo_fail(reading->message, MO_ERR_LIMIT,
+                   "the controller's lineage names more than the %d pretrainings whose bodies can "
+                   "be drawn again: submit with exclude_pretraining false",
+                   MO_LINEAGE_PARTS_MAX);
   lineage->parts[lineage->n_parts++] = part;
   return MO_OK;
 }
@@ -162,58 +151,29 @@ static int tell_of_length(const struct reading *reading)
   return tell(reading, "morphod.parent", text);
 }
 
-/* Loads an ancestor's file. MO_ERR_NOT_FOUND: the store has none. */
-static int load(const struct reading *reading, const struct mo_sha256 *sha256,
-                struct mo_controller **controller)
+int mo_lineage_read(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
+                    struct mo_campaign_run *run, struct mo_lineage *lineage,
+                    struct mo_message *message)
 {
-  return reading->run != NULL ? mo_runner_load(reading->run->runner, sha256, controller)
-                              : mo_controller_load(reading->jobs->store, sha256, controller);
-}
-
-/* Reads the lineage from reading->controller up. Frees `ancestor`, which is that controller or
- * NULL. */
-static int read_all(struct reading *start, struct mo_controller *ancestor)
-{
-  struct reading reading = *start;
-  struct mo_sha256 sha256 = *start->sha256;
+  struct reading reading = {.jobs = jobs, .run = run, .message = message, .lineage = lineage};
+  struct mo_sha256 next = *sha256;
   int error = MO_OK;
-  reading.sha256 = &sha256;
-  reading.lineage->n_parts = 0;
-  for (int i = 1; reading.controller != NULL && error == MO_OK; i++) {
-    struct mo_controller *above = NULL;
-    struct mo_sha256 parent;
-    error = add_part(&reading);
-    if (error == MO_OK)
-      error = read_parent(&reading, &parent);
-    if (error == MO_OK && i == CONTROLLERS_MAX)
+  lineage->n_parts = 0;
+  for (int i = 0; error == MO_OK; i++) {
+    if (i == CONTROLLERS_MAX) {
       error = tell_of_length(&reading);
-    else if (error == MO_OK)
-      error = load(&reading, &parent, &above);
+      break;
+    }
+    reading.sha256 = next;
+    error = mo_controller_load(jobs->store, &next, &reading.controller);
+    if (mo_controller_is_unusable(error) && run != NULL)
+      mo_controller_describe_fault(&next, "resume the job", run->runner->text);
     if (error == MO_OK)
-      sha256 = parent;
-    mo_controller_free(ancestor);
-    reading.controller = ancestor = above;
+      error = add_part(&reading);
+    if (error == MO_OK)
+      error = read_parent(&reading, &next);
+    mo_controller_free(reading.controller);
+    reading.controller = NULL;
   }
-  mo_controller_free(ancestor);
-  return error == MO_ERR_NOT_FOUND ? MO_OK : error;
-}
-
-int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage)
-{
-  struct reading reading = {.jobs = run->jobs,
-                            .run = run,
-                            .lineage = lineage,
-                            .controller = run->controller,
-                            .sha256 = &run->status.record.controller_sha256};
-  return read_all(&reading, NULL);
-}
-
-int mo_lineage_reckon(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
-                      struct mo_lineage *lineage, struct mo_message *message)
-{
-  struct reading reading = {.jobs = jobs, .message = message, .lineage = lineage, .sha256 = sha256};
-  struct mo_controller *controller = NULL;
-  int error = load(&reading, sha256, &controller);
-  reading.controller = controller;
-  return error == MO_OK ? read_all(&reading, controller) : error;
+  return error == MO_ERR_NOT_FOUND ? MO_OK : error; /* no parent, or its file is not stored */
 }

@@ -34,11 +34,13 @@ static double seconds_left(const struct mo_campaign_run *run, const struct mo_li
   return after * run->generation_s + (passed < run->generation_s ? run->generation_s - passed : 0);
 }
 
-void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done)
+void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done, double rollouts_per_s)
 {
   struct mo_runner *runner = run->runner;
   pthread_mutex_lock(&runner->runners->mutex);
   runner->live.done = done;
+  if (rollouts_per_s > 0)
+    runner->live.rate = rollouts_per_s;
   runner->live.seconds_left = seconds_left(run, &runner->live);
   pthread_mutex_unlock(&runner->runners->mutex);
 }
@@ -73,14 +75,6 @@ void mo_campaign_show_drawing(struct mo_campaign_run *run,
   pthread_mutex_unlock(&runner->runners->mutex);
 }
 
-void mo_campaign_show_rate(struct mo_campaign_run *run, double rollouts_per_s)
-{
-  struct mo_runner *runner = run->runner;
-  pthread_mutex_lock(&runner->runners->mutex);
-  runner->live.rate = rollouts_per_s;
-  pthread_mutex_unlock(&runner->runners->mutex);
-}
-
 const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done,
                                  uint64_t total, char text[256])
 {
@@ -91,9 +85,4 @@ const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase,
            (long long)run->id, (unsigned)run->generation, phase, (unsigned long long)done,
            (unsigned long long)total);
   return text;
-}
-
-void mo_campaign_told(struct mo_campaign_run *run)
-{
-  run->progress_us = mo_clock_us();
 }

@@ -11,16 +11,19 @@
 #include "jobs/learner.h"
 #include "jobs/scoring.h"
 
-/* The candidates of a generation. */
+/* The candidates of a generation: type, name and length of each column. n: the population; words:
+ * of a genotype. bits: in the default workspace; forms, births: of the children. */
+/* clang-format off */
+#define MO_CAMPAIGN_COLUMNS(X)                                                                     \
+  X(uint64_t, genotypes, 2 * n * words) X(struct mo_bits, bits, 2 * n)                             \
+  X(struct mo_design_size, sizes, 2 * n) X(double, scores, 2 * n) X(uint32_t, numbers, 2 * n)      \
+  X(uint32_t, born, 2 * n) X(struct mo_bits, forms, n) X(struct mo_birth, births, n)               \
+  X(uint32_t, survivors, n)
+/* clang-format on */
 struct mo_campaign_rows {
-  uint64_t *genotypes;          /* (2 · population, words) */
-  struct mo_bits *bits;         /* (2 · population) in the default workspace */
-  struct mo_design_size *sizes; /* (2 · population) */
-  double *scores;               /* (2 · population) */
-  uint32_t *numbers, *born;     /* (2 · population) */
-  struct mo_bits *forms;        /* (population) of the children */
-  struct mo_birth *births;      /* (population) of the children */
-  uint32_t *survivors;          /* (population) */
+#define MO_COLUMN(type, name, length) type *name;
+  MO_CAMPAIGN_COLUMNS(MO_COLUMN)
+#undef MO_COLUMN
 };
 
 struct mo_campaign_run {
@@ -29,8 +32,7 @@ struct mo_campaign_run {
   int64_t id;
   struct mo_campaign_status status; /* from the start of the generation; may be extended since */
   const struct mo_campaign_settings *settings; /* of the status */
-  struct mo_compute_share *share;
-  struct mo_controller *controller; /* as submitted; NULL: random weights */
+  struct mo_controller *controller;            /* as submitted; NULL: random weights */
   struct mo_environment *environments;
   uint32_t n_environments;
   struct mo_exclusion *exclusion;
@@ -75,8 +77,8 @@ struct mo_campaign_run {
 
 /* ---- campaign_live.c ---- */
 void mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_t total);
-/* Sets the progress that the live figures show for the phase. */
-void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done);
+/* Sets the progress that the live figures show for the phase. rollouts_per_s 0: as before. */
+void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done, double rollouts_per_s);
 /* Progress of drawing the bodies of pretrainings again. */
 struct mo_campaign_drawing {
   uint64_t done, total;
@@ -86,15 +88,13 @@ struct mo_campaign_drawing {
 /* Shows the progress of the drawing; NULL: the drawing has ended. */
 void mo_campaign_show_drawing(struct mo_campaign_run *run,
                               const struct mo_campaign_drawing *drawing);
-void mo_campaign_show_rate(struct mo_campaign_run *run, double rollouts_per_s);
-/* Returns the JSON of "campaign.progress" at most once a second, else NULL. */
+/* Returns the JSON of "campaign.progress", or NULL less than a second after run->progress_us, which
+ * the caller sets when it has written the event. */
 const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done,
                                  uint64_t total, char text[256]);
-/* Records that a progress event was written. */
-void mo_campaign_told(struct mo_campaign_run *run);
 
 /* ---- campaign_submit.c ---- */
-/* Estimates the memory of a campaign. controller: nullable. Errors as mo_lineage_reckon. */
+/* Estimates the memory of a campaign. controller: nullable. Errors as mo_lineage_read. */
 int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
                      const struct mo_sha256 *controller, enum mo_back_end back_end,
                      struct mo_need *need, struct mo_message *message);
@@ -126,8 +126,8 @@ void mo_campaign_free_learning(struct mo_campaign_run *run);
 /* ---- campaign_score.c ---- */
 /* Scores the children; in a campaign that learns, the parents, too. */
 int mo_campaign_score(struct mo_campaign_run *run);
-/* Saves the losses that are not saved yet. */
-int mo_campaign_save_losses(struct mo_campaign_run *run);
+/* Saves the losses that are not saved yet. run: struct mo_campaign_run. */
+int mo_campaign_save_losses(void *run);
 void mo_campaign_free_scores(struct mo_campaign_run *run);
 
 #endif

@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/campaign_run.h"
 
@@ -41,7 +42,7 @@ static int allocate(struct mo_campaign_run *run)
                                      .back_end = run->status.job.back_end,
                                      .cancel = &run->runner->interrupt,
                                      .tag = run->id,
-                                     .share = run->share},
+                                     .share = run->runner->share},
                            .genotypes = run->rows->bits + run->first_scored,
                            .environments = run->environments,
                            .n_designs = run->n_scored,
@@ -79,25 +80,31 @@ static int read_saved(struct mo_campaign_run *run)
 struct looking {
   struct mo_campaign_run *run;
   const struct mo_bits *asked; /* (n) */
-  struct mo_campaign_loss
-      *known;        /* (n) the known losses of each part, from the first index of the part on */
-  uint32_t *n_known; /* (n) their number, at the first index of each part */
-  atomic_int error;
+  const uint32_t *places;      /* (n) */
+  pthread_mutex_t mutex;       /* of what the run knows, and of the error */
+  int error;
 };
 
 static void look_up(void *context, size_t first, size_t end)
 {
   struct looking *looking = context;
   struct mo_campaign_run *run = looking->run;
-  const int64_t found = mo_store_campaign_known(
-      run->jobs->store, run->id, mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
-      looking->asked + first, (uint32_t)(end - first), looking->known + first);
+  struct mo_campaign_loss *known = calloc(end - first, sizeof(*known));
+  const int64_t found =
+      known == NULL
+          ? MO_ERR_NO_MEMORY
+          : mo_store_campaign_known(run->jobs->store, run->id,
+                                    mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
+                                    looking->asked + first, (uint32_t)(end - first), known);
+  pthread_mutex_lock(&looking->mutex);
   if (found < 0)
-    atomic_store(&looking->error, (int)found);
-  else
-    looking->n_known[first] = (uint32_t)found;
-  for (int64_t i = 0; i < found; i++)
-    looking->known[first + (size_t)i].place += (uint32_t)first;
+    looking->error = (int)found;
+  for (int64_t i = 0; i < found; i++) {
+    know(run, looking->places[first + known[i].place], &known[i]);
+    run->n_cached++;
+  }
+  pthread_mutex_unlock(&looking->mutex);
+  free(known);
 }
 
 /* Finds bodies that an evaluation or another campaign has scored. Zero-shot only. */
@@ -105,30 +112,19 @@ static int read_known(struct mo_campaign_run *run)
 {
   struct mo_bits *asked = calloc((size_t)run->n_scored + 1, sizeof(*asked));
   uint32_t *places = calloc((size_t)run->n_scored + 1, sizeof(*places)), n = 0;
-  struct mo_campaign_loss *known = calloc((size_t)run->n_scored + 1, sizeof(*known));
-  uint32_t *n_known = calloc((size_t)run->n_scored + 1, sizeof(*n_known));
-  struct looking looking = {.run = run, .asked = asked, .known = known, .n_known = n_known};
-  int error = asked == NULL || places == NULL || known == NULL || n_known == NULL ? MO_ERR_NO_MEMORY
-                                                                                  : MO_OK;
-  for (uint32_t i = 0; i < run->n_scored && error == MO_OK; i++)
+  struct looking looking = {
+      .run = run, .asked = asked, .places = places, .mutex = PTHREAD_MUTEX_INITIALIZER};
+  if (asked == NULL || places == NULL)
+    looking.error = MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < run->n_scored && looking.error == MO_OK; i++)
     if (run->scoring.grid.left[i] > 0) {
       asked[n] = run->rows->bits[run->first_scored + i];
       places[n++] = i;
     }
-  if (error == MO_OK) {
-    mo_parallel(n < LOOK_UPS_WORTH_A_THREAD ? 1 : LOOK_UP_THREADS, n, look_up, &looking);
-    error = atomic_load(&looking.error);
-  }
-  for (uint32_t first = 0; first < n && error == MO_OK; first++)
-    for (uint32_t i = first; i < first + n_known[first]; i++) {
-      know(run, places[known[i].place], &known[i]);
-      run->n_cached++;
-    }
+  mo_parallel(n < LOOK_UPS_WORTH_A_THREAD ? 1 : LOOK_UP_THREADS, n, look_up, &looking);
   free(asked);
   free(places);
-  free(known);
-  free(n_known);
-  return error;
+  return looking.error;
 }
 
 /* ---- saving ---- */
@@ -147,8 +143,9 @@ static int write_losses(void *context)
                                        save->losses, save->n, save->progress);
 }
 
-int mo_campaign_save_losses(struct mo_campaign_run *run)
+int mo_campaign_save_losses(void *context)
 {
+  struct mo_campaign_run *run = context;
   char progress[256];
   struct save save = {.run = run};
   int error = MO_OK;
@@ -173,7 +170,7 @@ int mo_campaign_save_losses(struct mo_campaign_run *run)
       run->n_unsaved -= save.n;
       memmove(run->unsaved, run->unsaved + save.n, run->n_unsaved * sizeof(*run->unsaved));
       if (save.progress != NULL)
-        mo_campaign_told(run);
+        run->progress_us = mo_clock_us();
     }
   }
   free(save.losses);
@@ -201,17 +198,10 @@ static void take(void *context, const struct mo_flight *flight, bool is_done)
   }
 }
 
-static int save_losses(void *context)
-{
-  return mo_campaign_save_losses(context);
-}
-
 static void show(void *context, double rollouts_per_s)
 {
   struct mo_campaign_run *run = context;
-  if (rollouts_per_s > 0)
-    mo_campaign_show_rate(run, rollouts_per_s);
-  mo_campaign_advance(run, run->n_done);
+  mo_campaign_advance(run, run->n_done, rollouts_per_s);
 }
 
 static int compute(struct mo_campaign_run *run)
@@ -227,7 +217,7 @@ static int compute(struct mo_campaign_run *run)
   run->scoring.runner = run->runner;
   run->scoring.context = run;
   run->scoring.take = take;
-  run->scoring.save = save_losses;
+  run->scoring.save = mo_campaign_save_losses;
   run->scoring.n_unsaved = &run->n_unsaved;
   run->scoring.show = show;
   run->scoring.grid.block.controller = learns ? own : run->frozen;
@@ -259,7 +249,7 @@ int mo_campaign_score(struct mo_campaign_run *run)
   if (error != MO_OK)
     return error;
   mo_campaign_enter(run, MO_PHASE_SCORE, run->n_scored);
-  mo_campaign_advance(run, run->n_done);
+  mo_campaign_advance(run, run->n_done, 0);
   error = compute(run);
   if (error == MO_OK)
     read_scores(run);

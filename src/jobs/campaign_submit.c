@@ -53,7 +53,7 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *se
   struct mo_lineage lineage = {.n_parts = 0};
   int error = MO_OK;
   if (controller != NULL && settings->exclude_pretraining)
-    error = mo_lineage_reckon(jobs, controller, &lineage, message);
+    error = mo_lineage_read(jobs, controller, NULL, &lineage, message);
   if (error != MO_OK)
     return error;
   if (settings->mode == MO_ZERO_SHOT) {
@@ -97,15 +97,15 @@ static int check_designs(const struct mo_campaign_request *request, const struct
                          struct mo_message *message)
 {
   const struct mo_workspace workspace = request->record.settings.workspace;
-  uint64_t *moved = calloc(mo_workspace_words(workspace), sizeof(*moved));
+  struct mo_bits moved;
   struct mo_form_set *seen = NULL;
-  int error = moved == NULL ? MO_ERR_NO_MEMORY : mo_form_set_create(MO_DEFAULT_WORKSPACE, &seen);
+  int error = mo_form_set_create(MO_DEFAULT_WORKSPACE, &seen);
   for (uint32_t i = 0; i < request->record.n_listed && error == MO_OK; i++) {
     int added = mo_form_set_add(seen, forms[i].words);
     *fault = i;
-    error = added < 0
-                ? added
-                : mo_genotype_move(MO_DEFAULT_WORKSPACE, genotypes[i].words, workspace, moved);
+    error = added < 0 ? added
+                      : mo_genotype_move(MO_DEFAULT_WORKSPACE, genotypes[i].words, workspace,
+                                         moved.words);
     if (error == MO_OK && added == 0)
       error = mo_fail(message, MO_ERR_DUPLICATE, "design %u has the form of an earlier one",
                       (unsigned)i);
@@ -114,7 +114,6 @@ static int check_designs(const struct mo_campaign_request *request, const struct
                       (unsigned)i, workspace.nx, workspace.ny, workspace.nz);
   }
   mo_form_set_free(seen);
-  free(moved);
   return error;
 }
 

@@ -1,14 +1,6 @@
-/* campaigns.h: campaigns as jobs: submission, generations on the compute back end, saving,
- * resumption, extension.
- *
- * Each running campaign has its own thread, which makes the children, waits for learning and
- * scores, selects, and commits. max_active_campaigns run concurrently; the others wait in the order
- * of their submission. Pause, stop and cancel requests cancel the blocks in flight. After a crash a
- * campaign continues from its newest committed generation. Losses and checkpoints saved during the
- * current generation are not computed again. The reasons are in docs/evolution.md, "As a job".
- *
- * When the disk is full, or memory or descriptors run out, the campaign waits (shown as paused,
- * with a reason in mo_live) and continues without a request. */
+/* campaigns.h: campaigns as jobs: submission, extension, champions. max_active_campaigns run
+ * concurrently; the others wait in the order of their submission. After a crash a campaign
+ * continues from its newest committed generation (campaign.c; docs/evolution.md, "As a job"). */
 #ifndef MORPHO_JOBS_CAMPAIGNS_H
 #define MORPHO_JOBS_CAMPAIGNS_H
 
@@ -43,7 +35,7 @@ int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generatio
                             const struct mo_request_key *key, struct mo_message *message);
 
 /* Selects the champions of a generation's population with mo_champions (generation −1: the newest).
- * rows: space for m; *n: the number of champions. MO_ERR_NOT_FOUND. */
+ * rows, distinctiveness (nullable): space for m; *n: the number of champions. MO_ERR_NOT_FOUND. */
 int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generation, uint32_t m,
                                struct mo_campaign_design *rows, double *distinctiveness,
                                uint32_t *n);

@@ -55,15 +55,6 @@ static void trim(struct mo_controller_cache *cache, uint32_t keep)
   }
 }
 
-static int load(struct mo_controller_cache *cache, const struct mo_sha256 *sha256,
-                struct mo_loaded *loaded)
-{
-  int error = mo_controller_load(cache->store, sha256, &loaded->controller);
-  if (error == MO_OK)
-    error = mo_compute_controller_create(cache->compute, loaded->controller, &loaded->ready);
-  return error;
-}
-
 int mo_loaded_acquire(struct mo_controller_cache *cache, const struct mo_sha256 *sha256,
                       struct mo_loaded **ret)
 {
@@ -78,7 +69,9 @@ int mo_loaded_acquire(struct mo_controller_cache *cache, const struct mo_sha256 
     if (loaded == NULL)
       return MO_ERR_NO_MEMORY;
     loaded->sha256 = *sha256;
-    error = load(cache, sha256, loaded);
+    error = mo_controller_load(cache->store, sha256, &loaded->controller);
+    if (error == MO_OK)
+      error = mo_compute_controller_create(cache->compute, loaded->controller, &loaded->ready);
     if (error != MO_OK) {
       free_loaded(loaded);
       return error;

@@ -2,11 +2,9 @@
  *
  * Each round takes finished blocks, requests and the result of a save from the inbox; claims queued
  * jobs while places are free; fills the back end's window, interactive jobs first; starts a save
- * when one is due; and sleeps until news or the next due time. Among jobs of one priority, the job
- * with the least virtual time goes next. A block advances the virtual time of its job by rollouts ×
- * steps / weight. A new job starts at the virtual time of the running ones, so that no job waits
- * for the others to end. The back end divides its time between all evaluations together and the
- * trainings and campaigns; the share of evaluations weighs as much as they do. */
+ * when one is due; and sleeps until news or the next due time. Each evaluation has a share of the
+ * back end, as trainings and campaigns have, and keeps a window of blocks in it; the back end
+ * divides its time by the shares' weights. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
@@ -16,9 +14,13 @@
 #include "jobs/evaluation.h"
 #include "jobs/submission.h"
 
-#define DESIGNS_A_ROUND 256
-#define ROUND_US        1000000
-#define CLAIMS_MAX      1024
+#define DESIGNS_A_ROUND  64 /* of each job */
+#define ROUND_US         1000000
+#define CLAIMS_MAX       1024
+#define CONTROLLERS_KEPT 8
+/* Jobs that run concurrently. */
+#define ACTIVE_BATCH_MAX       8
+#define ACTIVE_INTERACTIVE_MAX 64
 
 /* ---- active jobs ---- */
 
@@ -27,6 +29,7 @@ static void free_active(struct mo_evaluations *all, struct mo_active *active)
   mo_loaded_release(&all->controllers, active->controller);
   mo_work_free(active->work);
   mo_grid_free(&active->grid);
+  mo_share_close(all->jobs, active->id);
   free(active);
 }
 
@@ -104,21 +107,21 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
   if (error != MO_OK)
     return error;
   work = active->work;
-  active->weight = work->job.weight;
-  active->back_end = work->job.back_end;
+  active->window = mo_back_end_window(all->jobs, work->job.back_end);
   active->grid = (struct mo_grid){.block = {.lattice = all->jobs->lattice,
                                             .physics = work->job.physics,
                                             .precision = work->job.precision,
                                             .urgency = work->job.priority,
                                             .back_end = work->job.back_end,
                                             .cancel = &active->cancel,
-                                            .tag = active->id,
-                                            .share = all->jobs->evaluation_share},
+                                            .tag = active->id},
                                   .genotypes = work->genotypes,
                                   .environments = work->environments,
                                   .n_designs = work->n_designs,
                                   .n_environments = work->n_environments};
   error = mo_grid_create(&active->grid);
+  if (error == MO_OK)
+    error = mo_share_open(all->jobs, active->id, MO_JOB_EVALUATION, &active->grid.block.share);
   if (error != MO_OK)
     return error;
   mark_finished(active);
@@ -142,10 +145,8 @@ static bool claim_one(struct mo_evaluations *all, int64_t id, enum mo_urgency pr
     return false;
   active->id = id;
   active->priority = priority;
-  active->weight = 1;
   active->last_event_us = mo_clock_us();
   error = load_active(all, active, text);
-  active->pass = all->pass[mo_lane_of(active)];
   active->next = all->actives;
   all->actives = active;
   if (mo_pending_update(all, active, MO_STEP_START, MO_OK, NULL) == NULL) {
@@ -261,32 +262,15 @@ static void end_save(struct mo_evaluations *all, int status)
 
 /* ---- filling the window ---- */
 
-static struct mo_active *pick(struct mo_evaluations *all, enum mo_lane lane)
-{
-  const bool is_full = mo_saver_is_full(all);
-  struct mo_active *best = NULL;
-  for (struct mo_active *active = all->actives; active != NULL; active = active->next)
-    if (!active->detached && !active->finishing && mo_lane_of(active) == lane &&
-        !(is_full && (active->work->job.record_com || active->work->job.record_masses)) &&
-        active->grid.cursor < active->grid.n_designs && (best == NULL || active->pass < best->pass))
-      best = active;
-  return best;
-}
-
-/* true: the round's budget of designs is used up, and work is left. */
-static bool fill(struct mo_evaluations *all, enum mo_lane lane, uint32_t window)
+/* Fills the window of one job. true: its budget of designs is used up, and work may be left. */
+static bool fill(struct mo_evaluations *all, struct mo_active *active)
 {
   unsigned budget = DESIGNS_A_ROUND;
-  while (all->n_flights[lane] < window) {
-    struct mo_active *active = pick(all, lane);
-    if (active == NULL)
-      return false;
-    all->pass[lane] = active->pass;
-    (void)mo_active_advance(all, active, &budget);
-    if (budget == 0)
-      return true;
-  }
-  return false;
+  while (!active->detached && !active->finishing && active->n_flights < active->window &&
+         !(mo_job_records(&active->work->job) && mo_saver_is_full(all)) &&
+         mo_active_advance(all, active, &budget))
+    ;
+  return budget == 0;
 }
 
 /* ---- rounds ---- */
@@ -324,20 +308,16 @@ static void take_inbox(struct mo_evaluations *all, int64_t until_us, struct inbo
   pthread_mutex_unlock(&runners->mutex);
 }
 
-/* Reads the weight of a job again, and whether it was paused or cancelled: a request says no more
- * than that some job has changed. Keeps the job's lead or lag in rollout steps. If the job is
- * resumed before a save in progress has written its start, the database says "running" although no
- * thread runs it, so requeue it. Requeueing a paused or cancelled job is a no-op. */
+/* Reads whether the job was paused or cancelled: a request says no more than that some job has
+ * changed. If the job is resumed before a save in progress has written its start, the database says
+ * "running" although no thread runs it, so requeue it. Requeueing a paused or cancelled job is a
+ * no-op. */
 static int review(struct mo_evaluations *all, struct mo_active *active)
 {
-  const double pass = all->pass[mo_lane_of(active)];
   struct mo_job job;
   const int error = mo_store_job(all->jobs->store, active->id, &job);
   if (error != MO_OK)
     return error;
-  if (job.weight != active->weight)
-    active->pass = pass + (active->pass - pass) * active->weight / job.weight;
-  active->weight = job.weight;
   if (job.state != MO_JOB_RUNNING && job.state != MO_JOB_QUEUED) { /* its start may be unsaved */
     mo_active_detach(active); /* a block may take minutes; it is computed again after a pause */
     (void)mo_pending_update(all, active, MO_STEP_PARK, MO_OK, NULL);
@@ -365,32 +345,20 @@ static void visit_again(struct mo_evaluations *all)
   all->visit_again = false;
 }
 
-static void weigh_evaluations(struct mo_evaluations *all)
-{
-  double sum = 0;
-  for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
-    if (!active->detached && active->priority == MO_BATCH)
-      sum += active->weight;
-  if (sum <= 0 || sum == all->weight)
-    return;
-  all->weight = sum;
-  mo_compute_share_set_weight(all->jobs->evaluation_share, sum);
-}
-
-/* Claims jobs and launches blocks. Returns whether more can be done at once. */
+/* Claims jobs and launches blocks, interactive jobs first. Returns whether more can be done at
+ * once. */
 static bool go_on(struct mo_evaluations *all, bool look)
 {
-  bool more;
+  bool more = false;
   if (look) {
-    claim_priority(all, MO_INTERACTIVE, all->jobs->config.max_active_interactive);
-    claim_priority(all, MO_BATCH, all->jobs->config.max_active_batch);
+    claim_priority(all, MO_INTERACTIVE, ACTIVE_INTERACTIVE_MAX);
+    claim_priority(all, MO_BATCH, ACTIVE_BATCH_MAX);
   }
-  weigh_evaluations(all);
-  if (mo_saver_is_behind(all))
-    return false;
-  more = fill(all, MO_LANE_INTERACTIVE, all->jobs->config.window_interactive);
-  more = fill(all, MO_LANE_DEVICE, all->jobs->config.window_device) || more;
-  return fill(all, MO_LANE_BATCH, all->jobs->config.window_batch) || more;
+  for (int priority = MO_INTERACTIVE; priority >= MO_BATCH; priority--)
+    for (struct mo_active *active = all->actives; active != NULL; active = active->next)
+      if ((int)active->priority == priority && !mo_saver_is_behind(all))
+        more = fill(all, active) || more;
+  return more;
 }
 
 /* Runs one round of stopping. true: all is done. */
@@ -398,9 +366,8 @@ static bool wind_down(struct mo_evaluations *all, bool *parked)
 {
   for (struct mo_active *active = all->actives; active != NULL; active = active->next)
     __atomic_store_n(&active->cancel, 1, __ATOMIC_RELAXED);
-  for (int lane = 0; lane < MO_LANES; lane++)
-    if (all->n_flights[lane] > 0)
-      return false;
+  if (atomic_load(&all->jobs->blocks_in_flight) > 0)
+    return false;
   if (!*parked) {
     for (struct mo_active *active = all->actives; active != NULL; active = active->next)
       if (!active->detached && !active->finishing && active->done < active->total)
@@ -474,9 +441,9 @@ static int open_all(struct mo_jobs *jobs)
   all->inbox = (struct mo_inbox){.mutex = &all->runners->mutex, .news = &all->runners->news};
   all->look_again = true;
   all->controllers = (struct mo_controller_cache){
-      .store = jobs->store, .compute = jobs->compute, .kept = jobs->config.controllers_kept};
+      .store = jobs->store, .compute = jobs->compute, .kept = CONTROLLERS_KEPT};
   jobs->evaluations = all;
-  return mo_compute_share_create(jobs->compute, 1, &jobs->evaluation_share);
+  return MO_OK;
 }
 
 static void free_rollouts(struct mo_pending *pending)
@@ -502,18 +469,8 @@ static void close_all(struct mo_jobs *jobs)
     free_active(all, active);
   }
   mo_loaded_free_all(&all->controllers);
-  mo_compute_share_free(jobs->evaluation_share);
   free(all);
 }
 
-static uint32_t threads(const struct mo_jobs_config *config)
-{
-  (void)config;
-  return 1;
-}
-
-const struct mo_kind mo_evaluation_kind = {.kind = MO_JOB_EVALUATION,
-                                           .threads = threads,
-                                           .open = open_all,
-                                           .close = close_all,
-                                           .serve = serve};
+const struct mo_kind mo_evaluation_kind = {
+    .kind = MO_JOB_EVALUATION, .open = open_all, .close = close_all, .serve = serve};

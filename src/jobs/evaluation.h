@@ -15,16 +15,11 @@
 
 #define MO_ROLLOUT_BUCKETS 4096
 
-/* A queue of jobs that wait for the same resource: workers, workers with priority, devices. Each
- * lane has its own window and virtual time. */
-enum mo_lane { MO_LANE_BATCH = 0, MO_LANE_INTERACTIVE = 1, MO_LANE_DEVICE = 2, MO_LANES };
-
 struct mo_active {
   struct mo_work *work; /* NULL: could not be loaded */
   int64_t id;
   enum mo_urgency priority;
-  enum mo_back_end back_end;
-  double weight;
+  uint32_t window, n_flights; /* blocks that may be in flight, and are */
   struct mo_loaded *controller;
   struct mo_grid grid;
   uint64_t total, done, cached, diverged;
@@ -33,7 +28,6 @@ struct mo_active {
   uint64_t done_before, cached_before, diverged_before;
   uint64_t own_before; /* rollouts computed before this claim; found in the store, but not counted
                           as cached */
-  double pass;         /* virtual time: rollout steps / weight; the job with the least goes next */
   bool private_runs;   /* verify or recording: shares no rollouts and skips look-ups */
   bool has_deferred;   /* cells; they are visited again after the next save */
   bool detached; /* cancelled, paused or failed: makes no new blocks; finished ones still count */
@@ -79,13 +73,10 @@ struct mo_evaluations {
 
   uint64_t seen, seen_requests; /* of runners->look and ->requests */
   struct mo_active *actives;
-  uint32_t n_flights[MO_LANES];
   uint64_t recording_bytes; /* of recordings in flight */
   struct mo_rollout *buckets[MO_ROLLOUT_BUCKETS];
   struct mo_controller_cache controllers;
   struct mo_pending pending, saving;
-  double pass[MO_LANES]; /* virtual time */
-  double weight;         /* of the share */
   bool is_saving;
   int64_t retry_save_us; /* time of the next try after lack of space */
   bool broken;           /* the store is lost: no more work is started */
@@ -95,9 +86,10 @@ struct mo_evaluations {
 };
 
 /* ---- evaluation_save.c ---- */
-int mo_pending_score(struct mo_evaluations *all, const struct mo_saved_score *score);
-int mo_pending_design(struct mo_evaluations *all, const struct mo_saved_design *design);
-int mo_pending_trajectory(struct mo_evaluations *all, const struct mo_saved_trajectory *trajectory);
+/* Adds a row of `size` bytes to one of the arrays of all->pending. Returns the row there, valid
+ * until the next one, or NULL: no memory. */
+void *mo_pending_add(struct mo_evaluations *all, struct mo_rows *rows, const void *row,
+                     size_t size);
 /* Returns the update, valid until the next one, or NULL. */
 struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_active *active,
                                         enum mo_job_step step, int error, const char *text);
@@ -114,10 +106,13 @@ bool mo_saver_is_full(const struct mo_evaluations *all);
 bool mo_saver_is_behind(const struct mo_evaluations *all);
 
 /* ---- evaluation_blocks.c ---- */
-enum mo_lane mo_lane_of(const struct mo_active *active);
-/* Visits designs of `active` until a block is submitted (1), `budget` designs were visited (0), or
- * no cell is to do (−1). */
-int mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsigned *budget);
+static inline bool mo_job_records(const struct mo_job *job)
+{
+  return job->record_com || job->record_masses;
+}
+/* Visits designs of `active` until a block is submitted. false: `budget` designs were visited, no
+ * cell is to do, or the job has failed. */
+bool mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsigned *budget);
 /* Makes no new blocks of the job, and ends those in flight. */
 void mo_active_detach(struct mo_active *active);
 /* Requeues the job with one more attempt; with MO_ERR_DEVICE, pauses it. */

@@ -23,13 +23,6 @@ struct flight {
   uint64_t recorded_bytes;
 };
 
-enum mo_lane mo_lane_of(const struct mo_active *active)
-{
-  return active->back_end == MO_ON_DEVICE     ? MO_LANE_DEVICE
-         : active->priority == MO_INTERACTIVE ? MO_LANE_INTERACTIVE
-                                              : MO_LANE_BATCH;
-}
-
 void mo_active_detach(struct mo_active *active)
 {
   active->detached = true;
@@ -129,7 +122,8 @@ static void finish_cell(struct mo_evaluations *all, struct mo_active *active, ui
   active->diverged += diverged_step != 0;
   active->changed = true;
   mo_pending_touch(all);
-  if (is_whole && work->environment_set != 0 && mo_pending_design(all, &saved) != MO_OK)
+  if (is_whole && work->environment_set != 0 &&
+      mo_pending_add(all, &all->pending.designs, &saved, sizeof(saved)) == NULL)
     mo_active_fail(all, active, MO_ERR_NO_MEMORY, "out of memory");
 }
 
@@ -173,11 +167,8 @@ static struct flight *new_flight(struct mo_evaluations *all, struct mo_active *a
 /* Submits the block. The job must outlive the block, which uses its grid and controller. */
 static void launch(struct mo_evaluations *all, struct flight *flight)
 {
-  const struct mo_block *block = &flight->flight.block;
-  struct mo_active *active = flight->owner;
-  active->pass += (double)block->n_environments * block->physics.n_steps / active->weight;
-  active->references++;
-  all->n_flights[mo_lane_of(active)]++;
+  flight->owner->references++;
+  flight->owner->n_flights++;
   atomic_fetch_add(&all->jobs->blocks_in_flight, 1);
   mo_flight_launch(all->jobs->compute, &flight->flight);
 }
@@ -211,41 +202,18 @@ static int prepare_recording(struct mo_evaluations *all, const struct mo_job *jo
   return MO_OK;
 }
 
-/* Launches the next cells of a design of a verify or recording job, without look-ups. */
-static int launch_private(struct mo_evaluations *all, struct mo_active *active, uint32_t design)
-{
-  const struct mo_job *job = &active->work->job;
-  struct flight *flight = new_flight(all, active, design);
-  int error = flight == NULL ? MO_ERR_NO_MEMORY : MO_OK;
-  for (uint32_t k = 0; k < active->grid.n_environments && error == MO_OK; k++)
-    if (*mo_grid_cell(&active->grid, design, k) == MO_CELL_TO_DO &&
-        !mo_flight_add(&flight->flight, k))
-      break;
-  if (error == MO_OK && (job->record_com || job->record_masses))
-    error = prepare_recording(all, job, flight);
-  if (error == MO_OK) {
-    launch(all, flight);
-    return 1;
-  }
-  if (flight != NULL)
-    free_flight(all, flight);
-  mo_active_fail(all, active, error, mo_error_text(error));
-  return -1;
-}
-
-/* Adds a cell that neither the table nor the store knows to the block. *is_full: to none. */
+/* Adds a cell to the block of its design, unless that is full. */
 static int join_flight(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
                        uint32_t k, struct flight **flight)
 {
-  struct mo_rollout *rollout;
+  struct mo_rollout *rollout = NULL;
   if (*flight == NULL)
     *flight = new_flight(all, active, design);
   if (*flight == NULL)
     return MO_ERR_NO_MEMORY;
   if ((*flight)->flight.block.n_environments == MO_BLOCK_LANES)
     return MO_OK;
-  rollout = add_rollout(all, active, design, k);
-  if (rollout == NULL)
+  if (!active->private_runs && (rollout = add_rollout(all, active, design, k)) == NULL)
     return MO_ERR_NO_MEMORY;
   (*flight)->rollouts[(*flight)->flight.block.n_environments] = rollout;
   (void)mo_flight_add(&(*flight)->flight, k);
@@ -258,37 +226,46 @@ static bool is_open(const struct mo_active *active, uint32_t design, uint32_t k)
   return cell == MO_CELL_TO_DO || cell == MO_CELL_DEFERRED;
 }
 
-/* Defers cells of a design. Returns how many open ones are left. */
-static uint32_t defer_all(struct mo_evaluations *all, struct mo_active *active, uint32_t design)
+/* Looks up the scores of a design, unless all open cells can be deferred. Returns whether any is
+ * left, or an error. */
+static int look_up(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
+                   struct mo_score *scores)
 {
+  const struct mo_work *work = active->work;
   uint32_t n = 0;
+  int error;
   for (uint32_t k = 0; k < active->grid.n_environments; k++)
     n += is_open(active, design, k) && !defer(all, active, design, k);
-  return n;
+  if (n == 0)
+    return 0;
+  error = mo_store_scores(all->jobs->store, work->genotype_rows[design], work->controller,
+                          work->physics, work->fingerprint, work->environment_rows,
+                          work->n_environments, scores);
+  return error == MO_OK ? 1 : error;
 }
 
 /* Finishes the known cells of one design and launches at most one block. 1: launched; 0: nothing is
  * to do; −1: the job failed. */
 static int advance_design(struct mo_evaluations *all, struct mo_active *active, uint32_t design)
 {
-  const struct mo_work *work = active->work;
+  const bool shares = !active->private_runs;
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
   struct flight *flight = NULL;
-  int error;
-  if (defer_all(all, active, design) == 0)
-    return 0; /* without a look-up */
-  error = mo_store_scores(all->jobs->store, work->genotype_rows[design], work->controller,
-                          work->physics, work->fingerprint, work->environment_rows,
-                          work->n_environments, scores);
-  for (uint32_t k = 0; k < work->n_environments && error == MO_OK; k++) {
+  int error = shares ? look_up(all, active, design, scores) : 1;
+  if (error == 0)
+    return 0;
+  error = error > 0 ? MO_OK : error;
+  for (uint32_t k = 0; k < active->grid.n_environments && error == MO_OK; k++) {
     if (!is_open(active, design, k))
       continue;
-    if (scores[k].known)
+    if (shares && scores[k].known)
       finish_known(all, active, design, k, scores[k].diverged_step);
-    else if (!defer(all, active, design, k)) /* the block itself may have the same environment */
+    else if (!shares || !defer(all, active, design, k)) /* the block may have it already */
       error = join_flight(all, active, design, k, &flight);
   }
-  if (flight != NULL && flight->flight.block.n_environments > 0)
+  if (flight != NULL && error == MO_OK && mo_job_records(&active->work->job))
+    error = prepare_recording(all, &active->work->job, flight);
+  if (flight != NULL && flight->flight.block.n_environments > 0 && (shares || error == MO_OK))
     launch(all, flight);
   else if (flight != NULL)
     free_flight(all, flight);
@@ -299,7 +276,7 @@ static int advance_design(struct mo_evaluations *all, struct mo_active *active, 
   return flight != NULL ? 1 : 0;
 }
 
-int mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsigned *budget)
+bool mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsigned *budget)
 {
   struct mo_grid *grid = &active->grid;
   while (grid->cursor < grid->n_designs) {
@@ -308,16 +285,15 @@ int mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsi
     if (memchr(cells, MO_CELL_TO_DO, grid->n_environments) != NULL ||
         memchr(cells, MO_CELL_DEFERRED, grid->n_environments) != NULL) {
       if (*budget == 0)
-        return 0;
+        return false;
       (*budget)--;
-      result = active->private_runs ? launch_private(all, active, grid->cursor)
-                                    : advance_design(all, active, grid->cursor);
+      result = advance_design(all, active, grid->cursor);
     }
     if (result != 0)
-      return result;
+      return result > 0;
     grid->cursor++; /* what is left of the design is deferred */
   }
-  return -1;
+  return false;
 }
 
 /* ---- taking blocks back ---- */
@@ -334,12 +310,12 @@ static int save_recording(struct mo_evaluations *all, struct flight *flight, uin
                                           flight->flight.block.outcomes[i].diverged_step,
                                       .com_m = flight->recordings[i].com_m,
                                       .mass_m = flight->recordings[i].mass_m};
-  const int error = mo_pending_trajectory(all, &saved);
-  if (error == MO_OK) { /* the save owns the arrays now */
-    flight->recordings[i].com_m = NULL;
-    flight->recordings[i].mass_m = NULL;
-  }
-  return error;
+  if (mo_pending_add(all, &all->pending.trajectories, &saved, sizeof(saved)) == NULL)
+    return MO_ERR_NO_MEMORY;
+  all->pending.recorded_bytes += flight->recorded_bytes / flight->flight.block.n_environments;
+  flight->recordings[i].com_m = NULL; /* the save owns the arrays now */
+  flight->recordings[i].mass_m = NULL;
+  return MO_OK;
 }
 
 static int take(struct mo_evaluations *all, struct flight *flight, uint32_t i)
@@ -364,8 +340,8 @@ static int take(struct mo_evaluations *all, struct flight *flight, uint32_t i)
   int error = mo_flight_check(&flight->flight, i);
   if (error == MO_OK && block->recordings != NULL)
     error = save_recording(all, flight, i);
-  if (error == MO_OK)
-    error = mo_pending_score(all, &score);
+  if (error == MO_OK && mo_pending_add(all, &all->pending.scores, &score, sizeof(score)) == NULL)
+    error = MO_ERR_NO_MEMORY;
   if (error != MO_OK)
     return error;
   if (flight->rollouts[i] != NULL) { /* forgotten after the commit */
@@ -393,7 +369,7 @@ void mo_active_take_back(struct mo_evaluations *all, struct mo_flight *finished)
   struct flight *flight = (struct flight *)finished;
   struct mo_active *active = flight->owner;
   char text[128];
-  all->n_flights[mo_lane_of(active)]--;
+  active->n_flights--;
   atomic_fetch_sub(&all->jobs->blocks_in_flight, 1);
   for (uint32_t i = 0; i < finished->block.n_environments; i++) {
     const int error = take(all, flight, i);

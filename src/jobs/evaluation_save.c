@@ -1,6 +1,6 @@
 /* evaluation_save.c: batches results into transactions; at most one save is in progress.
  *
- * Losses wait at most save_interval_ms; losses of interactive jobs do not wait. A save is one
+ * Losses wait at most SAVE_EVERY_US; losses of interactive jobs do not wait. A save is one
  * transaction: the losses since the last save, the counts of their jobs, and the ends of jobs whose
  * last loss is included. If the disk is full, the save is kept and tried again every second
  * (retry_ms). No new work starts meanwhile, nor while the store is so slow that unsaved results
@@ -12,6 +12,7 @@
 #include "jobs/evaluation.h"
 
 #define EVENT_EVERY_US 1000000
+#define SAVE_EVERY_US  100000
 #define SCORES_AT_ONCE 4096
 #define SCORES_BEHIND  16384
 #define BYTES_BEHIND   (UINT64_C(64) << 20)
@@ -27,8 +28,7 @@ void mo_pending_touch(struct mo_evaluations *all)
     all->pending.since_us = mo_clock_us();
 }
 
-/* Returns space for one more row, or NULL. */
-static void *add(struct mo_evaluations *all, struct mo_rows *rows, size_t size)
+void *mo_pending_add(struct mo_evaluations *all, struct mo_rows *rows, const void *row, size_t size)
 {
   if (rows->n == rows->room) {
     const size_t more = rows->room > 0 ? rows->room * 2 : 64;
@@ -39,79 +39,51 @@ static void *add(struct mo_evaluations *all, struct mo_rows *rows, size_t size)
     rows->room = more;
   }
   mo_pending_touch(all);
-  return (uint8_t *)rows->rows + size * rows->n++;
-}
-
-int mo_pending_score(struct mo_evaluations *all, const struct mo_saved_score *score)
-{
-  struct mo_saved_score *row = add(all, &all->pending.scores, sizeof(*row));
-  if (row == NULL)
-    return MO_ERR_NO_MEMORY;
-  *row = *score;
-  return MO_OK;
-}
-
-int mo_pending_design(struct mo_evaluations *all, const struct mo_saved_design *design)
-{
-  struct mo_saved_design *row = add(all, &all->pending.designs, sizeof(*row));
-  if (row == NULL)
-    return MO_ERR_NO_MEMORY;
-  *row = *design;
-  return MO_OK;
-}
-
-int mo_pending_trajectory(struct mo_evaluations *all, const struct mo_saved_trajectory *trajectory)
-{
-  struct mo_saved_trajectory *row = add(all, &all->pending.trajectories, sizeof(*row));
-  if (row == NULL)
-    return MO_ERR_NO_MEMORY;
-  *row = *trajectory;
-  all->pending.recorded_bytes +=
-      (uint64_t)trajectory->frames * ((trajectory->com_m != NULL ? 24 : 0) +
-                                      (trajectory->mass_m != NULL ? trajectory->n_masses * 12 : 0));
-  return MO_OK;
+  return memcpy((uint8_t *)rows->rows + size * rows->n++, row, size);
 }
 
 struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_active *active,
                                         enum mo_job_step step, int error, const char *text)
 {
-  struct mo_active **owner = add(all, &all->pending.owners, sizeof(struct mo_active *));
-  struct mo_job_update *update =
-      owner != NULL ? add(all, &all->pending.updates, sizeof(*update)) : NULL;
-  if (update == NULL) {
-    all->pending.owners.n = all->pending.updates.n;
-    return NULL;
-  }
-  *owner = active;
-  *update = (struct mo_job_update){.job = active->id,
-                                   .step = step,
-                                   .total = active->total,
-                                   .done = larger(active->done, active->done_before),
-                                   .cached = larger(active->cached, active->cached_before),
-                                   .diverged = larger(active->diverged, active->diverged_before),
-                                   .started_us = step == MO_STEP_START ? mo_clock_wall_us() : 0,
-                                   .error = error,
-                                   .max_attempts = all->jobs->config.max_attempts};
+  struct mo_pending *pending = &all->pending;
+  struct mo_job_update update = {.job = active->id,
+                                 .step = step,
+                                 .total = active->total,
+                                 .done = larger(active->done, active->done_before),
+                                 .cached = larger(active->cached, active->cached_before),
+                                 .diverged = larger(active->diverged, active->diverged_before),
+                                 .started_us = step == MO_STEP_START ? mo_clock_wall_us() : 0,
+                                 .error = error,
+                                 .max_attempts = MO_ATTEMPTS_MAX};
+  struct mo_job_update *added;
   if (active->work != NULL) {
-    update->fingerprint = active->work->fingerprint;
-    update->workers = active->work->workers;
+    update.fingerprint = active->work->fingerprint;
+    update.workers = active->work->workers;
   }
   if (text != NULL)
-    snprintf(update->error_text, sizeof(update->error_text), "%s", text);
-  active->references++;
-  return update;
+    snprintf(update.error_text, sizeof(update.error_text), "%s", text);
+  if (mo_pending_add(all, &pending->owners, &active, sizeof(active)) == NULL)
+    return NULL;
+  added = mo_pending_add(all, &pending->updates, &update, sizeof(update));
+  if (added == NULL)
+    pending->owners.n--;
+  else
+    active->references++;
+  return added;
 }
 
 /* Empties the batch but keeps its arrays. */
 void mo_pending_clear(struct mo_pending *pending)
 {
   const struct mo_saved_trajectory *trajectories = pending->trajectories.rows;
+  struct mo_rows *const arrays[] = {&pending->scores, &pending->trajectories, &pending->designs,
+                                    &pending->updates, &pending->owners};
   for (size_t i = 0; i < pending->trajectories.n; i++) {
     free((void *)trajectories[i].com_m);
     free((void *)trajectories[i].mass_m);
   }
-  pending->scores.n = pending->trajectories.n = pending->designs.n = 0;
-  pending->updates.n = pending->owners.n = 0;
+  for (size_t i = 0; i < sizeof(arrays) / sizeof(arrays[0]); i++)
+    arrays[i]->n = 0;
   pending->rollouts = NULL;
   pending->recorded_bytes = 0;
   pending->since_us = 0;
@@ -225,7 +197,7 @@ int64_t mo_saver_run(struct mo_evaluations *all, bool at_once)
   }
   if (all->pending.since_us == 0)
     return INT64_MAX;
-  due = all->pending.since_us + (int64_t)all->jobs->config.save_interval_ms * 1000;
+  due = all->pending.since_us + SAVE_EVERY_US;
   if (!at_once && now < due && !all->pending.urgent && all->pending.scores.n < SCORES_AT_ONCE &&
       !interactive_ended(all))
     return due;

@@ -44,19 +44,14 @@ static int check_recording(struct mo_jobs *jobs, const struct mo_submission *sub
 {
   uint64_t frames = mo_recording_frames(&submission->physics, submission->record_stride);
   uint64_t bytes = 0;
-  for (uint32_t i = 0; i < submission->n_designs; i++) {
-    uint64_t frame = submission->record_com ? 24 : 0;
-    if (submission->record_masses) {
-      struct mo_body *body = NULL;
-      int error = mo_body_create(jobs->lattice, submission->genotypes[i].words, &body);
-      if (error != MO_OK)
-        return error;
-      frame += (uint64_t)body->n_masses * 12;
-      mo_body_free(body);
-    }
-    bytes += frame * frames * submission->n_environments;
-    if (bytes > UINT64_C(1) << 60)
-      break;
+  for (uint32_t i = 0; i < submission->n_designs && bytes <= UINT64_C(1) << 60; i++) {
+    struct mo_design_size size;
+    int error = mo_design_size(jobs->lattice, submission->genotypes[i].words, &size);
+    if (error != MO_OK)
+      return error;
+    bytes += (uint64_t)((submission->record_com ? 24 : 0) +
+                        (submission->record_masses ? size.masses * 12 : 0)) *
+             frames * submission->n_environments;
   }
   if (bytes > jobs->config.max_recorded_bytes)
     return mo_fail(message, MO_ERR_LIMIT,

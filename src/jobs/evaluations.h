@@ -1,9 +1,6 @@
-/* evaluations.h: evaluations as jobs: submission.
- *
- * One thread claims queued evaluations, cuts them into blocks (one design, up to MO_BLOCK_LANES
- * environments), keeps a small window of blocks in flight in the back end, and saves losses in
- * grouped transactions as they arrive. A score that the store holds, or that another evaluation is
- * computing, is not computed again. A crash loses only the blocks in flight. */
+/* evaluations.h: evaluations as jobs: submission. A score that the store holds, or that another
+ * evaluation is computing, is not computed again. A crash loses only the blocks in flight
+ * (evaluation.c). */
 #ifndef MORPHO_JOBS_EVALUATIONS_H
 #define MORPHO_JOBS_EVALUATIONS_H
 

@@ -92,7 +92,7 @@ static void summarize(const struct mo_held_out *held_out, const struct mo_outcom
 
 int mo_held_out_score(struct mo_runner *runner, const struct mo_held_out *held_out,
                       const struct mo_controller *controller,
-                      const struct mo_training_status *status, struct mo_compute_share *share,
+                      const struct mo_training_status *status,
                       struct mo_training_validation_row *row)
 {
   const size_t n = (size_t)held_out->n_designs * held_out->n_environments;
@@ -106,7 +106,7 @@ int mo_held_out_score(struct mo_runner *runner, const struct mo_held_out *held_o
                                                   .back_end = status->job.back_end,
                                                   .cancel = &runner->interrupt,
                                                   .tag = runner->id,
-                                                  .share = share},
+                                                  .share = runner->share},
                                         .genotypes = held_out->genotypes,
                                         .environments = held_out->environments,
                                         .n_designs = held_out->n_designs,

@@ -23,7 +23,7 @@ void mo_held_out_free(struct mo_held_out *held_out); /* frees the arrays */
  * other errors of blocks. */
 int mo_held_out_score(struct mo_runner *runner, const struct mo_held_out *held_out,
                       const struct mo_controller *controller,
-                      const struct mo_training_status *status, struct mo_compute_share *share,
+                      const struct mo_training_status *status,
                       struct mo_training_validation_row *row);
 
 #endif

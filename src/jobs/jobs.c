@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 #include "jobs/submission.h"
 #include "jobs/trainings.h"
 
@@ -30,22 +31,10 @@ static void complete(uint32_t *value, uint32_t none, uint32_t most)
 static void complete_config(struct mo_jobs *jobs)
 {
   struct mo_jobs_config *config = &jobs->config;
-  struct mo_compute_stats stats;
-  uint32_t n;
-  mo_compute_get_stats(jobs->compute, &stats);
-  n = stats.n_workers > 0 ? stats.n_workers : 1;
   complete(&config->max_open_jobs, 10000, 0);
-  complete(&config->max_active_batch, 8, 0);
-  complete(&config->max_active_interactive, 64, 0);
   complete(&config->max_active_trainings, 1, 16);
   complete(&config->max_active_campaigns, 4, 64);
-  complete(&config->window_batch, 2 * n, 0);
-  complete(&config->window_interactive, 4 * n, 0);
-  complete(&config->window_device, mo_back_end_window(jobs, MO_ON_DEVICE), 0);
-  complete(&config->controllers_kept, 8, 0);
-  complete(&config->max_attempts, 3, 0);
   complete(&config->retry_ms, 1000, 0);
-  complete(&config->save_interval_ms, 100, 0);
   if (config->max_open_rollouts == 0)
     config->max_open_rollouts = 20000000;
   if (config->max_recorded_bytes == 0)
@@ -56,7 +45,36 @@ static void complete_config(struct mo_jobs *jobs)
   config->version = NULL;
 }
 
-/* ---- the marker ---- */
+/* ---- the marker: which job a dying process was working on ---- */
+
+static size_t put_number(char *to, int64_t value)
+{
+  char digits[24];
+  size_t n = 0, length = 0;
+  do {
+    digits[n++] = (char)('0' + value % 10);
+    value /= 10;
+  } while (value > 0);
+  while (n > 0)
+    to[length++] = digits[--n];
+  return length;
+}
+
+void mo_jobs_crash_note(int fd, int signal_number)
+{
+  int64_t block_tag = mo_compute_current_tag();
+  int64_t tag = block_tag > 0 ? block_tag : mo_thread_tag;
+  char line[64];
+  size_t n;
+  if (tag <= 0 || signal_number < 0)
+    return;
+  n = put_number(line, tag);
+  line[n++] = ' ';
+  n += put_number(line + n, signal_number);
+  line[n++] = '\n';
+  if (write(fd, line, n) < 0)
+    return; /* nothing more can be done here */
+}
 
 /* Reads the last line "<job> <signal>" of the marker; job 0: none. */
 static void read_marker(const char *path, int64_t *job, int *signal_number)
@@ -119,7 +137,7 @@ static int recover(struct mo_jobs *jobs, const char *marker)
     if (error != MO_OK)
       return error;
   }
-  error = mo_store_requeue(jobs->store, crashed, jobs->config.max_attempts, text);
+  error = mo_store_requeue(jobs->store, crashed, MO_ATTEMPTS_MAX, text);
   if (error == MO_OK && marker != NULL && truncate(marker, 0) != 0 && errno != ENOENT)
     error = MO_ERR_IO;
   return error;
@@ -135,12 +153,11 @@ static int name_code(struct mo_jobs *jobs, const char *version)
                                       mo_compute_device_gradient_fingerprint(jobs->compute)};
   for (int back_end = MO_ON_CPU; back_end <= MO_ON_DEVICE; back_end++) {
     const char *fingerprint = fingerprints[back_end] != NULL ? fingerprints[back_end] : "no device";
-    size_t size = strlen(version) + strlen(fingerprint) + 2;
-    jobs->code_versions[back_end] = malloc(size);
-    if (jobs->code_versions[back_end] == NULL)
+    if (asprintf(&jobs->code_versions[back_end], "%s%s%s", version, version[0] != '\0' ? " " : "",
+                 fingerprint) < 0) {
+      jobs->code_versions[back_end] = NULL;
       return MO_ERR_NO_MEMORY;
-    snprintf(jobs->code_versions[back_end], size, "%s%s%s", version, version[0] != '\0' ? " " : "",
-             fingerprint);
+    }
   }
   return MO_OK;
 }
@@ -219,6 +236,9 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
   jobs->compute = compute;
   jobs->config = *config;
   complete_config(jobs);
+  const uint32_t n_threads[MO_JOB_KINDS] = {[MO_JOB_EVALUATION] = 1,
+                                            [MO_JOB_TRAINING] = jobs->config.max_active_trainings,
+                                            [MO_JOB_CAMPAIGN] = jobs->config.max_active_campaigns};
   init(jobs);
   atomic_store(&jobs->heartbeat_us, mo_clock_us());
   error = prepare(jobs, config->crash_marker, config->version);
@@ -226,7 +246,7 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
     if (mo_kinds[kind]->open != NULL)
       error = mo_kinds[kind]->open(jobs);
   for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)
-    error = mo_runners_start(jobs, &jobs->runners[kind], mo_kinds[kind]->threads(&jobs->config));
+    error = mo_runners_start(jobs, &jobs->runners[kind], n_threads[kind]);
   if (error != MO_OK) {
     stop(jobs);
     free_jobs(jobs);
@@ -260,34 +280,25 @@ void mo_jobs_free(struct mo_jobs *jobs)
 
 /* ---- control ---- */
 
-/* Opens a failed job again; the queue must have space for it. */
-static int retry(struct mo_jobs *jobs, int64_t id, struct mo_runners *runners)
-{
-  enum mo_job_state before = MO_JOB_QUEUED;
-  struct mo_message message;
-  int error = mo_jobs_admit(jobs, 1, 0, &message);
-  if (error != MO_OK)
-    return error;
-  error = mo_store_change_job(jobs->store, id, MO_CHANGE_RETRY, &before);
-  if (error != MO_OK || before != MO_JOB_FAILED) /* another request was faster */
-    mo_jobs_closed(jobs, 1, 0);
-  if (error == MO_OK)
-    mo_runners_wake(runners);
-  return error;
-}
-
 static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to)
 {
   struct mo_job job;
   struct mo_runners *runners;
-  enum mo_job_state before;
+  enum mo_job_state before = MO_JOB_QUEUED;
+  bool reopens;
   int error = mo_store_job(jobs->store, id, &job);
   if (error != MO_OK)
     return error;
   runners = &jobs->runners[job.kind];
-  if (runners->kind->run != NULL && change_to == MO_CHANGE_RESUME && job.state == MO_JOB_FAILED)
-    return retry(jobs, id, runners);
-  error = mo_store_change_job(jobs->store, id, change_to, &before);
+  reopens = runners->kind->run != NULL && change_to == MO_CHANGE_RESUME &&
+            job.state == MO_JOB_FAILED; /* the queue must have space for it */
+  if (reopens)
+    error = mo_jobs_admit(jobs, 1, 0, NULL);
+  if (error != MO_OK)
+    return error;
+  error = mo_store_change_job(jobs->store, id, reopens ? MO_CHANGE_RETRY : change_to, &before);
+  if (reopens && (error != MO_OK || before != MO_JOB_FAILED)) /* another request was faster */
+    mo_jobs_closed(jobs, 1, 0);
   if (error != MO_OK)
     return error;
   if (change_to == MO_CHANGE_CANCEL) {
@@ -326,9 +337,7 @@ int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight)
   error = mo_store_set_weight(jobs->store, id, weight);
   if (error != MO_OK)
     return error;
-  mo_share_reweigh(jobs, id);
-  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
-    mo_runners_request(&jobs->runners[kind], id, MO_REQUEST_NONE);
+  (void)mo_share_reweigh(jobs, id); /* unreadable: the weight counts from the next start */
   return MO_OK;
 }
 

@@ -1,9 +1,8 @@
 /* jobs.h: accepts jobs of all kinds (evaluations.h, trainings.h, campaigns.h), runs them on a
  * compute back end, and keeps their results in the store.
  *
- * Interactive jobs go first. Batch jobs share the back end by weight. Each running training or
- * campaign has its own share of worker time. All evaluations together have one share, whose weight
- * is the sum of their weights, and divide that share by weight.
+ * Interactive jobs go first. Batch jobs share the back end by weight: each running job has its own
+ * share of worker time.
  *
  * States:
  * - queued → running → succeeded | failed
@@ -28,25 +27,13 @@ struct mo_jobs;
 #define MO_BACK_END_AUTO (-1)
 
 struct mo_jobs_config {
-  uint32_t max_open_jobs;          /* queued, running and paused together; 0: 10000 */
-  uint64_t max_open_rollouts;      /* total of all open jobs; 0: 20 million */
-  uint64_t max_recorded_bytes;     /* limit of one evaluation; 0: 64 MiB */
-  uint32_t max_active_batch;       /* jobs that run concurrently; 0: 8 */
-  uint32_t max_active_interactive; /* 0: 64 */
-  uint32_t max_active_trainings;   /* trainings that run concurrently, ≤ 16; 0: 1 */
-  uint32_t max_active_campaigns;   /* campaigns that run concurrently, ≤ 64; 0: 4 */
-  uint32_t window_batch;           /* blocks in flight; 0: 2 per worker */
-  uint32_t window_interactive;     /* 0: 4 per worker */
-  uint32_t window_device;          /* for evaluations on devices; 0: 8192 per device */
-  /* Size of the cache of controllers that are ready for the back end; evicts the least recently
-   * used. 0: 8. */
-  uint32_t controllers_kept;
-  /* After so many crashes or errors a job fails. 0: 3. */
-  uint32_t max_attempts;
+  uint32_t max_open_jobs;        /* queued, running and paused together; 0: 10000 */
+  uint64_t max_open_rollouts;    /* total of all open jobs; 0: 20 million */
+  uint64_t max_recorded_bytes;   /* limit of one evaluation; 0: 64 MiB */
+  uint32_t max_active_trainings; /* trainings that run concurrently, ≤ 16; 0: 1 */
+  uint32_t max_active_campaigns; /* campaigns that run concurrently, ≤ 64; 0: 4 */
   /* Delay before a retry after an error or for lack of space. 0: 1000. */
   uint32_t retry_ms;
-  /* Losses wait at most this long for their commit. 0: 100. */
-  uint32_t save_interval_ms;
   uint64_t max_memory; /* limit of the process in bytes; 0: no limit */
   /* Product version, for the lineage of trained controllers; NULL: "". */
   const char *version;
@@ -94,6 +81,9 @@ int mo_jobs_resume(struct mo_jobs *jobs, int64_t id);
 int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);
 
 /* ---- what is going on ---- */
+/* After so many crashes or errors a job fails. */
+#define MO_ATTEMPTS_MAX 3
+
 /* Counts, each kept by the threads that know it. Active: being cut into blocks; all others but
  * those of open jobs and blocks are since the start. Shared rollouts were computed once for several
  * evaluations. campaign_rollouts: computed for scores; campaign_cached and campaign_diverged count

@@ -1,9 +1,6 @@
-/* learner.c: one step of learning on the back end, for trainings and for campaigns that learn.
- *
- * A device computes the gradient of a thousand robots in the time that a processor needs to draw
- * them. So during the gradient one thread of the step draws and lays out the robots of the next
- * step, and the job's thread writes what is due. On workers, where a gradient takes a hundred times
- * as long, that would gain nothing. */
+/* learner.c: one step of learning on the back end, for trainings and for campaigns that learn. A
+ * device computes the gradient of a thousand robots in the time that a processor needs to draw
+ * them. */
 #include "jobs/learner.h"
 
 #include <stdlib.h>
@@ -36,15 +33,20 @@ static void *compute(void *context)
   return NULL;
 }
 
-int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct mo_learner *learner)
+int mo_learner_prepare(struct mo_learner *learner, struct mo_runner *runner,
+                       const struct mo_job *job, int (*write)(void *context), void *context)
 {
   const size_t batch = mo_training_settings_of(learner->training)->batch;
   struct mo_compute_stats stats;
-  mo_compute_get_stats(jobs->compute, &stats);
-  learner->back_end = back_end;
+  mo_compute_get_stats(runner->jobs->compute, &stats);
+  learner->runner = runner;
+  learner->urgency = job->priority;
+  learner->back_end = job->back_end;
+  learner->write = write;
+  learner->context = context;
   if (learner->gradients != NULL)
     mo_compute_gradient_forget(learner->gradients);
-  if (back_end == MO_ON_DEVICE)
+  if (job->back_end == MO_ON_DEVICE)
     mo_training_set_threads(learner->training,
                             stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX);
   if (learner->gradients != NULL)
@@ -54,7 +56,7 @@ int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct m
   learner->outcomes = calloc(batch, sizeof(*learner->outcomes));
   return learner->d_parameters == NULL || learner->outcomes == NULL
              ? MO_ERR_NO_MEMORY
-             : mo_gradient_state_create(jobs->compute, &learner->gradients);
+             : mo_gradient_state_create(runner->jobs->compute, &learner->gradients);
 }
 
 int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, uint32_t n,
@@ -86,12 +88,11 @@ static int wait_for_both(struct mo_learner *learner)
   return mo_back_end_error(learner->back_end, learner->error);
 }
 
-int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots,
-                        const struct mo_learner_turn *turn)
+int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(learner->training);
   const bool beside = learner->back_end == MO_ON_DEVICE;
-  int written = beside ? MO_OK : turn->write(turn->context), computed;
+  int written = beside ? MO_OK : learner->write(learner->context), computed;
   if (written != MO_OK)
     return written;
   learner->batch =
@@ -102,16 +103,16 @@ int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robot
                                  .adjoint_bound = settings->learning.adjoint_bound,
                                  .adjoint_rule = settings->learning.adjoint_rule,
                                  .restart_weight = settings->learning.restart_weight,
-                                 .urgency = turn->urgency,
-                                 .cancel = turn->cancel,
-                                 .tag = turn->tag,
-                                 .share = turn->share,
+                                 .urgency = learner->urgency,
+                                 .cancel = &learner->runner->interrupt,
+                                 .tag = learner->runner->id,
+                                 .share = learner->runner->share,
                                  .back_end = learner->back_end,
                                  .d_parameters = learner->d_parameters,
                                  .outcomes = learner->outcomes};
   begin(learner);
   if (beside)
-    written = turn->write(turn->context);
+    written = learner->write(learner->context);
   computed = wait_for_both(learner);
   return written != MO_OK ? written : computed;
 }

@@ -9,8 +9,13 @@
 /* A training with the state that the back end needs for its gradients. */
 struct mo_learner {
   struct mo_training *training;
+  /* Set by mo_learner_prepare. */
+  struct mo_runner *runner;
+  enum mo_urgency urgency;
+  enum mo_back_end back_end;
+  int (*write)(void *context);
+  void *context;
   struct mo_gradient_state *gradients;
-  enum mo_back_end back_end; /* set by mo_learner_prepare */
   /* The current gradient; batch.computed_on names the back end that computed it. */
   struct mo_gradient_batch batch;
   int error;
@@ -21,26 +26,18 @@ struct mo_learner {
   struct mo_outcome *outcomes;
 };
 /* Prepares the learner for its training. Call it again when another training of the same controller
- * and batch takes its place. MO_ERR_NO_MEMORY. */
-int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct mo_learner *learner);
+ * and batch takes its place. `write` writes what is due from earlier steps and may read the state
+ * of the training. MO_ERR_NO_MEMORY. */
+int mo_learner_prepare(struct mo_learner *learner, struct mo_runner *runner,
+                       const struct mo_job *job, int (*write)(void *context), void *context);
 /* Sets the designs of the training and discards the batch that was laid out ahead. */
 int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, uint32_t n,
                            struct mo_message *message);
-/* One step: the gradient of the drawn robots, then its application. `write` writes what is due from
- * earlier steps and may read the state of the training. On devices, `write` and the drawing of the
- * next robots run during the gradient. On workers, where a gradient takes a hundred times as long,
- * that would gain nothing, so the gradient starts after `write` succeeds. An error of `write` comes
- * before one of the gradient. seconds: of the whole step. */
-struct mo_learner_turn {
-  enum mo_urgency urgency;
-  int64_t tag;
-  struct mo_compute_share *share;
-  const volatile int *cancel;
-  int (*write)(void *context);
-  void *context;
-};
-int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots,
-                        const struct mo_learner_turn *turn);
+/* One step: the gradient of the drawn robots, then its application. On devices, `write` and the
+ * drawing of the next robots run during the gradient. On workers, where a gradient takes a hundred
+ * times as long, that would gain nothing, so the gradient starts after `write` succeeds. An error
+ * of `write` comes before one of the gradient. seconds: of the whole step. */
+int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots);
 int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report,
                      double *seconds);
 void mo_learner_free(struct mo_learner *learner); /* also frees the training */

@@ -34,4 +34,8 @@ struct mo_live {
 /* Idle if the job does not run. */
 void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live);
 
+/* Returns the name of the controller that a job makes: as asked, or `made` by kind and number. */
+#define MO_MADE_BYTES 40
+const char *mo_result_name(const struct mo_job *job, const char *asked, char made[MO_MADE_BYTES]);
+
 #endif

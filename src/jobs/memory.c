@@ -182,46 +182,44 @@ static bool fits(const struct mo_jobs *jobs, struct mo_memory_user *asker)
   return false;
 }
 
-static struct mo_memory_user *make(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id)
+/* Returns the place of a job in the waiting list, where it is added unless it has memory. *place
+ * NULL: it has, or a shortage hides its need for now. */
+static struct mo_memory_user **place_of(struct mo_jobs *jobs, const struct mo_kind *kind,
+                                        int64_t id)
 {
-  struct mo_memory_user *made = calloc(1, sizeof(*made));
+  struct mo_memory *memory = &jobs->memory;
+  struct mo_memory_user **link = find(&memory->waiting, id), *made;
+  if (*link != NULL || *find(&memory->users, id) != NULL)
+    return link;
+  made = calloc(1, sizeof(*made));
   if (made == NULL)
-    return NULL;
+    return link;
   made->id = id;
   made->kind = kind;
   if (kind->need(jobs, id, &made->need) == MO_OK)
-    return made;
-  free(made); /* of a shortage: it is looked at again */
-  return NULL;
+    *link = made;
+  else
+    free(made);
+  return link;
 }
 
 bool mo_memory_take(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id)
 {
   struct mo_memory *memory = &jobs->memory;
-  struct mo_memory_user *user, *made = NULL, **link;
-  bool taken = false;
+  struct mo_memory_user *user, **link;
+  bool taken;
   pthread_mutex_lock(&memory->mutex);
-  if (*find(&memory->waiting, id) == NULL && *find(&memory->users, id) == NULL) {
-    pthread_mutex_unlock(&memory->mutex);
-    made = make(jobs, kind, id);
-    pthread_mutex_lock(&memory->mutex);
-  }
-  link = find(&memory->waiting, id);
-  if (*link == NULL && made != NULL && *find(&memory->users, id) == NULL) {
-    *link = made;
-    made = NULL;
-  }
+  link = place_of(jobs, kind, id);
   user = *link; /* NULL: an earlier run has not ended yet, or another thread took the job */
-  if (user != NULL && fits(jobs, user)) {
+  taken = user != NULL && fits(jobs, user);
+  if (taken) {
     for (struct mo_memory_user *before = memory->waiting; before != user; before = before->next)
       before->overtaken++;
     *link = user->next;
     user->next = memory->users;
     memory->users = user;
-    taken = true;
   }
   pthread_mutex_unlock(&memory->mutex);
-  free(made);
   return taken;
 }
 

@@ -4,7 +4,7 @@
 
 #include <pthread.h>
 
-#include "jobs/kind.h"
+#include "jobs/runner.h"
 
 struct mo_physics;
 

@@ -42,7 +42,7 @@ void mo_runners_request(struct mo_runners *runners, int64_t id, enum mo_job_requ
   struct mo_runner *runner;
   pthread_mutex_lock(&runners->mutex);
   runner = mo_runners_find(runners, id);
-  if (runner != NULL && request != MO_REQUEST_NONE)
+  if (runner != NULL)
     mo_runner_put_request(runner, request);
   runners->requests++;
   pthread_cond_broadcast(&runners->news);
@@ -217,7 +217,7 @@ static int write_failure(void *context)
   struct mo_jobs *jobs = runner->jobs;
   enum mo_job_state after = MO_JOB_QUEUED;
   int error = mo_store_run_park(jobs->store, runner->id, runner->error, runner->text,
-                                jobs->config.max_attempts, &after);
+                                MO_ATTEMPTS_MAX, &after);
   if (error == MO_OK && after == MO_JOB_FAILED) {
     atomic_fetch_add(&jobs->jobs_failed, 1);
     mo_jobs_closed(jobs, 1, 0);

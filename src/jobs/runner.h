@@ -1,4 +1,5 @@
-/* runner.h: the threads that run jobs, requests to them, and what all attempts have in common. */
+/* runner.h: kinds of jobs, the threads that run them, requests to them, and what all attempts have
+ * in common. */
 #ifndef MORPHO_JOBS_RUNNER_H
 #define MORPHO_JOBS_RUNNER_H
 
@@ -6,7 +7,35 @@
 #include <stdatomic.h>
 #include <time.h>
 
-#include "jobs/kind.h"
+#include "jobs/live.h"
+
+struct mo_need;
+struct mo_runner;
+
+/* A kind of jobs, as a table of functions. A kind either has threads of its own, each of which runs
+ * one job after the other, or one thread that serves all its jobs at once (`serve`; evaluations). A
+ * new kind is one file with its table, and a row in mo_kinds (jobs.c). */
+struct mo_kind {
+  enum mo_job_kind kind;
+  /* Creates and frees what the kind keeps while the service runs; nullable. */
+  int (*open)(struct mo_jobs *jobs);
+  void (*close)(struct mo_jobs *jobs);
+  /* The thread's function if one thread serves all jobs; context: its struct mo_runner. The fields
+   * below are then unused. */
+  void *(*serve)(void *runner);
+
+  /* Estimates the memory of a job, 0 for an unreadable one: its run will report the error. Returns
+   * an error only for a shortage that passes. */
+  int (*need)(struct mo_jobs *jobs, int64_t id, struct mo_need *need);
+  enum mo_phase first; /* the phase of a job that has just started */
+  /* Runs a started job to its end or until a request. `run` has run_bytes bytes, zero at first. */
+  size_t run_bytes;
+  int (*run)(struct mo_runner *runner, void *run);
+  int (*save)(void *run);      /* saves computed results of a run that has stopped */
+  void (*clean_up)(void *run); /* frees what `run` points to */
+};
+extern const struct mo_kind mo_evaluation_kind, mo_training_kind, mo_campaign_kind;
+extern const struct mo_kind *const mo_kinds[MO_JOB_KINDS];
 
 /* A request to a running job; the larger value wins. */
 enum mo_job_request { MO_REQUEST_NONE = 0, MO_REQUEST_PAUSE, MO_REQUEST_STOP, MO_REQUEST_CANCEL };
@@ -29,7 +58,8 @@ struct mo_runner {
   bool winding_down; /* a request arrived or the job failed: only computed results are saved */
   bool is_short;     /* lacks memory: what cannot be saved at once is computed again, later */
   int error;
-  char text[256]; /* of the error */
+  char text[256];                 /* of the error */
+  struct mo_compute_share *share; /* of the job, while it runs */
 };
 
 /* All threads for one kind of job. */
@@ -56,8 +86,7 @@ static inline bool mo_is_shortage(int error)
 /* ---- runner.c: requests ---- */
 void mo_runners_wake(struct mo_runners *runners);
 /* Passes a request, whose job is stored already, to the runner of the job, if one runs it. A thread
- * that serves all jobs reads their states and weights again. MO_REQUEST_NONE: only the weight has
- * changed. */
+ * that serves all jobs reads their states again. */
 void mo_runners_request(struct mo_runners *runners, int64_t id, enum mo_job_request request);
 /* Returns the runner of a job, or NULL; under the mutex. */
 struct mo_runner *mo_runners_find(struct mo_runners *runners, int64_t id);

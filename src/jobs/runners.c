@@ -85,12 +85,16 @@ static bool attempt(struct mo_runner *runner)
   const struct mo_kind *kind = runner->runners->kind;
   void *run = calloc(1, kind->run_bytes);
   bool failed;
+  int error;
   if (run == NULL) {
     runner->is_short = true;
     return false;
   }
-  failed = mo_runner_settle(runner, kind->run(runner, run), run);
+  error = mo_share_open(runner->jobs, runner->id, kind->kind, &runner->share);
+  error = error == MO_OK ? kind->run(runner, run) : mo_runner_fail_unreadable(runner, error);
+  failed = mo_runner_settle(runner, error, run);
   kind->clean_up(run);
+  mo_share_close(runner->jobs, runner->id);
   free(run);
   return failed;
 }
@@ -227,6 +231,12 @@ size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX])
     pthread_mutex_unlock(&runners->mutex);
   }
   return n;
+}
+
+const char *mo_result_name(const struct mo_job *job, const char *asked, char made[MO_MADE_BYTES])
+{
+  snprintf(made, MO_MADE_BYTES, "%s-%lld", mo_job_kind_name(job->kind), (long long)job->id);
+  return asked[0] != '\0' ? asked : made;
 }
 
 /* ---- start and stop ---- */

@@ -1,5 +1,4 @@
-/* shares.c: the shares of the back end: one per running training or campaign, one for all
- * evaluations.
+/* shares.c: the shares of the back end: one per running job.
  *
  * The store holds the weight of a job. An opened share is listed here before its weight is read
  * from the store; a new weight is stored before its share is looked up. So in either order the
@@ -7,13 +6,6 @@
 #include <stdlib.h>
 
 #include "jobs/state.h"
-
-static double busy_s(const struct mo_compute_share *share)
-{
-  struct mo_compute_share_stats stats;
-  mo_compute_share_get_stats(share, &stats);
-  return stats.busy_s;
-}
 
 static void add(const struct mo_compute_share *share, double *worker_s, double *device_s)
 {
@@ -32,7 +24,7 @@ static struct mo_job_share *find(const struct mo_jobs *jobs, int64_t id)
   return entry;
 }
 
-static int take_weight(struct mo_jobs *jobs, int64_t id)
+int mo_share_reweigh(struct mo_jobs *jobs, int64_t id)
 {
   struct mo_job_share *entry;
   struct mo_job job;
@@ -65,7 +57,7 @@ int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind,
   entry->next = jobs->shares;
   jobs->shares = entry;
   pthread_mutex_unlock(&jobs->shares_mutex);
-  error = take_weight(jobs, id);
+  error = mo_share_reweigh(jobs, id);
   if (error != MO_OK)
     mo_share_close(jobs, id);
   return error;
@@ -87,22 +79,16 @@ void mo_share_close(struct mo_jobs *jobs, int64_t id)
   free(entry);
 }
 
-void mo_share_reweigh(struct mo_jobs *jobs, int64_t id)
-{
-  (void)take_weight(jobs,
-                    id); /* if the store cannot be read, the weight counts from the next start */
-}
-
 double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id)
 {
   const struct mo_job_share *entry;
-  double seconds = -1;
+  double worker_s = 0, device_s = 0;
   pthread_mutex_lock(&jobs->shares_mutex);
   entry = find(jobs, id);
   if (entry != NULL)
-    seconds = busy_s(entry->share);
+    add(entry->share, &worker_s, &device_s);
   pthread_mutex_unlock(&jobs->shares_mutex);
-  return seconds;
+  return entry != NULL ? worker_s : -1;
 }
 
 void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
@@ -116,5 +102,4 @@ void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
   for (const struct mo_job_share *entry = jobs->shares; entry != NULL; entry = entry->next)
     add(entry->share, &worker_s[entry->kind], &device_s[entry->kind]);
   pthread_mutex_unlock(&jobs->shares_mutex);
-  add(jobs->evaluation_share, &worker_s[MO_JOB_EVALUATION], &device_s[MO_JOB_EVALUATION]);
 }

@@ -9,7 +9,7 @@
 #include "jobs/runner.h"
 #include "store/runner.h"
 
-/* A running training's or campaign's share of the back end. */
+/* A running job's share of the back end. */
 struct mo_job_share {
   int64_t id;
   enum mo_job_kind kind;
@@ -34,9 +34,8 @@ struct mo_jobs {
                                   and setting it is one operation */
   pthread_mutex_t shares_mutex; /* held briefly */
   struct mo_job_share *shares;
-  double ended_s[MO_JOB_KINDS];              /* worker seconds of closed shares */
-  double ended_device_s[MO_JOB_KINDS];       /* device seconds, likewise */
-  struct mo_compute_share *evaluation_share; /* of all evaluations */
+  double ended_s[MO_JOB_KINDS];        /* worker seconds of closed shares */
+  double ended_device_s[MO_JOB_KINDS]; /* device seconds, likewise */
 
   struct mo_evaluations *evaluations; /* evaluation.h */
   pthread_mutex_t exclusions_mutex;
@@ -53,16 +52,16 @@ struct mo_jobs {
 };
 
 /* ---- shares.c ---- */
-/* Opens a share for the thread of a training or campaign. The share follows the job's weight until
- * it is closed. Name the share in every block and batch of the job. MO_ERR_NO_MEMORY, and errors of
- * reading the job. */
+/* Opens a share for a job that starts. The share follows the job's weight until it is closed. Name
+ * the share in every block and batch of the job. MO_ERR_NO_MEMORY, and errors of reading the job.
+ */
 int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind,
                   struct mo_compute_share **share);
 /* Closes the job's share, if any. None of its blocks may be queued or in flight. */
 void mo_share_close(struct mo_jobs *jobs, int64_t id);
-void mo_share_reweigh(struct mo_jobs *jobs, int64_t id); /* applies a new weight from the store */
-/* Returns the worker seconds that a running training or campaign has used since its last start.
- * Negative: the job has no share now. */
+int mo_share_reweigh(struct mo_jobs *jobs, int64_t id); /* applies the weight in the store */
+/* Returns the worker seconds that a running job has used since its last start. Negative: the job
+ * has no share now. */
 double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id);
 void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
                        double device_s[MO_JOB_KINDS]);

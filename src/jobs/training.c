@@ -5,10 +5,7 @@
  * once a second and before every checkpoint. A checkpoint is written when it is due, at a pause, at
  * a stop, and at the end, before the controller; on devices, during the next gradient. A crash
  * loses the time since the last checkpoint: the steps from there are run again with the same
- * results.
- *
- * A run that lacks space tries again every second (retry_ms) until it succeeds or a request
- * arrives. A stop request does not wait: the next process continues from the last checkpoint. */
+ * results. */
 #include "jobs/trainings.h"
 
 #include <stdlib.h>
@@ -31,7 +28,6 @@ struct run {
   int64_t id;
   struct mo_training_status status; /* from the time of the claim */
   struct mo_learner learner;
-  struct mo_compute_share *share;
   struct mo_held_out held_out;
   struct mo_training_step_row rows[ROWS_MAX]; /* not written yet */
   size_t n_rows;
@@ -181,29 +177,6 @@ static int start_over(struct run *run)
   return error;
 }
 
-static int prepare(struct run *run)
-{
-  int error = mo_store_training(run->jobs->store, run->id, &run->status);
-  if (error != MO_OK)
-    return mo_runner_fail_unreadable(run->runner, error);
-  run->validated = run->status.has_validation ? (int64_t)run->status.validation.step : -1;
-  error = mo_back_end_check(run->jobs, run->status.job.back_end);
-  if (error != MO_OK)
-    return error;
-  error = load_checkpoint(run);
-  if (error == MO_ERR_NOT_FOUND)
-    error = start_over(run);
-  if (error != MO_OK)
-    return error;
-  run->checkpoint_us = mo_clock_us();
-  error = mo_learner_prepare(run->jobs, run->status.job.back_end, &run->learner);
-  if (error == MO_OK)
-    error = mo_share_open(run->jobs, run->id, MO_JOB_TRAINING, &run->share);
-  if (error == MO_OK && run->status.record.validate_every_steps > 0)
-    error = mo_held_out_load(run->jobs->store, &run->status, &run->held_out);
-  return error;
-}
-
 /* ---- steps ---- */
 
 static void note_speed(struct run *run, double seconds)
@@ -305,16 +278,10 @@ static int step(struct run *run)
 {
   const struct mo_training_settings *settings = &run->status.record.settings;
   const struct mo_robot *robots = NULL;
-  const struct mo_learner_turn turn = {.urgency = run->status.job.priority,
-                                       .tag = run->id,
-                                       .share = run->share,
-                                       .cancel = &run->runner->interrupt,
-                                       .write = write_what_is_due,
-                                       .context = run};
   struct mo_training_step_row *row;
   int error = draw(run, &robots);
   if (error == MO_OK)
-    error = mo_learner_gradient(&run->learner, robots, &turn);
+    error = mo_learner_gradient(&run->learner, robots);
   if (error == MO_OK)
     error = note_code(run);
   row = &run->rows[run->n_rows];
@@ -353,7 +320,7 @@ static int validate(struct run *run)
   run->status.validation.step = here;
   error =
       mo_held_out_score(run->runner, &run->held_out, mo_training_controller(run->learner.training),
-                        &run->status, run->share, &run->status.validation);
+                        &run->status, &run->status.validation);
   if (error == MO_OK)
     error = mo_runner_persist(run->runner, write_validation, run, "a validation");
   (void)enter(run, MO_PHASE_LEARN);
@@ -371,18 +338,36 @@ static int write_result(void *context)
   struct run *run = context;
   const struct mo_training_record *record = &run->status.record;
   struct mo_learned learned;
-  char name[MO_NAME_BYTES_MAX + 1];
+  char made[MO_MADE_BYTES];
   int error = mo_learned_create(
       run->learner.training, record->has_parent ? &record->parent_sha256 : NULL,
       run->jobs->code_versions[run->status.job.back_end], &run->status.code, &learned);
-  if (record->name[0] != '\0')
-    snprintf(name, sizeof(name), "%s", record->name);
-  else
-    snprintf(name, sizeof(name), "training-%lld", (long long)run->id);
   if (error == MO_OK)
-    error = mo_store_training_finish(run->jobs->store, run->id, name, learned.bytes, learned.size,
-                                     learned.controller);
+    error = mo_store_training_finish(run->jobs->store, run->id,
+                                     mo_result_name(&run->status.job, record->name, made),
+                                     learned.bytes, learned.size, learned.controller);
   mo_learned_free(&learned);
+  return error;
+}
+
+static int prepare(struct run *run)
+{
+  int error = mo_store_training(run->jobs->store, run->id, &run->status);
+  if (error != MO_OK)
+    return mo_runner_fail_unreadable(run->runner, error);
+  run->validated = run->status.has_validation ? (int64_t)run->status.validation.step : -1;
+  error = mo_back_end_check(run->jobs, run->status.job.back_end);
+  if (error != MO_OK)
+    return error;
+  error = load_checkpoint(run);
+  if (error == MO_ERR_NOT_FOUND)
+    error = start_over(run);
+  if (error != MO_OK)
+    return error;
+  run->checkpoint_us = mo_clock_us();
+  error = mo_learner_prepare(&run->learner, run->runner, &run->status.job, write_what_is_due, run);
+  if (error == MO_OK && run->status.record.validate_every_steps > 0)
+    error = mo_held_out_load(run->jobs->store, &run->status, &run->held_out);
   return error;
 }
 
@@ -418,7 +403,6 @@ static void clean_up(void *context)
 {
   struct run *run = context;
   mo_learner_free(&run->learner);
-  mo_share_close(run->jobs, run->id);
   mo_held_out_free(&run->held_out);
 }
 
@@ -590,13 +574,7 @@ static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
   return mo_is_shortage(error) ? error : MO_OK;
 }
 
-static uint32_t threads(const struct mo_jobs_config *config)
-{
-  return config->max_active_trainings;
-}
-
 const struct mo_kind mo_training_kind = {.kind = MO_JOB_TRAINING,
-                                         .threads = threads,
                                          .need = need,
                                          .first = MO_PHASE_LEARN,
                                          .run_bytes = sizeof(struct run),

@@ -1,14 +1,6 @@
-/* trainings.h: trainings as jobs: submission, steps on the compute back end, saving, resumption.
- *
- * Each running training has its own thread, which sleeps while the back end works. The thread draws
- * the robots of a step, waits for their gradient, applies and reports the gradient, and validates
- * and saves checkpoints when they are due. By default one training runs at a time
- * (max_active_trainings); the others wait in the order of their submission. A training that is
- * paused or stopped, or that ends, writes a checkpoint first. After a crash a training continues
- * from its newest checkpoint and ends with the same weights, bit for bit.
- *
- * When the disk is full, or memory or descriptors run out, the training waits (shown as paused,
- * with a reason in mo_live) and continues without a request. */
+/* trainings.h: trainings as jobs: submission. By default one runs at a time (max_active_trainings);
+ * the others wait in the order of their submission. After a crash a training continues from its
+ * newest checkpoint and ends with the same weights, bit for bit (training.c). */
 #ifndef MORPHO_JOBS_TRAININGS_H
 #define MORPHO_JOBS_TRAININGS_H
 

@@ -30,28 +30,22 @@ static const struct mo_field schedule_rows[] = {
      .unit = "steps", .help = "steps in which the rate grows to its peak"},
 };
 #undef AT
-static const struct mo_fields schedule_fields = {schedule_rows,
-                                                 sizeof(schedule_rows) / sizeof(schedule_rows[0])};
+static const struct mo_fields schedule_fields = MO_FIELDS(schedule_rows);
 
 static void read_schedule_name(struct mo_json *json, struct mo_schedule *schedule)
 {
-  static const char *const names[] = {"paper-pretrain", "paper-finetune",  "paper-simultaneous",
-                                      "one-cosine",     "finetune-cosine", NULL};
-  static struct mo_schedule (*const make[])(void) = {
-      mo_schedule_paper_pretrain, mo_schedule_paper_finetune, mo_schedule_paper_simultaneous,
-      mo_schedule_one_cosine, mo_schedule_finetune};
   struct mo_json_slice name;
   const unsigned depth = json->depth;
   char list[MO_WORDS_BYTES];
   if (!mo_json_string(json, &name))
     return;
-  for (size_t i = 0; names[i] != NULL; i++)
-    if (mo_json_is(name, names[i])) {
-      *schedule = make[i]();
+  for (size_t i = 0; mo_schedule_preset_words[i] != NULL; i++)
+    if (mo_json_is(name, mo_schedule_preset_words[i])) {
+      *schedule = mo_schedule_presets[i];
       return;
     }
   mo_json_fault_at(json, depth, "", "must be %s, or an object with kind, peak, floor …",
-                   mo_words_list(names, list));
+                   mo_words_list(mo_schedule_preset_words, list));
 }
 
 /* Reads a schedule object. Missing members default to the paper's pretraining (restarts, constant)
@@ -69,8 +63,9 @@ static void read_schedule_object(struct mo_json *json, struct mo_schedule *sched
                      mo_words_list(mo_schedule_words, list));
     return;
   }
-  const struct mo_schedule paper = mo_schedule_paper_pretrain();
-  struct mo_schedule full = read.kind == MO_SCHEDULE_COSINE ? mo_schedule_one_cosine() : paper;
+  const struct mo_schedule paper = mo_schedule_presets[MO_SCHEDULE_PAPER_PRETRAIN];
+  struct mo_schedule full =
+      read.kind == MO_SCHEDULE_COSINE ? mo_schedule_presets[MO_SCHEDULE_ONE_COSINE] : paper;
   full.kind = read.kind;
   full.peak = read.peak > 0 ? read.peak : full.peak;
   full.floor = read.floor > 0 ? read.floor : fmin(full.floor, full.peak);
@@ -124,7 +119,7 @@ static const struct mo_field adam_rows[] = {
     {"epsilon", MO_FIELD_NUMBER, MO_FIELD_ABOVE_MIN, AT(epsilon), .min = 0, .max = 1, .unit = "",
      .help = "Adam's smallest divisor"},
 };
-static const struct mo_fields adam_fields = {adam_rows, sizeof(adam_rows) / sizeof(adam_rows[0])};
+static const struct mo_fields adam_fields = MO_FIELDS(adam_rows);
 static const struct mo_field_own schedule = {read_schedule, write_schedule, check_schedule};
 static const struct mo_field learning_rows[] = {
     {"schedule", MO_FIELD_OWN, 0, AT(schedule), .group = &schedule_fields, .own = &schedule,
@@ -143,8 +138,7 @@ static const struct mo_field learning_rows[] = {
              "0: none"},
 };
 #undef AT
-const struct mo_fields mo_learning_fields = {learning_rows,
-                                             sizeof(learning_rows) / sizeof(learning_rows[0])};
+const struct mo_fields mo_learning_fields = MO_FIELDS(learning_rows);
 
 /* ---- trainings ---- */
 
@@ -160,8 +154,7 @@ static const struct mo_field recipe_rows[] = {
     {"physics", MO_FIELD_GROUP, 0, AT(physics), .group = &mo_physics_fields, .unit = "",
      .help = "constants of the world"},
 };
-const struct mo_fields mo_recipe_fields = {recipe_rows,
-                                           sizeof(recipe_rows) / sizeof(recipe_rows[0])};
+const struct mo_fields mo_recipe_fields = MO_FIELDS(recipe_rows);
 static const struct mo_field training_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_recipe_fields},
     {"seed", MO_FIELD_SEED, 0, AT(seed), .unit = "",
@@ -170,5 +163,4 @@ static const struct mo_field training_rows[] = {
      .help = "sensor of a controller that starts from random weights"},
 };
 #undef AT
-const struct mo_fields mo_training_fields = {training_rows,
-                                             sizeof(training_rows) / sizeof(training_rows[0])};
+const struct mo_fields mo_training_fields = MO_FIELDS(training_rows);

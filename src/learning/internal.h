@@ -64,7 +64,7 @@ bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *set
                     double scale, const double *gradient, float *weights, size_t n,
                     uint32_t n_threads, uint32_t *bounded);
 
-/* checksum.c: CRC-64/XZ: detects every error within 64 bits in a row, and all but 1 in 2^64
+/* checkpoint.c: CRC-64/XZ: detects every error within 64 bits in a row, and all but 1 in 2^64
  * others. */
 uint64_t mo_checksum(const uint8_t *bytes, size_t n);
 

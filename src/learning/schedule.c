@@ -11,53 +11,21 @@
 
 const char *const mo_schedule_words[] = {"restarts", "cosine", "constant", NULL};
 
-struct mo_schedule mo_schedule_paper_pretrain(void)
-{
-  return (struct mo_schedule){.kind = MO_SCHEDULE_RESTARTS,
-                              .peak = 1e-3,
-                              .floor = 1e-5,
-                              .decay = 0.7,
-                              .cycle_steps = 10,
-                              .cycle_growth = 2};
-}
-
-struct mo_schedule mo_schedule_paper_finetune(void)
-{
-  return (struct mo_schedule){.kind = MO_SCHEDULE_RESTARTS,
-                              .peak = 3.5e-4,
-                              .floor = 3.5e-5,
-                              .decay = 1.0,
-                              .cycle_steps = 100,
-                              .cycle_growth = 1};
-}
-
-struct mo_schedule mo_schedule_paper_simultaneous(void)
-{
-  struct mo_schedule schedule = mo_schedule_paper_pretrain();
-  schedule.decay = 0.65;
-  return schedule;
-}
-
-struct mo_schedule mo_schedule_one_cosine(void)
-{
-  return (struct mo_schedule){.kind = MO_SCHEDULE_COSINE,
-                              .peak = 2e-3,
-                              .floor = 1e-5,
-                              .decay = 1.0,
-                              .cycle_steps = 1,
-                              .cycle_growth = 1,
-                              .warmup_steps = 10};
-}
-
-struct mo_schedule mo_schedule_finetune(void)
-{
-  return (struct mo_schedule){.kind = MO_SCHEDULE_COSINE,
-                              .peak = 3e-4,
-                              .floor = 1e-6,
-                              .decay = 1.0,
-                              .cycle_steps = 100,
-                              .cycle_growth = 1};
-}
+const char *const mo_schedule_preset_words[] = {"paper-pretrain",     "paper-finetune",
+                                                "paper-simultaneous", "one-cosine",
+                                                "finetune-cosine",    NULL};
+const struct mo_schedule mo_schedule_presets[] = {
+    [MO_SCHEDULE_PAPER_PRETRAIN] = {MO_SCHEDULE_RESTARTS, .peak = 1e-3, .floor = 1e-5, .decay = 0.7,
+                                    .cycle_steps = 10, .cycle_growth = 2},
+    [MO_SCHEDULE_PAPER_FINETUNE] = {MO_SCHEDULE_RESTARTS, .peak = 3.5e-4, .floor = 3.5e-5,
+                                    .decay = 1.0, .cycle_steps = 100, .cycle_growth = 1},
+    [MO_SCHEDULE_PAPER_SIMULTANEOUS] = {MO_SCHEDULE_RESTARTS, .peak = 1e-3, .floor = 1e-5,
+                                        .decay = 0.65, .cycle_steps = 10, .cycle_growth = 2},
+    [MO_SCHEDULE_ONE_COSINE] = {MO_SCHEDULE_COSINE, .peak = 2e-3, .floor = 1e-5, .decay = 1.0,
+                                .cycle_steps = 1, .cycle_growth = 1, .warmup_steps = 10},
+    [MO_SCHEDULE_FINETUNE_COSINE] = {MO_SCHEDULE_COSINE, .peak = 3e-4, .floor = 1e-6, .decay = 1.0,
+                                     .cycle_steps = 100, .cycle_growth = 1},
+};
 
 /* cos(π s/n), 0 ≤ s ≤ n, n > 0. */
 static double cosine(uint64_t s, uint64_t n)

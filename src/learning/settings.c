@@ -12,6 +12,18 @@
 
 const char *const mo_learning_preset_words[] = {"workstation", "phototaxis", "paper", NULL};
 
+struct mo_learning mo_learning_defaults(enum mo_schedule_preset schedule)
+{
+  return (struct mo_learning){.schedule = mo_schedule_presets[schedule],
+                              .beta1 = 0.9,
+                              .beta2 = 0.999,
+                              .epsilon = 1e-8,
+                              .norm_limit = 1.0,
+                              .adjoint_bound = MO_ADJOINT_BOUND,
+                              .adjoint_rule = MO_ADJOINT_CLIP,
+                              .restart_weight = MO_RESTART_WEIGHT};
+}
+
 struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
 {
   return (struct mo_training_settings){
@@ -19,15 +31,8 @@ struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
       .seed = 1,
       .n_steps = kind == MO_TRAINING_FINETUNE ? STEPS_FINETUNE : STEPS_PRETRAIN,
       .batch = BATCH,
-      .learning.schedule =
-          kind == MO_TRAINING_FINETUNE ? mo_schedule_finetune() : mo_schedule_one_cosine(),
-      .learning.beta1 = 0.9,
-      .learning.beta2 = 0.999,
-      .learning.epsilon = 1e-8,
-      .learning.norm_limit = 1.0,
-      .learning.adjoint_bound = MO_ADJOINT_BOUND,
-      .learning.adjoint_rule = MO_ADJOINT_CLIP,
-      .learning.restart_weight = MO_RESTART_WEIGHT,
+      .learning = mo_learning_defaults(kind == MO_TRAINING_FINETUNE ? MO_SCHEDULE_FINETUNE_COSINE
+                                                                    : MO_SCHEDULE_ONE_COSINE),
       .physics = mo_default_physics(),
       .sensor = MO_SENSOR_INVERSE_SQRT,
       .held_out_designs = 64,
@@ -58,7 +63,7 @@ static void set_paper(struct mo_training_settings *settings)
   const bool finetune = settings->kind == MO_TRAINING_FINETUNE;
   settings->batch = BATCH_PAPER;
   settings->learning.schedule =
-      finetune ? mo_schedule_paper_finetune() : mo_schedule_paper_pretrain();
+      mo_schedule_presets[finetune ? MO_SCHEDULE_PAPER_FINETUNE : MO_SCHEDULE_PAPER_PRETRAIN];
   settings->learning.adjoint_bound = 0.0;
 }
 

@@ -100,7 +100,7 @@ static const struct mo_field rows[] = {
      .help = "time of impact: exact, or bisection with 1 to 52 halvings"},
 };
 #undef AT
-const struct mo_fields mo_physics_fields = {rows, sizeof(rows) / sizeof(rows[0])};
+const struct mo_fields mo_physics_fields = MO_FIELDS(rows);
 
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message)
 {

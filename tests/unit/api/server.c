@@ -543,7 +543,7 @@ static const struct check_case cases[] = {
 
 int main(int argc, char **argv)
 {
-  if (service_start(&service) != MO_OK) {
+  if (service_start(&service, 0) != MO_OK) {
     printf("Bail out! no service: %s\n", service.fixture.message.text);
     return 1;
   }

@@ -38,7 +38,7 @@ static void frozen(void)
     settings.selection.kind = (enum mo_selection_kind)kind;
     settings.selection.age_gap = 1;
     const uint64_t h = hash_of(&settings, 12);
-    printf("# %s: 0x%016llx\n", mo_selection_name(settings.selection.kind), (unsigned long long)h);
+    printf("# %s: 0x%016llx\n", mo_selection_words[settings.selection.kind], (unsigned long long)h);
     CHECK(h == expected[kind]);
     CHECK(hash_of(&settings, 12) == h);
     settings.seed = 43;

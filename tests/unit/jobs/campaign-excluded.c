@@ -1,24 +1,8 @@
 /* campaign-excluded.c: the bodies that a campaign's controller was pretrained on: found by its
  * lineage, drawn again, left out. */
-#include "campaigns.h"
+#include "fakes.h"
 
 /* ---- controllers ---- */
-
-static int put(struct service *service, const char *name, struct mo_controller *controller,
-               struct mo_sha256 *sha256)
-{
-  struct mo_controller_record record;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  bool created = false;
-  int error = mo_controller_encode(controller, &bytes, &size);
-  if (error == MO_OK)
-    error = mo_store_controller_put(service->fixture.store, name, bytes, size, controller, &record,
-                                    &created);
-  free(bytes);
-  *sha256 = record.sha256;
-  return error;
-}
 
 /* What a controller says of how it was trained; NULL: nothing. */
 struct said {
@@ -28,119 +12,114 @@ struct said {
 static const struct said good = {"pretrain", "random", "31", "40",
                                  "{\"steps\":900,\"batch\":64,\"x\":1}"};
 
-/* A controller with the default weights. */
-static int put_saying(struct service *service, const char *name, const struct said *said,
-                      char digits[MO_SHA256_DIGITS + 1])
+/* Stores a controller with the default weights. digits: of its file. */
+static void put(struct service *service, const char *name, const struct said *said,
+                char digits[MO_SHA256_DIGITS + 1])
 {
   const char *const entries[][2] = {{"morphod.kind", said->kind},
                                     {"morphod.parent", said->parent},
                                     {"morphod.seed", said->seed},
                                     {"morphod.step", said->step},
                                     {"morphod.settings", said->settings}};
-  struct mo_controller *controller = NULL;
-  struct mo_sha256 sha256;
-  int error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller);
-  if (error != MO_OK)
-    return error;
-  mo_controller_randomize(controller, 1);
+  struct mo_controller *controller = weights_of(1);
+  struct mo_controller_record record;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  bool created;
   for (size_t i = 0; i < sizeof(entries) / sizeof(entries[0]); i++)
     if (entries[i][1] != NULL)
       (void)mo_controller_set_metadata(controller, entries[i][0], entries[i][1]);
-  error = put(service, name, controller, &sha256);
-  mo_sha256_to_hex(&sha256, digits);
+  CHECK_INT(mo_controller_encode(controller, &bytes, &size), MO_OK);
+  CHECK_INT(mo_store_controller_put(service->fixture.store, name, bytes, size, controller, &record,
+                                    &created),
+            MO_OK);
+  mo_sha256_to_hex(&record.sha256, digits);
+  free(bytes);
   mo_controller_free(controller);
-  return error;
 }
 
-/* "pretrained" with a seed of bodies, 64 of them a step; "tuned", its child. */
-static int put_family(struct service *service, const char *steps)
+/* Stores "pretrained" with a seed of bodies, 64 of them a step, and "tuned", its child. */
+static void put_family(struct service *service, const char *steps)
 {
   struct said said = good;
   char digits[MO_SHA256_DIGITS + 1], child[MO_SHA256_DIGITS + 1];
-  int error;
   said.step = steps;
-  error = put_saying(service, "pretrained", &said, digits);
+  put(service, "pretrained", &said, digits);
   said.kind = "finetune";
   said.parent = digits;
-  return error == MO_OK ? put_saying(service, "tuned", &said, child) : error;
+  put(service, "tuned", &said, child);
 }
 
-/* "line": five pretrainings, each from the one before, of which no one has more bodies than can be
- * drawn again, but all together do. */
-static int put_line(struct service *service)
+/* Stores "long": so many controllers, each the child of the one before, with `first` at its
+ * beginning and `other` after that. */
+static void put_long(struct service *service, int n, const struct said *first,
+                     const struct said *other)
 {
-  struct mo_controller *controller = NULL;
-  struct mo_sha256 sha256;
-  char parent[MO_SHA256_DIGITS + 1] = "random";
-  int error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller);
-  if (error != MO_OK)
-    return error;
-  mo_controller_randomize(controller, 1);
-  (void)mo_controller_set_metadata(controller, "morphod.kind", "pretrain");
-  (void)mo_controller_set_metadata(controller, "morphod.seed", "31");
-  (void)mo_controller_set_metadata(controller, "morphod.step", "1000000");
-  (void)mo_controller_set_metadata(
-      controller, "morphod.settings",
-      "{\"steps\": 1000000, \"x\": {\"batch\":1}, \"batch\" : 64}"); /* as others may write it */
-  for (int i = 0; i < 5 && error == MO_OK; i++) {
-    (void)mo_controller_set_metadata(controller, "morphod.parent", parent);
-    error = put(service, "line", controller, &sha256);
-    mo_sha256_to_hex(&sha256, parent);
+  char digits[MO_SHA256_DIGITS + 1], parent[MO_SHA256_DIGITS + 1], seed[16];
+  put(service, "long", first, digits);
+  for (int i = 1; i < n; i++) {
+    struct said said = *other;
+    memcpy(parent, digits, sizeof(parent));
+    snprintf(seed, sizeof(seed), "%d", i);
+    said.parent = parent;
+    said.seed = seed;
+    put(service, "long", &said, digits);
   }
-  mo_controller_free(controller);
-  return error;
+}
+
+/* The forms of the bodies that "pretrained" learned from in so many steps. */
+static struct mo_form_set *forms_of(struct mo_workspace workspace, uint64_t steps)
+{
+  struct mo_form_set *forms = NULL;
+  CHECK_INT(mo_form_set_create(workspace, &forms), MO_OK);
+  CHECK_INT(mo_pretraining_forms(31, 64 * steps, workspace, 1, NULL, NULL, forms), MO_OK);
+  return forms;
 }
 
 /* ---- what is left out ---- */
 
-__attribute__((unused)) static void leaves_out_what_was_learned_from(void)
+SERVICE_CASE(leaves_out_what_was_learned_from, 3)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
-  struct mo_form_set *excluded = NULL;
-  struct history *without;
-  struct service service;
-  struct origin origin;
-  struct mo_job job;
+  const struct said line = {"pretrain", "random", "31", "1000000",
+                            "{\"steps\": 1000000, \"x\": {\"batch\":1}, \"batch\" : 64}"};
+  struct mo_form_set *excluded;
+  struct history *without, *stored;
+  struct origin origin, plain;
   int64_t ids[3];
-  REQUIRE(start(&service, 3) == MO_OK);
-  REQUIRE(put_family(&service, "40") == MO_OK);
+  put_family(service, "40");
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
-  origin = origin_of(&request);
+  origin = plain = origin_of(&request);
   without = plain_history(&fake_plain, &origin);
-  REQUIRE(mo_form_set_create(request.record.settings.workspace, &excluded) == MO_OK);
-  REQUIRE(mo_pretraining_forms(31, 64 * 40, request.record.settings.workspace, 1, NULL, NULL,
-                               excluded) == MO_OK);
+  excluded = forms_of(request.record.settings.workspace, 40);
   CHECK(mo_form_set_count(excluded) > 0);
   origin.excluded = excluded;
   request.controller = "tuned";
   for (int i = 0; i < 3; i++) {
     request.record.settings.exclude_pretraining = i < 2; /* two that share the set, one without */
-    ids[i] = submit(&service, &request);
+    ids[i] = submit_campaign(service, &request);
   }
-  CHECK(ends_as_plain(&service, ids[0], &origin));
-  CHECK(ends_as_plain(&service, ids[1], &origin));
-  REQUIRE(await_end(service.jobs, ids[2], 120000, &job) == MO_OK);
-  {
-    struct history *stored = stored_history(service.fixture.store, ids[2]);
-    CHECK(same_history(stored, without));
-    free(stored);
-    stored = stored_history(service.fixture.store, ids[0]);
-    printf("# the next line is to be a difference:\n");
-    CHECK(!same_history(stored, without));
-    free(stored);
-  }
+  CHECK(ends_as_plain(service, ids[0], &origin));
+  CHECK(ends_as_plain(service, ids[1], &origin));
+  CHECK(ends_as_plain(service, ids[2], &plain));
+  stored = stored_history(service->fixture.store, ids[0]);
+  printf("# the next line is to be a difference:\n");
+  CHECK(!same_history(stored, without));
+  free(stored);
   /* More than can be drawn again. */
-  REQUIRE(put_family(&service, "1000000000") == MO_OK);
+  put_family(service, "1000000000");
   request.record.settings.exclude_pretraining = true;
-  CHECK_INT(submit(&service, &request), MO_ERR_LIMIT); /* before anything is stored or drawn */
-  CHECK(strstr(service.fixture.message.text, "exclude_pretraining false") != NULL);
-  REQUIRE(put_line(&service) == MO_OK);
-  request.controller = "line";
-  CHECK_INT(submit(&service, &request), MO_ERR_LIMIT); /* before anything is stored or drawn */
-  CHECK(strstr(service.fixture.message.text, "exclude_pretraining false") != NULL);
+  CHECK_INT(submit_campaign(service, &request),
+            MO_ERR_LIMIT); /* before anything is stored or drawn */
+  CHECK(strstr(service->fixture.message.text, "exclude_pretraining false") != NULL);
+  /* All of five together, though no one alone; spelled as others may write it. */
+  put_long(service, 5, &line, &line);
+  request.controller = "long";
+  CHECK_INT(submit_campaign(service, &request),
+            MO_ERR_LIMIT); /* before anything is stored or drawn */
+  CHECK(strstr(service->fixture.message.text, "exclude_pretraining false") != NULL);
   mo_form_set_free(excluded);
   free(without);
-  service_end(&service);
 }
 
 /* ---- lineages that cannot be read ---- */
@@ -160,7 +139,7 @@ static int reported(struct service *service, int64_t id, const char *digits, con
   return n_told;
 }
 
-__attribute__((unused)) static void reports_what_cannot_be_read(void)
+SERVICE_CASE(reports_what_cannot_be_read, 1)
 {
   static const char settings[] = "{\"steps\":900,\"batch\":64,\"x\":1}";
   static const char *const fields[] = {"morphod.kind", "morphod.parent", "morphod.seed",
@@ -187,119 +166,87 @@ __attribute__((unused)) static void reports_what_cannot_be_read(void)
       {{"finetune", "chance", "31", "40", settings}, {"morphod.parent"}},
   };
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
-  struct service service;
   struct origin origin;
-  REQUIRE(start(&service, 1) == MO_OK);
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
   request.record.settings.generations = 1;
   origin = origin_of(&request);
   for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
     char digits[MO_SHA256_DIGITS + 1], child[MO_SHA256_DIGITS + 1];
     const struct said tuned = {"finetune", digits, "7", "3", settings};
-    REQUIRE(put_saying(&service, "odd", &cases[i].said, digits) == MO_OK);
-    REQUIRE(put_saying(&service, "odd-child", &tuned, child) == MO_OK);
+    put(service, "odd", &cases[i].said, digits);
+    put(service, "odd-child", &tuned, child);
     for (int as_parent = 0; as_parent < 2; as_parent++) {
       int64_t id;
       request.controller = as_parent ? "odd-child" : "odd";
-      id = submit(&service, &request);
-      CHECK(ends_as_plain(&service, id, &origin)); /* nothing is excluded */
+      id = submit_campaign(service, &request);
+      CHECK(ends_as_plain(service, id, &origin)); /* nothing is excluded */
       for (size_t f = 0; f < sizeof(fields) / sizeof(fields[0]); f++) {
         int expected = 0;
         for (size_t t = 0; t < 3 && cases[i].reported[t] != NULL; t++)
           expected += strcmp(cases[i].reported[t], fields[f]) == 0;
-        CHECK_INT(reported(&service, id, digits, fields[f]), expected);
-        CHECK_INT(reported(&service, id, NULL, fields[f]), expected);
+        CHECK_INT(reported(service, id, digits, fields[f]), expected);
+        CHECK_INT(reported(service, id, NULL, fields[f]), expected);
       }
     }
   }
   CHECK_INT(warnings, 0);
-  service_end(&service);
-}
-
-/* "long": so many controllers, each the child of the one before, with `first` at its beginning and
- * `other` after that. */
-static int put_long(struct service *service, int n, const struct said *first,
-                    const struct said *other, char digits[MO_SHA256_DIGITS + 1])
-{
-  int error = put_saying(service, "long", first, digits);
-  for (int i = 1; i < n && error == MO_OK; i++) {
-    char parent[MO_SHA256_DIGITS + 1], seed[16];
-    struct said said = *other;
-    memcpy(parent, digits, sizeof(parent));
-    snprintf(seed, sizeof(seed), "%d", i);
-    said.parent = parent;
-    said.seed = seed;
-    error = put_saying(service, "long", &said, digits);
-  }
-  return error;
 }
 
 /* A lineage ends where it is too long to be read, which is reported; with too many pretrainings it
  * is refused, and the words say of what. */
-__attribute__((unused)) static void reports_long_lineages(void)
+SERVICE_CASE(reports_long_lineages, 1)
 {
   const struct said tuned = {"finetune", NULL, NULL, NULL, NULL};
   struct said odd = good, short_one = good;
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
-  char digits[MO_SHA256_DIGITS + 1];
-  struct service service;
   struct origin origin;
   int64_t id;
-  REQUIRE(start(&service, 1) == MO_OK);
   request.controller = "long";
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
   request.record.settings.generations = 1;
   origin = origin_of(&request);
   odd.seed = "none"; /* reported as far as it is read */
   for (int n = 64; n <= 65; n++) {
-    REQUIRE(put_long(&service, n, &odd, &tuned, digits) == MO_OK);
-    id = submit(&service, &request);
-    CHECK(ends_as_plain(&service, id, &origin));
-    CHECK_INT(reported(&service, id, NULL, "morphod.seed"), n == 64);
-    CHECK_INT(reported(&service, id, NULL, "morphod.parent"), n == 65);
+    put_long(service, n, &odd, &tuned);
+    id = submit_campaign(service, &request);
+    CHECK(ends_as_plain(service, id, &origin));
+    CHECK_INT(reported(service, id, NULL, "morphod.seed"), n == 64);
+    CHECK_INT(reported(service, id, NULL, "morphod.parent"), n == 65);
   }
   short_one.step = "1";
-  REQUIRE(put_long(&service, 17, &short_one, &short_one, digits) == MO_OK);
-  CHECK_INT(submit(&service, &request), MO_ERR_LIMIT);
-  CHECK(strstr(service.fixture.message.text, "16 pretrainings") != NULL);
-  service_end(&service);
+  put_long(service, 17, &short_one, &short_one);
+  CHECK_INT(submit_campaign(service, &request), MO_ERR_LIMIT);
+  CHECK(strstr(service->fixture.message.text, "16 pretrainings") != NULL);
 }
 
 /* What can be read counts, though a descendant or an ancestor cannot be. */
-__attribute__((unused)) static void leaves_out_what_can_be_read(void)
+SERVICE_CASE(leaves_out_what_can_be_read, 1)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
-  struct mo_form_set *excluded = NULL;
+  struct mo_form_set *excluded;
   char first[MO_SHA256_DIGITS + 1], second[MO_SHA256_DIGITS + 1], third[MO_SHA256_DIGITS + 1];
   struct said said = good;
-  struct service service;
   struct origin origin;
   int64_t id;
-  REQUIRE(start(&service, 1) == MO_OK);
   said.seed = "none";
-  REQUIRE(put_saying(&service, "first", &said, first) == MO_OK);
+  put(service, "first", &said, first);
   said.seed = "31";
   said.parent = first;
-  REQUIRE(put_saying(&service, "second", &said, second) == MO_OK);
+  put(service, "second", &said, second);
   said.step = "some";
   said.parent = second;
-  REQUIRE(put_saying(&service, "third", &said, third) == MO_OK);
+  put(service, "third", &said, third);
   request.controller = "third";
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
   origin = origin_of(&request);
-  REQUIRE(mo_form_set_create(request.record.settings.workspace, &excluded) == MO_OK);
-  REQUIRE(mo_pretraining_forms(31, 64 * 40, request.record.settings.workspace, 1, NULL, NULL,
-                               excluded) == MO_OK);
-  origin.excluded = excluded;
-  id = submit(&service, &request);
-  CHECK(ends_as_plain(&service, id, &origin));
-  CHECK_INT(reported(&service, id, first, "morphod.seed"), 1);
-  CHECK_INT(reported(&service, id, third, "morphod.step"), 1);
-  CHECK_INT(reported(&service, id, NULL, "morphod.seed") +
-                reported(&service, id, NULL, "morphod.step"),
-            2);
+  origin.excluded = excluded = forms_of(request.record.settings.workspace, 40);
+  id = submit_campaign(service, &request);
+  CHECK(ends_as_plain(service, id, &origin));
+  CHECK_INT(reported(service, id, first, "morphod.seed"), 1);
+  CHECK_INT(reported(service, id, third, "morphod.step"), 1);
+  CHECK_INT(
+      reported(service, id, NULL, "morphod.seed") + reported(service, id, NULL, "morphod.step"), 2);
   mo_form_set_free(excluded);
-  service_end(&service);
 }
 
 /* ---- while they are drawn ---- */
@@ -320,13 +267,12 @@ __attribute__((unused)) static void leaves_out_what_can_be_read(void)
 static int start_drawing(struct service *service, const char *steps,
                          struct mo_campaign_request *request)
 {
-  int error = watch_start(service);
+  int error = service_begin(service);
   service->config.max_active_campaigns = 3;
   service->n_workers = 1;
   if (error == MO_OK)
     error = service_open(service);
-  if (error == MO_OK)
-    error = put_family(service, steps);
+  put_family(service, steps);
   *request = campaign(MO_ZERO_SHOT);
   request->controller = "tuned";
   request->record.settings.workspace = (struct mo_workspace){3, 3, 2};
@@ -336,13 +282,9 @@ static int start_drawing(struct service *service, const char *steps,
 /* The figures of a campaign as soon as some of its bodies are drawn. */
 static struct mo_live await_drawing(struct service *service, int64_t id)
 {
-  const double end = now_s() + 60;
   struct mo_live live;
-  do {
-    usleep(300);
-    live = live_of(service, id);
-  } while ((live.phase != MO_PHASE_PREPARE || live.done == 0 || live.seconds_left < 0) &&
-           now_s() < end);
+  CHECK(AWAIT((live = live_of(service, id)).phase == MO_PHASE_PREPARE && live.done > 0 &&
+              live.seconds_left >= 0));
   return live;
 }
 
@@ -374,7 +316,7 @@ static bool draws_for(struct service *service, int64_t drawer, int64_t other)
 static void hands_the_drawing_over(void)
 {
   struct mo_campaign_request request;
-  struct mo_form_set *excluded = NULL;
+  struct mo_form_set *excluded;
   struct mo_live live;
   struct service service;
   struct origin origin;
@@ -384,11 +326,11 @@ static void hands_the_drawing_over(void)
   snprintf(steps, sizeof(steps), "%d", LONGER_STEPS);
   REQUIRE(start_drawing(&service, steps, &request) == MO_OK);
   origin = origin_of(&request);
-  ids[0] = submit(&service, &request);
+  ids[0] = submit_campaign(&service, &request);
   live = await_drawing(&service, ids[0]);
   CHECK(live.done > 0 && live.total == 64 * LONGER_STEPS && live.reason[0] == '\0');
   for (int i = 1; i < 3; i++) {
-    ids[i] = submit(&service, &request);
+    ids[i] = submit_campaign(&service, &request);
     live = await_drawing(&service, ids[i]);
     CHECK(live.done > 0 && live.total == 64 * LONGER_STEPS && live.seconds_left > 0);
     CHECK(names(&live, ids[0]));
@@ -397,10 +339,8 @@ static void hands_the_drawing_over(void)
   CHECK_INT(mo_jobs_pause(service.jobs, ids[0]), MO_OK);
   REQUIRE(await_phase(&service, ids[0], MO_PHASE_IDLE));
   CHECK_INT(state_of(&service, ids[0]), MO_JOB_PAUSED);
-  for (int i = 0;
-       i < 500 && !draws_for(&service, ids[1], ids[2]) && !draws_for(&service, ids[2], ids[1]); i++)
-    usleep(1000); /* one of them takes its place */
-  CHECK(draws_for(&service, ids[1], ids[2]) || draws_for(&service, ids[2], ids[1]));
+  CHECK(AWAIT(draws_for(&service, ids[1], ids[2]) ||
+              draws_for(&service, ids[2], ids[1]))); /* one of them takes its place */
   for (int i = 1; i < 3; i++) {
     live = live_of(&service, ids[i]);
     CHECK(live.phase == MO_PHASE_PREPARE && live.done >= done); /* not from the beginning */
@@ -417,10 +357,7 @@ static void hands_the_drawing_over(void)
     CHECK(live.done >= before);
     usleep(2000);
   }
-  REQUIRE(mo_form_set_create(request.record.settings.workspace, &excluded) == MO_OK);
-  REQUIRE(mo_pretraining_forms(31, UINT64_C(64) * LONGER_STEPS, request.record.settings.workspace,
-                               1, NULL, NULL, excluded) == MO_OK);
-  origin.excluded = excluded;
+  origin.excluded = excluded = forms_of(request.record.settings.workspace, LONGER_STEPS);
   CHECK(ends_as_plain(&service, ids[0], &origin));
   CHECK((state_of(&service, ids[1]) == MO_JOB_CANCELLED) !=
         (state_of(&service, ids[2]) == MO_JOB_CANCELLED));
@@ -443,7 +380,7 @@ static void draws_for_nobody(void)
   double begin;
   REQUIRE(start_drawing(&service, ENDLESS, &request) == MO_OK);
   for (int i = 0; i < 2; i++) {
-    ids[i] = submit(&service, &request);
+    ids[i] = submit_campaign(&service, &request);
     CHECK(await_drawing(&service, ids[i]).done > 0);
   }
   begin = now_s();
@@ -453,7 +390,7 @@ static void draws_for_nobody(void)
     CHECK(await_phase(&service, ids[i], MO_PHASE_IDLE));
   CHECK(exclusions(&service) == NULL);
   CHECK_INT(mo_jobs_resume(service.jobs, ids[1]), MO_OK); /* again */
-  ids[0] = submit(&service, &request);
+  ids[0] = submit_campaign(&service, &request);
   for (int i = 0; i < 2; i++)
     CHECK(await_drawing(&service, ids[i]).done > 0);
   CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
@@ -480,20 +417,17 @@ __attribute__((unused)) static void reports_how_long_it_draws(void)
   REQUIRE(start_drawing(&service, steps, &request) == MO_OK);
   request.record.settings.generations = LONG_GENERATIONS;
   fake_plan.delay_us = 10000;
-  id = submit(&service, &request);
+  id = submit_campaign(&service, &request);
   REQUIRE(await_phase(&service, id, MO_PHASE_PREPARE));
   begin = now_s();
-  (void)await_drawing(&service, id);
-  do { /* half of it */
-    usleep(1000);
-    live = live_of(&service, id);
-  } while (live.phase == MO_PHASE_PREPARE && live.done < live.total / 2);
+  live = await_drawing(&service, id);
+  REQUIRE(AWAIT(live_of(&service, id).done >= live.total / 2)); /* half of it */
+  live = live_of(&service, id);
   REQUIRE(live.phase == MO_PHASE_PREPARE);
   rest = (now_s() - begin) * (double)(live.total - live.done) / (double)live.done;
   printf("# %.2f s left, %.2f s by this clock\n", live.seconds_left, rest);
   CHECK(live.seconds_left > 0.5 * rest && live.seconds_left < 2 * rest + 0.1);
-  while (live_of(&service, id).phase == MO_PHASE_PREPARE)
-    usleep(300);
+  REQUIRE(AWAIT(live_of(&service, id).phase != MO_PHASE_PREPARE));
   drawing_s = now_s() - begin;
   CHECK(live_of(&service, id).seconds_left < 0); /* nothing is known of the generations */
   REQUIRE(await_place(&service, id, 2, MO_PHASE_SCORE));

@@ -15,22 +15,13 @@
 
 struct history {
   uint32_t n_designs;
-  struct {
-    struct mo_bits genotype;
-    struct mo_descent descent;
-    uint32_t born;
-    int64_t died;
-    double score;
-  } designs[HISTORY_DESIGNS];
+  struct mo_campaign_design designs[HISTORY_DESIGNS];
   uint32_t n_generations;
+  struct mo_campaign_generation generations[HISTORY_GENERATIONS];
   struct {
     uint32_t n, numbers[HISTORY_POPULATION];
     double scores[HISTORY_POPULATION];
-    uint32_t learning_steps;
-    double first_loss, last_loss;
-    struct mo_variation_counts variation;
-    uint64_t rollouts;
-  } generations[HISTORY_GENERATIONS];
+  } populations[HISTORY_GENERATIONS];
   struct mo_sha256 result; /* of the controller's file; zeros: none */
 };
 
@@ -59,15 +50,13 @@ struct origin {
   const struct mo_form_set *excluded;
 };
 
+/* Takes steps of a training. row (nullable): counts them and keeps the first and last loss. */
 static inline void plain_steps(const struct plain *plain, struct mo_training *training,
-                               const struct mo_bits *designs, uint32_t n, uint32_t n_steps,
-                               struct history *history, uint32_t generation)
+                               uint32_t n_steps, struct mo_campaign_generation *row)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(training);
   struct mo_outcome *outcomes = calloc(settings->batch, sizeof(*outcomes));
   double *gradient = calloc(mo_training_controller(training)->n_parameters, sizeof(*gradient));
-  if (n_steps > 0)
-    CHECK_INT(mo_training_set_designs(training, designs[0].words, n, NULL), MO_OK);
   for (uint32_t i = 0; i < n_steps; i++) {
     const struct mo_robot *robots = NULL;
     struct mo_gradient_counts counts = {0};
@@ -76,12 +65,30 @@ static inline void plain_steps(const struct plain *plain, struct mo_training *tr
     plain->gradient(plain->context, mo_training_controller(training), robots, settings->batch,
                     &settings->physics, gradient, outcomes, &counts);
     CHECK_INT(mo_training_apply(training, gradient, outcomes, &counts, &report), MO_OK);
-    if (history->generations[generation].learning_steps++ == 0)
-      history->generations[generation].first_loss = report.mean_loss;
-    history->generations[generation].last_loss = report.mean_loss;
+    if (row != NULL && row->learning_steps++ == 0)
+      row->first_loss = report.mean_loss;
+    if (row != NULL)
+      row->last_loss = report.mean_loss;
   }
   free(outcomes);
   free(gradient);
+}
+
+/* The hash of the file that a training leaves. */
+static inline struct mo_sha256 plain_result(const struct mo_training *training, const char *parent,
+                                            const char *code_version,
+                                            const struct mo_training_lineage *lineage)
+{
+  struct mo_controller *controller = NULL;
+  struct mo_sha256 sha256;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  CHECK_INT(mo_training_export(training, parent, code_version, lineage, &controller), MO_OK);
+  CHECK_INT(mo_controller_encode(controller, &bytes, &size), MO_OK);
+  mo_sha256_of(bytes, size, &sha256);
+  free(bytes);
+  mo_controller_free(controller);
+  return sha256;
 }
 
 static inline struct mo_training *plain_training(const struct origin *origin, uint32_t generation,
@@ -100,6 +107,26 @@ static inline struct mo_training *plain_training(const struct origin *origin, ui
   return training;
 }
 
+/* Learns in a generation, on the parents and on the children behind them. */
+static inline void plain_learning(const struct plain *plain, const struct origin *origin,
+                                  const struct mo_bits *bits, uint32_t n_parents, uint32_t n,
+                                  struct mo_training **training, struct mo_campaign_generation *row)
+{
+  const struct mo_campaign_settings *settings = &origin->settings;
+  if (settings->mode == MO_FEW_SHOT || row->generation == 0) {
+    mo_training_free(*training);
+    *training = plain_training(origin, row->generation, bits + n_parents, n);
+  }
+  if (n_parents > 0 && settings->parent_steps > 0) {
+    CHECK_INT(mo_training_set_designs(*training, bits[0].words, n_parents, NULL), MO_OK);
+    plain_steps(plain, *training, settings->parent_steps, row);
+  }
+  if (settings->child_steps > 0) {
+    CHECK_INT(mo_training_set_designs(*training, bits[n_parents].words, n, NULL), MO_OK);
+    plain_steps(plain, *training, settings->child_steps, row);
+  }
+}
+
 static inline double plain_score(const struct plain *plain, const struct origin *origin,
                                  const struct mo_bits *genotype,
                                  const struct mo_controller *controller)
@@ -111,32 +138,37 @@ static inline double plain_score(const struct plain *plain, const struct origin 
   return sum / origin->n_environments;
 }
 
+static inline void plain_move(const struct mo_bits *from, struct mo_workspace workspace,
+                              uint64_t *genotype)
+{
+  CHECK_INT(mo_genotype_move(MO_DEFAULT_WORKSPACE, from->words, workspace, genotype), MO_OK);
+}
+
 /* Returns false when the campaign had no more children. */
 static inline bool plain_generation(const struct plain *plain, const struct origin *origin,
                                     uint32_t g, struct mo_seen *seen, struct mo_training **training,
                                     struct history *history)
 {
   const struct mo_campaign_settings *settings = &origin->settings;
-  const size_t words = mo_workspace_words(settings->workspace);
+  const struct mo_workspace workspace = settings->workspace;
+  const size_t words = mo_workspace_words(workspace);
+  const bool is_zero_shot = settings->mode == MO_ZERO_SHOT;
   static uint64_t genotypes[2 * HISTORY_POPULATION * MO_DEFAULT_WORDS];
+  struct mo_campaign_generation *row = &history->generations[g];
   struct mo_bits bits[2 * HISTORY_POPULATION];
   struct mo_birth births[HISTORY_POPULATION];
   struct mo_candidate candidates[2 * HISTORY_POPULATION];
-  uint32_t survivors[HISTORY_POPULATION], n_survivors = 0, n_parents = 0, n = 0;
-  const uint32_t *numbers = g > 0 ? history->generations[g - 1].numbers : NULL;
-  if (g > 0)
-    n_parents = history->generations[g - 1].n;
+  uint32_t survivors[HISTORY_POPULATION], n_survivors = 0, n = 0;
+  const uint32_t n_parents = g > 0 ? history->populations[g - 1].n : 0;
+  const uint32_t *numbers = g > 0 ? history->populations[g - 1].numbers : NULL;
   for (uint32_t i = 0; i < n_parents; i++) {
     bits[i] = history->designs[numbers[i]].genotype;
-    CHECK_INT(mo_genotype_move(MO_DEFAULT_WORKSPACE, bits[i].words, settings->workspace,
-                               genotypes + words * i),
-              MO_OK);
+    plain_move(&bits[i], workspace, genotypes + words * i);
   }
+  *row = (struct mo_campaign_generation){.generation = g, .first_loss = NAN, .last_loss = NAN};
   if (g == 0) {
     for (uint32_t i = 0; i < origin->n_given; i++)
-      CHECK_INT(mo_genotype_move(MO_DEFAULT_WORKSPACE, origin->given[i].words, settings->workspace,
-                                 genotypes + words * i),
-                MO_OK);
+      plain_move(&origin->given[i], workspace, genotypes + words * i);
     CHECK_INT(mo_population_initial(settings, seen, genotypes, origin->n_given, &n, NULL, NULL),
               MO_OK);
     for (uint32_t i = 0; i < n; i++)
@@ -144,58 +176,47 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
           i < origin->n_given ? MO_BORN_LISTED : MO_BORN_RANDOM, {MO_NO_PARENT, MO_NO_PARENT}, 1};
   } else {
     CHECK_INT(mo_variation(settings, g, genotypes, n_parents, seen, genotypes + words * n_parents,
-                           births, &n, &history->generations[g].variation, NULL),
+                           births, &n, &row->variation, NULL),
               MO_OK);
   }
   if (n == 0)
     return false;
   for (uint32_t i = 0; i < n; i++) {
-    const uint32_t number = history->n_designs + i;
-    CHECK_INT(mo_genotype_move(settings->workspace, genotypes + words * (n_parents + i),
-                               MO_DEFAULT_WORKSPACE, bits[n_parents + i].words),
+    struct mo_campaign_design *design = &history->designs[history->n_designs + i];
+    CHECK_INT(mo_genotype_move(workspace, genotypes + words * (n_parents + i), MO_DEFAULT_WORKSPACE,
+                               bits[n_parents + i].words),
               MO_OK);
-    history->designs[number].genotype = bits[n_parents + i];
-    history->designs[number].born = g;
-    history->designs[number].died = -1;
-    history->designs[number].descent.op = (uint8_t)births[i].op;
+    *design = (struct mo_campaign_design){.number = history->n_designs + i,
+                                          .genotype = bits[n_parents + i],
+                                          .born = g,
+                                          .descent.op = (uint8_t)births[i].op};
     for (int k = 0; k < 2; k++)
-      history->designs[number].descent.parents[k] =
+      design->descent.parents[k] =
           births[i].parents[k] == MO_NO_PARENT ? MO_NO_PARENT : numbers[births[i].parents[k]];
   }
-  history->generations[g].first_loss = history->generations[g].last_loss = NAN;
-  if (settings->mode != MO_ZERO_SHOT) {
-    if (settings->mode == MO_FEW_SHOT || g == 0) {
-      mo_training_free(*training);
-      *training = plain_training(origin, g, bits + n_parents, n);
-    }
-    if (g > 0)
-      plain_steps(plain, *training, bits, n_parents, settings->parent_steps, history, g);
-    plain_steps(plain, *training, bits + n_parents, n, settings->child_steps, history, g);
-  }
+  if (!is_zero_shot)
+    plain_learning(plain, origin, bits, n_parents, n, training, row);
   for (uint32_t i = 0; i < n_parents + n; i++) {
     const uint32_t number = i < n_parents ? numbers[i] : history->n_designs + i - n_parents;
-    if (settings->mode != MO_ZERO_SHOT || i >= n_parents) {
-      history->designs[number].score = plain_score(
-          plain, origin, &bits[i],
-          settings->mode == MO_ZERO_SHOT ? origin->controller : mo_training_controller(*training));
-      history->generations[g].rollouts += origin->n_environments;
+    struct mo_campaign_design *design = &history->designs[number];
+    if (!is_zero_shot || i >= n_parents) {
+      design->score =
+          plain_score(plain, origin, &bits[i],
+                      is_zero_shot ? origin->controller : mo_training_controller(*training));
+      row->rollouts += origin->n_environments;
     }
-    candidates[i] = (struct mo_candidate){history->designs[number].score, number,
-                                          history->designs[number].born};
+    candidates[i] = (struct mo_candidate){design->score, number, design->born};
   }
   CHECK_INT(mo_select(settings, g, genotypes, candidates, n_parents + n, survivors, &n_survivors),
             MO_OK);
-  for (uint32_t i = 0; i < n_parents + n; i++) {
-    bool lives = false;
-    for (uint32_t k = 0; k < n_survivors; k++)
-      lives = lives || survivors[k] == i;
-    if (!lives)
-      history->designs[candidates[i].number].died = g;
-  }
-  history->generations[g].n = n_survivors;
+  for (uint32_t i = 0; i < n_parents + n; i++)
+    history->designs[candidates[i].number].died = g;
+  history->populations[g].n = n_survivors;
   for (uint32_t i = 0; i < n_survivors; i++) {
-    history->generations[g].numbers[i] = (uint32_t)candidates[survivors[i]].number;
-    history->generations[g].scores[i] = candidates[survivors[i]].score;
+    const struct mo_candidate *survivor = &candidates[survivors[i]];
+    history->designs[survivor->number].died = -1;
+    history->populations[g].numbers[i] = (uint32_t)survivor->number;
+    history->populations[g].scores[i] = survivor->score;
   }
   history->n_designs += n;
   history->n_generations = g + 1;
@@ -207,21 +228,13 @@ static inline struct history *plain_history(const struct plain *plain, const str
 {
   struct history *history = calloc(1, sizeof(*history));
   struct mo_training *training = NULL;
-  struct mo_controller *controller = NULL;
   struct mo_seen *seen = NULL;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
   CHECK_INT(mo_seen_create(origin->settings.workspace, origin->excluded, &seen), MO_OK);
   for (uint32_t g = 0; g <= origin->settings.generations; g++)
     if (!plain_generation(plain, origin, g, seen, &training, history))
       break;
-  if (training != NULL &&
-      mo_training_export(training, origin->digits, plain->code_version, NULL, &controller) ==
-          MO_OK &&
-      mo_controller_encode(controller, &bytes, &size) == MO_OK)
-    mo_sha256_of(bytes, size, &history->result);
-  free(bytes);
-  mo_controller_free(controller);
+  if (training != NULL)
+    history->result = plain_result(training, origin->digits, plain->code_version, NULL);
   mo_training_free(training);
   mo_seen_free(seen);
   return history;
@@ -231,49 +244,55 @@ static inline struct history *plain_history(const struct plain *plain, const str
 static inline struct history *stored_history(struct mo_store *store, int64_t id)
 {
   struct history *history = calloc(1, sizeof(*history));
-  struct mo_campaign_design *designs = calloc(HISTORY_DESIGNS, sizeof(*designs));
-  struct mo_campaign_generation *rows = calloc(HISTORY_GENERATIONS, sizeof(*rows));
+  struct mo_campaign_design rows[HISTORY_POPULATION];
   struct mo_campaign_status status;
-  int64_t n_designs = mo_store_campaign_designs(store, id, -1, designs, MO_PAGE_MAX);
-  int64_t n = mo_store_campaign_generations(store, id, -1, rows, HISTORY_GENERATIONS);
+  int64_t n_designs = mo_store_campaign_designs(store, id, -1, history->designs, MO_PAGE_MAX);
+  int64_t n =
+      mo_store_campaign_generations(store, id, -1, history->generations, HISTORY_GENERATIONS);
   CHECK(n_designs >= 0 && n >= 0);
   CHECK_INT(mo_store_campaign(store, id, &status), MO_OK);
-  for (int64_t i = 0; i < n_designs; i++) {
-    CHECK_INT(designs[i].number, i);
-    history->designs[i].genotype = designs[i].genotype;
-    history->designs[i].descent = designs[i].descent;
-    history->designs[i].born = designs[i].born;
-    history->designs[i].died = designs[i].died;
-    history->designs[i].score = designs[i].score;
-  }
   history->n_designs = (uint32_t)n_designs;
   history->n_generations = (uint32_t)n;
   for (int64_t g = 0; g < n; g++) {
-    uint32_t size = 0;
-    CHECK_INT(rows[g].generation, g);
-    CHECK(mo_store_campaign_population(store, id, g, 0, designs, HISTORY_POPULATION, &size) ==
-          (int64_t)size);
-    history->generations[g].n = size;
-    for (uint32_t i = 0; i < size; i++) {
-      history->generations[g].numbers[i] = designs[i].number;
-      history->generations[g].scores[i] = designs[i].score;
+    uint32_t *size = &history->populations[g].n;
+    CHECK_INT(mo_store_campaign_population(store, id, g, 0, rows, HISTORY_POPULATION, size), *size);
+    for (uint32_t i = 0; i < *size; i++) {
+      history->populations[g].numbers[i] = rows[i].number;
+      history->populations[g].scores[i] = rows[i].score;
     }
-    history->generations[g].learning_steps = rows[g].learning_steps;
-    history->generations[g].first_loss = rows[g].first_loss;
-    history->generations[g].last_loss = rows[g].last_loss;
-    history->generations[g].variation = rows[g].variation;
-    history->generations[g].rollouts = rows[g].rollouts;
   }
   if (status.has_result)
     history->result = status.result_sha256;
-  free(designs);
-  free(rows);
   return history;
 }
 
 static inline bool same_number(double a, double b)
 {
   return memcmp(&a, &b, sizeof(a)) == 0 || (isnan(a) && isnan(b));
+}
+
+static inline bool same_design(const struct history *x, const struct history *y, uint32_t i)
+{
+  const struct mo_campaign_design *a = &x->designs[i], *b = &y->designs[i];
+  return a->number == i && b->number == i &&
+         memcmp(&a->genotype, &b->genotype, sizeof(a->genotype)) == 0 &&
+         a->descent.op == b->descent.op && a->descent.parents[0] == b->descent.parents[0] &&
+         a->descent.parents[1] == b->descent.parents[1] && a->born == b->born &&
+         a->died == b->died && same_number(a->score, b->score);
+}
+
+static inline bool same_generation(const struct history *x, const struct history *y, uint32_t g)
+{
+  const struct mo_campaign_generation *a = &x->generations[g], *b = &y->generations[g];
+  bool same =
+      a->generation == g && b->generation == g && x->populations[g].n == y->populations[g].n &&
+      a->learning_steps == b->learning_steps && same_number(a->first_loss, b->first_loss) &&
+      same_number(a->last_loss, b->last_loss) && a->variation.mutants == b->variation.mutants &&
+      a->variation.recombinants == b->variation.recombinants && a->rollouts == b->rollouts;
+  for (uint32_t i = 0; same && i < x->populations[g].n; i++)
+    same = x->populations[g].numbers[i] == y->populations[g].numbers[i] &&
+           same_number(x->populations[g].scores[i], y->populations[g].scores[i]);
+  return same;
 }
 
 /* Tells the first difference. */
@@ -285,40 +304,20 @@ static inline bool same_history(const struct history *a, const struct history *b
     return false;
   }
   for (uint32_t i = 0; i < a->n_designs; i++)
-    if (memcmp(&a->designs[i].genotype, &b->designs[i].genotype, sizeof(struct mo_bits)) != 0 ||
-        a->designs[i].descent.op != b->designs[i].descent.op ||
-        a->designs[i].descent.parents[0] != b->designs[i].descent.parents[0] ||
-        a->designs[i].descent.parents[1] != b->designs[i].descent.parents[1] ||
-        a->designs[i].born != b->designs[i].born || a->designs[i].died != b->designs[i].died ||
-        !same_number(a->designs[i].score, b->designs[i].score)) {
+    if (!same_design(a, b, i)) {
       printf("# design %u differs: born %u, died %lld, score %.17g; expected %u, %lld, %.17g\n", i,
              a->designs[i].born, (long long)a->designs[i].died, a->designs[i].score,
              b->designs[i].born, (long long)b->designs[i].died, b->designs[i].score);
       return false;
     }
-  for (uint32_t g = 0; g < a->n_generations; g++) {
-    bool same =
-        a->generations[g].n == b->generations[g].n &&
-        a->generations[g].learning_steps == b->generations[g].learning_steps &&
-        same_number(a->generations[g].first_loss, b->generations[g].first_loss) &&
-        same_number(a->generations[g].last_loss, b->generations[g].last_loss) &&
-        a->generations[g].variation.mutants == b->generations[g].variation.mutants &&
-        a->generations[g].variation.recombinants == b->generations[g].variation.recombinants &&
-        a->generations[g].rollouts == b->generations[g].rollouts;
-    for (uint32_t i = 0; same && i < a->generations[g].n; i++)
-      same = a->generations[g].numbers[i] == b->generations[g].numbers[i] &&
-             same_number(a->generations[g].scores[i], b->generations[g].scores[i]);
-    if (!same) {
-      printf(
-          "# generation %u differs: n %u/%u, steps %u/%u, losses %g %g/%g %g, rollouts %llu/%llu\n",
-          g, a->generations[g].n, b->generations[g].n, a->generations[g].learning_steps,
-          b->generations[g].learning_steps, a->generations[g].first_loss,
-          a->generations[g].last_loss, b->generations[g].first_loss, b->generations[g].last_loss,
-          (unsigned long long)a->generations[g].rollouts,
-          (unsigned long long)b->generations[g].rollouts);
+  for (uint32_t g = 0; g < a->n_generations; g++)
+    if (!same_generation(a, b, g)) {
+      printf("# generation %u differs: n %u/%u, steps %u/%u, rollouts %llu/%llu\n", g,
+             a->populations[g].n, b->populations[g].n, a->generations[g].learning_steps,
+             b->generations[g].learning_steps, (unsigned long long)a->generations[g].rollouts,
+             (unsigned long long)b->generations[g].rollouts);
       return false;
     }
-  }
   if (!mo_sha256_equal(&a->result, &b->result)) {
     printf("# the resulting controllers differ\n");
     return false;

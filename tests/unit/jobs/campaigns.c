@@ -1,8 +1,7 @@
 /* campaigns.c: campaigns with a fake back end, whose losses and gradients are functions of their
  * inputs: every mode end to end, against plain loops (campaign_history.h), and what is reported of
  * them. */
-#include "campaigns.h"
-#include "jobs/trainings.h"
+#include "fakes.h"
 
 /* For any number of workers; with environments of its own, more than a block takes. */
 static void evolves_in_every_mode(void)
@@ -23,10 +22,10 @@ static void evolves_in_every_mode(void)
     if (mode == MO_SIMULTANEOUS)
       request.controller = "default";
     origin = origin_of(&request);
-    REQUIRE(watch_start(&service) == MO_OK);
+    REQUIRE(service_begin(&service) == MO_OK);
     service.n_workers = workers[mode];
     REQUIRE(service_open(&service) == MO_OK);
-    id = submit(&service, &request);
+    id = submit_campaign(&service, &request);
     CHECK(ends_as_plain(&service, id, &origin));
     CHECK_INT(mo_store_check(service.fixture.store, &service.fixture.message), MO_OK);
     CHECK_INT(warnings, 0);
@@ -35,11 +34,10 @@ static void evolves_in_every_mode(void)
 }
 
 /* Parents keep their scores, and what is stored is not computed again. */
-__attribute__((unused)) static void scores_nothing_twice(void)
+SERVICE_CASE(scores_nothing_twice, 1)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
   struct origin origin = origin_of(&request);
-  struct service service;
   struct mo_campaign_generation rows[GENERATIONS + 1];
   struct mo_jobs_stats stats;
   struct mo_evaluation_request evaluation;
@@ -48,60 +46,56 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   struct mo_job job;
   uint64_t rollouts;
   int64_t id;
-  REQUIRE(start(&service, 1) == MO_OK);
-  id = submit(&service, &request);
-  CHECK(ends_as_plain(&service, id, &origin));
-  stats = idle_stats(&service);
-  rollouts = status_of(&service, id).n_designs * MO_PAPER_TEST_COUNT;
+  id = submit_campaign(service, &request);
+  CHECK(ends_as_plain(service, id, &origin));
+  stats = idle_stats(service);
+  rollouts = status_of(service, id).n_designs * MO_PAPER_TEST_COUNT;
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, 0);
   CHECK_INT(stats.campaign_generations, GENERATIONS + 1);
-  CHECK_INT(stats.campaign_designs, status_of(&service, id).n_designs);
+  CHECK_INT(stats.campaign_designs, status_of(service, id).n_designs);
   CHECK_INT(stats.active_campaigns, 0);
   CHECK_INT(stats.jobs_succeeded, 1);
   /* The same once more finds everything; an evaluation of its designs does, too. */
-  id = submit(&service, &request);
-  CHECK(ends_as_plain(&service, id, &origin));
-  stats = idle_stats(&service);
+  id = submit_campaign(service, &request);
+  CHECK(ends_as_plain(service, id, &origin));
+  stats = idle_stats(service);
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, rollouts);
-  CHECK_INT(mo_store_campaign_generations(service.fixture.store, id, -1, rows, GENERATIONS + 1),
+  CHECK_INT(mo_store_campaign_generations(service->fixture.store, id, -1, rows, GENERATIONS + 1),
             GENERATIONS + 1);
   for (int g = 0; g <= GENERATIONS; g++)
     CHECK(rows[g].rollouts_cached == rows[g].rollouts &&
           rows[g].rollouts == rows[g].n_children * MO_PAPER_TEST_COUNT);
-  REQUIRE(mo_store_campaign_designs(service.fixture.store, id, -1, designs, POPULATION) ==
+  REQUIRE(mo_store_campaign_designs(service->fixture.store, id, -1, designs, POPULATION) ==
           POPULATION);
   for (int i = 0; i < POPULATION; i++)
     genotypes[i] = designs[i].genotype;
   evaluation = service_request(genotypes, POPULATION);
   evaluation.physics = request.record.settings.physics;
-  id = service_submit(&service, &evaluation);
-  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
+  id = service_submit(service, &evaluation);
+  job = end_of(service, id);
   CHECK_INT(job.rollouts_cached, POPULATION * MO_PAPER_TEST_COUNT);
   /* A campaign that learns asks its own controller. */
   request = campaign(MO_FEW_SHOT);
   request.record.settings.generations = 1;
   origin = origin_of(&request);
-  id = submit(&service, &request);
-  CHECK(ends_as_plain(&service, id, &origin));
-  CHECK_INT(idle_stats(&service).campaign_cached, rollouts);
-  CHECK_INT(idle_stats(&service).campaign_rollouts - rollouts,
-            3 * POPULATION * MO_PAPER_TEST_COUNT);
-  CHECK_INT(idle_stats(&service).campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
-  service_end(&service);
+  id = submit_campaign(service, &request);
+  CHECK(ends_as_plain(service, id, &origin));
+  CHECK_INT(idle_stats(service).campaign_cached, rollouts);
+  CHECK_INT(idle_stats(service).campaign_rollouts - rollouts, 3 * POPULATION * MO_PAPER_TEST_COUNT);
+  CHECK_INT(idle_stats(service).campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
 }
 
 /* Listed designs, in a smaller workspace; then another campaign that begins with what the first
  * ended with. */
-__attribute__((unused)) static void begins_with_what_is_given(void)
+SERVICE_CASE(begins_with_what_is_given, 1)
 {
   struct mo_campaign_request request = campaign(MO_SIMULTANEOUS);
   struct mo_bits listed[3] = {{{0}}};
   struct mo_campaign_design designs[POPULATION];
   struct mo_bits inherited[4];
-  struct history *history;
-  struct service service;
+  struct history *history, *stored;
   struct origin origin;
   int64_t id;
   uint32_t n = 0;
@@ -115,13 +109,12 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   request.record.n_listed = 3;
   request.record.settings.workspace = (struct mo_workspace){3, 2, 2};
   origin = origin_of(&request);
-  REQUIRE(start(&service, 1) == MO_OK);
-  id = submit(&service, &request);
-  CHECK(ends_as_plain(&service, id, &origin));
-  CHECK_INT(mo_store_campaign_designs(service.fixture.store, id, -1, designs, 4), 4);
+  id = submit_campaign(service, &request);
+  CHECK(ends_as_plain(service, id, &origin));
+  CHECK_INT(mo_store_campaign_designs(service->fixture.store, id, -1, designs, 4), 4);
   CHECK(designs[0].descent.op == MO_BORN_LISTED && designs[3].descent.op == MO_BORN_RANDOM);
-  REQUIRE(mo_store_campaign_population(service.fixture.store, id, -1, 0, designs, POPULATION, &n) ==
-          POPULATION);
+  REQUIRE(mo_store_campaign_population(service->fixture.store, id, -1, 0, designs, POPULATION,
+                                       &n) == POPULATION);
   request = campaign(MO_ZERO_SHOT);
   request.record.initial_campaign = id;
   request.record.settings.population = 4; /* the best of them */
@@ -130,53 +123,43 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   origin = origin_of(&request);
   origin.given = inherited;
   origin.n_given = 4;
-  id = submit(&service, &request);
-  REQUIRE(id > 0 && await_end(service.jobs, id, 120000, &(struct mo_job){.id = 0}) == MO_OK);
+  id = submit_campaign(service, &request);
+  CHECK(succeeds(service, id, NULL));
   history = plain_history(&fake_plain, &origin);
   for (int i = 0; i < 4; i++)
     history->designs[i].descent.op = MO_BORN_INHERITED;
-  {
-    struct history *stored = stored_history(service.fixture.store, id);
-    CHECK(same_history(stored, history));
-    free(stored);
-  }
+  stored = stored_history(service->fixture.store, id);
+  CHECK(same_history(stored, history));
+  free(stored);
   free(history);
-  service_end(&service);
 }
 
 /* ---- what is reported ---- */
 
-__attribute__((unused)) static void reports_its_generations(void)
+SERVICE_CASE(reports_its_generations, 1)
 {
   struct mo_campaign_request request = campaign(MO_FEW_SHOT);
   struct mo_campaign_generation rows[GENERATIONS + 1];
   struct mo_event events[80];
-  struct service service;
-  struct mo_job job;
   double most = 0;
   bool warned_since = false;
-  int generations = 0, collapses = 0, expected = 0;
+  int expected = 0;
   int64_t id, n;
   request.record.settings.collapse_share = 1; /* any fall */
   snprintf(request.record.name, sizeof(request.record.name), "walker");
-  REQUIRE(start(&service, 1) == MO_OK);
   fake_plan.delay_us = 2000;
-  id = submit(&service, &request);
-  REQUIRE(await_place(&service, id, 1, MO_PHASE_SCORE));
-  CHECK(live_of(&service, id).total == 2 * POPULATION ||
-        live_of(&service, id).phase != MO_PHASE_SCORE);
+  id = submit_campaign(service, &request);
+  REQUIRE(await_place(service, id, 1, MO_PHASE_SCORE));
+  CHECK(live_of(service, id).total == 2 * POPULATION ||
+        live_of(service, id).phase != MO_PHASE_SCORE);
   CHECK_TEXT(mo_phase_name(MO_PHASE_SCORE), "scoring");
-  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
-  CHECK_INT(job.state, MO_JOB_SUCCEEDED);
-  n = mo_store_events(service.fixture.store, 0, id, events, 80, NULL, NULL);
-  for (int64_t i = 0; i < n; i++) {
+  CHECK(succeeds(service, id, NULL));
+  n = mo_store_events(service->fixture.store, 0, id, events, 80, NULL, NULL);
+  for (int64_t i = 0; i < n; i++)
     CHECK(events[i].data[strlen(events[i].data) - 1] == '}' && strlen(events[i].data) < 480);
-    generations += strcmp(events[i].type, "campaign.generation") == 0;
-    collapses += strcmp(events[i].type, "campaign.diversity_collapse") == 0;
-  }
-  CHECK_INT(generations, GENERATIONS + 1);
+  CHECK_INT(count_events(service, id, "campaign.generation"), GENERATIONS + 1);
   CHECK_TEXT(events[n - 1].type, "job.finished");
-  REQUIRE(mo_store_campaign_generations(service.fixture.store, id, -1, rows, GENERATIONS + 1) ==
+  REQUIRE(mo_store_campaign_generations(service->fixture.store, id, -1, rows, GENERATIONS + 1) ==
           GENERATIONS + 1);
   for (int g = 0; g <= GENERATIONS; g++) { /* once of every fall, again only after a new maximum */
     bool falls;
@@ -198,9 +181,8 @@ __attribute__((unused)) static void reports_its_generations(void)
               g > 0 ? (uint32_t)lround(rows[g].turnover * POPULATION) : 0);
   }
   CHECK(expected > 0);
-  CHECK_INT(collapses, expected);
-  CHECK_INT(live_of(&service, id + 7).phase, MO_PHASE_IDLE);
-  service_end(&service);
+  CHECK_INT(count_events(service, id, "campaign.diversity_collapse"), expected);
+  CHECK_INT(live_of(service, id + 7).phase, MO_PHASE_IDLE);
 }
 
 /* Champions, their recordings, and a training on the population: with the controller that scored
@@ -208,7 +190,6 @@ __attribute__((unused)) static void reports_its_generations(void)
 __attribute__((unused)) static void shows_its_champions(void)
 {
   for (int mode = MO_ZERO_SHOT; mode <= MO_FEW_SHOT; mode++) {
-    struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
     struct mo_campaign_design rows[20];
     struct mo_evaluation_results *results = NULL;
     struct mo_trajectory *trajectory = NULL;
@@ -217,9 +198,9 @@ __attribute__((unused)) static void shows_its_champions(void)
     struct mo_job job;
     uint32_t n = 0;
     int64_t id, evaluation = 0;
-    REQUIRE(start(&service, 1) == MO_OK);
+    REQUIRE(service_start(&service, 1) == MO_OK);
     fake_plan.delay_us = 3000;
-    id = submit(&service, &request);
+    id = submit_one(&service, mode);
     REQUIRE(await_place(&service, id, 2, MO_PHASE_SCORE));
     CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
     CHECK(await_phase(&service, id, MO_PHASE_IDLE));
@@ -236,8 +217,8 @@ __attribute__((unused)) static void shows_its_champions(void)
       CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 5, NULL, &evaluation,
                                                   &service.fixture.message),
                 MO_OK);
-      REQUIRE(await_end(service.jobs, evaluation, 120000, &job) == MO_OK);
-      CHECK(job.state == MO_JOB_SUCCEEDED && job.priority == MO_INTERACTIVE);
+      CHECK(succeeds(&service, evaluation, &job));
+      CHECK_INT(job.priority, MO_INTERACTIVE);
       REQUIRE(mo_store_results(service.fixture.store, evaluation, &results) == MO_OK);
       for (uint32_t i = 0; i < n; i++)
         CHECK(same_number(results->scores[i], rows[i].score));
@@ -245,7 +226,7 @@ __attribute__((unused)) static void shows_its_champions(void)
       CHECK_INT(mo_store_trajectory(service.fixture.store, evaluation, 3, 9, &trajectory), MO_OK);
       mo_trajectory_free(trajectory);
       CHECK_INT(mo_jobs_resume(service.jobs, id), round == 0 ? MO_OK : MO_ERR_CONFLICT);
-      REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
+      (void)end_of(&service, id);
     }
     CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 0, 20, rows, distinctiveness, &n),
               MO_OK);
@@ -264,66 +245,52 @@ __attribute__((unused)) static void shows_its_champions(void)
   }
 }
 
-__attribute__((unused)) static void gives_its_population_to_a_training(void)
+SERVICE_CASE(gives_its_population_to_a_training, 1)
 {
-  struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
   struct mo_training_request training = {
       .record = {.settings = mo_training_defaults(MO_TRAINING_FINETUNE), .checkpoints_kept = 1},
       .population_best = 3};
   struct mo_campaign_design rows[3];
   struct mo_bits *genotypes = NULL;
-  struct service service;
-  struct mo_job job;
-  bool replayed = false;
   uint32_t n = 0;
-  int64_t id, tuning = 0;
+  int64_t id, tuning;
   training.record.settings.n_steps = 2;
   training.record.settings.batch = 4;
-  REQUIRE(start(&service, 1) == MO_OK);
   fake_plan.delay_us = 1000000;
-  id = submit(&service, &request);
+  id = submit_one(service, MO_ZERO_SHOT);
   training.population = id;
-  CHECK_INT(mo_jobs_submit_training(service.jobs, &training, &tuning, &replayed,
-                                    &service.fixture.message),
-            MO_ERR_CONFLICT);
-  CHECK(strstr(service.fixture.message.text, "no generation yet") != NULL);
+  CHECK_INT(submit_training(service, &training), MO_ERR_CONFLICT);
+  CHECK(strstr(service->fixture.message.text, "no generation yet") != NULL);
   fake_plan.delay_us = 0;
-  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
-  REQUIRE(mo_jobs_submit_training(service.jobs, &training, &tuning, &replayed,
-                                  &service.fixture.message) == MO_OK);
-  REQUIRE(await_end(service.jobs, tuning, 120000, &job) == MO_OK);
-  CHECK_INT(job.state, MO_JOB_SUCCEEDED);
-  REQUIRE(mo_store_job_designs(service.fixture.store, tuning, &genotypes, &n) == MO_OK);
+  (void)end_of(service, id);
+  tuning = submit_training(service, &training);
+  CHECK(succeeds(service, tuning, NULL));
+  REQUIRE(mo_store_job_designs(service->fixture.store, tuning, &genotypes, &n) == MO_OK);
   CHECK_INT(n, 3);
-  REQUIRE(mo_store_campaign_population(service.fixture.store, id, -1, 0, rows, 3, &n) == 3);
+  REQUIRE(mo_store_campaign_population(service->fixture.store, id, -1, 0, rows, 3, &n) == 3);
   for (int i = 0; i < 3; i++)
     CHECK(memcmp(&genotypes[i], &rows[i].genotype, sizeof(struct mo_bits)) == 0);
-  free(genotypes);
-  service_end(&service);
 }
 
 /* What it shows to work on is never a generation behind its last, also while the end is saved. */
-__attribute__((unused)) static void shows_no_generation_behind_its_last(void)
+SERVICE_CASE(shows_no_generation_behind_its_last, 1)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
-  struct service service;
   struct mo_live live;
   uint32_t most = 0;
   bool behind = false;
-  REQUIRE(start(&service, 1) == MO_OK);
   for (request.record.settings.seed = 1; request.record.settings.seed <= 8;
        request.record.settings.seed++) {
-    const int64_t id = submit(&service, &request);
-    while (!mo_job_state_is_final(status_of(&service, id).job.state))
+    const int64_t id = submit_campaign(service, &request);
+    while (!mo_job_state_is_final(status_of(service, id).job.state))
       for (int i = 0; i < 1000; i++) {
-        live = live_of(&service, id);
+        live = live_of(service, id);
         most = live.position > most ? live.position : most;
         behind |= live.phase == MO_PHASE_SAVE && live.position > GENERATIONS;
       }
   }
   CHECK_INT(most, GENERATIONS);
   CHECK(!behind);
-  service_end(&service);
 }
 
 static const struct check_case cases[] = {

@@ -1,4 +1,6 @@
 /* fake_compute.c: see fake_compute.h. */
+#pragma GCC diagnostic ignored "-Wunused-parameter" /* of functions that do nothing here */
+
 #include "fake_compute.h"
 
 #include <math.h>
@@ -44,19 +46,15 @@ static atomic_int n_shares;
 
 void mo_compute_set_gradient_bytes(struct mo_compute *compute, size_t bytes)
 {
-  (void)compute;
-  (void)bytes;
 }
 
 void mo_compute_trim(struct mo_compute *compute)
 {
-  (void)compute;
 }
 
 int mo_compute_share_create(struct mo_compute *compute, double weight,
                             struct mo_compute_share **ret)
 {
-  (void)compute;
   *ret = calloc(1, sizeof(**ret));
   if (*ret == NULL)
     return MO_ERR_NO_MEMORY;
@@ -132,30 +130,42 @@ size_t fake_history(int64_t *tags, size_t room)
   return n;
 }
 
-void fake_forget(void)
+void fake_reset(void)
 {
+  memset(&fake_plan, 0, sizeof(fake_plan));
   pthread_mutex_lock(&history_mutex);
   n_history = 0;
   pthread_mutex_unlock(&history_mutex);
 }
 
-static bool is_cancelled(const struct mo_block *block)
+static void begin(int64_t tag)
 {
-  return block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0;
+  pthread_mutex_lock(&history_mutex);
+  if (n_history < HISTORY_MAX)
+    history[n_history++] = tag;
+  pthread_mutex_unlock(&history_mutex);
+}
+
+static bool is_cancelled(const volatile int *cancel)
+{
+  return cancel != NULL && __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0;
+}
+
+/* Sleeps. false: cancelled meanwhile. */
+static bool pass(int delay_us, const volatile int *cancel)
+{
+  for (int waited = 0; waited < delay_us && !is_cancelled(cancel); waited += 200)
+    usleep(200);
+  return !is_cancelled(cancel);
 }
 
 static int run_block(struct mo_block *block)
 {
-  int delay_us = atomic_load(&fake_plan.delay_us);
-  for (int waited = 0; waited < delay_us; waited += 200) {
-    if (is_cancelled(block))
-      return MO_ERR_CANCELLED;
-    usleep(200);
-  }
-  if (is_cancelled(block))
+  if (!pass(atomic_load(&fake_plan.delay_us), block->cancel))
     return MO_ERR_CANCELLED;
   if (atomic_load(&fake_plan.fail_status) != 0 &&
-      block->genotype[0] == atomic_load(&fake_plan.fail_word) &&
+      (atomic_load(&fake_plan.fail_word) == 0 ||
+       block->genotype[0] == atomic_load(&fake_plan.fail_word)) &&
       atomic_fetch_sub(&fake_plan.fail_times, 1) > 0)
     return atomic_load(&fake_plan.fail_status);
   for (uint32_t i = 0; i < block->n_environments; i++) {
@@ -223,10 +233,7 @@ static void *work(void *context)
   struct mo_compute *compute = context;
   struct mo_block *block;
   while ((block = take(compute)) != NULL) {
-    pthread_mutex_lock(&history_mutex);
-    if (n_history < HISTORY_MAX)
-      history[n_history++] = block->tag;
-    pthread_mutex_unlock(&history_mutex);
+    begin(block->tag);
     current_tag = block->tag;
     atomic_fetch_add(&compute->busy, 1);
     block->status = run_block(block);
@@ -274,7 +281,6 @@ int mo_compute_controller_create(struct mo_compute *compute, const struct mo_con
                                  struct mo_compute_controller **ret)
 {
   struct mo_compute_controller *made = calloc(1, sizeof(*made));
-  (void)compute;
   if (made == NULL)
     return MO_ERR_NO_MEMORY;
   made->controller = controller;
@@ -299,16 +305,6 @@ int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
   pthread_cond_signal(&compute->wake);
   pthread_mutex_unlock(&compute->mutex);
   return MO_OK;
-}
-
-int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n)
-{
-  (void)compute;
-  for (size_t i = 0; i < n; i++) {
-    blocks[i].status = run_block(&blocks[i]);
-    charge(blocks[i].share, blocks[i].tag);
-  }
-  return n > 0 ? blocks[0].status : MO_OK;
 }
 
 /* ---- gradients ---- */
@@ -355,43 +351,27 @@ void fake_gradient(const struct mo_controller *controller, const struct mo_robot
 
 void mo_compute_begin_blocks(struct mo_compute *compute)
 {
-  (void)compute;
 }
 
 void mo_compute_end_blocks(struct mo_compute *compute)
 {
-  (void)compute;
 }
 
 int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots,
                                 uint32_t n, const struct mo_physics *physics)
 {
-  (void)state;
-  (void)robots;
-  (void)n;
-  (void)physics;
   return MO_OK;
 }
 
 void mo_compute_gradient_forget(struct mo_gradient_state *state)
 {
-  (void)state;
 }
 
 int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
-  int delay_us = atomic_load(&fake_plan.gradient_delay_us);
-  (void)state;
-  pthread_mutex_lock(&history_mutex);
-  if (n_history < HISTORY_MAX)
-    history[n_history++] = batch->tag;
-  pthread_mutex_unlock(&history_mutex);
-  for (int waited = 0; waited <= delay_us; waited += 200) {
-    if (batch->cancel != NULL && __atomic_load_n(batch->cancel, __ATOMIC_RELAXED) != 0)
-      return MO_ERR_CANCELLED;
-    if (delay_us > 0)
-      usleep(200);
-  }
+  begin(batch->tag);
+  if (!pass(atomic_load(&fake_plan.gradient_delay_us), batch->cancel))
+    return MO_ERR_CANCELLED;
   charge(batch->share, batch->tag);
   if (atomic_load(&fake_plan.gradient_crash))
     raise(SIGSEGV);
@@ -407,14 +387,12 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
 
 const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute)
 {
-  (void)compute;
   const char *fingerprint = atomic_load(&fake_plan.gradient_fingerprint);
   return fingerprint != NULL ? fingerprint : "fake gradient";
 }
 
 void mo_compute_settle(const struct mo_compute *compute)
 {
-  (void)compute;
 }
 
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats)
@@ -432,7 +410,6 @@ int64_t mo_compute_current_tag(void)
 
 const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_precision precision)
 {
-  (void)compute;
   return precision == MO_FLOAT64 ? "fake float64" : "fake float32";
 }
 
@@ -440,33 +417,26 @@ const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_pre
 
 uint32_t mo_compute_devices(const struct mo_compute *compute)
 {
-  (void)compute;
   return 0;
 }
 
 uint32_t mo_compute_devices_working(const struct mo_compute *compute)
 {
-  (void)compute;
   return 0;
 }
 
 int mo_compute_device(struct mo_compute *compute, uint32_t position,
                       struct mo_device_status *status)
 {
-  (void)compute;
-  (void)position;
-  (void)status;
   return MO_ERR_RANGE;
 }
 
 const char *mo_compute_device_fingerprint(const struct mo_compute *compute)
 {
-  (void)compute;
   return NULL;
 }
 
 const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *compute)
 {
-  (void)compute;
   return NULL;
 }

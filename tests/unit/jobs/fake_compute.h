@@ -11,7 +11,7 @@
 struct fake_plan {
   atomic_int delay_us;            /* of one block; it looks at its cancel flag every 200 µs */
   atomic_int fail_status;         /* 0, or what blocks of the genotype below end with */
-  atomic_uint_fast64_t fail_word; /* first word of that genotype */
+  atomic_uint_fast64_t fail_word; /* first word of that genotype; 0: of any */
   atomic_int fail_times;          /* blocks left to fail */
   atomic_bool poison;             /* losses are NaN */
   atomic_int skew;                /* added to losses: as if the code had changed */
@@ -22,6 +22,8 @@ struct fake_plan {
   atomic_bool gradient_crash;                 /* the calling thread gets a SIGSEGV */
 };
 extern struct fake_plan fake_plan;
+/* Forgets the plan and the history. NULL in programs with the real back end. */
+__attribute__((weak)) void fake_reset(void);
 
 /* Counts the rollouts of blocks and of batches of gradients when they are finished; may lie in
  * memory that processes share; NULL: not. */
@@ -43,7 +45,6 @@ void fake_gradient(const struct mo_controller *controller, const struct mo_robot
 
 /* Order in which blocks and batches of gradients were started: their tags. */
 size_t fake_history(int64_t *tags, size_t room);
-void fake_forget(void);
 
 /* The weight that the share of a tag's newest block or batch had then; 0: it named none. */
 double fake_weight(int64_t tag);

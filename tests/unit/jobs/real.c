@@ -1,130 +1,184 @@
-/* real.c: the jobs room with the real back end: the losses of a job are those of its rollouts run
- * alone, for any number of workers, in company or not, and after a restart. */
-#include <stdio.h>
+/* real.c: the jobs room with the real back end, for several numbers of workers: the losses of a job
+ * are those of its rollouts run alone, and what campaigns learn is what plain loops give. */
+#include "campaign_history.h"
+#include "service.h"
 
-#include "../check.h"
-#include "../store/fixture.h"
-#include "jobs/evaluations.h"
-#include "wait.h"
+#define WORKERS        7
+#define BOUND          0.25 /* passed by lives this short, too */
+#define RESTART_WEIGHT 2.5
 
-#define BODIES 12
-#define STEPS  150
-
-struct real {
-  struct fixture fixture;
+/* What computes one rollout or one batch alone. */
+struct alone {
+  struct mo_lattice *lattice;
+  struct mo_workspace_memory *memory;
   struct mo_compute *compute;
-  struct mo_jobs *jobs;
+  struct mo_gradient_state *gradients;
 };
 
-static int open_real(struct real *real, uint32_t n_workers)
+static int open_alone(struct alone *alone)
 {
-  struct mo_store_config store_config = {.path = real->fixture.path};
-  struct mo_compute_config compute_config = {.n_workers = n_workers, .isa = mo_isa_best()};
-  struct mo_jobs_config config = {0};
-  int error = mo_store_open(&store_config, &real->fixture.store, &real->fixture.message);
+  struct mo_compute_config config = {.n_workers = 1, .isa = mo_isa_best()};
+  int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &alone->lattice);
   if (error == MO_OK)
-    error = mo_compute_create_cpu(&compute_config, &real->compute);
+    error = mo_workspace_memory_create(&alone->memory);
   if (error == MO_OK)
-    error = mo_jobs_create(real->fixture.store, real->compute, &config, &real->jobs,
-                           &real->fixture.message);
-  return error;
+    error = mo_compute_create_cpu(&config, &alone->compute);
+  return error == MO_OK ? mo_gradient_state_create(alone->compute, &alone->gradients) : error;
 }
 
-static void close_real(struct real *real)
+static void close_alone(struct alone *alone)
 {
-  mo_jobs_free(real->jobs);
-  mo_compute_free(real->compute);
-  mo_store_close(real->fixture.store);
-  real->jobs = NULL;
-  real->compute = NULL;
-  real->fixture.store = NULL;
+  mo_gradient_state_free(alone->gradients);
+  mo_compute_free(alone->compute);
+  mo_workspace_memory_free(alone->memory);
+  mo_lattice_free(alone->lattice);
 }
 
 /* One body in one environment, alone in its block. */
-static double alone(const struct mo_pack *pack, const struct mo_lattice *lattice,
-                    const struct mo_bits *genotype, const struct mo_environment *environment,
-                    const struct mo_physics *physics)
+static double lone_loss(void *context, const struct mo_bits *genotype,
+                        const struct mo_controller *controller,
+                        const struct mo_environment *environment, const struct mo_physics *physics)
 {
-  struct mo_workspace_memory *memory = NULL;
+  struct alone *alone = context;
+  struct mo_outcome outcome = {.loss = NAN};
   struct mo_body *body = NULL;
-  struct mo_bits placed = *genotype;
-  struct mo_outcome outcome = {.loss = -1};
-  mo_genotype_place(MO_DEFAULT_WORKSPACE, placed.words);
-  if (mo_workspace_memory_create(&memory) == MO_OK &&
-      mo_body_create(lattice, placed.words, &body) == MO_OK)
-    (void)mo_rollout_block(memory, pack, body, &environment, 1, physics, NULL, NULL, &outcome);
+  struct mo_pack *pack = NULL;
+  if (mo_pack_create(controller, mo_isa_best(), MO_FLOAT32, &pack) == MO_OK &&
+      mo_body_create(alone->lattice, genotype->words, &body) == MO_OK)
+    CHECK_INT(
+        mo_rollout_block(alone->memory, pack, body, &environment, 1, physics, NULL, NULL, &outcome),
+        MO_OK);
   mo_body_free(body);
-  mo_workspace_memory_free(memory);
+  mo_pack_free(pack);
   return outcome.loss;
 }
 
-static void gives_the_bits_of_lone_rollouts(void)
+static void lone_gradient(void *context, const struct mo_controller *controller,
+                          const struct mo_robot *robots, uint32_t n,
+                          const struct mo_physics *physics, double *d_parameters,
+                          struct mo_outcome *outcomes, struct mo_gradient_counts *counts)
 {
-  struct real real = {.compute = NULL};
-  struct mo_controller *controller = NULL;
-  struct mo_controller_record record;
-  struct mo_lattice *lattice = NULL;
-  struct mo_pack *pack = NULL;
-  struct mo_bits *forms, *genotypes, reversed[BODIES];
+  struct alone *alone = context;
+  struct mo_gradient_batch batch = {.controller = controller,
+                                    .robots = robots,
+                                    .n = n,
+                                    .physics = *physics,
+                                    .adjoint_bound = BOUND,
+                                    .adjoint_rule = MO_ADJOINT_RESTART,
+                                    .restart_weight = RESTART_WEIGHT,
+                                    .d_parameters = d_parameters,
+                                    .outcomes = outcomes};
+  CHECK_INT(mo_compute_gradient(alone->gradients, &batch), MO_OK);
+  *counts = batch.counts;
+}
+
+/* ---- evaluations: in company or not, and after a restart ---- */
+
+static void evaluates(void)
+{
+  enum { BODIES = 12, STEPS = 150 };
+  static const uint32_t workers[] = {2, 1, WORKERS};
+  struct alone alone = {NULL};
+  struct service service;
+  const struct mo_bits *genotypes;
+  struct mo_bits reversed[BODIES];
   struct mo_environment paper[MO_PAPER_TEST_COUNT];
-  struct mo_evaluation_request request = {
-      .environment_set = "paper-test", .priority = -1, .record_stride = 50};
-  struct mo_job job;
-  int64_t id;
-  bool replayed;
-  REQUIRE(fixture_folder(&real.fixture) == 0);
-  REQUIRE(open_real(&real, 2) == MO_OK);
-  REQUIRE(fixture_controller(real.fixture.store, "default", 1, &record) == MO_OK);
-  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
-  mo_controller_randomize(controller, 1);
-  REQUIRE(mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK);
-  REQUIRE(mo_pack_create(controller, mo_isa_best(), MO_FLOAT32, &pack) == MO_OK);
-  REQUIRE(fixture_bodies(3, BODIES, &forms, &genotypes) == MO_OK);
+  REQUIRE(open_alone(&alone) == MO_OK);
+  REQUIRE(service_begin(&service) == MO_OK);
+  genotypes = bodies(&service, 3, BODIES);
   mo_environment_paper_test(paper);
   for (int i = 0; i < BODIES; i++)
     reversed[i] = genotypes[BODIES - 1 - i];
-  request.physics = mo_default_physics();
-  request.physics.n_steps = STEPS;
-  for (uint32_t round = 0; round < 3; round++) {
+  for (int round = 0; round < 3; round++) {
+    struct mo_evaluation_request request =
+        service_request(round == 1 ? reversed : genotypes, round == 0 ? BODIES / 2 : BODIES);
     struct mo_evaluation_results *results = NULL;
-    request.genotypes = round == 1 ? reversed : genotypes;
-    request.n_designs = round == 0 ? BODIES / 2 : BODIES;
+    struct mo_trajectory *trajectory = NULL;
+    int64_t id;
+    service.n_workers = workers[round];
+    REQUIRE(service_reopen(&service) == MO_OK);
+    request.physics.n_steps = STEPS;
     request.verify = round > 0; /* computed again, in other company */
     request.record_com = round == 2;
-    REQUIRE(mo_jobs_submit_evaluation(real.jobs, &request, &id, &replayed, &real.fixture.message) ==
-            MO_OK);
-    REQUIRE(await_end(real.jobs, id, 60000, &job) == MO_OK);
-    CHECK_INT(job.state, MO_JOB_SUCCEEDED);
-    REQUIRE(mo_store_results(real.fixture.store, id, &results) == MO_OK);
+    request.record_stride = 50;
+    id = service_submit(&service, &request);
+    CHECK(succeeds(&service, id, NULL));
+    REQUIRE(mo_store_results(service.fixture.store, id, &results) == MO_OK);
     for (uint32_t n = 0; n < request.n_designs; n++) {
-      for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++) {
-        double expected = alone(pack, lattice, &request.genotypes[n], &paper[k], &request.physics);
-        CHECK(memcmp(&expected, &results->losses[n * MO_PAPER_TEST_COUNT + k], sizeof(expected)) ==
-              0);
-      }
+      for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
+        CHECK(same_number(lone_loss(&alone, &request.genotypes[n], default_weights(), &paper[k],
+                                    &request.physics),
+                          results->losses[n * MO_PAPER_TEST_COUNT + k]));
       if (request.verify)
         CHECK_INT(results->agrees[n], 1);
     }
     mo_evaluation_results_free(results);
-    if (round == 2) {
-      struct mo_trajectory *trajectory = NULL;
-      REQUIRE(mo_store_trajectory(real.fixture.store, id, 0, 0, &trajectory) == MO_OK);
-      CHECK_INT(trajectory->n_frames, STEPS / 50 + 1);
-      CHECK(trajectory->com_m[2] > 0 && trajectory->com_m[0] > 1.5 && trajectory->com_m[0] < 3.5);
-      mo_trajectory_free(trajectory);
-    }
-    close_real(&real);
-    REQUIRE(open_real(&real, round == 0 ? 1 : 7) == MO_OK);
+    if (round < 2)
+      continue;
+    REQUIRE(mo_store_trajectory(service.fixture.store, id, 0, 0, &trajectory) == MO_OK);
+    CHECK_INT(trajectory->n_frames, STEPS / 50 + 1);
+    CHECK(trajectory->com_m[2] > 0 && trajectory->com_m[0] > 1.5 && trajectory->com_m[0] < 3.5);
+    mo_trajectory_free(trajectory);
   }
-  mo_pack_free(pack);
-  mo_lattice_free(lattice);
-  mo_controller_free(controller);
-  free(forms);
-  free(genotypes);
-  close_real(&real);
-  fixture_remove(real.fixture.path);
+  close_alone(&alone);
+  service_end(&service);
+}
+
+/* ---- campaigns ---- */
+
+static void check_mode(struct alone *alone, enum mo_campaign_mode mode, uint32_t n_workers)
+{
+  struct mo_campaign_request request = {
+      .record = {.settings = mo_campaign_preset(mode, MO_PRESET_DEMO)}};
+  struct mo_campaign_settings *settings = &request.record.settings;
+  struct plain plain = {lone_loss, lone_gradient, alone, NULL};
+  struct mo_environment paper[MO_PAPER_TEST_COUNT];
+  struct mo_controller_record record;
+  struct service service;
+  struct origin origin;
+  char digits[MO_SHA256_DIGITS + 1];
+  int64_t id;
+  settings->population = 6;
+  settings->generations = 2;
+  settings->physics.n_steps = 30;
+  if (mode != MO_ZERO_SHOT)
+    settings->parent_steps = settings->child_steps = 1;
+  settings->learning.adjoint_bound = BOUND;
+  settings->learning.adjoint_rule = MO_ADJOINT_RESTART;
+  settings->learning.restart_weight = RESTART_WEIGHT;
+  snprintf(request.record.environment_set, sizeof(request.record.environment_set), "paper-test");
+  mo_environment_paper_test(paper);
+  REQUIRE(service_begin(&service) == MO_OK);
+  service.n_workers = n_workers;
+  service.config.version = "1";
+  REQUIRE(service_open(&service) == MO_OK);
+  REQUIRE(mo_store_controller(service.fixture.store, "default", &record) == MO_OK);
+  mo_sha256_to_hex(&record.sha256, digits);
+  plain.code_version = mo_jobs_code_version(service.jobs, MO_ON_CPU);
+  id = submit_campaign(&service, &request);
+  CHECK(succeeds(&service, id, NULL));
+  origin = (struct origin){.settings = *settings,
+                           .environments = paper,
+                           .n_environments = MO_PAPER_TEST_COUNT,
+                           .controller = mode == MO_SIMULTANEOUS ? NULL : default_weights(),
+                           .digits = mode == MO_SIMULTANEOUS ? NULL : digits};
+  CHECK(is_as_plain(service.fixture.store, id, &plain, &origin));
+  service_end(&service);
+}
+
+static void evolves(void)
+{
+  static const uint32_t workers[] = {1, 2, WORKERS};
+  struct alone alone = {NULL};
+  REQUIRE(open_alone(&alone) == MO_OK);
+  for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++)
+    for (int i = mode == MO_ZERO_SHOT ? 1 : 0; i < 3; i += 2)
+      check_mode(&alone, (enum mo_campaign_mode)mode, workers[(i + mode) % 3]);
+  close_alone(&alone);
 }
 
 static const struct check_case cases[] = {
-    {"gives the bits of lone rollouts", gives_the_bits_of_lone_rollouts}};
+    {"evaluates with the bits of lone rollouts", evaluates},
+    {"evolves with the bits of lone rollouts", evolves},
+};
 CHECK_MAIN(cases)

@@ -29,7 +29,7 @@ static void advance_all(struct mo_training *const *trainings, int n_trainings,
 /* The robots of step t are of designs t·batch, t·batch + 1, … of those that are set. */
 static void takes_them_in_turn(void)
 {
-  struct mo_training *training = begin(9, mo_schedule_paper_simultaneous());
+  struct mo_training *training = begin(9, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]);
   struct made_up *made_up = make_made_up(training);
   const struct mo_lattice *lattice = make_lattice(MO_DEFAULT_WORKSPACE);
   for (uint32_t step = 0; step < 9; step++) {
@@ -59,7 +59,7 @@ static void goes_on(void)
   enum { WHOLE, SAVED, UNCHANGED, N };
   struct mo_training *all[N];
   for (int i = 0; i < N; i++)
-    all[i] = begin(9, mo_schedule_paper_simultaneous());
+    all[i] = begin(9, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]);
   struct made_up *made_up = make_made_up(all[WHOLE]);
   advance_all(all, N, made_up, 3);
   CHECK(same_state(all[WHOLE], all[UNCHANGED]));
@@ -77,8 +77,8 @@ static void goes_on(void)
 
 static void refused(void)
 {
-  struct mo_training *training = begin(9, mo_schedule_paper_simultaneous()),
-                     *same = begin(9, mo_schedule_paper_simultaneous());
+  struct mo_training *training = begin(9, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]),
+                     *same = begin(9, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]);
   const struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
   struct mo_training *pretraining = make_training(&settings, NULL, NULL, 0);
   static const uint64_t empty[W];
@@ -109,8 +109,8 @@ static void refused(void)
 /* A training of 4 steps that is made one of 9 ends where one of 9 does. */
 static void longer(void)
 {
-  struct mo_training *training = begin(4, mo_schedule_paper_simultaneous()),
-                     *whole = begin(9, mo_schedule_paper_simultaneous());
+  struct mo_training *training = begin(4, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]),
+                     *whole = begin(9, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]);
   struct made_up *made_up = make_made_up(whole);
   const struct mo_robot *robots = NULL;
   advance_all(&training, 1, made_up, 4);
@@ -125,8 +125,8 @@ static void longer(void)
 
 static void shorter_and_never(void)
 {
-  struct mo_training *training = begin(9, mo_schedule_paper_simultaneous()),
-                     *cosine = begin(9, mo_schedule_finetune());
+  struct mo_training *training = begin(9, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]),
+                     *cosine = begin(9, mo_schedule_presets[MO_SCHEDULE_FINETUNE_COSINE]);
   struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
   struct made_up *made_up = make_made_up(training);
   advance_all(&training, 1, made_up, 2);
@@ -136,7 +136,7 @@ static void shorter_and_never(void)
   CHECK_INT(mo_training_set_steps(cosine, 9), MO_OK);
   CHECK_INT(mo_training_set_steps(cosine, 0), MO_ERR_RANGE);
   CHECK_INT(mo_training_settings_of(cosine)->n_steps, 9);
-  settings.learning.schedule = mo_schedule_paper_pretrain();
+  settings.learning.schedule = mo_schedule_presets[MO_SCHEDULE_PAPER_PRETRAIN];
   settings.batch = MO_TRAINING_BATCH_MAX;
   struct mo_training *pretraining = make_training(&settings, NULL, NULL, 0);
   CHECK_INT(mo_training_set_steps(pretraining, 4096), MO_OK);

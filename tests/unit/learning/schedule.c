@@ -5,10 +5,11 @@
 static void rates(void)
 {
   const double quarter = (1.0 + sqrt(0.5)) / 2.0, late = (1.0 - sqrt(0.5)) / 2.0;
-  const struct mo_schedule pretrain = mo_schedule_paper_pretrain(),
-                           paper_finetune = mo_schedule_paper_finetune(),
-                           simultaneous = mo_schedule_paper_simultaneous(),
-                           one_cosine = mo_schedule_one_cosine(), finetune = mo_schedule_finetune();
+  const struct mo_schedule pretrain = mo_schedule_presets[MO_SCHEDULE_PAPER_PRETRAIN],
+                           paper_finetune = mo_schedule_presets[MO_SCHEDULE_PAPER_FINETUNE],
+                           simultaneous = mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS],
+                           one_cosine = mo_schedule_presets[MO_SCHEDULE_ONE_COSINE],
+                           finetune = mo_schedule_presets[MO_SCHEDULE_FINETUNE_COSINE];
   const struct {
     const struct mo_schedule *schedule;
     uint32_t step, n_steps;
@@ -104,7 +105,8 @@ static void cosine(void)
 /* The bits are part of the format: a restored training must go on with the same rates. */
 static void bits(void)
 {
-  const struct mo_schedule s = mo_schedule_one_cosine(), p = mo_schedule_paper_pretrain();
+  const struct mo_schedule s = mo_schedule_presets[MO_SCHEDULE_ONE_COSINE],
+                           p = mo_schedule_presets[MO_SCHEDULE_PAPER_PRETRAIN];
   uint64_t hash = 0;
   for (uint32_t step = 0; step < 1400; step++) {
     const double rates[2] = {mo_schedule_rate(&s, step, 1400), mo_schedule_rate(&p, step, 1400)};
@@ -155,9 +157,11 @@ static void refused(void)
 
 static void known(void)
 {
-  const struct mo_schedule all[] = {mo_schedule_paper_pretrain(), mo_schedule_paper_finetune(),
-                                    mo_schedule_paper_simultaneous(), mo_schedule_one_cosine(),
-                                    mo_schedule_finetune()};
+  const struct mo_schedule all[] = {mo_schedule_presets[MO_SCHEDULE_PAPER_PRETRAIN],
+                                    mo_schedule_presets[MO_SCHEDULE_PAPER_FINETUNE],
+                                    mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS],
+                                    mo_schedule_presets[MO_SCHEDULE_ONE_COSINE],
+                                    mo_schedule_presets[MO_SCHEDULE_FINETUNE_COSINE]};
   for (int i = 0; i < 5; i++)
     CHECK_INT(check(&all[i], NULL), MO_OK);
 }

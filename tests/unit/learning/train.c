@@ -28,7 +28,7 @@ static struct mo_training *begin(void)
   settings.n_steps = STEPS;
   settings.batch = BATCH;
   settings.physics.n_steps = 80;
-  settings.learning.schedule = mo_schedule_one_cosine();
+  settings.learning.schedule = mo_schedule_presets[MO_SCHEDULE_ONE_COSINE];
   settings.learning.schedule.warmup_steps = 2;
   return finetuning(&settings, DESIGNS, 1.0F);
 }

@@ -1,0 +1,377 @@
+/* learning-trouble.c: errors, damage and lack of space: trainings and campaigns wait, try again,
+ * and end as if nothing had been. */
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/resource.h>
+
+#include "../store/fault_vfs.h"
+#include "fakes.h"
+
+/* ---- both ---- */
+
+/* No file may grow beyond so many bytes: the database can, checkpoints cannot. */
+static void limit_files(rlim_t bytes)
+{
+  struct rlimit limit;
+  signal(SIGXFSZ, SIG_IGN);
+  getrlimit(RLIMIT_FSIZE, &limit);
+  limit.rlim_cur = bytes;
+  setrlimit(RLIMIT_FSIZE, &limit);
+}
+
+/* Whether only this job is shown as waiting. */
+static bool only_waits(struct service *service, int64_t id)
+{
+  int64_t waiting[MO_WAITING_MAX] = {0};
+  return mo_jobs_waiting(service->jobs, waiting) == 1 && waiting[0] == id;
+}
+
+/* What becomes of a job that waits for something: it can be paused, resumed and cancelled, and the
+ * process can stop meanwhile; `shorten` takes away what it waits for, or gives it back. stopped:
+ * what mo_jobs_stop returns. */
+static void check_waiting(struct service *service, int mode, int64_t id,
+                          void (*shorten)(int mode, bool is_short), int stopped)
+{
+  double begin;
+  CHECK(only_waits(service, id));
+  CHECK_INT(warnings, 1);
+  CHECK_INT(mo_jobs_pause(service->jobs, id), MO_OK);
+  CHECK_INT(mo_jobs_resume(service->jobs, id), MO_OK);
+  shorten(mode, false);
+  CHECK(ends_right(service, id, mode));
+  shorten(mode, true); /* cancelled while it waits */
+  id = submit_one(service, mode);
+  REQUIRE(await_phase(service, id, MO_PHASE_WAIT));
+  begin = now_s();
+  CHECK_INT(mo_jobs_cancel(service->jobs, id), MO_OK);
+  CHECK(await_phase(service, id, MO_PHASE_IDLE));
+  CHECK(now_s() - begin < 5);
+  id = submit_one(service, mode); /* stopped while it waits: what is not saved is done again */
+  REQUIRE(await_phase(service, id, MO_PHASE_WAIT));
+  begin = now_s();
+  CHECK_INT(mo_jobs_stop(service->jobs, 5000), stopped);
+  CHECK(now_s() - begin < 2);
+  CHECK_INT(stats_of(service).active_trainings, 0);
+  service_close(service);
+  shorten(mode, false);
+  REQUIRE(service_open(service) == MO_OK);
+  CHECK(ends_right(service, id, mode));
+}
+
+static void shorten_disk(int mode, bool is_short)
+{
+  (void)mode;
+  limit_files(is_short ? 8 << 20 : RLIM_INFINITY);
+}
+
+static void waits_for_room(void)
+{
+  for (int mode = TRAINING; mode <= MO_FEW_SHOT; mode += 2) {
+    struct service service;
+    int64_t id;
+    REQUIRE(service_start(&service, 1) == MO_OK);
+    shorten_disk(mode, true);
+    id = submit_one(&service, mode);
+    CHECK(await_reason(&service, id, "no space"));
+    CHECK(await_reason(&service, id,
+                       mode == TRAINING ? "checkpoint of step 6" : "checkpoint of generation 0"));
+    CHECK(await_reason(&service, id, "by itself"));
+    CHECK_INT(live_of(&service, id).position, mode == TRAINING ? 6 : 0);
+    usleep(350000); /* it has tried again */
+    CHECK_INT(live_of(&service, id).phase, MO_PHASE_WAIT);
+    check_waiting(&service, mode, id, shorten_disk, MO_ERR_BUSY);
+    service_end(&service);
+  }
+}
+
+/* Gradients, or the blocks of a zero-shot or few-shot campaign, end with an error so many times. */
+static void break_down(int mode, int times, int status)
+{
+  const bool blocks = mode == MO_ZERO_SHOT || mode == MO_FEW_SHOT;
+  atomic_store(blocks ? &fake_plan.fail_times : &fake_plan.gradient_fails, times);
+  atomic_store(blocks ? &fake_plan.fail_status : &fake_plan.gradient_status, status);
+}
+
+static void shorten_memory(int mode, bool is_short)
+{
+  break_down(mode, is_short ? 1000 : 0, MO_ERR_NO_MEMORY);
+}
+
+/* Lack of memory is no fault of a job: it waits, as often as it takes, and loses nothing. */
+static void waits_for_memory(void)
+{
+  for (int mode = TRAINING; mode <= MO_FEW_SHOT; mode += 2) {
+    const int often = mode == TRAINING ? 995 : 980; /* more often than there are attempts */
+    struct service service;
+    int64_t id;
+    REQUIRE(service_start(&service, 1) == MO_OK);
+    shorten_memory(mode, true);
+    id = submit_one(&service, mode);
+    CHECK(AWAIT(fake_plan.fail_times + fake_plan.gradient_fails <= often));
+    CHECK(await_reason(&service, id, "no memory"));
+    CHECK(await_reason(&service, id, "by itself"));
+    check_waiting(&service, mode, id, shorten_memory, MO_OK);
+    service_end(&service);
+  }
+}
+
+__attribute__((unused)) static void tries_three_times(void)
+{
+  static const int modes[] = {TRAINING, MO_ZERO_SHOT, MO_SIMULTANEOUS};
+  for (int i = 0; i < 3; i++) {
+    struct service service;
+    struct mo_job job;
+    int64_t id;
+    REQUIRE(service_start(&service, 1) == MO_OK);
+    break_down(modes[i], 1000, MO_ERR_IO);
+    id = submit_one(&service, modes[i]);
+    job = end_of(&service, id);
+    CHECK_INT(job.state, MO_JOB_FAILED);
+    CHECK_INT(job.attempts, 3);
+    CHECK_INT(job.error, MO_ERR_IO);
+    CHECK(strstr(job.error_text, "input or output failed") != NULL);
+    CHECK_INT(warnings, 3);
+    CHECK(has_warned("input or output failed"));
+    CHECK_INT(idle_stats(&service).jobs_failed, 1);
+    if (modes[i] != TRAINING)
+      CHECK_INT(extend(&service, id, 1), MO_ERR_CONFLICT);
+    /* Nothing is lost: when the cause is gone, it goes on. One error is forgiven by what is saved
+     * after it. */
+    break_down(modes[i], 1, MO_ERR_IO);
+    CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
+    CHECK(ends_right(&service, id, modes[i]));
+    CHECK_INT(job_of(&service, id).error, MO_OK);
+    CHECK_INT(warnings, 4);
+    CHECK_INT(idle_stats(&service).open_jobs, 0);
+    CHECK_INT(mo_jobs_resume(service.jobs, id), MO_ERR_CONFLICT);
+    service_end(&service);
+  }
+}
+
+/* Puts right what was damaged, the second time. */
+static bool damage(const char *path)
+{
+  uint8_t bytes[6];
+  bool is_done = false;
+  const int fd = open(path, O_RDWR);
+  if (fd >= 0 && pread(fd, bytes, 6, 5000) == 6) {
+    for (int i = 0; i < 6; i++)
+      bytes[i] ^= 0x55;
+    is_done = pwrite(fd, bytes, 6, 5000) == 6;
+    close(fd);
+  }
+  return is_done;
+}
+
+/* ---- trainings ---- */
+
+SERVICE_CASE(waits_for_descriptors, 1)
+{
+  struct rlimit before, none;
+  int64_t id;
+  fake_plan.gradient_delay_us = 20000;
+  id = submit_one(service, TRAINING);
+  REQUIRE(await_step(service, id, 1));
+  REQUIRE(getrlimit(RLIMIT_NOFILE, &before) == 0);
+  none = before;
+  none.rlim_cur = 3;
+  REQUIRE(setrlimit(RLIMIT_NOFILE, &none) == 0);
+  CHECK(await_reason(service, id, "file descriptor"));
+  CHECK(await_reason(service, id, "by itself"));
+  usleep(500000); /* it has tried again */
+  CHECK_INT(state_of(service, id), MO_JOB_RUNNING);
+  REQUIRE(setrlimit(RLIMIT_NOFILE, &before) == 0);
+  CHECK(ends_right(service, id, TRAINING));
+}
+
+static bool damage_checkpoint(const struct service *service, int64_t id, uint32_t step)
+{
+  char path[512];
+  snprintf(path, sizeof(path), "%s/trainings/%lld/%u.checkpoint", service->fixture.path,
+           (long long)id, step);
+  return damage(path);
+}
+
+SERVICE_CASE(passes_over_damaged_checkpoints, 1)
+{
+  struct mo_checkpoint_row rows[5];
+  int64_t id;
+  fake_plan.gradient_delay_us = 20000;
+  id = submit_one(service, TRAINING);
+  /* The newest, then all of them. */
+  for (int round = 1; round <= 2; round++) {
+    REQUIRE(await_step(service, id, 12));
+    CHECK_INT(mo_jobs_stop(service->jobs, 5000), MO_OK);
+    REQUIRE(mo_store_checkpoints(service->fixture.store, id, rows, 5) == 2);
+    service_close(service);
+    for (int i = 0; i < round; i++)
+      REQUIRE(damage_checkpoint(service, id, rows[i].step));
+    warnings = 0;
+    REQUIRE(service_open(service) == MO_OK);
+    REQUIRE(await_step(service, id, 2));
+    CHECK_INT(warnings, round);
+    CHECK(has_warned(round == 1 ? "the one before it is taken" : "starts over"));
+  }
+  CHECK(ends_right(service, id, TRAINING));
+}
+
+static int start_with_faults(struct service *service)
+{
+  int error = fault_vfs_register() == SQLITE_OK ? service_begin(service) : -1;
+  memset(&fault_plan, 0, sizeof(fault_plan));
+  service->vfs = "faults";
+  return error == MO_OK ? service_open(service) : error;
+}
+
+__attribute__((unused)) static void waits_for_the_database(void)
+{
+  struct service service;
+  int64_t id;
+  REQUIRE(start_with_faults(&service) == MO_OK);
+  fake_plan.gradient_delay_us = 20000;
+  id = submit_one(&service, TRAINING);
+  REQUIRE(await_step(&service, id, 2));
+  for (int i = 0; i < 2; i++) {
+    fault_plan.writes_left = 0;
+    fault_plan.write_error = i == 0 ? SQLITE_FULL : SQLITE_BUSY;
+    CHECK(await_reason(&service, id, i == 0 ? "no space" : "locked"));
+    fault_plan.write_error = 0;
+    REQUIRE(await_phase(&service, id, MO_PHASE_LEARN));
+  }
+  CHECK(ends_right(&service, id, TRAINING));
+  service_end(&service);
+}
+
+/* No memory, not even for the note that there was none: it is written when there is. */
+__attribute__((unused)) static void notes_a_failure_when_it_can(void)
+{
+  struct service service;
+  struct mo_training_request request = pretraining("");
+  int64_t id;
+  request.record.validate_every_steps = 0;
+  REQUIRE(start_with_faults(&service) == MO_OK);
+  fake_plan.gradient_delay_us = 300000;
+  break_down(TRAINING, 1, MO_ERR_NO_MEMORY);
+  id = submit_training(&service, &request);
+  REQUIRE(await_state(&service, id, MO_JOB_RUNNING));
+  fault_plan.writes_left = 0;
+  fault_plan.write_error = SQLITE_NOMEM;
+  CHECK(await_reason(&service, id, "no memory"));
+  CHECK_INT(state_of(&service, id), MO_JOB_RUNNING);
+  fake_plan.gradient_delay_us = 0;
+  fault_plan.write_error = 0;
+  CHECK(ends_right(&service, id, TRAINING));
+  service_end(&service);
+}
+
+/* ---- campaigns ---- */
+
+/* A workspace that holds one body, or two: what there is gets scored, and then it is over. */
+SERVICE_CASE(exhausts_small_spaces, 2)
+{
+  static const struct {
+    struct mo_workspace workspace;
+    uint32_t population, n_designs;
+  } spaces[] = {{{1, 1, 1}, POPULATION, 1},
+                {{2, 1, 1}, POPULATION, 2},
+                {{2, 2, 1}, 3, 4}}; /* 1, 2, L and the square */
+  for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++)
+    for (int i = 0; i < 3; i++) {
+      struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
+      struct mo_campaign_status status;
+      struct origin origin;
+      int64_t id;
+      request.record.settings.workspace = spaces[i].workspace;
+      request.record.settings.population = spaces[i].population;
+      request.record.settings.generations = 20;
+      origin = origin_of(&request);
+      id = submit_campaign(service, &request);
+      CHECK(ends_as_plain(service, id, &origin));
+      status = status_of(service, id);
+      CHECK_INT(status.end, MO_CAMPAIGN_EXHAUSTED);
+      CHECK(status.generation >= 0 && status.generation < 20);
+      CHECK_INT(status.n_designs, spaces[i].n_designs);
+      CHECK_INT(status.has_result, mode != MO_ZERO_SHOT);
+      CHECK_INT(extend(service, id, 1), MO_ERR_CONFLICT);
+    }
+}
+
+SERVICE_CASE(refuses_nan, 1)
+{
+  struct mo_job job;
+  fake_plan.poison = true;
+  job = end_of(service, submit_one(service, MO_SIMULTANEOUS));
+  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "not a number") != NULL);
+}
+
+/* Damages what a generation has learned at its end. */
+static bool damage_generation(const struct service *service, int64_t id, uint32_t generation)
+{
+  char path[512];
+  snprintf(path, sizeof(path), "%s/campaigns/%lld/%u-%u.checkpoint", service->fixture.path,
+           (long long)id, generation, PARENT_STEPS + CHILD_STEPS);
+  return damage(path);
+}
+
+/* What was learned inside a generation is learned again; what a generation left cannot be. */
+SERVICE_CASE(reports_damaged_checkpoints, 1)
+{
+  struct mo_job job;
+  int64_t id;
+  for (int round = 0; round < 2; round++) {
+    uint32_t generation;
+    fake_plan.delay_us = 20000;
+    id = submit_one(service, MO_SIMULTANEOUS);
+    REQUIRE(await_place(service, id, 2, MO_PHASE_SCORE));
+    CHECK_INT(mo_jobs_stop(service->jobs, 5000), MO_OK);
+    generation = (uint32_t)status_of(service, id).generation + 1;
+    service_close(service);
+    REQUIRE(damage_generation(service, id, generation));
+    if (round == 1)
+      REQUIRE(damage_generation(service, id, generation - 1));
+    warnings = 0;
+    fake_plan.delay_us = 0;
+    REQUIRE(service_open(service) == MO_OK);
+    if (round == 1) {
+      job = end_of(service, id);
+      CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_CORRUPT);
+      CHECK(strstr(job.error_text, "cannot be used (it is missing, or its bytes") != NULL &&
+            strstr(job.error_text, "backup") != NULL);
+      REQUIRE(damage_generation(service, id, generation - 1));
+      CHECK_INT(mo_jobs_resume(service->jobs, id), MO_OK);
+    }
+    CHECK(ends_right(service, id, MO_SIMULTANEOUS));
+    if (round == 0) {
+      CHECK_INT(warnings, 1);
+      CHECK(has_warned("learns again"));
+    }
+  }
+}
+
+SERVICE_CASE(needs_its_controller, 1)
+{
+  struct mo_job job;
+  char path[512];
+  snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", service->fixture.path,
+           default_digits());
+  REQUIRE(truncate(path, 1000) == 0);
+  job = end_of(service, submit_one(service, MO_ZERO_SHOT));
+  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "store the same file again") != NULL);
+}
+
+static const struct check_case cases[] = {
+    {"waits for room", waits_for_room},
+    {"waits for memory", waits_for_memory},
+    {"waits for descriptors", waits_for_descriptors},
+#ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
+    {"tries three times", tries_three_times},
+    {"passes over damaged checkpoints", passes_over_damaged_checkpoints},
+    {"waits for the database", waits_for_the_database},
+    {"notes a failure when it can", notes_a_failure_when_it_can},
+    {"exhausts small spaces", exhausts_small_spaces},
+    {"refuses losses that are not numbers", refuses_nan},
+    {"reports damaged checkpoints", reports_damaged_checkpoints},
+    {"needs its controller", needs_its_controller},
+#endif
+};
+CHECK_MAIN(cases)
