@@ -181,32 +181,25 @@ static int unknown_option(const struct command *command, const char *text, size_
     for (const struct option_spec *spec = lists[l]; spec != NULL && spec->name != NULL && n < 64;
          spec++)
       names[n++] = spec->name;
-  if (length > 2 && length - 2 < sizeof(name))
-    memcpy(name, text + 2, length - 2);
+  if (length > 2)
+    snprintf(name, sizeof(name), "%.*s", (int)length - 2, text + 2);
   const char *near = *name != 0 ? nearest_name(name, names, n) : NULL;
-  if (near != NULL)
-    return complain(STATUS_USAGE, "%.*s is not an option of %s; did you mean --%s?", (int)length,
-                    text, command->name, near);
-  return complain(STATUS_USAGE, "%.*s is not an option of %s; see morphoctl %s --help", (int)length,
-                  text, command->name, command->name);
+  return complain(STATUS_USAGE, "%.*s is not an option of %s; %s%s%s", (int)length, text,
+                  command->name, near != NULL ? "did you mean --" : "see morphoctl ",
+                  near != NULL ? near : command->name, near != NULL ? "?" : " --help");
 }
 
 /* Finds the command that the first words name. *used: number of its words. */
 static const struct command *find_command(int argc, const char *const *argv, int *used)
 {
+  const size_t length = strlen(argv[1]);
   for (size_t i = 0; i < n_commands; i++) {
-    const char *space = strchr(commands[i].name, ' ');
-    size_t length = space != NULL ? (size_t)(space - commands[i].name) : strlen(commands[i].name);
-    if (strlen(argv[1]) != length || strncmp(argv[1], commands[i].name, length) != 0)
+    const char *rest = commands[i].name + length;
+    if (strncmp(commands[i].name, argv[1], length) != 0)
       continue;
-    if (space == NULL) {
-      *used = 1;
+    *used = *rest == 0 ? 1 : 2;
+    if (*rest == 0 || (*rest == ' ' && argc > 2 && strcmp(argv[2], rest + 1) == 0))
       return &commands[i];
-    }
-    if (argc > 2 && strcmp(argv[2], space + 1) == 0) {
-      *used = 2;
-      return &commands[i];
-    }
   }
   return NULL;
 }
@@ -232,9 +225,9 @@ static int unknown_command(int argc, const char *const *argv)
   for (size_t i = 0; i < n_commands && n < 64; i++)
     names[n++] = commands[i].name;
   const char *near = nearest_name(argv[1], names, n);
-  if (near != NULL)
-    return complain(STATUS_USAGE, "there is no command \"%s\"; did you mean %s?", argv[1], near);
-  return complain(STATUS_USAGE, "there is no command \"%s\"; see morphoctl --help", argv[1]);
+  return complain(STATUS_USAGE, "there is no command \"%s\"; %s%s%s", argv[1],
+                  near != NULL ? "did you mean " : "see morphoctl --help", near != NULL ? near : "",
+                  near != NULL ? "?" : "");
 }
 
 /* A word that is an option, cut into its parts. spec NULL: the command (or, for NULL, every
@@ -253,18 +246,15 @@ static bool is_option(const char *word)
 static struct option_word read_option(const struct command *command, const char *word)
 {
   struct option_word option = {.length = strlen(word)};
-  bool is_long = word[1] == '-';
-  const char *name = word + (is_long ? 2 : 1);
-  const char *equals = is_long ? strchr(name, '=') : NULL;
-  size_t length = equals != NULL ? (size_t)(equals - name) : is_long ? strlen(name) : 1;
-  if (equals != NULL) {
-    option.length = (size_t)(equals - word);
-    option.value = equals + 1;
-  } else if (!is_long && word[2] != 0) {
-    option.value = word + 2;
+  if (word[1] != '-') { /* -n, -nVALUE */
+    option.spec = find_option(command, word + 1, 1);
+    option.value = word[2] != 0 ? word + 2 : NULL;
+    return option;
   }
-  if (!is_long || length > 1)
-    option.spec = find_option(command, name, length);
+  option.length = strcspn(word, "=");
+  option.value = word[option.length] == '=' ? word + option.length + 1 : NULL;
+  if (option.length > 3)
+    option.spec = find_option(command, word + 2, option.length - 2);
   return option;
 }
 

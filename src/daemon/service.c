@@ -257,33 +257,23 @@ static int store_default_controller(struct service *service, const struct settin
                                                           : MORPHOD_DATADIR
                          "/controllers/phototaxis.safetensors";
   struct mo_controller *controller = NULL;
+  struct stat info = {.st_size = 0};
   uint8_t *bytes = NULL;
-  size_t size;
   status = mo_controller_read(path, &controller, message);
-  if (status == MO_OK)
-    status = mo_controller_encode(controller, &bytes, &size);
-  /* Use the file's own bytes if possible: the hash of a controller is that of its file. */
+  /* Store the file's own bytes: the hash of a controller is that of its file. */
   FILE *file = status == MO_OK ? fopen(path, "re") : NULL;
-  if (file != NULL) {
-    struct stat info;
-    if (fstat(fileno(file), &info) == 0 && info.st_size > 0) {
-      uint8_t *own = malloc((size_t)info.st_size);
-      if (own != NULL && fread(own, 1, (size_t)info.st_size, file) == (size_t)info.st_size) {
-        free(bytes);
-        bytes = own;
-        size = (size_t)info.st_size;
-      } else {
-        free(own);
-      }
-    }
+  if (status == MO_OK && (file == NULL || fstat(fileno(file), &info) != 0 ||
+                          (bytes = malloc((size_t)info.st_size)) == NULL ||
+                          fread(bytes, (size_t)info.st_size, 1, file) != 1))
+    status = mo_fail(message, MO_ERR_IO, "%s: %s", path, strerror(errno));
+  if (file != NULL)
     fclose(file);
-  }
   char own_name[CONTROLLER_NAME_BYTES];
   const char *const names[] = {name_of_file(path, own_name), "default"};
   for (size_t i = 0; i < 2 && status == MO_OK; i++) {
     bool created;
-    status = mo_store_controller_put(service->store, names[i], bytes, size, controller, &record,
-                                     &created);
+    status = mo_store_controller_put(service->store, names[i], bytes, (size_t)info.st_size,
+                                     controller, &record, &created);
   }
   if (status == MO_OK)
     log_info("default controller stored", LOG_TEXT("file", path));

@@ -184,7 +184,7 @@ static int listen_tcp(const char *text, const struct mo_listen_address *where,
 
 int mo_http_listen(const char *where, int *fd, char *address, struct mo_message *message)
 {
-  struct mo_listen_address parts;
+  struct mo_listen_address parts = {0};
   int result = mo_http_parse_address(where, &parts, message);
   if (result == MO_OK)
     result = parts.is_unix ? listen_unix(parts.host, message) : listen_tcp(where, &parts, message);
