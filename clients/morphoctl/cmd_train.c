@@ -124,27 +124,21 @@ static int export_controller(struct ctl *ctl, const char *id)
   return status;
 }
 
-/* Exports a curve as CSV. */
-static int export_curve(struct ctl *ctl, const char *id, const char *what, const char *output)
-{
-  char path[96];
-  snprintf(path, sizeof(path), "/v1/trainings/%s/%s", id, what);
-  return save_reply(ctl, path, "text/csv", output);
-}
-
 int run_train_export(struct ctl *ctl)
 {
+  static const char *const curves[][2] = {{"curve", "steps"}, {"validations", "validations"}};
   const char *id = ctl->operands[0];
-  const char *curve = option_text(ctl, "curve", NULL),
-             *validations = option_text(ctl, "validations", NULL);
   bool controller = option_is_set(ctl, "output") || option_is_set(ctl, "step") ||
-                    (curve == NULL && validations == NULL);
+                    !(option_is_set(ctl, "curve") || option_is_set(ctl, "validations"));
   if (!check_job_id(id))
     return STATUS_USAGE;
   int status = controller ? export_controller(ctl, id) : STATUS_OK;
-  if (status == STATUS_OK && curve != NULL)
-    status = export_curve(ctl, id, "steps", curve);
-  if (status == STATUS_OK && validations != NULL)
-    status = export_curve(ctl, id, "validations", validations);
+  for (size_t i = 0; i < 2 && status == STATUS_OK; i++) {
+    const char *output = option_text(ctl, curves[i][0], NULL);
+    char path[96];
+    snprintf(path, sizeof(path), "/v1/trainings/%s/%s", id, curves[i][1]);
+    if (output != NULL)
+      status = save_reply(ctl, path, "text/csv", output);
+  }
   return status;
 }

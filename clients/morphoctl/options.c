@@ -68,12 +68,11 @@ const char *nearest_name(const char *name, const char *const *names, size_t n)
 static void print_options(FILE *file, const struct option_spec *options)
 {
   for (const struct option_spec *spec = options; spec != NULL && spec->name != NULL; spec++) {
+    char letter[8] = "";
     if (spec->letter != 0)
-      fprintf(file, "  -%c, --%s%s%s\n", spec->letter, spec->name, spec->value != NULL ? " " : "",
-              spec->value != NULL ? spec->value : "");
-    else
-      fprintf(file, "  --%s%s%s\n", spec->name, spec->value != NULL ? " " : "",
-              spec->value != NULL ? spec->value : "");
+      snprintf(letter, sizeof(letter), "-%c, ", spec->letter);
+    fprintf(file, "  %s--%s%s%s\n", letter, spec->name, spec->value != NULL ? " " : "",
+            spec->value != NULL ? spec->value : "");
     mo_words_wrap(file, 6, spec->help);
   }
 }
