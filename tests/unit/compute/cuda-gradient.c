@@ -1,5 +1,5 @@
 /* cuda-gradient.c: how batches are laid out for the device that differentiates them. */
-#include "../check.h"
+#include "../make.h"
 
 #include "compute/cuda/gradient_pass.h"
 #include "compute/cuda/gradient_plan.h"
@@ -8,38 +8,13 @@
 
 enum { ROBOTS = 150, SHARD = 64 };
 
-struct batch {
-  struct mo_lattice *lattice;
-  struct mo_body *bodies[ROBOTS];
-  struct mo_environment environments[ROBOTS];
-  struct mo_robot robots[ROBOTS];
-};
-
-static int make_batch(struct batch *b)
+/* Robots one of which has all voxels. */
+static struct mo_robot *make_batch(void)
 {
-  struct mo_body_stream *stream = NULL;
-  memset(b, 0, sizeof(*b));
-  int status = mo_lattice_create(MO_DEFAULT_WORKSPACE, &b->lattice);
-  if (status == MO_OK)
-    status = mo_body_stream_create(MO_DEFAULT_WORKSPACE, 3, &stream);
-  for (uint32_t i = 0; i < ROBOTS && status == MO_OK; i++) {
-    uint64_t bits[MO_DEFAULT_WORDS] = {UINT64_MAX, UINT64_MAX, 0xffff}; /* one of all voxels */
-    if (i != 70)
-      status = mo_body_stream_next(stream, bits);
-    if (status == MO_OK)
-      status = mo_body_create(b->lattice, bits, &b->bodies[i]);
-    mo_environment_training(5, 0, i, &b->environments[i]);
-    b->robots[i] = (struct mo_robot){b->bodies[i], &b->environments[i]};
-  }
-  mo_body_stream_free(stream);
-  return status;
-}
-
-static void drop_batch(struct batch *b)
-{
-  for (uint32_t i = 0; i < ROBOTS; i++)
-    mo_body_free(b->bodies[i]);
-  mo_lattice_free(b->lattice);
+  struct mo_lattice *lattice = make_lattice(MO_DEFAULT_WORKSPACE);
+  struct mo_robot *robots = make_robots(lattice, 3, 5, ROBOTS);
+  robots[70].body = make_full_body(lattice);
+  return robots;
 }
 
 static const struct mo_gp_options options = {
@@ -55,7 +30,7 @@ static uint32_t spring_between(const struct mo_body *body, uint32_t a, uint32_t 
 }
 
 /* A spring of mass `own` in its chunk: counted, by mass and by row. */
-static void check_spring(const struct batch *b, const struct mo_gp_group *g,
+static void check_spring(const struct mo_robot *robots, const struct mo_gp_group *g,
                          const struct mo_gp_pair *pair, const struct mo_gp_row *rows, uint32_t s,
                          uint32_t *ends, uint32_t found[2])
 {
@@ -66,7 +41,7 @@ static void check_spring(const struct batch *b, const struct mo_gp_group *g,
         other - from < pair->n_masses[row]);
   if (own == other)
     return;
-  const struct mo_body *body = b->robots[rows[row * 16].robot].body;
+  const struct mo_body *body = robots[rows[row * 16].robot].body;
   const uint32_t low = own < other ? own : other, high = own < other ? other : own;
   const uint32_t spring = spring_between(body, low - from, high - from);
   REQUIRE(spring != UINT32_MAX);
@@ -90,7 +65,7 @@ static void check_split(const struct mo_gp_pair *pair, const uint32_t *springs)
       CHECK((c + 1 > n - c - 1 ? c + 1 : n - c - 1) >= longer);
 }
 
-static void check_pair(const struct batch *b, const struct mo_gradient_plan *plan,
+static void check_pair(const struct mo_robot *robots, const struct mo_gradient_plan *plan,
                        const struct mo_gp_group *g, uint32_t w, uint8_t *seen)
 {
   const struct mo_gp_pair *pair = &g->pair[w];
@@ -113,7 +88,7 @@ static void check_pair(const struct batch *b, const struct mo_gradient_plan *pla
         taken[own] = true;
         n_masses++;
       }
-      check_spring(b, g, pair, rows, s, ends, found);
+      check_spring(robots, g, pair, rows, s, ends, found);
     }
     if (last)
       first = c + 1;
@@ -127,7 +102,7 @@ static void check_pair(const struct batch *b, const struct mo_gradient_plan *pla
       CHECK(pair->n_masses[k] == 0);
       continue;
     }
-    const struct mo_body *body = b->robots[row->robot].body;
+    const struct mo_body *body = robots[row->robot].body;
     CHECK(!seen[row->robot] && row->robot / SHARD == g->shard);
     seen[row->robot] = 1;
     CHECK(found[k] == 2 * body->n_springs && pair->n_masses[k] == body->n_masses);
@@ -143,7 +118,7 @@ static void check_pair(const struct batch *b, const struct mo_gradient_plan *pla
 }
 
 /* wide: groups of 32 rows; short_ones: those with empty rows that are not their shard's last. */
-static void check_all(const struct batch *b, uint32_t shared_bytes, uint32_t *wide,
+static void check_all(const struct mo_robot *robots, uint32_t shared_bytes, uint32_t *wide,
                       uint32_t *short_ones)
 {
   struct mo_gradient_plan plan = {0};
@@ -152,7 +127,7 @@ static void check_all(const struct batch *b, uint32_t shared_bytes, uint32_t *wi
   const struct mo_physics physics = mo_default_physics();
   own.shared_bytes = shared_bytes;
   *wide = *short_ones = 0;
-  REQUIRE(mo_gradient_plan_make(b->robots, ROBOTS, &physics, &own, &plan) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &own, &plan) == MO_OK);
   CHECK(plan.n_shards == 3);
   for (uint32_t i = 0; i < plan.n_groups; i++) {
     const struct mo_gp_group *g = plan.groups + i;
@@ -161,7 +136,7 @@ static void check_all(const struct batch *b, uint32_t shared_bytes, uint32_t *wi
     *short_ones += plan.rows[g->first_row + g->n_rows - 1].robot == MO_GP_NO_ROBOT &&
                    i + 1 < plan.n_groups && g[1].shard == g->shard;
     for (uint32_t w = 0; w < MO_GP_WARPS; w++)
-      check_pair(b, &plan, g, w, seen);
+      check_pair(robots, &plan, g, w, seen);
   }
   for (uint32_t i = 0; i < ROBOTS; i++)
     CHECK(seen[i]);
@@ -170,29 +145,26 @@ static void check_all(const struct batch *b, uint32_t shared_bytes, uint32_t *wi
 
 static void everything_is_there_once(void)
 {
-  static struct batch b;
+  struct mo_robot *robots = make_batch();
   uint32_t wide, short_ones;
-  REQUIRE(make_batch(&b) == MO_OK);
-  check_all(&b, options.shared_bytes, &wide, &short_ones);
+  check_all(robots, options.shared_bytes, &wide, &short_ones);
   CHECK(wide > 0 && short_ones == 0);
-  drop_batch(&b);
 }
 
 /* Where 32 of the largest bodies are too large together, the smallest join some of them; a warp's
  * two bodies are one of the larger and one of the smaller half. */
 static void large_with_small(void)
 {
-  static struct batch b;
+  struct mo_robot *robots = make_batch();
   struct mo_gradient_plan plan = {0};
   uint32_t wide, short_ones, least = UINT32_MAX, first_least = UINT32_MAX, most = 0;
   const struct mo_physics physics = mo_default_physics();
-  REQUIRE(make_batch(&b) == MO_OK);
-  check_all(&b, options.shared_bytes, &wide, &short_ones);
+  check_all(robots, options.shared_bytes, &wide, &short_ones);
   CHECK(wide == 5 && short_ones == 0);
-  REQUIRE(mo_gradient_plan_make(b.robots + SHARD, SHARD, &physics, &options, &plan) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(robots + SHARD, SHARD, &physics, &options, &plan) == MO_OK);
   CHECK(plan.n_groups == 2 && plan.groups[0].n_rows == MO_GP_ROWS_MAX);
   for (uint32_t i = 0; i < SHARD; i++) {
-    const struct mo_body *body = b.robots[SHARD + plan.rows[i].robot].body;
+    const struct mo_body *body = robots[SHARD + plan.rows[i].robot].body;
     least = body->n_springs < least ? body->n_springs : least;
     if (i >= MO_GP_ROWS_MAX)
       continue;
@@ -200,53 +172,49 @@ static void large_with_small(void)
     most = body->n_masses > most ? body->n_masses : most;
     if (i >= MO_GP_ROWS_MAX / 2)
       CHECK(body->n_springs <=
-            b.robots[SHARD + plan.rows[i - MO_GP_ROWS_MAX / 2].robot].body->n_springs);
+            robots[SHARD + plan.rows[i - MO_GP_ROWS_MAX / 2].robot].body->n_springs);
   }
   CHECK(most == MO_DEFAULT_MASSES && first_least == least);
   for (uint32_t i = MO_GP_ROWS_MAX / 2; i < MO_GP_ROWS_MAX;
        i++) /* at least sixteen small ones: no pair has two large ones */
     for (uint32_t j = MO_GP_ROWS_MAX; j < SHARD; j++)
-      CHECK(b.robots[SHARD + plan.rows[i].robot].body->n_springs <=
-            b.robots[SHARD + plan.rows[j].robot].body->n_springs);
+      CHECK(robots[SHARD + plan.rows[i].robot].body->n_springs <=
+            robots[SHARD + plan.rows[j].robot].body->n_springs);
   mo_gradient_plan_free(&plan);
-  drop_batch(&b);
 }
 
 /* Where the shared memory is too small for sixteen of the largest bodies, a group has fewer; with
  * next to none there is no layout. */
 static void small_shared_memory(void)
 {
-  static struct batch b;
+  struct mo_robot *robots = make_batch();
   struct mo_gradient_plan plan = {0};
   uint32_t wide, short_ones;
   struct mo_gp_options least = options;
   const struct mo_physics physics = mo_default_physics();
-  REQUIRE(make_batch(&b) == MO_OK);
   for (int i = 64; i < 90; i++)
-    b.robots[i].body = b.bodies[70];
-  check_all(&b, 163 << 10, &wide, &short_ones);
+    robots[i].body = robots[70].body;
+  check_all(robots, 163 << 10, &wide, &short_ones);
   CHECK(short_ones > 1);
   least.shared_bytes = mo_gp_shared_bytes(16, MO_DEFAULT_MASSES, MO_GP_OUTPUT_TILES);
-  check_all(&b, least.shared_bytes, &wide, &short_ones);
+  check_all(robots, least.shared_bytes, &wide, &short_ones);
   CHECK(short_ones > 26);
   least.shared_bytes--;
-  CHECK(mo_gradient_plan_make(b.robots, ROBOTS, &physics, &least, &plan) == MO_ERR_UNSUPPORTED);
+  CHECK(mo_gradient_plan_make(robots, ROBOTS, &physics, &least, &plan) == MO_ERR_UNSUPPORTED);
   mo_gradient_plan_free(&plan);
-  drop_batch(&b);
 }
 
 /* A shard's tables do not depend on the other shards, nor any on the number of threads. */
 static void a_shard_is_its_own(void)
 {
-  static struct batch b;
+  struct mo_robot *robots = make_batch();
   struct mo_gradient_plan all = {0}, threads = {0}, second = {0};
   struct mo_gp_options several = options;
   const struct mo_physics physics = mo_default_physics();
   several.workers = 3;
-  REQUIRE(make_batch(&b) == MO_OK);
-  REQUIRE(mo_gradient_plan_make(b.robots, ROBOTS, &physics, &options, &all) == MO_OK);
-  REQUIRE(mo_gradient_plan_make(b.robots, ROBOTS, &physics, &several, &threads) == MO_OK);
-  REQUIRE(mo_gradient_plan_make(b.robots + SHARD, SHARD, &physics, &options, &second) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &all) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &several, &threads) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(robots + SHARD, SHARD, &physics, &options, &second) == MO_OK);
   CHECK(all.n_groups == threads.n_groups && all.n_chunks == threads.n_chunks);
   CHECK(memcmp(all.springs, threads.springs, all.n_chunks * MO_GP_LANES * sizeof(*all.springs)) ==
         0);
@@ -269,18 +237,16 @@ static void a_shard_is_its_own(void)
   mo_gradient_plan_free(&all);
   mo_gradient_plan_free(&threads);
   mo_gradient_plan_free(&second);
-  drop_batch(&b);
 }
 
 /* As many whole shards at a time as fit; memory that is there already serves a smaller batch. */
 static void passes(void)
 {
-  static struct batch b;
+  struct mo_robot *robots = make_batch();
   struct mo_gradient_plan plan = {0};
   struct mo_gradient_pass all, pass;
   const struct mo_physics physics = mo_default_physics();
-  REQUIRE(make_batch(&b) == MO_OK);
-  REQUIRE(mo_gradient_plan_make(b.robots, ROBOTS, &physics, &options, &plan) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan) == MO_OK);
   REQUIRE(mo_gradient_pass_next(&plan, 0, 0, 1000, UINT64_MAX, &all) == MO_OK);
   CHECK(all.first == 0 && all.end == plan.n_groups && all.end_shard == 3 &&
         all.shared <= options.shared_bytes);
@@ -298,10 +264,9 @@ static void passes(void)
   CHECK(shard == 3 && tape == all.tape);
   CHECK(mo_gradient_pass_next(&plan, 0, 0, 1000, all.tape / 8, &pass) == MO_ERR_NO_MEMORY);
   const uint32_t *springs = plan.springs;
-  REQUIRE(mo_gradient_plan_make(b.robots, SHARD, &physics, &options, &plan) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(robots, SHARD, &physics, &options, &plan) == MO_OK);
   CHECK(plan.springs == springs && plan.n_shards == 1);
   mo_gradient_plan_free(&plan);
-  drop_batch(&b);
 }
 
 /* What all wait for: the pair that has most, not what all have together. */
@@ -378,19 +343,14 @@ static void no_halves_of_small_groups(void)
 
 static void another_workspace(void)
 {
-  struct mo_lattice *lattice = NULL;
-  struct mo_body *body = NULL;
   const uint64_t bits[1] = {1};
   struct mo_environment environment;
   struct mo_gradient_plan plan = {0};
   const struct mo_physics physics = mo_default_physics();
   mo_environment_training(1, 0, 0, &environment);
-  REQUIRE(mo_lattice_create((struct mo_workspace){3, 3, 3}, &lattice) == MO_OK);
-  REQUIRE(mo_body_create(lattice, bits, &body) == MO_OK);
-  const struct mo_robot robot = {body, &environment};
+  const struct mo_robot robot = {make_body(make_lattice((struct mo_workspace){3, 3, 3}), bits),
+                                 &environment};
   CHECK(mo_gradient_plan_make(&robot, 1, &physics, &options, &plan) == MO_ERR_UNSUPPORTED);
-  mo_body_free(body);
-  mo_lattice_free(lattice);
 }
 
 static const struct check_case cases[] = {

@@ -1,42 +1,33 @@
 /* Rows laid out for a device: everything that the rows have is there once, where the device looks
  * for it. */
-#include "../check.h"
+#include "../make.h"
 
 #include "compute/cuda/plan.h"
 
 enum { BODIES = 60, PLACES = 7, N = BODIES * PLACES };
 
 static struct mo_lattice *lattice;
-static struct mo_body *bodies[BODIES];
 static struct mo_environment environments[PLACES];
 static struct mo_robot robots[N];
 
 /* Random bodies, from 1 voxel to 144; rows of a body stand together but for some. */
-static int setup(void)
+static void setup(void)
 {
-  struct mo_body_stream *stream = NULL;
-  if (lattice != NULL)
-    return 1;
-  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) < 0 ||
-      mo_body_stream_create(MO_DEFAULT_WORKSPACE, 3, &stream) < 0)
-    return 0;
-  for (int b = 0; b < BODIES; b++) {
-    uint64_t bits[MO_DEFAULT_WORDS] = {1};
-    if (b == 1)
-      bits[0] = bits[1] = UINT64_MAX, bits[2] = 0xffff;
-    if ((b > 1 && mo_body_stream_next(stream, bits) < 0) ||
-        mo_body_create(lattice, bits, &bodies[b]) < 0)
-      return 0;
-  }
-  mo_body_stream_free(stream);
+  struct mo_body_stream *stream = make_body_stream(MO_DEFAULT_WORKSPACE, 3);
+  lattice = make_lattice(MO_DEFAULT_WORKSPACE);
   for (uint32_t e = 0; e < PLACES; e++)
     mo_environment_training(4, 0, e, environments + e);
-  for (int r = 0; r < N; r++)
-    robots[r] = (struct mo_robot){bodies[r / PLACES], environments + r % PLACES};
+  for (int b = 0; b < BODIES; b++) {
+    uint64_t bits[MO_DEFAULT_WORDS] = {1};
+    if (b > 1)
+      make_check(mo_body_stream_next(stream, bits), "a body");
+    struct mo_body *body = b == 1 ? make_full_body(lattice) : make_body(lattice, bits);
+    for (int e = 0; e < PLACES; e++)
+      robots[b * PLACES + e] = (struct mo_robot){body, environments + e};
+  }
   const struct mo_robot first = robots[0];
   robots[0] = robots[N / 2];
   robots[N / 2] = first;
-  return 1;
 }
 
 struct filled {
@@ -105,7 +96,7 @@ static void release(struct filled *filled)
 static void rows_once(void)
 {
   struct filled f;
-  REQUIRE(setup() && fill(&f, robots, N, 3));
+  REQUIRE(fill(&f, robots, N, 3));
   CHECK_INT(f.plan.n_bodies, BODIES);
   CHECK_INT(f.plan.n_environments, PLACES);
   static int seen[N];
@@ -182,7 +173,7 @@ static void own_slots(const struct filled *f, uint32_t b, uint32_t *own)
 static void links(void)
 {
   struct filled f;
-  REQUIRE(setup() && fill(&f, robots, N, 1));
+  REQUIRE(fill(&f, robots, N, 1));
   for (uint32_t b = 0; b < f.plan.n_bodies; b++) {
     const struct mo_plan_body *header = f.bodies + b;
     const struct mo_body *body = f.plan.bodies[b];
@@ -227,7 +218,6 @@ static void slots(void)
 {
   static uint16_t slots[MO_DEFAULT_SPRINGS];
   static uint32_t spring_at[MO_DEFAULT_SPRINGS];
-  REQUIRE(setup());
   REQUIRE(mo_plan_slots(slots) == MO_OK);
   memset(spring_at, 0xff, sizeof(spring_at));
   for (uint32_t s = 0; s < MO_DEFAULT_SPRINGS; s++) {
@@ -254,7 +244,7 @@ static void slots(void)
 static void tiles(void)
 {
   struct filled f;
-  REQUIRE(setup() && fill(&f, robots, N, 2));
+  REQUIRE(fill(&f, robots, N, 2));
   for (uint32_t g = 0; g < f.plan.n_groups; g++) {
     const struct mo_plan_group *group = f.groups + g;
     int tile_of[MO_PLAN_PAIRS];
@@ -300,7 +290,7 @@ static void tiles(void)
 static void shares_do_not_matter(void)
 {
   struct filled one, many;
-  REQUIRE(setup() && fill(&one, robots, N, 1) && fill(&many, robots, N, 5));
+  REQUIRE(fill(&one, robots, N, 1) && fill(&many, robots, N, 5));
   CHECK_INT(one.plan.block.bytes, many.plan.block.bytes);
   CHECK(memcmp(one.block, many.block, one.plan.block.bytes) == 0);
   release(&many);
@@ -311,7 +301,6 @@ static void refusals(void)
 {
   struct mo_plan plan;
   struct mo_plan_options bad = options;
-  REQUIRE(setup());
   CHECK_INT(cut(&plan, robots, 0, 1, &options), MO_ERR_INVALID);
   mo_plan_free(&plan);
   bad.rows = MO_PLAN_ROWS_MAX + 1;
@@ -325,17 +314,11 @@ static void refusals(void)
   bad.group_bytes += options.place_bytes;
   CHECK_INT(cut(&plan, robots, N, 1, &bad), MO_OK);
   mo_plan_free(&plan);
-
-  struct mo_lattice *small = NULL;
-  struct mo_body *body = NULL;
   const uint64_t bits[1] = {1};
-  REQUIRE(mo_lattice_create((struct mo_workspace){3, 3, 3}, &small) == MO_OK);
-  REQUIRE(mo_body_create(small, bits, &body) == MO_OK);
-  const struct mo_robot robot = {body, environments};
+  const struct mo_robot robot = {make_body(make_lattice((struct mo_workspace){3, 3, 3}), bits),
+                                 environments};
   CHECK_INT(cut(&plan, &robot, 1, 1, &options), MO_ERR_UNSUPPORTED);
   mo_plan_free(&plan);
-  mo_body_free(body);
-  mo_lattice_free(small);
 }
 
 static const struct check_case cases[] = {{"every row once", rows_once},
@@ -344,4 +327,4 @@ static const struct check_case cases[] = {{"every row once", rows_once},
                                           {"tiles", tiles},
                                           {"any number of shares", shares_do_not_matter},
                                           {"refusals", refusals}};
-CHECK_MAIN(cases)
+CHECK_MAIN_WITH(setup, cases)

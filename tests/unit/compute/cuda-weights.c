@@ -1,27 +1,22 @@
 /* A controller laid out for matrix instructions: decoded as the instructions read it, it is the
  * controller again. */
-#include "../check.h"
+#include "../make.h"
 
 #include "compute/cuda/plan.h"
 #include "compute/cuda/weights.h"
 
 static struct mo_controller *controller;
 
-static int setup(void)
+static void setup(void)
 {
-  if (controller == NULL) {
-    if (mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQUARE, &controller) < 0)
-      return 0;
-    mo_controller_randomize(controller, 11);
-    for (uint32_t o = 0; o < MO_HIDDEN; o++) {
-      controller->bias[1][o] = 0.01f * (float)o;
-      controller->norm_gain[2][o] = 1.0f + 0.001f * (float)o;
-      controller->norm_shift[0][o] = -0.002f * (float)o;
-    }
-    for (uint32_t s = 0; s < MO_DEFAULT_SPRINGS; s++)
-      controller->bias[MO_HIDDEN_LAYERS][s] = (float)s;
+  controller = make_random_controller(MO_SENSOR_INVERSE_SQUARE, 11);
+  for (uint32_t o = 0; o < MO_HIDDEN; o++) {
+    controller->bias[1][o] = 0.01f * (float)o;
+    controller->norm_gain[2][o] = 1.0f + 0.001f * (float)o;
+    controller->norm_shift[0][o] = -0.002f * (float)o;
   }
-  return 1;
+  for (uint32_t s = 0; s < MO_DEFAULT_SPRINGS; s++)
+    controller->bias[MO_HIDDEN_LAYERS][s] = (float)s;
 }
 
 static void halves(void)
@@ -64,7 +59,7 @@ static void values(void)
   const struct mo_weights_layout layout = mo_weights_layout();
   char *packed = aligned_alloc(256, (layout.bytes + 255) / 256 * 256);
   uint16_t slots[MO_DEFAULT_SPRINGS];
-  REQUIRE(packed != NULL && setup());
+  REQUIRE(packed != NULL);
   REQUIRE(mo_weights_pack(controller, packed) == MO_OK);
   REQUIRE(mo_plan_slots(slots) == MO_OK);
   const struct mo_weights_scalars *scalars = (const void *)(packed + layout.scalars);
@@ -120,14 +115,12 @@ static void values(void)
 
 static void refusals(void)
 {
-  struct mo_controller *other = NULL;
   const struct mo_weights_layout layout = mo_weights_layout();
   char *packed = aligned_alloc(256, (layout.bytes + 255) / 256 * 256);
-  REQUIRE(packed != NULL && setup());
-  REQUIRE(mo_controller_create((struct mo_workspace){3, 3, 3}, MO_SENSOR_INVERSE_SQRT, &other) ==
-          MO_OK);
+  REQUIRE(packed != NULL);
+  struct mo_controller *other =
+      make_controller((struct mo_workspace){3, 3, 3}, MO_SENSOR_INVERSE_SQRT);
   CHECK_INT(mo_weights_pack(other, packed), MO_ERR_UNSUPPORTED);
-  mo_controller_free(other);
   const float gain = controller->norm_gain[1][7];
   controller->norm_gain[1][7] = 4000.0f; /* √256 times that is beyond float16 */
   CHECK_INT(mo_weights_pack(controller, packed), MO_ERR_UNSUPPORTED);
@@ -151,4 +144,4 @@ static void refusals(void)
 
 static const struct check_case cases[] = {
     {"float16", halves}, {"values", values}, {"refusals", refusals}};
-CHECK_MAIN(cases)
+CHECK_MAIN_WITH(setup, cases)
