@@ -1,6 +1,8 @@
 /* devices.c: see devices.h. */
 #include "daemon/devices.h"
 
+#include <ctype.h>
+#include <errno.h>
 #include <inttypes.h>
 #include <limits.h>
 #include <stdlib.h>
@@ -8,7 +10,36 @@
 #include <unistd.h>
 
 #include "daemon/log.h"
-#include "daemon/settings_parse.h"
+
+int devices_parse(const struct setting_list *list, struct device_choice *choice,
+                  struct mo_message *message)
+{
+  struct device_choice found = {.n = 0};
+  for (size_t i = 0; i < list->n; i++) {
+    const char *text = list->items[i];
+    const bool is_word = strcmp(text, "auto") == 0 || strcmp(text, "none") == 0;
+    if (is_word && list->n > 1)
+      return mo_fail(message, MO_ERR_INVALID, "\"%s\" stands alone", text);
+    if (is_word) {
+      found.all = strcmp(text, "auto") == 0;
+      continue;
+    }
+    char *end;
+    errno = 0;
+    const unsigned long index = strtoul(text, &end, 10);
+    if (!isdigit((unsigned char)*text) || *end != 0 || errno != 0 || index > 1023)
+      return mo_fail(message, MO_ERR_INVALID,
+                     "\"%.60s\" is not auto, none or the number of a device", text);
+    for (uint32_t k = 0; k < found.n; k++)
+      if (found.indices[k] == index)
+        return mo_fail(message, MO_ERR_INVALID, "device %lu is named twice", index);
+    if (found.n == DEVICES_MAX)
+      return mo_fail(message, MO_ERR_LIMIT, "at most %d devices can be named", DEVICES_MAX);
+    found.indices[found.n++] = (uint32_t)index;
+  }
+  *choice = found;
+  return MO_OK;
+}
 
 /* Called by the back end on one of its threads. */
 static void device_is_lost(void *context, const struct mo_device_status *status)
@@ -51,7 +82,7 @@ int devices_open(struct mo_compute *compute, const struct settings *settings,
   struct device_choice choice;
   struct mo_message words = {""};
   char found[PATH_MAX];
-  int status = settings_parse_devices(&settings->devices, &choice, message);
+  int status = devices_parse(&settings->devices, &choice, message);
   if (status != MO_OK)
     return status;
   if (!choice.all && choice.n == 0) {

@@ -6,6 +6,15 @@
 
 #include "daemon/settings.h"
 
+/* The requested devices: "auto", "none", or numbers. */
+#define DEVICES_MAX 64
+struct device_choice {
+  bool all;
+  uint32_t n, indices[DEVICES_MAX]; /* (n) when not all; 0: none */
+};
+int devices_parse(const struct setting_list *list, struct device_choice *choice,
+                  struct mo_message *message);
+
 /* Adds the devices of the settings; call it before any other use of the back end. If no device or
  * module is named, a machine without either is no error: it is logged, and the processors compute.
  * MO_ERR_INVALID: the settings name a missing device or module, or the module has another version.

@@ -1,7 +1,6 @@
 /* settings_check.c: checks what the values refer to. Only reads: --check-config changes nothing. */
-#include "settings_parse.h"
+#include "daemon/settings.h"
 
-#include <ctype.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <grp.h>
@@ -13,46 +12,16 @@
 #include <morpho/controller.h>
 #include <morpho/rollout.h>
 
+#include "daemon/devices.h"
 #include "http/server.h"
 #include "store/store.h"
 #include "tokens.h"
-
-int settings_parse_devices(const struct setting_list *list, struct device_choice *choice,
-                           struct mo_message *message)
-{
-  struct device_choice found = {.n = 0};
-  for (size_t i = 0; i < list->n; i++) {
-    const char *text = list->items[i];
-    const bool is_word = strcmp(text, "auto") == 0 || strcmp(text, "none") == 0;
-    if (is_word && list->n > 1)
-      return mo_fail(message, MO_ERR_INVALID, "\"%s\" stands alone", text);
-    if (is_word) {
-      found.all = strcmp(text, "auto") == 0;
-      continue;
-    }
-    char *end;
-    errno = 0;
-    const unsigned long index = strtoul(text, &end, 10);
-    if (!isdigit((unsigned char)*text) || *end != 0 || errno != 0 || index > 1023)
-      return mo_fail(message, MO_ERR_INVALID,
-                     "\"%.60s\" is not auto, none or the number of a device", text);
-    for (uint32_t k = 0; k < found.n; k++)
-      if (found.indices[k] == index)
-        return mo_fail(message, MO_ERR_INVALID, "device %lu is named twice", index);
-    if (found.n == SETTINGS_DEVICES_MAX)
-      return mo_fail(message, MO_ERR_LIMIT, "at most %d devices can be named",
-                     SETTINGS_DEVICES_MAX);
-    found.indices[found.n++] = (uint32_t)index;
-  }
-  *choice = found;
-  return MO_OK;
-}
 
 static void check_devices(const struct settings *settings, struct settings_faults *faults)
 {
   struct device_choice choice;
   struct mo_message message = {{0}};
-  if (settings_parse_devices(&settings->devices, &choice, &message) != MO_OK)
+  if (devices_parse(&settings->devices, &choice, &message) != MO_OK)
     settings_fault(faults, true, "devices: %s", message.text);
   if (settings->compute_module != NULL && access(settings->compute_module, R_OK) != 0)
     settings_fault(faults, true, "compute_module: %s: %s", settings->compute_module,
