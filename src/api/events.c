@@ -37,7 +37,7 @@ static void listener(void *context, const struct mo_event *events, size_t n)
     if (strncmp(events[i].type, "job.", 4) == 0 && strcmp(events[i].type, "job.progress") != 0)
       atomic_store(&api->jobs_changed, true);
     if (strcmp(events[i].type, "job.finished") == 0)
-      mo_waits_end(api->http, events[i].job);
+      mo_waits_end(api->http, events[i].job, INT64_MIN);
     mo_streams_send(api->http, events[i].sequence, events[i].job, write_frame, &events[i]);
   }
 }

@@ -132,8 +132,8 @@ bool mo_path_job(struct mo_request *request, int64_t *id)
 
 /* ---- lists ---- */
 
-void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit,
-                   int64_t last)
+static void reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit,
+                       int64_t last)
 {
   mo_text_add(text, "]");
   mo_text_member_id(text, "next_cursor", n > 0 && (size_t)n == limit ? last : -1);
@@ -208,7 +208,7 @@ void mo_api_list_jobs(struct mo_request *request)
     last = ((const struct mo_job *)item)->id;
     error = write_item(api, &text, listed, item, query.state);
   }
-  mo_reply_page(request, &text, error != MO_OK ? error : n, limit, last);
+  reply_page(request, &text, error != MO_OK ? error : n, limit, last);
   free(page);
 }
 

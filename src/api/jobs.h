@@ -47,10 +47,6 @@ void mo_reply_submitted(struct mo_request *request, const struct mo_resource *ki
  * waits, or the reply is made. kind NULL: any. */
 bool mo_await_job(struct mo_request *request, const struct mo_resource *kind, int64_t id,
                   struct mo_job *job);
-/* Replies with a page of n items (negative: an error), of which the last has this cursor. The text
- * ends with the last item. */
-void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit,
-                   int64_t last);
 /* Reads the id in the path of a job of the route's kind. False: the 404 is made. */
 bool mo_path_job(struct mo_request *request, int64_t *id);
 

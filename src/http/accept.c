@@ -264,7 +264,7 @@ static void take(struct mo_http *http, struct mo_lingering *linger, size_t liste
   struct mo_connection *lost = mo_connection_find(http, fd);
   if (lost != NULL)
     mo_connection_forget(http, lost);
-  enum mo_transport transport = http->listener_transports[listener];
+  enum mo_transport transport = http->listeners[listener].transport;
   enum mo_place place = (size_t)fd < http->connections_size
                             ? find_place(http, transport == MO_TRANSPORT_UNIX)
                             : MO_PLACES;
@@ -319,7 +319,7 @@ static void *acceptor(void *context)
     return NULL; /* the heartbeat goes stale, and the watchdog ends the process */
   polled[0] = (struct pollfd){.fd = http->stop_fd, .events = POLLIN};
   for (size_t i = 0; i < http->n_listeners; i++)
-    polled[i + 1] = (struct pollfd){.fd = http->listeners[i], .events = POLLIN};
+    polled[i + 1] = (struct pollfd){.fd = http->listeners[i].fd, .events = POLLIN};
   while (!(polled[0].revents & POLLIN)) {
     atomic_store(&http->acceptor_us, mo_clock_us());
     if (poll(polled, http->n_listeners + 1, 1000) < 0)
@@ -333,7 +333,7 @@ static void *acceptor(void *context)
         }
         struct sockaddr_storage name = {0};
         socklen_t size = sizeof(name);
-        int fd = accept4(http->listeners[i], (struct sockaddr *)&name, &size,
+        int fd = accept4(http->listeners[i].fd, (struct sockaddr *)&name, &size,
                          SOCK_CLOEXEC | SOCK_NONBLOCK);
         if (fd >= 0) {
           take(http, &http->lingering, i, fd, &name, size);
@@ -352,7 +352,7 @@ static void *acceptor(void *context)
 int mo_acceptor_start(struct mo_http *http, struct mo_message *message)
 {
   for (size_t i = 0; i < http->n_listeners; i++)
-    fcntl(http->listeners[i], F_SETFL, fcntl(http->listeners[i], F_GETFL) | O_NONBLOCK);
+    fcntl(http->listeners[i].fd, F_SETFL, fcntl(http->listeners[i].fd, F_GETFL) | O_NONBLOCK);
   atomic_store(&http->acceptor_us, mo_clock_us());
   if (pthread_create(&http->acceptor, NULL, acceptor, http) != 0)
     return mo_fail(message, MO_ERR_NO_MEMORY, "cannot start the thread that accepts connections");
@@ -368,9 +368,7 @@ void mo_acceptor_stop(struct mo_http *http)
     pthread_join(http->acceptor, NULL);
     http->acceptor_started = false;
   }
-  for (size_t i = 0; i < http->n_listeners; i++) {
-    close(http->listeners[i]);
-    http->listeners[i] = -1;
-  }
+  for (size_t i = 0; i < http->n_listeners; i++)
+    close(http->listeners[i].fd);
   http->n_listeners = 0;
 }

@@ -113,7 +113,7 @@ static bool drop_another(const struct mo_request *request, bool of_client)
   give_back(stalest);
   stalest->body_gave_way = true;
   atomic_fetch_add(&http->metrics.bodies_gave_way, 1);
-  mo_connection_refuse(http, stalest->connection, stalest->id, MO_BODY_GAVE_WAY);
+  mo_connection_cut(http, stalest->connection, stalest->id, MO_BODY_GAVE_WAY);
   return true;
 }
 

@@ -74,20 +74,13 @@ void mo_connection_forget(struct mo_http *http, struct mo_connection *connection
   atomic_fetch_sub(&http->n_connections, 1);
 }
 
-void mo_connection_cut(struct mo_http *http, const struct mo_connection *connection)
-{
-  pthread_mutex_lock(&http->connections_lock);
-  if (http->connections[connection->fd] == connection)
-    shutdown(connection->fd, SHUT_RDWR);
-  pthread_mutex_unlock(&http->connections_lock);
-}
-
-void mo_connection_refuse(struct mo_http *http, const struct mo_connection *connection,
-                          const char *id, const char *detail)
+void mo_connection_cut(struct mo_http *http, const struct mo_connection *connection, const char *id,
+                       const char *detail)
 {
   pthread_mutex_lock(&http->connections_lock);
   if (http->connections[connection->fd] == connection) {
-    mo_write_refusal(connection->fd, 503, id, detail);
+    if (detail != NULL)
+      mo_write_refusal(connection->fd, 503, id, detail);
     shutdown(connection->fd, SHUT_RDWR);
   }
   pthread_mutex_unlock(&http->connections_lock);

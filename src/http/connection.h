@@ -52,12 +52,10 @@ void mo_connections_expire(struct mo_http *http, int64_t now_us);
 
 /* Sets spare_us. False: the connection was already cut; what it received must not be handled. */
 bool mo_connection_spare(struct mo_connection *connection, int64_t since_us);
-/* Cuts the connection by shutdown: the I/O thread sees end of file. */
-void mo_connection_cut(struct mo_http *http, const struct mo_connection *connection);
-/* Cuts the connection after sending 503. Only in the middle of a request, before a reply has
- * begun. */
-void mo_connection_refuse(struct mo_http *http, const struct mo_connection *connection,
-                          const char *id, const char *detail);
+/* Cuts the connection by shutdown: the I/O thread sees end of file. detail (nullable): of a 503
+ * that is sent before, only in the middle of a request whose reply has not begun. */
+void mo_connection_cut(struct mo_http *http, const struct mo_connection *connection, const char *id,
+                       const char *detail);
 /* Says whether the client of a suspended connection has left: libmicrohttpd does not watch it. */
 bool mo_connection_has_left(const struct mo_connection *connection);
 /* Writes a refusal to a socket as a whole reply. */

@@ -235,7 +235,7 @@ static enum MHD_Result receive(struct mo_request *request, const char *bytes, si
 static enum MHD_Result dispatch(struct mo_request *request)
 {
   struct mo_http *http = request->http;
-  bool refused = false, closed = false;
+  bool refused = false;
   if (request->route->flags & MO_ROUTE_DIRECT) {
     if (mo_query_begin(request))
       request->route->handler(request);
@@ -266,9 +266,10 @@ static enum MHD_Result dispatch(struct mo_request *request)
     request->reply.retry_after_s = 1;
     return mo_reply_send(request);
   }
-  if (mo_pool_give(http, request, &closed))
+  int error = mo_pool_give(http, request);
+  if (error == MO_OK)
     return MHD_YES;
-  mo_reply_error(request, closed ? MO_ERR_CANCELLED : MO_ERR_BUSY, "request");
+  mo_reply_error(request, error, "request");
   return mo_reply_send(request);
 }
 

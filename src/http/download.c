@@ -70,7 +70,6 @@ static ssize_t reader(void *context, uint64_t position, char *out, size_t capaci
   struct mo_request *request = context;
   struct mo_download *download = request->download;
   size_t ready = download->failed ? 0 : download->piece.size - download->read;
-  bool closed;
   atomic_store(&request->connection->deadline_us, mo_clock_us() + STALL_US);
   if (ready > 0) {
     size_t n = ready < capacity ? ready : capacity;
@@ -85,7 +84,7 @@ static ssize_t reader(void *context, uint64_t position, char *out, size_t capaci
     return MHD_CONTENT_READER_END_OF_STREAM;
   struct MHD_Connection *mhd = request->mhd;
   MHD_suspend_connection(mhd);
-  if (!mo_pool_give(request->http, request, &closed)) { /* the server is stopping */
+  if (mo_pool_give(request->http, request) != MO_OK) { /* the server is stopping */
     download->failed = true;
     MHD_resume_connection(mhd);
   }

@@ -94,10 +94,9 @@ struct mo_http_service {
 };
 
 struct mo_http_stats {
-  uint32_t connections, streams, in_flight, queued;
+  uint32_t connections, in_flight;
   uint32_t max_connections; /* after the limit of open files was applied */
-  uint64_t requests, connections_accepted, connections_refused, connections_timed_out,
-      connections_gave_way;
+  uint64_t requests;
   int64_t heartbeat_us; /* monotonic: the older of the acceptor's and the clock's last signs of
                            life. API threads do not count: they may wait for the store's writer,
                            which has its own */

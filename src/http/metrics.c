@@ -72,16 +72,10 @@ void mo_http_get_stats(struct mo_http *http, struct mo_http_stats *stats)
       .connections = atomic_load(&http->n_connections),
       .in_flight = atomic_load(&http->n_in_flight),
       .max_connections = http->config.max_connections,
-      .connections_accepted = atomic_load(&http->metrics.accepted),
-      .connections_refused = atomic_load(&http->metrics.refused),
-      .connections_timed_out = atomic_load(&http->metrics.timed_out),
-      .connections_gave_way = atomic_load(&http->metrics.gave_way),
   };
   for (size_t r = 0; r <= MO_ROUTES_MAX; r++)
     for (size_t s = 0; s < MO_METRIC_STATUSES; s++)
       stats->requests += atomic_load_explicit(&http->metrics.requests[r][s], memory_order_relaxed);
-  stats->streams = http->streams.n;
-  stats->queued = http->pool.n_queued;
   int64_t beats[] = {atomic_load(&http->acceptor_us), atomic_load(&http->clock_us)};
   stats->heartbeat_us = beats[0] < beats[1] ? beats[0] : beats[1];
 }
@@ -119,22 +113,21 @@ static void write_requests(struct mo_http *http, struct mo_text *text)
 void mo_metrics_write(struct mo_http *http, struct mo_text *text)
 {
   struct mo_metrics *m = &http->metrics;
-  struct mo_http_stats stats;
-  mo_http_get_stats(http, &stats);
   write_requests(http, text);
-  GAUGE("morphod_http_connections", stats.connections, "Open connections.");
-  GAUGE("morphod_http_connections_max", stats.max_connections,
+  GAUGE("morphod_http_connections", atomic_load(&http->n_connections), "Open connections.");
+  GAUGE("morphod_http_connections_max", http->config.max_connections,
         "Connections that may be open: max_connections, or what the limit of open files leaves.");
-  GAUGE("morphod_http_requests_in_flight", stats.in_flight,
+  GAUGE("morphod_http_requests_in_flight", atomic_load(&http->n_in_flight),
         "Requests in flight, event streams included.");
-  GAUGE("morphod_http_requests_queued", stats.queued, "Requests waiting for an API thread.");
-  COUNTER("morphod_http_connections_accepted_total", stats.connections_accepted,
+  GAUGE("morphod_http_requests_queued", atomic_load(&http->pool.n_queued),
+        "Requests waiting for an API thread.");
+  COUNTER("morphod_http_connections_accepted_total", atomic_load(&m->accepted),
           "Connections accepted.");
-  COUNTER("morphod_http_connections_refused_total", stats.connections_refused,
+  COUNTER("morphod_http_connections_refused_total", atomic_load(&m->refused),
           "Connections refused: too many, or not allowed.");
-  COUNTER("morphod_http_connections_timed_out_total", stats.connections_timed_out,
+  COUNTER("morphod_http_connections_timed_out_total", atomic_load(&m->timed_out),
           "Connections cut off at a deadline.");
-  COUNTER("morphod_http_connections_gave_way_total", stats.connections_gave_way,
+  COUNTER("morphod_http_connections_gave_way_total", atomic_load(&m->gave_way),
           "Connections without a whole request that were closed for new ones.");
   COUNTER("morphod_http_bodies_gave_way_total", atomic_load(&m->bodies_gave_way),
           "Half-sent request bodies that were dropped because others needed their memory.");
@@ -144,7 +137,7 @@ void mo_metrics_write(struct mo_http *http, struct mo_text *text)
           "Bytes of request bodies.");
   COUNTER("morphod_http_response_body_bytes_total", atomic_load(&m->body_out),
           "Bytes of reply bodies.");
-  GAUGE("morphod_event_streams", stats.streams, "Open event streams.");
+  GAUGE("morphod_event_streams", atomic_load(&http->streams.n), "Open event streams.");
   COUNTER("morphod_events_sent_total", atomic_load(&m->events_sent), "Events written to streams.");
   COUNTER("morphod_event_streams_dropped_total", atomic_load(&m->streams_dropped),
           "Event streams ended because their reader did not read.");

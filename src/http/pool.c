@@ -144,23 +144,23 @@ int mo_pool_start(struct mo_http *http)
   return MO_OK;
 }
 
-bool mo_pool_give(struct mo_http *http, struct mo_request *request, bool *closed)
+int mo_pool_give(struct mo_http *http, struct mo_request *request)
 {
   struct mo_pool *pool = &http->pool;
   pthread_mutex_lock(&pool->lock);
   bool refill = request->stage == MO_STAGE_REPLY;
-  *closed = pool->closed;
-  bool taken = !pool->closed && (refill || queue_of(pool, request)->n < http->config.max_queued);
-  if (taken) {
-    if (!refill) {
-      request->stage = MO_STAGE_HANDLING;
-      pool->n_outside++;
-      MHD_suspend_connection(request->mhd); /* before a worker can resume it */
-    }
-    push(pool, request);
+  int error = pool->closed                                                       ? MO_ERR_CANCELLED
+              : !refill && queue_of(pool, request)->n >= http->config.max_queued ? MO_ERR_BUSY
+                                                                                 : MO_OK;
+  if (error == MO_OK && !refill) {
+    request->stage = MO_STAGE_HANDLING;
+    pool->n_outside++;
+    MHD_suspend_connection(request->mhd); /* before a worker can resume it */
   }
+  if (error == MO_OK)
+    push(pool, request);
   pthread_mutex_unlock(&pool->lock);
-  return taken;
+  return error;
 }
 
 void mo_wait_begin(struct mo_request *request, int64_t what, int64_t deadline_us)
@@ -195,8 +195,7 @@ static void let_go(struct mo_pool *pool, struct mo_request *request)
   push(pool, request);
 }
 
-/* Ends the waits for `what`, and those whose deadline has passed. */
-static void fire(struct mo_http *http, int64_t what, int64_t now_us)
+void mo_waits_end(struct mo_http *http, int64_t what, int64_t now_us)
 {
   struct mo_pool *pool = &http->pool;
   pthread_mutex_lock(&pool->lock);
@@ -207,16 +206,6 @@ static void fire(struct mo_http *http, int64_t what, int64_t now_us)
       let_go(pool, request);
   }
   pthread_mutex_unlock(&pool->lock);
-}
-
-void mo_waits_end(struct mo_http *http, int64_t what)
-{
-  fire(http, what, INT64_MIN);
-}
-
-void mo_waits_expire(struct mo_http *http, int64_t now_us)
-{
-  fire(http, -1, now_us);
 }
 
 void mo_waits_tick(struct mo_http *http)
@@ -238,7 +227,7 @@ void mo_pool_close(struct mo_http *http)
   pthread_mutex_lock(&pool->lock);
   pool->closed = true;
   pthread_mutex_unlock(&pool->lock);
-  mo_waits_expire(http, MO_NEVER);
+  mo_waits_end(http, -1, MO_NEVER);
   pthread_mutex_lock(&pool->lock);
   while (pool->n_outside > 0 || pool->n_queued > 0 || pool->n_running > 0)
     pthread_cond_wait(&pool->idle, &pool->lock);

@@ -26,9 +26,9 @@ struct mo_pool {
 };
 
 int mo_pool_start(struct mo_http *http);
-/* Queues a request and suspends its connection. False: full or closed; the connection is not
- * suspended. */
-bool mo_pool_give(struct mo_http *http, struct mo_request *request, bool *closed);
+/* Queues a request and suspends its connection. MO_ERR_BUSY (full), MO_ERR_CANCELLED (closed): the
+ * connection is not suspended. */
+int mo_pool_give(struct mo_http *http, struct mo_request *request);
 
 /* Waiting. A handler calls mo_wait_begin, then looks whether `what` has ended. If so it calls
  * mo_wait_end and replies. If not it returns without a reply: the request is parked, and the
@@ -36,8 +36,9 @@ bool mo_pool_give(struct mo_http *http, struct mo_request *request, bool *closed
  * deadline passes, or when the client leaves. */
 void mo_wait_begin(struct mo_request *request, int64_t what, int64_t deadline_us);
 void mo_wait_end(struct mo_request *request);
-void mo_waits_end(struct mo_http *http, int64_t what);
-void mo_waits_expire(struct mo_http *http, int64_t now_us); /* MO_NEVER: all */
+/* Ends the waits for `what` (−1: nothing), and those whose deadline has passed (INT64_MIN: none,
+ * MO_NEVER: all). */
+void mo_waits_end(struct mo_http *http, int64_t what, int64_t now_us);
 void mo_waits_tick(struct mo_http *http); /* wakes requests whose client has left */
 
 void mo_pool_close(struct mo_http *http); /* returns when no connection is suspended */

@@ -52,12 +52,10 @@ void mo_reply_json(struct mo_request *request, unsigned status, struct mo_text *
 /* Returns the type of a problem, for programs: what its status alone does not say. */
 static const char *problem_type(unsigned status, const struct mo_faults *faults)
 {
-  switch (status) {
-  case 400: return faults != NULL && faults->malformed ? "/problems/malformed-json" : "about:blank";
-  case 422: return "/problems/invalid-request";
-  case 507: return "/problems/no-space";
-  default: return "about:blank";
-  }
+  return status == 400 && faults != NULL && faults->malformed ? "/problems/malformed-json"
+         : status == 422                                      ? "/problems/invalid-request"
+         : status == 507                                      ? "/problems/no-space"
+                                                              : "about:blank";
 }
 
 void mo_request_note(struct mo_request *request, const char *format, ...)

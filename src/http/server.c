@@ -38,7 +38,7 @@ static void *clock_thread(void *context)
     nanosleep(&pause, NULL);
     int64_t now_us = mo_clock_us();
     mo_connections_expire(http, now_us);
-    mo_waits_expire(http, now_us);
+    mo_waits_end(http, -1, now_us);
     mo_linger_on(&http->lingering, now_us);
     trim_memory(atomic_load(&http->n_connections), &peak);
     if (now_us - second_us >= 1000000) {
@@ -96,9 +96,8 @@ void mo_http_refuse_listeners(const struct mo_http_config *config)
 static int adopt_listeners(struct mo_http *http, const struct mo_http_config *config,
                            struct mo_message *message)
 {
-  http->listeners = calloc(config->n_listeners + 1, sizeof(int));
-  http->listener_transports = calloc(config->n_listeners + 1, sizeof(enum mo_transport));
-  if (http->listeners == NULL || http->listener_transports == NULL) {
+  http->listeners = calloc(config->n_listeners + 1, sizeof(*http->listeners));
+  if (http->listeners == NULL) {
     mo_http_refuse_listeners(config);
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
   }
@@ -111,10 +110,10 @@ static int adopt_listeners(struct mo_http *http, const struct mo_http_config *co
     if (code == MO_OK)
       code = described;
     http->beyond_loopback |= beyond;
-    http->listeners[i] = config->listeners[i];
-    http->listener_transports[i] = strncmp(address, "unix:", 5) == 0 ? MO_TRANSPORT_UNIX
-                                   : beyond                          ? MO_TRANSPORT_TCP
-                                                                     : MO_TRANSPORT_LOOPBACK;
+    http->listeners[i] = (struct mo_listener){config->listeners[i],
+                                              strncmp(address, "unix:", 5) == 0 ? MO_TRANSPORT_UNIX
+                                              : beyond                          ? MO_TRANSPORT_TCP
+                                                       : MO_TRANSPORT_LOOPBACK};
     http->n_listeners = i + 1;
   }
   if (code == MO_OK && config->n_listeners == 0)
@@ -138,7 +137,6 @@ static void destroy(struct mo_http *http)
     free(http->connections[fd]);
   free(http->connections);
   free(http->listeners);
-  free(http->listener_transports);
   free(http);
 }
 

@@ -20,8 +20,10 @@ struct mo_http {
   struct mo_names names;
   struct mo_tokens tokens;
   bool beyond_loopback;
-  int *listeners;
-  enum mo_transport *listener_transports;
+  struct mo_listener {
+    int fd;
+    enum mo_transport transport;
+  } * listeners;
   size_t n_listeners;
   struct MHD_Daemon *daemon;
   /* accept.c, connection.c */

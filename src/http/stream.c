@@ -162,11 +162,10 @@ static ssize_t reader(void *context, uint64_t position, char *out, size_t capaci
   } else if (stream->ended) {
     result = MHD_CONTENT_READER_END_OF_STREAM;
   } else {
-    bool closed;
     stream->busy = !stream->live;
     stream->suspended = true;
     MHD_suspend_connection(request->mhd);
-    if (stream->busy && !mo_pool_give(http, request, &closed)) {
+    if (stream->busy && mo_pool_give(http, request) != MO_OK) {
       stream->busy = false;
       stream->ended = true;
       wake(stream);
@@ -247,7 +246,7 @@ void mo_streams_tick(struct mo_http *http, int64_t now_us)
       atomic_fetch_add(&http->metrics.streams_dropped, 1);
       stream->ended = true;
       stream->taken_us = now_us;
-      mo_connection_cut(http, stream->request->connection);
+      mo_connection_cut(http, stream->request->connection, NULL, NULL);
     }
   }
   pthread_mutex_unlock(&http->streams.lock);
