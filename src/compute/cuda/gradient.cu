@@ -68,11 +68,6 @@ bool is_valid(const mo_device_gradient *call)
   return mo_physics_check(&call->physics, nullptr) == MO_OK;
 }
 
-bool is_default(mo_workspace w)
-{
-  return w.nx == 6 && w.ny == 6 && w.nz == 4;
-}
-
 } // namespace
 
 int mo_cuda_gradient_open(mo_device *device)
@@ -136,7 +131,7 @@ int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *ca
   call->host_s = call->device_s = 0;
   if (!is_valid(call))
     return MO_ERR_INVALID;
-  if (!is_default(call->controller->workspace) || !fits_half(call->controller)) {
+  if (!mo_workspace_equal(call->controller->workspace, mo_workspace{6, 6, 4}) || !fits_half(call->controller)) {
     snprintf(device->error, sizeof(device->error), "not a controller that these kernels do");
     return MO_ERR_UNSUPPORTED;
   }

@@ -41,27 +41,15 @@ struct shard {
   int status;
 };
 
-/* At least `bytes`, of any content; NULL: none to be had. */
-static void *reserve(struct mo_gp_memory *m, uint64_t bytes)
+/* At least `bytes`, of any content, from where a plan's tables have their memory or, without a
+ * plan, from malloc; NULL: none to be had. */
+static void *reserve(const struct mo_gradient_plan *plan, struct mo_gp_memory *m, uint64_t bytes)
 {
+  const bool is_own = plan != NULL && plan->allocate != NULL;
   if (m->bytes < bytes) {
-    free(m->at);
+    (is_own ? plan->release : free)(m->at);
     const uint64_t wanted = bytes + bytes / 8 + 64; /* batches differ */
-    m->at = malloc(wanted);
-    m->bytes = m->at != NULL ? wanted : 0;
-  }
-  return m->at;
-}
-
-static void *reserve_table(struct mo_gradient_plan *plan, int table, uint64_t bytes)
-{
-  struct mo_gp_memory *m = &plan->memory[table];
-  if (plan->allocate == NULL || table == STARTS)
-    return reserve(m, bytes);
-  if (m->bytes < bytes) {
-    plan->release(m->at);
-    const uint64_t wanted = bytes + bytes / 8 + 64;
-    m->at = plan->allocate(plan->context, wanted);
+    m->at = is_own ? plan->allocate(plan->context, wanted) : malloc(wanted);
     m->bytes = m->at != NULL ? wanted : 0;
   }
   return m->at;
@@ -339,12 +327,12 @@ static int lay_out(struct shard *s)
   size_t most_masses = 0;
   for (uint32_t i = 0; i < s->n; i++)
     most_masses += s->robots[s->first + i].body->n_masses;
-  s->order = reserve(&s->memory[ORDER], s->n * sizeof(*s->order));
-  s->groups = reserve(&s->memory[GROUPS], most_groups * sizeof(*s->groups));
-  s->rows = reserve(&s->memory[ROWS], most_groups * MO_GP_ROWS_MAX * sizeof(*s->rows));
-  s->position = reserve(&s->memory[POSITION], 3 * most_masses * sizeof(*s->position));
-  s->input = reserve(&s->memory[INPUT], most_masses);
-  s->scratch = reserve(&s->memory[SCRATCH], 3 * MO_DEFAULT_MASSES * sizeof(*s->scratch));
+  s->order = reserve(NULL, &s->memory[ORDER], s->n * sizeof(*s->order));
+  s->groups = reserve(NULL, &s->memory[GROUPS], most_groups * sizeof(*s->groups));
+  s->rows = reserve(NULL, &s->memory[ROWS], most_groups * MO_GP_ROWS_MAX * sizeof(*s->rows));
+  s->position = reserve(NULL, &s->memory[POSITION], 3 * most_masses * sizeof(*s->position));
+  s->input = reserve(NULL, &s->memory[INPUT], most_masses);
+  s->scratch = reserve(NULL, &s->memory[SCRATCH], 3 * MO_DEFAULT_MASSES * sizeof(*s->scratch));
   if (s->order == NULL || s->groups == NULL || s->rows == NULL || s->position == NULL ||
       s->input == NULL || s->scratch == NULL)
     return MO_ERR_NO_MEMORY;
@@ -415,12 +403,13 @@ static int place(struct mo_gradient_plan *plan, struct shard *shards)
     plan->n_masses += s->n_masses;
     plan->n_chunks += s->n_chunks;
   }
-  plan->groups = reserve_table(plan, GROUPS, plan->n_groups * sizeof(*plan->groups));
-  plan->rows = reserve_table(plan, ROWS, plan->n_rows * sizeof(*plan->rows));
-  plan->position = reserve_table(plan, POSITION, plan->n_masses * 3 * sizeof(*plan->position));
-  plan->input = reserve_table(plan, INPUT, plan->n_masses);
+  plan->groups = reserve(plan, &plan->memory[GROUPS], plan->n_groups * sizeof(*plan->groups));
+  plan->rows = reserve(plan, &plan->memory[ROWS], plan->n_rows * sizeof(*plan->rows));
+  plan->position =
+      reserve(plan, &plan->memory[POSITION], plan->n_masses * 3 * sizeof(*plan->position));
+  plan->input = reserve(plan, &plan->memory[INPUT], plan->n_masses);
   plan->springs =
-      reserve_table(plan, SPRINGS, plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
+      reserve(plan, &plan->memory[SPRINGS], plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
   const bool all = plan->groups != NULL && plan->rows != NULL && plan->position != NULL &&
                    plan->input != NULL && plan->springs != NULL;
   return all ? MO_OK : MO_ERR_NO_MEMORY;
@@ -440,24 +429,18 @@ static struct shard *shards_of(struct mo_gradient_plan *plan, uint32_t n)
   return plan->shards.at;
 }
 
-static bool is_default(struct mo_workspace w)
-{
-  const struct mo_workspace d = MO_DEFAULT_WORKSPACE;
-  return w.nx == d.nx && w.ny == d.ny && w.nz == d.nz;
-}
-
 int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n,
                           const struct mo_physics *physics, const struct mo_gp_options *options,
                           struct mo_gradient_plan *plan)
 {
   for (uint32_t i = 0; i < n; i++)
-    if (!is_default(robots[i].body->workspace))
+    if (!mo_workspace_equal(robots[i].body->workspace, MO_DEFAULT_WORKSPACE))
       return MO_ERR_UNSUPPORTED;
   plan->n = n;
   plan->n_shards = (n + options->shard - 1) / options->shard;
   plan->n_groups = plan->n_rows = 0;
   plan->n_masses = plan->n_chunks = 0;
-  plan->starts = reserve(&plan->memory[STARTS], n * sizeof(*plan->starts));
+  plan->starts = reserve(NULL, &plan->memory[STARTS], n * sizeof(*plan->starts));
   struct shard *shards = shards_of(plan, plan->n_shards);
   if (plan->starts == NULL || shards == NULL)
     return MO_ERR_NO_MEMORY;

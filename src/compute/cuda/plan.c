@@ -5,6 +5,7 @@
  * body by body and group by group, each independent of the others. */
 #include "compute/cuda/plan.h"
 
+#include "base/thread.h"
 #include "rollout/carve.h"
 #include "rollout/scene.h"
 
@@ -245,19 +246,13 @@ static void arrange(struct mo_plan *plan)
         (struct mo_plan_row){.row = r, .environment = plan->environment_of[r]};
 }
 
-static int is_default(const struct mo_body *body)
-{
-  return body->workspace.nx == SIDE_X - 1 && body->workspace.ny == SIDE_Y - 1 &&
-         body->workspace.nz == SIDE_Z - 1;
-}
-
 /* Numbers bodies and environments by appearance. */
 static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *environments)
 {
   for (uint32_t r = 0; r < plan->n; r++) {
     const struct mo_robot *robot = plan->robots + r;
     const int again = r > 0 && robot->body == robot[-1].body;
-    if (!again && !is_default(robot->body))
+    if (!again && !mo_workspace_equal(robot->body->workspace, MO_DEFAULT_WORKSPACE))
       return MO_ERR_UNSUPPORTED;
     plan->body_of[r] = again ? plan->body_of[r - 1] : distinct_add(bodies, robot->body);
     plan->found[plan->body_of[r]] = robot->body;
@@ -311,12 +306,18 @@ int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t
   return status == MO_OK ? find(plan, &bodies, &environments) : status;
 }
 
-void mo_plan_measure(struct mo_plan *plan, uint32_t share, uint32_t n_shares)
+static void measure_some(void *context, size_t first, size_t end)
 {
-  for (uint32_t b = share; b < plan->n_bodies; b += n_shares) {
+  struct mo_plan *plan = context;
+  for (size_t b = first; b < end; b++) {
     plan->measured[b] = measure(plan, plan->found[b], plan->measured_pairs + b);
     plan->keys[b] = (uint64_t)body_key(plan->found[b]) << 32 | b;
   }
+}
+
+void mo_plan_measure(struct mo_plan *plan, uint32_t n_threads)
+{
+  mo_parallel(n_threads, plan->n_bodies, measure_some, plan);
 }
 
 int mo_plan_cut(struct mo_plan *plan, const struct mo_plan_options *options)
@@ -547,7 +548,9 @@ static uint32_t input_tiles_of(const struct mo_plan *plan, const struct mo_plan_
   return tiles;
 }
 
-void mo_plan_fill(const struct mo_plan *plan, void *memory, uint32_t share, uint32_t n_shares)
+/* Share `share` of n: every n-th body, environment and group from there on, since the first ones
+ * are larger. */
+static void fill_share(const struct mo_plan *plan, void *memory, uint32_t share, uint32_t n_shares)
 {
   const struct mo_plan_block *block = &plan->block;
   char *base = memory;
@@ -584,4 +587,23 @@ void mo_plan_fill(const struct mo_plan *plan, void *memory, uint32_t share, uint
     memcpy(base + block->parts, plan->parts, plan->n_parts * sizeof(*plan->parts));
     memcpy(base + block->rows, plan->rows, plan->n * sizeof(*plan->rows));
   }
+}
+
+struct filling {
+  const struct mo_plan *plan;
+  void *block;
+  uint32_t n_shares;
+};
+
+static void fill_shares(void *context, size_t first, size_t end)
+{
+  const struct filling *f = context;
+  for (size_t share = first; share < end; share++)
+    fill_share(f->plan, f->block, (uint32_t)share, f->n_shares);
+}
+
+void mo_plan_fill(const struct mo_plan *plan, void *block, uint32_t n_threads)
+{
+  struct filling filling = {plan, block, n_threads};
+  mo_parallel(n_threads, n_threads, fill_shares, &filling);
 }

@@ -2,8 +2,7 @@
  *
  * Rows are cut into groups of at most MO_PLAN_ROWS_MAX; a group lives its whole life in one thread
  * block. Each body and each environment that the rows name is laid out once. What the device reads
- * is one block of memory (struct mo_plan_block says where what lies), which several threads may
- * fill at once. */
+ * is one block of memory (struct mo_plan_block says where what lies). */
 #ifndef MORPHO_COMPUTE_CUDA_PLAN_H
 #define MORPHO_COMPUTE_CUDA_PLAN_H
 
@@ -46,8 +45,7 @@ struct mo_plan {
   uint64_t *keys; /* (n_bodies): by which bodies are ordered */
 };
 
-/* In this order: mo_plan_create, all shares of mo_plan_measure, mo_plan_cut, all shares of
- * mo_plan_fill; shares of one function may be worked on at the same time. `robots` and what they
+/* In this order: mo_plan_create, mo_plan_measure, mo_plan_cut, mo_plan_fill. `robots` and what they
  * point to must stay until the plan is freed. It may be freed after an error, too. */
 
 /* Finds the distinct bodies and environments (by address). MO_ERR_UNSUPPORTED: a body of another
@@ -55,16 +53,15 @@ struct mo_plan {
 int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n);
 void mo_plan_free(struct mo_plan *plan);
 
-/* Looks at share `share` of `n_shares` of the bodies. */
-void mo_plan_measure(struct mo_plan *plan, uint32_t share, uint32_t n_shares);
+/* Looks at the bodies, on up to n_threads threads. */
+void mo_plan_measure(struct mo_plan *plan, uint32_t n_threads);
 
 /* Cuts the rows into groups. MO_ERR_UNSUPPORTED: a body that does not fit group_bytes by itself;
  * MO_ERR_NO_MEMORY. */
 int mo_plan_cut(struct mo_plan *plan, const struct mo_plan_options *options);
 
-/* Writes share `share` of `n_shares` of the block, 8-byte aligned and plan->block.bytes long. All
- * shares together write every byte that the device reads. */
-void mo_plan_fill(const struct mo_plan *plan, void *block, uint32_t share, uint32_t n_shares);
+/* Writes the block, 8-byte aligned and plan->block.bytes long, on up to n_threads threads. */
+void mo_plan_fill(const struct mo_plan *plan, void *block, uint32_t n_threads);
 
 /* The lattice mass whose sensor stands at place `input` of the first layer's inputs, or −1: sixteen
  * places are masses that tend to be used together, those in the middle of the lattice's floor

@@ -4,7 +4,6 @@
 #include "compute/cuda/score.cuh"
 
 extern "C" {
-#include "base/thread.h"
 #include "rollout/scene.h"
 }
 
@@ -27,30 +26,12 @@ uint32_t rows_wanted(uint32_t n, uint32_t blocks, uint32_t most)
   return (uint32_t)((rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN * MO_PLAN_COLUMN);
 }
 
-/* What is done to a plan by shares. */
-struct Shares {
-  mo_plan *plan;
-  void *block; /* where it is written; nullptr: it is measured */
-  uint32_t n;
-};
-
-void do_shares(void *context, size_t first, size_t end)
-{
-  const Shares &shares = *static_cast<const Shares *>(context);
-  for (uint32_t share = (uint32_t)first; share < end; share++)
-    if (shares.block == nullptr)
-      mo_plan_measure(shares.plan, share, shares.n);
-    else
-      mo_plan_fill(shares.plan, shares.block, share, shares.n);
-}
-
-/* On several processors where there is enough of it. */
-void share_out(mo_plan *plan, void *block)
+/* As many as there is work on a plan for. */
+uint32_t threads_for(const mo_plan &plan)
 {
   const uint32_t processors = std::max(1u, std::thread::hardware_concurrency());
-  const uint32_t useful = (plan->n_bodies + kBodiesPerThread - 1) / kBodiesPerThread;
-  Shares shares = {plan, block, std::min({useful, processors, kThreadsMax})};
-  mo_parallel(shares.n, shares.n, do_shares, &shares);
+  const uint32_t useful = (plan.n_bodies + kBodiesPerThread - 1) / kBodiesPerThread;
+  return std::min({useful, processors, kThreadsMax});
 }
 
 /* From rows to groups. */
@@ -59,7 +40,7 @@ int make_plan(mo_plan *plan, const mo_device_score *score, const mo_plan_options
   const int status = mo_plan_create(plan, score->robots, score->n);
   if (status != MO_OK)
     return status;
-  share_out(plan, nullptr);
+  mo_plan_measure(plan, threads_for(*plan));
   return mo_plan_cut(plan, &options);
 }
 
@@ -129,7 +110,7 @@ void hand_over(const mo_cuda_outcome *from, const mo_device_score *score)
 }
 
 /* From the plan to outcomes in pinned memory. */
-int run(mo_device *device, mo_plan &plan, const mo_device_score *score, uint32_t blocks, float *device_ms)
+int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, uint32_t blocks, float *device_ms)
 {
   const uint32_t places = most_places(plan);
   if (plan.n_groups < blocks)
@@ -138,7 +119,7 @@ int run(mo_device *device, mo_plan &plan, const mo_device_score *score, uint32_t
   if (status != MO_OK)
     return status;
   void *block = device->staged_plan.memory;
-  share_out(&plan, block);
+  mo_plan_fill(&plan, block, threads_for(plan));
   if (score->cancel != nullptr && __atomic_load_n(score->cancel, __ATOMIC_RELAXED) != 0)
     return MO_ERR_CANCELLED;
   status = mo_cuda_generators(device, &score->physics); /* begins a copy: from here on it is waited for */

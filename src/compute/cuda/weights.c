@@ -130,8 +130,7 @@ static void put_scaled(const float *values, size_t n, float scale, float *out)
 
 int mo_weights_pack(const struct mo_controller *controller, void *memory)
 {
-  const struct mo_workspace w = controller->workspace;
-  if (w.nx != 6 || w.ny != 6 || w.nz != 4)
+  if (!mo_workspace_equal(controller->workspace, MO_DEFAULT_WORKSPACE))
     return MO_ERR_UNSUPPORTED;
   /* A normalized value is at most √256. */
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++)

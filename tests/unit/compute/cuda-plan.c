@@ -51,28 +51,26 @@ static const struct mo_plan_options options = {.rows = 40,
                                                .place_bytes = 12,
                                                .length_bytes = 4};
 
-static int cut(struct mo_plan *plan, const struct mo_robot *rows, uint32_t n, uint32_t shares,
+static int cut(struct mo_plan *plan, const struct mo_robot *rows, uint32_t n, uint32_t n_threads,
                const struct mo_plan_options *wanted)
 {
   const int status = mo_plan_create(plan, rows, n);
   if (status != MO_OK)
     return status;
-  for (uint32_t share = 0; share < shares; share++)
-    mo_plan_measure(plan, share, shares);
+  mo_plan_measure(plan, n_threads);
   return mo_plan_cut(plan, wanted);
 }
 
-static int fill(struct filled *filled, const struct mo_robot *rows, uint32_t n, uint32_t shares)
+static int fill(struct filled *filled, const struct mo_robot *rows, uint32_t n, uint32_t n_threads)
 {
-  if (cut(&filled->plan, rows, n, shares, &options) < 0)
+  if (cut(&filled->plan, rows, n, n_threads, &options) < 0)
     return 0;
   const struct mo_plan_block *block = &filled->plan.block;
   char *base = filled->block = aligned_alloc(256, block->bytes);
   if (base == NULL)
     return 0;
   memset(base, 0x5a, block->bytes);
-  for (uint32_t share = 0; share < shares; share++)
-    mo_plan_fill(&filled->plan, base, share, shares);
+  mo_plan_fill(&filled->plan, base, n_threads);
   filled->bodies = (const void *)(base + block->bodies);
   filled->pairs = (const void *)(base + block->pairs);
   filled->links = (const void *)(base + block->links);
@@ -287,7 +285,7 @@ static void tiles(void)
   release(&f);
 }
 
-static void shares_do_not_matter(void)
+static void threads_do_not_matter(void)
 {
   struct filled one, many;
   REQUIRE(fill(&one, robots, N, 1) && fill(&many, robots, N, 5));
@@ -325,6 +323,6 @@ static const struct check_case cases[] = {{"every row once", rows_once},
                                           {"links", links},
                                           {"slots", slots},
                                           {"tiles", tiles},
-                                          {"any number of shares", shares_do_not_matter},
+                                          {"any number of threads", threads_do_not_matter},
                                           {"refusals", refusals}};
 CHECK_MAIN_WITH(setup, cases)
