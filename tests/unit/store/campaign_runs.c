@@ -335,8 +335,7 @@ static void shares_scores(void)
   CHECK_INT(mo_store_campaign_known(fixture.store, id, fingerprint, made.children, MADE_POPULATION,
                                     known),
             MADE_POPULATION);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
+  fixture_close(&fixture);
   REQUIRE(outside(&fixture, "DELETE FROM scores WHERE genotype=(SELECT max(genotype) FROM "
                             "scores)") == SQLITE_OK);
   REQUIRE(fixture_reopen(&fixture) == MO_OK);

@@ -27,6 +27,21 @@ static int files_of(int64_t id)
   return n;
 }
 
+/* Submits a training and starts it. */
+static int64_t start_training(void)
+{
+  const struct mo_training_submission submission = submission_of(1000);
+  const int64_t id = submit(&fixture, &submission);
+  CHECK_INT(mo_store_run_start(fixture.store, id), MO_OK);
+  return id;
+}
+
+static int put(int64_t id, uint32_t step, const char *state, uint32_t keep)
+{
+  return mo_store_training_checkpoint(fixture.store, id, step, (const uint8_t *)state,
+                                      strlen(state), keep);
+}
+
 static int put_file(const char *name, const char *text)
 {
   char path[512];
@@ -41,22 +56,18 @@ static int put_file(const char *name, const char *text)
 
 static void keeps_checkpoints(void)
 {
-  struct mo_training_submission submission = submission_of(100);
   struct mo_checkpoint_row rows[5];
   struct mo_training_status status;
   uint8_t *bytes = NULL;
   size_t size = 0;
   char name[512];
   int64_t id;
-  id = submit(&fixture, &submission);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
+  id = start_training();
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size),
             MO_ERR_NOT_FOUND);
   for (uint32_t step = 10; step <= 40; step += 10) {
     snprintf(name, sizeof(name), "state after %u", (unsigned)step);
-    CHECK_INT(mo_store_training_checkpoint(fixture.store, id, step, (const uint8_t *)name,
-                                           strlen(name), 2),
-              MO_OK);
+    CHECK_INT(put(id, step, name, 2), MO_OK);
   }
   CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 5), 2);
   CHECK(rows[0].step == 40 && rows[1].step == 30 && rows[0].size == 14 && rows[0].stored_us > 0);
@@ -77,8 +88,7 @@ static void keeps_checkpoints(void)
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size),
             MO_ERR_CORRUPT);
   /* The run goes on from 30: its next checkpoint makes the damaged one go, not the good one. */
-  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 35, (const uint8_t *)"35", 2, 2),
-            MO_OK);
+  CHECK_INT(put(id, 35, "35", 2), MO_OK);
   CHECK_INT(mo_store_checkpoints(fixture.store, id, rows, 5), 2);
   CHECK(rows[0].step == 35 && rows[1].step == 30);
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
@@ -105,8 +115,7 @@ static void keeps_checkpoints(void)
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 35, &bytes, &size), MO_OK);
   free(bytes);
   /* Of an earlier life of the process: not this one's to write. */
-  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"50", 2, 2),
-            MO_ERR_CONFLICT);
+  CHECK_INT(put(id, 50, "50", 2), MO_ERR_CONFLICT);
   CHECK_INT(files_of(id), 2);
 }
 
@@ -133,17 +142,14 @@ static void *write_checkpoints(void *context)
 /* A reader of the newest checkpoint gets a whole one, however fast they follow each other. */
 static void reads_checkpoints_while_they_go(void)
 {
-  struct mo_training_submission submission = submission_of(1000);
   struct checkpointer writer = {.ended = false};
   uint8_t *bytes = NULL;
   size_t size = 0;
   pthread_t thread;
   int bad = 0;
   writer.store = fixture.store;
-  writer.id = submit(&fixture, &submission);
-  REQUIRE(mo_store_run_start(fixture.store, writer.id) == MO_OK);
-  REQUIRE(mo_store_training_checkpoint(fixture.store, writer.id, 1, (const uint8_t *)"1", 1, 1) ==
-          MO_OK);
+  writer.id = start_training();
+  REQUIRE(put(writer.id, 1, "1", 1) == MO_OK);
   REQUIRE(pthread_create(&thread, NULL, write_checkpoints, &writer) == 0);
   while (!atomic_load(&writer.ended)) {
     int error = mo_store_training_checkpoint_bytes(fixture.store, writer.id, 0, &bytes, &size);
@@ -161,16 +167,13 @@ static void reads_checkpoints_while_they_go(void)
  * training would start over. */
 static void keeps_apart_damage_and_want_of_descriptors(void)
 {
-  struct mo_training_submission submission = submission_of(100);
   struct rlimit before, small;
   uint8_t *bytes = NULL;
   size_t size = 0;
   int64_t id;
   int next;
-  id = submit(&fixture, &submission);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  REQUIRE(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2) ==
-          MO_OK);
+  id = start_training();
+  REQUIRE(put(id, 10, "ten", 2) == MO_OK);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
   free(bytes);
   next = open("/dev/null", O_RDONLY | O_CLOEXEC);
@@ -188,15 +191,13 @@ static void keeps_apart_damage_and_want_of_descriptors(void)
 /* Files larger than a limit cannot be written: as on a full disk, but for small ones. */
 static void survives_a_full_disk(void)
 {
-  struct mo_training_submission submission = submission_of(100);
   struct mo_checkpoint_row rows[5];
   struct rlimit before, small;
   size_t size = 4 << 20;
   uint8_t *bytes = calloc(1, size);
   int64_t id;
   REQUIRE(bytes != NULL);
-  id = submit(&fixture, &submission);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
+  id = start_training();
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 1, bytes, 1000, 2), MO_OK);
   signal(SIGXFSZ, SIG_IGN);
   getrlimit(RLIMIT_FSIZE, &before);
@@ -229,8 +230,7 @@ static void removes_what_is_not_needed(void)
   CHECK_INT(removed.n, 0);
   REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
   for (uint32_t step = 10; step <= 50; step += 10)
-    REQUIRE(mo_store_training_checkpoint(fixture.store, id, step, (const uint8_t *)"state", 5, 9) ==
-            MO_OK);
+    REQUIRE(put(id, step, "state", 9) == MO_OK);
   REQUIRE(mo_store_training(fixture.store, id, &status) == MO_OK);
   version = status.job.version;
   removed.n = 99;
@@ -262,8 +262,7 @@ static void removes_what_is_not_needed(void)
   CHECK(removed.n == 1 && removed.places[0].step == 50);
   CHECK(access(folder, F_OK) != 0);
   /* A run that learns late of its end leaves nothing. */
-  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 60, (const uint8_t *)"late", 4, 9),
-            MO_ERR_CONFLICT);
+  CHECK_INT(put(id, 60, "late", 9), MO_ERR_CONFLICT);
   CHECK(access(folder, F_OK) != 0);
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
   CHECK(status.checkpoint_step == 0 && status.job.version > version);
@@ -284,7 +283,6 @@ static void *remove_checkpoints(void *context)
  * thread deletes those: what is there has its file. */
 static void writes_again_what_is_removed(void)
 {
-  struct mo_training_submission submission = submission_of(1000);
   struct checkpointer remover = {.ended = false};
   struct mo_checkpoint_row rows[9];
   uint8_t *bytes = NULL;
@@ -292,14 +290,11 @@ static void writes_again_what_is_removed(void)
   pthread_t thread;
   int64_t n;
   remover.store = fixture.store;
-  remover.id = submit(&fixture, &submission);
-  REQUIRE(mo_store_run_start(fixture.store, remover.id) == MO_OK);
+  remover.id = start_training();
   REQUIRE(pthread_create(&thread, NULL, remove_checkpoints, &remover) == 0);
   for (int i = 0; i < 150; i++) {
     uint32_t step = (uint32_t)(1 + i % 3);
-    CHECK_INT(mo_store_training_checkpoint(fixture.store, remover.id, step,
-                                           (const uint8_t *)"state", 5, 9),
-              MO_OK);
+    CHECK_INT(put(remover.id, step, "state", 9), MO_OK);
     int error = mo_store_training_checkpoint_bytes(fixture.store, remover.id, step, &bytes, &size);
     CHECK(error == MO_OK || error == MO_ERR_NOT_FOUND); /* MO_ERR_CORRUPT: a row without its file */
     if (error == MO_OK)

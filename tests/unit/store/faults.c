@@ -109,8 +109,7 @@ static void dies_of_a_failing_disk(void)
     CHECK_INT(atomic_load(&fatal_calls), 1);
     mo_store_get_stats(fixture.store, &stats);
     CHECK(stats.fatal);
-    mo_store_close(fixture.store);
-    fixture.store = NULL;
+    fixture_close(&fixture);
     snprintf(log_path, sizeof(log_path), "%s/morphod.db-wal", fixture.path);
     CHECK_INT(access(log_path, F_OK), 0); /* the next opening recovers from it */
     REQUIRE(fixture_reopen(&fixture) == MO_OK);

@@ -53,7 +53,6 @@ static void submits_and_reads_back(void)
 static void answers_a_repeated_key(void)
 {
   struct mo_submission submission = draw_evaluation(3, 1);
-  struct mo_store_config config;
   int64_t id = 0, again = 0;
   bool replayed;
   submission.idempotency_key = "key-1";
@@ -70,11 +69,8 @@ static void answers_a_repeated_key(void)
   CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again),
             MO_ERR_CONFLICT);
   /* Keys older than their time are forgotten. */
-  mo_store_close(fixture.store);
-  REQUIRE(outside(&fixture, "UPDATE idempotency_keys SET created_us=created_us-90000000000") ==
-          SQLITE_OK);
-  config = (struct mo_store_config){.path = fixture.path};
-  REQUIRE(mo_store_open(&config, &fixture.store, NULL) == MO_OK);
+  REQUIRE(reopen_after(&fixture, "UPDATE idempotency_keys SET created_us=created_us-90000000000") ==
+          MO_OK);
   for (int i = 0; i < 1200; i++) { /* enough events to make a round of pruning due */
     enum mo_job_state before;
     CHECK_INT(mo_store_change_job(fixture.store, id,

@@ -71,8 +71,7 @@ static int fill(void)
       "scored_generation,scored"};
   char sql[4096];
   int result = SQLITE_OK;
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
+  fixture_close(&fixture);
   for (int kind = 0; kind < 3 && result == SQLITE_OK; kind++) {
     snprintf(sql, sizeof(sql),
              "BEGIN;"

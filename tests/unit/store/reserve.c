@@ -52,8 +52,7 @@ static bool begin(struct small *small, const char *size)
 
 static void end(struct small *small)
 {
-  mo_store_close(small->fixture.store);
-  small->fixture.store = NULL;
+  fixture_close(&small->fixture);
   umount(small->fixture.path);
   free(small->forms);
   free(small->genotypes);
@@ -149,8 +148,7 @@ static void fills_the_holes_of_a_copy(void)
   if (!begin(&small, "24m"))
     return;
   const int64_t whole = size_of(small.reserve);
-  mo_store_close(small.fixture.store);
-  small.fixture.store = NULL;
+  fixture_close(&small.fixture);
   CHECK_INT(truncate(small.reserve, 0), 0);
   CHECK_INT(truncate(small.reserve, whole), 0);
   CHECK_INT(fixture_reopen(&small.fixture), MO_OK);
@@ -274,8 +272,7 @@ static void grows_the_index_of_the_log(void)
   if (!begin(&small, "40m"))
     return;
   const struct mo_store_config config = {.path = small.fixture.path, .checkpoint_frames = 1000000};
-  mo_store_close(small.fixture.store);
-  small.fixture.store = NULL;
+  fixture_close(&small.fixture);
   REQUIRE(mo_store_open(&config, &small.fixture.store, &small.fixture.message) == MO_OK);
   one = small.submission;
   one.n_designs = 1;
@@ -313,8 +310,7 @@ static void grows_the_index_of_the_log(void)
 static void kill_store(struct small *small)
 {
   mo_store_declare_fatal(small->fixture.store, "the end of a test");
-  mo_store_close(small->fixture.store);
-  small->fixture.store = NULL;
+  fixture_close(&small->fixture);
 }
 
 /* Fills the file system until an urgent operation needs the reserve. */

@@ -269,8 +269,7 @@ static void serves_no_flipped_bit(void)
       } else {
         refused++;
       }
-      mo_store_close(fixture.store);
-      fixture.store = NULL;
+      fixture_close(&fixture);
     } else {
       refused++;
     }
@@ -319,8 +318,7 @@ static void checks_contents(void)
       CHECK_INT(samples[k].diverged_step, isinf(samples[k].loss) ? 17 : 0);
     }
     CHECK_INT(mo_store_sample(fixture.store, "another", 12345, samples, 4), 0);
-    mo_store_close(fixture.store);
-    fixture.store = NULL;
+    fixture_close(&fixture);
     if (!is_sound)
       CHECK_INT(outside(&fixture, damage[i]), SQLITE_OK);
     REQUIRE(fixture_reopen(&fixture) == MO_OK);

@@ -240,17 +240,10 @@ static void finds_steps_in_a_long_curve(void)
       "training_steps SELECT 1,x,0.5,0.001,1,0,0,0,0,0,0,0.25 FROM s";
   struct mo_training_submission submission = submission_of(100000);
   struct mo_training_step_row *rows = calloc(MO_PAGE_MAX, sizeof(*rows));
-  char path[512];
-  sqlite3 *db = NULL;
   int64_t n = MO_PAGE_MAX, begin, middle, end;
   REQUIRE(rows != NULL);
   REQUIRE(submit(&fixture, &submission) == 1);
-  fixture_close(&fixture);
-  snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
-  REQUIRE(sqlite3_open(path, &db) == SQLITE_OK);
-  CHECK_INT(sqlite3_exec(db, fill, NULL, NULL, NULL), SQLITE_OK);
-  sqlite3_close(db);
-  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  REQUIRE(reopen_after(&fixture, fill) == MO_OK);
   begin = steps_of_readers(fixture.store);
   for (uint32_t after = 0; after < 100000 && n == MO_PAGE_MAX; after += MO_PAGE_MAX)
     n = mo_store_training_steps(fixture.store, 1, after, 1, rows, MO_PAGE_MAX);
@@ -416,47 +409,13 @@ static void finishes_with_its_controller(void)
   mo_controller_free(controller);
 }
 
-static void parks_and_requeues(void)
+/* What all runs have is tested with campaigns. */
+static void forgives_progress(void)
 {
   struct mo_training_submission submission = submission_of(100);
-  struct mo_event events[10];
   enum mo_job_state after = MO_JOB_CANCELLED;
   struct mo_job job;
-  int64_t id, n;
-  id = submit(&fixture, &submission);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
-  CHECK_INT(after, MO_JOB_QUEUED);
-  /* A process that dies leaves it running; the next one queues it again. */
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(fixture_reopen(&fixture), MO_OK);
-  CHECK_INT(state_of(&fixture, id), MO_JOB_RUNNING);
-  CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
-  CHECK_INT(state_of(&fixture, id), MO_JOB_QUEUED);
-  /* An error, a crash, an error: the third is the last. */
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
-            MO_OK);
-  CHECK_INT(after, MO_JOB_QUEUED);
-  CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
-  CHECK_INT(job.attempts, 1);
-  CHECK_TEXT(job.error_text, "out of memory");
-  CHECK_INT(mo_store_requeue(fixture.store, id, 3, "killed"), MO_OK);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
-            MO_OK);
-  CHECK_INT(after, MO_JOB_FAILED);
-  CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
-  n = mo_store_events(fixture.store, 0, id, events, 10, NULL, NULL);
-  CHECK(n > 0 && strcmp(events[n - 1].type, "job.finished") == 0);
-  CHECK(n > 0 && strstr(events[n - 1].data, "\"kind\":\"training\",\"state\":\"failed\"") != NULL);
-  /* One that is paused stays so. */
-  id = submit(&fixture, &submission);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
-  CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
-  CHECK_INT(after, MO_JOB_PAUSED);
-  CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
+  int64_t id;
   /* Errors with progress between them are forgiven; errors at one step are not, whatever checkpoint
    * is written again. */
   id = submit(&fixture, &submission);
@@ -490,6 +449,6 @@ static const struct check_case cases[] = {
     {"names the code", names_the_code},
     {"finds by the state that is shown", finds_by_the_state_that_is_shown},
     {"finishes with its controller", finishes_with_its_controller},
-    {"parks and requeues", parks_and_requeues},
+    {"forgives errors with progress between them", forgives_progress},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)
