@@ -241,11 +241,11 @@ struct likeness {
   double cosine, error, norm, norm_reference; /* error: relative */
 };
 
-static struct likeness likeness_of(const float *device, const double *reference, size_t n)
+static struct likeness likeness_of(const float *gradient, const double *reference, size_t n)
 {
   double product = 0, own = 0, other = 0, apart = 0;
   for (size_t k = 0; k < n; k++) {
-    const double x = device[k], y = reference[k];
+    const double x = gradient[k], y = reference[k];
     product += x * y;
     own += x * x;
     other += y * y;
