@@ -204,7 +204,7 @@ static inline struct origin origin_of(const struct mo_campaign_request *request)
 
 static inline struct mo_campaign_status status_of(struct service *service, int64_t id)
 {
-  struct mo_campaign_status status = {.generation = -2};
+  struct mo_campaign_status status = {.generation = -1};
   (void)mo_store_campaign(service->fixture.store, id, &status);
   return status;
 }

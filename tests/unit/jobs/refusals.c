@@ -150,7 +150,7 @@ SERVICE_CASE(of_campaigns, 1)
   status = status_of(service, id + 2);
   CHECK_INT(status.record.settings.seed, good.record.settings.seed + 2);
   CHECK_INT(status.record.group, id);
-  CHECK_INT(status_of(service, id + 3).generation, -2); /* no such campaign */
+  CHECK_INT(mo_store_campaign(service->fixture.store, id + 3, &status), MO_ERR_NOT_FOUND);
   REFUSED(submit_campaign, MO_ERR_CONFLICT, "has no population yet", bad.idempotency_key = NULL,
           bad.record.initial_campaign = id);
   for (int i = 0; i < 3; i++)
