@@ -144,6 +144,14 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
   return error;
 }
 
+static bool same_bits(double a, double b)
+{
+  uint64_t words[2];
+  memcpy(&words[0], &a, sizeof(a));
+  memcpy(&words[1], &b, sizeof(b));
+  return words[0] == words[1];
+}
+
 /* Updates parents that died or have a new score. */
 static int update_parents(struct mo_connection *writer, const struct commit_arguments *call)
 {
@@ -152,7 +160,7 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
   const struct mo_campaign_commit *commit = call->commit;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->n_parents && error == MO_OK; i++) {
-    if (call->lives[i] && memcmp(&commit->parent_scores[i], &call->scores[i], 8) == 0)
+    if (call->lives[i] && same_bits(commit->parent_scores[i], call->scores[i]))
       continue;
     error = mo_sql_change(writer, sql, mo_int(call->id), mo_int(commit->parent_numbers[i]),
                           call->lives[i] ? mo_null() : mo_int(commit->row.generation),

@@ -142,7 +142,7 @@ int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_des
   if (error == MO_OK && (descents == NULL || born == NULL))
     error = MO_ERR_NO_MEMORY;
   row = mo_sql_rows(reader, &error, sql, mo_int(id));
-  while (mo_sql_next(reader, row, &error)) {
+  while (descents != NULL && born != NULL && mo_sql_next(reader, row, &error)) {
     const struct mo_birth_row *births = sqlite3_column_blob(row, 1);
     const size_t n = (size_t)sqlite3_column_bytes(row, 1) / sizeof(*births);
     if (n > head.n_designs - filled)
