@@ -29,19 +29,16 @@ static inline uint32_t mo_bits_count_word(uint64_t word)
 static inline uint32_t mo_bits_count(const uint64_t *bits, uint32_t words)
 {
   uint32_t count = 0;
-  for (uint32_t w = 0; w < words; w++) {
+  for (uint32_t w = 0; w < words; w++)
     count += mo_bits_count_word(bits[w]);
-  }
   return count;
 }
 
 static inline int mo_bits_empty(const uint64_t *bits, uint32_t words)
 {
-  for (uint32_t w = 0; w < words; w++) {
-    if (bits[w] != 0) {
+  for (uint32_t w = 0; w < words; w++)
+    if (bits[w] != 0)
       return 0;
-    }
-  }
   return 1;
 }
 
@@ -66,9 +63,8 @@ static inline int mo_scratch_open(struct mo_scratch *scratch, uint32_t words)
 
 static inline void mo_scratch_close(struct mo_scratch *scratch)
 {
-  if (scratch->bits != scratch->local) {
+  if (scratch->bits != scratch->local)
     free(scratch->bits);
-  }
 }
 
 #endif

@@ -23,12 +23,10 @@ static void mark(const struct mo_lattice *lattice, const uint64_t *bits, struct 
   for (uint32_t w = 0; w < words; w++) {
     for (uint64_t rest = bits[w]; rest != 0; rest &= rest - 1) {
       size_t voxel = (size_t)w * 64 + (size_t)__builtin_ctzll(rest);
-      for (int i = 0; i < 8; i++) {
+      for (int i = 0; i < 8; i++)
         mo_bits_set(marks->mass, lattice->voxel_mass[8 * voxel + i]);
-      }
-      for (int i = 0; i < 24; i++) {
+      for (int i = 0; i < 24; i++)
         mo_bits_set(marks->spring, lattice->voxel_spring[24 * voxel + i]);
-      }
     }
   }
   uint32_t below = 0;
@@ -58,9 +56,8 @@ static struct mo_body *allocate(uint32_t n_masses, uint32_t n_springs, struct ar
   size_t bytes = header + n_masses * (sizeof(uint32_t) + 3 * sizeof(uint16_t)) +
                  n_springs * (3 * sizeof(uint32_t) + sizeof(uint8_t));
   char *memory = mo_alloc_aligned(bytes, 1);
-  if (memory == NULL) {
+  if (memory == NULL)
     return NULL;
-  }
   arrays->mass_lattice = (uint32_t *)(void *)(memory + header);
   arrays->spring_lattice = arrays->mass_lattice + n_masses;
   arrays->spring_a = arrays->spring_lattice + n_springs;
@@ -110,9 +107,8 @@ static void fill(const struct mo_lattice *lattice, const struct marks *marks, st
 int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struct mo_body **body)
 {
   uint32_t n_voxels = mo_genotype_count(lattice->workspace, bits);
-  if (n_voxels == 0) {
+  if (n_voxels == 0)
     return MO_ERR_EMPTY;
-  }
   struct marks marks = {.mass_words = (lattice->n_masses + 63) / 64,
                         .spring_words = (lattice->n_springs + 63) / 64};
   size_t bytes = ((size_t)marks.mass_words + marks.spring_words) * sizeof(uint64_t) +
@@ -121,9 +117,8 @@ int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struc
   uint64_t *memory = local;
   if (bytes > sizeof(local)) {
     memory = mo_alloc_aligned(bytes, 1);
-    if (memory == NULL) {
+    if (memory == NULL)
       return MO_ERR_NO_MEMORY;
-    }
   } else {
     memset(local, 0, bytes);
   }
@@ -143,9 +138,8 @@ int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struc
     *body = made;
     code = MO_OK;
   }
-  if (memory != local) {
+  if (memory != local)
     free(memory);
-  }
   return code;
 }
 

@@ -49,9 +49,8 @@ int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed,
 {
   struct mo_form_set *seen = NULL;
   int code = mo_form_set_create(workspace, &seen);
-  if (code != MO_OK) {
+  if (code != MO_OK)
     return code;
-  }
   struct mo_body_stream *made = calloc(1, sizeof(*made));
   if (made == NULL) {
     mo_form_set_free(seen);
@@ -73,9 +72,8 @@ int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed,
 
 void mo_body_stream_free(struct mo_body_stream *stream)
 {
-  if (stream == NULL) {
+  if (stream == NULL)
     return;
-  }
   mo_form_set_free(stream->seen);
   free(stream->ahead);
   free(stream->codes);
@@ -87,13 +85,11 @@ int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads
   n_threads = n_threads < 1                         ? 1
               : n_threads < MO_PARALLEL_THREADS_MAX ? n_threads
                                                     : MO_PARALLEL_THREADS_MAX;
-  if (n_threads == stream->n_threads) { /* keep the draws made ahead */
+  if (n_threads == stream->n_threads) /* keep the draws made ahead */
     return MO_OK;
-  }
   const int code = make_room(stream, n_threads == 1 ? 1 : (size_t)n_threads * AHEAD_PER_THREAD);
-  if (code == MO_OK) {
+  if (code == MO_OK)
     stream->n_threads = n_threads;
-  }
   return code;
 }
 
@@ -105,9 +101,8 @@ static void draw(void *context, size_t first, size_t end)
     struct mo_random random;
     mo_random_init(&random, stream->seed, MO_PURPOSE_BODY, 0, stream->first + i);
     stream->codes[i] = mo_genotype_random(stream->workspace, &random, body);
-    if (stream->codes[i] == MO_OK) {
+    if (stream->codes[i] == MO_OK)
       mo_genotype_canonical(stream->workspace, body, body + stream->words);
-    }
   }
 }
 
@@ -115,9 +110,8 @@ static void draw(void *context, size_t first, size_t end)
 static size_t draw_next(struct mo_body_stream *stream)
 {
   const uint64_t at = stream->draws - stream->first;
-  if (at < stream->n && stream->codes[at] == MO_OK) {
+  if (at < stream->n && stream->codes[at] == MO_OK)
     return (size_t)at;
-  }
   const uint64_t left = MO_RANDOM_INDEX_MAX - stream->draws + 1;
   stream->first = stream->draws;
   stream->n = stream->room < left ? stream->room : (size_t)left;
@@ -128,25 +122,21 @@ static size_t draw_next(struct mo_body_stream *stream)
 int mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form)
 {
   for (uint32_t fruitless = 0; fruitless < FRUITLESS_MAX; fruitless++) {
-    if (stream->draws > MO_RANDOM_INDEX_MAX) {
+    if (stream->draws > MO_RANDOM_INDEX_MAX)
       return MO_ERR_EXHAUSTED;
-    }
     const size_t at = draw_next(stream);
     const uint64_t *body = stream->ahead + 2 * stream->words * at;
     int code = stream->codes[at];
-    if (code != MO_OK) {
+    if (code != MO_OK)
       return code;
-    }
     code = mo_form_set_add(stream->seen, body + stream->words);
-    if (code < 0) {
+    if (code < 0)
       return code; /* the next call repeats the same draw */
-    }
     stream->draws++;
     if (code == 1) {
       memcpy(bits, body, stream->words * sizeof(uint64_t));
-      if (form != NULL) {
+      if (form != NULL)
         memcpy(form, body + stream->words, stream->words * sizeof(uint64_t));
-      }
       return MO_OK;
     }
   }

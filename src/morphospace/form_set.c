@@ -39,13 +39,11 @@ struct mo_form_set {
 int mo_form_set_create(struct mo_workspace workspace, struct mo_form_set **set)
 {
   int code = mo_workspace_check(workspace);
-  if (code != MO_OK) {
+  if (code != MO_OK)
     return code;
-  }
   struct mo_form_set *made = calloc(1, sizeof(*made));
-  if (made == NULL) {
+  if (made == NULL)
     return MO_ERR_NO_MEMORY;
-  }
   made->workspace = workspace;
   made->form_bytes = (mo_workspace_voxels(workspace) + 7) / 8;
   made->bytes = sizeof(*made);
@@ -55,12 +53,10 @@ int mo_form_set_create(struct mo_workspace workspace, struct mo_form_set **set)
 
 void mo_form_set_free(struct mo_form_set *set)
 {
-  if (set == NULL) {
+  if (set == NULL)
     return;
-  }
-  for (int i = 0; i < SEGMENTS; i++) {
+  for (int i = 0; i < SEGMENTS; i++)
     free(set->segments[i].slots);
-  }
   free(set);
 }
 
@@ -97,9 +93,8 @@ static inline __attribute__((always_inline)) int is_free(const uint8_t *slot, si
 {
   uint64_t any = 0;
   size_t i = 0;
-  for (; i + 8 <= n; i += 8) {
+  for (; i + 8 <= n; i += 8)
     any |= load(slot + i, 8);
-  }
   return (any | load(slot + i, n - i)) == 0;
 }
 
@@ -108,9 +103,8 @@ static inline __attribute__((always_inline)) int is_equal(const uint8_t *a, cons
 {
   uint64_t difference = 0;
   size_t i = 0;
-  for (; i + 8 <= n; i += 8) {
+  for (; i + 8 <= n; i += 8)
     difference |= load(a + i, 8) ^ load(b + i, 8);
-  }
   return (difference | (load(a + i, n - i) ^ load(b + i, n - i))) == 0;
 }
 
@@ -151,13 +145,11 @@ static int grow(struct segment *segment, size_t n)
   struct segment larger = {.used = segment->used};
   larger.capacity =
       segment->capacity == 0 ? SEGMENT_FIRST : segment->capacity + segment->capacity / 4;
-  if (larger.capacity > SLOTS_MAX || larger.capacity > SIZE_MAX / n) {
+  if (larger.capacity > SLOTS_MAX || larger.capacity > SIZE_MAX / n)
     return MO_ERR_NO_MEMORY;
-  }
   larger.slots = calloc(larger.capacity, n);
-  if (larger.slots == NULL) {
+  if (larger.slots == NULL)
     return MO_ERR_NO_MEMORY;
-  }
   for (uint64_t slot = 0; slot < segment->capacity; slot++) {
     const uint8_t *form = segment->slots + slot * n;
     if (!is_free(form, n)) {
@@ -178,15 +170,13 @@ static int add(struct segment *segment, const uint8_t *form, size_t n, uint64_t 
   uint64_t slot = 0;
   if (segment->capacity > 0) {
     slot = find(segment, form, n, hashed, &found);
-    if (found) {
+    if (found)
       return 0;
-    }
   }
   if ((segment->used + 1) * 5 > segment->capacity * 4) {
     int code = grow(segment, n);
-    if (code != MO_OK) {
+    if (code != MO_OK)
       return code;
-    }
     slot = find(segment, form, n, hashed, &found);
   }
   memcpy(segment->slots + slot * n, form, n);
@@ -197,9 +187,8 @@ static int add(struct segment *segment, const uint8_t *form, size_t n, uint64_t 
 int mo_form_set_add(struct mo_form_set *set, const uint64_t *form)
 {
   const size_t n = set->form_bytes;
-  if (mo_bits_empty(form, mo_workspace_words(set->workspace))) {
+  if (mo_bits_empty(form, mo_workspace_words(set->workspace)))
     return MO_ERR_EMPTY;
-  }
   const uint8_t *bytes = (const uint8_t *)form;
   uint64_t hashed = hash(bytes, n);
   struct segment *segment = &set->segments[hashed >> 56];
@@ -232,9 +221,8 @@ static int add_one(struct adding *adding, size_t i)
   const int code = add(&adding->set->segments[adding->hashes[i] >> 56],
                        (const uint8_t *)(adding->forms + adding->words * i),
                        adding->set->form_bytes, adding->hashes[i]);
-  if (code == 1) {
+  if (code == 1)
     adding->marks[i] = MO_FORM_NEW;
-  }
   return code;
 }
 
@@ -247,24 +235,19 @@ static void add_to_segments(void *context, size_t first, size_t end)
   int code = MO_OK;
   for (size_t i = 0; i < adding->n && code >= 0; i++) {
     const uint64_t hashed = adding->hashes[i];
-    if (hashed >> 56 < first || hashed >> 56 >= end || adding->marks[i] == MO_FORM_OUT) {
+    if (hashed >> 56 < first || hashed >> 56 >= end || adding->marks[i] == MO_FORM_OUT)
       continue; /* marks of other threads' forms belong to those threads */
-    }
     const struct segment *segment = &set->segments[hashed >> 56];
-    if (segment->capacity > 0) {
+    if (segment->capacity > 0)
       __builtin_prefetch(segment->slots + first_slot(segment, hashed) * set->form_bytes, 1);
-    }
-    if (found - added == FETCHED) {
+    if (found - added == FETCHED)
       code = add_one(adding, waiting[added++ % FETCHED]);
-    }
     waiting[found++ % FETCHED] = i;
   }
-  while (added < found && code >= 0) {
+  while (added < found && code >= 0)
     code = add_one(adding, waiting[added++ % FETCHED]);
-  }
-  if (code < 0) {
+  if (code < 0)
     atomic_store(&adding->error, code);
-  }
 }
 
 int mo_form_set_add_many(struct mo_form_set *set, const uint64_t *forms, const uint64_t *hashes,
@@ -294,9 +277,8 @@ int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form)
   uint64_t hashed = hash(bytes, set->form_bytes);
   const struct segment *segment = &set->segments[hashed >> 56];
   int found = 0;
-  if (segment->capacity > 0 && !mo_bits_empty(form, mo_workspace_words(set->workspace))) {
+  if (segment->capacity > 0 && !mo_bits_empty(form, mo_workspace_words(set->workspace)))
     find(segment, bytes, set->form_bytes, hashed, &found);
-  }
   return found;
 }
 

@@ -14,9 +14,8 @@ static uint32_t voxel_of(struct mo_workspace workspace, const int64_t cell[3])
 
 static void tell(struct mo_cell_fault *fault, size_t cell, size_t other, int axis)
 {
-  if (fault != NULL) {
+  if (fault != NULL)
     *fault = (struct mo_cell_fault){.cell = cell, .other = other, .axis = axis};
-  }
 }
 
 /* Sets the cells in `bits`; stops at the first cell outside the workspace or already set. */
@@ -34,9 +33,8 @@ static int set_cells(struct mo_workspace workspace, const int64_t (*cells)[3], s
     uint32_t voxel = voxel_of(workspace, cells[i]);
     if (mo_bits_get(bits, voxel)) {
       size_t earlier = 0;
-      while (voxel_of(workspace, cells[earlier]) != voxel) {
+      while (voxel_of(workspace, cells[earlier]) != voxel)
         earlier++;
-      }
       tell(fault, i, earlier, 0);
       return MO_ERR_DUPLICATE;
     }
@@ -54,27 +52,24 @@ int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)
     return MO_ERR_EMPTY;
   }
   struct mo_scratch all;
-  if (mo_scratch_open(&all, words) != MO_OK) {
+  if (mo_scratch_open(&all, words) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  }
   struct mo_scratch reached;
   if (mo_scratch_open(&reached, words) != MO_OK) {
     mo_scratch_close(&all);
     return MO_ERR_NO_MEMORY;
   }
   int code = set_cells(workspace, cells, n, all.bits, fault);
-  if (code == MO_OK) {
+  if (code == MO_OK)
     code = mo_shape_component(workspace, all.bits, voxel_of(workspace, cells[0]), reached.bits);
-  }
   for (size_t i = 1; code == MO_OK && i < n; i++) {
     if (!mo_bits_get(reached.bits, voxel_of(workspace, cells[i]))) {
       tell(fault, i, 0, 0);
       code = MO_ERR_NOT_CONTIGUOUS;
     }
   }
-  if (code == MO_OK) {
+  if (code == MO_OK)
     memcpy(bits, all.bits, words * sizeof(uint64_t));
-  }
   mo_scratch_close(&reached);
   mo_scratch_close(&all);
   return code;
@@ -85,17 +80,15 @@ static int find_apart(struct mo_workspace workspace, const uint64_t *bits, uint3
 {
   uint32_t words = mo_workspace_words(workspace);
   uint32_t first = 0;
-  while (first < words && bits[first] == 0) {
+  while (first < words && bits[first] == 0)
     first++;
-  }
   if (first == words) {
     *apart = 0;
     return MO_ERR_EMPTY;
   }
   struct mo_scratch reached;
-  if (mo_scratch_open(&reached, words) != MO_OK) {
+  if (mo_scratch_open(&reached, words) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  }
   int code = mo_shape_component(workspace, bits,
                                 first * 64 + (uint32_t)__builtin_ctzll(bits[first]), reached.bits);
   for (uint32_t w = 0; code == MO_OK && w < words; w++) {
@@ -126,9 +119,8 @@ int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_
     return MO_ERR_RANGE;
   }
   struct mo_scratch scratch;
-  if (mo_scratch_open(&scratch, words) != MO_OK) {
+  if (mo_scratch_open(&scratch, words) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  }
   int code = MO_OK;
   uint32_t place = 0;
   for (uint32_t v = 0; code == MO_OK && v < voxels; v++) {
@@ -139,14 +131,12 @@ int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_
       code = MO_ERR_FORMAT;
     }
   }
-  if (code == MO_OK) {
+  if (code == MO_OK)
     code = find_apart(workspace, scratch.bits, &place);
-  }
-  if (code == MO_OK) {
+  if (code == MO_OK)
     memcpy(bits, scratch.bits, words * sizeof(uint64_t));
-  } else if (code != MO_ERR_NO_MEMORY) {
+  else if (code != MO_ERR_NO_MEMORY)
     tell(fault, place, 0, 0);
-  }
   mo_scratch_close(&scratch);
   return code;
 }
@@ -154,9 +144,8 @@ int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_
 void mo_genotype_to_text(struct mo_workspace workspace, const uint64_t *bits, char *text)
 {
   uint32_t voxels = mo_workspace_voxels(workspace);
-  for (uint32_t v = 0; v < voxels; v++) {
+  for (uint32_t v = 0; v < voxels; v++)
     text[v] = mo_bits_get(bits, v) ? '1' : '0';
-  }
   text[voxels] = '\0';
 }
 
@@ -169,15 +158,12 @@ uint32_t mo_genotype_count(struct mo_workspace workspace, const uint64_t *bits)
 
 static int digit_value(char digit)
 {
-  if (digit >= '0' && digit <= '9') {
+  if (digit >= '0' && digit <= '9')
     return digit - '0';
-  }
-  if (digit >= 'a' && digit <= 'f') {
+  if (digit >= 'a' && digit <= 'f')
     return digit - 'a' + 10;
-  }
-  if (digit >= 'A' && digit <= 'F') {
+  if (digit >= 'A' && digit <= 'F')
     return digit - 'A' + 10;
-  }
   return -1;
 }
 
@@ -187,14 +173,12 @@ static int read_digits(uint32_t voxels, const char *id, size_t n, uint64_t *bits
 {
   for (size_t i = 0; i < n; i++) {
     int value = digit_value(id[i]);
-    if (value < 0) {
+    if (value < 0)
       return MO_ERR_FORMAT;
-    }
     uint64_t nibble =
         (uint64_t)((value & 1) << 3 | (value & 2) << 1 | (value & 4) >> 1 | (value & 8) >> 3);
-    if (i + 1 == n && voxels % 4 != 0 && nibble >> voxels % 4 != 0) {
+    if (i + 1 == n && voxels % 4 != 0 && nibble >> voxels % 4 != 0)
       return MO_ERR_FORMAT;
-    }
     bits[i / 16] |= nibble << i % 16 * 4;
   }
   return MO_OK;
@@ -205,13 +189,11 @@ int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t le
 {
   uint32_t voxels = mo_workspace_voxels(workspace);
   uint32_t words = mo_workspace_words(workspace);
-  if (length != (voxels + 3) / 4) {
+  if (length != (voxels + 3) / 4)
     return MO_ERR_FORMAT;
-  }
   struct mo_scratch given;
-  if (mo_scratch_open(&given, words) != MO_OK) {
+  if (mo_scratch_open(&given, words) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  }
   struct mo_scratch canonical;
   if (mo_scratch_open(&canonical, words) != MO_OK) {
     mo_scratch_close(&given);
@@ -219,16 +201,14 @@ int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t le
   }
   uint32_t apart;
   int code = read_digits(voxels, id, length, given.bits);
-  if (code == MO_OK) {
+  if (code == MO_OK)
     code = find_apart(workspace, given.bits, &apart);
-  }
   if (code == MO_OK) {
     mo_genotype_canonical(workspace, given.bits, canonical.bits);
-    if (memcmp(given.bits, canonical.bits, words * sizeof(uint64_t)) != 0) {
+    if (memcmp(given.bits, canonical.bits, words * sizeof(uint64_t)) != 0)
       code = MO_ERR_FORMAT;
-    } else {
+    else
       memcpy(form, given.bits, words * sizeof(uint64_t));
-    }
   }
   mo_scratch_close(&canonical);
   mo_scratch_close(&given);

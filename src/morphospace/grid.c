@@ -20,9 +20,8 @@ static int queue_open(struct queue *queue, uint32_t voxels)
 
 static void queue_close(struct queue *queue)
 {
-  if (queue->voxels != queue->local) {
+  if (queue->voxels != queue->local)
     free(queue->voxels);
-  }
 }
 
 /* Breadth first; returns how many voxels were reached. Every voxel enters the queue once. */
@@ -42,24 +41,18 @@ static uint32_t flood(struct mo_workspace workspace, const uint64_t *bits, uint3
     uint32_t x = v / stride_x;
     uint32_t next[6];
     int n = 0;
-    if (z > 0) {
+    if (z > 0)
       next[n++] = v - 1;
-    }
-    if (z + 1 < workspace.nz) {
+    if (z + 1 < workspace.nz)
       next[n++] = v + 1;
-    }
-    if (y > 0) {
+    if (y > 0)
       next[n++] = v - stride_y;
-    }
-    if (y + 1 < workspace.ny) {
+    if (y + 1 < workspace.ny)
       next[n++] = v + stride_y;
-    }
-    if (x > 0) {
+    if (x > 0)
       next[n++] = v - stride_x;
-    }
-    if (x + 1 < workspace.nx) {
+    if (x + 1 < workspace.nx)
       next[n++] = v + stride_x;
-    }
     for (int i = 0; i < n; i++) {
       if (mo_bits_get(bits, next[i]) && !mo_bits_get(reached, next[i])) {
         mo_bits_set(reached, next[i]);
@@ -74,9 +67,8 @@ int mo_grid_component(struct mo_workspace workspace, const uint64_t *bits, uint3
                       uint64_t *reached)
 {
   struct queue queue;
-  if (queue_open(&queue, mo_workspace_voxels(workspace)) != MO_OK) {
+  if (queue_open(&queue, mo_workspace_voxels(workspace)) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  }
   flood(workspace, bits, start, reached, queue.voxels);
   queue_close(&queue);
   return MO_OK;
@@ -86,9 +78,8 @@ int mo_grid_keep_largest(struct mo_workspace workspace, uint64_t *bits)
 {
   uint32_t words = mo_workspace_words(workspace);
   struct mo_scratch reached;
-  if (mo_scratch_open(&reached, words) != MO_OK) {
+  if (mo_scratch_open(&reached, words) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  }
   struct queue queue;
   if (queue_open(&queue, mo_workspace_voxels(workspace)) != MO_OK) {
     mo_scratch_close(&reached);
@@ -187,9 +178,8 @@ int32_t mo_place_shift(uint32_t side, uint32_t low, uint32_t high, uint64_t n, u
 void mo_grid_place(struct mo_workspace workspace, uint64_t *bits)
 {
   struct extent extent = measure(workspace, bits);
-  if (extent.n == 0) {
+  if (extent.n == 0)
     return;
-  }
   int64_t dx = mo_place_shift(workspace.nx, extent.low[0], extent.high[0], extent.n, extent.sum[0]);
   int64_t dy = mo_place_shift(workspace.ny, extent.low[1], extent.high[1], extent.n, extent.sum[1]);
   /* The body stays inside the workspace, so one shift of indices moves every voxel. */
@@ -205,13 +195,11 @@ int mo_grid_move(struct mo_workspace from, const uint64_t *bits, struct mo_works
   const struct extent extent = measure(from, bits);
   const uint32_t words = mo_workspace_words(from);
   uint32_t side[3] = {0};
-  for (int axis = 0; axis < 3 && extent.n > 0; axis++) {
+  for (int axis = 0; axis < 3 && extent.n > 0; axis++)
     side[axis] = extent.high[axis] - extent.low[axis] + 1;
-  }
   const int upright = side[0] <= to.nx && side[1] <= to.ny;
-  if (side[2] > to.nz || (!upright && (side[1] > to.nx || side[0] > to.ny))) {
+  if (side[2] > to.nz || (!upright && (side[1] > to.nx || side[0] > to.ny)))
     return MO_ERR_RANGE;
-  }
   memset(moved, 0, mo_workspace_words(to) * sizeof(uint64_t));
   for (uint32_t w = 0; w < words; w++) {
     for (uint64_t rest = bits[w]; rest != 0; rest &= rest - 1) {
@@ -241,9 +229,8 @@ int mo_grid_view_image(struct mo_workspace workspace, const uint64_t *bits, unsi
       found.low[axis] = extent.low[axis];
       found.side[to] = extent.high[axis] - extent.low[axis] + 1;
     }
-    if (found.side[0] > workspace.nx || found.side[1] > workspace.ny) {
+    if (found.side[0] > workspace.nx || found.side[1] > workspace.ny)
       return MO_ERR_RANGE;
-    }
   }
   *view = found;
   return MO_OK;
@@ -268,11 +255,9 @@ int mo_grid_view_get(struct mo_workspace workspace, const uint64_t *bits,
 {
   const uint32_t at[3] = {v / workspace.nz / workspace.ny, v / workspace.nz % workspace.ny,
                           v % workspace.nz};
-  for (int axis = 0; axis < 3; axis++) {
-    if (at[axis] >= view->side[axis]) {
+  for (int axis = 0; axis < 3; axis++)
+    if (at[axis] >= view->side[axis])
       return 0;
-    }
-  }
   return get_at(workspace, bits, view, at);
 }
 
@@ -281,19 +266,16 @@ int mo_grid_view_get(struct mo_workspace workspace, const uint64_t *bits,
 static int compare(struct mo_workspace workspace, const uint64_t *bits,
                    const struct mo_grid_view *a, const struct mo_grid_view *b)
 {
-  for (int axis = 0; axis < 3; axis++) {
-    if (a->side[axis] != b->side[axis]) {
+  for (int axis = 0; axis < 3; axis++)
+    if (a->side[axis] != b->side[axis])
       return a->side[axis] < b->side[axis] ? -1 : 1;
-    }
-  }
   uint32_t at[3];
   for (at[0] = 0; at[0] < a->side[0]; at[0]++) {
     for (at[1] = 0; at[1] < a->side[1]; at[1]++) {
       for (at[2] = 0; at[2] < a->side[2]; at[2]++) {
         int difference = get_at(workspace, bits, a, at) - get_at(workspace, bits, b, at);
-        if (difference != 0) {
+        if (difference != 0)
           return difference;
-        }
       }
     }
   }
@@ -309,14 +291,12 @@ void mo_grid_view_canonical(struct mo_workspace workspace, const uint64_t *bits,
   int fits = mo_grid_view_image(workspace, bits, 4, &swapped) == MO_OK;
   const struct mo_grid_view upright = best;
   for (unsigned k = 1; k < 8; k++) {
-    if (k >= 4 && !fits) {
+    if (k >= 4 && !fits)
       break;
-    }
     struct mo_grid_view candidate = k < 4 ? upright : swapped;
     candidate.k = k;
-    if (compare(workspace, bits, &candidate, &best) < 0) {
+    if (compare(workspace, bits, &candidate, &best) < 0)
       best = candidate;
-    }
   }
   *view = best;
 }
@@ -328,11 +308,9 @@ void mo_grid_view_write(struct mo_workspace workspace, const uint64_t *bits,
   uint32_t at[3];
   for (at[0] = 0; at[0] < view->side[0]; at[0]++) {
     for (at[1] = 0; at[1] < view->side[1]; at[1]++) {
-      for (at[2] = 0; at[2] < view->side[2]; at[2]++) {
-        if (get_at(workspace, bits, view, at)) {
+      for (at[2] = 0; at[2] < view->side[2]; at[2]++)
+        if (get_at(workspace, bits, view, at))
           mo_bits_set(image, (at[0] * workspace.ny + at[1]) * workspace.nz + at[2]);
-        }
-      }
     }
   }
 }

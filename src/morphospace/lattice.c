@@ -33,9 +33,8 @@ static unsigned steps_at(struct mo_workspace workspace, int32_t x, int32_t y, in
     int32_t far_y = y + steps[i].y;
     int32_t far_z = z + steps[i].z;
     if (far_x <= workspace.nx && far_y >= 0 && far_y <= workspace.ny && far_z >= 0 &&
-        far_z <= workspace.nz) {
+        far_z <= workspace.nz)
       mask |= 1U << i;
-    }
   }
   return mask;
 }
@@ -98,13 +97,11 @@ static void fill_voxel(struct mo_workspace workspace, int32_t x, int32_t y, int3
 int mo_lattice_create(struct mo_workspace workspace, struct mo_lattice **lattice)
 {
   int code = mo_workspace_check(workspace);
-  if (code != MO_OK) {
+  if (code != MO_OK)
     return code;
-  }
   struct mo_lattice *made = calloc(1, sizeof(*made));
-  if (made == NULL) {
+  if (made == NULL)
     return MO_ERR_NO_MEMORY;
-  }
   made->workspace = workspace;
   made->n_voxels = mo_workspace_voxels(workspace);
   made->n_masses = mo_workspace_masses(workspace);
@@ -143,9 +140,8 @@ int mo_lattice_create(struct mo_workspace workspace, struct mo_lattice **lattice
 
 void mo_lattice_free(struct mo_lattice *lattice)
 {
-  if (lattice == NULL) {
+  if (lattice == NULL)
     return;
-  }
   free((void *)lattice->spring_a);
   free((void *)lattice->spring_b);
   free((void *)lattice->spring_diagonal);

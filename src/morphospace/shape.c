@@ -27,9 +27,8 @@ static int is_default(struct mo_workspace workspace)
 int mo_shape_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
                        uint64_t *reached)
 {
-  if (!mo_slabs_fit(workspace)) {
+  if (!mo_slabs_fit(workspace))
     return mo_grid_component(workspace, bits, start, reached);
-  }
   uint64_t part[MO_SLABS_MAX] = {0};
   uint32_t length = (uint32_t)workspace.ny * workspace.nz;
   part[start / length] = UINT64_C(1) << start % length;
@@ -43,9 +42,8 @@ int mo_shape_component(struct mo_workspace workspace, const uint64_t *bits, uint
 
 int mo_genotype_keep_largest(struct mo_workspace workspace, uint64_t *bits)
 {
-  if (!mo_slabs_fit(workspace)) {
+  if (!mo_slabs_fit(workspace))
     return mo_grid_keep_largest(workspace, bits);
-  }
   WITH_SLABS(workspace, {
     mo_slabs_load(s, bits, slab);
     mo_slabs_keep_largest(s, slab);
@@ -71,9 +69,8 @@ int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_w
                      uint64_t *moved)
 {
   int error = mo_grid_move(from, bits, to, moved);
-  if (error == MO_OK) {
+  if (error == MO_OK)
     mo_genotype_place(to, moved);
-  }
   return error;
 }
 
@@ -100,14 +97,12 @@ void mo_genotype_canonical(struct mo_workspace workspace, const uint64_t *bits, 
 int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k,
                       uint64_t *image)
 {
-  if (k > 7) {
+  if (k > 7)
     return MO_ERR_RANGE;
-  }
   struct mo_grid_view view;
   int code = mo_grid_view_image(workspace, bits, k, &view);
-  if (code == MO_OK) {
+  if (code == MO_OK)
     mo_grid_view_write(workspace, bits, &view, image);
-  }
   return code;
 }
 
@@ -130,9 +125,8 @@ void mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *i
     mo_grid_view_canonical(workspace, bits, &view);
     for (uint32_t i = 0; i < n; i++) {
       unsigned digit = 0;
-      for (uint32_t v = 4 * i; v < 4 * i + 4; v++) {
+      for (uint32_t v = 4 * i; v < 4 * i + 4; v++)
         digit = digit << 1 | (v < voxels && mo_grid_view_get(workspace, bits, &view, v) ? 1U : 0U);
-      }
       id[i] = digits[digit];
     }
   }

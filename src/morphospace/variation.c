@@ -42,9 +42,8 @@ static void find_volumes(struct mo_workspace workspace, uint64_t *volumes)
   for (uint32_t x = 1; x <= workspace.nx; x++) {
     for (uint32_t y = 1; y <= workspace.ny; y++) {
       uint32_t area = x * y;
-      for (uint32_t volume = area; volume <= area * workspace.nz; volume += area) {
+      for (uint32_t volume = area; volume <= area * workspace.nz; volume += area)
         mo_bits_set(volumes, volume);
-      }
     }
   }
 }
@@ -63,24 +62,19 @@ static struct box draw_box(struct mo_workspace workspace, struct mo_random *rand
     w++;
   }
   uint64_t rest = volumes[w];
-  while (left-- > 0) {
+  while (left-- > 0)
     rest &= rest - 1;
-  }
   uint32_t volume = w * 64 + (uint32_t)__builtin_ctzll(rest);
 
   uint32_t boxes = 0;
-  for (uint32_t x = 1; x <= workspace.nx; x++) {
-    for (uint32_t y = 1; y <= workspace.ny; y++) {
+  for (uint32_t x = 1; x <= workspace.nx; x++)
+    for (uint32_t y = 1; y <= workspace.ny; y++)
       boxes += volume % (x * y) == 0 && volume / (x * y) <= workspace.nz;
-    }
-  }
   left = mo_random_below(random, boxes);
   for (uint32_t x = 1; x <= workspace.nx; x++) {
-    for (uint32_t y = 1; y <= workspace.ny; y++) {
-      if (volume % (x * y) == 0 && volume / (x * y) <= workspace.nz && left-- == 0) {
+    for (uint32_t y = 1; y <= workspace.ny; y++)
+      if (volume % (x * y) == 0 && volume / (x * y) <= workspace.nz && left-- == 0)
         return (struct box){x, y, volume / (x * y)};
-      }
-    }
   }
   return (struct box){1, 1, 1}; /* not reached: 1 ≤ boxes */
 }
@@ -117,9 +111,8 @@ int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, 
   uint32_t words = mo_workspace_words(workspace);
   uint32_t volume_words = mo_workspace_voxels(workspace) / 64 + 1;
   struct mo_scratch body;
-  if (mo_scratch_open(&body, words) != MO_OK) {
+  if (mo_scratch_open(&body, words) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  }
   struct mo_scratch volumes;
   if (mo_scratch_open(&volumes, volume_words) != MO_OK) {
     mo_scratch_close(&body);
@@ -149,9 +142,8 @@ int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, 
 static int finish(struct mo_workspace workspace, uint64_t *made, uint64_t *child)
 {
   uint32_t words = mo_workspace_words(workspace);
-  if (mo_bits_empty(made, words)) {
+  if (mo_bits_empty(made, words))
     return MO_ERR_EMPTY;
-  }
   int code = mo_genotype_keep_largest(workspace, made);
   if (code == MO_OK) {
     mo_genotype_place(workspace, made);
@@ -163,14 +155,12 @@ static int finish(struct mo_workspace workspace, uint64_t *made, uint64_t *child
 int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, double rate,
                        struct mo_random *random, uint64_t *child)
 {
-  if (!(rate >= 0.0 && rate <= 1.0)) {
+  if (!(rate >= 0.0 && rate <= 1.0))
     return MO_ERR_RANGE;
-  }
   uint32_t voxels = mo_workspace_voxels(workspace);
   struct mo_scratch made;
-  if (mo_scratch_open(&made, mo_workspace_words(workspace)) != MO_OK) {
+  if (mo_scratch_open(&made, mo_workspace_words(workspace)) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  }
   const uint64_t limit = threshold(rate);
   uint32_t numbers[CHUNK];
   for (uint32_t v = 0; v < voxels;) {
@@ -181,9 +171,8 @@ int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, do
       made.bits[v >> 6] |= flip << (v & 63);
     }
   }
-  for (uint32_t w = 0; w < mo_workspace_words(workspace); w++) {
+  for (uint32_t w = 0; w < mo_workspace_words(workspace); w++)
     made.bits[w] ^= parent[w];
-  }
   int code = finish(workspace, made.bits, child);
   mo_scratch_close(&made);
   return code;
@@ -193,12 +182,10 @@ int mo_genotype_crossover(struct mo_workspace workspace, const uint64_t *a, cons
                           uint64_t *child)
 {
   struct mo_scratch made;
-  if (mo_scratch_open(&made, mo_workspace_words(workspace)) != MO_OK) {
+  if (mo_scratch_open(&made, mo_workspace_words(workspace)) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  }
-  for (uint32_t w = 0; w < mo_workspace_words(workspace); w++) {
+  for (uint32_t w = 0; w < mo_workspace_words(workspace); w++)
     made.bits[w] = a[w] ^ b[w];
-  }
   int code = finish(workspace, made.bits, child);
   mo_scratch_close(&made);
   return code;

@@ -3,9 +3,8 @@
 
 int mo_workspace_check(struct mo_workspace workspace)
 {
-  if (workspace.nx == 0 || workspace.ny == 0 || workspace.nz == 0) {
+  if (workspace.nx == 0 || workspace.ny == 0 || workspace.nz == 0)
     return MO_ERR_RANGE;
-  }
   uint64_t voxels = (uint64_t)workspace.nx * workspace.ny * workspace.nz;
   return voxels > MO_VOXELS_MAX ? MO_ERR_LIMIT : MO_OK;
 }

@@ -24,13 +24,11 @@ static void draw_terrain(struct mo_random *random, double sigma_m,
   double lowest = 0.0;
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++) {
     heights_m[k] = sigma_m * mo_random_normal(random);
-    if (k == 0 || heights_m[k] < lowest) {
+    if (k == 0 || heights_m[k] < lowest)
       lowest = heights_m[k];
-    }
   }
-  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++) {
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
     heights_m[k] = (heights_m[k] - lowest) + MO_TERRAIN_FLOOR_M;
-  }
 }
 
 static void random_terrain(uint64_t seed, enum mo_purpose purpose, uint32_t step, uint64_t index,

@@ -63,20 +63,17 @@ void mo_terrain_gradient(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m,
 double mo_terrain_highest(const double heights_m[MO_TERRAIN_HEIGHTS])
 {
   double highest = heights_m[0];
-  for (int k = 1; k < MO_TERRAIN_HEIGHTS; k++) {
-    if (heights_m[k] > highest) {
+  for (int k = 1; k < MO_TERRAIN_HEIGHTS; k++)
+    if (heights_m[k] > highest)
       highest = heights_m[k];
-    }
-  }
   return highest;
 }
 
 static int check_number(double value, double limit, uint32_t place, uint32_t *where)
 {
   int code = !isfinite(value) ? MO_ERR_INVALID : fabs(value) > limit ? MO_ERR_RANGE : MO_OK;
-  if (code != MO_OK && where != NULL) {
+  if (code != MO_OK && where != NULL)
     *where = place;
-  }
   return code;
 }
 
@@ -84,15 +81,13 @@ int mo_environment_check(const struct mo_environment *environment, uint32_t *whe
 {
   for (uint32_t axis = 0; axis < 2; axis++) {
     int code = check_number(environment->light_xy_m[axis], MO_LIGHT_LIMIT_M, axis, where);
-    if (code != MO_OK) {
+    if (code != MO_OK)
       return code;
-    }
   }
   for (uint32_t k = 0; k < MO_TERRAIN_HEIGHTS; k++) {
     int code = check_number(environment->terrain_heights_m[k], MO_HEIGHT_LIMIT_M, 2 + k, where);
-    if (code != MO_OK) {
+    if (code != MO_OK)
       return code;
-    }
   }
   return MO_OK;
 }
