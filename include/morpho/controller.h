@@ -1,5 +1,4 @@
-/* controller.h: the universal controller (paper, section 2.3): weights, files, and the float64
- * reference forward pass.
+/* controller.h: the universal controller (paper, section 2.3): weights and files.
  *
  * MLP  (n_masses + 5) → 256 → 256 → 256 → n_springs
  * LayerNorm (ε 1e-5) and ReLU follow each hidden layer, tanh the last one. Inputs: one sensor
@@ -102,11 +101,6 @@ int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller
 /* Encodes the file (malloc; the caller frees it). The same controller always gives the same bytes.
  * MO_ERR_NO_MEMORY; MO_ERR_LIMIT: the metadata exceeds MO_SAFETENSORS_HEADER_MAX. */
 int mo_controller_encode(const struct mo_controller *controller, uint8_t **bytes, size_t *size);
-
-/* Computes the reference forward pass in float64 for the n springs listed in `springs` (NULL: all):
- * outputs[i] is the activation of springs[i]. inputs: (n_inputs). scratch: 2·MO_HIDDEN doubles. */
-void mo_controller_forward(const struct mo_controller *controller, const double *inputs,
-                           const uint32_t *springs, uint32_t n, double *outputs, double *scratch);
 
 #ifdef __cplusplus
 }

@@ -9,6 +9,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include <jansson.h>
+
 #include <morpho/random.h>
 
 #include "base/text.h"
@@ -116,15 +118,11 @@ int mo_controller_create(struct mo_workspace workspace, enum mo_sensor sensor,
   if (r < 0)
     return r;
   clear_parameters(c);
-  char mass_order[64], size[64];
-  mo_controller_mass_order(workspace, mass_order);
+  char size[64];
   mo_controller_workspace_text(workspace, size);
-  const char *const entries[][2] = {{"mass_order", mass_order},
-                                    {"spring_order", MO_SPRING_ORDER},
-                                    {"sensor", mo_sensor_name(sensor)},
-                                    {"workspace", size}};
-  for (size_t i = 0; i < sizeof(entries) / sizeof(entries[0]) && r == MO_OK; i++)
-    r = mo_controller_put_metadata(c, entries[i][0], entries[i][1]);
+  r = mo_controller_complete_metadata(c);
+  if (r == MO_OK)
+    r = mo_controller_put_metadata(c, "workspace", size);
   if (r < 0) {
     mo_controller_free(c);
     return r;
@@ -205,6 +203,20 @@ int mo_controller_put_metadata(struct mo_controller *controller, const char *key
   return MO_OK;
 }
 
+int mo_controller_complete_metadata(struct mo_controller *controller)
+{
+  char mass_order[64];
+  mo_controller_mass_order(controller->workspace, mass_order);
+  const char *const entries[][2] = {{"mass_order", mass_order},
+                                    {"spring_order", MO_SPRING_ORDER},
+                                    {"sensor", mo_sensor_name(controller->sensor)}};
+  int r = MO_OK;
+  for (size_t i = 0; i < sizeof(entries) / sizeof(entries[0]) && r == MO_OK; i++)
+    if (find_metadata(controller, entries[i][0]) == NULL)
+      r = mo_controller_put_metadata(controller, entries[i][0], entries[i][1]);
+  return r;
+}
+
 int mo_controller_set_metadata(struct mo_controller *controller, const char *key, const char *value)
 {
   if (key == NULL || value == NULL || /* only UTF-8 can be written into a JSON header */
@@ -225,4 +237,22 @@ int mo_controller_set_metadata(struct mo_controller *controller, const char *key
       return MO_ERR_CONFLICT;
   }
   return mo_controller_put_metadata(controller, key, value);
+}
+
+int mo_controller_get_metadata_number(const struct mo_controller *controller, const char *key,
+                                      const char *member, uint64_t *number)
+{
+  const char *text = mo_controller_get_metadata(controller, key);
+  json_error_t why;
+  if (text == NULL)
+    return MO_ERR_NOT_FOUND;
+  json_t *object = json_loads(text, JSON_REJECT_DUPLICATES, &why);
+  if (object == NULL)
+    return json_error_code(&why) == json_error_out_of_memory ? MO_ERR_NO_MEMORY : MO_ERR_FORMAT;
+  const json_t *value = json_object_get(object, member);
+  const bool found = json_is_integer(value) && json_integer_value(value) >= 0;
+  if (found)
+    *number = (uint64_t)json_integer_value(value);
+  json_decref(object);
+  return found ? MO_OK : MO_ERR_FORMAT;
 }

@@ -3,7 +3,6 @@
 #include "controller/tape.h"
 
 #include <math.h>
-#include <string.h>
 
 /* sums[i] = bias + row · inputs for the n rows listed in `rows` (NULL: 0 … n−1) of a matrix with
  * `width` columns. */
@@ -42,9 +41,9 @@ static void dense(const float *weight, const float *bias, const uint32_t *rows, 
 }
 
 /* h ← ReLU(LayerNorm(h)); the variance is the biased one, as in PyTorch. Keeps the normalized
- * values and 1/σ if `normal` is not NULL. */
+ * values and 1/σ. */
 static void norm_relu(const float *gain, const float *shift, double *h, double *normal,
-                      double *kept_scale)
+                      double *scale)
 {
   double mean = 0;
   for (int i = 0; i < MO_HIDDEN; i++)
@@ -54,51 +53,18 @@ static void norm_relu(const float *gain, const float *shift, double *h, double *
   for (int i = 0; i < MO_HIDDEN; i++)
     variance += (h[i] - mean) * (h[i] - mean);
   variance /= MO_HIDDEN;
-  const double scale = 1.0 / sqrt(variance + MO_LAYERNORM_EPSILON);
-  if (normal != NULL) {
-    for (int i = 0; i < MO_HIDDEN; i++)
-      normal[i] = (h[i] - mean) * scale;
-    *kept_scale = scale;
-  }
+  *scale = 1.0 / sqrt(variance + MO_LAYERNORM_EPSILON);
   for (int i = 0; i < MO_HIDDEN; i++) {
-    const double y = (h[i] - mean) * scale * (double)gain[i] + (double)shift[i];
+    normal[i] = (h[i] - mean) * *scale;
+    const double y = normal[i] * (double)gain[i] + (double)shift[i];
     h[i] = y < 0 ? 0 : y; /* keeps NaN */
   }
 }
 
-/* Computes the last layer from the last hidden one. */
-static void finish(const struct mo_controller *controller, const double *hidden,
-                   const uint32_t *springs, uint32_t n, double *outputs)
+void mo_controller_forward(const struct mo_controller *controller, const uint32_t *springs,
+                           uint32_t n, struct mo_controller_tape *tape)
 {
-  if (springs == NULL)
-    n = controller->n_springs;
-  dense(controller->weight[MO_HIDDEN_LAYERS], controller->bias[MO_HIDDEN_LAYERS], springs, n,
-        MO_HIDDEN, hidden, outputs);
-  for (uint32_t i = 0; i < n; i++)
-    outputs[i] = tanh(outputs[i]);
-}
-
-void mo_controller_forward(const struct mo_controller *controller, const double *inputs,
-                           const uint32_t *springs, uint32_t n, double *outputs, double *scratch)
-{
-  const double *in = inputs;
-  uint32_t width = controller->n_inputs;
-  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
-    double *h = scratch + (l & 1) * MO_HIDDEN;
-    dense(controller->weight[l], controller->bias[l], NULL, MO_HIDDEN, width, in, h);
-    norm_relu(controller->norm_gain[l], controller->norm_shift[l], h, NULL, NULL);
-    in = h;
-    width = MO_HIDDEN;
-  }
-  finish(controller, in, springs, n, outputs);
-}
-
-void mo_controller_forward_tape(const struct mo_controller *controller, const double *inputs,
-                                const uint32_t *springs, uint32_t n, double *outputs,
-                                struct mo_controller_tape *tape)
-{
-  memcpy(tape->input, inputs, controller->n_inputs * sizeof(double));
-  const double *in = inputs;
+  const double *in = tape->input;
   uint32_t width = controller->n_inputs;
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     double *h = tape->hidden + (size_t)l * MO_HIDDEN;
@@ -108,6 +74,8 @@ void mo_controller_forward_tape(const struct mo_controller *controller, const do
     in = h;
     width = MO_HIDDEN;
   }
-  finish(controller, in, springs, n, outputs);
-  memcpy(tape->output, outputs, (springs != NULL ? n : controller->n_springs) * sizeof(double));
+  dense(controller->weight[MO_HIDDEN_LAYERS], controller->bias[MO_HIDDEN_LAYERS], springs, n,
+        MO_HIDDEN, in, tape->output);
+  for (uint32_t i = 0; i < n; i++)
+    tape->output[i] = tanh(tape->output[i]);
 }

@@ -27,7 +27,7 @@ struct mo_tensor {
 uint64_t mo_controller_tensors(struct mo_workspace workspace,
                                struct mo_tensor tensors[MO_CONTROLLER_TENSORS]);
 
-/* Write the values of the metadata entries that every file has; 64 bytes each. */
+/* Write the values of metadata entries; 64 bytes each. */
 void mo_controller_mass_order(struct mo_workspace workspace, char text[64]);
 void mo_controller_workspace_text(struct mo_workspace workspace, char text[64]);
 #define MO_SPRING_ORDER "lexicographic endpoint pairs"
@@ -40,6 +40,8 @@ int mo_controller_allocate(struct mo_workspace workspace, enum mo_sensor sensor,
  * itself. */
 int mo_controller_put_metadata(struct mo_controller *controller, const char *key,
                                const char *value);
+/* Adds the entries that every file has, where they are missing: both orders and the sensor. */
+int mo_controller_complete_metadata(struct mo_controller *controller);
 
 /* safetensors.c: a checked header. offsets[i]: byte of the file at which tensor i of the table
  * starts. */
@@ -57,8 +59,5 @@ int mo_safetensors_parse(const char *header, uint32_t header_size, uint64_t size
                          struct mo_safetensors *file, struct mo_message *message);
 /* MO_ERR_FORMAT at the first value that is not finite. */
 int mo_safetensors_check_values(const struct mo_safetensors *file, struct mo_message *message);
-/* header.c: encodes the start of the file, up to the data: 8 bytes and the padded header (malloc).
- * MO_ERR_LIMIT, MO_ERR_NO_MEMORY. */
-int mo_safetensors_format(const struct mo_controller *controller, uint8_t **bytes, size_t *size);
 
 #endif

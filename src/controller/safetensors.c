@@ -317,27 +317,18 @@ static int check_tensors(json_t *root, struct mo_workspace workspace, uint64_t d
   return check_tiling(file->tensors, file->offsets, data_size, message);
 }
 
-/* Copies the file's metadata in its order, then adds what it lacks of sensor and orders. */
+/* Copies the file's metadata in its order, then adds what it lacks. */
 static int copy_metadata(struct mo_controller *controller, json_t *metadata)
 {
-  int r = MO_OK;
   const char *key;
   json_t *value;
   json_object_foreach(metadata, key, value)
   {
-    r = mo_controller_put_metadata(controller, key, json_string_value(value));
+    const int r = mo_controller_put_metadata(controller, key, json_string_value(value));
     if (r < 0)
       return r;
   }
-  char mass_order[64];
-  mo_controller_mass_order(controller->workspace, mass_order);
-  const char *const entries[][2] = {{"mass_order", mass_order},
-                                    {"spring_order", MO_SPRING_ORDER},
-                                    {"sensor", mo_sensor_name(controller->sensor)}};
-  for (size_t i = 0; i < sizeof(entries) / sizeof(entries[0]) && r == MO_OK; i++)
-    if (mo_controller_get_metadata(controller, entries[i][0]) == NULL)
-      r = mo_controller_put_metadata(controller, entries[i][0], entries[i][1]);
-  return r;
+  return mo_controller_complete_metadata(controller);
 }
 
 int mo_safetensors_parse(const char *header, uint32_t header_size, uint64_t size,

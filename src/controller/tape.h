@@ -1,5 +1,5 @@
-/* tape.h: a forward pass that keeps what its derivative needs (the tape), and the backward pass, in
- * float64.
+/* tape.h: the reference forward pass in float64, which keeps what its derivative needs (the tape),
+ * and the backward pass.
  *
  * The gradient of the parameters is computed for several passes at once (mo_controller_accumulate),
  * so that a row of the gradient is fetched once for all of them. */
@@ -10,7 +10,7 @@
 
 /* One pass over n springs. All arrays lie in the caller's memory, see mo_controller_tape_place. */
 struct mo_controller_tape {
-  double *input;  /* (n_inputs) */
+  double *input;  /* (n_inputs) set by the caller */
   double *normal; /* (MO_HIDDEN_LAYERS, MO_HIDDEN) LayerNorm before gain and shift */
   double *scale;  /* (MO_HIDDEN_LAYERS) 1 / sqrt(variance + ε) */
   double *hidden; /* (MO_HIDDEN_LAYERS, MO_HIDDEN) outputs of the ReLUs */
@@ -26,10 +26,11 @@ size_t mo_controller_tape_doubles(const struct mo_controller *controller, uint32
 struct mo_controller_tape mo_controller_tape_place(const struct mo_controller *controller,
                                                    uint32_t n, double *memory);
 
-/* Same as mo_controller_forward, bit for bit, with a tape in place of scratch. */
-void mo_controller_forward_tape(const struct mo_controller *controller, const double *inputs,
-                                const uint32_t *springs, uint32_t n, double *outputs,
-                                struct mo_controller_tape *tape);
+/* Computes the forward pass from tape->input to tape->output for the n springs listed in `springs`
+ * (NULL: the first n): output[i] is the activation of springs[i]. Fills in the rest of the tape but
+ * d_*. */
+void mo_controller_forward(const struct mo_controller *controller, const uint32_t *springs,
+                           uint32_t n, struct mo_controller_tape *tape);
 
 /* d_inputs (n_inputs) += ∂loss/∂inputs, given d_outputs (n) = ∂loss/∂outputs of the pass on the
  * tape. */

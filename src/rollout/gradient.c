@@ -40,8 +40,8 @@ struct gradient {
   const struct mo_gradient_probe *probe;
   uint32_t segment;           /* steps per segment; the last one may be shorter */
   size_t n_state;             /* doubles of a stored state: positions and velocities */
-  double *states;             /* (segments, n_state) at the start of each segment */
-  double *kept;               /* memory of the tapes */
+  double *memory;             /* of all arrays of doubles */
+  double *states;             /* (segments + 1, n_state) at the start of each, and at the end */
   struct mo_step_tape *steps; /* (segment) */
   struct mo_controller_tape
       *control; /* (segment) copies of the tapes' network parts, in order of time */
@@ -60,12 +60,9 @@ static uint32_t segments(const struct gradient *g)
 static void release(struct gradient *g)
 {
   mo_reference_done(&g->reference);
-  free(g->states);
-  free(g->kept);
+  free(g->memory);
   free(g->steps);
   free(g->control);
-  free(g->adjoint.d_position);
-  free(g->d_parameters);
 }
 
 /* Allocates everything but the reference; after a failure release() frees what was allocated. */
@@ -76,52 +73,40 @@ static int allocate(struct gradient *g)
   const size_t n = (size_t)body->n_masses * 3;
   const size_t tape = 2 * n + mo_controller_tape_doubles(controller, body->n_springs);
   g->segment = (uint32_t)ceil(sqrt((double)g->reference.physics->n_steps));
-  if (g->segment < 1)
-    g->segment = 1;
   g->n_state = 2 * n;
-  g->states = calloc((size_t)segments(g) + 1, g->n_state * sizeof(double));
-  g->kept = calloc(g->segment, tape * sizeof(double));
+  const size_t states = (size_t)(segments(g) + 1) * g->n_state, tapes = g->segment * tape;
+  g->memory = calloc(states + tapes + 3 * n + body->n_springs + controller->n_inputs +
+                         controller->n_parameters,
+                     sizeof(double));
   g->steps = calloc(g->segment, sizeof(*g->steps));
   g->control = calloc(g->segment, sizeof(*g->control));
-  g->adjoint.d_position = calloc(3 * n + body->n_springs + controller->n_inputs, sizeof(double));
-  g->d_parameters = calloc(controller->n_parameters, sizeof(double));
-  if (g->states == NULL || g->kept == NULL || g->steps == NULL || g->control == NULL ||
-      g->adjoint.d_position == NULL || g->d_parameters == NULL)
+  if (g->memory == NULL || g->steps == NULL || g->control == NULL)
     return MO_ERR_NO_MEMORY;
+  for (uint32_t s = 0; s < g->segment; s++) {
+    double *memory = g->memory + s * tape;
+    g->control[s] = mo_controller_tape_place(controller, body->n_springs, memory + 2 * n);
+    g->steps[s] = (struct mo_step_tape){memory, memory + n, g->control[s]};
+  }
+  g->states = g->memory + tapes;
+  g->adjoint.d_position = g->states + states;
   g->adjoint.d_velocity = g->adjoint.d_position + n;
   g->adjoint.d_impulse = g->adjoint.d_velocity + n;
   g->adjoint.d_activation = g->adjoint.d_impulse + n;
   g->adjoint.d_input = g->adjoint.d_activation + body->n_springs;
-  for (uint32_t s = 0; s < g->segment; s++) {
-    double *memory = g->kept + s * tape;
-    g->control[s] = mo_controller_tape_place(controller, body->n_springs, memory + 2 * n);
-    g->steps[s] = (struct mo_step_tape){memory, memory + n, g->control[s]};
-  }
+  g->d_parameters = g->adjoint.d_input + controller->n_inputs;
   return MO_OK;
 }
 
-/* Runs the rollout as mo_rollout_reference does, and keeps the state at the start of each
- * segment. */
-static void run_forward(struct gradient *g, struct mo_outcome *outcome)
+/* Keeps the state at the start of each segment. */
+static void keep_state(void *context, uint32_t step)
 {
-  struct mo_reference *r = &g->reference;
+  struct gradient *g = context;
   const size_t half = g->n_state / 2;
-  *outcome = (struct mo_outcome){0};
-  mo_scene_com(r->position_m, r->body->n_masses, outcome->com_start_m);
-  for (uint32_t step = 0; step < r->physics->n_steps && outcome->diverged_step == 0; step++) {
-    if (step % g->segment == 0) {
-      double *state = g->states + step / g->segment * g->n_state;
-      memcpy(state, r->position_m, half * sizeof(double));
-      memcpy(state + half, r->velocity_m_per_s, half * sizeof(double));
-    }
-    if (!mo_reference_step(r, step))
-      outcome->diverged_step = (int32_t)step + 1;
-  }
-  mo_scene_com(r->position_m, r->body->n_masses, outcome->com_end_m);
-  outcome->loss =
-      outcome->diverged_step != 0
-          ? (double)INFINITY
-          : mo_scene_loss(outcome->com_start_m, outcome->com_end_m, r->environment->light_xy_m);
+  double *state = g->states + step / g->segment * g->n_state;
+  if (step % g->segment != 0)
+    return;
+  memcpy(state, g->reference.position_m, half * sizeof(double));
+  memcpy(state + half, g->reference.velocity_m_per_s, half * sizeof(double));
 }
 
 /* Runs steps first … first + n − 1 again, onto the tapes. */
@@ -136,7 +121,6 @@ static void replay(struct gradient *g, uint32_t first, uint32_t n)
     r->tape = &g->steps[s];
     mo_reference_step(r, first + s);
   }
-  r->tape = NULL;
 }
 
 static double norm(const double *x, size_t n)
@@ -244,7 +228,7 @@ int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *c
     return r;
   r = allocate(&g);
   if (r == MO_OK) {
-    run_forward(&g, outcome);
+    mo_reference_run(&g.reference, keep_state, &g, outcome);
     g.scale_m = mo_scene_distance(outcome->com_start_m[0] - environment->light_xy_m[0],
                                   outcome->com_start_m[1] - environment->light_xy_m[1]) +
                 MO_LOSS_GUARD_M;

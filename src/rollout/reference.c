@@ -19,7 +19,7 @@ static double sense(enum mo_sensor sensor, double distance_m)
 
 /* Writes the light at each mass, minus the body's mean, to the inputs at the masses' lattice
  * places. */
-static void sense_light(struct mo_reference *r)
+static void sense_light(const struct mo_reference *r, double *input)
 {
   const struct mo_body *body = r->body;
   double mean = 0;
@@ -28,28 +28,24 @@ static void sense_light(struct mo_reference *r)
     const double d[3] = {p[0] - r->light_m[0], p[1] - r->light_m[1], p[2] - r->light_m[2]};
     const double light =
         sense(r->controller->sensor, sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]));
-    r->input[body->mass_lattice[i]] = light;
+    input[body->mass_lattice[i]] = light;
     mean += light;
   }
   mean /= body->n_masses;
   for (uint32_t i = 0; i < body->n_masses; i++)
-    r->input[body->mass_lattice[i]] -= mean;
+    input[body->mass_lattice[i]] -= mean;
 }
 
 /* Computes the activations of the body's springs at the start of step `step` (from 0). */
-static void control(struct mo_reference *r, uint32_t step)
+static void control(const struct mo_reference *r, uint32_t step)
 {
-  sense_light(r);
+  struct mo_controller_tape *tape = &r->tape->control;
+  sense_light(r, tape->input);
   const double t = step * r->physics->dt_s;
   for (int k = 0; k < MO_CPG_INPUTS; k++)
-    r->input[r->controller->n_masses + (uint32_t)k] =
+    tape->input[r->controller->n_masses + (uint32_t)k] =
         sin(MO_CPG_RAD_PER_S * t + 2.0 * M_PI * k / MO_CPG_INPUTS);
-  if (r->tape != NULL)
-    mo_controller_forward_tape(r->controller, r->input, r->body->spring_lattice, r->body->n_springs,
-                               r->activation, &r->tape->control);
-  else
-    mo_controller_forward(r->controller, r->input, r->body->spring_lattice, r->body->n_springs,
-                          r->activation, r->scratch);
+  mo_controller_forward(r->controller, r->body->spring_lattice, r->body->n_springs, tape);
 }
 
 /* Computes the impulses of all springs over one step. */
@@ -66,7 +62,7 @@ static void pull_springs(struct mo_reference *r)
     const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
     double rest = body->spring_diagonal[s] ? MO_VOXEL_M * M_SQRT2 : MO_VOXEL_M;
     if (r->controller != NULL)
-      rest *= 1.0 + physics->actuation * r->activation[s];
+      rest *= 1.0 + physics->actuation * r->tape->control.output[s];
     const double pull =
         physics->dt_s * physics->stiffness_n_per_m * (length - rest) / (length + 1e-8);
     for (int axis = 0; axis < 3; axis++) {
@@ -85,8 +81,7 @@ static void move_masses(struct mo_reference *r)
     for (int axis = 0; axis < 3; axis++)
       v[axis] = keep * v[axis] + r->impulse_n_s[3 * (size_t)i + axis] / physics->mass_kg;
     v[2] -= physics->gravity_m_per_s2 * physics->dt_s;
-    if (r->tape != NULL)
-      memcpy(r->tape->velocity_m_per_s + 3 * (size_t)i, v, 3 * sizeof(double));
+    memcpy(r->tape->velocity_m_per_s + 3 * (size_t)i, v, 3 * sizeof(double));
     mo_contact_move(physics, r->environment->terrain_heights_m, r->highest_m,
                     r->position_m + 3 * (size_t)i, v);
   }
@@ -105,9 +100,81 @@ static bool is_sane(const struct mo_reference *r)
   return true;
 }
 
-static void record(const struct mo_reference *r, const struct mo_recording *recording,
-                   uint32_t step)
+bool mo_reference_step(struct mo_reference *r, uint32_t step)
 {
+  const size_t bytes = (size_t)r->body->n_masses * 3 * sizeof(double);
+  memcpy(r->tape->position_m, r->position_m, bytes);
+  if (r->controller != NULL)
+    control(r, step);
+  pull_springs(r);
+  move_masses(r);
+  if (is_sane(r))
+    return true;
+  memcpy(r->position_m, r->tape->position_m, bytes);
+  return false;
+}
+
+int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
+                      const struct mo_controller *controller,
+                      const struct mo_environment *environment, const struct mo_physics *physics)
+{
+  if (controller != NULL && !mo_workspace_equal(controller->workspace, body->workspace))
+    return MO_ERR_INVALID;
+  const size_t n = 3 * (size_t)body->n_masses,
+               tape =
+                   controller != NULL ? mo_controller_tape_doubles(controller, body->n_springs) : 0;
+  double *memory = calloc(5 * n + tape, sizeof(double));
+  if (memory == NULL)
+    return MO_ERR_NO_MEMORY;
+  *reference =
+      (struct mo_reference){.body = body,
+                            .controller = controller,
+                            .environment = environment,
+                            .physics = physics,
+                            .highest_m = mo_terrain_highest(environment->terrain_heights_m),
+                            .position_m = memory,
+                            .velocity_m_per_s = memory + n,
+                            .impulse_n_s = memory + 2 * n,
+                            .own = {memory + 3 * n, memory + 4 * n, {0}},
+                            .tape = &reference->own};
+  if (controller != NULL)
+    reference->own.control = mo_controller_tape_place(controller, body->n_springs, memory + 5 * n);
+  mo_scene_light(environment, reference->light_m);
+  mo_scene_start(body, environment, physics, reference->position_m);
+  return MO_OK;
+}
+
+void mo_reference_done(struct mo_reference *reference)
+{
+  free(reference->position_m);
+  *reference = (struct mo_reference){0};
+}
+
+void mo_reference_run(struct mo_reference *r, void (*visit)(void *context, uint32_t step),
+                      void *context, struct mo_outcome *outcome)
+{
+  *outcome = (struct mo_outcome){0};
+  mo_scene_com(r->position_m, r->body->n_masses, outcome->com_start_m);
+  visit(context, 0);
+  for (uint32_t step = 0; step < r->physics->n_steps; step++) {
+    if (outcome->diverged_step == 0 && !mo_reference_step(r, step))
+      outcome->diverged_step = (int32_t)step + 1;
+    visit(context, step + 1);
+  }
+  mo_scene_com(r->position_m, r->body->n_masses, outcome->com_end_m);
+  mo_scene_finish(outcome, r->environment);
+}
+
+struct recorder {
+  struct mo_reference reference;
+  const struct mo_recording *recording; /* NULL: none */
+};
+
+static void record(void *context, uint32_t step)
+{
+  const struct recorder *recorder = context;
+  const struct mo_reference *r = &recorder->reference;
+  const struct mo_recording *recording = recorder->recording;
   if (recording == NULL || recording->stride == 0 || step % recording->stride != 0)
     return;
   const size_t frame = step / recording->stride, n = (size_t)r->body->n_masses * 3;
@@ -118,92 +185,15 @@ static void record(const struct mo_reference *r, const struct mo_recording *reco
       recording->mass_m[frame * n + k] = (float)r->position_m[k];
 }
 
-static int allocate(struct mo_reference *r)
-{
-  const size_t n = r->body->n_masses;
-  r->position_m = calloc(4 * 3 * n, sizeof(double));
-  if (r->position_m == NULL)
-    return MO_ERR_NO_MEMORY;
-  r->velocity_m_per_s = r->position_m + 3 * n;
-  r->impulse_n_s = r->position_m + 6 * n;
-  r->sane_m = r->position_m + 9 * n;
-  if (r->controller == NULL)
-    return MO_OK;
-  r->activation = calloc(
-      (size_t)r->body->n_springs + r->controller->n_inputs + 2 * (size_t)MO_HIDDEN, sizeof(double));
-  if (r->activation == NULL) {
-    free(r->position_m);
-    return MO_ERR_NO_MEMORY;
-  }
-  r->input = r->activation + r->body->n_springs;
-  r->scratch = r->input + r->controller->n_inputs;
-  return MO_OK;
-}
-
-bool mo_reference_step(struct mo_reference *r, uint32_t step)
-{
-  const size_t bytes = (size_t)r->body->n_masses * 3 * sizeof(double);
-  memcpy(r->sane_m, r->position_m, bytes);
-  if (r->tape != NULL)
-    memcpy(r->tape->position_m, r->position_m, bytes);
-  if (r->controller != NULL)
-    control(r, step);
-  pull_springs(r);
-  move_masses(r);
-  if (is_sane(r))
-    return true;
-  memcpy(r->position_m, r->sane_m, bytes);
-  return false;
-}
-
-int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
-                      const struct mo_controller *controller,
-                      const struct mo_environment *environment, const struct mo_physics *physics)
-{
-  if (controller != NULL && !mo_workspace_equal(controller->workspace, body->workspace))
-    return MO_ERR_INVALID;
-  *reference =
-      (struct mo_reference){.body = body,
-                            .controller = controller,
-                            .environment = environment,
-                            .physics = physics,
-                            .highest_m = mo_terrain_highest(environment->terrain_heights_m)};
-  const int r = allocate(reference);
-  if (r < 0)
-    return r;
-  mo_scene_light(environment, reference->light_m);
-  mo_scene_start(body, environment, physics, reference->position_m);
-  return MO_OK;
-}
-
-void mo_reference_done(struct mo_reference *reference)
-{
-  free(reference->activation);
-  free(reference->position_m);
-  *reference = (struct mo_reference){0};
-}
-
 int mo_rollout_reference(const struct mo_body *body, const struct mo_controller *controller,
                          const struct mo_environment *environment, const struct mo_physics *physics,
                          const struct mo_recording *recording, struct mo_outcome *outcome)
 {
-  struct mo_reference reference;
-  const int r = mo_reference_init(&reference, body, controller, environment, physics);
+  struct recorder recorder = {.recording = recording};
+  const int r = mo_reference_init(&recorder.reference, body, controller, environment, physics);
   if (r < 0)
     return r;
-  *outcome = (struct mo_outcome){0};
-  mo_scene_com(reference.position_m, body->n_masses, outcome->com_start_m);
-  record(&reference, recording, 0);
-  for (uint32_t step = 0; step < physics->n_steps; step++) {
-    if (outcome->diverged_step == 0 && !mo_reference_step(&reference, step))
-      outcome->diverged_step = (int32_t)step + 1;
-    record(&reference, recording, step + 1);
-  }
-  mo_scene_com(reference.position_m, body->n_masses, outcome->com_end_m);
-  outcome->loss =
-      outcome->diverged_step != 0
-          ? (double)INFINITY
-          : mo_scene_loss(outcome->com_start_m, outcome->com_end_m, environment->light_xy_m);
-  mo_reference_done(&reference);
+  mo_reference_run(&recorder.reference, record, &recorder, outcome);
+  mo_reference_done(&recorder.reference);
   return MO_OK;
 }

@@ -9,7 +9,7 @@
 
 #include <morpho/rollout.h>
 
-/* What the derivative of one step needs. */
+/* What the derivative of one step needs. Inputs of masses that the body lacks must be 0. */
 struct mo_step_tape {
   double *position_m;       /* (n_masses, 3) at the start of the step */
   double *velocity_m_per_s; /* (n_masses, 3) after springs, drag and gravity, before contact */
@@ -26,11 +26,8 @@ struct mo_reference {
   double *position_m;        /* (n_masses, 3) */
   double *velocity_m_per_s;  /* (n_masses, 3) */
   double *impulse_n_s;       /* (n_masses, 3) of the last step's springs */
-  double *sane_m;            /* (n_masses, 3) positions before the last step */
-  double *activation;        /* (n_springs) NULL without a controller, as are the next two */
-  double *input;             /* (n_inputs) */
-  double *scratch;           /* (2, MO_HIDDEN) */
-  struct mo_step_tape *tape; /* tape for the next step; NULL (the default): none */
+  struct mo_step_tape own;   /* its `control` is empty without a controller */
+  struct mo_step_tape *tape; /* of the next step; at first `own` */
 };
 
 /* Initializes a rollout. Borrows all arguments. MO_ERR_INVALID: the controller is for another
@@ -42,5 +39,10 @@ void mo_reference_done(struct mo_reference *reference);
 
 /* Runs step number `step`, from 0. False: it diverged; the positions are those before the step. */
 bool mo_reference_step(struct mo_reference *reference, uint32_t step);
+
+/* Runs all steps up to a divergence. Calls visit(context, step) with the state before each step and
+ * after the last one, also after a divergence. */
+void mo_reference_run(struct mo_reference *reference, void (*visit)(void *context, uint32_t step),
+                      void *context, struct mo_outcome *outcome);
 
 #endif

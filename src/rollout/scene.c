@@ -74,11 +74,11 @@ double mo_scene_distance(double dx_m, double dy_m)
   return (e - excess / (2.0 * e)) * unit;
 }
 
-double mo_scene_loss(const double com_start_m[3], const double com_end_m[3],
-                     const double light_xy_m[2])
+void mo_scene_finish(struct mo_outcome *outcome, const struct mo_environment *environment)
 {
-  const double start =
-      mo_scene_distance(com_start_m[0] - light_xy_m[0], com_start_m[1] - light_xy_m[1]);
-  const double end = mo_scene_distance(com_end_m[0] - light_xy_m[0], com_end_m[1] - light_xy_m[1]);
-  return end / (start + MO_LOSS_GUARD_M);
+  const double *light = environment->light_xy_m, *from = outcome->com_start_m,
+               *to = outcome->com_end_m;
+  const double start = mo_scene_distance(from[0] - light[0], from[1] - light[1]);
+  const double end = mo_scene_distance(to[0] - light[0], to[1] - light[1]);
+  outcome->loss = outcome->diverged_step != 0 ? (double)INFINITY : end / (start + MO_LOSS_GUARD_M);
 }

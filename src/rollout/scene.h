@@ -16,14 +16,15 @@ void mo_scene_light(const struct mo_environment *environment, double light_m[3])
 /* Computes the plain mean of n positions (n, 3), summed in order. */
 void mo_scene_com(const double *position_m, uint32_t n, double com_m[3]);
 
-/* The loss: distance in x, y from the center of mass to the light at the end over the same distance
- * at the start, guarded against a start at the light itself. */
-#define MO_LOSS_GUARD_M 1e-8
 /* Returns the length of (dx, dy), within one unit of the last place. C libraries' hypot may differ
  * in that place; this has the same bits everywhere, on which losses and the clipping of a training
  * depend. */
 double mo_scene_distance(double dx_m, double dy_m);
-double mo_scene_loss(const double com_start_m[3], const double com_end_m[3],
-                     const double light_xy_m[2]);
+
+/* Sets the loss of an outcome of which the rest is known: distance in x, y from the center of mass
+ * to the light at the end over the same distance at the start, guarded against a start at the light
+ * itself; infinity where the rollout diverged. */
+#define MO_LOSS_GUARD_M 1e-8
+void mo_scene_finish(struct mo_outcome *outcome, const struct mo_environment *environment);
 
 #endif

@@ -285,9 +285,7 @@ void report(work &w)
       o.diverged_step = result.diverged;
       for (int axis = 0; axis < 3; axis++)
         o.com_end_m[axis] = result.com_end[axis] + (axis < 2 ? MO_WORLD_CENTRE_M : 0);
-      o.loss = result.diverged
-                   ? (double)INFINITY
-                   : mo_scene_loss(o.com_start_m, o.com_end_m, w.call->robots[row.robot].environment->light_xy_m);
+      mo_scene_finish(&o, w.call->robots[row.robot].environment);
       counts.robots++;
       counts.steps += result.steps;
       counts.clipped_steps += result.clipped;

@@ -103,9 +103,7 @@ void hand_over(const mo_cuda_outcome *from, const mo_device_score *score)
     memcpy(to->com_start_m, from[r].com_start_m, sizeof(to->com_start_m));
     memcpy(to->com_end_m, from[r].com_end_m, sizeof(to->com_end_m));
     to->diverged_step = from[r].diverged_step;
-    to->loss = to->diverged_step != 0
-                   ? (double)INFINITY
-                   : mo_scene_loss(to->com_start_m, to->com_end_m, score->robots[r].environment->light_xy_m);
+    mo_scene_finish(to, score->robots[r].environment);
   }
 }
 

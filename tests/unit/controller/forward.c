@@ -1,7 +1,7 @@
 /* forward.c: the network against closed forms, and against itself on subsets of springs. */
 #include "../make.h"
 
-#include <morpho/controller.h>
+#include "controller/tape.h"
 #include <morpho/random.h>
 
 /* Long double, in the textbook's order: another road to the same numbers. */
@@ -50,23 +50,25 @@ static void against_textbook(void)
         c->norm_shift[l][i] = (float)mo_random_normal(&random);
       }
     }
-  double inputs[64], scratch[2 * MO_HIDDEN], all[256], expected[256], some[3];
-  REQUIRE(c->n_inputs <= 64 && c->n_springs <= 256);
+  double expected[256], memory[5000], few[5000];
+  REQUIRE(c->n_springs <= 256 && mo_controller_tape_doubles(c, c->n_springs) <= 5000);
+  struct mo_controller_tape all = mo_controller_tape_place(c, c->n_springs, memory),
+                            some = mo_controller_tape_place(c, 3, few);
   for (int trial = 0; trial < 20; trial++) {
     double largest = 0;
     for (uint32_t j = 0; j < c->n_inputs; j++)
-      inputs[j] = mo_random_normal(&random);
-    mo_controller_forward(c, inputs, NULL, 0, all, scratch);
-    textbook(c, inputs, expected);
+      all.input[j] = some.input[j] = mo_random_normal(&random);
+    mo_controller_forward(c, NULL, c->n_springs, &all);
+    textbook(c, all.input, expected);
     for (uint32_t i = 0; i < c->n_springs; i++) {
-      CHECK_NEAR(all[i], expected[i], 1e-12);
-      largest = fmax(largest, fabs(all[i]));
+      CHECK_NEAR(all.output[i], expected[i], 1e-12);
+      largest = fmax(largest, fabs(all.output[i]));
     }
     CHECK(largest > 0.1 && largest <= 1);
     const uint32_t springs[3] = {c->n_springs - 1, 0, 17};
-    mo_controller_forward(c, inputs, springs, 3, some, scratch);
+    mo_controller_forward(c, springs, 3, &some);
     for (int i = 0; i < 3; i++)
-      CHECK(some[i] == all[springs[i]]); /* bit for bit */
+      CHECK(some.output[i] == all.output[springs[i]]); /* bit for bit */
   }
 }
 
@@ -81,11 +83,12 @@ static void closed_form(void)
     c->weight[3][i] = 1.0F / 64; /* spring 0 */
   }
   c->bias[3][1] = 0.5F;
-  double inputs[13] = {1, 2, 3}, outputs[24], scratch[2 * MO_HIDDEN];
-  mo_controller_forward(c, inputs, NULL, 0, outputs, scratch);
-  CHECK_NEAR(outputs[0], tanh(128 * 0.25 / 64), 1e-15);
-  CHECK_NEAR(outputs[1], tanh(0.5), 1e-15);
-  CHECK_NEAR(outputs[2], 0, 0);
+  double memory[5000] = {1, 2, 3};
+  struct mo_controller_tape tape = mo_controller_tape_place(c, c->n_springs, memory);
+  mo_controller_forward(c, NULL, c->n_springs, &tape);
+  CHECK_NEAR(tape.output[0], tanh(128 * 0.25 / 64), 1e-15);
+  CHECK_NEAR(tape.output[1], tanh(0.5), 1e-15);
+  CHECK_NEAR(tape.output[2], 0, 0);
 }
 
 static const struct check_case cases[] = {{"closed form", closed_form},

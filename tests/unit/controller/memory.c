@@ -76,8 +76,8 @@ static void every_allocation(void)
   check_keep(file, free);
   each_fails(create, 10);
   each_fails(decode, 50);
-  each_fails(encode, 2);
-  each_fails(rollout, 2);
+  each_fails(encode, 1);
+  each_fails(rollout, 1);
   each_fails(put, 3);
 }
 

@@ -5,6 +5,7 @@
 #include <morpho/learning.h>
 
 #include "../make.h"
+#include "controller/tape.h"
 #include "learning/internal.h"
 
 #include <stdbool.h>
@@ -65,17 +66,18 @@ static void the_reverser_reverses(void)
     struct mo_controller *c = make_controller(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT);
     const double dt_s = whole_parts(dts_s[d]);
     make_reverser(c, dt_s);
-    double inputs[MO_DEFAULT_MASSES + MO_CPG_INPUTS] = {0}, outputs[SPRINGS_SHOWN],
-                                      before[SPRINGS_SHOWN] = {0};
-    double scratch[2 * MO_HIDDEN], least = 1;
+    double memory[5000] = {0}, before[SPRINGS_SHOWN] = {0}, least = 1;
+    REQUIRE(mo_controller_tape_doubles(c, SPRINGS_SHOWN) <= 5000);
+    struct mo_controller_tape tape = mo_controller_tape_place(c, SPRINGS_SHOWN, memory);
+    const double *outputs = tape.output;
     uint32_t springs[SPRINGS_SHOWN], kept = 0;
     for (uint32_t s = 0; s < SPRINGS_SHOWN; s++)
       springs[s] = 101 * s;
     for (uint32_t step = 0; step < 1000; step++) {
       for (uint32_t k = 0; k < MO_CPG_INPUTS; k++)
-        inputs[MO_DEFAULT_MASSES + k] =
+        tape.input[MO_DEFAULT_MASSES + k] =
             sin(MO_CPG_RAD_PER_S * step * dt_s + 2 * PI * k / MO_CPG_INPUTS);
-      mo_controller_forward(c, inputs, springs, SPRINGS_SHOWN, outputs, scratch);
+      mo_controller_forward(c, springs, SPRINGS_SHOWN, &tape);
       for (int s = 0; s < SPRINGS_SHOWN; s++) {
         least = fmin(least, fabs(outputs[s]));
         kept += step > 0 && outputs[s] * before[s] >= 0;

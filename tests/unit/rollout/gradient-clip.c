@@ -334,7 +334,7 @@ static void memory(void)
   }
   printf("# %ld allocations, %.2f MB for %u masses, %u springs, 1000 steps\n", failures,
          (double)allocated / 1e6, c.body->n_masses, c.body->n_springs);
-  CHECK(failures >= 5);
+  CHECK(failures >= 4);
   CHECK(allocated > 1000000 && allocated < 10000000);
   CHECK(outcome.diverged_step > 0 && isinf(outcome.loss));
   CHECK_INT(counts.diverged_robots, 1);

@@ -175,7 +175,7 @@ static void momentum(void)
     for (uint32_t step = 0; pass == 0 && step < 500; step++)
       REQUIRE(mo_reference_step(&s->r, step));
     for (uint32_t k = 0; k < s->body->n_springs && pass == 0; k++)
-      moved = fmax(moved, fabs(s->r.activation[k]));
+      moved = fmax(moved, fabs(s->r.tape->control.output[k]));
   }
   CHECK(moved > 0.5); /* the controller did pull */
 }
@@ -265,7 +265,7 @@ static void inputs(void)
       expected[245 + k] = sin(10 * 17 * 0.004 + 2 * M_PI * k / 5);
     REQUIRE(mo_reference_step(&r, 17));
     for (int j = 0; j < 250; j++)
-      CHECK_NEAR(r.input[j], expected[j], 1e-13);
+      CHECK_NEAR(r.tape->control.input[j], expected[j], 1e-13);
     mo_reference_done(&r);
   }
 }
