@@ -69,7 +69,7 @@ static double block_flop(const struct sample *s, uint32_t block)
 }
 
 static double run_block_s(struct sample *s, struct mo_gradient_memory *memory,
-                          const struct mo_gradient_pack *pack, uint32_t block,
+                          const struct mo_pack *pack, uint32_t block,
                           struct mo_gradient_counts *counts)
 {
   const double start = bench_thread_s();
@@ -88,10 +88,10 @@ struct report {
 static void measure(struct report *report, struct sample *s, const struct mo_controller *controller,
                     enum mo_isa isa, const struct bench_sgemm *sgemm)
 {
-  struct mo_gradient_pack *pack = NULL;
+  struct mo_pack *pack = NULL;
   struct mo_gradient_memory *memory = NULL;
   *report = (struct report){0};
-  bench_check(mo_gradient_pack_create(controller, isa, &pack), "pack");
+  bench_check(mo_pack_create_for_gradients(controller, isa, &pack), "pack");
   bench_check(mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory), "scratch");
   double *ratio = bench_zeros(s->n_blocks, sizeof(*ratio));
   (void)run_block_s(s, memory, pack, 0, NULL); /* warm-up: touches the scratch */
@@ -113,7 +113,7 @@ static void measure(struct report *report, struct sample *s, const struct mo_con
   report->mib = (double)mo_gradient_memory_bytes(memory) / (1 << 20);
   free(ratio);
   mo_gradient_memory_free(memory);
-  mo_gradient_pack_free(pack);
+  mo_pack_free(pack);
 }
 
 static void print_report(const struct report *r, const char *name, bool json)
@@ -152,10 +152,10 @@ static bool print_budgets(struct sample *s, const struct mo_controller *controll
   static const uint32_t budgets_mib[BUDGETS] = {384, 192, 96, 48, 24};
   const size_t n = controller->n_parameters;
   const uint32_t blocks = s->n_blocks < 2 ? s->n_blocks : 2;
-  struct mo_gradient_pack *pack = NULL;
+  struct mo_pack *pack = NULL;
   float *first = bench_zeros(blocks * n, sizeof(float));
   bool same = true;
-  bench_check(mo_gradient_pack_create(controller, isa, &pack), "pack");
+  bench_check(mo_pack_create_for_gradients(controller, isa, &pack), "pack");
   printf(json ? " \"budgets\": [" : "\nbudget, MiB   scratch, MiB   ratio\n");
   for (int k = 0; k < BUDGETS; k++) {
     struct mo_gradient_memory *memory = NULL;
@@ -181,7 +181,7 @@ static bool print_budgets(struct sample *s, const struct mo_controller *controll
   }
   printf(json ? "], \"same_bits_for_any_budget\": %s,\n" : "same bits for any budget: %s\n",
          same ? (json ? "true" : "yes") : (json ? "false" : "NO"));
-  mo_gradient_pack_free(pack);
+  mo_pack_free(pack);
   free(first);
   return same;
 }

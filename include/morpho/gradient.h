@@ -101,17 +101,12 @@ struct mo_robot {
   const struct mo_environment *environment;
 };
 
-/* A controller laid out for one instruction set, for rollouts and gradients. Const while blocks
- * run; shared by all workers. Keeps no reference to the controller. MO_ERR_UNSUPPORTED: not on this
- * processor; MO_ERR_NO_MEMORY. */
-struct mo_gradient_pack;
-int mo_gradient_pack_create(const struct mo_controller *controller, enum mo_isa isa,
-                            struct mo_gradient_pack **pack);
+/* Same as mo_pack_create with MO_FLOAT32, for rollouts and gradients. */
+int mo_pack_create_for_gradients(const struct mo_controller *controller, enum mo_isa isa,
+                                 struct mo_pack **pack);
 /* Copies new parameters, of the same workspace and sensor, into the pack: for the next learning
  * step. MO_ERR_UNSUPPORTED: another workspace or sensor. */
-int mo_gradient_pack_update(struct mo_gradient_pack *pack, const struct mo_controller *controller);
-void mo_gradient_pack_free(struct mo_gradient_pack *pack); /* NULL-safe */
-size_t mo_gradient_pack_bytes(const struct mo_gradient_pack *pack);
+int mo_pack_update(struct mo_pack *pack, const struct mo_controller *controller);
 
 /* Scratch of one worker: grows to what its blocks need. The tape of a block (what the backward pass
  * needs of every step) is kept in full if it fits `budget_bytes`. Else the rollout is cut into
@@ -141,7 +136,7 @@ int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order
  * The result depends only on the inputs (robots, in this order) and the instruction set. outcomes:
  * (n). pause, counts nullable (counts are added to). MO_ERR_INVALID (a body of another
  * workspace, options), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
-int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
+int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                       const struct mo_gradient_options *options, const struct mo_pause_point *pause,
                       struct mo_outcome *outcomes, float *d_parameters,

@@ -25,7 +25,7 @@ struct slot {
 
 struct mo_gradient_state {
   struct mo_compute *compute;
-  struct mo_gradient_pack *pack;
+  struct mo_pack *pack;
   uint32_t n_slots;
   struct slot *slots;  /* (n_slots); block b of a batch is in slot b mod n_slots */
   size_t n_parameters; /* room in each slot and in the shard */
@@ -72,7 +72,7 @@ void mo_gradient_state_free(struct mo_gradient_state *state)
   free(state->shard);
   pthread_cond_destroy(&state->finished);
   pthread_mutex_destroy(&state->mutex);
-  mo_gradient_pack_free(state->pack);
+  mo_pack_free(state->pack);
   mo_device_gradients_free(state->on_devices);
   free(state->order);
   free(state->slots);
@@ -116,11 +116,11 @@ static int prepare_pack(struct mo_gradient_state *state, const struct mo_control
 {
   int status = MO_ERR_UNSUPPORTED;
   if (state->pack != NULL)
-    status = mo_gradient_pack_update(state->pack, controller);
+    status = mo_pack_update(state->pack, controller);
   if (status == MO_ERR_UNSUPPORTED) {
-    mo_gradient_pack_free(state->pack);
+    mo_pack_free(state->pack);
     state->pack = NULL;
-    status = mo_gradient_pack_create(controller, mo_compute_isa(state->compute), &state->pack);
+    status = mo_pack_create_for_gradients(controller, mo_compute_isa(state->compute), &state->pack);
   }
   return status;
 }

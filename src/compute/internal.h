@@ -34,7 +34,7 @@ uint32_t mo_compute_workers(const struct mo_compute *compute);
  * and context mean the same as in a scoring block. */
 struct mo_gradient_task {
   struct mo_block block;
-  const struct mo_gradient_pack *pack;
+  const struct mo_pack *pack;
   struct mo_robot robots[MO_GRADIENT_ROBOTS];
   uint32_t n;
   struct mo_gradient_options options;

@@ -1,4 +1,5 @@
-/* fast.h: data that block.c prepares and kernel.inc runs on. Internal to this room.
+/* fast.h: data that block.c and gradient_block.c prepare, and that kernel.inc and
+ * gradient_kernel.inc run on. Internal to this room.
  *
  * Every array of reals is of the pack's precision and 64-byte aligned. "Lanes" are environments:
  * MO_BLOCK_LANES values side by side, so that a spring or a mass is one vector operation for all
@@ -12,7 +13,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include <morpho/rollout.h>
+#include <morpho/gradient.h>
 
 #define MO_LANES MO_BLOCK_LANES
 
@@ -28,15 +29,18 @@ struct mo_pack {
   bool passive;
   struct mo_workspace workspace;
   enum mo_sensor sensor;
-  uint32_t n_masses, n_springs;
-  uint32_t vector, panel; /* reals per vector; outputs per panel: two vectors */
+  uint32_t n_masses, n_springs, n_inputs;
+  size_t n_parameters;
+  uint32_t panel; /* outputs per panel: two vectors */
   size_t real_bytes, bytes;
   /* One allocation; float where weights are only packed again for a body. */
-  float *input_weight;                       /* (n_masses, 256): transposed */
-  float *output_weight, *output_bias;        /* (n_springs, 256), (n_springs): as in the file */
-  void *cpg_weight;                          /* reals (5, 256): transposed */
-  void *hidden_weight[MO_HIDDEN_LAYERS - 1]; /* reals (256 / panel, 256, panel) */
-  void *bias[MO_HIDDEN_LAYERS];              /* reals (256) */
+  float *input_weight;                          /* (256 / panel, n_masses, panel) */
+  float *output_weight, *output_bias;           /* (n_springs, 256), (n_springs): as in the file */
+  void *cpg_weight;                             /* reals (5, 256): transposed */
+  void *hidden_weight[MO_HIDDEN_LAYERS - 1];    /* reals (256 / panel, 256 inputs, panel outputs) */
+  float *backward_weight[MO_HIDDEN_LAYERS - 1]; /* (256 / panel, 256 outputs, panel inputs); NULL:
+                                                   not for gradients */
+  void *bias[MO_HIDDEN_LAYERS];                 /* reals (256) */
   void *gain[MO_HIDDEN_LAYERS], *shift[MO_HIDDEN_LAYERS];
 };
 
@@ -65,13 +69,50 @@ struct mo_fast_run {
   void *terrain;         /* (lanes, MO_CELLS, 4) */
 };
 
+/* ---- gradients ---- */
+
+/* Memory that grows and never shrinks. */
+struct mo_gradient_buffer {
+  char *base;
+  size_t size;
+  bool mapped; /* by mmap */
+};
+
+struct mo_gradient_memory {
+  size_t budget_bytes;
+  struct mo_gradient_buffer block, tiling, work;
+};
+
+/* Makes buffer->base point to at least `bytes`, 64-byte aligned; old content is lost.
+ * MO_ERR_NO_MEMORY: the buffer did not change, or is empty. */
+int mo_gradient_reserve(struct mo_gradient_buffer *buffer, size_t bytes);
+
+struct mo_gradient_run {
+  struct mo_gradient_memory *memory;
+  const struct mo_pack *pack;
+  const struct mo_robot *robots;
+  uint32_t n;
+  const struct mo_physics *physics;
+  const struct mo_gradient_options *options;
+  const struct mo_pause_point *pause;
+  struct mo_outcome *outcomes;
+  float *d_parameters;
+  struct mo_gradient_counts *counts; /* of this block */
+};
+
+/* ---- kernels ---- */
+
 typedef int mo_fast_function(struct mo_fast_run *run);
 mo_fast_function mo_fast_baseline_float, mo_fast_baseline_double;
 mo_fast_function mo_fast_avx2_float, mo_fast_avx2_double;
 mo_fast_function mo_fast_avx512_float, mo_fast_avx512_double;
 
-/* Returns the kernel of an instruction set. */
+typedef int mo_gradient_function(struct mo_gradient_run *run);
+mo_gradient_function mo_gradient_baseline, mo_gradient_avx2, mo_gradient_avx512;
+
+/* Return the kernels of an instruction set. */
 mo_fast_function *mo_fast_find(enum mo_isa isa, enum mo_precision precision);
+mo_gradient_function *mo_gradient_find(enum mo_isa isa);
 uint32_t mo_isa_vector_bytes(enum mo_isa isa);
 
 /* Compute sin and exp from only IEEE operations, so that the bits do not depend on which variant

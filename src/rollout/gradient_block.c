@@ -1,8 +1,7 @@
-/* gradient_block.c: packs, the scratch of one worker, and the code between mo_gradient_block and
+/* gradient_block.c: the scratch of one worker, and the code between mo_gradient_block and
  * the kernels. */
 #include "rollout/carve.h"
 #include "rollout/fast.h"
-#include "rollout/gradient_fast.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -10,118 +9,6 @@
 #include <sys/mman.h>
 
 #define HUGE_PAGE ((size_t)2 << 20)
-
-/* ---- packs ---- */
-
-/* Places the arrays of `pack` from `base` on (NULL: only counts). Returns the bytes. */
-static size_t lay_out(struct mo_gradient_pack *pack, char *base)
-{
-  struct carver carver = {base, 0};
-  pack->input_weight = carve(&carver, (size_t)pack->n_masses * MO_HIDDEN, sizeof(float));
-  pack->cpg_weight = carve(&carver, (size_t)MO_CPG_INPUTS * MO_HIDDEN, sizeof(float));
-  for (int l = 0; l < MO_HIDDEN_LAYERS - 1; l++) {
-    pack->forward_weight[l] = carve(&carver, (size_t)MO_HIDDEN * MO_HIDDEN, sizeof(float));
-    pack->backward_weight[l] = carve(&carver, (size_t)MO_HIDDEN * MO_HIDDEN, sizeof(float));
-  }
-  pack->output_weight = carve(&carver, (size_t)pack->n_springs * MO_HIDDEN, sizeof(float));
-  pack->output_bias = carve(&carver, pack->n_springs, sizeof(float));
-  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
-    pack->bias[l] = carve(&carver, MO_HIDDEN, sizeof(float));
-    pack->gain[l] = carve(&carver, MO_HIDDEN, sizeof(float));
-    pack->shift[l] = carve(&carver, MO_HIDDEN, sizeof(float));
-  }
-  return carver.used;
-}
-
-/* Packs (256 outputs, n inputs), row-major, into panels of outputs: (256 / panel, n, panel). */
-static void pack_panels(const float *weight, size_t row, size_t n, size_t panel, float *panels)
-{
-  for (size_t o = 0; o < MO_HIDDEN; o++)
-    for (size_t k = 0; k < n; k++)
-      panels[((o / panel) * n + k) * panel + o % panel] = weight[o * row + k];
-}
-
-/* The same with inputs and outputs exchanged. */
-static void pack_transposed(const float *weight, size_t panel, float *panels)
-{
-  for (size_t o = 0; o < MO_HIDDEN; o++)
-    for (size_t k = 0; k < MO_HIDDEN; k++)
-      panels[((k / panel) * MO_HIDDEN + o) * panel + k % panel] = weight[o * MO_HIDDEN + k];
-}
-
-/* + 0: a bias of −0 becomes 0, so that leaving out products of 0 cannot be seen (kernel_tiles.inc).
- */
-static void pack_plain(const float *values, size_t n, float *to)
-{
-  for (size_t i = 0; i < n; i++)
-    to[i] = values[i] + 0.0f;
-}
-
-static void fill(struct mo_gradient_pack *pack, const struct mo_controller *controller)
-{
-  const size_t n_inputs = controller->n_inputs, n_masses = controller->n_masses,
-               panel = pack->panel;
-  pack_panels(controller->weight[0], n_inputs, n_masses, panel, pack->input_weight);
-  for (size_t i = 0; i < MO_CPG_INPUTS; i++)
-    for (size_t o = 0; o < MO_HIDDEN; o++)
-      pack->cpg_weight[i * MO_HIDDEN + o] = controller->weight[0][o * n_inputs + n_masses + i];
-  for (int l = 0; l < MO_HIDDEN_LAYERS - 1; l++) {
-    pack_panels(controller->weight[l + 1], MO_HIDDEN, MO_HIDDEN, panel, pack->forward_weight[l]);
-    pack_transposed(controller->weight[l + 1], panel, pack->backward_weight[l]);
-  }
-  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
-    pack_plain(controller->bias[l], MO_HIDDEN, pack->bias[l]);
-    pack_plain(controller->norm_gain[l], MO_HIDDEN, pack->gain[l]);
-    pack_plain(controller->norm_shift[l], MO_HIDDEN, pack->shift[l]);
-  }
-  memcpy(pack->output_weight, controller->weight[MO_HIDDEN_LAYERS],
-         (size_t)controller->n_springs * MO_HIDDEN * sizeof(float));
-  pack_plain(controller->bias[MO_HIDDEN_LAYERS], controller->n_springs, pack->output_bias);
-}
-
-int mo_gradient_pack_create(const struct mo_controller *controller, enum mo_isa isa,
-                            struct mo_gradient_pack **ret)
-{
-  if ((unsigned)isa >= MO_ISA_COUNT || isa > mo_isa_best())
-    return MO_ERR_UNSUPPORTED;
-  struct mo_gradient_pack pack = {.isa = isa,
-                                  .workspace = controller->workspace,
-                                  .sensor = controller->sensor,
-                                  .n_masses = controller->n_masses,
-                                  .n_springs = controller->n_springs,
-                                  .n_inputs = controller->n_inputs,
-                                  .n_parameters = controller->n_parameters,
-                                  .panel = 2 * mo_isa_vector_bytes(isa) / (uint32_t)sizeof(float)};
-  const size_t head = mo_aligned(sizeof(pack));
-  pack.bytes = head + lay_out(&pack, NULL);
-  struct mo_gradient_pack *made = aligned_alloc(MO_ALIGNMENT, pack.bytes);
-  if (made == NULL)
-    return MO_ERR_NO_MEMORY;
-  lay_out(&pack, (char *)made + head);
-  fill(&pack, controller);
-  *made = pack;
-  *ret = made;
-  return MO_OK;
-}
-
-int mo_gradient_pack_update(struct mo_gradient_pack *pack, const struct mo_controller *controller)
-{
-  if (!mo_workspace_equal(pack->workspace, controller->workspace) ||
-      pack->sensor != controller->sensor)
-    return MO_ERR_UNSUPPORTED;
-  fill(pack, controller);
-  return MO_OK;
-}
-
-void mo_gradient_pack_free(struct mo_gradient_pack *pack)
-{
-  free(pack);
-}
-
-size_t mo_gradient_pack_bytes(const struct mo_gradient_pack *pack)
-{
-  return pack->bytes;
-}
 
 /* ---- scratch ---- */
 
@@ -197,20 +84,14 @@ size_t mo_gradient_memory_bytes(const struct mo_gradient_memory *memory)
 
 /* ---- blocks ---- */
 
-mo_gradient_function *mo_gradient_find(enum mo_isa isa)
-{
-  static mo_gradient_function *const functions[MO_ISA_COUNT] = {
-      mo_gradient_baseline, mo_gradient_avx2, mo_gradient_avx512};
-  return functions[isa];
-}
-
-int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
+int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                       const struct mo_gradient_options *options, const struct mo_pause_point *pause,
                       struct mo_outcome *outcomes, float *d_parameters,
                       struct mo_gradient_counts *counts)
 {
-  if (n < 1 || n > MO_GRADIENT_ROBOTS || mo_gradient_options_check(options) != MO_OK)
+  if (n < 1 || n > MO_GRADIENT_ROBOTS || pack->backward_weight[0] == NULL ||
+      mo_gradient_options_check(options) != MO_OK)
     return MO_ERR_INVALID;
   for (uint32_t i = 0; i < n; i++)
     if (!mo_workspace_equal(robots[i].body->workspace, pack->workspace))

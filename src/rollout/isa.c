@@ -49,3 +49,10 @@ mo_fast_function *mo_fast_find(enum mo_isa isa, enum mo_precision precision)
   };
   return functions[isa][precision];
 }
+
+mo_gradient_function *mo_gradient_find(enum mo_isa isa)
+{
+  static mo_gradient_function *const functions[MO_ISA_COUNT] = {
+      mo_gradient_baseline, mo_gradient_avx2, mo_gradient_avx512};
+  return functions[isa];
+}

@@ -1,7 +1,7 @@
 /* pack.c: lays out a controller for one instruction set and precision.
  *
  * Hidden layers become panels for the kernels' products. The first and the last layer stay float32,
- * in an order from which a block quickly packs its body's own columns and rows: only those are
+ * in an order from which a block quickly packs its bodies' own columns and rows: only those are
  * multiplied. */
 #include "rollout/carve.h"
 #include "rollout/fast.h"
@@ -9,14 +9,18 @@
 #include <stdlib.h>
 #include <string.h>
 
-static void lay_out(struct mo_pack *pack, struct carver *carver)
+static void lay_out(struct mo_pack *pack, bool for_gradients, struct carver *carver)
 {
+  const size_t square = (size_t)MO_HIDDEN * MO_HIDDEN;
   pack->input_weight = carve(carver, (size_t)pack->n_masses * MO_HIDDEN, sizeof(float));
   pack->output_weight = carve(carver, (size_t)pack->n_springs * MO_HIDDEN, sizeof(float));
   pack->output_bias = carve(carver, pack->n_springs, sizeof(float));
   pack->cpg_weight = carve(carver, (size_t)MO_CPG_INPUTS * MO_HIDDEN, pack->real_bytes);
-  for (int l = 0; l < MO_HIDDEN_LAYERS - 1; l++)
-    pack->hidden_weight[l] = carve(carver, (size_t)MO_HIDDEN * MO_HIDDEN, pack->real_bytes);
+  for (int l = 0; l < MO_HIDDEN_LAYERS - 1; l++) {
+    pack->hidden_weight[l] = carve(carver, square, pack->real_bytes);
+    if (for_gradients)
+      pack->backward_weight[l] = carve(carver, square, sizeof(float));
+  }
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     pack->bias[l] = carve(carver, MO_HIDDEN, pack->real_bytes);
     pack->gain[l] = carve(carver, MO_HIDDEN, pack->real_bytes);
@@ -24,47 +28,58 @@ static void lay_out(struct mo_pack *pack, struct carver *carver)
   }
 }
 
+/* + 0: a bias of −0 becomes 0, so that leaving out products of 0 changes no bit (kernel_tiles.inc).
+ */
 static void put(const struct mo_pack *pack, void *array, size_t i, float value)
 {
-  /* + 0: a bias of −0 becomes 0, so that leaving out products of 0 changes no bit
-   * (kernel_network.inc). */
   if (pack->precision == MO_FLOAT64)
     ((double *)array)[i] = (double)value + 0.0;
   else
     ((float *)array)[i] = value + 0.0f;
 }
 
-static void fill(struct mo_pack *pack, const struct mo_controller *controller)
+/* Where in panels of a matrix with n inputs the weight from input k to output o is. */
+static size_t place(const struct mo_pack *pack, size_t n, size_t o, size_t k)
 {
-  const uint32_t n_inputs = controller->n_inputs, n_masses = controller->n_masses;
-  for (uint32_t o = 0; o < MO_HIDDEN; o++) {
-    const float *row = controller->weight[0] + (size_t)o * n_inputs;
-    for (uint32_t m = 0; m < n_masses; m++)
-      pack->input_weight[(size_t)m * MO_HIDDEN + o] = row[m];
-    for (uint32_t i = 0; i < MO_CPG_INPUTS; i++)
-      put(pack, pack->cpg_weight, (size_t)i * MO_HIDDEN + o, row[n_masses + i]);
-  }
-  for (int l = 0; l < MO_HIDDEN_LAYERS - 1; l++)
-    for (uint32_t o = 0; o < MO_HIDDEN; o++)
-      for (uint32_t k = 0; k < MO_HIDDEN; k++) {
-        const size_t panel = o / pack->panel, column = o % pack->panel;
-        put(pack, pack->hidden_weight[l], (panel * MO_HIDDEN + k) * pack->panel + column,
-            controller->weight[l + 1][(size_t)o * MO_HIDDEN + k]);
-      }
-  for (int l = 0; l < MO_HIDDEN_LAYERS; l++)
-    for (uint32_t o = 0; o < MO_HIDDEN; o++) {
-      put(pack, pack->bias[l], o, controller->bias[l][o]);
-      put(pack, pack->gain[l], o, controller->norm_gain[l][o]);
-      put(pack, pack->shift[l], o, controller->norm_shift[l][o]);
-    }
-  memcpy(pack->output_weight, controller->weight[MO_HIDDEN_LAYERS],
-         (size_t)controller->n_springs * MO_HIDDEN * sizeof(float));
-  memcpy(pack->output_bias, controller->bias[MO_HIDDEN_LAYERS],
-         controller->n_springs * sizeof(float));
+  return ((o / pack->panel) * n + k) * pack->panel + o % pack->panel;
 }
 
-int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
-                   enum mo_precision precision, struct mo_pack **ret)
+static void fill_layer(struct mo_pack *pack, const struct mo_controller *controller, int l)
+{
+  for (size_t o = 0; o < MO_HIDDEN; o++) {
+    put(pack, pack->bias[l], o, controller->bias[l][o]);
+    put(pack, pack->gain[l], o, controller->norm_gain[l][o]);
+    put(pack, pack->shift[l], o, controller->norm_shift[l][o]);
+    const float *row = controller->weight[l] + o * MO_HIDDEN;
+    for (size_t k = 0; l > 0 && k < MO_HIDDEN; k++) {
+      put(pack, pack->hidden_weight[l - 1], place(pack, MO_HIDDEN, o, k), row[k]);
+      if (pack->backward_weight[l - 1] != NULL)
+        pack->backward_weight[l - 1][place(pack, MO_HIDDEN, k, o)] = row[k];
+    }
+  }
+}
+
+static void fill(struct mo_pack *pack, const struct mo_controller *controller)
+{
+  const size_t n_inputs = controller->n_inputs, n_masses = controller->n_masses,
+               n_springs = controller->n_springs;
+  for (size_t o = 0; o < MO_HIDDEN; o++) {
+    const float *row = controller->weight[0] + o * n_inputs;
+    for (size_t m = 0; m < n_masses; m++)
+      pack->input_weight[place(pack, n_masses, o, m)] = row[m];
+    for (size_t i = 0; i < MO_CPG_INPUTS; i++)
+      put(pack, pack->cpg_weight, i * MO_HIDDEN + o, row[n_masses + i]);
+  }
+  for (int l = 0; l < MO_HIDDEN_LAYERS; l++)
+    fill_layer(pack, controller, l);
+  memcpy(pack->output_weight, controller->weight[MO_HIDDEN_LAYERS],
+         n_springs * MO_HIDDEN * sizeof(float));
+  for (size_t s = 0; s < n_springs; s++)
+    pack->output_bias[s] = controller->bias[MO_HIDDEN_LAYERS][s] + 0.0f; /* as in put */
+}
+
+static int create(const struct mo_controller *controller, enum mo_isa isa,
+                  enum mo_precision precision, bool for_gradients, struct mo_pack **ret)
 {
   if ((unsigned)isa >= MO_ISA_COUNT || (precision != MO_FLOAT32 && precision != MO_FLOAT64))
     return MO_ERR_INVALID;
@@ -74,16 +89,17 @@ int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
   struct mo_pack pack = {.isa = isa,
                          .precision = precision,
                          .passive = controller == NULL,
-                         .vector = (uint32_t)(mo_isa_vector_bytes(isa) / real_bytes),
+                         .panel = (uint32_t)(2 * mo_isa_vector_bytes(isa) / real_bytes),
                          .real_bytes = real_bytes};
-  pack.panel = 2 * pack.vector;
   struct carver carver = {NULL, mo_aligned(sizeof(pack))};
   if (controller != NULL) {
     pack.workspace = controller->workspace;
     pack.sensor = controller->sensor;
     pack.n_masses = controller->n_masses;
     pack.n_springs = controller->n_springs;
-    lay_out(&pack, &carver);
+    pack.n_inputs = controller->n_inputs;
+    pack.n_parameters = controller->n_parameters;
+    lay_out(&pack, for_gradients, &carver);
   }
   pack.bytes = carver.used;
   struct mo_pack *made = aligned_alloc(MO_ALIGNMENT, carver.used);
@@ -91,7 +107,7 @@ int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
     return MO_ERR_NO_MEMORY;
   if (controller != NULL) {
     carver = (struct carver){(char *)made, mo_aligned(sizeof(pack))};
-    lay_out(&pack, &carver);
+    lay_out(&pack, for_gradients, &carver);
     fill(&pack, controller);
   }
   *made = pack;
@@ -99,7 +115,33 @@ int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
   return MO_OK;
 }
 
+int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
+                   enum mo_precision precision, struct mo_pack **pack)
+{
+  return create(controller, isa, precision, false, pack);
+}
+
+int mo_pack_create_for_gradients(const struct mo_controller *controller, enum mo_isa isa,
+                                 struct mo_pack **pack)
+{
+  return create(controller, isa, MO_FLOAT32, true, pack);
+}
+
+int mo_pack_update(struct mo_pack *pack, const struct mo_controller *controller)
+{
+  if (!mo_workspace_equal(pack->workspace, controller->workspace) ||
+      pack->sensor != controller->sensor)
+    return MO_ERR_UNSUPPORTED;
+  fill(pack, controller);
+  return MO_OK;
+}
+
 void mo_pack_free(struct mo_pack *pack)
 {
   free(pack);
+}
+
+size_t mo_pack_bytes(const struct mo_pack *pack)
+{
+  return pack->bytes;
 }

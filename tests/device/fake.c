@@ -258,7 +258,7 @@ static int fake_gradient(struct mo_device *device, struct mo_device_gradient *gr
                                               .restart_weight = gradient->restart_weight};
   const uint32_t n_parameters = (uint32_t)gradient->controller->n_parameters;
   const struct mo_device_layout *layout = gradient->layout;
-  struct mo_gradient_pack *pack = NULL;
+  struct mo_pack *pack = NULL;
   if (layout != NULL && (layout->robots != gradient->robots || layout->n != gradient->n ||
                          layout->springs != springs_of(gradient->robots, gradient->n)))
     abort();
@@ -270,8 +270,8 @@ static int fake_gradient(struct mo_device *device, struct mo_device_gradient *gr
     status = MO_ERR_NO_MEMORY;
   else
     status = begin(device, gradient->robots, gradient->n, gradient->cancel);
-  if (status == MO_OK && (part == NULL || mo_gradient_pack_create(gradient->controller,
-                                                                  mo_isa_best(), &pack) != MO_OK))
+  if (status == MO_OK && (part == NULL || mo_pack_create_for_gradients(
+                                              gradient->controller, mo_isa_best(), &pack) != MO_OK))
     abort();
   for (uint32_t i = 0; i < gradient->n && status == MO_OK; i += MO_GRADIENT_ROBOTS) {
     float *sum = gradient->d_parameters + (size_t)(i / MO_DEVICE_SHARD) * n_parameters;
@@ -282,7 +282,7 @@ static int fake_gradient(struct mo_device *device, struct mo_device_gradient *gr
     for (uint32_t k = 0; k < n_parameters; k++)
       sum[k] = i % MO_DEVICE_SHARD == 0 ? part[k] : sum[k] + part[k];
   }
-  mo_gradient_pack_free(pack);
+  mo_pack_free(pack);
   free(part);
   return status;
 }

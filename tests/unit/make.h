@@ -39,7 +39,6 @@ MAKE(controller, (struct mo_workspace workspace, enum mo_sensor sensor), workspa
 MAKE(pack, (const struct mo_controller *c, enum mo_isa isa, enum mo_precision precision), c, isa,
      precision, &made)
 MAKE(workspace_memory, (void), &made)
-MAKE(gradient_pack, (const struct mo_controller *c, enum mo_isa isa), c, isa, &made)
 MAKE(gradient_memory, (size_t budget_bytes), budget_bytes, &made)
 MAKE(compute_controller, (struct mo_compute * compute, const struct mo_controller *c), compute, c,
      &made)
@@ -52,6 +51,13 @@ MAKE(training,
 MAKE(seen, (struct mo_workspace workspace, const struct mo_form_set *excluded), workspace, excluded,
      &made)
 #undef MAKE
+
+static inline struct mo_pack *make_gradient_pack(const struct mo_controller *c, enum mo_isa isa)
+{
+  struct mo_pack *made = NULL;
+  make_check(mo_pack_create_for_gradients(c, isa, &made), "gradient pack");
+  return check_keep(made, drop_pack);
+}
 
 static inline void drop_compute(void *compute)
 {

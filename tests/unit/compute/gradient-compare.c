@@ -31,7 +31,7 @@ struct share {
   uint32_t first, n, stride;
   const struct mo_physics *physics;
   struct mo_gradient_options options;
-  const struct mo_gradient_pack *pack;
+  const struct mo_pack *pack;
   bool moved;
   struct mo_outcome *outcomes;           /* (n) of the reference */
   double *difference, *moved_difference; /* (n) 1 − cosine of the robot's gradients */
@@ -215,10 +215,10 @@ int gradient_compare(const struct mo_controller *controller, const struct mo_rob
   struct mo_outcome *outcomes = calloc(2 * (size_t)n, sizeof(*outcomes));
   double *gradients = calloc(3 * size, sizeof(*gradients)),
          *differences = calloc(3 * (size_t)n, sizeof(*differences));
-  struct mo_gradient_pack *pack = NULL;
+  struct mo_pack *pack = NULL;
   int status = workers < 1 || workers > THREADS_MAX
                    ? MO_ERR_RANGE
-                   : mo_gradient_pack_create(controller, isa, &pack);
+                   : mo_pack_create_for_gradients(controller, isa, &pack);
   *c = (struct gradient_comparison){.loss_median = 0};
   if (status == MO_OK && (outcomes == NULL || gradients == NULL || differences == NULL))
     status = MO_ERR_NO_MEMORY;
@@ -257,7 +257,7 @@ int gradient_compare(const struct mo_controller *controller, const struct mo_rob
       at += count;
     }
   }
-  mo_gradient_pack_free(pack);
+  mo_pack_free(pack);
   free(outcomes);
   free(gradients);
   free(differences);

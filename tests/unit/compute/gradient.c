@@ -36,13 +36,13 @@ static struct {
   atomic_int wrong_tags;
 } plan;
 
-int __real_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
+int __real_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
                              const struct mo_robot *list, uint32_t n,
                              const struct mo_physics *physics,
                              const struct mo_gradient_options *options,
                              const struct mo_pause_point *pause, struct mo_outcome *results,
                              float *gradient, struct mo_gradient_counts *counts);
-int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
+int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
                              const struct mo_robot *list, uint32_t n,
                              const struct mo_physics *physics,
                              const struct mo_gradient_options *options,
@@ -61,7 +61,7 @@ static void make_up(uint64_t robot, float *gradient)
   }
 }
 
-int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
+int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
                              const struct mo_robot *list, uint32_t n,
                              const struct mo_physics *physics,
                              const struct mo_gradient_options *options,

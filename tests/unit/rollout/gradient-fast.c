@@ -325,7 +325,7 @@ static void budgets_are_kept(void)
   struct mo_robot large[ROBOTS];
   for (uint32_t i = 0; i < ROBOTS; i++)
     large[i] = (struct mo_robot){robots[ROBOTS - 1].body, environments + i};
-  struct mo_gradient_pack *pack = make_gradient_pack(shipped, mo_isa_best());
+  struct mo_pack *pack = make_gradient_pack(shipped, mo_isa_best());
   struct mo_gradient_memory *memory = make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES);
   /* The largest bodies, and stopped once the tape has been laid out. */
   struct stop stop = {.after = 1};
@@ -481,7 +481,7 @@ static void pauses_and_ends(void)
   struct mo_gradient_counts counts = {0};
   float *d[2] = {make_zeros(shipped->n_parameters, sizeof(float)),
                  make_zeros(shipped->n_parameters, sizeof(float))};
-  struct mo_gradient_pack *pack = make_gradient_pack(shipped, mo_isa_best());
+  struct mo_pack *pack = make_gradient_pack(shipped, mo_isa_best());
   struct mo_gradient_memory *memory = make_gradient_memory(1000000);
   struct stop stop = {.after = UINT32_MAX};
   struct mo_pause_point pause = {.interval = 7, .reached = count_down, .context = &stop};
@@ -512,13 +512,13 @@ static void packs_can_be_updated(void)
 {
   const struct mo_physics physics = physics_of(20);
   const struct mo_gradient_options options = mo_default_gradient_options();
-  struct mo_gradient_pack *pack =
+  struct mo_pack *pack =
       make_gradient_pack(make_random_controller(shipped->sensor, 99), mo_isa_best());
   struct mo_gradient_memory *memory = make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES);
   struct mo_outcome outcomes[ROBOTS];
   float *d = make_zeros(shipped->n_parameters, sizeof(float));
-  CHECK_INT(mo_gradient_pack_update(pack, shipped), MO_OK);
-  CHECK(mo_gradient_pack_bytes(pack) > shipped->n_parameters * sizeof(float));
+  CHECK_INT(mo_pack_update(pack, shipped), MO_OK);
+  CHECK(mo_pack_bytes(pack) > shipped->n_parameters * sizeof(float));
   /* The memory has seen other blocks, too. */
   for (uint32_t n = 1; n <= ROBOTS; n += 9)
     CHECK_INT(
@@ -533,14 +533,14 @@ static void faults_are_refused(void)
   const struct mo_physics physics = physics_of(20);
   const struct mo_controller *other =
       make_controller((struct mo_workspace){6, 6, 3}, shipped->sensor);
-  struct mo_gradient_pack *pack = make_gradient_pack(shipped, mo_isa_best());
+  struct mo_pack *pack = make_gradient_pack(shipped, mo_isa_best());
   struct mo_gradient_memory *memory = make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES);
   struct mo_outcome outcomes[ROBOTS];
   float *d = make_zeros(shipped->n_parameters, sizeof(float));
-  CHECK_INT(mo_gradient_pack_update(pack, fresh), MO_ERR_UNSUPPORTED); /* another sensor */
-  CHECK_INT(mo_gradient_pack_update(pack, other), MO_ERR_UNSUPPORTED);
+  CHECK_INT(mo_pack_update(pack, fresh), MO_ERR_UNSUPPORTED); /* another sensor */
+  CHECK_INT(mo_pack_update(pack, other), MO_ERR_UNSUPPORTED);
   const struct {
-    const struct mo_gradient_pack *pack;
+    const struct mo_pack *pack;
     uint32_t n;
     struct mo_gradient_options options;
   } bad[] = {{pack, 0, mo_default_gradient_options()},
@@ -553,8 +553,8 @@ static void faults_are_refused(void)
     CHECK_INT(mo_gradient_block(memory, bad[i].pack, robots, bad[i].n, &physics, &bad[i].options,
                                 NULL, outcomes, d, NULL),
               MO_ERR_INVALID);
-  CHECK_INT(mo_gradient_pack_create(shipped, MO_ISA_COUNT, &pack), MO_ERR_UNSUPPORTED);
-  mo_gradient_pack_free(NULL);
+  CHECK_INT(mo_pack_create_for_gradients(shipped, MO_ISA_COUNT, &pack), MO_ERR_INVALID);
+  mo_pack_free(NULL);
   mo_gradient_memory_free(NULL);
 }
 

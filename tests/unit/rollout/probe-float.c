@@ -16,6 +16,7 @@ void PROBE(const struct probe *probe)
 {
   REAL *x = probe->tanh_values;
   (void)panel_listed;
+  (void)norm_relu;
   for (size_t i = 0; i < probe->n_tanh; i += MO_VL)
     v_store(x + i, tanh_v(v_load(x + i)));
   if (probe->rows > 0)
