@@ -9,7 +9,7 @@ struct mo_compute_controller {
   struct mo_devices *devices;             /* NULL: there are none */
   enum mo_isa isa;
   pthread_mutex_t making;
-  _Atomic(struct mo_pack *) pack[2]; /* by mo_precision; written once */
+  struct mo_pack *pack[2]; /* by mo_precision; written once, under the mutex */
 };
 
 int mo_compute_controller_create(struct mo_compute *compute, const struct mo_controller *controller,
@@ -19,8 +19,8 @@ int mo_compute_controller_create(struct mo_compute *compute, const struct mo_con
   if (made == NULL)
     return MO_ERR_NO_MEMORY;
   made->controller = controller;
-  made->devices = mo_compute_get_devices(compute);
-  made->isa = mo_compute_isa(compute);
+  made->devices = mo_core(compute)->devices;
+  made->isa = mo_core(compute)->isa;
   pthread_mutex_init(&made->making, NULL);
   *ret = made;
   return MO_OK;
@@ -33,7 +33,7 @@ void mo_compute_controller_free(struct mo_compute_controller *controller)
   if (controller->devices != NULL)
     mo_devices_forget(controller->devices, controller);
   for (int precision = 0; precision < 2; precision++)
-    mo_pack_free(atomic_load(&controller->pack[precision]));
+    mo_pack_free(controller->pack[precision]);
   pthread_mutex_destroy(&controller->making);
   free(controller);
 }
@@ -47,19 +47,12 @@ mo_compute_controller_weights(const struct mo_compute_controller *controller)
 int mo_compute_controller_pack(struct mo_compute_controller *controller,
                                enum mo_precision precision, const struct mo_pack **ret)
 {
-  struct mo_pack *pack = atomic_load_explicit(&controller->pack[precision], memory_order_acquire);
   int status = MO_OK;
-  if (pack == NULL) {
-    pthread_mutex_lock(&controller->making);
-    pack = atomic_load(&controller->pack[precision]);
-    if (pack == NULL) {
-      status = mo_pack_create(controller->controller, controller->isa, precision, &pack);
-      if (status == MO_OK)
-        atomic_store_explicit(&controller->pack[precision], pack, memory_order_release);
-    }
-    pthread_mutex_unlock(&controller->making);
-  }
-  if (status == MO_OK)
-    *ret = pack;
+  pthread_mutex_lock(&controller->making);
+  if (controller->pack[precision] == NULL)
+    status = mo_pack_create(controller->controller, controller->isa, precision,
+                            &controller->pack[precision]);
+  *ret = controller->pack[precision];
+  pthread_mutex_unlock(&controller->making);
   return status;
 }

@@ -1,4 +1,4 @@
-/* core.c: what all files of this room read of a back end, and the tag of the calling thread. */
+/* core.c: the tag of the calling thread, and waiting for blocks. */
 #include "compute/internal.h"
 
 /* The tag of the innermost block on this thread. Read by a fault handler, so volatile. */
@@ -14,32 +14,23 @@ void mo_compute_set_tag(int64_t tag)
   current_tag = tag;
 }
 
-static const struct mo_compute_core *core_of(const struct mo_compute *compute)
+void mo_waiter_done(struct mo_block *block, void *context)
 {
-  return (const struct mo_compute_core *)compute;
+  struct mo_waiter *waiter = context;
+  pthread_mutex_lock(&waiter->mutex);
+  if (block->status != MO_OK)
+    atomic_store(&waiter->failed, true);
+  if (--waiter->left == 0)
+    pthread_cond_signal(&waiter->all_done);
+  pthread_mutex_unlock(&waiter->mutex);
 }
 
-enum mo_isa mo_compute_isa(const struct mo_compute *compute)
+void mo_waiter_wait(struct mo_waiter *waiter)
 {
-  return core_of(compute)->isa;
-}
-
-uint32_t mo_compute_workers(const struct mo_compute *compute)
-{
-  return core_of(compute)->n_workers;
-}
-
-struct mo_devices *mo_compute_get_devices(const struct mo_compute *compute)
-{
-  return core_of(compute)->devices;
-}
-
-void mo_compute_set_devices(struct mo_compute *compute, struct mo_devices *devices)
-{
-  ((struct mo_compute_core *)compute)->devices = devices;
-}
-
-int mo_compute_submit_to_workers(struct mo_compute *compute, struct mo_block *block)
-{
-  return core_of(compute)->submit_to_workers(compute, block);
+  pthread_mutex_lock(&waiter->mutex);
+  while (waiter->left > 0)
+    pthread_cond_wait(&waiter->all_done, &waiter->mutex);
+  pthread_mutex_unlock(&waiter->mutex);
+  pthread_cond_destroy(&waiter->all_done);
+  pthread_mutex_destroy(&waiter->mutex);
 }

@@ -55,6 +55,7 @@ struct worker {
   struct mo_gradient_memory *gradient; /* NULL before the first gradient block */
   uint64_t overtaken_ns;
   uint_fast32_t trimmed; /* number of the last trim that the worker carried out */
+  bool is_running;
   pthread_t thread;
 };
 
@@ -64,10 +65,9 @@ struct mo_compute {
   atomic_size_t gradient_bytes;
   atomic_uint_fast32_t trims; /* trims requested */
   struct worker *workers;     /* (core.n_workers) */
-  pthread_mutex_t mutex;
+  struct mo_fair fair;        /* its mutex guards all queues */
   pthread_cond_t wake;
   struct queue queues[QUEUES];
-  struct mo_fair fair;
   struct mo_compute_share own; /* for blocks that name no share */
   atomic_bool stopping;        /* written under the mutex */
   atomic_uint_fast32_t n_busy;
@@ -115,21 +115,17 @@ static void follow_trims(struct worker *worker)
   worker->gradient = NULL;
 }
 
-/* Measures the worker time of a block: elapsed time less that of urgent blocks inside it. The
- * counters of the share are updated at every pause point, so that a long block counts before its
- * end. */
-struct meter {
+/* A block that runs on a worker. Its worker time is elapsed time less that of urgent blocks inside
+ * it. The counters of the share are updated at every pause point, so that a long block counts
+ * before its end. */
+struct run {
+  struct worker *worker;
+  struct mo_block *block;
+  int depth;
   struct mo_compute_share *share;
   bool urgent;
   uint64_t read_ns, overtaken_ns; /* at the last reading */
   uint64_t total_ns;
-};
-
-struct visit {
-  struct worker *worker;
-  struct mo_block *block;
-  int depth;
-  struct meter *meter;
 };
 
 static void run_block(struct worker *worker, struct mo_block *block, int depth,
@@ -143,47 +139,47 @@ static bool is_cancelled(const struct mo_compute *compute, const struct mo_block
           atomic_load_explicit(block->gradient->stop, memory_order_relaxed));
 }
 
-static void read_meter(const struct worker *worker, struct meter *meter)
+static void read_meter(struct run *run)
 {
-  const uint64_t now_ns = mo_clock_ns(), inside_ns = worker->overtaken_ns - meter->overtaken_ns;
-  const uint64_t own_ns = now_ns - meter->read_ns - inside_ns;
-  meter->read_ns = now_ns;
-  meter->overtaken_ns = worker->overtaken_ns;
-  meter->total_ns += own_ns;
-  atomic_fetch_add_explicit(&meter->share->busy_ns, own_ns, memory_order_relaxed);
-  if (meter->urgent)
-    atomic_fetch_add_explicit(&meter->share->urgent_ns, own_ns, memory_order_relaxed);
+  const uint64_t now_ns = mo_clock_ns(), inside_ns = run->worker->overtaken_ns - run->overtaken_ns;
+  const uint64_t own_ns = now_ns - run->read_ns - inside_ns;
+  run->read_ns = now_ns;
+  run->overtaken_ns = run->worker->overtaken_ns;
+  run->total_ns += own_ns;
+  atomic_fetch_add_explicit(&run->share->busy_ns, own_ns, memory_order_relaxed);
+  if (run->urgent)
+    atomic_fetch_add_explicit(&run->share->urgent_ns, own_ns, memory_order_relaxed);
 }
 
 /* The pause point of a running block. */
 static int look_up(void *context)
 {
-  const struct visit *visit = context;
-  struct mo_compute *compute = visit->worker->compute;
-  if (visit->block->gradient == NULL && visit->depth == 0)
-    follow_trims(visit->worker);
+  struct run *run = context;
+  struct worker *worker = run->worker;
+  struct mo_compute *compute = worker->compute;
+  if (run->block->gradient == NULL && run->depth == 0)
+    follow_trims(worker);
   struct queue *urgent = &compute->queues[URGENT];
-  if (visit->depth == 0 && (visit->block->urgency == MO_BATCH || visit->block->gradient != NULL))
+  if (run->depth == 0 && (run->block->urgency == MO_BATCH || run->block->gradient != NULL))
     while (atomic_load_explicit(&urgent->n, memory_order_relaxed) > 0 &&
-           !is_cancelled(compute, visit->block)) {
-      pthread_mutex_lock(&compute->mutex);
+           !is_cancelled(compute, run->block)) {
+      pthread_mutex_lock(&compute->fair.mutex);
       struct mo_block *block = pop(urgent);
-      pthread_mutex_unlock(&compute->mutex);
+      pthread_mutex_unlock(&compute->fair.mutex);
       if (block == NULL)
         break;
       atomic_fetch_add(&compute->blocks_preempted, 1);
       const uint64_t start_ns = mo_clock_ns();
-      run_block(visit->worker, block, 1, NULL);
-      visit->worker->overtaken_ns += mo_clock_ns() - start_ns;
+      run_block(worker, block, 1, NULL);
+      worker->overtaken_ns += mo_clock_ns() - start_ns;
     }
-  read_meter(visit->worker, visit->meter);
-  return is_cancelled(compute, visit->block);
+  read_meter(run);
+  return is_cancelled(compute, run->block);
 }
 
-static int simulate(struct worker *worker, struct mo_block *block, int depth, struct meter *meter)
+static int simulate(struct run *run)
 {
-  if (is_cancelled(worker->compute, block))
-    return MO_ERR_CANCELLED;
+  struct mo_block *block = run->block;
   const struct mo_pack *pack = NULL;
   int status = mo_compute_controller_pack(block->controller, block->precision, &pack);
   struct mo_body *built = NULL;
@@ -194,23 +190,19 @@ static int simulate(struct worker *worker, struct mo_block *block, int depth, st
   }
   if (status != MO_OK || body == NULL)
     return status;
-  struct visit visit = {worker, block, depth, meter};
-  const struct mo_pause_point pause = {.interval =
-                                           body->n_springs > PAUSE_SPRINGS ? 1 : PAUSE_STEPS,
-                                       .reached = look_up,
-                                       .context = &visit};
-  status = mo_rollout_block(worker->memory[depth], pack, body, block->environments,
+  const struct mo_pause_point pause = {body->n_springs > PAUSE_SPRINGS ? 1 : PAUSE_STEPS, look_up,
+                                       run};
+  status = mo_rollout_block(run->worker->memory[run->depth], pack, body, block->environments,
                             block->n_environments, &block->physics, block->recordings, &pause,
                             block->outcomes);
   mo_body_free(built);
   return status;
 }
 
-static int differentiate(struct worker *worker, struct mo_gradient_task *task, int depth,
-                         struct meter *meter)
+static int differentiate(struct run *run)
 {
-  if (is_cancelled(worker->compute, &task->block))
-    return MO_ERR_CANCELLED;
+  struct worker *worker = run->worker;
+  struct mo_gradient_task *task = run->block->gradient;
   if (worker->gradient == NULL) {
     const int status =
         mo_gradient_memory_create(atomic_load(&worker->compute->gradient_bytes), &worker->gradient);
@@ -220,11 +212,8 @@ static int differentiate(struct worker *worker, struct mo_gradient_task *task, i
   uint64_t springs = 0;
   for (uint32_t i = 0; i < task->n; i++)
     springs += task->robots[i].body->n_springs;
-  struct visit visit = {worker, &task->block, depth, meter};
-  const struct mo_pause_point pause = {
-      .interval = springs > PAUSE_GRADIENT_SPRINGS ? 1 : PAUSE_GRADIENT_STEPS,
-      .reached = look_up,
-      .context = &visit};
+  const struct mo_pause_point pause = {springs > PAUSE_GRADIENT_SPRINGS ? 1 : PAUSE_GRADIENT_STEPS,
+                                       look_up, run};
   return mo_gradient_block(worker->gradient, task->pack, task->robots, task->n,
                            &task->block.physics, &task->options, &pause, task->outcomes,
                            task->d_parameters, &task->counts);
@@ -264,22 +253,26 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
 {
   struct mo_compute *compute = worker->compute;
   const int64_t outer_tag = mo_compute_current_tag();
-  struct meter meter = {.share = block->share != NULL ? block->share : &compute->own,
-                        .urgent = charge == NULL,
-                        .read_ns = mo_clock_ns(),
-                        .overtaken_ns = worker->overtaken_ns};
+  struct run run = {.worker = worker,
+                    .block = block,
+                    .depth = depth,
+                    .share = block->share != NULL ? block->share : &compute->own,
+                    .urgent = charge == NULL,
+                    .read_ns = mo_clock_ns(),
+                    .overtaken_ns = worker->overtaken_ns};
   mo_compute_set_tag(block->tag);
-  block->status = block->gradient != NULL ? differentiate(worker, block->gradient, depth, &meter)
-                                          : simulate(worker, block, depth, &meter);
+  block->status = is_cancelled(compute, block) ? MO_ERR_CANCELLED
+                  : block->gradient != NULL    ? differentiate(&run)
+                                               : simulate(&run);
   block->computed_on = MO_ON_CPU;
   count(worker, block);
-  read_meter(worker, &meter);
+  read_meter(&run);
   if (charge != NULL) {
-    pthread_mutex_lock(&compute->mutex);
-    mo_fair_settle(&compute->fair, charge, 1e-9 * (double)meter.total_ns, block->status == MO_OK);
-    pthread_mutex_unlock(&compute->mutex);
+    pthread_mutex_lock(&compute->fair.mutex);
+    mo_fair_settle(&compute->fair, charge, 1e-9 * (double)run.total_ns, block->status == MO_OK);
+    pthread_mutex_unlock(&compute->fair.mutex);
   } else {
-    atomic_fetch_add(&meter.share->blocks_done, 1);
+    atomic_fetch_add(&run.share->blocks_done, 1);
   }
   block->done(block, block->context); /* the block and its share may be gone now */
   mo_compute_set_tag(outer_tag);
@@ -304,7 +297,7 @@ static void *work(void *argument)
   struct worker *worker = argument;
   struct mo_compute *compute = worker->compute;
   mo_compute_settle(compute);
-  pthread_mutex_lock(&compute->mutex);
+  pthread_mutex_lock(&compute->fair.mutex);
   for (;;) {
     struct mo_block *block = NULL;
     struct mo_fair_charge charge;
@@ -317,18 +310,18 @@ static void *work(void *argument)
       if (atomic_load(&compute->stopping))
         break;
       follow_trims(worker);
-      pthread_cond_wait(&compute->wake, &compute->mutex);
+      pthread_cond_wait(&compute->wake, &compute->fair.mutex);
       continue;
     }
     atomic_fetch_add(&compute->n_busy, 1);
-    pthread_mutex_unlock(&compute->mutex);
+    pthread_mutex_unlock(&compute->fair.mutex);
     const uint64_t start_ns = mo_clock_ns();
     run_block(worker, block, 0, urgent ? NULL : &charge);
     atomic_fetch_add(&compute->busy_ns, mo_clock_ns() - start_ns);
-    pthread_mutex_lock(&compute->mutex);
+    pthread_mutex_lock(&compute->fair.mutex);
     atomic_fetch_sub(&compute->n_busy, 1);
   }
-  pthread_mutex_unlock(&compute->mutex);
+  pthread_mutex_unlock(&compute->fair.mutex);
   return NULL;
 }
 
@@ -340,10 +333,8 @@ static int start_worker(struct mo_compute *compute, struct worker *worker, uint3
       return MO_ERR_NO_MEMORY;
   char name[16];
   snprintf(name, sizeof(name), "mo-worker-%u", number % 10000);
-  if (mo_thread_create(&worker->thread, name, work, worker) != 0)
-    return MO_ERR_NO_MEMORY;
-  compute->core.n_workers++;
-  return MO_OK;
+  worker->is_running = mo_thread_create(&worker->thread, name, work, worker) == 0;
+  return worker->is_running ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
 void mo_compute_set_gradient_bytes(struct mo_compute *compute, size_t bytes)
@@ -353,10 +344,10 @@ void mo_compute_set_gradient_bytes(struct mo_compute *compute, size_t bytes)
 
 void mo_compute_trim(struct mo_compute *compute)
 {
-  pthread_mutex_lock(&compute->mutex);
+  pthread_mutex_lock(&compute->fair.mutex);
   atomic_fetch_add(&compute->trims, 1);
   pthread_cond_broadcast(&compute->wake);
-  pthread_mutex_unlock(&compute->mutex);
+  pthread_mutex_unlock(&compute->fair.mutex);
 }
 
 static int submit_to_workers(struct mo_compute *compute, struct mo_block *block);
@@ -378,6 +369,7 @@ int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_comp
     return MO_ERR_NO_MEMORY;
   }
   compute->core.isa = config->isa;
+  compute->core.n_workers = wanted;
   compute->core.submit_to_workers = submit_to_workers;
   compute->nice = config->nice;
   compute->gradient_bytes =
@@ -388,15 +380,12 @@ int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_comp
              precision == MO_FLOAT32 ? "float32" : "float64", MO_KERNEL_VERSION);
   snprintf(compute->gradient_fingerprint, sizeof(compute->gradient_fingerprint),
            "cpu %s float32 gradient-%d", mo_isa_name(config->isa), MO_GRADIENT_VERSION);
-  pthread_mutex_init(&compute->mutex, NULL);
   pthread_cond_init(&compute->wake, NULL);
   mo_fair_init(&compute->fair, wanted);
   compute->own.compute = compute;
   mo_fair_add(&compute->fair, &compute->own, 1);
   for (uint32_t i = 0; i < wanted; i++)
     if (start_worker(compute, compute->workers + i, i) != MO_OK) {
-      for (int depth = 0; depth < DEPTHS; depth++)
-        mo_workspace_memory_free(compute->workers[i].memory[depth]);
       mo_compute_free(compute);
       return MO_ERR_NO_MEMORY;
     }
@@ -409,12 +398,13 @@ void mo_compute_free(struct mo_compute *compute)
   if (compute == NULL)
     return;
   mo_devices_free(compute->core.devices);
-  pthread_mutex_lock(&compute->mutex);
+  pthread_mutex_lock(&compute->fair.mutex);
   atomic_store(&compute->stopping, true);
   pthread_cond_broadcast(&compute->wake);
-  pthread_mutex_unlock(&compute->mutex);
+  pthread_mutex_unlock(&compute->fair.mutex);
   for (uint32_t i = 0; i < compute->core.n_workers; i++) {
-    pthread_join(compute->workers[i].thread, NULL);
+    if (compute->workers[i].is_running)
+      pthread_join(compute->workers[i].thread, NULL);
     for (int depth = 0; depth < DEPTHS; depth++)
       mo_workspace_memory_free(compute->workers[i].memory[depth]);
     mo_gradient_memory_free(compute->workers[i].gradient);
@@ -422,7 +412,7 @@ void mo_compute_free(struct mo_compute *compute)
   for (struct mo_compute_share *share = compute->fair.shares; share != NULL; share = share->next)
     share->compute = NULL; /* it may be freed later */
   pthread_cond_destroy(&compute->wake);
-  pthread_mutex_destroy(&compute->mutex);
+  pthread_mutex_destroy(&compute->fair.mutex);
   free(compute->workers);
   free(compute);
 }
@@ -448,7 +438,7 @@ static bool is_valid(const struct mo_compute *compute, const struct mo_block *bl
 
 static int enqueue(struct mo_compute *compute, struct mo_block *block, int urgent_queue)
 {
-  pthread_mutex_lock(&compute->mutex);
+  pthread_mutex_lock(&compute->fair.mutex);
   const bool stopping = atomic_load(&compute->stopping);
   if (!stopping) {
     if (block->urgency == MO_INTERACTIVE)
@@ -457,7 +447,7 @@ static int enqueue(struct mo_compute *compute, struct mo_block *block, int urgen
       mo_fair_push(&compute->fair, block->share != NULL ? block->share : &compute->own, block);
     pthread_cond_signal(&compute->wake);
   }
-  pthread_mutex_unlock(&compute->mutex);
+  pthread_mutex_unlock(&compute->fair.mutex);
   return stopping ? MO_ERR_CANCELLED : MO_OK;
 }
 
@@ -490,18 +480,16 @@ int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_ta
 int mo_compute_share_create(struct mo_compute *compute, double weight,
                             struct mo_compute_share **ret)
 {
-  struct mo_compute_share *share = calloc(1, sizeof(*share));
+  struct mo_devices *devices = compute->core.devices;
+  struct mo_compute_share *share = calloc(devices != NULL ? 2 : 1, sizeof(*share));
   if (share == NULL)
     return MO_ERR_NO_MEMORY;
   share->compute = compute;
-  if (compute->core.devices != NULL &&
-      mo_devices_share_create(compute->core.devices, weight, &share->on_devices) != MO_OK) {
-    free(share);
-    return MO_ERR_NO_MEMORY;
-  }
-  pthread_mutex_lock(&compute->mutex);
   mo_fair_add(&compute->fair, share, weight);
-  pthread_mutex_unlock(&compute->mutex);
+  if (devices != NULL) {
+    share->on_devices = share + 1;
+    mo_fair_add(&devices->fair, share->on_devices, weight);
+  }
   *ret = share;
   return MO_OK;
 }
@@ -511,23 +499,18 @@ void mo_compute_share_free(struct mo_compute_share *share)
   if (share == NULL)
     return;
   if (share->compute != NULL) {
-    pthread_mutex_lock(&share->compute->mutex);
     mo_fair_remove(&share->compute->fair, share);
-    pthread_mutex_unlock(&share->compute->mutex);
     if (share->on_devices != NULL)
-      mo_devices_share_remove(share->compute->core.devices, share->on_devices);
+      mo_fair_remove(&share->compute->core.devices->fair, share->on_devices);
   }
-  free(share->on_devices);
   free(share);
 }
 
 void mo_compute_share_set_weight(struct mo_compute_share *share, double weight)
 {
-  pthread_mutex_lock(&share->compute->mutex);
   mo_fair_set_weight(&share->compute->fair, share, weight);
-  pthread_mutex_unlock(&share->compute->mutex);
   if (share->on_devices != NULL)
-    mo_devices_share_set_weight(share->compute->core.devices, share->on_devices, weight);
+    mo_fair_set_weight(&share->compute->core.devices->fair, share->on_devices, weight);
 }
 
 void mo_compute_share_get_stats(const struct mo_compute_share *share,

@@ -14,27 +14,16 @@ enum { BODIES_PER_THREAD = 100 }; /* about a millisecond */
 
 int mo_chunk_create(struct mo_chunk *chunk)
 {
-  chunk->blocks = calloc(MO_CHUNK_ROWS, sizeof(struct mo_block *));
-  chunk->status = calloc(MO_CHUNK_ROWS, sizeof(*chunk->status));
-  chunk->first_row = calloc(MO_CHUNK_ROWS, sizeof(*chunk->first_row));
-  chunk->bodies = calloc(MO_CHUNK_ROWS, sizeof(struct mo_body *));
-  chunk->needs_body = calloc(MO_CHUNK_ROWS, sizeof(*chunk->needs_body));
+  chunk->items = calloc(MO_CHUNK_ROWS, sizeof(*chunk->items));
   chunk->robots = calloc(MO_CHUNK_ROWS, sizeof(*chunk->robots));
   chunk->outcomes = calloc(MO_CHUNK_ROWS, sizeof(*chunk->outcomes));
-  return chunk->blocks == NULL || chunk->status == NULL || chunk->first_row == NULL ||
-                 chunk->bodies == NULL || chunk->needs_body == NULL || chunk->robots == NULL ||
-                 chunk->outcomes == NULL
-             ? MO_ERR_NO_MEMORY
-             : MO_OK;
+  return chunk->items == NULL || chunk->robots == NULL || chunk->outcomes == NULL ? MO_ERR_NO_MEMORY
+                                                                                  : MO_OK;
 }
 
 void mo_chunk_destroy(struct mo_chunk *chunk)
 {
-  free(chunk->blocks);
-  free(chunk->status);
-  free(chunk->first_row);
-  free(chunk->bodies);
-  free(chunk->needs_body);
+  free(chunk->items);
   free(chunk->robots);
   free(chunk->outcomes);
 }
@@ -91,8 +80,7 @@ bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk)
     return false;
   struct room room = {.like = block};
   chunk->task = block->shards;
-  chunk->blocks[0] = block;
-  chunk->status[0] = MO_CHUNK_NOT_DONE;
+  chunk->items[0] = (struct mo_chunk_item){.block = block, .status = MO_CHUNK_NOT_DONE};
   chunk->n_blocks = chunk->n_active = 1;
   chunk->n_rows = 0;
   if (block->shards != NULL) {
@@ -104,8 +92,8 @@ bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk)
   unit->devices->last = chunk->charge.share;
   while ((block = mo_fair_take_more(fair, &chunk->charge, fits, &room)) != NULL) {
     room.rows -= block->n_environments;
-    chunk->status[chunk->n_blocks] = MO_CHUNK_NOT_DONE;
-    chunk->blocks[chunk->n_blocks++] = block;
+    chunk->items[chunk->n_blocks++] =
+        (struct mo_chunk_item){.block = block, .status = MO_CHUNK_NOT_DONE};
   }
   chunk->n_active = chunk->n_blocks;
   return true;
@@ -132,16 +120,14 @@ static uint32_t plan_bodies(struct mo_chunk *chunk)
 {
   const struct mo_block *before = NULL;
   uint32_t n = 0;
-  for (uint32_t i = 0; i < chunk->n_active; i++) {
-    const struct mo_block *block = chunk->blocks[i];
-    chunk->bodies[i] = NULL;
-    chunk->needs_body[i] = false;
+  for (struct mo_chunk_item *item = chunk->items; item < chunk->items + chunk->n_active; item++) {
+    const struct mo_block *block = item->block;
     if (is_cancelled(block)) {
-      chunk->status[i] = MO_ERR_CANCELLED;
+      item->status = MO_ERR_CANCELLED;
       continue;
     }
-    chunk->needs_body[i] = block->body == NULL && (before == NULL || !same_body(block, before));
-    n += chunk->needs_body[i];
+    item->needs_body = block->body == NULL && (before == NULL || !same_body(block, before));
+    n += item->needs_body;
     before = block;
   }
   return n;
@@ -150,36 +136,16 @@ static uint32_t plan_bodies(struct mo_chunk *chunk)
 static void build_bodies(void *context, size_t first, size_t end)
 {
   struct mo_chunk *chunk = context;
-  for (size_t i = first; i < end; i++)
-    if (chunk->needs_body[i]) {
-      const int status =
-          mo_body_create(chunk->blocks[i]->lattice, chunk->blocks[i]->genotype, &chunk->bodies[i]);
+  for (struct mo_chunk_item *item = chunk->items + first; item < chunk->items + end; item++)
+    if (item->needs_body) {
+      const int status = mo_body_create(item->block->lattice, item->block->genotype, &item->body);
       if (status != MO_OK)
-        chunk->status[i] = status;
+        item->status = status;
     }
 }
 
-/* Moves the block at `place` to the end of the active ones and gives it rows; the block that was
- * there already has a result. */
-static void keep(struct mo_chunk *chunk, uint32_t place, const struct mo_body *body)
-{
-  const uint32_t to = chunk->n_active++;
-  struct mo_block *block = chunk->blocks[place], *ended = chunk->blocks[to];
-  struct mo_body *own = chunk->bodies[place];
-  const int status = chunk->status[place];
-  chunk->blocks[place] = ended;
-  chunk->status[place] = chunk->status[to];
-  chunk->bodies[place] = NULL;
-  chunk->blocks[to] = block;
-  chunk->status[to] = status;
-  chunk->bodies[to] = own;
-  chunk->first_row[to] = chunk->n_rows;
-  for (uint32_t i = 0; i < block->n_environments; i++)
-    chunk->robots[chunk->n_rows++] =
-        (struct mo_robot){.body = body, .environment = block->environments[i]};
-}
-
-/* Lays out the rows. Environments of one body are neighbors, also across blocks. */
+/* Lays out the rows, and moves the blocks that have rows before those that already have a result.
+ * Environments of one body are neighbors, also across blocks. */
 static void lay_out(struct mo_chunk *chunk)
 {
   const uint32_t n = chunk->n_active;
@@ -187,15 +153,22 @@ static void lay_out(struct mo_chunk *chunk)
   int status = MO_CHUNK_NOT_DONE; /* status of the body */
   chunk->n_active = 0;
   for (uint32_t i = 0; i < n; i++) {
-    if (chunk->status[i] == MO_ERR_CANCELLED)
+    struct mo_chunk_item item = chunk->items[i];
+    if (item.status == MO_ERR_CANCELLED)
       continue;
-    if (chunk->needs_body[i] || chunk->blocks[i]->body != NULL) {
-      body = chunk->needs_body[i] ? chunk->bodies[i] : chunk->blocks[i]->body;
-      status = chunk->status[i];
+    if (item.needs_body || item.block->body != NULL) {
+      body = item.needs_body ? item.body : item.block->body;
+      status = item.status;
     }
-    chunk->status[i] = status;
-    if (status == MO_CHUNK_NOT_DONE)
-      keep(chunk, i, body);
+    chunk->items[i].status = item.status = status;
+    if (status != MO_CHUNK_NOT_DONE)
+      continue;
+    item.first_row = chunk->n_rows;
+    for (uint32_t k = 0; k < item.block->n_environments; k++)
+      chunk->robots[chunk->n_rows++] =
+          (struct mo_robot){.body = body, .environment = item.block->environments[k]};
+    chunk->items[i] = chunk->items[chunk->n_active];
+    chunk->items[chunk->n_active++] = item;
   }
 }
 
@@ -211,7 +184,7 @@ void mo_chunk_build(struct mo_chunk *chunk, uint32_t n_threads)
 bool mo_chunk_is_cancelled(const struct mo_chunk *chunk)
 {
   for (uint32_t i = 0; i < chunk->n_active; i++)
-    if (!is_cancelled(chunk->blocks[i]))
+    if (!is_cancelled(chunk->items[i].block))
       return false;
   return true;
 }
@@ -220,17 +193,17 @@ bool mo_chunk_is_cancelled(const struct mo_chunk *chunk)
 
 void mo_chunk_return(struct mo_devices *devices, struct mo_chunk *chunk)
 {
-  for (uint32_t i = 0; i < chunk->n_blocks; i++) {
-    if (chunk->status[i] != MO_CHUNK_NOT_DONE)
+  for (struct mo_chunk_item *item = chunk->items; item < chunk->items + chunk->n_blocks; item++) {
+    if (item->status != MO_CHUNK_NOT_DONE)
       continue;
     if (devices->stopping) {
-      chunk->status[i] = MO_ERR_CANCELLED;
+      item->status = MO_ERR_CANCELLED;
     } else if (atomic_load(&devices->n_working) == 0) {
-      chunk->status[i] = MO_ERR_DEVICE;
+      item->status = MO_ERR_DEVICE;
     } else {
       devices->tasks_waiting += chunk->task != NULL;
-      mo_fair_push(&devices->fair, chunk->charge.share, chunk->blocks[i]);
-      chunk->blocks[i] = NULL;
+      mo_fair_push(&devices->fair, chunk->charge.share, item->block);
+      item->block = NULL;
     }
   }
   pthread_cond_broadcast(&devices->wake);
@@ -242,7 +215,7 @@ static void end_block(struct mo_devices *devices, struct mo_block *block, int st
                       const struct mo_outcome *outcomes)
 {
   if (status == MO_CHUNK_TO_WORKERS) {
-    status = mo_compute_submit_to_workers(devices->compute, block);
+    status = mo_core(devices->compute)->submit_to_workers(devices->compute, block);
     if (status == MO_OK)
       return;
   } else if (status == MO_OK && outcomes != NULL) {
@@ -255,15 +228,14 @@ static void end_block(struct mo_devices *devices, struct mo_block *block, int st
 
 void mo_chunk_deliver(struct mo_devices *devices, struct mo_chunk *chunk)
 {
-  const uint32_t n_bodies = chunk->task == NULL ? chunk->n_active : 0;
-  for (uint32_t i = 0; i < chunk->n_blocks; i++)
-    if (chunk->blocks[i] != NULL)
-      end_block(devices, chunk->blocks[i], chunk->status[i],
-                chunk->task == NULL && i < chunk->n_active ? chunk->outcomes + chunk->first_row[i]
+  for (uint32_t i = 0; i < chunk->n_blocks; i++) {
+    const struct mo_chunk_item *item = &chunk->items[i];
+    if (item->block != NULL)
+      end_block(devices, item->block, item->status,
+                chunk->task == NULL && i < chunk->n_active ? chunk->outcomes + item->first_row
                                                            : NULL);
-  for (uint32_t i = 0; i < n_bodies; i++) { /* owned by this chunk */
-    mo_body_free(chunk->bodies[i]);
-    chunk->bodies[i] = NULL;
   }
+  for (uint32_t i = 0; i < chunk->n_active; i++) /* owned by this chunk */
+    mo_body_free(chunk->items[i].body);
   chunk->n_blocks = chunk->n_active = 0;
 }

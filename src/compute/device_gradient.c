@@ -38,7 +38,7 @@ struct mo_device_gradients {
 
 int mo_device_gradients_create(struct mo_devices *devices, struct mo_device_gradients **ret)
 {
-  const uint32_t n_workers = mo_compute_workers(devices->compute);
+  const uint32_t n_workers = mo_core(devices->compute)->n_workers;
   struct mo_device_gradients *made = calloc(1, sizeof(*made));
   if (made == NULL)
     return MO_ERR_NO_MEMORY;
@@ -78,11 +78,11 @@ void mo_device_gradients_free(struct mo_device_gradients *gradients)
 static const struct mo_device *working_device(struct mo_devices *devices, uint32_t p)
 {
   const struct mo_device *found = NULL;
-  pthread_mutex_lock(&devices->mutex);
+  pthread_mutex_lock(&devices->fair.mutex);
   for (uint32_t i = 0; i < devices->n && found == NULL; i++)
     if (devices->units[i].status.state == MO_DEVICE_WORKS && p-- == 0)
       found = devices->units[i].device;
-  pthread_mutex_unlock(&devices->mutex);
+  pthread_mutex_unlock(&devices->fair.mutex);
   return found;
 }
 
@@ -229,28 +229,11 @@ static void give_back(struct mo_device_gradients *gradients, struct laid_out *la
 
 /* ---- computing ---- */
 
-struct waiter {
-  pthread_mutex_t mutex;
-  pthread_cond_t all_done;
-  uint32_t left;
-  atomic_bool stop;
-};
-
-static void part_done(struct mo_block *block, void *context)
-{
-  struct waiter *waiter = context;
-  pthread_mutex_lock(&waiter->mutex);
-  if (block->status != MO_OK)
-    atomic_store(&waiter->stop, true);
-  if (--waiter->left == 0)
-    pthread_cond_signal(&waiter->all_done);
-  pthread_mutex_unlock(&waiter->mutex);
-}
-
 static void submit(struct mo_device_gradients *gradients, const struct mo_gradient_batch *batch,
                    const struct laid_out *laid, struct mo_device_task *parts, uint32_t n_parts,
-                   struct waiter *waiter)
+                   struct mo_waiter *waiter)
 {
+  const size_t n_parameters = batch->controller->n_parameters;
   for (uint32_t p = 0; p < n_parts; p++) {
     const struct part part = part_of(batch->n, n_parts, p);
     parts[p] = (struct mo_device_task){.block = {.physics = batch->physics,
@@ -259,29 +242,22 @@ static void submit(struct mo_device_gradients *gradients, const struct mo_gradie
                                                  .cancel = batch->cancel,
                                                  .tag = batch->tag,
                                                  .share = batch->share,
-                                                 .done = part_done,
+                                                 .done = mo_waiter_done,
                                                  .context = waiter,
                                                  .shards = &parts[p]},
-                                       .controller = batch->controller,
-                                       .robots = batch->robots + part.first,
+                                       .batch = batch,
+                                       .first = part.first,
                                        .n = part.end - part.first,
                                        .layout = laid != NULL ? laid->parts[p] : NULL,
-                                       .adjoint_bound = batch->adjoint_bound,
-                                       .adjoint_rule = batch->adjoint_rule,
-                                       .restart_weight = batch->restart_weight,
-                                       .weight = 1.0 / batch->n,
-                                       .stop = &waiter->stop,
-                                       .outcomes = batch->outcomes + part.first,
-                                       .d_parameters =
-                                           gradients->shards + part.first / MO_DEVICE_SHARD *
-                                                                   batch->controller->n_parameters};
+                                       .stop = &waiter->failed,
+                                       .d_parameters = gradients->shards +
+                                                       part.first / MO_DEVICE_SHARD * n_parameters};
   }
-  waiter->left = n_parts;
   for (uint32_t p = 0; p < n_parts; p++) {
     const int status = mo_devices_submit(gradients->devices, &parts[p].block);
     if (status != MO_OK) {
       parts[p].block.status = status;
-      part_done(&parts[p].block, waiter);
+      mo_waiter_done(&parts[p].block, waiter);
     }
   }
 }
@@ -321,7 +297,7 @@ int mo_devices_gradient(struct mo_device_gradients *gradients, struct mo_gradien
   const size_t n_parameters = batch->controller->n_parameters;
   const uint32_t n_shards = (batch->n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
   const uint32_t n_parts = parts_of(gradients->devices, batch->n);
-  struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .all_done = PTHREAD_COND_INITIALIZER};
+  struct mo_waiter waiter = MO_WAITER(n_parts);
   if (n_parts == 0)
     return MO_ERR_DEVICE;
   struct mo_device_task *parts = calloc(n_parts, sizeof(*parts));
@@ -333,12 +309,7 @@ int mo_devices_gradient(struct mo_device_gradients *gradients, struct mo_gradien
   }
   struct laid_out *laid = take(gradients, batch, n_parts);
   submit(gradients, batch, laid, parts, n_parts, &waiter);
-  pthread_mutex_lock(&waiter.mutex);
-  while (waiter.left > 0)
-    pthread_cond_wait(&waiter.all_done, &waiter.mutex);
-  pthread_mutex_unlock(&waiter.mutex);
-  pthread_cond_destroy(&waiter.all_done);
-  pthread_mutex_destroy(&waiter.mutex);
+  mo_waiter_wait(&waiter);
   give_back(gradients, laid);
   const int status = result_of(parts, n_parts);
   for (uint32_t p = 0; p < n_parts && status == MO_OK; p++)

@@ -40,7 +40,7 @@ static bool wait_ms(struct mo_devices *devices, int ms)
   end.tv_nsec += ms * 1000000L;
   end.tv_sec += end.tv_nsec / 1000000000L;
   end.tv_nsec %= 1000000000L;
-  return pthread_cond_timedwait(&devices->wake, &devices->mutex, &end) != ETIMEDOUT;
+  return pthread_cond_timedwait(&devices->wake, &devices->fair.mutex, &end) != ETIMEDOUT;
 }
 
 void mo_unit_account(struct mo_unit *unit)
@@ -117,7 +117,7 @@ static bool gather(struct mo_unit *unit)
     if (unit->held != NULL)
       (void)wait_ms(devices, WATCH_MS);
     else
-      pthread_cond_wait(&devices->wake, &devices->mutex);
+      pthread_cond_wait(&devices->wake, &devices->fair.mutex);
   }
   if (!has_ended(unit))
     linger(unit);
@@ -128,16 +128,16 @@ void *mo_unit_gather(void *context)
 {
   struct mo_unit *unit = context;
   struct mo_devices *devices = unit->devices;
-  const uint32_t n_threads = mo_compute_workers(devices->compute);
-  pthread_mutex_lock(&devices->mutex);
+  const uint32_t n_threads = mo_core(devices->compute)->n_workers;
+  pthread_mutex_lock(&devices->fair.mutex);
   while (gather(unit)) {
     struct mo_chunk *chunk = &unit->chunks[unit->held == &unit->chunks[0]];
     if (has_to_wait(unit) || !mo_chunk_take(unit, chunk)) /* another device took it */
       continue;
     unit->is_building = true;
-    pthread_mutex_unlock(&devices->mutex);
+    pthread_mutex_unlock(&devices->fair.mutex);
     mo_chunk_build(chunk, n_threads < BUILD_THREADS_MAX ? n_threads : BUILD_THREADS_MAX);
-    pthread_mutex_lock(&devices->mutex);
+    pthread_mutex_lock(&devices->fair.mutex);
     unit->is_building = false;
     unit->ready = chunk;
     pthread_cond_broadcast(&devices->wake);
@@ -148,7 +148,7 @@ void *mo_unit_gather(void *context)
   }
   unit->gathered_all = true;
   pthread_cond_broadcast(&devices->wake);
-  pthread_mutex_unlock(&devices->mutex);
+  pthread_mutex_unlock(&devices->fair.mutex);
   return NULL;
 }
 
@@ -159,7 +159,7 @@ static void drop_copies(struct mo_unit *unit)
 {
   struct mo_devices *devices = unit->devices;
   struct mo_device_copy *gone = NULL, **link = &unit->copies;
-  pthread_mutex_lock(&devices->mutex);
+  pthread_mutex_lock(&devices->fair.mutex);
   while (*link != NULL) {
     struct mo_device_copy *copy = *link;
     if (copy->owner == NULL) {
@@ -170,7 +170,7 @@ static void drop_copies(struct mo_unit *unit)
       link = &copy->next;
     }
   }
-  pthread_mutex_unlock(&devices->mutex);
+  pthread_mutex_unlock(&devices->fair.mutex);
   while (gone != NULL) {
     struct mo_device_copy *next = gone->next;
     if (gone->controller != NULL)
@@ -183,11 +183,11 @@ static void drop_copies(struct mo_unit *unit)
 static struct mo_device_copy *find_copy(struct mo_unit *unit,
                                         const struct mo_compute_controller *owner)
 {
-  pthread_mutex_lock(&unit->devices->mutex);
+  pthread_mutex_lock(&unit->devices->fair.mutex);
   struct mo_device_copy *copy = unit->copies;
   while (copy != NULL && copy->owner != owner)
     copy = copy->next;
-  pthread_mutex_unlock(&unit->devices->mutex);
+  pthread_mutex_unlock(&unit->devices->fair.mutex);
   return copy;
 }
 
@@ -213,11 +213,11 @@ static int prepare_controller(struct mo_unit *unit, const struct mo_compute_cont
       free(copy);
       return status;
     }
-    pthread_mutex_lock(&unit->devices->mutex);
+    pthread_mutex_lock(&unit->devices->fair.mutex);
     copy->owner = owner;
     copy->next = unit->copies;
     unit->copies = copy;
-    pthread_mutex_unlock(&unit->devices->mutex);
+    pthread_mutex_unlock(&unit->devices->fair.mutex);
   }
   *ret = copy->controller;
   return copy->controller != NULL ? MO_OK : MO_ERR_UNSUPPORTED;
@@ -227,17 +227,17 @@ static int prepare_controller(struct mo_unit *unit, const struct mo_compute_cont
 
 static void shrink(uint32_t *limit, uint32_t tried, struct mo_unit *unit)
 {
-  pthread_mutex_lock(&unit->devices->mutex);
+  pthread_mutex_lock(&unit->devices->fair.mutex);
   if (*limit > tried / 2)
     *limit = tried / 2 > 0 ? tried / 2 : 1;
   unit->good_chunks = 0;
-  pthread_mutex_unlock(&unit->devices->mutex);
+  pthread_mutex_unlock(&unit->devices->fair.mutex);
 }
 
 static void set_status(struct mo_chunk *chunk, uint32_t first, uint32_t last, int status)
 {
   for (uint32_t i = first; i < last; i++)
-    chunk->status[i] = status;
+    chunk->items[i].status = status;
 }
 
 /* Scores blocks first … last − 1 and sets their statuses. MO_ERR_DEVICE, or MO_OK for any other
@@ -246,12 +246,12 @@ static int score(struct mo_unit *unit, struct mo_chunk *chunk,
                  struct mo_device_controller *controller, uint32_t first, uint32_t last)
 {
   const struct mo_devices *devices = unit->devices;
-  const uint32_t row = chunk->first_row[first], middle = first + (last - first) / 2;
+  const uint32_t row = chunk->items[first].first_row, middle = first + (last - first) / 2;
   struct mo_device_score call = {
       .controller = controller,
       .robots = chunk->robots + row,
-      .n = (last < chunk->n_active ? chunk->first_row[last] : chunk->n_rows) - row,
-      .physics = chunk->blocks[first]->physics,
+      .n = (last < chunk->n_active ? chunk->items[last].first_row : chunk->n_rows) - row,
+      .physics = chunk->items[first].block->physics,
       .cancel = &unit->cancel,
       .outcomes = chunk->outcomes + row};
   const bool is_one = last - first == 1, is_too_large = !is_one && call.n > unit->row_limit;
@@ -264,7 +264,7 @@ static int score(struct mo_unit *unit, struct mo_chunk *chunk,
   if (status == MO_ERR_NO_MEMORY && !is_too_large)
     shrink(&unit->row_limit, call.n, unit);
   if (is_one) {
-    chunk->status[first] = status == MO_ERR_UNSUPPORTED ? MO_CHUNK_TO_WORKERS : status;
+    chunk->items[first].status = status == MO_ERR_UNSUPPORTED ? MO_CHUNK_TO_WORKERS : status;
     return MO_OK;
   }
   status = score(unit, chunk, controller, first, middle);
@@ -277,7 +277,7 @@ static int run_blocks(struct mo_unit *unit, struct mo_chunk *chunk)
   int status = MO_OK;
   if (chunk->n_active == 0)
     return MO_OK;
-  status = prepare_controller(unit, chunk->blocks[0]->controller, &controller);
+  status = prepare_controller(unit, chunk->items[0].block->controller, &controller);
   if (status == MO_OK)
     return score(unit, chunk, controller, 0, chunk->n_active);
   if (status == MO_ERR_DEVICE)
@@ -293,19 +293,20 @@ static int differentiate(struct mo_unit *unit, struct mo_device_task *task, uint
 {
   const uint32_t row = first * MO_DEVICE_SHARD, n = last - first, middle = first + n / 2;
   const uint32_t end = last * MO_DEVICE_SHARD < task->n ? last * MO_DEVICE_SHARD : task->n;
-  struct mo_device_gradient call = {.controller = task->controller,
-                                    .robots = task->robots + row,
+  const struct mo_gradient_batch *batch = task->batch;
+  struct mo_device_gradient call = {.controller = batch->controller,
+                                    .robots = batch->robots + task->first + row,
                                     .n = end - row,
-                                    .physics = task->block.physics,
+                                    .physics = batch->physics,
                                     .layout = end - row == task->n ? task->layout : NULL,
-                                    .adjoint_bound = task->adjoint_bound,
-                                    .adjoint_rule = task->adjoint_rule,
-                                    .restart_weight = task->restart_weight,
-                                    .weight = task->weight,
+                                    .adjoint_bound = batch->adjoint_bound,
+                                    .adjoint_rule = batch->adjoint_rule,
+                                    .restart_weight = batch->restart_weight,
+                                    .weight = 1.0 / batch->n,
                                     .cancel = &unit->cancel,
-                                    .d_parameters =
-                                        task->d_parameters + first * task->controller->n_parameters,
-                                    .outcomes = task->outcomes + row};
+                                    .d_parameters = task->d_parameters +
+                                                    first * batch->controller->n_parameters,
+                                    .outcomes = batch->outcomes + task->first + row};
   const bool is_too_large = n > 1 && n > unit->shard_limit;
   int status =
       is_too_large ? MO_ERR_NO_MEMORY : unit->devices->module->gradient(unit->device, &call);
@@ -329,18 +330,18 @@ static int run_task(struct mo_unit *unit, struct mo_chunk *chunk)
   if (!mo_chunk_is_cancelled(chunk))
     status = differentiate(unit, task, 0, (task->n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD);
   if (status != MO_ERR_DEVICE)
-    chunk->status[0] = status;
+    chunk->items[0].status = status;
   return status == MO_ERR_DEVICE ? status : MO_OK;
 }
 
 static void count(struct mo_unit *unit, const struct mo_chunk *chunk)
 {
   unit->status.calls++;
-  if (chunk->task != NULL && chunk->status[0] == MO_OK)
+  if (chunk->task != NULL && chunk->items[0].status == MO_OK)
     unit->status.gradient_robots_done += chunk->task->n;
   for (uint32_t i = 0; chunk->task == NULL && i < chunk->n_active; i++)
-    if (chunk->status[i] == MO_OK)
-      unit->status.rollouts_done += chunk->blocks[i]->n_environments;
+    if (chunk->items[i].status == MO_OK)
+      unit->status.rollouts_done += chunk->items[i].block->n_environments;
   if (++unit->good_chunks >= GROW_AFTER) {
     unit->good_chunks = 0;
     unit->row_limit = unit->row_limit < MO_CHUNK_ROWS / 2 ? 2 * unit->row_limit : MO_CHUNK_ROWS;
@@ -355,9 +356,9 @@ static void count(struct mo_unit *unit, const struct mo_chunk *chunk)
 static void hand_back(struct mo_devices *devices, struct mo_chunk *chunk)
 {
   mo_chunk_return(devices, chunk);
-  pthread_mutex_unlock(&devices->mutex);
+  pthread_mutex_unlock(&devices->fair.mutex);
   mo_chunk_deliver(devices, chunk);
-  pthread_mutex_lock(&devices->mutex);
+  pthread_mutex_lock(&devices->fair.mutex);
 }
 
 /* Under the mutex: ends what waits, when the back end stops or no device is left. */
@@ -384,9 +385,9 @@ static void lose(struct mo_unit *unit)
   pthread_cond_broadcast(&devices->wake);
   if (devices->lost != NULL) {
     const struct mo_device_status status = unit->status;
-    pthread_mutex_unlock(&devices->mutex);
+    pthread_mutex_unlock(&devices->fair.mutex);
     devices->lost(devices->context, &status);
-    pthread_mutex_lock(&devices->mutex);
+    pthread_mutex_lock(&devices->fair.mutex);
   }
 }
 
@@ -401,11 +402,11 @@ static void run_chunk(struct mo_unit *unit)
   unit->cancel = devices->stopping;
   pthread_cond_broadcast(&devices->wake);
   const uint64_t start_ns = mo_clock_ns();
-  pthread_mutex_unlock(&devices->mutex);
-  mo_compute_set_tag(chunk->blocks[0]->tag);
+  pthread_mutex_unlock(&devices->fair.mutex);
+  mo_compute_set_tag(chunk->items[0].block->tag);
   const int status = chunk->task != NULL ? run_task(unit, chunk) : run_blocks(unit, chunk);
   mo_compute_set_tag(-1);
-  pthread_mutex_lock(&devices->mutex);
+  pthread_mutex_lock(&devices->fair.mutex);
   const uint64_t took_ns = mo_clock_ns() - start_ns;
   mo_unit_account(unit);
   unit->running = NULL;
@@ -422,9 +423,9 @@ static void run_chunk(struct mo_unit *unit)
 static void look_up_memory(struct mo_unit *unit)
 {
   struct mo_device_info info = {.name = ""};
-  pthread_mutex_unlock(&unit->devices->mutex);
+  pthread_mutex_unlock(&unit->devices->fair.mutex);
   const int status = unit->devices->module->info(unit->device, &info);
-  pthread_mutex_lock(&unit->devices->mutex);
+  pthread_mutex_lock(&unit->devices->fair.mutex);
   unit->wants_info = false;
   if (status == MO_OK)
     unit->status.free_bytes = info.free_bytes;
@@ -434,17 +435,17 @@ void *mo_unit_run(void *context)
 {
   struct mo_unit *unit = context;
   struct mo_devices *devices = unit->devices;
-  pthread_mutex_lock(&devices->mutex);
+  pthread_mutex_lock(&devices->fair.mutex);
   while (!has_ended(unit) || !unit->gathered_all) {
     if (unit->ready != NULL && !has_ended(unit))
       run_chunk(unit);
     else if (unit->wants_info && !has_ended(unit))
       look_up_memory(unit);
     else
-      pthread_cond_wait(&devices->wake, &devices->mutex);
-    pthread_mutex_unlock(&devices->mutex);
+      pthread_cond_wait(&devices->wake, &devices->fair.mutex);
+    pthread_mutex_unlock(&devices->fair.mutex);
     drop_copies(unit);
-    pthread_mutex_lock(&devices->mutex);
+    pthread_mutex_lock(&devices->fair.mutex);
   }
   if (unit->ready != NULL) {
     struct mo_chunk *chunk = unit->ready;
@@ -453,6 +454,6 @@ void *mo_unit_run(void *context)
     hand_back(devices, chunk);
   }
   drain(unit);
-  pthread_mutex_unlock(&devices->mutex);
+  pthread_mutex_unlock(&devices->fair.mutex);
   return NULL;
 }

@@ -178,7 +178,7 @@ static int start(struct mo_devices *devices)
 int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_config *config,
                            struct mo_message *message)
 {
-  if (mo_compute_get_devices(compute) != NULL)
+  if (mo_core(compute)->devices != NULL)
     return mo_fail(message, MO_ERR_CONFLICT, "there are devices already");
   struct mo_devices *devices = calloc(1, sizeof(*devices));
   pthread_condattr_t monotonic;
@@ -189,15 +189,15 @@ int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_c
   devices->context = config->context;
   pthread_condattr_init(&monotonic);
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
-  pthread_mutex_init(&devices->mutex, NULL);
   pthread_cond_init(&devices->wake, &monotonic);
+  mo_fair_init(&devices->fair, 0);
   pthread_condattr_destroy(&monotonic);
   int status = load(devices, config->module, message);
   if (status == MO_OK)
     status = open_units(devices, config, message);
   if (status == MO_OK) {
     write_fingerprints(devices);
-    mo_fair_init(&devices->fair, devices->n);
+    devices->fair.credit_s = MO_FAIR_CREDIT_S * devices->n;
     devices->fair.unit_s[MO_FAIR_SCORING] = SCORING_S;
     devices->fair.unit_s[MO_FAIR_GRADIENT] = GRADIENT_S;
     mo_fair_add(&devices->fair, &devices->own, 1);
@@ -208,7 +208,7 @@ int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_c
       mo_fail(message, status, "no thread for a device");
   }
   if (status == MO_OK)
-    mo_compute_set_devices(compute, devices);
+    mo_core(compute)->devices = devices;
   else
     mo_devices_free(devices);
   return status;
@@ -218,7 +218,7 @@ void mo_devices_free(struct mo_devices *devices)
 {
   if (devices == NULL)
     return;
-  pthread_mutex_lock(&devices->mutex);
+  pthread_mutex_lock(&devices->fair.mutex);
   devices->stopping = true;
   for (uint32_t i = 0; i < devices->n; i++) {
     __atomic_store_n(&devices->units[i].cancel, 1, __ATOMIC_RELAXED);
@@ -226,7 +226,7 @@ void mo_devices_free(struct mo_devices *devices)
         devices->units[i].gathered_all || !devices->units[i].has_gatherer;
   }
   pthread_cond_broadcast(&devices->wake);
-  pthread_mutex_unlock(&devices->mutex);
+  pthread_mutex_unlock(&devices->fair.mutex);
   for (uint32_t i = 0; i < devices->n; i++) {
     if (devices->units[i].has_gatherer)
       pthread_join(devices->units[i].gatherer, NULL);
@@ -237,7 +237,7 @@ void mo_devices_free(struct mo_devices *devices)
     close_unit(&devices->units[i]);
   free(devices->units);
   pthread_cond_destroy(&devices->wake);
-  pthread_mutex_destroy(&devices->mutex);
+  pthread_mutex_destroy(&devices->fair.mutex);
   if (devices->library != NULL)
     dlclose(devices->library);
   free(devices);
@@ -254,14 +254,14 @@ static struct mo_compute_share *share_of(struct mo_devices *devices, const struc
 
 void mo_compute_begin_blocks(struct mo_compute *compute)
 {
-  struct mo_devices *devices = mo_compute_get_devices(compute);
+  struct mo_devices *devices = mo_core(compute)->devices;
   if (devices != NULL)
     atomic_fetch_add(&devices->submitting, 1);
 }
 
 void mo_compute_end_blocks(struct mo_compute *compute)
 {
-  struct mo_devices *devices = mo_compute_get_devices(compute);
+  struct mo_devices *devices = mo_core(compute)->devices;
   if (devices != NULL)
     atomic_fetch_sub(&devices->submitting, 1);
 }
@@ -269,7 +269,7 @@ void mo_compute_end_blocks(struct mo_compute *compute)
 int mo_devices_submit(struct mo_devices *devices, struct mo_block *block)
 {
   int status = MO_OK;
-  pthread_mutex_lock(&devices->mutex);
+  pthread_mutex_lock(&devices->fair.mutex);
   if (devices->stopping)
     status = MO_ERR_CANCELLED;
   else if (atomic_load(&devices->n_working) == 0)
@@ -281,88 +281,60 @@ int mo_devices_submit(struct mo_devices *devices, struct mo_block *block)
     if (nothing_waits || block->shards != NULL)
       pthread_cond_broadcast(&devices->wake);
   }
-  pthread_mutex_unlock(&devices->mutex);
+  pthread_mutex_unlock(&devices->fair.mutex);
   return status;
 }
 
 void mo_devices_forget(struct mo_devices *devices, const struct mo_compute_controller *controller)
 {
-  pthread_mutex_lock(&devices->mutex);
+  pthread_mutex_lock(&devices->fair.mutex);
   for (uint32_t i = 0; i < devices->n; i++)
     for (struct mo_device_copy *copy = devices->units[i].copies; copy != NULL; copy = copy->next)
       if (copy->owner == controller)
         copy->owner = NULL;
   pthread_cond_broadcast(&devices->wake); /* runners free the copies */
-  pthread_mutex_unlock(&devices->mutex);
-}
-
-int mo_devices_share_create(struct mo_devices *devices, double weight,
-                            struct mo_compute_share **ret)
-{
-  struct mo_compute_share *share = calloc(1, sizeof(*share));
-  if (share == NULL)
-    return MO_ERR_NO_MEMORY;
-  pthread_mutex_lock(&devices->mutex);
-  mo_fair_add(&devices->fair, share, weight);
-  pthread_mutex_unlock(&devices->mutex);
-  *ret = share;
-  return MO_OK;
-}
-
-void mo_devices_share_remove(struct mo_devices *devices, struct mo_compute_share *share)
-{
-  pthread_mutex_lock(&devices->mutex);
-  mo_fair_remove(&devices->fair, share);
-  pthread_mutex_unlock(&devices->mutex);
-}
-
-void mo_devices_share_set_weight(struct mo_devices *devices, struct mo_compute_share *share,
-                                 double weight)
-{
-  pthread_mutex_lock(&devices->mutex);
-  mo_fair_set_weight(&devices->fair, share, weight);
-  pthread_mutex_unlock(&devices->mutex);
+  pthread_mutex_unlock(&devices->fair.mutex);
 }
 
 /* ---- status ---- */
 
 uint32_t mo_compute_devices(const struct mo_compute *compute)
 {
-  const struct mo_devices *devices = mo_compute_get_devices(compute);
+  const struct mo_devices *devices = mo_core(compute)->devices;
   return devices != NULL ? devices->n : 0;
 }
 
 uint32_t mo_compute_devices_working(const struct mo_compute *compute)
 {
-  const struct mo_devices *devices = mo_compute_get_devices(compute);
+  const struct mo_devices *devices = mo_core(compute)->devices;
   return devices != NULL ? atomic_load(&devices->n_working) : 0;
 }
 
 int mo_compute_device(struct mo_compute *compute, uint32_t position,
                       struct mo_device_status *status)
 {
-  struct mo_devices *devices = mo_compute_get_devices(compute);
+  struct mo_devices *devices = mo_core(compute)->devices;
   if (devices == NULL || position >= devices->n)
     return MO_ERR_RANGE;
   struct mo_unit *unit = &devices->units[position];
-  pthread_mutex_lock(&devices->mutex);
+  pthread_mutex_lock(&devices->fair.mutex);
   mo_unit_account(unit);
   *status = unit->status;
   status->is_busy = unit->running != NULL;
   unit->wants_info = true;
   pthread_cond_broadcast(&devices->wake);
-  pthread_mutex_unlock(&devices->mutex);
+  pthread_mutex_unlock(&devices->fair.mutex);
   return MO_OK;
 }
 
 const char *mo_compute_device_fingerprint(const struct mo_compute *compute)
 {
-  const struct mo_devices *devices = mo_compute_get_devices(compute);
+  const struct mo_devices *devices = mo_core(compute)->devices;
   return devices != NULL ? devices->fingerprint : NULL;
 }
 
 const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *compute)
 {
-  const struct mo_devices *devices = mo_compute_get_devices(compute);
+  const struct mo_devices *devices = mo_core(compute)->devices;
   return devices != NULL ? devices->gradient_fingerprint : NULL;
 }

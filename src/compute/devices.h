@@ -1,8 +1,8 @@
 /* devices.h: the devices of a back end, for the files of this room.
  *
  * Each device has two threads: the gatherer collects the next chunk and builds its bodies, while
- * the runner is inside the module with the previous chunk. One mutex guards everything here, unless
- * a comment says otherwise. */
+ * the runner is inside the module with the previous chunk. The mutex of the fair queue guards
+ * everything here, unless a comment says otherwise. */
 #ifndef MORPHO_COMPUTE_DEVICES_H
 #define MORPHO_COMPUTE_DEVICES_H
 
@@ -17,6 +17,14 @@
 
 enum { MO_CHUNK_NOT_DONE = 1, MO_CHUNK_TO_WORKERS = 2 };
 
+struct mo_chunk_item {
+  struct mo_block *block; /* NULL: requeued */
+  int status;             /* a result code, or MO_CHUNK_NOT_DONE or MO_CHUNK_TO_WORKERS */
+  uint32_t first_row;     /* if active */
+  struct mo_body *body;   /* built here; NULL: the block's own, or the previous block's */
+  bool needs_body;        /* used during the build */
+};
+
 /* What a device computes in one call: blocks of one share, controller and physics; or one part of a
  * gradient. */
 struct mo_chunk {
@@ -26,12 +34,7 @@ struct mo_chunk {
   uint32_t n_blocks, n_rows;
   uint32_t
       n_active; /* only the first n_active blocks have rows; the others already have a result */
-  struct mo_block **blocks; /* (n_blocks) NULL: requeued */
-  int *status;         /* (n_blocks) a result code, or MO_CHUNK_NOT_DONE or MO_CHUNK_TO_WORKERS */
-  uint32_t *first_row; /* (n_active) */
-  struct mo_body *
-      *bodies;      /* (n_blocks) built here; NULL: the block's own body, or the previous block's */
-  bool *needs_body; /* (n_blocks) used during the build */
+  struct mo_chunk_item *items; /* (n_blocks) */
   struct mo_robot *robots;     /* (n_rows) those of a block are consecutive */
   struct mo_outcome *outcomes; /* (n_rows) */
 };
@@ -70,9 +73,8 @@ struct mo_devices {
   void (*lost)(void *context, const struct mo_device_status *status);
   void *context;
   char fingerprint[128], gradient_fingerprint[128];
-  pthread_mutex_t mutex;
-  pthread_cond_t wake;
   struct mo_fair fair;
+  pthread_cond_t wake;
   struct mo_compute_share own, urgent; /* for blocks that name no share; for interactive blocks */
   const struct mo_compute_share *last; /* share of the last chunk taken; only compared */
   bool stopping;
@@ -90,13 +92,6 @@ int mo_devices_submit(struct mo_devices *devices, struct mo_block *block);
 void mo_devices_forget(struct mo_devices *devices, const struct mo_compute_controller *controller);
 /* Cancels what is queued and running, joins the threads, closes the devices. NULL-safe. */
 void mo_devices_free(struct mo_devices *devices);
-/* Create, remove and weigh a share's entry in the queue of the devices. */
-int mo_devices_share_create(struct mo_devices *devices, double weight,
-                            struct mo_compute_share **share);
-void mo_devices_share_remove(struct mo_devices *devices,
-                             struct mo_compute_share *share); /* does not free it */
-void mo_devices_share_set_weight(struct mo_devices *devices, struct mo_compute_share *share,
-                                 double weight);
 
 /* ---- device_gradient.c ---- */
 /* What lasts from one gradient to the next: memory, and what was laid out ahead. */

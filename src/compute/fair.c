@@ -10,6 +10,7 @@ static const double unit_s_at_first[MO_FAIR_KINDS] = {
 
 void mo_fair_init(struct mo_fair *fair, uint32_t n_workers)
 {
+  pthread_mutex_init(&fair->mutex, NULL);
   fair->shares = NULL;
   fair->credit_s = MO_FAIR_CREDIT_S * n_workers;
   fair->virtual_s = 0;
@@ -27,6 +28,7 @@ static double within(double weight)
 
 void mo_fair_add(struct mo_fair *fair, struct mo_compute_share *share, double weight)
 {
+  pthread_mutex_lock(&fair->mutex);
   struct mo_compute_share **link = &fair->shares;
   while (*link != NULL)
     link = &(*link)->next;
@@ -37,21 +39,26 @@ void mo_fair_add(struct mo_fair *fair, struct mo_compute_share *share, double we
   share->virtual_s = fair->virtual_s;
   for (int kind = 0; kind < MO_FAIR_KINDS; kind++)
     share->unit_s[kind] = fair->unit_s[kind];
+  pthread_mutex_unlock(&fair->mutex);
 }
 
 void mo_fair_remove(struct mo_fair *fair, struct mo_compute_share *share)
 {
+  pthread_mutex_lock(&fair->mutex);
   struct mo_compute_share **link = &fair->shares;
   while (*link != share)
     link = &(*link)->next;
   *link = share->next;
+  pthread_mutex_unlock(&fair->mutex);
 }
 
 void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, double weight)
 {
+  pthread_mutex_lock(&fair->mutex);
   const double lead_s = (share->virtual_s - fair->virtual_s) * share->weight;
   share->weight = within(weight);
   share->virtual_s = fair->virtual_s + lead_s / share->weight;
+  pthread_mutex_unlock(&fair->mutex);
 }
 
 /* Counts rollout steps, to which the cost of a block is about proportional. */

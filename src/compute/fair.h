@@ -36,6 +36,7 @@ struct mo_compute_share {
 };
 
 struct mo_fair {
+  pthread_mutex_t mutex; /* guards the queue; also whatever its owner says */
   struct mo_compute_share *shares;
   double credit_s; /* of all workers together */
   double virtual_s;
@@ -51,13 +52,15 @@ struct mo_fair_charge {
   double units, estimate_s;
 };
 
-/* Call all of these under one mutex. */
 void mo_fair_init(struct mo_fair *fair, uint32_t n_workers);
+/* These three take the mutex. */
 void mo_fair_add(struct mo_fair *fair, struct mo_compute_share *share, double weight);
 void mo_fair_remove(struct mo_fair *fair, struct mo_compute_share *share);
 /* Sets the weight. The share's lead or debt stays the same in worker seconds: an old debt does not
  * grow with a new weight. */
 void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, double weight);
+
+/* Call these under the mutex. */
 void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block);
 struct mo_block *mo_fair_take(struct mo_fair *fair,
                               struct mo_fair_charge *charge); /* NULL: no block waits */

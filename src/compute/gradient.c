@@ -44,7 +44,7 @@ int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_stat
   if (state == NULL)
     return MO_ERR_NO_MEMORY;
   state->compute = compute;
-  state->n_slots = BLOCKS_PER_WORKER * mo_compute_workers(compute);
+  state->n_slots = BLOCKS_PER_WORKER * mo_core(compute)->n_workers;
   state->slots = calloc(state->n_slots, sizeof(*state->slots));
   if (state->slots == NULL) {
     free(state);
@@ -52,7 +52,7 @@ int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_stat
   }
   pthread_mutex_init(&state->mutex, NULL);
   pthread_cond_init(&state->finished, NULL);
-  struct mo_devices *devices = mo_compute_get_devices(compute);
+  struct mo_devices *devices = mo_core(compute)->devices;
   const int status =
       devices != NULL ? mo_device_gradients_create(devices, &state->on_devices) : MO_OK;
   if (status != MO_OK) {
@@ -120,7 +120,7 @@ static int prepare_pack(struct mo_gradient_state *state, const struct mo_control
   if (status == MO_ERR_UNSUPPORTED) {
     mo_pack_free(state->pack);
     state->pack = NULL;
-    status = mo_pack_create_for_gradients(controller, mo_compute_isa(state->compute), &state->pack);
+    status = mo_pack_create_for_gradients(controller, mo_core(state->compute)->isa, &state->pack);
   }
   return status;
 }

@@ -23,12 +23,31 @@ struct mo_devices;
 /* A back end begins with this. It lets files that cpu.c calls read it without calling cpu.c. */
 struct mo_compute_core {
   enum mo_isa isa;
-  uint32_t n_workers;         /* started */
+  uint32_t n_workers;
   struct mo_devices *devices; /* NULL: there are none */
+  /* Queues a block for the workers that was submitted to devices, which cannot compute it.
+   * MO_ERR_CANCELLED. */
   int (*submit_to_workers)(struct mo_compute *compute, struct mo_block *block);
 };
-enum mo_isa mo_compute_isa(const struct mo_compute *compute);
-uint32_t mo_compute_workers(const struct mo_compute *compute);
+
+static inline struct mo_compute_core *mo_core(const struct mo_compute *compute)
+{
+  return (struct mo_compute_core *)compute;
+}
+
+/* Waits for blocks: `done` and `context` of each are mo_waiter_done and the waiter. */
+struct mo_waiter {
+  pthread_mutex_t mutex;
+  pthread_cond_t all_done;
+  size_t left;
+  atomic_bool failed; /* the status of one is not MO_OK */
+};
+#define MO_WAITER(n)                                                                               \
+  {                                                                                                \
+    PTHREAD_MUTEX_INITIALIZER, PTHREAD_COND_INITIALIZER, (n), false                                \
+  }
+void mo_waiter_done(struct mo_block *block, void *context);
+void mo_waiter_wait(struct mo_waiter *waiter); /* and destroys it */
 
 /* A gradient block. Its `block` stands in the queues; physics, urgency, cancel, tag, status, done
  * and context mean the same as in a scoring block. */
@@ -49,29 +68,18 @@ struct mo_gradient_task {
 struct mo_device_layout;
 struct mo_device_task {
   struct mo_block block;
-  const struct mo_controller *controller;
-  const struct mo_robot *robots; /* (n) */
-  uint32_t n;
+  const struct mo_gradient_batch *batch;
+  uint32_t first, n;               /* its robots */
   struct mo_device_layout *layout; /* of all n robots; NULL: not laid out */
-  double adjoint_bound, weight;
-  enum mo_adjoint_rule adjoint_rule;
-  double restart_weight;
   const atomic_bool *stop;
-  /* Results. */
-  struct mo_outcome *outcomes;      /* (n) */
+  /* Results, besides the batch's outcomes. */
   float *d_parameters;              /* (shards, n_parameters) */
   struct mo_gradient_counts counts; /* added to */
 };
 
 /* Same as mo_compute_submit, for a task that was checked. MO_ERR_CANCELLED. */
 int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_task *task);
-/* Queues a block for the workers that was submitted to devices, which cannot compute it.
- * MO_ERR_CANCELLED. */
-int mo_compute_submit_to_workers(struct mo_compute *compute, struct mo_block *block);
 
-struct mo_devices *
-mo_compute_get_devices(const struct mo_compute *compute); /* NULL: there are none */
-void mo_compute_set_devices(struct mo_compute *compute, struct mo_devices *devices);
 const struct mo_controller *
 mo_compute_controller_weights(const struct mo_compute_controller *controller);
 void mo_compute_set_tag(int64_t tag); /* of the calling thread; −1: none */
