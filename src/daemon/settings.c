@@ -226,10 +226,10 @@ static int set_number(const struct setting *setting, const char *text, uint64_t 
   static const char *const wanted[] = {[SETTING_NUMBER] = "a whole number",
                                        [SETTING_BYTES] = "a size such as 64M",
                                        [SETTING_DURATION] = "a duration such as 10s"};
-  char *end = "none";
+  char *rest = NULL;
   errno = 0;
-  unsigned long long value = isdigit((unsigned char)*text) ? strtoull(text, &end, 10) : 0;
-  end += strspn(end, " ");
+  unsigned long long value = strtoull(text, &rest, 10);
+  const char *end = isdigit((unsigned char)*text) ? rest + strspn(rest, " ") : "none";
   size_t u = 0;
   while (u < N_UNITS && (units[u].type != setting->type || strcmp(end, units[u].name) != 0))
     u++;
