@@ -266,6 +266,7 @@ SERVICE_CASE(gives_its_population_to_a_training, 1)
   tuning = submit_training(service, &training);
   CHECK(succeeds(service, tuning, NULL));
   REQUIRE(mo_store_job_designs(service->fixture.store, tuning, &genotypes, &n) == MO_OK);
+  check_keep(genotypes, free);
   CHECK_INT(n, 3);
   REQUIRE(mo_store_campaign_population(service->fixture.store, id, -1, 0, rows, 3, &n) == 3);
   for (int i = 0; i < 3; i++)

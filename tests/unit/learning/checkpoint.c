@@ -219,7 +219,7 @@ static void wrong_contents(void)
   };
   const size_t n_cases = COUNT(cases), n_settings = COUNT(settings);
   CHECK_INT(blob.size, second + 8 * n + 8);
-  uint8_t *copy = malloc(blob.size);
+  uint8_t *copy = check_keep(malloc(blob.size), free);
   for (size_t i = 0; i < n_cases + n_settings; i++) {
     memcpy(copy, blob.bytes, blob.size);
     if (i < n_cases)
