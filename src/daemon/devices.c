@@ -79,7 +79,7 @@ static void log_devices(struct mo_compute *compute)
 int devices_open(struct mo_compute *compute, const struct settings *settings,
                  struct mo_message *message)
 {
-  struct device_choice choice;
+  struct device_choice choice = {0};
   struct mo_message words = {""};
   char found[PATH_MAX];
   int status = devices_parse(&settings->devices, &choice, message);

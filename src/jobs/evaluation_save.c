@@ -62,7 +62,7 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
   }
   if (text != NULL)
     snprintf(update.error_text, sizeof(update.error_text), "%s", text);
-  if (mo_pending_add(all, &pending->owners, &active, sizeof(active)) == NULL)
+  if (mo_pending_add(all, &pending->owners, &active, sizeof(struct mo_active *)) == NULL)
     return NULL;
   added = mo_pending_add(all, &pending->updates, &update, sizeof(update));
   if (added == NULL)

@@ -165,12 +165,14 @@ int mo_designs_read(struct mo_connection *connection, int64_t id, struct mo_desi
       " JOIN designs d ON d.id=g.design WHERE x.job=?1 ORDER BY x.position";
   int64_t n = 0;
   int error = mo_sql_find(connection, &n, n_sql, mo_int(id));
-  sqlite3_stmt *row;
-  *designs = (struct mo_designs){.genotypes = calloc((size_t)n + 1, sizeof(*designs->genotypes)),
-                                 .rows = calloc((size_t)n + 1, sizeof(*designs->rows))};
-  if (error == MO_OK && (designs->genotypes == NULL || designs->rows == NULL))
-    error = MO_ERR_NO_MEMORY;
-  row = mo_sql_rows(connection, &error, sql, mo_int(id));
+  *designs = (struct mo_designs){.n = 0};
+  if (error != MO_OK)
+    return error;
+  designs->genotypes = calloc((size_t)n + 1, sizeof(*designs->genotypes));
+  designs->rows = calloc((size_t)n + 1, sizeof(*designs->rows));
+  if (designs->genotypes == NULL || designs->rows == NULL)
+    return MO_ERR_NO_MEMORY;
+  sqlite3_stmt *row = mo_sql_rows(connection, &error, sql, mo_int(id));
   while (designs->n < n && mo_sql_next(connection, row, &error)) {
     designs->rows[designs->n] = sqlite3_column_int64(row, 0);
     error = mo_column_genotype(row, 1, 2, &designs->genotypes[designs->n++], NULL);

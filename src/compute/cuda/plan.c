@@ -271,9 +271,9 @@ static size_t carve_plan(struct mo_plan *plan, struct distinct *bodies,
 {
   struct carver c = {base, 0};
   const uint32_t n = plan->n;
-  plan->bodies = carve(&c, n, sizeof(*plan->bodies));
-  plan->found = carve(&c, n, sizeof(*plan->found));
-  plan->environments = carve(&c, n, sizeof(*plan->environments));
+  plan->bodies = carve(&c, n, sizeof(struct mo_body *));
+  plan->found = carve(&c, n, sizeof(struct mo_body *));
+  plan->environments = carve(&c, n, sizeof(struct mo_environment *));
   plan->headers = carve(&c, n, sizeof(*plan->headers));
   plan->measured = carve(&c, n, sizeof(*plan->measured));
   plan->pairs = carve(&c, n, sizeof(*plan->pairs));
