@@ -39,6 +39,7 @@ static int start(void *context, struct mo_http *http)
 static void tick(void *context)
 {
   count_jobs(context);
+  mo_load_sample(context);
 }
 
 static void stop(void *context)
@@ -48,6 +49,7 @@ static void stop(void *context)
 
 static void destroy(struct mo_api *api)
 {
+  pthread_mutex_destroy(&api->load.mutex);
   mo_lattice_free(api->lattice);
   free(api);
 }
@@ -72,6 +74,7 @@ int mo_api_start(const struct mo_http_config *config, const struct mo_api_servic
                          .log_dropped = services->log_dropped,
                          .listener = -1,
                          .jobs_changed = true};
+  pthread_mutex_init(&api->load.mutex, NULL);
   snprintf(api->version, sizeof(api->version), "%s",
            services->version != NULL ? services->version : "");
   mo_sha256_of(mo_openapi_json, mo_openapi_json_size, &contract);

@@ -30,7 +30,7 @@ static void read_record(struct mo_json *json, void *value)
 #define AT(member) offsetof(struct mo_parsed_evaluation, member)
 static const char *const precision_words[] = {"float32", "float64", NULL};
 static const struct mo_field_own record = {.read = read_record};
-static const struct mo_field rows[] = {
+static const struct mo_field rollout_rows[] = {
     {"designs", MO_FIELD_OWN, 0, AT(parts), .own = &mo_designs_field},
     {"environments", MO_FIELD_OWN, 0, AT(parts), .own = &mo_environments_field},
     {"record", MO_FIELD_OWN, 0, AT(request), .own = &record},
@@ -38,6 +38,15 @@ static const struct mo_field rows[] = {
      .unit = "steps", .help = "steps between frames"},
     {"physics", MO_FIELD_GROUP, 0, AT(request.physics), .group = &mo_physics_fields},
     {"precision", MO_FIELD_WORD, 0, AT(request.precision), .words = precision_words},
+    {"controller", MO_FIELD_OWN, 0, AT(parts), .own = &mo_controller_field},
+};
+const struct mo_fields mo_rollouts_request_fields = {rollout_rows, sizeof(rollout_rows) /
+                                                                       sizeof(rollout_rows[0])};
+/* An evaluation's has the same but for the controller, which is one of the parts of every job. */
+static const struct mo_fields scored = {rollout_rows,
+                                        sizeof(rollout_rows) / sizeof(rollout_rows[0]) - 1};
+static const struct mo_field rows[] = {
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &scored},
     {"verify", MO_FIELD_FLAG, 0, AT(request.verify)},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
 };
@@ -64,15 +73,14 @@ static int check(struct mo_json *json, void *any)
   return MO_OK;
 }
 
-int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
-                        struct mo_faults *faults)
+static int parse(const char *text, size_t size, const struct mo_fields *fields,
+                 struct mo_parsed_evaluation *parsed, struct mo_faults *faults)
 {
   struct mo_evaluation_request *request = &parsed->request;
   *parsed = (struct mo_parsed_evaluation){
       .request = {.physics = mo_default_physics(), .precision = MO_FLOAT32},
       .parts = {.priority = -1, .weight = 1, .controller = "default"}};
-  int error = mo_read_body(text, size, &mo_evaluation_request_fields, parsed, &parsed->parts, check,
-                           faults);
+  int error = mo_read_body(text, size, fields, parsed, &parsed->parts, check, faults);
   if (error != MO_OK)
     return error;
   const struct mo_parts *parts = &parsed->parts;
@@ -87,4 +95,16 @@ int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluati
   request->n_environments = parts->n_environments;
   request->environment_set = parts->environments == NULL ? "paper-test" : NULL;
   return MO_OK;
+}
+
+int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
+                        struct mo_faults *faults)
+{
+  return parse(text, size, &mo_evaluation_request_fields, parsed, faults);
+}
+
+int mo_rollouts_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
+                      struct mo_faults *faults)
+{
+  return parse(text, size, &mo_rollouts_request_fields, parsed, faults);
 }

@@ -10,6 +10,20 @@
 #include "http/reply.h"
 #include "jobs/jobs.h"
 
+#define MO_LOAD_SAMPLES 360
+struct mo_load_sample {
+  int64_t at_us;
+  double busy_share, device_share, rollouts_per_s; /* device_share NaN: no devices */
+};
+struct mo_load {
+  pthread_mutex_t mutex; /* of samples and n */
+  struct mo_load_sample samples[MO_LOAD_SAMPLES];
+  uint64_t n; /* ever added; the newest is samples[(n − 1) % MO_LOAD_SAMPLES] */
+  int64_t sampled_us;
+  double busy_s; /* at the newest sample */
+  uint64_t rollouts;
+};
+
 struct mo_api {
   struct mo_store *store;
   struct mo_jobs *jobs;
@@ -22,6 +36,7 @@ struct mo_api {
   int listener; /* the subscription to the store's events; −1: none */
   _Atomic uint64_t jobs_by_state[MO_JOB_STATES];
   atomic_bool jobs_changed;
+  struct mo_load load;
 };
 
 /* Returns the interface that a request is for. */
@@ -38,6 +53,7 @@ static inline struct mo_api *mo_api_of(const struct mo_request *request)
 int mo_events_follow(struct mo_api *api);
 void mo_events_leave(struct mo_api *api);
 
+void mo_load_sample(struct mo_api *api);
 void mo_api_metrics_write(struct mo_api *api, struct mo_text *text);
 
 #endif

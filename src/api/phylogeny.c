@@ -8,6 +8,7 @@
 
 #include "api/job_json.h"
 #include "api/jobs.h"
+#include "api/scene.h"
 #include "http/download.h"
 
 /* Cursors have at most as many digits as the contract allows; one beyond the last design is the
@@ -411,11 +412,29 @@ static void reply_newick(struct mo_request *request, const struct mo_campaign_st
                    more_tree, tree, free_tree);
 }
 
+/* Reads what only columns take: the number behind which they begin, and which designs they keep. */
+static bool read_columns_query(struct mo_request *request, int form, int64_t *since, bool *lineages)
+{
+  const char *keep = mo_query(request, "keep");
+  *lineages = keep != NULL && strcmp(keep, "lineages") == 0;
+  if (form != 3 && (keep != NULL || mo_query(request, "after") != NULL)) {
+    mo_reply_bad_parameter(request, keep != NULL ? "keep" : "after",
+                           "this parameter is for format=columns");
+    return false;
+  }
+  if (keep != NULL && !*lineages && strcmp(keep, "all") != 0) {
+    mo_reply_bad_parameter(request, "keep", "all or lineages is expected");
+    return false;
+  }
+  return mo_query_number(request, "after", 0, NUMBER_CURSOR_MAX, since);
+}
+
 void mo_api_get_campaign_phylogeny(struct mo_request *request)
 {
   static const char *const paging[] = {"limit", "cursor"};
-  static const char *const forms[] = {"json", "csv", "newick", NULL};
-  static const char *const types[] = {"application/json", "text/csv", "text/x-nh", NULL};
+  static const char *const forms[] = {"json", "csv", "newick", "columns", NULL};
+  static const char *const types[] = {"application/json", "text/csv", "text/x-nh", MO_SCENE_TYPE,
+                                      NULL};
   int64_t id, after;
   size_t limit;
   int form;
@@ -429,6 +448,10 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
                              "this parameter is for JSON: the other forms are whole");
       return;
     }
+  int64_t since = -1;
+  bool lineages;
+  if (!read_columns_query(request, form, &since, &lineages))
+    return;
   struct mo_campaign_status status;
   int code = mo_store_campaign(mo_api_of(request)->store, id, &status);
   if (code != MO_OK) {
@@ -439,6 +462,12 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
     snprintf(tag, sizeof(tag), "%" PRIx64 "-phylogeny-2-%s-%lld-%lld-%llu",
              mo_store_id(mo_api_of(request)->store), forms[form], (long long)id,
              (long long)status.generation, (unsigned long long)status.n_designs);
+    if (form == 3) {
+      const size_t size = strlen(tag);
+      snprintf(tag + size, sizeof(tag) - size, "-%d-%lld", lineages, (long long)since);
+      mo_api_reply_columns(request, id, since, lineages, tag);
+      return;
+    }
     (form == 1 ? reply_csv : reply_newick)(request, &status, tag);
   }
 }

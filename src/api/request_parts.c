@@ -433,7 +433,7 @@ bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
 
 static const char *const priority_words[] = {"batch", "interactive", NULL}; /* enum mo_urgency */
 static const char *const device_words[] = {"auto", "cpu", "cuda", NULL};    /* from −1 on */
-static const struct mo_field_own controller = {.read = read_controller};
+const struct mo_field_own mo_controller_field = {.read = read_controller};
 static const struct mo_field_own label = {.read = read_label};
 #define AT(member) offsetof(struct mo_parts, member)
 static const struct mo_field weight_rows[] = {
@@ -442,7 +442,7 @@ static const struct mo_field weight_rows[] = {
 };
 const struct mo_fields mo_weight_fields = {weight_rows, 1};
 static const struct mo_field rows[] = {
-    {"controller", MO_FIELD_OWN, 0, 0, .own = &controller, .unit = "",
+    {"controller", MO_FIELD_OWN, 0, 0, .own = &mo_controller_field, .unit = "",
      .help = "a controller by name or hash"},
     {"label", MO_FIELD_OWN, 0, 0, .own = &label, .unit = "", .help = "a text to find the job by"},
     {"priority", MO_FIELD_WORD, 0, AT(priority), .words = priority_words, .unit = "",

@@ -34,7 +34,7 @@ extern const struct mo_fields mo_parts_fields;
 extern const struct mo_fields mo_weight_fields; /* of one double */
 /* Fields of struct mo_parts: 1 to MO_DESIGNS_MAX designs; "paper-test" or 1 to MO_ENVIRONMENTS_MAX
  * environments. */
-extern const struct mo_field_own mo_designs_field, mo_environments_field;
+extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_controller_field;
 /* A name for a controller, of MO_NAME_BYTES_MAX + 1 bytes. */
 extern const struct mo_field_own mo_name_field;
 
@@ -60,8 +60,8 @@ bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id);
 /* ---- bodies ---- */
 
 /* All members of a submission, as tables; tests hold the contract to them. */
-extern const struct mo_fields mo_evaluation_request_fields, mo_training_request_fields,
-    mo_campaign_request_fields;
+extern const struct mo_fields mo_evaluation_request_fields, mo_rollouts_request_fields,
+    mo_training_request_fields, mo_campaign_request_fields;
 
 /* A request, and the parts that its pointers point to. */
 struct mo_parsed_evaluation {
@@ -70,6 +70,10 @@ struct mo_parsed_evaluation {
 };
 int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
                         struct mo_faults *faults);
+
+/* Parses the body of POST /v1/rollouts: without the members that belong to a job. */
+int mo_rollouts_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
+                      struct mo_faults *faults);
 
 struct mo_parsed_training {
   struct mo_training_request request;

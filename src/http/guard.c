@@ -55,6 +55,7 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
       {"Sec-Fetch-Site", &framing->fetch_site},
       {"Prefer", &framing->prefer},
       {"Accept", &framing->accept},
+      {"Accept-Encoding", &framing->accept_encoding},
       {"If-None-Match", &framing->if_none_match},
   };
   if (n > MO_HEADERS_MAX)

@@ -12,8 +12,7 @@
  * and half of the cores. */
 static struct mo_queue *queue_of(struct mo_pool *pool, const struct mo_request *request)
 {
-  bool list = (request->method & (MO_GET | MO_HEAD)) != 0 &&
-              (request->route->flags & MO_ROUTE_LIST) && request->stream == NULL;
+  bool list = (request->route->flags & MO_ROUTE_LIST) && request->stream == NULL;
   return list ? &pool->lists : &pool->others;
 }
 

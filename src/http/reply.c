@@ -201,6 +201,24 @@ void mo_reply_extra(struct mo_request *request, const char *name, const char *fo
   reply->extra[reply->n_extra++].name = name;
 }
 
+void mo_reply_policy(struct mo_request *request, const char *policy)
+{
+  request->reply.policy = policy;
+}
+
+void mo_reply_keep(struct mo_request *request)
+{
+  request->reply.keep = true;
+}
+
+bool mo_accepts_gzip(const struct mo_request *request)
+{
+  const char *accepted = request->framing.accept_encoding;
+  const char *gzip = accepted != NULL ? strstr(accepted, "gzip") : NULL;
+  /* "gzip;q=0" refuses it; nobody who sends that has a list of several codings. */
+  return gzip != NULL && strstr(gzip, "q=0") == NULL;
+}
+
 static bool add(struct MHD_Response *response, const char *name, const char *value)
 {
   return value[0] == '\0' || MHD_add_response_header(response, name, value) == MHD_YES;
@@ -217,7 +235,11 @@ bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response)
       add(response, "X-Request-Id", request->id) &&
       add(response, "X-Content-Type-Options", "nosniff") &&
       add(response, "Content-Type", has_type && reply->type != NULL ? reply->type : "") &&
-      add(response, "Cache-Control", reply->etag[0] != '\0' ? "no-cache" : "no-store") &&
+      add(response, "Cache-Control",
+          reply->keep              ? "private, max-age=31536000, immutable"
+          : reply->etag[0] != '\0' ? "no-cache"
+                                   : "no-store") &&
+      add(response, "Content-Security-Policy", reply->policy != NULL ? reply->policy : "") &&
       add(response, "ETag", reply->etag) && add(response, "Location", reply->location) &&
       add(response, "Retry-After", retry) && add(response, "Allow", reply->allow) &&
       add(response, "Preference-Applied", reply->applied) &&

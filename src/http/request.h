@@ -32,9 +32,11 @@ struct mo_reply {
   char *body;        /* malloc; NULL: see fixed */
   const char *fixed; /* static */
   size_t size;
+  const char *policy; /* static: Content-Security-Policy; NULL: none */
   bool close, authenticate;
+  bool keep; /* the reply to this path never changes */
   unsigned retry_after_s;
-  char etag[112], location[160], allow[64], applied[24];
+  char etag[112], location[192], allow[64], applied[24];
   unsigned n_extra;
   struct {
     const char *name;

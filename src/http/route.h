@@ -20,7 +20,8 @@ enum mo_route_flag {
   MO_ROUTE_OPEN = 1,   /* needs no token */
   MO_ROUTE_DIRECT = 2, /* answered without an API thread */
   MO_ROUTE_HEALTH = 4, /* answered on the connections that are reserved for health requests, too */
-  MO_ROUTE_LIST = 8,   /* gives many items; pool.c limits how many of these run at a time */
+  MO_ROUTE_LIST = 8,   /* gives many items, or computes; pool.c limits how many of these run at a
+                          time */
   MO_ROUTE_RATED = 16, /* takes work or data, which client_rate_per_s limits */
   MO_ROUTE_VARY = 32,  /* the form of the reply depends on Accept */
   MO_ROUTE_JSON = 64   /* the reply is JSON; another Accept gets 406 */
@@ -50,8 +51,8 @@ struct mo_routes {
   size_t n;
 };
 #define MO_ROUTES_MAX           96
-#define MO_PATH_PARAMETERS      2
-#define MO_PATH_PARAMETER_BYTES 128
+#define MO_PATH_PARAMETERS      3
+#define MO_PATH_PARAMETER_BYTES 160 /* a genotype has 144 digits */
 
 enum mo_method mo_method_of(const char *name);
 

@@ -23,6 +23,7 @@ struct mo_loaded {
   uint64_t last_used;
   struct mo_loaded *next;
 };
+#define MO_CONTROLLERS_KEPT 8
 /* A small cache for one thread; evicts the least recently used. */
 struct mo_controller_cache {
   struct mo_store *store;

@@ -14,10 +14,9 @@
 #include "jobs/evaluation.h"
 #include "jobs/submission.h"
 
-#define DESIGNS_A_ROUND  64 /* of each job */
-#define ROUND_US         1000000
-#define CLAIMS_MAX       1024
-#define CONTROLLERS_KEPT 8
+#define DESIGNS_A_ROUND 64 /* of each job */
+#define ROUND_US        1000000
+#define CLAIMS_MAX      1024
 /* Jobs that run concurrently. */
 #define ACTIVE_BATCH_MAX       8
 #define ACTIVE_INTERACTIVE_MAX 64
@@ -441,7 +440,7 @@ static int open_all(struct mo_jobs *jobs)
   all->inbox = (struct mo_inbox){.mutex = &all->runners->mutex, .news = &all->runners->news};
   all->look_again = true;
   all->controllers = (struct mo_controller_cache){
-      .store = jobs->store, .compute = jobs->compute, .kept = CONTROLLERS_KEPT};
+      .store = jobs->store, .compute = jobs->compute, .kept = MO_CONTROLLERS_KEPT};
   jobs->evaluations = all;
   return MO_OK;
 }

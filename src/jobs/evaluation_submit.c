@@ -61,21 +61,28 @@ static int check_recording(struct mo_jobs *jobs, const struct mo_submission *sub
   return MO_OK;
 }
 
+bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
+                 const struct mo_physics *physics, enum mo_precision precision)
+{
+  const double cost = (double)n_designs * NETWORK_SPRINGS + (double)springs;
+  return cost * n_environments * physics->n_steps * (precision == MO_FLOAT64 ? 2 : 1) <=
+         INTERACTIVE_COST;
+}
+
 /* Returns whether the evaluation is short enough to be interactive. */
 static int is_short(const struct mo_jobs *jobs, const struct mo_submission *submission, bool *ret)
 {
-  double cost = (double)submission->n_designs * NETWORK_SPRINGS;
-  const double springs_max = INTERACTIVE_COST / submission->n_environments /
-                             submission->physics.n_steps /
-                             (submission->precision == MO_FLOAT64 ? 2 : 1);
-  for (uint32_t i = 0; i < submission->n_designs && cost <= springs_max; i++) {
+  uint64_t springs = 0;
+  *ret = true;
+  for (uint32_t i = 0; i < submission->n_designs && *ret; i++) {
     struct mo_design_size size;
     int error = mo_design_size(jobs->lattice, submission->genotypes[i].words, &size);
     if (error != MO_OK)
       return error;
-    cost += size.springs;
+    springs += size.springs;
+    *ret = mo_is_short(submission->n_designs, springs, submission->n_environments,
+                       &submission->physics, submission->precision);
   }
-  *ret = cost <= springs_max;
   return MO_OK;
 }
 

@@ -188,6 +188,7 @@ static void init(struct mo_jobs *jobs)
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
   pthread_mutex_init(&jobs->admission_mutex, NULL);
   pthread_mutex_init(&jobs->exclusions_mutex, NULL);
+  pthread_mutex_init(&jobs->rollouts_mutex, NULL);
   pthread_mutex_init(&jobs->weigh_mutex, NULL);
   pthread_mutex_init(&jobs->shares_mutex, NULL);
   mo_memory_init(jobs);
@@ -213,12 +214,14 @@ static void free_jobs(struct mo_jobs *jobs)
       mo_kinds[kind]->close(jobs);
     mo_runners_destroy(&jobs->runners[kind]);
   }
+  mo_loaded_free_all(&jobs->rollout_controllers);
   mo_lattice_free(jobs->lattice);
   free(jobs->code_versions[MO_ON_CPU]);
   free(jobs->code_versions[MO_ON_DEVICE]);
   mo_memory_free(jobs);
   pthread_mutex_destroy(&jobs->admission_mutex);
   pthread_mutex_destroy(&jobs->exclusions_mutex);
+  pthread_mutex_destroy(&jobs->rollouts_mutex);
   pthread_mutex_destroy(&jobs->weigh_mutex);
   pthread_mutex_destroy(&jobs->shares_mutex);
   free(jobs);
@@ -240,6 +243,8 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
                                             [MO_JOB_TRAINING] = jobs->config.max_active_trainings,
                                             [MO_JOB_CAMPAIGN] = jobs->config.max_active_campaigns};
   init(jobs);
+  jobs->rollout_controllers =
+      (struct mo_controller_cache){.store = store, .compute = compute, .kept = MO_CONTROLLERS_KEPT};
   atomic_store(&jobs->heartbeat_us, mo_clock_us());
   error = prepare(jobs, config->crash_marker, config->version);
   for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)

@@ -42,6 +42,10 @@ int mo_environments_check(const struct mo_environment *environments, uint32_t n,
 /* Reads the size of a named set. MO_ERR_NOT_FOUND with its message. */
 int mo_environments_count(struct mo_jobs *jobs, const char *set, uint32_t *n,
                           struct mo_message *message);
+/* Whether rollouts take at most about a second of one core, as interactive ones must. springs: of
+ * all designs together. */
+bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
+                 const struct mo_physics *physics, enum mo_precision precision);
 /* Checks the name of a controller that a job will make ("": none), and a job's priority. */
 int mo_result_check(const char *name, int priority, struct mo_message *message);
 

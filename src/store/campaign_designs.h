@@ -31,6 +31,20 @@ int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t
  * designs. */
 int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_descent **descents,
                                uint32_t **born, uint32_t *n);
+/* Every design so far, by number. */
+struct mo_campaign_columns {
+  uint32_t n;
+  uint32_t *parents[2];  /* (n) each; MO_NO_PARENT */
+  uint32_t *born, *died; /* (n) generations; died: MO_ALIVE */
+  uint8_t *operators;    /* (n) enum mo_operator */
+  float *scores;         /* (n) the last; NaN: a rollout diverged */
+};
+#define MO_ALIVE       UINT32_MAX
+#define MO_COLUMNS_MAX (INT64_C(1) << 22) /* they are held in memory, some 100 bytes each */
+/* MO_ERR_LIMIT: there are more. */
+int mo_store_campaign_columns(struct mo_store *store, int64_t id,
+                              struct mo_campaign_columns **columns);
+void mo_campaign_columns_free(struct mo_campaign_columns *columns); /* NULL-safe */
 /* One birth of a form. */
 struct mo_campaign_place {
   int64_t campaign;

@@ -2,6 +2,7 @@
  *
  * A page of designs is one range of campaign_designs. A population, and the births of a generation,
  * are one BLOB each. A campaign of a million designs has 9 MB of births. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -167,6 +168,88 @@ int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_des
   else
     free(born);
   return error;
+}
+
+/* ---- the whole phylogeny as columns ---- */
+
+void mo_campaign_columns_free(struct mo_campaign_columns *columns)
+{
+  if (columns == NULL)
+    return;
+  free(columns->parents[0]);
+  free(columns->parents[1]);
+  free(columns->born);
+  free(columns->died);
+  free(columns->operators);
+  free(columns->scores);
+  free(columns);
+}
+
+static struct mo_campaign_columns *make_columns(size_t n)
+{
+  struct mo_campaign_columns *columns = calloc(1, sizeof(*columns));
+  if (columns == NULL)
+    return NULL;
+  columns->parents[0] = malloc(n * sizeof(uint32_t));
+  columns->parents[1] = malloc(n * sizeof(uint32_t));
+  columns->born = malloc(n * sizeof(uint32_t));
+  columns->died = malloc(n * sizeof(uint32_t));
+  columns->operators = malloc(n);
+  columns->scores = malloc(n * sizeof(float));
+  if (columns->parents[0] == NULL || columns->parents[1] == NULL || columns->born == NULL ||
+      columns->died == NULL || columns->operators == NULL || columns->scores == NULL) {
+    mo_campaign_columns_free(columns);
+    return NULL;
+  }
+  return columns;
+}
+
+static int read_columns(struct mo_connection *reader, int64_t id, int64_t n,
+                        struct mo_campaign_columns *columns)
+{
+  static const char sql[] = "SELECT number,operator,parent,other_parent,born,died,score"
+                            " FROM campaign_designs WHERE job=?1 ORDER BY number";
+  int error = MO_OK;
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
+  while (mo_sql_next(reader, row, &error)) {
+    const uint32_t i = columns->n;
+    double score;
+    if (i == n || sqlite3_column_int64(row, 0) != i)
+      return MO_ERR_CORRUPT;
+    columns->operators[i] = (uint8_t)sqlite3_column_int(row, 1);
+    for (int p = 0; p < 2; p++)
+      columns->parents[p][i] =
+          sqlite3_column_type(row, 2 + p) == SQLITE_NULL ? MO_NO_PARENT : mo_column_u32(row, 2 + p);
+    columns->born[i] = mo_column_u32(row, 4);
+    columns->died[i] =
+        sqlite3_column_type(row, 5) == SQLITE_NULL ? MO_ALIVE : mo_column_u32(row, 5);
+    error = mo_column_double(row, 6, &score);
+    columns->scores[i] = isfinite(score) ? (float)score : NAN;
+    columns->n++;
+  }
+  return error;
+}
+
+int mo_store_campaign_columns(struct mo_store *store, int64_t id, struct mo_campaign_columns **ret)
+{
+  static const char sql[] = "SELECT count(*) FROM campaign_designs WHERE job=?1";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  struct mo_campaign_columns *columns = NULL;
+  int64_t n = 0;
+  int error = mo_sql_find(reader, &n, sql, mo_int(id));
+  if (error == MO_OK && n > MO_COLUMNS_MAX)
+    error = MO_ERR_LIMIT;
+  if (error == MO_OK && (columns = make_columns((size_t)n + 1)) == NULL)
+    error = MO_ERR_NO_MEMORY;
+  if (error == MO_OK)
+    error = read_columns(reader, id, n, columns);
+  mo_reader_release(store, reader);
+  if (error != MO_OK) {
+    mo_campaign_columns_free(columns);
+    return error;
+  }
+  *ret = columns;
+  return MO_OK;
 }
 
 /* ---- where a form was born ---- */

@@ -54,3 +54,10 @@ void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precisi
   mo_encode_physics(physics, precision, sensor, bytes);
   mo_sha256_of(bytes, sizeof(bytes), hash);
 }
+
+void mo_environment_hash(const struct mo_environment *environment, struct mo_sha256 *hash)
+{
+  uint8_t bytes[MO_ENVIRONMENT_BYTES];
+  mo_encode_environment(environment, bytes);
+  mo_sha256_of(bytes, sizeof(bytes), hash);
+}

@@ -26,4 +26,6 @@ int mo_sha256_equal(const struct mo_sha256 *a, const struct mo_sha256 *b); /* 1 
 void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precision,
                      enum mo_sensor sensor, struct mo_sha256 *hash);
 
+void mo_environment_hash(const struct mo_environment *environment, struct mo_sha256 *hash);
+
 #endif

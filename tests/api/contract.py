@@ -21,7 +21,7 @@ class Contract:
         self.resolver = jsonschema.RefResolver("", self.document)
         self.templates = []
         for path, item in self.document["paths"].items():
-            pattern = re.sub(r"\\\{[a-z]+\\\}", "[^/]+", re.escape(path))
+            pattern = re.sub(r"\\\{[a-z0-9]+\\\}", "[^/]+", re.escape(path))
             self.templates.append((re.compile(pattern + r"\Z"), item))
         self.validators = {}
 

@@ -1,0 +1,66 @@
+/* rollouts.c: POST /v1/rollouts: rollouts that are stored nowhere, as a scene or as JSON. */
+#include <stdlib.h>
+
+#include "api/requests.h"
+#include "api/scene.h"
+#include "api/submission.h"
+
+static void reply(struct mo_request *request, const struct mo_rollouts *rollouts, bool scene)
+{
+  const struct mo_lattice *lattice = mo_api_of(request)->lattice;
+  struct mo_text header = {0}, arrays = {0};
+  int error = mo_scene_write(&header, scene ? &arrays : NULL, lattice, rollouts);
+  if (error == MO_OK && !scene) {
+    mo_reply_json(request, 200, &header);
+    return;
+  }
+  size_t size = 0;
+  char *joined = error == MO_OK ? mo_scene_join(&header, &arrays, &size) : NULL;
+  mo_text_free(&header);
+  mo_text_free(&arrays);
+  if (joined == NULL)
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "scene");
+  else
+    mo_reply_bytes(request, 200, MO_SCENE_TYPE, joined, size);
+}
+
+static void refuse(struct mo_request *request, int error, const struct mo_message *message,
+                   struct mo_faults *faults)
+{
+  const char *words = message->text[0] != '\0' ? message->text : mo_error_text(error);
+  const bool unknown = error == MO_ERR_NOT_FOUND || error == MO_ERR_UNSUPPORTED;
+  const char *pointer = unknown ? "/controller" : error == MO_ERR_LIMIT ? "" : "/designs";
+  switch (error) {
+  case MO_ERR_NOT_FOUND:
+  case MO_ERR_UNSUPPORTED:
+  case MO_ERR_INVALID:
+  case MO_ERR_RANGE:
+  case MO_ERR_LIMIT:
+    mo_faults_add(faults, MO_FAULT_BODY, pointer, "%s", words);
+    mo_reply_problem(request, 422, faults, NULL);
+    return;
+  default: mo_reply_error(request, error, "rollout");
+  }
+}
+
+void mo_api_post_rollouts(struct mo_request *request)
+{
+  static const char *const types[] = {"application/json", MO_SCENE_TYPE, NULL};
+  struct mo_parsed_evaluation parsed;
+  struct mo_rollouts *rollouts = NULL;
+  struct mo_message message = {{0}};
+  struct mo_faults faults = {0};
+  int form;
+  if (!mo_check_content(request, "application/json", NULL) || !mo_accept(request, types, &form))
+    return;
+  int error = mo_rollouts_parse(request->body, request->body_size, &parsed, &faults);
+  if (error != MO_OK)
+    mo_reply_parse_error(request, error, &faults, "rollout");
+  else if ((error = mo_jobs_roll(mo_api_of(request)->jobs, &parsed.request, &rollouts, &message)) !=
+           MO_OK)
+    refuse(request, error, &message, &faults);
+  else
+    reply(request, rollouts, form == 1);
+  mo_rollouts_free(rollouts);
+  mo_parts_free(&parsed.parts);
+}

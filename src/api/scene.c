@@ -1,0 +1,284 @@
+/* scene.c: see scene.h. */
+#include "api/scene.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/job_json.h"
+#include "rollout/physics.h"
+
+/* ---- arrays ---- */
+
+static void write_shape(struct mo_text *text, const struct mo_scene_array *array)
+{
+  mo_text_name(text, "shape");
+  mo_text_add(text, "[");
+  for (unsigned i = 0; i < array->dimensions; i++)
+    mo_text_format(text, i > 0 ? ",%u" : "%u", array->shape[i]);
+  mo_text_add(text, "]");
+}
+
+static void write_number(struct mo_text *text, const struct mo_scene_array *array, size_t i)
+{
+  if (array->width == sizeof(float))
+    mo_text_json_float(text, ((const float *)array->numbers)[i]);
+  else
+    mo_text_format(text, "%u", ((const uint16_t *)array->numbers)[i]);
+}
+
+/* Writes an array of two dimensions at most as JSON, row by row. */
+static void write_rows(struct mo_text *text, const struct mo_scene_array *array)
+{
+  const uint32_t columns = array->dimensions > 1 ? array->shape[1] : 1;
+  mo_text_add(text, "[");
+  for (uint32_t i = 0; i < array->shape[0]; i++) {
+    mo_text_add(text, i > 0 ? "," : "");
+    mo_text_add(text, array->dimensions > 1 ? "[" : "");
+    for (uint32_t k = 0; k < columns; k++) {
+      mo_text_add(text, k > 0 ? "," : "");
+      write_number(text, array, (size_t)i * columns + k);
+    }
+    mo_text_add(text, array->dimensions > 1 ? "]" : "");
+  }
+  mo_text_add(text, "]");
+}
+
+void mo_scene_write_array(struct mo_text *text, struct mo_text *arrays,
+                          const struct mo_scene_array *array)
+{
+  static const char zeros[8] = {0};
+  size_t bytes = array->width;
+  for (unsigned i = 0; i < array->dimensions; i++)
+    bytes *= array->shape[i];
+  mo_text_name(text, array->name);
+  if (arrays == NULL) {
+    write_rows(text, array);
+    return;
+  }
+  mo_text_object(text);
+  mo_text_member_count(text, "offset", arrays->size);
+  mo_text_member(text, "type", array->type);
+  write_shape(text, array);
+  mo_text_add(text, "}");
+  mo_text_bytes(arrays, array->numbers, bytes);
+  mo_text_bytes(arrays, zeros, (8 - bytes % 8) % 8);
+}
+
+/* ---- bodies ---- */
+
+/* The corners of each side of a voxel, counter-clockwise from outside. Corner c of a voxel is at
+ * x = c >> 2, y = c >> 1 & 1, z = c & 1: its masses in ascending order. */
+static const struct {
+  int8_t step[3];
+  uint8_t corners[4];
+} sides[6] = {{{-1, 0, 0}, {0, 1, 3, 2}}, {{1, 0, 0}, {4, 6, 7, 5}},  {{0, -1, 0}, {0, 4, 5, 1}},
+              {{0, 1, 0}, {2, 3, 7, 6}},  {{0, 0, -1}, {0, 2, 6, 4}}, {{0, 0, 1}, {1, 5, 7, 3}}};
+
+bool mo_has_voxel(struct mo_workspace workspace, const struct mo_bits *genotype, int x, int y,
+                  int z)
+{
+  if (x < 0 || y < 0 || z < 0 || x >= workspace.nx || y >= workspace.ny || z >= workspace.nz)
+    return false;
+  const uint32_t voxel = ((uint32_t)x * workspace.ny + (uint32_t)y) * workspace.nz + (uint32_t)z;
+  return genotype->words[voxel >> 6] >> (voxel & 63) & 1;
+}
+
+/* Position of a lattice mass among those of the body. */
+static uint16_t position_of(const struct mo_body *body, uint32_t mass)
+{
+  uint32_t low = 0, high = body->n_masses;
+  while (high - low > 1) {
+    const uint32_t middle = (low + high) / 2;
+    if (body->mass_lattice[middle] <= mass)
+      low = middle;
+    else
+      high = middle;
+  }
+  return (uint16_t)low;
+}
+
+struct geometry {
+  uint16_t (*springs)[2], (*voxels)[8], (*faces)[5];
+  float *rest_lengths_m;
+  uint32_t n_voxels, n_faces;
+};
+
+static void add_voxel(const struct mo_lattice *lattice, const struct mo_body *body,
+                      const struct mo_bits *genotype, uint32_t voxel, struct geometry *geometry)
+{
+  const struct mo_workspace w = lattice->workspace;
+  const int x = (int)(voxel / (w.ny * w.nz)), y = (int)(voxel / w.nz % w.ny),
+            z = (int)(voxel % w.nz);
+  uint16_t *masses = geometry->voxels[geometry->n_voxels];
+  for (uint32_t c = 0; c < 8; c++)
+    masses[c] = position_of(body, lattice->voxel_mass[voxel * 8 + c]);
+  for (int side = 0; side < 6; side++) {
+    const int8_t *step = sides[side].step;
+    if (mo_has_voxel(w, genotype, x + step[0], y + step[1], z + step[2]))
+      continue;
+    uint16_t *face = geometry->faces[geometry->n_faces++];
+    for (int k = 0; k < 4; k++)
+      face[k] = masses[sides[side].corners[k]];
+    face[4] = (uint16_t)geometry->n_voxels;
+  }
+  geometry->n_voxels++;
+}
+
+int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
+                        const struct mo_lattice *lattice, const struct mo_body *body,
+                        const struct mo_bits *genotype)
+{
+  struct geometry geometry = {.springs = malloc(body->n_springs * sizeof(*geometry.springs)),
+                              .voxels = malloc(body->n_voxels * sizeof(*geometry.voxels)),
+                              .faces = malloc((size_t)body->n_voxels * 6 * sizeof(*geometry.faces)),
+                              .rest_lengths_m =
+                                  malloc(body->n_springs * sizeof(*geometry.rest_lengths_m))};
+  const bool good = geometry.springs != NULL && geometry.voxels != NULL && geometry.faces != NULL &&
+                    geometry.rest_lengths_m != NULL;
+  for (uint32_t s = 0; good && s < body->n_springs; s++) {
+    geometry.springs[s][0] = (uint16_t)body->spring_a[s];
+    geometry.springs[s][1] = (uint16_t)body->spring_b[s];
+    geometry.rest_lengths_m[s] = (float)(MO_VOXEL_M * (body->spring_diagonal[s] ? sqrt(2) : 1));
+  }
+  for (uint32_t v = 0; good && v < lattice->n_voxels; v++)
+    if (genotype->words[v >> 6] >> (v & 63) & 1)
+      add_voxel(lattice, body, genotype, v, &geometry);
+  const struct mo_scene_array all[] = {
+      {"masses", "uint16", body->mass_xyz, 2, {body->n_masses, 3}, 2},
+      {"springs", "uint16", geometry.springs, 2, {body->n_springs, 2}, 2},
+      {"rest_lengths_m", "float32", geometry.rest_lengths_m, 4, {body->n_springs}, 1},
+      {"voxels", "uint16", geometry.voxels, 2, {geometry.n_voxels, 8}, 2},
+      {"faces", "uint16", geometry.faces, 2, {geometry.n_faces, 5}, 2}};
+  for (size_t i = 0; good && i < sizeof(all) / sizeof(all[0]); i++)
+    mo_scene_write_array(text, arrays, &all[i]);
+  free(geometry.springs);
+  free(geometry.voxels);
+  free(geometry.faces);
+  free(geometry.rest_lengths_m);
+  return good ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
+/* ---- worlds ---- */
+
+void mo_scene_write_environment(struct mo_text *text, struct mo_text *arrays,
+                                const struct mo_environment *environment)
+{
+  struct mo_sha256 hash;
+  mo_environment_hash(environment, &hash);
+  mo_text_object(text);
+  mo_member_hash(text, "sha256", &hash);
+  mo_member_numbers(text, "light_xy_m", environment->light_xy_m, 2);
+  if (arrays == NULL) {
+    mo_member_numbers(text, "terrain_heights_m", environment->terrain_heights_m,
+                      MO_TERRAIN_HEIGHTS);
+  } else {
+    float heights[MO_TERRAIN_HEIGHTS];
+    for (int i = 0; i < MO_TERRAIN_HEIGHTS; i++)
+      heights[i] = (float)environment->terrain_heights_m[i];
+    mo_scene_write_array(
+        text, arrays,
+        &(struct mo_scene_array){
+            "terrain_heights_m", "float32", heights, 4, {MO_TERRAIN_SIDE, MO_TERRAIN_SIDE}, 2});
+  }
+  mo_text_add(text, "}");
+}
+
+/* ---- whole scenes ---- */
+
+static void write_recording(struct mo_text *text, struct mo_text *arrays,
+                            const struct mo_rollouts *rollouts, const struct mo_rolled *rolled,
+                            const struct mo_body *body)
+{
+  if (rolled->recording.com_m != NULL)
+    mo_scene_write_array(
+        text, arrays,
+        &(struct mo_scene_array){
+            "com_m", "float64", rolled->recording.com_m, 8, {rollouts->n_frames, 3}, 2});
+  if (rolled->recording.mass_m != NULL)
+    mo_scene_write_array(text, arrays,
+                         &(struct mo_scene_array){"masses_m",
+                                                  "float32",
+                                                  rolled->recording.mass_m,
+                                                  4,
+                                                  {rollouts->n_frames, body->n_masses, 3},
+                                                  3});
+}
+
+static int write_designs(struct mo_text *text, struct mo_text *arrays,
+                         const struct mo_lattice *lattice, const struct mo_rollouts *rollouts)
+{
+  int error = MO_OK;
+  mo_text_name(text, "designs");
+  mo_text_add(text, "[");
+  for (uint32_t i = 0; i < rollouts->n_designs && error == MO_OK; i++) {
+    const struct mo_rolled_design *design = &rollouts->designs[i];
+    mo_text_object(text);
+    mo_member_form(text, "id", &design->form);
+    mo_member_bits(text, "genotype", &design->genotype);
+    mo_text_member_number(text, "score", design->score);
+    if (arrays != NULL)
+      error = mo_scene_write_body(text, arrays, lattice, design->body, &design->genotype);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+  return error;
+}
+
+int mo_scene_write(struct mo_text *text, struct mo_text *arrays, const struct mo_lattice *lattice,
+                   const struct mo_rollouts *rollouts)
+{
+  const uint32_t n = rollouts->n_environments;
+  struct mo_sha256 physics;
+  mo_physics_hash(&rollouts->physics, rollouts->precision, rollouts->sensor, &physics);
+  mo_text_object(text);
+  mo_member_hash(text, "controller", &rollouts->controller);
+  mo_member_hash(text, "physics_sha256", &physics);
+  mo_text_name(text, "physics");
+  mo_fields_write_object(text, &mo_physics_fields, &rollouts->physics);
+  mo_text_member(text, "precision", rollouts->precision == MO_FLOAT64 ? "float64" : "float32");
+  if (arrays != NULL)
+    mo_text_member_number(text, "frame_s",
+                          rollouts->rollouts[0].recording.stride * rollouts->physics.dt_s);
+  mo_text_name(text, "environments");
+  mo_text_add(text, "[");
+  for (uint32_t k = 0; k < n; k++)
+    mo_scene_write_environment(text, arrays, &rollouts->environments[k]);
+  mo_text_add(text, "]");
+  const int error = write_designs(text, arrays, lattice, rollouts);
+  mo_text_name(text, "rollouts");
+  mo_text_add(text, "[");
+  for (uint32_t i = 0; i < rollouts->n_designs && error == MO_OK; i++)
+    for (uint32_t k = 0; k < n; k++) {
+      const struct mo_rolled *rolled = &rollouts->rollouts[i * n + k];
+      mo_text_object(text);
+      mo_text_member_count(text, "design", i);
+      mo_text_member_count(text, "environment", k);
+      mo_text_member_number(text, "loss", rolled->outcome.loss);
+      mo_text_member_count(text, "diverged_step", (uint64_t)rolled->outcome.diverged_step);
+      if (arrays != NULL)
+        write_recording(text, arrays, rollouts, rolled, rollouts->designs[i].body);
+      mo_text_add(text, "}");
+    }
+  mo_text_add(text, "]}");
+  return error;
+}
+
+char *mo_scene_join(struct mo_text *header, struct mo_text *arrays, size_t *size)
+{
+  /* Spaces behind the header align the arrays to 8 bytes. */
+  while (!header->failed && (4 + header->size) % 8 != 0)
+    mo_text_bytes(header, " ", 1);
+  char *joined = header->failed || arrays->failed ? NULL : malloc(4 + header->size + arrays->size);
+  if (joined != NULL) {
+    const uint32_t length = (uint32_t)header->size;
+    memcpy(joined, &length, 4);
+    memcpy(joined + 4, header->data, header->size);
+    if (arrays->size > 0)
+      memcpy(joined + 4 + header->size, arrays->data, arrays->size);
+    *size = 4 + header->size + arrays->size;
+  }
+  mo_text_free(header);
+  mo_text_free(arrays);
+  return joined;
+}

@@ -1,0 +1,52 @@
+/* scene.h: writes scenes (docs/scenes.md): bodies, worlds and recordings in one reply, as a JSON
+ * header and the arrays that it describes. */
+#ifndef MORPHO_API_SCENE_H
+#define MORPHO_API_SCENE_H
+
+#include "base/text.h"
+#include "jobs/rollouts.h"
+
+struct mo_request;
+
+#define MO_SCENE_TYPE "application/vnd.morphod.scene"
+
+/* Whether a genotype has a voxel at (x, y, z); none has one outside of the workspace. */
+bool mo_has_voxel(struct mo_workspace workspace, const struct mo_bits *genotype, int x, int y,
+                  int z);
+/* Reads the design that a path names: an id, whose body is canonical, or a genotype, which tells
+ * its orientation. False: the reply is made. */
+bool mo_read_design(struct mo_request *request, struct mo_bits *genotype);
+/* An array of numbers, little-endian as this machine is. */
+struct mo_scene_array {
+  const char *name, *type; /* "uint16" */
+  const void *numbers;
+  size_t width; /* bytes of one */
+  uint32_t shape[3];
+  unsigned dimensions;
+};
+/* Writes an array as a member of an object: described, with its numbers at the end of `arrays`, or,
+ * where that is NULL, as JSON (two dimensions at most). */
+void mo_scene_write_array(struct mo_text *text, struct mo_text *arrays,
+                          const struct mo_scene_array *array);
+/* Writes the arrays of a body's geometry, as members of an object: masses, springs, rest_lengths_m,
+ * voxels, faces. With `arrays` they are described, and their numbers go there; without, they are
+ * arrays of JSON. MO_ERR_NO_MEMORY. */
+int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
+                        const struct mo_lattice *lattice, const struct mo_body *body,
+                        const struct mo_bits *genotype);
+/* Writes an environment as an object; `arrays` as above. */
+void mo_scene_write_environment(struct mo_text *text, struct mo_text *arrays,
+                                const struct mo_environment *environment);
+/* Writes what rollouts were computed with and what came of them: the members of an object, without
+ * arrays as the reply in JSON, which has no recordings. */
+int mo_scene_write(struct mo_text *text, struct mo_text *arrays, const struct mo_lattice *lattice,
+                   const struct mo_rollouts *rollouts);
+/* Replies with the phylogeny of a campaign as columns: the designs behind number `after` (-1: all),
+ * or, of them, the ancestors of the living and the living. tag: its ETag. */
+void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after, bool lineages,
+                          const char *tag);
+
+/* Joins header and arrays; *size bytes, malloc. NULL: no memory. Frees both. */
+char *mo_scene_join(struct mo_text *header, struct mo_text *arrays, size_t *size);
+
+#endif

@@ -1,0 +1,146 @@
+/* worlds.c: the environments and physics of scores, by hash, by name, and of a job; and the
+ * geometry of a design. What a hash names never changes, so clients may keep it. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/handlers.h"
+#include "api/job_json.h"
+#include "api/scene.h"
+#include "rollout/physics.h"
+#include "store/worlds.h"
+
+static bool read_hash(struct mo_request *request, struct mo_sha256 *hash)
+{
+  const char *digits = request->parameters[0];
+  if (mo_sha256_from_hex(digits, strlen(digits), hash) == MO_OK)
+    return true;
+  mo_reply_problem(request, 404, NULL, "A SHA-256 has 64 hexadecimal digits.");
+  return false;
+}
+
+static void reply_kept(struct mo_request *request, int error, struct mo_text *text,
+                       const char *what)
+{
+  mo_reply_text(request, error, text, what);
+  if (error == MO_OK)
+    mo_reply_keep(request);
+}
+
+void mo_api_get_environment(struct mo_request *request)
+{
+  struct mo_environment environment;
+  struct mo_text text = {0};
+  struct mo_sha256 hash;
+  if (!read_hash(request, &hash))
+    return;
+  const int error = mo_store_environment(mo_api_of(request)->store, &hash, &environment);
+  if (error == MO_OK)
+    mo_scene_write_environment(&text, NULL, &environment);
+  reply_kept(request, error, &text, "environment");
+}
+
+void mo_api_get_physics(struct mo_request *request)
+{
+  struct mo_text text = {0};
+  struct mo_physics physics;
+  enum mo_precision precision;
+  enum mo_sensor sensor;
+  struct mo_sha256 hash;
+  if (!read_hash(request, &hash))
+    return;
+  const int error =
+      mo_store_physics(mo_api_of(request)->store, &hash, &physics, &precision, &sensor);
+  if (error == MO_OK) {
+    mo_text_object(&text);
+    mo_member_hash(&text, "sha256", &hash);
+    mo_text_member(&text, "precision", precision == MO_FLOAT64 ? "float64" : "float32");
+    mo_text_member(&text, "sensor", mo_sensor_name(sensor));
+    mo_text_name(&text, "physics");
+    mo_fields_write_object(&text, &mo_physics_fields, &physics);
+    mo_text_add(&text, "}");
+  }
+  reply_kept(request, error, &text, "physics");
+}
+
+/* Replies with a list of environments, and frees them. */
+static void reply_environments(struct mo_request *request, int error,
+                               struct mo_environment *environments, uint32_t n, const char *what)
+{
+  struct mo_text text = {0};
+  if (error == MO_OK) {
+    mo_text_add(&text, "{\"items\":[");
+    for (uint32_t i = 0; i < n; i++)
+      mo_scene_write_environment(&text, NULL, &environments[i]);
+    mo_text_add(&text, "]}");
+    free(environments);
+  }
+  mo_reply_text(request, error, &text, what);
+}
+
+void mo_api_get_environment_set(struct mo_request *request)
+{
+  struct mo_environment *environments = NULL;
+  uint32_t n = 0;
+  const int error = mo_store_environment_set(mo_api_of(request)->store, request->parameters[0],
+                                             &environments, &n);
+  reply_environments(request, error, environments, n, "set of environments");
+}
+
+static void reply_of_job(struct mo_request *request, enum mo_job_kind kind)
+{
+  struct mo_environment *environments = NULL;
+  uint32_t n = 0;
+  int64_t id;
+  if (!mo_path_id(request, 0, &id))
+    return;
+  const int error =
+      mo_store_job_environments(mo_api_of(request)->store, id, kind, &environments, &n);
+  reply_environments(request, error, environments, n, mo_job_kind_name(kind));
+}
+
+void mo_api_get_evaluation_environments(struct mo_request *request)
+{
+  reply_of_job(request, MO_JOB_EVALUATION);
+}
+
+void mo_api_get_campaign_environments(struct mo_request *request)
+{
+  reply_of_job(request, MO_JOB_CAMPAIGN);
+}
+
+/* Reads a genotype of 144 digits, which tells its orientation, or an id, whose body is canonical.
+ */
+bool mo_read_design(struct mo_request *request, struct mo_bits *genotype)
+{
+  const char *digits = request->parameters[0];
+  const size_t size = strlen(digits);
+  const int error =
+      size == MO_DEFAULT_VOXELS
+          ? mo_genotype_from_text(MO_DEFAULT_WORKSPACE, digits, size, genotype->words, NULL)
+          : mo_genotype_from_id(MO_DEFAULT_WORKSPACE, digits, size, genotype->words);
+  if (error == MO_OK)
+    return true;
+  mo_reply_problem(request, 404, NULL,
+                   "A design is an id of 36 digits, or a genotype of 144 digits of 0 and 1.");
+  return false;
+}
+
+void mo_api_get_design_body(struct mo_request *request)
+{
+  const struct mo_lattice *lattice = mo_api_of(request)->lattice;
+  struct mo_bits genotype;
+  struct mo_body *body = NULL;
+  struct mo_text text = {0};
+  if (!mo_read_design(request, &genotype))
+    return;
+  mo_genotype_place(MO_DEFAULT_WORKSPACE, genotype.words);
+  int error = mo_body_create(lattice, genotype.words, &body);
+  if (error == MO_OK) {
+    mo_text_object(&text);
+    mo_member_bits(&text, "genotype", &genotype);
+    error = mo_scene_write_body(&text, NULL, lattice, body, &genotype);
+    mo_text_add(&text, "}");
+  }
+  mo_body_free(body);
+  reply_kept(request, error, &text, "design");
+}

@@ -1,0 +1,252 @@
+/* rollouts.c: see rollouts.h. */
+#include "jobs/rollouts.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "jobs/submission.h"
+#include "store/worlds.h"
+
+#define RECORDED_MAX ((uint64_t)64 << 20)
+
+void mo_rollouts_free(struct mo_rollouts *rollouts)
+{
+  if (rollouts == NULL)
+    return;
+  for (uint32_t i = 0; rollouts->designs != NULL && i < rollouts->n_designs; i++)
+    mo_body_free(rollouts->designs[i].body);
+  for (uint32_t i = 0;
+       rollouts->rollouts != NULL && i < rollouts->n_designs * rollouts->n_environments; i++) {
+    free(rollouts->rollouts[i].recording.com_m);
+    free(rollouts->rollouts[i].recording.mass_m);
+  }
+  free(rollouts->designs);
+  free(rollouts->environments);
+  free(rollouts->rollouts);
+  free(rollouts);
+}
+
+/* ---- what is asked for ---- */
+
+static int take_environments(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                             struct mo_rollouts *rollouts, struct mo_message *message)
+{
+  int error;
+  if (request->environment_set != NULL) {
+    error = mo_store_environment_set(jobs->store, request->environment_set, &rollouts->environments,
+                                     &rollouts->n_environments);
+    return error == MO_ERR_NOT_FOUND
+               ? mo_fail(message, error, "there is no set of environments of this name")
+               : error;
+  }
+  error =
+      mo_environments_check(request->environments, request->n_environments, "a request", message);
+  if (error != MO_OK)
+    return error;
+  rollouts->environments = malloc(request->n_environments * sizeof(*rollouts->environments));
+  if (rollouts->environments == NULL)
+    return MO_ERR_NO_MEMORY;
+  memcpy(rollouts->environments, request->environments,
+         request->n_environments * sizeof(*rollouts->environments));
+  rollouts->n_environments = request->n_environments;
+  return MO_OK;
+}
+
+static int take_designs(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                        struct mo_rollouts *rollouts, struct mo_message *message)
+{
+  struct mo_placed placed;
+  int error = mo_placed_create(request->genotypes, request->n_designs, &placed, message);
+  if (error != MO_OK)
+    return error;
+  rollouts->designs = calloc(request->n_designs, sizeof(*rollouts->designs));
+  if (rollouts->designs == NULL)
+    error = MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < request->n_designs && error == MO_OK; i++) {
+    struct mo_rolled_design *design = &rollouts->designs[i];
+    rollouts->n_designs = i + 1;
+    design->form = placed.forms[i];
+    design->genotype = placed.genotypes[i];
+    error = mo_body_create(jobs->lattice, design->genotype.words, &design->body);
+  }
+  mo_placed_free(&placed);
+  return error;
+}
+
+/* Refuses what is not short, or whose recording is large. */
+static int check_size(const struct mo_evaluation_request *request,
+                      const struct mo_rollouts *rollouts, struct mo_message *message)
+{
+  const uint64_t frame_masses = request->record_masses ? 12 : 0;
+  uint64_t springs = 0, bytes = 0;
+  if ((uint64_t)rollouts->n_designs * rollouts->n_environments > MO_ROLLOUTS_MAX)
+    return mo_fail(message, MO_ERR_LIMIT,
+                   "at most %d rollouts are computed at once; submit an evaluation for more",
+                   MO_ROLLOUTS_MAX);
+  for (uint32_t i = 0; i < rollouts->n_designs; i++) {
+    springs += rollouts->designs[i].body->n_springs;
+    bytes += (24 + frame_masses * rollouts->designs[i].body->n_masses) * rollouts->n_frames *
+             rollouts->n_environments;
+  }
+  if (!mo_is_short(rollouts->n_designs, springs, rollouts->n_environments, &request->physics,
+                   request->precision))
+    return mo_fail(message, MO_ERR_LIMIT,
+                   "these rollouts would take more than about a second of a core; submit an "
+                   "evaluation for them");
+  if (bytes > RECORDED_MAX)
+    return mo_fail(message, MO_ERR_LIMIT,
+                   "the recording would take %llu bytes, the limit is %llu: record with a larger "
+                   "stride",
+                   (unsigned long long)bytes, (unsigned long long)RECORDED_MAX);
+  return MO_OK;
+}
+
+static int prepare_recordings(const struct mo_evaluation_request *request,
+                              struct mo_rollouts *rollouts)
+{
+  const uint32_t n = rollouts->n_environments;
+  rollouts->rollouts = calloc((size_t)rollouts->n_designs * n, sizeof(*rollouts->rollouts));
+  if (rollouts->rollouts == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < rollouts->n_designs; i++)
+    for (uint32_t k = 0; k < n; k++) {
+      const uint32_t n_masses = rollouts->designs[i].body->n_masses;
+      struct mo_recording *recording = &rollouts->rollouts[i * n + k].recording;
+      recording->stride = request->record_stride;
+      if (request->record_com)
+        recording->com_m = malloc((size_t)rollouts->n_frames * 3 * sizeof(double));
+      if (request->record_masses)
+        recording->mass_m = malloc((size_t)rollouts->n_frames * n_masses * 3 * sizeof(float));
+      if ((request->record_com && recording->com_m == NULL) ||
+          (request->record_masses && recording->mass_m == NULL))
+        return MO_ERR_NO_MEMORY;
+    }
+  return MO_OK;
+}
+
+/* ---- computing ---- */
+
+/* A block of one design and some of the environments. */
+struct part {
+  uint32_t first; /* rollout */
+  struct mo_recording recordings[MO_BLOCK_LANES];
+};
+
+static void fill_block(const struct mo_evaluation_request *request, struct mo_rollouts *rollouts,
+                       struct mo_loaded *controller, uint32_t design, uint32_t first,
+                       struct part *part, struct mo_block *block)
+{
+  const bool records = request->record_com || request->record_masses;
+  const uint32_t left = rollouts->n_environments - first;
+  part->first = design * rollouts->n_environments + first;
+  *block = (struct mo_block){.body = rollouts->designs[design].body,
+                             .controller = controller->ready,
+                             .n_environments = left < MO_BLOCK_LANES ? left : MO_BLOCK_LANES,
+                             .physics = request->physics,
+                             .precision = request->precision,
+                             .urgency = MO_INTERACTIVE,
+                             .recordings = records ? part->recordings : NULL,
+                             .tag = -1};
+  for (uint32_t k = 0; k < block->n_environments; k++) {
+    block->environments[k] = &rollouts->environments[first + k];
+    part->recordings[k] = rollouts->rollouts[part->first + k].recording;
+  }
+}
+
+static int compute(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                   struct mo_rollouts *rollouts, struct mo_loaded *controller)
+{
+  const size_t n_max = (size_t)rollouts->n_designs * rollouts->n_environments;
+  struct part *parts = calloc(n_max, sizeof(*parts));
+  struct mo_block *blocks = calloc(n_max, sizeof(*blocks));
+  int error = parts != NULL && blocks != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  size_t n = 0;
+  for (uint32_t i = 0; i < rollouts->n_designs && error == MO_OK; i++)
+    for (uint32_t k = 0; k < rollouts->n_environments; k += MO_BLOCK_LANES, n++)
+      fill_block(request, rollouts, controller, i, k, &parts[n], &blocks[n]);
+  if (error == MO_OK)
+    error = mo_compute_run(jobs->compute, blocks, n);
+  for (size_t b = 0; b < n && error == MO_OK; b++)
+    for (uint32_t k = 0; k < blocks[b].n_environments; k++)
+      rollouts->rollouts[parts[b].first + k].outcome = blocks[b].outcomes[k];
+  free(parts);
+  free(blocks);
+  return error;
+}
+
+static void score(struct mo_rollouts *rollouts)
+{
+  for (uint32_t i = 0; i < rollouts->n_designs; i++) {
+    double sum = 0;
+    for (uint32_t k = 0; k < rollouts->n_environments; k++)
+      sum += rollouts->rollouts[i * rollouts->n_environments + k].outcome.loss;
+    rollouts->designs[i].score = sum / rollouts->n_environments;
+  }
+}
+
+/* The controllers of these requests are loaded once; the cache is for one thread at a time. */
+static int with_controller(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                           struct mo_rollouts *rollouts)
+{
+  struct mo_loaded *controller = NULL;
+  pthread_mutex_lock(&jobs->rollouts_mutex);
+  int error = mo_loaded_acquire(&jobs->rollout_controllers, &rollouts->controller, &controller);
+  pthread_mutex_unlock(&jobs->rollouts_mutex);
+  if (error != MO_OK)
+    return error;
+  rollouts->sensor = controller->controller->sensor;
+  error = compute(jobs, request, rollouts, controller);
+  pthread_mutex_lock(&jobs->rollouts_mutex);
+  mo_loaded_release(&jobs->rollout_controllers, controller);
+  pthread_mutex_unlock(&jobs->rollouts_mutex);
+  return error;
+}
+
+static int find_controller(struct mo_jobs *jobs, const char *name, struct mo_sha256 *sha256,
+                           struct mo_message *message)
+{
+  struct mo_controller_record stored;
+  const int error = mo_store_controller(jobs->store, name, &stored);
+  if (error == MO_ERR_NOT_FOUND)
+    return mo_fail(message, error, "there is no controller \"%s\"", name);
+  if (error == MO_OK && !mo_workspace_equal(stored.workspace, MO_DEFAULT_WORKSPACE))
+    return mo_fail(message, MO_ERR_UNSUPPORTED, "the controller is for another workspace");
+  *sha256 = stored.sha256;
+  return error;
+}
+
+int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                 struct mo_rollouts **ret, struct mo_message *message)
+{
+  struct mo_rollouts *rollouts = calloc(1, sizeof(*rollouts));
+  int error = rollouts != NULL ? mo_physics_check(&request->physics, message) : MO_ERR_NO_MEMORY;
+  if (error == MO_OK && atomic_load(&jobs->is_stopping))
+    error = MO_ERR_CANCELLED;
+  if (error == MO_OK && (request->n_designs < 1 || request->n_designs > MO_ROLLOUTS_MAX))
+    error = mo_fail(message, MO_ERR_LIMIT,
+                    "1 to %d designs are rolled out at once; submit an evaluation for more",
+                    MO_ROLLOUTS_MAX);
+  if (error == MO_OK)
+    error = take_environments(jobs, request, rollouts, message);
+  if (error == MO_OK)
+    error = find_controller(jobs, request->controller, &rollouts->controller, message);
+  if (error == MO_OK)
+    error = take_designs(jobs, request, rollouts, message);
+  if (error == MO_OK) {
+    rollouts->physics = request->physics;
+    rollouts->precision = request->precision;
+    rollouts->n_frames = mo_recording_frames(&request->physics, request->record_stride);
+    error = check_size(request, rollouts, message);
+  }
+  if (error == MO_OK)
+    error = prepare_recordings(request, rollouts);
+  if (error == MO_OK)
+    error = with_controller(jobs, request, rollouts);
+  if (error != MO_OK) {
+    mo_rollouts_free(rollouts);
+    return error;
+  }
+  score(rollouts);
+  *ret = rollouts;
+  return MO_OK;
+}

@@ -1,0 +1,44 @@
+/* rollouts.h: rollouts that are computed at once and stored nowhere: for viewers and editors, which
+ * ask for many that nobody needs again. */
+#ifndef MORPHO_JOBS_ROLLOUTS_H
+#define MORPHO_JOBS_ROLLOUTS_H
+
+#include "jobs/evaluations.h"
+
+#define MO_ROLLOUTS_MAX 64 /* in one request: a design in the largest set, or several designs */
+
+struct mo_rolled_design {
+  struct mo_bits form, genotype; /* canonical; as it was scored */
+  struct mo_body *body;
+  double score; /* mean loss; +infinity: a rollout diverged */
+};
+
+struct mo_rolled {
+  struct mo_outcome outcome;
+  struct mo_recording recording; /* owned; NULL arrays: not recorded */
+};
+
+struct mo_rollouts {
+  uint32_t n_designs, n_environments, n_frames;
+  struct mo_rolled_design *designs;    /* (n_designs) */
+  struct mo_environment *environments; /* (n_environments) */
+  struct mo_rolled *rollouts;          /* (n_designs, n_environments) */
+  struct mo_physics physics;
+  enum mo_precision precision;
+  struct mo_sha256 controller;
+  enum mo_sensor sensor; /* of the controller */
+};
+void mo_rollouts_free(struct mo_rollouts *rollouts); /* NULL-safe */
+
+/* Computes what a request for an evaluation asks for, ahead of all batch work, and waits for it: at
+ * most about a second of a core. Ignores what belongs to a job: priority, back end, weight, label,
+ * key and `verify`. The losses have the bits of an evaluation's.
+ * - MO_ERR_RANGE, MO_ERR_INVALID: a value is outside its bounds
+ * - MO_ERR_LIMIT: they would take too long, or be too large: an evaluation is meant for them
+ * - MO_ERR_NOT_FOUND: no such controller or set
+ * - MO_ERR_UNSUPPORTED: the controller is for another workspace
+ * - MO_ERR_CANCELLED: the service is stopping */
+int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                 struct mo_rollouts **rollouts, struct mo_message *message);
+
+#endif
