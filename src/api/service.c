@@ -118,24 +118,3 @@ void mo_api_get_contract(struct mo_request *request)
   mo_reply_static(request, 200, "application/json", mo_openapi_json, mo_openapi_json_size);
   mo_reply_etag(request, "openapi-%s", mo_api_of(request)->contract_tag);
 }
-
-static const char index_page[] =
-    "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>morphod</title>\n"
-    "<style>body{font-family:sans-serif;max-width:40em;margin:3em "
-    "auto;line-height:1.5}</style></head>\n"
-    "<body><h1>morphod</h1>\n<p>Scores of voxel robots, durable, and never different.</p>\n<ul>\n"
-    "<li><a href=\"/openapi.json\">The HTTP contract</a> (OpenAPI 3.1)</li>\n"
-    "<li><a href=\"/v1/jobs\">Jobs</a>, <a href=\"/v1/evaluations\">evaluations</a>, <a "
-    "href=\"/v1/trainings\">trainings</a>, <a href=\"/v1/campaigns\">campaigns</a>, <a "
-    "href=\"/v1/designs\">designs</a>, <a href=\"/v1/controllers\">controllers</a>, <a "
-    "href=\"/v1/threads\">threads</a>, <a href=\"/v1/devices\">devices</a></li>\n"
-    "<li><a href=\"/healthz\">Health</a>, <a href=\"/readyz\">readiness</a>, <a "
-    "href=\"/metrics\">metrics</a></li>\n"
-    "</ul></body></html>\n";
-
-void mo_api_get_index(struct mo_request *request)
-{
-  mo_reply_static(request, 200, "text/html; charset=utf-8", index_page, sizeof(index_page) - 1);
-  mo_reply_extra(request, "Content-Security-Policy",
-                 "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'");
-}

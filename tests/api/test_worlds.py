@@ -173,6 +173,23 @@ def test_a_phylogeny_as_columns(service):
     assert len(service.get(f"/v1/campaigns/{campaign['id']}/environments")["items"]) == 1
 
 
+def test_the_dashboard_is_served(service):
+    page = service.request("GET", "/")
+    assert page.headers["Content-Type"] == "text/html; charset=utf-8"
+    assert "default-src 'none'" in page.headers["Content-Security-Policy"]
+    script = page.body.split(b'type="module" src="')[1].split(b'"')[0].decode()
+    plain = service.request("GET", "/" + script)
+    assert plain.headers["Content-Type"].startswith("text/javascript")
+    assert plain.headers["Cache-Control"] == "private, max-age=31536000, immutable"
+    packed = service.request("GET", "/" + script, headers={"Accept-Encoding": "gzip, br"})
+    assert packed.headers["Content-Encoding"] == "gzip" and len(packed.body) < len(plain.body) / 2
+    tag = {"If-None-Match": page.headers["ETag"]}
+    assert service.request("GET", "/", headers=tag).status == 304
+    folder = script.rsplit("/", 1)[0]
+    for path in ("/assets/0000000000000000/app.js", f"/{folder}/none.js", f"/{folder}/lib/none.js"):
+        service.refuses(path, "", status=404)
+
+
 def test_load_is_sampled(service):
     assert isinstance(service.get("/v1/load")["items"], list)
     service.refuses("/v1/load?", "seconds=0", "seconds=3601")

@@ -1,0 +1,200 @@
+/** The dashboard: its frame, its routes, and what all views share. */
+
+import { connection, decoded, getJson, getToken, setToken, takeToken } from './lib/api.js';
+import { button, fill, h, svg } from './lib/dom.js';
+import { Events } from './lib/events.js';
+
+const VIEWS = {
+  overview: { name: 'Overview', load: () => import('./views/overview.js') },
+  campaigns: { name: 'Campaigns', load: () => import('./views/campaign.js') },
+  trainings: { name: 'Trainings', load: () => import('./views/trainings.js') },
+  designs: { name: 'Designs', load: () => import('./views/designs.js') },
+  editor: { name: 'Editor', load: () => import('./views/editor.js') },
+  stage: { name: 'Stage', load: () => import('./views/stage.js') },
+};
+
+/** What views use of the page. */
+export const app = {
+  events: new Events(),
+  /** @type {'dark'|'light'} */
+  theme: 'dark',
+  /** Called with the theme after each change. */
+  themeListeners: new Set(),
+  /** The contract: bounds and defaults of the forms. Loaded once, when first asked for. */
+  contract() {
+    this.contractLoad ??= getJson('openapi.json');
+    return this.contractLoad;
+  },
+  /** Goes to a view: go('stage', {designs: '…'}). */
+  go(path, parameters = {}) {
+    const query = new URLSearchParams(parameters).toString();
+    location.hash = `#/${path}${query ? `?${query}` : ''}`;
+  },
+  /** Changes the parameters of the present view's link without leaving the view. */
+  keep(parameters) {
+    const [path, query] = location.hash.slice(2).split('?');
+    const all = new URLSearchParams(query);
+    for (const [key, value] of Object.entries(parameters)) {
+      if (value === null || value === undefined || value === '') all.delete(key);
+      else all.set(key, value);
+    }
+    const text = all.toString();
+    history.replaceState(null, '', `#/${path}${text ? `?${text}` : ''}`);
+  },
+};
+
+const THEME_KEY = 'morphod-theme';
+
+function setTheme(theme) {
+  app.theme = theme;
+  document.documentElement.dataset.theme = theme;
+  for (const listener of app.themeListeners) listener(theme);
+}
+
+function startTheme() {
+  const system = matchMedia('(prefers-color-scheme: light)');
+  let chosen = null;
+  try {
+    chosen = localStorage.getItem(THEME_KEY);
+  } catch {
+    // Storage may be forbidden.
+  }
+  setTheme(chosen ?? (system.matches ? 'light' : 'dark'));
+  system.addEventListener('change', () => {
+    if (!chosen) setTheme(system.matches ? 'light' : 'dark');
+  });
+  return (theme) => {
+    chosen = theme;
+    try {
+      localStorage.setItem(THEME_KEY, theme);
+    } catch {
+      // As above.
+    }
+    setTheme(theme);
+  };
+}
+
+function brand() {
+  return h('a.brand', { href: '#/' }, svg('svg', { viewBox: '4 2 26 27', 'aria-hidden': 'true' },
+    svg('path', { fill: '#ffd089', d: 'M16 4l9 5-9 5-9-5z' }),
+    svg('path', { fill: '#f3a536', d: 'M7 9l9 5v11l-9-5z' }),
+    svg('path', { fill: '#c97d14', d: 'M25 9l-9 5v11l9-5z' })), 'morphod');
+}
+
+function askForToken(retry) {
+  const input = h('input', { type: 'password', autocomplete: 'off', required: true, 'aria-label': 'Token' });
+  const dialog = h('dialog', { 'aria-label': 'Token' }, h('form', {
+    method: 'dialog',
+    onsubmit: () => {
+      setToken(input.value.trim());
+      dialog.remove();
+      retry();
+    },
+  }, h('p.wide', {}, 'This service asks for a token. The command ', h('code', {}, 'morphoctl dashboard'),
+    ' opens the page with it. It is kept until this tab is closed.'),
+  h('label.field.wide', {}, h('span', {}, 'Token'), input),
+  h('button.primary', { type: 'submit' }, 'Continue')));
+  document.body.append(dialog);
+  dialog.showModal();
+}
+
+class Frame {
+  constructor(chooseTheme) {
+    this.links = Object.entries(VIEWS).map(([key, view]) =>
+      [key, h('a', { href: key === 'overview' ? '#/' : `#/${key}` }, view.name)]);
+    this.banner = h('div.banner', { role: 'status', hidden: true });
+    this.main = h('main', { id: 'main', tabindex: -1 });
+    const theme = button('', () => chooseTheme(app.theme === 'dark' ? 'light' : 'dark'));
+    const nameTheme = () => { theme.textContent = app.theme === 'dark' ? 'Light' : 'Dark'; };
+    theme.setAttribute('aria-label', 'Change between dark and light');
+    app.themeListeners.add(nameTheme);
+    nameTheme();
+    fill(document.getElementById('frame'), h('header.bar', {}, brand(),
+      h('nav', { 'aria-label': 'Views' }, this.links.map(([, link]) => link)),
+      h('div.side', {}, theme)), this.banner, this.main);
+    document.getElementById('frame').style.display = 'contents';
+    connection.listeners.add((up) => this.#tell(up));
+    document.getElementById('skip').addEventListener('click', (event) => {
+      event.preventDefault();
+      this.main.focus();
+    });
+    this.view = null;
+  }
+
+  #tell(up) {
+    this.banner.hidden = up;
+    if (up) {
+      if (this.wasDown) this.view?.update?.({ type: 'reset' });
+      this.wasDown = false;
+      clearInterval(this.probe);
+      return;
+    }
+    this.wasDown = true;
+    this.banner.textContent = 'The service cannot be reached. What is shown may be old; ' +
+      'the page tries again by itself.';
+    clearInterval(this.probe);
+    this.probe = setInterval(() => getJson('healthz').catch(() => {}), 1500);
+  }
+
+  /** Shows the view that the address names. */
+  async route() {
+    const [path, query] = location.hash.replace(/^#\/?/, '').split('?');
+    const [key, ...rest] = path.split('/').map(decoded);
+    const name = key || 'overview';
+    const entry = VIEWS[name];
+    const parameters = new URLSearchParams(query);
+    this.view?.unmount?.();
+    this.view = null;
+    this.main.classList.toggle('full', name === 'stage');
+    for (const [other, link] of this.links) {
+      if (other === name) link.setAttribute('aria-current', 'page');
+      else link.removeAttribute('aria-current');
+    }
+    document.title = `${entry?.name ?? 'Not found'} · morphod`;
+    if (!entry) {
+      fill(this.main, h('h1', {}, 'There is no such page'), h('p', {}, h('a', { href: '#/' }, 'To the overview')));
+      return;
+    }
+    const turn = (this.turn = (this.turn ?? 0) + 1);
+    fill(this.main, h('p.muted', { role: 'status' }, 'Loading…'));
+    try {
+      const { mount } = await entry.load();
+      if (turn !== this.turn) return;
+      const view = await mount(this.main, rest.filter(Boolean), parameters, app);
+      if (turn !== this.turn) view?.unmount?.();
+      else this.view = view;
+    } catch (error) {
+      if (turn !== this.turn) return;
+      if (error.status === 401) askForToken(() => this.start());
+      fill(this.main, h('h1', {}, error.status === 404 ? 'Not found' : 'This page could not be shown'),
+        h('p.error', { role: 'alert' }, error.message),
+        h('p', {}, button('Try again', () => this.route())));
+      if (!error.status && error.name !== 'ApiError' && !(error.status === 0)) console.error(error);
+    }
+  }
+
+  async start() {
+    try {
+      this.recent = await app.events.start();
+      app.recent = this.recent;
+    } catch {
+      app.recent = [];
+    }
+    await this.route();
+  }
+}
+
+takeToken();
+const frame = new Frame(startTheme());
+app.events.listen((event) => {
+  if (event.type !== 'reset') {
+    app.recent = [...(app.recent ?? []), event].slice(-60);
+  }
+  frame.view?.update?.(event);
+});
+window.addEventListener('hashchange', () => {
+  if (/[#&]token=/.test(location.hash)) takeToken();
+  frame.route();
+});
+if (getToken() === null && /[#&]token=/.test(location.hash)) takeToken();
+frame.start();

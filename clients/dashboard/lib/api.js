@@ -1,0 +1,178 @@
+/**
+ * Talks with the daemon that served this page. All addresses are relative, so that the page works
+ * below any path; the token goes in a header alone.
+ */
+
+const TOKEN_KEY = 'morphod-token';
+
+/** A refusal of the daemon, or a connection that failed (status 0). */
+export class ApiError extends Error {
+  constructor(status, problem, retryAfterS) {
+    super(problem.detail ?? problem.title ?? `The service answered with ${status}.`);
+    this.status = status;
+    /** Faults of the request, each with a JSON pointer. @type {{pointer: string, detail: string}[]} */
+    this.faults = problem.errors ?? [];
+    this.retryAfterS = retryAfterS;
+  }
+}
+
+let memoryToken = null;
+
+/** A part of an address; what is not well formed stays as it is. */
+export function decoded(text) {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text;
+  }
+}
+
+/** Takes the token out of the address (#token=…), so that it is neither kept nor sent there. */
+export function takeToken() {
+  const match = /[#&]token=([^&]*)/.exec(location.hash);
+  if (match) {
+    setToken(decoded(match[1]));
+    const rest = location.hash.replace(match[0], '').replace(/^&/, '#');
+    history.replaceState(null, '', location.pathname + location.search + (rest || '#/'));
+  }
+}
+
+export function setToken(token) {
+  memoryToken = token;
+  try {
+    if (token) sessionStorage.setItem(TOKEN_KEY, token);
+    else sessionStorage.removeItem(TOKEN_KEY);
+  } catch {
+    // Storage may be forbidden; the token then lasts as long as the page.
+  }
+}
+
+export function getToken() {
+  try {
+    memoryToken ??= sessionStorage.getItem(TOKEN_KEY);
+  } catch {
+    // As above.
+  }
+  return memoryToken;
+}
+
+/** The connection's state, for the banner: true, false, or null before the first answer. */
+export const connection = { up: null, listeners: new Set() };
+
+function setConnection(up) {
+  if (connection.up === up) return;
+  connection.up = up;
+  for (const listener of connection.listeners) listener(up);
+}
+
+/**
+ * Sends one request.
+ * @param {string} path relative, like "v1/jobs"
+ * @param {{method?: string, body?: any, headers?: Object<string, string>, signal?: AbortSignal}} [options]
+ * @returns {Promise<Response>} a reply below 400; throws ApiError
+ */
+export async function request(path, options = {}) {
+  const { method = 'GET', body, headers = {}, signal } = options;
+  const all = { ...headers };
+  const token = getToken();
+  if (token) all.Authorization = `Bearer ${token}`;
+  if (body !== undefined) all['Content-Type'] = 'application/json';
+  let response;
+  try {
+    response = await fetch(path, {
+      method, headers: all, signal, credentials: 'omit', redirect: 'error',
+      body: body === undefined ? undefined : JSON.stringify(body),
+    });
+  } catch (error) {
+    if (signal?.aborted) throw error;
+    setConnection(false);
+    throw new ApiError(0, { detail: 'The service cannot be reached.' });
+  }
+  // A proxy answers for a daemon that is down.
+  setConnection(![502, 504].includes(response.status));
+  if (response.ok) return response;
+  const problem = await response.json().catch(() => ({}));
+  throw new ApiError(response.status, problem, Number(response.headers.get('Retry-After')) || undefined);
+}
+
+export async function getJson(path, options) {
+  return (await request(path, options)).json();
+}
+
+export async function post(path, body, options = {}) {
+  const response = await request(path, { method: 'POST', body, ...options });
+  return response.status === 204 ? null : response.json();
+}
+
+/** Waits as long as Retry-After asks, at most `limit` times, and sends again. */
+export async function patient(send, limit = 5) {
+  for (let i = 0; ; i++) {
+    try {
+      return await send();
+    } catch (error) {
+      const again = error instanceof ApiError && [429, 503].includes(error.status);
+      if (!again || i >= limit) throw error;
+      await new Promise((resolve) => setTimeout(resolve, 1000 * Math.min(error.retryAfterS ?? 1, 10)));
+    }
+  }
+}
+
+/** A path with a query; parameters that are undefined, null or '' are left out. */
+export function withQuery(path, parameters) {
+  const query = new URLSearchParams(
+    Object.entries(parameters).filter(([, value]) => value !== undefined && value !== null && value !== ''),
+  ).toString();
+  return query ? `${path}?${query}` : path;
+}
+
+/**
+ * All rows of a list, page by page; `each` is called with every page and may return false to stop.
+ * @param {{signal?: AbortSignal, limit?: number}} [options]
+ */
+export async function pages(path, each, options = {}) {
+  const { signal, limit = 1000 } = options;
+  let cursor;
+  do {
+    const page = await getJson(withQuery(path, { cursor, limit }), { signal });
+    if (each(page.items, page) === false) return;
+    cursor = page.next_cursor;
+  } while (cursor !== null);
+}
+
+/**
+ * A curve that grows: keeps its rows and brings those that came since. The newest row's number is the
+ * cursor of what follows.
+ */
+export class Curve {
+  constructor(path, { limit = 1000, parameters = {} } = {}) {
+    this.path = path;
+    this.limit = limit;
+    this.parameters = parameters;
+    this.rows = [];
+    this.cursor = undefined;
+    this.loading = null;
+  }
+
+  /** Brings new rows; true if there were any. Calls at the same time share one request. */
+  async refresh(signal) {
+    this.loading ??= this.#refresh(signal).finally(() => {
+      this.loading = null;
+    });
+    return this.loading;
+  }
+
+  async #refresh(signal) {
+    const before = this.rows.length;
+    for (;;) {
+      const page = await getJson(
+        withQuery(this.path, { ...this.parameters, cursor: this.cursor, limit: this.limit }), { signal });
+      this.rows.push(...page.items);
+      if (page.items.length) this.cursor = this.cursorOf(page.items.at(-1));
+      if (page.next_cursor === null || !page.items.length) return this.rows.length > before;
+    }
+  }
+
+  cursorOf(row) {
+    return row.step ?? row.generation;
+  }
+}

@@ -1,0 +1,135 @@
+/**
+ * The body that a genotype expresses: its masses, springs and outer faces, in the orders of the
+ * daemon's arrays (docs/scenes.md). A workspace of nx × ny × nz voxels has a lattice of
+ * (nx+1) × (ny+1) × (nz+1) masses; voxel index (x·ny + y)·nz + z, mass index
+ * (x·(ny+1) + y)·(nz+1) + z.
+ */
+
+/** Edge of a voxel, in meters. */
+export const VOXEL_M = 0.1;
+
+/**
+ * Sides of the default workspace, in voxels.
+ * @type {readonly number[]}
+ */
+export const WORKSPACE = Object.freeze([6, 6, 4]);
+
+/**
+ * The four corners of each side of a voxel, as indices into its eight masses (ascending, so that
+ * corner c lies at x = c >> 2, y = (c >> 1) & 1, z = c & 1), counter-clockwise seen from outside.
+ */
+export const FACE_CORNERS = [
+  [0, 1, 3, 2],
+  [4, 6, 7, 5],
+  [0, 4, 5, 1],
+  [2, 3, 7, 6],
+  [0, 2, 6, 4],
+  [1, 5, 7, 3],
+];
+
+const FACE_STEPS = [
+  [-1, 0, 0],
+  [1, 0, 0],
+  [0, -1, 0],
+  [0, 1, 0],
+  [0, 0, -1],
+  [0, 0, 1],
+];
+
+/** Pairs of a voxel's corners that a spring joins: 12 edges (true: a face diagonal) and 12 diagonals. */
+const VOXEL_SPRINGS = [];
+for (let a = 0; a < 8; a++) {
+  for (let b = a + 1; b < 8; b++) {
+    const differing = [1, 2, 4].filter((bit) => (a ^ b) & bit).length;
+    if (differing < 3) VOXEL_SPRINGS.push([a, b, differing === 2]);
+  }
+}
+
+/** Tells whether a genotype (a text of '0' and '1') has a voxel at (x, y, z). */
+export function hasVoxel(genotype, x, y, z, workspace = WORKSPACE) {
+  const [nx, ny, nz] = workspace;
+  if (x < 0 || y < 0 || z < 0 || x >= nx || y >= ny || z >= nz) return false;
+  return genotype[(x * ny + y) * nz + z] === '1';
+}
+
+/** The cells [x, y, z] of a genotype, in voxel order. */
+export function cellsOf(genotype, [nx, ny, nz] = WORKSPACE) {
+  const cells = [];
+  for (let v = 0; v < nx * ny * nz; v++) {
+    if (genotype[v] === '1') cells.push([Math.floor(v / (ny * nz)), Math.floor(v / nz) % ny, v % nz]);
+  }
+  return cells;
+}
+
+/** The genotype with voxels at the given cells. */
+export function genotypeOf(cells, [nx, ny, nz] = WORKSPACE) {
+  const voxels = new Array(nx * ny * nz).fill('0');
+  for (const [x, y, z] of cells) voxels[(x * ny + y) * nz + z] = '1';
+  return voxels.join('');
+}
+
+/** The genotype that an id (36 hexadecimal digits) spells: its canonical form. */
+export function genotypeOfId(id, [nx, ny, nz] = WORKSPACE) {
+  const bits = [...id].map((digit) => parseInt(digit, 16).toString(2).padStart(4, '0')).join('');
+  return bits.slice(0, nx * ny * nz);
+}
+
+/**
+ * Expresses a genotype.
+ *
+ * @param {string} genotype '0' and '1', one per voxel, in voxel order
+ * @param {readonly number[]} workspace voxels along x, y and z
+ * @returns {{masses: Uint16Array, springs: Uint16Array, diagonal: Uint8Array, voxels: Uint16Array,
+ *            faces: Uint16Array, nMasses: number, nSprings: number, nVoxels: number,
+ *            nFaces: number}}
+ *   masses (n, 3) lattice coordinates; springs (n, 2) positions in the array of masses; diagonal
+ *   (n) 1 for a face diagonal; voxels (n, 8) positions of their masses; faces (n, 2) voxel and
+ *   side, of the sides that no other voxel covers
+ */
+export function bodyOf(genotype, workspace = WORKSPACE) {
+  const [nx, ny, nz] = workspace;
+  const cells = cellsOf(genotype, workspace);
+  const massOf = (x, y, z) => (x * (ny + 1) + y) * (nz + 1) + z;
+  const corners = cells.map(([x, y, z]) =>
+    Array.from({ length: 8 }, (_, c) => massOf(x + (c >> 2), y + ((c >> 1) & 1), z + (c & 1))),
+  );
+
+  const lattice = [...new Set(corners.flat())].sort((a, b) => a - b);
+  const place = new Map(lattice.map((mass, i) => [mass, i]));
+  const masses = new Uint16Array(lattice.length * 3);
+  lattice.forEach((mass, i) => {
+    masses[3 * i] = Math.floor(mass / ((ny + 1) * (nz + 1)));
+    masses[3 * i + 1] = Math.floor(mass / (nz + 1)) % (ny + 1);
+    masses[3 * i + 2] = mass % (nz + 1);
+  });
+
+  const voxels = Uint16Array.from(corners.flat(), (mass) => place.get(mass));
+  const joined = new Map();
+  for (let v = 0; v < cells.length; v++) {
+    for (const [a, b, isDiagonal] of VOXEL_SPRINGS) {
+      joined.set(voxels[8 * v + a] * lattice.length + voxels[8 * v + b], isDiagonal);
+    }
+  }
+  const keys = [...joined.keys()].sort((a, b) => a - b);
+  const springs = Uint16Array.from(
+    keys.flatMap((key) => [Math.floor(key / lattice.length), key % lattice.length]),
+  );
+
+  const faces = [];
+  cells.forEach(([x, y, z], v) => {
+    FACE_STEPS.forEach(([dx, dy, dz], side) => {
+      if (!hasVoxel(genotype, x + dx, y + dy, z + dz, workspace)) faces.push(v, side);
+    });
+  });
+  return {
+    masses,
+    springs,
+    diagonal: Uint8Array.from(keys, (key) => (joined.get(key) ? 1 : 0)),
+    voxels,
+    faces: Uint16Array.from(faces),
+    nMasses: lattice.length,
+    nSprings: keys.length,
+    nVoxels: cells.length,
+    nFaces: faces.length / 2,
+  };
+}

@@ -1,0 +1,356 @@
+/**
+ * Charts of curves that grow: bands, lines and points on a canvas, with axes, a cursor that tells the
+ * values, and a text for screen readers. 100,000 points with a band are drawn at once: what falls on
+ * one column of pixels is drawn as its range.
+ */
+
+import { h } from './dom.js';
+import { number } from './format.js';
+
+/**
+ * @typedef {Object} Series
+ * @property {string} name
+ * @property {'line'|'band'|'points'} [kind] a line unless told
+ * @property {ArrayLike<number>} x ascending
+ * @property {ArrayLike<number>} y NaN: no value
+ * @property {ArrayLike<number>} [low] of a band
+ * @property {ArrayLike<number>} [high] of a band
+ * @property {string} color name of a custom property of CSS, or a color
+ * @property {number[]} [dash]
+ * @property {number} [opacity]
+ * @property {boolean} [silent] not in the legend, not under the cursor
+ */
+
+const MARGIN = { left: 52, right: 12, top: 10, bottom: 26 };
+
+/** Round steps of an axis: about `n` of them between two values. */
+export function ticks(from, to, n) {
+  const span = to - from;
+  if (!(span > 0)) return [from];
+  const raw = span / n;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= raw);
+  const all = [];
+  for (let i = Math.ceil(from / step - 1e-9); i * step <= to + step * 1e-9; i++) all.push(i * step);
+  return all;
+}
+
+function logTicks(from, to) {
+  const all = [];
+  for (let e = Math.floor(Math.log10(from)); e <= Math.ceil(Math.log10(to)); e++) {
+    for (const m of to / from > 200 ? [1] : [1, 2, 5]) {
+      const tick = m * 10 ** e;
+      if (tick >= from * 0.999 && tick <= to * 1.001) all.push(tick);
+    }
+  }
+  return all.length >= 2 ? all : ticks(from, to, 4);
+}
+
+/** Index of the last value of an ascending list that is at most `value`; -1 if there is none. */
+export function lastAtMost(list, value) {
+  let low = 0;
+  let high = list.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (list[middle] <= value) low = middle + 1;
+    else high = middle;
+  }
+  return low - 1;
+}
+
+export class Chart {
+  /**
+   * @param {{title: string, unit?: string, xName?: string, log?: boolean, height?: number,
+   *          minimum?: number, maximum?: number, empty?: string}} options
+   */
+  constructor(options) {
+    this.options = { xName: 'generation', height: 220, empty: 'No values yet.', ...options };
+    /** @type {Series[]} */
+    this.series = [];
+    this.cursor = -1;
+    this.canvas = h('canvas', {
+      tabindex: 0, role: 'img', 'aria-label': `${options.title}: no values yet`,
+    });
+    this.canvas.style.minHeight = `${this.options.height}px`;
+    this.readout = h('div.readout', { 'aria-live': 'polite' });
+    this.legend = h('div.legend');
+    this.element = h('figure.panel.chart', {},
+      h('figcaption', {}, h('h3', {}, options.title), this.legend), this.canvas, this.readout);
+    this.canvas.addEventListener('pointermove', (event) => this.#point(event.offsetX));
+    this.canvas.addEventListener('pointerleave', () => this.#moveCursor(-1));
+    this.canvas.addEventListener('keydown', (event) => this.#key(event));
+    this.observer = new ResizeObserver(() => this.draw());
+    this.observer.observe(this.canvas);
+  }
+
+  /** Takes what there is to draw. @param {Series[]} series */
+  set(series) {
+    this.series = series;
+    this.legend.replaceChildren(...series.filter((s) => !s.silent).map((s) => {
+      const swatch = h('i.swatch');
+      swatch.style.background = s.color.startsWith('--') ? `var(${s.color})` : s.color;
+      return h('span', {}, swatch, s.name);
+    }));
+    this.canvas.setAttribute('aria-label', this.#summary());
+    this.draw();
+  }
+
+  destroy() {
+    this.observer.disconnect();
+  }
+
+  #summary() {
+    const { title, xName } = this.options;
+    const parts = this.series.filter((s) => !s.silent && s.kind !== 'band' && s.x.length).map((s) => {
+      const last = s.x.length - 1;
+      return `${s.name} from ${number(s.y[0])} at ${xName} ${number(s.x[0])} to ${number(s.y[last])} ` +
+        `at ${xName} ${number(s.x[last])}`;
+    });
+    return parts.length ? `${title}: ${parts.join('; ')}` : `${title}: ${this.options.empty}`;
+  }
+
+  #range() {
+    let [x0, x1, y0, y1] = [Infinity, -Infinity, Infinity, -Infinity];
+    for (const s of this.series) {
+      const n = s.x.length;
+      if (!n) continue;
+      x0 = Math.min(x0, s.x[0]);
+      x1 = Math.max(x1, s.x[n - 1]);
+      for (const list of s.kind === 'band' ? [s.low, s.high] : [s.y]) {
+        for (let i = 0; i < n; i++) {
+          const value = list[i];
+          if (!Number.isFinite(value) || (this.options.log && value <= 0)) continue;
+          if (value < y0) y0 = value;
+          if (value > y1) y1 = value;
+        }
+      }
+    }
+    if (!Number.isFinite(x0) || !Number.isFinite(y0)) return null;
+    if (x1 === x0) x1 = x0 + 1;
+    if (this.options.log) {
+      if (y1 / y0 < 1.2) [y0, y1] = [y0 / 1.2, y1 * 1.2];
+      return { x0, x1, y0: y0 * 0.94, y1: y1 * 1.06 };
+    }
+    y0 = Math.min(y0, this.options.minimum ?? y0);
+    y1 = Math.max(y1, this.options.maximum ?? y1);
+    const room = (y1 - y0 || Math.abs(y1) || 1) * 0.05;
+    return { x0, x1, y0: y0 === 0 ? 0 : y0 - room, y1: y1 + room };
+  }
+
+  /** Draws the chart at the present size of its canvas. */
+  draw() {
+    const { canvas } = this;
+    const width = canvas.clientWidth;
+    const height = canvas.clientHeight;
+    if (!width || !height) return;
+    const started = performance.now();
+    const ratio = devicePixelRatio;
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+    const context = canvas.getContext('2d');
+    context.scale(ratio, ratio);
+    const style = getComputedStyle(canvas);
+    const color = (name) => (name.startsWith('--') ? style.getPropertyValue(name).trim() : name);
+    context.font = `12px ${style.fontFamily}`;
+    const range = this.#range();
+    if (!range) {
+      context.fillStyle = color('--muted');
+      context.fillText(this.options.empty, MARGIN.left, height / 2);
+      this.scale = null;
+      return;
+    }
+    const scale = this.#scale(range, width, height);
+    this.scale = scale;
+    this.#axes(context, scale, width, height, color);
+    context.save();
+    context.beginPath();
+    context.rect(MARGIN.left, 0, width - MARGIN.left - MARGIN.right + 1, height - MARGIN.bottom + 1);
+    context.clip();
+    for (const s of this.series) {
+      context.globalAlpha = s.opacity ?? 1;
+      if (s.kind === 'band') this.#band(context, s, scale, color(s.color));
+      else if (s.kind === 'points') this.#points(context, s, scale, color(s.color));
+      else this.#line(context, s, scale, color(s.color));
+    }
+    context.globalAlpha = 1;
+    context.restore();
+    if (this.cursor >= 0) this.#drawCursor(context, scale, height, color);
+    this.drawMs = performance.now() - started;
+  }
+
+  #scale({ x0, x1, y0, y1 }, width, height) {
+    const [left, right] = [MARGIN.left, width - MARGIN.right];
+    const [top, bottom] = [MARGIN.top, height - MARGIN.bottom];
+    const toY = this.options.log ? Math.log : (y) => y;
+    const [low, high] = [toY(y0), toY(y1)];
+    return {
+      x0, x1, y0, y1,
+      x: (x) => left + ((x - x0) / (x1 - x0)) * (right - left),
+      y: (y) => bottom - ((toY(y) - low) / (high - low)) * (bottom - top),
+      back: (px) => x0 + ((px - left) / (right - left)) * (x1 - x0),
+    };
+  }
+
+  #axes(context, scale, width, height, color) {
+    const { log } = this.options;
+    context.strokeStyle = color('--grid');
+    context.fillStyle = color('--muted');
+    context.lineWidth = 1;
+    context.textAlign = 'right';
+    context.textBaseline = 'middle';
+    for (const tick of log ? logTicks(scale.y0, scale.y1) : ticks(scale.y0, scale.y1, 4)) {
+      const y = Math.round(scale.y(tick)) + 0.5;
+      context.beginPath();
+      context.moveTo(MARGIN.left, y);
+      context.lineTo(width - MARGIN.right, y);
+      context.stroke();
+      context.fillText(number(tick), MARGIN.left - 8, y);
+    }
+    context.textBaseline = 'top';
+    const steps = ticks(scale.x0, scale.x1, Math.max(2, Math.floor(width / 110)))
+      .filter((tick) => this.options.xName === 'minute' || Number.isInteger(tick));
+    for (const tick of steps) {
+      const x = scale.x(tick);
+      context.textAlign = x > width - 30 ? 'right' : 'center';
+      context.fillText(number(tick, 6), x, height - MARGIN.bottom + 8);
+    }
+  }
+
+  /** Lowest and highest value of each column of pixels, so that no peak is lost. */
+  #line(context, s, scale, color) {
+    context.strokeStyle = color;
+    context.lineWidth = 1.8;
+    context.lineJoin = 'round';
+    context.setLineDash(s.dash ?? []);
+    context.beginPath();
+    let column = -1;
+    let [low, high, last] = [0, 0, 0];
+    let open = false;
+    for (let i = 0; i < s.x.length; i++) {
+      if (!Number.isFinite(s.y[i])) {
+        open = false;
+        continue;
+      }
+      const [x, y] = [scale.x(s.x[i]), scale.y(s.y[i])];
+      const here = Math.floor(x * 2);
+      if (open && here === column) {
+        low = Math.max(low, y);
+        high = Math.min(high, y);
+        last = y;
+        continue;
+      }
+      if (open && low !== high) {
+        const at = column / 2;
+        context.lineTo(at, low);
+        context.lineTo(at, high);
+        context.lineTo(at, last);
+      }
+      if (open) context.lineTo(x, y);
+      else context.moveTo(x, y);
+      [column, low, high, last, open] = [here, y, y, y, true];
+    }
+    if (open && low !== high) {
+      context.lineTo(column / 2, low);
+      context.lineTo(column / 2, high);
+    }
+    context.stroke();
+    context.setLineDash([]);
+    if (s.x.length === 1) {
+      context.fillStyle = color;
+      context.beginPath();
+      context.arc(scale.x(s.x[0]), scale.y(s.y[0]), 3, 0, 7);
+      context.fill();
+    }
+  }
+
+  #band(context, s, scale, color) {
+    const upper = [];
+    const lower = [];
+    let column = -1;
+    for (let i = 0; i < s.x.length; i++) {
+      if (!Number.isFinite(s.low[i]) || !Number.isFinite(s.high[i])) continue;
+      const x = scale.x(s.x[i]);
+      const [yl, yh] = [scale.y(s.low[i]), scale.y(s.high[i])];
+      const here = Math.floor(x * 2);
+      if (here === column) {
+        const end = upper.length - 1;
+        upper[end][1] = Math.min(upper[end][1], yh);
+        lower[end][1] = Math.max(lower[end][1], yl);
+      } else {
+        upper.push([x, yh]);
+        lower.push([x, yl]);
+        column = here;
+      }
+    }
+    context.fillStyle = color;
+    context.beginPath();
+    for (const [x, y] of upper) context.lineTo(x, y);
+    for (const [x, y] of lower.reverse()) context.lineTo(x, y);
+    context.fill();
+  }
+
+  #points(context, s, scale, color) {
+    context.fillStyle = color;
+    const size = s.x.length > 2000 ? 2 : 4;
+    for (let i = 0; i < s.x.length; i++) {
+      context.fillRect(scale.x(s.x[i]) - size / 2, scale.y(s.y[i]) - size / 2, size, size);
+    }
+  }
+
+  #drawCursor(context, scale, height, color) {
+    const main = this.series.find((s) => !s.silent && s.x.length);
+    if (!main || this.cursor >= main.x.length) return;
+    const x = Math.round(scale.x(main.x[this.cursor])) + 0.5;
+    context.strokeStyle = color('--muted');
+    context.setLineDash([3, 3]);
+    context.beginPath();
+    context.moveTo(x, MARGIN.top);
+    context.lineTo(x, height - MARGIN.bottom);
+    context.stroke();
+    context.setLineDash([]);
+  }
+
+  #point(px) {
+    if (!this.scale) return;
+    const main = this.series.find((s) => !s.silent && s.x.length);
+    if (!main) return;
+    const value = this.scale.back(px);
+    let i = Math.max(0, lastAtMost(main.x, value));
+    if (i + 1 < main.x.length && main.x[i + 1] - value < value - main.x[i]) i++;
+    this.#moveCursor(i);
+  }
+
+  #key(event) {
+    const main = this.series.find((s) => !s.silent && s.x.length);
+    if (!main) return;
+    const last = main.x.length - 1;
+    const from = this.cursor < 0 ? last : this.cursor;
+    const to = {
+      ArrowLeft: from - 1, ArrowRight: from + 1, Home: 0, End: last,
+      PageUp: from - 10, PageDown: from + 10, Escape: -1,
+    }[event.key];
+    if (to === undefined) return;
+    event.preventDefault();
+    this.#moveCursor(event.key === 'Escape' ? -1 : Math.min(last, Math.max(0, to)));
+  }
+
+  #moveCursor(i) {
+    if (i === this.cursor) return;
+    this.cursor = i;
+    const main = this.series.find((s) => !s.silent && s.x.length);
+    if (i < 0 || !main) {
+      this.readout.textContent = '';
+    } else {
+      const x = main.x[i];
+      const values = this.series.filter((s) => !s.silent).map((s) => {
+        const at = lastAtMost(s.x, x);
+        if (at < 0 || s.x[at] !== x) return null;
+        const text = s.kind === 'band' ? `${number(s.low[at])} to ${number(s.high[at])}` : number(s.y[at]);
+        return `${s.name} ${text}`;
+      });
+      this.readout.textContent =
+        `${this.options.xName} ${number(x, 6)}: ${values.filter(Boolean).join(' · ')}`;
+    }
+    this.draw();
+  }
+}

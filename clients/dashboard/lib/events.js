@@ -1,0 +1,123 @@
+/**
+ * The daemon's events. One stream serves all pages of a browser: a lock chooses the page that keeps
+ * the stream, and it passes the events on. Hidden pages do not stream; they go on behind the last
+ * event they saw, so none is lost.
+ */
+
+import { ApiError, getJson, request, withQuery } from './api.js';
+
+const CHANNEL = 'morphod-events';
+
+export class Events {
+  constructor() {
+    /** Number of the newest event seen. */
+    this.last = null;
+    this.listeners = new Set();
+    this.stopper = null;
+    this.channel = 'BroadcastChannel' in window ? new BroadcastChannel(CHANNEL + location.pathname) : null;
+    this.channel?.addEventListener('message', ({ data }) => this.#take(data));
+    document.addEventListener('visibilitychange', () => this.#change());
+  }
+
+  /** Calls `listener` with every event: {id, type, job, at, data}; type "reset": read afresh. */
+  listen(listener) {
+    this.listeners.add(listener);
+    return () => this.listeners.delete(listener);
+  }
+
+  /** Begins behind the newest event; returns the newest `n` events, oldest first. */
+  async start(n = 30) {
+    const page = await getJson('v1/events?format=json&after=0&limit=1');
+    this.last = Number(page.newest);
+    const recent = await getJson(withQuery('v1/events', {
+      format: 'json', after: Math.max(0, this.last - n), limit: n,
+    }));
+    this.#change();
+    return recent.items;
+  }
+
+  #change() {
+    if (document.hidden) {
+      this.stopper?.abort();
+      this.stopper = null;
+    } else if (!this.stopper && this.last !== null) {
+      this.stopper = new AbortController();
+      this.#run(this.stopper.signal);
+    }
+  }
+
+  async #run(signal) {
+    // What passed while this page was hidden or waited for the lock comes first, once.
+    const work = () => this.#stream(signal);
+    if (navigator.locks) {
+      this.#catchUp(signal);
+      await navigator.locks.request(CHANNEL + location.pathname, { signal }, work).catch(() => {});
+    } else {
+      await work();
+    }
+  }
+
+  async #catchUp(signal) {
+    try {
+      for (;;) {
+        const page = await getJson(
+          withQuery('v1/events', { format: 'json', after: this.last, limit: 1000 }), { signal });
+        page.items.forEach((event) => this.#take(event));
+        if (page.next_cursor === null || !page.items.length) return;
+      }
+    } catch {
+      // The stream, or the next visit, brings them.
+    }
+  }
+
+  async #stream(signal) {
+    let waitS = 0.5;
+    while (!signal.aborted) {
+      try {
+        const response = await request(withQuery('v1/events', { after: this.last }), {
+          signal, headers: { Accept: 'text/event-stream' },
+        });
+        waitS = 0.5;
+        await this.#read(response.body.pipeThrough(new TextDecoderStream()).getReader());
+      } catch (error) {
+        if (signal.aborted) return;
+        if (error instanceof ApiError && error.retryAfterS) waitS = error.retryAfterS;
+      }
+      if (signal.aborted) return;
+      await new Promise((resolve) => setTimeout(resolve, waitS * 1000));
+      waitS = Math.min(waitS * 2, 10);
+    }
+  }
+
+  async #read(reader) {
+    let text = '';
+    for (;;) {
+      const { value, done } = await reader.read();
+      if (done) return;
+      text += value;
+      const blocks = text.split('\n\n');
+      text = blocks.pop();
+      for (const block of blocks) {
+        const data = block.split('\n').filter((line) => line.startsWith('data:'))
+          .map((line) => line.slice(5)).join('\n');
+        const type = /^event: ?(.*)$/m.exec(block)?.[1];
+        if (type === 'reset') this.#pass({ type: 'reset' });
+        else if (data) this.#pass(JSON.parse(data));
+      }
+    }
+  }
+
+  #pass(event) {
+    this.channel?.postMessage(event);
+    this.#take(event);
+  }
+
+  #take(event) {
+    if (event.type !== 'reset') {
+      const id = Number(event.id);
+      if (this.last !== null && id <= this.last) return;
+      this.last = id;
+    }
+    for (const listener of [...this.listeners]) listener(event);
+  }
+}

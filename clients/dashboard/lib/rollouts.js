@@ -1,0 +1,46 @@
+/** Brings robots to the stage: rollouts that the daemon computes and stores nowhere. */
+
+import { getJson, patient, request } from './api.js';
+import { decodeScene, robotsOf } from './scene.js';
+
+const sets = new Map();
+
+/** The environments of a named set: [{sha256, light_xy_m, terrain_heights_m}]. */
+export async function environmentSet(name) {
+  if (!sets.has(name)) {
+    const load = getJson(`v1/environment-sets/${encodeURIComponent(name)}`);
+    load.catch(() => sets.delete(name));
+    sets.set(name, load);
+  }
+  return (await sets.get(name)).items;
+}
+
+const requested = ({ light_xy_m, terrain_heights_m }) => ({ light_xy_m, terrain_heights_m });
+
+/** At most so many rollouts go into one request. */
+export const ROLLOUTS_AT_ONCE = 16;
+
+/**
+ * Rolls designs out and gives them as the stage takes them, in the order of the request: design by
+ * design, each in every environment.
+ * @param {Object[]} designs {voxels} or {id}, as in any request
+ * @param {Object[]} environments
+ * @param {{controller?: string, physics?: Object, record?: string[], stride?: number, signal?: AbortSignal}} [options]
+ */
+export async function roll(designs, environments, options = {}) {
+  const { controller = 'default', physics, record = ['masses'], stride = 10, signal } = options;
+  const robots = [];
+  const atOnce = Math.max(1, Math.floor(ROLLOUTS_AT_ONCE / environments.length));
+  for (let i = 0; i < designs.length; i += atOnce) {
+    const response = await patient(() => request('v1/rollouts', {
+      method: 'POST', signal,
+      headers: { Accept: 'application/vnd.morphod.scene' },
+      body: {
+        designs: designs.slice(i, i + atOnce), environments: environments.map(requested), controller, physics,
+        record, record_stride: stride,
+      },
+    }));
+    robots.push(...robotsOf(decodeScene(await response.arrayBuffer())));
+  }
+  return robots;
+}

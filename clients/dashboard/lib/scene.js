@@ -1,0 +1,54 @@
+/**
+ * Reads a scene: application/vnd.morphod.scene (docs/scenes.md). Four bytes tell the length of a JSON
+ * header; the arrays that it describes follow, each at an offset that is a multiple of 4.
+ */
+
+import { bodyOf } from './body.js';
+
+const TYPES = { float32: Float32Array, uint16: Uint16Array, int8: Int8Array, uint8: Uint8Array, uint32: Uint32Array };
+
+/**
+ * @param {ArrayBuffer} buffer
+ * @returns {{header: Object, array: function(Object): any}}
+ */
+export function decodeScene(buffer) {
+  if (buffer.byteLength < 4) throw new Error('The scene ends before its header.');
+  const length = new DataView(buffer).getUint32(0, true);
+  if (4 + length > buffer.byteLength) throw new Error('The scene ends within its header.');
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  const start = Math.ceil((4 + length) / 4) * 4;
+  const array = ({ offset, type, shape }) => {
+    const Type = TYPES[type];
+    const n = shape.reduce((a, b) => a * b, 1);
+    if (!Type || start + offset + n * Type.BYTES_PER_ELEMENT > buffer.byteLength) {
+      throw new Error('An array of the scene lies outside of it.');
+    }
+    return new Type(buffer, start + offset, n);
+  };
+  return { header, array };
+}
+
+/** The robots of a scene, as the stage takes them. */
+export function robotsOf({ header, array }) {
+  const bodies = new Map();
+  return header.rollouts.map((rollout) => {
+    const { genotype, id } = header.designs[rollout.design];
+    const environment = header.environments[rollout.environment];
+    if (!bodies.has(genotype)) bodies.set(genotype, bodyOf(genotype));
+    return {
+      id,
+      genotype,
+      body: bodies.get(genotype),
+      track: array(rollout.masses_m),
+      actuation: rollout.actuation ? array(rollout.actuation) : undefined,
+      frames: rollout.masses_m.shape[0],
+      frameS: header.frame_s,
+      loss: rollout.loss,
+      world: {
+        light: environment.light_xy_m,
+        heights: array(environment.terrain_heights_m),
+        key: environment.sha256,
+      },
+    };
+  });
+}

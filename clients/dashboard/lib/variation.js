@@ -1,0 +1,119 @@
+/** Changes to a body in the editor. A body is always connected through faces and never empty. */
+
+import { WORKSPACE, cellsOf, genotypeOf } from './body.js';
+
+/** @type {function(number[]): string} */
+const key = (cell) => cell.join(',');
+const STEPS = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]];
+
+/** The connected parts of a list of cells, largest first. */
+export function components(cells) {
+  const left = new Map(cells.map((cell) => [key(cell), cell]));
+  const parts = [];
+  while (left.size) {
+    const [first] = left.values();
+    left.delete(key(first));
+    const part = [first];
+    for (let i = 0; i < part.length; i++) {
+      for (const step of STEPS) {
+        const near = part[i].map((v, axis) => v + step[axis]);
+        if (left.delete(key(near))) part.push(near);
+      }
+    }
+    parts.push(part);
+  }
+  return parts.sort((a, b) => b.length - a.length);
+}
+
+export function isConnected(genotype) {
+  return components(cellsOf(genotype)).length === 1;
+}
+
+export function keepLargest(genotype) {
+  const parts = components(cellsOf(genotype));
+  return genotypeOf(parts[0] ?? []);
+}
+
+/**
+ * Turns one voxel over.
+ * @param {string} genotype
+ * @param {number[]} cell
+ */
+export function flip(genotype, [x, y, z]) {
+  const at = (x * WORKSPACE[1] + y) * WORKSPACE[2] + z;
+  return genotype.slice(0, at) + (genotype[at] === '1' ? '0' : '1') + genotype.slice(at + 1);
+}
+
+/** The union of a body with its mirror image along x (0) or y (1). */
+export function mirror(genotype, axis) {
+  const cells = cellsOf(genotype);
+  const images = cells.map((cell) => cell.map((v, i) => (i === axis ? WORKSPACE[axis] - 1 - v : v)));
+  return genotypeOf([...cells, ...images]);
+}
+
+/** Moves the body by one voxel; null where it would leave the workspace. */
+export function shift(genotype, [dx, dy, dz]) {
+  const cells = cellsOf(genotype).map(([x, y, z]) => [x + dx, y + dy, z + dz]);
+  const inside = cells.every((cell) => cell.every((v, axis) => v >= 0 && v < WORKSPACE[axis]));
+  return inside ? genotypeOf(cells) : null;
+}
+
+const random = (n) => Math.floor(Math.random() * n);
+
+/** A random connected body of 6 to 36 voxels, grown voxel by voxel. */
+export function grow() {
+  const wanted = 6 + random(31);
+  const cells = [[2 + random(2), 2 + random(2), random(2)]];
+  const have = new Set(cells.map(key));
+  for (let i = 0; cells.length < wanted && i < 4000; i++) {
+    const step = STEPS[random(6)];
+    const near = cells[random(cells.length)].map((v, axis) => v + step[axis]);
+    if (near.some((v, axis) => v < 0 || v >= WORKSPACE[axis]) || have.has(key(near))) continue;
+    have.add(key(near));
+    cells.push(near);
+  }
+  return genotypeOf(cells);
+}
+
+/** A mutant as in a campaign: each voxel flips with probability 1/144; something always changes. */
+export function mutate(genotype) {
+  for (let i = 0; ; i++) {
+    const rate = (1 + i * 0.025) / genotype.length;
+    const flipped = [...genotype].map((v) => (Math.random() < rate ? (v === '1' ? '0' : '1') : v)).join('');
+    const child = keepLargest(flipped);
+    if (child.includes('1') && child !== genotype) return child;
+  }
+}
+
+/** A recombinant as in a campaign: the voxels in which two parents differ; null if they are equal. */
+export function cross(a, b) {
+  const child = keepLargest([...a].map((v, i) => (v === b[i] ? '0' : '1')).join(''));
+  return child.includes('1') ? child : null;
+}
+
+/**
+ * Reads a body from a text: an id of 36 digits, 144 digits of voxels, a list of cells, or an EvoGym
+ * array (rows of materials, 0 is empty), which is given a depth of two voxels.
+ * @returns {{id?: string, genotype?: string}} one of them; throws with what is wrong
+ */
+export function readBody(text) {
+  const trimmed = text.trim();
+  if (/^[0-9a-f]{36}$/i.test(trimmed)) return { id: trimmed.toLowerCase() };
+  if (/^[01]{144}$/.test(trimmed)) return { genotype: trimmed };
+  let rows;
+  try {
+    rows = JSON.parse(trimmed.replace(/\)|\(|array|np\.|numpy\./g, '').replace(/(\d)\.(?=\D)/g, '$1'));
+  } catch {
+    rows = trimmed.split('\n').map((line) => line.replace(/[[\],]/g, ' ').trim().split(/\s+/).map(Number));
+  }
+  if (!Array.isArray(rows) || !rows.length || !rows.every((row) => Array.isArray(row) && row.every(Number.isFinite))) {
+    throw new Error('This is neither an id, nor 144 digits, nor a list of cells, nor an EvoGym array.');
+  }
+  const isCells = rows.every((row) => row.length === 3) && rows.length !== 3;
+  const cells = isCells ? rows : rows.flatMap((row, up) => row.flatMap((material, x) =>
+    (material === 0 ? [] : [2, 3].map((y) => [x, y, rows.length - 1 - up]))));
+  if (cells.some((cell) => cell.some((v, axis) => !Number.isInteger(v) || v < 0 || v >= WORKSPACE[axis]))) {
+    throw new Error(`A voxel lies outside of the workspace of ${WORKSPACE.join(' × ')}.`);
+  }
+  return { genotype: genotypeOf(cells) };
+}

@@ -1,0 +1,135 @@
+/** A camera that circles a point; it follows a robot, or a person turns, moves and zooms it. */
+
+import { lookAt, multiply, orthographic, perspective } from './math.js';
+
+const NEAR_M = 0.02;
+const FAR_M = 40;
+const FOV_Y = (38 * Math.PI) / 180;
+
+export class Camera {
+  constructor() {
+    /** The point that the camera looks at, in meters. */
+    this.target = [2.5, 2.5, 0.3];
+    /** Turn about the vertical axis, in radians; 0 looks along +y. */
+    this.yaw = 0.6;
+    /** Height of the view above the horizon, in radians. */
+    this.pitch = 0.42;
+    this.distanceM = 2.6;
+    /** Width and height of the view in pixels per meter, without perspective; 0: perspective. */
+    this.pixelsPerM = 0;
+  }
+
+  eye() {
+    const level = Math.cos(this.pitch) * this.distanceM;
+    return [
+      this.target[0] - Math.sin(this.yaw) * level,
+      this.target[1] - Math.cos(this.yaw) * level,
+      this.target[2] + Math.sin(this.pitch) * this.distanceM,
+    ];
+  }
+
+  /** The matrix from the world to a view of so many pixels. */
+  matrix(width, height) {
+    const eye = this.eye();
+    // Straight down, "up" on the screen is the direction of the yaw.
+    const up = this.pitch > 1.5 ? [Math.sin(this.yaw), Math.cos(this.yaw), 0] : [0, 0, 1];
+    const view = lookAt(eye, this.target, up);
+    if (this.pixelsPerM > 0) {
+      const scale = 2 * this.pixelsPerM;
+      return multiply(orthographic(width / scale, height / scale, -FAR_M, FAR_M), view);
+    }
+    return multiply(perspective(FOV_Y, width / height, NEAR_M, FAR_M), view);
+  }
+
+  turn(yaw, pitch) {
+    this.yaw += yaw;
+    this.pitch = Math.min(1.56, Math.max(0.02, this.pitch + pitch));
+  }
+
+  zoom(factor) {
+    this.distanceM = Math.min(14, Math.max(0.35, this.distanceM * factor));
+  }
+
+  /** Moves the target across the ground, as seen from the camera, in meters. */
+  move(right, forward) {
+    const [s, c] = [Math.sin(this.yaw), Math.cos(this.yaw)];
+    this.target[0] += right * c + forward * s;
+    this.target[1] += -right * s + forward * c;
+  }
+
+  /** The view as a short text for a link, and back. */
+  toText() {
+    const { target, yaw, pitch, distanceM } = this;
+    return [...target, yaw, pitch, distanceM].map((x) => x.toFixed(2)).join('_');
+  }
+
+  fromText(text) {
+    const numbers = text.split('_').map(Number);
+    if (numbers.length !== 6 || numbers.some((x) => !Number.isFinite(x))) return false;
+    this.target = numbers.slice(0, 3);
+    this.yaw = numbers[3];
+    this.pitch = 0;
+    this.turn(0, numbers[4]);
+    this.distanceM = 1;
+    this.zoom(numbers[5]);
+    return true;
+  }
+}
+
+/** Lets pointers, wheel and keys drive a camera. `changed` is called after each change. */
+export function driveCamera(canvas, camera, changed) {
+  const pointers = new Map();
+  let pinch = 0;
+
+  canvas.addEventListener('pointerdown', (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    pinch = 0;
+  });
+  canvas.addEventListener('pointermove', (event) => {
+    const before = pointers.get(event.pointerId);
+    if (!before) return;
+    const [dx, dy] = [event.clientX - before[0], event.clientY - before[1]];
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (pointers.size === 2) {
+      const [a, b] = [...pointers.values()];
+      const spread = Math.hypot(a[0] - b[0], a[1] - b[1]);
+      if (pinch > 0 && spread > 0) camera.zoom(pinch / spread);
+      pinch = spread;
+    } else if (event.shiftKey || event.buttons === 4 || event.buttons === 2) {
+      const perPixel = camera.distanceM / canvas.clientHeight;
+      camera.move(-dx * perPixel, dy * perPixel);
+      changed('moved');
+      return;
+    } else {
+      camera.turn(dx * 0.006, dy * 0.005);
+    }
+    changed('turned');
+  });
+  for (const type of ['pointerup', 'pointercancel']) {
+    canvas.addEventListener(type, (event) => pointers.delete(event.pointerId));
+  }
+  canvas.addEventListener('contextmenu', (event) => event.preventDefault());
+  canvas.addEventListener('wheel', (event) => {
+    event.preventDefault();
+    camera.zoom(Math.exp(Math.sign(event.deltaY) * Math.min(Math.abs(event.deltaY), 120) * 0.0014));
+    changed('turned');
+  }, { passive: false });
+  canvas.addEventListener('keydown', (event) => {
+    const step = event.shiftKey ? 0.02 : 0.12;
+    const keys = {
+      ArrowLeft: () => camera.turn(-step, 0),
+      ArrowRight: () => camera.turn(step, 0),
+      ArrowUp: () => camera.turn(0, step / 2),
+      ArrowDown: () => camera.turn(0, -step / 2),
+      '+': () => camera.zoom(0.9),
+      '=': () => camera.zoom(0.9),
+      '-': () => camera.zoom(1.1),
+    };
+    const act = keys[event.key];
+    if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    act();
+    changed('turned');
+  });
+}

@@ -1,0 +1,121 @@
+/** The few things of WebGL 2 that the stage and the phylogeny need. */
+
+/** A linked program whose uniforms are found by name. Throws with the compiler's message. */
+export class Program {
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {string[]} sources of the vertex and the fragment shader
+   */
+  constructor(gl, [vertexSource, fragmentSource]) {
+    this.gl = gl;
+    this.handle = gl.createProgram();
+    this.#attach(gl.VERTEX_SHADER, vertexSource);
+    this.#attach(gl.FRAGMENT_SHADER, fragmentSource);
+    gl.linkProgram(this.handle);
+    if (!gl.getProgramParameter(this.handle, gl.LINK_STATUS) && !gl.isContextLost()) {
+      const logs = gl.getAttachedShaders(this.handle).map((shader) => gl.getShaderInfoLog(shader));
+      throw new Error(`A shader does not compile: ${gl.getProgramInfoLog(this.handle)} ${logs.join(' ')}`);
+    }
+    this.places = new Map();
+    this.units = 0;
+    const n = gl.getProgramParameter(this.handle, gl.ACTIVE_UNIFORMS) ?? 0;
+    for (let i = 0; i < n; i++) {
+      const { name, type } = gl.getActiveUniform(this.handle, i);
+      this.places.set(name, { at: gl.getUniformLocation(this.handle, name), type });
+    }
+  }
+
+  #attach(type, source) {
+    const { gl } = this;
+    const shader = gl.createShader(type);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(this.handle, shader);
+  }
+
+  /** Begins to use the program. */
+  use() {
+    this.gl.useProgram(this.handle);
+    this.units = 0;
+    return this;
+  }
+
+  /** Sets uniforms by name; a texture takes the next free unit. Names that the program lacks are skipped. */
+  set(values) {
+    const { gl } = this;
+    for (const [name, value] of Object.entries(values)) {
+      const place = this.places.get(name);
+      if (!place) continue;
+      switch (place.type) {
+        case gl.FLOAT: gl.uniform1f(place.at, value); break;
+        case gl.FLOAT_VEC2: gl.uniform2fv(place.at, value); break;
+        case gl.FLOAT_VEC3: gl.uniform3fv(place.at, value); break;
+        case gl.FLOAT_VEC4: gl.uniform4fv(place.at, value); break;
+        case gl.FLOAT_MAT4: gl.uniformMatrix4fv(place.at, false, value); break;
+        case gl.BOOL: case gl.INT: gl.uniform1i(place.at, value ? Number(value) : 0); break;
+        default:
+          place.unit ??= this.units;
+          this.units = Math.max(this.units, place.unit + 1);
+          gl.activeTexture(gl.TEXTURE0 + place.unit);
+          gl.bindTexture(gl.TEXTURE_2D, value);
+          gl.uniform1i(place.at, place.unit);
+      }
+    }
+    return this;
+  }
+}
+
+/** A texture of numbers, read by texelFetch. */
+export function dataTexture(gl, internal, width, height, format, type, data) {
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+  gl.texImage2D(gl.TEXTURE_2D, 0, internal, width, height, 0, format, type, data);
+  for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) {
+    gl.texParameteri(gl.TEXTURE_2D, side, gl.NEAREST);
+  }
+  for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) {
+    gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+  }
+  return texture;
+}
+
+/**
+ * A vertex array of one interleaved or packed buffer.
+ * @param {{at: number, size: number, type: number, integer?: boolean, stride: number,
+ *          offset?: number, divisor?: number}[]} attributes
+ */
+export function vertexArray(gl, data, attributes) {
+  const array = gl.createVertexArray();
+  const buffer = gl.createBuffer();
+  gl.bindVertexArray(array);
+  gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+  gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+  for (const { at, size, type, integer, stride, offset = 0, divisor = 0 } of attributes) {
+    gl.enableVertexAttribArray(at);
+    if (integer) gl.vertexAttribIPointer(at, size, type, stride, offset);
+    else gl.vertexAttribPointer(at, size, type, false, stride, offset);
+    gl.vertexAttribDivisor(at, divisor);
+  }
+  gl.bindVertexArray(null);
+  return { array, buffer, free: () => { gl.deleteVertexArray(array); gl.deleteBuffer(buffer); } };
+}
+
+/** A map of depths that the sun sees. */
+export function shadowTarget(gl, size) {
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.texStorage2D(gl.TEXTURE_2D, 1, gl.DEPTH_COMPONENT24, size, size);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_COMPARE_MODE, gl.COMPARE_REF_TO_TEXTURE);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
+  for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) {
+    gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+  }
+  const frame = gl.createFramebuffer();
+  gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+  gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, texture, 0);
+  gl.drawBuffers([gl.NONE]);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  return { texture, frame, size };
+}

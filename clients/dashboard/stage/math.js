@@ -1,0 +1,68 @@
+/** 4 × 4 matrices, column-major as WebGL takes them, and 3-vectors as arrays. */
+
+export function perspective(fovY, aspect, near, far) {
+  const f = 1 / Math.tan(fovY / 2);
+  return Float32Array.of(
+    f / aspect, 0, 0, 0,
+    0, f, 0, 0,
+    0, 0, (far + near) / (near - far), -1,
+    0, 0, (2 * far * near) / (near - far), 0,
+  );
+}
+
+/** A view of a box: half the width and height in meters. */
+export function orthographic(halfWidth, halfHeight, near, far) {
+  return Float32Array.of(
+    1 / halfWidth, 0, 0, 0,
+    0, 1 / halfHeight, 0, 0,
+    0, 0, 2 / (near - far), 0,
+    0, 0, (far + near) / (near - far), 1,
+  );
+}
+
+export function lookAt(eye, target, up) {
+  const z = normalize(subtract(eye, target));
+  const x = normalize(cross(up, z));
+  const y = cross(z, x);
+  return Float32Array.of(
+    x[0], y[0], z[0], 0,
+    x[1], y[1], z[1], 0,
+    x[2], y[2], z[2], 0,
+    -dot(x, eye), -dot(y, eye), -dot(z, eye), 1,
+  );
+}
+
+export function multiply(a, b) {
+  const product = new Float32Array(16);
+  for (let column = 0; column < 4; column++) {
+    for (let row = 0; row < 4; row++) {
+      let sum = 0;
+      for (let k = 0; k < 4; k++) sum += a[4 * k + row] * b[4 * column + k];
+      product[4 * column + row] = sum;
+    }
+  }
+  return product;
+}
+
+/**
+ * Where a point of the world appears: [x, y, depth], each from -1 to 1.
+ * @param {ArrayLike<number>} matrix
+ * @param {Iterable<number>} point
+ */
+export function project(matrix, [x, y, z]) {
+  const at = (row) => matrix[row] * x + matrix[4 + row] * y + matrix[8 + row] * z + matrix[12 + row];
+  const w = at(3);
+  return [at(0) / w, at(1) / w, at(2) / w];
+}
+
+export const subtract = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+export const cross = (a, b) => [
+  a[1] * b[2] - a[2] * b[1],
+  a[2] * b[0] - a[0] * b[2],
+  a[0] * b[1] - a[1] * b[0],
+];
+export function normalize(a) {
+  const length = Math.hypot(...a) || 1;
+  return [a[0] / length, a[1] / length, a[2] / length];
+}

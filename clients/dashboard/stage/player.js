@@ -1,0 +1,237 @@
+/** A stage with its controls: play, scrub, slow motion, what is shown, who is followed. */
+
+import { announce, button, fill, h, select, toggle } from '../lib/dom.js';
+import { score } from '../lib/format.js';
+import { driveCamera } from './camera.js';
+import { Stage } from './stage.js';
+
+const SPEEDS = [['2', '2 ×'], ['1', '1 ×'], ['0.5', '½ ×'], ['0.25', '¼ ×'], ['0.1', '⅒ ×']];
+/** A frame that takes longer than this lowers the resolution, then the shadow. */
+const SLOW_FRAME_S = 0.028;
+
+export class Player {
+  /**
+   * @param {import('../app.js').app} app
+   * @param {{compact?: boolean, height?: number, onchange?: function(): void}} [options]
+   *   compact: fewer controls, for a stage beside other things
+   */
+  constructor(app, options = {}) {
+    const { compact = false, height, onchange = () => {} } = options;
+    this.app = app;
+    this.onchange = onchange;
+    this.canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': 'Stage: no robots yet' });
+    if (height) this.canvas.style.height = `${height}px`;
+    this.note = h('div.note', { 'aria-live': 'polite' });
+    this.names = h('div.names', { hidden: true, role: 'group', 'aria-label': 'Robots' });
+    this.playing = !matchMedia('(prefers-reduced-motion: reduce)').matches;
+    this.speed = 1;
+    this.slider = h('input', {
+      type: 'range', min: 0, max: 1, step: 'any', value: 0, 'aria-label': 'Time',
+      oninput: () => {
+        this.setPlaying(false);
+        this.stage.timeS = Number(this.slider.value);
+        this.#show();
+      },
+    });
+    this.clock = h('span.clock', {}, '0.00 s');
+    this.playButton = button('', () => this.setPlaying(!this.playing));
+    this.controls = h('div.controls', {}, this.playButton, this.slider, this.clock);
+    this.element = h('div.stage', {}, this.canvas, this.names, this.note, this.controls);
+    try {
+      this.stage = new Stage(this.canvas, { theme: app.theme });
+    } catch (error) {
+      fill(this.element, h('p.empty', { role: 'alert' }, error.message));
+      this.stage = null;
+      return;
+    }
+    // For tests, and for people who use the console.
+    Object.assign(this.element, { player: this });
+    this.#addToggles(compact);
+    driveCamera(this.canvas, this.stage.camera, (how) => {
+      if (how === 'moved') this.#setFollow(false);
+      this.#wake();
+      this.onchange();
+    });
+    this.canvas.addEventListener('keydown', (event) => this.#key(event));
+    this.onTheme = (theme) => {
+      this.stage.theme = theme;
+      this.#wake();
+    };
+    app.themeListeners.add(this.onTheme);
+    this.resize = new ResizeObserver(() => this.#wake());
+    this.resize.observe(this.canvas);
+    this.setPlaying(this.playing);
+  }
+
+  #addToggles(compact) {
+    const { stage } = this;
+    const flag = (text, name) => toggle(text, stage.show[name], (on) => {
+      stage.show[name] = on;
+      this.#wake();
+      this.onchange();
+    });
+    this.followToggle = toggle('Follow', true, (on) => {
+      stage.follow = on;
+      this.#wake();
+    });
+    this.sideToggle = toggle('Side by side', false, (on) => {
+      stage.sideBySide = on;
+      this.#wake();
+      this.onchange();
+    });
+    this.springsToggle = flag('Springs', 'springs');
+    this.actuationToggle = flag('Actuation', 'actuation');
+    this.toggles = { skin: flag('Skin', 'skin'), springs: this.springsToggle, contacts: flag('Contacts', 'contacts'),
+      trails: flag('Trails', 'trails'), actuation: this.actuationToggle };
+    const speed = select('Speed', SPEEDS, '1', (value) => { this.speed = Number(value); });
+    speed.firstChild.className = 'visually-hidden';
+    this.controls.append(speed, this.sideToggle, this.followToggle, this.toggles.skin, this.springsToggle);
+    if (!compact) this.controls.append(this.actuationToggle, this.toggles.contacts, this.toggles.trails);
+  }
+
+  /** Sets what is shown, as a link tells it: {skin, springs, …, side}. */
+  setShown(names) {
+    this.arranged = true;
+    for (const [name, element] of Object.entries({ ...this.toggles, side: this.sideToggle })) {
+      const on = names.includes(name);
+      if ((element.getAttribute('aria-pressed') === 'true') !== on) element.click();
+    }
+  }
+
+  shown() {
+    return Object.entries({ ...this.toggles, side: this.sideToggle })
+      .filter(([, element]) => element.getAttribute('aria-pressed') === 'true').map(([name]) => name);
+  }
+
+  #setFollow(on) {
+    if (this.stage.follow !== on) this.followToggle.click();
+  }
+
+  #key(event) {
+    const act = {
+      ' ': () => this.setPlaying(!this.playing),
+      ',': () => this.#stepBy(-1),
+      '.': () => this.#stepBy(1),
+      f: () => this.followToggle.click(),
+      s: () => this.springsToggle.click(),
+    }[event.key];
+    if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    act();
+  }
+
+  #stepBy(frames) {
+    this.setPlaying(false);
+    const frameS = this.stage.robots[0]?.frameS ?? 0.04;
+    const time = Math.round(this.stage.timeS / frameS + frames) * frameS;
+    this.stage.timeS = Math.min(this.stage.durationS(), Math.max(0, time));
+    this.#show();
+  }
+
+  /** @param {import('./stage.js').Robot[]} robots */
+  setRobots(robots, { keepTime = false } = {}) {
+    if (!this.stage) return;
+    this.stage.setRobots(robots);
+    const duration = this.stage.durationS();
+    this.slider.max = String(duration || 1);
+    if (!keepTime || this.stage.timeS > duration) this.stage.timeS = 0;
+    this.sideToggle.disabled = robots.length < 2;
+    // All robots start at the same place, so a few of them are first shown apart.
+    const apart = robots.length > 1 && robots.length <= 16;
+    if (!this.arranged && this.stage.sideBySide !== apart) this.sideToggle.click();
+    this.arranged ||= robots.length > 1;
+    this.actuationToggle.disabled = !robots.some((robot) => robot.actuation);
+    fill(this.names, this.stage.robots.map((robot, i) => this.#name(robot, i)));
+    this.names.hidden = robots.length === 0 || robots.length > 40;
+    const text = robots.length === 0 ? 'no robots yet'
+      : `${robots.length === 1 ? 'one robot' : `${robots.length} robots`}, ${duration.toFixed(1)} s: ` +
+        robots.slice(0, 8).map((robot) => `${robot.label ?? ''} ${score(robot.loss)}`).join(', ');
+    this.canvas.setAttribute('aria-label', `Stage: ${text}`);
+    this.#wake();
+  }
+
+  #name(robot, i) {
+    const swatch = h('i.swatch');
+    swatch.style.background = robot.color;
+    return h('button', {
+      type: 'button', 'aria-pressed': String(i === this.stage.followed),
+      title: 'Follow this robot',
+      onclick: () => {
+        this.stage.followed = i;
+        this.#setFollow(true);
+        [...this.names.children].forEach((child, j) => child.setAttribute('aria-pressed', String(i === j)));
+        this.#wake();
+      },
+    }, h('span.row', {}, swatch, robot.label ?? ''), h('span.number', {}, score(robot.loss)));
+  }
+
+  setPlaying(on) {
+    this.playing = on;
+    this.playButton.textContent = on ? 'Pause' : 'Play';
+    if (on) this.#wake();
+  }
+
+  setNote(text) {
+    this.note.textContent = text;
+    if (text) announce(text);
+  }
+
+  #wake() {
+    this.wanted = true;
+    if (this.running) return;
+    this.running = true;
+    this.before = undefined;
+    requestAnimationFrame((now) => this.#frame(now));
+  }
+
+  #frame(now) {
+    if (!this.stage || !this.canvas.isConnected) {
+      this.running = false;
+      return;
+    }
+    const duration = this.stage.durationS();
+    const moving = this.playing && duration > 0;
+    if (moving && this.before !== undefined) {
+      const elapsed = Math.min((now - this.before) / 1000, 0.25);
+      this.#adapt(elapsed);
+      this.stage.timeS += elapsed * this.speed;
+      // At the end the last moment stays for a second.
+      if (this.stage.timeS > duration + this.speed) this.stage.timeS = 0;
+    }
+    this.before = now;
+    this.wanted = false;
+    this.#show();
+    if (moving || this.wanted) requestAnimationFrame((next) => this.#frame(next));
+    else this.running = false;
+  }
+
+  /** Lowers the resolution, then leaves out the shadow, where frames take long: no GPU, or a small one. */
+  #adapt(elapsed) {
+    this.meanFrameS = 0.9 * (this.meanFrameS ?? 0.016) + 0.1 * elapsed;
+    this.framesSince = (this.framesSince ?? 0) + 1;
+    if (this.framesSince < 12 || this.meanFrameS < SLOW_FRAME_S) return;
+    this.framesSince = 0;
+    if (this.stage.scale > 0.5) this.stage.scale = Math.max(0.5, this.stage.scale * 0.75);
+    else this.stage.shadows = false;
+  }
+
+  #show() {
+    this.stage.timeS = Math.max(0, this.stage.timeS);
+    const time = Math.min(this.stage.timeS, this.stage.durationS());
+    this.stage.draw();
+    this.slider.value = String(time);
+    this.slider.setAttribute('aria-valuetext', `${time.toFixed(2)} seconds`);
+    this.clock.textContent = `${time.toFixed(2)} s`;
+    if (!this.first && this.stage.robots.length) {
+      this.first = true;
+      performance.mark('morphod-first-picture');
+    }
+  }
+
+  destroy() {
+    this.app.themeListeners.delete(this.onTheme);
+    this.resize?.disconnect();
+    this.stage?.setRobots([]);
+    this.stage?.gl.getExtension('WEBGL_lose_context')?.loseContext();
+  }
+}

@@ -1,0 +1,383 @@
+/**
+ * The stage: robots that walk on their terrain towards their light, drawn with WebGL 2.
+ *
+ * The recordings of the daemon go to the graphics processor as they are; each frame of the screen
+ * sets one number, the time. So scrubbing and slow motion cost the processor nothing.
+ */
+
+import { Camera } from './camera.js';
+import { Program, dataTexture, shadowTarget, vertexArray } from './gl.js';
+import { lookAt, multiply, normalize, orthographic, project } from './math.js';
+import * as shaders from './shaders.js';
+
+const SUN = normalize([-0.45, -0.55, 1.1]);
+const GRID = 160;
+
+/** Colors of robots in the order of the legend: told apart by color-blind people, too. */
+export const COLORS = ['#f0a030', '#4a9be8', '#57c08a', '#d070c0', '#e8e060', '#9a8cff', '#70d0e0', '#e07060'];
+
+const THEMES = {
+  dark: {
+    background: [0.078, 0.09, 0.106], ground: [0.33, 0.375, 0.37], line: [0.1, 0.13, 0.14],
+    glow: [1.0, 0.83, 0.42], rest: [0.82, 0.85, 0.9], swollen: [0.98, 0.62, 0.28], shrunk: [0.16, 0.47, 0.86],
+  },
+  light: {
+    background: [0.925, 0.94, 0.96], ground: [0.61, 0.66, 0.62], line: [0.3, 0.34, 0.33],
+    glow: [1.0, 0.88, 0.5], rest: [0.9, 0.92, 0.95], swollen: [0.94, 0.5, 0.12], shrunk: [0.13, 0.4, 0.8],
+  },
+};
+
+function clear(gl, [r, g, b]) {
+  gl.clearColor(r, g, b, 1);
+  gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+}
+
+const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
+
+/** Mean position of the masses in one frame of a track. */
+export function centerOfMass(robot, frame) {
+  const { track, body, frames } = robot;
+  const n = body.nMasses;
+  const earlier = Math.min(Math.floor(frame), frames - 1);
+  const later = Math.min(earlier + 1, frames - 1);
+  const share = frame - Math.floor(frame);
+  const sum = [0, 0, 0];
+  for (let mass = 0; mass < n; mass++) {
+    for (let axis = 0; axis < 3; axis++) {
+      const a = track[(earlier * n + mass) * 3 + axis];
+      const b = track[(later * n + mass) * 3 + axis];
+      sum[axis] += a + (b - a) * share;
+    }
+  }
+  return sum.map((x) => x / n);
+}
+
+/** What one robot needs on the graphics processor. */
+function upload(gl, robot) {
+  const { body, track, frames, actuation } = robot;
+  const faces = new Uint16Array(body.nFaces * 9);
+  for (let face = 0; face < body.nFaces; face++) {
+    const voxel = body.faces[2 * face];
+    faces.set(body.voxels.subarray(8 * voxel, 8 * voxel + 8), 9 * face);
+    faces[9 * face + 8] = body.faces[2 * face + 1];
+  }
+  const springs = new Uint16Array(body.nSprings * 3);
+  for (let spring = 0; spring < body.nSprings; spring++) {
+    springs[3 * spring] = body.springs[2 * spring];
+    springs[3 * spring + 1] = body.springs[2 * spring + 1];
+    springs[3 * spring + 2] = body.diagonal[spring];
+  }
+  const short = gl.UNSIGNED_SHORT;
+  return {
+    track: dataTexture(gl, gl.RGB32F, body.nMasses, frames, gl.RGB, gl.FLOAT, track),
+    actuation: actuation
+      ? dataTexture(gl, gl.R8I, body.nSprings, actuation.length / body.nSprings, gl.RED_INTEGER, gl.BYTE, actuation)
+      : null,
+    skin: vertexArray(gl, faces, [
+      { at: 0, size: 4, type: short, integer: true, stride: 18, offset: 0, divisor: 1 },
+      { at: 1, size: 4, type: short, integer: true, stride: 18, offset: 8, divisor: 1 },
+      { at: 2, size: 1, type: short, integer: true, stride: 18, offset: 16, divisor: 1 },
+    ]),
+    springs: vertexArray(gl, springs, [
+      { at: 0, size: 2, type: short, integer: true, stride: 6, offset: 0, divisor: 1 },
+      { at: 1, size: 1, type: short, integer: true, stride: 6, offset: 4, divisor: 1 },
+    ]),
+    trail: trailOf(gl, robot),
+  };
+}
+
+/** A ribbon along the path of the center of mass: two vertices a frame. */
+function trailOf(gl, robot) {
+  const every = Math.max(1, Math.floor(robot.frames / 250));
+  const points = [];
+  for (let frame = 0; frame < robot.frames; frame += every) {
+    const [x, y] = centerOfMass(robot, frame);
+    points.push([x, y, frame]);
+  }
+  const data = new Float32Array(points.length * 8);
+  points.forEach(([x, y, frame], i) => {
+    const before = points[Math.max(0, i - 3)];
+    const after = points[Math.min(points.length - 1, i + 3)];
+    const along = Math.atan2(after[1] - before[1], after[0] - before[0]);
+    const angle = (along + Math.PI / 2 + 2 * Math.PI) % (2 * Math.PI);
+    data.set([x, y, frame, 1 + angle, x, y, frame, -(1 + angle)], 8 * i);
+  });
+  const ribbon = vertexArray(gl, data, [{ at: 0, size: 4, type: gl.FLOAT, stride: 16 }]);
+  return { ...ribbon, n: points.length * 2 };
+}
+
+/**
+ * @typedef {Object} Robot
+ * @property {ReturnType<import('../lib/body.js').bodyOf>} body
+ * @property {Float32Array} track (frames, masses, 3) in meters
+ * @property {number} frames
+ * @property {number} frameS seconds between two frames
+ * @property {{light: number[], heights: Float32Array|number[]}} world light (x, y) in meters and the
+ *   64 heights of the terrain
+ * @property {Int8Array} [actuation] (frames, springs), tanh · 127
+ * @property {string} [color] as in the legend
+ * @property {string} [label]
+ * @property {number|null} [loss] null: diverged
+ * @property {string} [genotype]
+ * @property {any} [gpu] what the stage keeps for it
+ */
+
+export class Stage {
+  /** @param {HTMLCanvasElement} canvas */
+  constructor(canvas, { theme = 'dark' } = {}) {
+    const gl = canvas.getContext('webgl2', { antialias: true, alpha: false, preserveDrawingBuffer: true });
+    if (!gl) throw new Error('This browser does not offer WebGL 2, which the stage is drawn with.');
+    this.canvas = canvas;
+    this.gl = gl;
+    this.theme = theme;
+    this.camera = new Camera();
+    /** @type {Robot[]} */
+    this.robots = [];
+    this.show = { skin: true, springs: false, actuation: false, trails: true, contacts: false };
+    this.sideBySide = false;
+    this.follow = true;
+    /** Index of the robot that the camera follows where all share one view. */
+    this.followed = 0;
+    this.scale = 1;
+    this.shadows = true;
+    this.timeS = 0;
+    this.drawS = [];
+    this.terrains = new Map();
+    this.#build();
+    canvas.addEventListener('webglcontextlost', (event) => event.preventDefault());
+    canvas.addEventListener('webglcontextrestored', () => {
+      this.#build();
+      this.setRobots(this.robots);
+    });
+  }
+
+  #build() {
+    const { gl } = this;
+    this.programs = {
+      terrain: new Program(gl, shaders.TERRAIN_SHADERS),
+      skin: new Program(gl, shaders.SKIN_SHADERS),
+      depth: new Program(gl, shaders.DEPTH_SHADERS),
+      springs: new Program(gl, shaders.SPRING_SHADERS),
+      trail: new Program(gl, shaders.TRAIL_SHADERS),
+      contacts: new Program(gl, shaders.CONTACT_SHADERS),
+      lamp: new Program(gl, shaders.LAMP_SHADERS),
+    };
+    const corners = new Float32Array((GRID + 1) * (GRID + 1) * 2);
+    const triangles = new Uint32Array(GRID * GRID * 6);
+    for (let y = 0, at = 0, t = 0; y <= GRID; y++) {
+      for (let x = 0; x <= GRID; x++, at += 2) {
+        corners[at] = (2 * x) / GRID - 1;
+        corners[at + 1] = (2 * y) / GRID - 1;
+        if (x === GRID || y === GRID) continue;
+        const i = y * (GRID + 1) + x;
+        triangles.set([i, i + 1, i + GRID + 2, i, i + GRID + 2, i + GRID + 1], t);
+        t += 6;
+      }
+    }
+    this.ground = vertexArray(gl, corners, [{ at: 0, size: 2, type: gl.FLOAT, stride: 8 }]);
+    gl.bindVertexArray(this.ground.array);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, triangles, gl.STATIC_DRAW);
+    this.empty = gl.createVertexArray();
+    gl.bindVertexArray(null);
+    this.shadow = shadowTarget(gl, 1024);
+    this.noActuation = dataTexture(gl, gl.R8I, 1, 1, gl.RED_INTEGER, gl.BYTE, new Int8Array(1));
+  }
+
+  /** Replaces the robots on the stage. @param {Robot[]} robots */
+  setRobots(robots) {
+    const { gl } = this;
+    for (const { gpu } of this.robots) {
+      if (!gpu) continue;
+      gl.deleteTexture(gpu.track);
+      if (gpu.actuation) gl.deleteTexture(gpu.actuation);
+      for (const part of [gpu.skin, gpu.springs, gpu.trail]) part.free();
+    }
+    for (const texture of this.terrains.values()) gl.deleteTexture(texture);
+    this.terrains.clear();
+    this.robots = robots.map((robot, i) => ({
+      ...robot,
+      color: robot.color ?? COLORS[i % COLORS.length],
+      gpu: upload(gl, robot),
+    }));
+    this.followed = Math.min(this.followed, Math.max(0, robots.length - 1));
+  }
+
+  /** Length of the longest recording, in seconds. */
+  durationS() {
+    return Math.max(0, ...this.robots.map((robot) => (robot.frames - 1) * robot.frameS));
+  }
+
+  #heights(world) {
+    const key = world.key ?? world;
+    if (!this.terrains.has(key)) {
+      const { gl } = this;
+      this.terrains.set(key, dataTexture(gl, gl.R32F, 8, 8, gl.RED, gl.FLOAT, Float32Array.from(world.heights)));
+    }
+    return this.terrains.get(key);
+  }
+
+  frameOf(robot) {
+    return Math.min(this.timeS / robot.frameS, robot.frames - 1);
+  }
+
+  /** The views of the stage: all robots in one, or a view each. */
+  views() {
+    const { width, height } = this.canvas;
+    const n = this.sideBySide ? this.robots.length : 1;
+    if (n <= 1) return [{ robots: this.robots, x: 0, y: 0, width, height }];
+    let columns = 1;
+    // The split whose views come nearest to a picture of 3 by 2.
+    let best = Infinity;
+    for (let c = 1; c <= n; c++) {
+      const shape = width / c / (height / Math.ceil(n / c));
+      const off = Math.abs(Math.log(shape / 1.5)) + 0.2 * (Math.ceil(n / c) * c - n);
+      if (off < best) [best, columns] = [off, c];
+    }
+    const rows = Math.ceil(n / columns);
+    const [w, hgt] = [Math.floor(width / columns), Math.floor(height / rows)];
+    return this.robots.map((robot, i) => ({
+      robots: [robot],
+      x: (i % columns) * w,
+      y: height - (Math.floor(i / columns) + 1) * hgt,
+      width: w - (i % columns < columns - 1 ? 1 : 0),
+      height: hgt - 1,
+    }));
+  }
+
+  /** Draws the present time. */
+  draw() {
+    const started = performance.now();
+    const { gl, canvas } = this;
+    const width = Math.max(1, Math.round(canvas.clientWidth * devicePixelRatio * this.scale));
+    const height = Math.max(1, Math.round(canvas.clientHeight * devicePixelRatio * this.scale));
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    const look = THEMES[this.theme];
+    gl.disable(gl.SCISSOR_TEST);
+    gl.viewport(0, 0, width, height);
+    clear(gl, this.sideBySide ? look.line : look.background);
+    for (const view of this.views()) this.#drawView(view, look);
+    gl.bindVertexArray(null);
+    this.drawS.push((performance.now() - started) / 1000);
+    if (this.drawS.length > 120) this.drawS.shift();
+  }
+
+  #drawView(view, look) {
+    const { gl, camera } = this;
+    const lead = view.robots[Math.min(this.followed, view.robots.length - 1)];
+    if (this.follow && lead) {
+      const center = centerOfMass(lead, this.frameOf(lead));
+      camera.target = [center[0], center[1], Math.max(center[2] - 0.05, 0)];
+    }
+    const matrix = camera.matrix(view.width, view.height);
+    const world = lead?.world ?? { light: [2.5, 4.5], heights: new Float32Array(64).fill(0.05) };
+    const sunMatrix = this.#drawShadows(view);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(view.x, view.y, view.width, view.height);
+    gl.viewport(view.x, view.y, view.width, view.height);
+    clear(gl, look.background);
+    gl.enable(gl.DEPTH_TEST);
+    const common = {
+      ...look, matrix, sunMatrix, sun: SUN, eye: camera.eye(), heights: this.#heights(world),
+      lightAt: [...world.light, heightAt(world.heights, ...world.light) + 0.06],
+      shadowMap: this.shadow.texture, shadowStrength: this.shadows ? 0.62 : 0,
+    };
+    this.programs.terrain.use().set(common);
+    gl.bindVertexArray(this.ground.array);
+    gl.drawElements(gl.TRIANGLES, GRID * GRID * 6, gl.UNSIGNED_INT, 0);
+    for (const robot of view.robots) this.#drawRobot(robot, common);
+    this.#drawBlended(view, common);
+    gl.disable(gl.SCISSOR_TEST);
+  }
+
+  #drawShadows(view) {
+    const { gl } = this;
+    const robots = view.robots;
+    const centers = robots.map((robot) => centerOfMass(robot, this.frameOf(robot)));
+    const middle = [0, 1, 2].map((axis) => {
+      const values = centers.map((center) => center[axis]);
+      return values.length ? (Math.min(...values) + Math.max(...values)) / 2 : 0;
+    });
+    const reach = 0.75 + Math.max(0, ...centers.map((c) => Math.hypot(c[0] - middle[0], c[1] - middle[1])));
+    const from = middle.map((x, axis) => x + SUN[axis] * 6);
+    const sunMatrix = multiply(orthographic(reach, reach, 0.1, 12), lookAt(from, middle, [0, 0, 1]));
+    if (!this.shadows) return sunMatrix;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.shadow.frame);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.viewport(0, 0, this.shadow.size, this.shadow.size);
+    gl.enable(gl.DEPTH_TEST);
+    gl.clear(gl.DEPTH_BUFFER_BIT);
+    this.programs.depth.use();
+    for (const robot of robots) {
+      this.programs.depth.set({ matrix: sunMatrix, track: robot.gpu.track, frame: this.frameOf(robot), offset: [0, 0, 0] });
+      gl.bindVertexArray(robot.gpu.skin.array);
+      gl.drawArraysInstanced(gl.TRIANGLES, 0, 6, robot.body.nFaces);
+    }
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    return sunMatrix;
+  }
+
+  #drawRobot(robot, common) {
+    const { gl, show } = this;
+    const own = { track: robot.gpu.track, frame: this.frameOf(robot), offset: [0, 0, 0], tint: toRgb(robot.color) };
+    if (show.skin) {
+      this.programs.skin.use().set(common).set({ ...own, alpha: 1 });
+      gl.bindVertexArray(robot.gpu.skin.array);
+      gl.drawArraysInstanced(gl.TRIANGLES, 0, 6, robot.body.nFaces);
+    }
+    if (show.springs) {
+      this.programs.springs.use().set(common).set({
+        ...own,
+        actuation: robot.gpu.actuation ?? this.noActuation,
+        showActuation: show.actuation && robot.gpu.actuation !== null,
+      });
+      gl.bindVertexArray(robot.gpu.springs.array);
+      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, robot.body.nSprings);
+    }
+  }
+
+  #drawBlended(view, common) {
+    const { gl, show } = this;
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.depthMask(false);
+    for (const robot of view.robots) {
+      const own = { track: robot.gpu.track, frame: this.frameOf(robot), offset: [0, 0, 0], tint: toRgb(robot.color) };
+      if (show.trails) {
+        this.programs.trail.use().set(common).set({ ...own, width: 0.016 });
+        gl.bindVertexArray(robot.gpu.trail.array);
+        gl.drawArrays(gl.TRIANGLE_STRIP, 0, robot.gpu.trail.n);
+      }
+      if (show.contacts) {
+        this.programs.contacts.use().set(common).set(own);
+        gl.bindVertexArray(this.empty);
+        gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, robot.body.nMasses);
+      }
+    }
+    const size = 0.26;
+    this.programs.lamp.use().set(common).set({ size: [size * (view.height / view.width) , size] });
+    gl.bindVertexArray(this.empty);
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    gl.depthMask(true);
+    gl.disable(gl.BLEND);
+  }
+
+  /** Where a mass appears, in pixels of the canvas from its upper left corner. */
+  positionOf(robotIndex, mass) {
+    const robot = this.robots[robotIndex];
+    const view = this.views()[this.sideBySide ? robotIndex : 0];
+    const frame = Math.round(this.frameOf(robot));
+    const at = 3 * (frame * robot.body.nMasses + mass);
+    const [x, y] = project(this.camera.matrix(view.width, view.height), robot.track.subarray(at, at + 3));
+    return [view.x + ((x + 1) / 2) * view.width, this.canvas.height - view.y - ((y + 1) / 2) * view.height];
+  }
+}
+
+/** Height of a terrain at (x, y), as the daemon computes it: bilinear, clamped at the edge. */
+export function heightAt(heights, x, y) {
+  const [cx, cy] = [x, y].map((v) => Math.min(7, Math.max(0, v * 1.4)));
+  const [i, j] = [cx, cy].map((v) => Math.min(6, Math.floor(v)));
+  const [fx, fy] = [cx - i, cy - j];
+  const at = (a, b) => heights[(j + b) * 8 + i + a];
+  return (1 - fy) * ((1 - fx) * at(0, 0) + fx * at(1, 0)) + fy * ((1 - fx) * at(0, 1) + fx * at(1, 1));
+}

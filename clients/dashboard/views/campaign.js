@@ -1,0 +1,288 @@
+/** Campaigns: the list, and one campaign with its curves, champions, population and phylogeny. */
+
+import { Curve, getJson, post, withQuery } from '../lib/api.js';
+import { Chart } from '../lib/chart.js';
+import { announce, button, fill, h } from '../lib/dom.js';
+import { ago, count, number, score } from '../lib/format.js';
+import { picture } from '../lib/picture.js';
+import { environmentSet, roll } from '../lib/rollouts.js';
+import { Player } from '../stage/player.js';
+import { startDialog } from './forms.js';
+import { actions, progressBar, stateChip, titleOf, trouble, weightField } from './jobs.js';
+import { Scatter } from './scatter.js';
+import { copyDialog, saveLink, showDialog } from './share.js';
+
+const CHAMPIONS = 8;
+const HUES = ['--blue', '--orange', '--green', '--pink'];
+
+export async function mount(main, [id, part], parameters, app) {
+  if (!id) return mountList(main, app);
+  if (part === 'phylogeny') return (await import('./phylogeny.js')).mount(main, id, parameters, app);
+  return mountOne(main, id, parameters, app);
+}
+
+async function mountList(main, app) {
+  const page = await getJson('v1/campaigns?limit=200');
+  const chosen = new Set();
+  const compare = button('Compare', () => {
+    const [first, ...others] = chosen;
+    app.go(`campaigns/${first}`, { compare: others.join(',') });
+  }, { disabled: true });
+  const rows = page.items.map((job) => h('tr', {},
+    h('td', {}, h('input', { type: 'checkbox', 'aria-label': `Compare ${titleOf({ kind: 'campaign', ...job })}`,
+      onchange: (event) => {
+        if (event.target.checked) chosen.add(job.id);
+        else chosen.delete(job.id);
+        compare.disabled = chosen.size < 2;
+      } })),
+    h('td', {}, h('a', { href: `#/campaigns/${job.id}` }, titleOf({ kind: 'campaign', ...job })), h('div.muted', {}, job.mode)),
+    h('td', {}, stateChip(job)), h('td.right', {}, count(job.settings.population)),
+    h('td', {}, progressBar({ kind: 'campaign', ...job })),
+    h('td.right', {}, job.newest ? score(job.newest.score.quantiles.p0) : '–'),
+    h('td', {}, ago(job.created_at))));
+  main.replaceChildren(
+    h('div.title', {}, h('h1', {}, 'Campaigns'), h('div.actions', {}, compare,
+      button('New campaign', () => startDialog(app, 'campaign'), { class: 'primary' }))),
+    rows.length ? h('section.panel.scroll', {}, h('table', {}, h('thead', {}, h('tr', {},
+      ['', 'Campaign', 'State', 'Population', 'Progress', 'Best score', 'Created'].map((name) =>
+        h(/Population|Best/.test(name) ? 'th.right' : 'th', { scope: 'col' }, name)))), h('tbody', {}, rows)))
+      : h('p.empty', {}, 'No campaign yet. A campaign evolves a population of designs over generations; ' +
+        'the button above starts one.'));
+  return {
+    update(event) {
+      // A list in which somebody chooses stays as it is.
+      const isNews = event.type === 'reset' || event.type.startsWith('campaign.');
+      if (isNews && !chosen.size && event.type !== 'campaign.progress') mountList(main, app);
+    },
+  };
+}
+
+/** One campaign's rows as lists of numbers, for charts. */
+const column = (rows, take) => Float64Array.from(rows, (row) => take(row) ?? NaN);
+
+async function mountOne(main, id, parameters, app) {
+  const stop = new AbortController();
+  const get = (url) => getJson(url, { signal: stop.signal });
+  let campaign = await get(`v1/campaigns/${id}`);
+  campaign.kind = 'campaign';
+  const others = (parameters.get('compare') ?? '').split(',').filter(Boolean).slice(0, 3);
+  const ids = [id, ...others];
+  const curves = ids.map((one) => new Curve(`v1/campaigns/${one}/generations`));
+  const isGroup = campaign.group.replicates > 1;
+  const replicates = isGroup ? new Curve(`v1/campaigns/${campaign.group.id}/replicates`) : null;
+  const learns = campaign.settings.learning !== null;
+
+  const head = h('div.title');
+  const status = h('section.panel.stack', { 'aria-label': 'State' });
+  const charts = {
+    scores: new Chart({ title: 'Loss: best, median, quantiles', log: true, height: 260, empty: 'No generation has ended yet.' }),
+    diversity: new Chart({ title: 'Diversity and turnover', minimum: 0, height: 260, empty: 'No generation has ended yet.' }),
+    operators: new Chart({ title: 'Share of children that survive', minimum: 0 }),
+    size: new Chart({ title: 'Voxels and footprint', minimum: 0 }),
+  };
+  if (learns) charts.learning = new Chart({ title: 'Loss while learning, in each generation' });
+  const champions = h('div.grid.small');
+  const player = new Player(app, { compact: true, height: 420 });
+  const scatter = new Scatter((numbers) => walk(numbers));
+  const announceState = h('div.visually-hidden', { 'aria-live': 'polite' });
+
+  main.replaceChildren(head, status, h('div.grid', {}, Object.values(charts).map((chart) => chart.element)),
+    h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Champions'),
+      h('span.muted', {}, 'the most distinct of the best; choose one to see it walk')), champions),
+    h('section.panel.flush', { 'aria-label': 'Stage' }, player.element), scatter.element, announceState);
+
+  function showHead() {
+    fill(head, h('h1', {}, titleOf(campaign)),
+      h('span.muted', {}, `${campaign.mode}, ${count(campaign.settings.population)} designs`), stateChip(campaign),
+      others.map((other, i) => h('a.state', { href: `#/campaigns/${other}` }, `with campaign ${other} (${['dashed', 'dotted', 'thin'][i]})`)),
+      h('div.actions', {}, h('a.button', { href: `#/campaigns/${id}/phylogeny` }, 'Phylogeny'),
+        button('Export', () => exports()), button('Extend', () => extend()),
+        button('Copy', () => copyDialog(commandsOf(campaign)))));
+    fill(status, progressBar(campaign), trouble(campaign),
+      h('div.row', {}, actions(campaign, refreshJob), weightField(campaign, refreshJob),
+        campaign.progress.rollouts_per_s ? h('span.muted', {}, `${number(campaign.progress.rollouts_per_s)} rollouts a second`) : null,
+        h('span.muted', {}, `${count(campaign.progress.designs)} designs so far`)));
+  }
+
+  function exports() {
+    const link = (path, text) => h('li', {},
+      saveLink(`v1/campaigns/${id}/${path}`, `campaign-${id}-${path.split('?')[0]}`, text));
+    showDialog('Export', h('ul', {}, link('generations?format=csv', 'Generations as CSV'),
+      link('phylogeny?format=csv', 'Phylogeny in the ALife standard (CSV)'),
+      link('phylogeny?format=newick', 'Phylogeny in Newick'),
+      learns ? link('learning?format=csv', 'Learning as CSV') : null));
+  }
+
+  function extend() {
+    const input = h('input', { type: 'number', min: 1, max: 100000, value: 10, required: true });
+    const fault = h('p.error', { role: 'alert' });
+    const dialog = showDialog('Extend the campaign', h('p', {}, 'It goes on from its last generation.'),
+      h('label.field', {}, h('span', {}, 'Further generations'), input), fault,
+      button('Extend', async () => {
+        try {
+          await post(`v1/campaigns/${id}/extend`, { generations: Number(input.value) });
+          dialog.close();
+          announce(`Extended by ${input.value} generations`);
+          refreshJob();
+        } catch (error) {
+          fault.textContent = error.message;
+        }
+      }, { class: 'primary' }));
+  }
+
+  function showCharts() {
+    const rows = curves[0].rows;
+    const x = column(rows, (row) => row.generation);
+    const quantile = (name) => column(rows, (row) => row.score.quantiles[name]);
+    /** @type {import('../lib/chart.js').Series[]} */
+    const scores = [
+      { name: '5 to 95 %', kind: 'band', x, low: quantile('p5'), high: quantile('p95'), y: x, color: '--blue-softer' },
+      { name: '25 to 75 %', kind: 'band', x, low: quantile('p25'), high: quantile('p75'), y: x, color: '--blue-soft' },
+      { name: 'median', x, y: quantile('p50'), color: '--blue' },
+      { name: 'best', x, y: quantile('p0'), color: '--orange' },
+    ];
+    if (replicates?.rows.length) {
+      const r = replicates.rows;
+      const rx = column(r, (row) => row.generation);
+      scores.unshift({ name: `mean of ${campaign.group.replicates} replicates, least to most`, kind: 'band', x: rx, y: rx,
+        low: column(r, (row) => row.mean_score.least), high: column(r, (row) => row.mean_score.most), color: '--blue-softer' });
+    }
+    others.forEach((other, i) => {
+      const ox = column(curves[i + 1].rows, (row) => row.generation);
+      scores.push({ name: `median of ${other}`, x: ox, y: column(curves[i + 1].rows, (row) => row.score.quantiles.p50),
+        color: HUES[i + 1], dash: [6, 4] });
+    });
+    charts.scores.set(scores);
+    charts.diversity.set([
+      { name: 'diversity', x, y: column(rows, (row) => row.diversity), color: '--blue' },
+      { name: 'turnover', x, y: column(rows, (row) => row.turnover), color: '--pink', dash: [5, 4] },
+    ]);
+    const share = (name) => column(rows, ({ operators }) =>
+      (operators[name].born ? operators[name].survived / operators[name].born : null));
+    charts.operators.set([
+      { name: 'mutation', x, y: share('mutation'), color: '--orange' },
+      { name: 'crossover', x, y: share('crossover'), color: '--blue', dash: [5, 4] },
+    ]);
+    charts.size.set([
+      { name: 'voxels, least to most', kind: 'band', x, y: x, low: column(rows, (row) => row.voxels.least),
+        high: column(rows, (row) => row.voxels.most), color: '--blue-softer' },
+      { name: 'mean voxels', x, y: column(rows, (row) => row.voxels.mean), color: '--blue' },
+      { name: 'mean footprint', x, y: column(rows, (row) => row.footprint.mean), color: '--orange', dash: [5, 4] },
+    ]);
+    charts.learning?.set([
+      { name: 'first step', x, y: column(rows, (row) => row.learning.first_loss), color: '--grey', dash: [5, 4] },
+      { name: 'last step', x, y: column(rows, (row) => row.learning.last_loss), color: '--blue' },
+    ]);
+  }
+
+  let population = [];
+  async function showChampions() {
+    const generation = campaign.progress.generation;
+    if (generation === null) {
+      fill(champions, h('p.empty', {}, 'The first champions come with the first generation.'));
+      return;
+    }
+    const { items } = await get(`v1/campaigns/${id}/champions?count=${CHAMPIONS}`);
+    fill(champions, items.map((design) => h('button.card', {
+      type: 'button', title: `Design ${design.id}`,
+      onclick: () => walk([design.number], items),
+    }, picture(design.genotype, `Champion ${design.number}`), h('strong.number', {}, `#${design.number} · ${score(design.score)}`),
+    h('span.muted', {}, `${design.voxels} voxels, ${design.operator}`))));
+    population = [];
+    let cursor;
+    do {
+      const page = await get(withQuery(`v1/campaigns/${id}/population`, { limit: 1000, cursor }));
+      population.push(...page.items);
+      cursor = page.next_cursor;
+    } while (cursor !== null && population.length < 10000);
+    scatter.set(population);
+    if (!player.stage?.robots.length) await walk(items.slice(0, 4).map((design) => design.number), items);
+  }
+
+  /** Lets designs walk, by their numbers. */
+  async function walk(numbers, known = population) {
+    const designs = numbers.map((one) => known.find((design) => design.number === one)).filter(Boolean).slice(0, 64);
+    if (!designs.length) return;
+    player.setNote('Walking…');
+    try {
+      const environments = await campaignEnvironments();
+      const robots = await roll(designs.map((design) => ({ voxels: design.genotype })), [environments[0]],
+        { controller: controllerOf(campaign), signal: stop.signal });
+      robots.forEach((robot, i) => { robot.label = `#${designs[i].number}`; });
+      player.setRobots(robots);
+      player.setNote('');
+    } catch (error) {
+      if (!stop.signal.aborted) player.setNote(error.message);
+    }
+  }
+
+  let environmentsLoad = null;
+  function campaignEnvironments() {
+    const named = campaign.settings.environments;
+    environmentsLoad ??= named === 'paper-test' ? environmentSet(named)
+      : get(`v1/campaigns/${id}/environments`).then((page) => page.items);
+    return environmentsLoad;
+  }
+
+  let jobLoad = null;
+  function refreshJob() {
+    jobLoad ??= get(`v1/campaigns/${id}`).then((fresh) => {
+      const was = campaign.state;
+      campaign = { ...fresh, kind: 'campaign' };
+      if (was !== campaign.state) announceState.textContent = `The campaign is ${campaign.state}`;
+      showHead();
+    }).finally(() => { jobLoad = null; });
+    return jobLoad;
+  }
+
+  async function refreshCurves() {
+    const fresh = await Promise.all([...curves, ...(replicates ? [replicates] : [])].map((curve) => curve.refresh(stop.signal)));
+    if (fresh.some(Boolean)) showCharts();
+    return fresh[0];
+  }
+
+  showHead();
+  showCharts();
+  await refreshCurves();
+  showChampions().catch((error) => { if (!stop.signal.aborted) fill(champions, h('p.error', {}, error.message)); });
+
+  let pending = null;
+  /** New generations are drawn together, at most twice a second. */
+  function later() {
+    pending ??= setTimeout(async () => {
+      pending = null;
+      try {
+        await refreshJob();
+        if (await refreshCurves()) await showChampions();
+      } catch {
+        // The banner tells that the service cannot be reached.
+      }
+    }, 500);
+  }
+  return {
+    update(event) {
+      if (event.type === 'reset' || event.job === id || others.includes(event.job)) later();
+    },
+    unmount() {
+      clearTimeout(pending);
+      stop.abort();
+      Object.values(charts).forEach((chart) => chart.destroy());
+      scatter.destroy();
+      player.destroy();
+    },
+  };
+}
+
+function controllerOf(campaign) {
+  const result = campaign.result?.controller ?? campaign.controller;
+  return result?.sha256 ? `sha256:${result.sha256}` : 'default';
+}
+
+function commandsOf(campaign) {
+  const url = new URL(`v1/campaigns/${campaign.id}`, document.baseURI);
+  return [
+    ['curl', `curl -s ${url}\ncurl -s "${url}/generations?format=csv" -o generations.csv`],
+    ['morphoctl', `morphoctl campaign show ${campaign.id}\nmorphoctl campaign watch ${campaign.id}`],
+  ];
+}
+

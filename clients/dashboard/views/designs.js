@@ -1,0 +1,154 @@
+/** Designs: the leaderboard, the results of one evaluation, and one design. */
+
+import { getJson, withQuery } from '../lib/api.js';
+import { button, fill, h, select } from '../lib/dom.js';
+import { ago, count, score } from '../lib/format.js';
+import { picture } from '../lib/picture.js';
+import { environmentSet, roll } from '../lib/rollouts.js';
+import { Player } from '../stage/player.js';
+import { actions, progressBar, stateChip, titleOf, trouble } from './jobs.js';
+
+const PAGE = 48;
+
+export async function mount(main, [id], parameters, app) {
+  if (id) return mountDesign(main, id, app);
+  if (parameters.get('evaluation')) return mountEvaluation(main, parameters.get('evaluation'), app);
+  return mountBoard(main, parameters, app);
+}
+
+/** Cards of designs that can be chosen for the stage. */
+class Wall {
+  constructor(app, options = {}) {
+    this.app = app;
+    this.options = options;
+    this.chosen = new Set();
+    this.element = h('div.grid.small');
+    this.walk = button('Let the chosen walk', () => app.go('stage', {
+      designs: [...this.chosen].join(','), ...options,
+    }), { class: 'primary', disabled: true });
+  }
+
+  card({ id, genotype, score: value, voxels }) {
+    const card = h('button.card', {
+      type: 'button', 'aria-pressed': 'false', 'aria-label': `Design ${id}, score ${score(value)}, ${voxels} voxels`,
+      onclick: () => {
+        const on = !this.chosen.delete(genotype);
+        if (on) this.chosen.add(genotype);
+        card.setAttribute('aria-pressed', String(on));
+        this.walk.disabled = this.chosen.size === 0;
+      },
+      ondblclick: () => this.app.go(`designs/${id}`),
+    }, picture(genotype), h('strong.number', {}, value === undefined ? '–' : score(value)), h('span.muted', {}, `${voxels} voxels`));
+    return h('div.stack', {}, card, h('a', { href: `#/designs/${id}` }, `${id.slice(0, 10)}…`));
+  }
+
+  add(designs) {
+    this.element.append(...designs.map((design) => this.card(design)));
+  }
+}
+
+async function mountBoard(main, parameters, app) {
+  let controller = parameters.get('controller') ?? 'default';
+  let sort = parameters.get('sort') ?? 'score';
+  const controllers = (await getJson('v1/controllers?limit=200')).items.map(({ name }) => name).filter(Boolean);
+  const wall = new Wall(app);
+  const foot = h('div.row');
+  let cursor;
+
+  async function more() {
+    const page = await getJson(withQuery('v1/designs', {
+      sort, controller: sort === 'score' ? controller : null, cursor, limit: PAGE,
+    }));
+    cursor = page.next_cursor;
+    wall.add(page.items.map((design) => ({ ...design, genotype: design.scored_genotype ?? design.genotype })));
+    const shown = wall.element.childElementCount;
+    fill(foot, cursor === null ? null : button('Show more', more),
+      h('span.muted', {}, shown ? `${count(shown)} designs shown` :
+        'No design has a score with this controller yet. Score one with the editor, or start a campaign.'));
+  }
+
+  async function again() {
+    cursor = undefined;
+    wall.element.replaceChildren();
+    app.keep({ controller, sort });
+    await more();
+  }
+
+  main.replaceChildren(h('div.title', {}, h('h1', {}, 'Designs'), h('div.actions', {},
+    select('Order', [['score', 'best first'], ['id', 'as they came']], sort, (value) => {
+      sort = value;
+      again();
+    }), select('Controller', controllers, controller, (value) => {
+      controller = value;
+      again();
+    }), wall.walk)), h('section.panel', { 'aria-label': 'Leaderboard' }, wall.element), foot);
+  await more();
+  return {};
+}
+
+async function mountEvaluation(main, id, app) {
+  const stop = new AbortController();
+  const wall = new Wall(app);
+  const head = h('section.panel.stack');
+  let done = false;
+
+  async function refresh() {
+    const job = { ...(await getJson(`v1/evaluations/${encodeURIComponent(id)}`, { signal: stop.signal })), kind: 'evaluation' };
+    fill(head, h('div.title', {}, h('h1', {}, titleOf(job)), stateChip(job), h('div.actions', {}, actions(job, refresh), wall.walk)),
+      progressBar(job), trouble(job));
+    if (job.results && !done) {
+      done = true;
+      const order = job.results.map((result, i) => ({ ...result, i }))
+        .sort((a, b) => (a.score ?? Infinity) - (b.score ?? Infinity)).slice(0, 500);
+      wall.add(order.map((result) => ({ ...result, voxels: [...result.genotype].filter((v) => v === '1').length })));
+      if (job.results.length > order.length) {
+        head.append(h('p.muted', {}, `The best ${order.length} of ${count(job.results.length)} designs are shown.`));
+      }
+    }
+  }
+
+  main.replaceChildren(head, h('section.panel', { 'aria-label': 'Results' }, wall.element));
+  await refresh();
+  return {
+    update(event) {
+      if (event.type === 'reset' || event.job === id) refresh().catch(() => {});
+    },
+    unmount: () => stop.abort(),
+  };
+}
+
+async function mountDesign(main, id, app) {
+  const stop = new AbortController();
+  const design = await getJson(`v1/designs/${encodeURIComponent(id)}`);
+  const player = new Player(app, { height: 420 });
+  const scored = design.orientations.flatMap((orientation) =>
+    orientation.scores.map((one) => ({ ...one, genotype: orientation.genotype })));
+  main.replaceChildren(
+    h('div.title', {}, h('h1', {}, 'Design'), h('code', {}, design.id), h('div.actions', {},
+      h('a.button', { href: `#/editor?design=${design.id}` }, 'Edit'),
+      h('a.button', { href: `#/stage?designs=${design.id}` }, 'Stage'))),
+    h('div.grid', {}, h('section.panel.row', {}, h('div.card', {}, picture(design.genotype, 'The design')),
+      h('div.stack', {}, h('div', {}, `${design.voxels} voxels, ${design.masses} masses, ${design.springs} springs`),
+        h('div.muted', {}, `first seen ${ago(design.first_seen_at)}`))),
+    h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
+    h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, h('table', {},
+      h('thead', {}, h('tr', {}, ['Score', 'Controller', 'Environments', 'Computed', 'Class', 'Origin'].map((name) => h('th', { scope: 'col' }, name)))),
+      h('tbody', {}, scored.map((one) => h('tr', {}, h('td', {}, score(one.score)), h('td', {}, h('code', {}, one.controller.slice(0, 12))),
+        h('td', {}, Array.isArray(one.environments) ? `${one.environments.length} environments` : String(one.environments)),
+        h('td', {}, ago(one.computed_at)), h('td', {}, one.fingerprint), h('td', {}, one.origin))))))
+      : h('p.empty', {}, 'No score is stored for this design.')),
+    h('section.panel.stack', {}, h('h2', {}, 'Campaigns'), design.campaigns.length ? h('ul', {}, design.campaigns.map((one) =>
+      h('li', {}, h('a', { href: `#/campaigns/${one.campaign}` }, `campaign ${one.campaign}`),
+        `: number ${one.number}, ${one.operator}, born in generation ${one.born}, score ${score(one.score)}`)))
+      : h('p.empty', {}, 'No campaign has born it.')));
+  const environments = await environmentSet('paper-test');
+  roll([{ voxels: design.orientations[0]?.genotype ?? design.genotype }], [environments[0]], { signal: stop.signal })
+    .then((robots) => player.setRobots(robots.map((robot) => ({ ...robot, label: 'this design' }))))
+    .catch((error) => { if (!stop.signal.aborted) player.setNote(error.message); });
+  return {
+    unmount() {
+      stop.abort();
+      player.destroy();
+    },
+  };
+}

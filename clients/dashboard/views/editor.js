@@ -1,0 +1,212 @@
+/** The editor: a body, voxel by voxel, that walks and is scored at every click. */
+
+import { getJson, patient, post } from '../lib/api.js';
+import { WORKSPACE, bodyOf, genotypeOfId, hasVoxel } from '../lib/body.js';
+import { announce, button, fill, h, toggle } from '../lib/dom.js';
+import { count, score } from '../lib/format.js';
+import { picture } from '../lib/picture.js';
+import { environmentSet, roll } from '../lib/rollouts.js';
+import { cross, flip, grow, isConnected, mirror, mutate, readBody, shift } from '../lib/variation.js';
+import { Player } from '../stage/player.js';
+import { startDialog } from './forms.js';
+import { copyDialog, showDialog } from './share.js';
+
+const FIRST = [[1, 1, 0], [2, 1, 0], [3, 1, 0], [4, 1, 0], [1, 4, 0], [2, 4, 0], [3, 4, 0], [4, 4, 0],
+  [2, 2, 0], [3, 2, 0], [2, 3, 0], [3, 3, 0], [2, 2, 1], [3, 3, 1], [2, 3, 1], [3, 2, 1]];
+
+export async function mount(main, path, parameters, app) {
+  const player = new Player(app, { compact: true, height: 460 });
+  let genotype = await startBody(parameters);
+  const past = [];
+  const kept = [];
+  let mirrored = false;
+  let turn = 0;
+  let stop = new AbortController();
+
+  const layers = h('div.layers', { role: 'group', 'aria-label': 'Body, layer by layer' });
+  const result = h('p', { 'aria-live': 'polite' });
+  const shelf = h('div.grid.small');
+  const environments = await environmentSet('paper-test');
+
+  function change(next, { undo = false } = {}) {
+    if (!next || !next.includes('1')) {
+      announce('A body needs a voxel.');
+      return;
+    }
+    if (!undo) past.push(genotype);
+    genotype = next;
+    app.keep({ voxels: genotype });
+    drawLayers();
+    walk();
+  }
+
+  function click(cell) {
+    let next = flip(genotype, cell);
+    if (mirrored) {
+      const image = [WORKSPACE[0] - 1 - cell[0], cell[1], cell[2]];
+      if (hasVoxel(next, ...image) !== hasVoxel(next, ...cell)) next = flip(next, image);
+    }
+    change(next);
+  }
+
+  function drawLayers() {
+    const focused = /** @type {HTMLElement} */ (document.activeElement)?.dataset.cell;
+    fill(layers, Array.from({ length: WORKSPACE[2] }, (_, z) => layer(z)));
+    if (focused) layers.querySelector(`[data-cell="${focused}"]`)?.focus();
+  }
+
+  function layer(z) {
+    const rows = Array.from({ length: WORKSPACE[1] }, (_, up) => {
+      const y = WORKSPACE[1] - 1 - up;
+      return h('div', { role: 'row' }, Array.from({ length: WORKSPACE[0] }, (_, x) => {
+        const on = hasVoxel(genotype, x, y, z);
+        const hint = !on && hasVoxel(genotype, x, y, z - 1) ? '.hint' : '';
+        return h(`button${hint}`, {
+          type: 'button', role: 'gridcell', 'aria-selected': String(on), 'data-cell': `${x},${y},${z}`,
+          tabindex: x === 2 && y === 2 && z === 0 ? 0 : -1,
+          'aria-label': `x ${x}, y ${y}, layer ${z}: ${on ? 'voxel' : 'empty'}`,
+          onclick: () => click([x, y, z]),
+        });
+      }));
+    });
+    return h('fieldset.layer', {}, h('legend', {}, z === 0 ? 'layer 0, on the ground' : `layer ${z}`),
+      h('div.cells', { role: 'grid', 'aria-label': `Layer ${z}` }, rows));
+  }
+
+  layers.addEventListener('keydown', (event) => {
+    const cell = event.target.dataset?.cell?.split(',').map(Number);
+    if (!cell) return;
+    const step = {
+      ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0],
+      PageUp: [0, 0, 1], PageDown: [0, 0, -1],
+    }[event.key];
+    if (!step) return;
+    event.preventDefault();
+    const to = cell.map((v, axis) => Math.min(WORKSPACE[axis] - 1, Math.max(0, v + step[axis])));
+    layers.querySelector(`[data-cell="${to}"]`).focus();
+  });
+
+  async function walk() {
+    stop.abort();
+    stop = new AbortController();
+    const mine = ++turn;
+    const { signal } = stop;
+    const started = performance.now();
+    const body = bodyOf(genotype);
+    const size = `${count(body.nVoxels)} ${body.nVoxels === 1 ? 'voxel' : 'voxels'}, ${count(body.nSprings)} springs`;
+    if (!isConnected(genotype)) {
+      result.textContent = `${size}; not connected: every voxel must touch another with a face`;
+      return;
+    }
+    const design = { voxels: genotype };
+    result.textContent = `${size}; scoring…`;
+    try {
+      const [robot] = await roll([design], [environments[0]], { signal });
+      if (mine !== turn) return;
+      robot.label = 'this body';
+      player.setRobots([robot]);
+      const shownMs = Math.round(performance.now() - started);
+      const reply = await patient(() => post('v1/rollouts', {
+        designs: [design], environments: 'paper-test', record: [],
+      }, { signal, headers: { Accept: 'application/json' } }));
+      if (mine !== turn) return;
+      const losses = reply.rollouts.map((rollout) => rollout.loss);
+      const diverged = losses.some((loss) => loss === null);
+      const mean = diverged ? null : reply.designs[0].score;
+      result.textContent = `score ${score(mean)} over ten environments, ${size}; walking after ${shownMs} ms, ` +
+        `scored after ${Math.round(performance.now() - started)} ms`;
+      performance.measure('morphod-click-to-motion', { start: started, duration: shownMs });
+    } catch (error) {
+      if (!signal.aborted) result.textContent = `${size}; ${error.message}`;
+    }
+  }
+
+  function drawShelf() {
+    fill(shelf, kept.map((one, i) => h('button.card', {
+      type: 'button', title: 'Take this body back into the editor', onclick: () => change(one.genotype),
+    }, picture(one.genotype, `Kept body ${i + 1}`), h('span.muted', {}, one.note))),
+    kept.length ? null : h('p.empty', {}, 'Keep bodies here to cross them, or to breed a campaign from them.'));
+    breed.disabled = kept.length === 0;
+    crossing.disabled = kept.length === 0;
+  }
+
+  function keep() {
+    if (kept.some((one) => one.genotype === genotype)) return;
+    kept.push({ genotype, note: result.textContent.split(',')[0] });
+    drawShelf();
+    announce(`${kept.length} bodies kept`);
+  }
+
+  function importBody() {
+    const text = h('textarea', { rows: 6, 'aria-label': 'Body' });
+    const fault = h('p.error', { role: 'alert' });
+    const dialog = showDialog('Import a body', h('p', {}, 'An id, 144 digits of voxels, a list of cells as [[x,y,z], …], ' +
+      'or an array of EvoGym (it becomes two voxels deep).'), text, fault,
+    button('Import', () => {
+      try {
+        const body = readBody(text.value);
+        dialog.close();
+        change(body.genotype ?? genotypeOfId(body.id));
+      } catch (error) {
+        fault.textContent = error.message;
+      }
+    }, { class: 'primary' }));
+  }
+
+  const move = (name, step) => button(name, () => {
+    const next = shift(genotype, step);
+    if (next) change(next);
+    else announce('The body is at the edge of the workspace.');
+  }, { class: 'icon', 'aria-label': `Shift: ${name}` });
+  const breed = button('Breed these', () => startDialog(app, 'campaign', {
+    initial: { designs: kept.map((one) => ({ voxels: one.genotype })) }, population: Math.max(32, kept.length),
+  }), { class: 'primary', disabled: true });
+  const crossing = button('Cross with a kept one', () => {
+    const other = kept[Math.floor(Math.random() * kept.length)];
+    const child = cross(genotype, other.genotype);
+    if (child) change(child);
+    else announce('The two bodies are equal; nothing is left.');
+  }, { disabled: true });
+
+  main.replaceChildren(h('h1.visually-hidden', {}, 'Editor'),
+    h('section.panel.stack', {}, layers,
+      h('div.row', {}, toggle('Mirror x', false, (on) => {
+        mirrored = on;
+        if (on) change(mirror(genotype, 0));
+      }), button('Random', () => change(grow())), button('Mutate', () => change(mutate(genotype))), crossing,
+      button('Undo', () => {
+        if (past.length) change(past.pop(), { undo: true });
+      }), move('←', [-1, 0, 0]), move('→', [1, 0, 0]), move('↑', [0, 1, 0]), move('↓', [0, -1, 0]),
+      move('up', [0, 0, 1]), move('down', [0, 0, -1]), button('Import', importBody), button('Keep', keep),
+      button('Copy', () => copyDialog([
+        ['curl', `curl -s ${new URL('v1/evaluations', document.baseURI)} -H 'Content-Type: application/json' ` +
+          `-H 'Prefer: wait=30' \\\n  -d '{"designs": [{"voxels": "${genotype}"}]}'`],
+        ['morphoctl', `morphoctl eval ${genotype}`],
+      ]))), result,
+      h('p.muted', {}, 'Layers from the ground up. Arrow keys move, page keys change the layer, space sets a voxel.')),
+    h('section.panel.flush', { 'aria-label': 'Stage' }, player.element),
+    h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Kept'), h('div.actions', {}, breed)), shelf));
+  drawLayers();
+  drawShelf();
+  walk();
+  return {
+    unmount() {
+      stop.abort();
+      player.destroy();
+    },
+  };
+}
+
+/** The body that the link names, or a small walker. */
+async function startBody(parameters) {
+  const voxels = parameters.get('voxels');
+  if (/^[01]{144}$/.test(voxels ?? '') && voxels.includes('1')) return voxels;
+  const id = parameters.get('design');
+  if (id) {
+    const design = await getJson(`v1/designs/${encodeURIComponent(id)}`);
+    return design.orientations[0]?.genotype ?? design.genotype;
+  }
+  let genotype = '0'.repeat(144);
+  for (const cell of FIRST) genotype = flip(genotype, cell);
+  return genotype;
+}

@@ -1,0 +1,128 @@
+/** Forms that start jobs. Names, bounds and defaults come from the contract that the daemon serves. */
+
+import { post } from '../lib/api.js';
+import { button, h } from '../lib/dom.js';
+import { shellWord } from '../lib/format.js';
+import { copyDialog } from './share.js';
+
+/** What each form asks for, in the order shown; the contract knows all else. */
+const FIELDS = {
+  evaluation: ['controller', 'precision', 'priority', 'weight', 'device', 'label'],
+  training: ['kind', 'preset', 'name', 'controller', 'steps', 'batch', 'seed', 'weight', 'device', 'label'],
+  campaign: ['mode', 'preset', 'population', 'generations', 'seed', 'replicates', 'controller', 'selection', 'name',
+    'weight', 'device', 'label'],
+};
+const SCHEMAS = { evaluation: 'EvaluationRequest', training: 'TrainingRequest', campaign: 'CampaignRequest' };
+const PATHS = { evaluation: 'v1/evaluations', training: 'v1/trainings', campaign: 'v1/campaigns' };
+
+/** A schema with its references followed, and its alternatives reduced to the plain one. */
+export function resolve(contract, schema) {
+  let result = { ...schema };
+  for (let i = 0; i < 8 && result.$ref; i++) {
+    const { $ref, ...own } = result;
+    const target = $ref.split('/').slice(1).reduce((at, key) => at[key], contract);
+    result = { ...target, ...own };
+  }
+  const alternatives = result.oneOf ?? result.anyOf;
+  if (alternatives) {
+    const plain = alternatives.map((one) => resolve(contract, one)).find((one) => one.enum || one.type === 'string' || one.const);
+    if (plain) result = { ...plain, description: result.description, default: result.default };
+  }
+  return result;
+}
+
+function inputFor(name, schema, isRequired) {
+  const described = { 'aria-describedby': `hint-${name}`, name };
+  if (schema.enum) {
+    const choices = schema.default === undefined && !isRequired ? ['', ...schema.enum] : schema.enum;
+    return h('select', described, choices.map((value) =>
+      h('option', { value, selected: value === (schema.default ?? '') }, value === '' ? 'as the preset says' : value)));
+  }
+  const isNumber = schema.type === 'integer' || schema.type === 'number';
+  return h('input', {
+    ...described, type: isNumber ? 'number' : 'text', min: schema.minimum, max: schema.maximum,
+    step: schema.type === 'integer' ? 1 : 'any', maxlength: schema.maxLength,
+    placeholder: schema.default !== undefined ? String(schema.default) : isNumber ? 'as the preset says' : '',
+  });
+}
+
+function hintOf(schema) {
+  const parts = [];
+  if (schema.minimum !== undefined && schema.maximum !== undefined) {
+    parts.push(`${schema.minimum.toLocaleString('en-US')} to ${schema.maximum.toLocaleString('en-US')}`);
+  }
+  if (schema.description) parts.push(schema.description);
+  return parts.join('. ');
+}
+
+/**
+ * Opens the form of a kind of job. `fixed` is sent as it is, like the designs of an evaluation.
+ */
+export async function startDialog(app, kind, fixed = /** @type {any} */ ({})) {
+  const contract = await app.contract();
+  const { properties, required = [] } = contract.components.schemas[SCHEMAS[kind]];
+  const fields = FIELDS[kind].filter((name) => !(name in fixed)).map((name) => {
+    const schema = resolve(contract, properties[name]);
+    const fault = h('span.fault', { role: 'alert' });
+    const input = inputFor(name, schema, required.includes(name));
+    if (required.includes(name)) input.required = true;
+    return { name, schema, input, fault, element: h('label.field', { title: hintOf(schema) },
+      h('span', {}, name.replaceAll('_', ' ')), input, h('span.visually-hidden', { id: `hint-${name}` }, hintOf(schema)),
+      fault) };
+  });
+  const designs = kind === 'evaluation' && !fixed.designs ? h('textarea', {
+    rows: 4, required: true, placeholder: 'one design a line: an id of 36 digits, or 144 digits of voxels',
+  }) : null;
+  const message = h('p.error.wide', { role: 'alert' });
+
+  function body() {
+    /** @type {any} */
+    const result = { ...fixed };
+    for (const { name, schema, input } of fields) {
+      if (input.value === '') continue;
+      result[name] = ['integer', 'number'].includes(schema.type) ? Number(input.value) : input.value;
+    }
+    if (designs) {
+      result.designs = designs.value.split('\n').map((line) => line.trim()).filter(Boolean)
+        .map((line) => (line.length === 144 ? { voxels: line } : { id: line }));
+    }
+    return result;
+  }
+
+  function commands() {
+    const json = JSON.stringify(body());
+    return [
+      ['curl', `curl -s ${new URL(PATHS[kind], document.baseURI)} -H 'Content-Type: application/json' -d ${shellWord(json)}`],
+      ['Python', `import urllib.request\nrequest = urllib.request.Request("${new URL(PATHS[kind], document.baseURI)}",\n` +
+        `    ${JSON.stringify(json)}.encode(), {"Content-Type": "application/json"})\n` +
+        'print(urllib.request.urlopen(request).read().decode())'],
+    ];
+  }
+
+  async function submit(event) {
+    event.preventDefault();
+    message.textContent = '';
+    for (const field of fields) field.fault.textContent = '';
+    try {
+      const job = await post(PATHS[kind], body());
+      const id = job.id ?? job.items?.[0]?.id;
+      dialog.close();
+      app.go(kind === 'evaluation' ? 'designs' : `${kind}s/${id}`, kind === 'evaluation' ? { evaluation: id } : {});
+    } catch (error) {
+      message.textContent = error.message;
+      for (const fault of error.faults ?? []) {
+        const field = fields.find(({ name }) => fault.pointer?.split('/')[1] === name);
+        if (field) field.fault.textContent = fault.detail;
+        else message.textContent += ` ${fault.pointer}: ${fault.detail}`;
+      }
+    }
+  }
+
+  const dialog = h('dialog', { 'aria-label': `New ${kind}`, onclose: () => dialog.remove() },
+    h('form', { onsubmit: submit }, h('h2.wide', {}, `New ${kind}`), fields.map(({ element }) => element),
+      designs ? h('label.field.wide', {}, h('span', {}, 'designs'), designs) : null, message,
+      h('div.row.wide', {}, h('button.primary', { type: 'submit' }, 'Start'),
+        button('Cancel', () => dialog.close()), button('Copy as a command', () => copyDialog(commands())))));
+  document.body.append(dialog);
+  dialog.showModal();
+}

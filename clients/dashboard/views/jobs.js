@@ -1,0 +1,162 @@
+/** What views of jobs share: their state, progress, and the buttons that change them. */
+
+import { ApiError, post } from '../lib/api.js';
+import { announce, button, fill, h } from '../lib/dom.js';
+import { ago, count, duration } from '../lib/format.js';
+import { confirmDialog } from './share.js';
+
+/** The page of a job. */
+export function linkOf(job) {
+  if (job.kind === 'campaign') return `#/campaigns/${job.id}`;
+  if (job.kind === 'training') return `#/trainings/${job.id}`;
+  return `#/designs?evaluation=${job.id}`;
+}
+
+/** What a job is, in a few words. */
+export function titleOf(job) {
+  return job.label ?? `${job.kind[0].toUpperCase()}${job.kind.slice(1)} ${job.id}`;
+}
+
+export function stateChip(job) {
+  return h(`span.state.${job.state}`, {}, job.state);
+}
+
+/** How far a job is: {share, text, secondsLeft}. */
+export function progressOf(job) {
+  if (job.kind === 'evaluation') {
+    return {
+      share: job.rollouts_done / job.rollouts_total,
+      text: `${count(job.rollouts_done)} of ${count(job.rollouts_total)} rollouts`,
+      secondsLeft: job.progress?.seconds_left,
+    };
+  }
+  // A list of jobs tells less than the job itself.
+  const progress = job.progress ?? { under_way: null, total: 0, ...job[job.kind] };
+  if (job.kind === 'training') {
+    return {
+      share: progress.step / progress.steps,
+      text: `step ${count(progress.step)} of ${count(progress.steps)}`,
+      secondsLeft: progress.seconds_left,
+    };
+  }
+  const within = progress.total > 0 ? progress.done / progress.total : 0;
+  const generation = progress.generation ?? 0;
+  return {
+    share: Math.min(1, (generation + (progress.under_way === null ? 0 : within)) / Math.max(1, progress.generations)),
+    text: `generation ${count(generation)} of ${count(progress.generations)}`,
+    secondsLeft: progress.seconds_left,
+  };
+}
+
+export function progressBar(job) {
+  const { share, text, secondsLeft } = progressOf(job);
+  const left = job.state === 'running' && secondsLeft ? `, ${duration(secondsLeft)} left` : '';
+  return h('div', {}, h('progress', { value: share, max: 1, 'aria-label': `${titleOf(job)}: ${text}` }),
+    h('div.muted.number', {}, text + left));
+}
+
+/** Why a job failed or waits, if it does. */
+export function trouble(job) {
+  if (job.error) return h('p.error', { role: 'alert' }, `${job.error.detail ?? job.error.code ?? job.error}`);
+  if (job.reason) return h('p.muted', {}, job.reason);
+  return null;
+}
+
+/** Pause, resume, cancel and weight, as the state allows. `changed` is called after each. */
+export function actions(job, changed) {
+  const act = (name, done) => async () => {
+    try {
+      await post(`v1/jobs/${job.id}/${name}`);
+      announce(`${titleOf(job)} ${done}`);
+    } catch (error) {
+      announce(error.message);
+      if (!(error instanceof ApiError)) throw error;
+    }
+    changed();
+  };
+  const label = (verb) => ({ 'aria-label': `${verb} ${titleOf(job)}` });
+  const list = [];
+  if (['queued', 'running'].includes(job.state)) list.push(button('Pause', act('pause', 'paused'), label('Pause')));
+  if (['paused', 'failed'].includes(job.state)) list.push(button('Resume', act('resume', 'resumed'), label('Resume')));
+  if (['queued', 'running', 'paused'].includes(job.state)) {
+    list.push(button('Cancel', async () => {
+      const sure = await confirmDialog(`Cancel ${titleOf(job)}?`,
+        'It cannot be resumed. What it has computed so far stays.', 'Cancel the job');
+      if (sure) await act('cancel', 'cancelled')();
+    }, { class: 'danger', ...label('Cancel') }));
+  }
+  return list;
+}
+
+/** The weight of a job among others: twice the weight gets twice the time. */
+export function weightField(job, changed) {
+  if (!['queued', 'running', 'paused'].includes(job.state)) return null;
+  return h('label.field', {}, h('span', {}, 'Weight'), h('input', {
+    type: 'number', min: 0.001, max: 1000, step: 'any', value: job.weight, size: 6,
+    onchange: async (event) => {
+      try {
+        await post(`v1/jobs/${job.id}/weight`, { weight: Number(event.target.value) });
+        announce(`Weight of ${titleOf(job)} is ${event.target.value}`);
+      } catch (error) {
+        announce(error.message);
+      }
+      changed();
+    },
+  }));
+}
+
+/**
+ * A table of jobs whose rows are drawn only where they are seen, so that a thousand scroll like ten.
+ */
+export class JobTable {
+  constructor(changed) {
+    this.changed = changed;
+    this.body = h('tbody');
+    this.element = h('div.scroll', {}, h('table', {}, h('thead', {}, h('tr', {},
+      ['Job', 'State', 'Progress', 'Created', ''].map((name) => h('th', { scope: 'col' }, name)))), this.body));
+    this.rows = new Map();
+    this.seen = new IntersectionObserver((entries) => {
+      for (const { target, isIntersecting } of entries) {
+        if (isIntersecting) this.#draw(target);
+      }
+    }, { rootMargin: '600px' });
+  }
+
+  /** Replaces the jobs; rows whose job is unchanged stay. */
+  set(jobs) {
+    const before = this.rows;
+    this.rows = new Map();
+    const elements = jobs.map((job) => {
+      const key = JSON.stringify(job);
+      const old = before.get(job.id);
+      if (old?.key === key) {
+        this.rows.set(job.id, old);
+        return old.element;
+      }
+      const element = old?.element ?? h('tr');
+      element.style.height = '58px';
+      this.rows.set(job.id, { key, element, job, drawn: false });
+      element.jobId = job.id;
+      if (old) this.#draw(element);
+      else this.seen.observe(element);
+      return element;
+    });
+    this.body.replaceChildren(...elements);
+  }
+
+  #draw(element) {
+    const row = this.rows.get(element.jobId);
+    if (!row || row.drawn) return;
+    row.drawn = true;
+    this.seen.unobserve(element);
+    const { job } = row;
+    fill(element,
+      h('td', {}, h('a', { href: linkOf(job) }, titleOf(job)), h('div.muted', {}, `${job.kind} ${job.id}`)),
+      h('td', {}, stateChip(job)), h('td', {}, progressBar(job), trouble(job)),
+      h('td', {}, ago(job.created_at)), h('td', {}, h('div.row', {}, actions(job, this.changed))));
+  }
+
+  destroy() {
+    this.seen.disconnect();
+  }
+}

@@ -1,0 +1,155 @@
+/** The overview: is the service well, what does it do, how far is it, and what happened. */
+
+import { getJson, withQuery } from '../lib/api.js';
+import { Chart } from '../lib/chart.js';
+import { button, fill, h } from '../lib/dom.js';
+import { ago, bytes, count, number, percent } from '../lib/format.js';
+import { startDialog } from './forms.js';
+import { JobTable, actions, progressBar, stateChip, titleOf, trouble, weightField, linkOf } from './jobs.js';
+
+const REFRESH_MS = 2000;
+
+export async function mount(main, path, parameters, app) {
+  const stop = new AbortController();
+  const get = (url) => getJson(url, { signal: stop.signal });
+  const tiles = h('section.tiles', { 'aria-label': 'The service' });
+  const running = h('section.grid', { 'aria-label': 'Running jobs' });
+  const events = h('tbody');
+  const load = new Chart({
+    title: 'Load of the last hour, in minutes', xName: 'minute', height: 150, minimum: 0, maximum: 1,
+    empty: 'The first samples come within seconds.',
+  });
+  let state = parameters.get('state') ?? '';
+  const table = new JobTable(() => refresh());
+  const states = ['', 'queued', 'running', 'paused', 'succeeded', 'failed', 'cancelled'];
+  const filter = h('select', { 'aria-label': 'State of the jobs', onchange: (event) => {
+    state = event.target.value;
+    app.keep({ state });
+    refresh();
+  } }, states.map((name) => h('option', { value: name, selected: name === state }, name || 'all states')));
+  const more = h('div.row');
+  let wanted = 100;
+
+  main.replaceChildren(
+    h('div.title', {}, h('h1', {}, 'Overview'), h('div.actions', {},
+      ['evaluation', 'training', 'campaign'].map((kind) =>
+        button(`New ${kind}`, () => startDialog(app, kind), kind === 'campaign' ? { class: 'primary' } : {})))),
+    tiles, running,
+    h('div.grid', {}, load.element,
+      h('section.panel', { 'aria-label': 'Newest events' }, h('h2', {}, 'Newest events'),
+        h('div.scroll', {}, h('table', {}, events)))),
+    h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Jobs'), h('div.actions', {}, filter)),
+      table.element, more));
+
+  function showEvents() {
+    const rows = (app.recent ?? []).filter((event) => !event.type.endsWith('progress')).slice(-9).reverse();
+    fill(events, rows.length ? rows.map((event) => h('tr', {}, h('td', {}, event.type),
+      h('td', {}, linkTo(event)),
+      h('td', {}, detailOf(event)), h('td.right.muted', {}, ago(event.at))))
+      : h('tr', {}, h('td.empty', {}, 'Nothing has happened yet.')));
+  }
+
+  function tile(name, value, note) {
+    return h('div.panel.tile', {}, h('div.muted', {}, name), h('div.value', {}, value), h('div.muted', {}, note));
+  }
+
+  function showTiles(health, threads, devices) {
+    fill(tiles,
+      tile('Service', health.status === 'ready' ? 'ready' : health.status, `version ${health.version}`),
+      tile('Threads', `${threads.n_busy} of ${threads.n_threads}`, threads.n_busy ? 'computing' : 'idle'),
+      tile('Rollouts', count(threads.rollouts_done), 'since the service started'),
+      tile('Waiting', count(threads.queued_batch + threads.queued_interactive), 'blocks of rollouts'),
+      devices.items.map((device) => tile(device.name, percent(device.load),
+        device.error ?? `${bytes(device.free_bytes)} of ${bytes(device.memory_bytes)} free`)));
+  }
+
+  function showRunning(jobs) {
+    fill(running, jobs.map((job) => h('article.panel.stack', {},
+      h('div.title', {}, h('h2', {}, h('a', { href: linkOf(job) }, titleOf(job))), stateChip(job)),
+      progressBar(job), trouble(job),
+      h('div.row', {}, actions(job, () => refresh()), weightField(job, () => refresh()),
+        rateOf(job) ? h('span.muted', {}, rateOf(job)) : null))));
+    running.hidden = jobs.length === 0;
+  }
+
+  /** The job with its rate and time left, which the list does not tell. */
+  async function whole(job) {
+    const full = await get(`v1/${job.kind}s/${job.id}`);
+    return { ...full, kind: job.kind };
+  }
+
+  async function showLoad() {
+    const { items } = await get('v1/load?seconds=3600');
+    const x = items.map((sample) => -sample.age_s / 60);
+    load.set([{ name: 'busy threads', x, y: items.map((sample) => sample.busy_share), color: '--blue' }]);
+  }
+
+  async function showJobs() {
+    const jobs = [];
+    let cursor;
+    do {
+      const page = await get(withQuery('v1/jobs', { state, limit: Math.min(1000, wanted - jobs.length), cursor }));
+      jobs.push(...page.items);
+      cursor = page.next_cursor;
+    } while (cursor !== null && jobs.length < wanted);
+    table.set(jobs);
+    if (!jobs.length) {
+      fill(more, h('p.empty', {}, state ? `No job is ${state}.` : 'No job yet. Start one above, or with morphoctl.'));
+    } else {
+      fill(more, cursor === null ? null : button('Show more', () => {
+        wanted += 1000;
+        refresh();
+      }), h('span.muted', {}, `${count(jobs.length)} ${jobs.length === 1 ? 'job' : 'jobs'} shown`));
+    }
+  }
+
+  let busy = null;
+  function refresh() {
+    busy ??= Promise.all([
+      Promise.all([get('readyz').catch((error) => ({ status: error.message, version: '' })), get('v1/threads'),
+        get('v1/devices')]).then((all) => showTiles(...all)),
+      get('v1/jobs?state=running&limit=12').then((page) => Promise.all(page.items.map(whole))).then(showRunning),
+      showJobs(), showLoad(),
+    ]).finally(() => { busy = null; });
+    return busy;
+  }
+
+  showEvents();
+  await refresh();
+  const timer = setInterval(() => {
+    if (!document.hidden) refresh().catch(() => {});
+  }, REFRESH_MS);
+  return {
+    update(event) {
+      showEvents();
+      if (event.type === 'reset' || event.type.startsWith('job.')) refresh().catch(() => {});
+    },
+    unmount() {
+      clearInterval(timer);
+      stop.abort();
+      table.destroy();
+      load.destroy();
+    },
+  };
+}
+
+function rateOf(job) {
+  const rate = job.progress?.rollouts_per_s ?? job.progress?.bodies_per_s;
+  if (!rate) return '';
+  return job.kind === 'training' ? `${number(rate)} bodies a second` : `${number(rate)} rollouts a second`;
+}
+
+/** A link to the job of an event; its kind is in the event, or in the name of its type. */
+function linkTo({ type, job, data }) {
+  if (!job) return '';
+  const kind = data.kind ?? type.split('.')[0];
+  const known = ['evaluation', 'training', 'campaign'].includes(kind);
+  return known ? h('a', { href: linkOf({ kind, id: job }) }, `${kind} ${job}`) : `job ${job}`;
+}
+
+function detailOf({ type, data }) {
+  if (type === 'campaign.generation') return `generation ${data.generation}: best ${number(data.best)}`;
+  if (type === 'training.validation') return `step ${data.step}: ${number(data.mean_score)}`;
+  if (type === 'controller.stored') return data.name ?? '';
+  return data.state ?? '';
+}

@@ -1,0 +1,335 @@
+/** The phylogeny of a campaign: every design from birth to death, in one draw call. */
+
+import { getJson, request, withQuery } from '../lib/api.js';
+import { announce, button, fill, h, select } from '../lib/dom.js';
+import { count, score } from '../lib/format.js';
+import { layout, nearest } from '../lib/lineage.js';
+import { picture } from '../lib/picture.js';
+import { environmentSet, roll } from '../lib/rollouts.js';
+import { decodeScene } from '../lib/scene.js';
+import { Program, vertexArray } from '../stage/gl.js';
+import { Player } from '../stage/player.js';
+
+const SHADERS = [
+  `#version 300 es
+precision highp float;
+layout(location = 0) in vec4 life;   // born, end, y, y of the parent
+layout(location = 1) in vec2 look;   // value from 0 to 1 for the color; 1: ancestor of the living
+uniform vec2 shift;
+uniform vec2 zoom;
+uniform bool byKind;
+uniform vec3 low;
+uniform vec3 high;
+uniform vec3 kinds[5];
+uniform float dim;
+out vec4 color;
+void main() {
+  // Two lines: from the parent's life to the birth, and the life itself.
+  bool joint = gl_VertexID < 2;
+  float x = gl_VertexID == 3 ? life.y : life.x - (gl_VertexID == 0 ? 1.0 : 0.0);
+  float y = gl_VertexID == 0 ? life.w : life.z;
+  gl_Position = vec4((x + shift.x) * zoom.x, (y + shift.y) * zoom.y, 0.0, 1.0);
+  vec3 hue = byKind ? kinds[int(look.x + 0.5)] : mix(low, high, look.x);
+  float weight = look.y > 0.5 ? (joint ? 0.6 : 0.95) : (joint ? dim * 0.3 : dim);
+  color = vec4(hue, life.w < -0.5 && joint ? 0.0 : weight);
+}`,
+  `#version 300 es
+precision highp float;
+in vec4 color;
+out vec4 result;
+void main() { result = color; }`,
+];
+
+const COLOR_BY = [['score', 'score'], ['age', 'age'], ['operator', 'operator']];
+const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
+
+/** A canvas with the lives of designs; it knows nothing of the page around it. */
+export class PhylogenyCanvas {
+  constructor(canvas) {
+    const gl = canvas.getContext('webgl2', { antialias: true, alpha: false, preserveDrawingBuffer: true });
+    if (!gl) throw new Error('This browser does not offer WebGL 2, which the phylogeny is drawn with.');
+    this.canvas = canvas;
+    this.gl = gl;
+    this.colorBy = 'score';
+    this.columns = null;
+    /** Waits for the graphics processor after each draw, so that its time is measured. */
+    this.measure = false;
+    this.program = new Program(gl, SHADERS);
+    this.times = {};
+    this.reset();
+  }
+
+  reset() {
+    this.center = [0.5, 0.5];
+    this.span = [1, 1];
+  }
+
+  /** @param {import('../lib/lineage.js').Columns} columns */
+  set(columns) {
+    const started = performance.now();
+    this.columns = columns;
+    this.layout = layout(columns);
+    this.times.layoutMs = performance.now() - started;
+    this.last = 1;
+    const { born, died } = columns;
+    this.alive = died instanceof Uint16Array ? 0xffff : 0xffffffff;
+    for (let i = 0; i < born.length; i++) {
+      if (born[i] > this.last) this.last = born[i];
+      if (died[i] !== this.alive && died[i] > this.last) this.last = died[i];
+    }
+    this.#fillBuffers();
+    this.times.readyMs = performance.now() - started;
+  }
+
+  setColor(by) {
+    this.colorBy = by;
+    if (this.columns) this.#fillBuffers();
+  }
+
+  #fillBuffers() {
+    const { columns, layout: { y, parentRow, lineage, order }, gl } = this;
+    const { born, died, operator, score: scores } = columns;
+    const n = order.length;
+    const data = new Float32Array(n * 6);
+    // Scores are ranked on a scale of logarithms, since they crowd near the best.
+    let [best, worst] = [Infinity, 0];
+    for (let i = 0; i < n; i++) {
+      if (scores[i] > 0 && scores[i] < best) best = scores[i];
+      if (scores[i] > worst && scores[i] <= 2) worst = scores[i];
+    }
+    const span = Math.log(worst / best) || 1;
+    for (let k = 0, at = 0; k < n; k++, at += 6) {
+      const i = order[k];
+      const end = died[i] === this.alive ? this.last + 0.6 : Math.max(died[i], born[i] + 0.4);
+      data[at] = born[i];
+      data[at + 1] = end;
+      data[at + 2] = y[i];
+      data[at + 3] = parentRow[i] < 0 ? -1 : y[parentRow[i]];
+      let value = 0;
+      if (this.colorBy === 'operator') value = operator[i];
+      else if (this.colorBy === 'age') value = Math.min(1, (end - born[i]) / Math.max(2, this.last * 0.5));
+      else value = scores[i] > 0 ? 1 - Math.min(1, Math.max(0, Math.log(scores[i] / best) / span)) : 0;
+      data[at + 4] = value;
+      data[at + 5] = lineage[i];
+    }
+    this.lives?.free();
+    this.lives = vertexArray(gl, data, [
+      { at: 0, size: 4, type: gl.FLOAT, stride: 24, divisor: 1 },
+      { at: 1, size: 2, type: gl.FLOAT, stride: 24, offset: 16, divisor: 1 },
+    ]);
+  }
+
+  /** Generation and y of a place on the canvas. */
+  at(px, py) {
+    const { clientWidth: w, clientHeight: hgt } = this.canvas;
+    return [
+      (this.center[0] + (px / w - 0.5) * this.span[0]) * (this.last + 1) - 0.5,
+      this.center[1] + (py / hgt - 0.5) * this.span[1],
+    ];
+  }
+
+  /** The row under a place; -1 if none is near. */
+  pick(px, py) {
+    const [x, y] = this.at(px, py);
+    const { clientWidth: w, clientHeight: hgt } = this.canvas;
+    return nearest(this.columns, this.layout, x, y, w / this.span[0] / (this.last + 1), hgt / this.span[1], 12);
+  }
+
+  zoom(factor, px, py) {
+    const { clientWidth: w, clientHeight: hgt } = this.canvas;
+    const [fx, fy] = [px / w - 0.5, py / hgt - 0.5];
+    for (const [axis, f] of [[0, fx], [1, fy]]) {
+      const span = Math.min(1.1, Math.max(axis ? 2e-5 : 0.02, this.span[axis] * factor));
+      this.center[axis] += f * (this.span[axis] - span);
+      this.span[axis] = span;
+    }
+  }
+
+  draw() {
+    if (!this.columns) return;
+    const started = performance.now();
+    const { gl, canvas } = this;
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((v) => Math.max(1, Math.round(v * devicePixelRatio)));
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    const style = getComputedStyle(canvas);
+    const color = (name) => toRgb(style.getPropertyValue(name).trim().padEnd(7, '0'));
+    gl.viewport(0, 0, width, height);
+    const [r, g, b] = color('--panel');
+    gl.clearColor(r, g, b, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    const generations = this.last + 1;
+    this.program.use().set({
+      shift: [0.5 - this.center[0] * generations, -this.center[1]],
+      zoom: [2 / (this.span[0] * generations), -2 / this.span[1]],
+      byKind: this.colorBy === 'operator', low: color('--blue'), high: color('--orange'),
+      dim: this.columns.number.length > 100000 ? 0.35 : 0.6,
+    });
+    const kinds = this.program.places.get('kinds[0]');
+    const hues = [color('--grey'), color('--grey'), color('--green'), color('--orange'), color('--blue')];
+    if (kinds) gl.uniform3fv(kinds.at, hues.flat());
+    gl.bindVertexArray(this.lives.array);
+    gl.drawArraysInstanced(gl.LINES, 0, 4, this.layout.order.length);
+    gl.bindVertexArray(null);
+    if (this.measure) gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    this.times.drawMs = performance.now() - started;
+  }
+
+  destroy() {
+    this.gl.getExtension('WEBGL_lose_context')?.loseContext();
+  }
+}
+
+/** Loads a phylogeny as columns: the ancestors of the living, or all designs. */
+export async function loadColumns(id, keep, signal) {
+  const response = await request(withQuery(`v1/campaigns/${id}/phylogeny`, { format: 'columns', keep }), { signal });
+  const { header, array } = decodeScene(await response.arrayBuffer());
+  return Object.fromEntries(Object.entries(header.columns).map(([name, where]) => [name, array(where)]));
+}
+
+export async function mount(main, id, parameters, app) {
+  const stop = new AbortController();
+  const campaign = await getJson(`v1/campaigns/${encodeURIComponent(id)}`);
+  const canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': 'Phylogeny: loading' });
+  canvas.style.cssText = 'width:100%;height:62vh;display:block;touch-action:none';
+  const note = h('p.muted', { 'aria-live': 'polite' }, 'Loading the ancestors of the living…');
+  const player = new Player(app, { compact: true, height: 300 });
+  const detail = h('div.stack');
+  const ancestry = h('div.grid.small');
+  const search = h('input', { type: 'search', placeholder: 'number or id', 'aria-label': 'Find a design' });
+  main.replaceChildren(
+    h('div.title', {}, h('h1', {}, 'Phylogeny'), h('a', { href: `#/campaigns/${id}` }, campaign.label ?? `Campaign ${id}`), note,
+      h('div.actions', {}, select('Color', COLOR_BY, 'score', (by) => { view.setColor(by); view.draw(); }),
+        h('form.row', { onsubmit: (event) => { event.preventDefault(); find(search.value.trim()); } }, search, h('button', { type: 'submit' }, 'Find')),
+        button('Whole', () => { view.reset(); view.draw(); }))),
+    h('section.panel.flush', {}, canvas),
+    h('div.grid', {}, h('section.panel.stack', {}, detail), h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
+    h('section.panel.stack', {}, h('h2', {}, 'Ancestry'), ancestry));
+  fill(detail, h('p.empty', {}, 'Touch a design and its robot walks. Drag to move, wheel or pinch to zoom. ' +
+    'Arrow keys go from design to design.'));
+  const view = new PhylogenyCanvas(canvas);
+  const redraw = () => view.draw();
+  app.themeListeners.add(redraw);
+  const observer = new ResizeObserver(redraw);
+  observer.observe(canvas);
+  let selected = -1;
+
+  function show(columns, text) {
+    view.set(columns);
+    view.draw();
+    note.textContent = text;
+    canvas.setAttribute('aria-label', `Phylogeny of ${text}`);
+  }
+
+  async function load() {
+    const lineages = await loadColumns(id, 'lineages', stop.signal);
+    show(lineages, `${count(lineages.number.length)} ancestors of the living; loading the rest…`);
+    const all = await loadColumns(id, 'all', stop.signal);
+    show(all, `${count(all.number.length)} designs, ${count(view.layout.nLineage)} of them ancestors of the living`);
+  }
+
+  async function choose(row) {
+    if (row < 0) return;
+    selected = row;
+    const number = view.columns.number[row];
+    app.keep({ design: number });
+    const design = await getJson(`v1/campaigns/${id}/designs/${number}?limit=1`, { signal: stop.signal });
+    announce(`Design ${number}, score ${score(design.score)}`);
+    fill(detail, h('div.row', {}, h('div.card', {}, picture(design.genotype, `Design ${number}`)), h('div.stack', {},
+      h('h2', {}, `Design #${number}`), h('div', {}, `score ${score(design.score)}, ${design.voxels} voxels, ${design.operator}`),
+      h('div.muted', {}, `born in generation ${design.born}, ${design.died === null ? 'it lives' : `died in ${design.died}`}`),
+      h('a', { href: `#/designs/${design.id}` }, 'all its scores'), h('a', { href: `#/editor?voxels=${design.genotype}` }, 'edit'))));
+    const [robots, ancestors] = await Promise.all([walk(design),
+      getJson(`v1/campaigns/${id}/designs/${number}/ancestors?limit=24`, { signal: stop.signal })]);
+    if (selected !== row) return;
+    player.setRobots(robots);
+    fill(ancestry, ancestors.items.map((one) => h('button.card', { type: 'button', onclick: () => find(String(one.number)) },
+      picture(one.genotype, `Ancestor ${one.number}`), h('span.number', {}, `#${one.number} · ${score(one.score)}`))),
+    ancestors.items.length ? null : h('p.empty', {}, 'It has no ancestors: it was in the initial population.'));
+  }
+
+  async function walk(design) {
+    const named = campaign.settings.environments;
+    const environments = named === 'paper-test' ? await environmentSet(named)
+      : (await getJson(`v1/campaigns/${id}/environments`, { signal: stop.signal })).items;
+    const controller = campaign.result?.controller ?? campaign.controller;
+    const [robot] = await roll([{ voxels: design.genotype }], [environments[0]],
+      { controller: controller ? `sha256:${controller.sha256}` : 'default', signal: stop.signal });
+    return [{ ...robot, label: `#${design.number}` }];
+  }
+
+  const chosen = (row) => choose(row).catch((error) => { if (!stop.signal.aborted) note.textContent = error.message; });
+
+  async function find(text) {
+    let number = Number(text);
+    if (/^[0-9a-f]{36}$/i.test(text)) {
+      const design = await getJson(`v1/designs/${text.toLowerCase()}`).catch(() => null);
+      number = design?.campaigns.find((one) => one.campaign === id)?.number ?? NaN;
+    }
+    const row = view.columns?.number.indexOf(number) ?? -1;
+    if (row < 0) note.textContent = `There is no design ${text} in this campaign.`;
+    else chosen(row);
+  }
+
+  drive(canvas, view, chosen);
+  canvas.addEventListener('keydown', (event) => {
+    const step = { ArrowRight: 1, ArrowLeft: -1, ArrowDown: 10, ArrowUp: -10 }[event.key];
+    if (!step || !view.columns) return;
+    event.preventDefault();
+    chosen(Math.min(view.columns.number.length - 1, Math.max(0, selected + step)));
+  });
+  load().then(() => {
+    const wanted = parameters.get('design');
+    if (wanted) find(wanted);
+  }).catch((error) => { if (!stop.signal.aborted) note.textContent = error.message; });
+  return {
+    unmount() {
+      stop.abort();
+      app.themeListeners.delete(redraw);
+      observer.disconnect();
+      view.destroy();
+      player.destroy();
+    },
+  };
+}
+
+/** Drag moves, wheel and pinch zoom, a click chooses. */
+function drive(canvas, view, choose) {
+  const pointers = new Map();
+  let moved = 0;
+  let pinch = 0;
+  canvas.addEventListener('pointerdown', (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
+    moved = 0;
+    pinch = 0;
+  });
+  canvas.addEventListener('pointermove', (event) => {
+    const before = pointers.get(event.pointerId);
+    if (!before) return;
+    const [dx, dy] = [event.offsetX - before[0], event.offsetY - before[1]];
+    pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
+    moved += Math.abs(dx) + Math.abs(dy);
+    if (pointers.size === 2) {
+      const [a, b] = [...pointers.values()];
+      const spread = Math.hypot(a[0] - b[0], a[1] - b[1]);
+      if (pinch && spread) view.zoom(pinch / spread, (a[0] + b[0]) / 2, (a[1] + b[1]) / 2);
+      pinch = spread;
+    } else {
+      view.center[0] -= (dx / canvas.clientWidth) * view.span[0];
+      view.center[1] -= (dy / canvas.clientHeight) * view.span[1];
+    }
+    requestAnimationFrame(() => view.draw());
+  });
+  canvas.addEventListener('pointerup', (event) => {
+    pointers.delete(event.pointerId);
+    if (moved < 5 && view.columns) choose(view.pick(event.offsetX, event.offsetY));
+  });
+  canvas.addEventListener('pointercancel', (event) => pointers.delete(event.pointerId));
+  canvas.addEventListener('wheel', (event) => {
+    event.preventDefault();
+    view.zoom(Math.exp(event.deltaY * 0.0015), event.offsetX, event.offsetY);
+    requestAnimationFrame(() => view.draw());
+  }, { passive: false });
+}

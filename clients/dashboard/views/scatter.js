@@ -1,0 +1,151 @@
+/** A population as points: any two traits, and a brush that chooses designs. */
+
+import { ticks } from '../lib/chart.js';
+import { announce, button, h, select } from '../lib/dom.js';
+import { number } from '../lib/format.js';
+
+/** What a design is measured by. */
+export const TRAITS = {
+  score: { name: 'score', of: (design) => design.score },
+  voxels: { name: 'voxels', of: (design) => design.voxels },
+  footprint: { name: 'footprint', of: (design) => design.footprint },
+  springs: { name: 'springs', of: (design) => design.springs },
+  born: { name: 'born in generation', of: (design) => design.born },
+};
+const OPERATOR_COLORS = { mutation: '--orange', crossover: '--blue', random: '--grey', listed: '--grey', inherited: '--grey' };
+const MARGIN = { left: 56, right: 14, top: 12, bottom: 32 };
+
+export class Scatter {
+  /** @param {function(number[]): void} chosen called with the numbers of the designs in the brush */
+  constructor(chosen) {
+    this.chosen = chosen;
+    this.designs = [];
+    this.axes = ['voxels', 'score'];
+    this.brush = null;
+    this.canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': 'Population: no designs yet' });
+    this.canvas.style.minHeight = '340px';
+    this.walk = button('Let the chosen walk', () => this.#choose(), { disabled: true });
+    const traits = Object.entries(TRAITS).map(([key, { name }]) => [key, name]);
+    this.element = h('section.panel.chart', {}, h('div.title', {}, h('h2', {}, 'Population'),
+      h('span.muted', {}, 'drag over points to choose designs'), h('div.actions', {},
+        select('Across', traits, this.axes[0], (key) => this.#axis(0, key)),
+        select('Up', traits, this.axes[1], (key) => this.#axis(1, key)), this.walk)), this.canvas);
+    this.canvas.addEventListener('pointerdown', (event) => {
+      this.canvas.setPointerCapture(event.pointerId);
+      this.brush = { x0: event.offsetX, y0: event.offsetY, x1: event.offsetX, y1: event.offsetY };
+    });
+    this.canvas.addEventListener('pointermove', (event) => {
+      if (!this.brush || !event.buttons) return;
+      Object.assign(this.brush, { x1: event.offsetX, y1: event.offsetY });
+      this.draw();
+    });
+    this.canvas.addEventListener('pointerup', () => this.#brushed());
+    this.canvas.addEventListener('keydown', (event) => {
+      if (event.key !== 'Enter') return;
+      // Without a pointer: the eight best.
+      this.selected = [...this.designs].sort((a, b) => (a.score ?? 1e9) - (b.score ?? 1e9)).slice(0, 8);
+      this.draw();
+      this.#choose();
+    });
+    this.selected = [];
+    this.observer = new ResizeObserver(() => this.draw());
+    this.observer.observe(this.canvas);
+  }
+
+  set(designs) {
+    this.designs = designs;
+    const numbers = new Set(designs.map((design) => design.number));
+    this.selected = this.selected.filter((design) => numbers.has(design.number));
+    this.canvas.setAttribute('aria-label', `Population of ${designs.length} designs: ${TRAITS[this.axes[1]].name} ` +
+      `over ${TRAITS[this.axes[0]].name}. Enter lets the eight best walk.`);
+    this.draw();
+  }
+
+  destroy() {
+    this.observer.disconnect();
+  }
+
+  #axis(which, key) {
+    this.axes[which] = key;
+    this.set(this.designs);
+  }
+
+  #place() {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    return this.axes.map((key, axis) => {
+      const values = this.designs.map(TRAITS[key].of).filter((v) => v !== null);
+      let [low, high] = [Infinity, -Infinity];
+      for (const value of values) {
+        low = Math.min(low, value);
+        high = Math.max(high, value);
+      }
+      if (!values.length) [low, high] = [0, 1];
+      const room = (high - low || 1) * 0.05;
+      [low, high] = [low - room, high + room];
+      const [from, to] = axis === 0 ? [MARGIN.left, width - MARGIN.right] : [height - MARGIN.bottom, MARGIN.top];
+      return { low, high, of: TRAITS[key].of, at: (value) => from + ((value - low) / (high - low)) * (to - from) };
+    });
+  }
+
+  draw() {
+    const { canvas } = this;
+    const { clientWidth: width, clientHeight: height } = canvas;
+    if (!width || !height) return;
+    canvas.width = Math.round(width * devicePixelRatio);
+    canvas.height = Math.round(height * devicePixelRatio);
+    const context = canvas.getContext('2d');
+    context.scale(devicePixelRatio, devicePixelRatio);
+    const style = getComputedStyle(canvas);
+    const color = (name) => style.getPropertyValue(name).trim();
+    context.font = `12px ${style.fontFamily}`;
+    const [x, y] = this.#place();
+    context.strokeStyle = color('--grid');
+    context.fillStyle = color('--muted');
+    for (const tick of ticks(y.low, y.high, 5)) {
+      context.fillRect(MARGIN.left, y.at(tick), 0, 0);
+      context.beginPath();
+      context.moveTo(MARGIN.left, y.at(tick));
+      context.lineTo(width - MARGIN.right, y.at(tick));
+      context.stroke();
+      context.textAlign = 'right';
+      context.fillText(number(tick), MARGIN.left - 8, y.at(tick) + 4);
+    }
+    context.textAlign = 'center';
+    for (const tick of ticks(x.low, x.high, 8)) context.fillText(number(tick), x.at(tick), height - MARGIN.bottom + 18);
+    const chosen = new Set(this.selected);
+    for (const design of this.designs) {
+      if (x.of(design) === null || y.of(design) === null) continue;
+      context.fillStyle = color(OPERATOR_COLORS[design.operator]);
+      context.globalAlpha = chosen.size && !chosen.has(design) ? 0.3 : 0.8;
+      context.beginPath();
+      context.arc(x.at(x.of(design)), y.at(y.of(design)), chosen.has(design) ? 5 : 3.2, 0, 7);
+      context.fill();
+    }
+    context.globalAlpha = 1;
+    if (this.brush) {
+      const { x0, y0, x1, y1 } = this.brush;
+      context.strokeStyle = color('--accent');
+      context.strokeRect(x0, y0, x1 - x0, y1 - y0);
+    }
+  }
+
+  #brushed() {
+    if (!this.brush) return;
+    const { x0, y0, x1, y1 } = this.brush;
+    this.brush = null;
+    const [x, y] = this.#place();
+    // A click takes what lies near it.
+    const room = Math.hypot(x1 - x0, y1 - y0) < 5 ? 7 : 0;
+    const between = (v, a, b) => v >= Math.min(a, b) - room && v <= Math.max(a, b) + room;
+    this.selected = this.designs.filter((design) => x.of(design) !== null && y.of(design) !== null &&
+      between(x.at(x.of(design)), x0, x1) && between(y.at(y.of(design)), y0, y1));
+    this.draw();
+    announce(`${this.selected.length} designs chosen`);
+    if (this.selected.length) this.#choose();
+  }
+
+  #choose() {
+    this.walk.disabled = this.selected.length === 0;
+    if (this.selected.length) this.chosen(this.selected.map((design) => design.number));
+  }
+}

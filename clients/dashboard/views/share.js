@@ -1,0 +1,124 @@
+/** Dialogs to take things away: commands to copy, pictures and films to save. */
+
+import { announce, button, h } from '../lib/dom.js';
+import { request } from '../lib/api.js';
+import { percent, shellWord } from '../lib/format.js';
+
+/** Shows a dialog with a title; resolves when it is closed. */
+export function showDialog(title, ...children) {
+  const dialog = h('dialog', { 'aria-label': title, onclose: () => dialog.remove() },
+    h('div.stack', {}, h('div.row', {}, h('h2', {}, title)), ...children,
+      h('div.row', {}, button('Close', () => dialog.close()))));
+  document.body.append(dialog);
+  dialog.showModal();
+  return dialog;
+}
+
+/** Asks before something is lost; true if it is to be done. */
+export function confirmDialog(title, text, action) {
+  return new Promise((resolve) => {
+    const dialog = h('dialog', { 'aria-label': title, role: 'alertdialog', onclose: () => {
+      dialog.remove();
+      resolve(dialog.returnValue === 'yes');
+    } }, h('div.stack', {}, h('h2', {}, title), h('p', {}, text), h('div.row', {},
+      button(action, () => dialog.close('yes'), { class: 'danger' }),
+      button('Keep', () => dialog.close('no')))));
+    document.body.append(dialog);
+    dialog.showModal();
+    dialog.querySelectorAll('button')[1].focus();
+  });
+}
+
+/** Commands that do the same from a shell. @param {[string, string][]} commands tool and text */
+export function copyDialog(commands) {
+  showDialog('The same from a shell', ...commands.map(([tool, text]) => h('section.stack', {},
+    h('div.row', {}, h('h3', {}, tool), button('Copy', async (event) => {
+      try {
+        await navigator.clipboard.writeText(text);
+        event.target.textContent = 'Copied';
+        announce(`${tool} command copied`);
+      } catch {
+        announce('The browser does not allow copying; select the text instead.');
+      }
+    })), h('pre', { tabindex: 0 }, text))));
+}
+
+/** The command that makes a film of what the stage shows. */
+export function filmCommand(ids, { environment, set, controller, output }) {
+  const words = ['morphoctl', 'film', ...ids, '--environments', set, '--environment', String(environment)];
+  if (controller !== 'default') words.push('--controller', controller);
+  return [...words, '--output', output].map(shellWord).join(' ');
+}
+
+/** A link that saves a reply of the service: the token goes along, which a plain link would not send. */
+export function saveLink(path, name, text, attributes = {}) {
+  return h('a', { href: path, download: name, ...attributes, onclick: async (event) => {
+    event.preventDefault();
+    try {
+      save(await (await request(path)).blob(), name);
+    } catch (error) {
+      announce(error.message);
+    }
+  } }, text);
+}
+
+function save(blob, name) {
+  const link = h('a', { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+/** Saves what the stage shows: a picture, a film, a page of its own, or a model for other programs. */
+export function exportDialog(player, { ids, environment, set, controller }) {
+  const { stage, canvas } = player;
+  const name = `morphod-${ids.length === 1 ? ids[0].replace(/0+$/, '').slice(0, 12) : 'race'}`;
+  const command = filmCommand(ids, { environment, set, controller, output: `${name}.mp4` });
+  const message = h('p', { role: 'status' });
+  const doing = (text, work) => button(text, async (event) => {
+    event.target.disabled = true;
+    message.textContent = '';
+    try {
+      await work();
+    } catch (error) {
+      message.textContent = error.message;
+    }
+    event.target.disabled = false;
+  });
+
+  async function film() {
+    const { record } = await import('../export/webm.js');
+    player.setPlaying(false);
+    const blob = await record(canvas, (time) => {
+      stage.timeS = time;
+      stage.draw();
+    }, {
+      durationS: stage.durationS(),
+      onprogress: (share) => { message.textContent = `Film: ${percent(share)}`; },
+    });
+    save(blob, `${name}.webm`);
+    message.textContent = '';
+  }
+
+  async function model() {
+    const { toGlb } = await import('../export/glb.js');
+    for (const robot of stage.robots) {
+      save(new Blob([toGlb(robot, { name: robot.label })], { type: 'model/gltf-binary' }), `${name}-${robot.label}.glb`);
+    }
+  }
+
+  async function page() {
+    const { toPage } = await import('../export/page.js');
+    save(await toPage(stage.robots, `Robots: ${stage.robots.map((robot) => robot.label).join(', ')}`), `${name}.html`);
+  }
+
+  showDialog('Export', h('div.row', {},
+    doing('Picture (PNG)', () => new Promise((resolve) => {
+      canvas.toBlob((blob) => {
+        save(blob, `${name}.png`);
+        resolve();
+      });
+    })),
+    'VideoEncoder' in window ? doing('Film (WebM)', film) : null,
+    doing('Page (HTML)', page), doing('Model (GLB)', model)), message,
+  h('p', {}, 'A film, on the machine that has morphoctl:'), h('pre', { tabindex: 0 }, command));
+}

@@ -1,0 +1,64 @@
+/* assets.c: the dashboard: its page at / and its files below /assets. */
+#include "api/assets.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "api/handlers.h"
+
+/* No other site may frame the page, run code in it, or receive anything from it. */
+static const char policy[] =
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
+    "connect-src 'self'; media-src blob:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'; require-trusted-types-for 'script'; trusted-types 'none'";
+
+static void reply_asset(struct mo_request *request, const struct mo_asset *asset)
+{
+  const bool packed = mo_accepts_gzip(request);
+  mo_reply_static(request, 200, asset->type, (const char *)(packed ? asset->gzip : asset->bytes),
+                  packed ? asset->gzip_size : asset->size);
+  mo_reply_etag(request, "%s-%s%s", mo_assets_version, asset->name, packed ? "-gzip" : "");
+  mo_reply_policy(request, policy);
+  mo_reply_extra(request, "Vary", "Accept-Encoding");
+  mo_reply_extra(request, "Cross-Origin-Opener-Policy", "same-origin");
+  mo_reply_extra(request, "Cross-Origin-Resource-Policy", "same-origin");
+  if (packed)
+    mo_reply_extra(request, "Content-Encoding", "gzip");
+}
+
+static const struct mo_asset *find(const char *name)
+{
+  for (size_t i = 0; i < mo_assets_count; i++)
+    if (strcmp(mo_assets[i].name, name) == 0)
+      return &mo_assets[i];
+  return NULL;
+}
+
+void mo_api_get_index(struct mo_request *request)
+{
+  reply_asset(request, find("index.html"));
+}
+
+static void get_asset(struct mo_request *request, const char *version, const char *name)
+{
+  const struct mo_asset *asset = strcmp(version, mo_assets_version) == 0 ? find(name) : NULL;
+  if (asset == NULL) {
+    mo_reply_problem(request, 404, NULL,
+                     "There is no such file of the dashboard: reload the page.");
+    return;
+  }
+  reply_asset(request, asset);
+  mo_reply_keep(request);
+}
+
+void mo_api_get_asset(struct mo_request *request)
+{
+  get_asset(request, request->parameters[0], request->parameters[1]);
+}
+
+void mo_api_get_asset_of_folder(struct mo_request *request)
+{
+  char name[2 * MO_PATH_PARAMETER_BYTES];
+  snprintf(name, sizeof(name), "%s/%s", request->parameters[1], request->parameters[2]);
+  get_asset(request, request->parameters[0], name);
+}

@@ -1,0 +1,134 @@
+"""A headless Chromium on a running morphod, and what every page must satisfy."""
+
+import base64
+import io
+import json
+import pathlib
+import struct
+import sys
+import time
+import zlib
+
+from selenium import webdriver
+from selenium.webdriver.chrome.options import Options
+from selenium.webdriver.chrome.service import Service as Driver
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "api"))
+
+FLAGS = ("--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+         "--ignore-gpu-blocklist", "--hide-scrollbars", "--disable-dev-shm-usage")
+# Faults that a page may not have: what it says on its console, and what its policy forbade.
+WATCH = """
+window.faults = [];
+addEventListener('securitypolicyviolation',
+  (event) => faults.push('policy: ' + event.violatedDirective));
+addEventListener('error', (event) => faults.push('error: ' + event.message));
+addEventListener('unhandledrejection', (event) => faults.push('rejection: ' + event.reason));
+"""
+
+
+class Browser:
+    def __init__(self, service, width=1280, height=900):
+        options = Options()
+        options.binary_location = "/usr/bin/chromium"
+        for flag in (*FLAGS, f"--window-size={width},{height}"):
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=Driver("/usr/bin/chromedriver"))
+        self.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": WATCH})
+        self.base = f"http://{service.host}:{service.port}/"
+        self.run = self.driver.execute_script
+
+    def open(self, view="", theme=None):
+        """Shows a view, as a new page."""
+        self.driver.get("about:blank")
+        self.driver.get(self.base)
+        if theme:
+            self.run("localStorage.setItem('morphod-theme', arguments[0])", theme)
+        self.driver.get("about:blank")
+        self.driver.get(self.base + "#/" + view)
+        self.until("document.querySelector('main') && "
+                   "!/^Loading/.test(document.querySelector('main').innerText)")
+
+    def until(self, condition, seconds=30):
+        """Waits until a script says so."""
+        deadline = time.monotonic() + seconds
+        while not self.run(f"return Boolean({condition})"):
+            assert time.monotonic() < deadline, f"never true: {condition}; {self.faults()}"
+            time.sleep(0.05)
+
+    def until_walking(self):
+        """Waits for robots on the stage."""
+        self.until("document.querySelector('.stage')?.player?.stage.robots.length")
+
+    def faults(self):
+        """What is wrong: errors, violations of the page's policy, requests to other hosts."""
+        entries = self.run(
+            "return performance.getEntriesByType('resource').map((entry) => entry.name)")
+        found = self.run("return window.faults ?? []")
+        found += [f"request: {name}" for name in entries if not name.startswith(self.base)]
+        found += [f"console: {entry['message']}" for entry in self.driver.get_log("browser")
+                  if entry["level"] == "SEVERE"]
+        return found
+
+    def texts(self, selector):
+        return self.run(
+            "return [...document.querySelectorAll(arguments[0])].map((e) => e.innerText)", selector)
+
+    def click(self, text, selector="button"):
+        """Clicks the first button that shows a text."""
+        done = self.run(
+            "const e = [...document.querySelectorAll(arguments[0])]"
+            ".find((e) => e.innerText.trim() === arguments[1] && e.offsetParent !== null);"
+            "e?.click(); return Boolean(e)", selector, text)
+        assert done, f"there is no {selector} {text!r}: {self.texts(selector)}"
+
+    def pixels(self, selector="canvas"):
+        """The picture of a canvas: width, height, rows of RGBA bytes."""
+        text = self.run("return document.querySelector(arguments[0]).toDataURL('image/png')",
+                        selector)
+        return decode_png(base64.b64decode(text.split(",")[1]))
+
+    def quit(self):
+        self.driver.quit()
+
+
+def decode_png(data):
+    """Width, height and bytes a pixel of an 8-bit PNG without interlacing, and its rows."""
+    stream, packed = io.BytesIO(data[8:]), b""
+    while True:
+        length, kind = struct.unpack(">I4s", stream.read(8))
+        body = stream.read(length)
+        stream.read(4)
+        if kind == b"IHDR":
+            width, height, depth, color = struct.unpack(">IIBB", body[:10])
+            assert depth == 8
+            step = {2: 3, 6: 4}[color]
+        elif kind == b"IDAT":
+            packed += body
+        elif kind == b"IEND":
+            break
+    raw, rows, before = zlib.decompress(packed), [], bytes(width * step)
+    for y in range(height):
+        at = y * (width * step + 1)
+        line, kind = bytearray(raw[at + 1:at + 1 + width * step]), raw[at]
+        for i in range(len(line)):
+            left = line[i - step] if i >= step else 0
+            up, corner = before[i], before[i - step] if i >= step else 0
+            if kind == 1:
+                line[i] = (line[i] + left) & 255
+            elif kind == 2:
+                line[i] = (line[i] + up) & 255
+            elif kind == 3:
+                line[i] = (line[i] + (left + up) // 2) & 255
+            elif kind == 4:
+                guess = left + up - corner
+                line[i] = (line[i] + min((abs(guess - left), 0, left), (abs(guess - up), 1, up),
+                                         (abs(guess - corner), 2, corner))[2]) & 255
+        rows.append(bytes(line))
+        before = rows[-1]
+    return width, height, step, rows
+
+
+def dump(value):
+    return json.dumps(value)

@@ -1,0 +1,51 @@
+import sys
+import pathlib
+
+import pytest
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
+
+from browser import Browser  # noqa: E402
+from service import DESIGN, Service, run  # noqa: E402
+
+CAMPAIGN = {
+    "mode": "zero-shot", "population": 12, "generations": 4, "physics": {"n_steps": 60},
+    "exclude_pretraining": False, "label": "<b>walkers</b> & others",
+    "environments": [{"light_xy_m": [4.0, 3.0], "terrain_sigma_m": 0.05, "seed": 3}]
+}
+TRAINING = {
+    "kind": "finetune", "name": "tuned", "steps": 4, "batch": 4, "designs": [DESIGN],
+    "physics": {"n_steps": 20}, "validation": {"every_steps": 2, "designs": 2, "environments": 2}
+}
+
+
+@pytest.fixture(scope="session")
+def service():
+    """A daemon with something of everything."""
+    running = Service()
+    running.campaign = run(running, "campaigns", CAMPAIGN)["id"]
+    running.training = run(running, "trainings", TRAINING)["id"]
+    running.evaluate({"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]})
+    yield running
+    assert running.close() == 0, running.log_text()
+
+
+@pytest.fixture(scope="session")
+def browser(service):
+    opened = Browser(service)
+    yield opened
+    opened.quit()
+
+
+@pytest.fixture
+def start():
+    """Starts daemons of a test's own."""
+    started = []
+
+    def launch(**options):
+        started.append(Service(**options))
+        return started[-1]
+
+    yield launch
+    for running in started:
+        running.close()

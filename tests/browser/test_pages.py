@@ -1,0 +1,184 @@
+"""Every page, with real data: it shows what the API says, breaks no rule, and is usable by all."""
+
+import pytest
+
+from service import DESIGN
+
+VIEWS = {
+    "": "Overview", "campaigns": "Campaigns", "campaigns/{campaign}": "<b>walkers</b> & others",
+    "campaigns/{campaign}/phylogeny": "Phylogeny", "trainings": "Trainings",
+    "trainings/{training}": "Training {training}", "designs": "Designs", "editor": "Editor",
+    "stage": "Stage"
+}
+
+
+def address(service, view):
+    return view.format(campaign=service.campaign, training=service.training)
+
+
+@pytest.mark.parametrize("theme", ("dark", "light"))
+@pytest.mark.parametrize("view", VIEWS)
+def test_page(service, browser, view, theme):
+    browser.open(address(service, view), theme)
+    title = address(service, VIEWS[view])
+    browser.until(f"document.querySelector('h1')?.textContent === {title!r}")
+    if view in ("editor", "stage"):
+        browser.until_walking()
+    assert browser.faults() == []
+    assert browser.run(ACCESSIBILITY) == []
+
+
+# What a person needs who does not see the page, or has no mouse: names for all that can be used, a
+# label for each picture, one main heading, texts that stand out from their ground.
+ACCESSIBILITY = """
+const faults = [];
+const shown = (e) => e.offsetParent !== null || getComputedStyle(e).position === 'fixed';
+const nameOf = (e) => (e.getAttribute('aria-label') || e.innerText || e.textContent ||
+  e.labels?.[0]?.innerText || e.title || e.placeholder || '').trim();
+const used = 'a[href], button, input, select, textarea, canvas, [role=img]';
+for (const e of document.querySelectorAll(used)) {
+  if (shown(e) && !nameOf(e)) faults.push('no name: ' + e.outerHTML.slice(0, 90));
+}
+if (document.querySelectorAll('h1').length !== 1) faults.push('not one main heading');
+if (!document.documentElement.lang) faults.push('no language');
+for (const grid of document.querySelectorAll('[role=grid]')) {
+  if (!grid.querySelector('[role=row] [role=gridcell]')) faults.push('a grid without rows');
+}
+const ids = [...document.querySelectorAll('[id]')].map((e) => e.id);
+if (new Set(ids).size !== ids.length) faults.push('an id stands twice');
+const channel = (v) => (v /= 255) <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+const numbers = (color) => color.match(/[\\d.]+/g).map(Number);
+const light = ([r, g, b]) => 0.2126 * channel(r) + 0.7152 * channel(g) + 0.0722 * channel(b);
+const groundOf = (e) => {
+  for (let at = e; at; at = at.parentElement) {
+    const color = getComputedStyle(at).backgroundColor;
+    if (/^rgb\\(/.test(color)) return numbers(color);
+  }
+  return [255, 255, 255];
+};
+const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+const seen = new Set();
+while (walker.nextNode()) {
+  const e = walker.currentNode.parentElement;
+  if (!walker.currentNode.data.trim() || seen.has(e) || !shown(e)) continue;
+  if (e.closest('.visually-hidden, noscript, svg, :disabled')) continue;
+  seen.add(e);
+  const style = getComputedStyle(e);
+  const [a, b] = [light(numbers(style.color)), light(groundOf(e))];
+  const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  if (contrast < 4.5) faults.push(`contrast ${contrast.toFixed(2)}: ${e.innerText.slice(0, 40)}`);
+}
+return faults;
+"""
+
+
+def test_labels_are_text(service, browser):
+    browser.open("campaigns/" + service.campaign)
+    assert browser.run("return document.querySelectorAll('main b').length") == 0
+    browser.open("")
+    browser.until("document.querySelector('tbody a')")
+    assert any("<b>walkers</b>" in text for text in browser.texts("a"))
+
+
+def test_curves_agree_with_the_api(service, browser):
+    rows = service.pages(f"/v1/campaigns/{service.campaign}/generations")
+    browser.open("campaigns/" + service.campaign)
+    label = browser.run("return document.querySelector('figure canvas').getAttribute('aria-label')")
+    best = [row["score"]["quantiles"]["p0"] for row in rows]
+    assert f"best from {best[0]:.3g}" in label and f"to {best[-1]:.3g} at generation 4" in label
+
+
+def test_the_score_of_the_editor_is_that_of_an_evaluation(service, browser):
+    voxels = service.evaluate({"designs": [DESIGN]}).json()["results"][0]
+    browser.open("editor?voxels=" + voxels["genotype"])
+    browser.until("/^score/.test(document.querySelector('main p[aria-live]').textContent)")
+    text = browser.texts("main p[aria-live]")[0]
+    assert text.startswith(f"score {voxels['score']:.4f} over ten environments, 4 voxels")
+
+
+def test_editing_by_keyboard(service, browser):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+    browser.open("editor?voxels=" + "1" + "0" * 143)
+    browser.until_walking()
+    browser.run("document.querySelector('[data-cell=\"0,0,0\"]').focus()")
+    ActionChains(browser.driver).send_keys(Keys.ARROW_RIGHT, Keys.SPACE).perform()
+    browser.until("document.querySelectorAll('[aria-selected=true]').length === 2")
+    assert browser.run("return document.activeElement.dataset.cell") == "1,0,0"
+    assert "voxels=1" in browser.driver.current_url
+
+
+def test_a_campaign_from_start_to_end_by_keyboard(service, browser):
+    """Starts a campaign from the form, watches, pauses, resumes and extends it: no mouse."""
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    def keys(*all_keys):
+        ActionChains(browser.driver).send_keys(*all_keys).perform()
+
+    def press(name):
+        """Tabs to a control by its name, as a person would, and presses it."""
+        for _ in range(80):
+            keys(Keys.TAB)
+            at = browser.run("const e = document.activeElement;"
+                             "return e.getAttribute('aria-label') || e.innerText")
+            if (at or "").strip() == name:
+                keys(Keys.ENTER)
+                return
+        raise AssertionError(f"the tab key never came to {name!r}")
+
+    browser.open("")
+    press("New campaign")
+    browser.until("document.querySelector('dialog[open] form')")
+    fields = {"population": "8", "generations": "2", "label": "by keyboard"}
+    for _ in range(40):
+        name = browser.run("return document.activeElement.name ?? ''")
+        if name in fields:
+            keys(fields.pop(name))
+        if not fields:
+            break
+        keys(Keys.TAB)
+    assert not fields
+    keys(Keys.ENTER)
+    browser.until("location.hash.startsWith('#/campaigns/')")
+    number = browser.run("return location.hash.split('/')[2]")
+    browser.until("document.querySelector('h1')?.textContent === 'by keyboard'")
+    press("Pause by keyboard")
+    browser.until("document.querySelector('.state')?.textContent === 'paused'")
+    assert service.get(f"/v1/jobs/{number}")["state"] == "paused"
+    browser.open("campaigns/" + number)
+    press("Extend")
+    browser.until("document.querySelector('dialog[open]')")
+    press("Extend")
+    browser.until("!document.querySelector('dialog[open]')")
+    assert service.get(f"/v1/campaigns/{number}")["settings"]["generations"] == 12
+    service.act(number, "cancel")
+    assert browser.faults() == []
+
+
+def test_two_controllers_are_compared(service, browser):
+    browser.open("trainings")
+    browser.run("const [, second] = [...document.querySelectorAll('select')];"
+                "second.value = 'tuned'; second.dispatchEvent(new Event('change'));")
+    browser.click("Compare")
+    browser.until("/95 % interval/.test(document.body.innerText)", 90)
+    browser.until_walking()
+    assert browser.run("return document.querySelector('.stage').player.stage.robots.length") == 2
+    assert browser.faults() == []
+
+
+def test_the_page_says_that_the_service_is_down_and_comes_back(start, browser):
+    running = start()
+    running.evaluate({"designs": [DESIGN]})
+    browser.base, before = f"http://{running.host}:{running.port}/", browser.base
+    try:
+        browser.open("")
+        running.stop(9)
+        browser.until("!document.querySelector('.banner').hidden")
+        assert "cannot be reached" in browser.texts(".banner")[0]
+        again = start(listen=(f"{running.host}:{running.port}", ), state=running.state)
+        browser.until("document.querySelector('.banner').hidden")
+        job = again.evaluate({"designs": [{"cells": [[0, 0, 0]]}]}).json()["id"]
+        browser.until(f"document.body.innerText.includes('evaluation {job}')")
+    finally:
+        browser.base = before
