@@ -65,6 +65,22 @@ static const struct option_spec design_list_options[] = {
     {"limit", 'n', "N", "At most so many (default: 100)."},
     {UNLIMITED},
     {NULL}};
+static const struct option_spec film_options[] = {
+    {"controller", 'c', "NAME", "Controller: a name or sha256:<64 digits> (default: default)."},
+    {ENVIRONMENTS},
+    {"environment", 0, "N", "Which of the environments, from 0 (default: 0)."},
+    {PHYSICS},
+    {"random", 0, "N", "Draw N random bodies (besides those given)."},
+    {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
+    {"size", 0, "WxH", "Pixels (default: 960x540)."},
+    {"light", 0, NULL, "A bright background (default: dark)."},
+    {"yaw", 0, "DEGREES", "Turn of the camera (default: 35)."},
+    {"pitch", 0, "DEGREES", "Height of the camera above the horizon (default: 24)."},
+    {"distance", 0, "M", "Distance of the camera in meters (default: 2.4)."},
+    {"rate", 0, "FPS", "Of a film: frames per second (default: 25)."},
+    {"time", 0, "S", "Of a picture: seconds after the start (default: 2)."},
+    {"output", 'o', "FILE", "Where to put it."},
+    {NULL, 0, NULL, NULL}};
 static const struct option_spec random_options[] = {{"count", 'n', "N", "How many (default: 1)."},
                                                     {"seed", 0, "SEED", "Seed (default: 1)."},
                                                     {NULL}};
@@ -219,6 +235,18 @@ const struct command commands[] = {
     {"design list", "", "List designs.", NULL, design_list_options, 0, 0, run_design_list},
     {"design draw", "[DESIGN]...", "Draw designs of files without asking the server.", NULL, NULL,
      0, MANY, run_design_draw},
+    {"film", "[DESIGN]...", "Film up to 16 robots, without a display.",
+     "Rolls them out in one environment and draws what happens. --output tells the form: film.mp4 "
+     "(or "
+     "another that ffmpeg makes, if it is installed), film.y4m, - for such a stream on standard "
+     "output, "
+     "or a folder, ending with /, for PNG files.",
+     film_options, 0, MANY, run_film},
+    {"picture", "[DESIGN]...", "Draw up to 16 robots as they walk, without a display.", NULL,
+     film_options, 0, MANY, run_picture},
+    {"dashboard", "", "Print the address of the server's pages, with the token.",
+     "For a server on a unix socket, also the tunnel to type on the machine with the browser.",
+     NULL, 0, 0, run_dashboard},
     {"design random", "", "Print random bodies, one JSON design per line.",
      "Bodies grow voxel by voxel from one; the same seed gives the same bodies.", random_options, 0,
      0, run_design_random},

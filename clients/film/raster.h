@@ -1,0 +1,35 @@
+/* raster.h: draws robots on their terrain into an array of pixels, without a display or a graphics
+ * processor. The picture is that of the dashboard's stage. */
+#ifndef MORPHOCTL_FILM_RASTER_H
+#define MORPHOCTL_FILM_RASTER_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "scene.h"
+
+#define RASTER_SIDE_MAX 4096 /* pixels */
+
+/* Where the camera stands: it circles a point. */
+struct raster_camera {
+  double target_m[3];
+  double yaw, pitch; /* radians; yaw 0 looks along +y */
+  double distance_m;
+};
+
+struct raster;
+
+/* Allocates the buffers of a picture of so many pixels, drawn with 2 × 2 samples each. NULL: no
+ * memory, or a side outside 16 … RASTER_SIDE_MAX. */
+struct raster *raster_create(uint32_t width, uint32_t height);
+void raster_free(struct raster *raster);
+
+/* Draws a rollout at a time; after its end, the last frame. light: a bright background in place of
+ * a dark one. rgb: (height, width, 3), written. */
+void raster_draw(struct raster *raster, const struct scene *scene, uint32_t rollout, double time_s,
+                 const struct raster_camera *camera, bool light, uint8_t *rgb);
+
+/* Computes the mean position of a rollout's masses at a time, which a camera may follow. */
+void raster_center(const struct scene *scene, uint32_t rollout, double time_s, double center_m[3]);
+
+#endif

@@ -1,0 +1,48 @@
+/* scene.h: reads a scene, application/vnd.morphod.scene (docs/scenes.md): bodies, worlds and what
+ * was recorded of rollouts, as the service sends them. */
+#ifndef MORPHOCTL_FILM_SCENE_H
+#define MORPHOCTL_FILM_SCENE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include <jansson.h>
+
+/* A body: where its parts lie is told by a track. Arrays belong to the scene. */
+struct scene_body {
+  char id[40], genotype[152];
+  uint32_t n_masses, n_springs, n_faces;
+  const uint16_t *springs; /* (n_springs, 2) masses */
+  const uint16_t *faces;   /* (n_faces, 5) four masses, counter-clockwise from outside, and the
+                              voxel */
+  const uint16_t *voxels;  /* (n_voxels, 8) masses */
+  uint32_t n_voxels;
+};
+
+struct scene_world {
+  double light_xy_m[2];
+  const float *heights_m; /* (8, 8), row y */
+};
+
+struct scene_rollout {
+  uint32_t body, world;
+  double loss; /* NaN: diverged */
+  uint32_t n_frames;
+  const float *masses_m; /* (n_frames, n_masses, 3) */
+};
+
+struct scene {
+  double frame_s; /* seconds between two frames */
+  uint32_t n_bodies, n_worlds, n_rollouts;
+  struct scene_body *bodies;
+  struct scene_world *worlds;
+  struct scene_rollout *rollouts;
+  json_t *header;
+};
+
+/* Reads `size` bytes, which must be aligned to 4 and outlive the scene. Returns NULL, or what is
+ * wrong with them; the scene is then empty. */
+const char *scene_read(const void *bytes, size_t size, struct scene *scene);
+void scene_free(struct scene *scene);
+
+#endif

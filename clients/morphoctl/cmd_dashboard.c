@@ -1,0 +1,41 @@
+/* cmd_dashboard.c: "dashboard": where the pages of the server are. */
+#include <pwd.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "commands.h"
+#include "transport.h"
+
+/* Prints the address. The token is handed over in the part of it that is never sent. */
+static int print_address(const char *server, const char *token)
+{
+  char *escaped = token != NULL ? escape(token) : NULL;
+  if (token != NULL && escaped == NULL)
+    return complain(STATUS_ERROR, "out of memory");
+  size_t length = strlen(server);
+  while (length > 0 && server[length - 1] == '/')
+    length--;
+  print_plain_line(stdout, "%.*s/%s%s", (int)length, server, escaped != NULL ? "#token=" : "",
+                   escaped != NULL ? escaped : "");
+  free(escaped);
+  return STATUS_OK;
+}
+
+int run_dashboard(struct ctl *ctl)
+{
+  char host[256] = "this-machine";
+  json_t *health;
+  int status = get_json(ctl, &health, "/readyz");
+  json_decref(health);
+  if (status != STATUS_OK)
+    return status;
+  if (strncmp(ctl->server, "unix:", 5) != 0)
+    return print_address(ctl->server, ctl->token);
+  gethostname(host, sizeof(host) - 1);
+  const struct passwd *user = getpwuid(getuid());
+  printf("A browser cannot open a unix socket. On the machine with the browser, type\n\n"
+         "  ssh -N -L 8765:%s %s@%s\n\nand open\n\n  ",
+         ctl->server + 5, user != NULL ? user->pw_name : "you", host);
+  return print_address("http://127.0.0.1:8765", ctl->token);
+}

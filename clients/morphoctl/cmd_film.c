@@ -1,0 +1,351 @@
+/* cmd_film.c: "film" and "picture": robots drawn without a display.
+ *
+ * The rollouts come from the server as a scene and are stored nowhere. A film is a folder of PNG
+ * files, a Y4M stream, or whatever ffmpeg, if it is installed, makes of such a stream. */
+#include <errno.h>
+#include <math.h>
+#include <signal.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "../film/png.h"
+#include "../film/raster.h"
+#include "commands.h"
+#include "transport.h"
+
+#define ROBOTS_MAX     16
+#define LAST_S         1.0 /* how long the last frame stays */
+#define DURATION_MAX_S 3600
+#define STRIDE         5 /* steps between two recorded frames */
+
+struct film {
+  struct scene scene;
+  struct reply reply;                              /* holds the scene's bytes */
+  uint32_t width, height, view_width, view_height; /* pixels of the whole, of a robot's view */
+  struct raster *raster;                           /* of one robot's view */
+  uint8_t *tile, *frame;                           /* (height, width, 3) of a view, of the whole */
+  bool light;
+  double rate, yaw, pitch, distance_m;
+};
+
+/* ---- the rollouts ---- */
+
+/* Chooses one environment of the set or file that --environments names. */
+static int choose_environment(struct ctl *ctl, json_t *request)
+{
+  const char *set = option_text(ctl, "environments", "paper-test");
+  json_t *listed = json_object_get(request, "environments"), *page = NULL;
+  int64_t place = 0;
+  int status = STATUS_OK;
+  if (!option_number(ctl, "environment", 0, 63, &place))
+    return STATUS_USAGE;
+  if (!json_is_array(listed)) {
+    char *escaped = escape(set);
+    status = escaped != NULL ? get_json(ctl, &page, "/v1/environment-sets/%s", escaped)
+                             : complain(STATUS_ERROR, "out of memory");
+    free(escaped);
+    listed = json_object_get(page, "items");
+  }
+  json_t *chosen = json_incref(json_array_get(listed, (size_t)place));
+  if (status == STATUS_OK && chosen == NULL)
+    status = complain(STATUS_USAGE, "--environment: there are %zu environments, counted from 0",
+                      json_array_size(listed));
+  json_object_del(chosen, "sha256");
+  if (status == STATUS_OK)
+    json_object_set_new(request, "environments", json_pack("[O]", chosen));
+  json_decref(chosen);
+  json_decref(page);
+  return status;
+}
+
+static int load_scene(struct ctl *ctl, struct film *film)
+{
+  struct designs designs = {0};
+  int64_t n_random = 0, seed = 1;
+  if (!option_number(ctl, "random", 0, ROBOTS_MAX, &n_random) ||
+      !option_number(ctl, "seed", 0, INT64_MAX, &seed))
+    return STATUS_USAGE;
+  int status = add_designs(ctl, 0, n_random, seed, &designs);
+  if (status == STATUS_OK && (designs.n < 1 || designs.n > ROBOTS_MAX))
+    status = complain(STATUS_USAGE, "a film has 1 to %d robots, not %zu", ROBOTS_MAX, designs.n);
+  json_t *request = json_pack("{s:O,s:[s]}", "designs", designs.list, "record", "masses");
+  if (status == STATUS_OK)
+    status = request_fill(ctl, request);
+  const json_t *n_steps = json_object_get(json_object_get(request, "physics"), "n_steps");
+  const double steps = json_is_number(n_steps) ? json_number_value(n_steps) : STRIDE;
+  json_object_set_new(request, "record_stride",
+                      json_integer(steps < STRIDE ? (json_int_t)steps : STRIDE));
+  if (status == STATUS_OK)
+    status = choose_environment(ctl, request);
+  char *body = status == STATUS_OK ? json_dumps(request, JSON_COMPACT) : NULL;
+  if (status == STATUS_OK)
+    status = transport_send(ctl,
+                            &(struct request){.method = "POST",
+                                              .path = "/v1/rollouts",
+                                              .accept = "application/vnd.morphod.scene",
+                                              .content_type = "application/json",
+                                              .body = body,
+                                              .body_bytes = strlen(body),
+                                              .repeatable = true},
+                            &film->reply);
+  const char *fault = status == STATUS_OK
+                          ? scene_read(film->reply.body, film->reply.body_bytes, &film->scene)
+                          : NULL;
+  free(body);
+  json_decref(request);
+  designs_free(&designs);
+  return fault != NULL ? complain(STATUS_ERROR, "%s", fault) : status;
+}
+
+/* ---- drawing ---- */
+
+static bool option_real(const struct ctl *ctl, const char *name, double low, double high,
+                        double *value)
+{
+  const char *text = option_text(ctl, name, NULL);
+  char *end = NULL;
+  if (text == NULL)
+    return true;
+  *value = strtod(text, &end);
+  if (end != text && *end == '\0' && *value >= low && *value <= high)
+    return true;
+  complain(STATUS_USAGE, "--%s: a number from %g to %g is expected, not \"%s\"", name, low, high,
+           text);
+  return false;
+}
+
+static double duration_s(const struct film *film)
+{
+  uint32_t frames = 1;
+  for (uint32_t i = 0; i < film->scene.n_rollouts; i++)
+    if (film->scene.rollouts[i].n_frames > frames)
+      frames = film->scene.rollouts[i].n_frames;
+  return (frames - 1) * film->scene.frame_s;
+}
+
+/* Reads a side of a picture from the digits between two places. */
+static bool read_side(const char *from, const char *to, uint32_t *side)
+{
+  uint32_t value = 0;
+  for (; from < to && *from >= '0' && *from <= '9' && value <= RASTER_SIDE_MAX; from++)
+    value = value * 10 + (uint32_t)(*from - '0');
+  *side = value;
+  return from == to && value >= 64 && value <= RASTER_SIDE_MAX;
+}
+
+static int prepare(struct ctl *ctl, struct film *film)
+{
+  const char *size = option_text(ctl, "size", "960x540");
+  const char *cross = strchr(size, 'x');
+  if (cross == NULL || !read_side(size, cross, &film->width) ||
+      !read_side(cross + 1, size + strlen(size), &film->height))
+    return complain(STATUS_USAGE, "--size: WIDTHxHEIGHT of 64 to %d pixels is expected, not \"%s\"",
+                    RASTER_SIDE_MAX, size);
+  film->light = option_is_set(ctl, "light");
+  film->rate = 25;
+  film->distance_m = 2.4;
+  double yaw = 35, pitch = 24;
+  if (!option_real(ctl, "rate", 1, 120, &film->rate) ||
+      !option_real(ctl, "distance", 0.4, 14, &film->distance_m) ||
+      !option_real(ctl, "yaw", -360, 360, &yaw) || !option_real(ctl, "pitch", 1, 88, &pitch))
+    return STATUS_USAGE;
+  film->yaw = yaw * M_PI / 180;
+  film->pitch = pitch * M_PI / 180;
+  int status = load_scene(ctl, film);
+  if (status != STATUS_OK)
+    return status;
+  if (film->scene.n_rollouts > ROBOTS_MAX || !(duration_s(film) <= DURATION_MAX_S))
+    return complain(STATUS_ERROR, "the server sent more than was asked for");
+  /* Views side by side, about as wide as the picture. */
+  const uint32_t n = film->scene.n_rollouts;
+  const uint32_t columns = n <= 1 ? 1 : n <= 4 ? 2 : n <= 9 ? 3 : 4;
+  const uint32_t rows = n > columns ? (n + columns - 1) / columns : 1;
+  film->view_width = film->width / columns;
+  film->view_height = film->height / rows;
+  film->raster = raster_create(film->view_width, film->view_height);
+  film->tile = malloc((size_t)film->width * film->height * 3);
+  film->frame = calloc((size_t)film->width * film->height, 3);
+  return film->raster != NULL && film->tile != NULL && film->frame != NULL
+             ? STATUS_OK
+             : complain(STATUS_ERROR, "out of memory");
+}
+
+static void release(struct film *film)
+{
+  scene_free(&film->scene);
+  reply_free(&film->reply);
+  raster_free(film->raster);
+  free(film->tile);
+  free(film->frame);
+}
+
+static void draw(struct film *film, double time_s)
+{
+  const uint32_t width = film->view_width, height = film->view_height;
+  uint32_t left = 0, top = 0;
+  for (uint32_t i = 0; i < film->scene.n_rollouts; i++) {
+    struct raster_camera camera = {
+        .yaw = film->yaw, .pitch = film->pitch, .distance_m = film->distance_m};
+    raster_center(&film->scene, i, time_s, camera.target_m);
+    raster_draw(film->raster, &film->scene, i, time_s, &camera, film->light, film->tile);
+    for (uint32_t y = 0; y < height; y++)
+      memcpy(film->frame + ((size_t)(top + y) * film->width + left) * 3,
+             film->tile + (size_t)y * width * 3, (size_t)width * 3);
+    left += width;
+    if (left + width > film->width) {
+      left = 0;
+      top += height;
+    }
+  }
+}
+
+static int save_png(const struct film *film, const char *path)
+{
+  size_t size;
+  unsigned char *file = png_encode(film->frame, film->width, film->height, &size);
+  const int status =
+      file != NULL ? save_output(path, file, size) : complain(STATUS_ERROR, "out of memory");
+  free(file);
+  return status;
+}
+
+/* ---- films ---- */
+
+/* Writes a frame of a Y4M stream: full resolution for brightness and both colors. */
+static bool put_y4m(const struct film *film, FILE *file)
+{
+  const size_t n = (size_t)film->width * film->height;
+  /* ITU-R BT.601, as players take a stream that does not say. */
+  static const double weights[3][4] = {
+      {16, 65.481, 128.553, 24.966}, {128, -37.797, -74.203, 112}, {128, 112, -93.786, -18.214}};
+  fputs("FRAME\n", file);
+  for (int plane = 0; plane < 3; plane++) {
+    const double *w = weights[plane];
+    for (size_t i = 0; i < n; i++) {
+      const uint8_t *rgb = film->frame + 3 * i;
+      putc((int)(w[0] + (w[1] * rgb[0] + w[2] * rgb[1] + w[3] * rgb[2]) / 255 + 0.5), file);
+    }
+  }
+  return !ferror(file);
+}
+
+/* Opens what takes the stream: standard output, a file, or ffmpeg. */
+static FILE *open_stream(const char *output, pid_t *ffmpeg)
+{
+  const size_t length = strlen(output);
+  int ends[2];
+  signal(SIGPIPE, SIG_IGN); /* a reader that ends early is an error like any other */
+  *ffmpeg = 0;
+  if (strcmp(output, "-") == 0)
+    return stdout;
+  if (length > 4 && strcmp(output + length - 4, ".y4m") == 0)
+    return fopen(output, "we");
+  if (pipe(ends) != 0)
+    return NULL;
+  *ffmpeg = fork();
+  if (*ffmpeg == 0) {
+    dup2(ends[0], STDIN_FILENO);
+    close(ends[0]);
+    close(ends[1]);
+    /* The name is that of a file, whatever it begins with. */
+    char path[4096];
+    snprintf(path, sizeof(path), "file:%s", output);
+    execlp("ffmpeg", "ffmpeg", "-loglevel", "error", "-y", "-f", "yuv4mpegpipe", "-i", "-",
+           "-pix_fmt", "yuv420p", path, (char *)NULL);
+    _exit(127);
+  }
+  close(ends[0]);
+  if (*ffmpeg > 0)
+    return fdopen(ends[1], "w");
+  close(ends[1]);
+  return NULL;
+}
+
+static int close_stream(FILE *file, pid_t ffmpeg, const char *output, bool is_written)
+{
+  int status = 0;
+  const bool flushed = file == stdout ? fflush(file) == 0 : fclose(file) == 0;
+  if (ffmpeg > 0 && waitpid(ffmpeg, &status, 0) == ffmpeg && status != 0)
+    return WIFEXITED(status) && WEXITSTATUS(status) == 127
+               ? complain(STATUS_ERROR,
+                          "ffmpeg is not installed; write a .y4m file or a folder of PNG files "
+                          "(--output frames/) instead")
+               : complain(STATUS_ERROR, "ffmpeg could not write %s", output);
+  return is_written && flushed ? STATUS_OK
+                               : complain(STATUS_ERROR, "%s: %s", output, strerror(errno));
+}
+
+static int film_stream(struct film *film, const char *output, uint32_t n_frames)
+{
+  pid_t ffmpeg;
+  FILE *file = open_stream(output, &ffmpeg);
+  if (file == NULL)
+    return complain(STATUS_ERROR, "%s: %s", output, strerror(errno));
+  bool good = fprintf(file, "YUV4MPEG2 W%u H%u F%u:1000 Ip A1:1 C444\n", film->width, film->height,
+                      (unsigned)(film->rate * 1000 + 0.5)) > 0;
+  for (uint32_t i = 0; i < n_frames && good && !interrupted(); i++) {
+    draw(film, i / film->rate);
+    good = put_y4m(film, file);
+  }
+  return close_stream(file, ffmpeg, output, good);
+}
+
+static int film_folder(struct film *film, const char *folder, uint32_t n_frames)
+{
+  int status = mkdir(folder, 0777) == 0 || errno == EEXIST
+                   ? STATUS_OK
+                   : complain(STATUS_ERROR, "%s: %s", folder, strerror(errno));
+  for (uint32_t i = 0; i < n_frames && status == STATUS_OK && !interrupted(); i++) {
+    char path[4200];
+    snprintf(path, sizeof(path), "%s/%05u.png", folder, i);
+    draw(film, i / film->rate);
+    status = save_png(film, path);
+  }
+  return status;
+}
+
+int run_film(struct ctl *ctl)
+{
+  const char *output = option_text(ctl, "output", NULL);
+  struct film film = {0};
+  if (output == NULL)
+    return complain(STATUS_USAGE,
+                    "--output is missing: film.mp4, film.y4m, - or a folder that ends with /");
+  const size_t length = strlen(output);
+  if (length > 4000)
+    return complain(STATUS_USAGE, "--output is too long");
+  int status = prepare(ctl, &film);
+  if (status == STATUS_OK) {
+    catch_interrupts();
+    const uint32_t n = (uint32_t)((duration_s(&film) + LAST_S) * film.rate + 0.5);
+    status = length > 0 && output[length - 1] == '/' ? film_folder(&film, output, n)
+                                                     : film_stream(&film, output, n);
+    if (interrupted())
+      status = STATUS_INTERRUPTED;
+    else if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
+      print_plain_line(stderr, "%s: %u frames", output, n);
+  }
+  release(&film);
+  return status;
+}
+
+int run_picture(struct ctl *ctl)
+{
+  const char *output = option_text(ctl, "output", NULL);
+  struct film film = {0};
+  double time_s = 2;
+  if (output == NULL)
+    return complain(STATUS_USAGE, "--output is missing: picture.png, or - for standard output");
+  if (!option_real(ctl, "time", 0, 1e6, &time_s))
+    return STATUS_USAGE;
+  int status = prepare(ctl, &film);
+  if (status == STATUS_OK) {
+    draw(&film, time_s);
+    status = save_png(&film, output);
+  }
+  release(&film);
+  return status;
+}

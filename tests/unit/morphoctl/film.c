@@ -1,0 +1,178 @@
+/* Reading and drawing scenes: whatever a server sends, the reader refuses it or the picture is
+ * drawn within its arrays. */
+#include "../check.h"
+
+#include "../../../clients/film/png.h"
+#include "../../../clients/film/raster.h"
+
+/* One voxel, lying on flat ground, that rises by 0.1 m in its second frame. */
+static const char header[] =
+    "{\"frame_s\":0.04,\"environments\":[{\"light_xy_m\":[4,3],\"terrain_heights_m\":"
+    "{\"offset\":0,\"type\":\"float32\",\"shape\":[8,8]}}],\"designs\":[{\"id\":\"x\",\"genotype\":"
+    "\"1\",\"masses\":{\"offset\":256,\"type\":\"uint16\",\"shape\":[8,3]},\"springs\":{\"offset\":"
+    "304,\"type\":\"uint16\",\"shape\":[1,2]},\"voxels\":{\"offset\":312,\"type\":\"uint16\","
+    "\"shape\":[1,8]},\"faces\":{\"offset\":328,\"type\":\"uint16\",\"shape\":[1,5]}}],"
+    "\"rollouts\":"
+    "[{\"design\":0,\"environment\":0,\"loss\":0.5,\"masses_m\":{\"offset\":344,\"type\":"
+    "\"float32\",\"shape\":[2,8,3]}}]}";
+#define HEADER_BYTES ((sizeof(header) - 1 + 7) / 8 * 8 + 4) /* 4 + this is a multiple of 8 */
+#define ARRAY_BYTES  (344 + 2 * 8 * 3 * 4)
+
+static size_t make(unsigned char *bytes, const char *text)
+{
+  const size_t length = strlen(text) + (8 - (4 + strlen(text)) % 8) % 8;
+  const uint16_t springs[2] = {0, 1}, faces[5] = {1, 5, 7, 3, 0};
+  float heights[64] = {0}, masses[2][8][3];
+  uint16_t voxel[8], lattice[8][3];
+  for (uint16_t c = 0; c < 8; c++) {
+    const uint16_t at[3] = {c >> 2, c >> 1 & 1, c & 1};
+    voxel[c] = c;
+    memcpy(lattice[c], at, sizeof(at));
+    for (int frame = 0; frame < 2; frame++)
+      for (int axis = 0; axis < 3; axis++)
+        masses[frame][c][axis] = 0.1F * (float)at[axis] + (axis < 2 ? 2.5F : 0.1F * (float)frame);
+  }
+  for (int i = 0; i < 4; i++)
+    bytes[i] = (unsigned char)(length >> (8 * i));
+  memset(bytes + 4, ' ', length);
+  memcpy(bytes + 4, text, strlen(text));
+  unsigned char *arrays = bytes + 4 + length;
+  memset(arrays, 0, ARRAY_BYTES);
+  memcpy(arrays, heights, sizeof(heights));
+  memcpy(arrays + 256, lattice, sizeof(lattice));
+  memcpy(arrays + 304, springs, sizeof(springs));
+  memcpy(arrays + 312, voxel, sizeof(voxel));
+  memcpy(arrays + 328, faces, sizeof(faces));
+  memcpy(arrays + 344, masses, sizeof(masses));
+  return 4 + length + ARRAY_BYTES;
+}
+
+static _Alignas(8) unsigned char bytes[4096];
+
+static void reads(void)
+{
+  struct scene scene;
+  double center[3];
+  const size_t size = make(bytes, header);
+  REQUIRE(scene_read(bytes, size, &scene) == NULL);
+  CHECK_INT(scene.n_rollouts, 1);
+  CHECK_INT(scene.bodies[0].n_masses, 8);
+  raster_center(&scene, 0, 0.02, center);
+  CHECK_NEAR(center[0], 2.55, 1e-6);
+  CHECK_NEAR(center[2], 0.1, 1e-6);
+  raster_center(&scene, 0, 99, center);
+  CHECK_NEAR(center[2], 0.15, 1e-6);
+  scene_free(&scene);
+}
+
+/* Every prefix of a scene ends before what its header tells. */
+static void refuses_what_is_cut(void)
+{
+  struct scene scene;
+  const size_t size = make(bytes, header);
+  for (size_t n = 0; n < size; n++)
+    CHECK(scene_read(bytes, n, &scene) != NULL);
+}
+
+static void refuses_what_does_not_fit(void)
+{
+  static const struct {
+    const char *from, *to;
+  } cases[] = {
+      {"\"offset\":344", "\"offset\":352"},
+      {"\"offset\":344", "\"offset\":-44"},
+      {"\"offset\":256", "\"offset\":999999"},
+      {"[2,8,3]", "[2,9,3]"},
+      {"[2,8,3]", "[0,8,3]"},
+      {"[2,8,3]", "[-1,8,3]"},
+      {"[2,8,3]", "[99999999,8,3]"},
+      {"[1,5]", "[9,5]"},
+      {"[1,5]", "[1,4]"},
+      {"[8,8]", "[8]"},
+      {"\"design\":0", "\"design\":1"},
+      {"\"environment\":0", "\"environment\":-1"},
+      {"\"frame_s\":0.04", "\"frame_s\":0"},
+      {"\"uint16\",\"shape\":[8,3]", "7"},
+      {"\"rollouts\":[", "\"rollouts\":3,\"x\":["},
+      {"{\"frame_s\"", "[\"frame_s\""},
+      {"\"shape\":[8,3]", "\"shape\":[4,3]"},
+  };
+  for (size_t i = 0; i < COUNT(cases); i++) {
+    char text[sizeof(header) + 64];
+    const char *at = strstr(header, cases[i].from);
+    struct scene scene;
+    REQUIRE(at != NULL);
+    snprintf(text, sizeof(text), "%.*s%s%s", (int)(at - header), header, cases[i].to,
+             at + strlen(cases[i].from));
+    const char *fault = scene_read(bytes, make(bytes, text), &scene);
+    CHECK(fault != NULL);
+    if (fault == NULL)
+      printf("# not refused: %s\n", cases[i].to);
+  }
+}
+
+static void refuses_indices_out_of_range(void)
+{
+  static const size_t offsets[] = {304, 312, 328, 336};
+  for (size_t i = 0; i < COUNT(offsets); i++) {
+    struct scene scene;
+    const size_t size = make(bytes, header);
+    bytes[size - ARRAY_BYTES + offsets[i]] = 8;
+    CHECK(scene_read(bytes, size, &scene) != NULL);
+  }
+}
+
+static void refuses_places_that_are_none(void)
+{
+  static const float odd[] = {NAN, INFINITY, -1e30F};
+  for (size_t i = 0; i < 2 * COUNT(odd); i++) {
+    struct scene scene;
+    const size_t size = make(bytes, header);
+    memcpy(bytes + size - ARRAY_BYTES + (i % 2 == 0 ? 0 : 400), &odd[i / 2], sizeof(float));
+    CHECK(scene_read(bytes, size, &scene) != NULL);
+  }
+}
+
+static uint8_t rgb[96 * 64 * 3];
+
+static void draws(void)
+{
+  struct scene scene;
+  const struct raster_camera camera = {{2.55, 2.55, 0.1}, 0.5, 1.2, 0.6};
+  struct raster *raster = raster_create(96, 64);
+  REQUIRE(raster != NULL && scene_read(bytes, make(bytes, header), &scene) == NULL);
+  raster_draw(raster, &scene, 0, 0.02, &camera, false, rgb);
+  /* The face at rest is light, and the ground around it is not. */
+  CHECK(rgb[(32 * 96 + 48) * 3] > 110);
+  CHECK(rgb[(32 * 96 + 4) * 3] < 110);
+  /* From inside of the body, and from below. */
+  static const struct raster_camera odd[] = {
+      {{2.55, 2.55, 0.1}, 0, 0.1, 0.01}, {{2.55, 2.55, -5}, 3, -1.5, 4}, {{0, 0, 0}, 0, 0, 0}};
+  for (size_t i = 0; i < COUNT(odd); i++)
+    raster_draw(raster, &scene, 0, 0, &odd[i], true, rgb);
+  scene_free(&scene);
+  raster_free(raster);
+  CHECK(raster_create(15, 64) == NULL);
+  CHECK(raster_create(64, RASTER_SIDE_MAX + 1) == NULL);
+}
+
+static void encodes(void)
+{
+  size_t size;
+  unsigned char *file = png_encode(rgb, 96, 64, &size);
+  REQUIRE(file != NULL);
+  CHECK(memcmp(file, "\x89PNG\r\n\x1a\n", 8) == 0 && size > 60);
+  CHECK(memcmp(file + size - 8, "IEND", 4) == 0);
+  free(file);
+}
+
+static const struct check_case cases[] = {
+    {"reads a scene", reads},
+    {"refuses a scene that is cut", refuses_what_is_cut},
+    {"refuses arrays that do not fit", refuses_what_does_not_fit},
+    {"refuses indices out of range", refuses_indices_out_of_range},
+    {"refuses places that are none", refuses_places_that_are_none},
+    {"draws", draws},
+    {"encodes a picture", encodes},
+};
+CHECK_MAIN(cases)
