@@ -124,7 +124,8 @@ class Frame {
   #tell(up) {
     this.banner.hidden = up;
     if (up) {
-      if (this.wasDown) this.view?.update?.({ type: 'reset' });
+      if (this.wasDown && this.view) this.view.update?.({ type: 'reset' });
+      else if (this.wasDown) this.route(); // it failed to load, or had only begun to
       this.wasDown = false;
       clearInterval(this.probe);
       return;

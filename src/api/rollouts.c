@@ -54,6 +54,8 @@ void mo_api_post_rollouts(struct mo_request *request)
   if (!mo_check_content(request, "application/json", NULL) || !mo_accept(request, types, &form))
     return;
   int error = mo_rollouts_parse(request->body, request->body_size, &parsed, &faults);
+  if (form == 0) /* JSON has no recordings: make none */
+    parsed.request.record_com = parsed.request.record_masses = false;
   if (error != MO_OK)
     mo_reply_parse_error(request, error, &faults, "rollout");
   else if ((error = mo_jobs_roll(mo_api_of(request)->jobs, &parsed.request, &rollouts, &message)) !=

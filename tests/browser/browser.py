@@ -2,7 +2,6 @@
 
 import base64
 import io
-import json
 import pathlib
 import struct
 import sys
@@ -47,8 +46,7 @@ class Browser:
             self.run("localStorage.setItem('morphod-theme', arguments[0])", theme)
         self.driver.get("about:blank")
         self.driver.get(self.base + "#/" + view)
-        self.until("document.querySelector('main') && "
-                   "!/^Loading/.test(document.querySelector('main').innerText)")
+        self.until("document.querySelector('main h1')")
 
     def until(self, condition, seconds=30):
         """Waits until a script says so."""
@@ -128,7 +126,3 @@ def decode_png(data):
         rows.append(bytes(line))
         before = rows[-1]
     return width, height, step, rows
-
-
-def dump(value):
-    return json.dumps(value)

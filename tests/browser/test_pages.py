@@ -83,7 +83,9 @@ def test_labels_are_text(service, browser):
 def test_curves_agree_with_the_api(service, browser):
     rows = service.pages(f"/v1/campaigns/{service.campaign}/generations")
     browser.open("campaigns/" + service.campaign)
-    label = browser.run("return document.querySelector('figure canvas').getAttribute('aria-label')")
+    told = "document.querySelector('figure canvas').getAttribute('aria-label')"
+    browser.until(told + ".includes('generation 4')")
+    label = browser.run("return " + told)
     best = [row["score"]["quantiles"]["p0"] for row in rows]
     assert f"best from {best[0]:.3g}" in label and f"to {best[-1]:.3g} at generation 4" in label
 

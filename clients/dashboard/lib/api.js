@@ -126,20 +126,6 @@ export function withQuery(path, parameters) {
 }
 
 /**
- * All rows of a list, page by page; `each` is called with every page and may return false to stop.
- * @param {{signal?: AbortSignal, limit?: number}} [options]
- */
-export async function pages(path, each, options = {}) {
-  const { signal, limit = 1000 } = options;
-  let cursor;
-  do {
-    const page = await getJson(withQuery(path, { cursor, limit }), { signal });
-    if (each(page.items, page) === false) return;
-    cursor = page.next_cursor;
-  } while (cursor !== null);
-}
-
-/**
  * A curve that grows: keeps its rows and brings those that came since. The newest row's number is the
  * cursor of what follows.
  */

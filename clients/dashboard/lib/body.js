@@ -5,9 +5,6 @@
  * (x·(ny+1) + y)·(nz+1) + z.
  */
 
-/** Edge of a voxel, in meters. */
-export const VOXEL_M = 0.1;
-
 /**
  * Sides of the default workspace, in voxels.
  * @type {readonly number[]}

@@ -143,7 +143,6 @@ export class Chart {
     const width = canvas.clientWidth;
     const height = canvas.clientHeight;
     if (!width || !height) return;
-    const started = performance.now();
     const ratio = devicePixelRatio;
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);
@@ -175,7 +174,6 @@ export class Chart {
     context.globalAlpha = 1;
     context.restore();
     if (this.cursor >= 0) this.#drawCursor(context, scale, height, color);
-    this.drawMs = performance.now() - started;
   }
 
   #scale({ x0, x1, y0, y1 }, width, height) {

@@ -9,13 +9,12 @@ const VERSION = '#version 300 es\nprecision highp float;\nprecision highp int;\n
 const TRACK = `
 uniform highp sampler2D track;
 uniform float frame;
-uniform vec3 offset;
 vec3 massAt(uint mass) {
   int earlier = int(frame);
   int last = textureSize(track, 0).y - 1;
   vec3 a = texelFetch(track, ivec2(int(mass), min(earlier, last)), 0).xyz;
   vec3 b = texelFetch(track, ivec2(int(mass), min(earlier + 1, last)), 0).xyz;
-  return mix(a, b, fract(frame)) + offset;
+  return mix(a, b, fract(frame));
 }
 `;
 
@@ -151,7 +150,6 @@ uniform vec3 swollen;
 uniform vec3 shrunk;
 uniform vec3 rest;
 uniform vec3 tint;
-uniform float alpha;
 out vec4 color;
 void main() {
   vec3 normal = normalize(cross(dFdx(at), dFdy(at)));
@@ -168,7 +166,7 @@ void main() {
   vec2 w = fwidth(uv);
   float border = 1.0 - smoothstep(0.0, 1.0, min(edge.x / max(w.x, 0.012), edge.y / max(w.y, 0.012)) - 0.35);
   lit = mix(lit, mix(lit * 0.42, tint, 0.32), border * 0.85);
-  color = vec4(lit, alpha);
+  color = vec4(lit, 1.0);
 }`,
 ];
 
@@ -232,7 +230,6 @@ export const TRAIL_SHADERS = [
   `${VERSION}${TERRAIN}
 layout(location = 0) in vec4 point;
 uniform mat4 matrix;
-uniform vec3 offset;
 uniform float width;
 out float when;
 out float across;
@@ -240,7 +237,7 @@ void main() {
   // point: x, y, frame, side; the direction across is given by the sign and the next normal.
   across = sign(point.w);
   float angle = (abs(point.w) - 1.0);
-  vec2 p = point.xy + vec2(cos(angle), sin(angle)) * across * width + offset.xy;
+  vec2 p = point.xy + vec2(cos(angle), sin(angle)) * across * width;
   when = point.z;
   gl_Position = matrix * vec4(p, heightAt(p) + 0.006, 1.0);
 }`,

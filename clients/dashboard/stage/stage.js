@@ -141,7 +141,6 @@ export class Stage {
     this.scale = 1;
     this.shadows = true;
     this.timeS = 0;
-    this.drawS = [];
     this.terrains = new Map();
     this.#build();
     canvas.addEventListener('webglcontextlost', (event) => event.preventDefault());
@@ -247,7 +246,6 @@ export class Stage {
 
   /** Draws the present time. */
   draw() {
-    const started = performance.now();
     const { gl, canvas } = this;
     const width = Math.max(1, Math.round(canvas.clientWidth * devicePixelRatio * this.scale));
     const height = Math.max(1, Math.round(canvas.clientHeight * devicePixelRatio * this.scale));
@@ -258,8 +256,6 @@ export class Stage {
     clear(gl, this.sideBySide ? look.line : look.background);
     for (const view of this.views()) this.#drawView(view, look);
     gl.bindVertexArray(null);
-    this.drawS.push((performance.now() - started) / 1000);
-    if (this.drawS.length > 120) this.drawS.shift();
   }
 
   #drawView(view, look) {
@@ -309,7 +305,7 @@ export class Stage {
     gl.clear(gl.DEPTH_BUFFER_BIT);
     this.programs.depth.use();
     for (const robot of robots) {
-      this.programs.depth.set({ matrix: sunMatrix, track: robot.gpu.track, frame: this.frameOf(robot), offset: [0, 0, 0] });
+      this.programs.depth.set({ matrix: sunMatrix, track: robot.gpu.track, frame: this.frameOf(robot) });
       gl.bindVertexArray(robot.gpu.skin.array);
       gl.drawArraysInstanced(gl.TRIANGLES, 0, 6, robot.body.nFaces);
     }
@@ -319,9 +315,9 @@ export class Stage {
 
   #drawRobot(robot, common) {
     const { gl, show } = this;
-    const own = { track: robot.gpu.track, frame: this.frameOf(robot), offset: [0, 0, 0], tint: toRgb(robot.color) };
+    const own = { track: robot.gpu.track, frame: this.frameOf(robot), tint: toRgb(robot.color) };
     if (show.skin) {
-      this.programs.skin.use().set(common).set({ ...own, alpha: 1 });
+      this.programs.skin.use().set(common).set(own);
       gl.bindVertexArray(robot.gpu.skin.array);
       gl.drawArraysInstanced(gl.TRIANGLES, 0, 6, robot.body.nFaces);
     }
@@ -342,7 +338,7 @@ export class Stage {
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     gl.depthMask(false);
     for (const robot of view.robots) {
-      const own = { track: robot.gpu.track, frame: this.frameOf(robot), offset: [0, 0, 0], tint: toRgb(robot.color) };
+      const own = { track: robot.gpu.track, frame: this.frameOf(robot), tint: toRgb(robot.color) };
       if (show.trails) {
         this.programs.trail.use().set(common).set({ ...own, width: 0.016 });
         gl.bindVertexArray(robot.gpu.trail.array);
