@@ -248,9 +248,10 @@ def await_end(service, path, seconds=60):
         assert time.monotonic() < deadline, reply.body
 
 
-def run(service, kind, value):
+def run(service, kind, value, seconds=60):
     """A job that has succeeded."""
-    done = await_end(service, f"/v1/{kind}/{service.post(f'/v1/{kind}', value)['id']}").json()
+    path = f"/v1/{kind}/{service.post(f'/v1/{kind}', value)['id']}"
+    done = await_end(service, path, seconds).json()
     assert done["state"] == "succeeded", done
     return done
 
