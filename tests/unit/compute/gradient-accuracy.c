@@ -36,7 +36,7 @@ static void compare(uint32_t n, uint32_t n_steps, bool trained, double least_cos
     CHECK_INT(c.fast.robots, n);
     CHECK_INT(c.fast.zeroed_robots + c.fast.diverged_robots, 0);
     CHECK(c.all.norm_reference > 0);
-    CHECK(c.robots.median <= (least_cosine > 0 ? 1e-4 : 0.05));
+    CHECK(c.robots.median <= (least_cosine > 0 ? 1e-4 : 1e-3));
     CHECK(c.loss_median <= 1e-4);
     if (off || least_cosine <= 0)
       continue; /* without a bound one robot whose adjoint explodes is most of the sum */
@@ -61,11 +61,13 @@ static void whole_random(void)
   compare(10, 1000, false, 0.999);
 }
 
-/* What a trained controller makes of 1000 steps is chaos for some of these small bodies: rounding
- * alone decides where they go, and in the sum of a few robots each of them weighs much. */
+/* What a trained controller makes of 1000 steps is chaos for a third of these small bodies:
+ * rounding alone decides where they go, and in the sum of a few robots each of them weighs much.
+ * With 24 robots the median is one of the others on each instruction set (9e-6 to 3e-5); with 6 it
+ * is not. */
 static void whole_trained(void)
 {
-  compare(6, 1000, true, 0);
+  compare(24, 1000, true, 0);
 }
 
 static const struct check_case cases[] = {
