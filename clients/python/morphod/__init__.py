@@ -1,0 +1,34 @@
+"""Drive morphod, the service that scores and evolves voxel robots.
+
+    import morphod
+    m = morphod.Client()                    # or morphod.local(), which starts a service
+    m.evaluate([[[2, 2, 0], [3, 2, 0]]]).scores
+
+`AsyncClient` is the same for asyncio.
+"""
+
+from ._async.client import AsyncClient, AsyncObjective
+from ._async.handles import (AsyncCampaign, AsyncCampaigns, AsyncEvaluation, AsyncJob,
+                             AsyncTraining)
+from ._sync.client import Client, Objective
+from ._sync.handles import Campaign, Campaigns, Evaluation, Job, Training
+from .bodies import WORKSPACE, Body
+from .errors import (AccessError, ApiError, BodyError, BusyError, ConflictError, InvalidError,
+                     JobError, MorphodError, NotFoundError, UnreachableError, WaitError)
+from .local import LocalClient, local
+from .phylogenies import Phylogeny
+from .player import Player
+from .results import Controller, Result
+from .scenes import Rollout, Scene
+from .weights import read_safetensors, write_safetensors
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "WORKSPACE", "AccessError", "ApiError", "AsyncCampaign", "AsyncCampaigns", "AsyncClient",
+    "AsyncEvaluation", "AsyncJob", "AsyncObjective", "AsyncTraining", "Body", "BodyError",
+    "BusyError", "Campaign", "Campaigns", "Client", "ConflictError", "Controller", "Evaluation",
+    "InvalidError", "Job", "JobError", "LocalClient", "MorphodError", "NotFoundError", "Objective",
+    "Phylogeny", "Player", "Result", "Rollout", "Scene", "Training", "UnreachableError",
+    "WaitError", "local", "read_safetensors", "write_safetensors",
+]

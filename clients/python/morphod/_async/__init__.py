@@ -1,0 +1,1 @@
+"""The client for asyncio. `morphod._sync` is made from these files by `tools/synchronous`."""

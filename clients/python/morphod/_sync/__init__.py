@@ -1,0 +1,1 @@
+"""The client without asyncio, made from `morphod._async` by `tools/synchronous`."""

@@ -1,0 +1,328 @@
+"""The client: everything begins here."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+from collections.abc import Iterator, Callable, Iterable, Mapping, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal
+
+from ..bodies import BodyLike, Repair, requests_of
+from ..frames import frame
+from ..objectives import Plan
+from ..player import Player
+from ..results import Controller
+from ..scenes import MEDIA_TYPE, Environments, Scene
+from ..weights import write_safetensors
+from .._wire import WAIT_S, Request, given as _given
+from .connection import Connection
+from .handles import (Campaign, Campaigns, Evaluation, Training, curves,
+                      player)
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from numpy.typing import NDArray
+    from typing_extensions import Self
+
+_DESIGNS_MAX = 10000
+
+class Client:
+    """A client of a morphod service.
+
+    `server` is `http://host:port`, `https://…` or `unix:/path`; without it $MORPHOD_SERVER, then
+    http://127.0.0.1:8765. `token` is needed where the service asks for one; without it
+    $MORPHOD_TOKEN. While the service is away (a restart, an upgrade), busy or full, requests are
+    repeated for `retry_s` seconds; submissions carry a key, so that none is made twice.
+
+    Refusals are exceptions of `morphod.ApiError`, which has the faults that the service named.
+    """
+
+    def __init__(self, server: str | None = None, token: str | None = None, *,
+                 retry_s: float = 60.0) -> None:
+        self._connection = Connection(server, token, retry_s)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                        trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the connections."""
+        self._connection.close()
+
+    def __repr__(self) -> str:
+        address = self._connection.address
+        return f"{type(self).__name__}({'unix:' + address.unix if address.unix else address.url!r})"
+
+    # ---- scores ----
+
+    def evaluate(self, bodies: Iterable[BodyLike] | NDArray[Any],
+                       environments: Environments = "paper-test", *,
+                       controller: str = "default",
+                       record: Sequence[str] = (), record_stride: int = 10,
+                       physics: Mapping[str, Any] | None = None,
+                       precision: Literal["float32", "float64"] = "float32",
+                       priority: Literal["interactive", "batch"] | None = None,
+                       weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
+                       label: str | None = None, verify: bool = False,
+                       repair: Repair | None = None, wait: bool = True) -> Evaluation:
+        """Scores up to 10,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest).
+
+        `wait=False` returns at once; the evaluation is durable then. `record` takes "com" and
+        "masses", kept at every `record_stride` steps. `physics` overrides single numbers, such as
+        `{"n_steps": 500}`. `repair="largest"` keeps the largest piece of bodies that are not in one
+        piece.
+        """
+        designs, lost = requests_of(bodies, repair)
+        if not 0 < len(designs) <= _DESIGNS_MAX:
+            raise ValueError(f"an evaluation takes 1 to {_DESIGNS_MAX} bodies, not {len(designs)}")
+        value: dict[str, Any] = {
+            "designs": designs, "environments": environments, "controller": controller,
+            "precision": precision, "weight": weight, "device": device, "verify": verify,
+            **_given(physics=physics, priority=priority, label=label),
+        }
+        if record:
+            value.update(record=list(record), record_stride=record_stride)
+        data = self._connection.json(
+            Request.submit("/v1/evaluations", value, wait_s=WAIT_S if wait else 0))
+        evaluation = Evaluation(self._connection, data, lost)
+        if wait:
+            evaluation.wait()
+        return evaluation
+
+    def evaluation(self, id: str | int) -> Evaluation:
+        """The evaluation of an id."""
+        data = self._connection.json(Request.get(f"/v1/evaluations/{id}"))
+        return Evaluation(self._connection, data)
+
+    def rollouts(self, bodies: Iterable[BodyLike] | NDArray[Any],
+                       environments: Environments = "paper-test", *,
+                       controller: str = "default", record: Sequence[str] = ("masses", ),
+                       record_stride: int = 10, physics: Mapping[str, Any] | None = None,
+                       precision: Literal["float32", "float64"] = "float32",
+                       repair: Repair | None = None) -> Scene:
+        """Up to 64 rollouts that are stored nowhere, with what they recorded: for viewers and
+        editors. The losses are those of an evaluation, bit for bit."""
+        designs, _ = requests_of(bodies, repair)
+        request = Request.post("/v1/rollouts", {
+            "designs": designs, "environments": environments, "controller": controller,
+            "record": list(record), "record_stride": record_stride, "precision": precision,
+            **_given(physics=physics),
+        }, accept=MEDIA_TYPE)
+        return Scene((self._connection.send(request)).content)
+
+    def show(self, bodies: Iterable[BodyLike] | NDArray[Any],
+                   environments: Environments = "paper-test", *,
+                   environment: int = 0, controller: str = "default",
+                   physics: Mapping[str, Any] | None = None, repair: Repair | None = None,
+                   title: str = "Robots of morphod") -> Player:
+        """Robots that walk in one environment: a player for notebooks, which `save` writes as one
+        HTML file."""
+        if isinstance(environments, str):
+            known = self._connection.json(Request.get(f"/v1/environment-sets/{environments}"))
+            environments = [{name: world[name] for name in ("light_xy_m", "terrain_heights_m")}
+                            for world in known["items"]]
+        scene = self.rollouts(bodies, [environments[environment]], controller=controller,
+                                    record_stride=4, physics=physics, repair=repair)
+        return player(self._connection, scene, title)
+
+    def objective(self, measures: Sequence[Any] | None = None, *,
+                  decode: Callable[[Any], BodyLike] | None = None,
+                  maximize: bool | None = None, worst: float = 10.0,
+                  **settings: Any) -> Objective:
+        """What an optimizer calls with its solutions; see `Objective`."""
+        return Objective(self, measures, decode, maximize, worst, settings)
+
+    def designs(self, *, sort: Literal["id", "score"] = "score", limit: int = 100,
+                      **filters: Any) -> pd.DataFrame:
+        """A table of designs that were ever scored: by score the best first. `filters` are those of
+        GET /v1/designs, such as `controller`."""
+        rows = []
+        for row in self._connection.pages("/v1/designs", limit=min(limit, 1000), sort=sort,
+                                                **filters):
+            rows.append(row)
+            if len(rows) >= limit:
+                break
+        return frame(rows)
+
+    # ---- campaigns ----
+
+    def campaign(self, mode: Literal["zero-shot", "few-shot", "simultaneous"], *,
+                       preset: Literal["paper", "workstation", "demo"] | None = None,
+                       replicates: int = 1, label: str | None = None,
+                       initial: Iterable[BodyLike] | NDArray[Any] | Campaign | None = None,
+                       **settings: Any) -> Campaigns:
+        """Starts a campaign, or `replicates` of them with the seeds `seed`, `seed + 1`, …
+
+        `initial` are the bodies of the first population, or a campaign whose population it goes on
+        from. `settings` are those of the contract (docs/evolution.md), such as `population`,
+        `generations`, `seed`, `selection`, `mutation`, `physics`.
+        """
+        value: dict[str, Any] = {"mode": mode, "replicates": replicates,
+                                 **_given(preset=preset, label=label), **settings}
+        if isinstance(initial, Campaign):
+            value["initial"] = {"campaign": initial.id}
+        elif initial is not None:
+            value["initial"] = {"designs": requests_of(initial)[0]}
+        first = self._connection.json(Request.submit("/v1/campaigns", value))
+        members = [Campaign(self._connection, first)]
+        if replicates > 1:
+            group = [Campaign(self._connection, data) for data in
+                     self._connection.pages("/v1/campaigns", group=first["id"])]
+            members = sorted(group, key=lambda member: int(member.data["group"]["replicate"]))
+        return Campaigns(members)
+
+    def campaigns(self, *, label: str | None = None, state: str | None = None,
+                        group: str | None = None) -> Campaigns:
+        """Campaigns with this label, in this state, of this group; newest first."""
+        return Campaigns([Campaign(self._connection, data) for data in
+                               self._connection.pages("/v1/campaigns", label=label, state=state,
+                                                      group=group)])
+
+    def get_campaign(self, id: str | int) -> Campaign:
+        """The campaign of an id."""
+        data = self._connection.json(Request.get(f"/v1/campaigns/{id}"))
+        return Campaign(self._connection, data)
+
+    def curves(self, *, label: str | None = None, group: str | None = None,
+                     ids: Iterable[str | int] | None = None) -> pd.DataFrame:
+        """One tidy table of the generations of many campaigns: by label, by group or by ids."""
+        if ids is not None:
+            return curves([self.get_campaign(id) for id in ids])
+        return (self.campaigns(label=label, group=group)).curves()
+
+    # ---- trainings and controllers ----
+
+    def pretrain(self, *, preset: Literal["workstation", "phototaxis", "paper"] | None = None,
+                       name: str | None = None, label: str | None = None,
+                       **settings: Any) -> Training:
+        """Starts the training of a controller on an endless stream of random bodies. `settings`
+        are those of the contract (docs/learning.md), such as `steps`, `batch`, `seed`."""
+        return self._train("pretrain", settings, preset=preset, name=name, label=label)
+
+    def finetune(self, bodies: Iterable[BodyLike] | NDArray[Any] | None = None, *,
+                       preset: Literal["workstation", "paper"] | None = None,
+                       name: str | None = None, label: str | None = None,
+                       **settings: Any) -> Training:
+        """Starts the training of a controller on bodies, or on a `population` of the service such
+        as `{"campaign": "12"}`."""
+        if bodies is not None:
+            settings["designs"] = requests_of(bodies)[0]
+        return self._train("finetune", settings, preset=preset, name=name, label=label)
+
+    def _train(self, kind: str, settings: dict[str, Any], **given: Any) -> Training:
+        value = {"kind": kind, **_given(**given), **settings}
+        data = self._connection.json(Request.submit("/v1/trainings", value))
+        return Training(self._connection, data)
+
+    def training(self, id: str | int) -> Training:
+        """The training of an id."""
+        data = self._connection.json(Request.get(f"/v1/trainings/{id}"))
+        return Training(self._connection, data)
+
+    def controllers(self) -> pd.DataFrame:
+        """A table of the controllers that have a name."""
+        return frame([row for row in self._connection.pages("/v1/controllers")])
+
+    def controller(self, name: str = "default") -> Controller:
+        """A controller by its name, or by `sha256:` and its hash."""
+        data = self._connection.json(Request.get(f"/v1/controllers/{name}"))
+        reply = self._connection.send(
+            Request.get(f"/v1/controllers/{name}/file", accept="application/octet-stream"))
+        return Controller(data, reply.content)
+
+    def put_controller(self, name: str,
+                             source: (str | os.PathLike[str] | bytes | Mapping[str, Any] |
+                                      Controller),
+                             metadata: Mapping[str, str] | None = None) -> Controller:
+        """Stores a controller under a name: a safetensors file, its bytes, or its tensors by name,
+        such as the `state_dict` of `Controller.torch()` (with `metadata`, which tells the
+        `sensor`)."""
+        if isinstance(source, Controller):
+            content = source.content
+        elif isinstance(source, bytes):
+            content = source
+        elif isinstance(source, Mapping):
+            content = write_safetensors(source, metadata)
+        else:
+            content = pathlib.Path(source).read_bytes()
+        request = Request("PUT", f"/v1/controllers/{name}/file", content=content,
+                          headers={"Content-Type": "application/octet-stream"})
+        return Controller(self._connection.json(request), content)
+
+    # ---- the service ----
+
+    def jobs(self, *, state: str | None = None, label: str | None = None,
+                   kind: str | None = None) -> pd.DataFrame:
+        """A table of jobs, newest first."""
+        return frame([row for row in self._connection.pages("/v1/jobs", state=state,
+                                                                  label=label, kind=kind)])
+
+    def events(self, after: str | int | None = None, job: str | int | None = None
+                     ) -> Iterator[dict[str, Any]]:
+        """Events as they happen, of one job or of all, from behind the event `after`; without it
+        from now on. A restart of the service loses none: where they are no longer kept, one of the
+        type "reset" comes."""
+        if after is None:
+            page = self._connection.json(Request.get("/v1/events", format="json", limit=1))
+            after = page["newest"]
+        events = self._connection.events(str(after), None if job is None else str(job))
+        for event in events:
+            yield event
+
+    def version(self) -> str:
+        """The version of the service."""
+        health = self._connection.json(Request.get("/healthz"))
+        return str(health["version"])
+
+    def request(self, method: str, path: str, value: Mapping[str, Any] | None = None,
+                      **params: Any) -> Any:
+        """Any request of the contract that has no method of its own; the JSON of its reply."""
+        if value is None and method == "GET":
+            return self._connection.json(Request.get(path, **params))
+        request = Request.post(path, value)
+        request.method, request.params = method, params
+        request.repeatable = method != "POST"
+        reply = self._connection.send(request)
+        return reply.json() if reply.content else None
+
+
+class Objective:
+    """An objective for optimizers: solutions in, numbers out.
+
+    Called with many solutions it scores them in one evaluation and gives an array (n,); with one
+    solution a number. With `measures` it gives two arrays, the objective (n,) and the measures
+    (n, measures), as pyribs takes them: `scheduler.tell(*objective(scheduler.ask()))`.
+
+    A solution is whatever `Body.of` takes, or a vector of 144 numbers, a voxel where one is above
+    0.5; `decode` turns others into bodies. The largest piece counts; a solution without a voxel,
+    and one that diverges, gets the loss `worst`. Losses are to be minimized; `maximize=True`, the
+    default with measures, gives them with the other sign.
+
+    Measures are "voxels", "footprint", "height", "path_length_m" (mean way of the center of mass
+    over the environments), or functions of a `Body`.
+    """
+
+    def __init__(self, client: Client, measures: Sequence[Any] | None,
+                 decode: Callable[[Any], BodyLike] | None, maximize: bool | None, worst: float,
+                 settings: dict[str, Any]) -> None:
+        self._client = client
+        self._plan = Plan(measures, decode, worst,
+                          measures is not None if maximize is None else maximize)
+        self._settings = settings
+
+    def __call__(self, solutions: Any) -> Any:
+        plan = self._plan
+        bodies, single = plan.read(solutions)
+        present = [body for body in bodies if body is not None]
+        settings = dict(self._settings)
+        if plan.needs_path:
+            settings["record"] = ["com"]
+        if not present:
+            return plan.write(bodies, None, None, single)
+        evaluation = self._client.evaluate(present, **settings)
+        paths = evaluation.recordings("com") if plan.needs_path else None
+        return plan.write(bodies, evaluation.scores, paths, single)

@@ -1,0 +1,414 @@
+"""Evaluations, campaigns, trainings and controllers of the service, as objects."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from ..errors import JobError, MorphodError, WaitError
+from ..frames import frame, pandas
+from ..phylogenies import Phylogeny
+from ..player import Player, player_of
+from ..progress import Bar
+from ..results import Controller, Result
+from ..scenes import MEDIA_TYPE, Scene
+from .._wire import WAIT_S, Request
+from .connection import Connection
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from numpy.typing import NDArray
+
+_ENDED = ("succeeded", "failed", "cancelled")
+_POLL_S = 1.0
+
+
+class Job:
+    """What evaluations, campaigns and trainings have in common.
+
+    `data` is the job as the service last told it, by the names of the contract.
+    """
+
+    _list = "/v1/jobs"
+
+    def __init__(self, connection: Connection, data: dict[str, Any]) -> None:
+        self._connection = connection
+        self.data = data
+
+    @property
+    def id(self) -> str:
+        """The number of the job, as text."""
+        return str(self.data["id"])
+
+    @property
+    def state(self) -> str:
+        """queued, running, paused, succeeded, failed or cancelled, as of the last look."""
+        return str(self.data["state"])
+
+    @property
+    def label(self) -> str | None:
+        """What it was submitted with."""
+        label: str | None = self.data["label"]
+        return label
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has succeeded, failed or been cancelled, as of the last look."""
+        return self.state in _ENDED
+
+    def __repr__(self) -> str:
+        label = f", label={self.label!r}" if self.label else ""
+        return f"<{type(self).__name__} {self.id}: {self.state}{label}>"
+
+    def refresh(self) -> None:
+        """Asks the service how the job stands."""
+        self.data = self._connection.json(Request.get(f"{self._list}/{self.id}"))
+
+    def wait(self, timeout_s: float | None = None) -> None:
+        """Waits until the job has succeeded. Raises `JobError` where it failed or was cancelled,
+        and `WaitError` when the time is over; the job goes on then. A restart of the service in
+        between changes nothing."""
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        while not self.ended:
+            left = WAIT_S if deadline is None else min(WAIT_S, int(deadline - time.monotonic()))
+            if deadline is not None and time.monotonic() >= deadline:
+                raise WaitError(f"job {self.id} is {self.state} after {timeout_s} s; it goes on")
+            self.data = self._connection.json(
+                Request.get(f"{self._list}/{self.id}", wait_s=max(left, 1)))
+        self._require_success()
+
+    def _require_success(self) -> None:
+        if self.state == "succeeded":
+            return
+        error = self.data.get("error") or {}
+        why = f": {error['detail']}" if error.get("detail") else ""
+        raise JobError(f"job {self.id} {'failed' if self.state == 'failed' else 'was cancelled'}"
+                       f"{why}", self.data)
+
+    def _watch(self, title: str, unit: str) -> None:
+        with Bar(title, self._steps()[1], unit) as bar:
+            while True:
+                done, total = self._steps()
+                bar.update(done, total, **self._numbers())
+                if self.ended:
+                    break
+                time.sleep(_POLL_S)
+                self.refresh()
+        self._require_success()
+
+    def _steps(self) -> tuple[int, int]:
+        return int(self.data["rollouts_done"]), int(self.data["rollouts_total"])
+
+    def _numbers(self) -> dict[str, float | None]:
+        return {}
+
+    def _act(self, action: str, value: Mapping[str, Any] | None = None) -> None:
+        self._connection.send(Request.post(f"/v1/jobs/{self.id}/{action}", value))
+        self.refresh()
+
+    def pause(self) -> None:
+        """Pauses it; `resume` lets it go on to the same bits."""
+        self._act("pause")
+
+    def resume(self) -> None:
+        """Lets a paused or failed job go on."""
+        self._act("resume")
+
+    def cancel(self) -> None:
+        """Ends it for good. What a campaign or training has committed stays."""
+        self._act("cancel")
+
+    def weigh(self, weight: float) -> None:
+        """Sets its share of the computing threads beside other jobs; it changes no result."""
+        self._act("weight", {"weight": weight})
+
+
+class Evaluation(Job):
+    """Designs scored in environments. `len`, `[…]` and iteration go over the designs."""
+
+    _list = "/v1/evaluations"
+
+    def __init__(self, connection: Connection, data: dict[str, Any],
+                 lost: Sequence[tuple[str, ...]] = ()) -> None:
+        super().__init__(connection, data)
+        self.lost = lost
+        """Per design what the conversion of its body left out; empty where it is not known."""
+
+    @property
+    def _results(self) -> list[dict[str, Any]]:
+        if not self.ended:
+            raise MorphodError(f"evaluation {self.id} is {self.state}: wait() for its results")
+        self._require_success()
+        results: list[dict[str, Any]] = self.data["results"]
+        return results
+
+    @property
+    def scores(self) -> NDArray[np.float64]:
+        """Mean losses (designs,), lower is better; NaN where a rollout diverged."""
+        return np.array([row["score"] for row in self._results], dtype=np.float64)
+
+    @property
+    def losses(self) -> NDArray[np.float64]:
+        """(designs, environments); NaN where the rollout diverged."""
+        return np.array([row["losses"] for row in self._results], dtype=np.float64)
+
+    @property
+    def ids(self) -> list[str]:
+        """The designs' ids: their canonical forms."""
+        return [row["id"] for row in self._results]
+
+    def __len__(self) -> int:
+        return int(self.data["n_designs"])
+
+    def __getitem__(self, place: int) -> Result:
+        row = self._results[place]
+        return Result(row, tuple(self.lost[place]) if self.lost else ())
+
+    def __iter__(self) -> Iterator[Result]:
+        return (self[place] for place in range(len(self)))
+
+    def frame(self) -> pd.DataFrame:
+        """A table with a line per design: id, genotype, score, diverged (rollouts), and a column
+        loss_0, loss_1, … per environment."""
+        results = self._results
+        losses = self.losses
+        table: pd.DataFrame = pandas().DataFrame({
+            "id": [row["id"] for row in results],
+            "genotype": [row["genotype"] for row in results],
+            "score": self.scores,
+            "diverged": [len(row["diverged"]) for row in results],
+            **{f"loss_{place}": losses[:, place] for place in range(losses.shape[1])},
+        })
+        return table
+
+    def live(self) -> Evaluation:
+        """Shows how far it is until it has ended."""
+        self._watch(f"evaluation {self.id}", " rollouts")
+        return self
+
+    def recording(self, place: int, environment: int = 0,
+                        array: Literal["masses", "com"] = "masses") -> NDArray[np.float32]:
+        """Recorded positions of one design in meters: masses (frames, masses, 3), or com, the
+        center of mass, (frames, 3). The evaluation must have been asked to `record` them."""
+        reply = self._connection.send(Request.get(
+            f"/v1/evaluations/{self.id}/trajectories/{place}/file",
+            accept="application/octet-stream", environment=environment, array=array))
+        shape = [int(side) for side in reply.headers["Morphod-Shape"].split(",")]
+        return np.frombuffer(reply.content, dtype="<f4").reshape(shape)
+
+    def recordings(self, array: Literal["masses", "com"] = "com"
+                         ) -> NDArray[np.float32] | list[NDArray[np.float32]]:
+        """All recordings: com as one array (designs, environments, frames, 3), masses as a list of
+        arrays (environments, frames, masses, 3), one per design, since designs differ in masses."""
+        environments = len(self._results[0]["losses"])
+        designs = []
+        for place in range(len(self)):
+            designs.append(np.stack([self.recording(place, environment, array)
+                                     for environment in range(environments)]))
+        return np.stack(designs) if array == "com" else designs
+
+    def show(self, place: int = 0, environment: int = 0) -> Player:
+        """The robot as it walks: in a notebook a player, elsewhere `show().save(path)` makes one
+        HTML file of it. Computes the rollout again, so nothing needs to be recorded."""
+        worlds = self._connection.json(
+            Request.get(f"/v1/evaluations/{self.id}/environments"))
+        world = worlds["items"][environment]
+        result = self[place]
+        scene = Scene((self._connection.send(Request.post("/v1/rollouts", {
+            "designs": [{"voxels": result.genotype}],
+            "environments": [{name: world[name] for name in ("light_xy_m", "terrain_heights_m")}],
+            "controller": f"sha256:{self.data['controller']['sha256']}",
+            "physics": self.data["physics"], "precision": self.data["precision"],
+            "record": ["masses"], "record_stride": 4,
+        }, accept=MEDIA_TYPE))).content)
+        return player(self._connection, scene, f"Design {place} of evaluation {self.id}")
+
+
+def player(connection: Connection, scene: Scene, title: str) -> Player:
+    """A player of a scene, from the modules of the service's own dashboard."""
+    index = connection.send(Request.get("/", accept="text/html"))
+    making = player_of(index.content.decode(), scene, title)
+    step = next(making)
+    while isinstance(step, str):
+        step = making.send((connection.send(Request.get(step, "*/*"))).content.decode())
+    return step
+
+
+class Training(Job):
+    """A controller that learns."""
+
+    _list = "/v1/trainings"
+
+    def _steps(self) -> tuple[int, int]:
+        progress = self.data["progress"]
+        return progress["step"], progress["steps"]
+
+    def _numbers(self) -> dict[str, float | None]:
+        validation = self.data["validation"] or {}
+        return {"loss": self.data["progress"]["mean_loss"],
+                "validation": validation.get("mean_score")}
+
+    def live(self) -> Training:
+        """Shows how far it is until it has ended."""
+        self._watch(f"training {self.id}", " steps")
+        return self
+
+    def steps(self) -> pd.DataFrame:
+        """A table with a line per step."""
+        path = f"/v1/trainings/{self.id}/steps"
+        return frame([row for row in self._connection.pages(path)])
+
+    def validations(self) -> pd.DataFrame:
+        """A table with a line per validation."""
+        path = f"/v1/trainings/{self.id}/validations"
+        return frame([row for row in self._connection.pages(path)])
+
+    def controller(self, step: int | None = None) -> Controller:
+        """The result, or the controller of the newest checkpoint while it learns, or that of a
+        checkpoint's step."""
+        reply = self._connection.send(Request.get(
+            f"/v1/trainings/{self.id}/controller", accept="application/octet-stream", step=step))
+        return Controller({"name": self.data["name"]}, reply.content)
+
+
+class Campaign(Job):
+    """A population that evolves."""
+
+    _list = "/v1/campaigns"
+
+    def _steps(self) -> tuple[int, int]:
+        progress = self.data["progress"]
+        return (progress["generation"] or 0), progress["generations"]
+
+    def _numbers(self) -> dict[str, float | None]:
+        newest = self.data["newest"]
+        if newest is None:
+            return {}
+        return {"best": newest["score"]["quantiles"]["p0"], "mean": newest["score"]["mean"],
+                "diversity": newest["diversity"]}
+
+    def live(self) -> Campaign:
+        """Shows how far it is until it has ended."""
+        self._watch(f"campaign {self.id}", " generations")
+        return self
+
+    def _constant(self) -> dict[str, Any]:
+        return {"campaign": self.id, "group": self.data["group"]["id"],
+                "replicate": self.data["group"]["replicate"], "label": self.label,
+                "mode": self.data["mode"], "seed": self.data["settings"]["seed"]}
+
+    def curve(self) -> pd.DataFrame:
+        """A table with a line per generation: campaign, group, replicate, label, mode, seed,
+        generation, and every statistic (`score_mean`, `score_quantiles_p0`, `diversity`, …)."""
+        path = f"/v1/campaigns/{self.id}/generations"
+        rows = [row for row in self._connection.pages(path)]
+        return frame(rows, **self._constant())
+
+    def learning(self) -> pd.DataFrame:
+        """A table with a line per step of learning; empty in a zero-shot campaign."""
+        path = f"/v1/campaigns/{self.id}/learning"
+        rows = [row for row in self._connection.pages(path)]
+        return frame(rows, **self._constant())
+
+    def population(self, generation: int | None = None) -> pd.DataFrame:
+        """A table of the population that a generation (default: the newest) left, best first."""
+        path = f"/v1/campaigns/{self.id}/population"
+        # A cursor names its generation.
+        return frame([row for row in self._connection.pages(path, generation=generation)])
+
+    def champions(self, count: int = 12) -> pd.DataFrame:
+        """A table of the best design and a sample of the others, most distinct first."""
+        found = self._connection.json(
+            Request.get(f"/v1/campaigns/{self.id}/champions", count=count))
+        return frame(found["items"])
+
+    def phylogeny(self, lineages: bool = False) -> Phylogeny:
+        """Every design ever born; with `lineages` the living and their ancestors alone."""
+        reply = self._connection.send(Request.get(
+            f"/v1/campaigns/{self.id}/phylogeny", accept=MEDIA_TYPE, format="columns",
+            keep="lineages" if lineages else "all"))
+        return Phylogeny(reply.content)
+
+    def extend(self, generations: int) -> None:
+        """Adds generations; one that has succeeded goes on."""
+        request = Request.submit(f"/v1/campaigns/{self.id}/extend", {"generations": generations})
+        self.data = self._connection.json(request)
+
+    def show(self, count: int = 4, environment: int = 0) -> Player:
+        """The champions side by side, as they walk now: a player for notebooks."""
+        champions = self._connection.json(
+            Request.get(f"/v1/campaigns/{self.id}/champions", count=count))
+        worlds = self._connection.json(Request.get(f"/v1/campaigns/{self.id}/environments"))
+        world = worlds["items"][environment]
+        result = self.data["result"]
+        controller = (result["controller"] if result else self.data["controller"]) or {}
+        if "sha256" not in controller:
+            raise MorphodError(f"campaign {self.id} has no controller yet: wait() for its end")
+        scene = Scene((self._connection.send(Request.post("/v1/rollouts", {
+            "designs": [{"voxels": row["genotype"]} for row in champions["items"]],
+            "environments": [{name: world[name] for name in ("light_xy_m", "terrain_heights_m")}],
+            "controller": f"sha256:{controller['sha256']}",
+            "physics": self.data["settings"]["physics"],
+            "record": ["masses"], "record_stride": 4,
+        }, accept=MEDIA_TYPE))).content)
+        return player(self._connection, scene, f"Champions of campaign {self.id}")
+
+
+class Campaigns:
+    """Campaigns that were started together: replicates that differ in their seeds. A sequence."""
+
+    def __init__(self, members: Sequence[Campaign]) -> None:
+        self._members = list(members)
+
+    def __len__(self) -> int:
+        return len(self._members)
+
+    def __getitem__(self, place: int) -> Campaign:
+        return self._members[place]
+
+    def __iter__(self) -> Iterator[Campaign]:
+        return iter(self._members)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self._members!r}>"
+
+    def wait(self, timeout_s: float | None = None) -> None:
+        """Waits until all have succeeded; see `wait` of one."""
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        for member in self._members:
+            member.wait(None if deadline is None else max(0.0, deadline - time.monotonic()))
+
+    def live(self) -> Campaigns:
+        """Shows how far all of them are until they have ended."""
+        total = sum(member._steps()[1] for member in self._members)
+        with Bar(f"{len(self)} campaigns", total, " generations") as bar:
+            while True:
+                bests = [member._numbers().get("best") for member in self._members]
+                known = [best for best in bests if best is not None]
+                bar.update(sum(member._steps()[0] for member in self._members), total,
+                           best=min(known) if known else None)
+                if all(member.ended for member in self._members):
+                    break
+                time.sleep(_POLL_S)
+                for member in self._members:
+                    if not member.ended:
+                        member.refresh()
+        for member in self._members:
+            member._require_success()
+        return self
+
+    def curves(self) -> pd.DataFrame:
+        """One tidy table of all their generations; see `curve` of one."""
+        return curves(self._members)
+
+
+def curves(members: Sequence[Campaign]) -> pd.DataFrame:
+    """One tidy table of the generations of campaigns."""
+    tables = [member.curve() for member in members]
+    if not tables:
+        return frame([])
+    joined: pd.DataFrame = pandas().concat(tables, ignore_index=True)
+    return joined

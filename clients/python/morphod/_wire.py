@@ -1,0 +1,151 @@
+"""Requests, replies, and when to repeat one. Knows HTTP, but sends nothing itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import email.utils
+import json
+import os
+import random
+import time
+import uuid
+from collections.abc import Mapping
+from typing import Any
+
+from .errors import ApiError, MorphodError, api_error
+
+DEFAULT_SERVER = "http://127.0.0.1:8765"
+WAIT_S = 50
+"""How long one request waits for a job; the service allows 60 s."""
+
+_BACKOFF_S = 0.1
+_BACKOFF_MAX_S = 5.0
+
+
+def given(**values: Any) -> dict[str, Any]:
+    """The values that are not None."""
+    return {name: value for name, value in values.items() if value is not None}
+
+
+@dataclasses.dataclass(frozen=True)
+class Address:
+    """Where the service is: the URL that requests begin with, and the path of its unix socket."""
+
+    url: str
+    unix: str | None
+
+    @classmethod
+    def of(cls, server: str | None) -> Address:
+        """`http://host:port`, `https://…`, `unix:/path`, or None for $MORPHOD_SERVER and then the
+        default address."""
+        server = server or os.environ.get("MORPHOD_SERVER") or DEFAULT_SERVER
+        if server.startswith("unix:"):
+            return cls("http://localhost", server[len("unix:"):])
+        if server.startswith(("http://", "https://")):
+            return cls(server.rstrip("/"), None)
+        raise MorphodError(f'server "{server}" is not http://host:port or unix:/path')
+
+
+@dataclasses.dataclass
+class Request:
+    """One request. `repeatable`: sending it twice does no more than sending it once."""
+
+    method: str
+    path: str
+    params: dict[str, Any] = dataclasses.field(default_factory=dict)
+    content: bytes | None = None
+    headers: dict[str, str] = dataclasses.field(default_factory=dict)
+    repeatable: bool = True
+    timeout_s: float = 60.0
+
+    @classmethod
+    def get(cls, path: str, accept: str = "application/json", wait_s: int = 0,
+            **params: Any) -> Request:
+        """A GET; params of None are left out."""
+        request = cls("GET", path, given(**params), headers={"Accept": accept})
+        return request.waiting(wait_s)
+
+    @classmethod
+    def submit(cls, path: str, value: Mapping[str, Any], wait_s: int = 0) -> Request:
+        """A POST of JSON that makes a job. A key of its own makes it safe to repeat."""
+        request = cls.post(path, value)
+        request.headers["Idempotency-Key"] = uuid.uuid4().hex
+        return request.waiting(wait_s)
+
+    @classmethod
+    def post(cls, path: str, value: Mapping[str, Any] | None = None,
+             accept: str = "application/json") -> Request:
+        """A POST that does no more when it is repeated."""
+        request = cls("POST", path, headers={"Accept": accept})
+        if value is not None:
+            request.content = json.dumps(value, separators=(",", ":")).encode()
+            request.headers["Content-Type"] = "application/json"
+        return request
+
+    def waiting(self, seconds: int) -> Request:
+        if seconds > 0:
+            self.headers["Prefer"] = f"wait={seconds}"
+            self.timeout_s += seconds
+        return self
+
+
+@dataclasses.dataclass(frozen=True)
+class Reply:
+    """A reply that was not a refusal."""
+
+    status: int
+    headers: Mapping[str, str]
+    content: bytes
+
+    def json(self) -> Any:
+        try:
+            return json.loads(self.content)
+        except ValueError:
+            raise MorphodError("the reply is not JSON: is this a morphod service?") from None
+
+
+def refusal(status: int, content: bytes) -> ApiError:
+    """The exception for a reply with a status from 400."""
+    try:
+        problem = json.loads(content)
+    except ValueError:
+        problem = None
+    if not isinstance(problem, dict):
+        problem = {"detail": content[:200].decode(errors="replace")}
+    return api_error(status, problem)
+
+
+class Retries:
+    """Decides how long to wait before a request is repeated, within a time."""
+
+    def __init__(self, request: Request, within_s: float) -> None:
+        self.request = request
+        self.deadline = time.monotonic() + within_s
+        self.attempt = 0
+
+    def delay(self, status: int | None, retry_after: str | None = None) -> float | None:
+        """Seconds until the next attempt; None: there is none. status None: the connection broke,
+        or could not be made."""
+        if status is None:
+            repeat = self.request.repeatable
+        else:
+            # Of these nothing was accepted, so that they can be repeated whatever they are.
+            repeat = status in (429, 503, 507)
+        seconds: float = min(_BACKOFF_S * 2.0**self.attempt, _BACKOFF_MAX_S)
+        seconds *= random.uniform(0.5, 1)
+        if retry_after is not None:
+            seconds = max(seconds, _seconds_of(retry_after))
+        self.attempt += 1
+        if not repeat or time.monotonic() + seconds > self.deadline:
+            return None
+        return seconds
+
+
+def _seconds_of(retry_after: str) -> float:
+    """A `Retry-After`, in seconds or as a date."""
+    if retry_after.isdigit():
+        return float(retry_after)
+    try:
+        return max(0.0, email.utils.parsedate_to_datetime(retry_after).timestamp() - time.time())
+    except ValueError:
+        return 0.0

@@ -1,0 +1,95 @@
+"""What can go wrong, as exceptions. All of them are a `MorphodError`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+
+class MorphodError(Exception):
+    """Every error of this package."""
+
+
+class BodyError(MorphodError, ValueError):
+    """Something is not a body that the service can simulate; the text says what and where."""
+
+
+class UnreachableError(MorphodError, ConnectionError):
+    """No service answered in time, although the request was repeated."""
+
+
+class JobError(MorphodError):
+    """A job failed, or was cancelled, while somebody waited for its result.
+
+    `job` is the job as the service last told it; `job["error"]` says why.
+    """
+
+    def __init__(self, message: str, job: Mapping[str, Any]) -> None:
+        super().__init__(message)
+        self.job = job
+
+
+class WaitError(MorphodError, TimeoutError):
+    """The time given for a wait is over; the job goes on."""
+
+
+class ApiError(MorphodError):
+    """The service refused a request. The text has every fault that it named.
+
+    `status` is the HTTP status, `problem` the problem detail (RFC 9457), `faults` its list of
+    errors with `pointer`, `parameter` or `header`, `request_id` what to look for in the log.
+    """
+
+    def __init__(self, status: int, problem: Mapping[str, Any]) -> None:
+        self.status = status
+        self.problem = problem
+        self.faults: Sequence[Mapping[str, Any]] = problem.get("errors", ())
+        self.request_id: str | None = problem.get("request_id")
+        text = str(problem.get("detail") or problem.get("title") or f"HTTP status {status}")
+        for fault in self.faults:
+            place = fault.get("pointer") or fault.get("parameter") or fault.get("header")
+            told = f"{place}: {fault['detail']}" if place else str(fault["detail"])
+            if told not in text:
+                text += f"\n  {told}"
+        super().__init__(f"{status}: {text}")
+
+
+class InvalidError(ApiError):
+    """A request that the service does not take as it is (400, 413, 415 or 422)."""
+
+
+class AccessError(ApiError):
+    """No valid token, or one without the right for this request (401 or 403)."""
+
+
+class NotFoundError(ApiError):
+    """There is no such thing (404)."""
+
+
+class ConflictError(ApiError):
+    """The state of the thing does not allow this (409)."""
+
+
+class BusyError(ApiError):
+    """The service was too busy, starting or out of room for longer than retries took (429, 503,
+    507)."""
+
+
+_BY_STATUS: dict[int, type[ApiError]] = {
+    400: InvalidError,
+    401: AccessError,
+    403: AccessError,
+    404: NotFoundError,
+    409: ConflictError,
+    413: InvalidError,
+    415: InvalidError,
+    422: InvalidError,
+    429: BusyError,
+    503: BusyError,
+    507: BusyError,
+}
+
+
+def api_error(status: int, problem: Mapping[str, Any]) -> ApiError:
+    """The exception for a refusal."""
+    return _BY_STATUS.get(status, ApiError)(status, problem)

@@ -1,0 +1,47 @@
+"""Rows of the service as tables of pandas, which is imported when the first one is made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from .errors import MorphodError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def pandas() -> Any:
+    """The module, or an error that says how to get it."""
+    try:
+        import pandas as module
+    except ImportError:
+        raise MorphodError("tables need pandas: pip install 'morphod[pandas]'") from None
+    return module
+
+
+def flat(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A row whose nested objects are columns: {"score": {"mean": 1}} gives {"score_mean": 1}."""
+    columns: dict[str, Any] = {}
+    for name, value in row.items():
+        if isinstance(value, Mapping):
+            columns.update(flat(value, f"{prefix}{name}_"))
+        else:
+            columns[f"{prefix}{name}"] = value
+    return columns
+
+
+def frame(rows: Iterable[Mapping[str, Any]], **constant: Any) -> pd.DataFrame:
+    """A table with a line per row, and before them the columns that are the same in all. null of
+    numbers becomes NaN."""
+    table = pandas().DataFrame([{**constant, **flat(row)} for row in rows])
+    for name in table.columns:
+        if table[name].dtype == object and _is_numeric(table[name]):
+            table[name] = table[name].astype(float)
+    made: pd.DataFrame = table
+    return made
+
+
+def _is_numeric(column: Any) -> bool:
+    return all(value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
+               for value in column)

@@ -1,0 +1,117 @@
+"""The phylogeny of a campaign: every design ever born, with its parents."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .errors import MorphodError
+from .frames import pandas
+from .scenes import read_envelope
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from numpy.typing import NDArray
+
+NONE = 4294967295
+"""In the columns of parents: there is none."""
+
+OPERATORS = ("random", "listed", "inherited", "mutation", "crossover")
+
+
+class Phylogeny:
+    """Columns of a row per design, in order of birth.
+
+    `number`, `parent` and `other_parent` are uint32 (`NONE`: no parent), `born` and `died`
+    generations (`alive` tells who lives), `operator` places in `OPERATORS`, `score` float32 with
+    NaN where a rollout diverged. A million designs are a few arrays of a few megabytes.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        header = read_envelope(data)
+        columns: dict[str, NDArray[Any]] = header["columns"]
+        self.parent = columns["parent"]
+        self.other_parent = columns["other_parent"]
+        self.born = columns["born"]
+        self.died = columns["died"]
+        self.operator = columns["operator"]
+        self.score = columns["score"]
+        # A whole phylogeny may come without numbers: they are the places.
+        self.number = columns.get("number", np.arange(len(self.parent), dtype=np.uint32))
+        self.alive: NDArray[np.bool_] = self.died == np.iinfo(self.died.dtype).max
+
+    def __len__(self) -> int:
+        return len(self.parent)
+
+    def __repr__(self) -> str:
+        return f"Phylogeny({len(self)} designs, {int(self.alive.sum())} alive)"
+
+    def frame(self) -> pd.DataFrame:
+        """A table with the index `number`: parent and other_parent (nullable integers), born, died
+        (nullable), operator (categories), score."""
+        module = pandas()
+
+        def nullable(column: NDArray[Any], absent: NDArray[np.bool_]) -> Any:
+            return module.arrays.IntegerArray(column.astype(np.int64), absent)
+
+        table: pd.DataFrame = module.DataFrame(
+            {
+                "parent": nullable(self.parent, self.parent == NONE),
+                "other_parent": nullable(self.other_parent, self.other_parent == NONE),
+                "born": self.born.astype(np.int64),
+                "died": nullable(self.died, self.alive),
+                "operator": module.Categorical.from_codes(self.operator.astype(np.int8), OPERATORS),
+                "score": self.score,
+            },
+            index=module.Index(self.number.astype(np.int64), name="number"))
+        return table
+
+    def to_networkx(self) -> Any:
+        """A `networkx.DiGraph` with an edge from each parent to its child. Needs networkx."""
+        try:
+            import networkx
+        except ImportError:
+            raise MorphodError("to_networkx needs networkx: pip install networkx") from None
+        graph = networkx.DiGraph()
+        rows = zip(self.number.tolist(), self.born.tolist(), self.died.tolist(),
+                   self.alive.tolist(), self.operator.tolist(), self.score.tolist())
+        for number, born, died, alive, operator, score in rows:
+            graph.add_node(number, born=born, died=None if alive else died,
+                           operator=OPERATORS[operator], score=score)
+        for column in (self.parent, self.other_parent):
+            present = column != NONE
+            graph.add_edges_from(zip(column[present].tolist(), self.number[present].tolist()))
+        return graph
+
+    def to_newick(self) -> str:
+        """Each design on its first parent, one tree per line; labels are n and the number, lengths
+        of branches generations."""
+        children: dict[int, list[int]] = {}
+        place = {number: at for at, number in enumerate(self.number.tolist())}
+        parents = self.parent.tolist()
+        roots = []
+        for number, parent in zip(self.number.tolist(), parents):
+            if parent in place:
+                children.setdefault(parent, []).append(number)
+            else:
+                roots.append(number)
+        born = self.born.tolist()
+        # From the last to the first: children are born after their parents.
+        text: dict[int, str] = {}
+        for number in reversed(self.number.tolist()):
+            own = children.get(number, ())
+            inside = f"({','.join(text.pop(child) for child in own)})" if own else ""
+            parent = parents[place[number]]
+            length = f":{born[place[number]] - born[place[parent]]}" if parent in place else ""
+            text[number] = f"{inside}n{number}{length}"
+        return "".join(f"{text[root]};\n" for root in roots)
+
+    def to_dendropy(self) -> Any:
+        """A `dendropy.TreeList` of the trees of `to_newick`. Needs DendroPy."""
+        try:
+            import dendropy
+        except ImportError:
+            raise MorphodError("to_dendropy needs DendroPy: pip install dendropy") from None
+        return dendropy.TreeList.get(data=self.to_newick(), schema="newick",
+                                     suppress_internal_node_taxa=True)

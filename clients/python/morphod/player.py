@@ -1,0 +1,105 @@
+"""The stage of the dashboard as one HTML file that needs no service and no network."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import os
+import re
+from collections.abc import Generator
+from typing import Any, Union
+
+import numpy as np
+
+from .errors import MorphodError
+from .scenes import Scene
+
+# Blue, orange, green, pink, gray, yellow: told apart by the color-blind, too.
+_COLORS = ("#5aa9e6", "#f3a536", "#3fae8c", "#d77fb4", "#a9b4c0", "#e2d04b")
+
+
+class Player:
+    """Robots that walk. In a notebook it shows itself; `save` writes it as one HTML file."""
+
+    def __init__(self, page: str) -> None:
+        self.html = page
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the HTML file."""
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(self.html)
+
+    def _repr_html_(self) -> str:
+        return (f'<iframe srcdoc="{html.escape(self.html)}" sandbox="allow-scripts"'
+                ' style="width:100%;height:480px;border:0"></iframe>')
+
+
+def player_of(index: str, scene: Scene, title: str) -> Generator[Union[str, Player], str, None]:
+    """Makes a player. Yields the paths of the files of the dashboard that it needs, takes their
+    texts, and yields the player at last. `index` is the text of the dashboard's page."""
+    found = re.search(r"assets/[0-9a-f]{16}", index)
+    if found is None:
+        raise MorphodError("the service has no dashboard, so there are no players: it runs with "
+                           "the setting dashboard = off")
+    assets = f"/{found[0]}"
+    page = yield f"{assets}/export/page.js"
+    names = re.findall(r"'([^']+)'", _part(page, r"const MODULES = \[(.*?)\];"))
+    modules = []
+    for name in names:
+        source = yield f"{assets}/{name}"
+        modules.append(_inline(source))
+    script = "\n".join(modules).replace("new Program(gl, shaders.", "new Program(gl, ")
+    script += _part(page, r"const SCRIPT = `(.*?)`;\n")
+    text = html.escape(title)
+    yield Player(
+        '<!doctype html><html lang="en"><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width"><title>{text}</title>'
+        f'<style>{_part(page, "const STYLE = `(.*?)`;")}</style>'
+        f'<canvas tabindex="0" aria-label="{text}"></canvas>'
+        '<footer><button id="play"></button>'
+        '<input id="time" type="range" min="0" step="any" aria-label="Time">'
+        '<button id="side">Side by side</button><button id="springs">Springs</button>'
+        '<span id="names"></span></footer>'
+        f'<script type="module">const DATA={_safe(json.dumps(_data(scene)))};\n'
+        f'{_safe(script)}</script></html>')
+
+
+def _part(source: str, pattern: str) -> str:
+    found = re.search(pattern, source, re.DOTALL)
+    if found is None:
+        raise MorphodError("the dashboard of this service is of another version than this package: "
+                           "install the package of the service's version")
+    return found[1]
+
+
+def _inline(source: str) -> str:
+    """A module's source as part of one script: its imports are already there."""
+    source = re.sub(r"^import [^;]*;$", "", source, flags=re.MULTILINE)
+    return re.sub(r"^export (?=(const|function|class|async))", "", source, flags=re.MULTILINE)
+
+
+def _safe(text: str) -> str:
+    """Text inside a script element must not end it."""
+    return text.replace("</", "<\\/").replace("<!--", "<\\!--")
+
+
+def _data(scene: Scene) -> dict[str, Any]:
+    worlds = [{"light": list(world["light_xy_m"]),
+               "heights": np.ravel(world["terrain_heights_m"]).tolist()}
+              for world in scene.environments]
+    robots = []
+    for place, rollout in enumerate(scene):
+        if rollout.masses_m is None:
+            raise MorphodError('a player needs the masses: record=["masses"]')
+        robots.append({
+            "genotype": scene.designs[rollout.design]["genotype"],
+            "label": f"design {rollout.design}",
+            "loss": rollout.loss,
+            "frames": len(rollout.masses_m),
+            "frameS": scene.frame_s,
+            "color": _COLORS[place % len(_COLORS)],
+            "world": rollout.environment,
+            "track": base64.b64encode(np.ascontiguousarray(rollout.masses_m).tobytes()).decode(),
+        })
+    return {"worlds": worlds, "robots": robots}

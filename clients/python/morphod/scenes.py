@@ -1,0 +1,130 @@
+"""Scenes and columns: replies of the type application/vnd.morphod.scene.
+
+A scene is a JSON header and arrays behind it (docs/scenes.md of morphod). Arrays are views of the
+reply's bytes: nothing is copied, and they cannot be written.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Union
+
+import numpy as np
+
+from .errors import MorphodError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+Environments = Union[str, Sequence[Mapping[str, Any]]]
+"""The name of a set ("paper-test"), or a list of environments: each with `light_xy_m` and either
+`terrain_heights_m` (64 numbers) or `terrain_sigma_m` and `seed`."""
+
+MEDIA_TYPE = "application/vnd.morphod.scene"
+
+_TYPES: dict[str, np.dtype[Any]] = {
+    "int8": np.dtype(np.int8),
+    "uint8": np.dtype(np.uint8),
+    "uint16": np.dtype("<u2"),
+    "uint32": np.dtype("<u4"),
+    "float32": np.dtype("<f4"),
+    "float64": np.dtype("<f8"),
+}
+
+
+def read_envelope(data: bytes) -> dict[str, Any]:
+    """The header, with an array wherever it describes one. Raises `MorphodError` for bytes that are
+    no scene, or end early."""
+    length = int.from_bytes(data[:4], "little")
+    if len(data) < 4 or len(data) < 4 + length:
+        raise MorphodError("the bytes end before the header of the scene does")
+    try:
+        header = json.loads(data[4:4 + length])
+    except ValueError:
+        raise MorphodError("the bytes are no scene: the header is not JSON") from None
+    if not isinstance(header, dict):
+        raise MorphodError("the bytes are no scene: the header is not an object")
+    read: dict[str, Any] = _with_arrays(header, data, 4 + length)
+    return read
+
+
+def _with_arrays(value: Any, data: bytes, first: int) -> Any:
+    if isinstance(value, dict):
+        if set(value) == {"offset", "type", "shape"}:
+            return _array(value, data, first)
+        return {key: _with_arrays(item, data, first) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_with_arrays(item, data, first) for item in value]
+    return value
+
+
+def _array(described: dict[str, Any], data: bytes, first: int) -> NDArray[Any]:
+    kind = _TYPES.get(described["type"])
+    if kind is None:
+        raise MorphodError(f"a scene has an array of the type {described['type']!r}, which this "
+                           "version of the package does not know: upgrade it")
+    count = int(np.prod(described["shape"], dtype=np.int64))
+    start = first + described["offset"]
+    if start + count * kind.itemsize > len(data):
+        raise MorphodError("the bytes end before the arrays of the scene do")
+    array: NDArray[Any] = np.frombuffer(data, kind, count, start)
+    return array.reshape(described["shape"])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rollout:
+    """One robot in one environment.
+
+    `masses_m` has the shape (frames, masses, 3), `com_m` (frames, 3), in meters; None where it was
+    not recorded. `more` has every other array that was recorded, by name.
+    """
+
+    design: int
+    environment: int
+    loss: float | None
+    diverged_step: int
+    masses_m: NDArray[np.float32] | None
+    com_m: NDArray[np.float64] | None
+    more: dict[str, NDArray[Any]]
+
+
+class Scene:
+    """Bodies, worlds and rollouts of one reply.
+
+    `header` has everything by the names of docs/scenes.md, with arrays in their places; `data` is
+    the reply itself, which the players of the dashboard and of notebooks read.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.header = read_envelope(data)
+        self.frame_s = float(self.header["frame_s"])
+        self.designs: list[dict[str, Any]] = self.header["designs"]
+        self.environments: list[dict[str, Any]] = self.header["environments"]
+        known = {"design", "environment", "loss", "diverged_step", "masses_m", "com_m"}
+        self.rollouts = [
+            Rollout(row["design"], row["environment"], row["loss"], row["diverged_step"],
+                    row.get("masses_m"), row.get("com_m"),
+                    {name: value for name, value in row.items() if name not in known})
+            for row in self.header["rollouts"]
+        ]
+
+    def __iter__(self) -> Iterator[Rollout]:
+        return iter(self.rollouts)
+
+    def __len__(self) -> int:
+        return len(self.rollouts)
+
+    def __getitem__(self, place: int) -> Rollout:
+        return self.rollouts[place]
+
+    @property
+    def scores(self) -> NDArray[np.float64]:
+        """Mean loss of each design (designs,); NaN where a rollout diverged."""
+        return np.array([np.nan if design["score"] is None else design["score"]
+                         for design in self.designs])
+
+    def __repr__(self) -> str:
+        return f"Scene({len(self.designs)} designs, {len(self.rollouts)} rollouts)"

@@ -1,0 +1,123 @@
+"""Bodies from what people keep them in."""
+
+import numpy as np
+import pytest
+
+from morphod import Body, BodyError
+from morphod.bodies import WORKSPACE, genotypes_of, largest_pieces, requests_of
+
+ALL = np.ones(WORKSPACE, dtype=bool)
+
+
+def pieces(voxels):
+    """The pieces of a body as sets of cells, found one cell after the other."""
+    left = {tuple(cell) for cell in np.argwhere(voxels)}
+    found = []
+    while left:
+        piece, edge = set(), [left.pop()]
+        while edge:
+            cell = edge.pop()
+            piece.add(cell)
+            for axis in range(3):
+                for step in (-1, 1):
+                    near = tuple(at + step * (axis == own) for own, at in enumerate(cell))
+                    if near in left:
+                        left.remove(near)
+                        edge.append(near)
+        found.append(piece)
+    return found
+
+
+def test_genotype_index():
+    body = Body.of([[1, 2, 3]])
+    assert body.genotype.index("1") == (1 * 6 + 2) * 4 + 3 and body.genotype.count("1") == 1
+    assert body.cells == [(1, 2, 3)] and len(body) == 1 and body.footprint() == 1
+
+
+@pytest.mark.parametrize("same", [
+    np.array([[[1], [1]]]),
+    np.array([[[True], [True]]]),
+    [[0, 0, 0], [0, 1, 0]],
+    ((0, 1, 0), (0, 0, 0)),
+    {"cells": [[0, 0, 0], [0, 1, 0]]},
+    {"voxels": "10001" + "0" * 139},
+    "10001" + "0" * 139,
+    "g10001" + "0" * 139,
+    "88" + "0" * 34,
+    "d88" + "0" * 34,
+    {"id": "88" + "0" * 34},
+    np.pad(np.ones((1, 2, 1)), 9),
+])
+def test_one_body_in_all_forms(same):
+    body = Body.of(same)
+    moved = body.voxels[np.ix_(*(np.flatnonzero(body.voxels.any(axis=tuple(
+        other for other in range(3) if other != axis))) for axis in range(3)))]
+    assert moved.shape == (1, 2, 1) and moved.all() and body.lost == ()
+
+
+def test_evogym_rows_come_from_the_top():
+    body = Body.of(np.array([[0, 0, 3], [1, 1, 1]]))
+    assert set(body.cells) == {(x, y, 0) for x in range(3) for y in (2, 3)} | {(2, 2, 1), (2, 3, 1)}
+    assert body.lost == ("materials 1, 3 became one", )
+
+
+@pytest.mark.parametrize("wrong, said", [
+    (np.ones((7, 1, 1)), "7 voxels long on axis 0 (x); the workspace has 6"),
+    (np.ones((1, 7, 1)), "axis 1 (y)"),
+    (np.ones((1, 1, 5)), "axis 2 (z); the workspace has 4"),
+    (np.ones((5, 5)), "5 voxels high (axis 0 of the array)"),
+    (np.ones((2, 7)), "axis 0 (x)"),
+    (np.ones(3), "3 dimensions"),
+    (np.zeros((2, 2, 2)), "at least one voxel"),
+    ([], "at least one voxel"),
+    ([[0, 0, 4]], "cell 0 has z = 4; the workspace has 0 to 3"),
+    ([[0, 0, 0], [-1, 0, 0]], "cell 1 has x = -1"),
+    ([[0.5, 0, 0]], "x = 0.5"),
+    ([[0, 0]], "cell 0 is not [x, y, z]"),
+    ("01", "neither a genotype"),
+    ("2" * 144, "neither a genotype"),
+    ({"cell": []}, '"cells", "voxels" and "id"'),
+    (7, "int is not a body"),
+])
+def test_errors_name_what_is_wrong(wrong, said):
+    with pytest.raises(BodyError) as caught:
+        Body.of(wrong)
+    assert said in str(caught.value)
+
+
+def test_errors_name_the_body():
+    with pytest.raises(BodyError, match="body 2: the body is 7"):
+        requests_of([[[0, 0, 0]], "0" * 36, np.ones((7, 1, 1))])
+    bodies = np.stack([ALL, ~ALL])
+    with pytest.raises(BodyError, match="body 1: a body needs"):
+        requests_of(bodies)
+    with pytest.raises(BodyError, match="brackets"):
+        requests_of("0" * 36)
+
+
+def test_largest_piece():
+    bodies = np.random.default_rng(7).random((300, *WORKSPACE)) > 0.75
+    kept = largest_pieces(bodies)
+    for body, own in zip(bodies, kept):
+        cells = {tuple(cell) for cell in np.argwhere(own)}
+        found = pieces(body)
+        assert cells in found and len(cells) == max(len(piece) for piece in found)
+    designs, lost = requests_of(bodies, "largest")
+    assert [design["voxels"] for design in designs] == genotypes_of(kept)
+    for body, own, told in zip(bodies, kept, lost):
+        gone = int(body.sum() - own.sum())
+        one = Body.of(body, "largest")
+        assert one.lost == told and (one.voxels == own).all()
+        assert told == ((f"{gone} voxels that did not belong to the largest piece", )
+                        if gone else ())
+
+
+def test_arrays_and_lists_are_one():
+    bodies = np.random.default_rng(8).integers(0, 3, (20, *WORKSPACE))
+    assert requests_of(bodies) == requests_of(list(bodies))
+
+
+def test_equal_bodies():
+    assert Body.of([[0, 0, 0]]) == Body.of("1" + "0" * 143) and len({Body.of([[0, 0, 0]]),
+                                                                      Body.of([[0, 0, 0]])}) == 1
+    assert Body.of([[0, 0, 0]]) != Body.of([[0, 0, 1]]) and Body.of([[0, 0, 0]]) != "1"

@@ -1,0 +1,263 @@
+"""Scores, recordings, campaigns, trainings and controllers through the package."""
+
+import json
+import math
+import re
+
+import networkx
+import numpy as np
+import pandas
+import pytest
+
+import morphod
+from service import BOOTSTRAP, DESIGN
+
+SHORT = {"n_steps": 20}
+WORLD = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
+
+
+def test_scores_are_those_of_the_service(m, service):
+    evaluation = m.evaluate([DESIGN, np.ones((2, 1, 1), dtype=int)], physics=SHORT, label="mine")
+    told = service.get(f"/v1/evaluations/{evaluation.id}")
+    assert evaluation.state == "succeeded" and evaluation.label == "mine" and len(evaluation) == 2
+    assert evaluation.scores.tolist() == [row["score"] for row in told["results"]]
+    assert evaluation.losses.tolist() == [row["losses"] for row in told["results"]]
+    assert evaluation.ids == [row["id"] for row in told["results"]]
+    assert evaluation[1].body.footprint() == 2 and evaluation[1].lost == ()
+    assert [result.score for result in evaluation] == evaluation.scores.tolist()
+    table = evaluation.frame()
+    assert list(table.columns) == ["id", "genotype", "score", "diverged",
+                                   *(f"loss_{n}" for n in range(10))]
+    assert table["loss_3"].tolist() == evaluation.losses[:, 3].tolist()
+    again = m.evaluation(evaluation.id)
+    assert (again.losses == evaluation.losses).all() and again[0].lost == ()
+
+
+def test_diverged_rollouts_are_nan(m):
+    wild = {"n_steps": 200, "dt_s": 0.1}
+    evaluation = m.evaluate([DESIGN], WORLD, physics=wild)
+    assert math.isnan(evaluation.scores[0]) and math.isnan(evaluation.losses[0, 0])
+    assert evaluation.frame()["diverged"].tolist() == [1]
+    objective = m.objective(environments=WORLD, physics=wild, worst=3.0)
+    assert objective(DESIGN["cells"]) == 3.0
+
+
+def test_repair_is_told(m):
+    apart = [[0, 0, 0], [1, 0, 0], [4, 0, 0]]
+    with pytest.raises(morphod.InvalidError) as caught:
+        m.evaluate([apart])
+    assert caught.value.status == 422 and "/designs/0" in str(caught.value)
+    assert caught.value.faults and re.fullmatch("[0-9a-f]{16}", caught.value.request_id)
+    evaluation = m.evaluate([apart], physics=SHORT, repair="largest")
+    assert evaluation[0].lost == ("1 voxels that did not belong to the largest piece", )
+    assert evaluation[0].genotype.count("1") == 2
+
+
+def test_recordings(m, service):
+    bodies = [DESIGN, {"cells": [[0, 0, 0]]}]
+    worlds = WORLD + [{**WORLD[0], "seed": 8}]
+    evaluation = m.evaluate(bodies, worlds, physics=SHORT, record=["com", "masses"],
+                            record_stride=5)
+    path = f"/v1/evaluations/{evaluation.id}/trajectories/0?environment=1"
+    told = service.get(path)
+    masses = evaluation.recording(0, environment=1)
+    assert masses.tolist() == np.asarray(told["masses_m"], dtype=np.float32).tolist()
+    com = evaluation.recordings("com")
+    assert com.shape == (2, 2, 5, 3)
+    assert com[0, 1].tolist() == np.asarray(told["com_m"], dtype=np.float32).tolist()
+    assert [own.shape for own in evaluation.recordings("masses")] == [(2, 5, 20, 3), (2, 5, 8, 3)]
+    with pytest.raises(morphod.NotFoundError):
+        evaluation.recording(2)
+
+
+def test_rollouts_are_stored_nowhere(m, service):
+    before = len(m.jobs())
+    scene = m.rollouts([DESIGN], WORLD, physics=SHORT, record=["masses", "com"])
+    assert len(m.jobs()) == before
+    stored = m.evaluate([DESIGN], WORLD, physics=SHORT, record=["masses"])
+    assert scene.scores.tolist() == stored.scores.tolist()
+    assert (scene[0].masses_m == stored.recording(0)).all() and len(scene[0].com_m) == 3
+    assert scene.frame_s == pytest.approx(0.04) and len(scene) == 1
+    with pytest.raises(ValueError):
+        scene[0].masses_m[:] = 0  # a view of the reply
+
+
+def test_players_are_one_file(m, tmp_path):
+    player = m.evaluate([DESIGN], WORLD, physics=SHORT).show()
+    player.save(tmp_path / "player.html")
+    page = (tmp_path / "player.html").read_text()
+    assert "const DATA=" in page and "class Stage" in page and "bodyOf(" in page
+    # It needs nothing from anywhere.
+    assert not re.search(r"\bimport\b[^(\n]*from|https?://|src=|fetch\(", page)
+    data = json.loads(re.search(r"const DATA=(.*);\n", page)[1])
+    assert data["robots"][0]["frames"] == 6 and len(data["worlds"][0]["heights"]) == 64
+    assert player._repr_html_().startswith("<iframe srcdoc=")
+    assert "Two &lt;robots&gt;" in m.show([DESIGN, DESIGN], physics=SHORT, environment=3,
+                                          title="Two <robots>").html
+
+
+def test_a_campaign_as_tables(m, service, campaign):
+    group = m.campaigns(label="for tests")
+    assert sorted(member.id for member in group) == sorted(campaign)
+    first = m.get_campaign(campaign[0])
+    rows = service.get(f"/v1/campaigns/{first.id}/generations")["items"]
+    curve = first.curve()
+    assert curve["score_mean"].tolist() == [row["score"]["mean"] for row in rows]
+    assert curve["score_quantiles_p0"].tolist() == [row["score"]["quantiles"]["p0"] for row in rows]
+    assert curve["operators_mutation_born"].tolist() == [
+        row["operators"]["mutation"]["born"] for row in rows]
+    both = m.curves(label="for tests")
+    assert len(both) == 12 and set(both["campaign"]) == set(campaign)
+    assert both.groupby("generation")["score_mean"].count().tolist() == [2] * 6
+    assert (m.curves(ids=[first.id])["seed"] == 1).all() and len(m.curves(label="none")) == 0
+    population = first.population()
+    assert len(population) == 24 and population["score"].is_monotonic_increasing
+    assert len(first.population(generation=2)) == 24
+    assert first.champions(3)["number"].nunique() == 3 and first.learning().empty
+
+
+def test_a_phylogeny(m, service, campaign):
+    phylogeny = m.get_campaign(campaign[0]).phylogeny()
+    rows = {}
+    cursor = ""
+    while cursor is not None:
+        page = service.get(f"/v1/campaigns/{campaign[0]}/phylogeny?format=json&limit=1000{cursor}")
+        rows |= {row["number"]: row for row in page["items"]}
+        cursor = page["next_cursor"] and f"&cursor={page['next_cursor']}"
+    table = phylogeny.frame()
+    assert table.index.tolist() == list(rows) and len(phylogeny) == len(rows)
+    for number, line in table.iterrows():
+        row = rows[number]
+        parents = [parent for parent in (line["parent"], line["other_parent"])
+                   if parent is not pandas.NA]
+        assert parents == row["parents"] and line["operator"] == row["operator"]
+        assert line["score"] == np.float32(row["score"]) and line["born"] == row["born"]
+        assert (None if line["died"] is pandas.NA else line["died"]) == row["died"]
+    graph = phylogeny.to_networkx()
+    assert networkx.is_directed_acyclic_graph(graph) and set(graph.edges) == {
+        (parent, number) for number, row in rows.items() for parent in row["parents"]}
+    newick = service.request("GET", f"/v1/campaigns/{campaign[0]}/phylogeny?format=newick").body
+    assert sorted(phylogeny.to_newick().split()) == sorted(newick.decode().split())
+    lineages = m.get_campaign(campaign[0]).phylogeny(lineages=True)
+    assert lineages.alive.sum() == phylogeny.alive.sum() and len(lineages) < len(phylogeny)
+
+
+def test_a_campaign_goes_on(m, capsys):
+    group = m.campaign("zero-shot", preset="demo", population=8, generations=1, physics=SHORT,
+                       initial=[DESIGN], environments=WORLD)
+    assert group.live() is group and "2 of 2" not in capsys.readouterr().out
+    own = group[0]
+    assert own.data["settings"]["initial"] == {"n_designs": 1}
+    own.extend(2)
+    own.wait(timeout_s=60)
+    assert own.data["progress"]["generation"] == 3
+    more = m.campaign("zero-shot", preset="demo", population=8, generations=0, physics=SHORT,
+                      initial=own, environments=WORLD)[0]
+    assert more.data["settings"]["initial"] == {"campaign": own.id}
+    more.wait()
+
+
+def test_actions(m):
+    job = m.campaign("zero-shot", preset="demo", generations=1000)[0]
+    job.pause()
+    assert job.state == "paused"
+    job.weigh(3)
+    job.resume()
+    assert job.state in ("queued", "running") and job.data["weight"] == 3
+    with pytest.raises(morphod.WaitError, match="it goes on"):
+        job.wait(timeout_s=1)
+    job.cancel()
+    with pytest.raises(morphod.JobError, match="was cancelled") as caught:
+        job.wait()
+    assert caught.value.job["id"] == job.id
+    with pytest.raises(morphod.ConflictError):
+        job.resume()
+
+
+def test_a_training_and_its_controller(m, service, tmp_path):
+    training = m.pretrain(name="small", steps=3, batch=4, physics=SHORT,
+                          validation={"designs": 2, "environments": 1})
+    assert training.live().state == "succeeded"
+    rows = service.get(f"/v1/trainings/{training.id}/steps")["items"]
+    assert training.steps()["mean_loss"].tolist() == [row["mean_loss"] for row in rows]
+    assert training.validations()["step"].tolist() == [0, 3]
+    learned = training.controller()
+    by_name = m.controller("small")
+    assert learned.content == by_name.content and by_name.arrays["net.9.bias"].shape == (1648, )
+    assert by_name.metadata["sensor"] == "inverse_sqrt"
+    by_name.save(tmp_path / "c.safetensors")
+    assert m.put_controller("copy", tmp_path / "c.safetensors").data["sha256"] == (
+        by_name.data["sha256"])
+    halved = {name: array / 2 for name, array in by_name.arrays.items()}
+    stored = m.put_controller("halved", halved, by_name.metadata)
+    assert (m.controller("halved").arrays["net.0.bias"] == halved["net.0.bias"]).all()
+    assert "halved" in m.controllers()["name"].tolist() and stored.name == "halved"
+    tuned = m.finetune([DESIGN], controller="small", steps=1, batch=2, physics=SHORT)
+    tuned.wait()
+    with pytest.raises(morphod.MorphodError, match="no safetensors"):
+        morphod.read_safetensors(b"\x00" * 7)
+    assert m.controller().content == BOOTSTRAP.read_bytes()
+
+
+def test_objectives(m):
+    settings = {"environments": WORLD, "physics": SHORT}
+    vectors = np.random.default_rng(3).random((4, 144))
+    vectors[2] = 0
+    losses = m.objective(**settings)(vectors)
+    assert losses.shape == (4, ) and losses[2] == 10
+    bodies = [morphod.Body.of(vector.reshape(6, 6, 4) > 0.5, "largest") for vector in vectors
+              if vector.any()]
+    assert losses[[0, 1, 3]].tolist() == m.evaluate(bodies, **settings).scores.tolist()
+    asked = ["voxels", "height", "path_length_m", morphod.Body.footprint]
+    quality, measures = m.objective(asked, **settings)(vectors)
+    assert quality.tolist() == (-losses).tolist() and measures.shape == (4, 4)
+    assert measures[[0, 1, 3], 0].tolist() == [len(body) for body in bodies]
+    assert measures[2].tolist() == [0, 0, 0, 0] and (measures[[0, 1, 3], 2] > 0).all()
+    one = m.objective(decode=lambda n: [[0, 0, 0], [int(n[0]) % 2, 0, 1 - int(n[0]) % 2]],
+                      **settings)
+    assert isinstance(one(np.array([3.0])), float)
+    assert one(np.array([[1.0], [2], [4]])).shape == (3, )
+    with pytest.raises(ValueError, match="neither a function nor one of"):
+        m.objective(["weight"])
+
+
+def test_events_from_the_beginning(m):
+    events = m.events(after=0)
+    first = next(events)
+    assert first["id"] == "1" and first["type"] == "controller.stored"
+    events.close()
+    job = m.evaluate([DESIGN], WORLD, physics=SHORT, wait=False)
+    types = []
+    for event in m.events(after=0, job=job.id):
+        types.append(event["type"])
+        if event["type"] == "job.finished":
+            break
+    assert types[0] == "job.created"
+
+
+def test_designs_and_jobs(m):
+    m.evaluate([DESIGN])
+    assert m.designs(limit=1)["score"].tolist()[0] <= 1
+    assert set(m.jobs(kind="evaluation")["kind"]) == {"evaluation"}
+    assert m.request("GET", "/v1/threads")["n_threads"] == 1 and m.version()
+
+
+def test_tokens_and_addresses(start, monkeypatch, tmp_path):
+    token = tmp_path / "token"
+    token.write_text("t" * 40)
+    token.chmod(0o600)
+    service = start(f"--token-file={token}", "--token-on-loopback=yes", token="t" * 40)
+    url = f"http://{service.host}:{service.port}"
+    with morphod.Client(url) as client, pytest.raises(morphod.AccessError):
+        client.jobs()
+    with morphod.Client(url, token="t" * 40) as client:
+        assert client.jobs().empty
+    monkeypatch.setenv("MORPHOD_SERVER", url)
+    monkeypatch.setenv("MORPHOD_TOKEN", "t" * 40)
+    with morphod.Client() as client:
+        assert client.jobs().empty and url in repr(client)
+    with pytest.raises(morphod.MorphodError, match="unix:/path"):
+        morphod.Client("ftp://x")
+    with morphod.Client("http://127.0.0.1:1", retry_s=0) as client:
+        with pytest.raises(morphod.UnreachableError, match="is the service running"):
+            client.jobs()
