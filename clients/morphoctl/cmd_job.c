@@ -39,7 +39,8 @@ static void print_job(const struct ctl *ctl, const json_t *job)
       {"precision", "{precision}"},
       {"physics", "{physics.n_steps} steps of {physics.dt_s:g} s, impact {physics.impact}"},
       {"designs", "{n_designs:,}"},
-      {"rollouts", "{rollouts_done:,} of {rollouts_total:,}"},
+      {"rollouts", "{rollouts_done:,} of {rollouts_total:,}[  {progress.rollouts_per_s:.0f} "
+                   "rollouts/s][  {progress.seconds_left:duration} left]"},
       {"from store", "[{rollouts_cached>0:,}]"},
       {"diverged", "[{rollouts_diverged>0:,}]"},
       {NULL, NULL}};

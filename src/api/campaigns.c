@@ -141,7 +141,6 @@ const struct mo_resource mo_campaign_resource = {.kind = MO_JOB_CAMPAIGN,
                                                  .status_size = sizeof(struct mo_campaign_status),
                                                  .read = read_status,
                                                  .page = read_page,
-                                                 .has_live = true,
                                                  .write = write_whole,
                                                  .write_job = mo_campaign_json_job};
 

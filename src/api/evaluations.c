@@ -40,8 +40,20 @@ static void write_result(struct mo_text *text, const struct mo_evaluation_result
   mo_text_add(text, "}");
 }
 
+static void write_progress(struct mo_text *text, const struct mo_job *job,
+                           const struct mo_live *live)
+{
+  const bool runs = job->state == MO_JOB_RUNNING && live->phase != MO_PHASE_IDLE;
+  mo_text_name(text, "progress");
+  mo_text_object(text);
+  mo_member_number_if(text, "rollouts_per_s", runs && live->rate > 0, live->rate);
+  mo_member_number_if(text, "seconds_left", runs && live->seconds_left >= 0, live->seconds_left);
+  mo_member_number_if(text, "busy_s", runs && live->busy_s >= 0, live->busy_s);
+  mo_text_add(text, "}");
+}
+
 /* Writes an evaluation. results nullable: without them. */
-static void write_job(struct mo_text *text, const struct mo_job *job,
+static void write_job(struct mo_text *text, const struct mo_job *job, const struct mo_live *live,
                       const struct mo_evaluation_results *results)
 {
   mo_text_object(text);
@@ -63,6 +75,7 @@ static void write_job(struct mo_text *text, const struct mo_job *job,
   mo_text_member_count(text, "rollouts_done", job->rollouts_done);
   mo_text_member_count(text, "rollouts_cached", job->rollouts_cached);
   mo_text_member_count(text, "rollouts_diverged", job->rollouts_diverged);
+  write_progress(text, job, live);
   if (results != NULL) {
     mo_text_add(text, ",\"results\":[");
     for (uint32_t d = 0; d < results->n_designs; d++)
@@ -86,22 +99,20 @@ static int64_t read_page(struct mo_store *store, const struct mo_job_query *quer
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
                        const struct mo_live *live)
 {
-  (void)live;
   const struct mo_job *job = status;
   struct mo_evaluation_results *results = NULL;
   int error = MO_OK;
   if (job->state == MO_JOB_SUCCEEDED)
     error = mo_store_results(api->store, job->id, &results);
   if (error == MO_OK)
-    write_job(text, job, results);
+    write_job(text, job, live, results);
   mo_evaluation_results_free(results);
   return error;
 }
 
 static void write_item(struct mo_text *text, const void *status, const struct mo_live *live)
 {
-  (void)live;
-  write_job(text, status, NULL);
+  write_job(text, status, live, NULL);
 }
 
 const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,

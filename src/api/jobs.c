@@ -28,11 +28,10 @@ const struct mo_resource *mo_resource_of(const struct mo_request *request)
 
 /* ---- one job ---- */
 
-static void read_live(struct mo_api *api, const struct mo_resource *kind, const struct mo_job *job,
-                      struct mo_live *live)
+static void read_live(struct mo_api *api, const struct mo_job *job, struct mo_live *live)
 {
   *live = (struct mo_live){.seconds_left = -1};
-  if (kind->has_live && !mo_job_state_is_final(job->state))
+  if (!mo_job_state_is_final(job->state))
     mo_jobs_live(api->jobs, job->id, live);
 }
 
@@ -46,7 +45,7 @@ int mo_reply_job(struct mo_request *request, unsigned http_status, const struct 
   const struct mo_job *job = &status.job;
   int error = kind->read(api->store, id, &status);
   if (error == MO_OK) {
-    read_live(api, kind, job, &live);
+    read_live(api, job, &live);
     if (whole)
       error = kind->write(api, &text, &status, &live);
     else
@@ -60,7 +59,7 @@ int mo_reply_job(struct mo_request *request, unsigned http_status, const struct 
   mo_reply_json(request, http_status, &text);
   if (request->reply.status != http_status)
     return MO_ERR_NO_MEMORY;
-  if (kind->versioned)
+  if (kind->versioned && (job->state != MO_JOB_RUNNING || http_status != 200))
     mo_reply_etag(request, "%" PRIx64 "-%s-%lld-%lld", mo_store_id(api->store),
                   whole ? mo_job_kind_name(kind->kind) : "job", (long long)job->id,
                   (long long)job->version);
@@ -150,13 +149,13 @@ static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_
   const void *status = item;
   union mo_job_status whole;
   struct mo_live live;
-  if (listed == NULL && kind->has_live) {
+  if (listed == NULL && kind->status_size > sizeof(struct mo_job)) {
     int error = kind->read(api->store, ((struct mo_job *)item)->id, &whole);
     if (error != MO_OK)
       return error;
     status = &whole;
   }
-  read_live(api, kind, status, &live);
+  read_live(api, status, &live);
   if (state >= 0 && (int)mo_job_state_shown(status, &live) != state)
     return MO_OK;
   if (listed != NULL && !kind->brief)

@@ -18,18 +18,17 @@ union mo_job_status {
 /* A kind of job. */
 struct mo_resource {
   enum mo_job_kind kind;
-  const char *path; /* "/v1/trainings" */
-  size_t status_size;
+  const char *path;   /* "/v1/trainings" */
+  size_t status_size; /* more than a job's: the item of a list of jobs needs the whole status */
   int (*read)(struct mo_store *store, int64_t id, union mo_job_status *status);
   /* Reads a page of statuses, newest first. Returns their number or an error. */
   int64_t (*page)(struct mo_store *store, const struct mo_job_query *query, void *statuses,
                   size_t limit);
-  bool has_live; /* running jobs have a live state; the item of a list needs the whole status */
   /* Writes the whole resource, or the item of the list of jobs. */
   int (*write)(struct mo_api *api, struct mo_text *text, const void *status,
                const struct mo_live *live);
   void (*write_job)(struct mo_text *text, const void *status, const struct mo_live *live);
-  bool versioned; /* the row's version covers all that is written */
+  bool versioned; /* the row's version covers all that is written of a job that does not run */
   bool brief;     /* lists of this kind have the items of the list of jobs */
 };
 extern const struct mo_resource mo_evaluation_resource, mo_training_resource, mo_campaign_resource;

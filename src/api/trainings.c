@@ -158,7 +158,6 @@ const struct mo_resource mo_training_resource = {.kind = MO_JOB_TRAINING,
                                                  .status_size = sizeof(struct mo_training_status),
                                                  .read = read_status,
                                                  .page = read_page,
-                                                 .has_live = true,
                                                  .write = write_whole,
                                                  .write_job = mo_training_json_job};
 

@@ -17,6 +17,9 @@
 #define DESIGNS_A_ROUND 64 /* of each job */
 #define ROUND_US        1000000
 #define CLAIMS_MAX      1024
+#define SHOW_US         250000   /* between two live figures of a job */
+#define RATE_AFTER_US   500000   /* no rate is known before */
+#define RATE_MARK_US    10000000 /* a rate is that of the last 10 to 20 seconds */
 /* Jobs that run concurrently. */
 #define ACTIVE_BATCH_MAX       8
 #define ACTIVE_INTERACTIVE_MAX 64
@@ -144,7 +147,7 @@ static bool claim_one(struct mo_evaluations *all, int64_t id, enum mo_urgency pr
     return false;
   active->id = id;
   active->priority = priority;
-  active->last_event_us = mo_clock_us();
+  active->last_event_us = active->marks[0].at_us = active->marks[1].at_us = mo_clock_us();
   error = load_active(all, active, text);
   active->next = all->actives;
   all->actives = active;
@@ -378,8 +381,43 @@ static bool wind_down(struct mo_evaluations *all, bool *parked)
           (atomic_load(&all->jobs->abandon) || all->broken || atomic_load(&all->jobs->no_space)));
 }
 
+/* Returns the rollouts computed per second, lately; 0: unknown. */
+static double rate_of(struct mo_active *active, int64_t now_us)
+{
+  if (now_us - active->marks[1].at_us >= RATE_MARK_US) {
+    active->marks[0] = active->marks[1];
+    active->marks[1].at_us = now_us;
+    active->marks[1].computed = active->computed;
+  }
+  const int64_t passed_us = now_us - active->marks[0].at_us;
+  return passed_us < RATE_AFTER_US
+             ? 0
+             : (double)(active->computed - active->marks[0].computed) / ((double)passed_us * 1e-6);
+}
+
+/* Shows how far a job is. */
+static void show(struct mo_evaluations *all, struct mo_active *active)
+{
+  const int64_t now_us = mo_clock_us();
+  struct mo_live live = {.phase = MO_PHASE_IDLE, .seconds_left = -1};
+  if (!active->detached) {
+    if (now_us - active->shown_us < SHOW_US)
+      return;
+    active->shown_us = now_us;
+    live = (struct mo_live){.phase = MO_PHASE_SCORE,
+                            .done = active->done > active->done_before ? active->done
+                                                                       : active->done_before,
+                            .total = active->total,
+                            .rate = rate_of(active, now_us)};
+    live.seconds_left = live.rate > 0 ? (double)(live.total - live.done) / live.rate : -1;
+  }
+  mo_share_show(all->jobs, active->id, &live);
+}
+
 static void publish(struct mo_evaluations *all)
 {
+  for (struct mo_active *active = all->actives; active != NULL; active = active->next)
+    show(all, active);
   atomic_store(&all->jobs->active_batch, count_active(all, MO_BATCH));
   atomic_store(&all->jobs->active_interactive, count_active(all, MO_INTERACTIVE));
   atomic_store(&all->jobs->heartbeat_us, mo_clock_us());

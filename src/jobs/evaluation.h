@@ -36,6 +36,12 @@ struct mo_active {
   bool finishing;      /* a save contains its end */
   bool changed;        /* counts differ from those last saved */
   int64_t last_event_us;
+  uint64_t computed; /* rollouts, since this claim */
+  struct {
+    int64_t at_us;
+    uint64_t computed;
+  } marks[2];          /* between which, and since which, the rate is taken */
+  int64_t shown_us;    /* time of the last live figures; 0: none */
   int64_t until_us;    /* after an error: the job is not claimed again before */
   uint32_t references; /* from flights and saves */
   struct mo_active *next;

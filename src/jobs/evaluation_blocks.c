@@ -349,6 +349,7 @@ static int take(struct mo_evaluations *all, struct flight *flight, uint32_t i)
     all->pending.rollouts = flight->rollouts[i];
     flight->rollouts[i] = NULL;
   }
+  active->computed++;
   atomic_fetch_add(&all->jobs->rollouts_computed, 1);
   atomic_fetch_add(&all->jobs->rollouts_diverged, outcome->diverged_step != 0);
   finish_cell(all, active, design, k, outcome->diverged_step);

@@ -1,4 +1,4 @@
-/* live.h: state of a job with a thread of its own that exists only in the running process. */
+/* live.h: state of a running job that exists only in the running process. */
 #ifndef MORPHO_JOBS_LIVE_H
 #define MORPHO_JOBS_LIVE_H
 
@@ -23,15 +23,16 @@ struct mo_live {
   enum mo_phase phase;
   uint32_t position;    /* training: steps applied; campaign: the current generation */
   uint64_t done, total; /* training: bodies drawn again; campaign, of the phase: bodies drawn again
-                           (by any campaign), learning steps, or designs scored */
-  double rate;          /* robots (training) or rollouts (campaign) per second; 0: unknown */
+                           (by any campaign), learning steps, or designs scored; evaluation:
+                           rollouts */
+  double rate;          /* robots (training) or rollouts computed per second; 0: unknown */
   double seconds_left;  /* of the job; of the drawing only, before the first generation of a
                            campaign is timed; < 0: unknown */
   double busy_s;        /* worker seconds since the last start; < 0: no share now */
   char reason[160];     /* MO_PHASE_WAIT: why, and what to do; MO_PHASE_PREPARE: the campaign whose
                            drawing this one waits for; else "" */
 };
-/* Idle if the job does not run. */
+/* Idle if the job does not run. An evaluation that runs is in MO_PHASE_SCORE. */
 void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live);
 
 /* Returns the name of the controller that a job makes: as asked, or `made` by kind and number. */

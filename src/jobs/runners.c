@@ -199,9 +199,11 @@ const char *mo_phase_name(enum mo_phase phase)
 
 void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
 {
-  const double busy_s = mo_jobs_busy_s(jobs, id);
-  bool runs = false;
-  *live = (struct mo_live){.phase = MO_PHASE_IDLE, .seconds_left = -1};
+  double busy_s;
+  bool runs;
+  mo_share_live(jobs, id, live);
+  busy_s = live->busy_s;
+  runs = live->phase != MO_PHASE_IDLE;
   for (int kind = 0; kind < MO_JOB_KINDS && !runs; kind++) {
     struct mo_runners *runners = &jobs->runners[kind];
     const struct mo_runner *runner;

@@ -7,6 +7,8 @@
 
 #include "jobs/state.h"
 
+static const struct mo_live idle = {.phase = MO_PHASE_IDLE, .seconds_left = -1, .busy_s = -1};
+
 static void add(const struct mo_compute_share *share, double *worker_s, double *device_s)
 {
   struct mo_compute_share_stats stats;
@@ -52,6 +54,7 @@ int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind,
   }
   entry->id = id;
   entry->kind = kind;
+  entry->live = idle;
   *share = entry->share;
   pthread_mutex_lock(&jobs->shares_mutex);
   entry->next = jobs->shares;
@@ -79,16 +82,29 @@ void mo_share_close(struct mo_jobs *jobs, int64_t id)
   free(entry);
 }
 
-double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id)
+void mo_share_show(struct mo_jobs *jobs, int64_t id, const struct mo_live *live)
 {
-  const struct mo_job_share *entry;
-  double worker_s = 0, device_s = 0;
+  struct mo_job_share *entry;
   pthread_mutex_lock(&jobs->shares_mutex);
   entry = find(jobs, id);
   if (entry != NULL)
-    add(entry->share, &worker_s, &device_s);
+    entry->live = *live;
   pthread_mutex_unlock(&jobs->shares_mutex);
-  return entry != NULL ? worker_s : -1;
+}
+
+void mo_share_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
+{
+  const struct mo_job_share *entry;
+  double device_s = 0;
+  *live = idle;
+  pthread_mutex_lock(&jobs->shares_mutex);
+  entry = find(jobs, id);
+  if (entry != NULL) {
+    *live = entry->live;
+    live->busy_s = 0;
+    add(entry->share, &live->busy_s, &device_s);
+  }
+  pthread_mutex_unlock(&jobs->shares_mutex);
 }
 
 void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],

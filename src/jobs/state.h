@@ -15,6 +15,7 @@ struct mo_job_share {
   int64_t id;
   enum mo_job_kind kind;
   struct mo_compute_share *share;
+  struct mo_live live; /* of an evaluation, as shown last; others: idle */
   struct mo_job_share *next;
 };
 
@@ -63,9 +64,10 @@ int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind,
 /* Closes the job's share, if any. None of its blocks may be queued or in flight. */
 void mo_share_close(struct mo_jobs *jobs, int64_t id);
 int mo_share_reweigh(struct mo_jobs *jobs, int64_t id); /* applies the weight in the store */
-/* Returns the worker seconds that a running job has used since its last start. Negative: the job
- * has no share now. */
-double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id);
+/* Shows how far an evaluation is. */
+void mo_share_show(struct mo_jobs *jobs, int64_t id, const struct mo_live *live);
+/* Reads what the job's share knows: busy_s, and the other figures of an evaluation. */
+void mo_share_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live);
 void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
                        double device_s[MO_JOB_KINDS]);
 

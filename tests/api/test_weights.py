@@ -44,6 +44,31 @@ def test_taken_shown_and_changed(service):
     assert service.get(path)["weight"] == 1000
 
 
+def test_pace_of_an_evaluation(service):
+    idle = {"rollouts_per_s": None, "seconds_left": None, "busy_s": None}
+    wide = LONG | {"physics": {"n_steps": 20000}, "verify": True}
+    wide["environments"] = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": seed}
+                            for seed in range(64)]
+    path = f"/v1/evaluations/{service.post('/v1/evaluations', wide)['id']}"
+    reply = []
+    def shown(now):
+        reply[:] = [now]
+        return now["progress"]["rollouts_per_s"] is not None
+    progress = awaited(service, path, shown)["progress"]
+    job = reply[0]
+    assert job["state"] == "running" and progress["busy_s"] > 0
+    left = (job["rollouts_total"] - job["rollouts_done"]) / progress["rollouts_per_s"]
+    assert 0 < progress["seconds_left"] < 2 * left + 1
+    listed = {item["id"]: item for item in service.get("/v1/jobs?kind=evaluation")["items"]}
+    assert listed[job["id"]]["progress"]["rollouts_per_s"] > 0
+    tag = {"If-None-Match": service.request("GET", path).headers["ETag"]}
+    awaited(service, path, lambda now: now["progress"] != progress)
+    assert service.request("GET", path, headers=tag).status == 200
+    service.act(job["id"], "cancel")
+    assert service.get(path)["progress"] == idle
+    service.tagged(path)
+
+
 def test_of_a_training(service):
     training = service.post("/v1/trainings", {**TRAINING, "weight": 3})
     assert training["weight"] == 3

@@ -37,6 +37,41 @@ SERVICE_CASE(of_evaluations, 0)
   CHECK(stats_of(service).worker_s[MO_JOB_EVALUATION] > 0);
 }
 
+/* What is known of an evaluation while it runs: how much is done, how fast, how long it takes. */
+SERVICE_CASE(pace_of_an_evaluation, 0)
+{
+  enum { BODIES = 200, ROLLOUTS = BODIES * MO_PAPER_TEST_COUNT };
+  const struct mo_bits *genotypes = bodies(service, 32, BODIES);
+  const double begin = now_s();
+  struct mo_live live;
+  struct mo_job job;
+  uint64_t before;
+  int64_t id;
+  fake_plan.delay_us = 20000;
+  id = evaluate(service, genotypes, BODIES);
+  CHECK(live_of(service, id).rate == 0 && live_of(service, id).seconds_left < 0);
+  REQUIRE(AWAIT((live = live_of(service, id)).rate > 0));
+  CHECK(now_s() - begin >= 0.5);
+  CHECK_INT(live.phase, MO_PHASE_SCORE);
+  CHECK(live.done > 0 && live.done < ROLLOUTS);
+  CHECK_INT(live.total, ROLLOUTS);
+  CHECK(live.busy_s >= 0);
+  CHECK(live.rate <= (double)(live.done + MO_BLOCK_LANES) / 0.5);
+  CHECK(fabs(live.seconds_left * live.rate - (double)(ROLLOUTS - live.done)) < 1e-6 * ROLLOUTS);
+  /* Paused: nothing is known. Continued: nothing done is counted as fast. */
+  CHECK_INT(mo_jobs_pause(service->jobs, id), MO_OK);
+  REQUIRE(AWAIT((live = live_of(service, id)).busy_s < 0));
+  CHECK(live.phase == MO_PHASE_IDLE && live.rate == 0 && live.seconds_left < 0);
+  before = job_of(service, id).rollouts_done;
+  CHECK_INT(mo_jobs_resume(service->jobs, id), MO_OK);
+  REQUIRE(AWAIT((live = live_of(service, id)).rate > 0));
+  CHECK(live.done >= before);
+  CHECK(live.rate <= (double)(live.done - before + MO_BLOCK_LANES) / 0.5);
+  fake_plan.delay_us = 0;
+  CHECK(succeeds(service, id, &job));
+  CHECK(await_phase(service, id, MO_PHASE_IDLE));
+}
+
 SERVICE_CASE(of_a_training, 1)
 {
   struct mo_training_request request = pretraining("weighed");
@@ -111,8 +146,10 @@ static void *change(void *context)
 {
   const struct changer *changer = context;
   for (int i = 0; i < 20; i++) {
-    double busy_s = mo_jobs_busy_s(changer->jobs, changer->id);
-    if (mo_jobs_set_weight(changer->jobs, changer->id, changer->first + i) != MO_OK || busy_s > 1e6)
+    struct mo_live live;
+    mo_jobs_live(changer->jobs, changer->id, &live);
+    if (mo_jobs_set_weight(changer->jobs, changer->id, changer->first + i) != MO_OK ||
+        live.busy_s > 1e6)
       return context;
   }
   return NULL;
@@ -153,6 +190,7 @@ static void the_newest_weight_counts(void)
 
 static const struct check_case cases[] = {
     {"of evaluations", of_evaluations},
+    {"the pace of an evaluation", pace_of_an_evaluation},
     {"of a training", of_a_training},
     {"wrong weights", wrong_weights},
     {"the newest weight counts", the_newest_weight_counts},

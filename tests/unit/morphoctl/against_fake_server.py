@@ -29,6 +29,7 @@ JOB = {
     "controller": {"name": "default", "sha256": "a" * 64}, "environments": "paper-test",
     "precision": "float32", "record": ["com"], "record_stride": 10, "verify": False, "n_designs": 1,
     "rollouts_total": 2, "rollouts_done": 2, "rollouts_cached": 0, "rollouts_diverged": 0,
+    "progress": {"rollouts_per_s": None, "seconds_left": None, "busy_s": None},
     "physics": {"dt_s": 0.004, "n_steps": 20, "impact": "exact"}
 }
 RESULT = {"id": ID, "genotype": VOXELS, "score": 0.75, "losses": [0.5, 1.0], "diverged": []}
@@ -161,6 +162,14 @@ def test_table_and_request():
         "designs": [{"cells": [[0, 0, 0]]}], "label": "x", "physics": {"n_steps": 20},
         "record": ["com"]
     }
+
+
+def test_pace_of_an_evaluation():
+    busy = {"rollouts_per_s": 211.6, "seconds_left": 192, "busy_s": 3}
+    idle = dict.fromkeys(busy)
+    for progress, words in ((busy, "1 of 2  212 rollouts/s  0:03:12 left"), (idle, "1 of 2")):
+        job = {**JOB, "state": "running", "rollouts_done": 1, "progress": progress}
+        assert re.search(rf"rollouts +{words}\n", ask([job], "job show 7")[0])
 
 
 def test_text_of_others_is_not_obeyed():
