@@ -1,9 +1,13 @@
-/* metrics.c: the page /metrics (Prometheus text format). Uses only atomics and never waits. */
+/* metrics.c: the page /metrics (Prometheus text format). Uses only what is in memory, and waits for
+ * neither computation nor the store. */
+#include <math.h>
 #include <stdio.h>
-#include <string.h>
 
 #include "api/handlers.h"
 #include "http/metrics.h"
+#include "jobs/live.h"
+
+#define RUNNING_MAX 32 /* running jobs that have series of their own */
 
 /* Write a metric of one line to `text`. */
 #define GAUGE(name, value, help)   mo_metric(text, name, "gauge", help, (double)(value))
@@ -103,6 +107,56 @@ static void write_jobs(struct mo_api *api, struct mo_text *text, const struct mo
                    j->device_s[kind]);
 }
 
+/* Writes one series per running job of batch priority, of at most RUNNING_MAX. What is not known
+ * has no series. */
+static void write_running(struct mo_api *api, struct mo_text *text)
+{
+  enum { SHARE, DONE, PARTS, RATE, LEFT, BEST, SERIES };
+  static const struct {
+    const char *name, *help;
+  } series[SERIES] = {
+      [SHARE] = {"morphod_job_progress_ratio", "Share of a running job that is done."},
+      [DONE] = {"morphod_job_parts_done", "Parts of a running job that are done: rollouts of an "
+                                          "evaluation, steps of a training, generations of a "
+                                          "campaign, the first population included."},
+      [PARTS] = {"morphod_job_parts", "All parts of a running job."},
+      [RATE] = {"morphod_job_rollouts_per_second",
+                "Rollouts of a running job, lately; of a training those with gradient."},
+      [LEFT] = {"morphod_job_left_seconds", "Estimated time until a running job ends."},
+      [BEST] = {"morphod_job_best_score",
+                "Best score in the newest population of a running campaign."},
+  };
+  struct mo_running jobs[RUNNING_MAX];
+  const size_t n = mo_jobs_running(api->jobs, jobs, RUNNING_MAX);
+  for (int s = 0; s < SERIES && n > 0; s++) {
+    mo_metric_head(text, series[s].name, "gauge", series[s].help);
+    for (size_t i = 0; i < n; i++) {
+      const struct mo_live *live = &jobs[i].live;
+      const bool evolves = jobs[i].kind == MO_JOB_CAMPAIGN;
+      const bool is_evaluation = jobs[i].kind == MO_JOB_EVALUATION;
+      const double done = is_evaluation ? (double)live->done : live->position;
+      const double parts = is_evaluation ? (double)live->total : (double)live->last + evolves;
+      const double begun = evolves && live->phase == MO_PHASE_SCORE && live->total > 0
+                               ? (double)live->done / (double)live->total
+                               : 0;
+      const double values[SERIES] = {[SHARE] = (done + begun) / parts,
+                                     [DONE] = done,
+                                     [PARTS] = parts > 0 ? parts : NAN,
+                                     [RATE] = live->rate > 0 ? live->rate : NAN,
+                                     [LEFT] = live->seconds_left >= 0 ? live->seconds_left : NAN,
+                                     [BEST] = live->best_score > 0 ? live->best_score : NAN};
+      if (isnan(values[s]))
+        continue;
+      mo_text_format(text, "%s{id=\"%lld\",kind=\"%s\",label=", series[s].name,
+                     (long long)jobs[i].id, mo_job_kind_name(jobs[i].kind));
+      mo_metric_label(text, jobs[i].label);
+      mo_text_add(text, "} ");
+      mo_text_json_number(text, values[s]);
+      mo_text_add(text, "\n");
+    }
+  }
+}
+
 static void write_trainings(struct mo_text *text, const struct mo_jobs_stats *j)
 {
   GAUGE("morphod_trainings_running", j->active_trainings,
@@ -164,7 +218,7 @@ void mo_api_metrics_write(struct mo_api *api, struct mo_text *text)
   mo_metric_head(text, "morphod_build_info", "gauge", "1; the labels tell the build.");
   mo_text_format(text, "morphod_build_info{version=\"%s\",fingerprint=", api->version);
   const char *fingerprint = mo_compute_fingerprint(api->compute, MO_FLOAT32);
-  mo_text_json_string(text, fingerprint, strlen(fingerprint));
+  mo_metric_label(text, fingerprint);
   mo_text_add(text, "} 1\n");
   GAUGE("morphod_ready", mo_http_is_ready(api->http), "1 while new work is taken.");
   if (api->log_dropped != NULL)
@@ -174,6 +228,7 @@ void mo_api_metrics_write(struct mo_api *api, struct mo_text *text)
   write_compute(api, text);
   write_devices(api, text);
   write_jobs(api, text, &jobs);
+  write_running(api, text);
   write_trainings(text, &jobs);
   write_campaigns(text, &jobs);
   write_store(api, text);

@@ -51,6 +51,17 @@ void mo_metric_head(struct mo_text *text, const char *name, const char *type, co
   mo_text_format(text, "# HELP %s %s\n# TYPE %s %s\n", name, help, name, type);
 }
 
+void mo_metric_label(struct mo_text *text, const char *value)
+{
+  mo_text_bytes(text, "\"", 1);
+  for (; *value != '\0'; value++) {
+    if (*value == '\\' || *value == '"' || *value == '\n')
+      mo_text_bytes(text, "\\", 1);
+    mo_text_bytes(text, *value == '\n' ? "n" : value, 1);
+  }
+  mo_text_bytes(text, "\"", 1);
+}
+
 void mo_metric_line(struct mo_text *text, const char *name, const char *label, const char *of,
                     double value)
 {

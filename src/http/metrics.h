@@ -33,6 +33,8 @@ void mo_metric_line(struct mo_text *text, const char *name, const char *label, c
                     double value);
 void mo_metric(struct mo_text *text, const char *name, const char *type, const char *help,
                double value);
+/* Writes the value of a label in quotes, with any text in it. */
+void mo_metric_label(struct mo_text *text, const char *value);
 /* Writes the metrics of this room. */
 void mo_metrics_write(struct mo_http *http, struct mo_text *text);
 

@@ -1,4 +1,6 @@
 /* campaign_live.c: the live figures of a campaign, and its events of progress. */
+#include <math.h>
+
 #include "base/clock.h"
 #include "jobs/campaign_run.h"
 
@@ -11,6 +13,8 @@ void mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_
   pthread_mutex_lock(&runner->runners->mutex);
   runner->live.position =
       run->generation < last ? run->generation : last; /* no generation is current at the end */
+  runner->live.last = last;
+  runner->live.best_score = isfinite(run->status.best_score) ? run->status.best_score : 0;
   runner->live.done = 0;
   runner->live.total = total;
   pthread_mutex_unlock(&runner->runners->mutex);

@@ -22,18 +22,32 @@ const char *mo_phase_name(enum mo_phase phase);
 struct mo_live {
   enum mo_phase phase;
   uint32_t position;    /* training: steps applied; campaign: the current generation */
+  uint32_t last;        /* training: steps in all; campaign: the last generation; 0: unknown */
   uint64_t done, total; /* training: bodies drawn again; campaign, of the phase: bodies drawn again
                            (by any campaign), learning steps, or designs scored; evaluation:
                            rollouts */
   double rate;          /* robots (training) or rollouts computed per second; 0: unknown */
   double seconds_left;  /* of the job; of the drawing only, before the first generation of a
                            campaign is timed; < 0: unknown */
+  double best_score;    /* of a campaign's newest population; ≤ 0: none */
   double busy_s;        /* worker seconds since the last start; < 0: no share now */
   char reason[160];     /* MO_PHASE_WAIT: why, and what to do; MO_PHASE_PREPARE: the campaign whose
                            drawing this one waits for; else "" */
 };
 /* Idle if the job does not run. An evaluation that runs is in MO_PHASE_SCORE. */
 void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live);
+
+/* A running job of batch priority. Interactive ones are gone in seconds. */
+struct mo_running {
+  int64_t id;
+  enum mo_job_kind kind;
+  double weight;
+  char label[MO_LABEL_BYTES_MAX + 1];
+  struct mo_live live;
+};
+/* Lists running jobs that do not wait for room, the heaviest first, the newest first among equals.
+ * Returns their number, at most `limit`. Waits for neither computation nor the store. */
+size_t mo_jobs_running(struct mo_jobs *jobs, struct mo_running *rows, size_t limit);
 
 /* Returns the name of the controller that a job makes: as asked, or `made` by kind and number. */
 #define MO_MADE_BYTES 40

@@ -221,6 +221,18 @@ void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
   live->busy_s = busy_s;
 }
 
+size_t mo_jobs_running(struct mo_jobs *jobs, struct mo_running *rows, size_t limit)
+{
+  const size_t found = mo_shares_heaviest(jobs, rows, limit);
+  size_t n = 0;
+  for (size_t i = 0; i < found; i++) {
+    mo_jobs_live(jobs, rows[i].id, &rows[i].live);
+    if (rows[i].live.phase != MO_PHASE_IDLE && rows[i].live.phase != MO_PHASE_WAIT)
+      rows[n++] = rows[i];
+  }
+  return n;
+}
+
 size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX])
 {
   size_t n = 0;

@@ -4,6 +4,7 @@
  * from the store; a new weight is stored before its share is looked up. So in either order the
  * share gets the newest weight. */
 #include <stdlib.h>
+#include <string.h>
 
 #include "jobs/state.h"
 
@@ -35,8 +36,12 @@ int mo_share_reweigh(struct mo_jobs *jobs, int64_t id)
   error = mo_store_job(jobs->store, id, &job);
   pthread_mutex_lock(&jobs->shares_mutex);
   entry = find(jobs, id);
-  if (error == MO_OK && entry != NULL)
+  if (error == MO_OK && entry != NULL) {
     mo_compute_share_set_weight(entry->share, job.weight);
+    entry->is_batch = job.priority == MO_BATCH;
+    entry->weight = job.weight;
+    snprintf(entry->label, sizeof(entry->label), "%s", job.label);
+  }
   pthread_mutex_unlock(&jobs->shares_mutex);
   pthread_mutex_unlock(&jobs->weigh_mutex);
   return error;
@@ -105,6 +110,28 @@ void mo_share_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
     add(entry->share, &live->busy_s, &device_s);
   }
   pthread_mutex_unlock(&jobs->shares_mutex);
+}
+
+size_t mo_shares_heaviest(struct mo_jobs *jobs, struct mo_running *rows, size_t limit)
+{
+  size_t n = 0;
+  pthread_mutex_lock(&jobs->shares_mutex);
+  for (const struct mo_job_share *entry = jobs->shares; entry != NULL; entry = entry->next) {
+    size_t place = n;
+    while (place > 0 &&
+           (rows[place - 1].weight < entry->weight ||
+            (rows[place - 1].weight == entry->weight && rows[place - 1].id < entry->id)))
+      place--;
+    if (!entry->is_batch || place == limit)
+      continue;
+    n += n < limit;
+    memmove(&rows[place + 1], &rows[place], (n - place - 1) * sizeof(*rows));
+    rows[place] =
+        (struct mo_running){.id = entry->id, .kind = entry->kind, .weight = entry->weight};
+    memcpy(rows[place].label, entry->label, sizeof(entry->label));
+  }
+  pthread_mutex_unlock(&jobs->shares_mutex);
+  return n;
 }
 
 void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],

@@ -54,6 +54,7 @@ static enum mo_phase enter(struct run *run, enum mo_phase phase)
   struct mo_runner *runner = run->runner;
   pthread_mutex_lock(&runner->runners->mutex);
   runner->live.position = step_of(run);
+  runner->live.last = run->status.record.settings.n_steps;
   pthread_mutex_unlock(&runner->runners->mutex);
   return mo_runner_enter(runner, phase);
 }

@@ -99,7 +99,8 @@ def metrics(service):
             assert name not in kinds and kind in ("counter", "gauge", "histogram")
             kinds[name] = kind
         else:
-            match = re.fullmatch(r'([a-z_]+)(\{[a-z]+="[^"]*"(,[a-z]+="[^"]*")*\})? (\S+)', line)
+            label = r'[a-z]+="(?:[^"\\]|\\[\\n"])*"'
+            match = re.fullmatch(rf"([a-z_]+)(\{{{label}(,{label})*\}})? (\S+)", line)
             assert match, line
             name = match.group(1)
             family = re.sub("_(bucket|sum|count)$", "", name) if name not in kinds else name

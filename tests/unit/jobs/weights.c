@@ -72,6 +72,46 @@ SERVICE_CASE(pace_of_an_evaluation, 0)
   CHECK(await_phase(service, id, MO_PHASE_IDLE));
 }
 
+/* The list of running jobs: those of batch priority, the heaviest first, then the newest. */
+SERVICE_CASE(what_runs, 0)
+{
+  enum { BODIES = 100, N = 4 };
+  static const double weights[N] = {1, 0.5, 3, 1};
+  static const int order[N] = {2, 3, 0, 1};
+  const struct mo_bits *genotypes = bodies(service, 33, (N + 1) * BODIES);
+  struct mo_evaluation_request request;
+  struct mo_running rows[N + 1];
+  int64_t ids[N], quick;
+  fake_plan.delay_us = 200000;
+  CHECK_INT(mo_jobs_running(service->jobs, rows, N + 1), 0);
+  for (int i = 0; i < N; i++) {
+    request = service_request(genotypes + (size_t)i * BODIES, BODIES);
+    request.weight = weights[i];
+    request.label = i == 2 ? "heavy" : NULL;
+    ids[i] = service_submit(service, &request);
+  }
+  request = service_request(genotypes + (size_t)N * BODIES, 1);
+  quick = service_submit(service, &request);
+  REQUIRE(AWAIT(live_of(service, quick).phase == MO_PHASE_SCORE));
+  CHECK_INT(job_of(service, quick).priority, MO_INTERACTIVE);
+  REQUIRE(AWAIT(mo_jobs_running(service->jobs, rows, N + 1) == N));
+  for (int i = 0; i < N; i++) {
+    CHECK_INT(rows[i].id, ids[order[i]]);
+    CHECK_INT(rows[i].kind, MO_JOB_EVALUATION);
+    CHECK(rows[i].weight == weights[order[i]]);
+    CHECK(strcmp(rows[i].label, order[i] == 2 ? "heavy" : "") == 0);
+    CHECK_INT(rows[i].live.total, BODIES * MO_PAPER_TEST_COUNT);
+  }
+  for (size_t limit = 0; limit <= N; limit++) {
+    CHECK_INT(mo_jobs_running(service->jobs, rows, limit), limit);
+    for (size_t i = 0; i < limit; i++)
+      CHECK_INT(rows[i].id, ids[order[i]]);
+  }
+  CHECK_INT(mo_jobs_pause(service->jobs, ids[2]), MO_OK);
+  CHECK(AWAIT(mo_jobs_running(service->jobs, rows, N + 1) == N - 1));
+  CHECK_INT(rows[0].id, ids[3]);
+}
+
 SERVICE_CASE(of_a_training, 1)
 {
   struct mo_training_request request = pretraining("weighed");
@@ -189,10 +229,8 @@ static void the_newest_weight_counts(void)
 }
 
 static const struct check_case cases[] = {
-    {"of evaluations", of_evaluations},
-    {"the pace of an evaluation", pace_of_an_evaluation},
-    {"of a training", of_a_training},
-    {"wrong weights", wrong_weights},
-    {"the newest weight counts", the_newest_weight_counts},
+    {"of evaluations", of_evaluations}, {"the pace of an evaluation", pace_of_an_evaluation},
+    {"what runs", what_runs},           {"of a training", of_a_training},
+    {"wrong weights", wrong_weights},   {"the newest weight counts", the_newest_weight_counts},
 };
 CHECK_MAIN(cases)
