@@ -2,6 +2,8 @@
 #
 #   install_packages SECTION…   installs missing packages of these sections of tools/packages (as
 #                               root, or with sudo)
+#   fetch_promtool              puts Prometheus's checker, build/promtool, in its place once; tests
+#                               that find none are skipped
 #   configure_in FOLDER [ARG…]  configures FOLDER once with the given meson arguments
 #   build_in FOLDER [ARG…]      the same, then builds it, or $targets of it
 
@@ -41,6 +43,20 @@ install_packages() {
   as_root env DEBIAN_FRONTEND=noninteractive \
     apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
     fail "apt-get could not install: ${missing[*]}"
+}
+
+# The package is not installed, because that would start a server.
+fetch_promtool() {
+  local part=build/promtool.part
+  if command -v promtool >/dev/null || [ -x build/promtool ]; then return 0; fi
+  say "fetching promtool"
+  rm -rf "$part"
+  mkdir -p "$part"
+  (cd "$part" && { apt-get download -qq prometheus ||
+    { as_root apt-get update -qq && apt-get download -qq prometheus; }; } &&
+    dpkg-deb --fsys-tarfile prometheus_*.deb | tar -x ./usr/bin/promtool) 2>/dev/null &&
+    mv "$part/usr/bin/promtool" build/promtool || echo "there is none: its tests are skipped"
+  rm -rf "$part"
 }
 
 # Meson must run on Debian's own Python, whatever else is first in PATH.
