@@ -1,8 +1,10 @@
 """The stage: what it shows agrees with the recording; what is saved from it is right."""
 
 import json
+import re
 import shlex
 import struct
+import subprocess
 
 import pytest
 
@@ -60,8 +62,9 @@ def test_masses_are_where_the_recording_has_them(service, browser):
                 assert seen == pytest.approx(told, abs=0.01), (time, axis)
 
 
-def test_a_model_for_other_programs(service, browser):
-    """GLB: at least 25 frames a second, and every mass within 1 mm at every frame."""
+@pytest.fixture(scope="module")
+def model(service, browser, tmp_path_factory):
+    """A robot as a GLB file, its number of masses, the time of a frame, and its recording."""
     browser.open("stage")
     browser.until_walking()
     data = browser.driver.execute_async_script("""
@@ -73,34 +76,71 @@ def test_a_model_for_other_programs(service, browser):
           done([[...toGlb(robot)], n, robot.frameS, [...robot.track]]);
         });
     """)
-    blob, n, frame_s, track = bytes(data[0]), *data[1:]
-    magic, version, length, size, kind = struct.unpack_from("<4sIII4s", blob)
-    assert (magic, version, length, kind) == (b"glTF", 2, len(blob), b"JSON")
-    header = json.loads(blob[20:20 + size])
-    start = 20 + size + 8
+    file = tmp_path_factory.mktemp("model") / "robot.glb"
+    file.write_bytes(bytes(data[0]))
+    return file, *data[1:]
 
-    def read(index):
-        accessor = header["accessors"][index]
-        view = header["bufferViews"][accessor["bufferView"]]
+
+class Glb:
+    """Reads a file of glTF 2.0 with one mesh."""
+    def __init__(self, file):
+        blob = file.read_bytes()
+        magic, version, length, size, kind = struct.unpack_from("<4sIII4s", blob)
+        assert (magic, version, length, kind) == (b"glTF", 2, len(blob), b"JSON")
+        self.blob, self.start = blob, 20 + size + 8
+        self.header = json.loads(blob[20:20 + size])
+        [mesh] = self.header["meshes"]
+        [self.primitive] = mesh["primitives"]
+        self.base = self.read(self.primitive["attributes"]["POSITION"])
+        self.targets = [self.read(target["POSITION"]) for target in self.primitive["targets"]]
+
+    def read(self, index):
+        accessor = self.header["accessors"][index]
+        view = self.header["bufferViews"][accessor["bufferView"]]
         width = {"SCALAR": 1, "VEC3": 3}[accessor["type"]]
         form = {5126: "f", 5123: "H"}[accessor["componentType"]]
-        return struct.unpack_from(f"<{accessor['count'] * width}{form}", blob,
-                                  start + view["byteOffset"])
+        return struct.unpack_from(f"<{accessor['count'] * width}{form}", self.blob,
+                                  self.start + view["byteOffset"])
 
-    primitive = header["meshes"][0]["primitives"][0]
-    base = read(primitive["attributes"]["POSITION"])
-    sampler = header["animations"][0]["samplers"][0]
-    times, weights = read(sampler["input"]), read(sampler["output"])
-    targets = [read(target["POSITION"]) for target in primitive["targets"]]
+    def shape(self, weights):
+        """The places of the masses with these weights of the targets, in a row."""
+        used = [(weight, target) for weight, target in zip(weights, self.targets) if weight]
+        return [place + sum(weight * target[k] for weight, target in used)
+                for k, place in enumerate(self.base)]
+
+
+def test_a_model_for_other_programs(model):
+    """GLB: at least 25 frames a second, and every mass within 1 mm at every frame."""
+    file, n, frame_s, track = model
+    glb = Glb(file)
+    sampler = glb.header["animations"][0]["samplers"][0]
+    times, weights = glb.read(sampler["input"]), glb.read(sampler["output"])
     assert (len(times) - 1) / times[-1] >= 25 - 1e-6
     for i, time in enumerate(times):
         frame = round(time / frame_s)
-        expected = track[frame * n * 3:(frame + 1) * n * 3]
-        row = weights[i * len(targets):(i + 1) * len(targets)]
-        for k in range(n * 3):
-            place = base[k] + sum(w * t[k] for w, t in zip(row, targets) if w)
-            assert abs(place - expected[k]) < 0.001
-    assert max(read(primitive["indices"])) < n
+        shown = glb.shape(weights[i * len(glb.targets):(i + 1) * len(glb.targets)])
+        assert shown == pytest.approx(track[frame * n * 3:(frame + 1) * n * 3], abs=0.001)
+    assert max(glb.read(glb.primitive["indices"])) < n
+
+
+def test_assimp_loads_the_model(model):
+    """It finds one mesh with every mass, a target per frame, and the animation; what it then saves
+    has every mass within 1 mm, too."""
+    file, n, frame_s, track = model
+    info = subprocess.run(["assimp", "info", file], capture_output=True, text=True, check=True)
+    told = dict(re.findall(r"^(\w+): +(\d+)$", info.stdout, re.M))
+    faces = len(Glb(file).read(Glb(file).primitive["indices"])) // 3
+    assert {name: int(told[name]) for name in ("Meshes", "Animations", "Vertices", "Faces")} == {
+        "Meshes": 1, "Animations": 1, "Vertices": n, "Faces": faces}
+    saved = file.with_name("saved.glb")
+    subprocess.run(["assimp", "export", file, saved, "-fglb2"], capture_output=True, check=True)
+    glb = Glb(saved)
+    every = round(0.04 / frame_s)
+    frames = range(0, len(track) // (3 * n), every)
+    assert len(glb.base) == 3 * n and len(glb.targets) == len(frames) - 1
+    for i, frame in enumerate(frames):
+        shown = glb.shape([target == i - 1 for target in range(len(glb.targets))])
+        assert shown == pytest.approx(track[frame * n * 3:(frame + 1) * n * 3], abs=0.001)
 
 
 def test_a_page_of_its_own(service, browser, tmp_path):
