@@ -55,14 +55,41 @@ struct mo_physics mo_default_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message says which field and which bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);
 
-/* Positions at steps 0, stride, 2·stride, … ≤ n_steps: n_steps / stride + 1 frames. The caller owns
- * the arrays; NULL: not recorded. Frames after a divergence hold the last finite state. */
+/* The channels of a recording, as bits of a set. */
+enum mo_channel {
+  MO_RECORD_COM = 1,
+  MO_RECORD_MASSES = 2,
+  MO_RECORD_ACTUATION = 4,
+  MO_RECORD_CONTACTS = 8
+};
+#define MO_CHANNELS 4
+extern const char *const mo_channel_words[]; /* in the order of the bits; NULL */
+
+/* The states at steps 0, stride, 2·stride, … ≤ n_steps: n_steps / stride + 1 frames. The caller
+ * owns the arrays; NULL: not recorded. Positions after a divergence are those of the last finite
+ * state. Actuation and contacts are those of the step that ends at the frame; in the first frame,
+ * and after a divergence, they are 0. */
 struct mo_recording {
-  uint32_t stride; /* ≥ 1 */
-  double *com_m;   /* (frames, 3) */
-  float *mass_m;   /* (frames, n_masses, 3) */
+  uint32_t stride;   /* ≥ 1 */
+  double *com_m;     /* (frames, 3) */
+  float *mass_m;     /* (frames, n_masses, 3) */
+  int8_t *actuation; /* (frames, n_springs) the controller's output in [−1, 1], times 127 */
+  uint8_t *contacts; /* (frames, n_masses) 1: the mass touched the terrain */
 };
 uint32_t mo_recording_frames(const struct mo_physics *physics, uint32_t stride);
+
+/* Numbers of a channel in one frame, and the bytes of a number. */
+uint32_t mo_channel_numbers(enum mo_channel channel, uint32_t n_masses, uint32_t n_springs);
+uint32_t mo_channel_width(enum mo_channel channel);
+/* Bytes of one frame of a set of channels. */
+uint64_t mo_recording_frame_bytes(unsigned channels, uint32_t n_masses, uint32_t n_springs);
+/* The array of a channel; NULL: not recorded. */
+void *mo_recording_array(const struct mo_recording *recording, enum mo_channel channel);
+/* Allocates the arrays of a set of channels, filled with 0; of no channel none. MO_ERR_NO_MEMORY:
+ * none is left. */
+int mo_recording_create(struct mo_recording *recording, unsigned channels, uint32_t stride,
+                        uint32_t frames, uint32_t n_masses, uint32_t n_springs);
+void mo_recording_free(struct mo_recording *recording); /* the arrays; they become NULL */
 
 struct mo_outcome {
   double loss;           /* +infinity when diverged */

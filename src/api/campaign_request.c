@@ -273,13 +273,9 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
 
 /* ---- small bodies ---- */
 
-struct counts {
-  uint32_t generations, count, stride;
-};
-
-static int check_extension(struct mo_json *json, void *counts)
+static int check_extension(struct mo_json *json, void *generations)
 {
-  if (((struct counts *)counts)->generations == 0 && json->faults->n == 0)
+  if (*(uint32_t *)generations == 0 && json->faults->n == 0)
     mo_json_fault_at(json, 0, "", "generations is missing: a positive integer");
   return MO_OK;
 }
@@ -287,30 +283,25 @@ static int check_extension(struct mo_json *json, void *counts)
 int mo_extension_parse(const char *text, size_t size, uint32_t *generations,
                        struct mo_faults *faults)
 {
-  static const struct mo_field extension[] = {{"generations", MO_FIELD_COUNT, 0,
-                                               offsetof(struct counts, generations), .min = 1,
-                                               .max = MO_GENERATIONS_MAX}};
-  static const struct mo_fields of_extension = {extension, 1};
-  struct counts counts = {0};
-  int error = mo_read_body(text, size, &of_extension, &counts, NULL, check_extension, faults);
-  *generations = counts.generations;
-  return error;
+  static const struct mo_field extension[] = {
+      {"generations", MO_FIELD_COUNT, 0, 0, .min = 1, .max = MO_GENERATIONS_MAX}};
+  static const struct mo_fields of_extension = MO_FIELDS(extension);
+  *generations = 0;
+  return mo_read_body(text, size, &of_extension, generations, NULL, check_extension, faults);
 }
 
-int mo_champions_parse(const char *text, size_t size, uint32_t *count, uint32_t *stride,
+int mo_champions_parse(const char *text, size_t size, struct mo_champions_request *asked,
                        struct mo_faults *faults)
 {
   static const struct mo_field champions[] = {
-      {"count", MO_FIELD_COUNT, 0, offsetof(struct counts, count), .min = 1,
+      {"count", MO_FIELD_COUNT, 0, offsetof(struct mo_champions_request, count), .min = 1,
        .max = MO_CHAMPIONS_MAX},
-      {"stride", MO_FIELD_COUNT, 0, offsetof(struct counts, stride), .min = 1,
+      {"record", MO_FIELD_OWN, 0, offsetof(struct mo_champions_request, record),
+       .own = &mo_channels_field},
+      {"stride", MO_FIELD_COUNT, 0, offsetof(struct mo_champions_request, stride), .min = 1,
        .max = MO_STEPS_MAX}};
-  static const struct mo_fields of_champions = {champions, 2};
-  struct counts counts = {.count = *count, .stride = *stride};
-  int error = mo_read_body(text, size, &of_champions, &counts, NULL, NULL, faults);
-  *count = counts.count;
-  *stride = counts.stride;
-  return error;
+  static const struct mo_fields of_champions = MO_FIELDS(champions);
+  return mo_read_body(text, size, &of_champions, asked, NULL, NULL, faults);
 }
 
 static int check_weight(struct mo_json *json, void *weight)

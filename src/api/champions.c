@@ -50,16 +50,16 @@ void mo_api_get_campaign_champions(struct mo_request *request)
 static int record(struct mo_request *request, struct mo_post *post)
 {
   struct mo_request_key known;
-  uint32_t count = 12, stride = 10;
+  struct mo_champions_request asked = {.count = 12, .stride = 10, .record = MO_RECORD_COM};
   int64_t id;
   if (!mo_path_job(request, &id))
     return MO_ERR_NOT_FOUND;
-  int error = mo_champions_parse(request->body, request->body_size, &count, &stride, &post->faults);
+  int error = mo_champions_parse(request->body, request->body_size, &asked, &post->faults);
   if (error != MO_OK)
     return error;
   post->parsed = true;
   post->what = "campaign";
-  error = mo_jobs_campaign_record_champions(mo_api_of(request)->jobs, id, count, stride,
+  error = mo_jobs_campaign_record_champions(mo_api_of(request)->jobs, id, &asked,
                                             mo_post_key_of(post, "champions", id, &known),
                                             &request->kept, &post->message);
   if (error == MO_ERR_NOT_FOUND || error == MO_ERR_CONFLICT)

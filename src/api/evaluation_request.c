@@ -4,36 +4,40 @@
 #include <string.h>
 
 #include "api/requests.h"
+#include "base/words.h"
 #include "rollout/physics.h"
 
-static void read_record(struct mo_json *json, void *value)
+static void read_channels(struct mo_json *json, void *value)
 {
-  struct mo_evaluation_request *request = value;
+  char list[MO_WORDS_BYTES];
   struct mo_json_slice what;
+  unsigned read = 0;
   if (!mo_json_array(json))
     return;
   while (mo_json_item(json)) {
+    unsigned i = 0;
     if (!mo_json_string(json, &what))
       continue;
-    bool *flag = mo_json_is(what, "com")      ? &request->record_com
-                 : mo_json_is(what, "masses") ? &request->record_masses
-                                              : NULL;
-    if (flag == NULL)
-      mo_json_fault(json, "\"com\" or \"masses\" is expected");
-    else if (*flag)
+    while (i < MO_CHANNELS && !mo_json_is(what, mo_channel_words[i]))
+      i++;
+    if (i == MO_CHANNELS)
+      mo_json_fault(json, "%s is expected", mo_words_list(mo_channel_words, list));
+    else if (read >> i & 1)
       mo_json_fault(json, "this is given twice");
     else
-      *flag = true;
+      read |= 1U << i;
   }
+  *(unsigned *)value = read;
 }
+
+const struct mo_field_own mo_channels_field = {.read = read_channels};
 
 #define AT(member) offsetof(struct mo_parsed_evaluation, member)
 static const char *const precision_words[] = {"float32", "float64", NULL};
-static const struct mo_field_own record = {.read = read_record};
 static const struct mo_field rollout_rows[] = {
     {"designs", MO_FIELD_OWN, 0, AT(parts), .own = &mo_designs_field},
     {"environments", MO_FIELD_OWN, 0, AT(parts), .own = &mo_environments_field},
-    {"record", MO_FIELD_OWN, 0, AT(request), .own = &record},
+    {"record", MO_FIELD_OWN, 0, AT(request.record), .own = &mo_channels_field},
     {"record_stride", MO_FIELD_COUNT, 0, AT(request.record_stride), .min = 1, .max = MO_STEPS_MAX,
      .unit = "steps", .help = "steps between frames"},
     {"physics", MO_FIELD_GROUP, 0, AT(request.physics), .group = &mo_physics_fields},

@@ -65,9 +65,14 @@ static void write_job(struct mo_text *text, const struct mo_job *job, const stru
   mo_text_name(text, "physics");
   mo_fields_write_object(text, &mo_physics_fields, &job->physics);
   mo_text_member(text, "precision", job->precision == MO_FLOAT64 ? "float64" : "float32");
-  mo_text_format(text, ",\"record\":[%s%s%s]", job->record_com ? "\"com\"" : "",
-                 job->record_com && job->record_masses ? "," : "",
-                 job->record_masses ? "\"masses\"" : "");
+  mo_text_name(text, "record");
+  mo_text_add(text, "[");
+  for (unsigned i = 0; i < MO_CHANNELS; i++)
+    if (job->record >> i & 1) {
+      mo_text_next(text);
+      mo_text_format(text, "\"%s\"", mo_channel_words[i]);
+    }
+  mo_text_add(text, "]");
   mo_text_member_count(text, "record_stride", job->record_stride > 0 ? job->record_stride : 1);
   mo_text_member_bool(text, "verify", job->verify);
   mo_text_member_count(text, "n_designs", job->n_designs);

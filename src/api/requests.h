@@ -57,6 +57,9 @@ void mo_read_words(const char *text, size_t size, const struct mo_fields *fields
 /* Reads a job's id from a string. what: "an evaluation". */
 bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id);
 
+/* The channels of a recording: an array of words, each once. */
+extern const struct mo_field_own mo_channels_field;
+
 /* ---- bodies ---- */
 
 /* All members of a submission, as tables; tests hold the contract to them. */
@@ -98,7 +101,7 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
 int mo_extension_parse(const char *text, size_t size, uint32_t *generations,
                        struct mo_faults *faults);
 #define MO_CHAMPIONS_MAX 1000
-int mo_champions_parse(const char *text, size_t size, uint32_t *count, uint32_t *stride,
+int mo_champions_parse(const char *text, size_t size, struct mo_champions_request *asked,
                        struct mo_faults *faults);
 int mo_weight_parse(const char *text, size_t size, double *weight, struct mo_faults *faults);
 

@@ -55,7 +55,7 @@ void mo_api_post_rollouts(struct mo_request *request)
     return;
   int error = mo_rollouts_parse(request->body, request->body_size, &parsed, &faults);
   if (form == 0) /* JSON has no recordings: make none */
-    parsed.request.record_com = parsed.request.record_masses = false;
+    parsed.request.record = 0;
   if (error != MO_OK)
     mo_reply_parse_error(request, error, &faults, "rollout");
   else if ((error = mo_jobs_roll(mo_api_of(request)->jobs, &parsed.request, &rollouts, &message)) !=

@@ -21,27 +21,64 @@ static void write_shape(struct mo_text *text, const struct mo_scene_array *array
 
 static void write_number(struct mo_text *text, const struct mo_scene_array *array, size_t i)
 {
-  if (array->width == sizeof(float))
+  const bool is_float = array->type[0] == 'f';
+  if (is_float && array->width == sizeof(double))
+    mo_text_json_number(text, ((const double *)array->numbers)[i]);
+  else if (is_float)
     mo_text_json_float(text, ((const float *)array->numbers)[i]);
-  else
+  else if (array->width == sizeof(uint16_t))
     mo_text_format(text, "%u", ((const uint16_t *)array->numbers)[i]);
+  else if (array->type[0] == 'i')
+    mo_text_format(text, "%d", ((const int8_t *)array->numbers)[i]);
+  else
+    mo_text_format(text, "%u", ((const uint8_t *)array->numbers)[i]);
 }
 
-/* Writes an array of two dimensions at most as JSON, row by row. */
+/* Writes an array as JSON: before a number and behind it the brackets of the rows that begin and
+ * end there. */
 static void write_rows(struct mo_text *text, const struct mo_scene_array *array)
 {
-  const uint32_t columns = array->dimensions > 1 ? array->shape[1] : 1;
-  mo_text_add(text, "[");
-  for (uint32_t i = 0; i < array->shape[0]; i++) {
+  size_t n = 1;
+  for (unsigned d = 0; d < array->dimensions; d++)
+    n *= array->shape[d];
+  if (n == 0)
+    mo_text_add(text, "[]");
+  for (size_t i = 0; i < n; i++) {
+    size_t rest = i, end = i + 1;
     mo_text_add(text, i > 0 ? "," : "");
-    mo_text_add(text, array->dimensions > 1 ? "[" : "");
-    for (uint32_t k = 0; k < columns; k++) {
-      mo_text_add(text, k > 0 ? "," : "");
-      write_number(text, array, (size_t)i * columns + k);
+    for (unsigned d = array->dimensions; d-- > 0 && rest % array->shape[d] == 0;) {
+      mo_text_add(text, "[");
+      rest /= array->shape[d];
     }
-    mo_text_add(text, array->dimensions > 1 ? "]" : "");
+    write_number(text, array, i);
+    for (unsigned d = array->dimensions; d-- > 0 && end % array->shape[d] == 0;) {
+      mo_text_add(text, "]");
+      end /= array->shape[d];
+    }
   }
-  mo_text_add(text, "]");
+}
+
+bool mo_scene_channel(const struct mo_recording *recording, enum mo_channel channel,
+                      uint32_t frames, uint32_t n_masses, uint32_t n_springs,
+                      struct mo_scene_array *array)
+{
+  const void *numbers = mo_recording_array(recording, channel);
+  const size_t width = mo_channel_width(channel);
+  switch (channel) {
+  case MO_RECORD_COM:
+    *array = (struct mo_scene_array){"com_m", "float64", numbers, width, {frames, 3}, 2};
+    break;
+  case MO_RECORD_MASSES:
+    *array =
+        (struct mo_scene_array){"masses_m", "float32", numbers, width, {frames, n_masses, 3}, 3};
+    break;
+  case MO_RECORD_ACTUATION:
+    *array = (struct mo_scene_array){"actuation", "int8", numbers, width, {frames, n_springs}, 2};
+    break;
+  case MO_RECORD_CONTACTS:
+    *array = (struct mo_scene_array){"contacts", "uint8", numbers, width, {frames, n_masses}, 2};
+  }
+  return numbers != NULL;
 }
 
 void mo_scene_write_array(struct mo_text *text, struct mo_text *arrays,
@@ -190,19 +227,11 @@ static void write_recording(struct mo_text *text, struct mo_text *arrays,
                             const struct mo_rollouts *rollouts, const struct mo_rolled *rolled,
                             const struct mo_body *body)
 {
-  if (rolled->recording.com_m != NULL)
-    mo_scene_write_array(
-        text, arrays,
-        &(struct mo_scene_array){
-            "com_m", "float64", rolled->recording.com_m, 8, {rollouts->n_frames, 3}, 2});
-  if (rolled->recording.mass_m != NULL)
-    mo_scene_write_array(text, arrays,
-                         &(struct mo_scene_array){"masses_m",
-                                                  "float32",
-                                                  rolled->recording.mass_m,
-                                                  4,
-                                                  {rollouts->n_frames, body->n_masses, 3},
-                                                  3});
+  struct mo_scene_array array;
+  for (unsigned i = 0; i < MO_CHANNELS; i++)
+    if (mo_scene_channel(&rolled->recording, (enum mo_channel)(1U << i), rollouts->n_frames,
+                         body->n_masses, body->n_springs, &array))
+      mo_scene_write_array(text, arrays, &array);
 }
 
 static int write_designs(struct mo_text *text, struct mo_text *arrays,

@@ -24,8 +24,12 @@ struct mo_scene_array {
   uint32_t shape[3];
   unsigned dimensions;
 };
+/* Describes a channel of a recording of `frames` frames. False: it is not recorded. */
+bool mo_scene_channel(const struct mo_recording *recording, enum mo_channel channel,
+                      uint32_t frames, uint32_t n_masses, uint32_t n_springs,
+                      struct mo_scene_array *array);
 /* Writes an array as a member of an object: described, with its numbers at the end of `arrays`, or,
- * where that is NULL, as JSON (two dimensions at most). */
+ * where that is NULL, as JSON. */
 void mo_scene_write_array(struct mo_text *text, struct mo_text *arrays,
                           const struct mo_scene_array *array);
 /* Writes the arrays of a body's geometry, as members of an object: masses, springs, rest_lengths_m,

@@ -1,57 +1,47 @@
-/* trajectories.c: recorded positions. */
+/* trajectories.c: what evaluations recorded. */
 #include <inttypes.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "api/handlers.h"
 #include "api/job_json.h"
+#include "api/scene.h"
 
-static void write_frames(struct mo_text *text, const struct mo_trajectory *t)
+/* Replies with one array, little-endian (the byte order of this machine: the build refuses others),
+ * and the center of mass as float32. */
+static void reply_binary(struct mo_request *request, const struct mo_trajectory *t,
+                         unsigned channel)
 {
-  const size_t numbers = (size_t)t->n_masses * 3;
-  if (t->com_m != NULL) {
-    mo_text_add(text, ",\"com_m\":[");
-    for (uint32_t f = 0; f < t->n_frames; f++) {
-      mo_text_next(text);
-      mo_json_numbers(text, &t->com_m[(size_t)f * 3], 3);
-    }
-    mo_text_add(text, "]");
+  struct mo_scene_array array;
+  char shape[64];
+  size_t n = 1, used = 0;
+  if (!mo_scene_channel(&t->recording, (enum mo_channel)(1U << channel), t->n_frames, t->n_masses,
+                        t->n_springs, &array)) {
+    mo_reply_error(request, MO_ERR_CORRUPT, "trajectory");
+    return;
   }
-  if (t->mass_m != NULL) {
-    mo_text_add(text, ",\"masses_m\":[");
-    for (uint32_t f = 0; f < t->n_frames; f++) {
-      const float *frame = &t->mass_m[f * numbers];
-      mo_text_add(text, f > 0 ? "],[" : "[");
-      for (size_t i = 0; i < numbers; i++) {
-        mo_text_add(text, i % 3 > 0 ? "," : i > 0 ? "],[" : "[");
-        mo_text_json_float(text, frame[i]);
-      }
-      mo_text_add(text, "]");
-    }
-    mo_text_add(text, "]]");
+  for (unsigned d = 0; d < array.dimensions; d++) {
+    n *= array.shape[d];
+    used +=
+        (size_t)snprintf(shape + used, sizeof(shape) - used, d > 0 ? ",%u" : "%u", array.shape[d]);
   }
-}
-
-/* Replies with one array as float32, little-endian (the byte order of this machine: the build
- * refuses others). */
-static void reply_binary(struct mo_request *request, const struct mo_trajectory *t, bool masses)
-{
-  size_t n = masses ? (size_t)t->n_frames * t->n_masses * 3 : (size_t)t->n_frames * 3;
-  float *numbers = malloc(n * sizeof(float));
-  if (numbers == NULL) {
+  const bool is_double = array.width == sizeof(double);
+  const size_t width = is_double ? sizeof(float) : array.width;
+  char *bytes = malloc(n * width);
+  if (bytes == NULL) {
     mo_reply_error(request, MO_ERR_NO_MEMORY, "trajectory");
     return;
   }
-  for (size_t i = 0; i < n; i++)
-    numbers[i] = masses ? t->mass_m[i] : (float)t->com_m[i];
-  mo_reply_bytes(request, 200, "application/octet-stream", (char *)numbers, n * sizeof(float));
-  mo_reply_extra(request, "Morphod-Array", "%s", masses ? "masses" : "com");
-  if (masses)
-    mo_reply_extra(request, "Morphod-Shape", "%u,%u,3", t->n_frames, t->n_masses);
-  else
-    mo_reply_extra(request, "Morphod-Shape", "%u,3", t->n_frames);
-  mo_reply_extra(request, "Morphod-Type", "float32-le");
-  mo_reply_extra(request, "Morphod-Stride", "%u", t->stride);
+  for (size_t i = 0; is_double && i < n; i++)
+    ((float *)(void *)bytes)[i] = (float)((const double *)array.numbers)[i];
+  if (!is_double)
+    memcpy(bytes, array.numbers, n * width);
+  mo_reply_bytes(request, 200, "application/octet-stream", bytes, n * width);
+  mo_reply_extra(request, "Morphod-Array", "%s", mo_channel_words[channel]);
+  mo_reply_extra(request, "Morphod-Shape", "%s", shape);
+  mo_reply_extra(request, "Morphod-Type", "%s", width == sizeof(float) ? "float32-le" : array.type);
+  mo_reply_extra(request, "Morphod-Stride", "%u", t->recording.stride);
   mo_reply_extra(request, "Morphod-Dt-S", "%.17g", t->dt_s);
 }
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the binary form is little-endian");
@@ -73,13 +63,12 @@ static void reply_missing(struct mo_request *request, const struct mo_job *job, 
 /* What the path and the query name. */
 struct place {
   int64_t evaluation, design, environment;
-  int array; /* 0: com, 1: masses, −1: any */
+  int array; /* of mo_channel_words; −1: any */
 };
 
 /* Reads the trajectory. NULL: the reply is made. */
 static struct mo_trajectory *read_trajectory(struct mo_request *request, struct place *place)
 {
-  static const char *const arrays[] = {"com", "masses", NULL};
   struct mo_store *store = mo_api_of(request)->store;
   const char *design = request->parameters[1];
   *place = (struct place){.array = -1};
@@ -91,7 +80,7 @@ static struct mo_trajectory *read_trajectory(struct mo_request *request, struct 
     return NULL;
   }
   if (!mo_query_number(request, "environment", 0, MO_ENVIRONMENTS_MAX - 1, &place->environment) ||
-      !mo_query_word(request, "array", arrays, &place->array))
+      !mo_query_word(request, "array", mo_channel_words, &place->array))
     return NULL;
   const uint32_t d = (uint32_t)place->design, k = (uint32_t)place->environment;
   struct mo_trajectory *trajectory = NULL;
@@ -102,9 +91,9 @@ static struct mo_trajectory *read_trajectory(struct mo_request *request, struct 
   else if (d >= job.n_designs || k >= job.n_environments)
     mo_reply_problem(request, 404, NULL, "The evaluation has %u designs and %u environments.",
                      job.n_designs, job.n_environments);
-  else if (!job.record_com && !job.record_masses)
+  else if (job.record == 0)
     mo_reply_problem(request, 404, NULL, "The evaluation did not ask for a recording.");
-  else if ((place->array == 1 && !job.record_masses) || (place->array == 0 && !job.record_com))
+  else if (place->array >= 0 && !(job.record >> place->array & 1))
     mo_reply_problem(request, 404, NULL,
                      "The evaluation did not ask for a recording of this array.");
   else if ((error = mo_store_trajectory(store, place->evaluation, d, k, &trajectory)) != MO_OK)
@@ -115,6 +104,7 @@ static struct mo_trajectory *read_trajectory(struct mo_request *request, struct 
 void mo_api_get_trajectory(struct mo_request *request)
 {
   struct mo_text text = {0};
+  struct mo_scene_array array;
   struct place place;
   struct mo_trajectory *trajectory = read_trajectory(request, &place);
   if (trajectory == NULL)
@@ -123,16 +113,28 @@ void mo_api_get_trajectory(struct mo_request *request)
   mo_text_member_id(&text, "evaluation", place.evaluation);
   mo_text_member_count(&text, "design", (uint64_t)place.design);
   mo_text_member_count(&text, "environment", (uint64_t)place.environment);
-  mo_text_member_count(&text, "stride", trajectory->stride);
+  mo_text_member_count(&text, "stride", trajectory->recording.stride);
   mo_text_member_count(&text, "frames", trajectory->n_frames);
   mo_text_member_number(&text, "dt_s", trajectory->dt_s);
-  write_frames(&text, trajectory);
+  for (unsigned i = 0; i < MO_CHANNELS; i++)
+    if (mo_scene_channel(&trajectory->recording, (enum mo_channel)(1U << i), trajectory->n_frames,
+                         trajectory->n_masses, trajectory->n_springs, &array))
+      mo_scene_write_array(&text, NULL, &array);
   mo_text_add(&text, "}");
   mo_reply_json(request, 200, &text);
   mo_reply_etag(request, "%" PRIx64 "-trajectory-%" PRId64 "-%" PRId64 "-%" PRId64,
                 mo_store_id(mo_api_of(request)->store), place.evaluation, place.design,
                 place.environment);
   mo_trajectory_free(trajectory);
+}
+
+/* The array of a file where the query names none: masses, else the first that is recorded. */
+static unsigned usual_array(const struct mo_recording *recording)
+{
+  unsigned i = recording->mass_m != NULL ? 1 : 0;
+  while (i + 1 < MO_CHANNELS && mo_recording_array(recording, (enum mo_channel)(1U << i)) == NULL)
+    i++;
+  return i;
 }
 
 void mo_api_get_trajectory_file(struct mo_request *request)
@@ -146,7 +148,8 @@ void mo_api_get_trajectory_file(struct mo_request *request)
   struct mo_trajectory *trajectory = read_trajectory(request, &place);
   if (trajectory == NULL)
     return;
-  reply_binary(request, trajectory, place.array != 0 && trajectory->mass_m != NULL);
+  reply_binary(request, trajectory,
+               place.array >= 0 ? (unsigned)place.array : usual_array(&trajectory->recording));
   if (request->reply.status == 200)
     mo_reply_etag(request, "%" PRIx64 "-file-%" PRId64 "-%" PRId64 "-%" PRId64 "-%s",
                   mo_store_id(mo_api_of(request)->store), place.evaluation, place.design,

@@ -144,8 +144,9 @@ static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_statu
 
 static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_status *status,
                             const struct mo_sha256 *sha256, const struct mo_bits *genotypes,
-                            uint32_t n, uint32_t stride, const struct mo_request_key *key,
-                            int64_t *evaluation, struct mo_message *message)
+                            uint32_t n, const struct mo_champions_request *asked,
+                            const struct mo_request_key *key, int64_t *evaluation,
+                            struct mo_message *message)
 {
   const struct mo_campaign_record *record = &status->record;
   struct mo_environment *environments = NULL;
@@ -159,8 +160,8 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
       .physics = record->settings.physics,
       .precision = MO_FLOAT32,
       .priority = -1,
-      .record_com = true,
-      .record_stride = stride};
+      .record = asked->record,
+      .record_stride = asked->stride};
   int error = MO_OK;
   if (key != NULL) {
     request.idempotency_key = key->text;
@@ -178,7 +179,8 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
   return error == MO_ERR_CONFLICT ? MO_ERR_DUPLICATE : error;
 }
 
-int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t m, uint32_t stride,
+int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
+                                      const struct mo_champions_request *request,
                                       const struct mo_request_key *key, int64_t *evaluation,
                                       struct mo_message *message)
 {
@@ -188,6 +190,7 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t
   struct mo_sha256 sha256;
   char name[MO_NAME_BYTES_MAX + 1];
   bool created = false;
+  const uint32_t m = request->count;
   uint32_t n = 0;
   int error;
   if (m < 1 || m > MO_DESIGNS_MAX)
@@ -214,7 +217,7 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t
     (void)mo_fail(message, error, "the champions cannot be recorded: %s", mo_error_text(error));
   else
     error =
-        submit_recording(jobs, &status, &sha256, genotypes, n, stride, key, evaluation, message);
+        submit_recording(jobs, &status, &sha256, genotypes, n, request, key, evaluation, message);
   if (created) /* the evaluation refers to the file by its hash */
     (void)mo_store_controller_remove(jobs->store, name);
   free(rows);

@@ -39,12 +39,17 @@ int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generatio
 int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generation, uint32_t m,
                                struct mo_campaign_design *rows, double *distinctiveness,
                                uint32_t *n);
+struct mo_champions_request {
+  uint32_t count, stride; /* 1 … MO_DESIGNS_MAX, steps between frames */
+  unsigned record;        /* channels */
+};
 /* Submits an evaluation of the newest generation's champions in the campaign's environments that
- * records the center of mass every `stride` steps. The controller is the one that scored the
+ * records them. The controller is the one that scored the
  * champions; in a campaign that learns, its newest checkpoint is stored as a controller, by hash.
  * key (nullable): a known key returns its evaluation; MO_ERR_DUPLICATE: the key was used with
  * another request. */
-int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t m, uint32_t stride,
+int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
+                                      const struct mo_champions_request *request,
                                       const struct mo_request_key *key, int64_t *evaluation,
                                       struct mo_message *message);
 

@@ -269,7 +269,7 @@ static bool fill(struct mo_evaluations *all, struct mo_active *active)
 {
   unsigned budget = DESIGNS_A_ROUND;
   while (!active->detached && !active->finishing && active->n_flights < active->window &&
-         !(mo_job_records(&active->work->job) && mo_saver_is_full(all)) &&
+         !(active->work->job.record != 0 && mo_saver_is_full(all)) &&
          mo_active_advance(all, active, &budget))
     ;
   return budget == 0;

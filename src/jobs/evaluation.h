@@ -112,10 +112,6 @@ bool mo_saver_is_full(const struct mo_evaluations *all);
 bool mo_saver_is_behind(const struct mo_evaluations *all);
 
 /* ---- evaluation_blocks.c ---- */
-static inline bool mo_job_records(const struct mo_job *job)
-{
-  return job->record_com || job->record_masses;
-}
 /* Visits designs of `active` until a block is submitted. false: `budget` designs were visited, no
  * cell is to do, or the job has failed. */
 bool mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsigned *budget);

@@ -144,10 +144,8 @@ static void finish_known(struct mo_evaluations *all, struct mo_active *active, u
 
 static void free_flight(struct mo_evaluations *all, struct flight *flight)
 {
-  for (uint32_t i = 0; i < flight->flight.block.n_environments; i++) {
-    free(flight->recordings[i].com_m);
-    free(flight->recordings[i].mass_m);
-  }
+  for (uint32_t i = 0; i < flight->flight.block.n_environments; i++)
+    mo_recording_free(&flight->recordings[i]);
   all->recording_bytes -= flight->recorded_bytes;
   mo_body_free(flight->body);
   free(flight);
@@ -186,20 +184,12 @@ static int prepare_recording(struct mo_evaluations *all, const struct mo_job *jo
   block->recordings = flight->recordings;
   flight->recorded_bytes =
       (uint64_t)block->n_environments * frames *
-      ((job->record_com ? 24 : 0) + (job->record_masses ? flight->body->n_masses * 12 : 0));
+      mo_recording_frame_bytes(job->record, flight->body->n_masses, flight->body->n_springs);
   all->recording_bytes += flight->recorded_bytes;
-  for (uint32_t i = 0; i < block->n_environments; i++) {
-    struct mo_recording *recording = &flight->recordings[i];
-    recording->stride = job->record_stride;
-    if (job->record_com)
-      recording->com_m = calloc((size_t)frames * 3, sizeof(double));
-    if (job->record_masses)
-      recording->mass_m = calloc((size_t)frames * flight->body->n_masses * 3, sizeof(float));
-    if ((job->record_com && recording->com_m == NULL) ||
-        (job->record_masses && recording->mass_m == NULL))
-      return MO_ERR_NO_MEMORY;
-  }
-  return MO_OK;
+  for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++)
+    error = mo_recording_create(&flight->recordings[i], job->record, job->record_stride, frames,
+                                flight->body->n_masses, flight->body->n_springs);
+  return error;
 }
 
 /* Adds a cell to the block of its design, unless that is full. */
@@ -263,7 +253,7 @@ static int advance_design(struct mo_evaluations *all, struct mo_active *active, 
     else if (!shares || !defer(all, active, design, k)) /* the block may have it already */
       error = join_flight(all, active, design, k, &flight);
   }
-  if (flight != NULL && error == MO_OK && mo_job_records(&active->work->job))
+  if (flight != NULL && error == MO_OK && active->work->job.record != 0)
     error = prepare_recording(all, &active->work->job, flight);
   if (flight != NULL && flight->flight.block.n_environments > 0 && (shares || error == MO_OK))
     launch(all, flight);
@@ -303,18 +293,16 @@ static int save_recording(struct mo_evaluations *all, struct flight *flight, uin
   struct mo_saved_trajectory saved = {.job = flight->owner->id,
                                       .design_position = flight->flight.design,
                                       .environment_position = flight->flight.places[i],
-                                      .stride = flight->recordings[i].stride,
                                       .frames = flight->frames,
                                       .n_masses = flight->body->n_masses,
+                                      .n_springs = flight->body->n_springs,
                                       .diverged_step =
                                           flight->flight.block.outcomes[i].diverged_step,
-                                      .com_m = flight->recordings[i].com_m,
-                                      .mass_m = flight->recordings[i].mass_m};
+                                      .recording = flight->recordings[i]};
   if (mo_pending_add(all, &all->pending.trajectories, &saved, sizeof(saved)) == NULL)
     return MO_ERR_NO_MEMORY;
   all->pending.recorded_bytes += flight->recorded_bytes / flight->flight.block.n_environments;
-  flight->recordings[i].com_m = NULL; /* the save owns the arrays now */
-  flight->recordings[i].mass_m = NULL;
+  flight->recordings[i] = (struct mo_recording){0}; /* the save owns the arrays now */
   return MO_OK;
 }
 

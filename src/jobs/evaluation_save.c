@@ -75,13 +75,11 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
 /* Empties the batch but keeps its arrays. */
 void mo_pending_clear(struct mo_pending *pending)
 {
-  const struct mo_saved_trajectory *trajectories = pending->trajectories.rows;
+  struct mo_saved_trajectory *trajectories = pending->trajectories.rows;
   struct mo_rows *const arrays[] = {&pending->scores, &pending->trajectories, &pending->designs,
                                     &pending->updates, &pending->owners};
-  for (size_t i = 0; i < pending->trajectories.n; i++) {
-    free((void *)trajectories[i].com_m);
-    free((void *)trajectories[i].mass_m);
-  }
+  for (size_t i = 0; i < pending->trajectories.n; i++)
+    mo_recording_free(&trajectories[i].recording);
   for (size_t i = 0; i < sizeof(arrays) / sizeof(arrays[0]); i++)
     arrays[i]->n = 0;
   pending->rollouts = NULL;

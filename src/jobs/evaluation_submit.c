@@ -30,7 +30,9 @@ static int check_request(const struct mo_evaluation_request *request, struct mo_
     return mo_fail(message, MO_ERR_INVALID, "no such precision");
   if (request->priority < -1 || request->priority > MO_INTERACTIVE)
     return mo_fail(message, MO_ERR_INVALID, "no such priority");
-  if ((request->record_com || request->record_masses) &&
+  if (request->record >> MO_CHANNELS != 0)
+    return mo_fail(message, MO_ERR_INVALID, "no such channel of a recording");
+  if (request->record != 0 &&
       (request->record_stride < 1 || request->record_stride > request->physics.n_steps))
     return mo_fail(message, MO_ERR_RANGE,
                    "the stride of a recording is 1 to the number of steps (%u), not %u",
@@ -49,9 +51,8 @@ static int check_recording(struct mo_jobs *jobs, const struct mo_submission *sub
     int error = mo_design_size(jobs->lattice, submission->genotypes[i].words, &size);
     if (error != MO_OK)
       return error;
-    bytes += (uint64_t)((submission->record_com ? 24 : 0) +
-                        (submission->record_masses ? size.masses * 12 : 0)) *
-             frames * submission->n_environments;
+    bytes += mo_recording_frame_bytes(submission->record, size.masses, size.springs) * frames *
+             submission->n_environments;
   }
   if (bytes > jobs->config.max_recorded_bytes)
     return mo_fail(message, MO_ERR_LIMIT,
@@ -96,33 +97,30 @@ static int choose(const struct mo_jobs *jobs, const struct mo_evaluation_request
   if (error != MO_OK)
     return mo_fail(message, error, "%s", mo_error_text(error));
   submission->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
-  return mo_back_end_choose(jobs, request->back_end,
-                            submission->priority == MO_BATCH && request->precision == MO_FLOAT32 &&
-                                !request->record_com && !request->record_masses,
-                            n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, &submission->back_end,
-                            message);
+  return mo_back_end_choose(
+      jobs, request->back_end,
+      submission->priority == MO_BATCH && request->precision == MO_FLOAT32 && request->record == 0,
+      n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, &submission->back_end, message);
 }
 
 int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                               int64_t *id, bool *replayed, struct mo_message *message)
 {
-  const bool records = request->record_com || request->record_masses;
-  struct mo_submission submission = {.n_designs = request->n_designs,
-                                     .environment_set = request->environment_set,
-                                     .environments = request->environments,
-                                     .n_environments = request->n_environments,
-                                     .controller = request->controller != NULL ? request->controller
-                                                                               : "default",
-                                     .physics = request->physics,
-                                     .precision = request->precision,
-                                     .weight = request->weight,
-                                     .label = request->label,
-                                     .verify = request->verify,
-                                     .record_com = request->record_com,
-                                     .record_masses = request->record_masses,
-                                     .record_stride = records ? request->record_stride : 1,
-                                     .idempotency_key = request->idempotency_key,
-                                     .body_sha256 = request->body_sha256};
+  struct mo_submission submission = {
+      .n_designs = request->n_designs,
+      .environment_set = request->environment_set,
+      .environments = request->environments,
+      .n_environments = request->n_environments,
+      .controller = request->controller != NULL ? request->controller : "default",
+      .physics = request->physics,
+      .precision = request->precision,
+      .weight = request->weight,
+      .label = request->label,
+      .verify = request->verify,
+      .record = request->record,
+      .record_stride = request->record != 0 ? request->record_stride : 1,
+      .idempotency_key = request->idempotency_key,
+      .body_sha256 = request->body_sha256};
   struct mo_submitting submitting = {.kind = MO_JOB_EVALUATION,
                                      .n_jobs = 1,
                                      .weight = request->weight,
@@ -145,7 +143,7 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
   submission.genotypes = placed.genotypes;
   if (error == MO_OK)
     error = choose(jobs, request, &submission, message);
-  if (error == MO_OK && records)
+  if (error == MO_OK && submission.record != 0)
     error = check_recording(jobs, &submission, message);
   submitting.rollouts = (uint64_t)submission.n_designs * submission.n_environments;
   if (error == MO_OK)

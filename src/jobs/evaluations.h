@@ -23,7 +23,8 @@ struct mo_evaluation_request {
   int back_end;      /* enum mo_back_end or MO_BACK_END_AUTO */
   double weight;     /* MO_WEIGHT_MIN … MO_WEIGHT_MAX; 0: 1 */
   const char *label; /* nullable */
-  bool verify, record_com, record_masses;
+  bool verify;
+  unsigned record;              /* channels */
   uint32_t record_stride;       /* 1 … n_steps; ignored when nothing is recorded */
   const char *idempotency_key;  /* nullable; ≤ MO_IDEMPOTENCY_BYTES_MAX */
   struct mo_sha256 body_sha256; /* hash of the request's bytes; used with a key */

@@ -16,10 +16,8 @@ void mo_rollouts_free(struct mo_rollouts *rollouts)
   for (uint32_t i = 0; rollouts->designs != NULL && i < rollouts->n_designs; i++)
     mo_body_free(rollouts->designs[i].body);
   for (uint32_t i = 0;
-       rollouts->rollouts != NULL && i < rollouts->n_designs * rollouts->n_environments; i++) {
-    free(rollouts->rollouts[i].recording.com_m);
-    free(rollouts->rollouts[i].recording.mass_m);
-  }
+       rollouts->rollouts != NULL && i < rollouts->n_designs * rollouts->n_environments; i++)
+    mo_recording_free(&rollouts->rollouts[i].recording);
   free(rollouts->designs);
   free(rollouts->environments);
   free(rollouts->rollouts);
@@ -77,16 +75,16 @@ static int take_designs(struct mo_jobs *jobs, const struct mo_evaluation_request
 static int check_size(const struct mo_evaluation_request *request,
                       const struct mo_rollouts *rollouts, struct mo_message *message)
 {
-  const uint64_t frame_masses = request->record_masses ? 12 : 0;
   uint64_t springs = 0, bytes = 0;
   if ((uint64_t)rollouts->n_designs * rollouts->n_environments > MO_ROLLOUTS_MAX)
     return mo_fail(message, MO_ERR_LIMIT,
                    "at most %d rollouts are computed at once; submit an evaluation for more",
                    MO_ROLLOUTS_MAX);
   for (uint32_t i = 0; i < rollouts->n_designs; i++) {
-    springs += rollouts->designs[i].body->n_springs;
-    bytes += (24 + frame_masses * rollouts->designs[i].body->n_masses) * rollouts->n_frames *
-             rollouts->n_environments;
+    const struct mo_body *body = rollouts->designs[i].body;
+    springs += body->n_springs;
+    bytes += mo_recording_frame_bytes(request->record, body->n_masses, body->n_springs) *
+             rollouts->n_frames * rollouts->n_environments;
   }
   if (!mo_is_short(rollouts->n_designs, springs, rollouts->n_environments, &request->physics,
                    request->precision))
@@ -106,22 +104,14 @@ static int prepare_recordings(const struct mo_evaluation_request *request,
 {
   const uint32_t n = rollouts->n_environments;
   rollouts->rollouts = calloc((size_t)rollouts->n_designs * n, sizeof(*rollouts->rollouts));
-  if (rollouts->rollouts == NULL)
-    return MO_ERR_NO_MEMORY;
-  for (uint32_t i = 0; i < rollouts->n_designs; i++)
-    for (uint32_t k = 0; k < n; k++) {
-      const uint32_t n_masses = rollouts->designs[i].body->n_masses;
-      struct mo_recording *recording = &rollouts->rollouts[i * n + k].recording;
-      recording->stride = request->record_stride;
-      if (request->record_com)
-        recording->com_m = malloc((size_t)rollouts->n_frames * 3 * sizeof(double));
-      if (request->record_masses)
-        recording->mass_m = malloc((size_t)rollouts->n_frames * n_masses * 3 * sizeof(float));
-      if ((request->record_com && recording->com_m == NULL) ||
-          (request->record_masses && recording->mass_m == NULL))
-        return MO_ERR_NO_MEMORY;
-    }
-  return MO_OK;
+  int error = rollouts->rollouts != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < rollouts->n_designs * n && error == MO_OK; i++) {
+    const struct mo_body *body = rollouts->designs[i / n].body;
+    error = mo_recording_create(&rollouts->rollouts[i].recording, request->record,
+                                request->record_stride, rollouts->n_frames, body->n_masses,
+                                body->n_springs);
+  }
+  return error;
 }
 
 /* ---- computing ---- */
@@ -136,7 +126,6 @@ static void fill_block(const struct mo_evaluation_request *request, struct mo_ro
                        struct mo_loaded *controller, uint32_t design, uint32_t first,
                        struct part *part, struct mo_block *block)
 {
-  const bool records = request->record_com || request->record_masses;
   const uint32_t left = rollouts->n_environments - first;
   part->first = design * rollouts->n_environments + first;
   *block = (struct mo_block){.body = rollouts->designs[design].body,
@@ -145,7 +134,7 @@ static void fill_block(const struct mo_evaluation_request *request, struct mo_ro
                              .physics = request->physics,
                              .precision = request->precision,
                              .urgency = MO_INTERACTIVE,
-                             .recordings = records ? part->recordings : NULL,
+                             .recordings = request->record != 0 ? part->recordings : NULL,
                              .tag = -1};
   for (uint32_t k = 0; k < block->n_environments; k++) {
     block->environments[k] = &rollouts->environments[first + k];

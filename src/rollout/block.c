@@ -50,6 +50,7 @@ static size_t lay_out(struct mo_fast_run *run, char *base)
   run->spring_ends = carve(&carver, n_springs * 2, sizeof(uint32_t));
   run->spring_rest = carve(&carver, n_springs, real);
   run->activation = carve(&carver, 2 * MO_LANES * panel, real);
+  run->contacts = carve(&carver, n_masses, sizeof(uint32_t));
   run->terrain = carve(&carver, (size_t)MO_LANES * MO_CELLS * 4, real);
   if (!pack->passive) {
     run->sensor = carve(&carver, n_masses * MO_LANES, real);

@@ -142,7 +142,7 @@ static void strike(const struct mo_physics *physics, const double gradient[2], d
     v[axis] *= scale;
 }
 
-void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
+bool mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
                      double highest_m, double position_m[3], double velocity_m_per_s[3])
 {
   const double dt = physics->dt_s;
@@ -151,7 +151,7 @@ void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO
   if (next[2] >= highest_m || !(next[2] < mo_terrain_height(heights_m, next[0], next[1]))) {
     for (int axis = 0; axis < 3; axis++)
       p[axis] = next[axis];
-    return;
+    return false;
   }
   const double impact = physics->impact == MO_IMPACT_EXACT
                             ? mo_impact_exact(heights_m, p, v, dt)
@@ -166,6 +166,7 @@ void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO
   for (int axis = 0; axis < 3; axis++)
     p[axis] += rest * v[axis];
   p[2] = fmax(p[2], mo_terrain_height(heights_m, p[0], p[1]));
+  return true;
 }
 
 /* ---- the way back: dx is ∂loss/∂x; every contribution is added ---- */

@@ -2,6 +2,8 @@
 #ifndef MORPHO_ROLLOUT_CONTACT_H
 #define MORPHO_ROLLOUT_CONTACT_H
 
+#include <stdbool.h>
+
 #include <morpho/rollout.h>
 
 /* Return when, in [0, dt], a mass that leaves `position` with `velocity` first comes below the
@@ -11,8 +13,9 @@ double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double 
 double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
                            const double velocity_m_per_s[3], double dt_s, uint32_t bisections);
 
-/* Moves a mass for one step; `highest_m` is the terrain's largest height. */
-void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
+/* Moves a mass for one step; `highest_m` is the terrain's largest height. Returns whether it
+ * touched the terrain. */
+bool mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
                      double highest_m, double position_m[3], double velocity_m_per_s[3]);
 
 /* Differentiates mo_contact_move at the given position and velocity. d_position, d_velocity: in,

@@ -67,6 +67,8 @@ struct mo_fast_run {
   void *hidden;          /* (2, lanes, 256) */
   void *activation;      /* (lanes, panel), then (panel, lanes) */
   void *terrain;         /* (lanes, MO_CELLS, 4) */
+  uint32_t *contacts;    /* (n_masses) bits of the lanes that touched the terrain in a step that
+                            ends at a frame; of other steps anything */
 };
 
 /* ---- gradients ---- */

@@ -106,8 +106,3 @@ int mo_physics_check(const struct mo_physics *physics, struct mo_message *messag
 {
   return mo_fields_check(&mo_physics_fields, physics, message);
 }
-
-uint32_t mo_recording_frames(const struct mo_physics *physics, uint32_t stride)
-{
-  return stride > 0 ? physics->n_steps / stride + 1 : 0;
-}

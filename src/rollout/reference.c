@@ -82,8 +82,8 @@ static void move_masses(struct mo_reference *r)
       v[axis] = keep * v[axis] + r->impulse_n_s[3 * (size_t)i + axis] / physics->mass_kg;
     v[2] -= physics->gravity_m_per_s2 * physics->dt_s;
     memcpy(r->tape->velocity_m_per_s + 3 * (size_t)i, v, 3 * sizeof(double));
-    mo_contact_move(physics, r->environment->terrain_heights_m, r->highest_m,
-                    r->position_m + 3 * (size_t)i, v);
+    r->contacts[i] = mo_contact_move(physics, r->environment->terrain_heights_m, r->highest_m,
+                                     r->position_m + 3 * (size_t)i, v);
   }
 }
 
@@ -122,8 +122,9 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
     return MO_ERR_INVALID;
   const size_t n = 3 * (size_t)body->n_masses,
                tape =
-                   controller != NULL ? mo_controller_tape_doubles(controller, body->n_springs) : 0;
-  double *memory = calloc(5 * n + tape, sizeof(double));
+                   controller != NULL ? mo_controller_tape_doubles(controller, body->n_springs) : 0,
+               contacts = (body->n_masses + sizeof(double) - 1) / sizeof(double);
+  double *memory = calloc(5 * n + tape + contacts, sizeof(double));
   if (memory == NULL)
     return MO_ERR_NO_MEMORY;
   *reference =
@@ -135,6 +136,7 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
                             .position_m = memory,
                             .velocity_m_per_s = memory + n,
                             .impulse_n_s = memory + 2 * n,
+                            .contacts = (uint8_t *)(memory + 5 * n + tape),
                             .own = {memory + 3 * n, memory + 4 * n, {0}},
                             .tape = &reference->own};
   if (controller != NULL)
@@ -168,6 +170,7 @@ void mo_reference_run(struct mo_reference *r, void (*visit)(void *context, uint3
 struct recorder {
   struct mo_reference reference;
   const struct mo_recording *recording; /* NULL: none */
+  const struct mo_outcome *outcome;
 };
 
 static void record(void *context, uint32_t step)
@@ -183,13 +186,22 @@ static void record(void *context, uint32_t step)
   if (recording->mass_m != NULL)
     for (size_t k = 0; k < n; k++)
       recording->mass_m[frame * n + k] = (float)r->position_m[k];
+  const bool moves = step > 0 && recorder->outcome->diverged_step == 0;
+  const uint32_t n_masses = r->body->n_masses, n_springs = r->body->n_springs;
+  if (recording->actuation != NULL)
+    for (uint32_t s = 0; s < n_springs; s++)
+      recording->actuation[frame * n_springs + s] =
+          moves && r->controller != NULL ? mo_scene_actuation(r->tape->control.output[s]) : 0;
+  if (recording->contacts != NULL)
+    for (uint32_t m = 0; m < n_masses; m++)
+      recording->contacts[frame * n_masses + m] = moves && r->contacts[m];
 }
 
 int mo_rollout_reference(const struct mo_body *body, const struct mo_controller *controller,
                          const struct mo_environment *environment, const struct mo_physics *physics,
                          const struct mo_recording *recording, struct mo_outcome *outcome)
 {
-  struct recorder recorder = {.recording = recording};
+  struct recorder recorder = {.recording = recording, .outcome = outcome};
   const int r = mo_reference_init(&recorder.reference, body, controller, environment, physics);
   if (r < 0)
     return r;

@@ -26,6 +26,7 @@ struct mo_reference {
   double *position_m;        /* (n_masses, 3) */
   double *velocity_m_per_s;  /* (n_masses, 3) */
   double *impulse_n_s;       /* (n_masses, 3) of the last step's springs */
+  uint8_t *contacts;         /* (n_masses) 1: touched the terrain in the last step */
   struct mo_step_tape own;   /* its `control` is empty without a controller */
   struct mo_step_tape *tape; /* of the next step; at first `own` */
 };

@@ -3,6 +3,8 @@
 #ifndef MORPHO_ROLLOUT_SCENE_H
 #define MORPHO_ROLLOUT_SCENE_H
 
+#include <math.h>
+
 #include <morpho/rollout.h>
 
 /* Computes start positions (n_masses, 3): the workspace centered at (2.5, 2.5) m, lifted by the
@@ -15,6 +17,12 @@ void mo_scene_light(const struct mo_environment *environment, double light_m[3])
 
 /* Computes the plain mean of n positions (n, 3), summed in order. */
 void mo_scene_com(const double *position_m, uint32_t n, double com_m[3]);
+
+/* Returns a controller's output as recordings have it. */
+static inline int8_t mo_scene_actuation(double output)
+{
+  return (int8_t)lrint(127 * fmax(-1, fmin(1, output)));
+}
 
 /* Returns the length of (dx, dy), within one unit of the last place. C libraries' hypot may differ
  * in that place; this has the same bits everywhere, on which losses and the clipping of a training

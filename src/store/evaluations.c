@@ -171,44 +171,51 @@ int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_re
 
 /* ---- trajectories ---- */
 
+/* Columns 4 to 7 of a row have the channels, in their order. */
+#define FIRST_CHANNEL 4
+
 static int read_trajectory(sqlite3_stmt *row, void *any)
 {
   struct mo_trajectory *trajectory = any;
-  const uint32_t frames = mo_column_u32(row, 1), n_masses = mo_column_u32(row, 2);
-  const size_t n_com = (size_t)frames * 3, n_mass = (size_t)frames * n_masses * 3;
-  const uint8_t *com = sqlite3_column_blob(row, 3), *masses = sqlite3_column_blob(row, 4);
   struct mo_physics physics;
   enum mo_precision precision;
   enum mo_sensor sensor;
-  const int error = mo_column_physics(row, 5, &physics, &precision, &sensor);
-  if (error != MO_OK || (com != NULL && (size_t)sqlite3_column_bytes(row, 3) != n_com * 8) ||
-      (masses != NULL && (size_t)sqlite3_column_bytes(row, 4) != n_mass * 4))
+  unsigned channels = 0;
+  int error = mo_column_physics(row, 3, &physics, &precision, &sensor);
+  if (error != MO_OK)
     return MO_ERR_CORRUPT;
-  if ((sqlite3_column_type(row, 3) != SQLITE_NULL) != (com != NULL) ||
-      (sqlite3_column_type(row, 4) != SQLITE_NULL) != (masses != NULL))
-    return MO_ERR_NO_MEMORY; /* a long BLOB is copied */
   trajectory->dt_s = physics.dt_s;
-  trajectory->stride = mo_column_u32(row, 0);
-  trajectory->n_frames = frames;
-  trajectory->n_masses = n_masses;
-  if (com != NULL)
-    trajectory->com_m = malloc(n_com * sizeof(double));
-  if (masses != NULL)
-    trajectory->mass_m = malloc(n_mass * sizeof(float));
-  if ((com != NULL && trajectory->com_m == NULL) || (masses != NULL && trajectory->mass_m == NULL))
-    return MO_ERR_NO_MEMORY;
-  if (com != NULL)
-    memcpy(trajectory->com_m, com, n_com * 8);
-  if (masses != NULL)
-    memcpy(trajectory->mass_m, masses, n_mass * 4);
-  return MO_OK;
+  trajectory->n_frames = mo_column_u32(row, 1);
+  trajectory->n_masses = mo_column_u32(row, 2);
+  for (int i = 0; i < MO_CHANNELS; i++)
+    channels |= (unsigned)(sqlite3_column_type(row, FIRST_CHANNEL + i) != SQLITE_NULL) << i;
+  if ((channels & MO_RECORD_ACTUATION) && trajectory->n_frames > 0)
+    trajectory->n_springs =
+        (uint32_t)sqlite3_column_bytes(row, FIRST_CHANNEL + 2) / trajectory->n_frames;
+  error = mo_recording_create(&trajectory->recording, channels, mo_column_u32(row, 0),
+                              trajectory->n_frames, trajectory->n_masses, trajectory->n_springs);
+  for (int i = 0; i < MO_CHANNELS && error == MO_OK; i++) {
+    const enum mo_channel channel = (enum mo_channel)(channels & 1U << i);
+    const uint64_t bytes =
+        trajectory->n_frames *
+        mo_recording_frame_bytes(channel, trajectory->n_masses, trajectory->n_springs);
+    const void *blob = sqlite3_column_blob(row, FIRST_CHANNEL + i);
+    if ((uint64_t)sqlite3_column_bytes(row, FIRST_CHANNEL + i) != bytes)
+      return MO_ERR_CORRUPT;
+    if (blob != NULL)
+      memcpy(mo_recording_array(&trajectory->recording, channel), blob, bytes);
+    else if (bytes > 0)
+      error = MO_ERR_NO_MEMORY; /* a long BLOB is copied */
+  }
+  return error;
 }
 
 int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t k,
                         struct mo_trajectory **ret)
 {
   static const char sql[] =
-      "SELECT t.stride,t.frames,t.n_masses,t.com,t.masses,p.encoding FROM trajectories t"
+      "SELECT t.stride,t.frames,t.n_masses,p.encoding,t.com,t.masses,t.actuation,t.contacts"
+      " FROM trajectories t"
       " JOIN evaluations e ON e.job=t.job JOIN physics p ON p.id=e.physics"
       " WHERE t.job=?1 AND t.position=?2 AND t.environment=?3";
   struct mo_trajectory *trajectory = calloc(1, sizeof(*trajectory));

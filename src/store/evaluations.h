@@ -22,7 +22,8 @@ struct mo_submission {
   enum mo_back_end back_end;
   double weight;     /* 0: 1 */
   const char *label; /* nullable */
-  bool verify, record_com, record_masses;
+  bool verify;
+  unsigned record; /* channels */
   uint32_t record_stride;
   const char *idempotency_key; /* nullable */
   struct mo_sha256 body_sha256;
@@ -51,10 +52,9 @@ struct mo_evaluation_results {
 void mo_evaluation_results_free(void *results); /* NULL-safe */
 
 struct mo_trajectory {
-  uint32_t stride, n_frames, n_masses;
+  uint32_t n_frames, n_masses, n_springs; /* n_springs: 0 without actuation */
   double dt_s;
-  double *com_m; /* (n_frames, 3) or NULL */
-  float *mass_m; /* (n_frames, n_masses, 3) or NULL */
+  struct mo_recording recording;
 };
 void mo_trajectory_free(void *trajectory); /* NULL-safe */
 

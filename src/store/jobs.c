@@ -25,7 +25,6 @@ static int read_environments(sqlite3_stmt *row, struct mo_job *job)
 static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
 {
   const int64_t n_designs = sqlite3_column_int64(row, MO_COLUMN_N_DESIGNS);
-  const int recorded = sqlite3_column_int(row, MO_COLUMN_RECORD);
   (void)record;
   if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || read_environments(row, job) != MO_OK ||
       mo_column_hash(row, MO_COLUMN_CONTROLLER, &job->controller_sha256) != MO_OK ||
@@ -34,8 +33,7 @@ static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
     return MO_ERR_CORRUPT;
   job->n_designs = (uint32_t)n_designs;
   job->verify = sqlite3_column_int(row, MO_COLUMN_VERIFY) != 0;
-  job->record_com = (recorded & 1) != 0;
-  job->record_masses = (recorded & 2) != 0;
+  job->record = mo_column_u32(row, MO_COLUMN_RECORD) & ((1U << MO_CHANNELS) - 1);
   job->record_stride = mo_column_u32(row, MO_COLUMN_RECORD_STRIDE);
   job->rollouts_total = (uint64_t)n_designs * job->n_environments;
   job->rollouts_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DONE);

@@ -50,8 +50,7 @@ void mo_trajectory_free(void *any)
   struct mo_trajectory *trajectory = any;
   if (trajectory == NULL)
     return;
-  free(trajectory->com_m);
-  free(trajectory->mass_m);
+  mo_recording_free(&trajectory->recording);
   free(trajectory);
 }
 

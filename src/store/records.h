@@ -78,7 +78,8 @@ struct mo_job {
   uint32_t n_environments, n_designs;
   struct mo_physics physics;
   enum mo_precision precision;
-  bool verify, record_com, record_masses;
+  bool verify;
+  unsigned record; /* channels */
   uint32_t record_stride;
   /* 0 in a training; done includes cached. */
   uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged;

@@ -276,7 +276,7 @@ static int load_work(struct mo_connection *reader, int64_t id, const struct mo_c
     return error;
   work->workers = classes->cpu[work->job.precision];
   work->fingerprint = work->job.back_end == MO_ON_DEVICE ? classes->device : work->workers;
-  reruns = work->job.verify || work->job.record_com || work->job.record_masses;
+  reruns = work->job.verify || work->job.record != 0;
   work->environment_rows = calloc(work->n_environments, sizeof(*work->environment_rows));
   work->environments = calloc(work->n_environments, sizeof(*work->environments));
   if (reruns)

@@ -99,10 +99,9 @@ struct mo_saved_score {
 struct mo_saved_trajectory {
   int64_t job;
   uint32_t design_position, environment_position;
-  uint32_t stride, frames, n_masses;
+  uint32_t frames, n_masses, n_springs;
   int32_t diverged_step;
-  const double *com_m; /* or NULL */
-  const float *mass_m; /* or NULL */
+  struct mo_recording recording;
 };
 /* A genotype whose losses over a named set are complete. */
 struct mo_saved_design {

@@ -12,20 +12,27 @@
 
 #include "base/clock.h"
 
+static struct mo_value channel_value(const struct mo_saved_trajectory *trajectory,
+                                     enum mo_channel channel)
+{
+  return mo_blob(mo_recording_array(&trajectory->recording, channel), /* NULL: NULL */
+                 trajectory->frames * mo_recording_frame_bytes(channel, trajectory->n_masses,
+                                                               trajectory->n_springs));
+}
+
 static int save_trajectory(struct mo_connection *writer,
                            const struct mo_saved_trajectory *trajectory)
 {
-  static const char sql[] =
-      "INSERT OR IGNORE INTO "
-      "trajectories(job,position,environment,stride,frames,n_masses,com,masses,diverged_step)"
-      " VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9)";
-  const size_t n = trajectory->frames, n_masses = trajectory->n_masses;
+  static const char sql[] = "INSERT OR IGNORE INTO trajectories(job,position,environment,stride,"
+                            "frames,n_masses,diverged_step,com,masses,actuation,contacts)"
+                            " VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11)";
   return mo_sql_do(writer, sql, mo_int(trajectory->job), mo_int(trajectory->design_position),
-                   mo_int(trajectory->environment_position), mo_int(trajectory->stride),
+                   mo_int(trajectory->environment_position), mo_int(trajectory->recording.stride),
                    mo_int(trajectory->frames), mo_int(trajectory->n_masses),
-                   mo_blob(trajectory->com_m, n * 3 * sizeof(*trajectory->com_m)), /* NULL: NULL */
-                   mo_blob(trajectory->mass_m, n * n_masses * 3 * sizeof(*trajectory->mass_m)),
-                   mo_int(trajectory->diverged_step));
+                   mo_int(trajectory->diverged_step), channel_value(trajectory, MO_RECORD_COM),
+                   channel_value(trajectory, MO_RECORD_MASSES),
+                   channel_value(trajectory, MO_RECORD_ACTUATION),
+                   channel_value(trajectory, MO_RECORD_CONTACTS));
 }
 
 /* ---- steps of jobs ---- */

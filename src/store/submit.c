@@ -132,11 +132,10 @@ static int insert(struct mo_store *store, const struct mo_job_request *request, 
   if (error == MO_OK)
     error = mo_job_insert(writer, request, MO_JOB_EVALUATION, id);
   if (error == MO_OK)
-    error = mo_sql_do(
-        writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics), mo_int(set),
-        mo_int(submission->n_designs), mo_int(n_environments), mo_int(submission->verify),
-        mo_int((submission->record_com ? 1 : 0) + (submission->record_masses ? 2 : 0)),
-        mo_int(submission->record_stride));
+    error = mo_sql_do(writer, sql, mo_int(*id), mo_int(controller), mo_string(name),
+                      mo_int(physics), mo_int(set), mo_int(submission->n_designs),
+                      mo_int(n_environments), mo_int(submission->verify),
+                      mo_int(submission->record), mo_int(submission->record_stride));
   if (error == MO_OK)
     error = mo_environments_insert(writer, *id, set, submission->environments,
                                    submission->n_environments);

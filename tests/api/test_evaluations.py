@@ -170,6 +170,28 @@ def test_recording(service):
         assert service.request("GET", path + below, headers={"Accept": media}).status == 406
 
 
+def test_recorded_channels(service):
+    value = service.evaluate({
+        "designs": [DESIGN], "physics": {"n_steps": 60}, "record": ["contacts", "actuation"],
+        "record_stride": 20
+    }).json()
+    assert value["record"] == ["actuation", "contacts"]
+    path = f"/v1/evaluations/{value['id']}/trajectories/0"
+    whole = service.get(path)
+    assert "com_m" not in whole and "masses_m" not in whole
+    body = service.get(f"/v1/designs/{value['results'][0]['genotype']}/body")
+    for name, parts, low, form in (("actuation", "springs", -127, "b"),
+                                   ("contacts", "masses", 0, "B")):
+        rows = whole[name]
+        assert len(rows) == 4 and {len(row) for row in rows} == {len(body[parts])}
+        assert not any(rows[0]) and any(rows[-1])
+        assert all(low <= number <= (-low or 1) for row in rows for number in row)
+        file = service.request("GET", f"{path}/file?array={name}")
+        assert file.body == struct.pack(f"{sum(map(len, rows))}{form}", *sum(rows, []))
+    assert service.request("GET", path + "/file").headers["Morphod-Array"] == "actuation"
+    service.refuses(path, "/file?array=masses", status=404)
+
+
 def test_not_recorded(service):
     request = {"designs": [DESIGN], "physics": SHORT}
     for more, below in (({}, ""), ({"record": ["com"], "record_stride": 5}, "/file?array=masses")):

@@ -294,11 +294,16 @@ def test_champions_are_recorded(service, evolved, mode):
             ] == [(row["genotype"], row["score"]) for row in champions]
     track = service.get(f"/v1/evaluations/{value['id']}/trajectories/2")
     assert track["frames"] == 7 and len(track["com_m"]) == 7
+    seen = service.request("POST", done["links"]["champions"],
+                           {"count": 1, "record": ["masses", "actuation"]}).json()
+    assert seen["record"] == ["masses", "actuation"]
 
 
 @pytest.mark.parametrize("body, pointer", [
     ([], ""), ({"count": 0}, "/count"), ({"count": 1001}, "/count"), ({"count": "3"}, "/count"),
-    ({"stride": 0}, "/stride"), ({"stride": 1.5}, "/stride"), ({"record": ["com"]}, "/record")])
+    ({"stride": 0}, "/stride"), ({"stride": 1.5}, "/stride"),
+    ({"record": "com"}, "/record"), ({"record": ["pose"]}, "/record/0"),
+    ({"records": ["com"]}, "/records")])
 def test_bad_recordings(service, evolved, body, pointer):
     reply = service.request("POST", evolved["links"]["champions"], body)
     assert reply.status == 422 and reply.pointers() == [pointer], reply.body

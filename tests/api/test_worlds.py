@@ -10,7 +10,8 @@ from contract import SOURCE
 from service import DESIGN, SHORT, run
 
 WORLD = {"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": 7}
-FORMATS = {"float64": "d", "float32": "f", "uint16": "H", "uint32": "I", "uint8": "B"}
+FORMATS = {"float64": "d", "float32": "f", "uint16": "H", "uint32": "I", "uint8": "B",
+           "int8": "b"}
 
 
 def scene(reply):
@@ -80,8 +81,8 @@ def test_a_score_can_be_computed_again_by_http_alone(service):
 def test_a_scene_holds_what_an_evaluation_records(service):
     request = {
         "designs": [DESIGN, {"cells": [[0, 0, 0]]}], "physics": {"n_steps": 50},
-        "environments": [WORLD, {**WORLD, "seed": 8}], "record": ["com", "masses"],
-        "record_stride": 10
+        "environments": [WORLD, {**WORLD, "seed": 8}], "record_stride": 10,
+        "record": ["com", "masses", "actuation", "contacts"]
     }
     header, array = scene(roll(service, request))
     assert header["frame_s"] == pytest.approx(0.04) and len(header["rollouts"]) == 4
@@ -95,6 +96,16 @@ def test_a_scene_holds_what_an_evaluation_records(service):
         assert [struct.unpack("<f", struct.pack("<f", x))[0]
                 for x in array(rollout["com_m"])] == list(struct.unpack(f"<{len(com) // 4}f", com))
         assert rollout["loss"] == evaluation["results"][n]["losses"][k]
+        for name, form, of in (("actuation", "b", "springs"), ("contacts", "B", "masses")):
+            file = service.request("GET", path + name)
+            sizes = [6, header["designs"][n][of]["shape"][0]]
+            assert rollout[name]["shape"] == sizes
+            assert file.headers["Morphod-Shape"] == ",".join(map(str, sizes))
+            assert file.headers["Morphod-Type"] == rollout[name]["type"]
+            numbers = array(rollout[name])
+            assert numbers == struct.unpack(f"<{len(file.body)}{form}", file.body)
+            assert not any(numbers[:sizes[1]]) and any(numbers[sizes[1]:])
+        assert set(array(rollout["contacts"])) == {0, 1}
     for world in header["environments"]:
         assert len(array(world["terrain_heights_m"])) == 64
 

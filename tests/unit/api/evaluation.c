@@ -23,8 +23,7 @@ static void defaults(void)
   CHECK_INT(parsed.request.priority, -1);
   CHECK(parsed.request.precision == MO_FLOAT32 && !parsed.request.verify &&
         parsed.request.label == NULL);
-  CHECK(!parsed.request.record_com && !parsed.request.record_masses &&
-        parsed.request.record_stride == 10);
+  CHECK(parsed.request.record == 0 && parsed.request.record_stride == 10);
   CHECK(parsed.request.physics.impact == MO_IMPACT_EXACT && parsed.request.physics.n_steps == 1000);
   CHECK_INT(mo_genotype_count(MO_DEFAULT_WORKSPACE, parsed.request.genotypes[0].words), 2);
 }
@@ -55,7 +54,7 @@ static void everything(void)
   CHECK_TEXT(r->label, "ré");
   CHECK(r->verify && r->priority == MO_INTERACTIVE && r->precision == MO_FLOAT64 &&
         r->record_stride == 50);
-  CHECK(r->record_com && r->record_masses && r->physics.bisections == 12 &&
+  CHECK(r->record == (MO_RECORD_COM | MO_RECORD_MASSES) && r->physics.bisections == 12 &&
         r->physics.impact == MO_IMPACT_BISECTION);
   CHECK(r->physics.n_steps == 500 && r->physics.dt_s == 0.002 && r->physics.mass_kg == 1);
   double expected[MO_TERRAIN_HEIGHTS];

@@ -195,6 +195,7 @@ __attribute__((unused)) static void shows_its_champions(void)
     struct mo_trajectory *trajectory = NULL;
     struct service service;
     double distinctiveness[20];
+    struct mo_champions_request asked = {4, 5, MO_RECORD_MASSES | MO_RECORD_ACTUATION};
     struct mo_job job;
     uint32_t n = 0;
     int64_t id, evaluation = 0;
@@ -214,7 +215,7 @@ __attribute__((unused)) static void shows_its_champions(void)
         CHECK(distinctiveness[i] > 0 && (i == 0 || distinctiveness[i] <= distinctiveness[i - 1]));
       }
       CHECK(has_best);
-      CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 5, NULL, &evaluation,
+      CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, &asked, NULL, &evaluation,
                                                   &service.fixture.message),
                 MO_OK);
       CHECK(succeeds(&service, evaluation, &job));
@@ -224,6 +225,8 @@ __attribute__((unused)) static void shows_its_champions(void)
         CHECK(same_number(results->scores[i], rows[i].score));
       mo_evaluation_results_free(results);
       CHECK_INT(mo_store_trajectory(service.fixture.store, evaluation, 3, 9, &trajectory), MO_OK);
+      CHECK(trajectory->recording.com_m == NULL && trajectory->recording.mass_m != NULL &&
+            trajectory->recording.actuation != NULL && trajectory->n_springs > 0);
       mo_trajectory_free(trajectory);
       CHECK_INT(mo_jobs_resume(service.jobs, id), round == 0 ? MO_OK : MO_ERR_CONFLICT);
       (void)end_of(&service, id);
@@ -235,11 +238,13 @@ __attribute__((unused)) static void shows_its_champions(void)
               MO_ERR_NOT_FOUND);
     CHECK_INT(mo_jobs_campaign_champions(service.jobs, 99, -1, 4, rows, distinctiveness, &n),
               MO_ERR_NOT_FOUND);
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 0, 5, NULL, &evaluation, NULL),
-              MO_ERR_RANGE);
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, 99, 4, 5, NULL, &evaluation, NULL),
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, 99, &asked, NULL, &evaluation, NULL),
               MO_ERR_NOT_FOUND);
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 0, NULL, &evaluation, NULL),
+    asked.stride = 0;
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, &asked, NULL, &evaluation, NULL),
+              MO_ERR_RANGE);
+    asked.count = 0;
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, &asked, NULL, &evaluation, NULL),
               MO_ERR_RANGE);
     service_end(&service);
   }

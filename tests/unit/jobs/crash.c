@@ -66,7 +66,7 @@ static struct mo_evaluation_request request_of(int i, char key[64])
   snprintf(key, 64, "submission-%d", i);
   request.idempotency_key = key;
   request.verify = i % 11 == 10;
-  request.record_com = i % 13 == 12;
+  request.record = i % 13 == 12 ? MO_RECORD_COM : 0;
   return request;
 }
 
@@ -126,7 +126,7 @@ static void check_evaluations(struct service *service)
     struct mo_evaluation_results *results = NULL;
     struct mo_trajectory *trajectory = NULL;
     CHECK(right(service, i + 1, request.genotypes));
-    if (request.record_com)
+    if (request.record != 0)
       CHECK_INT(
           mo_store_trajectory(service->fixture.store, i + 1, request.n_designs - 1, 9, &trajectory),
           MO_OK);

@@ -175,7 +175,7 @@ static void counts_through_pauses(void)
         10000; /* some blocks end between two pauses, which break off the others; it does not end */
     request = service_request(genotypes, DESIGNS);
     request.verify = kind == 1;
-    request.record_com = kind == 2;
+    request.record = kind == 2 ? MO_RECORD_COM : 0;
     id = service_submit(&service, &request);
     for (int i = 0; i < ROUNDS; i++) {
       CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
@@ -350,16 +350,17 @@ SERVICE_CASE(records, 0)
   genotypes = bodies(service, 8, 3);
   for (int round = 0; round < 2; round++) { /* recorded even when the scores are known */
     request = service_request(genotypes, 3);
-    request.record_com = request.record_masses = true;
+    request.record = MO_RECORD_COM | MO_RECORD_MASSES;
     id = service_submit(service, &request);
     CHECK(succeeds(service, id, NULL));
     CHECK(right(service, id, genotypes));
     REQUIRE(mo_store_trajectory(service->fixture.store, id, 2, 9, &trajectory) == MO_OK);
     CHECK_INT(trajectory->n_frames, 11);
-    CHECK_INT(trajectory->stride, 100);
-    CHECK(trajectory->com_m != NULL && trajectory->mass_m != NULL);
-    CHECK(trajectory->com_m[5] == trajectory->com_m[0] + 5 || isinf(trajectory->com_m[0]));
-    CHECK(trajectory->mass_m[7] == 7.0F);
+    CHECK_INT(trajectory->recording.stride, 100);
+    CHECK(trajectory->recording.com_m != NULL && trajectory->recording.mass_m != NULL);
+    CHECK(trajectory->recording.com_m[5] == trajectory->recording.com_m[0] + 5 ||
+          isinf(trajectory->recording.com_m[0]));
+    CHECK(trajectory->recording.mass_m[7] == 7.0F);
     mo_trajectory_free(trajectory);
   }
   CHECK_INT(computed(service), 60);

@@ -99,7 +99,7 @@ static void evaluates(void)
     REQUIRE(service_reopen(&service) == MO_OK);
     request.physics.n_steps = STEPS;
     request.verify = round > 0; /* computed again, in other company */
-    request.record_com = round == 2;
+    request.record = round == 2 ? MO_RECORD_COM : 0;
     request.record_stride = 50;
     id = service_submit(&service, &request);
     CHECK(succeeds(&service, id, NULL));
@@ -117,7 +117,8 @@ static void evaluates(void)
       continue;
     REQUIRE(mo_store_trajectory(service.fixture.store, id, 0, 0, &trajectory) == MO_OK);
     CHECK_INT(trajectory->n_frames, STEPS / 50 + 1);
-    CHECK(trajectory->com_m[2] > 0 && trajectory->com_m[0] > 1.5 && trajectory->com_m[0] < 3.5);
+    CHECK(trajectory->recording.com_m[2] > 0 && trajectory->recording.com_m[0] > 1.5 &&
+          trajectory->recording.com_m[0] < 3.5);
     mo_trajectory_free(trajectory);
   }
   close_alone(&alone);

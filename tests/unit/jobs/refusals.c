@@ -47,7 +47,8 @@ SERVICE_CASE(of_evaluations, 0)
   REFUSED(service_submit, MO_ERR_INVALID, "environment 0", bad.environment_set = NULL,
           bad.environments = &environment, bad.n_environments = 1);
   REFUSED(service_submit, MO_ERR_RANGE, "dt_s", bad.physics.dt_s = -1);
-  REFUSED(service_submit, MO_ERR_RANGE, "stride", bad.record_com = true, bad.record_stride = 0);
+  REFUSED(service_submit, MO_ERR_RANGE, "stride", bad.record = MO_RECORD_COM,
+          bad.record_stride = 0);
 }
 
 SERVICE_CASE(of_trainings, 0)

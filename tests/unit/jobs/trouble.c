@@ -43,7 +43,7 @@ SERVICE_CASE(refuses_nan, 0)
     struct mo_evaluation_results *results = NULL;
     struct mo_job job;
     int64_t id;
-    request.record_com = recorded != 0;
+    request.record = recorded != 0 ? MO_RECORD_COM : 0;
     fake_plan.poison = true;
     id = service_submit(service, &request);
     job = end_of(service, id);

@@ -249,6 +249,113 @@ static void close_to_reference(void)
   controller->sensor = MO_SENSOR_INVERSE_SQRT;
 }
 
+/* ---- channels ---- */
+
+enum { CHANNEL_FRAMES = 21, CHANNEL_STRIDE = 5 };
+
+static void make_recordings(struct mo_recording *recordings, int n, const struct mo_body *body)
+{
+  for (int l = 0; l < n; l++)
+    REQUIRE(mo_recording_create(&recordings[l], (1U << MO_CHANNELS) - 1, CHANNEL_STRIDE,
+                                CHANNEL_FRAMES, body->n_masses, body->n_springs) == MO_OK);
+}
+
+static void free_recordings(struct mo_recording *recordings, int n)
+{
+  for (int l = 0; l < n; l++)
+    mo_recording_free(&recordings[l]);
+}
+
+/* Actuation and contacts of one lane against the reference's. Counts the contacts of the reference.
+ */
+static void compare_channels(const struct mo_body *body, const struct mo_recording *a,
+                             const struct mo_recording *b, int precision, uint32_t *contacts)
+{
+  uint32_t differ = 0;
+  int worst = 0;
+  for (size_t i = 0; i < (size_t)CHANNEL_FRAMES * body->n_springs; i++) {
+    const int apart = abs(a->actuation[i] - b->actuation[i]);
+    worst = apart > worst ? apart : worst;
+  }
+  for (size_t i = 0; i < (size_t)CHANNEL_FRAMES * body->n_masses; i++) {
+    differ += a->contacts[i] != b->contacts[i];
+    *contacts += b->contacts[i];
+    CHECK(a->contacts[i] <= 1);
+  }
+  CHECK(worst <= 1); /* of 127: where an output lies between two numbers */
+  CHECK(precision == MO_FLOAT64 ? differ == 0 : differ <= 1 + CHANNEL_FRAMES * body->n_masses / 50);
+}
+
+static void channels_agree(void)
+{
+  struct mo_physics physics = physics_of((CHANNEL_FRAMES - 1) * CHANNEL_STRIDE);
+  static const int lanes[LANES] = {0, 4, 7};
+  for (uint64_t number = 0; number < 3; number++) {
+    struct mo_body *body = body_number(number, 1 + 20 * (uint32_t)number);
+    struct mo_recording reference[LANES], recordings[LANES];
+    struct mo_outcome outcomes[LANES];
+    make_recordings(reference, LANES, body);
+    for (int l = 0; l < LANES; l++)
+      REQUIRE(mo_rollout_reference(body, controller, environments + lanes[l], &physics,
+                                   &reference[l], &outcomes[l]) == MO_OK);
+    EACH_KERNEL(isa, precision)
+    {
+      uint32_t contacts = 0, moved = 0;
+      make_recordings(recordings, LANES, body);
+      memset(recordings[0].actuation, 99, body->n_springs); /* the first frame is written, too */
+      memset(recordings[0].contacts, 99, body->n_masses);
+      run_block(isa, precision, body, lanes, LANES, &physics, recordings, outcomes);
+      for (int l = 0; l < LANES; l++) {
+        compare_channels(body, &recordings[l], &reference[l], precision, &contacts);
+        for (uint32_t s = 0; s < body->n_springs; s++) {
+          CHECK_INT(recordings[l].actuation[s], 0);
+          moved += recordings[l].actuation[body->n_springs + s] != 0;
+        }
+        for (uint32_t m = 0; m < body->n_masses; m++)
+          CHECK_INT(recordings[l].contacts[m], 0);
+      }
+      CHECK(contacts > 0 && contacts < LANES * CHANNEL_FRAMES * body->n_masses);
+      CHECK(moved > LANES * body->n_springs / 2);
+      free_recordings(recordings, LANES);
+    }
+    free_recordings(reference, LANES);
+  }
+}
+
+/* A passive body that falls: nothing acts, and what touches lies on the terrain. */
+static void contacts_of_a_fall(void)
+{
+  struct mo_physics physics = physics_of((CHANNEL_FRAMES - 1) * CHANNEL_STRIDE);
+  const struct mo_environment *list[1] = {environments};
+  struct mo_body *body = body_number(5, 20);
+  physics.drop_height_m = 0.1;
+  EACH_KERNEL(isa, precision)
+  {
+    struct mo_pack *pack = make_pack(NULL, (enum mo_isa)isa, (enum mo_precision)precision);
+    struct mo_workspace_memory *memory = make_workspace_memory();
+    struct mo_recording recording;
+    struct mo_outcome outcome;
+    uint32_t touched = 0;
+    make_recordings(&recording, 1, body);
+    memset(recording.actuation, 99, (size_t)CHANNEL_FRAMES * body->n_springs);
+    REQUIRE(mo_rollout_block(memory, pack, body, list, 1, &physics, &recording, NULL, &outcome) ==
+            MO_OK);
+    for (size_t i = 0; i < (size_t)CHANNEL_FRAMES * body->n_springs; i++)
+      CHECK_INT(recording.actuation[i], 0);
+    for (size_t i = 0; i < (size_t)CHANNEL_FRAMES * body->n_masses; i++) {
+      const float *p = recording.mass_m + 3 * i;
+      touched += recording.contacts[i];
+      CHECK(!recording.contacts[i] ||
+            p[2] - mo_terrain_height(environments[0].terrain_heights_m, p[0], p[1]) < 0.005);
+    }
+    for (uint32_t m = 0; m < body->n_masses; m++)
+      CHECK_INT(recording.contacts[4 * (size_t)body->n_masses + m],
+                0); /* after 0.08 s: in the air */
+    CHECK(touched > 0);
+    mo_recording_free(&recording);
+  }
+}
+
 static void passive_bodies(void)
 {
   struct mo_physics physics = physics_of(60);
@@ -282,12 +389,14 @@ static void divergence_stays_in_its_lane(void)
     enum { N = MO_PAPER_TEST_COUNT, FRAMES = 41 };
     static double com[N][FRAMES * 3];
     static float mass[N][FRAMES * MO_DEFAULT_MASSES * 3];
+    static int8_t actuation[N][FRAMES * MO_DEFAULT_SPRINGS];
+    static uint8_t contacts[N][FRAMES * MO_DEFAULT_MASSES];
     struct mo_outcome outcomes[N], alone;
     struct mo_recording recordings[N];
     int lanes[N], diverged = 0;
     for (int l = 0; l < N; l++) {
       lanes[l] = l;
-      recordings[l] = (struct mo_recording){.stride = 10, .com_m = com[l], .mass_m = mass[l]};
+      recordings[l] = (struct mo_recording){10, com[l], mass[l], actuation[l], contacts[l]};
     }
     run_block(isa, precision, body, lanes, N, &physics, recordings, outcomes);
     for (int l = 0; l < N; l++) {
@@ -311,8 +420,15 @@ static void divergence_stays_in_its_lane(void)
       run_block(isa, precision, body, &l, 1, &shorter, NULL, &alone);
       CHECK_INT(alone.diverged_step, 0);
       CHECK(SAME(alone.com_end_m, outcomes[l].com_end_m, 3));
-      for (int frame = (outcomes[l].diverged_step + 9) / 10; frame < FRAMES; frame++)
+      for (int frame = (outcomes[l].diverged_step + 9) / 10; frame < FRAMES; frame++) {
+        int acts = 0;
         CHECK(SAME(com[l] + 3 * (size_t)frame, alone.com_end_m, 3));
+        for (uint32_t s = 0; s < body->n_springs; s++)
+          acts += actuation[l][frame * body->n_springs + s] != 0;
+        for (uint32_t m = 0; m < body->n_masses; m++)
+          acts += contacts[l][frame * body->n_masses + m] != 0;
+        CHECK_INT(acts, 0);
+      }
     }
     printf("# %s precision %d: %d of %d diverged, first at step %d\n",
            mo_isa_name((enum mo_isa)isa), precision, diverged, N, outcomes[0].diverged_step);
@@ -427,6 +543,8 @@ static const struct check_case cases[] = {
     {"products bit for bit", products},
     {"a lane's bits are its own", lanes_keep_to_themselves},
     {"close to the reference", close_to_reference},
+    {"actuation and contacts as in the reference", channels_agree},
+    {"contacts of a fall", contacts_of_a_fall},
     {"passive bodies", passive_bodies},
     {"divergence stays in its lane", divergence_stays_in_its_lane},
     {"no mass below the terrain", no_mass_below_the_terrain},

@@ -176,7 +176,9 @@ static void divergence(void)
     struct mo_body *body = random_body(2000 + i);
     const size_t n = (size_t)body->n_masses * 3;
     float *masses = make_zeros(201 * n, sizeof(float));
-    const struct mo_recording recording = {1, com, masses};
+    int8_t *actuation = make_zeros(201 * (size_t)body->n_springs, 1);
+    uint8_t *contacts = make_zeros(201 * (size_t)body->n_masses, 1);
+    const struct mo_recording recording = {1, com, masses, actuation, contacts};
     const struct mo_outcome outcome =
         outcome_of(body, bootstrap, &environment, &physics, &recording);
     REQUIRE(outcome.diverged_step > 0 && outcome.diverged_step <= 200);
@@ -189,6 +191,10 @@ static void divergence(void)
     const size_t last = (size_t)outcome.diverged_step - 1;
     for (size_t frame = last; frame <= 200; frame++)
       CHECK(SAME(com + 3 * frame, com + 3 * last, 3));
+    for (size_t s = (last + 1) * body->n_springs; s < 201 * (size_t)body->n_springs; s++)
+      CHECK_INT(actuation[s], 0);
+    for (size_t m = (last + 1) * body->n_masses; m < 201 * (size_t)body->n_masses; m++)
+      CHECK_INT(contacts[m], 0);
     CHECK(SAME(outcome.com_end_m, com + 3 * last, 3));
     CHECK(SAME(outcome.com_start_m, com, 3));
   }
@@ -227,7 +233,8 @@ static void recordings(void)
   const size_t n = (size_t)body->n_masses * 3;
   double every[101 * 3], seventh[15 * 3];
   float *masses = make_zeros(101 * n, sizeof(float));
-  const struct mo_recording all = {1, every, masses}, some = {7, seventh, NULL};
+  const struct mo_recording all = {1, every, masses, NULL, NULL},
+                            some = {7, seventh, NULL, NULL, NULL};
   const struct mo_outcome a = outcome_of(body, bootstrap, &environment, &physics, &all),
                           b = outcome_of(body, bootstrap, &environment, &physics, &some),
                           c = outcome_of(body, bootstrap, &environment, &physics, NULL);

@@ -279,7 +279,7 @@ static int do_submit(struct life *life, const struct act *act)
                                      .physics = mo_default_physics(),
                                      .precision = MO_FLOAT32,
                                      .priority = MO_BATCH,
-                                     .record_com = true,
+                                     .record = MO_RECORD_COM,
                                      .record_stride = 10};
   char key[32];
   int64_t id = 0;
@@ -430,12 +430,12 @@ static void make_part(struct life *life, const struct act *act, const struct mo_
   }
   for (int i = 0; i < 9; i++)
     part->com_m[i] = design + i * 0.125;
-  part->trajectory = (struct mo_saved_trajectory){.job = evaluation->id,
-                                                  .design_position = design,
-                                                  .stride = 10,
-                                                  .frames = 3,
-                                                  .n_masses = 8,
-                                                  .com_m = part->com_m};
+  part->trajectory =
+      (struct mo_saved_trajectory){.job = evaluation->id,
+                                   .design_position = design,
+                                   .frames = 3,
+                                   .n_masses = 8,
+                                   .recording = {.stride = 10, .com_m = part->com_m}};
   part->design =
       (struct mo_saved_design){work->genotype_rows[design], work->controller,  work->physics,
                                work->environment_set,       life->fingerprint, life->fingerprint};

@@ -242,25 +242,28 @@ static void keeps_trajectories(void)
   struct mo_trajectory *trajectory = NULL;
   double com[9] = {1, -0.0, NAN, 4, 5, 6, 7, 8, 9};
   float mass[18] = {0.1F, -0.0F, NAN};
+  int8_t actuation[3] = {0, -127, 127};
+  uint8_t contacts[6] = {0, 0, 1};
   struct mo_saved_trajectory saved = {.design_position = 1,
                                       .environment_position = 4,
-                                      .stride = 500,
                                       .frames = 3,
                                       .n_masses = 2,
-                                      .com_m = com,
-                                      .mass_m = mass};
+                                      .n_springs = 1,
+                                      .recording = {500, com, mass, actuation, contacts}};
   struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
   int64_t id;
-  submission.record_com = submission.record_masses = true;
+  submission.record = (1U << MO_CHANNELS) - 1;
   id = submit_evaluation(&submission);
   saved.job = id;
   CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
   CHECK_INT(mo_store_trajectory(fixture.store, id, 1, 3, &trajectory), MO_ERR_NOT_FOUND);
   REQUIRE(mo_store_trajectory(fixture.store, id, 1, 4, &trajectory) == MO_OK);
-  CHECK(memcmp(trajectory->com_m, com, sizeof(com)) == 0);
-  CHECK(memcmp(trajectory->mass_m, mass, sizeof(mass)) == 0);
-  CHECK(trajectory->stride == 500 && trajectory->n_frames == 3 && trajectory->n_masses == 2 &&
-        trajectory->dt_s == 0.004);
+  CHECK(memcmp(trajectory->recording.com_m, com, sizeof(com)) == 0);
+  CHECK(memcmp(trajectory->recording.mass_m, mass, sizeof(mass)) == 0);
+  CHECK(memcmp(trajectory->recording.actuation, actuation, sizeof(actuation)) == 0);
+  CHECK(memcmp(trajectory->recording.contacts, contacts, sizeof(contacts)) == 0);
+  CHECK(trajectory->recording.stride == 500 && trajectory->n_frames == 3);
+  CHECK(trajectory->n_masses == 2 && trajectory->n_springs == 1 && trajectory->dt_s == 0.004);
   mo_trajectory_free(trajectory);
 }
 

@@ -128,9 +128,9 @@ static bool trajectories_match(const struct life *life, const struct evaluation_
     const int error = mo_store_trajectory(life->store, evaluation->id, n, 0, &trajectory);
     bool same = error == (n < evaluation->saved ? MO_OK : MO_ERR_NOT_FOUND);
     if (same && error == MO_OK) {
-      same = trajectory->n_frames == 3 && trajectory->com_m != NULL;
+      same = trajectory->n_frames == 3 && trajectory->recording.com_m != NULL;
       for (int i = 0; same && i < 9; i++)
-        same = trajectory->com_m[i] == n + i * 0.125;
+        same = trajectory->recording.com_m[i] == n + i * 0.125;
     }
     if (error == MO_OK)
       mo_trajectory_free(trajectory);

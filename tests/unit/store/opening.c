@@ -3,6 +3,8 @@
 #include "one_store.h"
 #include "store/internal.h"
 
+#define NEWEST 10 /* schema */
+
 static void opens_and_locks(void)
 {
   struct mo_store_config config = {.path = fixture.path};
@@ -15,7 +17,7 @@ static void opens_and_locks(void)
   CHECK_INT(fixture.store->epoch, 2);
   fixture_close(&fixture);
   CHECK_INT(outside_integer(&fixture, "PRAGMA application_id"), 0x6D727068);
-  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 9);
+  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), NEWEST);
   CHECK_INT(outside_integer(&fixture, "SELECT value FROM meta WHERE key='clean'"), 1);
   CHECK_INT(outside_integer(
                 &fixture,
@@ -44,7 +46,7 @@ static void refuses_what_is_not_ours(void)
 {
   CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
   CHECK(strstr(fixture.message.text, "99") != NULL); /* written by a newer program */
-  CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=9; PRAGMA application_id=7"),
+  CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=10; PRAGMA application_id=7"),
             MO_ERR_FORMAT);
   CHECK_INT(reopen_after(&fixture, "PRAGMA application_id=1836216424"), MO_OK);
   fixture_close(&fixture);
@@ -64,7 +66,39 @@ static void refuses_version_0_1(void)
     CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), version);
     CHECK_INT(outside_integer(&fixture, "SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=9"), MO_OK);
+  CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=10"), MO_OK);
+}
+
+/* A folder of version 9 keeps what it has, and takes what version 10 brought. */
+static void brings_version_9_up_to_date(void)
+{
+  static const char older[] = "ALTER TABLE trajectories DROP COLUMN actuation;"
+                              "ALTER TABLE trajectories DROP COLUMN contacts;"
+                              "PRAGMA user_version=9";
+  struct mo_submission submission = draw_evaluation(3, 1);
+  struct mo_trajectory *trajectory = NULL;
+  double com_m[9] = {1, 2, 3};
+  int8_t actuation[6] = {0, 0, -127, 127};
+  struct mo_saved_trajectory saved = {
+      .frames = 3, .n_masses = 8, .n_springs = 2, .recording = {.stride = 10, .com_m = com_m}};
+  struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
+  submission.record = MO_RECORD_COM | MO_RECORD_ACTUATION;
+  saved.job = submit_evaluation(&submission);
+  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  REQUIRE(reopen_after(&fixture, older) == MO_OK);
+  saved.design_position = 1;
+  saved.recording.actuation = actuation;
+  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  for (uint32_t n = 0; n < 2; n++) {
+    REQUIRE(mo_store_trajectory(fixture.store, saved.job, n, 0, &trajectory) == MO_OK);
+    CHECK(SAME(trajectory->recording.com_m, com_m, 9));
+    CHECK((trajectory->recording.actuation != NULL) == (n == 1));
+    CHECK(n == 0 || SAME(trajectory->recording.actuation, actuation, 6));
+    mo_trajectory_free(trajectory);
+  }
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  fixture_close(&fixture);
+  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), NEWEST);
 }
 
 /* The root page of a table or an index becomes noise; the header and the schema stay. */
@@ -168,6 +202,7 @@ static const struct check_case cases[] = {
     {"makes the paper's test set once", makes_the_paper_test_once},
     {"names damaged pages after an unclean stop", names_damaged_pages},
     {"refuses a folder of version 0.1", refuses_version_0_1},
+    {"brings a folder of version 9 up to date", brings_version_9_up_to_date},
     {"reports what contradicts itself", reports_what_contradicts_itself},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

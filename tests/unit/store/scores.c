@@ -120,13 +120,13 @@ static void goes_on_in_a_new_class(void)
   struct mo_submission submission = draw_evaluation(3, 1);
   double com_m[9] = {0};
   struct mo_saved_trajectory trajectory = {
-      .stride = 10, .frames = 3, .n_masses = 8, .com_m = com_m};
+      .frames = 3, .n_masses = 8, .recording = {.stride = 10, .com_m = com_m}};
   struct mo_job_update update = {.step = MO_STEP_START};
   struct mo_save save = {.updates = &update, .n_updates = 1};
   struct mo_event events[8];
   struct mo_work *work;
   int64_t id, classes[2] = {0, 0}, n;
-  submission.record_com = true;
+  submission.record = MO_RECORD_COM;
   id = submit_evaluation(&submission);
   REQUIRE(mo_store_fingerprint(fixture.store, "one", &classes[0]) == MO_OK);
   REQUIRE(mo_store_fingerprint(fixture.store, "two", &classes[1]) == MO_OK);
