@@ -138,7 +138,9 @@ static int record_champions(struct ctl *ctl, const char *id, int64_t count, cons
   snprintf(path, sizeof(path), "/v1/campaigns/%s/champions", id);
   json_t *request =
       json_pack("{s:I, s:I}", "count", (json_int_t)count, "stride", (json_int_t)stride);
-  int status = evaluate(ctl, path, request, true, &evaluation);
+  int status = request_fill_record(ctl, request);
+  if (status == STATUS_OK)
+    status = evaluate(ctl, path, request, true, &evaluation);
   json_decref(request);
   if (status == STATUS_OK)
     status = job_outcome("job", evaluation);
@@ -156,8 +158,8 @@ int run_campaign_champions(struct ctl *ctl)
   if (!check_job_id(id) || !option_number(ctl, "count", 1, 1000, &count) ||
       !option_number(ctl, "generation", 0, 1000000, &generation))
     return STATUS_USAGE;
-  if (folder == NULL && option_is_set(ctl, "record-stride"))
-    return complain(STATUS_USAGE, "--record-stride is for --output");
+  if (folder == NULL && (option_is_set(ctl, "record-stride") || option_is_set(ctl, "record")))
+    return complain(STATUS_USAGE, "--record and --record-stride are for --output");
   if (folder != NULL && generation >= 0)
     return complain(
         STATUS_USAGE,

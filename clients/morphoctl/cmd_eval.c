@@ -12,28 +12,16 @@
 
 static int fill_record(const struct ctl *ctl, json_t *request)
 {
-  const char *record = option_text(ctl, "record", NULL);
   int64_t stride = 10;
-  if (record == NULL) {
+  if (!option_is_set(ctl, "record")) {
     if (option_is_set(ctl, "record-stride") || option_is_set(ctl, "output"))
-      return complain(STATUS_USAGE,
-                      "--record-stride and --output need --record com, masses or com,masses");
+      return complain(STATUS_USAGE, "--record-stride and --output need --record, such as "
+                                    "--record com,masses");
     return STATUS_OK;
   }
-  json_t *list = json_array();
-  for (const char *c = record; *c != 0;) {
-    size_t length = strcspn(c, ",");
-    if (length == 3 && strncmp(c, "com", 3) == 0)
-      json_array_append_new(list, json_string("com"));
-    else if (length == 6 && strncmp(c, "masses", 6) == 0)
-      json_array_append_new(list, json_string("masses"));
-    else {
-      json_decref(list);
-      return complain(STATUS_USAGE, "--record: \"%s\" is not com, masses or com,masses", record);
-    }
-    c += length + (c[length] == ',');
-  }
-  json_object_set_new(request, "record", list);
+  const int status = request_fill_record(ctl, request);
+  if (status != STATUS_OK)
+    return status;
   if (!option_number(ctl, "record-stride", 1, 1000000, &stride))
     return STATUS_USAGE;
   if (option_is_set(ctl, "record-stride"))
@@ -57,11 +45,14 @@ static int write_file(const char *path, const void *head, size_t head_bytes, con
 
 /* Writes the header of a NumPy .npy file, version 1: magic, version, length of the header, header
  * padded to 64 bytes. The numbers follow. */
-static size_t npy_head(const char *shape, char head[256])
+static size_t npy_head(const char *array, const char *shape, char head[256])
 {
+  const char *type = strcmp(array, "actuation") == 0  ? "|i1"
+                     : strcmp(array, "contacts") == 0 ? "|u1"
+                                                      : "<f4";
   char text[200];
-  int n = snprintf(text, sizeof(text), "{'descr': '<f4', 'fortran_order': False, 'shape': (%s), }",
-                   shape);
+  int n = snprintf(text, sizeof(text), "{'descr': '%s', 'fortran_order': False, 'shape': (%s), }",
+                   type, shape);
   size_t padded = ((size_t)n + 1 + 10 + 63) / 64 * 64 - 10;
   static const char magic[8] = {'\x93', 'N', 'U', 'M', 'P', 'Y', 1, 0};
   memcpy(head, magic, sizeof(magic));
@@ -87,7 +78,7 @@ static int save_array(struct ctl *ctl, const char *folder, const char *id, size_
     status = complain(STATUS_ERROR, "the server's reply has no shape");
   if (status == STATUS_OK) {
     char head[256];
-    size_t n = npy_head(reply.shape, head);
+    size_t n = npy_head(array, reply.shape, head);
     if (asprintf(&file, "%s/design-%04zu-environment-%02zu-%s.npy", folder, design, environment,
                  array) < 0)
       status = complain(STATUS_ERROR, "out of memory");

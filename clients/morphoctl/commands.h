@@ -30,6 +30,8 @@ int fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
 /* Fills in what says how designs are scored, for POST /v1/evaluations and campaigns: controller,
  * environments, physics, precision. */
 int request_fill(const struct ctl *ctl, json_t *request);
+/* Adds the channels of --record, if it is given, as "record". */
+int request_fill_record(const struct ctl *ctl, json_t *request);
 /* Adds one "key=value" of --physics to `physics`. */
 int request_physics(json_t *physics, const char *text);
 /* Adds the --physics options to a request as "physics". */

@@ -82,6 +82,30 @@ int fill_schedule(const struct ctl *ctl, json_t *request, const char *place)
   return STATUS_OK;
 }
 
+int request_fill_record(const struct ctl *ctl, json_t *request)
+{
+  static const char *const channels[] = {"com", "masses", "actuation", "contacts"};
+  const char *record = option_text(ctl, "record", NULL);
+  json_t *list = record != NULL ? json_array() : NULL;
+  for (const char *c = record; c != NULL && *c != '\0';) {
+    const size_t length = strcspn(c, ",");
+    char word[16] = "";
+    if (length < sizeof(word))
+      memcpy(word, c, length);
+    if (!is_one_of(word, channels, sizeof(channels) / sizeof(channels[0]))) {
+      json_decref(list);
+      return complain(STATUS_USAGE,
+                      "--record: \"%s\" is not one or several of com, masses, actuation, contacts",
+                      record);
+    }
+    json_array_append_new(list, json_string(word));
+    c += length + (c[length] == ',');
+  }
+  if (list != NULL)
+    json_object_set_new(request, "record", list);
+  return STATUS_OK;
+}
+
 int request_physics(json_t *physics, const char *text)
 {
   static const struct {

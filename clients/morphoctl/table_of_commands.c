@@ -35,7 +35,9 @@ static const struct option_spec eval_options[] = {
     {"precision", 0, "float32|float64", "Precision of the simulation (default: float32)."},
     {"random", 0, "N", "Score N random bodies (besides those given)."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
-    {"record", 0, "com,masses", "Record the path of the center of mass, of all masses, or both."},
+    {"record", 0, "LIST",
+     "What to record, separated by commas: com (the center of mass), masses, actuation (of each "
+     "spring), contacts (with the ground)."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
     {"output", 'o', "FOLDER",
      "Where to put recorded trajectories, as NumPy files, and evaluation.json."},
@@ -196,8 +198,9 @@ static const struct option_spec campaign_champions_options[] = {
     {"count", 'n', "N", "How many, 1 to 1000 (default: 12)."},
     {"generation", 0, "G", "Of this generation (default: the newest)."},
     {"output", 'o', "FOLDER",
-     "Also run them in the campaign's environments, and put the paths of their centers of mass "
-     "there, as NumPy files."},
+     "Also run them in the campaign's environments, and put what is recorded there, as NumPy "
+     "files."},
+    {"record", 0, "LIST", "What to record: com (default), masses, actuation, contacts."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
     {NULL}};
 static const struct option_spec campaign_export_options[] = {

@@ -5,25 +5,6 @@
 #include "api/scene.h"
 #include "api/submission.h"
 
-static void reply(struct mo_request *request, const struct mo_rollouts *rollouts, bool scene)
-{
-  const struct mo_lattice *lattice = mo_api_of(request)->lattice;
-  struct mo_text header = {0}, arrays = {0};
-  int error = mo_scene_write(&header, scene ? &arrays : NULL, lattice, rollouts);
-  if (error == MO_OK && !scene) {
-    mo_reply_json(request, 200, &header);
-    return;
-  }
-  size_t size = 0;
-  char *joined = error == MO_OK ? mo_scene_join(&header, &arrays, &size) : NULL;
-  mo_text_free(&header);
-  mo_text_free(&arrays);
-  if (joined == NULL)
-    mo_reply_error(request, MO_ERR_NO_MEMORY, "scene");
-  else
-    mo_reply_bytes(request, 200, MO_SCENE_TYPE, joined, size);
-}
-
 static void refuse(struct mo_request *request, int error, const struct mo_message *message,
                    struct mo_faults *faults)
 {
@@ -62,7 +43,7 @@ void mo_api_post_rollouts(struct mo_request *request)
            MO_OK)
     refuse(request, error, &message, &faults);
   else
-    reply(request, rollouts, form == 1);
+    mo_reply_rollouts(request, rollouts, form == 1);
   mo_rollouts_free(rollouts);
   mo_parts_free(&parsed.parts);
 }

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "api/handlers.h"
 #include "api/job_json.h"
 #include "rollout/physics.h"
 
@@ -254,8 +255,9 @@ static int write_designs(struct mo_text *text, struct mo_text *arrays,
   return error;
 }
 
-int mo_scene_write(struct mo_text *text, struct mo_text *arrays, const struct mo_lattice *lattice,
-                   const struct mo_rollouts *rollouts)
+/* Writes the header of a scene, or without `arrays` the same as JSON. */
+static int write_scene(struct mo_text *text, struct mo_text *arrays,
+                       const struct mo_lattice *lattice, const struct mo_rollouts *rollouts)
 {
   const uint32_t n = rollouts->n_environments;
   struct mo_sha256 physics;
@@ -291,6 +293,26 @@ int mo_scene_write(struct mo_text *text, struct mo_text *arrays, const struct mo
     }
   mo_text_add(text, "]}");
   return error;
+}
+
+void mo_reply_rollouts(struct mo_request *request, const struct mo_rollouts *rollouts,
+                       bool as_scene)
+{
+  struct mo_text header = {0}, arrays = {0};
+  size_t size = 0;
+  int error =
+      write_scene(&header, as_scene ? &arrays : NULL, mo_api_of(request)->lattice, rollouts);
+  if (error == MO_OK && !as_scene) {
+    mo_reply_json(request, 200, &header);
+    return;
+  }
+  char *joined = error == MO_OK ? mo_scene_join(&header, &arrays, &size) : NULL;
+  mo_text_free(&header);
+  mo_text_free(&arrays);
+  if (joined == NULL)
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "scene");
+  else
+    mo_reply_bytes(request, 200, MO_SCENE_TYPE, joined, size);
 }
 
 char *mo_scene_join(struct mo_text *header, struct mo_text *arrays, size_t *size)

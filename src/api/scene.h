@@ -41,10 +41,10 @@ int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
 /* Writes an environment as an object; `arrays` as above. */
 void mo_scene_write_environment(struct mo_text *text, struct mo_text *arrays,
                                 const struct mo_environment *environment);
-/* Writes what rollouts were computed with and what came of them: the members of an object, without
- * arrays as the reply in JSON, which has no recordings. */
-int mo_scene_write(struct mo_text *text, struct mo_text *arrays, const struct mo_lattice *lattice,
-                   const struct mo_rollouts *rollouts);
+/* Replies with what rollouts were computed with and what came of them: as a scene, or as JSON,
+ * which has no recordings. */
+void mo_reply_rollouts(struct mo_request *request, const struct mo_rollouts *rollouts,
+                       bool as_scene);
 /* Replies with the phylogeny of a campaign as columns: the designs behind number `after` (-1: all),
  * or, of them, the ancestors of the living and the living. tag: its ETag. */
 void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after, bool lineages,

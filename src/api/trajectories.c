@@ -7,6 +7,7 @@
 #include "api/handlers.h"
 #include "api/job_json.h"
 #include "api/scene.h"
+#include "store/worlds.h"
 
 /* Replies with one array, little-endian (the byte order of this machine: the build refuses others),
  * and the center of mass as float32. */
@@ -64,6 +65,7 @@ static void reply_missing(struct mo_request *request, const struct mo_job *job, 
 struct place {
   int64_t evaluation, design, environment;
   int array; /* of mo_channel_words; −1: any */
+  struct mo_job job;
 };
 
 /* Reads the trajectory. NULL: the reply is made. */
@@ -84,35 +86,32 @@ static struct mo_trajectory *read_trajectory(struct mo_request *request, struct 
     return NULL;
   const uint32_t d = (uint32_t)place->design, k = (uint32_t)place->environment;
   struct mo_trajectory *trajectory = NULL;
-  struct mo_job job;
-  int error = mo_store_job(store, place->evaluation, &job);
+  const struct mo_job *job = &place->job;
+  int error = mo_store_job(store, place->evaluation, &place->job);
   if (error != MO_OK)
     mo_reply_error(request, error, "evaluation");
-  else if (d >= job.n_designs || k >= job.n_environments)
+  else if (d >= job->n_designs || k >= job->n_environments)
     mo_reply_problem(request, 404, NULL, "The evaluation has %u designs and %u environments.",
-                     job.n_designs, job.n_environments);
-  else if (job.record == 0)
+                     job->n_designs, job->n_environments);
+  else if (job->record == 0)
     mo_reply_problem(request, 404, NULL, "The evaluation did not ask for a recording.");
-  else if (place->array >= 0 && !(job.record >> place->array & 1))
+  else if (place->array >= 0 && !(job->record >> place->array & 1))
     mo_reply_problem(request, 404, NULL,
                      "The evaluation did not ask for a recording of this array.");
   else if ((error = mo_store_trajectory(store, place->evaluation, d, k, &trajectory)) != MO_OK)
-    reply_missing(request, &job, error);
+    reply_missing(request, job, error);
   return trajectory;
 }
 
-void mo_api_get_trajectory(struct mo_request *request)
+static void reply_json(struct mo_request *request, const struct place *place,
+                       const struct mo_trajectory *trajectory)
 {
   struct mo_text text = {0};
   struct mo_scene_array array;
-  struct place place;
-  struct mo_trajectory *trajectory = read_trajectory(request, &place);
-  if (trajectory == NULL)
-    return;
   mo_text_object(&text);
-  mo_text_member_id(&text, "evaluation", place.evaluation);
-  mo_text_member_count(&text, "design", (uint64_t)place.design);
-  mo_text_member_count(&text, "environment", (uint64_t)place.environment);
+  mo_text_member_id(&text, "evaluation", place->evaluation);
+  mo_text_member_count(&text, "design", (uint64_t)place->design);
+  mo_text_member_count(&text, "environment", (uint64_t)place->environment);
   mo_text_member_count(&text, "stride", trajectory->recording.stride);
   mo_text_member_count(&text, "frames", trajectory->n_frames);
   mo_text_member_number(&text, "dt_s", trajectory->dt_s);
@@ -123,8 +122,91 @@ void mo_api_get_trajectory(struct mo_request *request)
   mo_text_add(&text, "}");
   mo_reply_json(request, 200, &text);
   mo_reply_etag(request, "%" PRIx64 "-trajectory-%" PRId64 "-%" PRId64 "-%" PRId64,
-                mo_store_id(mo_api_of(request)->store), place.evaluation, place.design,
-                place.environment);
+                mo_store_id(mo_api_of(request)->store), place->evaluation, place->design,
+                place->environment);
+}
+
+static bool fits(const struct mo_trajectory *trajectory, const struct mo_body *body)
+{
+  return trajectory->n_masses == body->n_masses &&
+         (trajectory->n_springs == 0 || trajectory->n_springs == body->n_springs);
+}
+
+/* Fills in the one rollout of a scene. It takes the recording over. */
+static int fill_rollout(struct mo_api *api, const struct place *place,
+                        struct mo_trajectory *trajectory, struct mo_rollouts *rollouts)
+{
+  struct mo_evaluation_results *results = NULL;
+  struct mo_rolled_design *design = &rollouts->designs[0];
+  struct mo_rolled *rolled = &rollouts->rollouts[0];
+  const size_t k = (size_t)place->environment;
+  uint32_t n = 0;
+  int error = mo_store_job_environments(api->store, place->evaluation, MO_JOB_EVALUATION,
+                                        &rollouts->environments, &n);
+  if (error == MO_OK)
+    error = mo_store_result(api->store, place->evaluation, (uint32_t)place->design, &results);
+  if (error == MO_OK && (k >= n || k >= results->n_environments))
+    error = MO_ERR_CORRUPT;
+  if (error == MO_OK) {
+    rollouts->environments[0] = rollouts->environments[k];
+    *design = (struct mo_rolled_design){
+        .form = results->forms[0], .genotype = results->genotypes[0], .score = results->scores[0]};
+    rolled->outcome = (struct mo_outcome){.loss = results->losses[k],
+                                          .diverged_step = results->diverged_steps[k]};
+    error = mo_body_create(api->lattice, design->genotype.words, &design->body);
+    if (design->body != NULL && !fits(trajectory, design->body))
+      error = MO_ERR_CORRUPT;
+  }
+  mo_evaluation_results_free(results);
+  rolled->recording = trajectory->recording;
+  trajectory->recording = (struct mo_recording){0};
+  return error;
+}
+
+static void reply_scene(struct mo_request *request, const struct place *place,
+                        struct mo_trajectory *trajectory)
+{
+  const struct mo_job *job = &place->job;
+  struct mo_rollouts *rollouts = calloc(1, sizeof(*rollouts));
+  int error = rollouts != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  if (error == MO_OK) {
+    *rollouts = (struct mo_rollouts){.n_designs = 1,
+                                     .n_environments = 1,
+                                     .n_frames = trajectory->n_frames,
+                                     .designs = calloc(1, sizeof(*rollouts->designs)),
+                                     .rollouts = calloc(1, sizeof(*rollouts->rollouts)),
+                                     .physics = job->physics,
+                                     .precision = job->precision,
+                                     .controller = job->controller_sha256,
+                                     .sensor = job->sensor};
+    error = rollouts->designs != NULL && rollouts->rollouts != NULL
+                ? fill_rollout(mo_api_of(request), place, trajectory, rollouts)
+                : MO_ERR_NO_MEMORY;
+  }
+  if (error != MO_OK) {
+    mo_reply_error(request, error, "trajectory");
+  } else {
+    mo_reply_rollouts(request, rollouts, true);
+    mo_reply_etag_of_body(request);
+  }
+  mo_rollouts_free(rollouts);
+}
+
+void mo_api_get_trajectory(struct mo_request *request)
+{
+  static const char *const forms[] = {"json", "scene", NULL};
+  static const char *const types[] = {"application/json", MO_SCENE_TYPE, NULL};
+  struct place place;
+  int form;
+  if (!mo_query_form(request, forms, types, &form))
+    return;
+  struct mo_trajectory *trajectory = read_trajectory(request, &place);
+  if (trajectory == NULL)
+    return;
+  if (form == 1)
+    reply_scene(request, &place, trajectory);
+  else
+    reply_json(request, &place, trajectory);
   mo_trajectory_free(trajectory);
 }
 

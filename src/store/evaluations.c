@@ -9,20 +9,26 @@
 
 /* ---- results ---- */
 
+/* Which designs of an evaluation are read. */
+struct range {
+  int64_t id;
+  uint32_t first, n; /* n 0: all */
+};
+
 struct result_keys {
   struct mo_saved_design design; /* fingerprint 0: the job has not started */
   bool verify, is_complete; /* is_complete: the job has succeeded, so that no loss is missing */
   int64_t environments[MO_ENVIRONMENTS_MAX];
 };
 
-static int load_keys(struct mo_connection *reader, int64_t id, struct result_keys *keys,
+static int load_keys(struct mo_connection *reader, struct range *range, struct result_keys *keys,
                      struct mo_evaluation_results *results)
 {
   static const char sql[] =
       "SELECT controller,physics,verify,n_designs,n_environments,coalesce(fingerprint,0),"
       "coalesce(workers,0),state=3 FROM evaluations JOIN jobs ON id=job WHERE job=?1";
   sqlite3_stmt *row;
-  const int error = mo_sql_row(reader, &row, sql, mo_int(id));
+  const int error = mo_sql_row(reader, &row, sql, mo_int(range->id));
   if (error != MO_OK)
     return error;
   *keys = (struct result_keys){.design = {.controller = sqlite3_column_int64(row, 0),
@@ -33,10 +39,15 @@ static int load_keys(struct mo_connection *reader, int64_t id, struct result_key
                                .is_complete = sqlite3_column_int(row, 7) != 0};
   results->n_designs = mo_column_u32(row, 3);
   results->n_environments = mo_column_u32(row, 4);
-  return results->n_designs >= 1 && results->n_designs <= MO_DESIGNS_MAX &&
-                 results->n_environments >= 1 && results->n_environments <= MO_ENVIRONMENTS_MAX
-             ? mo_environments_read(reader, id, results->n_environments, NULL, keys->environments)
-             : MO_ERR_CORRUPT;
+  if (results->n_designs < 1 || results->n_designs > MO_DESIGNS_MAX ||
+      results->n_environments < 1 || results->n_environments > MO_ENVIRONMENTS_MAX)
+    return MO_ERR_CORRUPT;
+  if (range->first + range->n > results->n_designs)
+    return MO_ERR_NOT_FOUND;
+  if (range->n == 0)
+    range->n = results->n_designs;
+  results->n_designs = range->n;
+  return mo_environments_read(reader, range->id, results->n_environments, NULL, keys->environments);
 }
 
 static int allocate_results(struct mo_evaluation_results *results, bool verify)
@@ -81,17 +92,19 @@ static int load_losses(struct mo_connection *reader, const struct result_keys *k
   return error;
 }
 
-static int load_designs(struct mo_connection *reader, int64_t id, struct result_keys *keys,
-                        struct mo_evaluation_results *results)
+static int load_designs(struct mo_connection *reader, const struct range *range,
+                        struct result_keys *keys, struct mo_evaluation_results *results)
 {
   static const char sql[] = "SELECT x.position,x.genotype,g.bits,d.form FROM job_designs x"
                             " JOIN genotypes g ON g.id=x.genotype JOIN designs d ON d.id=g.design"
-                            " WHERE x.job=?1 ORDER BY x.position";
+                            " WHERE x.job=?1 AND x.position>=?2 AND x.position<?3"
+                            " ORDER BY x.position";
   int error = MO_OK;
   uint32_t n = 0;
-  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(range->id), mo_int(range->first),
+                                  mo_int((int64_t)range->first + range->n));
   for (; mo_sql_next(reader, row, &error); n++) {
-    if (n == results->n_designs || sqlite3_column_int64(row, 0) != n)
+    if (n == results->n_designs || sqlite3_column_int64(row, 0) != range->first + n)
       return MO_ERR_CORRUPT;
     error = mo_column_genotype(row, 2, 3, &results->genotypes[n], &results->forms[n]);
     keys->design.genotype = sqlite3_column_int64(row, 1);
@@ -109,18 +122,20 @@ static bool same_bits(double a, double b)
   return words[0] == words[1];
 }
 
-static int load_recomputed(struct mo_connection *reader, int64_t id,
+static int load_recomputed(struct mo_connection *reader, const struct range *range,
                            struct mo_evaluation_results *results)
 {
   static const char sql[] =
       "SELECT position,environment,diverged_step,loss,stored,checksum FROM recomputed"
-      " WHERE job=?1 ORDER BY position,environment";
+      " WHERE job=?1 AND position>=?2 AND position<?3 ORDER BY position,environment";
   int error = MO_OK;
-  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(range->id), mo_int(range->first),
+                                  mo_int((int64_t)range->first + range->n));
   memset(results->agrees, 1, results->n_designs);
   while (mo_sql_next(reader, row, &error)) {
-    const uint32_t n = mo_column_u32(row, 0), k = mo_column_u32(row, 1);
-    const int64_t key[4] = {id, n, k, sqlite3_column_int64(row, 2)};
+    const uint32_t position = mo_column_u32(row, 0), n = position - range->first,
+                   k = mo_column_u32(row, 1);
+    const int64_t key[4] = {range->id, position, k, sqlite3_column_int64(row, 2)};
     const bool has_stored = sqlite3_column_type(row, 4) != SQLITE_NULL;
     double values[2] = {NAN, NAN};
     size_t cell;
@@ -143,16 +158,16 @@ static int load_recomputed(struct mo_connection *reader, int64_t id,
 
 static int load_results(struct mo_connection *reader, const void *key, void *ret)
 {
-  const int64_t id = *(const int64_t *)key;
+  struct range range = *(const struct range *)key;
   struct mo_evaluation_results *results = ret;
   struct result_keys keys;
-  int error = load_keys(reader, id, &keys, results);
+  int error = load_keys(reader, &range, &keys, results);
   if (error == MO_OK)
     error = allocate_results(results, keys.verify);
   if (error == MO_OK)
-    error = load_designs(reader, id, &keys, results);
+    error = load_designs(reader, &range, &keys, results);
   if (error == MO_OK && keys.verify)
-    error = load_recomputed(reader, id, results);
+    error = load_recomputed(reader, &range, results);
   for (uint32_t n = 0; n < results->n_designs && error == MO_OK; n++) {
     double sum = 0;
     for (uint32_t k = 0; k < results->n_environments; k++)
@@ -162,11 +177,24 @@ static int load_results(struct mo_connection *reader, const void *key, void *ret
   return error;
 }
 
-int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **ret)
+static int read_results(struct mo_store *store, struct range range,
+                        struct mo_evaluation_results **ret)
 {
   int error;
-  *ret = mo_read_whole(store, sizeof(**ret), load_results, &id, mo_evaluation_results_free, &error);
+  *ret =
+      mo_read_whole(store, sizeof(**ret), load_results, &range, mo_evaluation_results_free, &error);
   return error;
+}
+
+int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **ret)
+{
+  return read_results(store, (struct range){.id = id}, ret);
+}
+
+int mo_store_result(struct mo_store *store, int64_t id, uint32_t n,
+                    struct mo_evaluation_results **ret)
+{
+  return read_results(store, (struct range){id, n, 1}, ret);
 }
 
 /* ---- trajectories ---- */

@@ -60,6 +60,9 @@ void mo_trajectory_free(void *trajectory); /* NULL-safe */
 
 /* Reads the results of an evaluation: of an unfinished one, those so far. MO_ERR_NOT_FOUND. */
 int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **results);
+/* Reads only those of design n: results of one design. */
+int mo_store_result(struct mo_store *store, int64_t id, uint32_t n,
+                    struct mo_evaluation_results **results);
 
 /* Reads the trajectory of design n in environment k (both from 0). MO_ERR_NOT_FOUND: no such
  * evaluation, design or environment, or nothing is recorded (yet). */

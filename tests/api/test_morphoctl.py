@@ -179,6 +179,16 @@ def test_trajectories(ctl, tmp_path):
     assert b"'shape': (5,3)" in content[:128]
     points = struct.unpack("<15f", content[128:])
     assert all(abs(p) < 10 for p in points) and points[2] > 0
+    out = tmp_path / "channels"
+    status, _, err = ctl(
+        f"eval {SHORT} --record contacts,actuation --record-stride 1 --output", str(out),
+        input_text=CELLS)
+    assert status == 0, err
+    for name, form in (("actuation", b"'|i1'"), ("contacts", b"'|u1'")):
+        content = (out / f"design-0000-environment-03-{name}.npy").read_bytes()
+        assert form in content[:128] and (len(content) - 128) % 21 == 0 and any(content[128:])
+    status, _, err = ctl(f"eval {SHORT} --record pose", input_text=CELLS)
+    assert status == 2 and "com, masses, actuation, contacts" in err
 
 
 def test_environments_of_a_file(ctl, tmp_path):

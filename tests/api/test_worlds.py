@@ -110,6 +110,49 @@ def test_a_scene_holds_what_an_evaluation_records(service):
         assert len(array(world["terrain_heights_m"])) == 64
 
 
+def test_scenes_of_recordings(service):
+    """A stored recording as a scene: what the rollouts of the same request give, bit for bit."""
+    request = {
+        "designs": [{"cells": [[0, 0, 0]]}, DESIGN], "environments": [WORLD, {**WORLD, "seed": 8}],
+        "physics": {"n_steps": 40, "gravity_m_per_s2": 9.5}, "record_stride": 20,
+        "record": ["com", "masses", "actuation", "contacts"]
+    }
+    whole, numbers = scene(roll(service, request))
+    evaluation = service.evaluate(request).json()
+    path = f"/v1/evaluations/{evaluation['id']}/trajectories/"
+    accept = {"Accept": "application/vnd.morphod.scene"}
+    for rolled in whole["rollouts"]:
+        n, k = rolled["design"], rolled["environment"]
+        reply = service.request("GET", f"{path}{n}?environment={k}", headers=accept)
+        header, array = scene(reply)
+        assert reply.headers["Vary"] == "Accept"
+        for member in ("controller", "physics_sha256", "physics", "precision", "frame_s"):
+            assert header[member] == whole[member]
+        (design, ), (world, ), (rollout, ) = (
+            header[name] for name in ("designs", "environments", "rollouts"))
+        assert (rollout["design"], rollout["environment"]) == (0, 0)
+        assert rollout["loss"] == rolled["loss"] and rollout["diverged_step"] == 0
+        for mine, its in ((design, whole["designs"][n]), (world, whole["environments"][k]),
+                          (rollout, rolled)):
+            assert list(mine) == list(its)
+            for name, value in its.items():
+                if isinstance(value, dict):
+                    assert mine[name]["shape"] == value["shape"]
+                    assert array(mine[name]) == numbers(value), name
+                elif name not in ("design", "environment"):
+                    assert mine[name] == value, name
+        again = service.request("GET", f"{path}{n}?environment={k}&format=scene")
+        assert again.body == reply.body
+        tag = {"If-None-Match": reply.headers["ETag"], **accept}
+        assert service.request("GET", f"{path}{n}?environment={k}", headers=tag).status == 304
+    service.refuses(path + "0", "?format=csv")
+    few = service.evaluate(request | {"record": ["com"], "verify": True}).json()
+    header, _ = scene(service.request(
+        "GET", f"/v1/evaluations/{few['id']}/trajectories/1?environment=1&format=scene"))
+    assert "com_m" in header["rollouts"][0] and "masses_m" not in header["rollouts"][0]
+    assert header["rollouts"][0]["loss"] == whole["rollouts"][3]["loss"]
+
+
 def test_the_body_of_a_design(service):
     header, array = scene(roll(service, {"designs": [DESIGN], "physics": SHORT}))
     design = header["designs"][0]

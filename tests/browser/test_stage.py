@@ -62,6 +62,38 @@ def test_masses_are_where_the_recording_has_them(service, browser):
                 assert seen == pytest.approx(told, abs=0.01), (time, axis)
 
 
+def test_what_springs_do_and_what_touches_the_ground(service, browser):
+    """The stage has the channels of the recording, and they change what it draws."""
+    browser.open("stage?environment=2")
+    browser.until_walking()
+    shapes = browser.run("""
+        const { stage } = document.querySelector('.stage').player;
+        document.querySelector('.stage').player.setPlaying(false);
+        Object.assign(stage, { sideBySide: false, shadows: false, scale: 1, timeS: 2 });
+        stage.show = { skin: false, springs: true, trails: false, contacts: false };
+        return stage.robots.map(({ body, frames, actuation, contacts }) => [
+          actuation.length === frames * body.nSprings, contacts.length === frames * body.nMasses,
+          actuation.some((output) => Math.abs(output) > 60), contacts.some(Boolean)]);
+    """)
+    assert shapes and all(row == [True] * 4 for row in shapes)
+
+    def drawn(script):
+        browser.run("const { stage } = document.querySelector('.stage').player;" + script +
+                    "stage.draw();")
+        return browser.pixels(".stage canvas")[3]
+
+    by_strain = drawn("")
+    by_actuation = drawn("stage.show.actuation = true;")
+    assert by_strain != by_actuation
+    passive = drawn(
+        "stage.robots.forEach((robot) => { robot.gpu.actuation = stage.noActuation; });")
+    assert by_actuation != passive
+    touching = drawn("stage.show.contacts = true;")
+    assert touching != passive
+    lifted = drawn("stage.robots.forEach((robot) => { robot.gpu.contacts = stage.noContacts; });")
+    assert lifted == passive, "a ring where the recording has no contact"
+
+
 @pytest.fixture(scope="module")
 def model(service, browser, tmp_path_factory):
     """A robot as a GLB file, its number of masses, the time of a frame, and its recording."""

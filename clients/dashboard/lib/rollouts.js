@@ -17,6 +17,9 @@ export async function environmentSet(name) {
 
 const requested = ({ light_xy_m, terrain_heights_m }) => ({ light_xy_m, terrain_heights_m });
 
+/** What the stage shows. */
+const CHANNELS = ['masses', 'actuation', 'contacts'];
+
 /** At most so many rollouts go into one request. */
 export const ROLLOUTS_AT_ONCE = 16;
 
@@ -28,7 +31,7 @@ export const ROLLOUTS_AT_ONCE = 16;
  * @param {{controller?: string, physics?: Object, record?: string[], stride?: number, signal?: AbortSignal}} [options]
  */
 export async function roll(designs, environments, options = {}) {
-  const { controller = 'default', physics, record = ['masses'], stride = 10, signal } = options;
+  const { controller = 'default', physics, record = CHANNELS, stride = 10, signal } = options;
   const robots = [];
   const atOnce = Math.max(1, Math.floor(ROLLOUTS_AT_ONCE / environments.length));
   for (let i = 0; i < designs.length; i += atOnce) {

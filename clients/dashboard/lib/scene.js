@@ -1,11 +1,14 @@
 /**
  * Reads a scene: application/vnd.morphod.scene (docs/scenes.md). Four bytes tell the length of a JSON
- * header; the arrays that it describes follow, each at an offset that is a multiple of 4.
+ * header; the arrays that it describes follow, each at an offset that is a multiple of 8.
  */
 
 import { bodyOf } from './body.js';
 
-const TYPES = { float32: Float32Array, uint16: Uint16Array, int8: Int8Array, uint8: Uint8Array, uint32: Uint32Array };
+const TYPES = {
+  float64: Float64Array, float32: Float32Array, uint32: Uint32Array, uint16: Uint16Array, uint8: Uint8Array,
+  int8: Int8Array,
+};
 
 /**
  * @param {ArrayBuffer} buffer
@@ -41,6 +44,7 @@ export function robotsOf({ header, array }) {
       body: bodies.get(genotype),
       track: array(rollout.masses_m),
       actuation: rollout.actuation ? array(rollout.actuation) : undefined,
+      contacts: rollout.contacts ? array(rollout.contacts) : undefined,
       frames: rollout.masses_m.shape[0],
       frameS: header.frame_s,
       loss: rollout.loss,

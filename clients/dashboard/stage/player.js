@@ -67,6 +67,8 @@ export class Player {
     const { stage } = this;
     const flag = (text, name) => toggle(text, stage.show[name], (on) => {
       stage.show[name] = on;
+      // Actuation is a color of the springs.
+      if (name === 'actuation' && on && !stage.show.springs) this.springsToggle.click();
       this.#wake();
       this.onchange();
     });

@@ -198,7 +198,7 @@ void main() {
   float restLength = diagonal == 1u ? 0.14142136 : 0.1;
   if (showActuation) {
     ivec2 size = textureSize(actuation, 0);
-    int row = min(int(frame), size.y - 1);
+    int row = min(int(frame + 0.5), size.y - 1);
     amount = float(texelFetch(actuation, ivec2(gl_InstanceID, row), 0).r) / 127.0;
   } else {
     amount = clamp((distance(a, b) / restLength - 1.0) * 5.0, -1.0, 1.0);
@@ -254,16 +254,20 @@ void main() {
 }`,
 ];
 
-/** Masses that touch the ground: a ring under each. */
+/** Masses that touch the ground: a ring under each. Without a record of contacts, those that lie on it. */
 export const CONTACT_SHADERS = [
   `${VERSION}${TRACK}${TERRAIN}
 uniform mat4 matrix;
+uniform highp usampler2D contacts;
+uniform bool hasContacts;
 out vec2 uv;
 out float touching;
 void main() {
   vec3 mass = massAt(uint(gl_InstanceID));
   float ground = heightAt(mass.xy);
-  touching = 1.0 - smoothstep(0.0005, 0.004, mass.z - ground);
+  int row = min(int(frame + 0.5), textureSize(contacts, 0).y - 1);
+  touching = hasContacts ? float(texelFetch(contacts, ivec2(gl_InstanceID, row), 0).r)
+                         : 1.0 - smoothstep(0.0005, 0.004, mass.z - ground);
   uv = vec2(float(gl_VertexID & 1), float(gl_VertexID >> 1)) * 2.0 - 1.0;
   vec2 p = mass.xy + uv * 0.024;
   gl_Position = matrix * vec4(p, heightAt(p) + 0.005, 1.0);

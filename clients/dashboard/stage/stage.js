@@ -54,7 +54,7 @@ export function centerOfMass(robot, frame) {
 
 /** What one robot needs on the graphics processor. */
 function upload(gl, robot) {
-  const { body, track, frames, actuation } = robot;
+  const { body, track, frames, actuation, contacts } = robot;
   const faces = new Uint16Array(body.nFaces * 9);
   for (let face = 0; face < body.nFaces; face++) {
     const voxel = body.faces[2 * face];
@@ -72,6 +72,9 @@ function upload(gl, robot) {
     track: dataTexture(gl, gl.RGB32F, body.nMasses, frames, gl.RGB, gl.FLOAT, track),
     actuation: actuation
       ? dataTexture(gl, gl.R8I, body.nSprings, actuation.length / body.nSprings, gl.RED_INTEGER, gl.BYTE, actuation)
+      : null,
+    contacts: contacts
+      ? dataTexture(gl, gl.R8UI, body.nMasses, frames, gl.RED_INTEGER, gl.UNSIGNED_BYTE, contacts)
       : null,
     skin: vertexArray(gl, faces, [
       { at: 0, size: 4, type: short, integer: true, stride: 18, offset: 0, divisor: 1 },
@@ -115,6 +118,7 @@ function trailOf(gl, robot) {
  * @property {{light: number[], heights: Float32Array|number[]}} world light (x, y) in meters and the
  *   64 heights of the terrain
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
+ * @property {Uint8Array} [contacts] (frames, masses), 1 where a mass touches the ground
  * @property {string} [color] as in the legend
  * @property {string} [label]
  * @property {number|null} [loss] null: diverged
@@ -181,6 +185,7 @@ export class Stage {
     gl.bindVertexArray(null);
     this.shadow = shadowTarget(gl, 1024);
     this.noActuation = dataTexture(gl, gl.R8I, 1, 1, gl.RED_INTEGER, gl.BYTE, new Int8Array(1));
+    this.noContacts = dataTexture(gl, gl.R8UI, 1, 1, gl.RED_INTEGER, gl.UNSIGNED_BYTE, new Uint8Array(1));
   }
 
   /** Replaces the robots on the stage. @param {Robot[]} robots */
@@ -190,6 +195,7 @@ export class Stage {
       if (!gpu) continue;
       gl.deleteTexture(gpu.track);
       if (gpu.actuation) gl.deleteTexture(gpu.actuation);
+      if (gpu.contacts) gl.deleteTexture(gpu.contacts);
       for (const part of [gpu.skin, gpu.springs, gpu.trail]) part.free();
     }
     for (const texture of this.terrains.values()) gl.deleteTexture(texture);
@@ -345,7 +351,9 @@ export class Stage {
         gl.drawArrays(gl.TRIANGLE_STRIP, 0, robot.gpu.trail.n);
       }
       if (show.contacts) {
-        this.programs.contacts.use().set(common).set(own);
+        this.programs.contacts.use().set(common).set({
+          ...own, contacts: robot.gpu.contacts ?? this.noContacts, hasContacts: robot.gpu.contacts !== null,
+        });
         gl.bindVertexArray(this.empty);
         gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, robot.body.nMasses);
       }

@@ -82,7 +82,7 @@ const labelOf = (text) => (text.length === 144 ? 'drawn' : `${text.replace(/0+$/
 
 function curlOf(ids, environment, controller) {
   const body = {
-    designs: ids.map(designOf), controller, record: ['masses'],
+    designs: ids.map(designOf), controller, record: ['masses', 'actuation', 'contacts'],
     environments: [{ light_xy_m: environment.light_xy_m, terrain_heights_m: environment.terrain_heights_m }],
   };
   return `curl -s ${new URL('v1/rollouts', document.baseURI)} -H 'Content-Type: application/json' \\\n` +
