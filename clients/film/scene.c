@@ -179,6 +179,45 @@ const char *scene_read(const void *bytes, size_t size, struct scene *scene)
   return reader.fault;
 }
 
+/* Returns a list of n items grown by more of them; NULL: no memory, it is as it was. */
+static void *extend(void *list, uint32_t n, const void *more, uint32_t n_more, size_t width)
+{
+  char *grown = realloc(list, ((size_t)n + n_more) * width + 1);
+  if (grown != NULL)
+    memcpy(grown + n * width, more, n_more * width);
+  return grown;
+}
+
+const char *scene_append(struct scene *scene, struct scene *other)
+{
+  const char *fault = scene->n_rollouts > 0 && scene->frame_s != other->frame_s
+                          ? "the scenes have other times between their frames"
+                          : NULL;
+  for (uint32_t i = 0; i < other->n_rollouts; i++) {
+    other->rollouts[i].body += scene->n_bodies;
+    other->rollouts[i].world += scene->n_worlds;
+  }
+  void *bodies = extend(scene->bodies, scene->n_bodies, other->bodies, other->n_bodies,
+                        sizeof(*scene->bodies));
+  void *worlds = extend(scene->worlds, scene->n_worlds, other->worlds, other->n_worlds,
+                        sizeof(*scene->worlds));
+  void *rollouts = extend(scene->rollouts, scene->n_rollouts, other->rollouts, other->n_rollouts,
+                          sizeof(*scene->rollouts));
+  scene->bodies = bodies != NULL ? bodies : scene->bodies;
+  scene->worlds = worlds != NULL ? worlds : scene->worlds;
+  scene->rollouts = rollouts != NULL ? rollouts : scene->rollouts;
+  if (bodies == NULL || worlds == NULL || rollouts == NULL)
+    fault = "out of memory";
+  if (fault == NULL) {
+    scene->frame_s = other->frame_s;
+    scene->n_bodies += other->n_bodies;
+    scene->n_worlds += other->n_worlds;
+    scene->n_rollouts += other->n_rollouts;
+  }
+  scene_free(other);
+  return fault;
+}
+
 void scene_free(struct scene *scene)
 {
   json_decref(scene->header);

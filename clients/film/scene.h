@@ -43,6 +43,8 @@ struct scene {
 /* Reads `size` bytes, which must be aligned to 4 and outlive the scene. Returns NULL, or what is
  * wrong with them; the scene is then empty. */
 const char *scene_read(const void *bytes, size_t size, struct scene *scene);
+/* Adds what another scene has, which is then empty. Returns NULL, or why it does not fit. */
+const char *scene_append(struct scene *scene, struct scene *other);
 void scene_free(struct scene *scene);
 
 #endif

@@ -127,7 +127,8 @@ int run_campaign_extend(struct ctl *ctl)
 
 /* ---- champions ---- */
 
-/* Evaluates the champions again with recording, and saves their trajectories into a folder. */
+/* Evaluates the champions again with recording; saves their trajectories into a folder (nullable),
+ * and films them with --film. */
 static int record_champions(struct ctl *ctl, const char *id, int64_t count, const char *folder)
 {
   int64_t stride = 10;
@@ -138,14 +139,16 @@ static int record_champions(struct ctl *ctl, const char *id, int64_t count, cons
   snprintf(path, sizeof(path), "/v1/campaigns/%s/champions", id);
   json_t *request =
       json_pack("{s:I, s:I}", "count", (json_int_t)count, "stride", (json_int_t)stride);
-  int status = request_fill_record(ctl, request);
+  int status = request_fill_record(ctl, request, folder != NULL ? "com" : NULL);
   if (status == STATUS_OK)
     status = evaluate(ctl, path, request, true, &evaluation);
   json_decref(request);
   if (status == STATUS_OK)
     status = job_outcome("job", evaluation);
-  if (status == STATUS_OK)
+  if (status == STATUS_OK && folder != NULL)
     status = save_trajectories(ctl, evaluation, folder);
+  if (status == STATUS_OK)
+    status = film_evaluation(ctl, evaluation);
   json_decref(evaluation);
   return status;
 }
@@ -153,17 +156,20 @@ static int record_champions(struct ctl *ctl, const char *id, int64_t count, cons
 int run_campaign_champions(struct ctl *ctl)
 {
   const char *id = ctl->operands[0], *folder = option_text(ctl, "output", NULL);
+  const bool records = folder != NULL || option_is_set(ctl, "film");
   int64_t count = 12, generation = -1;
   char path[128];
   if (!check_job_id(id) || !option_number(ctl, "count", 1, 1000, &count) ||
       !option_number(ctl, "generation", 0, 1000000, &generation))
     return STATUS_USAGE;
-  if (folder == NULL && (option_is_set(ctl, "record-stride") || option_is_set(ctl, "record")))
-    return complain(STATUS_USAGE, "--record and --record-stride are for --output");
-  if (folder != NULL && generation >= 0)
-    return complain(
-        STATUS_USAGE,
-        "paths are recorded of the newest generation: --output goes without --generation");
+  if (!records && (option_is_set(ctl, "record-stride") || option_is_set(ctl, "record")))
+    return complain(STATUS_USAGE, "--record and --record-stride are for --output and --film");
+  if (records && generation >= 0)
+    return complain(STATUS_USAGE, "the newest generation is recorded: --output and --film go "
+                                  "without --generation");
+  const int checked = film_check(ctl);
+  if (checked != STATUS_OK)
+    return checked;
   int n = snprintf(path, sizeof(path), "/v1/campaigns/%s/champions?count=%" PRId64, id, count);
   if (generation >= 0)
     snprintf(path + n, sizeof(path) - (size_t)n, "&generation=%" PRId64, generation);
@@ -177,7 +183,7 @@ int run_campaign_champions(struct ctl *ctl)
                 "|>score={score:.4f}|>distinctness={distinctiveness:.4f}|born={operator}"
                 "|>generation={born:,}");
   json_decref(page);
-  return status == STATUS_OK && folder != NULL ? record_champions(ctl, id, count, folder) : status;
+  return status == STATUS_OK && records ? record_champions(ctl, id, count, folder) : status;
 }
 
 /* ---- export ---- */

@@ -13,13 +13,13 @@
 static int fill_record(const struct ctl *ctl, json_t *request)
 {
   int64_t stride = 10;
-  if (!option_is_set(ctl, "record")) {
+  if (!option_is_set(ctl, "record") && !option_is_set(ctl, "film")) {
     if (option_is_set(ctl, "record-stride") || option_is_set(ctl, "output"))
       return complain(STATUS_USAGE, "--record-stride and --output need --record, such as "
                                     "--record com,masses");
     return STATUS_OK;
   }
-  const int status = request_fill_record(ctl, request);
+  const int status = request_fill_record(ctl, request, NULL);
   if (status != STATUS_OK)
     return status;
   if (!option_number(ctl, "record-stride", 1, 1000000, &stride))
@@ -229,6 +229,10 @@ int run_eval(struct ctl *ctl)
     status = complain(STATUS_USAGE, "--sort: \"%s\" is not input or score", sort);
   if (status == STATUS_OK && output != NULL && !wait)
     status = complain(STATUS_USAGE, "--output needs the result: it goes with --wait");
+  if (status == STATUS_OK && option_is_set(ctl, "film") && !wait)
+    status = complain(STATUS_USAGE, "--film needs the result: it goes with --wait");
+  if (status == STATUS_OK)
+    status = film_check(ctl);
   if (status == STATUS_OK)
     status = request_fill(ctl, request);
   if (status == STATUS_OK)
@@ -257,6 +261,8 @@ int run_eval(struct ctl *ctl)
     status = job_outcome("job", evaluation);
     if (status == STATUS_OK && output != NULL)
       status = save_trajectories(ctl, evaluation, output);
+    if (status == STATUS_OK)
+      status = film_evaluation(ctl, evaluation);
   }
   json_decref(evaluation);
   json_decref(request);

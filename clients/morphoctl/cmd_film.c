@@ -1,8 +1,10 @@
-/* cmd_film.c: "film" and "picture": robots drawn without a display.
+/* cmd_film.c: "film" and "picture", and --film of other commands: robots drawn without a display.
  *
- * The rollouts come from the server as a scene and are stored nowhere. A film is a folder of PNG
+ * The rollouts come from the server as scenes: of a request that is stored nowhere, or of what an
+ * evaluation recorded. A film is a folder of PNG
  * files, a Y4M stream, or whatever ffmpeg, if it is installed, makes of such a stream. */
 #include <errno.h>
+#include <inttypes.h>
 #include <math.h>
 #include <signal.h>
 #include <stdlib.h>
@@ -23,7 +25,7 @@
 
 struct film {
   struct scene scene;
-  struct reply reply;                              /* holds the scene's bytes */
+  struct reply replies[ROBOTS_MAX];                /* hold the scene's bytes */
   uint32_t width, height, view_width, view_height; /* pixels of the whole, of a robot's view */
   struct raster *raster;                           /* of one robot's view */
   uint8_t *tile, *frame;                           /* (height, width, 3) of a view, of the whole */
@@ -90,10 +92,10 @@ static int load_scene(struct ctl *ctl, struct film *film)
                                               .body = body,
                                               .body_bytes = strlen(body),
                                               .repeatable = true},
-                            &film->reply);
-  const char *fault = status == STATUS_OK
-                          ? scene_read(film->reply.body, film->reply.body_bytes, &film->scene)
-                          : NULL;
+                            &film->replies[0]);
+  const char *fault = status == STATUS_OK ? scene_read(film->replies[0].body,
+                                                       film->replies[0].body_bytes, &film->scene)
+                                          : NULL;
   free(body);
   json_decref(request);
   designs_free(&designs);
@@ -136,7 +138,8 @@ static bool read_side(const char *from, const char *to, uint32_t *side)
   return from == to && value >= 64 && value <= RASTER_SIDE_MAX;
 }
 
-static int prepare(struct ctl *ctl, struct film *film)
+/* Reads the options that say how to draw. */
+static int read_look(struct ctl *ctl, struct film *film)
 {
   const char *size = option_text(ctl, "size", "960x540");
   const char *cross = strchr(size, 'x');
@@ -154,9 +157,12 @@ static int prepare(struct ctl *ctl, struct film *film)
     return STATUS_USAGE;
   film->yaw = yaw * M_PI / 180;
   film->pitch = pitch * M_PI / 180;
-  int status = load_scene(ctl, film);
-  if (status != STATUS_OK)
-    return status;
+  return STATUS_OK;
+}
+
+/* Lays out the views of the scene's robots. */
+static int lay_out(struct film *film)
+{
   if (film->scene.n_rollouts > ROBOTS_MAX || !(duration_s(film) <= DURATION_MAX_S))
     return complain(STATUS_ERROR, "the server sent more than was asked for");
   /* Views side by side, about as wide as the picture. */
@@ -166,17 +172,27 @@ static int prepare(struct ctl *ctl, struct film *film)
   film->view_width = film->width / columns;
   film->view_height = film->height / rows;
   film->raster = raster_create(film->view_width, film->view_height);
-  film->tile = malloc((size_t)film->width * film->height * 3);
-  film->frame = calloc((size_t)film->width * film->height, 3);
+  const size_t bytes = (size_t)film->width * film->height * 3 + 1;
+  film->tile = calloc(bytes, 1);
+  film->frame = calloc(bytes, 1);
   return film->raster != NULL && film->tile != NULL && film->frame != NULL
              ? STATUS_OK
              : complain(STATUS_ERROR, "out of memory");
 }
 
+static int prepare(struct ctl *ctl, struct film *film)
+{
+  int status = read_look(ctl, film);
+  if (status == STATUS_OK)
+    status = load_scene(ctl, film);
+  return status == STATUS_OK ? lay_out(film) : status;
+}
+
 static void release(struct film *film)
 {
   scene_free(&film->scene);
-  reply_free(&film->reply);
+  for (size_t i = 0; i < ROBOTS_MAX; i++)
+    reply_free(&film->replies[i]);
   raster_free(film->raster);
   free(film->tile);
   free(film->frame);
@@ -232,16 +248,32 @@ static bool put_y4m(const struct film *film, FILE *file)
   return !ferror(file);
 }
 
+static bool is_folder(const char *output)
+{
+  const size_t length = strlen(output);
+  return length > 0 && output[length - 1] == '/';
+}
+
+static const char no_ffmpeg[] = "%s: ffmpeg is not installed; write a .y4m file or a folder of PNG "
+                                "files (frames/) instead";
+
+/* Whether ffmpeg makes the film, by the end of the name. */
+static bool needs_ffmpeg(const char *output)
+{
+  const size_t length = strlen(output);
+  return strcmp(output, "-") != 0 && !is_folder(output) &&
+         !(length > 4 && strcmp(output + length - 4, ".y4m") == 0);
+}
+
 /* Opens what takes the stream: standard output, a file, or ffmpeg. */
 static FILE *open_stream(const char *output, pid_t *ffmpeg)
 {
-  const size_t length = strlen(output);
   int ends[2];
   signal(SIGPIPE, SIG_IGN); /* a reader that ends early is an error like any other */
   *ffmpeg = 0;
   if (strcmp(output, "-") == 0)
     return stdout;
-  if (length > 4 && strcmp(output + length - 4, ".y4m") == 0)
+  if (!needs_ffmpeg(output))
     return fopen(output, "we");
   if (pipe(ends) != 0)
     return NULL;
@@ -270,9 +302,7 @@ static int close_stream(FILE *file, pid_t ffmpeg, const char *output, bool is_wr
   const bool flushed = file == stdout ? fflush(file) == 0 : fclose(file) == 0;
   if (ffmpeg > 0 && waitpid(ffmpeg, &status, 0) == ffmpeg && status != 0)
     return WIFEXITED(status) && WEXITSTATUS(status) == 127
-               ? complain(STATUS_ERROR,
-                          "ffmpeg is not installed; write a .y4m file or a folder of PNG files "
-                          "(--output frames/) instead")
+               ? complain(STATUS_ERROR, no_ffmpeg, output)
                : complain(STATUS_ERROR, "ffmpeg could not write %s", output);
   return is_written && flushed ? STATUS_OK
                                : complain(STATUS_ERROR, "%s: %s", output, strerror(errno));
@@ -307,6 +337,24 @@ static int film_folder(struct film *film, const char *folder, uint32_t n_frames)
   return status;
 }
 
+static int check_output(const char *option, const char *output)
+{
+  return strlen(output) <= 4000 ? STATUS_OK : complain(STATUS_USAGE, "--%s is too long", option);
+}
+
+static int write_film(struct ctl *ctl, struct film *film, const char *output)
+{
+  catch_interrupts();
+  const uint32_t n = (uint32_t)((duration_s(film) + LAST_S) * film->rate + 0.5);
+  const int status =
+      is_folder(output) ? film_folder(film, output, n) : film_stream(film, output, n);
+  if (interrupted())
+    return STATUS_INTERRUPTED;
+  if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
+    print_plain_line(stderr, "%s: %u frames", output, n);
+  return status;
+}
+
 int run_film(struct ctl *ctl)
 {
   const char *output = option_text(ctl, "output", NULL);
@@ -314,23 +362,133 @@ int run_film(struct ctl *ctl)
   if (output == NULL)
     return complain(STATUS_USAGE,
                     "--output is missing: film.mp4, film.y4m, - or a folder that ends with /");
-  const size_t length = strlen(output);
-  if (length > 4000)
-    return complain(STATUS_USAGE, "--output is too long");
-  int status = prepare(ctl, &film);
-  if (status == STATUS_OK) {
-    catch_interrupts();
-    const uint32_t n = (uint32_t)((duration_s(&film) + LAST_S) * film.rate + 0.5);
-    status = length > 0 && output[length - 1] == '/' ? film_folder(&film, output, n)
-                                                     : film_stream(&film, output, n);
-    if (interrupted())
-      status = STATUS_INTERRUPTED;
-    else if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
-      print_plain_line(stderr, "%s: %u frames", output, n);
-  }
+  int status = check_output("output", output);
+  if (status == STATUS_OK)
+    status = prepare(ctl, &film);
+  if (status == STATUS_OK)
+    status = write_film(ctl, &film, output);
   release(&film);
   return status;
 }
+
+/* ---- films of evaluations ---- */
+
+static bool has_ffmpeg(void)
+{
+  const char *path = getenv("PATH");
+  while (path != NULL && *path != '\0') {
+    const size_t length = strcspn(path, ":");
+    char file[4096];
+    snprintf(file, sizeof(file), "%.*s/ffmpeg", (int)length, path);
+    if (access(file, X_OK) == 0)
+      return true;
+    path += length + (path[length] == ':');
+  }
+  return false;
+}
+
+int film_check(struct ctl *ctl)
+{
+  static const char *const looks[] = {"environment", "size",     "light", "yaw",
+                                      "pitch",       "distance", "rate"};
+  const char *output = option_text(ctl, "film", NULL);
+  struct film film = {0};
+  int64_t place = 0;
+  if (output == NULL) {
+    for (size_t i = 0; i < sizeof(looks) / sizeof(looks[0]); i++)
+      if (option_is_set(ctl, looks[i]))
+        return complain(STATUS_USAGE, "--%s is for --film", looks[i]);
+    return STATUS_OK;
+  }
+  if (output[0] == '\0' || strcmp(output, "-") == 0)
+    return complain(STATUS_USAGE,
+                    "--film: film.mp4, film.y4m or a folder that ends with / is expected");
+  if (!option_number(ctl, "environment", 0, 63, &place))
+    return STATUS_USAGE;
+  int status = check_output("film", output);
+  if (status == STATUS_OK)
+    status = read_look(ctl, &film);
+  return status == STATUS_OK && needs_ffmpeg(output) && !has_ffmpeg()
+             ? complain(STATUS_ERROR, no_ffmpeg, "--film")
+             : status;
+}
+
+/* Chooses the designs that a film shows: all, or the best, best first. Returns their number. */
+static size_t choose_designs(const json_t *results, size_t places[ROBOTS_MAX])
+{
+  const size_t n = json_array_size(results);
+  double scores[ROBOTS_MAX];
+  size_t chosen = 0;
+  for (size_t i = 0; i < n; i++) {
+    double score = real_at(json_array_get(results, i), "score");
+    size_t at = chosen;
+    score = isnan(score) ? (double)INFINITY : score; /* diverged */
+    while (n > ROBOTS_MAX && at > 0 && score < scores[at - 1])
+      at--;
+    if (at == ROBOTS_MAX)
+      continue;
+    chosen += chosen < ROBOTS_MAX;
+    memmove(places + at + 1, places + at, (chosen - 1 - at) * sizeof(*places));
+    memmove(scores + at + 1, scores + at, (chosen - 1 - at) * sizeof(*scores));
+    places[at] = i;
+    scores[at] = score;
+  }
+  return chosen;
+}
+
+/* Gets the recording of a design and adds it to the scene. */
+static int load_recording(struct ctl *ctl, struct film *film, const char *evaluation, size_t design,
+                          int64_t environment, struct reply *reply)
+{
+  char path[128];
+  struct scene scene;
+  snprintf(path, sizeof(path), "/v1/evaluations/%s/trajectories/%zu?environment=%" PRId64,
+           evaluation, design, environment);
+  const int status = transport_send(
+      ctl,
+      &(struct request){.method = "GET", .path = path, .accept = "application/vnd.morphod.scene"},
+      reply);
+  if (status != STATUS_OK)
+    return status;
+  const char *fault = scene_read(reply->body, reply->body_bytes, &scene);
+  if (fault == NULL)
+    fault = scene_append(&film->scene, &scene);
+  return fault != NULL ? complain(STATUS_ERROR, "%s", fault) : STATUS_OK;
+}
+
+int film_evaluation(struct ctl *ctl, const json_t *evaluation)
+{
+  const json_t *results = json_object_get(evaluation, "results");
+  const size_t n = json_array_size(results);
+  const size_t n_environments =
+      json_array_size(json_object_get(json_array_get(results, 0), "losses"));
+  const char *output = option_text(ctl, "film", NULL);
+  struct film film = {0};
+  size_t places[ROBOTS_MAX];
+  int64_t environment = 0;
+  if (output == NULL)
+    return STATUS_OK;
+  if (!option_number(ctl, "environment", 0, 63, &environment))
+    return STATUS_USAGE;
+  if ((size_t)environment >= n_environments)
+    return complain(STATUS_USAGE, "--environment: there are %zu environments, counted from 0",
+                    n_environments);
+  const size_t chosen = choose_designs(results, places);
+  if (chosen < n && !ctl->quiet)
+    print_plain_line(stderr, "the film shows the %zu best of %zu designs", chosen, n);
+  int status = read_look(ctl, &film);
+  for (size_t i = 0; i < chosen && status == STATUS_OK; i++)
+    status = load_recording(ctl, &film, text_of(evaluation, "id"), places[i], environment,
+                            &film.replies[i]);
+  if (status == STATUS_OK)
+    status = lay_out(&film);
+  if (status == STATUS_OK)
+    status = write_film(ctl, &film, output);
+  release(&film);
+  return status;
+}
+
+/* ---- pictures ---- */
 
 int run_picture(struct ctl *ctl)
 {

@@ -30,8 +30,8 @@ int fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
 /* Fills in what says how designs are scored, for POST /v1/evaluations and campaigns: controller,
  * environments, physics, precision. */
 int request_fill(const struct ctl *ctl, json_t *request);
-/* Adds the channels of --record, if it is given, as "record". */
-int request_fill_record(const struct ctl *ctl, json_t *request);
+/* Adds as "record" the channels of --record, else `usual` (nullable), and the masses for --film. */
+int request_fill_record(const struct ctl *ctl, json_t *request, const char *usual);
 /* Adds one "key=value" of --physics to `physics`. */
 int request_physics(json_t *physics, const char *text);
 /* Adds the --physics options to a request as "physics". */
@@ -59,6 +59,14 @@ int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *fol
  * their names. */
 void print_results(const struct ctl *ctl, const json_t *evaluation, const struct designs *designs,
                    bool by_score, size_t top);
+
+/* ---- cmd_film.c ---- */
+
+/* Checks --film, and the options that say how to draw, before anything is computed. */
+int film_check(struct ctl *ctl);
+/* With --film, draws what a finished evaluation recorded of its masses: of up to 16 designs, the
+ * best where there are more. */
+int film_evaluation(struct ctl *ctl, const json_t *evaluation);
 
 /* ---- common.c ---- */
 

@@ -82,11 +82,12 @@ int fill_schedule(const struct ctl *ctl, json_t *request, const char *place)
   return STATUS_OK;
 }
 
-int request_fill_record(const struct ctl *ctl, json_t *request)
+int request_fill_record(const struct ctl *ctl, json_t *request, const char *usual)
 {
   static const char *const channels[] = {"com", "masses", "actuation", "contacts"};
-  const char *record = option_text(ctl, "record", NULL);
-  json_t *list = record != NULL ? json_array() : NULL;
+  const char *record = option_text(ctl, "record", usual);
+  bool films = option_is_set(ctl, "film");
+  json_t *list = record != NULL || films ? json_array() : NULL;
   for (const char *c = record; c != NULL && *c != '\0';) {
     const size_t length = strcspn(c, ",");
     char word[16] = "";
@@ -99,8 +100,11 @@ int request_fill_record(const struct ctl *ctl, json_t *request)
                       record);
     }
     json_array_append_new(list, json_string(word));
+    films = films && strcmp(word, "masses") != 0;
     c += length + (c[length] == ',');
   }
+  if (films)
+    json_array_append_new(list, json_string("masses"));
   if (list != NULL)
     json_object_set_new(request, "record", list);
   return STATUS_OK;

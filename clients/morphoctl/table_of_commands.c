@@ -20,6 +20,22 @@
 #define KEY(job)                                                                                   \
   "idempotency-key", 0, "KEY",                                                                     \
       "Repeating the same request with the same key gives the same " job " (default: a new key)."
+/* Options of films: how they are drawn; of a film of an evaluation. */
+#define LOOK                                                                                       \
+  {"size", 0, "WxH", "Pixels of the film or picture (default: 960x540)."},                         \
+      {"light", 0, NULL, "Draw on a bright background (default: dark)."},                          \
+      {"yaw", 0, "DEGREES", "Turn of the camera (default: 35)."},                                  \
+      {"pitch", 0, "DEGREES", "Height of the camera above the horizon (default: 24)."},            \
+      {"distance", 0, "M", "Distance of the camera in meters (default: 2.4)."},                    \
+  {                                                                                                \
+    "rate", 0, "FPS", "Frames per second of a film (default: 25)."                                 \
+  }
+#define FILM                                                                                       \
+  {"film", 0, "FILE",                                                                              \
+   "Then draw what was recorded of up to 16 designs, the best where there are more: film.mp4 (or " \
+   "another that ffmpeg makes), film.y4m, or a folder that ends with / for PNG files."},           \
+      {"environment", 0, "N", "Which of the environments the film shows, from 0 (default: 0)."},   \
+      LOOK
 /* Options of lists. */
 #define STATE(jobs)                                                                                \
   "state", 0, "STATE",                                                                             \
@@ -41,6 +57,7 @@ static const struct option_spec eval_options[] = {
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
     {"output", 'o', "FOLDER",
      "Where to put recorded trajectories, as NumPy files, and evaluation.json."},
+    FILM,
     {"priority", 0, "interactive|batch", "Default: interactive up to 64 rollouts, else batch.",
      "priority", FIELD_WORD},
     {WEIGHT},
@@ -74,12 +91,7 @@ static const struct option_spec film_options[] = {
     {PHYSICS},
     {"random", 0, "N", "Draw N random bodies (besides those given)."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
-    {"size", 0, "WxH", "Pixels (default: 960x540)."},
-    {"light", 0, NULL, "A bright background (default: dark)."},
-    {"yaw", 0, "DEGREES", "Turn of the camera (default: 35)."},
-    {"pitch", 0, "DEGREES", "Height of the camera above the horizon (default: 24)."},
-    {"distance", 0, "M", "Distance of the camera in meters (default: 2.4)."},
-    {"rate", 0, "FPS", "Of a film: frames per second (default: 25)."},
+    LOOK,
     {"time", 0, "S", "Of a picture: seconds after the start (default: 2)."},
     {"output", 'o', "FILE", "Where to put it."},
     {NULL, 0, NULL, NULL}};
@@ -202,6 +214,7 @@ static const struct option_spec campaign_champions_options[] = {
      "files."},
     {"record", 0, "LIST", "What to record: com (default), masses, actuation, contacts."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
+    FILM,
     {NULL}};
 static const struct option_spec campaign_export_options[] = {
     {"curve", 0, "FILE",

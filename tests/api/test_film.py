@@ -4,7 +4,8 @@ import struct
 
 import pytest
 
-from test_morphoctl import CELLS, ctl  # noqa: F401
+from service import run
+from test_morphoctl import CELLS, SHORT, ctl  # noqa: F401
 
 SMALL = "--size 96x64 --physics n_steps=60"
 
@@ -33,6 +34,68 @@ def test_films(ctl, tmp_path):  # noqa: F811
     assert ctl(f"film {SMALL} --rate 5 --light --output", f"{folder}/", CELLS)[0] == 0
     assert sorted(path.name for path in folder.iterdir()) == [f"{n:05}.png" for n in range(6)]
     assert png_size((folder / "00000.png").read_bytes()) == (96, 64)
+
+
+LOOKS = "--size 96x64 --rate 10"
+
+
+def test_a_film_of_an_evaluation(ctl, tmp_path):  # noqa: F811
+    """Frame by frame that of the film that is stored nowhere."""
+    one, other = tmp_path / "one.y4m", tmp_path / "other.y4m"
+    physics = "--physics n_steps=60"
+    assert ctl(f"film {LOOKS} {physics} --environment 3 --output", str(one), CELLS)[0] == 0
+    status, out, said = ctl(f"eval {LOOKS} {physics} --environment 3 --record-stride 5 --film",
+                            str(other), CELLS)
+    assert status == 0 and "12 frames" in said and len(out.splitlines()) == 2, said
+    assert other.read_bytes() == one.read_bytes() and len(one.read_bytes()) > 12 * 96 * 64 * 3
+    folder, paths = tmp_path / "frames", tmp_path / "paths"
+    status, _, said = ctl(f"eval {LOOKS} {SHORT} --random 17 --record com --film", f"{folder}/",
+                          "--output", str(paths))
+    assert status == 0 and "the 16 best of 17 designs" in said, said
+    assert len(list(folder.iterdir())) == 11 and (folder / "00010.png").exists()
+    assert len(list(paths.glob("*-masses.npy"))) == len(list(paths.glob("*-com.npy"))) == 170
+
+
+def test_a_film_of_champions(ctl, service, tmp_path):  # noqa: F811
+    campaign = run(service, "campaigns", {
+        "mode": "zero-shot", "population": 8, "generations": 1, "physics": {"n_steps": 20},
+        "exclude_pretraining": False
+    })["id"]
+    film, folder = tmp_path / "champions.y4m", tmp_path / "paths"
+    before = len(service.get("/v1/evaluations?limit=1000")["items"])
+    status, out, said = ctl(f"campaign champions {campaign} --count 3 {LOOKS} --film", str(film))
+    assert status == 0 and len(out.splitlines()) == 4, said
+    assert film.read_bytes().startswith(b"YUV4MPEG2 W96 H64 F10000:1000")
+    newest, = service.get("/v1/evaluations?limit=1")["items"]
+    assert newest["record"] == ["masses"] and newest["n_designs"] == 3
+    status, _, said = ctl(f"campaign champions {campaign} --count 2 {LOOKS} --light --film",
+                          str(film), "--output", str(folder))
+    assert status == 0, said
+    assert {path.name.split("-")[-1] for path in folder.iterdir()
+            } == {"evaluation.json", "com.npy", "masses.npy"}
+    assert len(service.get("/v1/evaluations?limit=1000")["items"]) == before + 2
+
+
+@pytest.mark.parametrize("command, words", (
+    ("eval --film -", "a folder that ends with /"), ("eval --film x.y4m --no-wait", "--wait"),
+    ("eval --film x.y4m --size 1x1", "WIDTHxHEIGHT"), ("eval --light", "--light is for --film"),
+    ("eval --film x.y4m --environment 64", "--environment"),
+    ("campaign champions 1 --film x.y4m --generation 0", "newest generation"),
+    ("campaign champions 1 --rate 9", "--rate is for --film")))
+def test_films_are_refused_first(ctl, service, command, words):  # noqa: F811
+    before = service.get("/v1/evaluations?limit=1")["items"]
+    status, _, said = ctl(command, input_text=CELLS)
+    assert status == 2 and words in said
+    assert service.get("/v1/evaluations?limit=1")["items"] == before, "it was computed all the same"
+
+
+def test_a_film_needs_ffmpeg(ctl, service):  # noqa: F811
+    before = service.get("/v1/evaluations?limit=1")["items"]
+    status, _, said = ctl("eval --film x.mp4", input_text=CELLS, PATH="/nonexistent")
+    assert status == 1 and "ffmpeg is not installed" in said
+    assert service.get("/v1/evaluations?limit=1")["items"] == before
+    status, _, said = ctl(f"film {SMALL} --output x.mp4", CELLS, PATH="/nonexistent")
+    assert status == 1 and "ffmpeg is not installed" in said
 
 
 @pytest.mark.parametrize("options, words", (

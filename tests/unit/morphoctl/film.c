@@ -65,6 +65,28 @@ static void reads(void)
   scene_free(&scene);
 }
 
+/* Two scenes as one: the second rollout keeps its body and world. */
+static void appends(void)
+{
+  struct scene both = {0}, one;
+  double center[3];
+  const size_t size = make(bytes, header);
+  for (uint32_t i = 0; i < 2; i++) {
+    REQUIRE(scene_read(bytes, size, &one) == NULL);
+    CHECK(scene_append(&both, &one) == NULL);
+    CHECK(one.n_rollouts == 0 && both.n_rollouts == i + 1);
+  }
+  CHECK(both.n_bodies == 2 && both.n_worlds == 2 && both.frame_s == 0.04);
+  CHECK(both.rollouts[1].body == 1 && both.rollouts[1].world == 1);
+  raster_center(&both, 1, 99, center);
+  CHECK_NEAR(center[2], 0.15, 1e-6);
+  REQUIRE(scene_read(bytes, size, &one) == NULL);
+  one.frame_s = 0.02;
+  CHECK(scene_append(&both, &one) != NULL);
+  CHECK_INT(both.n_rollouts, 2);
+  scene_free(&both);
+}
+
 /* Every prefix of a scene ends before what its header tells. */
 static void refuses_what_is_cut(void)
 {
@@ -168,6 +190,7 @@ static void encodes(void)
 
 static const struct check_case cases[] = {
     {"reads a scene", reads},
+    {"makes two scenes one", appends},
     {"refuses a scene that is cut", refuses_what_is_cut},
     {"refuses arrays that do not fit", refuses_what_does_not_fit},
     {"refuses indices out of range", refuses_indices_out_of_range},
