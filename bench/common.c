@@ -133,7 +133,7 @@ void bench_scene_create(struct bench_scene *scene, const struct bench_options *o
   scene->robots = bench_zeros(n_bodies, sizeof(*scene->robots));
   for (uint32_t i = 0; i < n_bodies; i++) {
     uint64_t bits[MO_DEFAULT_WORDS];
-    bench_check(mo_body_stream_next(stream, bits), "body stream");
+    bench_check(mo_body_stream_next(stream, bits, NULL), "body stream");
     bench_check(mo_body_create(scene->lattice, bits, &scene->bodies[i]), "body");
     mo_environment_training(options->seed, 0, i, scene->training + i);
     scene->robots[i] = (struct mo_robot){scene->bodies[i], scene->training + i};

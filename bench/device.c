@@ -80,7 +80,7 @@ struct mo_body **random_bodies(const struct mo_lattice *lattice, uint32_t n, uin
   must(mo_body_stream_create(MO_DEFAULT_WORKSPACE, seed, &stream), "bodies");
   for (uint32_t i = 0; i < n; i++) {
     uint64_t bits[MO_DEFAULT_WORDS];
-    must(mo_body_stream_next(stream, bits), "stream");
+    must(mo_body_stream_next(stream, bits, NULL), "stream");
     must(mo_body_create(lattice, bits, &bodies[i]), "body");
   }
   mo_body_stream_free(stream);

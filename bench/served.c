@@ -156,7 +156,7 @@ char *bench_request_of(struct mo_body_stream *stream, int n, const char *more, s
     bench_die("memory");
   size_t at = (size_t)sprintf(text, "{\"designs\":[");
   for (int i = 0; i < n; i++) {
-    bench_check(mo_body_stream_next(stream, bits), "a random body");
+    bench_check(mo_body_stream_next(stream, bits, NULL), "a random body");
     mo_genotype_to_text(MO_DEFAULT_WORKSPACE, bits, digits);
     at += (size_t)sprintf(text + at, "%s{\"voxels\":\"%s\"}", i > 0 ? "," : "", digits);
   }

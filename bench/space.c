@@ -114,7 +114,8 @@ static void stream(struct sample *sample)
   struct mo_body_stream *bodies = NULL;
   bench_check(mo_body_stream_create(sample->workspace, 1, &bodies), "body stream");
   uint64_t bits[MO_DEFAULT_WORDS];
-  while (mo_body_stream_draws(bodies) < sample->n && mo_body_stream_next(bodies, bits) == MO_OK) {
+  while (mo_body_stream_draws(bodies) < sample->n &&
+         mo_body_stream_next(bodies, bits, NULL) == MO_OK) {
     sample->sink += bits[0];
   }
   mo_body_stream_free(bodies);

@@ -106,7 +106,7 @@ static struct mo_body *random_body(const struct bench_scene *scene, uint64_t see
   uint64_t bits[MO_DEFAULT_WORDS];
   bench_check(mo_body_stream_create(MO_DEFAULT_WORKSPACE, seed, &stream), "body stream");
   do
-    bench_check(mo_body_stream_next(stream, bits), "body stream");
+    bench_check(mo_body_stream_next(stream, bits, NULL), "body stream");
   while (mo_genotype_count(MO_DEFAULT_WORKSPACE, bits) != voxels);
   bench_check(mo_body_create(scene->lattice, bits, &body), "body");
   mo_body_stream_free(stream);

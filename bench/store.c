@@ -34,7 +34,7 @@ static void prepare(struct bed *bed, const char *folder)
   bed->genotypes = bench_zeros(DESIGNS, sizeof(*bed->genotypes));
   bench_check(mo_body_stream_create(MO_DEFAULT_WORKSPACE, 1, &stream), "body stream");
   for (uint32_t i = 0; i < DESIGNS; i++) {
-    bench_check(mo_body_stream_next(stream, bed->genotypes[i].words), "body stream");
+    bench_check(mo_body_stream_next(stream, bed->genotypes[i].words, NULL), "body stream");
     mo_genotype_place(MO_DEFAULT_WORKSPACE, bed->genotypes[i].words);
     mo_genotype_canonical(MO_DEFAULT_WORKSPACE, bed->genotypes[i].words, bed->forms[i].words);
   }

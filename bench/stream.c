@@ -27,7 +27,7 @@ int bench_stream(int argc, char **argv)
   long held_out = 0;
   for (long i = 0, next = n / REPORTS; i < n;) {
     uint64_t body[MO_DEFAULT_WORDS], form[MO_DEFAULT_WORDS];
-    bench_check(mo_body_stream_next_form(stream, body, form), "body stream");
+    bench_check(mo_body_stream_next(stream, body, form), "body stream");
     if (mo_held_out_form(form)) {
       held_out++;
       continue;

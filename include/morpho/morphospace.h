@@ -95,8 +95,9 @@ int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsig
                       uint64_t *image);
 
 /* Writes the id: the canonical form as lower-case hexadecimal digits, first voxel in the top bit:
- * ceil(voxels / 4) digits + NUL. */
-void mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id);
+ * ceil(voxels / 4) digits + NUL. MO_ERR_NO_MEMORY, but only above MO_SMALL_VOXELS. */
+#define MO_SMALL_VOXELS 4096
+int mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id);
 /* Reads an id (either case) into the canonical form that it spells. MO_ERR_FORMAT: wrong length or
  * digit, stray bits, or not a canonical form; MO_ERR_EMPTY; MO_ERR_NOT_CONTIGUOUS. */
 int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t length,
@@ -143,9 +144,8 @@ struct mo_body_stream;
 int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed,
                           struct mo_body_stream **stream);
 void mo_body_stream_free(struct mo_body_stream *stream);
-int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits);
-/* The same, with the body's canonical form. */
-int mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
+/* form: the body's canonical form; nullable. */
+int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
 /* Sets how many threads draw ahead (initially 1: none does), each for some 10 µs per body; they end
  * with each call. Changes no body. The current number: nothing happens. MO_ERR_NO_MEMORY: nothing
  * changed. */

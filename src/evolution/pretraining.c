@@ -38,12 +38,6 @@ struct drawing {
   atomic_int error;
 };
 
-static bool is_default(struct mo_workspace w)
-{
-  const struct mo_workspace all = MO_DEFAULT_WORKSPACE;
-  return w.nx == all.nx && w.ny == all.ny && w.nz == all.nz;
-}
-
 static void draw_some(void *context, size_t first, size_t end)
 {
   struct drawing *drawing = context;
@@ -168,7 +162,8 @@ int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace w
                          uint32_t n_threads, const volatile int *cancel, volatile uint64_t *done,
                          struct mo_form_set *set)
 {
-  const bool tells_apart = is_default(workspace) && mo_form_set_count(set) == 0;
+  const bool tells_apart =
+      mo_workspace_equal(workspace, MO_DEFAULT_WORKSPACE) && mo_form_set_count(set) == 0;
   struct mo_form_set *own = NULL;
   int r = tells_apart ? MO_OK : mo_form_set_create(MO_DEFAULT_WORKSPACE, &own);
   if (r < 0)

@@ -9,6 +9,7 @@
 #include "evolution/internal.h"
 
 #include "morphospace/bits.h"
+#include "morphospace/shape.h"
 
 #include <math.h>
 
@@ -93,35 +94,26 @@ void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes
 int mo_design_size(const struct mo_lattice *lattice, const uint64_t *bits,
                    struct mo_design_size *size)
 {
-  uint64_t local[64]; /* enough for the default workspace */
   const uint32_t words = mo_workspace_words(lattice->workspace);
   const uint32_t mass_words = (lattice->n_masses + 63) / 64,
                  spring_words = (lattice->n_springs + 63) / 64;
-  const size_t marks = (size_t)mass_words + spring_words;
-  uint64_t *masses = local;
-  if (marks <= sizeof(local) / sizeof(local[0]))
-    memset(local, 0, marks * sizeof(*local));
-  else if ((masses = calloc(marks, sizeof(*masses))) == NULL)
+  struct mo_scratch masses;
+  if (mo_scratch_open(&masses, mass_words + spring_words) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  uint64_t *springs = masses + mass_words;
-  struct mo_design_size found = {0};
+  uint64_t *springs = masses.bits + mass_words;
+  struct mo_design_size found = {.voxels = mo_bits_count(bits, words)};
   uint32_t column = UINT32_MAX;
   for (uint32_t w = 0; w < words; w++)
     for (uint64_t rest = bits[w]; rest != 0; rest &= rest - 1) {
       const size_t voxel = (size_t)w * 64 + (size_t)__builtin_ctzll(rest);
       const uint32_t its_column = (uint32_t)(voxel / lattice->workspace.nz); /* ascending */
-      found.voxels++;
       found.footprint += its_column != column;
       column = its_column;
-      for (int i = 0; i < 8; i++)
-        mo_bits_set(masses, lattice->voxel_mass[8 * voxel + i]);
-      for (int i = 0; i < 24; i++)
-        mo_bits_set(springs, lattice->voxel_spring[24 * voxel + i]);
     }
-  found.masses = mo_bits_count(masses, mass_words);
+  mo_body_mark(lattice, bits, masses.bits, springs);
+  found.masses = mo_bits_count(masses.bits, mass_words);
   found.springs = mo_bits_count(springs, spring_words);
-  if (masses != local)
-    free(masses);
+  mo_scratch_close(&masses);
   *size = found;
   return MO_OK;
 }

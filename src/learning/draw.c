@@ -22,7 +22,7 @@ static int take(struct mo_training *training, uint64_t *body)
 {
   for (;;) {
     uint64_t form[MO_DEFAULT_WORDS];
-    const int r = mo_body_stream_next_form(training->stream, body, form);
+    const int r = mo_body_stream_next(training->stream, body, form);
     if (r < 0)
       return r;
     if (!mo_held_out_form(form)) {

@@ -30,9 +30,7 @@ int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_messa
 
 static int check_parent(const struct mo_controller *parent, struct mo_message *message)
 {
-  if (parent->workspace.nx != MO_DEFAULT_WORKSPACE.nx ||
-      parent->workspace.ny != MO_DEFAULT_WORKSPACE.ny ||
-      parent->workspace.nz != MO_DEFAULT_WORKSPACE.nz)
+  if (!mo_workspace_equal(parent->workspace, MO_DEFAULT_WORKSPACE))
     return mo_fail(
         message, MO_ERR_UNSUPPORTED,
         "the controller is for a workspace of %ux%ux%u voxels; trainings need one for 6x6x4",

@@ -42,7 +42,7 @@ static inline int mo_bits_empty(const uint64_t *bits, uint32_t words)
   return 1;
 }
 
-#define MO_SCRATCH_WORDS 16 /* 1024 voxels */
+#define MO_SCRATCH_WORDS (MO_SMALL_VOXELS / 64)
 
 /* A zeroed bit array that lives for one call. */
 struct mo_scratch {

@@ -7,6 +7,7 @@
 
 #include "base/memory.h"
 #include "morphospace/bits.h"
+#include "morphospace/shape.h"
 
 #include <stdlib.h>
 
@@ -17,22 +18,18 @@ struct marks {
   uint32_t mass_words, spring_words;
 };
 
-static void mark(const struct mo_lattice *lattice, const uint64_t *bits, struct marks *marks)
+void mo_body_mark(const struct mo_lattice *lattice, const uint64_t *bits, uint64_t *masses,
+                  uint64_t *springs)
 {
   uint32_t words = mo_workspace_words(lattice->workspace);
   for (uint32_t w = 0; w < words; w++) {
     for (uint64_t rest = bits[w]; rest != 0; rest &= rest - 1) {
       size_t voxel = (size_t)w * 64 + (size_t)__builtin_ctzll(rest);
       for (int i = 0; i < 8; i++)
-        mo_bits_set(marks->mass, lattice->voxel_mass[8 * voxel + i]);
+        mo_bits_set(masses, lattice->voxel_mass[8 * voxel + i]);
       for (int i = 0; i < 24; i++)
-        mo_bits_set(marks->spring, lattice->voxel_spring[24 * voxel + i]);
+        mo_bits_set(springs, lattice->voxel_spring[24 * voxel + i]);
     }
-  }
-  uint32_t below = 0;
-  for (uint32_t w = 0; w < marks->mass_words; w++) {
-    marks->mass_below[w] = below;
-    below += mo_bits_count_word(marks->mass[w]);
   }
 }
 
@@ -111,22 +108,15 @@ int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struc
     return MO_ERR_EMPTY;
   struct marks marks = {.mass_words = (lattice->n_masses + 63) / 64,
                         .spring_words = (lattice->n_springs + 63) / 64};
-  size_t bytes = ((size_t)marks.mass_words + marks.spring_words) * sizeof(uint64_t) +
-                 marks.mass_words * sizeof(uint32_t);
-  uint64_t local[256];
-  uint64_t *memory = local;
-  if (bytes > sizeof(local)) {
-    memory = mo_alloc_aligned(bytes, 1);
-    if (memory == NULL)
-      return MO_ERR_NO_MEMORY;
-  } else {
-    memset(local, 0, bytes);
-  }
-  marks.mass = memory;
-  marks.spring = memory + marks.mass_words;
+  struct mo_scratch memory;
+  if (mo_scratch_open(&memory, 2 * marks.mass_words + marks.spring_words) != MO_OK)
+    return MO_ERR_NO_MEMORY;
+  marks.mass = memory.bits;
+  marks.spring = marks.mass + marks.mass_words;
   marks.mass_below = (uint32_t *)(marks.spring + marks.spring_words);
-  mark(lattice, bits, &marks);
-
+  mo_body_mark(lattice, bits, marks.mass, marks.spring);
+  for (uint32_t w = 1; w < marks.mass_words; w++)
+    marks.mass_below[w] = marks.mass_below[w - 1] + mo_bits_count_word(marks.mass[w - 1]);
   int code = MO_ERR_NO_MEMORY;
   struct arrays arrays;
   struct mo_body *made = allocate(mo_bits_count(marks.mass, marks.mass_words),
@@ -138,8 +128,7 @@ int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struc
     *body = made;
     code = MO_OK;
   }
-  if (memory != local)
-    free(memory);
+  mo_scratch_close(&memory);
   return code;
 }
 

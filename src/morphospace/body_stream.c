@@ -119,7 +119,7 @@ static size_t draw_next(struct mo_body_stream *stream)
   return 0;
 }
 
-int mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form)
+int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form)
 {
   for (uint32_t fruitless = 0; fruitless < FRUITLESS_MAX; fruitless++) {
     if (stream->draws > MO_RANDOM_INDEX_MAX)
@@ -141,11 +141,6 @@ int mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint
     }
   }
   return MO_ERR_EXHAUSTED;
-}
-
-int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits)
-{
-  return mo_body_stream_next_form(stream, bits, NULL);
 }
 
 uint64_t mo_body_stream_draws(const struct mo_body_stream *stream)

@@ -31,8 +31,6 @@ struct segment {
 struct mo_form_set {
   struct mo_workspace workspace;
   size_t form_bytes;
-  uint64_t count;
-  size_t bytes;
   struct segment segments[SEGMENTS];
 };
 
@@ -46,7 +44,6 @@ int mo_form_set_create(struct mo_workspace workspace, struct mo_form_set **set)
     return MO_ERR_NO_MEMORY;
   made->workspace = workspace;
   made->form_bytes = (mo_workspace_voxels(workspace) + 7) / 8;
-  made->bytes = sizeof(*made);
   *set = made;
   return MO_OK;
 }
@@ -190,15 +187,8 @@ int mo_form_set_add(struct mo_form_set *set, const uint64_t *form)
   if (mo_bits_empty(form, mo_workspace_words(set->workspace)))
     return MO_ERR_EMPTY;
   const uint8_t *bytes = (const uint8_t *)form;
-  uint64_t hashed = hash(bytes, n);
-  struct segment *segment = &set->segments[hashed >> 56];
-  const uint64_t capacity = segment->capacity;
-  const int code = add(segment, bytes, n, hashed);
-  if (code == 1) {
-    set->count++;
-    set->bytes += (segment->capacity - capacity) * n;
-  }
-  return code;
+  const uint64_t hashed = hash(bytes, n);
+  return add(&set->segments[hashed >> 56], bytes, n, hashed);
 }
 
 /* ---- many at once ---- */
@@ -262,12 +252,6 @@ int mo_form_set_add_many(struct mo_form_set *set, const uint64_t *forms, const u
   const size_t enough = 1 + n / WORTH_A_THREAD;
   mo_parallel(n_threads < enough ? n_threads : (uint32_t)enough, SEGMENTS, add_to_segments,
               &adding);
-  set->count = 0;
-  set->bytes = sizeof(*set);
-  for (int i = 0; i < SEGMENTS; i++) {
-    set->count += set->segments[i].used;
-    set->bytes += set->segments[i].capacity * set->form_bytes;
-  }
   return atomic_load(&adding.error);
 }
 
@@ -297,10 +281,16 @@ size_t mo_form_set_reckon(struct mo_workspace workspace, uint64_t n)
 
 uint64_t mo_form_set_count(const struct mo_form_set *set)
 {
-  return set->count;
+  uint64_t count = 0;
+  for (int i = 0; i < SEGMENTS; i++)
+    count += set->segments[i].used;
+  return count;
 }
 
 size_t mo_form_set_bytes(const struct mo_form_set *set)
 {
-  return set->bytes;
+  size_t bytes = sizeof(*set);
+  for (int i = 0; i < SEGMENTS; i++)
+    bytes += set->segments[i].capacity * set->form_bytes;
+  return bytes;
 }

@@ -2,6 +2,7 @@
  * compares. */
 #include <morpho/morphospace.h>
 
+#include "base/text.h"
 #include "morphospace/bits.h"
 #include "morphospace/shape.h"
 
@@ -52,25 +53,20 @@ int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)
     return MO_ERR_EMPTY;
   }
   struct mo_scratch all;
-  if (mo_scratch_open(&all, words) != MO_OK)
+  if (mo_scratch_open(&all, 2 * words) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  struct mo_scratch reached;
-  if (mo_scratch_open(&reached, words) != MO_OK) {
-    mo_scratch_close(&all);
-    return MO_ERR_NO_MEMORY;
-  }
+  uint64_t *reached = all.bits + words;
   int code = set_cells(workspace, cells, n, all.bits, fault);
   if (code == MO_OK)
-    code = mo_shape_component(workspace, all.bits, voxel_of(workspace, cells[0]), reached.bits);
+    code = mo_shape_component(workspace, all.bits, voxel_of(workspace, cells[0]), reached);
   for (size_t i = 1; code == MO_OK && i < n; i++) {
-    if (!mo_bits_get(reached.bits, voxel_of(workspace, cells[i]))) {
+    if (!mo_bits_get(reached, voxel_of(workspace, cells[i]))) {
       tell(fault, i, 0, 0);
       code = MO_ERR_NOT_CONTIGUOUS;
     }
   }
   if (code == MO_OK)
     memcpy(bits, all.bits, words * sizeof(uint64_t));
-  mo_scratch_close(&reached);
   mo_scratch_close(&all);
   return code;
 }
@@ -156,23 +152,12 @@ uint32_t mo_genotype_count(struct mo_workspace workspace, const uint64_t *bits)
 
 /* ---- ids ---- */
 
-static int digit_value(char digit)
-{
-  if (digit >= '0' && digit <= '9')
-    return digit - '0';
-  if (digit >= 'a' && digit <= 'f')
-    return digit - 'a' + 10;
-  if (digit >= 'A' && digit <= 'F')
-    return digit - 'A' + 10;
-  return -1;
-}
-
 /* Reads the bits that the digits spell; MO_ERR_FORMAT for another digit or bits past the last
  * voxel. */
 static int read_digits(uint32_t voxels, const char *id, size_t n, uint64_t *bits)
 {
   for (size_t i = 0; i < n; i++) {
-    int value = digit_value(id[i]);
+    const int value = mo_hex_digit(id[i]);
     if (value < 0)
       return MO_ERR_FORMAT;
     uint64_t nibble =
@@ -192,25 +177,20 @@ int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t le
   if (length != (voxels + 3) / 4)
     return MO_ERR_FORMAT;
   struct mo_scratch given;
-  if (mo_scratch_open(&given, words) != MO_OK)
+  if (mo_scratch_open(&given, 2 * words) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  struct mo_scratch canonical;
-  if (mo_scratch_open(&canonical, words) != MO_OK) {
-    mo_scratch_close(&given);
-    return MO_ERR_NO_MEMORY;
-  }
+  uint64_t *canonical = given.bits + words;
   uint32_t apart;
   int code = read_digits(voxels, id, length, given.bits);
   if (code == MO_OK)
     code = find_apart(workspace, given.bits, &apart);
   if (code == MO_OK) {
-    mo_genotype_canonical(workspace, given.bits, canonical.bits);
-    if (memcmp(given.bits, canonical.bits, words * sizeof(uint64_t)) != 0)
+    mo_genotype_canonical(workspace, given.bits, canonical);
+    if (memcmp(given.bits, canonical, words * sizeof(uint64_t)) != 0)
       code = MO_ERR_FORMAT;
     else
       memcpy(form, given.bits, words * sizeof(uint64_t));
   }
-  mo_scratch_close(&canonical);
   mo_scratch_close(&given);
   return code;
 }

@@ -250,17 +250,6 @@ static int get_at(struct mo_workspace workspace, const uint64_t *bits,
   return mo_bits_get(bits, column * workspace.nz + view->low[2] + at[2]);
 }
 
-int mo_grid_view_get(struct mo_workspace workspace, const uint64_t *bits,
-                     const struct mo_grid_view *view, uint32_t v)
-{
-  const uint32_t at[3] = {v / workspace.nz / workspace.ny, v / workspace.nz % workspace.ny,
-                          v % workspace.nz};
-  for (int axis = 0; axis < 3; axis++)
-    if (at[axis] >= view->side[axis])
-      return 0;
-  return get_at(workspace, bits, view, at);
-}
-
 /* Returns a negative number, 0 or a positive number if view a shows a smaller, an equal or a larger
  * genotype than b. */
 static int compare(struct mo_workspace workspace, const uint64_t *bits,

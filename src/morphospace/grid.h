@@ -34,9 +34,6 @@ int mo_grid_view_image(struct mo_workspace workspace, const uint64_t *bits, unsi
 /* The view of the canonical form. */
 void mo_grid_view_canonical(struct mo_workspace workspace, const uint64_t *bits,
                             struct mo_grid_view *view);
-/* Returns voxel v of the workspace in the view. */
-int mo_grid_view_get(struct mo_workspace workspace, const uint64_t *bits,
-                     const struct mo_grid_view *view, uint32_t v);
 /* Writes the view as a genotype; `image` and `bits` do not overlap. */
 void mo_grid_view_write(struct mo_workspace workspace, const uint64_t *bits,
                         const struct mo_grid_view *view, uint64_t *image);

@@ -6,16 +6,11 @@
 #include "morphospace/grid.h"
 #include "morphospace/slabs.inc"
 
-static int is_default(struct mo_workspace workspace)
-{
-  return workspace.nx == 6 && workspace.ny == 6 && workspace.nz == 4;
-}
-
 /* Runs STATEMENTS with `s` as the slab shape, as a constant if the workspace is the default one. */
 #define WITH_SLABS(workspace, statements)                                                          \
   do {                                                                                             \
     uint64_t slab[MO_SLABS_MAX];                                                                   \
-    if (is_default(workspace)) {                                                                   \
+    if (mo_workspace_equal(workspace, MO_DEFAULT_WORKSPACE)) {                                     \
       const struct mo_slab_shape s = MO_SLAB_SHAPE_DEFAULT;                                        \
       statements                                                                                   \
     } else {                                                                                       \
@@ -106,29 +101,19 @@ int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsig
   return code;
 }
 
-/* Small forms are computed in words; others are read from the view voxel by voxel, which needs no
- * memory. */
-void mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id)
+int mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id)
 {
   static const char digits[] = "0123456789abcdef";
-  uint32_t voxels = mo_workspace_voxels(workspace);
-  uint32_t n = (voxels + 3) / 4;
-  if (voxels <= MO_SCRATCH_WORDS * 64) {
-    uint64_t form[MO_SCRATCH_WORDS] = {0};
-    mo_genotype_canonical(workspace, bits, form);
-    for (uint32_t i = 0; i < n; i++) {
-      uint64_t nibble = form[i / 16] >> i % 16 * 4;
-      id[i] = digits[(nibble & 1) << 3 | (nibble & 2) << 1 | (nibble & 4) >> 1 | (nibble & 8) >> 3];
-    }
-  } else {
-    struct mo_grid_view view;
-    mo_grid_view_canonical(workspace, bits, &view);
-    for (uint32_t i = 0; i < n; i++) {
-      unsigned digit = 0;
-      for (uint32_t v = 4 * i; v < 4 * i + 4; v++)
-        digit = digit << 1 | (v < voxels && mo_grid_view_get(workspace, bits, &view, v) ? 1U : 0U);
-      id[i] = digits[digit];
-    }
+  const uint32_t n = (mo_workspace_voxels(workspace) + 3) / 4;
+  struct mo_scratch form;
+  if (mo_scratch_open(&form, mo_workspace_words(workspace)) != MO_OK)
+    return MO_ERR_NO_MEMORY;
+  mo_genotype_canonical(workspace, bits, form.bits);
+  for (uint32_t i = 0; i < n; i++) {
+    uint64_t nibble = form.bits[i / 16] >> i % 16 * 4;
+    id[i] = digits[(nibble & 1) << 3 | (nibble & 2) << 1 | (nibble & 4) >> 1 | (nibble & 8) >> 3];
   }
   id[n] = '\0';
+  mo_scratch_close(&form);
+  return MO_OK;
 }

@@ -8,5 +8,9 @@
  * must be set. */
 int mo_shape_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
                        uint64_t *reached);
+/* Sets the lattice's masses and springs that a genotype expresses, in zeroed bit arrays (body.c).
+ */
+void mo_body_mark(const struct mo_lattice *lattice, const uint64_t *bits, uint64_t *masses,
+                  uint64_t *springs);
 
 #endif

@@ -32,8 +32,8 @@ struct box {
  * array of voxels + 1 bits. */
 static void find_volumes(struct mo_workspace workspace, uint64_t *volumes)
 {
-  if (workspace.nx == 6 && workspace.ny == 6 &&
-      workspace.nz == 4) { /* precomputed result of the loop below, which costs a fifth of a draw */
+  if (mo_workspace_equal(workspace, MO_DEFAULT_WORKSPACE)) {
+    /* Precomputed result of the loop below, which costs a fifth of a draw. */
     volumes[0] = UINT64_C(0x104521114b15977e);
     volumes[1] = UINT64_C(0x0100101104010901);
     volumes[2] = UINT64_C(0x0000000000010000);
@@ -111,17 +111,13 @@ int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, 
   uint32_t words = mo_workspace_words(workspace);
   uint32_t volume_words = mo_workspace_voxels(workspace) / 64 + 1;
   struct mo_scratch body;
-  if (mo_scratch_open(&body, words) != MO_OK)
+  if (mo_scratch_open(&body, words + volume_words) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  struct mo_scratch volumes;
-  if (mo_scratch_open(&volumes, volume_words) != MO_OK) {
-    mo_scratch_close(&body);
-    return MO_ERR_NO_MEMORY;
-  }
+  uint64_t *volumes = body.bits + words;
   uint32_t active = 0;
-  find_volumes(workspace, volumes.bits);
+  find_volumes(workspace, volumes);
   while (active == 0) {
-    struct box box = draw_box(workspace, random, volumes.bits);
+    struct box box = draw_box(workspace, random, volumes);
     double p = ACTIVE_MEAN + ACTIVE_SIGMA * mo_random_normal(random);
     p = p < ACTIVE_LEAST ? ACTIVE_LEAST : p > ACTIVE_MOST ? ACTIVE_MOST : p;
     active = activate(workspace, box, threshold(p), random, body.bits);
@@ -131,7 +127,6 @@ int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, 
     mo_genotype_place(workspace, body.bits);
     memcpy(bits, body.bits, words * sizeof(uint64_t));
   }
-  mo_scratch_close(&volumes);
   mo_scratch_close(&body);
   return code;
 }

@@ -129,7 +129,7 @@ static inline struct mo_robot *make_robots(const struct mo_lattice *lattice, uin
   struct mo_body_stream *stream = make_body_stream(lattice->workspace, body_seed);
   for (uint32_t i = 0; i < n; i++) {
     uint64_t *bits = make_zeros(mo_workspace_words(lattice->workspace), sizeof(uint64_t));
-    make_check(mo_body_stream_next(stream, bits), "a body");
+    make_check(mo_body_stream_next(stream, bits, NULL), "a body");
     mo_environment_training(environment_seed, 0, i, environments + i);
     robots[i] = (struct mo_robot){make_body(lattice, bits), environments + i};
   }

@@ -20,7 +20,7 @@ static void setup(void)
   for (int b = 0; b < BODIES; b++) {
     uint64_t bits[MO_DEFAULT_WORDS] = {1};
     if (b > 1)
-      make_check(mo_body_stream_next(stream, bits), "a body");
+      make_check(mo_body_stream_next(stream, bits, NULL), "a body");
     struct mo_body *body = b == 1 ? make_full_body(lattice) : make_body(lattice, bits);
     for (int e = 0; e < PLACES; e++)
       robots[b * PLACES + e] = (struct mo_robot){body, environments + e};

@@ -19,7 +19,7 @@ static void make_robots_of_designs(void)
   for (uint32_t i = 0; i < ENVIRONMENTS; i++)
     mo_environment_training(3, 0, i, environments + i);
   for (uint32_t d = 0; d < DESIGNS; d++) {
-    make_check(mo_body_stream_next(stream, genotypes[d]), "a body");
+    make_check(mo_body_stream_next(stream, genotypes[d], NULL), "a body");
     bodies[d] = make_body(lattice, genotypes[d]);
   }
   for (uint32_t i = 0; i < ROBOTS; i++)

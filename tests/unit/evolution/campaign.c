@@ -172,7 +172,7 @@ static int next_body(struct mo_body_stream *stream, uint64_t body[W], uint64_t f
 {
   int r;
   do {
-    r = mo_body_stream_next(stream, body);
+    r = mo_body_stream_next(stream, body, NULL);
     mo_genotype_canonical(MO_DEFAULT_WORKSPACE, body, form);
   } while (r == MO_OK && mo_held_out_form(form));
   return r;

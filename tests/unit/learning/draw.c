@@ -5,16 +5,16 @@
 #include "learning/internal.h"
 
 /* The linker sends the room's calls here, so that a morphospace can run dry. */
-int __real_mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
-int __wrap_mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
+int __real_mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
+int __wrap_mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
 static long left = -1; /* bodies until there are no more; negative: no end */
 
-int __wrap_mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form)
+int __wrap_mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form)
 {
   if (left == 0)
     return MO_ERR_EXHAUSTED;
   left -= left > 0;
-  return __real_mo_body_stream_next_form(stream, bits, form);
+  return __real_mo_body_stream_next(stream, bits, form);
 }
 
 /* The bodies of the current step, as they came out of the stream. */

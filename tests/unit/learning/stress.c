@@ -134,7 +134,7 @@ static void draw_designs(const struct stress *s, uint64_t (*designs)[MO_DEFAULT_
       designs[i][0] = designs[i][1] = UINT64_MAX;
       designs[i][2] = 0xffff;
     } else {
-      make_check(mo_body_stream_next(stream, designs[i]), "a body");
+      make_check(mo_body_stream_next(stream, designs[i], NULL), "a body");
     }
 }
 

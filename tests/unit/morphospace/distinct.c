@@ -20,7 +20,7 @@ static struct figures figures_of(uint32_t n)
   for (uint32_t i = 0; i < n; i++) {
     uint64_t bits[MO_DEFAULT_WORDS];
     struct mo_body *body = NULL;
-    make_check(mo_body_stream_next(stream, bits), "a body");
+    make_check(mo_body_stream_next(stream, bits, NULL), "a body");
     make_check(mo_body_create(lattice, bits, &body), "a body");
     figures.masses += (double)body->n_masses / n;
     figures.springs += (double)body->n_springs / n;

@@ -128,7 +128,7 @@ static void stream_is_distinct(void)
     if (i % 1000 == 500) { /* threads make no difference, from wherever */
       REQUIRE(mo_body_stream_set_threads(stream, (uint32_t)i / 500) == MO_OK);
     }
-    REQUIRE(mo_body_stream_next_form(stream, bodies[i], form) == MO_OK);
+    REQUIRE(mo_body_stream_next(stream, bodies[i], form) == MO_OK);
     mo_genotype_canonical(home, bodies[i], forms[i]);
     wrong += memcmp(form, forms[i], sizeof(form)) != 0;
   }
@@ -165,12 +165,12 @@ static void stream_runs_dry(void)
   uint64_t bits;
   uint32_t sizes = 0;
   for (int i = 0; i < 4; i++) {
-    REQUIRE(mo_body_stream_next(stream, &bits) == MO_OK);
+    REQUIRE(mo_body_stream_next(stream, &bits, NULL) == MO_OK);
     sizes |= 1U << mo_genotype_count((struct mo_workspace){2, 2, 1}, &bits);
   }
   CHECK_INT(sizes, 0x1e);
   bits = 77;
-  CHECK_INT(mo_body_stream_next(stream, &bits), MO_ERR_EXHAUSTED);
+  CHECK_INT(mo_body_stream_next(stream, &bits, NULL), MO_ERR_EXHAUSTED);
   CHECK(bits == 77);
 }
 

@@ -167,7 +167,7 @@ static inline int made_next(struct made *made)
     made->parent_scores[i] = made->rescores ? made_number(made) : made->scores[i];
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
     double sum = 0;
-    error = mo_body_stream_next(made->stream, made->children[i].words);
+    error = mo_body_stream_next(made->stream, made->children[i].words, NULL);
     if (error != MO_OK)
       return error;
     mo_genotype_place(MO_DEFAULT_WORKSPACE, made->children[i].words);

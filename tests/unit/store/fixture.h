@@ -108,7 +108,7 @@ static inline int fixture_bodies(uint64_t seed, uint32_t n, struct mo_bits **for
   *forms = calloc(n, sizeof(**forms));
   *genotypes = calloc(n, sizeof(**genotypes));
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
-    error = mo_body_stream_next(stream, (*genotypes)[i].words);
+    error = mo_body_stream_next(stream, (*genotypes)[i].words, NULL);
     if (error == MO_OK) {
       mo_genotype_place(MO_DEFAULT_WORKSPACE, (*genotypes)[i].words);
       mo_genotype_canonical(MO_DEFAULT_WORKSPACE, (*genotypes)[i].words, (*forms)[i].words);
