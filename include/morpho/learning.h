@@ -257,8 +257,7 @@ struct mo_training_lineage {
  *   ".code"          JSON: the entries of `lineage` (nullable) below this step
  *   ".designs_crc64" for a finetuning
  * No clock, no host: equal trainings give equal files. The parent's own metadata is not inherited.
- * The caller frees the controller. MO_ERR_NO_MEMORY, MO_ERR_INVALID (a text that is not UTF-8, a
- * fingerprint with a quote, backslash or control character). */
+ * The caller frees the controller. MO_ERR_NO_MEMORY, MO_ERR_INVALID (a text that is not UTF-8). */
 int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex,
                        const char *code_version, const struct mo_training_lineage *lineage,
                        struct mo_controller **controller);

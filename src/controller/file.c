@@ -11,6 +11,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "base/text.h"
+
 #define PIECE_BYTES ((size_t)1 << 30) /* for one system call */
 
 /* What a controller is read from. */
@@ -120,83 +122,54 @@ int mo_controller_read(const char *path, struct mo_controller **controller,
  * memory runs out. The bytes of a file, whose hash identifies a controller, should not depend on a
  * library's version either. */
 
-/* Writes a JSON string with its quotes: at most 6 bytes per byte and 2 more. Returns its end. */
-static char *put_string(char *out, const char *text)
+/* Writes the header, padded to whole parameters. */
+static void write_header(struct mo_text *text, const struct mo_controller *controller)
 {
-  static const char escapes[] =
-      "\bb\ff\nn\rr\tt\"\"\\\\"; /* pairs: character, letter after the backslash */
-  *out++ = '"';
-  for (; *text != '\0'; text++) {
-    const unsigned char c = (unsigned char)*text;
-    const char *pair = escapes;
-    while (*pair != '\0' && *pair != *text)
-      pair += 2;
-    if (*pair != '\0') {
-      *out++ = '\\';
-      *out++ = pair[1];
-    } else if (c < 0x20) {
-      out += sprintf(out, "\\u%04X", c);
-    } else {
-      *out++ = *text;
-    }
-  }
-  *out++ = '"';
-  return out;
-}
-
-static char *put_tensor(char *out, const struct mo_tensor *tensor)
-{
-  out += sprintf(out, ",\"%s\":{\"dtype\":\"F32\",\"shape\":[%" PRIu64, tensor->name,
-                 tensor->shape[0]);
-  if (tensor->n_dims == 2)
-    out += sprintf(out, ",%" PRIu64, tensor->shape[1]);
-  return out + sprintf(out, "],\"data_offsets\":[%" PRIu64 ",%" PRIu64 "]}",
-                       tensor->offset * sizeof(float),
-                       (tensor->offset + tensor->count) * sizeof(float));
-}
-
-/* Writes the header, padded to whole parameters, and returns its end. */
-static char *put_header(char *out, const struct mo_controller *controller)
-{
-  const char *const first = out;
-  out += sprintf(out, "{\"__metadata__\":{");
-  for (size_t i = 0; i < controller->n_metadata; i++) {
-    if (i > 0)
-      *out++ = ',';
-    out = put_string(out, controller->metadata[i].key);
-    *out++ = ':';
-    out = put_string(out, controller->metadata[i].value);
-  }
-  *out++ = '}';
   struct mo_tensor tensors[MO_CONTROLLER_TENSORS];
   mo_controller_tensors(controller->workspace, tensors);
-  for (int i = 0; i < MO_CONTROLLER_TENSORS; i++)
-    out = put_tensor(out, &tensors[i]);
-  *out++ = '}';
-  while ((out - first) % 8 != 0)
-    *out++ = ' ';
-  return out;
+  mo_text_add(text, "{\"__metadata__\":{");
+  for (size_t i = 0; i < controller->n_metadata; i++) {
+    const struct mo_metadata_entry *entry = &controller->metadata[i];
+    mo_text_next(text);
+    mo_text_json_string(text, entry->key, strlen(entry->key));
+    mo_text_add(text, ":");
+    mo_text_json_string(text, entry->value, strlen(entry->value));
+  }
+  mo_text_add(text, "}");
+  for (const struct mo_tensor *tensor = tensors; tensor < tensors + MO_CONTROLLER_TENSORS;
+       tensor++) {
+    mo_text_name(text, tensor->name);
+    mo_text_format(text, "{\"dtype\":\"F32\",\"shape\":[%" PRIu64, tensor->shape[0]);
+    if (tensor->n_dims == 2)
+      mo_text_format(text, ",%" PRIu64, tensor->shape[1]);
+    mo_text_format(text, "],\"data_offsets\":[%" PRIu64 ",%" PRIu64 "]}",
+                   tensor->offset * sizeof(float),
+                   (tensor->offset + tensor->count) * sizeof(float));
+  }
+  mo_text_add(text, "}");
+  while (text->size % 8 != 0 && !text->failed)
+    mo_text_add(text, " ");
 }
 
 int mo_controller_encode(const struct mo_controller *controller, uint8_t **bytes, size_t *size)
 {
   const size_t data_size = controller->n_parameters * sizeof(float);
-  size_t longest = 64 + (size_t)MO_CONTROLLER_TENSORS * 192; /* of the header */
-  for (size_t i = 0; i < controller->n_metadata; i++)
-    longest +=
-        6 * (strlen(controller->metadata[i].key) + strlen(controller->metadata[i].value)) + 8;
-  char *text = malloc(longest + data_size);
-  if (text == NULL)
-    return MO_ERR_NO_MEMORY;
-  char *data = put_header(text + 8, controller);
-  const uint64_t header_size = (uint64_t)(data - text) - 8;
-  if (header_size > MO_SAFETENSORS_HEADER_MAX) {
-    free(text);
-    return MO_ERR_LIMIT;
+  struct mo_text header = {0};
+  write_header(&header, controller);
+  const uint64_t header_size = header.size;
+  uint8_t *file = NULL;
+  int error = header.failed                             ? MO_ERR_NO_MEMORY
+              : header_size > MO_SAFETENSORS_HEADER_MAX ? MO_ERR_LIMIT
+                                                        : MO_OK;
+  if (error == MO_OK && (file = malloc(8 + header_size + data_size)) == NULL)
+    error = MO_ERR_NO_MEMORY;
+  if (error == MO_OK) {
+    memcpy(file, &header_size, 8);
+    memcpy(file + 8, header.data, header_size);
+    memcpy(file + 8 + header_size, controller->parameters, data_size);
+    *bytes = file;
+    *size = 8 + header_size + data_size;
   }
-  memcpy(text, &header_size, 8);
-  memcpy(data, controller->parameters, data_size);
-  *bytes = (uint8_t *)text;
-  *size = 8 + header_size + data_size;
-  return MO_OK;
+  mo_text_free(&header);
+  return error;
 }

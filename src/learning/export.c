@@ -10,39 +10,29 @@
 #include "base/text.h"
 #include "learning/fields.h"
 
-#define CODE_BYTES (MO_LINEAGE_MAX * (MO_FINGERPRINT_BYTES + 48) + 4)
-
-/* MO_ERR_NO_MEMORY */
-static int spell_settings(const struct mo_training *training, struct mo_text *text)
+static void write_settings(const struct mo_training *training, struct mo_text *text)
 {
-  mo_text_add(text, "{");
+  mo_text_object(text);
   mo_fields_write(text, &mo_recipe_fields, &training->settings);
-  mo_text_format(text, ",\"designs\":%" PRIu32 "}", training->n_designs);
-  return text->failed ? MO_ERR_NO_MEMORY : MO_OK;
+  mo_text_member_count(text, "designs", training->n_designs);
+  mo_text_add(text, "}");
 }
 
-/* Writes the entries below the training's step. MO_ERR_INVALID: a fingerprint that JSON needs to
- * escape. */
-static int spell_code(const struct mo_training *training, const struct mo_training_lineage *lineage,
-                      char text[CODE_BYTES])
+/* Writes the entries below the training's step. */
+static void write_code(const struct mo_training *training,
+                       const struct mo_training_lineage *lineage, struct mo_text *text)
 {
-  size_t size = 1;
-  text[0] = '[';
+  mo_text_add(text, "[");
   for (uint32_t i = 0; i < lineage->n && i < MO_LINEAGE_MAX; i++) {
     const struct mo_training_code *code = &lineage->codes[i];
-    for (const char *c = code->fingerprint; *c != '\0'; c++)
-      if (*c < ' ' || *c > '~' || *c == '"' || *c == '\\')
-        return MO_ERR_INVALID;
     if (code->from_step >= training->step)
       break;
-    const char *quote = code->fingerprint[0] != '\0' ? "\"" : "";
-    size += (size_t)snprintf(text + size, CODE_BYTES - size,
-                             "%s{\"from_step\":%" PRIu32 ",\"fingerprint\":%s%.*s%s}",
-                             i > 0 ? "," : "", code->from_step, quote, MO_FINGERPRINT_BYTES - 1,
-                             quote[0] != '\0' ? code->fingerprint : "null", quote);
+    mo_text_object(text);
+    mo_text_member_count(text, "from_step", code->from_step);
+    mo_text_member(text, "fingerprint", code->fingerprint[0] != '\0' ? code->fingerprint : NULL);
+    mo_text_add(text, "}");
   }
-  memcpy(text + size, "]", 2);
-  return MO_OK;
+  mo_text_add(text, "]");
 }
 
 int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex,
@@ -54,9 +44,13 @@ int mo_training_export(const struct mo_training *training, const char *parent_sh
   if (r < 0)
     return r;
   memcpy(made->parameters, training->controller->parameters, made->n_parameters * sizeof(float));
-  struct mo_text settings = {0};
-  char code[CODE_BYTES], seed[MO_NUMBER_BYTES], step[MO_NUMBER_BYTES], designs[MO_NUMBER_BYTES];
-  r = spell_settings(training, &settings);
+  struct mo_text settings = {0}, code = {0};
+  char seed[MO_NUMBER_BYTES], step[MO_NUMBER_BYTES], designs[MO_NUMBER_BYTES];
+  write_settings(training, &settings);
+  if (lineage != NULL)
+    write_code(training, lineage, &code);
+  if (settings.failed || code.failed)
+    r = MO_ERR_NO_MEMORY;
   snprintf(seed, sizeof(seed), "%" PRIu64, training->settings.seed);
   snprintf(step, sizeof(step), "%" PRIu32, training->step);
   snprintf(designs, sizeof(designs), "%016" PRIx64,
@@ -76,10 +70,9 @@ int mo_training_export(const struct mo_training *training, const char *parent_sh
   for (size_t i = 0; i < n && r == MO_OK; i++)
     r = mo_controller_set_metadata(made, entries[i][0], entries[i][1]);
   if (lineage != NULL && r == MO_OK)
-    r = spell_code(training, lineage, code);
-  if (lineage != NULL && r == MO_OK)
-    r = mo_controller_set_metadata(made, "morphod.code", code);
+    r = mo_controller_set_metadata(made, "morphod.code", code.data);
   mo_text_free(&settings);
+  mo_text_free(&code);
   if (r < 0) {
     mo_controller_free(made);
     return r;

@@ -212,13 +212,11 @@ static void depth_bombs(void)
   make_good();
   memcpy(text, "{\"a\":", 5);
   memset(text + 5, '[', n - 5);
-  expect_header("a million brackets", text, n, MO_ERR_FORMAT, "nests deeper than 64 levels");
-  expect_header("65 levels", text, 5 + 64, MO_ERR_FORMAT, "nests deeper than 64 levels");
+  expect_header("a million brackets", text, n, MO_ERR_FORMAT, "maximum parsing depth");
   expect_header("64 levels", text, 5 + 63, MO_ERR_FORMAT, "not valid JSON");
   for (size_t i = 5; i + 5 <= n; i += 5)
     memcpy(text + i, "{\"a\":", 5);
-  expect_header("objects in objects", text, n - n % 5, MO_ERR_FORMAT,
-                "nests deeper than 64 levels");
+  expect_header("objects in objects", text, n - n % 5, MO_ERR_FORMAT, "maximum parsing depth");
   /* Brackets in texts are only text, also behind escaped quotes. */
   const int used = snprintf(text, n, "{\"\\\"");
   memset(text + used, '[', 500);
