@@ -1,6 +1,6 @@
 /* processors.c: see processors.h.
  *
- * A cgroup whose files are not found counts as one without a quota. Inside a container /proc often
+ * A cgroup whose files are not found counts as one without a limit. Inside a container /proc often
  * names a path of the host, while the files of the container's own cgroup are at the top of the
  * mount. The walk up the path ends there and finds them. */
 #include "base/processors.h"
@@ -13,11 +13,10 @@
 #include <string.h>
 #include <unistd.h>
 
-/* Reads up to two numbers from the start of a file; returns how many it found. */
-static int read_numbers(const char *folder, const char *name, long long numbers[2])
+size_t mo_read_numbers(const char *folder, const char *name, long long numbers[2])
 {
   char path[PATH_MAX + 32], text[64] = "", *at = text, *end = NULL;
-  int n = 0;
+  size_t n = 0;
   snprintf(path, sizeof(path), "%s/%s", folder, name);
   FILE *file = fopen(path, "re");
   if (file == NULL)
@@ -33,55 +32,39 @@ static int read_numbers(const char *folder, const char *name, long long numbers[
   return n;
 }
 
-static uint32_t quota_of(const char *folder, bool is_unified)
+static bool has_controller(char *controllers, const char *wanted)
 {
-  long long quota_us[2], period_us[2];
-  if (is_unified) {
-    if (read_numbers(folder, "cpu.max", quota_us) != 2) /* "max 100000": no quota */
-      return UINT32_MAX;
-    period_us[0] = quota_us[1];
-  } else if (read_numbers(folder, "cpu.cfs_quota_us", quota_us) != 1 ||
-             read_numbers(folder, "cpu.cfs_period_us", period_us) != 1) {
-    return UINT32_MAX;
-  }
-  if (quota_us[0] <= 0 || period_us[0] <= 0)
-    return UINT32_MAX;
-  const long long processors = (quota_us[0] - 1) / period_us[0] + 1;
-  return processors < UINT32_MAX ? (uint32_t)processors : UINT32_MAX;
+  char *rest = NULL;
+  for (char *name = strtok_r(controllers, ",", &rest); name != NULL;
+       name = strtok_r(NULL, ",", &rest))
+    if (strcmp(name, wanted) == 0)
+      return true;
+  return false;
 }
 
-/* Returns the smallest quota of a cgroup and those above it. */
-static uint32_t least_quota(const char *mount, const char *group, bool is_unified)
+/* Returns the least of the limits of a cgroup and those above it. */
+static uint64_t least_limit(const char *mount, const char *group, bool is_unified,
+                            mo_cgroup_limit *limit_of)
 {
   char folder[PATH_MAX];
-  uint32_t least = UINT32_MAX;
+  uint64_t least = UINT64_MAX;
   const int length = snprintf(folder, sizeof(folder), "%s%s", mount, group);
   if (group[0] != '/' || length < 0 || length >= (int)sizeof(folder))
     return least;
   for (;;) {
-    const uint32_t quota = quota_of(folder, is_unified);
-    least = quota < least ? quota : least;
+    const uint64_t limit = limit_of(folder, is_unified);
+    least = limit < least ? limit : least;
     if (strlen(folder) <= strlen(mount))
       return least;
     *strrchr(folder, '/') = '\0';
   }
 }
 
-static bool has_cpu(char *controllers)
-{
-  char *rest = NULL;
-  for (char *name = strtok_r(controllers, ",", &rest); name != NULL;
-       name = strtok_r(NULL, ",", &rest))
-    if (strcmp(name, "cpu") == 0)
-      return true;
-  return false;
-}
-
-uint32_t mo_quota_processors(const char *root)
+uint64_t mo_cgroups_limit(const char *root, const char *controller, mo_cgroup_limit *limit_of)
 {
   char path[PATH_MAX], *line = NULL;
   size_t room = 0;
-  uint32_t least = UINT32_MAX;
+  uint64_t least = UINT64_MAX;
   snprintf(path, sizeof(path), "%s/proc/self/cgroup", root);
   FILE *groups = fopen(path, "re");
   if (groups == NULL)
@@ -95,15 +78,38 @@ uint32_t mo_quota_processors(const char *root)
     *group++ = '\0';
     group[strcspn(group, "\n")] = '\0';
     const bool is_unified = *controllers == '\0';
-    if (!is_unified && !has_cpu(controllers))
+    if (!is_unified && !has_controller(controllers, controller))
       continue;
-    snprintf(path, sizeof(path), "%s/sys/fs/cgroup%s", root, is_unified ? "" : "/cpu");
-    const uint32_t quota = least_quota(path, group, is_unified);
-    least = quota < least ? quota : least;
+    snprintf(path, sizeof(path), "%s/sys/fs/cgroup%s%s", root, is_unified ? "" : "/",
+             is_unified ? "" : controller);
+    const uint64_t limit = least_limit(path, group, is_unified, limit_of);
+    least = limit < least ? limit : least;
   }
   free(line);
   fclose(groups);
   return least;
+}
+
+static uint64_t quota_of(const char *folder, bool is_unified)
+{
+  long long quota_us[2], period_us[2];
+  if (is_unified) {
+    if (mo_read_numbers(folder, "cpu.max", quota_us) != 2) /* "max 100000": no quota */
+      return UINT64_MAX;
+    period_us[0] = quota_us[1];
+  } else if (mo_read_numbers(folder, "cpu.cfs_quota_us", quota_us) != 1 ||
+             mo_read_numbers(folder, "cpu.cfs_period_us", period_us) != 1) {
+    return UINT64_MAX;
+  }
+  if (quota_us[0] <= 0 || period_us[0] <= 0)
+    return UINT64_MAX;
+  return (uint64_t)((quota_us[0] - 1) / period_us[0] + 1);
+}
+
+uint32_t mo_quota_processors(const char *root)
+{
+  const uint64_t processors = mo_cgroups_limit(root, "cpu", quota_of);
+  return processors < UINT32_MAX ? (uint32_t)processors : UINT32_MAX;
 }
 
 uint32_t mo_processors(void)

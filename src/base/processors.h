@@ -1,7 +1,9 @@
-/* processors.h: how many processors this process can keep busy. */
+/* processors.h: how many processors this process can keep busy, and the limits of its cgroups. */
 #ifndef MORPHO_BASE_PROCESSORS_H
 #define MORPHO_BASE_PROCESSORS_H
 
+#include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 
 /* Returns the smaller of the processors in the affinity mask and those that the CPU quotas of the
@@ -11,5 +13,13 @@ uint32_t mo_processors(void);
  * cgroups above it (`cpu.max` of version 2, `cpu.cfs_quota_us` of version 1). UINT32_MAX: no quota.
  * root: prefix of /proc and /sys; "" except in tests. */
 uint32_t mo_quota_processors(const char *root);
+
+/* Returns the least limit that `limit_of` finds in the folders of the process's cgroups and all
+ * cgroups above them that can be seen: of version 2 (unified), and of version 1's `controller`.
+ * UINT64_MAX: none. */
+typedef uint64_t mo_cgroup_limit(const char *folder, bool is_unified);
+uint64_t mo_cgroups_limit(const char *root, const char *controller, mo_cgroup_limit *limit_of);
+/* Reads up to two numbers from the start of a file; returns how many it found. */
+size_t mo_read_numbers(const char *folder, const char *name, long long numbers[2]);
 
 #endif

@@ -93,7 +93,7 @@ static bool reserve(struct mo_text *text, size_t n)
   size_t capacity = text->capacity < 256 ? 256 : text->capacity;
   while (capacity - text->size <= n && capacity <= SIZE_MAX / 2)
     capacity *= 2;
-  char *data = capacity - text->size > n ? realloc(text->data, capacity) : NULL;
+  char *data = !text->is_fixed && capacity - text->size > n ? realloc(text->data, capacity) : NULL;
   if (data == NULL) {
     text->failed = true;
     return false;

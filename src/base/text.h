@@ -36,6 +36,7 @@ struct mo_text {
   char *data; /* malloc; a NUL follows the last byte when size > 0; may be handed over */
   size_t size, capacity;
   bool failed;
+  bool is_fixed; /* `data` belongs to the caller, and cannot grow */
 };
 
 void mo_text_free(struct mo_text *text); /* NULL-safe; empties it */

@@ -13,13 +13,15 @@
 #include <math.h>
 #include <poll.h>
 #include <pthread.h>
-#include <stdarg.h>
 #include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
+
+#include "base/clock.h"
+#include "base/text.h"
 
 #define RING_BYTES        ((size_t)1 << 20)
 #define LAST_WORDS_ROUNDS 100 /* of one millisecond each */
@@ -35,56 +37,6 @@ static struct {
 
 /* ---- lines ---- */
 
-struct line {
-  char *text;
-  size_t capacity, length; /* space for the newline and the NUL is reserved */
-};
-
-static void put(struct line *line, const char *bytes, size_t n)
-{
-  size_t room = line->capacity - 2 - line->length;
-  if (n > room)
-    n = room;
-  memcpy(line->text + line->length, bytes, n);
-  line->length += n;
-}
-
-static void put_text(struct line *line, const char *text)
-{
-  put(line, text, strlen(text));
-}
-
-__attribute__((format(printf, 2, 3))) static void put_format(struct line *line, const char *format,
-                                                             ...)
-{
-  const size_t room = line->capacity - 2 - line->length;
-  va_list arguments;
-  va_start(arguments, format);
-  const int n = vsnprintf(line->text + line->length, room + 1, format, arguments);
-  va_end(arguments);
-  line->length += n < 0 ? 0 : (size_t)n < room ? (size_t)n : room;
-}
-
-/* JSON string escapes serve all formats: a quoted value holds no raw control byte, so it cannot
- * break the line. Bytes above 0x7f pass: names and labels are already checked as UTF-8. */
-static void put_quoted(struct line *line, const char *text)
-{
-  put_text(line, "\"");
-  for (const unsigned char *c = (const unsigned char *)text; *c != 0; c++) {
-    if (line->capacity - line->length < 16)
-      break;
-    if (*c == '"' || *c == '\\')
-      put_format(line, "\\%c", *c);
-    else if (*c == '\n')
-      put_text(line, "\\n");
-    else if (*c < 0x20 || *c == 0x7f)
-      put_format(line, "\\u%04x", *c);
-    else
-      put(line, (const char *)c, 1);
-  }
-  put_text(line, "\"");
-}
-
 static bool is_bare(const char *text)
 {
   if (*text == 0)
@@ -95,84 +47,80 @@ static bool is_bare(const char *text)
   return true;
 }
 
-static void put_value(struct line *line, enum log_format format, const struct log_field *field)
+/* JSON string escapes serve all formats: a quoted value holds no raw control byte, so it cannot
+ * break the line. */
+static void put_value(struct mo_text *line, enum log_format format, const struct log_field *field)
 {
+  const char *text = field->value.text;
   switch (field->kind) {
   case LOG_KIND_TEXT:
-    if (field->value.text == NULL)
-      put_text(line, "null");
-    else if (format != LOG_FORMAT_JSON && is_bare(field->value.text))
-      put_text(line, field->value.text);
+    if (text == NULL || (format != LOG_FORMAT_JSON && is_bare(text)))
+      mo_text_add(line, text != NULL ? text : "null");
     else
-      put_quoted(line, field->value.text);
+      mo_text_json_string(line, text, strlen(text));
     break;
-  case LOG_KIND_INT: put_format(line, "%" PRId64, field->value.integer); break;
+  case LOG_KIND_INT: mo_text_format(line, "%" PRId64, field->value.integer); break;
   case LOG_KIND_REAL:
     if (isfinite(field->value.real))
-      put_format(line, "%.6g", field->value.real);
+      mo_text_format(line, "%.6g", field->value.real);
     else
-      put_text(line, format == LOG_FORMAT_JSON ? "null" : "nan");
+      mo_text_add(line, format == LOG_FORMAT_JSON ? "null" : "nan");
     break;
   }
 }
 
-static void put_time(struct line *line, int64_t time_us)
+static void put_time(struct mo_text *line, int64_t time_us)
 {
   time_t seconds = (time_t)(time_us / 1000000);
   struct tm utc;
   char text[40];
-  if (gmtime_r(&seconds, &utc) == NULL)
-    return;
-  size_t n = strftime(text, sizeof(text), "%Y-%m-%dT%H:%M:%S", &utc);
-  put(line, text, n);
-  put_format(line, ".%06dZ", (int)(time_us % 1000000));
+  if (gmtime_r(&seconds, &utc) != NULL &&
+      strftime(text, sizeof(text), "%Y-%m-%dT%H:%M:%S", &utc) > 0)
+    mo_text_format(line, "%s.%06dZ", text, (int)(time_us % 1000000));
 }
 
 size_t log_format_line(char *text, size_t capacity, enum log_format format, bool priority,
                        int64_t time_us, enum log_level level, const char *message,
                        const struct log_field *fields, size_t n_fields)
 {
-  struct line line = {.text = text, .capacity = capacity};
+  /* The last two bytes are for a closing brace and the newline. */
+  struct mo_text line = {.data = text, .capacity = capacity - 2, .is_fixed = true};
   const bool json = format == LOG_FORMAT_JSON, plain = format == LOG_FORMAT_TEXT;
-  if (json)
-    line.capacity -= 2; /* so that a quote and the closing brace always fit */
   if (priority)
-    put_format(&line, "<%d>", level_priorities[level]);
-  put_text(&line, json ? "{" : "");
+    mo_text_format(&line, "<%d>", level_priorities[level]);
+  mo_text_add(&line, json ? "{" : "");
   if (time_us > 0) {
-    put_text(&line, json ? "\"time\":\"" : plain ? "" : "time=");
+    mo_text_add(&line, json ? "\"time\":\"" : plain ? "" : "time=");
     put_time(&line, time_us);
-    put_text(&line, json ? "\"," : " ");
+    mo_text_add(&line, json ? "\"," : " ");
   }
+  mo_text_format(&line,
+                 json    ? "\"level\":\"%s\",\"msg\":"
+                 : plain ? "%s: "
+                         : "level=%s msg=",
+                 level_names[level]);
   if (plain)
-    put_format(&line, "%s: %s", level_names[level], message);
+    mo_text_add(&line, message);
   else
-    put_format(&line, json ? "\"level\":\"%s\",\"msg\":" : "level=%s msg=", level_names[level]);
-  if (!plain)
-    put_quoted(&line, message);
-  for (size_t i = 0; i < n_fields && !(json && line.capacity - line.length < 128); i++) {
-    put_format(&line, json ? ",\"%s\":" : " %s=", fields[i].name);
+    mo_text_json_string(&line, message, strlen(message));
+  for (size_t i = 0; i < n_fields && !line.failed; i++) {
+    const size_t before = line.size;
+    mo_text_format(&line, json ? ",\"%s\":" : " %s=", fields[i].name);
     put_value(&line, format, &fields[i]);
-  }
-  if (json) {
-    line.capacity += 2;
-    put_text(&line, "}");
+    if (line.failed) /* it does not fit: the line ends before it */
+      line.size = before;
   }
   /* Messages come from the program, but a newline in one must not forge a second line. */
-  for (size_t i = 0; i < line.length; i++)
-    if (line.text[i] == '\n')
-      line.text[i] = ' ';
-  line.text[line.length++] = '\n';
-  line.text[line.length] = 0;
-  return line.length;
+  for (size_t i = 0; i < line.size; i++)
+    if (text[i] == '\n')
+      text[i] = ' ';
+  return line.size + (size_t)sprintf(text + line.size, json ? "}\n" : "\n");
 }
 
 static size_t format_now(char line[LOG_LINE_BYTES], enum log_level level, const char *message,
                          const struct log_field *fields, size_t n_fields)
 {
-  struct timespec now;
-  clock_gettime(CLOCK_REALTIME, &now);
-  int64_t time_us = logger.journal ? 0 : (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
+  int64_t time_us = logger.journal ? 0 : mo_clock_wall_us();
   return log_format_line(line, LOG_LINE_BYTES, logger.format, logger.journal, time_us, level,
                          message, fields, n_fields);
 }

@@ -67,8 +67,8 @@ void log_write(enum log_level level, const char *message, const struct log_field
                size_t n_fields);
 
 /* Formats one line with its newline into `line` (capacity bytes, always terminated); returns its
- * length. A line that is too long is cut but remains one line. `time_us`: microseconds since 1970;
- * 0: omit the time. */
+ * length. A field that does not fit is left out, with those behind it. `time_us`: microseconds
+ * since 1970; 0: omit the time. */
 size_t log_format_line(char *line, size_t capacity, enum log_format format, bool priority,
                        int64_t time_us, enum log_level level, const char *message,
                        const struct log_field *fields, size_t n_fields);

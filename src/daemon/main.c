@@ -12,6 +12,7 @@
 
 #include <systemd/sd-daemon.h>
 
+#include "base/clock.h"
 #include "daemon/crash.h"
 #include "daemon/log.h"
 #include "daemon/service.h"
@@ -42,13 +43,6 @@ static void must_end(const char *what)
             LOG_TEXT("reason", what));
   atomic_store(&broken, true);
   kill(getpid(), SIGUSR1); /* wakes the main thread */
-}
-
-static int64_t now_us(clockid_t clock)
-{
-  struct timespec now;
-  clock_gettime(clock, &now);
-  return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
 }
 
 static void report_faults(const struct settings_faults *faults)
@@ -95,7 +89,7 @@ static void apply(struct settings *current, const struct settings *read,
 /* Applies a valid new configuration on SIGHUP, and logs what needs a restart. */
 static void reload(struct process *process)
 {
-  sd_notifyf(0, "RELOADING=1\nMONOTONIC_USEC=%" PRId64, now_us(CLOCK_MONOTONIC));
+  sd_notifyf(0, "RELOADING=1\nMONOTONIC_USEC=%" PRId64, mo_clock_us());
   struct settings settings = {0};
   struct settings_request request = {0};
   struct settings_faults faults = {0};
@@ -139,7 +133,7 @@ static int wait_signal(const sigset_t *set, int64_t timeout_us)
 
 static void stop(struct process *process, int number, const sigset_t *set)
 {
-  int64_t begin = now_us(CLOCK_MONOTONIC);
+  int64_t begin = mo_clock_us();
   uint64_t drain_s = process->settings.drain_timeout_ms / 1000;
   struct sigaction action = {.sa_handler = out_of_time};
   sigaction(SIGALRM, &action, NULL);
@@ -150,7 +144,7 @@ static void stop(struct process *process, int number, const sigset_t *set)
   service_drain(process->service);
   int64_t until = begin + (int64_t)process->settings.drain_timeout_ms * 1000;
   while (!atomic_load(&broken) && !service_is_idle(process->service)) {
-    int64_t left = until - now_us(CLOCK_MONOTONIC);
+    int64_t left = until - mo_clock_us();
     if (left <= 0)
       break;
     int again = wait_signal(set, left < 50000 ? left : 50000);
@@ -163,7 +157,7 @@ static void stop(struct process *process, int number, const sigset_t *set)
   service_stop(process->service);
   process->service = NULL;
   log_info("stopped", LOG_TEXT("work", idle ? "finished" : "parked"),
-           LOG_REAL("seconds", (double)(now_us(CLOCK_MONOTONIC) - begin) * 1e-6));
+           LOG_REAL("seconds", (double)(mo_clock_us() - begin) * 1e-6));
 }
 
 static void look_after(struct process *process, bool *was_alive)
