@@ -1,4 +1,4 @@
-/* phylogeny_columns.c: the phylogeny as columns, for programs that draw it whole: some 17 bytes per
+/* phylogeny_columns.c: the phylogeny as columns, for programs that draw it whole: 17 bytes per
  * design in place of 243 as CSV. The form is that of a scene: a JSON header that describes arrays.
  */
 #include <stdlib.h>
@@ -67,6 +67,7 @@ static void write_generations(struct mo_text *text, struct mo_text *arrays, cons
   write_column(text, arrays, name, narrow ? "uint16" : "uint32", generations, narrow ? 2 : 4, n);
 }
 
+/* numbers: NULL where the designs follow one another, so that their places tell them. */
 static void write_columns(struct mo_text *text, struct mo_text *arrays,
                           struct mo_campaign_columns *columns, const uint32_t *numbers,
                           uint32_t total)
@@ -76,7 +77,8 @@ static void write_columns(struct mo_text *text, struct mo_text *arrays,
   mo_text_member_count(text, "designs", total);
   mo_text_name(text, "columns");
   mo_text_object(text);
-  write_column(text, arrays, "number", "uint32", numbers, 4, columns->n);
+  if (numbers != NULL)
+    write_column(text, arrays, "number", "uint32", numbers, 4, columns->n);
   write_column(text, arrays, "parent", "uint32", columns->parents[0], 4, columns->n);
   write_column(text, arrays, "other_parent", "uint32", columns->parents[1], 4, columns->n);
   write_generations(text, arrays, "born", columns->born, columns->n, narrow);
@@ -108,7 +110,7 @@ void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after,
       mark_lineages(columns, kept);
     if (numbers != NULL && (kept != NULL || !lineages)) {
       choose_rows(columns, kept, after, numbers);
-      write_columns(&header, &arrays, columns, numbers, total);
+      write_columns(&header, &arrays, columns, lineages ? numbers : NULL, total);
       joined = mo_scene_join(&header, &arrays, &size);
     }
     if (joined == NULL)

@@ -7,14 +7,14 @@ import { layout, nearest } from '../lib/lineage.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { decodeScene } from '../lib/scene.js';
-import { Program, vertexArray } from '../stage/gl.js';
+import { Program, dataTexture } from '../stage/gl.js';
 import { Player } from '../stage/player.js';
 
 const SHADERS = [
   `#version 300 es
 precision highp float;
-layout(location = 0) in vec4 life;   // born, end, y, y of the parent
-layout(location = 1) in vec2 look;   // value from 0 to 1 for the color; 1: ancestor of the living
+uniform highp sampler2D lives;   // a texel a design: born, end, y, y of the parent
+uniform highp sampler2D looks;   // value for the color, or operator / 255; 1: ancestor of the living
 uniform vec2 shift;
 uniform vec2 zoom;
 uniform bool byKind;
@@ -24,12 +24,17 @@ uniform vec3 kinds[5];
 uniform float dim;
 out vec4 color;
 void main() {
-  // Two lines: from the parent's life to the birth, and the life itself.
-  bool joint = gl_VertexID < 2;
-  float x = gl_VertexID == 3 ? life.y : life.x - (gl_VertexID == 0 ? 1.0 : 0.0);
-  float y = gl_VertexID == 0 ? life.w : life.z;
+  // Two lines: from the parent's life to the birth, and the life itself. An instance a design would
+  // be simpler, but without a GPU a million instances take many times as long.
+  ivec2 texel = ivec2((gl_VertexID >> 2) & 2047, gl_VertexID >> 13);
+  vec4 life = texelFetch(lives, texel, 0);
+  vec2 look = texelFetch(looks, texel, 0).xy;
+  int corner = gl_VertexID & 3;
+  bool joint = corner < 2;
+  float x = corner == 3 ? life.y : life.x - (corner == 0 ? 1.0 : 0.0);
+  float y = corner == 0 ? life.w : life.z;
   gl_Position = vec4((x + shift.x) * zoom.x, (y + shift.y) * zoom.y, 0.0, 1.0);
-  vec3 hue = byKind ? kinds[int(look.x + 0.5)] : mix(low, high, look.x);
+  vec3 hue = byKind ? kinds[int(look.x * 255.0 + 0.5)] : mix(low, high, look.x);
   float weight = look.y > 0.5 ? (joint ? 0.6 : 0.95) : (joint ? dim * 0.3 : dim);
   color = vec4(hue, life.w < -0.5 && joint ? 0.0 : weight);
 }`,
@@ -40,13 +45,17 @@ out vec4 result;
 void main() { result = color; }`,
 ];
 
+/** Designs in a row of a texture: the shader takes its low bits for the column. */
+const TEXELS = 2048;
+const MANY = 100000;
 const COLOR_BY = [['score', 'score'], ['age', 'age'], ['operator', 'operator']];
 const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
 
 /** A canvas with the lives of designs; it knows nothing of the page around it. */
 export class PhylogenyCanvas {
-  constructor(canvas) {
-    const gl = canvas.getContext('webgl2', { antialias: true, alpha: false, preserveDrawingBuffer: true });
+  /** @param {number} n about so many designs: where lines lie closer than pixels, edges need no care */
+  constructor(canvas, n = 0) {
+    const gl = canvas.getContext('webgl2', { antialias: n < MANY, alpha: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error('This browser does not offer WebGL 2, which the phylogeny is drawn with.');
     this.canvas = canvas;
     this.gl = gl;
@@ -55,6 +64,7 @@ export class PhylogenyCanvas {
     /** Waits for the graphics processor after each draw, so that its time is measured. */
     this.measure = false;
     this.program = new Program(gl, SHADERS);
+    this.textures = [];
     this.times = {};
     this.reset();
   }
@@ -77,20 +87,22 @@ export class PhylogenyCanvas {
       if (born[i] > this.last) this.last = born[i];
       if (died[i] !== this.alive && died[i] > this.last) this.last = died[i];
     }
-    this.#fillBuffers();
+    this.#fillTextures();
     this.times.readyMs = performance.now() - started;
   }
 
   setColor(by) {
     this.colorBy = by;
-    if (this.columns) this.#fillBuffers();
+    if (this.columns) this.#fillTextures();
   }
 
-  #fillBuffers() {
+  #fillTextures() {
     const { columns, layout: { y, parentRow, lineage, order }, gl } = this;
     const { born, died, operator, score: scores } = columns;
     const n = order.length;
-    const data = new Float32Array(n * 6);
+    const rows = Math.max(1, Math.ceil(n / TEXELS));
+    const lives = new Float32Array(rows * TEXELS * 4);
+    const looks = new Uint8Array(rows * TEXELS * 2);
     // Scores are ranked on a scale of logarithms, since they crowd near the best.
     let [best, worst] = [Infinity, 0];
     for (let i = 0; i < n; i++) {
@@ -98,25 +110,23 @@ export class PhylogenyCanvas {
       if (scores[i] > worst && scores[i] <= 2) worst = scores[i];
     }
     const span = Math.log(worst / best) || 1;
-    for (let k = 0, at = 0; k < n; k++, at += 6) {
+    for (let k = 0, at = 0; k < n; k++, at += 4) {
       const i = order[k];
       const end = died[i] === this.alive ? this.last + 0.6 : Math.max(died[i], born[i] + 0.4);
-      data[at] = born[i];
-      data[at + 1] = end;
-      data[at + 2] = y[i];
-      data[at + 3] = parentRow[i] < 0 ? -1 : y[parentRow[i]];
+      lives[at] = born[i];
+      lives[at + 1] = end;
+      lives[at + 2] = y[i];
+      lives[at + 3] = parentRow[i] < 0 ? -1 : y[parentRow[i]];
       let value = 0;
-      if (this.colorBy === 'operator') value = operator[i];
+      if (this.colorBy === 'operator') value = operator[i] / 255;
       else if (this.colorBy === 'age') value = Math.min(1, (end - born[i]) / Math.max(2, this.last * 0.5));
       else value = scores[i] > 0 ? 1 - Math.min(1, Math.max(0, Math.log(scores[i] / best) / span)) : 0;
-      data[at + 4] = value;
-      data[at + 5] = lineage[i];
+      looks[2 * k] = Math.round(value * 255);
+      looks[2 * k + 1] = lineage[i] * 255;
     }
-    this.lives?.free();
-    this.lives = vertexArray(gl, data, [
-      { at: 0, size: 4, type: gl.FLOAT, stride: 24, divisor: 1 },
-      { at: 1, size: 2, type: gl.FLOAT, stride: 24, offset: 16, divisor: 1 },
-    ]);
+    this.textures.forEach((texture) => gl.deleteTexture(texture));
+    this.textures = [dataTexture(gl, gl.RGBA32F, TEXELS, rows, gl.RGBA, gl.FLOAT, lives),
+      dataTexture(gl, gl.RG8, TEXELS, rows, gl.RG, gl.UNSIGNED_BYTE, looks)];
   }
 
   /** Generation and y of a place on the canvas. */
@@ -164,14 +174,12 @@ export class PhylogenyCanvas {
       shift: [0.5 - this.center[0] * generations, -this.center[1]],
       zoom: [2 / (this.span[0] * generations), -2 / this.span[1]],
       byKind: this.colorBy === 'operator', low: color('--blue'), high: color('--orange'),
-      dim: this.columns.number.length > 100000 ? 0.35 : 0.6,
+      lives: this.textures[0], looks: this.textures[1], dim: this.columns.number.length > MANY ? 0.35 : 0.6,
     });
     const kinds = this.program.places.get('kinds[0]');
     const hues = [color('--grey'), color('--grey'), color('--green'), color('--orange'), color('--blue')];
     if (kinds) gl.uniform3fv(kinds.at, hues.flat());
-    gl.bindVertexArray(this.lives.array);
-    gl.drawArraysInstanced(gl.LINES, 0, 4, this.layout.order.length);
-    gl.bindVertexArray(null);
+    gl.drawArrays(gl.LINES, 0, 4 * this.layout.order.length);
     if (this.measure) gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     this.times.drawMs = performance.now() - started;
   }
@@ -185,7 +193,10 @@ export class PhylogenyCanvas {
 export async function loadColumns(id, keep, signal) {
   const response = await request(withQuery(`v1/campaigns/${id}/phylogeny`, { format: 'columns', keep }), { signal });
   const { header, array } = decodeScene(await response.arrayBuffer());
-  return Object.fromEntries(Object.entries(header.columns).map(([name, where]) => [name, array(where)]));
+  const columns = Object.fromEntries(Object.entries(header.columns).map(([name, where]) => [name, array(where)]));
+  // Of all designs, the place is the number.
+  columns.number ??= new Uint32Array(columns.born.length).map((_, i) => i);
+  return columns;
 }
 
 export async function mount(main, id, parameters, app) {
@@ -208,7 +219,7 @@ export async function mount(main, id, parameters, app) {
     h('section.panel.stack', {}, h('h2', {}, 'Ancestry'), ancestry));
   fill(detail, h('p.empty', {}, 'Touch a design and its robot walks. Drag to move, wheel or pinch to zoom. ' +
     'Arrow keys go from design to design.'));
-  const view = new PhylogenyCanvas(canvas);
+  const view = new PhylogenyCanvas(canvas, campaign.progress.designs);
   const redraw = () => view.draw();
   app.themeListeners.add(redraw);
   const observer = new ResizeObserver(redraw);
