@@ -115,11 +115,10 @@ export class JobTable {
     this.element = h('div.scroll', {}, h('table', {}, h('thead', {}, h('tr', {},
       ['Job', 'State', 'Progress', 'Created', ''].map((name) => h('th', { scope: 'col' }, name)))), this.body));
     this.rows = new Map();
-    this.seen = new IntersectionObserver((entries) => {
-      for (const { target, isIntersecting } of entries) {
-        if (isIntersecting) this.#draw(target);
-      }
-    }, { rootMargin: '600px' });
+    // An observer of intersections would tell of a row after the frame in which it appears.
+    this.onScroll = () => this.#drawSeen();
+    addEventListener('scroll', this.onScroll, { passive: true });
+    addEventListener('resize', this.onScroll);
   }
 
   /** Replaces the jobs; rows whose job is unchanged stay. */
@@ -138,17 +137,31 @@ export class JobTable {
       this.rows.set(job.id, { key, element, job, drawn: false });
       element.jobId = job.id;
       if (old) this.#draw(element);
-      else this.seen.observe(element);
       return element;
     });
     this.body.replaceChildren(...elements);
+    this.#drawSeen();
+  }
+
+  /** Draws the rows that are seen, and those a few pictures of the screen above and below. */
+  #drawSeen() {
+    const rows = [...this.body.children];
+    const at = (y) => {
+      let [low, high] = [0, rows.length];
+      while (low < high) {
+        const middle = (low + high) >> 1;
+        if (rows[middle].getBoundingClientRect().bottom < y) low = middle + 1;
+        else high = middle;
+      }
+      return low;
+    };
+    rows.slice(at(-2 * innerHeight), at(3 * innerHeight) + 1).forEach((row) => this.#draw(row));
   }
 
   #draw(element) {
     const row = this.rows.get(element.jobId);
     if (!row || row.drawn) return;
     row.drawn = true;
-    this.seen.unobserve(element);
     const { job } = row;
     fill(element,
       h('td', {}, h('a', { href: linkOf(job) }, titleOf(job)), h('div.muted', {}, `${job.kind} ${job.id}`)),
@@ -157,6 +170,7 @@ export class JobTable {
   }
 
   destroy() {
-    this.seen.disconnect();
+    removeEventListener('scroll', this.onScroll);
+    removeEventListener('resize', this.onScroll);
   }
 }
