@@ -1,0 +1,323 @@
+#!/usr/bin/python3
+"""Holds the dashboard to its budgets: prints a line for each with what was measured and its bound.
+
+Starts a daemon of its own on a free port with its state in a temporary folder, fills it with real
+designs, a phylogeny of a million of them and a thousand jobs, and drives Debian's Chromium, which
+renders without a GPU. Pages are loaded with an empty cache. Exit status 1 if a bound is missed."""
+import argparse
+import json
+import pathlib
+import statistics
+import sys
+import tempfile
+
+SOURCE = pathlib.Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(SOURCE / "tests" / "browser"), str(SOURCE / "tests" / "api")]
+
+from browser import Browser  # noqa: E402
+from dashboard_data import N_JOBS, Filled  # noqa: E402
+from dashboard_streams import daemon_share  # noqa: E402
+
+RUNS = 7
+# Times from the start of the navigation to what a page draws first: robots on a stage, the curve of
+# a chart. A chart without values strokes nothing.
+FIRST_DRAWS = """
+window.firstStroke = window.firstTiles = undefined;
+const { stroke } = CanvasRenderingContext2D.prototype;
+CanvasRenderingContext2D.prototype.stroke = function (...all) {
+  window.firstStroke ??= performance.now();
+  return stroke.apply(this, all);
+};
+new MutationObserver(() => {
+  if (document.querySelector('.tile')) window.firstTiles ??= performance.now();
+}).observe(document, { childList: true, subtree: true });
+window.firstPicture = () =>
+  performance.getEntriesByName('morphod-first-picture')[0]?.startTime;
+window.modules = () =>
+  document.querySelector('script[type=module]').src.replace(/app\\.js$/, '');
+"""
+
+
+class Page(Browser):
+    def __init__(self, service):
+        super().__init__(service)
+        self.send("Page.addScriptToEvaluateOnNewDocument", {"source": FIRST_DRAWS})
+        self.driver.set_script_timeout(120)
+
+    def send(self, command, parameters=None):
+        return self.driver.execute_cdp_cmd(command, parameters or {})
+
+    def load(self, view, time):
+        """The value of a script once it has one, on a page that is loaded with an empty cache."""
+        self.driver.get("about:blank")
+        self.send("Network.clearBrowserCache")
+        self.driver.get(self.base + "#/" + view)
+        self.until(f"({time}) !== undefined")
+        return self.run(f"return {time}")
+
+    def script(self, text, *arguments):
+        """What an asynchronous script passes to `done`."""
+        result = self.driver.execute_async_script(
+            "const done = arguments[arguments.length - 1];"
+            f"(async () => {{ {text} }})().then(done, (no) => done({{ error: String(no) }}));",
+            *arguments)
+        if isinstance(result, dict) and "error" in result:
+            raise RuntimeError(result["error"])
+        return result
+
+
+# ---- measurements: each yields (what, measured, unit, bound) ----
+
+def assets(data, _):
+    """What a visit of every page would bring, as it is sent."""
+    folder = SOURCE / "clients" / "dashboard"
+    names = [file.relative_to(folder).as_posix() for kind in ("js", "css", "svg")
+             for file in folder.rglob("*." + kind)]
+    page = data.service.request("GET", "/", headers={"Accept-Encoding": "gzip"})
+    text = data.service.request("GET", "/").body.decode()
+    root = "/" + text.split('type="module" src="')[1].split("app.js")[0]
+    sizes = [len(page.body)]
+    for name in names:
+        reply = data.service.request("GET", root + name, headers={"Accept-Encoding": "gzip"})
+        assert reply.status == 200, name
+        sizes.append(len(reply.body))
+    yield "all files, gzipped", sum(sizes) / 1e3, "kB", 150
+
+
+def overview(_, page):
+    times = [page.load("", "firstStroke && firstTiles && Math.max(firstStroke, firstTiles)")
+             for _ in range(RUNS)]
+    yield "overview, first draw", statistics.median(times), "ms", 300
+
+
+def stage(_, page):
+    times = [page.load("stage", "firstPicture()") for _ in range(RUNS)]
+    assert page.run("return document.querySelector('.stage').player.stage.robots.length") == 4
+    yield "stage with four champions, first draw", statistics.median(times), "ms", 500
+
+
+CLICK = """
+const { player } = document.querySelector('.stage');
+const { stage } = player;
+const text = document.querySelector('main p[aria-live]');
+const before = stage.robots;
+const draw = stage.draw.bind(stage);
+return await new Promise((resolve) => {
+  const started = performance.now();
+  let moved;
+  const finish = () => {
+    if (moved === undefined || !/^score/.test(text.textContent)) return;
+    observer.disconnect();
+    delete stage.draw;
+    resolve([moved, performance.now() - started]);
+  };
+  const observer = new MutationObserver(finish);
+  observer.observe(text, { childList: true, characterData: true, subtree: true });
+  stage.draw = () => {
+    draw();
+    if (stage.robots === before) return;
+    moved ??= performance.now() - started;
+    finish();
+  };
+  document.querySelector(`[data-cell="${arguments[0]}"]`).click();
+});
+"""
+
+
+def editor(_, page):
+    """Clicks that add and remove voxels of a body of 38 to 40, no body twice."""
+    body = [(x, y, 0) for x in range(6) for y in range(6)] + [(0, 0, 1), (1, 0, 1)]
+    voxels = "".join("1" if (i // 24, i // 4 % 6, i % 4) in body else "0" for i in range(144))
+    page.load("editor?voxels=" + voxels, "firstPicture()")
+    page.until("/^score/.test(document.querySelector('main p[aria-live]').textContent)")
+    cells = [(x, y, 1) for y in range(1, 3) for x in range(6)]
+    clicks = [cells[0]]
+    for previous, cell in zip(cells, cells[1:]):
+        clicks += [cell, previous]
+    times = [page.script(CLICK, ",".join(map(str, cell))) for cell in clicks]
+    moved, scored = (statistics.median(column) for column in zip(*times))
+    yield "editor, click to motion", moved, "ms", 150
+    yield "editor, score over ten environments", scored, "ms", 400
+
+
+MILLION = """
+const { PhylogenyCanvas, loadColumns } = await import(modules() + 'views/phylogeny.js');
+const canvas = document.createElement('canvas');
+canvas.style.cssText = 'width:1200px;height:560px;display:block;position:fixed;top:0;left:0';
+document.body.append(canvas);
+const view = new PhylogenyCanvas(canvas, 1e6);
+view.measure = true;
+performance.clearResourceTimings();
+const started = performance.now();
+const columns = await loadColumns(arguments[0], 'all');
+const deliveredMs = performance.now() - started;
+const bytes = performance.getEntriesByType('resource').at(-1).decodedBodySize;
+view.set(columns);
+view.draw();
+const first = view.times.drawMs;
+view.zoom(0.9, 600, 280);
+view.draw();
+const { layoutMs, drawMs, readyMs } = view.times;
+const painted = view.gl.getError() === 0;
+canvas.remove();
+view.destroy();
+return { n: columns.born.length, deliveredMs, bytes, layoutMs, readyMs, first, drawMs, painted };
+"""
+
+
+def phylogeny(data, page):
+    page.driver.get("about:blank")
+    campaign = data.with_phylogeny()
+    page.base = f"http://{data.service.host}:{data.service.port}/"
+    page.load("", "firstTiles")
+    seen = [page.script(MILLION, campaign) for _ in range(3)]
+    assert all(one["n"] >= 1e6 and one["painted"] for one in seen), seen
+
+    def median(name):
+        return statistics.median(one[name] for one in seen)
+
+    yield "a million designs, delivered", median("deliveredMs") / 1e3, "s", 1
+    yield "a million designs, size", median("bytes") / 1e6, "MB", 20
+    yield "a million designs, laid out", median("layoutMs") / 1e3, "s", 0.5
+    yield "a million designs, drawn", median("first") / 1e3, "s", 3
+    yield "a million designs, drawn again", median("drawMs") / 1e3, "s", 3
+    # A touch on a design of the real page: it finds it, and the robot walks.
+    page.load(f"campaigns/{campaign}/phylogeny?design=900001", "firstPicture()")
+    assert page.texts("h2")[0] == "Design #900001"
+
+
+CHART = """
+const { Chart } = await import(modules() + 'lib/chart.js');
+const chart = new Chart({ title: 'Points', xName: 'step' });
+chart.element.style.cssText = 'position:fixed;top:0;left:0;width:1200px;height:400px';
+document.body.append(chart.element);
+const n = 100000;
+const x = Float64Array.from({ length: n }, (_, i) => i);
+const y = x.map((v) => Math.sin(v / 9000) + Math.random() / 4);
+const band = { name: 'band', kind: 'band', x, y, low: y.map((v) => v - 0.3),
+  high: y.map((v) => v + 0.3), color: '--blue', opacity: 0.2 };
+const times = [];
+for (let i = 0; i < 9; i++) {
+  const started = performance.now();
+  chart.set([band, { name: 'line', x, y, color: '--blue' }]);
+  chart.canvas.getContext('2d').getImageData(0, 0, 1, 1);
+  times.push(performance.now() - started);
+  await new Promise((resolve) => requestAnimationFrame(resolve));
+}
+chart.destroy();
+chart.element.remove();
+return times;
+"""
+
+
+def chart(_, page):
+    page.load("", "firstTiles")
+    yield "100,000 points with a band, drawn", statistics.median(page.script(CHART)), "ms", 50
+
+
+SCROLL = """
+const seen = { frames: 0, blank: 0, rows: 0 };
+const rows = [...document.querySelectorAll('tbody tr')].filter((row) => row.jobId);
+seen.rows = rows.length;
+const end = document.documentElement.scrollHeight - innerHeight;
+const frame = () => new Promise((resolve) => requestAnimationFrame(resolve));
+for (const step of [400, -400]) {
+  do {
+    await frame();
+    scrollBy(0, step);
+    seen.frames++;
+    for (const row of rows) {
+      const { top, bottom } = row.getBoundingClientRect();
+      if (bottom > 0 && top < innerHeight && !row.childElementCount) seen.blank++;
+    }
+  } while (step > 0 ? scrollY < end - 1 : scrollY > 0);
+}
+return seen;
+"""
+
+
+def jobs(data, page):
+    """Nothing runs between the check of the rows and the painting of the frame."""
+    data.with_jobs()
+    page.load("", "firstTiles")
+    page.until("document.querySelectorAll('tbody tr').length > 100")
+    page.click("Show more")
+    page.until(f"document.querySelectorAll('tbody tr').length >= {N_JOBS}")
+    seen = page.script(SCROLL)
+    assert seen["rows"] >= N_JOBS and seen["frames"] > 100, seen
+    yield f"{N_JOBS} jobs, blank rows while scrolling", seen["blank"], "", 0
+
+
+FRAMES = """
+const { stage } = document.querySelector('.stage').player;
+document.querySelector('.stage').player.setPlaying(false);
+const times = [];
+for (let i = 0; i < 20; i++) {
+  stage.timeS = i / 10;
+  const started = performance.now();
+  stage.draw();
+  times.push(performance.now() - started);
+  stage.gl.readPixels(0, 0, 1, 1, stage.gl.RGBA, stage.gl.UNSIGNED_BYTE, new Uint8Array(4));
+}
+return times;
+"""
+
+
+def crowd(data, page):
+    ids = [item["id"] for item in data.service.get("/v1/designs?limit=256")["items"]]
+    assert len(ids) == 256
+    loaded = page.load("stage?designs=" + ",".join(ids), "firstPicture()")
+    assert page.run("return document.querySelector('.stage').player.stage.robots.length") == 256
+    yield "256 robots on the stage, first draw", loaded / 1e3, "s", 5
+    yield "256 robots, script of a frame", statistics.median(page.script(FRAMES)), "ms", 16.7
+
+
+def streams(data, page):
+    share, pace, rate = daemon_share(data.service, page, ARGUMENTS.seconds)
+    print(f"# {pace:.2f} generations and {rate:.0f} requests a second", flush=True)
+    yield "ten open pages, share of a core", 100 * share, "%", 2
+
+
+MEASURES = {function.__name__: function for function in
+            (assets, overview, stage, editor, chart, crowd, streams, jobs, phylogeny)}
+
+
+def main():
+    global ARGUMENTS
+    parser = argparse.ArgumentParser(prog="tools/bench dashboard", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", action="append", choices=MEASURES, metavar="NAME",
+                        help="one of " + ", ".join(MEASURES) + "; can be repeated")
+    parser.add_argument("--seconds", type=int, default=60, help="of the streams (default 60)")
+    parser.add_argument("--json", type=pathlib.Path, help="also write what was measured here")
+    ARGUMENTS = parser.parse_args()
+    results = []
+    with tempfile.TemporaryDirectory(prefix="morphod-bench-") as folder:
+        shipped = SOURCE / "data" / "controllers" / "phototaxis.safetensors"
+        data = Filled(pathlib.Path(folder), "--workers=0", f"--default-controller={shipped}")
+        page = None
+        try:
+            page = Page(data.service)
+            page.load("", "firstTiles")
+            for name in MEASURES:
+                if ARGUMENTS.only and name not in ARGUMENTS.only:
+                    continue
+                for what, measured, unit, bound in MEASURES[name](data, page):
+                    ok = measured <= bound
+                    results.append({"name": name, "what": what, "measured": measured,
+                                    "unit": unit, "bound": bound, "ok": ok})
+                    print(f"{what:42} {measured:8.3g} {unit:3} <= {bound:5} "
+                          f"{'ok' if ok else 'MISSED'}", flush=True)
+                faults = page.faults()
+                assert not faults, faults
+        finally:
+            if page:
+                page.quit()
+            data.close()
+    if ARGUMENTS.json:
+        ARGUMENTS.json.write_text(json.dumps(results, indent=1) + "\n")
+    return 0 if all(result["ok"] for result in results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
