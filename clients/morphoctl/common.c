@@ -201,7 +201,7 @@ int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
 /* Makes the path of a list with the options that filter or sort it (malloc; NULL: no memory). */
 static char *list_path(const struct ctl *ctl, const char *list)
 {
-  static const char *const filters[] = {"state", "label", "group", "sort", "controller"};
+  static const char *const filters[] = {"state", "label", "group", "sort", "order", "controller"};
   char *path = NULL, between = '?';
   size_t size = 0;
   FILE *file = open_memstream(&path, &size);

@@ -80,6 +80,7 @@ static const struct option_spec design_list_options[] = {
     {"sort", 0, "id|score",
      "id: as the designs came (default); score: best first, those with a score on the paper's test "
      "set, a row per orientation."},
+    {"order", 0, "ascending|descending", "descending: the newest or the worst first."},
     {"controller", 'c', "NAME", "Controller of the scores (default: default)."},
     {"limit", 'n', "N", "At most so many (default: 100)."},
     {UNLIMITED},

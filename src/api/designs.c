@@ -190,16 +190,19 @@ static const char *own_class(const struct mo_compute *compute)
 void mo_api_list_designs(struct mo_request *request)
 {
   static const char *const of_score[] = {"controller", "environments", "class"};
-  static const char *const sorts[] = {"id", "score", NULL}, *const sets[] = {"paper-test", NULL};
+  static const char *const sorts[] = {"id", "score", NULL}, *const sets[] = {"paper-test", NULL},
+                           *const orders[] = {"ascending", "descending", NULL};
   const char *cursor = mo_query(request, "cursor"), *named = mo_query(request, "controller");
   const char *class = mo_query(request, "class");
   struct mo_store *store = mo_api_of(request)->store;
   struct mo_design_query query = {.physics = mo_default_physics(), .precision = MO_FLOAT32};
   size_t limit;
-  int sort = MO_DESIGNS_BY_ID, set = 0;
-  if (!mo_query_limit(request, &limit) || !mo_query_word(request, "sort", sorts, &sort))
+  int sort = MO_DESIGNS_BY_ID, set = 0, order = 0;
+  if (!mo_query_limit(request, &limit) || !mo_query_word(request, "sort", sorts, &sort) ||
+      !mo_query_word(request, "order", orders, &order))
     return;
   query.sort = (enum mo_design_sort)sort;
+  query.is_descending = order == 1;
   for (size_t i = 0; i < 3; i++)
     if (mo_query(request, of_score[i]) != NULL && query.sort != MO_DESIGNS_BY_SCORE) {
       mo_reply_bad_parameter(request, of_score[i], "this parameter is for sort=score");
@@ -212,8 +215,9 @@ void mo_api_list_designs(struct mo_request *request)
     return;
   }
   if (cursor != NULL && !read_cursor(cursor, &query)) {
-    mo_reply_bad_parameter(request, "cursor",
-                           "the next_cursor of an earlier page with the same sort is expected");
+    mo_reply_bad_parameter(
+        request, "cursor",
+        "the next_cursor of an earlier page of the same sort and order is expected");
     return;
   }
   if (query.sort == MO_DESIGNS_BY_SCORE) {

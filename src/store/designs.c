@@ -42,18 +42,23 @@ static int find_ranking(struct mo_connection *reader, const struct mo_design_que
 static int64_t list_by_score(struct mo_connection *reader, const struct mo_design_query *query,
                              struct mo_design_row *rows, size_t limit)
 {
-  static const char sql[] =
-      "SELECT s.genotype,s.score,s.checksum,g.bits,d.id,d.form,d.first_seen_us FROM set_scores s"
-      " JOIN genotypes g ON g.id=s.genotype JOIN designs d ON d.id=g.design WHERE s.ranking=?1"
-      " AND (s.score,s.genotype)>(?2,?3) ORDER BY s.score,s.genotype LIMIT ?4";
+#define RANKED                                                                                     \
+  "SELECT s.genotype,s.score,s.checksum,g.bits,d.id,d.form,d.first_seen_us FROM set_scores s"      \
+  " JOIN genotypes g ON g.id=s.genotype JOIN designs d ON d.id=g.design WHERE s.ranking=?1"
+  static const char *const sql[] = {
+      RANKED " AND (s.score,s.genotype)>(?2,?3) ORDER BY s.score,s.genotype LIMIT ?4",
+      RANKED " AND (s.score,s.genotype)<(?2,?3) ORDER BY s.score DESC,s.genotype DESC LIMIT ?4"};
+#undef RANKED
+  const bool is_first = query->after_row == 0, is_descending = query->is_descending;
+  const double after = is_first ? (is_descending ? INFINITY : -INFINITY) : query->after_score;
   int64_t ranking = 0, n = 0;
   sqlite3_stmt *row;
   int error = find_ranking(reader, query, &ranking);
   if (error == MO_ERR_NOT_FOUND)
     return 0;
-  row = mo_sql_rows(reader, &error, sql, mo_int(ranking),
-                    mo_real(query->after_row != 0 ? query->after_score : -INFINITY),
-                    mo_int(query->after_row), mo_int((int64_t)limit));
+  row = mo_sql_rows(reader, &error, sql[is_descending], mo_int(ranking), mo_real(after),
+                    mo_int(is_first && is_descending ? INT64_MAX : query->after_row),
+                    mo_int((int64_t)limit));
   while (mo_sql_next(reader, row, &error)) {
     struct mo_design_row *design = &rows[n++];
     *design = (struct mo_design_row){.row = sqlite3_column_int64(row, 4),
@@ -69,13 +74,17 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
 int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *query,
                          struct mo_design_row *rows, size_t limit)
 {
-  static const char sql[] =
-      "SELECT id,form,first_seen_us FROM designs WHERE id>?1 ORDER BY id LIMIT ?2";
+  static const char *const sql[] = {
+      "SELECT id,form,first_seen_us FROM designs WHERE id>?1 ORDER BY id LIMIT ?2",
+      "SELECT id,form,first_seen_us FROM designs WHERE id<?1 ORDER BY id DESC LIMIT ?2"};
+  const bool is_newest = query->is_descending && query->after_row == 0;
   struct mo_connection *reader;
   int64_t n;
   if (query->sort != MO_DESIGNS_BY_SCORE)
-    return mo_read_page(store, sql, MO_VALUES(mo_int(query->after_row), mo_int((int64_t)limit)),
-                        read_by_row, rows, sizeof(*rows));
+    return mo_read_page(
+        store, sql[query->is_descending],
+        MO_VALUES(mo_int(is_newest ? INT64_MAX : query->after_row), mo_int((int64_t)limit)),
+        read_by_row, rows, sizeof(*rows));
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
   reader = mo_reader_acquire(store);

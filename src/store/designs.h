@@ -15,6 +15,7 @@ enum mo_design_sort {
 };
 struct mo_design_query {
   enum mo_design_sort sort;
+  bool is_descending; /* by id: newest first; by score: worst first, diverged ones before all */
   int64_t after_row;  /* by id: the last row; by score: the last genotype_row; 0: from the first */
   double after_score; /* by score, with after_row: the last score */
   /* by score: the setting of the scores (designs without such a score are left out) */

@@ -217,6 +217,18 @@ def test_designs(service):
     service.refuses("/v1/designs", "?sort=score&controller=nobody", status=404)
 
 
+@pytest.mark.parametrize("sort", ("id", "score"))
+def test_designs_from_the_other_end(service, sort):
+    """Page by page as at once: the newest first, or the worst."""
+    bars = [{"cells": [[2, y, 0] for y in range(n)]} for n in range(2, 6)]
+    assert service.evaluate({"designs": bars}).status == 200
+    path = f"/v1/designs?sort={sort}&order="
+    ascending = service.pages(path + "ascending")
+    assert len(ascending) > 3 and ascending == service.pages(f"/v1/designs?sort={sort}")
+    for limit in (1, 2, 1000):
+        assert service.pages(path + "descending", limit) == ascending[::-1]
+
+
 def test_everything_survives_a_restart(start, tmp_path):
     first = start(state=tmp_path)
     reply = first.evaluate({"designs": BATCH[:5], "physics": SHORT})

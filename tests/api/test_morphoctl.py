@@ -112,6 +112,9 @@ def test_designs(ctl):
         input_text=CELLS)  # the paper's test set with the default physics: what is sorted by score
     status, out, _ = ctl("design list --sort score --limit 1")
     assert status == 0 and len(out.splitlines()) == 2
+    newest, oldest = (json.loads(ctl(f"design list --all --json --order {order}")[1])["items"]
+                      for order in ("descending", "ascending"))
+    assert newest == oldest[::-1] and len(newest) > 1
 
 
 def test_jobs(ctl):

@@ -67,7 +67,7 @@ def test_not_found(service):
     "/v1/jobs?state=lost", "/v1/jobs?kind=magic", "/v1/jobs?limit=0", "/v1/jobs?limit=1001",
     "/v1/jobs?limit=ten", "/v1/jobs?cursor=x", "/v1/jobs?limit=1&limit=2", "/v1/jobs?color=red",
     "/v1/jobs?state=%zz", "/v1/jobs?cursor=" + "1" * 600, "/v1/designs?sort=age",
-    "/v1/designs?controller=default", "/v1/designs?sort=score&cursor=7",
+    "/v1/designs?order=up", "/v1/designs?controller=default", "/v1/designs?sort=score&cursor=7",
     "/v1/designs?sort=score&environments=moon", "/v1/events?format=xml",
     "/v1/events?format=json&after=-1", "/v1/events?format=json&cursor=x", "/v1/events?cursor=1",
     "/v1/events?format=json&job=x", "/v1/controllers?cursor=A",

@@ -158,6 +158,19 @@ def test_a_campaign_from_start_to_end_by_keyboard(service, browser):
     assert browser.faults() == []
 
 
+def test_the_leaderboard_from_both_ends(service, browser):
+    scores = [row["score"] for row in service.pages("/v1/designs?sort=score")]
+    told = [f"{score:.4f}" for score in scores]
+    assert len(told) > 1
+    browser.open("designs")
+    cards = "[...document.querySelectorAll('.card strong')].map((e) => e.innerText).join(' ')"
+    for order, expected in (("best", told), ("worst", told[::-1])):
+        browser.run("const order = document.querySelector('select'); order.value = arguments[0];"
+                    "order.dispatchEvent(new Event('change'))", order)
+        browser.until(f"{cards} === {' '.join(expected)!r}")
+        assert f"order={order}" in browser.driver.current_url
+
+
 def test_two_controllers_are_compared(service, browser):
     browser.open("trainings")
     browser.run("const [, second] = [...document.querySelectorAll('select')];"

@@ -9,6 +9,11 @@ import { Player } from '../stage/player.js';
 import { actions, progressBar, stateChip, titleOf, trouble } from './jobs.js';
 
 const PAGE = 48;
+/** Orders of the leaderboard: what the list of designs is asked for. */
+const ORDERS = {
+  best: { sort: 'score' }, worst: { sort: 'score', order: 'descending' },
+  oldest: { sort: 'id' }, newest: { sort: 'id', order: 'descending' },
+};
 
 export async function mount(main, [id], parameters, app) {
   if (id) return mountDesign(main, id, app);
@@ -49,15 +54,16 @@ class Wall {
 
 async function mountBoard(main, parameters, app) {
   let controller = parameters.get('controller') ?? 'default';
-  let sort = parameters.get('sort') ?? 'score';
+  let order = Object.hasOwn(ORDERS, parameters.get('order') ?? '') ? parameters.get('order') : 'best';
   const controllers = (await getJson('v1/controllers?limit=200')).items.map(({ name }) => name).filter(Boolean);
   const wall = new Wall(app);
   const foot = h('div.row');
   let cursor;
 
   async function more() {
+    const asked = ORDERS[order];
     const page = await getJson(withQuery('v1/designs', {
-      sort, controller: sort === 'score' ? controller : null, cursor, limit: PAGE,
+      ...asked, controller: asked.sort === 'score' ? controller : null, cursor, limit: PAGE,
     }));
     cursor = page.next_cursor;
     wall.add(page.items.map((design) => ({ ...design, genotype: design.scored_genotype ?? design.genotype })));
@@ -70,13 +76,13 @@ async function mountBoard(main, parameters, app) {
   async function again() {
     cursor = undefined;
     wall.element.replaceChildren();
-    app.keep({ controller, sort });
+    app.keep({ controller, order });
     await more();
   }
 
   main.replaceChildren(h('div.title', {}, h('h1', {}, 'Designs'), h('div.actions', {},
-    select('Order', [['score', 'best first'], ['id', 'as they came']], sort, (value) => {
-      sort = value;
+    select('Order', Object.keys(ORDERS).map((key) => [key, `${key} first`]), order, (value) => {
+      order = value;
       again();
     }), select('Controller', controllers, controller, (value) => {
       controller = value;

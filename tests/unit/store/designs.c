@@ -123,6 +123,10 @@ static void ranks_designs(void)
     query.after_score = rows[n - 1].score;
   }
   CHECK_INT(seen, 20);
+  query.is_descending = true;
+  query.after_row = 0;
+  CHECK_INT(mo_store_designs(fixture.store, &query, rows, 8), 8);
+  CHECK(rows[0].score == last && rows[1].score < last); /* the worst first */
   query = (struct mo_design_query){.sort = MO_DESIGNS_BY_ID};
   CHECK_INT(mo_store_designs(fixture.store, &query, rows, 8), 8);
   CHECK(memcmp(&rows[7].form, &fixture.forms[7], sizeof(fixture.forms[0])) == 0);

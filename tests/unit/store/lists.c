@@ -239,15 +239,15 @@ static void pages_of_everything_else(void)
   CHECK_INT(mo_store_controllers(fixture.store, NULL, controllers, PAGE), PAGE);
   CHECK_INT(mo_store_controllers(fixture.store, "default", controllers, PAGE), 0);
   cheap("controllers", -1, -1, 0, false);
-  for (query.after_row = 0; query.after_row < ROWS; query.after_row += ROWS / 4) {
-    CHECK_INT(mo_store_designs(fixture.store, &query, designs, PAGE), PAGE);
-    cheap("designs", -1, -1, 0, false);
-  }
-  query.sort = MO_DESIGNS_BY_SCORE;
   query.after_score = 0.5; /* as of all others */
-  for (query.after_row = 0; query.after_row < ROWS; query.after_row += ROWS / 4) {
-    CHECK_INT(mo_store_designs(fixture.store, &query, designs, PAGE), PAGE);
-    cheap("designs by score", -1, -1, 0, false);
+  for (int i = 0; i < 4; i++) {
+    query.sort = i < 2 ? MO_DESIGNS_BY_ID : MO_DESIGNS_BY_SCORE;
+    query.is_descending = i % 2 == 1;
+    for (int64_t row = 0; row < ROWS; row += ROWS / 4) {
+      query.after_row = query.is_descending && row > 0 ? ROWS - row : row;
+      CHECK_INT(mo_store_designs(fixture.store, &query, designs, PAGE), PAGE);
+      cheap("designs", -1, -1, 0, false);
+    }
   }
   for (int64_t job = 0; job <= 6; job++) {
     CHECK(mo_store_events(fixture.store, 100, job, events, PAGE, NULL, NULL) >= 0);
