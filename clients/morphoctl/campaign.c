@@ -355,7 +355,15 @@ static int finish(struct live *live)
   return job_outcome("campaign", live->job);
 }
 
+static void release(struct live *live)
+{
+  struct campaign *campaign = (struct campaign *)live;
+  free(campaign->rows);
+}
+
 const struct live_kind campaign_kind = {
+    .size = sizeof(struct campaign),
+    .release = release,
     .noun = "campaign",
     .command = "campaign",
     .accepted = "campaign {id} is accepted: {mode}, {settings.population:,} designs, "
@@ -369,22 +377,3 @@ const struct live_kind campaign_kind = {
     .event = take_event,
     .changed = report_reason,
     .finish = finish};
-
-static int run(struct ctl *ctl, int (*command)(struct live *live))
-{
-  struct campaign campaign = {.live = {.kind = &campaign_kind, .ctl = ctl}};
-  int status = command(&campaign.live);
-  json_decref(campaign.live.job);
-  free(campaign.rows);
-  return status;
-}
-
-int run_campaign_show(struct ctl *ctl)
-{
-  return run(ctl, live_show);
-}
-
-int run_campaign_watch(struct ctl *ctl)
-{
-  return run(ctl, live_watch);
-}

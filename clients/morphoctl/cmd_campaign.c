@@ -90,7 +90,7 @@ int run_campaign_start(struct ctl *ctl)
   int status = request != NULL ? fill_request(ctl, request)
                                : complain(STATUS_USAGE, "the mode is not UTF-8");
   if (status == STATUS_OK)
-    status = live_start(ctl, &campaign_kind, request, run_campaign_watch);
+    status = live_start(ctl, request);
   json_decref(request);
   return status;
 }

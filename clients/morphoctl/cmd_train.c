@@ -74,7 +74,7 @@ int run_train_start(struct ctl *ctl)
   if (status == STATUS_OK)
     status = request_fill_physics(ctl, request);
   if (status == STATUS_OK)
-    status = live_start(ctl, &training_kind, request, run_train_watch);
+    status = live_start(ctl, request);
   json_decref(request);
   return status;
 }

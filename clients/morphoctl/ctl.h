@@ -38,6 +38,7 @@ struct given {
 };
 
 struct ctl;
+struct live_kind;
 typedef int command_function(struct ctl *ctl);
 
 struct command {
@@ -48,6 +49,7 @@ struct command {
   const struct option_spec *options; /* NULL: only the common options */
   size_t min_operands, max_operands;
   command_function *run;
+  const struct live_kind *live; /* of a command that starts, shows or watches a job (live.h) */
 };
 
 /* One run of the program. */

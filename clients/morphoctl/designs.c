@@ -8,6 +8,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "base/text.h"
 #include "commands.h"
 
 int read_input(const char *path, size_t limit, char **text, size_t *length)
@@ -293,9 +294,7 @@ bool id_voxels(const char *id, char voxels[VOXELS + 1])
     return false;
   id += strlen(id) - ID_DIGITS;
   for (size_t i = 0; i < VOXELS; i++) {
-    int c = tolower((unsigned char)id[i / 4]);
-    int digit = c <= '9' ? c - '0' : c - 'a' + 10;
-    voxels[i] = digit >> (3 - i % 4) & 1 ? '1' : '0';
+    voxels[i] = mo_hex_digit(id[i / 4]) >> (3 - i % 4) & 1 ? '1' : '0';
   }
   voxels[VOXELS] = 0;
   return true;

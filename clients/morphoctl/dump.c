@@ -4,64 +4,55 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/text.h"
 #include "commands.h"
 
 /* Writes the number at `text`; returns its length. */
-static size_t put_number(FILE *file, const char *text)
+static size_t put_number(struct mo_text *made, const char *text)
 {
   const size_t n = strspn(text, "+-.0123456789eE");
-  const double value = strtod(text, NULL);
-  char digits[32];
-  if (strcspn(text, ".eE") >= n) {
-    fprintf(file, "%.*s", (int)n, text);
-    return n;
-  }
-  for (int precision = 15; precision <= 17; precision++) {
-    snprintf(digits, sizeof(digits), "%.*g", precision, value);
-    if (strtod(digits, NULL) == value)
-      break;
-  }
-  fputs(digits, file);
+  if (strcspn(text, ".eE") >= n)
+    mo_text_bytes(made, text, n);
+  else
+    mo_text_json_number(made, strtod(text, NULL));
   return n;
 }
 
 /* Writes the next character of a string; returns its bytes. */
-static size_t put_character(FILE *file, const char *text)
+static size_t put_character(struct mo_text *made, const char *text)
 {
   size_t n;
   const unsigned long c = character_at(text, &n);
   if (*text == '\\')
-    fwrite(text, 1, n = 2, file);
+    mo_text_bytes(made, text, n = 2);
   else if (!is_control(c) && !is_format_control(c))
-    fwrite(text, 1, n, file);
+    mo_text_bytes(made, text, n);
   else if (c > 0xFFFF)
-    fprintf(file, "\\u%04lx\\u%04lx", 0xD800 + ((c - 0x10000) >> 10), 0xDC00 + (c & 0x3FF));
+    mo_text_format(made, "\\u%04lx\\u%04lx", 0xD800 + ((c - 0x10000) >> 10), 0xDC00 + (c & 0x3FF));
   else
-    fprintf(file, "\\u%04lx", c);
+    mo_text_format(made, "\\u%04lx", c);
   return n;
 }
 
 char *dump_json(const json_t *json, size_t flags)
 {
-  char *text = json_dumps(json, flags | JSON_REAL_PRECISION(17)), *made = NULL;
-  size_t size = 0;
+  char *text = json_dumps(json, flags | JSON_REAL_PRECISION(17));
+  struct mo_text made = {.failed = text == NULL};
   bool quoted = false;
-  FILE *file = text != NULL ? open_memstream(&made, &size) : NULL;
-  for (const char *at = text; file != NULL && *at != 0;) {
+  for (const char *at = text; !made.failed && *at != 0;) {
     if (quoted && *at != '"') {
-      at += put_character(file, at);
+      at += put_character(&made, at);
     } else if (!quoted && (*at == '-' || (*at >= '0' && *at <= '9'))) {
-      at += put_number(file, at);
+      at += put_number(&made, at);
     } else {
       quoted ^= *at == '"';
-      fputc(*at++, file);
+      mo_text_bytes(&made, at++, 1);
     }
   }
   free(text);
-  if (file == NULL || fclose(file) == 0)
-    return made;
-  free(made);
-  return NULL;
+  if (made.failed)
+    mo_text_free(&made);
+  return made.data;
 }
 
 void put_json(const json_t *json, size_t flags)

@@ -8,116 +8,59 @@
 #include "table.h"
 #include "transport.h"
 
-/* ---- server-sent events: lines end with LF, CR or CRLF; several "data" lines of an event are
- * joined; a blank line ends the event; lines that begin with a colon are comments ---- */
+/* ---- server-sent events, as morphod writes them: an event is a few lines, "name: value", and a
+ * blank one; what begins with a colon is a heartbeat ---- */
 
-static int append(char **text, size_t *length, const char *bytes, size_t n)
+/* Takes the lines of one event, which it cuts into pieces. */
+static int take_event(struct sse *sse, char *text,
+                      int (*event)(void *context, const char *type, const char *data),
+                      void *context)
 {
-  if (*length + n + 1 > SSE_BYTES_MAX)
-    return -1;
-  char *grown = realloc(*text, *length + n + 1);
-  if (grown == NULL)
-    return -1;
-  memcpy(grown + *length, bytes, n);
-  *length += n;
-  grown[*length] = 0;
-  *text = grown;
-  return 0;
-}
-
-static int take_line(struct sse *sse,
-                     int (*event)(void *context, const char *type, const char *id,
-                                  const char *data),
-                     void *context)
-{
-  const char *line = sse->line != NULL ? sse->line : "";
-  if (sse->line_bytes == 0) { /* the event is complete */
-    int status = 0;
-    if (*sse->id != 0)
-      memcpy(sse->last_id, sse->id, sizeof(sse->id));
-    if (sse->data_bytes > 0) {
-      sse->data[sse->data_bytes - 1] = 0; /* without the last newline */
-      status = event(context, *sse->type != 0 ? sse->type : "message", sse->id, sse->data);
-    }
-    sse->data_bytes = 0;
-    *sse->type = *sse->id = 0;
-    return status;
-  }
-  size_t name = strcspn(line, ":");
-  const char *value = line + name;
-  if (*value == ':')
-    value++;
-  if (*value == ' ')
-    value++;
-  if (name == 4 && strncmp(line, "data", 4) == 0) {
-    if (append(&sse->data, &sse->data_bytes, value, strlen(value)) != 0 ||
-        append(&sse->data, &sse->data_bytes, "\n", 1) != 0)
-      return -1;
-  } else if (name == 5 && strncmp(line, "event", 5) == 0) {
-    snprintf(sse->type, sizeof(sse->type), "%s", value);
-  } else if (name == 2 && strncmp(line, "id", 2) == 0) {
-    snprintf(sse->id, sizeof(sse->id), "%s", value);
-  }
-  return 0;
+  const char *type = "message", *data = NULL;
+  for (char *line; (line = strsep(&text, "\n")) != NULL;)
+    if (strncmp(line, "event: ", 7) == 0)
+      type = line + 7;
+    else if (strncmp(line, "data: ", 6) == 0)
+      data = line + 6;
+    else if (strncmp(line, "id: ", 4) == 0)
+      snprintf(sse->last_id, sizeof(sse->last_id), "%s", line + 4);
+  return data != NULL ? event(context, type, data) : 0;
 }
 
 int sse_feed(struct sse *sse, const char *bytes, size_t n,
-             int (*event)(void *context, const char *type, const char *id, const char *data),
-             void *context)
+             int (*event)(void *context, const char *type, const char *data), void *context)
 {
+  char *grown = sse->n_bytes + n <= SSE_BYTES_MAX ? realloc(sse->text, sse->n_bytes + n + 1) : NULL;
+  if (grown == NULL)
+    return -1;
+  memcpy(grown + sse->n_bytes, bytes, n);
+  sse->text = grown;
+  sse->n_bytes += n;
   int status = 0;
-  for (size_t i = 0; i < n && status == 0;) {
-    if (sse->skip_newline && bytes[i] == '\n') {
-      sse->skip_newline = false;
-      i++;
-      continue;
-    }
-    sse->skip_newline = false;
-    size_t length = 0;
-    while (i + length < n && bytes[i + length] != '\n' && bytes[i + length] != '\r')
-      length++;
-    if (append(&sse->line, &sse->line_bytes, bytes + i, length) != 0)
-      return -1;
-    i += length;
-    if (i < n) {
-      sse->skip_newline = bytes[i] == '\r';
-      i++;
-      status = take_line(sse, event, context);
-      sse->line_bytes = 0;
-      if (sse->line != NULL)
-        *sse->line = 0;
-    }
+  char *begin = grown, *end;
+  while (status == 0 &&
+         (end = memmem(begin, sse->n_bytes - (size_t)(begin - grown), "\n\n", 2)) != NULL) {
+    *end = 0;
+    status = take_event(sse, begin, event, context);
+    begin = end + 2;
   }
+  sse->n_bytes -= (size_t)(begin - grown);
+  memmove(grown, begin, sse->n_bytes);
   return status;
-}
-
-void sse_reset(struct sse *sse)
-{
-  sse->line_bytes = sse->data_bytes = 0;
-  sse->skip_newline = false;
-  *sse->type = *sse->id = 0;
 }
 
 void sse_free(struct sse *sse)
 {
-  free(sse->line);
-  free(sse->data);
+  free(sse->text);
   *sse = (struct sse){0};
 }
 
 /* ---- the stream ---- */
 
-static int take_event(void *context, const char *type, const char *id, const char *data)
-{
-  struct follow *follow = context;
-  (void)id;
-  return follow->event(follow->context, type, data);
-}
-
 static int feed(void *context, const char *bytes, size_t n)
 {
   struct follow *follow = context;
-  int end = sse_feed(&follow->sse, bytes, n, take_event, follow);
+  int end = sse_feed(&follow->sse, bytes, n, follow->event, follow->context);
   return end == 0 && follow->alive != NULL ? follow->alive(follow->context) : end;
 }
 
@@ -130,7 +73,7 @@ static int open_stream(struct follow *follow)
   if (last == NULL && follow->after >= 0)
     snprintf(path + n, sizeof(path) - (size_t)n, "%cafter=%" PRId64,
              follow->job != NULL ? '&' : '?', follow->after);
-  sse_reset(&follow->sse);
+  follow->sse.n_bytes = 0; /* of an incomplete event */
   return transport_stream(follow->ctl, path, last, feed, follow);
 }
 

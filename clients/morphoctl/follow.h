@@ -8,20 +8,15 @@
 #define SSE_BYTES_MAX (1 << 20)
 
 struct sse {
-  char *line, *data; /* the current line and the current event */
-  size_t line_bytes, data_bytes;
-  char type[64], id[32];
+  char *text; /* what came of the next event */
+  size_t n_bytes;
   char last_id[32]; /* id of the last complete event, where to continue; "" none yet */
-  bool skip_newline;
 };
 
 /* Reads n bytes. Calls `event` for each complete event that has data; a non-zero result ends the
  * reading and is returned. −1: an event is larger than SSE_BYTES_MAX, or no memory. */
 int sse_feed(struct sse *sse, const char *bytes, size_t n,
-             int (*event)(void *context, const char *type, const char *id, const char *data),
-             void *context);
-/* Drops an incomplete event but keeps last_id, for a new connection. */
-void sse_reset(struct sse *sse);
+             int (*event)(void *context, const char *type, const char *data), void *context);
 void sse_free(struct sse *sse);
 
 struct follow {

@@ -172,15 +172,11 @@ static int newest_event(struct ctl *ctl, int64_t *newest)
 
 /* ---- commands ---- */
 
-int live_watch(struct live *live)
+/* Follows the job to its end. An interrupt ends only the command, not the job. */
+static int watch(struct live *live)
 {
   const char *id = live->ctl->operands[0], *command = live->kind->command;
   int64_t newest = -1;
-  if (live->ctl->json)
-    return run_watch(live->ctl);
-  if (!check_job_id(id))
-    return STATUS_USAGE;
-  live->id = id;
   live->is_drawn = can_draw(live->ctl);
   catch_interrupts(); /* before the first output */
   int status = newest_event(live->ctl, &newest);
@@ -211,25 +207,50 @@ int live_watch(struct live *live)
   return status;
 }
 
-int live_show(struct live *live)
+static int show_once(struct live *live)
 {
-  live->id = live->ctl->operands[0];
-  if (!check_job_id(live->id))
-    return STATUS_USAGE;
-  if (live->ctl->json) {
-    char path[64];
-    snprintf(path, sizeof(path), "/v1/%ss/%s", live->kind->noun, live->id);
+  char path[64];
+  snprintf(path, sizeof(path), "/v1/%ss/%s", live->kind->noun, live->id);
+  if (live->ctl->json)
     return show(live->ctl, path, NULL);
-  }
   int status = live_load(live);
   if (status == STATUS_OK)
     live->kind->print(live);
   return status;
 }
 
-int live_start(struct ctl *ctl, const struct live_kind *kind, const json_t *request,
-               command_function *watch)
+/* Runs a command on the job that the first operand names. */
+static int run(struct ctl *ctl, int (*command)(struct live *live))
 {
+  const struct live_kind *kind = ctl->command->live;
+  if (!check_job_id(ctl->operands[0]))
+    return STATUS_USAGE;
+  struct live *live = calloc(1, kind->size);
+  if (live == NULL)
+    return complain(STATUS_ERROR, "out of memory");
+  live->kind = kind;
+  live->ctl = ctl;
+  live->id = ctl->operands[0];
+  int status = command(live);
+  json_decref(live->job);
+  kind->release(live);
+  free(live);
+  return status;
+}
+
+int run_live_watch(struct ctl *ctl)
+{
+  return ctl->json ? run_watch(ctl) : run(ctl, watch);
+}
+
+int run_live_show(struct ctl *ctl)
+{
+  return run(ctl, show_once);
+}
+
+int live_start(struct ctl *ctl, const json_t *request)
+{
+  const struct live_kind *kind = ctl->command->live;
   const bool watches = option_is_set(ctl, "watch");
   char path[32], id[24];
   json_t *job;
@@ -251,7 +272,7 @@ int live_start(struct ctl *ctl, const struct live_kind *kind, const json_t *requ
     if (watches) {
       ctl->operands[0] = id;
       ctl->n_operands = 1;
-      status = watch(ctl);
+      status = run_live_watch(ctl);
     }
   }
   json_decref(job);

@@ -12,6 +12,7 @@ struct live;
 /* What differs between kinds of jobs. Functions get the `struct live` with which their own begins,
  * and return an exit status where they return one. */
 struct live_kind {
+  size_t size;                    /* of its own structure */
   const char *noun, *command;     /* "training", "train" */
   const char *accepted;           /* template of what is told of a job that was started */
   double ask_s;                   /* without an event for this long, the state is fetched */
@@ -24,7 +25,8 @@ struct live_kind {
   int (*event)(struct live *live, const char *type, json_t *event, bool *draw);
   /* Prints what changed when the state was fetched without an event. */
   void (*changed)(const struct live *live, const char *phase, const char *reason);
-  int (*finish)(struct live *live); /* prints the result */
+  int (*finish)(struct live *live);   /* prints the result */
+  void (*release)(struct live *live); /* frees what it has besides the job */
 };
 
 struct live {
@@ -39,14 +41,8 @@ struct live {
   bool finished;
 };
 
-/* Posts a job of this kind, and prints its id, or watches it with --watch. */
-int live_start(struct ctl *ctl, const struct live_kind *kind, const json_t *request,
-               command_function *watch);
-/* Shows the job that the first operand names. */
-int live_show(struct live *live);
-/* Follows this job to its end; prints the API's events one per line with --json. An interrupt ends
- * only the command, not the job. */
-int live_watch(struct live *live);
+/* These are of the command's kind. Posts a job, and prints its id, or watches it with --watch. */
+int live_start(struct ctl *ctl, const json_t *request);
 
 /* Fetches the job. */
 int live_load(struct live *live);

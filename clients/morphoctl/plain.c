@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/text.h"
 #include "ctl.h"
 
 bool is_control(unsigned long c) /* some terminals also obey U+0080 to U+009F */
@@ -23,16 +24,11 @@ bool is_format_control(unsigned long c)
 unsigned long character_at(const char *begin, size_t *bytes)
 {
   const unsigned char *text = (const unsigned char *)begin;
-  const size_t n = *text >= 0xF0 ? 4 : *text >= 0xE0 ? 3 : *text >= 0xC0 ? 2 : 1;
-  unsigned long c = n == 1 ? *text : *text & (0xFFu >> (n + 1));
-  for (size_t i = 1; i < n; i++) {
-    if ((text[i] & 0xC0) != 0x80) {
-      *bytes = 1;
-      return *text;
-    }
+  const unsigned n = mo_utf8_sequence(text, strnlen(begin, 4));
+  unsigned long c = n < 2 ? *text : *text & (0xFFu >> (n + 1));
+  for (unsigned i = 1; i < n; i++)
     c = c << 6 | (text[i] & 0x3F);
-  }
-  *bytes = n;
+  *bytes = n > 0 ? n : 1;
   return c;
 }
 

@@ -7,6 +7,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "base/text.h"
 #include "template.h"
 
 #define COLUMNS_MAX 16
@@ -63,10 +64,7 @@ static char *make_row(const json_t *item, struct column *columns, size_t n)
 
 size_t text_width(const char *text)
 {
-  size_t width = 0;
-  for (; *text != 0; text++)
-    width += ((unsigned char)*text & 0xc0) != 0x80;
-  return width;
+  return mo_utf8_length(text, strlen(text));
 }
 
 static void print_row(FILE *file, const char *row, const struct column *columns, size_t n)

@@ -1,6 +1,8 @@
 /* table_of_commands.c: all commands with their options and help, in the order of the help text. */
+#include "campaign.h"
 #include "commands.h"
 #include "settings.inc"
+#include "training.h"
 
 /* Options of several commands. */
 #define PHYSICS                                                                                    \
@@ -287,14 +289,15 @@ const struct command commands[] = {
      "bodies. finetune: a controller, on the designs given (as those of eval), on random ones, or "
      "on a population. The training is a job of the server, which goes on without morphoctl, and "
      "after a crash where it was.",
-     train_start_options, 1, MANY, run_train_start},
+     train_start_options, 1, MANY, run_train_start, &training_kind},
     {"train list", "", "List trainings, newest first.", NULL, train_list_options, 0, 0,
      run_train_list},
-    {"train show", "ID", "Show a training with its curve.", NULL, NULL, 1, 1, run_train_show},
+    {"train show", "ID", "Show a training with its curve.", NULL, NULL, 1, 1, run_live_show,
+     &training_kind},
     {"train watch", "ID", "Watch a training learn, to its end.",
      "On a terminal a live plot, else a line per event; with --json the events. Ctrl-C leaves the "
      "training alone. Exit status: 0 if it succeeded, 3 if not.",
-     NULL, 1, 1, run_train_watch},
+     NULL, 1, 1, run_live_watch, &training_kind},
     {"train pause", "ID...", "Set trainings aside, with a checkpoint.", NULL, NULL, 1, MANY,
      run_job_change},
     {"train resume", "ID...", "Go on with trainings that are paused, or have failed.", NULL, NULL,
@@ -319,15 +322,15 @@ const struct command commands[] = {
      "simultaneous: it learns along. DESIGNs (as those of eval) begin the initial population, "
      "random bodies fill it up. The campaign is a job of the server, which goes on without "
      "morphoctl, and after a crash where it was.",
-     campaign_start_options, 1, MANY, run_campaign_start},
+     campaign_start_options, 1, MANY, run_campaign_start, &campaign_kind},
     {"campaign list", "", "List campaigns, newest first.", NULL, campaign_list_options, 0, 0,
      run_campaign_list},
-    {"campaign show", "ID", "Show a campaign with its curves.", NULL, NULL, 1, 1,
-     run_campaign_show},
+    {"campaign show", "ID", "Show a campaign with its curves.", NULL, NULL, 1, 1, run_live_show,
+     &campaign_kind},
     {"campaign watch", "ID", "Watch a campaign evolve, to its end.",
      "On a terminal live curves and a table, else a line per generation; with --json the events. "
      "Ctrl-C leaves the campaign alone. Exit status: 0 if it succeeded, 3 if not.",
-     NULL, 1, 1, run_campaign_watch},
+     NULL, 1, 1, run_live_watch, &campaign_kind},
     {"campaign pause", "ID...", "Set campaigns aside.", NULL, NULL, 1, MANY, run_job_change},
     {"campaign resume", "ID...", "Go on with campaigns that are paused, or have failed.", NULL,
      NULL, 1, MANY, run_job_change},

@@ -81,6 +81,8 @@ static int load(struct live *live)
 {
   struct training *training = (struct training *)live;
   int64_t step = number_of(json_object_get(live->job, "progress"), "step");
+  training->losses.key = "mean_loss";
+  training->validations.key = "mean_score";
   int status = load_curve(live, "steps", step / (POINTS_MAX / 2) + 1, &training->losses);
   return status == STATUS_OK ? load_curve(live, "validations", 0, &training->validations) : status;
 }
@@ -260,7 +262,16 @@ static int finish(struct live *live)
   return job_outcome("training", live->job);
 }
 
+static void release(struct live *live)
+{
+  struct training *training = (struct training *)live;
+  free(training->losses.points);
+  free(training->validations.points);
+}
+
 const struct live_kind training_kind = {
+    .size = sizeof(struct training),
+    .release = release,
     .noun = "training",
     .command = "train",
     .accepted = "training {id} is accepted: {settings.steps:,} steps of {settings.batch:,} robots",
@@ -272,25 +283,3 @@ const struct live_kind training_kind = {
     .event = take_event,
     .changed = report_phase,
     .finish = finish};
-
-static int run(struct ctl *ctl, int (*command)(struct live *live))
-{
-  struct training training = {.live = {.kind = &training_kind, .ctl = ctl},
-                              .losses.key = "mean_loss",
-                              .validations.key = "mean_score"};
-  int status = command(&training.live);
-  json_decref(training.live.job);
-  free(training.losses.points);
-  free(training.validations.points);
-  return status;
-}
-
-int run_train_show(struct ctl *ctl)
-{
-  return run(ctl, live_show);
-}
-
-int run_train_watch(struct ctl *ctl)
-{
-  return run(ctl, live_watch);
-}
