@@ -37,13 +37,14 @@ int mo_word_find(const char *const *words, const char *name, void *value)
   return MO_OK;
 }
 
-const char *mo_words_list(const char *const *words, char text[MO_WORDS_BYTES])
+const char *mo_words_join(const char *const *words, const char *quote, char text[MO_WORDS_BYTES])
 {
   size_t size = 0;
   text[0] = '\0';
   for (size_t i = 0; words[i] != NULL && size < MO_WORDS_BYTES; i++) {
     const char *before = i == 0 ? "" : words[i + 1] == NULL ? " or " : ", ";
-    const int n = snprintf(text + size, MO_WORDS_BYTES - size, "%s\"%s\"", before, words[i]);
+    const int n =
+        snprintf(text + size, MO_WORDS_BYTES - size, "%s%s%s%s", before, quote, words[i], quote);
     size += n > 0 ? (size_t)n : 0;
   }
   return text;

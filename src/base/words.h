@@ -15,8 +15,9 @@ const char *mo_word(const char *const *words, unsigned i);
 int mo_word_index(const char *const *words, const char *name);
 /* Sets an enumeration, whose names the words are, by name. MO_ERR_NOT_FOUND: it is unchanged. */
 int mo_word_find(const char *const *words, const char *name, void *value);
-/* Lists all words as in a sentence, with quotes: "red", "green" or "blue". Returns text. */
-const char *mo_words_list(const char *const *words, char text[MO_WORDS_BYTES]);
+/* Lists all words as in a sentence, the quote around each: red, green or blue. Returns text. */
+const char *mo_words_join(const char *const *words, const char *quote, char text[MO_WORDS_BYTES]);
+#define mo_words_list(words, text) mo_words_join(words, "\"", text)
 
 /* Returns the index of the word that is nearest to a mistyped one, or MO_ERR_NOT_FOUND: none is
  * near. first: the first of n pointers to words, each `stride` bytes after the one before. */

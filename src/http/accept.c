@@ -136,24 +136,17 @@ static bool find_uid(struct mo_http *http, int fd, const struct sockaddr_storage
 static void describe_tcp(struct mo_http *http, int fd, const struct sockaddr_storage *name,
                          struct mo_connection *connection)
 {
+  const bool is_v4 = name->ss_family == AF_INET;
   char host[INET6_ADDRSTRLEN] = "";
-  if (name->ss_family == AF_INET) {
-    struct sockaddr_in v4;
-    memcpy(&v4, name, sizeof(v4));
-    connection->client_key[0] = '4';
-    memcpy(connection->client_key + 4, &v4.sin_addr, 4);
-    inet_ntop(AF_INET, &v4.sin_addr, host, sizeof(host));
-    snprintf(connection->client, sizeof(connection->client), "%s:%u", host,
-             (unsigned)ntohs(v4.sin_port));
-  } else {
-    struct sockaddr_in6 v6;
-    memcpy(&v6, name, sizeof(v6));
-    memcpy(connection->client_key, &v6.sin6_addr, 8); /* a /64 is one client */
-    connection->client_key[15] = '6';
-    inet_ntop(AF_INET6, &v6.sin6_addr, host, sizeof(host));
-    snprintf(connection->client, sizeof(connection->client), "[%s]:%u", host,
-             (unsigned)ntohs(v6.sin6_port));
-  }
+  __be32 address[4] = {0};
+  __be16 port = 0;
+  read_end(name, address, &port);
+  memcpy(connection->client_key + (is_v4 ? 4 : 0), address,
+         is_v4 ? 4 : 8); /* a /64 is one client */
+  connection->client_key[is_v4 ? 0 : 15] = is_v4 ? '4' : '6';
+  inet_ntop(name->ss_family, address, host, sizeof(host));
+  snprintf(connection->client, sizeof(connection->client), is_v4 ? "%s:%u" : "[%s]:%u", host,
+           (unsigned)ntohs(port));
   uid_t uid;
   if (find_uid(http, fd, name, &uid)) {
     size_t n = strlen(connection->client);

@@ -24,7 +24,7 @@ void mo_write_refusal(int fd, unsigned status, const char *id, const char *detai
                  "HTTP/1.1 %u %s\r\nContent-Type: application/problem+json\r\nContent-Length: "
                  "%zu\r\nX-Request-Id: %s\r\n"
                  "Cache-Control: no-store\r\n%sConnection: close\r\n\r\n",
-                 status, mo_status_title(status), body.size, id,
+                 status, MHD_get_reason_phrase_for(status), body.size, id,
                  status == 503 ? "Retry-After: 1\r\n" : "");
   mo_text_bytes(&head, body.data, body.size);
   if (!head.failed && !body.failed)

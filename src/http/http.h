@@ -57,25 +57,21 @@ struct mo_http_config {
                                service's own user */
   size_t n_unix_groups;
   uint32_t n_io_threads;    /* libmicrohttpd's pool; 0: one per processor, at most 4 */
-  uint32_t n_api_threads;   /* 0: 4 */
-  uint32_t max_connections; /* 0: 1024; beyond, idle connections are cut, or new ones get 503 with
+  uint32_t max_connections; /* beyond, idle connections are cut, or new ones get 503 with
                                Retry-After. Lower if the limit of open files requires it: see
                                mo_http_get_stats */
-  uint32_t max_streams;     /* 0: 256 event streams */
-  uint32_t max_in_flight; /* requests of one client at a time, without those that wait for a job; 0:
-                             64; beyond: 429 */
-  uint32_t max_queued; /* requests that wait for an API thread, lists and others counted apart; 0:
-                          256 each; beyond: 503 */
+  uint32_t max_streams;     /* event streams */
+  uint32_t max_in_flight;   /* requests of one client at a time, without those that wait for a job;
+                               beyond: 429 */
   uint32_t client_rate_per_s; /* submissions and uploads per second and client; 0: no limit; beyond:
                                  429 */
-  uint64_t max_body_bytes;    /* JSON body that submits work; 0: 32 MiB */
-  uint64_t max_file_bytes;    /* a file in a body; 0: 16 MiB */
-  uint64_t max_body_memory; /* for bodies being received or handled, and large replies not yet read;
-                               0: 8 times the larger of the two above. Bodies of one client take at
-                               most half; beyond: 429 */
-  uint32_t header_timeout_ms; /* from the start of a request to the end of its header; 0: 10 s */
-  uint32_t body_timeout_ms;   /* from the end of the header to the end of the body; 0: 60 s */
-  uint32_t idle_timeout_ms;   /* between requests of one connection; 0: 60 s */
+  uint64_t max_body_bytes;    /* JSON body that submits work */
+  uint64_t max_file_bytes;    /* a file in a body */
+  uint64_t max_body_memory; /* for bodies being received or handled, and large replies not yet read.
+                               Bodies of one client take at most half; beyond: 429 */
+  uint32_t header_timeout_ms; /* from the start of a request to the end of its header */
+  uint32_t body_timeout_ms;   /* from the end of the header to the end of the body */
+  uint32_t idle_timeout_ms;   /* between requests of one connection */
   uint32_t heartbeat_ms;      /* of event streams; 0: 15 s */
   void (*log)(void *context,
               const struct mo_http_log_entry *entry); /* nullable; called by several threads */

@@ -27,7 +27,7 @@ void mo_reply_last(struct mo_request *request)
   mo_request_drop_body(request);
   reply->close = true;
   mo_text_format(&text, "HTTP/1.1 %u %s\r\nContent-Length: %zu\r\n", reply->status,
-                 mo_status_title(reply->status), reply->size);
+                 MHD_get_reason_phrase_for(reply->status), reply->size);
   if (headers != NULL && mo_reply_headers(request, headers)) {
     MHD_get_response_headers(headers, write_header, &text);
     mo_text_add(&text, "\r\n");

@@ -132,12 +132,9 @@ int mo_pool_start(struct mo_http *http)
   STAILQ_INIT(&pool->others.requests);
   STAILQ_INIT(&pool->lists.requests);
   atomic_store(&pool->heartbeat_us, mo_clock_us());
-  uint32_t half = mo_processors() / 2, most = http->config.n_api_threads / 2;
-  pool->max_lists = half < 1 || most < 1 ? 1 : half < most ? half : most;
-  pool->threads = calloc(http->config.n_api_threads, sizeof(pthread_t));
-  if (pool->threads == NULL)
-    return MO_ERR_NO_MEMORY;
-  for (; pool->n_threads < http->config.n_api_threads; pool->n_threads++)
+  uint32_t half = mo_processors() / 2, most = MO_API_THREADS / 2;
+  pool->max_lists = half < 1 ? 1 : half < most ? half : most;
+  for (; pool->n_threads < MO_API_THREADS; pool->n_threads++)
     if (pthread_create(&pool->threads[pool->n_threads], NULL, worker, http) != 0)
       return MO_ERR_NO_MEMORY;
   return MO_OK;
@@ -148,9 +145,9 @@ int mo_pool_give(struct mo_http *http, struct mo_request *request)
   struct mo_pool *pool = &http->pool;
   pthread_mutex_lock(&pool->lock);
   bool refill = request->stage == MO_STAGE_REPLY;
-  int error = pool->closed                                                       ? MO_ERR_CANCELLED
-              : !refill && queue_of(pool, request)->n >= http->config.max_queued ? MO_ERR_BUSY
-                                                                                 : MO_OK;
+  int error = pool->closed                                             ? MO_ERR_CANCELLED
+              : !refill && queue_of(pool, request)->n >= MO_QUEUED_MAX ? MO_ERR_BUSY
+                                                                       : MO_OK;
   if (error == MO_OK && !refill) {
     request->stage = MO_STAGE_HANDLING;
     pool->n_outside++;
@@ -242,8 +239,6 @@ void mo_pool_stop(struct mo_http *http)
   pthread_mutex_unlock(&pool->lock);
   for (uint32_t i = 0; i < pool->n_threads; i++)
     pthread_join(pool->threads[i], NULL);
-  free(pool->threads);
-  pool->threads = NULL;
   pool->n_threads = 0;
   pthread_cond_destroy(&pool->work);
   pthread_cond_destroy(&pool->idle);

@@ -4,6 +4,9 @@
 
 #include "http/request.h"
 
+#define MO_API_THREADS 4
+#define MO_QUEUED_MAX  256 /* requests that wait for an API thread, lists and others apart */
+
 struct mo_queue {
   STAILQ_HEAD(, mo_request) requests;
   uint32_t n; /* without requests taken earlier: ended waits, and further pieces of replies */
@@ -19,7 +22,7 @@ struct mo_pool {
   uint32_t n_outside; /* requests that are suspended: queued, running or parked */
   bool closed;        /* no new requests are taken */
   bool quit;
-  pthread_t *threads;
+  pthread_t threads[MO_API_THREADS];
   uint32_t n_threads;
   LIST_HEAD(, mo_request) waiting; /* parked, or about to park */
   _Atomic int64_t heartbeat_us;

@@ -5,9 +5,6 @@
 #include "base/faults.h"
 #include "base/text.h"
 
-/* Returns the reason phrase of a status that this service uses ("Not Found"), else "Error". */
-const char *mo_status_title(unsigned status);
-
 /* Writes a problem document. type: "about:blank" or "/problems/…"; faults nullable. */
 void mo_problem_write(struct mo_text *text, unsigned status, const char *type, const char *detail,
                       const char *instance, const char *request_id, const struct mo_faults *faults);

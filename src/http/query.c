@@ -123,18 +123,6 @@ bool mo_query_limit(struct mo_request *request, size_t *limit)
 
 /* ---- words ---- */
 
-/* Lists words: "json, csv or newick". */
-static void list_words(const char *const *words, char list[MO_WORDS_BYTES])
-{
-  size_t at = 0;
-  for (size_t i = 0; words[i] != NULL && at < MO_WORDS_BYTES; i++)
-    at += (size_t)snprintf(list + at, MO_WORDS_BYTES - at, "%s%s",
-                           i == 0                 ? ""
-                           : words[i + 1] != NULL ? ", "
-                                                  : " or ",
-                           words[i]);
-}
-
 bool mo_query_word(struct mo_request *request, const char *name, const char *const *words, int *i)
 {
   const char *value = mo_query(request, name);
@@ -144,8 +132,7 @@ bool mo_query_word(struct mo_request *request, const char *name, const char *con
     *i = found;
     return true;
   }
-  list_words(words, list);
-  snprintf(detail, sizeof(detail), "%s is expected", list);
+  snprintf(detail, sizeof(detail), "%s is expected", mo_words_join(words, "", list));
   mo_reply_bad_parameter(request, name, detail);
   return false;
 }
@@ -156,9 +143,8 @@ bool mo_accept(struct mo_request *request, const char *const *types, int *form)
   *form = mo_accept_choose(request->framing.accept, types, mo_words_count(types));
   if (*form >= 0)
     return true;
-  list_words(types, list);
   mo_reply_problem(request, 406, NULL, "This path gives %s, which the Accept field does not allow.",
-                   list);
+                   mo_words_join(types, "", list));
   return false;
 }
 

@@ -79,7 +79,7 @@ void mo_reply_problem(struct mo_request *request, unsigned status, const struct 
     snprintf(words, sizeof(words), "%s%s%s", faults->items[0].where,
              faults->items[0].where[0] != '\0' ? ": " : "", faults->items[0].detail);
   } else {
-    snprintf(words, sizeof(words), "%s.", mo_status_title(status));
+    snprintf(words, sizeof(words), "%s.", MHD_get_reason_phrase_for(status));
   }
   if (status >= 500)
     mo_request_note(request, "%s", words);

@@ -56,36 +56,6 @@ static void *clock_thread(void *context)
 
 /* ---- start and stop ---- */
 
-static uint32_t or_default(uint32_t value, uint32_t usual)
-{
-  return value != 0 ? value : usual;
-}
-
-static void fill_defaults(struct mo_http_config *config)
-{
-  const uint32_t processors = mo_processors();
-  config->n_io_threads = or_default(config->n_io_threads, processors >= 4   ? 4
-                                                          : processors >= 2 ? processors
-                                                                            : 2);
-  config->n_api_threads = or_default(config->n_api_threads, 4);
-  config->max_connections = or_default(config->max_connections, 1024);
-  config->max_streams = or_default(config->max_streams, 256);
-  config->max_in_flight = or_default(config->max_in_flight, 64);
-  config->max_queued = or_default(config->max_queued, 256);
-  config->header_timeout_ms = or_default(config->header_timeout_ms, 10000);
-  config->body_timeout_ms = or_default(config->body_timeout_ms, 60000);
-  config->idle_timeout_ms = or_default(config->idle_timeout_ms, 60000);
-  config->heartbeat_ms = or_default(config->heartbeat_ms, 15000);
-  if (config->max_body_bytes == 0)
-    config->max_body_bytes = UINT64_C(32) << 20;
-  if (config->max_file_bytes == 0)
-    config->max_file_bytes = UINT64_C(16) << 20;
-  uint64_t larger = config->max_body_bytes > config->max_file_bytes ? config->max_body_bytes
-                                                                    : config->max_file_bytes;
-  if (config->max_body_memory == 0)
-    config->max_body_memory = 8 * larger;
-}
-
 void mo_http_refuse_listeners(const struct mo_http_config *config)
 {
   for (size_t i = 0; i < config->n_listeners; i++)
@@ -155,7 +125,11 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
   http->config = *config;
   http->names = (struct mo_names){config->allowed_hosts, config->n_allowed_hosts};
-  fill_defaults(&http->config);
+  const uint32_t processors = mo_processors();
+  if (http->config.n_io_threads == 0)
+    http->config.n_io_threads = processors < 2 ? 2 : processors < 4 ? processors : 4;
+  if (http->config.heartbeat_ms == 0)
+    http->config.heartbeat_ms = 15000;
   if (getrandom(&http->id_key, sizeof(http->id_key), 0) != (ssize_t)sizeof(http->id_key))
     http->id_key = (uint64_t)mo_clock_us() << 20;
   http->id_key &= ~UINT64_C(0xFFFFFFFF); /* ids count up after a random prefix */

@@ -39,6 +39,23 @@ static void log_request(void *context, const struct mo_http_log_entry *entry)
 
 static struct mo_api *api; /* of the case that runs */
 
+/* Sets what a case leaves out, as the daemon's settings have it. */
+static void fill(struct mo_http_config *config)
+{
+  uint32_t *const counts[] = {&config->max_connections, &config->max_streams,
+                              &config->max_in_flight,   &config->header_timeout_ms,
+                              &config->body_timeout_ms, &config->idle_timeout_ms};
+  static const uint32_t usual[] = {1024, 256, 64, 10000, 60000, 60000};
+  for (size_t i = 0; i < sizeof(usual) / sizeof(usual[0]); i++)
+    if (*counts[i] == 0)
+      *counts[i] = usual[i];
+  if (config->max_body_bytes == 0)
+    config->max_body_bytes = UINT64_C(32) << 20;
+  config->max_file_bytes = UINT64_C(16) << 20;
+  if (config->max_body_memory == 0)
+    config->max_body_memory = UINT64_C(256) << 20;
+}
+
 static bool start(struct mo_http_config config)
 {
   struct mo_message message = {""};
@@ -51,6 +68,7 @@ static bool start(struct mo_http_config config)
   config.listeners = &fd;
   config.n_listeners = 1;
   config.log = log_request;
+  fill(&config);
   const struct mo_api_services services = {service.fixture.store, service.jobs, service.compute,
                                            "test", NULL};
   int code = mo_api_start(&config, &services, &api, &message);
@@ -152,6 +170,7 @@ static void configuration(void)
   struct mo_http_config config = {0};
   struct mo_message message;
   int fd;
+  fill(&config);
   CHECK_INT(mo_api_start(&config, &services, &api, &message), MO_ERR_INVALID); /* no listener */
   REQUIRE(mo_http_listen("0.0.0.0:0", &fd, address, &message) == MO_OK);
   config.listeners = &fd;
