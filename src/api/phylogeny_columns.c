@@ -98,6 +98,7 @@ void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after,
   char *joined = NULL;
   size_t size = 0;
   mo_reply_static(request, 200, MO_SCENE_TYPE, "", 0);
+  request->reply.packs = true;
   mo_reply_etag(request, "%s", tag);
   if (request->reply.status == 304)
     return; /* answered by the tag, before anything is read */
@@ -128,5 +129,6 @@ void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after,
     return;
   }
   mo_reply_bytes(request, 200, MO_SCENE_TYPE, joined, size);
+  request->reply.packs = true;
   mo_reply_etag(request, "%s", tag);
 }

@@ -13,6 +13,7 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "http/pack.h"
 #include "http/server.h"
 
 #define STALL_US    60000000            /* a reader that takes nothing for this long is cut off */
@@ -22,6 +23,8 @@ struct mo_download {
   mo_download_more more;
   void *context;
   void (*free_context)(void *context);
+  struct mo_packer *packer; /* of a compressed reply; else NULL */
+  struct mo_text made;      /* the piece before it is compressed */
   struct mo_text piece;
   size_t read; /* bytes of the piece that were sent */
   bool last;   /* the piece is the last one */
@@ -31,12 +34,29 @@ struct mo_download {
 /* Makes the next piece. */
 static int make_piece(struct mo_download *download)
 {
+  struct mo_packer *packer = download->packer;
+  int more = 1, error = MO_OK;
   download->piece.size = download->read = 0;
-  int more = 1;
-  while (more > 0 && download->piece.size == 0)
-    more = download->more(download->context, &download->piece);
+  while (more > 0 && download->piece.size == 0 && error == MO_OK) {
+    download->made.size = 0;
+    more = download->more(download->context, packer != NULL ? &download->made : &download->piece);
+    if (packer != NULL && more >= 0)
+      error = mo_packer_add(packer, &download->made, more == 0, &download->piece);
+  }
   download->last = more == 0;
-  return more < 0 ? more : download->piece.failed ? MO_ERR_NO_MEMORY : MO_OK;
+  return more < 0 ? more : download->piece.failed ? MO_ERR_NO_MEMORY : error;
+}
+
+/* Compresses a reply of several pieces, of which the first is made. */
+static int begin_packing(struct mo_request *request, struct mo_download *download)
+{
+  download->packer = mo_packer_create(request);
+  if (download->packer == NULL)
+    return MO_OK;
+  download->made = download->piece;
+  download->piece = (struct mo_text){0};
+  const int error = mo_packer_add(download->packer, &download->made, false, &download->piece);
+  return error != MO_OK || download->piece.size > 0 ? error : make_piece(download);
 }
 
 static bool reserve(struct mo_request *request, uint64_t bytes)
@@ -50,6 +70,8 @@ static bool reserve(struct mo_request *request, uint64_t bytes)
 static void discard(struct mo_download *download)
 {
   download->free_context(download->context);
+  mo_packer_free(download->packer);
+  mo_text_free(&download->made);
   mo_text_free(&download->piece);
   free(download);
 }
@@ -106,7 +128,7 @@ void mo_download_open(struct mo_request *request, const char *type, const char *
   }
   *download = (struct mo_download){.more = more, .context = context, .free_context = free_context};
   int code = MO_OK;
-  if (!reserve(request, held + PIECE_BYTES)) {
+  if (!reserve(request, held + PIECE_BYTES + MO_PACKER_BYTES)) {
     mo_reply_problem(request, 503, NULL, "Too many large replies are being read; try again later.");
     request->reply.retry_after_s = 5;
   } else if ((code = make_piece(download)) != MO_OK) {
@@ -121,7 +143,10 @@ void mo_download_open(struct mo_request *request, const char *type, const char *
   } else {
     if (tag == NULL)
       mo_reply_etag(request, "once-%s", request->id);
-    if (request->reply.status == 200) {
+    code = request->reply.status == 200 ? begin_packing(request, download) : MO_OK;
+    if (code != MO_OK) {
+      mo_reply_error(request, code, "reply");
+    } else if (request->reply.status == 200) {
       request->download = download;
       request->refill = refill;
       request->reader = reader;

@@ -181,6 +181,22 @@ int mo_accept_choose(const char *field, const char *const *types, size_t n)
   return best;
 }
 
+bool mo_accept_coding(const char *field, const char *coding)
+{
+  const char *part;
+  size_t n;
+  int q = 0;
+  bool named = false;
+  while (field != NULL && next_part(&field, ",", &part, &n)) {
+    const size_t name = trimmed(part, strcspn(part, ",;"));
+    const bool is_it = name == strlen(coding) && strncasecmp(part, coding, name) == 0;
+    if (is_it || (!named && name == 1 && *part == '*'))
+      q = quality(part, n);
+    named = named || is_it;
+  }
+  return q > 0;
+}
+
 bool mo_etag_matches(const char *field, const char *etag)
 {
   if (field == NULL)

@@ -34,6 +34,9 @@ int mo_prefer_wait(const char *field, int max);
  * preference). Returns the index; −1: none is acceptable. NULL or empty field: 0. */
 int mo_accept_choose(const char *field, const char *const *types, size_t n);
 
+/* Says whether Accept-Encoding allows a coding ("gzip"). NULL or empty field: no. */
+bool mo_accept_coding(const char *field, const char *coding);
+
 /* Says whether the list of If-None-Match has this strong tag (with its quotes). Comparison is weak;
  * "*" matches. */
 bool mo_etag_matches(const char *field, const char *etag);

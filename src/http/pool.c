@@ -4,6 +4,7 @@
 
 #include "base/clock.h"
 #include "base/processors.h"
+#include "http/pack.h"
 #include "http/query.h"
 #include "http/server.h"
 
@@ -82,6 +83,7 @@ static bool handle(struct mo_request *request)
     request->wait_over = true;
     request->route->handler(request);
   }
+  mo_pack_reply(request);
   request->stage = MO_STAGE_REPLY;
   return true;
 }

@@ -158,13 +158,20 @@ void mo_reply_etag(struct mo_request *request, const char *format, ...)
   struct mo_reply *reply = &request->reply;
   va_list arguments;
   va_start(arguments, format);
-  char tag[sizeof(reply->etag) - 2];
+  char tag[sizeof(reply->etag) - sizeof(MO_ETAG_GZIP) - 1], packed[sizeof(reply->etag)];
   vsnprintf(tag, sizeof(tag), format, arguments);
   va_end(arguments);
   snprintf(reply->etag, sizeof(reply->etag), "\"%s\"", tag);
-  if (reply->status == 200 && (request->method == MO_GET || request->method == MO_HEAD) &&
-      mo_etag_matches(request->framing.if_none_match, reply->etag))
+  snprintf(packed, sizeof(packed), "\"%s" MO_ETAG_GZIP "\"", tag);
+  if (reply->status != 200 || (request->method != MO_GET && request->method != MO_HEAD))
+    return;
+  /* The client may have either form. */
+  if (mo_etag_matches(request->framing.if_none_match, reply->etag)) {
     reply->status = 304;
+  } else if (mo_etag_matches(request->framing.if_none_match, packed)) {
+    reply->status = 304;
+    memcpy(reply->etag, packed, sizeof(packed));
+  }
 }
 
 void mo_reply_etag_of_body(struct mo_request *request)
@@ -213,10 +220,17 @@ void mo_reply_keep(struct mo_request *request)
 
 bool mo_accepts_gzip(const struct mo_request *request)
 {
-  const char *accepted = request->framing.accept_encoding;
-  const char *gzip = accepted != NULL ? strstr(accepted, "gzip") : NULL;
-  /* "gzip;q=0" refuses it; nobody who sends that has a list of several codings. */
-  return gzip != NULL && strstr(gzip, "q=0") == NULL;
+  return mo_accept_coding(request->framing.accept_encoding, "gzip");
+}
+
+bool mo_reply_may_pack(const struct mo_request *request)
+{
+  static const char *const types[] = {"application/json", "text/csv", "text/x-nh"};
+  const char *type = request->reply.type;
+  bool suits = request->reply.packs;
+  for (size_t i = 0; type != NULL && i < sizeof(types) / sizeof(types[0]); i++)
+    suits = suits || strncmp(type, types[i], strlen(types[i])) == 0;
+  return suits && request->route != NULL && !(request->route->flags & MO_ROUTE_DIRECT);
 }
 
 static bool add(struct MHD_Response *response, const char *name, const char *value)
@@ -245,8 +259,14 @@ bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response)
       add(response, "Preference-Applied", reply->applied) &&
       add(response, "WWW-Authenticate", reply->authenticate ? "Bearer realm=\"morphod\"" : "") &&
       add(response, "Connection", reply->close ? "close" : "");
-  if (request->route != NULL && (request->route->flags & MO_ROUTE_VARY))
-    good = good && add(response, "Vary", "Accept");
+  const bool by_type = request->route != NULL && (request->route->flags & MO_ROUTE_VARY);
+  const bool by_coding =
+      (reply->status == 200 || reply->status == 304) && mo_reply_may_pack(request);
+  good = good && add(response, "Vary",
+                     by_type && by_coding ? "Accept, Accept-Encoding"
+                     : by_type            ? "Accept"
+                     : by_coding          ? "Accept-Encoding"
+                                          : "");
   for (unsigned i = 0; i < reply->n_extra; i++)
     good = good && add(response, reply->extra[i].name, reply->extra[i].value);
   return good;

@@ -27,8 +27,9 @@ void mo_reply_bad_header(struct mo_request *request, const char *name, const cha
 void mo_reply_error(struct mo_request *request, int error, const char *what);
 /* Replies with JSON and its ETag, or with the problem of an error. */
 void mo_reply_text(struct mo_request *request, int error, struct mo_text *text, const char *what);
-/* Sets a strong ETag from parts, and status 304 if the client has that version. Call after a reply
- * of status 200 was made. */
+/* Sets a strong ETag from parts, and status 304 if the client has that version, compressed or not.
+ * Call after a reply of status 200 was made. */
+#define MO_ETAG_GZIP "-gzip" /* ends the tag of a compressed reply */
 void mo_reply_etag(struct mo_request *request, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 /* Sets the ETag to the hash of the body; status 200 and 201. */
@@ -37,6 +38,8 @@ void mo_reply_etag_of_body(struct mo_request *request);
 void mo_reply_policy(struct mo_request *request, const char *policy);
 /* Lets clients keep the reply for a year: what is at this path never changes. */
 void mo_reply_keep(struct mo_request *request);
+/* Whether replies of this kind are compressed (pack.h). */
+bool mo_reply_may_pack(const struct mo_request *request);
 /* Whether the client takes a compressed reply. */
 bool mo_accepts_gzip(const struct mo_request *request);
 void mo_reply_extra(struct mo_request *request, const char *name, const char *format, ...)

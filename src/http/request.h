@@ -34,7 +34,8 @@ struct mo_reply {
   size_t size;
   const char *policy; /* static: Content-Security-Policy; NULL: none */
   bool close, authenticate;
-  bool keep; /* the reply to this path never changes */
+  bool keep;  /* the reply to this path never changes */
+  bool packs; /* bytes that are worth compressing, though the type does not say so */
   unsigned retry_after_s;
   char etag[112], location[192], allow[64], applied[24];
   unsigned n_extra;

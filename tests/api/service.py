@@ -2,6 +2,7 @@
 
 import csv
 import functools
+import gzip
 import http.client
 import io
 import json
@@ -34,6 +35,12 @@ class Reply:
 
     def pointers(self):
         return [fault.get("pointer") for fault in self.json()["errors"]]
+
+
+def decoded(reply):
+    """The body of a reply, of one that is compressed as it was."""
+    packed = reply.headers.get("Content-Encoding") == "gzip" and reply.body
+    return gzip.decompress(reply.body) if packed else reply.body
 
 
 class UnixConnection(http.client.HTTPConnection):
@@ -133,7 +140,7 @@ class Service:
         finally:
             if own:
                 connection.close()
-        CONTRACT.check(method, path, reply.status, reply.headers, reply.body)
+        CONTRACT.check(method, path, reply.status, reply.headers, decoded(reply))
         return reply
 
     def get(self, path, **how):

@@ -104,7 +104,7 @@ def test_standard_csv(service, evolved, designs):
     for table in (service.tagged(path + "?format=csv"),
                   service.request("GET", path, headers={"Accept": "text/csv"})):
         assert table.headers["Content-Type"].startswith("text/csv")
-        assert table.headers["Vary"] == "Accept"
+        assert table.headers["Vary"] == "Accept, Accept-Encoding"
         taxa = read_standard(table.body.decode())
         compare(taxa, designs)
     cells = taxa[3][3]

@@ -73,6 +73,22 @@ static void accept(void)
   CHECK_INT(mo_accept_choose("text/html, APPLICATION/JSON ; charset=utf-8", types, 2), 1);
 }
 
+static void codings(void)
+{
+  static const char *const yes[] = {
+      "gzip",         "br, gzip",        "GZIP ;q=0.001", "*",
+      "br;q=0, gzip", "*;q=0, gzip;q=1", "gzip, *;q=0",   "deflate, gzip;q=1.0, *;q=0.5",
+      "gzip,"};
+  static const char *const no[] = {"",         "br",          "gzip;q=0",    "gzip; q=0.000",
+                                   "xgzip",    "gzip;q=0, *", "*, gzip;q=0", "*;q=0",
+                                   "gzip;q=x", "identity"};
+  CHECK(!mo_accept_coding(NULL, "gzip"));
+  for (size_t i = 0; i < sizeof(yes) / sizeof(yes[0]); i++)
+    CHECK(mo_accept_coding(yes[i], "gzip"));
+  for (size_t i = 0; i < sizeof(no) / sizeof(no[0]); i++)
+    CHECK(!mo_accept_coding(no[i], "gzip"));
+}
+
 static void etags(void)
 {
   CHECK(mo_etag_matches("\"a\"", "\"a\""));
@@ -441,6 +457,7 @@ static const struct check_case cases[] = {
     {"queries and numbers", queries},
     {"Prefer", prefer},
     {"Accept", accept},
+    {"Accept-Encoding", codings},
     {"entity tags", etags},
     {"content types", content_types},
     {"idempotency keys", keys},
