@@ -1,8 +1,10 @@
-"""Turns openapi.yaml into JSON: as a file, or as a C source that holds its bytes.
+"""Turns openapi.yaml into JSON: as a file, or as a C source that holds its bytes, plain and
+compressed.
 
 usage: openapi_json.py openapi.yaml out.json|out.c
 Every local reference must lead somewhere; a dangling one ends the build.
 """
+import gzip
 import json
 import sys
 
@@ -37,6 +39,11 @@ def main():
             lines.append(f'  "{piece}"')
         lines[-1] += ";"
         lines.append("const size_t mo_openapi_json_size = sizeof(mo_openapi_json) - 1;")
+        packed = gzip.compress(text.encode("ascii"), 9, mtime=0)
+        lines.append("const unsigned char mo_openapi_gzip[] = {")
+        for start in range(0, len(packed), 32):
+            lines.append(",".join(map(str, packed[start:start + 32])) + ",")
+        lines.append("};\nconst size_t mo_openapi_gzip_size = sizeof(mo_openapi_gzip);")
         text = "\n".join(lines)
     with open(target, "w", encoding="ascii") as file:
         file.write(text + "\n")

@@ -14,16 +14,11 @@ static const char policy[] =
 
 static void reply_asset(struct mo_request *request, const struct mo_asset *asset)
 {
-  const bool packed = mo_accepts_gzip(request);
-  mo_reply_static(request, 200, asset->type, (const char *)(packed ? asset->gzip : asset->bytes),
-                  packed ? asset->gzip_size : asset->size);
-  mo_reply_etag(request, "%s-%s%s", mo_assets_version, asset->name, packed ? "-gzip" : "");
+  const struct mo_embedded bytes = {asset->bytes, asset->size, asset->gzip, asset->gzip_size};
+  mo_reply_embedded(request, asset->type, &bytes, "%s-%s", mo_assets_version, asset->name);
   mo_reply_policy(request, policy);
-  mo_reply_extra(request, "Vary", "Accept-Encoding");
   mo_reply_extra(request, "Cross-Origin-Opener-Policy", "same-origin");
   mo_reply_extra(request, "Cross-Origin-Resource-Policy", "same-origin");
-  if (packed)
-    mo_reply_extra(request, "Content-Encoding", "gzip");
 }
 
 static const struct mo_asset *find(const char *name)

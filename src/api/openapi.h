@@ -6,5 +6,7 @@
 
 extern const char mo_openapi_json[];
 extern const size_t mo_openapi_json_size;
+extern const unsigned char mo_openapi_gzip[]; /* the same, compressed */
+extern const size_t mo_openapi_gzip_size;
 
 #endif

@@ -115,6 +115,8 @@ void mo_api_get_devices(struct mo_request *request)
 
 void mo_api_get_contract(struct mo_request *request)
 {
-  mo_reply_static(request, 200, "application/json", mo_openapi_json, mo_openapi_json_size);
-  mo_reply_etag(request, "openapi-%s", mo_api_of(request)->contract_tag);
+  const struct mo_embedded contract = {mo_openapi_json, mo_openapi_json_size, mo_openapi_gzip,
+                                       mo_openapi_gzip_size};
+  mo_reply_embedded(request, "application/json", &contract, "openapi-%s",
+                    mo_api_of(request)->contract_tag);
 }

@@ -6,9 +6,7 @@
  * one is sent. */
 #include "http/pack.h"
 
-#include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 #include <zlib.h>
 
 #include "http/reply.h"
@@ -24,16 +22,6 @@ static bool begin(z_stream *stream)
 {
   *stream = (z_stream){0};
   return deflateInit2(stream, 1, Z_DEFLATED, 15 + 16, 8, Z_DEFAULT_STRATEGY) == Z_OK;
-}
-
-/* Marks the reply as compressed. */
-static void mark(struct mo_request *request)
-{
-  struct mo_reply *reply = &request->reply;
-  const size_t size = strlen(reply->etag);
-  if (size > 0)
-    snprintf(reply->etag + size - 1, sizeof(reply->etag) - size + 1, MO_ETAG_GZIP "\"");
-  mo_reply_extra(request, "Content-Encoding", "gzip");
 }
 
 void mo_pack_reply(struct mo_request *request)
@@ -55,7 +43,7 @@ void mo_pack_reply(struct mo_request *request)
     reply->size = most - stream.avail_out;
     reply->body = realloc(packed, reply->size);
     reply->body = reply->body != NULL ? reply->body : packed;
-    mark(request);
+    mo_reply_mark_gzip(request);
   } else {
     free(packed);
   }
@@ -71,7 +59,7 @@ struct mo_packer *mo_packer_create(struct mo_request *request)
     free(packer);
     return NULL;
   }
-  mark(request);
+  mo_reply_mark_gzip(request);
   return packer;
 }
 

@@ -10,6 +10,7 @@
 #include "http/server.h"
 #include "store/hash.h"
 
+#define ETAG_GZIP "-gzip" /* ends the tag of a compressed reply */
 #define SMALL_BYTES                                                                                \
   ((uint64_t)64 << 10) /* of a reply without a limit on memory: refusals must get through */
 
@@ -153,16 +154,13 @@ void mo_reply_error(struct mo_request *request, int code, const char *what)
   }
 }
 
-void mo_reply_etag(struct mo_request *request, const char *format, ...)
+static void set_etag(struct mo_request *request, const char *format, va_list arguments)
 {
   struct mo_reply *reply = &request->reply;
-  va_list arguments;
-  va_start(arguments, format);
-  char tag[sizeof(reply->etag) - sizeof(MO_ETAG_GZIP) - 1], packed[sizeof(reply->etag)];
+  char tag[sizeof(reply->etag) - sizeof(ETAG_GZIP) - 1], packed[sizeof(reply->etag)];
   vsnprintf(tag, sizeof(tag), format, arguments);
-  va_end(arguments);
   snprintf(reply->etag, sizeof(reply->etag), "\"%s\"", tag);
-  snprintf(packed, sizeof(packed), "\"%s" MO_ETAG_GZIP "\"", tag);
+  snprintf(packed, sizeof(packed), "\"%s" ETAG_GZIP "\"", tag);
   if (reply->status != 200 || (request->method != MO_GET && request->method != MO_HEAD))
     return;
   /* The client may have either form. */
@@ -172,6 +170,14 @@ void mo_reply_etag(struct mo_request *request, const char *format, ...)
     reply->status = 304;
     memcpy(reply->etag, packed, sizeof(packed));
   }
+}
+
+void mo_reply_etag(struct mo_request *request, const char *format, ...)
+{
+  va_list arguments;
+  va_start(arguments, format);
+  set_etag(request, format, arguments);
+  va_end(arguments);
 }
 
 void mo_reply_etag_of_body(struct mo_request *request)
@@ -221,6 +227,30 @@ void mo_reply_keep(struct mo_request *request)
 bool mo_accepts_gzip(const struct mo_request *request)
 {
   return mo_accept_coding(request->framing.accept_encoding, "gzip");
+}
+
+void mo_reply_mark_gzip(struct mo_request *request)
+{
+  struct mo_reply *reply = &request->reply;
+  const size_t size = strlen(reply->etag);
+  if (size > 0)
+    snprintf(reply->etag + size - 1, sizeof(reply->etag) - size + 1, ETAG_GZIP "\"");
+  mo_reply_extra(request, "Content-Encoding", "gzip");
+}
+
+void mo_reply_embedded(struct mo_request *request, const char *type,
+                       const struct mo_embedded *bytes, const char *tag, ...)
+{
+  const bool packed = mo_accepts_gzip(request);
+  va_list arguments;
+  mo_reply_static(request, 200, type, packed ? bytes->gzip : bytes->plain,
+                  packed ? bytes->gzip_size : bytes->size);
+  va_start(arguments, tag);
+  set_etag(request, tag, arguments);
+  va_end(arguments);
+  if (packed && request->reply.status == 200)
+    mo_reply_mark_gzip(request);
+  mo_reply_extra(request, "Vary", "Accept-Encoding");
 }
 
 bool mo_reply_may_pack(const struct mo_request *request)

@@ -29,7 +29,6 @@ void mo_reply_error(struct mo_request *request, int error, const char *what);
 void mo_reply_text(struct mo_request *request, int error, struct mo_text *text, const char *what);
 /* Sets a strong ETag from parts, and status 304 if the client has that version, compressed or not.
  * Call after a reply of status 200 was made. */
-#define MO_ETAG_GZIP "-gzip" /* ends the tag of a compressed reply */
 void mo_reply_etag(struct mo_request *request, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 /* Sets the ETag to the hash of the body; status 200 and 201. */
@@ -42,6 +41,18 @@ void mo_reply_keep(struct mo_request *request);
 bool mo_reply_may_pack(const struct mo_request *request);
 /* Whether the client takes a compressed reply. */
 bool mo_accepts_gzip(const struct mo_request *request);
+/* Replies with bytes that the build has compressed, too, and their ETag. */
+struct mo_embedded {
+  const void *plain;
+  size_t size;
+  const void *gzip;
+  size_t gzip_size;
+};
+void mo_reply_embedded(struct mo_request *request, const char *type,
+                       const struct mo_embedded *bytes, const char *tag, ...)
+    __attribute__((format(printf, 4, 5)));
+/* Marks a reply whose body was compressed: the coding, and the ETag, which names the bytes. */
+void mo_reply_mark_gzip(struct mo_request *request);
 void mo_reply_extra(struct mo_request *request, const char *name, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 void mo_reply_clear(struct mo_reply *reply);

@@ -106,12 +106,22 @@ def test_lists_and_results(service, campaign):
         assert service.request("GET", posted.headers["Location"], headers=known).status == 304
 
 
+def test_what_the_build_has_compressed(service):
+    plain, packed = replies(service, "/openapi.json")
+    assert len(packed.body) < 0.25 * len(plain.body) and packed.headers["Vary"] == "Accept-Encoding"
+    for reply in plain, packed:
+        known = {"If-None-Match": reply.headers["ETag"]}
+        for headers in {}, GZIP:
+            again = service.request("GET", "/openapi.json", headers=headers | known)
+            assert again.status == 304 and again.headers["ETag"] == reply.headers["ETag"]
+
+
 def test_what_stays_plain(service, campaign):
     """Small replies; those of event loops; numbers that hardly shrink; problems; and all of them
     where gzip is not taken."""
     recorded = service.evaluate({"designs": [DESIGN], "record": ["masses"], "physics": SHORT})
     file = f"/v1/evaluations/{recorded.json()['id']}/trajectories/0/file"
-    for path in "/v1/jobs?limit=1", "/metrics", "/openapi.json", "/v1/threads", file, "/v1/none":
+    for path in "/v1/jobs?limit=1", "/metrics", "/v1/threads", file, "/v1/none":
         reply = service.request("GET", path, headers=GZIP)
         assert "Content-Encoding" not in reply.headers, path
     for refused in "identity", "gzip;q=0", "gzip;q=0, *", "br", "":
