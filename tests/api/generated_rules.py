@@ -43,7 +43,7 @@ RULES = [
     r"steps of learning are asked for",
     r"replicates from \d+ on go beyond",
     r"are \d+; at most \d+ (distinct bodies )?are expected",
-    r"this parameter is for (JSON|sort=score)",
+    r"this parameter is for (JSON|sort=score|format=columns)",
     r"next_cursor of an earlier page",
     r"campaign needs a controller",
     r"the header claims \d+ bytes",
