@@ -5,19 +5,30 @@ import { button, fill, h, svg } from './lib/dom.js';
 import { Events } from './lib/events.js';
 
 const VIEWS = {
-  overview: { name: 'Overview', load: () => import('./views/overview.js') },
-  campaigns: { name: 'Campaigns', load: () => import('./views/campaign.js') },
-  trainings: { name: 'Trainings', load: () => import('./views/trainings.js') },
-  designs: { name: 'Designs', load: () => import('./views/designs.js') },
-  editor: { name: 'Editor', load: () => import('./views/editor.js') },
-  stage: { name: 'Stage', load: () => import('./views/stage.js') },
+  overview: { name: 'Overview', module: './views/overview.js' },
+  campaigns: { name: 'Campaigns', module: './views/campaign.js' },
+  trainings: { name: 'Trainings', module: './views/trainings.js' },
+  designs: { name: 'Designs', module: './views/designs.js' },
+  editor: { name: 'Editor', module: './views/editor.js' },
+  stage: { name: 'Stage', module: './views/stage.js' },
 };
+
+/** Loads a view and all that it imports at once; the page has the list. */
+function load(module) {
+  const names = /** @type {HTMLMetaElement} */ (document.querySelector(`meta[name="${module}"]`))?.content;
+  for (const name of names?.split(' ') ?? []) {
+    document.head.append(h('link', { rel: 'modulepreload', href: new URL(name, import.meta.url).href }));
+  }
+  return import(module);
+}
 
 /** What views use of the page. */
 export const app = {
   events: new Events(),
   /** @type {'dark'|'light'} */
   theme: 'dark',
+  /** The newest events, oldest first. */
+  recent: [],
   /** Called with the theme after each change. */
   themeListeners: new Set(),
   /** The contract: bounds and defaults of the forms. Loaded once, when first asked for. */
@@ -159,14 +170,14 @@ class Frame {
     const turn = (this.turn = (this.turn ?? 0) + 1);
     fill(this.main, h('p.muted', { role: 'status' }, 'Loading…'));
     try {
-      const { mount } = await entry.load();
+      const [{ mount }] = await Promise.all([load(entry.module), this.#followEvents()]);
       if (turn !== this.turn) return;
       const view = await mount(this.main, rest.filter(Boolean), parameters, app);
       if (turn !== this.turn) view?.unmount?.();
       else this.view = view;
     } catch (error) {
       if (turn !== this.turn) return;
-      if (error.status === 401) askForToken(() => this.start());
+      if (error.status === 401) askForToken(() => this.route());
       fill(this.main, h('h1', {}, error.status === 404 ? 'Not found' : 'This page could not be shown'),
         h('p.error', { role: 'alert' }, error.message),
         h('p', {}, button('Try again', () => this.route())));
@@ -174,14 +185,15 @@ class Frame {
     }
   }
 
-  async start() {
-    try {
-      this.recent = await app.events.start();
-      app.recent = this.recent;
-    } catch {
-      app.recent = [];
-    }
-    await this.route();
+  /** Begins to follow the events, once. Views load behind that, so that they miss no change. */
+  #followEvents() {
+    this.following ??= app.events.start().then((last) => {
+      app.events.upTo(last).then((events) => {
+        app.recent.unshift(...events);
+        this.view?.update?.({ type: 'recent' });
+      }, () => {});
+    }, () => { this.following = null; });
+    return this.following;
   }
 }
 
@@ -189,7 +201,7 @@ takeToken();
 const frame = new Frame(startTheme());
 app.events.listen((event) => {
   if (event.type !== 'reset') {
-    app.recent = [...(app.recent ?? []), event].slice(-60);
+    app.recent = [...app.recent, event].slice(-60);
   }
   frame.view?.update?.(event);
 });
@@ -198,4 +210,4 @@ window.addEventListener('hashchange', () => {
   frame.route();
 });
 if (getToken() === null && /[#&]token=/.test(location.hash)) takeToken();
-frame.start();
+frame.route();

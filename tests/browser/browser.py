@@ -25,6 +25,20 @@ addEventListener('error', (event) => faults.push('error: ' + event.message));
 addEventListener('unhandledrejection', (event) => faults.push('rejection: ' + event.reason));
 """
 
+# The most requests, the page's own among them, of which each began after the one before had ended,
+# once the page shows what is asked for.
+CHAIN = """
+if (!(%s)) return null;
+const ends = [];
+for (const kind of ['navigation', 'resource']) ends.push(...performance.getEntriesByType(kind));
+ends.sort((a, b) => a.startTime - b.startTime);
+const depths = [];
+ends.forEach((one, i) => {
+  depths.push(1 + Math.max(0, ...depths.filter((_, j) => ends[j].responseEnd <= one.startTime)));
+});
+return Math.max(...depths);
+"""
+
 
 class Browser:
     def __init__(self, service, width=1280, height=900):
@@ -58,6 +72,28 @@ class Browser:
     def until_walking(self):
         """Waits for robots on the stage."""
         self.until("document.querySelector('.stage')?.player?.stage.robots.length")
+
+    def chain(self, view, shown, latency_ms=300):
+        """The length of the longest chain of requests until a script says that a view is shown,
+        over a slow connection and with an empty cache: what lies side by side there overlaps."""
+        def slow(latency):
+            self.driver.execute_cdp_cmd("Network.emulateNetworkConditions",
+                                        {"offline": False, "latency": latency,
+                                         "downloadThroughput": -1, "uploadThroughput": -1})
+
+        self.driver.get("about:blank")
+        self.driver.execute_cdp_cmd("Network.enable", {})
+        self.driver.execute_cdp_cmd("Network.clearBrowserCache", {})
+        slow(latency_ms)
+        try:
+            self.driver.get(self.base + "#/" + view)
+            deadline = time.monotonic() + 30
+            while (length := self.run(CHAIN % shown)) is None:
+                assert time.monotonic() < deadline, self.faults()
+                time.sleep(0.02)
+            return length
+        finally:
+            slow(0)
 
     def faults(self):
         """What is wrong: errors, violations of the page's policy, requests to other hosts."""

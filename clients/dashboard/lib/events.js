@@ -25,15 +25,18 @@ export class Events {
     return () => this.listeners.delete(listener);
   }
 
-  /** Begins behind the newest event; returns the newest `n` events, oldest first. */
-  async start(n = 30) {
+  /** Begins behind the newest event: what is read after that misses none. Returns its number. */
+  async start() {
     const page = await getJson('v1/events?format=json&after=0&limit=1');
     this.last = Number(page.newest);
-    const recent = await getJson(withQuery('v1/events', {
-      format: 'json', after: Math.max(0, this.last - n), limit: n,
-    }));
     this.#change();
-    return recent.items;
+    return this.last;
+  }
+
+  /** The `n` events up to a number, oldest first. */
+  async upTo(last, n = 30) {
+    const page = await getJson(withQuery('v1/events', { format: 'json', after: Math.max(0, last - n), limit: n }));
+    return page.items.filter((event) => Number(event.id) <= last);
   }
 
   #change() {

@@ -1,17 +1,34 @@
 /** The few things of WebGL 2 that the stage and the phylogeny need. */
 
-/** A linked program whose uniforms are found by name. Throws with the compiler's message. */
+/**
+ * A program whose uniforms are found by name. It is compiled beside the page's own work: only its
+ * first use waits for that, and throws with the compiler's message.
+ */
 export class Program {
   /**
    * @param {WebGL2RenderingContext} gl
    * @param {string[]} sources of the vertex and the fragment shader
    */
-  constructor(gl, [vertexSource, fragmentSource]) {
+  constructor(gl, sources) {
     this.gl = gl;
+    this.sources = sources;
+    this.handle = null;
+    this.places = null;
+  }
+
+  /** Begins to compile, and does not wait. */
+  prepare() {
+    const { gl, sources: [vertexSource, fragmentSource] } = this;
     this.handle = gl.createProgram();
     this.#attach(gl.VERTEX_SHADER, vertexSource);
     this.#attach(gl.FRAGMENT_SHADER, fragmentSource);
     gl.linkProgram(this.handle);
+    return this;
+  }
+
+  #finish() {
+    const { gl } = this;
+    if (!this.handle) this.prepare();
     if (!gl.getProgramParameter(this.handle, gl.LINK_STATUS) && !gl.isContextLost()) {
       const logs = gl.getAttachedShaders(this.handle).map((shader) => gl.getShaderInfoLog(shader));
       throw new Error(`A shader does not compile: ${gl.getProgramInfoLog(this.handle)} ${logs.join(' ')}`);
@@ -35,6 +52,7 @@ export class Program {
 
   /** Begins to use the program. */
   use() {
+    if (!this.places) this.#finish();
     this.gl.useProgram(this.handle);
     this.units = 0;
     return this;

@@ -8,6 +8,8 @@ import { Stage } from './stage.js';
 const SPEEDS = [['2', '2 ×'], ['1', '1 ×'], ['0.5', '½ ×'], ['0.25', '¼ ×'], ['0.1', '⅒ ×']];
 /** A frame that takes longer than this lowers the resolution, then the shadow. */
 const SLOW_FRAME_S = 0.028;
+/** The ground is drawn without robots only when none came in that time: without a GPU it delays them. */
+const PATIENCE_MS = 1000;
 
 export class Player {
   /**
@@ -60,6 +62,8 @@ export class Player {
     app.themeListeners.add(this.onTheme);
     this.resize = new ResizeObserver(() => this.#wake());
     this.resize.observe(this.canvas);
+    this.createdMs = performance.now();
+    setTimeout(() => this.#wake(), PATIENCE_MS);
     this.setPlaying(this.playing);
   }
 
@@ -220,7 +224,8 @@ export class Player {
   #show() {
     this.stage.timeS = Math.max(0, this.stage.timeS);
     const time = Math.min(this.stage.timeS, this.stage.durationS());
-    this.stage.draw();
+    const early = performance.now() < this.createdMs + PATIENCE_MS;
+    this.stage.draw({ empty: early && !this.stage.robots.length });
     this.slider.value = String(time);
     this.slider.setAttribute('aria-valuetext', `${time.toFixed(2)} seconds`);
     this.clock.textContent = `${time.toFixed(2)} s`;

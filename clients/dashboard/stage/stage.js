@@ -157,13 +157,13 @@ export class Stage {
   #build() {
     const { gl } = this;
     this.programs = {
-      terrain: new Program(gl, shaders.TERRAIN_SHADERS),
-      skin: new Program(gl, shaders.SKIN_SHADERS),
-      depth: new Program(gl, shaders.DEPTH_SHADERS),
+      terrain: new Program(gl, shaders.TERRAIN_SHADERS).prepare(),
+      skin: new Program(gl, shaders.SKIN_SHADERS).prepare(),
+      depth: new Program(gl, shaders.DEPTH_SHADERS).prepare(),
       springs: new Program(gl, shaders.SPRING_SHADERS),
-      trail: new Program(gl, shaders.TRAIL_SHADERS),
+      trail: new Program(gl, shaders.TRAIL_SHADERS).prepare(),
       contacts: new Program(gl, shaders.CONTACT_SHADERS),
-      lamp: new Program(gl, shaders.LAMP_SHADERS),
+      lamp: new Program(gl, shaders.LAMP_SHADERS).prepare(),
     };
     const corners = new Float32Array((GRID + 1) * (GRID + 1) * 2);
     const triangles = new Uint32Array(GRID * GRID * 6);
@@ -250,8 +250,8 @@ export class Stage {
     }));
   }
 
-  /** Draws the present time. */
-  draw() {
+  /** Draws the present time; or the background alone. */
+  draw({ empty = false } = {}) {
     const { gl, canvas } = this;
     const width = Math.max(1, Math.round(canvas.clientWidth * devicePixelRatio * this.scale));
     const height = Math.max(1, Math.round(canvas.clientHeight * devicePixelRatio * this.scale));
@@ -260,6 +260,7 @@ export class Stage {
     gl.disable(gl.SCISSOR_TEST);
     gl.viewport(0, 0, width, height);
     clear(gl, this.sideBySide ? look.line : look.background);
+    if (empty) return;
     for (const view of this.views()) this.#drawView(view, look);
     gl.bindVertexArray(null);
   }

@@ -42,7 +42,7 @@ export async function mount(main, path, parameters, app) {
       table.element, more));
 
   function showEvents() {
-    const rows = (app.recent ?? []).filter((event) => !event.type.endsWith('progress')).slice(-9).reverse();
+    const rows = app.recent.filter((event) => !event.type.endsWith('progress')).slice(-9).reverse();
     fill(events, rows.length ? rows.map((event) => h('tr', {}, h('td', {}, event.type),
       h('td', {}, linkTo(event)),
       h('td', {}, detailOf(event)), h('td.right.muted', {}, ago(event.at))))
@@ -114,8 +114,8 @@ export async function mount(main, path, parameters, app) {
     return busy;
   }
 
-  showEvents();
   await refresh();
+  showEvents();
   const timer = setInterval(() => {
     if (!document.hidden) refresh().catch(() => {});
   }, REFRESH_MS);

@@ -11,19 +11,20 @@ import { copyDialog, exportDialog, filmCommand } from './share.js';
 const ROBOTS_MAX = 256;
 
 export async function mount(main, path, parameters, app) {
-  const player = new Player(app, { onchange: () => keepView() });
   let ids = (parameters.get('designs') ?? '').split(',').filter(isDesign).slice(0, ROBOTS_MAX);
   let environment = Number(parameters.get('environment') ?? 0);
   let controller = parameters.get('controller') ?? 'default';
   const set = parameters.get('set') ?? 'paper-test';
   const stop = new AbortController();
 
-  const environments = await environmentSet(set);
+  const [environments, best] = await Promise.all([environmentSet(set),
+    ids.length ? null : getJson(withQuery('v1/designs', { sort: 'score', limit: 4 }))]);
   if (!Number.isInteger(environment) || !environments[environment]) environment = 0;
-  if (!ids.length) {
-    const page = await getJson(withQuery('v1/designs', { sort: 'score', limit: 4 }));
-    ids = page.items.map((design) => design.id);
-  }
+  if (best) ids = best.items.map((design) => design.id);
+  const walk = () => roll(ids.map(designOf), [environments[environment]], { controller, signal: stop.signal });
+  // The daemon computes while the stage is made.
+  const first = walk();
+  const player = new Player(app, { onchange: () => keepView() });
 
   function keepView() {
     app.keep({
@@ -32,11 +33,10 @@ export async function mount(main, path, parameters, app) {
     });
   }
 
-  async function load() {
+  async function load(walking = walk()) {
     player.setNote(ids.length ? 'Walking…' : '');
     try {
-      const robots = await roll(ids.map(designOf), [environments[environment]],
-        { controller, signal: stop.signal });
+      const robots = await walking;
       robots.forEach((robot, i) => { robot.label = labelOf(ids[i]); });
       player.setRobots(robots);
       player.setNote(robots.length ? '' :
@@ -65,7 +65,7 @@ export async function mount(main, path, parameters, app) {
   if (shown !== null && player.stage) player.setShown(shown.split(','));
   const view = parameters.get('view');
   if (view && player.stage?.camera.fromText(view)) player.followToggle.click();
-  load();
+  load(first);
   return {
     unmount() {
       stop.abort();
