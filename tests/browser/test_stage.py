@@ -200,7 +200,7 @@ def test_a_page_of_its_own(service, browser, tmp_path):
 
 def test_a_link_holds_the_view(service, browser):
     design = service.evaluate({"designs": [DESIGN]}).json()["results"][0]["id"]
-    view = "2.50_2.40_0.20_1.00_0.50_1.80"
+    view = "2.500_2.400_0.200_1.000_0.500_1.800"
     browser.open(f"stage?designs={design}&environment=4&show=springs,trails&view={view}")
     browser.until_walking()
     state = browser.run("""
@@ -209,6 +209,52 @@ def test_a_link_holds_the_view(service, browser):
     """)
     assert state == [["springs", "trails"], view, False, 1]
     assert f"designs={design}" in browser.driver.current_url
+
+
+def test_a_race_and_its_link(service, browser):
+    """Robots on one terrain, each with its name and color; the link shows the same again."""
+    ids = [row["id"] for row in service.evaluate(
+        {"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]}).json()["results"]]
+    browser.open(f"stage?designs={','.join(ids)}&environment=2")
+    browser.until_walking()
+    browser.click("Race")
+    browser.click("Springs")
+    browser.run("""
+        const { player } = document.querySelector('.stage');
+        player.names.children[1].click();
+        player.speedSelect.value = '0.25';
+        player.speedSelect.dispatchEvent(new Event('change'));
+        player.slider.value = '1.5';
+        player.slider.dispatchEvent(new Event('input'));
+        player.canvas.focus();
+        player.canvas.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowLeft' }));
+    """)
+    tags = """
+      const { player, player: { stage } } = document.querySelector('.stage');
+      stage.draw();
+      player.tags.place(stage);
+      return [...document.querySelectorAll('.tag')].map((e) => {
+        const { x, y } = e.getBoundingClientRect();
+        return [e.innerText, getComputedStyle(e).borderLeftColor, Math.round(x), Math.round(y)];
+    })"""
+    state = """
+        const { player, player: { stage } } = document.querySelector('.stage');
+        return { ...player.view(), side: stage.sideBySide, followed: stage.followed,
+          views: stage.views().length, playing: player.playing };
+    """
+    browser.until("/time=1.50/.test(location.hash) && /follow=1/.test(location.hash)")
+    link, told, named = browser.driver.current_url, browser.run(state), browser.run(tags)
+    assert told["views"] == 1 and not told["side"] and not told["playing"]
+    assert [name for name, *_ in named] == [f"{id.rstrip('0')[:8]}…" for id in ids]
+    assert len({color for _, color, *_ in named}) == 2
+    browser.open(link.split("#/")[1])
+    browser.until_walking()
+    browser.until("document.querySelector('.stage').player.speed === 0.25")
+    assert browser.run(state) == told
+    browser.until("document.querySelectorAll('.tag').length === 2")
+    for (*before, x, y), (*after, also_x, also_y) in zip(named, browser.run(tags)):
+        assert before == after and abs(x - also_x) <= 1 and abs(y - also_y) <= 1
+    assert browser.faults() == []
 
 
 def test_commands_to_copy_are_safe_to_paste(service, browser):

@@ -60,7 +60,7 @@ export class Camera {
   /** The view as a short text for a link, and back. */
   toText() {
     const { target, yaw, pitch, distanceM } = this;
-    return [...target, yaw, pitch, distanceM].map((x) => x.toFixed(2)).join('_');
+    return [...target, yaw, pitch, distanceM].map((x) => x.toFixed(3)).join('_');
   }
 
   fromText(text) {

@@ -4,6 +4,7 @@ import { announce, button, fill, h, select, toggle } from '../lib/dom.js';
 import { score } from '../lib/format.js';
 import { driveCamera } from './camera.js';
 import { Stage } from './stage.js';
+import { Tags } from './tags.js';
 
 const SPEEDS = [['2', '2 ×'], ['1', '1 ×'], ['0.5', '½ ×'], ['0.25', '¼ ×'], ['0.1', '⅒ ×']];
 /** A frame that takes longer than this lowers the resolution, then the shadow. */
@@ -33,12 +34,17 @@ export class Player {
         this.setPlaying(false);
         this.stage.timeS = Number(this.slider.value);
         this.#show();
+        this.onchange();
       },
     });
     this.clock = h('span.clock', {}, '0.00 s');
-    this.playButton = button('', () => this.setPlaying(!this.playing));
+    this.playButton = button('', () => {
+      this.setPlaying(!this.playing);
+      this.onchange();
+    });
     this.controls = h('div.controls', {}, this.playButton, this.slider, this.clock);
-    this.element = h('div.stage', {}, this.canvas, this.names, this.note, this.controls);
+    this.tags = new Tags();
+    this.element = h('div.stage', {}, this.canvas, this.tags.element, this.names, this.note, this.controls);
     try {
       this.stage = new Stage(this.canvas, { theme: app.theme });
     } catch (error) {
@@ -79,26 +85,29 @@ export class Player {
     this.followToggle = toggle('Follow', true, (on) => {
       stage.follow = on;
       this.#wake();
-    });
-    this.sideToggle = toggle('Side by side', false, (on) => {
-      stage.sideBySide = on;
-      this.#wake();
       this.onchange();
     });
+    this.sideToggle = button('Side by side', () => this.setSide(true), { 'aria-pressed': 'false', title: 'A view for each robot' });
+    this.raceToggle = button('Race', () => this.setSide(false), { 'aria-pressed': 'true', title: 'All robots on one terrain' });
     this.springsToggle = flag('Springs', 'springs');
     this.actuationToggle = flag('Actuation', 'actuation');
     this.toggles = { skin: flag('Skin', 'skin'), springs: this.springsToggle, contacts: flag('Contacts', 'contacts'),
       trails: flag('Trails', 'trails'), actuation: this.actuationToggle };
-    const speed = select('Speed', SPEEDS, '1', (value) => { this.speed = Number(value); });
+    const speed = select('Speed', SPEEDS, '1', (value) => {
+      this.speed = Number(value);
+      this.onchange();
+    });
     speed.firstChild.className = 'visually-hidden';
-    this.controls.append(speed, this.sideToggle, this.followToggle, this.toggles.skin, this.springsToggle);
+    this.speedSelect = speed.lastChild;
+    this.controls.append(speed, h('div.pair', { role: 'group', 'aria-label': 'Arrangement' }, this.sideToggle, this.raceToggle), this.followToggle, this.toggles.skin, this.springsToggle);
     if (!compact) this.controls.append(this.actuationToggle, this.toggles.contacts, this.toggles.trails);
   }
 
   /** Sets what is shown, as a link tells it: {skin, springs, …, side}. */
   setShown(names) {
     this.arranged = true;
-    for (const [name, element] of Object.entries({ ...this.toggles, side: this.sideToggle })) {
+    this.setSide(names.includes('side'));
+    for (const [name, element] of Object.entries(this.toggles)) {
       const on = names.includes(name);
       if ((element.getAttribute('aria-pressed') === 'true') !== on) element.click();
     }
@@ -109,13 +118,53 @@ export class Player {
       .filter(([, element]) => element.getAttribute('aria-pressed') === 'true').map(([name]) => name);
   }
 
+  /** A view for each robot, or all on one terrain. */
+  setSide(on) {
+    this.stage.sideBySide = on;
+    this.sideToggle.setAttribute('aria-pressed', String(on));
+    this.raceToggle.setAttribute('aria-pressed', String(!on));
+    this.#wake();
+    this.onchange();
+  }
+
+  /**
+   * The view as a link holds it: camera, who is followed, moment (where it stands still), speed and
+   * what is shown.
+   */
+  view() {
+    const { stage } = this;
+    return {
+      view: stage.camera.toText(), follow: stage.follow ? stage.followed : null,
+      time: this.playing ? null : Math.min(stage.timeS, stage.durationS()).toFixed(2),
+      speed: this.speed === 1 ? null : this.speed, show: this.shown().join(','),
+    };
+  }
+
+  /** Takes the view of a link, once the robots are there. @param {URLSearchParams} parameters */
+  setView(parameters) {
+    const { stage } = this;
+    const [show, view, follow, time, speed] = ['show', 'view', 'follow', 'time', 'speed'].map((name) => parameters.get(name));
+    if (show !== null) this.setShown(show.split(','));
+    if (view && stage.camera.fromText(view)) this.#setFollow(follow !== null);
+    if (follow !== null && stage.robots[Number(follow)]) this.#followRobot(Number(follow));
+    if (SPEEDS.some(([value]) => value === speed)) {
+      this.speed = Number(speed);
+      this.speedSelect.value = speed;
+    }
+    if (time !== null && Number.isFinite(Number(time))) {
+      this.setPlaying(false);
+      stage.timeS = Math.min(stage.durationS(), Math.max(0, Number(time)));
+      this.#show();
+    }
+  }
+
   #setFollow(on) {
     if (this.stage.follow !== on) this.followToggle.click();
   }
 
   #key(event) {
     const act = {
-      ' ': () => this.setPlaying(!this.playing),
+      ' ': () => this.playButton.click(),
       ',': () => this.#stepBy(-1),
       '.': () => this.#stepBy(1),
       f: () => this.followToggle.click(),
@@ -132,6 +181,7 @@ export class Player {
     const time = Math.round(this.stage.timeS / frameS + frames) * frameS;
     this.stage.timeS = Math.min(this.stage.durationS(), Math.max(0, time));
     this.#show();
+    this.onchange();
   }
 
   /** @param {import('./stage.js').Robot[]} robots */
@@ -141,10 +191,10 @@ export class Player {
     const duration = this.stage.durationS();
     this.slider.max = String(duration || 1);
     if (!keepTime || this.stage.timeS > duration) this.stage.timeS = 0;
-    this.sideToggle.disabled = robots.length < 2;
+    this.sideToggle.disabled = this.raceToggle.disabled = robots.length < 2;
     // All robots start at the same place, so a few of them are first shown apart.
     const apart = robots.length > 1 && robots.length <= 16;
-    if (!this.arranged && this.stage.sideBySide !== apart) this.sideToggle.click();
+    if (!this.arranged && this.stage.sideBySide !== apart) this.setSide(apart);
     this.arranged ||= robots.length > 1;
     this.actuationToggle.disabled = !robots.some((robot) => robot.actuation);
     fill(this.names, this.stage.robots.map((robot, i) => this.#name(robot, i)));
@@ -162,13 +212,16 @@ export class Player {
     return h('button', {
       type: 'button', 'aria-pressed': String(i === this.stage.followed),
       title: 'Follow this robot',
-      onclick: () => {
-        this.stage.followed = i;
-        this.#setFollow(true);
-        [...this.names.children].forEach((child, j) => child.setAttribute('aria-pressed', String(i === j)));
-        this.#wake();
-      },
+      onclick: () => this.#followRobot(i),
     }, h('span.row', {}, swatch, robot.label ?? ''), h('span.number', {}, score(robot.loss)));
+  }
+
+  #followRobot(i) {
+    this.stage.followed = i;
+    this.#setFollow(true);
+    [...this.names.children].forEach((child, j) => child.setAttribute('aria-pressed', String(i === j)));
+    this.#wake();
+    this.onchange();
   }
 
   setPlaying(on) {
@@ -226,6 +279,7 @@ export class Player {
     const time = Math.min(this.stage.timeS, this.stage.durationS());
     const early = performance.now() < this.createdMs + PATIENCE_MS;
     this.stage.draw({ empty: early && !this.stage.robots.length });
+    this.tags.place(this.stage);
     this.slider.value = String(time);
     this.slider.setAttribute('aria-valuetext', `${time.toFixed(2)} seconds`);
     this.clock.textContent = `${time.toFixed(2)} s`;

@@ -150,6 +150,7 @@ uniform vec3 swollen;
 uniform vec3 shrunk;
 uniform vec3 rest;
 uniform vec3 tint;
+uniform float owned; // share of the robot's own color
 out vec4 color;
 void main() {
   vec3 normal = normalize(cross(dFdx(at), dFdy(at)));
@@ -157,6 +158,7 @@ void main() {
   if (dot(normal, toEye) < 0.0) normal = -normal;
   float amount = clamp(swelling * 7.0, -1.0, 1.0);
   vec3 base = mix(rest, amount > 0.0 ? swollen : shrunk, smoothstep(0.0, 1.0, abs(amount)));
+  base = mix(base, tint, owned);
   float day = max(dot(normal, sun), 0.0) * sunlight(at + normal * 0.004);
   float sky = 0.5 + 0.5 * normal.z;
   vec3 lit = base * (0.30 + 0.26 * sky + 0.56 * day) + base * lamp(at, normal) * 1.5;

@@ -288,7 +288,9 @@ export class Stage {
     this.programs.terrain.use().set(common);
     gl.bindVertexArray(this.ground.array);
     gl.drawElements(gl.TRIANGLES, GRID * GRID * 6, gl.UNSIGNED_INT, 0);
-    for (const robot of view.robots) this.#drawRobot(robot, common);
+    // In a race the robots are told apart by their colors.
+    const owned = view.robots.length > 1 ? 0.65 : 0;
+    for (const robot of view.robots) this.#drawRobot(robot, { ...common, owned });
     this.#drawBlended(view, common);
     gl.disable(gl.SCISSOR_TEST);
   }

@@ -112,7 +112,7 @@ function comparison(app, names) {
       }
       stage.hidden = false;
       player.setRobots(robots);
-      if (player.sideToggle.getAttribute('aria-pressed') !== 'true') player.sideToggle.click();
+      player.setSide(true);
     } catch (error) {
       result.textContent = error.message;
     }
