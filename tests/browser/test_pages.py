@@ -1,8 +1,12 @@
 """Every page, with real data: it shows what the API says, breaks no rule, and is usable by all."""
 
+import os
+import subprocess
+
 import pytest
 
-from service import DESIGN
+from contract import SOURCE
+from service import DESIGN, await_end
 
 VIEWS = {
     "": "Overview", "campaigns": "Campaigns", "campaigns/{campaign}": "<b>walkers</b> & others",
@@ -169,6 +173,77 @@ def test_the_leaderboard_from_both_ends(service, browser):
                     "order.dispatchEvent(new Event('change'))", order)
         browser.until(f"{cards} === {' '.join(expected)!r}")
         assert f"order={order}" in browser.driver.current_url
+
+
+def test_chosen_champions_found_a_campaign(service, browser):
+    browser.open("campaigns/" + service.campaign)
+    browser.until("document.querySelectorAll('.card + label input').length > 1")
+    browser.run("[...document.querySelectorAll('.card + label input')].slice(0, 2)"
+                ".forEach((e) => e.click())")
+    champions = service.get(f"/v1/campaigns/{service.campaign}/champions?count=8")["items"]
+    browser.click("Breed these")
+    browser.until("document.querySelector('dialog[open] form')")
+    browser.run("""
+        const form = document.querySelector('dialog[open] form');
+        const given = { population: 8, generations: 1, label: 'bred' };
+        for (const [name, value] of Object.entries(given)) form.elements[name].value = value;
+        form.requestSubmit();
+    """)
+    browser.until("document.querySelector('h1')?.textContent === 'bred'")
+    path = "/v1/campaigns/" + browser.run("return location.hash.split('/')[2]")
+    assert await_end(service, path).json()["state"] == "succeeded"
+    founders = [row["id"] for row in service.pages(path + "/population?generation=0")
+                if row["operator"] == "listed"]
+    assert sorted(founders) == sorted(row["id"] for row in champions[:2])
+    browser.until("document.querySelector('.state').innerText === 'succeeded'")
+    assert browser.faults() == []
+
+
+COPIED = [
+    "", "campaigns", "campaigns/{campaign}", "campaigns/{campaign}/phylogeny", "trainings",
+    "trainings/{training}", "designs", "designs?evaluation={evaluation}", "designs/{design}",
+    "editor"
+]
+
+
+@pytest.mark.parametrize("view", COPIED)
+def test_every_view_can_be_copied(service, browser, tmp_path, view):
+    """What the page gives to copy works as it is."""
+    design = service.get("/v1/designs?limit=1")["items"][0]["id"]
+    evaluation = service.get("/v1/jobs?kind=evaluation&limit=1")["items"][0]["id"]
+    browser.open(address(service, view.replace("{evaluation}", evaluation).replace(
+        "{design}", design)))
+    check_commands(browser, tmp_path)
+
+
+def check_commands(browser, folder, button="Copy"):
+    browser.click(button)
+    browser.until("document.querySelector('dialog[open] pre')")
+    assert browser.texts("dialog[open] h3") == ["curl", "morphoctl", "Python"]
+    curl, morphoctl, python = browser.texts("dialog[open] pre")
+    path = f"{SOURCE / 'build' / 'clients' / 'morphoctl'}:{os.environ['PATH']}"
+    for line in [curl, *(line for line in morphoctl.split("\n") if " watch " not in line)]:
+        done = subprocess.run(line, shell=True, cwd=folder, capture_output=True, text=True,
+                              timeout=60, env=os.environ | {"PATH": path})
+        assert done.returncode == 0 and '"status":4' not in done.stdout, (line, done)
+    compile(python, "copied", "exec")
+
+
+def test_a_form_can_be_copied(service, browser, tmp_path):
+    browser.open("designs")
+    browser.until("document.querySelectorAll('.card').length > 1")
+    browser.run("[...document.querySelectorAll('.card')].slice(0, 2).forEach((e) => e.click())")
+    browser.click("Breed these")
+    browser.until("document.querySelector('dialog[open] form')")
+    browser.run("""
+        const form = document.querySelector('dialog[open] form');
+        const given = { population: 4, generations: 0, label: "it's" };
+        for (const [name, value] of Object.entries(given)) form.elements[name].value = value;
+    """)
+    check_commands(browser, tmp_path, "Copy as a command")
+    made = service.get("/v1/campaigns?limit=2")["items"]
+    assert [one["label"] for one in made] == ["it's"] * 2
+    assert made[0]["settings"] == made[1]["settings"]
 
 
 def test_two_controllers_are_compared(service, browser):

@@ -262,7 +262,7 @@ def test_commands_to_copy_are_safe_to_paste(service, browser):
     browser.open("stage?designs=$(touch%20x)&controller=a';b;'")
     browser.click("Copy")
     browser.until("document.querySelector('dialog[open] pre')")
-    curl, film = browser.texts("dialog pre")
-    assert "touch" not in curl + film
+    curl, film, python = browser.texts("dialog pre")
+    assert "touch" not in curl + film + python
     words = shlex.split(film)
     assert words[words.index("--controller") + 1] == "a';b;'"

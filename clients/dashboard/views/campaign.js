@@ -7,10 +7,10 @@ import { ago, count, number, score } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
-import { startDialog } from './forms.js';
+import { breedDialog, startDialog } from './forms.js';
 import { actions, progressBar, stateChip, titleOf, trouble, weightField } from './jobs.js';
 import { Scatter } from './scatter.js';
-import { copyDialog, saveLink, showDialog } from './share.js';
+import { copyButton, saveLink, showDialog } from './share.js';
 
 const CHAMPIONS = 8;
 const HUES = ['--blue', '--orange', '--green', '--pink'];
@@ -42,6 +42,7 @@ async function mountList(main, app) {
     h('td', {}, ago(job.created_at))));
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Campaigns'), h('div.actions', {}, compare,
+      copyButton(() => ({ path: 'v1/campaigns', morphoctl: 'campaign list', python: 'print(m.campaigns())' })),
       button('New campaign', () => startDialog(app, 'campaign'), { class: 'primary' }))),
     rows.length ? h('section.panel.scroll', {}, h('table', {}, h('thead', {}, h('tr', {},
       ['', 'Campaign', 'State', 'Population', 'Progress', 'Best score', 'Created'].map((name) =>
@@ -82,13 +83,16 @@ async function mountOne(main, id, parameters, app) {
   };
   if (learns) charts.learning = new Chart({ title: 'Loss while learning, in each generation' });
   const champions = h('div.grid.small');
+  const chosen = new Map(); // genotypes by number
+  const walkChosen = button('Let the chosen walk', () => app.go('stage', { designs: [...chosen.values()].join(',') }), { disabled: true });
+  const breed = button('Breed these', () => breedDialog(app, [...chosen.values()].map((voxels) => ({ voxels }))), { disabled: true });
   const player = new Player(app, { compact: true, height: 420 });
   const scatter = new Scatter((numbers) => walk(numbers));
   const announceState = h('div.visually-hidden', { 'aria-live': 'polite' });
 
   main.replaceChildren(head, status, h('div.grid', {}, Object.values(charts).map((chart) => chart.element)),
     h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Champions'),
-      h('span.muted', {}, 'the most distinct of the best; choose one to see it walk')), champions),
+      h('span.muted', {}, 'the most distinct of the best; touch one to see it walk'), h('div.actions', {}, walkChosen, breed)), champions),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element), scatter.element, announceState);
 
   function showHead() {
@@ -97,7 +101,7 @@ async function mountOne(main, id, parameters, app) {
       others.map((other, i) => h('a.state', { href: `#/campaigns/${other}` }, `with campaign ${other} (${['dashed', 'dotted', 'thin'][i]})`)),
       h('div.actions', {}, h('a.button', { href: `#/campaigns/${id}/phylogeny` }, 'Phylogeny'),
         button('Export', () => exports()), button('Extend', () => extend()),
-        button('Copy', () => copyDialog(commandsOf(campaign)))));
+        copyButton(() => requestOf(campaign.id))));
     fill(status, progressBar(campaign), trouble(campaign),
       h('div.row', {}, actions(campaign, refreshJob), weightField(campaign, refreshJob),
         campaign.progress.rollouts_per_s ? h('span.muted', {}, `${number(campaign.progress.rollouts_per_s)} rollouts a second`) : null,
@@ -183,11 +187,11 @@ async function mountOne(main, id, parameters, app) {
       return;
     }
     const { items } = await get(`v1/campaigns/${id}/champions?count=${CHAMPIONS}`);
-    fill(champions, items.map((design) => h('button.card', {
+    fill(champions, items.map((design) => h('div.stack.tight', {}, h('button.card', {
       type: 'button', title: `Design ${design.id}`,
       onclick: () => walk([design.number], items),
     }, picture(design.genotype, `Champion ${design.number}`), h('strong.number', {}, `#${design.number} · ${score(design.score)}`),
-    h('span.muted', {}, `${design.voxels} voxels, ${design.operator}`))));
+    h('span.muted', {}, `${design.voxels} voxels, ${design.operator}`)), pick(design))));
     population = [];
     let cursor;
     do {
@@ -199,6 +203,15 @@ async function mountOne(main, id, parameters, app) {
     if (!player.stage?.robots.length) await walk(items.slice(0, 4).map((design) => design.number), items);
   }
 
+  /** Chooses a champion for the stage, or as a founder of another campaign. */
+  function pick({ number: which, genotype }) {
+    return h('label.row', {}, h('input', { type: 'checkbox', checked: chosen.has(which), onchange: (event) => {
+      if (event.target.checked) chosen.set(which, genotype);
+      else chosen.delete(which);
+      walkChosen.disabled = breed.disabled = chosen.size === 0;
+    } }), `choose #${which}`);
+  }
+
   /** Lets designs walk, by their numbers. */
   async function walk(numbers, known = population) {
     const designs = numbers.map((one) => known.find((design) => design.number === one)).filter(Boolean).slice(0, 64);
@@ -207,7 +220,7 @@ async function mountOne(main, id, parameters, app) {
     try {
       const environments = await campaignEnvironments();
       const robots = await roll(designs.map((design) => ({ voxels: design.genotype })), [environments[0]],
-        { controller: controllerOf(campaign), signal: stop.signal });
+        { controller: controllerOf(campaign), physics: campaign.settings.physics, signal: stop.signal });
       robots.forEach((robot, i) => { robot.label = `#${designs[i].number}`; });
       player.setRobots(robots);
       player.setNote('');
@@ -278,11 +291,7 @@ function controllerOf(campaign) {
   return result?.sha256 ? `sha256:${result.sha256}` : 'default';
 }
 
-function commandsOf(campaign) {
-  const url = new URL(`v1/campaigns/${campaign.id}`, document.baseURI);
-  return [
-    ['curl', `curl -s ${url}\ncurl -s "${url}/generations?format=csv" -o generations.csv`],
-    ['morphoctl', `morphoctl campaign show ${campaign.id}\nmorphoctl campaign watch ${campaign.id}`],
-  ];
-}
-
+const requestOf = (id) => ({
+  path: `v1/campaigns/${id}`, morphoctl: `campaign show ${id}\ncampaign watch ${id}`,
+  python: `campaign = m.get_campaign(${id})\nprint(campaign.curve())\nprint(campaign.champions())`,
+});

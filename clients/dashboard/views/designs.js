@@ -2,11 +2,14 @@
 
 import { getJson, withQuery } from '../lib/api.js';
 import { button, fill, h, select } from '../lib/dom.js';
-import { ago, count, score } from '../lib/format.js';
+import { pythonOf } from '../lib/commands.js';
+import { ago, count, score, shellWord } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
+import { breedDialog } from './forms.js';
 import { actions, progressBar, stateChip, titleOf, trouble } from './jobs.js';
+import { copyButton } from './share.js';
 
 const PAGE = 48;
 /** Orders of the leaderboard: what the list of designs is asked for. */
@@ -26,11 +29,12 @@ class Wall {
   constructor(app, options = {}) {
     this.app = app;
     this.options = options;
-    this.chosen = new Set();
+    this.chosen = new Map(); // ids by genotype
     this.element = h('div.grid.small');
     this.walk = button('Let the chosen walk', () => app.go('stage', {
-      designs: [...this.chosen].join(','), ...options,
+      designs: [...this.chosen.keys()].join(','), ...options,
     }), { class: 'primary', disabled: true });
+    this.breed = button('Breed these', () => breedDialog(app, this.#founders()), { disabled: true });
   }
 
   card({ id, genotype, score: value, voxels }) {
@@ -38,13 +42,19 @@ class Wall {
       type: 'button', 'aria-pressed': 'false', 'aria-label': `Design ${id}, score ${score(value)}, ${voxels} voxels`,
       onclick: () => {
         const on = !this.chosen.delete(genotype);
-        if (on) this.chosen.add(genotype);
+        if (on) this.chosen.set(genotype, id);
         card.setAttribute('aria-pressed', String(on));
-        this.walk.disabled = this.chosen.size === 0;
+        this.walk.disabled = this.breed.disabled = this.chosen.size === 0;
       },
       ondblclick: () => this.app.go(`designs/${id}`),
     }, picture(genotype), h('strong.number', {}, value === undefined ? '–' : score(value)), h('span.muted', {}, `${voxels} voxels`));
     return h('div.stack', {}, card, h('a', { href: `#/designs/${id}` }, `${id.slice(0, 10)}…`));
+  }
+
+  /** The chosen, each form once: a design may be here in several orientations. */
+  #founders() {
+    const byId = new Map([...this.chosen].reverse().map(([voxels, id]) => [id, { voxels }]));
+    return [...byId.values()].reverse();
   }
 
   add(designs) {
@@ -60,11 +70,10 @@ async function mountBoard(main, parameters, app) {
   const foot = h('div.row');
   let cursor;
 
+  const asked = () => ({ ...ORDERS[order], controller: ORDERS[order].sort === 'score' ? controller : null });
+
   async function more() {
-    const asked = ORDERS[order];
-    const page = await getJson(withQuery('v1/designs', {
-      ...asked, controller: asked.sort === 'score' ? controller : null, cursor, limit: PAGE,
-    }));
+    const page = await getJson(withQuery('v1/designs', { ...asked(), cursor, limit: PAGE }));
     cursor = page.next_cursor;
     wall.add(page.items.map((design) => ({ ...design, genotype: design.scored_genotype ?? design.genotype })));
     const shown = wall.element.childElementCount;
@@ -87,7 +96,13 @@ async function mountBoard(main, parameters, app) {
     }), select('Controller', controllers, controller, (value) => {
       controller = value;
       again();
-    }), wall.walk)), h('section.panel', { 'aria-label': 'Leaderboard' }, wall.element), foot);
+    }), wall.walk, wall.breed, copyButton(() => ({
+      path: withQuery('v1/designs', { ...asked(), limit: PAGE }),
+      morphoctl: ['design list', ...Object.entries(asked()).filter(([, value]) => value).flatMap(([key, value]) =>
+        [`--${key}`, shellWord(value)])].join(' '),
+      python: `print(m.designs(${Object.entries(asked()).filter(([, value]) => value).map(([key, value]) =>
+        `${key}=${pythonOf(value)}`).join(', ')}))`,
+    })))), h('section.panel', { 'aria-label': 'Leaderboard' }, wall.element), foot);
   await more();
   return {};
 }
@@ -100,7 +115,8 @@ async function mountEvaluation(main, id, app) {
 
   async function refresh() {
     const job = { ...(await getJson(`v1/evaluations/${encodeURIComponent(id)}`, { signal: stop.signal })), kind: 'evaluation' };
-    fill(head, h('div.title', {}, h('h1', {}, titleOf(job)), stateChip(job), h('div.actions', {}, actions(job, refresh), wall.walk)),
+    fill(head, h('div.title', {}, h('h1', {}, titleOf(job)), stateChip(job), h('div.actions', {}, actions(job, refresh), wall.walk, wall.breed,
+      copyButton(() => ({ path: `v1/evaluations/${id}`, morphoctl: `job show ${id} --results`, python: `print(m.evaluation(${id}).frame())` })))),
       progressBar(job), trouble(job));
     if (job.results && !done) {
       done = true;
@@ -132,7 +148,9 @@ async function mountDesign(main, id, app) {
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Design'), h('code', {}, design.id), h('div.actions', {},
       h('a.button', { href: `#/editor?design=${design.id}` }, 'Edit'),
-      h('a.button', { href: `#/stage?designs=${design.id}` }, 'Stage'))),
+      h('a.button', { href: `#/stage?designs=${design.id}` }, 'Stage'),
+      button('Breed', () => breedDialog(app, [{ id: design.id }])),
+      copyButton(() => ({ path: `v1/designs/${design.id}`, morphoctl: `design show ${design.id}` })))),
     h('div.grid', {}, h('section.panel.row', {}, h('div.card', {}, picture(design.genotype, 'The design')),
       h('div.stack', {}, h('div', {}, `${design.voxels} voxels, ${design.masses} masses, ${design.springs} springs`),
         h('div.muted', {}, `first seen ${ago(design.first_seen_at)}`))),

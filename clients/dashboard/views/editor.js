@@ -8,8 +8,8 @@ import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { cross, flip, grow, isConnected, mirror, mutate, readBody, shift } from '../lib/variation.js';
 import { Player } from '../stage/player.js';
-import { startDialog } from './forms.js';
-import { copyDialog, showDialog } from './share.js';
+import { breedDialog } from './forms.js';
+import { copyButton, showDialog } from './share.js';
 
 const FIRST = [[1, 1, 0], [2, 1, 0], [3, 1, 0], [4, 1, 0], [1, 4, 0], [2, 4, 0], [3, 4, 0], [4, 4, 0],
   [2, 2, 0], [3, 2, 0], [2, 3, 0], [3, 3, 0], [2, 2, 1], [3, 3, 1], [2, 3, 1], [3, 2, 1]];
@@ -19,6 +19,7 @@ export async function mount(main, path, parameters, app) {
   let genotype = await startBody(parameters);
   const past = [];
   const kept = [];
+  const known = new Map(); // ids by genotype
   let mirrored = false;
   let turn = 0;
   let stop = new AbortController();
@@ -104,6 +105,7 @@ export async function mount(main, path, parameters, app) {
       const [robot] = await roll([design], [environments[0]], { signal });
       if (mine !== turn) return;
       robot.label = 'this body';
+      known.set(genotype, robot.id);
       player.setRobots([robot]);
       const shownMs = Math.round(performance.now() - started);
       const reply = await patient(() => post('v1/rollouts', {
@@ -131,8 +133,13 @@ export async function mount(main, path, parameters, app) {
   }
 
   function keep() {
-    if (kept.some((one) => one.genotype === genotype)) return;
-    kept.push({ genotype, note: result.textContent.split(',')[0] });
+    // A campaign takes no form twice, wherever it lies and however it is turned.
+    const id = known.get(genotype) ?? genotype;
+    if (kept.some((one) => one.id === id)) {
+      announce('This body is kept already.');
+      return;
+    }
+    kept.push({ id, genotype, note: result.textContent.split(',')[0] });
     drawShelf();
     announce(`${kept.length} bodies kept`);
   }
@@ -158,9 +165,7 @@ export async function mount(main, path, parameters, app) {
     if (next) change(next);
     else announce('The body is at the edge of the workspace.');
   }, { class: 'icon', 'aria-label': `Shift: ${name}` });
-  const breed = button('Breed these', () => startDialog(app, 'campaign', {
-    initial: { designs: kept.map((one) => ({ voxels: one.genotype })) }, population: Math.max(32, kept.length),
-  }), { class: 'primary', disabled: true });
+  const breed = button('Breed these', () => breedDialog(app, kept.map((one) => ({ voxels: one.genotype }))), { class: 'primary', disabled: true });
   const crossing = button('Cross with a kept one', () => {
     const other = kept[Math.floor(Math.random() * kept.length)];
     const child = cross(genotype, other.genotype);
@@ -178,11 +183,10 @@ export async function mount(main, path, parameters, app) {
         if (past.length) change(past.pop(), { undo: true });
       }), move('←', [-1, 0, 0]), move('→', [1, 0, 0]), move('↑', [0, 1, 0]), move('↓', [0, -1, 0]),
       move('up', [0, 0, 1]), move('down', [0, 0, -1]), button('Import', importBody), button('Keep', keep),
-      button('Copy', () => copyDialog([
-        ['curl', `curl -s ${new URL('v1/evaluations', document.baseURI)} -H 'Content-Type: application/json' ` +
-          `-H 'Prefer: wait=30' \\\n  -d '{"designs": [{"voxels": "${genotype}"}]}'`],
-        ['morphoctl', `morphoctl eval ${genotype}`],
-      ]))), result,
+      copyButton(() => ({
+        path: 'v1/evaluations', body: { designs: [{ voxels: genotype }] }, headers: ['Prefer: wait=30'],
+        morphoctl: `eval ${genotype}`, python: `print(m.evaluate(["${genotype}"]).frame())`,
+      }))), result,
       h('p.muted', {}, 'Layers from the ground up. Arrow keys move, page keys change the layer, space sets a voxel.')),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element),
     h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Kept'), h('div.actions', {}, breed)), shelf));

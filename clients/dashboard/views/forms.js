@@ -2,6 +2,7 @@
 
 import { post } from '../lib/api.js';
 import { button, h } from '../lib/dom.js';
+import { commandsOf } from '../lib/commands.js';
 import { shellWord } from '../lib/format.js';
 import { copyDialog } from './share.js';
 
@@ -55,10 +56,28 @@ function hintOf(schema) {
   return parts.join('. ');
 }
 
+/** The arguments of morphoctl that send a request; its options are named like the fields. */
+function morphoctlOf(kind, request) {
+  const words = {
+    evaluation: () => ['eval'], training: () => ['train', 'start', request.kind],
+    campaign: () => ['campaign', 'start', request.mode],
+  }[kind]();
+  for (const name of FIELDS[kind]) {
+    if (request[name] === undefined || ['kind', 'mode'].includes(name)) continue;
+    words.push(`--${name}`, String(request[name]));
+  }
+  const designs = request.designs ?? request.initial?.designs ?? [];
+  return [...words, ...designs.map(({ id, voxels }) => id ?? voxels)].map(shellWord).join(' ');
+}
+
 /**
- * Opens the form of a kind of job. `fixed` is sent as it is, like the designs of an evaluation.
+ * Opens the form of a kind of job.
+ * @param {import('../app.js').app} app
+ * @param {string} kind evaluation, training or campaign
+ * @param {Object<string, any>} [fixed] sent as it is, like the designs of an evaluation
+ * @param {Object<string, any>} [proposed] what the fields begin with
  */
-export async function startDialog(app, kind, fixed = /** @type {any} */ ({})) {
+export async function startDialog(app, kind, fixed = {}, proposed = {}) {
   const contract = await app.contract();
   const { properties, required = [] } = contract.components.schemas[SCHEMAS[kind]];
   const fields = FIELDS[kind].filter((name) => !(name in fixed)).map((name) => {
@@ -66,6 +85,7 @@ export async function startDialog(app, kind, fixed = /** @type {any} */ ({})) {
     const fault = h('span.fault', { role: 'alert' });
     const input = inputFor(name, schema, required.includes(name));
     if (required.includes(name)) input.required = true;
+    if (name in proposed) input.value = proposed[name];
     return { name, schema, input, fault, element: h('label.field', { title: hintOf(schema) },
       h('span', {}, name.replaceAll('_', ' ')), input, h('span.visually-hidden', { id: `hint-${name}` }, hintOf(schema)),
       fault) };
@@ -90,13 +110,8 @@ export async function startDialog(app, kind, fixed = /** @type {any} */ ({})) {
   }
 
   function commands() {
-    const json = JSON.stringify(body());
-    return [
-      ['curl', `curl -s ${new URL(PATHS[kind], document.baseURI)} -H 'Content-Type: application/json' -d ${shellWord(json)}`],
-      ['Python', `import urllib.request\nrequest = urllib.request.Request("${new URL(PATHS[kind], document.baseURI)}",\n` +
-        `    ${JSON.stringify(json)}.encode(), {"Content-Type": "application/json"})\n` +
-        'print(urllib.request.urlopen(request).read().decode())'],
-    ];
+    const request = body();
+    return commandsOf({ path: PATHS[kind], body: request, morphoctl: morphoctlOf(kind, request) });
   }
 
   async function submit(event) {
@@ -119,10 +134,19 @@ export async function startDialog(app, kind, fixed = /** @type {any} */ ({})) {
   }
 
   const dialog = h('dialog', { 'aria-label': `New ${kind}`, onclose: () => dialog.remove() },
-    h('form', { onsubmit: submit }, h('h2.wide', {}, `New ${kind}`), fields.map(({ element }) => element),
+    h('form', { onsubmit: submit }, h('h2.wide', {}, `New ${kind}`),
+      fixed.initial ? h('p.wide', {}, founders(fixed.initial.designs.length)) : null, fields.map(({ element }) => element),
       designs ? h('label.field.wide', {}, h('span', {}, 'designs'), designs) : null, message,
       h('div.row.wide', {}, h('button.primary', { type: 'submit' }, 'Start'),
         button('Cancel', () => dialog.close()), button('Copy as a command', () => copyDialog(commands())))));
   document.body.append(dialog);
   dialog.showModal();
+}
+
+const founders = (n) => `${n === 1 ? 'One design is the founder' : `${n} designs are the founders`}; random bodies fill ` +
+  'up what the population leaves free.';
+
+/** The form of a campaign whose first population are the given designs: {id} or {voxels} each. */
+export function breedDialog(app, designs) {
+  return startDialog(app, 'campaign', { initial: { designs } }, { population: Math.max(32, designs.length), generations: 20 });
 }

@@ -5,6 +5,7 @@ import { Chart } from '../lib/chart.js';
 import { button, fill, h } from '../lib/dom.js';
 import { ago, bytes, count, number, percent } from '../lib/format.js';
 import { startDialog } from './forms.js';
+import { copyButton } from './share.js';
 import { JobTable, actions, progressBar, stateChip, titleOf, trouble, weightField, linkOf } from './jobs.js';
 
 const REFRESH_MS = 2000;
@@ -33,7 +34,11 @@ export async function mount(main, path, parameters, app) {
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Overview'), h('div.actions', {},
       ['evaluation', 'training', 'campaign'].map((kind) =>
-        button(`New ${kind}`, () => startDialog(app, kind), kind === 'campaign' ? { class: 'primary' } : {})))),
+        button(`New ${kind}`, () => startDialog(app, kind), kind === 'campaign' ? { class: 'primary' } : {})),
+      copyButton(() => ({
+        path: withQuery('v1/jobs', { state }), morphoctl: `job list${state ? ` --state ${state}` : ''}`,
+        python: `print(m.jobs(${state ? `state="${state}"` : ''}))`,
+      })))),
     tiles, running,
     h('div.grid', {}, load.element,
       h('section.panel', { 'aria-label': 'Newest events' }, h('h2', {}, 'Newest events'),

@@ -9,6 +9,7 @@ import { environmentSet, roll } from '../lib/rollouts.js';
 import { decodeScene } from '../lib/scene.js';
 import { Program, dataTexture } from '../stage/gl.js';
 import { Player } from '../stage/player.js';
+import { copyButton } from './share.js';
 
 const SHADERS = [
   `#version 300 es
@@ -211,7 +212,11 @@ export async function mount(main, id, parameters, app) {
   const search = h('input', { type: 'search', placeholder: 'number or id', 'aria-label': 'Find a design' });
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Phylogeny'), h('a', { href: `#/campaigns/${id}` }, campaign.label ?? `Campaign ${id}`), note,
-      h('div.actions', {}, select('Color', COLOR_BY, 'score', (by) => { view.setColor(by); view.draw(); }),
+      h('div.actions', {}, copyButton(() => ({
+        path: `v1/campaigns/${id}/phylogeny?format=csv`, output: `phylogeny-${id}.csv`,
+        morphoctl: `campaign export ${id} --phylogeny phylogeny-${id}.csv`,
+        python: `print(m.get_campaign(${id}).phylogeny().frame())`,
+      })), select('Color', COLOR_BY, 'score', (by) => { view.setColor(by); view.draw(); }),
         h('form.row', { onsubmit: (event) => { event.preventDefault(); find(search.value.trim()); } }, search, h('button', { type: 'submit' }, 'Find')),
         button('Whole', () => { view.reset(); view.draw(); }))),
     h('section.panel.flush', {}, canvas),
@@ -266,7 +271,7 @@ export async function mount(main, id, parameters, app) {
       : (await getJson(`v1/campaigns/${id}/environments`, { signal: stop.signal })).items;
     const controller = campaign.result?.controller ?? campaign.controller;
     const [robot] = await roll([{ voxels: design.genotype }], [environments[0]],
-      { controller: controller ? `sha256:${controller.sha256}` : 'default', signal: stop.signal });
+      { controller: controller ? `sha256:${controller.sha256}` : 'default', physics: campaign.settings.physics, signal: stop.signal });
     return [{ ...robot, label: `#${design.number}` }];
   }
 

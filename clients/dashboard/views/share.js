@@ -2,6 +2,7 @@
 
 import { announce, button, h } from '../lib/dom.js';
 import { request } from '../lib/api.js';
+import { commandsOf } from '../lib/commands.js';
 import { percent, shellWord } from '../lib/format.js';
 
 /** Shows a dialog with a title; resolves when it is closed. */
@@ -29,9 +30,14 @@ export function confirmDialog(title, text, action) {
   });
 }
 
+/** A button that shows how a shell or a program does the same. @param {function(): any} request as of commandsOf */
+export function copyButton(request) {
+  return button('Copy', () => copyDialog(commandsOf(request())), { title: 'The same with curl, morphoctl or Python' });
+}
+
 /** Commands that do the same from a shell. @param {[string, string][]} commands tool and text */
 export function copyDialog(commands) {
-  showDialog('The same from a shell', ...commands.map(([tool, text]) => h('section.stack', {},
+  showDialog('The same from a shell or a program', ...commands.map(([tool, text]) => h('section.stack', {},
     h('div.row', {}, h('h3', {}, tool), button('Copy', async (event) => {
       try {
         await navigator.clipboard.writeText(text);

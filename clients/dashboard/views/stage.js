@@ -4,8 +4,8 @@ import { announce, button, h, select } from '../lib/dom.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { getJson, withQuery } from '../lib/api.js';
 import { Player } from '../stage/player.js';
-import { shellWord } from '../lib/format.js';
-import { startDialog } from './forms.js';
+import { commandsOf, pythonOf } from '../lib/commands.js';
+import { breedDialog } from './forms.js';
 import { copyDialog, exportDialog, filmCommand, showDialog } from './share.js';
 
 /** At most so many robots walk at once. */
@@ -92,12 +92,9 @@ export async function mount(main, path, parameters, app) {
     });
   choose.firstChild.className = 'visually-hidden';
   player.controls.append(choose, button('Robots', chooseRobots),
-    button('Breed these', () => startDialog(app, 'campaign', { initial: { designs: ids.map(designOf) } })),
+    button('Breed these', () => breedDialog(app, ids.map(designOf))),
     button('Export', () => exportDialog(player, { ids, environment, set, controller: controllers[0] })),
-    button('Copy', () => copyDialog(controllers.flatMap((one) => [
-      ['curl', curlOf(ids, environments[environment], one)],
-      ['morphoctl', filmCommand(ids, { environment, set, controller: one, output: 'race.mp4' })],
-    ]))));
+    button('Copy', () => copyDialog(controllers.flatMap((one) => sameCommands(ids, { environments, environment, set, controller: one })))));
   main.replaceChildren(h('h1.visually-hidden', {}, 'Stage'), player.element);
   load(first);
   return {
@@ -116,11 +113,17 @@ const designsOf = (text) => text.split(',').filter(isDesign).slice(0, ROBOTS_MAX
 const designOf = (text) => (text.length === 144 ? { voxels: text } : { id: text });
 const labelOf = (text, i) => (text.length === 144 ? `drawn ${i + 1}` : `${text.replace(/0+$/, '').slice(0, 8)}…`);
 
-function curlOf(ids, environment, controller) {
-  const body = {
-    designs: ids.map(designOf), controller, record: ['masses', 'actuation', 'contacts'],
-    environments: [{ light_xy_m: environment.light_xy_m, terrain_heights_m: environment.terrain_heights_m }],
-  };
-  return `curl -s ${new URL('v1/rollouts', document.baseURI)} -H 'Content-Type: application/json' \\\n` +
-    `  -H 'Accept: application/vnd.morphod.scene' -d ${shellWord(JSON.stringify(body))} -o race.scene`;
+/** How a shell or a program rolls out the same. */
+function sameCommands(ids, { environments, environment, set, controller }) {
+  const { light_xy_m, terrain_heights_m } = environments[environment];
+  const [, ...film] = filmCommand(ids, { environment, set, controller, output: 'race.mp4' }).split(' ');
+  return commandsOf({
+    path: 'v1/rollouts', output: 'race.scene', headers: ['Accept: application/vnd.morphod.scene'],
+    body: {
+      designs: ids.map(designOf), controller, record: ['masses', 'actuation', 'contacts'],
+      environments: [{ light_xy_m, terrain_heights_m }],
+    },
+    morphoctl: film.join(' '),
+    python: `m.show(${pythonOf(ids)}, ${pythonOf(set)}, environment=${environment}, controller=${pythonOf(controller)}).save("race.html")`,
+  });
 }

@@ -8,7 +8,7 @@ import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { startDialog } from './forms.js';
 import { actions, progressBar, stateChip, titleOf, trouble, weightField } from './jobs.js';
-import { copyDialog, saveLink } from './share.js';
+import { copyButton, saveLink } from './share.js';
 
 const HUES = ['--blue', '--orange', '--green', '--pink'];
 
@@ -62,6 +62,7 @@ async function mountList(main, app) {
   const names = await refresh();
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Trainings'), h('div.actions', {}, compare,
+      copyButton(() => ({ path: 'v1/trainings', morphoctl: 'train list\ncontroller list', python: 'print(m.request("GET", "/v1/trainings"))\nprint(m.controllers())' })),
       button('New training', () => startDialog(app, 'training'), { class: 'primary' }))),
     list, files, comparison(app, names));
   return {
@@ -144,9 +145,10 @@ async function mountOne(main, id, parameters, app) {
     fill(head, h('div.title', {}, h('h1', {}, titleOf(job)), h('span.muted', {}, `${job.trainingKind}, into ${job.name ?? 'no name'}`),
       stateChip(job), h('div.actions', {},
         saveLink(`v1/trainings/${id}/steps?format=csv`, `training-${id}.csv`, 'Export', { class: 'button' }),
-        button('Copy', () => copyDialog([
-          ['curl', `curl -s ${new URL(`v1/trainings/${id}`, document.baseURI)}`],
-          ['morphoctl', `morphoctl train show ${id}\nmorphoctl train watch ${id}`]])))),
+        copyButton(() => ({
+          path: `v1/trainings/${id}`, morphoctl: `train show ${id}\ntrain watch ${id}`,
+          python: `training = m.training(${id})\nprint(training.steps())\nprint(training.validations())`,
+        })))),
     progressBar(job), trouble(job), h('div.row', {}, actions(job, showHead), weightField(job, showHead),
       job.progress.bodies_per_s ? h('span.muted', {}, `${number(job.progress.bodies_per_s)} bodies a second`) : null));
   }

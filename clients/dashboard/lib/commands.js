@@ -1,0 +1,48 @@
+/** The same from a shell or a program: what a page shows or a form sends, as text to copy. */
+
+import { getToken } from './api.js';
+import { shellWord } from './format.js';
+
+const DEFAULT_SERVER = 'http://127.0.0.1:8765';
+
+const address = (path = '') => new URL(path, document.baseURI).href;
+const server = () => address('.').replace(/\/$/, '');
+
+/** A value as Python writes it. */
+export function pythonOf(value) {
+  if (value === null || value === undefined) return 'None';
+  if (typeof value === 'boolean') return value ? 'True' : 'False';
+  if (Array.isArray(value)) return `[${value.map(pythonOf).join(', ')}]`;
+  if (typeof value === 'object') {
+    return `{${Object.entries(value).map(([key, one]) => `${JSON.stringify(key)}: ${pythonOf(one)}`).join(', ')}}`;
+  }
+  return JSON.stringify(value);
+}
+
+/**
+ * Commands of curl, morphoctl and Python for one request.
+ * @param {{path: string, body?: any, headers?: string[], output?: string, morphoctl: string,
+ *          python?: string}} request
+ *   path: relative, like "v1/jobs"; body: sent by POST; morphoctl: arguments, each line a command;
+ *   python: what is done with the client m, instead of the request itself
+ * @returns {[string, string][]}
+ */
+export function commandsOf({ path, body, headers = [], output, morphoctl, python }) {
+  const curl = ['curl -s', shellWord(address(path))];
+  // The token itself is not written down: commands are kept in histories and pasted in chats.
+  if (getToken()) curl.push('-H "Authorization: Bearer $MORPHOD_TOKEN"');
+  if (body !== undefined) curl.push("-H 'Content-Type: application/json'");
+  curl.push(...headers.map((header) => `-H ${shellWord(header)}`));
+  if (body !== undefined) curl.push(`-d ${shellWord(JSON.stringify(body))}`);
+  if (output) curl.push(`-o ${shellWord(output)}`);
+  const at = server() === DEFAULT_SERVER ? '' : ` --server ${shellWord(location.origin)}`;
+  const { pathname, searchParams } = new URL(path, 'http://any');
+  const values = [...searchParams].map(([key, one]) => `${key}=${pythonOf(one)}`);
+  const words = [body === undefined ? 'GET' : 'POST', pathname].map(pythonOf).concat(body === undefined ? values : pythonOf(body));
+  return [
+    ['curl', curl.join(' ')],
+    ['morphoctl', morphoctl.split('\n').map((line) => `morphoctl ${line}${at}`).join('\n')],
+    ['Python', `import morphod\nm = morphod.Client(${at ? pythonOf(server()) : ''})\n` +
+      (python ?? `print(m.request(${words.join(', ')}))`)],
+  ];
+}
