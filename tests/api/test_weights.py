@@ -61,8 +61,9 @@ def test_pace_of_an_evaluation(service):
     assert 0 < progress["seconds_left"] < 2 * left + 1
     listed = {item["id"]: item for item in service.get("/v1/jobs?kind=evaluation")["items"]}
     assert listed[job["id"]]["progress"]["rollouts_per_s"] > 0
-    tag = {"If-None-Match": service.request("GET", path).headers["ETag"]}
-    awaited(service, path, lambda now: now["progress"] != progress)
+    known = service.request("GET", path)
+    awaited(service, path, lambda now: now["progress"] != known.json()["progress"])
+    tag = {"If-None-Match": known.headers["ETag"]}
     assert service.request("GET", path, headers=tag).status == 200
     service.act(job["id"], "cancel")
     assert service.get(path)["progress"] == idle
