@@ -10,8 +10,8 @@
 /* ---- routes ---- */
 
 static const struct mo_route table[] = {
-#define ROUTE(PATH, METHOD, HANDLER, FLAGS, BODY, QUERY)                                           \
-  {PATH, MO_##METHOD, mo_api_##HANDLER, FLAGS, MO_BODY_##BODY, QUERY},
+#define ROUTE(PATH, METHOD, HANDLER, RIGHT, FLAGS, BODY, QUERY)                                    \
+  {PATH, MO_##METHOD, mo_api_##HANDLER, MO_RIGHT_##RIGHT, FLAGS, MO_BODY_##BODY, QUERY},
 #include "api/routes.inc"
 };
 _Static_assert(sizeof(table) / sizeof(table[0]) <= MO_ROUTES_MAX, "metrics count by route");
@@ -72,6 +72,7 @@ int mo_api_start(const struct mo_http_config *config, const struct mo_api_servic
                          .compute = services->compute,
                          .lattice = lattice,
                          .log_dropped = services->log_dropped,
+                         .dashboard = services->dashboard,
                          .listener = -1,
                          .jobs_changed = true};
   pthread_mutex_init(&api->load.mutex, NULL);

@@ -10,6 +10,10 @@ struct mo_jobs;
 struct mo_compute;
 struct mo_api;
 
+/* Whether the pages are served, and whether they offer what changes something. */
+enum mo_dashboard { MO_DASHBOARD_ON, MO_DASHBOARD_READ_ONLY, MO_DASHBOARD_OFF };
+extern const char *const mo_dashboard_words[]; /* "on", "read-only", "off", NULL */
+
 /* What the routes use. All must outlive the interface. */
 struct mo_api_services {
   struct mo_store *store;
@@ -17,6 +21,7 @@ struct mo_api_services {
   struct mo_compute *compute;
   const char *version;           /* "0.1.0" */
   uint64_t (*log_dropped)(void); /* nullable: number of log lines that were dropped, for /metrics */
+  enum mo_dashboard dashboard;
 };
 
 /* Starts the server. Errors as mo_http_start. */

@@ -12,13 +12,24 @@ static const char policy[] =
     "connect-src 'self'; media-src blob:; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'; require-trusted-types-for 'script'; trusted-types 'none'";
 
+const char *const mo_dashboard_words[] = {"on", "read-only", "off", NULL};
+
+/* False: the pages are off, and the 404 is made. */
+static bool is_on(struct mo_request *request)
+{
+  if (mo_api_of(request)->dashboard != MO_DASHBOARD_OFF)
+    return true;
+  mo_reply_problem(request, 404, NULL,
+                   "The dashboard of this service is off; its operator can turn it on with the "
+                   "setting dashboard = on. /openapi.json lists what there is.");
+  return false;
+}
+
 static void reply_asset(struct mo_request *request, const struct mo_asset *asset)
 {
   const struct mo_embedded bytes = {asset->bytes, asset->size, asset->gzip, asset->gzip_size};
   mo_reply_embedded(request, asset->type, &bytes, "%s-%s", mo_assets_version, asset->name);
   mo_reply_policy(request, policy);
-  mo_reply_extra(request, "Cross-Origin-Opener-Policy", "same-origin");
-  mo_reply_extra(request, "Cross-Origin-Resource-Policy", "same-origin");
 }
 
 static const struct mo_asset *find(const char *name)
@@ -31,11 +42,14 @@ static const struct mo_asset *find(const char *name)
 
 void mo_api_get_index(struct mo_request *request)
 {
-  reply_asset(request, find("index.html"));
+  if (is_on(request))
+    reply_asset(request, find("index.html"));
 }
 
 static void get_asset(struct mo_request *request, const char *version, const char *name)
 {
+  if (!is_on(request))
+    return;
   const struct mo_asset *asset = strcmp(version, mo_assets_version) == 0 ? find(name) : NULL;
   if (asset == NULL) {
     mo_reply_problem(request, 404, NULL,

@@ -59,6 +59,7 @@ static int record(struct mo_request *request, struct mo_post *post)
     return error;
   post->parsed = true;
   post->what = "campaign";
+  asked.submitted_by = mo_user_of(request);
   error = mo_jobs_campaign_record_champions(mo_api_of(request)->jobs, id, &asked,
                                             mo_post_key_of(post, "champions", id, &known),
                                             &request->kept, &post->message);

@@ -33,6 +33,7 @@ struct mo_api {
   char version[32];
   char contract_tag[MO_SHA256_DIGITS + 1]; /* of openapi.json */
   uint64_t (*log_dropped)(void);
+  enum mo_dashboard dashboard;
   int listener; /* the subscription to the store's events; −1: none */
   _Atomic uint64_t jobs_by_state[MO_JOB_STATES];
   atomic_bool jobs_changed;
@@ -45,7 +46,7 @@ static inline struct mo_api *mo_api_of(const struct mo_request *request)
   return mo_http_context(request);
 }
 
-#define ROUTE(PATH, METHOD, HANDLER, FLAGS, BODY, QUERY)                                           \
+#define ROUTE(PATH, METHOD, HANDLER, RIGHT, FLAGS, BODY, QUERY)                                    \
   void mo_api_##HANDLER(struct mo_request *request);
 #include "api/routes.inc"
 

@@ -113,6 +113,7 @@ void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const str
   mo_text_member_number(text, "weight", job->weight);
   mo_text_member(text, "device", job->back_end == MO_ON_DEVICE ? "cuda" : "cpu");
   mo_text_member(text, "label", job->has_label ? job->label : NULL);
+  mo_text_member(text, "submitted_by", job->submitted_by[0] != '\0' ? job->submitted_by : NULL);
   mo_text_member_time(text, "created_at", job->created_us);
   mo_text_member_time(text, "started_at", job->started_us);
   mo_text_member_time(text, "finished_at", job->finished_us);

@@ -164,14 +164,15 @@ static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_
   return MO_OK;
 }
 
-static bool read_label(struct mo_request *request, const char **label)
+/* Reads a parameter of 1 to `most` characters; NULL: it is not given. */
+static bool read_text(struct mo_request *request, const char *name, size_t most, const char *words,
+                      const char **text)
 {
-  *label = mo_query(request, "label");
-  const size_t characters = *label != NULL ? mo_utf8_length(*label, strlen(*label)) : 1;
-  if (characters >= 1 && characters <= 200)
+  *text = mo_query(request, name);
+  const size_t characters = *text != NULL ? mo_utf8_length(*text, strlen(*text)) : 1;
+  if (characters >= 1 && characters <= most)
     return true;
-  mo_reply_bad_parameter(request, "label",
-                         "the label of a job, of 1 to 200 characters, is expected");
+  mo_reply_bad_parameter(request, name, words);
   return false;
 }
 
@@ -187,7 +188,10 @@ void mo_api_list_jobs(struct mo_request *request)
   size_t limit;
   if (!mo_query_limit(request, &limit) ||
       !mo_query_word(request, "state", mo_job_state_words, &query.state) ||
-      !read_label(request, &query.label) ||
+      !read_text(request, "label", 200, "the label of a job, of 1 to 200 characters, is expected",
+                 &query.label) ||
+      !read_text(request, "submitted_by", MO_USER_BYTES_MAX,
+                 "the name of a token, of 1 to 64 characters, is expected", &query.submitted_by) ||
       !mo_query_id(request, "cursor", MO_CURSOR_WORDS, &query.before) ||
       !mo_query_word(request, "kind", mo_job_kind_words, &query.kind) ||
       !mo_query_id(request, "group", "the id of a group, in decimal digits, is expected",

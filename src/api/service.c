@@ -45,6 +45,20 @@ void mo_api_get_metrics(struct mo_request *request)
   mo_reply_bytes(request, 200, "text/plain; version=0.0.4; charset=utf-8", text.data, text.size);
 }
 
+/* ---- who asks ---- */
+
+void mo_api_get_whoami(struct mo_request *request)
+{
+  const struct mo_caller *caller = &request->caller;
+  struct mo_text text = {0};
+  mo_text_object(&text);
+  mo_text_member(&text, "name", caller->name[0] != '\0' ? caller->name : NULL);
+  mo_text_member(&text, "right", mo_right_words[caller->right]);
+  mo_text_member(&text, "dashboard", mo_dashboard_words[mo_api_of(request)->dashboard]);
+  mo_text_add(&text, "}");
+  mo_reply_json(request, 200, &text);
+}
+
 /* ---- what computes ---- */
 
 void mo_api_get_threads(struct mo_request *request)

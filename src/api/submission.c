@@ -27,6 +27,13 @@ static bool begin(struct mo_request *request, struct mo_post *post)
   return true;
 }
 
+_Static_assert(MO_USER_BYTES_MAX == MO_TOKEN_NAME_MAX, "the store keeps whole names");
+
+const char *mo_user_of(const struct mo_request *request)
+{
+  return request->caller.name[0] != '\0' ? request->caller.name : NULL;
+}
+
 const char *mo_post_key(const struct mo_post *post)
 {
   return post->key[0] != '\0' ? post->key : NULL;

@@ -27,6 +27,8 @@ struct mo_post {
  * freed. */
 bool mo_handle_submission(struct mo_request *request, const char *what,
                           int (*submit)(struct mo_request *request, struct mo_post *post));
+/* Returns the name of the caller's token; NULL: the request came without one. */
+const char *mo_user_of(const struct mo_request *request);
 /* Returns the key; NULL: none was sent. */
 const char *mo_post_key(const struct mo_post *post);
 /* Returns why the submission was not stored. */

@@ -186,6 +186,7 @@ static int submit(struct mo_request *request, struct mo_post *post)
     post->pointers =
         (struct mo_refusal_pointers){.empty = population > 0 ? "/population" : "/designs",
                                      .conflict = population > 0 ? pointer : NULL};
+    parsed.request.submitted_by = mo_user_of(request);
     parsed.request.idempotency_key = mo_post_key(post);
     parsed.request.body_sha256 = post->body_sha256;
     error = mo_jobs_submit_training(api->jobs, &parsed.request, &request->kept, &replayed,

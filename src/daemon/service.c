@@ -216,14 +216,18 @@ static void log_request(void *context, const struct mo_http_log_entry *entry)
   enum log_level level = entry->status >= 500 || entry->reason != NULL ? LOG_LEVEL_WARNING
                          : probe                                       ? LOG_LEVEL_DEBUG
                                                                        : LOG_LEVEL_INFO;
-  const struct log_field fields[] = {
+  struct log_field fields[10] = {
       LOG_TEXT("request", entry->request_id), LOG_TEXT("client", entry->client),
       LOG_TEXT("method", entry->method),      LOG_TEXT("path", entry->path),
       LOG_INT("status", entry->status),       LOG_INT("body_in", entry->body_in),
       LOG_INT("body_out", entry->body_out),   LOG_REAL("seconds", entry->duration_s),
-      LOG_TEXT("reason", entry->reason),
   };
-  log_write(level, "request", fields, sizeof(fields) / sizeof(fields[0]) - (entry->reason == NULL));
+  size_t n = 8;
+  if (entry->user[0] != '\0')
+    fields[n++] = LOG_TEXT("user", entry->user);
+  if (entry->reason != NULL)
+    fields[n++] = LOG_TEXT("reason", entry->reason);
+  log_write(level, "request", fields, n);
 }
 
 enum { CONTROLLER_NAME_BYTES = 128 };
@@ -339,7 +343,8 @@ static int start_http(struct service *service, const struct settings *settings,
                                      .jobs = service->jobs,
                                      .compute = service->compute,
                                      .version = MORPHOD_VERSION,
-                                     .log_dropped = log_dropped};
+                                     .log_dropped = log_dropped,
+                                     .dashboard = (enum mo_dashboard)settings->dashboard};
   if (status == MO_OK) {
     service->n_listeners = 0; /* mo_api_start owns the listeners, even if it fails */
     status = mo_api_start(&config, &services, &service->api, message);

@@ -60,9 +60,12 @@ const struct setting settings_table[] = {
              "name where that can name a controller."),
     TEXT_ROW("token_file", SETTING_PATH, token_file, "",
              "credential \"token\", if systemd passes one", true,
-             "File with bearer tokens, one per line. Required for addresses beyond loopback."),
+             "File with lines of NAME RIGHT TOKEN; rights are read, submit and admin. Required for "
+             "addresses beyond loopback."),
     CHOICE_ROW("token_on_loopback", token_on_loopback, "no|yes", "no", false,
                "Whether loopback addresses require a token, too."),
+    CHOICE_ROW("dashboard", dashboard, "on|read-only|off", "on", false,
+               "Whether the pages at / are served; read-only: without what submits or changes."),
     TEXT_ROW("allowed_hosts", SETTING_LIST, allowed_hosts, "",
              "the loopback names and the addresses served", false,
              "Further names that a request's Host and Origin may have."),

@@ -49,6 +49,7 @@ struct settings {
   char *default_controller;
   char *token_file;
   int token_on_loopback; /* 0: no, 1: yes */
+  int dashboard;         /* enum mo_dashboard */
   struct setting_list allowed_hosts;
   struct setting_list unix_groups;
   uint64_t max_connections;

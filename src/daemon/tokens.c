@@ -6,29 +6,88 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/words.h"
 #include "http/guard.h"
 
 #define TOKEN_FILE_MAX 65536
+#define WORDS_MAX      4 /* one more than a line has */
 
 void tokens_free(struct tokens *tokens)
 {
   if (tokens->text != NULL)
     explicit_bzero(tokens->text, TOKEN_FILE_MAX);
   free(tokens->text);
-  free(tokens->items);
   *tokens = (struct tokens){0};
 }
 
-/* Checks the tokens by the rules of the HTTP room. */
-static int check(const struct tokens *tokens, const char *path, struct mo_message *message)
+/* Splits a line into at most WORDS_MAX words, up to one that begins with #. */
+static size_t split(char *line, char *words[WORDS_MAX])
 {
-  struct mo_tokens taken;
-  struct mo_message why = {{0}};
-  if (mo_tokens_init(&taken) != MO_OK)
-    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-  int status = mo_tokens_set(&taken, tokens->items, tokens->n, &why);
-  mo_tokens_free(&taken);
-  return status == MO_OK ? MO_OK : mo_fail(message, status, "token_file: %s: %s", path, why.text);
+  size_t n = 0;
+  char *word;
+  while (n < WORDS_MAX && (word = strsep(&line, " \t\r")) != NULL && *word != '#')
+    if (*word != '\0')
+      words[n++] = word;
+  return n;
+}
+
+/* Reads the words of a line, and checks them by the rules of the HTTP room. */
+static int read_line(char *const *words, size_t n, struct mo_token *token,
+                     struct mo_message *message)
+{
+  int right = MO_RIGHT_ADMIN;
+  if (n != 1 && n != 3)
+    return mo_fail(message, MO_ERR_INVALID, "%s words; write NAME RIGHT TOKEN, or a token only",
+                   n == 2 ? "two" : "more than three");
+  if (n == 3 && (right = mo_word_index(mo_right_words, words[1])) < 0)
+    return mo_fail(message, MO_ERR_INVALID,
+                   "the second word is no right; write read, submit or admin");
+  *token = (struct mo_token){n == 3 ? words[0] : "admin", (enum mo_right)right, words[n - 1]};
+  return mo_token_check(token, message);
+}
+
+/* Checks a token against those of the lines before it. */
+static int compare(const struct tokens *tokens, const struct mo_token *token,
+                   struct mo_message *message)
+{
+  for (const struct mo_token *other = tokens->items; other < tokens->items + tokens->n; other++) {
+    if (strcmp(other->text, token->text) == 0)
+      return mo_fail(message, MO_ERR_INVALID,
+                     "the token of \"%s\" again; give each line a token of its own", other->name);
+    if (strcmp(other->name, token->name) == 0 && other->right != token->right)
+      return mo_fail(message, MO_ERR_INVALID,
+                     "\"%s\" has the right %s already; give a name one right", token->name,
+                     mo_right_words[other->right]);
+  }
+  return MO_OK;
+}
+
+static int read_lines(char *text, const char *path, struct tokens *tokens,
+                      struct mo_message *message)
+{
+  char *line;
+  for (size_t number = 1; (line = strsep(&text, "\n")) != NULL; number++) {
+    char *words[WORDS_MAX];
+    struct mo_token token;
+    struct mo_message why = {{0}};
+    const size_t n = split(line, words);
+    if (n == 0)
+      continue;
+    if (tokens->n == MO_TOKENS_MAX)
+      return mo_fail(message, MO_ERR_LIMIT,
+                     "token_file: %s, line %zu: more than %d tokens; remove those out of use", path,
+                     number, MO_TOKENS_MAX);
+    int error = read_line(words, n, &token, &why);
+    if (error == MO_OK)
+      error = compare(tokens, &token, &why);
+    if (error != MO_OK)
+      return mo_fail(message, error, "token_file: %s, line %zu: %s", path, number, why.text);
+    tokens->items[tokens->n++] = token;
+  }
+  return tokens->n > 0
+             ? MO_OK
+             : mo_fail(message, MO_ERR_INVALID,
+                       "token_file: %s holds no token; add a line: NAME RIGHT TOKEN", path);
 }
 
 int tokens_read(const char *path, struct tokens *tokens, struct mo_message *message)
@@ -42,29 +101,15 @@ int tokens_read(const char *path, struct tokens *tokens, struct mo_message *mess
   tokens->text = calloc(1, TOKEN_FILE_MAX + 1);
   size_t n = tokens->text != NULL ? fread(tokens->text, 1, TOKEN_FILE_MAX + 1, file) : 0;
   fclose(file);
-  tokens->items = calloc(TOKEN_FILE_MAX / 2, sizeof(*tokens->items));
-  if (tokens->text == NULL || tokens->items == NULL) {
+  int error;
+  if (tokens->text == NULL)
+    error = mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  else if (n > TOKEN_FILE_MAX)
+    error = mo_fail(message, MO_ERR_LIMIT, "token_file: %s is larger than %d bytes", path,
+                    TOKEN_FILE_MAX);
+  else
+    error = read_lines(tokens->text, path, tokens, message);
+  if (error != MO_OK)
     tokens_free(tokens);
-    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-  }
-  if (n > TOKEN_FILE_MAX) {
-    tokens_free(tokens);
-    return mo_fail(message, MO_ERR_LIMIT, "token_file: %s is larger than %d bytes", path,
-                   TOKEN_FILE_MAX);
-  }
-  char *rest = tokens->text, *line;
-  while ((line = strsep(&rest, "\n")) != NULL) {
-    line += strspn(line, " \t");
-    line[strcspn(line, " \t\r")] = 0;
-    if (*line != 0 && *line != '#')
-      tokens->items[tokens->n++] = line;
-  }
-  if (tokens->n == 0) {
-    tokens_free(tokens);
-    return mo_fail(message, MO_ERR_INVALID, "token_file: %s holds no token", path);
-  }
-  int status = check(tokens, path, message);
-  if (status != MO_OK)
-    tokens_free(tokens);
-  return status;
+  return error;
 }

@@ -2,19 +2,19 @@
 #ifndef MORPHOD_TOKENS_H
 #define MORPHOD_TOKENS_H
 
-#include <stddef.h>
-
-#include <morpho/error.h>
+#include "http/http.h"
 
 struct tokens {
   char *text; /* the contents of the file, split in place */
-  const char **items;
+  struct mo_token items[MO_TOKENS_MAX];
   size_t n;
 };
 
-/* Reads one token per line; skips blank lines and lines that start with #. path NULL: no tokens. A
- * file without a token, or with a token that the HTTP room rejects, is MO_ERR_INVALID. On failure
- * there is nothing to free. */
+/* Reads lines of name, right and token. A line with a token only is one of "admin", with that
+ * right. Skips blank lines, and what follows a word's #. A name may stand twice, with one right, so
+ * that a token can be replaced. path NULL: no tokens. MO_ERR_INVALID: the message names the line,
+ * and never quotes a token; MO_ERR_LIMIT, MO_ERR_IO, MO_ERR_NO_MEMORY. On failure there is nothing
+ * to free. */
 int tokens_read(const char *path, struct tokens *tokens, struct mo_message *message);
 /* Wipes and frees the tokens. */
 void tokens_free(struct tokens *tokens);

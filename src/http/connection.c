@@ -23,7 +23,10 @@ void mo_write_refusal(int fd, unsigned status, const char *id, const char *detai
   mo_text_format(&head,
                  "HTTP/1.1 %u %s\r\nContent-Type: application/problem+json\r\nContent-Length: "
                  "%zu\r\nX-Request-Id: %s\r\n"
-                 "Cache-Control: no-store\r\n%sConnection: close\r\n\r\n",
+                 "Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\n"
+                 "Content-Security-Policy: frame-ancestors 'none'\r\n"
+                 "Cross-Origin-Opener-Policy: same-origin\r\n"
+                 "Cross-Origin-Resource-Policy: same-origin\r\n%sConnection: close\r\n\r\n",
                  status, MHD_get_reason_phrase_for(status), body.size, id,
                  status == 503 ? "Retry-After: 1\r\n" : "");
   mo_text_bytes(&head, body.data, body.size);

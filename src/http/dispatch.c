@@ -107,21 +107,36 @@ static bool admitted(struct mo_request *request)
     return false;
   }
   const struct mo_route *route = request->route;
-  if (is_unix || (route != NULL && (route->flags & MO_ROUTE_OPEN)) ||
-      (route != NULL && request->method == MO_OPTIONS))
+  if (route != NULL && ((route->flags & MO_ROUTE_OPEN) || request->method == MO_OPTIONS))
     return true;
-  bool needed =
-      request->connection->transport == MO_TRANSPORT_TCP || http->config.token_on_loopback;
+  /* Who needs no token may do everything. Who sends one has its name and its right. */
+  request->caller.right = MO_RIGHT_ADMIN;
+  bool needed = request->connection->transport == MO_TRANSPORT_TCP ||
+                (http->config.token_on_loopback && !is_unix);
   int token = needed || framing->authorization != NULL
-                  ? mo_tokens_check(&http->tokens, framing->authorization)
+                  ? mo_tokens_check(&http->tokens, framing->authorization, &request->caller)
                   : -1;
-  if (token == 1 || (token == -1 && !needed))
+  if (token == 1 || (token == -1 && !needed) || is_unix)
     return true;
   atomic_fetch_add(&http->metrics.unauthorized, 1);
   mo_reply_problem(request, 401, NULL,
                    framing->authorization == NULL
                        ? "A bearer token is needed: Authorization: Bearer <token>."
                        : "The Authorization field has no valid bearer token.");
+  return false;
+}
+
+/* Checks that the caller has the right that the route needs. */
+static bool permitted(struct mo_request *request)
+{
+  const struct mo_route *route = request->route;
+  const struct mo_caller *caller = &request->caller;
+  if ((route->flags & MO_ROUTE_OPEN) || caller->right >= route->right)
+    return true;
+  mo_reply_problem(request, 403, NULL,
+                   "This needs the right \"%s\"; the token \"%s\" has the right \"%s\". The "
+                   "service's operator can give out a token with more rights.",
+                   mo_right_words[route->right], caller->name, mo_right_words[caller->right]);
   return false;
 }
 
@@ -185,6 +200,8 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
     return;
   }
   request->body_limit = body_limit(request);
+  if (!permitted(request))
+    return;
   if (route->body != MO_BODY_SMALL && !request->framing.has_length && !request->framing.chunked)
     mo_reply_problem(
         request, 411, NULL,

@@ -206,17 +206,22 @@ bool mo_guard_fetch_site(const char *site)
 
 /* ---- tokens ---- */
 
+const char *const mo_right_words[] = {"read", "submit", "admin", NULL};
+
 int mo_tokens_init(struct mo_tokens *tokens)
 {
   *tokens = (struct mo_tokens){0};
   return pthread_rwlock_init(&tokens->lock, NULL) == 0 ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
-static void free_items(char **items, size_t n)
+static void free_items(struct mo_token *items, size_t n)
 {
   for (size_t i = 0; i < n; i++) {
-    explicit_bzero(items[i], strlen(items[i]));
-    free(items[i]);
+    char *text = (char *)items[i].text;
+    if (text != NULL)
+      explicit_bzero(text, strlen(text));
+    free(text);
+    free((char *)items[i].name);
   }
   free(items);
 }
@@ -228,30 +233,54 @@ void mo_tokens_free(struct mo_tokens *tokens)
   *tokens = (struct mo_tokens){0};
 }
 
-int mo_tokens_set(struct mo_tokens *tokens, const char *const *items, size_t n,
+static bool is_printable(const char *text)
+{
+  while (*text > 0x20 && *text < 0x7F)
+    text++;
+  return *text == '\0';
+}
+
+int mo_token_check(const struct mo_token *token, struct mo_message *message)
+{
+  const size_t name_size = strlen(token->name), size = strlen(token->text);
+  if (name_size < 1 || name_size > MO_TOKEN_NAME_MAX)
+    return mo_fail(message, MO_ERR_INVALID, "the name has %zu characters; 1 to %d are expected",
+                   name_size, MO_TOKEN_NAME_MAX);
+  if (!is_printable(token->name))
+    return mo_fail(message, MO_ERR_INVALID,
+                   "the name has characters other than printable ASCII; write it without them");
+  if (size < 16 || size > 512)
+    return mo_fail(message, MO_ERR_INVALID, "the token has %zu characters; 16 to 512 are expected",
+                   size);
+  if (!is_printable(token->text))
+    return mo_fail(message, MO_ERR_INVALID,
+                   "the token has characters other than printable ASCII; make another one");
+  return MO_OK;
+}
+
+int mo_tokens_set(struct mo_tokens *tokens, const struct mo_token *items, size_t n,
                   struct mo_message *message)
 {
+  if (n > MO_TOKENS_MAX)
+    return mo_fail(message, MO_ERR_LIMIT, "there are more than %d tokens", MO_TOKENS_MAX);
   for (size_t i = 0; i < n; i++) {
-    size_t size = strlen(items[i]);
-    if (size < 16 || size > 512)
-      return mo_fail(message, MO_ERR_INVALID,
-                     "token %zu has %zu characters; 16 to 512 are expected", i + 1, size);
-    for (size_t k = 0; k < size; k++)
-      if (items[i][k] <= 0x20 || items[i][k] > 0x7E)
-        return mo_fail(message, MO_ERR_INVALID,
-                       "token %zu has characters other than printable ASCII", i + 1);
+    const int error = mo_token_check(&items[i], message);
+    if (error != MO_OK)
+      return error;
   }
-  char **copy = calloc(n > 0 ? n : 1, sizeof(char *));
-  size_t copied = 0;
-  while (copy != NULL && copied < n && (copy[copied] = strdup(items[copied])) != NULL)
-    copied++;
-  if (copy == NULL || copied < n) {
+  struct mo_token *copy = calloc(n > 0 ? n : 1, sizeof(*copy));
+  bool copied = copy != NULL;
+  for (size_t i = 0; i < n && copied; i++) {
+    copy[i] = (struct mo_token){strdup(items[i].name), items[i].right, strdup(items[i].text)};
+    copied = copy[i].name != NULL && copy[i].text != NULL;
+  }
+  if (!copied) {
     if (copy != NULL)
-      free_items(copy, copied);
+      free_items(copy, n);
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the tokens");
   }
   pthread_rwlock_wrlock(&tokens->lock);
-  char **old = tokens->items;
+  struct mo_token *old = tokens->items;
   size_t old_n = tokens->n;
   tokens->items = copy;
   tokens->n = n;
@@ -271,7 +300,7 @@ static unsigned equals(const char *secret, const char *given, size_t given_size)
   return difference == 0;
 }
 
-int mo_tokens_check(struct mo_tokens *tokens, const char *authorization)
+int mo_tokens_check(struct mo_tokens *tokens, const char *authorization, struct mo_caller *caller)
 {
   const char *given = "";
   if (authorization != NULL && strncasecmp(authorization, "Bearer ", 7) == 0) {
@@ -279,12 +308,16 @@ int mo_tokens_check(struct mo_tokens *tokens, const char *authorization)
     while (*given == ' ')
       given++;
   }
-  size_t size = strlen(given);
-  unsigned right = 0;
+  size_t size = strlen(given), found = 0; /* found: the place of the right one, from 1 on */
   pthread_rwlock_rdlock(&tokens->lock);
   size_t n = tokens->n;
   for (size_t i = 0; i < n; i++)
-    right |= equals(tokens->items[i], given, size);
+    found |= (i + 1) * equals(tokens->items[i].text, given, size);
+  if (found > 0) {
+    const struct mo_token *token = &tokens->items[found - 1];
+    caller->right = token->right;
+    memcpy(caller->name, token->name, strlen(token->name) + 1);
+  }
   pthread_rwlock_unlock(&tokens->lock);
-  return n == 0 ? -1 : (int)right;
+  return n == 0 ? -1 : found > 0;
 }

@@ -14,6 +14,8 @@
 
 #include <morpho/error.h>
 
+#include "http/http.h"
+
 #define MO_HEADERS_MAX 100
 
 struct mo_header {
@@ -67,17 +69,25 @@ bool mo_guard_fetch_site(const char *site);
 
 struct mo_tokens {
   pthread_rwlock_t lock;
-  char **items;
+  struct mo_token *items;
   size_t n;
+};
+/* Who sends a request, and what the sender may do. */
+struct mo_caller {
+  char name[MO_TOKEN_NAME_MAX + 1]; /* of the token; "": none was needed, and none sent */
+  enum mo_right right;
 };
 int mo_tokens_init(struct mo_tokens *tokens);
 void mo_tokens_free(struct mo_tokens *tokens);
-/* Replaces the tokens. MO_ERR_INVALID: a token has fewer than 16 or more than 512 characters, or
- * others than printable ASCII; MO_ERR_NO_MEMORY. The old tokens stay on error. */
-int mo_tokens_set(struct mo_tokens *tokens, const char *const *items, size_t n,
+/* Checks name and text of a token. MO_ERR_INVALID: the message says what is expected, and never
+ * quotes the token. */
+int mo_token_check(const struct mo_token *token, struct mo_message *message);
+/* Replaces the tokens. MO_ERR_INVALID; MO_ERR_LIMIT: too many; MO_ERR_NO_MEMORY. The old tokens
+ * stay on error. */
+int mo_tokens_set(struct mo_tokens *tokens, const struct mo_token *items, size_t n,
                   struct mo_message *message);
-/* Checks "Bearer <token>": 1 right, 0 wrong, −1 no tokens are set. The time that this takes does
- * not reveal which token, or how much of it, was right. */
-int mo_tokens_check(struct mo_tokens *tokens, const char *authorization);
+/* Checks "Bearer <token>": 1 right, and *caller is filled in; 0 wrong, −1 no tokens are set. The
+ * time that this takes does not reveal which token, or how much of it, was right. */
+int mo_tokens_check(struct mo_tokens *tokens, const char *authorization, struct mo_caller *caller);
 
 #endif

@@ -27,6 +27,7 @@ struct mo_request;
 struct mo_http_log_entry {
   char request_id[17];
   const char *client; /* "127.0.0.1:51234 uid 1000", "192.0.2.7:51234", "unix uid 1000" */
+  const char *user;   /* the name of the token that was sent; "": none */
   const char *method;
   const char *path;
   const char *reason; /* why the service failed (status 500 and above), or what it could not read;
@@ -49,8 +50,7 @@ struct mo_http_config {
       *allowed_hosts; /* further names (with or without port) for Host and Origin; loopback names
                          and the listeners' addresses are always allowed. "*": any Host */
   size_t n_allowed_hosts;
-  const char *const
-      *tokens; /* bearer tokens (16 to 512 printable characters); see mo_http_set_tokens */
+  const struct mo_token *tokens; /* at most MO_TOKENS_MAX; see mo_http_set_tokens */
   size_t n_tokens;
   bool token_on_loopback;   /* require a token on loopback even if every listener is on loopback */
   const gid_t *unix_groups; /* groups whose members may use the unix socket, besides root and the
@@ -127,7 +127,7 @@ void *mo_http_context(const struct mo_request *request);
 
 /* Replaces the tokens; requests in flight are not affected. MO_ERR_INVALID (none given though
  * needed, or malformed) and MO_ERR_NO_MEMORY: the old tokens stay. */
-int mo_http_set_tokens(struct mo_http *http, const char *const *tokens, size_t n,
+int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size_t n,
                        struct mo_message *message);
 
 /* Stops the server in order: takes no new connections, ends event streams, answers waiting

@@ -54,6 +54,7 @@ void mo_request_end(struct mo_connection *connection, bool complete)
   atomic_fetch_add(&http->metrics.body_out, request->sent);
   if (http->config.log != NULL) {
     struct mo_http_log_entry entry = {.client = connection->client,
+                                      .user = request->caller.name,
                                       .method = request->method_text,
                                       .path = request->path,
                                       .reason = request->reason[0] != '\0' ? request->reason : NULL,

@@ -283,7 +283,10 @@ bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response)
           reply->keep              ? "private, max-age=31536000, immutable"
           : reply->etag[0] != '\0' ? "no-cache"
                                    : "no-store") &&
-      add(response, "Content-Security-Policy", reply->policy != NULL ? reply->policy : "") &&
+      add(response, "Content-Security-Policy",
+          reply->policy != NULL ? reply->policy : "frame-ancestors 'none'") &&
+      add(response, "Cross-Origin-Opener-Policy", "same-origin") &&
+      add(response, "Cross-Origin-Resource-Policy", "same-origin") &&
       add(response, "ETag", reply->etag) && add(response, "Location", reply->location) &&
       add(response, "Retry-After", retry) && add(response, "Allow", reply->allow) &&
       add(response, "Preference-Applied", reply->applied) &&

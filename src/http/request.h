@@ -32,7 +32,7 @@ struct mo_reply {
   char *body;        /* malloc; NULL: see fixed */
   const char *fixed; /* static */
   size_t size;
-  const char *policy; /* static: Content-Security-Policy; NULL: none */
+  const char *policy; /* static: Content-Security-Policy; NULL: frame-ancestors 'none' */
   bool close, authenticate;
   bool keep;  /* the reply to this path never changes */
   bool packs; /* bytes that are worth compressing, though the type does not say so */
@@ -74,6 +74,7 @@ struct mo_request {
                                    path's first line; NULL: there is no such path */
   char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES];
   struct mo_framing framing;
+  struct mo_caller caller;
   bool begun; /* the route's own rules are checked, and `query` is read */
   struct mo_query query;
   /* Body. */

@@ -27,6 +27,23 @@ enum mo_route_flag {
   MO_ROUTE_JSON = 64   /* the reply is JSON; another Accept gets 406 */
 };
 
+/* What a token lets its holder do; each right includes those before it. */
+enum mo_right {
+  MO_RIGHT_READ,   /* look, and compute what is stored nowhere */
+  MO_RIGHT_SUBMIT, /* submit jobs and control them */
+  MO_RIGHT_ADMIN   /* remove or replace what others may use */
+};
+extern const char *const mo_right_words[]; /* "read", "submit", "admin", NULL */
+
+/* A bearer token. */
+#define MO_TOKEN_NAME_MAX 64
+#define MO_TOKENS_MAX     64
+struct mo_token {
+  const char *name; /* its holder: 1 to 64 printable ASCII characters without blanks */
+  enum mo_right right;
+  const char *text; /* 16 to 512 printable ASCII characters without blanks */
+};
+
 /* How many bytes the body may have. */
 enum mo_body_limit {
   MO_BODY_SMALL, /* 64 KiB */
@@ -41,7 +58,8 @@ struct mo_route {
   const char *path; /* "/v1/jobs/{id}" */
   enum mo_method method;
   void (*handler)(struct mo_request *request);
-  unsigned flags; /* of enum mo_route_flag */
+  enum mo_right right; /* that the caller must have, unless the route is open */
+  unsigned flags;      /* of enum mo_route_flag */
   enum mo_body_limit body;
   const char *query; /* the query parameters that are known, separated by spaces; "": none */
 };

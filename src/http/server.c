@@ -201,7 +201,7 @@ void *mo_http_context(const struct mo_request *request)
   return request->http->service.context;
 }
 
-int mo_http_set_tokens(struct mo_http *http, const char *const *tokens, size_t n,
+int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size_t n,
                        struct mo_message *message)
 {
   if (n == 0 && (http->beyond_loopback || http->config.token_on_loopback))

@@ -160,6 +160,7 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
       .physics = record->settings.physics,
       .precision = MO_FLOAT32,
       .priority = -1,
+      .submitted_by = asked->submitted_by,
       .record = asked->record,
       .record_stride = asked->stride};
   int error = MO_OK;

@@ -177,6 +177,7 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
                                               .priority = (enum mo_urgency)request->priority,
                                               .weight = request->weight != 0 ? request->weight : 1,
                                               .label = request->label,
+                                              .submitted_by = request->submitted_by,
                                               .idempotency_key = request->idempotency_key,
                                               .body_sha256 = request->body_sha256};
   struct mo_placed placed = {NULL, NULL};

@@ -20,7 +20,7 @@ struct mo_campaign_request {
   int priority;   /* MO_BATCH */
   int back_end;   /* enum mo_back_end or MO_BACK_END_AUTO */
   double weight;  /* 0.001 … 1000 */
-  const char *label, *idempotency_key;
+  const char *label, *submitted_by, *idempotency_key;
   struct mo_sha256 body_sha256;
 };
 /* Submits a campaign as mo_jobs_submit_training submits a training. *fault: the listed design at
@@ -40,14 +40,14 @@ int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generat
                                struct mo_campaign_design *rows, double *distinctiveness,
                                uint32_t *n);
 struct mo_champions_request {
-  uint32_t count, stride; /* 1 … MO_DESIGNS_MAX, steps between frames */
-  unsigned record;        /* channels */
+  uint32_t count, stride;   /* 1 … MO_DESIGNS_MAX, steps between frames */
+  unsigned record;          /* channels */
+  const char *submitted_by; /* nullable */
 };
 /* Submits an evaluation of the newest generation's champions in the campaign's environments that
- * records them. The controller is the one that scored the
- * champions; in a campaign that learns, its newest checkpoint is stored as a controller, by hash.
- * key (nullable): a known key returns its evaluation; MO_ERR_DUPLICATE: the key was used with
- * another request. */
+ * records them. The controller is the one that scored the champions; in a campaign that learns, its
+ * newest checkpoint is stored as a controller, by hash. key (nullable): a known key returns its
+ * evaluation; MO_ERR_DUPLICATE: the key was used with another request. */
 int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
                                       const struct mo_champions_request *request,
                                       const struct mo_request_key *key, int64_t *evaluation,

@@ -116,6 +116,7 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
       .precision = request->precision,
       .weight = request->weight,
       .label = request->label,
+      .submitted_by = request->submitted_by,
       .verify = request->verify,
       .record = request->record,
       .record_stride = request->record != 0 ? request->record_stride : 1,

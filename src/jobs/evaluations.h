@@ -20,9 +20,10 @@ struct mo_evaluation_request {
   struct mo_physics physics;                 /* checked */
   enum mo_precision precision;
   int priority; /* enum mo_urgency, or −1: interactive up to 64 rollouts that are not for devices */
-  int back_end;      /* enum mo_back_end or MO_BACK_END_AUTO */
-  double weight;     /* MO_WEIGHT_MIN … MO_WEIGHT_MAX; 0: 1 */
-  const char *label; /* nullable */
+  int back_end;             /* enum mo_back_end or MO_BACK_END_AUTO */
+  double weight;            /* MO_WEIGHT_MIN … MO_WEIGHT_MAX; 0: 1 */
+  const char *label;        /* nullable */
+  const char *submitted_by; /* nullable: the name of a token */
   bool verify;
   unsigned record;              /* channels */
   uint32_t record_stride;       /* 1 … n_steps; ignored when nothing is recorded */

@@ -542,6 +542,7 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
                                               .priority = (enum mo_urgency)request->priority,
                                               .weight = request->weight,
                                               .label = request->label,
+                                              .submitted_by = request->submitted_by,
                                               .idempotency_key = request->idempotency_key,
                                               .body_sha256 = request->body_sha256};
   struct mo_placed placed = {NULL, NULL};

@@ -20,6 +20,7 @@ struct mo_training_request {
   int back_end;                /* enum mo_back_end or MO_BACK_END_AUTO */
   double weight;               /* as in mo_evaluation_request */
   const char *label;           /* nullable */
+  const char *submitted_by;    /* nullable: the name of a token */
   const char *idempotency_key; /* nullable */
   struct mo_sha256 body_sha256;
 };

@@ -20,8 +20,9 @@ struct mo_submission {
   enum mo_precision precision;
   enum mo_urgency priority;
   enum mo_back_end back_end;
-  double weight;     /* 0: 1 */
-  const char *label; /* nullable */
+  double weight;            /* 0: 1 */
+  const char *label;        /* nullable */
+  const char *submitted_by; /* nullable: the name of a token */
   bool verify;
   unsigned record; /* channels */
   uint32_t record_stride;

@@ -133,6 +133,7 @@ int mo_job_read(sqlite3_stmt *row, struct mo_job *job, void *record)
   job->back_end = sqlite3_column_int(row, MO_COLUMN_BACK_END) != 0 ? MO_ON_DEVICE : MO_ON_CPU;
   job->has_label = sqlite3_column_type(row, MO_COLUMN_LABEL) != SQLITE_NULL;
   mo_column_text(row, MO_COLUMN_LABEL, job->label, sizeof(job->label));
+  mo_column_text(row, MO_COLUMN_SUBMITTED_BY, job->submitted_by, sizeof(job->submitted_by));
   job->created_us = sqlite3_column_int64(row, MO_COLUMN_CREATED_US);
   job->started_us = sqlite3_column_int64(row, MO_COLUMN_STARTED_US);
   job->finished_us = sqlite3_column_int64(row, MO_COLUMN_FINISHED_US);
@@ -217,10 +218,10 @@ int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **ge
 /* ---- pages ---- */
 
 /* Queries for pages of jobs, newest first. `select` returns rows of jobs j with their id first;
- * `where` is a condition that an index answers, on ?4: kind, ?6: group, ?7: label. ?1: ids are
- * below this; ?2: state; ?3: limit; ?5: ids of waiting jobs, which are shown as paused while they
- * run. No page needs sorting: each part comes in order from its index, and SQLite merges two of
- * them. */
+ * `where` is a condition that an index answers, on ?4: kind, ?6: group, ?7: label, ?8: who
+ * submitted. ?1: ids are below this; ?2: state; ?3: limit; ?5: ids of waiting jobs, which are shown
+ * as paused while they run. No page needs sorting: each part comes in order from its index, and
+ * SQLite merges two of them. */
 #define PAGE_OF_ALL(rows, where)     rows " WHERE " where " AND j.id<?1 ORDER BY j.id DESC LIMIT ?3"
 #define PAGE_OF_STATE(select, where) PAGE_OF_ALL(select, where " AND j.state=?2")
 #define PAGE_OF_SHOWN(select, where)                                                               \
@@ -233,6 +234,14 @@ int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **ge
 #define PAGES(select, where)                                                                       \
   {                                                                                                \
     PAGE_OF_ALL(select, where), PAGE_OF_STATE(select, where), PAGE_OF_SHOWN(select, where)         \
+  }
+
+/* Those for any job, by label, by who submitted, and by both. */
+#define FILTERED(select, where)                                                                    \
+  {                                                                                                \
+    PAGES(select, where), PAGES(select, where " AND j.label=?7"),                                  \
+        PAGES(select, where " AND j.submitted_by=?8"),                                             \
+        PAGES(select, where " AND j.submitted_by=?8 AND j.label=?7")                               \
   }
 
 /* Returns the index in PAGES of the query. */
@@ -259,15 +268,13 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
 {
 #define JOBS   "SELECT j.id FROM jobs j"
 #define GROUPS "SELECT j.id FROM campaigns m CROSS JOIN jobs j ON j.id=m.job"
-  /* By what is asked for: any job, those of a kind, those of a group; then whether by a label. */
-  static const char *const sql[3][2][3] = {
-      {PAGES(JOBS, "TRUE"), PAGES(JOBS, "j.label=?7")},
-      {PAGES(JOBS, "j.kind=?4"), PAGES(JOBS, "j.label=?7 AND j.kind=?4")},
-      {PAGES(GROUPS, "m.replicates_of=?6 AND j.kind=?4"),
-       PAGES(GROUPS, "m.replicates_of=?6 AND j.kind=?4 AND j.label=?7")}};
+  /* By what is asked for: any job, those of a kind, those of a group. */
+  static const char *const sql[3][4][3] = {FILTERED(JOBS, "TRUE"), FILTERED(JOBS, "j.kind=?4"),
+                                           FILTERED(GROUPS, "m.replicates_of=?6 AND j.kind=?4")};
 #undef GROUPS
 #undef JOBS
   const int which = query->group != 0 ? 2 : query->kind >= 0 ? 1 : 0;
+  const int filter = (query->label != NULL) + 2 * (query->submitted_by != NULL);
   char waiting[MO_WAITING_MAX * 24 + 8];
   int64_t ids[MO_PAGE_MAX] = {0}, n = 0;
   struct mo_connection *reader;
@@ -277,10 +284,10 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
     return MO_ERR_LIMIT;
   write_waiting(query, waiting);
   reader = mo_reader_acquire(store);
-  row = mo_sql_rows(reader, &error, sql[which][query->label != NULL][page_of(query)],
+  row = mo_sql_rows(reader, &error, sql[which][filter][page_of(query)],
                     mo_int(query->before > 0 ? query->before : INT64_MAX), mo_int(query->state),
                     mo_int((int64_t)limit), mo_int(query->kind), mo_string(waiting),
-                    mo_int(query->group), mo_string(query->label));
+                    mo_int(query->group), mo_string(query->label), mo_string(query->submitted_by));
   while (mo_sql_next(reader, row, &error))
     ids[n++] = sqlite3_column_int64(row, 0);
   for (int64_t i = 0; i < n && error == MO_OK; i++)

@@ -16,6 +16,7 @@
   X(WEIGHT, "j.weight")                                                                            \
   X(BACK_END, "j.back_end")                                                                        \
   X(LABEL, "j.label")                                                                              \
+  X(SUBMITTED_BY, "j.submitted_by")                                                                \
   X(CREATED_US, "j.created_us")                                                                    \
   X(STARTED_US, "j.started_us")                                                                    \
   X(FINISHED_US, "j.finished_us")                                                                  \

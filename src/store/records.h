@@ -22,6 +22,7 @@
 #define MO_DESIGNS_MAX           10000 /* of one evaluation */
 #define MO_ENVIRONMENTS_MAX      64    /* of one evaluation */
 #define MO_LABEL_BYTES_MAX       800   /* 200 characters of UTF-8 */
+#define MO_USER_BYTES_MAX        64    /* the name of a token */
 #define MO_NAME_BYTES_MAX        64    /* of the name of a controller or a set of environments */
 #define MO_IDEMPOTENCY_BYTES_MAX 255
 #define MO_PAGE_MAX              1000 /* rows of one page of any list */
@@ -63,6 +64,7 @@ struct mo_job {
   enum mo_back_end back_end;          /* chosen at submission; never changes */
   char label[MO_LABEL_BYTES_MAX + 1]; /* "" when none was given */
   bool has_label;
+  char submitted_by[MO_USER_BYTES_MAX + 1]; /* the name of a token; "": submitted without one */
   int64_t created_us, started_us, finished_us;
   uint32_t attempts; /* crashes and runner errors so far */
   int error; /* MO_OK or a code; set when the job failed, or by the last unsuccessful attempt;

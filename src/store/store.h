@@ -108,10 +108,11 @@ int mo_store_check(struct mo_store *store, struct mo_message *message);
 int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job);
 
 struct mo_job_query {
-  int64_t before;    /* only ids below this; 0: from the newest */
-  int state;         /* enum mo_job_state or −1 */
-  int kind;          /* enum mo_job_kind or −1 */
-  const char *label; /* only jobs with this one; nullable */
+  int64_t before;           /* only ids below this; 0: from the newest */
+  int state;                /* enum mo_job_state or −1 */
+  int kind;                 /* enum mo_job_kind or −1 */
+  const char *label;        /* only jobs with this one; nullable */
+  const char *submitted_by; /* only jobs that came with a token of this name; nullable */
   /* (n_waiting ≤ MO_WAITING_MAX) running jobs that are shown, and so found, as paused; nullable. */
   const int64_t *waiting;
   size_t n_waiting;

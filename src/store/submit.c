@@ -50,11 +50,12 @@ int mo_job_insert(struct mo_connection *writer, const struct mo_job_request *req
 {
   static const char sql[] =
       "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
-      "finished_us,error,weight,back_end) VALUES(?1,0,?2,1,0,0,?3,?4,0,0,0,?5,?6)";
+      "finished_us,error,weight,back_end,submitted_by)"
+      " VALUES(?1,0,?2,1,0,0,?3,?4,0,0,0,?5,?6,?7)";
   return mo_sql_insert(writer, id, sql, mo_int(kind), mo_int(request->priority),
                        mo_string(request->label), mo_int(mo_clock_wall_us()),
                        mo_real(request->weight > 0 ? request->weight : 1),
-                       mo_int(request->back_end));
+                       mo_int(request->back_end), mo_string(request->submitted_by));
 }
 
 struct submit_arguments {

@@ -10,13 +10,14 @@ struct mo_job_request {
   enum mo_back_end back_end;
   double weight;               /* 0: 1 */
   const char *label;           /* nullable */
+  const char *submitted_by;    /* nullable */
   const char *idempotency_key; /* nullable */
   struct mo_sha256 body_sha256;
 };
 #define MO_JOB_REQUEST(submission)                                                                 \
   {                                                                                                \
     (submission)->priority, (submission)->back_end, (submission)->weight, (submission)->label,     \
-        (submission)->idempotency_key, (submission)->body_sha256                                   \
+        (submission)->submitted_by, (submission)->idempotency_key, (submission)->body_sha256       \
   }
 
 /* Stores a job in one transaction: `insert` stores all of it but the key. A known key gives its job

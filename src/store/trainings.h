@@ -68,6 +68,7 @@ struct mo_training_submission {
   enum mo_back_end back_end;
   double weight;               /* 0: 1 */
   const char *label;           /* nullable */
+  const char *submitted_by;    /* nullable: the name of a token */
   const char *idempotency_key; /* nullable */
   struct mo_sha256 body_sha256;
 };

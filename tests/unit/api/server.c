@@ -69,8 +69,8 @@ static bool start(struct mo_http_config config)
   config.n_listeners = 1;
   config.log = log_request;
   fill(&config);
-  const struct mo_api_services services = {service.fixture.store, service.jobs, service.compute,
-                                           "test", NULL};
+  const struct mo_api_services services = {
+      service.fixture.store, service.jobs, service.compute, "test", NULL, MO_DASHBOARD_ON};
   int code = mo_api_start(&config, &services, &api, &message);
   if (code != MO_OK)
     printf("# %s\n", message.text);
@@ -164,9 +164,10 @@ static void pause_ms(long ms)
 
 static void configuration(void)
 {
-  static const char *const brief[] = {"short"}, *const good[] = {"a-token-that-is-long-enough"};
-  const struct mo_api_services services = {service.fixture.store, service.jobs, service.compute,
-                                           "test", NULL};
+  static const struct mo_token brief[] = {{"admin", MO_RIGHT_ADMIN, "short"}},
+                               good[] = {{"admin", MO_RIGHT_ADMIN, "a-token-that-is-long-enough"}};
+  const struct mo_api_services services = {
+      service.fixture.store, service.jobs, service.compute, "test", NULL, MO_DASHBOARD_ON};
   struct mo_http_config config = {0};
   struct mo_message message;
   int fd;

@@ -89,7 +89,7 @@ def test_tokens():
     token.write_text("# a comment\n\nshort\n")
     says(check(f"--token-file={token}"), 78, str(token), "16 to 512")
     token.write_text("0123456789abcdef0123456789\n0123456789abcdef012345678é\n")
-    says(check(f"--token-file={token}"), 78, "token 2", "printable ASCII")
+    says(check(f"--token-file={token}"), 78, "line 2", "printable ASCII")
     says(check("--token-on-loopback=yes"), 78, "token_on_loopback", "token_file")
     token.write_text("0123456789abcdef0123456789\n")
     token.chmod(0o644)

@@ -137,12 +137,12 @@ static void ids(void)
 
 /* Finds a path in a small table; the index of its first line, or −1. */
 static const struct mo_route lines[] = {
-    {"/", MO_GET, NULL, 0, MO_BODY_SMALL, ""},
-    {"/v1/jobs", MO_GET, NULL, 0, MO_BODY_SMALL, ""},
-    {"/v1/jobs/{id}", MO_GET, NULL, 0, MO_BODY_SMALL, ""},
-    {"/v1/jobs/{id}", MO_DELETE, NULL, 0, MO_BODY_SMALL, ""},
-    {"/v1/jobs/{id}/pause", MO_POST, NULL, 0, MO_BODY_SMALL, ""},
-    {"/v1/{a}/3/b/{c}", MO_GET, NULL, 0, MO_BODY_SMALL, ""}};
+    {"/", MO_GET, NULL, MO_RIGHT_READ, 0, MO_BODY_SMALL, ""},
+    {"/v1/jobs", MO_GET, NULL, MO_RIGHT_READ, 0, MO_BODY_SMALL, ""},
+    {"/v1/jobs/{id}", MO_GET, NULL, MO_RIGHT_READ, 0, MO_BODY_SMALL, ""},
+    {"/v1/jobs/{id}", MO_DELETE, NULL, MO_RIGHT_READ, 0, MO_BODY_SMALL, ""},
+    {"/v1/jobs/{id}/pause", MO_POST, NULL, MO_RIGHT_READ, 0, MO_BODY_SMALL, ""},
+    {"/v1/{a}/3/b/{c}", MO_GET, NULL, MO_RIGHT_READ, 0, MO_BODY_SMALL, ""}};
 static const struct mo_routes table = {lines, sizeof(lines) / sizeof(lines[0])};
 static char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES];
 
@@ -312,26 +312,38 @@ static void hosts(void)
 
 static void tokens(void)
 {
+  static const struct mo_token two[] = {{"anna", MO_RIGHT_READ, "0123456789abcdef"},
+                                        {"<b>", MO_RIGHT_SUBMIT, "another-token-of-24-bytes"}};
+  static const struct mo_token bad[] = {{"anna", MO_RIGHT_READ, "0123456789abcde"},
+                                        {"anna", MO_RIGHT_READ, "0123456789 abcdef"},
+                                        {"", MO_RIGHT_READ, "0123456789abcdef"},
+                                        {"an na", MO_RIGHT_READ, "0123456789abcdef"}};
+  static const char *const wrong[] = {"Bearer 0123456789abcdeg",
+                                      "Bearer 0123456789abcde",
+                                      "Bearer 0123456789abcdef0123456789abcdef",
+                                      "Bearer ",
+                                      "Basic 0123456789abcdef",
+                                      NULL};
   struct mo_tokens set;
+  struct mo_caller caller = {"nobody", MO_RIGHT_ADMIN};
   struct mo_message message;
-  static const char *const two[] = {"0123456789abcdef", "another-token-of-24-bytes"};
-  static const char *const brief[] = {"0123456789abcde"}, *const spaced[] = {"0123456789 abcdef"};
   REQUIRE(mo_tokens_init(&set) == MO_OK);
-  CHECK_INT(mo_tokens_check(&set, "Bearer x"), -1);
+  CHECK_INT(mo_tokens_check(&set, "Bearer x", &caller), -1);
   REQUIRE(mo_tokens_set(&set, two, 2, &message) == MO_OK);
-  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef"), 1);
-  CHECK_INT(mo_tokens_check(&set, "bearer  another-token-of-24-bytes"), 1);
-  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdeg"), 0);
-  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcde"), 0);
-  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef0123456789abcdef"), 0);
-  CHECK_INT(mo_tokens_check(&set, "Bearer "), 0);
-  CHECK_INT(mo_tokens_check(&set, "Basic 0123456789abcdef"), 0);
-  CHECK_INT(mo_tokens_check(&set, NULL), 0);
-  CHECK_INT(mo_tokens_set(&set, brief, 1, &message), MO_ERR_INVALID);
-  CHECK_INT(mo_tokens_set(&set, spaced, 1, &message), MO_ERR_INVALID);
-  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef"), 1); /* the old ones stay */
+  for (size_t i = 0; i < sizeof(wrong) / sizeof(wrong[0]); i++)
+    CHECK_INT(mo_tokens_check(&set, wrong[i], &caller), 0);
+  CHECK(strcmp(caller.name, "nobody") == 0); /* a wrong token fills in nothing */
+  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef", &caller), 1);
+  CHECK(strcmp(caller.name, "anna") == 0 && caller.right == MO_RIGHT_READ);
+  CHECK_INT(mo_tokens_check(&set, "bearer  another-token-of-24-bytes", &caller), 1);
+  CHECK(strcmp(caller.name, "<b>") == 0 && caller.right == MO_RIGHT_SUBMIT);
+  for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++) {
+    CHECK_INT(mo_tokens_set(&set, &bad[i], 1, &message), MO_ERR_INVALID);
+    CHECK(strstr(message.text, bad[i].text) == NULL); /* no message quotes a token */
+  }
+  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef", &caller), 1); /* the old ones stay */
   REQUIRE(mo_tokens_set(&set, two + 1, 1, &message) == MO_OK);
-  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef"), 0);
+  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef", &caller), 0);
   mo_tokens_free(&set);
 }
 

@@ -195,7 +195,7 @@ __attribute__((unused)) static void shows_its_champions(void)
     struct mo_trajectory *trajectory = NULL;
     struct service service;
     double distinctiveness[20];
-    struct mo_champions_request asked = {4, 5, MO_RECORD_MASSES | MO_RECORD_ACTUATION};
+    struct mo_champions_request asked = {4, 5, MO_RECORD_MASSES | MO_RECORD_ACTUATION, "anna"};
     struct mo_job job;
     uint32_t n = 0;
     int64_t id, evaluation = 0;
@@ -220,6 +220,7 @@ __attribute__((unused)) static void shows_its_champions(void)
                 MO_OK);
       CHECK(succeeds(&service, evaluation, &job));
       CHECK_INT(job.priority, MO_INTERACTIVE);
+      CHECK(strcmp(job.submitted_by, "anna") == 0);
       REQUIRE(mo_store_results(service.fixture.store, evaluation, &results) == MO_OK);
       for (uint32_t i = 0; i < n; i++)
         CHECK(same_number(results->scores[i], rows[i].score));

@@ -79,8 +79,9 @@ static int fill(void)
              " INSERT INTO "
              "jobs(kind,state,priority,weight,back_end,version,epoch,attempts,created_us,started_"
              "us,finished_us,"
-             "error,label)"
-             " SELECT %d,iif(i<24,i%%6,%d),0,1,0,1,1,0,1,1,1,0,iif(i%%100=0,'rare','usual') FROM n;"
+             "error,label,submitted_by)"
+             " SELECT %d,iif(i<24,i%%6,%d),0,1,0,1,1,0,1,1,1,0,iif(i%%100=0,'rare','usual'),"
+             "iif(i%%100=50,'rare','usual') FROM n;"
              "INSERT INTO runs SELECT copy,settings,name,controller,controller_name,result FROM"
              " (SELECT id copy FROM jobs WHERE kind=%d AND id>3),(SELECT * FROM runs WHERE job=%d);"
              "INSERT INTO %s(job,%s) SELECT copy,%s FROM (SELECT id copy FROM jobs WHERE kind=%d "
@@ -169,6 +170,14 @@ static void pages_of_jobs(void)
             CHECK(mo_store_jobs(fixture.store, &query, jobs, PAGE) >= 0);
             cheap(query.label, kind, state, places[p], w > 0);
           }
+          /* By who submitted, and by both: also where no job has the pair. */
+          for (int which = 0; which < 4; which++) {
+            static const char *const labels[] = {NULL, NULL, "usual", "rare"};
+            query.label = labels[which];
+            query.submitted_by = which == 1 || which == 3 ? "rare" : "usual";
+            CHECK(mo_store_jobs(fixture.store, &query, jobs, PAGE) >= 0);
+            cheap("jobs of a submitter", kind, state, places[p], w > 0);
+          }
         }
         struct mo_job_query query = {
             .before = places[p], .state = state, .kind = -1, .waiting = waiting, .n_waiting = w};
@@ -217,6 +226,17 @@ static void pages_name_the_states_that_are_shown(void)
   REQUIRE(mo_store_jobs(fixture.store, &query, jobs, 40) == 6);
   for (int i = 0; i < 6; i++)
     CHECK_INT(jobs[i].id, paused[i]);
+  query.submitted_by = "usual";
+  REQUIRE(mo_store_jobs(fixture.store, &query, jobs, 40) == 6);
+  for (int i = 0; i < 6; i++)
+    CHECK_INT(jobs[i].id, paused[i]);
+  CHECK_TEXT(jobs[0].submitted_by, "usual");
+  query.submitted_by = "rare";
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 0);
+  query.label = NULL;
+  query.state = -1;
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), ROWS / 100 < 40 ? ROWS / 100 : 40);
+  query.submitted_by = NULL;
   query.label = "none";
   CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 0);
   query = (struct mo_job_query){.state = MO_JOB_SUCCEEDED, .kind = MO_JOB_CAMPAIGN};

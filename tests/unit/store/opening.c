@@ -69,12 +69,19 @@ static void refuses_version_0_1(void)
   CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=10"), MO_OK);
 }
 
-/* A folder of version 9 keeps what it has, and takes what version 10 brought. */
-static void brings_version_9_up_to_date(void)
+/* A database of version 9: what version 10 added is not there. */
+static const char version_9[] =
+    "DROP INDEX jobs_of_user; DROP INDEX jobs_of_user_by_state; DROP INDEX jobs_of_user_by_kind;"
+    "DROP INDEX jobs_of_user_by_kind_and_state; DROP INDEX jobs_of_user_by_label;"
+    "DROP INDEX jobs_of_user_by_label_and_state; DROP INDEX jobs_of_user_by_label_and_kind;"
+    "DROP INDEX jobs_of_user_by_label_kind_and_state;"
+    "ALTER TABLE jobs DROP COLUMN submitted_by;"
+    "ALTER TABLE trajectories DROP COLUMN actuation;"
+    "ALTER TABLE trajectories DROP COLUMN contacts; PRAGMA user_version=9";
+
+/* Recordings of version 9 are read as before; new ones have the channels of version 10. */
+static void keeps_recordings_of_version_9(void)
 {
-  static const char older[] = "ALTER TABLE trajectories DROP COLUMN actuation;"
-                              "ALTER TABLE trajectories DROP COLUMN contacts;"
-                              "PRAGMA user_version=9";
   struct mo_submission submission = draw_evaluation(3, 1);
   struct mo_trajectory *trajectory = NULL;
   double com_m[9] = {1, 2, 3};
@@ -85,7 +92,7 @@ static void brings_version_9_up_to_date(void)
   submission.record = MO_RECORD_COM | MO_RECORD_ACTUATION;
   saved.job = submit_evaluation(&submission);
   CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
-  REQUIRE(reopen_after(&fixture, older) == MO_OK);
+  REQUIRE(reopen_after(&fixture, version_9) == MO_OK);
   saved.design_position = 1;
   saved.recording.actuation = actuation;
   CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
@@ -96,6 +103,31 @@ static void brings_version_9_up_to_date(void)
     CHECK(n == 0 || SAME(trajectory->recording.actuation, actuation, 6));
     mo_trajectory_free(trajectory);
   }
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  fixture_close(&fixture);
+  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), NEWEST);
+}
+
+/* Jobs of version 9 are read and found as before; new ones say who submitted them. */
+static void keeps_jobs_of_version_9(void)
+{
+  struct mo_submission submission = draw_evaluation(2, 3);
+  struct mo_job_query query = {.state = -1, .kind = -1, .submitted_by = "anna"};
+  struct mo_job jobs[3];
+  int64_t old, new;
+  submission.label = "old";
+  submission.submitted_by = "anna";
+  old = submit_evaluation(&submission);
+  REQUIRE(old > 0);
+  CHECK_INT(reopen_after(&fixture, version_9), MO_OK);
+  REQUIRE(mo_store_job(fixture.store, old, &jobs[0]) == MO_OK);
+  CHECK_TEXT(jobs[0].label, "old");
+  CHECK_TEXT(jobs[0].submitted_by, "");
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 3), 0);
+  new = submit_evaluation(&submission);
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 3), 1);
+  CHECK_INT(jobs[0].id, new);
+  CHECK_TEXT(jobs[0].submitted_by, "anna");
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   fixture_close(&fixture);
   CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), NEWEST);
@@ -202,7 +234,8 @@ static const struct check_case cases[] = {
     {"makes the paper's test set once", makes_the_paper_test_once},
     {"names damaged pages after an unclean stop", names_damaged_pages},
     {"refuses a folder of version 0.1", refuses_version_0_1},
-    {"brings a folder of version 9 up to date", brings_version_9_up_to_date},
+    {"keeps recordings of version 9", keeps_recordings_of_version_9},
+    {"keeps jobs of version 9", keeps_jobs_of_version_9},
     {"reports what contradicts itself", reports_what_contradicts_itself},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)
