@@ -201,7 +201,11 @@ int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
 /* Makes the path of a list with the options that filter or sort it (malloc; NULL: no memory). */
 static char *list_path(const struct ctl *ctl, const char *list)
 {
-  static const char *const filters[] = {"state", "label", "group", "sort", "order", "controller"};
+  static const struct {
+    const char *option, *parameter;
+  } filters[] = {{"state", "state"},          {"label", "label"}, {"submitted-by", "submitted_by"},
+                 {"group", "group"},          {"sort", "sort"},   {"order", "order"},
+                 {"controller", "controller"}};
   char *path = NULL, between = '?';
   size_t size = 0;
   FILE *file = open_memstream(&path, &size);
@@ -209,10 +213,10 @@ static char *list_path(const struct ctl *ctl, const char *list)
     return NULL;
   fputs(list, file);
   for (size_t i = 0; i < sizeof(filters) / sizeof(filters[0]); i++) {
-    const char *given = option_text(ctl, filters[i], NULL);
+    const char *given = option_text(ctl, filters[i].option, NULL);
     char *escaped = given != NULL ? escape(given) : NULL;
     if (escaped != NULL) {
-      fprintf(file, "%c%s=%s", between, filters[i], escaped);
+      fprintf(file, "%c%s=%s", between, filters[i].parameter, escaped);
       between = '&';
     }
     free(escaped);

@@ -9,27 +9,58 @@
 #include "commands.h"
 #include "transport.h"
 
-/* Reads the token: the first line that is not blank. */
+#define TOKEN_LINE 1024
+
+/* Takes the token of a line: one alone, which is that of "admin", or the third word after its name.
+ * wanted: the name to look for; NULL: the first, which must be the only one. */
+static int take_line(struct ctl *ctl, const char *path, char *line, const char *wanted,
+                     char first[TOKEN_LINE])
+{
+  char *rest = NULL, *words[3] = {strtok_r(line, " \t\r\n", &rest)};
+  if (words[0] == NULL || words[0][0] == '#')
+    return STATUS_OK;
+  for (int i = 1; i < 3 && words[i - 1] != NULL; i++)
+    words[i] = strtok_r(NULL, " \t\r\n", &rest);
+  const bool named = words[1] != NULL && words[1][0] != '#';
+  const char *name = named ? words[0] : "admin", *token = named ? words[2] : words[0];
+  if (token == NULL || token[0] == '#')
+    return complain(STATUS_USAGE, "%s: a line is not NAME RIGHT TOKEN, nor a token only", path);
+  if (wanted != NULL ? strcmp(name, wanted) != 0 : first[0] != 0 && strcmp(name, first) == 0)
+    return STATUS_OK;
+  if (wanted == NULL && first[0] != 0)
+    return complain(STATUS_USAGE,
+                    "%s has tokens of \"%s\" and \"%s\": choose one with --token-name", path, first,
+                    name);
+  snprintf(first, TOKEN_LINE, "%s", name);
+  if (ctl->token == NULL && (ctl->token = strdup(token)) == NULL)
+    return complain(STATUS_ERROR, "out of memory");
+  return STATUS_OK;
+}
+
+/* Reads the token from the file or the environment. */
 static int read_token(struct ctl *ctl)
 {
   const char *path = option_text(ctl, "token-file", NULL), *variable = getenv("MORPHOD_TOKEN");
-  char line[1024];
+  const char *wanted = option_text(ctl, "token-name", NULL);
+  char line[TOKEN_LINE], first[TOKEN_LINE] = "";
+  int status = STATUS_OK;
   if (path == NULL) {
+    if (wanted != NULL)
+      return complain(STATUS_USAGE, "--token-name needs the file: --token-file");
     if (variable != NULL && *variable != 0 && (ctl->token = strdup(variable)) == NULL)
       return complain(STATUS_ERROR, "out of memory");
   } else {
     FILE *file = fopen(path, "re");
     if (file == NULL)
       return complain(STATUS_USAGE, "%s: %s", path, strerror(errno));
-    while (ctl->token == NULL && fgets(line, sizeof(line), file) != NULL) {
-      char *text = line + strspn(line, " \t");
-      text[strcspn(text, " \t\r\n")] = 0;
-      if (*text != 0 && *text != '#')
-        ctl->token = strdup(text);
-    }
+    while (status == STATUS_OK && fgets(line, sizeof(line), file) != NULL)
+      status = take_line(ctl, path, line, wanted, first);
     fclose(file);
+    if (status != STATUS_OK)
+      return status;
     if (ctl->token == NULL)
-      return complain(STATUS_USAGE, "%s holds no token", path);
+      return wanted != NULL ? complain(STATUS_USAGE, "%s has no token of \"%s\"", path, wanted)
+                            : complain(STATUS_USAGE, "%s holds no token", path);
   }
   for (const unsigned char *c = (const unsigned char *)ctl->token; c != NULL && *c != 0; c++)
     if (*c <= ' ' || *c >= 0x7f)

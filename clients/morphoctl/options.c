@@ -14,7 +14,10 @@ const struct option_spec common_options[] = {
      "Server: http://host:port or unix:/path (default: $MORPHOD_SERVER, else "
      "http://127.0.0.1:8765)."},
     {"token-file", 0, "FILE",
-     "File whose first line is the bearer token (default: the token in $MORPHOD_TOKEN)."},
+     "File with the bearer token, or with lines of NAME RIGHT TOKEN as morphod reads them "
+     "(default: "
+     "the token in $MORPHOD_TOKEN)."},
+    {"token-name", 0, "NAME", "Whose token of the file is used, where it has those of several."},
     {"json", 'j', NULL, "Print the API's JSON instead of tables."},
     {"quiet", 'q', NULL, "No progress and no remarks."},
     {"retry", 0, "SECONDS",

@@ -43,6 +43,7 @@
   "state", 0, "STATE",                                                                             \
       "Only " jobs " that are queued, running, paused, succeeded, failed or cancelled."
 #define LABELED   "label", 'l', "TEXT", "Only those with this label."
+#define OF_USER   "submitted-by", 0, "NAME", "Only those submitted with the token of this name."
 #define NEWEST    "limit", 'n', "N", "At most so many, newest first (default: 50)."
 #define UNLIMITED "all", 'a', NULL, "No limit."
 
@@ -101,8 +102,8 @@ static const struct option_spec film_options[] = {
 static const struct option_spec random_options[] = {{"count", 'n', "N", "How many (default: 1)."},
                                                     {"seed", 0, "SEED", "Seed (default: 1)."},
                                                     {NULL}};
-static const struct option_spec job_list_options[] = {
-    {STATE("jobs")}, {LABELED}, {NEWEST}, {UNLIMITED}, {NULL}};
+static const struct option_spec job_list_options[] = {{STATE("jobs")}, {LABELED},   {OF_USER},
+                                                      {NEWEST},        {UNLIMITED}, {NULL}};
 static const struct option_spec job_show_options[] = {{"results", 'r', NULL, "The results, too."},
                                                       {NULL}};
 static const struct option_spec watch_options[] = {
@@ -151,7 +152,7 @@ static const struct option_spec train_start_options[] = {
     {KEY("training")},
     {NULL}};
 static const struct option_spec train_list_options[] = {
-    {STATE("trainings")}, {LABELED}, {NEWEST}, {UNLIMITED}, {NULL}};
+    {STATE("trainings")}, {LABELED}, {OF_USER}, {NEWEST}, {UNLIMITED}, {NULL}};
 static const struct option_spec train_export_options[] = {
     {"output", 'o', "FILE",
      "Where to put the controller (default: training-ID-step-N.safetensors; -: standard output)."},
@@ -205,6 +206,7 @@ static const struct option_spec campaign_start_options[] = {
 static const struct option_spec campaign_list_options[] = {
     {STATE("campaigns")},
     {LABELED},
+    {OF_USER},
     {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
     {NEWEST},
     {UNLIMITED},

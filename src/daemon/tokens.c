@@ -68,7 +68,7 @@ static int read_lines(char *text, const char *path, struct tokens *tokens,
   char *line;
   for (size_t number = 1; (line = strsep(&text, "\n")) != NULL; number++) {
     char *words[WORDS_MAX];
-    struct mo_token token;
+    struct mo_token token = {"", MO_RIGHT_READ, ""};
     struct mo_message why = {{0}};
     const size_t n = split(line, words);
     if (n == 0)

@@ -512,3 +512,27 @@ def test_unix_socket_and_token(start, ctl, tmp_path):
     assert ctl("job list", server=tcp, MORPHOD_TOKEN="another-token-altogether")[0] == 5
     assert ctl(f"job list --token-file {str(tokens)}", server=tcp)[0] == 0
     assert ctl("job list", server=f"unix:{path}")[0] == 0
+
+
+def test_a_token_by_its_name(start, ctl, tmp_path):
+    """A file of several asks whose token to use, and says no token itself."""
+    tokens = tmp_path / "tokens"
+    tokens.write_text("# who\nanna\tread  the-token-of-anna-here\n\n"
+                      "ben submit the-token-of-ben-here # new\n")
+    tokens.chmod(0o600)
+    service = start(f"--token-file={tokens}", "--token-on-loopback=yes",
+                    token="the-token-of-anna-here")
+    server, given = service.addresses[0], f"--token-file {tokens}"
+    status, _, err = ctl(f"job list {given}", server=server)
+    assert status == 2 and '"anna"' in err and '"ben"' in err and "--token-name" in err
+    assert "the-token" not in err
+    assert ctl(f"job list {given} --token-name carl", server=server)[0] == 2
+    assert ctl("job list --token-name ben", server=server)[0] == 2
+    work = f"eval {SHORT} --no-wait"
+    status, _, err = ctl(f"{work} {given} --token-name anna", server=server, input_text=CELLS)
+    assert status == 5 and '"submit"' in err and '"anna"' in err
+    assert ctl(f"{work} {given} --token-name ben", server=server, input_text=CELLS)[0] == 0
+    for name, n in (("ben", 1), ("anna", 0)):
+        listed = ctl(f"job list --json --submitted-by {name} {given} --token-name anna",
+                     server=server)[1]
+        assert len(json.loads(listed)["items"]) == n
