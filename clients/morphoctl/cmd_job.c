@@ -106,16 +106,21 @@ int run_job_change(struct ctl *ctl)
 
 int run_job_prune(struct ctl *ctl)
 {
-  const bool is_training = strncmp(ctl->command->name, "train", 5) == 0;
-  const char *words = ": {items:#} checkpoint{items:s} deleted, {bytes:MB} MB";
+  const char *command = ctl->command->name;
+  const char *words = ": {items:#} checkpoint{items:s} deleted, {bytes:MB} MB",
+             *recordings = ": recordings deleted, {bytes:MB} MB";
   int64_t step = 0;
   char behind[48] = "/checkpoints";
   if (!option_number(ctl, "step", 1, 1000000, &step))
     return STATUS_USAGE;
   if (step > 0)
     snprintf(behind, sizeof(behind), "/checkpoints/%" PRId64, step);
-  return each_job(ctl, (struct request){.method = "DELETE"}, is_training ? "training" : "campaign",
-                  behind, words, words);
+  if (strncmp(command, "job", 3) == 0)
+    return each_job(ctl, (struct request){.method = "DELETE"}, "evaluation", "/trajectories",
+                    recordings, recordings);
+  return each_job(ctl, (struct request){.method = "DELETE"},
+                  strncmp(command, "train", 5) == 0 ? "training" : "campaign", behind, words,
+                  words);
 }
 
 int run_job_weight(struct ctl *ctl)

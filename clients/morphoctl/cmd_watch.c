@@ -20,6 +20,7 @@ static const struct {
     {"training.checkpoint", "  of step {data.step:,}"},
     {"training.code_changed",
      "  after step {data.from_step:,}: {data.fingerprint}, before [{data.before}|unknown]"},
+    {"evaluation.recordings_removed", "  {data.bytes:MB} MB, by {data.reason}"},
     {"campaign.generation",
      "  " GENERATION_WORDS("data.") "  mean {data.mean:.4f}  best {data.best:.4f}  diversity "
                                     "{data.diversity:.4f}"},

@@ -278,6 +278,10 @@ const struct command commands[] = {
     {"job pause", "ID...", "Set jobs aside.", NULL, NULL, 1, MANY, run_job_change},
     {"job resume", "ID...", "Go on with paused jobs.",
      "Also with trainings and campaigns that have failed.", NULL, 1, MANY, run_job_change},
+    {"job prune", "ID...", "Delete the recordings of evaluations that have ended.",
+     "Scores stay. The oldest recordings go by themselves when all of them take more than the "
+     "server keeps (max_recordings).",
+     NULL, 1, MANY, run_job_prune},
     {"job weight", "ID X", "Give a job another part of the cores.",
      "0.001 to 1000; a job with twice the weight of another gets twice the time. It counts at "
      "once, also while the job runs.",

@@ -74,6 +74,8 @@ static void write_job(struct mo_text *text, const struct mo_job *job, const stru
     }
   mo_text_add(text, "]");
   mo_text_member_count(text, "record_stride", job->record_stride > 0 ? job->record_stride : 1);
+  mo_text_member_count(text, "recorded_bytes", job->recorded_bytes);
+  mo_text_member_time(text, "recordings_removed_at", job->recordings_removed_us);
   mo_text_member_bool(text, "verify", job->verify);
   mo_text_member_count(text, "n_designs", job->n_designs);
   mo_text_member_count(text, "rollouts_total", job->rollouts_total);

@@ -208,6 +208,11 @@ static void write_store(struct mo_api *api, struct mo_text *text)
         "Size of the database.");
   GAUGE("morphod_store_wal_bytes", s.wal_bytes > 0 ? s.wal_bytes : 0,
         "Size of the write-ahead log.");
+  GAUGE("morphod_recordings_bytes", s.recorded_bytes, "Size of the recordings that are kept.");
+  COUNTER("morphod_recordings_removed_total", s.recordings_removed,
+          "Evaluations whose recordings were removed since the start.");
+  COUNTER("morphod_recordings_removed_bytes_total", s.recordings_removed_bytes,
+          "Size of the recordings removed since the start.");
   GAUGE("morphod_store_no_space", s.no_space, "1 while the disk is full.");
 }
 

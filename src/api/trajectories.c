@@ -53,6 +53,12 @@ static void reply_missing(struct mo_request *request, const struct mo_job *job, 
   const char *state = mo_job_state_name(job->state);
   if (error != MO_ERR_NOT_FOUND)
     mo_reply_error(request, error, "trajectory");
+  else if (job->recordings_removed_us != 0)
+    mo_reply_problem(request, 410, NULL,
+                     "The recordings of this evaluation were removed, to make room "
+                     "(max_recordings) or on request. POST /v1/rollouts computes the same motion "
+                     "again, from the genotype in the results; so does the evaluation, submitted "
+                     "again.");
   else if (mo_job_state_is_final(job->state))
     mo_reply_problem(request, 404, NULL, "This rollout was not recorded: the evaluation has %s.",
                      state);
@@ -237,4 +243,27 @@ void mo_api_get_trajectory_file(struct mo_request *request)
                   mo_store_id(mo_api_of(request)->store), place.evaluation, place.design,
                   place.environment, array != NULL ? array : "");
   mo_trajectory_free(trajectory);
+}
+
+void mo_api_delete_trajectories(struct mo_request *request)
+{
+  struct mo_text text = {0};
+  uint64_t bytes = 0;
+  int64_t id;
+  if (!mo_path_id(request, 0, &id))
+    return;
+  const int error = mo_store_trajectories_remove(mo_api_of(request)->store, id, &bytes);
+  if (error == MO_ERR_CONFLICT) {
+    mo_reply_problem(request, 409, NULL,
+                     "The evaluation has not ended and continues from its recordings; they can be "
+                     "deleted when it has ended or was cancelled.");
+  } else if (error != MO_OK) {
+    mo_reply_error(request, error, "evaluation");
+  } else {
+    mo_text_object(&text);
+    mo_text_member_id(&text, "evaluation", id);
+    mo_text_member_count(&text, "bytes", bytes);
+    mo_text_add(&text, "}");
+    mo_reply_json(request, 200, &text);
+  }
 }

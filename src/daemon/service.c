@@ -386,6 +386,13 @@ int service_store_status(int error)
   return exit_status_of(error, needs_a_person ? EXIT_CONFIG : EXIT_STATE);
 }
 
+/* Returns the budget of all recordings, which holds what one evaluation may record; 0: no limit. */
+static uint64_t max_recordings_of(const struct settings *settings)
+{
+  const uint64_t all = settings->max_recordings_bytes, one = settings->max_recorded_bytes;
+  return all > 0 && all < one ? one : all;
+}
+
 static int open_store(struct service *service, const struct settings *settings,
                       struct mo_message *message)
 {
@@ -395,6 +402,7 @@ static int open_store(struct service *service, const struct settings *settings,
   const struct mo_store_config config = {.path = settings->state_dir,
                                          .n_readers = STORE_READERS,
                                          .events_kept = settings->events_kept,
+                                         .max_recordings_bytes = max_recordings_of(settings),
                                          .fatal = store_is_broken,
                                          .fatal_context = service};
   mo_store_limit_memory(max_memory_of(settings) / 8);

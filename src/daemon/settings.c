@@ -97,6 +97,9 @@ const struct setting settings_table[] = {
               "Campaigns that run at one time; the others wait in order of submission."),
     VALUE_ROW("max_recorded", SETTING_BYTES, max_recorded_bytes, 0, 16 * GIB, "64M", NULL,
               "Recorded trajectories of one evaluation; a request for more is refused with 422."),
+    VALUE_ROW("max_recordings", SETTING_BYTES, max_recordings_bytes, 0, MIB *GIB, "8G", NULL,
+              "Recorded trajectories of all evaluations; beyond it those of evaluations that have "
+              "ended are removed, the oldest first. 0: no limit."),
     VALUE_ROW("max_memory", SETTING_BYTES, max_memory, 0, MIB *GIB, "0",
               "seven eighths of the machine's memory, or of the limit of the cgroup or process if "
               "that is less, at least 64M",

@@ -59,8 +59,8 @@ struct settings {
   uint64_t header_timeout_ms, body_timeout_ms, idle_timeout_ms;
   uint64_t max_open_jobs, max_open_rollouts, max_trainings, max_campaigns;
   uint64_t max_in_flight;
-  uint64_t max_recorded_bytes;
-  uint64_t max_memory; /* 0: memory_limit() */
+  uint64_t max_recorded_bytes, max_recordings_bytes; /* of one evaluation, of all; 0: no limit */
+  uint64_t max_memory;                               /* 0: memory_limit() */
   uint64_t client_rate_per_s;
   uint64_t events_kept;
   uint64_t drain_timeout_ms;

@@ -194,6 +194,10 @@ void settings_check(const struct settings *settings, bool state_dir, struct sett
                      settings->unix_groups.items[i]);
   if (settings->max_memory > 0 && settings->max_memory < (UINT64_C(128) << 20))
     settings_fault(faults, true, "max_memory: at least 128M are needed");
+  if (settings->max_recordings_bytes > 0 &&
+      settings->max_recordings_bytes < settings->max_recorded_bytes)
+    settings_fault(faults, false,
+                   "max_recordings is smaller than max_recorded, which counts in its place");
   if (settings->max_streams > settings->max_connections)
     settings_fault(faults, false, "max_streams is larger than max_connections and has no effect");
 }

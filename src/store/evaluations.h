@@ -70,4 +70,8 @@ int mo_store_result(struct mo_store *store, int64_t id, uint32_t n,
 int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t k,
                         struct mo_trajectory **trajectory);
 
+/* Removes all trajectories of an evaluation, with an event. *bytes: what they took, 0 if there were
+ * none. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: it has not ended, and continues from them. */
+int mo_store_trajectories_remove(struct mo_store *store, int64_t id, uint64_t *bytes);
+
 #endif

@@ -12,6 +12,7 @@ struct mo_event {
   int64_t job;    /* 0: about no job */
   char type[32];  /* "job.created", "job.started", "job.weight", "job.progress", "job.paused",
                      "job.resumed", "job.requeued", "job.finished",  "evaluation.code_changed",
+                     "evaluation.recordings_removed",
                      "training.progress",
                      "training.validation", "training.checkpoint", "training.code_changed",
                      "campaign.progress",  "campaign.generation", "campaign.diversity_collapse",

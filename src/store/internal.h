@@ -66,6 +66,7 @@ struct mo_store {
   uint64_t events_since_prune;
   int64_t last_prune_us, last_probe_us, last_restart_us, next_reserve_us;
   int wal_frames, checkpoint_frames;
+  uint64_t max_recordings_bytes; /* 0: no limit */
   bool reserve_whole;
 
   pthread_mutex_t checkpoints_mutex; /* guards checkpoint files and their rows; locked before
@@ -84,6 +85,7 @@ struct mo_store {
 
   atomic_uint_fast64_t commits, operations, operations_failed, queued, commit_ns;
   atomic_int_fast64_t database_bytes, wal_bytes, heartbeat_us;
+  atomic_uint_fast64_t recorded_bytes, recordings_removed, recordings_removed_bytes;
   atomic_bool no_space, is_fatal;
   atomic_bool is_short; /* part of the reserve is in use: only urgent operations may write */
   atomic_uint file_counter;

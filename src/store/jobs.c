@@ -35,6 +35,8 @@ static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
   job->verify = sqlite3_column_int(row, MO_COLUMN_VERIFY) != 0;
   job->record = mo_column_u32(row, MO_COLUMN_RECORD) & ((1U << MO_CHANNELS) - 1);
   job->record_stride = mo_column_u32(row, MO_COLUMN_RECORD_STRIDE);
+  job->recorded_bytes = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_RECORDED_BYTES);
+  job->recordings_removed_us = sqlite3_column_int64(row, MO_COLUMN_RECORDINGS_REMOVED_US);
   job->rollouts_total = (uint64_t)n_designs * job->n_environments;
   job->rollouts_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DONE);
   job->rollouts_cached = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_CACHED);

@@ -32,6 +32,8 @@
   X(VERIFY, "e.verify")                                                                            \
   X(RECORD, "e.record")                                                                            \
   X(RECORD_STRIDE, "e.record_stride")                                                              \
+  X(RECORDED_BYTES, "e.recorded_bytes")                                                            \
+  X(RECORDINGS_REMOVED_US, "e.recordings_removed_us")                                              \
   X(DONE, "e.done")                                                                                \
   X(CACHED, "e.cached")                                                                            \
   X(DIVERGED, "e.diverged")                                                                        \

@@ -15,6 +15,7 @@
 
 #include "schema.h"
 #include "store/folder.h"
+#include "store/recordings.h"
 #include "store/rows.h"
 
 /* The version of schema.sql, and the newest. Those before the first were of morphod 0.1. */
@@ -297,6 +298,7 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
       .reserve_path = join(path, "reserve"),
       .vfs = config->vfs,
       .files = config->files != NULL ? config->files : &mo_system_files,
+      .max_recordings_bytes = config->max_recordings_bytes,
       .must_exist = config->must_exist,
       .folder_fd = -1,
       .lock_fd = -1,
@@ -378,6 +380,7 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
     free_store(store);
     return error;
   }
+  mo_recordings_check(store);
   *ret = store;
   return MO_OK;
 }

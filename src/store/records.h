@@ -83,6 +83,8 @@ struct mo_job {
   bool verify;
   unsigned record; /* channels */
   uint32_t record_stride;
+  uint64_t recorded_bytes;       /* of its recordings that are stored */
+  int64_t recordings_removed_us; /* 0: they were not */
   /* 0 in a training; done includes cached. */
   uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged;
   /* Training: steps. Campaign: generations, without generation 0; done: committed. */

@@ -8,6 +8,7 @@
 #include "base/clock.h"
 #include "store/contents.h"
 #include "store/jobs.h"
+#include "store/recordings.h"
 #include "store/runs.h"
 
 /* ---- changes ---- */
@@ -69,6 +70,8 @@ int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change c
   const bool is_urgent = change == MO_CHANGE_CANCEL || change == MO_CHANGE_PAUSE;
   int error =
       is_urgent ? mo_write_urgent(store, change_job, &call) : mo_write(store, change_job, &call);
+  if (error == MO_OK && change == MO_CHANGE_CANCEL && mo_recordings_are_many(store))
+    mo_recordings_check(store);
   if (error == MO_OK && before != NULL)
     *before = call.before;
   return error;

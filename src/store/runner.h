@@ -141,6 +141,7 @@ struct mo_save {
   void (*done)(struct mo_save *save,
                int status); /* on the writer's thread, after the commit or its failure */
   void *context;
+  struct mo_store *store; /* set by mo_store_save */
 };
 /* Queues a save, which is stored completely or not at all. `save` and what it points to must stay
  * until `done`. MO_ERR_NO_MEMORY: not queued. */

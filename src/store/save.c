@@ -7,33 +7,11 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "store/recordings.h"
 #include "store/runs.h"
 #include "store/scores.h"
 
 #include "base/clock.h"
-
-static struct mo_value channel_value(const struct mo_saved_trajectory *trajectory,
-                                     enum mo_channel channel)
-{
-  return mo_blob(mo_recording_array(&trajectory->recording, channel), /* NULL: NULL */
-                 trajectory->frames * mo_recording_frame_bytes(channel, trajectory->n_masses,
-                                                               trajectory->n_springs));
-}
-
-static int save_trajectory(struct mo_connection *writer,
-                           const struct mo_saved_trajectory *trajectory)
-{
-  static const char sql[] = "INSERT OR IGNORE INTO trajectories(job,position,environment,stride,"
-                            "frames,n_masses,diverged_step,com,masses,actuation,contacts)"
-                            " VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11)";
-  return mo_sql_do(writer, sql, mo_int(trajectory->job), mo_int(trajectory->design_position),
-                   mo_int(trajectory->environment_position), mo_int(trajectory->recording.stride),
-                   mo_int(trajectory->frames), mo_int(trajectory->n_masses),
-                   mo_int(trajectory->diverged_step), channel_value(trajectory, MO_RECORD_COM),
-                   channel_value(trajectory, MO_RECORD_MASSES),
-                   channel_value(trajectory, MO_RECORD_ACTUATION),
-                   channel_value(trajectory, MO_RECORD_CONTACTS));
-}
 
 /* ---- steps of jobs ---- */
 
@@ -72,7 +50,6 @@ static int set_class(struct mo_store *store, const struct mo_job_update *update)
       "SELECT a.text,b.text FROM evaluations e JOIN fingerprints a ON a.id=e.fingerprint"
       " JOIN fingerprints b ON b.id=?2 WHERE e.job=?1 AND e.fingerprint<>?2";
   static const char class_sql[] = "UPDATE evaluations SET fingerprint=?2,workers=?3 WHERE job=?1";
-  static const char trajectories_sql[] = "DELETE FROM trajectories WHERE job=?1";
   static const char recomputed_sql[] = "DELETE FROM recomputed WHERE job=?1";
   struct mo_connection *writer = &store->writer;
   const struct mo_value job = mo_int(update->job), now = mo_int(update->fingerprint);
@@ -85,7 +62,7 @@ static int set_class(struct mo_store *store, const struct mo_job_update *update)
              (const char *)sqlite3_column_text(row, 1));
     error = mo_writer_event(store, update->job, "evaluation.code_changed", data);
     if (error == MO_OK)
-      error = mo_sql_do(writer, trajectories_sql, job);
+      error = mo_trajectories_delete(writer, update->job);
     if (error == MO_OK)
       error = mo_sql_do(writer, recomputed_sql, job);
   }
@@ -120,8 +97,8 @@ static int save(struct mo_store *store, void *arguments)
   struct mo_connection *writer = &store->writer;
   int64_t ranking = 0;
   int error = mo_scores_insert(store, call->scores, call->n_scores, mo_clock_wall_us());
-  for (size_t i = 0; i < call->n_trajectories && error == MO_OK; i++)
-    error = save_trajectory(writer, &call->trajectories[i]);
+  if (error == MO_OK)
+    error = mo_trajectories_insert(writer, call->trajectories, call->n_trajectories);
   for (size_t i = 0; i < call->n_designs && error == MO_OK; i++) {
     error = mo_ranking_row(writer, &call->designs[i], &ranking);
     if (error == MO_OK)
@@ -135,10 +112,13 @@ static int save(struct mo_store *store, void *arguments)
 static void saved(void *arguments, int status)
 {
   struct mo_save *call = arguments;
+  if (status == MO_OK && (call->n_trajectories > 0 || mo_recordings_are_many(call->store)))
+    mo_recordings_check(call->store);
   call->done(call, status);
 }
 
 int mo_store_save(struct mo_store *store, struct mo_save *call)
 {
+  call->store = store;
   return mo_write_later(store, save, call, saved);
 }

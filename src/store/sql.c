@@ -60,7 +60,8 @@ static int configure(sqlite3 *db, bool writable)
   static const char reading[] = "PRAGMA query_only=ON; PRAGMA cache_size=-8192;";
   static const char writing[] =
       "PRAGMA synchronous=FULL; PRAGMA cache_size=-65536; PRAGMA wal_autocheckpoint=0;"
-      "PRAGMA journal_size_limit=67108864;";
+      /* Debian's SQLite overwrites what is deleted, and would log every page of a recording. */
+      "PRAGMA journal_size_limit=67108864; PRAGMA secure_delete=FAST;";
   int result = sqlite3_exec(db, common, NULL, NULL, NULL);
   if (result == SQLITE_OK)
     result = sqlite3_exec(db, writable ? writing : reading, NULL, NULL, NULL);

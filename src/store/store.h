@@ -47,7 +47,9 @@ struct mo_store_config {
   uint64_t events_kept;                   /* older ones are pruned; 0: 100000 */
   int64_t idempotency_keep_s;             /* 0: 24 h */
   uint32_t checkpoint_frames; /* the log is copied into the database after so many pages; 0: 2000 */
-  bool must_exist;            /* MO_ERR_NOT_FOUND where there is no database yet */
+  uint64_t max_recordings_bytes; /* beyond it recordings of evaluations that have ended are removed,
+                                    the oldest first; 0: no limit */
+  bool must_exist;               /* MO_ERR_NOT_FOUND where there is no database yet */
   void (*fatal)(void *context, const char *what); /* once, on any thread; nullable */
   void *fatal_context;
 };
@@ -92,6 +94,8 @@ struct mo_store_stats {
   uint64_t queued;       /* operations waiting for the writer */
   double commit_s;       /* sum of the time spent in COMMIT */
   int64_t database_bytes, wal_bytes;
+  uint64_t recorded_bytes;                               /* of all recordings */
+  uint64_t recordings_removed, recordings_removed_bytes; /* evaluations, since the opening */
   int64_t heartbeat_us; /* monotonic clock: the writer's last round (at least one per second) */
   bool no_space;        /* the last write failed for lack of space */
   bool fatal;

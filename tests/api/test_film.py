@@ -56,6 +56,14 @@ def test_a_film_of_an_evaluation(ctl, tmp_path):  # noqa: F811
     assert len(list(paths.glob("*-masses.npy"))) == len(list(paths.glob("*-com.npy"))) == 170
 
 
+def test_recordings_that_are_gone(ctl, service):  # noqa: F811
+    evaluation = service.evaluate({"designs": [{"cells": [[0, 0, 0]]}], "record": ["com"],
+                                   "physics": {"n_steps": 20}}).json()["id"]
+    status, out, _ = ctl(f"job prune {evaluation}")
+    assert status == 0 and out.startswith(f"evaluation {evaluation}: recordings deleted, 0.0")
+    assert ctl("job prune 999999")[0] == 3
+
+
 def test_a_film_of_champions(ctl, service, tmp_path):  # noqa: F811
     campaign = run(service, "campaigns", {
         "mode": "zero-shot", "population": 8, "generations": 1, "physics": {"n_steps": 20},

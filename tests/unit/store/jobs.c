@@ -267,6 +267,60 @@ static void keeps_trajectories(void)
   mo_trajectory_free(trajectory);
 }
 
+/* Of four recordings two fit: the first is kept, because its evaluation has not ended. */
+static void removes_the_oldest_recordings(void)
+{
+  struct mo_store_config config = {.path = fixture.path, .max_recordings_bytes = 200};
+  struct mo_submission submission = draw_evaluation(4, 2);
+  struct mo_trajectory *trajectory = NULL;
+  struct mo_store_stats stats;
+  double com[9] = {1};
+  struct mo_saved_trajectory saved = {
+      .frames = 3, .n_masses = 2, .recording = {.stride = 500, .com_m = com}};
+  struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
+  enum mo_job_state before;
+  struct mo_job job;
+  int64_t ids[4];
+  uint64_t bytes = 0;
+  fixture_close(&fixture);
+  REQUIRE(mo_store_open(&config, &fixture.store, &fixture.message) == MO_OK);
+  submission.record = MO_RECORD_COM;
+  for (int i = 0; i < 4; i++) {
+    ids[i] = saved.job = submit_evaluation(&submission);
+    CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+    CHECK_INT(save_and_wait(fixture.store, &save), MO_OK); /* again: it is there */
+    REQUIRE(mo_store_job(fixture.store, ids[i], &job) == MO_OK);
+    CHECK_INT(job.recorded_bytes, sizeof(com));
+    if (i > 0)
+      CHECK_INT(mo_store_change_job(fixture.store, ids[i], MO_CHANGE_CANCEL, &before), MO_OK);
+  }
+  for (int i = 0; i < 500; i++) {
+    mo_store_get_stats(fixture.store, &stats);
+    if (stats.recordings_removed == 2)
+      break;
+    usleep(10000);
+  }
+  CHECK_INT(stats.recordings_removed, 2);
+  CHECK_INT(stats.recordings_removed_bytes, 2 * sizeof(com));
+  for (int i = 0; i < 4; i++) {
+    const bool removed = i == 1 || i == 2;
+    CHECK_INT(mo_store_trajectory(fixture.store, ids[i], 0, 0, &trajectory),
+              removed ? MO_ERR_NOT_FOUND : MO_OK);
+    if (!removed)
+      mo_trajectory_free(trajectory);
+    REQUIRE(mo_store_job(fixture.store, ids[i], &job) == MO_OK);
+    CHECK_INT(job.recorded_bytes, removed ? 0 : sizeof(com));
+    CHECK((job.recordings_removed_us > 0) == removed);
+  }
+  CHECK_INT(mo_store_trajectories_remove(fixture.store, ids[0], &bytes), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_trajectories_remove(fixture.store, 99, &bytes), MO_ERR_NOT_FOUND);
+  for (int i = 0; i < 2; i++) {
+    CHECK_INT(mo_store_trajectories_remove(fixture.store, ids[3], &bytes), MO_OK);
+    CHECK_INT(bytes, i == 0 ? sizeof(com) : 0);
+  }
+  CHECK_INT(mo_store_trajectory(fixture.store, ids[3], 0, 0, &trajectory), MO_ERR_NOT_FOUND);
+}
+
 static const struct check_case cases[] = {
     {"submits a job and reads it back", submits_and_reads_back},
     {"answers a repeated key with the same job", answers_a_repeated_key},
@@ -274,5 +328,6 @@ static const struct check_case cases[] = {
     {"changes states only as the machine allows", changes_states},
     {"reports changes, in order, and prunes", reports_changes},
     {"keeps trajectories", keeps_trajectories},
+    {"removes the oldest recordings", removes_the_oldest_recordings},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

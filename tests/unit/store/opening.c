@@ -77,7 +77,11 @@ static const char version_9[] =
     "DROP INDEX jobs_of_user_by_label_kind_and_state;"
     "ALTER TABLE jobs DROP COLUMN submitted_by;"
     "ALTER TABLE trajectories DROP COLUMN actuation;"
-    "ALTER TABLE trajectories DROP COLUMN contacts; PRAGMA user_version=9";
+    "ALTER TABLE trajectories DROP COLUMN contacts;"
+    "DROP INDEX evaluations_recorded;"
+    "DELETE FROM meta WHERE key='recorded bytes';"
+    "ALTER TABLE evaluations DROP COLUMN recorded_bytes;"
+    "ALTER TABLE evaluations DROP COLUMN recordings_removed_us; PRAGMA user_version=9";
 
 /* Recordings of version 9 are read as before; new ones have the channels of version 10. */
 static void keeps_recordings_of_version_9(void)
@@ -86,6 +90,7 @@ static void keeps_recordings_of_version_9(void)
   struct mo_trajectory *trajectory = NULL;
   double com_m[9] = {1, 2, 3};
   int8_t actuation[6] = {0, 0, -127, 127};
+  struct mo_job job;
   struct mo_saved_trajectory saved = {
       .frames = 3, .n_masses = 8, .n_springs = 2, .recording = {.stride = 10, .com_m = com_m}};
   struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
@@ -93,6 +98,8 @@ static void keeps_recordings_of_version_9(void)
   saved.job = submit_evaluation(&submission);
   CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
   REQUIRE(reopen_after(&fixture, version_9) == MO_OK);
+  REQUIRE(mo_store_job(fixture.store, saved.job, &job) == MO_OK);
+  CHECK(job.recorded_bytes == sizeof(com_m) && job.recordings_removed_us == 0);
   saved.design_position = 1;
   saved.recording.actuation = actuation;
   CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);

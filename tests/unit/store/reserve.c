@@ -8,6 +8,7 @@
 #include <sys/stat.h>
 
 #include "../check.h"
+#include "by_hand.h"
 #include "store/internal.h"
 #include "training_fixture.h"
 
@@ -206,6 +207,9 @@ static void keeps_it_for_people(void)
   pthread_t threads[2];
   struct mo_training_submission training = submission_of(100);
   struct mo_checkpoints_removed removed = {.n = 0};
+  struct mo_saved_trajectory saved = {.frames = 4000, .n_masses = 100};
+  struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
+  uint64_t bytes = 0;
   int64_t ids[JOBS], id = 0, whole, trained;
   enum mo_job_state before = MO_JOB_QUEUED;
   bool replayed;
@@ -222,6 +226,12 @@ static void keeps_it_for_people(void)
     CHECK_INT(mo_store_training_checkpoint(small.fixture.store, trained, step,
                                            (const uint8_t *)"state", 5, 2),
               MO_OK);
+  saved.job = ids[0];
+  CHECK_INT(
+      mo_recording_create(&saved.recording, MO_RECORD_MASSES, 1, saved.frames, saved.n_masses, 0),
+      MO_OK);
+  CHECK_INT(save_and_wait(small.fixture.store, &save), MO_OK);
+  mo_recording_free(&saved.recording);
   whole = size_of(small.reserve);
   fill_all(&small);
   CHECK_INT(mo_store_change_job(small.fixture.store, ids[0], MO_CHANGE_PAUSE, NULL), MO_OK);
@@ -241,6 +251,8 @@ static void keeps_it_for_people(void)
   CHECK_INT(mo_store_checkpoints_remove(small.fixture.store, trained, MO_JOB_TRAINING, 1, &removed),
             MO_OK);
   CHECK_INT(removed.n, 1);
+  CHECK_INT(mo_store_trajectories_remove(small.fixture.store, ids[0], &bytes), MO_OK);
+  CHECK_INT(bytes, 4800000); /* more than the reserve */
   printf("# %d writes in vain\n", atomic_load(&retries.writes));
   atomic_store(&retries.stop, true);
   for (int i = 0; i < 2; i++)

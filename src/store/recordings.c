@@ -1,0 +1,198 @@
+/* recordings.c: stores recordings of evaluations, and removes them: on request, or, while all of
+ * them take more than max_recordings, those of the oldest evaluation. Recordings of evaluations
+ * that have not ended stay: a restart continues from them.
+ *
+ * Each evaluation has the bytes of its recordings in its row, and `meta` the sum. Every change of
+ * recordings changes both in the same transaction. */
+#include "store/recordings.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "base/clock.h"
+#include "store/runs.h"
+
+static uint64_t bytes_of(const struct mo_saved_trajectory *trajectory, unsigned channels)
+{
+  return trajectory->frames *
+         mo_recording_frame_bytes(channels, trajectory->n_masses, trajectory->n_springs);
+}
+
+static struct mo_value channel_value(const struct mo_saved_trajectory *trajectory,
+                                     enum mo_channel channel)
+{
+  return mo_blob(mo_recording_array(&trajectory->recording, channel), /* NULL: NULL */
+                 bytes_of(trajectory, channel));
+}
+
+static int add_bytes(struct mo_connection *writer, int64_t job, int64_t bytes)
+{
+  static const char job_sql[] =
+      "UPDATE evaluations SET recorded_bytes=recorded_bytes+?2 WHERE job=?1";
+  static const char sum_sql[] = "UPDATE meta SET value=value+?1 WHERE key='recorded bytes'";
+  const int error = mo_sql_do(writer, job_sql, mo_int(job), mo_int(bytes));
+  return error == MO_OK ? mo_sql_do(writer, sum_sql, mo_int(bytes)) : error;
+}
+
+/* Stores a trajectory and adds its bytes to *bytes. A trajectory that is stored stays as it is. */
+static int insert(struct mo_connection *writer, const struct mo_saved_trajectory *trajectory,
+                  uint64_t *bytes)
+{
+  static const char sql[] = "INSERT OR IGNORE INTO trajectories(job,position,environment,stride,"
+                            "frames,n_masses,diverged_step,com,masses,actuation,contacts)"
+                            " VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11)";
+  unsigned channels = 0;
+  const int error = mo_sql_do(
+      writer, sql, mo_int(trajectory->job), mo_int(trajectory->design_position),
+      mo_int(trajectory->environment_position), mo_int(trajectory->recording.stride),
+      mo_int(trajectory->frames), mo_int(trajectory->n_masses), mo_int(trajectory->diverged_step),
+      channel_value(trajectory, MO_RECORD_COM), channel_value(trajectory, MO_RECORD_MASSES),
+      channel_value(trajectory, MO_RECORD_ACTUATION),
+      channel_value(trajectory, MO_RECORD_CONTACTS));
+  for (unsigned channel = 1; channel < 1U << MO_CHANNELS; channel <<= 1)
+    if (mo_recording_array(&trajectory->recording, (enum mo_channel)channel) != NULL)
+      channels |= channel;
+  if (error == MO_OK && sqlite3_changes(writer->db) > 0)
+    *bytes += bytes_of(trajectory, channels);
+  return error;
+}
+
+int mo_trajectories_insert(struct mo_connection *writer,
+                           const struct mo_saved_trajectory *trajectories, size_t n)
+{
+  uint64_t bytes = 0;
+  int error = MO_OK;
+  for (size_t i = 0; i < n && error == MO_OK; i++) {
+    error = insert(writer, &trajectories[i], &bytes);
+    if (error == MO_OK && (i + 1 == n || trajectories[i + 1].job != trajectories[i].job)) {
+      error = add_bytes(writer, trajectories[i].job, (int64_t)bytes);
+      bytes = 0;
+    }
+  }
+  return error;
+}
+
+static int recorded_bytes_of(struct mo_connection *writer, int64_t job, int64_t *bytes)
+{
+  static const char sql[] = "SELECT recorded_bytes FROM evaluations WHERE job=?1";
+  return mo_sql_find(writer, bytes, sql, mo_int(job));
+}
+
+int mo_trajectories_delete(struct mo_connection *writer, int64_t job)
+{
+  static const char sql[] = "DELETE FROM trajectories WHERE job=?1";
+  int64_t bytes = 0;
+  int error = recorded_bytes_of(writer, job, &bytes);
+  if (error == MO_OK)
+    error = mo_sql_do(writer, sql, mo_int(job));
+  return error == MO_OK ? add_bytes(writer, job, -bytes) : error;
+}
+
+/* ---- removal ---- */
+
+bool mo_recordings_are_many(const struct mo_store *store)
+{
+  const uint64_t most = store->max_recordings_bytes;
+  return most > 0 && atomic_load(&store->recorded_bytes) > most;
+}
+
+/* Removes the recordings of one evaluation. */
+struct removal {
+  struct mo_store *store;
+  int64_t job;   /* 0: the oldest that has ended, if all take more than max_recordings */
+  int64_t bytes; /* result */
+};
+
+static int remove_of(struct mo_store *store, int64_t job, const char *reason, int64_t *bytes)
+{
+  static const char removed_sql[] = "UPDATE evaluations SET recordings_removed_us=?2 WHERE job=?1";
+  static const char version_sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1";
+  struct mo_connection *writer = &store->writer;
+  char data[96];
+  int error = recorded_bytes_of(writer, job, bytes);
+  if (error != MO_OK || *bytes == 0)
+    return error;
+  error = mo_trajectories_delete(writer, job);
+  if (error == MO_OK)
+    error = mo_sql_do(writer, removed_sql, mo_int(job), mo_int(mo_clock_wall_us()));
+  if (error == MO_OK)
+    error = mo_sql_do(writer, version_sql, mo_int(job));
+  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"bytes\":%lld,\"reason\":\"%s\"}", (long long)job,
+           (long long)*bytes, reason);
+  return error == MO_OK ? mo_writer_event(store, job, "evaluation.recordings_removed", data)
+                        : error;
+}
+
+static int remove_oldest(struct mo_store *store, void *arguments)
+{
+  static const char sum_sql[] = "SELECT value FROM meta WHERE key='recorded bytes'";
+  static const char oldest_sql[] =
+      "SELECT e.job FROM evaluations e JOIN jobs j ON j.id=e.job"
+      " WHERE e.recorded_bytes>0 AND j.state>=3 ORDER BY e.job LIMIT 1";
+  struct removal *removal = arguments;
+  int64_t sum = 0;
+  int error = mo_sql_find(&store->writer, &sum, sum_sql);
+  removal->bytes = 0;
+  if (error != MO_OK)
+    return error;
+  atomic_store(&store->recorded_bytes, (uint64_t)sum);
+  if (!mo_recordings_are_many(store))
+    return MO_OK;
+  error = mo_sql_find(&store->writer, &removal->job, oldest_sql);
+  if (error == MO_OK)
+    error = remove_of(store, removal->job, "budget", &removal->bytes);
+  return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+}
+
+static int remove_on_request(struct mo_store *store, void *arguments)
+{
+  struct removal *removal = arguments;
+  enum mo_job_state state;
+  enum mo_job_kind kind;
+  int error = mo_job_state_get(&store->writer, removal->job, &state, &kind);
+  removal->bytes = 0;
+  if (error == MO_OK && kind != MO_JOB_EVALUATION)
+    error = MO_ERR_NOT_FOUND;
+  if (error == MO_OK && !mo_job_state_is_final(state))
+    error = MO_ERR_CONFLICT;
+  return error == MO_OK ? remove_of(store, removal->job, "request", &removal->bytes) : error;
+}
+
+/* Counts a removal after its commit, and goes on where something was removed. */
+static void removed(struct mo_store *store, int64_t bytes)
+{
+  if (bytes == 0)
+    return;
+  atomic_fetch_add(&store->recordings_removed, 1);
+  atomic_fetch_add(&store->recordings_removed_bytes, (uint64_t)bytes);
+  mo_recordings_check(store);
+}
+
+static void checked(void *arguments, int status)
+{
+  struct removal *removal = arguments;
+  if (status == MO_OK)
+    removed(removal->store, removal->bytes);
+  free(removal);
+}
+
+void mo_recordings_check(struct mo_store *store)
+{
+  struct removal *removal = calloc(1, sizeof(*removal));
+  if (removal == NULL)
+    return; /* the next check does it */
+  removal->store = store;
+  if (mo_write_later(store, remove_oldest, removal, checked) != MO_OK)
+    free(removal);
+}
+
+int mo_store_trajectories_remove(struct mo_store *store, int64_t id, uint64_t *bytes)
+{
+  struct removal removal = {store, id, 0};
+  const int error = mo_write_urgent(store, remove_on_request, &removal);
+  if (error == MO_OK) {
+    removed(store, removal.bytes);
+    *bytes = (uint64_t)removal.bytes;
+  }
+  return error;
+}
