@@ -188,6 +188,7 @@ export class Player {
   setRobots(robots, { keepTime = false } = {}) {
     if (!this.stage) return;
     this.stage.setRobots(robots);
+    this.held = false;
     const duration = this.stage.durationS();
     this.slider.max = String(duration || 1);
     if (!keepTime || this.stage.timeS > duration) this.stage.timeS = 0;
@@ -224,6 +225,15 @@ export class Player {
     this.onchange();
   }
 
+  /**
+   * Stands still until other robots come, or until it is let go: where frames take long, drawing the
+   * old robots would delay the new ones.
+   */
+  hold(on) {
+    this.held = on && this.meanFrameS > SLOW_FRAME_S;
+    if (!on) this.#wake();
+  }
+
   setPlaying(on) {
     this.playing = on;
     this.playButton.textContent = on ? 'Pause' : 'Play';
@@ -244,7 +254,7 @@ export class Player {
   }
 
   #frame(now) {
-    if (!this.stage || !this.canvas.isConnected) {
+    if (!this.stage || !this.canvas.isConnected || this.held) {
       this.running = false;
       return;
     }

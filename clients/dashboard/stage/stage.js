@@ -186,6 +186,7 @@ export class Stage {
     this.shadow = shadowTarget(gl, 1024);
     this.noActuation = dataTexture(gl, gl.R8I, 1, 1, gl.RED_INTEGER, gl.BYTE, new Int8Array(1));
     this.noContacts = dataTexture(gl, gl.R8UI, 1, 1, gl.RED_INTEGER, gl.UNSIGNED_BYTE, new Uint8Array(1));
+    gl.flush(); // the compiler begins now
   }
 
   /** Replaces the robots on the stage. @param {Robot[]} robots */

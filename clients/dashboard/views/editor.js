@@ -101,12 +101,16 @@ export async function mount(main, path, parameters, app) {
     }
     const design = { voxels: genotype };
     result.textContent = `${size}; scoring…`;
+    player.hold(true);
     try {
       const [robot] = await roll([design], [environments[0]], { signal });
       if (mine !== turn) return;
       robot.label = 'this body';
       known.set(genotype, robot.id);
       player.setRobots([robot]);
+      // It walks first: ten rollouts would delay the frame that shows it.
+      await new Promise(requestAnimationFrame);
+      if (mine !== turn) return;
       const shownMs = Math.round(performance.now() - started);
       const reply = await patient(() => post('v1/rollouts', {
         designs: [design], environments: 'paper-test', record: [],
@@ -119,7 +123,9 @@ export async function mount(main, path, parameters, app) {
         `scored after ${Math.round(performance.now() - started)} ms`;
       performance.measure('morphod-click-to-motion', { start: started, duration: shownMs });
     } catch (error) {
-      if (!signal.aborted) result.textContent = `${size}; ${error.message}`;
+      if (signal.aborted) return;
+      player.hold(false);
+      result.textContent = `${size}; ${error.message}`;
     }
   }
 
