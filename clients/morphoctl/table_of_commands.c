@@ -38,6 +38,14 @@
    "another that ffmpeg makes), film.y4m, or a folder that ends with / for PNG files."},           \
       {"environment", 0, "N", "Which of the environments the film shows, from 0 (default: 0)."},   \
       LOOK
+#define LABEL "label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD
+/* Options of both commands that start a job of hours. */
+#define OF_LONG_JOBS(job, command)                                                                 \
+  {"priority", 0, "interactive|batch", "Default: batch.", "priority", FIELD_WORD}, {WEIGHT},       \
+      {DEVICE}, {LABEL}, {"watch", 'w', NULL, "Watch it to its end, as " command " watch does."},  \
+  {                                                                                                \
+    KEY(job)                                                                                       \
+  }
 /* Options of lists. */
 #define STATE(jobs)                                                                                \
   "state", 0, "STATE",                                                                             \
@@ -65,7 +73,7 @@ static const struct option_spec eval_options[] = {
      "priority", FIELD_WORD},
     {WEIGHT},
     {DEVICE},
-    {"label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD},
+    {LABEL},
     {"wait", 0, NULL, "Wait for the result (the default)."},
     {"no-wait", 0, NULL, "Print the id of the evaluation and do not wait."},
     {"sort", 0, "input|score", "Order of the table (default: input)."},
@@ -144,12 +152,7 @@ static const struct option_spec train_start_options[] = {
      FIELD_WHOLE},
     {"checkpoint-keep", 0, "N", "Keep the newest N checkpoints, 1 to 100 (default: 3).",
      "checkpoint.keep", FIELD_WHOLE},
-    {"priority", 0, "interactive|batch", "Default: batch.", "priority", FIELD_WORD},
-    {WEIGHT},
-    {DEVICE},
-    {"label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD},
-    {"watch", 'w', NULL, "Watch it to its end, as train watch does."},
-    {KEY("training")},
+    OF_LONG_JOBS("training", "train"),
     {NULL}};
 static const struct option_spec train_list_options[] = {
     {STATE("trainings")}, {LABELED}, {OF_USER}, {NEWEST}, {UNLIMITED}, {NULL}};
@@ -196,12 +199,7 @@ static const struct option_spec campaign_start_options[] = {
     {"name", 0, "NAME",
      "Name of the controller that a learning campaign makes (default: campaign- and the id).",
      "name", FIELD_WORD},
-    {"priority", 0, "interactive|batch", "Default: batch.", "priority", FIELD_WORD},
-    {WEIGHT},
-    {DEVICE},
-    {"label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD},
-    {"watch", 'w', NULL, "Watch it to its end, as campaign watch does."},
-    {KEY("campaign")},
+    OF_LONG_JOBS("campaign", "campaign"),
     {NULL}};
 static const struct option_spec campaign_list_options[] = {
     {STATE("campaigns")},

@@ -200,20 +200,8 @@ void mo_waits_end(struct mo_http *http, int64_t what, int64_t now_us)
   for (struct mo_request *request = LIST_FIRST(&pool->waiting), *next; request != NULL;
        request = next) {
     next = LIST_NEXT(request, others_waiting);
-    if (request->wait_for == what || request->wait_deadline_us <= now_us)
-      let_go(pool, request);
-  }
-  pthread_mutex_unlock(&pool->lock);
-}
-
-void mo_waits_tick(struct mo_http *http)
-{
-  struct mo_pool *pool = &http->pool;
-  pthread_mutex_lock(&pool->lock);
-  for (struct mo_request *request = LIST_FIRST(&pool->waiting), *next; request != NULL;
-       request = next) {
-    next = LIST_NEXT(request, others_waiting);
-    if (request->wait_parked && mo_connection_has_left(request->connection))
+    if (request->wait_for == what || request->wait_deadline_us <= now_us ||
+        (what < 0 && request->wait_parked && mo_connection_has_left(request->connection)))
       let_go(pool, request);
   }
   pthread_mutex_unlock(&pool->lock);

@@ -39,10 +39,9 @@ int mo_pool_give(struct mo_http *http, struct mo_request *request);
  * deadline passes, or when the client leaves. */
 void mo_wait_begin(struct mo_request *request, int64_t what, int64_t deadline_us);
 void mo_wait_end(struct mo_request *request);
-/* Ends the waits for `what` (−1: nothing), and those whose deadline has passed (INT64_MIN: none,
- * MO_NEVER: all). */
+/* Ends the waits for `what`, or (−1) of clients that have left, and those whose deadline has passed
+ * (INT64_MIN: none, MO_NEVER: all). */
 void mo_waits_end(struct mo_http *http, int64_t what, int64_t now_us);
-void mo_waits_tick(struct mo_http *http); /* wakes requests whose client has left */
 
 void mo_pool_close(struct mo_http *http); /* returns when no connection is suspended */
 void mo_pool_stop(struct mo_http *http);

@@ -44,7 +44,6 @@ static void *clock_thread(void *context)
     if (now_us - second_us >= 1000000) {
       second_us = now_us;
       mo_streams_tick(http, now_us);
-      mo_waits_tick(http);
       mo_clients_sweep(&http->clients, now_us);
       if (http->service.tick != NULL)
         http->service.tick(http->service.context);
