@@ -1,10 +1,8 @@
 /* cmd_design.c: design show, list, draw, random. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "commands.h"
 #include "table.h"
-#include "template.h"
 #include "transport.h"
 
 static void print_orientation(const struct ctl *ctl, const json_t *orientation)

@@ -1,6 +1,5 @@
 /* request.c: makes the bodies of requests from options, posts jobs, and waits for evaluations. */
 #include <errno.h>
-#include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
 

@@ -8,7 +8,6 @@
 
 #include <float.h>
 #include <math.h>
-#include <stdbool.h>
 
 /* Returns the continued fraction of I_x(a, b), for x below (a + 1)/(a + b + 2). */
 static double beta_fraction(double a, double b, double x)

@@ -5,7 +5,6 @@
 #define MORPHO_BASE_FAULTS_H
 
 #include <stdbool.h>
-#include <stddef.h>
 
 #define MO_FAULTS_MAX 32
 

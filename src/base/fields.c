@@ -323,19 +323,3 @@ int mo_fields_check_below(const struct mo_fields *fields, const char *name, cons
   snprintf(above, sizeof(above), "%s.", name);
   return check(fields, above, settings, message);
 }
-
-/* ---- paths ---- */
-
-const struct mo_field *mo_fields_find(const struct mo_fields *fields, const char *path,
-                                      size_t *offset)
-{
-  const size_t size = strcspn(path, ".");
-  const struct mo_field *field = find(fields, path, size, offset);
-  if (field == NULL)
-    return NULL;
-  *offset += field->offset;
-  if (path[size] == '\0')
-    return field;
-  return field->type == MO_FIELD_GROUP ? mo_fields_find(field->group, path + size + 1, offset)
-                                       : NULL;
-}

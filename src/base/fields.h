@@ -100,9 +100,4 @@ int mo_fields_check(const struct mo_fields *fields, const void *settings,
 int mo_fields_check_below(const struct mo_fields *fields, const char *name, const void *settings,
                           struct mo_message *message);
 
-/* Finds the row of a path ("schedule.peak"). *offset: from the outermost struct. NULL: there is
- * none. */
-const struct mo_field *mo_fields_find(const struct mo_fields *fields, const char *path,
-                                      size_t *offset);
-
 #endif

@@ -3,7 +3,6 @@
  * array. */
 #include "controller/internal.h"
 
-#include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>

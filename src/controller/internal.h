@@ -2,8 +2,6 @@
 #ifndef MORPHO_CONTROLLER_INTERNAL_H
 #define MORPHO_CONTROLLER_INTERNAL_H
 
-#include <stdbool.h>
-
 #include <morpho/controller.h>
 
 /* The format stores little-endian float32, and parameters are copied between file and memory

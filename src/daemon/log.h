@@ -10,7 +10,6 @@
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
-#include <stdio.h>
 
 /* Longest line; at most PIPE_BUF, so that lines of several processes never mix. */
 #define LOG_LINE_BYTES 4096

@@ -1,6 +1,5 @@
 /* lifecycle.c: the begin and the end of a request. */
 #include <inttypes.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

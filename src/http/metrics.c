@@ -2,7 +2,6 @@
  * no labels with unbounded values. */
 #include "http/metrics.h"
 
-#include <stdio.h>
 #include <string.h>
 
 #include "http/server.h"

@@ -1,6 +1,4 @@
 /* pool.c: see pool.h. request.h says which thread owns a request. */
-#include <stdlib.h>
-#include <unistd.h>
 
 #include "base/clock.h"
 #include "base/processors.h"

@@ -3,7 +3,6 @@
 
 #include <linux/netlink.h>
 #include <malloc.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/random.h>

@@ -153,23 +153,8 @@ static void checks_bounds(void)
   CHECK_TEXT(message.text, "color must be \"red\" or \"green\", got number 2");
 }
 
-static void finds_paths(void)
-{
-  size_t offset = 0;
-  const struct mo_field *field = mo_fields_find(&fields, "inner.steps", &offset);
-  REQUIRE(field != NULL);
-  CHECK_INT(offset, offsetof(struct outer, inner.steps));
-  offset = 0;
-  REQUIRE(mo_fields_find(&fields, "flat", &offset) != NULL);
-  CHECK_INT(offset, offsetof(struct outer, inner.flat));
-  offset = 0;
-  CHECK(mo_fields_find(&fields, "inner.size", &offset) == NULL);
-  CHECK(mo_fields_find(&fields, "count.size", &offset) == NULL);
-}
-
 static const struct check_case cases[] = {{"reads what is given", reads_what_is_given},
                                           {"returns every bit", returns_every_bit},
                                           {"says what is wrong", says_what_is_wrong},
-                                          {"checks bounds", checks_bounds},
-                                          {"finds paths", finds_paths}};
+                                          {"checks bounds", checks_bounds}};
 CHECK_MAIN(cases)
