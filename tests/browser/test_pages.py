@@ -1,12 +1,14 @@
 """Every page, with real data: it shows what the API says, breaks no rule, and is usable by all."""
 
+import json
 import os
+import statistics
 import subprocess
 
 import pytest
 
 from contract import SOURCE
-from service import DESIGN, await_end
+from service import DESIGN, await_end, run
 
 VIEWS = {
     "": "Overview", "campaigns": "Campaigns", "campaigns/{campaign}": "<b>walkers</b> & others",
@@ -246,13 +248,67 @@ def test_a_form_can_be_copied(service, browser, tmp_path):
     assert made[0]["settings"] == made[1]["settings"]
 
 
+def test_campaigns_are_compared_with_an_interval(service, browser):
+    """Replicates are a side; the interval of the difference is Welch's."""
+    base = {"mode": "zero-shot", "population": 4, "generations": 2, "physics": {"n_steps": 30},
+            "exclude_pretraining": False, "replicates": 3, "controller": "default"}
+    firsts = [run(service, "campaigns", base | {"seed": seed})["id"] for seed in (5, 50)]
+    sides = []
+    for first in firsts:
+        members = [one["id"] for one in service.get(f"/v1/campaigns?group={first}")["items"]]
+        assert len(members) == 3
+        for id in members:
+            await_end(service, f"/v1/campaigns/{id}")
+        sides.append([service.pages(f"/v1/campaigns/{id}/generations")[-1]
+                      ["score"]["quantiles"]["p0"] for id in members])
+    browser.open(f"campaigns/{firsts[0]}?compare={firsts[1]}")
+    browser.until("document.querySelectorAll('[aria-label=Comparison] tbody tr').length === 2")
+    row = browser.texts("[aria-label=Comparison] tbody tr:last-child td")
+    means = [statistics.mean(side) for side in sides]
+    assert float(row[2]) == pytest.approx(means[1], abs=6e-5)
+    assert float(row[3].replace("\u2212", "-")) == pytest.approx(means[1] - means[0], abs=6e-5)
+    parts = [statistics.variance(side) / 3 for side in sides]
+    freedom = sum(parts)**2 / sum(part**2 / 2 for part in parts)
+    low, high = (float(one.replace("\u2212", "-")) for one in row[4].split(" to "))
+    told = (high - low) / 2 / sum(parts)**0.5  # the quantile that was used
+    table = {2: 4.3027, 3: 3.1824, 4: 2.7764}
+    assert table[int(freedom) + (freedom < 4)] - 2e-2 <= told <= table[int(freedom)] + 2e-2
+    assert browser.faults() == []
+
+
+def test_trainings_of_other_seeds_are_a_band(service, browser):
+    from conftest import TRAINING
+    other = run(service, "trainings", TRAINING | {"name": "second", "seed": 9})["id"]
+    rows = [service.pages(f"/v1/trainings/{id}/steps") for id in (service.training, other)]
+    browser.open(f"trainings/{service.training}?compare={other}")
+    told = "document.querySelector('figure canvas').getAttribute('aria-label')"
+    browser.until(told + ".includes('mean of 2 replicates')")
+    mean = statistics.mean(one[-1]["mean_loss"] for one in rows)
+    assert f"to {mean:.3g} at step {rows[0][-1]['step']}" in browser.run("return " + told)
+    legend = browser.texts("figure")[0]
+    assert "least to most" in legend
+
+
 def test_two_controllers_are_compared(service, browser):
     browser.open("trainings")
-    browser.run("const [, second] = [...document.querySelectorAll('select')];"
-                "second.value = 'tuned'; second.dispatchEvent(new Event('change'));")
+    browser.run("""
+        const [first, second, bodies] = [...document.querySelectorAll('select')];
+        for (const [e, value] of [[first, 'default'], [second, 'tuned'], [bodies, '16']]) {
+          e.value = value;
+          e.dispatchEvent(new Event('change'));
+        }
+    """)
     browser.click("Compare")
     browser.until("/95 % interval/.test(document.body.innerText)", 90)
     browser.until_walking()
+    command = "train compare default tuned --designs 16 --json"
+    done = subprocess.run([SOURCE / "build/clients/morphoctl/morphoctl", *command.split(),
+                           "--server", browser.base.rstrip("/")], capture_output=True, check=True)
+    same = json.loads(done.stdout)
+    text = browser.run("return document.body.innerText").replace("\u2212", "-")
+    for number in ("difference", "low", "high"):
+        assert f"{same[number]:+.4f}" in text, (number, same)
+    assert f"{same['pairs']} held-out bodies" in text and f"{same['improved']} of them" in text
     assert browser.run("return document.querySelector('.stage').player.stage.robots.length") == 2
     assert browser.faults() == []
 

@@ -192,7 +192,7 @@ export class Player {
     const duration = this.stage.durationS();
     this.slider.max = String(duration || 1);
     if (!keepTime || this.stage.timeS > duration) this.stage.timeS = 0;
-    this.sideToggle.disabled = this.raceToggle.disabled = robots.length < 2;
+    this.sideToggle.parentElement.hidden = robots.length < 2;
     // All robots start at the same place, so a few of them are first shown apart.
     const apart = robots.length > 1 && robots.length <= 16;
     if (!this.arranged && this.stage.sideBySide !== apart) this.setSide(apart);

@@ -9,11 +9,13 @@ import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { breedDialog, startDialog } from './forms.js';
 import { actions, progressBar, stateChip, titleOf, trouble, weightField } from './jobs.js';
+import { Comparison } from './comparison.js';
 import { Scatter } from './scatter.js';
 import { copyButton, saveLink, showDialog } from './share.js';
 
 const CHAMPIONS = 8;
-const HUES = ['--blue', '--orange', '--green', '--pink'];
+const HUES = ['--blue', '--green', '--pink', '--grey'];
+const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
 
 export async function mount(main, [id, part], parameters, app) {
   if (!id) return mountList(main, app);
@@ -71,6 +73,7 @@ async function mountOne(main, id, parameters, app) {
   const curves = ids.map((one) => new Curve(`v1/campaigns/${one}/generations`));
   const isGroup = campaign.group.replicates > 1;
   const replicates = isGroup ? new Curve(`v1/campaigns/${campaign.group.id}/replicates`) : null;
+  const compared = others.length ? new Comparison(ids, get) : null;
   const learns = campaign.settings.learning !== null;
 
   const head = h('div.title');
@@ -90,7 +93,7 @@ async function mountOne(main, id, parameters, app) {
   const scatter = new Scatter((numbers) => walk(numbers));
   const announceState = h('div.visually-hidden', { 'aria-live': 'polite' });
 
-  main.replaceChildren(head, status, h('div.grid', {}, Object.values(charts).map((chart) => chart.element)),
+  main.replaceChildren(head, status, ...(compared ? [compared.element] : []), h('div.grid', {}, Object.values(charts).map((chart) => chart.element)),
     h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Champions'),
       h('span.muted', {}, 'the most distinct of the best; touch one to see it walk'), h('div.actions', {}, walkChosen, breed)), champions),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element), scatter.element, announceState);
@@ -98,7 +101,7 @@ async function mountOne(main, id, parameters, app) {
   function showHead() {
     fill(head, h('h1', {}, titleOf(campaign)),
       h('span.muted', {}, `${campaign.mode}, ${count(campaign.settings.population)} designs`), stateChip(campaign),
-      others.map((other, i) => h('a.state', { href: `#/campaigns/${other}` }, `with campaign ${other} (${['dashed', 'dotted', 'thin'][i]})`)),
+      others.map((other, i) => h('a.state', { href: `#/campaigns/${other}` }, `with campaign ${other} (${['dashed', 'dotted', 'dash and dot'][i]})`)),
       h('div.actions', {}, h('a.button', { href: `#/campaigns/${id}/phylogeny` }, 'Phylogeny'),
         button('Export', () => exports()), button('Extend', () => extend()),
         copyButton(() => requestOf(campaign.id))));
@@ -152,9 +155,11 @@ async function mountOne(main, id, parameters, app) {
         low: column(r, (row) => row.mean_score.least), high: column(r, (row) => row.mean_score.most), color: '--blue-softer' });
     }
     others.forEach((other, i) => {
-      const ox = column(curves[i + 1].rows, (row) => row.generation);
-      scores.push({ name: `median of ${other}`, x: ox, y: column(curves[i + 1].rows, (row) => row.score.quantiles.p50),
-        color: HUES[i + 1], dash: [6, 4] });
+      const { rows: r } = curves[i + 1];
+      const ox = column(r, (row) => row.generation);
+      scores.push({ name: `25 to 75 % of ${other}`, kind: 'band', x: ox, y: ox, color: HUES[i + 1], opacity: 0.18,
+        low: column(r, (row) => row.score.quantiles.p25), high: column(r, (row) => row.score.quantiles.p75) },
+      { name: `median of ${other}`, x: ox, y: column(r, (row) => row.score.quantiles.p50), color: HUES[i + 1], dash: DASHES[i + 1] });
     });
     charts.scores.set(scores);
     charts.diversity.set([
@@ -250,7 +255,10 @@ async function mountOne(main, id, parameters, app) {
 
   async function refreshCurves() {
     const fresh = await Promise.all([...curves, ...(replicates ? [replicates] : [])].map((curve) => curve.refresh(stop.signal)));
-    if (fresh.some(Boolean)) showCharts();
+    if (fresh.some(Boolean)) {
+      showCharts();
+      await compared?.refresh();
+    }
     return fresh[0];
   }
 
@@ -280,6 +288,7 @@ async function mountOne(main, id, parameters, app) {
       clearTimeout(pending);
       stop.abort();
       Object.values(charts).forEach((chart) => chart.destroy());
+      compared?.destroy();
       scatter.destroy();
       player.destroy();
     },

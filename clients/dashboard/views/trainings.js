@@ -3,8 +3,9 @@
 import { Curve, getJson, patient, post } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
 import { button, fill, h, select } from '../lib/dom.js';
-import { ago, bytes, count, number, score } from '../lib/format.js';
+import { ago, bytes, count, number, percent, score } from '../lib/format.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
+import { CONFIDENCE, comparePairs } from '../lib/statistics.js';
 import { Player } from '../stage/player.js';
 import { startDialog } from './forms.js';
 import { actions, progressBar, stateChip, titleOf, trouble, weightField } from './jobs.js';
@@ -50,21 +51,21 @@ async function mountList(main, app) {
         h(/Loss|score/.test(name) ? 'th.right' : 'th', { scope: 'col' }, name)))), h('tbody', {}, trainings.items.map(row))))
       : h('p.empty', {}, 'No training yet. A training teaches a controller by backpropagation through the simulation.'));
     fill(files, h('h2', {}, 'Controllers'), h('div.scroll', {}, h('table', {},
-      h('thead', {}, h('tr', {}, ['Name', 'File', 'Parameters', 'Sensor', 'Parent', 'Stored'].map((name) => h('th', { scope: 'col' }, name)))),
+      h('thead', {}, h('tr', {}, ['Name', 'File', 'Parameters', 'Sensor', 'Made by', 'From', 'Stored'].map((name) => h('th', { scope: 'col' }, name)))),
       h('tbody', {}, named.map((one) => h('tr', {},
         h('td', {}, saveLink(`v1/controllers/${encodeURIComponent(one.name)}/file`, `${one.name}.safetensors`, one.name)),
         h('td', {}, h('code', {}, one.sha256.slice(0, 12)), h('span.muted', {}, ` ${bytes(one.bytes)}`)),
-        h('td', {}, count(one.parameters)), h('td', {}, one.sensor), h('td', {}, String(one.metadata?.parent ?? '–').slice(0, 12)),
+        h('td', {}, count(one.parameters)), h('td', {}, one.sensor), lineageOf(one, trainings.items),
         h('td', {}, ago(one.stored_at))))))));
-    return named.map(({ name }) => name);
+    return named;
   }
 
-  const names = await refresh();
+  const named = await refresh();
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Trainings'), h('div.actions', {}, compare,
       copyButton(() => ({ path: 'v1/trainings', morphoctl: 'train list\ncontroller list', python: 'print(m.request("GET", "/v1/trainings"))\nprint(m.controllers())' })),
       button('New training', () => startDialog(app, 'training'), { class: 'primary' }))),
-    list, files, comparison(app, names));
+    list, files, named.length ? comparison(app, named) : null);
   return {
     update(event) {
       if (event.type === 'reset' || event.type.startsWith('training.') || event.type.startsWith('controller.')) {
@@ -74,17 +75,29 @@ async function mountList(main, app) {
   };
 }
 
+/** Where a controller comes from: the training that made it, and what that began with. */
+function lineageOf(controller, trainings) {
+  const training = trainings.find((one) => one.controller?.sha256 === controller.sha256);
+  if (!training) return [h('td.muted', {}, 'uploaded'), h('td', {}, '–')];
+  return [h('td', {}, h('a', { href: `#/trainings/${training.id}` }, training.label ?? `Training ${training.id}`)),
+    h('td', {}, training.parent?.name ?? (training.parent ? h('code', {}, training.parent.sha256.slice(0, 12)) : 'random weights'))];
+}
+
 /** Two controllers on the same held-out bodies: the difference with its interval, and both side by side. */
-function comparison(app, names) {
-  let [a, b] = [names[0], names[1] ?? names[0]];
+function comparison(app, controllers) {
+  // Two names of one file are no comparison.
+  const other = controllers.find((one) => one.sha256 !== controllers[0].sha256) ?? controllers[0];
+  const names = controllers.map(({ name }) => name);
+  let [a, b, size] = [names[0], other.name, '64'];
   const result = h('p', { 'aria-live': 'polite' });
   const player = new Player(app, { compact: true, height: 380 });
   const stage = h('div.panel.flush', { hidden: true }, player.element);
 
   async function compare() {
+    go.disabled = true;
     result.textContent = 'Scoring both on the held-out bodies…';
     try {
-      const { designs, environments } = await getJson('v1/held-out?seed=1&designs=16&environments=8');
+      const { designs, environments } = await getJson(`v1/held-out?seed=1&designs=${size}&environments=8`);
       const evaluate = async (controller) => {
         let evaluation = await patient(() => post('v1/evaluations', {
           designs, environments, controller, label: `comparison of ${a} and ${b}`,
@@ -97,13 +110,16 @@ function comparison(app, names) {
         return evaluation;
       };
       const [first, second] = await Promise.all([evaluate(a), evaluate(b)]);
-      const differences = first.results.map((one, i) => second.results[i].score - one.score).filter(Number.isFinite);
-      const mean = differences.reduce((sum, d) => sum + d, 0) / differences.length;
-      const variance = differences.reduce((sum, d) => sum + (d - mean) ** 2, 0) / Math.max(1, differences.length - 1);
-      const half = 1.96 * Math.sqrt(variance / differences.length);
-      const better = mean + half < 0 ? `${b} is better` : mean - half > 0 ? `${a} is better` : 'no clear difference';
-      result.textContent = `${b} minus ${a}: ${number(mean)} (95 % interval ${number(mean - half)} to ${number(mean + half)}, ` +
-        `${differences.length} held-out bodies in ${environments.length} environments): ${better}.`;
+      const scores = [first, second].map(({ results }) => results.map((one) => one.score ?? NaN));
+      const { n, difference, low, high, improved } = comparePairs(scores[0], scores[1]);
+      const signed = (value) => `${value < 0 ? '−' : '+'}${Math.abs(value).toFixed(4)}`;
+      const better = high < 0 ? `${b} is better on such bodies` : low > 0 ? `${b} is worse on such bodies`
+        : 'which is better is not shown: more bodies make the interval narrower';
+      const left = designs.length - n;
+      result.textContent = n < 2 ? 'Too few bodies have a score with both controllers to say which is better.'
+        : `${b} minus ${a}: ${signed(difference)}, ${percent(CONFIDENCE)} interval ${signed(low)} to ${signed(high)} ` +
+          `(Student t, ${n} held-out bodies in ${environments.length} environments, ${improved} of them improved` +
+          `${left ? `; ${left} that diverged left out` : ''}). Lower is better: ${better}.`;
       const [design] = designs;
       const [environment] = await environmentSet('paper-test');
       const robots = [];
@@ -112,16 +128,27 @@ function comparison(app, names) {
         robots.push({ ...robot, label: controller });
       }
       stage.hidden = false;
+      fill(link, h('a', { href: `#/stage?designs=${designs[0].voxels ?? designs[0].id ?? ''}&controller=${a},${b}&show=skin,trails,side` },
+        'both on the stage, in any environment'));
       player.setRobots(robots);
       player.setSide(true);
     } catch (error) {
       result.textContent = error.message;
     }
+    go.disabled = false;
   }
 
-  return h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Compare two controllers'), h('div.actions', {},
-    select('First', names, a, (value) => { a = value; }), select('Second', names, b, (value) => { b = value; }),
-    button('Compare', compare))), result, stage);
+  const go = button('Compare', compare);
+  const link = h('p');
+  return h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Compare two controllers'),
+    h('span.muted', {}, 'on bodies and environments that no training draws'), h('div.actions', {},
+      select('First', names, a, (value) => { a = value; }), select('Second', names, b, (value) => { b = value; }),
+      select('Bodies', ['16', '64', '256'], size, (value) => { size = value; }), go, copyButton(() => ({
+        path: `v1/held-out?seed=1&designs=${size}&environments=8`, morphoctl: `train compare ${a} ${b} --designs ${size}`,
+        python: `held_out = m.request("GET", "/v1/held-out", seed=1, designs=${size}, environments=8)\n` +
+          `for controller in ("${a}", "${b}"):\n` +
+          '    print(m.request("POST", "/v1/evaluations", {**held_out, "controller": controller})["id"])',
+      })))), result, link, stage);
 }
 
 async function mountOne(main, id, parameters, app) {
@@ -133,7 +160,7 @@ async function mountOne(main, id, parameters, app) {
   const validations = ids.map((one) => new Curve(`v1/trainings/${one}/validations`));
   const head = h('section.panel.stack');
   const loss = new Chart({ title: 'Mean loss of the batch', xName: 'step', log: true, height: 280, empty: 'No step has ended yet.' });
-  const held = new Chart({ title: 'Held-out score, with its standard error', xName: 'step', log: true, height: 280, empty: 'No validation yet.' });
+  const held = new Chart({ title: 'Held-out score', xName: 'step', log: true, height: 280, empty: 'No validation yet.' });
   const norm = new Chart({ title: 'Gradient norm', xName: 'step', log: true });
   const clipped = new Chart({ title: 'Share of clipped adjoints', xName: 'step', minimum: 0 });
   const charts = [loss, held, norm, clipped];
@@ -154,20 +181,53 @@ async function mountOne(main, id, parameters, app) {
   }
 
   const column = (rows, take) => Float64Array.from(rows, (row) => take(row) ?? NaN);
+  /** Trainings that differ in their seeds alone are replicates: a band of them is one curve. */
+  let groups = ids.map((one, i) => ({ name: ids.length > 1 ? `training ${one}` : '', members: [i] }));
+
+  async function findReplicates() {
+    if (ids.length < 2) return;
+    const items = await Promise.all(ids.map((one) => get(`v1/trainings/${one}`)));
+    const keys = items.map(({ kind, parent, settings: { seed, ...rest } }) => JSON.stringify([kind, parent, rest]));
+    groups = [...new Set(keys)].map((key) => {
+      const members = keys.flatMap((one, i) => (one === key ? [i] : []));
+      const seeds = members.map((i) => items[i].settings.seed);
+      const isReplicated = members.length > 1 && new Set(seeds).size === members.length;
+      return { members, name: isReplicated ? `mean of ${members.length} replicates` : `training ${members.map((i) => ids[i]).join(', ')}` };
+    });
+    // Equal trainings of one seed are no replicates.
+    groups = groups.flatMap((group) => (group.name.startsWith('mean') || group.members.length === 1 ? [group]
+      : group.members.map((i) => ({ name: `training ${ids[i]}`, members: [i] }))));
+  }
+
+  /** The curve of a group: its rows, or the mean, least and most over its replicates where all have a row. */
+  function curveOf({ members }, curves, name) {
+    const lists = members.map((i) => new Map(curves[i].rows.map((row) => [row.step, row[name] ?? NaN])));
+    const x = [...lists[0].keys()].filter((step) => lists.every((list) => list.has(step)));
+    const values = x.map((step) => lists.map((list) => list.get(step)));
+    return {
+      x, y: values.map((all) => all.reduce((sum, one) => sum + one, 0) / all.length),
+      low: values.map((all) => Math.min(...all)), high: values.map((all) => Math.max(...all)),
+    };
+  }
+
   function showCharts() {
-    const each = (curves, name) => curves.map((curve, i) => ({
-      name: ids.length > 1 ? `training ${ids[i]}` : name.replaceAll('_', ' '), color: HUES[i],
-      x: column(curve.rows, (row) => row.step), y: column(curve.rows, (row) => row[name]),
-    }));
+    const each = (curves, name) => groups.flatMap((group, i) => {
+      const { x, y, low, high } = curveOf(group, curves, name);
+      const line = { name: group.name || name.replaceAll('_', ' '), color: HUES[i], x, y };
+      return group.members.length < 2 ? [line]
+        : [{ name: 'least to most', kind: 'band', x, y: x, low, high, color: HUES[i], opacity: 0.2 }, line];
+    });
     loss.set(each(steps, 'mean_loss'));
     norm.set(each(steps, 'gradient_norm'));
     clipped.set(each(steps, 'clipped_share'));
-    held.set(validations.flatMap((curve, i) => {
-      const x = column(curve.rows, (row) => row.step);
-      const bound = (sign) => column(curve.rows, (row) => (row.mean_score === null ? null : row.mean_score + sign * (row.standard_error ?? 0)));
+    held.set(groups.flatMap((group, i) => {
+      if (group.members.length > 1) return /** @type {any[]} */ (each(validations, 'mean_score').filter(({ color }) => color === HUES[i]));
+      const { rows } = validations[group.members[0]];
+      const x = column(rows, (row) => row.step);
+      const bound = (sign) => column(rows, (row) => (row.mean_score === null ? null : row.mean_score + sign * (row.standard_error ?? 0)));
       return [
         { name: 'standard error', kind: 'band', silent: true, x, y: x, low: bound(-1), high: bound(1), color: HUES[i], opacity: 0.2 },
-        { name: ids.length > 1 ? `training ${ids[i]}` : 'held-out score', x, y: column(curve.rows, (row) => row.mean_score), color: HUES[i] },
+        { name: group.name || 'held-out score', x, y: column(rows, (row) => row.mean_score), color: HUES[i] },
       ];
     }));
   }
@@ -177,6 +237,7 @@ async function mountOne(main, id, parameters, app) {
     showCharts();
   }
 
+  await findReplicates();
   await refresh();
   let pending = null;
   return {

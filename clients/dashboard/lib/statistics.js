@@ -1,0 +1,86 @@
+/** The statistics of morphoctl (clients/morphoctl/stats.c): intervals of Student's t distribution. */
+
+export const CONFIDENCE = 0.95;
+
+/** Natural logarithm of the gamma function, for x > 0: Lanczos's sum. */
+function logGamma(x) {
+  const terms = [76.18009172947146, -86.50532032941677, 24.01409824083091, -1.231739572450155,
+    0.1208650973866179e-2, -0.5395239384953e-5];
+  const base = x + 5.5;
+  const sum = terms.reduce((all, term, i) => all + term / (x + 1 + i), 1.000000000190015);
+  return (x + 0.5) * Math.log(base) - base + Math.log((2.5066282746310005 * sum) / x);
+}
+
+/** The continued fraction of the incomplete beta function I_x(a, b), for x below (a + 1)/(a + b + 2). */
+function betaFraction(a, b, x) {
+  const away = (value) => (Math.abs(value) < 1e-300 ? 1e-300 : value);
+  let c = 1;
+  let d = 1 / away(1 - ((a + b) * x) / (a + 1));
+  let value = d;
+  for (let m = 1; m <= 10000; m++) {
+    const even = (m * (b - m) * x) / ((a + 2 * m - 1) * (a + 2 * m));
+    const odd = (-(a + m) * (a + b + m) * x) / ((a + 2 * m) * (a + 2 * m + 1));
+    let change = 1;
+    for (const term of [even, odd]) {
+      d = 1 / away(1 + term * d);
+      c = away(1 + term / c);
+      change = c * d;
+      value *= change;
+    }
+    if (Math.abs(change - 1) < Number.EPSILON) break;
+  }
+  return value;
+}
+
+function incompleteBeta(a, b, x, y) {
+  if (x <= 0 || y <= 0) return x <= 0 ? 0 : 1;
+  const front = Math.exp(logGamma(a + b) - logGamma(a) - logGamma(b) + a * Math.log(x) + b * Math.log(y));
+  if (x < (a + 1) / (a + b + 2)) return (front * betaFraction(a, b, x)) / a;
+  return 1 - (front * betaFraction(b, a, y)) / b;
+}
+
+/** P(T ≤ t) with so many degrees of freedom. */
+function studentProbability(t, freedom) {
+  const square = t * t;
+  const tails = incompleteBeta(freedom / 2, 0.5, freedom / (freedom + square), square / (freedom + square));
+  return t > 0 ? 1 - tails / 2 : tails / 2;
+}
+
+/** t with P(T ≤ t) = p, for p above one half. */
+export function studentQuantile(p, freedom) {
+  let [low, high] = [0, 1];
+  while (studentProbability(high, freedom) < p && high < 1e300) high *= 2;
+  for (let i = 0; i < 200; i++) {
+    const middle = low + (high - low) / 2;
+    if (middle <= low || middle >= high) break;
+    if (studentProbability(middle, freedom) < p) low = middle;
+    else high = middle;
+  }
+  return low + (high - low) / 2;
+}
+
+const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.length;
+const squares = (values, middle) => values.reduce((sum, one) => sum + (one - middle) ** 2, 0);
+
+/** The mean of b − a over the pairs in which both are finite, with its interval; NaN: too few pairs. */
+export function comparePairs(a, b) {
+  const pairs = a.map((one, i) => [one, b[i]]).filter((pair) => pair.every((one) => Number.isFinite(one)));
+  const off = pairs.map(([one, other]) => other - one);
+  const n = off.length;
+  const difference = n ? mean(off) : NaN;
+  const half = n < 2 ? NaN
+    : studentQuantile(0.5 + CONFIDENCE / 2, n - 1) * (Math.sqrt(squares(off, difference) / (n - 1)) / Math.sqrt(n));
+  return { n, difference, low: difference - half, high: difference + half, improved: off.filter((one) => one < 0).length };
+}
+
+/** The mean of b minus the mean of a, with Welch's interval: two sets that are not paired. */
+export function compareMeans(a, b) {
+  const [ma, mb] = [mean(a), mean(b)];
+  const difference = mb - ma;
+  if (a.length < 2 || b.length < 2) return { difference, low: NaN, high: NaN };
+  const [va, vb] = [squares(a, ma) / (a.length - 1) / a.length, squares(b, mb) / (b.length - 1) / b.length];
+  if (va + vb === 0) return { difference, low: difference, high: difference };
+  const freedom = (va + vb) ** 2 / (va ** 2 / (a.length - 1) + vb ** 2 / (b.length - 1));
+  const half = studentQuantile(0.5 + CONFIDENCE / 2, freedom) * Math.sqrt(va + vb);
+  return { difference, low: difference - half, high: difference + half };
+}

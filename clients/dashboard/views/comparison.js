@@ -1,0 +1,79 @@
+/** Campaigns compared: their scores at the newest generation that all have, with an interval. */
+
+import { Chart } from '../lib/chart.js';
+import { fill, h } from '../lib/dom.js';
+import { score } from '../lib/format.js';
+import { CONFIDENCE, compareMeans } from '../lib/statistics.js';
+import { Curve } from '../lib/api.js';
+
+const HUES = ['--blue', '--green', '--pink', '--grey'];
+
+/** Replicates of a campaign are one side: their mean, and the spread that gives the interval. */
+export class Comparison {
+  /** @param {string[]} ids @param {function(string): Promise<any>} get */
+  constructor(ids, get) {
+    this.ids = ids;
+    this.get = get;
+    /** @type {{id: string, name: string, group: string, members: string[], curves: Curve[]}[]|null} */
+    this.sides = null;
+    this.chart = new Chart({ title: 'Best score, mean and range over replicates', log: true, empty: 'No generation has ended yet.' });
+    this.body = h('tbody');
+    this.note = h('p.muted');
+    this.element = h('section.grid', { 'aria-label': 'Comparison' }, this.chart.element,
+      h('section.panel.stack', {}, h('h2', {}, 'Comparison'), this.note, h('div.scroll', {}, h('table', {}, h('thead', {}, h('tr', {},
+        ['Campaign', 'Replicates', 'Best score', 'Difference', `${100 * CONFIDENCE} % interval`].map((name, i) =>
+          h(i ? 'th.right' : 'th', { scope: 'col' }, name)))), this.body))));
+  }
+
+  /** The campaigns of a side, with their curves. */
+  async #load() {
+    const sides = await Promise.all(this.ids.map(async (id) => {
+      const campaign = await this.get(`v1/campaigns/${id}`);
+      const { items } = await this.get(`v1/campaigns?group=${campaign.group.id}&limit=100`);
+      return { id, name: campaign.label ?? `campaign ${id}`, group: campaign.group.id, members: items.map((one) => one.id), curves: [] };
+    }));
+    for (const side of sides) {
+      // Two replicates of one group are compared as what they are: one campaign each.
+      if (sides.some((other) => other !== side && other.group === side.group)) side.members = [side.id];
+      side.curves = side.members.map((id) => new Curve(`v1/campaigns/${id}/generations`));
+    }
+    return sides;
+  }
+
+  async refresh() {
+    this.sides ??= await this.#load();
+    await Promise.all(this.sides.flatMap(({ curves }) => curves.map((curve) => curve.refresh())));
+    const best = ({ rows }) => rows.map((row) => row.score.quantiles.p0 ?? NaN);
+    const last = Math.min(...this.sides.flatMap(({ curves }) => curves.map((curve) => curve.rows.length))) - 1;
+    if (last < 0) return;
+    this.chart.set(this.sides.flatMap(({ id, curves }, i) => {
+      const all = curves.map(best);
+      const n = Math.min(...all.map((one) => one.length));
+      const x = Array.from({ length: n }, (_, generation) => generation);
+      const at = (take) => x.map((generation) => take(all.map((one) => one[generation])));
+      return [
+        ...(all.length > 1 ? [{ name: `least to most of ${id}`, kind: /** @type {'band'} */ ('band'), silent: true, x, y: x, color: HUES[i],
+          opacity: 0.2, low: at((values) => Math.min(...values)), high: at((values) => Math.max(...values)) }] : []),
+        { name: `campaign ${id}`, x, color: HUES[i], y: at((values) => values.reduce((sum, one) => sum + one, 0) / values.length) },
+      ];
+    }));
+    this.#tell(last, this.sides.map(({ curves }) => curves.map((curve) => best(curve)[last])));
+  }
+
+  #tell(generation, values) {
+    this.note.textContent = `At generation ${generation}, the newest that all have; lower is better.`;
+    fill(this.body, this.sides.map(({ id, name }, i) => {
+      const { difference, low, high } = compareMeans(values[0], values[i]);
+      const mean = values[i].reduce((sum, one) => sum + one, 0) / values[i].length;
+      const signed = (value) => `${value < 0 ? '−' : '+'}${Math.abs(value).toFixed(4)}`;
+      const interval = Number.isFinite(low) ? `${signed(low)} to ${signed(high)}` : 'needs replicates';
+      return h('tr', {}, h('td', {}, h('a', { href: `#/campaigns/${id}` }, name), h('div.muted', {}, `campaign ${id}`)),
+        h('td.right', {}, values[i].length), h('td.right', {}, score(mean)),
+        h('td.right', {}, i ? signed(difference) : '–'), h('td.right', {}, i ? interval : '–'));
+    }));
+  }
+
+  destroy() {
+    this.chart.destroy();
+  }
+}
