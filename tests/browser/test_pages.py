@@ -116,6 +116,69 @@ def test_editing_by_keyboard(service, browser):
     assert "voxels=1" in browser.driver.current_url
 
 
+def test_what_the_editor_reads(browser):
+    """Arrays of EvoGym become two voxels deep; cells, digits and ids are what they say."""
+    browser.open("designs")
+    read = browser.driver.execute_async_script("""
+        const [texts, done] = arguments;
+        const folder = document.querySelector('script[type=module]').src.replace(/app.js$/, '');
+        Promise.all(['variation', 'body'].map((name) => import(`${folder}lib/${name}.js`)))
+          .then(([{ readBody }, { cellsOf, genotypeOfId }]) => done(texts.map((text) => {
+            try {
+              const { id, genotype } = readBody(text);
+              return cellsOf(genotype ?? genotypeOfId(id));
+            } catch (error) {
+              return error.message;
+            }
+          })));
+    """, [
+        "[[0, 3, 3], [1, 1, 0], [4, 0, 0]]", "array([[0., 3., 3.],\n       [1., 1., 0.]])",
+        "[[0 3 3]\n [1 1 0]]", "[[2,2,0],[3,2,0],[2,3,0]]", "1" + "0" * 142 + "1", "88" + "0" * 34,
+        "[[1, 1], [1, 1], [1, 1], [1, 1], [1, 1]]", "nothing", "[[7, 0, 0]]"
+    ])
+    two = [[x, y, z] for x, z in ((0, 0), (1, 0), (1, 1), (2, 1)) for y in (2, 3)]
+    three = [[x, y, z] for x, z in ((0, 0), (0, 1), (1, 1), (1, 2), (2, 2)) for y in (2, 3)]
+    assert sorted(read[0]) == sorted(three) and sorted(read[1]) == sorted(read[2]) == sorted(two)
+    assert sorted(read[3]) == [[2, 2, 0], [2, 3, 0], [3, 2, 0]]
+    assert read[4] == [[0, 0, 0], [5, 5, 3]] and read[5] == [[0, 0, 0], [0, 1, 0]]
+    assert "outside of the workspace of 6 × 6 × 4" in read[6] and "neither" in read[7]
+    assert "outside" in read[8]
+
+
+def test_what_the_editor_does(service, browser):
+    browser.open("editor?voxels=" + "1" + "0" * 143)
+    browser.until_walking()
+    voxels = "new URLSearchParams(location.hash.split('?')[1]).get('voxels')"
+    browser.click("Import")
+    browser.run("document.querySelector('dialog textarea').value = '[[0, 0, 0], [1, 0, 0]]';"
+                "[...document.querySelectorAll('dialog button')][0].click()")
+    bar = "1" + "0" * 23 + "1" + "0" * 119
+    browser.until(f"{voxels} === '{bar}'")
+    browser.until("/^score/.test(document.querySelector('main p[aria-live]').textContent)")
+    browser.click("Keep")
+    browser.click("→")
+    moved = "0" * 24 + "1" + "0" * 23 + "1" + "0" * 95
+    assert browser.run(f"return {voxels}") == moved
+    browser.until("/^score/.test(document.querySelector('main p[aria-live]').textContent)")
+    browser.click("Keep")  # the same form, and so the same founder
+    assert browser.run("return document.querySelectorAll('.card').length") == 1
+    browser.click("Cross with a kept one")
+    crossed = browser.run(f"return {voxels}")
+    assert crossed.count("1") == 1  # they differ in two voxels that do not touch
+    browser.click("Undo")
+    browser.click("Mirror x")
+    assert browser.run(f"return {voxels}") == "".join(
+        "1" if at in (24, 48, 72, 96) else "0" for at in range(144))
+    for name in ("Random", "Mutate"):
+        before = browser.run(f"return {voxels}")
+        browser.click(name)
+        assert browser.run(f"return {voxels}") != before
+    browser.run("document.querySelector('[data-cell]').dispatchEvent(new KeyboardEvent('keydown',"
+                "{ key: 'z', ctrlKey: true, bubbles: true }))")
+    assert browser.run(f"return {voxels}") == before
+    assert browser.faults() == []
+
+
 def test_a_campaign_from_start_to_end_by_keyboard(service, browser):
     """Starts a campaign from the form, watches, pauses, resumes and extends it: no mouse."""
     from selenium.webdriver.common.action_chains import ActionChains

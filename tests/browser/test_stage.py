@@ -221,7 +221,7 @@ def test_a_race_and_its_link(service, browser):
     browser.click("Springs")
     browser.run("""
         const { player } = document.querySelector('.stage');
-        player.names.children[1].click();
+        player.names.querySelectorAll('button')[1].click();
         player.speedSelect.value = '0.25';
         player.speedSelect.dispatchEvent(new Event('change'));
         player.slider.value = '1.5';

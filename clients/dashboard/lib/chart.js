@@ -75,7 +75,7 @@ export class Chart {
     this.readout = h('div.readout', { 'aria-live': 'polite' });
     this.legend = h('div.legend');
     this.element = h('figure.panel.chart', {},
-      h('figcaption', {}, h('h3', {}, options.title), this.legend), this.canvas, this.readout);
+      h('figcaption', {}, h('h3', {}, options.title), h('span.muted', {}, `by ${this.options.xName}`), this.legend), this.canvas, this.readout);
     this.canvas.addEventListener('pointermove', (event) => this.#point(event.offsetX));
     this.canvas.addEventListener('pointerleave', () => this.#moveCursor(-1));
     this.canvas.addEventListener('keydown', (event) => this.#key(event));
@@ -87,8 +87,9 @@ export class Chart {
   set(series) {
     this.series = series;
     this.legend.replaceChildren(...series.filter((s) => !s.silent).map((s) => {
-      const swatch = h('i.swatch');
-      swatch.style.background = s.color.startsWith('--') ? `var(${s.color})` : s.color;
+      const swatch = h(s.kind === 'band' ? 'i.swatch' : `i.swatch.line${s.dash?.length ? '.dashed' : ''}`);
+      swatch.style.color = s.color.startsWith('--') ? `var(${s.color})` : s.color;
+      swatch.style.opacity = String(s.opacity ?? 1);
       return h('span', {}, swatch, s.name);
     }));
     this.canvas.setAttribute('aria-label', this.#summary());

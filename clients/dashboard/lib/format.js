@@ -19,6 +19,11 @@ export function count(value) {
   return value === null || value === undefined ? '–' : value.toLocaleString('en-US');
 }
 
+/** How many voxels, in words. */
+export function voxels(n) {
+  return `${count(n)} ${n === 1 ? 'voxel' : 'voxels'}`;
+}
+
 export function percent(share) {
   return `${(100 * share).toFixed(share < 0.1 ? 1 : 0)} %`;
 }

@@ -104,12 +104,14 @@ export function readBody(text) {
   try {
     rows = JSON.parse(trimmed.replace(/\)|\(|array|np\.|numpy\./g, '').replace(/(\d)\.(?=\D)/g, '$1'));
   } catch {
-    rows = trimmed.split('\n').map((line) => line.replace(/[[\],]/g, ' ').trim().split(/\s+/).map(Number));
+    rows = trimmed.replaceAll('array', '').replace(/[()]/g, ' ').split('\n').map((line) => line.replace(/[[\],]/g, ' ').trim().split(/\s+/).map(Number));
   }
   if (!Array.isArray(rows) || !rows.length || !rows.every((row) => Array.isArray(row) && row.every(Number.isFinite))) {
     throw new Error('This is neither an id, nor 144 digits, nor a list of cells, nor an EvoGym array.');
   }
-  const isCells = rows.every((row) => row.length === 3) && rows.length !== 3;
+  // Rows of three are cells or a narrow array: cells are told once each, and touch each other.
+  const isCells = rows.every((row) => row.length === 3) && new Set(rows.map(key)).size === rows.length &&
+    !/array/.test(trimmed) && components(rows).length === 1;
   const cells = isCells ? rows : rows.flatMap((row, up) => row.flatMap((material, x) =>
     (material === 0 ? [] : [2, 3].map((y) => [x, y, rows.length - 1 - up]))));
   if (cells.some((cell) => cell.some((v, axis) => !Number.isInteger(v) || v < 0 || v >= WORKSPACE[axis]))) {

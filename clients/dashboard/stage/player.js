@@ -198,7 +198,7 @@ export class Player {
     if (!this.arranged && this.stage.sideBySide !== apart) this.setSide(apart);
     this.arranged ||= robots.length > 1;
     this.actuationToggle.disabled = !robots.some((robot) => robot.actuation);
-    fill(this.names, this.stage.robots.map((robot, i) => this.#name(robot, i)));
+    fill(this.names, h('div.muted', {}, 'loss in this environment'), this.stage.robots.map((robot, i) => this.#name(robot, i)));
     this.names.hidden = robots.length === 0 || robots.length > 40;
     const text = robots.length === 0 ? 'no robots yet'
       : `${robots.length === 1 ? 'one robot' : `${robots.length} robots`}, ${duration.toFixed(1)} s: ` +
@@ -220,7 +220,7 @@ export class Player {
   #followRobot(i) {
     this.stage.followed = i;
     this.#setFollow(true);
-    [...this.names.children].forEach((child, j) => child.setAttribute('aria-pressed', String(i === j)));
+    this.names.querySelectorAll('button').forEach((child, j) => child.setAttribute('aria-pressed', String(i === j)));
     this.#wake();
     this.onchange();
   }

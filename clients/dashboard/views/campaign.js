@@ -3,7 +3,7 @@
 import { Curve, getJson, post, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
 import { announce, button, fill, h } from '../lib/dom.js';
-import { ago, count, number, score } from '../lib/format.js';
+import { ago, count, number, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
@@ -196,7 +196,7 @@ async function mountOne(main, id, parameters, app) {
       type: 'button', title: `Design ${design.id}`,
       onclick: () => walk([design.number], items),
     }, picture(design.genotype, `Champion ${design.number}`), h('strong.number', {}, `#${design.number} · ${score(design.score)}`),
-    h('span.muted', {}, `${design.voxels} voxels, ${design.operator}`)), pick(design))));
+    h('span.muted', {}, `${voxels(design.voxels)}, ${design.operator}`)), pick(design))));
     population = [];
     let cursor;
     do {

@@ -3,7 +3,7 @@
 import { getJson, withQuery } from '../lib/api.js';
 import { button, fill, h, select } from '../lib/dom.js';
 import { pythonOf } from '../lib/commands.js';
-import { ago, count, score, shellWord } from '../lib/format.js';
+import { ago, count, score, shellWord, voxels as inVoxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
@@ -39,7 +39,7 @@ class Wall {
 
   card({ id, genotype, score: value, voxels }) {
     const card = h('button.card', {
-      type: 'button', 'aria-pressed': 'false', 'aria-label': `Design ${id}, score ${score(value)}, ${voxels} voxels`,
+      type: 'button', 'aria-pressed': 'false', 'aria-label': `Design ${id}, score ${score(value)}, ${inVoxels(voxels)}`,
       onclick: () => {
         const on = !this.chosen.delete(genotype);
         if (on) this.chosen.set(genotype, id);
@@ -47,7 +47,7 @@ class Wall {
         this.walk.disabled = this.breed.disabled = this.chosen.size === 0;
       },
       ondblclick: () => this.app.go(`designs/${id}`),
-    }, picture(genotype), h('strong.number', {}, value === undefined ? '–' : score(value)), h('span.muted', {}, `${voxels} voxels`));
+    }, picture(genotype), h('strong.number', {}, value === undefined ? '–' : score(value)), h('span.muted', {}, inVoxels(voxels)));
     return h('div.stack', {}, card, h('a', { href: `#/designs/${id}` }, `${id.slice(0, 10)}…`));
   }
 
@@ -89,7 +89,8 @@ async function mountBoard(main, parameters, app) {
     await more();
   }
 
-  main.replaceChildren(h('div.title', {}, h('h1', {}, 'Designs'), h('div.actions', {},
+  main.replaceChildren(h('div.title', {}, h('h1', {}, 'Designs'),
+    h('span.muted', {}, 'mean loss over the ten environments of the set paper-test; lower is better'), h('div.actions', {},
     select('Order', Object.keys(ORDERS).map((key) => [key, `${key} first`]), order, (value) => {
       order = value;
       again();
@@ -152,7 +153,7 @@ async function mountDesign(main, id, app) {
       button('Breed', () => breedDialog(app, [{ id: design.id }])),
       copyButton(() => ({ path: `v1/designs/${design.id}`, morphoctl: `design show ${design.id}` })))),
     h('div.grid', {}, h('section.panel.row', {}, h('div.card', {}, picture(design.genotype, 'The design')),
-      h('div.stack', {}, h('div', {}, `${design.voxels} voxels, ${design.masses} masses, ${design.springs} springs`),
+      h('div.stack', {}, h('div', {}, `${inVoxels(design.voxels)}, ${design.masses} masses, ${design.springs} springs`),
         h('div.muted', {}, `first seen ${ago(design.first_seen_at)}`))),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
     h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, h('table', {},

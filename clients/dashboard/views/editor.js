@@ -3,7 +3,7 @@
 import { getJson, patient, post } from '../lib/api.js';
 import { WORKSPACE, bodyOf, genotypeOfId, hasVoxel } from '../lib/body.js';
 import { announce, button, fill, h, toggle } from '../lib/dom.js';
-import { count, score } from '../lib/format.js';
+import { count, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { cross, flip, grow, isConnected, mirror, mutate, readBody, shift } from '../lib/variation.js';
@@ -41,6 +41,11 @@ export async function mount(main, path, parameters, app) {
     walk();
   }
 
+  function undo() {
+    if (past.length) change(past.pop(), { undo: true });
+    else announce('There is nothing to undo.');
+  }
+
   function click(cell) {
     let next = flip(genotype, cell);
     if (mirrored) {
@@ -75,6 +80,11 @@ export async function mount(main, path, parameters, app) {
   }
 
   layers.addEventListener('keydown', (event) => {
+    if (event.key === 'z' && (event.ctrlKey || event.metaKey)) {
+      event.preventDefault();
+      undo();
+      return;
+    }
     const cell = event.target.dataset?.cell?.split(',').map(Number);
     if (!cell) return;
     const step = {
@@ -94,7 +104,7 @@ export async function mount(main, path, parameters, app) {
     const { signal } = stop;
     const started = performance.now();
     const body = bodyOf(genotype);
-    const size = `${count(body.nVoxels)} ${body.nVoxels === 1 ? 'voxel' : 'voxels'}, ${count(body.nSprings)} springs`;
+    const size = `${voxels(body.nVoxels)}, ${count(body.nSprings)} springs`;
     if (!isConnected(genotype)) {
       result.textContent = `${size}; not connected: every voxel must touch another with a face`;
       return;
@@ -180,21 +190,19 @@ export async function mount(main, path, parameters, app) {
   }, { disabled: true });
 
   main.replaceChildren(h('h1.visually-hidden', {}, 'Editor'),
-    h('section.panel.stack', {}, layers,
+    h('div.grid.editor', {}, h('section.panel.stack', {}, layers,
       h('div.row', {}, toggle('Mirror x', false, (on) => {
         mirrored = on;
         if (on) change(mirror(genotype, 0));
       }), button('Random', () => change(grow())), button('Mutate', () => change(mutate(genotype))), crossing,
-      button('Undo', () => {
-        if (past.length) change(past.pop(), { undo: true });
-      }), move('←', [-1, 0, 0]), move('→', [1, 0, 0]), move('↑', [0, 1, 0]), move('↓', [0, -1, 0]),
+      button('Undo', undo), move('←', [-1, 0, 0]), move('→', [1, 0, 0]), move('↑', [0, 1, 0]), move('↓', [0, -1, 0]),
       move('up', [0, 0, 1]), move('down', [0, 0, -1]), button('Import', importBody), button('Keep', keep),
       copyButton(() => ({
         path: 'v1/evaluations', body: { designs: [{ voxels: genotype }] }, headers: ['Prefer: wait=30'],
         morphoctl: `eval ${genotype}`, python: `print(m.evaluate(["${genotype}"]).frame())`,
       }))), result,
-      h('p.muted', {}, 'Layers from the ground up. Arrow keys move, page keys change the layer, space sets a voxel.')),
-    h('section.panel.flush', { 'aria-label': 'Stage' }, player.element),
+      h('p.muted', {}, 'Layers from the ground up. Arrow keys move, page keys change the layer, space sets a voxel, Ctrl and Z undo.')),
+    h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
     h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Kept'), h('div.actions', {}, breed)), shelf));
   drawLayers();
   drawShelf();

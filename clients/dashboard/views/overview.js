@@ -48,9 +48,8 @@ export async function mount(main, path, parameters, app) {
 
   function showEvents() {
     const rows = app.recent.filter((event) => !event.type.endsWith('progress')).slice(-9).reverse();
-    fill(events, rows.length ? rows.map((event) => h('tr', {}, h('td', {}, event.type),
-      h('td', {}, linkTo(event)),
-      h('td', {}, detailOf(event)), h('td.right.muted', {}, ago(event.at))))
+    fill(events, rows.length ? rows.map((event) => h('tr', {},
+      h('td', {}, linkTo(event), h('div.muted', {}, event.type)), h('td', {}, detailOf(event)), h('td.right.muted', {}, ago(event.at))))
       : h('tr', {}, h('td.empty', {}, 'Nothing has happened yet.')));
   }
 

@@ -78,7 +78,7 @@ async function mountList(main, app) {
 /** Where a controller comes from: the training that made it, and what that began with. */
 function lineageOf(controller, trainings) {
   const training = trainings.find((one) => one.controller?.sha256 === controller.sha256);
-  if (!training) return [h('td.muted', {}, 'uploaded'), h('td', {}, '–')];
+  if (!training) return [h('td.muted', {}, 'no training here'), h('td', {}, '–')];
   return [h('td', {}, h('a', { href: `#/trainings/${training.id}` }, training.label ?? `Training ${training.id}`)),
     h('td', {}, training.parent?.name ?? (training.parent ? h('code', {}, training.parent.sha256.slice(0, 12)) : 'random weights'))];
 }
@@ -170,6 +170,7 @@ async function mountOne(main, id, parameters, app) {
     const item = await get(`v1/trainings/${id}`);
     const job = { ...item, trainingKind: item.kind, kind: 'training' };
     fill(head, h('div.title', {}, h('h1', {}, titleOf(job)), h('span.muted', {}, `${job.trainingKind}, into ${job.name ?? 'no name'}`),
+      others.map((other) => h('a.state', { href: `#/trainings/${other}` }, `with training ${other}`)),
       stateChip(job), h('div.actions', {},
         saveLink(`v1/trainings/${id}/steps?format=csv`, `training-${id}.csv`, 'Export', { class: 'button' }),
         copyButton(() => ({
