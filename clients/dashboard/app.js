@@ -1,8 +1,9 @@
 /** The dashboard: its frame, its routes, and what all views share. */
 
-import { connection, decoded, getJson, getToken, setToken, takeToken } from './lib/api.js';
+import { connection, decoded, getJson, getToken, setToken, tokenOfAddress } from './lib/api.js';
 import { button, fill, h, svg } from './lib/dom.js';
 import { Events } from './lib/events.js';
+import { callerName, whoAmI, whyNot } from './lib/rights.js';
 
 const VIEWS = {
   overview: { name: 'Overview', module: './views/overview.js' },
@@ -109,6 +110,30 @@ function askForToken(retry) {
   dialog.showModal();
 }
 
+/** Whether the page's token is still good, as far as is known. */
+async function works() {
+  try {
+    return Boolean((await whoAmI()).name);
+  } catch (error) {
+    return error.status !== 401;
+  }
+}
+
+/** Takes the token of a link. One that still works is replaced only if the person says so. */
+async function takeToken() {
+  const token = tokenOfAddress();
+  const before = getToken();
+  if (!token || token === before) return;
+  if (before && await works()) {
+    const { confirmDialog } = await import('./views/share.js');
+    const sure = await confirmDialog('Use the token of this link?',
+      `This page has a token${callerName() && `, ${callerName()}`}. The link brings another one.`,
+      'Use the other token');
+    if (!sure) return;
+  }
+  setToken(token);
+}
+
 class Frame {
   constructor(chooseTheme) {
     this.links = Object.entries(VIEWS).map(([key, view]) =>
@@ -120,9 +145,11 @@ class Frame {
     theme.setAttribute('aria-label', 'Change between dark and light');
     app.themeListeners.add(nameTheme);
     nameTheme();
+    this.caller = h('span.muted.caller');
+    this.note = h('div.note', { role: 'note', hidden: true });
     fill(document.getElementById('frame'), h('header.bar', {}, brand(),
       h('nav', { 'aria-label': 'Views' }, this.links.map(([, link]) => link)),
-      h('div.side', {}, theme)), this.banner, this.main);
+      h('div.side', {}, this.caller, theme)), this.banner, this.note, this.main);
     document.getElementById('frame').style.display = 'contents';
     connection.listeners.add((up) => this.#tell(up));
     document.getElementById('skip').addEventListener('click', (event) => {
@@ -136,7 +163,7 @@ class Frame {
     this.banner.hidden = up;
     if (up) {
       if (this.wasDown && this.view) this.view.update?.({ type: 'reset' });
-      else if (this.wasDown) this.route(); // it failed to load, or had only begun to
+      else if (this.wasDown) this.start(); // it failed to load, or had only begun to
       this.wasDown = false;
       clearInterval(this.probe);
       return;
@@ -170,7 +197,7 @@ class Frame {
     const turn = (this.turn = (this.turn ?? 0) + 1);
     fill(this.main, h('p.muted', { role: 'status' }, 'Loading…'));
     try {
-      const [{ mount }] = await Promise.all([load(entry.module), this.#followEvents()]);
+      const [{ mount }] = await Promise.all([load(entry.module), this.#followEvents(), this.#identify()]);
       if (turn !== this.turn) return;
       const view = await mount(this.main, rest.filter(Boolean), parameters, app);
       if (turn !== this.turn) view?.unmount?.();
@@ -195,9 +222,24 @@ class Frame {
     }, () => { this.following = null; });
     return this.following;
   }
+
+  /** Asks whom the service takes the caller for, once, and says what the page leaves out. */
+  #identify() {
+    this.identified ??= whoAmI().then(() => {
+      this.caller.textContent = callerName();
+      this.note.textContent = whyNot();
+      this.note.hidden = !this.note.textContent;
+    }, () => { this.identified = null; }); // the view says what is the matter
+    return this.identified;
+  }
+
+  /** Begins anew: with another token, or after the service was away. */
+  start() {
+    this.identified = null;
+    return this.route();
+  }
 }
 
-takeToken();
 const frame = new Frame(startTheme());
 app.events.listen((event) => {
   if (event.type !== 'reset') {
@@ -205,9 +247,9 @@ app.events.listen((event) => {
   }
   frame.view?.update?.(event);
 });
+const begin = () => takeToken().then(() => frame.start());
 window.addEventListener('hashchange', () => {
-  if (/[#&]token=/.test(location.hash)) takeToken();
-  frame.route();
+  if (/[#&]token=/.test(location.hash)) begin();
+  else frame.route();
 });
-if (getToken() === null && /[#&]token=/.test(location.hash)) takeToken();
-frame.route();
+begin();

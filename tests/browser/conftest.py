@@ -42,8 +42,8 @@ def start():
     """Starts daemons of a test's own."""
     started = []
 
-    def launch(**options):
-        started.append(Service(**options))
+    def launch(*flags, **options):
+        started.append(Service(*flags, **options))
         return started[-1]
 
     yield launch

@@ -27,14 +27,16 @@ export function decoded(text) {
   }
 }
 
-/** Takes the token out of the address (#token=…), so that it is neither kept nor sent there. */
-export function takeToken() {
+/**
+ * Takes a token out of the address (#token=…), so that it is neither kept nor sent there. Returns it;
+ * null: there is none.
+ */
+export function tokenOfAddress() {
   const match = /[#&]token=([^&]*)/.exec(location.hash);
-  if (match) {
-    setToken(decoded(match[1]));
-    const rest = location.hash.replace(match[0], '').replace(/^&/, '#');
-    history.replaceState(null, '', location.pathname + location.search + (rest || '#/'));
-  }
+  if (!match) return null;
+  const rest = location.hash.replace(match[0], '').replace(/^&/, '#');
+  history.replaceState(null, '', location.pathname + location.search + (rest || '#/'));
+  return decoded(match[1]);
 }
 
 export function setToken(token) {

@@ -5,10 +5,11 @@ import { Chart } from '../lib/chart.js';
 import { announce, button, fill, h } from '../lib/dom.js';
 import { ago, count, number, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
+import { may } from '../lib/rights.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
-import { breedDialog, startDialog } from './forms.js';
-import { actions, progressBar, stateChip, titleOf, trouble, weightField } from './jobs.js';
+import { breedButton, startButton } from './forms.js';
+import { actions, progressBar, stateChip, submitter, titleOf, trouble, weightField } from './jobs.js';
 import { Comparison } from './comparison.js';
 import { Scatter } from './scatter.js';
 import { copyButton, saveLink, showDialog } from './share.js';
@@ -45,12 +46,12 @@ async function mountList(main, app) {
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Campaigns'), h('div.actions', {}, compare,
       copyButton(() => ({ path: 'v1/campaigns', morphoctl: 'campaign list', python: 'print(m.campaigns())' })),
-      button('New campaign', () => startDialog(app, 'campaign'), { class: 'primary' }))),
+      startButton(app, 'campaign', { class: 'primary' }))),
     rows.length ? h('section.panel.scroll', {}, h('table', {}, h('thead', {}, h('tr', {},
       ['', 'Campaign', 'State', 'Population', 'Progress', 'Best score', 'Created'].map((name) =>
         h(/Population|Best/.test(name) ? 'th.right' : 'th', { scope: 'col' }, name)))), h('tbody', {}, rows)))
-      : h('p.empty', {}, 'No campaign yet. A campaign evolves a population of designs over generations; ' +
-        'the button above starts one.'));
+      : h('p.empty', {}, 'No campaign yet. A campaign evolves a population of designs over generations' +
+        `${may('submit') ? '; the button above starts one' : ''}.`));
   return {
     update(event) {
       // A list in which somebody chooses stays as it is.
@@ -88,7 +89,7 @@ async function mountOne(main, id, parameters, app) {
   const champions = h('div.grid.small');
   const chosen = new Map(); // genotypes by number
   const walkChosen = button('Let the chosen walk', () => app.go('stage', { designs: [...chosen.values()].join(',') }), { disabled: true });
-  const breed = button('Breed these', () => breedDialog(app, [...chosen.values()].map((voxels) => ({ voxels }))), { disabled: true });
+  const breed = breedButton(app, 'Breed these', () => [...chosen.values()].map((voxels) => ({ voxels })), { disabled: true });
   const player = new Player(app, { compact: true, height: 420 });
   const scatter = new Scatter((numbers) => walk(numbers));
   const announceState = h('div.visually-hidden', { 'aria-live': 'polite' });
@@ -100,10 +101,11 @@ async function mountOne(main, id, parameters, app) {
 
   function showHead() {
     fill(head, h('h1', {}, titleOf(campaign)),
-      h('span.muted', {}, `${campaign.mode}, ${count(campaign.settings.population)} designs`), stateChip(campaign),
+      h('span.muted', {}, `${campaign.mode}, ${count(campaign.settings.population)} designs${submitter(campaign)}`), stateChip(campaign),
       others.map((other, i) => h('a.state', { href: `#/campaigns/${other}` }, `with campaign ${other} (${['dashed', 'dotted', 'dash and dot'][i]})`)),
       h('div.actions', {}, h('a.button', { href: `#/campaigns/${id}/phylogeny` }, 'Phylogeny'),
-        button('Export', () => exports()), button('Extend', () => extend()),
+        button('Export', () => exports()),
+        may('submit') ? button('Extend', () => extend()) : null,
         copyButton(() => requestOf(campaign.id))));
     fill(status, progressBar(campaign), trouble(campaign),
       h('div.row', {}, actions(campaign, refreshJob), weightField(campaign, refreshJob),

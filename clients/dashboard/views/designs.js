@@ -7,7 +7,7 @@ import { ago, count, score, shellWord, voxels as inVoxels } from '../lib/format.
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
-import { breedDialog } from './forms.js';
+import { breedButton } from './forms.js';
 import { actions, progressBar, stateChip, titleOf, trouble } from './jobs.js';
 import { copyButton } from './share.js';
 
@@ -34,7 +34,7 @@ class Wall {
     this.walk = button('Let the chosen walk', () => app.go('stage', {
       designs: [...this.chosen.keys()].join(','), ...options,
     }), { class: 'primary', disabled: true });
-    this.breed = button('Breed these', () => breedDialog(app, this.#founders()), { disabled: true });
+    this.breed = breedButton(app, 'Breed these', () => this.#founders(), { disabled: true });
   }
 
   card({ id, genotype, score: value, voxels }) {
@@ -150,7 +150,7 @@ async function mountDesign(main, id, app) {
     h('div.title', {}, h('h1', {}, 'Design'), h('code', {}, design.id), h('div.actions', {},
       h('a.button', { href: `#/editor?design=${design.id}` }, 'Edit'),
       h('a.button', { href: `#/stage?designs=${design.id}` }, 'Stage'),
-      button('Breed', () => breedDialog(app, [{ id: design.id }])),
+      breedButton(app, 'Breed', () => [{ id: design.id }]),
       copyButton(() => ({ path: `v1/designs/${design.id}`, morphoctl: `design show ${design.id}` })))),
     h('div.grid', {}, h('section.panel.row', {}, h('div.card', {}, picture(design.genotype, 'The design')),
       h('div.stack', {}, h('div', {}, `${inVoxels(design.voxels)}, ${design.masses} masses, ${design.springs} springs`),

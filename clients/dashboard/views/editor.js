@@ -8,7 +8,7 @@ import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { cross, flip, grow, isConnected, mirror, mutate, readBody, shift } from '../lib/variation.js';
 import { Player } from '../stage/player.js';
-import { breedDialog } from './forms.js';
+import { breedButton } from './forms.js';
 import { copyButton, showDialog } from './share.js';
 
 const FIRST = [[1, 1, 0], [2, 1, 0], [3, 1, 0], [4, 1, 0], [1, 4, 0], [2, 4, 0], [3, 4, 0], [4, 4, 0],
@@ -181,7 +181,7 @@ export async function mount(main, path, parameters, app) {
     if (next) change(next);
     else announce('The body is at the edge of the workspace.');
   }, { class: 'icon', 'aria-label': `Shift: ${name}` });
-  const breed = button('Breed these', () => breedDialog(app, kept.map((one) => ({ voxels: one.genotype }))), { class: 'primary', disabled: true });
+  const breed = breedButton(app, 'Breed these', () => kept.map((one) => ({ voxels: one.genotype })), { class: 'primary', disabled: true });
   const crossing = button('Cross with a kept one', () => {
     const other = kept[Math.floor(Math.random() * kept.length)];
     const child = cross(genotype, other.genotype);

@@ -4,6 +4,7 @@ import { post } from '../lib/api.js';
 import { button, h } from '../lib/dom.js';
 import { commandsOf } from '../lib/commands.js';
 import { shellWord } from '../lib/format.js';
+import { may } from '../lib/rights.js';
 import { copyDialog } from './share.js';
 
 /** What each form asks for, in the order shown; the contract knows all else. */
@@ -68,6 +69,11 @@ function morphoctlOf(kind, request) {
   }
   const designs = request.designs ?? request.initial?.designs ?? [];
   return [...words, ...designs.map(({ id, voxels }) => id ?? voxels)].map(shellWord).join(' ');
+}
+
+/** The button that begins a job of a kind; null where the caller may not. */
+export function startButton(app, kind, attributes = {}) {
+  return may('submit') ? button(`New ${kind}`, () => startDialog(app, kind), attributes) : null;
 }
 
 /**
@@ -146,7 +152,14 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
 const founders = (n) => `${n === 1 ? 'One design is the founder' : `${n} designs are the founders`}; random bodies fill ` +
   'up what the population leaves free.';
 
-/** The form of a campaign whose first population are the given designs: {id} or {voxels} each. */
-export function breedDialog(app, designs) {
-  return startDialog(app, 'campaign', { initial: { designs } }, { population: Math.max(32, designs.length), generations: 20 });
+/**
+ * The button that opens the form of a campaign whose first population are the given designs; hidden
+ * where the caller may not start one. @param {() => object[]} designsOf {id} or {voxels} each
+ */
+export function breedButton(app, text, designsOf, attributes = {}) {
+  return button(text, () => {
+    const designs = designsOf();
+    return startDialog(app, 'campaign', { initial: { designs } },
+      { population: Math.max(32, designs.length), generations: 20 });
+  }, { ...attributes, hidden: !may('submit') });
 }

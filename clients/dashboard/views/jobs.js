@@ -3,6 +3,7 @@
 import { ApiError, post } from '../lib/api.js';
 import { announce, button, fill, h } from '../lib/dom.js';
 import { ago, count, duration } from '../lib/format.js';
+import { may } from '../lib/rights.js';
 import { confirmDialog } from './share.js';
 
 /** The page of a job. */
@@ -15,6 +16,11 @@ export function linkOf(job) {
 /** What a job is, in a few words. */
 export function titleOf(job) {
   return job.label ?? `${job.kind[0].toUpperCase()}${job.kind.slice(1)} ${job.id}`;
+}
+
+/** Who submitted a job, where that is known: ", by anna". */
+export function submitter(job) {
+  return job.submitted_by ? `, by ${job.submitted_by}` : '';
 }
 
 export function stateChip(job) {
@@ -62,7 +68,7 @@ export function trouble(job) {
   return null;
 }
 
-/** Pause, resume, cancel and weight, as the state allows. `changed` is called after each. */
+/** Pause, resume and cancel, as the state and the caller's right allow. `changed` is called after each. */
 export function actions(job, changed) {
   const act = (name, done) => async () => {
     try {
@@ -74,6 +80,7 @@ export function actions(job, changed) {
     }
     changed();
   };
+  if (!may('submit')) return [];
   const label = (verb) => ({ 'aria-label': `${verb} ${titleOf(job)}` });
   const list = [];
   if (['queued', 'running'].includes(job.state)) list.push(button('Pause', act('pause', 'paused'), label('Pause')));
@@ -90,7 +97,7 @@ export function actions(job, changed) {
 
 /** The weight of a job among others: twice the weight gets twice the time. */
 export function weightField(job, changed) {
-  if (!['queued', 'running', 'paused'].includes(job.state)) return null;
+  if (!may('submit') || !['queued', 'running', 'paused'].includes(job.state)) return null;
   return h('label.field', {}, h('span', {}, 'Weight'), h('input', {
     type: 'number', min: 0.001, max: 1000, step: 'any', value: job.weight, size: 6,
     onchange: async (event) => {
@@ -164,7 +171,7 @@ export class JobTable {
     row.drawn = true;
     const { job } = row;
     fill(element,
-      h('td', {}, h('a', { href: linkOf(job) }, titleOf(job)), h('div.muted', {}, `${job.kind} ${job.id}`)),
+      h('td', {}, h('a', { href: linkOf(job) }, titleOf(job)), h('div.muted', {}, `${job.kind} ${job.id}${submitter(job)}`)),
       h('td', {}, stateChip(job)), h('td', {}, progressBar(job), trouble(job)),
       h('td', {}, ago(job.created_at)), h('td', {}, h('div.row', {}, actions(job, this.changed))));
   }

@@ -4,7 +4,8 @@ import { getJson, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
 import { button, fill, h } from '../lib/dom.js';
 import { ago, bytes, count, number, percent } from '../lib/format.js';
-import { startDialog } from './forms.js';
+import { may } from '../lib/rights.js';
+import { startButton } from './forms.js';
 import { copyButton } from './share.js';
 import { JobTable, actions, progressBar, stateChip, titleOf, trouble, weightField, linkOf } from './jobs.js';
 
@@ -34,7 +35,7 @@ export async function mount(main, path, parameters, app) {
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Overview'), h('div.actions', {},
       ['evaluation', 'training', 'campaign'].map((kind) =>
-        button(`New ${kind}`, () => startDialog(app, kind), kind === 'campaign' ? { class: 'primary' } : {})),
+        startButton(app, kind, kind === 'campaign' ? { class: 'primary' } : {})),
       copyButton(() => ({
         path: withQuery('v1/jobs', { state }), morphoctl: `job list${state ? ` --state ${state}` : ''}`,
         python: `print(m.jobs(${state ? `state="${state}"` : ''}))`,
@@ -98,7 +99,7 @@ export async function mount(main, path, parameters, app) {
     } while (cursor !== null && jobs.length < wanted);
     table.set(jobs);
     if (!jobs.length) {
-      fill(more, h('p.empty', {}, state ? `No job is ${state}.` : 'No job yet. Start one above, or with morphoctl.'));
+      fill(more, h('p.empty', {}, state ? `No job is ${state}.` : `No job yet.${may('submit') ? ' Start one above, or with morphoctl.' : ''}`));
     } else {
       fill(more, cursor === null ? null : button('Show more', () => {
         wanted += 1000;

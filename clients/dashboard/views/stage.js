@@ -5,7 +5,7 @@ import { environmentSet, roll } from '../lib/rollouts.js';
 import { getJson, withQuery } from '../lib/api.js';
 import { Player } from '../stage/player.js';
 import { commandsOf, pythonOf } from '../lib/commands.js';
-import { breedDialog } from './forms.js';
+import { breedButton } from './forms.js';
 import { copyDialog, exportDialog, filmCommand, showDialog } from './share.js';
 
 /** At most so many robots walk at once. */
@@ -92,7 +92,7 @@ export async function mount(main, path, parameters, app) {
     });
   choose.firstChild.className = 'visually-hidden';
   player.controls.append(choose, button('Robots', chooseRobots),
-    button('Breed these', () => breedDialog(app, ids.map(designOf))),
+    breedButton(app, 'Breed these', () => ids.map(designOf)),
     button('Export', () => exportDialog(player, { ids, environment, set, controller: controllers[0] })),
     button('Copy', () => copyDialog(controllers.flatMap((one) => sameCommands(ids, { environments, environment, set, controller: one })))));
   main.replaceChildren(h('h1.visually-hidden', {}, 'Stage'), player.element);

@@ -4,10 +4,11 @@ import { Curve, getJson, patient, post } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
 import { button, fill, h, select } from '../lib/dom.js';
 import { ago, bytes, count, number, percent, score } from '../lib/format.js';
+import { may } from '../lib/rights.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { CONFIDENCE, comparePairs } from '../lib/statistics.js';
 import { Player } from '../stage/player.js';
-import { startDialog } from './forms.js';
+import { startButton } from './forms.js';
 import { actions, progressBar, stateChip, titleOf, trouble, weightField } from './jobs.js';
 import { copyButton, saveLink } from './share.js';
 
@@ -64,8 +65,8 @@ async function mountList(main, app) {
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Trainings'), h('div.actions', {}, compare,
       copyButton(() => ({ path: 'v1/trainings', morphoctl: 'train list\ncontroller list', python: 'print(m.request("GET", "/v1/trainings"))\nprint(m.controllers())' })),
-      button('New training', () => startDialog(app, 'training'), { class: 'primary' }))),
-    list, files, named.length ? comparison(app, named) : null);
+      startButton(app, 'training', { class: 'primary' }))),
+    list, files, named.length && may('submit') ? comparison(app, named) : null);
   return {
     update(event) {
       if (event.type === 'reset' || event.type.startsWith('training.') || event.type.startsWith('controller.')) {

@@ -1,0 +1,34 @@
+/**
+ * What the caller may do here. The service decides; the page leaves out what it would refuse, and
+ * says why.
+ */
+
+import { getJson } from './api.js';
+
+const RIGHTS = ['read', 'submit', 'admin'];
+
+/** Whom the service takes the caller for; null: not known yet. */
+let me = null;
+
+/** Asks the service. Fails as requests do. */
+export async function whoAmI() {
+  me = await getJson('v1/whoami');
+  return me;
+}
+
+/** Whether the page offers what needs a right. */
+export function may(right) {
+  return !me || (me.dashboard === 'on' && RIGHTS.indexOf(me.right) >= RIGHTS.indexOf(right));
+}
+
+/** Why jobs cannot be submitted here; '' where they can. */
+export function whyNot() {
+  if (may('submit')) return '';
+  return me.dashboard === 'on' ? `The token “${me.name}” has the right ${me.right}: it may look, and change nothing.`
+    : 'These pages only show: the service has the setting dashboard = read-only.';
+}
+
+/** The caller in a few words: '' where no token is needed. */
+export function callerName() {
+  return me?.name ? `${me.name} · ${me.right}` : '';
+}
