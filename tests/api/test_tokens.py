@@ -19,7 +19,8 @@ SUBMIT = {("POST", path) for path in (
 ADMIN = {("PUT", "/v1/controllers/{name}/file"), ("DELETE", "/v1/controllers/{name}"),
          ("DELETE", "/v1/trainings/{id}/checkpoints"),
          ("DELETE", "/v1/trainings/{id}/checkpoints/{step}"),
-         ("DELETE", "/v1/campaigns/{id}/checkpoints")}
+         ("DELETE", "/v1/campaigns/{id}/checkpoints"),
+         ("DELETE", "/v1/evaluations/{id}/trajectories")}
 WORK = {"designs": [DESIGN], "physics": {"n_steps": 20}}
 
 

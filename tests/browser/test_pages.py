@@ -376,6 +376,36 @@ def test_two_controllers_are_compared(service, browser):
     assert browser.faults() == []
 
 
+STATES = {  # what a page says where there is nothing, or not what the address names
+    "campaigns": "No campaign yet", "trainings": "No training yet",
+    "designs": "No design has a score with this controller yet", "stage": "No design is stored yet",
+    "": "No job yet", "campaigns/99": "There is no such campaign",
+    "campaigns/99/phylogeny": "There is no such campaign",
+    "trainings/99": "There is no such training",
+    "designs?evaluation=99": "There is no such evaluation", "designs/xyz": "36 hexadecimal digits",
+    "stage?set=moon": "There is no such set of environments",
+    "stage?controller=nobody&designs=88" + "0" * 34: 'there is no controller "nobody"',
+    "nowhere": "There is no such page"
+}
+
+
+def test_empty_and_wrong_places(start, browser):
+    running = start()
+    browser.base, before = f"http://{running.host}:{running.port}/", browser.base
+    try:
+        for view, text in STATES.items():
+            browser.open(view)
+            browser.until(f"document.querySelector('main').innerText.includes({text!r})")
+            assert [fault for fault in browser.faults() if "status of 4" not in fault] == []
+        running.stop(9)
+        for view in ("campaigns", "editor", "stage", "trainings", "designs", ""):
+            browser.run("location.hash = '#/' + arguments[0]", view)
+            browser.until("/could not be shown/.test(document.querySelector('h1')?.innerText) &&"
+                          "/cannot be reached/.test(document.querySelector('.banner').innerText)")
+    finally:
+        browser.base = before
+
+
 def test_the_page_says_that_the_service_is_down_and_comes_back(start, browser):
     running = start()
     running.evaluate({"designs": [DESIGN]})

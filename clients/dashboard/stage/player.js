@@ -99,7 +99,7 @@ export class Player {
     });
     speed.firstChild.className = 'visually-hidden';
     this.speedSelect = speed.lastChild;
-    this.controls.append(speed, h('div.pair', { role: 'group', 'aria-label': 'Arrangement' }, this.sideToggle, this.raceToggle), this.followToggle, this.toggles.skin, this.springsToggle);
+    this.controls.append(speed, h('div.pair', { role: 'group', 'aria-label': 'Arrangement', hidden: true }, this.sideToggle, this.raceToggle), this.followToggle, this.toggles.skin, this.springsToggle);
     if (!compact) this.controls.append(this.actuationToggle, this.toggles.contacts, this.toggles.trails);
   }
 

@@ -79,7 +79,7 @@ async function mountBoard(main, parameters, app) {
     const shown = wall.element.childElementCount;
     fill(foot, cursor === null ? null : button('Show more', more),
       h('span.muted', {}, shown ? `${count(shown)} designs shown` :
-        'No design has a score with this controller yet. Score one with the editor, or start a campaign.'));
+        'No design has a score with this controller yet. An evaluation or a campaign, started on the overview, gives scores.'));
   }
 
   async function again() {

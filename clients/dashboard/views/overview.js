@@ -18,7 +18,7 @@ export async function mount(main, path, parameters, app) {
   const running = h('section.grid', { 'aria-label': 'Running jobs' });
   const events = h('tbody');
   const load = new Chart({
-    title: 'Load of the last hour, in minutes', xName: 'minute', height: 150, minimum: 0, maximum: 1,
+    title: 'Load of the last hour', xName: 'minute', height: 150, minimum: 0, maximum: 1,
     empty: 'The first samples come within seconds.',
   });
   let state = parameters.get('state') ?? '';

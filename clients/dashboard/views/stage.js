@@ -80,10 +80,12 @@ export async function mount(main, path, parameters, app) {
         }
         ids = lines.slice(0, ROBOTS_MAX).map((line) => line.toLowerCase());
         dialog.close();
+        breed.disabled = false;
         load();
       }, { class: 'primary' }));
   }
 
+  const breed = breedButton(app, 'Breed these', () => ids.map(designOf), { disabled: ids.length === 0 });
   const choose = select('Environment', environments.map((_, i) => [String(i), `environment ${i}`]),
     String(environment), (value) => {
       environment = Number(value);
@@ -92,7 +94,7 @@ export async function mount(main, path, parameters, app) {
     });
   choose.firstChild.className = 'visually-hidden';
   player.controls.append(choose, button('Robots', chooseRobots),
-    breedButton(app, 'Breed these', () => ids.map(designOf)),
+    breed,
     button('Export', () => exportDialog(player, { ids, environment, set, controller: controllers[0] })),
     button('Copy', () => copyDialog(controllers.flatMap((one) => sameCommands(ids, { environments, environment, set, controller: one })))));
   main.replaceChildren(h('h1.visually-hidden', {}, 'Stage'), player.element);
