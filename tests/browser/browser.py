@@ -55,6 +55,7 @@ class Browser:
     def open(self, view="", theme=None):
         """Shows a view, as a new page."""
         self.driver.get("about:blank")
+        self.driver.get_log("browser")  # of pages before this one
         self.driver.get(self.base)
         if theme:
             self.run("localStorage.setItem('morphod-theme', arguments[0])", theme)

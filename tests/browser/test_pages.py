@@ -393,15 +393,16 @@ def test_empty_and_wrong_places(start, browser):
     running = start()
     browser.base, before = f"http://{running.host}:{running.port}/", browser.base
     try:
+        browser.open("editor")
         for view, text in STATES.items():
-            browser.open(view)
+            browser.run("location.hash = '#/' + arguments[0]", view)
             browser.until(f"document.querySelector('main').innerText.includes({text!r})")
             assert [fault for fault in browser.faults() if "status of 4" not in fault] == []
         running.stop(9)
         for view in ("campaigns", "editor", "stage", "trainings", "designs", ""):
             browser.run("location.hash = '#/' + arguments[0]", view)
-            browser.until("/could not be shown/.test(document.querySelector('h1')?.innerText) &&"
-                          "/cannot be reached/.test(document.querySelector('.banner').innerText)")
+            browser.until("['main', '.banner'].every((selector) => /cannot be reached/"
+                          ".test(document.querySelector(selector).innerText))")
     finally:
         browser.base = before
 
