@@ -12,28 +12,17 @@ double mo_fast_sin(double x)
   const double r = (x - n * 0x1.921fb544p+0) - n * 0x1.0b4611a626331p-34;
   const double s = r * r;
   const int quadrant = (int)((int64_t)n & 3);
-  double sum;
-  if (quadrant & 1) { /* cosine, Taylor to s^8 */
-    sum = 1.0 / 20922789888000.0;
-    sum = sum * s - 1.0 / 87178291200.0;
-    sum = sum * s + 1.0 / 479001600.0;
-    sum = sum * s - 1.0 / 3628800.0;
-    sum = sum * s + 1.0 / 40320.0;
-    sum = sum * s - 1.0 / 720.0;
-    sum = sum * s + 1.0 / 24.0;
-    sum = sum * s - 0.5;
-    sum = sum * s + 1.0;
-  } else { /* sine, Taylor to r^17 */
-    sum = 1.0 / 355687428096000.0;
-    sum = sum * s - 1.0 / 1307674368000.0;
-    sum = sum * s + 1.0 / 6227020800.0;
-    sum = sum * s - 1.0 / 39916800.0;
-    sum = sum * s + 1.0 / 362880.0;
-    sum = sum * s - 1.0 / 5040.0;
-    sum = sum * s + 1.0 / 120.0;
-    sum = sum * s - 1.0 / 6.0;
-    sum = r + r * s * sum;
-  }
+  /* Taylor: the cosine to s^8, the sine to r^17. */
+  static const double terms[2][8] = {
+      {1.0 / 355687428096000.0, -1.0 / 1307674368000.0, 1.0 / 6227020800.0, -1.0 / 39916800.0,
+       1.0 / 362880.0, -1.0 / 5040.0, 1.0 / 120.0, -1.0 / 6.0},
+      {1.0 / 20922789888000.0, -1.0 / 87178291200.0, 1.0 / 479001600.0, -1.0 / 3628800.0,
+       1.0 / 40320.0, -1.0 / 720.0, 1.0 / 24.0, -0.5}};
+  const double *term = terms[quadrant & 1];
+  double sum = term[0];
+  for (int i = 1; i < 8; i++)
+    sum = sum * s + term[i];
+  sum = quadrant & 1 ? sum * s + 1.0 : r + r * s * sum;
   return quadrant & 2 ? -sum : sum;
 }
 
