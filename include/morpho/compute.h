@@ -54,7 +54,7 @@ struct mo_block {
   enum mo_back_end back_end;             /* MO_ON_DEVICE: if devices can, see below */
   const struct mo_recording *recordings; /* NULL or (n_environments) */
   const volatile int *cancel; /* NULL or a flag; non-zero ends the block with MO_ERR_CANCELLED */
-  int64_t tag; /* the submitter's, such as a job's id; mo_compute_current_tag reads it */
+  int64_t tag; /* the submitter's, such as a job's id: the thread's tag while it runs */
   struct mo_compute_share
       *share; /* charged for the block's worker time; NULL: the back end's own share, of weight 1 */
   /* Results. */
@@ -270,9 +270,6 @@ const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *comp
 
 /* Of the workers. Lock-free reads. */
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats);
-/* Returns the tag of the block that the calling worker thread runs, −1 elsewhere.
- * Async-signal-safe. */
-int64_t mo_compute_current_tag(void);
 /* Names what the bits of a result depend on besides its inputs (back end, instruction set, code
  * version), such as "cpu avx512 float32 …". */
 const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_precision precision);

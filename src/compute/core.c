@@ -1,18 +1,5 @@
-/* core.c: the tag of the calling thread, and waiting for blocks. */
+/* core.c: waiting for blocks. */
 #include "compute/internal.h"
-
-/* The tag of the innermost block on this thread. Read by a fault handler, so volatile. */
-static _Thread_local volatile int64_t current_tag = -1;
-
-int64_t mo_compute_current_tag(void)
-{
-  return current_tag;
-}
-
-void mo_compute_set_tag(int64_t tag)
-{
-  current_tag = tag;
-}
 
 void mo_waiter_done(struct mo_block *block, void *context)
 {

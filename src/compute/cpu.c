@@ -252,7 +252,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
                       const struct mo_fair_charge *charge)
 {
   struct mo_compute *compute = worker->compute;
-  const int64_t outer_tag = mo_compute_current_tag();
+  const int64_t outer_tag = mo_thread_tag;
   struct run run = {.worker = worker,
                     .block = block,
                     .depth = depth,
@@ -260,7 +260,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
                     .urgent = charge == NULL,
                     .read_ns = mo_clock_ns(),
                     .overtaken_ns = worker->overtaken_ns};
-  mo_compute_set_tag(block->tag);
+  mo_thread_tag = block->tag;
   block->status = is_cancelled(compute, block) ? MO_ERR_CANCELLED
                   : block->gradient != NULL    ? differentiate(&run)
                                                : simulate(&run);
@@ -275,7 +275,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
     atomic_fetch_add(&run.share->blocks_done, 1);
   }
   block->done(block, block->context); /* the block and its share may be gone now */
-  mo_compute_set_tag(outer_tag);
+  mo_thread_tag = outer_tag;
 }
 
 /* ---- workers ---- */

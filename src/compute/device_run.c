@@ -20,6 +20,7 @@
 #include <time.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 
 enum {
   LINGER_IDLE_MS = 2,  /* without a new block, before an idle device starts on what waits */
@@ -403,9 +404,9 @@ static void run_chunk(struct mo_unit *unit)
   pthread_cond_broadcast(&devices->wake);
   const uint64_t start_ns = mo_clock_ns();
   pthread_mutex_unlock(&devices->fair.mutex);
-  mo_compute_set_tag(chunk->items[0].block->tag);
+  mo_thread_tag = chunk->items[0].block->tag;
   const int status = chunk->task != NULL ? run_task(unit, chunk) : run_blocks(unit, chunk);
-  mo_compute_set_tag(-1);
+  mo_thread_tag = -1;
   pthread_mutex_lock(&devices->fair.mutex);
   const uint64_t took_ns = mo_clock_ns() - start_ns;
   mo_unit_account(unit);

@@ -82,6 +82,5 @@ int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_ta
 
 const struct mo_controller *
 mo_compute_controller_weights(const struct mo_compute_controller *controller);
-void mo_compute_set_tag(int64_t tag); /* of the calling thread; −1: none */
 
 #endif

@@ -62,8 +62,7 @@ static size_t put_number(char *to, int64_t value)
 
 void mo_jobs_crash_note(int fd, int signal_number)
 {
-  int64_t block_tag = mo_compute_current_tag();
-  int64_t tag = block_tag > 0 ? block_tag : mo_thread_tag;
+  const int64_t tag = mo_thread_tag;
   char line[64];
   size_t n;
   if (tag <= 0 || signal_number < 0)

@@ -118,10 +118,9 @@ size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX]);
 
 /* ---- crashes ---- */
 /* For a handler of SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT: writes "<tag> <signal>\n" to `fd`, a
- * marker file that was opened beforehand. The tag is mo_compute_current_tag(), the id of the job on
- * which the faulting thread worked; on a job's own thread, the id of that job. Writes nothing on
- * threads that work for no job. Async-signal-safe. Pass the file's path as `crash_marker` at the
- * next start. */
+ * marker file that was opened beforehand. The tag is mo_thread_tag, the id of the job on which the
+ * faulting thread worked. Writes nothing on threads that work for no job. Async-signal-safe. Pass
+ * the file's path as `crash_marker` at the next start. */
 void mo_jobs_crash_note(int fd, int signal_number);
 
 #endif

@@ -2,6 +2,8 @@
  * everything is handed back. */
 #include "fixture.h"
 
+#include "base/thread.h"
+
 static struct mo_environment environments[MO_PAPER_TEST_COUNT];
 
 static void setup(void)
@@ -144,7 +146,7 @@ struct crowd {
 
 static void note_tag(struct mo_block *block, void *context)
 {
-  atomic_store((atomic_int *)context, mo_compute_current_tag() == block->tag ? 1 : 2);
+  atomic_store((atomic_int *)context, mo_thread_tag == block->tag ? 1 : 2);
 }
 
 static void *submit_many(void *argument)
@@ -277,7 +279,7 @@ static void passive_and_faults(void)
   CHECK(strstr(mo_compute_fingerprint(compute, MO_FLOAT32), mo_isa_name(mo_isa_best())) != NULL);
   CHECK(strcmp(mo_compute_fingerprint(compute, MO_FLOAT32),
                mo_compute_fingerprint(compute, MO_FLOAT64)) != 0);
-  CHECK_INT(mo_compute_current_tag(), -1);
+  CHECK_INT(mo_thread_tag, -1);
   struct mo_compute_controller *brain = make_compute_controller(compute, controller);
   struct mo_compute_controller *none = make_compute_controller(compute, NULL);
   uint64_t genotype[MO_DEFAULT_WORDS], empty[MO_DEFAULT_WORDS] = {0};

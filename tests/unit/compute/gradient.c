@@ -2,6 +2,8 @@
  * overtake; cancelled, wrong and out of memory it says so. */
 #include "fixture.h"
 
+#include "base/thread.h"
+
 enum { ROBOTS = 150 };
 
 /* The thread sanitizer makes a step thirty times as long. What threads share is touched once per
@@ -79,7 +81,7 @@ int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_
   while (most < inside && !atomic_compare_exchange_weak(&plan.most_inside, &most, inside))
     ;
   int status = MO_OK;
-  if (mo_compute_current_tag() != 7)
+  if (mo_thread_tag != 7)
     atomic_fetch_add(&plan.wrong_tags, 1);
   for (uint32_t i = 0; i < n && plan.fail_at != NULL; i++)
     if (list[i].body == plan.fail_at)

@@ -3,6 +3,8 @@
 
 #include "fake_compute.h"
 
+#include "base/thread.h"
+
 #include <math.h>
 #include <pthread.h>
 #include <signal.h>
@@ -20,7 +22,6 @@ static pthread_mutex_t history_mutex = PTHREAD_MUTEX_INITIALIZER;
 static int64_t history[HISTORY_MAX];
 static size_t n_history;
 static double weights[WEIGHTS]; /* by tag, modulo */
-static _Thread_local volatile int64_t current_tag = -1;
 
 struct mo_compute_controller {
   const struct mo_controller *controller;
@@ -234,12 +235,12 @@ static void *work(void *context)
   struct mo_block *block;
   while ((block = take(compute)) != NULL) {
     begin(block->tag);
-    current_tag = block->tag;
+    mo_thread_tag = block->tag;
     atomic_fetch_add(&compute->busy, 1);
     block->status = run_block(block);
     atomic_fetch_sub(&compute->busy, 1);
     charge(block->share, block->tag);
-    current_tag = -1;
+    mo_thread_tag = -1;
     atomic_fetch_add(&compute->blocks, 1);
     if (block->status == MO_OK)
       atomic_fetch_add(&compute->rollouts, block->n_environments);
@@ -410,11 +411,6 @@ void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_st
                                      .n_busy = atomic_load(&compute->busy),
                                      .blocks_done = atomic_load(&compute->blocks),
                                      .rollouts_done = atomic_load(&compute->rollouts)};
-}
-
-int64_t mo_compute_current_tag(void)
-{
-  return current_tag;
 }
 
 const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_precision precision)
