@@ -44,11 +44,6 @@ enum {
 /* In ascending order of urgency; both come before batch blocks. */
 enum { URGENT_GRADIENTS, URGENT, QUEUES };
 
-struct queue {
-  struct mo_block *first, *last;
-  atomic_uint_fast64_t n; /* written under the mutex, read anywhere */
-};
-
 struct worker {
   struct mo_compute *compute;
   struct mo_workspace_memory *memory[DEPTHS];
@@ -67,7 +62,7 @@ struct mo_compute {
   struct worker *workers;     /* (core.n_workers) */
   struct mo_fair fair;        /* its mutex guards all queues */
   pthread_cond_t wake;
-  struct queue queues[QUEUES];
+  struct mo_block_queue queues[QUEUES];
   struct mo_compute_share own; /* for blocks that name no share */
   atomic_bool stopping;        /* written under the mutex */
   atomic_uint_fast32_t n_busy;
@@ -77,30 +72,6 @@ struct mo_compute {
   atomic_size_t worker_bytes_max;
   char fingerprint[2][64], gradient_fingerprint[64];
 };
-
-/* ---- queues, under the mutex ---- */
-
-static void push(struct queue *queue, struct mo_block *block)
-{
-  block->next = NULL;
-  if (queue->first == NULL)
-    queue->first = block;
-  else
-    queue->last->next = block;
-  queue->last = block;
-  atomic_fetch_add(&queue->n, 1);
-}
-
-static struct mo_block *pop(struct queue *queue)
-{
-  struct mo_block *block = queue->first;
-  if (block == NULL)
-    return NULL;
-  queue->first = block->next;
-  block->next = NULL;
-  atomic_fetch_sub(&queue->n, 1);
-  return block;
-}
 
 /* ---- one block ---- */
 
@@ -134,9 +105,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
 static bool is_cancelled(const struct mo_compute *compute, const struct mo_block *block)
 {
   return atomic_load_explicit(&compute->stopping, memory_order_relaxed) ||
-         (block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0) ||
-         (block->gradient != NULL &&
-          atomic_load_explicit(block->gradient->stop, memory_order_relaxed));
+         mo_block_is_cancelled(block);
 }
 
 static void read_meter(struct run *run)
@@ -159,12 +128,12 @@ static int look_up(void *context)
   struct mo_compute *compute = worker->compute;
   if (run->block->gradient == NULL && run->depth == 0)
     follow_trims(worker);
-  struct queue *urgent = &compute->queues[URGENT];
+  struct mo_block_queue *urgent = &compute->queues[URGENT];
   if (run->depth == 0 && (run->block->urgency == MO_BATCH || run->block->gradient != NULL))
     while (atomic_load_explicit(&urgent->n, memory_order_relaxed) > 0 &&
            !is_cancelled(compute, run->block)) {
       pthread_mutex_lock(&compute->fair.mutex);
-      struct mo_block *block = pop(urgent);
+      struct mo_block *block = mo_queue_pop(urgent);
       pthread_mutex_unlock(&compute->fair.mutex);
       if (block == NULL)
         break;
@@ -302,7 +271,7 @@ static void *work(void *argument)
     struct mo_block *block = NULL;
     struct mo_fair_charge charge;
     for (int q = QUEUES; q-- > 0 && block == NULL;)
-      block = pop(&compute->queues[q]);
+      block = mo_queue_pop(&compute->queues[q]);
     const bool urgent = block != NULL;
     if (!urgent)
       block = mo_fair_take(&compute->fair, &charge);
@@ -442,7 +411,7 @@ static int enqueue(struct mo_compute *compute, struct mo_block *block, int urgen
   const bool stopping = atomic_load(&compute->stopping);
   if (!stopping) {
     if (block->urgency == MO_INTERACTIVE)
-      push(&compute->queues[urgent_queue], block);
+      mo_queue_push(&compute->queues[urgent_queue], block);
     else
       mo_fair_push(&compute->fair, block->share != NULL ? block->share : &compute->own, block);
     pthread_cond_signal(&compute->wake);
@@ -519,14 +488,14 @@ void mo_compute_share_get_stats(const struct mo_compute_share *share,
   *stats = (struct mo_compute_share_stats){
       .busy_s = 1e-9 * (double)atomic_load(&share->busy_ns),
       .urgent_s = 1e-9 * (double)atomic_load(&share->urgent_ns),
-      .waiting = atomic_load(&share->waiting),
+      .waiting = atomic_load(&share->queue.n),
       .blocks_done = atomic_load(&share->blocks_done),
   };
   const struct mo_compute_share *on_devices = share->on_devices;
   if (on_devices == NULL)
     return;
   stats->device_s = 1e-9 * (double)atomic_load(&on_devices->busy_ns);
-  stats->waiting += atomic_load(&on_devices->waiting);
+  stats->waiting += atomic_load(&on_devices->queue.n);
   stats->blocks_done += atomic_load(&on_devices->blocks_done);
 }
 

@@ -58,12 +58,12 @@ static uint32_t even_rows(const struct mo_unit *unit, const struct mo_compute_sh
                           const struct mo_block *first)
 {
   const bool is_alone = unit->devices->last == share &&
-                        atomic_load(&unit->devices->fair.waiting) == atomic_load(&share->waiting);
+                        atomic_load(&unit->devices->fair.waiting) == atomic_load(&share->queue.n);
   const uint32_t limit = is_alone ? MO_CHUNK_ROWS : MO_CHUNK_ROWS_SHARED;
   const uint64_t most = unit->row_limit < limit ? unit->row_limit : limit;
   const uint64_t n_working = atomic_load(&unit->devices->n_working),
                  n_devices = n_working > 0 ? n_working : 1;
-  const uint64_t waiting = (1 + atomic_load(&share->waiting)) * first->n_environments;
+  const uint64_t waiting = (1 + atomic_load(&share->queue.n)) * first->n_environments;
   const uint64_t rounds = (waiting + most * n_devices - 1) / (most * n_devices);
   const uint64_t rows = (waiting + rounds * n_devices - 1) / (rounds * n_devices);
   return rows < first->n_environments ? first->n_environments
@@ -101,12 +101,6 @@ bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk)
 
 /* ---- building ---- */
 
-static bool is_cancelled(const struct mo_block *block)
-{
-  return (block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0) ||
-         (block->shards != NULL && atomic_load_explicit(block->shards->stop, memory_order_relaxed));
-}
-
 static bool same_body(const struct mo_block *a, const struct mo_block *b)
 {
   return a->body == NULL && b->body == NULL && a->lattice == b->lattice &&
@@ -122,7 +116,7 @@ static uint32_t plan_bodies(struct mo_chunk *chunk)
   uint32_t n = 0;
   for (struct mo_chunk_item *item = chunk->items; item < chunk->items + chunk->n_active; item++) {
     const struct mo_block *block = item->block;
-    if (is_cancelled(block)) {
+    if (mo_block_is_cancelled(block)) {
       item->status = MO_ERR_CANCELLED;
       continue;
     }
@@ -184,7 +178,7 @@ void mo_chunk_build(struct mo_chunk *chunk, uint32_t n_threads)
 bool mo_chunk_is_cancelled(const struct mo_chunk *chunk)
 {
   for (uint32_t i = 0; i < chunk->n_active; i++)
-    if (!is_cancelled(chunk->items[i].block))
+    if (!mo_block_is_cancelled(chunk->items[i].block))
       return false;
   return true;
 }

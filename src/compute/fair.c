@@ -34,7 +34,7 @@ void mo_fair_add(struct mo_fair *fair, struct mo_compute_share *share, double we
     link = &(*link)->next;
   *link = share;
   share->next = NULL;
-  share->first = share->last = NULL;
+  share->queue.first = NULL;
   share->weight = within(weight);
   share->virtual_s = fair->virtual_s;
   for (int kind = 0; kind < MO_FAIR_KINDS; kind++)
@@ -72,17 +72,10 @@ static double units_of(const struct mo_block *block)
 
 void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block)
 {
-  block->next = NULL;
-  if (share->first == NULL) {
-    const double least_s = fair->virtual_s - fair->credit_s / share->weight;
-    if (share->virtual_s < least_s)
-      share->virtual_s = least_s;
-    share->first = block;
-  } else {
-    share->last->next = block;
-  }
-  share->last = block;
-  atomic_fetch_add(&share->waiting, 1);
+  const double least_s = fair->virtual_s - fair->credit_s / share->weight;
+  if (share->queue.first == NULL && share->virtual_s < least_s)
+    share->virtual_s = least_s;
+  mo_queue_push(&share->queue, block);
   atomic_fetch_add(&fair->waiting, 1);
 }
 
@@ -90,11 +83,8 @@ void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct m
 static struct mo_block *take_first(struct mo_fair *fair, struct mo_fair_charge *charge)
 {
   struct mo_compute_share *share = charge->share;
-  struct mo_block *block = share->first;
+  struct mo_block *block = mo_queue_pop(&share->queue);
   const double units = units_of(block), estimate_s = units * share->unit_s[charge->kind];
-  share->first = block->next;
-  block->next = NULL;
-  atomic_fetch_sub(&share->waiting, 1);
   atomic_fetch_sub(&fair->waiting, 1);
   charge->n_blocks++;
   charge->units += units;
@@ -107,7 +97,7 @@ struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charg
 {
   struct mo_compute_share *next = NULL;
   for (struct mo_compute_share *share = fair->shares; share != NULL; share = share->next)
-    if (share->first != NULL && (next == NULL || share->virtual_s < next->virtual_s))
+    if (share->queue.first != NULL && (next == NULL || share->virtual_s < next->virtual_s))
       next = share;
   return next != NULL ? mo_fair_take_from(fair, next, charge) : NULL;
 }
@@ -115,11 +105,12 @@ struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charg
 struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share *share,
                                    struct mo_fair_charge *charge)
 {
-  if (share->first == NULL)
+  if (share->queue.first == NULL)
     return NULL;
   if (fair->virtual_s < share->virtual_s)
     fair->virtual_s = share->virtual_s;
-  const bool is_gradient = share->first->gradient != NULL || share->first->shards != NULL;
+  const bool is_gradient =
+      share->queue.first->gradient != NULL || share->queue.first->shards != NULL;
   *charge = (struct mo_fair_charge){.share = share,
                                     .kind = is_gradient ? MO_FAIR_GRADIENT : MO_FAIR_SCORING};
   return take_first(fair, charge);
@@ -129,7 +120,7 @@ struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *
                                    bool (*fits)(const struct mo_block *block, void *context),
                                    void *context)
 {
-  const struct mo_block *next = charge->share->first;
+  const struct mo_block *next = charge->share->queue.first;
   return next != NULL && fits(next, context) ? take_first(fair, charge) : NULL;
 }
 

@@ -23,16 +23,45 @@
 
 enum mo_fair_kind { MO_FAIR_SCORING, MO_FAIR_GRADIENT, MO_FAIR_KINDS };
 
+/* First in, first out. Changed under the mutex of the back end; `n` is read anywhere. */
+struct mo_block_queue {
+  struct mo_block *first, *last;
+  atomic_uint_fast64_t n;
+};
+
+static inline void mo_queue_push(struct mo_block_queue *queue, struct mo_block *block)
+{
+  block->next = NULL;
+  if (queue->first == NULL)
+    queue->first = block;
+  else
+    queue->last->next = block;
+  queue->last = block;
+  atomic_fetch_add(&queue->n, 1);
+}
+
+/* NULL: the queue is empty. */
+static inline struct mo_block *mo_queue_pop(struct mo_block_queue *queue)
+{
+  struct mo_block *block = queue->first;
+  if (block == NULL)
+    return NULL;
+  queue->first = block->next;
+  block->next = NULL;
+  atomic_fetch_sub(&queue->n, 1);
+  return block;
+}
+
 /* The mutex of the back end guards `weight` to `next`; counters can be read anywhere. */
 struct mo_compute_share {
   struct mo_compute *compute;
   double weight, virtual_s;
   double unit_s[MO_FAIR_KINDS]; /* estimates: worker seconds of one rollout step */
-  struct mo_block *first, *last;
+  struct mo_block_queue queue;
   struct mo_compute_share *next; /* in order of creation */
   struct mo_compute_share
       *on_devices; /* the share's entry in the queue of the devices; NULL: no devices */
-  atomic_uint_fast64_t busy_ns, urgent_ns, waiting, blocks_done;
+  atomic_uint_fast64_t busy_ns, urgent_ns, blocks_done;
 };
 
 struct mo_fair {

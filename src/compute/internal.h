@@ -77,6 +77,15 @@ struct mo_device_task {
   struct mo_gradient_counts counts; /* added to */
 };
 
+static inline bool mo_block_is_cancelled(const struct mo_block *block)
+{
+  const atomic_bool *stop = block->gradient != NULL ? block->gradient->stop
+                            : block->shards != NULL ? block->shards->stop
+                                                    : NULL;
+  return (block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0) ||
+         (stop != NULL && atomic_load_explicit(stop, memory_order_relaxed));
+}
+
 /* Same as mo_compute_submit, for a task that was checked. MO_ERR_CANCELLED. */
 int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_task *task);
 

@@ -241,7 +241,7 @@ static void estimates_spread_the_workers(void)
     CHECK(charge.share == &world.submitters[k].share);
   }
   CHECK_INT(atomic_load(&world.fair.waiting), 9);
-  CHECK_INT(atomic_load(&world.submitters[0].share.waiting), 3);
+  CHECK_INT(atomic_load(&world.submitters[0].share.queue.n), 3);
 }
 
 static void first_in_first_out_and_removal(void)
