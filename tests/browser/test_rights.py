@@ -15,7 +15,7 @@ CAMPAIGN = {
 }
 WRITES = ("New evaluation", "New training", "New campaign", "Pause", "Resume", "Cancel", "Extend",
           "Breed these")
-BUTTONS = "main button:not(.stage *)"  # the stage has a Pause of its own
+BUTTONS = "main button:not(.stage *, [hidden])"  # the stage has a Pause of its own
 
 
 @pytest.fixture

@@ -97,7 +97,8 @@ def test_what_springs_do_and_what_touches_the_ground(service, browser):
 @pytest.fixture(scope="module")
 def model(service, browser, tmp_path_factory):
     """A robot as a GLB file, its number of masses, the time of a frame, and its recording."""
-    browser.open("stage")
+    design = service.evaluate({"designs": [DESIGN]}).json()["results"][0]["id"]
+    browser.open(f"stage?designs={design}")
     browser.until_walking()
     data = browser.driver.execute_async_script("""
         const done = arguments[arguments.length - 1];
