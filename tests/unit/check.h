@@ -5,7 +5,8 @@
  *   CHECK_MAIN(cases)
  *
  * A failed check prints a diagnostic and goes on; a case with a failed check is "not ok". REQUIRE
- * leaves the case. CHECK_MAIN_WITH(setup, cases) calls `setup` before the first case. */
+ * leaves the case. {"adds 2", WITH(adds_number, 2)} calls `adds_number(2)`.
+ * CHECK_MAIN_WITH(setup, cases) calls `setup` before the first case. */
 #ifndef MORPHO_TESTS_CHECK_H
 #define MORPHO_TESTS_CHECK_H
 
@@ -17,7 +18,17 @@
 struct check_case {
   const char *name;
   void (*run)(void);
+  void (*run_with)(int); /* in place of `run`: WITH */
+  int number;
 };
+#define WITH(function, number) NULL, function, number
+
+static const struct check_case *check_now;
+
+static inline void check_run_with(void)
+{
+  check_now->run_with(check_now->number);
+}
 
 static int check_failures;
 /* Runs a case between what all cases of a program need before and after; NULL: nothing. */
@@ -70,14 +81,22 @@ static void (*check_around)(void (*run)(void));
     }                                                                                              \
   } while (0)
 
-/* A message, a struct mo_message, has these words in it. */
-#define CHECK_SAYS(message, words)                                                                 \
+#define CHECK_OK(status)   CHECK_INT(status, 0)
+#define REQUIRE_OK(status) REQUIRE((status) == 0)
+
+/* A text has these words in it. */
+#define CHECK_HAS(actual, words)                                                                   \
   do {                                                                                             \
-    if (strstr((message).text, (words)) == NULL) {                                                 \
+    const char *check_a = (actual), *check_w = (words);                                            \
+    if (check_a == NULL || strstr(check_a, check_w) == NULL) {                                     \
       check_failures++;                                                                            \
-      printf("# %s:%d: \"%s\" lacks \"%s\"\n", __FILE__, __LINE__, (message).text, (words));       \
+      printf("# %s:%d: %s = \"%s\" lacks \"%s\"\n", __FILE__, __LINE__, #actual,                   \
+             check_a ? check_a : "(null)", check_w);                                               \
     }                                                                                              \
   } while (0)
+
+/* The same of a struct mo_message. */
+#define CHECK_SAYS(message, words) CHECK_HAS((message).text, words)
 
 /* The first n elements of two arrays are the same bytes. */
 #define SAME(a, b, n) (memcmp((a), (b), (size_t)(n) * sizeof(*(a))) == 0)
@@ -149,10 +168,12 @@ static inline int check_run(const struct check_case *cases, size_t n, int argc, 
     if (strstr(cases[i].name, wanted) == NULL)
       continue;
     check_failures = 0;
+    check_now = &cases[i];
+    void (*run)(void) = cases[i].run_with != NULL ? check_run_with : cases[i].run;
     if (check_around != NULL)
-      check_around(cases[i].run);
+      check_around(run);
     else
-      cases[i].run();
+      run();
     check_drop_to(kept);
     printf("%s %d - %s\n", check_failures ? "not ok" : "ok", ++number, cases[i].name);
     failed += check_failures != 0;

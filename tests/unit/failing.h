@@ -7,6 +7,7 @@
 
 #include <morpho/error.h>
 
+#include <stdatomic.h>
 #include <stdbool.h>
 
 void *__real_malloc(size_t size);
@@ -20,11 +21,16 @@ void *__wrap_realloc(void *old, size_t size);
 void *__wrap_aligned_alloc(size_t alignment, size_t size);
 char *__wrap_strdup(const char *text);
 
-static long left = -1; /* allocations until one fails; negative: never */
+static atomic_long left = -1; /* allocations until one fails; negative: never */
+static bool fails_for_good;   /* all fail from there on, and `left` stays 0 */
 
 static int fails(void)
 {
-  return left >= 0 && left-- == 0;
+  long now = left;
+  while ((now > 0 || (now == 0 && !fails_for_good)) &&
+         !atomic_compare_exchange_weak(&left, &now, now - 1))
+    ;
+  return now == 0;
 }
 
 void *__wrap_malloc(size_t size)

@@ -20,7 +20,6 @@
 
 #define ANOTHER 54321 /* a user */
 
-static struct service service;
 static char address[128];
 static uint16_t port;
 static atomic_uint logged[600];
@@ -69,8 +68,8 @@ static bool start(struct mo_http_config config)
   config.n_listeners = 1;
   config.log = log_request;
   fill(&config);
-  const struct mo_api_services services = {
-      service.fixture.store, service.jobs, service.compute, "test", NULL, MO_DASHBOARD_ON};
+  const struct mo_api_services services = {store,  service.jobs, service.compute,
+                                           "test", NULL,         MO_DASHBOARD_ON};
   int code = mo_api_start(&config, &services, &api, &message);
   if (code != MO_OK)
     printf("# %s\n", message.text);
@@ -166,8 +165,8 @@ static void configuration(void)
 {
   static const struct mo_token brief[] = {{"admin", MO_RIGHT_ADMIN, "short"}},
                                good[] = {{"admin", MO_RIGHT_ADMIN, "a-token-that-is-long-enough"}};
-  const struct mo_api_services services = {
-      service.fixture.store, service.jobs, service.compute, "test", NULL, MO_DASHBOARD_ON};
+  const struct mo_api_services services = {store,  service.jobs, service.compute,
+                                           "test", NULL,         MO_DASHBOARD_ON};
   struct mo_http_config config = {0};
   struct mo_message message;
   int fd;
@@ -210,7 +209,7 @@ static void addresses(void)
   CHECK(mo_http_describe(fd, NULL, &beyond, &message) == MO_OK && !beyond);
   close(fd);
   CHECK_INT(mo_http_describe(0, NULL, &beyond, &message), MO_ERR_INVALID);
-  snprintf(path, sizeof(path), "%s/socket", service.fixture.path);
+  snprintf(path, sizeof(path), "%s/socket", fixture.path);
   snprintf(where, sizeof(where), "unix:%s", path);
   REQUIRE(mo_http_listen(where, &fd, address, &message) == MO_OK);
   CHECK_TEXT(address, where);
@@ -288,7 +287,6 @@ static void limits(void)
 static void lists_leave_threads(void)
 {
   enum { LISTS = 12 };
-  struct mo_store *store = service.fixture.store;
   struct mo_connection **held = calloc(store->n_readers, sizeof(struct mo_connection *));
   int lists[LISTS];
   REQUIRE(start((struct mo_http_config){0}) && held != NULL);
@@ -572,11 +570,9 @@ static const struct check_case cases[] = {
 
 int main(int argc, char **argv)
 {
-  if (service_start(&service, 0) != MO_OK) {
-    printf("Bail out! no service: %s\n", service.fixture.message.text);
+  if (service_start(0) != MO_OK) {
+    printf("Bail out! no service: %s\n", fixture.message.text);
     return 1;
   }
-  int status = check_run(cases, sizeof(cases) / sizeof(cases[0]), argc, argv);
-  service_end(&service);
-  return status;
+  return check_run(cases, COUNT(cases), argc, argv);
 }

@@ -13,8 +13,7 @@ static const struct said good = {"pretrain", "random", "31", "40",
                                  "{\"steps\":900,\"batch\":64,\"x\":1}"};
 
 /* Stores a controller with the default weights. digits: of its file. */
-static void put(struct service *service, const char *name, const struct said *said,
-                char digits[MO_SHA256_DIGITS + 1])
+static void put(const char *name, const struct said *said, char digits[MO_SHA256_DIGITS + 1])
 {
   const char *const entries[][2] = {{"morphod.kind", said->kind},
                                     {"morphod.parent", said->parent},
@@ -26,44 +25,41 @@ static void put(struct service *service, const char *name, const struct said *sa
   uint8_t *bytes = NULL;
   size_t size = 0;
   bool created;
-  for (size_t i = 0; i < sizeof(entries) / sizeof(entries[0]); i++)
+  for (size_t i = 0; i < COUNT(entries); i++)
     if (entries[i][1] != NULL)
       (void)mo_controller_set_metadata(controller, entries[i][0], entries[i][1]);
-  CHECK_INT(mo_controller_encode(controller, &bytes, &size), MO_OK);
-  CHECK_INT(mo_store_controller_put(service->fixture.store, name, bytes, size, controller, &record,
-                                    &created),
-            MO_OK);
+  CHECK_OK(mo_controller_encode(controller, &bytes, &size));
+  CHECK_OK(mo_store_controller_put(store, name, bytes, size, controller, &record, &created));
   mo_sha256_to_hex(&record.sha256, digits);
   free(bytes);
   mo_controller_free(controller);
 }
 
 /* Stores "pretrained" with a seed of bodies, 64 of them a step, and "tuned", its child. */
-static void put_family(struct service *service, const char *steps)
+static void put_family(const char *steps)
 {
   struct said said = good;
   char digits[MO_SHA256_DIGITS + 1], child[MO_SHA256_DIGITS + 1];
   said.step = steps;
-  put(service, "pretrained", &said, digits);
+  put("pretrained", &said, digits);
   said.kind = "finetune";
   said.parent = digits;
-  put(service, "tuned", &said, child);
+  put("tuned", &said, child);
 }
 
 /* Stores "long": so many controllers, each the child of the one before, with `first` at its
  * beginning and `other` after that. */
-static void put_long(struct service *service, int n, const struct said *first,
-                     const struct said *other)
+static void put_long(int n, const struct said *first, const struct said *other)
 {
   char digits[MO_SHA256_DIGITS + 1], parent[MO_SHA256_DIGITS + 1], seed[16];
-  put(service, "long", first, digits);
+  put("long", first, digits);
   for (int i = 1; i < n; i++) {
     struct said said = *other;
     memcpy(parent, digits, sizeof(parent));
     snprintf(seed, sizeof(seed), "%d", i);
     said.parent = parent;
     said.seed = seed;
-    put(service, "long", &said, digits);
+    put("long", &said, digits);
   }
 }
 
@@ -71,8 +67,8 @@ static void put_long(struct service *service, int n, const struct said *first,
 static struct mo_form_set *forms_of(struct mo_workspace workspace, uint64_t steps)
 {
   struct mo_form_set *forms = NULL;
-  CHECK_INT(mo_form_set_create(workspace, &forms), MO_OK);
-  CHECK_INT(mo_pretraining_forms(31, 64 * steps, workspace, 1, NULL, NULL, forms), MO_OK);
+  CHECK_OK(mo_form_set_create(workspace, &forms));
+  CHECK_OK(mo_pretraining_forms(31, 64 * steps, workspace, 1, NULL, NULL, forms));
   return forms;
 }
 
@@ -83,41 +79,37 @@ SERVICE_CASE(leaves_out_what_was_learned_from, 3)
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
   const struct said line = {"pretrain", "random", "31", "1000000",
                             "{\"steps\": 1000000, \"x\": {\"batch\":1}, \"batch\" : 64}"};
-  struct mo_form_set *excluded;
-  struct history *without, *stored;
   struct origin origin, plain;
   int64_t ids[3];
-  put_family(service, "40");
+  put_family("40");
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
   origin = plain = origin_of(&request);
-  without = plain_history(&fake_plain, &origin);
-  excluded = forms_of(request.record.settings.workspace, 40);
+  struct history *without = plain_history(&fake_plain, &origin);
+  struct mo_form_set *excluded = forms_of(request.record.settings.workspace, 40);
   CHECK(mo_form_set_count(excluded) > 0);
   origin.excluded = excluded;
   request.controller = "tuned";
   for (int i = 0; i < 3; i++) {
     request.record.settings.exclude_pretraining = i < 2; /* two that share the set, one without */
-    ids[i] = submit_campaign(service, &request);
+    ids[i] = submit_campaign(&request);
   }
-  CHECK(ends_as_plain(service, ids[0], &origin));
-  CHECK(ends_as_plain(service, ids[1], &origin));
-  CHECK(ends_as_plain(service, ids[2], &plain));
-  stored = stored_history(service->fixture.store, ids[0]);
+  CHECK(ends_as_plain(ids[0], &origin));
+  CHECK(ends_as_plain(ids[1], &origin));
+  CHECK(ends_as_plain(ids[2], &plain));
+  struct history *stored = stored_history(ids[0]);
   printf("# the next line is to be a difference:\n");
   CHECK(!same_history(stored, without));
   free(stored);
   /* More than can be drawn again. */
-  put_family(service, "1000000000");
+  put_family("1000000000");
   request.record.settings.exclude_pretraining = true;
-  CHECK_INT(submit_campaign(service, &request),
-            MO_ERR_LIMIT); /* before anything is stored or drawn */
-  CHECK(strstr(service->fixture.message.text, "exclude_pretraining false") != NULL);
+  CHECK_INT(submit_campaign(&request), MO_ERR_LIMIT); /* before anything is stored or drawn */
+  CHECK_SAYS(fixture.message, "exclude_pretraining false");
   /* All of five together, though no one alone; spelled as others may write it. */
-  put_long(service, 5, &line, &line);
+  put_long(5, &line, &line);
   request.controller = "long";
-  CHECK_INT(submit_campaign(service, &request),
-            MO_ERR_LIMIT); /* before anything is stored or drawn */
-  CHECK(strstr(service->fixture.message.text, "exclude_pretraining false") != NULL);
+  CHECK_INT(submit_campaign(&request), MO_ERR_LIMIT); /* before anything is stored or drawn */
+  CHECK_SAYS(fixture.message, "exclude_pretraining false");
   mo_form_set_free(excluded);
   free(without);
 }
@@ -125,12 +117,12 @@ SERVICE_CASE(leaves_out_what_was_learned_from, 3)
 /* ---- lineages that cannot be read ---- */
 
 /* How often the campaign reported this field of this controller (its digits, or NULL: any). */
-static int reported(struct service *service, int64_t id, const char *digits, const char *field)
+static int reported(int64_t id, const char *digits, const char *field)
 {
   struct mo_event events[80];
   char quoted[128];
   int n_told = 0;
-  const int64_t n = mo_store_events(service->fixture.store, 0, id, events, 80, NULL, NULL);
+  const int64_t n = mo_store_events(store, 0, id, events, 80, NULL, NULL);
   snprintf(quoted, sizeof(quoted), "\"field\":\"%s\"", field);
   for (int64_t i = 0; i < n; i++)
     n_told += strcmp(events[i].type, "campaign.lineage_unreadable") == 0 &&
@@ -166,26 +158,24 @@ SERVICE_CASE(reports_what_cannot_be_read, 1)
       {{"finetune", "chance", "31", "40", settings}, {"morphod.parent"}},
   };
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
-  struct origin origin;
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
   request.record.settings.generations = 1;
-  origin = origin_of(&request);
-  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+  struct origin origin = origin_of(&request);
+  for (size_t i = 0; i < COUNT(cases); i++) {
     char digits[MO_SHA256_DIGITS + 1], child[MO_SHA256_DIGITS + 1];
     const struct said tuned = {"finetune", digits, "7", "3", settings};
-    put(service, "odd", &cases[i].said, digits);
-    put(service, "odd-child", &tuned, child);
+    put("odd", &cases[i].said, digits);
+    put("odd-child", &tuned, child);
     for (int as_parent = 0; as_parent < 2; as_parent++) {
-      int64_t id;
       request.controller = as_parent ? "odd-child" : "odd";
-      id = submit_campaign(service, &request);
-      CHECK(ends_as_plain(service, id, &origin)); /* nothing is excluded */
-      for (size_t f = 0; f < sizeof(fields) / sizeof(fields[0]); f++) {
+      int64_t id = submit_campaign(&request);
+      CHECK(ends_as_plain(id, &origin)); /* nothing is excluded */
+      for (size_t f = 0; f < COUNT(fields); f++) {
         int expected = 0;
         for (size_t t = 0; t < 3 && cases[i].reported[t] != NULL; t++)
           expected += strcmp(cases[i].reported[t], fields[f]) == 0;
-        CHECK_INT(reported(service, id, digits, fields[f]), expected);
-        CHECK_INT(reported(service, id, NULL, fields[f]), expected);
+        CHECK_INT(reported(id, digits, fields[f]), expected);
+        CHECK_INT(reported(id, NULL, fields[f]), expected);
       }
     }
   }
@@ -199,24 +189,23 @@ SERVICE_CASE(reports_long_lineages, 1)
   const struct said tuned = {"finetune", NULL, NULL, NULL, NULL};
   struct said odd = good, short_one = good;
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
-  struct origin origin;
   int64_t id;
   request.controller = "long";
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
   request.record.settings.generations = 1;
-  origin = origin_of(&request);
+  struct origin origin = origin_of(&request);
   odd.seed = "none"; /* reported as far as it is read */
   for (int n = 64; n <= 65; n++) {
-    put_long(service, n, &odd, &tuned);
-    id = submit_campaign(service, &request);
-    CHECK(ends_as_plain(service, id, &origin));
-    CHECK_INT(reported(service, id, NULL, "morphod.seed"), n == 64);
-    CHECK_INT(reported(service, id, NULL, "morphod.parent"), n == 65);
+    put_long(n, &odd, &tuned);
+    id = submit_campaign(&request);
+    CHECK(ends_as_plain(id, &origin));
+    CHECK_INT(reported(id, NULL, "morphod.seed"), n == 64);
+    CHECK_INT(reported(id, NULL, "morphod.parent"), n == 65);
   }
   short_one.step = "1";
-  put_long(service, 17, &short_one, &short_one);
-  CHECK_INT(submit_campaign(service, &request), MO_ERR_LIMIT);
-  CHECK(strstr(service->fixture.message.text, "16 pretrainings") != NULL);
+  put_long(17, &short_one, &short_one);
+  CHECK_INT(submit_campaign(&request), MO_ERR_LIMIT);
+  CHECK_SAYS(fixture.message, "16 pretrainings");
 }
 
 /* What can be read counts, though a descendant or an ancestor cannot be. */
@@ -226,26 +215,23 @@ SERVICE_CASE(leaves_out_what_can_be_read, 1)
   struct mo_form_set *excluded;
   char first[MO_SHA256_DIGITS + 1], second[MO_SHA256_DIGITS + 1], third[MO_SHA256_DIGITS + 1];
   struct said said = good;
-  struct origin origin;
-  int64_t id;
   said.seed = "none";
-  put(service, "first", &said, first);
+  put("first", &said, first);
   said.seed = "31";
   said.parent = first;
-  put(service, "second", &said, second);
+  put("second", &said, second);
   said.step = "some";
   said.parent = second;
-  put(service, "third", &said, third);
+  put("third", &said, third);
   request.controller = "third";
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
-  origin = origin_of(&request);
+  struct origin origin = origin_of(&request);
   origin.excluded = excluded = forms_of(request.record.settings.workspace, 40);
-  id = submit_campaign(service, &request);
-  CHECK(ends_as_plain(service, id, &origin));
-  CHECK_INT(reported(service, id, first, "morphod.seed"), 1);
-  CHECK_INT(reported(service, id, third, "morphod.step"), 1);
-  CHECK_INT(
-      reported(service, id, NULL, "morphod.seed") + reported(service, id, NULL, "morphod.step"), 2);
+  int64_t id = submit_campaign(&request);
+  CHECK(ends_as_plain(id, &origin));
+  CHECK_INT(reported(id, first, "morphod.seed"), 1);
+  CHECK_INT(reported(id, third, "morphod.step"), 1);
+  CHECK_INT(reported(id, NULL, "morphod.seed") + reported(id, NULL, "morphod.step"), 2);
   mo_form_set_free(excluded);
 }
 
@@ -264,15 +250,14 @@ SERVICE_CASE(leaves_out_what_can_be_read, 1)
 #define SEEN             40
 
 /* "tuned", pretrained for so many steps, and a campaign with it, on one worker. */
-static int start_drawing(struct service *service, const char *steps,
-                         struct mo_campaign_request *request)
+static int start_drawing(const char *steps, struct mo_campaign_request *request)
 {
-  int error = service_begin(service);
-  service->config.max_active_campaigns = 3;
-  service->n_workers = 1;
+  int error = service_begin();
+  service.config.max_active_campaigns = 3;
+  service.n_workers = 1;
   if (error == MO_OK)
-    error = service_open(service);
-  put_family(service, steps);
+    error = service_open();
+  put_family(steps);
   *request = campaign(MO_ZERO_SHOT);
   request->controller = "tuned";
   request->record.settings.workspace = (struct mo_workspace){3, 3, 2};
@@ -280,20 +265,19 @@ static int start_drawing(struct service *service, const char *steps,
 }
 
 /* The figures of a campaign as soon as some of its bodies are drawn. */
-static struct mo_live await_drawing(struct service *service, int64_t id)
+static struct mo_live await_drawing(int64_t id)
 {
   struct mo_live live;
-  CHECK(AWAIT((live = live_of(service, id)).phase == MO_PHASE_PREPARE && live.done > 0 &&
+  CHECK(AWAIT((live = live_of(id)).phase == MO_PHASE_PREPARE && live.done > 0 &&
               live.seconds_left >= 0));
   return live;
 }
 
-static struct mo_exclusion *exclusions(struct service *service)
+static struct mo_exclusion *exclusions(void)
 {
-  struct mo_exclusion *first;
-  pthread_mutex_lock(&service->jobs->exclusions_mutex);
-  first = service->jobs->exclusions;
-  pthread_mutex_unlock(&service->jobs->exclusions_mutex);
+  pthread_mutex_lock(&service.jobs->exclusions_mutex);
+  struct mo_exclusion *first = service.jobs->exclusions;
+  pthread_mutex_unlock(&service.jobs->exclusions_mutex);
   return first;
 }
 
@@ -305,9 +289,9 @@ static bool names(const struct mo_live *live, int64_t id)
 }
 
 /* Whether one shows that it draws, and the other that it waits for that one. */
-static bool draws_for(struct service *service, int64_t drawer, int64_t other)
+static bool draws_for(int64_t drawer, int64_t other)
 {
-  const struct mo_live first = live_of(service, drawer), second = live_of(service, other);
+  const struct mo_live first = live_of(drawer), second = live_of(other);
   return first.phase == MO_PHASE_PREPARE && first.reason[0] == '\0' && names(&second, drawer);
 }
 
@@ -317,88 +301,78 @@ static void hands_the_drawing_over(void)
 {
   struct mo_campaign_request request;
   struct mo_form_set *excluded;
-  struct mo_live live;
-  struct service service;
-  struct origin origin;
   char steps[16];
   int64_t ids[3];
   uint64_t done;
   snprintf(steps, sizeof(steps), "%d", LONGER_STEPS);
-  REQUIRE(start_drawing(&service, steps, &request) == MO_OK);
-  origin = origin_of(&request);
-  ids[0] = submit_campaign(&service, &request);
-  live = await_drawing(&service, ids[0]);
+  REQUIRE_OK(start_drawing(steps, &request));
+  struct origin origin = origin_of(&request);
+  ids[0] = submit_campaign(&request);
+  struct mo_live live = await_drawing(ids[0]);
   CHECK(live.done > 0 && live.total == 64 * LONGER_STEPS && live.reason[0] == '\0');
   for (int i = 1; i < 3; i++) {
-    ids[i] = submit_campaign(&service, &request);
-    live = await_drawing(&service, ids[i]);
+    ids[i] = submit_campaign(&request);
+    live = await_drawing(ids[i]);
     CHECK(live.done > 0 && live.total == 64 * LONGER_STEPS && live.seconds_left > 0);
     CHECK(names(&live, ids[0]));
   }
-  done = live_of(&service, ids[1]).done;
-  CHECK_INT(mo_jobs_pause(service.jobs, ids[0]), MO_OK);
-  REQUIRE(await_phase(&service, ids[0], MO_PHASE_IDLE));
-  CHECK_INT(state_of(&service, ids[0]), MO_JOB_PAUSED);
-  CHECK(AWAIT(draws_for(&service, ids[1], ids[2]) ||
-              draws_for(&service, ids[2], ids[1]))); /* one of them takes its place */
+  done = live_of(ids[1]).done;
+  CHECK_OK(mo_jobs_pause(service.jobs, ids[0]));
+  REQUIRE(await_phase(ids[0], MO_PHASE_IDLE));
+  CHECK_INT(state_of(ids[0]), MO_JOB_PAUSED);
+  CHECK(AWAIT(draws_for(ids[1], ids[2]) ||
+              draws_for(ids[2], ids[1]))); /* one of them takes its place */
   for (int i = 1; i < 3; i++) {
-    live = live_of(&service, ids[i]);
+    live = live_of(ids[i]);
     CHECK(live.phase == MO_PHASE_PREPARE && live.done >= done); /* not from the beginning */
   }
-  CHECK_INT(mo_jobs_resume(service.jobs, ids[0]), MO_OK); /* it finds the drawing in progress */
-  live = await_drawing(&service, ids[0]);
+  CHECK_OK(mo_jobs_resume(service.jobs, ids[0])); /* it finds the drawing in progress */
+  live = await_drawing(ids[0]);
   CHECK(live.done >= done && live.reason[0] != '\0');
-  CHECK_INT(mo_jobs_cancel(service.jobs, ids[live_of(&service, ids[1]).reason[0] == '\0' ? 1 : 2]),
-            MO_OK);
+  CHECK_OK(mo_jobs_cancel(service.jobs, ids[live_of(ids[1]).reason[0] == '\0' ? 1 : 2]));
   for (uint64_t before = done;; before = live.done) {
-    live = live_of(&service, ids[0]);
+    live = live_of(ids[0]);
     if (live.phase != MO_PHASE_PREPARE || live.total == 0)
       break;
     CHECK(live.done >= before);
     usleep(2000);
   }
   origin.excluded = excluded = forms_of(request.record.settings.workspace, LONGER_STEPS);
-  CHECK(ends_as_plain(&service, ids[0], &origin));
-  CHECK((state_of(&service, ids[1]) == MO_JOB_CANCELLED) !=
-        (state_of(&service, ids[2]) == MO_JOB_CANCELLED));
+  CHECK(ends_as_plain(ids[0], &origin));
+  CHECK((state_of(ids[1]) == MO_JOB_CANCELLED) != (state_of(ids[2]) == MO_JOB_CANCELLED));
   for (int i = 1; i < 3; i++)
-    CHECK(state_of(&service, ids[i]) == MO_JOB_CANCELLED ||
-          ends_as_plain(&service, ids[i], &origin));
-  (void)idle_stats(&service);
-  CHECK(exclusions(&service) == NULL);
+    CHECK(state_of(ids[i]) == MO_JOB_CANCELLED || ends_as_plain(ids[i], &origin));
+  (void)idle_stats();
+  CHECK(exclusions() == NULL);
   CHECK_INT(warnings, 0);
   mo_form_set_free(excluded);
-  service_end(&service);
 }
 
 /* Nobody waits for it any more: it ends at once; so it does at the end of the process. */
 static void draws_for_nobody(void)
 {
   struct mo_campaign_request request;
-  struct service service;
   int64_t ids[2];
-  double begin;
-  REQUIRE(start_drawing(&service, ENDLESS, &request) == MO_OK);
+  REQUIRE_OK(start_drawing(ENDLESS, &request));
   for (int i = 0; i < 2; i++) {
-    ids[i] = submit_campaign(&service, &request);
-    CHECK(await_drawing(&service, ids[i]).done > 0);
+    ids[i] = submit_campaign(&request);
+    CHECK(await_drawing(ids[i]).done > 0);
   }
-  begin = now_s();
-  CHECK_INT(mo_jobs_cancel(service.jobs, ids[0]), MO_OK);
-  CHECK_INT(mo_jobs_pause(service.jobs, ids[1]), MO_OK);
+  double begin = now_s();
+  CHECK_OK(mo_jobs_cancel(service.jobs, ids[0]));
+  CHECK_OK(mo_jobs_pause(service.jobs, ids[1]));
   for (int i = 0; i < 2; i++)
-    CHECK(await_phase(&service, ids[i], MO_PHASE_IDLE));
-  CHECK(exclusions(&service) == NULL);
-  CHECK_INT(mo_jobs_resume(service.jobs, ids[1]), MO_OK); /* again */
-  ids[0] = submit_campaign(&service, &request);
+    CHECK(await_phase(ids[i], MO_PHASE_IDLE));
+  CHECK(exclusions() == NULL);
+  CHECK_OK(mo_jobs_resume(service.jobs, ids[1])); /* again */
+  ids[0] = submit_campaign(&request);
   for (int i = 0; i < 2; i++)
-    CHECK(await_drawing(&service, ids[i]).done > 0);
-  CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
+    CHECK(await_drawing(ids[i]).done > 0);
+  CHECK_OK(mo_jobs_stop(service.jobs, 5000));
   CHECK(now_s() - begin < 5);
   for (int i = 0; i < 2; i++)
-    CHECK_INT(state_of(&service, ids[i]), MO_JOB_QUEUED);
-  CHECK(exclusions(&service) == NULL);
-  service_end(&service);
+    CHECK_INT(state_of(ids[i]), MO_JOB_QUEUED);
+  CHECK(exclusions() == NULL);
 }
 
 /* The time that is left: of the drawing by its own rate; of the generations, too, once there is one
@@ -407,55 +381,50 @@ __attribute__((unused)) static void reports_how_long_it_draws(void)
 {
   struct mo_campaign_generation rows[SEEN];
   struct mo_campaign_request request;
-  struct mo_live live;
   struct mo_event events[80];
-  struct service service;
-  double begin, drawing_s, rest;
   char steps[16];
-  int64_t id, n, committed;
   snprintf(steps, sizeof(steps), "%d", LONG_STEPS);
-  REQUIRE(start_drawing(&service, steps, &request) == MO_OK);
+  REQUIRE_OK(start_drawing(steps, &request));
   request.record.settings.generations = LONG_GENERATIONS;
   fake_plan.delay_us = 10000;
-  id = submit_campaign(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_PHASE_PREPARE));
-  begin = now_s();
-  live = await_drawing(&service, id);
-  REQUIRE(AWAIT(live_of(&service, id).done >= live.total / 2)); /* half of it */
-  live = live_of(&service, id);
+  int64_t id = submit_campaign(&request);
+  REQUIRE(await_phase(id, MO_PHASE_PREPARE));
+  double begin = now_s();
+  struct mo_live live = await_drawing(id);
+  REQUIRE(AWAIT(live_of(id).done >= live.total / 2)); /* half of it */
+  live = live_of(id);
   REQUIRE(live.phase == MO_PHASE_PREPARE);
-  rest = (now_s() - begin) * (double)(live.total - live.done) / (double)live.done;
+  double rest = (now_s() - begin) * (double)(live.total - live.done) / (double)live.done;
   printf("# %.2f s left, %.2f s by this clock\n", live.seconds_left, rest);
   CHECK(live.seconds_left > 0.5 * rest && live.seconds_left < 2 * rest + 0.1);
-  REQUIRE(AWAIT(live_of(&service, id).phase != MO_PHASE_PREPARE));
-  drawing_s = now_s() - begin;
-  CHECK(live_of(&service, id).seconds_left < 0); /* nothing is known of the generations */
-  REQUIRE(await_place(&service, id, 2, MO_PHASE_SCORE));
-  CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-  REQUIRE(await_phase(&service, id, MO_PHASE_IDLE));
-  n = mo_store_campaign_generations(service.fixture.store, id, -1, rows, SEEN);
+  REQUIRE(AWAIT(live_of(id).phase != MO_PHASE_PREPARE));
+  double drawing_s = now_s() - begin;
+  CHECK(live_of(id).seconds_left < 0); /* nothing is known of the generations */
+  REQUIRE(await_place(id, 2, MO_PHASE_SCORE));
+  CHECK_OK(mo_jobs_pause(service.jobs, id));
+  REQUIRE(await_phase(id, MO_PHASE_IDLE));
+  int64_t n = mo_store_campaign_generations(store, id, -1, rows, SEEN);
   REQUIRE(n >= 2 && n < SEEN);
-  committed = n;
+  int64_t committed = n;
   CHECK(rows[0].seconds > drawing_s && rows[0].seconds < drawing_s + 20 * rows[1].seconds);
   CHECK(rows[1].seconds < drawing_s);
   /* What the first generation's event says of the rest does not count the drawing again. */
-  n = mo_store_events(service.fixture.store, 0, id, events, 80, NULL, NULL);
+  n = mo_store_events(store, 0, id, events, 80, NULL, NULL);
   for (int64_t i = 0; i < n; i++)
     if (strcmp(events[i].type, "campaign.generation") == 0 &&
         strstr(events[i].data, "\"generation\":0,") != NULL)
       CHECK(strtod(strstr(events[i].data, "seconds_left\":") + 14, NULL) <
             LONG_GENERATIONS * (rows[0].seconds - 0.9 * drawing_s));
-  CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
-  live = await_drawing(&service, id);
+  CHECK_OK(mo_jobs_resume(service.jobs, id));
+  live = await_drawing(id);
   CHECK(live.done > 0 && live.seconds_left > (double)(LONG_GENERATIONS + 1 - committed) *
                                                  rows[committed - 1].seconds);
   REQUIRE(
-      await_place(&service, id, (uint32_t)committed + 2,
+      await_place(id, (uint32_t)committed + 2,
                   MO_PHASE_SCORE)); /* a commit is written while the next generation is scored */
-  CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
-  REQUIRE(mo_store_campaign_generations(service.fixture.store, id, -1, rows, SEEN) > committed);
+  CHECK_OK(mo_jobs_cancel(service.jobs, id));
+  REQUIRE(mo_store_campaign_generations(store, id, -1, rows, SEEN) > committed);
   CHECK(rows[committed].seconds < drawing_s); /* what was drawn after the pause is no part of it */
-  service_end(&service);
 }
 
 static const struct check_case cases[] = {

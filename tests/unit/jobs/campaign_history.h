@@ -4,10 +4,7 @@
 #ifndef MORPHO_TESTS_JOBS_CAMPAIGN_HISTORY_H
 #define MORPHO_TESTS_JOBS_CAMPAIGN_HISTORY_H
 
-#include "../check.h"
-#include "store/campaign_designs.h"
-#include "store/campaign_runs.h"
-#include "store/campaigns.h"
+#include "../store/fixture.h"
 
 #define HISTORY_DESIGNS     1024
 #define HISTORY_GENERATIONS 32
@@ -61,10 +58,10 @@ static inline void plain_steps(const struct plain *plain, struct mo_training *tr
     const struct mo_robot *robots = NULL;
     struct mo_gradient_counts counts = {0};
     struct mo_training_report report = {.step = 0};
-    CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_OK);
+    CHECK_OK(mo_training_draw(training, NULL, NULL, &robots));
     plain->gradient(plain->context, mo_training_controller(training), robots, settings->batch,
                     &settings->physics, gradient, outcomes, &counts);
-    CHECK_INT(mo_training_apply(training, gradient, outcomes, &counts, &report), MO_OK);
+    CHECK_OK(mo_training_apply(training, gradient, outcomes, &counts, &report));
     if (row != NULL && row->learning_steps++ == 0)
       row->first_loss = report.mean_loss;
     if (row != NULL)
@@ -83,8 +80,8 @@ static inline struct mo_sha256 plain_result(const struct mo_training *training, 
   struct mo_sha256 sha256;
   uint8_t *bytes = NULL;
   size_t size = 0;
-  CHECK_INT(mo_training_export(training, parent, code_version, lineage, &controller), MO_OK);
-  CHECK_INT(mo_controller_encode(controller, &bytes, &size), MO_OK);
+  CHECK_OK(mo_training_export(training, parent, code_version, lineage, &controller));
+  CHECK_OK(mo_controller_encode(controller, &bytes, &size));
   mo_sha256_of(bytes, size, &sha256);
   free(bytes);
   mo_controller_free(controller);
@@ -100,9 +97,8 @@ static inline struct mo_training *plain_training(const struct origin *origin, ui
   if (origin->controller == NULL &&
       mo_controller_create(MO_DEFAULT_WORKSPACE, settings.sensor, &random) == MO_OK)
     mo_controller_randomize(random, settings.seed);
-  CHECK_INT(mo_training_create(&settings, random != NULL ? random : origin->controller,
-                               designs[0].words, n, &training, NULL),
-            MO_OK);
+  CHECK_OK(mo_training_create(&settings, random != NULL ? random : origin->controller,
+                              designs[0].words, n, &training, NULL));
   mo_controller_free(random);
   return training;
 }
@@ -118,11 +114,11 @@ static inline void plain_learning(const struct plain *plain, const struct origin
     *training = plain_training(origin, row->generation, bits + n_parents, n);
   }
   if (n_parents > 0 && settings->parent_steps > 0) {
-    CHECK_INT(mo_training_set_designs(*training, bits[0].words, n_parents, NULL), MO_OK);
+    CHECK_OK(mo_training_set_designs(*training, bits[0].words, n_parents, NULL));
     plain_steps(plain, *training, settings->parent_steps, row);
   }
   if (settings->child_steps > 0) {
-    CHECK_INT(mo_training_set_designs(*training, bits[n_parents].words, n, NULL), MO_OK);
+    CHECK_OK(mo_training_set_designs(*training, bits[n_parents].words, n, NULL));
     plain_steps(plain, *training, settings->child_steps, row);
   }
 }
@@ -141,7 +137,7 @@ static inline double plain_score(const struct plain *plain, const struct origin 
 static inline void plain_move(const struct mo_bits *from, struct mo_workspace workspace,
                               uint64_t *genotype)
 {
-  CHECK_INT(mo_genotype_move(MO_DEFAULT_WORKSPACE, from->words, workspace, genotype), MO_OK);
+  CHECK_OK(mo_genotype_move(MO_DEFAULT_WORKSPACE, from->words, workspace, genotype));
 }
 
 /* Returns false when the campaign had no more children. */
@@ -169,23 +165,20 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
   if (g == 0) {
     for (uint32_t i = 0; i < origin->n_given; i++)
       plain_move(&origin->given[i], workspace, genotypes + words * i);
-    CHECK_INT(mo_population_initial(settings, seen, genotypes, origin->n_given, &n, NULL, NULL),
-              MO_OK);
+    CHECK_OK(mo_population_initial(settings, seen, genotypes, origin->n_given, &n, NULL, NULL));
     for (uint32_t i = 0; i < n; i++)
       births[i] = (struct mo_birth){
           i < origin->n_given ? MO_BORN_LISTED : MO_BORN_RANDOM, {MO_NO_PARENT, MO_NO_PARENT}, 1};
   } else {
-    CHECK_INT(mo_variation(settings, g, genotypes, n_parents, seen, genotypes + words * n_parents,
-                           births, &n, &row->variation, NULL),
-              MO_OK);
+    CHECK_OK(mo_variation(settings, g, genotypes, n_parents, seen, genotypes + words * n_parents,
+                          births, &n, &row->variation, NULL));
   }
   if (n == 0)
     return false;
   for (uint32_t i = 0; i < n; i++) {
     struct mo_campaign_design *design = &history->designs[history->n_designs + i];
-    CHECK_INT(mo_genotype_move(workspace, genotypes + words * (n_parents + i), MO_DEFAULT_WORKSPACE,
-                               bits[n_parents + i].words),
-              MO_OK);
+    CHECK_OK(mo_genotype_move(workspace, genotypes + words * (n_parents + i), MO_DEFAULT_WORKSPACE,
+                              bits[n_parents + i].words));
     *design = (struct mo_campaign_design){.number = history->n_designs + i,
                                           .genotype = bits[n_parents + i],
                                           .born = g,
@@ -207,8 +200,7 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
     }
     candidates[i] = (struct mo_candidate){design->score, number, design->born};
   }
-  CHECK_INT(mo_select(settings, g, genotypes, candidates, n_parents + n, survivors, &n_survivors),
-            MO_OK);
+  CHECK_OK(mo_select(settings, g, genotypes, candidates, n_parents + n, survivors, &n_survivors));
   for (uint32_t i = 0; i < n_parents + n; i++)
     history->designs[candidates[i].number].died = g;
   history->populations[g].n = n_survivors;
@@ -229,7 +221,7 @@ static inline struct history *plain_history(const struct plain *plain, const str
   struct history *history = calloc(1, sizeof(*history));
   struct mo_training *training = NULL;
   struct mo_seen *seen = NULL;
-  CHECK_INT(mo_seen_create(origin->settings.workspace, origin->excluded, &seen), MO_OK);
+  CHECK_OK(mo_seen_create(origin->settings.workspace, origin->excluded, &seen));
   for (uint32_t g = 0; g <= origin->settings.generations; g++)
     if (!plain_generation(plain, origin, g, seen, &training, history))
       break;
@@ -241,7 +233,7 @@ static inline struct history *plain_history(const struct plain *plain, const str
 }
 
 /* What the store holds of a campaign (calloc). */
-static inline struct history *stored_history(struct mo_store *store, int64_t id)
+static inline struct history *stored_history(int64_t id)
 {
   struct history *history = calloc(1, sizeof(*history));
   struct mo_campaign_design rows[HISTORY_POPULATION];
@@ -250,7 +242,7 @@ static inline struct history *stored_history(struct mo_store *store, int64_t id)
   int64_t n =
       mo_store_campaign_generations(store, id, -1, history->generations, HISTORY_GENERATIONS);
   CHECK(n_designs >= 0 && n >= 0);
-  CHECK_INT(mo_store_campaign(store, id, &status), MO_OK);
+  CHECK_OK(mo_store_campaign(store, id, &status));
   history->n_designs = (uint32_t)n_designs;
   history->n_generations = (uint32_t)n;
   for (int64_t g = 0; g < n; g++) {
@@ -326,10 +318,9 @@ static inline bool same_history(const struct history *a, const struct history *b
 }
 
 /* Whether the store holds what plain loops give. */
-static inline bool is_as_plain(struct mo_store *store, int64_t id, const struct plain *plain,
-                               const struct origin *origin)
+static inline bool is_as_plain(int64_t id, const struct plain *plain, const struct origin *origin)
 {
-  struct history *stored = stored_history(store, id), *expected = plain_history(plain, origin);
+  struct history *stored = stored_history(id), *expected = plain_history(plain, origin);
   bool same = same_history(stored, expected);
   free(stored);
   free(expected);

@@ -10,9 +10,6 @@ static void evolves_in_every_mode(void)
   for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++) {
     struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
     struct mo_environment environments[20];
-    struct service service;
-    struct origin origin;
-    int64_t id;
     for (uint32_t k = 0; k < 20; k++)
       mo_environment_held_out(8, k, &environments[k]);
     request.environments = environments;
@@ -21,15 +18,14 @@ static void evolves_in_every_mode(void)
       request.record.environment_set[0] = '\0';
     if (mode == MO_SIMULTANEOUS)
       request.controller = "default";
-    origin = origin_of(&request);
-    REQUIRE(service_begin(&service) == MO_OK);
+    struct origin origin = origin_of(&request);
+    REQUIRE_OK(service_begin());
     service.n_workers = workers[mode];
-    REQUIRE(service_open(&service) == MO_OK);
-    id = submit_campaign(&service, &request);
-    CHECK(ends_as_plain(&service, id, &origin));
-    CHECK_INT(mo_store_check(service.fixture.store, &service.fixture.message), MO_OK);
+    REQUIRE_OK(service_open());
+    int64_t id = submit_campaign(&request);
+    CHECK(ends_as_plain(id, &origin));
+    CHECK_OK(check_whole());
     CHECK_INT(warnings, 0);
-    service_end(&service);
   }
 }
 
@@ -39,52 +35,44 @@ SERVICE_CASE(scores_nothing_twice, 1)
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
   struct origin origin = origin_of(&request);
   struct mo_campaign_generation rows[GENERATIONS + 1];
-  struct mo_jobs_stats stats;
-  struct mo_evaluation_request evaluation;
   struct mo_campaign_design designs[POPULATION];
   struct mo_bits genotypes[POPULATION];
-  struct mo_job job;
-  uint64_t rollouts;
-  int64_t id;
-  id = submit_campaign(service, &request);
-  CHECK(ends_as_plain(service, id, &origin));
-  stats = idle_stats(service);
-  rollouts = status_of(service, id).n_designs * MO_PAPER_TEST_COUNT;
+  int64_t id = submit_campaign(&request);
+  CHECK(ends_as_plain(id, &origin));
+  struct mo_jobs_stats stats = idle_stats();
+  uint64_t rollouts = status_of(id).n_designs * MO_PAPER_TEST_COUNT;
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, 0);
   CHECK_INT(stats.campaign_generations, GENERATIONS + 1);
-  CHECK_INT(stats.campaign_designs, status_of(service, id).n_designs);
+  CHECK_INT(stats.campaign_designs, status_of(id).n_designs);
   CHECK_INT(stats.active_campaigns, 0);
   CHECK_INT(stats.jobs_succeeded, 1);
   /* The same once more finds everything; an evaluation of its designs does, too. */
-  id = submit_campaign(service, &request);
-  CHECK(ends_as_plain(service, id, &origin));
-  stats = idle_stats(service);
+  id = submit_campaign(&request);
+  CHECK(ends_as_plain(id, &origin));
+  stats = idle_stats();
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, rollouts);
-  CHECK_INT(mo_store_campaign_generations(service->fixture.store, id, -1, rows, GENERATIONS + 1),
-            GENERATIONS + 1);
+  CHECK_INT(mo_store_campaign_generations(store, id, -1, rows, GENERATIONS + 1), GENERATIONS + 1);
   for (int g = 0; g <= GENERATIONS; g++)
     CHECK(rows[g].rollouts_cached == rows[g].rollouts &&
           rows[g].rollouts == rows[g].n_children * MO_PAPER_TEST_COUNT);
-  REQUIRE(mo_store_campaign_designs(service->fixture.store, id, -1, designs, POPULATION) ==
-          POPULATION);
+  REQUIRE(mo_store_campaign_designs(store, id, -1, designs, POPULATION) == POPULATION);
   for (int i = 0; i < POPULATION; i++)
     genotypes[i] = designs[i].genotype;
-  evaluation = service_request(genotypes, POPULATION);
+  struct mo_evaluation_request evaluation = service_request(genotypes, POPULATION);
   evaluation.physics = request.record.settings.physics;
-  id = service_submit(service, &evaluation);
-  job = end_of(service, id);
-  CHECK_INT(job.rollouts_cached, POPULATION * MO_PAPER_TEST_COUNT);
+  id = submit_evaluation(&evaluation);
+  CHECK_INT(end_of(id).rollouts_cached, POPULATION * MO_PAPER_TEST_COUNT);
   /* A campaign that learns asks its own controller. */
   request = campaign(MO_FEW_SHOT);
   request.record.settings.generations = 1;
   origin = origin_of(&request);
-  id = submit_campaign(service, &request);
-  CHECK(ends_as_plain(service, id, &origin));
-  CHECK_INT(idle_stats(service).campaign_cached, rollouts);
-  CHECK_INT(idle_stats(service).campaign_rollouts - rollouts, 3 * POPULATION * MO_PAPER_TEST_COUNT);
-  CHECK_INT(idle_stats(service).campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
+  id = submit_campaign(&request);
+  CHECK(ends_as_plain(id, &origin));
+  CHECK_INT(idle_stats().campaign_cached, rollouts);
+  CHECK_INT(idle_stats().campaign_rollouts - rollouts, 3 * POPULATION * MO_PAPER_TEST_COUNT);
+  CHECK_INT(idle_stats().campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
 }
 
 /* Listed designs, in a smaller workspace; then another campaign that begins with what the first
@@ -95,9 +83,6 @@ SERVICE_CASE(begins_with_what_is_given, 1)
   struct mo_bits listed[3] = {{{0}}};
   struct mo_campaign_design designs[POPULATION];
   struct mo_bits inherited[4];
-  struct history *history, *stored;
-  struct origin origin;
-  int64_t id;
   uint32_t n = 0;
   for (uint32_t i = 0; i < 3;
        i++) { /* columns of 1, 2, 3 voxels along y: only turned do they fit */
@@ -108,13 +93,12 @@ SERVICE_CASE(begins_with_what_is_given, 1)
   request.genotypes = listed;
   request.record.n_listed = 3;
   request.record.settings.workspace = (struct mo_workspace){3, 2, 2};
-  origin = origin_of(&request);
-  id = submit_campaign(service, &request);
-  CHECK(ends_as_plain(service, id, &origin));
-  CHECK_INT(mo_store_campaign_designs(service->fixture.store, id, -1, designs, 4), 4);
+  struct origin origin = origin_of(&request);
+  int64_t id = submit_campaign(&request);
+  CHECK(ends_as_plain(id, &origin));
+  CHECK_INT(mo_store_campaign_designs(store, id, -1, designs, 4), 4);
   CHECK(designs[0].descent.op == MO_BORN_LISTED && designs[3].descent.op == MO_BORN_RANDOM);
-  REQUIRE(mo_store_campaign_population(service->fixture.store, id, -1, 0, designs, POPULATION,
-                                       &n) == POPULATION);
+  REQUIRE(mo_store_campaign_population(store, id, -1, 0, designs, POPULATION, &n) == POPULATION);
   request = campaign(MO_ZERO_SHOT);
   request.record.initial_campaign = id;
   request.record.settings.population = 4; /* the best of them */
@@ -123,12 +107,12 @@ SERVICE_CASE(begins_with_what_is_given, 1)
   origin = origin_of(&request);
   origin.given = inherited;
   origin.n_given = 4;
-  id = submit_campaign(service, &request);
-  CHECK(succeeds(service, id, NULL));
-  history = plain_history(&fake_plain, &origin);
+  id = submit_campaign(&request);
+  CHECK(succeeds(id, NULL));
+  struct history *history = plain_history(&fake_plain, &origin);
   for (int i = 0; i < 4; i++)
     history->designs[i].descent.op = MO_BORN_INHERITED;
-  stored = stored_history(service->fixture.store, id);
+  struct history *stored = stored_history(id);
   CHECK(same_history(stored, history));
   free(stored);
   free(history);
@@ -144,30 +128,26 @@ SERVICE_CASE(reports_its_generations, 1)
   double most = 0;
   bool warned_since = false;
   int expected = 0;
-  int64_t id, n;
   request.record.settings.collapse_share = 1; /* any fall */
   snprintf(request.record.name, sizeof(request.record.name), "walker");
   fake_plan.delay_us = 2000;
-  id = submit_campaign(service, &request);
-  REQUIRE(await_place(service, id, 1, MO_PHASE_SCORE));
-  CHECK(live_of(service, id).total == 2 * POPULATION ||
-        live_of(service, id).phase != MO_PHASE_SCORE);
+  int64_t id = submit_campaign(&request);
+  REQUIRE(await_place(id, 1, MO_PHASE_SCORE));
+  CHECK(live_of(id).total == 2 * POPULATION || live_of(id).phase != MO_PHASE_SCORE);
   CHECK_TEXT(mo_phase_name(MO_PHASE_SCORE), "scoring");
-  CHECK(succeeds(service, id, NULL));
-  n = mo_store_events(service->fixture.store, 0, id, events, 80, NULL, NULL);
+  CHECK(succeeds(id, NULL));
+  int64_t n = mo_store_events(store, 0, id, events, 80, NULL, NULL);
   for (int64_t i = 0; i < n; i++)
     CHECK(events[i].data[strlen(events[i].data) - 1] == '}' && strlen(events[i].data) < 480);
-  CHECK_INT(count_events(service, id, "campaign.generation"), GENERATIONS + 1);
+  CHECK_INT(count_events(id, "campaign.generation"), GENERATIONS + 1);
   CHECK_TEXT(events[n - 1].type, "job.finished");
-  REQUIRE(mo_store_campaign_generations(service->fixture.store, id, -1, rows, GENERATIONS + 1) ==
-          GENERATIONS + 1);
+  REQUIRE(mo_store_campaign_generations(store, id, -1, rows, GENERATIONS + 1) == GENERATIONS + 1);
   for (int g = 0; g <= GENERATIONS; g++) { /* once of every fall, again only after a new maximum */
-    bool falls;
     if (rows[g].stats.diversity > most) {
       most = rows[g].stats.diversity;
       warned_since = false;
     }
-    falls = !warned_since && rows[g].stats.diversity < most;
+    bool falls = !warned_since && rows[g].stats.diversity < most;
     CHECK_INT(rows[g].collapse, falls);
     warned_since = warned_since || falls;
     expected += falls;
@@ -181,8 +161,8 @@ SERVICE_CASE(reports_its_generations, 1)
               g > 0 ? (uint32_t)lround(rows[g].turnover * POPULATION) : 0);
   }
   CHECK(expected > 0);
-  CHECK_INT(count_events(service, id, "campaign.diversity_collapse"), expected);
-  CHECK_INT(live_of(service, id + 7).phase, MO_PHASE_IDLE);
+  CHECK_INT(count_events(id, "campaign.diversity_collapse"), expected);
+  CHECK_INT(live_of(id + 7).phase, MO_PHASE_IDLE);
 }
 
 /* Champions, their recordings, and a training on the population: with the controller that scored
@@ -193,47 +173,43 @@ __attribute__((unused)) static void shows_its_champions(void)
     struct mo_campaign_design rows[20];
     struct mo_evaluation_results *results = NULL;
     struct mo_trajectory *trajectory = NULL;
-    struct service service;
     double distinctiveness[20];
     struct mo_champions_request asked = {4, 5, MO_RECORD_MASSES | MO_RECORD_ACTUATION, "anna"};
     struct mo_job job;
     uint32_t n = 0;
     int64_t id, evaluation = 0;
-    REQUIRE(service_start(&service, 1) == MO_OK);
+    REQUIRE_OK(service_start(1));
     fake_plan.delay_us = 3000;
-    id = submit_one(&service, mode);
-    REQUIRE(await_place(&service, id, 2, MO_PHASE_SCORE));
-    CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-    CHECK(await_phase(&service, id, MO_PHASE_IDLE));
+    id = submit_one(mode);
+    REQUIRE(await_place(id, 2, MO_PHASE_SCORE));
+    CHECK_OK(mo_jobs_pause(service.jobs, id));
+    CHECK(await_phase(id, MO_PHASE_IDLE));
     for (int round = 0; round < 2; round++) {
       bool has_best = false;
-      CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, -1, 4, rows, distinctiveness, &n),
-                MO_OK);
+      CHECK_OK(mo_jobs_campaign_champions(service.jobs, id, -1, 4, rows, distinctiveness, &n));
       CHECK_INT(n, 4);
       for (uint32_t i = 0; i < n; i++) {
-        has_best = has_best || rows[i].score == status_of(&service, id).best_score;
+        has_best = has_best || rows[i].score == status_of(id).best_score;
         CHECK(distinctiveness[i] > 0 && (i == 0 || distinctiveness[i] <= distinctiveness[i - 1]));
       }
       CHECK(has_best);
-      CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, &asked, NULL, &evaluation,
-                                                  &service.fixture.message),
-                MO_OK);
-      CHECK(succeeds(&service, evaluation, &job));
+      CHECK_OK(mo_jobs_campaign_record_champions(service.jobs, id, &asked, NULL, &evaluation,
+                                                 &fixture.message));
+      CHECK(succeeds(evaluation, &job));
       CHECK_INT(job.priority, MO_INTERACTIVE);
-      CHECK(strcmp(job.submitted_by, "anna") == 0);
-      REQUIRE(mo_store_results(service.fixture.store, evaluation, &results) == MO_OK);
+      CHECK_TEXT(job.submitted_by, "anna");
+      REQUIRE_OK(mo_store_results(store, evaluation, &results));
       for (uint32_t i = 0; i < n; i++)
         CHECK(same_number(results->scores[i], rows[i].score));
       mo_evaluation_results_free(results);
-      CHECK_INT(mo_store_trajectory(service.fixture.store, evaluation, 3, 9, &trajectory), MO_OK);
+      REQUIRE_OK(mo_store_trajectory(store, evaluation, 3, 9, &trajectory));
       CHECK(trajectory->recording.com_m == NULL && trajectory->recording.mass_m != NULL &&
             trajectory->recording.actuation != NULL && trajectory->n_springs > 0);
       mo_trajectory_free(trajectory);
       CHECK_INT(mo_jobs_resume(service.jobs, id), round == 0 ? MO_OK : MO_ERR_CONFLICT);
-      (void)end_of(&service, id);
+      (void)end_of(id);
     }
-    CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 0, 20, rows, distinctiveness, &n),
-              MO_OK);
+    CHECK_OK(mo_jobs_campaign_champions(service.jobs, id, 0, 20, rows, distinctiveness, &n));
     CHECK_INT(n, POPULATION);
     CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 99, 4, rows, distinctiveness, &n),
               MO_ERR_NOT_FOUND);
@@ -247,7 +223,6 @@ __attribute__((unused)) static void shows_its_champions(void)
     asked.count = 0;
     CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, &asked, NULL, &evaluation, NULL),
               MO_ERR_RANGE);
-    service_end(&service);
   }
 }
 
@@ -259,22 +234,21 @@ SERVICE_CASE(gives_its_population_to_a_training, 1)
   struct mo_campaign_design rows[3];
   struct mo_bits *genotypes = NULL;
   uint32_t n = 0;
-  int64_t id, tuning;
   training.record.settings.n_steps = 2;
   training.record.settings.batch = 4;
   fake_plan.delay_us = 1000000;
-  id = submit_one(service, MO_ZERO_SHOT);
+  int64_t id = submit_one(MO_ZERO_SHOT);
   training.population = id;
-  CHECK_INT(submit_training(service, &training), MO_ERR_CONFLICT);
-  CHECK(strstr(service->fixture.message.text, "no generation yet") != NULL);
+  CHECK_INT(submit_training(&training), MO_ERR_CONFLICT);
+  CHECK_SAYS(fixture.message, "no generation yet");
   fake_plan.delay_us = 0;
-  (void)end_of(service, id);
-  tuning = submit_training(service, &training);
-  CHECK(succeeds(service, tuning, NULL));
-  REQUIRE(mo_store_job_designs(service->fixture.store, tuning, &genotypes, &n) == MO_OK);
+  (void)end_of(id);
+  int64_t tuning = submit_training(&training);
+  CHECK(succeeds(tuning, NULL));
+  REQUIRE_OK(mo_store_job_designs(store, tuning, &genotypes, &n));
   check_keep(genotypes, free);
   CHECK_INT(n, 3);
-  REQUIRE(mo_store_campaign_population(service->fixture.store, id, -1, 0, rows, 3, &n) == 3);
+  REQUIRE(mo_store_campaign_population(store, id, -1, 0, rows, 3, &n) == 3);
   for (int i = 0; i < 3; i++)
     CHECK(memcmp(&genotypes[i], &rows[i].genotype, sizeof(struct mo_bits)) == 0);
 }
@@ -288,10 +262,10 @@ SERVICE_CASE(shows_no_generation_behind_its_last, 1)
   bool behind = false;
   for (request.record.settings.seed = 1; request.record.settings.seed <= 8;
        request.record.settings.seed++) {
-    const int64_t id = submit_campaign(service, &request);
-    while (!mo_job_state_is_final(status_of(service, id).job.state))
+    const int64_t id = submit_campaign(&request);
+    while (!mo_job_state_is_final(status_of(id).job.state))
       for (int i = 0; i < 1000; i++) {
-        live = live_of(service, id);
+        live = live_of(id);
         most = live.position > most ? live.position : most;
         behind |= live.phase == MO_PHASE_SAVE && live.position > GENERATIONS;
       }

@@ -70,7 +70,7 @@ static struct mo_evaluation_request request_of(int i, char key[64])
   return request;
 }
 
-static bool live_on_evaluations(struct service *service)
+static bool live_on_evaluations(void)
 {
   char key[64];
   fake_plan.delay_us = 1000;
@@ -78,32 +78,16 @@ static bool live_on_evaluations(struct service *service)
     const struct mo_evaluation_request request = request_of(i, key);
     int64_t id = 0;
     bool replayed = false;
-    const int error = mo_jobs_submit_evaluation(service->jobs, &request, &id, &replayed, NULL);
+    const int error = mo_jobs_submit_evaluation(service.jobs, &request, &id, &replayed, NULL);
     if (!acknowledge(i, error, id, replayed))
       return false;
     if (i % 4 == 3)
       usleep(10000);
   }
-  return AWAIT(stats_of(service).open_jobs == 0);
+  return AWAIT(stats_of().open_jobs == 0);
 }
 
-static int64_t query(const struct service *service, const char *sql)
-{
-  char path[512];
-  sqlite3 *db = NULL;
-  sqlite3_stmt *statement = NULL;
-  int64_t value = -1;
-  snprintf(path, sizeof(path), "%s/morphod.db", service->fixture.path);
-  if (sqlite3_open_v2(path, &db, SQLITE_OPEN_READWRITE, NULL) == SQLITE_OK &&
-      sqlite3_prepare_v2(db, sql, -1, &statement, NULL) == SQLITE_OK &&
-      sqlite3_step(statement) == SQLITE_ROW)
-    value = sqlite3_column_int64(statement, 0);
-  sqlite3_finalize(statement);
-  sqlite3_close(db);
-  return value;
-}
-
-static void check_evaluations(struct service *service)
+static void check_evaluations(void)
 {
   static const struct {
     const char *sql;
@@ -119,19 +103,17 @@ static void check_evaluations(struct service *service)
        0},
   };
   char key[64];
-  for (size_t i = 0; i < sizeof(rows) / sizeof(rows[0]); i++)
-    CHECK_INT(query(service, rows[i].sql), rows[i].expected);
+  for (size_t i = 0; i < COUNT(rows); i++)
+    CHECK_INT(outside_integer(rows[i].sql), rows[i].expected);
   for (int i = 0; i < SUBMISSIONS; i++) {
     const struct mo_evaluation_request request = request_of(i, key);
     struct mo_evaluation_results *results = NULL;
     struct mo_trajectory *trajectory = NULL;
-    CHECK(right(service, i + 1, request.genotypes));
+    CHECK(right(i + 1, request.genotypes));
     if (request.record != 0)
-      CHECK_INT(
-          mo_store_trajectory(service->fixture.store, i + 1, request.n_designs - 1, 9, &trajectory),
-          MO_OK);
+      CHECK_OK(mo_store_trajectory(store, i + 1, request.n_designs - 1, 9, &trajectory));
     mo_trajectory_free(trajectory);
-    if (request.verify && mo_store_results(service->fixture.store, i + 1, &results) == MO_OK)
+    if (request.verify && mo_store_results(store, i + 1, &results) == MO_OK)
       for (uint32_t n = 0; n < results->n_designs; n++)
         CHECK_INT(results->agrees[n], 1);
     mo_evaluation_results_free(results);
@@ -149,25 +131,24 @@ static struct mo_campaign_request long_campaign(int mode)
   return request;
 }
 
-static bool live_on_campaign(struct service *service, int mode)
+static bool live_on_campaign(int mode)
 {
   const struct mo_campaign_request request = long_campaign(mode);
   int64_t id = 0;
   bool replayed = false;
-  int error;
   fake_plan.delay_us = BLOCK_US;
   fake_plan.gradient_delay_us = STEP_US;
-  error = mo_jobs_submit_campaign(service->jobs, &request, &id, &replayed, NULL, NULL);
-  return acknowledge(0, error, id, replayed) && succeeds(service, id, NULL);
+  int error = mo_jobs_submit_campaign(service.jobs, &request, &id, &replayed, NULL, NULL);
+  return acknowledge(0, error, id, replayed) && succeeds(id, NULL);
 }
 
-static void check_campaign(struct service *service, int mode, int kills)
+static void check_campaign(int mode, int kills)
 {
   const struct mo_campaign_request request = long_campaign(mode);
   const struct origin origin = origin_of(&request);
   uint64_t rollouts = 0, robots = 0;
-  CHECK(ends_as_plain(service, 1, &origin));
-  CHECK_INT(status_of(service, 1).end, MO_CAMPAIGN_COMPLETED);
+  CHECK(ends_as_plain(1, &origin));
+  CHECK_INT(status_of(1).end, MO_CAMPAIGN_COMPLETED);
   needs(&origin, &rollouts, &robots);
   rollouts = atomic_load(&shared->count.rollouts) - rollouts;
   robots = atomic_load(&shared->count.robots) - robots;
@@ -183,16 +164,16 @@ static void check_campaign(struct service *service, int mode, int kills)
 /* ---- lives ---- */
 
 /* Never returns: killed from outside, or done. */
-static void live(struct service *service, int mode, uint32_t n_workers)
+static void live(int mode, uint32_t n_workers)
 {
-  service->n_workers = n_workers;
-  if (service_open(service) != MO_OK) {
-    fprintf(stderr, "# child: %s\n", service->fixture.message.text);
+  service.n_workers = n_workers;
+  if (service_open() != MO_OK) {
+    fprintf(stderr, "# child: %s\n", fixture.message.text);
     _exit(3);
   }
-  if (!(mode == EVALUATIONS ? live_on_evaluations(service) : live_on_campaign(service, mode)))
+  if (!(mode == EVALUATIONS ? live_on_evaluations() : live_on_campaign(mode)))
     _exit(4);
-  service_close(service);
+  service_close();
   _exit(0);
 }
 
@@ -215,19 +196,17 @@ static bool await_work(pid_t child, uint64_t work)
 
 /* Lives until the work is done, most of which are killed while `kills_left` lasts. Returns the
  * number of kills; *at_work: of those that hit a job at work. */
-static int run_lives(struct service *service, int mode, int kills_left, uint64_t all_work,
-                     int *at_work)
+static int run_lives(int mode, int kills_left, uint64_t all_work, int *at_work)
 {
   static const uint32_t workers[] = {1, 2, 7};
   int kills = 0, status = -1;
   for (;;) {
     bool hits = false;
-    pid_t child;
     atomic_store(&shared->runs, false);
     fflush(stdout);
-    child = fork();
+    pid_t child = fork();
     if (child == 0)
-      live(service, mode, workers[next_random() % 3]);
+      live(mode, workers[next_random() % 3]);
     (void)next_random();
     if (child > 0 && kills < kills_left) {
       hits = await_work(child, (kills_left - kills) % 4 == 0 ? 0 : 1 + next_random() % all_work);
@@ -255,19 +234,16 @@ static void check_mode(int mode)
     needs(&origin, &rollouts, &robots);
   }
   while (all < wanted) { /* until there are so many kills */
-    struct service service;
-    int kills;
-    REQUIRE(service_begin(&service) == MO_OK);
-    genotypes = bodies(&service, 21, BODIES);
+    REQUIRE_OK(service_begin());
+    genotypes = bodies(21, BODIES);
     memset(shared, 0, sizeof(*shared));
-    kills = run_lives(&service, mode, wanted - all, (rollouts + robots) / 4, &at_work);
-    REQUIRE(service_open(&service) == MO_OK);
+    int kills = run_lives(mode, wanted - all, (rollouts + robots) / 4, &at_work);
+    REQUIRE_OK(service_open());
     if (mode == EVALUATIONS)
-      check_evaluations(&service);
+      check_evaluations();
     else
-      check_campaign(&service, mode, kills > 0 ? kills : 1);
-    CHECK_INT(mo_store_check(service.fixture.store, &service.fixture.message), MO_OK);
-    service_end(&service);
+      check_campaign(mode, kills > 0 ? kills : 1);
+    CHECK_OK(check_whole());
     all += kills;
   }
   CHECK(at_work >= all - all / 4 - 1);

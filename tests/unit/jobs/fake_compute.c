@@ -45,14 +45,6 @@ struct mo_compute_share {
 
 static atomic_int n_shares;
 
-void mo_compute_set_gradient_bytes(struct mo_compute *compute, size_t bytes)
-{
-}
-
-void mo_compute_trim(struct mo_compute *compute)
-{
-}
-
 int mo_compute_share_create(struct mo_compute *compute, double weight,
                             struct mo_compute_share **ret)
 {
@@ -123,9 +115,8 @@ struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_control
 
 size_t fake_history(int64_t *tags, size_t room)
 {
-  size_t n;
   pthread_mutex_lock(&history_mutex);
-  n = n_history < room ? n_history : room;
+  size_t n = n_history < room ? n_history : room;
   memcpy(tags, history, n * sizeof(*tags));
   pthread_mutex_unlock(&history_mutex);
   return n;
@@ -203,9 +194,8 @@ static void charge(struct mo_compute_share *share, int64_t tag)
 
 double fake_weight(int64_t tag)
 {
-  double weight;
   pthread_mutex_lock(&history_mutex);
-  weight = weights[(uint64_t)tag % WEIGHTS];
+  double weight = weights[(uint64_t)tag % WEIGHTS];
   pthread_mutex_unlock(&history_mutex);
   return weight;
 }
@@ -359,24 +349,6 @@ void fake_gradient(const struct mo_controller *controller, const struct mo_robot
         1e-3 * (double)controller->parameters[i];
 }
 
-void mo_compute_begin_blocks(struct mo_compute *compute)
-{
-}
-
-void mo_compute_end_blocks(struct mo_compute *compute)
-{
-}
-
-int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots,
-                                uint32_t n, const struct mo_physics *physics)
-{
-  return MO_OK;
-}
-
-void mo_compute_gradient_forget(struct mo_gradient_state *state)
-{
-}
-
 int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
   begin(batch->tag);
@@ -401,10 +373,6 @@ const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute)
   return fingerprint != NULL ? fingerprint : "fake gradient";
 }
 
-void mo_compute_settle(const struct mo_compute *compute)
-{
-}
-
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats)
 {
   *stats = (struct mo_compute_stats){.n_workers = compute->n_workers,
@@ -418,30 +386,26 @@ const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_pre
   return precision == MO_FLOAT64 ? "fake float64" : "fake float32";
 }
 
-/* ---- devices: there are none ---- */
+/* ---- what has no effect here; devices: there are none ---- */
 
-uint32_t mo_compute_devices(const struct mo_compute *compute)
-{
-  return 0;
-}
+#define ONLY(type, value, name, ...)                                                               \
+  type name(__VA_ARGS__)                                                                           \
+  {                                                                                                \
+    return value;                                                                                  \
+  }
+#define NOTHING(name, ...) ONLY(void, , name, __VA_ARGS__)
 
-uint32_t mo_compute_devices_working(const struct mo_compute *compute)
-{
-  return 0;
-}
-
-int mo_compute_device(struct mo_compute *compute, uint32_t position,
-                      struct mo_device_status *status)
-{
-  return MO_ERR_RANGE;
-}
-
-const char *mo_compute_device_fingerprint(const struct mo_compute *compute)
-{
-  return NULL;
-}
-
-const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *compute)
-{
-  return NULL;
-}
+NOTHING(mo_compute_set_gradient_bytes, struct mo_compute *compute, size_t bytes)
+NOTHING(mo_compute_trim, struct mo_compute *compute)
+NOTHING(mo_compute_begin_blocks, struct mo_compute *compute)
+NOTHING(mo_compute_end_blocks, struct mo_compute *compute)
+ONLY(int, MO_OK, mo_compute_gradient_lay_out, struct mo_gradient_state *state,
+     const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics)
+NOTHING(mo_compute_gradient_forget, struct mo_gradient_state *state)
+NOTHING(mo_compute_settle, const struct mo_compute *compute)
+ONLY(uint32_t, 0, mo_compute_devices, const struct mo_compute *compute)
+ONLY(uint32_t, 0, mo_compute_devices_working, const struct mo_compute *compute)
+ONLY(int, MO_ERR_RANGE, mo_compute_device, struct mo_compute *compute, uint32_t position,
+     struct mo_device_status *status)
+ONLY(const char *, NULL, mo_compute_device_fingerprint, const struct mo_compute *compute)
+ONLY(const char *, NULL, mo_compute_device_gradient_fingerprint, const struct mo_compute *compute)

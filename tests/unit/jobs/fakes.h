@@ -32,15 +32,15 @@ static const struct plain fake_plain = {fake_plain_loss, fake_plain_gradient, NU
 /* ---- evaluations ---- */
 
 /* Whether the results of an evaluation are, bit for bit, what the fake back end gives. */
-static inline bool results_right(struct service *service, int64_t id,
-                                 const struct mo_bits *genotypes, enum mo_precision precision,
+static inline bool results_right(int64_t id, const struct mo_bits *genotypes,
+                                 enum mo_precision precision,
                                  const struct mo_controller *controller)
 {
   const struct mo_physics physics = mo_default_physics();
   struct mo_evaluation_results *results = NULL;
   struct mo_environment paper[MO_PAPER_TEST_COUNT];
   bool is_right = true;
-  if (mo_store_results(service->fixture.store, id, &results) != MO_OK)
+  if (mo_store_results(store, id, &results) != MO_OK)
     return false;
   mo_environment_paper_test(paper);
   for (uint32_t n = 0; n < results->n_designs; n++) {
@@ -58,16 +58,19 @@ static inline bool results_right(struct service *service, int64_t id,
   return is_right;
 }
 
-static inline bool right(struct service *service, int64_t id, const struct mo_bits *genotypes)
+/* Whether an evaluation succeeds with these. */
+static inline bool right(int64_t id, const struct mo_bits *genotypes)
 {
-  return results_right(service, id, genotypes, MO_FLOAT32, default_weights());
+  if (!succeeds(id, NULL))
+    return false;
+  return results_right(id, genotypes, MO_FLOAT32, default_weights());
 }
 
 /* Submits an evaluation of these bodies and returns its id. */
-static inline int64_t evaluate(struct service *service, const struct mo_bits *genotypes, uint32_t n)
+static inline int64_t evaluate(const struct mo_bits *genotypes, uint32_t n)
 {
   const struct mo_evaluation_request request = service_request(genotypes, n);
-  return service_submit(service, &request);
+  return submit_evaluation(&request);
 }
 
 /* ---- trainings ---- */
@@ -99,12 +102,10 @@ static inline struct mo_sha256 expect(const struct mo_training_request *request,
 {
   const struct mo_training_settings *settings = &request->record.settings;
   struct mo_training *training = NULL;
-  struct mo_sha256 sha256;
-  CHECK_INT(mo_training_create(settings, parent, designs != NULL ? designs[0].words : NULL, n,
-                               &training, NULL),
-            MO_OK);
+  CHECK_OK(mo_training_create(settings, parent, designs != NULL ? designs[0].words : NULL, n,
+                              &training, NULL));
   plain_steps(&fake_plain, training, settings->n_steps, NULL);
-  sha256 = plain_result(training, parent_digits, "fake gradient", lineage);
+  struct mo_sha256 sha256 = plain_result(training, parent_digits, "fake gradient", lineage);
   mo_training_free(training);
   return sha256;
 }
@@ -123,27 +124,26 @@ static inline const struct mo_sha256 *undisturbed(void)
   return &sha256;
 }
 
-static inline struct mo_training_status training_of(struct service *service, int64_t id)
+static inline struct mo_training_status training_of(int64_t id)
 {
   struct mo_training_status status = {.step = 0};
-  CHECK_INT(mo_store_training(service->fixture.store, id, &status), MO_OK);
+  CHECK_OK(mo_store_training(store, id, &status));
   return status;
 }
 
 /* Whether a training succeeds with this result and without an attempt that counts. */
-static inline bool learns_to(struct service *service, int64_t id, const struct mo_sha256 *expected)
+static inline bool learns_to(int64_t id, const struct mo_sha256 *expected)
 {
   struct mo_job job;
-  struct mo_training_status status;
-  if (!succeeds(service, id, &job) || job.attempts != 0)
+  if (!succeeds(id, &job) || job.attempts != 0)
     return false;
-  status = training_of(service, id);
+  struct mo_training_status status = training_of(id);
   return status.has_result && mo_sha256_equal(&status.result_sha256, expected);
 }
 
-static inline bool await_step(struct service *service, int64_t id, uint32_t step)
+static inline bool await_step(int64_t id, uint32_t step)
 {
-  return AWAIT(live_of(service, id).position >= step);
+  return AWAIT(live_of(id).position >= step);
 }
 
 /* ---- campaigns ---- */
@@ -173,17 +173,21 @@ static inline struct mo_campaign_request campaign(enum mo_campaign_mode mode)
   return request;
 }
 
-/* The file of the default controller, as the fixture stores it. */
+/* The file of the default controller, as put_weights stores it. */
 static inline const char *default_digits(void)
 {
   static char digits[MO_SHA256_DIGITS + 1];
-  struct fixture fixture;
-  struct mo_controller_record record;
-  if (digits[0] == '\0' && fixture_start(&fixture) == MO_OK) {
-    if (mo_store_controller(fixture.store, "default", &record) == MO_OK)
-      mo_sha256_to_hex(&record.sha256, digits);
-    fixture_end(&fixture);
-  }
+  struct mo_controller *controller = NULL;
+  struct mo_sha256 sha256;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  if (digits[0] != '\0')
+    return digits;
+  CHECK_OK(draw_weights(1, &controller, &bytes, &size));
+  mo_sha256_of(bytes, size, &sha256);
+  mo_sha256_to_hex(&sha256, digits);
+  free(bytes);
+  mo_controller_free(controller);
   return digits;
 }
 
@@ -202,58 +206,53 @@ static inline struct origin origin_of(const struct mo_campaign_request *request)
                          .n_given = request->record.n_listed};
 }
 
-static inline struct mo_campaign_status status_of(struct service *service, int64_t id)
+static inline struct mo_campaign_status status_of(int64_t id)
 {
   struct mo_campaign_status status = {.generation = -1};
-  (void)mo_store_campaign(service->fixture.store, id, &status);
+  (void)mo_store_campaign(store, id, &status);
   return status;
 }
 
 /* Awaits this phase in this generation or a later one. */
-static inline bool await_place(struct service *service, int64_t id, uint32_t generation,
-                               enum mo_phase phase)
+static inline bool await_place(int64_t id, uint32_t generation, enum mo_phase phase)
 {
   struct mo_live live;
-  return AWAIT((live = live_of(service, id)).position >= generation && live.phase == phase);
+  return AWAIT((live = live_of(id)).position >= generation && live.phase == phase);
 }
 
 /* Whether a campaign succeeds, with everything that plain loops give. */
-static inline bool ends_as_plain(struct service *service, int64_t id, const struct origin *origin)
+static inline bool ends_as_plain(int64_t id, const struct origin *origin)
 {
   struct mo_job job;
-  return succeeds(service, id, &job) && job.attempts == 0 &&
-         is_as_plain(service->fixture.store, id, &fake_plain, origin);
+  return succeeds(id, &job) && job.attempts == 0 && is_as_plain(id, &fake_plain, origin);
 }
 
-static inline int extend(struct service *service, int64_t id, uint32_t generations)
+static inline int extend(int64_t id, uint32_t generations)
 {
-  return mo_jobs_extend_campaign(service->jobs, id, generations, NULL, &service->fixture.message);
+  return mo_jobs_extend_campaign(service.jobs, id, generations, NULL, &fixture.message);
 }
 
 /* ---- jobs that learn or evolve, for what all of them must do ---- */
 
 enum { TRAINING = -1 }; /* beside the modes of campaigns */
 
-static inline int64_t submit_one(struct service *service, int mode)
+static inline int64_t submit_one(int mode)
 {
   struct mo_training_request training = pretraining("");
-  struct mo_campaign_request request;
   if (mode == TRAINING)
-    return submit_training(service, &training);
-  request = campaign((enum mo_campaign_mode)mode);
-  return submit_campaign(service, &request);
+    return submit_training(&training);
+  struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
+  return submit_campaign(&request);
 }
 
 /* Whether a job of submit_one ends as if nothing had disturbed it. */
-static inline bool ends_right(struct service *service, int64_t id, int mode)
+static inline bool ends_right(int64_t id, int mode)
 {
-  struct mo_campaign_request request;
-  struct origin origin;
   if (mode == TRAINING)
-    return learns_to(service, id, undisturbed());
-  request = campaign((enum mo_campaign_mode)mode);
-  origin = origin_of(&request);
-  return ends_as_plain(service, id, &origin);
+    return learns_to(id, undisturbed());
+  struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
+  struct origin origin = origin_of(&request);
+  return ends_as_plain(id, &origin);
 }
 
 /* The rollouts and learning robots of a campaign of which nothing is computed twice. */

@@ -4,24 +4,20 @@
 
 SERVICE_CASE(evaluates, 0)
 {
-  const struct mo_bits *genotypes;
-  struct mo_evaluation_request request;
   struct mo_job job;
-  struct mo_jobs_stats stats;
-  int64_t id;
-  genotypes = bodies(service, 1, 50);
-  request = service_request(genotypes, 50);
+  const struct mo_bits *genotypes = bodies(1, 50);
+  struct mo_evaluation_request request = service_request(genotypes, 50);
   request.label = "fifty";
-  id = service_submit(service, &request);
+  int64_t id = submit_evaluation(&request);
   REQUIRE(id > 0);
-  CHECK(succeeds(service, id, &job));
+  CHECK(succeeds(id, &job));
   CHECK_INT(job.priority, MO_BATCH);
   CHECK_INT(job.rollouts_done, 500);
   CHECK_INT(job.rollouts_cached, 0);
   CHECK(job.rollouts_diverged > 0 && job.rollouts_diverged < 100);
   CHECK(job.started_us >= job.created_us && job.finished_us >= job.started_us);
-  CHECK(right(service, id, genotypes));
-  stats = idle_stats(service);
+  CHECK(right(id, genotypes));
+  struct mo_jobs_stats stats = idle_stats();
   CHECK_INT(stats.open_jobs, 0);
   CHECK_INT(stats.open_rollouts, 0);
   CHECK_INT(stats.jobs_succeeded, 1);
@@ -29,62 +25,58 @@ SERVICE_CASE(evaluates, 0)
 
 SERVICE_CASE(computes_nothing_twice, 0)
 {
-  const struct mo_bits *genotypes;
   struct mo_bits twice[20];
-  struct mo_evaluation_request request;
   struct mo_job job;
-  int64_t first, second, third;
-  genotypes = bodies(service, 1, 40);
+  const struct mo_bits *genotypes = bodies(1, 40);
   fake_plan.delay_us = 3000;
-  request = service_request(genotypes, 30);
+  struct mo_evaluation_request request = service_request(genotypes, 30);
   request.priority = MO_BATCH;
-  first = service_submit(service, &request);
+  int64_t first = submit_evaluation(&request);
   request = service_request(genotypes + 10, 30); /* 20 of them the same, at the same time */
   request.priority = MO_BATCH;
-  second = service_submit(service, &request);
-  CHECK(succeeds(service, first, &job));
-  CHECK(succeeds(service, second, &job));
-  CHECK_INT(computed(service), 400);
-  CHECK(right(service, first, genotypes));
-  CHECK(right(service, second, genotypes + 10));
+  int64_t second = submit_evaluation(&request);
+  CHECK(succeeds(first, &job));
+  CHECK(succeeds(second, &job));
+  CHECK_INT(computed(), 400);
+  CHECK(right(first, genotypes));
+  CHECK(right(second, genotypes + 10));
   /* The same design twice in one request, and again after a restart: from the store. */
   for (int i = 0; i < 20; i++)
     twice[i] = genotypes[30 + i / 2];
-  REQUIRE(service_reopen(service) == MO_OK);
-  third = evaluate(service, twice, 20);
-  CHECK(succeeds(service, third, &job));
-  CHECK_INT(computed(service), 0);
+  REQUIRE_OK(service_reopen());
+  int64_t third = evaluate(twice, 20);
+  CHECK(succeeds(third, &job));
+  CHECK_INT(computed(), 0);
   CHECK_INT(job.rollouts_cached, 200);
-  CHECK(right(service, third, twice));
+  CHECK(right(third, twice));
   /* New ones, doubled within one request. */
-  genotypes = bodies(service, 77, 10);
+  genotypes = bodies(77, 10);
   for (int i = 0; i < 20; i++)
     twice[i] = genotypes[i % 10];
-  third = evaluate(service, twice, 20);
-  CHECK(succeeds(service, third, &job));
-  CHECK(computed(service) > 50 && computed(service) <= 100); /* some small bodies came before */
-  CHECK_INT(job.rollouts_cached, 200 - computed(service));
-  CHECK(right(service, third, twice));
+  third = evaluate(twice, 20);
+  CHECK(succeeds(third, &job));
+  CHECK(computed() > 50 && computed() <= 100); /* some small bodies came before */
+  CHECK_INT(job.rollouts_cached, 200 - computed());
+  CHECK(right(third, twice));
 }
 
 SERVICE_CASE(puts_interactive_first_and_shares, 0)
 {
-  const struct mo_bits *genotypes;
   struct mo_job job;
   int64_t a, b, urgent, tags[400];
   size_t n, of_a = 0, of_b = 0;
-  genotypes = bodies(service, 3, 201);
+  const struct mo_bits *genotypes = bodies(3, 201);
   fake_plan.delay_us = 4000;
-  a = evaluate(service, genotypes, 100);
-  b = evaluate(service, genotypes + 100, 100);
+  a = evaluate(genotypes, 100);
+  b = evaluate(genotypes + 100, 100);
   usleep(50000);
-  urgent = evaluate(service, genotypes + 200, 1);
-  CHECK(succeeds(service, urgent, &job));
+  urgent = evaluate(genotypes + 200, 1);
+  CHECK(succeeds(urgent, &job));
   CHECK_INT(job.priority, MO_INTERACTIVE);
   /* The two others take 0.4 s more. */
-  CHECK(state_of(service, a) == MO_JOB_RUNNING && state_of(service, b) == MO_JOB_RUNNING);
-  (void)end_of(service, a);
-  (void)end_of(service, b);
+  CHECK(state_of(a) == MO_JOB_RUNNING && state_of(b) == MO_JOB_RUNNING);
+  (void)end_of(a);
+  (void)end_of(b);
   n = fake_history(tags, 400);
   for (size_t i = 20; i < 60 && i < n; i++) { /* once both run, their blocks alternate */
     of_a += tags[i] == a;
@@ -94,66 +86,62 @@ SERVICE_CASE(puts_interactive_first_and_shares, 0)
 }
 
 /* Ends a running job of blocks of 5 s, and returns whether they were broken off at once. */
-static bool breaks_off(struct service *service, const struct mo_bits *genotypes,
+static bool breaks_off(const struct mo_bits *genotypes,
                        int (*request)(struct mo_jobs *jobs, int64_t id), int64_t *id)
 {
-  double begin;
-  *id = evaluate(service, genotypes, 50);
-  CHECK(await_state(service, *id, MO_JOB_RUNNING));
-  begin = now_s();
-  CHECK_INT(request(service->jobs, *id), MO_OK);
-  return AWAIT(stats_of(service).blocks_in_flight == 0) && now_s() - begin < 1;
+  *id = evaluate(genotypes, 50);
+  CHECK(await_state(*id, MO_JOB_RUNNING));
+  double begin = now_s();
+  CHECK_OK(request(service.jobs, *id));
+  return AWAIT(stats_of().blocks_in_flight == 0) && now_s() - begin < 1;
 }
 
 SERVICE_CASE(cancels_pauses_resumes, 0)
 {
-  const struct mo_bits *genotypes;
   int64_t id, other;
-  uint64_t before;
-  genotypes = bodies(service, 4, 60);
+  const struct mo_bits *genotypes = bodies(4, 60);
   fake_plan.delay_us = 5000000;
-  CHECK(breaks_off(service, genotypes, mo_jobs_cancel, &id));
-  CHECK_INT(state_of(service, id), MO_JOB_CANCELLED);
-  CHECK_INT(stats_of(service).open_jobs, 0);
-  CHECK_INT(mo_jobs_cancel(service->jobs, id), MO_ERR_CONFLICT);
-  CHECK_INT(mo_jobs_pause(service->jobs, id), MO_ERR_CONFLICT);
-  CHECK_INT(mo_jobs_cancel(service->jobs, 1234), MO_ERR_NOT_FOUND);
-  CHECK(breaks_off(service, genotypes, mo_jobs_pause, &id));
-  CHECK_INT(mo_jobs_cancel(service->jobs, id), MO_OK);
+  CHECK(breaks_off(genotypes, mo_jobs_cancel, &id));
+  CHECK_INT(state_of(id), MO_JOB_CANCELLED);
+  CHECK_INT(stats_of().open_jobs, 0);
+  CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_ERR_CONFLICT);
+  CHECK_INT(mo_jobs_pause(service.jobs, id), MO_ERR_CONFLICT);
+  CHECK_INT(mo_jobs_cancel(service.jobs, 1234), MO_ERR_NOT_FOUND);
+  CHECK(breaks_off(genotypes, mo_jobs_pause, &id));
+  CHECK_OK(mo_jobs_cancel(service.jobs, id));
   /* Paused in the middle: what is done stays done. */
   fake_plan.delay_us = 20000;
-  id = evaluate(service, genotypes, 50);
-  CHECK(AWAIT(computed(service) > 0));
-  CHECK_INT(mo_jobs_pause(service->jobs, id), MO_OK);
-  CHECK_INT(mo_jobs_pause(service->jobs, id), MO_OK);
+  id = evaluate(genotypes, 50);
+  CHECK(AWAIT(computed() > 0));
+  CHECK_OK(mo_jobs_pause(service.jobs, id));
+  CHECK_OK(mo_jobs_pause(service.jobs, id));
   usleep(300000); /* what was in flight ends */
-  before = computed(service);
+  uint64_t before = computed();
   CHECK(before > 0 && before < 500);
   usleep(50000);
-  CHECK_INT(computed(service), before);
-  CHECK_INT(state_of(service, id), MO_JOB_PAUSED);
+  CHECK_INT(computed(), before);
+  CHECK_INT(state_of(id), MO_JOB_PAUSED);
   fake_plan.delay_us = 1000;
-  CHECK_INT(mo_jobs_resume(service->jobs, id), MO_OK);
-  CHECK_INT(mo_jobs_resume(service->jobs, id), MO_OK);
-  CHECK(succeeds(service, id, NULL));
-  CHECK_INT(computed(service), 500);
-  CHECK(right(service, id, genotypes));
+  CHECK_OK(mo_jobs_resume(service.jobs, id));
+  CHECK_OK(mo_jobs_resume(service.jobs, id));
+  CHECK(succeeds(id, NULL));
+  CHECK_INT(computed(), 500);
+  CHECK(right(id, genotypes));
   /* Paused and resumed at once, many times. */
-  genotypes = bodies(service, 5, 60);
+  genotypes = bodies(5, 60);
   fake_plan.delay_us = 50000;
-  id = evaluate(service, genotypes, 60);
+  id = evaluate(genotypes, 60);
   for (int i = 0; i < 30; i++) {
-    CHECK_INT(mo_jobs_pause(service->jobs, id), MO_OK);
-    CHECK_INT(mo_jobs_resume(service->jobs, id), MO_OK);
+    CHECK_OK(mo_jobs_pause(service.jobs, id));
+    CHECK_OK(mo_jobs_resume(service.jobs, id));
     usleep((useconds_t)(i * 100));
   }
   /* A shared rollout outlives the job that started it. */
-  other = evaluate(service, genotypes, 60);
+  other = evaluate(genotypes, 60);
   usleep(5000);
-  CHECK_INT(mo_jobs_cancel(service->jobs, id), MO_OK);
+  CHECK_OK(mo_jobs_cancel(service.jobs, id));
   fake_plan.delay_us = 1000;
-  CHECK(succeeds(service, other, NULL));
-  CHECK(right(service, other, genotypes));
+  CHECK(right(other, genotypes));
 }
 
 /* Whatever kind of job: nothing is computed twice, its own work is not "cached", and its counts
@@ -162,61 +150,54 @@ static void counts_through_pauses(void)
 {
   enum { DESIGNS = 200, ROLLOUTS = DESIGNS * 10, ROUNDS = 12 };
   for (int kind = 0; kind < 3; kind++) {
-    struct service service;
-    const struct mo_bits *genotypes;
-    struct mo_evaluation_request request;
     struct mo_job job = {.state = MO_JOB_QUEUED};
     uint64_t seen = 0, first;
     bool back = false;
-    int64_t id;
-    REQUIRE(service_start(&service, 0) == MO_OK);
-    genotypes = bodies(&service, 31, DESIGNS);
+    REQUIRE_OK(service_start(0));
+    const struct mo_bits *genotypes = bodies(31, DESIGNS);
     fake_plan.delay_us =
         10000; /* some blocks end between two pauses, which break off the others; it does not end */
-    request = service_request(genotypes, DESIGNS);
+    struct mo_evaluation_request request = service_request(genotypes, DESIGNS);
     request.verify = kind == 1;
     request.record = kind == 2 ? MO_RECORD_COM : 0;
-    id = service_submit(&service, &request);
+    int64_t id = submit_evaluation(&request);
     for (int i = 0; i < ROUNDS; i++) {
-      CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+      CHECK_OK(mo_jobs_pause(service.jobs, id));
       if (i % 3 == 0)
         usleep(30000);
-      CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
+      CHECK_OK(mo_jobs_resume(service.jobs, id));
       for (int k = 0; k < 10; k++) {
         usleep(2500);
-        job = job_of(&service, id);
+        job = job_of(id);
         back = back || job.rollouts_done < seen;
         seen = job.rollouts_done;
       }
     }
     CHECK(!back);
     CHECK(!mo_job_state_is_final(job.state));
-    CHECK(AWAIT(computed(&service) > 0));
+    CHECK(AWAIT(computed() > 0));
     /* Paused for good: what was in flight ends and is counted. */
-    CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+    CHECK_OK(mo_jobs_pause(service.jobs, id));
     usleep(400000);
-    first = computed(&service);
+    first = computed();
     CHECK(first > 0);
-    job = job_of(&service, id);
+    job = job_of(id);
     CHECK_INT(job.state, MO_JOB_PAUSED);
     CHECK_INT(job.rollouts_done, first);
     CHECK_INT(job.rollouts_cached, 0);
     /* And by another process. */
-    REQUIRE(service_reopen(&service) == MO_OK);
-    job = job_of(&service, id);
-    CHECK_INT(job.rollouts_done, first);
+    REQUIRE_OK(service_reopen());
+    CHECK_INT(job_of(id).rollouts_done, first);
     fake_plan.delay_us = 300000;
-    CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
-    CHECK(await_state(&service, id, MO_JOB_RUNNING));
-    job = job_of(&service, id);
-    CHECK(job.rollouts_done >= first);
+    CHECK_OK(mo_jobs_resume(service.jobs, id));
+    CHECK(await_state(id, MO_JOB_RUNNING));
+    CHECK(job_of(id).rollouts_done >= first);
     fake_plan.delay_us = 0;
-    CHECK(succeeds(&service, id, &job));
+    CHECK(succeeds(id, &job));
     CHECK_INT(job.rollouts_done, ROLLOUTS);
     CHECK_INT(job.rollouts_cached, 0);
-    CHECK_INT(first + computed(&service), ROLLOUTS);
-    CHECK(right(&service, id, genotypes));
-    service_end(&service);
+    CHECK_INT(first + computed(), ROLLOUTS);
+    CHECK(right(id, genotypes));
   }
 }
 
@@ -224,20 +205,18 @@ static void counts_through_pauses(void)
  * is to run. */
 SERVICE_CASE(survives_a_late_request, 0)
 {
-  const struct mo_bits *genotypes;
   struct mo_job job;
-  int64_t id;
-  genotypes = bodies(service, 16, 60);
+  const struct mo_bits *genotypes = bodies(16, 60);
   fake_plan.delay_us = 5000;
-  id = evaluate(service, genotypes, 60);
-  CHECK(await_state(service, id, MO_JOB_RUNNING));
+  int64_t id = evaluate(genotypes, 60);
+  CHECK(await_state(id, MO_JOB_RUNNING));
   usleep(20000);
-  mo_runners_request(&service->jobs->runners[MO_JOB_EVALUATION], id, MO_REQUEST_PAUSE);
-  CHECK_INT(mo_jobs_pause(service->jobs, id), MO_OK);
-  CHECK_INT(mo_jobs_resume(service->jobs, id), MO_OK);
-  CHECK(succeeds(service, id, &job));
+  mo_runners_request(&service.jobs->runners[MO_JOB_EVALUATION], id, MO_REQUEST_PAUSE);
+  CHECK_OK(mo_jobs_pause(service.jobs, id));
+  CHECK_OK(mo_jobs_resume(service.jobs, id));
+  CHECK(succeeds(id, &job));
   CHECK_INT(job.attempts, 0);
-  CHECK(right(service, id, genotypes));
+  CHECK(right(id, genotypes));
 }
 
 /* Another process holds the database: what is computed meanwhile has to stay in memory, so it must
@@ -245,25 +224,20 @@ SERVICE_CASE(survives_a_late_request, 0)
 SERVICE_CASE(waits_for_a_slow_store, 0)
 {
   enum { DESIGNS = 4000, IN_MEMORY = 16384 + 5000 };
-  const struct mo_bits *genotypes;
   struct mo_jobs_stats stats = {0};
   struct mo_job job;
   uint64_t before = 0;
-  char path[512];
-  sqlite3 *db = NULL;
-  int64_t id;
-  genotypes = bodies(service, 17, DESIGNS);
+  const struct mo_bits *genotypes = bodies(17, DESIGNS);
   fake_plan.delay_us = 20000;
-  id = evaluate(service, genotypes, DESIGNS);
-  CHECK(await_state(service, id, MO_JOB_RUNNING));
-  snprintf(path, sizeof(path), "%s/morphod.db", service->fixture.path);
-  REQUIRE(sqlite3_open(path, &db) == SQLITE_OK);
+  int64_t id = evaluate(genotypes, DESIGNS);
+  CHECK(await_state(id, MO_JOB_RUNNING));
+  sqlite3 *db = open_outside();
   sqlite3_busy_timeout(db, 5000);
   REQUIRE(sqlite3_exec(db, "BEGIN IMMEDIATE", NULL, NULL, NULL) == SQLITE_OK);
   fake_plan.delay_us = 0;
   for (int i = 0; i < 300; i++) { /* until nothing is computed any more */
     usleep(100000);
-    stats = stats_of(service);
+    stats = stats_of();
     if (stats.rollouts_computed == before && stats.blocks_in_flight == 0)
       break;
     before = stats.rollouts_computed;
@@ -272,69 +246,61 @@ SERVICE_CASE(waits_for_a_slow_store, 0)
   CHECK(stats.rollouts_computed < IN_MEMORY);
   CHECK_INT(sqlite3_exec(db, "ROLLBACK", NULL, NULL, NULL), SQLITE_OK);
   sqlite3_close(db);
-  CHECK(succeeds(service, id, &job));
+  CHECK(succeeds(id, &job));
   CHECK_INT(job.attempts, 0);
-  CHECK_INT(computed(service), DESIGNS * 10);
-  CHECK(right(service, id, genotypes));
+  CHECK_INT(computed(), DESIGNS * 10);
+  CHECK(right(id, genotypes));
 }
 
 SERVICE_CASE(parks_and_goes_on, 0)
 {
-  const struct mo_bits *genotypes;
-  struct mo_job job;
-  int64_t id;
-  uint64_t first;
-  double begin;
-  genotypes = bodies(service, 6, 100);
+  const struct mo_bits *genotypes = bodies(6, 100);
   fake_plan.delay_us = 4000;
-  id = evaluate(service, genotypes, 100);
-  CHECK(AWAIT(computed(service) > 0));
+  int64_t id = evaluate(genotypes, 100);
+  CHECK(AWAIT(computed() > 0));
   fake_plan.delay_us = 60000000;
   usleep(20000);
-  begin = now_s();
-  CHECK_INT(mo_jobs_stop(service->jobs, 5000), MO_OK);
+  double begin = now_s();
+  CHECK_OK(mo_jobs_stop(service.jobs, 5000));
   CHECK(now_s() - begin < 2);
-  CHECK_INT(evaluate(service, genotypes, 1), MO_ERR_CANCELLED);
-  first = computed(service);
+  CHECK_INT(evaluate(genotypes, 1), MO_ERR_CANCELLED);
+  uint64_t first = computed();
   CHECK(first > 0 && first < 1000);
-  job = job_of(service, id);
+  struct mo_job job = job_of(id);
   CHECK_INT(job.state, MO_JOB_QUEUED);
   CHECK_INT(job.rollouts_done, first);
   CHECK_INT(job.attempts, 0);
-  service_close(service);
+  service_close();
   fake_plan.delay_us = 0;
-  REQUIRE(service_open(service) == MO_OK);
-  CHECK(succeeds(service, id, &job));
-  CHECK_INT(computed(service), 1000 - first);
+  REQUIRE_OK(service_open());
+  CHECK(succeeds(id, &job));
+  CHECK_INT(computed(), 1000 - first);
   CHECK_INT(job.rollouts_cached, 0); /* its own earlier work is not "cached" */
-  CHECK(right(service, id, genotypes));
+  CHECK(right(id, genotypes));
 }
 
 SERVICE_CASE(verifies, 0)
 {
-  const struct mo_bits *genotypes;
-  struct mo_evaluation_request request;
   struct mo_evaluation_results *results = NULL;
   struct mo_job job;
-  int64_t id;
-  genotypes = bodies(service, 7, 8);
-  (void)end_of(service, evaluate(service, genotypes, 6));
-  request = service_request(genotypes, 8);
+  const struct mo_bits *genotypes = bodies(7, 8);
+  (void)end_of(evaluate(genotypes, 6));
+  struct mo_evaluation_request request = service_request(genotypes, 8);
   request.verify = true;
-  id = service_submit(service, &request);
-  CHECK(succeeds(service, id, &job));
-  CHECK_INT(computed(service), 140);
-  REQUIRE(mo_store_results(service->fixture.store, id, &results) == MO_OK);
+  int64_t id = submit_evaluation(&request);
+  CHECK(succeeds(id, &job));
+  CHECK_INT(computed(), 140);
+  REQUIRE_OK(mo_store_results(store, id, &results));
   for (int i = 0; i < 8; i++)
     CHECK_INT(results->agrees[i], 1);
   CHECK(isnan(results->stored_losses[70]) && !isnan(results->losses[70]));
   mo_evaluation_results_free(results);
-  CHECK(right(service, id, genotypes));
+  CHECK(right(id, genotypes));
   /* As if other code had computed them. */
   fake_plan.skew = 1;
-  id = service_submit(service, &request);
-  CHECK(succeeds(service, id, &job));
-  REQUIRE(mo_store_results(service->fixture.store, id, &results) == MO_OK);
+  id = submit_evaluation(&request);
+  CHECK(succeeds(id, &job));
+  REQUIRE_OK(mo_store_results(store, id, &results));
   for (int i = 0; i < 8; i++)
     CHECK_INT(results->agrees[i], 0);
   CHECK(results->losses[0] == results->stored_losses[0] + 1 || isinf(results->losses[0]));
@@ -343,18 +309,16 @@ SERVICE_CASE(verifies, 0)
 
 SERVICE_CASE(records, 0)
 {
-  const struct mo_bits *genotypes;
   struct mo_evaluation_request request;
   struct mo_trajectory *trajectory = NULL;
   int64_t id;
-  genotypes = bodies(service, 8, 3);
+  const struct mo_bits *genotypes = bodies(8, 3);
   for (int round = 0; round < 2; round++) { /* recorded even when the scores are known */
     request = service_request(genotypes, 3);
     request.record = MO_RECORD_COM | MO_RECORD_MASSES;
-    id = service_submit(service, &request);
-    CHECK(succeeds(service, id, NULL));
-    CHECK(right(service, id, genotypes));
-    REQUIRE(mo_store_trajectory(service->fixture.store, id, 2, 9, &trajectory) == MO_OK);
+    id = submit_evaluation(&request);
+    CHECK(right(id, genotypes));
+    REQUIRE_OK(mo_store_trajectory(store, id, 2, 9, &trajectory));
     CHECK_INT(trajectory->n_frames, 11);
     CHECK_INT(trajectory->recording.stride, 100);
     CHECK(trajectory->recording.com_m != NULL && trajectory->recording.mass_m != NULL);
@@ -363,12 +327,12 @@ SERVICE_CASE(records, 0)
     CHECK(trajectory->recording.mass_m[7] == 7.0F);
     mo_trajectory_free(trajectory);
   }
-  CHECK_INT(computed(service), 60);
+  CHECK_INT(computed(), 60);
   request.record_stride = 1;
-  request.genotypes = bodies(service, 8, 200);
+  request.genotypes = bodies(8, 200);
   request.n_designs = 200;
-  CHECK_INT(service_submit(service, &request), MO_ERR_LIMIT);
-  CHECK(strstr(service->fixture.message.text, "67108864") != NULL);
+  CHECK_INT(submit_evaluation(&request), MO_ERR_LIMIT);
+  CHECK_SAYS(fixture.message, "67108864");
 }
 
 static const struct check_case cases[] = {

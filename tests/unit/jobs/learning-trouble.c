@@ -20,42 +20,41 @@ static void limit_files(rlim_t bytes)
 }
 
 /* Whether only this job is shown as waiting. */
-static bool only_waits(struct service *service, int64_t id)
+static bool only_waits(int64_t id)
 {
   int64_t waiting[MO_WAITING_MAX] = {0};
-  return mo_jobs_waiting(service->jobs, waiting) == 1 && waiting[0] == id;
+  return mo_jobs_waiting(service.jobs, waiting) == 1 && waiting[0] == id;
 }
 
 /* What becomes of a job that waits for something: it can be paused, resumed and cancelled, and the
  * process can stop meanwhile; `shorten` takes away what it waits for, or gives it back. stopped:
  * what mo_jobs_stop returns. */
-static void check_waiting(struct service *service, int mode, int64_t id,
-                          void (*shorten)(int mode, bool is_short), int stopped)
+static void check_waiting(int mode, int64_t id, void (*shorten)(int mode, bool is_short),
+                          int stopped)
 {
-  double begin;
-  CHECK(only_waits(service, id));
+  CHECK(only_waits(id));
   CHECK_INT(warnings, 1);
-  CHECK_INT(mo_jobs_pause(service->jobs, id), MO_OK);
-  CHECK_INT(mo_jobs_resume(service->jobs, id), MO_OK);
+  CHECK_OK(mo_jobs_pause(service.jobs, id));
+  CHECK_OK(mo_jobs_resume(service.jobs, id));
   shorten(mode, false);
-  CHECK(ends_right(service, id, mode));
+  CHECK(ends_right(id, mode));
   shorten(mode, true); /* cancelled while it waits */
-  id = submit_one(service, mode);
-  REQUIRE(await_phase(service, id, MO_PHASE_WAIT));
-  begin = now_s();
-  CHECK_INT(mo_jobs_cancel(service->jobs, id), MO_OK);
-  CHECK(await_phase(service, id, MO_PHASE_IDLE));
+  id = submit_one(mode);
+  REQUIRE(await_phase(id, MO_PHASE_WAIT));
+  double begin = now_s();
+  CHECK_OK(mo_jobs_cancel(service.jobs, id));
+  CHECK(await_phase(id, MO_PHASE_IDLE));
   CHECK(now_s() - begin < 5);
-  id = submit_one(service, mode); /* stopped while it waits: what is not saved is done again */
-  REQUIRE(await_phase(service, id, MO_PHASE_WAIT));
+  id = submit_one(mode); /* stopped while it waits: what is not saved is done again */
+  REQUIRE(await_phase(id, MO_PHASE_WAIT));
   begin = now_s();
-  CHECK_INT(mo_jobs_stop(service->jobs, 5000), stopped);
+  CHECK_INT(mo_jobs_stop(service.jobs, 5000), stopped);
   CHECK(now_s() - begin < 2);
-  CHECK_INT(stats_of(service).active_trainings, 0);
-  service_close(service);
+  CHECK_INT(stats_of().active_trainings, 0);
+  service_close();
   shorten(mode, false);
-  REQUIRE(service_open(service) == MO_OK);
-  CHECK(ends_right(service, id, mode));
+  REQUIRE_OK(service_open());
+  CHECK(ends_right(id, mode));
 }
 
 static void shorten_disk(int mode, bool is_short)
@@ -67,20 +66,17 @@ static void shorten_disk(int mode, bool is_short)
 static void waits_for_room(void)
 {
   for (int mode = TRAINING; mode <= MO_FEW_SHOT; mode += 2) {
-    struct service service;
-    int64_t id;
-    REQUIRE(service_start(&service, 1) == MO_OK);
+    REQUIRE_OK(service_start(1));
     shorten_disk(mode, true);
-    id = submit_one(&service, mode);
-    CHECK(await_reason(&service, id, "no space"));
-    CHECK(await_reason(&service, id,
-                       mode == TRAINING ? "checkpoint of step 6" : "checkpoint of generation 0"));
-    CHECK(await_reason(&service, id, "by itself"));
-    CHECK_INT(live_of(&service, id).position, mode == TRAINING ? 6 : 0);
+    int64_t id = submit_one(mode);
+    CHECK(await_reason(id, "no space"));
+    CHECK(
+        await_reason(id, mode == TRAINING ? "checkpoint of step 6" : "checkpoint of generation 0"));
+    CHECK(await_reason(id, "by itself"));
+    CHECK_INT(live_of(id).position, mode == TRAINING ? 6 : 0);
     usleep(350000); /* it has tried again */
-    CHECK_INT(live_of(&service, id).phase, MO_PHASE_WAIT);
-    check_waiting(&service, mode, id, shorten_disk, MO_ERR_BUSY);
-    service_end(&service);
+    CHECK_INT(live_of(id).phase, MO_PHASE_WAIT);
+    check_waiting(mode, id, shorten_disk, MO_ERR_BUSY);
   }
 }
 
@@ -102,16 +98,13 @@ static void waits_for_memory(void)
 {
   for (int mode = TRAINING; mode <= MO_FEW_SHOT; mode += 2) {
     const int often = mode == TRAINING ? 995 : 980; /* more often than there are attempts */
-    struct service service;
-    int64_t id;
-    REQUIRE(service_start(&service, 1) == MO_OK);
+    REQUIRE_OK(service_start(1));
     shorten_memory(mode, true);
-    id = submit_one(&service, mode);
+    int64_t id = submit_one(mode);
     CHECK(AWAIT(fake_plan.fail_times + fake_plan.gradient_fails <= often));
-    CHECK(await_reason(&service, id, "no memory"));
-    CHECK(await_reason(&service, id, "by itself"));
-    check_waiting(&service, mode, id, shorten_memory, MO_OK);
-    service_end(&service);
+    CHECK(await_reason(id, "no memory"));
+    CHECK(await_reason(id, "by itself"));
+    check_waiting(mode, id, shorten_memory, MO_OK);
   }
 }
 
@@ -119,32 +112,24 @@ __attribute__((unused)) static void tries_three_times(void)
 {
   static const int modes[] = {TRAINING, MO_ZERO_SHOT, MO_SIMULTANEOUS};
   for (int i = 0; i < 3; i++) {
-    struct service service;
-    struct mo_job job;
-    int64_t id;
-    REQUIRE(service_start(&service, 1) == MO_OK);
+    REQUIRE_OK(service_start(1));
     break_down(modes[i], 1000, MO_ERR_IO);
-    id = submit_one(&service, modes[i]);
-    job = end_of(&service, id);
-    CHECK_INT(job.state, MO_JOB_FAILED);
-    CHECK_INT(job.attempts, 3);
-    CHECK_INT(job.error, MO_ERR_IO);
-    CHECK(strstr(job.error_text, "input or output failed") != NULL);
+    int64_t id = submit_one(modes[i]);
+    check_failed(id, 3, MO_ERR_IO, "input or output failed");
     CHECK_INT(warnings, 3);
     CHECK(has_warned("input or output failed"));
-    CHECK_INT(idle_stats(&service).jobs_failed, 1);
+    CHECK_INT(idle_stats().jobs_failed, 1);
     if (modes[i] != TRAINING)
-      CHECK_INT(extend(&service, id, 1), MO_ERR_CONFLICT);
+      CHECK_INT(extend(id, 1), MO_ERR_CONFLICT);
     /* Nothing is lost: when the cause is gone, it goes on. One error is forgiven by what is saved
      * after it. */
     break_down(modes[i], 1, MO_ERR_IO);
-    CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
-    CHECK(ends_right(&service, id, modes[i]));
-    CHECK_INT(job_of(&service, id).error, MO_OK);
+    CHECK_OK(mo_jobs_resume(service.jobs, id));
+    CHECK(ends_right(id, modes[i]));
+    CHECK_OK(job_of(id).error);
     CHECK_INT(warnings, 4);
-    CHECK_INT(idle_stats(&service).open_jobs, 0);
+    CHECK_INT(idle_stats().open_jobs, 0);
     CHECK_INT(mo_jobs_resume(service.jobs, id), MO_ERR_CONFLICT);
-    service_end(&service);
   }
 }
 
@@ -168,100 +153,89 @@ static bool damage(const char *path)
 SERVICE_CASE(waits_for_descriptors, 1)
 {
   struct rlimit before, none;
-  int64_t id;
   fake_plan.gradient_delay_us = 20000;
-  id = submit_one(service, TRAINING);
-  REQUIRE(await_step(service, id, 1));
+  int64_t id = submit_one(TRAINING);
+  REQUIRE(await_step(id, 1));
   REQUIRE(getrlimit(RLIMIT_NOFILE, &before) == 0);
   none = before;
   none.rlim_cur = 3;
   REQUIRE(setrlimit(RLIMIT_NOFILE, &none) == 0);
-  CHECK(await_reason(service, id, "file descriptor"));
-  CHECK(await_reason(service, id, "by itself"));
+  CHECK(await_reason(id, "file descriptor"));
+  CHECK(await_reason(id, "by itself"));
   usleep(500000); /* it has tried again */
-  CHECK_INT(state_of(service, id), MO_JOB_RUNNING);
+  CHECK_INT(state_of(id), MO_JOB_RUNNING);
   REQUIRE(setrlimit(RLIMIT_NOFILE, &before) == 0);
-  CHECK(ends_right(service, id, TRAINING));
+  CHECK(ends_right(id, TRAINING));
 }
 
-static bool damage_checkpoint(const struct service *service, int64_t id, uint32_t step)
+static bool damage_checkpoint(int64_t id, uint32_t step)
 {
-  char path[512];
-  snprintf(path, sizeof(path), "%s/trainings/%lld/%u.checkpoint", service->fixture.path,
-           (long long)id, step);
-  return damage(path);
+  return damage(path_of("trainings/%lld/%u.checkpoint", (long long)id, step));
 }
 
 SERVICE_CASE(passes_over_damaged_checkpoints, 1)
 {
   struct mo_checkpoint_row rows[5];
-  int64_t id;
   fake_plan.gradient_delay_us = 20000;
-  id = submit_one(service, TRAINING);
+  int64_t id = submit_one(TRAINING);
   /* The newest, then all of them. */
   for (int round = 1; round <= 2; round++) {
-    REQUIRE(await_step(service, id, 12));
-    CHECK_INT(mo_jobs_stop(service->jobs, 5000), MO_OK);
-    REQUIRE(mo_store_checkpoints(service->fixture.store, id, rows, 5) == 2);
-    service_close(service);
+    REQUIRE(await_step(id, 12));
+    CHECK_OK(mo_jobs_stop(service.jobs, 5000));
+    REQUIRE(mo_store_checkpoints(store, id, rows, 5) == 2);
+    service_close();
     for (int i = 0; i < round; i++)
-      REQUIRE(damage_checkpoint(service, id, rows[i].step));
+      REQUIRE(damage_checkpoint(id, rows[i].step));
     warnings = 0;
-    REQUIRE(service_open(service) == MO_OK);
-    REQUIRE(await_step(service, id, 2));
+    REQUIRE_OK(service_open());
+    REQUIRE(await_step(id, 2));
     CHECK_INT(warnings, round);
     CHECK(has_warned(round == 1 ? "the one before it is taken" : "starts over"));
   }
-  CHECK(ends_right(service, id, TRAINING));
+  CHECK(ends_right(id, TRAINING));
 }
 
-static int start_with_faults(struct service *service)
+static int start_with_faults(void)
 {
-  int error = fault_vfs_register() == SQLITE_OK ? service_begin(service) : -1;
+  int error = fault_vfs_register() == SQLITE_OK ? service_begin() : -1;
   memset(&fault_plan, 0, sizeof(fault_plan));
-  service->vfs = "faults";
-  return error == MO_OK ? service_open(service) : error;
+  service.vfs = "faults";
+  return error == MO_OK ? service_open() : error;
 }
 
 __attribute__((unused)) static void waits_for_the_database(void)
 {
-  struct service service;
-  int64_t id;
-  REQUIRE(start_with_faults(&service) == MO_OK);
+  REQUIRE_OK(start_with_faults());
   fake_plan.gradient_delay_us = 20000;
-  id = submit_one(&service, TRAINING);
-  REQUIRE(await_step(&service, id, 2));
+  int64_t id = submit_one(TRAINING);
+  REQUIRE(await_step(id, 2));
   for (int i = 0; i < 2; i++) {
     fault_plan.writes_left = 0;
     fault_plan.write_error = i == 0 ? SQLITE_FULL : SQLITE_BUSY;
-    CHECK(await_reason(&service, id, i == 0 ? "no space" : "locked"));
+    CHECK(await_reason(id, i == 0 ? "no space" : "locked"));
     fault_plan.write_error = 0;
-    REQUIRE(await_phase(&service, id, MO_PHASE_LEARN));
+    REQUIRE(await_phase(id, MO_PHASE_LEARN));
   }
-  CHECK(ends_right(&service, id, TRAINING));
-  service_end(&service);
+  CHECK(ends_right(id, TRAINING));
 }
 
 /* No memory, not even for the note that there was none: it is written when there is. */
 __attribute__((unused)) static void notes_a_failure_when_it_can(void)
 {
-  struct service service;
   struct mo_training_request request = pretraining("");
-  int64_t id;
   request.record.validate_every_steps = 0;
-  REQUIRE(start_with_faults(&service) == MO_OK);
+  REQUIRE_OK(start_with_faults());
   fake_plan.gradient_delay_us = 300000;
   break_down(TRAINING, 1, MO_ERR_NO_MEMORY);
-  id = submit_training(&service, &request);
-  REQUIRE(await_state(&service, id, MO_JOB_RUNNING));
+  int64_t id = submit_training(&request);
+  REQUIRE(await_state(id, MO_JOB_RUNNING));
   fault_plan.writes_left = 0;
   fault_plan.write_error = SQLITE_NOMEM;
-  CHECK(await_reason(&service, id, "no memory"));
-  CHECK_INT(state_of(&service, id), MO_JOB_RUNNING);
+  CHECK(await_reason(id, "no memory"));
+  CHECK_INT(state_of(id), MO_JOB_RUNNING);
   fake_plan.gradient_delay_us = 0;
   fault_plan.write_error = 0;
-  CHECK(ends_right(&service, id, TRAINING));
-  service_end(&service);
+  CHECK(ends_right(id, TRAINING));
 }
 
 /* ---- campaigns ---- */
@@ -278,39 +252,33 @@ SERVICE_CASE(exhausts_small_spaces, 2)
   for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++)
     for (int i = 0; i < 3; i++) {
       struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
-      struct mo_campaign_status status;
-      struct origin origin;
-      int64_t id;
       request.record.settings.workspace = spaces[i].workspace;
       request.record.settings.population = spaces[i].population;
       request.record.settings.generations = 20;
-      origin = origin_of(&request);
-      id = submit_campaign(service, &request);
-      CHECK(ends_as_plain(service, id, &origin));
-      status = status_of(service, id);
+      struct origin origin = origin_of(&request);
+      int64_t id = submit_campaign(&request);
+      CHECK(ends_as_plain(id, &origin));
+      struct mo_campaign_status status = status_of(id);
       CHECK_INT(status.end, MO_CAMPAIGN_EXHAUSTED);
       CHECK(status.generation >= 0 && status.generation < 20);
       CHECK_INT(status.n_designs, spaces[i].n_designs);
       CHECK_INT(status.has_result, mode != MO_ZERO_SHOT);
-      CHECK_INT(extend(service, id, 1), MO_ERR_CONFLICT);
+      CHECK_INT(extend(id, 1), MO_ERR_CONFLICT);
     }
 }
 
 SERVICE_CASE(refuses_nan, 1)
 {
-  struct mo_job job;
   fake_plan.poison = true;
-  job = end_of(service, submit_one(service, MO_SIMULTANEOUS));
+  struct mo_job job = end_of(submit_one(MO_SIMULTANEOUS));
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "not a number") != NULL);
 }
 
 /* Damages what a generation has learned at its end. */
-static bool damage_generation(const struct service *service, int64_t id, uint32_t generation)
+static bool damage_generation(int64_t id, uint32_t generation)
 {
-  char path[512];
-  snprintf(path, sizeof(path), "%s/campaigns/%lld/%u-%u.checkpoint", service->fixture.path,
-           (long long)id, generation, PARENT_STEPS + CHILD_STEPS);
-  return damage(path);
+  return damage(path_of("campaigns/%lld/%u-%u.checkpoint", (long long)id, generation,
+                        PARENT_STEPS + CHILD_STEPS));
 }
 
 /* What was learned inside a generation is learned again; what a generation left cannot be. */
@@ -321,26 +289,26 @@ SERVICE_CASE(reports_damaged_checkpoints, 1)
   for (int round = 0; round < 2; round++) {
     uint32_t generation;
     fake_plan.delay_us = 20000;
-    id = submit_one(service, MO_SIMULTANEOUS);
-    REQUIRE(await_place(service, id, 2, MO_PHASE_SCORE));
-    CHECK_INT(mo_jobs_stop(service->jobs, 5000), MO_OK);
-    generation = (uint32_t)status_of(service, id).generation + 1;
-    service_close(service);
-    REQUIRE(damage_generation(service, id, generation));
+    id = submit_one(MO_SIMULTANEOUS);
+    REQUIRE(await_place(id, 2, MO_PHASE_SCORE));
+    CHECK_OK(mo_jobs_stop(service.jobs, 5000));
+    generation = (uint32_t)status_of(id).generation + 1;
+    service_close();
+    REQUIRE(damage_generation(id, generation));
     if (round == 1)
-      REQUIRE(damage_generation(service, id, generation - 1));
+      REQUIRE(damage_generation(id, generation - 1));
     warnings = 0;
     fake_plan.delay_us = 0;
-    REQUIRE(service_open(service) == MO_OK);
+    REQUIRE_OK(service_open());
     if (round == 1) {
-      job = end_of(service, id);
+      job = end_of(id);
       CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_CORRUPT);
       CHECK(strstr(job.error_text, "cannot be used (it is missing, or its bytes") != NULL &&
             strstr(job.error_text, "backup") != NULL);
-      REQUIRE(damage_generation(service, id, generation - 1));
-      CHECK_INT(mo_jobs_resume(service->jobs, id), MO_OK);
+      REQUIRE(damage_generation(id, generation - 1));
+      CHECK_OK(mo_jobs_resume(service.jobs, id));
     }
-    CHECK(ends_right(service, id, MO_SIMULTANEOUS));
+    CHECK(ends_right(id, MO_SIMULTANEOUS));
     if (round == 0) {
       CHECK_INT(warnings, 1);
       CHECK(has_warned("learns again"));
@@ -350,12 +318,10 @@ SERVICE_CASE(reports_damaged_checkpoints, 1)
 
 SERVICE_CASE(needs_its_controller, 1)
 {
-  struct mo_job job;
   char path[512];
-  snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", service->fixture.path,
-           default_digits());
+  snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", fixture.path, default_digits());
   REQUIRE(truncate(path, 1000) == 0);
-  job = end_of(service, submit_one(service, MO_ZERO_SHOT));
+  struct mo_job job = end_of(submit_one(MO_ZERO_SHOT));
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "store the same file again") != NULL);
 }
 

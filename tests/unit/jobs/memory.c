@@ -12,130 +12,126 @@ static struct mo_training_request large(void)
   return request;
 }
 
-static int reopen(struct service *service, uint64_t max_memory, bool was_killed)
+static int reopen_in(uint64_t max_memory, bool was_killed)
 {
-  service->config.max_memory = max_memory;
-  service->config.killed_us = was_killed ? 1 : 0;
-  return service_reopen(service);
+  service.config.max_memory = max_memory;
+  service.config.killed_us = was_killed ? 1 : 0;
+  return service_reopen();
 }
 
 SERVICE_CASE(refuses_what_never_fits, 1)
 {
   struct mo_training_request request = large();
   struct mo_campaign_request evolves = campaign(MO_ZERO_SHOT);
-  int64_t id;
   fake_plan.gradient_delay_us = 1000;
-  id = submit_training(service, &request); /* without a limit */
+  int64_t id = submit_training(&request); /* without a limit */
   REQUIRE(id > 0);
-  REQUIRE(reopen(service, 200 * MIB, false) == MO_OK);
-  CHECK_INT(submit_training(service, &request), MO_ERR_LIMIT);
-  CHECK(strstr(service->fixture.message.text, "can have 136 MiB") != NULL);
-  CHECK(strstr(service->fixture.message.text, "max_memory") != NULL);
+  REQUIRE_OK(reopen_in(200 * MIB, false));
+  CHECK_INT(submit_training(&request), MO_ERR_LIMIT);
+  CHECK_SAYS(fixture.message, "can have 136 MiB");
+  CHECK_SAYS(fixture.message, "max_memory");
   evolves.record.settings.population = MO_POPULATION_MAX;
-  CHECK_INT(submit_campaign(service, &evolves), MO_ERR_LIMIT);
+  CHECK_INT(submit_campaign(&evolves), MO_ERR_LIMIT);
   /* The one that is stored waits, and is in nobody's way. */
-  CHECK(await_reason(service, id, "jobs can have 136 MiB"));
-  CHECK(succeeds(service, submit_one(service, TRAINING), NULL));
-  CHECK_INT(state_of(service, id), MO_JOB_QUEUED);
-  CHECK(await_reason(service, id, "raise max_memory"));
-  CHECK_INT(mo_jobs_cancel(service->jobs, id), MO_OK);
+  CHECK(await_reason(id, "jobs can have 136 MiB"));
+  CHECK(succeeds(submit_one(TRAINING), NULL));
+  CHECK_INT(state_of(id), MO_JOB_QUEUED);
+  CHECK(await_reason(id, "raise max_memory"));
+  CHECK_OK(mo_jobs_cancel(service.jobs, id));
 }
 
 SERVICE_CASE(waits_beside_others, 1)
 {
   struct mo_training_request request = large();
-  int64_t first, second, id;
-  service->config.max_active_trainings = 3;
-  REQUIRE(reopen(service, 300 * MIB, false) == MO_OK);
+  service.config.max_active_trainings = 3;
+  REQUIRE_OK(reopen_in(300 * MIB, false));
   fake_plan.gradient_delay_us = 2000;
-  first = submit_training(service, &request);
-  REQUIRE(await_state(service, first, MO_JOB_RUNNING));
-  second = submit_training(service, &request);
-  CHECK(await_reason(service, second, "free of the 236 MiB"));
-  CHECK_INT(state_of(service, second), MO_JOB_QUEUED);
+  int64_t first = submit_training(&request);
+  REQUIRE(await_state(first, MO_JOB_RUNNING));
+  int64_t second = submit_training(&request);
+  CHECK(await_reason(second, "free of the 236 MiB"));
+  CHECK_INT(state_of(second), MO_JOB_QUEUED);
   /* Those that fit go first, but not without end. */
   for (int i = 0; i < 8; i++)
-    CHECK(succeeds(service, submit_one(service, TRAINING), NULL));
-  id = submit_one(service, TRAINING);
-  CHECK(await_reason(service, id, "starts first"));
-  CHECK_INT(state_of(service, id), MO_JOB_QUEUED);
-  CHECK_INT(mo_jobs_cancel(service->jobs, first), MO_OK);
-  CHECK(await_state(service, second, MO_JOB_RUNNING));
-  CHECK(succeeds(service, id, NULL));
-  CHECK(live_of(service, second).phase != MO_PHASE_WAIT);
+    CHECK(succeeds(submit_one(TRAINING), NULL));
+  int64_t id = submit_one(TRAINING);
+  CHECK(await_reason(id, "starts first"));
+  CHECK_INT(state_of(id), MO_JOB_QUEUED);
+  CHECK_OK(mo_jobs_cancel(service.jobs, first));
+  CHECK(await_state(second, MO_JOB_RUNNING));
+  CHECK(succeeds(id, NULL));
+  CHECK(live_of(second).phase != MO_PHASE_WAIT);
   /* Who waits and is paused holds up nobody. */
-  first = submit_training(service, &request);
-  CHECK(await_reason(service, first, "MiB"));
-  CHECK_INT(mo_jobs_pause(service->jobs, first), MO_OK);
-  CHECK_INT(live_of(service, first).phase, MO_PHASE_IDLE);
-  CHECK_INT(mo_jobs_cancel(service->jobs, second), MO_OK);
-  CHECK_INT(mo_jobs_resume(service->jobs, first), MO_OK);
-  CHECK(await_state(service, first, MO_JOB_RUNNING));
-  CHECK_INT(mo_jobs_cancel(service->jobs, first), MO_OK);
+  first = submit_training(&request);
+  CHECK(await_reason(first, "MiB"));
+  CHECK_OK(mo_jobs_pause(service.jobs, first));
+  CHECK_INT(live_of(first).phase, MO_PHASE_IDLE);
+  CHECK_OK(mo_jobs_cancel(service.jobs, second));
+  CHECK_OK(mo_jobs_resume(service.jobs, first));
+  CHECK(await_state(first, MO_JOB_RUNNING));
+  CHECK_OK(mo_jobs_cancel(service.jobs, first));
 }
 
 /* As if the process had been killed while these ran. */
-static int kill_with(struct service *service, int64_t first, int64_t second)
+static int kill_with(int64_t first, int64_t second)
 {
-  service_close(service);
-  service_set_states(service, first, second, MO_JOB_RUNNING);
-  return reopen(service, 0, true);
+  service_close();
+  service_set_states(first, second, MO_JOB_RUNNING);
+  return reopen_in(0, true);
 }
 
 SERVICE_CASE(finds_who_has_it_killed, 2)
 {
   struct mo_job job;
-  int64_t id, other;
   fake_plan.gradient_delay_us = 60000000; /* nothing is saved */
-  id = submit_one(service, TRAINING);
+  int64_t id = submit_one(TRAINING);
   for (uint32_t attempts = 1; attempts <= 3; attempts++) {
-    REQUIRE(await_state(service, id, MO_JOB_RUNNING));
-    REQUIRE(kill_with(service, id, 0) == MO_OK);
-    job = job_of(service, id);
+    REQUIRE(await_state(id, MO_JOB_RUNNING));
+    REQUIRE_OK(kill_with(id, 0));
+    job = job_of(id);
     CHECK_INT(job.attempts, attempts);
   }
   CHECK_INT(job.state, MO_JOB_FAILED);
-  CHECK(strstr(job.error_text, "killed while it ran this job, which had saved nothing") != NULL);
+  CHECK_HAS(job.error_text, "killed while it ran this job, which had saved nothing");
   /* Of two nobody knows which it was: they run one after the other, until the first has saved
    * something. */
-  id = submit_one(service, TRAINING);
-  other = submit_one(service, TRAINING);
-  REQUIRE(await_state(service, id, MO_JOB_RUNNING));
-  REQUIRE(await_state(service, other, MO_JOB_RUNNING));
-  REQUIRE(kill_with(service, id, other) == MO_OK);
-  REQUIRE(await_state(service, id, MO_JOB_RUNNING));
-  CHECK(await_reason(service, other, "one at a time"));
-  CHECK_INT(state_of(service, other), MO_JOB_QUEUED);
-  CHECK_INT(job_of(service, id).attempts, 0);
-  REQUIRE(kill_with(service, id, 0) == MO_OK);
-  CHECK_INT(job_of(service, id).attempts, 1);
+  id = submit_one(TRAINING);
+  int64_t other = submit_one(TRAINING);
+  REQUIRE(await_state(id, MO_JOB_RUNNING));
+  REQUIRE(await_state(other, MO_JOB_RUNNING));
+  REQUIRE_OK(kill_with(id, other));
+  REQUIRE(await_state(id, MO_JOB_RUNNING));
+  CHECK(await_reason(other, "one at a time"));
+  CHECK_INT(state_of(other), MO_JOB_QUEUED);
+  CHECK_INT(job_of(id).attempts, 0);
+  REQUIRE_OK(kill_with(id, 0));
+  CHECK_INT(job_of(id).attempts, 1);
   fake_plan.gradient_delay_us = 0;
-  CHECK(ends_right(service, id, TRAINING)); /* the attempt is forgiven: it has gone on */
-  CHECK(ends_right(service, other, TRAINING));
+  CHECK(ends_right(id, TRAINING)); /* the attempt is forgiven: it has gone on */
+  CHECK(ends_right(other, TRAINING));
 }
 
 /* A job that has saved its work is not blamed for one that has not. */
 SERVICE_CASE(blames_who_has_saved_nothing, 2)
 {
   struct mo_training_request request = pretraining("");
-  int64_t proven, other;
   fake_plan.gradient_delay_us = 20000;
   request.record.settings.n_steps = 100000;
-  proven = submit_training(service, &request);
-  REQUIRE(await_step(service, proven, 1));
-  CHECK_INT(mo_jobs_pause(service->jobs, proven), MO_OK); /* writes a checkpoint */
-  REQUIRE(await_state(service, proven, MO_JOB_PAUSED));
-  CHECK_INT(mo_jobs_resume(service->jobs, proven), MO_OK);
-  REQUIRE(await_state(service, proven, MO_JOB_RUNNING));
+  int64_t proven = submit_training(&request);
+  REQUIRE(await_step(proven, 1));
+  CHECK_OK(mo_jobs_pause(service.jobs, proven)); /* writes a checkpoint */
+  REQUIRE(await_state(proven, MO_JOB_PAUSED));
+  CHECK_OK(mo_jobs_resume(service.jobs, proven));
+  REQUIRE(await_state(proven, MO_JOB_RUNNING));
   fake_plan.gradient_delay_us = 60000000;
-  other = submit_training(service, &request);
-  REQUIRE(await_state(service, other, MO_JOB_RUNNING));
-  REQUIRE(kill_with(service, proven, other) == MO_OK);
-  CHECK_INT(job_of(service, other).attempts, 1);
-  CHECK_INT(job_of(service, proven).attempts, 0);
+  int64_t other = submit_training(&request);
+  REQUIRE(await_state(other, MO_JOB_RUNNING));
+  REQUIRE_OK(kill_with(proven, other));
+  CHECK_INT(job_of(other).attempts, 1);
+  CHECK_INT(job_of(proven).attempts, 0);
   fake_plan.gradient_delay_us = 0;
-  CHECK_INT(mo_jobs_cancel(service->jobs, other), MO_OK);
-  CHECK_INT(mo_jobs_cancel(service->jobs, proven), MO_OK);
+  CHECK_OK(mo_jobs_cancel(service.jobs, other));
+  CHECK_OK(mo_jobs_cancel(service.jobs, proven));
 }
 
 static const struct check_case cases[] = {

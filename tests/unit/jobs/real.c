@@ -45,9 +45,8 @@ static double lone_loss(void *context, const struct mo_bits *genotype,
   struct mo_pack *pack = NULL;
   if (mo_pack_create(controller, mo_isa_best(), MO_FLOAT32, &pack) == MO_OK &&
       mo_body_create(alone->lattice, genotype->words, &body) == MO_OK)
-    CHECK_INT(
-        mo_rollout_block(alone->memory, pack, body, &environment, 1, physics, NULL, NULL, &outcome),
-        MO_OK);
+    CHECK_OK(mo_rollout_block(alone->memory, pack, body, &environment, 1, physics, NULL, NULL,
+                              &outcome));
   mo_body_free(body);
   mo_pack_free(pack);
   return outcome.loss;
@@ -68,7 +67,7 @@ static void lone_gradient(void *context, const struct mo_controller *controller,
                                     .restart_weight = RESTART_WEIGHT,
                                     .d_parameters = d_parameters,
                                     .outcomes = outcomes};
-  CHECK_INT(mo_compute_gradient(alone->gradients, &batch), MO_OK);
+  CHECK_OK(mo_compute_gradient(alone->gradients, &batch));
   *counts = batch.counts;
 }
 
@@ -79,13 +78,11 @@ static void evaluates(void)
   enum { BODIES = 12, STEPS = 150 };
   static const uint32_t workers[] = {2, 1, WORKERS};
   struct alone alone = {NULL};
-  struct service service;
-  const struct mo_bits *genotypes;
   struct mo_bits reversed[BODIES];
   struct mo_environment paper[MO_PAPER_TEST_COUNT];
-  REQUIRE(open_alone(&alone) == MO_OK);
-  REQUIRE(service_begin(&service) == MO_OK);
-  genotypes = bodies(&service, 3, BODIES);
+  REQUIRE_OK(open_alone(&alone));
+  REQUIRE_OK(service_begin());
+  const struct mo_bits *genotypes = bodies(3, BODIES);
   mo_environment_paper_test(paper);
   for (int i = 0; i < BODIES; i++)
     reversed[i] = genotypes[BODIES - 1 - i];
@@ -94,16 +91,15 @@ static void evaluates(void)
         service_request(round == 1 ? reversed : genotypes, round == 0 ? BODIES / 2 : BODIES);
     struct mo_evaluation_results *results = NULL;
     struct mo_trajectory *trajectory = NULL;
-    int64_t id;
     service.n_workers = workers[round];
-    REQUIRE(service_reopen(&service) == MO_OK);
+    REQUIRE_OK(service_reopen());
     request.physics.n_steps = STEPS;
     request.verify = round > 0; /* computed again, in other company */
     request.record = round == 2 ? MO_RECORD_COM : 0;
     request.record_stride = 50;
-    id = service_submit(&service, &request);
-    CHECK(succeeds(&service, id, NULL));
-    REQUIRE(mo_store_results(service.fixture.store, id, &results) == MO_OK);
+    int64_t id = submit_evaluation(&request);
+    CHECK(succeeds(id, NULL));
+    REQUIRE_OK(mo_store_results(store, id, &results));
     for (uint32_t n = 0; n < request.n_designs; n++) {
       for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
         CHECK(same_number(lone_loss(&alone, &request.genotypes[n], default_weights(), &paper[k],
@@ -115,14 +111,13 @@ static void evaluates(void)
     mo_evaluation_results_free(results);
     if (round < 2)
       continue;
-    REQUIRE(mo_store_trajectory(service.fixture.store, id, 0, 0, &trajectory) == MO_OK);
+    REQUIRE_OK(mo_store_trajectory(store, id, 0, 0, &trajectory));
     CHECK_INT(trajectory->n_frames, STEPS / 50 + 1);
     CHECK(trajectory->recording.com_m[2] > 0 && trajectory->recording.com_m[0] > 1.5 &&
           trajectory->recording.com_m[0] < 3.5);
     mo_trajectory_free(trajectory);
   }
   close_alone(&alone);
-  service_end(&service);
 }
 
 /* ---- campaigns ---- */
@@ -135,10 +130,8 @@ static void check_mode(struct alone *alone, enum mo_campaign_mode mode, uint32_t
   struct plain plain = {lone_loss, lone_gradient, alone, NULL};
   struct mo_environment paper[MO_PAPER_TEST_COUNT];
   struct mo_controller_record record;
-  struct service service;
   struct origin origin;
   char digits[MO_SHA256_DIGITS + 1];
-  int64_t id;
   settings->population = 6;
   settings->generations = 2;
   settings->physics.n_steps = 30;
@@ -149,29 +142,28 @@ static void check_mode(struct alone *alone, enum mo_campaign_mode mode, uint32_t
   settings->learning.restart_weight = RESTART_WEIGHT;
   snprintf(request.record.environment_set, sizeof(request.record.environment_set), "paper-test");
   mo_environment_paper_test(paper);
-  REQUIRE(service_begin(&service) == MO_OK);
+  REQUIRE_OK(service_begin());
   service.n_workers = n_workers;
   service.config.version = "1";
-  REQUIRE(service_open(&service) == MO_OK);
-  REQUIRE(mo_store_controller(service.fixture.store, "default", &record) == MO_OK);
+  REQUIRE_OK(service_open());
+  REQUIRE_OK(mo_store_controller(store, "default", &record));
   mo_sha256_to_hex(&record.sha256, digits);
   plain.code_version = mo_jobs_code_version(service.jobs, MO_ON_CPU);
-  id = submit_campaign(&service, &request);
-  CHECK(succeeds(&service, id, NULL));
+  int64_t id = submit_campaign(&request);
+  CHECK(succeeds(id, NULL));
   origin = (struct origin){.settings = *settings,
                            .environments = paper,
                            .n_environments = MO_PAPER_TEST_COUNT,
                            .controller = mode == MO_SIMULTANEOUS ? NULL : default_weights(),
                            .digits = mode == MO_SIMULTANEOUS ? NULL : digits};
-  CHECK(is_as_plain(service.fixture.store, id, &plain, &origin));
-  service_end(&service);
+  CHECK(is_as_plain(id, &plain, &origin));
 }
 
 static void evolves(void)
 {
   static const uint32_t workers[] = {1, 2, WORKERS};
   struct alone alone = {NULL};
-  REQUIRE(open_alone(&alone) == MO_OK);
+  REQUIRE_OK(open_alone(&alone));
   for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++)
     for (int i = mode == MO_ZERO_SHOT ? 1 : 0; i < 3; i += 2)
       check_mode(&alone, (enum mo_campaign_mode)mode, workers[(i + mode) % 3]);

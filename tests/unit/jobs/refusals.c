@@ -6,9 +6,9 @@
   do {                                                                                             \
     bad = good;                                                                                    \
     __VA_ARGS__;                                                                                   \
-    CHECK_INT(submit(service, &bad), error);                                                       \
-    if (strstr(service->fixture.message.text, words) == NULL) {                                    \
-      printf("# \"%s\" lacks \"%s\"\n", service->fixture.message.text, words);                     \
+    CHECK_INT(submit(&bad), error);                                                                \
+    if (strstr(fixture.message.text, words) == NULL) {                                             \
+      printf("# \"%s\" lacks \"%s\"\n", fixture.message.text, words);                              \
       CHECK(false);                                                                                \
     }                                                                                              \
   } while (0)
@@ -16,59 +16,55 @@
 SERVICE_CASE(of_evaluations, 0)
 {
   struct mo_bits apart = {{0x8001}}, none = {{0}};
-  const struct mo_bits *genotypes;
   struct mo_evaluation_request good, bad;
   struct mo_environment environment;
-  int64_t id;
-  service->config.max_open_jobs = 2;
-  service->config.max_open_rollouts = 300;
-  REQUIRE(service_reopen(service) == MO_OK);
-  genotypes = bodies(service, 9, 40);
+  service.config.max_open_jobs = 2;
+  service.config.max_open_rollouts = 300;
+  REQUIRE_OK(service_reopen());
+  const struct mo_bits *genotypes = bodies(9, 40);
   fake_plan.delay_us = 20000;
   good = service_request(genotypes, 20);
   good.idempotency_key = "k";
-  id = service_submit(service, &good);
+  int64_t id = submit_evaluation(&good);
   CHECK(id > 0);
-  REFUSED(service_submit, MO_ERR_BUSY, "rollouts are waiting", bad.idempotency_key = NULL);
+  REFUSED(submit_evaluation, MO_ERR_BUSY, "rollouts are waiting", bad.idempotency_key = NULL);
   bad.n_designs = 1;
-  CHECK(service_submit(service, &bad) > 0);
-  CHECK_INT(service_submit(service, &bad), MO_ERR_BUSY);
-  CHECK_INT(service_submit(service, &good), id); /* a known key is answered even now */
-  REFUSED(service_submit, MO_ERR_CONFLICT, "key", mo_sha256_of("x", 1, &bad.body_sha256));
-  CHECK_INT(mo_jobs_cancel(service->jobs, id), MO_OK);
+  CHECK(submit_evaluation(&bad) > 0);
+  CHECK_INT(submit_evaluation(&bad), MO_ERR_BUSY);
+  CHECK_INT(submit_evaluation(&good), id); /* a known key is answered even now */
+  REFUSED(submit_evaluation, MO_ERR_CONFLICT, "key", mo_sha256_of("x", 1, &bad.body_sha256));
+  CHECK_OK(mo_jobs_cancel(service.jobs, id));
   good = service_request(genotypes, 1);
-  REFUSED(service_submit, MO_ERR_NOT_FOUND, "nobody", bad.controller = "nobody");
-  REFUSED(service_submit, MO_ERR_NOT_FOUND, "elsewhere", bad.environment_set = "elsewhere");
-  REFUSED(service_submit, MO_ERR_RANGE, "1 to", bad.n_designs = 0);
-  REFUSED(service_submit, MO_ERR_INVALID, "design 0 is empty", bad.genotypes = &none);
-  REFUSED(service_submit, MO_ERR_INVALID, "not in one piece", bad.genotypes = &apart);
+  REFUSED(submit_evaluation, MO_ERR_NOT_FOUND, "nobody", bad.controller = "nobody");
+  REFUSED(submit_evaluation, MO_ERR_NOT_FOUND, "elsewhere", bad.environment_set = "elsewhere");
+  REFUSED(submit_evaluation, MO_ERR_RANGE, "1 to", bad.n_designs = 0);
+  REFUSED(submit_evaluation, MO_ERR_INVALID, "design 0 is empty", bad.genotypes = &none);
+  REFUSED(submit_evaluation, MO_ERR_INVALID, "not in one piece", bad.genotypes = &apart);
   mo_environment_training(1, 0, 0, &environment);
   environment.terrain_heights_m[5] = NAN;
-  REFUSED(service_submit, MO_ERR_INVALID, "environment 0", bad.environment_set = NULL,
+  REFUSED(submit_evaluation, MO_ERR_INVALID, "environment 0", bad.environment_set = NULL,
           bad.environments = &environment, bad.n_environments = 1);
-  REFUSED(service_submit, MO_ERR_RANGE, "dt_s", bad.physics.dt_s = -1);
-  REFUSED(service_submit, MO_ERR_RANGE, "stride", bad.record = MO_RECORD_COM,
+  REFUSED(submit_evaluation, MO_ERR_RANGE, "dt_s", bad.physics.dt_s = -1);
+  REFUSED(submit_evaluation, MO_ERR_RANGE, "stride", bad.record = MO_RECORD_COM,
           bad.record_stride = 0);
 }
 
 SERVICE_CASE(of_trainings, 0)
 {
   struct mo_bits apart = {{0x8001}};
-  const struct mo_bits *genotypes;
   struct mo_training_request good = pretraining(""), bad;
-  int64_t id;
-  service->config.max_open_jobs = 1;
-  REQUIRE(service_reopen(service) == MO_OK);
-  genotypes = bodies(service, 9, 4);
+  service.config.max_open_jobs = 1;
+  REQUIRE_OK(service_reopen());
+  const struct mo_bits *genotypes = bodies(9, 4);
   fake_plan.gradient_delay_us = 1000000;
   good.idempotency_key = "k";
-  id = submit_training(service, &good);
+  int64_t id = submit_training(&good);
   CHECK(id > 0);
-  CHECK_INT(submit_training(service, &good), id);
+  CHECK_INT(submit_training(&good), id);
   REFUSED(submit_training, MO_ERR_CONFLICT, "key", mo_sha256_of("x", 1, &bad.body_sha256));
   good.idempotency_key = NULL;
   REFUSED(submit_training, MO_ERR_BUSY, "jobs are open", (void)0);
-  CHECK_INT(mo_jobs_cancel(service->jobs, id), MO_OK);
+  CHECK_OK(mo_jobs_cancel(service.jobs, id));
   REFUSED(submit_training, MO_ERR_RANGE, "batch", bad.record.settings.batch = 0);
   REFUSED(submit_training, MO_ERR_RANGE, "steps", bad.record.settings.n_steps = 1000000000);
   REFUSED(submit_training, MO_ERR_RANGE, "peak", bad.record.settings.learning.schedule.peak = -1);
@@ -86,7 +82,7 @@ SERVICE_CASE(of_trainings, 0)
   REFUSED(submit_training, MO_ERR_RANGE, "1 to 10000 designs", bad.record.n_designs = 0);
   REFUSED(submit_training, MO_ERR_INVALID, "one piece", bad.genotypes = &apart,
           bad.record.n_designs = 1);
-  CHECK_INT(mo_jobs_stop(service->jobs, 5000), MO_OK);
+  CHECK_OK(mo_jobs_stop(service.jobs, 5000));
   good = pretraining("");
   REFUSED(submit_training, MO_ERR_CANCELLED, "stopping", (void)0);
 }
@@ -94,23 +90,19 @@ SERVICE_CASE(of_trainings, 0)
 /* The position of the listed design at fault in the last request. */
 static uint32_t fault;
 
-static int64_t submit_listed(struct service *service, const struct mo_campaign_request *request)
+static int64_t submit_listed(const struct mo_campaign_request *request)
 {
   int64_t id = 0;
   bool replayed;
-  return mo_jobs_submit_campaign(service->jobs, request, &id, &replayed, &fault,
-                                 &service->fixture.message);
+  return mo_jobs_submit_campaign(service.jobs, request, &id, &replayed, &fault, &fixture.message);
 }
 
 SERVICE_CASE(of_campaigns, 1)
 {
   struct mo_bits listed[3];
-  const struct mo_bits *genotypes;
   struct mo_campaign_request good = campaign(MO_ZERO_SHOT), bad;
   struct mo_environment wrong = {.light_xy_m = {NAN, 0}};
-  struct mo_campaign_status status;
-  int64_t id;
-  genotypes = bodies(service, 3, 3);
+  const struct mo_bits *genotypes = bodies(3, 3);
   for (int i = 0; i < 3; i++)
     REFUSED(submit_campaign, MO_ERR_RANGE, "population must be at least 2",
             bad.record.settings.population = (const uint32_t[]){0, 1, 100000000}[i]);
@@ -131,7 +123,7 @@ SERVICE_CASE(of_campaigns, 1)
           bad.record.settings = campaign(MO_FEW_SHOT).record.settings);
   listed[0] = genotypes[0];
   listed[1] = genotypes[1];
-  REQUIRE(mo_genotype_image(MO_DEFAULT_WORKSPACE, genotypes[0].words, 3, listed[2].words) == MO_OK);
+  REQUIRE_OK(mo_genotype_image(MO_DEFAULT_WORKSPACE, genotypes[0].words, 3, listed[2].words));
   good.genotypes = listed;
   REFUSED(submit_listed, MO_ERR_DUPLICATE, "design 2 has the form of an earlier one",
           bad.record.n_listed = 3);
@@ -146,20 +138,20 @@ SERVICE_CASE(of_campaigns, 1)
   good.idempotency_key = "once";
   good.record.replicates = 3;
   fake_plan.delay_us = 1000000;
-  id = submit_campaign(service, &good);
-  CHECK_INT(submit_campaign(service, &good), id);
-  status = status_of(service, id + 2);
+  int64_t id = submit_campaign(&good);
+  CHECK_INT(submit_campaign(&good), id);
+  struct mo_campaign_status status = status_of(id + 2);
   CHECK_INT(status.record.settings.seed, good.record.settings.seed + 2);
   CHECK_INT(status.record.group, id);
-  CHECK_INT(mo_store_campaign(service->fixture.store, id + 3, &status), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign(store, id + 3, &status), MO_ERR_NOT_FOUND);
   REFUSED(submit_campaign, MO_ERR_CONFLICT, "has no population yet", bad.idempotency_key = NULL,
           bad.record.initial_campaign = id);
   for (int i = 0; i < 3; i++)
-    CHECK_INT(mo_jobs_cancel(service->jobs, id + i), MO_OK);
-  CHECK_INT(idle_stats(service).open_jobs, 0);
-  CHECK_INT(mo_jobs_stop(service->jobs, 5000), MO_OK);
+    CHECK_OK(mo_jobs_cancel(service.jobs, id + i));
+  CHECK_INT(idle_stats().open_jobs, 0);
+  CHECK_OK(mo_jobs_stop(service.jobs, 5000));
   REFUSED(submit_campaign, MO_ERR_CANCELLED, "stopping", bad.idempotency_key = NULL);
-  CHECK_INT(extend(service, id, 1), MO_ERR_CANCELLED);
+  CHECK_INT(extend(id, 1), MO_ERR_CANCELLED);
 }
 
 static const struct check_case cases[] = {

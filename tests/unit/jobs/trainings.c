@@ -6,83 +6,77 @@
 SERVICE_CASE(learns, 1)
 {
   struct mo_training_request request = pretraining("walker");
-  struct mo_training_status status;
   struct mo_training_step_row rows[STEPS + 1];
   struct mo_training_validation_row validations[10];
   struct mo_checkpoint_row checkpoints[10];
   struct mo_controller_record record;
   struct mo_event events[60];
-  struct mo_jobs_stats stats;
   struct mo_held_out held_out;
   char *metadata = NULL;
   int progress;
-  int64_t id, n;
   double seconds = -now_s();
-  id = submit_training(service, &request);
-  CHECK(learns_to(service, id, undisturbed()));
+  int64_t id = submit_training(&request);
+  CHECK(learns_to(id, undisturbed()));
   seconds += now_s();
-  CHECK_INT(job_of(service, id).steps_done, STEPS);
-  CHECK_INT(mo_store_controller(service->fixture.store, "walker", &record), MO_OK);
+  CHECK_INT(job_of(id).steps_done, STEPS);
+  CHECK_OK(mo_store_controller(store, "walker", &record));
   CHECK(mo_sha256_equal(&record.sha256, undisturbed()));
-  CHECK_INT(mo_store_controller_metadata(service->fixture.store, undisturbed(), &metadata), MO_OK);
+  CHECK_OK(mo_store_controller_metadata(store, undisturbed(), &metadata));
   CHECK(metadata != NULL && strstr(metadata, "\"morphod.version\":\"fake gradient\"") != NULL &&
         strstr(metadata, "\"morphod.parent\":\"random\"") != NULL);
   free(metadata);
   /* The curve has every step, the validations those that were asked for, with the first and the
    * last. */
-  CHECK_INT(mo_store_training_steps(service->fixture.store, id, 0, 1, rows, STEPS + 1), STEPS);
+  CHECK_INT(mo_store_training_steps(store, id, 0, 1, rows, STEPS + 1), STEPS);
   CHECK(rows[0].report.step == 1 && rows[STEPS - 1].report.step == STEPS &&
         rows[0].report.rate > 0 && rows[0].report.mean_loss > 0 &&
         rows[0].report.clipped_share > 0);
-  n = mo_store_training_validations(service->fixture.store, id, -1, validations, 10);
+  int64_t n = mo_store_training_validations(store, id, -1, validations, 10);
   CHECK_INT(n, 3);
   CHECK(validations[0].step == 0 && validations[1].step == 10 && validations[2].step == STEPS);
   for (int64_t i = 0; i < n; i++)
     CHECK(validations[i].rollouts == 60 && validations[i].mean_score > 0 &&
           validations[i].mean_score < 1);
-  CHECK_INT(mo_store_checkpoints(service->fixture.store, id, checkpoints, 10), 2);
+  CHECK_INT(mo_store_checkpoints(store, id, checkpoints, 10), 2);
   CHECK(checkpoints[0].step == STEPS && checkpoints[1].step == 12);
-  progress = count_events(service, id, "training.progress");
+  progress = count_events(id, "training.progress");
   CHECK(progress >= 5 &&
         progress <= 6 + seconds); /* before each checkpoint and validation, and one per second */
-  n = mo_store_events(service->fixture.store, 0, id, events, 60, NULL, NULL);
+  n = mo_store_events(store, 0, id, events, 60, NULL, NULL);
   CHECK_TEXT(events[0].type, "job.created");
   CHECK_TEXT(events[1].type, "job.started");
   CHECK_TEXT(events[n - 1].type, "job.finished");
-  stats = idle_stats(service);
+  struct mo_jobs_stats stats = idle_stats();
   CHECK_INT(stats.training_steps, STEPS);
   CHECK_INT(stats.training_robots, STEPS * BATCH);
   CHECK_INT(stats.training_checkpoints, 3);
   CHECK_INT(stats.training_validations, 3);
   CHECK_INT(stats.jobs_succeeded, 1);
   CHECK_INT(stats.open_jobs, 0);
-  CHECK(await_phase(service, id, MO_PHASE_IDLE)); /* its thread follows in a moment */
+  CHECK(await_phase(id, MO_PHASE_IDLE)); /* its thread follows in a moment */
   /* What it was validated on. */
-  status = training_of(service, id);
-  CHECK_INT(mo_held_out_load(service->fixture.store, &status, &held_out), MO_OK);
+  struct mo_training_status status = training_of(id);
+  CHECK_OK(mo_held_out_load(store, &status, &held_out));
   CHECK(held_out.n_designs == 3 && held_out.n_environments == 20);
   mo_held_out_free(&held_out);
   CHECK_INT(status.step, STEPS);
   CHECK_INT(warnings, 0);
-  CHECK_INT(mo_store_check(service->fixture.store, &service->fixture.message), MO_OK);
+  CHECK_OK(check_whole());
 }
 
 /* Trains several at once, so many side by side. Returns the order of their steps. */
 static size_t train(uint32_t side_by_side, int n, int64_t *ids, int64_t *tags)
 {
-  struct service service;
   struct mo_training_request request = pretraining("");
-  size_t n_steps;
   request.record.validate_every_steps = request.record.checkpoint_every_steps = 0;
-  CHECK_INT(service_start(&service, side_by_side), MO_OK);
+  CHECK_OK(service_start(side_by_side));
   fake_plan.gradient_delay_us = 5000;
   for (int i = 0; i < n; i++)
-    ids[i] = submit_training(&service, &request);
+    ids[i] = submit_training(&request);
   for (int i = 0; i < n; i++)
-    CHECK(succeeds(&service, ids[i], NULL));
-  n_steps = fake_history(tags, 4 * STEPS + 1);
+    CHECK(succeeds(ids[i], NULL));
+  size_t n_steps = fake_history(tags, 4 * STEPS + 1);
   CHECK_INT(n_steps, n * STEPS);
-  service_end(&service);
   return n_steps;
 }
 
@@ -104,23 +98,19 @@ static void takes_turns(void)
 SERVICE_CASE(validates_as_an_evaluation_does, 1)
 {
   struct mo_training_request request = pretraining("");
-  struct mo_training_validation_row row;
-  struct mo_training_status status;
   struct mo_controller *controller = NULL;
   struct mo_held_out held_out;
   uint8_t *bytes = NULL;
   size_t size = 0;
   double scores[3], mean = 0, deviation = 0;
   uint32_t kept = 0, diverged = 0;
-  int64_t id;
-  id = submit_training(service, &request);
-  CHECK(succeeds(service, id, NULL));
-  status = training_of(service, id);
-  row = status.validation;
-  REQUIRE(mo_store_controller_bytes(service->fixture.store, &status.result_sha256, &bytes, &size) ==
-          MO_OK);
-  REQUIRE(mo_controller_decode(bytes, size, &controller, NULL) == MO_OK);
-  REQUIRE(mo_held_out_load(service->fixture.store, &status, &held_out) == MO_OK);
+  int64_t id = submit_training(&request);
+  CHECK(succeeds(id, NULL));
+  struct mo_training_status status = training_of(id);
+  struct mo_training_validation_row row = status.validation;
+  REQUIRE_OK(mo_store_controller_bytes(store, &status.result_sha256, &bytes, &size));
+  REQUIRE_OK(mo_controller_decode(bytes, size, &controller, NULL));
+  REQUIRE_OK(mo_held_out_load(store, &status, &held_out));
   for (uint32_t d = 0; d < 3; d++) {
     uint32_t before = diverged;
     double sum = 0;
@@ -154,31 +144,28 @@ SERVICE_CASE(validates_as_an_evaluation_does, 1)
 
 SERVICE_CASE(tunes_a_population, 1)
 {
-  const struct mo_bits *genotypes;
   struct mo_bits *best = NULL;
   struct mo_training_request request = pretraining("tuned");
-  struct mo_training_status status;
   struct mo_held_out held_out;
-  struct mo_sha256 expected;
   struct mo_job job;
-  int64_t scored, id;
   uint32_t n = 0;
-  genotypes = bodies(service, 31, 30);
-  scored = evaluate(service, genotypes, 30);
-  CHECK(succeeds(service, scored, NULL));
+  const struct mo_bits *genotypes = bodies(31, 30);
+  int64_t scored = evaluate(genotypes, 30);
+  CHECK(succeeds(scored, NULL));
   request.record.settings.kind = MO_TRAINING_FINETUNE;
   request.population = scored;
   request.population_best = 5;
-  id = submit_training(service, &request);
-  CHECK(succeeds(service, id, NULL));
-  REQUIRE(mo_store_population(service->fixture.store, scored, 5, &best, &n) == MO_OK && n == 5);
-  expected = expect(&request, default_weights(), default_digits(), best, n, &one_code);
-  CHECK(learns_to(service, id, &expected));
-  status = training_of(service, id);
+  int64_t id = submit_training(&request);
+  CHECK(succeeds(id, NULL));
+  REQUIRE(mo_store_population(store, scored, 5, &best, &n) == MO_OK && n == 5);
+  struct mo_sha256 expected =
+      expect(&request, default_weights(), default_digits(), best, n, &one_code);
+  CHECK(learns_to(id, &expected));
+  struct mo_training_status status = training_of(id);
   CHECK(status.record.population == scored && status.record.n_designs == 5 &&
         status.record.has_parent);
   CHECK_TEXT(status.record.parent_name, "default");
-  CHECK_INT(mo_held_out_load(service->fixture.store, &status, &held_out), MO_OK);
+  CHECK_OK(mo_held_out_load(store, &status, &held_out));
   CHECK(held_out.n_designs == 3 && memcmp(held_out.genotypes, best, 3 * sizeof(*best)) == 0);
   mo_held_out_free(&held_out);
   /* From the result, on designs that are listed. */
@@ -187,7 +174,7 @@ SERVICE_CASE(tunes_a_population, 1)
   request.genotypes = genotypes;
   request.record.n_designs = 7;
   snprintf(request.record.name, sizeof(request.record.name), "again");
-  CHECK(succeeds(service, submit_training(service, &request), &job));
+  CHECK(succeeds(submit_training(&request), &job));
   CHECK(mo_sha256_equal(&job.controller_sha256, &expected));
   free(best);
 }

@@ -11,46 +11,40 @@ static bool await_weight(int64_t id, double weight)
 SERVICE_CASE(of_evaluations, 0)
 {
   enum { BODIES = 160 };
-  const struct mo_bits *genotypes;
-  struct mo_evaluation_request request;
   struct mo_job job;
-  int64_t light, heavy;
-  genotypes = bodies(service, 31, 2 * BODIES);
+  const struct mo_bits *genotypes = bodies(31, 2 * BODIES);
   fake_plan.delay_us = 2000;
-  light = evaluate(service, genotypes, BODIES);
-  request = service_request(genotypes + BODIES, BODIES);
+  int64_t light = evaluate(genotypes, BODIES);
+  struct mo_evaluation_request request = service_request(genotypes + BODIES, BODIES);
   request.weight = 3;
-  heavy = service_submit(service, &request);
+  int64_t heavy = submit_evaluation(&request);
   REQUIRE(light > 0 && heavy > 0);
   CHECK(await_weight(heavy, 3) && await_weight(light, 1));
   CHECK_INT(fake_shares(), 2);
-  CHECK_INT(mo_jobs_set_weight(service->jobs, light, 27), MO_OK);
+  CHECK_OK(mo_jobs_set_weight(service.jobs, light, 27));
   CHECK(await_weight(light, 27));
   fake_plan.delay_us = 0;
-  CHECK(succeeds(service, light, &job));
+  CHECK(succeeds(light, &job));
   CHECK(job.weight == 27);
-  CHECK(succeeds(service, heavy, &job));
+  CHECK(succeeds(heavy, &job));
   CHECK(job.weight == 3);
-  CHECK(right(service, light, genotypes) && right(service, heavy, genotypes + BODIES));
-  CHECK_INT(mo_jobs_set_weight(service->jobs, light, 1), MO_ERR_CONFLICT);
+  CHECK(right(light, genotypes) && right(heavy, genotypes + BODIES));
+  CHECK_INT(mo_jobs_set_weight(service.jobs, light, 1), MO_ERR_CONFLICT);
   CHECK(AWAIT(fake_shares() == 0));
-  CHECK(stats_of(service).worker_s[MO_JOB_EVALUATION] > 0);
+  CHECK(stats_of().worker_s[MO_JOB_EVALUATION] > 0);
 }
 
 /* What is known of an evaluation while it runs: how much is done, how fast, how long it takes. */
 SERVICE_CASE(pace_of_an_evaluation, 0)
 {
   enum { BODIES = 200, ROLLOUTS = BODIES * MO_PAPER_TEST_COUNT };
-  const struct mo_bits *genotypes = bodies(service, 32, BODIES);
+  const struct mo_bits *genotypes = bodies(32, BODIES);
   const double begin = now_s();
   struct mo_live live;
-  struct mo_job job;
-  uint64_t before;
-  int64_t id;
   fake_plan.delay_us = 20000;
-  id = evaluate(service, genotypes, BODIES);
-  CHECK(live_of(service, id).rate == 0 && live_of(service, id).seconds_left < 0);
-  REQUIRE(AWAIT((live = live_of(service, id)).rate > 0));
+  const int64_t id = evaluate(genotypes, BODIES);
+  CHECK(live_of(id).rate == 0 && live_of(id).seconds_left < 0);
+  REQUIRE(AWAIT((live = live_of(id)).rate > 0));
   CHECK(now_s() - begin >= 0.5);
   CHECK_INT(live.phase, MO_PHASE_SCORE);
   CHECK(live.done > 0 && live.done < ROLLOUTS);
@@ -59,17 +53,17 @@ SERVICE_CASE(pace_of_an_evaluation, 0)
   CHECK(live.rate <= (double)(live.done + MO_BLOCK_LANES) / 0.5);
   CHECK(fabs(live.seconds_left * live.rate - (double)(ROLLOUTS - live.done)) < 1e-6 * ROLLOUTS);
   /* Paused: nothing is known. Continued: nothing done is counted as fast. */
-  CHECK_INT(mo_jobs_pause(service->jobs, id), MO_OK);
-  REQUIRE(AWAIT((live = live_of(service, id)).busy_s < 0));
+  CHECK_OK(mo_jobs_pause(service.jobs, id));
+  REQUIRE(AWAIT((live = live_of(id)).busy_s < 0));
   CHECK(live.phase == MO_PHASE_IDLE && live.rate == 0 && live.seconds_left < 0);
-  before = job_of(service, id).rollouts_done;
-  CHECK_INT(mo_jobs_resume(service->jobs, id), MO_OK);
-  REQUIRE(AWAIT((live = live_of(service, id)).rate > 0));
+  const uint64_t before = job_of(id).rollouts_done;
+  CHECK_OK(mo_jobs_resume(service.jobs, id));
+  REQUIRE(AWAIT((live = live_of(id)).rate > 0));
   CHECK(live.done >= before);
   CHECK(live.rate <= (double)(live.done - before + MO_BLOCK_LANES) / 0.5);
   fake_plan.delay_us = 0;
-  CHECK(succeeds(service, id, &job));
-  CHECK(await_phase(service, id, MO_PHASE_IDLE));
+  CHECK(succeeds(id, NULL));
+  CHECK(await_phase(id, MO_PHASE_IDLE));
 }
 
 /* The list of running jobs: those of batch priority, the heaviest first, then the newest. */
@@ -78,100 +72,92 @@ SERVICE_CASE(what_runs, 0)
   enum { BODIES = 100, N = 4 };
   static const double weights[N] = {1, 0.5, 3, 1};
   static const int order[N] = {2, 3, 0, 1};
-  const struct mo_bits *genotypes = bodies(service, 33, (N + 1) * BODIES);
-  struct mo_evaluation_request request;
+  const struct mo_bits *genotypes = bodies(33, (N + 1) * BODIES);
   struct mo_running rows[N + 1];
-  int64_t ids[N], quick;
+  int64_t ids[N];
   fake_plan.delay_us = 200000;
-  CHECK_INT(mo_jobs_running(service->jobs, rows, N + 1), 0);
+  CHECK_INT(mo_jobs_running(service.jobs, rows, N + 1), 0);
   for (int i = 0; i < N; i++) {
-    request = service_request(genotypes + (size_t)i * BODIES, BODIES);
+    struct mo_evaluation_request request = service_request(genotypes + (size_t)i * BODIES, BODIES);
     request.weight = weights[i];
     request.label = i == 2 ? "heavy" : NULL;
-    ids[i] = service_submit(service, &request);
+    ids[i] = submit_evaluation(&request);
   }
-  request = service_request(genotypes + (size_t)N * BODIES, 1);
-  quick = service_submit(service, &request);
-  REQUIRE(AWAIT(live_of(service, quick).phase == MO_PHASE_SCORE));
-  CHECK_INT(job_of(service, quick).priority, MO_INTERACTIVE);
-  REQUIRE(AWAIT(mo_jobs_running(service->jobs, rows, N + 1) == N));
+  const int64_t quick = evaluate(genotypes + (size_t)N * BODIES, 1);
+  REQUIRE(AWAIT(live_of(quick).phase == MO_PHASE_SCORE));
+  CHECK_INT(job_of(quick).priority, MO_INTERACTIVE);
+  REQUIRE(AWAIT(mo_jobs_running(service.jobs, rows, N + 1) == N));
   for (int i = 0; i < N; i++) {
     CHECK_INT(rows[i].id, ids[order[i]]);
     CHECK_INT(rows[i].kind, MO_JOB_EVALUATION);
     CHECK(rows[i].weight == weights[order[i]]);
-    CHECK(strcmp(rows[i].label, order[i] == 2 ? "heavy" : "") == 0);
+    CHECK_TEXT(rows[i].label, order[i] == 2 ? "heavy" : "");
     CHECK_INT(rows[i].live.total, BODIES * MO_PAPER_TEST_COUNT);
   }
   for (size_t limit = 0; limit <= N; limit++) {
-    CHECK_INT(mo_jobs_running(service->jobs, rows, limit), limit);
+    CHECK_INT(mo_jobs_running(service.jobs, rows, limit), limit);
     for (size_t i = 0; i < limit; i++)
       CHECK_INT(rows[i].id, ids[order[i]]);
   }
-  CHECK_INT(mo_jobs_pause(service->jobs, ids[2]), MO_OK);
-  CHECK(AWAIT(mo_jobs_running(service->jobs, rows, N + 1) == N - 1));
+  CHECK_OK(mo_jobs_pause(service.jobs, ids[2]));
+  CHECK(AWAIT(mo_jobs_running(service.jobs, rows, N + 1) == N - 1));
   CHECK_INT(rows[0].id, ids[3]);
 }
 
 SERVICE_CASE(of_a_training, 1)
 {
   struct mo_training_request request = pretraining("weighed");
-  struct mo_live live;
-  struct mo_jobs_stats stats;
   struct mo_job job;
-  int64_t id;
   fake_plan.gradient_delay_us = 4000;
   request.weight = 2.5;
-  id = submit_training(service, &request);
-  REQUIRE(id > 0 && await_step(service, id, 1));
+  int64_t id = submit_training(&request);
+  REQUIRE(id > 0 && await_step(id, 1));
   CHECK(fake_weight(id) == 2.5);
   CHECK_INT(fake_shares(), 1);
-  live = live_of(service, id);
-  CHECK(live.busy_s > 0);
-  CHECK_INT(mo_jobs_set_weight(service->jobs, id, 7), MO_OK);
-  CHECK_INT(mo_jobs_set_weight(service->jobs, id, 7), MO_OK);
+  CHECK(live_of(id).busy_s > 0);
+  CHECK_OK(mo_jobs_set_weight(service.jobs, id, 7));
+  CHECK_OK(mo_jobs_set_weight(service.jobs, id, 7));
   CHECK(await_weight(id, 7));
-  CHECK_INT(mo_jobs_pause(service->jobs, id), MO_OK);
-  REQUIRE(await_phase(service, id, MO_PHASE_IDLE));
-  CHECK(live_of(service, id).busy_s < 0);
+  CHECK_OK(mo_jobs_pause(service.jobs, id));
+  REQUIRE(await_phase(id, MO_PHASE_IDLE));
+  CHECK(live_of(id).busy_s < 0);
   CHECK_INT(fake_shares(), 0);
-  CHECK(stats_of(service).worker_s[MO_JOB_TRAINING] > 0);
-  CHECK_INT(mo_jobs_set_weight(service->jobs, id, 0.5), MO_OK); /* while it waits */
-  CHECK_INT(mo_jobs_resume(service->jobs, id), MO_OK);
+  CHECK(stats_of().worker_s[MO_JOB_TRAINING] > 0);
+  CHECK_OK(mo_jobs_set_weight(service.jobs, id, 0.5)); /* while it waits */
+  CHECK_OK(mo_jobs_resume(service.jobs, id));
   CHECK(await_weight(id, 0.5));
-  service_close(service);
+  service_close();
   CHECK_INT(fake_shares(), 0);
-  REQUIRE(service_open(service) == MO_OK); /* and after a restart */
-  CHECK_INT(mo_jobs_set_weight(service->jobs, id, 4), MO_OK);
+  REQUIRE_OK(service_open()); /* and after a restart */
+  CHECK_OK(mo_jobs_set_weight(service.jobs, id, 4));
   fake_plan.gradient_delay_us = 0;
-  CHECK(succeeds(service, id, &job));
+  CHECK(succeeds(id, &job));
   CHECK(job.weight == 4 && fake_weight(id) == 4);
-  CHECK(learns_to(service, id, undisturbed()));
-  CHECK_INT(mo_jobs_set_weight(service->jobs, id, 1), MO_ERR_CONFLICT);
-  REQUIRE(await_phase(service, id, MO_PHASE_IDLE));
-  stats = stats_of(service);
+  CHECK(learns_to(id, undisturbed()));
+  CHECK_INT(mo_jobs_set_weight(service.jobs, id, 1), MO_ERR_CONFLICT);
+  REQUIRE(await_phase(id, MO_PHASE_IDLE));
+  struct mo_jobs_stats stats = stats_of();
   CHECK(stats.worker_s[MO_JOB_TRAINING] > 0 && stats.worker_s[MO_JOB_EVALUATION] == 0);
-  CHECK_INT(count_events(service, id, "job.weight"), 3); /* the same weight again is none */
+  CHECK_INT(count_events(id, "job.weight"), 3); /* the same weight again is none */
 }
 
 SERVICE_CASE(wrong_weights, 0)
 {
   static const double wrong[] = {-1, 0.0009, 1000.1, NAN, INFINITY};
-  struct mo_evaluation_request request;
   struct mo_training_request training = pretraining("");
-  int64_t id;
-  request = service_request(bodies(service, 8, 100), 100);
+  struct mo_evaluation_request request = service_request(bodies(8, 100), 100);
   fake_plan.delay_us = 5000;
-  id = service_submit(service, &request);
+  int64_t id = submit_evaluation(&request);
   for (int i = 0; i < 5; i++) {
     request.weight = training.weight = wrong[i];
-    CHECK_INT(service_submit(service, &request), MO_ERR_RANGE);
-    CHECK(strstr(service->fixture.message.text, "weight") != NULL);
-    CHECK_INT(submit_training(service, &training), MO_ERR_RANGE);
-    CHECK_INT(mo_jobs_set_weight(service->jobs, id, wrong[i]), MO_ERR_RANGE);
+    CHECK_INT(submit_evaluation(&request), MO_ERR_RANGE);
+    CHECK_SAYS(fixture.message, "weight");
+    CHECK_INT(submit_training(&training), MO_ERR_RANGE);
+    CHECK_INT(mo_jobs_set_weight(service.jobs, id, wrong[i]), MO_ERR_RANGE);
   }
-  CHECK_INT(mo_jobs_set_weight(service->jobs, id, 0), MO_ERR_RANGE);
-  CHECK_INT(mo_jobs_set_weight(service->jobs, id + 100, 1), MO_ERR_NOT_FOUND);
-  CHECK(job_of(service, id).weight == 1);
+  CHECK_INT(mo_jobs_set_weight(service.jobs, id, 0), MO_ERR_RANGE);
+  CHECK_INT(mo_jobs_set_weight(service.jobs, id + 100, 1), MO_ERR_NOT_FOUND);
+  CHECK(job_of(id).weight == 1);
 }
 
 /* ---- changed by many, while shares come and go ---- */
@@ -197,34 +183,30 @@ static void *change(void *context)
 
 static void the_newest_weight_counts(void)
 {
-  struct service service;
   struct mo_training_request request = pretraining("");
-  struct mo_job job;
   pthread_t threads[3];
   struct changer changers[3];
   void *failed = NULL;
-  int64_t id;
-  REQUIRE(service_start(&service, 1) == MO_OK);
+  REQUIRE_OK(service_start(1));
   fake_plan.gradient_delay_us = 2000;
   request.record.settings.n_steps = 100000;
   request.record.validate_every_steps = 0;
-  id = submit_training(&service, &request);
+  int64_t id = submit_training(&request);
   for (int round = 0; round < 4; round++) {
     for (int i = 0; i < 3; i++) {
       changers[i] = (struct changer){service.jobs, id, 1 + 100 * i + 30 * round};
       REQUIRE(pthread_create(&threads[i], NULL, change, &changers[i]) == 0);
     }
-    CHECK_INT(round % 2 == 0 ? mo_jobs_pause(service.jobs, id) : mo_jobs_resume(service.jobs, id),
-              MO_OK);
+    CHECK_OK(round % 2 == 0 ? mo_jobs_pause(service.jobs, id) : mo_jobs_resume(service.jobs, id));
     for (int i = 0; i < 3; i++) {
       pthread_join(threads[i], &failed);
       CHECK(failed == NULL);
     }
   }
-  CHECK_INT(mo_store_job(service.fixture.store, id, &job), MO_OK);
+  struct mo_job job = job_of(id);
   CHECK(job.weight > 91);
   CHECK(await_weight(id, job.weight));
-  service_end(&service);
+  service_close();
   CHECK_INT(fake_shares(), 0);
 }
 

@@ -7,6 +7,35 @@
 #include "fixture.h"
 #include "life.h"
 
+const struct act life_script[SCRIPT] = {
+    {ACT_PUT, 0, 9, 0, 1},
+    {ACT_TRAIN, 0, 21, 0, 1},
+    {ACT_TRAIN_START, 0, 0, 0, 1},
+    {ACT_TRAIN_PROGRESS, 0, 3, 7, 1},
+    {ACT_TRAIN_CHECKPOINT, 0, 0, 1, 1}, /* COUNTED_FROM: power.c counts changes from here on */
+    {ACT_PUT, 1, 10, 0, 1},
+    {ACT_SUBMIT, 0, 1, 0, 1},
+    {ACT_SAVE, 0, 0, 2, 2},
+    {ACT_TRAIN_PROGRESS, 0, 3, 7, 1},
+    {ACT_TRAIN_CHECKPOINT, 0, 0, 1, 1},
+    {ACT_CAMPAIGN, 0, 22, 0, 1}, /* one that learns */
+    {ACT_CAMPAIGN_START, 0, 0, 0, 1},
+    {ACT_CAMPAIGN_GENERATION, 0, 0, 0, 1},
+    {ACT_CAMPAIGN_LOSSES, 0, 0, 3, 1},
+    {ACT_CAMPAIGN_CHECKPOINT, 0, 0, 2, 1},
+    {ACT_TRAIN_PARK, 0, 0, 1, 1}, /* HELD */
+    {ACT_TRAIN_START, 0, 0, 0, 1},
+    {ACT_TRAIN_FINISH, 0, 17, 0, 1},
+    {ACT_CAMPAIGN_GENERATION, 0, 0, 0, 1},
+    {ACT_CAMPAIGN_EXTEND, 0, 0, 2, 1},
+    {ACT_CAMPAIGN_FINISH, 0, 18, 0, 1},
+    {ACT_CAMPAIGN, 1, 23, 0, 1}, /* one that does not */
+    {ACT_CAMPAIGN_START, 1, 0, 0, 1},
+    {ACT_CAMPAIGN_GENERATION, 1, 0, 0, 1},
+    {ACT_CAMPAIGN_GENERATION, 1, 0, 0, 1},
+    {ACT_CAMPAIGN_PARK, 1, 0, 1, 1},
+};
+
 /* ---- choosing ---- */
 
 int life_some(struct life *life, int n)
@@ -195,10 +224,9 @@ static void apply_training(struct model *model, const struct act *act)
 
 void life_apply(struct model *model, const struct act *act, uint32_t parts)
 {
-  struct evaluation_model *evaluation;
   if (parts == 0)
     return;
-  evaluation = &model->evaluations[act->index];
+  struct evaluation_model *evaluation = &model->evaluations[act->index];
   switch (act->kind) {
   case ACT_REQUEUE:
     for (int i = 0; i < model->n_evaluations; i++)
@@ -259,68 +287,49 @@ static int do_put(struct life *life, const struct act *act)
   struct put put;
   char name[16];
   bool created;
-  int error;
   put_start(&put, act->seed);
   life_name(act->index, name);
-  error = mo_store_controller_put(life->store, name, put.bytes, put.size, &put.controller, &record,
-                                  &created);
+  int error = mo_store_controller_put(life->store, name, put.bytes, put.size, &put.controller,
+                                      &record, &created);
   put_end(&put);
   return error;
 }
 
 static int do_submit(struct life *life, const struct act *act)
 {
-  struct mo_submission submission = {.forms = life->forms + (size_t)act->index * DESIGNS_MAX,
-                                     .genotypes =
-                                         life->genotypes + (size_t)act->index * DESIGNS_MAX,
-                                     .n_designs = 1 + (uint32_t)(act->seed % DESIGNS_MAX),
-                                     .environment_set = "paper-test",
-                                     .controller = "default",
-                                     .physics = mo_default_physics(),
-                                     .precision = MO_FLOAT32,
-                                     .priority = MO_BATCH,
-                                     .record = MO_RECORD_COM,
-                                     .record_stride = 10};
+  const size_t first = (size_t)act->index * DESIGNS_MAX;
+  struct mo_submission submission = fixture_submission(life->forms + first, life->genotypes + first,
+                                                       1 + (uint32_t)(act->seed % DESIGNS_MAX));
   char key[32];
   int64_t id = 0;
   bool replayed;
-  int error;
   life_key('e', act->index, key);
+  submission.record = MO_RECORD_COM;
   submission.idempotency_key = key;
   mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
-  error = mo_store_submit(life->store, &submission, &id, &replayed);
+  int error = mo_store_submit(life->store, &submission, &id, &replayed);
   if (error == MO_OK && (replayed || id != life->model.jobs + 1))
-    life_found(life, "a submission became job %lld, not %lld", (long long)id,
-               (long long)life->model.jobs + 1);
+    life_found(life, "a submission became job %lld, not %lld", (long long)id, life->model.jobs + 1);
   return error;
 }
 
 static int do_train(struct life *life, const struct act *act)
 {
   struct mo_training_submission submission = {
-      .record = {.settings = {.kind = MO_TRAINING_PRETRAIN,
-                              .seed = act->seed,
-                              .n_steps = 100000,
-                              .batch = 16,
-                              .learning = mo_training_defaults(MO_TRAINING_PRETRAIN).learning,
-                              .physics = mo_default_physics(),
-                              .sensor = MO_SENSOR_INVERSE_SQUARE,
-                              .held_out_designs = 1,
-                              .held_out_environments = 1},
+      .record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN),
                  .checkpoint_every_steps = 12,
-                 .checkpoints_kept = 2},
-      .priority = MO_BATCH};
+                 .checkpoints_kept = 2}};
   char key[32];
   int64_t id = 0;
   bool replayed;
-  int error;
   life_key('t', act->index, key);
+  submission.record.settings.seed = act->seed;
+  submission.record.settings.n_steps = 100000;
   submission.idempotency_key = key;
   mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
-  error = mo_store_submit_training(life->store, &submission, &id, &replayed);
+  int error = mo_store_submit_training(life->store, &submission, &id, &replayed);
   if (error == MO_OK && (replayed || id != life->model.jobs + 1))
-    life_found(life, "a training became job %lld, not %lld", (long long)id,
-               (long long)life->model.jobs + 1);
+    life_found(life, "a training became job %lld, not %lld", (long long)id, life->model.jobs + 1);
   return error;
 }
 
@@ -356,7 +365,7 @@ static int do_training(struct life *life, const struct act *act)
                              act->n > 0 ? "out of memory" : NULL, 3, NULL);
   default: /* finish */
     put_start(&put, act->seed);
-    snprintf(name, sizeof(name), "training-%lld", (long long)training->id);
+    snprintf(name, sizeof(name), "training-%lld", training->id);
     error = mo_store_training_finish(life->store, training->id, name, put.bytes, put.size,
                                      &put.controller);
     put_end(&put);

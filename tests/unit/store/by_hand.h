@@ -5,34 +5,34 @@
 #include <pthread.h>
 #include <sqlite3.h>
 
-#include "../check.h"
 #include "fixture.h"
 
 static const struct mo_job_query any_job = {.state = -1, .kind = -1};
 
-/* Runs SQL on the database behind the store's back: between closing and opening it. */
-static inline int outside(const struct fixture *fixture, const char *sql)
+static inline sqlite3 *open_outside(void)
 {
   char path[512];
   sqlite3 *db = NULL;
-  int result;
-  snprintf(path, sizeof(path), "%s/morphod.db", fixture->path);
-  result = sqlite3_open(path, &db);
-  if (result == SQLITE_OK)
-    result = sqlite3_exec(db, sql, NULL, NULL, NULL);
+  snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
+  CHECK_OK(sqlite3_open(path, &db));
+  return db;
+}
+
+/* Runs SQL on the database behind the store's back: between closing and opening it. */
+static inline int outside(const char *sql)
+{
+  sqlite3 *db = open_outside();
+  const int result = sqlite3_exec(db, sql, NULL, NULL, NULL);
   sqlite3_close(db);
   return result;
 }
 
-static inline int64_t outside_integer(const struct fixture *fixture, const char *sql)
+static inline int64_t outside_integer(const char *sql)
 {
-  char path[512];
-  sqlite3 *db = NULL;
+  sqlite3 *db = open_outside();
   sqlite3_stmt *statement = NULL;
   int64_t value = -1;
-  snprintf(path, sizeof(path), "%s/morphod.db", fixture->path);
-  if (sqlite3_open_v2(path, &db, SQLITE_OPEN_READONLY, NULL) == SQLITE_OK &&
-      sqlite3_prepare_v2(db, sql, -1, &statement, NULL) == SQLITE_OK &&
+  if (sqlite3_prepare_v2(db, sql, -1, &statement, NULL) == SQLITE_OK &&
       sqlite3_step(statement) == SQLITE_ROW)
     value = sqlite3_column_int64(statement, 0);
   sqlite3_finalize(statement);
@@ -41,11 +41,11 @@ static inline int64_t outside_integer(const struct fixture *fixture, const char 
 }
 
 /* Closes the store, runs SQL behind its back, and returns the error of opening it again. */
-static inline int reopen_after(struct fixture *closed, const char *sql)
+static inline int reopen_after(const char *sql)
 {
-  fixture_close(closed);
-  CHECK_INT(outside(closed, sql), SQLITE_OK);
-  return fixture_reopen(closed);
+  close_store();
+  CHECK_OK(outside(sql));
+  return reopen();
 }
 
 struct waiter {
@@ -65,13 +65,12 @@ static inline void save_done(struct mo_save *save, int status)
   pthread_mutex_unlock(&waiter->mutex);
 }
 
-static inline int save_and_wait(struct mo_store *store, struct mo_save *save)
+static inline int save_and_wait(struct mo_save *save)
 {
   struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER};
-  int error;
   save->done = save_done;
   save->context = &waiter;
-  error = mo_store_save(store, save);
+  int error = mo_store_save(store, save);
   if (error != MO_OK)
     return error;
   pthread_mutex_lock(&waiter.mutex);
@@ -87,8 +86,7 @@ static inline double made_up_loss(uint32_t n, uint32_t k)
 }
 
 /* Runs a whole job by hand: starts it, saves made-up losses, ends it. */
-static inline int run_by_hand(struct mo_store *store, int64_t id,
-                              double (*loss)(uint32_t n, uint32_t k))
+static inline int run_by_hand(int64_t id, double (*loss)(uint32_t n, uint32_t k))
 {
   struct mo_work *work = NULL;
   struct mo_job_update updates[2] = {{.job = id, .step = MO_STEP_START},
@@ -103,8 +101,8 @@ static inline int run_by_hand(struct mo_store *store, int64_t id,
   if (error != MO_OK)
     return error;
   updates[0].fingerprint = updates[0].workers = fingerprint;
-  scores = calloc((size_t)work->n_designs * work->n_environments, sizeof(*scores));
-  designs = calloc(work->n_designs, sizeof(*designs));
+  scores = make_zeros((size_t)work->n_designs * work->n_environments, sizeof(*scores));
+  designs = make_zeros(work->n_designs, sizeof(*designs));
   for (uint32_t n = 0; n < work->n_designs; n++) {
     for (uint32_t k = 0; k < work->n_environments; k++) {
       double value = loss(n, k);
@@ -126,11 +124,9 @@ static inline int run_by_hand(struct mo_store *store, int64_t id,
   save.designs = designs;
   save.n_designs = work->environment_set != 0 ? work->n_designs : 0;
   updates[1].done = updates[1].total = save.n_scores;
-  error = save_and_wait(store, &save);
+  error = save_and_wait(&save);
   if (error == MO_OK && (!updates[0].applied || !updates[1].applied))
     error = MO_ERR_CONFLICT;
-  free(scores);
-  free(designs);
   mo_work_free(work);
   return error;
 }

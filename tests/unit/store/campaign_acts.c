@@ -131,17 +131,17 @@ bool campaign_fits(struct life *life, struct act *act)
 {
   const struct model *model = &life->model;
   const unsigned queued = 1u << MO_JOB_QUEUED, running = 1u << MO_JOB_RUNNING;
-  const struct campaign_model *campaign;
-  bool goes_on;
   if (act->kind == ACT_CAMPAIGN) {
     act->index = model->n_campaigns;
     return model->n_campaigns < CAMPAIGNS_MAX && campaign_in(model, queued | running) < 0;
   }
-  act->index = campaign_in(model, act->kind == ACT_CAMPAIGN_START ? queued : running);
+  act->index = campaign_in(model, act->kind == ACT_CAMPAIGN_START    ? queued
+                                  : act->kind == ACT_CAMPAIGN_EXTEND ? queued | running
+                                                                     : running);
   if (act->index < 0)
     return false;
-  campaign = &model->campaigns[act->index];
-  goes_on = campaign->generation + 1 < GENERATIONS_MAX;
+  const struct campaign_model *campaign = &model->campaigns[act->index];
+  bool goes_on = campaign->generation + 1 < GENERATIONS_MAX;
   switch (act->kind) {
   case ACT_CAMPAIGN_LOSSES:
     if (!goes_on || campaign->scored == 2 * MEMBERS)
@@ -153,6 +153,7 @@ bool campaign_fits(struct life *life, struct act *act)
     return goes_on && campaign->learns && act->n <= LEARNING;
   case ACT_CAMPAIGN_GENERATION: return goes_on;
   case ACT_CAMPAIGN_PARK: act->n = (uint32_t)life_some(life, 2); return true;
+  case ACT_CAMPAIGN_EXTEND: act->n = 1 + (uint32_t)life_some(life, 2); return true;
   case ACT_CAMPAIGN_FINISH:
     return campaign->generation >= 0 && (!goes_on || life_some(life, 8) == 0);
   default: return true;
@@ -170,6 +171,7 @@ void campaign_apply(struct model *model, const struct act *act)
                                         .learns = act->seed % 2 == 0,
                                         .state = MO_JOB_QUEUED,
                                         .generation = -1,
+                                        .until = GENERATIONS_MAX,
                                         .result = -1};
     model->n_campaigns++;
     break;
@@ -184,6 +186,7 @@ void campaign_apply(struct model *model, const struct act *act)
     campaign->attempts += act->n;
     campaign->state = campaign->attempts >= 3 ? MO_JOB_FAILED : MO_JOB_QUEUED;
     break;
+  case ACT_CAMPAIGN_EXTEND: campaign->until += act->n; break;
   default: /* finish */
     campaign->state = MO_JOB_SUCCEEDED;
     if (campaign->learns) {
@@ -200,18 +203,20 @@ static int submit(struct life *life, const struct act *act)
 {
   struct mo_campaign_submission submission = campaign_submission(
       act->seed % 2 == 0 ? MO_SIMULTANEOUS : MO_ZERO_SHOT, MEMBERS, GENERATIONS_MAX);
+  const size_t first = BODIES_OF_CAMPAIGNS + (size_t)act->index * GENERATIONS_MAX * MEMBERS;
   char key[32];
   int64_t id = 0;
   bool replayed;
-  int error;
   life_key('c', act->index, key);
   submission.record.settings.seed = act->seed;
+  submission.forms = life->forms + first;
+  submission.genotypes = life->genotypes + first;
+  submission.record.n_listed = LISTED;
   submission.idempotency_key = key;
   mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
-  error = mo_store_submit_campaign(life->store, &submission, &id, &replayed);
+  int error = mo_store_submit_campaign(life->store, &submission, &id, &replayed);
   if (error == MO_OK && (replayed || id != life->model.jobs + 1))
-    life_found(life, "a campaign became job %lld, not %lld", (long long)id,
-               (long long)life->model.jobs + 1);
+    life_found(life, "a campaign became job %lld, not %lld", (long long)id, life->model.jobs + 1);
   return error;
 }
 
@@ -230,11 +235,10 @@ static int save_checkpoint(struct life *life, const struct campaign_model *campa
   struct mo_campaign_step steps[LEARNING];
   uint8_t *bytes = NULL;
   const size_t size = life_state(campaign, generation, step, &bytes);
-  int error;
   for (uint32_t i = 0; i < step; i++)
     steps[i] = life_learned(campaign, generation, i + 1);
-  error = mo_store_campaign_checkpoint(life->store, campaign->id, generation, step, bytes, size,
-                                       steps, step);
+  int error = mo_store_campaign_checkpoint(life->store, campaign->id, generation, step, bytes, size,
+                                           steps, step);
   free(bytes);
   return error;
 }
@@ -245,29 +249,28 @@ static int commit(struct life *life, const struct campaign_model *campaign, int 
   const size_t first =
       BODIES_OF_CAMPAIGNS + ((size_t)index * GENERATIONS_MAX + number_of) * MEMBERS;
   struct generation generation;
-  struct mo_campaign_commit call;
   uint8_t *bytes = NULL;
-  int error;
   life_replay(campaign, number_of, &generation);
-  call = (struct mo_campaign_commit){.row = {.generation = number_of,
-                                             .born_before = (uint64_t)number_of * MEMBERS,
-                                             .n_children = MEMBERS,
-                                             .stats = {.n = MEMBERS, .diversity = 0.25},
-                                             .mean_parents = NAN,
-                                             .mean_children = 0.5 + number_of,
-                                             .seconds = 1.5},
-                                     .births = generation.births,
-                                     .forms = life->forms + first,
-                                     .genotypes = life->genotypes + first,
-                                     .sizes = generation.sizes,
-                                     .child_scores = generation.child_scores,
-                                     .parent_numbers = generation.before.numbers,
-                                     .parent_scores = generation.parent_scores,
-                                     .n_parents = generation.before.n,
-                                     .survivors = generation.survivors,
-                                     .n_survivors = MEMBERS,
-                                     .fingerprint = life->fingerprint,
-                                     .event_data = "{}"};
+  struct mo_campaign_commit call =
+      (struct mo_campaign_commit){.row = {.generation = number_of,
+                                          .born_before = (uint64_t)number_of * MEMBERS,
+                                          .n_children = MEMBERS,
+                                          .stats = {.n = MEMBERS, .diversity = 0.25},
+                                          .mean_parents = NAN,
+                                          .mean_children = 0.5 + number_of,
+                                          .seconds = 1.5},
+                                  .births = generation.births,
+                                  .forms = life->forms + first,
+                                  .genotypes = life->genotypes + first,
+                                  .sizes = generation.sizes,
+                                  .child_scores = generation.child_scores,
+                                  .parent_numbers = generation.before.numbers,
+                                  .parent_scores = generation.parent_scores,
+                                  .n_parents = generation.before.n,
+                                  .survivors = generation.survivors,
+                                  .n_survivors = MEMBERS,
+                                  .fingerprint = life->fingerprint,
+                                  .event_data = "{}"};
   if (campaign->learns) {
     call.steps = generation.steps;
     call.n_steps = LEARNING;
@@ -278,7 +281,7 @@ static int commit(struct life *life, const struct campaign_model *campaign, int 
     call.losses = generation.losses;
     call.n_losses = MEMBERS;
   }
-  error = mo_store_campaign_commit(life->store, campaign->id, &call);
+  int error = mo_store_campaign_commit(life->store, campaign->id, &call);
   free(bytes);
   return error;
 }
@@ -287,12 +290,11 @@ static int finish(struct life *life, const struct campaign_model *campaign, uint
 {
   struct put put;
   char name[32];
-  int error;
   put_start(&put, seed);
-  snprintf(name, sizeof(name), "campaign-%lld", (long long)campaign->id);
-  error = mo_store_campaign_finish(life->store, campaign->id, MO_CAMPAIGN_COMPLETED,
-                                   GENERATIONS_MAX, name, put.bytes, put.size,
-                                   campaign->learns ? &put.controller : NULL);
+  snprintf(name, sizeof(name), "campaign-%lld", campaign->id);
+  int error = mo_store_campaign_finish(life->store, campaign->id, MO_CAMPAIGN_COMPLETED,
+                                       campaign->until, name, put.bytes, put.size,
+                                       campaign->learns ? &put.controller : NULL);
   put_end(&put);
   return error;
 }
@@ -300,6 +302,7 @@ static int finish(struct life *life, const struct campaign_model *campaign, uint
 int campaign_do(struct life *life, const struct act *act)
 {
   const struct campaign_model *campaign = &life->model.campaigns[act->index];
+  enum mo_job_state before;
   switch (act->kind) {
   case ACT_CAMPAIGN: return submit(life, act);
   case ACT_CAMPAIGN_START: return mo_store_run_start(life->store, campaign->id);
@@ -309,6 +312,8 @@ int campaign_do(struct life *life, const struct act *act)
   case ACT_CAMPAIGN_PARK:
     return mo_store_run_park(life->store, campaign->id, act->n > 0 ? MO_ERR_NO_MEMORY : MO_OK,
                              act->n > 0 ? "out of memory" : NULL, 3, NULL);
+  case ACT_CAMPAIGN_EXTEND:
+    return mo_store_extend_campaign(life->store, campaign->id, act->n, NULL, &before);
   default: return finish(life, campaign, act->seed);
   }
 }

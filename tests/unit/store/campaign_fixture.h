@@ -45,53 +45,40 @@ campaign_submission(enum mo_campaign_mode mode, uint32_t population, uint32_t ge
       .label = "a label"};
 }
 
-static inline int64_t campaign_submit(struct fixture *in,
-                                      const struct mo_campaign_submission *submission)
+static inline int64_t submit_campaign(const struct mo_campaign_submission *submission)
 {
   int64_t id = 0;
   bool replayed = true;
-  int error = mo_store_submit_campaign(in->store, submission, &id, &replayed);
+  const int error = mo_store_submit_campaign(store, submission, &id, &replayed);
   return error != MO_OK ? error : id;
 }
 
-static inline enum mo_job_state campaign_state(struct fixture *in, int64_t id)
+static inline struct mo_campaign_status status_of(int64_t id)
 {
-  struct mo_job job = {.state = MO_JOB_FAILED};
-  (void)mo_store_job(in->store, id, &job);
-  return job.state;
-}
-
-/* The newest event of a job. */
-static inline struct mo_event campaign_event(struct fixture *in, int64_t id)
-{
-  struct mo_event events[200] = {{0}};
-  int64_t n = mo_store_events(in->store, 0, id, events, 200, NULL, NULL);
-  return events[n > 0 ? n - 1 : 0];
+  struct mo_campaign_status status = {.generation = -1};
+  CHECK_OK(mo_store_campaign(store, id, &status));
+  return status;
 }
 
 /* A campaign as its runner holds it. */
 struct made {
-  struct mo_store *store;
   int64_t id;
-  bool rescores;       /* parents get new scores each generation */
-  bool with_losses;    /* zero-shot */
-  uint32_t population; /* asked for */
-  uint64_t state;      /* of the generator of scores */
+  bool learns;    /* parents get new scores each generation; else zero-shot, with losses */
+  uint64_t state; /* of the generator of scores */
   struct mo_body_stream *stream;
   int64_t generation;
   uint64_t n_designs;
-  uint32_t n; /* the population: */
-  uint32_t *numbers;
-  struct mo_bits *genotypes;
-  double *scores;
+  uint32_t n, numbers[MADE_POPULATION]; /* the population: */
+  struct mo_bits genotypes[MADE_POPULATION];
+  double scores[MADE_POPULATION];
   /* The last commit, and what it points to. */
   struct mo_campaign_commit commit;
-  struct mo_birth *births;
-  struct mo_bits *forms, *children;
-  struct mo_design_size *sizes;
-  double *child_scores, *parent_scores;
-  uint32_t *survivors;
-  struct mo_campaign_loss *losses;
+  struct mo_birth births[MADE_POPULATION];
+  struct mo_bits forms[MADE_POPULATION], children[MADE_POPULATION];
+  struct mo_design_size sizes[MADE_POPULATION];
+  double child_scores[MADE_POPULATION], parent_scores[MADE_POPULATION];
+  uint32_t survivors[2 * MADE_POPULATION];
+  struct mo_campaign_loss losses[MADE_POPULATION];
   struct mo_campaign_step steps[2];
   int64_t fingerprint;
 };
@@ -102,52 +89,15 @@ static inline double made_number(struct made *made)
   return (double)(made->state >> 11) * 0x1p-53 + 0x1p-60;
 }
 
-static inline void made_free(struct made *made)
+static inline struct made made_start(int64_t id, enum mo_campaign_mode mode, uint64_t seed)
 {
-  mo_body_stream_free(made->stream);
-  free(made->numbers);
-  free(made->genotypes);
-  free(made->scores);
-  free(made->births);
-  free(made->forms);
-  free(made->children);
-  free(made->sizes);
-  free(made->child_scores);
-  free(made->parent_scores);
-  free(made->survivors);
-  free(made->losses);
-}
-
-static inline int made_start(struct made *made, struct mo_store *store, int64_t id,
-                             enum mo_campaign_mode mode, uint32_t population, uint64_t seed)
-{
-  size_t n = population;
-  *made = (struct made){.store = store,
-                        .id = id,
-                        .rescores = mode != MO_ZERO_SHOT,
-                        .with_losses = mode == MO_ZERO_SHOT,
-                        .population = population,
-                        .state = seed,
-                        .generation = -1};
-  made->numbers = calloc(n, sizeof(*made->numbers));
-  made->genotypes = calloc(2 * n, sizeof(*made->genotypes));
-  made->scores = calloc(n, sizeof(*made->scores));
-  made->births = calloc(n, sizeof(*made->births));
-  made->forms = calloc(n, sizeof(*made->forms));
-  made->children = calloc(n, sizeof(*made->children));
-  made->sizes = calloc(n, sizeof(*made->sizes));
-  made->child_scores = calloc(n, sizeof(*made->child_scores));
-  made->parent_scores = calloc(n, sizeof(*made->parent_scores));
-  made->survivors = calloc(2 * n, sizeof(*made->survivors));
-  made->losses = calloc(n, sizeof(*made->losses));
-  if (made->numbers == NULL || made->genotypes == NULL || made->scores == NULL ||
-      made->births == NULL || made->forms == NULL || made->children == NULL ||
-      made->sizes == NULL || made->child_scores == NULL || made->parent_scores == NULL ||
-      made->survivors == NULL || made->losses == NULL)
-    return MO_ERR_NO_MEMORY;
-  if (mo_store_fingerprint(store, "by hand", &made->fingerprint) != MO_OK)
-    return MO_ERR_IO;
-  return mo_body_stream_create(MO_DEFAULT_WORKSPACE, seed, &made->stream);
+  struct made made = {.id = id,
+                      .learns = mode != MO_ZERO_SHOT,
+                      .state = seed,
+                      .stream = make_body_stream(MO_DEFAULT_WORKSPACE, seed),
+                      .generation = -1};
+  make_check(mo_store_fingerprint(store, "by hand", &made.fingerprint), "a fingerprint");
+  return made;
 }
 
 static inline double made_score_of(const struct made *made, uint32_t place)
@@ -158,30 +108,26 @@ static inline double made_score_of(const struct made *made, uint32_t place)
 
 /* Draws the next generation into made->commit: as many children as the population, one of which
  * diverges. */
-static inline int made_next(struct made *made)
+static inline void made_next(struct made *made)
 {
-  uint32_t n = made->population, n_parents = made->generation < 0 ? 0 : made->n, n_all;
-  uint32_t generation = (uint32_t)(made->generation + 1);
-  int error = MO_OK;
+  const uint32_t n = MADE_POPULATION, n_parents = made->generation < 0 ? 0 : made->n;
+  const uint32_t generation = (uint32_t)(made->generation + 1);
   for (uint32_t i = 0; i < n_parents; i++)
-    made->parent_scores[i] = made->rescores ? made_number(made) : made->scores[i];
-  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    made->parent_scores[i] = made->learns ? made_number(made) : made->scores[i];
+  for (uint32_t i = 0; i < n; i++) {
     double sum = 0;
-    error = mo_body_stream_next(made->stream, made->children[i].words, NULL);
-    if (error != MO_OK)
-      return error;
+    make_check(mo_body_stream_next(made->stream, made->children[i].words, NULL), "a body");
     mo_genotype_place(MO_DEFAULT_WORKSPACE, made->children[i].words);
     mo_genotype_canonical(MO_DEFAULT_WORKSPACE, made->children[i].words, made->forms[i].words);
     made->sizes[i] =
         (struct mo_design_size){mo_genotype_count(MO_DEFAULT_WORKSPACE, made->children[i].words),
                                 i % 36 + 1, 100 + i % 100, 1000 + i % 1000};
-    made->births[i] =
-        (struct mo_birth){.op = MO_BORN_RANDOM, .parents = {MO_NO_PARENT, MO_NO_PARENT}};
-    if (n_parents > 0)
+    made->births[i] = (struct mo_birth){MO_BORN_RANDOM, {MO_NO_PARENT, MO_NO_PARENT}};
+    if (n_parents > 0 && i % 4 == 0)
+      made->births[i] = (struct mo_birth){MO_BORN_MUTATION, {i % n_parents, MO_NO_PARENT}, 1};
+    else if (n_parents > 0)
       made->births[i] =
-          i % 4 == 0
-              ? (struct mo_birth){MO_BORN_MUTATION, {i % n_parents, MO_NO_PARENT}, 1}
-              : (struct mo_birth){MO_BORN_CROSSOVER, {i % n_parents, (i + 1) % n_parents}, 2};
+          (struct mo_birth){MO_BORN_CROSSOVER, {i % n_parents, (i + 1) % n_parents}, 2};
     made->losses[i].place = i;
     for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++) {
       made->losses[i].losses[k] = i == 3 ? INFINITY : made_number(made);
@@ -190,6 +136,15 @@ static inline int made_next(struct made *made)
     }
     made->child_scores[i] = sum / MO_PAPER_TEST_COUNT;
   }
+  for (uint32_t s = 0; s < 2 && made->learns; s++)
+    made->steps[s] = (struct mo_campaign_step){.generation = generation,
+                                               .step = s + 1,
+                                               .on_children = s == 1,
+                                               .report = {.step = 2 * generation + s + 1,
+                                                          .mean_loss = made_number(made),
+                                                          .rate = 1e-3,
+                                                          .diverged = s},
+                                               .seconds = 0.5};
   made->commit =
       (struct mo_campaign_commit){.row = {.generation = generation,
                                           .born_before = made->n_designs,
@@ -207,9 +162,14 @@ static inline int made_next(struct made *made)
                                   .parent_scores = made->parent_scores,
                                   .n_parents = n_parents,
                                   .survivors = made->survivors,
-                                  .fingerprint = made->fingerprint};
-  n_all = n_parents + n;
-  for (uint32_t i = 0; i < n_all; i++) { /* insertion by score; the older first */
+                                  .n_survivors = MADE_POPULATION,
+                                  .losses = made->losses,
+                                  .n_losses = made->learns ? 0 : n,
+                                  .steps = made->steps,
+                                  .n_steps = made->learns ? 2 : 0,
+                                  .fingerprint = made->fingerprint,
+                                  .event_data = "{\"made\":true}"};
+  for (uint32_t i = 0; i < n_parents + n; i++) { /* insertion by score; the older first */
     uint32_t at = i;
     while (at > 0 && made_score_of(made, made->survivors[at - 1]) > made_score_of(made, i)) {
       made->survivors[at] = made->survivors[at - 1];
@@ -217,49 +177,22 @@ static inline int made_next(struct made *made)
     }
     made->survivors[at] = i;
   }
-  made->commit.n_survivors = n_all < made->population ? n_all : made->population;
-  if (made->with_losses) {
-    made->commit.losses = made->losses;
-    made->commit.n_losses = n;
-  } else {
-    for (uint32_t s = 0; s < 2; s++)
-      made->steps[s] = (struct mo_campaign_step){.generation = generation,
-                                                 .step = s + 1,
-                                                 .on_children = s == 1,
-                                                 .report = {.step = 2 * generation + s + 1,
-                                                            .mean_loss = made_number(made),
-                                                            .rate = 1e-3,
-                                                            .diverged = s},
-                                                 .seconds = 0.5};
-    made->commit.steps = made->steps;
-    made->commit.n_steps = 2;
-  }
-  made->commit.event_data = "{\"made\":true}";
-  return MO_OK;
 }
 
 /* The commit went through: what lives becomes the population. */
 static inline void made_apply(struct made *made)
 {
-  uint32_t n_parents = made->commit.n_parents, n = made->commit.n_survivors;
-  struct mo_bits *genotypes = calloc(n, sizeof(*genotypes));
-  uint32_t *numbers = calloc(n, sizeof(*numbers));
-  double *scores = calloc(n, sizeof(*scores));
-  for (uint32_t i = 0; i < n && genotypes != NULL && numbers != NULL && scores != NULL; i++) {
-    uint32_t place = made->survivors[i];
-    genotypes[i] = place < n_parents ? made->genotypes[place] : made->children[place - n_parents];
-    numbers[i] =
-        place < n_parents ? made->numbers[place] : (uint32_t)made->n_designs + place - n_parents;
-    scores[i] = made_score_of(made, place);
+  const struct made old = *made;
+  const uint32_t n_parents = old.commit.n_parents;
+  for (uint32_t i = 0; i < MADE_POPULATION; i++) {
+    const uint32_t place = old.survivors[i];
+    const bool is_parent = place < n_parents;
+    made->genotypes[i] = is_parent ? old.genotypes[place] : old.children[place - n_parents];
+    made->numbers[i] = is_parent ? old.numbers[place] : (uint32_t)old.n_designs + place - n_parents;
+    made->scores[i] = made_score_of(&old, place);
   }
-  free(made->genotypes);
-  free(made->numbers);
-  free(made->scores);
-  made->genotypes = genotypes;
-  made->numbers = numbers;
-  made->scores = scores;
-  made->n = n;
-  made->n_designs += made->commit.row.n_children;
+  made->n = MADE_POPULATION;
+  made->n_designs += MADE_POPULATION;
   made->generation++;
 }
 
@@ -267,28 +200,30 @@ static inline void made_apply(struct made *made)
 static inline bool made_is_stored(const struct made *made)
 {
   struct mo_campaign_state *state = NULL;
-  bool same = mo_store_campaign_state(made->store, made->id, &state) == MO_OK &&
+  bool same = mo_store_campaign_state(store, made->id, &state) == MO_OK &&
               state->generation == (uint32_t)made->generation && state->n == made->n &&
-              state->n_designs == made->n_designs &&
-              memcmp(state->numbers, made->numbers, made->n * sizeof(*made->numbers)) == 0 &&
-              memcmp(state->genotypes, made->genotypes, made->n * sizeof(*made->genotypes)) == 0 &&
-              memcmp(state->scores, made->scores, made->n * sizeof(*made->scores)) == 0;
+              state->n_designs == made->n_designs && SAME(state->numbers, made->numbers, made->n) &&
+              SAME(state->genotypes, made->genotypes, made->n) &&
+              SAME(state->scores, made->scores, made->n) && state->diversity_max == 0.25;
   for (uint32_t i = 0; same && i < state->n; i++)
-    same = state->born[i] == state->numbers[i] / made->population;
-  same = same && state->diversity_max == 0.25;
+    same = state->born[i] == state->numbers[i] / MADE_POPULATION;
   mo_campaign_state_free(state);
   return same;
+}
+
+static inline int made_commit(struct made *made)
+{
+  const int error = mo_store_campaign_commit(store, made->id, &made->commit);
+  if (error == MO_OK)
+    made_apply(made);
+  return error;
 }
 
 /* A generation, whole. */
 static inline int made_generation(struct made *made)
 {
-  int error = made_next(made);
-  if (error == MO_OK)
-    error = mo_store_campaign_commit(made->store, made->id, &made->commit);
-  if (error == MO_OK)
-    made_apply(made);
-  return error;
+  made_next(made);
+  return made_commit(made);
 }
 
 #endif

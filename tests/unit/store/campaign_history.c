@@ -63,18 +63,18 @@ static void check_designs(int64_t id, const struct model *model)
   struct mo_campaign_design page[50];
   uint32_t n_read = 0;
   int64_t n;
-  while ((n = mo_store_campaign_designs(fixture.store, id, (int64_t)n_read - 1, page, 7)) > 0)
+  while ((n = mo_store_campaign_designs(store, id, (int64_t)n_read - 1, page, 7)) > 0)
     for (int64_t i = 0; i < n; i++, n_read++)
       CHECK(same_design(&page[i], &model->designs[n_read]));
   CHECK(n == 0 && n_read == BORN);
-  CHECK_INT(mo_store_campaign_designs_of(fixture.store, id, some, 5, page), MO_OK);
+  CHECK_OK(mo_store_campaign_designs_of(store, id, some, 5, page));
   for (int i = 0; i < 5; i++)
     CHECK(same_design(&page[i], &model->designs[some[i]]));
-  CHECK_INT(mo_store_campaign_designs_of(fixture.store, id, (const uint32_t[]){1, BORN}, 2, page),
+  CHECK_INT(mo_store_campaign_designs_of(store, id, (const uint32_t[]){1, BORN}, 2, page),
             MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_designs_of(fixture.store, 99, some, 1, page), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_designs(fixture.store, 99, -1, page, 7), 0);
-  CHECK_INT(mo_store_campaign_designs(fixture.store, id, -1, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
+  CHECK_INT(mo_store_campaign_designs_of(store, 99, some, 1, page), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign_designs(store, 99, -1, page, 7), 0);
+  CHECK_INT(mo_store_campaign_designs(store, id, -1, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
 }
 
 static void check_populations(int64_t id, const struct model *model)
@@ -83,7 +83,7 @@ static void check_populations(int64_t id, const struct model *model)
   uint32_t n = 0;
   for (int64_t g = -1; g <= UNTIL; g++) {
     int64_t at = g < 0 ? UNTIL : g;
-    CHECK_INT(mo_store_campaign_population(fixture.store, id, g, 0, page, MADE_POPULATION, &n),
+    CHECK_INT(mo_store_campaign_population(store, id, g, 0, page, MADE_POPULATION, &n),
               MADE_POPULATION);
     CHECK_INT(n, MADE_POPULATION);
     for (uint32_t i = 0; i < MADE_POPULATION; i++) {
@@ -92,22 +92,20 @@ static void check_populations(int64_t id, const struct model *model)
       CHECK(same_design(&page[i], &expected));
     }
   }
-  CHECK_INT(mo_store_campaign_population(fixture.store, id, 3, 2, page, 2, &n), 2);
+  CHECK_INT(mo_store_campaign_population(store, id, 3, 2, page, 2, &n), 2);
   CHECK(n == MADE_POPULATION && page[0].number == model->population[3][2] &&
         page[1].number == model->population[3][3]);
-  CHECK_INT(mo_store_campaign_population(fixture.store, id, 3, MADE_POPULATION, page, 2, &n), 0);
-  CHECK_INT(mo_store_campaign_population(fixture.store, id, UNTIL + 1, 0, page, 2, &n),
-            MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_population(fixture.store, 99, -1, 0, page, 2, &n), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_population(fixture.store, id, 3, 0, page, MO_PAGE_MAX + 1, &n),
-            MO_ERR_LIMIT);
+  CHECK_INT(mo_store_campaign_population(store, id, 3, MADE_POPULATION, page, 2, &n), 0);
+  CHECK_INT(mo_store_campaign_population(store, id, UNTIL + 1, 0, page, 2, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign_population(store, 99, -1, 0, page, 2, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign_population(store, id, 3, 0, page, MO_PAGE_MAX + 1, &n), MO_ERR_LIMIT);
 }
 
 static void check_descents(int64_t id, const struct model *model)
 {
   struct mo_descent *descents = NULL;
   uint32_t *born = NULL, n = 0;
-  REQUIRE(mo_store_campaign_descents(fixture.store, id, &descents, &born, &n) == MO_OK);
+  REQUIRE_OK(mo_store_campaign_descents(store, id, &descents, &born, &n));
   CHECK_INT(n, BORN);
   for (uint32_t i = 0; i < n; i++)
     CHECK(descents[i].parents[0] == model->designs[i].descent.parents[0] &&
@@ -115,10 +113,10 @@ static void check_descents(int64_t id, const struct model *model)
           descents[i].op == model->designs[i].descent.op && born[i] == model->designs[i].born);
   free(descents);
   free(born);
-  REQUIRE(mo_store_campaign_descents(fixture.store, id, &descents, NULL, &n) == MO_OK);
+  REQUIRE_OK(mo_store_campaign_descents(store, id, &descents, NULL, &n));
   CHECK_INT(n, BORN);
   free(descents);
-  CHECK_INT(mo_store_campaign_descents(fixture.store, 99, &descents, &born, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign_descents(store, 99, &descents, &born, &n), MO_ERR_NOT_FOUND);
 }
 
 struct taken {
@@ -140,26 +138,25 @@ static int take(void *context, const struct mo_bits *genotype)
 static void check_each(int64_t id, const struct model *model)
 {
   struct taken taken = {model, 0, BORN, true};
-  CHECK_INT(mo_store_campaign_each(fixture.store, id, take, &taken), MO_OK);
+  CHECK_OK(mo_store_campaign_each(store, id, take, &taken));
   CHECK(taken.same && taken.n == BORN);
   taken = (struct taken){model, 0, 10, true};
-  CHECK_INT(mo_store_campaign_each(fixture.store, id, take, &taken), 42);
+  CHECK_INT(mo_store_campaign_each(store, id, take, &taken), 42);
   CHECK(taken.same && taken.n == 10);
 }
 
-static void tells_the_whole_history(enum mo_campaign_mode mode)
+static void tells_the_whole_history(int mode)
 {
   struct made made = {0};
   struct mo_campaign_submission submission = campaign_submission(mode, MADE_POPULATION, UNTIL);
   struct model *model = calloc(1, sizeof(*model));
-  int64_t id;
   REQUIRE(model != NULL);
-  id = campaign_submit(&fixture, &submission);
-  REQUIRE(made_start(&made, fixture.store, id, mode, MADE_POPULATION, 9) == MO_OK);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
+  int64_t id = submit_campaign(&submission);
+  made = made_start(id, mode, 9);
+  REQUIRE_OK(mo_store_run_start(store, id));
   for (int g = 0; g <= UNTIL; g++) {
-    REQUIRE(made_next(&made) == MO_OK);
-    REQUIRE(mo_store_campaign_commit(fixture.store, id, &made.commit) == MO_OK);
+    made_next(&made);
+    REQUIRE_OK(mo_store_campaign_commit(store, id, &made.commit));
     remember(model, &made);
     made_apply(&made);
   }
@@ -168,21 +165,10 @@ static void tells_the_whole_history(enum mo_campaign_mode mode)
     check_populations(id, model);
     check_descents(id, model);
     check_each(id, model);
-    REQUIRE(fixture_reopen(&fixture) == MO_OK);
+    REQUIRE_OK(reopen());
   }
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  made_free(&made);
+  CHECK_OK(check_whole());
   free(model);
-}
-
-static void reports_frozen_scores(void)
-{
-  tells_the_whole_history(MO_ZERO_SHOT);
-}
-
-static void reports_scores_that_change(void)
-{
-  tells_the_whole_history(MO_SIMULTANEOUS);
 }
 
 /* Forms are found in every campaign that bore them, whichever way round. */
@@ -194,11 +180,10 @@ static void finds_where_a_form_was_born(void)
   struct mo_bits nowhere = {{1}}, form, turned;
   int64_t ids[3];
   for (int i = 0; i < 3; i++) {
-    ids[i] = campaign_submit(&fixture, &submission);
-    REQUIRE(mo_store_run_start(fixture.store, ids[i]) == MO_OK);
-    REQUIRE(made_start(&made[i], fixture.store, ids[i], MO_ZERO_SHOT, MADE_POPULATION,
-                       i == 1 ? 8 : 9) == MO_OK);
-    REQUIRE(made_next(&made[i]) == MO_OK);
+    ids[i] = submit_campaign(&submission);
+    REQUIRE_OK(mo_store_run_start(store, ids[i]));
+    made[i] = made_start(ids[i], MO_ZERO_SHOT, i == 1 ? 8 : 9);
+    made_next(&made[i]);
     if (i == 2) { /* the same body, turned */
       mo_genotype_image(MO_DEFAULT_WORKSPACE, made[i].children[4].words, 1, turned.words);
       mo_genotype_place(MO_DEFAULT_WORKSPACE, turned.words);
@@ -206,25 +191,22 @@ static void finds_where_a_form_was_born(void)
       made[i].children[4] = turned;
     }
     form = made[i].forms[4];
-    REQUIRE(mo_store_campaign_commit(fixture.store, ids[i], &made[i].commit) == MO_OK);
+    REQUIRE_OK(mo_store_campaign_commit(store, ids[i], &made[i].commit));
   }
-  CHECK_INT(mo_store_campaigns_of_design(fixture.store, &form, 0, places, 4), 2);
+  CHECK_INT(mo_store_campaigns_of_design(store, &form, 0, places, 4), 2);
   CHECK(places[0].campaign == ids[0] && places[0].number == 4 && places[1].campaign == ids[2] &&
         places[1].number == 4);
-  CHECK_INT(mo_store_campaigns_of_design(fixture.store, &form, 0, places, 1), 1);
-  CHECK_INT(mo_store_campaigns_of_design(fixture.store, &form, ids[0], places, 4), 1);
+  CHECK_INT(mo_store_campaigns_of_design(store, &form, 0, places, 1), 1);
+  CHECK_INT(mo_store_campaigns_of_design(store, &form, ids[0], places, 4), 1);
   CHECK_INT(places[0].campaign, ids[2]);
-  CHECK_INT(mo_store_campaigns_of_design(fixture.store, &form, ids[2], places, 4), 0);
-  CHECK_INT(mo_store_campaigns_of_design(fixture.store, &nowhere, 0, places, 4), 0);
-  CHECK_INT(mo_store_campaigns_of_design(fixture.store, &form, 0, places, MO_PAGE_MAX + 1),
-            MO_ERR_LIMIT);
-  for (int i = 0; i < 3; i++)
-    made_free(&made[i]);
+  CHECK_INT(mo_store_campaigns_of_design(store, &form, ids[2], places, 4), 0);
+  CHECK_INT(mo_store_campaigns_of_design(store, &nowhere, 0, places, 4), 0);
+  CHECK_INT(mo_store_campaigns_of_design(store, &form, 0, places, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
 }
 
 static const struct check_case cases[] = {
-    {"reports frozen scores", reports_frozen_scores},
-    {"reports scores that change", reports_scores_that_change},
+    {"reports frozen scores", WITH(tells_the_whole_history, MO_ZERO_SHOT)},
+    {"reports scores that change", WITH(tells_the_whole_history, MO_SIMULTANEOUS)},
     {"finds where a form was born", finds_where_a_form_was_born},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

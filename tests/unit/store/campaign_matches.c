@@ -50,18 +50,17 @@ static bool populations_match(const struct life *life, const struct campaign_mod
     if (mo_store_campaign_generations(life->store, campaign->id, (int64_t)g - 1, &row, 1) != 1 ||
         row.generation != g || row.born_before != (uint64_t)g * MEMBERS ||
         row.n_children != MEMBERS || row.mean_children != 0.5 + g || row.stats.diversity != 0.25)
-      return life_differs(text, "generation %u of campaign %lld", (unsigned)g,
-                          (long long)campaign->id);
+      return life_differs(text, "generation %u of campaign %lld", g, campaign->id);
     if (mo_store_campaign_population(life->store, campaign->id, g, 0, rows, MEMBERS, &n) !=
             MEMBERS ||
         n != MEMBERS)
-      return life_differs(text, "the population of generation %u of campaign %lld", (unsigned)g,
-                          (long long)campaign->id);
+      return life_differs(text, "the population of generation %u of campaign %lld", g,
+                          campaign->id);
     for (uint32_t i = 0; i < MEMBERS; i++)
       if (rows[i].number != generation.after.numbers[i] ||
           !same_double(rows[i].score, generation.after.scores[i]))
-        return life_differs(text, "member %u of generation %u of campaign %lld", (unsigned)i,
-                            (unsigned)g, (long long)campaign->id);
+        return life_differs(text, "member %u of generation %u of campaign %lld", i, g,
+                            campaign->id);
     before = generation.after;
   }
   return true;
@@ -76,7 +75,7 @@ static bool designs_match(const struct life *life, const struct campaign_model *
       mo_store_campaign_designs(life->store, campaign->id, -1, rows, GENERATIONS_MAX * MEMBERS);
   const size_t first = BODIES_OF_CAMPAIGNS + (size_t)index * GENERATIONS_MAX * MEMBERS;
   if (n != expected)
-    return life_differs(text, "campaign %lld has %lld designs, not %lld", (long long)campaign->id,
+    return life_differs(text, "campaign %lld has %lld designs, not %lld", campaign->id,
                         (long long)n, (long long)expected);
   for (int64_t i = 0; i < n; i++)
     if (rows[i].number != i ||
@@ -89,8 +88,7 @@ static bool designs_match(const struct life *life, const struct campaign_model *
         rows[i].born != lived[i].born || rows[i].died != lived[i].died ||
         !same_double(rows[i].score, lived[i].score) ||
         rows[i].size.springs != 1000 + (uint32_t)i % MEMBERS)
-      return life_differs(text, "design %lld of campaign %lld", (long long)i,
-                          (long long)campaign->id);
+      return life_differs(text, "design %lld of campaign %lld", (long long)i, campaign->id);
   return true;
 }
 
@@ -112,8 +110,8 @@ static bool losses_match(const struct life *life, const struct campaign_model *c
   }
   if (error == MO_OK)
     free(losses);
-  return same || life_differs(text, "losses of campaign %lld: error %d, %zu, not %u",
-                              (long long)campaign->id, error, n, (unsigned)campaign->scored);
+  return same || life_differs(text, "losses of campaign %lld: error %d, %zu, not %u", campaign->id,
+                              error, n, campaign->scored);
 }
 
 static bool steps_match(const struct life *life, const struct campaign_model *campaign,
@@ -133,7 +131,7 @@ static bool steps_match(const struct life *life, const struct campaign_model *ca
            same_double(rows[i].report.mean_loss, step.report.mean_loss);
   }
   return same || life_differs(text, "campaign %lld learned %lld steps, not %lld, or others",
-                              (long long)campaign->id, (long long)n, (long long)expected);
+                              campaign->id, (long long)n, (long long)expected);
 }
 
 /* The bytes are those of a generation and step; generation −1: there are none. */
@@ -141,12 +139,10 @@ static bool state_is(const struct campaign_model *campaign, int error, const uin
                      size_t size, int64_t generation, uint32_t step)
 {
   uint8_t *expected = NULL;
-  size_t expected_size;
-  bool same;
   if (generation < 0)
     return error == MO_ERR_NOT_FOUND;
-  expected_size = life_state(campaign, (uint32_t)generation, step, &expected);
-  same = error == MO_OK && size == expected_size && memcmp(bytes, expected, size) == 0;
+  size_t expected_size = life_state(campaign, (uint32_t)generation, step, &expected);
+  bool same = error == MO_OK && size == expected_size && memcmp(bytes, expected, size) == 0;
   free(expected);
   return same;
 }
@@ -158,13 +154,12 @@ static bool checkpoints_match(const struct life *life, const struct campaign_mod
   const int64_t newest = inside             ? campaign->generation + 1
                          : campaign->learns ? campaign->generation
                                             : -1;
-  const uint32_t files = life_files(life, "campaigns", campaign->id);
+  const uint32_t files = life_files(life, "campaigns", campaign->id, NULL);
   const uint32_t expected = (campaign->learns && campaign->generation >= 0) + inside;
   uint8_t *bytes = NULL;
   size_t size = 0;
   uint32_t generation = 0, step = 0;
-  int error =
-      fixture_campaign_checkpoint(life->store, campaign->id, &generation, &step, &bytes, &size);
+  int error = newest_checkpoint(life->store, campaign->id, &generation, &step, &bytes, &size);
   bool same =
       state_is(campaign, error, bytes, size, newest, inside ? campaign->inside : LEARNING) &&
       (newest < 0 || (generation == newest && step == (inside ? campaign->inside : LEARNING)));
@@ -179,11 +174,9 @@ static bool checkpoints_match(const struct life *life, const struct campaign_mod
       free(bytes);
   }
   if (!same)
-    return life_differs(text, "a checkpoint of campaign %lld: error %d", (long long)campaign->id,
-                        error);
-  return files == expected ||
-         life_differs(text, "campaign %lld has %u files for %u checkpoints",
-                      (long long)campaign->id, (unsigned)files, (unsigned)expected);
+    return life_differs(text, "a checkpoint of campaign %lld: error %d", campaign->id, error);
+  return files == expected || life_differs(text, "campaign %lld has %u files for %u checkpoints",
+                                           campaign->id, files, expected);
 }
 
 bool campaign_matches(const struct life *life, const struct campaign_model *campaign, int index,
@@ -193,17 +186,17 @@ bool campaign_matches(const struct life *life, const struct campaign_model *camp
   struct lived lived[GENERATIONS_MAX * MEMBERS];
   const int error = mo_store_campaign(life->store, campaign->id, &status);
   if (error != MO_OK)
-    return life_differs(text, "campaign %lld: error %d", (long long)campaign->id, error);
+    return life_differs(text, "campaign %lld: error %d", campaign->id, error);
   if (status.job.state != campaign->state || status.job.attempts != campaign->attempts ||
       status.generation != campaign->generation ||
       status.n_designs != (uint64_t)(MEMBERS * (campaign->generation + 1)) ||
       status.scored != campaign->scored || status.has_result != (campaign->result >= 0) ||
-      status.record.settings.seed != campaign->seed)
+      status.record.settings.seed != campaign->seed ||
+      status.record.settings.generations != campaign->until)
     return life_differs(
         text, "campaign %lld: state %d, attempts %u, generation %lld, %llu designs, %u scored",
-        (long long)campaign->id, (int)status.job.state, (unsigned)status.job.attempts,
-        (long long)status.generation, (unsigned long long)status.n_designs,
-        (unsigned)status.scored);
+        campaign->id, status.job.state, status.job.attempts, (long long)status.generation,
+        (unsigned long long)status.n_designs, status.scored);
   return populations_match(life, campaign, lived, text) &&
          designs_match(life, campaign, index, lived, text) && losses_match(life, campaign, text) &&
          steps_match(life, campaign, text) && checkpoints_match(life, campaign, text);

@@ -1,15 +1,7 @@
 /* campaigns.c: what the store keeps of campaigns: what was asked for, how they wait, end and go on.
  */
-#include "../check.h"
 #include "campaign_fixture.h"
 #include "one_store.h"
-#include "store/fields.h"
-#include "store/trainings.h"
-
-static bool same_bits(double a, double b)
-{
-  return memcmp(&a, &b, sizeof(a)) == 0;
-}
 
 static void write_settings(const struct mo_campaign_record *record, struct mo_text *text)
 {
@@ -17,17 +9,18 @@ static void write_settings(const struct mo_campaign_record *record, struct mo_te
   mo_settings_write(MO_JOB_CAMPAIGN, record, text);
 }
 
-static bool same_settings(const struct mo_campaign_settings *a,
-                          const struct mo_campaign_settings *b)
+static bool same_as(const struct mo_campaign_settings *a, const struct mo_campaign_settings *b)
 {
-  struct mo_text first, second;
-  bool same;
-  write_settings(&(struct mo_campaign_record){.settings = *a}, &first);
-  write_settings(&(struct mo_campaign_record){.settings = *b}, &second);
-  same = first.data != NULL && second.data != NULL && strcmp(first.data, second.data) == 0;
-  mo_text_free(&first);
-  mo_text_free(&second);
-  return same;
+  return same_settings(MO_JOB_CAMPAIGN, &(struct mo_campaign_record){.settings = *a},
+                       &(struct mo_campaign_record){.settings = *b});
+}
+
+/* What a campaign scores in. */
+static struct mo_environment *environments_of(int64_t id, uint32_t *n)
+{
+  struct mo_environment *found = NULL;
+  CHECK_OK(mo_store_campaign_environments(store, id, &found, n));
+  return check_keep(found, free);
 }
 
 /* Every setting comes back from what is stored, bit for bit, but for those that have no meaning
@@ -45,19 +38,19 @@ static void encodes_every_setting(void)
   record.settings.physics.bisections = 3;
   write_settings(&record, &text);
   REQUIRE(text.data != NULL);
-  CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back), MO_OK);
+  CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back));
   CHECK(same_bits(settings->collapse_share, -0.0) && back.checkpoint_every_s == 30);
   CHECK(strcmp(back.name, "walker") == 0);
-  CHECK(same_settings(settings, &record.settings));
+  CHECK(same_as(settings, &record.settings));
   text.data[text.size - 1] = '\0';
   CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back), MO_ERR_CORRUPT);
   CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, "{\"mode\":\"none\"}", &back), MO_ERR_CORRUPT);
   mo_text_free(&text);
-  for (size_t i = 0; i < sizeof(kinds) / sizeof(kinds[0]); i++) {
+  for (size_t i = 0; i < COUNT(kinds); i++) {
     record.settings.selection.kind = kinds[i];
     write_settings(&record, &text);
-    CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back), MO_OK);
-    CHECK(same_settings(settings, &record.settings) && settings->selection.kind == kinds[i]);
+    CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back));
+    CHECK(same_as(settings, &record.settings) && settings->selection.kind == kinds[i]);
     CHECK_INT(settings->selection.tournament_size, kinds[i] == MO_SELECT_TOURNAMENT ? 3 : 4);
     CHECK_INT(settings->selection.n_layers, kinds[i] == MO_SELECT_AGE_LAYERED ? 5 : 4);
     CHECK_INT(settings->selection.age_gap, kinds[i] == MO_SELECT_AGE_LAYERED ? 7 : 5);
@@ -70,24 +63,21 @@ static void submits_and_reads_back(void)
   struct mo_bits *found = NULL;
   struct mo_environment own[2], *environments = NULL;
   struct mo_campaign_submission submission = campaign_submission(MO_ZERO_SHOT, 10, 30);
-  struct mo_campaign_status status;
   struct mo_campaign_generation rows[1];
   struct mo_campaign_state *state = NULL;
   struct mo_controller_record controller;
   struct mo_job jobs[10];
-  struct mo_event event;
   uint64_t open = 0, rollouts = 9;
   uint32_t n = 0;
-  int64_t id;
-  REQUIRE(fixture_bodies(5, 3, &fixture.forms, &fixture.genotypes) == MO_OK);
-  REQUIRE(mo_store_controller(fixture.store, "default", &controller) == MO_OK);
-  submission.forms = fixture.forms;
-  submission.genotypes = fixture.genotypes;
+  genotypes = make_bodies(5, 3, &forms);
+  REQUIRE_OK(mo_store_controller(store, "default", &controller));
+  submission.forms = forms;
+  submission.genotypes = genotypes;
   submission.record.n_listed = 3;
   submission.weight = 2.5;
-  id = campaign_submit(&fixture, &submission);
+  int64_t id = submit_campaign(&submission);
   REQUIRE(id > 0);
-  REQUIRE(mo_store_campaign(fixture.store, id, &status) == MO_OK);
+  struct mo_campaign_status status = status_of(id);
   CHECK_INT(status.job.kind, MO_JOB_CAMPAIGN);
   CHECK_INT(status.job.state, MO_JOB_QUEUED);
   CHECK_TEXT(status.job.label, "a label");
@@ -104,7 +94,7 @@ static void submits_and_reads_back(void)
         mo_sha256_equal(&status.record.controller_sha256, &controller.sha256));
   CHECK_INT(status.record.sensor, MO_SENSOR_INVERSE_SQRT); /* the controller's */
   submission.record.settings.sensor = MO_SENSOR_INVERSE_SQRT;
-  CHECK(same_settings(&status.record.settings, &submission.record.settings));
+  CHECK(same_as(&status.record.settings, &submission.record.settings));
   CHECK_INT(status.record.n_listed, 3);
   CHECK_INT(status.record.group, id);
   CHECK_INT(status.record.replicate, 0);
@@ -114,24 +104,19 @@ static void submits_and_reads_back(void)
   CHECK_INT(status.n_designs, 0);
   CHECK(isnan(status.best_score) && status.diversity_max == 0 && status.end == MO_CAMPAIGN_OPEN &&
         !status.has_result);
-  CHECK_INT(mo_store_job_designs(fixture.store, id, &found, &n), MO_OK);
-  CHECK(n == 3 && memcmp(found, fixture.genotypes, 3 * sizeof(*found)) == 0);
-  free(found);
-  CHECK_INT(mo_store_campaign_environments(fixture.store, id, &environments, &n), MO_OK);
+  found = designs_of(id, &n);
+  CHECK(n == 3 && SAME(found, genotypes, 3));
+  (void)environments_of(id, &n);
   CHECK_INT(n, MO_PAPER_TEST_COUNT);
-  free(environments);
-  CHECK_INT(mo_store_campaign_generations(fixture.store, id, -1, rows, 1), 0);
-  CHECK_INT(mo_store_campaign_state(fixture.store, id, &state), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, MO_JOB_CAMPAIGN}, jobs, 10),
-            1);
-  CHECK_INT(
-      mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, MO_JOB_EVALUATION}, jobs, 10), 0);
-  CHECK_INT(mo_store_open_work(fixture.store, &open, &rollouts), MO_OK);
+  CHECK_INT(mo_store_campaign_generations(store, id, -1, rows, 1), 0);
+  CHECK_INT(mo_store_campaign_state(store, id, &state), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_jobs(store, &(struct mo_job_query){0, -1, MO_JOB_CAMPAIGN}, jobs, 10), 1);
+  CHECK_INT(mo_store_jobs(store, &(struct mo_job_query){0, -1, MO_JOB_EVALUATION}, jobs, 10), 0);
+  CHECK_OK(mo_store_open_work(store, &open, &rollouts));
   CHECK(open == 1 && rollouts == 0);
-  event = campaign_event(&fixture, id);
+  struct mo_event event = last_event(id);
   CHECK_TEXT(event.type, "job.created");
-  CHECK(strstr(event.data, "\"kind\":\"campaign\",\"state\":\"queued\",\"generations\":30") !=
-        NULL);
+  CHECK_HAS(event.data, "\"kind\":\"campaign\",\"state\":\"queued\",\"generations\":30");
   /* Environments of its own, random weights. */
   submission = campaign_submission(MO_SIMULTANEOUS, 4, 8);
   mo_environment_held_out(1, 0, &own[0]);
@@ -140,110 +125,105 @@ static void submits_and_reads_back(void)
   submission.record.n_environments = 2;
   submission.environments = own;
   submission.label = NULL;
-  id = campaign_submit(&fixture, &submission);
-  REQUIRE(mo_store_campaign(fixture.store, id, &status) == MO_OK);
+  id = submit_campaign(&submission);
+  status = status_of(id);
   CHECK(!status.record.has_controller && !status.job.has_label);
   CHECK_TEXT(status.record.environment_set, "");
   CHECK_INT(status.record.sensor, MO_SENSOR_INVERSE_SQUARE);
-  CHECK_INT(mo_store_campaign_environments(fixture.store, id, &environments, &n), MO_OK);
-  CHECK(n == 2 && memcmp(environments, own, sizeof(own)) == 0);
-  free(environments);
+  CHECK(SAME(environments_of(id, &n), own, 2) && n == 2);
   /* What cannot be. */
-  submission.record.n_environments = 0;
-  CHECK_INT(campaign_submit(&fixture, &submission), MO_ERR_RANGE);
-  submission = campaign_submission(MO_ZERO_SHOT, 4, 8);
-  submission.controller = "nobody";
-  CHECK_INT(campaign_submit(&fixture, &submission), MO_ERR_NOT_FOUND);
-  submission = campaign_submission(MO_ZERO_SHOT, 4, 8);
-  snprintf(submission.record.environment_set, sizeof(submission.record.environment_set), "nowhere");
-  CHECK_INT(campaign_submit(&fixture, &submission), MO_ERR_NOT_FOUND);
-  submission = campaign_submission(MO_ZERO_SHOT, 4, 8);
-  submission.record.replicates = 0;
-  CHECK_INT(campaign_submit(&fixture, &submission), MO_ERR_RANGE);
-  submission.record.replicates = MO_REPLICATES_MAX + 1;
-  CHECK_INT(campaign_submit(&fixture, &submission), MO_ERR_RANGE);
-  submission = campaign_submission(MO_ZERO_SHOT, 4, 8);
-  submission.record.n_listed = 5;
-  CHECK_INT(campaign_submit(&fixture, &submission), MO_ERR_RANGE);
-  CHECK_INT(mo_store_campaign(fixture.store, 99, &status), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_environments(fixture.store, 99, &environments, &n), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_job_designs(fixture.store, 99, &found, &n), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_job_counts(fixture.store, (uint64_t[MO_JOB_STATES]){0}), MO_OK);
-  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, -1}, jobs, 10), 2);
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+#define REFUSE(error, change)                                                                      \
+  do {                                                                                             \
+    submission = campaign_submission(MO_ZERO_SHOT, 4, 8);                                          \
+    change;                                                                                        \
+    CHECK_INT(submit_campaign(&submission), error);                                                \
+  } while (0)
+  REFUSE(MO_ERR_RANGE, submission.record.environment_set[0] = '\0');
+  REFUSE(MO_ERR_NOT_FOUND, submission.controller = "nobody");
+  REFUSE(MO_ERR_NOT_FOUND, strcpy(submission.record.environment_set, "nowhere"));
+  REFUSE(MO_ERR_RANGE, submission.record.replicates = 0);
+  REFUSE(MO_ERR_RANGE, submission.record.replicates = MO_REPLICATES_MAX + 1);
+  REFUSE(MO_ERR_RANGE, submission.record.n_listed = 5);
+#undef REFUSE
+  CHECK_INT(mo_store_campaign(store, 99, &status), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign_environments(store, 99, &environments, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_job_designs(store, 99, &found, &n), MO_ERR_NOT_FOUND);
+  CHECK_OK(mo_store_job_counts(store, (uint64_t[MO_JOB_STATES]){0}));
+  CHECK_INT(mo_store_jobs(store, &(struct mo_job_query){0, -1, -1}, jobs, 10), 2);
+  CHECK_OK(check_whole());
+}
+
+/* Whether a page of `room` has so many campaigns, from `first` to `last`. */
+static bool lists(const struct mo_job_query *query, uint32_t room, int64_t n, int64_t first,
+                  int64_t last)
+{
+  struct mo_campaign_status page[8];
+  return mo_store_campaigns(store, query, page, room) == n && page[0].job.id == first &&
+         page[n - 1].job.id == last;
 }
 
 static void starts_replicates(void)
 {
   struct mo_bits *found = NULL;
-  struct mo_environment *environments = NULL;
   struct mo_campaign_submission submission = campaign_submission(MO_ZERO_SHOT, 10, 30);
   struct mo_campaign_status status, page[8];
   struct mo_job_query query = {.state = -1};
   int64_t ids[8], id, again = 0, other;
   uint32_t n = 0;
   bool replayed = true;
-  REQUIRE(fixture_bodies(5, 3, &fixture.forms, &fixture.genotypes) == MO_OK);
-  other = campaign_submit(&fixture, &submission);
-  submission.forms = fixture.forms;
-  submission.genotypes = fixture.genotypes;
+  genotypes = make_bodies(5, 3, &forms);
+  other = submit_campaign(&submission);
+  submission.forms = forms;
+  submission.genotypes = genotypes;
   submission.record.n_listed = 3;
   submission.record.replicates = 4;
   submission.record.settings.seed = MO_SEED_MAX - 3;
   submission.idempotency_key = "once";
   submission.priority = MO_INTERACTIVE;
-  REQUIRE(mo_store_submit_campaign(fixture.store, &submission, &id, &replayed) == MO_OK);
+  REQUIRE_OK(mo_store_submit_campaign(store, &submission, &id, &replayed));
   CHECK(!replayed && id == other + 1);
   for (uint32_t r = 0; r < 4; r++) {
-    REQUIRE(mo_store_campaign(fixture.store, id + r, &status) == MO_OK);
+    status = status_of(id + r);
     CHECK_INT(status.record.group, id);
     CHECK_INT(status.record.replicate, r);
     CHECK_INT(status.record.replicates, 4);
     CHECK(status.record.settings.seed == (uint64_t)MO_SEED_MAX - 3 + r);
-    CHECK_INT(mo_store_job_designs(fixture.store, id + r, &found, &n), MO_OK);
-    CHECK(n == 3 && memcmp(found, fixture.genotypes, 3 * sizeof(*found)) == 0);
-    free(found);
-    CHECK_INT(mo_store_campaign_environments(fixture.store, id + r, &environments, &n), MO_OK);
+    found = designs_of(id + r, &n);
+    CHECK(n == 3 && SAME(found, genotypes, 3));
+    (void)environments_of(id + r, &n);
     CHECK_INT(n, MO_PAPER_TEST_COUNT);
-    free(environments);
-    CHECK(strcmp(campaign_event(&fixture, id + r).type, "job.created") == 0);
+    CHECK(strcmp(last_event(id + r).type, "job.created") == 0);
   }
   /* The key's answer is the first; with another body it is a conflict. */
-  CHECK_INT(mo_store_submit_campaign(fixture.store, &submission, &again, &replayed), MO_OK);
+  CHECK_OK(mo_store_submit_campaign(store, &submission, &again, &replayed));
   CHECK(replayed && again == id);
   submission.body_sha256.bytes[0] ^= 1;
-  CHECK_INT(mo_store_submit_campaign(fixture.store, &submission, &again, &replayed),
-            MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_submit_campaign(store, &submission, &again, &replayed), MO_ERR_CONFLICT);
   /* Interactive ones first, then as they came. */
-  CHECK_INT(mo_store_queued_runs(fixture.store, MO_JOB_CAMPAIGN, ids, 8), 5);
+  CHECK_INT(mo_store_queued_runs(store, MO_JOB_CAMPAIGN, ids, 8), 5);
   CHECK(ids[0] == id && ids[1] == id + 1 && ids[3] == id + 3 && ids[4] == other);
-  CHECK_INT(mo_store_queued_runs(fixture.store, MO_JOB_CAMPAIGN, ids, 2), 2);
-  CHECK_INT(mo_store_queued_runs(fixture.store, MO_JOB_TRAINING, ids, 8), 0);
-  CHECK_INT(mo_store_queued(fixture.store, MO_INTERACTIVE, 0, ids, 8), 0);
+  CHECK_INT(mo_store_queued_runs(store, MO_JOB_CAMPAIGN, ids, 2), 2);
+  CHECK_INT(mo_store_queued_runs(store, MO_JOB_TRAINING, ids, 8), 0);
+  CHECK_INT(mo_store_queued(store, MO_INTERACTIVE, 0, ids, 8), 0);
   /* Lists, newest first. */
-  CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 8), 5);
-  CHECK(page[0].job.id == id + 3 && page[4].job.id == other);
+  CHECK(lists(&query, 8, 5, id + 3, other));
   query.before = id + 2;
-  CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 1), 1);
-  CHECK_INT(page[0].job.id, id + 1);
+  CHECK(lists(&query, 1, 1, id + 1, id + 1));
   query = (struct mo_job_query){.state = -1, .group = id};
-  CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 8), 4);
-  REQUIRE(mo_store_run_start(fixture.store, id + 1) == MO_OK);
-  REQUIRE(mo_store_run_start(fixture.store, id + 2) == MO_OK);
+  CHECK(lists(&query, 8, 4, id + 3, id));
+  REQUIRE_OK(mo_store_run_start(store, id + 1));
+  REQUIRE_OK(mo_store_run_start(store, id + 2));
   query.state = MO_JOB_RUNNING;
-  CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 8), 2);
-  CHECK(page[0].job.id == id + 2 && page[1].job.id == id + 1);
+  CHECK(lists(&query, 8, 2, id + 2, id + 1));
   query.waiting = (const int64_t[]){id + 1}; /* shown as paused */
   query.n_waiting = 1;
-  CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 8), 1);
-  CHECK_INT(page[0].job.id, id + 2);
+  CHECK(lists(&query, 8, 1, id + 2, id + 2));
   query.state = MO_JOB_PAUSED;
-  CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 8), 1);
-  CHECK_INT(page[0].job.id, id + 1);
+  CHECK(lists(&query, 8, 1, id + 1, id + 1));
   query.group = other;
-  CHECK_INT(mo_store_campaigns(fixture.store, &query, page, 8), 0);
-  CHECK_INT(mo_store_campaigns(fixture.store, &query, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  CHECK_INT(mo_store_campaigns(store, &query, page, 8), 0);
+  CHECK_INT(mo_store_campaigns(store, &query, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
+  CHECK_OK(check_whole());
 }
 
 /* The population that another campaign has now, as it stands: what that one does later changes
@@ -253,35 +233,31 @@ static void inherits_a_population(void)
   struct made made = {0};
   struct mo_campaign_submission submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, 30);
   struct mo_bits listed, form, before[MADE_POPULATION], *found = NULL, *best = NULL;
-  int64_t first, second;
   uint32_t n = 0, n_sound = 0;
-  first = campaign_submit(&fixture, &submission);
+  int64_t first = submit_campaign(&submission);
   submission.record.initial_campaign = first;
-  CHECK_INT(campaign_submit(&fixture, &submission), MO_ERR_CONFLICT); /* nothing there yet */
-  CHECK_INT(mo_store_population(fixture.store, first, 0, &best, &n), MO_ERR_CONFLICT);
+  CHECK_INT(submit_campaign(&submission), MO_ERR_CONFLICT); /* nothing there yet */
+  CHECK_INT(mo_store_population(store, first, 0, &best, &n), MO_ERR_CONFLICT);
   submission.record.initial_campaign = 77;
-  CHECK_INT(campaign_submit(&fixture, &submission), MO_ERR_NOT_FOUND);
-  REQUIRE(mo_store_run_start(fixture.store, first) == MO_OK);
-  REQUIRE(made_start(&made, fixture.store, first, MO_ZERO_SHOT, MADE_POPULATION, 9) == MO_OK);
-  REQUIRE(made_generation(&made) == MO_OK);
-  REQUIRE(made_generation(&made) == MO_OK);
+  CHECK_INT(submit_campaign(&submission), MO_ERR_NOT_FOUND);
+  REQUIRE_OK(mo_store_run_start(store, first));
+  made = made_start(first, MO_ZERO_SHOT, 9);
+  REQUIRE_OK(made_generation(&made));
+  REQUIRE_OK(made_generation(&made));
   memcpy(before, made.genotypes, sizeof(before));
   submission.record.initial_campaign = first;
-  second = campaign_submit(&fixture, &submission);
+  int64_t second = submit_campaign(&submission);
   REQUIRE(second > 0);
   /* As designs of a training: those that did not diverge, best first. */
   for (uint32_t i = 0; i < made.n; i++)
     n_sound += isfinite(made.scores[i]) != 0;
-  CHECK_INT(mo_store_population(fixture.store, first, 0, &best, &n), MO_OK);
-  CHECK(n == n_sound && memcmp(best, before, n * sizeof(*best)) == 0);
-  free(best);
-  CHECK_INT(mo_store_population(fixture.store, first, 2, &best, &n), MO_OK);
-  CHECK(n == 2 && memcmp(best, before, 2 * sizeof(*best)) == 0);
-  free(best);
-  REQUIRE(made_generation(&made) == MO_OK);
-  CHECK_INT(mo_store_job_designs(fixture.store, second, &found, &n), MO_OK);
-  CHECK(n == MADE_POPULATION && memcmp(found, before, sizeof(before)) == 0);
-  free(found);
+  best = best_of(first, 0, &n);
+  CHECK(n == n_sound && SAME(best, before, n));
+  best = best_of(first, 2, &n);
+  CHECK(n == 2 && SAME(best, before, 2));
+  REQUIRE_OK(made_generation(&made));
+  found = designs_of(second, &n);
+  CHECK(n == MADE_POPULATION && SAME(found, before, n));
   /* One of its designs is listed, turned or not: it comes once, first. The last ones have no place.
    */
   memcpy(before, made.genotypes, sizeof(before));
@@ -292,244 +268,208 @@ static void inherits_a_population(void)
   submission.genotypes = &listed;
   submission.record.n_listed = 1;
   submission.record.settings.population = 4;
-  second = campaign_submit(&fixture, &submission);
+  second = submit_campaign(&submission);
   REQUIRE(second > 0);
-  CHECK_INT(mo_store_job_designs(fixture.store, second, &found, &n), MO_OK);
-  CHECK(n == 4 && memcmp(&found[0], &listed, sizeof(listed)) == 0 &&
-        memcmp(&found[1], &before[0], sizeof(listed)) == 0 &&
-        memcmp(&found[2], &before[2], sizeof(listed)) == 0 &&
-        memcmp(&found[3], &before[3], sizeof(listed)) == 0);
-  free(found);
+  found = designs_of(second, &n);
+  CHECK(n == 4 && SAME(&found[0], &listed, 1) && SAME(&found[1], &before[0], 1) &&
+        SAME(&found[2], &before[2], 1) && SAME(&found[3], &before[3], 1));
   /* Into a workspace of two voxels nothing fits that has more. */
   submission.record.settings.workspace = (struct mo_workspace){2, 1, 1};
   submission.record.n_listed = 0;
-  second = campaign_submit(&fixture, &submission);
+  second = submit_campaign(&submission);
   REQUIRE(second > 0);
-  CHECK_INT(mo_store_job_designs(fixture.store, second, &found, &n), MO_OK);
+  (void)designs_of(second, &n);
   CHECK_INT(n, 0);
-  free(found);
-  made_free(&made);
 }
 
-static void finish_with(int64_t id, struct mo_controller *controller)
+static struct {
+  struct mo_controller *controller;
+  uint8_t *bytes;
+  size_t size;
+} result;
+
+/* Ends a campaign; with the result when it has a name. */
+static int finish(int64_t id, enum mo_campaign_end end, uint32_t generations, const char *name)
 {
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  struct mo_campaign_status status;
-  struct mo_controller_record record;
-  struct mo_event event;
+  return mo_store_campaign_finish(
+      store, id, end, generations, name, name != NULL ? result.bytes : NULL,
+      name != NULL ? result.size : 0, name != NULL ? result.controller : NULL);
+}
+
+/* Returns the state before, or an error. */
+static int extend(int64_t id, uint32_t generations, const struct mo_request_key *key)
+{
+  enum mo_job_state before = MO_JOB_FAILED;
+  const int error = mo_store_extend_campaign(store, id, generations, key, &before);
+  return error != MO_OK ? error : (int)before;
+}
+
+static void finish_with_its_result(int64_t id)
+{
+  static const enum mo_campaign_end end = MO_CAMPAIGN_COMPLETED;
   const struct mo_sha256 odd = {{0xab, 0xcd}};
-  CHECK_INT(mo_controller_encode(controller, &bytes, &size), MO_OK);
-  CHECK_INT(mo_store_campaign_lineage_fault(fixture.store, id, &odd, "morphod.seed", "no number"),
-            MO_OK);
-  event = campaign_event(&fixture, id);
+  struct mo_controller_record record;
+  CHECK_OK(mo_store_campaign_lineage_fault(store, id, &odd, "morphod.seed", "no number"));
+  struct mo_event event = last_event(id);
   CHECK_TEXT(event.type, "campaign.lineage_unreadable");
-  CHECK(strstr(event.data, "\"controller\":\"abcd00") != NULL);
-  CHECK(strstr(event.data, "\"field\":\"morphod.seed\",\"detail\":\"no number\"}") != NULL);
-  CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 0, "walker", bytes,
-                                     size, controller),
-            MO_ERR_CONFLICT); /* it has more generations to go */
-  CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 1, "Not A Name",
-                                     bytes, size, controller),
-            MO_ERR_FORMAT);
-  CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 1, "walker", bytes,
-                                     size, controller),
-            MO_OK);
-  CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
-  CHECK(status.job.state == MO_JOB_SUCCEEDED && status.job.finished_us > 0 &&
-        status.end == MO_CAMPAIGN_COMPLETED);
-  CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_OK);
+  CHECK_HAS(event.data, "\"controller\":\"abcd00");
+  CHECK_HAS(event.data, "\"field\":\"morphod.seed\",\"detail\":\"no number\"}");
+  CHECK_INT(finish(id, end, 0, "walker"), MO_ERR_CONFLICT); /* it has more generations to go */
+  CHECK_INT(mo_store_controller(store, "walker", &record), MO_ERR_NOT_FOUND);
+  CHECK_INT(finish(id, end, 1, "Not A Name"), MO_ERR_FORMAT);
+  CHECK_OK(finish(id, end, 1, "walker"));
+  const struct mo_campaign_status status = status_of(id);
+  CHECK(status.job.state == MO_JOB_SUCCEEDED && status.job.finished_us > 0 && status.end == end);
+  CHECK_OK(mo_store_controller(store, "walker", &record));
   CHECK(status.has_result && mo_sha256_equal(&status.result_sha256, &record.sha256));
-  event = campaign_event(&fixture, id);
+  event = last_event(id);
   CHECK_TEXT(event.type, "job.finished");
-  CHECK(strstr(event.data, "\"kind\":\"campaign\",\"state\":\"succeeded\",\"end\":\"completed\","
-                           "\"controller\":\"walker\",\"sha256\":\"") != NULL);
-  CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 1, "walker", bytes,
-                                     size, controller),
+  CHECK_HAS(event.data, "\"kind\":\"campaign\",\"state\":\"succeeded\",\"end\":\"completed\","
+                        "\"controller\":\"walker\",\"sha256\":\"");
+  CHECK_INT(finish(id, end, 1, "walker"), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_campaign_lineage_fault(store, id, &odd, "morphod.seed", "no number"),
             MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_campaign_lineage_fault(fixture.store, id, &odd, "morphod.seed", "no number"),
-            MO_ERR_CONFLICT);
-  free(bytes);
 }
 
 static void finishes_and_extends(void)
 {
   struct mo_campaign_submission submission = campaign_submission(MO_SIMULTANEOUS, 4, 1);
-  struct mo_campaign_status status;
-  struct mo_controller *controller = NULL;
-  enum mo_job_state before = MO_JOB_FAILED;
   struct mo_request_key key = {.text = "more"};
-  struct mo_event event;
-  int64_t id;
-  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
-  mo_controller_randomize(controller, 77);
-  id = campaign_submit(&fixture, &submission);
+  int64_t id = submit_campaign(&submission);
+  result.controller = make_random_controller(MO_SENSOR_INVERSE_SQRT, 77);
+  REQUIRE_OK(mo_controller_encode(result.controller, &result.bytes, &result.size));
+  check_keep(result.bytes, free);
   /* Queued. */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 0, NULL, &before), MO_ERR_RANGE);
-  CHECK_INT(
-      mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 9, NULL, NULL, 0, NULL),
-      MO_ERR_CONFLICT);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  finish_with(id, controller);
+  CHECK_INT(extend(id, 0, NULL), MO_ERR_RANGE);
+  CHECK_INT(finish(id, MO_CAMPAIGN_COMPLETED, 9, NULL), MO_ERR_CONFLICT);
+  REQUIRE_OK(mo_store_run_start(store, id));
+  finish_with_its_result(id);
   /* Succeeded: queued again, without its end. */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 2, NULL, &before), MO_OK);
-  CHECK_INT(before, MO_JOB_SUCCEEDED);
-  CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
+  CHECK_INT(extend(id, 2, NULL), MO_JOB_SUCCEEDED);
+  struct mo_campaign_status status = status_of(id);
   CHECK(status.job.state == MO_JOB_QUEUED && status.job.finished_us == 0 &&
         status.end == MO_CAMPAIGN_OPEN);
   CHECK(!status.has_result && status.record.settings.generations == 3 &&
         status.job.steps_total == 3);
-  event = campaign_event(&fixture, id);
+  struct mo_event event = last_event(id);
   CHECK_TEXT(event.type, "campaign.extended");
-  CHECK(strstr(event.data, "\"state\":\"queued\",\"generations\":3,\"added\":2") != NULL);
+  CHECK_HAS(event.data, "\"state\":\"queued\",\"generations\":3,\"added\":2");
   /* Queued, running, paused: just longer. */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
-  CHECK_INT(before, MO_JOB_QUEUED);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
-  CHECK(before == MO_JOB_RUNNING && campaign_state(&fixture, id) == MO_JOB_RUNNING);
-  CHECK_INT(
-      mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 4, NULL, NULL, 0, NULL),
-      MO_ERR_CONFLICT); /* extended meanwhile */
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
-  CHECK_INT(
-      mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 5, NULL, NULL, 0, NULL),
-      MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
-  CHECK(before == MO_JOB_PAUSED && campaign_state(&fixture, id) == MO_JOB_PAUSED);
-  CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
-  CHECK_INT(status.job.steps_total, 6);
+  CHECK_INT(extend(id, 1, NULL), MO_JOB_QUEUED);
+  REQUIRE_OK(mo_store_run_start(store, id));
+  CHECK_INT(extend(id, 1, NULL), MO_JOB_RUNNING);
+  CHECK_INT(state_of(id), MO_JOB_RUNNING);
+  CHECK_INT(finish(id, MO_CAMPAIGN_COMPLETED, 4, NULL), MO_ERR_CONFLICT); /* extended meanwhile */
+  CHECK_OK(change(id, MO_CHANGE_PAUSE));
+  CHECK_INT(finish(id, MO_CAMPAIGN_COMPLETED, 5, NULL), MO_ERR_CONFLICT);
+  CHECK_INT(extend(id, 1, NULL), MO_JOB_PAUSED);
+  CHECK_INT(state_of(id), MO_JOB_PAUSED);
+  CHECK_INT(job_of(id).steps_total, 6);
   /* With a key: once. */
   mo_sha256_of("one", 3, &key.sha256);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &key, &before), MO_OK);
-  CHECK_INT(before, MO_JOB_PAUSED);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &key, &before), MO_OK);
-  CHECK_INT(before, MO_JOB_QUEUED);
+  CHECK_INT(extend(id, 1, &key), MO_JOB_PAUSED);
+  CHECK_INT(extend(id, 1, &key), MO_JOB_QUEUED);
   mo_sha256_of("two", 3, &key.sha256);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 2, &key, &before), MO_ERR_DUPLICATE);
-  CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
-  CHECK_INT(status.job.steps_total, 7);
+  CHECK_INT(extend(id, 2, &key), MO_ERR_DUPLICATE);
+  CHECK_INT(job_of(id).steps_total, 7);
   /* Limits: of generations, of designs, of the steps of a training. */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, MO_GENERATIONS_MAX - 6, NULL, &before),
-            MO_ERR_RANGE);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, UINT32_MAX, NULL, &before), MO_ERR_RANGE);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, MO_GENERATIONS_MAX - 7, NULL, &before),
-            MO_OK);
+  CHECK_INT(extend(id, MO_GENERATIONS_MAX - 6, NULL), MO_ERR_RANGE);
+  CHECK_INT(extend(id, UINT32_MAX, NULL), MO_ERR_RANGE);
+  CHECK_INT(extend(id, MO_GENERATIONS_MAX - 7, NULL), MO_JOB_PAUSED);
   submission.record.settings.child_steps = 1000;
   submission.record.settings.generations = 900;
-  id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 98, NULL, &before),
-            MO_ERR_RANGE); /* 1000 + 1002 · 998 steps */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 97, NULL, &before), MO_OK);
+  id = submit_campaign(&submission);
+  CHECK_INT(extend(id, 98, NULL), MO_ERR_RANGE); /* 1000 + 1002 · 998 steps */
+  CHECK_INT(extend(id, 97, NULL), MO_JOB_QUEUED);
   submission = campaign_submission(MO_ZERO_SHOT, MO_POPULATION_MAX, 4000);
-  id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 96, NULL, &before),
-            MO_ERR_RANGE); /* 2^16 · 4097 designs */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 95, NULL, &before), MO_OK);
+  id = submit_campaign(&submission);
+  CHECK_INT(extend(id, 96, NULL), MO_ERR_RANGE); /* 2^16 · 4097 designs */
+  CHECK_INT(extend(id, 95, NULL), MO_JOB_QUEUED);
   /* What depends on the number of generations. */
   submission = campaign_submission(MO_SIMULTANEOUS, 4, 1);
   submission.record.settings.learning.schedule.kind = MO_SCHEDULE_COSINE;
-  id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_UNSUPPORTED);
+  CHECK_INT(extend(submit_campaign(&submission), 1, NULL), MO_ERR_UNSUPPORTED);
   submission.record.settings.mode = MO_FEW_SHOT;
   submission.controller = "default";
-  id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
+  id = submit_campaign(&submission);
+  CHECK_INT(extend(id, 1, NULL), MO_JOB_QUEUED);
   /* Exhausted: there is nothing new to find. */
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_OPEN, 2, NULL, NULL, 0, NULL),
-            MO_ERR_INVALID);
-  CHECK_INT(
-      mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_EXHAUSTED, 2, NULL, NULL, 0, NULL),
-      MO_OK);
-  CHECK(strstr(campaign_event(&fixture, id).data, "\"end\":\"exhausted\"}") != NULL);
-  CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
+  REQUIRE_OK(mo_store_run_start(store, id));
+  CHECK_INT(finish(id, MO_CAMPAIGN_OPEN, 2, NULL), MO_ERR_INVALID);
+  CHECK_OK(finish(id, MO_CAMPAIGN_EXHAUSTED, 2, NULL));
+  CHECK_HAS(last_event(id).data, "\"end\":\"exhausted\"}");
+  status = status_of(id);
   CHECK(status.end == MO_CAMPAIGN_EXHAUSTED && !status.has_result);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_CONFLICT);
+  CHECK_INT(extend(id, 1, NULL), MO_ERR_CONFLICT);
   /* Cancelled, failed, of another kind, not there. */
-  id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_CONFLICT);
-  id = campaign_submit(&fixture, &submission);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 1, NULL),
-            MO_OK);
-  CHECK_INT(campaign_state(&fixture, id), MO_JOB_FAILED);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, 12345, 1, NULL, &before), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  mo_controller_free(controller);
+  id = submit_campaign(&submission);
+  CHECK_OK(change(id, MO_CHANGE_CANCEL));
+  CHECK_INT(extend(id, 1, NULL), MO_ERR_CONFLICT);
+  id = submit_campaign(&submission);
+  REQUIRE_OK(mo_store_run_start(store, id));
+  CHECK_OK(mo_store_run_park(store, id, MO_ERR_NO_MEMORY, "out of memory", 1, NULL));
+  CHECK_INT(state_of(id), MO_JOB_FAILED);
+  CHECK_INT(extend(id, 1, NULL), MO_ERR_CONFLICT);
+  CHECK_INT(extend(12345, 1, NULL), MO_ERR_NOT_FOUND);
+  CHECK_OK(check_whole());
 }
 
 static void parks_and_requeues(void)
 {
-  struct made made = {0};
-  struct mo_campaign_submission submission = campaign_submission(MO_FEW_SHOT, MADE_POPULATION, 100);
-  enum mo_job_state after = MO_JOB_CANCELLED;
-  struct mo_job job;
-  int64_t id;
-  id = campaign_submit(&fixture, &submission);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK(strcmp(campaign_event(&fixture, id).type, "job.started") == 0);
-  CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
-  CHECK(after == MO_JOB_QUEUED && strcmp(campaign_event(&fixture, id).type, "job.requeued") == 0);
-  CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after),
-            MO_OK); /* it does not run */
+  const struct mo_campaign_submission submission =
+      campaign_submission(MO_FEW_SHOT, MADE_POPULATION, 100);
+  int64_t id = submit_campaign(&submission);
+  REQUIRE_OK(mo_store_run_start(store, id));
+  CHECK_TEXT(last_event(id).type, "job.started");
+  CHECK_INT(park(id, MO_OK), MO_JOB_QUEUED);
+  CHECK_TEXT(last_event(id).type, "job.requeued");
+  CHECK(park(id, MO_OK) >= 0); /* it does not run */
   /* A process that dies leaves it running; the next one queues it again. */
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(fixture_reopen(&fixture), MO_OK);
-  CHECK_INT(campaign_state(&fixture, id), MO_JOB_RUNNING);
-  CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
-  CHECK_INT(campaign_state(&fixture, id), MO_JOB_QUEUED);
+  REQUIRE_OK(mo_store_run_start(store, id));
+  CHECK_OK(reopen());
+  CHECK_INT(state_of(id), MO_JOB_RUNNING);
+  CHECK_OK(mo_store_requeue(store, 0, 3, ""));
+  CHECK_INT(state_of(id), MO_JOB_QUEUED);
   /* An error, a crash, an error: the third is the last, unless a generation comes between. */
-  REQUIRE(made_start(&made, fixture.store, id, MO_FEW_SHOT, MADE_POPULATION, 3) == MO_OK);
+  struct made made = made_start(id, MO_FEW_SHOT, 3);
   for (int round = 0; round < 2; round++) {
-    REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-    CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
-              MO_OK);
-    CHECK_INT(after, MO_JOB_QUEUED);
-    CHECK_INT(mo_store_requeue(fixture.store, id, 3, "killed"), MO_OK);
-    CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
-    CHECK_INT(job.attempts, 2);
-    CHECK_TEXT(job.error_text, "killed");
-    REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
+    REQUIRE_OK(mo_store_run_start(store, id));
+    CHECK_INT(park(id, MO_ERR_NO_MEMORY), MO_JOB_QUEUED);
+    CHECK_OK(mo_store_requeue(store, id, 3, "killed"));
+    CHECK_INT(job_of(id).attempts, 2);
+    CHECK_TEXT(job_of(id).error_text, "killed");
+    REQUIRE_OK(mo_store_run_start(store, id));
     if (round == 0) {
-      REQUIRE(made_generation(&made) == MO_OK);
-      CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
-      CHECK_INT(job.attempts, 0);
-      CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
+      REQUIRE_OK(made_generation(&made));
+      CHECK_INT(job_of(id).attempts, 0);
+      CHECK_INT(park(id, MO_OK), MO_JOB_QUEUED);
     }
   }
-  CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
-            MO_OK);
-  CHECK_INT(after, MO_JOB_FAILED);
-  CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
-  CHECK(strstr(campaign_event(&fixture, id).data, "\"kind\":\"campaign\",\"state\":\"failed\"") !=
-        NULL);
+  CHECK_INT(park(id, MO_ERR_NO_MEMORY), MO_JOB_FAILED);
+  CHECK_INT(mo_store_run_start(store, id), MO_ERR_CONFLICT);
+  CHECK_HAS(last_event(id).data, "\"kind\":\"campaign\",\"state\":\"failed\"");
   /* A retry, not a mere resumption, takes it up again; nothing of one that is not over, and none
    * that was cancelled. */
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, &after), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RETRY, &after), MO_OK);
-  CHECK_INT(after, MO_JOB_FAILED);
-  CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
+  enum mo_job_state before;
+  CHECK_INT(change(id, MO_CHANGE_RESUME), MO_ERR_CONFLICT);
+  CHECK_OK(mo_store_change_job(store, id, MO_CHANGE_RETRY, &before));
+  CHECK_INT(before, MO_JOB_FAILED);
+  const struct mo_job job = job_of(id);
   CHECK(job.state == MO_JOB_QUEUED && job.attempts == 0 && job.error == MO_OK &&
         job.finished_us == 0);
-  CHECK(strcmp(campaign_event(&fixture, id).type, "job.resumed") == 0);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RETRY, &after), MO_OK);
-  CHECK_INT(after, MO_JOB_QUEUED);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RETRY, NULL), MO_ERR_CONFLICT);
+  CHECK_TEXT(last_event(id).type, "job.resumed");
+  CHECK_OK(mo_store_change_job(store, id, MO_CHANGE_RETRY, &before));
+  CHECK_INT(before, MO_JOB_QUEUED);
+  CHECK_OK(change(id, MO_CHANGE_CANCEL));
+  CHECK_INT(change(id, MO_CHANGE_RETRY), MO_ERR_CONFLICT);
   /* One that is paused stays so. */
-  id = campaign_submit(&fixture, &submission);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
-  CHECK_INT(mo_store_run_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
-  CHECK_INT(after, MO_JOB_PAUSED);
-  CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, NULL), MO_OK);
-  CHECK_INT(mo_store_run_start(fixture.store, id), MO_OK);
-  made_free(&made);
+  id = submit_campaign(&submission);
+  REQUIRE_OK(mo_store_run_start(store, id));
+  CHECK_OK(change(id, MO_CHANGE_PAUSE));
+  CHECK_INT(park(id, MO_OK), MO_JOB_PAUSED);
+  CHECK_INT(mo_store_run_start(store, id), MO_ERR_CONFLICT);
+  CHECK_OK(change(id, MO_CHANGE_RESUME));
+  CHECK_OK(mo_store_run_start(store, id));
 }
 
 static const struct check_case cases[] = {

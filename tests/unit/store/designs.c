@@ -9,26 +9,23 @@
 static void shares_designs_between_orientations(void)
 {
   struct mo_bits images[2], same_forms[2];
-  struct mo_submission submission;
   struct mo_design *design = NULL;
-  int64_t id;
-  REQUIRE(fixture_bodies(5, 40, &fixture.forms, &fixture.genotypes) == MO_OK);
-  images[0] = fixture.genotypes[0];
+  genotypes = make_bodies(5, 40, &forms);
+  images[0] = genotypes[0];
   for (unsigned i = 0; i < 40; i++) { /* a body that is not its own mirror image */
-    REQUIRE(mo_genotype_image(MO_DEFAULT_WORKSPACE, fixture.genotypes[i].words, 4,
-                              images[1].words) == MO_OK);
+    REQUIRE_OK(mo_genotype_image(MO_DEFAULT_WORKSPACE, genotypes[i].words, 4, images[1].words));
     mo_genotype_place(MO_DEFAULT_WORKSPACE, images[1].words);
-    images[0] = fixture.genotypes[i];
-    same_forms[0] = same_forms[1] = fixture.forms[i];
+    images[0] = genotypes[i];
+    same_forms[0] = same_forms[1] = forms[i];
     if (memcmp(&images[0], &images[1], sizeof(images[0])) != 0)
       break;
   }
   REQUIRE(memcmp(&images[0], &images[1], sizeof(images[0])) != 0);
-  submission = fixture_submission(same_forms, images, 2);
-  id = submit_evaluation(&submission);
-  REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
-  CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM designs"), 1);
-  REQUIRE(mo_store_design(fixture.store, &same_forms[0], &design) == MO_OK);
+  struct mo_submission submission = fixture_submission(same_forms, images, 2);
+  int64_t id = submit_evaluation(&submission);
+  REQUIRE_OK(run_by_hand(id, made_up_loss));
+  CHECK_INT(outside_integer("SELECT count(*) FROM designs"), 1);
+  REQUIRE_OK(mo_store_design(store, &same_forms[0], &design));
   CHECK_INT(design->n_orientations, 2);
   CHECK(memcmp(&design->orientations[1].genotype, &images[1], sizeof(images[1])) == 0);
   REQUIRE(design->orientations[1].n_scores == 1);
@@ -38,7 +35,7 @@ static void shares_designs_between_orientations(void)
   CHECK_TEXT(design->orientations[1].scores[0].fingerprint, "by hand");
   CHECK_NEAR(design->orientations[1].scores[0].score, 0.2045, 1e-12);
   mo_design_free(design);
-  CHECK_INT(mo_store_design(fixture.store, &fixture.genotypes[39], &design), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_design(store, &genotypes[39], &design), MO_ERR_NOT_FOUND);
 }
 
 static double odd_loss(uint32_t n, uint32_t k)
@@ -57,17 +54,16 @@ static void keeps_every_bit(void)
   struct mo_submission submission = draw_evaluation(2, 3);
   struct mo_evaluation_results *results = NULL;
   struct mo_environment environments[6];
-  int64_t id, again;
   for (unsigned k = 0; k < 6; k++)
     mo_environment_training(9, 0, k, &environments[k]);
   environments[2].light_xy_m[0] = -0.0;
   submission.environment_set = NULL;
   submission.environments = environments;
   submission.n_environments = 6;
-  id = submit_evaluation(&submission);
-  REQUIRE(run_by_hand(fixture.store, id, odd_loss) == MO_OK);
-  REQUIRE(fixture_reopen(&fixture) == MO_OK);
-  REQUIRE(mo_store_results(fixture.store, id, &results) == MO_OK);
+  int64_t id = submit_evaluation(&submission);
+  REQUIRE_OK(run_by_hand(id, odd_loss));
+  REQUIRE_OK(reopen());
+  REQUIRE_OK(mo_store_results(store, id, &results));
   for (uint32_t n = 0; n < 3; n++)
     for (uint32_t k = 0; k < 6; k++) {
       double expected = odd_loss(n, k);
@@ -75,22 +71,22 @@ static void keeps_every_bit(void)
       CHECK_INT(results->diverged_steps[n * 6 + k], isinf(expected) ? 17 : 0);
     }
   CHECK(isinf(results->scores[0]));
-  CHECK(memcmp(results->forms, fixture.forms, 3 * sizeof(*fixture.forms)) == 0);
+  CHECK(memcmp(results->forms, forms, 3 * sizeof(*forms)) == 0);
   mo_evaluation_results_free(results);
   /* A second writer of the same scores changes nothing; a verify job reports both. */
   submission.verify = true;
-  again = submit_evaluation(&submission);
-  REQUIRE(run_by_hand(fixture.store, again, other_loss) == MO_OK);
-  REQUIRE(mo_store_results(fixture.store, again, &results) == MO_OK);
+  int64_t again = submit_evaluation(&submission);
+  REQUIRE_OK(run_by_hand(again, other_loss));
+  REQUIRE_OK(mo_store_results(store, again, &results));
   REQUIRE(results->agrees != NULL && results->stored_losses != NULL);
   CHECK(results->agrees[0] == 1 && results->agrees[1] == 0 && results->agrees[2] == 1);
   CHECK(results->losses[8] == other_loss(1, 2) && results->stored_losses[8] == odd_loss(1, 2));
   mo_evaluation_results_free(results);
-  REQUIRE(mo_store_results(fixture.store, id, &results) == MO_OK);
+  REQUIRE_OK(mo_store_results(store, id, &results));
   CHECK(results->losses[8] == odd_loss(1, 2));
   CHECK(results->agrees == NULL);
   mo_evaluation_results_free(results);
-  CHECK_INT(mo_store_results(fixture.store, 77, &results), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_results(store, 77, &results), MO_ERR_NOT_FOUND);
 }
 
 static void ranks_designs(void)
@@ -103,18 +99,18 @@ static void ranks_designs(void)
   int64_t id, seen = 0;
   double last = -1;
   id = submit_evaluation(&submission);
-  REQUIRE(mo_store_controller(fixture.store, "default", &record) == MO_OK);
+  REQUIRE_OK(mo_store_controller(store, "default", &record));
   query.controller_sha256 = record.sha256;
   query.physics = mo_default_physics();
-  CHECK_INT(mo_store_designs(fixture.store, &query, rows, 8), 0);
-  REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
+  CHECK_INT(mo_store_designs(store, &query, rows, 8), 0);
+  REQUIRE_OK(run_by_hand(id, made_up_loss));
   for (;;) {
-    int64_t n = mo_store_designs(fixture.store, &query, rows, 8);
+    int64_t n = mo_store_designs(store, &query, rows, 8);
     REQUIRE(n >= 0);
     for (int64_t i = 0; i < n; i++) {
       CHECK(rows[i].score > last);
       last = rows[i].score;
-      CHECK(memcmp(&rows[i].form, &fixture.forms[seen], sizeof(fixture.forms[0])) == 0);
+      CHECK(memcmp(&rows[i].form, &forms[seen], sizeof(forms[0])) == 0);
       seen++;
     }
     if (n == 0)
@@ -125,54 +121,53 @@ static void ranks_designs(void)
   CHECK_INT(seen, 20);
   query.is_descending = true;
   query.after_row = 0;
-  CHECK_INT(mo_store_designs(fixture.store, &query, rows, 8), 8);
+  CHECK_INT(mo_store_designs(store, &query, rows, 8), 8);
   CHECK(rows[0].score == last && rows[1].score < last); /* the worst first */
   query = (struct mo_design_query){.sort = MO_DESIGNS_BY_ID};
-  CHECK_INT(mo_store_designs(fixture.store, &query, rows, 8), 8);
-  CHECK(memcmp(&rows[7].form, &fixture.forms[7], sizeof(fixture.forms[0])) == 0);
+  CHECK_INT(mo_store_designs(store, &query, rows, 8), 8);
+  CHECK(memcmp(&rows[7].form, &forms[7], sizeof(forms[0])) == 0);
   query.after_row = rows[7].row;
-  CHECK_INT(mo_store_designs(fixture.store, &query, rows, 8), 8);
-  CHECK(memcmp(&rows[0].form, &fixture.forms[8], sizeof(fixture.forms[0])) == 0);
+  CHECK_INT(mo_store_designs(store, &query, rows, 8), 8);
+  CHECK(memcmp(&rows[0].form, &forms[8], sizeof(forms[0])) == 0);
 }
 
 static void keeps_controllers(void)
 {
   struct mo_controller_record first, second, listed[4];
-  char path[512], digits[65], reference[80], *metadata = NULL;
+  char digits[65], reference[80], *metadata = NULL;
   uint8_t *bytes = NULL;
   size_t size = 0;
-  FILE *file;
-  CHECK_INT(mo_store_controller(fixture.store, "default", &first), MO_OK);
+  CHECK_OK(mo_store_controller(store, "default", &first));
   CHECK_INT(first.version, 1);
   CHECK_INT(first.n_parameters, 620912);
-  CHECK_INT(mo_store_controller_bytes(fixture.store, &first.sha256, &bytes, &size), MO_OK);
+  CHECK_OK(mo_store_controller_bytes(store, &first.sha256, &bytes, &size));
   CHECK_INT(size, first.size);
   free(bytes);
-  CHECK_INT(mo_store_controller_metadata(fixture.store, &first.sha256, &metadata), MO_OK);
+  CHECK_OK(mo_store_controller_metadata(store, &first.sha256, &metadata));
   CHECK(metadata != NULL && strstr(metadata, "\"sensor\":\"inverse_sqrt\"") != NULL);
   CHECK(metadata != NULL &&
         strstr(metadata, "\"note\":\"a \\\"quoted\\\"\\n\\\\ \xc3\xa9 note\"") != NULL);
   free(metadata);
   /* The same content under the same name changes nothing; other content moves the name. */
-  CHECK_INT(fixture_controller(fixture.store, "default", 1, &second), MO_OK);
+  CHECK_OK(put_weights("default", 1, &second));
   CHECK(second.version == 1 && second.stored_us == first.stored_us);
-  CHECK_INT(fixture_controller(fixture.store, "default", 2, &second), MO_OK);
+  CHECK_OK(put_weights("default", 2, &second));
   CHECK(second.version == 2 && !mo_sha256_equal(&first.sha256, &second.sha256));
-  CHECK_INT(fixture_controller(fixture.store, "another-one", 1, &second), MO_OK);
-  CHECK_INT(mo_store_controllers(fixture.store, NULL, listed, 4), 2);
+  CHECK_OK(put_weights("another-one", 1, &second));
+  CHECK_INT(mo_store_controllers(store, NULL, listed, 4), 2);
   CHECK_TEXT(listed[0].name, "another-one");
-  CHECK_INT(mo_store_controllers(fixture.store, "another-one", listed, 4), 1);
+  CHECK_INT(mo_store_controllers(store, "another-one", listed, 4), 1);
   CHECK_TEXT(listed[0].name, "default");
   mo_sha256_to_hex(&first.sha256, digits);
   snprintf(reference, sizeof(reference), "sha256:%s", digits);
-  CHECK_INT(mo_store_controller(fixture.store, reference, &second), MO_OK);
+  CHECK_OK(mo_store_controller(store, reference, &second));
   CHECK(mo_sha256_equal(&first.sha256, &second.sha256) && second.name[0] == '\0');
-  CHECK_INT(mo_store_controller(fixture.store, "sha256:12", &second), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_controller_remove(fixture.store, "another-one"), MO_OK);
-  CHECK_INT(mo_store_controller_remove(fixture.store, "another-one"), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_controller(fixture.store, "another-one", &second), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_controller_name_check("bootstrap"), MO_OK);
-  CHECK_INT(mo_controller_name_check("a.b_c-0"), MO_OK);
+  CHECK_INT(mo_store_controller(store, "sha256:12", &second), MO_ERR_NOT_FOUND);
+  CHECK_OK(mo_store_controller_remove(store, "another-one"));
+  CHECK_INT(mo_store_controller_remove(store, "another-one"), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_controller(store, "another-one", &second), MO_ERR_NOT_FOUND);
+  CHECK_OK(mo_controller_name_check("bootstrap"));
+  CHECK_OK(mo_controller_name_check("a.b_c-0"));
   CHECK_INT(mo_controller_name_check(""), MO_ERR_FORMAT);
   CHECK_INT(mo_controller_name_check("../x"), MO_ERR_FORMAT);
   CHECK_INT(mo_controller_name_check("Upper"), MO_ERR_FORMAT);
@@ -181,87 +176,46 @@ static void keeps_controllers(void)
       mo_controller_name_check("0123456789012345678901234567890123456789012345678901234567890123x"),
       MO_ERR_FORMAT);
   /* A damaged file is found out, and healed by the next upload. */
-  snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", fixture.path, digits);
-  file = fopen(path, "r+");
-  REQUIRE(file != NULL);
-  fseek(file, 5000, SEEK_SET);
-  fputs("scratched", file);
-  fclose(file);
-  CHECK_INT(mo_store_controller_bytes(fixture.store, &first.sha256, &bytes, &size), MO_ERR_CORRUPT);
-  CHECK_INT(fixture_controller(fixture.store, "default", 1, &second), MO_OK);
-  CHECK_INT(mo_store_controller_bytes(fixture.store, &first.sha256, &bytes, &size), MO_OK);
+  const char *path = path_of("controllers/%s.safetensors", digits);
+  REQUIRE_OK(overwrite(path, 5000, "scratched", 9));
+  CHECK_INT(mo_store_controller_bytes(store, &first.sha256, &bytes, &size), MO_ERR_CORRUPT);
+  CHECK_OK(put_weights("default", 1, &second));
+  CHECK_OK(mo_store_controller_bytes(store, &first.sha256, &bytes, &size));
   free(bytes);
   unlink(path);
-  CHECK_INT(mo_store_controller_bytes(fixture.store, &first.sha256, &bytes, &size), MO_ERR_CORRUPT);
+  CHECK_INT(mo_store_controller_bytes(store, &first.sha256, &bytes, &size), MO_ERR_CORRUPT);
 }
 
-/* Ends an evaluation of 6 designs with losses of which design i's are losses[i]. */
-static int evaluate(int64_t id, const double losses[6])
+static double design_loss(uint32_t n, uint32_t k)
 {
-  struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER};
-  struct mo_job_update updates[2] = {{.job = id, .step = MO_STEP_START},
-                                     {.job = id, .step = MO_STEP_SUCCEED}};
-  struct mo_saved_score scores[6 * MO_PAPER_TEST_COUNT];
-  struct mo_save save = {
-      .scores = scores, .updates = updates, .n_updates = 2, .done = save_done, .context = &waiter};
-  struct mo_work *work = NULL;
-  int64_t fingerprint = 0;
-  int error = mo_store_fingerprint(fixture.store, "by hand", &fingerprint);
-  if (error == MO_OK)
-    error = mo_store_load_work(fixture.store, id, fixture_classes(fingerprint), &work);
-  updates[0].fingerprint = updates[0].workers = fingerprint;
-  for (uint32_t n = 0; n < 6 && error == MO_OK; n++)
-    for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
-      scores[n * MO_PAPER_TEST_COUNT + k] =
-          (struct mo_saved_score){.genotype = work->genotype_rows[n],
-                                  .controller = work->controller,
-                                  .physics = work->physics,
-                                  .environment = work->environment_rows[k],
-                                  .fingerprint = fingerprint,
-                                  .loss = losses[n],
-                                  .diverged_step = isinf(losses[n]) ? 3 : 0};
-  save.n_scores = 6 * MO_PAPER_TEST_COUNT;
-  if (error == MO_OK)
-    error = mo_store_save(fixture.store, &save);
-  pthread_mutex_lock(&waiter.mutex);
-  while (!waiter.done && error == MO_OK)
-    pthread_cond_wait(&waiter.changed, &waiter.mutex);
-  pthread_mutex_unlock(&waiter.mutex);
-  mo_work_free(work);
-  return error;
+  static const double losses[6] = {0.5, 0.25, INFINITY, 0.75, 0.125, 0.25};
+  (void)k;
+  return losses[n];
 }
 
 static void ranks_a_population(void)
 {
-  static const double losses[6] = {0.5, 0.25, INFINITY, 0.75, 0.125, 0.25};
   struct mo_bits *best = NULL;
   struct mo_submission evaluation = draw_evaluation(5, 6);
   struct mo_training_submission training = submission_of(10);
   int64_t id = 0;
   uint32_t n = 0;
-  fixture.forms[5] = fixture.forms[1]; /* asked for twice */
-  fixture.genotypes[5] = fixture.genotypes[1];
+  forms[5] = forms[1]; /* asked for twice */
+  genotypes[5] = genotypes[1];
   id = submit_evaluation(&evaluation);
-  CHECK_INT(mo_store_population(fixture.store, id, 0, &best, &n), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_population(fixture.store, id + 1, 0, &best, &n), MO_ERR_NOT_FOUND);
-  REQUIRE(evaluate(id, losses) == MO_OK);
-  CHECK_INT(mo_store_population(fixture.store, id, 0, &best, &n), MO_OK);
-  CHECK_INT(n, 4);
-  CHECK(n == 4 && memcmp(&best[0], &fixture.genotypes[4], sizeof(*best)) == 0 &&
-        memcmp(&best[1], &fixture.genotypes[1], sizeof(*best)) == 0 &&
-        memcmp(&best[2], &fixture.genotypes[0], sizeof(*best)) == 0 &&
-        memcmp(&best[3], &fixture.genotypes[3], sizeof(*best)) == 0);
-  free(best);
-  CHECK_INT(mo_store_population(fixture.store, id, 2, &best, &n), MO_OK);
+  CHECK_INT(mo_store_population(store, id, 0, &best, &n), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_population(store, id + 1, 0, &best, &n), MO_ERR_NOT_FOUND);
+  REQUIRE_OK(run_by_hand(id, design_loss));
+  best = best_of(id, 0, &n);
+  CHECK(n == 4 && SAME(&best[0], &genotypes[4], 1) && SAME(&best[1], &genotypes[1], 1) &&
+        SAME(&best[2], &genotypes[0], 1) && SAME(&best[3], &genotypes[3], 1));
+  best = best_of(id, 2, &n);
   CHECK_INT(n, 2);
-  free(best);
-  CHECK_INT(mo_store_population(fixture.store, submit(&fixture, &training), 0, &best, &n),
-            MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_population(store, submit_training(&training), 0, &best, &n), MO_ERR_NOT_FOUND);
 }
 
 static void *delete_contents(void *context)
 {
-  struct mo_store *store = context;
   struct mo_controller_record record;
   char reference[80], digits[65];
   for (int n = 0; n < 60;) {
@@ -272,7 +226,7 @@ static void *delete_contents(void *context)
     (void)mo_store_controller_remove(store, "again");
     n += mo_store_controller_delete(store, reference, NULL) == MO_OK;
   }
-  return NULL;
+  return context;
 }
 
 /* Content that is stored again while it is deleted: no row speaks of a file that has gone. */
@@ -280,18 +234,17 @@ static void stores_again_what_is_deleted(void)
 {
   struct mo_controller_record record;
   pthread_t thread;
-  REQUIRE(pthread_create(&thread, NULL, delete_contents, fixture.store) == 0);
+  REQUIRE(pthread_create(&thread, NULL, delete_contents, NULL) == 0);
   while (pthread_tryjoin_np(thread, NULL) != 0) {
     struct mo_controller_record seen;
-    char path[512], digits[65], reference[80];
-    REQUIRE(fixture_controller(fixture.store, "again", 77, &record) == MO_OK);
+    char digits[65], reference[80];
+    REQUIRE_OK(put_weights("again", 77, &record));
     mo_sha256_to_hex(&record.sha256, digits);
-    snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", fixture.path, digits);
     snprintf(reference, sizeof(reference), "sha256:%s", digits);
     /* A row that is still there after its file is gone would stay: no other call makes that file
      * again. */
-    CHECK(access(path, F_OK) == 0 ||
-          mo_store_controller(fixture.store, reference, &seen) == MO_ERR_NOT_FOUND);
+    CHECK(access(path_of("controllers/%s.safetensors", digits), F_OK) == 0 ||
+          mo_store_controller(store, reference, &seen) == MO_ERR_NOT_FOUND);
   }
 }
 

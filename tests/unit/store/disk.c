@@ -55,6 +55,13 @@ enum turn disk_change(struct disk *disk, bool sync)
   return TURN_LAST;
 }
 
+bool disk_take_room(struct disk *disk, enum disk_part part)
+{
+  const bool has_room = disk->room[part] != 0;
+  disk->room[part] -= disk->room[part] > 0;
+  return has_room;
+}
+
 const char *disk_below(const struct disk *disk, const char *path)
 {
   size_t n = strlen(disk->folder);
@@ -64,12 +71,11 @@ const char *disk_below(const struct disk *disk, const char *path)
 void disk_note(struct disk *disk, enum name_kind kind, const char *path, const char *to,
                struct inode *inode)
 {
-  struct name_change *entry;
   if (disk->n_pending == disk->pending_room) {
     disk->pending_room = 2 * disk->pending_room + 16;
     disk->pending = disk_memory(disk->pending, disk->pending_room * sizeof(*disk->pending));
   }
-  entry = &disk->pending[disk->n_pending++];
+  struct name_change *entry = &disk->pending[disk->n_pending++];
   *entry = (struct name_change){.kind = kind, .inode = inode};
   snprintf(entry->path, sizeof(entry->path), "%s", path);
   snprintf(entry->to, sizeof(entry->to), "%s", to != NULL ? to : "");
@@ -120,6 +126,7 @@ struct disk *disk_new(uint64_t seed, unsigned lies)
   pthread_mutex_init(&disk->mutex, NULL);
   disk->chance = seed;
   disk->lies = lies;
+  disk->room[DISK_DATABASE] = disk->room[DISK_FILES] = -1;
   for (size_t i = 0; i < FILES_MAX; i++)
     disk->files[i].fd = -1;
   if (make_base(disk) != 0) {
@@ -157,68 +164,68 @@ const char *disk_vfs(const struct disk *disk)
   return disk->vfs.zName;
 }
 
+/* Statements that no other call of the disk sees half. */
+#define LOCKED(disk, ...)                                                                          \
+  do {                                                                                             \
+    pthread_mutex_lock(&(disk)->mutex);                                                            \
+    __VA_ARGS__;                                                                                   \
+    pthread_mutex_unlock(&(disk)->mutex);                                                          \
+  } while (0)
+
+static void stop_after(struct disk *disk, long n, bool at_sync)
+{
+  LOCKED(disk, disk->stop_at = n > 0 ? disk->changes + n : 0; disk->at_sync = at_sync);
+}
+
 void disk_stop_after(struct disk *disk, long n)
 {
-  pthread_mutex_lock(&disk->mutex);
-  disk->stop_at = n > 0 ? disk->changes + n : 0;
-  disk->at_sync = false;
-  pthread_mutex_unlock(&disk->mutex);
+  stop_after(disk, n, false);
 }
 
 void disk_stop_at_sync(struct disk *disk, long n)
 {
-  disk_stop_after(disk, n);
-  pthread_mutex_lock(&disk->mutex);
-  disk->at_sync = true;
-  pthread_mutex_unlock(&disk->mutex);
+  stop_after(disk, n, true);
 }
 
 void disk_stop(struct disk *disk)
 {
-  pthread_mutex_lock(&disk->mutex);
-  disk->stopped = true;
-  pthread_mutex_unlock(&disk->mutex);
+  LOCKED(disk, disk->stopped = true);
 }
 
 bool disk_has_stopped(struct disk *disk)
 {
   bool stopped;
-  pthread_mutex_lock(&disk->mutex);
-  stopped = disk->stopped;
-  pthread_mutex_unlock(&disk->mutex);
+  LOCKED(disk, stopped = disk->stopped);
   return stopped;
 }
 
 void disk_fail_at(struct disk *disk, long n, bool lasting)
 {
-  pthread_mutex_lock(&disk->mutex);
-  disk->fail_at = n > 0 ? disk->calls + n : 0;
-  disk->failed = disk->failed && n == 0;
-  disk->lasting = lasting;
-  pthread_mutex_unlock(&disk->mutex);
+  LOCKED(disk, disk->fail_at = n > 0 ? disk->calls + n : 0; disk->failed = disk->failed && n == 0;
+         disk->lasting = lasting);
 }
 
 void disk_lack_descriptor(struct disk *disk, long n)
 {
-  pthread_mutex_lock(&disk->mutex);
-  disk->descriptors = n;
-  disk->failed = false;
-  pthread_mutex_unlock(&disk->mutex);
+  LOCKED(disk, disk->descriptors = n; disk->failed = false);
+}
+
+void disk_fill_after(struct disk *disk, enum disk_part part, long n)
+{
+  LOCKED(disk, disk->room[part] = n);
 }
 
 bool disk_has_failed(struct disk *disk)
 {
   bool failed;
-  pthread_mutex_lock(&disk->mutex);
-  failed = disk->failed;
-  pthread_mutex_unlock(&disk->mutex);
+  LOCKED(disk, failed = disk->failed);
   return failed;
 }
 
 void disk_go_on(struct disk *disk)
 {
-  disk->stopped = false;
-  disk->stop_at = 0;
+  disk->stopped = disk->failed = false;
+  disk->stop_at = disk->fail_at = 0;
 }
 
 /* Which of the changes that are not certain have happened. */
@@ -272,10 +279,9 @@ static void choose_data(struct disk *disk, enum disk_luck luck, const struct ino
 static int write_out(const char *folder, const char *name, const struct content *content)
 {
   char path[560];
-  FILE *file;
   int result = 0;
   snprintf(path, sizeof(path), "%s/%s", folder, name);
-  file = fopen(path, "wb");
+  FILE *file = fopen(path, "wb");
   if (file == NULL)
     return -1;
   if (content->size > 0 &&
@@ -289,12 +295,11 @@ int disk_cut(struct disk *disk, enum disk_luck luck)
   struct names after = {0};
   struct inode *inodes = NULL;
   char old[280], path[560];
-  int result;
   names_copy(&after, &disk->durable);
   choose_names(disk, luck, &after);
   snprintf(old, sizeof(old), "%s", disk->folder);
   disk->cuts++;
-  result = make_folder(disk);
+  int result = make_folder(disk);
   for (size_t i = 0; i < after.n && result == 0; i++) { /* folders come before what is in them */
     struct content content = {0};
     if (after.list[i].inode == NULL) {

@@ -45,6 +45,10 @@ void disk_fail_at(struct disk *disk, long n, bool lasting);
  * none. */
 void disk_lack_descriptor(struct disk *disk, long n);
 bool disk_has_failed(struct disk *disk); /* it came to that */
+/* After `n` more writes of the database, or creations, renamings and writes of the store's own
+ * files, there is no room for those. Negative: there is. */
+enum disk_part { DISK_DATABASE, DISK_FILES };
+void disk_fill_after(struct disk *disk, enum disk_part part, long n);
 
 /* After a stop, with the store closed: the process was killed, the machine goes on. */
 void disk_go_on(struct disk *disk);

@@ -10,56 +10,23 @@
 
 static struct disk *disk; /* whose files the store of this process writes */
 
-static int fail(int error)
+/* The turn of a change, and why there is none. */
+static enum turn change(bool is_sync, bool needs_room)
 {
-  errno = error;
-  return -1;
+  errno = ENOSPC;
+  if (needs_room && !disk_take_room(disk, DISK_FILES))
+    return TURN_OFF;
+  errno = EIO;
+  return disk_change(disk, is_sync);
 }
 
-/* Ends a change that was made: the caller of the last one gets no result. */
-static int end(enum turn turn, int result)
+/* Ends a call that has the mutex. The caller of the last change gets no result. */
+static int end(enum turn turn, ssize_t result)
 {
-  return turn == TURN_LAST ? fail(EIO) : result;
-}
-
-static int disk_close(int fd);
-
-static int disk_open(const char *path, int flags, ...)
-{
-  const char *name = disk_below(disk, path);
-  enum turn turn = TURN_GO;
-  struct inode *inode;
-  int fd = -1;
-  size_t slot = 0;
-  pthread_mutex_lock(&disk->mutex);
-  inode = names_inode(&disk->now, name);
-  if (disk->descriptors > 0 && --disk->descriptors == 0) {
-    disk->failed = true;
-    pthread_mutex_unlock(&disk->mutex);
-    return fail(EMFILE);
-  }
-  if ((flags & O_CREAT) != 0)
-    turn = disk_change(disk, false);
-  else if (disk->stopped || !disk_ask(disk))
-    turn = TURN_OFF;
-  if (turn != TURN_OFF)
-    fd = open(path, flags, 0600);
-  while (slot < FILES_MAX && disk->files[slot].fd >= 0)
-    slot++;
-  if (fd >= 0 && slot < FILES_MAX) {
-    if (inode == NULL && (flags & O_CREAT) != 0)
-      inode = disk_create(disk, name);
-    else if (inode != NULL && (flags & O_TRUNC) != 0)
-      inode_truncate(inode, 0);
-    disk->files[slot].fd = fd;
-    disk->files[slot].inode = inode;
-    disk->files[slot].at = 0;
-    snprintf(disk->files[slot].folder, sizeof(disk->files[slot].folder), "%s", name);
-  }
   pthread_mutex_unlock(&disk->mutex);
-  if (turn == TURN_LAST && fd >= 0)
-    (void)disk_close(fd);
-  return turn == TURN_GO ? fd : fail(EIO);
+  if (turn == TURN_LAST)
+    errno = EIO;
+  return turn == TURN_GO ? (int)result : -1;
 }
 
 static size_t slot_of(int fd)
@@ -72,39 +39,68 @@ static size_t slot_of(int fd)
   return slot;
 }
 
+static int disk_open(const char *path, int flags, ...)
+{
+  const char *name = disk_below(disk, path);
+  enum turn turn = TURN_GO;
+  int fd = -1;
+  pthread_mutex_lock(&disk->mutex);
+  struct inode *inode = names_inode(&disk->now, name);
+  errno = EIO;
+  if (disk->descriptors > 0 && --disk->descriptors == 0) {
+    disk->failed = true;
+    errno = EMFILE;
+    turn = TURN_OFF;
+  } else if ((flags & O_CREAT) != 0) {
+    turn = change(false, true);
+  } else if (disk->stopped || !disk_ask(disk)) {
+    turn = TURN_OFF;
+  }
+  if (turn != TURN_OFF)
+    fd = open(path, flags, 0600);
+  if (fd >= 0 && inode == NULL && (flags & O_CREAT) != 0)
+    inode = disk_create(disk, name);
+  else if (fd >= 0 && inode != NULL && (flags & O_TRUNC) != 0)
+    inode_truncate(inode, 0);
+  if (fd >= 0 && turn == TURN_LAST) {
+    (void)close(fd);
+  } else if (fd >= 0) {
+    const size_t slot = slot_of(-1);
+    disk->files[slot].fd = fd;
+    disk->files[slot].inode = inode;
+    disk->files[slot].at = 0;
+    snprintf(disk->files[slot].folder, sizeof(disk->files[slot].folder), "%s", name);
+  }
+  return end(turn, fd);
+}
+
 static ssize_t disk_write(int fd, const void *bytes, size_t size)
 {
   ssize_t written = -1;
-  enum turn turn;
-  size_t slot;
   pthread_mutex_lock(&disk->mutex);
-  slot = slot_of(fd);
-  turn = disk_change(disk, false);
+  size_t slot = slot_of(fd);
+  enum turn turn = change(false, true);
   if (turn != TURN_OFF)
     written = write(fd, bytes, size);
   if (written > 0) {
     inode_write(disk->files[slot].inode, disk->files[slot].at, bytes, (size_t)written);
     disk->files[slot].at += written;
   }
-  pthread_mutex_unlock(&disk->mutex);
-  return turn == TURN_GO ? written : fail(EIO);
+  return end(turn, written);
 }
 
 static int disk_sync(int fd)
 {
-  enum turn turn;
-  size_t slot;
   pthread_mutex_lock(&disk->mutex);
-  slot = slot_of(fd);
-  turn = disk_change(disk, true);
+  size_t slot = slot_of(fd);
+  enum turn turn = change(true, false);
   if (turn == TURN_GO) {
     if (disk->files[slot].inode == NULL && (disk->lies & DISK_FORGETS_FOLDERS) == 0)
       disk_sync_folder(disk, disk->files[slot].folder);
     if (disk->files[slot].inode != NULL && (disk->lies & DISK_FORGETS_FILES) == 0)
       inode_sync(disk->files[slot].inode);
   }
-  pthread_mutex_unlock(&disk->mutex);
-  return turn == TURN_GO ? 0 : fail(EIO);
+  return end(turn, 0);
 }
 
 static int disk_close(int fd)
@@ -115,56 +111,42 @@ static int disk_close(int fd)
   return close(fd);
 }
 
-static int disk_rename(const char *from, const char *to)
+/* A new name, or one less. to: of a renaming. */
+static int change_name(enum name_kind kind, const char *path, const char *to)
 {
-  enum turn turn;
   int result = -1;
   pthread_mutex_lock(&disk->mutex);
-  turn = disk_change(disk, false);
+  enum turn turn = change(false, kind == NAME_RENAMED || kind == NAME_MADE);
   if (turn != TURN_OFF)
-    result = rename(from, to);
-  else
-    errno = EIO;
-  if (result == 0)
-    disk_note(disk, NAME_RENAMED, disk_below(disk, from), disk_below(disk, to),
-              names_inode(&disk->now, disk_below(disk, from)));
-  pthread_mutex_unlock(&disk->mutex);
-  return end(turn, result);
-}
-
-/* A removal, or a new folder. */
-static int change_name(enum name_kind kind, const char *path)
-{
-  enum turn turn;
-  int result = -1;
-  pthread_mutex_lock(&disk->mutex);
-  turn = disk_change(disk, false);
-  if (turn == TURN_OFF)
-    errno = EIO;
-  else
-    result = kind == NAME_MADE      ? mkdir(path, 0700)
+    result = kind == NAME_RENAMED   ? rename(path, to)
+             : kind == NAME_MADE    ? mkdir(path, 0700)
              : kind == NAME_REMOVED ? unlink(path)
                                     : rmdir(path);
   if (result == 0)
-    disk_note(disk, kind, disk_below(disk, path), NULL, NULL);
-  pthread_mutex_unlock(&disk->mutex);
+    disk_note(disk, kind, disk_below(disk, path), to != NULL ? disk_below(disk, to) : NULL,
+              kind == NAME_RENAMED ? names_inode(&disk->now, disk_below(disk, path)) : NULL);
   return end(turn, result);
+}
+
+static int disk_rename(const char *from, const char *to)
+{
+  return change_name(NAME_RENAMED, from, to);
 }
 
 static int disk_unlink(const char *path)
 {
-  return change_name(NAME_REMOVED, path);
+  return change_name(NAME_REMOVED, path, NULL);
 }
 
 static int disk_mkdir(const char *path, mode_t mode)
 {
   (void)mode;
-  return change_name(NAME_MADE, path);
+  return change_name(NAME_MADE, path, NULL);
 }
 
 static int disk_rmdir(const char *path)
 {
-  return change_name(NAME_FOLDER_REMOVED, path);
+  return change_name(NAME_FOLDER_REMOVED, path, NULL);
 }
 
 const struct mo_file_operations *disk_files(struct disk *used)

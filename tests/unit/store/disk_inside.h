@@ -18,7 +18,7 @@ struct disk {
   char base[256], folder[280];
   unsigned lies, cuts;
   uint64_t chance;
-  long changes, stop_at, calls, fail_at, descriptors;
+  long changes, stop_at, calls, fail_at, descriptors, room[2]; /* by enum disk_part */
   bool stopped, at_sync, lasting, failed;
   struct names durable, now;
   struct name_change *pending; /* in their order */
@@ -40,6 +40,9 @@ bool disk_ask(struct disk *disk);
 /* A change: off: it does not happen; last: it is in flight when everything stops, and its caller
  * never learns its result. */
 enum turn disk_change(struct disk *disk, bool sync);
+
+/* Takes the room of one write. False: there is none. */
+bool disk_take_room(struct disk *disk, enum disk_part part);
 
 /* The name below the state folder; "": it is not there. */
 const char *disk_below(const struct disk *disk, const char *path);

@@ -1,17 +1,20 @@
 /* disk_state.c: files with their unsynced writes, and names that lead to them. */
 #include "disk_state.h"
 
+#include <malloc.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 void *disk_memory(void *old, size_t size)
 {
-  void *bytes = realloc(old, size > 0 ? size : 1);
-  if (bytes == NULL)
-    bytes = realloc(old, size > 0 ? size : 1);
-  if (bytes == NULL)
+  const size_t before = old != NULL ? malloc_usable_size(old) : 0;
+  void *bytes = NULL;
+  if (posix_memalign(&bytes, 16, size > 0 ? size : 1) != 0)
     abort();
+  if (before > 0)
+    memcpy(bytes, old, before < size ? before : size);
+  free(old);
   return bytes;
 }
 

@@ -1,8 +1,7 @@
 /* disk_state.h: the parts of a disk: files with their unsynced writes, and names that lead to them.
  * For disk.c alone.
  *
- * Running out of memory ends the test, but for an allocator that fails once: that is what the store
- * is tested with. */
+ * Running out of memory ends the test; the allocators that fail on demand are others. */
 #ifndef MORPHO_TESTS_STORE_DISK_STATE_H
 #define MORPHO_TESTS_STORE_DISK_STATE_H
 

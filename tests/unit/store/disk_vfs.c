@@ -5,12 +5,12 @@
 
 #include "disk_inside.h"
 
+/* What a file has beside the default one's, behind it. */
 struct disk_file {
-  sqlite3_file base;
   struct disk *disk;
   struct inode *inode; /* NULL: a temporary file */
-  char name[240];
-  sqlite3_file *real;
+  const sqlite3_io_methods *real;
+  sqlite3_io_methods methods; /* the real ones, but for those that take a turn */
 };
 
 /* In place of the C library's: what is certain is in memory, and the true disk may take its time.
@@ -39,59 +39,42 @@ static int open_directory(const char *path, int *fd)
   return real_open_directory(path, fd);
 }
 
-#define FILE_OF(file)                                                                              \
-  struct disk_file *disk_file = (struct disk_file *)(file);                                        \
-  sqlite3_file *real = disk_file->real
+static struct disk_file *beside(sqlite3_file *file)
+{
+  return (struct disk_file *)((char *)file + sqlite3_vfs_find(NULL)->szOsFile);
+}
 
 /* Calls that change nothing on the disk: they fail on demand, and go on after a stop. */
 #define PASS(name, parameters, arguments, failure)                                                 \
   static int name parameters                                                                       \
   {                                                                                                \
-    FILE_OF(file);                                                                                 \
+    struct disk_file *disk_file = beside(file);                                                    \
     bool fails;                                                                                    \
     pthread_mutex_lock(&disk_file->disk->mutex);                                                   \
     fails = !disk_ask(disk_file->disk);                                                            \
     pthread_mutex_unlock(&disk_file->disk->mutex);                                                 \
-    return fails ? (failure) : real->pMethods->name arguments;                                     \
+    return fails ? (failure) : disk_file->real->name arguments;                                    \
   }
-PASS(xRead, (sqlite3_file * file, void *to, int n, sqlite3_int64 at), (real, to, n, at),
+PASS(xRead, (sqlite3_file * file, void *to, int n, sqlite3_int64 at), (file, to, n, at),
      SQLITE_IOERR_READ)
-PASS(xFileSize, (sqlite3_file * file, sqlite3_int64 *size), (real, size), SQLITE_IOERR_FSTAT)
+PASS(xFileSize, (sqlite3_file * file, sqlite3_int64 *size), (file, size), SQLITE_IOERR_FSTAT)
 PASS(xShmMap, (sqlite3_file * file, int page, int size, int extend, void volatile **to),
-     (real, page, size, extend, to), SQLITE_IOERR_SHMMAP)
-PASS(xLock, (sqlite3_file * file, int kind), (real, kind), SQLITE_IOERR_LOCK)
-
-#define FORWARD(name, parameters, arguments)                                                       \
-  static int name parameters                                                                       \
-  {                                                                                                \
-    FILE_OF(file);                                                                                 \
-    return real->pMethods->name arguments;                                                         \
-  }
-FORWARD(xUnlock, (sqlite3_file * file, int kind), (real, kind))
-FORWARD(xCheckReservedLock, (sqlite3_file * file, int *result), (real, result))
-FORWARD(xFileControl, (sqlite3_file * file, int op, void *argument), (real, op, argument))
-FORWARD(xSectorSize, (sqlite3_file * file), (real))
-FORWARD(xDeviceCharacteristics, (sqlite3_file * file), (real))
-FORWARD(xShmLock, (sqlite3_file * file, int offset, int n, int flags), (real, offset, n, flags))
-FORWARD(xShmUnmap, (sqlite3_file * file, int remove), (real, remove))
-FORWARD(xClose, (sqlite3_file * file), (real))
-
-static void xShmBarrier(sqlite3_file *file)
-{
-  FILE_OF(file);
-  real->pMethods->xShmBarrier(real);
-}
+     (file, page, size, extend, to), SQLITE_IOERR_SHMMAP)
+PASS(xLock, (sqlite3_file * file, int kind), (file, kind), SQLITE_IOERR_LOCK)
 
 static int xWrite(sqlite3_file *file, const void *from, int n, sqlite3_int64 at)
 {
-  FILE_OF(file);
+  struct disk_file *disk_file = beside(file);
   struct disk *disk = disk_file->disk;
-  int result = SQLITE_IOERR_WRITE;
-  enum turn turn;
+  int result = SQLITE_FULL;
+  enum turn turn = TURN_OFF;
   pthread_mutex_lock(&disk->mutex);
-  turn = disk_change(disk, false);
+  if (disk_take_room(disk, DISK_DATABASE)) {
+    result = SQLITE_IOERR_WRITE;
+    turn = disk_change(disk, false);
+  }
   if (turn != TURN_OFF)
-    result = real->pMethods->xWrite(real, from, n, at);
+    result = disk_file->real->xWrite(file, from, n, at);
   if (result == SQLITE_OK && disk_file->inode != NULL)
     inode_write(disk_file->inode, at, from, (size_t)n);
   pthread_mutex_unlock(&disk->mutex);
@@ -100,14 +83,13 @@ static int xWrite(sqlite3_file *file, const void *from, int n, sqlite3_int64 at)
 
 static int xTruncate(sqlite3_file *file, sqlite3_int64 size)
 {
-  FILE_OF(file);
+  struct disk_file *disk_file = beside(file);
   struct disk *disk = disk_file->disk;
   int result = SQLITE_IOERR_TRUNCATE;
-  enum turn turn;
   pthread_mutex_lock(&disk->mutex);
-  turn = disk_change(disk, false);
+  enum turn turn = disk_change(disk, false);
   if (turn != TURN_OFF)
-    result = real->pMethods->xTruncate(real, size);
+    result = disk_file->real->xTruncate(file, size);
   if (result == SQLITE_OK && disk_file->inode != NULL)
     inode_truncate(disk_file->inode, size);
   pthread_mutex_unlock(&disk->mutex);
@@ -116,13 +98,13 @@ static int xTruncate(sqlite3_file *file, sqlite3_int64 size)
 
 static int xSync(sqlite3_file *file, int flags)
 {
-  FILE_OF(file);
+  struct disk_file *disk_file = beside(file);
   struct disk *disk = disk_file->disk;
   int result = SQLITE_IOERR_FSYNC;
   pthread_mutex_lock(&disk->mutex);
   if (disk_change(disk, true) == TURN_GO) {
     folder_was_synced = false;
-    result = real->pMethods->xSync(real, flags);
+    result = disk_file->real->xSync(file, flags);
     if (result == SQLITE_OK && disk_file->inode != NULL &&
         (disk->lies & DISK_FORGETS_DATABASE) == 0) {
       inode_sync(disk_file->inode);
@@ -137,34 +119,13 @@ static int xSync(sqlite3_file *file, int flags)
 static int vfs_open(sqlite3_vfs *vfs, sqlite3_filename path, sqlite3_file *file, int flags,
                     int *out)
 {
-  static const sqlite3_io_methods methods = {2,
-                                             xClose,
-                                             xRead,
-                                             xWrite,
-                                             xTruncate,
-                                             xSync,
-                                             xFileSize,
-                                             xLock,
-                                             xUnlock,
-                                             xCheckReservedLock,
-                                             xFileControl,
-                                             xSectorSize,
-                                             xDeviceCharacteristics,
-                                             xShmMap,
-                                             xShmLock,
-                                             xShmBarrier,
-                                             xShmUnmap,
-                                             NULL,
-                                             NULL};
-  struct disk_file *disk_file = (struct disk_file *)file;
+  struct disk_file *disk_file = beside(file);
   struct disk *disk = vfs->pAppData;
   const char *name = path != NULL ? disk_below(disk, path) : "";
   bool creates = false, fails = false;
   int result = SQLITE_CANTOPEN;
   file->pMethods = NULL;
-  *disk_file = (struct disk_file){.disk = disk, .real = (sqlite3_file *)(disk_file + 1)};
-  snprintf(disk_file->name, sizeof(disk_file->name), "%s", name);
-  memset(disk_file->real, 0, (size_t)disk->real->szOsFile);
+  *disk_file = (struct disk_file){.disk = disk};
   pthread_mutex_lock(&disk->mutex);
   if (name[0] != '\0') {
     disk_file->inode = names_inode(&disk->now, name);
@@ -172,11 +133,22 @@ static int vfs_open(sqlite3_vfs *vfs, sqlite3_filename path, sqlite3_file *file,
     fails = creates ? disk_change(disk, false) != TURN_GO : disk->stopped || !disk_ask(disk);
   }
   if (!fails)
-    result = disk->real->xOpen(disk->real, path, disk_file->real, flags, out);
+    result = disk->real->xOpen(disk->real, path, file, flags, out);
   if (result == SQLITE_OK && creates)
     disk_file->inode = disk_create(disk, name);
-  if (disk_file->real->pMethods != NULL)
-    file->pMethods = &methods;
+  if (file->pMethods != NULL) {
+    disk_file->real = file->pMethods;
+    disk_file->methods = *file->pMethods;
+    disk_file->methods.iVersion = 2; /* no memory maps, which would write unseen */
+    disk_file->methods.xRead = xRead;
+    disk_file->methods.xWrite = xWrite;
+    disk_file->methods.xTruncate = xTruncate;
+    disk_file->methods.xSync = xSync;
+    disk_file->methods.xFileSize = xFileSize;
+    disk_file->methods.xLock = xLock;
+    disk_file->methods.xShmMap = xShmMap;
+    file->pMethods = &disk_file->methods;
+  }
   pthread_mutex_unlock(&disk->mutex);
   return result;
 }
@@ -185,9 +157,8 @@ static int vfs_delete(sqlite3_vfs *vfs, const char *path, int sync)
 {
   struct disk *disk = vfs->pAppData;
   int result = SQLITE_IOERR_DELETE;
-  enum turn turn;
   pthread_mutex_lock(&disk->mutex);
-  turn = disk_change(disk, false);
+  enum turn turn = disk_change(disk, false);
   if (turn != TURN_OFF) {
     folder_was_synced = false;
     result = disk->real->xDelete(disk->real, path, sync);
@@ -203,9 +174,8 @@ static int vfs_delete(sqlite3_vfs *vfs, const char *path, int sync)
 static int vfs_access(sqlite3_vfs *vfs, const char *path, int flags, int *result)
 {
   struct disk *disk = vfs->pAppData;
-  bool fails;
   pthread_mutex_lock(&disk->mutex);
-  fails = !disk_ask(disk);
+  bool fails = !disk_ask(disk);
   pthread_mutex_unlock(&disk->mutex);
   return fails ? SQLITE_IOERR_ACCESS : disk->real->xAccess(disk->real, path, flags, result);
 }
@@ -225,7 +195,7 @@ int disk_vfs_start(struct disk *disk)
   disk->vfs.zName = "disk";
   disk->vfs.pNext = NULL;
   disk->vfs.pAppData = disk;
-  disk->vfs.szOsFile = (int)sizeof(struct disk_file) + disk->real->szOsFile;
+  disk->vfs.szOsFile = disk->real->szOsFile + (int)sizeof(struct disk_file);
   disk->vfs.xOpen = vfs_open;
   disk->vfs.xDelete = vfs_delete;
   disk->vfs.xAccess = vfs_access;

@@ -1,24 +1,24 @@
-/* fixture.h: a state folder of its own for every case, and small submissions. */
+/* fixture.h: a state folder of its own for every case, its store, and small submissions. */
 #ifndef MORPHO_TESTS_STORE_FIXTURE_H
 #define MORPHO_TESTS_STORE_FIXTURE_H
 
 #include <ftw.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
+#include <stdarg.h>
 #include <unistd.h>
+
+#include "../make.h"
 
 #include "store/campaign_designs.h"
 #include "store/campaign_runs.h"
 #include "store/campaigns.h"
 #include "store/runner.h"
+#include "store/trainings.h"
 
-struct fixture {
+static struct {
   char path[256];
-  struct mo_store *store;
-  struct mo_message message;
-  struct mo_bits *forms, *genotypes; /* of fixture_evaluation */
-};
+  struct mo_message message; /* of the last opening, check or refusal */
+} fixture;
+static struct mo_store *store; /* in the fixture's folder; NULL: closed */
 
 static inline int fixture_remove_entry(const char *path, const struct stat *status, int kind,
                                        struct FTW *place)
@@ -34,88 +34,118 @@ static inline void fixture_remove(const char *path)
   (void)nftw(path, fixture_remove_entry, 16, FTW_DEPTH | FTW_PHYS);
 }
 
-static inline int fixture_folder(struct fixture *fixture)
+static inline int fixture_folder(void)
 {
   const char *base = getenv("TMPDIR");
-  memset(fixture, 0, sizeof(*fixture));
-  snprintf(fixture->path, sizeof(fixture->path), "%s/morpho-store-XXXXXX",
+  store = NULL;
+  snprintf(fixture.path, sizeof(fixture.path), "%s/morpho-store-XXXXXX",
            base != NULL ? base : "/tmp");
-  return mkdtemp(fixture->path) != NULL ? 0 : -1;
+  return mkdtemp(fixture.path) != NULL ? 0 : -1;
 }
 
-static inline int fixture_reopen(struct fixture *fixture)
+/* The path of a file of the state folder. The next call overwrites it. */
+__attribute__((format(printf, 1, 2))) static inline const char *path_of(const char *format, ...)
 {
-  struct mo_store_config config = {.path = fixture->path};
-  mo_store_close(fixture->store);
-  fixture->store = NULL;
-  return mo_store_open(&config, &fixture->store, &fixture->message);
+  static char path[512];
+  const int n = snprintf(path, sizeof(path), "%s/", fixture.path);
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(path + n, sizeof(path) - (size_t)n, format, arguments);
+  va_end(arguments);
+  return path;
 }
 
-static inline void fixture_end(struct fixture *fixture)
+/* Writes bytes into a file that is there, at a place. */
+static inline int overwrite(const char *path, long at, const void *bytes, size_t n)
 {
-  mo_store_close(fixture->store);
-  fixture_remove(fixture->path);
-  free(fixture->forms);
-  free(fixture->genotypes);
+  FILE *file = fopen(path, "r+");
+  return file != NULL && fseek(file, at, SEEK_SET) == 0 && fwrite(bytes, 1, n, file) == n &&
+                 fclose(file) == 0
+             ? 0
+             : -1;
 }
 
-static inline void fixture_close(struct fixture *fixture)
+static inline void close_store(void)
 {
-  mo_store_close(fixture->store);
-  fixture->store = NULL;
+  mo_store_close(store);
+  store = NULL;
 }
 
-/* Weights drawn from a seed, stored under a name. */
-static inline int fixture_controller(struct mo_store *store, const char *name, uint64_t seed,
-                                     struct mo_controller_record *record)
+static inline int reopen_with(struct mo_store_config config)
 {
+  close_store();
+  config.path = fixture.path;
+  return mo_store_open(&config, &store, &fixture.message);
+}
+
+static inline int reopen(void)
+{
+  return reopen_with((struct mo_store_config){.path = NULL});
+}
+
+static inline void fixture_end(void)
+{
+  close_store();
+  fixture_remove(fixture.path);
+}
+
+static inline int check_whole(void)
+{
+  return mo_store_check(store, &fixture.message);
+}
+
+/* Weights drawn from a seed, and their file. */
+static inline int draw_weights(uint64_t seed, struct mo_controller **controller, uint8_t **bytes,
+                               size_t *size)
+{
+  int error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, controller);
+  if (error == MO_OK) {
+    mo_controller_randomize(*controller, seed);
+    error = mo_controller_set_metadata(*controller, "note", "a \"quoted\"\n\\ \xc3\xa9 note");
+  }
+  return error == MO_OK ? mo_controller_encode(*controller, bytes, size) : error;
+}
+
+/* Stores these under a name. record: nullable. */
+static inline int put_weights(const char *name, uint64_t seed, struct mo_controller_record *record)
+{
+  struct mo_controller_record stored;
   struct mo_controller *controller = NULL;
   uint8_t *bytes = NULL;
   size_t size = 0;
   bool created;
-  int error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller);
-  if (error == MO_OK) {
-    mo_controller_randomize(controller, seed);
-    error = mo_controller_set_metadata(controller, "note", "a \"quoted\"\n\\ \xc3\xa9 note");
-  }
-  if (error == MO_OK) {
-    error = mo_controller_encode(controller, &bytes, &size);
-  }
+  int error = draw_weights(seed, &controller, &bytes, &size);
   if (error == MO_OK)
-    error = mo_store_controller_put(store, name, bytes, size, controller, record, &created);
+    error = mo_store_controller_put(store, name, bytes, size, controller,
+                                    record != NULL ? record : &stored, &created);
   free(bytes);
   mo_controller_free(controller);
   return error;
 }
 
-static inline int fixture_start(struct fixture *fixture)
+static inline int fixture_start(void)
 {
-  struct mo_controller_record record;
-  int error = fixture_folder(fixture);
+  int error = fixture_folder();
   if (error == 0)
-    error = fixture_reopen(fixture);
-  if (error == MO_OK)
-    error = fixture_controller(fixture->store, "default", 1, &record);
-  return error;
+    error = reopen();
+  return error == MO_OK ? put_weights("default", 1, NULL) : error;
 }
 
-/* Distinct bodies, placed, with their canonical forms. Caller frees both. */
-static inline int fixture_bodies(uint64_t seed, uint32_t n, struct mo_bits **forms,
-                                 struct mo_bits **genotypes)
+/* Distinct bodies, placed, with their canonical forms (nullable). */
+static inline struct mo_bits *make_bodies(uint64_t seed, uint32_t n, struct mo_bits **forms)
 {
-  struct mo_body_stream *stream = NULL;
-  int error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, seed, &stream);
-  *forms = calloc(n, sizeof(**forms));
-  *genotypes = calloc(n, sizeof(**genotypes));
-  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
-    error = mo_body_stream_next(stream, (*genotypes)[i].words, NULL);
-    if (error == MO_OK) {
-      mo_genotype_place(MO_DEFAULT_WORKSPACE, (*genotypes)[i].words);
-      mo_genotype_canonical(MO_DEFAULT_WORKSPACE, (*genotypes)[i].words, (*forms)[i].words);
-    }
+  struct mo_body_stream *stream = make_body_stream(MO_DEFAULT_WORKSPACE, seed);
+  struct mo_bits *genotypes = make_zeros(n, sizeof(*genotypes)), form;
+  if (forms != NULL)
+    *forms = make_zeros(n, sizeof(**forms));
+  for (uint32_t i = 0; i < n; i++) {
+    make_check(mo_body_stream_next(stream, genotypes[i].words, NULL), "a body");
+    mo_genotype_place(MO_DEFAULT_WORKSPACE, genotypes[i].words);
+    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotypes[i].words, form.words);
+    if (forms != NULL)
+      (*forms)[i] = form;
   }
-  mo_body_stream_free(stream);
-  return error;
+  return genotypes;
 }
 
 static inline struct mo_submission fixture_submission(const struct mo_bits *forms,
@@ -160,16 +190,15 @@ static inline const struct mo_classes *fixture_classes(int64_t fingerprint)
 }
 
 /* Reads the newest checkpoint of the newest generation that has one. */
-static inline int fixture_campaign_checkpoint(struct mo_store *store, int64_t id,
-                                              uint32_t *generation, uint32_t *step, uint8_t **bytes,
-                                              size_t *size)
+static inline int newest_checkpoint(struct mo_store *of, int64_t id, uint32_t *generation,
+                                    uint32_t *step, uint8_t **bytes, size_t *size)
 {
   struct mo_checkpoint_row row;
-  const int64_t n = mo_store_checkpoints(store, id, &row, 1);
+  const int64_t n = mo_store_checkpoints(of, id, &row, 1);
   if (n <= 0)
     return n < 0 ? (int)n : MO_ERR_NOT_FOUND;
   *generation = row.generation;
-  return mo_store_campaign_checkpoint_of(store, id, row.generation, step, bytes, size);
+  return mo_store_campaign_checkpoint_of(of, id, row.generation, step, bytes, size);
 }
 
 #endif

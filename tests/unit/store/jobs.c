@@ -7,7 +7,6 @@ static void submits_and_reads_back(void)
 {
   struct mo_submission submission = draw_evaluation(1, 5);
   struct mo_controller_record record;
-  struct mo_job job;
   struct mo_work *work = NULL;
   struct mo_environment paper[MO_PAPER_TEST_COUNT];
   int64_t id = 0, queued[4];
@@ -15,10 +14,10 @@ static void submits_and_reads_back(void)
   submission.label = "first \xc3\xa9vidence";
   submission.precision = MO_FLOAT64;
   submission.physics.drop_height_m = 0.25;
-  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_OK);
+  CHECK_OK(mo_store_submit(store, &submission, &id, &replayed));
   CHECK(!replayed);
   CHECK_INT(id, 1);
-  REQUIRE(mo_store_job(fixture.store, id, &job) == MO_OK);
+  struct mo_job job = job_of(id);
   CHECK_INT(job.state, MO_JOB_QUEUED);
   CHECK_INT(job.version, 1);
   CHECK_TEXT(job.label, "first \xc3\xa9vidence");
@@ -30,23 +29,23 @@ static void submits_and_reads_back(void)
         job.physics.n_steps == 1000);
   CHECK_INT(job.rollouts_total, 50);
   CHECK(job.created_us > 0 && job.started_us == 0 && job.finished_us == 0);
-  CHECK_INT(mo_store_controller(fixture.store, "default", &record), MO_OK);
+  CHECK_OK(mo_store_controller(store, "default", &record));
   CHECK(mo_sha256_equal(&record.sha256, &job.controller_sha256));
-  CHECK_INT(mo_store_job(fixture.store, 2, &job), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_queued(fixture.store, MO_BATCH, 0, queued, 4), 1);
+  CHECK_INT(mo_store_job(store, 2, &job), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_queued(store, MO_BATCH, 0, queued, 4), 1);
   CHECK_INT(queued[0], id);
-  CHECK_INT(mo_store_queued(fixture.store, MO_INTERACTIVE, 0, queued, 4), 0);
-  REQUIRE(mo_store_load_work(fixture.store, id, fixture_classes(1), &work) == MO_OK);
+  CHECK_INT(mo_store_queued(store, MO_INTERACTIVE, 0, queued, 4), 0);
+  REQUIRE_OK(mo_store_load_work(store, id, fixture_classes(1), &work));
   mo_environment_paper_test(paper);
   CHECK(memcmp(work->environments, paper, sizeof(paper)) == 0);
-  CHECK(memcmp(work->genotypes, fixture.genotypes, 5 * sizeof(*fixture.genotypes)) == 0);
+  CHECK(memcmp(work->genotypes, genotypes, 5 * sizeof(*genotypes)) == 0);
   mo_work_free(work);
   submission.controller = "nobody";
-  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_submit(store, &submission, &id, &replayed), MO_ERR_NOT_FOUND);
   submission.controller = "default";
   submission.environment_set = "no such set";
-  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_jobs(fixture.store, &any_job, &job, 1), 1);
+  CHECK_INT(mo_store_submit(store, &submission, &id, &replayed), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_jobs(store, &any_job, &job, 1), 1);
   CHECK_INT(job.id, 1); /* the refused ones left nothing */
 }
 
@@ -57,29 +56,24 @@ static void answers_a_repeated_key(void)
   bool replayed;
   submission.idempotency_key = "key-1";
   mo_sha256_of("body", 4, &submission.body_sha256);
-  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_OK);
+  CHECK_OK(mo_store_submit(store, &submission, &id, &replayed));
   CHECK(!replayed);
-  CHECK_INT(mo_store_submit(fixture.store, &submission, &again, &replayed), MO_OK);
+  CHECK_OK(mo_store_submit(store, &submission, &again, &replayed));
   CHECK(replayed && again == id);
-  CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again), MO_OK);
-  CHECK_INT(mo_store_replay(fixture.store, "key-2", &submission.body_sha256, &again),
-            MO_ERR_NOT_FOUND);
+  CHECK_OK(mo_store_replay(store, "key-1", &submission.body_sha256, &again));
+  CHECK_INT(mo_store_replay(store, "key-2", &submission.body_sha256, &again), MO_ERR_NOT_FOUND);
   mo_sha256_of("other", 5, &submission.body_sha256);
-  CHECK_INT(mo_store_submit(fixture.store, &submission, &again, &replayed), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again),
-            MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_submit(store, &submission, &again, &replayed), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_replay(store, "key-1", &submission.body_sha256, &again), MO_ERR_CONFLICT);
   /* Keys older than their time are forgotten. */
-  REQUIRE(reopen_after(&fixture, "UPDATE idempotency_keys SET created_us=created_us-90000000000") ==
-          MO_OK);
+  REQUIRE_OK(reopen_after("UPDATE idempotency_keys SET created_us=created_us-90000000000"));
   for (int i = 0; i < 1200; i++) { /* enough events to make a round of pruning due */
     enum mo_job_state before;
-    CHECK_INT(mo_store_change_job(fixture.store, id,
-                                  i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, &before),
-              MO_OK);
+    CHECK_OK(
+        mo_store_change_job(store, id, i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, &before));
   }
   usleep(50000);
-  CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again),
-            MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_replay(store, "key-1", &submission.body_sha256, &again), MO_ERR_NOT_FOUND);
 }
 
 static void pages_through_jobs(void)
@@ -91,10 +85,10 @@ static void pages_through_jobs(void)
   int64_t expected = 25;
   for (int i = 0; i < 25; i++)
     REQUIRE(submit_evaluation(&submission) > 0);
-  CHECK_INT(mo_store_change_job(fixture.store, 10, MO_CHANGE_CANCEL, NULL), MO_OK);
-  CHECK_INT(mo_store_change_job(fixture.store, 20, MO_CHANGE_CANCEL, NULL), MO_OK);
+  CHECK_OK(change(10, MO_CHANGE_CANCEL));
+  CHECK_OK(change(20, MO_CHANGE_CANCEL));
   for (;;) {
-    int64_t n = mo_store_jobs(fixture.store, &query, page, 10);
+    int64_t n = mo_store_jobs(store, &query, page, 10);
     REQUIRE(n >= 0);
     for (int64_t i = 0; i < n; i++)
       CHECK_INT(page[i].id, expected--);
@@ -105,13 +99,13 @@ static void pages_through_jobs(void)
   CHECK_INT(expected, 0);
   query = any_job;
   query.state = MO_JOB_CANCELLED;
-  CHECK_INT(mo_store_jobs(fixture.store, &query, page, 10), 2);
+  CHECK_INT(mo_store_jobs(store, &query, page, 10), 2);
   CHECK_INT(page[0].id, 20);
   CHECK_INT(page[1].id, 10);
   query.before = 20;
-  CHECK_INT(mo_store_jobs(fixture.store, &query, page, 10), 1);
-  CHECK_INT(mo_store_jobs(fixture.store, &query, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
-  CHECK_INT(mo_store_job_counts(fixture.store, counts), MO_OK);
+  CHECK_INT(mo_store_jobs(store, &query, page, 10), 1);
+  CHECK_INT(mo_store_jobs(store, &query, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
+  CHECK_OK(mo_store_job_counts(store, counts));
   CHECK_INT(counts[MO_JOB_QUEUED], 23);
   CHECK_INT(counts[MO_JOB_CANCELLED], 2);
   free(page);
@@ -124,21 +118,20 @@ static void changes_states(void)
   enum mo_job_state before;
   struct mo_job_update update = {.step = MO_STEP_START};
   struct mo_save save = {.updates = &update, .n_updates = 1};
-  int64_t id;
-  id = submit_evaluation(&submission);
+  int64_t id = submit_evaluation(&submission);
   update.job = id;
-  CHECK_INT(mo_store_change_job(fixture.store, 99, MO_CHANGE_PAUSE, &before), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, &before), MO_OK);
+  CHECK_INT(mo_store_change_job(store, 99, MO_CHANGE_PAUSE, &before), MO_ERR_NOT_FOUND);
+  CHECK_OK(mo_store_change_job(store, id, MO_CHANGE_RESUME, &before));
   CHECK_INT(before, MO_JOB_QUEUED);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, &before), MO_OK);
-  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK_OK(mo_store_change_job(store, id, MO_CHANGE_PAUSE, &before));
+  CHECK_OK(save_and_wait(&save));
   CHECK(!update.applied); /* a paused job does not start */
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, &before), MO_OK);
+  CHECK_OK(mo_store_change_job(store, id, MO_CHANGE_PAUSE, &before));
   CHECK_INT(before, MO_JOB_PAUSED);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, &before), MO_OK);
-  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK_OK(mo_store_change_job(store, id, MO_CHANGE_RESUME, &before));
+  CHECK_OK(save_and_wait(&save));
   CHECK(update.applied);
-  REQUIRE(mo_store_job(fixture.store, id, &job) == MO_OK);
+  job = job_of(id);
   CHECK_INT(job.state, MO_JOB_RUNNING);
   CHECK(job.started_us > 0);
   /* Errors of the runner: twice again, then parked. */
@@ -146,39 +139,39 @@ static void changes_states(void)
   update.error = MO_ERR_NO_MEMORY;
   update.max_attempts = 2;
   snprintf(update.error_text, sizeof(update.error_text), "ran out");
-  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK_OK(save_and_wait(&save));
   CHECK_INT(update.state, MO_JOB_QUEUED);
   update.step = MO_STEP_START;
-  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK_OK(save_and_wait(&save));
   update.step = MO_STEP_RETRY;
-  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK_OK(save_and_wait(&save));
   CHECK_INT(update.state, MO_JOB_FAILED);
-  REQUIRE(mo_store_job(fixture.store, id, &job) == MO_OK);
+  job = job_of(id);
   CHECK_INT(job.attempts, 2);
   CHECK_INT(job.error, MO_ERR_NO_MEMORY);
   CHECK_TEXT(job.error_text, "ran out");
   CHECK(job.finished_us > 0);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, &before), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_change_job(store, id, MO_CHANGE_CANCEL, &before), MO_ERR_CONFLICT);
   /* Fenced: what another opening of the store started is not ours to end. */
   id = submit_evaluation(&submission);
   update = (struct mo_job_update){.job = id, .step = MO_STEP_START};
-  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
-  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  CHECK_OK(save_and_wait(&save));
+  REQUIRE_OK(reopen());
   update.step = MO_STEP_SUCCEED;
-  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK_OK(save_and_wait(&save));
   CHECK(!update.applied);
   /* Restart after a crash that the marker blames on the job. */
-  CHECK_INT(mo_store_requeue(fixture.store, id, 3, "signal 11"), MO_OK);
-  REQUIRE(mo_store_job(fixture.store, id, &job) == MO_OK);
+  CHECK_OK(mo_store_requeue(store, id, 3, "signal 11"));
+  job = job_of(id);
   CHECK_INT(job.state, MO_JOB_QUEUED);
   CHECK_INT(job.attempts, 1);
   for (int i = 0; i < 2; i++) {
     update.step = MO_STEP_START;
-    CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+    CHECK_OK(save_and_wait(&save));
     CHECK(update.applied);
-    CHECK_INT(mo_store_requeue(fixture.store, i == 0 ? 0 : id, 2, "signal 11"), MO_OK);
+    CHECK_OK(mo_store_requeue(store, i == 0 ? 0 : id, 2, "signal 11"));
   }
-  REQUIRE(mo_store_job(fixture.store, id, &job) == MO_OK);
+  job = job_of(id);
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_TEXT(job.error_text, "signal 11");
 }
@@ -200,38 +193,36 @@ static void reports_changes(void)
   struct mo_submission submission = draw_evaluation(4, 1);
   struct received received = {.n = 0};
   struct mo_event events[32];
-  struct mo_store_config config;
   int64_t id, oldest, newest, n;
   int handle;
-  CHECK_INT(mo_store_subscribe(fixture.store, receive_events, &received, &handle), MO_OK);
+  CHECK_OK(mo_store_subscribe(store, receive_events, &received, &handle));
   id = submit_evaluation(&submission);
-  REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
-  mo_store_unsubscribe(fixture.store, handle);
+  REQUIRE_OK(run_by_hand(id, made_up_loss));
+  mo_store_unsubscribe(store, handle);
   id = submit_evaluation(&submission);
   CHECK_INT(received.n, 3);
-  n = mo_store_events(fixture.store, 0, 0, events, 32, &oldest, &newest);
+  n = mo_store_events(store, 0, 0, events, 32, &oldest, &newest);
   REQUIRE(n == 5); /* the controller, then created, started, finished, created */
   CHECK_TEXT(events[0].type, "controller.stored");
   CHECK_TEXT(events[1].type, "job.created");
   CHECK_TEXT(events[2].type, "job.started");
   CHECK_TEXT(events[3].type, "job.finished");
-  CHECK(strstr(events[3].data, "\"succeeded\"") != NULL);
+  CHECK_HAS(events[3].data, "\"succeeded\"");
   for (size_t i = 0; i < 3; i++)
     CHECK_INT(received.sequences[i], events[i + 1].sequence);
   CHECK_INT(oldest, events[0].sequence);
   CHECK_INT(newest, events[4].sequence);
-  CHECK_INT(mo_store_events(fixture.store, events[1].sequence, 1, events, 32, NULL, NULL), 2);
-  CHECK_INT(mo_store_events(fixture.store, newest, 0, events, 32, NULL, NULL), 0);
+  CHECK_INT(mo_store_events(store, events[1].sequence, 1, events, 32, NULL, NULL), 2);
+  CHECK_INT(mo_store_events(store, newest, 0, events, 32, NULL, NULL), 0);
   /* Pruned: the oldest that is kept tells. */
-  mo_store_close(fixture.store);
-  config = (struct mo_store_config){.path = fixture.path, .events_kept = 100};
-  REQUIRE(mo_store_open(&config, &fixture.store, NULL) == MO_OK);
+  mo_store_close(store);
+  struct mo_store_config config =
+      (struct mo_store_config){.path = fixture.path, .events_kept = 100};
+  REQUIRE_OK(mo_store_open(&config, &store, NULL));
   for (int i = 0; i < 1200; i++)
-    CHECK_INT(mo_store_change_job(fixture.store, id,
-                                  i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, NULL),
-              MO_OK);
+    CHECK_OK(mo_store_change_job(store, id, i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, NULL));
   usleep(50000);
-  n = mo_store_events(fixture.store, 0, 0, events, 32, &oldest, &newest);
+  n = mo_store_events(store, 0, 0, events, 32, &oldest, &newest);
   CHECK(n == 32 && oldest > 900 && newest == 1205);
   CHECK_INT(events[0].sequence, oldest);
 }
@@ -251,13 +242,12 @@ static void keeps_trajectories(void)
                                       .n_springs = 1,
                                       .recording = {500, com, mass, actuation, contacts}};
   struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
-  int64_t id;
   submission.record = (1U << MO_CHANNELS) - 1;
-  id = submit_evaluation(&submission);
+  int64_t id = submit_evaluation(&submission);
   saved.job = id;
-  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
-  CHECK_INT(mo_store_trajectory(fixture.store, id, 1, 3, &trajectory), MO_ERR_NOT_FOUND);
-  REQUIRE(mo_store_trajectory(fixture.store, id, 1, 4, &trajectory) == MO_OK);
+  CHECK_OK(save_and_wait(&save));
+  CHECK_INT(mo_store_trajectory(store, id, 1, 3, &trajectory), MO_ERR_NOT_FOUND);
+  REQUIRE_OK(mo_store_trajectory(store, id, 1, 4, &trajectory));
   CHECK(memcmp(trajectory->recording.com_m, com, sizeof(com)) == 0);
   CHECK(memcmp(trajectory->recording.mass_m, mass, sizeof(mass)) == 0);
   CHECK(memcmp(trajectory->recording.actuation, actuation, sizeof(actuation)) == 0);
@@ -270,7 +260,6 @@ static void keeps_trajectories(void)
 /* Of four recordings two fit: the first is kept, because its evaluation has not ended. */
 static void removes_the_oldest_recordings(void)
 {
-  struct mo_store_config config = {.path = fixture.path, .max_recordings_bytes = 200};
   struct mo_submission submission = draw_evaluation(4, 2);
   struct mo_trajectory *trajectory = NULL;
   struct mo_store_stats stats;
@@ -278,24 +267,20 @@ static void removes_the_oldest_recordings(void)
   struct mo_saved_trajectory saved = {
       .frames = 3, .n_masses = 2, .recording = {.stride = 500, .com_m = com}};
   struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
-  enum mo_job_state before;
-  struct mo_job job;
   int64_t ids[4];
   uint64_t bytes = 0;
-  fixture_close(&fixture);
-  REQUIRE(mo_store_open(&config, &fixture.store, &fixture.message) == MO_OK);
+  REQUIRE_OK(reopen_with((struct mo_store_config){.max_recordings_bytes = 200}));
   submission.record = MO_RECORD_COM;
   for (int i = 0; i < 4; i++) {
     ids[i] = saved.job = submit_evaluation(&submission);
-    CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
-    CHECK_INT(save_and_wait(fixture.store, &save), MO_OK); /* again: it is there */
-    REQUIRE(mo_store_job(fixture.store, ids[i], &job) == MO_OK);
-    CHECK_INT(job.recorded_bytes, sizeof(com));
+    CHECK_OK(save_and_wait(&save));
+    CHECK_OK(save_and_wait(&save)); /* again: it is there */
+    CHECK_INT(job_of(ids[i]).recorded_bytes, sizeof(com));
     if (i > 0)
-      CHECK_INT(mo_store_change_job(fixture.store, ids[i], MO_CHANGE_CANCEL, &before), MO_OK);
+      CHECK_OK(change(ids[i], MO_CHANGE_CANCEL));
   }
   for (int i = 0; i < 500; i++) {
-    mo_store_get_stats(fixture.store, &stats);
+    mo_store_get_stats(store, &stats);
     if (stats.recordings_removed == 2)
       break;
     usleep(10000);
@@ -304,21 +289,21 @@ static void removes_the_oldest_recordings(void)
   CHECK_INT(stats.recordings_removed_bytes, 2 * sizeof(com));
   for (int i = 0; i < 4; i++) {
     const bool removed = i == 1 || i == 2;
-    CHECK_INT(mo_store_trajectory(fixture.store, ids[i], 0, 0, &trajectory),
+    CHECK_INT(mo_store_trajectory(store, ids[i], 0, 0, &trajectory),
               removed ? MO_ERR_NOT_FOUND : MO_OK);
     if (!removed)
       mo_trajectory_free(trajectory);
-    REQUIRE(mo_store_job(fixture.store, ids[i], &job) == MO_OK);
+    const struct mo_job job = job_of(ids[i]);
     CHECK_INT(job.recorded_bytes, removed ? 0 : sizeof(com));
     CHECK((job.recordings_removed_us > 0) == removed);
   }
-  CHECK_INT(mo_store_trajectories_remove(fixture.store, ids[0], &bytes), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_trajectories_remove(fixture.store, 99, &bytes), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_trajectories_remove(store, ids[0], &bytes), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_trajectories_remove(store, 99, &bytes), MO_ERR_NOT_FOUND);
   for (int i = 0; i < 2; i++) {
-    CHECK_INT(mo_store_trajectories_remove(fixture.store, ids[3], &bytes), MO_OK);
+    CHECK_OK(mo_store_trajectories_remove(store, ids[3], &bytes));
     CHECK_INT(bytes, i == 0 ? sizeof(com) : 0);
   }
-  CHECK_INT(mo_store_trajectory(fixture.store, ids[3], 0, 0, &trajectory), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_trajectory(store, ids[3], 0, 0, &trajectory), MO_ERR_NOT_FOUND);
 }
 
 static const struct check_case cases[] = {

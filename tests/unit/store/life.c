@@ -17,10 +17,8 @@ uint64_t life_hash(uint64_t seed, uint64_t place)
 
 void *life_memory(size_t size)
 {
-  void *memory = malloc(size);
-  if (memory == NULL)
-    memory = malloc(size);
-  if (memory == NULL)
+  void *memory = NULL;
+  if (posix_memalign(&memory, 16, size) != 0)
     abort();
   return memory;
 }
@@ -70,6 +68,26 @@ void life_name(int index, char name[16])
 void life_key(char kind, int index, char key[32])
 {
   snprintf(key, 32, "%c%d", kind, index);
+}
+
+int life_start(struct life *life, uint64_t seed, unsigned lies, struct mo_bits *forms,
+               struct mo_bits *genotypes)
+{
+  *life = (struct life){.disk = disk_new(seed, lies), .forms = forms, .genotypes = genotypes};
+  for (int i = 0; i < NAMES; i++)
+    life->model.names[i].content = -1;
+  return life->disk != NULL ? 0 : -1;
+}
+
+int life_open(struct life *life, uint32_t checkpoint_frames, struct mo_message *message)
+{
+  const struct mo_store_config config = {.path = disk_folder(life->disk),
+                                         .vfs = disk_vfs(life->disk),
+                                         .files = disk_files(life->disk),
+                                         .n_readers = 1,
+                                         .checkpoint_frames = checkpoint_frames};
+  life->store = NULL;
+  return mo_store_open(&config, &life->store, message);
 }
 
 void life_found(struct life *life, const char *format, ...)

@@ -23,6 +23,7 @@ enum {
   GENERATIONS_MAX = 12,
   MEMBERS = 4,  /* of a population; as many are born in each generation */
   LEARNING = 4, /* steps in each */
+  LISTED = 3,   /* designs that a campaign begins with */
   BODIES_OF_CAMPAIGNS = EVALUATIONS_MAX * DESIGNS_MAX,
   BODIES = BODIES_OF_CAMPAIGNS + CAMPAIGNS_MAX * GENERATIONS_MAX * MEMBERS,
   TRAININGS_MAX = 20,
@@ -30,13 +31,13 @@ enum {
 };
 
 struct evaluation_model { /* its id is `id`; its designs are bodies from index · DESIGNS_MAX */
-  int64_t id;
+  long long id;
   uint64_t seed;
   uint32_t n_designs, saved;
   enum mo_job_state state;
 };
 struct training_model {
-  int64_t id;
+  long long id;
   uint64_t seed;
   enum mo_job_state state;
   uint32_t position; /* of the current run */
@@ -46,13 +47,14 @@ struct training_model {
   int result; /* content; −1: none */
 };
 struct campaign_model {
-  int64_t id;
+  long long id;
   uint64_t seed;
   bool learns; /* else zero-shot */
   enum mo_job_state state;
-  int64_t generation; /* newest; −1: none */
-  uint32_t scored;    /* of the next one */
-  uint32_t inside;    /* step of its checkpoint; 0: none */
+  long long generation; /* newest; −1: none */
+  uint32_t until;       /* generation */
+  uint32_t scored;      /* of the next one */
+  uint32_t inside;      /* step of its checkpoint; 0: none */
   uint32_t attempts;
   int result; /* content; −1: none */
 };
@@ -69,7 +71,7 @@ struct model {
   int n_trainings;
   struct campaign_model campaigns[CAMPAIGNS_MAX];
   int n_campaigns;
-  int64_t jobs, events, epoch;
+  long long jobs, events, epoch;
 };
 
 enum act_kind {
@@ -92,6 +94,7 @@ enum act_kind {
   ACT_CAMPAIGN_CHECKPOINT,
   ACT_CAMPAIGN_GENERATION,
   ACT_CAMPAIGN_PARK,
+  ACT_CAMPAIGN_EXTEND,
   ACT_CAMPAIGN_FINISH,
   ACT_KINDS
 };
@@ -116,6 +119,11 @@ struct life {
   char first[400]; /* finding */
 };
 
+/* Acts in turn, with something of everything. Up to HELD a folder has what goes on: a training and
+ * a campaign that run, with checkpoints. */
+enum { SCRIPT = 26, COUNTED_FROM = 4, HELD = 15 };
+extern const struct act life_script[SCRIPT];
+
 /* Draws from a seed that a thing has: the same for who writes it and for who checks it. */
 uint64_t life_hash(uint64_t seed, uint64_t place);
 size_t life_content(uint64_t seed, uint8_t **bytes); /* of a controller's file (malloc) */
@@ -133,7 +141,7 @@ struct put {
   uint8_t *bytes;
   size_t size;
 };
-void *life_memory(size_t size); /* also where an allocator fails once */
+void *life_memory(size_t size); /* also where the allocators that the store uses fail */
 void put_start(struct put *put, uint64_t seed);
 void put_end(struct put *put);
 
@@ -174,8 +182,13 @@ size_t life_state(const struct campaign_model *campaign, uint32_t generation, ui
                   uint8_t **bytes);
 
 bool life_differs(char text[300], const char *format, ...) __attribute__((format(printf, 2, 3)));
-/* Files in "<folder>/<id>" of the state folder. */
-uint32_t life_files(const struct life *life, const char *folder, int64_t id);
+/* Files in "<folder>/<id>" of the state folder. sum (nullable): takes their names, in any order. */
+uint32_t life_files(const struct life *life, const char *folder, int64_t id, uint64_t *sum);
+
+/* On a new disk, with nothing promised. forms, genotypes: (BODIES). Returns 0 or −1. */
+int life_start(struct life *life, uint64_t seed, unsigned lies, struct mo_bits *forms,
+               struct mo_bits *genotypes);
+int life_open(struct life *life, uint32_t checkpoint_frames, struct mo_message *message);
 
 struct act life_choose(struct life *life);
 /* How many of its parts were acknowledged; *error: what the call that was not gave. */

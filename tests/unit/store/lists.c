@@ -71,7 +71,7 @@ static int fill(void)
       "scored_generation,scored"};
   char sql[4096];
   int result = SQLITE_OK;
-  fixture_close(&fixture);
+  close_store();
   for (int kind = 0; kind < 3 && result == SQLITE_OK; kind++) {
     snprintf(sql, sizeof(sql),
              "BEGIN;"
@@ -90,11 +90,10 @@ static int fill(void)
              "COMMIT",
              ROWS, kind, 3 + kind, kind, kind + 1, tables[kind], columns[kind], columns[kind], kind,
              tables[kind], kind + 1);
-    result = outside(&fixture, sql);
+    result = outside(sql);
   }
   if (result == SQLITE_OK)
     result = outside(
-        &fixture,
         "BEGIN;"
         "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n LIMIT 10000)"
         " INSERT INTO controller_names SELECT 'copy-'||i,controller,1,stored_us FROM "
@@ -112,7 +111,7 @@ static int fill(void)
         " INSERT INTO events(time_us,job,type,data) SELECT 1,iif(i<9,4,5),'job.started','{}' FROM "
         "n;"
         "COMMIT");
-  return result == SQLITE_OK ? fixture_reopen(&fixture) : MO_ERR_IO;
+  return result == SQLITE_OK ? reopen() : MO_ERR_IO;
 }
 
 static int start(void)
@@ -122,8 +121,8 @@ static int start(void)
   struct mo_submission evaluation = draw_evaluation(1, 1);
   if (sqlite3_auto_extension((void (*)(void))watch) != SQLITE_OK)
     return MO_ERR_IO;
-  if (submit_evaluation(&evaluation) != 1 || submit(&fixture, &training) != 2 ||
-      campaign_submit(&fixture, &campaign) != 3)
+  if (submit_evaluation(&evaluation) != 1 || submit_training(&training) != 2 ||
+      submit_campaign(&campaign) != 3)
     return MO_ERR_CONFLICT;
   return fill();
 }
@@ -149,12 +148,12 @@ static void pages_of_jobs(void)
   struct mo_job jobs[PAGE];
   struct mo_training_status trainings[PAGE];
   struct mo_campaign_status campaigns[PAGE];
-  REQUIRE(start() == MO_OK);
+  REQUIRE_OK(start());
   const int64_t places[] = {0, 2 * ROWS + 20, ROWS + 20, 20, 2};
   /* Of the trainings and campaigns that run. */
   const int64_t waiting[] = {ROWS + 5, ROWS + 11, 2 * ROWS + 5};
   for (int state = -1; state < MO_JOB_STATES; state++)
-    for (size_t p = 0; p < sizeof(places) / sizeof(places[0]); p++)
+    for (size_t p = 0; p < COUNT(places); p++)
       for (size_t w = 0; w <= 3; w += 3) {
         for (int kind = -1; kind < 3; kind++) {
           struct mo_job_query query = {.before = places[p],
@@ -163,11 +162,11 @@ static void pages_of_jobs(void)
                                        .waiting = waiting,
                                        .n_waiting = w};
           (void)all_steps();
-          CHECK(mo_store_jobs(fixture.store, &query, jobs, PAGE) >= 0);
+          CHECK(mo_store_jobs(store, &query, jobs, PAGE) >= 0);
           cheap("jobs", kind, state, places[p], w > 0);
           for (int usual = 0; usual < 2; usual++) {
             query.label = usual ? "usual" : "rare";
-            CHECK(mo_store_jobs(fixture.store, &query, jobs, PAGE) >= 0);
+            CHECK(mo_store_jobs(store, &query, jobs, PAGE) >= 0);
             cheap(query.label, kind, state, places[p], w > 0);
           }
           /* By who submitted, and by both: also where no job has the pair. */
@@ -175,17 +174,17 @@ static void pages_of_jobs(void)
             static const char *const labels[] = {NULL, NULL, "usual", "rare"};
             query.label = labels[which];
             query.submitted_by = which == 1 || which == 3 ? "rare" : "usual";
-            CHECK(mo_store_jobs(fixture.store, &query, jobs, PAGE) >= 0);
+            CHECK(mo_store_jobs(store, &query, jobs, PAGE) >= 0);
             cheap("jobs of a submitter", kind, state, places[p], w > 0);
           }
         }
         struct mo_job_query query = {
             .before = places[p], .state = state, .kind = -1, .waiting = waiting, .n_waiting = w};
-        CHECK(mo_store_trainings(fixture.store, &query, trainings, PAGE) >= 0);
+        CHECK(mo_store_trainings(store, &query, trainings, PAGE) >= 0);
         cheap("trainings", 1, state, places[p], w > 0);
         struct mo_job_query all = {
             .before = places[p], .state = state, .waiting = waiting, .n_waiting = w, .group = 0};
-        CHECK(mo_store_campaigns(fixture.store, &all, campaigns, PAGE) >= 0);
+        CHECK(mo_store_campaigns(store, &all, campaigns, PAGE) >= 0);
         cheap("campaigns", 2, state, places[p], w > 0);
       }
 }
@@ -195,52 +194,52 @@ static void pages_of_jobs(void)
 static void pages_name_the_states_that_are_shown(void)
 {
   struct mo_job jobs[40];
-  REQUIRE(start() == MO_OK);
+  REQUIRE_OK(start());
   const int64_t first =
       4 + ROWS; /* trainings: every sixth is queued, the next runs, the next is paused */
   const int64_t waiting[] = {first + 7, first + 1};
   struct mo_job_query query = {
       .state = MO_JOB_PAUSED, .kind = MO_JOB_TRAINING, .waiting = waiting, .n_waiting = 2};
   const int64_t paused[] = {first + 20, first + 14, first + 8, first + 7, first + 2, first + 1};
-  REQUIRE(mo_store_jobs(fixture.store, &query, jobs, 40) == 6);
+  REQUIRE(mo_store_jobs(store, &query, jobs, 40) == 6);
   for (int i = 0; i < 6; i++)
     CHECK_INT(jobs[i].id, paused[i]);
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 4), 4);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 4), 4);
   CHECK_INT(jobs[3].id, paused[3]);
   query.before = paused[3];
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 2);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 40), 2);
   CHECK(jobs[0].id == paused[4] && jobs[1].id == paused[5]);
   query = (struct mo_job_query){
       .state = MO_JOB_RUNNING, .kind = MO_JOB_TRAINING, .waiting = waiting, .n_waiting = 2};
-  REQUIRE(mo_store_jobs(fixture.store, &query, jobs, 40) == 2);
+  REQUIRE(mo_store_jobs(store, &query, jobs, 40) == 2);
   CHECK(jobs[0].id == first + 19 && jobs[1].id == first + 13);
   query.kind = MO_JOB_EVALUATION;
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 4);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 40), 4);
   query.kind = -1;
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 10);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 40), 10);
   query = (struct mo_job_query){.state = MO_JOB_PAUSED,
                                 .kind = MO_JOB_TRAINING,
                                 .waiting = waiting,
                                 .n_waiting = 2,
                                 .label = "usual"};
-  REQUIRE(mo_store_jobs(fixture.store, &query, jobs, 40) == 6);
+  REQUIRE(mo_store_jobs(store, &query, jobs, 40) == 6);
   for (int i = 0; i < 6; i++)
     CHECK_INT(jobs[i].id, paused[i]);
   query.submitted_by = "usual";
-  REQUIRE(mo_store_jobs(fixture.store, &query, jobs, 40) == 6);
+  REQUIRE(mo_store_jobs(store, &query, jobs, 40) == 6);
   for (int i = 0; i < 6; i++)
     CHECK_INT(jobs[i].id, paused[i]);
   CHECK_TEXT(jobs[0].submitted_by, "usual");
   query.submitted_by = "rare";
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 0);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 40), 0);
   query.label = NULL;
   query.state = -1;
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), ROWS / 100 < 40 ? ROWS / 100 : 40);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 40), ROWS / 100 < 40 ? ROWS / 100 : 40);
   query.submitted_by = NULL;
   query.label = "none";
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 0);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 40), 0);
   query = (struct mo_job_query){.state = MO_JOB_SUCCEEDED, .kind = MO_JOB_CAMPAIGN};
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 4);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 40), 4);
 }
 
 static void pages_of_everything_else(void)
@@ -248,16 +247,16 @@ static void pages_of_everything_else(void)
   struct mo_controller_record controllers[PAGE];
   struct mo_design_row designs[PAGE];
   struct mo_event events[PAGE];
-  REQUIRE(start() == MO_OK);
-  REQUIRE(mo_store_controller(fixture.store, "default", &controllers[0]) == MO_OK);
+  REQUIRE_OK(start());
+  REQUIRE_OK(mo_store_controller(store, "default", &controllers[0]));
   struct mo_design_query query = {.controller_sha256 = controllers[0].sha256,
                                   .environment_set = "paper-test",
                                   .physics = mo_default_physics(),
                                   .precision = MO_FLOAT32,
                                   .fingerprint = "by hand"};
   (void)all_steps();
-  CHECK_INT(mo_store_controllers(fixture.store, NULL, controllers, PAGE), PAGE);
-  CHECK_INT(mo_store_controllers(fixture.store, "default", controllers, PAGE), 0);
+  CHECK_INT(mo_store_controllers(store, NULL, controllers, PAGE), PAGE);
+  CHECK_INT(mo_store_controllers(store, "default", controllers, PAGE), 0);
   cheap("controllers", -1, -1, 0, false);
   query.after_score = 0.5; /* as of all others */
   for (int i = 0; i < 4; i++) {
@@ -265,12 +264,12 @@ static void pages_of_everything_else(void)
     query.is_descending = i % 2 == 1;
     for (int64_t row = 0; row < ROWS; row += ROWS / 4) {
       query.after_row = query.is_descending && row > 0 ? ROWS - row : row;
-      CHECK_INT(mo_store_designs(fixture.store, &query, designs, PAGE), PAGE);
+      CHECK_INT(mo_store_designs(store, &query, designs, PAGE), PAGE);
       cheap("designs", -1, -1, 0, false);
     }
   }
   for (int64_t job = 0; job <= 6; job++) {
-    CHECK(mo_store_events(fixture.store, 100, job, events, PAGE, NULL, NULL) >= 0);
+    CHECK(mo_store_events(store, 100, job, events, PAGE, NULL, NULL) >= 0);
     cheap("events", -1, -1, 0, false);
   }
 }

@@ -28,11 +28,9 @@ static bool content_matches(const struct life *life, uint64_t seed, char text[30
   struct mo_sha256 hash;
   size_t size = 0;
   const size_t expected_size = life_content(seed, &expected);
-  int error;
-  bool same;
   mo_sha256_of(expected, expected_size, &hash);
-  error = mo_store_controller_bytes(life->store, &hash, &found, &size);
-  same = error == MO_OK && size == expected_size && memcmp(found, expected, size) == 0;
+  int error = mo_store_controller_bytes(life->store, &hash, &found, &size);
+  bool same = error == MO_OK && size == expected_size && memcmp(found, expected, size) == 0;
   free(expected);
   if (error == MO_OK)
     free(found);
@@ -70,11 +68,11 @@ static bool controllers_match(const struct life *life, const struct model *model
     same = name_matches(life, model, own, model->names[i].content, model->names[i].version, text);
   }
   for (int i = 0; i < model->n_trainings && same; i++) {
-    snprintf(name, sizeof(name), "training-%lld", (long long)model->trainings[i].id);
+    snprintf(name, sizeof(name), "training-%lld", model->trainings[i].id);
     same = name_matches(life, model, name, model->trainings[i].result, 1, text);
   }
   for (int i = 0; i < model->n_campaigns && same; i++) {
-    snprintf(name, sizeof(name), "campaign-%lld", (long long)model->campaigns[i].id);
+    snprintf(name, sizeof(name), "campaign-%lld", model->campaigns[i].id);
     same = name_matches(life, model, name, model->campaigns[i].result, 1, text);
   }
   for (int i = 0; i < model->n_contents && same; i++)
@@ -111,11 +109,10 @@ static bool results_match(const struct life *life, const struct evaluation_model
     if (!same)
       (void)life_differs(text,
                          "job %lld of %u designs, %u saved: design %u is not what it should be",
-                         (long long)evaluation->id, (unsigned)evaluation->n_designs,
-                         (unsigned)evaluation->saved, (unsigned)n);
+                         evaluation->id, evaluation->n_designs, evaluation->saved, n);
   }
   if (error != MO_OK)
-    return life_differs(text, "results of job %lld: error %d", (long long)evaluation->id, error);
+    return life_differs(text, "results of job %lld: error %d", evaluation->id, error);
   mo_evaluation_results_free(results);
   return same;
 }
@@ -135,8 +132,7 @@ static bool trajectories_match(const struct life *life, const struct evaluation_
     if (error == MO_OK)
       mo_trajectory_free(trajectory);
     if (!same)
-      return life_differs(text, "trajectory %u of job %lld: error %d", (unsigned)n,
-                          (long long)evaluation->id, error);
+      return life_differs(text, "trajectory %u of job %lld: error %d", n, evaluation->id, error);
   }
   return true;
 }
@@ -150,17 +146,17 @@ static bool evaluation_matches(const struct life *life, const struct evaluation_
   int64_t id = 0;
   int error = mo_store_job(life->store, evaluation->id, &job);
   if (error != MO_OK || job.kind != MO_JOB_EVALUATION)
-    return life_differs(text, "job %lld: error %d", (long long)evaluation->id, error);
+    return life_differs(text, "job %lld: error %d", evaluation->id, error);
   if (job.state != evaluation->state ||
       job.rollouts_done != (uint64_t)evaluation->saved * MO_PAPER_TEST_COUNT)
     return life_differs(text, "job %lld: state %d, %llu rollouts, not state %d, %u designs",
-                        (long long)job.id, (int)job.state, (unsigned long long)job.rollouts_done,
-                        (int)evaluation->state, (unsigned)evaluation->saved);
+                        (long long)job.id, job.state, (unsigned long long)job.rollouts_done,
+                        evaluation->state, evaluation->saved);
   life_key('e', index, key);
   mo_sha256_of(&evaluation->seed, sizeof(evaluation->seed), &body);
   error = mo_store_replay(life->store, key, &body, &id);
   if (error != MO_OK || id != evaluation->id)
-    return life_differs(text, "the key of job %lld: error %d", (long long)evaluation->id, error);
+    return life_differs(text, "the key of job %lld: error %d", evaluation->id, error);
   return results_match(life, evaluation, index, text) && trajectories_match(life, evaluation, text);
 }
 
@@ -180,26 +176,30 @@ static bool steps_match(const struct life *life, const struct training_model *tr
           !same_double(rows[i].report.mean_loss, row.report.mean_loss) ||
           !same_double(rows[i].report.gradient_norm, row.report.gradient_norm) ||
           rows[i].report.zeroed != row.report.zeroed)
-        return life_differs(text, "step %u of training %lld", (unsigned)at,
-                            (long long)training->id);
+        return life_differs(text, "step %u of training %lld", at, training->id);
     }
   } while (n == MO_PAGE_MAX);
   return (n >= 0 && at == training->step) ||
-         life_differs(text, "training %lld has %u steps, not %u", (long long)training->id,
-                      (unsigned)at, (unsigned)training->step);
+         life_differs(text, "training %lld has %u steps, not %u", training->id, at, training->step);
 }
 
-uint32_t life_files(const struct life *life, const char *folder, int64_t id)
+uint32_t life_files(const struct life *life, const char *folder, int64_t id, uint64_t *sum)
 {
   uint32_t files = 0;
   struct dirent *entry;
   char path[512];
-  DIR *stream;
   snprintf(path, sizeof(path), "%s/%s/%lld", disk_folder(life->disk), folder, (long long)id);
-  stream = opendir(path);
+  DIR *stream = opendir(path);
   while (stream != NULL &&
-         (entry = readdir(stream)) != NULL) /* NOLINT(concurrency-mt-unsafe): this thread's own */
-    files += strcmp(entry->d_name, ".") != 0 && strcmp(entry->d_name, "..") != 0;
+         (entry = readdir(stream)) != NULL) { /* NOLINT(concurrency-mt-unsafe): this thread's own */
+    struct mo_sha256 name;
+    if (strcmp(entry->d_name, ".") == 0 || strcmp(entry->d_name, "..") == 0)
+      continue;
+    files++;
+    mo_sha256_of(entry->d_name, strlen(entry->d_name), &name);
+    if (sum != NULL)
+      *sum += name.bytes[0] + ((uint64_t)name.bytes[1] << 8) + ((uint64_t)name.bytes[2] << 16);
+  }
   if (stream != NULL)
     closedir(stream);
   return files;
@@ -211,10 +211,10 @@ static bool checkpoints_match(const struct life *life, const struct training_mod
 {
   struct mo_checkpoint_row rows[KEPT_MAX + 1];
   const int64_t n = mo_store_checkpoints(life->store, training->id, rows, KEPT_MAX + 1);
-  const uint32_t files = life_files(life, "trainings", training->id);
+  const uint32_t files = life_files(life, "trainings", training->id, NULL);
   if (n != training->n_checkpoints)
-    return life_differs(text, "training %lld has %lld checkpoints, not %u", (long long)training->id,
-                        (long long)n, (unsigned)training->n_checkpoints);
+    return life_differs(text, "training %lld has %lld checkpoints, not %u", training->id,
+                        (long long)n, training->n_checkpoints);
   for (int64_t i = 0; i < n; i++) {
     const uint32_t step = training->checkpoints[n - 1 - i];
     uint8_t *expected = NULL, *found = NULL;
@@ -228,12 +228,12 @@ static bool checkpoints_match(const struct life *life, const struct training_mod
     if (error == MO_OK)
       free(found);
     if (!same)
-      return life_differs(text, "checkpoint %u of training %lld: error %d", (unsigned)step,
-                          (long long)training->id, error);
+      return life_differs(text, "checkpoint %u of training %lld: error %d", step, training->id,
+                          error);
   }
   return files == training->n_checkpoints ||
-         life_differs(text, "training %lld has %u files for %u checkpoints",
-                      (long long)training->id, (unsigned)files, (unsigned)training->n_checkpoints);
+         life_differs(text, "training %lld has %u files for %u checkpoints", training->id, files,
+                      training->n_checkpoints);
 }
 
 static bool training_matches(const struct life *life, const struct training_model *training,
@@ -244,7 +244,7 @@ static bool training_matches(const struct life *life, const struct training_mode
   const uint32_t newest =
       training->n_checkpoints > 0 ? training->checkpoints[training->n_checkpoints - 1] : 0;
   if (error != MO_OK)
-    return life_differs(text, "training %lld: error %d", (long long)training->id, error);
+    return life_differs(text, "training %lld: error %d", training->id, error);
   if (status.job.state != training->state || status.job.attempts != training->attempts ||
       status.step != training->step || status.has_validation != (training->n_validations > 0) ||
       status.validation.step != training->last_validation || status.checkpoint_step != newest ||
@@ -252,9 +252,8 @@ static bool training_matches(const struct life *life, const struct training_mode
     return life_differs(
         text,
         "training %lld: state %d, attempts %u, step %u, validation %u, checkpoint %u, result %d",
-        (long long)training->id, (int)status.job.state, (unsigned)status.job.attempts,
-        (unsigned)status.step, (unsigned)status.validation.step, (unsigned)status.checkpoint_step,
-        (int)status.has_result);
+        training->id, status.job.state, status.job.attempts, status.step, status.validation.step,
+        status.checkpoint_step, status.has_result);
   return steps_match(life, training, text) && checkpoints_match(life, training, text);
 }
 
@@ -264,7 +263,7 @@ static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
 {
   int64_t designs = 0, born = 0, saved = 0, scored = 0, steps = 0, validations = 0, checkpoints = 0,
           names = 0;
-  int64_t generations = 0, losses = 0, learned = 0, states = 0;
+  int64_t generations = 0, known = 0, losses = 0, learned = 0, states = 0;
   for (int i = 0; i < model->n_evaluations; i++) {
     designs += model->evaluations[i].n_designs;
     saved += model->evaluations[i].saved;
@@ -278,6 +277,7 @@ static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
   for (int i = 0; i < model->n_campaigns; i++) {
     const struct campaign_model *campaign = &model->campaigns[i];
     generations += campaign->generation + 1;
+    known += campaign->generation >= 0 ? MEMBERS * (campaign->generation + 1) : LISTED;
     scored += campaign->learns ? 0 : MEMBERS * (campaign->generation + 1);
     losses += campaign->scored;
     learned += campaign->learns ? LEARNING * (campaign->generation + 1) + campaign->inside : 0;
@@ -294,11 +294,11 @@ static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
   } counts[] = {{"jobs", model->jobs},
                 {"runs", model->n_trainings + model->n_campaigns},
                 {"evaluations", model->n_evaluations},
-                {"job_designs", designs},
+                {"job_designs", designs + (int64_t)LISTED * model->n_campaigns},
                 {"job_environments",
                  (int64_t)(model->n_evaluations + model->n_campaigns) * MO_PAPER_TEST_COUNT},
-                {"designs", designs + born},
-                {"genotypes", designs + born},
+                {"designs", designs + known},
+                {"genotypes", designs + known},
                 {"scores", scored},
                 {"set_scores", scored},
                 {"trajectories", saved},
@@ -346,12 +346,10 @@ static sqlite3 *open_database(const char *path)
 bool life_matches(const struct life *life, const struct model *model, char text[300])
 {
   char path[512];
-  sqlite3 *db;
-  bool same;
   snprintf(path, sizeof(path), "%s/morphod.db", disk_folder(life->disk));
-  db = open_database(path);
-  same = db != NULL ? counts_match(db, model, text)
-                    : life_differs(text, "the database cannot be opened");
+  sqlite3 *db = open_database(path);
+  bool same = db != NULL ? counts_match(db, model, text)
+                         : life_differs(text, "the database cannot be opened");
   sqlite3_close(db);
   for (int i = 0; i < model->n_evaluations && same; i++)
     same = evaluation_matches(life, &model->evaluations[i], i, text);

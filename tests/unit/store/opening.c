@@ -9,18 +9,17 @@ static void opens_and_locks(void)
 {
   struct mo_store_config config = {.path = fixture.path};
   struct mo_store *second = NULL;
-  CHECK_INT(fixture.store->epoch, 1);
+  CHECK_INT(store->epoch, 1);
   CHECK_INT(mo_store_open(&config, &second, &fixture.message), MO_ERR_BUSY);
-  CHECK(strstr(fixture.message.text, "another process") != NULL);
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  REQUIRE(fixture_reopen(&fixture) == MO_OK);
-  CHECK_INT(fixture.store->epoch, 2);
-  fixture_close(&fixture);
-  CHECK_INT(outside_integer(&fixture, "PRAGMA application_id"), 0x6D727068);
-  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), NEWEST);
-  CHECK_INT(outside_integer(&fixture, "SELECT value FROM meta WHERE key='clean'"), 1);
+  CHECK_SAYS(fixture.message, "another process");
+  CHECK_OK(check_whole());
+  REQUIRE_OK(reopen());
+  CHECK_INT(store->epoch, 2);
+  close_store();
+  CHECK_INT(outside_integer("PRAGMA application_id"), 0x6D727068);
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+  CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='clean'"), 1);
   CHECK_INT(outside_integer(
-                &fixture,
                 "SELECT count(*) FROM sqlite_schema WHERE type='table' AND name NOT LIKE 'sqlite%'"
                 " AND sql NOT LIKE '%STRICT%'"),
             0);
@@ -29,29 +28,22 @@ static void opens_and_locks(void)
 }
 
 /* Writes noise over n bytes of the database from `at` on. */
-static void scribble(long at, int n)
+static void scribble(long at, size_t n)
 {
-  char path[512];
-  FILE *file;
-  snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
-  file = fopen(path, "r+");
-  REQUIRE(file != NULL);
-  fseek(file, at, SEEK_SET);
-  for (int i = 0; i < n; i++)
-    fputc(0x5a, file);
-  fclose(file);
+  void *noise = make_zeros(n, 1);
+  memset(noise, 0x5a, n);
+  CHECK_OK(overwrite(path_of("morphod.db"), at, noise, n));
 }
 
 static void refuses_what_is_not_ours(void)
 {
-  CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
-  CHECK(strstr(fixture.message.text, "99") != NULL); /* written by a newer program */
-  CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=10; PRAGMA application_id=7"),
-            MO_ERR_FORMAT);
-  CHECK_INT(reopen_after(&fixture, "PRAGMA application_id=1836216424"), MO_OK);
-  fixture_close(&fixture);
+  CHECK_INT(reopen_after("PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
+  CHECK_SAYS(fixture.message, "99"); /* written by a newer program */
+  CHECK_INT(reopen_after("PRAGMA user_version=10; PRAGMA application_id=7"), MO_ERR_FORMAT);
+  CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
+  close_store();
   scribble(0, 8192); /* no database, whatever its name says */
-  CHECK_INT(fixture_reopen(&fixture), MO_ERR_FORMAT);
+  CHECK_INT(reopen(), MO_ERR_FORMAT);
 }
 
 /* The folder is refused, says so, and is left as it was. */
@@ -60,13 +52,13 @@ static void refuses_version_0_1(void)
   for (int version = 1; version <= 8; version++) {
     char sql[64];
     snprintf(sql, sizeof(sql), "PRAGMA user_version=%d", version);
-    CHECK_INT(reopen_after(&fixture, sql), MO_ERR_UNSUPPORTED);
-    CHECK(strstr(fixture.message.text, "was written by morphod 0.1") != NULL);
-    CHECK(strstr(fixture.message.text, fixture.path) != NULL);
-    CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), version);
-    CHECK_INT(outside_integer(&fixture, "SELECT value FROM meta WHERE key='epoch'"), 1);
+    CHECK_INT(reopen_after(sql), MO_ERR_UNSUPPORTED);
+    CHECK_SAYS(fixture.message, "was written by morphod 0.1");
+    CHECK_SAYS(fixture.message, fixture.path);
+    CHECK_INT(outside_integer("PRAGMA user_version"), version);
+    CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_INT(reopen_after(&fixture, "PRAGMA user_version=10"), MO_OK);
+  CHECK_OK(reopen_after("PRAGMA user_version=10"));
 }
 
 /* A database of version 9: what version 10 added is not there. */
@@ -83,6 +75,14 @@ static const char version_9[] =
     "ALTER TABLE evaluations DROP COLUMN recorded_bytes;"
     "ALTER TABLE evaluations DROP COLUMN recordings_removed_us; PRAGMA user_version=9";
 
+/* The store is whole, and was made one of the newest version. Closes it. */
+static void check_newest(void)
+{
+  CHECK_OK(check_whole());
+  close_store();
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+}
+
 /* Recordings of version 9 are read as before; new ones have the channels of version 10. */
 static void keeps_recordings_of_version_9(void)
 {
@@ -90,103 +90,90 @@ static void keeps_recordings_of_version_9(void)
   struct mo_trajectory *trajectory = NULL;
   double com_m[9] = {1, 2, 3};
   int8_t actuation[6] = {0, 0, -127, 127};
-  struct mo_job job;
   struct mo_saved_trajectory saved = {
       .frames = 3, .n_masses = 8, .n_springs = 2, .recording = {.stride = 10, .com_m = com_m}};
   struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
   submission.record = MO_RECORD_COM | MO_RECORD_ACTUATION;
   saved.job = submit_evaluation(&submission);
-  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
-  REQUIRE(reopen_after(&fixture, version_9) == MO_OK);
-  REQUIRE(mo_store_job(fixture.store, saved.job, &job) == MO_OK);
+  CHECK_OK(save_and_wait(&save));
+  REQUIRE_OK(reopen_after(version_9));
+  const struct mo_job job = job_of(saved.job);
   CHECK(job.recorded_bytes == sizeof(com_m) && job.recordings_removed_us == 0);
   saved.design_position = 1;
   saved.recording.actuation = actuation;
-  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK_OK(save_and_wait(&save));
   for (uint32_t n = 0; n < 2; n++) {
-    REQUIRE(mo_store_trajectory(fixture.store, saved.job, n, 0, &trajectory) == MO_OK);
+    REQUIRE_OK(mo_store_trajectory(store, saved.job, n, 0, &trajectory));
     CHECK(SAME(trajectory->recording.com_m, com_m, 9));
     CHECK((trajectory->recording.actuation != NULL) == (n == 1));
     CHECK(n == 0 || SAME(trajectory->recording.actuation, actuation, 6));
     mo_trajectory_free(trajectory);
   }
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  fixture_close(&fixture);
-  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), NEWEST);
+  check_newest();
 }
 
 /* Jobs of version 9 are read and found as before; new ones say who submitted them. */
 static void keeps_jobs_of_version_9(void)
 {
   struct mo_submission submission = draw_evaluation(2, 3);
-  struct mo_job_query query = {.state = -1, .kind = -1, .submitted_by = "anna"};
+  const struct mo_job_query query = {.state = -1, .kind = -1, .submitted_by = "anna"};
   struct mo_job jobs[3];
-  int64_t old, new;
   submission.label = "old";
   submission.submitted_by = "anna";
-  old = submit_evaluation(&submission);
+  const int64_t old = submit_evaluation(&submission);
   REQUIRE(old > 0);
-  CHECK_INT(reopen_after(&fixture, version_9), MO_OK);
-  REQUIRE(mo_store_job(fixture.store, old, &jobs[0]) == MO_OK);
+  REQUIRE_OK(reopen_after(version_9));
+  jobs[0] = job_of(old);
   CHECK_TEXT(jobs[0].label, "old");
   CHECK_TEXT(jobs[0].submitted_by, "");
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 3), 0);
-  new = submit_evaluation(&submission);
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 3), 1);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 3), 0);
+  const int64_t new = submit_evaluation(&submission);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 3), 1);
   CHECK_INT(jobs[0].id, new);
   CHECK_TEXT(jobs[0].submitted_by, "anna");
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  fixture_close(&fixture);
-  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), NEWEST);
+  check_newest();
 }
 
 /* The root page of a table or an index becomes noise; the header and the schema stay. */
 static void names_damaged_pages(void)
 {
   static const char *const damaged[] = {"environments", "jobs_by_state"};
-  for (size_t i = 0; i < sizeof(damaged) / sizeof(damaged[0]); i++) {
+  for (size_t i = 0; i < COUNT(damaged); i++) {
     char sql[128];
-    long page;
-    CHECK_INT(reopen_after(&fixture, "UPDATE meta SET value=0 WHERE key='clean'"),
-              MO_OK); /* unclean, but whole */
-    fixture_close(&fixture);
-    REQUIRE(outside(&fixture,
-                    "UPDATE meta SET value=0 WHERE key='clean'; PRAGMA wal_checkpoint(TRUNCATE)") ==
+    CHECK_OK(reopen_after("UPDATE meta SET value=0 WHERE key='clean'")); /* unclean, but whole */
+    close_store();
+    REQUIRE(outside("UPDATE meta SET value=0 WHERE key='clean'; PRAGMA wal_checkpoint(TRUNCATE)") ==
             SQLITE_OK);
     snprintf(sql, sizeof(sql), "SELECT rootpage FROM sqlite_schema WHERE name='%s'", damaged[i]);
-    page = (long)outside_integer(&fixture, sql);
+    long page = (long)outside_integer(sql);
     REQUIRE(page > 1);
     scribble(4096L * (page - 1), 4096);
-    CHECK_INT(fixture_reopen(&fixture), MO_ERR_CORRUPT);
+    CHECK_INT(reopen(), MO_ERR_CORRUPT);
     snprintf(sql, sizeof(sql), "Page %ld: ", page);
     CHECK(strstr(fixture.message.text, "the database is damaged") != NULL &&
           strstr(fixture.message.text, sql) != NULL);
-    fixture_end(&fixture);
-    REQUIRE(fixture_start(&fixture) == MO_OK);
+    start_over();
   }
 }
 
 /* Rows that the schema does not allow count as damage, too. */
 static void checks_rows_after_an_unclean_stop(void)
 {
-  CHECK_INT(reopen_after(&fixture,
-                         "PRAGMA ignore_check_constraints=ON; UPDATE environments SET data=x'02'"
+  CHECK_INT(reopen_after("PRAGMA ignore_check_constraints=ON; UPDATE environments SET data=x'02'"
                          " WHERE id=3; UPDATE meta SET value=0 WHERE key='clean'"),
             MO_ERR_CORRUPT);
-  CHECK(strstr(fixture.message.text, "CHECK constraint failed in environments") != NULL);
+  CHECK_SAYS(fixture.message, "CHECK constraint failed in environments");
 }
 
 /* A set of this name that the folder has already is left alone; one that is missing is made. */
 static void makes_the_paper_test_once(void)
 {
   static const char members[] = "SELECT count(*) FROM environment_set_members";
-  CHECK_INT(reopen_after(&fixture, "DELETE FROM environment_set_members WHERE position=1"), MO_OK);
-  CHECK_INT(outside_integer(&fixture, members), MO_PAPER_TEST_COUNT - 1);
-  CHECK_INT(
-      reopen_after(&fixture, "DELETE FROM environment_set_members; DELETE FROM environment_sets"),
-      MO_OK);
-  CHECK_INT(outside_integer(&fixture, members), MO_PAPER_TEST_COUNT);
-  CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM environments"), MO_PAPER_TEST_COUNT);
+  CHECK_OK(reopen_after("DELETE FROM environment_set_members WHERE position=1"));
+  CHECK_INT(outside_integer(members), MO_PAPER_TEST_COUNT - 1);
+  CHECK_OK(reopen_after("DELETE FROM environment_set_members; DELETE FROM environment_sets"));
+  CHECK_INT(outside_integer(members), MO_PAPER_TEST_COUNT);
+  CHECK_INT(outside_integer("SELECT count(*) FROM environments"), MO_PAPER_TEST_COUNT);
 }
 
 static void reports_what_contradicts_itself(void)
@@ -206,21 +193,20 @@ static void reports_what_contradicts_itself(void)
       "UPDATE jobs SET kind=3",
       "DELETE FROM evaluations",
   };
-  for (size_t i = 0; i < sizeof(damage) / sizeof(damage[0]); i++) {
+  for (size_t i = 0; i < COUNT(damage); i++) {
     uint64_t counts[MO_JOB_STATES];
-    int job_error, list_error, results_error, work_error;
     const struct mo_submission submission = draw_evaluation(7, 4);
     id = submit_evaluation(&submission);
-    REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
-    REQUIRE(reopen_after(&fixture, damage[i]) == MO_OK);
-    job_error = mo_store_job(fixture.store, id, &job);
-    list_error = (int)mo_store_jobs(fixture.store, &any_job, &job, 1);
+    REQUIRE_OK(run_by_hand(id, made_up_loss));
+    REQUIRE_OK(reopen_after(damage[i]));
+    int job_error = mo_store_job(store, id, &job);
+    int list_error = (int)mo_store_jobs(store, &any_job, &job, 1);
     CHECK_INT(list_error, job_error == MO_OK ? 1 : job_error);
-    CHECK_INT(mo_store_job_counts(fixture.store, counts), MO_OK);
-    results_error = mo_store_results(fixture.store, id, &results);
+    CHECK_OK(mo_store_job_counts(store, counts));
+    int results_error = mo_store_results(store, id, &results);
     if (results_error == MO_OK)
       mo_evaluation_results_free(results);
-    work_error = mo_store_load_work(fixture.store, id, fixture_classes(1), &work);
+    int work_error = mo_store_load_work(store, id, fixture_classes(1), &work);
     if (work_error == MO_OK)
       mo_work_free(work);
     CHECK(job_error == MO_ERR_CORRUPT || results_error == MO_ERR_CORRUPT ||
@@ -229,8 +215,7 @@ static void reports_what_contradicts_itself(void)
     CHECK(results_error == MO_OK || results_error == MO_ERR_CORRUPT ||
           results_error == MO_ERR_NOT_FOUND);
     CHECK(work_error == MO_OK || work_error == MO_ERR_CORRUPT || work_error == MO_ERR_NOT_FOUND);
-    fixture_end(&fixture);
-    REQUIRE(fixture_start(&fixture) == MO_OK);
+    start_over();
   }
 }
 

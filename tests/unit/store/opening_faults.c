@@ -1,10 +1,11 @@
-/* opening_faults.c: the store is opened while the disk or the memory fails, at every call in turn.
+/* opening_faults.c: the store is opened, and works, while the disk or the memory fails or is short,
+ * at every call in turn.
  *
- * Each time it opens, or says what was missing: never that the database is damaged, for it is not.
- * Nothing is left behind in memory (the address sanitizer looks), and what the folder holds is all
- * there when it opens at last. */
-#include "../check.h"
+ * Each time it does what it should, or says what was missing: never that the database is damaged,
+ * for it is not. Nothing is left behind in memory (the address sanitizer looks), nor of what failed
+ * in the folder; and what the folder holds is all there when it opens at last. */
 #include "../failing.h"
+#include "../make.h"
 #include "fixture.h"
 #include "life.h"
 #include "store/internal.h"
@@ -33,31 +34,6 @@ static int fail_in_sqlite(void)
   return sqlite3_config(SQLITE_CONFIG_MALLOC, &failing) == SQLITE_OK ? 0 : -1;
 }
 
-/* A folder with something of everything, as a killed process leaves it. */
-static const struct act contents[] = {
-    {ACT_REQUEUE, 0, 0, 0, 1},
-    {ACT_PUT, 0, 9, 0, 1},
-    {ACT_SUBMIT, 0, 1, 0, 1},
-    {ACT_SAVE, 0, 0, 2, 2},
-    {ACT_TRAIN, 0, 21, 0, 1},
-    {ACT_TRAIN_START, 0, 0, 0, 1},
-    {ACT_TRAIN_PROGRESS, 0, 3, 7, 1},
-    {ACT_TRAIN_CHECKPOINT, 0, 0, 1, 1},
-    {ACT_CAMPAIGN, 0, 22, 0, 1},
-    {ACT_CAMPAIGN_START, 0, 0, 0, 1},
-    {ACT_CAMPAIGN_GENERATION, 0, 0, 0, 1},
-};
-
-static int open_life(struct life *life, struct mo_message *message)
-{
-  struct mo_store_config config = {.path = disk_folder(life->disk),
-                                   .vfs = disk_vfs(life->disk),
-                                   .files = disk_files(life->disk),
-                                   .n_readers = 1};
-  life->store = NULL;
-  return mo_store_open(&config, &life->store, message);
-}
-
 /* As a kill does: nothing is tidied up. */
 static void leave(struct life *life)
 {
@@ -67,24 +43,21 @@ static void leave(struct life *life)
   life->store = NULL;
 }
 
-static int begin(struct life *life)
-{
-  *life = (struct life){.disk = disk_new(1, DISK_HONEST)};
-  for (int i = 0; i < NAMES; i++)
-    life->model.names[i].content = -1;
-  if (life->disk == NULL)
-    return MO_ERR_IO;
-  return fixture_bodies(7, BODIES, &life->forms, &life->genotypes);
-}
+static struct mo_bits *forms, *genotypes; /* (BODIES) */
 
+static const struct act requeue = {.kind = ACT_REQUEUE, .parts = 1};
+
+/* A folder with something of everything, as a killed process leaves it. */
 static int fill(struct life *life)
 {
   struct mo_message message;
-  int error = begin(life);
+  int error = life_start(life, 1, DISK_HONEST, forms, genotypes);
   if (error == MO_OK)
-    error = open_life(life, &message);
-  for (size_t i = 0; i < sizeof(contents) / sizeof(contents[0]) && error == MO_OK; i++)
-    life_apply(&life->model, &contents[i], life_do(life, &contents[i], &error));
+    error = life_open(life, 0, &message);
+  if (error == MO_OK)
+    (void)life_do(life, &requeue, &error);
+  for (size_t i = 0; i < HELD && error == MO_OK; i++)
+    life_apply(&life->model, &life_script[i], life_do(life, &life_script[i], &error));
   leave(life);
   return error;
 }
@@ -93,8 +66,6 @@ static void empty(struct life *life)
 {
   mo_store_close(life->store);
   disk_free(life->disk);
-  free(life->forms);
-  free(life->genotypes);
 }
 
 /* It opens now, and holds what it held. */
@@ -102,11 +73,11 @@ static void check_contents(struct life *life)
 {
   struct mo_message message;
   char text[300] = "";
-  const int error = open_life(life, &message);
+  const int error = life_open(life, 0, &message);
   if (error != MO_OK)
     printf("# %s\n", message.text);
-  REQUIRE(error == MO_OK);
-  CHECK_INT(mo_store_check(life->store, &message), MO_OK);
+  REQUIRE_OK(error);
+  CHECK_OK(mo_store_check(life->store, &message));
   if (!life_matches(life, &life->model, text)) {
     printf("# %s\n", text);
     CHECK(false);
@@ -122,9 +93,8 @@ static void opens_on_a_failing_disk(bool first_time, bool lasting, long stride)
   struct mo_message message;
   long n = 1, failed = 0, tolerated = 0;
   bool reached = true;
-  REQUIRE(fill(&life) == MO_OK);
+  REQUIRE_OK(fill(&life));
   for (; reached && n < 20000; n += stride) {
-    int error;
     if (first_time) {
       disk_free(life.disk);
       life.disk = disk_new(1, DISK_HONEST);
@@ -132,7 +102,7 @@ static void opens_on_a_failing_disk(bool first_time, bool lasting, long stride)
     }
     message.text[0] = '\0';
     disk_fail_at(life.disk, n, lasting);
-    error = open_life(&life, &message);
+    int error = life_open(&life, 0, &message);
     reached = disk_has_failed(life.disk);
     disk_fail_at(life.disk, 0, false);
     if (error != MO_OK && (error != MO_ERR_IO || message.text[0] == '\0'))
@@ -146,7 +116,7 @@ static void opens_on_a_failing_disk(bool first_time, bool lasting, long stride)
         (n / stride) % 8 == 0) { /* each opening makes the log longer, and so the next one */
       check_contents(&life);
       empty(&life);
-      REQUIRE(fill(&life) == MO_OK);
+      REQUIRE_OK(fill(&life));
     }
   }
   printf("# %ld calls failed in turn: %ld openings failed, %ld did without\n", failed + tolerated,
@@ -157,24 +127,14 @@ static void opens_on_a_failing_disk(bool first_time, bool lasting, long stride)
   empty(&life);
 }
 
-static void opens_after_one_error(void)
-{
-  opens_on_a_failing_disk(false, false, 3);
-}
+static const struct {
+  bool first_time, lasting;
+  long stride;
+} disk_cases[] = {{false, false, 3}, {false, true, 5}, {true, false, 7}, {true, true, 11}};
 
-static void opens_after_many_errors(void)
+static void opens_in_spite_of_errors(int i)
 {
-  opens_on_a_failing_disk(false, true, 5);
-}
-
-static void is_made_after_one_error(void)
-{
-  opens_on_a_failing_disk(true, false, 7);
-}
-
-static void is_made_after_many_errors(void)
-{
-  opens_on_a_failing_disk(true, true, 11);
+  opens_on_a_failing_disk(disk_cases[i].first_time, disk_cases[i].lasting, disk_cases[i].stride);
 }
 
 /* ---- memory ---- */
@@ -188,18 +148,16 @@ static void opens_without_memory(bool first_time, long stride)
   struct mo_message message;
   long n = 0, all = PLENTY, failed = 0, tolerated = 0;
   bool reached = true;
-  REQUIRE(fill(&life) == MO_OK);
+  REQUIRE_OK(fill(&life));
   for (; reached && n < PLENTY; n += n + AT_THE_END < all ? stride : 1) {
     struct mo_store_config config = {.path = disk_folder(life.disk),
                                      .n_readers = 1}; /* the disk's own memory stays */
-    struct fixture fixture;
-    int error;
     if (first_time) {
-      REQUIRE(fixture_folder(&fixture) == 0);
+      REQUIRE(fixture_folder() == 0);
       config.path = fixture.path;
     }
     left = all == PLENTY ? PLENTY : n; /* first they are counted */
-    error = mo_store_open(&config, &life.store, &message);
+    int error = mo_store_open(&config, &life.store, &message);
     reached = left < 0 || all == PLENTY;
     if (all == PLENTY)
       all -= left;
@@ -217,7 +175,7 @@ static void opens_without_memory(bool first_time, long stride)
     else if ((n / stride) % 8 == 0) {
       check_contents(&life);
       empty(&life);
-      REQUIRE(fill(&life) == MO_OK);
+      REQUIRE_OK(fill(&life));
     }
   }
   printf("# %ld allocations failed in turn: %ld openings failed, %ld did without\n",
@@ -227,84 +185,196 @@ static void opens_without_memory(bool first_time, long stride)
   empty(&life);
 }
 
-static void opens_when_memory_is_short(void)
+static void opens_when_memory_is_short(int first_time)
 {
-  opens_without_memory(false, 67);
+  opens_without_memory(first_time, first_time ? 197 : 67);
 }
 
-static void is_made_when_memory_is_short(void)
+/* ---- while it is open ---- */
+
+enum shortage { ONE_ALLOCATION, ALLOCATIONS, ROOM_IN_THE_DATABASE, ROOM_FOR_FILES };
+
+/* There is something n times more; negative: always. */
+static void shorten(struct life *life, enum shortage what, long n)
 {
-  opens_without_memory(true, 197);
+  if (what == ROOM_IN_THE_DATABASE || what == ROOM_FOR_FILES)
+    disk_fill_after(life->disk, what == ROOM_FOR_FILES ? DISK_FILES : DISK_DATABASE, n);
+  fails_for_good = what == ALLOCATIONS;
+  left = what == ONE_ALLOCATION || what == ALLOCATIONS ? n : -1;
 }
 
-/* Every act of a life is tried until it finds all the memory that it wants: the store tells each
- * time, and does not die of it. */
-static void works_without_memory(long stride)
+/* Every row of every table but `meta`, which counts openings, and the names of checkpoints. */
+static uint64_t digest(const struct life *life)
+{
+  static const char tables[] = "SELECT 'SELECT * FROM ' || name FROM sqlite_schema WHERE type="
+                               "'table' AND name<>'meta' AND name NOT LIKE 'sqlite%'";
+  char path[512];
+  uint64_t sum = FNV_START;
+  sqlite3 *db = NULL;
+  sqlite3_stmt *names = NULL, *rows = NULL;
+  snprintf(path, sizeof(path), "%s/morphod.db", disk_folder(life->disk));
+  CHECK_OK(sqlite3_open_v2(path, &db, SQLITE_OPEN_READONLY, NULL));
+  CHECK_OK(sqlite3_prepare_v2(db, tables, -1, &names, NULL));
+  while (sqlite3_step(names) == SQLITE_ROW) {
+    const char *sql = (const char *)sqlite3_column_text(names, 0);
+    CHECK_OK(sqlite3_prepare_v2(db, sql, -1, &rows, NULL));
+    while (sqlite3_step(rows) == SQLITE_ROW)
+      for (int i = 0; i < sqlite3_column_count(rows); i++) {
+        const int n = sqlite3_column_bytes(rows, i);
+        hash(&sum, &n, sizeof(n));
+        hash(&sum, sqlite3_column_blob(rows, i), (size_t)n);
+      }
+    sqlite3_finalize(rows);
+  }
+  sqlite3_finalize(names);
+  sqlite3_close(db);
+  for (int i = 0; i < life->model.n_campaigns; i++)
+    life_files(life, "campaigns", life->model.campaigns[i].id, &sum);
+  life_files(life, "trainings", life->model.trainings[0].id, &sum);
+  return sum;
+}
+
+/* Every act of a life is tried with ever more of what is short, until that is enough: the store
+ * says so each time, does not die of it, and keeps nothing. Where one allocation fails alone, a
+ * later part of an act may be kept. */
+static void works_short_of(enum shortage what, bool is_long)
 {
   static struct life life;
+  const bool is_memory = what == ONE_ALLOCATION || what == ALLOCATIONS;
   struct mo_message message;
   struct mo_store_stats stats;
-  long failed = 0, tolerated = 0;
-  REQUIRE(begin(&life) == MO_OK);
-  REQUIRE(open_life(&life, &message) == MO_OK);
-  for (size_t i = 0; i < sizeof(contents) / sizeof(contents[0]); i++) {
-    struct act act = contents[i];
-    bool reached = true;
-    for (long n = 0; act.parts > 0 && n < 10000; n += stride) {
-      uint32_t done;
-      int error = MO_OK;
-      left = n;
-      done = life_do(&life, &act, &error);
-      reached = left < 0;
-      left = -1;
-      if (error != MO_OK && error != MO_ERR_NO_MEMORY)
-        printf("# act %d, allocation %ld: %d\n", (int)act.kind, n, error);
-      CHECK(error == MO_OK || error == MO_ERR_NO_MEMORY);
-      CHECK(error == MO_OK || reached);
+  char text[300] = "";
+  long failed = 0;
+  int error = MO_OK;
+  REQUIRE_OK(life_start(&life, 1, DISK_HONEST, forms, genotypes));
+  REQUIRE_OK(life_open(&life, 0, &message));
+  CHECK_INT(life_do(&life, &requeue, &error), 1);
+  for (int i = 0; i < SCRIPT; i++) {
+    struct act act = life_script[i];
+    for (long n = 0; act.parts > 0 && n < 10000; n += 1 + (is_long || !is_memory ? 0 : n / 16)) {
+      const uint64_t before = what != ONE_ALLOCATION ? digest(&life) : 0;
+      error = MO_OK;
+      shorten(&life, what, n);
+      uint32_t done = life_do(&life, &act, &error);
+      shorten(&life, what, -1);
+      mo_store_get_stats(life.store, &stats);
+      if (!(error == MO_OK || error == (is_memory ? MO_ERR_NO_MEMORY : MO_ERR_NO_SPACE)) ||
+          (what != ONE_ALLOCATION && done == 0 && digest(&life) != before) || stats.fatal ||
+          (error != MO_OK && what == ROOM_IN_THE_DATABASE && !stats.no_space)) {
+        printf("# act %d of the script with %ld of %d: error %d\n", i, n, what, error);
+        CHECK(false);
+      }
       life_apply(&life.model, &act, done);
       act.parts -= done;
       if (act.kind == ACT_SAVE)
         act.n = act.parts;
       failed += error != MO_OK;
-      tolerated += error == MO_OK && reached;
     }
     CHECK_INT(act.parts, 0);
     life_settle(&life);
+    CHECK(life_matches(&life, &life.model, text));
   }
-  mo_store_get_stats(life.store, &stats);
-  CHECK(!stats.fatal);
-  printf("# %ld allocations failed in turn: %ld acts failed, %ld did without\n", failed + tolerated,
-         failed, tolerated);
-  CHECK(failed > 10);
+  printf("# %ld acts failed: %s\n", failed, text);
+  CHECK(failed > (what == ROOM_FOR_FILES ? 20 : 4 * SCRIPT));
   mo_store_close(life.store);
   check_contents(&life);
   empty(&life);
 }
 
-static void works_when_memory_is_short(void)
+static void works_when_short_of(int what)
 {
-  works_without_memory(1);
+  works_short_of((enum shortage)what, false);
+}
+
+/* Readers, too, say what is missing. */
+static int read_all(const struct life *life)
+{
+  struct mo_store *of = life->store;
+  const int64_t id = life->model.campaigns[0].id;
+  struct mo_campaign_design designs[MEMBERS];
+  struct mo_campaign_status status;
+  struct mo_campaign_state *state = NULL;
+  struct mo_environment *environments = NULL;
+  struct mo_bits *initial = NULL, *best = NULL;
+  struct mo_descent *descents = NULL;
+  struct mo_campaign_loss *losses = NULL;
+  uint32_t *born = NULL, n = 0, generation = 0, step = 0;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int64_t found = mo_store_campaign(of, id, &status);
+  if (found == MO_OK)
+    found = mo_store_campaign_environments(of, id, &environments, &n);
+  if (found == MO_OK)
+    found = mo_store_job_designs(of, id, &initial, &n);
+  if (found == MO_OK)
+    found = mo_store_campaign_state(of, id, &state);
+  if (found == MO_OK)
+    found = mo_store_campaign_descents(of, id, &descents, &born, &n);
+  if (found == MO_OK)
+    found = mo_store_campaign_losses(of, id, status.job.steps_done + 1, &losses, &size);
+  if (found == MO_OK)
+    found = newest_checkpoint(of, id, &generation, &step, &bytes, &size);
+  if (found == MO_OK)
+    found = mo_store_population(of, id, 0, &best, &n);
+  if (found == MO_OK)
+    found = mo_store_campaign_designs(of, id, -1, designs, MEMBERS);
+  if (found > 0)
+    found = mo_store_campaign_population(of, id, -1, 0, designs, MEMBERS, &n);
+  mo_campaign_state_free(state);
+  free(environments);
+  free(initial);
+  free(best);
+  free(descents);
+  free(losses);
+  free(born);
+  free(bytes);
+  return found > 0 ? MO_OK : (int)found;
+}
+
+static void reads_without_memory(void)
+{
+  static struct life life;
+  struct mo_message message;
+  int error = MO_ERR_NO_MEMORY, failed = 0;
+  REQUIRE_OK(fill(&life));
+  for (long n = 0; n < 100000 && error != MO_OK; n += 1 + n / 16) {
+    REQUIRE_OK(life_open(&life, 0, &message)); /* nothing is prepared yet */
+    shorten(&life, ALLOCATIONS, n);
+    error = read_all(&life);
+    shorten(&life, ALLOCATIONS, -1);
+    CHECK(error == MO_OK || error == MO_ERR_NO_MEMORY);
+    failed += error != MO_OK;
+    mo_store_close(life.store);
+  }
+  CHECK_OK(error);
+  printf("# %d times without memory\n", failed);
+  CHECK(failed > 50);
+  life.store = NULL;
+  empty(&life);
 }
 
 static void fails_at_every_call(void)
 {
-  opens_on_a_failing_disk(false, false, 1);
-  opens_on_a_failing_disk(false, true, 1);
-  opens_on_a_failing_disk(true, false, 1);
-  opens_on_a_failing_disk(true, true, 1);
+  for (size_t i = 0; i < COUNT(disk_cases); i++)
+    opens_on_a_failing_disk(disk_cases[i].first_time, disk_cases[i].lasting, 1);
   opens_without_memory(false, 1);
   opens_without_memory(true, 1);
-  works_without_memory(1);
+  for (int what = ONE_ALLOCATION; what <= ROOM_FOR_FILES; what++)
+    works_short_of((enum shortage)what, true);
 }
 
 static const struct check_case cases[] = {
-    {"short: opens after an error of the disk", opens_after_one_error},
-    {"short: opens after a time of errors", opens_after_many_errors},
-    {"short: is made after an error of the disk", is_made_after_one_error},
-    {"short: is made after a time of errors", is_made_after_many_errors},
-    {"short: opens after a time without memory", opens_when_memory_is_short},
-    {"short: is made after a time without memory", is_made_when_memory_is_short},
-    {"short: works after times without memory", works_when_memory_is_short},
+    {"short: opens after an error of the disk", WITH(opens_in_spite_of_errors, 0)},
+    {"short: opens after a time of errors", WITH(opens_in_spite_of_errors, 1)},
+    {"short: is made after an error of the disk", WITH(opens_in_spite_of_errors, 2)},
+    {"short: is made after a time of errors", WITH(opens_in_spite_of_errors, 3)},
+    {"short: opens after a time without memory", WITH(opens_when_memory_is_short, false)},
+    {"short: is made after a time without memory", WITH(opens_when_memory_is_short, true)},
+    {"short: works without an allocation", WITH(works_when_short_of, ONE_ALLOCATION)},
+    {"short: works without memory", WITH(works_when_short_of, ALLOCATIONS)},
+    {"short: works without room in the database", WITH(works_when_short_of, ROOM_IN_THE_DATABASE)},
+    {"short: works without room for files", WITH(works_when_short_of, ROOM_FOR_FILES)},
+    {"short: reads without memory", reads_without_memory},
     {"long: an error at every call, an allocation that fails at every one", fails_at_every_call},
 };
 
@@ -314,5 +384,6 @@ int main(int argc, char **argv)
     printf("Bail out! SQLite takes no other allocator\n");
     return 1;
   }
-  return check_run(cases, sizeof(cases) / sizeof(cases[0]), argc, argv);
+  genotypes = make_bodies(7, BODIES, &forms);
+  return check_run(cases, COUNT(cases), argc, argv);
 }

@@ -10,6 +10,13 @@
 #include "life.h"
 #include "store/internal.h"
 
+static struct mo_bits *forms, *genotypes; /* (BODIES) */
+
+static void draw_bodies(void)
+{
+  genotypes = make_bodies(7, BODIES, &forms);
+}
+
 enum { CUTS_OF_A_LIFE = 5, ACTS_MAX = 60 };
 
 struct outcome {
@@ -20,16 +27,10 @@ struct outcome {
 
 static void open_store(struct life *life, int *error, struct mo_message *message)
 {
-  struct mo_store_config config = {.path = disk_folder(life->disk),
-                                   .vfs = disk_vfs(life->disk),
-                                   .files = disk_files(life->disk),
-                                   .n_readers = 1,
-                                   .checkpoint_frames = 200};
-  life->store = NULL;
-  *error = mo_store_open(&config, &life->store, message);
+  *error = life_open(life, 200, message);
   if (*error == MO_OK && life->store->epoch <= life->model.epoch)
     life_found(life, "opening %lld came after %lld", (long long)life->store->epoch,
-               (long long)life->model.epoch);
+               life->model.epoch);
   if (*error == MO_OK)
     life->model.epoch = life->store->epoch;
 }
@@ -60,18 +61,17 @@ static void resolve(struct life *life, struct outcome *outcome)
       snprintf(last, sizeof(last), "%s", text);
   }
   life_found(life, "%s (with act %d of %u parts in doubt: %s)", text,
-             n > 0 ? (int)life->doing.kind : -1, (unsigned)n, last);
+             n > 0 ? (int)life->doing.kind : -1, n, last);
 }
 
 /* One act; false: everything stopped, or something is wrong. */
 static bool act_once(struct life *life, struct act act)
 {
-  uint32_t done;
   int error = MO_OK;
   life->doing = act;
   life->in_doubt = true;
   life->acts[act.kind]++;
-  done = life_do(life, &act, &error);
+  uint32_t done = life_do(life, &act, &error);
   life_settle(life);
   life_apply(&life->model, &act, done);
   life->doing.parts -= done;
@@ -79,7 +79,7 @@ static bool act_once(struct life *life, struct act act)
     life->doing.n -= done;
   if (life->doing.parts == 0)
     life->in_doubt = false;
-  if (error != MO_OK && !disk_has_stopped(life->disk))
+  if (error != MO_OK && !disk_has_stopped(life->disk) && !disk_has_failed(life->disk))
     life_found(life, "act %d: error %d on a disk that works", (int)act.kind, error);
   return error == MO_OK && !disk_has_stopped(life->disk) && life->findings == 0;
 }
@@ -138,22 +138,12 @@ static bool live_once(struct life *life, struct outcome *outcome)
   return !kill;
 }
 
-static void start(struct life *life, uint64_t seed, unsigned lies, struct mo_bits *forms,
-                  struct mo_bits *genotypes)
-{
-  *life = (struct life){.disk = disk_new(seed, lies), .forms = forms, .genotypes = genotypes};
-  for (int i = 0; i < NAMES; i++)
-    life->model.names[i].content = -1;
-}
-
-static void live(uint64_t seed, unsigned lies, struct mo_bits *forms, struct mo_bits *genotypes,
-                 struct outcome *outcome)
+static void live(uint64_t seed, unsigned lies, struct outcome *outcome)
 {
   static struct life life;
   struct mo_message message;
   int error;
-  start(&life, seed, lies, forms, genotypes);
-  REQUIRE(life.disk != NULL);
+  REQUIRE_OK(life_start(&life, seed, lies, forms, genotypes));
   for (int n = 0; n < CUTS_OF_A_LIFE && life.findings == 0;)
     n += live_once(&life, outcome);
   if (life.findings == 0) { /* the last one, too, left something that opens */
@@ -174,26 +164,25 @@ static void live(uint64_t seed, unsigned lies, struct mo_bits *forms, struct mo_
 
 static void live_many(uint64_t seed, unsigned lies, unsigned cuts, struct outcome *outcome)
 {
-  struct mo_bits *forms = NULL, *genotypes = NULL;
   *outcome = (struct outcome){0};
-  REQUIRE(fixture_bodies(7, BODIES, &forms, &genotypes) == MO_OK);
   while (outcome->cuts < cuts && (lies == DISK_HONEST || outcome->findings == 0))
-    live(seed++, lies, forms, genotypes, outcome);
-  free(forms);
-  free(genotypes);
+    live(seed++, lies, outcome);
 }
 
-static void keeps_promises(unsigned cuts)
+static void keeps_promises(int cuts)
 {
   const char *given = getenv("MORPHO_POWER_SEED");
   struct outcome outcome;
-  live_many(given != NULL ? strtoull(given, NULL, 10) : 1, DISK_HONEST, cuts, &outcome);
+  live_many(given != NULL ? strtoull(given, NULL, 10) : 1, DISK_HONEST, (unsigned)cuts, &outcome);
   printf("# %u cuts (%u while opening, %u while closing, %u while idle), %u kills; of %u acts in "
          "doubt %u came through\n",
          outcome.cuts, outcome.in_openings, outcome.in_closings, outcome.idle, outcome.kills,
          outcome.doubts, outcome.came_through);
-  for (int i = 0; i < ACT_KINDS; i++)
+  for (int i = 0; i < ACT_KINDS; i++) {
     CHECK(outcome.acts[i] > 0);
+    if (outcome.acts[i] == 0)
+      printf("# no act of kind %d\n", i);
+  }
   CHECK(outcome.in_openings > 0 && outcome.in_closings > 0 && outcome.idle > 0 &&
         outcome.kills > 0);
   CHECK(outcome.came_through > 0 && outcome.came_through < outcome.doubts);
@@ -202,67 +191,15 @@ static void keeps_promises(unsigned cuts)
     printf("# %s\n", outcome.first);
 }
 
-static void keeps_promises_50(void)
-{
-  keeps_promises(50);
-}
-
-static void keeps_promises_500(void)
-{
-  keeps_promises(500);
-}
-
-static void is_found_out(unsigned lies)
+static void is_found_out(int lies)
 {
   struct outcome outcome;
-  live_many(1, lies, 100, &outcome);
+  live_many(1, (unsigned)lies, 100, &outcome);
   CHECK(outcome.findings > 0);
   printf("# after %u cuts: %s\n", outcome.cuts, outcome.first);
 }
 
-static void needs_syncs_of_the_database(void)
-{
-  is_found_out(DISK_FORGETS_DATABASE);
-}
-
-static void needs_syncs_of_files(void)
-{
-  is_found_out(DISK_FORGETS_FILES);
-}
-
-static void needs_syncs_of_folders(void)
-{
-  is_found_out(DISK_FORGETS_FOLDERS);
-}
-
 /* ---- at every change in turn ---- */
-
-static const struct act script[] = {
-    {ACT_PUT, 0, 9, 0, 1},
-    {ACT_TRAIN, 0, 21, 0, 1},
-    {ACT_TRAIN_START, 0, 0, 0, 1},
-    {ACT_TRAIN_PROGRESS, 0, 3, 7, 1},
-    {ACT_TRAIN_CHECKPOINT, 0, 0, 1,
-     1}, /* changes are counted from here on, or from the first opening on */
-    {ACT_PUT, 1, 10, 0, 1},
-    {ACT_SUBMIT, 0, 1, 0, 1},
-    {ACT_SAVE, 0, 0, 2, 2},
-    {ACT_TRAIN_PROGRESS, 0, 3, 7, 1},
-    {ACT_TRAIN_CHECKPOINT, 0, 0, 1, 1},
-    {ACT_TRAIN_FINISH, 0, 17, 0, 1},
-    {ACT_CAMPAIGN, 0, 22, 0, 1}, /* one that learns */
-    {ACT_CAMPAIGN_START, 0, 0, 0, 1},
-    {ACT_CAMPAIGN_GENERATION, 0, 0, 0, 1},
-    {ACT_CAMPAIGN_LOSSES, 0, 0, 3, 1},
-    {ACT_CAMPAIGN_CHECKPOINT, 0, 0, 2, 1},
-    {ACT_CAMPAIGN_GENERATION, 0, 0, 0, 1},
-    {ACT_CAMPAIGN_FINISH, 0, 18, 0, 1},
-    {ACT_CAMPAIGN, 1, 23, 0, 1}, /* one that does not */
-    {ACT_CAMPAIGN_START, 1, 0, 0, 1},
-    {ACT_CAMPAIGN_GENERATION, 1, 0, 0, 1},
-    {ACT_CAMPAIGN_GENERATION, 1, 0, 0, 1},
-};
-enum { SCRIPT = sizeof(script) / sizeof(script[0]), COUNTED_FROM = 4 };
 
 /* What was requeued is started again; a training from its checkpoint, so that it has perhaps
  * nothing to write yet. */
@@ -281,16 +218,37 @@ static bool prepare(struct life *life, enum act_kind kind, int index)
   return goes_on;
 }
 
-/* The script from its act `from` on, up to `end`; returns the first that is not done. */
-static int play(struct life *life, int from, int end, long stop_after)
+/* How the script is stopped, and where: at every `stride`th change of it, up to its act `end`. */
+struct stops {
+  bool opening, kill;
+  bool fails; /* one call fails, and the store with it; the disk goes on */
+  enum disk_luck luck;
+  long stride;
+  int end;
+};
+enum { KILLS, WORST_CUTS, ANY_CUTS, OPENINGS, FAILURES };
+static const struct stops all_stops[] = {
+    /* A name that the killed process has made is not certain because the next one sees it. */
+    [KILLS] = {.kill = true, .stride = 1, .end = COUNTED_FROM + 2},
+    [WORST_CUTS] = {.luck = DISK_WORST, .stride = 11, .end = SCRIPT},
+    [ANY_CUTS] = {.luck = DISK_ANY, .stride = 11, .end = SCRIPT},
+    [OPENINGS] = {.opening = true, .stride = 5, .end = SCRIPT},
+    [FAILURES] = {.fails = true, .kill = true, .stride = 13, .end = SCRIPT},
+};
+
+/* The script from its act `from` on, up to `end`; returns the first that is not done. stops
+ * (nullable): happens at change or call `n`. */
+static int play(struct life *life, int from, int end, const struct stops *stops, long n)
 {
   struct act act;
   if (!act_once(life, (struct act){.kind = ACT_REQUEUE, .parts = 1}))
     return from;
   for (; from < end; from++) {
-    if (from == COUNTED_FROM && stop_after > 0)
-      disk_stop_after(life->disk, stop_after);
-    act = script[from];
+    if (from == COUNTED_FROM && stops != NULL && stops->fails)
+      disk_fail_at(life->disk, n, false);
+    else if (from == COUNTED_FROM && stops != NULL)
+      disk_stop_after(life->disk, n);
+    act = life_script[from];
     if (act.kind == ACT_SAVE) /* the part of it that is not done */
       act.n = act.parts = act.n - life->model.evaluations[0].saved;
     if (!prepare(life, act.kind, act.index) || !act_once(life, act))
@@ -318,22 +276,14 @@ static void stop_and_reopen(struct life *life, bool kill, enum disk_luck luck,
     resolve(life, outcome);
 }
 
-struct stops {
-  bool opening, kill;
-  enum disk_luck luck;
-};
-
 /* Stopped at change `n` of the script or of the first opening: by a kill or a cut; then what is
  * left of the script, and the worst cut. Returns whether there was such a change. */
-static bool stop_at(long n, const struct stops *stops, int end, struct mo_bits *forms,
-                    struct mo_bits *genotypes, struct outcome *outcome)
+static bool stop_at(long n, const struct stops *stops, int end, struct outcome *outcome)
 {
   static struct life life;
   struct mo_message message;
-  bool stopped;
   int next = 0, error = MO_OK;
-  start(&life, (uint64_t)n, DISK_HONEST, forms, genotypes);
-  if (life.disk == NULL)
+  if (life_start(&life, (uint64_t)n, DISK_HONEST, forms, genotypes) != 0)
     return false;
   if (stops->opening)
     disk_stop_after(life.disk, n);
@@ -341,14 +291,14 @@ static bool stop_at(long n, const struct stops *stops, int end, struct mo_bits *
   if (error != MO_OK && !disk_has_stopped(life.disk))
     life_found(&life, "opening: %s", message.text);
   if (!stops->opening && error == MO_OK)
-    next = play(&life, 0, end, n);
-  stopped = disk_has_stopped(life.disk);
+    next = play(&life, 0, end, stops, n);
+  bool stopped = disk_has_stopped(life.disk) || disk_has_failed(life.disk);
   if (life.findings == 0)
     stop_and_reopen(&life, stops->kill, stops->luck, outcome);
-  if (next < end && life.doing.kind == script[next].kind &&
-      life.doing.index == script[next].index && life.doing.parts == 0)
+  if (next < end && life.doing.kind == life_script[next].kind &&
+      life.doing.index == life_script[next].index && life.doing.parts == 0)
     next += !stops->opening;
-  if (life.findings == 0 && play(&life, next, end, 0) < end)
+  if (life.findings == 0 && play(&life, next, end, NULL, 0) < end)
     life_found(&life, "the script does not go on after act %d", next);
   if (life.findings == 0)
     stop_and_reopen(&life, false, DISK_WORST, outcome);
@@ -364,11 +314,9 @@ static bool stop_at(long n, const struct stops *stops, int end, struct mo_bits *
 /* At every `stride`th change of the script up to its act `end`. */
 static void stops_everywhere(const struct stops *stops, long stride, int end)
 {
-  struct mo_bits *forms = NULL, *genotypes = NULL;
   struct outcome outcome = {0};
   long n = 1, tried = 0;
-  REQUIRE(fixture_bodies(7, BODIES, &forms, &genotypes) == MO_OK);
-  for (; stop_at(n, stops, end, forms, genotypes, &outcome); n += stride)
+  for (; stop_at(n, stops, end, &outcome); n += stride)
     tried++;
   printf("# %ld of about %ld changes; of %u acts in doubt %u came through\n", tried, n - 1,
          outcome.doubts, outcome.came_through);
@@ -376,32 +324,11 @@ static void stops_everywhere(const struct stops *stops, long stride, int end)
   CHECK_INT(outcome.findings, 0);
   if (outcome.findings > 0)
     printf("# %s\n", outcome.first);
-  free(forms);
-  free(genotypes);
 }
 
-/* A name that the killed process has made is not certain because the next one sees it. */
-static const struct stops kills = {.kill = true}, worst_cuts = {.luck = DISK_WORST},
-                          any_cuts = {.luck = DISK_ANY}, openings = {.opening = true};
-
-static void survives_kills(void)
+static void survives_stops(int which)
 {
-  stops_everywhere(&kills, 1, COUNTED_FROM + 2);
-}
-
-static void survives_the_worst_cuts(void)
-{
-  stops_everywhere(&worst_cuts, 11, SCRIPT);
-}
-
-static void survives_any_cuts(void)
-{
-  stops_everywhere(&any_cuts, 11, SCRIPT);
-}
-
-static void survives_cuts_of_an_opening(void)
-{
-  stops_everywhere(&openings, 5, SCRIPT);
+  stops_everywhere(&all_stops[which], all_stops[which].stride, all_stops[which].end);
 }
 
 /* An act that finds no descriptor for one of its files or folders is asked for again, and then
@@ -410,27 +337,24 @@ static void certain_at_the_second_try(void)
 {
   static struct life life;
   struct outcome outcome = {0};
-  struct mo_bits *forms = NULL, *genotypes = NULL;
   struct mo_message message;
   bool lacked = true;
   int error = MO_OK;
-  REQUIRE(fixture_bodies(7, BODIES, &forms, &genotypes) == MO_OK);
   for (long n = 1; lacked && n < 100; n++) {
     lacked = false;
-    start(&life, (uint64_t)n, DISK_HONEST, forms, genotypes);
-    REQUIRE(life.disk != NULL);
+    REQUIRE_OK(life_start(&life, (uint64_t)n, DISK_HONEST, forms, genotypes));
     open_store(&life, &error, &message);
-    CHECK_INT(error, MO_OK);
-    CHECK_INT(play(&life, 0, COUNTED_FROM, 0), COUNTED_FROM);
+    CHECK_OK(error);
+    CHECK_INT(play(&life, 0, COUNTED_FROM, NULL, 0), COUNTED_FROM);
     for (int i = COUNTED_FROM; i < COUNTED_FROM + 2; i++) { /* a checkpoint, a controller */
       disk_lack_descriptor(life.disk, n);
       error = MO_OK;
-      life_apply(&life.model, &script[i], life_do(&life, &script[i], &error));
+      life_apply(&life.model, &life_script[i], life_do(&life, &life_script[i], &error));
       lacked = lacked || disk_has_failed(life.disk);
       disk_lack_descriptor(life.disk, 0);
       CHECK(error == MO_OK || error == MO_ERR_NO_MEMORY);
       if (error != MO_OK)
-        CHECK(act_once(&life, script[i]));
+        CHECK(act_once(&life, life_script[i]));
     }
     stop_and_reopen(&life, false, DISK_WORST, &outcome);
     CHECK_INT(life.findings, 0);
@@ -440,29 +364,28 @@ static void certain_at_the_second_try(void)
     disk_free(life.disk);
   }
   CHECK(!lacked);
-  free(forms);
-  free(genotypes);
 }
 
 static void survives_all(void)
 {
-  stops_everywhere(&kills, 1, SCRIPT);
-  stops_everywhere(&worst_cuts, 1, SCRIPT);
-  stops_everywhere(&any_cuts, 1, SCRIPT);
-  stops_everywhere(&openings, 1, SCRIPT);
+  for (size_t i = 0; i < COUNT(all_stops); i++)
+    stops_everywhere(&all_stops[i], 1, SCRIPT);
 }
 
 static const struct check_case cases[] = {
-    {"short: keeps its promises through 50 power cuts", keeps_promises_50},
-    {"short: a disk that does not sync the database is found out", needs_syncs_of_the_database},
-    {"short: a disk that does not sync files is found out", needs_syncs_of_files},
-    {"short: a disk that does not sync folders is found out", needs_syncs_of_folders},
-    {"short: a kill at every change of some acts, and a cut later", survives_kills},
-    {"short: a cut at many changes leaves only what is certain", survives_the_worst_cuts},
-    {"short: a cut at many changes leaves anything", survives_any_cuts},
-    {"short: a cut at many changes of the first opening", survives_cuts_of_an_opening},
+    {"short: keeps its promises through 50 power cuts", WITH(keeps_promises, 50)},
+    {"short: a disk that does not sync the database is found out",
+     WITH(is_found_out, DISK_FORGETS_DATABASE)},
+    {"short: a disk that does not sync files is found out", WITH(is_found_out, DISK_FORGETS_FILES)},
+    {"short: a disk that does not sync folders is found out",
+     WITH(is_found_out, DISK_FORGETS_FOLDERS)},
+    {"short: a kill at every change of some acts, and a cut later", WITH(survives_stops, KILLS)},
+    {"short: a cut at many changes leaves only what is certain", WITH(survives_stops, WORST_CUTS)},
+    {"short: a cut at many changes leaves anything", WITH(survives_stops, ANY_CUTS)},
+    {"short: a cut at many changes of the first opening", WITH(survives_stops, OPENINGS)},
+    {"short: a call that fails leaves its act or nothing of it", WITH(survives_stops, FAILURES)},
     {"short: what found no descriptor is certain at the second try", certain_at_the_second_try},
-    {"long: keeps its promises through 500 power cuts", keeps_promises_500},
+    {"long: keeps its promises through 500 power cuts", WITH(keeps_promises, 500)},
     {"long: a kill or cut at every change", survives_all},
 };
-CHECK_MAIN(cases)
+CHECK_MAIN_WITH(draw_bodies, cases)

@@ -1,7 +1,7 @@
 /* scores.c: packed losses, classes, origins, and what happens to a bit that changes on the disk. */
 #include "store/scores.h"
 
-#include <math.h>
+#include <sys/stat.h>
 
 #include "by_hand.h"
 #include "one_store.h"
@@ -25,13 +25,12 @@ static void packs_losses(void)
       double losses[MO_BLOCK_LANES], back[MO_BLOCK_LANES];
       uint32_t steps[MO_BLOCK_LANES] = {0}, back_steps[MO_BLOCK_LANES];
       uint8_t bytes[MO_PACKED_BYTES(MO_BLOCK_LANES)];
-      size_t size;
       for (uint32_t k = 0; k < n; k++)
         losses[k] = lively_loss(4, k);
       steps[n - 1] = diverges ? 17 : 0;
-      size = mo_pack_losses(key, 3, losses, steps, n, bytes);
+      size_t size = mo_pack_losses(key, 3, losses, steps, n, bytes);
       CHECK_INT(size, (diverges ? 12 : 8) * n + 8);
-      CHECK_INT(mo_unpack_losses(key, 3, bytes, size, n, back, back_steps), MO_OK);
+      CHECK_OK(mo_unpack_losses(key, 3, bytes, size, n, back, back_steps));
       CHECK(memcmp(losses, back, 8 * n) == 0 && memcmp(steps, back_steps, 4 * n) == 0);
       for (size_t bit = 0; bit < 8 * size; bit++) {
         bytes[bit / 8] ^= (uint8_t)(1 << bit % 8);
@@ -53,7 +52,7 @@ static void packs_losses(void)
 static struct mo_work *load(int64_t id, int64_t fingerprint)
 {
   struct mo_work *work = NULL;
-  CHECK_INT(mo_store_load_work(fixture.store, id, fixture_classes(fingerprint), &work), MO_OK);
+  CHECK_OK(mo_store_load_work(store, id, fixture_classes(fingerprint), &work));
   return work;
 }
 
@@ -68,15 +67,14 @@ static int save_one(const struct mo_work *work, const uint32_t *places, uint32_t
                                         .environment = work->environment_rows[places[i]],
                                         .fingerprint = work->fingerprint,
                                         .loss = loss + places[i]};
-  return save_and_wait(fixture.store, &save);
+  return save_and_wait(&save);
 }
 
 static uint32_t known_of(const struct mo_work *work, struct mo_score scores[MO_PAPER_TEST_COUNT])
 {
   uint32_t n = 0;
-  CHECK_INT(mo_store_scores(fixture.store, work->genotype_rows[0], work->controller, work->physics,
-                            work->fingerprint, work->environment_rows, MO_PAPER_TEST_COUNT, scores),
-            MO_OK);
+  CHECK_OK(mo_store_scores(store, work->genotype_rows[0], work->controller, work->physics,
+                           work->fingerprint, work->environment_rows, MO_PAPER_TEST_COUNT, scores));
   for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
     n += scores[k].known;
   return n;
@@ -89,27 +87,26 @@ static void finds_by_environment_and_class(void)
   static const uint32_t first[] = {0, 2, 4}, second[] = {4, 3, 9};
   struct mo_submission submission = draw_evaluation(3, 1);
   struct mo_score scores[MO_PAPER_TEST_COUNT];
-  struct mo_work *work, *other;
   int64_t id, one = 0, two = 0;
   id = submit_evaluation(&submission);
-  REQUIRE(mo_store_fingerprint(fixture.store, "one", &one) == MO_OK);
-  REQUIRE(mo_store_fingerprint(fixture.store, "two", &two) == MO_OK);
-  work = load(id, one);
-  other = load(id, two);
+  REQUIRE_OK(mo_store_fingerprint(store, "one", &one));
+  REQUIRE_OK(mo_store_fingerprint(store, "two", &two));
+  struct mo_work *work = load(id, one);
+  struct mo_work *other = load(id, two);
   REQUIRE(work != NULL && other != NULL);
-  CHECK_INT(save_one(work, first, 3, 0.5), MO_OK);
-  CHECK_INT(save_one(work, second, 3, 0.75), MO_OK); /* 4 is known already */
-  CHECK_INT(save_one(work, first, 3, 0.25), MO_OK);  /* the same again */
+  CHECK_OK(save_one(work, first, 3, 0.5));
+  CHECK_OK(save_one(work, second, 3, 0.75)); /* 4 is known already */
+  CHECK_OK(save_one(work, first, 3, 0.25));  /* the same again */
   CHECK_INT(known_of(work, scores), 5);
   CHECK(scores[0].loss == 0.5 && scores[2].loss == 2.5 && scores[4].loss == 4.5);
   CHECK(scores[3].loss == 3.75 && scores[9].loss == 9.75 && !scores[1].known);
   CHECK_INT(known_of(other, scores), 0);
-  CHECK_INT(save_one(other, second, 2, 0.125), MO_OK);
+  CHECK_OK(save_one(other, second, 2, 0.125));
   CHECK_INT(known_of(other, scores), 2);
   CHECK(scores[4].loss == 4.125 && scores[3].loss == 3.125);
   CHECK_INT(known_of(work, scores), 5);
   CHECK(scores[4].loss == 4.5);
-  CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM scores"), 3);
+  CHECK_INT(outside_integer("SELECT count(*) FROM scores"), 3);
   mo_work_free(work);
   mo_work_free(other);
 }
@@ -128,8 +125,8 @@ static void goes_on_in_a_new_class(void)
   int64_t id, classes[2] = {0, 0}, n;
   submission.record = MO_RECORD_COM;
   id = submit_evaluation(&submission);
-  REQUIRE(mo_store_fingerprint(fixture.store, "one", &classes[0]) == MO_OK);
-  REQUIRE(mo_store_fingerprint(fixture.store, "two", &classes[1]) == MO_OK);
+  REQUIRE_OK(mo_store_fingerprint(store, "one", &classes[0]));
+  REQUIRE_OK(mo_store_fingerprint(store, "two", &classes[1]));
   update.job = trajectory.job = id;
   for (int round = 0; round < 3; round++) { /* in the second one nothing changes */
     const int64_t now = classes[round == 2];
@@ -139,20 +136,20 @@ static void goes_on_in_a_new_class(void)
     CHECK_INT(work->n_finished, round == 1 ? 1 : 0);
     mo_work_free(work);
     update.fingerprint = update.workers = now;
-    CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+    CHECK_OK(save_and_wait(&save));
     CHECK(update.applied);
-    CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM trajectories"), round == 1);
+    CHECK_INT(outside_integer("SELECT count(*) FROM trajectories"), round == 1);
     save.trajectories = &trajectory;
     save.n_trajectories = round == 0;
     save.n_updates = 0;
-    CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+    CHECK_OK(save_and_wait(&save));
     save.n_updates = 1;
     save.n_trajectories = 0;
   }
-  n = mo_store_events(fixture.store, 0, id, events, 8, NULL, NULL);
+  n = mo_store_events(store, 0, id, events, 8, NULL, NULL);
   REQUIRE(n == 5); /* created, three starts, and the change before the last of them */
   CHECK_TEXT(events[3].type, "evaluation.code_changed");
-  CHECK(strstr(events[3].data, "\"before\":\"one\",\"fingerprint\":\"two\"") != NULL);
+  CHECK_HAS(events[3].data, "\"before\":\"one\",\"fingerprint\":\"two\"");
 }
 
 /* ---- damage ---- */
@@ -165,41 +162,20 @@ static void count_finding(void *context, const char *finding)
 
 static uint8_t *read_file(const char *path, size_t *size)
 {
+  struct stat status = {.st_size = 0};
   FILE *file = fopen(path, "r");
-  uint8_t *bytes = NULL;
-  if (file == NULL || fseek(file, 0, SEEK_END) != 0)
-    return NULL;
-  *size = (size_t)ftell(file);
-  rewind(file);
-  bytes = malloc(*size);
-  if (bytes != NULL && fread(bytes, 1, *size, file) != *size) {
-    free(bytes);
-    bytes = NULL;
-  }
-  fclose(file);
+  make_check(stat(path, &status), path);
+  *size = (size_t)status.st_size;
+  uint8_t *bytes = make_zeros(*size, 1);
+  CHECK(file != NULL && fread(bytes, 1, *size, file) == *size && fclose(file) == 0);
   return bytes;
 }
 
-/* Changes one bit of the file. */
-static int flip(const char *path, size_t bit)
-{
-  FILE *file = fopen(path, "r+");
-  int byte, error = -1;
-  if (file != NULL && fseek(file, (long)(bit / 8), SEEK_SET) == 0 && (byte = fgetc(file)) != EOF &&
-      fseek(file, (long)(bit / 8), SEEK_SET) == 0 && fputc(byte ^ (1 << bit % 8), file) != EOF)
-    error = 0;
-  if (file != NULL)
-    fclose(file);
-  return error;
-}
-
 /* Returns whether the results are those that were stored. */
-static bool is_the_truth(const struct mo_evaluation_results *results, const struct mo_bits *forms,
-                         const struct mo_bits *genotypes)
+static bool is_the_truth(const struct mo_evaluation_results *results)
 {
   bool same = results->n_designs == DESIGNS && results->n_environments == MO_PAPER_TEST_COUNT &&
-              memcmp(results->forms, forms, DESIGNS * sizeof(*forms)) == 0 &&
-              memcmp(results->genotypes, genotypes, DESIGNS * sizeof(*genotypes)) == 0;
+              SAME(results->forms, forms, DESIGNS) && SAME(results->genotypes, genotypes, DESIGNS);
   for (uint32_t i = 0; same && i < DESIGNS * MO_PAPER_TEST_COUNT; i++) {
     const double loss = lively_loss(i / MO_PAPER_TEST_COUNT, i % MO_PAPER_TEST_COUNT);
     same = memcmp(&results->losses[i], &loss, 8) == 0 &&
@@ -209,18 +185,16 @@ static bool is_the_truth(const struct mo_evaluation_results *results, const stru
 }
 
 /* Returns where rows of scores and bodies are in the database's file: a byte in or beside one. */
-static size_t place_of(const uint8_t *bytes, size_t size, const struct mo_bits *genotypes,
-                       uint32_t n, uint64_t random)
+static size_t place_of(const uint8_t *bytes, size_t size, uint32_t n, uint64_t random)
 {
   uint8_t pattern[MO_BITS_BYTES];
   const bool is_loss = random % 2 == 0;
   const size_t length = is_loss ? 16 : MO_BITS_BYTES, extent = is_loss ? 100 : MO_BITS_BYTES;
-  const uint8_t *at;
   if (is_loss)
     memcpy(pattern, (double[]){lively_loss(n, 0), lively_loss(n, 1)}, 16);
   else
     mo_encode_bits(&genotypes[n], pattern);
-  at = memmem(bytes, size, pattern, length);
+  const uint8_t *at = memmem(bytes, size, pattern, length);
   return at == NULL ? 4096 : (size_t)(at - bytes) - 12 + (size_t)(random >> 8) % (extent + 12);
 }
 
@@ -229,39 +203,35 @@ static size_t place_of(const uint8_t *bytes, size_t size, const struct mo_bits *
 static void serves_no_flipped_bit(void)
 {
   struct mo_submission submission = draw_evaluation(9, DESIGNS);
-  int64_t id;
   size_t size = 0;
-  char path[512];
   uint64_t random = 1;
   int refused = 0, found = 0, harmless = 0;
-  id = submit_evaluation(&submission);
-  REQUIRE(run_by_hand(fixture.store, id, lively_loss) == MO_OK);
-  fixture_close(&fixture);
-  snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
-  uint8_t *bytes = read_file(path, &size);
-  REQUIRE(bytes != NULL);
+  int64_t id = submit_evaluation(&submission);
+  REQUIRE_OK(run_by_hand(id, lively_loss));
+  close_store();
+  uint8_t *bytes = read_file(path_of("morphod.db"), &size);
   for (int i = 0; i < FLIPS; i++) {
     struct mo_evaluation_results *results = NULL;
     struct mo_check_counts counts = {0};
     int findings = 0, error;
-    size_t bit;
     random = random * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
-    bit = i % 4 == 0
-              ? 8 * 4096 + (size_t)(random >> 20) % (8 * (size - 4096)) /* not the schema */
-              : 8 * place_of(bytes, size, fixture.genotypes, (uint32_t)i % DESIGNS, random >> 24) +
-                    (random >> 20) % 8;
-    REQUIRE(flip(path, bit) == 0);
-    error = fixture_reopen(&fixture);
+    size_t bit =
+        i % 4 == 0
+            ? 8 * 4096 + (size_t)(random >> 20) % (8 * (size - 4096)) /* not the schema */
+            : 8 * place_of(bytes, size, (uint32_t)i % DESIGNS, random >> 24) + (random >> 20) % 8;
+    const uint8_t flipped = bytes[bit / 8] ^ (uint8_t)(1 << bit % 8);
+    REQUIRE_OK(overwrite(path_of("morphod.db"), (long)(bit / 8), &flipped, 1));
+    error = reopen();
     if (error == MO_OK) {
-      error = mo_store_results(fixture.store, id, &results);
+      error = mo_store_results(store, id, &results);
       if (error == MO_OK) {
-        const bool is_true = is_the_truth(results, fixture.forms, fixture.genotypes);
+        const bool is_true = is_the_truth(results);
         CHECK(is_true);
         if (!is_true)
           printf("# bit %zu is served\n", bit);
         mo_evaluation_results_free(results);
-        if (mo_store_check(fixture.store, &fixture.message) != MO_OK ||
-            mo_store_check_contents(fixture.store, count_finding, &findings, &counts) != MO_OK ||
+        if (check_whole() != MO_OK ||
+            mo_store_check_contents(store, count_finding, &findings, &counts) != MO_OK ||
             findings > 0)
           found++;
         else
@@ -269,17 +239,16 @@ static void serves_no_flipped_bit(void)
       } else {
         refused++;
       }
-      fixture_close(&fixture);
+      close_store();
     } else {
       refused++;
     }
-    FILE *file = fopen(path, "w");
-    REQUIRE(file != NULL && fwrite(bytes, 1, size, file) == size && fclose(file) == 0);
+    REQUIRE(truncate(path_of("morphod.db"), (off_t)size) == 0);
+    REQUIRE_OK(overwrite(path_of("morphod.db"), 0, bytes, size));
   }
   printf("# %d bits: %d refused, %d found by the check, %d in nothing that is read\n", FLIPS,
          refused, found, harmless);
   CHECK(refused + found > 10);
-  free(bytes);
 }
 
 /* What the check reads of a sound store, and what it says of damage. */
@@ -298,38 +267,36 @@ static void checks_contents(void)
       "UPDATE physics SET sha256=zeroblob(32)",
       "UPDATE jobs SET state=9",
   };
-  for (size_t i = 0; i <= sizeof(damage) / sizeof(damage[0]); i++) {
-    const bool is_sound = i == sizeof(damage) / sizeof(damage[0]);
+  for (size_t i = 0; i <= COUNT(damage); i++) {
+    const bool is_sound = i == COUNT(damage);
     struct mo_submission submission = draw_evaluation(9, DESIGNS);
     struct mo_check_counts counts;
     struct mo_score_sample samples[4];
     int64_t id, other;
     int findings = 0;
     id = submit_evaluation(&submission);
-    REQUIRE(run_by_hand(fixture.store, id, lively_loss) == MO_OK);
-    REQUIRE(mo_store_fingerprint(fixture.store, "another", &other) == MO_OK);
-    CHECK_INT(mo_store_sample(fixture.store, "by hand", 12345, samples, 4), 4);
+    REQUIRE_OK(run_by_hand(id, lively_loss));
+    REQUIRE_OK(mo_store_fingerprint(store, "another", &other));
+    CHECK_INT(mo_store_sample(store, "by hand", 12345, samples, 4), 4);
     for (int k = 0; k < 4; k++) {
       uint32_t n = 0;
-      while (n < DESIGNS &&
-             memcmp(&samples[k].genotype, &fixture.genotypes[n], sizeof(*fixture.genotypes)) != 0)
+      while (n < DESIGNS && memcmp(&samples[k].genotype, &genotypes[n], sizeof(*genotypes)) != 0)
         n++;
       CHECK(n < DESIGNS);
       CHECK_INT(samples[k].diverged_step, isinf(samples[k].loss) ? 17 : 0);
     }
-    CHECK_INT(mo_store_sample(fixture.store, "another", 12345, samples, 4), 0);
-    fixture_close(&fixture);
+    CHECK_INT(mo_store_sample(store, "another", 12345, samples, 4), 0);
+    close_store();
     if (!is_sound)
-      CHECK_INT(outside(&fixture, damage[i]), SQLITE_OK);
-    REQUIRE(fixture_reopen(&fixture) == MO_OK);
-    CHECK_INT(mo_store_check_contents(fixture.store, count_finding, &findings, &counts), MO_OK);
+      CHECK_INT(outside(damage[i]), SQLITE_OK);
+    REQUIRE_OK(reopen());
+    CHECK_OK(mo_store_check_contents(store, count_finding, &findings, &counts));
     CHECK_INT(counts.findings, findings);
     CHECK_INT(counts.files, 1);
     CHECK(is_sound ? findings == 0 && counts.rows > 2 * DESIGNS : findings > 0);
     if (!is_sound && findings == 0)
       printf("# not found: %s\n", damage[i]);
-    fixture_end(&fixture);
-    REQUIRE(fixture_start(&fixture) == MO_OK);
+    start_over();
   }
 }
 

@@ -27,19 +27,19 @@ static inline struct mo_training_submission submission_of(uint32_t n_steps)
                                          .label = "a label"};
 }
 
-static inline int64_t submit(struct fixture *in, const struct mo_training_submission *submission)
+static inline int64_t submit_training(const struct mo_training_submission *submission)
 {
   int64_t id = 0;
   bool replayed = true;
-  int error = mo_store_submit_training(in->store, submission, &id, &replayed);
+  const int error = mo_store_submit_training(store, submission, &id, &replayed);
   return error != MO_OK ? error : id;
 }
 
-static inline enum mo_job_state state_of(struct fixture *in, int64_t id)
+static inline struct mo_training_status training_of(int64_t id)
 {
-  struct mo_job job = {.state = MO_JOB_FAILED};
-  (void)mo_store_job(in->store, id, &job);
-  return job.state;
+  struct mo_training_status status = {.step = 0};
+  CHECK_OK(mo_store_training(store, id, &status));
+  return status;
 }
 
 static inline struct mo_training_step_row row_of(uint32_t step)

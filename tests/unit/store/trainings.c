@@ -2,13 +2,12 @@
  * and results. */
 #include "by_hand.h"
 #include "one_store.h"
-#include "store/fields.h"
 #include "store/internal.h"
 #include "training_fixture.h"
 
 /* What SQLite's machine has done so far for the readers' statements: the cost of a query, whatever
  * else the machine does. */
-static int64_t steps_of_readers(struct mo_store *store)
+static int64_t steps_of_readers(void)
 {
   int64_t sum = 0;
   for (uint32_t i = 0; i < store->n_readers; i++)
@@ -18,21 +17,6 @@ static int64_t steps_of_readers(struct mo_store *store)
   return sum;
 }
 
-/* Returns whether settings are stored as the same text. */
-static bool same_settings(const struct mo_training_settings *a,
-                          const struct mo_training_settings *b)
-{
-  struct mo_text texts[2] = {{0}, {0}};
-  bool same;
-  mo_settings_write(MO_JOB_TRAINING, &(struct mo_training_record){.settings = *a}, &texts[0]);
-  mo_settings_write(MO_JOB_TRAINING, &(struct mo_training_record){.settings = *b}, &texts[1]);
-  same =
-      texts[0].data != NULL && texts[1].data != NULL && strcmp(texts[0].data, texts[1].data) == 0;
-  mo_text_free(&texts[0]);
-  mo_text_free(&texts[1]);
-  return same;
-}
-
 static void encodes_every_setting(void)
 {
   const struct mo_training_record record = submission_of(10).record;
@@ -40,8 +24,8 @@ static void encodes_every_setting(void)
   struct mo_text text = {0};
   mo_settings_write(MO_JOB_TRAINING, &record, &text);
   REQUIRE(text.data != NULL);
-  CHECK_INT(mo_settings_read(MO_JOB_TRAINING, text.data, &back), MO_OK);
-  CHECK(same_settings(&back.settings, &record.settings));
+  CHECK_OK(mo_settings_read(MO_JOB_TRAINING, text.data, &back));
+  CHECK(same_settings(MO_JOB_TRAINING, &back, &record));
   CHECK(back.validate_every_steps == 11 && back.checkpoint_every_steps == 12 &&
         back.checkpoint_every_s == 13 && back.checkpoints_kept == 2);
   CHECK(strcmp(back.name, "walker") == 0);
@@ -60,19 +44,19 @@ static void submits_and_reads_back(void)
   struct mo_training_status status, page[5];
   struct mo_controller_record record;
   struct mo_controller *small = NULL;
-  struct mo_job job, jobs[5];
+  struct mo_job jobs[5];
   uint64_t counts[MO_JOB_STATES];
   uint8_t *bytes = NULL;
   size_t size = 0;
   int64_t id, second, again = 0;
   bool replayed = false, created;
   uint32_t n = 0;
-  REQUIRE(fixture_bodies(5, 20, &fixture.forms, &fixture.genotypes) == MO_OK);
+  genotypes = make_bodies(5, 20, &forms);
   submission.idempotency_key = "key";
-  id = submit(&fixture, &submission);
+  id = submit_training(&submission);
   REQUIRE(id > 0);
-  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
-  CHECK(same_settings(&status.record.settings, &submission.record.settings));
+  status = training_of(id);
+  CHECK(same_settings(MO_JOB_TRAINING, &status.record, &submission.record));
   CHECK_TEXT(status.record.name, "walker");
   CHECK(!status.record.has_parent && !status.has_validation && !status.has_result);
   CHECK_INT(status.record.validate_every_steps, 11);
@@ -88,64 +72,56 @@ static void submits_and_reads_back(void)
   CHECK_INT(status.step, 0);
   CHECK_INT(status.checkpoint_step, 0);
   /* The same key again. */
-  CHECK_INT(mo_store_submit_training(fixture.store, &submission, &again, &replayed), MO_OK);
+  CHECK_OK(mo_store_submit_training(store, &submission, &again, &replayed));
   CHECK(replayed && again == id);
   mo_sha256_of("x", 1, &submission.body_sha256);
-  CHECK_INT(mo_store_submit_training(fixture.store, &submission, &again, &replayed),
-            MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_submit_training(store, &submission, &again, &replayed), MO_ERR_CONFLICT);
   /* With a parent and designs. */
   tune.record.settings.kind = MO_TRAINING_FINETUNE;
   tune.record.n_designs = 20;
   tune.record.name[0] = '\0';
-  tune.forms = fixture.forms;
-  tune.genotypes = fixture.genotypes;
+  tune.forms = forms;
+  tune.genotypes = genotypes;
   tune.parent = "default";
-  second = submit(&fixture, &tune);
+  second = submit_training(&tune);
   REQUIRE(second > id);
-  CHECK_INT(mo_store_training(fixture.store, second, &status), MO_OK);
-  CHECK_INT(mo_store_controller(fixture.store, "default", &record), MO_OK);
+  status = training_of(second);
+  CHECK_OK(mo_store_controller(store, "default", &record));
   CHECK(status.record.has_parent && mo_sha256_equal(&status.record.parent_sha256, &record.sha256));
   CHECK_TEXT(status.record.parent_name, "default");
   CHECK_INT(status.record.settings.sensor, MO_SENSOR_INVERSE_SQRT); /* the parent's */
-  CHECK_INT(mo_store_job_designs(fixture.store, second, &found, &n), MO_OK);
+  found = designs_of(second, &n);
   CHECK_INT(n, 20);
-  CHECK(found != NULL && memcmp(found, fixture.genotypes, 20 * sizeof(*found)) == 0);
-  free(found);
-  CHECK_INT(mo_store_job_designs(fixture.store, second + 1, &found, &n), MO_ERR_NOT_FOUND);
+  CHECK(SAME(found, genotypes, 20));
+  CHECK_INT(mo_store_job_designs(store, second + 1, &found, &n), MO_ERR_NOT_FOUND);
   tune.parent = "nobody";
-  CHECK_INT(submit(&fixture, &tune), MO_ERR_NOT_FOUND);
-  REQUIRE(mo_controller_create((struct mo_workspace){2, 2, 2}, MO_SENSOR_INVERSE_SQRT, &small) ==
-          MO_OK);
-  REQUIRE(mo_controller_encode(small, &bytes, &size) == MO_OK);
-  REQUIRE(mo_store_controller_put(fixture.store, "small", bytes, size, small, &record, &created) ==
-          MO_OK);
+  CHECK_INT(submit_training(&tune), MO_ERR_NOT_FOUND);
+  REQUIRE_OK(mo_controller_create((struct mo_workspace){2, 2, 2}, MO_SENSOR_INVERSE_SQRT, &small));
+  REQUIRE_OK(mo_controller_encode(small, &bytes, &size));
+  REQUIRE_OK(mo_store_controller_put(store, "small", bytes, size, small, &record, &created));
   free(bytes);
   mo_controller_free(small);
   tune.parent = "small";
-  CHECK_INT(submit(&fixture, &tune), MO_ERR_UNSUPPORTED);
+  CHECK_INT(submit_training(&tune), MO_ERR_UNSUPPORTED);
   /* Lists. */
-  CHECK_INT(mo_store_trainings(fixture.store, &any_job, page, 5), 2);
+  CHECK_INT(mo_store_trainings(store, &any_job, page, 5), 2);
   CHECK(page[0].job.id == second && page[1].job.id == id);
-  CHECK_INT(mo_store_trainings(fixture.store,
-                               &(struct mo_job_query){.before = second, .state = MO_JOB_QUEUED},
-                               page, 5),
+  CHECK_INT(mo_store_trainings(
+                store, &(struct mo_job_query){.before = second, .state = MO_JOB_QUEUED}, page, 5),
             1);
+  CHECK_INT(mo_store_trainings(store, &(struct mo_job_query){.state = MO_JOB_RUNNING}, page, 5), 0);
+  CHECK_INT(mo_store_jobs(store, &any_job, jobs, 5), 2);
   CHECK_INT(
-      mo_store_trainings(fixture.store, &(struct mo_job_query){.state = MO_JOB_RUNNING}, page, 5),
+      mo_store_jobs(store, &(struct mo_job_query){.state = -1, .kind = MO_JOB_TRAINING}, jobs, 5),
+      2);
+  CHECK_INT(
+      mo_store_jobs(store, &(struct mo_job_query){.state = -1, .kind = MO_JOB_EVALUATION}, jobs, 5),
       0);
-  CHECK_INT(mo_store_jobs(fixture.store, &any_job, jobs, 5), 2);
-  CHECK_INT(mo_store_jobs(fixture.store,
-                          &(struct mo_job_query){.state = -1, .kind = MO_JOB_TRAINING}, jobs, 5),
-            2);
-  CHECK_INT(mo_store_jobs(fixture.store,
-                          &(struct mo_job_query){.state = -1, .kind = MO_JOB_EVALUATION}, jobs, 5),
-            0);
-  CHECK_INT(mo_store_job_counts(fixture.store, counts), MO_OK);
+  CHECK_OK(mo_store_job_counts(store, counts));
   CHECK_INT(counts[MO_JOB_QUEUED], 2);
-  CHECK_INT(mo_store_job(fixture.store, second, &job), MO_OK);
-  CHECK_TEXT(job.controller_name, "default");
-  CHECK_INT(fixture_reopen(&fixture), MO_OK);
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  CHECK_TEXT(job_of(second).controller_name, "default");
+  CHECK_OK(reopen());
+  CHECK_OK(check_whole());
 }
 
 static void keeps_the_queues_apart(void)
@@ -156,18 +132,18 @@ static void keeps_the_queues_apart(void)
   struct mo_work *work = NULL;
   int64_t ids[5] = {0}, first, second, id = 0;
   uint64_t jobs = 0, rollouts = 0;
-  first = submit(&fixture, &training);
+  first = submit_training(&training);
   id = submit_evaluation(&evaluation);
-  second = submit(&fixture, &training);
-  CHECK_INT(mo_store_queued(fixture.store, MO_BATCH, 0, ids, 5), 1);
+  second = submit_training(&training);
+  CHECK_INT(mo_store_queued(store, MO_BATCH, 0, ids, 5), 1);
   CHECK_INT(ids[0], id);
-  CHECK_INT(mo_store_queued_runs(fixture.store, MO_JOB_TRAINING, ids, 5), 2);
+  CHECK_INT(mo_store_queued_runs(store, MO_JOB_TRAINING, ids, 5), 2);
   CHECK(ids[0] == first && ids[1] == second);
-  CHECK_INT(mo_store_open_work(fixture.store, &jobs, &rollouts), MO_OK);
+  CHECK_OK(mo_store_open_work(store, &jobs, &rollouts));
   CHECK_INT(jobs, 3);
   CHECK_INT(rollouts, 30);
-  CHECK_INT(mo_store_load_work(fixture.store, first, fixture_classes(1), &work), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_results(fixture.store, first, &results), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_load_work(store, first, fixture_classes(1), &work), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_results(store, first, &results), MO_ERR_NOT_FOUND);
 }
 
 static void keeps_the_curve(void)
@@ -175,23 +151,21 @@ static void keeps_the_curve(void)
   struct mo_training_submission submission = submission_of(100);
   struct mo_training_step_row rows[10], found[10];
   struct mo_training_validation_row validation = {5, 80, 2, 0.75, 0.01}, validations[5];
-  struct mo_training_status status;
   struct mo_event events[20];
-  int64_t id, n;
   int progress = 0;
-  id = submit(&fixture, &submission);
+  int64_t id = submit_training(&submission);
   for (uint32_t i = 0; i < 10; i++)
     rows[i] = row_of(i + 1);
-  CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 10, NULL, NULL),
+  CHECK_INT(mo_store_training_progress(store, id, rows, 10, NULL, NULL),
             MO_ERR_CONFLICT); /* not started */
-  CHECK_INT(mo_store_run_start(fixture.store, id), MO_OK);
-  CHECK_INT(mo_store_run_start(fixture.store, id), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 10, NULL, "{\"id\":\"1\"}"), MO_OK);
-  CHECK_INT(mo_store_training_progress(fixture.store, id, NULL, 0, &validation, NULL), MO_OK);
+  CHECK_OK(mo_store_run_start(store, id));
+  CHECK_INT(mo_store_run_start(store, id), MO_ERR_CONFLICT);
+  CHECK_OK(mo_store_training_progress(store, id, rows, 10, NULL, "{\"id\":\"1\"}"));
+  CHECK_OK(mo_store_training_progress(store, id, NULL, 0, &validation, NULL));
   /* Steps 5 to 7 are run again: nothing changes but their times. */
   rows[4].seconds = 7;
-  CHECK_INT(mo_store_training_progress(fixture.store, id, rows + 4, 3, NULL, NULL), MO_OK);
-  CHECK_INT(mo_store_training_steps(fixture.store, id, 0, 1, found, 10), 10);
+  CHECK_OK(mo_store_training_progress(store, id, rows + 4, 3, NULL, NULL));
+  CHECK_INT(mo_store_training_steps(store, id, 0, 1, found, 10), 10);
   for (uint32_t i = 0; i < 10; i++) {
     CHECK(memcmp(&found[i].report.mean_loss, &rows[i].report.mean_loss, sizeof(double)) == 0 ||
           (isnan(found[i].report.mean_loss) && isnan(rows[i].report.mean_loss)));
@@ -203,17 +177,17 @@ static void keeps_the_curve(void)
           found[i].report.skipped == rows[i].report.skipped &&
           found[i].report.bounded == rows[i].report.bounded);
   }
-  CHECK_INT(mo_store_training_steps(fixture.store, id, 3, 2, found, 2), 2);
+  CHECK_INT(mo_store_training_steps(store, id, 3, 2, found, 2), 2);
   CHECK(found[0].report.step == 4 && found[1].report.step == 6);
-  CHECK_INT(mo_store_training_validations(fixture.store, id, -1, validations, 5), 1);
-  CHECK_INT(mo_store_training_validations(fixture.store, id, 5, validations, 5), 0);
+  CHECK_INT(mo_store_training_validations(store, id, -1, validations, 5), 1);
+  CHECK_INT(mo_store_training_validations(store, id, 5, validations, 5), 0);
   CHECK(memcmp(&validations[0].mean_score, &validation.mean_score, sizeof(double)) == 0);
-  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
+  struct mo_training_status status = training_of(id);
   CHECK_INT(status.step, 10);
   CHECK_INT(status.last.report.step, 10);
   CHECK(status.has_validation && status.validation.rollouts == 80 &&
         status.validation.diverged == 2);
-  n = mo_store_events(fixture.store, 0, id, events, 20, NULL, NULL);
+  int64_t n = mo_store_events(store, 0, id, events, 20, NULL, NULL);
   for (int64_t i = 0; i < n; i++)
     progress += strcmp(events[i].type, "training.progress") == 0;
   CHECK_INT(progress, 1);
@@ -222,13 +196,12 @@ static void keeps_the_curve(void)
              "{\"id\":\"1\",\"step\":5,\"mean_score\":0.75,\"standard_error\":0.01,"
              "\"rollouts\":80,\"diverged\":2}");
   /* Paused: what was in flight is still accepted. Cancelled: nothing any more. */
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
-  CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 1, NULL, NULL), MO_OK);
-  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2),
-            MO_OK);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
-  CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 1, NULL, NULL), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 11, (const uint8_t *)"eleven", 6, 2),
+  CHECK_OK(change(id, MO_CHANGE_PAUSE));
+  CHECK_OK(mo_store_training_progress(store, id, rows, 1, NULL, NULL));
+  CHECK_OK(mo_store_training_checkpoint(store, id, 10, (const uint8_t *)"ten", 3, 2));
+  CHECK_OK(change(id, MO_CHANGE_CANCEL));
+  CHECK_INT(mo_store_training_progress(store, id, rows, 1, NULL, NULL), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_training_checkpoint(store, id, 11, (const uint8_t *)"eleven", 6, 2),
             MO_ERR_CONFLICT);
 }
 
@@ -242,30 +215,29 @@ static void finds_steps_in_a_long_curve(void)
   struct mo_training_step_row *rows = calloc(MO_PAGE_MAX, sizeof(*rows));
   int64_t n = MO_PAGE_MAX, begin, middle, end;
   REQUIRE(rows != NULL);
-  REQUIRE(submit(&fixture, &submission) == 1);
-  REQUIRE(reopen_after(&fixture, fill) == MO_OK);
-  begin = steps_of_readers(fixture.store);
+  REQUIRE(submit_training(&submission) == 1);
+  REQUIRE_OK(reopen_after(fill));
+  begin = steps_of_readers();
   for (uint32_t after = 0; after < 100000 && n == MO_PAGE_MAX; after += MO_PAGE_MAX)
-    n = mo_store_training_steps(fixture.store, 1, after, 1, rows, MO_PAGE_MAX);
+    n = mo_store_training_steps(store, 1, after, 1, rows, MO_PAGE_MAX);
   CHECK(n == MO_PAGE_MAX && rows[MO_PAGE_MAX - 1].report.step == 100000);
-  middle = steps_of_readers(fixture.store);
-  CHECK_INT(mo_store_training_steps(fixture.store, 1, 0, 30000, rows, MO_PAGE_MAX), 3);
-  end = steps_of_readers(fixture.store);
+  middle = steps_of_readers();
+  CHECK_INT(mo_store_training_steps(store, 1, 0, 30000, rows, MO_PAGE_MAX), 3);
+  end = steps_of_readers();
   CHECK(rows[0].report.step == 30000 && rows[1].report.step == 60000 &&
         rows[2].report.step == 90000);
   printf("# steps of SQLite's machine: %lld for three rows, %lld for all\n",
          (long long)(end - middle), (long long)(middle - begin));
   CHECK(middle - begin >= 100000);
   CHECK(end - middle > 0 && end - middle < 1000);
-  CHECK_INT(mo_store_training_steps(fixture.store, 1, 30000, 30000, rows, 1), 1);
+  CHECK_INT(mo_store_training_steps(store, 1, 30000, 30000, rows, 1), 1);
   CHECK_INT(rows[0].report.step, 60000);
-  CHECK_INT(mo_store_training_steps(fixture.store, 1, 29999, 7, rows, 2), 2);
+  CHECK_INT(mo_store_training_steps(store, 1, 29999, 7, rows, 2), 2);
   CHECK(rows[0].report.step == 30002 && rows[1].report.step == 30009);
-  CHECK_INT(mo_store_training_steps(fixture.store, 1, 99998, 99999, rows, 5), 1);
-  CHECK_INT(mo_store_training_steps(fixture.store, 1, 99999, 99999, rows, 5), 0);
-  CHECK_INT(mo_store_training_steps(fixture.store, 1, UINT32_MAX, MO_TRAINING_STEPS_MAX, rows, 5),
-            0);
-  CHECK_INT(mo_store_training_steps(fixture.store, 2, 0, 2, rows, 5), 0);
+  CHECK_INT(mo_store_training_steps(store, 1, 99998, 99999, rows, 5), 1);
+  CHECK_INT(mo_store_training_steps(store, 1, 99999, 99999, rows, 5), 0);
+  CHECK_INT(mo_store_training_steps(store, 1, UINT32_MAX, MO_TRAINING_STEPS_MAX, rows, 5), 0);
+  CHECK_INT(mo_store_training_steps(store, 2, 0, 2, rows, 5), 0);
   free(rows);
 }
 
@@ -275,168 +247,146 @@ static void names_the_code(void)
 {
   struct mo_training_submission submission = submission_of(100);
   struct mo_training_lineage lineage;
-  struct mo_training_status status;
   struct mo_event events[80];
   char name[32];
-  int64_t id, n;
   int changes = 0;
-  id = submit(&fixture, &submission);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 0, "one", &lineage), MO_ERR_CONFLICT);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 0, "none", &lineage),
-            MO_OK); /* it came to no step */
-  CHECK_INT(mo_store_training_code(fixture.store, id, 0, "one", &lineage), MO_OK);
+  int64_t id = submit_training(&submission);
+  CHECK_INT(mo_store_training_code(store, id, 0, "one", &lineage), MO_ERR_CONFLICT);
+  REQUIRE_OK(mo_store_run_start(store, id));
+  CHECK_OK(mo_store_training_code(store, id, 0, "none", &lineage)); /* it came to no step */
+  CHECK_OK(mo_store_training_code(store, id, 0, "one", &lineage));
   CHECK(lineage.n == 1 && lineage.codes[0].from_step == 0 &&
         strcmp(lineage.codes[0].fingerprint, "one") == 0);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 20, "one", &lineage), MO_OK);
+  CHECK_OK(mo_store_training_code(store, id, 20, "one", &lineage));
   CHECK_INT(lineage.n, 1);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 30, "two", &lineage), MO_OK);
+  CHECK_OK(mo_store_training_code(store, id, 30, "two", &lineage));
   CHECK_INT(lineage.n, 2);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 30, "one", &lineage),
-            MO_OK); /* "two" came to no checkpoint */
+  CHECK_OK(
+      mo_store_training_code(store, id, 30, "one", &lineage)); /* "two" came to no checkpoint */
   CHECK_INT(lineage.n, 1);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 30, "two", &lineage), MO_OK);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 25, "three", &lineage),
-            MO_OK); /* from an earlier checkpoint */
-  CHECK_INT(fixture_reopen(&fixture), MO_OK);
-  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
+  CHECK_OK(mo_store_training_code(store, id, 30, "two", &lineage));
+  CHECK_OK(
+      mo_store_training_code(store, id, 25, "three", &lineage)); /* from an earlier checkpoint */
+  CHECK_OK(reopen());
+  struct mo_training_status status = training_of(id);
   CHECK_INT(status.code.n, 2);
   CHECK_INT(status.code.codes[1].from_step, 25);
   CHECK_TEXT(status.code.codes[1].fingerprint, "three");
-  n = mo_store_events(fixture.store, 0, id, events, 80, NULL, NULL);
+  int64_t n = mo_store_events(store, 0, id, events, 80, NULL, NULL);
   for (int64_t i = 0; i < n; i++)
     changes += strcmp(events[i].type, "training.code_changed") == 0;
   CHECK_INT(changes, 3);
   CHECK(n > 0 && strstr(events[n - 1].data,
                         "\"from_step\":25,\"before\":\"one\",\"fingerprint\":\"three\"") != NULL);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 40, "four", &lineage),
+  CHECK_INT(mo_store_training_code(store, id, 40, "four", &lineage),
             MO_ERR_CONFLICT); /* of an earlier life */
-  CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
+  CHECK_OK(mo_store_requeue(store, 0, 3, ""));
+  REQUIRE_OK(mo_store_run_start(store, id));
   for (uint32_t step = 40; step < 40 + MO_LINEAGE_MAX; step++) {
     snprintf(name, sizeof(name), "code %u", (unsigned)step);
-    CHECK_INT(mo_store_training_code(fixture.store, id, step, name, &lineage), MO_OK);
+    CHECK_OK(mo_store_training_code(store, id, step, name, &lineage));
   }
   CHECK_INT(lineage.n, MO_LINEAGE_MAX);
   CHECK_TEXT(lineage.codes[MO_LINEAGE_MAX - 2].fingerprint, "code 68");
   CHECK_TEXT(lineage.codes[MO_LINEAGE_MAX - 1].fingerprint, "various");
   CHECK_INT(lineage.codes[MO_LINEAGE_MAX - 1].from_step, 69);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 99, "", &lineage), MO_ERR_RANGE);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 99, "a \"quote\"", &lineage), MO_ERR_INVALID);
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  CHECK_INT(mo_store_training_code(store, id, 99, "", &lineage), MO_ERR_RANGE);
+  CHECK_INT(mo_store_training_code(store, id, 99, "a \"quote\"", &lineage), MO_ERR_INVALID);
+  CHECK_OK(check_whole());
+}
+
+/* Whether both lists have just these jobs. other 0: only one. */
+static bool lists(const struct mo_job_query *query, uint32_t n, int64_t one, int64_t other)
+{
+  struct mo_training_status page[8];
+  struct mo_job jobs[8];
+  const int64_t found = other != 0 ? 2 : 1;
+  return mo_store_trainings(store, query, page, n) == found &&
+         mo_store_jobs(store, query, jobs, n) == found && page[0].job.id == one &&
+         jobs[0].id == one && (other == 0 || (page[1].job.id == other && jobs[1].id == other));
 }
 
 /* One that waits for room runs in the rows and is shown as paused: the filter goes by what is
  * shown, page by page. */
 static void finds_by_the_state_that_is_shown(void)
 {
-  struct mo_training_submission submission = submission_of(10);
+  const struct mo_training_submission submission = submission_of(10);
   struct mo_training_status page[8];
   struct mo_job jobs[8];
   int64_t ids[6], waiting[2], none[MO_WAITING_MAX + 1] = {0};
   struct mo_job_query query = {.kind = -1, .waiting = waiting, .n_waiting = 2};
   for (int i = 0; i < 6; i++) {
-    ids[i] = submit(&fixture, &submission);
-    REQUIRE(i == 5 || mo_store_run_start(fixture.store, ids[i]) == MO_OK);
+    ids[i] = submit_training(&submission);
+    REQUIRE(i == 5 || mo_store_run_start(store, ids[i]) == MO_OK);
   }
   waiting[0] = ids[1];
   waiting[1] = ids[3]; /* paused while it waited */
-  REQUIRE(mo_store_change_job(fixture.store, ids[3], MO_CHANGE_PAUSE, NULL) == MO_OK);
-  REQUIRE(mo_store_change_job(fixture.store, ids[4], MO_CHANGE_PAUSE, NULL) == MO_OK);
+  REQUIRE_OK(change(ids[3], MO_CHANGE_PAUSE));
+  REQUIRE_OK(change(ids[4], MO_CHANGE_PAUSE));
   query.state = MO_JOB_RUNNING;
-  CHECK_INT(mo_store_trainings(fixture.store, &query, page, 8), 2);
-  CHECK(page[0].job.id == ids[2] && page[1].job.id == ids[0]);
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 8), 2);
-  CHECK(jobs[0].id == ids[2] && jobs[1].id == ids[0]);
+  CHECK(lists(&query, 8, ids[2], ids[0]));
   query.state = MO_JOB_PAUSED;
-  CHECK_INT(mo_store_trainings(fixture.store, &query, page, 2), 2);
-  CHECK(page[0].job.id == ids[4] && page[1].job.id == ids[3]);
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 2), 2);
-  CHECK(jobs[0].id == ids[4] && jobs[1].id == ids[3]);
+  CHECK(lists(&query, 2, ids[4], ids[3]));
   query.before = ids[3];
-  CHECK_INT(mo_store_trainings(fixture.store, &query, page, 2), 1);
-  CHECK(page[0].job.id == ids[1]);
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 2), 1);
-  CHECK(jobs[0].id == ids[1]);
-  query =
-      (struct mo_job_query){.state = MO_JOB_QUEUED, .kind = -1, .waiting = waiting, .n_waiting = 2};
-  CHECK_INT(mo_store_trainings(fixture.store, &query, page, 8), 1);
+  CHECK(lists(&query, 2, ids[1], 0));
+  query.before = 0;
+  query.state = MO_JOB_QUEUED;
+  CHECK(lists(&query, 8, ids[5], 0));
   query = (struct mo_job_query){
       .state = MO_JOB_RUNNING, .kind = -1, .waiting = none, .n_waiting = MO_WAITING_MAX};
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 8), 3);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 8), 3);
   query.n_waiting++;
-  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 8), MO_ERR_LIMIT);
-  CHECK_INT(mo_store_trainings(fixture.store, &query, page, 8), MO_ERR_LIMIT);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 8), MO_ERR_LIMIT);
+  CHECK_INT(mo_store_trainings(store, &query, page, 8), MO_ERR_LIMIT);
 }
 
 static void finishes_with_its_controller(void)
 {
-  struct mo_training_submission submission = submission_of(100);
-  struct mo_training_status status;
+  const struct mo_training_submission submission = submission_of(100);
+  struct mo_controller *controller = make_random_controller(MO_SENSOR_INVERSE_SQRT, 77);
   struct mo_controller_record record;
-  struct mo_controller *controller = NULL;
-  struct mo_event events[10];
+  const int64_t id = submit_training(&submission);
   uint8_t *bytes = NULL;
   size_t size = 0;
-  int64_t id, n;
-  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
-  mo_controller_randomize(controller, 77);
-  REQUIRE(mo_controller_encode(controller, &bytes, &size) == MO_OK);
-  id = submit(&fixture, &submission);
-  CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller),
-            MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_ERR_NOT_FOUND);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
-  CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller),
-            MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, NULL), MO_OK);
-  REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller), MO_OK);
-  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
+  REQUIRE_OK(mo_controller_encode(controller, &bytes, &size));
+  check_keep(bytes, free);
+  for (int paused = 0; paused < 2; paused++) {
+    printf("# %s\n", paused ? "paused" : "queued");
+    CHECK_INT(mo_store_training_finish(store, id, "walker", bytes, size, controller),
+              MO_ERR_CONFLICT);
+    CHECK_INT(mo_store_controller(store, "walker", &record), MO_ERR_NOT_FOUND);
+    if (paused)
+      CHECK_OK(change(id, MO_CHANGE_RESUME));
+    REQUIRE_OK(mo_store_run_start(store, id));
+    if (!paused)
+      CHECK_OK(change(id, MO_CHANGE_PAUSE));
+  }
+  CHECK_OK(mo_store_training_finish(store, id, "walker", bytes, size, controller));
+  const struct mo_training_status status = training_of(id);
   CHECK_INT(status.job.state, MO_JOB_SUCCEEDED);
   CHECK(status.job.finished_us > 0);
-  CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_OK);
+  CHECK_OK(mo_store_controller(store, "walker", &record));
   CHECK(status.has_result && mo_sha256_equal(&status.result_sha256, &record.sha256));
-  n = mo_store_events(fixture.store, 0, id, events, 10, NULL, NULL);
-  CHECK(n > 0 && strcmp(events[n - 1].type, "job.finished") == 0);
-  CHECK(n > 0 && strstr(events[n - 1].data,
-                        "\"kind\":\"training\",\"state\":\"succeeded\",\"controller\":\"walker\""));
-  CHECK_INT(mo_store_controller_remove(fixture.store, "walker"), MO_OK); /* its content stays */
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  free(bytes);
-  mo_controller_free(controller);
+  CHECK_TEXT(last_event(id).type, "job.finished");
+  CHECK_HAS(last_event(id).data,
+            "\"kind\":\"training\",\"state\":\"succeeded\",\"controller\":\"walker\"");
+  CHECK_OK(mo_store_controller_remove(store, "walker")); /* its content stays */
+  CHECK_OK(check_whole());
 }
 
-/* What all runs have is tested with campaigns. */
+/* Errors with progress between them are forgiven; errors at one step are not, whatever checkpoint
+ * is written again. What all runs have is tested with campaigns. */
 static void forgives_progress(void)
 {
-  struct mo_training_submission submission = submission_of(100);
-  enum mo_job_state after = MO_JOB_CANCELLED;
-  struct mo_job job;
-  int64_t id;
-  /* Errors with progress between them are forgiven; errors at one step are not, whatever checkpoint
-   * is written again. */
-  id = submit(&fixture, &submission);
-  for (uint32_t round = 1; round <= 5; round++) {
-    REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-    CHECK_INT(
-        mo_store_training_checkpoint(fixture.store, id, 10 * round, (const uint8_t *)"x", 1, 2),
-        MO_OK);
-    CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
-              MO_OK);
-    CHECK_INT(after, MO_JOB_QUEUED);
-    CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
-    CHECK_INT(job.attempts, 1);
-  }
-  for (uint32_t attempt = 2; attempt <= 3; attempt++) {
-    REQUIRE(mo_store_run_start(fixture.store, id) == MO_OK);
-    CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"x", 1, 2),
-              MO_OK);
-    CHECK_INT(mo_store_run_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
-              MO_OK);
-    CHECK_INT(after, attempt < 3 ? MO_JOB_QUEUED : MO_JOB_FAILED);
+  const struct mo_training_submission submission = submission_of(100);
+  const int64_t id = submit_training(&submission);
+  for (uint32_t round = 1; round <= 7; round++) {
+    const uint32_t step = round < 5 ? 10 * round : 50, attempts = round < 5 ? 1 : round - 4;
+    printf("# round %u\n", round);
+    REQUIRE_OK(mo_store_run_start(store, id));
+    CHECK_OK(mo_store_training_checkpoint(store, id, step, (const uint8_t *)"x", 1, 2));
+    CHECK_INT(park(id, MO_ERR_NO_MEMORY), attempts < 3 ? MO_JOB_QUEUED : MO_JOB_FAILED);
+    CHECK_INT(job_of(id).attempts, attempts);
   }
 }
 
