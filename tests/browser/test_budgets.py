@@ -30,3 +30,46 @@ def test_all_files_together_are_small(service):
 ])
 def test_a_page_waits_for_few_requests_in_a_row(browser, view, shown, length):
     assert browser.chain(view, shown) <= length
+
+
+# Draws 100,000 values between 0 and 0.1, one of 1, and a gap; what it takes, and how many rows
+# have the curve's color at the peak, in the gap and elsewhere.
+DENSE = """
+const done = arguments[arguments.length - 1];
+const folder = document.querySelector('script[type=module]').src.replace(/app.js$/, '');
+import(folder + 'lib/chart.js').then(({ Chart }) => {
+  const chart = new Chart({ title: 'Many', xName: 'step' });
+  document.body.append(chart.element);
+  chart.element.style.cssText = 'position:fixed;top:0;left:0;width:900px;height:300px';
+  const x = Float64Array.from({ length: 100000 }, (_, i) => i);
+  const isMissing = (i) => i > 60000 && i < 70000;
+  const y = x.map((i) => (i === 40000 ? 1 : isMissing(i) ? NaN : (i % 2) / 10));
+  let n = 0;
+  const { lineTo } = CanvasRenderingContext2D.prototype;
+  CanvasRenderingContext2D.prototype.lineTo = function (...at) { n++; lineTo.apply(this, at); };
+  chart.set([{ name: 'band', kind: 'band', x, y, low: y, high: y, color: '#00ff00' },
+    { name: 'line', x, y, color: '#ff0000' }]);
+  CanvasRenderingContext2D.prototype.lineTo = lineTo;
+  const { canvas, scale } = chart;
+  const rows = (at) => {
+    const column = Math.round(scale.x(at) * devicePixelRatio);
+    const { data } = canvas.getContext('2d').getImageData(column - 1, 0, 3, canvas.height);
+    const isRed = (pixel) => data[4 * pixel] > 200 && data[4 * pixel + 1] < 100;
+    return Array.from({ length: canvas.height }, (_, row) =>
+      [0, 1, 2].some((i) => isRed(3 * row + i))).filter(Boolean).length;
+  };
+  const seen = [40000, 65000, 50000].map(rows);
+  chart.destroy();
+  chart.element.remove();
+  done([n / canvas.width, scale.y(0) - scale.y(1), ...seen]);
+});
+"""
+
+
+def test_many_points_are_drawn_as_few(browser):
+    """What is drawn depends on the columns of pixels; a single peak and a gap are still seen."""
+    browser.open("nowhere")
+    points, height, peak, gap, flat = browser.driver.execute_async_script(DENSE)
+    assert points < 5, "for each column of pixels"
+    assert peak == pytest.approx(height, abs=3) and gap == 0, (height, peak, gap)
+    assert flat == pytest.approx(0.1 * height, abs=4)

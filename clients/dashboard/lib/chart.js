@@ -22,6 +22,9 @@ import { number } from './format.js';
  */
 
 const MARGIN = { left: 52, right: 12, top: 10, bottom: 26 };
+const LINE_PX = 1.8;
+/** A line with more points in a pixel than these is drawn as the range of each column of pixels. */
+const DENSE = 2;
 
 /** Round steps of an axis: about `n` of them between two values. */
 export function ticks(from, to, n) {
@@ -67,6 +70,7 @@ export class Chart {
     this.options = { xName: 'generation', height: 220, empty: 'No values yet.', ...options };
     /** @type {Series[]} */
     this.series = [];
+    this.range = null;
     this.cursor = -1;
     this.canvas = h('canvas', {
       tabindex: 0, role: 'img', 'aria-label': `${options.title}: no values yet`,
@@ -86,6 +90,7 @@ export class Chart {
   /** Takes what there is to draw. @param {Series[]} series */
   set(series) {
     this.series = series;
+    this.range = this.#range();
     this.legend.replaceChildren(...series.filter((s) => !s.silent).map((s) => {
       const swatch = h(s.kind === 'band' ? 'i.swatch' : `i.swatch.line${s.dash?.length ? '.dashed' : ''}`);
       swatch.style.color = s.color.startsWith('--') ? `var(${s.color})` : s.color;
@@ -112,6 +117,7 @@ export class Chart {
 
   #range() {
     let [x0, x1, y0, y1] = [Infinity, -Infinity, Infinity, -Infinity];
+    const least = this.options.log ? 0 : -Infinity;
     for (const s of this.series) {
       const n = s.x.length;
       if (!n) continue;
@@ -120,7 +126,7 @@ export class Chart {
       for (const list of s.kind === 'band' ? [s.low, s.high] : [s.y]) {
         for (let i = 0; i < n; i++) {
           const value = list[i];
-          if (!Number.isFinite(value) || (this.options.log && value <= 0)) continue;
+          if (!Number.isFinite(value) || value <= least) continue;
           if (value < y0) y0 = value;
           if (value > y1) y1 = value;
         }
@@ -152,7 +158,7 @@ export class Chart {
     const style = getComputedStyle(canvas);
     const color = (name) => (name.startsWith('--') ? style.getPropertyValue(name).trim() : name);
     context.font = `12px ${style.fontFamily}`;
-    const range = this.#range();
+    const { range } = this;
     if (!range) {
       context.fillStyle = color('--muted');
       context.fillText(this.options.empty, MARGIN.left, height / 2);
@@ -215,42 +221,25 @@ export class Chart {
     }
   }
 
-  /** Lowest and highest value of each column of pixels, so that no peak is lost. */
   #line(context, s, scale, color) {
     context.strokeStyle = color;
-    context.lineWidth = 1.8;
+    context.lineWidth = LINE_PX;
     context.lineJoin = 'round';
-    context.setLineDash(s.dash ?? []);
     context.beginPath();
-    let column = -1;
-    let [low, high, last] = [0, 0, 0];
-    let open = false;
-    for (let i = 0; i < s.x.length; i++) {
-      if (!Number.isFinite(s.y[i])) {
-        open = false;
-        continue;
+    if (s.x.length > DENSE * context.canvas.width) {
+      // A stroke that goes up and down in every column would take most of the time of the chart.
+      context.fillStyle = color;
+      this.#envelope(context, s.x, s.y, s.y, scale);
+      context.fill();
+    } else {
+      let open = false;
+      for (let i = 0; i < s.x.length; i++) {
+        const isValue = Number.isFinite(s.y[i]);
+        if (isValue && open) context.lineTo(scale.x(s.x[i]), scale.y(s.y[i]));
+        else if (isValue) context.moveTo(scale.x(s.x[i]), scale.y(s.y[i]));
+        open = isValue;
       }
-      const [x, y] = [scale.x(s.x[i]), scale.y(s.y[i])];
-      const here = Math.floor(x * 2);
-      if (open && here === column) {
-        low = Math.max(low, y);
-        high = Math.min(high, y);
-        last = y;
-        continue;
-      }
-      if (open && low !== high) {
-        const at = column / 2;
-        context.lineTo(at, low);
-        context.lineTo(at, high);
-        context.lineTo(at, last);
-      }
-      if (open) context.lineTo(x, y);
-      else context.moveTo(x, y);
-      [column, low, high, last, open] = [here, y, y, y, true];
-    }
-    if (open && low !== high) {
-      context.lineTo(column / 2, low);
-      context.lineTo(column / 2, high);
+      context.setLineDash(s.dash ?? []);
     }
     context.stroke();
     context.setLineDash([]);
@@ -263,29 +252,48 @@ export class Chart {
   }
 
   #band(context, s, scale, color) {
-    const upper = [];
-    const lower = [];
-    let column = -1;
-    for (let i = 0; i < s.x.length; i++) {
-      if (!Number.isFinite(s.low[i]) || !Number.isFinite(s.high[i])) continue;
-      const x = scale.x(s.x[i]);
-      const [yl, yh] = [scale.y(s.low[i]), scale.y(s.high[i])];
-      const here = Math.floor(x * 2);
-      if (here === column) {
-        const end = upper.length - 1;
-        upper[end][1] = Math.min(upper[end][1], yh);
-        lower[end][1] = Math.max(lower[end][1], yl);
-      } else {
-        upper.push([x, yh]);
-        lower.push([x, yl]);
-        column = here;
-      }
-    }
     context.fillStyle = color;
     context.beginPath();
-    for (const [x, y] of upper) context.lineTo(x, y);
-    for (const [x, y] of lower.reverse()) context.lineTo(x, y);
+    this.#envelope(context, s.x, s.low, s.high, scale);
     context.fill();
+  }
+
+  /** Adds what lies between two curves to the path: of each column of pixels the lowest and the highest
+   * value, so that no peak is lost, and nothing where a value is missing. */
+  #envelope(context, x, low, high, scale) {
+    /** @type {number[][]} x, low, high of each column in a row */
+    const parts = [];
+    let part = null;
+    let column = NaN;
+    const ratio = devicePixelRatio;
+    for (let i = 0; i < x.length; i++) {
+      if (!Number.isFinite(low[i]) || !Number.isFinite(high[i])) {
+        part = null;
+        continue;
+      }
+      if (!part) {
+        parts.push(part = []);
+        column = NaN;
+      }
+      const at = scale.x(x[i]);
+      const here = Math.floor(at * ratio);
+      if (here !== column) {
+        part.push(at, low[i], high[i]);
+        column = here;
+      } else {
+        const end = part.length;
+        if (low[i] < part[end - 2]) part[end - 2] = low[i];
+        if (high[i] > part[end - 1]) part[end - 1] = high[i];
+      }
+    }
+    for (const one of parts) {
+      for (let i = 0; i < one.length; i += 3) {
+        if (i) context.lineTo(one[i], scale.y(one[i + 2]));
+        else context.moveTo(one[i], scale.y(one[i + 2]));
+      }
+      for (let i = one.length - 3; i >= 0; i -= 3) context.lineTo(one[i], scale.y(one[i + 1]));
+      context.closePath();
+    }
   }
 
   #points(context, s, scale, color) {
