@@ -96,6 +96,12 @@ static const struct option_spec design_list_options[] = {
     {"limit", 'n', "N", "At most so many (default: 100)."},
     {UNLIMITED},
     {NULL}};
+static const struct option_spec export_options[] = {
+    {"output", 'o', "FILE", "Where to put it (default: -, standard output)."},
+    {"format", 'f', "csv|ndjson|newick|columns",
+     "The form (default: as the end of FILE says: .csv, .ndjson, .jsonl, .nwk; else csv). newick "
+     "is for phylogenies."},
+    {NULL}};
 static const struct option_spec film_options[] = {
     {"controller", 'c', "NAME", "Controller: a name or sha256:<64 digits> (default: default)."},
     {ENVIRONMENTS},
@@ -355,6 +361,10 @@ const struct command commands[] = {
      "simultaneous campaign cannot be extended or resumed after it; of one without a result "
      "champions cannot be recorded any more. Of a campaign that has not ended nothing is deleted.",
      NULL, 1, MANY, run_job_prune},
+    {"export", "LIST", "Save any list, curve or phylogeny as a table.",
+     "LIST is a path of the API behind /v1/, with its parameters: jobs, designs?sort=score, "
+     "campaigns/7/phylogeny, campaigns/generations?label=B (of several campaigns, in one table).",
+     export_options, 1, 1, run_export},
     {"controller list", "", "List controllers.", NULL, NULL, 0, 0, run_controller_list},
     {"controller info", "NAME", "Show a controller.", NULL, NULL, 1, 1, run_controller_info},
     {"controller get", "NAME", "Fetch a controller's safetensors file.", NULL,

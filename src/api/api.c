@@ -12,6 +12,9 @@
 static const struct mo_route table[] = {
 #define ROUTE(PATH, METHOD, HANDLER, RIGHT, FLAGS, BODY, QUERY)                                    \
   {PATH, MO_##METHOD, mo_api_##HANDLER, MO_RIGHT_##RIGHT, FLAGS, MO_BODY_##BODY, QUERY},
+#define TABLE(PATH, HANDLER, QUERY, COLUMNS)                                                       \
+  {PATH,          MO_GET, mo_api_get_table, MO_RIGHT_READ, MO_ROUTE_LIST | MO_ROUTE_VARY,          \
+   MO_BODY_SMALL, QUERY},
 #include "api/routes.inc"
 };
 _Static_assert(sizeof(table) / sizeof(table[0]) <= MO_ROUTES_MAX, "metrics count by route");

@@ -49,14 +49,9 @@ static void close_objects(struct mo_text *text, const char *path)
       mo_text_add(text, "}");
 }
 
-void mo_columns_json(struct mo_text *text, const struct mo_columns *columns, const void *row)
+void mo_columns_members(struct mo_text *text, const struct mo_columns *columns, const void *row)
 {
   const char *open = "";
-  if (row == NULL) {
-    mo_text_add(text, "null");
-    return;
-  }
-  mo_text_object(text);
   for (size_t i = 0; i < columns->n; i++) {
     const char *path = columns->items[i].path;
     size_t shared = shared_part(open, path);
@@ -71,6 +66,16 @@ void mo_columns_json(struct mo_text *text, const struct mo_columns *columns, con
     open = columns->items[i].path;
   }
   close_objects(text, open);
+}
+
+void mo_columns_json(struct mo_text *text, const struct mo_columns *columns, const void *row)
+{
+  if (row == NULL) {
+    mo_text_add(text, "null");
+    return;
+  }
+  mo_text_object(text);
+  mo_columns_members(text, columns, row);
   mo_text_add(text, "}");
 }
 
@@ -90,6 +95,32 @@ void mo_columns_heading(struct mo_text *text, const struct mo_columns *columns)
     mo_text_format(text, "%s%s", i > 0 ? "," : "", mo_column_name(column));
   }
   mo_text_bytes(text, "\n", 1);
+}
+
+/* ---- cells of CSV ---- */
+
+static void write_quoted(struct mo_text *text, const char *bytes, size_t size)
+{
+  mo_text_bytes(text, "\"", 1);
+  for (size_t i = 0, n; i < size; i += n) {
+    const char *quote = memchr(bytes + i, '"', size - i);
+    n = quote != NULL ? (size_t)(quote - bytes) + 1 - i : size - i;
+    mo_text_bytes(text, bytes + i, n);
+    if (quote != NULL)
+      mo_text_bytes(text, "\"", 1);
+  }
+  mo_text_bytes(text, "\"", 1);
+}
+
+void mo_csv_text(struct mo_text *text, const char *bytes, size_t size)
+{
+  bool plain = size > 0 && bytes[0] != ' ' && bytes[size - 1] != ' ';
+  for (size_t i = 0; i < size && plain; i++)
+    plain = (unsigned char)bytes[i] >= ' ' && bytes[i] != '"' && bytes[i] != ',';
+  if (plain)
+    mo_text_bytes(text, bytes, size);
+  else
+    write_quoted(text, bytes, size);
 }
 
 /* ---- replicates ---- */

@@ -10,6 +10,10 @@
 
 /* Writes the row as an object; NULL: null. */
 void mo_columns_json(struct mo_text *text, const struct mo_columns *columns, const void *row);
+/* Writes the members of this object alone. */
+void mo_columns_members(struct mo_text *text, const struct mo_columns *columns, const void *row);
+/* Appends a text as a cell of CSV, in quotes where it needs them. */
+void mo_csv_text(struct mo_text *text, const char *bytes, size_t size);
 /* Write a line of CSV, and the heading. */
 void mo_columns_csv(struct mo_text *text, const struct mo_columns *columns, const void *row);
 void mo_columns_heading(struct mo_text *text, const struct mo_columns *columns);

@@ -1,16 +1,19 @@
 /* curves.c: the curves of a job: steps and validations of a training; generations and learning of a
- * campaign; the generations of a group of replicates. Replies with a page as JSON, or with the
- * whole curve as CSV, which is read and written page by page. */
+ * campaign; the generations of a group of replicates, and of any campaigns, one after the other.
+ * Replies with a page as JSON, or with the whole curve in another form, which is read and written
+ * page by page. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "api/columns.h"
 #include "api/jobs.h"
+#include "api/tables.h"
 #include "http/download.h"
 
 #define PLACE_MAX     INT64_C(9999999999)
-#define ROWS_READ_MAX 5000 /* for one page of replicates, over all of them: 10 µs each */
+#define ROWS_READ_MAX 5000  /* for one page of replicates, over all of them: 10 µs each */
+#define EXPORTED_MAX  10000 /* campaigns of one export */
 
 struct curve;
 
@@ -22,23 +25,29 @@ struct curve_kind {
   /* Reads at most `limit` rows behind the curve's place and moves it behind them. Returns their
    * number or an error. */
   int64_t (*read)(struct curve *curve, void *rows, size_t limit);
-  bool has_step;    /* a place in the curve is a generation and a step, "12.30", not one number */
-  bool has_members; /* its rows are of several campaigns */
+  bool has_step;     /* a place in the curve is a generation and a step, "12.30", or a campaign and
+                        a generation, not one number */
+  bool has_members;  /* its rows are of several campaigns */
+  bool names_member; /* each row begins with what its campaign is */
 };
 
 struct curve {
   struct mo_store *store;
   const struct curve_kind *kind;
-  bool csv, headed;
+  enum mo_form form;
+  bool headed;
   int64_t id;
-  int64_t after;  /* step or generation; −1: none */
-  uint32_t step;  /* of that generation */
-  int64_t stride; /* of steps */
-  uint64_t left;  /* rows that may still be written */
-  /* For replicates: the members that count, and the newest generation that all of them have. */
-  int64_t members[MO_REPLICATES_MAX];
-  uint32_t n_members;
+  int64_t after;            /* step, generation or campaign; −1: none */
+  uint32_t step;            /* of that generation; of a campaign the generation */
+  int64_t stride;           /* of steps or generations */
+  uint64_t left;            /* rows that may still be written */
+  struct mo_gather *gather; /* of the form `columns` */
+  /* The campaigns whose rows are read, ascending: of replicates those that count, with the newest
+   * generation that all of them have. */
+  int64_t *members;
+  uint32_t n_members, member; /* member: the place of the one that is read */
   int64_t newest;
+  struct mo_text values[7], cells; /* what the campaign is, as JSON and as CSV */
 };
 
 /* ---- rows ---- */
@@ -63,9 +72,68 @@ static int64_t read_validations(struct curve *curve, void *rows, size_t limit)
 
 static int64_t read_generations(struct curve *curve, void *rows, size_t limit)
 {
-  int64_t n = mo_store_campaign_generations(curve->store, curve->id, curve->after, rows, limit);
+  int64_t n = mo_store_campaign_generations_by(curve->store, curve->id, curve->after,
+                                               (uint32_t)curve->stride, rows, limit);
   if (n > 0)
     curve->after = ((struct mo_campaign_generation *)rows)[n - 1].generation;
+  return n;
+}
+
+/* Columns that come before those of a generation, where rows are of several campaigns. */
+static const struct {
+  const char *name, *type; /* as in a mo_gathered */
+} member_columns[] = {{"campaign", NULL}, {"group", NULL}, {"replicate", "uint32"}, {"label", NULL},
+                      {"mode", NULL},     {"state", NULL}, {"seed", "uint64"}};
+#define MEMBER_COLUMNS (sizeof(member_columns) / sizeof(member_columns[0]))
+
+/* Notes what the campaign is, once for all its rows. */
+static void describe(struct curve *curve, const struct mo_campaign_status *status)
+{
+  const struct mo_campaign_record *record = &status->record;
+  const struct mo_job *job = &status->job;
+  struct mo_text *values = curve->values, *cells = &curve->cells;
+  for (size_t i = 0; i < MEMBER_COLUMNS; i++)
+    values[i].size = 0;
+  mo_text_format(&values[0], "\"%lld\"", (long long)job->id);
+  mo_text_format(&values[1], "\"%lld\"", (long long)record->group);
+  mo_text_format(&values[2], "%u", record->replicate);
+  if (job->has_label)
+    mo_text_json_string(&values[3], job->label, strlen(job->label));
+  else
+    mo_text_add(&values[3], "null");
+  mo_text_format(&values[4], "\"%s\"", mo_campaign_mode_words[record->settings.mode]);
+  mo_text_format(&values[5], "\"%s\"", mo_job_state_name(job->state));
+  mo_text_format(&values[6], "%llu", (unsigned long long)record->settings.seed);
+  cells->size = 0;
+  mo_text_format(cells, "%lld,%lld,%u,", (long long)job->id, (long long)record->group,
+                 record->replicate);
+  if (job->has_label)
+    mo_csv_text(cells, job->label, strlen(job->label));
+  mo_text_format(cells, ",%s,%s,%s,", mo_campaign_mode_words[record->settings.mode],
+                 mo_job_state_name(job->state), values[6].data);
+}
+
+/* Reads rows of one campaign, the next one that has some. */
+static int64_t read_exported(struct curve *curve, void *rows, size_t limit)
+{
+  struct mo_campaign_generation *generations = rows;
+  struct mo_campaign_status *status = malloc(sizeof(*status));
+  int64_t n = status == NULL ? MO_ERR_NO_MEMORY : 0;
+  while (n == 0 && curve->member < curve->n_members) {
+    const int64_t id = curve->members[curve->member];
+    const bool begun = curve->after == id;
+    n = mo_store_campaign(curve->store, id, status);
+    if (n == MO_OK)
+      n = mo_store_campaign_generations_by(curve->store, id, begun ? (int64_t)curve->step : -1,
+                                           (uint32_t)curve->stride, generations, limit);
+    if (n > 0) {
+      curve->after = id;
+      curve->step = generations[n - 1].generation;
+      describe(curve, status);
+    }
+    curve->member += n >= 0 && (size_t)n < limit;
+  }
+  free(status);
   return n;
 }
 
@@ -126,6 +194,41 @@ static const struct curve_kind kinds[] = {
     {"replicates", &mo_replicate_columns, sizeof(struct mo_replicate_row), read_replicates,
      .has_members = true},
 };
+static const struct curve_kind exported = {
+    "generations", &mo_generation_columns, sizeof(struct mo_campaign_generation),
+    read_exported, .has_step = true,       .names_member = true};
+
+/* Adds a row, in JSON its comma, too. */
+static void add_row(struct curve *curve, struct mo_text *text, const void *row)
+{
+  const struct curve_kind *kind = curve->kind;
+  const size_t n = kind->names_member ? MEMBER_COLUMNS : 0;
+  if (curve->form == MO_FORM_COLUMNS) {
+    struct mo_gathered *columns = curve->gather->columns;
+    for (size_t i = 0; i < n; i++) {
+      if (columns[i].type != NULL)
+        mo_gather_number(&columns[i], strtod(curve->values[i].data, NULL));
+      else
+        mo_gather_json(&columns[i], curve->values[i].data, curve->values[i].size);
+    }
+    mo_gather_row(curve->gather, (unsigned)n, kind->columns, row);
+    curve->gather->n_rows++;
+  } else if (curve->form == MO_FORM_CSV) {
+    mo_text_bytes(text, curve->cells.data, curve->cells.size);
+    mo_columns_csv(text, kind->columns, row);
+  } else {
+    if (curve->form == MO_FORM_JSON)
+      mo_text_object(text);
+    else
+      mo_text_add(text, "{"); /* lines have no commas between them */
+    for (size_t i = 0; i < n; i++) {
+      mo_text_name(text, member_columns[i].name);
+      mo_text_bytes(text, curve->values[i].data, curve->values[i].size);
+    }
+    mo_columns_members(text, kind->columns, row);
+    mo_text_add(text, curve->form == MO_FORM_NDJSON ? "}\n" : "}");
+  }
+}
 
 /* Adds a page. Returns 1: there may be more, 0: there are no more now, or an error. */
 static int add_page(struct curve *curve, struct mo_text *text)
@@ -134,26 +237,38 @@ static int add_page(struct curve *curve, struct mo_text *text)
   size_t limit = curve->left < MO_PAGE_MAX ? (size_t)curve->left : MO_PAGE_MAX;
   char *rows = limit > 0 ? malloc(limit * kind->row_size) : NULL;
   int64_t n = limit == 0 ? 0 : rows == NULL ? MO_ERR_NO_MEMORY : kind->read(curve, rows, limit);
-  for (int64_t i = 0; i < n; i++) {
-    const char *row = rows + (size_t)i * kind->row_size;
-    (curve->csv ? mo_columns_csv : mo_columns_json)(text, kind->columns, row);
-  }
+  for (int64_t i = 0; i < n; i++)
+    add_row(curve, text, rows + (size_t)i * kind->row_size);
   free(rows);
   if (n < 0)
     return (int)n;
   curve->left -= (uint64_t)n;
-  return kind->has_members ? curve->n_members > 0 && curve->after < curve->newest
-                           : limit > 0 && (size_t)n == limit;
+  return kind->names_member  ? curve->member < curve->n_members
+         : kind->has_members ? curve->n_members > 0 && curve->after < curve->newest
+                             : limit > 0 && (size_t)n == limit;
 }
 
 /* ---- replies ---- */
 
-/* A mo_download_more. */
-static int more_csv(void *context, struct mo_text *text)
+static void free_curve(void *context)
 {
   struct curve *curve = context;
-  if (!curve->headed)
+  for (size_t i = 0; i < MEMBER_COLUMNS; i++)
+    mo_text_free(&curve->values[i]);
+  mo_text_free(&curve->cells);
+  free(curve->members);
+  free(curve);
+}
+
+/* A mo_download_more. */
+static int more_lines(void *context, struct mo_text *text)
+{
+  struct curve *curve = context;
+  if (!curve->headed && curve->form == MO_FORM_CSV) {
+    for (size_t i = 0; i < MEMBER_COLUMNS && curve->kind->names_member; i++)
+      mo_text_format(text, "%s,", member_columns[i].name);
     mo_columns_heading(text, curve->kind->columns);
+  }
   curve->headed = true;
   int more = add_page(curve, text);
   return more > 0 && curve->left == 0 ? 0 : more;
@@ -173,17 +288,24 @@ static void reply_page(struct mo_request *request, struct curve *curve)
   mo_reply_text(request, more < 0 ? more : MO_OK, &text, "page");
 }
 
-static void reply_csv(struct mo_request *request, const struct curve *curve)
+static void reply_columns(struct mo_request *request, struct curve *curve)
 {
-  struct curve *kept = malloc(sizeof(*kept));
-  if (kept == NULL) {
-    mo_reply_error(request, MO_ERR_NO_MEMORY, "reply");
-    return;
+  struct mo_gather gather = {0};
+  int more = 1;
+  for (size_t i = 0; i < MEMBER_COLUMNS && curve->kind->names_member; i++)
+    mo_gather_column(&gather, member_columns[i].name, strlen(member_columns[i].name),
+                     member_columns[i].type);
+  mo_gather_columns(&gather, curve->kind->columns);
+  curve->gather = &gather;
+  while (more > 0 && curve->left > 0) {
+    more = add_page(curve, NULL);
+    const int fits = mo_gather_check(&gather);
+    more = more >= 0 && fits != MO_OK ? fits : more;
   }
-  *kept = *curve;
-  mo_download_open(request, "text/csv; charset=utf-8; header=present", NULL, sizeof(*kept),
-                   more_csv, kept, free);
+  mo_gather_reply(request, more < 0 ? more : MO_OK, &gather);
 }
+
+/* ---- whose rows ---- */
 
 /* Finds the members of the group that were not cancelled and did not fail. */
 static int find_members(struct curve *curve)
@@ -194,6 +316,9 @@ static int find_members(struct curve *curve)
     const struct mo_job_query query = {.state = -1, .group = all[0].record.group};
     n = mo_store_campaigns(curve->store, &query, all, MO_REPLICATES_MAX);
   }
+  curve->members = malloc(MO_REPLICATES_MAX * sizeof(*curve->members));
+  if (n >= 0 && curve->members == NULL)
+    n = MO_ERR_NO_MEMORY;
   curve->newest = INT64_MAX;
   for (int64_t i = 0; i < n; i++) {
     if (all[i].job.state == MO_JOB_CANCELLED || all[i].job.state == MO_JOB_FAILED)
@@ -205,6 +330,86 @@ static int find_members(struct curve *curve)
     curve->newest = -1;
   free(all);
   return n < 0 ? (int)n : MO_OK;
+}
+
+/* Lists the campaigns of a label or a group, ascending. MO_ERR_LIMIT: too many. */
+static int list_members(struct curve *curve, struct mo_job_query query)
+{
+  struct mo_job *page = malloc(MO_LIST_MAX * sizeof(*page));
+  int64_t n = page != NULL ? MO_LIST_MAX : MO_ERR_NO_MEMORY;
+  uint32_t filled = EXPORTED_MAX; /* from the end: lists have the newest first */
+  while (n == MO_LIST_MAX) {
+    n = mo_store_jobs(curve->store, &query, page, MO_LIST_MAX);
+    for (int64_t i = 0; i < n && filled > 0; i++)
+      curve->members[--filled] = query.before = page[i].id;
+    if (n == MO_LIST_MAX && filled == 0)
+      n = MO_ERR_LIMIT;
+  }
+  free(page);
+  curve->n_members = EXPORTED_MAX - filled;
+  memmove(curve->members, curve->members + filled, curve->n_members * sizeof(*curve->members));
+  return n < 0 ? (int)n : MO_OK;
+}
+
+/* Reads `campaigns`, ids with commas between them, ascending. False: the reply is made. */
+static bool read_members(struct mo_request *request, struct curve *curve, const char *text)
+{
+  struct mo_job job;
+  for (;; text++) {
+    char id[24] = "";
+    int64_t *member = &curve->members[curve->n_members];
+    const size_t n = strcspn(text, ",");
+    snprintf(id, sizeof(id), "%.*s", (int)(n < sizeof(id) ? n : sizeof(id) - 1), text);
+    if (!mo_id(id, member) || (curve->n_members > 0 && *member <= member[-1])) {
+      mo_reply_bad_parameter(request, "campaigns",
+                             "ids of campaigns are expected, ascending, with commas between them");
+      return false;
+    }
+    int error = mo_store_job(curve->store, *member, &job);
+    if (error == MO_OK && job.kind != MO_JOB_CAMPAIGN)
+      error = MO_ERR_NOT_FOUND;
+    if (error != MO_OK) {
+      mo_reply_error(request, error, "campaign");
+      return false;
+    }
+    curve->n_members++;
+    text += n;
+    if (*text == '\0')
+      return true;
+  }
+}
+
+/* Finds the campaigns that the query names, in one way, or else all. False: the reply is made. */
+static bool find_exported(struct mo_request *request, struct curve *curve)
+{
+  const char *ids = mo_query(request, "campaigns"), *label = mo_query(request, "label");
+  struct mo_job_query query = {.state = -1, .kind = MO_JOB_CAMPAIGN, .label = label};
+  if (!mo_query_id(request, "group", "the id of a group, in decimal digits, is expected",
+                   &query.group))
+    return false;
+  if ((ids != NULL) + (label != NULL) + (query.group > 0) > 1) {
+    mo_reply_bad_parameter(request, "campaigns",
+                           "only one of campaigns, group and label is expected");
+    return false;
+  }
+  curve->members = malloc(EXPORTED_MAX * sizeof(*curve->members));
+  int error = curve->members == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  if (error == MO_OK && ids != NULL) {
+    if (!read_members(request, curve, ids))
+      return false;
+  } else if (error == MO_OK) {
+    error = list_members(curve, query);
+  }
+  /* Goes on behind the cursor: campaigns before its one are done. */
+  while (error == MO_OK && curve->member < curve->n_members &&
+         curve->members[curve->member] < curve->after)
+    curve->member++;
+  if (error == MO_ERR_LIMIT)
+    mo_reply_bad_parameter(request, label != NULL ? "label" : "campaigns",
+                           "these are more than 10,000 campaigns; name fewer");
+  else if (error != MO_OK)
+    mo_reply_error(request, error, "campaign");
+  return error == MO_OK;
 }
 
 /* Reads a cursor: "12", or "12.30" where a place has a step. Numbers have at most ten digits,
@@ -228,28 +433,56 @@ static bool read_cursor(struct mo_request *request, struct curve *curve)
   return true;
 }
 
+/* Replies with rows of the kind. Frees the curve, unless the reply goes on with it. */
+static void reply_curve(struct mo_request *request, struct curve *curve)
+{
+  int64_t limit = 0;
+  int form;
+  if (mo_table_form(request, &form) && read_cursor(request, curve) &&
+      mo_query_number(request, "limit", 1, MO_PAGE_MAX, &limit) &&
+      mo_query_number(request, "stride", 1, MO_TRAINING_STEPS_MAX, &curve->stride) &&
+      (curve->kind->names_member ? find_exported(request, curve)
+                                 : mo_path_job(request, &curve->id))) {
+    curve->form = (enum mo_form)form;
+    curve->left = limit > 0 ? (uint64_t)limit : form != MO_FORM_JSON ? UINT64_MAX : MO_PAGE_MAX;
+    const int error = curve->kind->has_members ? find_members(curve) : MO_OK;
+    if (error != MO_OK) {
+      mo_reply_error(request, error, "campaign");
+    } else if (form == MO_FORM_JSON) {
+      reply_page(request, curve);
+    } else if (form == MO_FORM_COLUMNS) {
+      reply_columns(request, curve);
+    } else {
+      mo_download_open(request, mo_table_type(curve->form), NULL, sizeof(*curve), more_lines, curve,
+                       free_curve);
+      return;
+    }
+  }
+  free_curve(curve);
+}
+
+static void begin_curve(struct mo_request *request, const struct curve_kind *kind)
+{
+  struct curve *curve = malloc(sizeof(*curve));
+  if (curve == NULL) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "reply");
+    return;
+  }
+  *curve =
+      (struct curve){.store = mo_api_of(request)->store, .kind = kind, .after = -1, .stride = 1};
+  reply_curve(request, curve);
+}
+
 void mo_api_get_curve(struct mo_request *request)
 {
-  static const char *const forms[] = {"json", "csv", NULL};
-  static const char *const types[] = {"application/json", "text/csv", NULL};
   const struct curve_kind *kind = kinds;
   while (strcmp(strrchr(request->route->path, '/') + 1, kind->name) != 0)
     kind++;
-  struct curve curve = {.store = mo_api_of(request)->store, .kind = kind, .after = -1, .stride = 1};
-  int64_t limit = 0;
-  int form;
-  if (!mo_query_form(request, forms, types, &form) || !read_cursor(request, &curve) ||
-      !mo_query_number(request, "limit", 1, MO_PAGE_MAX, &limit) ||
-      !mo_query_number(request, "stride", 1, MO_TRAINING_STEPS_MAX, &curve.stride) ||
-      !mo_path_job(request, &curve.id))
-    return;
-  curve.csv = form == 1;
-  curve.left = limit > 0 ? (uint64_t)limit : curve.csv ? UINT64_MAX : MO_PAGE_MAX;
-  int error = kind->has_members ? find_members(&curve) : MO_OK;
-  if (error != MO_OK)
-    mo_reply_error(request, error, "campaign");
-  else if (curve.csv)
-    reply_csv(request, &curve);
-  else
-    reply_page(request, &curve);
+  begin_curve(request, kind);
+}
+
+/* Replies with the generations of any campaigns. */
+void mo_api_get_generations(struct mo_request *request)
+{
+  begin_curve(request, &exported);
 }

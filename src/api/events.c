@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "api/handlers.h"
+#include "api/tables.h"
 #include "http/pool.h"
 #include "http/stream.h"
 
@@ -151,7 +152,7 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
 void mo_api_get_events(struct mo_request *request)
 {
   static const char *const json[] = {"application/json", NULL};
-  static const char *const formats[] = {"stream", "json", NULL};
+  static const char *const formats[] = {"stream", "json", "csv", "ndjson", "columns", NULL};
   static const char place[] = "the id of an event, in decimal digits, is expected";
   const char *from = mo_query(request, "after");
   const char *last = request->framing.last_event_id;
@@ -159,7 +160,13 @@ void mo_api_get_events(struct mo_request *request)
   int64_t after = -1, job = 0;
   size_t limit;
   int is_page = 0, form;
-  if (!mo_query_limit(request, &limit) || !mo_query_word(request, "format", formats, &is_page) ||
+  if (!mo_query_word(request, "format", formats, &is_page))
+    return;
+  if (is_page > 1) {
+    mo_table_reply(request, (enum mo_form)(is_page - 1), mo_api_get_events, "id type job at data");
+    return;
+  }
+  if (!mo_query_limit(request, &limit) ||
       !mo_query_id(request, "job", "the id of a job, in decimal digits, is expected", &job))
     return;
   if (from != NULL && !mo_decimal(from, strlen(from), 0, INT64_MAX, &after))

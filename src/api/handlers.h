@@ -49,6 +49,7 @@ static inline struct mo_api *mo_api_of(const struct mo_request *request)
 #define ROUTE(PATH, METHOD, HANDLER, RIGHT, FLAGS, BODY, QUERY)                                    \
   void mo_api_##HANDLER(struct mo_request *request);
 #include "api/routes.inc"
+void mo_api_get_table(struct mo_request *request); /* of all lists: calls the handler of the page */
 
 /* Follow the store's events (events.c): streams, waiting requests, counts of jobs. */
 int mo_events_follow(struct mo_api *api);

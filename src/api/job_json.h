@@ -52,9 +52,14 @@ void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_desi
 /* Writes what the campaign did with the design, as further members: parents, operator, born, died,
  * score. */
 void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row);
+/* How a phylogeny is written for programs that know only trees. */
+struct mo_phylogeny_shape {
+  bool first_parent; /* of two parents only the first one is named */
+  int64_t root;      /* the id of a root from which designs without parents descend; −1: none */
+};
 /* Writes a line of the phylogeny in the ALife data standard. end: the last generation to report; a
  * design that died later is written as alive. */
-void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row,
-                            int64_t end);
+void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row, int64_t end,
+                            const struct mo_phylogeny_shape *shape);
 
 #endif

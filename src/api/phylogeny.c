@@ -9,6 +9,7 @@
 #include "api/job_json.h"
 #include "api/jobs.h"
 #include "api/scene.h"
+#include "api/tables.h"
 #include "http/download.h"
 
 /* Cursors have at most as many digits as the contract allows; one beyond the last design is the
@@ -51,12 +52,20 @@ void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_desi
 static const char csv_heading[] = "id,ancestor_list,origin_time,destruction_time,operator,"
                                   "score,design,genotype,voxels,footprint,masses,springs\n";
 
-void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row, int64_t end)
+void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row, int64_t end,
+                            const struct mo_phylogeny_shape *shape)
 {
-  bool root = row->descent.parents[0] == MO_NO_PARENT && row->descent.parents[1] == MO_NO_PARENT;
+  struct mo_descent descent = row->descent;
+  if (shape->first_parent)
+    descent.parents[1] = MO_NO_PARENT;
+  const bool orphan = descent.parents[0] == MO_NO_PARENT && descent.parents[1] == MO_NO_PARENT;
   mo_text_format(text, "%u,\"[", row->number);
-  write_parents(text, &row->descent);
-  mo_text_format(text, root ? "none]\",%u," : "]\",%u,", row->born);
+  write_parents(text, &descent);
+  if (orphan && shape->root >= 0)
+    mo_text_format(text, "%lld", (long long)shape->root);
+  else if (orphan)
+    mo_text_add(text, "none");
+  mo_text_format(text, "]\",%u,", row->born);
   if (row->died >= 0 && row->died <= end)
     mo_text_format(text, "%lld", (long long)row->died);
   else
@@ -312,6 +321,7 @@ static void reply_page(struct mo_request *request, int64_t id, int64_t after, si
 /* Writes as CSV lines the designs that existed when the reply began. */
 struct lines {
   struct mo_store *store;
+  struct mo_phylogeny_shape shape;
   int64_t id, after, newest; /* newest: the last generation of the reply */
   uint64_t left;
   bool headed;
@@ -323,6 +333,8 @@ static int more_lines(void *context, struct mo_text *text)
   size_t limit = lines->left < MO_PAGE_MAX ? (size_t)lines->left : MO_PAGE_MAX;
   if (!lines->headed)
     mo_text_add(text, csv_heading);
+  if (!lines->headed && lines->shape.root >= 0)
+    mo_text_format(text, "%lld,\"[none]\",0,inf,root,,,,,,,\n", (long long)lines->shape.root);
   lines->headed = true;
   if (limit == 0)
     return 0;
@@ -331,7 +343,7 @@ static int more_lines(void *context, struct mo_text *text)
                   ? mo_store_campaign_designs(lines->store, lines->id, lines->after, rows, limit)
                   : MO_ERR_NO_MEMORY;
   for (int64_t i = 0; i < n; i++) {
-    mo_campaign_csv_design(text, &rows[i], lines->newest);
+    mo_campaign_csv_design(text, &rows[i], lines->newest, &lines->shape);
     lines->after = rows[i].number;
   }
   free(rows);
@@ -342,7 +354,7 @@ static int more_lines(void *context, struct mo_text *text)
 }
 
 static void reply_csv(struct mo_request *request, const struct mo_campaign_status *status,
-                      const char *tag)
+                      const struct mo_phylogeny_shape *shape, const char *tag)
 {
   struct lines *lines = malloc(sizeof(*lines));
   if (lines == NULL) {
@@ -350,6 +362,7 @@ static void reply_csv(struct mo_request *request, const struct mo_campaign_statu
     return;
   }
   *lines = (struct lines){.store = mo_api_of(request)->store,
+                          .shape = *shape,
                           .id = status->job.id,
                           .after = -1,
                           .newest = status->generation,
@@ -412,62 +425,82 @@ static void reply_newick(struct mo_request *request, const struct mo_campaign_st
                    more_tree, tree, free_tree);
 }
 
-/* Reads what only columns take: the number behind which they begin, and which designs they keep. */
-static bool read_columns_query(struct mo_request *request, int form, int64_t *since, bool *lineages)
+enum form { JSON, CSV, NEWICK, COLUMNS, NDJSON };
+
+/* What a query asks for besides the form. */
+struct wanted {
+  int64_t since; /* of columns: the number behind which they begin */
+  int lineages;  /* of columns: 1: the ancestors of the living, and the living */
+  int parents;   /* of CSV: 1: the first of each design */
+  int64_t root;  /* of CSV: 1: one that all descend from */
+};
+
+/* Reads what only some forms take. False: the reply is made. */
+static bool read_wanted(struct mo_request *request, int form, struct wanted *wanted)
 {
-  const char *keep = mo_query(request, "keep");
-  *lineages = keep != NULL && strcmp(keep, "lineages") == 0;
-  if (form != 3 && (keep != NULL || mo_query(request, "after") != NULL)) {
-    mo_reply_bad_parameter(request, keep != NULL ? "keep" : "after",
-                           "this parameter is for format=columns");
-    return false;
-  }
-  if (keep != NULL && !*lineages && strcmp(keep, "all") != 0) {
-    mo_reply_bad_parameter(request, "keep", "all or lineages is expected");
-    return false;
-  }
-  return mo_query_number(request, "after", 0, NUMBER_CURSOR_MAX, since);
+  static const struct {
+    const char *name, *words;
+    unsigned forms; /* that take it */
+  } own[] = {{"limit", "this parameter is for JSON: the other forms are whole", 1U << JSON},
+             {"cursor", "this parameter is for JSON: the other forms are whole", 1U << JSON},
+             {"keep", "this parameter is for format=columns", 1U << COLUMNS},
+             {"after", "this parameter is for format=columns", 1U << COLUMNS},
+             {"parents", "this parameter is for format=csv", 1U << CSV},
+             {"root", "this parameter is for format=csv", 1U << CSV}};
+  static const char *const keeps[] = {"all", "lineages", NULL}, *const all[] = {"all", "first",
+                                                                                NULL};
+  for (size_t i = 0; i < sizeof(own) / sizeof(own[0]); i++)
+    if (!(own[i].forms >> form & 1) && mo_query(request, own[i].name) != NULL) {
+      mo_reply_bad_parameter(request, own[i].name, own[i].words);
+      return false;
+    }
+  *wanted = (struct wanted){.since = -1};
+  return mo_query_word(request, "keep", keeps, &wanted->lineages) &&
+         mo_query_number(request, "after", 0, NUMBER_CURSOR_MAX, &wanted->since) &&
+         mo_query_word(request, "parents", all, &wanted->parents) &&
+         mo_query_number(request, "root", 0, 1, &wanted->root);
 }
 
 void mo_api_get_campaign_phylogeny(struct mo_request *request)
 {
-  static const char *const paging[] = {"limit", "cursor"};
-  static const char *const forms[] = {"json", "csv", "newick", "columns", NULL};
-  static const char *const types[] = {"application/json", "text/csv", "text/x-nh", MO_SCENE_TYPE,
-                                      NULL};
+  static const char *const forms[] = {"json", "csv", "newick", "columns", "ndjson", NULL};
+  static const char *const types[] = {
+      "application/json", "text/csv", "text/x-nh", MO_SCENE_TYPE, "application/x-ndjson", NULL};
+  struct mo_store *store = mo_api_of(request)->store;
+  struct mo_campaign_status status;
+  struct wanted wanted;
   int64_t id, after;
   size_t limit;
   int form;
-  char tag[104];
+  char tag[112];
   if (!mo_query_form(request, forms, types, &form) || !mo_query_limit(request, &limit) ||
-      !read_cursor(request, &after) || !mo_path_id(request, 0, &id))
+      !read_cursor(request, &after) || !mo_path_id(request, 0, &id) ||
+      !read_wanted(request, form, &wanted))
     return;
-  for (size_t i = 0; i < 2; i++)
-    if (form > 0 && mo_query(request, paging[i]) != NULL) {
-      mo_reply_bad_parameter(request, paging[i],
-                             "this parameter is for JSON: the other forms are whole");
-      return;
-    }
-  int64_t since = -1;
-  bool lineages;
-  if (!read_columns_query(request, form, &since, &lineages))
+  if (form == NDJSON) {
+    mo_table_reply(request, MO_FORM_NDJSON, mo_api_get_campaign_phylogeny, "");
     return;
-  struct mo_campaign_status status;
-  int code = mo_store_campaign(mo_api_of(request)->store, id, &status);
+  }
+  int code = mo_store_campaign(store, id, &status);
   if (code != MO_OK) {
     mo_reply_error(request, code, "campaign");
-  } else if (form == 0) {
+    return;
+  }
+  if (form == JSON) {
     reply_page(request, id, after, limit);
+    return;
+  }
+  snprintf(tag, sizeof(tag), "%" PRIx64 "-phylogeny-3-%s-%lld-%lld-%llu-%d-%d-%d-%lld",
+           mo_store_id(store), forms[form], (long long)id, (long long)status.generation,
+           (unsigned long long)status.n_designs, wanted.lineages, wanted.parents, (int)wanted.root,
+           (long long)wanted.since);
+  if (form == COLUMNS) {
+    mo_api_reply_columns(request, id, wanted.since, wanted.lineages == 1, tag);
+  } else if (form == NEWICK) {
+    reply_newick(request, &status, tag);
   } else {
-    snprintf(tag, sizeof(tag), "%" PRIx64 "-phylogeny-2-%s-%lld-%lld-%llu",
-             mo_store_id(mo_api_of(request)->store), forms[form], (long long)id,
-             (long long)status.generation, (unsigned long long)status.n_designs);
-    if (form == 3) {
-      const size_t size = strlen(tag);
-      snprintf(tag + size, sizeof(tag) - size, "-%d-%lld", lineages, (long long)since);
-      mo_api_reply_columns(request, id, since, lineages, tag);
-      return;
-    }
-    (form == 1 ? reply_csv : reply_newick)(request, &status, tag);
+    const struct mo_phylogeny_shape shape = {wanted.parents == 1,
+                                             wanted.root == 1 ? (int64_t)status.n_designs : -1};
+    reply_csv(request, &status, &shape, tag);
   }
 }

@@ -255,7 +255,8 @@ void mo_reply_embedded(struct mo_request *request, const char *type,
 
 bool mo_reply_may_pack(const struct mo_request *request)
 {
-  static const char *const types[] = {"application/json", "text/csv", "text/x-nh"};
+  static const char *const types[] = {"application/json", "application/x-ndjson", "text/csv",
+                                      "text/x-nh"};
   const char *type = request->reply.type;
   bool suits = request->reply.packs;
   for (size_t i = 0; type != NULL && i < sizeof(types) / sizeof(types[0]); i++)

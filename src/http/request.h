@@ -46,7 +46,7 @@ struct mo_reply {
 };
 
 /* The query parameters of a request, decoded. */
-#define MO_QUERY_MAX 8
+#define MO_QUERY_MAX 16
 struct mo_query {
   char *text; /* malloc: the names and values */
   unsigned n;

@@ -82,10 +82,10 @@ static void make_statement(const struct table *table, int which, char *sql)
     /* Looks up each multiple: in a million rows, reading all rows between takes a third of a
      * second. */
     add(sql,
-        " AND step IN (WITH RECURSIVE wanted(at) AS (SELECT (?2/?3+1)*?3 UNION ALL"
-        " SELECT at+?3 FROM wanted WHERE at+?3<=(SELECT max(step) FROM %s WHERE job=?1)"
-        " LIMIT ?4) SELECT at FROM wanted) ORDER BY step",
-        table->name);
+        " AND %1$s IN (WITH RECURSIVE wanted(at) AS (SELECT (?2/?3+1)*?3 UNION ALL"
+        " SELECT at+?3 FROM wanted WHERE at+?3<=(SELECT max(%1$s) FROM %2$s WHERE job=?1)"
+        " LIMIT ?4) SELECT at FROM wanted) ORDER BY %1$s",
+        mo_column_name(&table->columns->items[0]), table->name);
   } else {
     add(sql, " AND (");
     add_names(sql, table, table->n_keys);
@@ -207,8 +207,20 @@ int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_
 int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_t after,
                                       struct mo_campaign_generation *rows, size_t limit)
 {
-  return read_page(store, MO_CAMPAIGN_GENERATIONS, AFTER,
-                   MO_VALUES(mo_int(id), mo_int(after), mo_int((int64_t)limit)), rows);
+  return mo_store_campaign_generations_by(store, id, after, 1, rows, limit);
+}
+
+int64_t mo_store_campaign_generations_by(struct mo_store *store, int64_t id, int64_t after,
+                                         uint32_t stride, struct mo_campaign_generation *rows,
+                                         size_t limit)
+{
+  const struct mo_value last = mo_int((int64_t)limit);
+  const int64_t before_first = after < 0 ? -(int64_t)stride : after; /* 0 is a multiple, too */
+  return stride > 1
+             ? read_page(store, MO_CAMPAIGN_GENERATIONS, STRIDE,
+                         MO_VALUES(mo_int(id), mo_int(before_first), mo_int(stride), last), rows)
+             : read_page(store, MO_CAMPAIGN_GENERATIONS, AFTER,
+                         MO_VALUES(mo_int(id), mo_int(after), last), rows);
 }
 
 int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t after_generation,

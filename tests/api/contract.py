@@ -100,7 +100,12 @@ class Contract:
         if method == "HEAD":
             assert body == b"", where
             return
-        if media.endswith("json"):
+        if media == "application/x-ndjson":
+            page = self.resolve(content["application/json"]["schema"])
+            for line in body.splitlines():
+                self.validate(page["properties"]["items"]["items"],
+                              json.loads(line, parse_constant=refuse), where)
+        elif media.endswith("json"):
             self.validate(content[media].get("schema", {}), json.loads(body, parse_constant=refuse),
                           where)
 

@@ -138,7 +138,7 @@ def test_generations(service, evolved):
                 "springs_mean": "springs.mean", "seconds": "seconds",
                 "parents_mean": "parents_mean", "mutation_attempts": "operators.mutation.attempts"},
                lambda row: str(row["generation"]))
-    service.refuses(path, "?cursor=1.1", "?stride=2")
+    service.refuses(path, "?cursor=1.1", "?stride=0")
     assert service.get(evolved["links"]["learning"]) == NONE
 
 

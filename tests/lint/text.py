@@ -66,7 +66,7 @@ def wide_lines(path):
         if markdown and line.startswith("```"):
             in_code = not in_code
         if (len(line) > WIDTH and not (markdown and may_be_wide(line, in_code)) and
-                not line.startswith("ROUTE(")):  # a table, too
+                not line.startswith(("ROUTE(", "TABLE("))):  # a table, too
             yield number, f"{len(line)} columns"
 
 

@@ -106,14 +106,35 @@ def test_a_campaign_as_tables(m, service, campaign):
     assert curve["score_quantiles_p0"].tolist() == [row["score"]["quantiles"]["p0"] for row in rows]
     assert curve["operators_mutation_born"].tolist() == [
         row["operators"]["mutation"]["born"] for row in rows]
+    assert curve["rollouts"].dtype == "int64" and curve["exhausted"].dtype == bool
+    assert first.curve(stride=2)["generation"].tolist() == [0, 2, 4]
     both = m.curves(label="for tests")
+    assert both.equals(group.curves()) and set(both["state"]) == {"succeeded"}
     assert len(both) == 12 and set(both["campaign"]) == set(campaign)
     assert both.groupby("generation")["score_mean"].count().tolist() == [2] * 6
     assert (m.curves(ids=[first.id])["seed"] == 1).all() and len(m.curves(label="none")) == 0
+    assert len(m.curves()) >= len(both) and m.curves(ids=[]).empty
     population = first.population()
     assert len(population) == 24 and population["score"].is_monotonic_increasing
     assert len(first.population(generation=2)) == 24
     assert first.champions(3)["number"].nunique() == 3 and first.learning().empty
+
+
+def test_lists_are_saved_as_files(m, service, campaign, tmp_path):
+    path = m.export("campaigns/generations", tmp_path / "two.csv", label="for tests")
+    table = pandas.read_csv(path, float_precision="round_trip")
+    assert table["mean"].tolist() == m.curves(label="for tests")["score_mean"].tolist()
+    born = pandas.read_csv(m.export(f"campaigns/{campaign[0]}/phylogeny", tmp_path / "born.csv"))
+    told = service.get(f"/v1/campaigns/{campaign[0]}/phylogeny?limit=1000")["items"]
+    assert born["genotype"].tolist() == ["g" + row["genotype"] for row in told]
+    assert born["design"].tolist() == ["d" + row["id"] for row in told]
+    lines = m.export("/v1/jobs", tmp_path / "jobs.jsonl", label="for tests")
+    assert [json.loads(line)["id"] for line in lines.open()] == sorted(campaign, reverse=True)
+    with pytest.raises(ValueError):
+        m.export("jobs", tmp_path / "jobs.tsv")
+    with pytest.raises(morphod.InvalidError):
+        m.export("jobs", tmp_path / "odd.csv", state="odd")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["born.csv", "jobs.jsonl", "two.csv"]
 
 
 def test_a_phylogeny(m, service, campaign):

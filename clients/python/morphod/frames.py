@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from .errors import MorphodError
+from .scenes import read_envelope
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,6 +41,16 @@ def frame(rows: Iterable[Mapping[str, Any]], **constant: Any) -> pd.DataFrame:
             table[name] = table[name].astype(float)
     made: pd.DataFrame = table
     return made
+
+
+def frame_of_columns(data: bytes) -> pd.DataFrame:
+    """The table of a reply in the form of columns."""
+    columns: dict[str, Any] = read_envelope(data)["columns"]
+    for name, values in columns.items():
+        if not isinstance(values, list) and values.dtype.kind == "u":
+            columns[name] = values.astype(bool if values.dtype.itemsize == 1 else "int64")
+    table: pd.DataFrame = pandas().DataFrame(columns)
+    return table
 
 
 def _is_numeric(column: Any) -> bool:

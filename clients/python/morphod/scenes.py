@@ -29,6 +29,7 @@ _TYPES: dict[str, np.dtype[Any]] = {
     "uint8": np.dtype(np.uint8),
     "uint16": np.dtype("<u2"),
     "uint32": np.dtype("<u4"),
+    "uint64": np.dtype("<u8"),
     "float32": np.dtype("<f4"),
     "float64": np.dtype("<f8"),
 }

@@ -294,13 +294,19 @@ static void training_rows(void)
   check_row(&mo_validation_columns, &validation, "0,1,,8,0\n");
 }
 
+static void check_shape(const struct mo_campaign_design *row, int64_t generation,
+                        struct mo_phylogeny_shape shape, const char *begins)
+{
+  struct mo_text text = {0};
+  mo_campaign_csv_design(&text, row, generation, &shape);
+  CHECK(strncmp(text.data, begins, strlen(begins)) == 0);
+  mo_text_free(&text);
+}
+
 static void check_design(const struct mo_campaign_design *row, int64_t generation,
                          const char *begins)
 {
-  struct mo_text text = {0};
-  mo_campaign_csv_design(&text, row, generation);
-  CHECK(strncmp(text.data, begins, strlen(begins)) == 0);
-  mo_text_free(&text);
+  check_shape(row, generation, (struct mo_phylogeny_shape){.root = -1}, begins);
 }
 
 static void designs(void)
@@ -327,6 +333,10 @@ static void designs(void)
   row.died = -1;
   row.score = 0.5;
   check_design(&row, 9, "5,\"[none]\",2,inf,random,0.5,");
+  check_shape(&row, 9, (struct mo_phylogeny_shape){.root = 20}, "5,\"[20]\",2,");
+  row.descent = (struct mo_descent){.parents = {3, 4}, .op = MO_BORN_CROSSOVER};
+  check_design(&row, 9, "5,\"[3,4]\",2,");
+  check_shape(&row, 9, (struct mo_phylogeny_shape){true, 20}, "5,\"[3]\",2,");
 }
 
 static void replicates(void)

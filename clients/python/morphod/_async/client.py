@@ -18,7 +18,7 @@ from ..weights import write_safetensors
 from .._wire import WAIT_S, Request, given as _given
 from .connection import AsyncConnection
 from .handles import (AsyncCampaign, AsyncCampaigns, AsyncEvaluation, AsyncTraining, curves,
-                      player)
+                      curves_of, player)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -173,14 +173,14 @@ class AsyncClient:
             group = [AsyncCampaign(self._connection, data) async for data in
                      self._connection.pages("/v1/campaigns", group=first["id"])]
             members = sorted(group, key=lambda member: int(member.data["group"]["replicate"]))
-        return AsyncCampaigns(members)
+        return AsyncCampaigns(self._connection, members)
 
     async def campaigns(self, *, label: str | None = None, state: str | None = None,
                         group: str | None = None) -> AsyncCampaigns:
         """Campaigns with this label, in this state, of this group; newest first."""
-        return AsyncCampaigns([AsyncCampaign(self._connection, data) async for data in
-                               self._connection.pages("/v1/campaigns", label=label, state=state,
-                                                      group=group)])
+        return AsyncCampaigns(self._connection, [
+            AsyncCampaign(self._connection, data) async for data in
+            self._connection.pages("/v1/campaigns", label=label, state=state, group=group)])
 
     async def get_campaign(self, id: str | int) -> AsyncCampaign:
         """The campaign of an id."""
@@ -188,11 +188,12 @@ class AsyncClient:
         return AsyncCampaign(self._connection, data)
 
     async def curves(self, *, label: str | None = None, group: str | None = None,
-                     ids: Iterable[str | int] | None = None) -> pd.DataFrame:
-        """One tidy table of the generations of many campaigns: by label, by group or by ids."""
+                     ids: Iterable[str | int] | None = None, stride: int = 1) -> pd.DataFrame:
+        """One tidy table of the generations of many campaigns: by label, by group or by ids. With
+        a `stride` only generations that are multiples of it."""
         if ids is not None:
-            return await curves([await self.get_campaign(id) for id in ids])
-        return await (await self.campaigns(label=label, group=group)).curves()
+            return await curves_of(self._connection, ids, stride)
+        return await curves(self._connection, stride, **_given(label=label, group=group))
 
     # ---- trainings and controllers ----
 
@@ -260,6 +261,25 @@ class AsyncClient:
         """A table of jobs, newest first."""
         return frame([row async for row in self._connection.pages("/v1/jobs", state=state,
                                                                   label=label, kind=kind)])
+
+    async def export(self, what: str, path: str | os.PathLike[str], *,
+                     format: Literal["csv", "ndjson", "newick", "columns"] | None = None,
+                     **params: Any) -> pathlib.Path:
+        """Saves a list, a curve or a phylogeny in a file, as fast as the disk takes it:
+        `export("campaigns/7/phylogeny", "born.csv")`, `export("jobs", "jobs.ndjson", label="B")`.
+
+        `what` is a path of the contract behind /v1/, `params` its parameters. The end of the file's
+        name tells the form: .csv, .ndjson or .jsonl, .nwk; `format` tells another one.
+        """
+        target = pathlib.Path(path)
+        ends = {".csv": "csv", ".ndjson": "ndjson", ".jsonl": "ndjson", ".nwk": "newick"}
+        form = format or ends.get(target.suffix)
+        if form is None:
+            raise ValueError(f"{target.name}: .csv, .ndjson, .jsonl or .nwk is expected, or format")
+        request = Request.get(f"/v1/{what.removeprefix('/v1/').lstrip('/')}", accept="*/*",
+                              format=form, **params)
+        await self._connection.save(request, target)
+        return target
 
     async def events(self, after: str | int | None = None, job: str | int | None = None
                      ) -> AsyncIterator[dict[str, Any]]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import anyio
 import numpy as np
 
 from ..errors import JobError, MorphodError, WaitError
-from ..frames import frame, pandas
+from ..frames import frame, frame_of_columns, pandas
 from ..phylogenies import Phylogeny
 from ..player import Player, player_of
 from ..progress import Bar
@@ -301,12 +301,11 @@ class AsyncCampaign(AsyncJob):
                 "replicate": self.data["group"]["replicate"], "label": self.label,
                 "mode": self.data["mode"], "seed": self.data["settings"]["seed"]}
 
-    async def curve(self) -> pd.DataFrame:
-        """A table with a line per generation: campaign, group, replicate, label, mode, seed,
-        generation, and every statistic (`score_mean`, `score_quantiles_p0`, `diversity`, …)."""
-        path = f"/v1/campaigns/{self.id}/generations"
-        rows = [row async for row in self._connection.pages(path)]
-        return frame(rows, **self._constant())
+    async def curve(self, stride: int = 1) -> pd.DataFrame:
+        """A table with a line per generation: campaign, group, replicate, label, mode, state, seed,
+        generation, and every statistic (`score_mean`, `score_quantiles_p0`, `diversity`, …). With
+        a `stride` only generations that are multiples of it."""
+        return await curves(self._connection, stride, campaigns=self.id)
 
     async def learning(self) -> pd.DataFrame:
         """A table with a line per step of learning; empty in a zero-shot campaign."""
@@ -361,7 +360,8 @@ class AsyncCampaign(AsyncJob):
 class AsyncCampaigns:
     """Campaigns that were started together: replicates that differ in their seeds. A sequence."""
 
-    def __init__(self, members: Sequence[AsyncCampaign]) -> None:
+    def __init__(self, connection: AsyncConnection, members: Sequence[AsyncCampaign]) -> None:
+        self._connection = connection
         self._members = list(members)
 
     def __len__(self) -> int:
@@ -401,15 +401,23 @@ class AsyncCampaigns:
             member._require_success()
         return self
 
-    async def curves(self) -> pd.DataFrame:
+    async def curves(self, stride: int = 1) -> pd.DataFrame:
         """One tidy table of all their generations; see `curve` of one."""
-        return await curves(self._members)
+        return await curves_of(self._connection, [member.id for member in self._members], stride)
 
 
-async def curves(members: Sequence[AsyncCampaign]) -> pd.DataFrame:
-    """One tidy table of the generations of campaigns."""
-    tables = [await member.curve() for member in members]
-    if not tables:
-        return frame([])
-    joined: pd.DataFrame = pandas().concat(tables, ignore_index=True)
+async def curves(connection: AsyncConnection, stride: int = 1, **which: str) -> pd.DataFrame:
+    """One tidy table of the generations of campaigns, by one request."""
+    reply = await connection.send(Request.get(
+        "/v1/campaigns/generations", accept=MEDIA_TYPE, stride=stride, **which))
+    return frame_of_columns(reply.content)
+
+
+async def curves_of(connection: AsyncConnection, ids: Iterable[str | int], stride: int = 1
+                    ) -> pd.DataFrame:
+    """The same by ids: as many in a request as an address takes."""
+    ascending = sorted({int(id) for id in ids})
+    tables = [await curves(connection, stride, campaigns=",".join(map(str, ascending[at:at + 40])))
+              for at in range(0, len(ascending), 40)]
+    joined: pd.DataFrame = pandas().concat(tables, ignore_index=True) if tables else frame([])
     return joined

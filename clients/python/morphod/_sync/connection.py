@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+import pathlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -54,6 +55,34 @@ class Connection:
                 delay = retries.delay(response.status_code, response.headers.get("Retry-After"))
                 if delay is None:
                     raise refusal(response.status_code, response.content)
+            time.sleep(delay)
+
+    def save(self, request: Request, path: pathlib.Path) -> None:
+        """Writes a long reply into a file. It takes the place of `path` when it is whole."""
+        retries = Retries(request, self.retry_s)
+        part = path.with_name(path.name + ".part")
+        while True:
+            delay: float | None
+            try:
+                with self._client.stream(
+                        request.method, request.path, params=request.params,
+                        headers=request.headers, timeout=request.timeout_s) as response:
+                    if response.status_code < 400:
+                        with open(part, "wb") as file:
+                            for piece in response.iter_bytes():
+                                file.write(piece)
+                        part.replace(path)
+                        return
+                    content = response.read()
+                    delay = retries.delay(response.status_code, response.headers.get("Retry-After"))
+                    if delay is None:
+                        raise refusal(response.status_code, content)
+            except httpx.TransportError as error:
+                delay = retries.delay(None)
+                if delay is None:
+                    raise UnreachableError(f"the reply broke off: {error}") from error
+            finally:
+                part.unlink(missing_ok=True)
             time.sleep(delay)
 
     def json(self, request: Request) -> Any:

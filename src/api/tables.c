@@ -1,0 +1,388 @@
+/* tables.c: lists in other forms than JSON. The handler of a list makes its pages as JSON; from
+ * these come the lines and columns, page by page, so that a list of any length takes the memory of
+ * a page. See tables.h. */
+#include "api/tables.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/handlers.h"
+#include "api/scene.h"
+#include "base/json.h"
+#include "http/download.h"
+
+#define COLUMNS_MAX 32
+#define PATH_BYTES  96
+
+/* ---- forms ---- */
+
+static const char *const forms[] = {"json", "csv", "ndjson", "columns", NULL};
+static const char *const types[] = {"application/json", "text/csv", "application/x-ndjson",
+                                    MO_SCENE_TYPE, NULL};
+
+bool mo_table_form(struct mo_request *request, int *form)
+{
+  return mo_query_form(request, forms, types, form);
+}
+
+const char *mo_table_type(enum mo_form form)
+{
+  return form == MO_FORM_CSV ? "text/csv; charset=utf-8; header=present" : types[form];
+}
+
+/* ---- the columns of a list ---- */
+
+struct column {
+  const char *path;
+  size_t size;
+  char kind; /* 'n', 'd', 'g', or 0 */
+  /* Its value in the row that is read: a place in `cells`. */
+  enum mo_json_kind found;
+  size_t at, length;
+};
+
+struct table {
+  struct mo_request *request;
+  void (*page)(struct mo_request *request);
+  enum mo_form form;
+  bool headed, is_last; /* is_last: no page follows the one in `body` */
+  char *body;           /* of a page, malloc; NULL: none is waiting */
+  size_t size;
+  char cursor[256];
+  unsigned n;
+  struct column columns[COLUMNS_MAX];
+  struct mo_text cells;
+  struct mo_json json;
+};
+
+static void read_columns(struct table *table, const char *columns)
+{
+  while (*columns != '\0' && table->n < COLUMNS_MAX) {
+    const size_t size = strcspn(columns, " "), path = strcspn(columns, ": ");
+    table->columns[table->n++] =
+        (struct column){.path = columns, .size = path, .kind = path < size ? columns[path + 1] : 0};
+    columns += size + (columns[size] == ' ');
+  }
+}
+
+/* ---- pages ---- */
+
+/* Gives a query parameter another value, which must stay readable. */
+static void set(struct mo_query *query, const char *name, const char *value)
+{
+  unsigned i = 0;
+  while (i < query->n && strcmp(query->items[i].name, name) != 0)
+    i++;
+  if (i == MO_QUERY_MAX)
+    return;
+  query->n += i == query->n;
+  query->items[i].name = name;
+  query->items[i].value = value;
+}
+
+/* Reads the next page into `body`. Another status than 200 stays as the reply of the request. */
+static bool read_page(struct table *table)
+{
+  struct mo_request *request = table->request;
+  const struct mo_reply sent = request->reply;
+  request->reply = (struct mo_reply){0};
+  set(&request->query, "format", forms[MO_FORM_JSON]);
+  if (table->cursor[0] != '\0')
+    set(&request->query, "cursor", table->cursor);
+  table->page(request);
+  if (request->reply.status != 200 || request->reply.body == NULL)
+    return false;
+  table->body = request->reply.body;
+  table->size = request->reply.size;
+  request->reply = sent;
+  return true;
+}
+
+/* ---- rows ---- */
+
+static bool leads_to(const struct column *column, const char *path, size_t size)
+{
+  return column->size > size && memcmp(column->path, path, size) == 0 && column->path[size] == '.';
+}
+
+/* Keeps the value: a string decoded, anything else as it is written. */
+static void keep(struct table *table, struct column *column)
+{
+  struct mo_json *json = &table->json;
+  struct mo_json_slice value = {0};
+  column->found = mo_json_peek(json);
+  const size_t from = json->at;
+  if (column->found == MO_JSON_STRING && table->form == MO_FORM_CSV) {
+    mo_json_string(json, &value);
+  } else {
+    mo_json_skip(json);
+    value = (struct mo_json_slice){json->text + from, json->at - from};
+  }
+  column->at = table->cells.size;
+  column->length = value.size;
+  mo_text_bytes(&table->cells, value.bytes, value.size);
+  mo_text_bytes(&table->cells, "", 1); /* where a number ends */
+}
+
+/* Reads the value at a path, and what is below it, as far as there are columns for it. */
+static void read_value(struct table *table, char path[PATH_BYTES], size_t size)
+{
+  struct mo_json *json = &table->json;
+  struct mo_json_slice key;
+  bool leads = false;
+  for (unsigned i = 0; i < table->n; i++) {
+    struct column *column = &table->columns[i];
+    if (column->size == size && memcmp(column->path, path, size) == 0) {
+      keep(table, column);
+      return;
+    }
+    leads = leads || size == 0 || leads_to(column, path, size);
+  }
+  const size_t from = size + (size > 0);
+  const enum mo_json_kind kind = leads ? mo_json_peek(json) : MO_JSON_NONE;
+  if (size > 0)
+    path[size] = '.';
+  if (kind == MO_JSON_OBJECT && mo_json_object(json)) {
+    while (mo_json_member(json, &key)) {
+      const bool fits = from + key.size < PATH_BYTES;
+      if (fits)
+        memcpy(path + from, key.bytes, key.size);
+      fits ? read_value(table, path, from + key.size) : mo_json_skip(json);
+    }
+  } else if (kind == MO_JSON_ARRAY && mo_json_array(json)) {
+    for (unsigned i = 0; mo_json_item(json); i++)
+      read_value(table, path, from + (size_t)snprintf(path + from, 12, "%u", i));
+  } else {
+    mo_json_skip(json);
+  }
+}
+
+static void write_cell(struct table *table, struct mo_text *text, const struct column *column)
+{
+  const char *bytes = table->cells.data + column->at;
+  const char letter[2] = {column->kind, '\0'};
+  switch (column->found) {
+  case MO_JSON_NONE:
+  case MO_JSON_NULL: break;
+  case MO_JSON_TRUE: mo_text_add(text, "1"); break;
+  case MO_JSON_FALSE: mo_text_add(text, "0"); break;
+  case MO_JSON_NUMBER: mo_text_bytes(text, bytes, column->length); break;
+  default:
+    if (column->kind == 'd' || column->kind == 'g')
+      mo_text_add(text, letter);
+    mo_csv_text(text, bytes, column->length);
+  }
+}
+
+static void gather_cell(struct table *table, const struct column *column,
+                        struct mo_gathered *gathered)
+{
+  const char *bytes = table->cells.data + column->at;
+  if (gathered->type == NULL)
+    mo_gather_json(gathered, column->found != MO_JSON_NONE ? bytes : "null",
+                   column->found != MO_JSON_NONE ? column->length : 4);
+  else
+    mo_gather_number(gathered, column->found == MO_JSON_NUMBER  ? strtod(bytes, NULL)
+                               : column->found == MO_JSON_TRUE  ? 1
+                               : column->found == MO_JSON_FALSE ? 0
+                                                                : __builtin_nan(""));
+}
+
+static void take_row(struct table *table, struct mo_text *text, struct mo_gather *gather)
+{
+  struct mo_json *json = &table->json;
+  char path[PATH_BYTES];
+  if (table->form == MO_FORM_NDJSON) {
+    mo_json_peek(json);
+    const size_t from = json->at;
+    mo_json_skip(json);
+    mo_text_bytes(text, json->text + from, json->at - from);
+    mo_text_add(text, "\n");
+    return;
+  }
+  table->cells.size = 0;
+  for (unsigned i = 0; i < table->n; i++)
+    table->columns[i].found = MO_JSON_NONE;
+  read_value(table, path, 0);
+  for (unsigned i = 0; i < table->n; i++) {
+    if (gather != NULL) {
+      gather_cell(table, &table->columns[i], &gather->columns[i]);
+    } else {
+      mo_text_add(text, i > 0 ? "," : "");
+      write_cell(table, text, &table->columns[i]);
+    }
+  }
+  if (gather != NULL)
+    gather->n_rows++;
+  else
+    mo_text_add(text, "\n");
+}
+
+/* Takes the rows of the page in `body`, and its cursor. */
+static int take_page(struct table *table, struct mo_text *text, struct mo_gather *gather)
+{
+  struct mo_json *json = &table->json;
+  struct mo_json_slice key, cursor = {0};
+  struct mo_faults faults = {0};
+  mo_json_start(json, table->body, table->size, &faults);
+  if (mo_json_object(json))
+    while (mo_json_member(json, &key)) {
+      if (mo_json_is(key, "items") && mo_json_array(json))
+        while (mo_json_item(json))
+          take_row(table, text, gather);
+      else if (mo_json_is(key, "next_cursor") && mo_json_peek(json) == MO_JSON_STRING &&
+               mo_json_string(json, &cursor))
+        snprintf(table->cursor, sizeof(table->cursor), "%.*s", (int)cursor.size, cursor.bytes);
+      else if (!mo_json_is(key, "items"))
+        mo_json_skip(json);
+    }
+  const bool good = mo_json_finish(json) && faults.n == 0;
+  free(table->body);
+  table->body = NULL;
+  table->is_last = table->is_last || cursor.size == 0;
+  return !good ? MO_ERR_CORRUPT : table->cells.failed ? MO_ERR_NO_MEMORY : MO_OK;
+}
+
+/* Takes the next page. Returns 1: there may be more, 0: that was the last one, or an error. */
+static int take_next(struct table *table, struct mo_text *text, struct mo_gather *gather)
+{
+  if (table->body == NULL && !read_page(table)) {
+    mo_reply_clear(&table->request->reply);
+    return MO_ERR_IO; /* the reply breaks off */
+  }
+  const int error = take_page(table, text, gather);
+  return error != MO_OK ? error : !table->is_last;
+}
+
+/* ---- replies ---- */
+
+/* A mo_download_more. */
+static int more_lines(void *context, struct mo_text *text)
+{
+  struct table *table = context;
+  for (unsigned i = 0; i < table->n && table->form == MO_FORM_CSV && !table->headed; i++) {
+    mo_text_add(text, i > 0 ? "," : "");
+    for (size_t k = 0; k < table->columns[i].size; k++)
+      mo_text_bytes(text, table->columns[i].path[k] == '.' ? "_" : table->columns[i].path + k, 1);
+    mo_text_add(text, i + 1 == table->n ? "\n" : "");
+  }
+  table->headed = true;
+  const struct mo_reply sent = table->request->reply;
+  const int more = take_next(table, text, NULL);
+  table->request->reply = sent;
+  return more;
+}
+
+static void free_table(void *context)
+{
+  struct table *table = context;
+  free(table->body);
+  mo_text_free(&table->cells);
+  free(table);
+}
+
+static void reply_columns(struct mo_request *request, struct table *table)
+{
+  struct mo_gather *gather = calloc(1, sizeof(*gather));
+  int more = gather != NULL ? 1 : MO_ERR_NO_MEMORY;
+  if (gather == NULL) {
+    mo_reply_error(request, more, "reply");
+    return;
+  }
+  for (unsigned i = 0; i < table->n; i++)
+    mo_gather_column(gather, table->columns[i].path, table->columns[i].size,
+                     table->columns[i].kind == 'n' ? "float64" : NULL);
+  while (more > 0) {
+    more = take_next(table, NULL, gather);
+    const int fits = mo_gather_check(gather);
+    more = more >= 0 && fits != MO_OK ? fits : more;
+  }
+  mo_gather_reply(request, more, gather);
+  free(gather);
+}
+
+void mo_table_reply(struct mo_request *request, enum mo_form form,
+                    void (*page)(struct mo_request *request), const char *columns)
+{
+  struct table *table = calloc(1, sizeof(*table));
+  if (table == NULL) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "reply");
+    return;
+  }
+  table->request = request;
+  table->page = page;
+  table->form = form;
+  table->is_last = mo_query(request, "limit") != NULL; /* so many rows are one page */
+  request->framing.accept = NULL;                      /* it is read; pages are JSON */
+  read_columns(table, columns);
+  if (!table->is_last)
+    set(&request->query, "limit", "1000");
+  if (!read_page(table)) { /* the problem, or a 304, is the reply */
+    free_table(table);
+  } else if (form == MO_FORM_COLUMNS) {
+    reply_columns(request, table);
+    free_table(table);
+  } else {
+    mo_download_open(request, mo_table_type(form), NULL, sizeof(*table), more_lines, table,
+                     free_table);
+  }
+}
+
+/* ---- the columns of each list of routes.inc ---- */
+
+#define JOB                                                                                        \
+  "state priority weight:n device label submitted_by created_at started_at finished_at attempts:n" \
+  " error.code error.detail"
+#define JOBS                                                                                       \
+  "id kind " JOB " controller.name environments n_designs:n rollouts_total:n rollouts_done:n"      \
+  " training.kind training.name training.step:n training.steps:n campaign.mode"                    \
+  " campaign.population:n campaign.generation:n campaign.generations:n"
+#define EVALUATIONS                                                                                \
+  "id " JOB " controller.name controller.sha256 environments precision n_designs:n"                \
+  " rollouts_total:n rollouts_done:n rollouts_cached:n rollouts_diverged:n record"                 \
+  " recorded_bytes:n verify:n"
+#define TRAININGS                                                                                  \
+  "id kind name " JOB " phase parent.name parent.sha256 settings.seed:n settings.steps:n"          \
+  " settings.batch:n progress.step:n progress.mean_loss:n progress.bodies_per_s:n"                 \
+  " validation.step:n validation.mean_score:n controller.sha256"
+#define CAMPAIGNS                                                                                  \
+  "id mode preset name " JOB " phase controller.name controller.sha256 group.id group.replicate:n" \
+  " settings.seed:n settings.population:n settings.generations:n progress.generation:n"            \
+  " progress.designs:n newest.score.mean:n newest.score.quantiles.p0:n newest.diversity:n end"     \
+  " result.controller.sha256"
+#define DESIGNS                                                                                    \
+  "id:d genotype:g voxels:n masses:n springs:n first_seen_at score:n"                              \
+  " scored_genotype:g"
+#define BORN                                                                                       \
+  "number:n id:d genotype:g parents operator born:n died:n score:n voxels:n"                       \
+  " footprint:n masses:n springs:n"
+#define CHAMPIONS            BORN " distinctiveness:n"
+#define CONTROLLERS          "name sha256 bytes:n parameters:n sensor workspace metadata stored_at"
+#define WORLDS               "sha256 light_xy_m.0:n light_xy_m.1:n terrain_heights_m"
+#define CHECKPOINTS          "step:n sha256 size:n stored_at"
+#define CAMPAIGN_CHECKPOINTS "generation:n step:n sha256 size:n stored_at"
+
+static const struct {
+  const char *path;
+  void (*page)(struct mo_request *request);
+  const char *columns;
+} lists[] = {
+#define ROUTE(PATH, METHOD, HANDLER, RIGHT, FLAGS, BODY, QUERY)
+#define TABLE(PATH, HANDLER, QUERY, COLUMNS) {PATH, mo_api_##HANDLER, COLUMNS},
+#include "api/routes.inc"
+};
+
+void mo_api_get_table(struct mo_request *request)
+{
+  size_t i = 0;
+  int form;
+  while (strcmp(lists[i].path, request->route->path) != 0)
+    i++;
+  if (!mo_table_form(request, &form))
+    return;
+  if (form == MO_FORM_JSON)
+    lists[i].page(request);
+  else
+    mo_table_reply(request, (enum mo_form)form, lists[i].page, lists[i].columns);
+}
