@@ -6,6 +6,7 @@
 #include "campaign.h"
 #include "commands.h"
 #include "table.h"
+#include "template.h"
 #include "transport.h"
 
 /* ---- start ---- */
@@ -223,6 +224,18 @@ static int export_population(struct ctl *ctl, const char *id, const char *output
   return status;
 }
 
+/* Names the replicates that no row of the exported table counts. */
+static int name_left_out(struct ctl *ctl, const char *id)
+{
+  json_t *page, *one;
+  size_t i;
+  int status = get_json(ctl, &page, "/v1/campaigns/%s/replicates?limit=1", id);
+  json_array_foreach(json_object_get(page, "left_out"), i, one) print_from(
+      stderr, one, "campaign {id} is left out: it has [{state=failed}failed|been {state}]");
+  json_decref(page);
+  return status;
+}
+
 int run_campaign_export(struct ctl *ctl)
 {
   static const struct {
@@ -247,6 +260,8 @@ int run_campaign_export(struct ctl *ctl)
     snprintf(path, sizeof(path), "/v1/campaigns/%s/%s", id, tables[i].path);
     status = save_reply(ctl, path, tables[i].accept, output);
   }
+  if (status == STATUS_OK && option_is_set(ctl, "replicates") && !ctl->quiet)
+    status = name_left_out(ctl, id);
   if (status == STATUS_OK && population != NULL)
     status = export_population(ctl, id, population);
   if (n_given == 0)

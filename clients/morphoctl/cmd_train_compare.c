@@ -10,8 +10,6 @@
 #include "table.h"
 #include "transport.h"
 
-#define CONFIDENCE 0.95
-
 struct side {
   const char *name; /* as given */
   json_t *evaluation;
@@ -52,19 +50,6 @@ static int score_side(struct ctl *ctl, const json_t *held_out, struct side *side
   return STATUS_OK;
 }
 
-/* Returns the result of the comparison as a word for programs. */
-static const char *verdict_of(const struct paired *paired)
-{
-  if (!(paired->n >= 2))
-    return "undecided";
-  return paired->high < 0 ? "better" : paired->low > 0 ? "worse" : "undecided";
-}
-
-static json_t *real_or_null(double value)
-{
-  return isfinite(value) ? json_real(value) : json_null();
-}
-
 static json_t *side_json(const struct side *side, double mean)
 {
   return json_pack("{s:s, s:O, s:O, s:o, s:I, s:I}", "controller", side->name, "sha256",
@@ -85,7 +70,7 @@ static void print_comparison_json(const struct side sides[2], const struct paire
       real_or_null(paired->difference), "standard_error", real_or_null(paired->error), "confidence",
       CONFIDENCE, "low", real_or_null(paired->low), "high", real_or_null(paired->high), "improved",
       (json_int_t)paired->improved, "equal", (json_int_t)paired->equal, "verdict",
-      verdict_of(paired));
+      verdict_of(paired->low, paired->high));
   if (json == NULL)
     complain(STATUS_ERROR, "out of memory");
   else

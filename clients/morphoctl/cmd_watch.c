@@ -1,6 +1,11 @@
 /* cmd_watch.c: watch: follows the event stream, reconnects when it breaks, and ends when the
- * watched job ends. */
+ * watched job ends; wait: waits for the end of jobs. */
+#include <errno.h>
+#include <spawn.h>
+#include <stdlib.h>
 #include <string.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include "campaign.h"
 #include "commands.h"
@@ -135,4 +140,78 @@ int run_watch(struct ctl *ctl)
   if (status == STATUS_OK && watch.failed)
     status = STATUS_NEGATIVE;
   return status;
+}
+
+/* ---- wait ---- */
+
+/* Waits for the end of a job, over restarts of the server. state: as its reply tells. */
+static int wait_for_end(struct ctl *ctl, const char *id, char state[16])
+{
+  char path[64];
+  const struct request request = {.method = "GET", .path = path, .wait_s = 30};
+  int status = STATUS_OK;
+  snprintf(path, sizeof(path), "/v1/jobs/%s", id);
+  while (status == STATUS_OK && !is_final(state)) {
+    json_t *job;
+    status = send_json(ctl, &request, NULL, &job);
+    snprintf(state, 16, "%s", text_of(job, "state"));
+    json_decref(job);
+    if (ctl->retry_s < 0)
+      ctl->retry_s = 3600; /* the server was there */
+  }
+  return status;
+}
+
+/* Runs a command with sh. Returns STATUS_OK if it succeeds. */
+static int run_then(const char *command, const struct ctl *ctl, const char *state)
+{
+  char shell[] = "sh", option[] = "-c", *copy = strdup(command);
+  char *const arguments[] = {shell, option, copy, NULL};
+  char *ids = NULL;
+  size_t size = 0;
+  FILE *file = open_memstream(&ids, &size);
+  int end = 0;
+  pid_t process;
+  for (size_t i = 0; i < ctl->n_operands && file != NULL; i++)
+    fprintf(file, "%s%s", i > 0 ? " " : "", ctl->operands[i]);
+  int error = copy == NULL || file == NULL || fclose(file) != 0 ||
+                      setenv("MORPHOD_JOBS", ids, 1) != 0 || setenv("MORPHOD_STATE", state, 1) != 0
+                  ? ENOMEM
+                  : 0;
+  if (error == 0)
+    error = posix_spawn(&process, "/bin/sh", NULL, NULL, arguments, environ);
+  free(ids);
+  free(copy);
+  if (error != 0)
+    return complain(STATUS_ERROR, "sh: %s", strerror(error));
+  while (waitpid(process, &end, 0) < 0)
+    if (errno != EINTR)
+      return complain(STATUS_ERROR, "sh: %s", strerror(errno));
+  return WIFEXITED(end) && WEXITSTATUS(end) == 0 ? STATUS_OK
+                                                 : complain(STATUS_ERROR, "\"%s\" failed", command);
+}
+
+int run_wait(struct ctl *ctl)
+{
+  const char *command = option_text(ctl, "run", NULL);
+  char ended[16] = "succeeded";
+  int status = STATUS_OK;
+  for (size_t i = 0; i < ctl->n_operands; i++)
+    if (!check_job_id(ctl->operands[i]))
+      return STATUS_USAGE;
+  catch_interrupts();
+  for (size_t i = 0; i < ctl->n_operands && status == STATUS_OK; i++) {
+    char state[16] = "";
+    status = wait_for_end(ctl, ctl->operands[i], state);
+    if (status == STATUS_OK && !ctl->quiet)
+      print_plain_line(stdout, "job %s has %s%s", ctl->operands[i],
+                       strcmp(state, "cancelled") == 0 ? "been " : "", state);
+    fflush(stdout);
+    if (status == STATUS_OK && strcmp(ended, "succeeded") == 0)
+      memcpy(ended, state, sizeof(ended));
+  }
+  const bool failed = strcmp(ended, "succeeded") != 0;
+  if (status == STATUS_OK && command != NULL)
+    status = run_then(command, ctl, ended);
+  return status == STATUS_OK && failed ? STATUS_NEGATIVE : status;
 }

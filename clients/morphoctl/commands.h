@@ -12,11 +12,12 @@ struct request;
 
 command_function run_eval, run_verify, run_design_show, run_design_list, run_design_draw,
     run_design_random, run_job_list, run_job_show, run_job_change /* cancel, pause, resume */,
-    run_job_weight, run_job_prune, run_watch, run_train_start, run_train_list, run_live_show,
-    run_live_watch, run_train_export, run_train_compare, run_campaign_start, run_campaign_list,
-    run_campaign_extend, run_campaign_champions, run_campaign_export, run_controller_list,
-    run_controller_info, run_controller_get, run_controller_put, run_controller_delete, run_status,
-    run_devices, run_version, run_completion, run_film, run_picture, run_dashboard, run_export;
+    run_job_weight, run_job_prune, run_watch, run_wait, run_train_start, run_train_list,
+    run_live_show, run_live_watch, run_train_export, run_train_compare, run_campaign_start,
+    run_campaign_list, run_campaign_extend, run_campaign_compare, run_campaign_champions,
+    run_campaign_export, run_controller_list, run_controller_info, run_controller_get,
+    run_controller_put, run_controller_delete, run_status, run_devices, run_version, run_completion,
+    run_film, run_picture, run_dashboard, run_export;
 
 /* ---- request.c ---- */
 
@@ -72,6 +73,7 @@ int film_evaluation(struct ctl *ctl, const json_t *evaluation);
 const char *text_of(const json_t *object, const char *key); /* "" if absent */
 int64_t number_of(const json_t *object, const char *key);
 double real_at(const json_t *json, const char *place); /* NaN if absent; see template.h */
+json_t *real_or_null(double value);                    /* null: it is not finite */
 
 bool is_one_of(const char *word, const char *const *words, size_t n);
 bool is_final(const char *state);

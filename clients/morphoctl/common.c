@@ -28,6 +28,11 @@ double real_at(const json_t *json, const char *place)
   return json_is_number(value) ? json_number_value(value) : (double)NAN;
 }
 
+json_t *real_or_null(double value)
+{
+  return isfinite(value) ? json_real(value) : json_null();
+}
+
 bool is_one_of(const char *word, const char *const *words, size_t n)
 {
   for (size_t i = 0; i < n; i++)

@@ -112,3 +112,37 @@ struct paired compare_pairs(const double *a, const double *b, size_t n, double c
   paired.high = paired.difference + t * paired.error;
   return paired;
 }
+
+/* Returns the mean of n values, and the square of its standard error; NaN below two values. */
+static double mean_of(const double *values, size_t n, double *error)
+{
+  double sum = 0, squares = 0;
+  for (size_t i = 0; i < n; i++)
+    sum += values[i];
+  const double mean = sum / (double)n;
+  for (size_t i = 0; i < n; i++)
+    squares += (values[i] - mean) * (values[i] - mean);
+  *error = n < 2 ? NAN : squares / ((double)n - 1) / (double)n;
+  return mean;
+}
+
+struct interval compare_means(const double *a, size_t n_a, const double *b, size_t n_b,
+                              double confidence)
+{
+  double error_a, error_b;
+  const double mean_a = mean_of(a, n_a, &error_a), mean_b = mean_of(b, n_b, &error_b),
+               both = error_a + error_b;
+  struct interval interval = {.difference = mean_b - mean_a};
+  const double freedom =
+      both * both / (error_a * error_a / ((double)n_a - 1) + error_b * error_b / ((double)n_b - 1));
+  const double half =
+      both > 0 ? student_quantile(0.5 + confidence / 2, freedom) * sqrt(both) : both;
+  interval.low = interval.difference - half;
+  interval.high = interval.difference + half;
+  return interval;
+}
+
+const char *verdict_of(double low, double high)
+{
+  return high < 0 ? "better" : low > 0 ? "worse" : "undecided";
+}

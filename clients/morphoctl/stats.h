@@ -1,8 +1,11 @@
-/* stats.h: paired comparison of two controllers over the same designs. */
+/* stats.h: comparisons with an interval: of two controllers over the same designs, and of two sets
+ * of campaigns. */
 #ifndef MORPHOCTL_STATS_H
 #define MORPHOCTL_STATS_H
 
 #include <stddef.h>
+
+#define CONFIDENCE 0.95 /* of all intervals */
 
 /* Returns the quantile of Student's t distribution: t with P(T ≤ t) = p, for `freedom` > 0 degrees
  * of freedom and 0 < p < 1. */
@@ -21,5 +24,16 @@ struct paired {
 };
 /* Compares paired scores. a, b: (n); not finite for a missing score. */
 struct paired compare_pairs(const double *a, const double *b, size_t n, double confidence);
+
+struct interval {
+  double difference; /* mean of b − mean of a */
+  double low, high;  /* its confidence interval; NaN: a set has fewer than two values */
+};
+/* Compares the means of two sets that are not paired, by Welch's interval. */
+struct interval compare_means(const double *a, size_t n_a, const double *b, size_t n_b,
+                              double confidence);
+
+/* Returns what an interval of score differences says of b, as a word for programs. */
+const char *verdict_of(double low, double high);
 
 #endif

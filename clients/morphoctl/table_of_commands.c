@@ -122,6 +122,11 @@ static const struct option_spec job_show_options[] = {{"results", 'r', NULL, "Th
                                                       {NULL}};
 static const struct option_spec watch_options[] = {
     {"after", 0, "EVENT", "Begin behind this event; 0: with the oldest that is kept."}, {NULL}};
+static const struct option_spec wait_options[] = {
+    {"run", 0, "COMMAND",
+     "Then run this with sh. MORPHOD_JOBS has the ids; MORPHOD_STATE is succeeded, or the state of "
+     "the first job that did not succeed."},
+    {NULL}};
 static const struct option_spec train_start_options[] = {
     {"preset", 0, "workstation|phototaxis|paper",
      "What is not given: workstation, the defaults below (default); phototaxis, as the shipped "
@@ -294,6 +299,11 @@ const struct command commands[] = {
      "With --json one event per line. After a break the stream goes on where it was. Exit status "
      "of a job: 0 if it succeeded, 3 if not.",
      watch_options, 0, 1, run_watch},
+    {"wait", "JOB...", "Wait until jobs have ended.",
+     "Also over restarts of the server. Exit status: 0 if all succeeded, 3 if one failed, was "
+     "cancelled or is not there, 1 if the command of --run failed, 4 if the server stayed away for "
+     "an hour, or as long as --retry says. A paused job has not ended.",
+     wait_options, 1, MANY, run_wait},
     {"train start", "pretrain|finetune [DESIGN]...", "Let a controller learn.",
      "pretrain: from random weights or a controller, on an endless stream of distinct random "
      "bodies. finetune: a controller, on the designs given (as those of eval), on random ones, or "
@@ -354,6 +364,12 @@ const struct command commands[] = {
      "In the order of how different they are from each other: the mean Hamming distance to the "
      "other ones.",
      campaign_champions_options, 1, 1, run_campaign_champions},
+    {"campaign compare", "A B...", "Compare the best scores of campaigns.",
+     "At the newest generation that all have: the mean over the replicates of each, and its "
+     "difference from the first with the 95 % confidence interval (Welch). Replicates that failed "
+     "or were cancelled are left out and named. Two replicates of one group count as one campaign "
+     "each. Lower scores are better.",
+     NULL, 2, 8, run_campaign_compare},
     {"campaign export", "ID", "Fetch a campaign's curves, population and phylogeny.", NULL,
      campaign_export_options, 1, 1, run_campaign_export},
     {"campaign prune", "ID...", "Delete checkpoints of campaigns that have ended.",

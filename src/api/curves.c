@@ -47,6 +47,11 @@ struct curve {
   int64_t *members;
   uint32_t n_members, member; /* member: the place of the one that is read */
   int64_t newest;
+  struct {
+    int64_t id;
+    enum mo_job_state state;
+  } left_out[MO_REPLICATES_MAX]; /* those that were cancelled or failed */
+  uint32_t n_left_out;
   struct mo_text values[7], cells; /* what the campaign is, as JSON and as CSV */
 };
 
@@ -274,17 +279,32 @@ static int more_lines(void *context, struct mo_text *text)
   return more > 0 && curve->left == 0 ? 0 : more;
 }
 
+static void write_left_out(struct mo_text *text, const struct curve *curve)
+{
+  mo_text_add(text, ",\"left_out\":[");
+  for (uint32_t i = 0; i < curve->n_left_out; i++) {
+    mo_text_object(text);
+    mo_text_member_id(text, "id", curve->left_out[i].id);
+    mo_text_member(text, "state", mo_job_state_name(curve->left_out[i].state));
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+}
+
 static void reply_page(struct mo_request *request, struct curve *curve)
 {
   struct mo_text text = {0};
   mo_text_add(&text, "{\"items\":[");
   int more = add_page(curve, &text);
   if (more <= 0)
-    mo_text_add(&text, "],\"next_cursor\":null}");
+    mo_text_add(&text, "],\"next_cursor\":null");
   else if (curve->kind->has_step)
-    mo_text_format(&text, "],\"next_cursor\":\"%lld.%u\"}", (long long)curve->after, curve->step);
+    mo_text_format(&text, "],\"next_cursor\":\"%lld.%u\"", (long long)curve->after, curve->step);
   else
-    mo_text_format(&text, "],\"next_cursor\":\"%lld\"}", (long long)curve->after);
+    mo_text_format(&text, "],\"next_cursor\":\"%lld\"", (long long)curve->after);
+  if (curve->kind->has_members)
+    write_left_out(&text, curve);
+  mo_text_add(&text, "}");
   mo_reply_text(request, more < 0 ? more : MO_OK, &text, "page");
 }
 
@@ -321,8 +341,11 @@ static int find_members(struct curve *curve)
     n = MO_ERR_NO_MEMORY;
   curve->newest = INT64_MAX;
   for (int64_t i = 0; i < n; i++) {
-    if (all[i].job.state == MO_JOB_CANCELLED || all[i].job.state == MO_JOB_FAILED)
+    if (all[i].job.state == MO_JOB_CANCELLED || all[i].job.state == MO_JOB_FAILED) {
+      curve->left_out[curve->n_left_out].id = all[i].job.id;
+      curve->left_out[curve->n_left_out++].state = all[i].job.state;
       continue;
+    }
     curve->members[curve->n_members++] = all[i].job.id;
     curve->newest = all[i].generation < curve->newest ? all[i].generation : curve->newest;
   }

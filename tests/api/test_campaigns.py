@@ -206,7 +206,7 @@ def test_replicates(service):
             assert abs(row[name]["mean"] - sum(values) / 3) < 1e-12
         assert row["campaigns"] == 3
     check_rows(service, path, rows, {"diversity_most": "diversity.most"},
-               lambda row: str(row["generation"]))
+               lambda row: str(row["generation"]), left_out=[])
     service.refuses(path, "?generation=1")
 
 
@@ -218,8 +218,10 @@ def test_replicates_wait_for_the_slowest(service):
     assert service.act(ids[1], "cancel").json()["state"] == "cancelled"
     service.act(ids[2], "pause")
     assert all(row["campaigns"] == 2 for row in service.get(path)["items"])
+    assert service.get(path)["left_out"] == [{"id": ids[1], "state": "cancelled"}]
     end(service, *ids)
-    assert service.get(path) == NONE
+    assert service.get(path) == NONE | {"left_out": [{"id": id, "state": "cancelled"}
+                                                     for id in ids[::-1]]}
 
 
 def test_extend(service):

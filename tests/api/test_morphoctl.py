@@ -10,6 +10,7 @@ import re
 import select
 import shlex
 import signal
+import statistics
 import struct
 import subprocess
 import termios
@@ -448,6 +449,49 @@ def test_campaigns_that_learn_and_replicates(service, ctl):
     assert service.request("GET", f"/v1/campaigns/{job}").json()["settings"]["initial"] == {
         "campaign": ids[0]
     }
+
+
+def test_campaigns_are_compared(service, ctl):
+    """With the numbers of the definition; those that ended early are left out and named."""
+    a, b = (ctl(f"campaign start zero-shot {SMALL} -n 2 --replicates 3 --seed {seed} -q")[1].split()
+            for seed in (1, 11))
+    assert ctl("wait", *a, *b)[0] == 0
+    assert ctl(f"campaign extend {b[2]} 1000")[0] == 0 and ctl(f"job cancel {b[2]}")[0] == 0
+    told = json.loads(ctl(f"campaign compare {a[1]} {b[0]} --json")[1])
+    assert told["generation"] == 2 and [side["campaign"] for side in told["sides"]] == [a[1], b[0]]
+    best = [[service.get(f"/v1/campaigns/{id}/generations")["items"][2]["score"]["quantiles"]["p0"]
+             for id in group] for group in (a, b[:2])]
+    means, other = [statistics.mean(values) for values in best], told["sides"][1]
+    assert [side["best"] for side in told["sides"]] == pytest.approx(means, rel=1e-12)
+    assert other["difference"] == pytest.approx(means[1] - means[0], rel=1e-12)
+    assert other["low"] + other["high"] == pytest.approx(2 * other["difference"], rel=1e-9)
+    assert other["replicates"] == b[1::-1] and other["left_out"] == [{"id": b[2],
+                                                                      "state": "cancelled"}]
+    status, out, _ = ctl(f"campaign compare {a[0]} {b[0]}")
+    assert status == 0 and f"campaign {b[2]}, a replicate of {b[0]}: it was cancelled" in out
+    assert "left out" in ctl(f"campaign export {b[0]} --replicates -")[2]
+    out = ctl(f"campaign compare {a[0]} {a[1]}")[1]  # of one group: a campaign each
+    assert "needs two replicates" in out
+    assert ctl(f"campaign compare {a[0]} 999999")[0] == 3
+
+
+def test_wait_over_a_restart(start, ctl, tmp_path):
+    """The exit status is that of the jobs, also over a restart; then a command runs."""
+    first = start(state=tmp_path)
+    address, marks = first.addresses[0], tmp_path / "marks"
+    job = ctl("campaign start zero-shot --preset demo -n 100000 -q", server=address)[1].strip()
+    done = ctl(f"eval {SHORT} --random 3 --no-wait", server=address)[1].strip()
+    assert ctl(f"wait {done} --run", "exit 5", server=address)[0] == 1
+    command = [MORPHOCTL, "wait", done, job, "--server", address, "--run",
+               f'echo "$MORPHOD_JOBS $MORPHOD_STATE" > {marks}']
+    waiting = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert waiting.stdout.readline() == f"job {done} has succeeded\n"
+    first.stop(signal.SIGKILL)
+    again = start(state=tmp_path, listen=(address.removeprefix("http://"), ))
+    assert waiting.poll() is None and again.act(job, "cancel").status == 200
+    assert waiting.communicate(timeout=60)[0] == f"job {job} has been cancelled\n"
+    assert waiting.returncode == 3 and marks.read_text() == f"{done} {job} cancelled\n"
+    assert ctl("wait 999999", server=address)[0] == 3
 
 
 def test_wrong_campaigns(ctl):

@@ -14,7 +14,7 @@ export class Comparison {
   constructor(ids, get) {
     this.ids = ids;
     this.get = get;
-    /** @type {{id: string, name: string, group: string, members: string[], curves: Curve[]}[]|null} */
+    /** @type {{id: string, name: string, group: string, members: string[], early: string[], curves: Curve[]}[]|null} */
     this.sides = null;
     this.chart = new Chart({ title: 'Best score, mean and range over replicates', log: true, empty: 'No generation has ended yet.' });
     this.body = h('tbody');
@@ -30,11 +30,15 @@ export class Comparison {
     const sides = await Promise.all(this.ids.map(async (id) => {
       const campaign = await this.get(`v1/campaigns/${id}`);
       const { items } = await this.get(`v1/campaigns?group=${campaign.group.id}&limit=100`);
-      return { id, name: campaign.label ?? `campaign ${id}`, group: campaign.group.id, members: items.map((one) => one.id), curves: [] };
+      // Replicates that ended early are only named, unless all did.
+      const early = items.filter(({ state }) => state === 'cancelled' || state === 'failed').map((one) => one.id);
+      const counted = items.map((one) => one.id).filter((one) => !early.includes(one));
+      return { id, name: campaign.label ?? `campaign ${id}`, group: campaign.group.id, members: counted.length ? counted : early,
+        early: counted.length ? early : [], curves: [] };
     }));
     for (const side of sides) {
       // Two replicates of one group are compared as what they are: one campaign each.
-      if (sides.some((other) => other !== side && other.group === side.group)) side.members = [side.id];
+      if (sides.some((other) => other !== side && other.group === side.group)) [side.members, side.early] = [[side.id], []];
       side.curves = side.members.map((id) => new Curve(`v1/campaigns/${id}/generations`));
     }
     return sides;
@@ -61,7 +65,9 @@ export class Comparison {
   }
 
   #tell(generation, values) {
-    this.note.textContent = `At generation ${generation}, the newest that all have; lower is better.`;
+    const early = this.sides.flatMap((side) => side.early);
+    this.note.textContent = `At generation ${generation}, the newest that all have; lower is better.${
+      early.length ? ` Left out, because they ended early: ${early.join(', ')}.` : ''}`;
     fill(this.body, this.sides.map(({ id, name }, i) => {
       const { difference, low, high } = compareMeans(values[0], values[i]);
       const mean = values[i].reduce((sum, one) => sum + one, 0) / values[i].length;

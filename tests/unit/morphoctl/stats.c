@@ -44,6 +44,24 @@ static void pairs(void)
   CHECK(paired.n == 0 && isnan(paired.mean_a) && isnan(paired.difference));
 }
 
-static const struct check_case cases[] = {{"quantiles of Student's t", quantiles},
-                                          {"pairs", pairs}};
+static void means(void)
+{
+  /* Means 2 and 4, squared errors 1/3 and 4/3: 2 standard errors of sqrt(5/3) at 50/17 degrees. */
+  const double a[] = {1, 2, 3}, b[] = {2, 4, 6};
+  struct interval interval = compare_means(a, 3, b, 3, 0.95);
+  CHECK_NEAR(interval.difference, 2, 1e-15);
+  CHECK_NEAR(interval.high - 2, student_quantile(0.975, 50.0 / 17) * sqrt(5.0 / 3), 1e-12);
+  CHECK_NEAR(interval.low + interval.high, 4, 1e-12);
+  CHECK(strcmp(verdict_of(interval.low, interval.high), "undecided") == 0);
+  interval = compare_means(a, 3, b, 1, 0.95);
+  CHECK(interval.difference == 0 && isnan(interval.low) && isnan(interval.high));
+  CHECK(strcmp(verdict_of(interval.low, interval.high), "undecided") == 0);
+  const double same[] = {3, 3};
+  interval = compare_means(same, 2, (const double[]){1, 1}, 2, 0.95);
+  CHECK(interval.low == -2 && interval.high == -2);
+  CHECK(strcmp(verdict_of(interval.low, interval.high), "better") == 0);
+}
+
+static const struct check_case cases[] = {
+    {"quantiles of Student's t", quantiles}, {"pairs", pairs}, {"means of two sets", means}};
 CHECK_MAIN(cases)
