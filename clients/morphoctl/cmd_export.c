@@ -9,8 +9,7 @@ static const char *form_of(const char *output)
 {
   static const struct {
     const char *end, *form;
-  } ends[] = {
-      {".csv", "csv"}, {".ndjson", "ndjson"}, {".jsonl", "ndjson"}, {".nwk", "newick"}};
+  } ends[] = {{".csv", "csv"}, {".ndjson", "ndjson"}, {".jsonl", "ndjson"}, {".nwk", "newick"}};
   const char *end = strrchr(output, '.');
   for (size_t i = 0; end != NULL && i < sizeof(ends) / sizeof(ends[0]); i++)
     if (strcmp(end, ends[i].end) == 0)

@@ -6,6 +6,7 @@
 
 #include "api/handlers.h"
 #include "api/job_json.h"
+#include "api/recordings.h"
 #include "api/scene.h"
 #include "store/worlds.h"
 
@@ -47,8 +48,7 @@ static void reply_binary(struct mo_request *request, const struct mo_trajectory 
 }
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the binary form is little-endian");
 
-/* Says why there is no such recording. */
-static void reply_missing(struct mo_request *request, const struct mo_job *job, int error)
+void mo_reply_no_recording(struct mo_request *request, const struct mo_job *job, int error)
 {
   const char *state = mo_job_state_name(job->state);
   if (error != MO_ERR_NOT_FOUND)
@@ -105,7 +105,7 @@ static struct mo_trajectory *read_trajectory(struct mo_request *request, struct 
     mo_reply_problem(request, 404, NULL,
                      "The evaluation did not ask for a recording of this array.");
   else if ((error = mo_store_trajectory(store, place->evaluation, d, k, &trajectory)) != MO_OK)
-    reply_missing(request, job, error);
+    mo_reply_no_recording(request, job, error);
   return trajectory;
 }
 

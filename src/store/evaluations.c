@@ -258,3 +258,19 @@ int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t
   *ret = trajectory;
   return MO_OK;
 }
+
+int mo_store_trajectory_sides(struct mo_store *store, int64_t id, struct mo_trajectory_sides *sides)
+{
+  static const char sql[] =
+      "SELECT count(*),coalesce(max(frames),0),coalesce(min(frames),0),coalesce(max(n_masses),0),"
+      "coalesce(max(length(actuation)),0) FROM trajectories WHERE job=?1";
+  int64_t found[5] = {0};
+  const int error = mo_read_integers(store, sql, MO_VALUES(mo_int(id)), 5, found);
+  *sides = (struct mo_trajectory_sides){
+      .n = (uint64_t)found[0],
+      .frames = (uint32_t)found[1],
+      .masses = (uint32_t)found[3],
+      .springs = found[1] > 0 ? (uint32_t)(found[4] / found[1]) : 0,
+  };
+  return error == MO_OK && found[1] != found[2] ? MO_ERR_CORRUPT : error;
+}

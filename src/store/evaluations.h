@@ -70,6 +70,15 @@ int mo_store_result(struct mo_store *store, int64_t id, uint32_t n,
 int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t k,
                         struct mo_trajectory **trajectory);
 
+struct mo_trajectory_sides {
+  uint64_t n; /* trajectories that are stored */
+  uint32_t frames, masses, springs;
+};
+/* Reads how many trajectories an evaluation has, and the most of everything in one of them.
+ * MO_ERR_CORRUPT: they differ in their frames. */
+int mo_store_trajectory_sides(struct mo_store *store, int64_t id,
+                              struct mo_trajectory_sides *sides);
+
 /* Removes all trajectories of an evaluation, with an event. *bytes: what they took, 0 if there were
  * none. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: it has not ended, and continues from them. */
 int mo_store_trajectories_remove(struct mo_store *store, int64_t id, uint64_t *bytes);

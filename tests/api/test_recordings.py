@@ -1,6 +1,10 @@
 """Room for recordings: they are deleted on request, and the oldest give way to new ones."""
 
+import ast
+import math
 import struct
+
+import pytest
 
 from service import DESIGN, SHORT, until
 
@@ -45,6 +49,47 @@ def test_recordings_are_deleted(service):
     assert struct.pack(f"<{len(flat)}f", *flat) in again.body
 
 
+def array_of(reply):
+    """Shape, type and numbers of a .npy file."""
+    assert reply.status == 200 and reply.body[:8] == b"\x93NUMPY\x01\x00"
+    start = 10 + int.from_bytes(reply.body[8:10], "little")
+    header = ast.literal_eval(reply.body[10:start].decode())
+    assert start % 64 == 0 and header["fortran_order"] is False
+    size, letter = {"<f8": (8, "d"), "<f4": (4, "f"), "|i1": (1, "b"), "|u1": (1, "B")}[
+        header["descr"]]
+    count = math.prod(header["shape"])
+    assert len(reply.body) == start + size * count
+    return header["shape"], struct.unpack_from(f"<{count}{letter}", reply.body, start)
+
+
+def test_all_recordings_as_one_array(service):
+    """What each rollout has, and for the smaller design what no recording has."""
+    channels = {"com": None, "masses": 60, "actuation": 78, "contacts": 20}
+    evaluation = service.evaluate({"designs": [DESIGN, VOXEL], "physics": SHORT,
+                                   "record": list(channels), "record_stride": 5}).json()
+    path = f"/v1/evaluations/{evaluation['id']}/trajectories"
+    for channel, side in channels.items():
+        shape, numbers = array_of(service.tagged(f"{path}?array={channel}"))
+        side = side or 3
+        assert shape[:3] == (2, 10, 5) and math.prod(shape[3:]) == side
+        for n, k in ((0, 0), (0, 7), (1, 0), (1, 9)):
+            told = service.get(f"{path}/{n}?environment={k}")
+            frames = told[{"com": "com_m", "masses": "masses_m"}.get(channel, channel)]
+            for f, frame in enumerate(frames):
+                own = [x for point in frame for x in point] if channel == "masses" else frame
+                row = numbers[((n * 10 + k) * 5 + f) * side:][:side]
+                assert list(row[:len(own)]) == pytest.approx(own, rel=1e-7 * (channel == "masses"))
+                rest = {"masses": "nan", "actuation": "-128", "contacts": "255"}.get(channel)
+                assert {str(x) for x in row[len(own):]} == ({rest} if n and rest else set())
+    assert array_of(service.request("GET", path))[0] == (2, 10, 5, 20, 3)
+    service.refuses(path, "?array=none", "?environment=1")
+    assert service.request("DELETE", path).status == 200
+    assert service.request("GET", path).status == 410
+    plain = service.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["id"]
+    for unknown in (plain, "999999"):
+        assert service.request("GET", f"/v1/evaluations/{unknown}/trajectories").status == 404
+
+
 def test_what_cannot_be_deleted(service):
     """Recordings from which an evaluation continues stay."""
     running = service.post("/v1/evaluations", RECORDED | {
@@ -53,6 +98,7 @@ def test_what_cannot_be_deleted(service):
     path = f"/v1/evaluations/{running['id']}/trajectories"
     reply = service.request("DELETE", path)
     assert reply.status == 409 and "has not ended" in reply.json()["detail"]
+    assert service.request("GET", path).status == 409
     assert service.act(running["id"], "cancel").status in (200, 202)
     assert service.request("DELETE", path).status == 200
     plain = service.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["id"]

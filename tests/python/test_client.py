@@ -64,8 +64,13 @@ def test_recordings(m, service):
     assert masses.tolist() == np.asarray(told["masses_m"], dtype=np.float32).tolist()
     com = evaluation.recordings("com")
     assert com.shape == (2, 2, 5, 3)
-    assert com[0, 1].tolist() == np.asarray(told["com_m"], dtype=np.float32).tolist()
-    assert [own.shape for own in evaluation.recordings("masses")] == [(2, 5, 20, 3), (2, 5, 8, 3)]
+    assert com[0, 1].tolist() == told["com_m"]
+    both = evaluation.recordings("masses")
+    assert both.shape == (2, 2, 5, 20, 3) and (both[0, 1] == masses).all()
+    assert (both[1, 0, :, :8] == evaluation.recording(1)).all()
+    assert np.isnan(both[1, :, :, 8:]).all()
+    with pytest.raises(morphod.NotFoundError):
+        evaluation.recordings("contacts")
     with pytest.raises(morphod.NotFoundError):
         evaluation.recording(2)
 

@@ -7,6 +7,7 @@ reply's bytes: nothing is copied, and they cannot be written.
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Union
@@ -49,6 +50,16 @@ def read_envelope(data: bytes) -> dict[str, Any]:
         raise MorphodError("the bytes are no scene: the header is not an object")
     read: dict[str, Any] = _with_arrays(header, data, 4 + length)
     return read
+
+
+def read_npy(data: bytes) -> NDArray[Any]:
+    """The array of a .npy file. It is a view of the bytes, and cannot be written."""
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    if version != (1, 0):
+        raise MorphodError("the bytes are no array of NumPy of version 1")
+    shape, _, kind = np.lib.format.read_array_header_1_0(file)
+    return np.frombuffer(data, kind, offset=file.tell()).reshape(shape)
 
 
 def _with_arrays(value: Any, data: bytes, first: int) -> Any:

@@ -14,7 +14,7 @@ from ..phylogenies import Phylogeny
 from ..player import Player, player_of
 from ..progress import Bar
 from ..results import Controller, Result
-from ..scenes import MEDIA_TYPE, Scene
+from ..scenes import MEDIA_TYPE, Scene, read_npy
 from .._wire import WAIT_S, Request
 from .connection import Connection
 
@@ -199,16 +199,20 @@ class Evaluation(Job):
         shape = [int(side) for side in reply.headers["Morphod-Shape"].split(",")]
         return np.frombuffer(reply.content, dtype="<f4").reshape(shape)
 
-    def recordings(self, array: Literal["masses", "com"] = "com"
-                         ) -> NDArray[np.float32] | list[NDArray[np.float32]]:
-        """All recordings: com as one array (designs, environments, frames, 3), masses as a list of
-        arrays (environments, frames, masses, 3), one per design, since designs differ in masses."""
-        environments = len(self._results[0]["losses"])
-        designs = []
-        for place in range(len(self)):
-            designs.append(np.stack([self.recording(place, environment, array)
-                                     for environment in range(environments)]))
-        return np.stack(designs) if array == "com" else designs
+    def recordings(self,
+                         array: Literal["masses", "com", "actuation", "contacts"] = "com"
+                         ) -> NDArray[Any]:
+        """All recordings as one array, by one request: com (designs, environments, frames, 3),
+        masses (designs, environments, frames, masses, 3) in meters, actuation (designs,
+        environments, frames, springs), contacts (designs, environments, frames, masses).
+
+        Designs differ in masses and springs: the array is as large as the largest one, and the rest
+        of the others is NaN, -128 in actuation, 255 in contacts.
+        """
+        reply = self._connection.send(Request.get(
+            f"/v1/evaluations/{self.id}/trajectories", accept="application/octet-stream",
+            array=array))
+        return read_npy(reply.content)
 
     def show(self, place: int = 0, environment: int = 0) -> Player:
         """The robot as it walks: in a notebook a player, elsewhere `show().save(path)` makes one

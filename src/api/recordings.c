@@ -1,0 +1,157 @@
+/* recordings.c: all that an evaluation recorded in one channel, as one array of NumPy: (designs,
+ * environments, frames, …). Designs have different numbers of masses and springs, so the last sides
+ * are those of the largest one, and the rest is filled with what no recording has. It is read and
+ * sent rollout by rollout. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/handlers.h"
+#include "api/recordings.h"
+#include "http/download.h"
+
+#define PIECE_BYTES  ((size_t)512 << 10)
+#define HEADER_BYTES 192 /* of an array of NumPy; a multiple of 64 */
+
+struct recordings {
+  struct mo_store *store;
+  int64_t id;
+  enum mo_channel channel;
+  uint32_t n_designs, n_environments, next; /* next: the rollout to send */
+  struct mo_trajectory_sides sides;         /* the largest of all */
+  size_t row;                               /* bytes of a frame */
+  bool begun;
+};
+
+/* Appends the header of the file. */
+static void write_header(struct mo_text *text, const struct recordings *all)
+{
+  static const char *const types[MO_CHANNELS] = {"<f8", "<f4", "|i1", "|u1"};
+  const unsigned c = (unsigned)__builtin_ctz(all->channel);
+  char header[HEADER_BYTES + 1], sides[48] = "";
+  if (all->channel == MO_RECORD_MASSES)
+    snprintf(sides, sizeof(sides), "%u, 3", all->sides.masses);
+  else
+    snprintf(sides, sizeof(sides), "%u",
+             all->channel == MO_RECORD_COM         ? 3
+             : all->channel == MO_RECORD_ACTUATION ? all->sides.springs
+                                                   : all->sides.masses);
+  memcpy(header, "\x93NUMPY\x01\x00", 8);
+  header[8] = (char)(HEADER_BYTES - 10);
+  header[9] = 0;
+  const int n = snprintf(header + 10, sizeof(header) - 10,
+                         "{'descr': '%s', 'fortran_order': False, 'shape': (%u, %u, %u, %s), }",
+                         types[c], all->n_designs, all->n_environments, all->sides.frames, sides);
+  memset(header + 10 + n, ' ', HEADER_BYTES - 10 - (size_t)n);
+  header[HEADER_BYTES - 1] = '\n';
+  mo_text_bytes(text, header, HEADER_BYTES);
+}
+
+/* Appends what fills up a row of `missing` bytes. */
+static void fill(struct mo_text *text, enum mo_channel channel, size_t missing)
+{
+  const float nan = NAN;
+  const uint8_t none = channel == MO_RECORD_ACTUATION ? 0x80 : 0xFF; /* −128 or 255 */
+  const size_t width = channel == MO_RECORD_MASSES ? sizeof(nan) : 1;
+  for (size_t i = 0; i < missing; i += width)
+    mo_text_bytes(text, width == 1 ? (const void *)&none : (const void *)&nan, width);
+}
+
+/* Appends one rollout. */
+static int write_rollout(struct mo_text *text, const struct recordings *all,
+                         const struct mo_trajectory *trajectory)
+{
+  const char *numbers = mo_recording_array(&trajectory->recording, all->channel);
+  const size_t own =
+      mo_recording_frame_bytes(all->channel, trajectory->n_masses, trajectory->n_springs);
+  if (numbers == NULL || own > all->row || trajectory->n_frames != all->sides.frames)
+    return MO_ERR_CORRUPT;
+  if (own == all->row)
+    mo_text_bytes(text, numbers, own * trajectory->n_frames);
+  for (uint32_t f = 0; f < trajectory->n_frames && own < all->row; f++) {
+    mo_text_bytes(text, numbers + f * own, own);
+    fill(text, all->channel, all->row - own);
+  }
+  return MO_OK;
+}
+
+/* A mo_download_more. */
+static int more_rollouts(void *context, struct mo_text *text)
+{
+  struct recordings *all = context;
+  const uint32_t n = all->n_designs * all->n_environments;
+  int error = MO_OK;
+  if (!all->begun)
+    write_header(text, all);
+  all->begun = true;
+  while (error == MO_OK && all->next < n && text->size < PIECE_BYTES) {
+    struct mo_trajectory *trajectory = NULL;
+    error = mo_store_trajectory(all->store, all->id, all->next / all->n_environments,
+                                all->next % all->n_environments, &trajectory);
+    if (error == MO_OK)
+      error = write_rollout(text, all, trajectory);
+    mo_trajectory_free(trajectory);
+    all->next++;
+  }
+  return error != MO_OK ? error : all->next < n;
+}
+
+/* Chooses the channel that the query names, or masses, or else the first that is recorded. False:
+ * the reply is made. */
+static bool choose(struct mo_request *request, const struct mo_job *job, enum mo_channel *channel)
+{
+  int asked = -1;
+  if (!mo_query_word(request, "array", mo_channel_words, &asked))
+    return false;
+  if (job->record == 0 || (asked >= 0 && !(job->record >> asked & 1))) {
+    mo_reply_problem(request, 404, NULL, "The evaluation did not ask for a recording%s.",
+                     job->record == 0 ? "" : " of this array");
+    return false;
+  }
+  *channel = asked >= 0                       ? (enum mo_channel)(1U << asked)
+             : job->record & MO_RECORD_MASSES ? MO_RECORD_MASSES
+                                              : (enum mo_channel)(job->record & -job->record);
+  return true;
+}
+
+void mo_api_get_trajectories(struct mo_request *request)
+{
+  static const char *const types[] = {"application/octet-stream", NULL};
+  struct mo_store *store = mo_api_of(request)->store;
+  struct recordings all = {.store = store};
+  struct mo_job job;
+  char tag[96];
+  int form;
+  if (!mo_accept(request, types, &form) || !mo_path_id(request, 0, &all.id))
+    return;
+  int error = mo_store_job(store, all.id, &job);
+  if (error == MO_OK && job.kind != MO_JOB_EVALUATION)
+    error = MO_ERR_NOT_FOUND;
+  if (error != MO_OK) {
+    mo_reply_error(request, error, "evaluation");
+    return;
+  }
+  if (!choose(request, &job, &all.channel))
+    return;
+  error = mo_store_trajectory_sides(store, all.id, &all.sides);
+  if (error == MO_OK && all.sides.n < (uint64_t)job.n_designs * job.n_environments)
+    error = MO_ERR_NOT_FOUND;
+  if (error != MO_OK) {
+    mo_reply_no_recording(request, &job, error);
+    return;
+  }
+  all.n_designs = job.n_designs;
+  all.n_environments = job.n_environments;
+  all.row = mo_recording_frame_bytes(all.channel, all.sides.masses, all.sides.springs);
+  struct recordings *kept = malloc(sizeof(*kept));
+  if (kept == NULL) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "reply");
+    return;
+  }
+  *kept = all;
+  snprintf(tag, sizeof(tag), "%llx-recordings-%lld-%u", (unsigned long long)mo_store_id(store),
+           (long long)all.id, all.channel);
+  mo_download_open(request, types[form], tag, sizeof(*kept) + 2 * PIECE_BYTES, more_rollouts, kept,
+                   free);
+}
