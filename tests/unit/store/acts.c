@@ -38,250 +38,197 @@ const struct act life_script[SCRIPT] = {
 
 /* ---- choosing ---- */
 
+static uint32_t n_designs_of(uint64_t seed)
+{
+  return 1 + (uint32_t)(seed % DESIGNS_MAX);
+}
+
 int life_some(struct life *life, int n)
 {
   return (int)(disk_random(life->disk) % (uint64_t)n);
 }
 
-/* A thing in a fitting state; −1: there is none. Of those that fit one of the newest. */
-static int evaluation_in(const struct model *model, unsigned states)
+int life_job_in(const struct life *life, enum mo_job_kind kind, unsigned states, bool newest)
 {
-  for (int i = model->n_evaluations - 1; i >= 0; i--)
-    if ((states >> model->evaluations[i].state & 1u) != 0)
-      return i;
-  return -1;
-}
-
-static int training_in(const struct model *model, unsigned states)
-{
-  for (int i = 0; i < model->n_trainings; i++)
-    if ((states >> model->trainings[i].state & 1u) != 0)
-      return i;
-  return -1;
+  int found = -1;
+  for (int i = 0; i < life->n_jobs[kind] && (found < 0 || newest); i++)
+    if ((states >> life->jobs[kind][i].state & 1u) != 0)
+      found = i;
+  return found;
 }
 
 #define IN(state) (1u << (state))
 
-static bool fits(struct life *life, struct act *act)
+static bool fits_evaluation(struct life *life, struct act *act)
 {
-  const struct model *model = &life->model;
-  const unsigned queued = IN(MO_JOB_QUEUED), running = IN(MO_JOB_RUNNING),
-                 paused = IN(MO_JOB_PAUSED);
-  const struct evaluation_model *evaluation;
-  const struct training_model *training;
-  act->parts = 1;
+  const struct subject *evaluations = life->jobs[MO_JOB_EVALUATION];
+  const unsigned open = IN(MO_JOB_QUEUED) | IN(MO_JOB_RUNNING);
   switch (act->kind) {
-  case ACT_PUT: /* a quarter: what is there already, perhaps under another name */
-    act->index = life_some(life, NAMES - 1) + 1;
-    if (model->n_contents > 0 && life_some(life, 4) == 0)
-      act->seed = model->contents[life_some(life, model->n_contents)];
-    return model->n_contents < CONTENTS_MAX - TRAININGS_MAX;
-  case ACT_REMOVE:
-    act->index = life_some(life, NAMES - 1) + 1;
-    return model->names[act->index].content >= 0;
-  case ACT_SUBMIT: act->index = model->n_evaluations; return model->n_evaluations < EVALUATIONS_MAX;
+  case ACT_SUBMIT: act->index = life->n_jobs[MO_JOB_EVALUATION]; return act->index < JOBS_MAX;
   case ACT_SAVE:
-    act->index = evaluation_in(model, queued | running);
-    if (act->index < 0)
-      return false;
-    evaluation = &model->evaluations[act->index];
-    act->parts = act->n =
-        1 + (uint32_t)life_some(life, (int)(evaluation->n_designs - evaluation->saved));
-    return true;
-  case ACT_CHANGE:
+    act->index = life_job_in(life, MO_JOB_EVALUATION, open, true);
+    if (act->index >= 0)
+      act->parts = act->n =
+          1 + (uint32_t)life_some(life, (int)(n_designs_of(evaluations[act->index].seed) -
+                                              evaluations[act->index].done));
+    return act->index >= 0;
+  default: /* change */
     act->n = (uint32_t)(life_some(life, 3) == 0 ? MO_CHANGE_CANCEL : MO_CHANGE_PAUSE);
-    act->index = evaluation_in(model, queued | running | paused);
-    if (act->index >= 0 && model->evaluations[act->index].state == MO_JOB_PAUSED)
+    act->index = life_job_in(life, MO_JOB_EVALUATION, open | IN(MO_JOB_PAUSED), true);
+    if (act->index >= 0 && evaluations[act->index].state == MO_JOB_PAUSED)
       act->n = MO_CHANGE_RESUME;
     return act->index >= 0;
-  case ACT_TRAIN:
-    act->index = model->n_trainings;
-    return model->n_trainings < TRAININGS_MAX && training_in(model, queued | running) < 0;
-  case ACT_TRAIN_START: act->index = training_in(model, queued); return act->index >= 0;
+  }
+}
+
+static bool fits_training(struct life *life, struct act *act)
+{
+  const struct subject *trainings = life->jobs[MO_JOB_TRAINING];
+  const int n = life->n_jobs[MO_JOB_TRAINING],
+            queued = life_job_in(life, MO_JOB_TRAINING, IN(MO_JOB_QUEUED), false),
+            running = life_job_in(life, MO_JOB_TRAINING, IN(MO_JOB_RUNNING), false);
+  act->index = running;
+  switch (act->kind) {
+  case ACT_TRAIN: act->index = n; return n < TRAININGS_MAX && queued < 0 && running < 0;
+  case ACT_TRAIN_START: act->index = queued; break;
   case ACT_TRAIN_PROGRESS: act->n = 1 + (uint32_t)life_some(life, 20); break;
-  case ACT_TRAIN_CHECKPOINT: act->n = 1 + (uint32_t)life_some(life, KEPT_MAX); break;
+  case ACT_TRAIN_CHECKPOINT:
+    act->n = 1 + (uint32_t)life_some(life, KEPT_MAX);
+    return running >= 0 && trainings[running].done > 0;
   case ACT_TRAIN_PARK: act->n = (uint32_t)life_some(life, 2); break;
-  case ACT_TRAIN_FINISH: break;
   case ACT_TRAIN_REMOVE:
-    if (model->n_trainings == 0)
-      return false;
-    act->index = life_some(life, model->n_trainings);
-    training = &model->trainings[act->index];
-    return training->n_checkpoints > (mo_job_state_is_final(training->state) ? 0 : 1);
+    act->index = n > 0 ? life_some(life, n) : 0;
+    return n > 0 && trainings[act->index].n_checkpoints >
+                        (mo_job_state_is_final(trainings[act->index].state) ? 0 : 1);
+  default: return running >= 0 && life_some(life, 4) == 0; /* finish */
+  }
+  return act->index >= 0;
+}
+
+static bool fits(struct life *life, struct act *act)
+{
+  switch (act->kind) {
   case ACT_REQUEUE:
   case ACT_KINDS: return false;
-  default: return campaign_fits(life, act);
+  case ACT_PUT: /* a quarter: what is there already, perhaps under another name */
+    act->index = life_some(life, NAMES - 1) + 1;
+    if (life->n_puts > 0 && life_some(life, 4) == 0)
+      act->seed = life->puts[life_some(life, life->n_puts)];
+    return life->n_puts < PUTS_MAX;
+  case ACT_REMOVE: act->index = life_some(life, NAMES - 1) + 1; return life->named[act->index];
+  default:
+    return act->kind >= ACT_CAMPAIGN ? campaign_fits(life, act)
+           : act->kind >= ACT_TRAIN  ? fits_training(life, act)
+                                     : fits_evaluation(life, act);
   }
-  act->index = training_in(model, running);
-  if (act->kind == ACT_TRAIN_CHECKPOINT && act->index >= 0 &&
-      model->trainings[act->index].position == 0)
-    return false;
-  return act->index >= 0 && (act->kind != ACT_TRAIN_FINISH || life_some(life, 4) == 0);
 }
 
 struct act life_choose(struct life *life)
 {
   struct act act = {.kind = ACT_PUT, .parts = 1};
-  if (life->model.names[0].content < 0) { /* what evaluations score with */
+  if (!life->named[0]) { /* what evaluations score with */
     act.seed = disk_random(life->disk) >> 12 | 8;
     return act;
   }
   do {
     act = (struct act){.kind = (enum act_kind)life_some(life, ACT_KINDS),
-                       .seed = disk_random(life->disk) >> 12};
+                       .seed = disk_random(life->disk) >> 12,
+                       .parts = 1};
   } while (!fits(life, &act));
   return act;
 }
 
-/* ---- what an act means ---- */
+/* ---- promising it ---- */
 
-int model_content(struct model *model, uint64_t seed)
+/* Reads a job as it is promised, but for the steps of a training, of which the store knows those of
+ * earlier runs, too. */
+static void look(struct life *life, enum mo_job_kind kind, struct subject *subject)
 {
-  int i = 0;
-  while (i < model->n_contents && model->contents[i] != seed)
-    i++;
-  if (i == model->n_contents)
-    model->contents[model->n_contents++] = seed;
-  return i;
-}
-
-static void apply_put(struct model *model, const struct act *act)
-{
-  const int content = model_content(model, act->seed);
-  if (model->names[act->index].content == content)
+  static struct mo_training_status training;
+  static struct mo_campaign_status campaign;
+  struct mo_checkpoint_row rows[KEPT_MAX + 1];
+  struct mo_store *of = life->promised;
+  struct mo_job job;
+  int error = mo_store_job(of, subject->id, &job);
+  const int64_t n = mo_store_checkpoints(of, subject->id, rows, KEPT_MAX + 1);
+  if (error == MO_OK && kind == MO_JOB_TRAINING)
+    error = mo_store_training(of, subject->id, &training);
+  if (error == MO_OK && kind == MO_JOB_CAMPAIGN)
+    error = mo_store_campaign(of, subject->id, &campaign);
+  if (error != MO_OK || n < 0) {
+    life_found(life, "job %lld as promised: error %d", (long long)subject->id, error);
     return;
-  model->names[act->index].version =
-      model->names[act->index].content < 0 ? 1 : model->names[act->index].version + 1;
-  model->names[act->index].content = content;
-  model->events++;
-}
-
-static void apply_checkpoint(struct training_model *training, uint32_t keep)
-{
-  uint32_t n = 0;
-  if (training->n_checkpoints == 0 ||
-      training->position > training->checkpoints[training->n_checkpoints - 1])
-    training->attempts = 0;
-  while (n < training->n_checkpoints && training->checkpoints[n] < training->position)
-    n++;
-  if (n == KEPT_MAX) {
-    memmove(training->checkpoints, training->checkpoints + 1, (KEPT_MAX - 1) * sizeof(uint32_t));
-    n--;
   }
-  training->checkpoints[n] = training->position;
-  training->n_checkpoints = n + 1;
-  if (training->n_checkpoints > keep) {
-    memmove(training->checkpoints, training->checkpoints + training->n_checkpoints - keep,
-            keep * sizeof(uint32_t));
-    training->n_checkpoints = keep;
+  subject->n_checkpoints = (uint32_t)n;
+  if (kind == MO_JOB_EVALUATION)
+    subject->done = (uint32_t)(job.rollouts_done / MO_PAPER_TEST_COUNT);
+  if (kind == MO_JOB_TRAINING && subject->state == MO_JOB_QUEUED && job.state == MO_JOB_RUNNING)
+    subject->done = n > 0 ? rows[0].step : 0;
+  if (kind == MO_JOB_TRAINING)
+    subject->validated = training.validation.step;
+  if (kind == MO_JOB_CAMPAIGN) {
+    subject->done = campaign.scored;
+    subject->generation = campaign.generation;
+    subject->until = campaign.record.settings.generations;
+    subject->inside = n > 0 && rows[0].generation == campaign.generation + 1 ? rows[0].step : 0;
   }
+  subject->state = job.state;
 }
 
-static bool validates(const struct training_model *training, const struct act *act)
+static enum mo_job_kind kind_of(const struct act *act)
 {
-  return act->seed % 3 == 0 && training->position + act->n > training->last_validation;
+  return act->kind >= ACT_CAMPAIGN ? MO_JOB_CAMPAIGN
+         : act->kind >= ACT_TRAIN  ? MO_JOB_TRAINING
+                                   : MO_JOB_EVALUATION;
 }
 
-static void apply_training(struct model *model, const struct act *act)
+static int64_t jobs_of(const struct life *life)
 {
-  struct training_model *training = &model->trainings[act->index];
-  model->events += act->kind != ACT_TRAIN_REMOVE;
-  switch (act->kind) {
-  case ACT_TRAIN_REMOVE:
-    if (mo_job_state_is_final(training->state))
-      training->n_checkpoints = 0;
-    else
-      training->checkpoints[0] = training->checkpoints[training->n_checkpoints - 1];
-    training->n_checkpoints = training->n_checkpoints > 0;
-    break;
-  case ACT_TRAIN_START: /* from its newest checkpoint */
-    training->state = MO_JOB_RUNNING;
-    training->position =
-        training->n_checkpoints > 0 ? training->checkpoints[training->n_checkpoints - 1] : 0;
-    break;
-  case ACT_TRAIN_PROGRESS:
-    if (validates(training, act)) {
-      training->last_validation = training->position + act->n;
-      training->n_validations++;
-      model->events++;
-    }
-    training->position += act->n;
-    if (training->position > training->step)
-      training->step = training->position;
-    break;
-  case ACT_TRAIN_CHECKPOINT: apply_checkpoint(training, act->n); break;
-  case ACT_TRAIN_PARK:
-    training->attempts += act->n;
-    training->state = training->attempts >= 3 ? MO_JOB_FAILED : MO_JOB_QUEUED;
-    break;
-  default: /* finish */
-    training->state = MO_JOB_SUCCEEDED;
-    training->result = model_content(model, act->seed);
-    model->events++;
-    break;
-  }
+  int64_t n = 0;
+  for (int kind = 0; kind < KINDS; kind++)
+    n += life->n_jobs[kind];
+  return n;
 }
 
-void life_apply(struct model *model, const struct act *act, uint32_t parts)
+void life_apply(struct life *life, struct act *act, uint32_t parts)
 {
+  const enum mo_job_kind kind = kind_of(act);
+  struct act done = *act;
+  int error;
   if (parts == 0)
     return;
-  struct evaluation_model *evaluation = &model->evaluations[act->index];
+  act->parts -= parts;
+  if (act->kind == ACT_SAVE) {
+    act->n -= parts;
+    done.n = parts;
+  }
+  if (life_do(life, life->promised, &done, &error) != parts)
+    life_found(life, "act %d as promised: error %d", (int)act->kind, error);
+  life_settle(life->promised);
   switch (act->kind) {
   case ACT_REQUEUE:
-    for (int i = 0; i < model->n_evaluations; i++)
-      if (model->evaluations[i].state == MO_JOB_RUNNING)
-        model->evaluations[i].state = MO_JOB_QUEUED;
-    for (int i = 0; i < model->n_trainings; i++)
-      if (model->trainings[i].state == MO_JOB_RUNNING)
-        model->trainings[i].state = MO_JOB_QUEUED;
-    for (int i = 0; i < model->n_campaigns; i++)
-      if (model->campaigns[i].state == MO_JOB_RUNNING)
-        model->campaigns[i].state = MO_JOB_QUEUED;
-    break;
-  case ACT_PUT: apply_put(model, act); break;
-  case ACT_REMOVE:
-    model->names[act->index].content = -1;
-    model->events++;
-    break;
+    for (int k = 0; k < KINDS; k++)
+      for (int i = 0; i < life->n_jobs[k]; i++)
+        look(life, (enum mo_job_kind)k, &life->jobs[k][i]);
+    return;
+  case ACT_PUT: life->puts[life->n_puts++] = act->seed;
+  /* fall through */
+  case ACT_REMOVE: life->named[act->index] = act->kind == ACT_PUT; return;
   case ACT_SUBMIT:
-    *evaluation = (struct evaluation_model){.id = ++model->jobs,
-                                            .seed = act->seed,
-                                            .n_designs = 1 + (uint32_t)(act->seed % DESIGNS_MAX),
-                                            .state = MO_JOB_QUEUED};
-    model->n_evaluations++;
-    model->events++;
-    break;
-  case ACT_SAVE:
-    model->events += parts + (evaluation->state == MO_JOB_QUEUED);
-    evaluation->saved += parts;
-    evaluation->state =
-        evaluation->saved == evaluation->n_designs ? MO_JOB_SUCCEEDED : MO_JOB_RUNNING;
-    break;
-  case ACT_CHANGE:
-    evaluation->state = act->n == MO_CHANGE_CANCEL  ? MO_JOB_CANCELLED
-                        : act->n == MO_CHANGE_PAUSE ? MO_JOB_PAUSED
-                                                    : MO_JOB_QUEUED;
-    model->events++;
-    break;
   case ACT_TRAIN:
-    model->trainings[act->index] = (struct training_model){
-        .id = ++model->jobs, .seed = act->seed, .state = MO_JOB_QUEUED, .result = -1};
-    model->n_trainings++;
-    model->events++;
+  case ACT_CAMPAIGN:
+    life->jobs[kind][act->index] = (struct subject){.id = jobs_of(life) + 1, .seed = act->seed};
+    life->n_jobs[kind]++;
     break;
-  default:
-    if (act->kind >= ACT_CAMPAIGN)
-      campaign_apply(model, act);
-    else
-      apply_training(model, act);
-    break;
+  case ACT_TRAIN_PROGRESS: life->jobs[kind][act->index].done += act->n; break;
+  default: break;
   }
+  look(life, kind, &life->jobs[kind][act->index]);
 }
 
 /* ---- doing it ---- */
 
-static int do_put(struct life *life, const struct act *act)
+static int do_put(struct mo_store *of, const struct act *act)
 {
   struct mo_controller_record record;
   struct put put;
@@ -289,56 +236,61 @@ static int do_put(struct life *life, const struct act *act)
   bool created;
   put_start(&put, act->seed);
   life_name(act->index, name);
-  int error = mo_store_controller_put(life->store, name, put.bytes, put.size, &put.controller,
-                                      &record, &created);
+  int error =
+      mo_store_controller_put(of, name, put.bytes, put.size, &put.controller, &record, &created);
   put_end(&put);
   return error;
 }
 
-static int do_submit(struct life *life, const struct act *act)
+static int do_submit(const struct life *life, struct mo_store *of, const struct act *act,
+                     int64_t *id)
 {
   const size_t first = (size_t)act->index * DESIGNS_MAX;
-  struct mo_submission submission = fixture_submission(life->forms + first, life->genotypes + first,
-                                                       1 + (uint32_t)(act->seed % DESIGNS_MAX));
+  struct mo_submission submission =
+      fixture_submission(life->forms + first, life->genotypes + first, n_designs_of(act->seed));
   char key[32];
-  int64_t id = 0;
   bool replayed;
   life_key('e', act->index, key);
   submission.record = MO_RECORD_COM;
   submission.idempotency_key = key;
   mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
-  int error = mo_store_submit(life->store, &submission, &id, &replayed);
-  if (error == MO_OK && (replayed || id != life->model.jobs + 1))
-    life_found(life, "a submission became job %lld, not %lld", (long long)id, life->model.jobs + 1);
-  return error;
+  return mo_store_submit(of, &submission, id, &replayed);
 }
 
-static int do_train(struct life *life, const struct act *act)
+static int do_train(struct mo_store *of, const struct act *act, int64_t *id)
 {
   struct mo_training_submission submission = {
       .record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN),
                  .checkpoint_every_steps = 12,
                  .checkpoints_kept = 2}};
   char key[32];
-  int64_t id = 0;
   bool replayed;
   life_key('t', act->index, key);
   submission.record.settings.seed = act->seed;
   submission.record.settings.n_steps = 100000;
   submission.idempotency_key = key;
   mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
-  int error = mo_store_submit_training(life->store, &submission, &id, &replayed);
-  if (error == MO_OK && (replayed || id != life->model.jobs + 1))
-    life_found(life, "a training became job %lld, not %lld", (long long)id, life->model.jobs + 1);
-  return error;
+  return mo_store_submit_training(of, &submission, id, &replayed);
 }
 
-static int do_training(struct life *life, const struct act *act)
+static struct mo_training_step_row step_of(uint64_t seed, uint32_t step)
 {
-  const struct training_model *training = &life->model.trainings[act->index];
+  const uint64_t own = life_hash(seed, UINT64_C(1000000) + step);
+  return (struct mo_training_step_row){.report = {.step = step,
+                                                  .mean_loss = (double)(own >> 11) * 0x1p-53,
+                                                  .rate = 1e-3,
+                                                  .gradient_norm = (double)(own & 0xffff),
+                                                  .zeroed = (uint32_t)(own & 7)},
+                                       .seconds = 0.25};
+}
+
+static int do_training(struct life *life, struct mo_store *of, const struct act *act)
+{
+  const struct subject *training = &life->jobs[MO_JOB_TRAINING][act->index];
   struct mo_training_step_row rows[20];
   struct mo_training_validation_row validation = {
-      .step = training->position + act->n, .rollouts = 4, .mean_score = 0.5};
+      .step = training->done + act->n, .rollouts = 4, .mean_score = 0.5};
+  const bool validates = act->seed % 3 == 0 && validation.step > training->validated;
   struct mo_checkpoints_removed removed;
   struct put put;
   uint8_t *bytes = NULL;
@@ -347,27 +299,25 @@ static int do_training(struct life *life, const struct act *act)
   int error;
   switch (act->kind) {
   case ACT_TRAIN_REMOVE:
-    return mo_store_checkpoints_remove(life->store, training->id, MO_JOB_TRAINING, 0, &removed);
-  case ACT_TRAIN_START: return mo_store_run_start(life->store, training->id);
+    return mo_store_checkpoints_remove(of, training->id, MO_JOB_TRAINING, 0, &removed);
+  case ACT_TRAIN_START: return mo_store_run_start(of, training->id);
   case ACT_TRAIN_PROGRESS:
     for (uint32_t i = 0; i < act->n; i++)
-      rows[i] = life_step(training->seed, training->position + i + 1);
-    return mo_store_training_progress(life->store, training->id, rows, act->n,
-                                      validates(training, act) ? &validation : NULL, "{}");
+      rows[i] = step_of(training->seed, training->done + i + 1);
+    return mo_store_training_progress(of, training->id, rows, act->n,
+                                      validates ? &validation : NULL, "{}");
   case ACT_TRAIN_CHECKPOINT:
-    size = life_checkpoint(training->seed, training->position, &bytes);
-    error = mo_store_training_checkpoint(life->store, training->id, training->position, bytes, size,
-                                         act->n);
+    size = life_checkpoint(training->seed, training->done, &bytes);
+    error = mo_store_training_checkpoint(of, training->id, training->done, bytes, size, act->n);
     free(bytes);
     return error;
   case ACT_TRAIN_PARK:
-    return mo_store_run_park(life->store, training->id, act->n > 0 ? MO_ERR_NO_MEMORY : MO_OK,
+    return mo_store_run_park(of, training->id, act->n > 0 ? MO_ERR_NO_MEMORY : MO_OK,
                              act->n > 0 ? "out of memory" : NULL, 3, NULL);
   default: /* finish */
     put_start(&put, act->seed);
-    snprintf(name, sizeof(name), "training-%lld", training->id);
-    error = mo_store_training_finish(life->store, training->id, name, put.bytes, put.size,
-                                     &put.controller);
+    snprintf(name, sizeof(name), "training-%lld", (long long)training->id);
+    error = mo_store_training_finish(of, training->id, name, put.bytes, put.size, &put.controller);
     put_end(&put);
     return error;
   }
@@ -422,9 +372,9 @@ struct part {
 static void make_part(struct life *life, const struct act *act, const struct mo_work *work,
                       uint32_t n, uint64_t *diverged, struct saving *saving, struct part *part)
 {
-  const struct evaluation_model *evaluation = &life->model.evaluations[act->index];
-  const uint32_t design = evaluation->saved + n;
-  const uint64_t total = (uint64_t)evaluation->n_designs * MO_PAPER_TEST_COUNT;
+  const struct subject *evaluation = &life->jobs[MO_JOB_EVALUATION][act->index];
+  const uint32_t design = evaluation->done + n;
+  const uint64_t total = (uint64_t)n_designs_of(evaluation->seed) * MO_PAPER_TEST_COUNT;
   size_t n_updates = 0;
   memset(part, 0, sizeof(*part));
   for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++) {
@@ -455,7 +405,7 @@ static void make_part(struct life *life, const struct act *act, const struct mo_
                                                         .workers = life->fingerprint};
   part->updates[n_updates++] = (struct mo_job_update){
       .job = evaluation->id,
-      .step = design + 1 == evaluation->n_designs ? MO_STEP_SUCCEED : MO_STEP_PROGRESS,
+      .step = design + 1 == n_designs_of(evaluation->seed) ? MO_STEP_SUCCEED : MO_STEP_PROGRESS,
       .total = total,
       .done = (uint64_t)(design + 1) * MO_PAPER_TEST_COUNT,
       .diverged = *diverged};
@@ -471,9 +421,9 @@ static void make_part(struct life *life, const struct act *act, const struct mo_
                                 .context = saving};
 }
 
-static uint32_t do_save(struct life *life, const struct act *act, int *error)
+static uint32_t do_save(struct life *life, struct mo_store *of, const struct act *act, int *error)
 {
-  const struct evaluation_model *evaluation = &life->model.evaluations[act->index];
+  const struct subject *evaluation = &life->jobs[MO_JOB_EVALUATION][act->index];
   struct saving saving = {.all_queued = false};
   struct mo_save gate = {.done = wait_for_all, .context = &saving};
   struct part parts[DESIGNS_MAX];
@@ -481,22 +431,21 @@ static uint32_t do_save(struct life *life, const struct act *act, int *error)
   uint32_t queued = 0;
   uint64_t diverged = 0;
   int32_t step;
-  *error =
-      mo_store_load_work(life->store, evaluation->id, fixture_classes(life->fingerprint), &work);
+  *error = mo_store_load_work(of, evaluation->id, fixture_classes(life->fingerprint), &work);
   if (*error != MO_OK)
     return 0;
-  for (uint32_t design = 0; design < evaluation->saved; design++)
+  for (uint32_t design = 0; design < evaluation->done; design++)
     for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++) {
       (void)life_loss(evaluation->seed, design, k, &step);
       diverged += step != 0;
     }
   pthread_mutex_init(&saving.mutex, NULL);
   pthread_cond_init(&saving.changed, NULL);
-  *error = mo_store_save(life->store, &gate);
+  *error = mo_store_save(of, &gate);
   queued += *error == MO_OK;
   for (uint32_t n = 0; n < act->n && *error == MO_OK; n++) {
     make_part(life, act, work, n, &diverged, &saving, &parts[n]);
-    *error = mo_store_save(life->store, &parts[n].save);
+    *error = mo_store_save(of, &parts[n].save);
     queued += *error == MO_OK;
   }
   pthread_mutex_lock(&saving.mutex);
@@ -513,13 +462,13 @@ static uint32_t do_save(struct life *life, const struct act *act, int *error)
   return saving.acknowledged;
 }
 
-void life_settle(struct life *life)
+void life_settle(struct mo_store *of)
 {
   struct saving saving = {.all_queued = true};
   struct mo_save save = {.done = wait_for_all, .context = &saving};
   pthread_mutex_init(&saving.mutex, NULL);
   pthread_cond_init(&saving.changed, NULL);
-  if (mo_store_save(life->store, &save) == MO_OK) {
+  if (mo_store_save(of, &save) == MO_OK) {
     pthread_mutex_lock(&saving.mutex);
     while (saving.answers == 0)
       pthread_cond_wait(&saving.changed, &saving.mutex);
@@ -529,30 +478,35 @@ void life_settle(struct life *life)
   pthread_cond_destroy(&saving.changed);
 }
 
-uint32_t life_do(struct life *life, const struct act *act, int *error)
+uint32_t life_do(struct life *life, struct mo_store *of, const struct act *act, int *error)
 {
-  char text[512];
+  const int64_t expected = jobs_of(life) + 1;
+  int64_t id = expected;
+  char name[16];
   switch (act->kind) {
   case ACT_REQUEUE:
-    *error = mo_store_requeue(life->store, 0, 3, NULL);
+    *error = mo_store_requeue(of, 0, 3, NULL);
     if (*error == MO_OK)
-      *error = mo_store_fingerprint(life->store, "a test", &life->fingerprint);
+      *error = mo_store_fingerprint(of, "a test", &life->fingerprint);
     break;
-  case ACT_PUT: *error = do_put(life, act); break;
+  case ACT_PUT: *error = do_put(of, act); break;
   case ACT_REMOVE:
-    life_name(act->index, text);
-    *error = mo_store_controller_remove(life->store, text);
+    life_name(act->index, name);
+    *error = mo_store_controller_remove(of, name);
     break;
-  case ACT_SUBMIT: *error = do_submit(life, act); break;
-  case ACT_SAVE: return do_save(life, act, error);
+  case ACT_SUBMIT: *error = do_submit(life, of, act, &id); break;
+  case ACT_SAVE: return do_save(life, of, act, error);
   case ACT_CHANGE:
-    *error = mo_store_change_job(life->store, life->model.evaluations[act->index].id,
+    *error = mo_store_change_job(of, life->jobs[MO_JOB_EVALUATION][act->index].id,
                                  (enum mo_job_change)act->n, NULL);
     break;
-  case ACT_TRAIN: *error = do_train(life, act); break;
+  case ACT_TRAIN: *error = do_train(of, act, &id); break;
   default:
-    *error = act->kind >= ACT_CAMPAIGN ? campaign_do(life, act) : do_training(life, act);
+    *error =
+        act->kind >= ACT_CAMPAIGN ? campaign_do(life, of, act, &id) : do_training(life, of, act);
     break;
   }
+  if (*error == MO_OK && id != expected)
+    life_found(life, "a submission became job %lld, not %lld", (long long)id, (long long)expected);
   return *error == MO_OK;
 }

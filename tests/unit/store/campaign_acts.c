@@ -10,14 +10,47 @@
 
 /* ---- generations ---- */
 
+struct population {
+  uint32_t n, numbers[MEMBERS];
+  double scores[MEMBERS];
+};
+
+/* A generation as its runner commits it: a function of the campaign's seed and its number. */
+struct generation {
+  struct mo_birth births[MEMBERS];
+  double child_scores[MEMBERS], parent_scores[MEMBERS];
+  struct mo_campaign_loss losses[MEMBERS];
+  struct mo_campaign_step steps[LEARNING];
+  struct mo_design_size sizes[MEMBERS];
+  uint32_t survivors[MEMBERS];
+  struct population before, after;
+};
+
+static bool learns(const struct subject *campaign) /* else zero-shot */
+{
+  return campaign->seed % 2 == 0;
+}
+
 static double number(uint64_t hash)
 {
   return (double)(hash >> 11) * 0x1p-53;
 }
 
-static uint64_t seed_of(const struct campaign_model *campaign, uint32_t generation)
+static uint64_t seed_of(const struct subject *campaign, uint32_t generation)
 {
   return life_hash(campaign->seed, UINT64_C(5000) + generation);
+}
+
+static struct mo_campaign_step learned(const struct subject *campaign, uint32_t generation,
+                                       uint32_t step)
+{
+  const uint64_t own = life_hash(seed_of(campaign, generation), 70 + (uint64_t)step);
+  return (struct mo_campaign_step){
+      .generation = generation,
+      .step = step,
+      .on_children = step > LEARNING / 2,
+      .report = {.step = generation * LEARNING + step, .mean_loss = number(own), .rate = 1e-3},
+      .seconds = 0.5};
 }
 
 static double score_at(const struct generation *generation, uint32_t place)
@@ -48,8 +81,8 @@ static void select_survivors(struct generation *generation, uint32_t first_child
   }
 }
 
-void life_generation(const struct campaign_model *campaign, uint32_t number_of,
-                     const struct population *before, struct generation *generation)
+static void make_generation(const struct subject *campaign, uint32_t number_of,
+                            const struct population *before, struct generation *generation)
 {
   const uint64_t seed = seed_of(campaign, number_of);
   memset(generation, 0, sizeof(*generation));
@@ -57,7 +90,7 @@ void life_generation(const struct campaign_model *campaign, uint32_t number_of,
     generation->before = *before;
   for (uint32_t i = 0; i < generation->before.n; i++)
     generation->parent_scores[i] =
-        campaign->learns ? number(life_hash(seed, 50 + (uint64_t)i)) : generation->before.scores[i];
+        learns(campaign) ? number(life_hash(seed, 50 + (uint64_t)i)) : generation->before.scores[i];
   for (uint32_t i = 0; i < MEMBERS; i++) {
     double sum = 0;
     generation->births[i] = (struct mo_birth){MO_BORN_RANDOM, {MO_NO_PARENT, MO_NO_PARENT}, 1};
@@ -72,25 +105,24 @@ void life_generation(const struct campaign_model *campaign, uint32_t number_of,
       sum += generation->losses[i].losses[k];
     }
     generation->child_scores[i] =
-        campaign->learns ? number(life_hash(seed, 60 + (uint64_t)i)) : sum / MO_PAPER_TEST_COUNT;
+        learns(campaign) ? number(life_hash(seed, 60 + (uint64_t)i)) : sum / MO_PAPER_TEST_COUNT;
     generation->sizes[i] = (struct mo_design_size){10 + i, 1 + i, 100 + i, 1000 + i};
   }
   for (uint32_t step = 1; step <= LEARNING; step++)
-    generation->steps[step - 1] = life_learned(campaign, number_of, step);
+    generation->steps[step - 1] = learned(campaign, number_of, step);
   select_survivors(generation, number_of * MEMBERS);
 }
 
-void life_replay(const struct campaign_model *campaign, int64_t until,
-                 struct generation *generation)
+static void replay(const struct subject *campaign, uint32_t until, struct generation *generation)
 {
   struct population before = {0};
   for (uint32_t i = 0; i <= until; i++) {
-    life_generation(campaign, i, &before, generation);
+    make_generation(campaign, i, &before, generation);
     before = generation->after;
   }
 }
 
-struct mo_campaign_loss life_saved_loss(const struct campaign_model *campaign, uint32_t place)
+static struct mo_campaign_loss saved_loss(const struct subject *campaign, uint32_t place)
 {
   const uint64_t seed = seed_of(campaign, (uint32_t)(campaign->generation + 1)) ^ 1;
   struct mo_campaign_loss loss = {.place = place};
@@ -99,58 +131,32 @@ struct mo_campaign_loss life_saved_loss(const struct campaign_model *campaign, u
   return loss;
 }
 
-struct mo_campaign_step life_learned(const struct campaign_model *campaign, uint32_t generation,
-                                     uint32_t step)
-{
-  const uint64_t own = life_hash(seed_of(campaign, generation), 70 + (uint64_t)step);
-  return (struct mo_campaign_step){
-      .generation = generation,
-      .step = step,
-      .on_children = step > LEARNING / 2,
-      .report = {.step = generation * LEARNING + step, .mean_loss = number(own), .rate = 1e-3},
-      .seconds = 0.5};
-}
-
-size_t life_state(const struct campaign_model *campaign, uint32_t generation, uint32_t step,
-                  uint8_t **bytes)
-{
-  return life_checkpoint(seed_of(campaign, generation), step, bytes);
-}
-
-/* ---- choosing, and what an act means ---- */
-
-static int campaign_in(const struct model *model, unsigned states)
-{
-  for (int i = 0; i < model->n_campaigns; i++)
-    if ((states >> model->campaigns[i].state & 1u) != 0)
-      return i;
-  return -1;
-}
+/* ---- choosing ---- */
 
 bool campaign_fits(struct life *life, struct act *act)
 {
-  const struct model *model = &life->model;
   const unsigned queued = 1u << MO_JOB_QUEUED, running = 1u << MO_JOB_RUNNING;
-  if (act->kind == ACT_CAMPAIGN) {
-    act->index = model->n_campaigns;
-    return model->n_campaigns < CAMPAIGNS_MAX && campaign_in(model, queued | running) < 0;
-  }
-  act->index = campaign_in(model, act->kind == ACT_CAMPAIGN_START    ? queued
-                                  : act->kind == ACT_CAMPAIGN_EXTEND ? queued | running
-                                                                     : running);
-  if (act->index < 0)
+  const unsigned states = act->kind == ACT_CAMPAIGN_START ? queued
+                          : act->kind == ACT_CAMPAIGN_EXTEND || act->kind == ACT_CAMPAIGN
+                              ? queued | running
+                              : running;
+  const int found = life_job_in(life, MO_JOB_CAMPAIGN, states, false);
+  act->index = act->kind == ACT_CAMPAIGN ? life->n_jobs[MO_JOB_CAMPAIGN] : found;
+  if (act->kind == ACT_CAMPAIGN)
+    return act->index < CAMPAIGNS_MAX && found < 0;
+  if (found < 0)
     return false;
-  const struct campaign_model *campaign = &model->campaigns[act->index];
+  const struct subject *campaign = &life->jobs[MO_JOB_CAMPAIGN][found];
   bool goes_on = campaign->generation + 1 < GENERATIONS_MAX;
   switch (act->kind) {
   case ACT_CAMPAIGN_LOSSES:
-    if (!goes_on || campaign->scored == 2 * MEMBERS)
+    if (!goes_on || campaign->done == 2 * MEMBERS)
       return false;
-    act->n = 1 + (uint32_t)life_some(life, (int)(2 * MEMBERS - campaign->scored));
+    act->n = 1 + (uint32_t)life_some(life, (int)(2 * MEMBERS - campaign->done));
     return true;
   case ACT_CAMPAIGN_CHECKPOINT: /* perhaps the same again */
     act->n = (campaign->inside > 0 ? campaign->inside : 1) + (uint32_t)life_some(life, 3);
-    return goes_on && campaign->learns && act->n <= LEARNING;
+    return goes_on && learns(campaign) && act->n <= LEARNING;
   case ACT_CAMPAIGN_GENERATION: return goes_on;
   case ACT_CAMPAIGN_PARK: act->n = (uint32_t)life_some(life, 2); return true;
   case ACT_CAMPAIGN_EXTEND: act->n = 1 + (uint32_t)life_some(life, 2); return true;
@@ -160,52 +166,14 @@ bool campaign_fits(struct life *life, struct act *act)
   }
 }
 
-void campaign_apply(struct model *model, const struct act *act)
-{
-  struct campaign_model *campaign = &model->campaigns[act->index];
-  model->events += act->kind != ACT_CAMPAIGN_CHECKPOINT;
-  switch (act->kind) {
-  case ACT_CAMPAIGN:
-    *campaign = (struct campaign_model){.id = ++model->jobs,
-                                        .seed = act->seed,
-                                        .learns = act->seed % 2 == 0,
-                                        .state = MO_JOB_QUEUED,
-                                        .generation = -1,
-                                        .until = GENERATIONS_MAX,
-                                        .result = -1};
-    model->n_campaigns++;
-    break;
-  case ACT_CAMPAIGN_START: campaign->state = MO_JOB_RUNNING; break;
-  case ACT_CAMPAIGN_LOSSES: campaign->scored += act->n; break;
-  case ACT_CAMPAIGN_CHECKPOINT: campaign->inside = act->n; break;
-  case ACT_CAMPAIGN_GENERATION:
-    campaign->generation++;
-    campaign->scored = campaign->inside = campaign->attempts = 0;
-    break;
-  case ACT_CAMPAIGN_PARK:
-    campaign->attempts += act->n;
-    campaign->state = campaign->attempts >= 3 ? MO_JOB_FAILED : MO_JOB_QUEUED;
-    break;
-  case ACT_CAMPAIGN_EXTEND: campaign->until += act->n; break;
-  default: /* finish */
-    campaign->state = MO_JOB_SUCCEEDED;
-    if (campaign->learns) {
-      campaign->result = model_content(model, act->seed);
-      model->events++;
-    }
-    break;
-  }
-}
-
 /* ---- doing it ---- */
 
-static int submit(struct life *life, const struct act *act)
+static int submit(const struct life *life, struct mo_store *of, const struct act *act, int64_t *id)
 {
   struct mo_campaign_submission submission = campaign_submission(
       act->seed % 2 == 0 ? MO_SIMULTANEOUS : MO_ZERO_SHOT, MEMBERS, GENERATIONS_MAX);
   const size_t first = BODIES_OF_CAMPAIGNS + (size_t)act->index * GENERATIONS_MAX * MEMBERS;
   char key[32];
-  int64_t id = 0;
   bool replayed;
   life_key('c', act->index, key);
   submission.record.settings.seed = act->seed;
@@ -214,43 +182,41 @@ static int submit(struct life *life, const struct act *act)
   submission.record.n_listed = LISTED;
   submission.idempotency_key = key;
   mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
-  int error = mo_store_submit_campaign(life->store, &submission, &id, &replayed);
-  if (error == MO_OK && (replayed || id != life->model.jobs + 1))
-    life_found(life, "a campaign became job %lld, not %lld", (long long)id, life->model.jobs + 1);
-  return error;
+  return mo_store_submit_campaign(of, &submission, id, &replayed);
 }
 
-static int save_losses(struct life *life, const struct campaign_model *campaign, uint32_t n)
+static int save_losses(struct mo_store *of, const struct subject *campaign, uint32_t n)
 {
   struct mo_campaign_loss losses[2 * MEMBERS];
   for (uint32_t i = 0; i < n; i++)
-    losses[i] = life_saved_loss(campaign, campaign->scored + i);
-  return mo_store_campaign_save_losses(life->store, campaign->id,
-                                       (uint32_t)(campaign->generation + 1), losses, n, "{}");
+    losses[i] = saved_loss(campaign, campaign->done + i);
+  return mo_store_campaign_save_losses(of, campaign->id, (uint32_t)(campaign->generation + 1),
+                                       losses, n, "{}");
 }
 
-static int save_checkpoint(struct life *life, const struct campaign_model *campaign, uint32_t step)
+static int save_checkpoint(struct mo_store *of, const struct subject *campaign, uint32_t step)
 {
   const uint32_t generation = (uint32_t)(campaign->generation + 1);
   struct mo_campaign_step steps[LEARNING];
   uint8_t *bytes = NULL;
-  const size_t size = life_state(campaign, generation, step, &bytes);
+  const size_t size = life_checkpoint(seed_of(campaign, generation), step, &bytes);
   for (uint32_t i = 0; i < step; i++)
-    steps[i] = life_learned(campaign, generation, i + 1);
-  int error = mo_store_campaign_checkpoint(life->store, campaign->id, generation, step, bytes, size,
-                                           steps, step);
+    steps[i] = learned(campaign, generation, i + 1);
+  int error =
+      mo_store_campaign_checkpoint(of, campaign->id, generation, step, bytes, size, steps, step);
   free(bytes);
   return error;
 }
 
-static int commit(struct life *life, const struct campaign_model *campaign, int index)
+static int commit(const struct life *life, struct mo_store *of, const struct subject *campaign,
+                  int index)
 {
   const uint32_t number_of = (uint32_t)(campaign->generation + 1);
   const size_t first =
       BODIES_OF_CAMPAIGNS + ((size_t)index * GENERATIONS_MAX + number_of) * MEMBERS;
   struct generation generation;
   uint8_t *bytes = NULL;
-  life_replay(campaign, number_of, &generation);
+  replay(campaign, number_of, &generation);
   struct mo_campaign_commit call =
       (struct mo_campaign_commit){.row = {.generation = number_of,
                                           .born_before = (uint64_t)number_of * MEMBERS,
@@ -271,49 +237,49 @@ static int commit(struct life *life, const struct campaign_model *campaign, int 
                                   .n_survivors = MEMBERS,
                                   .fingerprint = life->fingerprint,
                                   .event_data = "{}"};
-  if (campaign->learns) {
+  if (learns(campaign)) {
     call.steps = generation.steps;
     call.n_steps = LEARNING;
-    call.checkpoint_size = life_state(campaign, number_of, LEARNING, &bytes);
+    call.checkpoint_size = life_checkpoint(seed_of(campaign, number_of), LEARNING, &bytes);
     call.checkpoint = bytes;
     call.checkpoint_step = LEARNING;
   } else {
     call.losses = generation.losses;
     call.n_losses = MEMBERS;
   }
-  int error = mo_store_campaign_commit(life->store, campaign->id, &call);
+  int error = mo_store_campaign_commit(of, campaign->id, &call);
   free(bytes);
   return error;
 }
 
-static int finish(struct life *life, const struct campaign_model *campaign, uint64_t seed)
+static int finish(struct mo_store *of, const struct subject *campaign, uint64_t seed)
 {
   struct put put;
   char name[32];
   put_start(&put, seed);
-  snprintf(name, sizeof(name), "campaign-%lld", campaign->id);
-  int error = mo_store_campaign_finish(life->store, campaign->id, MO_CAMPAIGN_COMPLETED,
-                                       campaign->until, name, put.bytes, put.size,
-                                       campaign->learns ? &put.controller : NULL);
+  snprintf(name, sizeof(name), "campaign-%lld", (long long)campaign->id);
+  int error =
+      mo_store_campaign_finish(of, campaign->id, MO_CAMPAIGN_COMPLETED, campaign->until, name,
+                               put.bytes, put.size, learns(campaign) ? &put.controller : NULL);
   put_end(&put);
   return error;
 }
 
-int campaign_do(struct life *life, const struct act *act)
+int campaign_do(struct life *life, struct mo_store *of, const struct act *act, int64_t *id)
 {
-  const struct campaign_model *campaign = &life->model.campaigns[act->index];
+  const struct subject *campaign = &life->jobs[MO_JOB_CAMPAIGN][act->index];
   enum mo_job_state before;
   switch (act->kind) {
-  case ACT_CAMPAIGN: return submit(life, act);
-  case ACT_CAMPAIGN_START: return mo_store_run_start(life->store, campaign->id);
-  case ACT_CAMPAIGN_LOSSES: return save_losses(life, campaign, act->n);
-  case ACT_CAMPAIGN_CHECKPOINT: return save_checkpoint(life, campaign, act->n);
-  case ACT_CAMPAIGN_GENERATION: return commit(life, campaign, act->index);
+  case ACT_CAMPAIGN: return submit(life, of, act, id);
+  case ACT_CAMPAIGN_START: return mo_store_run_start(of, campaign->id);
+  case ACT_CAMPAIGN_LOSSES: return save_losses(of, campaign, act->n);
+  case ACT_CAMPAIGN_CHECKPOINT: return save_checkpoint(of, campaign, act->n);
+  case ACT_CAMPAIGN_GENERATION: return commit(life, of, campaign, act->index);
   case ACT_CAMPAIGN_PARK:
-    return mo_store_run_park(life->store, campaign->id, act->n > 0 ? MO_ERR_NO_MEMORY : MO_OK,
+    return mo_store_run_park(of, campaign->id, act->n > 0 ? MO_ERR_NO_MEMORY : MO_OK,
                              act->n > 0 ? "out of memory" : NULL, 3, NULL);
   case ACT_CAMPAIGN_EXTEND:
-    return mo_store_extend_campaign(life->store, campaign->id, act->n, NULL, &before);
-  default: return finish(life, campaign, act->seed);
+    return mo_store_extend_campaign(of, campaign->id, act->n, NULL, &before);
+  default: return finish(of, campaign, act->seed);
   }
 }

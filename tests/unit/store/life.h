@@ -1,9 +1,10 @@
 /* life.h: the life of a state folder on a disk whose power fails: what is asked of the store, and
  * what it has promised.
  *
- * The model is what was acknowledged. An act in doubt, whose call had not returned when everything
- * stopped, is there wholly or not at all; one that saves several things in a row may have come
- * through some of them. */
+ * Promised is what was acknowledged: beside the disk a store that no fault meets does the same
+ * acts. After a stop the rows and files of the two must be the same, bit for bit. An act in doubt,
+ * whose call had not returned when everything stopped, is there wholly or not at all; one that
+ * saves several things in a row may have come through some of them. */
 #ifndef MORPHO_TESTS_STORE_LIFE_H
 #define MORPHO_TESTS_STORE_LIFE_H
 
@@ -15,63 +16,33 @@
 #include "store/trainings.h"
 
 enum {
+  KINDS = MO_JOB_KINDS,
+  JOBS_MAX = 60, /* of a kind */
   NAMES = 4,
-  CONTENTS_MAX = 160,
-  EVALUATIONS_MAX = 60,
+  PUTS_MAX = 160,
   DESIGNS_MAX = 5, /* of an evaluation */
+  TRAININGS_MAX = 20,
   CAMPAIGNS_MAX = 4,
   GENERATIONS_MAX = 12,
   MEMBERS = 4,  /* of a population; as many are born in each generation */
   LEARNING = 4, /* steps in each */
   LISTED = 3,   /* designs that a campaign begins with */
-  BODIES_OF_CAMPAIGNS = EVALUATIONS_MAX * DESIGNS_MAX,
+  BODIES_OF_CAMPAIGNS = JOBS_MAX * DESIGNS_MAX,
   BODIES = BODIES_OF_CAMPAIGNS + CAMPAIGNS_MAX * GENERATIONS_MAX * MEMBERS,
-  TRAININGS_MAX = 20,
   KEPT_MAX = 3
 };
 
-struct evaluation_model { /* its id is `id`; its designs are bodies from index · DESIGNS_MAX */
-  long long id;
-  uint64_t seed;
-  uint32_t n_designs, saved;
-  enum mo_job_state state;
-};
-struct training_model {
-  long long id;
+/* A job as it is promised. */
+struct subject {
+  int64_t id;
   uint64_t seed;
   enum mo_job_state state;
-  uint32_t position; /* of the current run */
-  uint32_t step, n_validations, last_validation;
-  uint32_t checkpoints[KEPT_MAX], n_checkpoints; /* ascending */
-  uint32_t attempts;
-  int result; /* content; −1: none */
-};
-struct campaign_model {
-  long long id;
-  uint64_t seed;
-  bool learns; /* else zero-shot */
-  enum mo_job_state state;
-  long long generation; /* newest; −1: none */
-  uint32_t until;       /* generation */
-  uint32_t scored;      /* of the next one */
-  uint32_t inside;      /* step of its checkpoint; 0: none */
-  uint32_t attempts;
-  int result; /* content; −1: none */
-};
-struct model {
-  struct {
-    int content; /* −1: no such name */
-    int64_t version;
-  } names[NAMES];
-  uint64_t contents[CONTENTS_MAX]; /* seeds */
-  int n_contents;
-  struct evaluation_model evaluations[EVALUATIONS_MAX];
-  int n_evaluations;
-  struct training_model trainings[TRAININGS_MAX];
-  int n_trainings;
-  struct campaign_model campaigns[CAMPAIGNS_MAX];
-  int n_campaigns;
-  long long jobs, events, epoch;
+  uint32_t done; /* designs of an evaluation, steps of a training's current run, losses of a
+                    campaign's next generation */
+  uint32_t n_checkpoints, validated; /* validated: step of the newest validation */
+  int64_t generation;                /* of a campaign: the newest; −1: none */
+  uint32_t inside;                   /* step of the checkpoint inside the next one; 0: none */
+  uint32_t until;                    /* generation */
 };
 
 enum act_kind {
@@ -109,9 +80,15 @@ struct act {
 
 struct life {
   struct disk *disk;
-  struct mo_store *store;
+  struct mo_store *store, *promised;
+  char promised_folder[64];
   struct mo_bits *forms, *genotypes; /* (BODIES) */
-  struct model model;
+  struct subject jobs[KINDS][JOBS_MAX];
+  int n_jobs[KINDS];
+  bool named[NAMES];
+  uint64_t puts[PUTS_MAX]; /* seeds */
+  int n_puts;
+  long long epoch;
   struct act doing; /* with in_doubt */
   bool in_doubt;
   int64_t fingerprint;
@@ -124,12 +101,10 @@ struct life {
 enum { SCRIPT = 26, COUNTED_FROM = 4, HELD = 15 };
 extern const struct act life_script[SCRIPT];
 
-/* Draws from a seed that a thing has: the same for who writes it and for who checks it. */
+/* Draws from a seed that a thing has. */
 uint64_t life_hash(uint64_t seed, uint64_t place);
-size_t life_content(uint64_t seed, uint8_t **bytes); /* of a controller's file (malloc) */
 size_t life_checkpoint(uint64_t seed, uint32_t step, uint8_t **bytes); /* (malloc) */
 double life_loss(uint64_t seed, uint32_t design, uint32_t environment, int32_t *diverged_step);
-struct mo_training_step_row life_step(uint64_t seed, uint32_t step);
 void life_name(int index, char name[16]);
 void life_key(char kind, int index, char key[32]);
 
@@ -141,64 +116,47 @@ struct put {
   uint8_t *bytes;
   size_t size;
 };
-void *life_memory(size_t size); /* also where the allocators that the store uses fail */
 void put_start(struct put *put, uint64_t seed);
 void put_end(struct put *put);
 
 void life_found(struct life *life, const char *format, ...) __attribute__((format(printf, 2, 3)));
+int life_some(struct life *life, int n); /* 0 … n − 1 */
+/* The oldest job of a kind in one of the states (bits), or the newest; −1: there is none. */
+int life_job_in(const struct life *life, enum mo_job_kind kind, unsigned states, bool newest);
 
-int life_some(struct life *life, int n);               /* 0 … n − 1 */
-int model_content(struct model *model, uint64_t seed); /* its place; added when it is not there */
-
-/* Of campaigns: campaign_acts.c, campaign_matches.c. */
+/* Of campaigns: campaign_acts.c. */
 bool campaign_fits(struct life *life, struct act *act);
-void campaign_apply(struct model *model, const struct act *act);
-int campaign_do(struct life *life, const struct act *act);
-bool campaign_matches(const struct life *life, const struct campaign_model *campaign, int index,
-                      char text[300]);
-/* A generation as its runner commits it: a function of the campaign's seed and its number. */
-struct population {
-  uint32_t n, numbers[MEMBERS];
-  double scores[MEMBERS];
-};
-struct generation {
-  struct mo_birth births[MEMBERS];
-  double child_scores[MEMBERS], parent_scores[MEMBERS];
-  struct mo_campaign_loss losses[MEMBERS];
-  struct mo_campaign_step steps[LEARNING];
-  struct mo_design_size sizes[MEMBERS];
-  uint32_t survivors[MEMBERS];
-  struct population before, after;
-};
-void life_generation(const struct campaign_model *campaign, uint32_t number,
-                     const struct population *before, struct generation *generation);
-void life_replay(const struct campaign_model *campaign, int64_t until,
-                 struct generation *generation); /* ≥ 0 */
-struct mo_campaign_loss life_saved_loss(const struct campaign_model *campaign,
-                                        uint32_t place); /* of the next one */
-struct mo_campaign_step life_learned(const struct campaign_model *campaign, uint32_t generation,
-                                     uint32_t step);
-size_t life_state(const struct campaign_model *campaign, uint32_t generation, uint32_t step,
-                  uint8_t **bytes);
-
-bool life_differs(char text[300], const char *format, ...) __attribute__((format(printf, 2, 3)));
-/* Files in "<folder>/<id>" of the state folder. sum (nullable): takes their names, in any order. */
-uint32_t life_files(const struct life *life, const char *folder, int64_t id, uint64_t *sum);
+int campaign_do(struct life *life, struct mo_store *of, const struct act *act, int64_t *id);
 
 /* On a new disk, with nothing promised. forms, genotypes: (BODIES). Returns 0 or −1. */
 int life_start(struct life *life, uint64_t seed, unsigned lies, struct mo_bits *forms,
                struct mo_bits *genotypes);
 int life_open(struct life *life, uint32_t checkpoint_frames, struct mo_message *message);
+void life_end(struct life *life); /* closes what is open */
 
 struct act life_choose(struct life *life);
-/* How many of its parts were acknowledged; *error: what the call that was not gave. */
-uint32_t life_do(struct life *life, const struct act *act, int *error);
+/* Asks a store for an act. Returns how many of its parts were acknowledged; *error: what the call
+ * that was not gave. */
+uint32_t life_do(struct life *life, struct mo_store *of, const struct act *act, int *error);
 /* Waits until the writer has done what it does between commits: then the same seed gives the same
  * order of changes. */
-void life_settle(struct life *life);
-/* The model after `parts` of an act. */
-void life_apply(struct model *model, const struct act *act, uint32_t parts);
-/* Is the store what the model says, exactly? Else `text` says where not. */
-bool life_matches(const struct life *life, const struct model *model, char text[300]);
+void life_settle(struct mo_store *of);
+/* Promises `parts` of an act, which keeps the others. */
+void life_apply(struct life *life, struct act *act, uint32_t parts);
+
+/* Every row but for times and what counts openings, and the names of checkpoints' files. */
+struct contents {
+  uint64_t sum; /* of all */
+  int n;
+  struct {
+    char name[40];
+    uint64_t sum;
+  } tables[64];
+};
+void life_contents(const char *folder, struct contents *contents);
+/* Is what the disk holds what is promised, and are all its files and checksums right? Else `text`
+ * says what is not. */
+enum { MATCH_TEXT = 200 };
+bool life_matches(const struct life *life, char text[MATCH_TEXT]);
 
 #endif

@@ -47,6 +47,11 @@ static struct mo_bits *forms, *genotypes; /* (BODIES) */
 
 static const struct act requeue = {.kind = ACT_REQUEUE, .parts = 1};
 
+static void do_act(struct life *life, struct act act, int *error)
+{
+  life_apply(life, &act, life_do(life, life->store, &act, error));
+}
+
 /* A folder with something of everything, as a killed process leaves it. */
 static int fill(struct life *life)
 {
@@ -55,30 +60,24 @@ static int fill(struct life *life)
   if (error == MO_OK)
     error = life_open(life, 0, &message);
   if (error == MO_OK)
-    (void)life_do(life, &requeue, &error);
+    do_act(life, requeue, &error);
   for (size_t i = 0; i < HELD && error == MO_OK; i++)
-    life_apply(&life->model, &life_script[i], life_do(life, &life_script[i], &error));
+    do_act(life, life_script[i], &error);
   leave(life);
   return error;
-}
-
-static void empty(struct life *life)
-{
-  mo_store_close(life->store);
-  disk_free(life->disk);
 }
 
 /* It opens now, and holds what it held. */
 static void check_contents(struct life *life)
 {
   struct mo_message message;
-  char text[300] = "";
+  char text[MATCH_TEXT] = "";
   const int error = life_open(life, 0, &message);
   if (error != MO_OK)
     printf("# %s\n", message.text);
   REQUIRE_OK(error);
   CHECK_OK(mo_store_check(life->store, &message));
-  if (!life_matches(life, &life->model, text)) {
+  if (!life_matches(life, text)) {
     printf("# %s\n", text);
     CHECK(false);
   }
@@ -115,7 +114,7 @@ static void opens_on_a_failing_disk(bool first_time, bool lasting, long stride)
     if (!first_time &&
         (n / stride) % 8 == 0) { /* each opening makes the log longer, and so the next one */
       check_contents(&life);
-      empty(&life);
+      life_end(&life);
       REQUIRE_OK(fill(&life));
     }
   }
@@ -124,7 +123,7 @@ static void opens_on_a_failing_disk(bool first_time, bool lasting, long stride)
   CHECK(failed > 10);
   if (!first_time)
     check_contents(&life);
-  empty(&life);
+  life_end(&life);
 }
 
 static const struct {
@@ -174,7 +173,7 @@ static void opens_without_memory(bool first_time, long stride)
       fixture_remove(fixture.path);
     else if ((n / stride) % 8 == 0) {
       check_contents(&life);
-      empty(&life);
+      life_end(&life);
       REQUIRE_OK(fill(&life));
     }
   }
@@ -182,7 +181,7 @@ static void opens_without_memory(bool first_time, long stride)
          failed + tolerated, failed, tolerated);
   CHECK(failed > 10);
   check_contents(&life);
-  empty(&life);
+  life_end(&life);
 }
 
 static void opens_when_memory_is_short(int first_time)
@@ -203,82 +202,58 @@ static void shorten(struct life *life, enum shortage what, long n)
   left = what == ONE_ALLOCATION || what == ALLOCATIONS ? n : -1;
 }
 
-/* Every row of every table but `meta`, which counts openings, and the names of checkpoints. */
 static uint64_t digest(const struct life *life)
 {
-  static const char tables[] = "SELECT 'SELECT * FROM ' || name FROM sqlite_schema WHERE type="
-                               "'table' AND name<>'meta' AND name NOT LIKE 'sqlite%'";
-  char path[512];
-  uint64_t sum = FNV_START;
-  sqlite3 *db = NULL;
-  sqlite3_stmt *names = NULL, *rows = NULL;
-  snprintf(path, sizeof(path), "%s/morphod.db", disk_folder(life->disk));
-  CHECK_OK(sqlite3_open_v2(path, &db, SQLITE_OPEN_READONLY, NULL));
-  CHECK_OK(sqlite3_prepare_v2(db, tables, -1, &names, NULL));
-  while (sqlite3_step(names) == SQLITE_ROW) {
-    const char *sql = (const char *)sqlite3_column_text(names, 0);
-    CHECK_OK(sqlite3_prepare_v2(db, sql, -1, &rows, NULL));
-    while (sqlite3_step(rows) == SQLITE_ROW)
-      for (int i = 0; i < sqlite3_column_count(rows); i++) {
-        const int n = sqlite3_column_bytes(rows, i);
-        hash(&sum, &n, sizeof(n));
-        hash(&sum, sqlite3_column_blob(rows, i), (size_t)n);
-      }
-    sqlite3_finalize(rows);
-  }
-  sqlite3_finalize(names);
-  sqlite3_close(db);
-  for (int i = 0; i < life->model.n_campaigns; i++)
-    life_files(life, "campaigns", life->model.campaigns[i].id, &sum);
-  life_files(life, "trainings", life->model.trainings[0].id, &sum);
-  return sum;
+  static struct contents contents;
+  life_contents(disk_folder(life->disk), &contents);
+  return contents.sum;
 }
 
-/* Every act of a life is tried with ever more of what is short, until that is enough: the store
- * says so each time, does not die of it, and keeps nothing. Where one allocation fails alone, a
- * later part of an act may be kept. */
+/* Every act of a life, one part at a time, is tried with ever more of what is short, until that is
+ * enough: the store says so each time, does not die of it, and keeps nothing. */
 static void works_short_of(enum shortage what, bool is_long)
 {
   static struct life life;
   const bool is_memory = what == ONE_ALLOCATION || what == ALLOCATIONS;
   struct mo_message message;
   struct mo_store_stats stats;
-  char text[300] = "";
+  char text[MATCH_TEXT] = "";
   long failed = 0;
   int error = MO_OK;
   REQUIRE_OK(life_start(&life, 1, DISK_HONEST, forms, genotypes));
   REQUIRE_OK(life_open(&life, 0, &message));
-  CHECK_INT(life_do(&life, &requeue, &error), 1);
+  do_act(&life, requeue, &error);
+  CHECK_OK(error);
   for (int i = 0; i < SCRIPT; i++) {
     struct act act = life_script[i];
     for (long n = 0; act.parts > 0 && n < 10000; n += 1 + (is_long || !is_memory ? 0 : n / 16)) {
-      const uint64_t before = what != ONE_ALLOCATION ? digest(&life) : 0;
+      const uint64_t before = digest(&life);
+      struct act part = act;
+      part.parts = 1;
+      part.n = act.kind == ACT_SAVE ? 1 : act.n;
       error = MO_OK;
       shorten(&life, what, n);
-      uint32_t done = life_do(&life, &act, &error);
+      uint32_t done = life_do(&life, life.store, &part, &error);
       shorten(&life, what, -1);
       mo_store_get_stats(life.store, &stats);
       if (!(error == MO_OK || error == (is_memory ? MO_ERR_NO_MEMORY : MO_ERR_NO_SPACE)) ||
-          (what != ONE_ALLOCATION && done == 0 && digest(&life) != before) || stats.fatal ||
+          (done == 0 && digest(&life) != before) || stats.fatal ||
           (error != MO_OK && what == ROOM_IN_THE_DATABASE && !stats.no_space)) {
         printf("# act %d of the script with %ld of %d: error %d\n", i, n, what, error);
         CHECK(false);
       }
-      life_apply(&life.model, &act, done);
-      act.parts -= done;
-      if (act.kind == ACT_SAVE)
-        act.n = act.parts;
+      life_apply(&life, &act, done);
       failed += error != MO_OK;
     }
     CHECK_INT(act.parts, 0);
-    life_settle(&life);
-    CHECK(life_matches(&life, &life.model, text));
+    life_settle(life.store);
+    CHECK(life_matches(&life, text));
   }
-  printf("# %ld acts failed: %s\n", failed, text);
+  printf("# %ld acts failed%s\n", failed, text);
   CHECK(failed > (what == ROOM_FOR_FILES ? 20 : 4 * SCRIPT));
   mo_store_close(life.store);
   check_contents(&life);
-  empty(&life);
+  life_end(&life);
 }
 
 static void works_when_short_of(int what)
@@ -290,7 +265,7 @@ static void works_when_short_of(int what)
 static int read_all(const struct life *life)
 {
   struct mo_store *of = life->store;
-  const int64_t id = life->model.campaigns[0].id;
+  const int64_t id = life->jobs[MO_JOB_CAMPAIGN][0].id;
   struct mo_campaign_design designs[MEMBERS];
   struct mo_campaign_status status;
   struct mo_campaign_state *state = NULL;
@@ -350,7 +325,7 @@ static void reads_without_memory(void)
   printf("# %d times without memory\n", failed);
   CHECK(failed > 50);
   life.store = NULL;
-  empty(&life);
+  life_end(&life);
 }
 
 static void fails_at_every_call(void)

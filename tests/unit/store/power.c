@@ -28,19 +28,18 @@ struct outcome {
 static void open_store(struct life *life, int *error, struct mo_message *message)
 {
   *error = life_open(life, 200, message);
-  if (*error == MO_OK && life->store->epoch <= life->model.epoch)
-    life_found(life, "opening %lld came after %lld", (long long)life->store->epoch,
-               life->model.epoch);
+  if (*error == MO_OK && life->store->epoch <= life->epoch)
+    life_found(life, "opening %lld came after %lld", (long long)life->store->epoch, life->epoch);
   if (*error == MO_OK)
-    life->model.epoch = life->store->epoch;
+    life->epoch = life->store->epoch;
 }
 
 /* What was in doubt has come through as far as can be told now: `doing` keeps the parts that have
  * not. */
 static void resolve(struct life *life, struct outcome *outcome)
 {
-  const uint32_t n = life->in_doubt ? life->doing.parts : 0;
-  char text[300], last[300];
+  const uint32_t doubted = life->in_doubt ? life->doing.parts : 0;
+  char text[MATCH_TEXT];
   struct mo_message message;
   if (mo_store_check(life->store, &message) != MO_OK) {
     life_found(life, "%s", message.text);
@@ -48,20 +47,14 @@ static void resolve(struct life *life, struct outcome *outcome)
   }
   outcome->doubts += life->in_doubt;
   life->in_doubt = false;
-  for (uint32_t parts = n + 1; parts-- > 0;) {
-    struct model model = life->model;
-    life_apply(&model, &life->doing, parts);
-    if (life_matches(life, &model, text)) {
-      life->model = model;
-      life->doing.parts -= n > 0 ? parts : 0;
-      outcome->came_through += parts > 0;
+  for (uint32_t parts = 0; !life_matches(life, text); parts++) {
+    if (parts == doubted || life->findings > 0) {
+      life_found(life, "%s (act %d, %u parts in doubt)", text, (int)life->doing.kind, doubted);
       return;
     }
-    if (parts == n)
-      snprintf(last, sizeof(last), "%s", text);
+    outcome->came_through += parts == 0;
+    life_apply(life, &life->doing, 1);
   }
-  life_found(life, "%s (with act %d of %u parts in doubt: %s)", text,
-             n > 0 ? (int)life->doing.kind : -1, n, last);
 }
 
 /* One act; false: everything stopped, or something is wrong. */
@@ -71,14 +64,10 @@ static bool act_once(struct life *life, struct act act)
   life->doing = act;
   life->in_doubt = true;
   life->acts[act.kind]++;
-  uint32_t done = life_do(life, &act, &error);
-  life_settle(life);
-  life_apply(&life->model, &act, done);
-  life->doing.parts -= done;
-  if (act.kind == ACT_SAVE)
-    life->doing.n -= done;
-  if (life->doing.parts == 0)
-    life->in_doubt = false;
+  uint32_t done = life_do(life, life->store, &act, &error);
+  life_settle(life->store);
+  life_apply(life, &life->doing, done);
+  life->in_doubt = life->doing.parts > 0;
   if (error != MO_OK && !disk_has_stopped(life->disk) && !disk_has_failed(life->disk))
     life_found(life, "act %d: error %d on a disk that works", (int)act.kind, error);
   return error == MO_OK && !disk_has_stopped(life->disk) && life->findings == 0;
@@ -152,9 +141,8 @@ static void live(uint64_t seed, unsigned lies, struct outcome *outcome)
       resolve(&life, outcome);
     else
       life_found(&life, "opening at the end: %s", message.text);
-    mo_store_close(life.store);
   }
-  disk_free(life.disk);
+  life_end(&life);
   for (int i = 0; i < ACT_KINDS; i++)
     outcome->acts[i] += life.acts[i];
   if (life.findings > 0 && outcome->findings++ == 0)
@@ -205,15 +193,15 @@ static void is_found_out(int lies)
  * nothing to write yet. */
 static bool prepare(struct life *life, enum act_kind kind, int index)
 {
-  const struct training_model *training = &life->model.trainings[0];
+  const struct subject *training = &life->jobs[MO_JOB_TRAINING][0];
   bool goes_on = true;
-  if (kind > ACT_CAMPAIGN_START && life->model.campaigns[index].state == MO_JOB_QUEUED)
+  if (kind > ACT_CAMPAIGN_START && life->jobs[MO_JOB_CAMPAIGN][index].state == MO_JOB_QUEUED)
     return act_once(life, (struct act){.kind = ACT_CAMPAIGN_START, .index = index, .parts = 1});
   if (kind <= ACT_TRAIN_START || kind > ACT_TRAIN_FINISH)
     return true;
   if (training->state == MO_JOB_QUEUED)
     goes_on = act_once(life, (struct act){.kind = ACT_TRAIN_START, .parts = 1});
-  if (goes_on && kind == ACT_TRAIN_CHECKPOINT && training->position == 0)
+  if (goes_on && kind == ACT_TRAIN_CHECKPOINT && training->done == 0)
     goes_on = act_once(life, (struct act){.kind = ACT_TRAIN_PROGRESS, .n = 7, .parts = 1});
   return goes_on;
 }
@@ -250,7 +238,7 @@ static int play(struct life *life, int from, int end, const struct stops *stops,
       disk_stop_after(life->disk, n);
     act = life_script[from];
     if (act.kind == ACT_SAVE) /* the part of it that is not done */
-      act.n = act.parts = act.n - life->model.evaluations[0].saved;
+      act.n = act.parts = act.n - life->jobs[MO_JOB_EVALUATION][0].done;
     if (!prepare(life, act.kind, act.index) || !act_once(life, act))
       break;
   }
@@ -302,8 +290,7 @@ static bool stop_at(long n, const struct stops *stops, int end, struct outcome *
     life_found(&life, "the script does not go on after act %d", next);
   if (life.findings == 0)
     stop_and_reopen(&life, false, DISK_WORST, outcome);
-  mo_store_close(life.store);
-  disk_free(life.disk);
+  life_end(&life);
   outcome->cuts += 2 - stops->kill;
   outcome->kills += stops->kill;
   if (life.findings > 0 && outcome->findings++ == 0)
@@ -349,7 +336,8 @@ static void certain_at_the_second_try(void)
     for (int i = COUNTED_FROM; i < COUNTED_FROM + 2; i++) { /* a checkpoint, a controller */
       disk_lack_descriptor(life.disk, n);
       error = MO_OK;
-      life_apply(&life.model, &life_script[i], life_do(&life, &life_script[i], &error));
+      struct act act = life_script[i];
+      life_apply(&life, &act, life_do(&life, life.store, &act, &error));
       lacked = lacked || disk_has_failed(life.disk);
       disk_lack_descriptor(life.disk, 0);
       CHECK(error == MO_OK || error == MO_ERR_NO_MEMORY);
@@ -360,8 +348,7 @@ static void certain_at_the_second_try(void)
     CHECK_INT(life.findings, 0);
     if (life.findings > 0)
       printf("# descriptor %ld: %s\n", n, life.first);
-    mo_store_close(life.store);
-    disk_free(life.disk);
+    life_end(&life);
   }
   CHECK(!lacked);
 }
