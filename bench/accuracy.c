@@ -45,13 +45,6 @@ static void lives_create(struct lives *lives, uint32_t n)
   lives->diverged = bench_zeros(n, 1);
 }
 
-static void lives_free(struct lives *lives)
-{
-  free(lives->com_m);
-  free(lives->loss);
-  free(lives->diverged);
-}
-
 static struct mo_physics physics_at(double dt_s, int mode)
 {
   struct mo_physics physics = mo_default_physics();
@@ -245,14 +238,5 @@ int bench_accuracy(const struct bench_options *options)
        "error of the center of mass in the first second, median, m", against_truth, 2 * MODES},
       {"Against float64 exact at the same time step: precision and impact mode alone",
        "error of the center of mass in the first second, median, m", against_same_dt, 2 * MODES}};
-  const int status =
-      bench_finish(options, file, "milliseconds per rollout of 4 s, one core", panels, 2);
-  free(errors);
-  mo_compute_controller_free(controller);
-  mo_compute_free(compute);
-  lives_free(&lives);
-  lives_free(&same_dt);
-  lives_free(&truth);
-  bench_scene_free(&scene);
-  return status;
+  return bench_finish(options, file, "milliseconds per rollout of 4 s, one core", panels, 2);
 }

@@ -1,4 +1,4 @@
-/* bench.h: what the benchmarks share. */
+/* bench.h: what the benchmarks share. A benchmark is a process: what it makes lasts to its end. */
 #ifndef MORPHO_BENCH_H
 #define MORPHO_BENCH_H
 
@@ -12,9 +12,8 @@ struct bench_options {
   uint64_t seed;
   uint32_t workers; /* 0: one per processor */
   enum mo_isa isa;
-  bool quick, json;
+  bool quick;
   const char *controller; /* path */
-  const char *module;     /* path of a module for GPUs; NULL: the processors */
   const char *csv, *svg;  /* NULL: not written */
   const char *morphod;    /* path of the daemon */
 };
@@ -27,7 +26,6 @@ int bench_stability(const struct bench_options *options);
 int bench_space(int argc, char **argv);
 int bench_store(int argc, char **argv);
 int bench_stream(int argc, char **argv);
-int bench_learning(int argc, char **argv);
 int bench_evolution(int argc, char **argv);
 int bench_load(const struct bench_options *options);
 int bench_shares(const struct bench_options *options);
@@ -47,7 +45,6 @@ struct bench_scene {
 };
 void bench_scene_create(struct bench_scene *scene, const struct bench_options *options,
                         uint32_t n_bodies);
-void bench_scene_free(struct bench_scene *scene);
 /* A box of nx × ny × nz voxels in the middle of the default workspace. */
 struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int nz);
 
@@ -59,7 +56,6 @@ struct bench_sgemm {
  * before anything else. */
 void bench_sgemm_choose(char **argv);
 void bench_sgemm_create(struct bench_sgemm *sgemm);
-void bench_sgemm_free(struct bench_sgemm *sgemm);
 /* Best rate of OpenBLAS on this thread over square sizes from 256 to 1024, FLOP per second. */
 double bench_sgemm_best(const struct bench_sgemm *sgemm);
 /* Arithmetic of one step of the controller restricted to the body's masses and springs. */

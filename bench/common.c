@@ -141,18 +141,6 @@ void bench_scene_create(struct bench_scene *scene, const struct bench_options *o
   mo_body_stream_free(stream);
 }
 
-void bench_scene_free(struct bench_scene *scene)
-{
-  for (uint32_t i = 0; i < scene->n_bodies; i++)
-    mo_body_free(scene->bodies[i]);
-  free(scene->bodies);
-  free(scene->training);
-  free(scene->robots);
-  mo_lattice_free(scene->lattice);
-  mo_controller_free(scene->random);
-  mo_controller_free(scene->controller);
-}
-
 struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int nz)
 {
   uint64_t bits[MO_DEFAULT_WORDS] = {0};

@@ -194,27 +194,6 @@ static void create(struct evolution *evolution)
     store_initial(evolution);
 }
 
-static void destroy(struct evolution *evolution)
-{
-  bench_campaign_free(evolution->campaign);
-  mo_seen_free(evolution->seen);
-  mo_form_set_free(evolution->excluded);
-  mo_lattice_free(evolution->lattice);
-  free(evolution->genotypes);
-  free(evolution->next);
-  free(evolution->candidates);
-  free(evolution->next_candidates);
-  free(evolution->sizes);
-  free(evolution->next_sizes);
-  free(evolution->births);
-  free(evolution->survivors);
-  free(evolution->scores);
-  free(evolution->recorded);
-  for (int phase = 0; phase < PHASES; phase++)
-    free(evolution->seconds[phase]);
-  free(evolution->total);
-}
-
 /* ---- one generation ---- */
 
 static struct mo_variation_counts vary(struct evolution *evolution, uint32_t generation)
@@ -396,6 +375,5 @@ int bench_evolution(int argc, char **argv)
   const int status = report(&evolution);
   if (evolution.campaign != NULL)
     bench_campaign_report(evolution.campaign);
-  destroy(&evolution);
   return status;
 }

@@ -63,21 +63,6 @@ struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *
   return campaign;
 }
 
-void bench_campaign_free(struct bench_campaign *campaign)
-{
-  if (campaign == NULL)
-    return;
-  mo_store_close(campaign->store);
-  free(campaign->processor_s);
-  free(campaign->forms);
-  free(campaign->genotypes);
-  free(campaign->losses);
-  free(campaign->numbers);
-  free(campaign->parent_scores);
-  free(campaign->child_scores);
-  free(campaign);
-}
-
 static double processor_s(void)
 {
   struct rusage used;
@@ -248,4 +233,5 @@ void bench_campaign_report(struct bench_campaign *campaign)
          mebibytes(campaign, "morphod.db-wal"));
   read_pages(campaign);
   resume(campaign);
+  mo_store_close(campaign->store);
 }

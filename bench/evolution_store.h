@@ -10,8 +10,6 @@ struct bench_campaign;
 /* A new state folder in `folder`, with a zero-shot campaign that runs. */
 struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *settings,
                                              const char *folder);
-/* NULL-safe. */
-void bench_campaign_free(struct bench_campaign *campaign);
 
 /* A generation as it was before its selection: parents, then children. Losses are the scores, ten
  * times. */

@@ -46,12 +46,6 @@ static void sample_create(struct sample *s, const struct bench_scene *scene)
   free(order);
 }
 
-static void sample_free(struct sample *s)
-{
-  free(s->ordered);
-  free(s->d_parameters);
-}
-
 static uint32_t block_size(const struct sample *s, uint32_t block)
 {
   const uint32_t left = s->n - block * MO_GRADIENT_ROBOTS;
@@ -111,25 +105,12 @@ static void measure(struct report *report, struct sample *s, const struct mo_con
   report->ratio_median = bench_median(ratio, s->n_blocks);
   report->ratio_worst = bench_quantile(ratio, s->n_blocks, 1.0);
   report->mib = (double)mo_gradient_memory_bytes(memory) / (1 << 20);
-  free(ratio);
   mo_gradient_memory_free(memory);
-  mo_pack_free(pack);
 }
 
-static void print_report(const struct report *r, const char *name, bool json)
+static void print_report(const struct report *r, const char *name)
 {
   const double clipped = (double)r->counts.clipped_steps / (double)r->counts.steps;
-  if (json) {
-    printf(" \"%s\": {\"ms_per_rollout_with_gradient\": %.3f, \"sgemm_gflop_per_s_best\": %.2f, "
-           "\"ratio\": %.4f, \"ratio_block_median\": %.4f, \"ratio_block_worst\": %.4f,\n"
-           "  \"scratch_mib\": %.2f, \"clipped_share_of_steps\": %.5f, \"clipped_robots\": %llu, "
-           "\"zeroed_robots\": %llu, \"diverged_robots\": %llu},\n",
-           name, r->ms_per_robot, 1e-9 * r->sgemm_best, r->ratio, r->ratio_median, r->ratio_worst,
-           r->mib, clipped, (unsigned long long)r->counts.clipped_robots,
-           (unsigned long long)r->counts.zeroed_robots,
-           (unsigned long long)r->counts.diverged_robots);
-    return;
-  }
   printf("\n%s\n", name);
   printf("time per rollout with gradient, one core: %.2f ms\n", r->ms_per_robot);
   printf("best sgemm rate of one core: %.1f GFLOP/s\n", 1e-9 * r->sgemm_best);
@@ -147,7 +128,7 @@ static void print_report(const struct report *r, const char *name, bool json)
 /* Smaller budgets: more is computed twice, and not a bit changes. Two blocks, the better of two
  * times. False if a bit did. */
 static bool print_budgets(struct sample *s, const struct mo_controller *controller, enum mo_isa isa,
-                          const struct bench_sgemm *sgemm, bool json)
+                          const struct bench_sgemm *sgemm)
 {
   static const uint32_t budgets_mib[BUDGETS] = {384, 192, 96, 48, 24};
   const size_t n = controller->n_parameters;
@@ -156,7 +137,7 @@ static bool print_budgets(struct sample *s, const struct mo_controller *controll
   float *first = bench_zeros(blocks * n, sizeof(float));
   bool same = true;
   bench_check(mo_pack_create_for_gradients(controller, isa, &pack), "pack");
-  printf(json ? " \"budgets\": [" : "\nbudget, MiB   scratch, MiB   ratio\n");
+  printf("\nbudget, MiB   scratch, MiB   ratio\n");
   for (int k = 0; k < BUDGETS; k++) {
     struct mo_gradient_memory *memory = NULL;
     double total_s = 0, total_flop = 0;
@@ -173,16 +154,11 @@ static bool print_budgets(struct sample *s, const struct mo_controller *controll
       same = same && memcmp(first + i * n, s->d_parameters, n * sizeof(float)) == 0;
     }
     const double rate = fmax(before, bench_sgemm_best(sgemm));
-    printf(json ? "%s{\"budget_mib\": %u, \"scratch_mib\": %.2f, \"ratio\": %.4f}"
-                : "%s%11u %14.1f %7.3f\n",
-           json && k > 0 ? ", " : "", budgets_mib[k],
+    printf("%11u %14.1f %7.3f\n", budgets_mib[k],
            (double)mo_gradient_memory_bytes(memory) / (1 << 20), total_s / (total_flop / rate));
     mo_gradient_memory_free(memory);
   }
-  printf(json ? "], \"same_bits_for_any_budget\": %s,\n" : "same bits for any budget: %s\n",
-         same ? (json ? "true" : "yes") : (json ? "false" : "NO"));
-  mo_pack_free(pack);
-  free(first);
+  printf("same bits for any budget: %s\n", same ? "yes" : "NO");
   return same;
 }
 
@@ -276,33 +252,23 @@ static void measure_back_end(struct back_end *b, const struct sample *s, enum mo
   b->urgent_worst_s = urgent.worst_s;
   b->same = memcmp(gradient[0], gradient[1], n * sizeof(double)) == 0 &&
             memcmp(gradient[0], gradient[2], n * sizeof(double)) == 0;
-  for (int k = 0; k < 3; k++)
-    free(gradient[k]);
 }
 
-static void print_back_end(const struct back_end *b, const struct sample *s, bool json)
+static void print_back_end(const struct back_end *b, const struct sample *s)
 {
-  if (json)
-    printf(" \"robots_per_second_1_worker\": %.2f, \"robots_per_second_2_workers\": %.2f, "
-           "\"same_bits\": %s,\n"
-           " \"urgent_blocks\": %u, \"urgent_worst_ms\": %.2f, \"robots_per_second_beside_them\": "
-           "%.2f, \"worker_mib\": %.2f,\n",
-           s->n / b->one_s, s->n / b->two_s, b->same ? "true" : "false", b->urgent,
-           1e3 * b->urgent_worst_s, s->n / b->disturbed_s, b->worker_mib);
-  else
-    printf("\nback end, all %u robots at once: %.1f robots/s with one worker, %.1f with two, the "
-           "same bits: %s\n"
-           "%u urgent blocks of one step meanwhile: the slowest took %.1f ms; %.1f robots/s beside "
-           "them\n"
-           "a worker's scratch: %.1f MiB\n",
-           s->n, s->n / b->one_s, s->n / b->two_s, b->same ? "yes" : "NO", b->urgent,
-           1e3 * b->urgent_worst_s, s->n / b->disturbed_s, b->worker_mib);
+  printf(
+      "\nback end, all %u robots at once: %.1f robots/s with one worker, %.1f with two, the same "
+      "bits: %s\n"
+      "%u urgent blocks of one step meanwhile: the slowest took %.1f ms; %.1f robots/s beside "
+      "them\n"
+      "a worker's scratch: %.1f MiB\n",
+      s->n, s->n / b->one_s, s->n / b->two_s, b->same ? "yes" : "NO", b->urgent,
+      1e3 * b->urgent_worst_s, s->n / b->disturbed_s, b->worker_mib);
 }
 
 int bench_gradient(const struct bench_options *options)
 {
   const uint32_t n = options->bodies > 0 ? options->bodies : options->quick ? 64 : SAMPLE;
-  const bool json = options->json;
   struct bench_scene scene;
   struct bench_sgemm sgemm;
   struct sample sample;
@@ -317,31 +283,24 @@ int bench_gradient(const struct bench_options *options)
     masses += scene.bodies[i]->n_masses / (double)n;
     springs += scene.bodies[i]->n_springs / (double)n;
   }
-  printf(json ? "{\"isa\": \"%s\", \"robots\": %u, \"mean_masses\": %.2f, \"mean_springs\": %.2f,\n"
-              : "instruction set: %s\nsample: %u distinct random bodies, each in one training "
-                "environment, 1000 steps; on average %.1f masses, %.1f springs\n",
+  printf("instruction set: %s\nsample: %u distinct random bodies, each in one training "
+         "environment, 1000 steps; on average %.1f masses, %.1f springs\n",
          mo_isa_name(options->isa), n, masses, springs);
   measure(&shipped, &sample, scene.controller, options->isa, &sgemm);
-  print_report(&shipped, json ? "trained" : "trained controller", json);
+  print_report(&shipped, "trained controller");
   measure(&random, &sample, scene.random, options->isa, &sgemm);
-  print_report(&random, json ? "random" : "random weights", json);
-  const bool same = print_budgets(&sample, scene.controller, options->isa, &sgemm, json);
+  print_report(&random, "random weights");
+  const bool same = print_budgets(&sample, scene.controller, options->isa, &sgemm);
   measure_back_end(&back_end, &sample, options->isa);
-  print_back_end(&back_end, &sample, json);
+  print_back_end(&back_end, &sample);
   const double ratio = fmax(shipped.ratio, random.ratio);
   const bool kept = ratio <= RATIO_BOUND && back_end.worker_mib <= WORKER_MIB_BOUND &&
                     back_end.urgent_worst_s <= URGENT_WAIT_BOUND && same && back_end.same;
-  if (json)
-    printf(" \"kept\": %s}\n", kept ? "true" : "false");
-  else
-    printf("\nbounds: ratio %.3f ≤ 1.7 %s; a worker's scratch %.1f MiB ≤ 512 %s; urgent block %.1f "
-           "ms ≤ 100 %s; same bits %s\n",
-           ratio, ratio <= RATIO_BOUND ? "ok" : "MISSED", back_end.worker_mib,
-           back_end.worker_mib <= WORKER_MIB_BOUND ? "ok" : "MISSED", 1e3 * back_end.urgent_worst_s,
-           back_end.urgent_worst_s <= URGENT_WAIT_BOUND ? "ok" : "MISSED",
-           same && back_end.same ? "ok" : "MISSED");
-  bench_sgemm_free(&sgemm);
-  sample_free(&sample);
-  bench_scene_free(&scene);
+  printf("\nbounds: ratio %.3f ≤ 1.7 %s; a worker's scratch %.1f MiB ≤ 512 %s; urgent block %.1f "
+         "ms ≤ 100 %s; same bits %s\n",
+         ratio, ratio <= RATIO_BOUND ? "ok" : "MISSED", back_end.worker_mib,
+         back_end.worker_mib <= WORKER_MIB_BOUND ? "ok" : "MISSED", 1e3 * back_end.urgent_worst_s,
+         back_end.urgent_worst_s <= URGENT_WAIT_BOUND ? "ok" : "MISSED",
+         same && back_end.same ? "ok" : "MISSED");
   return kept ? 0 : 1;
 }

@@ -83,6 +83,5 @@ int bench_gradient_accuracy(const struct bench_options *options)
   printf("\nbound: cosine with clipping, random weights ≥ %.3f %s\n", COSINE_BOUND,
          random ? "ok" : "MISSED");
   printf("bound: the same where adjoints restart above 2 %s\n", restarted ? "ok" : "MISSED");
-  bench_scene_free(&scene);
   return random && restarted ? 0 : 1;
 }

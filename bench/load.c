@@ -133,8 +133,6 @@ int bench_load(const struct bench_options *options)
   printf("  (median %.1f ms)\n", bench_median(interactive, N_INTERACTIVE) * 1e3);
   free(job);
   free(samples);
-  mo_body_stream_free(stream);
-  mo_body_stream_free(others);
   bench_daemon_stop(&daemon);
   return missed > 0;
 }

@@ -6,7 +6,7 @@
 
 static const char usage[] =
     "Usage: morpho-bench "
-    "rollout|gradient|gradient-accuracy|accuracy|stability|load|shares|space|store|stream|learning|"
+    "rollout|gradient|gradient-accuracy|accuracy|stability|load|shares|space|store|stream|"
     "evolution [OPTION…]\n"
     "\n"
     "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its "
@@ -24,7 +24,6 @@ static const char usage[] =
     "  store     speed of durable submissions, saves and queries, in a new folder of the folder "
     "named (default /tmp)\n"
     "  stream    the distinct bodies of a pretraining: time and memory\n"
-    "  learning  trainings from random weights, and finetuning; `morpho-bench learning --help`\n"
     "  evolution  a campaign's bookkeeping beside its rollouts; `morpho-bench evolution --help`\n"
     "\n"
     "  --bodies N         another number of bodies\n"
@@ -37,7 +36,6 @@ static const char usage[] =
     "  --csv PATH         `accuracy`, `stability`: write the table here (default: standard "
     "output)\n"
     "  --svg PATH         `accuracy`, `stability`: draw the table here\n"
-    "  --json             `rollout`, `gradient`: machine-readable result\n"
     "  --quick            a tenth of the bodies\n";
 
 static const struct {
@@ -65,7 +63,6 @@ int main(int argc, char **argv)
                                                {"csv", required_argument, NULL, 'C'},
                                                {"svg", required_argument, NULL, 'S'},
                                                {"morphod", required_argument, NULL, 'm'},
-                                               {"json", no_argument, NULL, 'j'},
                                                {"quick", no_argument, NULL, 'q'},
                                                {"help", no_argument, NULL, 'h'},
                                                {NULL, 0, NULL, 0}};
@@ -74,9 +71,7 @@ int main(int argc, char **argv)
                                   .controller = "data/controllers/bootstrap.safetensors",
                                   .morphod = "build/src/daemon/morphod"};
   bench_sgemm_choose(argv);
-  if (argc > 1 && strcmp(argv[1], "learning") == 0) /* has options of its own */
-    return bench_learning(argc - 1, argv + 1);
-  if (argc > 1 && strcmp(argv[1], "evolution") == 0)
+  if (argc > 1 && strcmp(argv[1], "evolution") == 0) /* has options of its own */
     return bench_evolution(argc - 1, argv + 1);
   int option;
   while ((option = getopt_long(argc, argv, "h", long_options, NULL)) != -1)
@@ -89,7 +84,6 @@ int main(int argc, char **argv)
     case 'C': options.csv = optarg; break;
     case 'S': options.svg = optarg; break;
     case 'm': options.morphod = optarg; break;
-    case 'j': options.json = true; break;
     case 'q': options.quick = true; break;
     case 'h': fputs(usage, stdout); return 0;
     default: fputs(usage, stderr); return 2;

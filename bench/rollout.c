@@ -28,13 +28,6 @@ static void runner_create(struct runner *runner, const struct bench_scene *scene
   bench_check(mo_workspace_memory_create(&runner->memory), "scratch");
 }
 
-static void runner_free(struct runner *runner)
-{
-  mo_workspace_memory_free(runner->memory);
-  mo_pack_free(runner->passive);
-  mo_pack_free(runner->pack);
-}
-
 /* Seconds for one body in the first n environments of the paper test set. */
 static double run_s(const struct runner *runner, const struct mo_pack *pack,
                     const struct bench_scene *scene, const struct mo_body *body, uint32_t n,
@@ -114,23 +107,10 @@ static void measure_sample(struct report *report, const struct runner *runner,
   report->rollouts_per_s_best = bench_quantile(rate, rounds, 1.0);
   report->sgemm_median = bench_median(sgemm_rate, rounds);
   report->active_share = total_flop / all_flop;
-  bench_sgemm_free(&sgemm);
 }
 
-static void print_sample(const struct report *r, bool json)
+static void print_sample(const struct report *r)
 {
-  if (json) {
-    printf("\"bodies\": %u, \"environments\": %d, \"mean_voxels\": %.2f, \"mean_masses\": %.2f, "
-           "\"mean_springs\": %.2f,\n"
-           " \"rollouts_per_second_and_core\": %.2f, \"rollouts_per_second_best_round\": %.2f,\n"
-           " \"sgemm_gflop_per_s_best\": %.2f, \"sgemm_gflop_per_s_median\": %.2f,\n"
-           " \"ratio\": %.4f, \"ratio_round_median\": %.4f, \"ratio_round_worst\": %.4f, "
-           "\"active_share_of_arithmetic\": %.4f,\n",
-           r->n_bodies, PAPER, r->voxels, r->masses, r->springs, r->rollouts_per_s,
-           r->rollouts_per_s_best, 1e-9 * r->sgemm_best, 1e-9 * r->sgemm_median, r->ratio,
-           r->ratio_median, r->ratio_worst, r->active_share);
-    return;
-  }
   printf("sample: %u distinct random bodies × %d environments × 1000 steps; on average %.1f "
          "voxels, %.1f masses, %.1f springs\n",
          r->n_bodies, PAPER, r->voxels, r->masses, r->springs);
@@ -147,36 +127,28 @@ static void print_sample(const struct report *r, bool json)
 
 /* Time against the size of the body. Returns largest over smallest. */
 static double print_sizes(const struct runner *runner, const struct bench_scene *scene,
-                          const struct mo_physics *physics, bool json)
+                          const struct mo_physics *physics)
 {
   static const int boxes[][3] = {{1, 1, 1}, {2, 1, 1}, {2, 2, 1}, {2, 2, 2}, {3, 3, 2},
                                  {4, 4, 2}, {4, 4, 4}, {6, 6, 3}, {6, 6, 4}};
   const int n = (int)(sizeof(boxes) / sizeof(boxes[0]));
   double first_s = 0, last_s = 0;
-  if (json)
-    printf(" \"sizes\": [");
-  else
-    printf("\n   voxels   masses  springs   µs per rollout step   rollouts/s\n");
+  printf("\n   voxels   masses  springs   µs per rollout step   rollouts/s\n");
   for (int i = 0; i < n; i++) {
     struct mo_body *body = bench_box(scene, boxes[i][0], boxes[i][1], boxes[i][2]);
     last_s = best_run_s(runner, runner->pack, scene, body, PAPER, physics) / PAPER;
     first_s = i == 0 ? last_s : first_s;
-    printf(json ? "%s{\"voxels\": %u, \"masses\": %u, \"springs\": %u, \"us_per_rollout_step\": "
-                  "%.4f, \"rollouts_per_second\": %.2f}"
-                : "%s%9u %8u %8u %21.3f %12.1f\n",
-           json && i > 0 ? ", " : "", body->n_voxels, body->n_masses, body->n_springs,
+    printf("%9u %8u %8u %21.3f %12.1f\n", body->n_voxels, body->n_masses, body->n_springs,
            1e6 * last_s / physics->n_steps, 1 / last_s);
     mo_body_free(body);
   }
-  printf(json ? "],\n \"full_over_one_voxel\": %.2f,\n"
-              : "144 voxels cost %.1f times as much as one\n",
-         last_s / first_s);
+  printf("144 voxels cost %.1f times as much as one\n", last_s / first_s);
   return last_s / first_s;
 }
 
 /* What the same body costs when parts of the scene are missing. */
 static void print_skipping(const struct runner *runner, const struct bench_scene *scene,
-                           const struct mo_physics *physics, bool json)
+                           const struct mo_physics *physics)
 {
   struct mo_body *body = bench_box(scene, 4, 4, 4);
   struct mo_physics air = *physics;
@@ -186,10 +158,8 @@ static void print_skipping(const struct runner *runner, const struct bench_scene
   const double without = best_run_s(runner, runner->passive, scene, body, PAPER, physics);
   const double alone = best_run_s(runner, runner->pack, scene, body, 1, physics);
   const double scale = 1e6 / (PAPER * (double)physics->n_steps);
-  printf(json ? " \"step_us\": {\"controlled\": %.4f, \"in_the_air\": %.4f, \"passive\": %.4f, "
-                "\"one_environment\": %.4f},\n"
-              : "\n64 voxels, µs per rollout step: %.3f, in the air %.3f, without a controller "
-                "%.3f, in one environment instead of ten %.3f\n",
+  printf("\n64 voxels, µs per rollout step: %.3f, in the air %.3f, without a controller %.3f, in "
+         "one environment instead of ten %.3f\n",
          scale * with, scale * falling, scale * without, scale * PAPER * alone);
   mo_body_free(body);
 }
@@ -233,16 +203,12 @@ static double worker_mib(const struct bench_scene *scene, enum mo_isa isa,
   struct mo_physics physics = mo_default_physics();
   physics.n_steps = 1;
   (void)run_s(&runner, runner.pack, scene, body, MO_BLOCK_LANES, &physics);
-  const double mib = 2.0 * (double)mo_workspace_memory_bytes(runner.memory) / (1 << 20);
-  mo_body_free(body);
-  runner_free(&runner);
-  return mib;
+  return 2.0 * (double)mo_workspace_memory_bytes(runner.memory) / (1 << 20);
 }
 
 int bench_rollout(const struct bench_options *options)
 {
   const uint32_t n = options->bodies > 0 ? options->bodies : options->quick ? 20 : 200;
-  const bool json = options->json;
   const struct mo_physics physics = mo_default_physics();
   struct bench_scene scene;
   struct runner runner, runner64;
@@ -251,11 +217,11 @@ int bench_rollout(const struct bench_options *options)
   runner_create(&runner, &scene, options->isa, MO_FLOAT32);
   runner_create(&runner64, &scene, options->isa, MO_FLOAT64);
 
-  printf(json ? "{\"isa\": \"%s\", " : "instruction set: %s\n", mo_isa_name(options->isa));
+  printf("instruction set: %s\n", mo_isa_name(options->isa));
   measure_sample(&report, &runner, &scene, &physics);
-  print_sample(&report, json);
-  const double growth = print_sizes(&runner, &scene, &physics, json);
-  print_skipping(&runner, &scene, &physics, json);
+  print_sample(&report);
+  const double growth = print_sizes(&runner, &scene, &physics);
+  print_skipping(&runner, &scene, &physics);
 
   const uint32_t few = n < 40 ? n : 40;
   double time64 = 0, time32 = 0;
@@ -268,22 +234,15 @@ int bench_rollout(const struct bench_options *options)
   const double two = back_end_rate(&scene, options, 2, few, &physics, &bytes);
   const double mib32 = worker_mib(&scene, options->isa, MO_FLOAT32),
                mib64 = worker_mib(&scene, options->isa, MO_FLOAT64);
-  printf(json ? " \"float64_over_float32_time\": %.3f, \"rollouts_per_second_1_worker\": %.2f, "
-                "\"rollouts_per_second_2_workers\": %.2f,\n \"worker_mib_float32\": %.2f, "
-                "\"worker_mib_float64\": %.2f}\n"
-              : "float64 takes %.2f times as long as float32\n"
-                "back end: %.1f rollouts/s with one worker, %.1f with two\n"
-                "scratch per worker, largest body, urgent block inside a batch block: %.2f MiB "
-                "(float32), %.2f MiB (float64)\n",
+  printf("float64 takes %.2f times as long as float32\n"
+         "back end: %.1f rollouts/s with one worker, %.1f with two\n"
+         "scratch per worker, largest body, urgent block inside a batch block: %.2f MiB (float32), "
+         "%.2f MiB (float64)\n",
          time64 / time32, one, two, mib32, mib64);
-  if (!json)
-    printf("\nbounds: ratio %.3f ≤ 1.6 %s; 144 voxels over one %.1f ≥ 3 %s; scratch %.2f MiB ≤ 16 "
-           "%s\n",
-           report.ratio, report.ratio <= 1.6 ? "ok" : "MISSED", growth,
-           growth >= 3 ? "ok" : "MISSED", mib64, mib64 <= 16 ? "ok" : "MISSED");
+  printf("\nbounds: ratio %.3f ≤ 1.6 %s; 144 voxels over one %.1f ≥ 3 %s; scratch %.2f MiB ≤ 16 "
+         "%s\n",
+         report.ratio, report.ratio <= 1.6 ? "ok" : "MISSED", growth, growth >= 3 ? "ok" : "MISSED",
+         mib64, mib64 <= 16 ? "ok" : "MISSED");
   const bool kept = report.ratio <= 1.6 && growth >= 3 && mib64 <= 16;
-  runner_free(&runner64);
-  runner_free(&runner);
-  bench_scene_free(&scene);
   return kept ? 0 : 1;
 }

@@ -65,13 +65,6 @@ void bench_sgemm_create(struct bench_sgemm *sgemm)
   openblas_set_num_threads(1);
 }
 
-void bench_sgemm_free(struct bench_sgemm *sgemm)
-{
-  free(sgemm->a);
-  free(sgemm->b);
-  free(sgemm->c);
-}
-
 double bench_sgemm_best(const struct bench_sgemm *sgemm)
 {
   static const int sizes[] = {256, 384, 512, 768, 1024};

@@ -147,9 +147,6 @@ static void large_body(void)
   printf("\nfull %u x %u x %u workspace: %u masses, %u springs; lattice %.1f ms, body %.1f ms\n",
          workspace.nx, workspace.ny, workspace.nz, body->n_masses, body->n_springs,
          1e3 * (middle - start), 1e3 * (bench_now_s() - middle));
-  mo_body_free(body);
-  free(bits);
-  mo_lattice_free(lattice);
 }
 
 int bench_space(int argc, char **argv)
@@ -178,9 +175,6 @@ int bench_space(int argc, char **argv)
   measure(&sample, "insertion into a set of forms", insert);
   measure(&sample, "distinct stream, per draw", stream);
   measure(&sample, "body (masses and springs)", express);
-  mo_lattice_free(lattice);
-  free(sample.bodies);
-  free(sample.forms);
   if (sample.sink == 1) /* practically never: the results were needed */
     printf("\n");
   large_body();

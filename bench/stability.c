@@ -273,12 +273,5 @@ int bench_stability(const struct bench_options *options)
       panels[p] = (struct bench_panel){titles[p], "stiffness, N/m", series[p], SERIES};
     }
   }
-  const int status = bench_finish(options, file, "time step, ms", panels, BODIES * MODES);
-  for (int b = 0; b < BODIES; b++)
-    mo_body_free(maps[b].body);
-  for (int mode = 0; mode < MODES; mode++)
-    mo_compute_controller_free(runner.controller[mode]);
-  mo_compute_free(runner.compute);
-  bench_scene_free(&scene);
-  return status;
+  return bench_finish(options, file, "time step, ms", panels, BODIES * MODES);
 }

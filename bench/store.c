@@ -243,7 +243,5 @@ int bench_store(int argc, char **argv)
   fill_jobs(&bed);
   list_jobs(&bed);
   mo_store_close(bed.store);
-  free(bed.forms);
-  free(bed.genotypes);
   return 0;
 }
