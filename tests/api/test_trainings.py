@@ -80,6 +80,62 @@ def test_a_preset_and_what_is_named_over_it(service):
         assert reply.status == 422 and detail in reply.json()["errors"][0]["detail"], reply.body
 
 
+def holds(value, told):
+    """Whether an object has these members, which may be objects of which the same is true."""
+    return (all(holds(value[key], member) for key, member in told.items())
+            if isinstance(told, dict) else value == told)
+
+
+COSINE = {"kind": "cosine", "peak": 2e-3, "floor": 1e-5, "warmup_steps": 10}
+RESTARTS = {"kind": "restarts", "peak": 1e-3, "floor": 1e-5, "decay": 0.7, "cycle_steps": 10,
+            "cycle_growth": 2, "warmup_steps": 0}
+TUNED = {"kind": "cosine", "peak": 3e-4, "floor": 1e-6, "warmup_steps": 0}
+
+
+@pytest.mark.parametrize("request_, told", [
+    ({"kind": "pretrain"}, {
+        "steps": 1400, "batch": 256, "schedule": COSINE,
+        "validation": {"every_steps": 50, "designs": 64, "environments": 8},
+        "checkpoint": {"every_steps": 0, "every_s": 60, "keep": 3}}),
+    ({"designs": [DESIGN], "kind": "finetune", "seed": 7},
+     {"steps": 60, "batch": 256, "seed": 7, "schedule": TUNED, "n_designs": 1}),
+    ({"kind": "pretrain", "controller": None, "sensor": "inverse_square"},
+     {"sensor": "inverse_square"}),
+    ({"preset": "paper", "kind": "pretrain"},
+     {"batch": 8192, "schedule": RESTARTS, "adjoint_bound": 0}),
+    (TUNE | {"preset": "paper"}, {"schedule": RESTARTS | {"peak": 3.5e-4, "floor": 3.5e-5,
+                                                         "decay": 1, "cycle_steps": 100,
+                                                         "cycle_growth": 1}}),
+    ({"kind": "pretrain", "preset": "phototaxis", "schedule": {"kind": "restarts", "peak": 0.003}},
+     {"batch": 8192, "schedule": RESTARTS | {"peak": 0.003}}),
+    ({"kind": "pretrain", "schedule": "paper-simultaneous"},
+     {"schedule": RESTARTS | {"decay": 0.65}}),
+    # A peak below the usual floor lowers the floor.
+    ({"kind": "pretrain", "schedule": {"kind": "cosine", "peak": 1e-6}},
+     {"schedule": COSINE | {"peak": 1e-6, "floor": 1e-6}}),
+    ({"kind": "pretrain", "schedule": {"kind": "constant", "peak": 0.5, "warmup_steps": 0}},
+     {"schedule": {"kind": "constant", "peak": 0.5, "warmup_steps": 0}}),
+    (TRAIN | {"seed": 2**53 - 1, "batch": 65536, "physics": {"n_steps": 200,
+                                                             "impact": "bisection8"},
+              "adam": {"beta1": 0, "beta2": 0.5, "epsilon": 1e-6}, "gradient_norm_limit": 0,
+              "adjoint_bound": 8, "adjoint_rule": "restart", "restart_weight": 0},
+     {"seed": 2**53 - 1, "batch": 65536, "gradient_norm_limit": 0, "adjoint_bound": 8,
+      "adam": {"beta1": 0, "beta2": 0.5, "epsilon": 1e-6}, "adjoint_rule": "restart",
+      "restart_weight": 0})])
+def test_settings_of_requests(service, request_, told):
+    training = service.post("/v1/trainings", request_)
+    assert service.act(training["id"], "cancel").status == 200
+    assert holds(training["settings"], told), training["settings"]
+    assert (training["parent"] is None) == (request_["kind"] == "pretrain")
+
+
+def test_words_with_escapes(service):
+    body = b'{"kind":"pretrain","preset":"\\u0070aper","steps":2}'
+    training = service.post("/v1/trainings", body=body)
+    assert service.act(training["id"], "cancel").status == 200
+    assert training["settings"]["batch"] == 8192 and training["settings"]["steps"] == 2
+
+
 def test_the_end(service, trained):
     progress = trained["progress"]
     assert progress["step"] == progress["steps"] == 6 and progress["mean_loss"] > 0

@@ -10,7 +10,6 @@ import pty
 import re
 import shlex
 import signal
-import socketserver
 import struct
 import subprocess
 import sys
@@ -39,7 +38,7 @@ class Server:
     """Replies come from a list, one per request: functions, or JSON with status 200. The requests
     are kept."""
 
-    def __init__(self, replies, path=None):
+    def __init__(self, replies):
         self.replies, self.seen = list(replies), []
         outer = self
 
@@ -54,25 +53,11 @@ class Server:
 
             do_GET = do_POST = do_PUT = do_DELETE = handle_any
 
-            def address_string(self):
-                return "fake"
-
             def log_message(self, *_):
                 pass
 
-        if path is not None:
-
-            class UnixServer(socketserver.ThreadingUnixStreamServer):
-
-                def get_request(self):
-                    connection, _ = super().get_request()
-                    return connection, ("unix", 0)
-
-            self.server = UnixServer(path, Handler)
-            self.address = "unix:" + path
-        else:
-            self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-            self.address = f"http://127.0.0.1:{self.server.server_address[1]}"
+        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.address = f"http://127.0.0.1:{self.server.server_address[1]}"
         self.server.daemon_threads = True
         threading.Thread(target=self.server.serve_forever, args=(0.02, ), daemon=True).start()
 
@@ -220,11 +205,6 @@ def test_waits_for_the_end():
                                     "/v1/evaluations/7"]
 
 
-def test_no_wait():
-    out, _, seen = ask([reply(202, {**JOB, "state": "queued"})], "eval --no-wait", input_text=ID)
-    assert out == "7\n" and "Prefer" not in seen[0][2]
-
-
 def test_failures():
     failed = {**JOB, "state": "failed", "error": {"code": "crashed", "detail": "three times"}}
     assert "three times" in ask([failed], "eval", status=3, input_text=ID)[1]
@@ -284,12 +264,6 @@ def test_token():
             assert seen[0][2].get("Authorization") == sent
 
 
-def test_unix_socket():
-    with tempfile.TemporaryDirectory() as folder, Server([JOB], path=folder + "/s") as server:
-        status, out, err = run(server, "job show 7")
-        assert status == 0 and "succeeded" in out, err
-
-
 def test_watch_goes_on_after_a_break():
     running = {**JOB, "state": "running"}
     out, _, seen = ask([
@@ -303,25 +277,6 @@ def test_watch_goes_on_after_a_break():
     failed = stream(event(5, "job.finished", state="failed"))
     out = ask([running, failed], "watch 7 --json", status=3)[0]
     assert json.loads(out)["data"] == {"state": "failed"}
-
-
-def test_trajectories_are_numpy_files():
-    data = struct.pack("<6f", *range(6))
-    recording = reply(200, data, "application/octet-stream", Morphod_Shape="2,3")
-    with tempfile.TemporaryDirectory() as folder:
-        seen = ask([{**JOB, "results": [RESULT]}] + [recording] * 2,
-                   f"eval --record com --output {folder}/out", input_text=ID)[2]
-        assert seen[1][1] == "/v1/evaluations/7/trajectories/0/file?environment=0&array=com"
-        with open(folder + "/out/design-0000-environment-01-com.npy", "rb") as file:
-            content = file.read()
-        with open(folder + "/out/evaluation.json", encoding="utf-8") as file:
-            assert json.load(file)["id"] == "7"
-    assert content[:8] == b"\x93NUMPY\x01\x00"
-    length = struct.unpack("<H", content[8:10])[0]
-    head = content[10:10 + length]
-    assert (10 + length) % 64 == 0 and head.endswith(b"\n")
-    assert eval(head) == {"descr": "<f4", "fortran_order": False, "shape": (2, 3)}
-    assert content[10 + length:] == data
 
 
 def test_pages():
@@ -342,21 +297,6 @@ def test_verify():
     design = {"id": ID, "orientations": [{"genotype": VOXELS, "scores": []}]}
     seen = ask([design, verified(True)], f"verify {ID}")[2]
     assert json.loads(seen[1][3])["designs"] == [{"voxels": VOXELS}]
-
-
-def test_controller_files():
-    content = bytes(range(256)) * 100
-    with tempfile.TemporaryDirectory() as folder:
-        path = folder + "/c.safetensors"
-        with open(path, "wb") as file:
-            file.write(content)
-        seen = ask([reply(201, {"name": "c", "sha256": "b" * 64})], f"controller put c {path}")[2]
-        assert seen[0][:2] == ("PUT", "/v1/controllers/c/file") and seen[0][3] == content
-        ask([reply(200, content, "application/octet-stream")],
-            f"controller get c -o {path}.copy")
-        with open(path + ".copy", "rb") as file:
-            assert file.read() == content
-    ask([reply(204)], "controller delete c")
 
 
 TRAINING = {
@@ -561,23 +501,6 @@ def test_train_show_and_list():
     out, _, seen = ask([page], "train list --state running")
     assert len(out.splitlines()) == 3 and seen[0][1] == "/v1/trainings?state=running&limit=50"
     ask([], "train list --state ended", status=2)
-
-
-def test_train_export():
-    curve = b"step,mean_loss\n1,0.5\n2,0.25\n3,0.125\n"
-    with tempfile.TemporaryDirectory() as folder:
-        out, _, seen = ask([
-            reply(200, b"weights", "application/octet-stream", Morphod_Step="4"),
-            reply(200, curve, "text/csv"), reply(200, b"step,mean_score\n0,1.5\n", "text/csv")
-        ], f"train export 7 --step 4 -o {folder}/c --curve {folder}/curve --validations -")
-        for name, content in (("c", b"weights"), ("curve", curve)):
-            with open(f"{folder}/{name}", "rb") as file:
-                assert file.read() == content
-    assert out == "step,mean_score\n0,1.5\n"
-    assert [path for _, path, _, _ in seen] == ["/v1/trainings/7/controller?step=4",
-                                                "/v1/trainings/7/steps",
-                                                "/v1/trainings/7/validations"]
-    ask([reply(404, {"title": "Not Found", "detail": "no checkpoint"})], "train export 7", status=3)
 
 
 def scored(identity, scores):
