@@ -1,36 +1,30 @@
-/* crash.c: a process is killed with SIGKILL at random moments, again and again, until all its work
- * is done.
+/* crash.c: what a kill costs: a process that runs a campaign is killed with SIGKILL at random
+ * moments, again and again, until the campaign is done.
  *
- * A child opens the state folder, submits jobs under keys, and computes with the fake back end. The
- * parent kills it and starts the next child. At the end every job has succeeded, its results are
- * those of an undisturbed run, no row is there twice, and a kill cost no more than what was in
- * flight or waited for its commit.
+ * A child opens the state folder, submits the campaign under a key, and computes with the fake back
+ * end, which counts what it computes. The parent kills it and starts the next child. At the end the
+ * campaign is as an undisturbed one, and a kill cost no more than what was in flight or waited for
+ * its commit. tests/crash does the same to the daemon, and to evaluations.
  *
- * MORPHO_CRASH_KILLS: how many times at least, in each case (default: evaluations 20, campaigns of
- * each mode 10). */
+ * MORPHO_CRASH_KILLS: how many times at least, in each mode (default 10). */
 #include <signal.h>
 #include <sys/mman.h>
 #include <sys/wait.h>
 
 #include "fakes.h"
 
-#define BODIES           400
-#define SUBMISSIONS      60
 #define LONG_GENERATIONS 8
 #define BLOCK_US         3000
 #define STEP_US          3000
 
-enum { EVALUATIONS = -1 }; /* beside the modes of campaigns */
-
 /* In memory that the processes share. */
 struct shared {
   struct fake_count count;
-  atomic_int acknowledged; /* submissions, in all lives */
-  atomic_bool runs;        /* this life is at work */
+  atomic_bool acknowledged; /* in any life */
+  atomic_bool runs;         /* this life is at work */
 };
 
 static struct shared *shared;
-static const struct mo_bits *genotypes;
 static unsigned random_bits = 4321;
 
 static unsigned next_random(void)
@@ -42,82 +36,6 @@ static unsigned next_random(void)
 static uint64_t work_done(void)
 {
   return atomic_load(&shared->count.rollouts) + atomic_load(&shared->count.robots);
-}
-
-/* Notes submission number i. false: it was refused, is another job, or was acknowledged before and
- * is now unknown. */
-static bool acknowledge(int i, int error, int64_t id, bool replayed)
-{
-  if (error != MO_OK || id != i + 1 || (i < atomic_load(&shared->acknowledged) && !replayed))
-    return false;
-  if (!replayed)
-    atomic_store(&shared->acknowledged, i + 1);
-  atomic_store(&shared->runs, true);
-  return true;
-}
-
-/* ---- evaluations: many small ones ---- */
-
-/* What submission number i asks for. */
-static struct mo_evaluation_request request_of(int i, char key[64])
-{
-  const uint32_t n = i % 7 == 0 ? 40 : (uint32_t)(1 + i % 9);
-  struct mo_evaluation_request request = service_request(genotypes + (i * 37) % (BODIES - 40), n);
-  snprintf(key, 64, "submission-%d", i);
-  request.idempotency_key = key;
-  request.verify = i % 11 == 10;
-  request.record = i % 13 == 12 ? MO_RECORD_COM : 0;
-  return request;
-}
-
-static bool live_on_evaluations(void)
-{
-  char key[64];
-  fake_plan.delay_us = 1000;
-  for (int i = 0; i < SUBMISSIONS; i++) {
-    const struct mo_evaluation_request request = request_of(i, key);
-    int64_t id = 0;
-    bool replayed = false;
-    const int error = mo_jobs_submit_evaluation(service.jobs, &request, &id, &replayed, NULL);
-    if (!acknowledge(i, error, id, replayed))
-      return false;
-    if (i % 4 == 3)
-      usleep(10000);
-  }
-  return AWAIT(stats_of().open_jobs == 0);
-}
-
-static void check_evaluations(void)
-{
-  static const struct {
-    const char *sql;
-    int64_t expected;
-  } rows[] = {
-      {"SELECT count(*) FROM jobs", SUBMISSIONS},
-      {"SELECT count(*) FROM jobs WHERE state=3 AND attempts=0", SUBMISSIONS},
-      {"SELECT count(*) FROM events WHERE type='job.created'", SUBMISSIONS},
-      {"SELECT count(*) FROM events WHERE type='job.finished'", SUBMISSIONS},
-      {"SELECT count(*) FROM evaluations WHERE done<>n_designs*n_environments", 0},
-      {"SELECT count(*) FROM (SELECT job,position FROM job_designs GROUP BY 1,2 HAVING "
-       "count(*)>1)",
-       0},
-  };
-  char key[64];
-  for (size_t i = 0; i < COUNT(rows); i++)
-    CHECK_INT(outside_integer(rows[i].sql), rows[i].expected);
-  for (int i = 0; i < SUBMISSIONS; i++) {
-    const struct mo_evaluation_request request = request_of(i, key);
-    struct mo_evaluation_results *results = NULL;
-    struct mo_trajectory *trajectory = NULL;
-    CHECK(right(i + 1, request.genotypes));
-    if (request.record != 0)
-      CHECK_OK(mo_store_trajectory(store, i + 1, request.n_designs - 1, 9, &trajectory));
-    mo_trajectory_free(trajectory);
-    if (request.verify && mo_store_results(store, i + 1, &results) == MO_OK)
-      for (uint32_t n = 0; n < results->n_designs; n++)
-        CHECK_INT(results->agrees[n], 1);
-    mo_evaluation_results_free(results);
-  }
 }
 
 /* ---- one campaign of each mode ---- */
@@ -139,7 +57,11 @@ static bool live_on_campaign(int mode)
   fake_plan.delay_us = BLOCK_US;
   fake_plan.gradient_delay_us = STEP_US;
   int error = mo_jobs_submit_campaign(service.jobs, &request, &id, &replayed, NULL, NULL);
-  return acknowledge(0, error, id, replayed) && succeeds(id, NULL);
+  /* It was refused, is another job, or was acknowledged before and is now unknown. */
+  if (error != MO_OK || id != 1 || (atomic_exchange(&shared->acknowledged, true) && !replayed))
+    return false;
+  atomic_store(&shared->runs, true);
+  return succeeds(id, NULL);
 }
 
 static void check_campaign(int mode, int kills)
@@ -171,7 +93,7 @@ static void live(int mode, uint32_t n_workers)
     fprintf(stderr, "# child: %s\n", fixture.message.text);
     _exit(3);
   }
-  if (!(mode == EVALUATIONS ? live_on_evaluations() : live_on_campaign(mode)))
+  if (!live_on_campaign(mode))
     _exit(4);
   service_close();
   _exit(0);
@@ -225,24 +147,18 @@ static int run_lives(int mode, int kills_left, uint64_t all_work, int *at_work)
 static void check_mode(int mode)
 {
   const char *text = getenv("MORPHO_CRASH_KILLS");
-  const int wanted = text != NULL ? atoi(text) : mode == EVALUATIONS ? 20 : 10;
-  uint64_t rollouts = SUBMISSIONS * 50, robots = 0;
+  const int wanted = text != NULL ? atoi(text) : 10;
+  const struct mo_campaign_request request = long_campaign(mode);
+  const struct origin origin = origin_of(&request); /* before the first fork */
+  uint64_t rollouts = 0, robots = 0;
   int all = 0, at_work = 0;
-  if (mode != EVALUATIONS) {
-    const struct mo_campaign_request request = long_campaign(mode);
-    const struct origin origin = origin_of(&request); /* before the first fork */
-    needs(&origin, &rollouts, &robots);
-  }
+  needs(&origin, &rollouts, &robots);
   while (all < wanted) { /* until there are so many kills */
     REQUIRE_OK(service_begin());
-    genotypes = bodies(21, BODIES);
     memset(shared, 0, sizeof(*shared));
     int kills = run_lives(mode, wanted - all, (rollouts + robots) / 4, &at_work);
     REQUIRE_OK(service_open());
-    if (mode == EVALUATIONS)
-      check_evaluations();
-    else
-      check_campaign(mode, kills > 0 ? kills : 1);
+    check_campaign(mode, kills > 0 ? kills : 1);
     CHECK_OK(check_whole());
     all += kills;
   }
@@ -254,7 +170,7 @@ static void loses_nothing(void)
   shared = mmap(NULL, sizeof(*shared), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
   REQUIRE(shared != MAP_FAILED);
   fake_count = &shared->count;
-  for (int mode = EVALUATIONS; mode <= MO_SIMULTANEOUS; mode++)
+  for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++)
     check_mode(mode);
   fake_count = NULL;
   munmap(shared, sizeof(*shared));

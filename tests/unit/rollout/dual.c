@@ -1,11 +1,10 @@
-/* dual.c: the second implementation on dual numbers v + Σ t[k] ε_k, ε_j ε_k = 0: every operation
+/* dual.c: the second implementation, on dual numbers v + Σ t[k] ε_k, ε_j ε_k = 0: every operation
  * carries its derivatives along. */
 #include "second.h"
 
 #include <math.h>
 #include <stdlib.h>
 
-#define NAME(x) dual_##x
 typedef struct dual num;
 
 #define LANES(expression)                                                                          \
@@ -87,7 +86,8 @@ weigh(const double *weights, const num *in, uint32_t width, num *sum)
     sum->t[k] = t[k];
 }
 
-/* As in plain.c. Lane `lane` moves the matrix, lane + 1 its biases. */
+/* The matrix starts at parameter `at` and has `height` rows, its biases follow; `rows` (NULL: 0 …)
+ * are wanted, n of them. Lane `lane` moves the matrix, lane + 1 its biases. */
 static void dense(const struct second_parameters *theta, size_t at, int lane, uint32_t height,
                   const uint32_t *rows, uint32_t n, uint32_t width, const num *in, num *out)
 {
@@ -110,7 +110,406 @@ static void dense(const struct second_parameters *theta, size_t at, int lane, ui
   }
 }
 
-#include "second.inc"
+#define CELLS 7
+#define SIDE  8
+static const double cells_per_m = CELLS / 5.0;
+
+static num square_sum(const num d[3])
+{
+  return add(add(mul(d[0], d[0]), mul(d[1], d[1])), mul(d[2], d[2]));
+}
+
+static num dot3(const num a[3], const num b[3])
+{
+  return add(add(mul(a[0], b[0]), mul(a[1], b[1])), mul(a[2], b[2]));
+}
+
+/* ---- terrain ---- */
+
+struct spot {
+  int cell, clamped;
+  num fraction;
+};
+
+static struct spot find_spot(num coordinate)
+{
+  struct spot s = {0, 1, con(0)};
+  if (val(coordinate) > 5.0) {
+    s.cell = CELLS - 1;
+    s.fraction = con(1);
+  } else if (val(coordinate) >= 0) {
+    const num cells = scaled(coordinate, cells_per_m);
+    s.cell = val(cells) < CELLS ? (int)val(cells) : CELLS - 1;
+    s.clamped = 0;
+    s.fraction = sub(cells, con(s.cell));
+  }
+  return s;
+}
+
+static num terrain(const double *heights, num px, num py, num gradient[2], int *cell)
+{
+  const struct spot x = find_spot(px), y = find_spot(py);
+  const double *h = heights + y.cell * SIDE + x.cell;
+  const num near = add(con(h[0]), scaled(x.fraction, h[1] - h[0]));
+  const num far = add(con(h[SIDE]), scaled(x.fraction, h[SIDE + 1] - h[SIDE]));
+  if (gradient != NULL) {
+    const double x_near = h[1] - h[0], x_far = h[SIDE + 1] - h[SIDE];
+    const double y_left = h[SIDE] - h[0], y_right = h[SIDE + 1] - h[1];
+    gradient[0] = x.clamped
+                      ? con(0)
+                      : scaled(add(con(x_near), scaled(y.fraction, x_far - x_near)), cells_per_m);
+    gradient[1] = y.clamped
+                      ? con(0)
+                      : scaled(add(con(y_left), scaled(x.fraction, y_right - y_left)), cells_per_m);
+    *cell = 4 * (y.cell * SIDE + x.cell) + 2 * y.clamped + x.clamped;
+  }
+  return add(near, mul(y.fraction, sub(far, near)));
+}
+
+/* ---- time of impact ---- */
+
+struct track { /* one axis of the segment, in cells; cell −1 and CELLS: beyond the map */
+  num start, speed;
+  int cell;
+};
+
+static struct track make_track(num position, num velocity)
+{
+  struct track t = {scaled(position, cells_per_m), scaled(velocity, cells_per_m), 0};
+  const double start = val(t.start);
+  t.cell = start < 0 ? -1 : start > CELLS ? CELLS : start < CELLS ? (int)start : CELLS - 1;
+  return t;
+}
+
+static num border_time(const struct track *t)
+{
+  const double speed = val(t->speed);
+  if (speed > 0 && t->cell < CELLS)
+    return div_(sub(con(t->cell + 1), t->start), t->speed);
+  if (speed < 0 && t->cell >= 0)
+    return div_(sub(con(t->cell), t->start), t->speed);
+  return con((double)INFINITY);
+}
+
+static int in_cell(const struct track *t, num time, num *fraction, num *rate)
+{
+  *rate = con(0);
+  *fraction = con(t->cell < 0 ? 0 : 1);
+  if (t->cell < 0 || t->cell >= CELLS)
+    return t->cell < 0 ? 0 : CELLS - 1;
+  *fraction = sub(add(t->start, mul(t->speed, time)), con(t->cell));
+  *rate = t->speed;
+  return t->cell;
+}
+
+/* Differentiated as it stands: through the root formula, and through the times at which borders are
+ * crossed. */
+static num exact_impact(const double *heights, const num p[3], const num v[3], double dt)
+{
+  struct track x = make_track(p[0], v[0]), y = make_track(p[1], v[1]);
+  num from = con(0);
+  for (;;) {
+    const num bx = border_time(&x), by = border_time(&y);
+    num to = val(bx) <= val(by) ? bx : by;
+    if (!(val(to) < dt))
+      to = con(dt);
+    if (val(to) > val(from)) {
+      num u, w, du, dw;
+      const int i = in_cell(&x, from, &u, &du), j = in_cell(&y, from, &w, &dw);
+      const double *h = heights + j * SIDE + i;
+      const double ha = h[1] - h[0], hb = h[SIDE] - h[0], hc = h[SIDE + 1] - h[1] - h[SIDE] + h[0];
+      const num height =
+          add(add(add(con(h[0]), scaled(u, ha)), scaled(w, hb)), mul(scaled(u, hc), w));
+      const num gap = sub(add(p[2], mul(v[2], from)), height);
+      /* A mass that lies on the ground strikes at once, whatever rounding makes of its gap. */
+      const int lies =
+          val(from) == 0 && !(val(p[2]) > val(terrain(heights, p[0], p[1], NULL, NULL)));
+      const num c = val(gap) > 0 ? (lies ? con(val(gap)) : gap) : con(0),
+                a = mul(scaled(du, -hc), dw);
+      const num b = sub(sub(sub(v[2], scaled(du, ha)), scaled(dw, hb)),
+                        scaled(add(mul(u, dw), mul(w, du)), hc));
+      const num discriminant = sub(mul(b, b), mul(scaled(a, 4), c));
+      num s = con((double)INFINITY);
+      if (val(b) < 0 && val(discriminant) >= 0)
+        s = div_(scaled(c, 2), add(scaled(b, -1), root(discriminant)));
+      else if (val(b) >= 0 && val(a) < 0)
+        s = div_(sub(scaled(b, -1), root(discriminant)), scaled(a, 2));
+      if (val(from) + val(s) <= val(to))
+        return add(from, s);
+      from = to;
+    }
+    if (!(val(to) < dt))
+      return con(dt);
+    if (val(bx) <= val(by))
+      x.cell += val(x.speed) > 0 ? 1 : -1;
+    else
+      y.cell += val(y.speed) > 0 ? 1 : -1;
+  }
+}
+
+static num bisected_impact(const double *heights, const num p[3], const num v[3], double dt,
+                           uint32_t n)
+{
+  double low = 0, high = dt;
+  for (uint32_t k = 0; k < n; k++) {
+    const double middle = 0.5 * (low + high);
+    const num h = terrain(heights, con(val(p[0]) + middle * val(v[0])),
+                          con(val(p[1]) + middle * val(v[1])), NULL, NULL);
+    if (val(p[2]) + middle * val(v[2]) < val(h))
+      high = middle;
+    else
+      low = middle;
+  }
+  return con(low);
+}
+
+/* ---- one mass ---- */
+
+static uint64_t move(const struct second_setup *setup, double highest, num p[3], num v[3])
+{
+  const struct mo_physics *physics = setup->physics;
+  const double *heights = setup->environment->terrain_heights_m;
+  const double dt = physics->dt_s;
+  const num next[3] = {add(p[0], scaled(v[0], dt)), add(p[1], scaled(v[1], dt)),
+                       add(p[2], scaled(v[2], dt))};
+  if (val(next[2]) >= highest ||
+      !(val(next[2]) < val(terrain(heights, next[0], next[1], NULL, NULL)))) {
+    for (int k = 0; k < 3; k++)
+      p[k] = next[k];
+    return 0;
+  }
+  const num impact = physics->impact == MO_IMPACT_EXACT
+                         ? exact_impact(heights, p, v, dt)
+                         : bisected_impact(heights, p, v, dt, physics->bisections);
+  num g[2];
+  int cell, end_cell;
+  p[0] = add(p[0], mul(impact, v[0]));
+  p[1] = add(p[1], mul(impact, v[1]));
+  p[2] = terrain(heights, p[0], p[1], g, &cell);
+  const num length = root(add(add(mul(g[0], g[0]), mul(g[1], g[1])), con(1)));
+  const num normal[3] = {div_(scaled(g[0], -1), length), div_(scaled(g[1], -1), length),
+                         div_(con(1), length)};
+  const num vn = dot3(v, normal);
+  for (int k = 0; k < 3; k++)
+    v[k] = sub(v[k], mul(vn, normal[k]));
+  const double still = sqrt(val(v[0]) * val(v[0]) + val(v[1]) * val(v[1]) + val(v[2]) * val(v[2]));
+  const double slowed = physics->friction * fabs(val(vn)), cap = physics->friction_cap * still;
+  num scale = con(0);
+  if (still > 0 && slowed < cap)
+    scale = sub(con(1), div_(scaled(vn, val(vn) < 0 ? -physics->friction : physics->friction),
+                             root(square_sum(v))));
+  else if (still > 0)
+    scale = con(1.0 - cap / still);
+  const num rest = sub(con(dt), impact);
+  for (int k = 0; k < 3; k++) {
+    v[k] = mul(v[k], scale);
+    p[k] = add(p[k], mul(rest, v[k]));
+  }
+  num slope[2];
+  const num ground = terrain(heights, p[0], p[1], slope, &end_cell);
+  /* Within rounding of the ground both branches of the maximum have one derivative: no event. */
+  const int raised = val(p[2]) < val(ground) - 1e-12;
+  if (val(p[2]) < val(ground))
+    p[2] = ground;
+  return 1 + 2 * (uint64_t)(slowed < cap) + 4 * (uint64_t)(val(vn) < 0) + 8 * (uint64_t)raised +
+         16 * (uint64_t)cell + 65536 * (uint64_t)end_cell;
+}
+
+/* ---- the rollout ---- */
+
+struct second {
+  const struct second_setup *setup;
+  const struct second_parameters *theta;
+  uint32_t n_inputs, n_springs; /* of the lattice */
+  double highest, light[3];
+  num *p, *v, *impulse, *input, *hidden, *activation;
+};
+
+static num light_at(const struct second *s, const num *p)
+{
+  const num d[3] = {sub(p[0], con(s->light[0])), sub(p[1], con(s->light[1])),
+                    sub(p[2], con(s->light[2]))};
+  const num distance = root(square_sum(d));
+  if (s->setup->sensor == MO_SENSOR_INVERSE_SQUARE)
+    return div_(con(1), add(mul(distance, distance), con(1e-4)));
+  return div_(con(1), add(root(add(distance, con(1e-8))), con(1e-8)));
+}
+
+static void sense_all(struct second *s, uint32_t step)
+{
+  const struct mo_body *body = s->setup->body;
+  num mean = con(0);
+  for (uint32_t i = 0; i < body->n_masses; i++) {
+    s->input[body->mass_lattice[i]] = light_at(s, s->p + 3 * i);
+    mean = add(mean, s->input[body->mass_lattice[i]]);
+  }
+  mean = div_(mean, con(body->n_masses));
+  for (uint32_t i = 0; i < body->n_masses; i++)
+    s->input[body->mass_lattice[i]] = sub(s->input[body->mass_lattice[i]], mean);
+  const double t = step * s->setup->physics->dt_s;
+  for (int k = 0; k < 5; k++)
+    s->input[s->n_inputs - 5 + (uint32_t)k] = con(sin(10.0 * t + 2.0 * M_PI * k / 5));
+}
+
+/* LayerNorm and ReLU of the 256 numbers in h; gain and shift start at parameter `at`, lanes `lane`,
+ * lane + 1. */
+static void normalize(const struct second *s, size_t at, int lane, num *h)
+{
+  num mean = con(0), variance = con(0);
+  for (int i = 0; i < 256; i++)
+    mean = add(mean, h[i]);
+  mean = div_(mean, con(256));
+  for (int i = 0; i < 256; i++) {
+    const num d = sub(h[i], mean);
+    variance = add(variance, mul(d, d));
+  }
+  variance = div_(variance, con(256));
+  const num scale = div_(con(1), root(add(variance, con(1e-5))));
+  for (size_t i = 0; i < 256; i++) {
+    const num y = add(mul(mul(sub(h[i], mean), scale), parameter(s->theta, at + i, lane)),
+                      parameter(s->theta, at + 256 + i, lane + 1));
+    h[i] = val(y) > 0 ? y : con(0);
+  }
+}
+
+static void control_all(struct second *s)
+{
+  const struct mo_body *body = s->setup->body;
+  const num *in = s->input;
+  uint32_t width = s->n_inputs;
+  size_t at = 0;
+  for (int l = 0; l < 3; l++) {
+    num *h = s->hidden + (l % 2) * 256;
+    dense(s->theta, at, 4 * l, 256, NULL, 256, width, in, h);
+    at += 256 * (size_t)width + 256;
+    normalize(s, at, 4 * l + 2, h);
+    at += 512;
+    in = h;
+    width = 256;
+  }
+  dense(s->theta, at, 12, s->n_springs, body->spring_lattice, body->n_springs, 256, in,
+        s->activation);
+  for (uint32_t i = 0; i < body->n_springs; i++)
+    s->activation[i] = tanh_(s->activation[i]);
+}
+
+static void pull_all(struct second *s)
+{
+  const struct mo_body *body = s->setup->body;
+  const struct mo_physics *physics = s->setup->physics;
+  for (uint32_t k = 0; k < 3 * body->n_masses; k++)
+    s->impulse[k] = con(0);
+  for (uint32_t k = 0; k < body->n_springs; k++) {
+    const num *a = s->p + 3 * body->spring_a[k], *b = s->p + 3 * body->spring_b[k];
+    const num d[3] = {sub(a[0], b[0]), sub(a[1], b[1]), sub(a[2], b[2])};
+    const num length = root(square_sum(d));
+    const num stretch = add(con(1), scaled(s->activation[k], physics->actuation));
+    const num rest = scaled(stretch, body->spring_diagonal[k] ? 0.1 * M_SQRT2 : 0.1);
+    const num pull = div_(scaled(sub(length, rest), physics->dt_s * physics->stiffness_n_per_m),
+                          add(length, con(1e-8)));
+    for (int axis = 0; axis < 3; axis++) {
+      num *ja = s->impulse + 3 * body->spring_a[k] + axis,
+          *jb = s->impulse + 3 * body->spring_b[k] + axis;
+      *ja = sub(*ja, mul(pull, d[axis]));
+      *jb = add(*jb, mul(pull, d[axis]));
+    }
+  }
+}
+
+static void move_all(struct second *s)
+{
+  const struct mo_physics *physics = s->setup->physics;
+  const double keep = exp(-physics->drag_per_s * physics->dt_s);
+  for (uint32_t i = 0; i < s->setup->body->n_masses; i++) {
+    num *v = s->v + 3 * i;
+    for (int axis = 0; axis < 3; axis++)
+      v[axis] = add(scaled(v[axis], keep), div_(s->impulse[3 * i + axis], con(physics->mass_kg)));
+    v[2] = sub(v[2], con(physics->gravity_m_per_s2 * physics->dt_s));
+    (void)move(s->setup, s->highest, s->p + 3 * i, v);
+  }
+}
+
+static num distance_to_light(const struct second *s)
+{
+  const uint32_t n = s->setup->body->n_masses;
+  num com[2] = {con(0), con(0)};
+  for (uint32_t i = 0; i < n; i++)
+    for (int axis = 0; axis < 2; axis++)
+      com[axis] = add(com[axis], s->p[3 * i + axis]);
+  for (int axis = 0; axis < 2; axis++)
+    com[axis] = sub(div_(com[axis], con(n)), con(s->light[axis]));
+  return root(add(mul(com[0], com[0]), mul(com[1], com[1])));
+}
+
+/* Lifted by the largest height under the masses of the lowest layer. */
+static void place_body(struct second *s)
+{
+  const struct mo_body *body = s->setup->body;
+  const double *heights = s->setup->environment->terrain_heights_m;
+  int lowest = 65535;
+  for (uint32_t i = 0; i < body->n_masses; i++)
+    lowest = body->mass_xyz[3 * i + 2] < lowest ? body->mass_xyz[3 * i + 2] : lowest;
+  double lift = -1e300;
+  for (uint32_t i = 0; i < body->n_masses; i++) {
+    const uint16_t *at = body->mass_xyz + 3 * i;
+    num *p = s->p + 3 * i;
+    p[0] = con(2.5 - 0.5 * 0.1 * body->workspace.nx + 0.1 * at[0]);
+    p[1] = con(2.5 - 0.5 * 0.1 * body->workspace.ny + 0.1 * at[1]);
+    p[2] = con(0.1 * (at[2] - lowest));
+    if (at[2] == lowest)
+      lift = fmax(lift, val(terrain(heights, p[0], p[1], NULL, NULL)));
+  }
+  for (uint32_t i = 0; i < body->n_masses; i++)
+    s->p[3 * i + 2] = add(s->p[3 * i + 2], con(lift + s->setup->physics->drop_height_m));
+}
+
+static double highest_of(const double *heights)
+{
+  double highest = heights[0];
+  for (int k = 1; k < 64; k++)
+    highest = fmax(highest, heights[k]);
+  return highest;
+}
+
+int dual_rollout(const struct second_setup *setup, const struct second_parameters *theta,
+                 const uint32_t *at, uint32_t n, struct dual *losses)
+{
+  const struct mo_body *body = setup->body;
+  struct second s = {.setup = setup, .theta = theta};
+  s.n_inputs = mo_workspace_masses(body->workspace) + 5;
+  s.n_springs = mo_workspace_springs(body->workspace);
+  s.highest = highest_of(setup->environment->terrain_heights_m);
+  const double *xy = setup->environment->light_xy_m;
+  s.light[0] = xy[0];
+  s.light[1] = xy[1];
+  s.light[2] =
+      val(terrain(setup->environment->terrain_heights_m, con(xy[0]), con(xy[1]), NULL, NULL));
+  num *memory =
+      calloc(9 * (size_t)body->n_masses + s.n_inputs + 512 + body->n_springs, sizeof(num));
+  if (memory == NULL)
+    return -1;
+  s.p = memory;
+  s.v = s.p + 3 * body->n_masses;
+  s.impulse = s.v + 3 * body->n_masses;
+  s.input = s.impulse + 3 * body->n_masses;
+  s.hidden = s.input + s.n_inputs;
+  s.activation = s.hidden + 512;
+  place_body(&s);
+  const num start = add(distance_to_light(&s), con(1e-8));
+  uint32_t reported = 0;
+  for (uint32_t step = 0; step <= setup->physics->n_steps; step++) {
+    while (reported < n && at[reported] == step)
+      losses[reported++] = div_(distance_to_light(&s), start);
+    if (step == setup->physics->n_steps)
+      break;
+    sense_all(&s, step);
+    control_all(&s);
+    pull_all(&s);
+    move_all(&s);
+  }
+  free(memory);
+  return 0;
+}
 
 uint64_t dual_move(const struct second_setup *setup, struct dual p[3], struct dual v[3])
 {

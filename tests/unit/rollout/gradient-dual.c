@@ -87,7 +87,7 @@ static void run_cases(const uint32_t *at, uint32_t n_at)
     c.physics.n_steps = at[n_at - 1];
     const struct second_setup setup = {c.body, &c.environment, &c.physics, c.controller->sensor};
     struct dual losses[4];
-    REQUIRE(dual_rollout(&setup, &d, at, n_at, losses, NULL) == 0);
+    REQUIRE(dual_rollout(&setup, &d, at, n_at, losses) == 0);
     printf("# %4u %6u %7u %7.2f %-14s %-9s |", k, c.body->n_masses, c.body->n_springs, c.sigma_m,
            mo_sensor_name(c.controller->sensor),
            c.physics.impact == MO_IMPACT_EXACT ? "exact" : "bisection");

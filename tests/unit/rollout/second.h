@@ -1,10 +1,7 @@
 /* second.h: a second implementation of the rollout, for the tests of the gradient. It shares
- * bodies, terrains and constants with the library and nothing else: second.inc is written from
- * docs/model.md on numbers of any kind, and compiled twice:
- * - in plain.c on doubles: the loss for parameters that are doubles, so that they can be moved by
- *   less than a float32 ulp, and a signature of every branch that a step took
- * - in dual.c on dual numbers: the loss with its derivatives along SECOND_LANES directions, by
- *   forward-mode differentiation
+ * bodies, terrains and constants with the library and nothing else: dual.c is written from
+ * docs/model.md on dual numbers, and gives the loss with its derivatives along SECOND_LANES
+ * directions, by forward-mode differentiation.
  *
  * Values are computed in the order that the model documents, so that they agree with the reference
  * to rounding or better, also where the motion is chaotic. */
@@ -36,12 +33,9 @@ struct dual {
   double t[SECOND_LANES];
 };
 
-/* Losses after each of `at` (n of them, ascending, ≤ n_steps). signatures: (n_steps) or NULL. 0;
- * −1: no memory. */
-int plain_rollout(const struct second_setup *setup, const struct second_parameters *parameters,
-                  const uint32_t *at, uint32_t n, double *losses, uint64_t *signatures);
+/* Losses after each of `at` (n of them, ascending, ≤ n_steps). 0; −1: no memory. */
 int dual_rollout(const struct second_setup *setup, const struct second_parameters *parameters,
-                 const uint32_t *at, uint32_t n, struct dual *losses, uint64_t *signatures);
+                 const uint32_t *at, uint32_t n, struct dual *losses);
 
 /* One mass's motion and contact; returns the branches taken (0: no contact). */
 uint64_t dual_move(const struct second_setup *setup, struct dual p[3], struct dual v[3]);
