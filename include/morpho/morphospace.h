@@ -56,14 +56,15 @@ struct mo_cell_fault {
 
 /* Reads n cells (x, y, z each) as given, without placing them. MO_ERR_EMPTY, MO_ERR_RANGE,
  * MO_ERR_DUPLICATE, or MO_ERR_NOT_CONTIGUOUS (fault->cell: the first cell, in list order, that is
- * not connected to cell 0). `fault` nullable; written only on those errors. MO_ERR_NO_MEMORY. */
+ * not connected to cell 0; `bits` has all cells). `fault` nullable; written only on those errors.
+ * MO_ERR_NO_MEMORY. */
 int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)[3], size_t n,
                            uint64_t *bits, struct mo_cell_fault *fault);
 
 /* Reads '0' and '1', exactly one per voxel, in voxel order. MO_ERR_FORMAT (fault->cell: offset of
  * the first other character), MO_ERR_RANGE (wrong length: fault->cell is the length), MO_ERR_EMPTY,
- * MO_ERR_NOT_CONTIGUOUS (fault->cell: a voxel index that is not connected to the first set voxel).
- */
+ * MO_ERR_NOT_CONTIGUOUS (fault->cell: a voxel index that is not connected to the first set voxel;
+ * `bits` has all voxels). */
 int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_t length,
                           uint64_t *bits, struct mo_cell_fault *fault);
 /* Writes one '0' or '1' per voxel and a NUL: voxels + 1 bytes. */

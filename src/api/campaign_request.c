@@ -3,6 +3,7 @@
  * The defaults depend on mode and preset. A first pass over the text finds these two; a second pass
  * reads all members over their defaults. Checks that involve several fields come last. */
 #include <math.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -39,6 +40,7 @@ static void read_initial(struct mo_json *json, void *value)
     }
     return;
   }
+  mo_read_ahead(json, &mo_design_rules_fields, &parsed->parts, NULL);
   mo_json_object(json);
   while (mo_json_member(json, &key)) {
     if (mo_json_is(key, "designs")) {
@@ -46,7 +48,8 @@ static void read_initial(struct mo_json *json, void *value)
     } else if (mo_json_is(key, "campaign")) {
       mo_read_job_id(json, "a campaign", &parsed->request.record.initial_campaign);
     } else {
-      mo_fields_unknown(json, "designs or campaign", NULL);
+      if (!mo_fields_read_member(json, key, &mo_design_rules_fields, &parsed->parts))
+        mo_fields_unknown(json, "designs, campaign", &mo_design_rules_fields);
       continue;
     }
     ways++;
@@ -87,49 +90,126 @@ static int by_form(const void *a, const void *b)
   return order != 0 ? order : x->place < y->place ? -1 : x->place > y->place;
 }
 
-/* Adds faults for designs that do not fit the campaign's workspace or repeat an earlier one.
- * Designs with faults of their own are empty here. */
-static int check_listed(struct mo_json *json, const struct mo_parsed_campaign *parsed)
+static int by_place(const void *a, const void *b)
 {
-  const struct mo_workspace workspace = parsed->request.record.settings.workspace;
-  const uint32_t n_designs = parsed->parts.n_designs;
-  struct listed *listed = malloc(n_designs * sizeof(*listed));
-  uint32_t *first = malloc(n_designs * sizeof(*first)); /* place of the first one with this form */
-  uint32_t n = 0;
-  char below[40];
-  const bool memory = listed != NULL && first != NULL;
-  for (uint32_t i = 0; i < n_designs && memory; i++) {
+  const struct mo_design_note *x = a, *y = b;
+  return x->place < y->place ? -1 : x->place > y->place;
+}
+
+/* The listed designs while they are checked. */
+struct founders {
+  struct mo_json *json;
+  struct mo_parts *parts;
+  struct listed *listed; /* (n_designs) those that fit */
+  uint32_t n_listed;
+  uint32_t *places; /* (n_designs) in the request */
+  uint32_t n_noted; /* notes from reading the request */
+};
+
+/* Refuses or skips a design, as the request asks. */
+static void leave_out(struct founders *founders, uint32_t i, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
+static void leave_out(struct founders *founders, uint32_t i, const char *format, ...)
+{
+  struct mo_parts *parts = founders->parts;
+  struct mo_design_note key = {.place = founders->places[i]}, *known = NULL;
+  va_list arguments;
+  snprintf(key.fault.where, sizeof(key.fault.where), "/initial/designs/%u", key.place);
+  va_start(arguments, format);
+  vsnprintf(key.fault.detail, sizeof(key.fault.detail), format, arguments);
+  va_end(arguments);
+  if (parts->on_fault != MO_FAULT_SKIP) {
+    mo_json_fault_at(founders->json, 0, key.fault.where, "%s", key.fault.detail);
+    return;
+  }
+  parts->genotypes[i] = (struct mo_bits){{0}};
+  if (founders->n_noted > 0)
+    known = bsearch(&key, parts->notes, founders->n_noted, sizeof(key), by_place);
+  if (known != NULL) { /* it was repaired */
+    *known = key;
+    parts->n_skipped++;
+  } else if (!mo_parts_note(parts, key.place, 0, &key.fault)) {
+    parts->error = MO_ERR_NO_MEMORY;
+  }
+}
+
+/* Leaves out designs that are larger than the campaign's workspace. Designs with faults of their
+ * own are empty. */
+static void check_sizes(struct founders *founders, struct mo_workspace workspace)
+{
+  const struct mo_bits *genotypes = founders->parts->genotypes;
+  for (uint32_t i = 0; i < founders->parts->n_designs; i++) {
     uint32_t size[3];
-    snprintf(below, sizeof(below), "/initial/designs/%u", i);
-    extent(&parsed->parts.genotypes[i], size);
-    first[i] = i;
-    if (size[0] > workspace.nx || size[1] > workspace.ny || size[2] > workspace.nz)
-      mo_json_fault_at(
-          json, 0, below,
-          "the body takes %u × %u × %u voxels; the workspace of the campaign has %u × %u × %u",
-          size[0], size[1], size[2], workspace.nx, workspace.ny, workspace.nz);
-    else if (size[0] > 0) {
-      mo_genotype_canonical(MO_DEFAULT_WORKSPACE, parsed->parts.genotypes[i].words,
-                            listed[n].form.words);
-      listed[n++].place = i;
+    extent(&genotypes[i], size);
+    if (size[0] > workspace.nx || size[1] > workspace.ny || size[2] > workspace.nz) {
+      leave_out(founders, i,
+                "the body takes %u × %u × %u voxels; the workspace of the campaign has "
+                "%u × %u × %u",
+                size[0], size[1], size[2], workspace.nx, workspace.ny, workspace.nz);
+    } else if (size[0] > 0) {
+      struct listed *listed = &founders->listed[founders->n_listed++];
+      mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotypes[i].words, listed->form.words);
+      listed->place = i;
     }
   }
-  if (n > 0)
-    qsort(listed, n, sizeof(*listed), by_form);
-  for (uint32_t i = 1; i < n; i++)
+}
+
+/* Leaves out designs that repeat an earlier one, in the order of the request. */
+static void check_repeats(struct founders *founders, uint32_t *first)
+{
+  const struct listed *listed = founders->listed;
+  qsort(founders->listed, founders->n_listed, sizeof(*listed), by_form);
+  for (uint32_t i = 0; i < founders->parts->n_designs; i++)
+    first[i] = i;
+  for (uint32_t i = 1; i < founders->n_listed; i++)
     if (memcmp(&listed[i].form, &listed[i - 1].form, sizeof(listed[i].form)) == 0)
       first[listed[i].place] = first[listed[i - 1].place];
-  for (uint32_t i = 0; i < n_designs && memory; i++)
-    if (first[i] != i) {
-      snprintf(below, sizeof(below), "/initial/designs/%u", i);
-      mo_json_fault_at(
-          json, 0, below,
-          "the design is given twice: it has the form of design %u; each design is born once",
-          first[i]);
-    }
-  free(listed);
+  for (uint32_t i = 0; i < founders->parts->n_designs; i++)
+    if (first[i] != i)
+      leave_out(founders, i,
+                "the design is given twice: it has the form of design %u; each design is born once",
+                founders->places[first[i]]);
+}
+
+/* Closes the gaps of designs that were left out now. */
+static void close_gaps(struct mo_parts *parts)
+{
+  uint32_t n = 0;
+  for (uint32_t i = 0; i < parts->n_designs; i++)
+    if (mo_genotype_count(MO_DEFAULT_WORKSPACE, parts->genotypes[i].words) > 0)
+      parts->genotypes[n++] = parts->genotypes[i];
+  parts->n_designs = n;
+  if (parts->n_notes > 0)
+    qsort(parts->notes, parts->n_notes, sizeof(*parts->notes), by_place);
+}
+
+static int check_listed(struct mo_json *json, struct mo_parsed_campaign *parsed)
+{
+  struct mo_parts *parts = &parsed->parts;
+  const uint32_t n = parts->n_designs;
+  struct founders founders = {.json = json,
+                              .parts = parts,
+                              .listed = malloc((n + 1) * sizeof(*founders.listed)),
+                              .places = malloc((n + 1) * sizeof(*founders.places)),
+                              .n_noted = parts->n_notes};
+  uint32_t *first = malloc((n + 1) * sizeof(*first)); /* the first design of each one's form */
+  if (founders.listed == NULL || founders.places == NULL || first == NULL)
+    parts->error = MO_ERR_NO_MEMORY;
+  if (parts->error == MO_OK) {
+    mo_notes_places(parts->notes, parts->n_notes, founders.places, n);
+    check_sizes(&founders, parsed->request.record.settings.workspace);
+    check_repeats(&founders, first);
+  }
+  if (parts->on_fault == MO_FAULT_SKIP)
+    close_gaps(parts);
+  if (parts->n_designs == 0 && parts->n_skipped > 0)
+    mo_json_fault_at(json, 0, "/initial/designs",
+                     "all %u designs are skipped: %s; at least one body is expected",
+                     parts->n_skipped, parts->notes[0].fault.detail);
+  free(founders.listed);
+  free(founders.places);
   free(first);
-  return memory ? MO_OK : MO_ERR_NO_MEMORY;
+  return parts->error;
 }
 
 /* ---- the whole ---- */
@@ -203,7 +283,6 @@ static int check(struct mo_json *json, void *any)
   struct mo_parsed_campaign *parsed = any;
   const struct mo_campaign_record *record = &parsed->request.record;
   const struct mo_campaign_settings *settings = &record->settings;
-  const uint32_t n_listed = parsed->parts.n_designs;
   uint64_t designs = (uint64_t)settings->population * ((uint64_t)settings->generations + 1);
   parsed->has_sensor = (int)settings->sensor >= 0;
   if (!parsed->has_mode)
@@ -223,11 +302,12 @@ static int check(struct mo_json *json, void *any)
     mo_json_fault_at(json, 0, "/seed", "the seeds of %u replicates from %llu on go beyond %lld",
                      record->replicates, (unsigned long long)settings->seed,
                      (long long)MO_SEED_MAX);
-  if (n_listed > settings->population)
+  const int error = check_listed(json, parsed);
+  if (parsed->parts.n_designs > settings->population)
     mo_json_fault_at(json, 0, "/initial/designs",
                      "%u designs are given; at most the population, which is %u, is expected",
-                     n_listed, settings->population);
-  return n_listed > 0 ? check_listed(json, parsed) : MO_OK;
+                     parsed->parts.n_designs, settings->population);
+  return error;
 }
 
 int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed,
@@ -263,6 +343,8 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
   request->weight = parts->weight;
   request->label = parts->has_label ? parts->label : NULL;
   request->genotypes = parts->genotypes;
+  request->notes = parts->notes;
+  request->n_notes = parts->n_notes;
   record->n_listed = parts->n_designs;
   request->environments = parts->environments;
   record->n_environments = parts->n_environments;

@@ -1,6 +1,7 @@
 /* campaigns.c: campaigns: submission, state, extension. See curves.c for their curves, phylogeny.c
  * for their designs, and champions.c. */
 #include <stdio.h>
+#include <stdlib.h>
 
 #include "api/columns.h"
 #include "api/job_json.h"
@@ -20,6 +21,25 @@ static void write_initial(struct mo_text *text, const struct mo_campaign_record 
     mo_text_format(text, ",\"initial\":{\"n_designs\":%u}", record->n_listed);
   else
     mo_text_member(text, "initial", "random");
+}
+
+/* Writes which listed designs were skipped or repaired. */
+static int write_notes(struct mo_api *api, struct mo_text *text,
+                       const struct mo_campaign_status *status)
+{
+  struct mo_design_note *notes;
+  uint32_t n;
+  const int error = mo_store_design_notes(api->store, status->record.group, &notes, &n);
+  mo_text_add(text, ",\"founders\":[");
+  for (uint32_t i = 0; i < n; i++) {
+    mo_text_object(text);
+    mo_text_member_count(text, "place", notes[i].place);
+    mo_members_note(text, &notes[i]);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+  free(notes);
+  return error;
 }
 
 static void write_settings(struct mo_text *text, const struct mo_campaign_record *record)
@@ -97,7 +117,6 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
     mo_text_member(text, "result", NULL);
   }
   mo_links_write(text, &status->job, below);
-  mo_text_add(text, "}");
 }
 
 void mo_campaign_json_job(struct mo_text *text, const void *any, const struct mo_live *live)
@@ -131,8 +150,18 @@ static int64_t read_page(struct mo_store *store, const struct mo_job_query *quer
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
                        const struct mo_live *live)
 {
+  mo_campaign_json_write(text, status, live);
+  const int error = write_notes(api, text, status);
+  mo_text_add(text, "}");
+  return error;
+}
+
+static int write_listed(struct mo_api *api, struct mo_text *text, const void *status,
+                        const struct mo_live *live)
+{
   (void)api;
   mo_campaign_json_write(text, status, live);
+  mo_text_add(text, "}");
   return MO_OK;
 }
 
@@ -142,6 +171,7 @@ const struct mo_resource mo_campaign_resource = {.kind = MO_JOB_CAMPAIGN,
                                                  .read = read_status,
                                                  .page = read_page,
                                                  .write = write_whole,
+                                                 .write_listed = write_listed,
                                                  .write_job = mo_campaign_json_job};
 
 /* ---- submission ---- */

@@ -42,6 +42,7 @@ static const struct mo_field rollout_rows[] = {
      .unit = "steps", .help = "steps between frames"},
     {"physics", MO_FIELD_GROUP, 0, AT(request.physics), .group = &mo_physics_fields},
     {"precision", MO_FIELD_WORD, 0, AT(request.precision), .words = precision_words},
+    {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_repair_fields},
     {"controller", MO_FIELD_OWN, 0, AT(parts), .own = &mo_controller_field},
 };
 const struct mo_fields mo_rollouts_request_fields = {rollout_rows, sizeof(rollout_rows) /
@@ -51,6 +52,7 @@ static const struct mo_fields scored = {rollout_rows,
                                         sizeof(rollout_rows) / sizeof(rollout_rows[0]) - 1};
 static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &scored},
+    {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_on_fault_fields},
     {"verify", MO_FIELD_FLAG, 0, AT(request.verify)},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
 };
@@ -84,6 +86,7 @@ static int parse(const char *text, size_t size, const struct mo_fields *fields,
   *parsed = (struct mo_parsed_evaluation){
       .request = {.physics = mo_default_physics(), .precision = MO_FLOAT32},
       .parts = {.priority = -1, .weight = 1, .controller = "default"}};
+  mo_read_words(text, size, &mo_design_rules_fields, &parsed->parts, NULL);
   int error = mo_read_body(text, size, fields, parsed, &parsed->parts, check, faults);
   if (error != MO_OK)
     return error;
@@ -95,6 +98,9 @@ static int parse(const char *text, size_t size, const struct mo_fields *fields,
   request->controller = parts->controller;
   request->genotypes = parts->genotypes;
   request->n_designs = parts->n_designs;
+  request->notes = parts->notes;
+  request->n_notes = parts->n_notes;
+  request->n_skipped = parts->n_skipped;
   request->environments = parts->environments;
   request->n_environments = parts->n_environments;
   request->environment_set = parts->environments == NULL ? "paper-test" : NULL;

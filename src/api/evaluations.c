@@ -9,14 +9,15 @@
 
 /* ---- the kind ---- */
 
-static void write_result(struct mo_text *text, const struct mo_evaluation_results *results,
-                         uint32_t d)
+static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
+                        const struct mo_evaluation_results *results, uint32_t d,
+                        const struct mo_design_note *note)
 {
   const uint32_t columns = results->n_environments;
   const int32_t *steps = &results->diverged_steps[(size_t)d * columns];
   mo_text_object(text);
-  mo_member_form(text, "id", &results->forms[d]);
-  mo_member_bits(text, "genotype", &results->genotypes[d]);
+  const int error =
+      mo_members_design(text, lattice, &results->forms[d], &results->genotypes[d], note);
   mo_text_member_number(text, "score", results->scores[d]);
   mo_member_numbers(text, "losses", &results->losses[(size_t)d * columns], columns);
   mo_text_add(text, ",\"diverged\":[");
@@ -38,6 +39,20 @@ static void write_result(struct mo_text *text, const struct mo_evaluation_result
       mo_text_member(text, "agrees", NULL);
   }
   mo_text_add(text, "}");
+  return error;
+}
+
+static int write_results(struct mo_text *text, const struct mo_lattice *lattice,
+                         const struct mo_evaluation_results *results)
+{
+  int error = MO_OK;
+  mo_text_add(text, ",\"results\":[");
+  for (uint32_t d = 0, k = 0; d < results->n_designs && error == MO_OK; d++) {
+    const bool has_note = k < results->n_notes && results->notes[k].place == d;
+    error = write_result(text, lattice, results, d, has_note ? &results->notes[k++] : NULL);
+  }
+  mo_text_add(text, "]");
+  return error;
 }
 
 static void write_progress(struct mo_text *text, const struct mo_job *job,
@@ -52,9 +67,8 @@ static void write_progress(struct mo_text *text, const struct mo_job *job,
   mo_text_add(text, "}");
 }
 
-/* Writes an evaluation. results nullable: without them. */
-static void write_job(struct mo_text *text, const struct mo_job *job, const struct mo_live *live,
-                      const struct mo_evaluation_results *results)
+/* Writes an evaluation without its results and its end. */
+static void write_job(struct mo_text *text, const struct mo_job *job, const struct mo_live *live)
 {
   mo_text_object(text);
   mo_text_member_id(text, "id", job->id);
@@ -78,18 +92,12 @@ static void write_job(struct mo_text *text, const struct mo_job *job, const stru
   mo_text_member_time(text, "recordings_removed_at", job->recordings_removed_us);
   mo_text_member_bool(text, "verify", job->verify);
   mo_text_member_count(text, "n_designs", job->n_designs);
+  mo_text_member_count(text, "n_skipped", job->n_skipped);
   mo_text_member_count(text, "rollouts_total", job->rollouts_total);
   mo_text_member_count(text, "rollouts_done", job->rollouts_done);
   mo_text_member_count(text, "rollouts_cached", job->rollouts_cached);
   mo_text_member_count(text, "rollouts_diverged", job->rollouts_diverged);
   write_progress(text, job, live);
-  if (results != NULL) {
-    mo_text_add(text, ",\"results\":[");
-    for (uint32_t d = 0; d < results->n_designs; d++)
-      write_result(text, results, d);
-    mo_text_add(text, "]");
-  }
-  mo_text_add(text, "}");
 }
 
 static int read_status(struct mo_store *store, int64_t id, union mo_job_status *status)
@@ -111,15 +119,20 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
   int error = MO_OK;
   if (job->state == MO_JOB_SUCCEEDED)
     error = mo_store_results(api->store, job->id, &results);
-  if (error == MO_OK)
-    write_job(text, job, live, results);
+  if (error == MO_OK) {
+    write_job(text, job, live);
+    if (results != NULL)
+      error = write_results(text, api->lattice, results);
+    mo_text_add(text, "}");
+  }
   mo_evaluation_results_free(results);
   return error;
 }
 
 static void write_item(struct mo_text *text, const void *status, const struct mo_live *live)
 {
-  write_job(text, status, live, NULL);
+  write_job(text, status, live);
+  mo_text_add(text, "}");
 }
 
 const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,
@@ -129,8 +142,7 @@ const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,
                                                    .page = read_page,
                                                    .write = write_whole,
                                                    .write_job = write_item,
-                                                   .versioned = true,
-                                                   .brief = true};
+                                                   .versioned = true};
 
 /* ---- submission ---- */
 

@@ -36,6 +36,42 @@ void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits
   mo_text_bytes(text, "\"", 1);
 }
 
+void mo_members_note(struct mo_text *text, const struct mo_design_note *note)
+{
+  mo_text_member_count(text, "repaired", note != NULL ? note->dropped : 0);
+  if (note == NULL || !mo_is_skipped(note)) {
+    mo_text_member(text, "fault", NULL);
+    return;
+  }
+  mo_text_name(text, "fault");
+  mo_text_object(text);
+  mo_text_member(text, "pointer", note->fault.where);
+  mo_text_member(text, "detail", note->fault.detail);
+  mo_text_add(text, "}");
+}
+
+int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
+                      const struct mo_bits *form, const struct mo_bits *genotype,
+                      const struct mo_design_note *note)
+{
+  struct mo_design_size size;
+  const int error = mo_design_size(lattice, genotype->words, &size);
+  const bool known = error == MO_OK && size.voxels > 0;
+  if (known) {
+    mo_member_form(text, "id", form);
+    mo_member_bits(text, "genotype", genotype);
+  } else {
+    mo_text_member(text, "id", NULL);
+    mo_text_member(text, "genotype", NULL);
+  }
+  mo_member_count_if(text, "voxels", known, size.voxels);
+  mo_member_count_if(text, "masses", known, size.masses);
+  mo_member_count_if(text, "springs", known, size.springs);
+  mo_member_count_if(text, "footprint", known, size.footprint);
+  mo_members_note(text, note);
+  return error;
+}
+
 void mo_member_hash(struct mo_text *text, const char *name, const struct mo_sha256 *hash)
 {
   char digits[MO_SHA256_DIGITS + 1];

@@ -16,6 +16,13 @@ void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits
 void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits *form);
 void mo_member_hash(struct mo_text *text, const char *name, const struct mo_sha256 *hash);
 void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n);
+/* Writes the members of a design of a request: id, genotype, sizes, and what its note (nullable)
+ * says. An empty genotype: all null. MO_ERR_NO_MEMORY. */
+int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
+                      const struct mo_bits *form, const struct mo_bits *genotype,
+                      const struct mo_design_note *note);
+/* Writes what a note says as members: repaired, fault. note NULL: neither. */
+void mo_members_note(struct mo_text *text, const struct mo_design_note *note);
 /* Write members that are null where the value is not known. */
 void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint64_t count);
 void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number);
@@ -40,7 +47,7 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
 /* Writes a training as an item of the list of jobs. status: struct mo_training_status. */
 void mo_training_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 
-/* Writes a campaign. live: its current live state. */
+/* Writes a campaign, without the end of the object. live: its current live state. */
 void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
                             const struct mo_live *live);
 /* Writes a campaign as an item of the list of jobs. status: struct mo_campaign_status. */

@@ -158,8 +158,8 @@ static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_
   read_live(api, status, &live);
   if (state >= 0 && (int)mo_job_state_shown(status, &live) != state)
     return MO_OK;
-  if (listed != NULL && !kind->brief)
-    return kind->write(api, text, status, &live);
+  if (listed != NULL && kind->write_listed != NULL)
+    return kind->write_listed(api, text, status, &live);
   kind->write_job(text, status, &live);
   return MO_OK;
 }

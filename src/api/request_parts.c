@@ -1,5 +1,5 @@
-/* request_parts.c: what the bodies of several requests share. Every fault names its place: a cell
- * out of bounds is at /designs/3/cells/7/0. */
+/* request_parts.c: what the bodies of several requests share, but for designs
+ * (design_request.c). */
 #include "api/requests.h"
 
 #include <stdio.h>
@@ -35,217 +35,27 @@ int mo_read_body(const char *text, size_t size, const struct mo_fields *fields, 
 void mo_read_words(const char *text, size_t size, const struct mo_fields *fields, void *parsed,
                    bool *given)
 {
-  struct mo_faults faults = {0}; /* the second pass reports them */
   struct mo_json json;
+  mo_json_start(&json, text, size, NULL);
+  mo_read_ahead(&json, fields, parsed, given);
+}
+
+void mo_read_ahead(const struct mo_json *json, const struct mo_fields *fields, void *parsed,
+                   bool *given)
+{
+  struct mo_faults faults = {0}; /* the second pass reports them */
+  struct mo_json ahead = *json;
   struct mo_json_slice key;
-  mo_json_start(&json, text, size, &faults);
-  if (!mo_json_object(&json))
+  ahead.faults = &faults;
+  if (!mo_json_object(&ahead))
     return;
-  while (mo_json_member(&json, &key)) {
-    *given |= mo_json_is(key, fields->rows[0].name);
-    if (!mo_fields_read_member(&json, key, fields, parsed))
-      mo_json_skip(&json);
+  while (mo_json_member(&ahead, &key)) {
+    if (given != NULL)
+      *given |= mo_json_is(key, fields->rows[0].name);
+    if (!mo_fields_read_member(&ahead, key, fields, parsed))
+      mo_json_skip(&ahead);
   }
 }
-
-/* Skips the item that is next, and all after it. */
-static void skip_rest(struct mo_json *json)
-{
-  do
-    mo_json_skip(json);
-  while (mo_json_item(json));
-}
-
-/* ---- designs ---- */
-
-static void cell_fault(struct mo_json *json, unsigned depth, int code,
-                       const struct mo_cell_fault *fault)
-{
-  static const char *const sides[] = {"x, 0 to 5", "y, 0 to 5", "z, 0 to 3"};
-  char below[48];
-  snprintf(below, sizeof(below), "/%zu", fault->cell);
-  switch (code) {
-  case MO_ERR_EMPTY:
-    mo_json_fault_at(json, depth, "", "the body has no voxels; at least one cell is expected");
-    break;
-  case MO_ERR_RANGE:
-    snprintf(below, sizeof(below), "/%zu/%d", fault->cell, fault->axis);
-    mo_json_fault_at(json, depth, below, "outside the workspace; a coordinate along %s is expected",
-                     sides[fault->axis]);
-    break;
-  case MO_ERR_DUPLICATE:
-    mo_json_fault_at(json, depth, below, "the cell is given twice: it equals cell %zu",
-                     fault->other);
-    break;
-  case MO_ERR_NOT_CONTIGUOUS:
-    mo_json_fault_at(
-        json, depth, below,
-        "the cell is not connected to cell 0; a body in one piece (through faces) is expected");
-    break;
-  default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;
-  }
-}
-
-static bool read_cells(struct mo_json *json, uint64_t *bits)
-{
-  int64_t cells[MO_DEFAULT_VOXELS][3];
-  size_t n = 0;
-  unsigned depth = json->depth, before = json->faults->n;
-  if (!mo_json_array(json))
-    return false;
-  while (mo_json_item(json)) {
-    if (n == MO_DEFAULT_VOXELS) {
-      mo_json_fault_at(json, depth, "", "more than %d cells are given; the workspace has %d",
-                       MO_DEFAULT_VOXELS, MO_DEFAULT_VOXELS);
-      skip_rest(json);
-      return false;
-    }
-    unsigned cell = json->depth;
-    int axis = 0;
-    if (!mo_json_array(json))
-      continue;
-    while (mo_json_item(json)) {
-      if (axis < 3)
-        mo_json_integer(json, INT32_MIN, INT32_MAX, &cells[n][axis]);
-      else
-        mo_json_skip(json);
-      axis += axis < 4;
-    }
-    if (axis != 3)
-      mo_json_fault_at(json, cell, "", "a cell has exactly three coordinates: [x, y, z]");
-    n++;
-  }
-  if (json->stop || json->faults->n > before)
-    return false;
-  struct mo_cell_fault fault;
-  int code =
-      mo_genotype_from_cells(MO_DEFAULT_WORKSPACE, (const int64_t(*)[3])cells, n, bits, &fault);
-  if (code != MO_OK)
-    cell_fault(json, depth, code, &fault);
-  return code == MO_OK;
-}
-
-/* Skips the letter in front of an id (d) or a genotype (g): CSV files have these letters, and their
- * values may be sent back unchanged. */
-static void without_letter(struct mo_json_slice *text, char letter)
-{
-  if (text->size > 0 && text->bytes[0] == letter && text->size != MO_DEFAULT_ID_DIGITS) {
-    text->bytes++;
-    text->size--;
-  }
-}
-
-static bool read_voxels(struct mo_json *json, uint64_t *bits)
-{
-  unsigned depth = json->depth;
-  struct mo_json_slice text;
-  struct mo_cell_fault fault;
-  if (!mo_json_string(json, &text))
-    return false;
-  without_letter(&text, 'g');
-  int code = mo_genotype_from_text(MO_DEFAULT_WORKSPACE, text.bytes, text.size, bits, &fault);
-  switch (code) {
-  case MO_OK: break;
-  case MO_ERR_RANGE:
-    mo_json_fault_at(json, depth, "", "%zu characters are given; exactly %d are expected",
-                     text.size, MO_DEFAULT_VOXELS);
-    break;
-  case MO_ERR_FORMAT:
-    mo_json_fault_at(json, depth, "", "character %zu (from 0) is neither 0 nor 1", fault.cell);
-    break;
-  case MO_ERR_EMPTY:
-    mo_json_fault_at(json, depth, "", "the body has no voxels; at least one 1 is expected");
-    break;
-  case MO_ERR_NOT_CONTIGUOUS:
-    mo_json_fault_at(json, depth, "",
-                     "voxel %zu (from 0) is not connected to the first one; a body in one piece "
-                     "(through faces) is expected",
-                     fault.cell);
-    break;
-  default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;
-  }
-  return code == MO_OK;
-}
-
-static bool read_id(struct mo_json *json, uint64_t *bits)
-{
-  unsigned depth = json->depth;
-  struct mo_json_slice text;
-  if (!mo_json_string(json, &text))
-    return false;
-  without_letter(&text, 'd');
-  int code = mo_genotype_from_id(MO_DEFAULT_WORKSPACE, text.bytes, text.size, bits);
-  if (code == MO_ERR_EMPTY || code == MO_ERR_NOT_CONTIGUOUS)
-    mo_json_fault_at(json, depth, "", "the id spells a body that is empty or in several pieces");
-  else if (code != MO_OK)
-    mo_json_fault_at(json, depth, "",
-                     "not a design's id; %d hexadecimal digits of a canonical form are expected",
-                     MO_DEFAULT_ID_DIGITS);
-  return code == MO_OK;
-}
-
-static void read_design(struct mo_json *json, struct mo_bits *bits)
-{
-  unsigned depth = json->depth, forms = 0;
-  struct mo_json_slice key;
-  if (!mo_json_object(json))
-    return;
-  while (mo_json_member(json, &key)) {
-    if (mo_json_is(key, "cells"))
-      read_cells(json, bits->words);
-    else if (mo_json_is(key, "voxels"))
-      read_voxels(json, bits->words);
-    else if (mo_json_is(key, "id"))
-      read_id(json, bits->words);
-    else {
-      mo_fields_unknown(json, "cells, voxels or id", NULL);
-      continue;
-    }
-    forms++;
-  }
-  if (forms != 1)
-    mo_json_fault_at(json, depth, "", "a design is given by exactly one of cells, voxels and id");
-}
-
-/* Ends the reading for lack of memory. */
-static void no_memory(struct mo_json *json, struct mo_parts *parts)
-{
-  parts->error = MO_ERR_NO_MEMORY;
-  json->stop = true;
-}
-
-static void read_designs(struct mo_json *json, void *value)
-{
-  struct mo_parts *parts = value;
-  unsigned depth = json->depth;
-  uint32_t n = 0, capacity = 0;
-  parts->has_designs = true;
-  if (!mo_json_array(json))
-    return;
-  for (; mo_json_item(json); n++) {
-    if (n == MO_DESIGNS_MAX) {
-      mo_json_fault_at(json, depth, "", "more than %d designs are given; at most %d are expected",
-                       MO_DESIGNS_MAX, MO_DESIGNS_MAX);
-      skip_rest(json);
-      break;
-    }
-    if (n == capacity) {
-      capacity = capacity == 0 ? 64 : capacity * 2;
-      struct mo_bits *grown = realloc(parts->genotypes, capacity * sizeof(*grown));
-      if (grown == NULL) {
-        no_memory(json, parts);
-        return;
-      }
-      parts->genotypes = grown;
-    }
-    parts->genotypes[n] = (struct mo_bits){{0}};
-    read_design(json, &parts->genotypes[n]);
-  }
-  if (n == 0)
-    mo_json_fault_at(json, depth, "", "no designs are given; 1 to %d are expected", MO_DESIGNS_MAX);
-  parts->n_designs = n;
-}
-const struct mo_field_own mo_designs_field = {.read = read_designs};
 
 /* ---- environments ---- */
 
@@ -326,7 +136,8 @@ static void read_environments(struct mo_json *json, void *value)
   }
   parts->environments = calloc(MO_ENVIRONMENTS_MAX, sizeof(*parts->environments));
   if (parts->environments == NULL) {
-    no_memory(json, parts);
+    parts->error = MO_ERR_NO_MEMORY;
+    json->stop = true;
     return;
   }
   mo_json_array(json);
@@ -467,6 +278,7 @@ const char *mo_parts_controller(const struct mo_parts *parts)
 void mo_parts_free(struct mo_parts *parts)
 {
   free(parts->genotypes);
+  free(parts->notes);
   free(parts->environments);
 }
 _Static_assert(MO_BACK_END_AUTO + 1 == 0 && (int)MO_ON_DEVICE == 1,

@@ -13,7 +13,11 @@
 #include "jobs/evaluations.h"
 #include "jobs/trainings.h"
 
-/* ---- what several bodies share (request_parts.c) ---- */
+/* ---- what several bodies share (request_parts.c, design_request.c) ---- */
+
+/* What a design that is no body does to a request, and what is done to one in several pieces. */
+enum mo_on_fault { MO_FAULT_REFUSE = 0, MO_FAULT_SKIP = 1 };
+enum mo_repair { MO_REPAIR_NONE = 0, MO_REPAIR_LARGEST = 1 };
 
 /* What a submission of any kind may ask for. */
 struct mo_parts {
@@ -23,8 +27,11 @@ struct mo_parts {
   bool has_label, has_controller, no_controller, has_designs; /* no_controller: null was given */
   char label[MO_LABEL_BYTES_MAX + 1];
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
-  struct mo_bits *genotypes;              /* (n_designs) as given, not placed */
+  int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
+  struct mo_bits *genotypes;              /* (n_designs) those to take, as given, not placed */
   uint32_t n_designs;
+  struct mo_design_note *notes; /* (n_notes) ascending: what was skipped or repaired */
+  uint32_t n_notes, n_skipped;
   struct mo_environment *environments; /* (n_environments); NULL: "paper-test" */
   uint32_t n_environments;
   int error; /* MO_ERR_NO_MEMORY */
@@ -35,9 +42,14 @@ extern const struct mo_fields mo_weight_fields; /* of one double */
 /* Fields of struct mo_parts: 1 to MO_DESIGNS_MAX designs; "paper-test" or 1 to MO_ENVIRONMENTS_MAX
  * environments. */
 extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_controller_field;
+/* on_fault and repair, and each alone. They are needed before the designs: read them ahead. */
+extern const struct mo_fields mo_design_rules_fields, mo_on_fault_fields, mo_repair_fields;
 /* A name for a controller, of MO_NAME_BYTES_MAX + 1 bytes. */
 extern const struct mo_field_own mo_name_field;
 
+/* Notes that a design was repaired, or skipped because of a fault (else NULL). False: no memory. */
+bool mo_parts_note(struct mo_parts *parts, uint32_t place, uint32_t dropped,
+                   const struct mo_fault *fault);
 int mo_parts_back_end(const struct mo_parts *parts);           /* as in mo_evaluation_request */
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */
 void mo_parts_free(struct mo_parts *parts);
@@ -49,9 +61,11 @@ int mo_read_body(const char *text, size_t size, const struct mo_fields *fields, 
                  struct mo_parts *parts, int (*check)(struct mo_json *json, void *parsed),
                  struct mo_faults *faults);
 
-/* Reads, in a first pass over the text, the words of two rows, because the defaults of other
- * members depend on them. *given: the key of the first row is there. Adds no faults. */
+/* Read, in a first pass, the members of an object that others depend on: of a whole text, or of the
+ * object that is next. *given (nullable): the key of the first row is there. Add no faults. */
 void mo_read_words(const char *text, size_t size, const struct mo_fields *fields, void *parsed,
+                   bool *given);
+void mo_read_ahead(const struct mo_json *json, const struct mo_fields *fields, void *parsed,
                    bool *given);
 
 /* Reads a job's id from a string. what: "an evaluation". */
@@ -64,7 +78,8 @@ extern const struct mo_field_own mo_channels_field;
 
 /* All members of a submission, as tables; tests hold the contract to them. */
 extern const struct mo_fields mo_evaluation_request_fields, mo_rollouts_request_fields,
-    mo_training_request_fields, mo_campaign_request_fields;
+    mo_training_request_fields, mo_campaign_request_fields, mo_random_request_fields,
+    mo_mutation_request_fields, mo_crossing_request_fields, mo_canonical_request_fields;
 
 /* A request, and the parts that its pointers point to. */
 struct mo_parsed_evaluation {

@@ -246,6 +246,7 @@ static int write_designs(struct mo_text *text, struct mo_text *arrays,
     mo_text_object(text);
     mo_member_form(text, "id", &design->form);
     mo_member_bits(text, "genotype", &design->genotype);
+    mo_text_member_count(text, "repaired", design->dropped);
     mo_text_member_number(text, "score", design->score);
     if (arrays != NULL)
       error = mo_scene_write_body(text, arrays, lattice, design->body, &design->genotype);

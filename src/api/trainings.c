@@ -159,6 +159,7 @@ const struct mo_resource mo_training_resource = {.kind = MO_JOB_TRAINING,
                                                  .read = read_status,
                                                  .page = read_page,
                                                  .write = write_whole,
+                                                 .write_listed = write_whole,
                                                  .write_job = mo_training_json_job};
 
 /* ---- submission ---- */

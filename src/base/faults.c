@@ -23,7 +23,7 @@ static void trim_utf8(char *text)
 void mo_faults_add(struct mo_faults *faults, enum mo_fault_place place, const char *where,
                    const char *format, ...)
 {
-  if (mo_faults_full(faults))
+  if (mo_faults_full(faults) || (faults->first_only && faults->n > 0))
     return;
   struct mo_fault *fault = &faults->items[faults->n++];
   fault->place = place;

@@ -21,8 +21,9 @@ struct mo_fault {
 };
 
 struct mo_faults {
-  unsigned n;     /* faults kept */
-  bool malformed; /* the body is not JSON at all: 400, not 422 */
+  unsigned n;      /* faults kept */
+  bool malformed;  /* the body is not JSON at all: 400, not 422 */
+  bool first_only; /* further faults are dropped, and reading goes on */
   struct mo_fault items[MO_FAULTS_MAX];
 };
 

@@ -174,6 +174,8 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   struct mo_campaign_submission submission = {.record = *record,
                                               .controller = controller,
                                               .environments = request->environments,
+                                              .notes = request->notes,
+                                              .n_notes = request->n_notes,
                                               .priority = (enum mo_urgency)request->priority,
                                               .weight = request->weight != 0 ? request->weight : 1,
                                               .label = request->label,

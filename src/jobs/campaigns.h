@@ -17,9 +17,11 @@ struct mo_campaign_request {
   const struct mo_environment *environments; /* (record.n_environments) if no set is named */
   const struct mo_bits
       *genotypes; /* (record.n_listed) valid, not yet placed; of the default workspace */
-  int priority;   /* MO_BATCH */
-  int back_end;   /* enum mo_back_end or MO_BACK_END_AUTO */
-  double weight;  /* 0.001 … 1000 */
+  const struct mo_design_note *notes; /* (n_notes) ascending: what was skipped or repaired */
+  uint32_t n_notes;
+  int priority;  /* MO_BATCH */
+  int back_end;  /* enum mo_back_end or MO_BACK_END_AUTO */
+  double weight; /* 0.001 … 1000 */
   const char *label, *submitted_by, *idempotency_key;
   struct mo_sha256 body_sha256;
 };

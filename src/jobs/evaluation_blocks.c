@@ -290,15 +290,15 @@ bool mo_active_advance(struct mo_evaluations *all, struct mo_active *active, uns
 
 static int save_recording(struct mo_evaluations *all, struct flight *flight, uint32_t i)
 {
-  struct mo_saved_trajectory saved = {.job = flight->owner->id,
-                                      .design_position = flight->flight.design,
-                                      .environment_position = flight->flight.places[i],
-                                      .frames = flight->frames,
-                                      .n_masses = flight->body->n_masses,
-                                      .n_springs = flight->body->n_springs,
-                                      .diverged_step =
-                                          flight->flight.block.outcomes[i].diverged_step,
-                                      .recording = flight->recordings[i]};
+  struct mo_saved_trajectory saved = {
+      .job = flight->owner->id,
+      .design_position = flight->owner->work->positions[flight->flight.design],
+      .environment_position = flight->flight.places[i],
+      .frames = flight->frames,
+      .n_masses = flight->body->n_masses,
+      .n_springs = flight->body->n_springs,
+      .diverged_step = flight->flight.block.outcomes[i].diverged_step,
+      .recording = flight->recordings[i]};
   if (mo_pending_add(all, &all->pending.trajectories, &saved, sizeof(saved)) == NULL)
     return MO_ERR_NO_MEMORY;
   all->pending.recorded_bytes += flight->recorded_bytes / flight->flight.block.n_environments;
@@ -323,7 +323,7 @@ static int take(struct mo_evaluations *all, struct flight *flight, uint32_t i)
       .loss = outcome->loss,
       .diverged_step = outcome->diverged_step,
       .verify_job = work->job.verify ? active->id : 0,
-      .design_position = design,
+      .design_position = work->positions[design],
       .environment_position = k};
   int error = mo_flight_check(&flight->flight, i);
   if (error == MO_OK && block->recordings != NULL)

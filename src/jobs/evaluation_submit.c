@@ -14,9 +14,10 @@
 static int check_request(const struct mo_evaluation_request *request, struct mo_message *message)
 {
   int error;
-  if (request->n_designs < 1 || request->n_designs > MO_DESIGNS_MAX)
+  const uint32_t n_given = request->n_designs + request->n_skipped;
+  if (n_given < 1 || n_given > MO_DESIGNS_MAX)
     return mo_fail(message, MO_ERR_RANGE, "an evaluation has 1 to %d designs, not %u",
-                   MO_DESIGNS_MAX, (unsigned)request->n_designs);
+                   MO_DESIGNS_MAX, (unsigned)n_given);
   if (request->environment_set == NULL) {
     error = mo_environments_check(request->environments, request->n_environments, "an evaluation",
                                   message);
@@ -108,6 +109,9 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
 {
   struct mo_submission submission = {
       .n_designs = request->n_designs,
+      .notes = request->notes,
+      .n_notes = request->n_notes,
+      .n_skipped = request->n_skipped,
       .environment_set = request->environment_set,
       .environments = request->environments,
       .n_environments = request->n_environments,

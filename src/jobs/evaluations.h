@@ -12,7 +12,9 @@
 
 struct mo_evaluation_request {
   const struct mo_bits *genotypes;           /* (n_designs) valid, not yet placed */
-  uint32_t n_designs;                        /* 1 … MO_DESIGNS_MAX */
+  uint32_t n_designs;                        /* with n_skipped 1 … MO_DESIGNS_MAX */
+  const struct mo_design_note *notes;        /* (n_notes) ascending */
+  uint32_t n_notes, n_skipped;               /* n_skipped: notes of skipped designs */
   const char *environment_set;               /* "paper-test", or NULL: `environments` */
   const struct mo_environment *environments; /* (n_environments) checked */
   uint32_t n_environments;                   /* 1 … MO_ENVIRONMENTS_MAX; ignored with a set */

@@ -67,6 +67,8 @@ static int take_designs(struct mo_jobs *jobs, const struct mo_evaluation_request
     design->genotype = placed.genotypes[i];
     error = mo_body_create(jobs->lattice, design->genotype.words, &design->body);
   }
+  for (uint32_t i = 0; i < request->n_notes && error == MO_OK; i++)
+    rollouts->designs[request->notes[i].place].dropped = request->notes[i].dropped;
   mo_placed_free(&placed);
   return error;
 }

@@ -10,7 +10,8 @@
 struct mo_rolled_design {
   struct mo_bits form, genotype; /* canonical; as it was scored */
   struct mo_body *body;
-  double score; /* mean loss; +infinity: a rollout diverged */
+  double score;     /* mean loss; +infinity: a rollout diverged */
+  uint32_t dropped; /* voxels that its repair removed */
 };
 
 struct mo_rolled {

@@ -65,7 +65,7 @@ int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)
       code = MO_ERR_NOT_CONTIGUOUS;
     }
   }
-  if (code == MO_OK)
+  if (code == MO_OK || code == MO_ERR_NOT_CONTIGUOUS)
     memcpy(bits, all.bits, words * sizeof(uint64_t));
   mo_scratch_close(&all);
   return code;
@@ -129,9 +129,9 @@ int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_
   }
   if (code == MO_OK)
     code = find_apart(workspace, scratch.bits, &place);
-  if (code == MO_OK)
+  if (code == MO_OK || code == MO_ERR_NOT_CONTIGUOUS)
     memcpy(bits, scratch.bits, words * sizeof(uint64_t));
-  else if (code != MO_ERR_NO_MEMORY)
+  if (code != MO_OK && code != MO_ERR_NO_MEMORY)
     tell(fault, place, 0, 0);
   mo_scratch_close(&scratch);
   return code;

@@ -147,7 +147,9 @@ static int insert(struct mo_store *store, const struct mo_job_request *request, 
                                    (uint32_t)setting.n_environments);
   if (error == MO_OK)
     error = mo_designs_insert(writer, *id, submission->forms, submission->genotypes,
-                              record->n_listed, mo_clock_wall_us());
+                              record->n_listed, NULL, 0, mo_clock_wall_us());
+  if (error == MO_OK)
+    error = mo_notes_insert(writer, *id, submission->notes, submission->n_notes);
   return error == MO_OK && record->initial_campaign != 0 ? insert_inherited(writer, record, *id)
                                                          : error;
 }

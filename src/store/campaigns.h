@@ -24,6 +24,8 @@ struct mo_campaign_submission {
   const char *controller; /* name or "sha256:<hex>"; NULL: random weights (simultaneous) */
   const struct mo_environment *environments; /* (record.n_environments) if there is no set */
   const struct mo_bits *forms, *genotypes;   /* (record.n_listed) */
+  const struct mo_design_note *notes;        /* (n_notes) ascending */
+  uint32_t n_notes;
   /* The population of initial_campaign is copied in the same transaction, like listed designs. */
   enum mo_urgency priority;
   enum mo_back_end back_end;

@@ -125,16 +125,60 @@ int mo_design_insert(struct mo_connection *writer, int64_t id, uint32_t position
 }
 
 int mo_designs_insert(struct mo_connection *writer, int64_t id, const struct mo_bits *forms,
-                      const struct mo_bits *genotypes, uint32_t n, int64_t now_us)
+                      const struct mo_bits *genotypes, uint32_t n,
+                      const struct mo_design_note *notes, uint32_t n_notes, int64_t now_us)
 {
   int64_t row = 0;
   int error = MO_OK;
-  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+  for (uint32_t i = 0, place = 0, k = 0; i < n && error == MO_OK; i++, place++) {
+    for (; k < n_notes && notes[k].place <= place; k++)
+      place += mo_is_skipped(&notes[k]);
     error = mo_genotype_row(writer, &forms[i], &genotypes[i], now_us, &row);
     if (error == MO_OK)
-      error = mo_design_insert(writer, id, i, row);
+      error = mo_design_insert(writer, id, place, row);
   }
   return error;
+}
+
+int mo_notes_insert(struct mo_connection *writer, int64_t id, const struct mo_design_note *notes,
+                    uint32_t n)
+{
+  static const char sql[] = "INSERT INTO design_notes(job,position,dropped,pointer,detail)"
+                            " VALUES(?1,?2,?3,?4,?5)";
+  int error = MO_OK;
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    const bool skipped = mo_is_skipped(&notes[i]);
+    error = mo_sql_do(writer, sql, mo_int(id), mo_int(notes[i].place), mo_int(notes[i].dropped),
+                      mo_string(skipped ? notes[i].fault.where : NULL),
+                      mo_string(skipped ? notes[i].fault.detail : NULL));
+  }
+  return error;
+}
+
+int mo_notes_read(struct mo_connection *reader, int64_t id, struct mo_design_note **notes,
+                  uint32_t *n)
+{
+  static const char n_sql[] = "SELECT count(*) FROM design_notes WHERE job=?1";
+  static const char sql[] = "SELECT position,dropped,coalesce(pointer,''),coalesce(detail,'')"
+                            " FROM design_notes WHERE job=?1 ORDER BY position";
+  int64_t count = 0;
+  int error = mo_sql_find(reader, &count, n_sql, mo_int(id));
+  *n = 0;
+  *notes = NULL;
+  if (error != MO_OK || count == 0)
+    return error;
+  *notes = calloc((size_t)count, sizeof(**notes));
+  if (*notes == NULL)
+    return MO_ERR_NO_MEMORY;
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
+  while (*n < count && mo_sql_next(reader, row, &error)) {
+    struct mo_design_note *note = &(*notes)[(*n)++];
+    note->place = mo_column_u32(row, 0);
+    note->dropped = mo_column_u32(row, 1);
+    mo_column_text(row, 2, note->fault.where, sizeof(note->fault.where));
+    mo_column_text(row, 3, note->fault.detail, sizeof(note->fault.detail));
+  }
+  return error == MO_OK && *n != count ? MO_ERR_CORRUPT : error;
 }
 
 int mo_environments_read(struct mo_connection *connection, int64_t id, uint32_t n,
@@ -161,7 +205,7 @@ int mo_designs_read(struct mo_connection *connection, int64_t id, struct mo_desi
 {
   static const char n_sql[] = "SELECT count(*) FROM job_designs WHERE job=?1";
   static const char sql[] =
-      "SELECT g.id,g.bits,d.form FROM job_designs x JOIN genotypes g ON g.id=x.genotype"
+      "SELECT g.id,g.bits,d.form,x.position FROM job_designs x JOIN genotypes g ON g.id=x.genotype"
       " JOIN designs d ON d.id=g.design WHERE x.job=?1 ORDER BY x.position";
   int64_t n = 0;
   int error = mo_sql_find(connection, &n, n_sql, mo_int(id));
@@ -170,11 +214,13 @@ int mo_designs_read(struct mo_connection *connection, int64_t id, struct mo_desi
     return error;
   designs->genotypes = calloc((size_t)n + 1, sizeof(*designs->genotypes));
   designs->rows = calloc((size_t)n + 1, sizeof(*designs->rows));
-  if (designs->genotypes == NULL || designs->rows == NULL)
+  designs->positions = calloc((size_t)n + 1, sizeof(*designs->positions));
+  if (designs->genotypes == NULL || designs->rows == NULL || designs->positions == NULL)
     return MO_ERR_NO_MEMORY;
   sqlite3_stmt *row = mo_sql_rows(connection, &error, sql, mo_int(id));
   while (designs->n < n && mo_sql_next(connection, row, &error)) {
     designs->rows[designs->n] = sqlite3_column_int64(row, 0);
+    designs->positions[designs->n] = mo_column_u32(row, 3);
     error = mo_column_genotype(row, 1, 2, &designs->genotypes[designs->n++], NULL);
   }
   return error == MO_OK && designs->n != n ? MO_ERR_CORRUPT : error;

@@ -21,9 +21,15 @@ int mo_environment_set_find(struct mo_connection *connection, const char *name, 
 /* Inserts the environments of a job: those of `set`, or if set is 0 the given ones. */
 int mo_environments_insert(struct mo_connection *writer, int64_t id, int64_t set,
                            const struct mo_environment *environments, uint32_t n);
-/* Inserts the designs of a job, in order. */
+/* Inserts the designs of a job, in order; the places of skipped ones stay free. */
 int mo_designs_insert(struct mo_connection *writer, int64_t id, const struct mo_bits *forms,
-                      const struct mo_bits *genotypes, uint32_t n, int64_t now_us);
+                      const struct mo_bits *genotypes, uint32_t n,
+                      const struct mo_design_note *notes, uint32_t n_notes, int64_t now_us);
+int mo_notes_insert(struct mo_connection *writer, int64_t id, const struct mo_design_note *notes,
+                    uint32_t n);
+/* Reads the notes on a job's designs, ascending. The caller frees the list, also after an error. */
+int mo_notes_read(struct mo_connection *reader, int64_t id, struct mo_design_note **notes,
+                  uint32_t *n);
 int mo_design_insert(struct mo_connection *writer, int64_t id, uint32_t position, int64_t genotype);
 /* Reads the environments (n) of a job and their rows, each nullable. MO_ERR_CORRUPT: there are more
  * or fewer. */
@@ -32,9 +38,10 @@ int mo_environments_read(struct mo_connection *connection, int64_t id, uint32_t 
 struct mo_designs {
   struct mo_bits *genotypes; /* (n) malloc */
   int64_t *rows;             /* (n) malloc */
+  uint32_t *positions;       /* (n) malloc: places in the request */
   uint32_t n;
 };
-/* Reads the designs of a job. The caller frees both lists, also after an error. */
+/* Reads the designs of a job. The caller frees the lists, also after an error. */
 int mo_designs_read(struct mo_connection *connection, int64_t id, struct mo_designs *designs);
 
 #endif

@@ -34,5 +34,8 @@ int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *q
  * campaign's workspace were left out. MO_ERR_NOT_FOUND. */
 int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
                          uint32_t *n);
+/* Reads the notes on the designs of a job's request, ascending (malloc; NULL: none). */
+int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_note **notes,
+                          uint32_t *n);
 
 #endif

@@ -92,6 +92,7 @@ static int load_losses(struct mo_connection *reader, const struct result_keys *k
   return error;
 }
 
+/* Designs that were skipped have no row: they keep empty genotypes and unknown losses. */
 static int load_designs(struct mo_connection *reader, const struct range *range,
                         struct result_keys *keys, struct mo_evaluation_results *results)
 {
@@ -100,18 +101,24 @@ static int load_designs(struct mo_connection *reader, const struct range *range,
                             " WHERE x.job=?1 AND x.position>=?2 AND x.position<?3"
                             " ORDER BY x.position";
   int error = MO_OK;
-  uint32_t n = 0;
+  uint32_t found = 0;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(range->id), mo_int(range->first),
                                   mo_int((int64_t)range->first + range->n));
-  for (; mo_sql_next(reader, row, &error); n++) {
-    if (n == results->n_designs || sqlite3_column_int64(row, 0) != range->first + n)
+  for (; mo_sql_next(reader, row, &error); found++) {
+    const uint32_t n = mo_column_u32(row, 0) - range->first;
+    if (n >= results->n_designs)
       return MO_ERR_CORRUPT;
     error = mo_column_genotype(row, 2, 3, &results->genotypes[n], &results->forms[n]);
     keys->design.genotype = sqlite3_column_int64(row, 1);
     if (error == MO_OK && !keys->verify && keys->design.fingerprint != 0)
       error = load_losses(reader, keys, n, results);
   }
-  return error == MO_OK && n != results->n_designs ? MO_ERR_CORRUPT : error;
+  for (uint32_t i = 0; i < results->n_notes; i++) {
+    const struct mo_design_note *note = &results->notes[i];
+    found += mo_is_skipped(note) && note->place >= range->first &&
+             note->place - range->first < results->n_designs;
+  }
+  return error == MO_OK && found != results->n_designs ? MO_ERR_CORRUPT : error;
 }
 
 static bool same_bits(double a, double b)
@@ -164,6 +171,8 @@ static int load_results(struct mo_connection *reader, const void *key, void *ret
   int error = load_keys(reader, &range, &keys, results);
   if (error == MO_OK)
     error = allocate_results(results, keys.verify);
+  if (error == MO_OK)
+    error = mo_notes_read(reader, range.id, &results->notes, &results->n_notes);
   if (error == MO_OK)
     error = load_designs(reader, &range, &keys, results);
   if (error == MO_OK && keys.verify)

@@ -9,9 +9,11 @@ struct mo_store;
 /* ---- submission (by jobs) ---- */
 
 struct mo_submission {
-  const struct mo_bits *forms;     /* (n_designs) canonical */
-  const struct mo_bits *genotypes; /* (n_designs) placed */
-  uint32_t n_designs;
+  const struct mo_bits *forms;        /* (n_designs) canonical */
+  const struct mo_bits *genotypes;    /* (n_designs) placed */
+  uint32_t n_designs;                 /* without those that are skipped */
+  const struct mo_design_note *notes; /* (n_notes) ascending */
+  uint32_t n_notes, n_skipped;
   const char *environment_set;               /* or NULL */
   const struct mo_environment *environments; /* (n_environments) if there is no set */
   uint32_t n_environments;
@@ -37,7 +39,7 @@ int mo_store_submit(struct mo_store *store, const struct mo_submission *submissi
 /* ---- results ---- */
 
 /* The results of an evaluation. Rows are designs, columns are environments, both in the order of
- * the request. */
+ * the request. A design that was skipped is empty; its losses and score are NaN. */
 struct mo_evaluation_results {
   uint32_t n_designs, n_environments;
   struct mo_bits *forms;     /* (n_designs) canonical */
@@ -49,6 +51,8 @@ struct mo_evaluation_results {
   /* Verify jobs only, else NULL: `losses` were recomputed by this job; these were stored before. */
   double *stored_losses; /* (n_designs, n_environments); NaN: none was stored */
   uint8_t *agrees; /* (n_designs): 1: every stored loss equals the recomputed one, bit for bit */
+  struct mo_design_note *notes; /* (n_notes) on all designs of the request, ascending */
+  uint32_t n_notes;
 };
 void mo_evaluation_results_free(void *results); /* NULL-safe */
 

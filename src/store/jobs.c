@@ -24,20 +24,23 @@ static int read_environments(sqlite3_stmt *row, struct mo_job *job)
 
 static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
 {
-  const int64_t n_designs = sqlite3_column_int64(row, MO_COLUMN_N_DESIGNS);
+  const int64_t n_designs = sqlite3_column_int64(row, MO_COLUMN_N_DESIGNS),
+                n_skipped = sqlite3_column_int64(row, MO_COLUMN_N_SKIPPED);
   (void)record;
-  if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || read_environments(row, job) != MO_OK ||
+  if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || n_skipped < 0 || n_skipped > n_designs ||
+      read_environments(row, job) != MO_OK ||
       mo_column_hash(row, MO_COLUMN_CONTROLLER, &job->controller_sha256) != MO_OK ||
       mo_column_physics(row, MO_COLUMN_PHYSICS, &job->physics, &job->precision, &job->sensor) !=
           MO_OK)
     return MO_ERR_CORRUPT;
   job->n_designs = (uint32_t)n_designs;
+  job->n_skipped = (uint32_t)n_skipped;
   job->verify = sqlite3_column_int(row, MO_COLUMN_VERIFY) != 0;
   job->record = mo_column_u32(row, MO_COLUMN_RECORD) & ((1U << MO_CHANNELS) - 1);
   job->record_stride = mo_column_u32(row, MO_COLUMN_RECORD_STRIDE);
   job->recorded_bytes = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_RECORDED_BYTES);
   job->recordings_removed_us = sqlite3_column_int64(row, MO_COLUMN_RECORDINGS_REMOVED_US);
-  job->rollouts_total = (uint64_t)n_designs * job->n_environments;
+  job->rollouts_total = (uint64_t)(n_designs - n_skipped) * job->n_environments;
   job->rollouts_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DONE);
   job->rollouts_cached = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_CACHED);
   job->rollouts_diverged = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DIVERGED);
@@ -208,6 +211,7 @@ int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **ge
   struct mo_designs designs = {.n = 0};
   const int error = mo_read_job(store, id, load_designs, &designs);
   free(designs.rows);
+  free(designs.positions);
   if (error != MO_OK) {
     free(designs.genotypes);
     return error;
@@ -215,6 +219,29 @@ int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **ge
   *genotypes = designs.genotypes;
   *n = designs.n;
   return MO_OK;
+}
+
+struct notes {
+  struct mo_design_note *notes;
+  uint32_t n;
+};
+
+static int load_notes(struct mo_connection *reader, int64_t id, void *any)
+{
+  struct notes *notes = any;
+  return mo_notes_read(reader, id, &notes->notes, &notes->n);
+}
+
+int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_note **ret,
+                          uint32_t *n)
+{
+  struct notes notes = {NULL, 0};
+  const int error = mo_read_job(store, id, load_notes, &notes);
+  *ret = error == MO_OK ? notes.notes : NULL;
+  *n = error == MO_OK ? notes.n : 0;
+  if (error != MO_OK)
+    free(notes.notes);
+  return error;
 }
 
 /* ---- pages ---- */

@@ -28,6 +28,7 @@
   X(ENVIRONMENT_SET, "s.name")                                                                     \
   X(N_ENVIRONMENTS, "coalesce(e.n_environments,m.n_environments)")                                 \
   X(N_DESIGNS, "coalesce(e.n_designs,t.n_designs)")                                                \
+  X(N_SKIPPED, "e.n_skipped")                                                                      \
   X(PHYSICS, "p.encoding")                                                                         \
   X(VERIFY, "e.verify")                                                                            \
   X(RECORD, "e.record")                                                                            \

@@ -42,6 +42,7 @@ void mo_evaluation_results_free(void *any)
   free(results->diverged_steps);
   free(results->stored_losses);
   free(results->agrees);
+  free(results->notes);
   free(results);
 }
 
@@ -61,6 +62,7 @@ void mo_work_free(struct mo_work *work)
   free(work->environment_rows);
   free(work->environments);
   free(work->genotype_rows);
+  free(work->positions);
   free(work->genotypes);
   free(work->finished);
   free(work);

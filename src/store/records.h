@@ -17,6 +17,7 @@
 #include <morpho/rollout.h>
 #include <morpho/world.h>
 
+#include "store/design_notes.h"
 #include "store/hash.h"
 
 #define MO_DESIGNS_MAX           10000 /* of one evaluation */
@@ -76,8 +77,8 @@ struct mo_job {
   char controller_name[MO_NAME_BYTES_MAX + 8]; /* as requested at submission; "": by hash */
   struct mo_sha256 controller_sha256;
   enum mo_sensor sensor;
-  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "paper-test", or "": listed in the request */
-  uint32_t n_environments, n_designs;
+  char environment_set[MO_NAME_BYTES_MAX + 1];   /* "paper-test", or "": listed in the request */
+  uint32_t n_environments, n_designs, n_skipped; /* n_skipped: of the designs of an evaluation */
   struct mo_physics physics;
   enum mo_precision precision;
   bool verify;

@@ -187,7 +187,7 @@ int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id)
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts)
 {
   static const char sql[] =
-      "SELECT count(*),coalesce(sum(e.n_designs*e.n_environments),0) FROM jobs j"
+      "SELECT count(*),coalesce(sum((e.n_designs-e.n_skipped)*e.n_environments),0) FROM jobs j"
       " LEFT JOIN evaluations e ON e.job=j.id WHERE j.state<=?1";
   int64_t found[2] = {0, 0};
   const int error = mo_read_integers(store, sql, MO_VALUES(mo_int(MO_JOB_PAUSED)), 2, found);
@@ -234,7 +234,7 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
   work->physics = sqlite3_column_int64(row, 1);
   work->environment_set = sqlite3_column_int64(row, 2);
   *before = sqlite3_column_int64(row, 3);
-  work->n_designs = work->job.n_designs;
+  work->n_designs = work->job.n_designs - work->job.n_skipped;
   work->n_environments = work->job.n_environments;
   return MO_OK;
 }
@@ -245,6 +245,7 @@ static int load_designs(struct mo_connection *reader, int64_t id, struct mo_work
   const int error = mo_designs_read(reader, id, &designs);
   work->genotypes = designs.genotypes;
   work->genotype_rows = designs.rows;
+  work->positions = designs.positions;
   return error == MO_OK && designs.n != work->n_designs ? MO_ERR_CORRUPT : error;
 }
 
@@ -252,15 +253,18 @@ static int load_designs(struct mo_connection *reader, int64_t id, struct mo_work
 static int load_finished(struct mo_connection *reader, int64_t id, struct mo_work *work)
 {
   static const char verify_sql[] =
-      "SELECT position,environment,diverged_step FROM recomputed WHERE job=?1";
+      "SELECT position,environment,diverged_step FROM recomputed WHERE job=?1 ORDER BY position";
   static const char record_sql[] =
-      "SELECT position,environment,diverged_step FROM trajectories WHERE job=?1";
+      "SELECT position,environment,diverged_step FROM trajectories WHERE job=?1 ORDER BY position";
+  uint32_t n = 0;
   int error = MO_OK;
   sqlite3_stmt *row =
       mo_sql_rows(reader, &error, work->job.verify ? verify_sql : record_sql, mo_int(id));
-  while (mo_sql_next(reader, row, &error)) {
-    const uint32_t n = mo_column_u32(row, 0), k = mo_column_u32(row, 1);
-    if (n >= work->n_designs || k >= work->n_environments)
+  while (mo_sql_next(reader, row, &error)) { /* ascending */
+    const uint32_t position = mo_column_u32(row, 0), k = mo_column_u32(row, 1);
+    while (n < work->n_designs && work->positions[n] < position)
+      n++;
+    if (n == work->n_designs || work->positions[n] != position || k >= work->n_environments)
       return MO_ERR_CORRUPT;
     work->finished[(size_t)n * work->n_environments + k] = 1;
     work->n_finished++;

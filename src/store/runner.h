@@ -47,8 +47,7 @@ int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollout
 
 /* ---- reads of the scheduler: on their own connection, from one thread at a time ---- */
 
-/* Reads the ids of queued evaluations of a priority, ascending, > after. Returns their number or an
- * error. */
+/* Reads the ids of queued evaluations of a priority, ascending, > after; returns their number. */
 int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after,
                         int64_t *ids, size_t limit);
 
@@ -62,10 +61,11 @@ struct mo_work {
   struct mo_job job;
   int64_t controller, physics, environment_set; /* rows; set 0: none */
   int64_t fingerprint, workers; /* its class; that of bodies that devices leave to the workers */
-  uint32_t n_designs, n_environments;
+  uint32_t n_designs, n_environments;  /* without designs that were skipped */
   int64_t *environment_rows;           /* (n_environments) */
   struct mo_environment *environments; /* (n_environments) */
   int64_t *genotype_rows;              /* (n_designs) */
+  uint32_t *positions;                 /* (n_designs) ascending: places in the request */
   struct mo_bits *genotypes;           /* (n_designs) */
   uint8_t *finished; /* (n_designs, n_environments) 1: an earlier attempt of a verify or recording
                         job finished this rollout; NULL for other jobs */

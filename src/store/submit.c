@@ -119,10 +119,10 @@ static int resolve(struct mo_connection *writer, const struct mo_submission *sub
 static int insert(struct mo_store *store, const struct mo_job_request *request, const void *any,
                   int64_t *id)
 {
-  static const char sql[] =
-      "INSERT INTO evaluations(job,controller,controller_name,physics,"
-      "environment_set,n_designs,n_environments,verify,record,record_stride,"
-      "done,cached,diverged) VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0)";
+  static const char sql[] = "INSERT INTO evaluations(job,controller,controller_name,physics,"
+                            "environment_set,n_designs,n_environments,verify,record,record_stride,"
+                            "done,cached,diverged,n_skipped)"
+                            " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11)";
   const struct mo_submission *submission = any;
   const char *name =
       strncmp(submission->controller, "sha256:", 7) == 0 ? "" : submission->controller;
@@ -133,16 +133,20 @@ static int insert(struct mo_store *store, const struct mo_job_request *request, 
   if (error == MO_OK)
     error = mo_job_insert(writer, request, MO_JOB_EVALUATION, id);
   if (error == MO_OK)
-    error = mo_sql_do(writer, sql, mo_int(*id), mo_int(controller), mo_string(name),
-                      mo_int(physics), mo_int(set), mo_int(submission->n_designs),
-                      mo_int(n_environments), mo_int(submission->verify),
-                      mo_int(submission->record), mo_int(submission->record_stride));
+    error =
+        mo_sql_do(writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics),
+                  mo_int(set), mo_int((int64_t)submission->n_designs + submission->n_skipped),
+                  mo_int(n_environments), mo_int(submission->verify), mo_int(submission->record),
+                  mo_int(submission->record_stride), mo_int(submission->n_skipped));
   if (error == MO_OK)
     error = mo_environments_insert(writer, *id, set, submission->environments,
                                    submission->n_environments);
   if (error == MO_OK)
     error = mo_designs_insert(writer, *id, submission->forms, submission->genotypes,
-                              submission->n_designs, mo_clock_wall_us());
+                              submission->n_designs, submission->notes, submission->n_notes,
+                              mo_clock_wall_us());
+  if (error == MO_OK)
+    error = mo_notes_insert(writer, *id, submission->notes, submission->n_notes);
   snprintf(data, sizeof(data),
            "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\",\"rollouts_total\":%llu}",
            (long long)*id, (unsigned long long)submission->n_designs * (uint64_t)n_environments);

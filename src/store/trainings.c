@@ -40,7 +40,7 @@ static int insert(struct mo_store *store, const struct mo_job_request *request, 
         mo_sql_do(writer, sql, mo_int(*id), mo_int(record.n_designs), mo_int(record.population));
   if (error == MO_OK)
     error = mo_designs_insert(writer, *id, submission->forms, submission->genotypes,
-                              record.n_designs, mo_clock_wall_us());
+                              record.n_designs, NULL, 0, mo_clock_wall_us());
   snprintf(data, sizeof(data),
            "{\"id\":\"%lld\",\"kind\":\"training\",\"state\":\"queued\",\"steps\":%u}",
            (long long)*id, (unsigned)record.settings.n_steps);

@@ -45,6 +45,33 @@ def learned(service):
     return run_campaign(service, LEARNS | {"name": "tuned-by-evolution"})
 
 
+def test_founders_that_cannot_be_are_skipped(service, evolved):
+    """The campaign is that of the founders that are left; it says what happened to the others."""
+    apart = {"cells": BAR["cells"] + [[0, 0, 3]]}
+    flat = SMALL | {"workspace": [4, 4, 1]}
+    designs = [{"cells": [[9, 0, 0]]}, DESIGN, BAR, {"voxels": "1" * 144}, apart, BAR]
+    rules = {"on_fault": "skip", "repair": "largest"}
+    value = run_campaign(service, SMALL | {"initial": {"designs": designs[:3]} | rules})
+    assert [row["place"] for row in value["founders"]] == [0]
+    assert value["settings"] == evolved["settings"] and evolved["founders"] == []
+    generations = [service.get(f"/v1/campaigns/{id}/generations")["items"]
+                   for id in (value["id"], evolved["id"])]
+    assert [row["score"] for row in generations[0]] == [row["score"] for row in generations[1]]
+    value = run_campaign(service, flat | {"initial": {"designs": designs} | rules, "replicates": 2})
+    assert value["settings"]["initial"] == {"n_designs": 1}
+    assert [(row["place"], row["repaired"], row["fault"] and row["fault"]["pointer"])
+            for row in value["founders"]] == [
+                (0, 0, "/initial/designs/0/cells/0/0"), (1, 0, "/initial/designs/1"),
+                (3, 0, "/initial/designs/3"), (4, 0, "/initial/designs/4"),
+                (5, 0, "/initial/designs/5")
+            ]
+    second = service.get(f"/v1/campaigns/{int(value['id']) + 1}")
+    assert second["founders"] == value["founders"]
+    refused = service.request("POST", "/v1/campaigns",
+                              flat | {"initial": {"designs": designs[:2]} | rules})
+    assert refused.status == 422 and refused.pointers() == ["/initial/designs"]
+
+
 def test_settings_are_told_with_their_defaults(service, evolved, learned):
     assert evolved["mode"] == "zero-shot" and evolved["preset"] == "workstation"
     assert evolved["priority"] == "batch" and evolved["name"] is None

@@ -279,3 +279,63 @@ def test_pausing_frees_the_workers(start):
     run(running, "evaluations", {"designs": [DESIGN], "physics": SHORT, "priority": "batch"})
     assert running.get(f"/v1/jobs/{job}")["state"] == "paused"
     assert running.act(job, "cancel").status in (200, 202)
+
+
+# ---- designs that are no bodies ----
+
+APART = [[0, 0, 0], [1, 0, 0], [3, 3, 0]]
+MIXED = [
+    {"cells": [[9, 0, 0]]}, DESIGN, {"voxels": "1"}, {"cells": APART}, {"cells": []},
+    {"cells": [["x"] * 40], "unknown": [0] * 40}, DESIGN, "no object"
+]
+
+
+def test_faulty_designs_are_skipped(service):
+    """Results stand at the places of the request, also of a job that verifies or records."""
+    request = {"physics": SHORT, "on_fault": "skip", "repair": "largest", "designs": MIXED}
+    plain = service.evaluate({"physics": SHORT, "designs": [DESIGN, {"cells": APART[:2]}]}).json()
+    for more in ({}, {"verify": True}, {"record": ["com"]}):
+        value = service.evaluate(dict(request, **more)).json()
+        rows = value["results"]
+        assert value["n_designs"] == len(MIXED) == len(rows) and value["n_skipped"] == 5
+        assert value["rollouts_total"] == value["rollouts_done"] == 30
+        assert [row["score"] for row in rows if row["fault"] is None] == [
+            plain["results"][place]["score"] for place in (0, 1, 0)
+        ]
+        assert [row["fault"] and row["fault"]["pointer"] for row in rows] == [
+            "/designs/0/cells/0/0", None, "/designs/2/voxels", None, "/designs/4/cells",
+            "/designs/5/cells/0/0", None, "/designs/7"
+        ]
+        assert rows[3]["repaired"] == 1 and rows[3]["voxels"] == 2 and rows[3]["masses"] == 12
+        assert rows[1]["footprint"] == 3 and rows[1]["springs"] > 24 and rows[1]["repaired"] == 0
+        assert rows[0]["id"] is rows[0]["voxels"] is rows[0]["score"] is None
+        assert rows[0]["losses"] == [None] * 10
+    recorded = f"/v1/evaluations/{value['id']}/trajectories"
+    assert service.request("GET", f"{recorded}/6?environment=9").json()["design"] == 6
+    assert service.request("GET", f"{recorded}/3?format=scene").status == 200
+    assert service.request("GET", f"{recorded}/0").status == 404
+    assert service.request("GET", f"/v1/jobs/{value['id']}").json()["n_skipped"] == 5
+
+
+def test_all_designs_are_skipped(service):
+    value = service.evaluate({"on_fault": "skip", "designs": [MIXED[0]] * 3}).json()
+    assert value["state"] == "succeeded" and value["rollouts_total"] == 0
+    assert [row["fault"]["pointer"] for row in value["results"]] == [
+        f"/designs/{place}/cells/0/0" for place in range(3)
+    ]
+
+
+def test_skipping_skips_no_other_fault(service):
+    """Words after the designs count, too; what is wrong elsewhere is refused."""
+    refused = service.request("POST", "/v1/evaluations",
+                              {"designs": MIXED, "on_fault": "leave"})
+    assert refused.status == 422 and "/on_fault" in refused.pointers()
+    assert "/designs/0/cells/0/0" in refused.pointers()
+    refused = service.request("POST", "/v1/evaluations",
+                              {"designs": MIXED, "physics": {"dt_s": 9}, "on_fault": "skip"})
+    assert refused.pointers() == ["/physics/dt_s"]
+    malformed = b'{"on_fault": "skip", "designs": [{"cells": [[0, 0, 0], [1,'
+    assert service.request("POST", "/v1/evaluations", body=malformed).status == 400
+    rolled = service.post("/v1/rollouts", {"designs": [{"cells": APART}], "physics": SHORT,
+                                           "repair": "largest"})
+    assert rolled["designs"][0]["repaired"] == 1

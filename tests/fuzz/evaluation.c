@@ -13,7 +13,10 @@
 
 static void check_accepted(const struct mo_evaluation_request *request)
 {
-  FUZZ_PROMISE(request->n_designs >= 1 && request->n_designs <= MO_DESIGNS_MAX);
+  const uint32_t n_given = request->n_designs + request->n_skipped;
+  FUZZ_PROMISE(n_given >= 1 && n_given <= MO_DESIGNS_MAX && request->n_notes <= n_given);
+  for (uint32_t i = 1; i < request->n_notes; i++)
+    FUZZ_PROMISE(request->notes[i - 1].place < request->notes[i].place);
   for (uint32_t i = 0; i < request->n_designs; i++)
     FUZZ_PROMISE(mo_genotype_is_contiguous(MO_DEFAULT_WORKSPACE, request->genotypes[i].words) == 1);
   if (request->environment_set == NULL) {

@@ -122,10 +122,12 @@ async function mountEvaluation(main, id, app) {
     if (job.results && !done) {
       done = true;
       const order = job.results.map((result, i) => ({ ...result, i }))
+        .filter((result) => !result.fault)
         .sort((a, b) => (a.score ?? Infinity) - (b.score ?? Infinity)).slice(0, 500);
-      wall.add(order.map((result) => ({ ...result, voxels: [...result.genotype].filter((v) => v === '1').length })));
-      if (job.results.length > order.length) {
-        head.append(h('p.muted', {}, `The best ${order.length} of ${count(job.results.length)} designs are shown.`));
+      wall.add(order);
+      if (job.n_skipped > 0) head.append(h('p.muted', {}, `${count(job.n_skipped)} designs were skipped.`));
+      if (job.n_designs - job.n_skipped > order.length) {
+        head.append(h('p.muted', {}, `The best ${order.length} of ${count(job.n_designs)} designs are shown.`));
       }
     }
   }

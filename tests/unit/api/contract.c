@@ -159,6 +159,11 @@ static void requests(void)
   check_object("CampaignRequest", &mo_campaign_request_fields, 0, true);
   check_object("CampaignLearningRequest", &mo_campaign_record_learning_fields, 0, true);
   check_object("WeightRequest", &mo_weight_fields, 0, true);
+  check_object("RolloutsRequest", &mo_rollouts_request_fields, 0, true);
+  check_object("RandomBodiesRequest", &mo_random_request_fields, 0, true);
+  check_object("MutatedBodiesRequest", &mo_mutation_request_fields, 0, true);
+  check_object("CrossedBodiesRequest", &mo_crossing_request_fields, 0, true);
+  check_object("CanonicalBodiesRequest", &mo_canonical_request_fields, 0, true);
 }
 
 /* What replies say of settings has the same names; what requests may leave out is filled in. */

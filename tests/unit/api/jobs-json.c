@@ -55,10 +55,12 @@ static void write_training(bool as_job)
 static void write_campaign(bool as_job)
 {
   struct mo_text text = {0};
-  if (as_job)
+  if (as_job) {
     mo_campaign_json_job(&text, &campaign, &live);
-  else
+  } else {
     mo_campaign_json_write(&text, &campaign, &live);
+    mo_text_add(&text, "}");
+  }
   parse(&text);
 }
 

@@ -114,7 +114,7 @@ static inline int run_by_hand(int64_t id, double (*loss)(uint32_t n, uint32_t k)
                                                         .loss = value,
                                                         .diverged_step = isinf(value) ? 17 : 0,
                                                         .verify_job = work->job.verify ? id : 0,
-                                                        .design_position = n,
+                                                        .design_position = work->positions[n],
                                                         .environment_position = k};
     }
     designs[n] = (struct mo_saved_design){work->genotype_rows[n], work->controller, work->physics,

@@ -89,6 +89,48 @@ static void keeps_every_bit(void)
   CHECK_INT(mo_store_results(store, 77, &results), MO_ERR_NOT_FOUND);
 }
 
+/* Results stand at the places of the request; work has only what is left of it. */
+static void keeps_places_of_skipped_designs(void)
+{
+  const struct mo_design_note notes[] = {
+      {.place = 0, .fault = {.where = "/designs/0", .detail = "empty"}},
+      {.place = 2, .fault = {.where = "/designs/2/voxels", .detail = "torn"}},
+      {.place = 3, .dropped = 5}};
+  struct mo_submission submission = draw_evaluation(4, 3);
+  struct mo_evaluation_results *results = NULL;
+  struct mo_work *work = NULL;
+  int64_t fingerprint = 0;
+  submission.notes = notes;
+  submission.n_notes = 3;
+  submission.n_skipped = 2;
+  submission.verify = true;
+  const int64_t id = submit_evaluation(&submission);
+  REQUIRE_OK(run_by_hand(id, made_up_loss));
+  REQUIRE_OK(reopen());
+  const struct mo_job job = job_of(id);
+  CHECK(job.n_designs == 5 && job.n_skipped == 2 && job.rollouts_total == 30);
+  REQUIRE_OK(mo_store_fingerprint(store, "by hand", &fingerprint));
+  REQUIRE_OK(mo_store_load_work(store, id, fixture_classes(fingerprint), &work));
+  CHECK(work->n_designs == 3 && work->positions[0] == 1 && work->positions[2] == 4);
+  CHECK_INT(work->n_finished, 30);
+  mo_work_free(work);
+  REQUIRE_OK(mo_store_results(store, id, &results));
+  REQUIRE(results->n_designs == 5 && results->n_notes == 3);
+  CHECK_TEXT(results->notes[1].fault.where, "/designs/2/voxels");
+  CHECK(results->notes[2].dropped == 5 && !mo_is_skipped(&results->notes[2]));
+  for (uint32_t n = 0, taken = 0; n < 5; n++) {
+    const bool skipped = n == 0 || n == 2;
+    CHECK(isnan(results->scores[n]) == skipped);
+    CHECK(SAME(&results->forms[n], skipped ? &(struct mo_bits){{0}} : &forms[taken], 1));
+    CHECK(skipped || results->losses[n * 10 + 7] == made_up_loss(taken, 7));
+    taken += !skipped;
+  }
+  mo_evaluation_results_free(results);
+  REQUIRE_OK(mo_store_result(store, id, 3, &results));
+  CHECK(SAME(&results->forms[0], &forms[1], 1));
+  mo_evaluation_results_free(results);
+}
+
 static void ranks_designs(void)
 {
   struct mo_submission submission = draw_evaluation(6, 20);
@@ -251,6 +293,7 @@ static void stores_again_what_is_deleted(void)
 static const struct check_case cases[] = {
     {"shares a design between its orientations", shares_designs_between_orientations},
     {"keeps every bit of a loss", keeps_every_bit},
+    {"keeps the places of skipped designs", keeps_places_of_skipped_designs},
     {"ranks designs by score", ranks_designs},
     {"keeps controllers by content and by name", keeps_controllers},
     {"stores again what is deleted", stores_again_what_is_deleted},

@@ -1,0 +1,406 @@
+/* bodies.c: random, mutated and crossed bodies, and canonical forms, as campaigns make them: for
+ * searches that run elsewhere. Nothing is stored; the same request gives the same bodies. */
+#include <stdio.h>
+#include <stdlib.h>
+
+#include <morpho/evolution.h>
+
+#include "api/job_json.h"
+#include "api/requests.h"
+#include "api/submission.h"
+
+#define W MO_DEFAULT_WORDS
+
+/* ---- requests ---- */
+
+/* A pair of places among the designs. */
+struct pair {
+  uint32_t first, second;
+};
+
+struct parsed {
+  struct mo_parts parts;
+  uint32_t count, children, n_pairs;
+  uint64_t seed;
+  double rate;
+  struct pair *pairs;
+};
+
+/* Reads [[first, second], …]; check_pairs looks whether there are such designs. */
+static void read_pairs(struct mo_json *json, void *value)
+{
+  struct parsed *parsed = value;
+  const unsigned depth = json->depth;
+  if (!mo_json_array(json))
+    return;
+  if (parsed->pairs == NULL)
+    parsed->pairs = calloc(MO_DESIGNS_MAX, sizeof(*parsed->pairs));
+  if (parsed->pairs == NULL) {
+    parsed->parts.error = MO_ERR_NO_MEMORY;
+    json->stop = true;
+    return;
+  }
+  uint32_t n = 0;
+  for (; mo_json_item(json); n += n <= MO_DESIGNS_MAX) {
+    int64_t places[2] = {0, 0};
+    unsigned pair = json->depth, given = 0;
+    if (!mo_json_array(json))
+      continue;
+    for (; mo_json_item(json); given += given < 3)
+      if (given < 2)
+        mo_json_integer(json, 0, MO_DESIGNS_MAX - 1, &places[given]);
+      else
+        mo_json_skip(json);
+    if (given != 2)
+      mo_json_fault_at(json, pair, "", "a pair has exactly two places: [first, second]");
+    if (n < MO_DESIGNS_MAX)
+      parsed->pairs[n] = (struct pair){(uint32_t)places[0], (uint32_t)places[1]};
+  }
+  if (n < 1 || n > MO_DESIGNS_MAX)
+    mo_json_fault_at(json, depth, "", "%s pairs are given; 1 to %d are expected",
+                     n == 0 ? "no" : "too many", MO_DESIGNS_MAX);
+  parsed->n_pairs = n;
+}
+
+#define AT(member) offsetof(struct parsed, member)
+static const struct mo_field_own pairs = {.read = read_pairs};
+static const struct mo_field random_rows[] = {
+    {"count", MO_FIELD_COUNT, 0, AT(count), .min = 1, .max = MO_DESIGNS_MAX, .unit = "bodies"},
+    {"seed", MO_FIELD_SEED, 0, AT(seed), .min = 0, .unit = ""},
+};
+static const struct mo_field given_rows[] = {
+    {"designs", MO_FIELD_OWN, 0, AT(parts), .own = &mo_designs_field},
+    {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_design_rules_fields},
+};
+static const struct mo_fields given = MO_FIELDS(given_rows);
+static const struct mo_field mutation_rows[] = {
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &given},
+    {"seed", MO_FIELD_SEED, 0, AT(seed), .min = 0, .unit = ""},
+    {"rate", MO_FIELD_NUMBER, 0, AT(rate), .min = 0.001, .max = 0.5, .unit = ""},
+    {"children", MO_FIELD_COUNT, 0, AT(children), .min = 1, .max = MO_DESIGNS_MAX,
+     .unit = "bodies"},
+};
+static const struct mo_field crossing_rows[] = {
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &given},
+    {"pairs", MO_FIELD_OWN, 0, 0, .own = &pairs},
+};
+#undef AT
+const struct mo_fields mo_random_request_fields = MO_FIELDS(random_rows),
+                       mo_mutation_request_fields = MO_FIELDS(mutation_rows),
+                       mo_crossing_request_fields = MO_FIELDS(crossing_rows),
+                       mo_canonical_request_fields = MO_FIELDS(given_rows);
+
+/* The number of designs in the request, with those that are skipped. */
+static uint32_t n_given(const struct parsed *parsed)
+{
+  return parsed->parts.n_designs + parsed->parts.n_skipped;
+}
+
+static int check_designs(struct mo_json *json, void *any)
+{
+  struct parsed *parsed = any;
+  if (!parsed->parts.has_designs)
+    mo_json_fault_at(json, 0, "", "designs is missing: an array of 1 to %d designs",
+                     MO_DESIGNS_MAX);
+  if ((uint64_t)n_given(parsed) * parsed->children > MO_DESIGNS_MAX)
+    mo_json_fault_at(json, 0, "/children",
+                     "%u children of each of %u designs are asked for; at most %d in all are "
+                     "expected",
+                     parsed->children, n_given(parsed), MO_DESIGNS_MAX);
+  return MO_OK;
+}
+
+static int check_pairs(struct mo_json *json, void *any)
+{
+  struct parsed *parsed = any;
+  const int error = check_designs(json, any);
+  if (parsed->n_pairs == 0 && json->faults->n == 0)
+    mo_json_fault_at(json, 0, "", "pairs is missing: an array of 1 to %d pairs of designs",
+                     MO_DESIGNS_MAX);
+  for (uint32_t i = 0; i < parsed->n_pairs && i < MO_DESIGNS_MAX; i++) {
+    const uint32_t first = parsed->pairs[i].first, second = parsed->pairs[i].second;
+    char below[48];
+    snprintf(below, sizeof(below), "/pairs/%u/%d", i, first < n_given(parsed));
+    if (first >= n_given(parsed) || second >= n_given(parsed))
+      mo_json_fault_at(json, 0, below, "there is no design %u; 0 to %u are given",
+                       first >= n_given(parsed) ? first : second, n_given(parsed) - 1);
+  }
+  return error;
+}
+
+/* Reads the request. False: the reply is made. Free with free_parsed in any case. */
+static bool read_request(struct mo_request *request, const struct mo_fields *fields,
+                         int (*check)(struct mo_json *json, void *parsed), struct parsed *parsed)
+{
+  struct mo_faults faults = {0};
+  *parsed = (struct parsed){.count = 1, .children = 1, .rate = 1.0 / MO_DEFAULT_VOXELS, .seed = 1};
+  if (!mo_check_content(request, "application/json", NULL))
+    return false;
+  mo_read_words(request->body, request->body_size, &mo_design_rules_fields, &parsed->parts, NULL);
+  const int error = mo_read_body(request->body, request->body_size, fields, parsed, &parsed->parts,
+                                 check, &faults);
+  if (error != MO_OK)
+    mo_reply_parse_error(request, error, &faults, "body");
+  return error == MO_OK;
+}
+
+static void free_parsed(struct parsed *parsed)
+{
+  mo_parts_free(&parsed->parts);
+  free(parsed->pairs);
+}
+
+/* ---- replies ---- */
+
+/* A reply that is made: its items, and which design is next. */
+struct bodies {
+  struct mo_text text;
+  const struct mo_lattice *lattice;
+  int error;
+};
+
+static void begin(struct bodies *bodies, struct mo_request *request)
+{
+  *bodies = (struct bodies){.lattice = mo_api_of(request)->lattice};
+  mo_text_add(&bodies->text, "{\"items\":[");
+}
+
+/* Adds a body. parents: (n_parents) places; genotype empty: `note` says why. */
+static void add(struct bodies *bodies, const struct mo_bits *genotype, const uint32_t *parents,
+                unsigned n_parents, const struct mo_design_note *note)
+{
+  struct mo_text *text = &bodies->text;
+  struct mo_bits form;
+  if (bodies->error != MO_OK)
+    return;
+  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotype->words, form.words);
+  mo_text_object(text);
+  bodies->error = mo_members_design(text, bodies->lattice, &form, genotype, note);
+  mo_text_name(text, "parents");
+  mo_text_add(text, "[");
+  for (unsigned i = 0; i < n_parents; i++)
+    mo_text_format(text, i > 0 ? ",%u" : "%u", parents[i]);
+  mo_text_add(text, "]}");
+}
+
+/* Adds no body, and why. */
+static void add_none(struct bodies *bodies, const uint32_t *parents, unsigned n_parents,
+                     const char *pointer, const char *detail)
+{
+  struct mo_design_note note = {0};
+  const struct mo_bits none = {{0}};
+  snprintf(note.fault.where, sizeof(note.fault.where), "%s", pointer);
+  snprintf(note.fault.detail, sizeof(note.fault.detail), "%s", detail);
+  add(bodies, &none, parents, n_parents, &note);
+}
+
+static void end(struct bodies *bodies, struct mo_request *request)
+{
+  mo_text_add(&bodies->text, "]}");
+  mo_reply_text(request, bodies->error, &bodies->text, "body");
+}
+
+/* ---- the designs of the request by place ---- */
+
+struct place {
+  struct mo_bits genotype;           /* placed; empty: skipped */
+  const struct mo_design_note *note; /* nullable */
+};
+
+/* malloc; NULL: no memory. */
+static struct place *places_of(const struct parsed *parsed)
+{
+  const struct mo_parts *parts = &parsed->parts;
+  struct place *places = calloc(n_given(parsed) + 1, sizeof(*places));
+  for (uint32_t i = 0; places != NULL && i < parts->n_notes; i++)
+    places[parts->notes[i].place].note = &parts->notes[i];
+  for (uint32_t place = 0, n = 0; places != NULL && place < n_given(parsed); place++) {
+    if (places[place].note != NULL && mo_is_skipped(places[place].note))
+      continue;
+    places[place].genotype = parts->genotypes[n++];
+    mo_genotype_place(MO_DEFAULT_WORKSPACE, places[place].genotype.words);
+  }
+  return places;
+}
+
+static bool is_empty(const struct place *place)
+{
+  return place->note != NULL && mo_is_skipped(place->note);
+}
+
+/* ---- random ---- */
+
+void mo_api_post_random_bodies(struct mo_request *request)
+{
+  struct mo_body_stream *stream = NULL;
+  struct parsed parsed;
+  struct bodies bodies;
+  if (read_request(request, &mo_random_request_fields, NULL, &parsed)) {
+    begin(&bodies, request);
+    bodies.error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, parsed.seed, &stream);
+    for (uint32_t i = 0; i < parsed.count && bodies.error == MO_OK; i++) {
+      struct mo_bits genotype;
+      bodies.error = mo_body_stream_next(stream, genotype.words, NULL);
+      add(&bodies, &genotype, NULL, 0, NULL);
+    }
+    mo_body_stream_free(stream);
+    end(&bodies, request);
+  }
+  free_parsed(&parsed);
+}
+
+/* ---- mutation ---- */
+
+/* The parents that are there, their places, and one round of their children. */
+struct brood {
+  struct mo_campaign_settings settings;
+  struct mo_seen *seen;
+  uint32_t n;
+  uint64_t *parents, *children; /* (n, W) */
+  struct mo_birth *births;      /* (n) */
+  struct mo_bits *made;         /* (rounds, n); empty: none was found */
+};
+
+static void brood_free(struct brood *brood)
+{
+  mo_seen_free(brood->seen);
+  free(brood->parents);
+  free(brood->children);
+  free(brood->births);
+  free(brood->made);
+}
+
+static int brood_create(struct brood *brood, const struct parsed *parsed,
+                        const struct place *places)
+{
+  const size_t n = parsed->parts.n_designs;
+  *brood = (struct brood){.settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_DEMO),
+                          .parents = malloc((n + 1) * W * sizeof(uint64_t)),
+                          .children = malloc((n + 1) * W * sizeof(uint64_t)),
+                          .births = malloc((n + 1) * sizeof(*brood->births)),
+                          .made = calloc(n * parsed->children + 1, sizeof(*brood->made))};
+  brood->settings.seed = parsed->seed;
+  brood->settings.population = (uint32_t)n;
+  brood->settings.mutation_share = 1;
+  brood->settings.mutation_rate = parsed->rate;
+  if (brood->parents == NULL || brood->children == NULL || brood->births == NULL ||
+      brood->made == NULL)
+    return MO_ERR_NO_MEMORY;
+  int error = mo_seen_create(MO_DEFAULT_WORKSPACE, NULL, &brood->seen);
+  for (uint32_t i = 0; i < n_given(parsed) && error >= 0; i++)
+    if (!is_empty(&places[i])) {
+      *(struct mo_bits *)(void *)&brood->parents[W * brood->n++] = places[i].genotype;
+      error = mo_seen_add(brood->seen, places[i].genotype.words);
+    }
+  return error < 0 ? error : MO_OK;
+}
+
+/* Makes one child of each parent that differs from all parents and from all other children. */
+static int brood_bear(struct brood *brood, uint32_t round)
+{
+  struct mo_variation_counts counts;
+  uint32_t n = 0;
+  const int error = mo_variation(&brood->settings, round + 1, brood->parents, brood->n, brood->seen,
+                                 brood->children, brood->births, &n, &counts, NULL);
+  for (uint32_t i = 0; i < n; i++)
+    brood->made[(size_t)round * brood->n + brood->births[i].parents[0]] =
+        *(struct mo_bits *)(void *)&brood->children[(size_t)W * i];
+  return error;
+}
+
+static void write_children(struct bodies *bodies, const struct brood *brood,
+                           const struct parsed *parsed, const struct place *places)
+{
+  uint32_t n = 0;
+  for (uint32_t i = 0; i < n_given(parsed); i++) {
+    for (uint32_t round = 0; round < parsed->children; round++) {
+      const struct mo_bits *child = &brood->made[(size_t)round * brood->n + n];
+      if (is_empty(&places[i]))
+        add(bodies, &places[i].genotype, &i, 1, places[i].note);
+      else if (mo_genotype_count(MO_DEFAULT_WORKSPACE, child->words) == 0)
+        add_none(bodies, &i, 1, "/children", "no further body was found");
+      else
+        add(bodies, child, &i, 1, places[i].note);
+    }
+    n += !is_empty(&places[i]);
+  }
+}
+
+void mo_api_post_mutated_bodies(struct mo_request *request)
+{
+  struct parsed parsed;
+  struct bodies bodies;
+  if (read_request(request, &mo_mutation_request_fields, check_designs, &parsed)) {
+    struct place *places = places_of(&parsed);
+    struct brood brood = {.seen = NULL};
+    begin(&bodies, request);
+    bodies.error = places != NULL ? brood_create(&brood, &parsed, places) : MO_ERR_NO_MEMORY;
+    for (uint32_t round = 0; round < parsed.children && bodies.error == MO_OK; round++)
+      bodies.error = brood_bear(&brood, round);
+    if (bodies.error == MO_OK)
+      write_children(&bodies, &brood, &parsed, places);
+    brood_free(&brood);
+    free(places);
+    end(&bodies, request);
+  }
+  free_parsed(&parsed);
+}
+
+/* ---- crossing ---- */
+
+void mo_api_post_crossed_bodies(struct mo_request *request)
+{
+  struct parsed parsed;
+  struct bodies bodies;
+  if (read_request(request, &mo_crossing_request_fields, check_pairs, &parsed)) {
+    struct place *places = places_of(&parsed);
+    begin(&bodies, request);
+    bodies.error = places != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+    for (uint32_t i = 0; i < parsed.n_pairs && bodies.error == MO_OK; i++) {
+      const uint32_t parents[2] = {parsed.pairs[i].first, parsed.pairs[i].second};
+      const struct place *first = &places[parents[0]], *second = &places[parents[1]];
+      struct mo_bits child;
+      char pointer[32];
+      snprintf(pointer, sizeof(pointer), "/pairs/%u", i);
+      int error = MO_ERR_EMPTY;
+      if (is_empty(first) || is_empty(second)) {
+        add(&bodies, &(struct mo_bits){{0}}, parents, 2,
+            is_empty(first) ? first->note : second->note);
+        continue;
+      }
+      error = mo_genotype_crossover(MO_DEFAULT_WORKSPACE, first->genotype.words,
+                                    second->genotype.words, child.words);
+      if (error == MO_ERR_EMPTY)
+        add_none(&bodies, parents, 2, pointer,
+                 "the parents are equal: a child has the voxels that one of them has");
+      else if (error == MO_OK)
+        add(&bodies, &child, parents, 2, NULL);
+      else
+        bodies.error = error;
+    }
+    free(places);
+    end(&bodies, request);
+  }
+  free_parsed(&parsed);
+}
+
+/* ---- canonical forms ---- */
+
+void mo_api_post_canonical_bodies(struct mo_request *request)
+{
+  struct parsed parsed;
+  struct bodies bodies;
+  if (read_request(request, &mo_canonical_request_fields, check_designs, &parsed)) {
+    struct place *places = places_of(&parsed);
+    begin(&bodies, request);
+    bodies.error = places != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+    for (uint32_t i = 0; i < n_given(&parsed) && bodies.error == MO_OK; i++) {
+      struct mo_bits form;
+      mo_genotype_canonical(MO_DEFAULT_WORKSPACE, places[i].genotype.words, form.words);
+      add(&bodies, &form, NULL, 0, places[i].note);
+    }
+    free(places);
+    end(&bodies, request);
+  }
+  free_parsed(&parsed);
+}

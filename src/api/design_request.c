@@ -1,0 +1,292 @@
+/* design_request.c: designs in the bodies of requests. Every fault names its place: a cell out of
+ * bounds is at /designs/3/cells/7/0. Where the request asks for it, a design with a fault is left
+ * out, or a body in several pieces keeps its largest; a note says so. */
+#include "api/requests.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Skips the item that is next, and all after it. */
+static void skip_rest(struct mo_json *json)
+{
+  do
+    mo_json_skip(json);
+  while (mo_json_item(json));
+}
+
+/* A design that is read. */
+struct shape {
+  struct mo_bits *bits;
+  bool repairs;
+  uint32_t dropped; /* voxels */
+};
+
+/* Drops all but the largest piece of a body in several pieces, if the request asks for it. Returns
+ * the code that is left. */
+static int repaired(int code, struct shape *shape)
+{
+  uint64_t *bits = shape->bits->words;
+  if (code != MO_ERR_NOT_CONTIGUOUS)
+    return code;
+  const uint32_t before = mo_genotype_count(MO_DEFAULT_WORKSPACE, bits);
+  if (shape->repairs) {
+    code = mo_genotype_keep_largest(MO_DEFAULT_WORKSPACE, bits);
+    shape->dropped = before - mo_genotype_count(MO_DEFAULT_WORKSPACE, bits);
+  } else {
+    *shape->bits = (struct mo_bits){{0}};
+  }
+  return code;
+}
+
+static void cell_fault(struct mo_json *json, unsigned depth, int code,
+                       const struct mo_cell_fault *fault)
+{
+  static const char *const sides[] = {"x, 0 to 5", "y, 0 to 5", "z, 0 to 3"};
+  char below[48];
+  snprintf(below, sizeof(below), "/%zu", fault->cell);
+  switch (code) {
+  case MO_ERR_EMPTY:
+    mo_json_fault_at(json, depth, "", "the body has no voxels; at least one cell is expected");
+    break;
+  case MO_ERR_RANGE:
+    snprintf(below, sizeof(below), "/%zu/%d", fault->cell, fault->axis);
+    mo_json_fault_at(json, depth, below, "outside the workspace; a coordinate along %s is expected",
+                     sides[fault->axis]);
+    break;
+  case MO_ERR_DUPLICATE:
+    mo_json_fault_at(json, depth, below, "the cell is given twice: it equals cell %zu",
+                     fault->other);
+    break;
+  case MO_ERR_NOT_CONTIGUOUS:
+    mo_json_fault_at(
+        json, depth, below,
+        "the cell is not connected to cell 0; a body in one piece (through faces) is expected");
+    break;
+  default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;
+  }
+}
+
+static bool read_cells(struct mo_json *json, struct shape *shape)
+{
+  int64_t cells[MO_DEFAULT_VOXELS][3];
+  size_t n = 0;
+  unsigned depth = json->depth, before = json->faults->n;
+  if (!mo_json_array(json))
+    return false;
+  while (mo_json_item(json)) {
+    if (n == MO_DEFAULT_VOXELS) {
+      mo_json_fault_at(json, depth, "", "more than %d cells are given; the workspace has %d",
+                       MO_DEFAULT_VOXELS, MO_DEFAULT_VOXELS);
+      skip_rest(json);
+      return false;
+    }
+    unsigned cell = json->depth;
+    int axis = 0;
+    cells[n][0] = cells[n][1] = cells[n][2] = -1;
+    if (!mo_json_array(json))
+      continue;
+    while (mo_json_item(json)) {
+      if (axis < 3)
+        mo_json_integer(json, INT32_MIN, INT32_MAX, &cells[n][axis]);
+      else
+        mo_json_skip(json);
+      axis += axis < 4;
+    }
+    if (axis != 3)
+      mo_json_fault_at(json, cell, "", "a cell has exactly three coordinates: [x, y, z]");
+    n++;
+  }
+  if (json->stop || json->faults->n > before)
+    return false;
+  struct mo_cell_fault fault;
+  int code = repaired(mo_genotype_from_cells(MO_DEFAULT_WORKSPACE, (const int64_t(*)[3])cells, n,
+                                             shape->bits->words, &fault),
+                      shape);
+  if (code != MO_OK)
+    cell_fault(json, depth, code, &fault);
+  return code == MO_OK;
+}
+
+/* Skips the letter in front of an id (d) or a genotype (g): CSV files have these letters, and their
+ * values may be sent back unchanged. */
+static void without_letter(struct mo_json_slice *text, char letter)
+{
+  if (text->size > 0 && text->bytes[0] == letter && text->size != MO_DEFAULT_ID_DIGITS) {
+    text->bytes++;
+    text->size--;
+  }
+}
+
+static bool read_voxels(struct mo_json *json, struct shape *shape)
+{
+  unsigned depth = json->depth;
+  struct mo_json_slice text;
+  struct mo_cell_fault fault;
+  if (!mo_json_string(json, &text))
+    return false;
+  without_letter(&text, 'g');
+  int code = repaired(mo_genotype_from_text(MO_DEFAULT_WORKSPACE, text.bytes, text.size,
+                                            shape->bits->words, &fault),
+                      shape);
+  switch (code) {
+  case MO_OK: break;
+  case MO_ERR_RANGE:
+    mo_json_fault_at(json, depth, "", "%zu characters are given; exactly %d are expected",
+                     text.size, MO_DEFAULT_VOXELS);
+    break;
+  case MO_ERR_FORMAT:
+    mo_json_fault_at(json, depth, "", "character %zu (from 0) is neither 0 nor 1", fault.cell);
+    break;
+  case MO_ERR_EMPTY:
+    mo_json_fault_at(json, depth, "", "the body has no voxels; at least one 1 is expected");
+    break;
+  case MO_ERR_NOT_CONTIGUOUS:
+    mo_json_fault_at(json, depth, "",
+                     "voxel %zu (from 0) is not connected to the first one; a body in one piece "
+                     "(through faces) is expected",
+                     fault.cell);
+    break;
+  default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;
+  }
+  return code == MO_OK;
+}
+
+static bool read_id(struct mo_json *json, uint64_t *bits)
+{
+  unsigned depth = json->depth;
+  struct mo_json_slice text;
+  if (!mo_json_string(json, &text))
+    return false;
+  without_letter(&text, 'd');
+  int code = mo_genotype_from_id(MO_DEFAULT_WORKSPACE, text.bytes, text.size, bits);
+  if (code == MO_ERR_EMPTY || code == MO_ERR_NOT_CONTIGUOUS)
+    mo_json_fault_at(json, depth, "", "the id spells a body that is empty or in several pieces");
+  else if (code != MO_OK)
+    mo_json_fault_at(json, depth, "",
+                     "not a design's id; %d hexadecimal digits of a canonical form are expected",
+                     MO_DEFAULT_ID_DIGITS);
+  return code == MO_OK;
+}
+
+static void read_design(struct mo_json *json, struct shape *shape)
+{
+  unsigned depth = json->depth, forms = 0;
+  struct mo_json_slice key;
+  if (!mo_json_object(json))
+    return;
+  while (mo_json_member(json, &key)) {
+    if (mo_json_is(key, "cells"))
+      read_cells(json, shape);
+    else if (mo_json_is(key, "voxels"))
+      read_voxels(json, shape);
+    else if (mo_json_is(key, "id"))
+      read_id(json, shape->bits->words);
+    else {
+      mo_fields_unknown(json, "cells, voxels or id", NULL);
+      continue;
+    }
+    forms++;
+  }
+  if (forms != 1)
+    mo_json_fault_at(json, depth, "", "a design is given by exactly one of cells, voxels and id");
+}
+
+/* ---- designs ---- */
+
+/* ---- lists of designs ---- */
+
+/* Returns item n of a growing array of `size` bytes each; NULL: no memory. */
+static void *item_of(void **items, size_t n, size_t size)
+{
+  if ((n & (n - 1)) == 0) { /* 0, 1, 2, 4, …: the room is used up */
+    void *grown = realloc(*items, (n > 0 ? 2 * n : 1) * size);
+    if (grown == NULL)
+      return NULL;
+    *items = grown;
+  }
+  return (char *)*items + n * size;
+}
+
+bool mo_parts_note(struct mo_parts *parts, uint32_t place, uint32_t dropped,
+                   const struct mo_fault *fault)
+{
+  struct mo_design_note *note =
+      item_of((void **)&parts->notes, parts->n_notes, sizeof(*parts->notes));
+  if (note == NULL)
+    return false;
+  *note = (struct mo_design_note){.place = place, .dropped = dropped};
+  if (fault != NULL)
+    note->fault = *fault;
+  parts->n_notes++;
+  parts->n_skipped += fault != NULL;
+  return true;
+}
+
+/* Reads the design at `place` by the rules of the request. */
+static bool read_place(struct mo_json *json, struct mo_parts *parts, uint32_t place)
+{
+  struct mo_faults own, *all = json->faults; /* not cleared as a whole: it is large */
+  struct shape shape = {
+      .bits = item_of((void **)&parts->genotypes, parts->n_designs, sizeof(*parts->genotypes)),
+      .repairs = parts->repair == MO_REPAIR_LARGEST};
+  if (shape.bits == NULL)
+    return false;
+  *shape.bits = (struct mo_bits){{0}};
+  own.n = 0;
+  own.malformed = false;
+  own.first_only = true;
+  json->faults = parts->on_fault == MO_FAULT_SKIP ? &own : all;
+  read_design(json, &shape);
+  json->faults = all;
+  if (own.malformed) {
+    all->malformed = true;
+    all->items[0] = own.items[0];
+    all->n = 1;
+  } else if ((own.n > 0 || shape.dropped > 0) &&
+             !mo_parts_note(parts, place, own.n > 0 ? 0 : shape.dropped,
+                            own.n > 0 ? &own.items[0] : NULL)) {
+    return false;
+  }
+  parts->n_designs += own.n == 0;
+  return true;
+}
+
+static void read_designs(struct mo_json *json, void *value)
+{
+  struct mo_parts *parts = value;
+  unsigned depth = json->depth;
+  uint32_t n = 0;
+  parts->has_designs = true;
+  if (!mo_json_array(json))
+    return;
+  for (; mo_json_item(json); n++) {
+    if (n == MO_DESIGNS_MAX) {
+      mo_json_fault_at(json, depth, "", "more than %d designs are given; at most %d are expected",
+                       MO_DESIGNS_MAX, MO_DESIGNS_MAX);
+      skip_rest(json);
+      break;
+    }
+    if (!read_place(json, parts, n)) {
+      parts->error = MO_ERR_NO_MEMORY;
+      json->stop = true;
+      return;
+    }
+  }
+  if (n == 0)
+    mo_json_fault_at(json, depth, "", "no designs are given; 1 to %d are expected", MO_DESIGNS_MAX);
+}
+const struct mo_field_own mo_designs_field = {.read = read_designs};
+
+/* ---- the rules ---- */
+
+static const char *const on_fault_words[] = {"refuse", "skip", NULL}; /* enum mo_on_fault */
+static const char *const repair_words[] = {"none", "largest", NULL};  /* enum mo_repair */
+static const struct mo_field rules[] = {
+    {"on_fault", MO_FIELD_WORD, 0, offsetof(struct mo_parts, on_fault), .words = on_fault_words,
+     .unit = "", .help = "what a design that is no body does to the request"},
+    {"repair", MO_FIELD_WORD, 0, offsetof(struct mo_parts, repair), .words = repair_words,
+     .unit = "", .help = "what is done to a body in several pieces"},
+};
+const struct mo_fields mo_design_rules_fields = MO_FIELDS(rules);
+const struct mo_fields mo_on_fault_fields = {&rules[0], 1}, mo_repair_fields = {&rules[1], 1};

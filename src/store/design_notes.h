@@ -1,0 +1,31 @@
+/* design_notes.h: what happened to designs of a request that were not taken as they are. */
+#ifndef MORPHO_STORE_DESIGN_NOTES_H
+#define MORPHO_STORE_DESIGN_NOTES_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "base/faults.h"
+
+struct mo_design_note {
+  uint32_t place;        /* in the request, from 0 */
+  uint32_t dropped;      /* voxels that its repair removed */
+  struct mo_fault fault; /* why it was skipped; detail "": it was not */
+};
+static inline bool mo_is_skipped(const struct mo_design_note *note)
+{
+  return note->fault.detail[0] != '\0';
+}
+
+/* Computes the places of n designs, those that were not skipped. */
+static inline void mo_notes_places(const struct mo_design_note *notes, uint32_t n_notes,
+                                   uint32_t *places, uint32_t n)
+{
+  for (uint32_t i = 0, place = 0, k = 0; i < n; i++, place++) {
+    for (; k < n_notes && notes[k].place <= place; k++)
+      place += mo_is_skipped(&notes[k]);
+    places[i] = place;
+  }
+}
+
+#endif
