@@ -72,9 +72,9 @@ static int fill_request(struct ctl *ctl, json_t *request)
   if (status == STATUS_OK)
     status = fill_schedule(ctl, request, "learning.schedule");
   if (status == STATUS_OK)
-    status = fill_fields(ctl, request);
-  if (status == STATUS_OK)
     status = fill_initial(ctl, request);
+  if (status == STATUS_OK)
+    status = fill_fields(ctl, request);
   if (status == STATUS_OK)
     status = request_fill(ctl, request); /* controller, environments, physics */
   const char *controller = option_text(ctl, "controller", NULL);

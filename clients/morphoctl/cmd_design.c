@@ -1,4 +1,4 @@
-/* cmd_design.c: design show, list, draw, random. */
+/* cmd_design.c: design show, list, draw. */
 #include <string.h>
 
 #include "commands.h"
@@ -96,20 +96,6 @@ int run_design_draw(struct ctl *ctl)
       print_plain_line(stdout, "%s", designs.names[i]);
     draw_body(stdout, voxels, ctl->utf8);
   }
-  designs_free(&designs);
-  return status;
-}
-
-int run_design_random(struct ctl *ctl)
-{
-  struct designs designs = {0};
-  int64_t n = 1, seed = 1;
-  if (!option_number(ctl, "count", 1, DESIGNS_MAX, &n) ||
-      !option_number(ctl, "seed", 0, INT64_MAX, &seed))
-    return STATUS_USAGE;
-  int status = designs_add_random(&designs, (uint64_t)seed, (size_t)n);
-  for (size_t i = 0; i < designs.n && status == STATUS_OK; i++)
-    put_json(json_array_get(designs.list, i), JSON_COMPACT);
   designs_free(&designs);
   return status;
 }

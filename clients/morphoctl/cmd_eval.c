@@ -106,7 +106,10 @@ int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *fol
                *record = json_object_get(evaluation, "record");
   size_t n_files = 0;
   for (size_t i = 0; i < json_array_size(results) && status == STATUS_OK; i++) {
-    size_t n_environments = json_array_size(json_object_get(json_array_get(results, i), "losses"));
+    const json_t *result = json_array_get(results, i);
+    size_t n_environments = json_array_size(json_object_get(result, "losses"));
+    if (json_is_object(json_object_get(result, "fault")))
+      continue;
     for (size_t k = 0; k < n_environments && status == STATUS_OK; k++)
       for (size_t a = 0; a < json_array_size(record) && status == STATUS_OK; a++) {
         status = save_array(ctl, folder, text_of(evaluation, "id"), i, k,
@@ -134,7 +137,7 @@ static int compare_ranked(const void *a, const void *b)
   return x->place < y->place ? -1 : x->place > y->place;
 }
 
-/* Returns a copy of a result with what the table shows besides: number, name, voxels, best, worst,
+/* Returns a copy of a result with what the table shows besides: number, name, best, worst,
  * note. */
 static json_t *result_row(const json_t *result, size_t number, const char *name)
 {
@@ -143,7 +146,6 @@ static json_t *result_row(const json_t *result, size_t number, const char *name)
   const char *note = json_is_true(agrees)    ? "the same"
                      : json_is_false(agrees) ? "DIFFERENT"
                                              : "nothing stored";
-  json_int_t voxels = 0;
   size_t k;
   json_array_foreach(losses, k, loss)
   {
@@ -154,10 +156,8 @@ static json_t *result_row(const json_t *result, size_t number, const char *name)
     if (worst == NULL || json_number_value(loss) > json_number_value(worst))
       worst = loss;
   }
-  for (const char *c = text_of(result, "genotype"); *c != 0; c++)
-    voxels += *c == '1';
-  json_t *row = json_pack("{s:I, s:s*, s:I, s:O*, s:O*}", "number", (json_int_t)number, "name",
-                          name, "voxels", voxels, "best", best, "worst", worst);
+  json_t *row = json_pack("{s:I, s:s*, s:O*, s:O*}", "number", (json_int_t)number, "name", name,
+                          "best", best, "worst", worst);
   if (agrees != NULL)
     json_object_set_new(row, "note", json_string(note));
   json_object_update_missing(row, (json_t *)result);
@@ -192,8 +192,8 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   }
   snprintf(columns, sizeof(columns),
            ">#={number}%s|design={id}|>voxels={voxels}|>score={score:.4f}|>best={best:.4f}"
-           "|>worst={worst:.4f}|%s=[{note}|diverged in {diverged:#} of {losses:#} (environment "
-           "{diverged.0.environment}, step {diverged.0.step})]",
+           "|>worst={worst:.4f}|%s=[skipped: {fault.detail}|{note}|diverged in {diverged:#} of "
+           "{losses:#} (environment {diverged.0.environment}, step {diverged.0.step})]",
            named ? "|name={name}" : "", verified ? "bits" : "note");
   print_table(stdout, ctl, rows, columns);
   if (shown < n)
@@ -272,21 +272,6 @@ int run_eval(struct ctl *ctl)
 
 /* ---- verify ---- */
 
-/* Adds the oriented bodies of an array of objects with "genotype". */
-static int add_genotypes(struct designs *designs, const json_t *objects)
-{
-  int status = STATUS_OK;
-  size_t i;
-  json_t *object;
-  json_array_foreach(objects, i, object)
-  {
-    const char *genotype = text_of(object, "genotype");
-    if (status == STATUS_OK)
-      status = designs_add_text(designs, "the server's reply", genotype, strlen(genotype));
-  }
-  return status;
-}
-
 /* Adds the orientations in which a design was scored: a score belongs to one oriented body, an id
  * to all of its orientations. */
 static int add_orientations(struct ctl *ctl, struct designs *designs, const char *id)
@@ -294,7 +279,7 @@ static int add_orientations(struct ctl *ctl, struct designs *designs, const char
   json_t *design;
   int status = get_json(ctl, &design, "/v1/designs/%s", id);
   if (status == STATUS_OK)
-    status = add_genotypes(designs, json_object_get(design, "orientations"));
+    status = designs_add_genotypes(designs, json_object_get(design, "orientations"));
   json_decref(design);
   return status;
 }
@@ -314,7 +299,7 @@ static int add_evaluation(struct ctl *ctl, struct designs *designs, json_t *requ
         STATUS_USAGE,
         "evaluation %s has environments of its own: give them again with --environments", id);
   if (status == STATUS_OK)
-    status = add_genotypes(designs, json_object_get(evaluation, "results"));
+    status = designs_add_genotypes(designs, json_object_get(evaluation, "results"));
   if (status == STATUS_OK) {
     json_object_set_new(
         request, "controller",

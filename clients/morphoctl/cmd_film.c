@@ -422,6 +422,8 @@ static size_t choose_designs(const json_t *results, size_t places[ROBOTS_MAX])
   for (size_t i = 0; i < n; i++) {
     double score = real_at(json_array_get(results, i), "score");
     size_t at = chosen;
+    if (json_is_object(json_object_get(json_array_get(results, i), "fault")))
+      continue;
     score = isnan(score) ? (double)INFINITY : score; /* diverged */
     while (n > ROBOTS_MAX && at > 0 && score < scores[at - 1])
       at--;

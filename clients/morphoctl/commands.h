@@ -11,13 +11,13 @@
 struct request;
 
 command_function run_eval, run_verify, run_design_show, run_design_list, run_design_draw,
-    run_design_random, run_job_list, run_job_show, run_job_change /* cancel, pause, resume */,
-    run_job_weight, run_job_prune, run_watch, run_wait, run_train_start, run_train_list,
-    run_live_show, run_live_watch, run_train_export, run_train_compare, run_campaign_start,
-    run_campaign_list, run_campaign_extend, run_campaign_compare, run_campaign_champions,
-    run_campaign_export, run_controller_list, run_controller_info, run_controller_get,
-    run_controller_put, run_controller_delete, run_status, run_devices, run_version, run_completion,
-    run_film, run_picture, run_dashboard, run_export;
+    run_design_random, run_design_made /* mutate, cross, canonical */, run_job_list, run_job_show,
+    run_job_change /* cancel, pause, resume */, run_job_weight, run_job_prune, run_watch, run_wait,
+    run_train_start, run_train_list, run_live_show, run_live_watch, run_train_export,
+    run_train_compare, run_campaign_start, run_campaign_list, run_campaign_extend,
+    run_campaign_compare, run_campaign_champions, run_campaign_export, run_controller_list,
+    run_controller_info, run_controller_get, run_controller_put, run_controller_delete, run_status,
+    run_devices, run_version, run_completion, run_film, run_picture, run_dashboard, run_export;
 
 /* ---- request.c ---- */
 
@@ -36,8 +36,10 @@ int request_fill_record(const struct ctl *ctl, json_t *request, const char *usua
 int request_physics(json_t *physics, const char *text);
 /* Adds the --physics options to a request as "physics". */
 int request_fill_physics(const struct ctl *ctl, json_t *request);
-/* Adds the designs of the operands from `first` on, and n_random random ones; those of standard
- * input if there is neither. */
+/* Has the server make bodies (/v1/bodies/…). */
+int post_bodies(struct ctl *ctl, const char *path, const json_t *request, json_t **reply);
+/* Adds the designs of the operands from `first` on, and n_random random ones, which the server
+ * draws; those of standard input if there is neither. */
 int add_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed,
                 struct designs *designs);
 /* Posts a job with the key of --idempotency-key or a new key, so that repeating is safe. *job: the

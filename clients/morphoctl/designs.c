@@ -201,6 +201,20 @@ int designs_add_text(struct designs *designs, const char *source, const char *te
   return status;
 }
 
+int designs_add_genotypes(struct designs *designs, const json_t *objects)
+{
+  int status = STATUS_OK;
+  size_t i;
+  const json_t *object;
+  json_array_foreach(objects, i, object)
+  {
+    const char *genotype = text_of(object, "genotype");
+    if (status == STATUS_OK)
+      status = designs_add_text(designs, "the server's reply", genotype, strlen(genotype));
+  }
+  return status;
+}
+
 int designs_add_operand(struct designs *designs, const char *operand)
 {
   size_t length = strlen(operand);
@@ -230,63 +244,12 @@ void designs_free(struct designs *designs)
   *designs = (struct designs){0};
 }
 
-/* ---- random bodies ---- */
-
-/* SplitMix64: a small generator whose state is a counter. */
-static uint64_t next_random(uint64_t *state)
-{
-  uint64_t z = *state += UINT64_C(0x9e3779b97f4a7c15);
-  z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
-  z = (z ^ (z >> 27)) * UINT64_C(0x94d049bb133111eb);
-  return z ^ (z >> 31);
-}
+/* ---- voxels of a design ---- */
 
 static int voxel_index(int x, int y, int z)
 {
   return (x * WORKSPACE_Y + y) * WORKSPACE_Z + z;
 }
-
-/* Grows a body from one voxel: fills random free neighbors of the body until it has its size. */
-static void grow(uint64_t *state, char voxels[VOXELS + 1])
-{
-  static const int steps[6][3] = {{1, 0, 0},  {-1, 0, 0}, {0, 1, 0},
-                                  {0, -1, 0}, {0, 0, 1},  {0, 0, -1}};
-  memset(voxels, '0', VOXELS);
-  voxels[VOXELS] = 0;
-  voxels[next_random(state) % VOXELS] = '1';
-  size_t size = 1 + next_random(state) % 60;
-  for (size_t n = 1; n < size; n++) {
-    int border[VOXELS];
-    size_t n_border = 0;
-    for (int x = 0; x < WORKSPACE_X; x++)
-      for (int y = 0; y < WORKSPACE_Y; y++)
-        for (int z = 0; z < WORKSPACE_Z; z++) {
-          bool touches = false;
-          for (int k = 0; k < 6; k++) {
-            int a = x + steps[k][0], b = y + steps[k][1], c = z + steps[k][2];
-            if (a >= 0 && a < WORKSPACE_X && b >= 0 && b < WORKSPACE_Y && c >= 0 && c < WORKSPACE_Z)
-              touches |= voxels[voxel_index(a, b, c)] == '1';
-          }
-          if (touches && voxels[voxel_index(x, y, z)] == '0')
-            border[n_border++] = voxel_index(x, y, z);
-        }
-    voxels[border[next_random(state) % n_border]] = '1';
-  }
-}
-
-int designs_add_random(struct designs *designs, uint64_t seed, size_t n)
-{
-  uint64_t state = seed;
-  int status = STATUS_OK;
-  for (size_t i = 0; i < n && status == STATUS_OK; i++) {
-    char voxels[VOXELS + 1];
-    grow(&state, voxels);
-    status = add(designs, json_pack("{s:s}", "voxels", voxels), NULL);
-  }
-  return status;
-}
-
-/* ---- voxels of a design ---- */
 
 bool id_voxels(const char *id, char voxels[VOXELS + 1])
 {

@@ -34,8 +34,8 @@ int designs_add_text(struct designs *designs, const char *source, const char *te
 /* Adds the designs of an operand: "-" is standard input; else a file; else the text itself if it is
  * a body or an id. */
 int designs_add_operand(struct designs *designs, const char *operand);
-/* Adds n random bodies of 1 to 144 voxels, each contiguous. The same seed gives the same bodies. */
-int designs_add_random(struct designs *designs, uint64_t seed, size_t n);
+/* Adds the bodies of an array of objects with "genotype"; null is left out. */
+int designs_add_genotypes(struct designs *designs, const json_t *objects);
 void designs_free(struct designs *designs);
 
 /* Writes the voxels of a design as 144 digits. False: the design is an id or invalid. */

@@ -155,6 +155,36 @@ int request_fill_physics(const struct ctl *ctl, json_t *request)
 
 /* ---- designs, environments, the whole ---- */
 
+int post_bodies(struct ctl *ctl, const char *path, const json_t *request, json_t **reply)
+{
+  char *body = dump_json(request, JSON_COMPACT);
+  *reply = NULL;
+  if (body == NULL)
+    return complain(STATUS_ERROR, "out of memory");
+  const int status = send_json(ctl,
+                               &(struct request){.method = "POST",
+                                                 .path = path,
+                                                 .content_type = "application/json",
+                                                 .body = body,
+                                                 .body_bytes = strlen(body),
+                                                 .repeatable = true},
+                               NULL, reply);
+  free(body);
+  return status;
+}
+
+static int add_random(struct ctl *ctl, int64_t n, int64_t seed, struct designs *designs)
+{
+  json_t *request = json_pack("{s:I, s:I}", "count", (json_int_t)n, "seed", (json_int_t)seed),
+         *reply = NULL;
+  int status = post_bodies(ctl, "/v1/bodies/random", request, &reply);
+  if (status == STATUS_OK)
+    status = designs_add_genotypes(designs, json_object_get(reply, "items"));
+  json_decref(request);
+  json_decref(reply);
+  return status;
+}
+
 int add_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed,
                 struct designs *designs)
 {
@@ -164,7 +194,7 @@ int add_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed,
   if (ctl->n_operands == 0 && n_random == 0)
     status = designs_add_operand(designs, "-");
   if (status == STATUS_OK && n_random > 0)
-    status = designs_add_random(designs, (uint64_t)seed, (size_t)n_random);
+    status = add_random(ctl, n_random, seed, designs);
   return status;
 }
 

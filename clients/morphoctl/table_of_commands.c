@@ -38,6 +38,20 @@
    "another that ffmpeg makes), film.y4m, or a folder that ends with / for PNG files."},           \
       {"environment", 0, "N", "Which of the environments the film shows, from 0 (default: 0)."},   \
       LOOK
+/* What to do about designs that are no bodies. */
+#define RULES(place)                                                                               \
+  {"on-fault",                                                                                     \
+   0,                                                                                              \
+   "refuse|skip",                                                                                  \
+   "What a design that is no body does to the request: refuse it, or be left out (default: "       \
+   "refuse).",                                                                                     \
+   place "on_fault",                                                                               \
+   FIELD_WORD},                                                                                    \
+  {                                                                                                \
+    "repair", 0, "none|largest",                                                                   \
+        "Of a body in several pieces keep none, or the largest (default: none).", place "repair",  \
+        FIELD_WORD                                                                                 \
+  }
 #define LABEL "label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD
 /* Options of both commands that start a job of hours. */
 #define OF_LONG_JOBS(job, command)                                                                 \
@@ -60,6 +74,7 @@ static const struct option_spec eval_options[] = {
     {ENVIRONMENTS},
     {PHYSICS},
     {"precision", 0, "float32|float64", "Precision of the simulation (default: float32)."},
+    RULES(""),
     {"random", 0, "N", "Score N random bodies (besides those given)."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
     {"record", 0, "LIST",
@@ -113,9 +128,17 @@ static const struct option_spec film_options[] = {
     {"time", 0, "S", "Of a picture: seconds after the start (default: 2)."},
     {"output", 'o', "FILE", "Where to put it."},
     {NULL, 0, NULL, NULL}};
-static const struct option_spec random_options[] = {{"count", 'n', "N", "How many (default: 1)."},
-                                                    {"seed", 0, "SEED", "Seed (default: 1)."},
-                                                    {NULL}};
+#define SEED "seed", 0, "SEED", "Seed (default: 1).", "seed", FIELD_WHOLE
+static const struct option_spec random_options[] = {
+    {"count", 'n', "N", "How many (default: 1).", "count", FIELD_WHOLE}, {SEED}, {NULL}};
+static const struct option_spec mutate_options[] = {
+    {"children", 0, "N", "Of each design (default: 1).", "children", FIELD_WHOLE},
+    {"rate", 0, "X", "Probability that a voxel flips, 0.001 to 0.5 (default: 1/144).", "rate",
+     FIELD_REAL},
+    {SEED},
+    RULES(""),
+    {NULL}};
+static const struct option_spec made_options[] = {RULES(""), {NULL}};
 static const struct option_spec job_list_options[] = {{STATE("jobs")}, {LABELED},   {OF_USER},
                                                       {NEWEST},        {UNLIMITED}, {NULL}};
 static const struct option_spec job_show_options[] = {{"results", 'r', NULL, "The results, too."},
@@ -195,6 +218,7 @@ static const struct option_spec campaign_start_options[] = {
      "A name or sha256:<64 digits>; random: random weights (default: default; simultaneous: "
      "random)."},
     {ENVIRONMENTS},
+    RULES("initial."),
     {"from", 0, "CAMPAIGN", "Begin with the newest population of another campaign."},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
     {"selection", 0, "KIND", "truncation (default), tournament, novelty or age-layered."},
@@ -278,8 +302,18 @@ const struct command commands[] = {
      "For a server on a unix socket, also the tunnel to type on the machine with the browser.",
      NULL, 0, 0, run_dashboard},
     {"design random", "", "Print random bodies, one JSON design per line.",
-     "Bodies grow voxel by voxel from one; the same seed gives the same bodies.", random_options, 0,
-     0, run_design_random},
+     "Distinct ones; the same seed gives the same bodies.", random_options, 0, 0,
+     run_design_random},
+    {"design mutate", "[DESIGN]...", "Print mutants of designs, one JSON design per line.",
+     "Each differs from all designs given and from all others; the same seed gives the same.",
+     mutate_options, 0, MANY, run_design_made},
+    {"design cross", "[DESIGN]...", "Print children of pairs of designs, one per line.",
+     "Of the first two designs, the next two, and so on: a child has the voxels that exactly one "
+     "parent has.",
+     made_options, 0, MANY, run_design_made},
+    {"design canonical", "[DESIGN]...", "Print ids of designs, one JSON design per line.",
+     "Rotations about z and reflections in x and y of a body have one id.", made_options, 0, MANY,
+     run_design_made},
     {"job list", "", "List jobs, newest first.", NULL, job_list_options, 0, 0, run_job_list},
     {"job show", "ID", "Show a job.", NULL, job_show_options, 1, 1, run_job_show},
     {"job cancel", "ID...", "Cancel jobs.", "Scores that are stored already stay.", NULL, 1, MANY,

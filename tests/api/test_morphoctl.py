@@ -118,6 +118,30 @@ def test_designs(ctl):
     assert newest == oldest[::-1] and len(newest) > 1
 
 
+def test_made_bodies(ctl, tmp_path):
+    """What these commands print, they and the others read."""
+    status, random, _ = ctl("design random --count 6 --seed 3")
+    assert status == 0 and len(random.splitlines()) == 6
+    assert ctl("design random -n 2 --seed 3")[1] == "".join(random.splitlines(True)[:2])
+    status, mutants, _ = ctl("design mutate --children 2 --rate 0.05", input_text=random)
+    assert status == 0 and len({*random.splitlines(), *mutants.splitlines()}) == 18
+    crossed = json.loads(ctl("design cross --json", input_text=random)[1])["items"]
+    assert [item["parents"] for item in crossed] == [[0, 1], [2, 3], [4, 5]]
+    assert ctl("design cross", input_text=CELLS + CELLS + CELLS)[0] == 2
+    status, none, err = ctl("design cross", input_text=CELLS + CELLS)
+    assert (status, none) == (0, "") and "/pairs/0: the parents are equal" in err
+    ids = ctl("design canonical", input_text=CELLS)[1]
+    torn = '{"cells": [[0, 0, 0], [5, 5, 3], [5, 5, 2]]}\n{"cells": [[7, 0, 0]]}\n'
+    assert ctl("eval", input_text=ids + torn)[0] == 6
+    rules = "--on-fault skip --repair largest"
+    status, out, _ = ctl(f"eval {SHORT} {rules} --record com -o {tmp_path}", input_text=ids + torn)
+    assert status == 0 and re.search("^2 .*skipped: outside the workspace", out, re.M), out
+    assert len(list(tmp_path.glob("*.npy"))) == 20
+    start = f"campaign start zero-shot - {rules} --population 4 --generations 0 --json"
+    status, out, _ = ctl(start, input_text=torn)
+    assert status == 0 and [row["place"] for row in json.loads(out)["founders"]] == [0, 1]
+
+
 def test_jobs(ctl):
     status, out, _ = ctl("eval --no-wait --random 500 --seed 5 --label 'long one'")
     job = out.strip()

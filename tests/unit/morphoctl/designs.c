@@ -1,4 +1,4 @@
-/* The reader of designs, random bodies, and the drawing. */
+/* The reader of designs, and the drawing. */
 #include "../check.h"
 
 #include <unistd.h>
@@ -68,7 +68,8 @@ static void refused(void)
 static void limit(void)
 {
   struct designs designs = {0};
-  CHECK_INT(designs_add_random(&designs, 1, DESIGNS_MAX), STATUS_OK);
+  for (int i = 0; i < DESIGNS_MAX; i++)
+    CHECK_INT(add(&designs, "[[0,0,0]]"), STATUS_OK);
   CHECK_INT(designs.n, DESIGNS_MAX);
   CHECK_INT(add(&designs, "[[0,0,0]]"), STATUS_USAGE);
   CHECK_INT(designs.n, DESIGNS_MAX);
@@ -92,42 +93,6 @@ static void operands(void)
   CHECK_INT(designs_add_operand(&designs, path), STATUS_USAGE); /* holds no design */
   unlink(path);
   designs_free(&designs);
-}
-
-static size_t reached(const char *voxels, bool *seen, int x, int y, int z)
-{
-  if (x < 0 || x >= WORKSPACE_X || y < 0 || y >= WORKSPACE_Y || z < 0 || z >= WORKSPACE_Z)
-    return 0;
-  size_t i = (size_t)((x * WORKSPACE_Y + y) * WORKSPACE_Z + z);
-  if (voxels[i] != '1' || seen[i])
-    return 0;
-  seen[i] = true;
-  return 1 + reached(voxels, seen, x + 1, y, z) + reached(voxels, seen, x - 1, y, z) +
-         reached(voxels, seen, x, y + 1, z) + reached(voxels, seen, x, y - 1, z) +
-         reached(voxels, seen, x, y, z + 1) + reached(voxels, seen, x, y, z - 1);
-}
-
-static void random_bodies(void)
-{
-  struct designs a = {0}, b = {0}, c = {0};
-  CHECK_INT(designs_add_random(&a, 42, 300), STATUS_OK);
-  CHECK_INT(designs_add_random(&b, 42, 300), STATUS_OK);
-  CHECK_INT(designs_add_random(&c, 43, 300), STATUS_OK);
-  CHECK(json_equal(a.list, b.list));
-  CHECK(!json_equal(a.list, c.list));
-  for (size_t i = 0; i < a.n; i++) {
-    char voxels[VOXELS + 1];
-    bool seen[VOXELS] = {false};
-    REQUIRE(design_voxels(json_array_get(a.list, i), voxels));
-    size_t first = strcspn(voxels, "1"), count = 0;
-    for (size_t k = 0; k < VOXELS; k++)
-      count += voxels[k] == '1';
-    REQUIRE(count >= 1);
-    CHECK_INT(reached(voxels, seen, (int)first / 24, (int)first / 4 % 6, (int)first % 4), count);
-  }
-  designs_free(&a);
-  designs_free(&b);
-  designs_free(&c);
 }
 
 static void drawing(void)
@@ -182,7 +147,6 @@ static const struct check_case cases[] = {
     {"what is refused", refused},
     {"the limit", limit},
     {"operands", operands},
-    {"random bodies", random_bodies},
     {"drawing", drawing},
     {"ids", ids},
 };
