@@ -1,5 +1,5 @@
-/* gradient_plan.c: robots to groups, groups to tables. Shards are laid out by several threads, each
- * in memory of its own, and then put together in their order. */
+/* gradient_plan.c: robots to groups, groups to tables. Several threads form the groups, a shard
+ * each; when all are known, and so where each goes, the threads fill them. */
 #include "compute/cuda/gradient_plan.h"
 
 #include "compute/cuda/plan.h"
@@ -14,38 +14,35 @@
 
 enum { HALF = MO_GP_ROWS_MAX / 2, PAIR_MASSES = 512, MASS_SPRINGS = 18, LARGE_LEAST = 4 };
 
-enum { GROUPS, ROWS, POSITION, INPUT, SPRINGS, STARTS, ORDER = STARTS, SCRATCH, MEMORIES };
+/* The tables, then what is used only while they are made. */
+enum { GROUPS, ROWS, POSITION, INPUT, SPRINGS, TABLES, STARTS = TABLES, ORDER, FORMED, SHARDS };
 
-/* A shard under construction: as mo_gradient_plan, with numbers that count from the shard's start.
- */
+/* A group that has no place yet, and the robots of its rows. */
+struct formed {
+  struct mo_gp_group group;
+  uint32_t robot[MO_GP_ROWS_MAX];
+};
+
+/* A shard under construction. */
 struct shard {
   const struct mo_robot *robots; /* of the whole batch */
-  const struct mo_physics *physics;
   const struct mo_gp_options *options;
   uint32_t number, first, n; /* robots */
   uint32_t *order;           /* larger bodies first */
   uint32_t at, end;          /* those not placed yet */
   uint32_t from_back; /* of the group being formed: how many are the last of them, not the first */
-  uint32_t n_groups, n_rows;
-  uint64_t n_masses, n_chunks;
-  uint64_t mass, chunk; /* before this shard's, like the two that follow */
-  uint32_t group, row;
-  struct mo_gp_group *groups;
-  struct mo_gp_row *rows;
-  float *position;
-  uint8_t *input;
-  uint32_t *springs;
+  struct formed *formed; /* (n_groups) */
+  uint32_t n_groups, first_group;
+  const struct mo_physics *physics;
   struct mo_gradient_plan *plan;
-  double *scratch;
-  struct mo_gp_memory memory[MEMORIES];
   int status;
 };
 
-/* At least `bytes`, of any content, from where a plan's tables have their memory or, without a
- * plan, from malloc; NULL: none to be had. */
-static void *reserve(const struct mo_gradient_plan *plan, struct mo_gp_memory *m, uint64_t bytes)
+/* At least `bytes`, of any content; the tables' from where the plan says. NULL: none to be had. */
+static void *reserve(struct mo_gradient_plan *plan, int which, uint64_t bytes)
 {
-  const bool is_own = plan != NULL && plan->allocate != NULL;
+  struct mo_gp_memory *m = &plan->memory[which];
+  const bool is_own = which < TABLES && plan->allocate != NULL;
   if (m->bytes < bytes) {
     (is_own ? plan->release : free)(m->at);
     const uint64_t wanted = bytes + bytes / 8 + 64; /* batches differ */
@@ -138,35 +135,28 @@ static void sort_masses(const struct mo_body *const bodies[2], struct by_springs
   s->chunk[(from + MO_GP_LANES - 1) / MO_GP_LANES] = s->n_chunks;
 }
 
-static int make_room(struct shard *s, uint64_t chunks)
+/* Returns the first of two warps' part of a pair's chunks: half, but a mass's springs stay
+ * together. */
+static uint32_t split_of(const struct by_springs *order)
 {
-  struct mo_gp_memory *m = &s->memory[SPRINGS];
-  const uint64_t wanted = (s->n_chunks + chunks) * MO_GP_LANES * sizeof(*s->springs);
-  if (m->bytes < wanted) {
-    const uint64_t bytes = wanted + wanted / 2 + 131072;
-    void *more = realloc(m->at, bytes);
-    if (more == NULL)
-      return MO_ERR_NO_MEMORY;
-    *m = (struct mo_gp_memory){more, bytes};
+  const uint32_t n = order->n_chunks;
+  uint32_t split = n;
+  for (uint32_t i = 0; i * MO_GP_LANES < order->n_masses; i++) {
+    const uint32_t before = order->chunk[i], after = n - before;
+    const uint32_t longer = split > n - split ? split : n - split;
+    if (before < longer && after < longer)
+      split = before;
   }
-  s->springs = m->at;
-  return MO_OK;
+  return split;
 }
 
-/* The chunks of the masses of two rows, the group's w-th and the one after half of them. */
-static int fill_springs(struct shard *s, const struct mo_gp_group *g, const struct mo_gp_row *rows,
-                        struct mo_gp_pair *pair)
+/* The chunks of the masses of a pair's bodies. */
+static void fill_springs(const struct mo_gp_group *g, const struct mo_gp_pair *pair,
+                         const struct mo_body *const bodies[2], uint32_t *chunks)
 {
-  const struct mo_body *bodies[2] = {NULL, NULL};
   struct by_springs order;
   uint8_t used[PAIR_MASSES] = {0};
-  for (uint32_t k = 0; k < 2 && pair->n_masses[k] > 0; k++)
-    bodies[k] = s->robots[rows[k * HALF].robot].body;
   sort_masses(bodies, &order);
-  const int status = make_room(s, order.n_chunks);
-  if (status < 0)
-    return status;
-  uint32_t *chunks = s->springs + s->n_chunks * MO_GP_LANES;
   uint32_t from = 0;
   for (uint32_t k = 0; k < 2 && bodies[k] != NULL; from += bodies[k++]->n_masses)
     for (uint32_t i = 0; i < bodies[k]->n_springs; i++) {
@@ -191,74 +181,33 @@ static int fill_springs(struct shard *s, const struct mo_gp_group *g, const stru
           MO_GP_SPRING(there ? m : MO_GP_NO_MASS, m, 0, m >= pair->n_masses[0], 0);
     chunks[(end - 1) * MO_GP_LANES + place % MO_GP_LANES] |= MO_GP_SPRING_LAST;
   }
-  pair->n_chunks = pair->split = order.n_chunks;
-  for (uint32_t i = 0; i * MO_GP_LANES < order.n_masses; i++) { /* a mass's springs stay together */
-    const uint32_t before = order.chunk[i], after = order.n_chunks - before;
-    const uint32_t longer =
-        pair->split > order.n_chunks - pair->split ? pair->split : order.n_chunks - pair->split;
-    if (before < longer && after < longer)
-      pair->split = before;
-  }
-  s->n_chunks += order.n_chunks;
-  return MO_OK;
 }
 
-/* ---- rows ---- */
+/* ---- forming ---- */
 
-static void fill_row(struct shard *s, struct mo_gp_row *row)
+/* Puts n robots into a group's rows; rows beyond them stay empty. The second half goes the other
+ * way round, so that a warp's two bodies are together about as large as another's. */
+static void form(const struct shard *s, struct formed *f, uint32_t n)
 {
-  const struct mo_robot *robot = s->robots + row->robot;
-  const struct mo_body *body = robot->body;
-  const struct mo_environment *environment = robot->environment;
-  struct mo_outcome *start = s->plan->starts + row->robot;
-  float *position = s->position + 3 * s->n_masses;
-  uint8_t *input = s->input + s->n_masses;
-  double light[3];
-  mo_scene_start(body, environment, s->physics, s->scratch);
-  mo_scene_com(s->scratch, body->n_masses, start->com_start_m);
-  mo_scene_light(environment, light);
-  for (int axis = 0; axis < 2; axis++)
-    row->light_m[axis] = light[axis] - MO_WORLD_CENTRE_M;
-  row->start_m =
-      mo_scene_distance(start->com_start_m[0] - light[0], start->com_start_m[1] - light[1]) +
-      MO_LOSS_GUARD_M;
-  row->scene = mo_plan_scene_of(environment);
-  for (size_t i = 0; i < body->n_masses; i++) {
-    input[i] = (uint8_t)body->mass_lattice[i];
-    for (size_t axis = 0; axis < 3; axis++)
-      position[3 * i + axis] =
-          (float)(s->scratch[3 * i + axis] - (axis < 2 ? MO_WORLD_CENTRE_M : 0));
-  }
-  row->n_masses = body->n_masses;
-  s->n_masses += body->n_masses;
-}
-
-/* A group of n robots; rows beyond them stay empty. The second half goes the other way round, so
- * that a warp's two bodies are together about as large as another's. */
-static int fill_group(struct shard *s, struct mo_gp_group *g, uint32_t n)
-{
-  struct mo_gp_row *rows = s->rows + g->first_row;
-  g->first_mass = s->n_masses;
-  g->first_chunk = s->n_chunks;
+  struct mo_gp_group *g = &f->group;
+  uint32_t n_masses = 0;
   for (uint32_t w = 0; w < MO_GP_WARPS; w++) {
     struct mo_gp_pair *pair = &g->pair[w];
-    *pair = (struct mo_gp_pair){.first_mass = (uint32_t)(s->n_masses - g->first_mass),
-                                .first_chunk = (uint32_t)(s->n_chunks - g->first_chunk)};
+    const struct mo_body *bodies[2] = {NULL, NULL};
+    struct by_springs order;
+    *pair = (struct mo_gp_pair){.first_mass = n_masses, .first_chunk = g->n_chunks};
     for (uint32_t k = 0; k < 2 && w + k * HALF < g->n_rows; k++) {
-      struct mo_gp_row *row = rows + w + (size_t)k * HALF;
-      *row = (struct mo_gp_row){0};
       const uint32_t i = k == 0 ? w : MO_GP_ROWS_MAX - 1 - w;
-      row->robot = i < n ? s->first + member(s, n, i) : MO_GP_NO_ROBOT;
-      if (row->robot != MO_GP_NO_ROBOT)
-        fill_row(s, row);
-      pair->n_masses[k] = row->n_masses;
+      f->robot[w + k * HALF] = i < n ? s->first + member(s, n, i) : MO_GP_NO_ROBOT;
+      bodies[k] = i < n ? body_of(s, n, i) : NULL;
+      pair->n_masses[k] = i < n ? bodies[k]->n_masses : 0;
     }
-    const int status = fill_springs(s, g, rows + w, pair);
-    if (status < 0)
-      return status;
+    sort_masses(bodies, &order);
+    pair->n_chunks = order.n_chunks;
+    pair->split = split_of(&order);
+    n_masses += order.n_masses;
+    g->n_chunks += order.n_chunks;
   }
-  g->n_chunks = (uint32_t)(s->n_chunks - g->first_chunk);
-  return MO_OK;
 }
 
 static bool fits(const struct shard *s, const struct mo_gp_group *g)
@@ -310,123 +259,121 @@ static uint32_t next_group(struct shard *s, struct mo_gp_group *g)
   return n;
 }
 
-/* Of n robots: every group but the last has as many as of the largest bodies fit in sixteen rows.
- */
-static size_t groups_at_most(const struct shard *s)
+/* Of a shard: every group but the last has as many as of the largest bodies fit in sixteen rows. */
+static size_t groups_at_most(const struct mo_gp_options *options)
 {
   uint32_t fewest = HALF;
   while (fewest > 1 && mo_gp_shared_bytes(HALF, fewest * MO_DEFAULT_MASSES, MO_GP_OUTPUT_TILES) >
-                           s->options->shared_bytes)
+                           options->shared_bytes)
     fewest--;
-  return s->n / fewest + (size_t)2;
+  return options->shard / fewest + (size_t)2;
 }
 
-static int lay_out(struct shard *s)
+static void form_shards(void *context, size_t first, size_t end)
 {
-  const size_t most_groups = groups_at_most(s);
-  size_t most_masses = 0;
-  for (uint32_t i = 0; i < s->n; i++)
-    most_masses += s->robots[s->first + i].body->n_masses;
-  s->order = reserve(NULL, &s->memory[ORDER], s->n * sizeof(*s->order));
-  s->groups = reserve(NULL, &s->memory[GROUPS], most_groups * sizeof(*s->groups));
-  s->rows = reserve(NULL, &s->memory[ROWS], most_groups * MO_GP_ROWS_MAX * sizeof(*s->rows));
-  s->position = reserve(NULL, &s->memory[POSITION], 3 * most_masses * sizeof(*s->position));
-  s->input = reserve(NULL, &s->memory[INPUT], most_masses);
-  s->scratch = reserve(NULL, &s->memory[SCRATCH], 3 * MO_DEFAULT_MASSES * sizeof(*s->scratch));
-  if (s->order == NULL || s->groups == NULL || s->rows == NULL || s->position == NULL ||
-      s->input == NULL || s->scratch == NULL)
-    return MO_ERR_NO_MEMORY;
-  int status = mo_gradient_arrange(s->robots + s->first, s->n, s->order);
-  s->end = s->n;
-  while (status == MO_OK && s->at < s->end) {
-    struct mo_gp_group *g = s->groups + s->n_groups;
-    *g = (struct mo_gp_group){.first_row = s->n_rows, .shard = s->number};
-    const uint32_t n = next_group(s, g);
-    if (n == 0)
-      return MO_ERR_UNSUPPORTED;
-    status = fill_group(s, g, n);
-    s->n_groups++;
-    s->n_rows += g->n_rows;
-    s->at += n - s->from_back;
-    s->end -= s->from_back;
+  for (struct shard *s = (struct shard *)context + first; s < (struct shard *)context + end; s++) {
+    s->status = mo_gradient_arrange(s->robots + s->first, s->n, s->order);
+    s->end = s->n;
+    while (s->status == MO_OK && s->at < s->end) {
+      struct formed *f = &s->formed[s->n_groups++];
+      f->group = (struct mo_gp_group){.shard = s->number};
+      const uint32_t n = next_group(s, &f->group);
+      s->status = n > 0 ? MO_OK : MO_ERR_UNSUPPORTED;
+      form(s, f, n);
+      s->at += n - s->from_back;
+      s->end -= s->from_back;
+    }
   }
-  return status;
 }
 
-/* To its place in the plan. */
-static void put(const struct shard *s, struct mo_gradient_plan *plan)
+/* ---- filling ---- */
+
+/* A row that has a robot, and its masses, which have their place from `at` on. */
+static void fill_row(const struct shard *s, struct mo_gp_row *row, uint64_t at)
 {
-  for (uint32_t k = 0; k < s->n_groups; k++) {
-    struct mo_gp_group *g = plan->groups + s->group + k;
-    *g = s->groups[k];
-    g->first_row += s->row;
-    g->first_mass += s->mass;
-    g->first_chunk += s->chunk;
+  const struct mo_body *body = s->robots[row->robot].body;
+  const struct mo_environment *environment = s->robots[row->robot].environment;
+  struct mo_outcome *start = s->plan->starts + row->robot;
+  float *position = s->plan->position + 3 * at;
+  double position_m[3 * MO_DEFAULT_MASSES], light[3];
+  mo_scene_start(body, environment, s->physics, position_m);
+  mo_scene_com(position_m, body->n_masses, start->com_start_m);
+  mo_scene_light(environment, light);
+  for (int axis = 0; axis < 2; axis++)
+    row->light_m[axis] = light[axis] - MO_WORLD_CENTRE_M;
+  row->start_m =
+      mo_scene_distance(start->com_start_m[0] - light[0], start->com_start_m[1] - light[1]) +
+      MO_LOSS_GUARD_M;
+  row->scene = mo_plan_scene_of(environment);
+  for (size_t i = 0; i < body->n_masses; i++) {
+    s->plan->input[at + i] = (uint8_t)body->mass_lattice[i];
+    for (size_t axis = 0; axis < 3; axis++)
+      position[3 * i + axis] =
+          (float)(position_m[3 * i + axis] - (axis < 2 ? MO_WORLD_CENTRE_M : 0));
   }
-  memcpy(plan->rows + s->row, s->rows, s->n_rows * sizeof(*s->rows));
-  memcpy(plan->position + 3 * s->mass, s->position, s->n_masses * 3 * sizeof(*s->position));
-  memcpy(plan->input + s->mass, s->input, s->n_masses);
-  if (s->n_chunks > 0)
-    memcpy(plan->springs + s->chunk * MO_GP_LANES, s->springs,
-           s->n_chunks * MO_GP_LANES * sizeof(*s->springs));
+  row->n_masses = body->n_masses;
+}
+
+static void fill_group(const struct shard *s, const struct mo_gp_group *g, const uint32_t *robot)
+{
+  uint64_t mass = g->first_mass;
+  for (uint32_t w = 0; w < MO_GP_WARPS; w++) {
+    const struct mo_body *bodies[2] = {NULL, NULL};
+    for (uint32_t i = w, k = 0; i < g->n_rows && k < 2; i += HALF, k++) {
+      struct mo_gp_row *row = s->plan->rows + g->first_row + i;
+      *row = (struct mo_gp_row){.robot = robot[i]};
+      if (robot[i] == MO_GP_NO_ROBOT)
+        continue;
+      bodies[k] = s->robots[robot[i]].body;
+      fill_row(s, row, mass);
+      mass += row->n_masses;
+    }
+    fill_springs(g, &g->pair[w], bodies,
+                 s->plan->springs + (g->first_chunk + g->pair[w].first_chunk) * MO_GP_LANES);
+  }
+}
+
+static void fill_shards(void *context, size_t first, size_t end)
+{
+  for (struct shard *s = (struct shard *)context + first; s < (struct shard *)context + end; s++)
+    for (uint32_t k = 0; k < s->n_groups; k++)
+      fill_group(s, s->plan->groups + s->first_group + k, s->formed[k].robot);
 }
 
 /* ---- the whole ---- */
 
-static void lay_out_shards(void *context, size_t first, size_t end)
-{
-  struct shard *shards = context;
-  for (; first < end; first++)
-    shards[first].status = lay_out(&shards[first]);
-}
-
-static void put_shards(void *context, size_t first, size_t end)
-{
-  const struct shard *shards = context;
-  for (; first < end; first++)
-    put(&shards[first], shards[first].plan);
-}
-
-/* Says where each shard goes, and has the memory for all of them. */
+/* Says where each group goes, and has the memory for all of them. */
 static int place(struct mo_gradient_plan *plan, struct shard *shards)
 {
+  plan->n_groups = plan->n_rows = 0;
+  plan->n_masses = plan->n_chunks = 0;
   for (uint32_t i = 0; i < plan->n_shards; i++) {
-    struct shard *s = &shards[i];
-    if (s->status < 0)
-      return s->status;
-    s->group = plan->n_groups;
-    s->row = plan->n_rows;
-    s->mass = plan->n_masses;
-    s->chunk = plan->n_chunks;
-    plan->n_groups += s->n_groups;
-    plan->n_rows += s->n_rows;
-    plan->n_masses += s->n_masses;
-    plan->n_chunks += s->n_chunks;
+    if (shards[i].status < 0)
+      return shards[i].status;
+    shards[i].first_group = plan->n_groups;
+    plan->n_groups += shards[i].n_groups;
   }
-  plan->groups = reserve(plan, &plan->memory[GROUPS], plan->n_groups * sizeof(*plan->groups));
-  plan->rows = reserve(plan, &plan->memory[ROWS], plan->n_rows * sizeof(*plan->rows));
-  plan->position =
-      reserve(plan, &plan->memory[POSITION], plan->n_masses * 3 * sizeof(*plan->position));
-  plan->input = reserve(plan, &plan->memory[INPUT], plan->n_masses);
-  plan->springs =
-      reserve(plan, &plan->memory[SPRINGS], plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
-  const bool all = plan->groups != NULL && plan->rows != NULL && plan->position != NULL &&
-                   plan->input != NULL && plan->springs != NULL;
+  plan->groups = reserve(plan, GROUPS, plan->n_groups * sizeof(*plan->groups));
+  if (plan->groups == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < plan->n_shards; i++)
+    for (uint32_t k = 0; k < shards[i].n_groups; k++) {
+      struct mo_gp_group *g = &plan->groups[shards[i].first_group + k];
+      *g = shards[i].formed[k].group;
+      g->first_row = plan->n_rows;
+      g->first_mass = plan->n_masses;
+      g->first_chunk = plan->n_chunks;
+      plan->n_rows += g->n_rows;
+      plan->n_masses += g->n_masses;
+      plan->n_chunks += g->n_chunks;
+    }
+  plan->rows = reserve(plan, ROWS, plan->n_rows * sizeof(*plan->rows));
+  plan->position = reserve(plan, POSITION, plan->n_masses * 3 * sizeof(*plan->position));
+  plan->input = reserve(plan, INPUT, plan->n_masses);
+  plan->springs = reserve(plan, SPRINGS, plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
+  const bool all =
+      plan->rows != NULL && plan->position != NULL && plan->input != NULL && plan->springs != NULL;
   return all ? MO_OK : MO_ERR_NO_MEMORY;
-}
-
-/* n shards that keep the memory of those before. */
-static struct shard *shards_of(struct mo_gradient_plan *plan, uint32_t n)
-{
-  const size_t before = plan->shards.bytes / sizeof(struct shard);
-  if (before < n) {
-    struct shard *more = realloc(plan->shards.at, n * sizeof(*more));
-    if (more == NULL)
-      return NULL;
-    memset(more + before, 0, (n - before) * sizeof(*more));
-    plan->shards = (struct mo_gp_memory){more, n * sizeof(*more)};
-  }
-  return plan->shards.at;
 }
 
 int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n,
@@ -436,42 +383,38 @@ int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n,
   for (uint32_t i = 0; i < n; i++)
     if (!mo_workspace_equal(robots[i].body->workspace, MO_DEFAULT_WORKSPACE))
       return MO_ERR_UNSUPPORTED;
+  const size_t most_groups = groups_at_most(options);
   plan->n = n;
   plan->n_shards = (n + options->shard - 1) / options->shard;
-  plan->n_groups = plan->n_rows = 0;
-  plan->n_masses = plan->n_chunks = 0;
-  plan->starts = reserve(NULL, &plan->memory[STARTS], n * sizeof(*plan->starts));
-  struct shard *shards = shards_of(plan, plan->n_shards);
-  if (plan->starts == NULL || shards == NULL)
+  plan->starts = reserve(plan, STARTS, n * sizeof(*plan->starts));
+  uint32_t *order = reserve(plan, ORDER, n * sizeof(*order));
+  struct formed *formed = reserve(plan, FORMED, plan->n_shards * most_groups * sizeof(*formed));
+  struct shard *shards = reserve(plan, SHARDS, plan->n_shards * sizeof(*shards));
+  if (plan->starts == NULL || order == NULL || formed == NULL || shards == NULL)
     return MO_ERR_NO_MEMORY;
   memset(plan->starts, 0, n * sizeof(*plan->starts));
   for (uint32_t i = 0; i < plan->n_shards; i++) {
-    const uint32_t first = i * options->shard;
-    struct shard s = {.robots = robots,
-                      .physics = physics,
-                      .options = options,
-                      .number = i,
-                      .first = first,
-                      .n = n - first < options->shard ? n - first : options->shard,
-                      .plan = plan};
-    memcpy(s.memory, shards[i].memory, sizeof(s.memory));
-    shards[i] = s;
+    const uint32_t first = i * options->shard, left = n - first;
+    shards[i] = (struct shard){.robots = robots,
+                               .options = options,
+                               .number = i,
+                               .first = first,
+                               .n = left < options->shard ? left : options->shard,
+                               .order = order + first,
+                               .formed = formed + i * most_groups,
+                               .physics = physics,
+                               .plan = plan};
   }
-  mo_parallel(options->workers, plan->n_shards, lay_out_shards, shards);
+  mo_parallel(options->workers, plan->n_shards, form_shards, shards);
   const int status = place(plan, shards);
   if (status == MO_OK)
-    mo_parallel(options->workers, plan->n_shards, put_shards, shards);
+    mo_parallel(options->workers, plan->n_shards, fill_shards, shards);
   return status;
 }
 
 void mo_gradient_plan_free(struct mo_gradient_plan *plan)
 {
-  struct shard *shards = plan->shards.at;
-  for (size_t i = 0; i < plan->shards.bytes / sizeof(*shards); i++)
-    for (int m = 0; m < MEMORIES; m++)
-      free(shards[i].memory[m].at);
-  free(shards);
-  for (size_t m = 0; m < sizeof(plan->memory) / sizeof(*plan->memory); m++)
-    (plan->release != NULL && m != STARTS ? plan->release : free)(plan->memory[m].at);
+  for (int m = 0; m < MO_GP_MEMORIES; m++)
+    (plan->release != NULL && m < TABLES ? plan->release : free)(plan->memory[m].at);
   *plan = (struct mo_gradient_plan){0};
 }

@@ -23,6 +23,8 @@ struct mo_gp_memory {
   size_t bytes;
 };
 
+enum { MO_GP_MEMORIES = 9 };
+
 struct mo_gradient_plan {
   uint32_t n, n_shards, n_groups, n_rows;
   uint64_t n_masses, n_chunks;
@@ -32,9 +34,9 @@ struct mo_gradient_plan {
   uint8_t *input;             /* (n_masses) the mass's place among the inputs */
   uint32_t *springs;          /* (n_chunks, 32) */
   struct mo_outcome *starts;  /* (n) com_start_m alone */
-  /* What holds all that, and the shards before they are put together: used again by the next batch,
-   * since new memory of 80 MB takes longer to be had than to be filled. */
-  struct mo_gp_memory memory[6], shards;
+  /* What holds all that, and what making it takes: used again by the next batch, since new memory
+   * of 80 MB takes longer to be had than to be filled. */
+  struct mo_gp_memory memory[MO_GP_MEMORIES];
   /* Where the tables' memory comes from; NULL: malloc and free. Set once, while the rest is zeros.
    */
   void *(*allocate)(void *context, size_t bytes);
