@@ -155,41 +155,24 @@ void *mo_unit_gather(void *context)
 
 /* ---- weights ---- */
 
-/* Frees the copies that are no longer needed. */
+/* Under the mutex, which it releases meanwhile: frees the copies that are no longer needed. Only
+ * the runner changes the list. */
 static void drop_copies(struct mo_unit *unit)
 {
   struct mo_devices *devices = unit->devices;
-  struct mo_device_copy *gone = NULL, **link = &unit->copies;
-  pthread_mutex_lock(&devices->fair.mutex);
+  struct mo_device_copy **link = &unit->copies;
   while (*link != NULL) {
     struct mo_device_copy *copy = *link;
-    if (copy->owner == NULL) {
-      *link = copy->next;
-      copy->next = gone;
-      gone = copy;
-    } else {
+    if (copy->owner != NULL) {
       link = &copy->next;
+      continue;
     }
+    *link = copy->next;
+    pthread_mutex_unlock(&devices->fair.mutex);
+    devices->module->controller_free(unit->device, copy->controller);
+    free(copy);
+    pthread_mutex_lock(&devices->fair.mutex);
   }
-  pthread_mutex_unlock(&devices->fair.mutex);
-  while (gone != NULL) {
-    struct mo_device_copy *next = gone->next;
-    if (gone->controller != NULL)
-      devices->module->controller_free(unit->device, gone->controller);
-    free(gone);
-    gone = next;
-  }
-}
-
-static struct mo_device_copy *find_copy(struct mo_unit *unit,
-                                        const struct mo_compute_controller *owner)
-{
-  pthread_mutex_lock(&unit->devices->fair.mutex);
-  struct mo_device_copy *copy = unit->copies;
-  while (copy != NULL && copy->owner != owner)
-    copy = copy->next;
-  pthread_mutex_unlock(&unit->devices->fair.mutex);
-  return copy;
 }
 
 /* Finds or creates this device's copy of the weights. *ret NULL: passive bodies.
@@ -197,28 +180,31 @@ static struct mo_device_copy *find_copy(struct mo_unit *unit,
 static int prepare_controller(struct mo_unit *unit, const struct mo_compute_controller *owner,
                               struct mo_device_controller **ret)
 {
-  const struct mo_device_module *module = unit->devices->module;
-  struct mo_device_copy *copy;
-  int status = MO_OK;
+  const struct mo_controller *weights = mo_compute_controller_weights(owner);
+  pthread_mutex_t *mutex = &unit->devices->fair.mutex;
   *ret = NULL;
-  if (mo_compute_controller_weights(owner) == NULL)
+  if (weights == NULL)
     return MO_OK;
-  copy = find_copy(unit, owner);
+  pthread_mutex_lock(mutex);
+  struct mo_device_copy *copy = unit->copies;
+  while (copy != NULL && copy->owner != owner)
+    copy = copy->next;
+  pthread_mutex_unlock(mutex);
   if (copy == NULL) {
     copy = calloc(1, sizeof(*copy));
     if (copy == NULL)
       return MO_ERR_NO_MEMORY;
-    status = module->controller_create(unit->device, mo_compute_controller_weights(owner),
-                                       &copy->controller);
+    const int status =
+        unit->devices->module->controller_create(unit->device, weights, &copy->controller);
     if (status != MO_OK && status != MO_ERR_UNSUPPORTED) {
       free(copy);
       return status;
     }
-    pthread_mutex_lock(&unit->devices->fair.mutex);
+    pthread_mutex_lock(mutex);
     copy->owner = owner;
     copy->next = unit->copies;
     unit->copies = copy;
-    pthread_mutex_unlock(&unit->devices->fair.mutex);
+    pthread_mutex_unlock(mutex);
   }
   *ret = copy->controller;
   return copy->controller != NULL ? MO_OK : MO_ERR_UNSUPPORTED;
@@ -257,10 +243,11 @@ static int score(struct mo_unit *unit, struct mo_chunk *chunk,
       .outcomes = chunk->outcomes + row};
   const bool is_one = last - first == 1, is_too_large = !is_one && call.n > unit->row_limit;
   int status = is_too_large ? MO_ERR_NO_MEMORY : devices->module->score(unit->device, &call);
-  if (status == MO_ERR_DEVICE || status == MO_OK || status == MO_ERR_CANCELLED) {
-    if (status != MO_ERR_DEVICE)
-      set_status(chunk, first, last, status);
-    return status == MO_ERR_DEVICE ? status : MO_OK;
+  if (status == MO_ERR_DEVICE)
+    return status;
+  if (status == MO_OK || status == MO_ERR_CANCELLED) {
+    set_status(chunk, first, last, status);
+    return MO_OK;
   }
   if (status == MO_ERR_NO_MEMORY && !is_too_large)
     shrink(&unit->row_limit, call.n, unit);
@@ -335,6 +322,11 @@ static int run_task(struct mo_unit *unit, struct mo_chunk *chunk)
   return status == MO_ERR_DEVICE ? status : MO_OK;
 }
 
+static uint32_t doubled(uint32_t limit, uint32_t most)
+{
+  return limit < most / 2 ? 2 * limit : most;
+}
+
 static void count(struct mo_unit *unit, const struct mo_chunk *chunk)
 {
   unit->status.calls++;
@@ -345,10 +337,8 @@ static void count(struct mo_unit *unit, const struct mo_chunk *chunk)
       unit->status.rollouts_done += chunk->items[i].block->n_environments;
   if (++unit->good_chunks >= GROW_AFTER) {
     unit->good_chunks = 0;
-    unit->row_limit = unit->row_limit < MO_CHUNK_ROWS / 2 ? 2 * unit->row_limit : MO_CHUNK_ROWS;
-    unit->shard_limit = unit->shard_limit < MO_DEVICE_ROWS_MAX / MO_DEVICE_SHARD / 2
-                            ? 2 * unit->shard_limit
-                            : MO_DEVICE_ROWS_MAX / MO_DEVICE_SHARD;
+    unit->row_limit = doubled(unit->row_limit, MO_CHUNK_ROWS);
+    unit->shard_limit = doubled(unit->shard_limit, MO_DEVICE_ROWS_MAX / MO_DEVICE_SHARD);
   }
   unit->status.rows_at_once = unit->row_limit;
 }
@@ -444,9 +434,7 @@ void *mo_unit_run(void *context)
       look_up_memory(unit);
     else
       pthread_cond_wait(&devices->wake, &devices->fair.mutex);
-    pthread_mutex_unlock(&devices->fair.mutex);
     drop_copies(unit);
-    pthread_mutex_lock(&devices->fair.mutex);
   }
   if (unit->ready != NULL) {
     struct mo_chunk *chunk = unit->ready;

@@ -50,8 +50,7 @@ static void close_unit(struct mo_unit *unit)
   while (unit->copies != NULL) {
     struct mo_device_copy *copy = unit->copies;
     unit->copies = copy->next;
-    if (copy->controller != NULL)
-      module->controller_free(unit->device, copy->controller);
+    module->controller_free(unit->device, copy->controller);
     free(copy);
   }
   if (unit->device != NULL)

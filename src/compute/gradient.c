@@ -9,8 +9,6 @@
  * gradients. The bits depend only on the batch. */
 #include "compute/devices.h"
 
-#include <math.h>
-#include <pthread.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -20,61 +18,55 @@ enum { BLOCKS_PER_WORKER = 2, SHARD_BLOCKS = MO_DEVICE_SHARD / MO_GRADIENT_ROBOT
 
 struct slot {
   struct mo_gradient_task task;
-  bool finished; /* guarded by the state's mutex */
+  struct mo_waiter waiter;
+};
+
+/* Memory that grows to what the calls need. */
+struct room {
+  void *at;
+  size_t bytes;
 };
 
 struct mo_gradient_state {
   struct mo_compute *compute;
   struct mo_pack *pack;
   uint32_t n_slots;
-  struct slot *slots;  /* (n_slots); block b of a batch is in slot b mod n_slots */
-  size_t n_parameters; /* room in each slot and in the shard */
-  double *shard;       /* (n_parameters) NULL before the first large batch */
+  struct slot *slots;       /* (n_slots); block b of a batch is in slot b mod n_slots */
+  struct room d_parameters; /* float: of each slot in use */
+  struct room shard;        /* double (n_parameters): of batches of more than one shard */
+  struct room order;        /* uint32_t (n) */
   struct mo_device_gradients *on_devices; /* NULL: there are none */
-  uint32_t *order;                        /* (order_room) */
-  size_t order_room;
-  atomic_bool stop; /* the call failed: running blocks may end */
-  pthread_mutex_t mutex;
-  pthread_cond_t finished;
+  atomic_bool stop;                       /* the call failed: running blocks may end */
 };
 
 int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_state **ret)
 {
+  struct mo_devices *devices = mo_core(compute)->devices;
   struct mo_gradient_state *state = calloc(1, sizeof(*state));
   if (state == NULL)
     return MO_ERR_NO_MEMORY;
   state->compute = compute;
   state->n_slots = BLOCKS_PER_WORKER * mo_core(compute)->n_workers;
   state->slots = calloc(state->n_slots, sizeof(*state->slots));
-  if (state->slots == NULL) {
-    free(state);
-    return MO_ERR_NO_MEMORY;
-  }
-  pthread_mutex_init(&state->mutex, NULL);
-  pthread_cond_init(&state->finished, NULL);
-  struct mo_devices *devices = mo_core(compute)->devices;
-  const int status =
-      devices != NULL ? mo_device_gradients_create(devices, &state->on_devices) : MO_OK;
-  if (status != MO_OK) {
+  int status = state->slots != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  if (status == MO_OK && devices != NULL)
+    status = mo_device_gradients_create(devices, &state->on_devices);
+  if (status == MO_OK)
+    *ret = state;
+  else
     mo_gradient_state_free(state);
-    return status;
-  }
-  *ret = state;
-  return MO_OK;
+  return status;
 }
 
 void mo_gradient_state_free(struct mo_gradient_state *state)
 {
   if (state == NULL)
     return;
-  for (uint32_t s = 0; s < state->n_slots; s++)
-    free(state->slots[s].task.d_parameters);
-  free(state->shard);
-  pthread_cond_destroy(&state->finished);
-  pthread_mutex_destroy(&state->mutex);
   mo_pack_free(state->pack);
   mo_device_gradients_free(state->on_devices);
-  free(state->order);
+  free(state->d_parameters.at);
+  free(state->shard.at);
+  free(state->order.at);
   free(state->slots);
   free(state);
 }
@@ -125,49 +117,34 @@ static int prepare_pack(struct mo_gradient_state *state, const struct mo_control
   return status;
 }
 
+static bool reserve(struct room *room, size_t bytes)
+{
+  if (bytes > room->bytes) {
+    free(room->at);
+    room->at = mo_alloc_aligned(bytes, 1);
+    room->bytes = room->at != NULL ? bytes : 0;
+  }
+  return room->bytes >= bytes;
+}
+
+/* Returns the floats from one slot's gradient to the next: whole cache lines. */
+static size_t stride_of(const struct mo_gradient_batch *batch)
+{
+  const size_t line = MO_CACHE_LINE_BYTES / sizeof(float);
+  return (batch->controller->n_parameters + line - 1) / line * line;
+}
+
 static int prepare(struct mo_gradient_state *state, const struct mo_gradient_batch *batch,
                    uint32_t n_blocks)
 {
-  const size_t n = batch->controller->n_parameters;
-  if (n > state->n_parameters) {
-    for (uint32_t s = 0; s < state->n_slots; s++) {
-      free(state->slots[s].task.d_parameters);
-      state->slots[s].task.d_parameters = NULL;
-    }
-    free(state->shard);
-    state->shard = NULL;
-    state->n_parameters = n;
-  }
-  for (uint32_t s = 0; s < state->n_slots && s < n_blocks; s++)
-    if (state->slots[s].task.d_parameters == NULL) {
-      state->slots[s].task.d_parameters = mo_alloc_aligned(state->n_parameters, sizeof(float));
-      if (state->slots[s].task.d_parameters == NULL)
-        return MO_ERR_NO_MEMORY;
-    }
-  if (n_blocks > SHARD_BLOCKS && state->shard == NULL) {
-    state->shard = mo_alloc_aligned(state->n_parameters, sizeof(double));
-    if (state->shard == NULL)
-      return MO_ERR_NO_MEMORY;
-  }
-  if (batch->n > state->order_room) {
-    uint32_t *larger = realloc(state->order, batch->n * sizeof(*larger));
-    if (larger == NULL)
-      return MO_ERR_NO_MEMORY;
-    state->order = larger;
-    state->order_room = batch->n;
-  }
+  const size_t n_slots = n_blocks < state->n_slots ? n_blocks : state->n_slots;
+  const size_t n_sums = n_blocks > SHARD_BLOCKS ? batch->controller->n_parameters : 0;
+  if (!reserve(&state->d_parameters, n_slots * stride_of(batch) * sizeof(float)) ||
+      !reserve(&state->shard, n_sums * sizeof(double)) ||
+      !reserve(&state->order, batch->n * sizeof(uint32_t)))
+    return MO_ERR_NO_MEMORY;
   const int status = prepare_pack(state, batch->controller);
-  return status == MO_OK ? mo_gradient_arrange(batch->robots, batch->n, state->order) : status;
-}
-
-static void block_done(struct mo_block *block, void *context)
-{
-  struct mo_gradient_state *state = context;
-  struct slot *slot = (struct slot *)block->gradient;
-  pthread_mutex_lock(&state->mutex);
-  slot->finished = true;
-  pthread_cond_signal(&state->finished);
-  pthread_mutex_unlock(&state->mutex);
+  return status == MO_OK ? mo_gradient_arrange(batch->robots, batch->n, state->order.at) : status;
 }
 
 static int submit(struct mo_gradient_state *state, const struct mo_gradient_batch *batch,
@@ -181,26 +158,18 @@ static int submit(struct mo_gradient_state *state, const struct mo_gradient_batc
                                   .cancel = batch->cancel,
                                   .tag = batch->tag,
                                   .share = batch->share,
-                                  .done = block_done,
-                                  .context = state};
+                                  .done = mo_waiter_done,
+                                  .context = &slot->waiter};
   task->pack = state->pack;
   task->n = batch->n - first < MO_GRADIENT_ROBOTS ? batch->n - first : MO_GRADIENT_ROBOTS;
   for (uint32_t i = 0; i < task->n; i++)
-    task->robots[i] = batch->robots[state->order[first + i]];
+    task->robots[i] = batch->robots[((const uint32_t *)state->order.at)[first + i]];
   task->options = options_of(batch);
   task->stop = &state->stop;
   task->counts = (struct mo_gradient_counts){0};
-  slot->finished = false;
+  task->d_parameters = (float *)state->d_parameters.at + number % state->n_slots * stride_of(batch);
+  slot->waiter = (struct mo_waiter)MO_WAITER(1);
   return mo_compute_submit_gradient(state->compute, task);
-}
-
-static int wait_for(struct mo_gradient_state *state, const struct slot *slot)
-{
-  pthread_mutex_lock(&state->mutex);
-  while (!slot->finished)
-    pthread_cond_wait(&state->finished, &state->mutex);
-  pthread_mutex_unlock(&state->mutex);
-  return slot->task.block.status;
 }
 
 /* Adds a block to the sum of its shard, and that sum to the batch's after the shard's last block.
@@ -210,12 +179,12 @@ static void add_parameters(const struct mo_gradient_state *state, const float *b
 {
   const size_t n = batch->controller->n_parameters;
   const uint32_t in_shard = number % SHARD_BLOCKS, last = (batch->n - 1) / MO_GRADIENT_ROBOTS;
-  double *sum = number < SHARD_BLOCKS ? batch->d_parameters : state->shard;
+  double *sum = number < SHARD_BLOCKS ? batch->d_parameters : state->shard.at;
   if (in_shard == 0)
     memset(sum, 0, n * sizeof(*sum));
   for (size_t i = 0; i < n; i++)
     sum[i] += (double)block[i];
-  if (sum == state->shard && (in_shard == SHARD_BLOCKS - 1 || number == last))
+  if (sum != batch->d_parameters && (in_shard == SHARD_BLOCKS - 1 || number == last))
     for (size_t i = 0; i < n; i++)
       batch->d_parameters[i] += sum[i];
 }
@@ -223,7 +192,7 @@ static void add_parameters(const struct mo_gradient_state *state, const float *b
 static void add(const struct mo_gradient_state *state, const struct mo_gradient_task *task,
                 uint32_t number, struct mo_gradient_batch *batch)
 {
-  const uint32_t *order = state->order + (size_t)number * MO_GRADIENT_ROBOTS;
+  const uint32_t *order = (const uint32_t *)state->order.at + (size_t)number * MO_GRADIENT_ROBOTS;
   add_parameters(state, task->d_parameters, number, batch);
   for (uint32_t i = 0; i < task->n; i++)
     batch->outcomes[order[i]] = task->outcomes[i];
@@ -290,8 +259,9 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
       atomic_store(&state->stop, true);
     if (b >= submitted)
       break;
-    const struct slot *slot = state->slots + b % state->n_slots;
-    const int block_status = wait_for(state, slot);
+    struct slot *slot = state->slots + b % state->n_slots;
+    mo_waiter_wait(&slot->waiter);
+    const int block_status = slot->task.block.status;
     if (status == MO_OK && block_status == MO_OK)
       add(state, &slot->task, b, batch);
     else if (status == MO_OK)
