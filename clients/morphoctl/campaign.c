@@ -37,16 +37,12 @@ static const struct measure {
     {"seconds", NULL, "seconds", " ", 11, 1, ""},
 };
 
-static bool add_row(void *context, json_t *json)
+static void add_row(void *context, json_t *json)
 {
   struct campaign *campaign = context;
   if (campaign->n == campaign->capacity) {
-    size_t capacity = campaign->capacity * 2 + 128;
-    struct campaign_row *grown = realloc(campaign->rows, capacity * sizeof(*grown));
-    if (grown == NULL)
-      return false;
-    campaign->rows = grown;
-    campaign->capacity = capacity;
+    campaign->capacity = campaign->capacity * 2 + 128;
+    campaign->rows = need(realloc(campaign->rows, campaign->capacity * sizeof(*campaign->rows)));
   }
   struct campaign_row *row = &campaign->rows[campaign->n++];
   row->generation = number_of(json, "generation");
@@ -57,7 +53,6 @@ static bool add_row(void *context, json_t *json)
                      : born > 0             ? 100 * real_at(counts, "survived") / born
                                             : (double)NAN;
   }
-  return true;
 }
 
 static int64_t newest_generation(const struct campaign *campaign)
@@ -147,11 +142,9 @@ static void draw_curves(const struct campaign *campaign, int columns,
                         void (*line)(void *context, const char *text), void *context)
 {
   int width = columns - 26 > 200 ? 200 : columns - 26;
-  double *curve = malloc(campaign->n * sizeof(*curve));
-  if (curve == NULL || width < 4) {
-    free(curve);
+  if (width < 4)
     return;
-  }
+  double *curve = need(malloc(campaign->n * sizeof(*curve)));
   for (size_t k = 0; k < CAMPAIGN_VALUES; k++) {
     char spark[3 * 200 + 1], text[700], number[32];
     if (measures[k].name == NULL)

@@ -205,18 +205,15 @@ static int export_population(struct ctl *ctl, const char *id, const char *output
     return status;
   char *text = NULL;
   size_t size = 0, i;
-  FILE *file = open_memstream(&text, &size);
+  FILE *file = need(open_memstream(&text, &size));
   const json_t *item;
   json_array_foreach(items, i, item)
   {
-    if (file != NULL)
-      fprintf(file, "{\"voxels\": \"%s\", \"name\": \"%" PRId64 "\"}\n", text_of(item, "genotype"),
-              number_of(item, "number"));
+    fprintf(file, "{\"voxels\": \"%s\", \"name\": \"%" PRId64 "\"}\n", text_of(item, "genotype"),
+            number_of(item, "number"));
   }
-  if (file == NULL || fclose(file) != 0)
-    status = complain(STATUS_ERROR, "out of memory");
-  if (status == STATUS_OK)
-    status = save_output(output, text, size);
+  close_text(file);
+  status = save_output(output, "", 0, text, size);
   if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
     print_plain_line(stderr, "%s: %zu designs", output, json_array_size(items));
   free(text);

@@ -66,11 +66,10 @@ static int choose_members(struct ctl *ctl, json_t *campaign, bool alone, struct 
   }
   json_array_foreach(side->members, i, one) json_array_append(names, json_object_get(one, "id"));
   side->json =
-      json_pack("{s:O, s:O, s:o, s:o}", "campaign", json_object_get(campaign, "id"), "label",
-                json_object_get(campaign, "label"), "replicates", names, "left_out", early);
+      need(json_pack("{s:O, s:O, s:o, s:o}", "campaign", json_object_get(campaign, "id"), "label",
+                     json_object_get(campaign, "label"), "replicates", names, "left_out", early));
   json_decref(group);
-  return status == STATUS_OK && side->json == NULL ? complain(STATUS_ERROR, "out of memory")
-                                                   : status;
+  return status;
 }
 
 /* Lowers *newest to the newest generation that all of a side have. */
@@ -187,11 +186,11 @@ static void print_comparison_json(const struct side *sides, size_t n, int64_t ge
 
 int run_campaign_compare(struct ctl *ctl)
 {
-  struct side *sides = calloc(SIDES_MAX, sizeof(*sides));
+  struct side *sides = need(calloc(SIDES_MAX, sizeof(*sides)));
   json_t *campaigns[SIDES_MAX] = {0};
   const size_t n = ctl->n_operands;
   int64_t generation = INT64_MAX;
-  int status = sides != NULL ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
+  int status = STATUS_OK;
   for (size_t i = 0; i < n && status == STATUS_OK; i++)
     status = check_job_id(ctl->operands[i])
                  ? get_json(ctl, &campaigns[i], "/v1/campaigns/%s", ctl->operands[i])

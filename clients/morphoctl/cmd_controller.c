@@ -9,15 +9,11 @@
 
 #define CONTROLLER_BYTES_MAX ((size_t)4 << 30)
 
-/* Makes the path of the controller that the first operand names (malloc); NULL: no memory, and a
- * complaint was printed. below: "" or "/file". */
+/* Makes the path of the controller that the first operand names (malloc). below: "" or "/file". */
 static char *controller_path(const struct ctl *ctl, const char *below)
 {
-  char *escaped = escape(ctl->operands[0]), *path = NULL;
-  if (escaped == NULL || asprintf(&path, "/v1/controllers/%s%s", escaped, below) < 0) {
-    complain(0, "out of memory");
-    path = NULL;
-  }
+  char *escaped = escape(ctl->operands[0]);
+  char *path = format_text("/v1/controllers/%s%s", escaped, below);
   free(escaped);
   return path;
 }
@@ -54,7 +50,7 @@ static void print_controller(const struct ctl *ctl, const json_t *controller)
 int run_controller_info(struct ctl *ctl)
 {
   char *path = controller_path(ctl, "");
-  int status = path != NULL ? show(ctl, path, print_controller) : STATUS_ERROR;
+  int status = show(ctl, path, print_controller);
   free(path);
   return status;
 }
@@ -62,15 +58,12 @@ int run_controller_info(struct ctl *ctl)
 int run_controller_get(struct ctl *ctl)
 {
   const char *output = option_text(ctl, "output", NULL);
-  char *path = NULL, *file_name = NULL;
-  int status = STATUS_ERROR;
   if (output != NULL && strcmp(output, "-") == 0 && isatty(STDOUT_FILENO))
     return complain(STATUS_USAGE, "a controller is not for a terminal: give --output FILE");
-  if (asprintf(&file_name, "%s.safetensors", ctl->operands[0]) < 0)
-    return complain(STATUS_ERROR, "out of memory");
-  path = controller_path(ctl, "/file");
-  if (path != NULL)
-    status = save_reply(ctl, path, "application/octet-stream", output != NULL ? output : file_name);
+  char *path = controller_path(ctl, "/file");
+  char *file_name = format_text("%s.safetensors", ctl->operands[0]);
+  int status =
+      save_reply(ctl, path, "application/octet-stream", output != NULL ? output : file_name);
   free(path);
   free(file_name);
   return status;
@@ -78,13 +71,11 @@ int run_controller_get(struct ctl *ctl)
 
 int run_controller_put(struct ctl *ctl)
 {
-  char *path = NULL, *bytes = NULL;
+  char *path = controller_path(ctl, "/file"), *bytes = NULL;
   size_t n = 0;
   long code = 0;
   json_t *controller = NULL;
   int status = read_input(ctl->operands[1], CONTROLLER_BYTES_MAX, &bytes, &n);
-  if (status == STATUS_OK && (path = controller_path(ctl, "/file")) == NULL)
-    status = STATUS_ERROR;
   if (status == STATUS_OK)
     status = send_json(ctl,
                        &(struct request){.method = "PUT",
@@ -108,9 +99,7 @@ int run_controller_delete(struct ctl *ctl)
   const char *name = ctl->operands[0];
   char *path = controller_path(ctl, "");
   struct reply reply = {0};
-  int status = STATUS_ERROR;
-  if (path != NULL)
-    status = transport_send(ctl, &(struct request){.method = "DELETE", .path = path}, &reply);
+  int status = transport_send(ctl, &(struct request){.method = "DELETE", .path = path}, &reply);
   if (status == STATUS_OK && !ctl->quiet && !ctl->json)
     printf("%s %s is gone\n", strncmp(name, "sha256:", 7) == 0 ? "the file" : "the name", name);
   reply_free(&reply);

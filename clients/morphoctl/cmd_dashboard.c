@@ -11,8 +11,6 @@
 static int print_address(const char *server, const char *token)
 {
   char *escaped = token != NULL ? escape(token) : NULL;
-  if (token != NULL && escaped == NULL)
-    return complain(STATUS_ERROR, "out of memory");
   size_t length = strlen(server);
   while (length > 0 && server[length - 1] == '/')
     length--;

@@ -29,20 +29,6 @@ static int fill_record(const struct ctl *ctl, json_t *request)
   return STATUS_OK;
 }
 
-static int write_file(const char *path, const void *head, size_t head_bytes, const void *bytes,
-                      size_t n)
-{
-  FILE *file = fopen(path, "we");
-  bool ok = file != NULL && fwrite(head, 1, head_bytes, file) == head_bytes &&
-            (n == 0 || fwrite(bytes, 1, n, file) == n);
-  int error = errno;
-  if (file != NULL && fclose(file) != 0) {
-    ok = false;
-    error = errno;
-  }
-  return ok ? STATUS_OK : complain(STATUS_ERROR, "%s: %s", path, strerror(error));
-}
-
 /* Writes the header of a NumPy .npy file, version 1: magic, version, length of the header, header
  * padded to 64 bytes. The numbers follow. */
 static size_t npy_head(const char *array, const char *shape, char head[256])
@@ -67,7 +53,7 @@ static size_t npy_head(const char *array, const char *shape, char head[256])
 static int save_array(struct ctl *ctl, const char *folder, const char *id, size_t design,
                       size_t environment, const char *array)
 {
-  char path[160], *file = NULL;
+  char path[160];
   snprintf(path, sizeof(path), "/v1/evaluations/%s/trajectories/%zu/file?environment=%zu&array=%s",
            id, design, environment, array);
   struct reply reply;
@@ -79,13 +65,11 @@ static int save_array(struct ctl *ctl, const char *folder, const char *id, size_
   if (status == STATUS_OK) {
     char head[256];
     size_t n = npy_head(array, reply.shape, head);
-    if (asprintf(&file, "%s/design-%04zu-environment-%02zu-%s.npy", folder, design, environment,
-                 array) < 0)
-      status = complain(STATUS_ERROR, "out of memory");
-    else
-      status = write_file(file, head, n, reply.body, reply.body_bytes);
+    char *file =
+        format_text("%s/design-%04zu-environment-%02zu-%s.npy", folder, design, environment, array);
+    status = save_output(file, head, n, reply.body, reply.body_bytes);
+    free(file);
   }
-  free(file);
   reply_free(&reply);
   return status;
 }
@@ -94,12 +78,9 @@ int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *fol
 {
   if (mkdir(folder, 0777) != 0 && errno != EEXIST)
     return complain(STATUS_ERROR, "%s: %s", folder, strerror(errno));
-  int status = STATUS_OK;
-  char *path = NULL, *text = dump_json(evaluation, JSON_INDENT(1));
-  if (text == NULL || asprintf(&path, "%s/evaluation.json", folder) < 0)
-    status = complain(STATUS_ERROR, "out of memory");
-  else
-    status = write_file(path, "", 0, text, strlen(text));
+  char *path = format_text("%s/evaluation.json", folder),
+       *text = dump_json(evaluation, JSON_INDENT(1));
+  int status = save_output(path, "", 0, text, strlen(text));
   free(text);
   free(path);
   const json_t *results = json_object_get(evaluation, "results"),
@@ -174,19 +155,19 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
 {
   const json_t *results = json_object_get(evaluation, "results");
   const size_t n = json_array_size(results), shown = top != 0 && top < n ? top : n;
-  struct ranked *order = calloc(n + 1, sizeof(*order));
+  struct ranked *order = need(calloc(n + 1, sizeof(*order)));
   json_t *rows = json_array();
   bool named = false, verified = false;
   char columns[512];
-  for (size_t i = 0; order != NULL && i < n; i++) {
+  for (size_t i = 0; i < n; i++) {
     const double score = real_at(json_array_get(results, i), "score");
     order[i] = (struct ranked){i, isnan(score) ? (double)INFINITY : score};
     named |= name_of(designs, i) != NULL;
     verified |= json_object_get(json_array_get(results, i), "agrees") != NULL;
   }
-  if (order != NULL && by_score)
+  if (by_score)
     qsort(order, n, sizeof(*order), compare_ranked);
-  for (size_t r = 0; order != NULL && r < shown; r++) {
+  for (size_t r = 0; r < shown; r++) {
     const size_t i = order[r].place;
     json_array_append_new(rows, result_row(json_array_get(results, i), i, name_of(designs, i)));
   }

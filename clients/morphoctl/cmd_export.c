@@ -22,7 +22,6 @@ int run_export(struct ctl *ctl)
   static const char *const forms[] = {"csv", "ndjson", "newick", "columns"};
   const char *list = ctl->operands[0], *output = option_text(ctl, "output", "-");
   const char *form = option_text(ctl, "format", form_of(output));
-  char *path = NULL;
   if (strncmp(list, "/v1/", 4) == 0)
     list += 4;
   if (form == NULL)
@@ -32,8 +31,7 @@ int run_export(struct ctl *ctl)
   for (const char *c = list; *c != '\0'; c++)
     if (*c <= ' ' || *c > '~' || *c == '#')
       return complain(STATUS_USAGE, "\"%s\" is not a list: write other characters as %%20", list);
-  if (asprintf(&path, "/v1/%s%cformat=%s", list, strchr(list, '?') != NULL ? '&' : '?', form) < 0)
-    return complain(STATUS_ERROR, "out of memory");
+  char *path = format_text("/v1/%s%cformat=%s", list, strchr(list, '?') != NULL ? '&' : '?', form);
   const int status = save_reply(ctl, path, "*/*", output);
   free(path);
   return status;

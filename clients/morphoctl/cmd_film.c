@@ -46,8 +46,7 @@ static int choose_environment(struct ctl *ctl, json_t *request)
     return STATUS_USAGE;
   if (!json_is_array(listed)) {
     char *escaped = escape(set);
-    status = escaped != NULL ? get_json(ctl, &page, "/v1/environment-sets/%s", escaped)
-                             : complain(STATUS_ERROR, "out of memory");
+    status = get_json(ctl, &page, "/v1/environment-sets/%s", escaped);
     free(escaped);
     listed = json_object_get(page, "items");
   }
@@ -171,13 +170,11 @@ static int lay_out(struct film *film)
   const uint32_t rows = n > columns ? (n + columns - 1) / columns : 1;
   film->view_width = film->width / columns;
   film->view_height = film->height / rows;
-  film->raster = raster_create(film->view_width, film->view_height);
+  film->raster = need(raster_create(film->view_width, film->view_height));
   const size_t bytes = (size_t)film->width * film->height * 3 + 1;
-  film->tile = calloc(bytes, 1);
-  film->frame = calloc(bytes, 1);
-  return film->raster != NULL && film->tile != NULL && film->frame != NULL
-             ? STATUS_OK
-             : complain(STATUS_ERROR, "out of memory");
+  film->tile = need(calloc(bytes, 1));
+  film->frame = need(calloc(bytes, 1));
+  return STATUS_OK;
 }
 
 static int prepare(struct ctl *ctl, struct film *film)
@@ -221,9 +218,8 @@ static void draw(struct film *film, double time_s)
 static int save_png(const struct film *film, const char *path)
 {
   size_t size;
-  unsigned char *file = png_encode(film->frame, film->width, film->height, &size);
-  const int status =
-      file != NULL ? save_output(path, file, size) : complain(STATUS_ERROR, "out of memory");
+  unsigned char *file = need(png_encode(film->frame, film->width, film->height, &size));
+  const int status = save_output(path, "", 0, file, size);
   free(file);
   return status;
 }

@@ -108,14 +108,12 @@ static int export_controller(struct ctl *ctl, const char *id)
       &reply);
   char *made = NULL;
   if (status == STATUS_OK && output == NULL) {
-    if (asprintf(&made, "training-%s-step-%.20s.safetensors", id, reply.step) < 0)
-      status = complain(STATUS_ERROR, "out of memory");
-    output = made;
+    output = made = format_text("training-%s-step-%.20s.safetensors", id, reply.step);
   }
   if (status == STATUS_OK && strspn(reply.step, "0123456789") != strlen(reply.step))
     status = complain(STATUS_ERROR, "the server's reply has no step");
   if (status == STATUS_OK)
-    status = save_output(output, reply.body, reply.body_bytes);
+    status = save_output(output, "", 0, reply.body, reply.body_bytes);
   if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
     print_plain_line(stderr, "%s: the controller after %s steps, %zu bytes", output, reply.step,
                      reply.body_bytes);

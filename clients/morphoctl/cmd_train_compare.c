@@ -37,9 +37,7 @@ static int score_side(struct ctl *ctl, const json_t *held_out, struct side *side
   if (status != STATUS_OK)
     return status;
   side->n = json_array_size(results);
-  side->scores = calloc(side->n > 0 ? side->n : 1, sizeof(*side->scores));
-  if (side->scores == NULL)
-    return complain(STATUS_ERROR, "out of memory");
+  side->scores = need(calloc(side->n + 1, sizeof(*side->scores)));
   json_array_foreach(results, i, result)
   {
     side->scores[i] = real_at(result, "score");
@@ -71,10 +69,7 @@ static void print_comparison_json(const struct side sides[2], const struct paire
       CONFIDENCE, "low", real_or_null(paired->low), "high", real_or_null(paired->high), "improved",
       (json_int_t)paired->improved, "equal", (json_int_t)paired->equal, "verdict",
       verdict_of(paired->low, paired->high));
-  if (json == NULL)
-    complain(STATUS_ERROR, "out of memory");
-  else
-    print_json(json);
+  print_json(need(json));
   json_decref(json);
 }
 

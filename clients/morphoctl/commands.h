@@ -115,15 +115,15 @@ int show(struct ctl *ctl, const char *path,
          void (*print)(const struct ctl *ctl, const json_t *json));
 /* Prints JSON with --json, else a template filled with it, unless --quiet. */
 void tell(const struct ctl *ctl, const json_t *json, const char *words);
-/* Writes bytes to a file, or to standard output ("-"). */
-int save_output(const char *path, const void *bytes, size_t n);
+/* Writes a head and bytes to a file, or to standard output ("-"). */
+int save_output(const char *path, const void *head, size_t head_bytes, const void *bytes, size_t n);
 /* Saves the reply to a GET in the same way, and reports its size. */
 int save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output);
 
 /* Hands the items of a paged list to `take` in order, up to `limit` (0: all), those behind `after`
- * of a numbered list (−1: from the first). take: false: no memory. */
+ * of a numbered list (−1: from the first). */
 int walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
-               bool (*take)(void *context, json_t *item), void *context);
+               void (*take)(void *context, json_t *item), void *context);
 /* Collects such items in the array *items. */
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
 /* Prints a list as a table (table.h) or as one page of JSON. The options --limit and --all override
@@ -132,8 +132,7 @@ int list_items(struct ctl *ctl, const char *list, int64_t limit, const char *col
 
 /* ---- dump.c ---- */
 
-/* Writes JSON as text; numbers have the fewest digits that read back (malloc; NULL: no memory).
- * flags: jansson's. */
+/* Writes JSON as text; numbers have the fewest digits that read back (malloc). flags: jansson's. */
 char *dump_json(const json_t *json, size_t flags);
 /* Prints JSON on one line of standard output. */
 void put_json(const json_t *json, size_t flags);

@@ -61,7 +61,7 @@ int job_outcome(const char *noun, const json_t *job)
   if (strcmp(text_of(job, "state"), "succeeded") == 0)
     return STATUS_OK;
   char *words = text_from(job, "{id} [{state}: {error.detail}|is {state}]");
-  complain(0, "%s %s", noun, words != NULL ? words : "has not succeeded");
+  complain(0, "%s %s", noun, words);
   free(words);
   return STATUS_NEGATIVE;
 }
@@ -115,7 +115,7 @@ void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *f
   for (const struct fact *fact = facts; fact->name != NULL; fact++) {
     char *words = text_from(json, fact->words);
     const char *color = NULL;
-    if (words == NULL || *words == 0) {
+    if (*words == 0) {
       free(words);
       continue;
     }
@@ -129,11 +129,12 @@ void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *f
   }
 }
 
-int save_output(const char *path, const void *bytes, size_t n)
+int save_output(const char *path, const void *head, size_t head_bytes, const void *bytes, size_t n)
 {
   bool standard = strcmp(path, "-") == 0;
   FILE *file = standard ? stdout : fopen(path, "we");
-  bool ok = file != NULL && (n == 0 || fwrite(bytes, 1, n, file) == n) && fflush(file) == 0;
+  bool ok = file != NULL && fwrite(head, 1, head_bytes, file) == head_bytes &&
+            (n == 0 || fwrite(bytes, 1, n, file) == n) && fflush(file) == 0;
   int error = errno;
   if (file != NULL && !standard && fclose(file) != 0 && ok) {
     ok = false;
@@ -148,7 +149,7 @@ int save_reply(struct ctl *ctl, const char *path, const char *accept, const char
   int status = transport_send(
       ctl, &(struct request){.method = "GET", .path = path, .accept = accept}, &reply);
   if (status == STATUS_OK)
-    status = save_output(output, reply.body, reply.body_bytes);
+    status = save_output(output, "", 0, reply.body, reply.body_bytes);
   if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
     print_plain_line(stderr, "%s: %zu bytes", output, reply.body_bytes);
   reply_free(&reply);
@@ -158,13 +159,11 @@ int save_reply(struct ctl *ctl, const char *path, const char *accept, const char
 /* ---- lists ---- */
 
 int walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
-               bool (*take)(void *context, json_t *item), void *context)
+               void (*take)(void *context, json_t *item), void *context)
 {
-  char *cursor = NULL;
+  char *cursor = after >= 0 ? format_text("%" PRId64, after) : NULL;
   size_t n = 0;
   int status = STATUS_OK;
-  if (after >= 0 && asprintf(&cursor, "%" PRId64, after) < 0)
-    return complain(STATUS_ERROR, "out of memory");
   do {
     const size_t left = limit == 0 ? 1000 : limit - n;
     json_t *page, *item;
@@ -174,8 +173,7 @@ int walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
                       cursor != NULL ? cursor : "");
     json_array_foreach(json_object_get(page, "items"), i, item)
     {
-      if (status == STATUS_OK && !take(context, item))
-        status = complain(STATUS_ERROR, "out of memory");
+      take(context, item);
       n++;
     }
     const char *next = json_string_value(json_object_get(page, "next_cursor"));
@@ -187,9 +185,9 @@ int walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
   return status;
 }
 
-static bool append(void *items, json_t *item)
+static void append(void *items, json_t *item)
 {
-  return json_array_append(items, item) == 0;
+  json_array_append(items, item);
 }
 
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
@@ -203,7 +201,7 @@ int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
   return status;
 }
 
-/* Makes the path of a list with the options that filter or sort it (malloc; NULL: no memory). */
+/* Makes the path of a list with the options that filter or sort it (malloc). */
 static char *list_path(const struct ctl *ctl, const char *list)
 {
   static const struct {
@@ -213,9 +211,7 @@ static char *list_path(const struct ctl *ctl, const char *list)
                  {"controller", "controller"}};
   char *path = NULL, between = '?';
   size_t size = 0;
-  FILE *file = open_memstream(&path, &size);
-  if (file == NULL)
-    return NULL;
+  FILE *file = need(open_memstream(&path, &size));
   fputs(list, file);
   for (size_t i = 0; i < sizeof(filters) / sizeof(filters[0]); i++) {
     const char *given = option_text(ctl, filters[i].option, NULL);
@@ -226,7 +222,8 @@ static char *list_path(const struct ctl *ctl, const char *list)
     }
     free(escaped);
   }
-  return fclose(file) == 0 ? path : NULL;
+  close_text(file);
+  return path;
 }
 
 int list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns)
@@ -246,8 +243,7 @@ int list_items(struct ctl *ctl, const char *list, int64_t limit, const char *col
     return STATUS_USAGE;
   json_t *items = NULL;
   char *path = list_path(ctl, list);
-  int status = path != NULL ? collect(ctl, path, (size_t)limit, &items)
-                            : complain(STATUS_ERROR, "out of memory");
+  int status = collect(ctl, path, (size_t)limit, &items);
   free(path);
   if (status == STATUS_OK && ctl->json) {
     json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");

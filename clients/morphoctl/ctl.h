@@ -92,10 +92,17 @@ const char *option_text(const struct ctl *ctl, const char *name,
 bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
                    int64_t *number);
 
+/* ---- memory.c: memory, without which the program ends with STATUS_ERROR ---- */
+
+void *need(void *memory); /* returns what was allocated, or opened in memory */
+char *format_text(const char *format, ...)
+    __attribute__((format(printf, 1, 2))); /* as asprintf: malloc */
+void close_text(FILE *file);               /* of open_memstream */
+
 /* ---- plain.c: shows text from elsewhere without obeying its escapes ---- */
 
 /* Replaces control characters (C0, DEL, C1) by question marks, and escapes characters that only
- * change how others are shown, such as bidirectional ones: \u202e. malloc; NULL: no memory. */
+ * change how others are shown, such as bidirectional ones: \u202e (malloc). */
 char *plain_text(const char *text);
 bool is_control(unsigned long c);
 bool is_format_control(unsigned long c);

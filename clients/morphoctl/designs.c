@@ -21,21 +21,17 @@ int read_input(const char *path, size_t limit, char **text, size_t *length)
   char block[65536];
   size_t n = 0;
   *text = NULL;
-  FILE *memory = open_memstream(text, length);
-  bool ok = memory != NULL;
+  FILE *memory = need(open_memstream(text, length));
   do {
     n = fread(block, 1, sizeof(block), file);
-    ok = ok && fwrite(block, 1, n, memory) == n && fflush(memory) == 0;
-  } while (ok && n > 0 && *length <= limit);
+    need(fwrite(block, 1, n, memory) == n && fflush(memory) == 0 ? memory : NULL);
+  } while (n > 0 && *length <= limit);
   const int error = ferror(file) ? errno : 0;
-  if (memory != NULL)
-    ok &= fclose(memory) == 0;
+  close_text(memory);
   if (!standard)
     fclose(file);
   int status = STATUS_OK;
-  if (!ok)
-    status = complain(STATUS_ERROR, "out of memory");
-  else if (*length > limit)
+  if (*length > limit)
     status = complain(STATUS_USAGE, "%s is larger than %zu MiB", name, limit >> 20);
   else if (error != 0)
     status = complain(STATUS_USAGE, "%s: %s", name, strerror(error));
@@ -64,24 +60,14 @@ bool is_voxels(const char *text, size_t length)
 static int add(struct designs *designs, json_t *design, const char *name)
 {
   if (designs->list == NULL)
-    designs->list = json_array();
-  char **names = realloc(designs->names, (designs->n + 1) * sizeof(*names));
-  if (names != NULL)
-    designs->names = names;
-  if (names == NULL || designs->list == NULL || design == NULL) {
-    json_decref(design);
-    return complain(STATUS_ERROR, "out of memory");
-  }
+    designs->list = need(json_array());
   if (designs->n >= DESIGNS_MAX) {
     json_decref(design);
     return complain(STATUS_USAGE, "more than %d designs in one request; split them", DESIGNS_MAX);
   }
-  names[designs->n] = name != NULL ? strdup(name) : NULL;
-  if (json_array_append_new(designs->list, design) != 0) {
-    free(names[designs->n]);
-    return complain(STATUS_ERROR, "out of memory");
-  }
-  designs->n++;
+  designs->names = need(realloc(designs->names, (designs->n + 1) * sizeof(*designs->names)));
+  designs->names[designs->n++] = name != NULL ? need(strdup(name)) : NULL;
+  json_array_append_new(designs->list, need(design));
   return STATUS_OK;
 }
 

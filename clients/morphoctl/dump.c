@@ -50,15 +50,12 @@ char *dump_json(const json_t *json, size_t flags)
     }
   }
   free(text);
-  if (made.failed)
-    mo_text_free(&made);
-  return made.data;
+  return need(made.failed ? NULL : made.data);
 }
 
 void put_json(const json_t *json, size_t flags)
 {
   char *text = dump_json(json, flags);
-  if (text != NULL)
-    puts(text);
+  puts(text);
   free(text);
 }

@@ -33,7 +33,7 @@ void view_line(FILE *file, int columns, const char *text)
 void view_words(FILE *file, int columns, const json_t *json, const char *words)
 {
   char *text = text_from(json, words);
-  view_line(file, columns, text != NULL ? text : "");
+  view_line(file, columns, text);
   free(text);
 }
 
@@ -62,23 +62,20 @@ static void draw(struct live *live, bool now)
   int columns = known ? window.ws_col : 80, rows = known ? window.ws_row : 24;
   char *text = NULL;
   size_t size = 0;
-  FILE *file = open_memstream(&text, &size);
-  if (file == NULL)
-    return;
+  FILE *file = need(open_memstream(&text, &size));
   live->kind->write(live, file, columns, rows);
-  if (fclose(file) == 0) {
-    if (live->n_lines > 0 && live->n_columns == columns)
-      printf("\033[%dA\r", live->n_lines);
-    else if (live->n_lines > 0)
-      fputs("\033[H\033[2J", stdout); /* the width changed, and with it the place of lines */
-    printf("%s\033[J", text);
-    fflush(stdout);
-    live->n_lines = 0;
-    for (size_t i = 0; i < size; i++)
-      live->n_lines += text[i] == '\n';
-    live->n_columns = columns;
-    live->drawn_s = monotonic_s();
-  }
+  close_text(file);
+  if (live->n_lines > 0 && live->n_columns == columns)
+    printf("\033[%dA\r", live->n_lines);
+  else if (live->n_lines > 0)
+    fputs("\033[H\033[2J", stdout); /* the width changed, and with it the place of lines */
+  printf("%s\033[J", text);
+  fflush(stdout);
+  live->n_lines = 0;
+  for (size_t i = 0; i < size; i++)
+    live->n_lines += text[i] == '\n';
+  live->n_columns = columns;
+  live->drawn_s = monotonic_s();
   free(text);
 }
 
@@ -101,8 +98,7 @@ void live_line(const struct live *live, const json_t *at, const char *text)
 void live_words(const struct live *live, const json_t *at, const json_t *json, const char *words)
 {
   char *text = text_from(json, words);
-  if (text != NULL)
-    live_line(live, at, text);
+  live_line(live, at, text);
   free(text);
 }
 
@@ -225,9 +221,7 @@ static int run(struct ctl *ctl, int (*command)(struct live *live))
   const struct live_kind *kind = ctl->command->live;
   if (!check_job_id(ctl->operands[0]))
     return STATUS_USAGE;
-  struct live *live = calloc(1, kind->size);
-  if (live == NULL)
-    return complain(STATUS_ERROR, "out of memory");
+  struct live *live = need(calloc(1, kind->size));
   live->kind = kind;
   live->ctl = ctl;
   live->id = ctl->operands[0];

@@ -32,8 +32,8 @@ static int take_line(struct ctl *ctl, const char *path, char *line, const char *
                     "%s has tokens of \"%s\" and \"%s\": choose one with --token-name", path, first,
                     name);
   snprintf(first, TOKEN_LINE, "%s", name);
-  if (ctl->token == NULL && (ctl->token = strdup(token)) == NULL)
-    return complain(STATUS_ERROR, "out of memory");
+  if (ctl->token == NULL)
+    ctl->token = need(strdup(token));
   return STATUS_OK;
 }
 
@@ -47,8 +47,8 @@ static int read_token(struct ctl *ctl)
   if (path == NULL) {
     if (wanted != NULL)
       return complain(STATUS_USAGE, "--token-name needs the file: --token-file");
-    if (variable != NULL && *variable != 0 && (ctl->token = strdup(variable)) == NULL)
-      return complain(STATUS_ERROR, "out of memory");
+    if (variable != NULL && *variable != 0)
+      ctl->token = need(strdup(variable));
   } else {
     FILE *file = fopen(path, "re");
     if (file == NULL)

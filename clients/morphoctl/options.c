@@ -334,10 +334,8 @@ int options_parse(struct ctl *ctl, int argc, const char *const *argv)
   if (command == NULL)
     return unknown_command(n, words);
   ctl->command = command;
-  ctl->given = calloc((size_t)argc, sizeof(*ctl->given));
-  ctl->operands = calloc((size_t)argc, sizeof(*ctl->operands));
-  if (ctl->given == NULL || ctl->operands == NULL)
-    return complain(STATUS_ERROR, "out of memory");
+  ctl->given = need(calloc((size_t)argc, sizeof(*ctl->given)));
+  ctl->operands = need(calloc((size_t)argc, sizeof(*ctl->operands)));
   int status = parse_words(ctl, leading, argv + 1);
   if (status == STATUS_OK)
     status = parse_words(ctl, n - 1 - used, words + 1 + used);

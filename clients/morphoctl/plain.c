@@ -34,10 +34,8 @@ unsigned long character_at(const char *begin, size_t *bytes)
 
 char *plain_text(const char *text)
 {
-  char *plain = malloc(3 * strlen(text) + 1), *out = plain; /* 2 bytes become at most 6 */
+  char *plain = need(malloc(3 * strlen(text) + 1)), *out = plain; /* 2 bytes become at most 6 */
   size_t bytes;
-  if (plain == NULL)
-    return NULL;
   for (const char *at = text; *at != 0; at += bytes) {
     const unsigned long c = character_at(at, &bytes);
     if (is_control(c)) {
@@ -59,8 +57,7 @@ void print_plain_list(FILE *file, const char *format, va_list arguments)
   if (vasprintf(&text, format, arguments) < 0)
     return;
   char *plain = plain_text(text);
-  if (plain != NULL)
-    fputs(plain, file);
+  fputs(plain, file);
   free(plain);
   free(text);
 }

@@ -2,8 +2,9 @@
  * its points, and straight lines join the columns that have points. */
 #include "plot.h"
 
+#include "ctl.h"
+
 #include <math.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -164,21 +165,15 @@ char *plot_draw(const struct plot *plot)
   grid.rows = (plot->height > 4 ? plot->height : 4) - 2;
   grid.dots_x = grid.columns * (plot->utf8 ? 2 : 1);
   grid.dots_y = grid.rows * (plot->utf8 ? 4 : 1);
-  grid.dots = calloc((size_t)grid.dots_x * (size_t)grid.dots_y, 1);
-  grid.marks = calloc((size_t)grid.columns * (size_t)grid.rows, 1);
+  grid.dots = need(calloc((size_t)grid.dots_x * (size_t)grid.dots_y, 1));
+  grid.marks = need(calloc((size_t)grid.columns * (size_t)grid.rows, 1));
   char *text = NULL;
   size_t size = 0;
-  FILE *file = grid.dots != NULL && grid.marks != NULL ? open_memstream(&text, &size) : NULL;
-  if (file != NULL) {
-    find_range(&grid);
-    draw_curve(&grid);
-    write_grid(&grid, file);
-    bool failed = ferror(file) != 0;
-    if (fclose(file) != 0 || failed) {
-      free(text);
-      text = NULL;
-    }
-  }
+  FILE *file = need(open_memstream(&text, &size));
+  find_range(&grid);
+  draw_curve(&grid);
+  write_grid(&grid, file);
+  close_text(file);
   free(grid.dots);
   free(grid.marks);
   return text;

@@ -294,8 +294,6 @@ int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned 
   const char *key = option_text(ctl, "idempotency-key", NULL);
   int status = STATUS_OK;
   *job = NULL;
-  if (body == NULL)
-    return complain(STATUS_ERROR, "out of memory");
   if (key == NULL) {
     status = random_key(generated);
     key = generated;

@@ -41,9 +41,7 @@ static char *make_row(const json_t *item, struct column *columns, size_t n)
 {
   char *row = NULL;
   size_t size = 0;
-  FILE *file = open_memstream(&row, &size);
-  if (file == NULL)
-    return NULL;
+  FILE *file = need(open_memstream(&row, &size));
   for (size_t c = 0; c < n; c++) {
     if (item != NULL)
       fill_template(file, item, columns[c].words);
@@ -51,10 +49,7 @@ static char *make_row(const json_t *item, struct column *columns, size_t n)
       fprintf(file, "%.*s", columns[c].head_bytes, columns[c].head);
     fputc(0, file);
   }
-  if (fclose(file) != 0) {
-    free(row);
-    return NULL;
-  }
+  close_text(file);
   const char *cell = row;
   for (size_t c = 0; c < n; c++, cell += strlen(cell) + 1)
     if (text_width(cell) > columns[c].width)
@@ -85,24 +80,17 @@ void print_table(FILE *file, const struct ctl *ctl, const json_t *items, const c
 {
   struct column parts[COLUMNS_MAX] = {{.width = 0}};
   const size_t n = read_columns(columns, parts), n_rows = json_array_size(items) + 1;
-  char **rows = calloc(n_rows, sizeof(*rows));
-  bool failed = rows == NULL;
-  for (size_t r = 0; r < n_rows && !failed; r++) {
+  char **rows = need(calloc(n_rows, sizeof(*rows)));
+  for (size_t r = 0; r < n_rows; r++)
     rows[r] = make_row(r > 0 ? json_array_get(items, r - 1) : NULL, parts, n);
-    failed = rows[r] == NULL;
-  }
-  for (size_t r = 0; rows != NULL && r < n_rows; r++) {
+  for (size_t r = 0; r < n_rows; r++) {
     const bool bold = r == 0 && ctl->color;
-    if (rows[r] == NULL)
-      break;
     fputs(bold ? "\033[1m" : "", file);
     print_row(file, rows[r], parts, n);
     fputs(bold ? "\033[0m\n" : "\n", file);
     free(rows[r]);
   }
   free(rows);
-  if (failed)
-    complain(0, "out of memory: the table is not complete");
 }
 
 /* ---- progress ---- */

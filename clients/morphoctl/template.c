@@ -191,11 +191,10 @@ static const char *put_choice(FILE *file, const json_t *json, const char *at)
     char *text = NULL;
     size_t size = 0;
     bool all_there = true;
-    FILE *part = open_memstream(&text, &size);
-    if (part == NULL)
-      return at + strlen(at);
+    FILE *part = need(open_memstream(&text, &size));
     at = put_part(part, json, at, &all_there);
-    if (fclose(part) == 0 && all_there && !chosen) {
+    close_text(part);
+    if (all_there && !chosen) {
       fputs(text, file);
       chosen = true;
     }
@@ -216,14 +215,10 @@ char *text_from(const json_t *json, const char *template)
 {
   char *text = NULL;
   size_t size = 0;
-  FILE *file = open_memstream(&text, &size);
-  if (file == NULL)
-    return NULL;
+  FILE *file = need(open_memstream(&text, &size));
   fill_template(file, json, template);
-  if (fclose(file) == 0)
-    return text;
-  free(text);
-  return NULL;
+  close_text(file);
+  return text;
 }
 
 void print_from(FILE *file, const json_t *json, const char *template)

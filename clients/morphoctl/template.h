@@ -29,7 +29,7 @@
 /* Writes a template up to its end or to a "|" outside of brackets, and returns that place. Texts
  * are made plain (plain.c). */
 const char *fill_template(FILE *file, const json_t *json, const char *template);
-/* Returns the filled template (malloc; NULL: no memory). */
+/* Returns the filled template (malloc). */
 char *text_from(const json_t *json, const char *template);
 /* Prints the filled template as a line. */
 void print_from(FILE *file, const json_t *json, const char *template);

@@ -41,29 +41,24 @@ static void thin(struct curve *curve)
 }
 
 /* Adds a point, and removes earlier points at or beyond its x: after a crash a training may resume
- * from an earlier step. False: no memory. */
-static bool add_point(struct curve *curve, double x, double y)
+ * from an earlier step. */
+static void add_point(struct curve *curve, double x, double y)
 {
   while (curve->n > 0 && curve->points[curve->n - 1].x >= x)
     curve->n--;
   if (curve->n >= POINTS_MAX)
     thin(curve);
   if (curve->n == curve->capacity) {
-    size_t capacity = curve->capacity * 2 + 256;
-    struct plot_point *grown = realloc(curve->points, capacity * sizeof(*grown));
-    if (grown == NULL)
-      return false;
-    curve->points = grown;
-    curve->capacity = capacity;
+    curve->capacity = curve->capacity * 2 + 256;
+    curve->points = need(realloc(curve->points, curve->capacity * sizeof(*curve->points)));
   }
   curve->points[curve->n++] = (struct plot_point){x, y};
-  return true;
 }
 
-static bool add_row(void *context, json_t *row)
+static void add_row(void *context, json_t *row)
 {
   struct curve *curve = context;
-  return add_point(curve, (double)number_of(row, "step"), real_at(row, curve->key));
+  add_point(curve, (double)number_of(row, "step"), real_at(row, curve->key));
 }
 
 /* Fetches the rows after the last point. */
@@ -87,7 +82,7 @@ static int load(struct live *live)
   return status == STATUS_OK ? load_curve(live, "validations", 0, &training->validations) : status;
 }
 
-/* Plots both curves (malloc). NULL: there are none yet, or no memory. */
+/* Plots both curves (malloc). NULL: there are none yet. */
 static char *draw_plot(const struct training *training, int width, int height)
 {
   const struct ctl *ctl = training->live.ctl;

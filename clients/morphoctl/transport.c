@@ -42,37 +42,31 @@ int random_key(char key[33])
 
 char *escape(const char *text)
 {
-  return curl_easy_escape(NULL, text, 0); /* without callbacks for memory, free() frees it */
+  return need(curl_easy_escape(NULL, text, 0)); /* without callbacks for memory, free() frees it */
 }
 
 int transport_open(struct ctl *ctl)
 {
   const char *server = ctl->server;
-  struct transport *transport = calloc(1, sizeof(*transport));
-  if (transport == NULL)
-    return complain(STATUS_ERROR, "out of memory");
-  ctl->transport = transport;
-  int n = 0;
+  struct transport *transport = ctl->transport = need(calloc(1, sizeof(*transport)));
   if (strncmp(server, "unix:", 5) == 0) {
     if (server[5] != '/')
       return complain(STATUS_USAGE, "server \"%s\": the path of a unix socket starts with /",
                       server);
-    transport->socket = strdup(server + 5);
-    transport->base = strdup("http://localhost");
-    n = transport->socket == NULL ? -1 : 0;
+    transport->socket = need(strdup(server + 5));
+    transport->base = need(strdup("http://localhost"));
   } else if (strncmp(server, "http://", 7) == 0 || strncmp(server, "https://", 8) == 0) {
-    transport->base = strdup(server);
-    for (size_t end = transport->base != NULL ? strlen(transport->base) : 0;
-         end > 0 && transport->base[end - 1] == '/'; end--)
+    transport->base = need(strdup(server));
+    for (size_t end = strlen(server); end > 0 && server[end - 1] == '/'; end--)
       transport->base[end - 1] = 0;
   } else if (*server != 0 && strstr(server, "://") == NULL) {
-    n = asprintf(&transport->base, "http://%s", server);
+    transport->base = format_text("http://%s", server);
   } else {
     return complain(STATUS_USAGE, "server \"%s\" is not http://host:port or unix:/path", server);
   }
-  if (n < 0 || transport->base == NULL || curl_global_init(CURL_GLOBAL_DEFAULT) != 0 ||
-      (transport->curl = curl_easy_init()) == NULL)
-    return complain(STATUS_ERROR, "out of memory");
+  if (curl_global_init(CURL_GLOBAL_DEFAULT) == 0)
+    transport->curl = curl_easy_init();
+  need(transport->curl);
   return STATUS_OK;
 }
 
@@ -134,33 +128,26 @@ static int stop_when_interrupted(void *context, curl_off_t a, curl_off_t b, curl
   return interrupted();
 }
 
-/* Adds "name: value" to the headers; nothing if there is no value. */
-static bool append(struct curl_slist **list, const char *name, const char *value)
-{
-  char *line = NULL;
-  if (value == NULL)
-    return true;
-  if (asprintf(&line, "%s: %s", name, value) < 0)
-    return false;
-  struct curl_slist *grown = curl_slist_append(*list, line);
-  free(line);
-  if (grown == NULL)
-    return false;
-  *list = grown;
-  return true;
-}
-
-static bool make_headers(const struct request *request, struct curl_slist **headers)
+static struct curl_slist *make_headers(const struct request *request)
 {
   char wait[24];
   snprintf(wait, sizeof(wait), "wait=%u", request->wait_s);
-  return append(headers, "Accept",
-                request->accept != NULL ? request->accept : "application/json") &&
-         append(headers, "Content-Type", request->content_type) &&
-         append(headers, "Prefer", request->wait_s > 0 ? wait : NULL) &&
-         append(headers, "Idempotency-Key", request->key) &&
-         append(headers, "Last-Event-ID", request->last_event) &&
-         append(headers, "Expect", ""); /* saves a round trip before a body */
+  const struct {
+    const char *name, *value; /* NULL: none */
+  } all[] = {{"Accept", request->accept != NULL ? request->accept : "application/json"},
+             {"Content-Type", request->content_type},
+             {"Prefer", request->wait_s > 0 ? wait : NULL},
+             {"Idempotency-Key", request->key},
+             {"Last-Event-ID", request->last_event},
+             {"Expect", ""}}; /* saves a round trip before a body */
+  struct curl_slist *headers = NULL;
+  for (size_t i = 0; i < sizeof(all) / sizeof(all[0]); i++) {
+    char *line = all[i].value != NULL ? format_text("%s: %s", all[i].name, all[i].value) : NULL;
+    if (line != NULL)
+      headers = need(curl_slist_append(headers, line));
+    free(line);
+  }
+  return headers;
 }
 
 static bool is_loopback(const char *base)
@@ -179,48 +166,43 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
   struct transport *transport = ctl->transport;
   if (transport->streaming && transport->aside == NULL)
     transport->aside = curl_easy_init();
-  CURL *curl = transport->streaming ? transport->aside : transport->curl;
-  struct curl_slist *headers = NULL;
-  char *url = NULL;
-  CURLcode code = CURLE_OUT_OF_MEMORY;
-  if (curl == NULL || asprintf(&url, "%s%s", transport->base, request->path) < 0)
-    return code;
-  if (make_headers(request, &headers)) {
-    curl_easy_reset(curl);
-    curl_easy_setopt(curl, CURLOPT_URL, url);
-    curl_easy_setopt(curl, CURLOPT_NOSIGNAL, 1L);
-    curl_easy_setopt(curl, CURLOPT_USERAGENT, "morphoctl/" MORPHOD_VERSION);
-    curl_easy_setopt(curl, CURLOPT_PROTOCOLS_STR, "http,https");
-    if (transport->socket != NULL)
-      curl_easy_setopt(curl, CURLOPT_UNIX_SOCKET_PATH, transport->socket);
-    if (is_loopback(transport->base)) /* a proxy from the environment is another machine, and must
-                                         not get the token */
-      curl_easy_setopt(curl, CURLOPT_PROXY, "");
-    if (ctl->token != NULL) {
-      curl_easy_setopt(curl, CURLOPT_HTTPAUTH, CURLAUTH_BEARER);
-      curl_easy_setopt(curl, CURLOPT_XOAUTH2_BEARER, ctl->token);
-    }
-    curl_easy_setopt(curl, CURLOPT_HTTPHEADER, headers);
-    if (strcmp(request->method, "GET") != 0) {
-      curl_easy_setopt(curl, CURLOPT_POSTFIELDS, request->body != NULL ? request->body : "");
-      curl_easy_setopt(curl, CURLOPT_POSTFIELDSIZE_LARGE, (curl_off_t)request->body_bytes);
-    }
-    curl_easy_setopt(curl, CURLOPT_CUSTOMREQUEST, request->method);
-    curl_easy_setopt(curl, CURLOPT_CONNECTTIMEOUT, 10L);
-    /* A server that sends nothing for this long is gone; streams have a heartbeat every 15 s. */
-    curl_easy_setopt(curl, CURLOPT_LOW_SPEED_LIMIT, 1L);
-    curl_easy_setopt(curl, CURLOPT_LOW_SPEED_TIME, 45L + (long)request->wait_s);
-    curl_easy_setopt(curl, CURLOPT_WRITEFUNCTION, data != NULL ? data : take_body);
-    curl_easy_setopt(curl, CURLOPT_WRITEDATA, data != NULL ? context : reply);
-    curl_easy_setopt(curl, CURLOPT_NOPROGRESS, 0L);
-    curl_easy_setopt(curl, CURLOPT_XFERINFOFUNCTION, stop_when_interrupted);
-    code = curl_easy_perform(curl);
-    curl_easy_getinfo(curl, CURLINFO_RESPONSE_CODE, &reply->status);
-    read_headers(curl, reply);
-    if (reply->file != NULL && fclose(reply->file) != 0)
-      code = CURLE_OUT_OF_MEMORY;
-    reply->file = NULL;
+  CURL *curl = need(transport->streaming ? transport->aside : transport->curl);
+  struct curl_slist *headers = make_headers(request);
+  char *url = format_text("%s%s", transport->base, request->path);
+  curl_easy_reset(curl);
+  curl_easy_setopt(curl, CURLOPT_URL, url);
+  curl_easy_setopt(curl, CURLOPT_NOSIGNAL, 1L);
+  curl_easy_setopt(curl, CURLOPT_USERAGENT, "morphoctl/" MORPHOD_VERSION);
+  curl_easy_setopt(curl, CURLOPT_PROTOCOLS_STR, "http,https");
+  if (transport->socket != NULL)
+    curl_easy_setopt(curl, CURLOPT_UNIX_SOCKET_PATH, transport->socket);
+  if (is_loopback(transport->base)) /* a proxy from the environment is another machine, and must
+                                       not get the token */
+    curl_easy_setopt(curl, CURLOPT_PROXY, "");
+  if (ctl->token != NULL) {
+    curl_easy_setopt(curl, CURLOPT_HTTPAUTH, CURLAUTH_BEARER);
+    curl_easy_setopt(curl, CURLOPT_XOAUTH2_BEARER, ctl->token);
   }
+  curl_easy_setopt(curl, CURLOPT_HTTPHEADER, headers);
+  if (strcmp(request->method, "GET") != 0) {
+    curl_easy_setopt(curl, CURLOPT_POSTFIELDS, request->body != NULL ? request->body : "");
+    curl_easy_setopt(curl, CURLOPT_POSTFIELDSIZE_LARGE, (curl_off_t)request->body_bytes);
+  }
+  curl_easy_setopt(curl, CURLOPT_CUSTOMREQUEST, request->method);
+  curl_easy_setopt(curl, CURLOPT_CONNECTTIMEOUT, 10L);
+  /* A server that sends nothing for this long is gone; streams have a heartbeat every 15 s. */
+  curl_easy_setopt(curl, CURLOPT_LOW_SPEED_LIMIT, 1L);
+  curl_easy_setopt(curl, CURLOPT_LOW_SPEED_TIME, 45L + (long)request->wait_s);
+  curl_easy_setopt(curl, CURLOPT_WRITEFUNCTION, data != NULL ? data : take_body);
+  curl_easy_setopt(curl, CURLOPT_WRITEDATA, data != NULL ? context : reply);
+  curl_easy_setopt(curl, CURLOPT_NOPROGRESS, 0L);
+  curl_easy_setopt(curl, CURLOPT_XFERINFOFUNCTION, stop_when_interrupted);
+  CURLcode code = curl_easy_perform(curl);
+  curl_easy_getinfo(curl, CURLINFO_RESPONSE_CODE, &reply->status);
+  read_headers(curl, reply);
+  if (reply->file != NULL && fclose(reply->file) != 0)
+    code = CURLE_OUT_OF_MEMORY;
+  reply->file = NULL;
   curl_slist_free_all(headers);
   free(url);
   return code;
@@ -358,11 +340,8 @@ int get_json(struct ctl *ctl, json_t **json, const char *format, ...)
   char *path = NULL;
   va_list arguments;
   va_start(arguments, format);
-  const int n = vasprintf(&path, format, arguments);
+  need(vasprintf(&path, format, arguments) >= 0 ? path : NULL);
   va_end(arguments);
-  *json = NULL;
-  if (n < 0)
-    return complain(STATUS_ERROR, "out of memory");
   int status = send_json(ctl, &(struct request){.method = "GET", .path = path}, NULL, json);
   free(path);
   return status;
