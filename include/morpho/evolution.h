@@ -40,10 +40,15 @@ enum mo_campaign_mode {
   MO_ZERO_SHOT = 0, /* the controller is frozen; parents keep their scores */
   MO_FEW_SHOT =
       1, /* each generation starts learning from the pretrained weights; parents are scored again */
-  MO_SIMULTANEOUS = 2 /* each generation inherits weights and optimizer; parents are scored again */
+  MO_SIMULTANEOUS = 2, /* as few-shot, but each inherits weights and optimizer */
+  MO_STUDY = 3         /* as zero-shot, but somebody else makes the children of each generation */
 };
 extern const char
-    *const mo_campaign_mode_words[]; /* "zero-shot", "few-shot", "simultaneous", NULL */
+    *const mo_campaign_mode_words[]; /* "zero-shot", "few-shot", "simultaneous", "study", NULL */
+static inline bool mo_mode_learns(enum mo_campaign_mode mode)
+{
+  return mode == MO_FEW_SHOT || mode == MO_SIMULTANEOUS;
+}
 
 /* In every scheme the best candidate survives, and a diverged one survives only when there is
  * nothing better.
@@ -83,7 +88,7 @@ struct mo_campaign_settings {
   uint32_t population; /* N: MO_POPULATION_MIN … MO_POPULATION_MAX; at most MO_TRAINING_DESIGNS_MAX
                           if it learns */
   uint32_t generations; /* after generation 0; 0 … MO_GENERATIONS_MAX: 0 scores the initial
-                           population only */
+                           population only. Of a study: its newest batch */
   double mutation_share; /* part of the population that mutates, 0 … 1; 0.25; the rest recombines */
   double mutation_rate;   /* per voxel; 0 (default): 1 / voxels of the workspace; ≤ 0.5 */
   double mutation_growth; /* factor of the rate after each attempt that found nothing new; 1 …
@@ -92,8 +97,8 @@ struct mo_campaign_settings {
   bool exclude_pretraining; /* count the controller's pretraining bodies as seen; true */
   double collapse_share;    /* warn when diversity falls below this share of its maximum so far; 0:
                                never; 0.5 */
-  /* Learning; ignored by MO_ZERO_SHOT. A step's batch is `batch` robots, each in its own random
-   * environment. */
+  /* Learning; ignored unless mo_mode_learns. A step's batch is `batch` robots, each in its own
+   * random environment. */
   uint32_t parent_steps, child_steps; /* of each generation: on parents, then on children */
   uint32_t batch;                     /* 0: the population */
   struct mo_learning
@@ -105,7 +110,8 @@ struct mo_campaign_settings {
 /* Presets: population 8192 ("paper", with the paper's generations: 100, 7, 180), 512
  * ("workstation"; 100, 10, 180), 64 ("demo"; 30, 3, 30). Everything else is as in the paper, except
  * adjoint_bound (MO_ADJOINT_BOUND; the paper has 0). Few-shot: 30 + 30 steps,
- * simultaneous: 1 + 1, each with the paper's schedule. */
+ * simultaneous: 1 + 1, each with the paper's schedule. A study has no generations at first, and
+ * excludes nothing. */
 enum mo_preset { MO_PRESET_PAPER = 0, MO_PRESET_WORKSTATION = 1, MO_PRESET_DEMO = 2 };
 extern const char *const mo_preset_words[]; /* "paper", "workstation", "demo", NULL */
 struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum mo_preset preset);
@@ -201,6 +207,10 @@ int mo_variation(const struct mo_campaign_settings *settings, uint32_t generatio
                  const uint64_t *parents, uint32_t n_parents, struct mo_seen *seen,
                  uint64_t *children, struct mo_birth *births, uint32_t *n,
                  struct mo_variation_counts *counts, const volatile int *cancel);
+/* Chooses k ≤ n of the numbers 0 … n − 1 at random, in random order, as parents of a study's
+ * batch. places: (n); the first k are chosen. Stream (seed, SELECTION, generation, …). */
+void mo_variation_parents(uint64_t seed, uint32_t generation, uint32_t n, uint32_t k,
+                          uint32_t *places);
 
 /* ---- selection ---- */
 

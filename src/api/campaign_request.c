@@ -243,18 +243,35 @@ static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *pa
                      "null is given; a %s campaign needs a controller: its name, or sha256: and 64 "
                      "hexadecimal digits, is expected",
                      mo_campaign_mode_words[mode]);
-  if (mode == MO_ZERO_SHOT && parsed->has_learning)
+  if (!mo_mode_learns(mode) && parsed->has_learning)
     mo_json_fault_at(json, 0, "/learning",
-                     "nothing learns in a zero-shot campaign; settings of learning are expected of "
-                     "few-shot and simultaneous only");
+                     "nothing learns in a %s campaign; settings of learning are expected of "
+                     "few-shot and simultaneous only",
+                     mo_campaign_mode_words[mode]);
   else if (parsed->has_sensor && !random)
     mo_json_fault_at(
         json, 0, "/learning/sensor",
         "the campaign starts from a controller, which has its sensor; none is expected here");
-  if (mode == MO_ZERO_SHOT && parsed->request.record.name[0] != '\0')
+  if (!mo_mode_learns(mode) && parsed->request.record.name[0] != '\0')
     mo_json_fault_at(json, 0, "/name",
-                     "a zero-shot campaign gives no controller; a name for it is expected of "
-                     "few-shot and simultaneous only");
+                     "a %s campaign gives no controller; a name for it is expected of "
+                     "few-shot and simultaneous only",
+                     mo_campaign_mode_words[mode]);
+}
+
+/* Checks that nothing is asked of a study that its client does. */
+static void check_study(struct mo_json *json, const struct mo_parsed_campaign *parsed)
+{
+  static const char words[] = "a study has none: its client makes the designs, batch by batch";
+  const struct mo_campaign_record *record = &parsed->request.record;
+  if (record->settings.generations > 0)
+    mo_json_fault_at(json, 0, "/generations", "%s", words);
+  if (record->replicates > 1)
+    mo_json_fault_at(json, 0, "/replicates", "%s", words);
+  if (parsed->parts.n_designs > 0 || record->initial_campaign > 0)
+    mo_json_fault_at(json, 0, "/initial", "%s", words);
+  if (record->settings.exclude_pretraining)
+    mo_json_fault_at(json, 0, "/exclude_pretraining", "%s", words);
 }
 
 /* Checks the sizes of a campaign that learns. */
@@ -287,16 +304,19 @@ static int check(struct mo_json *json, void *any)
   parsed->has_sensor = (int)settings->sensor >= 0;
   if (!parsed->has_mode)
     mo_json_fault_at(json, 0, "",
-                     "mode is missing: \"zero-shot\", \"few-shot\" or \"simultaneous\"");
+                     "mode is missing: \"zero-shot\", \"few-shot\", \"simultaneous\" or "
+                     "\"study\"");
   if (parsed->mode >= 0)
     check_mode(json, parsed);
+  if (settings->mode == MO_STUDY)
+    check_study(json, parsed);
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
     mo_json_fault_at(json, 0, "/generations",
                      "%u designs in each of %u generations and the initial population are %llu; at "
                      "most %llu are expected",
                      settings->population, settings->generations, (unsigned long long)designs,
                      (unsigned long long)MO_CAMPAIGN_DESIGNS_MAX);
-  if (settings->mode != MO_ZERO_SHOT)
+  if (mo_mode_learns(settings->mode))
     check_learning(json, settings);
   if (settings->seed + record->replicates - 1 > (uint64_t)MO_SEED_MAX)
     mo_json_fault_at(json, 0, "/seed", "the seeds of %u replicates from %llu on go beyond %lld",

@@ -27,17 +27,12 @@ static void write_initial(struct mo_text *text, const struct mo_campaign_record 
 static int write_notes(struct mo_api *api, struct mo_text *text,
                        const struct mo_campaign_status *status)
 {
-  struct mo_design_note *notes;
-  uint32_t n;
-  const int error = mo_store_design_notes(api->store, status->record.group, &notes, &n);
-  mo_text_add(text, ",\"founders\":[");
-  for (uint32_t i = 0; i < n; i++) {
-    mo_text_object(text);
-    mo_text_member_count(text, "place", notes[i].place);
-    mo_members_note(text, &notes[i]);
-    mo_text_add(text, "}");
-  }
-  mo_text_add(text, "]");
+  struct mo_design_note *notes = NULL;
+  uint32_t n = 0;
+  const int error = status->record.settings.mode == MO_STUDY
+                        ? MO_OK /* its notes are those of its newest batch */
+                        : mo_store_design_notes(api->store, status->record.group, &notes, &n);
+  mo_member_notes(text, "founders", notes, n);
   free(notes);
   return error;
 }
@@ -57,7 +52,7 @@ static void write_settings(struct mo_text *text, const struct mo_campaign_record
   mo_member_environments(text, record->environment_set, record->n_environments);
   write_initial(text, record);
   mo_text_name(text, "learning");
-  if (settings->mode == MO_ZERO_SHOT)
+  if (!mo_mode_learns(settings->mode))
     mo_text_add(text, "null");
   else
     mo_fields_write_object(text, &mo_campaign_record_learning_fields, &shown);
@@ -80,8 +75,49 @@ static void write_progress(struct mo_text *text, const struct mo_campaign_status
   mo_text_add(text, "}");
 }
 
+static void write_words(struct mo_text *text, const char *name,
+                        const char words[][MO_STUDY_WORD_MAX + 1], uint32_t n)
+{
+  mo_text_name(text, name);
+  mo_text_add(text, "[");
+  for (uint32_t i = 0; i < n; i++)
+    mo_text_format(text, i > 0 ? ",\"%s\"" : "\"%s\"", words[i]);
+  mo_text_add(text, "]");
+}
+
+static void write_study(struct mo_text *text, const struct mo_campaign_status *status)
+{
+  mo_text_add(text, ",\"study\":{");
+  mo_text_member_count(text, "next_batch", (uint64_t)(status->generation + 1));
+  mo_text_member_bool(text, "pending", status->told > status->generation);
+  write_words(text, "operators", status->words.operators, status->words.n_operators);
+  write_words(text, "measures", status->words.measures, status->words.n_measures);
+  if (status->sampler_bytes > 0) {
+    mo_text_add(text, ",\"sampler\":{");
+    mo_member_hash(text, "sha256", &status->sampler_sha256);
+    mo_text_member_count(text, "size", status->sampler_bytes);
+    mo_text_add(text, "}");
+  } else {
+    mo_text_member(text, "sampler", NULL);
+  }
+  mo_text_add(text, "}");
+}
+
+/* A study that has no pending batch waits for its client. */
+static struct mo_live with_wait(const struct mo_campaign_status *status, const struct mo_live *live)
+{
+  struct mo_live shown = *live;
+  if (status->record.settings.mode == MO_STUDY && status->told <= status->generation &&
+      status->job.state == MO_JOB_QUEUED) {
+    shown.phase = MO_PHASE_WAIT;
+    snprintf(shown.reason, sizeof(shown.reason), "batch %lld is to be told by the study's client",
+             (long long)status->generation + 1);
+  }
+  return shown;
+}
+
 void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
-                            const struct mo_live *live)
+                            const struct mo_live *running)
 {
   static const char *const ends[] = {[MO_CAMPAIGN_OPEN] = NULL,
                                      [MO_CAMPAIGN_COMPLETED] = "completed",
@@ -91,13 +127,14 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
                                       "champions",   "champions",   "checkpoints", "checkpoints",
                                       "replicates",  "replicates",  NULL};
   const struct mo_campaign_record *record = &status->record;
+  const struct mo_live waiting = with_wait(status, running), *live = &waiting;
   char made[MO_MADE_BYTES];
   const char *name = mo_result_name(&status->job, record->name, made);
   mo_text_object(text);
   mo_text_member_id(text, "id", status->job.id);
   mo_text_member(text, "mode", mo_campaign_mode_words[record->settings.mode]);
   mo_text_member(text, "preset", record->preset[0] != '\0' ? record->preset : NULL);
-  mo_text_member(text, "name", record->settings.mode != MO_ZERO_SHOT ? name : NULL);
+  mo_text_member(text, "name", mo_mode_learns(record->settings.mode) ? name : NULL);
   mo_job_write_head(text, &status->job, live);
   mo_text_member(text, "phase", mo_phase_name(live->phase));
   mo_member_controller(text, "controller", record->has_controller, record->controller_name,
@@ -107,6 +144,10 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
                  (long long)record->group, record->replicate, record->replicates);
   write_progress(text, status, live);
   mo_text_member(text, "end", ends[status->end]);
+  if (record->settings.mode == MO_STUDY)
+    write_study(text, status);
+  else
+    mo_text_member(text, "study", NULL);
   mo_text_name(text, "newest");
   mo_columns_json(text, &mo_generation_columns, status->generation >= 0 ? &status->last : NULL);
   if (status->has_result) {
@@ -122,10 +163,11 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
 void mo_campaign_json_job(struct mo_text *text, const void *any, const struct mo_live *live)
 {
   const struct mo_campaign_status *status = any;
+  const struct mo_live waiting = with_wait(status, live);
   mo_text_object(text);
   mo_text_member_id(text, "id", status->job.id);
   mo_text_member(text, "kind", mo_job_kind_name(status->job.kind));
-  mo_job_write_head(text, &status->job, live);
+  mo_job_write_head(text, &status->job, &waiting);
   mo_text_format(text, ",\"campaign\":{\"mode\":\"%s\"",
                  mo_campaign_mode_words[status->record.settings.mode]);
   mo_text_member_count(text, "population", status->record.settings.population);

@@ -36,7 +36,7 @@ void mo_api_get_campaign_champions(struct mo_request *request)
     mo_text_format(&text, "{\"generation\":%lld,\"items\":[", (long long)generation);
     for (uint32_t i = 0; i < n; i++) {
       mo_text_object(&text);
-      mo_campaign_json_design(&text, &rows[i]);
+      mo_campaign_json_design(&text, &rows[i], &status.words);
       mo_text_member_number(&text, "distinctiveness", distinctiveness[i]);
       mo_text_add(&text, "}");
     }

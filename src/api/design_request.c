@@ -223,8 +223,7 @@ bool mo_parts_note(struct mo_parts *parts, uint32_t place, uint32_t dropped,
   return true;
 }
 
-/* Reads the design at `place` by the rules of the request. */
-static bool read_place(struct mo_json *json, struct mo_parts *parts, uint32_t place)
+bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t place)
 {
   struct mo_faults own, *all = json->faults; /* not cleared as a whole: it is large */
   struct shape shape = {
@@ -267,7 +266,7 @@ static void read_designs(struct mo_json *json, void *value)
       skip_rest(json);
       break;
     }
-    if (!read_place(json, parts, n)) {
+    if (!mo_parts_design(json, parts, n)) {
       parts->error = MO_ERR_NO_MEMORY;
       json->stop = true;
       return;

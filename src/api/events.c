@@ -39,6 +39,9 @@ static void listener(void *context, const struct mo_event *events, size_t n)
       atomic_store(&api->jobs_changed, true);
     if (strcmp(events[i].type, "job.finished") == 0)
       mo_waits_end(api->http, events[i].job, INT64_MIN);
+    if (strcmp(events[i].type, "campaign.generation") == 0 ||
+        strcmp(events[i].type, "job.finished") == 0)
+      mo_waits_end(api->http, MO_WAIT_BATCH(events[i].job), INT64_MIN);
     mo_streams_send(api->http, events[i].sequence, events[i].job, write_frame, &events[i]);
   }
 }

@@ -51,6 +51,9 @@ static inline struct mo_api *mo_api_of(const struct mo_request *request)
 #include "api/routes.inc"
 void mo_api_get_table(struct mo_request *request); /* of all lists: calls the handler of the page */
 
+/* What a request waits for that waits for the pending batch of a study, not for a job's end. */
+#define MO_WAIT_BATCH(id) ((id) + (INT64_C(1) << 62))
+
 /* Follow the store's events (events.c): streams, waiting requests, counts of jobs. */
 int mo_events_follow(struct mo_api *api);
 void mo_events_leave(struct mo_api *api);

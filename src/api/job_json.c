@@ -50,6 +50,20 @@ void mo_members_note(struct mo_text *text, const struct mo_design_note *note)
   mo_text_add(text, "}");
 }
 
+void mo_member_notes(struct mo_text *text, const char *name, const struct mo_design_note *notes,
+                     uint32_t n)
+{
+  mo_text_name(text, name);
+  mo_text_add(text, "[");
+  for (uint32_t i = 0; i < n; i++) {
+    mo_text_object(text);
+    mo_text_member_count(text, "place", notes[i].place);
+    mo_members_note(text, &notes[i]);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+}
+
 int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
                       const struct mo_bits *form, const struct mo_bits *genotype,
                       const struct mo_design_note *note)

@@ -23,6 +23,9 @@ int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
                       const struct mo_design_note *note);
 /* Writes what a note says as members: repaired, fault. note NULL: neither. */
 void mo_members_note(struct mo_text *text, const struct mo_design_note *note);
+/* Writes notes with their places, as a member. */
+void mo_member_notes(struct mo_text *text, const char *name, const struct mo_design_note *notes,
+                     uint32_t n);
 /* Write members that are null where the value is not known. */
 void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint64_t count);
 void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number);
@@ -54,15 +57,18 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
 void mo_campaign_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 
 /* Writes a design of a campaign: the members of an object without its braces, so that more can
- * follow. */
-void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row);
+ * follow. words: of a study, whose measures it writes, too; nullable. */
+void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
+                             const struct mo_study_words *words);
+void mo_member_parents(struct mo_text *text, const struct mo_descent *descent);
 /* Writes what the campaign did with the design, as further members: parents, operator, born, died,
  * score. */
 void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row);
 /* How a phylogeny is written for programs that know only trees. */
 struct mo_phylogeny_shape {
-  bool first_parent; /* of two parents only the first one is named */
-  int64_t root;      /* the id of a root from which designs without parents descend; −1: none */
+  bool first_parent;   /* of two parents only the first one is named */
+  int64_t root;        /* the id of a root from which designs without parents descend; −1: none */
+  uint32_t n_measures; /* columns that follow, of a study */
 };
 /* Writes a line of the phylogeny in the ALife data standard. end: the last generation to report; a
  * design that died later is written as alive. */

@@ -11,6 +11,7 @@
 #include "api/scene.h"
 #include "api/tables.h"
 #include "http/download.h"
+#include "store/studies.h"
 
 /* Cursors have at most as many digits as the contract allows; one beyond the last design is the
  * end. */
@@ -28,18 +29,24 @@ static void write_parents(struct mo_text *text, const struct mo_descent *descent
       mo_text_format(text, n++ > 0 ? ",%u" : "%u", descent->parents[i]);
 }
 
-void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row)
+void mo_member_parents(struct mo_text *text, const struct mo_descent *descent)
 {
   mo_text_add(text, ",\"parents\":[");
-  write_parents(text, &row->descent);
+  write_parents(text, descent);
   mo_text_add(text, "]");
-  mo_text_member(text, "operator", mo_operator_words[row->descent.op]);
+}
+
+void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row)
+{
+  mo_member_parents(text, &row->descent);
+  mo_text_member(text, "operator", mo_campaign_operator(row));
   mo_text_member_count(text, "born", row->born);
   mo_member_count_if(text, "died", row->died >= 0, (uint64_t)row->died);
   mo_text_member_number(text, "score", row->score);
 }
 
-void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row)
+void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
+                             const struct mo_study_words *words)
 {
   mo_text_member_count(text, "number", row->number);
   mo_member_form(text, "id", &row->form);
@@ -47,10 +54,17 @@ void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_desi
   mo_campaign_json_life(text, row);
   mo_text_format(text, ",\"voxels\":%u,\"footprint\":%u,\"masses\":%u,\"springs\":%u",
                  row->size.voxels, row->size.footprint, row->size.masses, row->size.springs);
+  if (words == NULL || words->n_measures == 0)
+    return;
+  mo_text_name(text, "measures");
+  mo_text_object(text);
+  for (uint32_t m = 0; m < words->n_measures; m++)
+    mo_text_member_number(text, words->measures[m], m < row->n_measures ? row->measures[m] : NAN);
+  mo_text_add(text, "}");
 }
 
 static const char csv_heading[] = "id,ancestor_list,origin_time,destruction_time,operator,"
-                                  "score,design,genotype,voxels,footprint,masses,springs\n";
+                                  "score,design,genotype,voxels,footprint,masses,springs";
 
 void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row, int64_t end,
                             const struct mo_phylogeny_shape *shape)
@@ -70,26 +84,33 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
     mo_text_format(text, "%lld", (long long)row->died);
   else
     mo_text_add(text, "inf");
-  mo_text_format(text, ",%s,", mo_operator_words[row->descent.op]);
+  mo_text_format(text, ",%s,", mo_campaign_operator(row));
   if (isfinite(row->score))
     mo_text_json_number(text, row->score);
   mo_text_add(text, ",d"); /* letters, because programs that read tables take 8e00… for a number */
   mo_bits_write_id(text, &row->form);
   mo_text_add(text, ",g");
   mo_bits_write(text, &row->genotype);
-  mo_text_format(text, ",%u,%u,%u,%u\n", row->size.voxels, row->size.footprint, row->size.masses,
+  mo_text_format(text, ",%u,%u,%u,%u", row->size.voxels, row->size.footprint, row->size.masses,
                  row->size.springs);
+  for (uint32_t m = 0; m < shape->n_measures; m++) {
+    mo_text_add(text, ",");
+    if (m < row->n_measures && isfinite(row->measures[m]))
+      mo_text_json_number(text, row->measures[m]);
+  }
+  mo_text_add(text, "\n");
 }
 
 /* ---- what the calls share ---- */
 
-static void write_rows(struct mo_text *text, const struct mo_campaign_design *rows, size_t n)
+static void write_rows(struct mo_text *text, const struct mo_campaign_design *rows, size_t n,
+                       const struct mo_study_words *words)
 {
   mo_text_name(text, "items");
   mo_text_add(text, "[");
   for (size_t i = 0; i < n; i++) {
     mo_text_object(text);
-    mo_campaign_json_design(text, &rows[i]);
+    mo_campaign_json_design(text, &rows[i], words);
     mo_text_add(text, "}");
   }
   mo_text_add(text, "]");
@@ -152,7 +173,7 @@ void mo_api_get_campaign_population(struct mo_request *request)
   } else {
     struct mo_text text = {0};
     mo_text_format(&text, "{\"generation\":%lld,\"size\":%u", (long long)generation, size);
-    write_rows(&text, rows, n > 0 ? (size_t)n : 0);
+    write_rows(&text, rows, n > 0 ? (size_t)n : 0, &status.words);
     offset += n;
     if (offset < size)
       mo_text_format(&text, ",\"next_cursor\":\"%lld-%lld\"}", (long long)generation,
@@ -172,6 +193,7 @@ struct lineage {
   int64_t id;
   uint32_t number, n;
   struct mo_descent *descents;
+  struct mo_study_words words;
 };
 
 /* Reads the lineage. False: the reply is made. */
@@ -191,6 +213,8 @@ static bool read_lineage(struct mo_request *request, struct lineage *lineage)
   }
   int code = mo_store_campaign_descents(mo_api_of(request)->store, lineage->id, &lineage->descents,
                                         NULL, &lineage->n);
+  if (code == MO_OK)
+    code = mo_store_study_words(mo_api_of(request)->store, lineage->id, &lineage->words);
   if (code != MO_OK)
     mo_reply_error(request, code, "campaign");
   else if (lineage->n == 0)
@@ -222,7 +246,7 @@ static int write_marked(struct mo_request *request, const struct lineage *lineag
   if (code == MO_OK && n > 0)
     code = mo_store_campaign_designs_of(mo_api_of(request)->store, lineage->id, numbers, n, rows);
   if (code == MO_OK) {
-    write_rows(text, rows, n);
+    write_rows(text, rows, n, &lineage->words);
     mo_text_member_id(text, "next_cursor", more ? (int64_t)numbers[n - 1] : -1);
   }
   free(numbers);
@@ -268,7 +292,7 @@ void mo_api_get_campaign_design(struct mo_request *request)
     if (code == MO_OK) {
       mo_text_object(&text);
       mo_text_member_id(&text, "campaign", lineage.id);
-      mo_campaign_json_design(&text, &row);
+      mo_campaign_json_design(&text, &row, &lineage.words);
       mo_text_add(&text, ",\"children\":{");
       code = write_marked(request, &lineage, marks, after, limit, &text);
       mo_text_add(&text, "}");
@@ -303,15 +327,17 @@ void mo_api_get_campaign_relatives(struct mo_request *request)
 
 /* ---- the whole phylogeny ---- */
 
-static void reply_page(struct mo_request *request, int64_t id, int64_t after, size_t limit)
+static void reply_page(struct mo_request *request, const struct mo_campaign_status *status,
+                       int64_t after, size_t limit)
 {
+  const int64_t id = status->job.id;
   struct mo_campaign_design *rows = malloc(limit * sizeof(*rows));
   int64_t n = rows != NULL
                   ? mo_store_campaign_designs(mo_api_of(request)->store, id, after, rows, limit)
                   : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
   mo_text_add(&text, "{");
-  write_rows(&text, rows, n > 0 ? (size_t)n : 0);
+  write_rows(&text, rows, n > 0 ? (size_t)n : 0, &status->words);
   mo_text_member_id(&text, "next_cursor",
                     n > 0 && (size_t)n == limit ? (int64_t)rows[n - 1].number : -1);
   finish(request, n < 0 ? (int)n : MO_OK, &text);
@@ -325,16 +351,25 @@ struct lines {
   int64_t id, after, newest; /* newest: the last generation of the reply */
   uint64_t left;
   bool headed;
+  struct mo_study_words words;
 };
 
 static int more_lines(void *context, struct mo_text *text)
 {
   struct lines *lines = context;
   size_t limit = lines->left < MO_PAGE_MAX ? (size_t)lines->left : MO_PAGE_MAX;
-  if (!lines->headed)
+  if (!lines->headed) {
     mo_text_add(text, csv_heading);
-  if (!lines->headed && lines->shape.root >= 0)
-    mo_text_format(text, "%lld,\"[none]\",0,inf,root,,,,,,,\n", (long long)lines->shape.root);
+    for (uint32_t m = 0; m < lines->words.n_measures; m++)
+      mo_text_format(text, ",measures.%s", lines->words.measures[m]);
+    mo_text_add(text, "\n");
+  }
+  if (!lines->headed && lines->shape.root >= 0) {
+    mo_text_format(text, "%lld,\"[none]\",0,inf,root,,,,,,,", (long long)lines->shape.root);
+    for (uint32_t m = 0; m < lines->words.n_measures; m++)
+      mo_text_add(text, ",");
+    mo_text_add(text, "\n");
+  }
   lines->headed = true;
   if (limit == 0)
     return 0;
@@ -366,7 +401,8 @@ static void reply_csv(struct mo_request *request, const struct mo_campaign_statu
                           .id = status->job.id,
                           .after = -1,
                           .newest = status->generation,
-                          .left = status->n_designs};
+                          .left = status->n_designs,
+                          .words = status->words};
   mo_download_open(request, "text/csv; charset=utf-8; header=present", tag, sizeof(*lines),
                    more_lines, lines, free);
 }
@@ -487,20 +523,21 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
     return;
   }
   if (form == JSON) {
-    reply_page(request, id, after, limit);
+    reply_page(request, &status, after, limit);
     return;
   }
-  snprintf(tag, sizeof(tag), "%" PRIx64 "-phylogeny-3-%s-%lld-%lld-%llu-%d-%d-%d-%lld",
+  snprintf(tag, sizeof(tag), "%" PRIx64 "-phylogeny-3-%s-%lld-%lld-%llu-%u-%d-%d-%d-%lld",
            mo_store_id(store), forms[form], (long long)id, (long long)status.generation,
-           (unsigned long long)status.n_designs, wanted.lineages, wanted.parents, (int)wanted.root,
-           (long long)wanted.since);
+           (unsigned long long)status.n_designs, (unsigned)status.words.n_measures, wanted.lineages,
+           wanted.parents, (int)wanted.root, (long long)wanted.since);
   if (form == COLUMNS) {
     mo_api_reply_columns(request, id, wanted.since, wanted.lineages == 1, tag);
   } else if (form == NEWICK) {
     reply_newick(request, &status, tag);
   } else {
     const struct mo_phylogeny_shape shape = {wanted.parents == 1,
-                                             wanted.root == 1 ? (int64_t)status.n_designs : -1};
+                                             wanted.root == 1 ? (int64_t)status.n_designs : -1,
+                                             status.words.n_measures};
     reply_csv(request, &status, &shape, tag);
   }
 }

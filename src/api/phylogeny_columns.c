@@ -1,6 +1,7 @@
 /* phylogeny_columns.c: the phylogeny as columns, for programs that draw it whole: 17 bytes per
  * design in place of 243 as CSV. The form is that of a scene: a JSON header that describes arrays.
  */
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -34,6 +35,8 @@ static void choose_rows(struct mo_campaign_columns *columns, const uint8_t *kept
     columns->died[n] = columns->died[i];
     columns->operators[n] = columns->operators[i];
     columns->scores[n] = columns->scores[i];
+    for (uint32_t m = 0; m < columns->words.n_measures; m++)
+      columns->measures[m][n] = columns->measures[m][i];
     n++;
   }
   columns->n = n;
@@ -75,6 +78,13 @@ static void write_columns(struct mo_text *text, struct mo_text *arrays,
   const bool narrow = is_narrow(columns);
   mo_text_object(text);
   mo_text_member_count(text, "designs", total);
+  mo_text_name(text, "operators");
+  mo_text_add(text, "[");
+  for (uint32_t i = 0; i < MO_OPERATORS + columns->words.n_operators; i++)
+    mo_text_format(text, i > 0 ? ",\"%s\"" : "\"%s\"",
+                   i < MO_OPERATORS ? mo_operator_words[i]
+                                    : columns->words.operators[i - MO_OPERATORS]);
+  mo_text_add(text, "]");
   mo_text_name(text, "columns");
   mo_text_object(text);
   if (numbers != NULL)
@@ -85,6 +95,11 @@ static void write_columns(struct mo_text *text, struct mo_text *arrays,
   write_generations(text, arrays, "died", columns->died, columns->n, narrow);
   write_column(text, arrays, "operator", "uint8", columns->operators, 1, columns->n);
   write_column(text, arrays, "score", "float32", columns->scores, 4, columns->n);
+  for (uint32_t m = 0; m < columns->words.n_measures; m++) {
+    char name[MO_STUDY_WORD_MAX + 16];
+    snprintf(name, sizeof(name), "measures.%s", columns->words.measures[m]);
+    write_column(text, arrays, name, "float64", columns->measures[m], 8, columns->n);
+  }
   mo_text_add(text, "}}");
 }
 

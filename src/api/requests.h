@@ -11,6 +11,7 @@
 #include "base/fields.h"
 #include "jobs/campaigns.h"
 #include "jobs/evaluations.h"
+#include "jobs/studies.h"
 #include "jobs/trainings.h"
 
 /* ---- what several bodies share (request_parts.c, design_request.c) ---- */
@@ -47,6 +48,9 @@ extern const struct mo_fields mo_design_rules_fields, mo_on_fault_fields, mo_rep
 /* A name for a controller, of MO_NAME_BYTES_MAX + 1 bytes. */
 extern const struct mo_field_own mo_name_field;
 
+/* Reads the design at `place` of a request by its rules: adds it to the genotypes, as given and not
+ * placed, unless it was skipped. False: no memory. */
+bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t place);
 /* Notes that a design was repaired, or skipped because of a fault (else NULL). False: no memory. */
 bool mo_parts_note(struct mo_parts *parts, uint32_t place, uint32_t dropped,
                    const struct mo_fault *fault);
@@ -79,7 +83,8 @@ extern const struct mo_field_own mo_channels_field;
 /* All members of a submission, as tables; tests hold the contract to them. */
 extern const struct mo_fields mo_evaluation_request_fields, mo_rollouts_request_fields,
     mo_training_request_fields, mo_campaign_request_fields, mo_random_request_fields,
-    mo_mutation_request_fields, mo_crossing_request_fields, mo_canonical_request_fields;
+    mo_mutation_request_fields, mo_crossing_request_fields, mo_canonical_request_fields,
+    mo_tell_fields, mo_ask_fields;
 
 /* A request, and the parts that its pointers point to. */
 struct mo_parsed_evaluation {
@@ -111,6 +116,25 @@ struct mo_parsed_campaign {
 };
 int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed,
                       struct mo_faults *faults);
+
+/* The bodies of POST …/tell and …/ask of a study. The caller frees `parents` in every case. */
+struct mo_parsed_telling {
+  struct mo_study_telling telling;
+  struct mo_parts parts;         /* genotypes: of the children */
+  struct mo_workspace workspace; /* that they must fit */
+  bool has_children;
+};
+int mo_tell_parse(const char *text, size_t size, struct mo_workspace workspace,
+                  struct mo_parsed_telling *parsed, struct mo_faults *faults);
+void mo_tell_free(struct mo_parsed_telling *parsed);
+struct mo_parsed_ask {
+  struct mo_ask ask;
+  int way;
+  uint32_t *parents; /* of `ask` */
+  int error;         /* MO_ERR_NO_MEMORY */
+};
+int mo_ask_parse(const char *text, size_t size, struct mo_parsed_ask *parsed,
+                 struct mo_faults *faults);
 
 /* Parse the bodies of POST …/extend (further generations), …/champions and …/weight. */
 int mo_extension_parse(const char *text, size_t size, uint32_t *generations,

@@ -351,6 +351,19 @@ bool mo_json_string(struct mo_json *json, struct mo_json_slice *value)
   return true;
 }
 
+bool mo_json_text(struct mo_json *json, struct mo_json_slice *value)
+{
+  const enum mo_json_kind kind = mo_json_peek(json);
+  bool plain;
+  if (kind != MO_JSON_STRING)
+    return mismatch(json, kind, "a string");
+  if (!raw_string(json, value, &plain))
+    return false;
+  if (!plain)
+    mo_json_fault(json, "a string without escapes is expected");
+  return plain;
+}
+
 bool mo_json_bool(struct mo_json *json, bool *value)
 {
   enum mo_json_kind kind = mo_json_peek(json);

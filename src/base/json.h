@@ -74,6 +74,8 @@ enum mo_json_kind mo_json_peek(struct mo_json *json);
 bool mo_json_string(struct mo_json *json,
                     struct mo_json_slice *value); /* valid until the next string; a string longer
                                                      than MO_JSON_STRING_MAX is a fault, too */
+/* Reads a string of any length without escapes; `value` points into the text. */
+bool mo_json_text(struct mo_json *json, struct mo_json_slice *value);
 bool mo_json_bool(struct mo_json *json, bool *value);
 bool mo_json_number(struct mo_json *json, double *value); /* finite */
 /* Reads a whole number in min … max, judged by its digits: 3.0 and 3e0 count as 3,

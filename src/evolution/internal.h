@@ -8,7 +8,8 @@
  * renumber. */
 enum mo_selection_stream {
   MO_STREAM_GROUPS = 0, /* who mutates, who recombines */
-  MO_STREAM_TOURNAMENTS = 1
+  MO_STREAM_TOURNAMENTS = 1,
+  MO_STREAM_PARENTS = 2 /* who varies, of a study's population */
 };
 
 /* After 2^16 attempts in a row without anything new the morphospace counts as exhausted. */

@@ -5,10 +5,11 @@
 
 #include "evolution/fields.h"
 
-#define MODES   3
+#define MODES   4
 #define PRESETS 3
 
-const char *const mo_campaign_mode_words[] = {"zero-shot", "few-shot", "simultaneous", NULL};
+const char *const mo_campaign_mode_words[] = {"zero-shot", "few-shot", "simultaneous", "study",
+                                              NULL};
 const char *const mo_selection_words[] = {"truncation", "tournament", "novelty", "age-layered",
                                           NULL};
 const char *const mo_preset_words[] = {"paper", "workstation", "demo", NULL};
@@ -20,8 +21,9 @@ const char *const mo_operator_words[] = {"random",   "listed",    "inherited",
 struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum mo_preset preset)
 {
   static const uint32_t populations[PRESETS] = {8192, 512, 64};
-  static const uint32_t generations[PRESETS][MODES] = {{100, 7, 180}, {100, 10, 180}, {30, 3, 30}};
-  static const uint32_t steps[MODES] = {0, 30, 1};
+  static const uint32_t generations[PRESETS][MODES] = {
+      {100, 7, 180, 0}, {100, 10, 180, 0}, {30, 3, 30, 0}};
+  static const uint32_t steps[MODES] = {0, 30, 1, 0};
   const unsigned p = (unsigned)preset < PRESETS ? (unsigned)preset : MO_PRESET_PAPER;
   const unsigned m = (unsigned)mode < MODES ? (unsigned)mode : MO_ZERO_SHOT;
   return (struct mo_campaign_settings){
@@ -38,7 +40,7 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
                     .novelty_weight = 0.5,
                     .n_layers = 4,
                     .age_gap = 5},
-      .exclude_pretraining = true,
+      .exclude_pretraining = m != MO_STUDY,
       .collapse_share = 0.5,
       .parent_steps = steps[m],
       .child_steps = steps[m],
@@ -102,12 +104,13 @@ int mo_campaign_settings_check(const struct mo_campaign_settings *settings,
 {
   if ((unsigned)settings->mode >= MODES)
     return mo_fail(message, MO_ERR_INVALID,
-                   "mode must be 0 (zero-shot), 1 (few-shot) or 2 (simultaneous), got %d",
+                   "mode must be 0 (zero-shot), 1 (few-shot), 2 (simultaneous) or 3 (study), got "
+                   "%d",
                    (int)settings->mode);
   int r = mo_fields_check(&mo_campaign_fields, settings, message);
   if (r == MO_OK)
     r = check_designs(settings, message);
-  return r == MO_OK && settings->mode != MO_ZERO_SHOT ? check_learning(settings, message) : r;
+  return r == MO_OK && mo_mode_learns(settings->mode) ? check_learning(settings, message) : r;
 }
 
 /* ---- the training inside ---- */

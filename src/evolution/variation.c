@@ -217,6 +217,14 @@ static void shuffle(uint32_t *places, uint32_t n, uint32_t first, struct mo_rand
   }
 }
 
+void mo_variation_parents(uint64_t seed, uint32_t generation, uint32_t n, uint32_t k,
+                          uint32_t *places)
+{
+  struct mo_random random;
+  mo_random_init(&random, seed, MO_PURPOSE_SELECTION, generation, MO_STREAM_PARENTS);
+  shuffle(places, n, k, &random);
+}
+
 static int bear_all(struct nursery *nursery, uint32_t *places, uint32_t n_parents)
 {
   const struct mo_campaign_settings *settings = nursery->settings;

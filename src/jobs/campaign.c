@@ -145,7 +145,8 @@ static int prepare(struct mo_campaign_run *run)
                                            &run->n_environments);
   if (error == MO_OK)
     error = read_population(run);
-  if (error == MO_OK && run->generation <= run->settings->generations)
+  if (error == MO_OK && run->settings->mode != MO_STUDY &&
+      run->generation <= run->settings->generations)
     error = read_seen(run);
   return error;
 }
@@ -220,7 +221,10 @@ static int vary(struct mo_campaign_run *run)
   uint32_t n = 0;
   mo_campaign_enter(run, MO_PHASE_VARY, 0);
   run->variation = (struct mo_variation_counts){.mutants = 0};
-  if (run->generation == 0)
+  if (run->settings->mode == MO_STUDY) {
+    error = mo_campaign_read_told(run);
+    n = error == MO_OK ? run->told->n_children : 0;
+  } else if (run->generation == 0)
     error = make_first(run, &n);
   else
     error = mo_variation(run->settings, run->generation, run->rows->genotypes, run->n_parents,
@@ -294,14 +298,15 @@ static int run_generation(struct mo_campaign_run *run)
   int error;
   run->begin_us = mo_clock_us();
   error = vary(run);
-  if (error == MO_OK && run->n_children == 0)
+  if (error == MO_OK && run->n_children == 0 && run->told == NULL)
     error = MO_ERR_EXHAUSTED;
   if (error == MO_OK)
     error = mo_campaign_learn(run);
   if (error == MO_OK)
     error = mo_campaign_score(run);
   if (error == MO_OK)
-    error = select_survivors(run);
+    error = run->told != NULL && run->told->selects ? mo_campaign_select_told(run)
+                                                    : select_survivors(run);
   return error == MO_OK ? succeed(run) : error;
 }
 
@@ -336,7 +341,7 @@ static int finish(struct mo_campaign_run *run, enum mo_campaign_end end)
 {
   struct ending ending = {run, end};
   int error = MO_OK;
-  if (run->settings->mode != MO_ZERO_SHOT && run->generation > 0) {
+  if (mo_mode_learns(run->settings->mode) && run->generation > 0) {
     /* The result is the state of the last committed generation. This run has that state unless it
      * has committed no generation, or has found no children since. */
     if (run->learner.training == NULL)
@@ -381,6 +386,16 @@ static int evolve(struct mo_campaign_run *run)
   return error;
 }
 
+/* Runs the pending batch of a study. The commit leaves the study in the queue, where it waits for
+ * its client (MO_ERR_CONFLICT: the attempt has nothing to end). */
+static int run_told(struct mo_campaign_run *run)
+{
+  int error = run_generation(run);
+  if (error == MO_OK)
+    error = mo_campaign_settle(run);
+  return error == MO_OK ? MO_ERR_CONFLICT : error;
+}
+
 /* Saves what a stopped run has computed. */
 static int save_rest(void *context)
 {
@@ -402,6 +417,7 @@ static void clean_up(void *context)
   mo_compute_controller_free(run->frozen);
   mo_controller_free(run->controller);
   mo_seen_free(run->seen);
+  mo_study_batch_free(run->told);
   mo_exclusion_release(run, run->exclusion);
   free(run->environments);
   free_rows(&run->all_rows[0]);
@@ -421,7 +437,7 @@ static int run_campaign(struct mo_runner *runner, void *context)
   if (run->generation == 0)
     run->prepared_s = (double)(mo_clock_us() - run->begin_us) * 1e-6;
   if (error == MO_OK)
-    error = evolve(run);
+    error = run->settings->mode == MO_STUDY ? run_told(run) : evolve(run);
   mo_campaign_writing_join(run); /* the commit may reset the count of attempts */
   return error;
 }

@@ -212,7 +212,7 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
   for (uint32_t i = 0; i < n; i++)
     genotypes[i] = rows[i].genotype;
   sha256 = status.has_result ? status.result_sha256 : status.record.controller_sha256;
-  if (error == MO_OK && status.record.settings.mode != MO_ZERO_SHOT && !status.has_result)
+  if (error == MO_OK && mo_mode_learns(status.record.settings.mode) && !status.has_result)
     error = store_controller(jobs, &status, &sha256, name, &created);
   if (error != MO_OK)
     (void)mo_fail(message, error, "the champions cannot be recorded: %s", mo_error_text(error));

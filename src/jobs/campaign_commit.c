@@ -80,7 +80,7 @@ static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_gene
 /* Describes the generation; the survivors are in the other rows. */
 static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
-  const bool learns = run->settings->mode != MO_ZERO_SHOT;
+  const bool learns = mo_mode_learns(run->settings->mode);
   const struct mo_campaign_rows *survivors = run->other_rows;
   int error;
   *row = (struct mo_campaign_generation){
@@ -162,7 +162,7 @@ static int take_learning(const struct mo_campaign_run *run, struct mo_campaign_w
 /* Describes the generation for the store. Only the losses are taken from the run. */
 static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing)
 {
-  const bool is_zero_shot = run->settings->mode == MO_ZERO_SHOT;
+  const bool learns = mo_mode_learns(run->settings->mode);
   const struct mo_campaign_rows *rows = run->rows;
   writing->commit = (struct mo_campaign_commit){
       .births = rows->births,
@@ -170,6 +170,9 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
       .genotypes = rows->bits + run->n_parents,
       .sizes = rows->sizes + run->n_parents,
       .child_scores = rows->scores + run->n_parents,
+      .measures = run->told != NULL ? run->told->measures : NULL,
+      .n_measures = run->told != NULL ? run->told->n_measures : 0,
+      .is_study = run->told != NULL,
       .parent_numbers = rows->numbers,
       .parent_scores = rows->scores,
       .n_parents = run->n_parents,
@@ -180,7 +183,7 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
       .event_data = writing->generation_data,
   };
   int error = describe_generation(run, &writing->commit.row);
-  if (error == MO_OK && !is_zero_shot)
+  if (error == MO_OK && learns)
     error = take_learning(run, writing);
   if (error != MO_OK)
     return error;
@@ -195,7 +198,7 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
              MO_FIGURE(run->diversity_max));
     writing->commit.collapse_data = writing->collapse_data;
   }
-  if (is_zero_shot) {
+  if (!learns) {
     writing->losses = run->losses;
     writing->commit.losses = writing->losses;
     writing->commit.n_losses = run->n_scored;

@@ -264,7 +264,7 @@ int mo_campaign_learn(struct mo_campaign_run *run)
 {
   const uint32_t n_steps = steps_of(run, run->generation);
   int error;
-  if (run->settings->mode == MO_ZERO_SHOT)
+  if (!mo_mode_learns(run->settings->mode))
     return MO_OK;
   mo_campaign_enter(run, MO_PHASE_LEARN, n_steps);
   run->first_loss = run->last_loss = NAN;

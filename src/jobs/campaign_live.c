@@ -29,7 +29,7 @@ static double seconds_left(const struct mo_campaign_run *run, const struct mo_li
   const double after =
       run->generation < settings->generations ? settings->generations - run->generation : 0;
   const double passed = (double)(mo_clock_us() - run->begin_us) * 1e-6;
-  if (settings->mode == MO_ZERO_SHOT && live->rate > 0 && run->generation > 0) {
+  if (!mo_mode_learns(settings->mode) && live->rate > 0 && run->generation > 0) {
     double left = after * settings->population + run->n_scored - run->n_done;
     return left * run->n_environments / live->rate;
   }

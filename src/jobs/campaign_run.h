@@ -10,6 +10,7 @@
 #include "jobs/campaigns.h"
 #include "jobs/learner.h"
 #include "jobs/scoring.h"
+#include "store/studies.h"
 
 /* The candidates of a generation: type, name and length of each column. n: the population; words:
  * of a genotype. bits: in the default workspace; forms, births: of the children. */
@@ -37,7 +38,8 @@ struct mo_campaign_run {
   uint32_t n_environments;
   struct mo_exclusion *exclusion;
   struct mo_seen *seen;
-  size_t words; /* of a genotype of the campaign's workspace */
+  struct mo_study_batch *told; /* of a study */
+  size_t words;                /* of a genotype of the campaign's workspace */
 
   uint32_t generation; /* the current one */
   uint32_t n_parents, n_children;
@@ -98,6 +100,12 @@ const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase,
 int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
                      const struct mo_sha256 *controller, enum mo_back_end back_end,
                      struct mo_need *need, struct mo_message *message);
+
+/* ---- campaign_told.c: the generations of a study ---- */
+/* Reads the pending batch into the rows of the children, in the campaign's workspace. */
+int mo_campaign_read_told(struct mo_campaign_run *run);
+/* Keeps the survivors that the client chose, and all children, best first. */
+int mo_campaign_select_told(struct mo_campaign_run *run);
 
 /* ---- campaign_commit.c ---- */
 /* Describes the selected generation and starts its commit, once the one before has ended. The

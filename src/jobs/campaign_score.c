@@ -3,7 +3,7 @@
  * The candidates' losses are saved at once; on devices, when no more blocks arrive, or after a
  * second (scoring.c). If losses arrive faster than the disk writes, one transaction saves several
  * candidates. Losses that an earlier process saved are not computed again; nor, in a zero-shot
- * campaign, those that `scores` holds for a body under this controller. */
+ * campaign or a study, those that `scores` holds for a body under this controller. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -31,7 +31,7 @@ static int allocate(struct mo_campaign_run *run)
 {
   struct mo_grid *grid = &run->scoring.grid;
   mo_campaign_free_scores(run);
-  run->first_scored = run->settings->mode == MO_ZERO_SHOT ? run->n_parents : 0;
+  run->first_scored = mo_mode_learns(run->settings->mode) ? 0 : run->n_parents;
   run->n_scored = run->n_parents + run->n_children - run->first_scored;
   run->losses = calloc((size_t)run->n_scored + 1, sizeof(*run->losses));
   run->unsaved = calloc((size_t)run->n_scored + 1, sizeof(*run->unsaved));
@@ -107,7 +107,7 @@ static void look_up(void *context, size_t first, size_t end)
   free(known);
 }
 
-/* Finds bodies that an evaluation or another campaign has scored. Zero-shot only. */
+/* Finds bodies that an evaluation or another campaign has scored. Frozen controllers only. */
 static int read_known(struct mo_campaign_run *run)
 {
   struct mo_bits *asked = calloc((size_t)run->n_scored + 1, sizeof(*asked));
@@ -244,7 +244,7 @@ int mo_campaign_score(struct mo_campaign_run *run)
   int error = allocate(run);
   if (error == MO_OK)
     error = read_saved(run);
-  if (error == MO_OK && run->settings->mode == MO_ZERO_SHOT)
+  if (error == MO_OK && !mo_mode_learns(run->settings->mode))
     error = read_known(run);
   if (error != MO_OK)
     return error;

@@ -47,16 +47,16 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *se
                      struct mo_need *ret, struct mo_message *message)
 {
   const uint64_t n = settings->population;
-  struct mo_need need = {
-      .own = CAMPAIGN_BYTES + 2 * n * CANDIDATE_BYTES +
-             mo_form_set_reckon(settings->workspace, n * (settings->generations + UINT64_C(1)))};
+  struct mo_need need = {.own = CAMPAIGN_BYTES + 2 * n * CANDIDATE_BYTES};
   struct mo_lineage lineage = {.n_parts = 0};
   int error = MO_OK;
   if (controller != NULL && settings->exclude_pretraining)
     error = mo_lineage_read(jobs, controller, NULL, &lineage, message);
   if (error != MO_OK)
     return error;
-  if (settings->mode == MO_ZERO_SHOT) {
+  if (settings->mode != MO_STUDY)
+    need.own += mo_form_set_reckon(settings->workspace, n * (settings->generations + UINT64_C(1)));
+  if (!mo_mode_learns(settings->mode)) {
     need.own += n * SCORED_BYTES;
   } else {
     const uint32_t batch = mo_campaign_training(settings, 0).batch;
@@ -82,9 +82,16 @@ static int check_request(const struct mo_campaign_request *request, struct mo_me
         mo_environments_check(request->environments, record->n_environments, "a campaign", message);
   if (error != MO_OK)
     return error;
-  if (record->name[0] != '\0' && record->settings.mode == MO_ZERO_SHOT)
+  if (record->name[0] != '\0' && !mo_mode_learns(record->settings.mode))
     return mo_fail(message, MO_ERR_INVALID,
-                   "a zero-shot campaign makes no controller that could have a name");
+                   "a %s campaign makes no controller that could have a name",
+                   mo_campaign_mode_words[record->settings.mode]);
+  if (record->settings.mode == MO_STUDY &&
+      (record->settings.generations > 0 || record->replicates > 1 || record->n_listed > 0 ||
+       record->initial_campaign > 0 || record->settings.exclude_pretraining))
+    return mo_fail(message, MO_ERR_INVALID,
+                   "a study has no generations, replicates, initial population or excluded bodies: "
+                   "its client makes them");
   if (record->replicates > MO_REPLICATES_MAX)
     return mo_fail(message, MO_ERR_RANGE, "1 to %d replicates are possible, not %u",
                    MO_REPLICATES_MAX, (unsigned)record->replicates);
@@ -249,6 +256,8 @@ static int check_extension(struct mo_jobs *jobs, int64_t id, uint32_t generation
   struct mo_campaign_status status;
   struct mo_campaign_settings *settings = &status.record.settings;
   char digits[MO_SHA256_DIGITS + 8] = "sha256:";
+  if (mo_store_campaign(jobs->store, id, &status) == MO_OK && settings->mode == MO_STUDY)
+    return mo_fail(message, MO_ERR_UNSUPPORTED, "a study has as many generations as are told");
   if (mo_store_campaign(jobs->store, id, &status) != MO_OK ||
       generations > MO_GENERATIONS_MAX - settings->generations)
     return MO_OK; /* rejected elsewhere, with another message */

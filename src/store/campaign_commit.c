@@ -31,8 +31,9 @@ struct commit_arguments {
 static uint32_t parent_number(const struct mo_campaign_commit *commit, const struct mo_birth *birth,
                               int which)
 {
-  return birth->parents[which] == MO_NO_PARENT ? MO_NO_PARENT
-                                               : commit->parent_numbers[birth->parents[which]];
+  return birth->parents[which] == MO_NO_PARENT || commit->is_study
+             ? birth->parents[which]
+             : commit->parent_numbers[birth->parents[which]];
 }
 
 /* Prepares the BLOBs, and marks the survivors. */
@@ -93,11 +94,14 @@ static int check_parents(struct mo_connection *writer, struct commit_arguments *
 
 static int check_turn(struct mo_store *store, struct commit_arguments *call)
 {
-  static const char sql[] = "UPDATE jobs SET " MO_NEXT_VERSION
-                            ",attempts=0 WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
+  /* A study waits for its next batch in the queue, where nobody takes it. */
+  static const char sql[] =
+      "UPDATE jobs SET " MO_NEXT_VERSION ",attempts=0,state=iif(?3 AND state=1,0,state)"
+      " WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
   const struct mo_campaign_generation *row = &call->commit->row;
   struct mo_connection *writer = &store->writer;
-  int error = mo_sql_change(writer, sql, mo_int(call->id), mo_int(store->epoch));
+  int error = mo_sql_change(writer, sql, mo_int(call->id), mo_int(store->epoch),
+                            mo_int(call->commit->is_study));
   if (error == MO_OK)
     error = mo_campaign_head_get(writer, call->id, &call->head);
   if (error == MO_OK && call->head.generation + 1 != row->generation)
@@ -128,7 +132,7 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
 {
   static const char sql[] =
       "INSERT INTO campaign_designs(job,number,genotype,operator,parent,other_parent,born,died,"
-      "score,size) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10)";
+      "score,size,measures) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11)";
   const struct mo_campaign_commit *commit = call->commit;
   const struct mo_value born = mo_int(commit->row.generation);
   int error = MO_OK;
@@ -136,11 +140,14 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
     error = mo_genotype_row(writer, &commit->forms[i], &commit->genotypes[i], now_us,
                             &call->genotypes[i]);
   for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++)
-    error = mo_sql_do(writer, sql, mo_int(call->id), mo_int((int64_t)commit->row.born_before + i),
-                      mo_int(call->genotypes[i]), mo_int(commit->births[i].op),
-                      parent_value(commit, i, 0), parent_value(commit, i, 1), born,
-                      call->lives[commit->n_parents + i] ? mo_null() : born,
-                      mo_blob(&commit->child_scores[i], 8), mo_int(packed_size(&commit->sizes[i])));
+    error = mo_sql_do(
+        writer, sql, mo_int(call->id), mo_int((int64_t)commit->row.born_before + i),
+        mo_int(call->genotypes[i]), mo_int(commit->births[i].op), parent_value(commit, i, 0),
+        parent_value(commit, i, 1), born, call->lives[commit->n_parents + i] ? mo_null() : born,
+        mo_blob(&commit->child_scores[i], 8), mo_int(packed_size(&commit->sizes[i])),
+        commit->n_measures > 0 ? mo_blob(commit->measures + (size_t)commit->n_measures * i,
+                                         commit->n_measures * sizeof(*commit->measures))
+                               : mo_null());
   return error;
 }
 

@@ -13,7 +13,17 @@ struct mo_campaign_design {
   int64_t died; /* first generation whose population lacks it (`born`: never selected); −1: none */
   double score; /* its last score; +infinity: a rollout diverged */
   struct mo_design_size size;
+  /* Of a study. */
+  char own_operator[MO_STUDY_WORD_MAX + 1]; /* "": descent.op is one of enum mo_operator */
+  uint32_t n_measures;
+  double measures[MO_STUDY_MEASURES_MAX]; /* (n_measures) NaN: not given */
 };
+/* The word of its operator. */
+static inline const char *mo_campaign_operator(const struct mo_campaign_design *design)
+{
+  return design->own_operator[0] != '\0' ? design->own_operator
+                                         : mo_operator_words[design->descent.op];
+}
 /* Reads designs with numbers > after (−1: from the first), ascending, at most `limit` ≤
  * MO_PAGE_MAX. Takes, like all reads here, ≤ 50 ms in a campaign of a million designs. */
 int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t after,
@@ -36,8 +46,10 @@ struct mo_campaign_columns {
   uint32_t n;
   uint32_t *parents[2];  /* (n) each; MO_NO_PARENT */
   uint32_t *born, *died; /* (n) generations; died: MO_ALIVE */
-  uint8_t *operators;    /* (n) enum mo_operator */
+  uint8_t *operators;    /* (n) enum mo_operator, or MO_OPERATORS + place of a study's own word */
   float *scores;         /* (n) the last; NaN: a rollout diverged */
+  struct mo_study_words words;
+  double *measures[MO_STUDY_MEASURES_MAX]; /* (words.n_measures, n) NaN: not given */
 };
 #define MO_ALIVE       UINT32_MAX
 #define MO_COLUMNS_MAX (INT64_C(1) << 22) /* they are held in memory, some 100 bytes each */

@@ -29,8 +29,9 @@ int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_
 /* ---- designs ---- */
 
 #define DESIGN_COLUMNS                                                                             \
-  "SELECT d.number,d.operator,d.parent,d.other_parent,d.born,d.died,d.score,d.size,g.bits,x.form " \
-  "FROM"                                                                                           \
+  "SELECT d.number,d.operator,d.parent,d.other_parent,d.born,d.died,d.score,d.size,g.bits,x.form," \
+  "CASE WHEN d.operator>=5 THEN (SELECT word FROM study_words w WHERE w.job=d.job AND w.kind=0"    \
+  " AND w.place=d.operator-5) END,d.measures FROM"                                                 \
   " campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype CROSS JOIN designs x ON "         \
   "x.id=g.design"
 
@@ -39,6 +40,21 @@ static uint32_t column_parent(sqlite3_stmt *row, int column)
   return sqlite3_column_type(row, column) == SQLITE_NULL
              ? MO_NO_PARENT
              : (uint32_t)sqlite3_column_int64(row, column);
+}
+
+static int column_measures(sqlite3_stmt *row, int column, double measures[MO_STUDY_MEASURES_MAX],
+                           uint32_t *n)
+{
+  const void *bytes = sqlite3_column_blob(row, column);
+  const size_t size = (size_t)sqlite3_column_bytes(row, column);
+  *n = (uint32_t)(size / sizeof(*measures));
+  if (size % sizeof(*measures) != 0 || *n > MO_STUDY_MEASURES_MAX)
+    return MO_ERR_CORRUPT;
+  if (size > 0 && bytes == NULL)
+    return mo_column_missing(row);
+  if (size > 0)
+    memcpy(measures, bytes, size);
+  return MO_OK;
 }
 
 static int design_from_row(sqlite3_stmt *row, void *any)
@@ -55,7 +71,12 @@ static int design_from_row(sqlite3_stmt *row, void *any)
                                          .masses = (uint32_t)(size >> 16 & 1023),
                                          .voxels = (uint32_t)(size >> 26 & 1023),
                                          .footprint = (uint32_t)(size >> 36 & 1023)};
-  error = mo_column_double(row, 6, &design->score);
+  mo_column_text(row, 10, design->own_operator, sizeof(design->own_operator));
+  error = design->descent.op < MO_OPERATORS || design->own_operator[0] != '\0'
+              ? mo_column_double(row, 6, &design->score)
+              : MO_ERR_CORRUPT;
+  if (error == MO_OK)
+    error = column_measures(row, 11, design->measures, &design->n_measures);
   return error == MO_OK ? mo_column_genotype(row, 8, 9, &design->genotype, &design->form) : error;
 }
 
@@ -182,11 +203,14 @@ void mo_campaign_columns_free(struct mo_campaign_columns *columns)
   free(columns->died);
   free(columns->operators);
   free(columns->scores);
+  for (uint32_t m = 0; m < columns->words.n_measures; m++)
+    free(columns->measures[m]);
   free(columns);
 }
 
-static struct mo_campaign_columns *make_columns(size_t n)
+static struct mo_campaign_columns *make_columns(size_t n, const struct mo_study_words *words)
 {
+  bool is_whole = true;
   struct mo_campaign_columns *columns = calloc(1, sizeof(*columns));
   if (columns == NULL)
     return NULL;
@@ -196,18 +220,35 @@ static struct mo_campaign_columns *make_columns(size_t n)
   columns->died = malloc(n * sizeof(uint32_t));
   columns->operators = malloc(n);
   columns->scores = malloc(n * sizeof(float));
-  if (columns->parents[0] == NULL || columns->parents[1] == NULL || columns->born == NULL ||
-      columns->died == NULL || columns->operators == NULL || columns->scores == NULL) {
+  columns->words = *words;
+  for (uint32_t m = 0; m < words->n_measures; m++) {
+    columns->measures[m] = malloc(n * sizeof(double));
+    is_whole = is_whole && columns->measures[m] != NULL;
+  }
+  if (!is_whole || columns->parents[0] == NULL || columns->parents[1] == NULL ||
+      columns->born == NULL || columns->died == NULL || columns->operators == NULL ||
+      columns->scores == NULL) {
     mo_campaign_columns_free(columns);
     return NULL;
   }
   return columns;
 }
 
+/* Reads the measures of the next design. One that is older than a measure does not have it. */
+static int read_measures(sqlite3_stmt *row, int column, struct mo_campaign_columns *columns)
+{
+  double measures[MO_STUDY_MEASURES_MAX] = {0};
+  uint32_t n = 0;
+  const int error = column_measures(row, column, measures, &n);
+  for (uint32_t m = 0; m < columns->words.n_measures; m++)
+    columns->measures[m][columns->n] = m < n ? measures[m] : NAN;
+  return error;
+}
+
 static int read_columns(struct mo_connection *reader, int64_t id, int64_t n,
                         struct mo_campaign_columns *columns)
 {
-  static const char sql[] = "SELECT number,operator,parent,other_parent,born,died,score"
+  static const char sql[] = "SELECT number,operator,parent,other_parent,born,died,score,measures"
                             " FROM campaign_designs WHERE job=?1 ORDER BY number";
   int error = MO_OK;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
@@ -225,6 +266,8 @@ static int read_columns(struct mo_connection *reader, int64_t id, int64_t n,
         sqlite3_column_type(row, 5) == SQLITE_NULL ? MO_ALIVE : mo_column_u32(row, 5);
     error = mo_column_double(row, 6, &score);
     columns->scores[i] = isfinite(score) ? (float)score : NAN;
+    if (error == MO_OK && columns->words.n_measures > 0)
+      error = read_measures(row, 7, columns);
     columns->n++;
   }
   return error;
@@ -235,11 +278,14 @@ int mo_store_campaign_columns(struct mo_store *store, int64_t id, struct mo_camp
   static const char sql[] = "SELECT count(*) FROM campaign_designs WHERE job=?1";
   struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_columns *columns = NULL;
+  struct mo_study_words words;
   int64_t n = 0;
   int error = mo_sql_find(reader, &n, sql, mo_int(id));
+  if (error == MO_OK)
+    error = mo_study_words_get(reader, id, &words);
   if (error == MO_OK && n > MO_COLUMNS_MAX)
     error = MO_ERR_LIMIT;
-  if (error == MO_OK && (columns = make_columns((size_t)n + 1)) == NULL)
+  if (error == MO_OK && (columns = make_columns((size_t)n + 1, &words)) == NULL)
     error = MO_ERR_NO_MEMORY;
   if (error == MO_OK)
     error = read_columns(reader, id, n, columns);

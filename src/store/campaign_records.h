@@ -8,6 +8,18 @@
 
 #define MO_REPLICATES_MAX 100
 
+/* What a study's client may name: operators and measures, each a word of A-Z, a-z, 0-9, '_', '.'
+ * and '-', in the order of their first use. */
+#define MO_STUDY_WORD_MAX      32
+#define MO_STUDY_OPERATORS_MAX 32
+#define MO_STUDY_MEASURES_MAX  16
+#define MO_SAMPLER_BYTES_MAX   ((size_t)16 << 20)
+struct mo_study_words {
+  uint32_t n_operators, n_measures;
+  char operators[MO_STUDY_OPERATORS_MAX][MO_STUDY_WORD_MAX + 1];
+  char measures[MO_STUDY_MEASURES_MAX][MO_STUDY_WORD_MAX + 1];
+};
+
 /* The settings of a campaign. */
 struct mo_campaign_record {
   struct mo_campaign_settings settings; /* generations: including extensions */
@@ -73,6 +85,11 @@ struct mo_campaign_status {
   uint32_t scored;                    /* designs of the current generation whose losses are saved */
   bool has_result;
   struct mo_sha256 result_sha256; /* the controller of a succeeded campaign that learns */
+  /* Of a study. */
+  int64_t told; /* newest batch; beyond `generation`: it is pending */
+  struct mo_study_words words;
+  uint64_t sampler_bytes; /* state of the sampler of the newest generation; 0: none */
+  struct mo_sha256 sampler_sha256;
 };
 
 #endif

@@ -41,6 +41,11 @@ struct mo_campaign_members {
 int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_t generation,
                             struct mo_campaign_members *members);
 
+/* Reads what only a study has: the newest batch, its words, the state of its sampler. */
+int mo_study_status_get(struct mo_connection *connection, int64_t id,
+                        struct mo_campaign_status *status);
+int mo_study_words_get(struct mo_connection *connection, int64_t id, struct mo_study_words *words);
+
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id);
 
 /* Writes the row of a checkpoint and deletes the rows that it replaces. is_committed: it is the

@@ -73,12 +73,16 @@ int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t
 /* A whole generation, committed in one transaction. */
 struct mo_campaign_commit {
   struct mo_campaign_generation row; /* seconds as measured; the store fills in stored_us */
-  const struct mo_birth *births; /* (row.n_children); parents: places in the population before */
+  /* (row.n_children); parents: places in the population before, of a study numbers of designs */
+  const struct mo_birth *births;
   const struct mo_bits *forms, *genotypes; /* (row.n_children) of the children */
   const struct mo_design_size *sizes;      /* (row.n_children) */
   const double *child_scores;              /* (row.n_children) */
-  const uint32_t *parent_numbers;          /* (n_parents) the population before, in its order */
-  const double *parent_scores;             /* (n_parents) as used by the selection */
+  const double *measures;                  /* (row.n_children, n_measures) of a study */
+  uint32_t n_measures;
+  bool is_study;                  /* whose state is queued after the commit */
+  const uint32_t *parent_numbers; /* (n_parents) the population before, in its order */
+  const double *parent_scores;    /* (n_parents) as used by the selection */
   uint32_t n_parents;
   const uint32_t *survivors; /* (n_survivors) places in parents, then children; in the order of the
                                 new population */

@@ -105,6 +105,8 @@ static int insert_replicate(struct mo_store *store, const struct mo_job_request 
       "n_listed,initial_campaign,replicates_of,replicate,replicates,generation,n_designs,"
       "diversity_max,ended,scored_generation,scored)"
       " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,?11,-1,0,0,0,-1,0)";
+  static const char study_sql[] =
+      "INSERT INTO studies(job,batch,sha256,children) VALUES(?1,-1,zeroblob(32),x'')";
   struct mo_connection *writer = &store->writer;
   struct mo_campaign_record record = setting->record;
   const struct mo_value generations = mo_int(record.settings.generations);
@@ -125,6 +127,8 @@ static int insert_replicate(struct mo_store *store, const struct mo_job_request 
                   mo_int(setting->physics), mo_int(setting->set), mo_int(setting->n_environments),
                   mo_int(record.n_listed), mo_int(record.initial_campaign), mo_int(*group),
                   mo_int(replicate), mo_int(record.replicates));
+  if (error == MO_OK && record.settings.mode == MO_STUDY)
+    error = mo_sql_do(writer, study_sql, mo_int(id));
   snprintf(data, sizeof(data),
            "{\"id\":\"%lld\",\"kind\":\"campaign\",\"state\":\"queued\",\"generations\":%u,"
            "\"replicates_of\":\"%lld\"}",

@@ -62,6 +62,8 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   status->diversity_max = sqlite3_column_double(row, MO_COLUMN_DIVERSITY_MAX);
   status->end = (enum mo_campaign_end)sqlite3_column_int(row, MO_COLUMN_ENDED);
   status->scored = mo_column_u32(row, MO_COLUMN_SCORED);
+  if (error == MO_OK && status->record.settings.mode == MO_STUDY)
+    error = mo_study_status_get(reader, id, status);
   if (error == MO_OK && status->generation >= 0)
     error = mo_row_newest(reader, MO_CAMPAIGN_GENERATIONS, id, &status->last, &found);
   return error == MO_OK && !found ? MO_ERR_CORRUPT : error;

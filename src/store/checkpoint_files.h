@@ -18,6 +18,8 @@ struct mo_checkpoint {
   uint64_t size;
   struct mo_sha256 sha256;
   char *path;
+  /* Nullable: looks, before the file is written, whether it may be. */
+  int (*check)(struct mo_store *store, void *arguments);
   bool was_there;
   struct mo_checkpoints_removed dropped; /* that it replaces */
 };

@@ -137,7 +137,9 @@ int mo_checkpoint_write(struct mo_store *store, const uint8_t *bytes,
 {
   int error;
   pthread_mutex_lock(&store->checkpoints_mutex);
-  error = bytes != NULL ? begin(store, bytes, checkpoint) : MO_OK;
+  error = checkpoint->check != NULL ? checkpoint->check(store, arguments) : MO_OK;
+  if (error == MO_OK && bytes != NULL)
+    error = begin(store, bytes, checkpoint);
   if (error == MO_OK)
     error = mo_write(store, run, arguments);
   end(store, checkpoint, error);

@@ -102,8 +102,11 @@ static int take_id(sqlite3_stmt *statement, void *id)
 int64_t mo_store_queued_runs(struct mo_store *store, enum mo_job_kind kind, int64_t *ids,
                              size_t limit)
 {
+  /* A study without a pending batch waits for its client. */
   static const char sql[] =
-      "SELECT id FROM jobs WHERE state=0 AND kind=?1 ORDER BY priority DESC,id LIMIT ?2";
+      "SELECT id FROM jobs WHERE state=0 AND kind=?1 AND NOT EXISTS(SELECT 1 FROM studies s JOIN"
+      " campaigns m ON m.job=s.job WHERE s.job=jobs.id AND s.batch<=m.generation)"
+      " ORDER BY priority DESC,id LIMIT ?2";
   return mo_read_page(store, sql, MO_VALUES(mo_int(kind), mo_int((int64_t)limit)), take_id, ids,
                       sizeof(*ids));
 }

@@ -321,14 +321,18 @@ static void designs(void)
       .born = 2,
       .died = 4,
       .score = INFINITY,
-      .size = {1, 1, 8, 24}};
+      .size = {1, 1, 8, 24},
+      .n_measures = 1,
+      .measures = {0.1}};
+  const struct mo_study_words words = {.n_measures = 2, .measures = {"reach", "height"}};
   struct mo_text text = {0};
   mo_text_add(&text, "{");
-  mo_campaign_json_design(&text, &row);
+  mo_campaign_json_design(&text, &row, &words);
   mo_text_add(&text, "}");
   parse(&text);
   CHECK(json_is_null(at("score")) && json_integer_value(at("died")) == 4);
   CHECK_INT(json_array_size(at("parents")), 1);
+  CHECK(json_real_value(at("measures.reach")) == 0.1 && json_is_null(at("measures.height")));
   check_design(&row, 4, "5,\"[3]\",2,4,mutation,,d80000");
   check_design(&row, 3, "5,\"[3]\",2,inf,mutation,,"); /* at the end of generation 3 it lived */
   row.descent = (struct mo_descent){.parents = {MO_NO_PARENT, MO_NO_PARENT}, .op = MO_BORN_RANDOM};
@@ -338,7 +342,7 @@ static void designs(void)
   check_shape(&row, 9, (struct mo_phylogeny_shape){.root = 20}, "5,\"[20]\",2,");
   row.descent = (struct mo_descent){.parents = {3, 4}, .op = MO_BORN_CROSSOVER};
   check_design(&row, 9, "5,\"[3,4]\",2,");
-  check_shape(&row, 9, (struct mo_phylogeny_shape){true, 20}, "5,\"[3]\",2,");
+  check_shape(&row, 9, (struct mo_phylogeny_shape){true, 20, 0}, "5,\"[3]\",2,");
 }
 
 static void replicates(void)

@@ -8,7 +8,7 @@ static void names(void)
   CHECK_TEXT(mo_selection_words[MO_SELECT_AGE_LAYERED], "age-layered");
   CHECK_TEXT(mo_preset_words[MO_PRESET_WORKSTATION], "workstation");
   CHECK_TEXT(mo_operator_words[MO_BORN_CROSSOVER], "crossover");
-  CHECK(mo_campaign_mode_words[3] == NULL && mo_preset_words[3] == NULL &&
+  CHECK(mo_campaign_mode_words[4] == NULL && mo_preset_words[3] == NULL &&
         mo_operator_words[MO_OPERATORS] == NULL);
 }
 
@@ -48,8 +48,8 @@ static void refused(void)
     int code;
     const char *says;
   } cases[] = {
-      {ZERO, FIELD(s.mode), 3, MO_ERR_INVALID,
-       "mode must be 0 (zero-shot), 1 (few-shot) or 2 (simultaneous), got 3"},
+      {ZERO, FIELD(s.mode), 4, MO_ERR_INVALID,
+       "mode must be 0 (zero-shot), 1 (few-shot), 2 (simultaneous) or 3 (study), got 4"},
       {ZERO, FIELD(s.selection.kind), 4, MO_ERR_INVALID,
        "\"truncation\", \"tournament\", \"novelty\" or \"age-layered\", got number 4"},
       {ZERO, FIELD(s.workspace.nx), 7, MO_ERR_RANGE, "1x1x1 to 6x6x4 voxels, got 7x6x4"},

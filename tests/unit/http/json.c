@@ -4,6 +4,7 @@
 
 #include <jansson.h>
 
+#include "base/base64.h"
 #include "base/json.h"
 #include <morpho/random.h>
 
@@ -226,6 +227,40 @@ static void strings(void)
   CHECK(!mo_json_string(&json, &word) && !faults.malformed && faults.n == 1);
 }
 
+/* Strings that are longer than those above, and the bytes in them. */
+static void bytes(void)
+{
+  static const struct {
+    const char *text;
+    size_t n; /* SIZE_MAX: refused */
+  } cases[] = {{"\"\"", 0},
+               {"\"AP8=\"", 2},
+               {"\"AP9=\"", SIZE_MAX},
+               {"\"AA==\"", 1},
+               {"\"AB==\"", SIZE_MAX},
+               {"\"A===\"", SIZE_MAX},
+               {"\"====\"", SIZE_MAX},
+               {"\"AP8\"", SIZE_MAX},
+               {"\"AAAAAP8=\"", 5},
+               {"\"AA==AAAA\"", SIZE_MAX},
+               {"\"AA AA\"", SIZE_MAX},
+               {"\"+/+/\"", 3}};
+  struct mo_json_slice text;
+  uint8_t decoded[8] = {1};
+  size_t n;
+  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+    faults = (struct mo_faults){0};
+    mo_json_start(&json, cases[i].text, strlen(cases[i].text), &faults);
+    REQUIRE(mo_json_text(&json, &text));
+    const bool good = mo_base64_decode(text.bytes, text.size, decoded, &n);
+    CHECK(good == (cases[i].n != SIZE_MAX) && (!good || n == cases[i].n));
+  }
+  CHECK(decoded[0] == 0xfb && decoded[1] == 0xff && decoded[2] == 0xbf);
+  faults = (struct mo_faults){0};
+  mo_json_start(&json, "\"a\\u0041\"", 9, &faults);
+  CHECK(!mo_json_text(&json, &text) && faults.n == 1 && !faults.malformed);
+}
+
 static void many_faults(void)
 {
   char text[400] = "[";
@@ -305,6 +340,7 @@ static const struct check_case cases[] = {
     {"reads numbers", numbers},
     {"resolves escapes in keys", escaped_keys},
     {"reads strings", strings},
+    {"reads bytes", bytes},
     {"stops at many faults", many_faults},
     {"agrees with jansson", agrees_with_jansson},
 };

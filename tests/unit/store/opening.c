@@ -64,6 +64,8 @@ static void refuses_version_0_1(void)
 /* A database of version 9: what later ones added is not there. */
 static const char version_9[] =
     "DROP TABLE design_notes; ALTER TABLE evaluations DROP COLUMN n_skipped;"
+    "DROP TABLE study_words; DROP TABLE studies;"
+    "ALTER TABLE campaign_designs DROP COLUMN measures;"
     "DROP INDEX jobs_of_user; DROP INDEX jobs_of_user_by_state; DROP INDEX jobs_of_user_by_kind;"
     "DROP INDEX jobs_of_user_by_kind_and_state; DROP INDEX jobs_of_user_by_label;"
     "DROP INDEX jobs_of_user_by_label_and_state; DROP INDEX jobs_of_user_by_label_and_kind;"

@@ -1,0 +1,36 @@
+/* base64.c: see base64.h. */
+#include "base/base64.h"
+
+static int value_of(char c)
+{
+  if (c >= 'A' && c <= 'Z')
+    return c - 'A';
+  if (c >= 'a' && c <= 'z')
+    return c - 'a' + 26;
+  if (c >= '0' && c <= '9')
+    return c - '0' + 52;
+  return c == '+' ? 62 : c == '/' ? 63 : -1;
+}
+
+bool mo_base64_decode(const char *text, size_t size, uint8_t *bytes, size_t *n)
+{
+  const size_t padding = size == 0 ? 0 : text[size - 1] != '=' ? 0 : text[size - 2] != '=' ? 1 : 2;
+  *n = 0;
+  if (size % 4 != 0)
+    return false;
+  for (size_t i = 0; i < size; i += 4) {
+    const size_t given = i + 4 < size ? 4 : 4 - padding;
+    uint32_t bits = 0;
+    for (size_t k = 0; k < 4; k++) {
+      const int value = k < given ? value_of(text[i + k]) : 0;
+      if (value < 0)
+        return false;
+      bits = bits << 6 | (uint32_t)value;
+    }
+    for (size_t k = 0; k + 1 < given; k++)
+      bytes[(*n)++] = (uint8_t)(bits >> (16 - 8 * k));
+    if (given < 4 && (bits & (given == 3 ? 0xff : 0xffff)) != 0)
+      return false;
+  }
+  return true;
+}

@@ -1,0 +1,13 @@
+/* base64.h: bytes as text (RFC 4648, with padding). */
+#ifndef MORPHO_BASE_BASE64_H
+#define MORPHO_BASE_BASE64_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+/* Decodes `size` characters; bytes: room for size / 4 · 3. *n: bytes written. False: it is not
+ * Base64, has blanks, lacks its padding, or has bits beyond its last byte. */
+bool mo_base64_decode(const char *text, size_t size, uint8_t *bytes, size_t *n);
+
+#endif
