@@ -1,7 +1,7 @@
 /* recordings.c: all that an evaluation recorded in one channel, as one array of NumPy: (designs,
  * environments, frames, …). Designs have different numbers of masses and springs, so the last sides
- * are those of the largest one, and the rest is filled with what no recording has. It is read and
- * sent rollout by rollout. */
+ * are those of the largest one, and the rest is filled with what no recording has; so are designs
+ * that were skipped. It is read and sent rollout by rollout. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -21,8 +21,26 @@ struct recordings {
   uint32_t n_designs, n_environments, next; /* next: the rollout to send */
   struct mo_trajectory_sides sides;         /* the largest of all */
   size_t row;                               /* bytes of a frame */
+  struct mo_design_note *notes;             /* (n_notes) */
+  uint32_t n_notes, note;                   /* note: the first at or behind the next rollout's */
   bool begun;
 };
+
+static void free_recordings(void *any)
+{
+  struct recordings *all = any;
+  free(all->notes);
+  free(all);
+}
+
+/* Whether the design was skipped. Designs are asked for in order. */
+static bool is_skipped(struct recordings *all, uint32_t design)
+{
+  while (all->note < all->n_notes && all->notes[all->note].place < design)
+    all->note++;
+  return all->note < all->n_notes && all->notes[all->note].place == design &&
+         mo_is_skipped(&all->notes[all->note]);
+}
 
 /* Appends the header of the file. */
 static void write_header(struct mo_text *text, const struct recordings *all)
@@ -51,11 +69,13 @@ static void write_header(struct mo_text *text, const struct recordings *all)
 /* Appends what fills up a row of `missing` bytes. */
 static void fill(struct mo_text *text, enum mo_channel channel, size_t missing)
 {
-  const float nan = NAN;
-  const uint8_t none = channel == MO_RECORD_ACTUATION ? 0x80 : 0xFF; /* −128 or 255 */
-  const size_t width = channel == MO_RECORD_MASSES ? sizeof(nan) : 1;
+  const double nan = NAN;
+  const float nan_float = NAN;
+  const uint8_t none[] = {0x80, 0xFF}; /* −128, 255 */
+  const void *const values[MO_CHANNELS] = {&nan, &nan_float, &none[0], &none[1]};
+  const size_t width = mo_channel_width(channel);
   for (size_t i = 0; i < missing; i += width)
-    mo_text_bytes(text, width == 1 ? (const void *)&none : (const void *)&nan, width);
+    mo_text_bytes(text, values[__builtin_ctz(channel)], width);
 }
 
 /* Appends one rollout. */
@@ -86,13 +106,16 @@ static int more_rollouts(void *context, struct mo_text *text)
     write_header(text, all);
   all->begun = true;
   while (error == MO_OK && all->next < n && text->size < PIECE_BYTES) {
+    const uint32_t design = all->next / all->n_environments, k = all->next++ % all->n_environments;
     struct mo_trajectory *trajectory = NULL;
-    error = mo_store_trajectory(all->store, all->id, all->next / all->n_environments,
-                                all->next % all->n_environments, &trajectory);
+    if (is_skipped(all, design)) {
+      fill(text, all->channel, all->row * all->sides.frames);
+      continue;
+    }
+    error = mo_store_trajectory(all->store, all->id, design, k, &trajectory);
     if (error == MO_OK)
       error = write_rollout(text, all, trajectory);
     mo_trajectory_free(trajectory);
-    all->next++;
   }
   return error != MO_OK ? error : all->next < n;
 }
@@ -135,8 +158,10 @@ void mo_api_get_trajectories(struct mo_request *request)
   if (!choose(request, &job, &all.channel))
     return;
   error = mo_store_trajectory_sides(store, all.id, &all.sides);
-  if (error == MO_OK && all.sides.n < (uint64_t)job.n_designs * job.n_environments)
+  if (error == MO_OK && (all.sides.n == 0 || all.sides.n < job.rollouts_total))
     error = MO_ERR_NOT_FOUND;
+  if (error == MO_OK)
+    error = mo_store_design_notes(store, all.id, &all.notes, &all.n_notes);
   if (error != MO_OK) {
     mo_reply_no_recording(request, &job, error);
     return;
@@ -146,6 +171,7 @@ void mo_api_get_trajectories(struct mo_request *request)
   all.row = mo_recording_frame_bytes(all.channel, all.sides.masses, all.sides.springs);
   struct recordings *kept = malloc(sizeof(*kept));
   if (kept == NULL) {
+    free(all.notes);
     mo_reply_error(request, MO_ERR_NO_MEMORY, "reply");
     return;
   }
@@ -153,5 +179,5 @@ void mo_api_get_trajectories(struct mo_request *request)
   snprintf(tag, sizeof(tag), "%llx-recordings-%lld-%u", (unsigned long long)mo_store_id(store),
            (long long)all.id, all.channel);
   mo_download_open(request, types[form], tag, sizeof(*kept) + 2 * PIECE_BYTES, more_rollouts, kept,
-                   free);
+                   free_recordings);
 }

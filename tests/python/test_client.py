@@ -10,6 +10,7 @@ import pandas
 import pytest
 
 import morphod
+from morphod.bodies import largest_pieces
 from service import BOOTSTRAP, DESIGN
 
 SHORT = {"n_steps": 20}
@@ -26,7 +27,8 @@ def test_scores_are_those_of_the_service(m, service):
     assert evaluation[1].body.footprint() == 2 and evaluation[1].lost == ()
     assert [result.score for result in evaluation] == evaluation.scores.tolist()
     table = evaluation.frame()
-    assert list(table.columns) == ["id", "genotype", "score", "diverged",
+    assert list(table.columns) == ["id", "genotype", "score", "diverged", "voxels",
+                                   "masses", "springs", "footprint", "repaired", "fault",
                                    *(f"loss_{n}" for n in range(10))]
     assert table["loss_3"].tolist() == evaluation.losses[:, 3].tolist()
     again = m.evaluation(evaluation.id)
@@ -51,6 +53,41 @@ def test_repair_is_told(m):
     evaluation = m.evaluate([apart], physics=SHORT, repair="largest")
     assert evaluation[0].lost == ("1 voxels that did not belong to the largest piece", )
     assert evaluation[0].genotype.count("1") == 2
+
+
+def test_faults_are_told_per_design(m):
+    """Found here or by the service: places stay, also in recordings and tables."""
+    bodies = [np.ones((7, 1, 1)), [[0, 0, 0]], [[0, 0, 0], [4, 0, 0]], np.zeros((6, 6, 4)),
+              "0" * 36]
+    evaluation = m.evaluate(bodies, physics=SHORT, on_fault="skip", record=["com", "masses"])
+    assert np.isnan(evaluation.scores).tolist() == [True, False, True, True, True]
+    faults = [result.fault for result in evaluation]
+    assert faults[1] is None and "axis 0 (x)" in faults[0] and "not connected" in faults[2]
+    assert evaluation.frame()["voxels"].isna().tolist() == [True, False, True, True, True]
+    for array in ("com", "masses"):
+        recorded = evaluation.recordings(array)
+        assert recorded.shape[:2] == (5, 10)
+        own = np.stack([evaluation.recording(1, k, array) for k in range(10)])
+        assert (recorded[1].astype(np.float32) == own).all()
+        assert np.isnan(recorded[[0, 2, 3, 4]]).all()
+    group = m.campaign("zero-shot", preset="demo", population=4, generations=0, physics=SHORT,
+                       initial=bodies, on_fault="skip", repair="largest")
+    assert [row["place"] for row in group[0].data["founders"]] == [0, 2, 3, 4]
+    group.wait()
+
+
+def test_bodies_of_the_service(m):
+    random = m.random_bodies(40, seed=3)
+    assert random.shape == (40, 6, 6, 4) and (m.random_bodies(7, seed=3) == random[:7]).all()
+    ids = m.canonical(random)
+    assert len(set(ids)) == 40 and m.canonical(random[:, ::-1]) == ids == m.canonical(ids)
+    mutants = m.mutate(random, children=2, rate=0.01)
+    assert mutants.shape == (80, 6, 6, 4) and not {*m.canonical(mutants)} & {*ids}
+    children = m.cross(random[:-1], random[1:])
+    assert len(m.canonical(children)) == 39 and not m.cross(random[:1], random[:1]).any()
+    torn = np.random.default_rng(2).random((50, 6, 6, 4)) > 0.6
+    scored = m.evaluate(torn, physics={"n_steps": 1}, repair="largest")
+    assert scored.ids == m.canonical(largest_pieces(torn))  # the same piece here and there
 
 
 def test_recordings(m, service):

@@ -15,6 +15,7 @@ from ._sync.handles import Campaign, Campaigns, Evaluation, Job, Training
 from .bodies import WORKSPACE, Body
 from .errors import (AccessError, ApiError, BodyError, BusyError, ConflictError, InvalidError,
                      JobError, MorphodError, NotFoundError, UnreachableError, WaitError)
+from .imports import read_bodies
 from .local import LocalClient, local
 from .phylogenies import Phylogeny
 from .player import Player
@@ -30,5 +31,5 @@ __all__ = [
     "BusyError", "Campaign", "Campaigns", "Client", "ConflictError", "Controller", "Evaluation",
     "InvalidError", "Job", "JobError", "LocalClient", "MorphodError", "NotFoundError", "Objective",
     "Phylogeny", "Player", "Result", "Rollout", "Scene", "Training", "UnreachableError",
-    "WaitError", "local", "read_safetensors", "write_safetensors",
+    "WaitError", "local", "read_bodies", "read_safetensors", "write_safetensors",
 ]

@@ -33,6 +33,11 @@ BodyLike = Union["Body", str, Mapping[str, Any], "NDArray[Any]", Sequence[Any]]
 Repair = Literal["largest"]
 """How a body that is not in one piece is repaired: its largest piece stays."""
 
+OnFault = Literal["refuse", "skip"]
+"""What something that is no body does to the others: they are refused, or it is left out."""
+
+_EMPTY = "a body needs at least one voxel, and this one has none"
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Body:
@@ -63,16 +68,13 @@ class Body:
         """
         made = _convert(body)
         if not made.voxels.any():
-            raise BodyError("a body needs at least one voxel, and this one has none")
+            raise BodyError(_EMPTY)
         if repair is None:
             return made
         if repair != "largest":
             raise BodyError(f'repair is "largest" or None, not {repair!r}')
         kept = largest_pieces(made.voxels[np.newaxis])[0]
-        gone = int(made.voxels.sum() - kept.sum())
-        if gone == 0:
-            return made
-        return cls(kept, (*made.lost, f"{gone} voxels that did not belong to the largest piece"))
+        return cls(kept, made.lost + dropped(int(made.voxels.sum() - kept.sum())))
 
     @property
     def genotype(self) -> str:
@@ -103,6 +105,11 @@ class Body:
         return int(self.voxels.any(axis=2).sum())
 
 
+def dropped(voxels: int) -> tuple[str, ...]:
+    """What a repair adds to `lost`."""
+    return (f"{voxels} voxels that did not belong to the largest piece", ) if voxels else ()
+
+
 def genotypes_of(voxels: NDArray[np.bool_]) -> list[str]:
     """The genotypes of an array of bodies of the shape (n, 6, 6, 4)."""
     digits = (voxels.reshape(len(voxels), _VOXELS).astype(np.uint8) + ord("0")).tobytes()
@@ -112,8 +119,8 @@ def genotypes_of(voxels: NDArray[np.bool_]) -> list[str]:
 
 def largest_pieces(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The largest piece of each of n bodies (n, 6, 6, 4): voxels that are joined through faces. Of
-    pieces of one size the one with the voxel of the highest index stays."""
-    places = np.arange(1, _VOXELS + 1, dtype=np.uint8).reshape(WORKSPACE)
+    pieces of one size the one with the voxel of the lowest index stays, as the service does it."""
+    places = np.arange(_VOXELS, 0, -1, dtype=np.uint8).reshape(WORKSPACE)
     label = np.where(voxels, places, np.uint8(0))
     left = np.arange(len(voxels))  # bodies whose labels still spread
     while left.size:
@@ -137,49 +144,48 @@ def largest_pieces(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return largest
 
 
-def requests_of(bodies: Iterable[BodyLike] | NDArray[Any],
-                repair: Repair | None = None) -> tuple[list[dict[str, str]], list[tuple[str, ...]]]:
-    """Bodies as designs of a request, and for each what its conversion lost.
+def requests_of(bodies: Iterable[BodyLike] | NDArray[Any], on_fault: OnFault = "refuse"
+                ) -> tuple[list[dict[str, str]], list[tuple[str, ...]], dict[int, str]]:
+    """Bodies as designs of a request, for each what its conversion lost, and what is wrong with
+    those that have to be skipped, by place.
 
     An array of the shape (n, 6, 6, 4) is converted as a whole. Raises `BodyError`, which names the
-    place of the body.
+    place of the body, unless it is to be skipped.
     """
     if isinstance(bodies, np.ndarray) and bodies.ndim == 4 and bodies.shape[1:] == WORKSPACE:
-        return _array_requests(bodies, repair)
+        voxels = bodies != 0
+        empty = np.flatnonzero(~voxels.reshape(len(voxels), -1).any(axis=1))
+        if empty.size and on_fault != "skip":
+            raise BodyError(f"body {empty[0]}: {_EMPTY}")
+        designs = [{"voxels": genotype} for genotype in genotypes_of(voxels)]
+        return designs, [_materials(bodies)] * len(bodies), {}
     if isinstance(bodies, (str, Mapping, Body)):
         raise BodyError("a list of bodies is expected: put this one in brackets")
     designs = []
     lost: list[tuple[str, ...]] = []
+    faults: dict[int, str] = {}
     for place, body in enumerate(bodies):
-        if repair is None and isinstance(body, str) and _is_id(body):
+        if isinstance(body, str) and _is_id(body):
             designs.append({"id": body})
             lost.append(())
             continue
         try:
-            made = Body.of(body, repair)
+            made = Body.of(body)
         except BodyError as error:
-            raise BodyError(f"body {place}: {error}") from None
+            if on_fault != "skip":
+                raise BodyError(f"body {place}: {error}") from None
+            faults[place] = str(error)
+            made = Body(np.zeros(WORKSPACE, dtype=np.bool_))  # which the service skips
         designs.append({"voxels": made.genotype})
         lost.append(made.lost)
-    return designs, lost
+    return designs, lost, faults
 
 
-def _array_requests(bodies: NDArray[Any], repair: Repair | None
-                    ) -> tuple[list[dict[str, str]], list[tuple[str, ...]]]:
-    voxels = bodies != 0
-    empty = np.flatnonzero(~voxels.reshape(len(voxels), -1).any(axis=1))
-    if empty.size:
-        raise BodyError(f"body {empty[0]}: a body needs at least one voxel, and this one has none")
-    materials = _materials(bodies)
-    lost: list[tuple[str, ...]] = [materials] * len(bodies)
-    if repair is not None:
-        kept = largest_pieces(voxels)
-        gone = (voxels & ~kept).sum(axis=(1, 2, 3))
-        for place in np.flatnonzero(gone):
-            lost[place] = (*materials,
-                           f"{gone[place]} voxels that did not belong to the largest piece")
-        voxels = kept
-    return [{"voxels": genotype} for genotype in genotypes_of(voxels)], lost
+def voxels_of(genotypes: Iterable[str | None]) -> NDArray[np.bool_]:
+    """The array of bodies of the shape (n, 6, 6, 4) of genotypes; None gives an empty one."""
+    digits = "".join(genotype or "0" * _VOXELS for genotype in genotypes).encode()
+    voxels: NDArray[np.bool_] = np.frombuffer(digits, dtype=np.uint8) == ord("1")
+    return voxels.reshape(-1, *WORKSPACE)
 
 
 def _is_id(text: str) -> bool:
@@ -214,8 +220,8 @@ def _from_text(text: str) -> NDArray[np.bool_]:
     if len(digits) != _VOXELS or set(digits) - {"0", "1"}:
         raise BodyError(f"a text of {len(text)} characters is neither a genotype (144 digits 0 or "
                         "1) nor an id (36 hexadecimal digits)")
-    voxels: NDArray[np.bool_] = np.frombuffer(digits.encode(), dtype=np.uint8) == ord("1")
-    return voxels.reshape(WORKSPACE)
+    voxels: NDArray[np.bool_] = voxels_of([digits])[0]
+    return voxels
 
 
 def _from_mapping(body: Mapping[str, Any]) -> Body:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .bodies import Body
+from .bodies import Body, dropped
 from .weights import read_safetensors, torch_module
 
 if TYPE_CHECKING:
@@ -19,14 +19,18 @@ class Result:
     """The scores of one design in all environments of its evaluation.
 
     `id` is the canonical form of the design, `genotype` what was simulated, `lost` what the
-    conversion of the body left out.
+    conversion and the repair of the body left out. `fault` is None, or why there was no body to
+    score: then `id` and `genotype` are empty, and the score is NaN.
     """
 
-    def __init__(self, data: Mapping[str, Any], lost: tuple[str, ...]) -> None:
+    def __init__(self, data: Mapping[str, Any], lost: tuple[str, ...],
+                 fault: str | None = None) -> None:
         self.data = data
-        self.lost = lost
-        self.id = str(data["id"])
-        self.genotype = str(data["genotype"])
+        self.lost = lost + dropped(data["repaired"])
+        told = data["fault"]
+        self.fault: str | None = fault if told and fault else told and str(told["detail"])
+        self.id = str(data["id"] or "")
+        self.genotype = str(data["genotype"] or "")
         score = data["score"]
         self.score = float("nan") if score is None else float(score)
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..bodies import BodyLike, Repair, requests_of
+from ..bodies import BodyLike, OnFault, Repair, requests_of, voxels_of
 from ..frames import frame
 from ..objectives import Plan
 from ..player import Player
@@ -21,6 +21,7 @@ from .handles import (Campaign, Campaigns, Evaluation, Training, curves,
                       curves_of, player)
 
 if TYPE_CHECKING:
+    import numpy as np
     import pandas as pd
     from numpy.typing import NDArray
     from typing_extensions import Self
@@ -68,27 +69,29 @@ class Client:
                        priority: Literal["interactive", "batch"] | None = None,
                        weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
                        label: str | None = None, verify: bool = False,
-                       repair: Repair | None = None, wait: bool = True) -> Evaluation:
+                       repair: Repair | None = None, on_fault: OnFault = "refuse",
+                       wait: bool = True) -> Evaluation:
         """Scores up to 10,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest).
 
         `wait=False` returns at once; the evaluation is durable then. `record` takes "com" and
         "masses", kept at every `record_stride` steps. `physics` overrides single numbers, such as
         `{"n_steps": 500}`. `repair="largest"` keeps the largest piece of bodies that are not in one
-        piece.
+        piece. `on_fault="skip"` leaves out what is no body; its result has a `fault`, and NaN.
         """
-        designs, lost = requests_of(bodies, repair)
+        designs, lost, faults = requests_of(bodies, on_fault)
         if not 0 < len(designs) <= _DESIGNS_MAX:
             raise ValueError(f"an evaluation takes 1 to {_DESIGNS_MAX} bodies, not {len(designs)}")
         value: dict[str, Any] = {
             "designs": designs, "environments": environments, "controller": controller,
             "precision": precision, "weight": weight, "device": device, "verify": verify,
-            **_given(physics=physics, priority=priority, label=label),
+            "on_fault": on_fault,
+            **_given(physics=physics, priority=priority, label=label, repair=repair),
         }
         if record:
             value.update(record=list(record), record_stride=record_stride)
         data = self._connection.json(
             Request.submit("/v1/evaluations", value, wait_s=WAIT_S if wait else 0))
-        evaluation = Evaluation(self._connection, data, lost)
+        evaluation = Evaluation(self._connection, data, lost, faults)
         if wait:
             evaluation.wait()
         return evaluation
@@ -106,11 +109,11 @@ class Client:
                        repair: Repair | None = None) -> Scene:
         """Up to 64 rollouts that are stored nowhere, with what they recorded: for viewers and
         editors. The losses are those of an evaluation, bit for bit."""
-        designs, _ = requests_of(bodies, repair)
+        designs, _, _ = requests_of(bodies)
         request = Request.post("/v1/rollouts", {
             "designs": designs, "environments": environments, "controller": controller,
             "record": list(record), "record_stride": record_stride, "precision": precision,
-            **_given(physics=physics),
+            **_given(physics=physics, repair=repair),
         }, accept=MEDIA_TYPE)
         return Scene((self._connection.send(request)).content)
 
@@ -128,6 +131,43 @@ class Client:
         scene = self.rollouts(bodies, [environments[environment]], controller=controller,
                                     record_stride=4, physics=physics, repair=repair)
         return player(self._connection, scene, title)
+
+    def random_bodies(self, count: int, seed: int = 1) -> NDArray[np.bool_]:
+        """Distinct random bodies (count, 6, 6, 4), as trainings draw them; nothing is stored. The
+        same seed gives the same bodies."""
+        return voxels_of(row["genotype"] for row in
+                         self._make("random", {"count": count, "seed": seed}))
+
+    def mutate(self, bodies: Iterable[BodyLike] | NDArray[Any], seed: int = 1, *,
+                     children: int = 1, rate: float | None = None) -> NDArray[np.bool_]:
+        """Mutants as campaigns make them: `children` of each body, (bodies · children, 6, 6, 4), in
+        the order of the bodies. Each differs from all bodies and all other mutants. `rate` is the
+        probability that a voxel flips; without it 1/144."""
+        return voxels_of(row["genotype"] for row in self._make("mutate", {
+            "designs": requests_of(bodies)[0], "seed": seed, "children": children,
+            **_given(rate=rate)}))
+
+    def cross(self, bodies: Iterable[BodyLike] | NDArray[Any],
+                    others: Iterable[BodyLike] | NDArray[Any]) -> NDArray[np.bool_]:
+        """The children (n, 6, 6, 4) of n bodies and n others: the voxels that exactly one parent
+        has, the largest piece of them. Equal parents have none: their child is empty."""
+        first, second = requests_of(bodies)[0], requests_of(others)[0]
+        if len(first) != len(second):
+            raise ValueError(f"{len(first)} bodies cannot be crossed with {len(second)}")
+        pairs = [[place, len(first) + place] for place in range(len(first))]
+        return voxels_of(row["genotype"] for row in self._make(
+            "cross", {"designs": first + second, "pairs": pairs}))
+
+    def canonical(self, bodies: Iterable[BodyLike] | NDArray[Any]) -> list[str]:
+        """The ids of bodies: their canonical forms, which rotations about z and reflections in x
+        and y do not change. `Body.of` turns one into a body."""
+        return [row["id"] for row in
+                self._make("canonical", {"designs": requests_of(bodies)[0]})]
+
+    def _make(self, how: str, value: Mapping[str, Any]) -> list[dict[str, Any]]:
+        made = self._connection.json(Request.post(f"/v1/bodies/{how}", value))
+        items: list[dict[str, Any]] = made["items"]
+        return items
 
     def objective(self, measures: Sequence[Any] | None = None, *,
                   decode: Callable[[Any], BodyLike] | None = None,
@@ -154,11 +194,12 @@ class Client:
                        preset: Literal["paper", "workstation", "demo"] | None = None,
                        replicates: int = 1, label: str | None = None,
                        initial: Iterable[BodyLike] | NDArray[Any] | Campaign | None = None,
+                       repair: Repair | None = None, on_fault: OnFault = "refuse",
                        **settings: Any) -> Campaigns:
         """Starts a campaign, or `replicates` of them with the seeds `seed`, `seed + 1`, …
 
         `initial` are the bodies of the first population, or a campaign whose population it goes on
-        from. `settings` are those of the contract (docs/evolution.md), such as `population`,
+        from; `repair` and `on_fault` are those of `evaluate`. `settings` are those of the contract (docs/evolution.md), such as `population`,
         `generations`, `seed`, `selection`, `mutation`, `physics`.
         """
         value: dict[str, Any] = {"mode": mode, "replicates": replicates,
@@ -166,7 +207,8 @@ class Client:
         if isinstance(initial, Campaign):
             value["initial"] = {"campaign": initial.id}
         elif initial is not None:
-            value["initial"] = {"designs": requests_of(initial)[0]}
+            value["initial"] = {"designs": requests_of(initial, on_fault)[0],
+                                "on_fault": on_fault, **_given(repair=repair)}
         first = self._connection.json(Request.submit("/v1/campaigns", value))
         members = [Campaign(self._connection, first)]
         if replicates > 1:

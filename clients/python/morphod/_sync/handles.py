@@ -132,8 +132,10 @@ class Evaluation(Job):
     _list = "/v1/evaluations"
 
     def __init__(self, connection: Connection, data: dict[str, Any],
-                 lost: Sequence[tuple[str, ...]] = ()) -> None:
+                 lost: Sequence[tuple[str, ...]] = (),
+                 faults: Mapping[int, str] | None = None) -> None:
         super().__init__(connection, data)
+        self._faults = faults or {}
         self.lost = lost
         """Per design what the conversion of its body left out; empty where it is not known."""
 
@@ -156,8 +158,8 @@ class Evaluation(Job):
         return np.array([row["losses"] for row in self._results], dtype=np.float64)
 
     @property
-    def ids(self) -> list[str]:
-        """The designs' ids: their canonical forms."""
+    def ids(self) -> list[str | None]:
+        """The designs' ids: their canonical forms; None where there was no body."""
         return [row["id"] for row in self._results]
 
     def __len__(self) -> int:
@@ -165,14 +167,16 @@ class Evaluation(Job):
 
     def __getitem__(self, place: int) -> Result:
         row = self._results[place]
-        return Result(row, tuple(self.lost[place]) if self.lost else ())
+        lost = tuple(self.lost[place]) if self.lost else ()
+        return Result(row, lost, self._faults.get(place % len(self)))
 
     def __iter__(self) -> Iterator[Result]:
         return (self[place] for place in range(len(self)))
 
     def frame(self) -> pd.DataFrame:
-        """A table with a line per design: id, genotype, score, diverged (rollouts), and a column
-        loss_0, loss_1, … per environment."""
+        """A table with a line per design: id, genotype, score, diverged (rollouts), voxels, masses,
+        springs, footprint, repaired (voxels that were dropped), fault (None, or why there was no
+        body), and a column loss_0, loss_1, … per environment."""
         results = self._results
         losses = self.losses
         table: pd.DataFrame = pandas().DataFrame({
@@ -180,6 +184,9 @@ class Evaluation(Job):
             "genotype": [row["genotype"] for row in results],
             "score": self.scores,
             "diverged": [len(row["diverged"]) for row in results],
+            **{name: [row[name] for row in results]
+               for name in ("voxels", "masses", "springs", "footprint", "repaired")},
+            "fault": [result.fault for result in self],
             **{f"loss_{place}": losses[:, place] for place in range(losses.shape[1])},
         })
         return table
@@ -207,7 +214,7 @@ class Evaluation(Job):
         environments, frames, springs), contacts (designs, environments, frames, masses).
 
         Designs differ in masses and springs: the array is as large as the largest one, and the rest
-        of the others is NaN, -128 in actuation, 255 in contacts.
+        of the others, and designs that were skipped, are NaN, -128 in actuation, 255 in contacts.
         """
         reply = self._connection.send(Request.get(
             f"/v1/evaluations/{self.id}/trajectories", accept="application/octet-stream",
