@@ -105,8 +105,8 @@ def _voxcraft(text: bytes) -> NDArray[np.uint8]:
     structure = next(root.iter("Structure"), None)
     data = structure.find("Data") if structure is not None else None
     if structure is None or data is None:
-        raise BodyError("the file has no Structure with Data: a VXD takes the body of its VXA where "
-                        "it has none of its own")
+        raise BodyError("the file has no Structure with Data: a VXD without one has the body of "
+                        "its VXA")
     try:
         sides = [int(structure.findtext(side, "1")) for side in _SIDES]
     except ValueError:
@@ -165,7 +165,8 @@ def check_hashes(polycubes: NDArray[Any], hashes: list[str]) -> NDArray[np.uint8
     """The bodies (n, X, Y, Z) of a population, after a look whether the axes are those that its
     hashes were made with: of the first bodies, since each takes 0.1 ms."""
     if polycubes.ndim != 4 or len(polycubes) != len(hashes):
-        raise BodyError(f"robots/polycubes has the shape {polycubes.shape} for {len(hashes)} hashes")
+        raise BodyError(f"robots/polycubes has the shape {polycubes.shape}, and there are "
+                        f"{len(hashes)} hashes")
     for place, (polycube, told) in enumerate(zip(polycubes[:100], hashes)):
         if _hash(polycube) != told:
             raise BodyError(f"body {place} has another hash than robots/pc_hashes tells: the file "

@@ -199,8 +199,9 @@ class Client:
         """Starts a campaign, or `replicates` of them with the seeds `seed`, `seed + 1`, …
 
         `initial` are the bodies of the first population, or a campaign whose population it goes on
-        from; `repair` and `on_fault` are those of `evaluate`. `settings` are those of the contract (docs/evolution.md), such as `population`,
-        `generations`, `seed`, `selection`, `mutation`, `physics`.
+        from; `repair` and `on_fault` are those of `evaluate`. `settings` are those of the contract
+        (docs/evolution.md), such as `population`, `generations`, `seed`, `selection`, `mutation`,
+        `physics`.
         """
         value: dict[str, Any] = {"mode": mode, "replicates": replicates,
                                  **_given(preset=preset, label=label), **settings}
