@@ -19,7 +19,7 @@
 void mo_write_refusal(int fd, unsigned status, const char *id, const char *detail)
 {
   struct mo_text body = {0}, head = {0};
-  mo_problem_write(&body, status, "about:blank", detail, "", id, NULL);
+  mo_problem_write(&body, status, detail, "", id, NULL);
   mo_text_format(&head,
                  "HTTP/1.1 %u %s\r\nContent-Type: application/problem+json\r\nContent-Length: "
                  "%zu\r\nX-Request-Id: %s\r\n"

@@ -5,8 +5,9 @@
 #include "base/faults.h"
 #include "base/text.h"
 
-/* Writes a problem document. type: "about:blank" or "/problems/…"; faults nullable. */
-void mo_problem_write(struct mo_text *text, unsigned status, const char *type, const char *detail,
+/* Writes a problem document. Its type is the path of a page that explains it: docs/problems.md has
+ * a part for each. faults nullable. */
+void mo_problem_write(struct mo_text *text, unsigned status, const char *detail,
                       const char *instance, const char *request_id, const struct mo_faults *faults);
 
 #endif

@@ -50,15 +50,6 @@ void mo_reply_json(struct mo_request *request, unsigned status, struct mo_text *
   *text = (struct mo_text){0};
 }
 
-/* Returns the type of a problem, for programs: what its status alone does not say. */
-static const char *problem_type(unsigned status, const struct mo_faults *faults)
-{
-  return status == 400 && faults != NULL && faults->malformed ? "/problems/malformed-json"
-         : status == 422                                      ? "/problems/invalid-request"
-         : status == 507                                      ? "/problems/no-space"
-                                                              : "about:blank";
-}
-
 void mo_request_note(struct mo_request *request, const char *format, ...)
 {
   va_list arguments;
@@ -85,12 +76,11 @@ void mo_reply_problem(struct mo_request *request, unsigned status, const struct 
   if (status >= 500)
     mo_request_note(request, "%s", words);
   struct mo_text text = {0};
-  mo_problem_write(&text, status, problem_type(status, faults), words, request->path, request->id,
-                   faults);
+  mo_problem_write(&text, status, words, request->path, request->id, faults);
   mo_text_bytes(&text, "\n", 1);
   static const char bare[] =
-      "{\"type\":\"about:blank\",\"title\":\"Service Unavailable\",\"status\":503,\"detail\":\"Out "
-      "of memory.\",\"instance\":\"\",\"request_id\":\"0000000000000000\"}\n";
+      "{\"type\":\"/problems/unavailable\",\"title\":\"Service Unavailable\",\"status\":503,"
+      "\"detail\":\"Out of memory.\",\"instance\":\"\",\"request_id\":\"0000000000000000\"}\n";
   if (text.failed) {
     mo_text_free(&text);
     mo_reply_static(request, 503, "application/problem+json", bare, sizeof(bare) - 1);

@@ -359,8 +359,7 @@ static void problems(void)
   mo_faults_add(&faults, MO_FAULT_PARAMETER, "limit", "%s", longest);
   for (int i = 0; i < 40; i++)
     mo_faults_add(&faults, MO_FAULT_HEADER, longest, "again");
-  mo_problem_write(&text, 422, "about:blank", "detail \xff", "/v1/\"x", "0123456789abcdef",
-                   &faults);
+  mo_problem_write(&text, 422, "detail \xff", "/v1/\"x", "0123456789abcdef", &faults);
   json_error_t error;
   json_t *tree = json_loads(text.data, JSON_REJECT_DUPLICATES, &error);
   REQUIRE(tree != NULL);
