@@ -6,6 +6,8 @@
  * one thread at a time; calls on different devices run concurrently. `lay_out`, `layout_free`,
  * `allocate` and `release` may be called from any thread, also during a call on a device.
  *
+ * What is passed was checked before: a module refuses only what its kernels lack.
+ *
  * Same bits: the outcome of a row depends only on its body, environment, controller, physics
  * and the device's compute capability: not on its neighbors in the call, nor on the
  * device's number. Two runs give the same bits.
@@ -19,8 +21,7 @@
  *                       are still released
  *   MO_ERR_CANCELLED    the flag `cancel` was set
  *   MO_ERR_UNSUPPORTED  a workspace, sensor or option that the kernels lack: the caller uses
- *                       the CPU
- *   MO_ERR_INVALID      something is missing or not finite */
+ *                       the CPU */
 #ifndef MORPHO_COMPUTE_DEVICE_H
 #define MORPHO_COMPUTE_DEVICE_H
 
@@ -58,7 +59,7 @@ struct mo_device_score {
   const struct mo_robot
       *robots; /* (n) rows: body, environment; faster if rows of one body are adjacent */
   uint32_t n;  /* 1 … MO_DEVICE_ROWS_MAX */
-  struct mo_physics physics;  /* checked */
+  struct mo_physics physics;
   const volatile int *cancel; /* NULL or a flag, read between launches of at most 100 ms */
   /* Results. */
   struct mo_outcome *outcomes; /* (n) */
@@ -71,7 +72,7 @@ struct mo_device_gradient {
   const struct mo_controller *controller; /* uploaded by the call: it changes with each step */
   const struct mo_robot *robots;          /* (n) rows */
   uint32_t n;                             /* 1 … MO_DEVICE_ROWS_MAX */
-  struct mo_physics physics;              /* checked */
+  struct mo_physics physics;
   struct mo_device_layout
       *layout;                  /* NULL, or the finished layout of these same robots and physics */
   double adjoint_bound, weight; /* as in mo_gradient_options */

@@ -56,18 +56,6 @@ bool fits_half(const mo_controller *c)
   return true;
 }
 
-bool is_valid(const mo_device_gradient *call)
-{
-  const mo_gradient_options options = {call->adjoint_bound, call->weight, call->adjoint_rule, call->restart_weight};
-  if (call->controller == nullptr || call->robots == nullptr || call->n == 0 || call->d_parameters == nullptr ||
-      call->outcomes == nullptr || mo_gradient_options_check(&options) != MO_OK)
-    return false;
-  for (uint32_t i = 0; i < call->n; i++)
-    if (call->robots[i].body == nullptr || call->robots[i].environment == nullptr)
-      return false;
-  return mo_physics_check(&call->physics, nullptr) == MO_OK;
-}
-
 } // namespace
 
 int mo_cuda_gradient_open(mo_device *device)
@@ -129,8 +117,6 @@ int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *ca
   s->profile = mo_cuda_gradient_profile();
   call->counts = mo_gradient_counts();
   call->host_s = call->device_s = 0;
-  if (!is_valid(call))
-    return MO_ERR_INVALID;
   if (!mo_workspace_equal(call->controller->workspace, mo_workspace{6, 6, 4}) || !fits_half(call->controller)) {
     snprintf(device->error, sizeof(device->error), "not a controller that these kernels do");
     return MO_ERR_UNSUPPORTED;

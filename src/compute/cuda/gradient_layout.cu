@@ -54,8 +54,6 @@ int mo_cuda_gradient_lay_out(const struct mo_device *device, const struct mo_rob
                              const struct mo_physics *physics, struct mo_device_layout **ret)
 {
   mo_device_layout *layout = *ret;
-  if (robots == nullptr || n == 0 || mo_physics_check(physics, nullptr) != MO_OK)
-    return MO_ERR_INVALID;
   if (layout == nullptr) {
     layout = *ret = (mo_device_layout *)calloc(1, sizeof(*layout));
     if (layout == nullptr)

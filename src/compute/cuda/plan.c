@@ -296,8 +296,6 @@ int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t
 {
   struct distinct bodies, environments;
   *plan = (struct mo_plan){.robots = robots, .n = n};
-  if (n == 0)
-    return MO_ERR_INVALID;
   plan->memory = malloc(carve_plan(plan, &bodies, &environments, NULL));
   if (plan->memory == NULL)
     return MO_ERR_NO_MEMORY;
@@ -322,8 +320,6 @@ void mo_plan_measure(struct mo_plan *plan, uint32_t n_threads)
 
 int mo_plan_cut(struct mo_plan *plan, const struct mo_plan_options *options)
 {
-  if (options->rows < 1 || options->rows > MO_PLAN_ROWS_MAX)
-    return MO_ERR_INVALID;
   arrange(plan);
   const int status = cut_groups(plan, options);
   if (status == MO_OK)

@@ -142,23 +142,11 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   return mo_cuda_check(device, cudaEventElapsedTime(device_ms, device->begin, device->end), "timing");
 }
 
-bool is_valid(const mo_device_score *score)
-{
-  if (score->n == 0 || score->robots == nullptr || score->outcomes == nullptr)
-    return false;
-  for (uint32_t r = 0; r < score->n; r++)
-    if (score->robots[r].body == nullptr || score->robots[r].environment == nullptr)
-      return false;
-  return mo_physics_check(&score->physics, nullptr) == MO_OK;
-}
-
 } // namespace
 
 int mo_cuda_score_rows(mo_device *device, mo_device_score *score)
 {
   const double start_s = now_s();
-  if (!is_valid(score))
-    return MO_ERR_INVALID;
   const mo_cuda_score_kernel &kernel = *device->score;
   const uint32_t blocks = (uint32_t)device->multiprocessors * kernel.blocks;
   mo_plan_options options = {};

@@ -299,12 +299,6 @@ static void refusals(void)
 {
   struct mo_plan plan;
   struct mo_plan_options bad = options;
-  CHECK_INT(cut(&plan, robots, 0, 1, &options), MO_ERR_INVALID);
-  mo_plan_free(&plan);
-  bad.rows = MO_PLAN_ROWS_MAX + 1;
-  CHECK_INT(cut(&plan, robots, N, 1, &bad), MO_ERR_INVALID);
-  mo_plan_free(&plan);
-  bad = options;
   bad.group_bytes = options.column_bytes + options.part_bytes + 244 * options.place_bytes +
                     MO_DEFAULT_SPRINGS * options.length_bytes; /* 245 masses in one row need more */
   CHECK_INT(cut(&plan, robots, N, 1, &bad), MO_ERR_UNSUPPORTED);
