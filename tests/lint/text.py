@@ -15,12 +15,11 @@ PLACES = [
     "meson.build", "meson_options.txt", "schema", "src", "systemd", "tests", "tools"
 ]
 SUFFIXES = {
-    "", ".1", ".8", ".build", ".c", ".h", ".in", ".inc", ".md", ".py", ".sh", ".socket", ".sql",
-    ".txt"
+    "", ".1", ".8", ".build", ".c", ".cu", ".cuh", ".h", ".in", ".inc", ".md", ".py", ".sh",
+    ".socket", ".sql", ".txt"
 }
-# Inputs of tests, built files, and the page that names the words. The CUDA module changes only
-# beside a measurement on a device.
-SKIPPED = re.compile(r"^src/compute/cuda/|(^|/)(__pycache__|\.pytest_cache|corpus|golden|build[^/]*)/|^docs/style.md$|"
+# Inputs of tests, built files, and the page that names the words.
+SKIPPED = re.compile(r"(^|/)(__pycache__|\.pytest_cache|corpus|golden|build[^/]*)/|^docs/style.md$|"
                      r"^tests/lint/text.py$")
 WIDTH = 100
 

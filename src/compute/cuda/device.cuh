@@ -1,4 +1,5 @@
-/* device.cuh: one opened device: its stream, its buffers, which grow and stay, and its last failure. */
+/* device.cuh: one opened device: its stream, its buffers, which grow and stay, and its last
+ * failure. */
 #ifndef MORPHO_COMPUTE_CUDA_DEVICE_CUH
 #define MORPHO_COMPUTE_CUDA_DEVICE_CUH
 
@@ -53,8 +54,9 @@ struct mo_device_layout {
 
 /* What lasts from one call for gradients to the next. */
 struct mo_cuda_gradient_state {
-  cudaStream_t beside;          /* for the flag only */
-  cudaEvent_t marks[5], copied; /* before and after each part of a pass; when the host has what came of the rows */
+  cudaStream_t beside; /* for the flag only */
+  cudaEvent_t marks[5],
+      copied; /* before and after each part of a pass; when the host has what came of the rows */
   mo_cuda_buffer buffers[PLACES], weights;
   mo_cuda_buffer sums, results, parameters; /* pinned */
   int *cancel;                              /* on the device; read by the kernels */
@@ -101,10 +103,11 @@ static inline double now_s()
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-/* MO_OK, or the code for `status`, whose text and the name of what failed are kept; after any but a lack of memory
- * the device is lost. */
+/* MO_OK, or the code for `status`, whose text and the name of what failed are kept; after any but a
+ * lack of memory the device is lost. */
 int mo_cuda_check(mo_device *device, cudaError_t status, const char *what);
-/* Makes the buffer at least that large; its contents are lost if it grows. A buffer that cannot grow is empty. */
+/* Makes the buffer at least that large; its contents are lost if it grows. A buffer that cannot
+ * grow is empty. */
 int mo_cuda_reserve(mo_device *device, mo_cuda_buffer *buffer, size_t bytes);
 int mo_cuda_reserve_pinned(mo_device *device, mo_cuda_buffer *buffer, size_t bytes);
 void mo_cuda_release(mo_cuda_buffer *buffer);
@@ -112,8 +115,9 @@ void mo_cuda_release_pinned(mo_cuda_buffer *buffer);
 /* Reserves, and copies in the device's stream. */
 int mo_cuda_upload(mo_device *device, mo_cuda_buffer *buffer, const void *from, size_t bytes);
 
-/* Waits for all work on the device's stream; looks at `cancel` (nullable) meanwhile, and passes it on to the kernels by
- * device->cancel. MO_ERR_CANCELLED; after any other error the device is lost. */
+/* Waits for all work on the device's stream; looks at `cancel` (nullable) meanwhile, and passes it
+ * on to the kernels by device->cancel. MO_ERR_CANCELLED; after any other error the device is lost.
+ */
 int mo_cuda_wait(mo_device *device, const volatile int *cancel);
 
 /* sin(10 t + 2πk/5) of all steps, on the device: device->generators. */
@@ -124,7 +128,9 @@ int mo_cuda_score_rows(mo_device *device, mo_device_score *score);
 /* Of an opened device, and of one that may have been opened in part. */
 int mo_cuda_gradient_open(mo_device *device);
 void mo_cuda_gradient_close(mo_device *device);
-/* The gradient of what was laid out, whose weights are checked. memory_bytes: as of mo_cuda_gradient_run. */
-int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradient_plan &plan, uint64_t memory_bytes);
+/* The gradient of what was laid out, whose weights are checked. memory_bytes: as of
+ * mo_cuda_gradient_run. */
+int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradient_plan &plan,
+                         uint64_t memory_bytes);
 
 #endif

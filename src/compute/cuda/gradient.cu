@@ -1,4 +1,5 @@
-/* gradient.cu: calls for gradients, and what they need of a device: checked here, laid out by gradient_layout.cu, run by gradient_run.cu. */
+/* gradient.cu: calls for gradients, and what they need of a device: checked here, laid out by
+ * gradient_layout.cu, run by gradient_run.cu. */
 #include "compute/cuda/device.cuh"
 
 #include <math.h>
@@ -38,19 +39,22 @@ int place_weights(mo_device *device)
   return MO_OK;
 }
 
-/* float16 holds the weights, and what the hidden layers can come to; no bias is so large that LayerNorm's squares leave float32. */
+/* float16 holds the weights, and what the hidden layers can come to; no bias is so large that
+ * LayerNorm's squares leave float32. */
 bool fits_half(const mo_controller *c)
 {
   const float limit = 6e4f;
   for (int l = 0; l <= MO_HIDDEN_LAYERS; l++) {
-    const size_t n = (l < MO_HIDDEN_LAYERS ? MO_HIDDEN : (size_t)c->n_springs) * (l == 0 ? c->n_inputs : MO_HIDDEN);
+    const size_t n = (l < MO_HIDDEN_LAYERS ? MO_HIDDEN : (size_t)c->n_springs) *
+                     (l == 0 ? c->n_inputs : MO_HIDDEN);
     unsigned larger = 0;
     for (size_t i = 0; i < n; i++)
       larger |= !(fabsf(c->weight[l][i]) <= limit);
     if (larger)
       return false;
     for (int i = 0; l < MO_HIDDEN_LAYERS && i < MO_HIDDEN; i++)
-      if (!(16 * fabsf(c->norm_gain[l][i]) + fabsf(c->norm_shift[l][i]) <= limit) || !(fabsf(c->bias[l][i]) <= limit))
+      if (!(16 * fabsf(c->norm_gain[l][i]) + fabsf(c->norm_shift[l][i]) <= limit) ||
+          !(fabsf(c->bias[l][i]) <= limit))
         return false;
   }
   return true;
@@ -64,7 +68,10 @@ int mo_cuda_gradient_open(mo_device *device)
   uint32_t forward = 0, back = 0, products = 0;
   int block = 0;
   const int status = in_turn(
-      [&] { return (int)cudaDeviceGetAttribute(&block, cudaDevAttrMaxSharedMemoryPerBlockOptin, device->index); },
+      [&] {
+        return (int)cudaDeviceGetAttribute(&block, cudaDevAttrMaxSharedMemoryPerBlockOptin,
+                                           device->index);
+      },
       [&] { return mo_gk_open_forward((uint32_t)block, &forward); },
       [&] { return mo_gk_open_back((uint32_t)block, &back); },
       [&] { return mo_gk_open_products((uint32_t)block, &products); },
@@ -110,14 +117,16 @@ void mo_cuda_gradient_close(mo_device *device)
     cudaStreamDestroy(s->beside);
 }
 
-int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *call, uint64_t memory_bytes)
+int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *call,
+                         uint64_t memory_bytes)
 {
   const double since = now_s();
   mo_cuda_gradient_state *s = &device->gradient;
   s->profile = mo_cuda_gradient_profile();
   call->counts = mo_gradient_counts();
   call->host_s = call->device_s = 0;
-  if (!mo_workspace_equal(call->controller->workspace, mo_workspace{6, 6, 4}) || !fits_half(call->controller)) {
+  if (!mo_workspace_equal(call->controller->workspace, mo_workspace{6, 6, 4}) ||
+      !fits_half(call->controller)) {
     snprintf(device->error, sizeof(device->error), "not a controller that these kernels do");
     return MO_ERR_UNSUPPORTED;
   }
@@ -127,17 +136,21 @@ int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *ca
         return mo_cuda_check(device,
                              in_turn([&] { return cudaSetDevice(device->index); },
                                      [&] { return cudaStreamSynchronize(s->beside); },
-                                     [&] { return cudaMemsetAsync(s->cancel, 0, sizeof(*s->cancel), device->stream); }),
+                                     [&] {
+                                       return cudaMemsetAsync(s->cancel, 0, sizeof(*s->cancel),
+                                                              device->stream);
+                                     }),
                              "device");
       },
       [&] { return s->weights.memory == nullptr ? place_weights(device) : MO_OK; },
       [&] {
-        /* Physics is compared by the caller, who says that it is the same; a device with another size of shared
-         * memory forms other groups. */
+        /* Physics is compared by the caller, who says that it is the same; a device with another
+         * size of shared memory forms other groups. */
         if (layout != nullptr && layout->robots == call->robots && layout->n == call->n &&
             layout->shared_bytes == s->shared_bytes)
           return (int)MO_OK;
-        const int laid = mo_cuda_gradient_lay_out(device, call->robots, call->n, &call->physics, &s->layout);
+        const int laid =
+            mo_cuda_gradient_lay_out(device, call->robots, call->n, &call->physics, &s->layout);
         layout = s->layout;
         return laid;
       });
@@ -150,7 +163,8 @@ int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *ca
     cudaStreamSynchronize(device->stream);
     r = MO_ERR_NO_MEMORY;
   }
-  call->device_s = s->profile.forward_s + s->profile.back_s + s->profile.products_s + s->profile.collect_s;
+  call->device_s =
+      s->profile.forward_s + s->profile.back_s + s->profile.products_s + s->profile.collect_s;
   call->host_s = now_s() - since - call->device_s;
   return r;
 }

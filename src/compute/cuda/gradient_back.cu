@@ -1,6 +1,7 @@
-/* gradient_back.cu: the way back through physics, sensors and network, from a launch's last step to its first. Leaves ∂loss/∂ what each layer
- * sums for the products that give the parameters' gradient. A row whose adjoint is not finite becomes zeros from there on and is reported; the
- * host then walks back again without it, so that nothing of it is left in the sums. */
+/* gradient_back.cu: the way back through physics, sensors and network, from a launch's last step to
+ * its first. Leaves ∂loss/∂ what each layer sums for the products that give the parameters'
+ * gradient. A row whose adjoint is not finite becomes zeros from there on and is reported; the host
+ * then walks back again without it, so that nothing of it is left in the sums. */
 #include "compute/cuda/gradient_back_physics.cuh"
 
 /* ∂loss/∂ outputs on their way to the tape: of each eight tiles, sixteen bytes for each thread. */
@@ -25,7 +26,8 @@ struct output_copy {
   }
 };
 
-/* As load_weights, and where it is written: the compiler would put loads last, to have their registers for something else. */
+/* As load_weights, and where it is written: the compiler would put loads last, to have their
+ * registers for something else. */
 static __device__ __forceinline__ uint4 load_weights_here(const uint4 *p)
 {
   uint4 w;
@@ -56,11 +58,12 @@ template <int MT> struct left_tile {
   }
 };
 
-/* Adds the sixteen tiles from `now` on, which follow one another in memory; the ring has the first of them, and in the end those from `next` on
- * (MORE). */
+/* Adds the sixteen tiles from `now` on, which follow one another in memory; the ring has the first
+ * of them, and in the end those from `next` on (MORE). */
 template <int MT, bool MORE, int N>
-static __device__ __forceinline__ void add_sixteen(warp_sums<MT> &sums, weights_ahead<N> &ahead, uint32_t left,
-                                                   uint32_t row_bytes, const uint4 *now, const uint4 *next)
+static __device__ __forceinline__ void add_sixteen(warp_sums<MT> &sums, weights_ahead<N> &ahead,
+                                                   uint32_t left, uint32_t row_bytes,
+                                                   const uint4 *now, const uint4 *next)
 {
   left_tile<MT> a[2];
   a[0].load(left, row_bytes);
@@ -79,15 +82,16 @@ static __device__ __forceinline__ void add_sixteen(warp_sums<MT> &sums, weights_
 /* The tile whose number is the k-th byte of `four`. */
 static __device__ __forceinline__ uint4 load_tile(const uint4 *from, uint32_t four, int k)
 {
-  return load_weights_here((const uint4 *)((const char *)from + (uint64_t)__byte_perm(four, 0, 0x4440 + k) * 512));
+  return load_weights_here(
+      (const uint4 *)((const char *)from + (uint64_t)__byte_perm(four, 0, 0x4440 + k) * 512));
 }
 
 template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
   using own = back_physics<MT, SHARE>;
   using own::activation_at, own::begin, own::end, own::end_step, own::excluded, own::failed,
       own::first, own::first_row, own::first_step, own::forget, own::g, own::group_first,
-      own::group_row, own::gx, own::half, own::half_begin, own::HELD, own::hold, own::input,
-      own::k, own::lane, own::lane_begin, own::layer_bytes, own::left, own::mass, own::move_back,
+      own::group_row, own::gx, own::half, own::half_begin, own::HELD, own::hold, own::input, own::k,
+      own::lane, own::lane_begin, own::layer_bytes, own::left, own::mass, own::move_back,
       own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::normal_at, own::output_at,
       own::output_tile, own::outputs, own::own_row, own::part, own::position_at, own::result,
       own::ROWS, own::scale_at, own::sense_back, own::springs_back, own::start, own::tape,
@@ -97,20 +101,23 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
   int block_chunk, block_chunks;
   float *norm_sums; /* (halves, layers, 2, 256) of all steps */
 
-  __device__ __forceinline__ back(const mo_gk &args, const mo_gp_group &group, unsigned char *shared,
-                                  const mo_gk_task &task)
+  __device__ __forceinline__ back(const mo_gk &args, const mo_gp_group &group,
+                                  unsigned char *shared, const mo_gk_task &task)
       : own(args, group, shared, task)
   {
     block_chunk = SHARE > 1 && half > 0 ? (int)g.pair[own::PAIRS].first_chunk : 0;
-    block_chunks = (SHARE > 1 && half == 0 ? (int)g.pair[own::PAIRS].first_chunk : n_chunks) - block_chunk;
+    block_chunks =
+        (SHARE > 1 && half == 0 ? (int)g.pair[own::PAIRS].first_chunk : n_chunks) - block_chunk;
     norm_sums = k.sums + g.sum_at + mo_gp_sum_of(&g).norm + half * MO_GP_NORM_FLOATS;
     if ((int)threadIdx.x < n_outputs)
       output_tile[lead() + threadIdx.x] = g.output_tile[threadIdx.x];
     if (threadIdx.x < MO_GK_AHEAD_BACK)
-      output_tile[lead() + n_outputs + threadIdx.x] = (uint8_t)threadIdx.x; /* then the first of a hidden layer */
+      output_tile[lead() + n_outputs + threadIdx.x] =
+          (uint8_t)threadIdx.x; /* then the first of a hidden layer */
   }
 
-  /* Which of the block's halves row 16 m + 8 h + lane / 4 is of, and whether it is this lane's first of it. */
+  /* Which of the block's halves row 16 m + 8 h + lane / 4 is of, and whether it is this lane's
+   * first of it. */
   static __device__ __forceinline__ int half_of(int h)
   {
     return MT > 1 ? h : 0;
@@ -120,8 +127,9 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     return m == 0 && (MT > 1 || h == 0);
   }
 
-  /* Sums over rows of this lane's four columns, by halves, added to those of all steps. Lanes 4, 8 and 16 apart have other rows of the same columns;
-   * each of them ends with one column, of one half. */
+  /* Sums over rows of this lane's four columns, by halves, added to those of all steps. Lanes 4, 8
+   * and 16 apart have other rows of the same columns; each of them ends with one column, of one
+   * half. */
   __device__ __forceinline__ void add_columns(float *to, const float2 (&d)[MT][2])
   {
     const bool odd = lane & 4, second = lane & 8, upper = lane & 16;
@@ -129,7 +137,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
 #pragma unroll
     for (int h = 0; h < MT; h++) {
       float2 near = odd ? make_float2(d[h][0].y, d[h][1].y) : make_float2(d[h][0].x, d[h][1].x);
-      const float2 far = odd ? make_float2(d[h][0].x, d[h][1].x) : make_float2(d[h][0].y, d[h][1].y);
+      const float2 far =
+          odd ? make_float2(d[h][0].x, d[h][1].x) : make_float2(d[h][0].y, d[h][1].y);
       near.x += __shfl_xor_sync(0xffffffffu, far.x, 4);
       near.y += __shfl_xor_sync(0xffffffffu, far.y, 4);
       sum[h] = second ? near.y : near.x;
@@ -138,7 +147,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     to += 2 * second + odd;
     if (MT > 1)
       atomicAdd(to + (upper ? MO_GP_NORM_FLOATS : 0),
-                (upper ? sum[MT - 1] : sum[0]) + __shfl_xor_sync(0xffffffffu, upper ? sum[0] : sum[MT - 1], 16));
+                (upper ? sum[MT - 1] : sum[0]) +
+                    __shfl_xor_sync(0xffffffffu, upper ? sum[0] : sum[MT - 1], 16));
     else {
       sum[0] += __shfl_xor_sync(0xffffffffu, sum[0], 16);
       if (!upper)
@@ -146,7 +156,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     }
   }
 
-  /* The first of the tiles of springs for this warp's neurons; of its sixteen tiles of a hidden layer. */
+  /* The first of the tiles of springs for this warp's neurons; of its sixteen tiles of a hidden
+   * layer. */
   __device__ __forceinline__ const uint4 *last_tiles() const
   {
     return k.weights.back[3] + (uint32_t)warp * MO_GP_OUTPUT_TILES * 32 + lane;
@@ -156,7 +167,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     return k.weights.back[layer] + (uint32_t)warp * (16 * 32) + lane;
   }
 
-  /* Springs' tiles go by the ring's length, the first time fewer: so many are left out before the first. */
+  /* Springs' tiles go by the ring's length, the first time fewer: so many are left out before the
+   * first. */
   __device__ __forceinline__ int lead() const
   {
     return (MO_GK_AHEAD_BACK - n_outputs % MO_GK_AHEAD_BACK) % MO_GK_AHEAD_BACK;
@@ -177,12 +189,13 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
   }
 
   __device__ __forceinline__ void load_normal(int layer, uint32_t step, __half2 (&n)[MT][2][2],
-                                                               float (&factor)[MT][2])
+                                              float (&factor)[MT][2])
   {
     const int column = warp * 16 + 4 * (lane & 3);
-    const uint2 *normal =
-        (const uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
-    const float *scale = (const float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
+    const uint2 *normal = (const uint2 *)(tape + normal_at + layer * layer_bytes) +
+                          (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
+    const float *scale =
+        (const float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
 #pragma unroll
     for (int m = 0; m < MT; m++)
 #pragma unroll
@@ -198,13 +211,16 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
       }
   }
 
-  /* sums: ∂loss/∂ what ReLU gave. Leaves ∂loss/∂ what the layer summed in `left`, and on the tape where n was. */
-  __device__ __forceinline__ void
-  norm_relu_back(int layer, uint32_t step, warp_sums<MT> &sums, const __half2 (&n)[MT][2][2],
-                                  const float (&factors)[MT][2], const norm_columns &columns)
+  /* sums: ∂loss/∂ what ReLU gave. Leaves ∂loss/∂ what the layer summed in `left`, and on the tape
+   * where n was. */
+  __device__ __forceinline__ void norm_relu_back(int layer, uint32_t step, warp_sums<MT> &sums,
+                                                 const __half2 (&n)[MT][2][2],
+                                                 const float (&factors)[MT][2],
+                                                 const norm_columns &columns)
   {
     const int column = warp * 16 + 4 * (lane & 3);
-    uint2 *dense = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
+    uint2 *dense = (uint2 *)(tape + normal_at + layer * layer_bytes) +
+                   (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
     float2 s[MT][2], d_shifts[MT][2], d_gains[MT][2];
     float *gain_sum = norm_sums + layer * 2 * MO_HIDDEN + column, *shift_sum = gain_sum + MO_HIDDEN;
 #pragma unroll
@@ -218,7 +234,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
           const float d0 = fmaf(at.x, gain.x, shift.x) > 0 ? sums.c[m][j][2 * h] : 0.0f;
           const float d1 = fmaf(at.y, gain.y, shift.y) > 0 ? sums.c[m][j][2 * h + 1] : 0.0f;
           float2 &d_shift = d_shifts[half_of(h)][j], &d_gain = d_gains[half_of(h)][j];
-          d_shift = begins(m, h) ? make_float2(d0, d1) : make_float2(d_shift.x + d0, d_shift.y + d1);
+          d_shift =
+              begins(m, h) ? make_float2(d0, d1) : make_float2(d_shift.x + d0, d_shift.y + d1);
           d_gain = begins(m, h) ? make_float2(d0 * at.x, d1 * at.y)
                                 : make_float2(fmaf(d0, at.x, d_gain.x), fmaf(d1, at.y, d_gain.y));
           const float e0 = d0 * gain.x, e1 = d1 * gain.y;
@@ -236,7 +253,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
 #pragma unroll
       for (int h = 0; h < 2; h++) {
         const int row = m * 16 + h * 8 + (lane >> 2);
-        const float factor = factors[m][h], mean = s[m][h].x * (1.0f / MO_HIDDEN), along = s[m][h].y * (1.0f / MO_HIDDEN);
+        const float factor = factors[m][h], mean = s[m][h].x * (1.0f / MO_HIDDEN),
+                    along = s[m][h].y * (1.0f / MO_HIDDEN);
         float2 d[2];
         bool sound = true;
 #pragma unroll
@@ -255,24 +273,27 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     __syncthreads();
   }
 
-  /* As many tiles as the ring has, which then has those whose numbers are the bytes of `then`. FIRST: the first `before` are left out. */
+  /* As many tiles as the ring has, which then has those whose numbers are the bytes of `then`.
+   * FIRST: the first `before` are left out. */
   template <bool FIRST>
-  __device__ __forceinline__ void add_round(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead,
-                                                             left_tile<MT> (&a)[2], uint32_t left_at, const uint4 *from,
-                                                             const uint2 &then, int before)
+  __device__ __forceinline__ void
+  add_round(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead, left_tile<MT> (&a)[2],
+            uint32_t left_at, const uint4 *from, const uint2 &then, int before)
   {
 #pragma unroll
     for (int i = 0; i < MO_GK_AHEAD_BACK; i++) {
-      a[(i + 1) % 2].load(left_at + (uint32_t)(i + 1) * 32, width * 2); /* beyond the last: not used */
+      a[(i + 1) % 2].load(left_at + (uint32_t)(i + 1) * 32,
+                          width * 2); /* beyond the last: not used */
       if (!FIRST || i >= before)
         a[i % 2].add(sums, ahead.w[i]);
       ahead.w[i] = load_tile(from, i < 4 ? then.x : then.y, i % 4);
     }
   }
 
-  /* Where the tiles are is known two rounds before they are multiplied, so that nothing keeps a load from its place. */
+  /* Where the tiles are is known two rounds before they are multiplied, so that nothing keeps a
+   * load from its place. */
   __device__ __forceinline__ void add_last(uint32_t step, warp_sums<MT> &sums,
-                                                            weights_ahead<MO_GK_AHEAD_BACK> &ahead)
+                                           weights_ahead<MO_GK_AHEAD_BACK> &ahead)
   {
     enum { N = MO_GK_AHEAD_BACK };
     const int before = lead();
@@ -287,7 +308,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     const bool any = row < ROWS;
     output_copy copy = {
         shared_address(outputs + row * width) + (uint32_t)part_of * 16 - (uint32_t)before * 32,
-        (uint4 *)(tape + output_at + ((size_t)step * TAPE_ROWS + group_row(row)) * (n_outputs * MO_GP_TILE * 2)) +
+        (uint4 *)(tape + output_at +
+                  ((size_t)step * TAPE_ROWS + group_row(row)) * (n_outputs * MO_GP_TILE * 2)) +
             part_of - 2 * before};
     a[0].load(left_at, width * 2);
     if (before > 0) {
@@ -310,7 +332,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
   }
 
   /* `ahead` has the last layer's first weights. */
-  __device__ __forceinline__ void control_back(uint32_t step, weights_ahead<MO_GK_AHEAD_BACK> &ahead)
+  __device__ __forceinline__ void control_back(uint32_t step,
+                                               weights_ahead<MO_GK_AHEAD_BACK> &ahead)
   {
     const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
     const int column = warp * 16 + 4 * (lane & 3);
@@ -327,7 +350,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     for (int layer = 2; layer > 0; layer--) {
       sums.clear();
       load_normal(layer - 1, step, n, factors);
-      add_sixteen<MT, true>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(layer), hidden_tiles(layer - 1));
+      add_sixteen<MT, true>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(layer),
+                            hidden_tiles(layer - 1));
       columns.load(k.weights, layer - 1, column);
       norm_relu_back(layer - 1, step, sums, n, factors, columns);
     }
@@ -392,8 +416,9 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
       excluded[r] = before.diverged || before.excluded || before.zeroed;
       if (lane == 0) {
         const double start_m = k.rows[first_row + group_row(row)].start_m;
-        const back_row now = {
-            start_m * start_m, before.largest * before.largest, before.steps, before.clipped, before.zeroed, 0};
+        const back_row now = {start_m * start_m, before.largest * before.largest,
+                              before.steps,      before.clipped,
+                              before.zeroed,     0};
         result[row] = now;
       }
     }

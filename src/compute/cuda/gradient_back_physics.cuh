@@ -58,20 +58,19 @@ static __device__ __forceinline__ void add_shared(uint32_t at, float x)
 /* As bfloat16. */
 static __device__ __forceinline__ void store_if_less(uint32_t a, uint32_t b, uint32_t to, float x)
 {
-  asm volatile(
-      "{ .reg .pred p; .reg .b16 h; setp.lt.u32 p, %0, %1; cvt.rn.bf16.f32 h, %3; @p st.shared.b16 [%2], h; }" ::"r"(a),
-      "r"(b), "r"(to), "f"(x)
-      : "memory");
+  asm volatile("{ .reg .pred p; .reg .b16 h; setp.lt.u32 p, %0, %1; cvt.rn.bf16.f32 h, %3; @p "
+               "st.shared.b16 [%2], h; }" ::"r"(a),
+               "r"(b), "r"(to), "f"(x)
+               : "memory");
 }
 
 template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
   using own = walker<MT, SHARE>;
-  using own::activation_at, own::begin, own::chunk_at, own::end, own::first, own::first_row,
-      own::g, own::group_first, own::group_row, own::is_second, own::k, own::lane, own::lane_begin,
+  using own::activation_at, own::begin, own::chunk_at, own::end, own::first, own::first_row, own::g,
+      own::group_first, own::group_row, own::is_second, own::k, own::lane, own::lane_begin,
       own::list, own::n0, own::n1, own::n_chunks, own::n_masses, own::n_outputs, own::n_own,
-      own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row,
-      own::pair_sync, own::position_at, own::ROWS, own::rows, own::tape, own::velocity_at,
-      own::warp, own::width;
+      own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync,
+      own::position_at, own::ROWS, own::rows, own::tape, own::velocity_at, own::warp, own::width;
   enum { HELD = 4 };
   /* The first of a lane's masses, on their way from the tape. */
   struct held {
@@ -85,8 +84,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
   bool excluded[2];
   back_row *result; /* (rows) */
 
-  __device__ __forceinline__ back_physics(const mo_gk &args, const mo_gp_group &group, unsigned char *shared,
-                                          const mo_gk_task &task)
+  __device__ __forceinline__ back_physics(const mo_gk &args, const mo_gp_group &group,
+                                          unsigned char *shared, const mo_gk_task &task)
       : own(args, group, shared, task, (args.n_steps - 1) / args.part_steps - task.part)
   {
     input = k.input + g.first_mass + group_first();
@@ -98,15 +97,17 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     gx = (float *)(mass + n_own);
   }
 
-  /* What follows from these is made again where it is needed: the compiler would make it before the first step, and have no registers for it. */
+  /* What follows from these is made again where it is needed: the compiler would make it before the
+   * first step, and have no registers for it. */
   __device__ __forceinline__ void forget()
   {
     asm volatile(""
-                 : "+r"(warp), "+r"(lane), "+r"(n_masses), "+r"(n_chunks), "+r"(first), "+r"(n0), "+r"(n1),
-                   "+r"(n_outputs));
+                 : "+r"(warp), "+r"(lane), "+r"(n_masses), "+r"(n_chunks), "+r"(first), "+r"(n0),
+                   "+r"(n1), "+r"(n_outputs));
   }
 
-  /* The i-th mass put aside: in the rows of the network's last adjoint that this warp alone has read. */
+  /* The i-th mass put aside: in the rows of the network's last adjoint that this warp alone has
+   * read. */
   __device__ __forceinline__ uint16_t *aside(int i)
   {
     return (uint16_t *)left + own_row(i >> 8) * MO_GK_ROW + (i & 255);
@@ -121,11 +122,13 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     asm volatile("cp.async.wait_all;" ::: "memory");
   }
 
-  /* ∂loss/∂ the final state of row r, whose centre of mass is (dx, dy) from the light, times `weight`. */
+  /* ∂loss/∂ the final state of row r, whose center of mass is (dx, dy) from the light, times
+   * `weight`. */
   __device__ __forceinline__ void aim(int r, double dx, double dy, double weight)
   {
     const int n = own_masses(r), from = first + own_begin(r);
-    const double far = sqrt(dx * dx + dy * dy), start_m = k.rows[first_row + group_row(own_row(r))].start_m;
+    const double far = sqrt(dx * dx + dy * dy),
+                 start_m = k.rows[first_row + group_row(own_row(r))].start_m;
     const double scale = far > 0 && !excluded[r] && n > 0 ? weight / (far * start_m * n) : 0.0;
 #pragma unroll 1
     for (int m = lane; m < n; m += 32) {
@@ -143,12 +146,14 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
 #pragma unroll
     for (int r = 0; r < MT; r++) {
       const int row = group_row(own_row(r));
-      const double *light = k.rows[first_row + row].light_m, *com = k.results[first_row + row].com_end;
+      const double *light = k.rows[first_row + row].light_m,
+                   *com = k.results[first_row + row].com_end;
       aim(r, com[0] - light[0], com[1] - light[1], 1.0);
     }
   }
 
-  /* Row r's adjoint begins anew, with the masses where they are before the step: rare, and small rather than fast. */
+  /* Row r's adjoint restarts, with the masses where they are before the step: rare, and small
+   * rather than fast. */
   __device__ __forceinline__ void restart(int r)
   {
     const int n = own_masses(r), from = first + own_begin(r);
@@ -168,11 +173,14 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     aim(r, dx / n, dy / n, k.restart_weight);
   }
 
-  /* Asks for where this warp's masses were before `step`, and for how fast the first of each lane's were: they come while something else goes on. */
+  /* Asks for where this warp's masses were before `step`, and for how fast the first of each lane's
+   * were: they come while something else goes on. */
   __device__ __forceinline__ void hold(uint32_t step, held &h)
   {
-    const float *position = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + group_first();
-    const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first();
+    const float *position =
+        (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + group_first();
+    const float *velocity =
+        (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first();
 #pragma unroll
     for (int i = 0; i < HELD; i++) {
       const int m = lane_begin() + 32 * i;
@@ -189,10 +197,11 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     }
   }
 
-  /* Measures the adjoints of this warp's rows' states, says by what to scale them, or, by bits, which are to begin anew. Compared are squares. */
+  /* Measures the adjoints of this warp's rows' states, says by what to scale them, or, by bits,
+   * which are to restart. Compared are squares. */
   __device__ __forceinline__ uint32_t limit(float (&scale)[2])
   {
-    uint32_t anew = 0;
+    uint32_t restarts = 0;
     double sum_x[2] = {0, 0}, sum_v[2] = {0, 0};
 #pragma unroll 1
     for (int m = lane_begin(); m < end(); m += 32) {
@@ -221,7 +230,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
       if (excluded[r] || own_masses(r) == 0)
         continue;
       back_row &of = result[own_row(r)]; /* all lanes have the same to write: the first does */
-      const double square = of.start_squared * fmax(sum_x[r], MO_ADJOINT_RATE_PER_S * MO_ADJOINT_RATE_PER_S * sum_v[r]);
+      const double square = of.start_squared * fmax(sum_x[r], MO_ADJOINT_RATE_PER_S *
+                                                                  MO_ADJOINT_RATE_PER_S * sum_v[r]);
       const bool bad = !(sum_x[r] < 1e300) || !(sum_v[r] < 1e300) || failed[own_row(r)];
       const bool scaled = !bad && k.bound > 0 && square > k.bound * k.bound;
       __syncwarp();
@@ -238,26 +248,29 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
         continue;
       }
       scale[r] = scaled && !k.restarts ? (float)(k.bound / sqrt(square)) : 1.0f;
-      anew |= scaled && k.restarts ? 1u << r : 0u;
+      restarts |= scaled && k.restarts ? 1u << r : 0u;
     }
-    return anew;
+    return restarts;
   }
 
   /* The masses that strike the ground, of which all are known: each lane has one. */
   __device__ __forceinline__ void strikes_back(uint32_t step, int n, const float (&scale)[2])
   {
-    const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first();
+    const float *velocity =
+        (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first();
 #pragma unroll 1
     for (int i = lane; i < n; i += 32) {
       const int m = *aside(i);
-      const float v[3] = {__ldg(velocity + m), __ldg(velocity + n_masses + m), __ldg(velocity + 2 * n_masses + m)};
+      const float v[3] = {__ldg(velocity + m), __ldg(velocity + n_masses + m),
+                          __ldg(velocity + 2 * n_masses + m)};
       const bool second = is_second(m);
       const mo_plan_scene &of = rows[own_row(second)];
       const float s = second ? scale[1] : scale[0];
       back_mass &to = mass[first + m];
       float *d = gx + 3 * (first + m);
       const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
-      float dp[3] = {s * d[0], s * d[1], s * d[2]}, dv[3] = {s * to.z_gx.y, s * to.gyz.x, s * to.gyz.y};
+      float dp[3] = {s * d[0], s * d[1], s * d[2]},
+            dv[3] = {s * to.z_gx.y, s * to.gyz.x, s * to.gyz.y};
       lane_move_back(&k.physics, of.heights, of.highest, p, v, dp, dv);
       for (int axis = 0; axis < 3; axis++)
         d[axis] = dp[axis];
@@ -267,7 +280,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
   }
 
   /* A mass that does not strike; one that does is put aside: few do, and it takes long. */
-  __device__ __forceinline__ void move_one(int m, const float *v, const float (&scale)[2], int &n_aside)
+  __device__ __forceinline__ void move_one(int m, const float *v, const float (&scale)[2],
+                                           int &n_aside)
   {
     bool struck = false;
     if (m < end()) {
@@ -306,13 +320,13 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
   {
     float scale[2];
     int n_aside = 0;
-    const uint32_t anew = limit(scale);
+    const uint32_t restarts = limit(scale);
     wait_copies();
     __syncwarp();
-    if (anew != 0) {
+    if (restarts != 0) {
 #pragma unroll
       for (int r = 0; r < MT; r++)
-        if (anew >> r & 1)
+        if (restarts >> r & 1)
           restart(r);
       __syncwarp();
     }
@@ -322,7 +336,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
 #pragma unroll 1
     for (int far = 32 * HELD; begin() + far < end(); far += 32) {
       const int m = lane_begin() + far;
-      const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first() + m;
+      const float *velocity =
+          (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first() + m;
       float v[3];
       for (int axis = 0; axis < 3; axis++)
         v[axis] = m < end() ? __ldg(velocity + axis * n_masses) : 0.0f;
@@ -337,7 +352,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
   __device__ __forceinline__ void springs_back(uint32_t step)
   {
     enum { N = MO_GK_SPRINGS_AHEAD_BACK };
-    const int16_t *kept = (const int16_t *)(tape + activation_at) + (size_t)step * n_chunks * 32 + chunk_at;
+    const int16_t *kept =
+        (const int16_t *)(tape + activation_at) + (size_t)step * n_chunks * 32 + chunk_at;
     const int n = own_chunks;
     if (n == 0)
       return;
@@ -371,19 +387,22 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
         const uint32_t next = c + i + 1 < n ? (i + 1 < N ? now[(i + 1) % N] : then[0]) : s;
         const back_mass next_other = load_mass(own_mass, MO_GP_SPRING_OTHER(next));
         const float a = activation_of(kept_now[i]);
-        const float d[3] = {here.xy.x - other.xy.x, here.xy.y - other.xy.y, here.z_gx.x - other.z_gx.x};
-        const float across[3] = {other.z_gx.y - here.z_gx.y, other.gyz.x - here.gyz.x, other.gyz.y - here.gyz.y};
+        const float d[3] = {here.xy.x - other.xy.x, here.xy.y - other.xy.y,
+                            here.z_gx.x - other.z_gx.x};
+        const float across[3] = {other.z_gx.y - here.z_gx.y, other.gyz.x - here.gyz.x,
+                                 other.gyz.y - here.gyz.y};
         const struct lane_length length = lane_length_of(lane_squared(d));
         float dd[3];
-        const float d_wanted =
-            -lane_spring_back(k.physics.pull, &length, wanted_length(k.physics, s, a), d, across, dd);
+        const float d_wanted = -lane_spring_back(k.physics.pull, &length,
+                                                 wanted_length(k.physics, s, a), d, across, dd);
         const float d_sum = d_wanted * (rest_length(s) * k.physics.actuation) * fmaf(-a, a, 1.0f);
         for (int axis = 0; axis < 3; axis++)
           sum[axis] += dd[axis];
         const uint32_t row = MO_GP_SPRING_ROW(s);
         if (!(fabsf(d_sum) <= MO_GK_LARGE))
           bad |= 1 + row;
-        store_if_less(at, MO_GP_SPRING_OTHER(s), to + 2 * MO_GP_SPRING_OUTPUT(s) + row * to_second, d_sum);
+        store_if_less(at, MO_GP_SPRING_OTHER(s), to + 2 * MO_GP_SPRING_OUTPUT(s) + row * to_second,
+                      d_sum);
         if (s & MO_GP_SPRING_LAST) {
           if (at != MO_GP_NO_MASS)
             for (int axis = 0; axis < 3; axis++)
@@ -411,7 +430,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     }
   }
 
-  /* ∂loss/∂ what a mass senses, less its row's mean. inputs: of the first of this lane's masses, their places among the network's inputs. */
+  /* ∂loss/∂ what a mass senses, less its row's mean. inputs: of the first of this lane's masses,
+   * their places among the network's inputs. */
   __device__ __forceinline__ void sense_back(uint32_t inputs)
   {
     float d[HELD], sum[2] = {0, 0};
@@ -436,7 +456,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
 #pragma unroll
       for (int r = 0; r < MT; r++)
         sum[r] += __shfl_xor_sync(0xffffffffu, sum[r], far);
-    const float mean[2] = {sum[0] / (float)max(own_masses(0), 1), sum[1] / (float)max(own_masses(MT - 1), 1)};
+    const float mean[2] = {sum[0] / (float)max(own_masses(0), 1),
+                           sum[1] / (float)max(own_masses(MT - 1), 1)};
 #pragma unroll
     for (int i = 0; i < HELD; i++)
       if (lane_begin() + 32 * i < end())
@@ -456,7 +477,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     float *d_place = gx + 3 * (first + m);
     const float2 z_gx = to.z_gx, gyz = to.gyz;
     const float away[3] = {to.xy.x - of.light[0], to.xy.y - of.light[1], z_gx.x - of.light[2]};
-    const float push = (d - (second ? mean[1] : mean[0])) * lane_light_slope(k.sensor, lane_squared(away));
+    const float push =
+        (d - (second ? mean[1] : mean[0])) * lane_light_slope(k.sensor, lane_squared(away));
     for (int axis = 0; axis < 3; axis++)
       d_place[axis] = fmaf(push, away[axis], d_place[axis]);
     to.z_gx.y = z_gx.y * k.physics.keep;

@@ -1,7 +1,9 @@
-/* gradient_forward.cu: rollouts of a plan's groups, a number of steps per launch, keeping on the tape what the way back needs. */
+/* gradient_forward.cu: rollouts of a plan's groups, a number of steps per launch, keeping on the
+ * tape what the way back needs. */
 #include "compute/cuda/gradient_kernels.cuh"
 
-/* Masses that strike the ground, of a warp's: few, and a strike takes long. So they are put aside until there are 32, one for each lane. */
+/* Masses that strike the ground, of a warp's: few, and a strike takes long. So they are put aside
+ * until there are 32, one for each lane. */
 struct strikes {
   uint16_t *mass; /* (64) in shared memory */
   int n;
@@ -30,11 +32,11 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   using own = walker<MT, SHARE>;
   using own::activation_at, own::begin, own::chunk_at, own::end, own::end_step, own::first,
       own::first_row, own::first_step, own::g, own::group_first, own::group_row, own::half_begin,
-      own::hidden_at, own::input_at, own::is_second, own::k, own::lane, own::layer_bytes,
-      own::list, own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::normal_at,
-      own::output_tile, own::own_begin, own::own_chunks, own::own_masses, own::own_row,
-      own::pair_row, own::pair_sync, own::part, own::position_at, own::rows, own::scale_at,
-      own::tape, own::TAPE_ROWS, own::velocity_at, own::warp, own::width;
+      own::hidden_at, own::input_at, own::is_second, own::k, own::lane, own::layer_bytes, own::list,
+      own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::normal_at, own::output_tile,
+      own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync,
+      own::part, own::position_at, own::rows, own::scale_at, own::tape, own::TAPE_ROWS,
+      own::velocity_at, own::warp, own::width;
   int16_t *outputs;
   __half *left;   /* (rows, MO_GK_ROW) */
   float *norms;   /* (layers, 3, 256) biases, gains, shifts */
@@ -43,8 +45,8 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   uint8_t *input; /* (n_own) each mass's place among the inputs */
   bool dead[2];   /* rows of this warp whose rollout has ended */
 
-  __device__ __forceinline__ forward(const mo_gk &args, const mo_gp_group &group, unsigned char *shared,
-                                     const mo_gk_task &task)
+  __device__ __forceinline__ forward(const mo_gk &args, const mo_gp_group &group,
+                                     unsigned char *shared, const mo_gk_task &task)
       : own(args, group, shared, task, task.part)
   {
     if (threadIdx.x < MO_GP_OUTPUT_TILES)
@@ -98,7 +100,8 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
         }
       }
       if (lane < MO_CPG_INPUTS)
-        to[MO_DEFAULT_MASSES + lane] = __float2half_rn(__ldg(k.generators + step * MO_CPG_INPUTS + lane));
+        to[MO_DEFAULT_MASSES + lane] =
+            __float2half_rn(__ldg(k.generators + step * MO_CPG_INPUTS + lane));
     }
   }
 
@@ -115,7 +118,8 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
       for (int i = 0; i < 4; i++)
         kept[i] = __float22bfloat162_rn(__half22float2(*(const __half2 *)&words[i]));
       const uint2 low = four(kept[0], kept[1]), high = four(kept[2], kept[3]);
-      *(uint4 *)(to + group_row(row) * (MO_HIDDEN * 2) + 16 * lane) = make_uint4(low.x, low.y, high.x, high.y);
+      *(uint4 *)(to + group_row(row) * (MO_HIDDEN * 2) + 16 * lane) =
+          make_uint4(low.x, low.y, high.x, high.y);
     }
   }
 
@@ -144,9 +148,12 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
         s[m][h] = make_float2((a + b) + (c + d), fmaf(a, a, b * b) + fmaf(c, c, d * d));
       }
     sum_rows<MT>(part, warp, lane, s);
-    const float4 gain = *(const float4 *)(columns + MO_HIDDEN), shift = *(const float4 *)(columns + 2 * MO_HIDDEN);
-    uint2 *normal = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
-    float *scale = (float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
+    const float4 gain = *(const float4 *)(columns + MO_HIDDEN),
+                 shift = *(const float4 *)(columns + 2 * MO_HIDDEN);
+    uint2 *normal = (uint2 *)(tape + normal_at + layer * layer_bytes) +
+                    (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
+    float *scale =
+        (float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
 #pragma unroll
     for (int m = 0; m < MT; m++)
 #pragma unroll
@@ -158,12 +165,17 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
         float2 n[2], y[2];
 #pragma unroll
         for (int j = 0; j < 2; j++) {
-          n[j] = make_float2((sums.c[m][j][2 * h] - mean) * factor, (sums.c[m][j][2 * h + 1] - mean) * factor);
+          n[j] = make_float2((sums.c[m][j][2 * h] - mean) * factor,
+                             (sums.c[m][j][2 * h + 1] - mean) * factor);
         }
-        y[0] = make_float2(fmaxf(fmaf(n[0].x, gain.x, shift.x), 0.0f), fmaxf(fmaf(n[0].y, gain.y, shift.y), 0.0f));
-        y[1] = make_float2(fmaxf(fmaf(n[1].x, gain.z, shift.z), 0.0f), fmaxf(fmaf(n[1].y, gain.w, shift.w), 0.0f));
-        *(uint2 *)(left + row * MO_GK_ROW + column) = four(__float22half2_rn(y[0]), __float22half2_rn(y[1]));
-        normal[on_tape * (MO_HIDDEN / 4) + (column >> 2)] = four(__float22half2_rn(n[0]), __float22half2_rn(n[1]));
+        y[0] = make_float2(fmaxf(fmaf(n[0].x, gain.x, shift.x), 0.0f),
+                           fmaxf(fmaf(n[0].y, gain.y, shift.y), 0.0f));
+        y[1] = make_float2(fmaxf(fmaf(n[1].x, gain.z, shift.z), 0.0f),
+                           fmaxf(fmaf(n[1].y, gain.w, shift.w), 0.0f));
+        *(uint2 *)(left + row * MO_GK_ROW + column) =
+            four(__float22half2_rn(y[0]), __float22half2_rn(y[1]));
+        normal[on_tape * (MO_HIDDEN / 4) + (column >> 2)] =
+            four(__float22half2_rn(n[0]), __float22half2_rn(n[1]));
         if (warp == 0 && (lane & 3) == 0)
           scale[on_tape] = factor;
       }
@@ -190,11 +202,13 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     }
   };
 
-  /* Multiplies T tiles of columns, sixteen tiles deep, whose first weights the ring has; in the end it has those of coming() (MORE). What the layer
-   * is given is loaded once for all T, and one tile ahead: to load it for each took longer than to load the weights. All of it is one run of
+  /* Multiplies T tiles of columns, sixteen tiles deep, whose first weights the ring has; in the end
+   * it has those of coming() (MORE). What the layer is given is loaded once for all T, and one tile
+   * ahead: to load it for each took longer than to load the weights. All of it is one run of
    * instructions, so that loads stand about where they are written. */
   template <int T, bool MORE, class Next>
-  __device__ __forceinline__ void add_run(warp_sums<MT> (&sums)[T], weights_ahead<MO_GK_AHEAD> &ahead, uint32_t left_at,
+  __device__ __forceinline__ void add_run(warp_sums<MT> (&sums)[T],
+                                          weights_ahead<MO_GK_AHEAD> &ahead, uint32_t left_at,
                                           const in_turn<T> &now, const Next &coming)
   {
 #pragma unroll
@@ -210,7 +224,8 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
       if (i % T == 0 && k + 1 < 16) {
 #pragma unroll
         for (int m = 0; m < MT; m++)
-          load_matrices(a[(k + 1) % 2][m], left_at + (uint32_t)(k + 1) * 32 + (uint32_t)m * 16 * MO_GK_ROW * 2);
+          load_matrices(a[(k + 1) % 2][m],
+                        left_at + (uint32_t)(k + 1) * 32 + (uint32_t)m * 16 * MO_GK_ROW * 2);
       }
       const uint4 &w = ahead.w[i % MO_GK_AHEAD];
 #pragma unroll
@@ -230,14 +245,17 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   /* What a tile of springs does. */
   __device__ __forceinline__ void act(int u, const warp_sums<MT> &sums)
   {
-    const float4 bias = __ldg((const float4 *)(k.weights.bias[3] + output_tile[u] * MO_GP_TILE + 4 * (lane & 3)));
+    const float4 bias =
+        __ldg((const float4 *)(k.weights.bias[3] + output_tile[u] * MO_GP_TILE + 4 * (lane & 3)));
 #pragma unroll
     for (int m = 0; m < MT; m++)
 #pragma unroll
       for (int h = 0; h < 2; h++) {
         const int row = m * 16 + h * 8 + (lane >> 2);
-        const uint32_t a = activations(sums.c[m][0][2 * h] + bias.x, sums.c[m][0][2 * h + 1] + bias.y);
-        const uint32_t c = activations(sums.c[m][1][2 * h] + bias.z, sums.c[m][1][2 * h + 1] + bias.w);
+        const uint32_t a =
+            activations(sums.c[m][0][2 * h] + bias.x, sums.c[m][0][2 * h + 1] + bias.y);
+        const uint32_t c =
+            activations(sums.c[m][1][2 * h] + bias.z, sums.c[m][1][2 * h + 1] + bias.w);
         *(uint2 *)(outputs + row * width + u * 16 + 4 * (lane & 3)) = make_uint2(a, c);
       }
   }
@@ -257,22 +275,25 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
           return in_turn<2>{output_tiles(warp), output_tiles(warp + MO_GP_WARPS)};
         });
       norm_relu(layer, step, sums[0]);
-      keep_left(tape + hidden_at + layer * layer_bytes + (size_t)step * TAPE_ROWS * (MO_HIDDEN * 2));
+      keep_left(tape + hidden_at + layer * layer_bytes +
+                (size_t)step * TAPE_ROWS * (MO_HIDDEN * 2));
     }
     int u = warp;
 #pragma unroll 1
     for (; u + 3 * MO_GP_WARPS < n_outputs; u += 2 * MO_GP_WARPS) {
       warp_sums<MT> sums[2];
-      add_run<2, true>(sums, ahead, left_at, in_turn<2>{output_tiles(u), output_tiles(u + MO_GP_WARPS)}, [&] {
-        return in_turn<2>{output_tiles(u + 2 * MO_GP_WARPS), output_tiles(u + 3 * MO_GP_WARPS)};
-      });
+      add_run<2, true>(
+          sums, ahead, left_at, in_turn<2>{output_tiles(u), output_tiles(u + MO_GP_WARPS)}, [&] {
+            return in_turn<2>{output_tiles(u + 2 * MO_GP_WARPS), output_tiles(u + 3 * MO_GP_WARPS)};
+          });
       act(u, sums[0]);
       act(u + MO_GP_WARPS, sums[1]);
     }
     /* One to three tiles are left. Where it is one, another is multiplied with it for nothing. */
     if (u < n_outputs) {
       warp_sums<MT> sums[2];
-      add_run<2, true>(sums, ahead, left_at, in_turn<2>{output_tiles(u), output_tiles(u + MO_GP_WARPS)},
+      add_run<2, true>(sums, ahead, left_at,
+                       in_turn<2>{output_tiles(u), output_tiles(u + MO_GP_WARPS)},
                        [&] { return in_turn<1>{output_tiles(u + 2 * MO_GP_WARPS)}; });
       act(u, sums[0]);
       if (u + MO_GP_WARPS < n_outputs)
@@ -286,8 +307,9 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     }
   }
 
-  /* tanh, 1 − 2 / (1 + exp(2 y)), in units of 1/32767: rounded by the addition, which leaves it in the sum's lowest bits. The instructions
-   * give 0 and infinity where y is large, which is right. */
+  /* tanh, 1 − 2 / (1 + exp(2 y)), in units of 1/32767: rounded by the addition, which leaves it in
+   * the sum's lowest bits. The instructions give 0 and infinity where y is large, which is right.
+   */
   static __device__ __forceinline__ uint32_t activation(float y)
   {
     float e, r;
@@ -314,8 +336,9 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     return p;
   }
 
-  /* The chunks' springs come N at a time, some of them beyond the pair's own, while those before are computed: one of several loads under way is
-   * not had before the last of them. What they ask for in shared memory is fetched one chunk ahead. */
+  /* The chunks' springs come N at a time, some of them beyond the pair's own, while those before
+   * are computed: one of several loads in flight is not had before the last of them. What they ask
+   * for in shared memory is fetched one chunk ahead. */
   __device__ __forceinline__ void springs(uint32_t step)
   {
     enum { N = MO_GK_SPRINGS_AHEAD };
@@ -344,7 +367,8 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
         keep[(c + i) * 32] = p.a;
         const float d[3] = {here.x - p.other.x, here.y - p.other.y, here.z - p.other.z};
         const struct lane_length length = lane_length_of(lane_squared(d));
-        const float f = lane_spring(k.physics.pull, &length, wanted_length(k.physics, s, activation_of(p.a)));
+        const float f =
+            lane_spring(k.physics.pull, &length, wanted_length(k.physics, s, activation_of(p.a)));
         for (int axis = 0; axis < 3; axis++)
           sum[axis] = fmaf(-f, d[axis], sum[axis]);
         if (s & MO_GP_SPRING_LAST) {
@@ -423,9 +447,11 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     for (int r = 0; r < MT; r++) {
       if (!__all_sync(0xffffffffu, sane[r]) && !dead[r]) {
         const int from = own_begin(r);
-        const float *before = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + group_first() + from;
+        const float *before = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses +
+                              group_first() + from;
         for (int m = lane; m < own_masses(r); m += 32)
-          x[first + from + m] = make_float4(before[m], before[n_masses + m], before[2 * n_masses + m], 0);
+          x[first + from + m] =
+              make_float4(before[m], before[n_masses + m], before[2 * n_masses + m], 0);
         if (lane == 0)
           k.results[first_row + group_row(own_row(r))].diverged = (int32_t)step + 1;
         dead[r] = true;

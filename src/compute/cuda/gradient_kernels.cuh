@@ -1,8 +1,10 @@
-/* gradient_kernels.cuh: what the kernels of the gradient share: their arguments, matrix instructions, a group's shared memory.
+/* gradient_kernels.cuh: what the kernels of the gradient share: their arguments, matrix
+ * instructions, a group's shared memory.
  *
- * In every product the sixteen warps of a block take sixteen columns (neurons or springs) each, for all rows. Activations are the left factor,
- * in shared memory; weights are the right one, straight from global memory in the order in which the lanes' registers want them: 16 bytes per
- * lane for a tile of 16 × 16. */
+ * In every product the sixteen warps of a block take sixteen columns (neurons or springs) each, for
+ * all rows. Activations are the left factor, in shared memory; weights are the right one, straight
+ * from global memory in the order in which the lanes' registers want them: 16 bytes per lane for a
+ * tile of 16 × 16. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
 #define MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
 
@@ -22,18 +24,19 @@ enum {
   MO_GK_ROW = MO_HIDDEN + 8,    /* of activations in shared memory: rows start in different banks */
   MO_GK_PART = MO_GP_WARPS + 2  /* of a row's partial sums: likewise */
 };
-#define MO_GK_LARGE 1e30f /* a larger ∂loss/∂ something counts as not finite: sums of smaller ones stay finite */
+#define MO_GK_LARGE                                                                                \
+  1e30f /* a larger ∂loss/∂ something counts as not finite: sums of smaller ones stay finite */
 
 /* Weights as tiles; the first index is the one that a warp owns. */
 struct mo_gk_weights {
   uint4 *forward[MO_HIDDEN_LAYERS + 1]; /* (16, 16) × 3, (103, 16): [out tile][in tile], float16 */
-  uint4
-      *back[MO_HIDDEN_LAYERS + 1]; /* (16, 16) × 3: [in tile][out tile]; (16, 103): [in tile][spring tile], bfloat16 */
+  uint4 *back[MO_HIDDEN_LAYERS + 1];    /* (16, 16) × 3: [in tile][out tile]; (16, 103): [in
+                                           tile][spring tile], bfloat16 */
   float *bias[MO_HIDDEN_LAYERS + 1], *gain[MO_HIDDEN_LAYERS], *shift[MO_HIDDEN_LAYERS];
 };
 
 struct mo_gk_result {
-  double com_end[3]; /* x, y from the world's centre */
+  double com_end[3]; /* x, y from the world's center */
   double largest;
   int32_t diverged;
   int32_t excluded; /* by the host: contributes nothing */
@@ -44,7 +47,8 @@ struct mo_gk_result {
 struct mo_gk {
   const struct mo_gp_group *groups;
   const struct mo_gp_row *rows;
-  const uint32_t *order; /* (n_walks) MO_GK_WALK, some with MO_GK_HALVED: those that take longest first */
+  const uint32_t
+      *order; /* (n_walks) MO_GK_WALK, some with MO_GK_HALVED: those that take longest first */
   const uint8_t *input;
   const uint32_t *springs;
   const float *generators; /* (n_steps, 5) */
@@ -61,9 +65,9 @@ struct mo_gk {
   uint32_t n_steps, n_walks;
   uint32_t part_steps; /* of a task */
   uint32_t *tickets;   /* tasks handed out, then (by MO_GK_WALK) parts done; 0 before a launch */
-  const volatile int *
-      cancel; /* not 0: end soon. On the device: the host's memory is read so slowly (1.3 µs each, one after the other) that
-                               * products waited three times as long for it as they took */
+  const volatile int *cancel; /* not 0: end soon. On the device: the host's memory is read so slowly
+                               * (1.3 µs each, one after the other) that products waited three times
+                               * as long for it as they took */
 };
 
 /* What one block at a time walks through all steps: a group, or half of one. */
@@ -71,11 +75,13 @@ struct mo_gk {
 #define MO_GK_HALVED            (UINT32_C(1) << 31) /* it is half of one */
 enum { MO_GK_WHOLE, MO_GK_HALVES, MO_GK_MIXED };
 
-/* A way through all steps falls into *tasks*, a part of the steps of one walk each, so that no multiprocessor waits long for the last. A
- * block does one. Tasks are handed out part by part, in each the walks that take longest first; a task's block waits until its walk's part
- * before it is done, which an earlier ticket's block does: so it is never waited for in vain. */
+/* A way through all steps falls into *tasks*, a part of the steps of one walk each, so that no
+ * multiprocessor waits long for the last. A block does one. Tasks are handed out part by part, in
+ * each the walks that take longest first; a task's block waits until its walk's part before it is
+ * done, which an earlier ticket's block does: so it is never waited for in vain. */
 struct mo_gk_task {
-  uint32_t walk; /* MO_GK_WALK, with MO_GK_HALVED: told apart here, it costs the kernels registers */
+  uint32_t
+      walk; /* MO_GK_WALK, with MO_GK_HALVED: told apart here, it costs the kernels registers */
   uint32_t part;
 };
 
@@ -101,21 +107,23 @@ static __device__ __forceinline__ void load_matrices_transposed(uint32_t r[4], u
 }
 
 template <bool BF>
-static __device__ __forceinline__ void multiply(float c[4], const uint32_t a[4], uint32_t b0, uint32_t b1)
+static __device__ __forceinline__ void multiply(float c[4], const uint32_t a[4], uint32_t b0,
+                                                uint32_t b1)
 {
   if (BF)
-    asm volatile(
-        "mma.sync.aligned.m16n8k16.row.col.f32.bf16.bf16.f32 {%0,%1,%2,%3}, {%4,%5,%6,%7}, {%8,%9}, {%0,%1,%2,%3};"
-        : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
-        : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b0), "r"(b1));
+    asm volatile("mma.sync.aligned.m16n8k16.row.col.f32.bf16.bf16.f32 {%0,%1,%2,%3}, "
+                 "{%4,%5,%6,%7}, {%8,%9}, {%0,%1,%2,%3};"
+                 : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
+                 : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b0), "r"(b1));
   else
-    asm volatile(
-        "mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0,%1,%2,%3}, {%4,%5,%6,%7}, {%8,%9}, {%0,%1,%2,%3};"
-        : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
-        : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b0), "r"(b1));
+    asm volatile("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0,%1,%2,%3}, {%4,%5,%6,%7}, "
+                 "{%8,%9}, {%0,%1,%2,%3};"
+                 : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
+                 : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b0), "r"(b1));
 }
 
-/* Weights are read by every block at every step: they stay in the second-level cache and leave the first to others. */
+/* Weights are read by every block at every step: they stay in the second-level cache and leave the
+ * first to others. */
 static __device__ __forceinline__ uint4 load_weights(const uint4 *p)
 {
   uint4 w;
@@ -125,8 +133,9 @@ static __device__ __forceinline__ uint4 load_weights(const uint4 *p)
   return w;
 }
 
-/* A warp's sums: c[m][j][2 h + e] is row 16 m + 8 h + lane/4, column 4 (lane % 4) + 2 j + e of its sixteen: the columns of the instruction are
- * dealt out so that a lane has four that follow one another (pack_kernel). */
+/* A warp's sums: c[m][j][2 h + e] is row 16 m + 8 h + lane/4, column 4 (lane % 4) + 2 j + e of its
+ * sixteen: the columns of the instruction are dealt out so that a lane has four that follow one
+ * another (pack_kernel). */
 template <int MT> struct warp_sums {
   float c[MT][2][4];
   __device__ __forceinline__ void clear()
@@ -147,7 +156,8 @@ template <class T> static __device__ __forceinline__ uint2 four(const T &a, cons
   return make_uint2(*(const uint32_t *)&a, *(const uint32_t *)&b);
 }
 
-/* Weights on their way: a ring of N tiles, asked for before they are needed, also before what they are multiplied with is there. */
+/* Weights on their way: a ring of N tiles, asked for before they are needed, also before what they
+ * are multiplied with is there. */
 template <int N> struct weights_ahead {
   uint4 w[N];
   /* tile(k): this lane's part of the k-th tile. */
@@ -160,9 +170,11 @@ template <int N> struct weights_ahead {
 };
 
 /* This lane's address of activations whose rows are `row_bytes` long. */
-static __device__ __forceinline__ uint32_t left_address(const void *activations, uint32_t row_bytes, int lane)
+static __device__ __forceinline__ uint32_t left_address(const void *activations, uint32_t row_bytes,
+                                                        int lane)
 {
-  return shared_address(activations) + (uint32_t)(lane & 15) * row_bytes + (uint32_t)(lane >> 4) * 16;
+  return shared_address(activations) + (uint32_t)(lane & 15) * row_bytes +
+         (uint32_t)(lane >> 4) * 16;
 }
 
 /* The next task; all threads call. false: cancelled. `ticket`: a word of shared memory. */
@@ -196,25 +208,29 @@ static __device__ __forceinline__ void end_task(const mo_gk &k, const mo_gk_task
   __syncthreads();
   if (threadIdx.x == 0) {
     __threadfence();
-    asm volatile("st.release.gpu.global.u32 [%0], %1;" ::"l"(k.tickets + 1 + (task.walk & ~MO_GK_HALVED)),
-                 "r"(task.part + 1)
-                 : "memory");
+    asm volatile(
+        "st.release.gpu.global.u32 [%0], %1;" ::"l"(k.tickets + 1 + (task.walk & ~MO_GK_HALVED)),
+        "r"(task.part + 1)
+        : "memory");
   }
 }
 
-/* Lets every launch of the kernel have what a block can: the attribute is the device's, whichever handle sets it, so it is never set to what one
- * launch needs. */
-template <class Kernel> static int allow_shared(Kernel kernel, uint32_t block_bytes, uint32_t *dynamic_bytes)
+/* Lets every launch of the kernel have what a block can: the attribute is the device's, whichever
+ * handle sets it, so it is never set to what one launch needs. */
+template <class Kernel>
+static int allow_shared(Kernel kernel, uint32_t block_bytes, uint32_t *dynamic_bytes)
 {
   cudaFuncAttributes attributes;
   cudaError_t status = cudaFuncGetAttributes(&attributes, kernel);
   if (status != cudaSuccess)
     return (int)status;
   *dynamic_bytes = block_bytes - (uint32_t)attributes.sharedSizeBytes;
-  return (int)cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)*dynamic_bytes);
+  return (int)cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                   (int)*dynamic_bytes);
 }
 
-/* A spring's activation from the tape; its length without one, and the length that it wants to have. */
+/* A spring's activation from the tape; its length without one, and the length that it wants to
+ * have. */
 static __device__ __forceinline__ float activation_of(int16_t kept)
 {
   return (float)kept * (1.0f / 32767.0f);
@@ -222,10 +238,12 @@ static __device__ __forceinline__ float activation_of(int16_t kept)
 
 static __device__ __forceinline__ float rest_length(uint32_t spring)
 {
-  return MO_GP_SPRING_DIAGONAL(spring) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
+  return MO_GP_SPRING_DIAGONAL(spring) ? (float)(MO_VOXEL_M * 1.41421356237309504880)
+                                       : (float)MO_VOXEL_M;
 }
 
-static __device__ __forceinline__ float wanted_length(const lane_physics &k, uint32_t spring, float activation)
+static __device__ __forceinline__ float wanted_length(const lane_physics &k, uint32_t spring,
+                                                      float activation)
 {
   return lane_wanted(rest_length(spring), k.actuation, activation);
 }
@@ -238,15 +256,20 @@ template <class T> static __device__ __forceinline__ T sum_lanes(T x)
   return x;
 }
 
-/* What a block walks: a group, whose warps have a pair each (SHARE 1), two rows of 32 or one of 16; or half of a group of 32 rows (SHARE 2), where
- * two warps have a pair: one of its rows each, and each some of the springs of both. Rows and masses are counted in the block; on the tape and
- * in the tables they are the group's. */
+/* What a block walks: a group, whose warps have a pair each (SHARE 1), two rows of 32 or one of 16;
+ * or half of a group of 32 rows (SHARE 2), where two warps have a pair: one of its rows each, and
+ * each some of the springs of both. Rows and masses are counted in the block; on the tape and in
+ * the tables they are the group's. */
 template <int MT, int SHARE> struct walker {
   const mo_gk &k;
   const mo_gp_group &g;
-  enum { ROWS = 16 * MT, TAPE_ROWS = SHARE > 1 ? MO_GP_ROWS_MAX : ROWS, PAIRS = MO_GP_WARPS / SHARE };
+  enum {
+    ROWS = 16 * MT,
+    TAPE_ROWS = SHARE > 1 ? MO_GP_ROWS_MAX : ROWS,
+    PAIRS = MO_GP_WARPS / SHARE
+  };
   int warp, lane, half, half_begin; /* its first mass, of the group's */
-  int first, n0, n1, n_own;         /* the pair's first mass; masses of its rows; of all of the block */
+  int first, n0, n1, n_own; /* the pair's first mass; masses of its rows; of all of the block */
   int own_chunks;
   uint32_t first_chunk; /* of the group's */
   /* Copies of what the group says: a store might change the original, as far as the compiler
@@ -257,7 +280,8 @@ template <int MT, int SHARE> struct walker {
   uint32_t chunk_at;
   unsigned char *tape;
   /* On the group's tape, in bytes; layer_bytes: from one layer to the next. */
-  uint32_t position_at, velocity_at, activation_at, input_at, normal_at, hidden_at, scale_at, output_at;
+  uint32_t position_at, velocity_at, activation_at, input_at, normal_at, hidden_at, scale_at,
+      output_at;
   uint32_t layer_bytes;
   uint32_t width; /* of the outputs in shared memory, or of ∂loss/∂ them */
   uint32_t first_step, end_step;
@@ -270,8 +294,9 @@ template <int MT, int SHARE> struct walker {
   unsigned char *behind; /* of the way's own */
 
   /* part_number: which steps of the walk are the task's. */
-  __device__ __forceinline__ walker(const mo_gk &args, const mo_gp_group &group, unsigned char *shared,
-                                    const mo_gk_task &task, uint32_t part_number)
+  __device__ __forceinline__ walker(const mo_gk &args, const mo_gp_group &group,
+                                    unsigned char *shared, const mo_gk_task &task,
+                                    uint32_t part_number)
       : k(args), g(group), warp(threadIdx.x / 32), lane(threadIdx.x % 32),
         half(SHARE > 1 ? (int)(task.walk & 1) : 0), first_step(part_number * args.part_steps),
         end_step(min(first_step + args.part_steps, args.n_steps))
@@ -283,7 +308,9 @@ template <int MT, int SHARE> struct walker {
     n0 = (int)pair.n_masses[0];
     n1 = MT * SHARE > 1 ? (int)pair.n_masses[1] : 0;
     first_chunk = pair.first_chunk + (has_second() ? pair.split : 0);
-    own_chunks = (int)(SHARE == 1 ? pair.n_chunks : has_second() ? pair.n_chunks - pair.split : pair.split);
+    own_chunks = (int)(SHARE == 1     ? pair.n_chunks
+                       : has_second() ? pair.n_chunks - pair.split
+                                      : pair.split);
     n_masses = (int)g.n_masses;
     n_chunks = (int)g.n_chunks;
     n_outputs = (int)g.n_outputs;
@@ -359,7 +386,8 @@ template <int MT, int SHARE> struct walker {
   {
     return MT > 1 && m >= n0;
   }
-  /* This lane's first mass of this warp's: a lane has the same of a row's, whether its warp has one row or two. */
+  /* This lane's first mass of this warp's: a lane has the same of a row's, whether its warp has one
+   * row or two. */
   __device__ __forceinline__ int lane_begin() const
   {
     return SHARE == 1 ? lane : begin() + ((lane - begin()) & 31);
@@ -376,7 +404,8 @@ template <int MT, int SHARE> struct walker {
   {
     enum { WORDS = sizeof(mo_plan_scene) / 4 };
     for (int i = threadIdx.x; i < ROWS * WORDS; i += MO_GK_THREADS)
-      ((float *)rows)[i] = ((const float *)&k.rows[g.first_row + group_row(i / WORDS)].scene)[i % WORDS];
+      ((float *)rows)[i] =
+          ((const float *)&k.rows[g.first_row + group_row(i / WORDS)].scene)[i % WORDS];
   }
 };
 
@@ -390,7 +419,8 @@ static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group
 
 /* WALKED: how groups of 32 rows are. */
 template <template <int, int> class Way, int WALKED>
-static __global__ void __launch_bounds__(MO_GK_THREADS, 1) way_kernel(const __grid_constant__ mo_gk k)
+static __global__ void __launch_bounds__(MO_GK_THREADS, 1)
+    way_kernel(const __grid_constant__ mo_gk k)
 {
   extern __shared__ __align__(16) unsigned char shared[];
   mo_gk_task task;
@@ -432,7 +462,7 @@ template <template <int, int> class Way> struct way_kernels {
   }
 };
 
-/* What a lane's four columns of a normalised layer are given: columns 2 j, 2 j + 1 in [j]. */
+/* What a lane's four columns of a normalized layer are given: columns 2 j, 2 j + 1 in [j]. */
 struct norm_columns {
   float2 gain[2], shift[2];
   __device__ __forceinline__ void load(const mo_gk_weights &w, int layer, int column)
@@ -446,8 +476,11 @@ struct norm_columns {
   }
 };
 
-/* Two sums over each row's 256 columns, from what each lane has of them: part is (rows, MO_GK_PART) in shared memory. Synchronises the block. */
-template <int MT> static __device__ __forceinline__ void sum_rows(float2 *part, int warp, int lane, float2 (&s)[MT][2])
+/* Two sums over each row's 256 columns, from what each lane has of them: part is (rows, MO_GK_PART)
+ * in shared memory. Synchronizes the block. */
+template <int MT>
+static __device__ __forceinline__ void sum_rows(float2 *part, int warp, int lane,
+                                                float2 (&s)[MT][2])
 {
 #pragma unroll
   for (int m = 0; m < MT; m++)
@@ -467,7 +500,8 @@ template <int MT> static __device__ __forceinline__ void sum_rows(float2 *part, 
 #pragma unroll
     for (int h = 0; h < 2; h++) {
       /* The row's four lanes add a quarter of the warps' parts each. */
-      const float4 *row = (const float4 *)(part + (m * 16 + h * 8 + (lane >> 2)) * MO_GK_PART) + 2 * (lane & 3);
+      const float4 *row =
+          (const float4 *)(part + (m * 16 + h * 8 + (lane >> 2)) * MO_GK_PART) + 2 * (lane & 3);
       const float4 one = row[0], two = row[1];
       float2 x = make_float2((one.x + one.z) + (two.x + two.z), (one.y + one.w) + (two.y + two.w));
       x.x += __shfl_xor_sync(0xffffffffu, x.x, 1);
@@ -485,8 +519,8 @@ template <int MT> static __device__ __forceinline__ void sum_rows(float2 *part, 
 #ifdef __cplusplus
 extern "C" {
 #endif
-/* Once for the present device, before the first launch. block_bytes: the shared memory that a block can have there. dynamic_bytes: what of it
- * a launch can ask for. */
+/* Once for the present device, before the first launch. block_bytes: the shared memory that a block
+ * can have there. dynamic_bytes: what of it a launch can ask for. */
 int mo_gk_open_forward(uint32_t block_bytes, uint32_t *dynamic_bytes);
 int mo_gk_open_back(uint32_t block_bytes, uint32_t *dynamic_bytes);
 int mo_gk_open_products(uint32_t block_bytes, uint32_t *dynamic_bytes);
@@ -494,15 +528,18 @@ int mo_gk_pack(const float *parameters, const struct mo_gk_weights *weights, voi
 int mo_gk_forward(const struct mo_gk *k, uint32_t shared_bytes, void *stream);
 int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream);
 /* jobs: (n) group, kind and block of each product; adds steps first … end − 1. */
-int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, uint32_t first, uint32_t end, void *stream);
-/* shard_groups: (n_shards + 1) first group of each shard. d_parameters: (n_shards, n_parameters). */
-int mo_gk_collect(const struct mo_gk *k, const uint32_t *shard_groups, uint32_t n_shards, double weight,
-                  float *d_parameters, void *stream);
+int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, uint32_t first,
+                   uint32_t end, void *stream);
+/* shard_groups: (n_shards + 1) first group of each shard. d_parameters: (n_shards, n_parameters).
+ */
+int mo_gk_collect(const struct mo_gk *k, const uint32_t *shard_groups, uint32_t n_shards,
+                  double weight, float *d_parameters, void *stream);
 #ifdef __cplusplus
 }
 #endif
 
-#define MO_GK_JOB(group, kind, block) ((uint32_t)(group) << 8 | (uint32_t)(kind) << 4 | (uint32_t)(block))
+#define MO_GK_JOB(group, kind, block)                                                              \
+  ((uint32_t)(group) << 8 | (uint32_t)(kind) << 4 | (uint32_t)(block))
 enum {
   MO_GK_JOB_OUTPUT = 0,
   MO_GK_JOB_HIDDEN_2 = 1,

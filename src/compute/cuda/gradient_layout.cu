@@ -1,5 +1,6 @@
-/* gradient_layout.cu: batches laid out before their weights are known, in memory that devices reach faster. Any thread may do that, while the device is
- * in a call: of the device it asks for constants alone. */
+/* gradient_layout.cu: batches laid out before their weights are known, in memory that devices reach
+ * faster. Any thread may do that, while the device is in a call: of the device it asks for
+ * constants alone. */
 #include "compute/cuda/device.cuh"
 
 #include <stdlib.h>
@@ -23,7 +24,8 @@ void *mo_cuda_gradient_allocate(const struct mo_device *device, size_t bytes)
   const bool is_plain = status != cudaSuccess;
   if (is_plain) {
     (void)cudaGetLastError();
-    memory = aligned_alloc(HEADER_BYTES, (bytes + 2 * HEADER_BYTES - 1) / HEADER_BYTES * HEADER_BYTES);
+    memory =
+        aligned_alloc(HEADER_BYTES, (bytes + 2 * HEADER_BYTES - 1) / HEADER_BYTES * HEADER_BYTES);
   }
   if (memory == nullptr)
     return nullptr;
@@ -41,7 +43,8 @@ void mo_cuda_gradient_release(void *memory)
     free(all);
     return;
   }
-  cudaSetDevice(of.device); /* a thread that has called no device yet would open the first, which may not be ours */
+  cudaSetDevice(of.device); /* a thread that has called no device yet would open the first, which
+                               may not be ours */
   cudaFreeHost(all);
 }
 
@@ -50,8 +53,9 @@ static void *allocate_table(void *device, size_t bytes)
   return mo_cuda_gradient_allocate((const mo_device *)device, bytes);
 }
 
-int mo_cuda_gradient_lay_out(const struct mo_device *device, const struct mo_robot *robots, uint32_t n,
-                             const struct mo_physics *physics, struct mo_device_layout **ret)
+int mo_cuda_gradient_lay_out(const struct mo_device *device, const struct mo_robot *robots,
+                             uint32_t n, const struct mo_physics *physics,
+                             struct mo_device_layout **ret)
 {
   mo_device_layout *layout = *ret;
   if (layout == nullptr) {

@@ -30,7 +30,7 @@ struct mo_gradient_plan {
   uint64_t n_masses, n_chunks;
   struct mo_gp_group *groups; /* (n_groups) those of one shard adjacent */
   struct mo_gp_row *rows;     /* (n_rows) */
-  float *position;            /* (n_masses, 3) at the start; x, y from the world's centre */
+  float *position;            /* (n_masses, 3) at the start; x, y from the world's center */
   uint8_t *input;             /* (n_masses) the mass's place among the inputs */
   uint32_t *springs;          /* (n_chunks, 32) */
   struct mo_outcome *starts;  /* (n) com_start_m alone */

@@ -1,7 +1,10 @@
-/* gradient_products.cu: the parameters' gradient as products over rows × steps, its sum over a shard's groups, and weights as tiles.
+/* gradient_products.cu: the parameters' gradient as products over rows × steps, its sum over a
+ * shard's groups, and weights as tiles.
  *
- * A block has 128 × 256 numbers of one matrix of one group: ∂loss/∂ (what the layer summed)ᵀ times what the layer was given, over all rows of the
- * group and the launch's steps in order, and times ones, which gives the biases' sums; the launches are added in order too, and the groups in collect. So no sum depends on which other groups there are, nor on the device. */
+ * A block has 128 × 256 numbers of one matrix of one group: ∂loss/∂ (what the layer summed)ᵀ times
+ * what the layer was given, over all rows of the group and the launch's steps in order, and times
+ * ones, which gives the biases' sums; the launches are added in order too, and the groups in
+ * collect. So no sum depends on which other groups there are, nor on the device. */
 #include "compute/cuda/gradient_products.cuh"
 
 enum {
@@ -17,7 +20,8 @@ enum {
 static_assert(DEPTH * LEFT == THREADS * 8 && DEPTH * RIGHT == 2 * THREADS * 8,
               "a thread copies three times 16 bytes of a stage");
 
-/* What a thread copies, stage by stage: 16 bytes of the left operand, and of the right one in two rows. */
+/* What a thread copies, stage by stage: 16 bytes of the left operand, and of the right one in two
+ * rows. */
 struct copies {
   const __nv_bfloat16 *left, *right;
   uint32_t left_to, right_to;
@@ -32,7 +36,8 @@ struct copies {
     left_to = (uint32_t)(row * LEFT_ROW + column) * 2;
     left_step = DEPTH * o.left_row;
     left_rows = o.depth - row;
-    const int right_at = (int)threadIdx.x / (RIGHT / 8), right_column = (int)threadIdx.x % (RIGHT / 8) * 8;
+    const int right_at = (int)threadIdx.x / (RIGHT / 8),
+              right_column = (int)threadIdx.x % (RIGHT / 8) * 8;
     right = o.right + (size_t)right_at * RIGHT + right_column;
     right_to = (uint32_t)(DEPTH * LEFT_ROW + right_at * RIGHT_ROW + right_column) * 2;
     right_rows = o.depth - right_at;
@@ -43,7 +48,8 @@ struct copies {
   {
     copy_ahead(stage + left_to, left, left_there && left_rows > 0);
     copy_ahead(stage + right_to, right, right_rows > 0);
-    copy_ahead(stage + right_to + DEPTH / 2 * RIGHT_ROW * 2, right + DEPTH / 2 * RIGHT, right_rows > DEPTH / 2);
+    copy_ahead(stage + right_to + DEPTH / 2 * RIGHT_ROW * 2, right + DEPTH / 2 * RIGHT,
+               right_rows > DEPTH / 2);
     left += left_step;
     right += DEPTH * RIGHT;
     left_rows -= DEPTH;
@@ -52,18 +58,23 @@ struct copies {
 };
 
 static __global__ void __launch_bounds__(THREADS, 1)
-    products_kernel(const __grid_constant__ mo_gk k, const uint32_t *jobs, uint32_t first, uint32_t end)
+    products_kernel(const __grid_constant__ mo_gk k, const uint32_t *jobs, uint32_t first,
+                    uint32_t end)
 {
   extern __shared__ __align__(16) unsigned char shared[];
   if (*k.cancel != 0)
     return;
   const operands o = operands_of(k, jobs[blockIdx.x], first, end);
-  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, m0 = (warp & 3) * 32, n0 = (warp >> 2) * 64;
+  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, m0 = (warp & 3) * 32,
+            n0 = (warp >> 2) * 64;
   const bool idle = m0 >= o.left_columns;
   const uint32_t base = shared_address(shared);
-  const uint32_t left_at = (uint32_t)(((lane & 7) + (lane >> 4) * 8) * LEFT_ROW + m0 + ((lane >> 3) & 1) * 8) * 2;
+  const uint32_t left_at =
+      (uint32_t)(((lane & 7) + (lane >> 4) * 8) * LEFT_ROW + m0 + ((lane >> 3) & 1) * 8) * 2;
   const uint32_t right_at =
-      (uint32_t)(DEPTH * LEFT_ROW + ((lane & 7) + ((lane >> 3) & 1) * 8) * RIGHT_ROW + n0 + (lane >> 4) * 8) * 2;
+      (uint32_t)(DEPTH * LEFT_ROW + ((lane & 7) + ((lane >> 3) & 1) * 8) * RIGHT_ROW + n0 +
+                 (lane >> 4) * 8) *
+      2;
   float c[2][8][4], sums[2][4] = {};
 #pragma unroll
   for (int i = 0; i < 2; i++)
@@ -126,8 +137,8 @@ static __global__ void __launch_bounds__(THREADS, 1)
     for (int j = 0; j < 8; j++)
 #pragma unroll
       for (int h = 0; h < 2; h++)
-        add_pair(o, m0 + m * 16 + h * 8 + (lane >> 2), n0 + j * 8 + 2 * (lane & 3), first == 0, c[m][j][2 * h],
-                 c[m][j][2 * h + 1]);
+        add_pair(o, m0 + m * 16 + h * 8 + (lane >> 2), n0 + j * 8 + 2 * (lane & 3), first == 0,
+                 c[m][j][2 * h], c[m][j][2 * h + 1]);
 }
 
 /* ---- over a shard's groups ---- */
@@ -157,7 +168,8 @@ static __device__ double of_group(const mo_gp_group &g, const float *sums, uint3
     i -= 2 * MO_HIDDEN;
   }
   const bool is_bias = i >= MO_DEFAULT_SPRINGS * MO_HIDDEN;
-  const uint32_t spring = is_bias ? i - MO_DEFAULT_SPRINGS * MO_HIDDEN : i / MO_HIDDEN, column = i % MO_HIDDEN;
+  const uint32_t spring = is_bias ? i - MO_DEFAULT_SPRINGS * MO_HIDDEN : i / MO_HIDDEN,
+                 column = i % MO_HIDDEN;
   const uint32_t place = g.output_place[spring / MO_GP_TILE];
   if (place == MO_GP_NONE)
     return 0;
@@ -165,8 +177,9 @@ static __device__ double of_group(const mo_gp_group &g, const float *sums, uint3
   return is_bias ? from[sum.output_bias + at] : from[sum.output + at * MO_HIDDEN + column];
 }
 
-static __global__ void collect_kernel(const mo_gp_group *groups, const float *sums, const uint32_t *shard_groups,
-                                      double weight, uint32_t n_parameters, float *d_parameters)
+static __global__ void collect_kernel(const mo_gp_group *groups, const float *sums,
+                                      const uint32_t *shard_groups, double weight,
+                                      uint32_t n_parameters, float *d_parameters)
 {
   const uint32_t i = blockIdx.x * blockDim.x + threadIdx.x;
   if (i >= n_parameters)
@@ -180,7 +193,8 @@ static __global__ void collect_kernel(const mo_gp_group *groups, const float *su
 /* ---- weights ---- */
 
 /* Value of a matrix (n_out, n_in), 0 beyond it. */
-static __device__ __forceinline__ float at(const float *w, uint32_t n_out, uint32_t n_in, uint32_t out, uint32_t in)
+static __device__ __forceinline__ float at(const float *w, uint32_t n_out, uint32_t n_in,
+                                           uint32_t out, uint32_t in)
 {
   return out < n_out && in < n_in ? w[out * n_in + in] : 0.0f;
 }
@@ -198,18 +212,21 @@ static __device__ __forceinline__ uint32_t pair_bfloat(float a, float b)
 }
 
 /* One thread per lane of a tile, forward and back. */
-static __global__ void pack_kernel(const float *w, uint32_t n_out, uint32_t n_in, uint32_t out_tiles, uint32_t in_tiles,
-                                   uint4 *forward, uint4 *back)
+static __global__ void pack_kernel(const float *w, uint32_t n_out, uint32_t n_in,
+                                   uint32_t out_tiles, uint32_t in_tiles, uint4 *forward,
+                                   uint4 *back)
 {
   const uint32_t i = blockIdx.x * blockDim.x + threadIdx.x, lane = i % 32, tile = i / 32;
   if (tile >= out_tiles * in_tiles)
     return;
-  const uint32_t out = tile / in_tiles * 16, in = tile % in_tiles * 16, g = lane / 4, t = lane % 4 * 2;
+  const uint32_t out = tile / in_tiles * 16, in = tile % in_tiles * 16, g = lane / 4,
+                 t = lane % 4 * 2;
   uint32_t f[4], b[4];
   for (uint32_t k = 0; k < 4; k++) {
     const uint32_t n = g / 2 * 4 + k / 2 * 2 + g % 2, m = k % 2 * 8 + t; /* warp_sums says why */
     f[k] = pair_half(at(w, n_out, n_in, out + n, in + m), at(w, n_out, n_in, out + n, in + m + 1));
-    b[k] = pair_bfloat(at(w, n_out, n_in, out + m, in + n), at(w, n_out, n_in, out + m + 1, in + n));
+    b[k] =
+        pair_bfloat(at(w, n_out, n_in, out + m, in + n), at(w, n_out, n_in, out + m + 1, in + n));
   }
   forward[i] = make_uint4(f[0], f[1], f[2], f[3]);
   back[((in / 16) * out_tiles + out / 16) * 32 + lane] = make_uint4(b[0], b[1], b[2], b[3]);
@@ -227,9 +244,10 @@ extern "C" int mo_gk_pack(const float *parameters, const struct mo_gk_weights *w
   const float *from = parameters;
   for (int layer = 0; layer <= MO_HIDDEN_LAYERS; layer++) {
     const uint32_t n_in = layer == 0 ? MO_DEFAULT_MASSES + MO_CPG_INPUTS : MO_HIDDEN;
-    const uint32_t n_out = layer < MO_HIDDEN_LAYERS ? MO_HIDDEN : MO_DEFAULT_SPRINGS, out_tiles = (n_out + 15) / 16;
-    pack_kernel<<<(out_tiles * 16 * 32 + 255) / 256, 256, 0, s>>>(from, n_out, n_in, out_tiles, 16, w->forward[layer],
-                                                                  w->back[layer]);
+    const uint32_t n_out = layer < MO_HIDDEN_LAYERS ? MO_HIDDEN : MO_DEFAULT_SPRINGS,
+                   out_tiles = (n_out + 15) / 16;
+    pack_kernel<<<(out_tiles * 16 * 32 + 255) / 256, 256, 0, s>>>(
+        from, n_out, n_in, out_tiles, 16, w->forward[layer], w->back[layer]);
     from += n_out * n_in;
     copy_kernel<<<1, 256, 0, s>>>(from, w->bias[layer], n_out);
     from += n_out;
@@ -242,7 +260,8 @@ extern "C" int mo_gk_pack(const float *parameters, const struct mo_gk_weights *w
   return (int)cudaGetLastError();
 }
 
-/* Whether the present device has what the wide kernel needs: that of capability 9.0 alone, no later one's. */
+/* Whether the present device has what the wide kernel needs: that of capability 9.0 alone, no later
+ * one's. */
 static cudaError_t has_wide(bool *wide)
 {
   int device = 0, major = 0, minor = 0;
@@ -265,26 +284,28 @@ extern "C" int mo_gk_open_products(uint32_t block_bytes, uint32_t *dynamic_bytes
               : allow_shared(products_kernel, block_bytes, dynamic_bytes);
 }
 
-extern "C" int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, uint32_t first, uint32_t end,
-                              void *stream)
+extern "C" int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n,
+                              uint32_t first, uint32_t end, void *stream)
 {
   bool wide = false;
   const cudaError_t status = has_wide(&wide);
   if (status != cudaSuccess)
     return (int)status;
   if (wide)
-    wide_products_kernel<<<n, WIDE_THREADS, WIDE_SHARED, (cudaStream_t)stream>>>(*k, jobs, first, end);
+    wide_products_kernel<<<n, WIDE_THREADS, WIDE_SHARED, (cudaStream_t)stream>>>(*k, jobs, first,
+                                                                                 end);
   else
-    products_kernel<<<n, THREADS, STAGES * STAGE_BYTES, (cudaStream_t)stream>>>(*k, jobs, first, end);
+    products_kernel<<<n, THREADS, STAGES * STAGE_BYTES, (cudaStream_t)stream>>>(*k, jobs, first,
+                                                                                end);
   return (int)cudaGetLastError();
 }
 
-extern "C" int mo_gk_collect(const struct mo_gk *k, const uint32_t *shard_groups, uint32_t n_shards, double weight,
-                             float *d_parameters, void *stream)
+extern "C" int mo_gk_collect(const struct mo_gk *k, const uint32_t *shard_groups, uint32_t n_shards,
+                             double weight, float *d_parameters, void *stream)
 {
-  const uint32_t n = MO_HIDDEN * (MO_DEFAULT_MASSES + MO_CPG_INPUTS) + 2 * MO_HIDDEN * MO_HIDDEN + 9 * MO_HIDDEN +
-                     MO_DEFAULT_SPRINGS * (MO_HIDDEN + 1);
-  collect_kernel<<<dim3((n + 255) / 256, n_shards), 256, 0, (cudaStream_t)stream>>>(k->groups, k->sums, shard_groups,
-                                                                                    weight, n, d_parameters);
+  const uint32_t n = MO_HIDDEN * (MO_DEFAULT_MASSES + MO_CPG_INPUTS) + 2 * MO_HIDDEN * MO_HIDDEN +
+                     9 * MO_HIDDEN + MO_DEFAULT_SPRINGS * (MO_HIDDEN + 1);
+  collect_kernel<<<dim3((n + 255) / 256, n_shards), 256, 0, (cudaStream_t)stream>>>(
+      k->groups, k->sums, shard_groups, weight, n, d_parameters);
   return (int)cudaGetLastError();
 }

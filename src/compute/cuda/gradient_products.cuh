@@ -1,10 +1,13 @@
-/* gradient_products.cuh: what a block of the products multiplies, and the kernel for devices of compute capability 9.0.
+/* gradient_products.cuh: what a block of the products multiplies, and the kernel for devices of
+ * compute capability 9.0.
  *
- * There a group of four warps multiplies 64 × 256 numbers by 16 rows in one instruction, which reads both operands from shared memory itself; so a
- * block of two such groups has 128 × 256 numbers, as on other devices, with a quarter of the warps and no loads between. The instruction takes
- * operands whose columns follow one another, as they do on the tape: 64 columns (128 bytes) to a line, lines by rows, the 16-byte pieces of a line
- * in an order that depends on its row, so that no bank is met twice. It adds rows sixteen at a time in their order, as the other kernel does, and was
- * found to give the same bits. */
+ * There a group of four warps multiplies 64 × 256 numbers by 16 rows in one instruction, which
+ * reads both operands from shared memory itself; so a block of two such groups has 128 × 256
+ * numbers, as on other devices, with a quarter of the warps and no loads between. The instruction
+ * takes operands whose columns follow one another, as they do on the tape: 64 columns (128 bytes)
+ * to a line, lines by rows, the 16-byte pieces of a line in an order that depends on its row, so
+ * that no bank is met twice. It adds rows sixteen at a time in their order, as the other kernel
+ * does, and was found to give the same bits. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_PRODUCTS_CUH
 #define MORPHO_COMPUTE_CUDA_GRADIENT_PRODUCTS_CUH
 
@@ -12,7 +15,8 @@
 
 static __device__ __forceinline__ void copy_ahead(uint32_t to, const void *from, bool there)
 {
-  asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;" ::"r"(to), "l"(from), "r"(there ? 16 : 0));
+  asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;" ::"r"(to), "l"(from),
+               "r"(there ? 16 : 0));
 }
 
 struct operands {
@@ -22,7 +26,8 @@ struct operands {
   float *bias; /* (left_columns) sums of the left one over its rows */
 };
 
-static __device__ __forceinline__ operands operands_of(const mo_gk &k, uint32_t job, uint32_t first, uint32_t end)
+static __device__ __forceinline__ operands operands_of(const mo_gk &k, uint32_t job, uint32_t first,
+                                                       uint32_t end)
 {
   const mo_gp_group &g = k.groups[job >> 8];
   const int kind = (int)(job >> 4 & 15), block = (int)(job & 15);
@@ -50,7 +55,8 @@ static __device__ __forceinline__ operands operands_of(const mo_gk &k, uint32_t 
   }
   const unsigned char *base = k.tape + g.tape_at;
   operands o;
-  o.left = (const __nv_bfloat16 *)(base + left) + (size_t)first * g.n_rows * m_all + block * MO_GK_JOB_COLUMNS;
+  o.left = (const __nv_bfloat16 *)(base + left) + (size_t)first * g.n_rows * m_all +
+           block * MO_GK_JOB_COLUMNS;
   o.right = (const __nv_bfloat16 *)(base + right) + (size_t)first * g.n_rows * MO_HIDDEN;
   o.left_row = m_all;
   o.left_columns = m_all - block * MO_GK_JOB_COLUMNS;
@@ -61,7 +67,8 @@ static __device__ __forceinline__ operands operands_of(const mo_gk &k, uint32_t 
 }
 
 /* Two numbers of a sum, added to those of earlier launches. */
-static __device__ __forceinline__ void add_pair(const operands &o, int row, int column, bool is_first, float x, float y)
+static __device__ __forceinline__ void add_pair(const operands &o, int row, int column,
+                                                bool is_first, float x, float y)
 {
   if (row >= o.left_columns)
     return;
@@ -87,7 +94,7 @@ enum {
   WIDE_LINES = WIDE_DEPTH * 128, /* bytes of 64 columns */
   WIDE_STAGE = WIDE_LINES * (MO_GK_JOB_COLUMNS + MO_HIDDEN) / 64,
   WIDE_THREADS = 256,
-  WIDE_ONES = 256,                                          /* bytes: eight columns of sixteen rows */
+  WIDE_ONES = 256, /* bytes: eight columns of sixteen rows */
   WIDE_SHARED = WIDE_STAGES * WIDE_STAGE + WIDE_ONES + 1024 /* for the first line's place */
 };
 
@@ -125,7 +132,8 @@ struct wide_copies {
   {
 #pragma unroll
     for (int i = 0; i < WIDE_DEPTH; i += 16)
-      copy_ahead(stage + left_to + i * 128, left + (size_t)i * left_row, left_there && left_rows > i);
+      copy_ahead(stage + left_to + i * 128, left + (size_t)i * left_row,
+                 left_there && left_rows > i);
 #pragma unroll
     for (int i = 0; i < WIDE_DEPTH; i += 8)
       copy_ahead(stage + right_to + i * 128, right + i * MO_HIDDEN, right_rows > i);
@@ -136,10 +144,12 @@ struct wide_copies {
   }
 };
 
-/* How the instruction finds an operand: where it starts, how far 64 columns and 8 rows are from the next, that pieces are in that order. */
+/* How the instruction finds an operand: where it starts, how far 64 columns and 8 rows are from the
+ * next, that pieces are in that order. */
 static __device__ __forceinline__ uint64_t wide_operand(uint32_t address)
 {
-  return (uint64_t)(address >> 4) | (uint64_t)(WIDE_LINES >> 4) << 16 | (uint64_t)(1024 >> 4) << 32 | (uint64_t)1 << 62;
+  return (uint64_t)(address >> 4) | (uint64_t)(WIDE_LINES >> 4) << 16 |
+         (uint64_t)(1024 >> 4) << 32 | (uint64_t)1 << 62;
 }
 
 /* Of ones, in any order. */
@@ -148,42 +158,54 @@ static __device__ __forceinline__ uint64_t wide_ones(uint32_t address)
   return (uint64_t)(address >> 4) | (uint64_t)(128 >> 4) << 16 | (uint64_t)(128 >> 4) << 32;
 }
 
-/* Adds sixteen rows of the left one to its sums: c[2 h] is row 16 (warp % 4) + 8 h + lane/4, the rest is the same again. */
+/* Adds sixteen rows of the left one to its sums: c[2 h] is row 16 (warp % 4) + 8 h + lane/4, the
+ * rest is the same again. */
 static __device__ __forceinline__ void wide_sum(float (&c)[4], uint64_t left, uint64_t ones)
 {
-  asm volatile("wgmma.mma_async.sync.aligned.m64n8k16.f32.bf16.bf16 {%0, %1, %2, %3}, %4, %5, 1, 1, 1, 1, 1;"
-               : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
-               : "l"(left), "l"(ones));
+  asm volatile(
+      "wgmma.mma_async.sync.aligned.m64n8k16.f32.bf16.bf16 {%0, %1, %2, %3}, %4, %5, 1, 1, 1, 1, 1;"
+      : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
+      : "l"(left), "l"(ones));
 }
 
-#define WIDE_8(c, i)                                                                                                   \
-  "+f"((c)[i]), "+f"((c)[(i) + 1]), "+f"((c)[(i) + 2]), "+f"((c)[(i) + 3]), "+f"((c)[(i) + 4]), "+f"((c)[(i) + 5]),    \
-      "+f"((c)[(i) + 6]), "+f"((c)[(i) + 7])
+#define WIDE_8(c, i)                                                                               \
+  "+f"((c)[i]), "+f"((c)[(i) + 1]), "+f"((c)[(i) + 2]), "+f"((c)[(i) + 3]), "+f"((c)[(i) + 4]),    \
+      "+f"((c)[(i) + 5]), "+f"((c)[(i) + 6]), "+f"((c)[(i) + 7])
 #define WIDE_32(c, i) WIDE_8(c, i), WIDE_8(c, (i) + 8), WIDE_8(c, (i) + 16), WIDE_8(c, (i) + 24)
 
-/* Adds sixteen rows of both. c[4 j + 2 h + e] is row 16 (warp % 4) + 8 h + lane/4, column 8 j + 2 (lane % 4) + e. */
+/* Adds sixteen rows of both. c[4 j + 2 h + e] is row 16 (warp % 4) + 8 h + lane/4, column 8 j + 2
+ * (lane % 4) + e. */
 static __device__ __forceinline__ void wide_multiply(float (&c)[128], uint64_t left, uint64_t right)
 {
   asm volatile("wgmma.mma_async.sync.aligned.m64n256k16.f32.bf16.bf16 {"
-               "%0, %1, %2, %3, %4, %5, %6, %7, %8, %9, %10, %11, %12, %13, %14, %15, %16, %17, %18, %19, %20, %21, "
-               "%22, %23, %24, %25, %26, %27, %28, %29, %30, %31, %32, %33, %34, %35, %36, %37, %38, %39, %40, %41, "
-               "%42, %43, %44, %45, %46, %47, %48, %49, %50, %51, %52, %53, %54, %55, %56, %57, %58, %59, %60, %61, "
-               "%62, %63, %64, %65, %66, %67, %68, %69, %70, %71, %72, %73, %74, %75, %76, %77, %78, %79, %80, %81, "
-               "%82, %83, %84, %85, %86, %87, %88, %89, %90, %91, %92, %93, %94, %95, %96, %97, %98, %99, %100, %101, "
-               "%102, %103, %104, %105, %106, %107, %108, %109, %110, %111, %112, %113, %114, %115, %116, %117, %118, "
+               "%0, %1, %2, %3, %4, %5, %6, %7, %8, %9, %10, %11, %12, %13, %14, %15, %16, %17, "
+               "%18, %19, %20, %21, "
+               "%22, %23, %24, %25, %26, %27, %28, %29, %30, %31, %32, %33, %34, %35, %36, %37, "
+               "%38, %39, %40, %41, "
+               "%42, %43, %44, %45, %46, %47, %48, %49, %50, %51, %52, %53, %54, %55, %56, %57, "
+               "%58, %59, %60, %61, "
+               "%62, %63, %64, %65, %66, %67, %68, %69, %70, %71, %72, %73, %74, %75, %76, %77, "
+               "%78, %79, %80, %81, "
+               "%82, %83, %84, %85, %86, %87, %88, %89, %90, %91, %92, %93, %94, %95, %96, %97, "
+               "%98, %99, %100, %101, "
+               "%102, %103, %104, %105, %106, %107, %108, %109, %110, %111, %112, %113, %114, "
+               "%115, %116, %117, %118, "
                "%119, %120, %121, %122, %123, %124, %125, %126, %127}, %128, %129, 1, 1, 1, 1, 1;"
                : WIDE_32(c, 0), WIDE_32(c, 32), WIDE_32(c, 64), WIDE_32(c, 96)
                : "l"(left), "l"(right));
 }
 
-/* A stage is filled again two rounds after it was multiplied: by then all warps have seen its product done. */
-static __device__ __forceinline__ void wide_products(const mo_gk &k, uint32_t job, uint32_t first, uint32_t end,
-                                                     unsigned char *shared)
+/* A stage is filled again two rounds after it was multiplied: by then all warps have seen its
+ * product done. */
+static __device__ __forceinline__ void wide_products(const mo_gk &k, uint32_t job, uint32_t first,
+                                                     uint32_t end, unsigned char *shared)
 {
   const operands o = operands_of(k, job, first, end);
-  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, half = __shfl_sync(0xffffffffu, warp / 4, 0);
+  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32,
+            half = __shfl_sync(0xffffffffu, warp / 4, 0);
   const bool idle = half * 64 >= o.left_columns;
-  const uint32_t base = (shared_address(shared) + 1023) / 1024 * 1024, last = base + WIDE_STAGES * WIDE_STAGE;
+  const uint32_t base = (shared_address(shared) + 1023) / 1024 * 1024,
+                 last = base + WIDE_STAGES * WIDE_STAGE;
   float c[128], sums[4] = {0, 0, 0, 0};
 #pragma unroll
   for (int i = 0; i < 128; i++)
@@ -232,14 +254,15 @@ static __device__ __forceinline__ void wide_products(const mo_gk &k, uint32_t jo
   for (int j = 0; j < 32; j++)
 #pragma unroll
     for (int h = 0; h < 2; h++)
-      add_pair(o, warp * 16 + h * 8 + (lane >> 2), j * 8 + 2 * (lane & 3), first == 0, c[4 * j + 2 * h],
-               c[4 * j + 2 * h + 1]);
+      add_pair(o, warp * 16 + h * 8 + (lane >> 2), j * 8 + 2 * (lane & 3), first == 0,
+               c[4 * j + 2 * h], c[4 * j + 2 * h + 1]);
 }
 
 #endif
 
 static __global__ void __launch_bounds__(WIDE_THREADS, 1)
-    wide_products_kernel(const __grid_constant__ mo_gk k, const uint32_t *jobs, uint32_t first, uint32_t end)
+    wide_products_kernel(const __grid_constant__ mo_gk k, const uint32_t *jobs, uint32_t first,
+                         uint32_t end)
 {
 #ifdef __CUDA_ARCH_FEAT_SM90_ALL
   extern __shared__ __align__(16) unsigned char shared[];

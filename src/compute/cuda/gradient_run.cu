@@ -1,8 +1,9 @@
 /* gradient_run.cu: what was laid out, from rows to shards' sums.
  *
- * It is cut into passes of whole shards that fit the device's memory; nearly always it is one. A pass runs forward over all steps, back
- * again, which leaves what the products need where the tape was, and takes the products. A row whose adjoint turns out not to be finite was added
- * until then: both ways are walked again without it. That is rare. */
+ * It is cut into passes of whole shards that fit the device's memory; nearly always it is one. A
+ * pass runs forward over all steps, back again, which leaves what the products need where the tape
+ * was, and takes the products. A row whose adjoint turns out not to be finite was added until then:
+ * both ways are walked again without it. That is rare. */
 #include "compute/cuda/device.cuh"
 #include "compute/cuda/gradient_pass.h"
 extern "C" {
@@ -39,17 +40,18 @@ int check(work &w, int status, const char *what)
   return mo_cuda_check(w.device, (cudaError_t)status, what);
 }
 
-/* How many of the wide groups, those first that take longest, are walked by two blocks each. loads: by falling cost. */
+/* How many of the wide groups, those first that take longest, are walked by two blocks each. loads:
+ * by falling cost. */
 uint32_t count_halved(const mo_device *device, const std::vector<mo_gradient_load> &loads)
 {
-  const uint32_t n_wide =
-      (uint32_t)std::count_if(loads.begin(), loads.end(), [](const mo_gradient_load &load) { return load.wide; });
+  const uint32_t n_wide = (uint32_t)std::count_if(
+      loads.begin(), loads.end(), [](const mo_gradient_load &load) { return load.wide; });
   const mo_cuda_halves halves = device->gradient.halves;
   return halves == MO_CUDA_HALVES_NEVER    ? 0
          : halves == MO_CUDA_HALVES_ALWAYS ? n_wide
-         : halves == MO_CUDA_HALVES_SOME
-             ? (n_wide + 1) / 2
-             : mo_gradient_halved(loads.data(), (uint32_t)loads.size(), (uint32_t)device->multiprocessors);
+         : halves == MO_CUDA_HALVES_SOME   ? (n_wide + 1) / 2
+                                         : mo_gradient_halved(loads.data(), (uint32_t)loads.size(),
+                                                              (uint32_t)device->multiprocessors);
 }
 
 /* One that is handed out, and the parts done of each half of each group. */
@@ -71,8 +73,9 @@ int upload_pass(work &w)
       shards.push_back(i);
   }
   shards.push_back(w.p.end);
-  std::stable_sort(loads.begin(), loads.end(),
-                   [](const mo_gradient_load &a, const mo_gradient_load &b) { return a.cost > b.cost; });
+  std::stable_sort(
+      loads.begin(), loads.end(),
+      [](const mo_gradient_load &a, const mo_gradient_load &b) { return a.cost > b.cost; });
   const uint32_t most_halved = count_halved(w.device, loads);
   bool all_halved = true;
   w.n_halved = 0;
@@ -86,7 +89,8 @@ int upload_pass(work &w)
       walks.push_back(MO_GK_WALK(i, 0));
       all_halved = all_halved && !load.wide;
     }
-    const uint32_t blocks = (plan.groups[i].n_outputs * MO_GP_TILE + MO_GK_JOB_COLUMNS - 1) / MO_GK_JOB_COLUMNS;
+    const uint32_t blocks =
+        (plan.groups[i].n_outputs * MO_GP_TILE + MO_GK_JOB_COLUMNS - 1) / MO_GK_JOB_COLUMNS;
     for (uint32_t b = 0; b < blocks; b++)
       jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_OUTPUT, b));
     for (uint32_t b = 0; b < MO_HIDDEN / MO_GK_JOB_COLUMNS; b++) {
@@ -99,9 +103,11 @@ int upload_pass(work &w)
   w.n_jobs = (uint32_t)jobs.size();
   w.k.n_walks = (uint32_t)walks.size();
   const mo_controller *controller = w.call->controller;
-  const uint64_t parameters_bytes = controller->n_parameters * 4, results_bytes = plan.n_rows * sizeof(mo_gk_result);
-  int r = in_turn([&] { return mo_cuda_reserve_pinned(w.device, &s->results, results_bytes); },
-                  [&] { return mo_cuda_reserve_pinned(w.device, &s->parameters, parameters_bytes); });
+  const uint64_t parameters_bytes = controller->n_parameters * 4,
+                 results_bytes = plan.n_rows * sizeof(mo_gk_result);
+  int r =
+      in_turn([&] { return mo_cuda_reserve_pinned(w.device, &s->results, results_bytes); },
+              [&] { return mo_cuda_reserve_pinned(w.device, &s->parameters, parameters_bytes); });
   if (r < 0)
     return r;
   w.results = (mo_gk_result *)s->results.memory;
@@ -153,8 +159,10 @@ int upload_pass(work &w)
   w.k.weights = s->tiles;
   w.k.tickets = s->buffers[TICKETS].of<uint32_t>();
   w.k.cancel = s->cancel;
-  /* The vectors end here: copies from pageable memory are staged before cudaMemcpyAsync returns. What is pinned stays until the pass ends. */
-  return check(w, mo_gk_pack(s->buffers[PARAMETERS].of<float>(), &s->tiles, w.device->stream), "weights");
+  /* The vectors end here: copies from pageable memory are staged before cudaMemcpyAsync returns.
+   * What is pinned stays until the pass ends. */
+  return check(w, mo_gk_pack(s->buffers[PARAMETERS].of<float>(), &s->tiles, w.device->stream),
+               "weights");
 }
 
 bool cancelled(const work &w)
@@ -186,13 +194,18 @@ int wait_for(work &w, cudaEvent_t mark)
 }
 
 /* A way through all steps: no task has been handed out, and none is done. */
-int walk(work &w, int (*way)(const mo_gk *k, uint32_t shared_bytes, void *stream), cudaEvent_t after, const char *what)
+int walk(work &w, int (*way)(const mo_gk *k, uint32_t shared_bytes, void *stream),
+         cudaEvent_t after, const char *what)
 {
   const cudaStream_t stream = w.device->stream;
   return check(w,
-               in_turn([&] { return (int)cudaMemsetAsync(w.s->buffers[TICKETS].memory, 0, tickets_bytes(*w.plan), stream); },
-                       [&] { return way(&w.k, w.p.shared, stream); },
-                       [&] { return (int)cudaEventRecord(after, stream); }),
+               in_turn(
+                   [&] {
+                     return (int)cudaMemsetAsync(w.s->buffers[TICKETS].memory, 0,
+                                                 tickets_bytes(*w.plan), stream);
+                   },
+                   [&] { return way(&w.k, w.p.shared, stream); },
+                   [&] { return (int)cudaEventRecord(after, stream); }),
                what);
 }
 
@@ -202,7 +215,10 @@ int multiply(work &w, cudaEvent_t after)
   int r = MO_OK;
   for (uint32_t first = 0; first < w.k.n_steps && r == MO_OK; first += PRODUCT_STEPS) {
     const uint32_t end = std::min<uint32_t>(first + PRODUCT_STEPS, w.k.n_steps);
-    r = check(w, mo_gk_products(&w.k, s->buffers[JOBS].of<uint32_t>(), w.n_jobs, first, end, w.device->stream), "products");
+    r = check(w,
+              mo_gk_products(&w.k, s->buffers[JOBS].of<uint32_t>(), w.n_jobs, first, end,
+                             w.device->stream),
+              "products");
   }
   return r == MO_OK ? check(w, cudaEventRecord(after, w.device->stream), "products") : r;
 }
@@ -221,12 +237,14 @@ int copy_results(work &w, cudaEvent_t after)
 {
   const uint64_t bytes = w.plan->n_rows * sizeof(mo_gk_result);
   const cudaStream_t stream = w.device->stream;
-  return check(
-      w,
-      in_turn(
-          [&] { return cudaMemcpyAsync(w.results, w.s->buffers[RESULTS].memory, bytes, cudaMemcpyDeviceToHost, stream); },
-          [&] { return cudaEventRecord(after, stream); }),
-      "copy from the device");
+  return check(w,
+               in_turn(
+                   [&] {
+                     return cudaMemcpyAsync(w.results, w.s->buffers[RESULTS].memory, bytes,
+                                            cudaMemcpyDeviceToHost, stream);
+                   },
+                   [&] { return cudaEventRecord(after, stream); }),
+               "copy from the device");
 }
 
 /* Sums of the shards, to the host. */
@@ -239,9 +257,13 @@ int collect(work &w, float *to, cudaEvent_t after)
   const cudaStream_t stream = w.device->stream;
   return check(
       w,
-      in_turn([&] { return mo_gk_collect(&w.k, s->buffers[SHARDS].of<uint32_t>(), n, w.call->weight, sums, stream); },
-              [&] { return (int)cudaMemcpyAsync(to, sums, bytes, cudaMemcpyDeviceToHost, stream); },
-              [&] { return (int)cudaEventRecord(after, stream); }),
+      in_turn(
+          [&] {
+            return mo_gk_collect(&w.k, s->buffers[SHARDS].of<uint32_t>(), n, w.call->weight, sums,
+                                 stream);
+          },
+          [&] { return (int)cudaMemcpyAsync(to, sums, bytes, cudaMemcpyDeviceToHost, stream); },
+          [&] { return (int)cudaEventRecord(after, stream); }),
       "sums");
 }
 
@@ -253,14 +275,15 @@ int ask_for_pass(work &w, float *to)
   return in_turn([&] { return check(w, cudaEventRecord(marks[0], w.device->stream), "device"); },
                  [&] { return walk(w, mo_gk_forward, marks[1], "rollouts"); },
                  [&] { return walk(w, mo_gk_back, marks[2], "way back"); },
-                 [&] { return copy_results(w, w.s->copied); }, [&] { return multiply(w, marks[3]); },
-                 [&] { return collect(w, to, marks[4]); });
+                 [&] { return copy_results(w, w.s->copied); },
+                 [&] { return multiply(w, marks[3]); }, [&] { return collect(w, to, marks[4]); });
 }
 
 int finish_pass(work &w)
 {
   mo_cuda_gradient_state *s = w.s;
-  double *const parts[] = {&s->profile.forward_s, &s->profile.back_s, &s->profile.products_s, &s->profile.collect_s};
+  double *const parts[] = {&s->profile.forward_s, &s->profile.back_s, &s->profile.products_s,
+                           &s->profile.collect_s};
   int r = wait_for(w, s->marks[4]);
   for (int i = 0; i < 4 && r == MO_OK; i++) {
     float ms = 0;
@@ -298,7 +321,8 @@ void report(work &w)
   mo_gradient_counts_add(&w.call->counts, &counts);
 }
 
-/* Again until no more rows turn out to be left out. The way back leaves no tape: before another one, there is another way forward. */
+/* Again until no more rows turn out to be left out. The way back leaves no tape: before another
+ * one, there is another way forward. */
 int run_until_finite(work &w, float *to)
 {
   std::vector<mo_gk_result> before;
@@ -328,14 +352,21 @@ int run_until_finite(work &w, float *to)
       x.diverged = 0;
     }
     r = in_turn(
-        [&] { return mo_cuda_upload(w.device, &w.s->buffers[RESULTS], again.data(), again.size() * sizeof(again[0])); },
-        [&] { return mo_cuda_upload(w.device, &w.s->buffers[POSITION], w.plan->position, w.plan->n_masses * 12); });
+        [&] {
+          return mo_cuda_upload(w.device, &w.s->buffers[RESULTS], again.data(),
+                                again.size() * sizeof(again[0]));
+        },
+        [&] {
+          return mo_cuda_upload(w.device, &w.s->buffers[POSITION], w.plan->position,
+                                w.plan->n_masses * 12);
+        });
     if (r < 0)
       return r;
   }
 }
 
-/* The pass's sums to their place in the caller's memory, through memory of one's own where that is not pinned. */
+/* The pass's sums to their place in the caller's memory, through memory of one's own where that is
+ * not pinned. */
 int compute(work &w)
 {
   mo_cuda_gradient_state *s = w.s;
@@ -366,13 +397,15 @@ uint64_t held(const mo_device *device)
   return sum;
 }
 
-/* What a pass may take of the device's memory. The driver is asked only where the buffers may have to grow: now and then it takes
- * ten milliseconds to answer. */
-int find_budget(mo_device *device, mo_gradient_plan &plan, uint32_t n_steps, uint64_t most, uint64_t *budget)
+/* What a pass may take of the device's memory. The driver is asked only where the buffers may have
+ * to grow: now and then it takes ten milliseconds to answer. */
+int find_budget(mo_device *device, mo_gradient_plan &plan, uint32_t n_steps, uint64_t most,
+                uint64_t *budget)
 {
   mo_gradient_pass all = {};
   *budget = share_of(held(device));
-  if (most == 0 && mo_gradient_pass_next(&plan, 0, 0, n_steps, *budget, &all) == MO_OK && all.end == plan.n_groups)
+  if (most == 0 && mo_gradient_pass_next(&plan, 0, 0, n_steps, *budget, &all) == MO_OK &&
+      all.end == plan.n_groups)
     return MO_OK;
   size_t free_bytes = 0, total = 0;
   const int r = mo_cuda_check(device, cudaMemGetInfo(&free_bytes, &total), "device");
@@ -384,13 +417,15 @@ int find_budget(mo_device *device, mo_gradient_plan &plan, uint32_t n_steps, uin
 
 } // namespace
 
-int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradient_plan &plan, uint64_t memory_bytes)
+int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradient_plan &plan,
+                         uint64_t memory_bytes)
 {
   mo_cuda_gradient_state *s = &device->gradient;
   const uint32_t n_steps = call->physics.n_steps;
   uint64_t budget = 0;
   if (!mo_gradient_can_be_held(&plan, n_steps, share_of(device->total_bytes))) {
-    snprintf(device->error, sizeof(device->error), "a tape of %u steps is too long for this device", (unsigned)n_steps);
+    snprintf(device->error, sizeof(device->error), "a tape of %u steps is too long for this device",
+             (unsigned)n_steps);
     return MO_ERR_UNSUPPORTED;
   }
   int found = find_budget(device, plan, n_steps, memory_bytes, &budget);
@@ -414,7 +449,8 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
     w.k.part_steps = PART_STEPS;
     const double since = now_s();
     r = upload_pass(w);
-    if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls are in the way: all go, and are asked for again */
+    if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls are in the way: all go, and are
+                                    asked for again */
       cudaStreamSynchronize(device->stream);
       mo_cuda_gradient_trim(device);
       r = upload_pass(w);

@@ -72,7 +72,7 @@ struct mo_gp_group {
 };
 
 struct mo_gp_row {
-  double light_m[2]; /* from the world's centre */
+  double light_m[2]; /* from the world's center */
   double start_m;    /* distance to it at the start + 1e-8 */
   struct mo_plan_scene scene;
   uint32_t robot; /* of the batch; MO_GP_NO_ROBOT: an empty row */

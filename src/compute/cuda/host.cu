@@ -30,8 +30,9 @@ void mo_cuda_release_pinned(mo_cuda_buffer *buffer)
   *buffer = mo_cuda_buffer{};
 }
 
-/* A little more than asked for, so that calls of nearly equal size do not each grow it: to give back and get the
- * gradient's tape takes as long as a way through it. Where there is no room for that, less. */
+/* A little more than asked for, so that calls of nearly equal size do not each grow it: to give
+ * back and get the gradient's tape takes as long as a way through it. Where there is no room for
+ * that, less. */
 int mo_cuda_reserve(mo_device *device, mo_cuda_buffer *buffer, size_t bytes)
 {
   if (bytes <= buffer->bytes)
@@ -55,7 +56,8 @@ int mo_cuda_reserve_pinned(mo_device *device, mo_cuda_buffer *buffer, size_t byt
   mo_cuda_release_pinned(buffer);
   const size_t wanted = bytes + bytes / 8 + 4096;
   void *memory = nullptr;
-  const int status = mo_cuda_check(device, cudaHostAlloc(&memory, wanted, cudaHostAllocDefault), "pinned memory");
+  const int status =
+      mo_cuda_check(device, cudaHostAlloc(&memory, wanted, cudaHostAllocDefault), "pinned memory");
   if (status == MO_OK)
     *buffer = mo_cuda_buffer{memory, wanted};
   return status;
@@ -102,7 +104,8 @@ int mo_cuda_generators(mo_device *device, const mo_physics *physics)
   float *out = (float *)device->staged_generators.memory;
   for (uint32_t step = 0; step < physics->n_steps; step++)
     for (int k = 0; k < MO_CPG_INPUTS; k++)
-      *out++ = (float)sin(MO_CPG_RAD_PER_S * (step * physics->dt_s) + 2.0 * M_PI * k / MO_CPG_INPUTS);
+      *out++ =
+          (float)sin(MO_CPG_RAD_PER_S * (step * physics->dt_s) + 2.0 * M_PI * k / MO_CPG_INPUTS);
   status = mo_cuda_upload(device, &device->generators, device->staged_generators.memory, bytes);
   if (status == MO_OK) {
     device->generators_dt_s = physics->dt_s;

@@ -23,7 +23,8 @@ int find(uint32_t index, int *ordinal, uint32_t *n)
   for (int i = 0; i < count; i++) {
     int major = 0, shared_bytes = 0;
     if (cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, i) != cudaSuccess ||
-        cudaDeviceGetAttribute(&shared_bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, i) != cudaSuccess) {
+        cudaDeviceGetAttribute(&shared_bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, i) !=
+            cudaSuccess) {
       cudaGetLastError();
       continue;
     }
@@ -48,9 +49,10 @@ void close(mo_device *device)
     return;
   cudaSetDevice(device->index);
   mo_cuda_gradient_close(device);
-  mo_cuda_buffer *const buffers[] = {&device->plan, &device->velocities, &device->outcomes, &device->generators,
-                                     &device->counter};
-  mo_cuda_buffer *const pinned[] = {&device->staged_plan, &device->staged_outcomes, &device->staged_generators};
+  mo_cuda_buffer *const buffers[] = {&device->plan, &device->velocities, &device->outcomes,
+                                     &device->generators, &device->counter};
+  mo_cuda_buffer *const pinned[] = {&device->staged_plan, &device->staged_outcomes,
+                                    &device->staged_generators};
   for (mo_cuda_buffer *buffer : buffers)
     mo_cuda_release(buffer);
   for (mo_cuda_buffer *buffer : pinned)
@@ -71,10 +73,12 @@ void close(mo_device *device)
 bool can_wide(int index)
 {
   int major = 0, minor = 0, bytes = 0;
-  const cudaError_t status =
-      in_turn([&] { return cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, index); },
-              [&] { return cudaDeviceGetAttribute(&minor, cudaDevAttrComputeCapabilityMinor, index); },
-              [&] { return cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, index); });
+  const cudaError_t status = in_turn(
+      [&] { return cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, index); },
+      [&] { return cudaDeviceGetAttribute(&minor, cudaDevAttrComputeCapabilityMinor, index); },
+      [&] {
+        return cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, index);
+      });
   if (status != cudaSuccess)
     cudaGetLastError(); /* opening will tell */
   return status == cudaSuccess && 10 * major + minor == MO_CUDA_SCORE_WIDE_CAPABILITY &&
@@ -94,8 +98,8 @@ bool all_can_wide()
   return n > 0 && all;
 }
 
-/* The two kernels that score rows differ in the last digits, and a score must not depend on the device's number: all devices of a machine have
- * the same one. */
+/* The two kernels that score rows differ in the last digits, and a score must not depend on the
+ * device's number: all devices of a machine have the same one. */
 bool is_wide()
 {
   static const bool wide = all_can_wide();
@@ -108,10 +112,14 @@ cudaError_t set_up(mo_device *device)
   device->score = is_wide() ? &mo_cuda_score_wide : &mo_cuda_score_narrow;
   const cudaError_t status = in_turn(
       [&] { return cudaSetDevice(device->index); },
-      [&] { return cudaDeviceGetAttribute(&device->multiprocessors, cudaDevAttrMultiProcessorCount, device->index); },
+      [&] {
+        return cudaDeviceGetAttribute(&device->multiprocessors, cudaDevAttrMultiProcessorCount,
+                                      device->index);
+      },
       [&] { return cudaMemGetInfo(&free_bytes, &total_bytes); },
       [&] { return cudaStreamCreateWithFlags(&device->stream, cudaStreamNonBlocking); },
-      [&] { return cudaEventCreate(&device->begin); }, [&] { return cudaEventCreate(&device->end); },
+      [&] { return cudaEventCreate(&device->begin); },
+      [&] { return cudaEventCreate(&device->end); },
       [&] { return cudaHostAlloc((void **)&device->cancel, sizeof(int), cudaHostAllocMapped); },
       [&] {
         *device->cancel = 0;
@@ -146,9 +154,10 @@ int info(mo_device *device, mo_device_info *info)
 {
   cudaDeviceProp properties;
   size_t free_bytes = 0, total_bytes = 0;
-  const cudaError_t error = in_turn([&] { return cudaSetDevice(device->index); },
-                                    [&] { return cudaGetDeviceProperties(&properties, device->index); },
-                                    [&] { return cudaMemGetInfo(&free_bytes, &total_bytes); });
+  const cudaError_t error =
+      in_turn([&] { return cudaSetDevice(device->index); },
+              [&] { return cudaGetDeviceProperties(&properties, device->index); },
+              [&] { return cudaMemGetInfo(&free_bytes, &total_bytes); });
   const int status = mo_cuda_check(device, error, "properties");
   if (status != MO_OK)
     return status;
@@ -191,15 +200,17 @@ int upload(mo_device *device, const mo_controller *controller, char **weights)
     }
   }
   if (status == MO_OK) /* in the stream of the kernels that read them: they wait for no other */
-    status = mo_cuda_check(device, cudaMemcpyAsync(*weights, packed, bytes, cudaMemcpyHostToDevice, device->stream),
-                           "upload of weights");
+    status = mo_cuda_check(
+        device, cudaMemcpyAsync(*weights, packed, bytes, cudaMemcpyHostToDevice, device->stream),
+        "upload of weights");
   if (status == MO_OK)
     status = mo_cuda_wait(device, nullptr);
   free(packed);
   return status;
 }
 
-int controller_create(mo_device *device, const mo_controller *controller, mo_device_controller **ret)
+int controller_create(mo_device *device, const mo_controller *controller,
+                      mo_device_controller **ret)
 {
   int status = mo_cuda_check(device, cudaSetDevice(device->index), "device");
   mo_device_controller *made = new (std::nothrow) mo_device_controller();

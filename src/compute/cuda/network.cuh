@@ -1,5 +1,6 @@
-/* network.cuh: what the kernels for all devices (network_narrow.cuh) and for those with wgmma (network_wide.cuh) share of the network: one of the
- * two is included before. Activations are pairs of float16: values g and g + 8 of a tile stand side by side (weights.h). */
+/* network.cuh: what the kernels for all devices (network_narrow.cuh) and for those with wgmma
+ * (network_wide.cuh) share of the network: one of the two is included before. Activations are pairs
+ * of float16: values g and g + 8 of a tile stand side by side (weights.h). */
 #ifndef MORPHO_COMPUTE_CUDA_NETWORK_CUH
 #define MORPHO_COMPUTE_CUDA_NETWORK_CUH
 
@@ -13,7 +14,8 @@
 #define MO_CUDA_COLUMN_BYTES (MO_WEIGHTS_UNITS * MO_CUDA_UNIT_BYTES)
 
 /* Two values of the activations, and what rounding them left, `low` bytes further on. */
-__device__ __forceinline__ void mo_cuda_store_pair(char *place, uint32_t low, float first, float second)
+__device__ __forceinline__ void mo_cuda_store_pair(char *place, uint32_t low, float first,
+                                                   float second)
 {
   const __half2 high = __floats2half2_rn(first, second);
   *reinterpret_cast<__half2 *>(place) = high;

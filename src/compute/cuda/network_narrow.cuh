@@ -1,23 +1,26 @@
-/* network_narrow.cuh: products and LayerNorm for at most 40 rows of one thread block of 256 threads, by mma.sync.
+/* network_narrow.cuh: products and LayerNorm for at most 40 rows of one thread block of 256
+ * threads, by mma.sync.
  *
- * Activations lie in shared memory as right operands: (columns of 8 rows, units, 32 slots) of 16 bytes. Slot n·4 + t of a unit holds what the
- * lane (n, t) multiplies: registers r0, r1 of the unit's first half, then of its second (weights.h): the high and low parts of one tile.
- * Slots are swizzled, so that a warp's loads meet no bank twice.
+ * Activations lie in shared memory as right operands: (columns of 8 rows, units, 32 slots) of 16
+ * bytes. Slot n·4 + t of a unit holds what the lane (n, t) multiplies: registers r0, r1 of the
+ * unit's first half, then of its second (weights.h): the high and low parts of one tile. Slots are
+ * swizzled, so that a warp's loads meet no bank twice.
  *
- * A warp computes 32 outputs (two tiles of 16) of a hidden layer for all rows. Each output of each row is its own sum, in a fixed order over
- * the units; units of inputs that no mass of the group has are left out, which changes no bit, since they would add products with 0. */
+ * A warp computes 32 outputs (two tiles of 16) of a hidden layer for all rows. Each output of each
+ * row is its own sum, in a fixed order over the units; units of inputs that no mass of the group
+ * has are left out, which changes no bit, since they would add products with 0. */
 #ifndef MORPHO_COMPUTE_CUDA_NETWORK_NARROW_CUH
 #define MORPHO_COMPUTE_CUDA_NETWORK_NARROW_CUH
 
 #include "compute/cuda/network.cuh"
 
-#define MO_CUDA_THREADS          256
-#define MO_CUDA_WARPS            8
-#define MO_CUDA_ROWS             40
-#define MO_CUDA_BLOCKS           2   /* on a multiprocessor */
-#define MO_CUDA_CHUNKS           352 /* of 32 places: more than fit the shared memory */
-#define MO_CUDA_BYTES            MO_CUDA_SCORE_NARROW_BYTES
-#define MO_CUDA_PAD_BYTES        0   /* behind the activations' columns */
+#define MO_CUDA_THREADS   256
+#define MO_CUDA_WARPS     8
+#define MO_CUDA_ROWS      40
+#define MO_CUDA_BLOCKS    2   /* on a multiprocessor */
+#define MO_CUDA_CHUNKS    352 /* of 32 places: more than fit the shared memory */
+#define MO_CUDA_BYTES     MO_CUDA_SCORE_NARROW_BYTES
+#define MO_CUDA_PAD_BYTES 0 /* behind the activations' columns */
 
 /* Byte offset within a unit of what the lane (n, t) multiplies. */
 __device__ __forceinline__ uint32_t mo_cuda_slot(uint32_t n, uint32_t t)
@@ -48,30 +51,35 @@ __device__ __forceinline__ char *mo_cuda_column(const mo_cuda_activations &x, ui
   return x.memory + (r >> 3) * MO_CUDA_COLUMN_BYTES;
 }
 
-/* What a thread does after it has written activations, before the barrier after which others read them. */
+/* What a thread does after it has written activations, before the barrier after which others read
+ * them. */
 __device__ __forceinline__ void mo_cuda_activations_written()
 {
 }
 
 /* Zeros for a row, by sixteen lanes, of which this is lane `own`. */
-__device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, uint32_t r, uint32_t own)
+__device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, uint32_t r,
+                                                  uint32_t own)
 {
 #pragma unroll
   for (uint32_t unit = own >> 2; unit < MO_WEIGHTS_UNITS; unit += 4)
-    *reinterpret_cast<uint4 *>(mo_cuda_column(x, r) + unit * MO_CUDA_UNIT_BYTES + mo_cuda_slot(r & 7, own & 3)) =
-        make_uint4(0, 0, 0, 0);
+    *reinterpret_cast<uint4 *>(mo_cuda_column(x, r) + unit * MO_CUDA_UNIT_BYTES +
+                               mo_cuda_slot(r & 7, own & 3)) = make_uint4(0, 0, 0, 0);
 }
 
 /* A value of a row's first layer. */
-__device__ __forceinline__ void mo_cuda_put_input(const mo_cuda_activations &x, uint32_t r, uint32_t input, float value)
+__device__ __forceinline__ void mo_cuda_put_input(const mo_cuda_activations &x, uint32_t r,
+                                                  uint32_t input, float value)
 {
-  char *place = mo_cuda_column(x, r) + mo_cuda_place(r & 7, input >> 4, input & 7) + (input >> 3 & 1) * 2;
+  char *place =
+      mo_cuda_column(x, r) + mo_cuda_place(r & 7, input >> 4, input & 7) + (input >> 3 & 1) * 2;
   mo_cuda_store_one(place, 8, value);
 }
 
 __device__ __forceinline__ void mo_cuda_mma(float (&c)[4], const uint4 &a, uint32_t b0, uint32_t b1)
 {
-  asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, "
+  asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, "
+      "%9}, "
       "{%0, %1, %2, %3};"
       : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
       : "r"(a.x), "r"(a.y), "r"(a.z), "r"(a.w), "r"(b0), "r"(b1));
@@ -79,18 +87,19 @@ __device__ __forceinline__ void mo_cuda_mma(float (&c)[4], const uint4 &a, uint3
 
 /* One unit: TILES tiles of outputs × COLUMNS columns. */
 template <int TILES, int COLUMNS>
-__device__ __forceinline__ void mo_cuda_multiply(float (&sum)[TILES][COLUMNS][4], const uint4 (&a)[TILES][2],
-                                                 const char *x, const uint32_t (&column)[COLUMNS])
+__device__ __forceinline__ void mo_cuda_multiply(float (&sum)[TILES][COLUMNS][4],
+                                                 const uint4 (&a)[TILES][2], const char *x,
+                                                 const uint32_t (&column)[COLUMNS])
 {
   uint4 b[COLUMNS];
 #pragma unroll
   for (int c = 0; c < COLUMNS; c++)
     b[c] = *reinterpret_cast<const uint4 *>(x + column[c]);
-  /* High · low, low · high, high · high. All columns in turn: no product waits for another. */
+    /* High · low, low · high, high · high. All columns in turn: no product waits for another. */
 #pragma unroll
   for (int turn = 0; turn < 3; turn++) {
-    const int half = turn == 1;     /* of the weights */
-    const bool second = turn == 0;  /* half of the activations */
+    const int half = turn == 1;    /* of the weights */
+    const bool second = turn == 0; /* half of the activations */
 #pragma unroll
     for (int c = 0; c < COLUMNS; c++)
 #pragma unroll
@@ -101,8 +110,8 @@ __device__ __forceinline__ void mo_cuda_multiply(float (&sum)[TILES][COLUMNS][4]
 
 /* HALF: bytes from a unit's first half to its second. */
 template <int HALF, int TILES>
-__device__ __forceinline__ void mo_cuda_load_unit(uint4 (&a)[TILES][2], const char *const (&row)[TILES],
-                                                  uint32_t offset)
+__device__ __forceinline__ void mo_cuda_load_unit(uint4 (&a)[TILES][2],
+                                                  const char *const (&row)[TILES], uint32_t offset)
 {
 #pragma unroll
   for (int m = 0; m < TILES; m++) {
@@ -116,11 +125,12 @@ template <int SUMS> struct mo_cuda_ahead {
   static constexpr int UNITS = SUMS <= 8 ? 2 : 1;
 };
 
-/* Adds to `sum` over all units. row: this lane's weights of each tile; a unit is 2 · HALF bytes. x: the activations, at this lane's slot;
- * column: byte offsets of the columns. */
+/* Adds to `sum` over all units. row: this lane's weights of each tile; a unit is 2 · HALF bytes. x:
+ * the activations, at this lane's slot; column: byte offsets of the columns. */
 template <int HALF, int TILES, int COLUMNS>
-__device__ __forceinline__ void mo_cuda_product(float (&sum)[TILES][COLUMNS][4], const char *const (&row)[TILES],
-                                                const char *x, const uint32_t (&column)[COLUMNS])
+__device__ __forceinline__ void mo_cuda_product(float (&sum)[TILES][COLUMNS][4],
+                                                const char *const (&row)[TILES], const char *x,
+                                                const uint32_t (&column)[COLUMNS])
 {
   constexpr int UNITS = MO_WEIGHTS_UNITS;
   constexpr int AHEAD = mo_cuda_ahead<TILES * COLUMNS>::UNITS, STAGES = AHEAD + 1;
@@ -133,7 +143,8 @@ __device__ __forceinline__ void mo_cuda_product(float (&sum)[TILES][COLUMNS][4],
 #pragma unroll
     for (int i = 0; i < STAGES; i++) {
       if (u + i + AHEAD < UNITS)
-        mo_cuda_load_unit<HALF, TILES>(a[(i + AHEAD) % STAGES], row, (uint32_t)(u + i + AHEAD) * 2 * HALF);
+        mo_cuda_load_unit<HALF, TILES>(a[(i + AHEAD) % STAGES], row,
+                                       (uint32_t)(u + i + AHEAD) * 2 * HALF);
       if (u + i < UNITS)
         mo_cuda_multiply<TILES, COLUMNS>(sum, a[i], x + (u + i) * MO_CUDA_UNIT_BYTES, column);
     }
@@ -141,8 +152,9 @@ __device__ __forceinline__ void mo_cuda_product(float (&sum)[TILES][COLUMNS][4],
 
 /* The same over the units whose bits are set in `units` (one at least). */
 template <int HALF, int TILES, int COLUMNS>
-__device__ __forceinline__ void mo_cuda_product_of(float (&sum)[TILES][COLUMNS][4], const char *const (&row)[TILES],
-                                                   const char *x, const uint32_t (&column)[COLUMNS], uint32_t units)
+__device__ __forceinline__ void
+mo_cuda_product_of(float (&sum)[TILES][COLUMNS][4], const char *const (&row)[TILES], const char *x,
+                   const uint32_t (&column)[COLUMNS], uint32_t units)
 {
   uint4 a[2][TILES][2];
   int u = __ffs((int)units) - 1;
@@ -161,10 +173,11 @@ __device__ __forceinline__ void mo_cuda_product_of(float (&sum)[TILES][COLUMNS][
       }
 }
 
-/* Sum and sum of squared deviations from their own mean, of a warp's 32 outputs, for rows 2t and 2t + 1 of each column: into
- * partial (warps, MO_CUDA_ROWS). */
+/* Sum and sum of squared deviations from their own mean, of a warp's 32 outputs, for rows 2t and 2t
+ * + 1 of each column: into partial (warps, MO_CUDA_ROWS). */
 template <int COLUMNS>
-__device__ __forceinline__ void mo_cuda_partial_moments(const float (&h)[2][COLUMNS][4], float2 *partial, uint32_t warp,
+__device__ __forceinline__ void mo_cuda_partial_moments(const float (&h)[2][COLUMNS][4],
+                                                        float2 *partial, uint32_t warp,
                                                         uint32_t lane)
 {
 #pragma unroll
@@ -197,7 +210,8 @@ __device__ __forceinline__ void mo_cuda_partial_moments(const float (&h)[2][COLU
 }
 
 /* Mean and 1 / √(variance + epsilon) from the warps' parts, for one row. */
-__device__ __forceinline__ float2 mo_cuda_moments(const float2 (&part)[MO_CUDA_WARPS], float epsilon)
+__device__ __forceinline__ float2 mo_cuda_moments(const float2 (&part)[MO_CUDA_WARPS],
+                                                  float epsilon)
 {
   float sum = 0.0f, square = 0.0f;
 #pragma unroll
@@ -212,10 +226,12 @@ __device__ __forceinline__ float2 mo_cuda_moments(const float2 (&part)[MO_CUDA_W
   return make_float2(mean, rsqrtf(fmaf(square, 1.0f / MO_HIDDEN, epsilon)));
 }
 
-/* LayerNorm and ReLU of a hidden layer's sums, into `x`. Two barriers: all warps have read the old x, and all have written the new. */
+/* LayerNorm and ReLU of a hidden layer's sums, into `x`. Two barriers: all warps have read the old
+ * x, and all have written the new. */
 template <int COLUMNS>
-__device__ __forceinline__ void mo_cuda_normalize(float (&h)[2][COLUMNS][4], const float *gain, const float *shift,
-                                                  float epsilon, float2 *partial, char *x, uint32_t warp, uint32_t lane)
+__device__ __forceinline__ void
+mo_cuda_normalize(float (&h)[2][COLUMNS][4], const float *gain, const float *shift, float epsilon,
+                  float2 *partial, char *x, uint32_t warp, uint32_t lane)
 {
   const uint32_t g = lane >> 2, t = lane & 3;
   float scale[2][2], offset[2][2];
@@ -234,7 +250,8 @@ __device__ __forceinline__ void mo_cuda_normalize(float (&h)[2][COLUMNS][4], con
     float2 part[2][MO_CUDA_WARPS];
 #pragma unroll
     for (int w = 0; w < MO_CUDA_WARPS; w++) {
-      const float4 two = *reinterpret_cast<const float4 *>(partial + w * MO_CUDA_ROWS + g * MO_PLAN_COLUMN + 2 * t);
+      const float4 two = *reinterpret_cast<const float4 *>(partial + w * MO_CUDA_ROWS +
+                                                           g * MO_PLAN_COLUMN + 2 * t);
       part[0][w] = make_float2(two.x, two.y);
       part[1][w] = make_float2(two.z, two.w);
     }
@@ -252,7 +269,8 @@ __device__ __forceinline__ void mo_cuda_normalize(float (&h)[2][COLUMNS][4], con
       for (int m = 0; m < 2; m++)
 #pragma unroll
         for (int e = 0; e < 2; e++)
-          y[m][e] = fmaxf(fmaf((h[m][c][n + 2 * e] - mean) * factor, scale[m][e], offset[m][e]), 0.0f);
+          y[m][e] =
+              fmaxf(fmaf((h[m][c][n + 2 * e] - mean) * factor, scale[m][e], offset[m][e]), 0.0f);
       char *out = x + c * MO_CUDA_COLUMN_BYTES;
 #pragma unroll
       for (int m = 0; m < 2; m++)

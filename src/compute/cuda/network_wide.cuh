@@ -1,22 +1,25 @@
-/* network_wide.cuh: products and LayerNorm for at most 80 rows of one thread block of 512 threads, by wgmma.
+/* network_wide.cuh: products and LayerNorm for at most 80 rows of one thread block of 512 threads,
+ * by wgmma.
  *
- * A warp computes sixteen outputs of a layer for all rows; four warps, a warpgroup, multiply together. Weights go from the L2 cache to
- * registers, in the same order as for mma.sync (weights.h), two to four units ahead of their use, over the end of one matrix into the next.
- * Activations are read by the matrix unit itself: shared memory holds, unit by unit and half by half of a unit, two *chunks* of eight inputs:
- * for each column eight rows of sixteen bytes. Sixteen bytes between chunks keep a warp's stores out of each other's banks. */
+ * A warp computes sixteen outputs of a layer for all rows; four warps, a warpgroup, multiply
+ * together. Weights go from the L2 cache to registers, in the same order as for mma.sync
+ * (weights.h), two to four units ahead of their use, over the end of one matrix into the next.
+ * Activations are read by the matrix unit itself: shared memory holds, unit by unit and half by
+ * half of a unit, two *chunks* of eight inputs: for each column eight rows of sixteen bytes.
+ * Sixteen bytes between chunks keep a warp's stores out of each other's banks. */
 #ifndef MORPHO_COMPUTE_CUDA_NETWORK_WIDE_CUH
 #define MORPHO_COMPUTE_CUDA_NETWORK_WIDE_CUH
 
 #include "compute/cuda/network.cuh"
 
-#define MO_CUDA_THREADS          512
-#define MO_CUDA_WARPS            16
-#define MO_CUDA_ROWS             80
-#define MO_CUDA_BLOCKS           1   /* on a multiprocessor */
-#define MO_CUDA_CHUNKS           672 /* of 32 places: more than fit the shared memory */
-#define MO_CUDA_BYTES            MO_CUDA_SCORE_WIDE_BYTES
-#define MO_CUDA_PAD_BYTES        (MO_WEIGHTS_UNITS * 4 * 16) /* behind the activations' columns */
-#define MO_CUDA_MOMENTS          17               /* float2 from row to row: sixteen warps' */
+#define MO_CUDA_THREADS   512
+#define MO_CUDA_WARPS     16
+#define MO_CUDA_ROWS      80
+#define MO_CUDA_BLOCKS    1   /* on a multiprocessor */
+#define MO_CUDA_CHUNKS    672 /* of 32 places: more than fit the shared memory */
+#define MO_CUDA_BYTES     MO_CUDA_SCORE_WIDE_BYTES
+#define MO_CUDA_PAD_BYTES (MO_WEIGHTS_UNITS * 4 * 16) /* behind the activations' columns */
+#define MO_CUDA_MOMENTS   17                          /* float2 from row to row: sixteen warps' */
 
 /* A group's activations. */
 struct mo_cuda_activations {
@@ -24,53 +27,62 @@ struct mo_cuda_activations {
   uint32_t chunk; /* bytes from chunk to chunk */
 };
 
-__device__ __forceinline__ mo_cuda_activations mo_cuda_activations_of(char *memory, uint32_t columns)
+__device__ __forceinline__ mo_cuda_activations mo_cuda_activations_of(char *memory,
+                                                                      uint32_t columns)
 {
   return mo_cuda_activations{memory, columns * 128 + 16};
 }
 
-/* Where values g and g + 8 of tile `tile` of a row stand: the high parts; the low ones two chunks further on. */
-__device__ __forceinline__ char *mo_cuda_place(const mo_cuda_activations &x, uint32_t r, uint32_t tile, uint32_t g)
+/* Where values g and g + 8 of tile `tile` of a row stand: the high parts; the low ones two chunks
+ * further on. */
+__device__ __forceinline__ char *mo_cuda_place(const mo_cuda_activations &x, uint32_t r,
+                                               uint32_t tile, uint32_t g)
 {
   return x.memory + (tile * 4 + (g & 1)) * x.chunk + r * 16 + (g >> 1) * 4;
 }
 
-/* What a thread does after it has written activations, before the barrier after which the matrix unit reads them. */
+/* What a thread does after it has written activations, before the barrier after which the matrix
+ * unit reads them. */
 __device__ __forceinline__ void mo_cuda_activations_written()
 {
   asm volatile("fence.proxy.async.shared::cta;" ::: "memory");
 }
 
 /* Zeros for a row, by sixteen lanes, of which this is lane `own`. */
-__device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, uint32_t r, uint32_t own)
+__device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, uint32_t r,
+                                                  uint32_t own)
 {
 #pragma unroll
   for (uint32_t i = 0; i < MO_WEIGHTS_UNITS / 4; i++)
-    *reinterpret_cast<uint4 *>(x.memory + (own + 16 * i) * x.chunk + r * 16) = make_uint4(0, 0, 0, 0);
+    *reinterpret_cast<uint4 *>(x.memory + (own + 16 * i) * x.chunk + r * 16) =
+        make_uint4(0, 0, 0, 0);
 }
 
 /* A value of a row's first layer. */
-__device__ __forceinline__ void mo_cuda_put_input(const mo_cuda_activations &x, uint32_t r, uint32_t input, float value)
+__device__ __forceinline__ void mo_cuda_put_input(const mo_cuda_activations &x, uint32_t r,
+                                                  uint32_t input, float value)
 {
   mo_cuda_store_one(mo_cuda_place(x, r, input >> 4, input & 7) + (input >> 3 & 1) * 2, 2 * x.chunk,
-                           value);
+                    value);
 }
 
 /* ---- products ---- */
 
-/* sum (64 outputs of four warps × 8 · COLUMNS rows) += a · b; b: sixteen inputs of all rows, as a descriptor. */
+/* sum (64 outputs of four warps × 8 · COLUMNS rows) += a · b; b: sixteen inputs of all rows, as a
+ * descriptor. */
 template <int COLUMNS>
 __device__ __forceinline__ void mo_cuda_wgmma(float (&sum)[COLUMNS][4], const uint4 &a, uint64_t b);
 
 #define MO_CUDA_SUM(c) "+f"(sum[c][0]), "+f"(sum[c][1]), "+f"(sum[c][2]), "+f"(sum[c][3])
-#define MO_CUDA_WGMMA(columns, rows, sums, a0, a1, a2, a3, b, ...)                                                     \
-  template <>                                                                                                          \
-  __device__ __forceinline__ void mo_cuda_wgmma<columns>(float(&sum)[columns][4], const uint4 &a, uint64_t x)          \
-  {                                                                                                                    \
-    asm volatile("wgmma.mma_async.sync.aligned.m64n" rows "k16.f32.f16.f16 {" sums "}, {" a0 ", " a1 ", " a2 ", " a3   \
-                 "}, " b ", 1, 1, 1, 0;"                                                                               \
-                 : __VA_ARGS__                                                                                         \
-                 : "r"(a.x), "r"(a.y), "r"(a.z), "r"(a.w), "l"(x));                                                    \
+#define MO_CUDA_WGMMA(columns, rows, sums, a0, a1, a2, a3, b, ...)                                 \
+  template <>                                                                                      \
+  __device__ __forceinline__ void mo_cuda_wgmma<columns>(float(&sum)[columns][4], const uint4 &a,  \
+                                                         uint64_t x)                               \
+  {                                                                                                \
+    asm volatile("wgmma.mma_async.sync.aligned.m64n" rows "k16.f32.f16.f16 {" sums "}, {" a0       \
+                 ", " a1 ", " a2 ", " a3 "}, " b ", 1, 1, 1, 0;"                                   \
+                 : __VA_ARGS__                                                                     \
+                 : "r"(a.x), "r"(a.y), "r"(a.z), "r"(a.w), "l"(x));                                \
   }
 #define MO_CUDA_S1  "%0, %1, %2, %3"
 #define MO_CUDA_S2  MO_CUDA_S1 ", %4, %5, %6, %7"
@@ -84,24 +96,29 @@ __device__ __forceinline__ void mo_cuda_wgmma(float (&sum)[COLUMNS][4], const ui
 #define MO_CUDA_S10 MO_CUDA_S9 ", %36, %37, %38, %39"
 MO_CUDA_WGMMA(1, "8", MO_CUDA_S1, "%4", "%5", "%6", "%7", "%8", MO_CUDA_SUM(0))
 MO_CUDA_WGMMA(2, "16", MO_CUDA_S2, "%8", "%9", "%10", "%11", "%12", MO_CUDA_SUM(0), MO_CUDA_SUM(1))
-MO_CUDA_WGMMA(3, "24", MO_CUDA_S3, "%12", "%13", "%14", "%15", "%16", MO_CUDA_SUM(0), MO_CUDA_SUM(1), MO_CUDA_SUM(2))
-MO_CUDA_WGMMA(4, "32", MO_CUDA_S4, "%16", "%17", "%18", "%19", "%20", MO_CUDA_SUM(0), MO_CUDA_SUM(1), MO_CUDA_SUM(2),
-              MO_CUDA_SUM(3))
-MO_CUDA_WGMMA(5, "40", MO_CUDA_S5, "%20", "%21", "%22", "%23", "%24", MO_CUDA_SUM(0), MO_CUDA_SUM(1), MO_CUDA_SUM(2),
-              MO_CUDA_SUM(3), MO_CUDA_SUM(4))
-MO_CUDA_WGMMA(6, "48", MO_CUDA_S6, "%24", "%25", "%26", "%27", "%28", MO_CUDA_SUM(0), MO_CUDA_SUM(1), MO_CUDA_SUM(2),
-              MO_CUDA_SUM(3), MO_CUDA_SUM(4), MO_CUDA_SUM(5))
-MO_CUDA_WGMMA(7, "56", MO_CUDA_S7, "%28", "%29", "%30", "%31", "%32", MO_CUDA_SUM(0), MO_CUDA_SUM(1), MO_CUDA_SUM(2),
-              MO_CUDA_SUM(3), MO_CUDA_SUM(4), MO_CUDA_SUM(5), MO_CUDA_SUM(6))
-MO_CUDA_WGMMA(8, "64", MO_CUDA_S8, "%32", "%33", "%34", "%35", "%36", MO_CUDA_SUM(0), MO_CUDA_SUM(1), MO_CUDA_SUM(2),
-              MO_CUDA_SUM(3), MO_CUDA_SUM(4), MO_CUDA_SUM(5), MO_CUDA_SUM(6), MO_CUDA_SUM(7))
-MO_CUDA_WGMMA(9, "72", MO_CUDA_S9, "%36", "%37", "%38", "%39", "%40", MO_CUDA_SUM(0), MO_CUDA_SUM(1), MO_CUDA_SUM(2),
-              MO_CUDA_SUM(3), MO_CUDA_SUM(4), MO_CUDA_SUM(5), MO_CUDA_SUM(6), MO_CUDA_SUM(7), MO_CUDA_SUM(8))
-MO_CUDA_WGMMA(10, "80", MO_CUDA_S10, "%40", "%41", "%42", "%43", "%44", MO_CUDA_SUM(0), MO_CUDA_SUM(1), MO_CUDA_SUM(2),
-              MO_CUDA_SUM(3), MO_CUDA_SUM(4), MO_CUDA_SUM(5), MO_CUDA_SUM(6), MO_CUDA_SUM(7), MO_CUDA_SUM(8),
-              MO_CUDA_SUM(9))
+MO_CUDA_WGMMA(3, "24", MO_CUDA_S3, "%12", "%13", "%14", "%15", "%16", MO_CUDA_SUM(0),
+              MO_CUDA_SUM(1), MO_CUDA_SUM(2))
+MO_CUDA_WGMMA(4, "32", MO_CUDA_S4, "%16", "%17", "%18", "%19", "%20", MO_CUDA_SUM(0),
+              MO_CUDA_SUM(1), MO_CUDA_SUM(2), MO_CUDA_SUM(3))
+MO_CUDA_WGMMA(5, "40", MO_CUDA_S5, "%20", "%21", "%22", "%23", "%24", MO_CUDA_SUM(0),
+              MO_CUDA_SUM(1), MO_CUDA_SUM(2), MO_CUDA_SUM(3), MO_CUDA_SUM(4))
+MO_CUDA_WGMMA(6, "48", MO_CUDA_S6, "%24", "%25", "%26", "%27", "%28", MO_CUDA_SUM(0),
+              MO_CUDA_SUM(1), MO_CUDA_SUM(2), MO_CUDA_SUM(3), MO_CUDA_SUM(4), MO_CUDA_SUM(5))
+MO_CUDA_WGMMA(7, "56", MO_CUDA_S7, "%28", "%29", "%30", "%31", "%32", MO_CUDA_SUM(0),
+              MO_CUDA_SUM(1), MO_CUDA_SUM(2), MO_CUDA_SUM(3), MO_CUDA_SUM(4), MO_CUDA_SUM(5),
+              MO_CUDA_SUM(6))
+MO_CUDA_WGMMA(8, "64", MO_CUDA_S8, "%32", "%33", "%34", "%35", "%36", MO_CUDA_SUM(0),
+              MO_CUDA_SUM(1), MO_CUDA_SUM(2), MO_CUDA_SUM(3), MO_CUDA_SUM(4), MO_CUDA_SUM(5),
+              MO_CUDA_SUM(6), MO_CUDA_SUM(7))
+MO_CUDA_WGMMA(9, "72", MO_CUDA_S9, "%36", "%37", "%38", "%39", "%40", MO_CUDA_SUM(0),
+              MO_CUDA_SUM(1), MO_CUDA_SUM(2), MO_CUDA_SUM(3), MO_CUDA_SUM(4), MO_CUDA_SUM(5),
+              MO_CUDA_SUM(6), MO_CUDA_SUM(7), MO_CUDA_SUM(8))
+MO_CUDA_WGMMA(10, "80", MO_CUDA_S10, "%40", "%41", "%42", "%43", "%44", MO_CUDA_SUM(0),
+              MO_CUDA_SUM(1), MO_CUDA_SUM(2), MO_CUDA_SUM(3), MO_CUDA_SUM(4), MO_CUDA_SUM(5),
+              MO_CUDA_SUM(6), MO_CUDA_SUM(7), MO_CUDA_SUM(8), MO_CUDA_SUM(9))
 
-/* Two chunks of the activations as the matrix unit is told of them: where they start; from chunk to chunk and from column to column. */
+/* Two chunks of the activations as the matrix unit is told of them: where they start; from chunk to
+ * chunk and from column to column. */
 struct mo_cuda_descriptor {
   uint32_t low, high;
 };
@@ -113,7 +130,8 @@ __device__ __forceinline__ mo_cuda_descriptor mo_cuda_descriptor_of(const mo_cud
 }
 
 /* Of what stands 16 · offset bytes further on. */
-__device__ __forceinline__ uint64_t mo_cuda_descriptor_at(const mo_cuda_descriptor &d, uint32_t offset)
+__device__ __forceinline__ uint64_t mo_cuda_descriptor_at(const mo_cuda_descriptor &d,
+                                                          uint32_t offset)
 {
   return (uint64_t)d.high << 32 | (d.low + offset);
 }
@@ -124,12 +142,14 @@ struct mo_cuda_stream {
   uint32_t half;
 };
 
-/* The ring of units that weights are loaded into: one that is multiplied, the others ahead of it. Fewer for more sums: all must have
- * registers, or the compiler waits for each product. */
+/* The ring of units that weights are loaded into: one that is multiplied, the others ahead of it.
+ * Fewer for more sums: all must have registers, or the compiler waits for each product. */
 template <int COLUMNS> struct mo_cuda_ring {
   static constexpr int SLOTS = COLUMNS <= 5 ? 5 : COLUMNS <= 8 ? 4 : 3;
   static constexpr int AHEAD = SLOTS - 1;
-  static constexpr int TURN = MO_WEIGHTS_UNITS % SLOTS; /* where the product before ended, and this one finds its first unit */
+  static constexpr int TURN =
+      MO_WEIGHTS_UNITS %
+      SLOTS; /* where the product before ended, and this one finds its first unit */
   uint4 slot[SLOTS][2];
 };
 
@@ -143,8 +163,8 @@ __device__ __forceinline__ uint4 mo_cuda_load_ahead(const char *address)
   return v;
 }
 
-/* The barrier of the warp, which is no instruction, keeps the loads where they are written: the assembler moves them behind the products that
- * they are to hide behind. */
+/* The barrier of the warp, which is no instruction, keeps the loads where they are written: the
+ * assembler moves them behind the products that they are to hide behind. */
 __device__ __forceinline__ void mo_cuda_load_unit(uint4 (&slot)[2], mo_cuda_stream &stream)
 {
   slot[0] = mo_cuda_load_ahead(stream.next);
@@ -154,7 +174,8 @@ __device__ __forceinline__ void mo_cuda_load_unit(uint4 (&slot)[2], mo_cuda_stre
 }
 
 template <int COLUMNS>
-__device__ __forceinline__ void mo_cuda_begin_ring(mo_cuda_ring<COLUMNS> &ring, mo_cuda_stream &stream)
+__device__ __forceinline__ void mo_cuda_begin_ring(mo_cuda_ring<COLUMNS> &ring,
+                                                   mo_cuda_stream &stream)
 {
   using Ring = mo_cuda_ring<COLUMNS>;
 #pragma unroll
@@ -162,12 +183,12 @@ __device__ __forceinline__ void mo_cuda_begin_ring(mo_cuda_ring<COLUMNS> &ring, 
     mo_cuda_load_unit(ring.slot[(i + Ring::TURN) % Ring::SLOTS], stream);
 }
 
-/* Adds to `sum` over all units, and loads the first units of what is multiplied after it. `stream` becomes that. Written out: at the end of a
- * loop all loads would be waited for. */
+/* Adds to `sum` over all units, and loads the first units of what is multiplied after it. `stream`
+ * becomes that. Written out: at the end of a loop all loads would be waited for. */
 template <int COLUMNS>
-__device__ __forceinline__ void mo_cuda_product(float (&sum)[COLUMNS][4], mo_cuda_ring<COLUMNS> &ring,
-                                                mo_cuda_stream &stream, const mo_cuda_stream &after,
-                                                const mo_cuda_activations &x)
+__device__ __forceinline__ void
+mo_cuda_product(float (&sum)[COLUMNS][4], mo_cuda_ring<COLUMNS> &ring, mo_cuda_stream &stream,
+                const mo_cuda_stream &after, const mo_cuda_activations &x)
 {
   using Ring = mo_cuda_ring<COLUMNS>;
   mo_cuda_descriptor b = mo_cuda_descriptor_of(x);
@@ -202,15 +223,16 @@ __device__ __forceinline__ void mo_cuda_product(float (&sum)[COLUMNS][4], mo_cud
 
 /* ---- LayerNorm ---- */
 
-/* A lane hands half of its sums and sums of squares to the lane `MASK` away, and adds what it is handed to the other half: sums of COUNT
- * values each become sums of twice as many. */
+/* A lane hands half of its sums and sums of squares to the lane `MASK` away, and adds what it is
+ * handed to the other half: sums of COUNT values each become sums of twice as many. */
 template <int HALF, int MASK, int COUNT, int ROOM>
 __device__ __forceinline__ void mo_cuda_halve(float (&sum)[ROOM], float (&square)[ROOM], bool upper)
 {
 #pragma unroll
   for (int v = 0; v < HALF; v++) {
     const float keep = upper ? sum[v + HALF] : sum[v], give = upper ? sum[v] : sum[v + HALF];
-    const float kept = upper ? square[v + HALF] : square[v], given = upper ? square[v] : square[v + HALF];
+    const float kept = upper ? square[v + HALF] : square[v],
+                given = upper ? square[v] : square[v + HALF];
     const float other = __shfl_xor_sync(0xffffffffu, give, MASK);
     const float its = __shfl_xor_sync(0xffffffffu, given, MASK);
     const float d = keep - other;
@@ -219,34 +241,40 @@ __device__ __forceinline__ void mo_cuda_halve(float (&sum)[ROOM], float (&square
   }
 }
 
-/* Sum and sum of squared deviations from their own mean, of a warp's sixteen outputs, for each row of columns FIRST … END − 1: into `partial`,
- * (rows, MO_CUDA_MOMENTS). The lanes g share the rows: in the end each has the sums of an eighth of them. */
+/* Sum and sum of squared deviations from their own mean, of a warp's sixteen outputs, for each row
+ * of columns FIRST … END − 1: into `partial`, (rows, MO_CUDA_MOMENTS). The lanes g share the rows:
+ * in the end each has the sums of an eighth of them. */
 template <int FIRST, int END, int COLUMNS>
-__device__ __forceinline__ void mo_cuda_partial_moments(const float (&h)[COLUMNS][4], float2 *partial, uint32_t warp,
-                                                        uint32_t lane)
+__device__ __forceinline__ void
+mo_cuda_partial_moments(const float (&h)[COLUMNS][4], float2 *partial, uint32_t warp, uint32_t lane)
 {
   constexpr int kUsed = 2 * (END - FIRST), kValues = (kUsed + 7) / 8 * 8;
   const uint32_t g = lane >> 2, t = lane & 3;
   float sum[kValues], square[kValues];
 #pragma unroll
   for (int v = 0; v < kValues; v++) {
-    const float a = v < kUsed ? h[FIRST + v / 2][v % 2] : 0.0f, b = v < kUsed ? h[FIRST + v / 2][v % 2 + 2] : 0.0f;
+    const float a = v < kUsed ? h[FIRST + v / 2][v % 2] : 0.0f,
+                b = v < kUsed ? h[FIRST + v / 2][v % 2 + 2] : 0.0f;
     sum[v] = a + b;
     square[v] = 0.5f * (a - b) * (a - b);
   }
   mo_cuda_halve<kValues / 2, 4, 2>(sum, square, (g & 1) != 0);
   mo_cuda_halve<kValues / 4, 8, 4>(sum, square, (g & 2) != 0);
   mo_cuda_halve<kValues / 8, 16, 8>(sum, square, (g & 4) != 0);
-  const uint32_t first = (g & 1) * (kValues / 2) + (g >> 1 & 1) * (kValues / 4) + (g >> 2) * (kValues / 8);
+  const uint32_t first =
+      (g & 1) * (kValues / 2) + (g >> 1 & 1) * (kValues / 4) + (g >> 2) * (kValues / 8);
 #pragma unroll
   for (int v = 0; v < kValues / 8; v++)
     if (first + v < kUsed)
-      partial[((FIRST + (first + v) / 2) * MO_PLAN_COLUMN + 2 * t + (first + v) % 2) * MO_CUDA_MOMENTS + warp] =
-          make_float2(sum[v], square[v]);
+      partial[((FIRST + (first + v) / 2) * MO_PLAN_COLUMN + 2 * t + (first + v) % 2) *
+                  MO_CUDA_MOMENTS +
+              warp] = make_float2(sum[v], square[v]);
 }
 
-/* Mean and 1 / √(variance + epsilon) of a row from the warps' parts, by four lanes each: into `moments` (rows). */
-__device__ __forceinline__ void mo_cuda_moments(const float2 *partial, float2 *moments, uint32_t n_rows, float epsilon)
+/* Mean and 1 / √(variance + epsilon) of a row from the warps' parts, by four lanes each: into
+ * `moments` (rows). */
+__device__ __forceinline__ void mo_cuda_moments(const float2 *partial, float2 *moments,
+                                                uint32_t n_rows, float epsilon)
 {
   const uint32_t r = threadIdx.x >> 2, quarter = threadIdx.x & 3;
   if (r >= n_rows) /* whole warps: rows are counted by columns */
@@ -271,11 +299,13 @@ __device__ __forceinline__ void mo_cuda_moments(const float2 *partial, float2 *m
     moments[r] = make_float2(mean, rsqrtf(fmaf(square, 1.0f / MO_HIDDEN, epsilon)));
 }
 
-/* LayerNorm and ReLU of a hidden layer's sums, into the activations. Three barriers: all warps have read the old activations and written
- * their moments; the rows' moments are there; all have written the new activations. */
+/* LayerNorm and ReLU of a hidden layer's sums, into the activations. Three barriers: all warps have
+ * read the old activations and written their moments; the rows' moments are there; all have written
+ * the new activations. */
 template <int COLUMNS>
-__device__ __forceinline__ void mo_cuda_normalize(float (&h)[COLUMNS][4], const float *gain, const float *shift,
-                                                  float epsilon, float2 *partial, const mo_cuda_activations &x)
+__device__ __forceinline__ void mo_cuda_normalize(float (&h)[COLUMNS][4], const float *gain,
+                                                  const float *shift, float epsilon,
+                                                  float2 *partial, const mo_cuda_activations &x)
 {
   const uint32_t warp = threadIdx.x >> 5, lane = threadIdx.x & 31, g = lane >> 2, t = lane & 3;
   float scale[2], offset[2];

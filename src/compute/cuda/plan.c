@@ -200,7 +200,7 @@ static void lay_out(struct mo_plan *plan)
 
 /* Bodies of nearly one size whose boxes are alike share most of their springs: they go together,
  * the largest first, so that the last groups to be taken up are short. Along each axis the order
- * goes there and back, so that neighbours in the order differ little. */
+ * goes there and back, so that neighbors in the order differ little. */
 static uint32_t body_key(const struct mo_body *body)
 {
   uint32_t low[3] = {UINT16_MAX, UINT16_MAX, UINT16_MAX}, high[3] = {0, 0, 0}, key;

@@ -5,7 +5,7 @@
  * multiplied only for the springs of the group's bodies, eight pairs at a time: a *tile*. Each tile
  * says which of the group's columns (eight rows each) have any of its springs.
  *
- * Nothing that a row's result depends on differs with its group or its neighbours: a body's masses
+ * Nothing that a row's result depends on differs with its group or its neighbors: a body's masses
  * and the order in which a mass adds its springs up follow from the body alone. */
 #ifndef MORPHO_COMPUTE_CUDA_PLAN_BLOCK_H
 #define MORPHO_COMPUTE_CUDA_PLAN_BLOCK_H

@@ -38,8 +38,8 @@ struct mo_cuda_score {
   uint32_t n_groups, n_steps, max_places;
 };
 
-/* A kernel: rows of a group, blocks on a multiprocessor, the memory of a group (mo_plan_options), and
- * how it is launched. */
+/* A kernel: rows of a group, blocks on a multiprocessor, the memory of a group (mo_plan_options),
+ * and how it is launched. */
 struct mo_cuda_score_kernel {
   uint32_t rows, blocks;
   size_t group_bytes, column_bytes;

@@ -1,5 +1,6 @@
-/* score_group.cuh: a group of rows in the memory of its block: what it is, how its lives begin and end. The network of one kind of device,
- * network_narrow.cuh or network_wide.cuh, is included before. */
+/* score_group.cuh: a group of rows in the memory of its block: what it is, how its lives begin and
+ * end. The network of one kind of device, network_narrow.cuh or network_wide.cuh, is included
+ * before. */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_GROUP_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_GROUP_CUH
 
@@ -45,7 +46,8 @@ struct Shared {
   int cancelled;
   mo_plan_group plan;
   mo_weights_scalars scalars;
-  mo_cuda_score score; /* a copy: what reads it here holds no registers for it (score_think_wide.cuh) */
+  mo_cuda_score
+      score; /* a copy: what reads it here holds no registers for it (score_think_wide.cuh) */
 };
 
 constexpr size_t kSharedBytes = (sizeof(Shared) + 127) / 128 * 128;
@@ -76,7 +78,8 @@ __device__ double terrain_height(const double *heights, double x_m, double y_m)
   const Corner x = corner_of(x_m), y = corner_of(y_m);
   const double *corner = heights + y.cell * MO_TERRAIN_SIDE + x.cell;
   const double near = corner[0] + x.fraction * (corner[1] - corner[0]);
-  const double far = corner[MO_TERRAIN_SIDE] + x.fraction * (corner[MO_TERRAIN_SIDE + 1] - corner[MO_TERRAIN_SIDE]);
+  const double far = corner[MO_TERRAIN_SIDE] +
+                     x.fraction * (corner[MO_TERRAIN_SIDE + 1] - corner[MO_TERRAIN_SIDE]);
   return near + y.fraction * (far - near);
 }
 
@@ -87,7 +90,8 @@ __device__ double start_of(uint32_t cell, int side)
 }
 
 /* A warp places one row. */
-__device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint32_t r, float *position, uint32_t lane)
+__device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint32_t r,
+                          float *position, uint32_t lane)
 {
   const Row row = shared.rows[r];
   const Part &part = shared.parts[row.part];
@@ -102,7 +106,8 @@ __device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint
   for (uint32_t m = lane; m < row.n_masses; m += 32) {
     const uint32_t mass = masses[m];
     if (MO_PLAN_MASS_Z(mass) == lowest)
-      lift = fmax(lift, terrain_height(heights, start_of(MO_PLAN_MASS_X(mass), 6), start_of(MO_PLAN_MASS_Y(mass), 6)));
+      lift = fmax(lift, terrain_height(heights, start_of(MO_PLAN_MASS_X(mass), 6),
+                                       start_of(MO_PLAN_MASS_Y(mass), 6)));
   }
   for (int step = 16; step > 0; step /= 2)
     lift = fmax(lift, __shfl_xor_sync(kAll, lift, step));
@@ -161,14 +166,16 @@ __device__ __forceinline__ Memory memory_of(const mo_cuda_score &score)
                                               MO_CUDA_PAD_BYTES);
   memory.pairs = reinterpret_cast<mo_plan_pairs *>(memory.position + 3 * plan.n_places);
   memory.lengths = reinterpret_cast<float *>(memory.pairs + plan.n_parts + 1);
-  /* There is room: a group that fills the memory has at least as many bytes of lengths as of positions. */
+  /* There is room: a group that fills the memory has at least as many bytes of lengths as of
+   * positions. */
   const uint32_t behind = (uint32_t)(reinterpret_cast<char *>(memory.lengths) - block_memory);
   memory.partial = reinterpret_cast<float2 *>(block_memory + (behind + 15) / 16 * 16);
   memory.velocity = score.velocities + (size_t)blockIdx.x * 3 * score.max_places;
   return memory;
 }
 
-/* Orders the chunks by falling number of links, then there and back, so that the warps, which take them in turn, have equally many. */
+/* Orders the chunks by falling number of links, then there and back, so that the warps, which take
+ * them in turn, have equally many. */
 __device__ void deal_chunks(const mo_cuda_score &score, Shared &shared)
 {
   constexpr uint32_t kCost = 24, kTurns = (MO_CUDA_CHUNKS + MO_CUDA_THREADS - 1) / MO_CUDA_THREADS;
@@ -176,7 +183,8 @@ __device__ void deal_chunks(const mo_cuda_score &score, Shared &shared)
   uint32_t chunk[kTurns], place[kTurns];
   for (uint32_t c = threadIdx.x; c < n; c += MO_CUDA_THREADS) {
     const Part &part = shared.parts[shared.chunks[c] >> 16];
-    const uint32_t mass = (shared.chunks[c] & 0xffffu) * 32 / part.n_rows; /* those after it have no more */
+    const uint32_t mass =
+        (shared.chunks[c] & 0xffffu) * 32 / part.n_rows; /* those after it have no more */
     shared.chunks[c] |= MO_PLAN_MASS_QUADS(__ldg(score.masses + part.first_mass + mass)) << kCost;
   }
   __syncthreads();
@@ -217,16 +225,20 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, const Me
     part.first_length = in.first_length;
     part.per_row = 1.0f / (float)in.n_rows;
     for (uint32_t r = 0; r < in.n_rows; r++) {
-      shared.rows[in.first_row + r] = Row{in.first_place + r, in.n_rows, body.n_masses, in.body, thread};
-      shared.homes[in.first_row + r] = Home{in.first_length + r, (uint16_t)thread, (uint16_t)in.n_rows};
+      shared.rows[in.first_row + r] =
+          Row{in.first_place + r, in.n_rows, body.n_masses, in.body, thread};
+      shared.homes[in.first_row + r] =
+          Home{in.first_length + r, (uint16_t)thread, (uint16_t)in.n_rows};
     }
   }
   if (thread < kRows) {
     shared.insane[thread] = 0;
     shared.diverged[thread] = 0;
     if (thread < plan.n_rows) {
-      const mo_plan_scene &scene = score.environments[score.rows[plan.first_row + thread].environment].scene;
-      shared.light[thread] = make_float4(scene.light[0], scene.light[1], scene.light[2], scene.highest);
+      const mo_plan_scene &scene =
+          score.environments[score.rows[plan.first_row + thread].environment].scene;
+      shared.light[thread] =
+          make_float4(scene.light[0], scene.light[1], scene.light[2], scene.highest);
       shared.heights[thread] = scene.heights;
     } else {
       shared.homes[thread] = Home{0, (uint16_t)plan.n_parts, 0};
@@ -250,9 +262,10 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, const Me
   for (uint32_t p = 0; p <= plan.n_parts; p++)
     if (thread < kWords)
       reinterpret_cast<uint32_t *>(memory.pairs + p)[thread] =
-          p < plan.n_parts
-              ? __ldg(reinterpret_cast<const uint32_t *>(score.pairs + score.parts[plan.first_part + p].body) + thread)
-              : 0;
+          p < plan.n_parts ? __ldg(reinterpret_cast<const uint32_t *>(
+                                       score.pairs + score.parts[plan.first_part + p].body) +
+                                   thread)
+                           : 0;
   if (score.weights == nullptr) {
     for (uint32_t p = 0; p < plan.n_parts; p++) {
       const Part &part = shared.parts[p];

@@ -1,16 +1,18 @@
 /* score_live.cuh: whole rollouts in one kernel.
  *
- * A block takes a group of rows and lives its lives from the first step to the last, then takes the next group. Positions, activations and
- * the springs' lengths stay in shared memory; velocities are the block's own in global memory, and seldom leave the caches. A step:
- *   sense    sixteen lanes per row: the light's mean, then the inputs of the first layer
- *   think    three hidden layers, then tiles of springs: the length that each wants to have
- *   pull     a thread per mass and row adds its springs up, each seen from both of its ends: no two threads write one number
- *   move     the same thread moves the mass
- * A row's numbers come from its own inputs in a fixed order, wherever it stands.
+ * A block takes a group of rows and lives its lives from the first step to the last, then takes the
+ * next group. Positions, activations and the springs' lengths stay in shared memory; velocities are
+ * the block's own in global memory, and seldom leave the caches. A step: sense    sixteen lanes per
+ * row: the light's mean, then the inputs of the first layer think    three hidden layers, then
+ * tiles of springs: the length that each wants to have pull     a thread per mass and row adds its
+ * springs up, each seen from both of its ends: no two threads write one number move     the same
+ * thread moves the mass A row's numbers come from its own inputs in a fixed order, wherever it
+ * stands.
  *
- * There are two of it. For any device: 256 threads and at most 40 rows, two blocks on a multiprocessor, so that one's physics runs beside
- * the other's products (score_think_narrow.cuh, which is included before). For capability 9.0: 512 threads and at most 80 rows, for which
- * the weights are loaded once, not twice (score_think_wide.cuh). */
+ * There are two of it. For any device: 256 threads and at most 40 rows, two blocks on a
+ * multiprocessor, so that one's physics runs beside the other's products (score_think_narrow.cuh,
+ * which is included before). For capability 9.0: 512 threads and at most 80 rows, for which the
+ * weights are loaded once, not twice (score_think_wide.cuh). */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 
@@ -18,16 +20,18 @@
 
 namespace {
 
-__global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS) live(const __grid_constant__ mo_cuda_score score)
+__global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
+    live(const __grid_constant__ mo_cuda_score score)
 {
   Shared &shared = shared_of_block();
   const uint32_t thread = threadIdx.x;
   if (thread == 0) {
     shared.cancelled = 0;
     shared.score = score;
-    shared.scalars = score.weights == nullptr
-                         ? mo_weights_scalars{}
-                         : *reinterpret_cast<const mo_weights_scalars *>(score.weights + score.layout.scalars);
+    shared.scalars =
+        score.weights == nullptr
+            ? mo_weights_scalars{}
+            : *reinterpret_cast<const mo_weights_scalars *>(score.weights + score.layout.scalars);
   }
   for (;;) {
     __syncthreads();
@@ -44,7 +48,8 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS) live(const __
     const mo_sensor sensor = (mo_sensor)shared.scalars.sensor;
     begin_group(score, shared, memory);
     for (uint32_t step = 0; step < score.n_steps; step++) {
-      const Start start = score.weights != nullptr && thread < MO_HIDDEN ? load_start(score, step) : Start{};
+      const Start start =
+          score.weights != nullptr && thread < MO_HIDDEN ? load_start(score, step) : Start{};
       sense(score, shared, sensor, memory.position, memory.x, step);
       if (score.weights != nullptr) {
         if (thread < MO_HIDDEN)
@@ -65,7 +70,8 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS) live(const __
         shared.diverged[thread] = (int)(step + 1);
         mo_cuda_outcome *outcome = score.outcomes + score.rows[shared.plan.first_row + thread].row;
         for (int axis = 0; axis < 3; axis++)
-          outcome->com_end_m[axis] = (double)shared.com[step & 1][thread][axis] + (axis < 2 ? MO_WORLD_CENTRE_M : 0.0);
+          outcome->com_end_m[axis] =
+              (double)shared.com[step & 1][thread][axis] + (axis < 2 ? MO_WORLD_CENTRE_M : 0.0);
       }
     }
     __syncthreads();
@@ -85,10 +91,13 @@ cudaError_t launch_live(const mo_cuda_score &score, uint32_t blocks, cudaStream_
 }
 
 /* The kernel that score.cu or score_wide.cu makes of this file. */
-constexpr mo_cuda_score_kernel kLive = {
-    MO_CUDA_ROWS, MO_CUDA_BLOCKS,
-    MO_CUDA_BYTES - kSharedBytes - sizeof(mo_plan_pairs) - MO_CUDA_PAD_BYTES, MO_CUDA_COLUMN_BYTES,
-    prepare_live, launch_live};
+constexpr mo_cuda_score_kernel kLive = {MO_CUDA_ROWS,
+                                        MO_CUDA_BLOCKS,
+                                        MO_CUDA_BYTES - kSharedBytes - sizeof(mo_plan_pairs) -
+                                            MO_CUDA_PAD_BYTES,
+                                        MO_CUDA_COLUMN_BYTES,
+                                        prepare_live,
+                                        launch_live};
 
 } // namespace
 

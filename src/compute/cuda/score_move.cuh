@@ -24,36 +24,42 @@ __device__ __forceinline__ Item item_of(const Part &part, uint32_t chunk, uint32
   return item;
 }
 
-/* What a block has in global memory is read past the first-level cache, which holds links and terrain. */
+/* What a block has in global memory is read past the first-level cache, which holds links and
+ * terrain. */
 __device__ __forceinline__ float3 load_velocity(const float *v)
 {
   return make_float3(__ldcg(v), __ldcg(v + 1), __ldcg(v + 2));
 }
 
-/* What the links of a mass in a row count from, and how far it is from one mass or length to the next, in bytes. */
+/* What the links of a mass in a row count from, and how far it is from one mass or length to the
+ * next, in bytes. */
 struct Reach {
   const char *masses, *lengths;
   uint32_t mass_stride, length_stride;
 };
 
 /* Lengths that the springs of four links want to have. */
-__device__ __forceinline__ void load_lengths(const uint4 &quad, const Reach &reach, float (&length)[MO_PLAN_LINKS])
+__device__ __forceinline__ void load_lengths(const uint4 &quad, const Reach &reach,
+                                             float (&length)[MO_PLAN_LINKS])
 {
   const uint32_t link[MO_PLAN_LINKS] = {quad.x, quad.y, quad.z, quad.w};
 #pragma unroll
   for (int i = 0; i < MO_PLAN_LINKS; i++)
-    length[i] = *reinterpret_cast<const float *>(reach.lengths + MO_PLAN_LINK_SLOT(link[i]) * reach.length_stride);
+    length[i] = *reinterpret_cast<const float *>(reach.lengths +
+                                                 MO_PLAN_LINK_SLOT(link[i]) * reach.length_stride);
 }
 
 /* Four links of a mass at p: adds up what their springs pull. */
-__device__ __forceinline__ void pull_four(const uint4 &quad, const Reach &reach, const float (&length)[MO_PLAN_LINKS],
-                                          const float (&p)[3], float (&j)[3])
+__device__ __forceinline__ void pull_four(const uint4 &quad, const Reach &reach,
+                                          const float (&length)[MO_PLAN_LINKS], const float (&p)[3],
+                                          float (&j)[3])
 {
   const uint32_t link[MO_PLAN_LINKS] = {quad.x, quad.y, quad.z, quad.w};
   float d[MO_PLAN_LINKS][3];
 #pragma unroll
   for (int i = 0; i < MO_PLAN_LINKS; i++) {
-    const float *other = reinterpret_cast<const float *>(reach.masses + MO_PLAN_LINK_MASS(link[i]) * reach.mass_stride);
+    const float *other = reinterpret_cast<const float *>(reach.masses + MO_PLAN_LINK_MASS(link[i]) *
+                                                                            reach.mass_stride);
     for (int axis = 0; axis < 3; axis++)
       d[i][axis] = other[axis] - p[axis];
   }
@@ -66,8 +72,10 @@ __device__ __forceinline__ void pull_four(const uint4 &quad, const Reach &reach,
   }
 }
 
-/* A thread's item of a warp's chunk c; past the last chunk, and past the part's last place, one that exists and is not used. */
-__device__ __forceinline__ Item item_at(const Shared &shared, uint32_t c, uint32_t lane, const Part **part)
+/* A thread's item of a warp's chunk c; past the last chunk, and past the part's last place, one
+ * that exists and is not used. */
+__device__ __forceinline__ Item item_at(const Shared &shared, uint32_t c, uint32_t lane,
+                                        const Part **part)
 {
   const bool there = c < shared.n_chunks;
   const uint32_t chunk = shared.chunks[there ? c : 0];
@@ -79,8 +87,9 @@ __device__ __forceinline__ Item item_at(const Shared &shared, uint32_t c, uint32
   return item;
 }
 
-/* A pointer of the call, read anew: else it is computed once and kept in local memory, which is farther away. */
-template <typename T> __device__ __forceinline__ T anew(T const &pointer)
+/* A pointer of the call, read again: else it is computed once and kept in local memory, which is
+ * farther away. */
+template <typename T> __device__ __forceinline__ T read_again(T const &pointer)
 {
   return *const_cast<T const volatile *>(&pointer);
 }
@@ -91,22 +100,25 @@ constexpr int kTurns = (MO_PLAN_DEGREES_MAX + MO_PLAN_LINKS - 1) / MO_PLAN_LINKS
 __device__ __forceinline__ void load_links(const uint32_t *links, const Part &part, uint32_t mass,
                                            uint4 (&quad)[kTurns])
 {
-  const uint4 *quads = reinterpret_cast<const uint4 *>(links) + part.first_quad + MO_PLAN_MASS_QUAD(mass);
+  const uint4 *quads =
+      reinterpret_cast<const uint4 *>(links) + part.first_quad + MO_PLAN_MASS_QUAD(mass);
   const uint32_t last = MO_PLAN_MASS_QUADS(mass) - 1;
 #pragma unroll
   for (uint32_t i = 0; i < kTurns; i++)
     quad[i] = __ldg(quads + min(i, last));
 }
 
-/* What is loaded for one chunk hides behind the computing of those before: the links of the next one, the mass of the one after it. */
-__device__ __forceinline__ void pull(const Shared &shared, const float *position, const float *all_lengths,
-                                     float *velocity)
+/* What is loaded for one chunk hides behind the computing of those before: the links of the next
+ * one, the mass of the one after it. */
+__device__ __forceinline__ void pull(const Shared &shared, const float *position,
+                                     const float *all_lengths, float *velocity)
 {
   const mo_cuda_score &score = shared.score;
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, n = shared.n_chunks;
   const lane_physics &k = score.physics;
   const Part *part, *next_part;
-  Item item = item_at(shared, warp, lane, &part), next = item_at(shared, warp + MO_CUDA_WARPS, lane, &next_part);
+  Item item = item_at(shared, warp, lane, &part),
+       next = item_at(shared, warp + MO_CUDA_WARPS, lane, &next_part);
   uint32_t mass = __ldg(score.masses + part->first_mass + item.mass);
   uint32_t next_mass = __ldg(score.masses + next_part->first_mass + next.mass);
   uint4 quad[kTurns], next_quad[kTurns];
@@ -116,15 +128,17 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
     const uint32_t last = MO_PLAN_MASS_QUADS(mass) - 1, n_rows = part->n_rows;
     const float *own = position + 3 * item.place;
     Reach reach = {reinterpret_cast<const char *>(position + 3 * (part->first_place + item.row)),
-                   reinterpret_cast<const char *>(all_lengths + part->first_length + item.row), 12 * n_rows,
-                   4 * n_rows};
-    asm("" : "+r"(reach.mass_stride), "+r"(reach.length_stride)); /* one multiplication per address */
+                   reinterpret_cast<const char *>(all_lengths + part->first_length + item.row),
+                   12 * n_rows, 4 * n_rows};
+    asm(""
+        : "+r"(reach.mass_stride), "+r"(reach.length_stride)); /* one multiplication per address */
     float *v = velocity + 3 * item.place;
     const float3 before = load_velocity(v);
-    load_links(anew(score.links), *next_part, next_mass, next_quad);
+    load_links(read_again(score.links), *next_part, next_mass, next_quad);
     const Part *after_part;
     const Item after = item_at(shared, c + 2 * MO_CUDA_WARPS, lane, &after_part);
-    const uint32_t after_mass = __ldg(anew(score.masses) + after_part->first_mass + after.mass);
+    const uint32_t after_mass =
+        __ldg(read_again(score.masses) + after_part->first_mass + after.mass);
     const float p[3] = {own[0], own[1], own[2]};
     float j[3] = {0.0f, 0.0f, 0.0f};
 #pragma unroll
@@ -152,7 +166,8 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
   }
 }
 
-__device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared, float *position, float *velocity)
+__device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared, float *position,
+                                     float *velocity)
 {
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
   const Part *part, *next_part;

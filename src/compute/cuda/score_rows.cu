@@ -18,7 +18,8 @@ namespace {
 
 constexpr uint32_t kThreadsMax = 8, kBodiesPerThread = 256;
 
-/* Rows of a group: few enough that all blocks have work, and that the last of several rounds of groups is a full one. */
+/* Rows of a group: few enough that all blocks have work, and that the last of several rounds of
+ * groups is a full one. */
 uint32_t rows_wanted(uint32_t n, uint32_t blocks, uint32_t most)
 {
   const uint64_t round = (uint64_t)blocks * most, rounds = (n + round - 1) / round;
@@ -57,14 +58,18 @@ int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t pl
   const size_t outcomes = plan.n * sizeof(mo_cuda_outcome);
   return in_turn(
       [&] { return mo_cuda_reserve(device, &device->plan, plan.block.bytes); },
-      [&] { return mo_cuda_reserve(device, &device->velocities, (size_t)blocks * 3 * places * sizeof(float)); },
+      [&] {
+        return mo_cuda_reserve(device, &device->velocities,
+                               (size_t)blocks * 3 * places * sizeof(float));
+      },
       [&] { return mo_cuda_reserve(device, &device->outcomes, outcomes); },
       [&] { return mo_cuda_reserve(device, &device->counter, sizeof(uint32_t)); },
       [&] { return mo_cuda_reserve_pinned(device, &device->staged_plan, plan.block.bytes); },
       [&] { return mo_cuda_reserve_pinned(device, &device->staged_outcomes, outcomes); });
 }
 
-mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_device_score *score, uint32_t places)
+mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_device_score *score,
+                        uint32_t places)
 {
   const char *base = (const char *)device->plan.memory;
   const mo_plan_block &block = plan.block;
@@ -108,7 +113,8 @@ void hand_over(const mo_cuda_outcome *from, const mo_device_score *score)
 }
 
 /* From the plan to outcomes in pinned memory. */
-int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, uint32_t blocks, float *device_ms)
+int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, uint32_t blocks,
+        float *device_ms)
 {
   const uint32_t places = most_places(plan);
   if (plan.n_groups < blocks)
@@ -120,13 +126,17 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   mo_plan_fill(&plan, block, threads_for(plan));
   if (score->cancel != nullptr && __atomic_load_n(score->cancel, __ATOMIC_RELAXED) != 0)
     return MO_ERR_CANCELLED;
-  status = mo_cuda_generators(device, &score->physics); /* begins a copy: from here on it is waited for */
+  status = mo_cuda_generators(device,
+                              &score->physics); /* begins a copy: from here on it is waited for */
   if (status != MO_OK)
     return status;
   const cudaStream_t stream = device->stream;
   const cudaError_t error = in_turn(
       [&] { return cudaEventRecord(device->begin, stream); },
-      [&] { return cudaMemcpyAsync(device->plan.memory, block, plan.block.bytes, cudaMemcpyHostToDevice, stream); },
+      [&] {
+        return cudaMemcpyAsync(device->plan.memory, block, plan.block.bytes, cudaMemcpyHostToDevice,
+                               stream);
+      },
       [&] { return cudaMemsetAsync(device->counter.memory, 0, sizeof(uint32_t), stream); },
       [&] { return device->score->launch(arguments(device, plan, score, places), blocks, stream); },
       [&] {
@@ -139,7 +149,8 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   status = mo_cuda_wait(device, score->cancel);
   if (launched != MO_OK || status != MO_OK)
     return launched != MO_OK ? launched : status;
-  return mo_cuda_check(device, cudaEventElapsedTime(device_ms, device->begin, device->end), "timing");
+  return mo_cuda_check(device, cudaEventElapsedTime(device_ms, device->begin, device->end),
+                       "timing");
 }
 
 } // namespace

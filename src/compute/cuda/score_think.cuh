@@ -1,5 +1,5 @@
-/* score_think.cuh: from positions to the first layer's inputs, and from the last layer's sums to lengths: what the kernels share of sensing
- * and of acting. */
+/* score_think.cuh: from positions to the first layer's inputs, and from the last layer's sums to
+ * lengths: what the kernels share of sensing and of acting. */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_THINK_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_THINK_CUH
 
@@ -13,19 +13,22 @@ __device__ __forceinline__ float light_at(mo_sensor sensor, const float *p, cons
   return lane_light(sensor, lane_squared(d));
 }
 
-/* Two rows per warp, sixteen lanes each (lane bit 3 is the row's). A lane computes the light at every sixteenth mass, and keeps it until the
- * row's mean is known. */
+/* Two rows per warp, sixteen lanes each (lane bit 3 is the row's). A lane computes the light at
+ * every sixteenth mass, and keeps it until the row's mean is known. */
 __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared, mo_sensor sensor,
-                                      const float *position, const mo_cuda_activations &x, uint32_t step)
+                                      const float *position, const mo_cuda_activations &x,
+                                      uint32_t step)
 {
   constexpr int kMost = (MO_DEFAULT_MASSES + 63) / 64 * 4;
-  const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, own = (lane & 7) | (lane >> 4) << 3;
+  const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5,
+                 own = (lane & 7) | (lane >> 4) << 3;
   for (uint32_t pair = warp; 2 * pair < shared.plan.n_rows; pair += MO_CUDA_WARPS) {
     const uint32_t r = 2 * pair + (lane >> 3 & 1);
     const bool used = r < shared.plan.n_rows; /* if not, its place takes a copy of the other row */
     const Row row = shared.rows[used ? r : 2 * pair];
     const float4 light = shared.light[used ? r : 2 * pair];
-    const uint4 inputs = __ldg(reinterpret_cast<const uint4 *>(score.inputs + (size_t)row.body * MO_PLAN_INPUTS) + own);
+    const uint4 inputs = __ldg(
+        reinterpret_cast<const uint4 *>(score.inputs + (size_t)row.body * MO_PLAN_INPUTS) + own);
     const uint32_t input[4] = {inputs.x, inputs.y, inputs.z, inputs.w};
     const uint32_t most = max(row.n_masses, __shfl_xor_sync(kAll, row.n_masses, 8));
     if (score.weights != nullptr)
@@ -71,7 +74,8 @@ __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared
   }
 }
 
-/* What the first layer's sums start from, bias and generators, of this thread's output. Loaded before sensing, computed after it. */
+/* What the first layer's sums start from, bias and generators, of this thread's output. Loaded
+ * before sensing, computed after it. */
 struct Start {
   float bias, generator[MO_CPG_INPUTS], weight[MO_CPG_INPUTS];
 };
@@ -85,7 +89,8 @@ __device__ __forceinline__ Start load_start(const mo_cuda_score &score, uint32_t
   for (int i = 0; i < MO_CPG_INPUTS; i++) {
     start.generator[i] = __ldg(score.generators + (size_t)step * MO_CPG_INPUTS + i);
     start.weight[i] =
-        __ldg(reinterpret_cast<const float *>(score.weights + score.layout.generators) + i * MO_HIDDEN + o);
+        __ldg(reinterpret_cast<const float *>(score.weights + score.layout.generators) +
+              i * MO_HIDDEN + o);
   }
   return start;
 }
@@ -111,7 +116,8 @@ __device__ __forceinline__ Layer layer_of(const mo_cuda_score &score, const Shar
 {
   Layer layer;
   layer.matrix = score.weights + score.layout.hidden[l];
-  layer.start = l == 0 ? shared.first : reinterpret_cast<const float *>(score.weights + score.layout.bias[l]);
+  layer.start =
+      l == 0 ? shared.first : reinterpret_cast<const float *>(score.weights + score.layout.bias[l]);
   layer.gain = reinterpret_cast<const float *>(score.weights + score.layout.gain[l]);
   layer.shift = reinterpret_cast<const float *>(score.weights + score.layout.shift[l]);
   layer.epsilon = shared.scalars.epsilon[l];
@@ -128,20 +134,23 @@ struct Output {
   float *lengths;
 };
 
-/* Where a row's length of a pair's first spring is put; kNowhere, if the row's body has none of the pair. */
+/* Where a row's length of a pair's first spring is put; kNowhere, if the row's body has none of the
+ * pair. */
 constexpr uint32_t kNowhere = UINT32_MAX;
 
-__device__ __forceinline__ uint32_t length_of(const mo_plan_pairs *pairs, const Home &home, uint32_t pair)
+__device__ __forceinline__ uint32_t length_of(const mo_plan_pairs *pairs, const Home &home,
+                                              uint32_t pair)
 {
-  const uint32_t word = pairs[home.part].has[pair / 32], before = pairs[home.part].before[pair / 32];
+  const uint32_t word = pairs[home.part].has[pair / 32],
+                 before = pairs[home.part].before[pair / 32];
   const uint32_t bit = 1u << pair % 32;
   const uint32_t slot = 2 * (before + (uint32_t)__popc((int)(word & (bit - 1))));
   return (word & bit) != 0 ? home.first_length + slot * home.stride : kNowhere;
 }
 
 /* Lengths of a pair's springs in rows 2t and 2t + 1 of a column. */
-__device__ __forceinline__ void put_lengths(const Output &output, const Home (&home)[2], uint32_t pair,
-                                            const float (&wanted)[4])
+__device__ __forceinline__ void put_lengths(const Output &output, const Home (&home)[2],
+                                            uint32_t pair, const float (&wanted)[4])
 {
   const uint32_t first = length_of(output.pairs, home[0], pair);
   uint32_t second = first + (first != kNowhere ? 1 : 0);
@@ -157,7 +166,8 @@ __device__ __forceinline__ void put_lengths(const Output &output, const Home (&h
   }
 }
 
-__device__ __forceinline__ Output output_of(const mo_cuda_score &score, const Shared &shared, const Memory &memory)
+__device__ __forceinline__ Output output_of(const mo_cuda_score &score, const Shared &shared,
+                                            const Memory &memory)
 {
   return Output{score.weights + score.layout.output,
                 reinterpret_cast<const float2 *>(score.weights + score.layout.output_bias),
@@ -169,8 +179,8 @@ __device__ __forceinline__ Output output_of(const mo_cuda_score &score, const Sh
 }
 
 /* From a pair's sums in rows 2t and 2t + 1 of a column to lengths. */
-__device__ __forceinline__ void put_sums(const Output &output, const Home (&home)[2], uint32_t pair, const float2 &bias,
-                                         const float (&sum)[4])
+__device__ __forceinline__ void put_sums(const Output &output, const Home (&home)[2], uint32_t pair,
+                                         const float2 &bias, const float (&sum)[4])
 {
   const float rest = rest_length(2 * pair < MO_PLAN_EDGES);
   float wanted[4];

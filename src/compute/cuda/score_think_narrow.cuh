@@ -1,4 +1,5 @@
-/* score_think_narrow.cuh: the network of a group by mma.sync: two tiles of sixteen outputs per warp. */
+/* score_think_narrow.cuh: the network of a group by mma.sync: two tiles of sixteen outputs per
+ * warp. */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_THINK_NARROW_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_THINK_NARROW_CUH
 
@@ -9,7 +10,8 @@ namespace {
 
 /* One hidden layer for all rows, in place. */
 template <int COLUMNS>
-__device__ __forceinline__ void hidden_layer(const Layer &layer, uint32_t units, float2 *partial, char *x)
+__device__ __forceinline__ void hidden_layer(const Layer &layer, uint32_t units, float2 *partial,
+                                             char *x)
 {
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, g = lane >> 2, t = lane & 3;
   constexpr uint32_t kUnits = MO_WEIGHTS_UNITS;
@@ -39,7 +41,8 @@ __device__ __forceinline__ void hidden_layer(const Layer &layer, uint32_t units,
   mo_cuda_normalize<COLUMNS>(sum, layer.gain, layer.shift, layer.epsilon, partial, x, warp, lane);
 }
 
-__device__ __forceinline__ void hidden_layers(const mo_cuda_score &score, Shared &shared, const Memory &memory)
+__device__ __forceinline__ void hidden_layers(const mo_cuda_score &score, Shared &shared,
+                                              const Memory &memory)
 {
   char *x = memory.x.memory;
   constexpr uint32_t kUnits = MO_WEIGHTS_UNITS;
@@ -57,21 +60,25 @@ __device__ __forceinline__ void hidden_layers(const mo_cuda_score &score, Shared
   }
 }
 
-/* A lane's pairs of springs of up to two tiles, and the columns that have any of the tiles' springs. */
+/* A lane's pairs of springs of up to two tiles, and the columns that have any of the tiles'
+ * springs. */
 struct Tiles {
   uint32_t pair[2], columns;
 };
 
-/* The round-th tiles of a warp, and how many: rounds of two tiles per warp; the last round spreads what is left. */
-__device__ __forceinline__ uint32_t tiles_of(const mo_cuda_score &score, const Shared &shared, uint32_t round,
-                                             Tiles *ret)
+/* The round-th tiles of a warp, and how many: rounds of two tiles per warp; the last round spreads
+ * what is left. */
+__device__ __forceinline__ uint32_t tiles_of(const mo_cuda_score &score, const Shared &shared,
+                                             uint32_t round, Tiles *ret)
 {
   const uint32_t warp = threadIdx.x >> 5, g = (threadIdx.x & 31) >> 2, n = shared.plan.n_tiles;
   const uint32_t done = round * 2 * MO_CUDA_WARPS;
   if (done >= n)
     return 0;
   const uint32_t left = n - done;
-  const uint32_t twos = left >= 2 * MO_CUDA_WARPS ? MO_CUDA_WARPS : left > MO_CUDA_WARPS ? left - MO_CUDA_WARPS : 0;
+  const uint32_t twos = left >= 2 * MO_CUDA_WARPS ? MO_CUDA_WARPS
+                        : left > MO_CUDA_WARPS    ? left - MO_CUDA_WARPS
+                                                  : 0;
   const uint32_t count = warp < twos ? 2 : warp + twos < left ? 1 : 0;
   const uint32_t first = shared.plan.first_tile + done + (warp < twos ? 2 * warp : twos + warp);
   ret->columns = 0;
@@ -94,10 +101,10 @@ __device__ __forceinline__ void act_tiles(const Output &output, const Tiles &til
   float sum[TILES][COLUMNS][4];
 #pragma unroll
   for (int m = 0; m < TILES; m++)
-    row[m] =
-        output.matrix +
-        (tiles.pair[m] == MO_PLAN_NO_PAIR ? 0 : tiles.pair[m]) * MO_WEIGHTS_UNITS * MO_WEIGHTS_PAIR_BYTES +
-        t * MO_WEIGHTS_LOAD_BYTES;
+    row[m] = output.matrix +
+             (tiles.pair[m] == MO_PLAN_NO_PAIR ? 0 : tiles.pair[m]) * MO_WEIGHTS_UNITS *
+                 MO_WEIGHTS_PAIR_BYTES +
+             t * MO_WEIGHTS_LOAD_BYTES;
 #pragma unroll
   for (int c = 0; c < COLUMNS; c++) {
     column[c] = (uint32_t)(__ffs((int)columns) - 1) * MO_CUDA_COLUMN_BYTES;
@@ -108,7 +115,8 @@ __device__ __forceinline__ void act_tiles(const Output &output, const Tiles &til
       for (int k = 0; k < 4; k++)
         sum[m][c][k] = 0.0f;
   }
-  mo_cuda_product<MO_WEIGHTS_PAIR_BYTES / 2, TILES, COLUMNS>(sum, row, x + mo_cuda_slot(g, t), column);
+  mo_cuda_product<MO_WEIGHTS_PAIR_BYTES / 2, TILES, COLUMNS>(sum, row, x + mo_cuda_slot(g, t),
+                                                             column);
 #pragma unroll
   for (int c = 0; c < COLUMNS; c++) {
     const uint32_t first = column[c] / (MO_CUDA_COLUMN_BYTES / MO_PLAN_COLUMN);
@@ -125,7 +133,8 @@ __device__ __forceinline__ void act_tiles(const Output &output, const Tiles &til
 }
 
 template <int TILES>
-__device__ __forceinline__ void act_tiles_of(const Output &output, const Tiles &tiles, const char *x)
+__device__ __forceinline__ void act_tiles_of(const Output &output, const Tiles &tiles,
+                                             const char *x)
 {
   switch (__popc(tiles.columns)) {
   case 1: act_tiles<TILES, 1>(output, tiles, x); break;
@@ -137,7 +146,8 @@ __device__ __forceinline__ void act_tiles_of(const Output &output, const Tiles &
 }
 
 /* The last layer. */
-__device__ __forceinline__ void act(const mo_cuda_score &score, const Shared &shared, const Memory &memory)
+__device__ __forceinline__ void act(const mo_cuda_score &score, const Shared &shared,
+                                    const Memory &memory)
 {
   const Output output = output_of(score, shared, memory);
   const char *x = memory.x.memory;
@@ -155,7 +165,8 @@ __device__ __forceinline__ void act(const mo_cuda_score &score, const Shared &sh
 }
 
 /* Between two barriers, after sensing. */
-__device__ __forceinline__ void think(const mo_cuda_score &score, Shared &shared, const Memory &memory)
+__device__ __forceinline__ void think(const mo_cuda_score &score, Shared &shared,
+                                      const Memory &memory)
 {
   hidden_layers(score, shared, memory);
   act(score, shared, memory);

@@ -1,4 +1,5 @@
-/* score_think_wide.cuh: the network of a group by wgmma: a tile of sixteen outputs per warp, for all rows. */
+/* score_think_wide.cuh: the network of a group by wgmma: a tile of sixteen outputs per warp, for
+ * all rows. */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_THINK_WIDE_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_THINK_WIDE_CUH
 
@@ -7,12 +8,14 @@
 
 namespace {
 
-/* A lane's pair of springs of its warp's tile, and the columns that have any of the tile's springs. */
+/* A lane's pair of springs of its warp's tile, and the columns that have any of the tile's springs.
+ */
 struct Tile {
   uint32_t pair, columns;
 };
 
-__device__ __forceinline__ Tile tile_of(const mo_cuda_score &score, const Shared &shared, uint32_t round)
+__device__ __forceinline__ Tile tile_of(const mo_cuda_score &score, const Shared &shared,
+                                        uint32_t round)
 {
   const uint32_t number = round * MO_CUDA_WARPS + (threadIdx.x >> 5), g = (threadIdx.x & 31) >> 2;
   Tile tile = {MO_PLAN_NO_PAIR, 0};
@@ -23,13 +26,14 @@ __device__ __forceinline__ Tile tile_of(const mo_cuda_score &score, const Shared
   return tile;
 }
 
-/* The weights of a hidden layer's tile, and of a tile of springs; those of no pair are the first pair's. */
+/* The weights of a hidden layer's tile, and of a tile of springs; those of no pair are the first
+ * pair's. */
 __device__ __forceinline__ mo_cuda_stream stream_of(const Layer &layer)
 {
   constexpr uint32_t kHalf = 8 * MO_WEIGHTS_PAIR_BYTES / 2;
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
-  return mo_cuda_stream{layer.matrix + warp * MO_WEIGHTS_UNITS * 2 * kHalf + lane * MO_WEIGHTS_LOAD_BYTES,
-                        kHalf};
+  return mo_cuda_stream{
+      layer.matrix + warp * MO_WEIGHTS_UNITS * 2 * kHalf + lane * MO_WEIGHTS_LOAD_BYTES, kHalf};
 }
 
 __device__ __forceinline__ mo_cuda_stream stream_of(const Output &output, const Tile &tile)
@@ -40,8 +44,9 @@ __device__ __forceinline__ mo_cuda_stream stream_of(const Output &output, const 
                         MO_WEIGHTS_PAIR_BYTES / 2};
 }
 
-/* The network for a group of COLUMNS columns. What it needs of the call and of the group it reads from shared memory itself: what the rest of
- * the kernel held in registers for it would be missing, and the compiler would wait for each product. */
+/* The network for a group of COLUMNS columns. What it needs of the call and of the group it reads
+ * from shared memory itself: what the rest of the kernel held in registers for it would be missing,
+ * and the compiler would wait for each product. */
 template <int COLUMNS> __device__ __forceinline__ void think_of()
 {
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, g = lane >> 2, t = lane & 3;
@@ -57,8 +62,9 @@ template <int COLUMNS> __device__ __forceinline__ void think_of()
 #pragma unroll
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     const Layer layer = layer_of(score, shared, l);
-    const mo_cuda_stream after =
-        l + 1 < MO_HIDDEN_LAYERS ? stream_of(layer_of(score, shared, l + 1)) : stream_of(output, tile);
+    const mo_cuda_stream after = l + 1 < MO_HIDDEN_LAYERS
+                                     ? stream_of(layer_of(score, shared, l + 1))
+                                     : stream_of(output, tile);
     const float from[2] = {layer.start[warp * 16 + g], layer.start[warp * 16 + 8 + g]};
 #pragma unroll
     for (int c = 0; c < COLUMNS; c++)
@@ -66,7 +72,8 @@ template <int COLUMNS> __device__ __forceinline__ void think_of()
       for (int k = 0; k < 4; k++)
         sum[c][k] = from[k / 2];
     mo_cuda_product<COLUMNS>(sum, ring, stream, after, memory.x);
-    mo_cuda_normalize<COLUMNS>(sum, layer.gain, layer.shift, layer.epsilon, memory.partial, memory.x);
+    mo_cuda_normalize<COLUMNS>(sum, layer.gain, layer.shift, layer.epsilon, memory.partial,
+                               memory.x);
   }
   /* Rounds of sixteen tiles; a warpgroup ends when there is none left for its first warp. */
   const uint32_t rounds = (shared.plan.n_tiles + MO_CUDA_WARPS - 1 - (warp & ~3u)) / MO_CUDA_WARPS;
