@@ -127,7 +127,6 @@ struct mo_pack;
 int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
                    enum mo_precision precision, struct mo_pack **pack);
 void mo_pack_free(struct mo_pack *pack); /* NULL-safe */
-size_t mo_pack_bytes(const struct mo_pack *pack);
 
 /* Scratch of one worker: grows to the largest body it has seen, then allocates no more. */
 struct mo_workspace_memory;

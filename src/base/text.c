@@ -52,13 +52,22 @@ bool mo_utf8_is_valid(const char *text)
   return true;
 }
 
-const char *mo_number_text(double value, char text[MO_NUMBER_BYTES])
+/* Writes a number with the fewest digits, from `least` on, that read back as the same float64;
+ * returns its length. */
+static size_t write_number(double value, int least, char text[MO_NUMBER_BYTES])
 {
-  for (int digits = 6; digits <= 17; digits++) {
-    snprintf(text, MO_NUMBER_BYTES, "%.*g", digits, value);
-    if (strtod(text, NULL) == value)
+  int n = 0;
+  for (int digits = least; digits <= 17; digits++) {
+    n = snprintf(text, MO_NUMBER_BYTES, "%.*g", digits, value);
+    if (digits < 17 && strtod(text, NULL) == value)
       break;
   }
+  return (size_t)n;
+}
+
+const char *mo_number_text(double value, char text[MO_NUMBER_BYTES])
+{
+  write_number(value, 6, text);
   for (char *c = text; *c != '\0'; c++)
     if (*c == ',')
       *c = '.';
@@ -189,19 +198,13 @@ void mo_text_json_number(struct mo_text *text, double value)
     mo_text_add(text, "null");
     return;
   }
-  char digits[32];
-  int n = 0;
+  char digits[MO_NUMBER_BYTES];
   /* Fast path with the same text as below: half of a page's numbers are whole. */
   if (fabs(value) < 1e15 && value == trunc(value) && (value != 0 || !signbit(value))) {
     mo_text_format(text, "%lld", (long long)value);
     return;
   }
-  for (int precision = 15; precision <= 17; precision++) {
-    n = snprintf(digits, sizeof(digits), "%.*g", precision, value);
-    if (precision == 17 || strtod(digits, NULL) == value)
-      break;
-  }
-  mo_text_bytes(text, digits, (size_t)n);
+  mo_text_bytes(text, digits, write_number(value, 15, digits));
 }
 
 /* Writes the same text as "%.*g" with the fewest of 6 to 9 digits that read back, for magnitudes

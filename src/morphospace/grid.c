@@ -5,25 +5,6 @@
 
 /* ---- components ---- */
 
-struct queue {
-  uint32_t local[MO_SCRATCH_WORDS * 64];
-  uint32_t *voxels;
-};
-
-static int queue_open(struct queue *queue, uint32_t voxels)
-{
-  queue->voxels = voxels <= sizeof(queue->local) / sizeof(queue->local[0])
-                      ? queue->local
-                      : malloc(voxels * sizeof(uint32_t));
-  return queue->voxels != NULL ? MO_OK : MO_ERR_NO_MEMORY;
-}
-
-static void queue_close(struct queue *queue)
-{
-  if (queue->voxels != queue->local)
-    free(queue->voxels);
-}
-
 /* Breadth first; returns how many voxels were reached. Every voxel enters the queue once. */
 static uint32_t flood(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
                       uint64_t *reached, uint32_t *queue)
@@ -66,23 +47,21 @@ static uint32_t flood(struct mo_workspace workspace, const uint64_t *bits, uint3
 int mo_grid_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
                       uint64_t *reached)
 {
-  struct queue queue;
-  if (queue_open(&queue, mo_workspace_voxels(workspace)) != MO_OK)
+  uint32_t *queue = malloc(mo_workspace_voxels(workspace) * sizeof(*queue));
+  if (queue == NULL)
     return MO_ERR_NO_MEMORY;
-  flood(workspace, bits, start, reached, queue.voxels);
-  queue_close(&queue);
+  flood(workspace, bits, start, reached, queue);
+  free(queue);
   return MO_OK;
 }
 
 int mo_grid_keep_largest(struct mo_workspace workspace, uint64_t *bits)
 {
   uint32_t words = mo_workspace_words(workspace);
+  uint32_t *queue = malloc(mo_workspace_voxels(workspace) * sizeof(*queue));
   struct mo_scratch reached;
-  if (mo_scratch_open(&reached, words) != MO_OK)
-    return MO_ERR_NO_MEMORY;
-  struct queue queue;
-  if (queue_open(&queue, mo_workspace_voxels(workspace)) != MO_OK) {
-    mo_scratch_close(&reached);
+  if (queue == NULL || mo_scratch_open(&reached, words) != MO_OK) {
+    free(queue);
     return MO_ERR_NO_MEMORY;
   }
   uint32_t best = 0;
@@ -91,7 +70,7 @@ int mo_grid_keep_largest(struct mo_workspace workspace, uint64_t *bits)
     uint64_t rest;
     while ((rest = bits[w] & ~reached.bits[w]) != 0) {
       uint32_t start = w * 64 + (uint32_t)__builtin_ctzll(rest);
-      uint32_t size = flood(workspace, bits, start, reached.bits, queue.voxels);
+      uint32_t size = flood(workspace, bits, start, reached.bits, queue);
       if (size > best) {
         best = size;
         best_start = start;
@@ -100,10 +79,10 @@ int mo_grid_keep_largest(struct mo_workspace workspace, uint64_t *bits)
   }
   if (best > 0) {
     memset(reached.bits, 0, words * sizeof(uint64_t));
-    flood(workspace, bits, best_start, reached.bits, queue.voxels);
+    flood(workspace, bits, best_start, reached.bits, queue);
     memcpy(bits, reached.bits, words * sizeof(uint64_t));
   }
-  queue_close(&queue);
+  free(queue);
   mo_scratch_close(&reached);
   return MO_OK;
 }

@@ -32,7 +32,7 @@ struct mo_pack {
   uint32_t n_masses, n_springs, n_inputs;
   size_t n_parameters;
   uint32_t panel; /* outputs per panel: two vectors */
-  size_t real_bytes, bytes;
+  size_t real_bytes;
   /* One allocation; float where weights are only packed again for a body. */
   float *input_weight;                          /* (256 / panel, n_masses, panel) */
   float *output_weight, *output_bias;           /* (n_springs, 256), (n_springs): as in the file */

@@ -101,7 +101,6 @@ static int create(const struct mo_controller *controller, enum mo_isa isa,
     pack.n_parameters = controller->n_parameters;
     lay_out(&pack, for_gradients, &carver);
   }
-  pack.bytes = carver.used;
   struct mo_pack *made = aligned_alloc(MO_ALIGNMENT, carver.used);
   if (made == NULL)
     return MO_ERR_NO_MEMORY;
@@ -139,9 +138,4 @@ int mo_pack_update(struct mo_pack *pack, const struct mo_controller *controller)
 void mo_pack_free(struct mo_pack *pack)
 {
   free(pack);
-}
-
-size_t mo_pack_bytes(const struct mo_pack *pack)
-{
-  return pack->bytes;
 }
