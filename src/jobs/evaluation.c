@@ -45,7 +45,8 @@ static int64_t sweep(struct mo_evaluations *all)
   struct mo_active **link = &all->actives;
   while (*link != NULL) {
     struct mo_active *active = *link;
-    if (!active->detached || active->failing || active->changed || active->references > 0) {
+    if (!active->detached || active->failing || active->changed || active->references > 0 ||
+        active->window.n_flights > 0) {
       link = &active->next;
     } else if (active->until_us > now) {
       next = active->until_us < next ? active->until_us : next;
@@ -64,6 +65,14 @@ static uint32_t count_active(const struct mo_evaluations *all, enum mo_urgency p
   uint32_t n = 0;
   for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
     n += !active->detached && active->priority == priority;
+  return n;
+}
+
+static uint64_t count_blocks(const struct mo_evaluations *all)
+{
+  uint64_t n = 0;
+  for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
+    n += active->window.n_flights;
   return n;
 }
 
@@ -109,7 +118,6 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
   if (error != MO_OK)
     return error;
   work = active->work;
-  active->window = mo_back_end_window(all->jobs, work->job.back_end);
   active->grid = (struct mo_grid){.block = {.lattice = all->jobs->lattice,
                                             .physics = work->job.physics,
                                             .precision = work->job.precision,
@@ -127,6 +135,7 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
   if (error != MO_OK)
     return error;
   mark_finished(active);
+  mo_active_open_window(active, mo_back_end_window(all->jobs, work->job.back_end));
   error = mo_loaded_acquire(&all->controllers, &active->work->job.controller_sha256,
                             &active->controller);
   if (error == MO_OK)
@@ -145,6 +154,7 @@ static bool claim_one(struct mo_evaluations *all, int64_t id, enum mo_urgency pr
   int error;
   if (active == NULL)
     return false;
+  active->all = all;
   active->id = id;
   active->priority = priority;
   active->last_event_us = active->marks[0].at_us = active->marks[1].at_us = mo_clock_us();
@@ -268,10 +278,12 @@ static void end_save(struct mo_evaluations *all, int status)
 static bool fill(struct mo_evaluations *all, struct mo_active *active)
 {
   unsigned budget = DESIGNS_A_ROUND;
-  while (!active->detached && !active->finishing && active->n_flights < active->window &&
-         !(active->work->job.record != 0 && mo_saver_is_full(all)) &&
-         mo_active_advance(all, active, &budget))
-    ;
+  int launched = 1;
+  while (launched > 0 && !active->detached && !active->finishing &&
+         !(active->work->job.record != 0 && mo_saver_is_full(all)))
+    launched = mo_window_launch(&active->window, &budget);
+  if (launched < 0)
+    mo_active_fail(all, active, launched, mo_error_text(launched));
   return budget == 0;
 }
 
@@ -368,7 +380,7 @@ static bool wind_down(struct mo_evaluations *all, bool *parked)
 {
   for (struct mo_active *active = all->actives; active != NULL; active = active->next)
     __atomic_store_n(&active->cancel, 1, __ATOMIC_RELAXED);
-  if (atomic_load(&all->jobs->blocks_in_flight) > 0)
+  if (count_blocks(all) > 0)
     return false;
   if (!*parked) {
     for (struct mo_active *active = all->actives; active != NULL; active = active->next)
@@ -420,6 +432,7 @@ static void publish(struct mo_evaluations *all)
     show(all, active);
   atomic_store(&all->jobs->active_batch, count_active(all, MO_BATCH));
   atomic_store(&all->jobs->active_interactive, count_active(all, MO_INTERACTIVE));
+  atomic_store(&all->jobs->blocks_in_flight, count_blocks(all));
   atomic_store(&all->jobs->heartbeat_us, mo_clock_us());
 }
 

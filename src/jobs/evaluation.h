@@ -16,12 +16,13 @@
 #define MO_ROLLOUT_BUCKETS 4096
 
 struct mo_active {
+  struct mo_evaluations *all;
   struct mo_work *work; /* NULL: could not be loaded */
   int64_t id;
   enum mo_urgency priority;
-  uint32_t window, n_flights; /* blocks that may be in flight, and are */
   struct mo_loaded *controller;
   struct mo_grid grid;
+  struct mo_window window; /* of the grid */
   uint64_t total, done, cached, diverged;
   /* Counts reported before this claim of a job that shares rollouts. The job finds its cells in the
    * store again, in any order; meanwhile the reported counts never decrease. */
@@ -43,13 +44,13 @@ struct mo_active {
   } marks[2];          /* between which, and since which, the rate is taken */
   int64_t shown_us;    /* time of the last live figures; 0: none */
   int64_t until_us;    /* after an error: the job is not claimed again before */
-  uint32_t references; /* from flights and saves */
+  uint32_t references; /* from saves */
   struct mo_active *next;
 };
 
 struct mo_rollout {
-  int64_t genotype, controller, physics, environment, fingerprint; /* the class of its jobs */
-  struct mo_rollout *next;                                         /* in its bucket */
+  int64_t key[5];          /* genotype, environment, controller, physics, the class of its jobs */
+  struct mo_rollout *next; /* in its bucket */
   struct mo_rollout *next_save; /* in pending or in the current save */
 };
 
@@ -112,9 +113,8 @@ bool mo_saver_is_full(const struct mo_evaluations *all);
 bool mo_saver_is_behind(const struct mo_evaluations *all);
 
 /* ---- evaluation_blocks.c ---- */
-/* Visits designs of `active` until a block is submitted. false: `budget` designs were visited, no
- * cell is to do, or the job has failed. */
-bool mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsigned *budget);
+/* Opens the window of a loaded job: its blocks come to mo_active_take_back. */
+void mo_active_open_window(struct mo_active *active, uint32_t most);
 /* Makes no new blocks of the job, and ends those in flight. */
 void mo_active_detach(struct mo_active *active);
 /* Requeues the job with one more attempt; with MO_ERR_DEVICE, pauses it. */

@@ -1,5 +1,5 @@
-/* evaluation_blocks.c: cuts the cells of a job into blocks for the back end, and stores the
- * results.
+/* evaluation_blocks.c: what the blocks of an evaluation add to scoring.c: look-ups, rollouts shared
+ * between jobs, recordings.
  *
  * The look-up for a cell to do checks first the rollouts that are being computed or wait for their
  * commit (the cell is deferred), then the store (the cell is done). Otherwise the cell joins a new
@@ -14,8 +14,7 @@
 
 /* A block of an evaluation. */
 struct flight {
-  struct mo_flight flight; /* first */
-  struct mo_active *owner;
+  struct mo_flight flight;                     /* first */
   struct mo_rollout *rollouts[MO_BLOCK_LANES]; /* of jobs that share them */
   struct mo_body *body;                        /* recorded */
   struct mo_recording recordings[MO_BLOCK_LANES];
@@ -50,37 +49,30 @@ void mo_active_fail(struct mo_evaluations *all, struct mo_active *active, int er
 
 /* ---- the table of rollouts ---- */
 
-static struct mo_rollout **bucket_of(struct mo_evaluations *all, const struct mo_rollout *key)
+static struct mo_rollout **bucket_of(struct mo_evaluations *all, const struct mo_rollout *rollout)
 {
-  uint64_t h = (uint64_t)key->genotype * UINT64_C(0x9E3779B97F4A7C15);
-  h = (h ^ (uint64_t)key->environment) * UINT64_C(0xBF58476D1CE4E5B9);
-  h = (h ^ (uint64_t)key->controller ^ ((uint64_t)key->physics << 20)) *
-      UINT64_C(0x94D049BB133111EB);
+  uint64_t h = 0;
+  for (size_t i = 0; i < sizeof(rollout->key) / sizeof(rollout->key[0]); i++)
+    h = (h ^ (uint64_t)rollout->key[i]) * UINT64_C(0x9E3779B97F4A7C15);
   return &all->buckets[(size_t)(h >> 40) % MO_ROLLOUT_BUCKETS];
 }
 
 static struct mo_rollout key_of(const struct mo_work *work, uint32_t design, uint32_t k)
 {
-  return (struct mo_rollout){.genotype = work->genotype_rows[design],
-                             .controller = work->controller,
-                             .physics = work->physics,
-                             .environment = work->environment_rows[k],
-                             .fingerprint = work->fingerprint};
+  return (struct mo_rollout){.key = {work->genotype_rows[design], work->environment_rows[k],
+                                     work->controller, work->physics, work->fingerprint}};
 }
 
-/* Defers a cell whose rollout another block of the class computes. */
-static bool defer(struct mo_evaluations *all, struct mo_active *active, uint32_t design, uint32_t k)
+/* Returns whether another block of the class computes the rollout of a cell. */
+static bool must_wait(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
+                      uint32_t k)
 {
   const struct mo_rollout key = key_of(active->work, design, k);
   const struct mo_rollout *rollout = *bucket_of(all, &key);
-  while (rollout != NULL &&
-         (rollout->genotype != key.genotype || rollout->environment != key.environment ||
-          rollout->controller != key.controller || rollout->physics != key.physics ||
-          rollout->fingerprint != key.fingerprint))
+  while (rollout != NULL && memcmp(rollout->key, key.key, sizeof(key.key)) != 0)
     rollout = rollout->next;
   if (rollout == NULL)
     return false;
-  *mo_grid_cell(&active->grid, design, k) = MO_CELL_DEFERRED;
   active->has_deferred = true;
   return true;
 }
@@ -110,25 +102,30 @@ void mo_rollout_forget(struct mo_evaluations *all, struct mo_rollout *rollout)
 
 /* ---- cells ---- */
 
-static void finish_cell(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
-                        uint32_t k, int32_t diverged_step)
+static void count_cell(struct mo_evaluations *all, struct mo_active *active, int32_t diverged_step)
+{
+  active->done++;
+  active->diverged += diverged_step != 0;
+  active->changed = true;
+  mo_pending_touch(all);
+}
+
+/* Saves the mean of a design whose cells are done. */
+static int finish_design(struct mo_evaluations *all, const struct mo_active *active,
+                         uint32_t design)
 {
   const struct mo_work *work = active->work;
   const struct mo_saved_design saved = {
       work->genotype_rows[design], work->controller,  work->physics,
       work->environment_set,       work->fingerprint, work->workers};
-  const bool is_whole = mo_grid_finish(&active->grid, design, k);
-  active->done++;
-  active->diverged += diverged_step != 0;
-  active->changed = true;
-  mo_pending_touch(all);
-  if (is_whole && work->environment_set != 0 &&
-      mo_pending_add(all, &all->pending.designs, &saved, sizeof(saved)) == NULL)
-    mo_active_fail(all, active, MO_ERR_NO_MEMORY, "out of memory");
+  return work->environment_set == 0 ||
+                 mo_pending_add(all, &all->pending.designs, &saved, sizeof(saved)) != NULL
+             ? MO_OK
+             : MO_ERR_NO_MEMORY;
 }
 
-/* Finishes a cell whose score the store has. */
-static void finish_known(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
+/* Finishes a cell whose score the store has. Returns whether its design is done. */
+static bool finish_known(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
                          uint32_t k, int32_t diverged_step)
 {
   const bool was_deferred = *mo_grid_cell(&active->grid, design, k) == MO_CELL_DEFERRED;
@@ -137,162 +134,93 @@ static void finish_known(struct mo_evaluations *all, struct mo_active *active, u
   else
     active->cached++;
   atomic_fetch_add(was_deferred ? &all->jobs->rollouts_shared : &all->jobs->rollouts_cached, 1);
-  finish_cell(all, active, design, k, diverged_step);
+  count_cell(all, active, diverged_step);
+  return mo_grid_finish(&active->grid, design, k);
 }
 
-/* ---- making blocks ---- */
-
-static void free_flight(struct mo_evaluations *all, struct flight *flight)
+/* Finishes the cells of a design whose scores the store has, unless all open ones must wait. */
+static int look_up(void *context, uint32_t design)
 {
-  for (uint32_t i = 0; i < flight->flight.block.n_environments; i++)
-    mo_recording_free(&flight->recordings[i]);
-  all->recording_bytes -= flight->recorded_bytes;
-  mo_body_free(flight->body);
-  free(flight);
-}
-
-static struct flight *new_flight(struct mo_evaluations *all, struct mo_active *active,
-                                 uint32_t design)
-{
-  struct flight *flight = calloc(1, sizeof(*flight));
-  if (flight == NULL)
-    return NULL;
-  flight->owner = active;
-  mo_flight_begin(&flight->flight, &active->grid, design, &all->inbox);
-  return flight;
-}
-
-/* Submits the block. The job must outlive the block, which uses its grid and controller. */
-static void launch(struct mo_evaluations *all, struct flight *flight)
-{
-  flight->owner->references++;
-  flight->owner->n_flights++;
-  atomic_fetch_add(&all->jobs->blocks_in_flight, 1);
-  mo_flight_launch(all->jobs->compute, &flight->flight);
-}
-
-static int prepare_recording(struct mo_evaluations *all, const struct mo_job *job,
-                             struct flight *flight)
-{
-  struct mo_block *block = &flight->flight.block;
-  uint32_t frames = mo_recording_frames(&job->physics, job->record_stride);
-  int error = mo_body_create(all->jobs->lattice, block->genotype, &flight->body);
-  if (error != MO_OK)
-    return error;
-  flight->frames = frames;
-  block->body = flight->body;
-  block->recordings = flight->recordings;
-  flight->recorded_bytes =
-      (uint64_t)block->n_environments * frames *
-      mo_recording_frame_bytes(job->record, flight->body->n_masses, flight->body->n_springs);
-  all->recording_bytes += flight->recorded_bytes;
-  for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++)
-    error = mo_recording_create(&flight->recordings[i], job->record, job->record_stride, frames,
-                                flight->body->n_masses, flight->body->n_springs);
-  return error;
-}
-
-/* Adds a cell to the block of its design, unless that is full. */
-static int join_flight(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
-                       uint32_t k, struct flight **flight)
-{
-  struct mo_rollout *rollout = NULL;
-  if (*flight == NULL)
-    *flight = new_flight(all, active, design);
-  if (*flight == NULL)
-    return MO_ERR_NO_MEMORY;
-  if ((*flight)->flight.block.n_environments == MO_BLOCK_LANES)
-    return MO_OK;
-  if (!active->private_runs && (rollout = add_rollout(all, active, design, k)) == NULL)
-    return MO_ERR_NO_MEMORY;
-  (*flight)->rollouts[(*flight)->flight.block.n_environments] = rollout;
-  (void)mo_flight_add(&(*flight)->flight, k);
-  return MO_OK;
-}
-
-static bool is_open(const struct mo_active *active, uint32_t design, uint32_t k)
-{
-  const uint8_t cell = *mo_grid_cell(&active->grid, design, k);
-  return cell == MO_CELL_TO_DO || cell == MO_CELL_DEFERRED;
-}
-
-/* Looks up the scores of a design, unless all open cells can be deferred. Returns whether any is
- * left, or an error. */
-static int look_up(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
-                   struct mo_score *scores)
-{
+  struct mo_active *active = context;
+  struct mo_evaluations *all = active->all;
   const struct mo_work *work = active->work;
-  uint32_t n = 0;
+  struct mo_score scores[MO_ENVIRONMENTS_MAX];
+  bool any = false, is_done = false;
   int error;
-  for (uint32_t k = 0; k < active->grid.n_environments; k++)
-    n += is_open(active, design, k) && !defer(all, active, design, k);
-  if (n == 0)
-    return 0;
+  for (uint32_t k = 0; k < work->n_environments && !any && !active->private_runs; k++)
+    any = mo_grid_is_open(&active->grid, design, k) && !must_wait(all, active, design, k);
+  if (!any)
+    return MO_OK;
   error = mo_store_scores(all->jobs->store, work->genotype_rows[design], work->controller,
                           work->physics, work->fingerprint, work->environment_rows,
                           work->n_environments, scores);
-  return error == MO_OK ? 1 : error;
+  for (uint32_t k = 0; k < work->n_environments && error == MO_OK; k++)
+    if (scores[k].known && mo_grid_is_open(&active->grid, design, k))
+      is_done = finish_known(all, active, design, k, scores[k].diverged_step);
+  return is_done ? finish_design(all, active, design) : error;
 }
 
-/* Finishes the known cells of one design and launches at most one block. 1: launched; 0: nothing is
- * to do; −1: the job failed. */
-static int advance_design(struct mo_evaluations *all, struct mo_active *active, uint32_t design)
+/* ---- blocks ---- */
+
+/* Whether a cell may join a block. The block may have the same rollout already. */
+static int joins(void *context, struct mo_flight *flight, uint32_t k)
 {
-  const bool shares = !active->private_runs;
-  struct mo_score scores[MO_ENVIRONMENTS_MAX];
-  struct flight *flight = NULL;
-  int error = shares ? look_up(all, active, design, scores) : 1;
-  if (error == 0)
+  struct mo_active *active = context;
+  struct mo_rollout **rollout = &((struct flight *)flight)->rollouts[flight->block.n_environments];
+  if (active->private_runs)
+    return 1;
+  if (must_wait(active->all, active, flight->design, k))
     return 0;
-  error = error > 0 ? MO_OK : error;
-  for (uint32_t k = 0; k < active->grid.n_environments && error == MO_OK; k++) {
-    if (!is_open(active, design, k))
-      continue;
-    if (shares && scores[k].known)
-      finish_known(all, active, design, k, scores[k].diverged_step);
-    else if (!shares || !defer(all, active, design, k)) /* the block may have it already */
-      error = join_flight(all, active, design, k, &flight);
-  }
-  if (flight != NULL && error == MO_OK && active->work->job.record != 0)
-    error = prepare_recording(all, &active->work->job, flight);
-  if (flight != NULL && flight->flight.block.n_environments > 0 && (shares || error == MO_OK))
-    launch(all, flight);
-  else if (flight != NULL)
-    free_flight(all, flight);
-  if (error != MO_OK) {
-    mo_active_fail(all, active, error, mo_error_text(error));
-    return -1;
-  }
-  return flight != NULL ? 1 : 0;
+  *rollout = add_rollout(active->all, active, flight->design, k);
+  return *rollout != NULL ? 1 : MO_ERR_NO_MEMORY;
 }
 
-bool mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsigned *budget)
+static int prepare_recording(void *context, struct mo_flight *any)
 {
-  struct mo_grid *grid = &active->grid;
-  while (grid->cursor < grid->n_designs) {
-    const uint8_t *cells = mo_grid_cell(grid, grid->cursor, 0);
-    int result = 0;
-    if (memchr(cells, MO_CELL_TO_DO, grid->n_environments) != NULL ||
-        memchr(cells, MO_CELL_DEFERRED, grid->n_environments) != NULL) {
-      if (*budget == 0)
-        return false;
-      (*budget)--;
-      result = advance_design(all, active, grid->cursor);
-    }
-    if (result != 0)
-      return result > 0;
-    grid->cursor++; /* what is left of the design is deferred */
-  }
-  return false;
+  struct mo_active *active = context;
+  struct flight *flight = (struct flight *)any;
+  struct mo_block *block = &flight->flight.block;
+  const struct mo_job *job = &active->work->job;
+  int error = job->record != 0
+                  ? mo_body_create(active->all->jobs->lattice, block->genotype, &flight->body)
+                  : MO_OK;
+  if (error != MO_OK || job->record == 0)
+    return error;
+  flight->frames = mo_recording_frames(&job->physics, job->record_stride);
+  block->body = flight->body;
+  block->recordings = flight->recordings;
+  flight->recorded_bytes =
+      (uint64_t)block->n_environments * flight->frames *
+      mo_recording_frame_bytes(job->record, flight->body->n_masses, flight->body->n_springs);
+  active->all->recording_bytes += flight->recorded_bytes;
+  for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++)
+    error = mo_recording_create(&flight->recordings[i], job->record, job->record_stride,
+                                flight->frames, flight->body->n_masses, flight->body->n_springs);
+  return error;
+}
+
+void mo_active_open_window(struct mo_active *active, uint32_t most)
+{
+  struct mo_evaluations *all = active->all;
+  active->window = (struct mo_window){.compute = all->jobs->compute,
+                                      .inbox = &all->inbox,
+                                      .grid = &active->grid,
+                                      .most = most,
+                                      .flight_bytes = sizeof(struct flight),
+                                      .context = active,
+                                      .look_up = look_up,
+                                      .joins = joins,
+                                      .prepare = prepare_recording};
 }
 
 /* ---- taking blocks back ---- */
 
-static int save_recording(struct mo_evaluations *all, struct flight *flight, uint32_t i)
+static int save_recording(struct mo_evaluations *all, const struct mo_active *active,
+                          struct flight *flight, uint32_t i)
 {
   struct mo_saved_trajectory saved = {
-      .job = flight->owner->id,
-      .design_position = flight->owner->work->positions[flight->flight.design],
+      .job = active->id,
+      .design_position = active->work->positions[flight->flight.design],
       .environment_position = flight->flight.places[i],
       .frames = flight->frames,
       .n_masses = flight->body->n_masses,
@@ -306,11 +234,11 @@ static int save_recording(struct mo_evaluations *all, struct flight *flight, uin
   return MO_OK;
 }
 
-static int take(struct mo_evaluations *all, struct flight *flight, uint32_t i)
+static int take(struct mo_evaluations *all, struct mo_active *active, struct flight *flight,
+                uint32_t i)
 {
   const struct mo_block *block = &flight->flight.block;
   const struct mo_outcome *outcome = &block->outcomes[i];
-  struct mo_active *active = flight->owner;
   const struct mo_work *work = active->work;
   const uint32_t design = flight->flight.design, k = flight->flight.places[i];
   const struct mo_saved_score score = {
@@ -325,9 +253,7 @@ static int take(struct mo_evaluations *all, struct flight *flight, uint32_t i)
       .verify_job = work->job.verify ? active->id : 0,
       .design_position = work->positions[design],
       .environment_position = k};
-  int error = mo_flight_check(&flight->flight, i);
-  if (error == MO_OK && block->recordings != NULL)
-    error = save_recording(all, flight, i);
+  int error = block->recordings != NULL ? save_recording(all, active, flight, i) : MO_OK;
   if (error == MO_OK && mo_pending_add(all, &all->pending.scores, &score, sizeof(score)) == NULL)
     error = MO_ERR_NO_MEMORY;
   if (error != MO_OK)
@@ -340,7 +266,7 @@ static int take(struct mo_evaluations *all, struct flight *flight, uint32_t i)
   active->computed++;
   atomic_fetch_add(&all->jobs->rollouts_computed, 1);
   atomic_fetch_add(&all->jobs->rollouts_diverged, outcome->diverged_step != 0);
-  finish_cell(all, active, design, k, outcome->diverged_step);
+  count_cell(all, active, outcome->diverged_step);
   return MO_OK;
 }
 
@@ -353,27 +279,33 @@ static bool somebody_waits(const struct mo_evaluations *all)
   return false;
 }
 
+/* Frees a block, and forgets its rollouts that no save contains. */
+static void free_flight(struct mo_evaluations *all, struct flight *flight)
+{
+  for (uint32_t i = 0; i < flight->flight.block.n_environments; i++) {
+    mo_recording_free(&flight->recordings[i]);
+    if (flight->rollouts[i] != NULL)
+      mo_rollout_forget(all, flight->rollouts[i]);
+  }
+  all->recording_bytes -= flight->recorded_bytes;
+  mo_body_free(flight->body);
+  free(flight);
+}
+
 void mo_active_take_back(struct mo_evaluations *all, struct mo_flight *finished)
 {
   struct flight *flight = (struct flight *)finished;
-  struct mo_active *active = flight->owner;
-  char text[128];
-  active->n_flights--;
-  atomic_fetch_sub(&all->jobs->blocks_in_flight, 1);
-  for (uint32_t i = 0; i < finished->block.n_environments; i++) {
-    const int error = take(all, flight, i);
-    if (error == MO_OK)
-      continue;
-    if (flight->rollouts[i] != NULL)
-      mo_rollout_forget(all, flight->rollouts[i]);
-    mo_grid_return(&active->grid, finished->design, finished->places[i]);
-    if (error != MO_ERR_CANCELLED) {
-      mo_flight_describe(error, text);
-      mo_active_fail(all, active, error, text);
-    }
-  }
+  struct mo_active *active = finished->window->context;
+  char text[128] = "out of memory";
+  bool is_done;
+  int error = mo_window_take(&active->window, finished, &is_done, text);
+  for (uint32_t i = 0; i < finished->block.n_environments && error == MO_OK; i++)
+    error = take(all, active, flight, i);
+  if (error == MO_OK && is_done)
+    error = finish_design(all, active, finished->design);
+  if (error != MO_OK && error != MO_ERR_CANCELLED)
+    mo_active_fail(all, active, error, text);
   if (finished->block.urgency == MO_INTERACTIVE || somebody_waits(all))
     all->pending.urgent = true;
   free_flight(all, flight);
-  active->references--;
 }

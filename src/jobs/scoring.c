@@ -1,12 +1,13 @@
 /* scoring.c: scores designs in environments under one controller.
  *
  * A grid is cut, in order, into blocks of one design and up to MO_BLOCK_LANES environments. What
- * the store knows is marked as done before. The thread that submits blocks takes them back from a
+ * the store knows is marked as done before. The thread that submits blocks takes them back from an
  * inbox, stores their results, and submits more, so that the back end always holds a window of
  * them. A crash loses the blocks in flight and the results that wait for their commit. */
 #include "jobs/scoring.h"
 
 #include <errno.h>
+#include <limits.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -49,19 +50,22 @@ void mo_grid_finish_design(struct mo_grid *grid, uint32_t design)
   grid->left[design] = 0;
 }
 
-void mo_grid_return(struct mo_grid *grid, uint32_t design, uint32_t k)
+/* Moves the cursor to the first design with an open cell. false: there is none. */
+static bool seek(struct mo_grid *grid)
 {
-  *mo_grid_cell(grid, design, k) = MO_CELL_TO_DO;
-  if (design < grid->cursor)
-    grid->cursor = design;
+  for (; grid->cursor < grid->n_designs; grid->cursor++)
+    for (uint32_t k = 0; k < grid->n_environments; k++)
+      if (mo_grid_is_open(grid, grid->cursor, k))
+        return true;
+  return false;
 }
 
-/* ---- flights ---- */
+/* ---- blocks ---- */
 
 static void arrive(struct mo_block *block, void *context)
 {
   struct mo_flight *flight = context;
-  struct mo_inbox *inbox = flight->inbox;
+  struct mo_inbox *inbox = flight->window->inbox;
   (void)block;
   pthread_mutex_lock(inbox->mutex);
   flight->next = inbox->finished;
@@ -70,60 +74,101 @@ static void arrive(struct mo_block *block, void *context)
   pthread_mutex_unlock(inbox->mutex);
 }
 
-void mo_flight_begin(struct mo_flight *flight, struct mo_grid *grid, uint32_t design,
-                     struct mo_inbox *inbox)
+static struct mo_flight *begin(struct mo_window *window)
 {
+  struct mo_grid *grid = window->grid;
+  struct mo_flight *flight = calloc(1, window->flight_bytes);
+  if (flight == NULL)
+    return NULL;
   flight->block = grid->block;
-  flight->block.genotype = grid->genotypes[design].words;
+  flight->block.genotype = grid->genotypes[grid->cursor].words;
   flight->block.done = arrive;
   flight->block.context = flight;
   flight->grid = grid;
-  flight->inbox = inbox;
-  flight->design = design;
+  flight->window = window;
+  flight->design = grid->cursor;
+  return flight;
 }
 
-bool mo_flight_add(struct mo_flight *flight, uint32_t k)
+/* Adds the open cells of the design that may join, until the block is full. */
+static int gather(struct mo_window *window, struct mo_flight *flight)
 {
+  struct mo_grid *grid = window->grid;
   struct mo_block *block = &flight->block;
-  if (block->n_environments == MO_BLOCK_LANES)
-    return false;
-  *mo_grid_cell(flight->grid, flight->design, k) = MO_CELL_IN_FLIGHT;
-  flight->places[block->n_environments] = (uint8_t)k;
-  block->environments[block->n_environments++] = &flight->grid->environments[k];
-  return true;
+  int joins = 1;
+  for (uint32_t k = 0; k < grid->n_environments && block->n_environments < MO_BLOCK_LANES; k++) {
+    if (!mo_grid_is_open(grid, flight->design, k))
+      continue;
+    if (window->joins != NULL && (joins = window->joins(window->context, flight, k)) < 0)
+      return joins;
+    *mo_grid_cell(grid, flight->design, k) = joins > 0 ? MO_CELL_IN_FLIGHT : MO_CELL_DEFERRED;
+    if (joins > 0) {
+      flight->places[block->n_environments] = (uint8_t)k;
+      block->environments[block->n_environments++] = &grid->environments[k];
+    }
+  }
+  return MO_OK;
 }
 
-void mo_flight_launch(struct mo_compute *compute, struct mo_flight *flight)
+/* Submits a block of the design at the cursor. Returns 1; 0: all its cells are done or deferred. */
+static int launch(struct mo_window *window)
 {
-  const int error = mo_compute_submit(compute, &flight->block);
+  int error =
+      window->look_up != NULL ? window->look_up(window->context, window->grid->cursor) : MO_OK;
+  struct mo_flight *flight = error == MO_OK ? begin(window) : NULL;
+  if (flight == NULL)
+    return error != MO_OK ? error : MO_ERR_NO_MEMORY;
+  error = gather(window, flight);
+  if (flight->block.n_environments == 0) {
+    free(flight);
+    return error;
+  }
+  window->n_flights++;
+  if (window->prepare != NULL)
+    error = window->prepare(window->context, flight);
   if (error == MO_OK)
-    return;
-  flight->block.status = error;
-  arrive(&flight->block, flight);
+    error = mo_compute_submit(window->compute, &flight->block);
+  if (error != MO_OK) {
+    flight->block.status = error;
+    arrive(&flight->block, flight);
+  }
+  return 1;
 }
 
-int mo_flight_check(const struct mo_flight *flight, uint32_t i)
+int mo_window_launch(struct mo_window *window, unsigned *budget)
+{
+  int launched = 0;
+  while (launched == 0 && window->n_flights<window->most && * budget> 0 && seek(window->grid)) {
+    launched = launch(window);
+    window->grid->cursor += launched == 0; /* what is left of the design is deferred */
+    (*budget)--;
+  }
+  return launched;
+}
+
+int mo_window_take(struct mo_window *window, const struct mo_flight *flight, bool *is_done,
+                   char text[128])
 {
   const struct mo_block *block = &flight->block;
-  if (block->status != MO_OK)
-    return mo_back_end_error(block->back_end, block->status);
-  return block->outcomes[i].loss > -INFINITY ? MO_OK : NOT_A_LOSS;
-}
-
-void mo_flight_describe(int error, char text[128])
-{
+  int error = mo_back_end_error(block->back_end, block->status);
+  *is_done = false;
+  window->n_flights--;
+  for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++)
+    error = block->outcomes[i].loss > -INFINITY ? MO_OK : NOT_A_LOSS;
+  for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++)
+    *is_done = mo_grid_finish(window->grid, flight->design, flight->places[i]);
   if (error == NOT_A_LOSS)
     snprintf(text, 128, "the runner of rollouts gave a loss that is not a number");
-  else
+  else if (error != MO_OK && error != MO_ERR_CANCELLED)
     snprintf(text, 128, "the runner of rollouts reported: %s", mo_error_text(error));
+  return error;
 }
 
 /* ---- a whole grid ---- */
 
-struct window {
+struct run {
   struct mo_scoring *scoring;
-  struct mo_flight *flights, *free;
-  uint32_t n_in_flight;
+  struct mo_window window;
   int64_t begin_us;
   int64_t unsaved_us; /* time of the oldest unsaved result; 0: none */
   uint64_t computed;
@@ -132,69 +177,45 @@ struct window {
   struct mo_inbox inbox;
 };
 
-static void launch(struct window *window)
+static int fill(struct run *run)
 {
-  struct mo_grid *grid = &window->scoring->grid;
-  struct mo_flight *flight = window->free;
-  window->free = flight->next;
-  window->n_in_flight++;
-  mo_flight_begin(flight, grid, grid->cursor, &window->inbox);
-  for (uint32_t k = 0; k < grid->n_environments; k++)
-    if (*mo_grid_cell(grid, grid->cursor, k) == MO_CELL_TO_DO && !mo_flight_add(flight, k))
-      break;
-  mo_flight_launch(window->scoring->runner->jobs->compute, flight);
-}
-
-static void fill(struct window *window)
-{
-  struct mo_grid *grid = &window->scoring->grid;
-  struct mo_compute *compute = window->scoring->runner->jobs->compute;
+  struct mo_compute *compute = run->window.compute;
+  unsigned budget = UINT_MAX;
+  int launched = 1;
   mo_compute_begin_blocks(compute);
-  while (window->free != NULL && grid->cursor < grid->n_designs) {
-    if (memchr(mo_grid_cell(grid, grid->cursor, 0), MO_CELL_TO_DO, grid->n_environments) != NULL)
-      launch(window);
-    else
-      grid->cursor++;
-  }
+  while (launched > 0)
+    launched = mo_window_launch(&run->window, &budget);
   mo_compute_end_blocks(compute);
+  return launched;
 }
 
-static int take_back(struct window *window, struct mo_flight *flight)
+static int take_back(struct run *run, struct mo_flight *flight)
 {
-  struct mo_scoring *scoring = window->scoring;
-  const uint32_t n = flight->block.n_environments;
-  bool is_done = false;
-  int error = MO_OK;
-  window->n_in_flight--;
-  for (uint32_t i = 0; i < n && error == MO_OK; i++)
-    error = mo_flight_check(flight, i);
+  struct mo_scoring *scoring = run->scoring;
+  bool is_done;
+  const int error = mo_window_take(&run->window, flight, &is_done, scoring->runner->text);
   if (error == MO_OK) {
-    for (uint32_t i = 0; i < n; i++)
-      is_done = mo_grid_finish(&scoring->grid, flight->design, flight->places[i]);
-    window->computed += n;
+    run->computed += flight->block.n_environments;
     scoring->take(scoring->context, flight, is_done);
-  } else if (error != MO_ERR_CANCELLED) {
-    mo_flight_describe(error, scoring->runner->text);
   }
-  flight->next = window->free;
-  window->free = flight;
+  free(flight);
   return error;
 }
 
 /* Waits for a block and takes the finished ones. A request cancels all blocks soon. */
-static int take_all(struct window *window)
+static int take_all(struct run *run)
 {
   struct mo_flight *flight;
   int error = MO_OK;
-  pthread_mutex_lock(&window->mutex);
-  while (window->inbox.finished == NULL)
-    pthread_cond_wait(&window->news, &window->mutex);
-  flight = window->inbox.finished;
-  window->inbox.finished = NULL;
-  pthread_mutex_unlock(&window->mutex);
+  pthread_mutex_lock(&run->mutex);
+  while (run->inbox.finished == NULL)
+    pthread_cond_wait(&run->news, &run->mutex);
+  flight = run->inbox.finished;
+  run->inbox.finished = NULL;
+  pthread_mutex_unlock(&run->mutex);
   while (flight != NULL) {
     struct mo_flight *next = flight->next;
-    const int taken = take_back(window, flight);
+    const int taken = take_back(run, flight);
     if (error == MO_OK || error == MO_ERR_CANCELLED)
       error = taken != MO_OK ? taken : error;
     flight = next;
@@ -203,92 +224,85 @@ static int take_all(struct window *window)
 }
 
 /* Waits for the next block. Returns whether none arrived within QUIET_US. */
-static bool is_quiet(struct window *window)
+static bool is_quiet(struct run *run)
 {
   const int64_t end_us = mo_clock_us() + QUIET_US;
   const struct timespec deadline = {.tv_sec = end_us / 1000000,
                                     .tv_nsec = (end_us % 1000000) * 1000};
   int status = 0;
-  pthread_mutex_lock(&window->mutex);
-  while (window->inbox.finished == NULL && status != ETIMEDOUT)
-    status = pthread_cond_timedwait(&window->news, &window->mutex, &deadline);
-  const bool quiet = window->inbox.finished == NULL;
-  pthread_mutex_unlock(&window->mutex);
+  pthread_mutex_lock(&run->mutex);
+  while (run->inbox.finished == NULL && status != ETIMEDOUT)
+    status = pthread_cond_timedwait(&run->news, &run->mutex, &deadline);
+  const bool quiet = run->inbox.finished == NULL;
+  pthread_mutex_unlock(&run->mutex);
   return quiet;
 }
 
 /* Saves the results that arrived. A device returns thousands of designs within milliseconds, so
  * saving waits until it is quiet. Workers that compute what the device does not support return one
  * design after the other and may never be quiet, so saving waits at most SAVED_AFTER_US. */
-static int save_what_came(struct window *window)
+static int save_what_came(struct run *run)
 {
-  const struct mo_scoring *scoring = window->scoring;
+  const struct mo_scoring *scoring = run->scoring;
   const int64_t now_us = mo_clock_us();
   if (scoring->save == NULL || *scoring->n_unsaved == 0)
     return MO_OK;
-  if (window->unsaved_us == 0)
-    window->unsaved_us = now_us;
-  if (scoring->grid.block.back_end == MO_ON_DEVICE &&
-      now_us - window->unsaved_us < SAVED_AFTER_US && !is_quiet(window))
+  if (run->unsaved_us == 0)
+    run->unsaved_us = now_us;
+  if (scoring->grid.block.back_end == MO_ON_DEVICE && now_us - run->unsaved_us < SAVED_AFTER_US &&
+      !is_quiet(run))
     return MO_OK;
-  window->unsaved_us = 0;
+  run->unsaved_us = 0;
   return scoring->save(scoring->context);
 }
 
-static void show(const struct window *window)
+static void show(const struct run *run)
 {
-  const double passed_s = (double)(mo_clock_us() - window->begin_us) * 1e-6;
-  if (window->scoring->show != NULL)
-    window->scoring->show(window->scoring->context, passed_s >= 1e-6 * RATE_AFTER_US
-                                                        ? (double)window->computed / passed_s
-                                                        : 0);
+  const double passed_s = (double)(mo_clock_us() - run->begin_us) * 1e-6;
+  if (run->scoring->show != NULL)
+    run->scoring->show(run->scoring->context,
+                       passed_s >= 1e-6 * RATE_AFTER_US ? (double)run->computed / passed_s : 0);
 }
 
-static int compute(struct window *window)
+static int compute(struct run *run)
 {
   int error = MO_OK;
   for (;;) {
     int taken;
-    if (error == MO_OK && mo_runner_is_interrupted(window->scoring->runner))
+    if (error == MO_OK && mo_runner_is_interrupted(run->scoring->runner))
       error = MO_ERR_CANCELLED;
     if (error == MO_OK)
-      fill(window);
-    if (window->n_in_flight == 0)
+      error = fill(run);
+    if (run->window.n_flights == 0)
       return error;
     if (error == MO_OK)
-      error = save_what_came(window);
-    taken = take_all(window);
+      error = save_what_came(run);
+    taken = take_all(run);
     if (error == MO_OK)
       error = taken;
-    show(window);
+    show(run);
   }
 }
 
 int mo_score(struct mo_scoring *scoring)
 {
-  const struct mo_grid *grid = &scoring->grid;
-  const uint32_t most = mo_back_end_window(scoring->runner->jobs, grid->block.back_end),
-                 blocks = (grid->n_environments + MO_BLOCK_LANES - 1) / MO_BLOCK_LANES *
-                          (grid->n_designs > 0 ? grid->n_designs : 1),
-                 n = most < blocks ? most : blocks;
-  struct window window = {.scoring = scoring, .begin_us = mo_clock_us()};
+  struct mo_jobs *jobs = scoring->runner->jobs;
+  struct run run = {.scoring = scoring,
+                    .window = {.compute = jobs->compute,
+                               .inbox = &run.inbox,
+                               .grid = &scoring->grid,
+                               .most = mo_back_end_window(jobs, scoring->grid.block.back_end),
+                               .flight_bytes = sizeof(struct mo_flight)},
+                    .begin_us = mo_clock_us(),
+                    .mutex = PTHREAD_MUTEX_INITIALIZER,
+                    .inbox = {.mutex = &run.mutex, .news = &run.news}};
   pthread_condattr_t monotonic;
-  int error = MO_ERR_NO_MEMORY;
+  int error;
   pthread_condattr_init(&monotonic);
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
-  pthread_mutex_init(&window.mutex, NULL);
-  pthread_cond_init(&window.news, &monotonic);
+  pthread_cond_init(&run.news, &monotonic);
   pthread_condattr_destroy(&monotonic);
-  window.inbox = (struct mo_inbox){.mutex = &window.mutex, .news = &window.news};
-  window.flights = calloc(n, sizeof(*window.flights));
-  for (uint32_t i = 0; i < n && window.flights != NULL; i++) {
-    window.flights[i].next = window.free;
-    window.free = &window.flights[i];
-  }
-  if (window.flights != NULL)
-    error = compute(&window);
-  free(window.flights);
-  pthread_mutex_destroy(&window.mutex);
-  pthread_cond_destroy(&window.news);
+  error = compute(&run);
+  pthread_cond_destroy(&run.news);
   return error;
 }

@@ -8,9 +8,9 @@
 /* A cell is one design in one environment. */
 enum mo_cell {
   MO_CELL_TO_DO = 0,
+  MO_CELL_DEFERRED, /* another job computes it */
   MO_CELL_IN_FLIGHT,
-  MO_CELL_DONE,
-  MO_CELL_DEFERRED /* another job computes it */
+  MO_CELL_DONE
 };
 
 /* Designs × environments, and what is known of them. */
@@ -30,11 +30,13 @@ static inline uint8_t *mo_grid_cell(const struct mo_grid *grid, uint32_t design,
 {
   return &grid->cells[(size_t)design * grid->n_environments + k];
 }
+static inline bool mo_grid_is_open(const struct mo_grid *grid, uint32_t design, uint32_t k)
+{
+  return *mo_grid_cell(grid, design, k) <= MO_CELL_DEFERRED;
+}
 /* Marks a cell as done. Returns whether its design is. */
 bool mo_grid_finish(struct mo_grid *grid, uint32_t design, uint32_t k);
 void mo_grid_finish_design(struct mo_grid *grid, uint32_t design);
-/* Makes a cell to do again. */
-void mo_grid_return(struct mo_grid *grid, uint32_t design, uint32_t k);
 
 /* Blocks that have come back, for the thread that submitted them. */
 struct mo_inbox {
@@ -43,27 +45,40 @@ struct mo_inbox {
   struct mo_flight *finished; /* under the mutex */
 };
 
-/* One block in the back end. */
+/* One block in the back end (malloc). */
 struct mo_flight {
   struct mo_block block;
   struct mo_grid *grid;
-  struct mo_inbox *inbox;
+  struct mo_window *window;
   uint32_t design;
   uint8_t places[MO_BLOCK_LANES]; /* its environments */
-  struct mo_flight *next;         /* in a list of finished or free ones */
+  struct mo_flight *next;         /* in the list of finished ones */
 };
-/* Prepares an empty flight for a design. */
-void mo_flight_begin(struct mo_flight *flight, struct mo_grid *grid, uint32_t design,
-                     struct mo_inbox *inbox);
-/* Adds an environment; false: the flight is full. */
-bool mo_flight_add(struct mo_flight *flight, uint32_t k);
-/* Submits the block. A block that is refused arrives at once, with the error. */
-void mo_flight_launch(struct mo_compute *compute, struct mo_flight *flight);
-/* Returns the error of lane i of a finished block, for its job. A diverged rollout has the loss
- * +infinity. NaN and −infinity must not be stored; no input should give them, so they are an error,
- * which mo_flight_describe words. */
-int mo_flight_check(const struct mo_flight *flight, uint32_t i);
-void mo_flight_describe(int error, char text[128]);
+
+/* The blocks of one grid in the back end. */
+struct mo_window {
+  struct mo_compute *compute;
+  struct mo_inbox *inbox;
+  struct mo_grid *grid;     /* created */
+  uint32_t most, n_flights; /* blocks that may be in flight, and are */
+  size_t flight_bytes;      /* of a struct that begins with struct mo_flight */
+  void *context;
+  /* All nullable. look_up: finishes what is known of a design, before its cells are taken. joins:
+   * whether a cell may join a block now; it is deferred otherwise. prepare: completes a block. */
+  int (*look_up)(void *context, uint32_t design);
+  int (*joins)(void *context, struct mo_flight *flight, uint32_t k);
+  int (*prepare)(void *context, struct mo_flight *flight);
+};
+/* Cuts the next block and submits it. A block that is refused arrives at once, with the error.
+ * Returns 1; 0: the window is full, no cell is to do, or *budget designs were visited; an error of
+ * the functions above or of memory. */
+int mo_window_launch(struct mo_window *window, unsigned *budget);
+/* Takes a finished block out of the window, and marks its cells as done. *is_done: its design is.
+ * Returns the error of the block, for its job, in words in `text`; the cells then stay in flight. A
+ * diverged rollout has the loss +infinity. NaN and −infinity must not be stored; no input should
+ * give them, so they are an error. */
+int mo_window_take(struct mo_window *window, const struct mo_flight *flight, bool *is_done,
+                   char text[128]);
 
 /* Scores all cells of a grid that are to do, for a job with its own thread. The back end holds two
  * blocks per worker, or some thousands per device. */
