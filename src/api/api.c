@@ -52,7 +52,6 @@ static void stop(void *context)
 
 static void destroy(struct mo_api *api)
 {
-  pthread_mutex_destroy(&api->load.mutex);
   mo_lattice_free(api->lattice);
   free(api);
 }
@@ -77,8 +76,8 @@ int mo_api_start(const struct mo_http_config *config, const struct mo_api_servic
                          .log_dropped = services->log_dropped,
                          .dashboard = services->dashboard,
                          .listener = -1,
+                         .load.mutex = PTHREAD_MUTEX_INITIALIZER,
                          .jobs_changed = true};
-  pthread_mutex_init(&api->load.mutex, NULL);
   snprintf(api->version, sizeof(api->version), "%s",
            services->version != NULL ? services->version : "");
   mo_sha256_of(mo_openapi_json, mo_openapi_json_size, &contract);

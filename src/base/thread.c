@@ -1,8 +1,9 @@
 /* thread.c: see thread.h. The program decides which threads handle other signals. */
 #include "base/thread.h"
 
+#include <errno.h>
 #include <signal.h>
-#include <stdbool.h>
+#include <time.h>
 
 __thread volatile int64_t mo_thread_tag = -1;
 
@@ -20,6 +21,13 @@ int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *con
   if (error == 0 && name != NULL)
     (void)pthread_setname_np(*thread, name);
   return error;
+}
+
+bool mo_wait_until(pthread_cond_t *condition, pthread_mutex_t *mutex, int64_t until_us)
+{
+  const struct timespec until = {.tv_sec = until_us / 1000000,
+                                 .tv_nsec = until_us % 1000000 * 1000};
+  return pthread_cond_clockwait(condition, mutex, CLOCK_MONOTONIC, &until) != ETIMEDOUT;
 }
 
 /* ---- loops ---- */

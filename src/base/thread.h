@@ -3,6 +3,7 @@
 #define MORPHO_BASE_THREAD_H
 
 #include <pthread.h>
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -15,6 +16,9 @@ extern __thread volatile int64_t mo_thread_tag;
  * characters, or NULL. */
 int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *context),
                      void *context);
+
+/* Waits on a condition until a time of mo_clock_us. false: that time has come. */
+bool mo_wait_until(pthread_cond_t *condition, pthread_mutex_t *mutex, int64_t until_us);
 
 #define MO_PARALLEL_THREADS_MAX 64
 

@@ -23,6 +23,7 @@
 
 #include "base/clock.h"
 #include "base/text.h"
+#include "base/thread.h"
 
 #define RING_BYTES        ((size_t)1 << 20)
 #define LAST_WORDS_ROUNDS 100 /* of one millisecond each */
@@ -146,7 +147,9 @@ static struct {
   atomic_size_t pending; /* bytes in the ring and those being written; changed under the lock */
   _Atomic uint64_t dropped;
   char ring[RING_BYTES];
-} writer = {.lock = PTHREAD_MUTEX_INITIALIZER};
+} writer = {.lock = PTHREAD_MUTEX_INITIALIZER,
+            .filled = PTHREAD_COND_INITIALIZER,
+            .empty = PTHREAD_COND_INITIALIZER};
 
 /* Appends to the ring, under the lock. False: no space. */
 static bool push(const char *line, size_t n)
@@ -241,14 +244,8 @@ static void *write_lines(void *context)
 
 int log_start(void)
 {
-  pthread_condattr_t monotonic;
   if (atomic_load(&writer.running))
     return 0;
-  pthread_condattr_init(&monotonic);
-  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
-  pthread_cond_init(&writer.filled, NULL);
-  pthread_cond_init(&writer.empty, &monotonic);
-  pthread_condattr_destroy(&monotonic);
   if (pthread_create(&writer.thread, NULL, write_lines, NULL) != 0)
     return -1;
   atomic_store(&writer.running, true);
@@ -273,24 +270,17 @@ static void put_line(const char *line, size_t n)
 
 void log_stop(int timeout_ms)
 {
-  struct timespec until;
-  int waited = 0;
+  const int64_t until_us = mo_clock_us() + (int64_t)timeout_ms * 1000;
+  bool in_time = true;
   if (!atomic_load(&writer.running))
     return;
-  clock_gettime(CLOCK_MONOTONIC, &until);
-  until.tv_sec += timeout_ms / 1000;
-  until.tv_nsec += timeout_ms % 1000 * 1000000L;
-  if (until.tv_nsec >= 1000000000L) {
-    until.tv_sec++;
-    until.tv_nsec -= 1000000000L;
-  }
   pthread_mutex_lock(&writer.lock);
-  while (atomic_load(&writer.pending) > 0 && waited == 0)
-    waited = pthread_cond_timedwait(&writer.empty, &writer.lock, &until);
+  while (atomic_load(&writer.pending) > 0 && in_time)
+    in_time = mo_wait_until(&writer.empty, &writer.lock, until_us);
   writer.quit = true;
   pthread_cond_signal(&writer.filled);
   pthread_mutex_unlock(&writer.lock);
-  if (waited == 0)
+  if (in_time)
     pthread_join(writer.thread, NULL);
   else
     pthread_detach(writer.thread); /* the thread may never return; the process ends without it */

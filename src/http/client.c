@@ -17,12 +17,6 @@ struct mo_client {
   int64_t left_us;
 };
 
-int mo_clients_init(struct mo_clients *clients)
-{
-  *clients = (struct mo_clients){0};
-  return pthread_mutex_init(&clients->lock, NULL) == 0 ? MO_OK : MO_ERR_NO_MEMORY;
-}
-
 void mo_clients_free(struct mo_clients *clients)
 {
   for (size_t b = 0; b < 256; b++)
@@ -31,7 +25,6 @@ void mo_clients_free(struct mo_clients *clients)
       clients->buckets[b] = client->next;
       free(client);
     }
-  pthread_mutex_destroy(&clients->lock);
 }
 
 static struct mo_client **bucket_of(struct mo_clients *clients, const unsigned char key[16])

@@ -13,7 +13,6 @@ struct mo_clients {
   pthread_mutex_t lock;
   struct mo_client *buckets[256];
 };
-int mo_clients_init(struct mo_clients *clients);
 void mo_clients_free(struct mo_clients *clients);
 /* Takes one of the client's `max` places. NULL: all are taken (*refused is true), or no memory. */
 struct mo_client *mo_client_enter(struct mo_clients *clients, const unsigned char key[16],

@@ -179,5 +179,4 @@ void mo_linger_end(struct mo_lingering *lingering)
   for (size_t i = 0; i < lingering->n; i++)
     close(lingering->fd[i]);
   lingering->n = 0;
-  pthread_mutex_destroy(&lingering->lock);
 }

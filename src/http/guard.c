@@ -208,12 +208,6 @@ bool mo_guard_fetch_site(const char *site)
 
 const char *const mo_right_words[] = {"read", "submit", "admin", NULL};
 
-int mo_tokens_init(struct mo_tokens *tokens)
-{
-  *tokens = (struct mo_tokens){0};
-  return pthread_rwlock_init(&tokens->lock, NULL) == 0 ? MO_OK : MO_ERR_NO_MEMORY;
-}
-
 static void free_items(struct mo_token *items, size_t n)
 {
   for (size_t i = 0; i < n; i++) {
@@ -229,8 +223,6 @@ static void free_items(struct mo_token *items, size_t n)
 void mo_tokens_free(struct mo_tokens *tokens)
 {
   free_items(tokens->items, tokens->n);
-  pthread_rwlock_destroy(&tokens->lock);
-  *tokens = (struct mo_tokens){0};
 }
 
 static bool is_printable(const char *text)

@@ -77,7 +77,6 @@ struct mo_caller {
   char name[MO_TOKEN_NAME_MAX + 1]; /* of the token; "": none was needed, and none sent */
   enum mo_right right;
 };
-int mo_tokens_init(struct mo_tokens *tokens);
 void mo_tokens_free(struct mo_tokens *tokens);
 /* Checks name and text of a token. MO_ERR_INVALID: the message says what is expected, and never
  * quotes the token. */

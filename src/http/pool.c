@@ -126,9 +126,6 @@ static void *worker(void *context)
 int mo_pool_start(struct mo_http *http)
 {
   struct mo_pool *pool = &http->pool;
-  pthread_mutex_init(&pool->lock, NULL);
-  pthread_cond_init(&pool->work, NULL);
-  pthread_cond_init(&pool->idle, NULL);
   STAILQ_INIT(&pool->others.requests);
   STAILQ_INIT(&pool->lists.requests);
   atomic_store(&pool->heartbeat_us, mo_clock_us());
@@ -228,7 +225,4 @@ void mo_pool_stop(struct mo_http *http)
   for (uint32_t i = 0; i < pool->n_threads; i++)
     pthread_join(pool->threads[i], NULL);
   pool->n_threads = 0;
-  pthread_cond_destroy(&pool->work);
-  pthread_cond_destroy(&pool->idle);
-  pthread_mutex_destroy(&pool->lock);
 }

@@ -94,8 +94,6 @@ static void destroy(struct mo_http *http)
   mo_tokens_free(&http->tokens);
   mo_clients_free(&http->clients);
   mo_linger_end(&http->lingering);
-  pthread_mutex_destroy(&http->connections_lock);
-  pthread_mutex_destroy(&http->bodies_lock);
   if (http->stop_fd >= 0)
     close(http->stop_fd);
   if (http->peers_fd >= 0)
@@ -111,18 +109,9 @@ static void destroy(struct mo_http *http)
 static int prepare(struct mo_http *http, const struct mo_http_config *config,
                    struct mo_message *message)
 {
-  http->stop_fd = -1;
-  http->peers_fd = socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_SOCK_DIAG);
-  pthread_mutex_init(&http->connections_lock, NULL);
-  pthread_mutex_init(&http->bodies_lock, NULL);
-  pthread_mutex_init(&http->lingering.lock, NULL);
   if (!mo_last_replies_init())
     return mo_fail(message, MO_ERR_INVALID,
                    "libmicrohttpd has no MHD_queue_response: it cannot be used");
-  if (mo_tokens_init(&http->tokens) != MO_OK || mo_clients_init(&http->clients) != MO_OK)
-    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
-  http->config = *config;
-  http->names = (struct mo_names){config->allowed_hosts, config->n_allowed_hosts};
   const uint32_t processors = mo_processors();
   if (http->config.n_io_threads == 0)
     http->config.n_io_threads = processors < 2 ? 2 : processors < 4 ? processors : 4;
@@ -146,12 +135,26 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
 int mo_http_start(const struct mo_http_config *config, const struct mo_http_service *service,
                   struct mo_http **ret, struct mo_message *message)
 {
-  struct mo_http *http = calloc(1, sizeof(*http));
+  struct mo_http *http = malloc(sizeof(*http));
   if (http == NULL) {
     mo_http_refuse_listeners(config);
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
   }
-  http->service = *service;
+  *http =
+      (struct mo_http){.config = *config,
+                       .service = *service,
+                       .names = {config->allowed_hosts, config->n_allowed_hosts},
+                       .tokens.lock = PTHREAD_RWLOCK_INITIALIZER,
+                       .stop_fd = -1,
+                       .peers_fd = socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_SOCK_DIAG),
+                       .connections_lock = PTHREAD_MUTEX_INITIALIZER,
+                       .lingering.lock = PTHREAD_MUTEX_INITIALIZER,
+                       .clients.lock = PTHREAD_MUTEX_INITIALIZER,
+                       .pool = {.lock = PTHREAD_MUTEX_INITIALIZER,
+                                .work = PTHREAD_COND_INITIALIZER,
+                                .idle = PTHREAD_COND_INITIALIZER},
+                       .streams.lock = PTHREAD_MUTEX_INITIALIZER,
+                       .bodies_lock = PTHREAD_MUTEX_INITIALIZER};
   int code = prepare(http, config, message);
   if (code != MO_OK) {
     mo_acceptor_stop(http);
@@ -161,7 +164,6 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
   code = mo_pool_start(http);
   if (code != MO_OK)
     mo_fail(message, code, "cannot start the API threads");
-  mo_streams_start(http);
   *ret = http; /* before the service's threads can use it */
   if (code == MO_OK && service->start != NULL) {
     code = service->start(service->context, http);
@@ -232,7 +234,6 @@ void mo_http_stop(struct mo_http *http, uint32_t grace_ms)
   }
   if (http->service.stop != NULL)
     http->service.stop(http->service.context); /* from here on no event arrives */
-  mo_streams_stop(http);
   mo_pool_stop(http);
   destroy(http);
 }

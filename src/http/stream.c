@@ -96,11 +96,6 @@ void mo_streams_send(struct mo_http *http, int64_t sequence, int64_t topic,
   mo_text_free(&text);
 }
 
-void mo_streams_start(struct mo_http *http)
-{
-  pthread_mutex_init(&http->streams.lock, NULL);
-}
-
 /* Fills the buffer with one page. True: there may be more. The connection is suspended and the
  * buffer empty. */
 static bool fill(struct mo_http *http, struct mo_stream *stream)
@@ -263,9 +258,4 @@ void mo_streams_close(struct mo_http *http)
     wake(stream);
   }
   pthread_mutex_unlock(&http->streams.lock);
-}
-
-void mo_streams_stop(struct mo_http *http)
-{
-  pthread_mutex_destroy(&http->streams.lock);
 }

@@ -5,6 +5,8 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#define KEPT 8
+
 int mo_controller_load(struct mo_store *store, const struct mo_sha256 *sha256,
                        struct mo_controller **controller)
 {
@@ -55,49 +57,59 @@ static void trim(struct mo_controller_cache *cache, uint32_t keep)
   }
 }
 
+static int load(struct mo_controller_cache *cache, const struct mo_sha256 *sha256,
+                struct mo_loaded **ret)
+{
+  struct mo_loaded *loaded = calloc(1, sizeof(*loaded));
+  int error;
+  if (loaded == NULL)
+    return MO_ERR_NO_MEMORY;
+  loaded->sha256 = *sha256;
+  error = mo_controller_load(cache->store, sha256, &loaded->controller);
+  if (error == MO_OK)
+    error = mo_compute_controller_create(cache->compute, loaded->controller, &loaded->ready);
+  if (error != MO_OK) {
+    free_loaded(loaded);
+    return error;
+  }
+  loaded->next = cache->first;
+  *ret = cache->first = loaded;
+  return MO_OK;
+}
+
 int mo_loaded_acquire(struct mo_controller_cache *cache, const struct mo_sha256 *sha256,
                       struct mo_loaded **ret)
 {
   struct mo_loaded *loaded;
-  int error;
-  for (loaded = cache->first; loaded != NULL; loaded = loaded->next)
-    if (mo_sha256_equal(&loaded->sha256, sha256))
-      break;
+  int error = MO_OK;
+  pthread_mutex_lock(&cache->mutex);
+  loaded = cache->first;
+  while (loaded != NULL && !mo_sha256_equal(&loaded->sha256, sha256))
+    loaded = loaded->next;
   if (loaded == NULL) {
-    trim(cache, cache->kept - 1);
-    loaded = calloc(1, sizeof(*loaded));
-    if (loaded == NULL)
-      return MO_ERR_NO_MEMORY;
-    loaded->sha256 = *sha256;
-    error = mo_controller_load(cache->store, sha256, &loaded->controller);
-    if (error == MO_OK)
-      error = mo_compute_controller_create(cache->compute, loaded->controller, &loaded->ready);
-    if (error != MO_OK) {
-      free_loaded(loaded);
-      return error;
-    }
-    loaded->next = cache->first;
-    cache->first = loaded;
+    trim(cache, KEPT - 1);
+    error = load(cache, sha256, &loaded);
   }
-  loaded->users++;
-  loaded->last_used = ++cache->clock;
-  *ret = loaded;
-  return MO_OK;
+  if (error == MO_OK) {
+    loaded->users++;
+    loaded->last_used = ++cache->clock;
+    *ret = loaded;
+  }
+  pthread_mutex_unlock(&cache->mutex);
+  return error;
 }
 
 void mo_loaded_release(struct mo_controller_cache *cache, struct mo_loaded *loaded)
 {
   if (loaded == NULL)
     return;
+  pthread_mutex_lock(&cache->mutex);
   loaded->users--;
-  trim(cache, cache->kept);
+  trim(cache, KEPT);
+  pthread_mutex_unlock(&cache->mutex);
 }
 
 void mo_loaded_free_all(struct mo_controller_cache *cache)
 {
-  while (cache->first != NULL) {
-    struct mo_loaded *loaded = cache->first;
-    cache->first = loaded->next;
-    free_loaded(loaded);
-  }
+  trim(cache, 0);
 }

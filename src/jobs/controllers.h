@@ -2,6 +2,8 @@
 #ifndef MORPHO_JOBS_CONTROLLERS_H
 #define MORPHO_JOBS_CONTROLLERS_H
 
+#include <pthread.h>
+
 #include "jobs/live.h"
 
 int mo_controller_load(struct mo_store *store, const struct mo_sha256 *sha256,
@@ -23,12 +25,11 @@ struct mo_loaded {
   uint64_t last_used;
   struct mo_loaded *next;
 };
-#define MO_CONTROLLERS_KEPT 8
-/* A small cache for one thread; evicts the least recently used. */
+/* A small cache; evicts the least recently used. */
 struct mo_controller_cache {
   struct mo_store *store;
   struct mo_compute *compute;
-  uint32_t kept; /* ≥ 1 */
+  pthread_mutex_t mutex; /* held while a controller is loaded */
   uint64_t clock;
   struct mo_loaded *first;
 };

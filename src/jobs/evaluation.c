@@ -5,12 +5,11 @@
  * when one is due; and sleeps until news or the next due time. Each evaluation has a share of the
  * back end, as trainings and campaigns have, and keeps a window of blocks in it; the back end
  * divides its time by the shares' weights. */
-#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 #include "jobs/evaluation.h"
 #include "jobs/submission.h"
 
@@ -28,7 +27,7 @@
 
 static void free_active(struct mo_evaluations *all, struct mo_active *active)
 {
-  mo_loaded_release(&all->controllers, active->controller);
+  mo_loaded_release(&all->jobs->controllers, active->controller);
   mo_work_free(active->work);
   mo_grid_free(&active->grid);
   mo_share_close(all->jobs, active->id);
@@ -136,7 +135,7 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
     return error;
   mark_finished(active);
   mo_active_open_window(active, mo_back_end_window(all->jobs, work->job.back_end));
-  error = mo_loaded_acquire(&all->controllers, &active->work->job.controller_sha256,
+  error = mo_loaded_acquire(&all->jobs->controllers, &active->work->job.controller_sha256,
                             &active->controller);
   if (error == MO_OK)
     active->grid.block.controller = active->controller->ready;
@@ -304,11 +303,9 @@ static bool is_empty(const struct mo_evaluations *all)
 static void take_inbox(struct mo_evaluations *all, int64_t until_us, struct inbox *inbox)
 {
   struct mo_runners *runners = all->runners;
-  struct timespec deadline = {.tv_sec = until_us / 1000000, .tv_nsec = (until_us % 1000000) * 1000};
   pthread_mutex_lock(&runners->mutex);
-  while (is_empty(all))
-    if (pthread_cond_timedwait(&runners->news, &runners->mutex, &deadline) == ETIMEDOUT)
-      break;
+  while (is_empty(all) && mo_wait_until(&runners->news, &runners->mutex, until_us))
+    ;
   *inbox = (struct inbox){.finished = all->inbox.finished,
                           .look = runners->look != all->seen,
                           .requests = runners->requests != all->seen_requests,
@@ -490,8 +487,6 @@ static int open_all(struct mo_jobs *jobs)
   all->runners = &jobs->runners[MO_JOB_EVALUATION];
   all->inbox = (struct mo_inbox){.mutex = &all->runners->mutex, .news = &all->runners->news};
   all->look_again = true;
-  all->controllers = (struct mo_controller_cache){
-      .store = jobs->store, .compute = jobs->compute, .kept = MO_CONTROLLERS_KEPT};
   jobs->evaluations = all;
   return MO_OK;
 }
@@ -518,7 +513,6 @@ static void close_all(struct mo_jobs *jobs)
     all->actives = active->next;
     free_active(all, active);
   }
-  mo_loaded_free_all(&all->controllers);
   free(all);
 }
 

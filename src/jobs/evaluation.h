@@ -82,7 +82,6 @@ struct mo_evaluations {
   struct mo_active *actives;
   uint64_t recording_bytes; /* of recordings in flight */
   struct mo_rollout *buckets[MO_ROLLOUT_BUCKETS];
-  struct mo_controller_cache controllers;
   struct mo_pending pending, saving;
   bool is_saving;
   int64_t retry_save_us; /* time of the next try after lack of space */

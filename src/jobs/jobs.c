@@ -180,22 +180,6 @@ static int prepare(struct mo_jobs *jobs, const char *marker, const char *version
   return error;
 }
 
-static void init(struct mo_jobs *jobs)
-{
-  pthread_condattr_t monotonic;
-  pthread_condattr_init(&monotonic);
-  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
-  pthread_mutex_init(&jobs->admission_mutex, NULL);
-  pthread_mutex_init(&jobs->exclusions_mutex, NULL);
-  pthread_mutex_init(&jobs->rollouts_mutex, NULL);
-  pthread_mutex_init(&jobs->weigh_mutex, NULL);
-  pthread_mutex_init(&jobs->shares_mutex, NULL);
-  mo_memory_init(jobs);
-  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
-    mo_runners_init(&jobs->runners[kind], mo_kinds[kind], &monotonic);
-  pthread_condattr_destroy(&monotonic);
-}
-
 /* Asks all threads to stop. */
 static void stop(struct mo_jobs *jobs)
 {
@@ -208,21 +192,14 @@ static void free_jobs(struct mo_jobs *jobs)
 {
   for (int kind = 0; kind < MO_JOB_KINDS; kind++)
     mo_runners_free(&jobs->runners[kind]);
-  for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
     if (mo_kinds[kind]->close != NULL)
       mo_kinds[kind]->close(jobs);
-    mo_runners_destroy(&jobs->runners[kind]);
-  }
-  mo_loaded_free_all(&jobs->rollout_controllers);
+  mo_loaded_free_all(&jobs->controllers);
   mo_lattice_free(jobs->lattice);
   free(jobs->code_versions[MO_ON_CPU]);
   free(jobs->code_versions[MO_ON_DEVICE]);
   mo_memory_free(jobs);
-  pthread_mutex_destroy(&jobs->admission_mutex);
-  pthread_mutex_destroy(&jobs->exclusions_mutex);
-  pthread_mutex_destroy(&jobs->rollouts_mutex);
-  pthread_mutex_destroy(&jobs->weigh_mutex);
-  pthread_mutex_destroy(&jobs->shares_mutex);
   free(jobs);
 }
 
@@ -230,20 +207,29 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
                    const struct mo_jobs_config *config, struct mo_jobs **ret,
                    struct mo_message *message)
 {
-  struct mo_jobs *jobs = calloc(1, sizeof(*jobs));
+  struct mo_jobs *jobs = malloc(sizeof(*jobs));
   int error;
   if (jobs == NULL)
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-  jobs->store = store;
-  jobs->compute = compute;
-  jobs->config = *config;
+  *jobs = (struct mo_jobs){
+      .store = store,
+      .compute = compute,
+      .config = *config,
+      .memory.mutex = PTHREAD_MUTEX_INITIALIZER,
+      .admission_mutex = PTHREAD_MUTEX_INITIALIZER,
+      .weigh_mutex = PTHREAD_MUTEX_INITIALIZER,
+      .shares_mutex = PTHREAD_MUTEX_INITIALIZER,
+      .exclusions_mutex = PTHREAD_MUTEX_INITIALIZER,
+      .controllers = {.store = store, .compute = compute, .mutex = PTHREAD_MUTEX_INITIALIZER}};
   complete_config(jobs);
+  mo_memory_init(jobs);
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    jobs->runners[kind] = (struct mo_runners){.kind = mo_kinds[kind],
+                                              .mutex = PTHREAD_MUTEX_INITIALIZER,
+                                              .news = PTHREAD_COND_INITIALIZER};
   const uint32_t n_threads[MO_JOB_KINDS] = {[MO_JOB_EVALUATION] = 1,
                                             [MO_JOB_TRAINING] = jobs->config.max_active_trainings,
                                             [MO_JOB_CAMPAIGN] = jobs->config.max_active_campaigns};
-  init(jobs);
-  jobs->rollout_controllers =
-      (struct mo_controller_cache){.store = store, .compute = compute, .kept = MO_CONTROLLERS_KEPT};
   atomic_store(&jobs->heartbeat_us, mo_clock_us());
   error = prepare(jobs, config->crash_marker, config->version);
   for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)
@@ -263,12 +249,10 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
 int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
 {
   const int64_t end_us = mo_clock_us() + (int64_t)deadline_ms * 1000;
-  const struct timespec deadline = {.tv_sec = end_us / 1000000,
-                                    .tv_nsec = (end_us % 1000000) * 1000};
   bool is_saved = true;
   stop(jobs);
   for (int kind = 0; kind < MO_JOB_KINDS; kind++)
-    is_saved = mo_runners_wait(&jobs->runners[kind], &deadline) &&
+    is_saved = mo_runners_wait(&jobs->runners[kind], end_us) &&
                !atomic_load(&jobs->runners[kind].unsaved) && is_saved;
   atomic_store(&jobs->abandon, true); /* saves that failed until now have used their time */
   return is_saved && !atomic_load(&jobs->no_space) ? MO_OK : MO_ERR_BUSY;

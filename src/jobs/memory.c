@@ -51,7 +51,6 @@ void mo_memory_init(struct mo_jobs *jobs)
     mo_compute_set_gradient_bytes(jobs->compute, tape);
   }
   jobs->memory.tape_bytes = tape;
-  pthread_mutex_init(&jobs->memory.mutex, NULL);
 }
 
 /* ---- needs ---- */
@@ -324,5 +323,4 @@ void mo_memory_free(struct mo_jobs *jobs)
     drop(&jobs->memory.waiting);
   while (jobs->memory.users != NULL)
     drop(&jobs->memory.users);
-  pthread_mutex_destroy(&jobs->memory.mutex);
 }

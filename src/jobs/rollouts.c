@@ -175,21 +175,16 @@ static void score(struct mo_rollouts *rollouts)
   }
 }
 
-/* The controllers of these requests are loaded once; the cache is for one thread at a time. */
 static int with_controller(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                            struct mo_rollouts *rollouts)
 {
   struct mo_loaded *controller = NULL;
-  pthread_mutex_lock(&jobs->rollouts_mutex);
-  int error = mo_loaded_acquire(&jobs->rollout_controllers, &rollouts->controller, &controller);
-  pthread_mutex_unlock(&jobs->rollouts_mutex);
+  int error = mo_loaded_acquire(&jobs->controllers, &rollouts->controller, &controller);
   if (error != MO_OK)
     return error;
   rollouts->sensor = controller->controller->sensor;
   error = compute(jobs, request, rollouts, controller);
-  pthread_mutex_lock(&jobs->rollouts_mutex);
-  mo_loaded_release(&jobs->rollout_controllers, controller);
-  pthread_mutex_unlock(&jobs->rollouts_mutex);
+  mo_loaded_release(&jobs->controllers, controller);
   return error;
 }
 

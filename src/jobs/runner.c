@@ -11,11 +11,11 @@
  * row ends the job (max_attempts). */
 #include "jobs/runner.h"
 
-#include <errno.h>
 #include <math.h>
 #include <stdlib.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 #include "jobs/controllers.h"
 #include "jobs/state.h"
 #include "jobs/submission.h"
@@ -74,12 +74,11 @@ bool mo_runner_is_interrupted(const struct mo_runner *runner)
 void mo_runner_sleep(struct mo_runner *runner, uint32_t ms, enum mo_job_request least)
 {
   struct mo_runners *runners = runner->runners;
-  int64_t end_us = mo_clock_us() + (int64_t)ms * 1000;
-  struct timespec deadline = {.tv_sec = end_us / 1000000, .tv_nsec = (end_us % 1000000) * 1000};
+  const int64_t end_us = mo_clock_us() + (int64_t)ms * 1000;
   pthread_mutex_lock(&runners->mutex);
-  while (runner->request < least && !runners->stopping)
-    if (pthread_cond_timedwait(&runners->news, &runners->mutex, &deadline) == ETIMEDOUT)
-      break;
+  while (runner->request < least && !runners->stopping &&
+         mo_wait_until(&runners->news, &runners->mutex, end_us))
+    ;
   pthread_mutex_unlock(&runners->mutex);
 }
 

@@ -5,7 +5,6 @@
 
 #include <pthread.h>
 #include <stdatomic.h>
-#include <time.h>
 
 #include "jobs/live.h"
 
@@ -125,13 +124,10 @@ int mo_runner_persist(struct mo_runner *runner, int (*write)(void *context), voi
 bool mo_runner_settle(struct mo_runner *runner, int error, void *run);
 
 /* ---- runners.c ---- */
-void mo_runners_init(struct mo_runners *runners, const struct mo_kind *kind,
-                     const pthread_condattr_t *monotonic);
-void mo_runners_destroy(struct mo_runners *runners);
 int mo_runners_start(struct mo_jobs *jobs, struct mo_runners *runners, uint32_t n);
 void mo_runners_stop(struct mo_runners *runners); /* requests a stop without waiting */
-bool mo_runners_wait(struct mo_runners *runners,
-                     const struct timespec *deadline); /* true: all threads have ended */
-void mo_runners_free(struct mo_runners *runners);      /* waits for the stopped threads, frees */
+/* Waits until a time for all threads to end. true: they have. */
+bool mo_runners_wait(struct mo_runners *runners, int64_t until_us);
+void mo_runners_free(struct mo_runners *runners); /* waits for the stopped threads, frees */
 
 #endif

@@ -3,7 +3,6 @@
  * Each kind has as many threads as jobs of the kind may run concurrently. A free thread takes the
  * first queued job that no other thread holds. A run that lacks memory or descriptors has not
  * failed: its thread repeats it later. */
-#include <errno.h>
 #include <stdlib.h>
 
 #include "base/thread.h"
@@ -255,20 +254,6 @@ const char *mo_result_name(const struct mo_job *job, const char *asked, char mad
 
 /* ---- start and stop ---- */
 
-void mo_runners_init(struct mo_runners *runners, const struct mo_kind *kind,
-                     const pthread_condattr_t *monotonic)
-{
-  runners->kind = kind;
-  pthread_mutex_init(&runners->mutex, NULL);
-  pthread_cond_init(&runners->news, monotonic);
-}
-
-void mo_runners_destroy(struct mo_runners *runners)
-{
-  pthread_mutex_destroy(&runners->mutex);
-  pthread_cond_destroy(&runners->news);
-}
-
 int mo_runners_start(struct mo_jobs *jobs, struct mo_runners *runners, uint32_t n)
 {
   struct mo_runner *made = calloc(n, sizeof(*made));
@@ -299,13 +284,12 @@ void mo_runners_stop(struct mo_runners *runners)
   pthread_mutex_unlock(&runners->mutex);
 }
 
-bool mo_runners_wait(struct mo_runners *runners, const struct timespec *deadline)
+bool mo_runners_wait(struct mo_runners *runners, int64_t until_us)
 {
   bool ended;
   pthread_mutex_lock(&runners->mutex);
-  while (runners->alive > 0)
-    if (pthread_cond_timedwait(&runners->news, &runners->mutex, deadline) == ETIMEDOUT)
-      break;
+  while (runners->alive > 0 && mo_wait_until(&runners->news, &runners->mutex, until_us))
+    ;
   ended = runners->alive == 0;
   pthread_mutex_unlock(&runners->mutex);
   return ended;

@@ -6,13 +6,13 @@
  * them. A crash loses the blocks in flight and the results that wait for their commit. */
 #include "jobs/scoring.h"
 
-#include <errno.h>
 #include <limits.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 
 #define NOT_A_LOSS     MO_ERR_RANGE /* a code that back ends do not return */
 #define RATE_AFTER_US  INT64_C(500000)
@@ -227,12 +227,10 @@ static int take_all(struct run *run)
 static bool is_quiet(struct run *run)
 {
   const int64_t end_us = mo_clock_us() + QUIET_US;
-  const struct timespec deadline = {.tv_sec = end_us / 1000000,
-                                    .tv_nsec = (end_us % 1000000) * 1000};
-  int status = 0;
+  bool in_time = true;
   pthread_mutex_lock(&run->mutex);
-  while (run->inbox.finished == NULL && status != ETIMEDOUT)
-    status = pthread_cond_timedwait(&run->news, &run->mutex, &deadline);
+  while (run->inbox.finished == NULL && in_time)
+    in_time = mo_wait_until(&run->news, &run->mutex, end_us);
   const bool quiet = run->inbox.finished == NULL;
   pthread_mutex_unlock(&run->mutex);
   return quiet;
@@ -295,14 +293,7 @@ int mo_score(struct mo_scoring *scoring)
                                .flight_bytes = sizeof(struct mo_flight)},
                     .begin_us = mo_clock_us(),
                     .mutex = PTHREAD_MUTEX_INITIALIZER,
+                    .news = PTHREAD_COND_INITIALIZER,
                     .inbox = {.mutex = &run.mutex, .news = &run.news}};
-  pthread_condattr_t monotonic;
-  int error;
-  pthread_condattr_init(&monotonic);
-  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
-  pthread_cond_init(&run.news, &monotonic);
-  pthread_condattr_destroy(&monotonic);
-  error = compute(&run);
-  pthread_cond_destroy(&run.news);
-  return error;
+  return compute(&run);
 }

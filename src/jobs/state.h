@@ -43,8 +43,7 @@ struct mo_jobs {
   double ended_device_s[MO_JOB_KINDS]; /* device seconds, likewise */
 
   struct mo_evaluations *evaluations; /* evaluation.h */
-  pthread_mutex_t rollouts_mutex;     /* of rollout_controllers */
-  struct mo_controller_cache rollout_controllers;
+  struct mo_controller_cache controllers;
   pthread_mutex_t exclusions_mutex;
   struct mo_exclusion *exclusions; /* bodies of pretrainings, shared by campaigns */
 

@@ -269,7 +269,6 @@ static void free_store(struct mo_store *store)
     close(store->lock_fd);
   if (store->folder_fd >= 0)
     close(store->folder_fd);
-  pthread_cond_destroy(&store->work);
   free(store->events);
   free(store->readers);
   free(store->path);
@@ -285,7 +284,6 @@ static void free_store(struct mo_store *store)
 static struct mo_store *create_store(const struct mo_store_config *config, char *path)
 {
   struct mo_store *store = malloc(sizeof(*store));
-  pthread_condattr_t monotonic;
   if (store == NULL)
     return NULL;
   mo_mapping_init();
@@ -311,15 +309,12 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
       .reader_free = PTHREAD_COND_INITIALIZER,
       .n_readers = config->n_readers > 0 ? config->n_readers : 4,
       .mutex = PTHREAD_MUTEX_INITIALIZER,
+      .work = PTHREAD_COND_INITIALIZER,
       .checkpoint_frames =
           config->checkpoint_frames > 0 ? (int)config->checkpoint_frames : MO_CHECKPOINT_FRAMES,
       .checkpoints_mutex = PTHREAD_MUTEX_INITIALIZER,
       .controllers_lock = PTHREAD_RWLOCK_INITIALIZER,
       .listeners_mutex = PTHREAD_MUTEX_INITIALIZER};
-  pthread_condattr_init(&monotonic);
-  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
-  pthread_cond_init(&store->work, &monotonic);
-  pthread_condattr_destroy(&monotonic);
   store->readers = calloc(store->n_readers + 1, sizeof(*store->readers));
   if (store->database_path == NULL || store->controllers_path == NULL ||
       store->trainings_path == NULL || store->campaigns_path == NULL ||

@@ -10,14 +10,13 @@
  * Any other I/O error is fatal at once. After a failed fsync the content of the disk is unknown,
  * and a second fsync may succeed without having written. So nothing is tried again: the process
  * must end and recover from the log. */
-#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #include "store/internal.h"
 
 #include "base/clock.h"
+#include "base/thread.h"
 
 #define BATCH_MAX       256
 #define PRUNE_EVERY     1000 /* events */
@@ -339,13 +338,11 @@ static int count_frames(void *context, sqlite3 *db, const char *name, int frames
 static struct mo_operation *take(struct mo_store *store, bool *closing)
 {
   struct mo_operation *first, *last;
-  struct timespec deadline;
-  clock_gettime(CLOCK_MONOTONIC, &deadline);
-  deadline.tv_sec += 1;
+  const int64_t until_us = mo_clock_us() + 1000000;
   pthread_mutex_lock(&store->mutex);
-  while (store->first == NULL && !store->closing)
-    if (pthread_cond_timedwait(&store->work, &store->mutex, &deadline) == ETIMEDOUT)
-      break;
+  while (store->first == NULL && !store->closing &&
+         mo_wait_until(&store->work, &store->mutex, until_us))
+    ;
   first = last = store->first;
   if (first != NULL) {
     for (unsigned n = 1; n < BATCH_MAX && last->next != NULL; n++)
@@ -429,25 +426,25 @@ static int enqueue(struct mo_store *store, struct mo_operation *operation)
 
 static int write_and_wait(struct mo_store *store, struct mo_operation operation)
 {
-  int error;
-  if (pthread_cond_init(&operation.released, NULL) != 0)
-    return MO_ERR_NO_MEMORY;
-  error = enqueue(store, &operation);
-  pthread_cond_destroy(&operation.released);
+  const int error = enqueue(store, &operation);
   return error != MO_OK ? error : operation.status;
 }
 
 int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
              void *arguments)
 {
-  return write_and_wait(store, (struct mo_operation){.run = run, .arguments = arguments});
+  return write_and_wait(store, (struct mo_operation){.run = run,
+                                                     .arguments = arguments,
+                                                     .released = PTHREAD_COND_INITIALIZER});
 }
 
 int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
                     void *arguments)
 {
-  return write_and_wait(
-      store, (struct mo_operation){.run = run, .arguments = arguments, .is_urgent = true});
+  return write_and_wait(store, (struct mo_operation){.run = run,
+                                                     .arguments = arguments,
+                                                     .is_urgent = true,
+                                                     .released = PTHREAD_COND_INITIALIZER});
 }
 
 int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),

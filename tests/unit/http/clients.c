@@ -7,9 +7,8 @@
 static void parked_clients_are_kept(void)
 {
   static const unsigned char key[16] = "parked";
-  struct mo_clients clients;
+  struct mo_clients clients = {.lock = PTHREAD_MUTEX_INITIALIZER};
   bool refused;
-  REQUIRE(mo_clients_init(&clients) == MO_OK);
   struct mo_client *client = mo_client_enter(&clients, key, 1, &refused);
   REQUIRE(client != NULL);
   CHECK(mo_client_enter(&clients, key, 1, &refused) == NULL && refused);
