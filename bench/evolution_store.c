@@ -37,10 +37,9 @@ struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *
                                              const char *folder)
 {
   struct bench_campaign *campaign = bench_zeros(1, sizeof(*campaign));
-  const struct mo_campaign_submission submission = {
+  const struct mo_campaign_request submission = {
       .record = {.settings = *settings, .environment_set = "paper-test", .replicates = 1},
-      .controller = "default",
-      .weight = 1};
+      .controller = "default"};
   const size_t n = settings->population;
   bool replayed;
   campaign->path = bench_state_make(folder);

@@ -41,15 +41,15 @@ static void prepare(struct bed *bed, const char *folder)
   mo_body_stream_free(stream);
 }
 
-static struct mo_submission submission_of(const struct bed *bed, uint32_t first, uint32_t n)
+static struct mo_evaluation_request submission_of(const struct bed *bed, uint32_t first, uint32_t n)
 {
-  return (struct mo_submission){.forms = bed->forms + first,
-                                .genotypes = bed->genotypes + first,
-                                .n_designs = n,
-                                .environment_set = "paper-test",
-                                .controller = "default",
-                                .physics = mo_default_physics(),
-                                .record_stride = 1};
+  return (struct mo_evaluation_request){.forms = bed->forms + first,
+                                        .genotypes = bed->genotypes + first,
+                                        .n_designs = n,
+                                        .environment_set = "paper-test",
+                                        .controller = "default",
+                                        .physics = mo_default_physics(),
+                                        .record_stride = 1};
 }
 
 struct client {
@@ -62,7 +62,7 @@ static void *be_a_client(void *context)
 {
   const struct client *client = context;
   for (uint32_t i = 0; i < SUBMISSIONS; i++) {
-    const struct mo_submission submission =
+    const struct mo_evaluation_request submission =
         submission_of(client->bed, (client->number * SUBMISSIONS + i) % DESIGNS, 1);
     const double start = bench_now_s();
     int64_t id;
@@ -230,7 +230,7 @@ int bench_store(int argc, char **argv)
   int64_t id = 0, again = 0;
   bool replayed;
   prepare(&bed, base != NULL ? base : "/tmp");
-  const struct mo_submission submission = submission_of(&bed, 0, DESIGNS);
+  const struct mo_evaluation_request submission = submission_of(&bed, 0, DESIGNS);
   double start = bench_now_s();
   bench_check(mo_store_submit(bed.store, &submission, &id, &replayed), "submission");
   printf("submission of %d new designs       %.0f ms\n", DESIGNS, 1e3 * (bench_now_s() - start));

@@ -337,8 +337,9 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
   struct mo_campaign_record *record = &request->record;
   struct mo_parts *parts = &parsed->parts;
   struct mo_message message = {""};
-  *parsed = (struct mo_parsed_campaign){
-      .parts = {.priority = MO_BATCH, .weight = 1}, .mode = -1, .preset = MO_PRESET_WORKSTATION};
+  *parsed = (struct mo_parsed_campaign){.parts.job = {.priority = MO_BATCH, .weight = 1},
+                                        .mode = -1,
+                                        .preset = MO_PRESET_WORKSTATION};
   mo_read_words(text, size, &(struct mo_fields){rows, 2}, parsed, &parsed->has_mode);
   const enum mo_campaign_mode mode =
       parsed->mode >= 0 ? (enum mo_campaign_mode)parsed->mode : MO_ZERO_SHOT;
@@ -358,10 +359,7 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
     error = MO_ERR_INVALID;
   }
   request->controller = mo_parts_controller(parts);
-  request->priority = parts->priority;
-  request->back_end = mo_parts_back_end(parts);
-  request->weight = parts->weight;
-  request->label = parts->has_label ? parts->label : NULL;
+  request->job = parts->job;
   request->genotypes = parts->genotypes;
   request->notes = parts->notes;
   request->n_notes = parts->n_notes;

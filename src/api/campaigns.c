@@ -231,9 +231,7 @@ static int submit(struct mo_request *request, struct mo_post *post)
   if (error == MO_OK) {
     post->parsed = true;
     post->pointers.conflict = initial > 0 ? "/initial/campaign" : NULL;
-    parsed.request.submitted_by = mo_user_of(request);
-    parsed.request.idempotency_key = mo_post_key(post);
-    parsed.request.body_sha256 = post->body_sha256;
+    mo_post_sign(request, post, &parsed.request.job);
     error = mo_jobs_submit_campaign(api->jobs, &parsed.request, &request->kept, &replayed, &place,
                                     &post->message);
   }

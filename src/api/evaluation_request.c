@@ -85,16 +85,13 @@ static int parse(const char *text, size_t size, const struct mo_fields *fields,
   struct mo_evaluation_request *request = &parsed->request;
   *parsed = (struct mo_parsed_evaluation){
       .request = {.physics = mo_default_physics(), .precision = MO_FLOAT32},
-      .parts = {.priority = -1, .weight = 1, .controller = "default"}};
+      .parts = {.job = {.priority = -1, .weight = 1}, .controller = "default"}};
   mo_read_words(text, size, &mo_design_rules_fields, &parsed->parts, NULL);
   int error = mo_read_body(text, size, fields, parsed, &parsed->parts, check, faults);
   if (error != MO_OK)
     return error;
   const struct mo_parts *parts = &parsed->parts;
-  request->priority = parts->priority;
-  request->back_end = mo_parts_back_end(parts);
-  request->weight = parts->weight;
-  request->label = parts->has_label ? parts->label : NULL;
+  request->job = parts->job;
   request->controller = parts->controller;
   request->genotypes = parts->genotypes;
   request->n_designs = parts->n_designs;

@@ -154,9 +154,7 @@ static int submit(struct mo_request *request, struct mo_post *post)
   int error = mo_evaluation_parse(request->body, request->body_size, &parsed, &post->faults);
   post->parsed = error == MO_OK;
   post->pointers = (struct mo_refusal_pointers){.controller = "/controller", .limit = "/record"};
-  parsed.request.submitted_by = mo_user_of(request);
-  parsed.request.idempotency_key = mo_post_key(post);
-  parsed.request.body_sha256 = post->body_sha256;
+  mo_post_sign(request, post, &parsed.request.job);
   if (error == MO_OK)
     error = mo_jobs_submit_evaluation(mo_api_of(request)->jobs, &parsed.request, &request->kept,
                                       &replayed, &post->message);

@@ -24,6 +24,8 @@ int mo_read_body(const char *text, size_t size, const struct mo_fields *fields, 
   bool object = mo_json_peek(&json) == MO_JSON_OBJECT;
   mo_fields_read(&json, fields, parsed);
   int error = parts != NULL ? parts->error : MO_OK;
+  if (parts != NULL)
+    parts->job.back_end = parts->device - 1;
   if (error == MO_OK && object && !json.stop && check != NULL)
     error = check(&json, parsed);
   if (error != MO_OK)
@@ -221,7 +223,7 @@ static void read_label(struct mo_json *json, void *value)
                      characters);
     return;
   }
-  parts->has_label = true;
+  parts->job.label = parts->label;
   memcpy(parts->label, words.bytes, words.size);
   parts->label[words.size] = '\0';
 }
@@ -256,19 +258,14 @@ static const struct mo_field rows[] = {
     {"controller", MO_FIELD_OWN, 0, 0, .own = &mo_controller_field, .unit = "",
      .help = "a controller by name or hash"},
     {"label", MO_FIELD_OWN, 0, 0, .own = &label, .unit = "", .help = "a text to find the job by"},
-    {"priority", MO_FIELD_WORD, 0, AT(priority), .words = priority_words, .unit = "",
+    {"priority", MO_FIELD_WORD, 0, AT(job.priority), .words = priority_words, .unit = "",
      .help = "among other work"},
-    {NULL, MO_FIELD_INLINE, 0, AT(weight), .group = &mo_weight_fields},
+    {NULL, MO_FIELD_INLINE, 0, AT(job.weight), .group = &mo_weight_fields},
     {"device", MO_FIELD_WORD, 0, AT(device), .words = device_words, .unit = "",
      .help = "where the job is computed"},
 };
 #undef AT
 const struct mo_fields mo_parts_fields = MO_FIELDS(rows);
-
-int mo_parts_back_end(const struct mo_parts *parts)
-{
-  return parts->device - 1;
-}
 
 const char *mo_parts_controller(const struct mo_parts *parts)
 {

@@ -4,7 +4,7 @@
  * MO_ERR_FORMAT: not JSON (faults->malformed); MO_ERR_INVALID: see the faults; MO_ERR_NO_MEMORY.
  * Free `parts` in every case. With MO_ERR_INVALID, what the request names (controller, population,
  * initial campaign) still holds valid values, so that the caller can look it up and report all
- * faults at once. The caller sets idempotency_key and body_sha256. */
+ * faults at once. mo_post_sign completes `job`. */
 #ifndef MORPHO_API_REQUESTS_H
 #define MORPHO_API_REQUESTS_H
 
@@ -22,10 +22,9 @@ enum mo_repair { MO_REPAIR_NONE = 0, MO_REPAIR_LARGEST = 1 };
 
 /* What a submission of any kind may ask for. */
 struct mo_parts {
-  int priority; /* enum mo_urgency; −1: not given */
-  int device;   /* 0: any */
-  double weight;
-  bool has_label, has_controller, no_controller, has_designs; /* no_controller: null was given */
+  struct mo_submission job;                        /* priority −1: not given */
+  int device;                                      /* 0: any */
+  bool has_controller, no_controller, has_designs; /* no_controller: null was given */
   char label[MO_LABEL_BYTES_MAX + 1];
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
@@ -54,7 +53,6 @@ bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t plac
 /* Notes that a design was repaired, or skipped because of a fault (else NULL). False: no memory. */
 bool mo_parts_note(struct mo_parts *parts, uint32_t place, uint32_t dropped,
                    const struct mo_fault *fault);
-int mo_parts_back_end(const struct mo_parts *parts);           /* as in mo_evaluation_request */
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */
 void mo_parts_free(struct mo_parts *parts);
 

@@ -18,12 +18,13 @@ static bool begin(struct mo_request *request, struct mo_post *post)
   }
   if (field == NULL)
     return true;
-  if (!mo_idempotency_key(field, post->key)) {
+  if (!mo_idempotency_key(field, post->key_text)) {
     mo_reply_bad_header(request, "Idempotency-Key",
                         "1 to 255 printable ASCII characters are expected");
     return false;
   }
-  mo_sha256_of(request->body, request->body_size, &post->body_sha256);
+  post->key.text = post->key_text;
+  mo_sha256_of(request->body, request->body_size, &post->key.sha256);
   return true;
 }
 
@@ -34,9 +35,11 @@ const char *mo_user_of(const struct mo_request *request)
   return request->caller.name[0] != '\0' ? request->caller.name : NULL;
 }
 
-const char *mo_post_key(const struct mo_post *post)
+void mo_post_sign(const struct mo_request *request, const struct mo_post *post,
+                  struct mo_submission *job)
 {
-  return post->key[0] != '\0' ? post->key : NULL;
+  job->submitted_by = mo_user_of(request);
+  job->key = post->key;
 }
 
 const char *mo_post_words(const struct mo_post *post, int error)
@@ -49,9 +52,9 @@ const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const ch
                                             int64_t id, struct mo_request_key *known)
 {
   char digits[MO_SHA256_DIGITS + 1], text[MO_SHA256_DIGITS + 64];
-  mo_sha256_to_hex(&post->body_sha256, digits);
+  mo_sha256_to_hex(&post->key.sha256, digits);
   int n = snprintf(text, sizeof(text), "%s %lld %s", what, (long long)id, digits);
-  known->text = mo_post_key(post);
+  known->text = post->key.text;
   mo_sha256_of(text, (size_t)n, &known->sha256);
   return known->text != NULL ? known : NULL;
 }
@@ -59,9 +62,8 @@ const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const ch
 /* Says whether the key was used with another body. */
 static bool key_conflicts(struct mo_store *store, const struct mo_post *post)
 {
-  const char *key = mo_post_key(post);
   int64_t id;
-  return key != NULL && mo_store_replay(store, key, &post->body_sha256, &id) == MO_ERR_CONFLICT;
+  return mo_store_replay(store, &post->key, &id) == MO_ERR_CONFLICT;
 }
 
 void mo_reply_parse_error(struct mo_request *request, int code, const struct mo_faults *faults,

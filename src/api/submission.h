@@ -12,9 +12,9 @@ struct mo_refusal_pointers {
 
 struct mo_post {
   const char *what; /* "training" */
-  char key[256];    /* "": none was sent */
-  struct mo_sha256 body_sha256;
-  bool parsed; /* the body was read: what is wrong now is found by storing it */
+  char key_text[256];
+  struct mo_request_key key; /* of the body */
+  bool parsed;               /* the body was read: what is wrong now is found by storing it */
   struct mo_refusal_pointers pointers;
   char place[40];            /* for one of them */
   struct mo_message message; /* why it was not stored */
@@ -29,8 +29,9 @@ bool mo_handle_submission(struct mo_request *request, const char *what,
                           int (*submit)(struct mo_request *request, struct mo_post *post));
 /* Returns the name of the caller's token; NULL: the request came without one. */
 const char *mo_user_of(const struct mo_request *request);
-/* Returns the key; NULL: none was sent. */
-const char *mo_post_key(const struct mo_post *post);
+/* Sets who submits a job, and the key. */
+void mo_post_sign(const struct mo_request *request, const struct mo_post *post,
+                  struct mo_submission *job);
 /* Returns why the submission was not stored. */
 const char *mo_post_words(const struct mo_post *post, int error);
 /* Returns the key of a request about job `id`, filled into `known`. The same body for another job,

@@ -26,7 +26,7 @@ static void read_population(struct mo_json *json, void *value)
     if (campaign || mo_json_is(key, "evaluation")) {
       jobs++;
       parsed->population_kind = campaign ? MO_JOB_CAMPAIGN : MO_JOB_EVALUATION;
-      mo_read_job_id(json, campaign ? "a campaign" : "an evaluation", &request->population);
+      mo_read_job_id(json, campaign ? "a campaign" : "an evaluation", &request->record.population);
     } else if (mo_json_is(key, "best")) {
       if (mo_json_integer(json, 1, MO_TRAINING_DESIGNS_MAX, &best))
         request->population_best = (uint32_t)best;
@@ -130,7 +130,7 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
   struct mo_training_settings *settings = &request->record.settings;
   struct mo_parts *parts = &parsed->parts;
   struct mo_message message = {""};
-  *parsed = (struct mo_parsed_training){.parts = {.priority = MO_BATCH, .weight = 1},
+  *parsed = (struct mo_parsed_training){.parts.job = {.priority = MO_BATCH, .weight = 1},
                                         .preset = MO_LEARNING_PRESET_WORKSTATION};
   settings->kind = (enum mo_training_kind) - 1;
   mo_read_words(text, size, &(struct mo_fields){rows, 2}, parsed, &parsed->has_kind);
@@ -155,10 +155,7 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
     error = MO_ERR_INVALID;
   }
   request->parent = mo_parts_controller(parts);
-  request->priority = parts->priority;
-  request->back_end = mo_parts_back_end(parts);
-  request->weight = parts->weight;
-  request->label = parts->has_label ? parts->label : NULL;
+  request->job = parts->job;
   request->genotypes = parts->genotypes;
   request->record.n_designs = parts->n_designs;
   return error;

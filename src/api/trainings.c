@@ -172,7 +172,7 @@ static int submit(struct mo_request *request, struct mo_post *post)
   struct mo_parsed_training parsed;
   bool replayed;
   int error = mo_training_parse(request->body, request->body_size, &parsed, faults);
-  const int64_t population = parsed.request.population;
+  const int64_t population = parsed.request.record.population;
   const char *pointer =
       parsed.population_kind == MO_JOB_CAMPAIGN ? "/population/campaign" : "/population/evaluation";
   const bool invalid = error == MO_ERR_INVALID;
@@ -187,9 +187,7 @@ static int submit(struct mo_request *request, struct mo_post *post)
     post->pointers =
         (struct mo_refusal_pointers){.empty = population > 0 ? "/population" : "/designs",
                                      .conflict = population > 0 ? pointer : NULL};
-    parsed.request.submitted_by = mo_user_of(request);
-    parsed.request.idempotency_key = mo_post_key(post);
-    parsed.request.body_sha256 = post->body_sha256;
+    mo_post_sign(request, post, &parsed.request.job);
     error = mo_jobs_submit_training(api->jobs, &parsed.request, &request->kept, &replayed,
                                     &post->message);
   }

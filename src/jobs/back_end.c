@@ -8,20 +8,22 @@
 #define BLOCKS_A_DEVICE 16384 /* more than one call, at ten environments per block */
 #define BLOCKS_A_WORKER 2
 
-int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool is_large,
-                       enum mo_back_end *back_end, struct mo_message *message)
+int mo_back_end_choose(const struct mo_jobs *jobs, struct mo_submission *request, bool suits,
+                       bool is_large, struct mo_message *message)
 {
+  const int asked = request->back_end;
   const bool is_there = mo_compute_devices_working(jobs->compute) > 0;
   if (asked != MO_BACK_END_AUTO && asked != MO_ON_CPU && asked != MO_ON_DEVICE)
     return mo_fail(message, MO_ERR_INVALID, "no such device");
-  *back_end = asked == MO_ON_DEVICE || (asked == MO_BACK_END_AUTO && is_there && suits && is_large)
-                  ? MO_ON_DEVICE
-                  : MO_ON_CPU;
-  if (*back_end == MO_ON_DEVICE && !suits)
+  request->back_end =
+      asked == MO_ON_DEVICE || (asked == MO_BACK_END_AUTO && is_there && suits && is_large)
+          ? MO_ON_DEVICE
+          : MO_ON_CPU;
+  if (request->back_end == MO_ON_DEVICE && !suits)
     return mo_fail(message, MO_ERR_DEVICE,
                    "devices compute batches in float32 that record nothing: ask for \"cpu\" or "
                    "\"auto\", or for such a batch");
-  if (*back_end == MO_ON_DEVICE && !is_there)
+  if (request->back_end == MO_ON_DEVICE && !is_there)
     return mo_fail(
         message, MO_ERR_DEVICE,
         "%s: ask for \"cpu\" or \"auto\", or restart the service when its devices are in order",

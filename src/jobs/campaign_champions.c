@@ -159,15 +159,12 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
       .controller = controller,
       .physics = record->settings.physics,
       .precision = MO_FLOAT32,
-      .priority = -1,
-      .submitted_by = asked->submitted_by,
+      .job = {.priority = -1, .submitted_by = asked->submitted_by},
       .record = asked->record,
       .record_stride = asked->stride};
   int error = MO_OK;
-  if (key != NULL) {
-    request.idempotency_key = key->text;
-    request.body_sha256 = key->sha256;
-  }
+  if (key != NULL)
+    request.job.key = *key;
   mo_sha256_to_hex(sha256, controller + strlen(controller));
   if (request.environment_set == NULL) {
     error = mo_store_campaign_environments(jobs->store, status->job.id, &environments,
@@ -197,7 +194,7 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
   if (m < 1 || m > MO_DESIGNS_MAX)
     return mo_fail(message, MO_ERR_RANGE, "1 to %d champions can be recorded, not %u",
                    MO_DESIGNS_MAX, (unsigned)m);
-  if (key != NULL && mo_store_replay(jobs->store, key->text, &key->sha256, evaluation) == MO_OK)
+  if (key != NULL && mo_store_replay(jobs->store, key, evaluation) == MO_OK)
     return MO_OK;
   error = mo_store_campaign(jobs->store, id, &status);
   if (error == MO_OK && status.generation < 0)

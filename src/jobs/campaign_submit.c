@@ -95,12 +95,11 @@ static int check_request(const struct mo_campaign_request *request, struct mo_me
   if (record->replicates > MO_REPLICATES_MAX)
     return mo_fail(message, MO_ERR_RANGE, "1 to %d replicates are possible, not %u",
                    MO_REPLICATES_MAX, (unsigned)record->replicates);
-  return mo_result_check(record->name, request->priority, message);
+  return mo_result_check(record->name, request->job.priority, message);
 }
 
 /* Checks that listed designs fit the campaign's workspace and that no two have one form. */
-static int check_designs(const struct mo_campaign_request *request, const struct mo_bits *forms,
-                         const struct mo_bits *genotypes, uint32_t *fault,
+static int check_designs(const struct mo_campaign_request *request, uint32_t *fault,
                          struct mo_message *message)
 {
   const struct mo_workspace workspace = request->record.settings.workspace;
@@ -108,11 +107,11 @@ static int check_designs(const struct mo_campaign_request *request, const struct
   struct mo_form_set *seen = NULL;
   int error = mo_form_set_create(MO_DEFAULT_WORKSPACE, &seen);
   for (uint32_t i = 0; i < request->record.n_listed && error == MO_OK; i++) {
-    int added = mo_form_set_add(seen, forms[i].words);
+    int added = mo_form_set_add(seen, request->forms[i].words);
     *fault = i;
     error = added < 0 ? added
-                      : mo_genotype_move(MO_DEFAULT_WORKSPACE, genotypes[i].words, workspace,
-                                         moved.words);
+                      : mo_genotype_move(MO_DEFAULT_WORKSPACE, request->genotypes[i].words,
+                                         workspace, moved.words);
     if (error == MO_OK && added == 0)
       error = mo_fail(message, MO_ERR_DUPLICATE, "design %u has the form of an earlier one",
                       (unsigned)i);
@@ -162,58 +161,41 @@ static int check_memory(struct mo_jobs *jobs, const struct mo_campaign_settings 
   return mo_memory_check(jobs, &need, message);
 }
 
-int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *request,
+int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *asked,
                             int64_t *id, bool *replayed, uint32_t *fault,
                             struct mo_message *message)
 {
-  const struct mo_campaign_record *record = &request->record;
-  const uint32_t replicates = record->replicates > 0 ? record->replicates : 1;
-  const char *controller = request->controller == NULL && record->settings.mode != MO_SIMULTANEOUS
-                               ? "default"
-                               : request->controller;
-  const struct mo_submitting submitting = {.kind = MO_JOB_CAMPAIGN,
-                                           .n_jobs = replicates,
-                                           .weight = request->weight,
-                                           .controller = controller,
-                                           .label = request->label,
-                                           .idempotency_key = request->idempotency_key,
-                                           .body_sha256 = &request->body_sha256};
-  struct mo_campaign_submission submission = {.record = *record,
-                                              .controller = controller,
-                                              .environments = request->environments,
-                                              .notes = request->notes,
-                                              .n_notes = request->n_notes,
-                                              .priority = (enum mo_urgency)request->priority,
-                                              .weight = request->weight != 0 ? request->weight : 1,
-                                              .label = request->label,
-                                              .submitted_by = request->submitted_by,
-                                              .idempotency_key = request->idempotency_key,
-                                              .body_sha256 = request->body_sha256};
+  struct mo_campaign_request request = *asked;
+  struct mo_campaign_record *record = &request.record;
   struct mo_placed placed = {NULL, NULL};
   uint32_t which = 0;
-  int error = check_request(request, message);
+  if (asked->controller == NULL && record->settings.mode != MO_SIMULTANEOUS)
+    request.controller = "default";
+  record->replicates = record->replicates > 0 ? record->replicates : 1;
+  const struct mo_submitting submitting = {MO_JOB_CAMPAIGN, &asked->job, request.controller,
+                                           record->replicates, 0};
+  int error = check_request(asked, message);
   if (error == MO_OK)
     error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
   if (error != MO_OK || *replayed)
     return error;
-  submission.record.replicates = replicates;
-  error = mo_back_end_choose(jobs, request->back_end, true, true, &submission.back_end, message);
+  error = mo_back_end_choose(jobs, &request.job, true, true, message);
   if (error == MO_OK)
     error = check_references(jobs, record, message);
   if (error == MO_OK)
-    error = check_memory(jobs, &record->settings, controller, submission.back_end, message);
+    error = check_memory(jobs, &record->settings, request.controller,
+                         (enum mo_back_end)request.job.back_end, message);
   if (error == MO_OK)
-    error = mo_placed_create(request->genotypes, record->n_listed, &placed, message);
-  submission.forms = placed.forms;
-  submission.genotypes = placed.genotypes;
+    error = mo_placed_create(asked->genotypes, record->n_listed, &placed, message);
+  request.forms = placed.forms;
+  request.genotypes = placed.genotypes;
   if (error == MO_OK)
-    error = check_designs(request, placed.forms, placed.genotypes, fault != NULL ? fault : &which,
-                          message);
+    error = check_designs(&request, fault != NULL ? fault : &which, message);
   if (error == MO_OK)
-    error = mo_jobs_admit(jobs, replicates, 0, message);
+    error = mo_jobs_admit(jobs, record->replicates, 0, message);
   if (error == MO_OK)
     error = mo_submitting_end(jobs, &submitting,
-                              mo_store_submit_campaign(jobs->store, &submission, id, replayed),
+                              mo_store_submit_campaign(jobs->store, &request, id, replayed),
                               *replayed, message);
   mo_placed_free(&placed);
   return error;
@@ -277,7 +259,7 @@ int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generatio
     return mo_fail(message, MO_ERR_CANCELLED, "the service is stopping");
   if (generations == 0)
     return mo_fail(message, MO_ERR_INVALID, "an extension has at least one generation");
-  if (key != NULL && mo_store_replay(jobs->store, key->text, &key->sha256, &known) == MO_OK)
+  if (key != NULL && mo_store_replay(jobs->store, key, &known) == MO_OK)
     return MO_OK;
   error = check_extension(jobs, id, generations, message);
   if (error == MO_OK)

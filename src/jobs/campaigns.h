@@ -9,25 +9,10 @@
 #include "store/campaign_runs.h"
 #include "store/campaigns.h"
 
-struct mo_campaign_request {
-  struct mo_campaign_record
-      record; /* settings checked here; the store fills in controller fields, group and replicate */
-  const char *controller; /* name or "sha256:<hex>"; NULL: "default", or random weights in a
-                             simultaneous campaign */
-  const struct mo_environment *environments; /* (record.n_environments) if no set is named */
-  const struct mo_bits
-      *genotypes; /* (record.n_listed) valid, not yet placed; of the default workspace */
-  const struct mo_design_note *notes; /* (n_notes) ascending: what was skipped or repaired */
-  uint32_t n_notes;
-  int priority;  /* MO_BATCH */
-  int back_end;  /* enum mo_back_end or MO_BACK_END_AUTO */
-  double weight; /* 0.001 … 1000 */
-  const char *label, *submitted_by, *idempotency_key;
-  struct mo_sha256 body_sha256;
-};
-/* Submits a campaign as mo_jobs_submit_training submits a training. *fault: the listed design at
- * fault. MO_ERR_DUPLICATE: two listed designs have one form; MO_ERR_RANGE: a listed design does not
- * fit the campaign's workspace, or more designs are listed than the population holds. */
+/* Submits a campaign as mo_jobs_submit_training submits a training. controller NULL:
+ * "default", or random weights in a simultaneous campaign. *fault: the listed design at fault.
+ * MO_ERR_DUPLICATE: two listed designs have one form; MO_ERR_RANGE: a listed design does not fit
+ * the campaign's workspace, or more designs are listed than the population holds. */
 int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *request,
                             int64_t *id, bool *replayed, uint32_t *fault,
                             struct mo_message *message);

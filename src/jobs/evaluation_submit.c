@@ -29,7 +29,7 @@ static int check_request(const struct mo_evaluation_request *request, struct mo_
     return error;
   if (request->precision != MO_FLOAT32 && request->precision != MO_FLOAT64)
     return mo_fail(message, MO_ERR_INVALID, "no such precision");
-  if (request->priority < -1 || request->priority > MO_INTERACTIVE)
+  if (request->job.priority < -1 || request->job.priority > MO_INTERACTIVE)
     return mo_fail(message, MO_ERR_INVALID, "no such priority");
   if (request->record >> MO_CHANNELS != 0)
     return mo_fail(message, MO_ERR_INVALID, "no such channel of a recording");
@@ -42,18 +42,18 @@ static int check_request(const struct mo_evaluation_request *request, struct mo_
 }
 
 /* Checks the bytes that the recordings of an evaluation will take. */
-static int check_recording(struct mo_jobs *jobs, const struct mo_submission *submission,
+static int check_recording(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                            struct mo_message *message)
 {
-  uint64_t frames = mo_recording_frames(&submission->physics, submission->record_stride);
+  uint64_t frames = mo_recording_frames(&request->physics, request->record_stride);
   uint64_t bytes = 0;
-  for (uint32_t i = 0; i < submission->n_designs && bytes <= UINT64_C(1) << 60; i++) {
+  for (uint32_t i = 0; i < request->n_designs && bytes <= UINT64_C(1) << 60; i++) {
     struct mo_design_size size;
-    int error = mo_design_size(jobs->lattice, submission->genotypes[i].words, &size);
+    int error = mo_design_size(jobs->lattice, request->genotypes[i].words, &size);
     if (error != MO_OK)
       return error;
-    bytes += mo_recording_frame_bytes(submission->record, size.masses, size.springs) * frames *
-             submission->n_environments;
+    bytes += mo_recording_frame_bytes(request->record, size.masses, size.springs) * frames *
+             request->n_environments;
   }
   if (bytes > jobs->config.max_recorded_bytes)
     return mo_fail(message, MO_ERR_LIMIT,
@@ -72,91 +72,69 @@ bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
 }
 
 /* Returns whether the evaluation is short enough to be interactive. */
-static int is_short(const struct mo_jobs *jobs, const struct mo_submission *submission, bool *ret)
+static int is_short(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                    bool *ret)
 {
   uint64_t springs = 0;
   *ret = true;
-  for (uint32_t i = 0; i < submission->n_designs && *ret; i++) {
+  for (uint32_t i = 0; i < request->n_designs && *ret; i++) {
     struct mo_design_size size;
-    int error = mo_design_size(jobs->lattice, submission->genotypes[i].words, &size);
+    int error = mo_design_size(jobs->lattice, request->genotypes[i].words, &size);
     if (error != MO_OK)
       return error;
     springs += size.springs;
-    *ret = mo_is_short(submission->n_designs, springs, submission->n_environments,
-                       &submission->physics, submission->precision);
+    *ret = mo_is_short(request->n_designs, springs, request->n_environments, &request->physics,
+                       request->precision);
   }
   return MO_OK;
 }
 
-static int choose(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
-                  struct mo_submission *submission, struct mo_message *message)
+static int choose(const struct mo_jobs *jobs, struct mo_evaluation_request *request,
+                  struct mo_message *message)
 {
-  const uint64_t n = (uint64_t)request->n_designs * submission->n_environments;
-  const bool is_small = n <= INTERACTIVE_ROLLOUTS && request->back_end != MO_ON_DEVICE;
-  bool is_interactive = request->priority >= 0 ? request->priority == MO_INTERACTIVE : is_small;
-  int error = is_interactive ? is_short(jobs, submission, &is_interactive) : MO_OK;
+  struct mo_submission *job = &request->job;
+  const uint64_t n = (uint64_t)request->n_designs * request->n_environments;
+  const bool is_small = n <= INTERACTIVE_ROLLOUTS && job->back_end != MO_ON_DEVICE;
+  bool is_interactive = job->priority >= 0 ? job->priority == MO_INTERACTIVE : is_small;
+  int error = is_interactive ? is_short(jobs, request, &is_interactive) : MO_OK;
   if (error != MO_OK)
     return mo_fail(message, error, "%s", mo_error_text(error));
-  submission->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
+  job->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
   return mo_back_end_choose(
-      jobs, request->back_end,
-      submission->priority == MO_BATCH && request->precision == MO_FLOAT32 && request->record == 0,
-      n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, &submission->back_end, message);
+      jobs, job, !is_interactive && request->precision == MO_FLOAT32 && request->record == 0,
+      n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
 }
 
-int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *asked,
                               int64_t *id, bool *replayed, struct mo_message *message)
 {
-  struct mo_submission submission = {
-      .n_designs = request->n_designs,
-      .notes = request->notes,
-      .n_notes = request->n_notes,
-      .n_skipped = request->n_skipped,
-      .environment_set = request->environment_set,
-      .environments = request->environments,
-      .n_environments = request->n_environments,
-      .controller = request->controller != NULL ? request->controller : "default",
-      .physics = request->physics,
-      .precision = request->precision,
-      .weight = request->weight,
-      .label = request->label,
-      .submitted_by = request->submitted_by,
-      .verify = request->verify,
-      .record = request->record,
-      .record_stride = request->record != 0 ? request->record_stride : 1,
-      .idempotency_key = request->idempotency_key,
-      .body_sha256 = request->body_sha256};
-  struct mo_submitting submitting = {.kind = MO_JOB_EVALUATION,
-                                     .n_jobs = 1,
-                                     .weight = request->weight,
-                                     .controller = submission.controller,
-                                     .label = request->label,
-                                     .idempotency_key = request->idempotency_key,
-                                     .body_sha256 = &request->body_sha256};
+  struct mo_evaluation_request request = *asked;
   struct mo_placed placed = {NULL, NULL};
-  int error = check_request(request, message);
+  request.controller = asked->controller != NULL ? asked->controller : "default";
+  request.record_stride = asked->record != 0 ? asked->record_stride : 1;
+  struct mo_submitting submitting = {MO_JOB_EVALUATION, &asked->job, request.controller, 1, 0};
+  int error = check_request(asked, message);
   if (error == MO_OK)
     error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
   if (error != MO_OK || *replayed)
     return error;
-  if (request->environment_set != NULL)
-    error =
-        mo_environments_count(jobs, request->environment_set, &submission.n_environments, message);
+  if (request.environment_set != NULL)
+    error = mo_environments_count(jobs, request.environment_set, &request.n_environments, message);
   if (error == MO_OK)
-    error = mo_placed_create(request->genotypes, request->n_designs, &placed, message);
-  submission.forms = placed.forms;
-  submission.genotypes = placed.genotypes;
+    error = mo_placed_create(asked->genotypes, asked->n_designs, &placed, message);
+  request.forms = placed.forms;
+  request.genotypes = placed.genotypes;
   if (error == MO_OK)
-    error = choose(jobs, request, &submission, message);
-  if (error == MO_OK && submission.record != 0)
-    error = check_recording(jobs, &submission, message);
-  submitting.rollouts = (uint64_t)submission.n_designs * submission.n_environments;
+    error = choose(jobs, &request, message);
+  if (error == MO_OK && request.record != 0)
+    error = check_recording(jobs, &request, message);
+  submitting.rollouts = (uint64_t)request.n_designs * request.n_environments;
   if (error == MO_OK)
     error = mo_jobs_admit(jobs, 1, submitting.rollouts, message);
   if (error == MO_OK)
-    error = mo_submitting_end(jobs, &submitting,
-                              mo_store_submit(jobs->store, &submission, id, replayed), *replayed,
-                              message);
+    error =
+        mo_submitting_end(jobs, &submitting, mo_store_submit(jobs->store, &request, id, replayed),
+                          *replayed, message);
   mo_placed_free(&placed);
   return error;
 }

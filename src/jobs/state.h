@@ -78,8 +78,8 @@ void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
 /* ---- back_end.c ---- */
 /* Chooses the back end if the request leaves it open. suits: devices can compute the job; is_large:
  * devices are worth it. MO_ERR_DEVICE. */
-int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool is_large,
-                       enum mo_back_end *back_end, struct mo_message *message);
+int mo_back_end_choose(const struct mo_jobs *jobs, struct mo_submission *request, bool suits,
+                       bool is_large, struct mo_message *message);
 /* MO_ERR_DEVICE: the job needs devices and none works. Check before a job starts: drawing its
  * bodies again can take minutes. */
 int mo_back_end_check(const struct mo_jobs *jobs, enum mo_back_end back_end);

@@ -23,8 +23,9 @@ static int explain(int error, const char *controller, struct mo_message *message
   }
 }
 
-static int check_texts(const char *label, const char *key, struct mo_message *message)
+static int check_texts(const struct mo_submission *request, struct mo_message *message)
 {
+  const char *label = request->label, *key = request->key.text;
   if (label != NULL && strlen(label) > MO_LABEL_BYTES_MAX)
     return mo_fail(message, MO_ERR_RANGE, "the label is longer than %d bytes", MO_LABEL_BYTES_MAX);
   if (key != NULL && (key[0] == '\0' || strlen(key) > MO_IDEMPOTENCY_BYTES_MAX))
@@ -36,8 +37,7 @@ static int check_texts(const char *label, const char *key, struct mo_message *me
 int mo_submitting_begin(struct mo_jobs *jobs, const struct mo_submitting *submitting, int64_t *id,
                         bool *replayed, struct mo_message *message)
 {
-  const double weight = submitting->weight;
-  const char *key = submitting->idempotency_key;
+  const double weight = submitting->request->weight;
   int error;
   *replayed = false;
   if (atomic_load(&jobs->is_stopping))
@@ -45,10 +45,10 @@ int mo_submitting_begin(struct mo_jobs *jobs, const struct mo_submitting *submit
   if (weight != 0 && !(weight >= MO_WEIGHT_MIN && weight <= MO_WEIGHT_MAX)) /* 0: not given */
     return mo_fail(message, MO_ERR_RANGE, "a weight is %s to %s, not %s", MO_NUMBER(MO_WEIGHT_MIN),
                    MO_NUMBER(MO_WEIGHT_MAX), MO_NUMBER(weight));
-  error = check_texts(submitting->label, key, message);
-  if (error != MO_OK || key == NULL)
+  error = check_texts(submitting->request, message);
+  if (error != MO_OK)
     return error;
-  error = mo_store_replay(jobs->store, key, submitting->body_sha256, id);
+  error = mo_store_replay(jobs->store, &submitting->request->key, id);
   *replayed = error == MO_OK;
   return error == MO_OK || error == MO_ERR_NOT_FOUND
              ? MO_OK

@@ -5,15 +5,13 @@
 #include "jobs/state.h"
 #include "store/runner.h"
 
-/* What every request has besides its settings. */
+/* A submission on its way. */
 struct mo_submitting {
   enum mo_job_kind kind;
-  uint32_t n_jobs; /* that the submission makes */
-  uint64_t rollouts;
-  double weight;
+  const struct mo_submission *request;
   const char *controller; /* name, for messages; nullable */
-  const char *label, *idempotency_key;
-  const struct mo_sha256 *body_sha256;
+  uint32_t n_jobs;        /* that the submission makes */
+  uint64_t rollouts;
 };
 /* Checks weight, label and key, then looks whether the key is known: known keys are answered even
  * when the queue is full, or no device works any more. *replayed: *id is the earlier job, and

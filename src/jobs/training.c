@@ -440,14 +440,14 @@ static int check_kind(const struct mo_training_request *request, struct mo_messa
 {
   const struct mo_training_record *record = &request->record;
   if (record->settings.kind == MO_TRAINING_PRETRAIN) {
-    if (record->n_designs > 0 || request->population != 0)
+    if (record->n_designs > 0 || record->population != 0)
       return mo_fail(message, MO_ERR_INVALID,
                      "a pretraining draws its own bodies: it takes no designs and no population");
     return MO_OK;
   }
-  if (request->population != 0 && record->n_designs > 0)
+  if (record->population != 0 && record->n_designs > 0)
     return mo_fail(message, MO_ERR_INVALID, "a finetuning takes designs or a population, not both");
-  if (request->population == 0 &&
+  if (record->population == 0 &&
       (record->n_designs < 1 || record->n_designs > MO_TRAINING_DESIGNS_MAX))
     return mo_fail(message, MO_ERR_RANGE, "a finetuning learns on 1 to %d designs, not %u",
                    MO_TRAINING_DESIGNS_MAX, (unsigned)record->n_designs);
@@ -469,15 +469,15 @@ static int check_request(const struct mo_training_request *request, struct mo_me
       (record->settings.held_out_designs == 0 || record->settings.held_out_environments == 0))
     return mo_fail(message, MO_ERR_INVALID,
                    "a validation needs at least one design and one environment");
-  return mo_result_check(record->name, request->priority, message);
+  return mo_result_check(record->name, request->job.priority, message);
 }
 
 static int load_population(struct mo_jobs *jobs, const struct mo_training_request *request,
                            struct mo_bits **genotypes, uint32_t *n, struct mo_message *message)
 {
-  const long long population = (long long)request->population;
-  int error =
-      mo_store_population(jobs->store, request->population, request->population_best, genotypes, n);
+  const long long population = (long long)request->record.population;
+  int error = mo_store_population(jobs->store, request->record.population, request->population_best,
+                                  genotypes, n);
   switch (error) {
   case MO_OK: break;
   case MO_ERR_NOT_FOUND:
@@ -501,64 +501,47 @@ static int load_population(struct mo_jobs *jobs, const struct mo_training_reques
 }
 
 /* Chooses the back end and the designs; checks the memory. */
-static int complete(struct mo_jobs *jobs, const struct mo_training_request *request,
-                    struct mo_training_submission *submission, struct mo_placed *placed,
-                    struct mo_message *message)
+static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
+                    struct mo_placed *placed, struct mo_message *message)
 {
+  struct mo_training_record *record = &request->record;
   struct mo_bits *population = NULL;
   struct mo_need need;
-  int error =
-      mo_back_end_choose(jobs, request->back_end, true, true, &submission->back_end, message);
-  if (error == MO_OK && request->population != 0)
-    error = load_population(jobs, request, &population, &submission->record.n_designs, message);
-  submission->record.population = request->population;
+  int error = mo_back_end_choose(jobs, &request->job, true, true, message);
+  if (error == MO_OK && record->population != 0)
+    error = load_population(jobs, request, &population, &record->n_designs, message);
   if (error == MO_OK) {
-    need = estimate(jobs, &submission->record, submission->back_end);
+    need = estimate(jobs, record, (enum mo_back_end)request->job.back_end);
     error = mo_memory_check(jobs, &need, message);
   }
   if (error == MO_OK)
     error = mo_placed_create(population != NULL ? population : request->genotypes,
-                             submission->record.n_designs, placed, message);
+                             record->n_designs, placed, message);
   free(population);
+  request->forms = placed->forms;
+  request->genotypes = placed->genotypes;
   return error;
 }
 
-int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_request *request,
+int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_request *asked,
                             int64_t *id, bool *replayed, struct mo_message *message)
 {
-  const char *parent =
-      request->parent == NULL && request->record.settings.kind == MO_TRAINING_FINETUNE
-          ? "default"
-          : request->parent;
-  const struct mo_submitting submitting = {.kind = MO_JOB_TRAINING,
-                                           .n_jobs = 1,
-                                           .weight = request->weight,
-                                           .controller = parent,
-                                           .label = request->label,
-                                           .idempotency_key = request->idempotency_key,
-                                           .body_sha256 = &request->body_sha256};
-  struct mo_training_submission submission = {.record = request->record,
-                                              .parent = parent,
-                                              .priority = (enum mo_urgency)request->priority,
-                                              .weight = request->weight,
-                                              .label = request->label,
-                                              .submitted_by = request->submitted_by,
-                                              .idempotency_key = request->idempotency_key,
-                                              .body_sha256 = request->body_sha256};
+  struct mo_training_request request = *asked;
   struct mo_placed placed = {NULL, NULL};
-  int error = check_request(request, message);
+  if (asked->parent == NULL && asked->record.settings.kind == MO_TRAINING_FINETUNE)
+    request.parent = "default";
+  const struct mo_submitting submitting = {MO_JOB_TRAINING, &asked->job, request.parent, 1, 0};
+  int error = check_request(asked, message);
   if (error == MO_OK)
     error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
   if (error != MO_OK || *replayed)
     return error;
-  error = complete(jobs, request, &submission, &placed, message);
-  submission.forms = placed.forms;
-  submission.genotypes = placed.genotypes;
+  error = complete(jobs, &request, &placed, message);
   if (error == MO_OK)
     error = mo_jobs_admit(jobs, 1, 0, message);
   if (error == MO_OK)
     error = mo_submitting_end(jobs, &submitting,
-                              mo_store_submit_training(jobs->store, &submission, id, replayed),
+                              mo_store_submit_training(jobs->store, &request, id, replayed),
                               *replayed, message);
   mo_placed_free(&placed);
   return error;

@@ -7,24 +7,8 @@
 #include "jobs/live.h"
 #include "store/trainings.h"
 
-struct mo_training_request {
-  struct mo_training_record
-      record;         /* settings checked here; parent fields are filled in by the store */
-  const char *parent; /* as in mo_training_submission */
-  const struct mo_bits
-      *genotypes; /* (record.n_designs) valid, not yet placed. Finetuning without a population */
-  int64_t population;          /* finetuning: a succeeded evaluation, or a campaign for its newest
-                                  population; 0: genotypes */
-  uint32_t population_best;    /* 0: all of them */
-  int priority;                /* MO_BATCH */
-  int back_end;                /* enum mo_back_end or MO_BACK_END_AUTO */
-  double weight;               /* as in mo_evaluation_request */
-  const char *label;           /* nullable */
-  const char *submitted_by;    /* nullable: the name of a token */
-  const char *idempotency_key; /* nullable */
-  struct mo_sha256 body_sha256;
-};
 /* Submits a training as mo_jobs_submit_evaluation submits an evaluation; `message` has the details.
+ * record.population: a succeeded evaluation, or a campaign for its newest population.
  * - MO_ERR_NOT_FOUND: no such controller or population
  * - MO_ERR_CONFLICT: the key was used with another body, or the population has not succeeded
  * - MO_ERR_UNSUPPORTED: the controller is for another workspace */

@@ -17,16 +17,16 @@ struct setting {
   struct mo_campaign_record record; /* with the controller's sensor */
 };
 
-static int resolve(struct mo_connection *writer, const struct mo_campaign_submission *submission,
+static int resolve(struct mo_connection *writer, const struct mo_campaign_request *request,
                    struct setting *setting)
 {
   struct mo_campaign_settings *settings = &setting->record.settings;
   int error = MO_OK;
-  *setting = (struct setting){.record = submission->record,
-                              .n_environments = submission->record.n_environments};
-  if (submission->controller != NULL)
+  *setting =
+      (struct setting){.record = request->record, .n_environments = request->record.n_environments};
+  if (request->controller != NULL)
     error =
-        mo_controller_find(writer, submission->controller, &setting->controller, &settings->sensor);
+        mo_controller_find(writer, request->controller, &setting->controller, &settings->sensor);
   if (error == MO_OK)
     error =
         mo_physics_row(writer, &settings->physics, MO_FLOAT32, settings->sensor, &setting->physics);
@@ -96,8 +96,7 @@ static int insert_inherited(struct mo_connection *writer, const struct mo_campai
 /* ---- submission ---- */
 
 /* Inserts one replicate. Its seed is that of the first plus its number. */
-static int insert_replicate(struct mo_store *store, const struct mo_job_request *request,
-                            const struct mo_campaign_submission *submission,
+static int insert_replicate(struct mo_store *store, const struct mo_campaign_request *request,
                             const struct setting *setting, uint32_t replicate, int64_t *group)
 {
   static const char sql[] =
@@ -112,7 +111,7 @@ static int insert_replicate(struct mo_store *store, const struct mo_job_request 
   const struct mo_value generations = mo_int(record.settings.generations);
   char data[192];
   int64_t id = 0;
-  int error = mo_job_insert(writer, request, MO_JOB_CAMPAIGN, &id);
+  int error = mo_job_insert(writer, &request->job, MO_JOB_CAMPAIGN, &id);
   if (replicate == 0)
     *group = id;
   else if (error == MO_OK && id != *group + replicate)
@@ -120,7 +119,7 @@ static int insert_replicate(struct mo_store *store, const struct mo_job_request 
   record.settings.seed += replicate;
   if (error == MO_OK)
     error = mo_run_insert(writer, id, MO_JOB_CAMPAIGN, &record, record.name, setting->controller,
-                          submission->controller);
+                          request->controller);
   if (error == MO_OK)
     error =
         mo_sql_do(writer, sql, mo_int(id), generations, mo_string(record.preset),
@@ -136,39 +135,36 @@ static int insert_replicate(struct mo_store *store, const struct mo_job_request 
   return error == MO_OK ? mo_writer_event(store, id, "job.created", data) : error;
 }
 
-static int insert(struct mo_store *store, const struct mo_job_request *request, const void *any,
-                  int64_t *id)
+static int insert(struct mo_store *store, const void *any, int64_t *id)
 {
-  const struct mo_campaign_submission *submission = any;
-  const struct mo_campaign_record *record = &submission->record;
+  const struct mo_campaign_request *request = any;
+  const struct mo_campaign_record *record = &request->record;
   struct mo_connection *writer = &store->writer;
   struct setting setting;
-  int error = resolve(writer, submission, &setting);
+  int error = resolve(writer, request, &setting);
   for (uint32_t r = 0; r < record->replicates && error == MO_OK; r++)
-    error = insert_replicate(store, request, submission, &setting, r, id);
+    error = insert_replicate(store, request, &setting, r, id);
   if (error == MO_OK)
-    error = mo_environments_insert(writer, *id, setting.set, submission->environments,
+    error = mo_environments_insert(writer, *id, setting.set, request->environments,
                                    (uint32_t)setting.n_environments);
   if (error == MO_OK)
-    error = mo_designs_insert(writer, *id, submission->forms, submission->genotypes,
-                              record->n_listed, NULL, 0, mo_clock_wall_us());
+    error = mo_designs_insert(writer, *id, request->forms, request->genotypes, record->n_listed,
+                              NULL, 0, mo_clock_wall_us());
   if (error == MO_OK)
-    error = mo_notes_insert(writer, *id, submission->notes, submission->n_notes);
+    error = mo_notes_insert(writer, *id, request->notes, request->n_notes);
   return error == MO_OK && record->initial_campaign != 0 ? insert_inherited(writer, record, *id)
                                                          : error;
 }
 
-int mo_store_submit_campaign(struct mo_store *store,
-                             const struct mo_campaign_submission *submission, int64_t *id,
-                             bool *replayed)
+int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_request *request,
+                             int64_t *id, bool *replayed)
 {
-  const struct mo_job_request request = MO_JOB_REQUEST(submission);
-  const struct mo_campaign_record *record = &submission->record;
+  const struct mo_campaign_record *record = &request->record;
   if (record->replicates < 1 || record->replicates > MO_REPLICATES_MAX ||
       record->settings.population > MO_POPULATION_MAX ||
       record->n_listed > record->settings.population)
     return MO_ERR_RANGE;
-  return mo_submit(store, &request, insert, submission, id, replayed);
+  return mo_submit(store, &request->job.key, insert, request, id, replayed);
 }
 
 /* ---- extension ---- */
@@ -227,8 +223,7 @@ static int extend(struct mo_store *store, void *arguments)
   int ended;
   char more[96];
   sqlite3_stmt *row;
-  int error = call->key != NULL ? mo_key_find(writer, call->key->text, &call->key->sha256, &known)
-                                : MO_ERR_NOT_FOUND;
+  int error = call->key != NULL ? mo_key_find(writer, call->key, &known) : MO_ERR_NOT_FOUND;
   call->before = MO_JOB_QUEUED;
   if (error != MO_ERR_NOT_FOUND)
     return error == MO_ERR_CONFLICT ? MO_ERR_DUPLICATE : error;
@@ -253,7 +248,7 @@ static int extend(struct mo_store *store, void *arguments)
   if (error == MO_OK)
     error = mo_sql_do(writer, sql, id, mo_int((int64_t)generations));
   if (error == MO_OK && call->key != NULL)
-    error = mo_key_insert(writer, call->key->text, &call->key->sha256, call->id);
+    error = mo_key_insert(writer, call->key, call->id);
   if (error != MO_OK)
     return error;
   call->before = state;

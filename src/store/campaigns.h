@@ -18,30 +18,25 @@
 
 /* ---- submission (by jobs) ---- */
 
-struct mo_campaign_submission {
+/* As struct mo_evaluation_request: as requested and as stored. */
+struct mo_campaign_request {
+  struct mo_submission job;
   struct mo_campaign_record record; /* of the first replicate; the store fills in controller,
                                        n_environments, group, replicate */
   const char *controller; /* name or "sha256:<hex>"; NULL: random weights (simultaneous) */
   const struct mo_environment *environments; /* (record.n_environments) if there is no set */
-  const struct mo_bits *forms, *genotypes;   /* (record.n_listed) */
-  const struct mo_design_note *notes;        /* (n_notes) ascending */
+  const struct mo_bits *genotypes;           /* (record.n_listed) of the default workspace */
+  const struct mo_bits *forms;               /* (record.n_listed) canonical; as stored */
+  const struct mo_design_note *notes;        /* (n_notes) ascending: skipped or repaired */
   uint32_t n_notes;
   /* The population of initial_campaign is copied in the same transaction, like listed designs. */
-  enum mo_urgency priority;
-  enum mo_back_end back_end;
-  double weight;
-  const char *label;           /* nullable */
-  const char *submitted_by;    /* nullable: the name of a token */
-  const char *idempotency_key; /* nullable */
-  struct mo_sha256 body_sha256;
 };
 /* Stores all replicates (seed, seed + 1, …) in one transaction. *id: the first; the others have the
  * ids after it, without a gap. Errors as mo_store_submit; also MO_ERR_NOT_FOUND: no such initial
  * campaign; MO_ERR_CONFLICT: that has no population yet; MO_ERR_RANGE: replicates, more listed
  * designs than the population, no environments or too many. */
-int mo_store_submit_campaign(struct mo_store *store,
-                             const struct mo_campaign_submission *submission, int64_t *id,
-                             bool *replayed);
+int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_request *request,
+                             int64_t *id, bool *replayed);
 /* Adds generations to a queued, running, paused or succeeded campaign; a succeeded one is queued
  * again. *before: its state before. key (nullable): an extension whose key is known was done
  * already; *before is then MO_JOB_QUEUED. Event "campaign.extended". MO_ERR_NOT_FOUND;

@@ -4,6 +4,48 @@
 
 #include "store/records.h"
 
+/* One page row of designs. */
+struct mo_design_row {
+  int64_t row;         /* cursor of sort=id */
+  struct mo_bits form; /* canonical */
+  int64_t first_seen_us;
+  struct mo_bits genotype; /* sort=score: the scored genotype, oriented and placed */
+  double score; /* sort=score: mean loss; +infinity when a rollout diverged. NaN otherwise */
+  int64_t genotype_row; /* sort=score: with score, the cursor */
+};
+
+/* The score of one oriented genotype under one setting: over a whole named set, or in one
+ * environment that belongs to no set. */
+struct mo_design_score {
+  struct mo_sha256 controller_sha256, physics_sha256;
+  enum mo_precision precision;
+  enum mo_sensor sensor;
+  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": one environment, named by its hash */
+  struct mo_sha256 environment_sha256;         /* when environment_set is "" */
+  double score; /* mean; +infinity when a rollout diverged; NaN when the set is incomplete */
+  uint32_t n_losses;
+  double losses[MO_ENVIRONMENTS_MAX]; /* NaN: not computed yet */
+  int32_t diverged_steps[MO_ENVIRONMENTS_MAX];
+  int64_t computed_us;                    /* when the newest rollout was computed */
+  char fingerprint[MO_FINGERPRINT_BYTES]; /* its class */
+  char origin[65];                        /* the host that computed the newest rollout */
+};
+
+struct mo_design_orientation {
+  struct mo_bits genotype; /* placed */
+  uint32_t n_scores;
+  struct mo_design_score *scores; /* (n_scores) */
+};
+
+struct mo_design {
+  struct mo_bits form; /* canonical */
+  int64_t first_seen_us;
+  uint32_t n_orientations;
+  struct mo_design_orientation *orientations; /* (n_orientations) the first seen first */
+  bool truncated; /* more than 1000 rollouts are stored; the first 1000 are reported */
+};
+void mo_design_free(void *design); /* NULL-safe */
+
 struct mo_store;
 
 int mo_store_design(struct mo_store *store, const struct mo_bits *form,

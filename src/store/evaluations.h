@@ -8,33 +8,29 @@ struct mo_store;
 
 /* ---- submission (by jobs) ---- */
 
-struct mo_submission {
-  const struct mo_bits *forms;        /* (n_designs) canonical */
-  const struct mo_bits *genotypes;    /* (n_designs) placed */
-  uint32_t n_designs;                 /* without those that are skipped */
-  const struct mo_design_note *notes; /* (n_notes) ascending */
-  uint32_t n_notes, n_skipped;
-  const char *environment_set;               /* or NULL */
-  const struct mo_environment *environments; /* (n_environments) if there is no set */
-  uint32_t n_environments;
-  const char *controller; /* name or "sha256:<hex>" */
-  struct mo_physics physics;
+/* An evaluation as requested (genotypes are valid) and as stored: genotypes are placed, and have
+ * their forms. */
+struct mo_evaluation_request {
+  struct mo_submission job;
+  const struct mo_bits *genotypes;           /* (n_designs) */
+  const struct mo_bits *forms;               /* (n_designs) canonical; as stored */
+  uint32_t n_designs;                        /* with n_skipped 1 … MO_DESIGNS_MAX */
+  const struct mo_design_note *notes;        /* (n_notes) ascending */
+  uint32_t n_notes, n_skipped;               /* n_skipped: notes of skipped designs */
+  const char *environment_set;               /* "paper-test", or NULL: `environments` */
+  const struct mo_environment *environments; /* (n_environments) checked */
+  uint32_t n_environments;                   /* 1 … MO_ENVIRONMENTS_MAX; ignored with a set */
+  const char *controller;                    /* name or "sha256:<64 hex>" */
+  struct mo_physics physics;                 /* checked */
   enum mo_precision precision;
-  enum mo_urgency priority;
-  enum mo_back_end back_end;
-  double weight;            /* 0: 1 */
-  const char *label;        /* nullable */
-  const char *submitted_by; /* nullable: the name of a token */
   bool verify;
-  unsigned record; /* channels */
-  uint32_t record_stride;
-  const char *idempotency_key; /* nullable */
-  struct mo_sha256 body_sha256;
+  unsigned record;        /* channels */
+  uint32_t record_stride; /* 1 … n_steps; ignored when nothing is recorded */
 };
 /* Stores an evaluation in one transaction: designs, genotypes, environments, settings, job, key and
  * event. Errors as in mo_jobs_submit_evaluation. */
-int mo_store_submit(struct mo_store *store, const struct mo_submission *submission, int64_t *id,
-                    bool *replayed);
+int mo_store_submit(struct mo_store *store, const struct mo_evaluation_request *request,
+                    int64_t *id, bool *replayed);
 
 /* ---- results ---- */
 

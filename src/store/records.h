@@ -1,4 +1,4 @@
-/* records.h: what the store returns: jobs, designs, controllers, events.
+/* records.h: what the store returns: jobs, controllers.
  *
  * Times are microseconds since 1970-01-01 UTC; 0 means "not yet". Strings are UTF-8 and always
  * terminated. The service works in the default workspace, so a genotype has MO_DEFAULT_WORDS words.
@@ -53,6 +53,23 @@ static inline bool mo_job_state_is_final(enum mo_job_state state)
   return state >= MO_JOB_SUCCEEDED;
 }
 
+/* Identifies a request that a client may send again, for idempotency_keep_s: the client's key and
+ * a hash of what the request asks for. */
+struct mo_request_key {
+  const char *text; /* ≤ MO_IDEMPOTENCY_BYTES_MAX; NULL: none */
+  struct mo_sha256 sha256;
+};
+
+/* What every submission of a job has besides what its kind computes. */
+struct mo_submission {
+  int priority;             /* enum mo_urgency */
+  int back_end;             /* enum mo_back_end */
+  double weight;            /* MO_WEIGHT_MIN … MO_WEIGHT_MAX; 0: 1 */
+  const char *label;        /* nullable */
+  const char *submitted_by; /* nullable: the name of a token */
+  struct mo_request_key key;
+};
+
 /* A job. An evaluation is complete but for its results; a training or a campaign has what lists
  * show (the rest: store/trainings.h, store/campaigns.h). Owns nothing, so it may be copied. */
 struct mo_job {
@@ -102,47 +119,5 @@ struct mo_controller_record {
   uint64_t n_parameters;
   int64_t stored_us; /* when this name got this content (by hash: when the content was stored) */
 };
-
-/* One page row of designs. */
-struct mo_design_row {
-  int64_t row;         /* cursor of sort=id */
-  struct mo_bits form; /* canonical */
-  int64_t first_seen_us;
-  struct mo_bits genotype; /* sort=score: the scored genotype, oriented and placed */
-  double score; /* sort=score: mean loss; +infinity when a rollout diverged. NaN otherwise */
-  int64_t genotype_row; /* sort=score: with score, the cursor */
-};
-
-/* The score of one oriented genotype under one setting: over a whole named set, or in one
- * environment that belongs to no set. */
-struct mo_design_score {
-  struct mo_sha256 controller_sha256, physics_sha256;
-  enum mo_precision precision;
-  enum mo_sensor sensor;
-  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": one environment, named by its hash */
-  struct mo_sha256 environment_sha256;         /* when environment_set is "" */
-  double score; /* mean; +infinity when a rollout diverged; NaN when the set is incomplete */
-  uint32_t n_losses;
-  double losses[MO_ENVIRONMENTS_MAX]; /* NaN: not computed yet */
-  int32_t diverged_steps[MO_ENVIRONMENTS_MAX];
-  int64_t computed_us;                    /* when the newest rollout was computed */
-  char fingerprint[MO_FINGERPRINT_BYTES]; /* its class */
-  char origin[65];                        /* the host that computed the newest rollout */
-};
-
-struct mo_design_orientation {
-  struct mo_bits genotype; /* placed */
-  uint32_t n_scores;
-  struct mo_design_score *scores; /* (n_scores) */
-};
-
-struct mo_design {
-  struct mo_bits form; /* canonical */
-  int64_t first_seen_us;
-  uint32_t n_orientations;
-  struct mo_design_orientation *orientations; /* (n_orientations) the first seen first */
-  bool truncated; /* more than 1000 rollouts are stored; the first 1000 are reported */
-};
-void mo_design_free(void *design); /* NULL-safe */
 
 #endif

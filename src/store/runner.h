@@ -11,8 +11,7 @@
 
 /* Finds the job of an idempotency key. MO_ERR_NOT_FOUND: the key is unknown; MO_ERR_CONFLICT: it is
  * known with another body. */
-int mo_store_replay(struct mo_store *store, const char *key, const struct mo_sha256 *body_sha256,
-                    int64_t *id);
+int mo_store_replay(struct mo_store *store, const struct mo_request_key *key, int64_t *id);
 int mo_store_environment_set_size(struct mo_store *store, const char *name,
                                   uint32_t *n); /* MO_ERR_NOT_FOUND */
 

@@ -30,13 +30,6 @@
 #include "store/events.h"
 #include "store/files.h"
 
-/* Identifies a request that a client may send again, for idempotency_keep_s: the client's key and
- * a hash of what the request asks for. */
-struct mo_request_key {
-  const char *text;
-  struct mo_sha256 sha256;
-};
-
 struct mo_store_config {
   const char *path; /* the state folder; must exist and be writable */
   const char *

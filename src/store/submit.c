@@ -10,42 +10,41 @@
 
 /* ---- idempotency keys ---- */
 
-int mo_key_find(struct mo_connection *connection, const char *key, const struct mo_sha256 *body,
-                int64_t *id)
+int mo_key_find(struct mo_connection *connection, const struct mo_request_key *key, int64_t *id)
 {
   static const char sql[] = "SELECT job,body_sha256 FROM idempotency_keys WHERE key=?1";
   struct mo_sha256 known;
   sqlite3_stmt *row;
-  int error = mo_sql_row(connection, &row, sql, mo_string(key));
+  int error = key->text != NULL ? mo_sql_row(connection, &row, sql, mo_string(key->text))
+                                : MO_ERR_NOT_FOUND;
   if (error == MO_OK)
     error = mo_column_hash(row, 1, &known);
   if (error != MO_OK)
     return error;
   *id = sqlite3_column_int64(row, 0);
-  return mo_sha256_equal(&known, body) ? MO_OK : MO_ERR_CONFLICT;
+  return mo_sha256_equal(&known, &key->sha256) ? MO_OK : MO_ERR_CONFLICT;
 }
 
-int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo_sha256 *body,
-                  int64_t id)
+int mo_key_insert(struct mo_connection *writer, const struct mo_request_key *key, int64_t id)
 {
   static const char sql[] =
       "INSERT INTO idempotency_keys(key,body_sha256,job,created_us) VALUES(?1,?2,?3,?4)";
-  return mo_sql_do(writer, sql, mo_string(key), mo_hash(body), mo_int(id),
-                   mo_int(mo_clock_wall_us()));
+  return key->text == NULL ? MO_OK
+                           : mo_sql_do(writer, sql, mo_string(key->text), mo_hash(&key->sha256),
+                                       mo_int(id), mo_int(mo_clock_wall_us()));
 }
 
-int mo_store_replay(struct mo_store *store, const char *key, const struct mo_sha256 *body_sha256,
-                    int64_t *id)
+int mo_store_replay(struct mo_store *store, const struct mo_request_key *key, int64_t *id)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
-  int error = mo_key_find(reader, key, body_sha256, id);
+  int error = mo_key_find(reader, key, id);
   mo_reader_release(store, reader);
   return error;
 }
 
 /* ---- jobs of every kind ---- */
 
-int mo_job_insert(struct mo_connection *writer, const struct mo_job_request *request,
+int mo_job_insert(struct mo_connection *writer, const struct mo_submission *request,
                   enum mo_job_kind kind, int64_t *id)
 {
   static const char sql[] =
@@ -59,10 +58,9 @@ int mo_job_insert(struct mo_connection *writer, const struct mo_job_request *req
 }
 
 struct submit_arguments {
-  const struct mo_job_request *request;
-  int (*insert)(struct mo_store *store, const struct mo_job_request *request,
-                const void *submission, int64_t *id);
-  const void *submission;
+  const struct mo_request_key *key;
+  int (*insert)(struct mo_store *store, const void *request, int64_t *id);
+  const void *request;
   int64_t id;
   bool replayed;
 };
@@ -70,27 +68,19 @@ struct submit_arguments {
 static int submit(struct mo_store *store, void *arguments)
 {
   struct submit_arguments *call = arguments;
-  const struct mo_job_request *request = call->request;
-  int error =
-      request->idempotency_key != NULL
-          ? mo_key_find(&store->writer, request->idempotency_key, &request->body_sha256, &call->id)
-          : MO_ERR_NOT_FOUND;
+  int error = mo_key_find(&store->writer, call->key, &call->id);
   call->replayed = error == MO_OK;
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  error = call->insert(store, request, call->submission, &call->id);
-  return error == MO_OK && request->idempotency_key != NULL
-             ? mo_key_insert(&store->writer, request->idempotency_key, &request->body_sha256,
-                             call->id)
-             : error;
+  error = call->insert(store, call->request, &call->id);
+  return error == MO_OK ? mo_key_insert(&store->writer, call->key, call->id) : error;
 }
 
-int mo_submit(struct mo_store *store, const struct mo_job_request *request,
-              int (*insert)(struct mo_store *store, const struct mo_job_request *request,
-                            const void *submission, int64_t *id),
-              const void *submission, int64_t *id, bool *replayed)
+int mo_submit(struct mo_store *store, const struct mo_request_key *key,
+              int (*insert)(struct mo_store *store, const void *request, int64_t *id),
+              const void *request, int64_t *id, bool *replayed)
 {
-  struct submit_arguments call = {request, insert, submission, 0, false};
+  struct submit_arguments call = {key, insert, request, 0, false};
   const int error = mo_write(store, submit, &call);
   if (error == MO_OK) {
     *id = call.id;
@@ -102,60 +92,56 @@ int mo_submit(struct mo_store *store, const struct mo_job_request *request,
 /* ---- evaluations ---- */
 
 /* Finds the rows of what a submission names. */
-static int resolve(struct mo_connection *writer, const struct mo_submission *submission,
+static int resolve(struct mo_connection *writer, const struct mo_evaluation_request *request,
                    int64_t *controller, int64_t *physics, int64_t *set, int64_t *n_environments)
 {
   enum mo_sensor sensor = MO_SENSOR_INVERSE_SQRT;
-  int error = mo_controller_find(writer, submission->controller, controller, &sensor);
+  int error = mo_controller_find(writer, request->controller, controller, &sensor);
   *set = 0;
-  *n_environments = submission->n_environments;
+  *n_environments = request->n_environments;
   if (error == MO_OK)
-    error = mo_physics_row(writer, &submission->physics, submission->precision, sensor, physics);
-  return error == MO_OK && submission->environment_set != NULL
-             ? mo_environment_set_find(writer, submission->environment_set, set, n_environments)
+    error = mo_physics_row(writer, &request->physics, request->precision, sensor, physics);
+  return error == MO_OK && request->environment_set != NULL
+             ? mo_environment_set_find(writer, request->environment_set, set, n_environments)
              : error;
 }
 
-static int insert(struct mo_store *store, const struct mo_job_request *request, const void *any,
-                  int64_t *id)
+static int insert(struct mo_store *store, const void *any, int64_t *id)
 {
   static const char sql[] = "INSERT INTO evaluations(job,controller,controller_name,physics,"
                             "environment_set,n_designs,n_environments,verify,record,record_stride,"
                             "done,cached,diverged,n_skipped)"
                             " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11)";
-  const struct mo_submission *submission = any;
-  const char *name =
-      strncmp(submission->controller, "sha256:", 7) == 0 ? "" : submission->controller;
+  const struct mo_evaluation_request *request = any;
+  const char *name = strncmp(request->controller, "sha256:", 7) == 0 ? "" : request->controller;
   struct mo_connection *writer = &store->writer;
   int64_t controller, physics, set, n_environments;
   char data[160];
-  int error = resolve(writer, submission, &controller, &physics, &set, &n_environments);
+  int error = resolve(writer, request, &controller, &physics, &set, &n_environments);
   if (error == MO_OK)
-    error = mo_job_insert(writer, request, MO_JOB_EVALUATION, id);
+    error = mo_job_insert(writer, &request->job, MO_JOB_EVALUATION, id);
   if (error == MO_OK)
     error =
         mo_sql_do(writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics),
-                  mo_int(set), mo_int((int64_t)submission->n_designs + submission->n_skipped),
-                  mo_int(n_environments), mo_int(submission->verify), mo_int(submission->record),
-                  mo_int(submission->record_stride), mo_int(submission->n_skipped));
+                  mo_int(set), mo_int((int64_t)request->n_designs + request->n_skipped),
+                  mo_int(n_environments), mo_int(request->verify), mo_int(request->record),
+                  mo_int(request->record_stride), mo_int(request->n_skipped));
   if (error == MO_OK)
-    error = mo_environments_insert(writer, *id, set, submission->environments,
-                                   submission->n_environments);
+    error =
+        mo_environments_insert(writer, *id, set, request->environments, request->n_environments);
   if (error == MO_OK)
-    error = mo_designs_insert(writer, *id, submission->forms, submission->genotypes,
-                              submission->n_designs, submission->notes, submission->n_notes,
-                              mo_clock_wall_us());
+    error = mo_designs_insert(writer, *id, request->forms, request->genotypes, request->n_designs,
+                              request->notes, request->n_notes, mo_clock_wall_us());
   if (error == MO_OK)
-    error = mo_notes_insert(writer, *id, submission->notes, submission->n_notes);
+    error = mo_notes_insert(writer, *id, request->notes, request->n_notes);
   snprintf(data, sizeof(data),
            "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\",\"rollouts_total\":%llu}",
-           (long long)*id, (unsigned long long)submission->n_designs * (uint64_t)n_environments);
+           (long long)*id, (unsigned long long)request->n_designs * (uint64_t)n_environments);
   return error == MO_OK ? mo_writer_event(store, *id, "job.created", data) : error;
 }
 
-int mo_store_submit(struct mo_store *store, const struct mo_submission *submission, int64_t *id,
-                    bool *replayed)
+int mo_store_submit(struct mo_store *store, const struct mo_evaluation_request *request,
+                    int64_t *id, bool *replayed)
 {
-  const struct mo_job_request request = MO_JOB_REQUEST(submission);
-  return mo_submit(store, &request, insert, submission, id, replayed);
+  return mo_submit(store, &request->job.key, insert, request, id, replayed);
 }

@@ -17,42 +17,39 @@
 
 /* ---- submission ---- */
 
-static int insert(struct mo_store *store, const struct mo_job_request *request, const void *any,
-                  int64_t *id)
+static int insert(struct mo_store *store, const void *any, int64_t *id)
 {
   static const char sql[] =
       "INSERT INTO trainings(job,n_designs,population,step) VALUES(?1,?2,?3,0)";
-  const struct mo_training_submission *submission = any;
-  struct mo_training_record record = submission->record;
+  const struct mo_training_request *request = any;
+  struct mo_training_record record = request->record;
   struct mo_connection *writer = &store->writer;
   int64_t parent = 0;
   char data[160];
   int error = MO_OK;
-  if (submission->parent != NULL)
-    error = mo_controller_find(writer, submission->parent, &parent, &record.settings.sensor);
+  if (request->parent != NULL)
+    error = mo_controller_find(writer, request->parent, &parent, &record.settings.sensor);
   if (error == MO_OK)
-    error = mo_job_insert(writer, request, MO_JOB_TRAINING, id);
+    error = mo_job_insert(writer, &request->job, MO_JOB_TRAINING, id);
   if (error == MO_OK)
-    error = mo_run_insert(writer, *id, MO_JOB_TRAINING, &record, record.name, parent,
-                          submission->parent);
+    error =
+        mo_run_insert(writer, *id, MO_JOB_TRAINING, &record, record.name, parent, request->parent);
   if (error == MO_OK)
     error =
         mo_sql_do(writer, sql, mo_int(*id), mo_int(record.n_designs), mo_int(record.population));
   if (error == MO_OK)
-    error = mo_designs_insert(writer, *id, submission->forms, submission->genotypes,
-                              record.n_designs, NULL, 0, mo_clock_wall_us());
+    error = mo_designs_insert(writer, *id, request->forms, request->genotypes, record.n_designs,
+                              NULL, 0, mo_clock_wall_us());
   snprintf(data, sizeof(data),
            "{\"id\":\"%lld\",\"kind\":\"training\",\"state\":\"queued\",\"steps\":%u}",
            (long long)*id, (unsigned)record.settings.n_steps);
   return error == MO_OK ? mo_writer_event(store, *id, "job.created", data) : error;
 }
 
-int mo_store_submit_training(struct mo_store *store,
-                             const struct mo_training_submission *submission, int64_t *id,
-                             bool *replayed)
+int mo_store_submit_training(struct mo_store *store, const struct mo_training_request *request,
+                             int64_t *id, bool *replayed)
 {
-  const struct mo_job_request request = MO_JOB_REQUEST(submission);
-  return mo_submit(store, &request, insert, submission, id, replayed);
+  return mo_submit(store, &request->job.key, insert, request, id, replayed);
 }
 
 /* ---- one training ---- */

@@ -59,23 +59,19 @@ struct mo_training_status {
 
 /* ---- submission (by jobs) ---- */
 
-struct mo_training_submission {
+/* As struct mo_evaluation_request: as requested and as stored. */
+struct mo_training_request {
+  struct mo_submission job;
   struct mo_training_record record; /* the store fills in parent_sha256 from `parent` */
   const char *parent;               /* name or "sha256:<hex>"; NULL: random weights */
-  const struct mo_bits *forms;      /* (record.n_designs) canonical; finetune */
-  const struct mo_bits *genotypes;  /* (record.n_designs) placed */
-  enum mo_urgency priority;
-  enum mo_back_end back_end;
-  double weight;               /* 0: 1 */
-  const char *label;           /* nullable */
-  const char *submitted_by;    /* nullable: the name of a token */
-  const char *idempotency_key; /* nullable */
-  struct mo_sha256 body_sha256;
+  const struct mo_bits *genotypes;  /* (record.n_designs) finetune; as requested: unless there is a
+                                       population */
+  const struct mo_bits *forms;      /* (record.n_designs) canonical; as stored */
+  uint32_t population_best;         /* of record.population; 0: all of them */
 };
 /* Errors as mo_store_submit. */
-int mo_store_submit_training(struct mo_store *store,
-                             const struct mo_training_submission *submission, int64_t *id,
-                             bool *replayed);
+int mo_store_submit_training(struct mo_store *store, const struct mo_training_request *request,
+                             int64_t *id, bool *replayed);
 
 /* ---- reading ---- */
 

@@ -29,11 +29,11 @@ static void check_accepted(const struct mo_campaign_request *request)
   FUZZ_PROMISE(record->replicates >= 1 && record->replicates <= MO_REPLICATES_MAX);
   FUZZ_PROMISE(record->preset[0] != '\0' && record->n_listed <= record->settings.population);
   FUZZ_PROMISE(record->n_listed == 0 || record->initial_campaign == 0);
-  FUZZ_PROMISE(request->weight >= 0.001 && request->weight <= 1000);
+  FUZZ_PROMISE(request->job.weight >= 0.001 && request->job.weight <= 1000);
   FUZZ_PROMISE((record->environment_set[0] != '\0') == (request->environments == NULL));
   FUZZ_PROMISE(request->environments == NULL ||
                (record->n_environments >= 1 && record->n_environments <= MO_ENVIRONMENTS_MAX));
-  FUZZ_PROMISE(request->label == NULL || strlen(request->label) <= MO_LABEL_BYTES_MAX);
+  FUZZ_PROMISE(request->job.label == NULL || strlen(request->job.label) <= MO_LABEL_BYTES_MAX);
   for (uint32_t i = 0; i < record->n_listed; i++) {
     struct mo_bits form, other;
     FUZZ_PROMISE(mo_genotype_is_contiguous(MO_DEFAULT_WORKSPACE, request->genotypes[i].words) == 1);

@@ -18,11 +18,11 @@ static void check_accepted(const struct mo_training_request *request)
   FUZZ_PROMISE(record->checkpoints_kept >= 1 &&
                record->checkpoints_kept <= MO_CHECKPOINTS_KEPT_MAX);
   FUZZ_PROMISE(record->name[0] == '\0' || mo_controller_name_check(record->name) == MO_OK);
-  FUZZ_PROMISE(finetune == (record->n_designs > 0 || request->population > 0));
-  FUZZ_PROMISE(record->n_designs == 0 || request->population == 0);
+  FUZZ_PROMISE(finetune == (record->n_designs > 0 || request->record.population > 0));
+  FUZZ_PROMISE(record->n_designs == 0 || request->record.population == 0);
   FUZZ_PROMISE(!finetune || request->parent != NULL);
   FUZZ_PROMISE(request->parent == NULL || strlen(request->parent) <= MO_NAME_BYTES_MAX + 7);
-  FUZZ_PROMISE(request->label == NULL || strlen(request->label) <= MO_LABEL_BYTES_MAX);
+  FUZZ_PROMISE(request->job.label == NULL || strlen(request->job.label) <= MO_LABEL_BYTES_MAX);
   FUZZ_PROMISE(record->n_designs <= MO_TRAINING_DESIGNS_MAX);
   for (uint32_t i = 0; i < record->n_designs; i++)
     FUZZ_PROMISE(mo_genotype_is_contiguous(MO_DEFAULT_WORKSPACE, request->genotypes[i].words) == 1);

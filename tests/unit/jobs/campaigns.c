@@ -238,7 +238,7 @@ SERVICE_CASE(gives_its_population_to_a_training, 1)
   training.record.settings.batch = 4;
   fake_plan.delay_us = 1000000;
   int64_t id = submit_one(MO_ZERO_SHOT);
-  training.population = id;
+  training.record.population = id;
   CHECK_INT(submit_training(&training), MO_ERR_CONFLICT);
   CHECK_SAYS(fixture.message, "no generation yet");
   fake_plan.delay_us = 0;

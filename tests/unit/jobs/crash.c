@@ -45,7 +45,7 @@ static struct mo_campaign_request long_campaign(int mode)
   struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
   request.record.settings.generations = LONG_GENERATIONS;
   request.record.checkpoint_every_s = 0; /* only at the end of each generation's learning */
-  request.idempotency_key = "one campaign";
+  request.job.key.text = "one campaign";
   return request;
 }
 

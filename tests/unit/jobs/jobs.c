@@ -7,7 +7,7 @@ SERVICE_CASE(evaluates, 0)
   struct mo_job job;
   const struct mo_bits *genotypes = bodies(1, 50);
   struct mo_evaluation_request request = service_request(genotypes, 50);
-  request.label = "fifty";
+  request.job.label = "fifty";
   int64_t id = submit_evaluation(&request);
   REQUIRE(id > 0);
   CHECK(succeeds(id, &job));
@@ -30,10 +30,10 @@ SERVICE_CASE(computes_nothing_twice, 0)
   const struct mo_bits *genotypes = bodies(1, 40);
   fake_plan.delay_us = 3000;
   struct mo_evaluation_request request = service_request(genotypes, 30);
-  request.priority = MO_BATCH;
+  request.job.priority = MO_BATCH;
   int64_t first = submit_evaluation(&request);
   request = service_request(genotypes + 10, 30); /* 20 of them the same, at the same time */
-  request.priority = MO_BATCH;
+  request.job.priority = MO_BATCH;
   int64_t second = submit_evaluation(&request);
   CHECK(succeeds(first, &job));
   CHECK(succeeds(second, &job));

@@ -24,15 +24,15 @@ SERVICE_CASE(of_evaluations, 0)
   const struct mo_bits *genotypes = bodies(9, 40);
   fake_plan.delay_us = 20000;
   good = service_request(genotypes, 20);
-  good.idempotency_key = "k";
+  good.job.key.text = "k";
   int64_t id = submit_evaluation(&good);
   CHECK(id > 0);
-  REFUSED(submit_evaluation, MO_ERR_BUSY, "rollouts are waiting", bad.idempotency_key = NULL);
+  REFUSED(submit_evaluation, MO_ERR_BUSY, "rollouts are waiting", bad.job.key.text = NULL);
   bad.n_designs = 1;
   CHECK(submit_evaluation(&bad) > 0);
   CHECK_INT(submit_evaluation(&bad), MO_ERR_BUSY);
   CHECK_INT(submit_evaluation(&good), id); /* a known key is answered even now */
-  REFUSED(submit_evaluation, MO_ERR_CONFLICT, "key", mo_sha256_of("x", 1, &bad.body_sha256));
+  REFUSED(submit_evaluation, MO_ERR_CONFLICT, "key", mo_sha256_of("x", 1, &bad.job.key.sha256));
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
   good = service_request(genotypes, 1);
   REFUSED(submit_evaluation, MO_ERR_NOT_FOUND, "nobody", bad.controller = "nobody");
@@ -57,12 +57,12 @@ SERVICE_CASE(of_trainings, 0)
   REQUIRE_OK(service_reopen());
   const struct mo_bits *genotypes = bodies(9, 4);
   fake_plan.gradient_delay_us = 1000000;
-  good.idempotency_key = "k";
+  good.job.key.text = "k";
   int64_t id = submit_training(&good);
   CHECK(id > 0);
   CHECK_INT(submit_training(&good), id);
-  REFUSED(submit_training, MO_ERR_CONFLICT, "key", mo_sha256_of("x", 1, &bad.body_sha256));
-  good.idempotency_key = NULL;
+  REFUSED(submit_training, MO_ERR_CONFLICT, "key", mo_sha256_of("x", 1, &bad.job.key.sha256));
+  good.job.key.text = NULL;
   REFUSED(submit_training, MO_ERR_BUSY, "jobs are open", (void)0);
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
   REFUSED(submit_training, MO_ERR_RANGE, "batch", bad.record.settings.batch = 0);
@@ -76,9 +76,10 @@ SERVICE_CASE(of_trainings, 0)
   REFUSED(submit_training, MO_ERR_INVALID, "draws its own", bad.record.n_designs = 2);
   good.record.settings.kind = MO_TRAINING_FINETUNE;
   REFUSED(submit_training, MO_ERR_INVALID, "not both", bad.record.n_designs = 2,
-          bad.population = 77);
-  REFUSED(submit_training, MO_ERR_NOT_FOUND, "population 77", bad.population = 77);
-  REFUSED(submit_training, MO_ERR_NOT_FOUND, "population", bad.population = id); /* a training */
+          bad.record.population = 77);
+  REFUSED(submit_training, MO_ERR_NOT_FOUND, "population 77", bad.record.population = 77);
+  REFUSED(submit_training, MO_ERR_NOT_FOUND, "population",
+          bad.record.population = id); /* a training */
   REFUSED(submit_training, MO_ERR_RANGE, "1 to 10000 designs", bad.record.n_designs = 0);
   REFUSED(submit_training, MO_ERR_INVALID, "one piece", bad.genotypes = &apart,
           bad.record.n_designs = 1);
@@ -114,8 +115,8 @@ SERVICE_CASE(of_campaigns, 1)
           bad.record.environment_set[0] = '\0');
   REFUSED(submit_campaign, MO_ERR_INVALID, "environment 0", bad.record.environment_set[0] = '\0',
           bad.environments = &wrong, bad.record.n_environments = 1);
-  REFUSED(submit_campaign, MO_ERR_RANGE, "weight", bad.weight = -1);
-  REFUSED(submit_campaign, MO_ERR_INVALID, "priority", bad.priority = 7);
+  REFUSED(submit_campaign, MO_ERR_RANGE, "weight", bad.job.weight = -1);
+  REFUSED(submit_campaign, MO_ERR_INVALID, "priority", bad.job.priority = 7);
   REFUSED(submit_campaign, MO_ERR_RANGE, "replicates", bad.record.replicates = 101);
   REFUSED(submit_campaign, MO_ERR_INVALID, "no controller that could have a name",
           strcpy(bad.record.name, "walker"));
@@ -135,7 +136,7 @@ SERVICE_CASE(of_campaigns, 1)
           bad.record.n_listed = 3, bad.record.settings.population = 2);
   /* A key is answered with its campaign. */
   good = campaign(MO_ZERO_SHOT);
-  good.idempotency_key = "once";
+  good.job.key.text = "once";
   good.record.replicates = 3;
   fake_plan.delay_us = 1000000;
   int64_t id = submit_campaign(&good);
@@ -144,13 +145,13 @@ SERVICE_CASE(of_campaigns, 1)
   CHECK_INT(status.record.settings.seed, good.record.settings.seed + 2);
   CHECK_INT(status.record.group, id);
   CHECK_INT(mo_store_campaign(store, id + 3, &status), MO_ERR_NOT_FOUND);
-  REFUSED(submit_campaign, MO_ERR_CONFLICT, "has no population yet", bad.idempotency_key = NULL,
+  REFUSED(submit_campaign, MO_ERR_CONFLICT, "has no population yet", bad.job.key.text = NULL,
           bad.record.initial_campaign = id);
   for (int i = 0; i < 3; i++)
     CHECK_OK(mo_jobs_cancel(service.jobs, id + i));
   CHECK_INT(idle_stats().open_jobs, 0);
   CHECK_OK(mo_jobs_stop(service.jobs, 5000));
-  REFUSED(submit_campaign, MO_ERR_CANCELLED, "stopping", bad.idempotency_key = NULL);
+  REFUSED(submit_campaign, MO_ERR_CANCELLED, "stopping", bad.job.key.text = NULL);
   CHECK_INT(extend(id, 1), MO_ERR_CANCELLED);
 }
 

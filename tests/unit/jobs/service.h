@@ -173,7 +173,7 @@ static inline struct mo_evaluation_request service_request(const struct mo_bits 
                                         .n_designs = n,
                                         .environment_set = "paper-test",
                                         .physics = mo_default_physics(),
-                                        .priority = -1,
+                                        .job.priority = -1,
                                         .record_stride = 100};
 }
 

@@ -242,7 +242,7 @@ SERVICE_CASE(runs_side_by_side, 3)
   for (int i = 0; i < 3; i++) {
     requests[i] = campaign((enum mo_campaign_mode)i);
     requests[i].record.settings.seed = 100 + (uint64_t)i;
-    requests[i].weight = i + 1;
+    requests[i].job.weight = i + 1;
     origins[i] = origin_of(&requests[i]);
     ids[i] = submit_campaign(&requests[i]);
     REQUIRE(ids[i] > 0);

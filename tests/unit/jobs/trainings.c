@@ -153,7 +153,7 @@ SERVICE_CASE(tunes_a_population, 1)
   int64_t scored = evaluate(genotypes, 30);
   CHECK(succeeds(scored, NULL));
   request.record.settings.kind = MO_TRAINING_FINETUNE;
-  request.population = scored;
+  request.record.population = scored;
   request.population_best = 5;
   int64_t id = submit_training(&request);
   CHECK(succeeds(id, NULL));
@@ -169,7 +169,7 @@ SERVICE_CASE(tunes_a_population, 1)
   CHECK(held_out.n_designs == 3 && memcmp(held_out.genotypes, best, 3 * sizeof(*best)) == 0);
   mo_held_out_free(&held_out);
   /* From the result, on designs that are listed. */
-  request.population = 0;
+  request.record.population = 0;
   request.parent = "tuned";
   request.genotypes = genotypes;
   request.record.n_designs = 7;

@@ -81,7 +81,7 @@ static void parks_what_cannot_be_saved(void)
     fake_plan.fail_times = 1000;
     fake_plan.fail_status = round == 1 ? MO_ERR_NO_MEMORY : 0;
     struct mo_evaluation_request request = service_request(genotypes, 4);
-    request.priority = round == 0 ? MO_INTERACTIVE : MO_BATCH;
+    request.job.priority = round == 0 ? MO_INTERACTIVE : MO_BATCH;
     struct mo_job job = end_of(submit_evaluation(&request));
     CHECK_INT(job.state, MO_JOB_FAILED);
     CHECK_INT(job.attempts, 3);
@@ -194,7 +194,7 @@ static void *be_a_client(void *context)
         service_request(client->genotypes + (client->seed * 7 + i * 3) % 80, 10);
     int64_t id = 0;
     bool replayed;
-    request.priority = (int)(i % 2);
+    request.job.priority = (int)(i % 2);
     if (mo_jobs_submit_evaluation(service.jobs, &request, &id, &replayed, NULL) != MO_OK) {
       client->failures++;
       continue;

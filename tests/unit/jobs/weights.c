@@ -16,7 +16,7 @@ SERVICE_CASE(of_evaluations, 0)
   fake_plan.delay_us = 2000;
   int64_t light = evaluate(genotypes, BODIES);
   struct mo_evaluation_request request = service_request(genotypes + BODIES, BODIES);
-  request.weight = 3;
+  request.job.weight = 3;
   int64_t heavy = submit_evaluation(&request);
   REQUIRE(light > 0 && heavy > 0);
   CHECK(await_weight(heavy, 3) && await_weight(light, 1));
@@ -79,8 +79,8 @@ SERVICE_CASE(what_runs, 0)
   CHECK_INT(mo_jobs_running(service.jobs, rows, N + 1), 0);
   for (int i = 0; i < N; i++) {
     struct mo_evaluation_request request = service_request(genotypes + (size_t)i * BODIES, BODIES);
-    request.weight = weights[i];
-    request.label = i == 2 ? "heavy" : NULL;
+    request.job.weight = weights[i];
+    request.job.label = i == 2 ? "heavy" : NULL;
     ids[i] = submit_evaluation(&request);
   }
   const int64_t quick = evaluate(genotypes + (size_t)N * BODIES, 1);
@@ -109,7 +109,7 @@ SERVICE_CASE(of_a_training, 1)
   struct mo_training_request request = pretraining("weighed");
   struct mo_job job;
   fake_plan.gradient_delay_us = 4000;
-  request.weight = 2.5;
+  request.job.weight = 2.5;
   int64_t id = submit_training(&request);
   REQUIRE(id > 0 && await_step(id, 1));
   CHECK(fake_weight(id) == 2.5);
@@ -149,7 +149,7 @@ SERVICE_CASE(wrong_weights, 0)
   fake_plan.delay_us = 5000;
   int64_t id = submit_evaluation(&request);
   for (int i = 0; i < 5; i++) {
-    request.weight = training.weight = wrong[i];
+    request.job.weight = training.job.weight = wrong[i];
     CHECK_INT(submit_evaluation(&request), MO_ERR_RANGE);
     CHECK_SAYS(fixture.message, "weight");
     CHECK_INT(submit_training(&training), MO_ERR_RANGE);

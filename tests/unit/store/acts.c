@@ -246,20 +246,20 @@ static int do_submit(const struct life *life, struct mo_store *of, const struct 
                      int64_t *id)
 {
   const size_t first = (size_t)act->index * DESIGNS_MAX;
-  struct mo_submission submission =
+  struct mo_evaluation_request submission =
       fixture_submission(life->forms + first, life->genotypes + first, n_designs_of(act->seed));
   char key[32];
   bool replayed;
   life_key('e', act->index, key);
   submission.record = MO_RECORD_COM;
-  submission.idempotency_key = key;
-  mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
+  submission.job.key.text = key;
+  mo_sha256_of(&act->seed, sizeof(act->seed), &submission.job.key.sha256);
   return mo_store_submit(of, &submission, id, &replayed);
 }
 
 static int do_train(struct mo_store *of, const struct act *act, int64_t *id)
 {
-  struct mo_training_submission submission = {
+  struct mo_training_request submission = {
       .record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN),
                  .checkpoint_every_steps = 12,
                  .checkpoints_kept = 2}};
@@ -268,8 +268,8 @@ static int do_train(struct mo_store *of, const struct act *act, int64_t *id)
   life_key('t', act->index, key);
   submission.record.settings.seed = act->seed;
   submission.record.settings.n_steps = 100000;
-  submission.idempotency_key = key;
-  mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
+  submission.job.key.text = key;
+  mo_sha256_of(&act->seed, sizeof(act->seed), &submission.job.key.sha256);
   return mo_store_submit_training(of, &submission, id, &replayed);
 }
 

@@ -170,7 +170,7 @@ bool campaign_fits(struct life *life, struct act *act)
 
 static int submit(const struct life *life, struct mo_store *of, const struct act *act, int64_t *id)
 {
-  struct mo_campaign_submission submission = campaign_submission(
+  struct mo_campaign_request submission = campaign_submission(
       act->seed % 2 == 0 ? MO_SIMULTANEOUS : MO_ZERO_SHOT, MEMBERS, GENERATIONS_MAX);
   const size_t first = BODIES_OF_CAMPAIGNS + (size_t)act->index * GENERATIONS_MAX * MEMBERS;
   char key[32];
@@ -180,8 +180,8 @@ static int submit(const struct life *life, struct mo_store *of, const struct act
   submission.forms = life->forms + first;
   submission.genotypes = life->genotypes + first;
   submission.record.n_listed = LISTED;
-  submission.idempotency_key = key;
-  mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
+  submission.job.key.text = key;
+  mo_sha256_of(&act->seed, sizeof(act->seed), &submission.job.key.sha256);
   return mo_store_submit_campaign(of, &submission, id, &replayed);
 }
 

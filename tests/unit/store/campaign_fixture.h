@@ -13,10 +13,10 @@
 #define MADE_POPULATION   6
 #define MADE_ENVIRONMENTS 3
 
-static inline struct mo_campaign_submission
+static inline struct mo_campaign_request
 campaign_submission(enum mo_campaign_mode mode, uint32_t population, uint32_t generations)
 {
-  return (struct mo_campaign_submission){
+  return (struct mo_campaign_request){
       .record = {.settings = {.mode = mode,
                               .seed = UINT64_C(0x1CBA9876543210),
                               .workspace = MO_DEFAULT_WORKSPACE,
@@ -40,12 +40,10 @@ campaign_submission(enum mo_campaign_mode mode, uint32_t population, uint32_t ge
                  .replicates = 1,
                  .checkpoint_every_s = 30},
       .controller = mode == MO_SIMULTANEOUS ? NULL : "default",
-      .priority = MO_BATCH,
-      .weight = 1,
-      .label = "a label"};
+      .job.label = "a label"};
 }
 
-static inline int64_t submit_campaign(const struct mo_campaign_submission *submission)
+static inline int64_t submit_campaign(const struct mo_campaign_request *submission)
 {
   int64_t id = 0;
   bool replayed = true;

@@ -148,7 +148,7 @@ static void check_each(int64_t id, const struct model *model)
 static void tells_the_whole_history(int mode)
 {
   struct made made = {0};
-  struct mo_campaign_submission submission = campaign_submission(mode, MADE_POPULATION, UNTIL);
+  struct mo_campaign_request submission = campaign_submission(mode, MADE_POPULATION, UNTIL);
   struct model *model = calloc(1, sizeof(*model));
   REQUIRE(model != NULL);
   int64_t id = submit_campaign(&submission);
@@ -175,7 +175,7 @@ static void tells_the_whole_history(int mode)
 static void finds_where_a_form_was_born(void)
 {
   struct made made[3] = {{0}};
-  struct mo_campaign_submission submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, 3);
+  struct mo_campaign_request submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, 3);
   struct mo_campaign_place places[4];
   struct mo_bits nowhere = {{1}}, form, turned;
   int64_t ids[3];

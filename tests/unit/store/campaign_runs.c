@@ -11,7 +11,7 @@
 /* A campaign of a mode that was started, its runner at hand. */
 static struct made begin(int mode)
 {
-  const struct mo_campaign_submission submission =
+  const struct mo_campaign_request submission =
       campaign_submission((enum mo_campaign_mode)mode, MADE_POPULATION, UNTIL);
   const int64_t id = submit_campaign(&submission);
   make_check(mo_store_run_start(store, id), "a campaign");
@@ -234,8 +234,7 @@ static void names_who_computed(void)
  * whichever was first. */
 static void shares_scores(void)
 {
-  struct mo_campaign_submission submission =
-      campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, UNTIL);
+  struct mo_campaign_request submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, UNTIL);
   struct mo_bits asked[MADE_POPULATION + 2];
   struct mo_design *design = NULL;
   struct mo_design_query query = {

@@ -29,7 +29,7 @@ static void encodes_every_setting(void)
 {
   static const enum mo_selection_kind kinds[] = {MO_SELECT_TRUNCATION, MO_SELECT_TOURNAMENT,
                                                  MO_SELECT_NOVELTY, MO_SELECT_AGE_LAYERED};
-  struct mo_campaign_submission submission = campaign_submission(MO_FEW_SHOT, 64, 30);
+  struct mo_campaign_request submission = campaign_submission(MO_FEW_SHOT, 64, 30);
   struct mo_campaign_record record = submission.record, back = {.name = "walker"};
   struct mo_campaign_settings *settings = &back.settings;
   struct mo_text text;
@@ -62,7 +62,7 @@ static void submits_and_reads_back(void)
 {
   struct mo_bits *found = NULL;
   struct mo_environment own[2], *environments = NULL;
-  struct mo_campaign_submission submission = campaign_submission(MO_ZERO_SHOT, 10, 30);
+  struct mo_campaign_request submission = campaign_submission(MO_ZERO_SHOT, 10, 30);
   struct mo_campaign_generation rows[1];
   struct mo_campaign_state *state = NULL;
   struct mo_controller_record controller;
@@ -74,7 +74,7 @@ static void submits_and_reads_back(void)
   submission.forms = forms;
   submission.genotypes = genotypes;
   submission.record.n_listed = 3;
-  submission.weight = 2.5;
+  submission.job.weight = 2.5;
   int64_t id = submit_campaign(&submission);
   REQUIRE(id > 0);
   struct mo_campaign_status status = status_of(id);
@@ -124,7 +124,7 @@ static void submits_and_reads_back(void)
   submission.record.environment_set[0] = '\0';
   submission.record.n_environments = 2;
   submission.environments = own;
-  submission.label = NULL;
+  submission.job.label = NULL;
   id = submit_campaign(&submission);
   status = status_of(id);
   CHECK(!status.record.has_controller && !status.job.has_label);
@@ -165,7 +165,7 @@ static bool lists(const struct mo_job_query *query, uint32_t room, int64_t n, in
 static void starts_replicates(void)
 {
   struct mo_bits *found = NULL;
-  struct mo_campaign_submission submission = campaign_submission(MO_ZERO_SHOT, 10, 30);
+  struct mo_campaign_request submission = campaign_submission(MO_ZERO_SHOT, 10, 30);
   struct mo_campaign_status status, page[8];
   struct mo_job_query query = {.state = -1};
   int64_t ids[8], id, again = 0, other;
@@ -178,8 +178,8 @@ static void starts_replicates(void)
   submission.record.n_listed = 3;
   submission.record.replicates = 4;
   submission.record.settings.seed = MO_SEED_MAX - 3;
-  submission.idempotency_key = "once";
-  submission.priority = MO_INTERACTIVE;
+  submission.job.key.text = "once";
+  submission.job.priority = MO_INTERACTIVE;
   REQUIRE_OK(mo_store_submit_campaign(store, &submission, &id, &replayed));
   CHECK(!replayed && id == other + 1);
   for (uint32_t r = 0; r < 4; r++) {
@@ -197,7 +197,7 @@ static void starts_replicates(void)
   /* The key's answer is the first; with another body it is a conflict. */
   CHECK_OK(mo_store_submit_campaign(store, &submission, &again, &replayed));
   CHECK(replayed && again == id);
-  submission.body_sha256.bytes[0] ^= 1;
+  submission.job.key.sha256.bytes[0] ^= 1;
   CHECK_INT(mo_store_submit_campaign(store, &submission, &again, &replayed), MO_ERR_CONFLICT);
   /* Interactive ones first, then as they came. */
   CHECK_INT(mo_store_queued_runs(store, MO_JOB_CAMPAIGN, ids, 8), 5);
@@ -231,7 +231,7 @@ static void starts_replicates(void)
 static void inherits_a_population(void)
 {
   struct made made = {0};
-  struct mo_campaign_submission submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, 30);
+  struct mo_campaign_request submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, 30);
   struct mo_bits listed, form, before[MADE_POPULATION], *found = NULL, *best = NULL;
   uint32_t n = 0, n_sound = 0;
   int64_t first = submit_campaign(&submission);
@@ -333,7 +333,7 @@ static void finish_with_its_result(int64_t id)
 
 static void finishes_and_extends(void)
 {
-  struct mo_campaign_submission submission = campaign_submission(MO_SIMULTANEOUS, 4, 1);
+  struct mo_campaign_request submission = campaign_submission(MO_SIMULTANEOUS, 4, 1);
   struct mo_request_key key = {.text = "more"};
   int64_t id = submit_campaign(&submission);
   result.controller = make_random_controller(MO_SENSOR_INVERSE_SQRT, 77);
@@ -416,7 +416,7 @@ static void finishes_and_extends(void)
 
 static void parks_and_requeues(void)
 {
-  const struct mo_campaign_submission submission =
+  const struct mo_campaign_request submission =
       campaign_submission(MO_FEW_SHOT, MADE_POPULATION, 100);
   int64_t id = submit_campaign(&submission);
   REQUIRE_OK(mo_store_run_start(store, id));

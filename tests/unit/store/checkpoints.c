@@ -15,7 +15,7 @@
 /* Submits a training and starts it. */
 static int64_t start_training(void)
 {
-  const struct mo_training_submission submission = submission_of(1000);
+  const struct mo_training_request submission = submission_of(1000);
   const int64_t id = submit_training(&submission);
   CHECK_OK(mo_store_run_start(store, id));
   return id;
@@ -175,7 +175,7 @@ static int drop(int64_t id, uint32_t step, struct mo_checkpoints_removed *remove
 /* What is needed to go on stays; of a training that has ended nothing is. */
 static void removes_what_is_not_needed(void)
 {
-  struct mo_training_submission submission = submission_of(1000);
+  struct mo_training_request submission = submission_of(1000);
   struct mo_checkpoints_removed removed = {.n = 99};
   char folder[512];
   int64_t id, version;

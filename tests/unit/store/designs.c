@@ -21,7 +21,7 @@ static void shares_designs_between_orientations(void)
       break;
   }
   REQUIRE(memcmp(&images[0], &images[1], sizeof(images[0])) != 0);
-  struct mo_submission submission = fixture_submission(same_forms, images, 2);
+  struct mo_evaluation_request submission = fixture_submission(same_forms, images, 2);
   int64_t id = submit_evaluation(&submission);
   REQUIRE_OK(run_by_hand(id, made_up_loss));
   CHECK_INT(outside_integer("SELECT count(*) FROM designs"), 1);
@@ -51,7 +51,7 @@ static double other_loss(uint32_t n, uint32_t k)
 
 static void keeps_every_bit(void)
 {
-  struct mo_submission submission = draw_evaluation(2, 3);
+  struct mo_evaluation_request submission = draw_evaluation(2, 3);
   struct mo_evaluation_results *results = NULL;
   struct mo_environment environments[6];
   for (unsigned k = 0; k < 6; k++)
@@ -96,7 +96,7 @@ static void keeps_places_of_skipped_designs(void)
       {.place = 0, .fault = {.where = "/designs/0", .detail = "empty"}},
       {.place = 2, .fault = {.where = "/designs/2/voxels", .detail = "torn"}},
       {.place = 3, .dropped = 5}};
-  struct mo_submission submission = draw_evaluation(4, 3);
+  struct mo_evaluation_request submission = draw_evaluation(4, 3);
   struct mo_evaluation_results *results = NULL;
   struct mo_work *work = NULL;
   int64_t fingerprint = 0;
@@ -133,7 +133,7 @@ static void keeps_places_of_skipped_designs(void)
 
 static void ranks_designs(void)
 {
-  struct mo_submission submission = draw_evaluation(6, 20);
+  struct mo_evaluation_request submission = draw_evaluation(6, 20);
   struct mo_controller_record record;
   struct mo_design_query query = {
       .sort = MO_DESIGNS_BY_SCORE, .environment_set = "paper-test", .fingerprint = "by hand"};
@@ -238,8 +238,8 @@ static double design_loss(uint32_t n, uint32_t k)
 static void ranks_a_population(void)
 {
   struct mo_bits *best = NULL;
-  struct mo_submission evaluation = draw_evaluation(5, 6);
-  struct mo_training_submission training = submission_of(10);
+  struct mo_evaluation_request evaluation = draw_evaluation(5, 6);
+  struct mo_training_request training = submission_of(10);
   int64_t id = 0;
   uint32_t n = 0;
   forms[5] = forms[1]; /* asked for twice */

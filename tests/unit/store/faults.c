@@ -44,7 +44,7 @@ static int start_failing(void)
 
 static void notices_that_there_is_room_again(void)
 {
-  const struct mo_submission submission = draw_evaluation(1, 3);
+  const struct mo_evaluation_request submission = draw_evaluation(1, 3);
   struct mo_store_stats stats;
   REQUIRE_OK(start_failing());
   set_errors(SQLITE_FULL, 0, false);
@@ -75,7 +75,7 @@ static void dies_of_a_failing_disk(void)
                 {0, SQLITE_IOERR_FSYNC, false},
                 {SQLITE_IOERR_WRITE, 0, true},
                 {0, SQLITE_IOERR_FSYNC, true}};
-  const struct mo_submission submission = draw_evaluation(1, 3);
+  const struct mo_evaluation_request submission = draw_evaluation(1, 3);
   for (size_t i = 0; i < COUNT(faults); i++) {
     struct mo_store_stats stats;
     printf("# fault %zu\n", i);
@@ -140,7 +140,7 @@ static void refuses_a_file_system_without_shared_memory(void)
 /* ---- group commit ---- */
 
 struct submitter {
-  struct mo_submission submission;
+  struct mo_evaluation_request submission;
   int64_t ids[64];
   int failures;
 };
@@ -195,7 +195,7 @@ static void listen_in_order(void *context, const struct mo_event *events, size_t
 
 static void shares_commits(void)
 {
-  const struct mo_submission submission = draw_evaluation(2, 2);
+  const struct mo_evaluation_request submission = draw_evaluation(2, 2);
   struct mo_store_stats before, after;
   static struct submitter submitters[10];
   struct listened listened = {0};

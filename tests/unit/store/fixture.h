@@ -148,18 +148,17 @@ static inline struct mo_bits *make_bodies(uint64_t seed, uint32_t n, struct mo_b
   return genotypes;
 }
 
-static inline struct mo_submission fixture_submission(const struct mo_bits *forms,
-                                                      const struct mo_bits *genotypes, uint32_t n)
+static inline struct mo_evaluation_request
+fixture_submission(const struct mo_bits *forms, const struct mo_bits *genotypes, uint32_t n)
 {
-  return (struct mo_submission){.forms = forms,
-                                .genotypes = genotypes,
-                                .n_designs = n,
-                                .environment_set = "paper-test",
-                                .controller = "default",
-                                .physics = mo_default_physics(),
-                                .precision = MO_FLOAT32,
-                                .priority = MO_BATCH,
-                                .record_stride = 10};
+  return (struct mo_evaluation_request){.forms = forms,
+                                        .genotypes = genotypes,
+                                        .n_designs = n,
+                                        .environment_set = "paper-test",
+                                        .controller = "default",
+                                        .physics = mo_default_physics(),
+                                        .precision = MO_FLOAT32,
+                                        .record_stride = 10};
 }
 
 /* Settings of learning, each with another value than its default. */

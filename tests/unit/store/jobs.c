@@ -5,13 +5,13 @@
 
 static void submits_and_reads_back(void)
 {
-  struct mo_submission submission = draw_evaluation(1, 5);
+  struct mo_evaluation_request submission = draw_evaluation(1, 5);
   struct mo_controller_record record;
   struct mo_work *work = NULL;
   struct mo_environment paper[MO_PAPER_TEST_COUNT];
   int64_t id = 0, queued[4];
   bool replayed = true;
-  submission.label = "first \xc3\xa9vidence";
+  submission.job.label = "first \xc3\xa9vidence";
   submission.precision = MO_FLOAT64;
   submission.physics.drop_height_m = 0.25;
   CHECK_OK(mo_store_submit(store, &submission, &id, &replayed));
@@ -51,20 +51,22 @@ static void submits_and_reads_back(void)
 
 static void answers_a_repeated_key(void)
 {
-  struct mo_submission submission = draw_evaluation(3, 1);
+  struct mo_evaluation_request submission = draw_evaluation(3, 1);
   int64_t id = 0, again = 0;
   bool replayed;
-  submission.idempotency_key = "key-1";
-  mo_sha256_of("body", 4, &submission.body_sha256);
+  submission.job.key.text = "key-1";
+  mo_sha256_of("body", 4, &submission.job.key.sha256);
   CHECK_OK(mo_store_submit(store, &submission, &id, &replayed));
   CHECK(!replayed);
   CHECK_OK(mo_store_submit(store, &submission, &again, &replayed));
   CHECK(replayed && again == id);
-  CHECK_OK(mo_store_replay(store, "key-1", &submission.body_sha256, &again));
-  CHECK_INT(mo_store_replay(store, "key-2", &submission.body_sha256, &again), MO_ERR_NOT_FOUND);
-  mo_sha256_of("other", 5, &submission.body_sha256);
+  CHECK_OK(mo_store_replay(store, &submission.job.key, &again));
+  CHECK_INT(
+      mo_store_replay(store, &(struct mo_request_key){"key-2", submission.job.key.sha256}, &again),
+      MO_ERR_NOT_FOUND);
+  mo_sha256_of("other", 5, &submission.job.key.sha256);
   CHECK_INT(mo_store_submit(store, &submission, &again, &replayed), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_replay(store, "key-1", &submission.body_sha256, &again), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_replay(store, &submission.job.key, &again), MO_ERR_CONFLICT);
   /* Keys older than their time are forgotten. */
   REQUIRE_OK(reopen_after("UPDATE idempotency_keys SET created_us=created_us-90000000000"));
   for (int i = 0; i < 1200; i++) { /* enough events to make a round of pruning due */
@@ -73,12 +75,12 @@ static void answers_a_repeated_key(void)
         mo_store_change_job(store, id, i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, &before));
   }
   usleep(50000);
-  CHECK_INT(mo_store_replay(store, "key-1", &submission.body_sha256, &again), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_replay(store, &submission.job.key, &again), MO_ERR_NOT_FOUND);
 }
 
 static void pages_through_jobs(void)
 {
-  struct mo_submission submission = draw_evaluation(4, 1);
+  struct mo_evaluation_request submission = draw_evaluation(4, 1);
   struct mo_job *page = calloc(10, sizeof(*page));
   struct mo_job_query query = any_job;
   uint64_t counts[MO_JOB_STATES];
@@ -113,7 +115,7 @@ static void pages_through_jobs(void)
 
 static void changes_states(void)
 {
-  struct mo_submission submission = draw_evaluation(4, 1);
+  struct mo_evaluation_request submission = draw_evaluation(4, 1);
   struct mo_job job;
   enum mo_job_state before;
   struct mo_job_update update = {.step = MO_STEP_START};
@@ -190,7 +192,7 @@ static void receive_events(void *context, const struct mo_event *events, size_t 
 
 static void reports_changes(void)
 {
-  struct mo_submission submission = draw_evaluation(4, 1);
+  struct mo_evaluation_request submission = draw_evaluation(4, 1);
   struct received received = {.n = 0};
   struct mo_event events[32];
   int64_t id, oldest, newest, n;
@@ -229,7 +231,7 @@ static void reports_changes(void)
 
 static void keeps_trajectories(void)
 {
-  struct mo_submission submission = draw_evaluation(4, 2);
+  struct mo_evaluation_request submission = draw_evaluation(4, 2);
   struct mo_trajectory *trajectory = NULL;
   double com[9] = {1, -0.0, NAN, 4, 5, 6, 7, 8, 9};
   float mass[18] = {0.1F, -0.0F, NAN};
@@ -260,7 +262,7 @@ static void keeps_trajectories(void)
 /* Of four recordings two fit: the first is kept, because its evaluation has not ended. */
 static void removes_the_oldest_recordings(void)
 {
-  struct mo_submission submission = draw_evaluation(4, 2);
+  struct mo_evaluation_request submission = draw_evaluation(4, 2);
   struct mo_trajectory *trajectory = NULL;
   struct mo_store_stats stats;
   double com[9] = {1};

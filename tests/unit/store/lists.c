@@ -116,9 +116,9 @@ static int fill(void)
 
 static int start(void)
 {
-  struct mo_training_submission training = submission_of(10);
-  struct mo_campaign_submission campaign = campaign_submission(MO_ZERO_SHOT, 8, 3);
-  struct mo_submission evaluation = draw_evaluation(1, 1);
+  struct mo_training_request training = submission_of(10);
+  struct mo_campaign_request campaign = campaign_submission(MO_ZERO_SHOT, 8, 3);
+  struct mo_evaluation_request evaluation = draw_evaluation(1, 1);
   if (sqlite3_auto_extension((void (*)(void))watch) != SQLITE_OK)
     return MO_ERR_IO;
   if (submit_evaluation(&evaluation) != 1 || submit_training(&training) != 2 ||

@@ -26,14 +26,14 @@ static inline void start_over(void)
 }
 
 /* Draws n bodies, and asks for their evaluation. */
-static inline struct mo_submission draw_evaluation(uint64_t seed, uint32_t n)
+static inline struct mo_evaluation_request draw_evaluation(uint64_t seed, uint32_t n)
 {
   genotypes = make_bodies(seed, n, &forms);
   return fixture_submission(forms, genotypes, n);
 }
 
 /* Returns the id of the job, or an error. */
-static inline int64_t submit_evaluation(const struct mo_submission *submission)
+static inline int64_t submit_evaluation(const struct mo_evaluation_request *submission)
 {
   bool replayed;
   int64_t id = 0;

@@ -89,7 +89,7 @@ static void check_newest(void)
 /* Recordings of version 9 are read as before; new ones have the channels of version 10. */
 static void keeps_recordings_of_version_9(void)
 {
-  struct mo_submission submission = draw_evaluation(3, 1);
+  struct mo_evaluation_request submission = draw_evaluation(3, 1);
   struct mo_trajectory *trajectory = NULL;
   double com_m[9] = {1, 2, 3};
   int8_t actuation[6] = {0, 0, -127, 127};
@@ -118,11 +118,11 @@ static void keeps_recordings_of_version_9(void)
 /* Jobs of version 9 are read and found as before; new ones say who submitted them. */
 static void keeps_jobs_of_version_9(void)
 {
-  struct mo_submission submission = draw_evaluation(2, 3);
+  struct mo_evaluation_request submission = draw_evaluation(2, 3);
   const struct mo_job_query query = {.state = -1, .kind = -1, .submitted_by = "anna"};
   struct mo_job jobs[3];
-  submission.label = "old";
-  submission.submitted_by = "anna";
+  submission.job.label = "old";
+  submission.job.submitted_by = "anna";
   const int64_t old = submit_evaluation(&submission);
   REQUIRE(old > 0);
   REQUIRE_OK(reopen_after(version_9));
@@ -198,7 +198,7 @@ static void reports_what_contradicts_itself(void)
   };
   for (size_t i = 0; i < COUNT(damage); i++) {
     uint64_t counts[MO_JOB_STATES];
-    const struct mo_submission submission = draw_evaluation(7, 4);
+    const struct mo_evaluation_request submission = draw_evaluation(7, 4);
     id = submit_evaluation(&submission);
     REQUIRE_OK(run_by_hand(id, made_up_loss));
     REQUIRE_OK(reopen_after(damage[i]));

@@ -17,7 +17,7 @@
 
 /* ---- a file system of its own ---- */
 
-static struct mo_submission submission, one; /* of 100 designs; of one */
+static struct mo_evaluation_request submission, one; /* of 100 designs; of one */
 static char filler[512], reserve[512];
 
 static bool mount_small(const char *path, const char *size)
@@ -105,7 +105,7 @@ static struct mo_store_stats stats_of_store(void)
 /* So many jobs of one design each, and a training that runs. */
 static int64_t submit_jobs(int n, int64_t *ids)
 {
-  const struct mo_training_submission training = submission_of(100);
+  const struct mo_training_request training = submission_of(100);
   const int64_t trained = submit_training(&training);
   CHECK_OK(mo_store_run_start(store, trained));
   for (int i = 0; i < n; i++) {
@@ -169,7 +169,7 @@ static void note(int64_t error)
 /* Jobs that wait for room write again and again: rows of many sizes, ... */
 static void *write_rows(void *context)
 {
-  struct mo_submission many = submission;
+  struct mo_evaluation_request many = submission;
   for (uint32_t n = 0; !atomic_load(&retries.stop); n++) {
     many.n_designs = 1 + n % 100;
     note(submit_evaluation(&many));

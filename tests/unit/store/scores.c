@@ -85,7 +85,7 @@ static uint32_t known_of(const struct mo_work *work, struct mo_score scores[MO_P
 static void finds_by_environment_and_class(void)
 {
   static const uint32_t first[] = {0, 2, 4}, second[] = {4, 3, 9};
-  struct mo_submission submission = draw_evaluation(3, 1);
+  struct mo_evaluation_request submission = draw_evaluation(3, 1);
   struct mo_score scores[MO_PAPER_TEST_COUNT];
   int64_t id, one = 0, two = 0;
   id = submit_evaluation(&submission);
@@ -114,7 +114,7 @@ static void finds_by_environment_and_class(void)
 /* A recording job that goes on under other code begins again, and says so. */
 static void goes_on_in_a_new_class(void)
 {
-  struct mo_submission submission = draw_evaluation(3, 1);
+  struct mo_evaluation_request submission = draw_evaluation(3, 1);
   double com_m[9] = {0};
   struct mo_saved_trajectory trajectory = {
       .frames = 3, .n_masses = 8, .recording = {.stride = 10, .com_m = com_m}};
@@ -202,7 +202,7 @@ static size_t place_of(const uint8_t *bytes, size_t size, uint32_t n, uint64_t r
  * truth, or none. What the results do not say, `store check` finds. */
 static void serves_no_flipped_bit(void)
 {
-  struct mo_submission submission = draw_evaluation(9, DESIGNS);
+  struct mo_evaluation_request submission = draw_evaluation(9, DESIGNS);
   size_t size = 0;
   uint64_t random = 1;
   int refused = 0, found = 0, harmless = 0;
@@ -269,7 +269,7 @@ static void checks_contents(void)
   };
   for (size_t i = 0; i <= COUNT(damage); i++) {
     const bool is_sound = i == COUNT(damage);
-    struct mo_submission submission = draw_evaluation(9, DESIGNS);
+    struct mo_evaluation_request submission = draw_evaluation(9, DESIGNS);
     struct mo_check_counts counts;
     struct mo_score_sample samples[4];
     int64_t id, other;

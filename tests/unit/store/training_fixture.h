@@ -7,27 +7,26 @@
 #include "fixture.h"
 #include "store/trainings.h"
 
-static inline struct mo_training_submission submission_of(uint32_t n_steps)
+static inline struct mo_training_request submission_of(uint32_t n_steps)
 {
-  return (struct mo_training_submission){.record = {.settings = {.kind = MO_TRAINING_PRETRAIN,
-                                                                 .seed = UINT64_C(0x1CBA9876543210),
-                                                                 .n_steps = n_steps,
-                                                                 .batch = 16,
-                                                                 .learning = fixture_learning(),
-                                                                 .physics = mo_default_physics(),
-                                                                 .sensor = MO_SENSOR_INVERSE_SQUARE,
-                                                                 .held_out_designs = 5,
-                                                                 .held_out_environments = 7},
-                                                    .name = "walker",
-                                                    .validate_every_steps = 11,
-                                                    .checkpoint_every_steps = 12,
-                                                    .checkpoint_every_s = 13,
-                                                    .checkpoints_kept = 2},
-                                         .priority = MO_BATCH,
-                                         .label = "a label"};
+  return (struct mo_training_request){.record = {.settings = {.kind = MO_TRAINING_PRETRAIN,
+                                                              .seed = UINT64_C(0x1CBA9876543210),
+                                                              .n_steps = n_steps,
+                                                              .batch = 16,
+                                                              .learning = fixture_learning(),
+                                                              .physics = mo_default_physics(),
+                                                              .sensor = MO_SENSOR_INVERSE_SQUARE,
+                                                              .held_out_designs = 5,
+                                                              .held_out_environments = 7},
+                                                 .name = "walker",
+                                                 .validate_every_steps = 11,
+                                                 .checkpoint_every_steps = 12,
+                                                 .checkpoint_every_s = 13,
+                                                 .checkpoints_kept = 2},
+                                      .job.label = "a label"};
 }
 
-static inline int64_t submit_training(const struct mo_training_submission *submission)
+static inline int64_t submit_training(const struct mo_training_request *submission)
 {
   int64_t id = 0;
   bool replayed = true;

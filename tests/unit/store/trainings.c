@@ -40,7 +40,7 @@ static void encodes_every_setting(void)
 static void submits_and_reads_back(void)
 {
   struct mo_bits *found = NULL;
-  struct mo_training_submission submission = submission_of(1000), tune = submission_of(60);
+  struct mo_training_request submission = submission_of(1000), tune = submission_of(60);
   struct mo_training_status status, page[5];
   struct mo_controller_record record;
   struct mo_controller *small = NULL;
@@ -52,7 +52,7 @@ static void submits_and_reads_back(void)
   bool replayed = false, created;
   uint32_t n = 0;
   genotypes = make_bodies(5, 20, &forms);
-  submission.idempotency_key = "key";
+  submission.job.key.text = "key";
   id = submit_training(&submission);
   REQUIRE(id > 0);
   status = training_of(id);
@@ -74,7 +74,7 @@ static void submits_and_reads_back(void)
   /* The same key again. */
   CHECK_OK(mo_store_submit_training(store, &submission, &again, &replayed));
   CHECK(replayed && again == id);
-  mo_sha256_of("x", 1, &submission.body_sha256);
+  mo_sha256_of("x", 1, &submission.job.key.sha256);
   CHECK_INT(mo_store_submit_training(store, &submission, &again, &replayed), MO_ERR_CONFLICT);
   /* With a parent and designs. */
   tune.record.settings.kind = MO_TRAINING_FINETUNE;
@@ -126,8 +126,8 @@ static void submits_and_reads_back(void)
 
 static void keeps_the_queues_apart(void)
 {
-  struct mo_submission evaluation = draw_evaluation(5, 3);
-  struct mo_training_submission training = submission_of(10);
+  struct mo_evaluation_request evaluation = draw_evaluation(5, 3);
+  struct mo_training_request training = submission_of(10);
   struct mo_evaluation_results *results = NULL;
   struct mo_work *work = NULL;
   int64_t ids[5] = {0}, first, second, id = 0;
@@ -148,7 +148,7 @@ static void keeps_the_queues_apart(void)
 
 static void keeps_the_curve(void)
 {
-  struct mo_training_submission submission = submission_of(100);
+  struct mo_training_request submission = submission_of(100);
   struct mo_training_step_row rows[10], found[10];
   struct mo_training_validation_row validation = {5, 80, 2, 0.75, 0.01}, validations[5];
   struct mo_event events[20];
@@ -211,7 +211,7 @@ static void finds_steps_in_a_long_curve(void)
   static const char fill[] =
       "WITH RECURSIVE s(x) AS (SELECT 1 UNION ALL SELECT x+1 FROM s WHERE x<100000) INSERT INTO "
       "training_steps SELECT 1,x,0.5,0.001,1,0,0,0,0,0,0,0.25 FROM s";
-  struct mo_training_submission submission = submission_of(100000);
+  struct mo_training_request submission = submission_of(100000);
   struct mo_training_step_row *rows = calloc(MO_PAGE_MAX, sizeof(*rows));
   int64_t n = MO_PAGE_MAX, begin, middle, end;
   REQUIRE(rows != NULL);
@@ -245,7 +245,7 @@ static void finds_steps_in_a_long_curve(void)
  * is forgotten. */
 static void names_the_code(void)
 {
-  struct mo_training_submission submission = submission_of(100);
+  struct mo_training_request submission = submission_of(100);
   struct mo_training_lineage lineage;
   struct mo_event events[80];
   char name[32];
@@ -310,7 +310,7 @@ static bool lists(const struct mo_job_query *query, uint32_t n, int64_t one, int
  * shown, page by page. */
 static void finds_by_the_state_that_is_shown(void)
 {
-  const struct mo_training_submission submission = submission_of(10);
+  const struct mo_training_request submission = submission_of(10);
   struct mo_training_status page[8];
   struct mo_job jobs[8];
   int64_t ids[6], waiting[2], none[MO_WAITING_MAX + 1] = {0};
@@ -342,7 +342,7 @@ static void finds_by_the_state_that_is_shown(void)
 
 static void finishes_with_its_controller(void)
 {
-  const struct mo_training_submission submission = submission_of(100);
+  const struct mo_training_request submission = submission_of(100);
   struct mo_controller *controller = make_random_controller(MO_SENSOR_INVERSE_SQRT, 77);
   struct mo_controller_record record;
   const int64_t id = submit_training(&submission);
@@ -378,7 +378,7 @@ static void finishes_with_its_controller(void)
  * is written again. What all runs have is tested with campaigns. */
 static void forgives_progress(void)
 {
-  const struct mo_training_submission submission = submission_of(100);
+  const struct mo_training_request submission = submission_of(100);
   const int64_t id = submit_training(&submission);
   for (uint32_t round = 1; round <= 7; round++) {
     const uint32_t step = round < 5 ? 10 * round : 50, attempts = round < 5 ? 1 : round - 4;
