@@ -11,6 +11,7 @@
 #include "base/clock.h"
 #include "daemon/service.h"
 #include "daemon/settings.h"
+#include "jobs/controllers.h"
 #include "store/check.h"
 #include "store/store.h"
 
@@ -23,40 +24,6 @@ static void print_finding(void *context, const char *finding)
 {
   (void)context;
   puts(finding);
-}
-
-/* A controller that is ready to compute; samples with the same one come one after the other. */
-struct loaded {
-  struct mo_sha256 sha256;
-  struct mo_controller *controller;
-  struct mo_compute_controller *ready;
-};
-
-static void unload(struct loaded *loaded)
-{
-  mo_compute_controller_free(loaded->ready);
-  mo_controller_free(loaded->controller);
-  *loaded = (struct loaded){.ready = NULL};
-}
-
-static int load_controller(struct mo_store *store, struct mo_compute *compute,
-                           const struct mo_sha256 *sha256, struct loaded *loaded)
-{
-  struct mo_message message;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  int error;
-  if (loaded->ready != NULL && mo_sha256_equal(&loaded->sha256, sha256))
-    return MO_OK;
-  unload(loaded);
-  error = mo_store_controller_bytes(store, sha256, &bytes, &size);
-  if (error == MO_OK)
-    error = mo_controller_decode(bytes, size, &loaded->controller, &message);
-  free(bytes);
-  if (error == MO_OK)
-    error = mo_compute_controller_create(compute, loaded->controller, &loaded->ready);
-  loaded->sha256 = *sha256;
-  return error;
 }
 
 /* Computes one loss again. *agrees: bit for bit. */
@@ -86,17 +53,20 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
                        uint64_t *n_differ)
 {
   struct mo_score_sample *samples = calloc(n > 0 ? n : 1, sizeof(*samples));
-  struct loaded loaded = {.ready = NULL};
+  struct mo_controller_cache controllers = {
+      .store = store, .compute = compute, .mutex = PTHREAD_MUTEX_INITIALIZER};
   uint64_t before = *n_differ;
   int64_t found = samples != NULL ? mo_store_sample(store, fingerprint,
                                                     (uint64_t)mo_clock_wall_us(), samples, n)
                                   : MO_ERR_NO_MEMORY;
   int error = found < 0 ? (int)found : MO_OK;
   for (int64_t i = 0; i < found && error == MO_OK; i++) {
+    struct mo_loaded *loaded = NULL;
     bool agrees = false;
-    error = load_controller(store, compute, &samples[i].controller_sha256, &loaded);
+    error = mo_loaded_acquire(&controllers, &samples[i].controller_sha256, &loaded);
     if (error == MO_OK)
-      error = compute_again(compute, lattice, &samples[i], loaded.ready, &agrees);
+      error = compute_again(compute, lattice, &samples[i], loaded->ready, &agrees);
+    mo_loaded_release(&controllers, loaded);
     if (error == MO_OK && !agrees) {
       char id[MO_DEFAULT_ID_DIGITS + 1];
       mo_genotype_id(MO_DEFAULT_WORKSPACE, samples[i].genotype.words, id);
@@ -108,7 +78,7 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
   if (found > 0 && error == MO_OK)
     printf("%" PRId64 " losses of the class \"%s\" computed again, %" PRIu64 " differ.\n", found,
            fingerprint, *n_differ - before);
-  unload(&loaded);
+  mo_loaded_free_all(&controllers);
   free(samples);
   return error;
 }
