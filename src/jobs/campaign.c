@@ -13,6 +13,7 @@
 #include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/campaign_excluded.h"
+#include "store/worlds.h"
 
 #define HISTORY_ROWS        64
 #define CHILDREN_PER_THREAD 1024 /* take about a millisecond */
@@ -141,8 +142,8 @@ static int prepare(struct mo_campaign_run *run)
   if (error == MO_OK)
     error = allocate(run);
   if (error == MO_OK)
-    error = mo_store_campaign_environments(run->jobs->store, run->id, &run->environments,
-                                           &run->n_environments);
+    error = mo_store_job_environments(run->jobs->store, run->id, MO_JOB_CAMPAIGN,
+                                      &run->environments, &run->n_environments);
   if (error == MO_OK)
     error = read_population(run);
   if (error == MO_OK && run->settings->mode != MO_STUDY &&

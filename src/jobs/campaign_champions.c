@@ -7,6 +7,7 @@
 #include "jobs/evaluations.h"
 #include "jobs/learner.h"
 #include "store/runner.h"
+#include "store/worlds.h"
 
 /* ---- champions ---- */
 
@@ -167,8 +168,8 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
     request.job.key = *key;
   mo_sha256_to_hex(sha256, controller + strlen(controller));
   if (request.environment_set == NULL) {
-    error = mo_store_campaign_environments(jobs->store, status->job.id, &environments,
-                                           &request.n_environments);
+    error = mo_store_job_environments(jobs->store, status->job.id, MO_JOB_CAMPAIGN, &environments,
+                                      &request.n_environments);
     request.environments = environments;
   }
   if (error == MO_OK)

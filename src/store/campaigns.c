@@ -5,7 +5,6 @@
 #include <string.h>
 
 #include "store/campaign_rows.h"
-#include "store/contents.h"
 #include "store/fields.h"
 #include "store/jobs.h"
 #include "store/rows.h"
@@ -80,27 +79,4 @@ int64_t mo_store_campaigns(struct mo_store *store, const struct mo_job_query *qu
   struct mo_job_query campaigns = *query;
   campaigns.kind = MO_JOB_CAMPAIGN;
   return mo_read_jobs(store, &campaigns, limit, load_status, statuses, sizeof(*statuses));
-}
-
-int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo_environment **ret,
-                                   uint32_t *n)
-{
-  struct mo_connection *reader = mo_reader_acquire(store);
-  struct mo_environment *environments = NULL;
-  struct mo_campaign_head head;
-  int error = mo_campaign_head_get(reader, id, &head);
-  if (error == MO_OK) {
-    environments = calloc(head.n_environments, sizeof(*environments));
-    error = environments == NULL
-                ? MO_ERR_NO_MEMORY
-                : mo_environments_read(reader, head.group, head.n_environments, environments, NULL);
-  }
-  mo_reader_release(store, reader);
-  if (error != MO_OK) {
-    free(environments);
-    return error;
-  }
-  *ret = environments;
-  *n = head.n_environments;
-  return MO_OK;
 }

@@ -33,14 +33,15 @@ int mo_store_physics(struct mo_store *store, const struct mo_sha256 *sha256,
   return error;
 }
 
-/* Reads rows of data and hash. */
-static int read_all(struct mo_store *store, struct mo_connection *reader, sqlite3_stmt *row,
-                    int error, struct mo_environment **environments, uint32_t *ret_n)
+/* Reads all rows of a query, whose columns are data and hash. */
+static int read_all(struct mo_store *store, const char *sql, struct mo_values values,
+                    struct mo_environment **environments, uint32_t *ret_n)
 {
+  struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_environment *all = calloc(MO_ENVIRONMENTS_MAX, sizeof(*all));
   uint32_t n = 0;
-  if (error == MO_OK && all == NULL)
-    error = MO_ERR_NO_MEMORY;
+  int error = all != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  sqlite3_stmt *row = mo_sql_rows_with(reader, &error, sql, values);
   while (mo_sql_next(reader, row, &error))
     error = n < MO_ENVIRONMENTS_MAX ? mo_column_environment(row, 0, 1, &all[n++]) : MO_ERR_CORRUPT;
   mo_reader_release(store, reader);
@@ -62,10 +63,7 @@ int mo_store_environment_set(struct mo_store *store, const char *name,
       "SELECT e.data,e.sha256 FROM environment_sets s JOIN environment_set_members m"
       " ON m.environment_set=s.id JOIN environments e ON e.id=m.environment"
       " WHERE s.name=?1 ORDER BY m.position";
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int error = MO_OK;
-  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_string(name));
-  return read_all(store, reader, row, error, environments, n);
+  return read_all(store, sql, MO_VALUES(mo_string(name)), environments, n);
 }
 
 int mo_store_job_environments(struct mo_store *store, int64_t id, enum mo_job_kind kind,
@@ -76,8 +74,5 @@ int mo_store_job_environments(struct mo_store *store, int64_t id, enum mo_job_ki
       "SELECT e.data,e.sha256 FROM jobs j LEFT JOIN campaigns c ON c.job=j.id"
       " JOIN job_environments x ON x.job=coalesce(c.replicates_of,j.id)"
       " JOIN environments e ON e.id=x.environment WHERE j.id=?1 AND j.kind=?2 ORDER BY x.position";
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int error = MO_OK;
-  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id), mo_int(kind));
-  return read_all(store, reader, row, error, environments, n);
+  return read_all(store, sql, MO_VALUES(mo_int(id), mo_int(kind)), environments, n);
 }

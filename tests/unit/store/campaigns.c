@@ -2,6 +2,7 @@
  */
 #include "campaign_fixture.h"
 #include "one_store.h"
+#include "store/worlds.h"
 
 static void write_settings(const struct mo_campaign_record *record, struct mo_text *text)
 {
@@ -19,7 +20,7 @@ static bool same_as(const struct mo_campaign_settings *a, const struct mo_campai
 static struct mo_environment *environments_of(int64_t id, uint32_t *n)
 {
   struct mo_environment *found = NULL;
-  CHECK_OK(mo_store_campaign_environments(store, id, &found, n));
+  CHECK_OK(mo_store_job_environments(store, id, MO_JOB_CAMPAIGN, &found, n));
   return check_keep(found, free);
 }
 
@@ -146,7 +147,8 @@ static void submits_and_reads_back(void)
   REFUSE(MO_ERR_RANGE, submission.record.n_listed = 5);
 #undef REFUSE
   CHECK_INT(mo_store_campaign(store, 99, &status), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_environments(store, 99, &environments, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_job_environments(store, 99, MO_JOB_CAMPAIGN, &environments, &n),
+            MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_job_designs(store, 99, &found, &n), MO_ERR_NOT_FOUND);
   CHECK_OK(mo_store_job_counts(store, (uint64_t[MO_JOB_STATES]){0}));
   CHECK_INT(mo_store_jobs(store, &(struct mo_job_query){0, -1, -1}, jobs, 10), 2);

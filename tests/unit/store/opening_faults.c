@@ -9,6 +9,7 @@
 #include "fixture.h"
 #include "life.h"
 #include "store/internal.h"
+#include "store/worlds.h"
 
 /* SQLite's allocator, failing with ours. */
 static sqlite3_mem_methods plain;
@@ -278,7 +279,7 @@ static int read_all(const struct life *life)
   size_t size = 0;
   int64_t found = mo_store_campaign(of, id, &status);
   if (found == MO_OK)
-    found = mo_store_campaign_environments(of, id, &environments, &n);
+    found = mo_store_job_environments(of, id, MO_JOB_CAMPAIGN, &environments, &n);
   if (found == MO_OK)
     found = mo_store_job_designs(of, id, &initial, &n);
   if (found == MO_OK)
