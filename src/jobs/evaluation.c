@@ -243,7 +243,7 @@ static void decide(struct mo_evaluations *all, int status)
         mo_active_fail(all, active, status, "its losses could not be saved");
   for (size_t i = 0; i < saving->updates.n; i++) {
     const struct mo_job_update *update = &saving->save.updates[i];
-    struct mo_active *active = ((struct mo_active **)saving->owners.rows)[i];
+    struct mo_active *active = update->owner;
     if (status == MO_OK)
       settle_update(all, active, update);
     else if (update->step == MO_STEP_RETRY || update->step == MO_STEP_HALT)

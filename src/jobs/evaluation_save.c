@@ -45,7 +45,6 @@ void *mo_pending_add(struct mo_evaluations *all, struct mo_rows *rows, const voi
 struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_active *active,
                                         enum mo_job_step step, int error, const char *text)
 {
-  struct mo_pending *pending = &all->pending;
   struct mo_job_update update = {.job = active->id,
                                  .step = step,
                                  .total = active->total,
@@ -54,7 +53,8 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
                                  .diverged = larger(active->diverged, active->diverged_before),
                                  .started_us = step == MO_STEP_START ? mo_clock_wall_us() : 0,
                                  .error = error,
-                                 .max_attempts = MO_ATTEMPTS_MAX};
+                                 .max_attempts = MO_ATTEMPTS_MAX,
+                                 .owner = active};
   struct mo_job_update *added;
   if (active->work != NULL) {
     update.fingerprint = active->work->fingerprint;
@@ -62,13 +62,8 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
   }
   if (text != NULL)
     snprintf(update.error_text, sizeof(update.error_text), "%s", text);
-  if (mo_pending_add(all, &pending->owners, &active, sizeof(struct mo_active *)) == NULL)
-    return NULL;
-  added = mo_pending_add(all, &pending->updates, &update, sizeof(update));
-  if (added == NULL)
-    pending->owners.n--;
-  else
-    active->references++;
+  added = mo_pending_add(all, &all->pending.updates, &update, sizeof(update));
+  active->references += added != NULL;
   return added;
 }
 
@@ -77,7 +72,7 @@ void mo_pending_clear(struct mo_pending *pending)
 {
   struct mo_saved_trajectory *trajectories = pending->trajectories.rows;
   struct mo_rows *const arrays[] = {&pending->scores, &pending->trajectories, &pending->designs,
-                                    &pending->updates, &pending->owners};
+                                    &pending->updates};
   for (size_t i = 0; i < pending->trajectories.n; i++)
     mo_recording_free(&trajectories[i].recording);
   for (size_t i = 0; i < sizeof(arrays) / sizeof(arrays[0]); i++)
@@ -95,7 +90,6 @@ void mo_pending_free(struct mo_pending *pending)
   free(pending->trajectories.rows);
   free(pending->designs.rows);
   free(pending->updates.rows);
-  free(pending->owners.rows);
 }
 
 bool mo_saver_idle(const struct mo_evaluations *all)

@@ -125,6 +125,7 @@ struct mo_job_update {
   char error_text[256];
   uint32_t max_attempts;
   bool quiet;              /* no event */
+  void *owner;             /* the caller's */
   bool applied;            /* result: false: the job was not in a state that the step starts from */
   enum mo_job_state state; /* result, if applied: the state now */
 };
