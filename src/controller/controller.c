@@ -122,12 +122,11 @@ int mo_controller_create(struct mo_workspace workspace, enum mo_sensor sensor,
   r = mo_controller_complete_metadata(c);
   if (r == MO_OK)
     r = mo_controller_put_metadata(c, "workspace", size);
-  if (r < 0) {
+  if (r == MO_OK)
+    *controller = c;
+  else
     mo_controller_free(c);
-    return r;
-  }
-  *controller = c;
-  return MO_OK;
+  return r;
 }
 
 void mo_controller_free(struct mo_controller *controller)

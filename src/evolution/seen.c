@@ -20,12 +20,11 @@ int mo_seen_create(struct mo_workspace workspace, const struct mo_form_set *excl
     return MO_ERR_NO_MEMORY;
   *made = (struct mo_seen){.workspace = workspace, .excluded = excluded};
   const int r = mo_form_set_create(workspace, &made->own);
-  if (r < 0) {
+  if (r == MO_OK)
+    *seen = made;
+  else
     free(made);
-    return r;
-  }
-  *seen = made;
-  return MO_OK;
+  return r;
 }
 
 void mo_seen_free(struct mo_seen *seen)

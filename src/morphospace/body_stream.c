@@ -62,12 +62,11 @@ int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed,
                                   .seen = seen,
                                   .n_threads = 1};
   code = make_room(made, 1);
-  if (code != MO_OK) {
+  if (code == MO_OK)
+    *stream = made;
+  else
     mo_body_stream_free(made);
-    return code;
-  }
-  *stream = made;
-  return MO_OK;
+  return code;
 }
 
 void mo_body_stream_free(struct mo_body_stream *stream)
