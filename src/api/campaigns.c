@@ -37,15 +37,16 @@ static int write_notes(struct mo_api *api, struct mo_text *text,
   return error;
 }
 
-static void write_settings(struct mo_text *text, const struct mo_campaign_record *record)
+static void write_settings(struct mo_text *text, const struct mo_campaign_status *status)
 {
+  const struct mo_campaign_record *record = &status->record;
   struct mo_campaign_record shown = *record; /* with values in place of null */
   struct mo_campaign_settings *settings = &shown.settings;
   if (settings->mutation_rate == 0)
     settings->mutation_rate = 1.0 / mo_workspace_voxels(settings->workspace);
   if (settings->batch == 0)
     settings->batch = settings->population;
-  if (record->has_controller)
+  if (status->job.has_controller)
     settings->sensor = (enum mo_sensor) - 1; /* null: that of the controller */
   mo_text_add(text, ",\"settings\":{");
   mo_fields_write(text, &mo_campaign_record_fields, &shown);
@@ -137,9 +138,9 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
   mo_text_member(text, "name", mo_mode_learns(record->settings.mode) ? name : NULL);
   mo_job_write_head(text, &status->job, live);
   mo_text_member(text, "phase", mo_phase_name(live->phase));
-  mo_member_controller(text, "controller", record->has_controller, record->controller_name,
-                       &record->controller_sha256);
-  write_settings(text, record);
+  mo_member_controller(text, "controller", status->job.has_controller, status->job.controller_name,
+                       &status->job.controller_sha256);
+  write_settings(text, status);
   mo_text_format(text, ",\"group\":{\"id\":\"%lld\",\"replicate\":%u,\"replicates\":%u}",
                  (long long)record->group, record->replicate, record->replicates);
   write_progress(text, status, live);
@@ -150,9 +151,9 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
     mo_text_member(text, "study", NULL);
   mo_text_name(text, "newest");
   mo_columns_json(text, &mo_generation_columns, status->generation >= 0 ? &status->last : NULL);
-  if (status->has_result) {
+  if (status->job.has_result) {
     mo_text_add(text, ",\"result\":{");
-    mo_member_controller(text, "controller", true, name, &status->result_sha256);
+    mo_member_controller(text, "controller", true, name, &status->job.result_sha256);
     mo_text_add(text, "}");
   } else {
     mo_text_member(text, "result", NULL);

@@ -18,26 +18,28 @@
 static int export_checkpoint(struct mo_api *api, const struct mo_training_status *status,
                              uint32_t step, uint8_t **bytes, size_t *size, uint32_t *at)
 {
+  const struct mo_job *job = &status->job;
   struct mo_training *training = NULL;
-  struct mo_controller *controller = NULL;
+  struct mo_learned learned = {.bytes = NULL};
   struct mo_message message = {""};
   uint8_t *stored = NULL;
   size_t n = 0;
-  char digits[MO_SHA256_DIGITS + 1];
-  mo_sha256_to_hex(&status->record.parent_sha256, digits);
-  int code = mo_store_training_checkpoint_bytes(api->store, status->job.id, step, &stored, &n);
+  int code = mo_store_training_checkpoint_bytes(api->store, job->id, step, &stored, &n);
   if (code == MO_OK)
     code = mo_training_decode(stored, n, &training, &message);
   free(stored);
   if (code == MO_OK) {
     *at = mo_training_step(training);
-    code = mo_training_export(training, status->record.has_parent ? digits : NULL,
-                              mo_jobs_code_version(api->jobs, status->job.back_end), &status->code,
-                              &controller);
+    code =
+        mo_learned_create(training, job->has_controller ? &job->controller_sha256 : NULL,
+                          mo_jobs_code_version(api->jobs, job->back_end), &status->code, &learned);
   }
-  if (code == MO_OK)
-    code = mo_controller_encode(controller, bytes, size);
-  mo_controller_free(controller);
+  if (code == MO_OK) {
+    *bytes = learned.bytes;
+    *size = learned.size;
+    learned.bytes = NULL;
+  }
+  mo_learned_free(&learned);
   mo_training_free(training);
   return code == MO_ERR_FORMAT ? MO_ERR_CORRUPT : code;
 }
@@ -50,7 +52,7 @@ static void reply_damaged(struct mo_request *request, const struct mo_training_s
   static const char words[] = "in the state folder of the service is missing or damaged.";
   struct mo_checkpoint_row newest = {.step = step};
   char digits[MO_SHA256_DIGITS + 1];
-  mo_sha256_to_hex(&status->result_sha256, digits);
+  mo_sha256_to_hex(&status->job.result_sha256, digits);
   if (step == 0 && !result)
     (void)mo_store_checkpoints(mo_api_of(request)->store, status->job.id, &newest, 1);
   if (result)
@@ -81,9 +83,9 @@ void mo_api_get_training_controller(struct mo_request *request)
     return;
   }
   uint32_t at = status.record.settings.n_steps;
-  const bool result = status.has_result && (!named || step == at);
+  const bool result = status.job.has_result && (!named || step == at);
   if (result)
-    code = mo_store_controller_bytes(api->store, &status.result_sha256, &bytes, &size);
+    code = mo_store_controller_bytes(api->store, &status.job.result_sha256, &bytes, &size);
   else
     code = export_checkpoint(api, &status, (uint32_t)step, &bytes, &size, &at);
   if (code == MO_ERR_NOT_FOUND && named)

@@ -24,11 +24,12 @@ static uint32_t step_of(const struct mo_training_status *status, const struct mo
   return live->position > 0 ? live->position : status->checkpoint_step;
 }
 
-static void write_settings(struct mo_text *text, const struct mo_training_record *record,
+static void write_settings(struct mo_text *text, const struct mo_training_status *status,
                            enum mo_job_kind population_kind)
 {
+  const struct mo_training_record *record = &status->record;
   struct mo_training_record shown = *record;
-  if (record->has_parent)
+  if (status->job.has_controller)
     shown.settings.sensor = (enum mo_sensor) - 1; /* null: that of the parent */
   mo_text_add(text, ",\"settings\":{");
   mo_fields_write(text, &mo_training_record_fields, &shown);
@@ -96,16 +97,17 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
   mo_text_member(text, "name", name);
   mo_job_write_head(text, &status->job, live);
   mo_text_member(text, "phase", mo_phase_name(live->phase));
-  mo_member_controller(text, "parent", record->has_parent, record->parent_name,
-                       &record->parent_sha256);
-  write_settings(text, record, population_kind);
+  mo_member_controller(text, "parent", status->job.has_controller, status->job.controller_name,
+                       &status->job.controller_sha256);
+  write_settings(text, status, population_kind);
   write_progress(text, status, live);
   mo_text_name(text, "validation");
   mo_columns_json(text, &mo_validation_columns,
                   status->has_validation ? &status->validation : NULL);
   mo_member_count_if(text, "checkpoint_step", status->checkpoint_step > 0, status->checkpoint_step);
   write_code(text, &status->code);
-  mo_member_controller(text, "controller", status->has_result, name, &status->result_sha256);
+  mo_member_controller(text, "controller", status->job.has_result, name,
+                       &status->job.result_sha256);
   mo_links_write(text, &status->job, below);
   mo_text_add(text, "}");
 }

@@ -137,8 +137,8 @@ static int prepare(struct mo_campaign_run *run)
   run->generation = (uint32_t)(run->status.generation + 1);
   mo_campaign_enter(run, MO_PHASE_PREPARE, 0);
   error = mo_back_end_check(run->jobs, run->status.job.back_end);
-  if (error == MO_OK && run->status.record.has_controller)
-    error = mo_runner_load(run->runner, &run->status.record.controller_sha256, &run->controller);
+  if (error == MO_OK && run->status.job.has_controller)
+    error = mo_runner_load(run->runner, &run->status.job.controller_sha256, &run->controller);
   if (error == MO_OK)
     error = allocate(run);
   if (error == MO_OK)
@@ -326,7 +326,8 @@ static int write_end(void *context)
   int error = MO_OK;
   if (run->learner.training != NULL)
     error = mo_learned_create(run->learner.training,
-                              record->has_controller ? &record->controller_sha256 : NULL,
+                              run->status.job.has_controller ? &run->status.job.controller_sha256
+                                                             : NULL,
                               run->jobs->code_versions[run->status.job.back_end], NULL, &learned);
   if (error == MO_OK)
     error = mo_store_campaign_finish(
@@ -452,7 +453,7 @@ static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
   *need = (struct mo_need){0};
   if (error == MO_OK)
     error = mo_campaign_need(jobs, &status.record.settings,
-                             status.record.has_controller ? &status.record.controller_sha256 : NULL,
+                             status.job.has_controller ? &status.job.controller_sha256 : NULL,
                              status.job.back_end, need, NULL);
   return mo_is_shortage(error) ? error : MO_OK;
 }

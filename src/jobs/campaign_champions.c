@@ -116,7 +116,6 @@ static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_statu
                             struct mo_sha256 *sha256, char name[MO_NAME_BYTES_MAX + 1],
                             bool *created)
 {
-  const struct mo_campaign_record *record = &status->record;
   struct mo_training *training = NULL;
   struct mo_learned learned = {.controller = NULL};
   struct mo_controller_record stored;
@@ -129,7 +128,8 @@ static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_statu
     error = mo_training_decode(bytes, size, &training, NULL);
   free(bytes);
   if (error == MO_OK)
-    error = mo_learned_create(training, record->has_controller ? &record->controller_sha256 : NULL,
+    error = mo_learned_create(training,
+                              status->job.has_controller ? &status->job.controller_sha256 : NULL,
                               jobs->code_versions[status->job.back_end], NULL, &learned);
   mo_training_free(training);
   if (error == MO_OK) {
@@ -209,8 +209,8 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
               : mo_jobs_campaign_champions(jobs, id, status.generation, m, rows, NULL, &n);
   for (uint32_t i = 0; i < n; i++)
     genotypes[i] = rows[i].genotype;
-  sha256 = status.has_result ? status.result_sha256 : status.record.controller_sha256;
-  if (error == MO_OK && mo_mode_learns(status.record.settings.mode) && !status.has_result)
+  sha256 = status.job.has_result ? status.job.result_sha256 : status.job.controller_sha256;
+  if (error == MO_OK && mo_mode_learns(status.record.settings.mode) && !status.job.has_result)
     error = store_controller(jobs, &status, &sha256, name, &created);
   if (error != MO_OK)
     (void)mo_fail(message, error, "the champions cannot be recorded: %s", mo_error_text(error));

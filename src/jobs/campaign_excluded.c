@@ -238,8 +238,7 @@ int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **excl
   int error = MO_OK;
   *exclusion = NULL;
   if (run->controller != NULL)
-    error =
-        mo_lineage_read(run->jobs, &run->status.record.controller_sha256, run, &lineage, &message);
+    error = mo_lineage_read(run->jobs, &run->status.job.controller_sha256, run, &lineage, &message);
   if (error == MO_ERR_LIMIT)
     return mo_runner_fail(run->runner, error, message.text);
   if (error != MO_OK || lineage.n_parts == 0)

@@ -244,8 +244,8 @@ static int check_extension(struct mo_jobs *jobs, int64_t id, uint32_t generation
       generations > MO_GENERATIONS_MAX - settings->generations)
     return MO_OK; /* rejected elsewhere, with another message */
   settings->generations += generations;
-  mo_sha256_to_hex(&status.record.controller_sha256, digits + strlen(digits));
-  return check_memory(jobs, settings, status.record.has_controller ? digits : NULL,
+  mo_sha256_to_hex(&status.job.controller_sha256, digits + strlen(digits));
+  return check_memory(jobs, settings, status.job.has_controller ? digits : NULL,
                       status.job.back_end, message);
 }
 

@@ -5,6 +5,7 @@
 #include <morpho/learning.h>
 
 #include "jobs/state.h"
+#include "jobs/trainings.h"
 
 /* A training with the state that the back end needs for its gradients. */
 struct mo_learner {
@@ -41,17 +42,5 @@ int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robot
 int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report,
                      double *seconds);
 void mo_learner_free(struct mo_learner *learner); /* also frees the training */
-
-/* The controller that a training has made, and its file. */
-struct mo_learned {
-  struct mo_controller *controller;
-  uint8_t *bytes;
-  size_t size;
-};
-/* parent, code: nullable. */
-int mo_learned_create(const struct mo_training *training, const struct mo_sha256 *parent,
-                      const char *code_version, const struct mo_training_lineage *code,
-                      struct mo_learned *learned);
-void mo_learned_free(struct mo_learned *learned);
 
 #endif

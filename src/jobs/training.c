@@ -162,8 +162,9 @@ static int start_over(struct run *run)
   struct mo_controller *parent = NULL;
   struct mo_bits *genotypes = NULL;
   uint32_t n = 0;
-  int error =
-      record->has_parent ? mo_runner_load(run->runner, &record->parent_sha256, &parent) : MO_OK;
+  int error = run->status.job.has_controller
+                  ? mo_runner_load(run->runner, &run->status.job.controller_sha256, &parent)
+                  : MO_OK;
   if (error == MO_OK && record->n_designs > 0)
     error = mo_store_job_designs(run->jobs->store, run->id, &genotypes, &n);
   if (error == MO_OK)
@@ -341,7 +342,8 @@ static int write_result(void *context)
   struct mo_learned learned;
   char made[MO_MADE_BYTES];
   int error = mo_learned_create(
-      run->learner.training, record->has_parent ? &record->parent_sha256 : NULL,
+      run->learner.training,
+      run->status.job.has_controller ? &run->status.job.controller_sha256 : NULL,
       run->jobs->code_versions[run->status.job.back_end], &run->status.code, &learned);
   if (error == MO_OK)
     error = mo_store_training_finish(run->jobs->store, run->id,

@@ -19,4 +19,16 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
  * with the fingerprint of the gradients. Lives as long as `jobs`. */
 const char *mo_jobs_code_version(const struct mo_jobs *jobs, enum mo_back_end back_end);
 
+/* The controller that a training has made, and its file. */
+struct mo_learned {
+  struct mo_controller *controller;
+  uint8_t *bytes;
+  size_t size;
+};
+/* parent, code: nullable. */
+int mo_learned_create(const struct mo_training *training, const struct mo_sha256 *parent,
+                      const char *code_version, const struct mo_training_lineage *code,
+                      struct mo_learned *learned);
+void mo_learned_free(struct mo_learned *learned);
+
 #endif

@@ -25,11 +25,7 @@ struct mo_campaign_record {
   struct mo_campaign_settings settings; /* generations: including extensions */
   /* Of the resulting controller, of a campaign that learns; "": "campaign-<id>". */
   char name[MO_NAME_BYTES_MAX + 1];
-  char preset[16]; /* as requested; "": none */
-  bool has_controller;
-  char controller_name[MO_NAME_BYTES_MAX + 8]; /* as requested; "": by hash, or none */
-  struct mo_sha256 controller_sha256;          /* the content of the name at submission */
-  enum mo_sensor sensor; /* of the controller, or of the settings without one */
+  char preset[16];                             /* as requested; "": none */
   char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": listed in the request */
   uint32_t n_environments;                     /* with a set, the store fills it in */
   uint32_t n_listed;                           /* initial designs listed in the request */
@@ -83,8 +79,6 @@ struct mo_campaign_status {
   double diversity_max;               /* so far */
   enum mo_campaign_end end;           /* of a succeeded campaign */
   uint32_t scored;                    /* designs of the current generation whose losses are saved */
-  bool has_result;
-  struct mo_sha256 result_sha256; /* the controller of a succeeded campaign that learns */
   /* Of a study. */
   int64_t told; /* newest batch; beyond `generation`: it is pending */
   struct mo_study_words words;

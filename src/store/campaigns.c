@@ -53,8 +53,6 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   if (error != MO_OK)
     return error;
   error = mo_job_read(row, &status->job, &status->record);
-  if (error == MO_OK)
-    error = mo_run_result_read(row, &status->has_result, &status->result_sha256);
   status->generation = sqlite3_column_int64(row, MO_COLUMN_GENERATION);
   status->n_designs = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_N_BORN);
   status->best_score = mo_column_number(row, MO_COLUMN_BEST_SCORE);

@@ -13,6 +13,13 @@
 
 /* ---- one job ---- */
 
+/* Reads the hash of a controller that there may be. */
+static bool read_hash(sqlite3_stmt *row, int column, bool *is_there, struct mo_sha256 *sha256)
+{
+  *is_there = sqlite3_column_type(row, column) != SQLITE_NULL;
+  return !*is_there || mo_column_hash(row, column, sha256) == MO_OK;
+}
+
 static int read_environments(sqlite3_stmt *row, struct mo_job *job)
 {
   const int64_t n = sqlite3_column_int64(row, MO_COLUMN_N_ENVIRONMENTS);
@@ -28,8 +35,7 @@ static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
                 n_skipped = sqlite3_column_int64(row, MO_COLUMN_N_SKIPPED);
   (void)record;
   if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || n_skipped < 0 || n_skipped > n_designs ||
-      read_environments(row, job) != MO_OK ||
-      mo_column_hash(row, MO_COLUMN_CONTROLLER, &job->controller_sha256) != MO_OK ||
+      read_environments(row, job) != MO_OK || !job->has_controller ||
       mo_column_physics(row, MO_COLUMN_PHYSICS, &job->physics, &job->precision, &job->sensor) !=
           MO_OK)
     return MO_ERR_CORRUPT;
@@ -53,20 +59,10 @@ int mo_column_settings(sqlite3_stmt *row, int column, enum mo_job_kind kind, voi
   return json != NULL ? mo_settings_read(kind, json, record) : mo_column_missing(row);
 }
 
-/* Reads what trainings and campaigns share. */
-static int read_run(sqlite3_stmt *row, struct mo_job *job, void *record)
-{
-  if (sqlite3_column_type(row, MO_COLUMN_CONTROLLER) != SQLITE_NULL &&
-      mo_column_hash(row, MO_COLUMN_CONTROLLER, &job->controller_sha256) != MO_OK)
-    return MO_ERR_CORRUPT;
-  job->precision = MO_FLOAT32;
-  return mo_column_settings(row, MO_COLUMN_SETTINGS, job->kind, record);
-}
-
 static int read_training(sqlite3_stmt *row, struct mo_job *job, void *any)
 {
   struct mo_training_record *record = any;
-  const int error = read_run(row, job, record);
+  const int error = mo_column_settings(row, MO_COLUMN_SETTINGS, job->kind, record);
   if (error != MO_OK)
     return error;
   job->n_designs = mo_column_u32(row, MO_COLUMN_N_DESIGNS);
@@ -75,9 +71,6 @@ static int read_training(sqlite3_stmt *row, struct mo_job *job, void *any)
   job->steps_total = record->settings.n_steps;
   job->steps_done = mo_column_u32(row, MO_COLUMN_STEP);
   mo_column_text(row, MO_COLUMN_NAME, record->name, sizeof(record->name));
-  memcpy(record->parent_name, job->controller_name, sizeof(record->parent_name));
-  record->has_parent = sqlite3_column_type(row, MO_COLUMN_CONTROLLER) != SQLITE_NULL;
-  record->parent_sha256 = job->controller_sha256;
   record->n_designs = job->n_designs;
   record->population = sqlite3_column_int64(row, MO_COLUMN_POPULATION);
   return MO_OK;
@@ -87,7 +80,7 @@ static int read_campaign(sqlite3_stmt *row, struct mo_job *job, void *any)
 {
   struct mo_campaign_record *record = any;
   const int64_t generation = sqlite3_column_int64(row, MO_COLUMN_GENERATION);
-  int error = read_run(row, job, record);
+  int error = mo_column_settings(row, MO_COLUMN_SETTINGS, job->kind, record);
   if (error == MO_OK)
     error = read_environments(row, job);
   if (error != MO_OK)
@@ -100,10 +93,6 @@ static int read_campaign(sqlite3_stmt *row, struct mo_job *job, void *any)
   job->steps_done = generation > 0 ? (uint32_t)generation : 0;
   mo_column_text(row, MO_COLUMN_NAME, record->name, sizeof(record->name));
   mo_column_text(row, MO_COLUMN_PRESET, record->preset, sizeof(record->preset));
-  record->has_controller = sqlite3_column_type(row, MO_COLUMN_CONTROLLER) != SQLITE_NULL;
-  memcpy(record->controller_name, job->controller_name, sizeof(record->controller_name));
-  record->controller_sha256 = job->controller_sha256;
-  record->sensor = job->sensor;
   memcpy(record->environment_set, job->environment_set, sizeof(record->environment_set));
   record->n_environments = job->n_environments;
   record->n_listed = mo_column_u32(row, MO_COLUMN_N_LISTED);
@@ -129,7 +118,9 @@ int mo_job_read(sqlite3_stmt *row, struct mo_job *job, void *record)
   job->id = sqlite3_column_int64(row, MO_COLUMN_ID);
   job->version = sqlite3_column_int64(row, MO_COLUMN_VERSION);
   if (kind < 0 || kind >= MO_JOB_KINDS || state < 0 || state >= MO_JOB_STATES ||
-      priority < MO_BATCH || priority > MO_INTERACTIVE)
+      priority < MO_BATCH || priority > MO_INTERACTIVE ||
+      !read_hash(row, MO_COLUMN_CONTROLLER, &job->has_controller, &job->controller_sha256) ||
+      !read_hash(row, MO_COLUMN_RESULT, &job->has_result, &job->result_sha256))
     return MO_ERR_CORRUPT;
   job->kind = (enum mo_job_kind)kind;
   job->state = (enum mo_job_state)state;

@@ -88,12 +88,15 @@ struct mo_job {
   int error; /* MO_OK or a code; set when the job failed, or by the last unsuccessful attempt;
                 MO_ERR_DEVICE: paused for lack of a device */
   char error_text[256];
-  /* For an evaluation all of these. For a training: the controller that it starts from ("" and
-   * zeros: random weights), sensor, physics, n_designs. For a campaign: likewise the controller,
-   * and environments, sensor, physics; n_designs is the population. */
+  /* For an evaluation all of these. For a training: the controller that it starts from (unless
+   * has_controller is false: random weights), sensor, physics, n_designs. For a campaign: likewise
+   * the controller, and environments, sensor, physics; n_designs is the population. */
+  bool has_controller;
   char controller_name[MO_NAME_BYTES_MAX + 8]; /* as requested at submission; "": by hash */
-  struct mo_sha256 controller_sha256;
-  enum mo_sensor sensor;
+  struct mo_sha256 controller_sha256;          /* the content of the name at submission */
+  enum mo_sensor sensor; /* of the controller, or of the settings without one */
+  bool has_result;       /* a training or campaign has made this controller: */
+  struct mo_sha256 result_sha256;
   char environment_set[MO_NAME_BYTES_MAX + 1];   /* "paper-test", or "": listed in the request */
   uint32_t n_environments, n_designs, n_skipped; /* n_skipped: of the designs of an evaluation */
   struct mo_physics physics;

@@ -202,9 +202,3 @@ int mo_run_finish(struct mo_store *store, int64_t id, const struct mo_run_result
   mo_controller_put_end(store, &put);
   return error;
 }
-
-int mo_run_result_read(sqlite3_stmt *row, bool *has_result, struct mo_sha256 *sha256)
-{
-  *has_result = sqlite3_column_type(row, MO_COLUMN_RESULT) != SQLITE_NULL;
-  return *has_result ? mo_column_hash(row, MO_COLUMN_RESULT, sha256) : MO_OK;
-}

@@ -47,7 +47,5 @@ int mo_run_finish(struct mo_store *store, int64_t id, const struct mo_run_result
                   const char *more,
                   int (*end)(struct mo_connection *writer, int64_t id, const void *context),
                   const void *context);
-/* Reads the hash of the result, if there is one, from a row of mo_job_row. MO_ERR_CORRUPT. */
-int mo_run_result_read(sqlite3_stmt *row, bool *has_result, struct mo_sha256 *sha256);
 
 #endif

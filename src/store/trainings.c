@@ -66,8 +66,6 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   if (error == MO_OK)
     error = mo_job_read(row, &status->job, &status->record);
   if (error == MO_OK)
-    error = mo_run_result_read(row, &status->has_result, &status->result_sha256);
-  if (error == MO_OK)
     error = mo_row_newest(reader, MO_TRAINING_STEPS, id, &status->last, &has_step);
   if (error == MO_OK)
     error = mo_row_newest(reader, MO_TRAINING_VALIDATIONS, id, &status->validation,

@@ -17,11 +17,8 @@
 /* The settings of a training. They never change after submission. */
 struct mo_training_record {
   struct mo_training_settings settings;
-  char name[MO_NAME_BYTES_MAX + 1];        /* of the resulting controller; "": "training-<id>" */
-  char parent_name[MO_NAME_BYTES_MAX + 8]; /* as requested; "": by hash, or random weights */
-  bool has_parent;
-  struct mo_sha256 parent_sha256; /* with has_parent: the content of the name at submission */
-  uint32_t n_designs;             /* finetune */
+  char name[MO_NAME_BYTES_MAX + 1]; /* of the resulting controller; "": "training-<id>" */
+  uint32_t n_designs;               /* finetune */
   int64_t population; /* finetune: the job whose designs are used; 0: listed in the request */
   uint32_t validate_every_steps;   /* 0: never; else also before the first, after the last step */
   uint32_t checkpoint_every_steps; /* 0: by time only */
@@ -53,8 +50,6 @@ struct mo_training_status {
   struct mo_training_validation_row validation; /* the newest */
   uint32_t checkpoint_step;                     /* the newest; 0: none */
   struct mo_training_lineage code;              /* the code that computed it */
-  bool has_result;
-  struct mo_sha256 result_sha256; /* succeeded: the controller */
 };
 
 /* ---- submission (by jobs) ---- */
@@ -62,12 +57,12 @@ struct mo_training_status {
 /* As struct mo_evaluation_request: as requested and as stored. */
 struct mo_training_request {
   struct mo_submission job;
-  struct mo_training_record record; /* the store fills in parent_sha256 from `parent` */
-  const char *parent;               /* name or "sha256:<hex>"; NULL: random weights */
-  const struct mo_bits *genotypes;  /* (record.n_designs) finetune; as requested: unless there is a
-                                       population */
-  const struct mo_bits *forms;      /* (record.n_designs) canonical; as stored */
-  uint32_t population_best;         /* of record.population; 0: all of them */
+  struct mo_training_record record;
+  const char *parent;              /* name or "sha256:<hex>"; NULL: random weights */
+  const struct mo_bits *genotypes; /* (record.n_designs) finetune; as requested: unless there is a
+                                      population */
+  const struct mo_bits *forms;     /* (record.n_designs) canonical; as stored */
+  uint32_t population_best;        /* of record.population; 0: all of them */
 };
 /* Errors as mo_store_submit. */
 int mo_store_submit_training(struct mo_store *store, const struct mo_training_request *request,

@@ -206,7 +206,7 @@ static void training_failed(void)
   begin_training(MO_TRAINING_FINETUNE, MO_JOB_FAILED);
   training.record.settings.learning.adjoint_rule = MO_ADJOINT_RESTART;
   training.record.settings.learning.restart_weight = 0.5;
-  training.record.has_parent = true;
+  training.job.has_controller = true;
   training.record.n_designs = 3;
   training.record.population = 5;
   training.job.error = MO_ERR_IO;
@@ -218,7 +218,7 @@ static void training_failed(void)
   training.has_validation = true;
   training.validation =
       (struct mo_training_validation_row){.step = 60, .mean_score = NAN, .standard_error = NAN};
-  training.has_result = true;
+  training.job.has_result = true;
   write_training(false);
   CHECK_TEXT(text_at("error.code"), "io");
   CHECK_TEXT(text_at("parent.sha256"),
@@ -258,7 +258,7 @@ static void campaign_exhausted(void)
 {
   begin_campaign(MO_SIMULTANEOUS, MO_JOB_SUCCEEDED);
   campaign.end = MO_CAMPAIGN_EXHAUSTED;
-  campaign.has_result = true;
+  campaign.job.has_result = true;
   campaign.generation = 7;
   campaign.last = (struct mo_campaign_generation){.generation = 7,
                                                   .born_before = 14,

@@ -253,8 +253,8 @@ static inline struct history *stored_history(int64_t id)
       history->populations[g].scores[i] = rows[i].score;
     }
   }
-  if (status.has_result)
-    history->result = status.result_sha256;
+  if (status.job.has_result)
+    history->result = status.job.result_sha256;
   return history;
 }
 

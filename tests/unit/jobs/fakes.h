@@ -138,7 +138,7 @@ static inline bool learns_to(int64_t id, const struct mo_sha256 *expected)
   if (!succeeds(id, &job) || job.attempts != 0)
     return false;
   struct mo_training_status status = training_of(id);
-  return status.has_result && mo_sha256_equal(&status.result_sha256, expected);
+  return status.job.has_result && mo_sha256_equal(&status.job.result_sha256, expected);
 }
 
 static inline bool await_step(int64_t id, uint32_t step)

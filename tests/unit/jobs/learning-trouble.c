@@ -262,7 +262,7 @@ SERVICE_CASE(exhausts_small_spaces, 2)
       CHECK_INT(status.end, MO_CAMPAIGN_EXHAUSTED);
       CHECK(status.generation >= 0 && status.generation < 20);
       CHECK_INT(status.n_designs, spaces[i].n_designs);
-      CHECK_INT(status.has_result, mode != MO_ZERO_SHOT);
+      CHECK_INT(status.job.has_result, mode != MO_ZERO_SHOT);
       CHECK_INT(extend(id, 1), MO_ERR_CONFLICT);
     }
 }

@@ -108,7 +108,7 @@ SERVICE_CASE(validates_as_an_evaluation_does, 1)
   CHECK(succeeds(id, NULL));
   struct mo_training_status status = training_of(id);
   struct mo_training_validation_row row = status.validation;
-  REQUIRE_OK(mo_store_controller_bytes(store, &status.result_sha256, &bytes, &size));
+  REQUIRE_OK(mo_store_controller_bytes(store, &status.job.result_sha256, &bytes, &size));
   REQUIRE_OK(mo_controller_decode(bytes, size, &controller, NULL));
   REQUIRE_OK(mo_held_out_load(store, &status, &held_out));
   for (uint32_t d = 0; d < 3; d++) {
@@ -163,8 +163,8 @@ SERVICE_CASE(tunes_a_population, 1)
   CHECK(learns_to(id, &expected));
   struct mo_training_status status = training_of(id);
   CHECK(status.record.population == scored && status.record.n_designs == 5 &&
-        status.record.has_parent);
-  CHECK_TEXT(status.record.parent_name, "default");
+        status.job.has_controller);
+  CHECK_TEXT(status.job.controller_name, "default");
   CHECK_OK(mo_held_out_load(store, &status, &held_out));
   CHECK(held_out.n_designs == 3 && memcmp(held_out.genotypes, best, 3 * sizeof(*best)) == 0);
   mo_held_out_free(&held_out);

@@ -91,9 +91,9 @@ static void submits_and_reads_back(void)
   CHECK_INT(status.job.precision, MO_FLOAT32);
   CHECK_TEXT(status.record.name, "walker");
   CHECK_TEXT(status.record.preset, "demo");
-  CHECK(status.record.has_controller &&
-        mo_sha256_equal(&status.record.controller_sha256, &controller.sha256));
-  CHECK_INT(status.record.sensor, MO_SENSOR_INVERSE_SQRT); /* the controller's */
+  CHECK(status.job.has_controller &&
+        mo_sha256_equal(&status.job.controller_sha256, &controller.sha256));
+  CHECK_INT(status.job.sensor, MO_SENSOR_INVERSE_SQRT); /* the controller's */
   submission.record.settings.sensor = MO_SENSOR_INVERSE_SQRT;
   CHECK(same_as(&status.record.settings, &submission.record.settings));
   CHECK_INT(status.record.n_listed, 3);
@@ -104,7 +104,7 @@ static void submits_and_reads_back(void)
   CHECK_INT(status.generation, -1);
   CHECK_INT(status.n_designs, 0);
   CHECK(isnan(status.best_score) && status.diversity_max == 0 && status.end == MO_CAMPAIGN_OPEN &&
-        !status.has_result);
+        !status.job.has_result);
   found = designs_of(id, &n);
   CHECK(n == 3 && SAME(found, genotypes, 3));
   (void)environments_of(id, &n);
@@ -128,9 +128,9 @@ static void submits_and_reads_back(void)
   submission.job.label = NULL;
   id = submit_campaign(&submission);
   status = status_of(id);
-  CHECK(!status.record.has_controller && !status.job.has_label);
+  CHECK(!status.job.has_controller && !status.job.has_label);
   CHECK_TEXT(status.record.environment_set, "");
-  CHECK_INT(status.record.sensor, MO_SENSOR_INVERSE_SQUARE);
+  CHECK_INT(status.job.sensor, MO_SENSOR_INVERSE_SQUARE);
   CHECK(SAME(environments_of(id, &n), own, 2) && n == 2);
   /* What cannot be. */
 #define REFUSE(error, change)                                                                      \
@@ -323,7 +323,7 @@ static void finish_with_its_result(int64_t id)
   const struct mo_campaign_status status = status_of(id);
   CHECK(status.job.state == MO_JOB_SUCCEEDED && status.job.finished_us > 0 && status.end == end);
   CHECK_OK(mo_store_controller(store, "walker", &record));
-  CHECK(status.has_result && mo_sha256_equal(&status.result_sha256, &record.sha256));
+  CHECK(status.job.has_result && mo_sha256_equal(&status.job.result_sha256, &record.sha256));
   event = last_event(id);
   CHECK_TEXT(event.type, "job.finished");
   CHECK_HAS(event.data, "\"kind\":\"campaign\",\"state\":\"succeeded\",\"end\":\"completed\","
@@ -351,7 +351,7 @@ static void finishes_and_extends(void)
   struct mo_campaign_status status = status_of(id);
   CHECK(status.job.state == MO_JOB_QUEUED && status.job.finished_us == 0 &&
         status.end == MO_CAMPAIGN_OPEN);
-  CHECK(!status.has_result && status.record.settings.generations == 3 &&
+  CHECK(!status.job.has_result && status.record.settings.generations == 3 &&
         status.job.steps_total == 3);
   struct mo_event event = last_event(id);
   CHECK_TEXT(event.type, "campaign.extended");
@@ -401,7 +401,7 @@ static void finishes_and_extends(void)
   CHECK_OK(finish(id, MO_CAMPAIGN_EXHAUSTED, 2, NULL));
   CHECK_HAS(last_event(id).data, "\"end\":\"exhausted\"}");
   status = status_of(id);
-  CHECK(status.end == MO_CAMPAIGN_EXHAUSTED && !status.has_result);
+  CHECK(status.end == MO_CAMPAIGN_EXHAUSTED && !status.job.has_result);
   CHECK_INT(extend(id, 1, NULL), MO_ERR_CONFLICT);
   /* Cancelled, failed, of another kind, not there. */
   id = submit_campaign(&submission);

@@ -58,7 +58,7 @@ static void submits_and_reads_back(void)
   status = training_of(id);
   CHECK(same_settings(MO_JOB_TRAINING, &status.record, &submission.record));
   CHECK_TEXT(status.record.name, "walker");
-  CHECK(!status.record.has_parent && !status.has_validation && !status.has_result);
+  CHECK(!status.job.has_controller && !status.has_validation && !status.job.has_result);
   CHECK_INT(status.record.validate_every_steps, 11);
   CHECK_INT(status.record.checkpoint_every_steps, 12);
   CHECK_INT(status.record.checkpoint_every_s, 13);
@@ -87,8 +87,9 @@ static void submits_and_reads_back(void)
   REQUIRE(second > id);
   status = training_of(second);
   CHECK_OK(mo_store_controller(store, "default", &record));
-  CHECK(status.record.has_parent && mo_sha256_equal(&status.record.parent_sha256, &record.sha256));
-  CHECK_TEXT(status.record.parent_name, "default");
+  CHECK(status.job.has_controller &&
+        mo_sha256_equal(&status.job.controller_sha256, &record.sha256));
+  CHECK_TEXT(status.job.controller_name, "default");
   CHECK_INT(status.record.settings.sensor, MO_SENSOR_INVERSE_SQRT); /* the parent's */
   found = designs_of(second, &n);
   CHECK_INT(n, 20);
@@ -366,7 +367,7 @@ static void finishes_with_its_controller(void)
   CHECK_INT(status.job.state, MO_JOB_SUCCEEDED);
   CHECK(status.job.finished_us > 0);
   CHECK_OK(mo_store_controller(store, "walker", &record));
-  CHECK(status.has_result && mo_sha256_equal(&status.result_sha256, &record.sha256));
+  CHECK(status.job.has_result && mo_sha256_equal(&status.job.result_sha256, &record.sha256));
   CHECK_TEXT(last_event(id).type, "job.finished");
   CHECK_HAS(last_event(id).data,
             "\"kind\":\"training\",\"state\":\"succeeded\",\"controller\":\"walker\"");
