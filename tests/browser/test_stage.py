@@ -20,9 +20,11 @@ def test_masses_are_where_the_recording_has_them(service, browser):
     browser.run("""
         const { player } = document.querySelector('.stage');
         player.setPlaying(false);
+        player.held = true; // only this test draws
         const { stage } = player;
         Object.assign(stage, { sideBySide: false, follow: false, shadows: false, scale: 1 });
         player.setRobots(stage.robots.slice(0, 1));
+        player.held = true;
         stage.sideBySide = false;
         stage.show = { skin: true, springs: false, trails: false, contacts: false };
         const above = { pitch: Math.PI / 2, yaw: 0, distanceM: 8, pixelsPerM: arguments[0] };
@@ -67,8 +69,9 @@ def test_what_springs_do_and_what_touches_the_ground(service, browser):
     browser.open("stage?environment=2")
     browser.until_walking()
     shapes = browser.run("""
-        const { stage } = document.querySelector('.stage').player;
-        document.querySelector('.stage').player.setPlaying(false);
+        const { player, player: { stage } } = document.querySelector('.stage');
+        player.setPlaying(false);
+        player.held = true;
         Object.assign(stage, { sideBySide: false, shadows: false, scale: 1, timeS: 2 });
         stage.show = { skin: false, springs: true, trails: false, contacts: false };
         return stage.robots.map(({ body, frames, actuation, contacts }) => [
@@ -256,6 +259,40 @@ def test_a_race_and_its_link(service, browser):
     for (*before, x, y), (*after, also_x, also_y) in zip(named, browser.run(tags)):
         assert before == after and abs(x - also_x) <= 1 and abs(y - also_y) <= 1
     assert browser.faults() == []
+
+
+def test_recordings_of_an_evaluation(service, browser):
+    """Reached from the evaluation's page; the stage has the very numbers that were recorded."""
+    job = service.evaluate({
+        "designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}], "physics": {"n_steps": 50},
+        "record": ["masses", "contacts"], "record_stride": 5,
+        "environments": [{"light_xy_m": [4.0, y], "terrain_sigma_m": 0.05, "seed": 3}
+                         for y in (1.0, 3.0)]
+    }).json()
+    path = f"/v1/evaluations/{job['id']}/trajectories"
+    best = min((0, 1), key=lambda row: job["results"][row]["score"])
+    browser.open(f"designs?evaluation={job['id']}")
+    browser.click("Show recordings")
+    tracks = ("const { stage } = document.querySelector('.stage').player;"
+              "return stage.robots.map(({ track }) => [...track])")
+    for environment in (0, 1):
+        browser.until_walking()
+        told = [service.request("GET", f"{path}/{row}/file?environment={environment}").body
+                for row in (best, 1 - best)]
+        told = [list(struct.unpack(f"<{len(one) // 4}f", one)) for one in told]
+        browser.until(f"location.hash.includes('environment={environment}')")
+        assert browser.run(tracks) == told
+        browser.run("const e = [...document.querySelectorAll('.stage select')].at(-1);"
+                    "e.value = '1'; e.dispatchEvent(new Event('change'))")
+        browser.until(
+            "document.querySelector('.stage').player.stage.robots[0].world.light[1] === 3")
+    browser.open(browser.driver.current_url.split("#/")[1])  # the link shows the same again
+    browser.until_walking()
+    assert browser.run(tracks) == told and browser.faults() == []
+    service.request("DELETE", path)
+    browser.open(f"designs?evaluation={job['id']}")
+    browser.until("/recordings were removed/.test(document.querySelector('main').innerText)")
+    assert "Show recordings" not in browser.texts("main button:not([hidden])")
 
 
 def test_commands_to_copy_are_safe_to_paste(service, browser):

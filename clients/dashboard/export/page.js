@@ -21,6 +21,7 @@ const canvas = document.querySelector('canvas');
 const stage = new Stage(canvas);
 stage.setRobots(robots);
 stage.sideBySide = robots.length > 1;
+stage.aim();
 const [slider, play, side, springs] = ['time', 'play', 'side', 'springs'].map((id) => document.getElementById(id));
 slider.max = stage.durationS();
 let playing = !matchMedia('(prefers-reduced-motion: reduce)').matches;

@@ -1,4 +1,4 @@
-/** Brings robots to the stage: rollouts that the daemon computes and stores nowhere. */
+/** Brings robots to the stage: rollouts that the daemon computes and stores nowhere, and recordings. */
 
 import { getJson, patient, request } from './api.js';
 import { decodeScene, robotsOf } from './scene.js';
@@ -16,6 +16,20 @@ export async function environmentSet(name) {
 }
 
 const requested = ({ light_xy_m, terrain_heights_m }) => ({ light_xy_m, terrain_heights_m });
+
+/** What an evaluation recorded of one of its designs in one of its environments, as a scene. */
+export const recordingPath = (evaluation, row, environment) =>
+  `v1/evaluations/${encodeURIComponent(evaluation)}/trajectories/${row}?environment=${environment}&format=scene`;
+
+/** The robots of recordings. @param {number[]} rows places of the designs in the evaluation */
+export async function recorded(evaluation, rows, environment, signal) {
+  const robots = [];
+  for (const row of rows) {
+    const response = await patient(() => request(recordingPath(evaluation, row, environment), { signal }));
+    robots.push(...robotsOf(decodeScene(await response.arrayBuffer())));
+  }
+  return robots;
+}
 
 /** What the stage shows. */
 const CHANNELS = ['masses', 'actuation', 'contacts'];

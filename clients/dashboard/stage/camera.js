@@ -13,8 +13,8 @@ export class Camera {
     /** Turn about the vertical axis, in radians; 0 looks along +y. */
     this.yaw = 0.6;
     /** Height of the view above the horizon, in radians. */
-    this.pitch = 0.42;
-    this.distanceM = 2.6;
+    this.pitch = 0.4;
+    this.distanceM = 2.2;
     /** Width and height of the view in pixels per meter, without perspective; 0: perspective. */
     this.pixelsPerM = 0;
   }

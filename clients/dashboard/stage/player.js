@@ -4,13 +4,15 @@ import { announce, button, fill, h, select, toggle } from '../lib/dom.js';
 import { score } from '../lib/format.js';
 import { driveCamera } from './camera.js';
 import { Stage } from './stage.js';
-import { Tags } from './tags.js';
+import { TAGS_MAX, Tags } from './tags.js';
 
 const SPEEDS = [['2', '2 ×'], ['1', '1 ×'], ['0.5', '½ ×'], ['0.25', '¼ ×'], ['0.1', '⅒ ×']];
 /** A frame that takes longer than this lowers the resolution, then the shadow. */
 const SLOW_FRAME_S = 0.028;
 /** The ground is drawn without robots only when none came in that time: without a GPU it delays them. */
 const PATIENCE_MS = 1000;
+/** A picture that stands still is drawn in full after this pause. */
+const SETTLE_MS = 250;
 
 export class Player {
   /**
@@ -42,7 +44,9 @@ export class Player {
       this.setPlaying(!this.playing);
       this.onchange();
     });
-    this.controls = h('div.controls', {}, this.playButton, this.slider, this.clock);
+    this.toggleRow = h('div.row');
+    this.timeRow = h('div.time', {}, this.playButton, this.slider, this.clock);
+    this.controls = h(`div.controls${compact ? '.compact' : ''}`, {}, this.timeRow, this.toggleRow);
     this.tags = new Tags();
     this.element = h('div.stage', {}, this.canvas, this.tags.element, this.names, this.note, this.controls);
     try {
@@ -56,6 +60,7 @@ export class Player {
     Object.assign(this.element, { player: this });
     this.#addToggles(compact);
     driveCamera(this.canvas, this.stage.camera, (how) => {
+      this.aimed = true;
       if (how === 'moved') this.#setFollow(false);
       this.#wake();
       this.onchange();
@@ -68,6 +73,13 @@ export class Player {
     app.themeListeners.add(this.onTheme);
     this.resize = new ResizeObserver(() => this.#wake());
     this.resize.observe(this.canvas);
+    // Nothing holds back a canvas that is not seen: without a GPU, frames would queue for minutes.
+    this.isSeen = true;
+    this.sight = new IntersectionObserver((entries) => {
+      this.isSeen = entries.at(-1).isIntersecting;
+      if (this.isSeen) this.#wake();
+    });
+    this.sight.observe(this.canvas);
     this.createdMs = performance.now();
     setTimeout(() => this.#wake(), PATIENCE_MS);
     this.setPlaying(this.playing);
@@ -99,8 +111,9 @@ export class Player {
     });
     speed.firstChild.className = 'visually-hidden';
     this.speedSelect = speed.lastChild;
-    this.controls.append(speed, h('div.pair', { role: 'group', 'aria-label': 'Arrangement', hidden: true }, this.sideToggle, this.raceToggle), this.followToggle, this.toggles.skin, this.springsToggle);
-    if (!compact) this.controls.append(this.actuationToggle, this.toggles.contacts, this.toggles.trails);
+    this.timeRow.append(speed);
+    this.toggleRow.append(h('div.pair', { role: 'group', 'aria-label': 'Arrangement', hidden: true }, this.sideToggle, this.raceToggle), this.followToggle, this.toggles.skin, this.springsToggle);
+    if (!compact) this.toggleRow.append(this.actuationToggle, this.toggles.contacts, this.toggles.trails);
   }
 
   /** Sets what is shown, as a link tells it: {skin, springs, …, side}. */
@@ -123,6 +136,7 @@ export class Player {
     this.stage.sideBySide = on;
     this.sideToggle.setAttribute('aria-pressed', String(on));
     this.raceToggle.setAttribute('aria-pressed', String(!on));
+    this.#showNames();
     this.#wake();
     this.onchange();
   }
@@ -145,7 +159,10 @@ export class Player {
     const { stage } = this;
     const [show, view, follow, time, speed] = ['show', 'view', 'follow', 'time', 'speed'].map((name) => parameters.get(name));
     if (show !== null) this.setShown(show.split(','));
-    if (view && stage.camera.fromText(view)) this.#setFollow(follow !== null);
+    if (view && stage.camera.fromText(view)) {
+      this.aimed = true;
+      this.#setFollow(follow !== null);
+    }
     if (follow !== null && stage.robots[Number(follow)]) this.#followRobot(Number(follow));
     if (SPEEDS.some(([value]) => value === speed)) {
       this.speed = Number(speed);
@@ -188,6 +205,8 @@ export class Player {
   setRobots(robots, { keepTime = false } = {}) {
     if (!this.stage) return;
     this.stage.setRobots(robots);
+    // Until a person turns the camera, the robots walk away from it, towards their light.
+    if (robots.length && !this.aimed) this.stage.aim();
     this.held = false;
     const duration = this.stage.durationS();
     this.slider.max = String(duration || 1);
@@ -199,12 +218,19 @@ export class Player {
     this.arranged ||= robots.length > 1;
     this.actuationToggle.disabled = !robots.some((robot) => robot.actuation);
     fill(this.names, h('div.muted', {}, 'loss in this environment'), this.stage.robots.map((robot, i) => this.#name(robot, i)));
-    this.names.hidden = robots.length === 0 || robots.length > 40;
+    this.#showNames();
     const text = robots.length === 0 ? 'no robots yet'
       : `${robots.length === 1 ? 'one robot' : `${robots.length} robots`}, ${duration.toFixed(1)} s: ` +
         robots.slice(0, 8).map((robot) => `${robot.label ?? ''} ${score(robot.loss)}`).join(', ');
     this.canvas.setAttribute('aria-label', `Stage: ${text}`);
     this.#wake();
+  }
+
+  /** The list of robots; side by side, the tags in the views tell the same. */
+  #showNames() {
+    const { robots, sideBySide } = this.stage;
+    this.names.hidden = robots.length === 0 || robots.length > 40 ||
+      (sideBySide && robots.length > 1 && robots.length <= TAGS_MAX);
   }
 
   #name(robot, i) {
@@ -237,7 +263,7 @@ export class Player {
   setPlaying(on) {
     this.playing = on;
     this.playButton.textContent = on ? 'Pause' : 'Play';
-    if (on) this.#wake();
+    this.#wake();
   }
 
   setNote(text) {
@@ -254,8 +280,12 @@ export class Player {
   }
 
   #frame(now) {
-    if (!this.stage || !this.canvas.isConnected || this.held) {
+    if (!this.stage || !this.canvas.isConnected || this.held || !this.isSeen) {
       this.running = false;
+      return;
+    }
+    if (this.stage.isBusy()) {
+      requestAnimationFrame((next) => this.#frame(next));
       return;
     }
     const duration = this.stage.durationS();
@@ -272,6 +302,27 @@ export class Player {
     this.#show();
     if (moving || this.wanted) requestAnimationFrame((next) => this.#frame(next));
     else this.running = false;
+    clearTimeout(this.settling);
+    if (!moving) this.settling = setTimeout(() => this.#settle(), SETTLE_MS);
+  }
+
+  /** What stands still is drawn in full, however slow the frames before were. */
+  #settle() {
+    const { scale, shadows } = this.stage;
+    const isFull = scale === 1 && shadows;
+    if (!this.playing && !this.held && !isFull && this.canvas.isConnected) this.inFull(() => this.stage.draw());
+  }
+
+  /** Does work, such as saving a picture, with the full resolution and the shadow. */
+  async inFull(work) {
+    const { stage } = this;
+    const { scale, shadows } = stage;
+    Object.assign(stage, { scale: 1, shadows: true });
+    try {
+      return await work();
+    } finally {
+      Object.assign(stage, { scale, shadows });
+    }
   }
 
   /** Lowers the resolution, then leaves out the shadow, where frames take long: no GPU, or a small one. */
@@ -301,7 +352,9 @@ export class Player {
 
   destroy() {
     this.app.themeListeners.delete(this.onTheme);
+    clearTimeout(this.settling);
     this.resize?.disconnect();
+    this.sight?.disconnect();
     this.stage?.setRobots([]);
     this.stage?.gl.getExtension('WEBGL_lose_context')?.loseContext();
   }

@@ -65,6 +65,11 @@ vec3 lamp(vec3 at, vec3 normal) {
   float facing = max(dot(normal, normalize(to)), 0.0) * 0.7 + 0.3;
   return glow * facing * 0.16 / (d2 + 0.12);
 }
+// Bright values approach white slowly, so that faces beside the light keep their shape.
+vec3 exposed(vec3 lit) {
+  vec3 above = max(lit - 0.8, 0.0);
+  return min(lit, 0.8) + 0.2 * (1.0 - exp(-above / 0.4));
+}
 `;
 
 export const TERRAIN_SHADERS = [
@@ -111,7 +116,7 @@ void main() {
   vec2 beyond = max(abs(at.xy - 2.5) - 2.35, 0.0);
   float fade = smoothstep(0.0, 1.3, length(beyond));
   fade = max(fade, smoothstep(7.0, 13.0, distance(at, eye)));
-  color = vec4(mix(lit, background, fade), 1.0);
+  color = vec4(mix(exposed(lit), background, fade), 1.0);
 }`,
 ];
 
@@ -168,7 +173,7 @@ void main() {
   vec2 w = fwidth(uv);
   float border = 1.0 - smoothstep(0.0, 1.0, min(edge.x / max(w.x, 0.012), edge.y / max(w.y, 0.012)) - 0.35);
   lit = mix(lit, mix(lit * 0.42, tint, 0.32), border * 0.85);
-  color = vec4(lit, 1.0);
+  color = vec4(exposed(lit), 1.0);
 }`,
 ];
 
@@ -223,7 +228,7 @@ out vec4 color;
 void main() {
   float round = sqrt(max(1.0 - across * across, 0.0));
   vec3 base = mix(rest * 0.86, amount > 0.0 ? swollen : shrunk, smoothstep(0.02, 0.7, abs(amount)));
-  color = vec4(base * (0.42 + 0.62 * round) + base * lamp(at, vec3(0.0, 0.0, 1.0)), 1.0);
+  color = vec4(exposed(base * (0.42 + 0.62 * round) + base * lamp(at, vec3(0.0, 0.0, 1.0))), 1.0);
 }`,
 ];
 

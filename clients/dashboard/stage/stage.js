@@ -10,7 +10,6 @@ import { Program, dataTexture, shadowTarget, vertexArray } from './gl.js';
 import { lookAt, multiply, normalize, orthographic, project } from './math.js';
 import * as shaders from './shaders.js';
 
-const SUN = normalize([-0.45, -0.55, 1.1]);
 const GRID = 160;
 
 /** Colors of robots in the order of the legend: told apart by color-blind people, too. */
@@ -33,6 +32,17 @@ function clear(gl, [r, g, b]) {
 }
 
 const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
+
+const MIDDLE_M = 2.5;
+
+/** The direction that looks from the middle of the map to the light, as a turn of the camera. */
+const towardsLight = ({ light }) => Math.atan2(light[0] - MIDDLE_M, light[1] - MIDDLE_M);
+
+/** The sun of a world: behind those who look towards the light, so that they see lit sides. */
+function sunOf(world) {
+  const turn = towardsLight(world) + 0.75;
+  return normalize([-0.7 * Math.sin(turn), -0.7 * Math.cos(turn), 1]);
+}
 
 /** Mean position of the masses in one frame of a track. */
 export function centerOfMass(robot, frame) {
@@ -233,11 +243,11 @@ export class Stage {
     const n = this.sideBySide ? this.robots.length : 1;
     if (n <= 1) return [{ robots: this.robots, x: 0, y: 0, width, height }];
     let columns = 1;
-    // The split whose views come nearest to a picture of 3 by 2.
+    // The split whose views come nearest to a picture of 4 by 3.
     let best = Infinity;
     for (let c = 1; c <= n; c++) {
       const shape = width / c / (height / Math.ceil(n / c));
-      const off = Math.abs(Math.log(shape / 1.5)) + 0.2 * (Math.ceil(n / c) * c - n);
+      const off = Math.abs(Math.log(shape / 1.35)) + 0.35 * (Math.ceil(n / c) * c - n);
       if (off < best) [best, columns] = [off, c];
     }
     const rows = Math.ceil(n / columns);
@@ -264,6 +274,19 @@ export class Stage {
     if (empty) return;
     for (const view of this.views()) this.#drawView(view, look);
     gl.bindVertexArray(null);
+    gl.deleteSync(this.drawn ?? null);
+    this.drawn = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+  }
+
+  /** Whether the graphics processor has yet to end the picture before. */
+  isBusy() {
+    return Boolean(this.drawn) && this.gl.getSyncParameter(this.drawn, this.gl.SYNC_STATUS) === this.gl.UNSIGNALED;
+  }
+
+  /** Turns the camera so that the light of the followed robot lies ahead, a little to the left. */
+  aim() {
+    this.camera.yaw = towardsLight(this.robots[this.followed].world) + 0.35;
   }
 
   #drawView(view, look) {
@@ -275,14 +298,15 @@ export class Stage {
     }
     const matrix = camera.matrix(view.width, view.height);
     const world = lead?.world ?? { light: [2.5, 4.5], heights: new Float32Array(64).fill(0.05) };
-    const sunMatrix = this.#drawShadows(view);
+    const sun = sunOf(world);
+    const sunMatrix = this.#drawShadows(view, sun);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(view.x, view.y, view.width, view.height);
     gl.viewport(view.x, view.y, view.width, view.height);
     clear(gl, look.background);
     gl.enable(gl.DEPTH_TEST);
     const common = {
-      ...look, matrix, sunMatrix, sun: SUN, eye: camera.eye(), heights: this.#heights(world),
+      ...look, matrix, sunMatrix, sun, eye: camera.eye(), heights: this.#heights(world),
       lightAt: [...world.light, heightAt(world.heights, ...world.light) + 0.06],
       shadowMap: this.shadow.texture, shadowStrength: this.shadows ? 0.62 : 0,
     };
@@ -296,7 +320,7 @@ export class Stage {
     gl.disable(gl.SCISSOR_TEST);
   }
 
-  #drawShadows(view) {
+  #drawShadows(view, sun) {
     const { gl } = this;
     const robots = view.robots;
     const centers = robots.map((robot) => centerOfMass(robot, this.frameOf(robot)));
@@ -305,7 +329,7 @@ export class Stage {
       return values.length ? (Math.min(...values) + Math.max(...values)) / 2 : 0;
     });
     const reach = 0.75 + Math.max(0, ...centers.map((c) => Math.hypot(c[0] - middle[0], c[1] - middle[1])));
-    const from = middle.map((x, axis) => x + SUN[axis] * 6);
+    const from = middle.map((x, axis) => x + sun[axis] * 6);
     const sunMatrix = multiply(orthographic(reach, reach, 0.1, 12), lookAt(from, middle, [0, 0, 1]));
     if (!this.shadows) return sunMatrix;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.shadow.frame);

@@ -1,11 +1,12 @@
 /** Names beside the robots on the stage: above each in a race, in the corner of its view otherwise. */
 
 import { fill, h } from '../lib/dom.js';
+import { score } from '../lib/format.js';
 import { centerOfMass } from './stage.js';
 import { project } from './math.js';
 
 /** More names than these would hide the robots. */
-const TAGS_MAX = 16;
+export const TAGS_MAX = 16;
 const [HEIGHT_PX, WIDTH_PX] = [22, 90];
 
 export class Tags {
@@ -24,7 +25,9 @@ export class Tags {
     const placed = [];
     [...this.element.children].forEach((tag, i) => {
       let [x, y] = [0, 0];
-      if (stage.sideBySide && stage.robots.length > 1) {
+      const isApart = stage.sideBySide && stage.robots.length > 1;
+      tag.lastElementChild.hidden = !isApart;
+      if (isApart) {
         const view = views[i];
         [x, y] = [view.x * perPixel + 8, clientHeight - (view.y + view.height) * perPixel + 8];
       } else {
@@ -46,7 +49,7 @@ export class Tags {
     this.robots = robots;
     const shown = robots.length > 1 && robots.length <= TAGS_MAX ? robots : [];
     fill(this.element, shown.map((robot) => {
-      const tag = h('span.tag', {}, robot.label ?? '');
+      const tag = h('span.tag', {}, robot.label ?? '', h('span.number', {}, score(robot.loss)));
       tag.style.borderColor = robot.color;
       return tag;
     }));

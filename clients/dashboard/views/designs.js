@@ -3,7 +3,7 @@
 import { getJson, withQuery } from '../lib/api.js';
 import { button, fill, h, select } from '../lib/dom.js';
 import { pythonOf } from '../lib/commands.js';
-import { ago, count, score, shellWord, voxels as inVoxels } from '../lib/format.js';
+import { ago, bytes, count, score, shellWord, voxels as inVoxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
@@ -26,34 +26,35 @@ export async function mount(main, [id], parameters, app) {
 
 /** Cards of designs that can be chosen for the stage. */
 class Wall {
-  constructor(app, options = {}) {
+  constructor(app) {
     this.app = app;
-    this.options = options;
-    this.chosen = new Map(); // ids by genotype
+    /** What the stage is told besides the designs: the controller whose scores are shown. */
+    this.options = {};
+    this.chosen = new Map(); // {id, row} by genotype
     this.element = h('div.grid.small');
     this.walk = button('Let the chosen walk', () => app.go('stage', {
-      designs: [...this.chosen.keys()].join(','), ...options,
+      designs: [...this.chosen.keys()].join(','), ...this.options,
     }), { class: 'primary', disabled: true });
     this.breed = breedButton(app, 'Breed these', () => this.#founders(), { disabled: true });
   }
 
-  card({ id, genotype, score: value, voxels }) {
+  card({ id, genotype, score: value, voxels, row }) {
     const card = h('button.card', {
       type: 'button', 'aria-pressed': 'false', 'aria-label': `Design ${id}, score ${score(value)}, ${inVoxels(voxels)}`,
       onclick: () => {
         const on = !this.chosen.delete(genotype);
-        if (on) this.chosen.set(genotype, id);
+        if (on) this.chosen.set(genotype, { id, row });
         card.setAttribute('aria-pressed', String(on));
         this.walk.disabled = this.breed.disabled = this.chosen.size === 0;
       },
       ondblclick: () => this.app.go(`designs/${id}`),
     }, picture(genotype), h('strong.number', {}, value === undefined ? '–' : score(value)), h('span.muted', {}, inVoxels(voxels)));
-    return h('div.stack', {}, card, h('a', { href: `#/designs/${id}` }, `${id.slice(0, 10)}…`));
+    return h('div.pick', {}, card, h('a', { href: `#/designs/${id}`, 'aria-label': `Design ${id}` }, `${id.slice(0, 10)}…`));
   }
 
   /** The chosen, each form once: a design may be here in several orientations. */
   #founders() {
-    const byId = new Map([...this.chosen].reverse().map(([voxels, id]) => [id, { voxels }]));
+    const byId = new Map([...this.chosen].reverse().map(([voxels, { id }]) => [id, { voxels }]));
     return [...byId.values()].reverse();
   }
 
@@ -83,6 +84,7 @@ async function mountBoard(main, parameters, app) {
   }
 
   async function again() {
+    wall.options = controller === 'default' ? {} : { controller };
     cursor = undefined;
     wall.element.replaceChildren();
     app.keep({ controller, order });
@@ -104,26 +106,40 @@ async function mountBoard(main, parameters, app) {
       python: `print(m.designs(${Object.entries(asked()).filter(([, value]) => value).map(([key, value]) =>
         `${key}=${pythonOf(value)}`).join(', ')}))`,
     })))), h('section.panel', { 'aria-label': 'Leaderboard' }, wall.element), foot);
-  await more();
+  await again();
   return {};
 }
 
 async function mountEvaluation(main, id, app) {
   const stop = new AbortController();
   const wall = new Wall(app);
-  const head = h('section.panel.stack');
+  const title = h('div.title');
+  const head = h('section.panel.stack', { 'aria-label': 'State' });
   let done = false;
+  let best = []; // rows, best first
+
+  /** Shows what was recorded: of the chosen designs, or of the best. */
+  const recordings = button('Show recordings', () => {
+    const rows = wall.chosen.size ? [...wall.chosen.values()].map(({ row }) => row) : best.slice(0, 4);
+    app.go('stage', { evaluation: id, rows: rows.join(',') });
+  }, { hidden: true });
 
   async function refresh() {
     const job = { ...(await getJson(`v1/evaluations/${encodeURIComponent(id)}`, { signal: stop.signal })), kind: 'evaluation' };
-    fill(head, h('div.title', {}, h('h1', {}, titleOf(job)), stateChip(job), h('div.actions', {}, actions(job, refresh), wall.walk, wall.breed,
-      copyButton(() => ({ path: `v1/evaluations/${id}`, morphoctl: `job show ${id} --results`, python: `print(m.evaluation(${id}).frame())` })))),
-      progressBar(job), trouble(job));
+    const isRecorded = job.record.includes('masses') && job.recorded_bytes > 0 && !job.recordings_removed_at;
+    recordings.hidden = !isRecorded || !job.results;
+    wall.options = job.controller.name === 'default' ? {} : { controller: `sha256:${job.controller.sha256}` };
+    fill(title, h('h1', {}, titleOf(job)), stateChip(job), h('div.actions', {}, actions(job, refresh), recordings, wall.walk, wall.breed,
+      copyButton(() => ({ path: `v1/evaluations/${id}`, morphoctl: `job show ${id} --results`, python: `print(m.evaluation(${id}).frame())` }))));
+    fill(head, progressBar(job), trouble(job),
+      job.record.length ? h('p.muted', {}, job.recordings_removed_at ? `Its recordings were removed ${ago(job.recordings_removed_at)}; its scores stay.`
+        : `Recorded: ${job.record.join(', ')}, ${bytes(job.recorded_bytes)}.`) : null);
     if (job.results && !done) {
       done = true;
-      const order = job.results.map((result, i) => ({ ...result, i }))
+      const order = job.results.map((result, row) => ({ ...result, row }))
         .filter((result) => !result.fault)
-        .sort((a, b) => (a.score ?? Infinity) - (b.score ?? Infinity)).slice(0, 500);
+        .sort((x, y) => (x.score ?? Infinity) - (y.score ?? Infinity)).slice(0, 500);
+      best = order.map(({ row }) => row);
       wall.add(order);
       if (job.n_skipped > 0) head.append(h('p.muted', {}, `${count(job.n_skipped)} designs were skipped.`));
       if (job.n_designs - job.n_skipped > order.length) {
@@ -132,7 +148,7 @@ async function mountEvaluation(main, id, app) {
     }
   }
 
-  main.replaceChildren(head, h('section.panel', { 'aria-label': 'Results' }, wall.element));
+  main.replaceChildren(title, head, h('section.panel', { 'aria-label': 'Results' }, wall.element));
   await refresh();
   return {
     update(event) {
@@ -154,9 +170,9 @@ async function mountDesign(main, id, app) {
       h('a.button', { href: `#/stage?designs=${design.id}` }, 'Stage'),
       breedButton(app, 'Breed', () => [{ id: design.id }]),
       copyButton(() => ({ path: `v1/designs/${design.id}`, morphoctl: `design show ${design.id}` })))),
-    h('div.grid', {}, h('section.panel.row', {}, h('div.card', {}, picture(design.genotype, 'The design')),
-      h('div.stack', {}, h('div', {}, `${inVoxels(design.voxels)}, ${design.masses} masses, ${design.springs} springs`),
-        h('div.muted', {}, `first seen ${ago(design.first_seen_at)}`))),
+    h('div.grid', {}, h('section.panel.row.portrait', {}, picture(design.genotype, 'The design'),
+      h('div.stack', {}, h('strong', {}, inVoxels(design.voxels)), h('div', {}, `${design.masses} masses`),
+        h('div', {}, `${design.springs} springs`), h('div.muted', {}, `first seen ${ago(design.first_seen_at)}`))),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
     h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, h('table', {},
       h('thead', {}, h('tr', {}, ['Score', 'Controller', 'Environments', 'Computed', 'Class', 'Origin'].map((name) => h('th', { scope: 'col' }, name)))),

@@ -74,11 +74,13 @@ function save(blob, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
-/** Saves what the stage shows: a picture, a film, a page of its own, or a model for other programs. */
-export function exportDialog(player, { ids, environment, set, controller }) {
+/**
+ * Saves what the stage shows: a picture, a film, a page of its own, or a model for other programs.
+ * @param {import('../stage/player.js').Player} player
+ * @param {{name: string, film?: string}} what name of the files; film: the command that makes the film
+ */
+export function exportDialog(player, { name, film: command }) {
   const { stage, canvas } = player;
-  const name = `morphod-${ids.length === 1 ? ids[0].replace(/0+$/, '').slice(0, 12) : 'race'}`;
-  const command = filmCommand(ids, { environment, set, controller, output: `${name}.mp4` });
   const message = h('p', { role: 'status' });
   const doing = (text, work) => button(text, async (event) => {
     event.target.disabled = true;
@@ -94,13 +96,13 @@ export function exportDialog(player, { ids, environment, set, controller }) {
   async function film() {
     const { record } = await import('../export/webm.js');
     player.setPlaying(false);
-    const blob = await record(canvas, (time) => {
+    const blob = await player.inFull(() => record(canvas, (time) => {
       stage.timeS = time;
       stage.draw();
     }, {
       durationS: stage.durationS(),
       onprogress: (share) => { message.textContent = `Film: ${percent(share)}`; },
-    });
+    }));
     save(blob, `${name}.webm`);
     message.textContent = '';
   }
@@ -118,13 +120,14 @@ export function exportDialog(player, { ids, environment, set, controller }) {
   }
 
   showDialog('Export', h('div.row', {},
-    doing('Picture (PNG)', () => new Promise((resolve) => {
-      canvas.toBlob((blob) => {
-        save(blob, `${name}.png`);
-        resolve();
+    doing('Picture (PNG)', async () => {
+      const blob = await player.inFull(() => {
+        stage.draw();
+        return new Promise((resolve) => { canvas.toBlob(resolve); });
       });
-    })),
+      save(blob, `${name}.png`);
+    }),
     'VideoEncoder' in window ? doing('Film (WebM)', film) : null,
     doing('Page (HTML)', page), doing('Model (GLB)', model)), message,
-  h('p', {}, 'A film, on the machine that has morphoctl:'), h('pre', { tabindex: 0 }, command));
+  command ? [h('p', {}, 'A film, on the machine that has morphoctl:'), h('pre', { tabindex: 0 }, command)] : null);
 }
