@@ -2,7 +2,7 @@
 
 import { connection, decoded, getJson, getToken, setToken, tokenOfAddress } from './lib/api.js';
 import { button, fill, h, svg } from './lib/dom.js';
-import { Events } from './lib/events.js';
+import { Events, isNews } from './lib/events.js';
 import { callerName, whoAmI, whyNot } from './lib/rights.js';
 
 const VIEWS = {
@@ -28,7 +28,7 @@ export const app = {
   events: new Events(),
   /** @type {'dark'|'light'} */
   theme: 'dark',
-  /** The newest events, oldest first. */
+  /** The newest events that are news, oldest first. */
   recent: [],
   /** Called with the theme after each change. */
   themeListeners: new Set(),
@@ -242,9 +242,7 @@ class Frame {
 
 const frame = new Frame(startTheme());
 app.events.listen((event) => {
-  if (event.type !== 'reset') {
-    app.recent = [...app.recent, event].slice(-60);
-  }
+  if (isNews(event)) app.recent = [...app.recent, event].slice(-60);
   frame.view?.update?.(event);
 });
 const begin = () => takeToken().then(() => frame.start());

@@ -43,7 +43,8 @@ const nameOf = (e) => (e.getAttribute('aria-label') || e.innerText || e.textCont
   e.labels?.[0]?.innerText || e.title || e.placeholder || '').trim();
 const used = 'a[href], button, input, select, textarea, canvas, [role=img]';
 for (const e of document.querySelectorAll(used)) {
-  if (shown(e) && !nameOf(e)) faults.push('no name: ' + e.outerHTML.slice(0, 90));
+  if (!shown(e) || e.closest('[aria-hidden=true]')) continue;
+  if (!nameOf(e)) faults.push('no name: ' + e.outerHTML.slice(0, 90));
 }
 if (document.querySelectorAll('h1').length !== 1) faults.push('not one main heading');
 if (!document.documentElement.lang) faults.push('no language');
@@ -162,7 +163,7 @@ def test_what_the_editor_does(service, browser):
     browser.until("/^score/.test(document.querySelector('main p[aria-live]').textContent)")
     browser.click("Keep")  # the same form, and so the same founder
     assert browser.run("return document.querySelectorAll('.card').length") == 1
-    browser.click("Cross with a kept one")
+    browser.click("Cross")
     crossed = browser.run(f"return {voxels}")
     assert crossed.count("1") == 1  # they differ in two voxels that do not touch
     browser.click("Undo")
@@ -240,28 +241,50 @@ def test_the_leaderboard_from_both_ends(service, browser):
         assert f"order={order}" in browser.driver.current_url
 
 
+def bred(service, browser, label):
+    """Starts a campaign by "Breed these"; the ids of its founders once it has ended."""
+    browser.click("Breed these")
+    browser.until("document.querySelector('dialog[open] form')")
+    browser.run("""
+        const form = document.querySelector('dialog[open] form');
+        const given = { population: 8, generations: 1, label: arguments[0] };
+        for (const [name, value] of Object.entries(given)) form.elements[name].value = value;
+        form.requestSubmit();
+    """, label)
+    browser.until(f"document.querySelector('h1')?.textContent === {label!r}")
+    path = "/v1/campaigns/" + browser.run("return location.hash.split('/')[2]")
+    assert await_end(service, path).json()["state"] == "succeeded"
+    browser.until("document.querySelector('.state').innerText === 'succeeded'")
+    assert browser.faults() == []
+    return sorted(row["id"] for row in service.pages(path + "/population?generation=0")
+                  if row["operator"] == "listed")
+
+
 def test_chosen_champions_found_a_campaign(service, browser):
     browser.open("campaigns/" + service.campaign)
     browser.until("document.querySelectorAll('.card + label input').length > 1")
     browser.run("[...document.querySelectorAll('.card + label input')].slice(0, 2)"
                 ".forEach((e) => e.click())")
     champions = service.get(f"/v1/campaigns/{service.campaign}/champions?count=8")["items"]
-    browser.click("Breed these")
-    browser.until("document.querySelector('dialog[open] form')")
-    browser.run("""
-        const form = document.querySelector('dialog[open] form');
-        const given = { population: 8, generations: 1, label: 'bred' };
-        for (const [name, value] of Object.entries(given)) form.elements[name].value = value;
-        form.requestSubmit();
-    """)
-    browser.until("document.querySelector('h1')?.textContent === 'bred'")
-    path = "/v1/campaigns/" + browser.run("return location.hash.split('/')[2]")
-    assert await_end(service, path).json()["state"] == "succeeded"
-    founders = [row["id"] for row in service.pages(path + "/population?generation=0")
-                if row["operator"] == "listed"]
-    assert sorted(founders) == sorted(row["id"] for row in champions[:2])
-    browser.until("document.querySelector('.state').innerText === 'succeeded'")
-    assert browser.faults() == []
+    assert bred(service, browser, "of champions") == sorted(row["id"] for row in champions[:2])
+
+
+def test_bodies_of_the_editor_and_robots_of_the_stage_found_campaigns(service, browser):
+    results = service.evaluate({"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]}).json()
+    ids = sorted(result["id"] for result in results["results"])
+    scored = "/^score/.test(document.querySelector('main p[aria-live]').textContent)"
+    browser.open("editor?voxels=" + results["results"][0]["genotype"])
+    browser.until(scored)
+    browser.click("Keep")
+    browser.click("Import")
+    browser.run("document.querySelector('dialog textarea').value = arguments[0];"
+                "document.querySelector('dialog button').click()", "[[3, 3, 1], [3, 4, 1]]")
+    browser.until(scored)  # the same form as the second, elsewhere and turned
+    browser.click("Keep")
+    assert bred(service, browser, "of the editor") == ids
+    browser.open("stage?designs=" + ",".join(ids))
+    browser.until_walking()
+    assert bred(service, browser, "of the stage") == ids
 
 
 COPIED = [

@@ -34,7 +34,7 @@ export function ticks(from, to, n) {
   const power = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= raw);
   const all = [];
-  for (let i = Math.ceil(from / step - 1e-9); i * step <= to + step * 1e-9; i++) all.push(i * step);
+  for (let i = Math.ceil(from / step - 1e-9); i * step <= to + step * 1e-9; i++) all.push(i * step + 0); // not -0
   return all;
 }
 
@@ -64,10 +64,13 @@ export function lastAtMost(list, value) {
 export class Chart {
   /**
    * @param {{title: string, unit?: string, xName?: string, log?: boolean, height?: number,
-   *          minimum?: number, maximum?: number, empty?: string}} options
+   *          minimum?: number, maximum?: number, empty?: string, note?: string, isWhole?: boolean,
+   *          xText?: function(number): string, yText?: function(number): string}} options isWhole: false where
+   *          the axis has values between whole numbers
    */
   constructor(options) {
-    this.options = { xName: 'generation', height: 220, empty: 'No values yet.', ...options };
+    this.options = { xName: 'generation', height: 220, empty: 'No values yet.', xText: (x) => number(x, 6), yText: number, ...options };
+    const { note } = this.options;
     /** @type {Series[]} */
     this.series = [];
     this.range = null;
@@ -76,10 +79,10 @@ export class Chart {
       tabindex: 0, role: 'img', 'aria-label': `${options.title}: no values yet`,
     });
     this.canvas.style.minHeight = `${this.options.height}px`;
-    this.readout = h('div.readout', { 'aria-live': 'polite' });
+    this.readout = h('div.readout', { 'aria-live': 'polite', 'data-axis': this.options.xName });
     this.legend = h('div.legend');
     this.element = h('figure.panel.chart', {},
-      h('figcaption', {}, h('h3', {}, options.title), h('span.muted', {}, `by ${this.options.xName}`), this.legend), this.canvas, this.readout);
+      h('figcaption', {}, h('h3', {}, options.title), note ? h('span.muted', {}, note) : null, this.legend), this.canvas, this.readout);
     this.canvas.addEventListener('pointermove', (event) => this.#point(event.offsetX));
     this.canvas.addEventListener('pointerleave', () => this.#moveCursor(-1));
     this.canvas.addEventListener('keydown', (event) => this.#key(event));
@@ -197,7 +200,7 @@ export class Chart {
   }
 
   #axes(context, scale, width, height, color) {
-    const { log } = this.options;
+    const { log, isWhole = true, xText, yText } = this.options;
     context.strokeStyle = color('--grid');
     context.fillStyle = color('--muted');
     context.lineWidth = 1;
@@ -209,15 +212,15 @@ export class Chart {
       context.moveTo(MARGIN.left, y);
       context.lineTo(width - MARGIN.right, y);
       context.stroke();
-      context.fillText(number(tick), MARGIN.left - 8, y);
+      context.fillText(yText(tick), MARGIN.left - 8, y);
     }
     context.textBaseline = 'top';
     const steps = ticks(scale.x0, scale.x1, Math.max(2, Math.floor(width / 110)))
-      .filter((tick) => this.options.xName === 'minute' || Number.isInteger(tick));
+      .filter((tick) => !isWhole || Number.isInteger(tick));
     for (const tick of steps) {
       const x = scale.x(tick);
       context.textAlign = x > width - 30 ? 'right' : 'center';
-      context.fillText(number(tick, 6), x, height - MARGIN.bottom + 8);
+      context.fillText(xText(tick), x, height - MARGIN.bottom + 8);
     }
   }
 
@@ -356,7 +359,7 @@ export class Chart {
         return `${s.name} ${text}`;
       });
       this.readout.textContent =
-        `${this.options.xName} ${number(x, 6)}: ${values.filter(Boolean).join(' · ')}`;
+        `${this.options.xName} ${this.options.xText(x)}: ${values.filter(Boolean).join(' · ')}`;
     }
     this.draw();
   }

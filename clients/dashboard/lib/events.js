@@ -8,6 +8,9 @@ import { ApiError, getJson, request, withQuery } from './api.js';
 
 const CHANNEL = 'morphod-events';
 
+/** Whether an event is more than a step of a job's progress. */
+export const isNews = ({ type }) => type !== 'reset' && !type.endsWith('progress');
+
 export class Events {
   constructor() {
     /** Number of the newest event seen. */
@@ -33,10 +36,10 @@ export class Events {
     return this.last;
   }
 
-  /** The `n` events up to a number, oldest first. */
-  async upTo(last, n = 30) {
+  /** What is news among the `n` events up to a number, oldest first. */
+  async upTo(last, n = 300) {
     const page = await getJson(withQuery('v1/events', { format: 'json', after: Math.max(0, last - n), limit: n }));
-    return page.items.filter((event) => Number(event.id) <= last);
+    return page.items.filter((event) => Number(event.id) <= last && isNews(event));
   }
 
   #change() {

@@ -25,7 +25,7 @@ export function voxels(n) {
 }
 
 export function percent(share) {
-  return `${(100 * share).toFixed(share < 0.1 ? 1 : 0)} %`;
+  return `${(100 * share).toFixed(share > 0 && share < 0.1 ? 1 : 0)} %`;
 }
 
 /** A span of time in its two largest units: "3 h 12 min". */

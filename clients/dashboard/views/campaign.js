@@ -3,7 +3,7 @@
 import { Curve, getJson, post, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
 import { announce, button, fill, h } from '../lib/dom.js';
-import { ago, count, number, score, voxels } from '../lib/format.js';
+import { ago, count, number, percent, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { may } from '../lib/rights.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
@@ -38,16 +38,16 @@ async function mountList(main, app) {
         else chosen.delete(job.id);
         compare.disabled = chosen.size < 2;
       } })),
-    h('td', {}, h('a', { href: `#/campaigns/${job.id}` }, titleOf({ kind: 'campaign', ...job })), h('div.muted', {}, job.mode)),
-    h('td', {}, stateChip(job)), h('td.right', {}, count(job.settings.population)),
-    h('td', {}, progressBar({ kind: 'campaign', ...job })),
-    h('td.right', {}, job.newest ? score(job.newest.score.quantiles.p0) : '–'),
+    h('td.main', {}, h('a', { href: `#/campaigns/${job.id}` }, titleOf({ kind: 'campaign', ...job })), h('div.muted', {}, job.mode)),
+    h('td', {}, stateChip(job)), h('td.right', { 'data-name': 'Population' }, count(job.settings.population)),
+    h('td.wide', {}, progressBar({ kind: 'campaign', ...job })),
+    h('td.right', { 'data-name': 'Best score' }, job.newest ? score(job.newest.score.quantiles.p0) : '–'),
     h('td', {}, ago(job.created_at))));
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Campaigns'), h('div.actions', {}, compare,
       copyButton(() => ({ path: 'v1/campaigns', morphoctl: 'campaign list', python: 'print(m.campaigns())' })),
       startButton(app, 'campaign', { class: 'primary' }))),
-    rows.length ? h('section.panel.scroll', {}, h('table', {}, h('thead', {}, h('tr', {},
+    rows.length ? h('section.panel.scroll', {}, h('table.cards', {}, h('thead', {}, h('tr', {},
       ['', 'Campaign', 'State', 'Population', 'Progress', 'Best score', 'Created'].map((name) =>
         h(/Population|Best/.test(name) ? 'th.right' : 'th', { scope: 'col' }, name)))), h('tbody', {}, rows)))
       : h('p.empty', {}, 'No campaign yet. A campaign evolves a population of designs over generations' +
@@ -80,9 +80,9 @@ async function mountOne(main, id, parameters, app) {
   const head = h('div.title');
   const status = h('section.panel.stack', { 'aria-label': 'State' });
   const charts = {
-    scores: new Chart({ title: 'Loss: best, median, quantiles', log: true, height: 260, empty: 'No generation has ended yet.' }),
+    scores: new Chart({ title: 'Score', note: 'lower is better', log: true, height: 260, empty: 'No generation has ended yet.' }),
     diversity: new Chart({ title: 'Diversity and turnover', minimum: 0, height: 260, empty: 'No generation has ended yet.' }),
-    operators: new Chart({ title: 'Share of children that survive', minimum: 0 }),
+    operators: new Chart({ title: 'Share of children that survive', minimum: 0, yText: percent }),
     size: new Chart({ title: 'Voxels and footprint', minimum: 0 }),
   };
   if (learns) charts.learning = new Chart({ title: 'Loss while learning, in each generation' });
@@ -101,16 +101,15 @@ async function mountOne(main, id, parameters, app) {
 
   function showHead() {
     fill(head, h('h1', {}, titleOf(campaign)),
-      h('span.muted', {}, `${campaign.mode}, ${count(campaign.settings.population)} designs${submitter(campaign)}`), stateChip(campaign),
+      h('span.muted', {}, `${campaign.mode}, ${count(campaign.settings.population)} designs, ${count(campaign.progress.designs)} born${submitter(campaign)}`), stateChip(campaign),
       others.map((other, i) => h('a.state', { href: `#/campaigns/${other}` }, `with campaign ${other} (${['dashed', 'dotted', 'dash and dot'][i]})`)),
       h('div.actions', {}, h('a.button', { href: `#/campaigns/${id}/phylogeny` }, 'Phylogeny'),
         button('Export', () => exports()),
         may('submit') ? button('Extend', () => extend()) : null,
         copyButton(() => requestOf(campaign.id))));
-    fill(status, progressBar(campaign), trouble(campaign),
+    fill(status, h('div', {}, progressBar(campaign)), trouble(campaign),
       h('div.row', {}, actions(campaign, refreshJob), weightField(campaign, refreshJob),
-        campaign.progress.rollouts_per_s ? h('span.muted', {}, `${number(campaign.progress.rollouts_per_s)} rollouts a second`) : null,
-        h('span.muted', {}, `${count(campaign.progress.designs)} designs so far`)));
+        campaign.progress.rollouts_per_s ? h('span.muted', {}, `${number(campaign.progress.rollouts_per_s)} rollouts a second`) : null));
   }
 
   function exports() {
@@ -194,11 +193,11 @@ async function mountOne(main, id, parameters, app) {
       return;
     }
     const { items } = await get(`v1/campaigns/${id}/champions?count=${CHAMPIONS}`);
-    fill(champions, items.map((design) => h('div.stack.tight', {}, h('button.card', {
+    fill(champions, items.map((design) => h('div.pick', {}, h('button.card', {
       type: 'button', title: `Design ${design.id}`,
       onclick: () => walk([design.number], items),
-    }, picture(design.genotype, `Champion ${design.number}`), h('strong.number', {}, `#${design.number} · ${score(design.score)}`),
-    h('span.muted', {}, `${voxels(design.voxels)}, ${design.operator}`)), pick(design))));
+    }, picture(design.genotype, `Champion ${design.number}`), h('strong.number', {}, score(design.score)),
+    h('span.muted', {}, `#${design.number}, ${voxels(design.voxels)}`), h('span.muted', {}, design.operator)), pick(design))));
     population = [];
     let cursor;
     do {
@@ -216,7 +215,7 @@ async function mountOne(main, id, parameters, app) {
       if (event.target.checked) chosen.set(which, genotype);
       else chosen.delete(which);
       walkChosen.disabled = breed.disabled = chosen.size === 0;
-    } }), `choose #${which}`);
+    }, 'aria-label': `Choose #${which}` }), 'choose');
   }
 
   /** Lets designs walk, by their numbers. */

@@ -1,7 +1,7 @@
 /** The editor: a body, voxel by voxel, that walks and is scored at every click. */
 
 import { getJson, patient, post } from '../lib/api.js';
-import { WORKSPACE, bodyOf, genotypeOfId, hasVoxel } from '../lib/body.js';
+import { WORKSPACE, bodyOf, cellsOf, genotypeOfId, hasVoxel } from '../lib/body.js';
 import { announce, button, fill, h, toggle } from '../lib/dom.js';
 import { count, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
@@ -15,7 +15,7 @@ const FIRST = [[1, 1, 0], [2, 1, 0], [3, 1, 0], [4, 1, 0], [1, 4, 0], [2, 4, 0],
   [2, 2, 0], [3, 2, 0], [2, 3, 0], [3, 3, 0], [2, 2, 1], [3, 3, 1], [2, 3, 1], [3, 2, 1]];
 
 export async function mount(main, path, parameters, app) {
-  const player = new Player(app, { compact: true, height: 460 });
+  const player = new Player(app, { compact: true });
   let genotype = await startBody(parameters);
   const past = [];
   const kept = [];
@@ -25,7 +25,7 @@ export async function mount(main, path, parameters, app) {
   let stop = new AbortController();
 
   const layers = h('div.layers', { role: 'group', 'aria-label': 'Body, layer by layer' });
-  const result = h('p', { 'aria-live': 'polite' });
+  const result = h('p.result', { 'aria-live': 'polite' });
   const shelf = h('div.grid.small');
   const environments = await environmentSet('paper-test');
 
@@ -129,8 +129,8 @@ export async function mount(main, path, parameters, app) {
       const losses = reply.rollouts.map((rollout) => rollout.loss);
       const diverged = losses.some((loss) => loss === null);
       const mean = diverged ? null : reply.designs[0].score;
-      result.textContent = `score ${score(mean)} over ten environments, ${size}; walking after ${shownMs} ms, ` +
-        `scored after ${Math.round(performance.now() - started)} ms`;
+      fill(result, h('strong', {}, `score ${score(mean)}`), ` over ten environments, ${size}; `,
+        h('span.muted', {}, `walking after ${shownMs} ms, scored after ${Math.round(performance.now() - started)} ms`));
       performance.measure('morphod-click-to-motion', { start: started, duration: shownMs });
     } catch (error) {
       if (signal.aborted) return;
@@ -155,7 +155,7 @@ export async function mount(main, path, parameters, app) {
       announce('This body is kept already.');
       return;
     }
-    kept.push({ id, genotype, note: result.textContent.split(',')[0] });
+    kept.push({ id, genotype, note: /^score \S+/.exec(result.textContent)?.[0] ?? voxels(cellsOf(genotype).length) });
     drawShelf();
     announce(`${kept.length} bodies kept`);
   }
@@ -180,28 +180,30 @@ export async function mount(main, path, parameters, app) {
     const next = shift(genotype, step);
     if (next) change(next);
     else announce('The body is at the edge of the workspace.');
-  }, { class: 'icon', 'aria-label': `Shift: ${name}` });
+  }, { class: 'icon', 'aria-label': `Shift: ${name}`, title: `Shift: ${name}` });
   const breed = breedButton(app, 'Breed these', () => kept.map((one) => ({ voxels: one.genotype })), { class: 'primary', disabled: true });
-  const crossing = button('Cross with a kept one', () => {
+  const crossing = button('Cross', () => {
     const other = kept[Math.floor(Math.random() * kept.length)];
     const child = cross(genotype, other.genotype);
     if (child) change(child);
     else announce('The two bodies are equal; nothing is left.');
-  }, { disabled: true });
+  }, { disabled: true, title: 'Cross with a kept body' });
 
-  main.replaceChildren(h('h1.visually-hidden', {}, 'Editor'),
+  main.replaceChildren(
+    h('div.title', {}, h('h1', {}, 'Editor'), h('span.muted', {}, 'layers from the ground up; arrow keys move, page keys change the layer, space ' +
+      'sets a voxel, Ctrl and Z undo'), h('div.actions', {}, button('Import', importBody), copyButton(() => ({
+      path: 'v1/evaluations', body: { designs: [{ voxels: genotype }] }, headers: ['Prefer: wait=30'],
+      morphoctl: `eval ${genotype}`, python: `print(m.evaluate(["${genotype}"]).frame())`,
+    })))),
     h('div.grid.editor', {}, h('section.panel.stack', {}, layers,
       h('div.row', {}, toggle('Mirror x', false, (on) => {
         mirrored = on;
         if (on) change(mirror(genotype, 0));
       }), button('Random', () => change(grow())), button('Mutate', () => change(mutate(genotype))), crossing,
-      button('Undo', undo), move('←', [-1, 0, 0]), move('→', [1, 0, 0]), move('↑', [0, 1, 0]), move('↓', [0, -1, 0]),
-      move('up', [0, 0, 1]), move('down', [0, 0, -1]), button('Import', importBody), button('Keep', keep),
-      copyButton(() => ({
-        path: 'v1/evaluations', body: { designs: [{ voxels: genotype }] }, headers: ['Prefer: wait=30'],
-        morphoctl: `eval ${genotype}`, python: `print(m.evaluate(["${genotype}"]).frame())`,
-      }))), result,
-      h('p.muted', {}, 'Layers from the ground up. Arrow keys move, page keys change the layer, space sets a voxel, Ctrl and Z undo.')),
+      button('Undo', undo)),
+      h('div.row', {}, h('span.pad', { role: 'group', 'aria-label': 'Shift' }, h('span.muted', {}, 'Shift'), move('←', [-1, 0, 0]), move('→', [1, 0, 0]),
+        move('↑', [0, 1, 0]), move('↓', [0, -1, 0]), move('up', [0, 0, 1]), move('down', [0, 0, -1])),
+      button('Keep', keep)), result),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
     h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Kept'), h('div.actions', {}, breed)), shelf));
   drawLayers();

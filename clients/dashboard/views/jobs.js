@@ -98,7 +98,7 @@ export function actions(job, changed) {
 /** The weight of a job among others: twice the weight gets twice the time. */
 export function weightField(job, changed) {
   if (!may('submit') || !['queued', 'running', 'paused'].includes(job.state)) return null;
-  return h('label.field', {}, h('span', {}, 'Weight'), h('input', {
+  return h('label.field.inline', {}, h('span', {}, 'Weight'), h('input', {
     type: 'number', min: 0.001, max: 1000, step: 'any', value: job.weight, size: 6,
     onchange: async (event) => {
       try {
@@ -119,7 +119,7 @@ export class JobTable {
   constructor(changed) {
     this.changed = changed;
     this.body = h('tbody');
-    this.element = h('div.scroll', {}, h('table', {}, h('thead', {}, h('tr', {},
+    this.element = h('div.scroll', {}, h('table.cards.jobs', {}, h('thead', {}, h('tr', {},
       ['Job', 'State', 'Progress', 'Created', ''].map((name) => h('th', { scope: 'col' }, name)))), this.body));
     this.rows = new Map();
     // An observer of intersections would tell of a row after the frame in which it appears.
@@ -171,9 +171,9 @@ export class JobTable {
     row.drawn = true;
     const { job } = row;
     fill(element,
-      h('td', {}, h('a', { href: linkOf(job) }, titleOf(job)), h('div.muted', {}, `${job.kind} ${job.id}${submitter(job)}`)),
-      h('td', {}, stateChip(job)), h('td', {}, progressBar(job), trouble(job)),
-      h('td', {}, ago(job.created_at)), h('td', {}, h('div.row', {}, actions(job, this.changed))));
+      h('td.main', {}, h('a', { href: linkOf(job) }, titleOf(job)), h('div.muted', {}, `${job.kind} ${job.id}${submitter(job)}`)),
+      h('td', {}, stateChip(job)), h('td.wide', {}, progressBar(job), trouble(job)),
+      h('td.muted', {}, ago(job.created_at)), h('td', {}, h('div.row', {}, actions(job, this.changed))));
   }
 
   destroy() {

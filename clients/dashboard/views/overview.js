@@ -18,8 +18,8 @@ export async function mount(main, path, parameters, app) {
   const running = h('section.grid', { 'aria-label': 'Running jobs' });
   const events = h('tbody');
   const load = new Chart({
-    title: 'Load of the last hour', xName: 'minute', height: 150, minimum: 0, maximum: 1,
-    empty: 'The first samples come within seconds.',
+    title: 'Load of the last hour', xName: 'minutes ago', height: 150, minimum: 0, maximum: 1, isWhole: false,
+    xText: (x) => number(-x), yText: percent, empty: 'The first samples come within seconds.',
   });
   let state = parameters.get('state') ?? '';
   const table = new JobTable(() => refresh());
@@ -48,7 +48,7 @@ export async function mount(main, path, parameters, app) {
       table.element, more));
 
   function showEvents() {
-    const rows = app.recent.filter((event) => !event.type.endsWith('progress')).slice(-9).reverse();
+    const rows = app.recent.slice(-6).reverse();
     fill(events, rows.length ? rows.map((event) => h('tr', {},
       h('td', {}, linkTo(event), h('div.muted', {}, event.type)), h('td', {}, detailOf(event)), h('td.right.muted', {}, ago(event.at))))
       : h('tr', {}, h('td.empty', {}, 'Nothing has happened yet.')));

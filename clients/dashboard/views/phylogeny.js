@@ -9,6 +9,7 @@ import { environmentSet, roll } from '../lib/rollouts.js';
 import { decodeScene } from '../lib/scene.js';
 import { Program, dataTexture } from '../stage/gl.js';
 import { Player } from '../stage/player.js';
+import { PhylogenyMarks } from './phylogeny_marks.js';
 import { copyButton } from './share.js';
 
 const SHADERS = [
@@ -67,12 +68,15 @@ export class PhylogenyCanvas {
     this.program = new Program(gl, SHADERS);
     this.textures = [];
     this.times = {};
+    /** Best and worst score on the scale of colors. */
+    this.scores = [0, 2];
+    this.drawn = () => {};
     this.reset();
   }
 
   reset() {
-    this.center = [0.5, 0.5];
-    this.span = [1, 1];
+    this.center = [0.5, 0.51];
+    this.span = [1.01, 1.06];
   }
 
   /** @param {import('../lib/lineage.js').Columns} columns */
@@ -111,6 +115,7 @@ export class PhylogenyCanvas {
       if (scores[i] > worst && scores[i] <= 2) worst = scores[i];
     }
     const span = Math.log(worst / best) || 1;
+    this.scores = [best, worst];
     for (let k = 0, at = 0; k < n; k++, at += 4) {
       const i = order[k];
       const end = died[i] === this.alive ? this.last + 0.6 : Math.max(died[i], born[i] + 0.4);
@@ -136,6 +141,15 @@ export class PhylogenyCanvas {
     return [
       (this.center[0] + (px / w - 0.5) * this.span[0]) * (this.last + 1) - 0.5,
       this.center[1] + (py / hgt - 0.5) * this.span[1],
+    ];
+  }
+
+  /** The place of a generation and a y on the canvas. */
+  placeOf(generation, y) {
+    const { clientWidth: w, clientHeight: hgt } = this.canvas;
+    return [
+      (((generation + 0.5) / (this.last + 1) - this.center[0]) / this.span[0] + 0.5) * w,
+      ((y - this.center[1]) / this.span[1] + 0.5) * hgt,
     ];
   }
 
@@ -183,6 +197,7 @@ export class PhylogenyCanvas {
     gl.drawArrays(gl.LINES, 0, 4 * this.layout.order.length);
     if (this.measure) gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     this.times.drawMs = performance.now() - started;
+    this.drawn();
   }
 
   destroy() {
@@ -205,6 +220,8 @@ export async function mount(main, id, parameters, app) {
   const campaign = await getJson(`v1/campaigns/${encodeURIComponent(id)}`);
   const canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': 'Phylogeny: loading' });
   canvas.style.cssText = 'width:100%;height:62vh;display:block;touch-action:none';
+  const view = new PhylogenyCanvas(canvas, campaign.progress.designs);
+  const marks = new PhylogenyMarks(view);
   const note = h('p.muted', { 'aria-live': 'polite' }, 'Loading the ancestors of the living…');
   const player = new Player(app, { compact: true, height: 300 });
   const detail = h('div.stack');
@@ -216,15 +233,14 @@ export async function mount(main, id, parameters, app) {
         path: `v1/campaigns/${id}/phylogeny?format=csv`, output: `phylogeny-${id}.csv`,
         morphoctl: `campaign export ${id} --phylogeny phylogeny-${id}.csv`,
         python: `print(m.get_campaign(${id}).phylogeny().frame())`,
-      })), select('Color', COLOR_BY, 'score', (by) => { view.setColor(by); view.draw(); }),
+      })), select('Color', COLOR_BY, 'score', (by) => { view.setColor(by); view.draw(); marks.tell(); }),
         h('form.row', { onsubmit: (event) => { event.preventDefault(); find(search.value.trim()); } }, search, h('button', { type: 'submit' }, 'Find')),
         button('Whole', () => { view.reset(); view.draw(); }))),
-    h('section.panel.flush', {}, canvas),
+    h('section.panel.flush', {}, h('div.overlaid', {}, canvas, marks.canvas), marks.legend),
     h('div.grid', {}, h('section.panel.stack', {}, detail), h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
     h('section.panel.stack', {}, h('h2', {}, 'Ancestry'), ancestry));
-  fill(detail, h('p.empty', {}, 'Touch a design and its robot walks. Drag to move, wheel or pinch to zoom. ' +
+  fill(detail, h('p.empty', {}, 'Touch a design: its robot walks, and its line of descent is shown. Drag to move, wheel or pinch to zoom. ' +
     'Arrow keys go from design to design.'));
-  const view = new PhylogenyCanvas(canvas, campaign.progress.designs);
   const redraw = () => view.draw();
   app.themeListeners.add(redraw);
   const observer = new ResizeObserver(redraw);
@@ -233,7 +249,9 @@ export async function mount(main, id, parameters, app) {
 
   function show(columns, text) {
     view.set(columns);
+    marks.selected = -1;
     view.draw();
+    marks.tell();
     note.textContent = text;
     canvas.setAttribute('aria-label', `Phylogeny of ${text}`);
   }
@@ -247,7 +265,8 @@ export async function mount(main, id, parameters, app) {
 
   async function choose(row) {
     if (row < 0) return;
-    selected = row;
+    selected = marks.selected = row;
+    marks.draw();
     const number = view.columns.number[row];
     app.keep({ design: number });
     const design = await getJson(`v1/campaigns/${id}/designs/${number}?limit=1`, { signal: stop.signal });

@@ -1,7 +1,7 @@
 /** A population as points: any two traits, and a brush that chooses designs. */
 
 import { ticks } from '../lib/chart.js';
-import { announce, button, h, select } from '../lib/dom.js';
+import { announce, button, fill, h, select } from '../lib/dom.js';
 import { number } from '../lib/format.js';
 
 /** What a design is measured by. */
@@ -12,8 +12,8 @@ export const TRAITS = {
   springs: { name: 'springs', of: (design) => design.springs },
   born: { name: 'born in generation', of: (design) => design.born },
 };
-const OPERATOR_COLORS = { mutation: '--orange', crossover: '--blue', random: '--grey', listed: '--grey', inherited: '--grey' };
-const MARGIN = { left: 56, right: 14, top: 12, bottom: 32 };
+const OPERATOR_COLORS = { mutation: '--orange', crossover: '--blue', random: '--grey', listed: '--green', inherited: '--grey' };
+const MARGIN = { left: 56, right: 14, top: 28, bottom: 46 };
 
 export class Scatter {
   /** @param {function(number[]): void} chosen called with the numbers of the designs in the brush */
@@ -25,11 +25,12 @@ export class Scatter {
     this.canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': 'Population: no designs yet' });
     this.canvas.style.minHeight = '340px';
     this.walk = button('Let the chosen walk', () => this.#choose(), { disabled: true });
+    this.legend = h('div.legend');
     const traits = Object.entries(TRAITS).map(([key, { name }]) => [key, name]);
     this.element = h('section.panel.chart', {}, h('div.title', {}, h('h2', {}, 'Population'),
       h('span.muted', {}, 'drag over points to choose designs'), h('div.actions', {},
         select('Across', traits, this.axes[0], (key) => this.#axis(0, key)),
-        select('Up', traits, this.axes[1], (key) => this.#axis(1, key)), this.walk)), this.canvas);
+        select('Up', traits, this.axes[1], (key) => this.#axis(1, key)), this.walk)), this.legend, this.canvas);
     this.canvas.addEventListener('pointerdown', (event) => {
       this.canvas.setPointerCapture(event.pointerId);
       this.brush = { x0: event.offsetX, y0: event.offsetY, x1: event.offsetX, y1: event.offsetY };
@@ -54,6 +55,12 @@ export class Scatter {
 
   set(designs) {
     this.designs = designs;
+    fill(this.legend, Object.keys(OPERATOR_COLORS).filter((operator) => designs.some((design) => design.operator === operator))
+      .map((operator) => {
+        const swatch = h('i.swatch');
+        swatch.style.color = `var(${OPERATOR_COLORS[operator]})`;
+        return h('span', {}, swatch, operator);
+      }));
     const numbers = new Set(designs.map((design) => design.number));
     this.selected = this.selected.filter((design) => numbers.has(design.number));
     this.canvas.setAttribute('aria-label', `Population of ${designs.length} designs: ${TRAITS[this.axes[1]].name} ` +
@@ -102,7 +109,6 @@ export class Scatter {
     context.strokeStyle = color('--grid');
     context.fillStyle = color('--muted');
     for (const tick of ticks(y.low, y.high, 5)) {
-      context.fillRect(MARGIN.left, y.at(tick), 0, 0);
       context.beginPath();
       context.moveTo(MARGIN.left, y.at(tick));
       context.lineTo(width - MARGIN.right, y.at(tick));
@@ -112,6 +118,10 @@ export class Scatter {
     }
     context.textAlign = 'center';
     for (const tick of ticks(x.low, x.high, 8)) context.fillText(number(tick), x.at(tick), height - MARGIN.bottom + 18);
+    const [across, up] = this.axes.map((key) => TRAITS[key].name);
+    context.fillText(across, (MARGIN.left + width - MARGIN.right) / 2, height - 6);
+    context.textAlign = 'left';
+    context.fillText(up, 8, 14);
     const chosen = new Set(this.selected);
     for (const design of this.designs) {
       if (x.of(design) === null || y.of(design) === null) continue;

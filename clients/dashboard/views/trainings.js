@@ -36,10 +36,10 @@ async function mountList(main, app) {
           else chosen.delete(job.id);
           compare.disabled = chosen.size < 2;
         } })),
-      h('td', {}, h('a', { href: `#/trainings/${job.id}` }, titleOf(job)), h('div.muted', {}, `${job.trainingKind}, ${job.name ?? 'unnamed'}`)),
-      h('td', {}, stateChip(job)), h('td', {}, progressBar(job)),
-      h('td.right', {}, number(job.progress.mean_loss)),
-      h('td.right', {}, job.validation ? score(job.validation.mean_score) : '–'), h('td', {}, ago(job.created_at)));
+      h('td.main', {}, h('a', { href: `#/trainings/${job.id}` }, titleOf(job)), h('div.muted', {}, `${job.trainingKind}, ${job.name ?? 'unnamed'}`)),
+      h('td', {}, stateChip(job)), h('td.wide', {}, progressBar(job)),
+      h('td.right', { 'data-name': 'Loss' }, number(job.progress.mean_loss)),
+      h('td.right', { 'data-name': 'Held-out' }, job.validation ? score(job.validation.mean_score) : '–'), h('td', {}, ago(job.created_at)));
   }
 
   /** Fills the two lists again; the comparison below them stays. */
@@ -47,16 +47,16 @@ async function mountList(main, app) {
     const [trainings, controllers] = await Promise.all([
       getJson('v1/trainings?limit=200'), getJson('v1/controllers?limit=200')]);
     const named = controllers.items.filter(({ name }) => name);
-    fill(list, trainings.items.length ? h('section.panel.scroll', {}, h('table', {}, h('thead', {}, h('tr', {},
+    fill(list, trainings.items.length ? h('section.panel.scroll', {}, h('table.cards', {}, h('thead', {}, h('tr', {},
       ['', 'Training', 'State', 'Progress', 'Loss', 'Held-out score', 'Created'].map((name) =>
         h(/Loss|score/.test(name) ? 'th.right' : 'th', { scope: 'col' }, name)))), h('tbody', {}, trainings.items.map(row))))
       : h('p.empty', {}, 'No training yet. A training teaches a controller by backpropagation through the simulation.'));
-    fill(files, h('h2', {}, 'Controllers'), h('div.scroll', {}, h('table', {},
+    fill(files, h('h2', {}, 'Controllers'), h('div.scroll', {}, h('table.cards', {},
       h('thead', {}, h('tr', {}, ['Name', 'File', 'Parameters', 'Sensor', 'Made by', 'From', 'Stored'].map((name) => h('th', { scope: 'col' }, name)))),
       h('tbody', {}, named.map((one) => h('tr', {},
-        h('td', {}, saveLink(`v1/controllers/${encodeURIComponent(one.name)}/file`, `${one.name}.safetensors`, one.name)),
+        h('td.main', {}, saveLink(`v1/controllers/${encodeURIComponent(one.name)}/file`, `${one.name}.safetensors`, one.name)),
         h('td', {}, h('code', {}, one.sha256.slice(0, 12)), h('span.muted', {}, ` ${bytes(one.bytes)}`)),
-        h('td', {}, count(one.parameters)), h('td', {}, one.sensor), lineageOf(one, trainings.items),
+        h('td', { 'data-name': 'Parameters' }, count(one.parameters)), h('td', { 'data-name': 'Sensor' }, one.sensor), lineageOf(one, trainings.items),
         h('td', {}, ago(one.stored_at))))))));
     return named;
   }
@@ -159,26 +159,27 @@ async function mountOne(main, id, parameters, app) {
   const ids = [id, ...others];
   const steps = ids.map((one) => new Curve(`v1/trainings/${one}/steps`));
   const validations = ids.map((one) => new Curve(`v1/trainings/${one}/validations`));
-  const head = h('section.panel.stack');
+  const title = h('div.title');
+  const head = h('section.panel.stack', { 'aria-label': 'State' });
   const loss = new Chart({ title: 'Mean loss of the batch', xName: 'step', log: true, height: 280, empty: 'No step has ended yet.' });
   const held = new Chart({ title: 'Held-out score', xName: 'step', log: true, height: 280, empty: 'No validation yet.' });
   const norm = new Chart({ title: 'Gradient norm', xName: 'step', log: true });
   const clipped = new Chart({ title: 'Share of clipped adjoints', xName: 'step', minimum: 0 });
   const charts = [loss, held, norm, clipped];
-  main.replaceChildren(head, h('div.grid', {}, charts.map((chart) => chart.element)));
+  main.replaceChildren(title, head, h('div.grid', {}, charts.map((chart) => chart.element)));
 
   async function showHead() {
     const item = await get(`v1/trainings/${id}`);
     const job = { ...item, trainingKind: item.kind, kind: 'training' };
-    fill(head, h('div.title', {}, h('h1', {}, titleOf(job)), h('span.muted', {}, `${job.trainingKind}, into ${job.name ?? 'no name'}`),
+    fill(title, h('h1', {}, titleOf(job)), h('span.muted', {}, `${job.trainingKind}, into ${job.name ?? 'no name'}`),
       others.map((other) => h('a.state', { href: `#/trainings/${other}` }, `with training ${other}`)),
       stateChip(job), h('div.actions', {},
         saveLink(`v1/trainings/${id}/steps?format=csv`, `training-${id}.csv`, 'Export', { class: 'button' }),
         copyButton(() => ({
           path: `v1/trainings/${id}`, morphoctl: `train show ${id}\ntrain watch ${id}`,
           python: `training = m.training(${id})\nprint(training.steps())\nprint(training.validations())`,
-        })))),
-    progressBar(job), trouble(job), h('div.row', {}, actions(job, showHead), weightField(job, showHead),
+        }))));
+    fill(head, progressBar(job), trouble(job), h('div.row', {}, actions(job, showHead), weightField(job, showHead),
       job.progress.bodies_per_s ? h('span.muted', {}, `${number(job.progress.bodies_per_s)} bodies a second`) : null));
   }
 

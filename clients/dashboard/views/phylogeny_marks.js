@@ -1,0 +1,88 @@
+/** What lies over the picture of a phylogeny: generations, the chosen design and its line of descent. */
+
+import { ticks } from '../lib/chart.js';
+import { fill, h } from '../lib/dom.js';
+import { count, number } from '../lib/format.js';
+
+const FOOT_PX = 22;
+/** Operators by color, as the picture has them. */
+const KINDS = [['random or given', '--grey'], ['inherited', '--green'], ['mutation', '--orange'], ['crossover', '--blue']];
+
+export class PhylogenyMarks {
+  /** @param {import('./phylogeny.js').PhylogenyCanvas} view */
+  constructor(view) {
+    this.view = view;
+    this.selected = -1;
+    this.canvas = h('canvas.over', { 'aria-hidden': 'true' });
+    this.legend = h('div.legend');
+    view.drawn = () => this.draw();
+  }
+
+  /** Says what the colors mean. */
+  tell() {
+    const { colorBy, scores } = this.view;
+    const swatch = (color) => {
+      const element = h('i.swatch');
+      element.style.color = `var(${color})`;
+      return element;
+    };
+    const ramp = (from, to) => [h('span', {}, from), h('i.ramp'), h('span', {}, to)];
+    fill(this.legend, {
+      score: () => ramp(`score ${number(scores[1])}`, `${number(scores[0])}, the best`),
+      age: () => ramp('short life', 'long life'),
+      operator: () => KINDS.map(([name, color]) => h('span', {}, swatch(color), name)),
+    }[colorBy](), h('span', {}, 'bright: ancestors of the living'));
+  }
+
+  draw() {
+    const { canvas, view } = this;
+    const { clientWidth: width, clientHeight: height } = canvas;
+    if (!width || !view.columns) return;
+    canvas.width = Math.round(width * devicePixelRatio);
+    canvas.height = Math.round(height * devicePixelRatio);
+    const context = canvas.getContext('2d');
+    context.scale(devicePixelRatio, devicePixelRatio);
+    const style = getComputedStyle(canvas);
+    const color = (name) => style.getPropertyValue(name).trim();
+    context.font = `12px ${style.fontFamily}`;
+    const [from] = view.at(0, 0);
+    const [to] = view.at(width, 0);
+    context.fillStyle = color('--panel');
+    context.globalAlpha = 0.85;
+    context.fillRect(0, height - FOOT_PX, width, FOOT_PX);
+    context.globalAlpha = 1;
+    context.textAlign = 'center';
+    for (const tick of ticks(Math.max(0, from), Math.min(view.last, to), Math.max(2, width / 110))) {
+      if (!Number.isInteger(tick)) continue;
+      const [x] = view.placeOf(tick, 0);
+      context.fillStyle = color('--grid');
+      context.fillRect(Math.round(x), 0, 1, height - FOOT_PX);
+      context.fillStyle = color('--muted');
+      context.fillText(count(tick), Math.min(width - 14, Math.max(14, x)), height - 7);
+    }
+    context.textAlign = 'right';
+    context.fillText('generation', width - 8, height - FOOT_PX - 6);
+    if (this.selected >= 0) this.#descent(context, color('--text'));
+  }
+
+  /** The chosen design and the lives of its first parents, each from its birth to its child's. */
+  #descent(context, color) {
+    const { columns, layout: { y, parentRow } } = this.view;
+    const place = (generation, row) => this.view.placeOf(generation, y[row]);
+    context.strokeStyle = color;
+    context.fillStyle = color;
+    context.lineWidth = 1.6;
+    context.lineJoin = 'round';
+    context.beginPath();
+    context.moveTo(...place(columns.born[this.selected], this.selected));
+    for (let row = this.selected; parentRow[row] >= 0; row = parentRow[row]) {
+      const parent = parentRow[row];
+      context.lineTo(...place(columns.born[row] - 1, parent));
+      context.lineTo(...place(columns.born[parent], parent));
+    }
+    context.stroke();
+    context.beginPath();
+    context.arc(...place(columns.born[this.selected], this.selected), 5, 0, 7);
+    context.fill();
+  }
+}
