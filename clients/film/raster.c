@@ -15,6 +15,8 @@
 #define NEAR_M      0.05f
 #define HALF_VIEW   0.3443f /* tangent of half the angle of view, 38 degrees high */
 #define TRAIL_M     0.014f
+#define MIDDLE_M    2.5f  /* of the map, along each axis */
+#define SUN_YAW     0.75f /* of the sun, from the view towards the light */
 
 struct vector {
   float x, y, z;
@@ -39,12 +41,11 @@ struct raster {
   /* Of the present picture. */
   const struct look *look;
   struct vector eye, right, up, forward, lamp;
-  struct vector sun_right, sun_up, middle; /* of the shadow's view */
-  float scale;                             /* samples per unit of x / w */
+  struct vector sun, sun_right, sun_up, middle; /* of the shadow's view */
+  float scale;                                  /* samples per unit of x / w */
   const float *heights;
 };
 
-static const struct vector sun = {-0.3438f, -0.4202f, 0.8404f};
 static const struct look looks[2] = {{.background = {0.078f, 0.09f, 0.106f},
                                       .ground = {0.33f, 0.375f, 0.37f},
                                       .line = {0.1f, 0.13f, 0.14f},
@@ -166,7 +167,7 @@ static float sunlight(const struct raster *raster, struct vector at)
               y = (dot(from, raster->sun_up) / reach + 1) * SHADOW_SIDE / 2;
   if (!(x >= 1 && y >= 1 && x < SHADOW_SIDE - 1 && y < SHADOW_SIDE - 1))
     return 1;
-  const float height = dot(from, sun) + 0.008f;
+  const float height = dot(from, raster->sun) + 0.008f;
   float lit = 0;
   for (int i = 0; i < 4; i++) {
     const int row = (int)(y + (float)(i >> 1) - 0.5f), column = (int)(x + (float)(i & 1) - 0.5f);
@@ -182,6 +183,17 @@ static float line_at(float value, float width)
   return (1 - smooth(width * 0.5f, width * 1.5f, d)) * clamp(0.35f / width - 0.35f, 0, 1);
 }
 
+/* Brings bright values towards white slowly, so that faces beside the light keep their shape. */
+static float exposed(float lit)
+{
+  return lit <= 0.8f ? lit : 0.8f + 0.2f * (1 - expf((0.8f - lit) / 0.4f));
+}
+
+static struct vector expose(struct vector lit)
+{
+  return (struct vector){exposed(lit.x), exposed(lit.y), exposed(lit.z)};
+}
+
 static struct vector multiply(struct vector a, struct vector b)
 {
   return (struct vector){a.x * b.x, a.y * b.y, a.z * b.z};
@@ -193,7 +205,7 @@ static struct vector shade_ground(const struct raster *raster, struct vector at,
   float slope[2];
   const float height = height_at(raster->heights, at.x, at.y, slope);
   const struct vector up = normal((struct vector){-slope[0], -slope[1], 1});
-  const float day = clamp(dot(up, sun), 0, 1);
+  const float day = clamp(dot(up, raster->sun), 0, 1);
   struct vector lit =
       times(look->ground, 0.5f + 0.62f * day * (0.2f + 0.8f * sunlight(raster, at)));
   lit = add(lit, times(multiply(look->ground, lamp_light(raster, at, up)), 2.2f));
@@ -213,7 +225,7 @@ static struct vector shade_ground(const struct raster *raster, struct vector at,
                        0.35f * expf(-9 * r2) + 0.5f * smooth(0.012f, 0, fabsf(sqrtf(r2) - 0.12f))));
   const float bx = fmaxf(fabsf(at.x - 2.5f) - 2.35f, 0), by = fmaxf(fabsf(at.y - 2.5f) - 2.35f, 0);
   const float fade = fmaxf(smooth(0, 1.3f, sqrtf(bx * bx + by * by)), smooth(7, 13, w));
-  return mix(lit, look->background, fade);
+  return mix(expose(lit), look->background, fade);
 }
 
 static struct vector shade_skin(const struct raster *raster, const struct vertex *at,
@@ -224,11 +236,12 @@ static struct vector shade_skin(const struct raster *raster, const struct vertex
   const struct vector base =
       mix(look->rest, amount > 0 ? look->swollen : look->shrunk, smooth(0, 1, fabsf(amount)));
   const struct vector above = add(at->at, times(facing, 0.004f));
-  const float day = clamp(dot(facing, sun), 0, 1) * sunlight(raster, above);
+  const float day = clamp(dot(facing, raster->sun), 0, 1) * sunlight(raster, above);
   struct vector lit = times(base, 0.3f + 0.26f * (0.5f + 0.5f * facing.z) + 0.56f * day);
   lit = add(lit, times(multiply(base, lamp_light(raster, at->at, facing)), 1.5f));
   const float edge = fminf(fminf(at->u, 1 - at->u), fminf(at->v, 1 - at->v));
   const float width = fmaxf(uv_per_sample * SAMPLES, 0.012f);
+  lit = expose(lit);
   return mix(lit, times(lit, 0.38f), (1 - smooth(0, 1, edge / width - 0.35f)) * 0.85f);
 }
 
@@ -324,7 +337,7 @@ static void cast(struct raster *raster, const struct vector corners[3])
     const struct vector from = subtract(corners[k], raster->middle);
     x[k] = (dot(from, raster->sun_right) / 0.8f + 1) * SHADOW_SIDE / 2;
     y[k] = (dot(from, raster->sun_up) / 0.8f + 1) * SHADOW_SIDE / 2;
-    h[k] = dot(from, sun);
+    h[k] = dot(from, raster->sun);
   }
   const float area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
   if (fabsf(area) < 1e-6f)
@@ -463,18 +476,21 @@ static void begin(struct raster *raster, const struct raster_camera *camera)
 {
   const size_t n = (size_t)raster->width * raster->height;
   const float level = cosf((float)camera->pitch) * (float)camera->distance_m;
+  const float to_light = atan2f(raster->lamp.x - MIDDLE_M, raster->lamp.y - MIDDLE_M);
+  const float yaw = to_light + (float)camera->yaw, sun_yaw = to_light + SUN_YAW;
   const struct vector target = {(float)camera->target_m[0], (float)camera->target_m[1],
                                 (float)camera->target_m[2]};
-  raster->eye = (struct vector){target.x - sinf((float)camera->yaw) * level,
-                                target.y - cosf((float)camera->yaw) * level,
+  raster->eye = (struct vector){target.x - sinf(yaw) * level, target.y - cosf(yaw) * level,
                                 target.z + sinf((float)camera->pitch) * (float)camera->distance_m};
   raster->forward = normal(subtract(target, raster->eye));
   raster->right = normal(cross(raster->forward, (struct vector){0, 0, 1}));
   raster->up = cross(raster->right, raster->forward);
   raster->scale = (float)raster->height / 2 / HALF_VIEW;
   raster->middle = target;
-  raster->sun_right = normal(cross(sun, (struct vector){0, 0, 1}));
-  raster->sun_up = cross(sun, raster->sun_right);
+  /* Behind those who look towards the light, so that they see lit sides. */
+  raster->sun = normal((struct vector){-0.7f * sinf(sun_yaw), -0.7f * cosf(sun_yaw), 1});
+  raster->sun_right = normal(cross(raster->sun, (struct vector){0, 0, 1}));
+  raster->sun_up = cross(raster->sun, raster->sun_right);
   memset(raster->depth, 0, n * sizeof(float));
   for (size_t i = 0; i < n; i++) {
     raster->color[3 * i] = raster->look->background.x;
@@ -500,6 +516,14 @@ static void resolve(const struct raster *raster, uint8_t *rgb)
         }
         rgb[((size_t)y * width + x) * 3 + c] = (uint8_t)(sum / (SAMPLES * SAMPLES) * 255 + 0.5f);
       }
+}
+
+void raster_background(bool light, uint8_t rgb[3])
+{
+  const struct vector color = looks[light].background;
+  rgb[0] = (uint8_t)(color.x * 255 + 0.5f);
+  rgb[1] = (uint8_t)(color.y * 255 + 0.5f);
+  rgb[2] = (uint8_t)(color.z * 255 + 0.5f);
 }
 
 void raster_draw(struct raster *raster, const struct scene *scene, uint32_t rollout, double time_s,

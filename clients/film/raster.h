@@ -13,7 +13,7 @@
 /* Where the camera stands: it circles a point. */
 struct raster_camera {
   double target_m[3];
-  double yaw, pitch; /* radians; yaw 0 looks along +y */
+  double yaw, pitch; /* radians; yaw 0 looks from the middle of the map towards the light */
   double distance_m;
 };
 
@@ -28,6 +28,9 @@ void raster_free(struct raster *raster);
  * a dark one. rgb: (height, width, 3), written. */
 void raster_draw(struct raster *raster, const struct scene *scene, uint32_t rollout, double time_s,
                  const struct raster_camera *camera, bool light, uint8_t *rgb);
+
+/* Writes the color of what nothing is drawn on. */
+void raster_background(bool light, uint8_t rgb[3]);
 
 /* Computes the mean position of a rollout's masses at a time, which a camera may follow. */
 void raster_center(const struct scene *scene, uint32_t rollout, double time_s, double center_m[3]);

@@ -22,6 +22,7 @@
 #define LAST_S         1.0 /* how long the last frame stays */
 #define DURATION_MAX_S 3600
 #define STRIDE         5 /* steps between two recorded frames */
+#define GAP            2 /* pixels between two views */
 
 struct film {
   struct scene scene;
@@ -148,8 +149,8 @@ static int read_look(struct ctl *ctl, struct film *film)
                     RASTER_SIDE_MAX, size);
   film->light = option_is_set(ctl, "light");
   film->rate = 25;
-  film->distance_m = 2.4;
-  double yaw = 35, pitch = 24;
+  film->distance_m = 2.2;
+  double yaw = 20, pitch = 23;
   if (!option_real(ctl, "rate", 1, 120, &film->rate) ||
       !option_real(ctl, "distance", 0.4, 14, &film->distance_m) ||
       !option_real(ctl, "yaw", -360, 360, &yaw) || !option_real(ctl, "pitch", 1, 88, &pitch))
@@ -174,6 +175,8 @@ static int lay_out(struct film *film)
   const size_t bytes = (size_t)film->width * film->height * 3 + 1;
   film->tile = need(calloc(bytes, 1));
   film->frame = need(calloc(bytes, 1));
+  for (size_t i = 0; i < (size_t)film->width * film->height; i++)
+    raster_background(film->light, film->frame + 3 * i);
   return STATUS_OK;
 }
 
@@ -198,15 +201,16 @@ static void release(struct film *film)
 static void draw(struct film *film, double time_s)
 {
   const uint32_t width = film->view_width, height = film->view_height;
+  const uint32_t gap = film->scene.n_rollouts > 1 ? GAP : 0;
   uint32_t left = 0, top = 0;
   for (uint32_t i = 0; i < film->scene.n_rollouts; i++) {
     struct raster_camera camera = {
         .yaw = film->yaw, .pitch = film->pitch, .distance_m = film->distance_m};
     raster_center(&film->scene, i, time_s, camera.target_m);
     raster_draw(film->raster, &film->scene, i, time_s, &camera, film->light, film->tile);
-    for (uint32_t y = 0; y < height; y++)
+    for (uint32_t y = 0; y < height - gap; y++)
       memcpy(film->frame + ((size_t)(top + y) * film->width + left) * 3,
-             film->tile + (size_t)y * width * 3, (size_t)width * 3);
+             film->tile + (size_t)y * width * 3, (size_t)(width - gap) * 3);
     left += width;
     if (left + width > film->width) {
       left = 0;

@@ -26,9 +26,9 @@
 #define LOOK                                                                                       \
   {"size", 0, "WxH", "Pixels of the film or picture (default: 960x540)."},                         \
       {"light", 0, NULL, "Draw on a bright background (default: dark)."},                          \
-      {"yaw", 0, "DEGREES", "Turn of the camera (default: 35)."},                                  \
-      {"pitch", 0, "DEGREES", "Height of the camera above the horizon (default: 24)."},            \
-      {"distance", 0, "M", "Distance of the camera in meters (default: 2.4)."},                    \
+      {"yaw", 0, "DEGREES", "Turn of the camera away from the light (default: 20)."},              \
+      {"pitch", 0, "DEGREES", "Height of the camera above the horizon (default: 23)."},            \
+      {"distance", 0, "M", "Distance of the camera in meters (default: 2.2)."},                    \
   {                                                                                                \
     "rate", 0, "FPS", "Frames per second of a film (default: 25)."                                 \
   }
