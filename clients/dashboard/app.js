@@ -199,9 +199,15 @@ class Frame {
     try {
       const [{ mount }] = await Promise.all([load(entry.module), this.#followEvents(), this.#identify()]);
       if (turn !== this.turn) return;
+      const { last } = app.events;
       const view = await mount(this.main, rest.filter(Boolean), parameters, app);
-      if (turn !== this.turn) view?.unmount?.();
-      else this.view = view;
+      if (turn !== this.turn) {
+        view?.unmount?.();
+        return;
+      }
+      this.view = view;
+      // What happened while the view loaded may be newer than what it shows.
+      if (app.events.last !== last) view?.update?.({ type: 'reset' });
     } catch (error) {
       if (turn !== this.turn) return;
       if (error.status === 401) askForToken(() => this.route());

@@ -287,6 +287,31 @@ def test_bodies_of_the_editor_and_robots_of_the_stage_found_campaigns(service, b
     assert bred(service, browser, "of the stage") == ids
 
 
+def test_what_happens_while_a_page_loads_is_not_lost(service, browser):
+    from conftest import CAMPAIGN
+    id = service.post("/v1/campaigns", CAMPAIGN | {"generations": 90000})["id"]
+    service.act(id, "pause")
+    browser.open("")
+    browser.run("""
+        const { fetch } = window;
+        const gate = new Promise((resolve) => { window.release = resolve; });
+        window.fetch = async (path, ...rest) => {
+          const reply = await fetch(path, ...rest);
+          if (/generations/.test(path)) await gate;
+          return reply;
+        };
+        const script = document.querySelector('script[type=module]').src;
+        import(script).then(({ app }) => { window.app = app; });
+        location.hash = '#/campaigns/' + arguments[0];
+    """, id)
+    browser.until("document.querySelector('h1 ~ .state')?.innerText === 'paused'")
+    service.act(id, "cancel")
+    browser.until(f"app.recent.some(({{ job, data }}) => job === '{id}' && "
+                  "data.state === 'cancelled')")
+    browser.run("release()")
+    browser.until("document.querySelector('h1 ~ .state')?.innerText === 'cancelled'")
+
+
 COPIED = [
     "", "campaigns", "campaigns/{campaign}", "campaigns/{campaign}/phylogeny", "trainings",
     "trainings/{training}", "designs", "designs?evaluation={evaluation}", "designs/{design}",

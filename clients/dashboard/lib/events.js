@@ -11,6 +11,28 @@ const CHANNEL = 'morphod-events';
 /** Whether an event is more than a step of a job's progress. */
 export const isNews = ({ type }) => type !== 'reset' && !type.endsWith('progress');
 
+/**
+ * Does work soon after it is asked for, and again where it was asked for meanwhile: never twice at once,
+ * and so that the last time begins after the last request. Failures wait for the next event.
+ * @param {() => Promise<any>} work
+ * @param {AbortSignal} signal ends it
+ */
+export function coalesced(work, signal, pauseMs = 500) {
+  let busy = false;
+  let again = false;
+  return async function later() {
+    again = true;
+    if (busy) return;
+    busy = true;
+    while (again && !signal.aborted) {
+      await new Promise((resolve) => setTimeout(resolve, pauseMs));
+      again = false;
+      if (!signal.aborted) await work().catch(() => {});
+    }
+    busy = false;
+  };
+}
+
 export class Events {
   constructor() {
     /** Number of the newest event seen. */

@@ -19,10 +19,12 @@ export function count(value) {
   return value === null || value === undefined ? '–' : value.toLocaleString('en-US');
 }
 
-/** How many voxels, in words. */
-export function voxels(n) {
-  return `${count(n)} ${n === 1 ? 'voxel' : 'voxels'}`;
+/** How many of a thing: "1 environment", "64 environments". */
+export function countOf(n, thing) {
+  return `${count(n)} ${thing}${n === 1 ? '' : 's'}`;
 }
+
+export const voxels = (n) => countOf(n, 'voxel');
 
 export function percent(share) {
   return `${(100 * share).toFixed(share > 0 && share < 0.1 ? 1 : 0)} %`;

@@ -3,6 +3,7 @@
 import { Curve, getJson, post, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
 import { announce, button, fill, h } from '../lib/dom.js';
+import { coalesced } from '../lib/events.js';
 import { ago, count, number, percent, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { may } from '../lib/rights.js';
@@ -25,39 +26,48 @@ export async function mount(main, [id, part], parameters, app) {
 }
 
 async function mountList(main, app) {
-  const page = await getJson('v1/campaigns?limit=200');
+  const stop = new AbortController();
   const chosen = new Set();
+  const list = h('div');
   const compare = button('Compare', () => {
     const [first, ...others] = chosen;
     app.go(`campaigns/${first}`, { compare: others.join(',') });
   }, { disabled: true });
-  const rows = page.items.map((job) => h('tr', {},
-    h('td', {}, h('input', { type: 'checkbox', 'aria-label': `Compare ${titleOf({ kind: 'campaign', ...job })}`,
+
+  const row = (job) => h('tr', {},
+    h('td', {}, h('input', { type: 'checkbox', checked: chosen.has(job.id), 'aria-label': `Compare ${titleOf(job)}`,
       onchange: (event) => {
         if (event.target.checked) chosen.add(job.id);
         else chosen.delete(job.id);
         compare.disabled = chosen.size < 2;
       } })),
-    h('td.main', {}, h('a', { href: `#/campaigns/${job.id}` }, titleOf({ kind: 'campaign', ...job })), h('div.muted', {}, job.mode)),
+    h('td.main', {}, h('a', { href: `#/campaigns/${job.id}` }, titleOf(job)), h('div.muted', {}, job.mode)),
     h('td', {}, stateChip(job)), h('td.right', { 'data-name': 'Population' }, count(job.settings.population)),
-    h('td.wide', {}, progressBar({ kind: 'campaign', ...job })),
+    h('td.wide', {}, progressBar(job)),
     h('td.right', { 'data-name': 'Best score' }, job.newest ? score(job.newest.score.quantiles.p0) : '–'),
-    h('td', {}, ago(job.created_at))));
+    h('td', {}, ago(job.created_at)));
+
+  async function refresh() {
+    const { items } = await getJson('v1/campaigns?limit=200', { signal: stop.signal });
+    fill(list, items.length ? h('section.panel.scroll', {}, h('table.cards', {}, h('thead', {}, h('tr', {},
+      ['', 'Campaign', 'State', 'Population', 'Progress', 'Best score', 'Created'].map((name) =>
+        h(/Population|Best/.test(name) ? 'th.right' : 'th', { scope: 'col' }, name)))),
+    h('tbody', {}, items.map((job) => row({ ...job, kind: 'campaign' })))))
+      : h('p.empty', {}, 'No campaign yet. A campaign evolves a population of designs over generations' +
+        `${may('submit') ? '; the button above starts one' : ''}.`));
+  }
+
+  await refresh();
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Campaigns'), h('div.actions', {}, compare,
       copyButton(() => ({ path: 'v1/campaigns', morphoctl: 'campaign list', python: 'print(m.campaigns())' })),
-      startButton(app, 'campaign', { class: 'primary' }))),
-    rows.length ? h('section.panel.scroll', {}, h('table.cards', {}, h('thead', {}, h('tr', {},
-      ['', 'Campaign', 'State', 'Population', 'Progress', 'Best score', 'Created'].map((name) =>
-        h(/Population|Best/.test(name) ? 'th.right' : 'th', { scope: 'col' }, name)))), h('tbody', {}, rows)))
-      : h('p.empty', {}, 'No campaign yet. A campaign evolves a population of designs over generations' +
-        `${may('submit') ? '; the button above starts one' : ''}.`));
+      startButton(app, 'campaign', { class: 'primary' }))), list);
+  const later = coalesced(refresh, stop.signal);
   return {
-    update(event) {
-      // A list in which somebody chooses stays as it is.
-      const isNews = event.type === 'reset' || event.type.startsWith('campaign.');
-      if (isNews && !chosen.size && event.type !== 'campaign.progress') mountList(main, app);
+    update({ type }) {
+      if (type === 'reset' || type.startsWith('job.') || type === 'campaign.generation') later();
     },
+    unmount: () => stop.abort(),
   };
 }
 
@@ -243,15 +253,11 @@ async function mountOne(main, id, parameters, app) {
     return environmentsLoad;
   }
 
-  let jobLoad = null;
-  function refreshJob() {
-    jobLoad ??= get(`v1/campaigns/${id}`).then((fresh) => {
-      const was = campaign.state;
-      campaign = { ...fresh, kind: 'campaign' };
-      if (was !== campaign.state) announceState.textContent = `The campaign is ${campaign.state}`;
-      showHead();
-    }).finally(() => { jobLoad = null; });
-    return jobLoad;
+  async function refreshJob() {
+    const was = campaign.state;
+    campaign = { ...await get(`v1/campaigns/${id}`), kind: 'campaign' };
+    if (was !== campaign.state) announceState.textContent = `The campaign is ${campaign.state}`;
+    showHead();
   }
 
   async function refreshCurves() {
@@ -268,25 +274,16 @@ async function mountOne(main, id, parameters, app) {
   await refreshCurves();
   showChampions().catch((error) => { if (!stop.signal.aborted) fill(champions, h('p.error', {}, error.message)); });
 
-  let pending = null;
-  /** New generations are drawn together, at most twice a second. */
-  function later() {
-    pending ??= setTimeout(async () => {
-      pending = null;
-      try {
-        await refreshJob();
-        if (await refreshCurves()) await showChampions();
-      } catch {
-        // The banner tells that the service cannot be reached.
-      }
-    }, 500);
-  }
+  // New generations are drawn together, at most twice a second.
+  const later = coalesced(async () => {
+    await refreshJob();
+    if (await refreshCurves()) await showChampions();
+  }, stop.signal);
   return {
     update(event) {
       if (event.type === 'reset' || event.job === id || others.includes(event.job)) later();
     },
     unmount() {
-      clearTimeout(pending);
       stop.abort();
       Object.values(charts).forEach((chart) => chart.destroy());
       compared?.destroy();

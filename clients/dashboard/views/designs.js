@@ -2,8 +2,9 @@
 
 import { getJson, withQuery } from '../lib/api.js';
 import { button, fill, h, select } from '../lib/dom.js';
+import { coalesced } from '../lib/events.js';
 import { pythonOf } from '../lib/commands.js';
-import { ago, bytes, count, score, shellWord, voxels as inVoxels } from '../lib/format.js';
+import { ago, bytes, count, countOf, score, shellWord, voxels as inVoxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
@@ -150,9 +151,10 @@ async function mountEvaluation(main, id, app) {
 
   main.replaceChildren(title, head, h('section.panel', { 'aria-label': 'Results' }, wall.element));
   await refresh();
+  const later = coalesced(refresh, stop.signal);
   return {
     update(event) {
-      if (event.type === 'reset' || event.job === id) refresh().catch(() => {});
+      if (event.type === 'reset' || event.job === id) later();
     },
     unmount: () => stop.abort(),
   };
@@ -177,7 +179,7 @@ async function mountDesign(main, id, app) {
     h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, h('table', {},
       h('thead', {}, h('tr', {}, ['Score', 'Controller', 'Environments', 'Computed', 'Class', 'Origin'].map((name) => h('th', { scope: 'col' }, name)))),
       h('tbody', {}, scored.map((one) => h('tr', {}, h('td', {}, score(one.score)), h('td', {}, h('code', {}, one.controller.slice(0, 12))),
-        h('td', {}, Array.isArray(one.environments) ? `${one.environments.length} environments` : String(one.environments)),
+        h('td', {}, Array.isArray(one.environments) ? countOf(one.environments.length, 'environment') : String(one.environments)),
         h('td', {}, ago(one.computed_at)), h('td', {}, one.fingerprint), h('td', {}, one.origin))))))
       : h('p.empty', {}, 'No score is stored for this design.')),
     h('section.panel.stack', {}, h('h2', {}, 'Campaigns'), design.campaigns.length ? h('ul', {}, design.campaigns.map((one) =>

@@ -3,6 +3,7 @@
 import { Curve, getJson, patient, post } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
 import { button, fill, h, select } from '../lib/dom.js';
+import { coalesced } from '../lib/events.js';
 import { ago, bytes, count, number, percent, score } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
@@ -79,9 +80,9 @@ async function mountList(main, app) {
 /** Where a controller comes from: the training that made it, and what that began with. */
 function lineageOf(controller, trainings) {
   const training = trainings.find((one) => one.controller?.sha256 === controller.sha256);
-  if (!training) return [h('td.muted', {}, 'no training here'), h('td', {}, '–')];
-  return [h('td', {}, h('a', { href: `#/trainings/${training.id}` }, training.label ?? `Training ${training.id}`)),
-    h('td', {}, training.parent?.name ?? (training.parent ? h('code', {}, training.parent.sha256.slice(0, 12)) : 'random weights'))];
+  if (!training) return [h('td.muted', { 'data-name': 'Made by' }, 'no training here'), h('td', { 'data-name': 'From' }, '–')];
+  return [h('td', { 'data-name': 'Made by' }, h('a', { href: `#/trainings/${training.id}` }, training.label ?? `Training ${training.id}`)),
+    h('td', { 'data-name': 'From' }, training.parent?.name ?? (training.parent ? h('code', {}, training.parent.sha256.slice(0, 12)) : 'random weights'))];
 }
 
 /** Two controllers on the same held-out bodies: the difference with its interval, and both side by side. */
@@ -242,17 +243,12 @@ async function mountOne(main, id, parameters, app) {
 
   await findReplicates();
   await refresh();
-  let pending = null;
+  const later = coalesced(refresh, stop.signal);
   return {
     update(event) {
-      if (event.type !== 'reset' && event.job !== id && !others.includes(event.job)) return;
-      pending ??= setTimeout(() => {
-        pending = null;
-        refresh().catch(() => {});
-      }, 500);
+      if (event.type === 'reset' || event.job === id || others.includes(event.job)) later();
     },
     unmount() {
-      clearTimeout(pending);
       stop.abort();
       charts.forEach((chart) => chart.destroy());
     },
