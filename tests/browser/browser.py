@@ -70,9 +70,9 @@ class Browser:
             assert time.monotonic() < deadline, f"never true: {condition}; {self.faults()}"
             time.sleep(0.05)
 
-    def until_walking(self):
+    def until_walking(self, seconds=30):
         """Waits for robots on the stage."""
-        self.until("document.querySelector('.stage')?.player?.stage.robots.length")
+        self.until("document.querySelector('.stage')?.player?.stage.robots.length", seconds)
 
     def chain(self, view, shown, latency_ms=300):
         """The length of the longest chain of requests until a script says that a view is shown,

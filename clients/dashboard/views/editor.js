@@ -190,7 +190,7 @@ export async function mount(main, path, parameters, app) {
   }, { disabled: true, title: 'Cross with a kept body' });
 
   main.replaceChildren(
-    h('div.title', {}, h('h1', {}, 'Editor'), h('span.muted', {}, 'layers from the ground up; arrow keys move, page keys change the layer, space ' +
+    h('div.title', {}, h('h1', {}, 'Editor'), h('span.muted.keys', {}, 'layers from the ground up; arrow keys move, page keys change the layer, space ' +
       'sets a voxel, Ctrl and Z undo'), h('div.actions', {}, button('Import', importBody), copyButton(() => ({
       path: 'v1/evaluations', body: { designs: [{ voxels: genotype }] }, headers: ['Prefer: wait=30'],
       morphoctl: `eval ${genotype}`, python: `print(m.evaluate(["${genotype}"]).frame())`,

@@ -1,7 +1,7 @@
 /** Forms that start jobs. Names, bounds and defaults come from the contract that the daemon serves. */
 
-import { post } from '../lib/api.js';
-import { button, h } from '../lib/dom.js';
+import { getJson, post } from '../lib/api.js';
+import { button, fill, h } from '../lib/dom.js';
 import { commandsOf } from '../lib/commands.js';
 import { shellWord } from '../lib/format.js';
 import { may } from '../lib/rights.js';
@@ -42,9 +42,9 @@ function inputFor(name, schema, isRequired) {
   }
   const isNumber = schema.type === 'integer' || schema.type === 'number';
   return h('input', {
-    ...described, type: isNumber ? 'number' : 'text', min: schema.minimum, max: schema.maximum,
+    ...described, list: name === 'controller' ? 'controllers' : null, type: isNumber ? 'number' : 'text', min: schema.minimum, max: schema.maximum,
     step: schema.type === 'integer' ? 1 : 'any', maxlength: schema.maxLength,
-    placeholder: schema.default !== undefined ? String(schema.default) : isNumber ? 'as the preset says' : '',
+    placeholder: schema.default !== undefined ? String(schema.default) : isNumber ? 'as the preset says' : name === 'controller' ? 'default' : '',
   });
 }
 
@@ -96,10 +96,15 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
       h('span', {}, name.replaceAll('_', ' ')), input, h('span.visually-hidden', { id: `hint-${name}` }, hintOf(schema)),
       fault) };
   });
+  const names = h('datalist', { id: 'controllers' });
+  getJson('v1/controllers?limit=200').then(({ items }) => fill(names, items.filter(({ name }) => name)
+    .map(({ name }) => h('option', { value: name }))), () => {}); // a name can be typed, too
   const designs = kind === 'evaluation' && !fixed.designs ? h('textarea', {
     rows: 4, required: true, placeholder: 'one design a line: an id of 36 digits, or 144 digits of voxels',
   }) : null;
   const message = h('p.error.wide', { role: 'alert' });
+  /** What the field in focus means; screen readers have it with the field. */
+  const hint = h('p.hint.wide.muted', { 'aria-hidden': 'true' });
 
   function body() {
     /** @type {any} */
@@ -140,9 +145,12 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
   }
 
   const dialog = h('dialog', { 'aria-label': `New ${kind}`, onclose: () => dialog.remove() },
-    h('form', { onsubmit: submit }, h('h2.wide', {}, `New ${kind}`),
+    h('form', { onsubmit: submit, onfocusin: (event) => {
+      const field = fields.find(({ input }) => input === event.target);
+      hint.textContent = field ? hintOf(field.schema) : '';
+    } }, h('h2.wide', {}, `New ${kind}`),
       fixed.initial ? h('p.wide', {}, founders(fixed.initial.designs.length)) : null, fields.map(({ element }) => element),
-      designs ? h('label.field.wide', {}, h('span', {}, 'designs'), designs) : null, message,
+      designs ? h('label.field.wide', {}, h('span', {}, 'designs'), designs) : null, names, hint, message,
       h('div.row.wide', {}, h('button.primary', { type: 'submit' }, 'Start'),
         button('Cancel', () => dialog.close()), button('Copy as a command', () => copyDialog(commands())))));
   document.body.append(dialog);

@@ -219,11 +219,11 @@ export async function mount(main, id, parameters, app) {
   const stop = new AbortController();
   const campaign = await getJson(`v1/campaigns/${encodeURIComponent(id)}`);
   const canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': 'Phylogeny: loading' });
-  canvas.style.cssText = 'width:100%;height:62vh;display:block;touch-action:none';
+  canvas.style.cssText = 'width:100%;height:min(62vh,640px);display:block;touch-action:none';
   const view = new PhylogenyCanvas(canvas, campaign.progress.designs);
   const marks = new PhylogenyMarks(view);
   const note = h('p.muted', { 'aria-live': 'polite' }, 'Loading the ancestors of the living…');
-  const player = new Player(app, { compact: true, height: 300 });
+  const player = new Player(app, { compact: true, height: 360 });
   const detail = h('div.stack');
   const ancestry = h('div.grid.small');
   const search = h('input', { type: 'search', placeholder: 'number or id', 'aria-label': 'Find a design' });
@@ -237,8 +237,8 @@ export async function mount(main, id, parameters, app) {
         h('form.row', { onsubmit: (event) => { event.preventDefault(); find(search.value.trim()); } }, search, h('button', { type: 'submit' }, 'Find')),
         button('Whole', () => { view.reset(); view.draw(); }))),
     h('section.panel.flush', {}, h('div.overlaid', {}, canvas, marks.canvas), marks.legend),
-    h('div.grid', {}, h('section.panel.stack', {}, detail), h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
-    h('section.panel.stack', {}, h('h2', {}, 'Ancestry'), ancestry));
+    h('div.grid', {}, h('section.panel.stack', {}, detail, h('h3', {}, 'Ancestry'), ancestry),
+      h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)));
   fill(detail, h('p.empty', {}, 'Touch a design: its robot walks, and its line of descent is shown. Drag to move, wheel or pinch to zoom. ' +
     'Arrow keys go from design to design.'));
   const redraw = () => view.draw();

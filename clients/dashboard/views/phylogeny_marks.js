@@ -51,13 +51,14 @@ export class PhylogenyMarks {
     context.globalAlpha = 0.85;
     context.fillRect(0, height - FOOT_PX, width, FOOT_PX);
     context.globalAlpha = 1;
+    context.fillStyle = color('--muted');
     context.textAlign = 'center';
     for (const tick of ticks(Math.max(0, from), Math.min(view.last, to), Math.max(2, width / 110))) {
       if (!Number.isInteger(tick)) continue;
       const [x] = view.placeOf(tick, 0);
-      context.fillStyle = color('--grid');
+      context.globalAlpha = 0.25;
       context.fillRect(Math.round(x), 0, 1, height - FOOT_PX);
-      context.fillStyle = color('--muted');
+      context.globalAlpha = 1;
       context.fillText(count(tick), Math.min(width - 14, Math.max(14, x)), height - 7);
     }
     context.textAlign = 'right';
