@@ -10,8 +10,10 @@
 from ._async.client import AsyncClient, AsyncObjective
 from ._async.handles import (AsyncCampaign, AsyncCampaigns, AsyncEvaluation, AsyncJob,
                              AsyncTraining)
+from ._async.studies import AsyncStudy, AsyncStudyObjective
 from ._sync.client import Client, Objective
 from ._sync.handles import Campaign, Campaigns, Evaluation, Job, Training
+from ._sync.studies import Study, StudyObjective
 from .bodies import WORKSPACE, Body
 from .errors import (AccessError, ApiError, BodyError, BusyError, ConflictError, InvalidError,
                      JobError, MorphodError, NotFoundError, UnreachableError, WaitError)
@@ -19,17 +21,18 @@ from .imports import read_bodies
 from .local import LocalClient, local
 from .phylogenies import Phylogeny
 from .player import Player
-from .results import Controller, Result
+from .results import Asked, Batch, Controller, Result
 from .scenes import Rollout, Scene
 from .weights import read_safetensors, write_safetensors
 
 __version__ = "0.1.0"
 
 __all__ = [
-    "WORKSPACE", "AccessError", "ApiError", "AsyncCampaign", "AsyncCampaigns", "AsyncClient",
-    "AsyncEvaluation", "AsyncJob", "AsyncObjective", "AsyncTraining", "Body", "BodyError",
-    "BusyError", "Campaign", "Campaigns", "Client", "ConflictError", "Controller", "Evaluation",
-    "InvalidError", "Job", "JobError", "LocalClient", "MorphodError", "NotFoundError", "Objective",
-    "Phylogeny", "Player", "Result", "Rollout", "Scene", "Training", "UnreachableError",
+    "WORKSPACE", "AccessError", "ApiError", "Asked", "AsyncCampaign", "AsyncCampaigns",
+    "AsyncClient", "AsyncEvaluation", "AsyncJob", "AsyncObjective", "AsyncStudy",
+    "AsyncStudyObjective", "AsyncTraining", "Batch", "Body", "BodyError", "BusyError", "Campaign",
+    "Campaigns", "Client", "ConflictError", "Controller", "Evaluation", "InvalidError", "Job",
+    "JobError", "LocalClient", "MorphodError", "NotFoundError", "Objective", "Phylogeny", "Player",
+    "Result", "Rollout", "Scene", "Study", "StudyObjective", "Training", "UnreachableError",
     "WaitError", "local", "read_bodies", "read_safetensors", "write_safetensors",
 ]

@@ -76,13 +76,26 @@ class Plan:
         told = -losses if self.maximize else losses
         if self.measures is None:
             return float(told[0]) if single else told
-        table = np.zeros((len(bodies), len(self.measures)))
-        for column, measure in enumerate(self.measures):
-            if measure == _PATH:
-                if paths is not None:
-                    ways = np.linalg.norm(np.diff(paths, axis=2), axis=-1).sum(axis=2)
-                    table[there, column] = ways.mean(axis=1)
-                continue
-            count = measure if callable(measure) else _OF_BODY[measure]
-            table[:, column] = [0.0 if body is None else float(count(body)) for body in bodies]
+        table = self.values(bodies)
+        if paths is not None:
+            ways = np.linalg.norm(np.diff(paths, axis=2), axis=-1).sum(axis=2)
+            table[there, list(self.measures).index(_PATH)] = ways.mean(axis=1)
         return told, table
+
+    @property
+    def names(self) -> list[str]:
+        """The measures by name; functions have theirs, but for those without a plain one."""
+        given = [getattr(measure, "__name__", "") if callable(measure) else measure
+                 for measure in self.measures or ()]
+        return [name if name.isidentifier() and name not in given[:place] else f"measure_{place}"
+                for place, name in enumerate(given)]
+
+    def values(self, bodies: Sequence[Body | None]) -> NDArray[np.float64]:
+        """The measures (n, measures) of bodies; 0 for a path, and for what is no body."""
+        measures = self.measures or ()
+        table = np.zeros((len(bodies), len(measures)))
+        for column, measure in enumerate(measures):
+            if measure != _PATH:
+                count = measure if callable(measure) else _OF_BODY[measure]
+                table[:, column] = [0.0 if body is None else float(count(body)) for body in bodies]
+        return table

@@ -17,15 +17,14 @@ if TYPE_CHECKING:
 NONE = 4294967295
 """In the columns of parents: there is none."""
 
-OPERATORS = ("random", "listed", "inherited", "mutation", "crossover")
-
 
 class Phylogeny:
     """Columns of a row per design, in order of birth.
 
     `number`, `parent` and `other_parent` are uint32 (`NONE`: no parent), `born` and `died`
-    generations (`alive` tells who lives), `operator` places in `OPERATORS`, `score` float32 with
-    NaN where a rollout diverged. A million designs are a few arrays of a few megabytes.
+    generations (`alive` tells who lives), `operator` places in `operators`, `score` float32 with
+    NaN where a rollout diverged, `measures` float64 by name, of a study. A million designs are a
+    few arrays of a few megabytes.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -36,7 +35,10 @@ class Phylogeny:
         self.born = columns["born"]
         self.died = columns["died"]
         self.operator = columns["operator"]
+        self.operators: tuple[str, ...] = tuple(header["operators"])
         self.score = columns["score"]
+        self.measures = {name.partition(".")[2]: column for name, column in columns.items()
+                         if name.startswith("measures.")}
         # A whole phylogeny may come without numbers: they are the places.
         self.number = columns.get("number", np.arange(len(self.parent), dtype=np.uint32))
         self.alive: NDArray[np.bool_] = self.died == np.iinfo(self.died.dtype).max
@@ -49,7 +51,7 @@ class Phylogeny:
 
     def frame(self) -> pd.DataFrame:
         """A table with the index `number`: parent and other_parent (nullable integers), born, died
-        (nullable), operator (categories), score."""
+        (nullable), operator (categories), score, and the measures of a study."""
         module = pandas()
 
         def nullable(column: NDArray[Any], absent: NDArray[np.bool_]) -> Any:
@@ -61,8 +63,10 @@ class Phylogeny:
                 "other_parent": nullable(self.other_parent, self.other_parent == NONE),
                 "born": self.born.astype(np.int64),
                 "died": nullable(self.died, self.alive),
-                "operator": module.Categorical.from_codes(self.operator.astype(np.int8), OPERATORS),
+                "operator": module.Categorical.from_codes(self.operator.astype(np.int8),
+                                                          self.operators),
                 "score": self.score,
+                **{f"measures_{name}": column for name, column in self.measures.items()},
             },
             index=module.Index(self.number.astype(np.int64), name="number"))
         return table
@@ -78,7 +82,7 @@ class Phylogeny:
                    self.alive.tolist(), self.operator.tolist(), self.score.tolist())
         for number, born, died, alive, operator, score in rows:
             graph.add_node(number, born=born, died=None if alive else died,
-                           operator=OPERATORS[operator], score=score)
+                           operator=self.operators[operator], score=score)
         for column in (self.parent, self.other_parent):
             present = column != NONE
             graph.add_edges_from(zip(column[present].tolist(), self.number[present].tolist()))

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .bodies import Body, dropped
+from .frames import frame
 from .weights import read_safetensors, torch_module
 
 if TYPE_CHECKING:
+    import pandas as pd
     from numpy.typing import NDArray
 
 
@@ -46,6 +49,94 @@ class Result:
 
     def __repr__(self) -> str:
         return f"<Result {self.id}: score {self.score:.6g}>"
+
+
+class Batch:
+    """A batch of a study: its children by their places, with scores.
+
+    `number` is that of the batch, `numbers` has those of the designs (None: skipped), `notes` what
+    was skipped or repaired, `data` all that the service tells.
+    """
+
+    def __init__(self, data: Mapping[str, Any]) -> None:
+        self.data = data
+        self.number = int(data["batch"])
+        self.notes: Sequence[Mapping[str, Any]] = data["notes"]
+        skipped = sum(note["fault"] is not None for note in self.notes)
+        self.rows: list[Mapping[str, Any] | None] = [None] * (len(data["children"]) + skipped)
+        for row in data["children"]:
+            self.rows[row["child"]] = row
+        self.numbers = [None if row is None else int(row["number"]) for row in self.rows]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def scores(self) -> NDArray[np.float64]:
+        """(children,): mean losses, lower is better; NaN: skipped, or a rollout diverged."""
+        return np.array([None if row is None else row["score"] for row in self.rows],
+                        dtype=np.float64)
+
+    @property
+    def losses(self) -> NDArray[np.float64]:
+        """(children, environments); NaN: skipped, diverged, or computed by another version."""
+        rows = [(row or {}).get("losses") or () for row in self.rows]
+        table = np.full((len(rows), max(map(len, rows), default=0)), np.nan)
+        for place, row in enumerate(rows):
+            table[place, :len(row)] = np.array(row, dtype=np.float64)
+        return table
+
+    @property
+    def bodies(self) -> list[Body | None]:
+        """What was scored; None: skipped."""
+        return [None if row is None else Body.of(row["genotype"]) for row in self.rows]
+
+    def frame(self) -> pd.DataFrame:
+        """A table with a line per child that was born."""
+        return frame(self.data["children"])
+
+    def __repr__(self) -> str:
+        return f"<Batch {self.number}: {len(self)} children>"
+
+
+class Asked:
+    """Bodies that a study asks to try: `bodies`, with their `parents` and `operators`."""
+
+    def __init__(self, data: Mapping[str, Any]) -> None:
+        self.batch = int(data["batch"])
+        self.bodies = [Body.of(child["body"]["voxels"]) for child in data["children"]]
+        self.parents: list[list[int]] = [child["parents"] for child in data["children"]]
+        self.operators: list[str] = [child["operator"] for child in data["children"]]
+
+    def __len__(self) -> int:
+        return len(self.bodies)
+
+    def __repr__(self) -> str:
+        return f"<Asked: {len(self)} bodies for batch {self.batch}>"
+
+
+def children_of(designs: Sequence[Mapping[str, str]], parents: Sequence[Sequence[int]] | None,
+                operator: str | Sequence[str] | None,
+                measures: Mapping[str, Iterable[float]] | None) -> list[dict[str, Any]]:
+    """The children of a batch as the service takes them."""
+    columns: dict[str, Sequence[Any]] = {"body": designs}
+    if parents is not None:
+        columns["parents"] = [[int(number) for number in row] for row in parents]
+    if operator is not None:
+        columns["operator"] = [operator] * len(designs) if isinstance(operator, str) else operator
+    if measures:
+        named = {name: [_measure(value) for value in values] for name, values in measures.items()}
+        if len(set(map(len, named.values()))) != 1:
+            raise ValueError("measures have different numbers of children")
+        columns["measures"] = [dict(zip(named, row)) for row in zip(*named.values())]
+    for name, column in columns.items():
+        if len(column) != len(designs):
+            raise ValueError(f"{name}: {len(column)} for {len(designs)} children")
+    return [dict(zip(columns, row)) for row in zip(*columns.values())]
+
+
+def _measure(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
 
 
 class Controller:

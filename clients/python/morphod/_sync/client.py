@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..bodies import BodyLike, OnFault, Repair, requests_of, voxels_of
+from ..errors import MorphodError
 from ..frames import frame
 from ..objectives import Plan
 from ..player import Player
@@ -19,6 +20,7 @@ from .._wire import WAIT_S, Request, given as _given
 from .connection import Connection
 from .handles import (Campaign, Campaigns, Evaluation, Training, curves,
                       curves_of, player)
+from .studies import Study
 
 if TYPE_CHECKING:
     import numpy as np
@@ -217,6 +219,29 @@ class Client:
                      self._connection.pages("/v1/campaigns", group=first["id"])]
             members = sorted(group, key=lambda member: int(member.data["group"]["replicate"]))
         return Campaigns(self._connection, members)
+
+    def study(self, name: str, *, population: int | None = None,
+                    environments: Environments | None = None, controller: str | None = None,
+                    physics: Mapping[str, Any] | None = None, **settings: Any) -> Study:
+        """A study that your search drives: the one of this name that has not ended, or a new one.
+
+        The name is the label of its campaign. `population` is the most designs that may live (512).
+        `settings` are those of the contract (docs/studies.md), such as `selection`, `mutation`,
+        `seed`. Raises `MorphodError` if the one that is found has another population or seed.
+        """
+        value = {"mode": "study", "label": name, **settings,
+                 **_given(population=population, environments=environments, controller=controller,
+                          physics=physics)}
+        for data in self._connection.pages("/v1/campaigns", label=name):
+            if data["study"] is None or data["state"] in ("succeeded", "failed", "cancelled"):
+                continue
+            for key in ("population", "seed"):
+                if value.get(key, data["settings"][key]) != data["settings"][key]:
+                    raise MorphodError(f"study {data['id']}, {name!r}, has the {key} "
+                                       f"{data['settings'][key]}, not {value[key]}")
+            return Study(self._connection, data)
+        return Study(self._connection, self._connection.json(
+            Request.submit("/v1/campaigns", value)))
 
     def campaigns(self, *, label: str | None = None, state: str | None = None,
                         group: str | None = None) -> Campaigns:

@@ -1,0 +1,173 @@
+"""Studies: campaigns that a search of your own drives, by ask and tell."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal
+
+from ..bodies import Body, BodyLike, OnFault, Repair, requests_of
+from ..errors import MorphodError
+from ..objectives import Plan
+from ..results import Asked, Batch, children_of
+from .._wire import WAIT_S, Request, given
+from .connection import AsyncConnection
+from .handles import AsyncCampaign
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from typing_extensions import Self
+
+
+class AsyncStudy(AsyncCampaign):
+    """A campaign whose children you make, batch by batch; everything else is as of a campaign.
+
+    The service commits a batch as a whole, with its scores and the state of your sampler, so that
+    either side may die at any moment. Leaving a `with` block finishes the study; leaving it by an
+    exception leaves it open, and the same name finds it again.
+    """
+
+    def __init__(self, connection: AsyncConnection, data: dict[str, Any]) -> None:
+        super().__init__(connection, data)
+        self.next_batch = int(data["study"]["next_batch"])
+        """The number of the batch that `tell` tells next."""
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                        trace: TracebackType | None) -> None:
+        if error is None and not self.ended:
+            await self.finish()
+
+    async def ask(self, n: int, *, by: Literal["variation", "random"] = "variation",
+                  parents: Iterable[int] | None = None) -> Asked:
+        """Bodies that this study has never seen, made by the service: children of its population or
+        of `parents`, by its settings' mutation and crossover; random ones while it is empty. The
+        same question has the same answer until the next batch is told."""
+        value = {"n": n, "by": by, "parents": None if parents is None else list(parents)}
+        return Asked(await self._connection.json(
+            Request.post(f"{self._list}/{self.id}/ask", value)))
+
+    async def tell(self, children: Iterable[BodyLike] | NDArray[Any] | Asked, *,
+                   parents: Sequence[Sequence[int]] | None = None,
+                   operator: str | Sequence[str] | None = None,
+                   measures: Mapping[str, Iterable[float]] | None = None,
+                   survivors: Iterable[int] | None = None, sampler_state: bytes | None = None,
+                   on_fault: OnFault = "refuse", repair: Repair | None = None) -> Batch:
+        """Tells the next batch, and returns its scores once they are committed.
+
+        `children` are bodies, or what `ask` gave. `parents` are the numbers of each one's parents,
+        up to two designs of earlier batches, and `operator` says how they were made, in your own
+        words. `measures` has arrays by name. `survivors` are numbers of those of the population
+        that live on, with all children; without them the study's selection decides.
+        `sampler_state` comes back from `restore`; save the sampler as it is now, before it knows
+        these scores. A body that is skipped (`on_fault="skip"`) has no number and the score NaN.
+        """
+        if isinstance(children, Asked):
+            parents = children.parents if parents is None else parents
+            operator = children.operators if operator is None else operator
+            children = children.bodies
+        value: dict[str, Any] = {
+            "batch": self.next_batch, "on_fault": on_fault,
+            "children": children_of(requests_of(children, on_fault)[0], parents, operator,
+                                    measures),
+            **given(repair=repair),
+        }
+        if survivors is not None:
+            value["survivors"] = [int(number) for number in survivors]
+        if sampler_state is not None:
+            value["sampler_state"] = base64.b64encode(sampler_state).decode()
+        # The same batch told again changes nothing, so that it is safe to repeat.
+        request = Request.post(f"{self._list}/{self.id}/tell", value).waiting(WAIT_S)
+        batch = await self._settled(await self._connection.json(request))
+        self.next_batch = batch.number + 1
+        return batch
+
+    async def _settled(self, told: dict[str, Any]) -> Batch:
+        """Waits until a batch is committed."""
+        while told["state"] != "committed":
+            await self.refresh()
+            if self.ended:
+                self._require_success()
+            told = await self._connection.json(
+                Request.get(f"{self._list}/{self.id}/batch", wait_s=WAIT_S))
+        return Batch(told)
+
+    async def last(self) -> Batch | None:
+        """The newest batch, once it is committed; None: none was told yet."""
+        await self.refresh()
+        if self.data["study"]["next_batch"] == 0 and not self.data["study"]["pending"]:
+            return None
+        batch = await self._settled(await self._connection.json(
+            Request.get(f"{self._list}/{self.id}/batch", wait_s=WAIT_S)))
+        self.next_batch = batch.number + 1
+        return batch
+
+    async def restore(self) -> tuple[bytes, Batch] | None:
+        """What a search needs to go on where it died: the state of the sampler that the newest
+        batch was told with, and that batch with its scores, which the sampler does not know yet.
+        None: nothing was told yet, so the search begins."""
+        batch = await self.last()
+        if batch is None:
+            return None
+        reply = await self._connection.send(Request.get(
+            f"{self._list}/{self.id}/sampler", accept="application/octet-stream"))
+        if reply.headers["Morphod-Batch"] != str(batch.number):
+            raise MorphodError(f"study {self.id} is driven by somebody else, too")
+        return reply.content, batch
+
+    async def finish(self, survivors: Iterable[int] | None = None) -> None:
+        """Ends the study. `survivors`: those of the population that live at the end."""
+        if survivors is not None:
+            await self.tell([], survivors=survivors)
+        self.data = await self._connection.json(Request.post(f"{self._list}/{self.id}/finish"))
+
+    def objective(self, measures: Sequence[Any] | None = None, *,
+                  decode: Callable[[Any], BodyLike] | None = None,
+                  maximize: bool | None = None, worst: float = 10.0,
+                  operator: str = "sampler") -> AsyncStudyObjective:
+        """What an optimizer calls with its solutions, as `Client.objective`; each call is a batch
+        of this study."""
+        plan = Plan(measures, decode, worst, measures is not None if maximize is None else maximize)
+        if plan.needs_path:
+            raise ValueError("a study records no paths: path_length_m is no measure of one")
+        return AsyncStudyObjective(self, plan, operator)
+
+
+class AsyncStudyObjective:
+    """An objective whose calls are batches of a study; see `Objective`.
+
+    `objective(solutions, sampler_state=…)` tells them and gives what the optimizer is told.
+    `objective.last` is the batch of the newest call.
+    """
+
+    def __init__(self, study: AsyncStudy, plan: Plan, operator: str) -> None:
+        self.study = study
+        self.last: Batch | None = None
+        self._plan = plan
+        self._operator = operator
+
+    async def __call__(self, solutions: Any, *, sampler_state: bytes | None = None,
+                       survivors: Iterable[int] | None = None) -> Any:
+        """Scores the solutions, and gives what the optimizer is told."""
+        bodies, single = self._plan.read(solutions)
+        values = self._plan.values(bodies)
+        self.last = await self.study.tell(
+            [body if body is not None else [] for body in bodies], operator=self._operator,
+            measures={name: values[:, column] for column, name in enumerate(self._plan.names)},
+            sampler_state=sampler_state, survivors=survivors, on_fault="skip")
+        return self._plan.write(bodies, self._there(bodies), None, single)
+
+    def again(self, batch: Batch) -> Any:
+        """What a call gave whose batch `AsyncStudy.restore` has found."""
+        self.last = batch
+        bodies: list[Body | None] = list(batch.bodies)
+        return self._plan.write(bodies, self._there(bodies), None, False)
+
+    def _there(self, bodies: Sequence[Body | None]) -> NDArray[Any]:
+        """The scores of the bodies that are there."""
+        assert self.last is not None
+        scores: NDArray[Any] = self.last.scores
+        return scores[[body is not None for body in bodies]]

@@ -1,0 +1,140 @@
+"""Studies: a search of one's own that the service keeps."""
+
+import asyncio
+import pickle
+import random
+import signal
+
+import numpy as np
+import pytest
+
+import morphod
+from service import DESIGN
+
+WORLD = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
+SHORT = {"environments": WORLD, "physics": {"n_steps": 12}}
+
+
+class Climber:
+    """Flips voxels of the best, seeded."""
+
+    def __init__(self):
+        self.random = random.Random(4)
+        self.best, self.score = np.ones(144), np.inf
+
+    def ask(self, n):
+        self.asked = []
+        for _ in range(n):
+            vector = self.best.copy()
+            for _ in range(12):
+                place = self.random.randrange(144)
+                vector[place] = 1 - vector[place]
+            self.asked.append(vector)
+        return self.asked
+
+    def tell(self, scores):
+        for vector, score in zip(self.asked, scores):
+            if score < self.score:
+                self.best, self.score = vector, score
+
+
+def climb(m, name, batches, dies):
+    """Climbs to the end of a study; raises where it dies, and goes on when it is called again."""
+    with m.study(name, seed=9, **SHORT) as study:
+        objective = study.objective()
+        climber, known = Climber(), study.restore()
+        if known is not None:
+            climber = pickle.loads(known[0])
+            climber.tell(objective.again(known[1]))
+        while study.next_batch < batches:
+            solutions = climber.ask(6)
+            state = pickle.dumps(climber)
+            dies(study.next_batch)
+            climber.tell(objective(solutions, sampler_state=state))
+    assert study.state == "succeeded"
+    return study, climber
+
+
+def test_a_search_goes_on_where_it_died(m, start, tmp_path):
+    """Either side dies, and the end is the same; the name finds the study."""
+    study, climber = climb(m, "undisturbed", 8, lambda batch: None)
+    running, deaths = start(state=tmp_path / "state"), []
+
+    def die(batch):
+        if batch in (2, 5) and batch not in deaths:
+            deaths.append(batch)
+            raise KeyboardInterrupt
+
+    for _ in range(3):
+        client = morphod.Client(f"http://{running.host}:{running.port}")
+        try:
+            other, again = climb(client, "disturbed", 8, die)
+        except KeyboardInterrupt:
+            running.stop(signal.SIGKILL)
+            running = start(state=tmp_path / "state")
+    assert deaths == [2, 5] and again.score == climber.score < 1
+    assert (again.best == climber.best).all()
+    ours, theirs = study.phylogeny(), other.phylogeny()
+    assert (ours.score == theirs.score).all() and ours.operators[-1] == "sampler"
+    assert len(client.campaigns(label="disturbed")) == 1
+
+
+def test_ask_tell_and_select(m):
+    study = m.study("by hand", population=20, **SHORT)
+    assert study.restore() is None
+    asked = study.ask(6)
+    batch = study.tell(asked, measures={"size": [len(body) for body in asked.bodies]})
+    assert batch.number == 0 and batch.numbers == list(range(6)) and len(batch.frame()) == 6
+    assert batch.losses.shape == (6, 1) and (batch.losses[:, 0] == batch.scores).all()
+    best = [int(place) for place in np.argsort(batch.scores)[:2]]
+    asked = study.ask(4, parents=best)
+    assert {parent for parents in asked.parents for parent in parents} <= set(best)
+    batch = study.tell([[], DESIGN["cells"], [[0, 0, 0], [1, 0, 0], [3, 0, 0]]], survivors=best,
+                       parents=[[], best, best[:1]], operator=["a", "b", "c"], on_fault="skip",
+                       repair="largest", measures={"size": [0, 4, np.nan], "own": [1, 2, 3]},
+                       sampler_state=b"mine")
+    assert batch.numbers == [None, 6, 7] and np.isnan(batch.scores[0]) and batch.bodies[0] is None
+    assert [note["repaired"] for note in batch.notes] == [0, 1]
+    same = m.study("by hand")
+    assert same.id == study.id and same.next_batch == 2
+    state, known = same.restore()
+    assert state == b"mine" and known.data == batch.data
+    assert set(study.population()["number"]) == {*best, 6, 7}
+    assert study.population()["measures_own"].notna().sum() == 2
+    history = study.phylogeny()
+    table = history.frame()
+    assert list(table["operator"][6:]) == ["b", "c"] and table["measures_size"][6] == 4
+    assert np.isnan(history.measures["own"][:6]).all() and history.measures["own"][7] == 3
+    with pytest.raises(morphod.ConflictError, match="another content"):
+        study.next_batch = 1
+        study.tell([DESIGN["cells"]])
+    with pytest.raises(ValueError, match="2 for 1 children"):
+        study.tell([DESIGN["cells"]], parents=[[], []])
+    with pytest.raises(morphod.MorphodError, match="has the population 20, not 30"):
+        m.study("by hand", population=30)
+    same.finish(survivors=[6])
+    assert same.ended and list(same.population()["number"]) == [6]
+    assert m.study("by hand", **SHORT).id != same.id
+
+
+def test_objective_with_measures(m):
+    with m.study("measured", **SHORT) as study:
+        objective = study.objective(["voxels", morphod.Body.footprint], operator="ribs")
+        scores, measures = objective(np.array([np.ones(144), np.zeros(144)]))
+        assert scores[0] < 0 and scores[1] == -10 and measures.tolist() == [[144, 36], [0, 0]]
+        assert objective.again(study.last())[1].tolist() == measures.tolist()
+        with pytest.raises(ValueError, match="records no paths"):
+            study.objective(["path_length_m"])
+    assert study.phylogeny().measures["footprint"].tolist() == [36]
+
+
+def test_for_asyncio(service):
+    async def body():
+        async with morphod.AsyncClient(f"http://{service.host}:{service.port}") as m:
+            async with await m.study("concurrent", **SHORT) as study:
+                batch = await study.tell(await study.ask(3))
+                assert len(batch) == 3 and (await study.last()).data == batch.data
+                assert np.isfinite(await study.objective()(np.ones(144)))
+            assert study.ended
+
+    asyncio.run(body())
