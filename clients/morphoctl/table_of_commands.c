@@ -265,6 +265,20 @@ static const struct option_spec campaign_export_options[] = {
     {"learning", 0, "FILE", "Every step of learning as CSV."},
     {"replicates", 0, "FILE", "Mean, least and most over the replicates, by generation, as CSV."},
     {NULL}};
+static const struct option_spec study_ask_options[] = {
+    {"random", 0, NULL, "Random bodies; else mutants and recombinants, once designs are born."},
+    {"parents", 0, "LIST",
+     "Numbers of the designs that vary, with commas (default: all that live)."},
+    {NULL}};
+static const struct option_spec study_tell_options[] = {
+    {"batch", 0, "N", "Number of the batch (default: the next one)."},
+    {"survivors", 0, "LIST",
+     "Numbers of the living designs that live on, with commas (default: the study selects)."},
+    {"sampler", 0, "FILE", "State of the sampler, up to 16 MiB, which study sampler returns."},
+    RULES(""),
+    {NULL}};
+static const struct option_spec study_sampler_options[] = {
+    {"output", 'o', "FILE", "Where to put it (default: standard output)."}, {NULL}};
 static const struct option_spec controller_get_options[] = {
     {"output", 'o', "FILE", "Where to put it (default: NAME.safetensors; -: standard output)."},
     {NULL}};
@@ -371,9 +385,11 @@ const struct command commands[] = {
      "mean of the differences over designs with its 95 % confidence interval (Student t). Lower "
      "scores are better.",
      train_compare_options, 2, 2, run_train_compare},
-    {"campaign start", "zero-shot|few-shot|simultaneous [DESIGN]...", "Let a population evolve.",
+    {"campaign start", "zero-shot|few-shot|simultaneous|study [DESIGN]...",
+     "Let a population evolve.",
      "zero-shot: the controller is frozen. few-shot: it learns again in each generation. "
-     "simultaneous: it learns along. DESIGNs (as those of eval) begin the initial population, "
+     "simultaneous: it learns along. study: nothing is born until study tell tells it. DESIGNs (as "
+     "those of eval) begin the initial population, "
      "random bodies fill it up. The campaign is a job of the server, which goes on without "
      "morphoctl, and after a crash where it was.",
      campaign_start_options, 1, MANY, run_campaign_start, &campaign_kind},
@@ -411,6 +427,21 @@ const struct command commands[] = {
      "simultaneous campaign cannot be extended or resumed after it; of one without a result "
      "champions cannot be recorded any more. Of a campaign that has not ended nothing is deleted.",
      NULL, 1, MANY, run_job_prune},
+    {"study ask", "ID N", "Ask a study for N bodies that it has never seen.",
+     "Children of its population as JSON, one per line, which study tell reads. The same question "
+     "has the same answer until the next batch is told. campaign start study makes a study; the "
+     "other commands of campaigns are for studies, too.",
+     study_ask_options, 2, 2, run_study_ask},
+    {"study tell", "ID [FILE]", "Tell a study its next batch, and print the scores.",
+     "FILE (default: standard input) has children as JSON, one after the other or in lists: "
+     "{\"body\": {\"cells\": [[x,y,z], ...]}, \"parents\": [3, 17], \"operator\": \"mine\", "
+     "\"measures\": {\"reach\": 2}}, or designs alone. The same batch told again changes nothing.",
+     study_tell_options, 1, 2, run_study_tell},
+    {"study sampler", "ID", "Fetch the state of a study's sampler.",
+     "That of the newest batch that is committed. Exit status 3 if it was told without one.",
+     study_sampler_options, 1, 1, run_study_sampler},
+    {"study finish", "ID", "End a study.", "Nothing more can be told then.", NULL, 1, 1,
+     run_study_finish},
     {"export", "LIST", "Save any list, curve or phylogeny as a table.",
      "LIST is a path of the API behind /v1/, with its parameters: jobs, designs?sort=score, "
      "campaigns/7/phylogeny, campaigns/generations?label=B (of several campaigns, in one table).",

@@ -66,6 +66,36 @@ def test_the_json_is_the_apis(service, ctl):
     assert evaluation["label"] == "from the command line"
 
 
+def test_a_study(ctl, tmp_path):
+    status, out, err = ctl(f"campaign start study -q --population 20 {SHORT}")
+    assert status == 0, err
+    id = out.strip()
+    assert "batch 0 is to be told" in ctl(f"campaign show {id}")[1]
+    asked = ctl(f"study ask {id} 8")[1]
+    assert asked.count("\n") == 8 and ctl(f"study ask {id} 8")[1] == asked
+    (tmp_path / "sampler").write_bytes(bytes(range(256)))
+    tell = f"study tell {id} --sampler {tmp_path}/sampler"
+    status, out, err = ctl(tell, input_text=asked)
+    assert status == 0 and len(out.splitlines()) == 9 and " random " in out, err
+    assert ctl(tell + " --batch 0", input_text=asked)[1] == out
+    status, out, err = ctl(tell + " --batch 2", input_text=CELLS)
+    assert status == 3 and "1 is the next" in err, err
+    assert ctl(f"study sampler {id} -o {tmp_path}/again")[0] == 0
+    assert (tmp_path / "again").read_bytes() == bytes(range(256))
+    mine = {"body": DESIGN, "parents": [3, 1], "operator": "mine", "measures": {"reach": 2}}
+    status, out, err = ctl(f"study tell {id} --json --survivors 3,5 --on-fault skip",
+                           input_text=json.dumps([mine, {"cells": []}]) + CELLS)
+    told = json.loads(out)
+    assert [row["child"] for row in told["children"]] == [0, 2]
+    assert told["children"][0]["operator"] == "mine" and told["notes"][0]["place"] == 1
+    lines = ctl(f"study ask {id} 4 --parents 3,8")[1].splitlines()
+    assert {number for line in lines for number in json.loads(line)["parents"]} <= {3, 8}
+    for wrong, given, status in (("--survivors 1,x", "", 2), ("", "{", 2), ("", "[1]", 6)):
+        assert ctl(f"study tell {id} {wrong}", input_text=given)[0] == status, wrong
+    assert ctl(f"study finish {id}")[1] == f"study {id} is succeeded, with 10 designs\n"
+    assert ctl(f"study sampler {id}")[0] == 3
+
+
 def test_the_same_key_is_the_same_evaluation(ctl):
     ids = {
         json.loads(ctl(f"eval {SHORT} --json --idempotency-key once", input_text=CELLS)[1])["id"]
