@@ -317,12 +317,20 @@ static inline bool same_history(const struct history *a, const struct history *b
   return true;
 }
 
+/* Whether the store holds this history. */
+static inline bool is_history(int64_t id, const struct history *expected)
+{
+  struct history *stored = stored_history(id);
+  const bool same = same_history(stored, expected);
+  free(stored);
+  return same;
+}
+
 /* Whether the store holds what plain loops give. */
 static inline bool is_as_plain(int64_t id, const struct plain *plain, const struct origin *origin)
 {
-  struct history *stored = stored_history(id), *expected = plain_history(plain, origin);
-  bool same = same_history(stored, expected);
-  free(stored);
+  struct history *expected = plain_history(plain, origin);
+  const bool same = is_history(id, expected);
   free(expected);
   return same;
 }
