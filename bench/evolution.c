@@ -2,16 +2,15 @@
  * evolution`.
  *
  * Real variation of a real population against a set of as many forms as a large pretraining has,
- * real selection and statistics. Only the scores are not rollouts': they come from a file of
- * recorded ones, or from a landscape over the voxels (made up, but heritable, so that the
- * population converges and children that were seen become frequent, as in a real campaign). With
- * --store each generation is committed, too, with ten losses per design. */
+ * real selection and statistics. Only the scores are not rollouts': they come from a landscape over
+ * the voxels (made up, but heritable, so that the population converges and children that were seen
+ * become frequent, as in a real campaign). With --store each generation is committed, too, with ten
+ * losses per design. */
 #include "bench.h"
 #include "evolution_store.h"
 
 #include <morpho/evolution.h>
 
-#include <errno.h>
 #include <getopt.h>
 #include <math.h>
 #include <stdlib.h>
@@ -31,8 +30,6 @@ static const char usage[] =
     "  --forms N         bodies of a pretraining that count as seen (default 12000000)\n"
     "  --threads N       that draw these (default 1)\n"
     "  --selection NAME  truncation (default), tournament, novelty, age-layered\n"
-    "  --scores PATH     recorded scores, one to a line, for the designs in order of birth, from "
-    "the start again at the end\n"
     "  --seed N          of the campaign (default 1)\n"
     "  --store PATH      commit every generation to a new state folder there, and read it back\n";
 
@@ -42,11 +39,9 @@ static const char *const phase_names[PHASES] = {"variation", "selection", "stati
 struct evolution {
   struct mo_campaign_settings settings;
   uint64_t n_forms;
-  uint32_t n_threads;                   /* that draw them */
-  const char *scores_path, *store_path; /* nullable */
-  struct bench_campaign *campaign;      /* with store_path */
-  double *recorded;                     /* (n_recorded) */
-  size_t n_recorded;
+  uint32_t n_threads;              /* that draw them */
+  const char *store_path;          /* nullable */
+  struct bench_campaign *campaign; /* with store_path */
 
   struct mo_form_set *excluded;
   struct mo_seen *seen;
@@ -64,34 +59,6 @@ struct evolution {
   double *seconds[PHASES], *total;   /* (generations) */
   struct mo_variation_counts counts; /* of all generations */
 };
-
-static void read_scores(struct evolution *evolution)
-{
-  FILE *file = fopen(evolution->scores_path, "r");
-  size_t space = 0;
-  double score;
-  if (file == NULL) {
-    fprintf(stderr, "morpho-bench: %s: %s\n", evolution->scores_path, strerror(errno));
-    exit(1);
-  }
-  while (fscanf(file, "%lf", &score) == 1) {
-    if (isnan(score))
-      break;
-    if (evolution->n_recorded == space) {
-      space = 2 * space + 1024;
-      evolution->recorded = realloc(evolution->recorded, space * sizeof(*evolution->recorded));
-      bench_check(evolution->recorded == NULL ? MO_ERR_NO_MEMORY : MO_OK, "scores");
-    }
-    evolution->recorded[evolution->n_recorded++] = score;
-  }
-  const int whole = feof(file);
-  fclose(file);
-  if (!whole || evolution->n_recorded == 0) {
-    fprintf(stderr, "morpho-bench: %s: line %zu is not a score\n", evolution->scores_path,
-            evolution->n_recorded + 1);
-    exit(1);
-  }
-}
 
 /* 1 / (1 + e^f), f a sum over voxels and pairs of neighbors in their order, of random weights. */
 static double made_up_score(const uint64_t *genotype)
@@ -122,11 +89,10 @@ static void describe(struct evolution *evolution, uint32_t generation, uint32_t 
 {
   for (uint32_t i = from; i < to; i++) {
     const uint64_t number = evolution->n_designs++;
-    const double score = evolution->n_recorded > 0
-                             ? evolution->recorded[number % evolution->n_recorded]
-                             : made_up_score(evolution->genotypes + (size_t)W * i);
     evolution->candidates[i] =
-        (struct mo_candidate){.score = score, .number = number, .born = generation};
+        (struct mo_candidate){.score = made_up_score(evolution->genotypes + (size_t)W * i),
+                              .number = number,
+                              .born = generation};
   }
 }
 
@@ -320,7 +286,6 @@ static void read_options(struct evolution *evolution, int argc, char **argv)
                                           {"forms", required_argument, NULL, 'f'},
                                           {"threads", required_argument, NULL, 'T'},
                                           {"selection", required_argument, NULL, 's'},
-                                          {"scores", required_argument, NULL, 'r'},
                                           {"seed", required_argument, NULL, 'S'},
                                           {"store", required_argument, NULL, 't'},
                                           {"help", no_argument, NULL, 'h'},
@@ -338,7 +303,6 @@ static void read_options(struct evolution *evolution, int argc, char **argv)
     case 's':
       settings->selection.kind = (enum mo_selection_kind)bench_word(mo_selection_words, optarg);
       break;
-    case 'r': evolution->scores_path = optarg; break;
     case 'S': settings->seed = bench_number(optarg, 0, UINT64_MAX); break;
     case 't': evolution->store_path = optarg; break;
     case 'h': fputs(usage, stdout); exit(0);
@@ -357,16 +321,10 @@ int bench_evolution(int argc, char **argv)
                                 .n_threads = 1};
   setvbuf(stdout, NULL, _IOLBF, 0);
   read_options(&evolution, argc, argv);
-  if (evolution.scores_path != NULL)
-    read_scores(&evolution);
-  printf("population %u, %u generations, selection by %s; real variation; ",
+  printf("population %u, %u generations, selection by %s; real variation; scores made up: a random "
+         "landscape over voxels, no rollouts\n",
          evolution.settings.population, evolution.settings.generations,
          mo_selection_words[evolution.settings.selection.kind]);
-  if (evolution.n_recorded > 0)
-    printf("%zu recorded scores of %s, over and over\n", evolution.n_recorded,
-           evolution.scores_path);
-  else
-    printf("scores made up: a random landscape over voxels, no rollouts\n");
   create(&evolution);
   printf("%10s %10s %10s %10s %10s %10s %8s %9s %10s\n", "generation", "variation", "selection",
          "statistics", "storing", "mean score", "diversity", "voxels", "masses");

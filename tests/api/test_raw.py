@@ -71,6 +71,8 @@ REFUSED = {
     "NUL in a name": (GET + b"X\x00Y: a\r\n\r\n", {0, 200, 400}, False),
     "control byte in a name": (GET + b"X\x01: a\r\n\r\n", {400}, True),
     "control byte in a value": (GET + b"X: a\x01b\r\n\r\n", {400}, True),
+    "carriage return in a value": (GET + b"X: a\rb\r\n\r\n", {0, 400}, True),
+    "two authorizations": (GET + b"Authorization: x\r\nAuthorization: y\r\n\r\n", {400}, True),
     "empty name": (GET + b": a\r\n\r\n", {0, 200, 400}, False),  # the library drops the line
     "line without a colon": (GET + b"nonsense\r\n\r\n", {400}, True),
     "HTTP/2.0": (b"GET /healthz HTTP/2.0\r\n" + HOST + END, {505}, True),
@@ -121,6 +123,7 @@ ANSWERED = {
     "escaped path upwards": (b"GET /v1/controllers/%2e%2e%2f%2e%2e HTTP/1.1\r\n" + HOST + END, 404),
     "double slash": (b"GET //healthz HTTP/1.1\r\n" + HOST + END, 404),
     "slash at the end": (b"GET /v1/jobs/ HTTP/1.1\r\n" + HOST + END, 404),
+    "tab in a value": (GET + b"X: tab\tis fine\r\n\r\n", 200),
     "upgrade": (GET + b"Connection: Upgrade\r\nUpgrade: websocket\r\n\r\n", 200),
     "empty line first": (b"\r\n" + GET + END, 200),
     "HTTP/1.0 without host": (b"GET /healthz HTTP/1.0\r\n\r\n", 200),

@@ -9,7 +9,6 @@
 #include <poll.h>
 #include <pthread.h>
 #include <stdatomic.h>
-#include <sys/fsuid.h>
 #include <sys/socket.h>
 #include <sys/un.h>
 #include <time.h>
@@ -17,8 +16,6 @@
 #include "api/api.h"
 #include "store/internal.h"
 #include "unit/jobs/service.h"
-
-#define ANOTHER 54321 /* a user */
 
 static char address[128];
 static uint16_t port;
@@ -394,54 +391,6 @@ static void memory(void)
   mo_api_stop(api, 1000);
 }
 
-/* A connection of a user; only root can open those of others. */
-static int dial_as(unsigned uid)
-{
-  setfsuid(uid); /* of this thread alone: whose the next socket is */
-  int fd = dial();
-  setfsuid(geteuid());
-  return fd;
-}
-
-/* Sends `n` bytes of a body of `size`. */
-static int upload(unsigned uid, size_t size, size_t n)
-{
-  char head[256], piece[1000];
-  int fd = dial_as(uid);
-  int length = snprintf(
-      head, sizeof(head),
-      "POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: "
-      "application/json\r\nContent-Length: %zu\r\n\r\n",
-      size);
-  memset(piece, ' ', sizeof(piece));
-  if (fd >= 0 && send(fd, head, (size_t)length, MSG_NOSIGNAL) != length) {
-    close(fd);
-    return -1;
-  }
-  for (size_t i = 0; i < n; i += sizeof(piece))
-    (void)send(fd, piece, sizeof(piece), MSG_NOSIGNAL);
-  return fd;
-}
-
-/* A client that never ends its uploads leaves room for the others. */
-static void memory_shares(void)
-{
-  REQUIRE(start((struct mo_http_config){.max_body_memory = 1 << 20}));
-  int half = upload(geteuid(), 400000, 300000);
-  REQUIRE(half >= 0);
-  pause_ms(200);
-  CHECK_INT(finish(upload(geteuid(), 100000, 100000)), 429);
-  CHECK(strstr(text, "Retry-After") != NULL);
-  if (geteuid() == 0)
-    CHECK_INT(finish(upload(ANOTHER, 100000, 100000)), 400); /* spaces: taken in and read */
-  pause_ms(1200); /* but a whole request does not wait for one that does not go on */
-  CHECK_INT(finish(upload(geteuid(), 100000, 100000)), 400);
-  CHECK_INT(finish(half), 503);
-  CHECK_INT(finish(upload(geteuid(), 100000, 100000)), 400);
-  CHECK_INT(finish(upload(geteuid(), 900000, 900000)), 400); /* one alone may be larger */
-  mo_api_stop(api, 1000);
-}
-
 static void waiting_ends_with_the_server(void)
 {
   REQUIRE(start((struct mo_http_config){0}));
@@ -561,7 +510,6 @@ static const struct check_case cases[] = {
     {"streams take no place of requests", streams_take_no_place},
     {"long replies", long_replies},
     {"memory of replies", memory},
-    {"shares of memory", memory_shares},
     {"waiting ends with the server", waiting_ends_with_the_server},
     {"heartbeats", heartbeats},
     {"logs", logs},

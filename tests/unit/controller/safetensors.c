@@ -1,5 +1,6 @@
 /* safetensors.c: files of controllers, kind and hostile. The hostile ones start from a good 1x1x1
- * file; a text of its header is replaced, and the message must name the fault. */
+ * file; a text of its header is replaced, and the message must name the fault. Random damage is
+ * tests/fuzz/controller.c. */
 #include "../make.h"
 
 #include <fcntl.h>
@@ -7,7 +8,6 @@
 #include <unistd.h>
 
 #include <morpho/controller.h>
-#include <morpho/random.h>
 
 struct blob {
   uint8_t *bytes;
@@ -326,43 +326,6 @@ static void values_not_finite(void)
     }
 }
 
-/* A good header with random bytes replaced: never a crash, and what is accepted is whole. */
-static void random_damage(void)
-{
-  make_good();
-  const uint64_t header = header_length();
-  struct mo_random random = dice(11, 0, 0);
-  int accepted = 0, refused = 0;
-  for (int trial = 0; trial < 20000; trial++) {
-    uint8_t saved[4];
-    size_t at[4];
-    const uint32_t n = 1 + mo_random_below(&random, 4);
-    for (uint32_t i = 0; i < n; i++) {
-      at[i] = mo_random_below(&random, (uint32_t)header + 8);
-      saved[i] = good.bytes[at[i]];
-      const char *const likely = "{}[]\",:0123456789-.eE \\u";
-      good.bytes[at[i]] =
-          (uint8_t)(mo_random_below(&random, 2) ? likely[mo_random_below(&random, 24)]
-                                                : (int)mo_random_below(&random, 256));
-    }
-    struct mo_controller *c = NULL;
-    struct mo_message message = {""};
-    const int r = mo_controller_decode(good.bytes, good.size, &c, &message);
-    if (r == MO_OK) {
-      accepted++;
-      CHECK(c != NULL && c->n_parameters * 4 + 8 + header == good.size);
-    } else {
-      refused++;
-      CHECK(c == NULL && (r == MO_ERR_FORMAT || r == MO_ERR_LIMIT) && message.text[0] != '\0');
-    }
-    mo_controller_free(c);
-    for (uint32_t i = n; i-- > 0;)
-      good.bytes[at[i]] = saved[i];
-  }
-  printf("# %d accepted, %d refused\n", accepted, refused);
-  CHECK(accepted > 0 && refused > 10000);
-}
-
 static void round_trip(void)
 {
   struct mo_controller *b = NULL;
@@ -498,7 +461,6 @@ static const struct check_case cases[] = {
     {"gaps", gaps},
     {"much metadata", many_metadata},
     {"values that are not finite or too large", values_not_finite},
-    {"random damage", random_damage},
     {"files that cannot be read", read_faults},
     {"a header too long to write", header_overflow}};
 CHECK_MAIN(cases)

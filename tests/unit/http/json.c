@@ -1,12 +1,9 @@
-/* The JSON reader: what it accepts is what jansson accepts, and its faults are at the right places.
- */
+/* The JSON reader: what it accepts, and that its faults are at the right places. The fuzz targets
+ * of requests hold it to jansson. */
 #include "unit/check.h"
-
-#include <jansson.h>
 
 #include "base/base64.h"
 #include "base/json.h"
-#include <morpho/random.h>
 
 static struct mo_json json;
 static struct mo_faults faults;
@@ -278,60 +275,6 @@ static void many_faults(void)
   CHECK_INT(items, MO_FAULTS_MAX);
 }
 
-/* Mutations of a request: both readers must agree on what is JSON (jansson rejects what does not
- * fit its numbers). */
-static void agrees_with_jansson(void)
-{
-  static const char seed[] =
-      "{\"designs\":[{\"cells\":[[2,2,0],[2,-3,1.5e2]]},{\"voxels\":\"01\\u00e9\\\"\"}],\"b\":["
-      "true,false,null,\"é\"],\"c\":{}}";
-  static const char alphabet[] =
-      "{}[]\",:0123456789.eE+-truefalsnx\\u \t\n\xc3\xa9"; /* no NUL: jansson skips one behind a
-                                                              number */
-  struct mo_random random;
-  int accepted = 0;
-  for (uint64_t i = 0; i < 200000; i++) {
-    char text[sizeof(seed) + 8];
-    size_t size = sizeof(seed) - 1;
-    memcpy(text, seed, size);
-    mo_random_init(&random, 7, MO_PURPOSE_CHECK, 0, i);
-    for (uint32_t k = 0, n = 1 + mo_random_below(&random, 3); k < n; k++) {
-      size_t at = mo_random_below(&random, (uint32_t)size);
-      char c = alphabet[mo_random_below(&random, sizeof(alphabet) - 1)];
-      switch (mo_random_below(&random, 3)) {
-      case 0: text[at] = c; break;
-      case 1:
-        memmove(text + at, text + at + 1, size - at - 1);
-        size--;
-        break;
-      default:
-        memmove(text + at + 1, text + at, size - at);
-        text[at] = c;
-        size++;
-        break;
-      }
-    }
-    text[size] = '\0';
-    json_error_t error;
-    json_t *tree = json_loadb(text, size, JSON_REJECT_DUPLICATES | JSON_DECODE_ANY, &error);
-    bool theirs = tree != NULL;
-    json_decref(tree);
-    bool ours = well_formed(text, size);
-    accepted += ours;
-    if (!theirs && ours) /* a number out of jansson's range, which is for typed readers to judge */
-      theirs = json_error_code(&error) == json_error_numeric_overflow;
-    if (ours != theirs) {
-      CHECK(ours == theirs);
-      printf("# ours %d, jansson %d (%s):", ours, theirs, error.text);
-      for (size_t k = 0; k < size; k++)
-        printf(text[k] >= 0x20 && text[k] < 0x7F ? "%c" : "<%02x>", (unsigned char)text[k]);
-      printf("\n");
-      break;
-    }
-  }
-  CHECK(accepted > 1000);
-}
-
 static const struct check_case cases[] = {
     {"accepts what is JSON", accepts},
     {"rejects what is not", rejects},
@@ -342,6 +285,5 @@ static const struct check_case cases[] = {
     {"reads strings", strings},
     {"reads bytes", bytes},
     {"stops at many faults", many_faults},
-    {"agrees with jansson", agrees_with_jansson},
 };
 CHECK_MAIN(cases)
