@@ -1,50 +1,11 @@
-/* campaign_history.c: every design that a campaign bore, against a model that is kept beside it. */
+/* campaign_history.c: every design that a campaign bore, as each reader gives it. Who lived when,
+ * with which score and parents, is tested with the campaigns of jobs, against plain loops. */
 #include "../check.h"
 #include "campaign_fixture.h"
 #include "one_store.h"
 
 #define UNTIL 40 /* generations after the first */
 #define BORN  ((UNTIL + 1) * MADE_POPULATION)
-
-struct model {
-  struct mo_campaign_design designs[BORN];
-  uint32_t population[UNTIL + 1][MADE_POPULATION];
-  double scores[UNTIL + 1][MADE_POPULATION];
-};
-
-/* What a commit makes of the model. */
-static void remember(struct model *model, const struct made *made)
-{
-  const struct mo_campaign_commit *commit = &made->commit;
-  uint32_t g = commit->row.generation, first = (uint32_t)commit->row.born_before,
-           n_parents = commit->n_parents;
-  for (uint32_t i = 0; i < commit->row.n_children; i++) {
-    struct mo_campaign_design *design = &model->designs[first + i];
-    *design = (struct mo_campaign_design){.number = first + i,
-                                          .form = commit->forms[i],
-                                          .genotype = commit->genotypes[i],
-                                          .descent = {.op = (uint8_t)commit->births[i].op},
-                                          .born = g,
-                                          .died = g,
-                                          .score = commit->child_scores[i],
-                                          .size = commit->sizes[i]};
-    for (int p = 0; p < 2; p++)
-      design->descent.parents[p] = commit->births[i].parents[p] == MO_NO_PARENT
-                                       ? MO_NO_PARENT
-                                       : commit->parent_numbers[commit->births[i].parents[p]];
-  }
-  for (uint32_t i = 0; i < n_parents; i++) {
-    model->designs[commit->parent_numbers[i]].died = g;
-    model->designs[commit->parent_numbers[i]].score = commit->parent_scores[i];
-  }
-  for (uint32_t i = 0; i < commit->n_survivors; i++) {
-    uint32_t place = commit->survivors[i];
-    uint32_t number = place < n_parents ? commit->parent_numbers[place] : first + place - n_parents;
-    model->population[g][i] = number;
-    model->scores[g][i] = made_score_of(made, place);
-    model->designs[number].died = -1;
-  }
-}
 
 static bool same_design(const struct mo_campaign_design *a, const struct mo_campaign_design *b)
 {
@@ -57,19 +18,20 @@ static bool same_design(const struct mo_campaign_design *a, const struct mo_camp
          memcmp(&a->size, &b->size, sizeof(a->size)) == 0;
 }
 
-static void check_designs(int64_t id, const struct model *model)
+/* Page by page, some, and nobody's. all: (BORN). */
+static void check_designs(int64_t id, const struct mo_campaign_design *all)
 {
   static const uint32_t some[] = {7, 3, BORN - 1, 0, 3};
-  struct mo_campaign_design page[50];
+  struct mo_campaign_design page[7];
   uint32_t n_read = 0;
   int64_t n;
   while ((n = mo_store_campaign_designs(store, id, (int64_t)n_read - 1, page, 7)) > 0)
     for (int64_t i = 0; i < n; i++, n_read++)
-      CHECK(same_design(&page[i], &model->designs[n_read]));
+      CHECK(page[i].number == n_read && same_design(&page[i], &all[n_read]));
   CHECK(n == 0 && n_read == BORN);
   CHECK_OK(mo_store_campaign_designs_of(store, id, some, 5, page));
   for (int i = 0; i < 5; i++)
-    CHECK(same_design(&page[i], &model->designs[some[i]]));
+    CHECK(same_design(&page[i], &all[some[i]]));
   CHECK_INT(mo_store_campaign_designs_of(store, id, (const uint32_t[]){1, BORN}, 2, page),
             MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_campaign_designs_of(store, 99, some, 1, page), MO_ERR_NOT_FOUND);
@@ -77,40 +39,43 @@ static void check_designs(int64_t id, const struct model *model)
   CHECK_INT(mo_store_campaign_designs(store, id, -1, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
 }
 
-static void check_populations(int64_t id, const struct model *model)
+/* Who lives in a generation, with the score of that time. */
+static void check_populations(int64_t id, const struct mo_campaign_design *all)
 {
-  struct mo_campaign_design page[MADE_POPULATION], expected;
+  struct mo_campaign_design page[MADE_POPULATION], part[2];
   uint32_t n = 0;
-  for (int64_t g = -1; g <= UNTIL; g++) {
-    int64_t at = g < 0 ? UNTIL : g;
+  for (int64_t g = UNTIL; g >= -1; g--) { /* 3 is looked at again below */
+    const uint32_t at = g < 0 ? UNTIL : (uint32_t)g;
     CHECK_INT(mo_store_campaign_population(store, id, g, 0, page, MADE_POPULATION, &n),
               MADE_POPULATION);
     CHECK_INT(n, MADE_POPULATION);
     for (uint32_t i = 0; i < MADE_POPULATION; i++) {
-      expected = model->designs[model->population[at][i]];
-      expected.score = model->scores[at][i]; /* as it was then */
-      CHECK(same_design(&page[i], &expected));
+      struct mo_campaign_design now = all[page[i].number];
+      CHECK(now.born <= at && (now.died < 0 || now.died > at));
+      if (at == UNTIL)
+        CHECK(memcmp(&page[i].score, &now.score, sizeof(now.score)) == 0);
+      now.score = page[i].score;
+      CHECK(same_design(&page[i], &now));
     }
   }
-  CHECK_INT(mo_store_campaign_population(store, id, 3, 2, page, 2, &n), 2);
-  CHECK(n == MADE_POPULATION && page[0].number == model->population[3][2] &&
-        page[1].number == model->population[3][3]);
+  CHECK_INT(mo_store_campaign_population(store, id, -1, 2, part, 2, &n), 2);
+  CHECK(n == MADE_POPULATION && same_design(&part[0], &page[2]) && same_design(&part[1], &page[3]));
   CHECK_INT(mo_store_campaign_population(store, id, 3, MADE_POPULATION, page, 2, &n), 0);
   CHECK_INT(mo_store_campaign_population(store, id, UNTIL + 1, 0, page, 2, &n), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_campaign_population(store, 99, -1, 0, page, 2, &n), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_campaign_population(store, id, 3, 0, page, MO_PAGE_MAX + 1, &n), MO_ERR_LIMIT);
 }
 
-static void check_descents(int64_t id, const struct model *model)
+static void check_descents(int64_t id, const struct mo_campaign_design *all)
 {
   struct mo_descent *descents = NULL;
   uint32_t *born = NULL, n = 0;
   REQUIRE_OK(mo_store_campaign_descents(store, id, &descents, &born, &n));
   CHECK_INT(n, BORN);
   for (uint32_t i = 0; i < n; i++)
-    CHECK(descents[i].parents[0] == model->designs[i].descent.parents[0] &&
-          descents[i].parents[1] == model->designs[i].descent.parents[1] &&
-          descents[i].op == model->designs[i].descent.op && born[i] == model->designs[i].born);
+    CHECK(descents[i].parents[0] == all[i].descent.parents[0] &&
+          descents[i].parents[1] == all[i].descent.parents[1] &&
+          descents[i].op == all[i].descent.op && born[i] == all[i].born);
   free(descents);
   free(born);
   REQUIRE_OK(mo_store_campaign_descents(store, id, &descents, NULL, &n));
@@ -120,7 +85,7 @@ static void check_descents(int64_t id, const struct model *model)
 }
 
 struct taken {
-  const struct model *model;
+  const struct mo_campaign_design *all;
   uint32_t n, until;
   bool same;
 };
@@ -130,45 +95,58 @@ static int take(void *context, const struct mo_bits *genotype)
   struct taken *taken = context;
   if (taken->n == taken->until)
     return 42;
-  taken->same = taken->same && memcmp(genotype, &taken->model->designs[taken->n++].genotype,
-                                      sizeof(*genotype)) == 0;
+  taken->same =
+      taken->same && memcmp(genotype, &taken->all[taken->n++].genotype, sizeof(*genotype)) == 0;
   return 0;
 }
 
-static void check_each(int64_t id, const struct model *model)
+static void check_each(int64_t id, const struct mo_campaign_design *all)
 {
-  struct taken taken = {model, 0, BORN, true};
+  struct taken taken = {all, 0, BORN, true};
   CHECK_OK(mo_store_campaign_each(store, id, take, &taken));
   CHECK(taken.same && taken.n == BORN);
-  taken = (struct taken){model, 0, 10, true};
+  taken = (struct taken){all, 0, 10, true};
   CHECK_INT(mo_store_campaign_each(store, id, take, &taken), 42);
   CHECK(taken.same && taken.n == 10);
 }
 
+/* Just after the commit. */
+static void check_children(int64_t id, const struct mo_campaign_commit *commit)
+{
+  struct mo_campaign_design page[2 * MADE_POPULATION];
+  const uint32_t n = commit->row.n_children;
+  CHECK_INT(mo_store_campaign_designs(store, id, (int64_t)commit->row.born_before - 1, page,
+                                      2 * MADE_POPULATION),
+            n);
+  for (uint32_t i = 0; i < n; i++)
+    CHECK(memcmp(&page[i].form, &commit->forms[i], sizeof(page[i].form)) == 0 &&
+          memcmp(&page[i].genotype, &commit->genotypes[i], sizeof(page[i].genotype)) == 0 &&
+          memcmp(&page[i].size, &commit->sizes[i], sizeof(page[i].size)) == 0 &&
+          memcmp(&page[i].score, &commit->child_scores[i], sizeof(page[i].score)) == 0);
+}
+
 static void tells_the_whole_history(int mode)
 {
-  struct made made = {0};
-  struct mo_campaign_request submission = campaign_submission(mode, MADE_POPULATION, UNTIL);
-  struct model *model = calloc(1, sizeof(*model));
-  REQUIRE(model != NULL);
-  int64_t id = submit_campaign(&submission);
-  made = made_start(id, mode, 9);
+  static struct mo_campaign_design all[BORN];
+  const struct mo_campaign_request submission = campaign_submission(mode, MADE_POPULATION, UNTIL);
+  const int64_t id = submit_campaign(&submission);
+  struct made made = made_start(id, mode, 9);
   REQUIRE_OK(mo_store_run_start(store, id));
   for (int g = 0; g <= UNTIL; g++) {
     made_next(&made);
     REQUIRE_OK(mo_store_campaign_commit(store, id, &made.commit));
-    remember(model, &made);
+    check_children(id, &made.commit);
     made_apply(&made);
   }
+  CHECK_INT(mo_store_campaign_designs(store, id, -1, all, BORN), BORN);
   for (int life = 0; life < 2; life++) {
-    check_designs(id, model);
-    check_populations(id, model);
-    check_descents(id, model);
-    check_each(id, model);
+    check_designs(id, all);
+    check_populations(id, all);
+    check_descents(id, all);
+    check_each(id, all);
     REQUIRE_OK(reopen());
   }
   CHECK_OK(check_whole());
-  free(model);
 }
 
 /* Forms are found in every campaign that bore them, whichever way round. */
