@@ -1,6 +1,8 @@
 /* png.c: see png.h. */
 #include "png.h"
 
+#include "../morphoctl/memory.h"
+
 #include <stdlib.h>
 #include <string.h>
 
@@ -27,8 +29,8 @@ static size_t put_chunk(unsigned char *at, const char *name, const unsigned char
 static unsigned char *filter(const uint8_t *rgb, uint32_t width, uint32_t height)
 {
   const size_t row = (size_t)width * 3;
-  unsigned char *lines = malloc((row + 1) * height);
-  for (uint32_t y = 0; lines != NULL && y < height; y++) {
+  unsigned char *lines = need(malloc((row + 1) * height));
+  for (uint32_t y = 0; y < height; y++) {
     unsigned char *line = lines + (row + 1) * y;
     line[0] = 2; /* the filter "up" */
     for (size_t i = 0; i < row; i++)
@@ -43,22 +45,17 @@ unsigned char *png_encode(const uint8_t *rgb, uint32_t width, uint32_t height, s
   const uLong raw = ((uLong)width * 3 + 1) * height;
   uLongf packed = compressBound(raw);
   unsigned char *lines = filter(rgb, width, height);
-  unsigned char *pixels = malloc(packed);
-  unsigned char *file = malloc(packed + 80);
+  unsigned char *pixels = need(malloc(packed));
+  unsigned char *file = need(malloc(packed + 80));
   unsigned char header[13] = {[8] = 8, [9] = 2}; /* 8 bits a color, RGB */
   size_t n = sizeof(signature);
   put_u32(header, width);
   put_u32(header + 4, height);
-  if (lines == NULL || pixels == NULL || file == NULL ||
-      compress2(pixels, &packed, lines, raw, 6) != Z_OK) {
-    free(file);
-    file = NULL;
-  } else {
-    memcpy(file, signature, n);
-    n += put_chunk(file + n, "IHDR", header, sizeof(header));
-    n += put_chunk(file + n, "IDAT", pixels, packed);
-    n += put_chunk(file + n, "IEND", NULL, 0);
-  }
+  need(compress2(pixels, &packed, lines, raw, 6) == Z_OK ? pixels : NULL);
+  memcpy(file, signature, n);
+  n += put_chunk(file + n, "IHDR", header, sizeof(header));
+  n += put_chunk(file + n, "IDAT", pixels, packed);
+  n += put_chunk(file + n, "IEND", NULL, 0);
   free(lines);
   free(pixels);
   *size = n;

@@ -5,6 +5,8 @@
  * depth buffer, seen from the sun. */
 #include "raster.h"
 
+#include "../morphoctl/memory.h"
+
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -445,19 +447,13 @@ struct raster *raster_create(uint32_t width, uint32_t height)
 {
   if (width < 16 || height < 16 || width > RASTER_SIDE_MAX || height > RASTER_SIDE_MAX)
     return NULL;
-  struct raster *raster = calloc(1, sizeof(*raster));
-  if (raster == NULL)
-    return NULL;
+  struct raster *raster = need(calloc(1, sizeof(*raster)));
   raster->width = width * SAMPLES;
   raster->height = height * SAMPLES;
   const size_t n = (size_t)raster->width * raster->height;
-  raster->depth = malloc(n * sizeof(float));
-  raster->color = malloc(n * 3 * sizeof(float));
-  raster->shadow = malloc((size_t)SHADOW_SIDE * SHADOW_SIDE * sizeof(float));
-  if (raster->depth == NULL || raster->color == NULL || raster->shadow == NULL) {
-    raster_free(raster);
-    return NULL;
-  }
+  raster->depth = need(malloc(n * sizeof(float)));
+  raster->color = need(malloc(n * 3 * sizeof(float)));
+  raster->shadow = need(malloc((size_t)SHADOW_SIDE * SHADOW_SIDE * sizeof(float)));
   return raster;
 }
 
@@ -533,15 +529,15 @@ void raster_draw(struct raster *raster, const struct scene *scene, uint32_t roll
   const struct scene_body *body = &scene->bodies[r->body];
   const struct scene_world *world = &scene->worlds[r->world];
   const double end_s = (r->n_frames - 1) * scene->frame_s, t = time_s < end_s ? time_s : end_s;
-  struct vector *masses = malloc(body->n_masses * sizeof(*masses));
+  struct vector *masses = need(malloc((body->n_masses + (size_t)1) * sizeof(*masses)));
   raster->look = &looks[light];
   raster->heights = world->heights_m;
   const float x = (float)world->light_xy_m[0], y = (float)world->light_xy_m[1];
   raster->lamp = (struct vector){x, y, height_at(world->heights_m, x, y, NULL) + 0.1f};
   begin(raster, camera);
-  for (uint32_t i = 0; masses != NULL && i < body->n_masses; i++)
+  for (uint32_t i = 0; i < body->n_masses; i++)
     masses[i] = mass_at(r, body->n_masses, i, t / scene->frame_s);
-  for (uint32_t f = 0; masses != NULL && f < body->n_faces; f++) {
+  for (uint32_t f = 0; f < body->n_faces; f++) {
     const uint16_t *face = body->faces + (size_t)f * 5;
     for (int k = 0; k < 2; k++)
       cast(raster,
@@ -550,8 +546,7 @@ void raster_draw(struct raster *raster, const struct scene *scene, uint32_t roll
   }
   draw_ground(raster);
   draw_trail(raster, scene, rollout, t);
-  if (masses != NULL)
-    draw_skin(raster, body, masses);
+  draw_skin(raster, body, masses);
   blend_disc(raster, raster->lamp, 0.2f, raster->look->glow, 0.7f, true);
   blend_disc(raster, raster->lamp, 0.035f, (struct vector){1, 1, 1}, 1, false);
   free(masses);

@@ -19,8 +19,8 @@ struct raster_camera {
 
 struct raster;
 
-/* Allocates the buffers of a picture of so many pixels, drawn with 2 × 2 samples each. NULL: no
- * memory, or a side outside 16 … RASTER_SIDE_MAX. */
+/* Allocates the buffers of a picture of so many pixels, drawn with 2 × 2 samples each. NULL: a
+ * side outside 16 … RASTER_SIDE_MAX. */
 struct raster *raster_create(uint32_t width, uint32_t height);
 void raster_free(struct raster *raster);
 

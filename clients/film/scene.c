@@ -1,7 +1,10 @@
 /* scene.c: reads a scene. Every offset and size comes from the network and is checked. */
 #include "scene.h"
 
+#include "../morphoctl/memory.h"
+
 #include <math.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -20,9 +23,10 @@ static void fault(struct reader *reader, const char *text)
     reader->fault = text;
 }
 
-/* Finds an array: {"offset", "type", "shape"}. sizes: (n_sizes), written. */
+/* Finds an array: {"offset", "type", "shape"}. sizes: (n_sizes), written; the last must be
+ * `last`. */
 static const void *array(struct reader *reader, const json_t *described, const char *type,
-                         size_t width, uint32_t *sizes, size_t n_sizes)
+                         size_t width, uint32_t *sizes, size_t n_sizes, uint32_t last)
 {
   const json_t *shape = json_object_get(described, "shape");
   const char *given = json_string_value(json_object_get(described, "type"));
@@ -41,6 +45,8 @@ static const void *array(struct reader *reader, const json_t *described, const c
     sizes[i] = (uint32_t)n;
     bytes *= (size_t)n;
   }
+  if (sizes[n_sizes - 1] != last)
+    fault(reader, "an array of the scene is not of the expected shape");
   if (offset < 0 || offset % 4 != 0 || (size_t)offset > reader->size ||
       bytes > reader->size - (size_t)offset) {
     fault(reader, "an array of the scene lies outside of it");
@@ -52,11 +58,10 @@ static const void *array(struct reader *reader, const json_t *described, const c
 static void *list(struct reader *reader, const json_t *items, size_t width, uint32_t *n)
 {
   const size_t size = json_array_size(items);
-  void *all = size > 0 && size <= 4096 ? calloc(size, width) : NULL;
-  if (all == NULL)
+  *n = size <= 4096 ? (uint32_t)size : 0;
+  if (*n == 0)
     fault(reader, "the scene has no rollouts, or too many");
-  *n = all != NULL ? (uint32_t)size : 0;
-  return all;
+  return need(calloc(*n + 1, width));
 }
 
 static void check_indices(struct reader *reader, const uint16_t *indices, size_t n, size_t stride,
@@ -85,20 +90,14 @@ static void read_body(struct reader *reader, const json_t *item, struct scene_bo
     snprintf(body->id, sizeof(body->id), "%s", id);
   if (genotype != NULL && strlen(genotype) < sizeof(body->genotype))
     snprintf(body->genotype, sizeof(body->genotype), "%s", genotype);
-  array(reader, json_object_get(item, "masses"), "uint16", 2, sizes, 2);
+  array(reader, json_object_get(item, "masses"), "uint16", 2, sizes, 2, 3);
   body->n_masses = sizes[0];
-  body->springs = array(reader, json_object_get(item, "springs"), "uint16", 2, sizes, 2);
+  body->springs = array(reader, json_object_get(item, "springs"), "uint16", 2, sizes, 2, 2);
   body->n_springs = sizes[0];
-  if (reader->fault == NULL && sizes[1] != 2)
-    fault(reader, "the springs of the scene do not have two ends");
-  body->faces = array(reader, json_object_get(item, "faces"), "uint16", 2, sizes, 2);
+  body->faces = array(reader, json_object_get(item, "faces"), "uint16", 2, sizes, 2, 5);
   body->n_faces = sizes[0];
-  if (reader->fault == NULL && sizes[1] != 5)
-    fault(reader, "the faces of the scene do not have five numbers");
-  body->voxels = array(reader, json_object_get(item, "voxels"), "uint16", 2, sizes, 2);
+  body->voxels = array(reader, json_object_get(item, "voxels"), "uint16", 2, sizes, 2, 8);
   body->n_voxels = sizes[0];
-  if (reader->fault == NULL && sizes[1] != 8)
-    fault(reader, "the voxels of the scene do not have eight masses");
   if (reader->fault != NULL)
     return;
   check_indices(reader, body->springs, body->n_springs, 2, 2, body->n_masses);
@@ -114,8 +113,8 @@ static void read_world(struct reader *reader, const json_t *item, struct scene_w
   for (size_t axis = 0; axis < 2; axis++)
     world->light_xy_m[axis] = json_number_value(json_array_get(light, axis));
   world->heights_m =
-      array(reader, json_object_get(item, "terrain_heights_m"), "float32", 4, sizes, 2);
-  if (reader->fault == NULL && (sizes[0] != 8 || sizes[1] != 8))
+      array(reader, json_object_get(item, "terrain_heights_m"), "float32", 4, sizes, 2, 8);
+  if (reader->fault == NULL && sizes[0] != 8)
     fault(reader, "a terrain of the scene does not have 8 by 8 heights");
   if (!(fabs(world->light_xy_m[0]) <= FAR_M && fabs(world->light_xy_m[1]) <= FAR_M))
     fault(reader, "a light of the scene is far outside of the world");
@@ -137,11 +136,11 @@ static void read_rollout(struct reader *reader, const struct scene *scene, const
   rollout->body = (uint32_t)body;
   rollout->world = (uint32_t)world;
   rollout->loss = json_is_number(loss) ? json_number_value(loss) : (double)NAN;
-  rollout->masses_m = array(reader, json_object_get(item, "masses_m"), "float32", 4, sizes, 3);
+  rollout->masses_m = array(reader, json_object_get(item, "masses_m"), "float32", 4, sizes, 3, 3);
   if (reader->fault != NULL)
     return;
   rollout->n_frames = sizes[0];
-  if (sizes[0] == 0 || sizes[1] != scene->bodies[body].n_masses || sizes[2] != 3)
+  if (sizes[0] == 0 || sizes[1] != scene->bodies[body].n_masses)
     fault(reader, "a recording of the scene does not fit its body");
   if (reader->fault == NULL)
     check_places(reader, rollout->masses_m, (size_t)sizes[0] * sizes[1] * 3);
@@ -179,43 +178,35 @@ const char *scene_read(const void *bytes, size_t size, struct scene *scene)
   return reader.fault;
 }
 
-/* Returns a list of n items grown by more of them; NULL: no memory, it is as it was. */
+/* Returns a list of n items grown by more of them. */
 static void *extend(void *list, uint32_t n, const void *more, uint32_t n_more, size_t width)
 {
-  char *grown = realloc(list, ((size_t)n + n_more) * width + 1);
-  if (grown != NULL)
-    memcpy(grown + n * width, more, n_more * width);
+  char *grown = need(realloc(list, ((size_t)n + n_more) * width + 1));
+  memcpy(grown + n * width, more, n_more * width);
   return grown;
 }
 
 const char *scene_append(struct scene *scene, struct scene *other)
 {
-  const char *fault = scene->n_rollouts > 0 && scene->frame_s != other->frame_s
-                          ? "the scenes have other times between their frames"
-                          : NULL;
+  const bool fits = scene->n_rollouts == 0 || scene->frame_s == other->frame_s;
   for (uint32_t i = 0; i < other->n_rollouts; i++) {
     other->rollouts[i].body += scene->n_bodies;
     other->rollouts[i].world += scene->n_worlds;
   }
-  void *bodies = extend(scene->bodies, scene->n_bodies, other->bodies, other->n_bodies,
-                        sizeof(*scene->bodies));
-  void *worlds = extend(scene->worlds, scene->n_worlds, other->worlds, other->n_worlds,
-                        sizeof(*scene->worlds));
-  void *rollouts = extend(scene->rollouts, scene->n_rollouts, other->rollouts, other->n_rollouts,
-                          sizeof(*scene->rollouts));
-  scene->bodies = bodies != NULL ? bodies : scene->bodies;
-  scene->worlds = worlds != NULL ? worlds : scene->worlds;
-  scene->rollouts = rollouts != NULL ? rollouts : scene->rollouts;
-  if (bodies == NULL || worlds == NULL || rollouts == NULL)
-    fault = "out of memory";
-  if (fault == NULL) {
+  if (fits) {
+    scene->bodies = extend(scene->bodies, scene->n_bodies, other->bodies, other->n_bodies,
+                           sizeof(*scene->bodies));
+    scene->worlds = extend(scene->worlds, scene->n_worlds, other->worlds, other->n_worlds,
+                           sizeof(*scene->worlds));
+    scene->rollouts = extend(scene->rollouts, scene->n_rollouts, other->rollouts, other->n_rollouts,
+                             sizeof(*scene->rollouts));
     scene->frame_s = other->frame_s;
     scene->n_bodies += other->n_bodies;
     scene->n_worlds += other->n_worlds;
     scene->n_rollouts += other->n_rollouts;
   }
   scene_free(other);
-  return fault;
+  return fits ? NULL : "the scenes have other times between their frames";
 }
 
 void scene_free(struct scene *scene)

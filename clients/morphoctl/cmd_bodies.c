@@ -37,7 +37,7 @@ static int make(struct ctl *ctl, const char *path, json_t *request, const char *
   json_t *reply = NULL;
   int status = fill_fields(ctl, request);
   if (status == STATUS_OK)
-    status = post_bodies(ctl, path, request, &reply);
+    status = post_again(ctl, path, request, &reply);
   if (status == STATUS_OK)
     status = print_bodies(ctl, reply, as);
   json_decref(reply);

@@ -222,7 +222,7 @@ static void draw(struct film *film, double time_s)
 static int save_png(const struct film *film, const char *path)
 {
   size_t size;
-  unsigned char *file = need(png_encode(film->frame, film->width, film->height, &size));
+  unsigned char *file = png_encode(film->frame, film->width, film->height, &size);
   const int status = save_output(path, "", 0, file, size);
   free(file);
   return status;

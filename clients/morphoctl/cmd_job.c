@@ -126,7 +126,7 @@ int run_job_prune(struct ctl *ctl)
 int run_job_weight(struct ctl *ctl)
 {
   const char *id = ctl->operands[0], *words = ctl->operands[1];
-  char *end, path[64], body[64];
+  char *end, path[64];
   double weight = strtod(words, &end);
   json_t *job;
   if (!check_job_id(id))
@@ -134,13 +134,9 @@ int run_job_weight(struct ctl *ctl)
   if (end == words || *end != 0 || !isfinite(weight))
     return complain(STATUS_USAGE, "\"%s\" is not a number", words);
   snprintf(path, sizeof(path), "/v1/jobs/%s/weight", id);
-  int n = snprintf(body, sizeof(body), "{\"weight\":%.17g}", weight);
-  struct request request = {.method = "POST",
-                            .path = path,
-                            .body = body,
-                            .body_bytes = (size_t)n,
-                            .content_type = "application/json"};
-  int status = send_json(ctl, &request, NULL, &job);
+  json_t *request = json_pack("{s:f}", "weight", weight);
+  const int status = post_again(ctl, path, request, &job);
+  json_decref(request);
   if (job != NULL)
     tell(ctl, job, "job {id} has the weight {weight:g}");
   json_decref(job);

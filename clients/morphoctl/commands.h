@@ -37,8 +37,8 @@ int request_fill_record(const struct ctl *ctl, json_t *request, const char *usua
 int request_physics(json_t *physics, const char *text);
 /* Adds the --physics options to a request as "physics". */
 int request_fill_physics(const struct ctl *ctl, json_t *request);
-/* Has the server make bodies (/v1/bodies/…). */
-int post_bodies(struct ctl *ctl, const char *path, const json_t *request, json_t **reply);
+/* Posts what may be repeated, because it does nothing the second time. */
+int post_again(struct ctl *ctl, const char *path, const json_t *request, json_t **reply);
 /* Adds the designs of the operands from `first` on, and n_random random ones, which the server
  * draws; those of standard input if there is neither. */
 int add_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed,

@@ -2,6 +2,8 @@
 #ifndef MORPHOCTL_CTL_H
 #define MORPHOCTL_CTL_H
 
+#include "memory.h"
+
 #include <stdarg.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -92,13 +94,6 @@ const char *option_text(const struct ctl *ctl, const char *name,
 bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
                    int64_t *number);
 
-/* ---- memory.c: memory, without which the program ends with STATUS_ERROR ---- */
-
-void *need(void *memory); /* returns what was allocated, or opened in memory */
-char *format_text(const char *format, ...)
-    __attribute__((format(printf, 1, 2))); /* as asprintf: malloc */
-void close_text(FILE *file);               /* of open_memstream */
-
 /* ---- plain.c: shows text from elsewhere without obeying its escapes ---- */
 
 /* Replaces control characters (C0, DEL, C1) by question marks, and escapes characters that only
@@ -117,8 +112,10 @@ void print_plain_list(FILE *file, const char *format, va_list arguments)
 
 /* Prints "morphoctl: …" on standard error, as plain text; returns `status`. */
 int complain(int status, const char *format, ...) __attribute__((format(printf, 2, 3)));
-/* Returns the one of n names that is nearest to a mistyped name, or NULL. */
-const char *nearest_name(const char *name, const char *const *names, size_t n);
+/* Returns "; did you mean --NAME?" with the one of n names that is nearest to a mistyped one, or
+ * "". first, stride: as of mo_word_nearest. Valid until the next call. */
+const char *did_you_mean(const char *dashes, const char *name, const char *const *first, size_t n,
+                         size_t stride);
 
 /* True after SIGINT or SIGTERM, once catch_interrupts was called. Commands call it before they wait
  * for something that goes on without them. */

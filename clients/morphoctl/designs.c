@@ -120,11 +120,9 @@ static int add_json(struct designs *designs, const char *source, size_t line, js
       continue;
     if (!is_one_of(key, forms, 3)) {
       json_decref(design);
-      const char *near = nearest_name(key, forms, 3);
-      return complain(
-          STATUS_USAGE,
-          "%s:%zu: a design has no \"%s\"%s%s; it has cells, voxels or id, and perhaps a name",
-          source, line, key, near != NULL ? "; did you mean " : "", near != NULL ? near : "");
+      return complain(STATUS_USAGE,
+                      "%s:%zu: a design has cells, voxels or id, perhaps a name, but no \"%s\"%s",
+                      source, line, key, did_you_mean("", key, forms, 3, sizeof(*forms)));
     }
     json_object_set(design, key, value);
   }

@@ -60,10 +60,16 @@ int complain(int status, const char *format, ...)
   return status;
 }
 
-const char *nearest_name(const char *name, const char *const *names, size_t n)
+const char *did_you_mean(const char *dashes, const char *name, const char *const *first, size_t n,
+                         size_t stride)
 {
-  const int nearest = mo_word_nearest(name, names, n, sizeof(*names));
-  return nearest >= 0 ? names[nearest] : NULL;
+  static char words[96];
+  const int nearest = mo_word_nearest(name, first, n, stride);
+  if (nearest < 0)
+    return "";
+  const char *near = *(const char *const *)((const char *)first + (size_t)nearest * stride);
+  snprintf(words, sizeof(words), "; did you mean %s%s?", dashes, near);
+  return words;
 }
 
 /* ---- help ---- */
@@ -185,10 +191,12 @@ static int unknown_option(const struct command *command, const char *text, size_
       names[n++] = spec->name;
   if (length > 2)
     snprintf(name, sizeof(name), "%.*s", (int)length - 2, text + 2);
-  const char *near = *name != 0 ? nearest_name(name, names, n) : NULL;
-  return complain(STATUS_USAGE, "%.*s is not an option of %s; %s%s%s", (int)length, text,
-                  command->name, near != NULL ? "did you mean --" : "see morphoctl ",
-                  near != NULL ? near : command->name, near != NULL ? "?" : " --help");
+  const char *near = *name != 0 ? did_you_mean("--", name, names, n, sizeof(*names)) : "";
+  if (*near != 0)
+    return complain(STATUS_USAGE, "%.*s is not an option of %s%s", (int)length, text, command->name,
+                    near);
+  return complain(STATUS_USAGE, "%.*s is not an option of %s; see morphoctl %s --help", (int)length,
+                  text, command->name, command->name);
 }
 
 /* Finds the command that the first words name. *used: number of its words. */
@@ -222,14 +230,9 @@ static int unknown_command(int argc, const char *const *argv)
     return argc > 2 && (strcmp(argv[2], "--help") == 0 || strcmp(argv[2], "-h") == 0)
                ? STATUS_OK
                : STATUS_USAGE;
-  const char *names[64];
-  size_t n = 0;
-  for (size_t i = 0; i < n_commands && n < 64; i++)
-    names[n++] = commands[i].name;
-  const char *near = nearest_name(argv[1], names, n);
-  return complain(STATUS_USAGE, "there is no command \"%s\"; %s%s%s", argv[1],
-                  near != NULL ? "did you mean " : "see morphoctl --help", near != NULL ? near : "",
-                  near != NULL ? "?" : "");
+  const char *near = did_you_mean("", argv[1], &commands->name, n_commands, sizeof(*commands));
+  return complain(STATUS_USAGE, "there is no command \"%s\"%s", argv[1],
+                  *near != 0 ? near : "; see morphoctl --help");
 }
 
 /* A word that is an option, cut into its parts. spec NULL: the command (or, for NULL, every

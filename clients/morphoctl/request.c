@@ -116,22 +116,17 @@ int request_physics(json_t *physics, const char *text)
     enum field_kind kind;
   } fields[] = {PHYSICS_FIELDS};
   enum { N_FIELDS = sizeof(fields) / sizeof(fields[0]) };
-  const char *keys[N_FIELDS], *equals = strchr(text, '=');
+  const char *equals = strchr(text, '=');
   char key[64];
   if (equals == NULL || equals == text || (size_t)(equals - text) >= sizeof(key))
     return complain(STATUS_USAGE, "--physics: \"%s\" is not KEY=VALUE", text);
   snprintf(key, sizeof(key), "%.*s", (int)(equals - text), text);
   size_t k = 0;
-  for (size_t i = 0; i < N_FIELDS; i++)
-    keys[i] = fields[i].key;
-  while (k < N_FIELDS && strcmp(keys[k], key) != 0)
+  while (k < N_FIELDS && strcmp(fields[k].key, key) != 0)
     k++;
-  if (k == N_FIELDS) {
-    const char *near = nearest_name(key, keys, N_FIELDS);
-    return complain(STATUS_USAGE, "--physics: there is no \"%s\"%s%s%s", key,
-                    near != NULL ? "; did you mean " : "", near != NULL ? near : "",
-                    near != NULL ? "?" : "");
-  }
+  if (k == N_FIELDS)
+    return complain(STATUS_USAGE, "--physics: there is no \"%s\"%s", key,
+                    did_you_mean("", key, &fields->key, N_FIELDS, sizeof(*fields)));
   json_t *json = field_value(fields[k].kind, equals + 1);
   if (json == NULL)
     return complain(STATUS_USAGE, "--physics: \"%s\" is not a %s", equals + 1,
@@ -155,29 +150,31 @@ int request_fill_physics(const struct ctl *ctl, json_t *request)
 
 /* ---- designs, environments, the whole ---- */
 
-int post_bodies(struct ctl *ctl, const char *path, const json_t *request, json_t **reply)
+/* Posts JSON to a path. how: the key, how long to wait, whether it may be repeated. */
+static int post(struct ctl *ctl, const char *path, const json_t *json, struct request how,
+                json_t **reply)
 {
-  char *body = dump_json(request, JSON_COMPACT);
-  *reply = NULL;
-  if (body == NULL)
-    return complain(STATUS_ERROR, "out of memory");
-  const int status = send_json(ctl,
-                               &(struct request){.method = "POST",
-                                                 .path = path,
-                                                 .content_type = "application/json",
-                                                 .body = body,
-                                                 .body_bytes = strlen(body),
-                                                 .repeatable = true},
-                               NULL, reply);
+  char *body = dump_json(json, JSON_COMPACT);
+  how.method = "POST";
+  how.path = path;
+  how.content_type = "application/json";
+  how.body = body;
+  how.body_bytes = strlen(body);
+  const int status = send_json(ctl, &how, NULL, reply);
   free(body);
   return status;
+}
+
+int post_again(struct ctl *ctl, const char *path, const json_t *request, json_t **reply)
+{
+  return post(ctl, path, request, (struct request){.repeatable = true}, reply);
 }
 
 static int add_random(struct ctl *ctl, int64_t n, int64_t seed, struct designs *designs)
 {
   json_t *request = json_pack("{s:I, s:I}", "count", (json_int_t)n, "seed", (json_int_t)seed),
          *reply = NULL;
-  int status = post_bodies(ctl, "/v1/bodies/random", request, &reply);
+  int status = post_again(ctl, "/v1/bodies/random", request, &reply);
   if (status == STATUS_OK)
     status = designs_add_genotypes(designs, json_object_get(reply, "items"));
   json_decref(request);
@@ -290,26 +287,12 @@ static int wait_for(struct ctl *ctl, const char *id)
 int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s,
              json_t **job)
 {
-  char generated[33], *body = dump_json(request, JSON_COMPACT);
-  const char *key = option_text(ctl, "idempotency-key", NULL);
-  int status = STATUS_OK;
+  char generated[33];
+  const int status = random_key(generated);
   *job = NULL;
-  if (key == NULL) {
-    status = random_key(generated);
-    key = generated;
-  }
-  if (status == STATUS_OK)
-    status = send_json(ctl,
-                       &(struct request){.method = "POST",
-                                         .path = path,
-                                         .content_type = "application/json",
-                                         .body = body,
-                                         .body_bytes = strlen(body),
-                                         .key = key,
-                                         .wait_s = wait_s},
-                       NULL, job);
-  free(body);
-  return status;
+  const struct request how = {.key = option_text(ctl, "idempotency-key", generated),
+                              .wait_s = wait_s};
+  return status == STATUS_OK ? post(ctl, path, request, how, job) : status;
 }
 
 int evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait,
