@@ -105,17 +105,25 @@ int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *fol
 
 /* ---- results ---- */
 
-struct ranked {
-  size_t place; /* position in the request */
-  double score; /* +infinity: diverged */
-};
-
 static int compare_ranked(const void *a, const void *b)
 {
   const struct ranked *x = a, *y = b;
   if (x->score != y->score)
     return x->score < y->score ? -1 : 1;
   return x->place < y->place ? -1 : x->place > y->place;
+}
+
+struct ranked *rank_results(const json_t *results, bool by_score)
+{
+  const size_t n = json_array_size(results);
+  struct ranked *order = need(calloc(n + 1, sizeof(*order)));
+  for (size_t i = 0; i < n; i++) {
+    const double score = real_at(json_array_get(results, i), "score");
+    order[i] = (struct ranked){i, isnan(score) ? (double)INFINITY : score};
+  }
+  if (by_score)
+    qsort(order, n, sizeof(*order), compare_ranked);
+  return order;
 }
 
 /* Returns a copy of a result with what the table shows besides: number, name, best, worst,
@@ -155,18 +163,14 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
 {
   const json_t *results = json_object_get(evaluation, "results");
   const size_t n = json_array_size(results), shown = top != 0 && top < n ? top : n;
-  struct ranked *order = need(calloc(n + 1, sizeof(*order)));
+  struct ranked *order = rank_results(results, by_score);
   json_t *rows = json_array();
   bool named = false, verified = false;
   char columns[512];
   for (size_t i = 0; i < n; i++) {
-    const double score = real_at(json_array_get(results, i), "score");
-    order[i] = (struct ranked){i, isnan(score) ? (double)INFINITY : score};
     named |= name_of(designs, i) != NULL;
     verified |= json_object_get(json_array_get(results, i), "agrees") != NULL;
   }
-  if (by_score)
-    qsort(order, n, sizeof(*order), compare_ranked);
   for (size_t r = 0; r < shown; r++) {
     const size_t i = order[r].place;
     json_array_append_new(rows, result_row(json_array_get(results, i), i, name_of(designs, i)));

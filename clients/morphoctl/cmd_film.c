@@ -417,24 +417,12 @@ int film_check(struct ctl *ctl)
 static size_t choose_designs(const json_t *results, size_t places[ROBOTS_MAX])
 {
   const size_t n = json_array_size(results);
-  double scores[ROBOTS_MAX];
+  struct ranked *order = rank_results(results, n > ROBOTS_MAX);
   size_t chosen = 0;
-  for (size_t i = 0; i < n; i++) {
-    double score = real_at(json_array_get(results, i), "score");
-    size_t at = chosen;
-    if (json_is_object(json_object_get(json_array_get(results, i), "fault")))
-      continue;
-    score = isnan(score) ? (double)INFINITY : score; /* diverged */
-    while (n > ROBOTS_MAX && at > 0 && score < scores[at - 1])
-      at--;
-    if (at == ROBOTS_MAX)
-      continue;
-    chosen += chosen < ROBOTS_MAX;
-    memmove(places + at + 1, places + at, (chosen - 1 - at) * sizeof(*places));
-    memmove(scores + at + 1, scores + at, (chosen - 1 - at) * sizeof(*scores));
-    places[at] = i;
-    scores[at] = score;
-  }
+  for (size_t i = 0; i < n && chosen < ROBOTS_MAX; i++)
+    if (!json_is_object(json_object_get(json_array_get(results, order[i].place), "fault")))
+      places[chosen++] = order[i].place;
+  free(order);
   return chosen;
 }
 

@@ -58,6 +58,12 @@ int evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait
 /* Saves the recorded trajectories of an evaluation as NumPy files, with evaluation.json, in a
  * folder, which is created. */
 int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder);
+struct ranked {
+  size_t place; /* position in the request */
+  double score; /* +infinity: diverged */
+};
+/* Ranks results, in their order or the best first (malloc). */
+struct ranked *rank_results(const json_t *results, bool by_score);
 /* Prints the results of a finished evaluation as a table. designs: nullable, for
  * their names. */
 void print_results(const struct ctl *ctl, const json_t *evaluation, const struct designs *designs,

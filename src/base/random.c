@@ -7,9 +7,7 @@
 
 #include "base/normal.h"
 
-#ifdef __SSE2__
 #include <emmintrin.h>
-#endif
 
 #define MULTIPLIER_0 UINT32_C(0xD2511F53)
 #define MULTIPLIER_1 UINT32_C(0xCD9E8D57)
@@ -42,10 +40,8 @@ void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t
   out[3] = c3;
 }
 
-/* Computes LANES blocks with consecutive first counter words, and writes them one after the
- * other. */
-#ifdef __SSE2__
-/* Each vector has two lanes, in the low halves of its 64-bit words. The product instruction reads
+/* Computes LANES blocks with consecutive first counter words, and writes them one after the other.
+ * Each vector has two lanes, in the low halves of its 64-bit words. The product instruction reads
  * only low halves, so the high halves may have any value. */
 static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint32_t out[LANES * 4])
 {
@@ -88,15 +84,6 @@ static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint3
     _mm_storeu_si128((__m128i *)(void *)(out + 8 * i + 4), _mm_unpackhi_epi64(first, second));
   }
 }
-#else
-static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint32_t out[LANES * 4])
-{
-  for (uint32_t i = 0; i < LANES; i++) {
-    const uint32_t next[4] = {counter[0] + i, counter[1], counter[2], counter[3]};
-    mo_philox4x32_10(next, key, out + 4 * i);
-  }
-}
-#endif
 
 void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose purpose, uint32_t step,
                     uint64_t index)
