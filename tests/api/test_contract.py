@@ -33,6 +33,9 @@ def test_every_operation_is_described():
         assert operation["description"] != operation["summary"], (path, method)
         body = CONTRACT.resolve(operation.get("requestBody", {}))
         assert len(body.get("content", {"": 0})) == 1, f"{path}: one type of body, or none is made"
+        for reply in operation["responses"].values():
+            types = list(CONTRACT.resolve(reply).get("content", {}))
+            assert "application/json" not in types[1:], f"{path}: generators take the first type"
 
 
 def test_every_schema_has_a_name_and_types():
