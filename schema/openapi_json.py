@@ -1,8 +1,9 @@
 """Turns openapi.yaml into JSON: as a file, or as a C source that holds its bytes, plain and
 compressed.
 
-usage: openapi_json.py openapi.yaml out.json|out.c
-Every local reference must lead somewhere; a dangling one ends the build.
+usage: openapi_json.py openapi.yaml examples.json out.json|out.c
+Every local reference must lead somewhere; a dangling one ends the build. Wherever a schema stands
+that has an example, and in every response that has one, the example is added.
 """
 import gzip
 import json
@@ -25,10 +26,35 @@ def check_references(node, root):
             check_references(value, root)
 
 
+def add_examples(node, examples):
+    """To media types whose schema has an example."""
+    if isinstance(node, dict):
+        schema = node.get("schema")
+        name = schema.get("$ref", "").rpartition("/")[2] if isinstance(schema, dict) else ""
+        if name in examples and "in" not in node:
+            node.setdefault("examples", {})["example"] = {"$ref": f"#/components/examples/{name}"}
+        for value in node.values():
+            add_examples(value, examples)
+    elif isinstance(node, list):
+        for value in node:
+            add_examples(value, examples)
+
+
 def main():
-    source, target = sys.argv[1:]
+    source, of_examples, target = sys.argv[1:]
     with open(source, encoding="utf-8") as file:
         document = yaml.safe_load(file)
+    with open(of_examples, encoding="utf-8") as file:
+        examples = json.load(file)
+    components = document["components"]
+    components["examples"] = {name: {"value": value} for name, value in examples.items()}
+    add_examples(document["paths"], examples)
+    add_examples(components["responses"], examples)
+    for name, response in components["responses"].items():
+        if name in examples:
+            media = dict(response["content"]["application/problem+json"])
+            media["examples"] = {"example": {"$ref": f"#/components/examples/{name}"}}
+            response["content"] = {"application/problem+json": media}
     check_references(document, document)
     text = json.dumps(document, ensure_ascii=True, separators=(",", ":"))
     if target.endswith(".c"):

@@ -176,6 +176,21 @@ static bool read_text(struct mo_request *request, const char *name, size_t most,
   return false;
 }
 
+/* Reads the name of a token, as token files may have it; NULL: it is not given. */
+static bool read_user(struct mo_request *request, const char **name)
+{
+  static const char words[] =
+      "the name of a token, 1 to 64 printable ASCII characters without blanks, is expected";
+  if (!read_text(request, "submitted_by", MO_USER_BYTES_MAX, words, name))
+    return false;
+  for (const char *c = *name; c != NULL && *c != '\0'; c++)
+    if (*c < '!' || *c > '~') {
+      mo_reply_bad_parameter(request, "submitted_by", words);
+      return false;
+    }
+  return true;
+}
+
 void mo_api_list_jobs(struct mo_request *request)
 {
   struct mo_api *api = mo_api_of(request);
@@ -190,8 +205,7 @@ void mo_api_list_jobs(struct mo_request *request)
       !mo_query_word(request, "state", mo_job_state_words, &query.state) ||
       !read_text(request, "label", 200, "the label of a job, of 1 to 200 characters, is expected",
                  &query.label) ||
-      !read_text(request, "submitted_by", MO_USER_BYTES_MAX,
-                 "the name of a token, of 1 to 64 characters, is expected", &query.submitted_by) ||
+      !read_user(request, &query.submitted_by) ||
       !mo_query_id(request, "cursor", MO_CURSOR_WORDS, &query.before) ||
       !mo_query_word(request, "kind", mo_job_kind_words, &query.kind) ||
       !mo_query_id(request, "group", "the id of a group, in decimal digits, is expected",

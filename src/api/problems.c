@@ -3,13 +3,13 @@
 #include <string.h>
 
 #include "api/handlers.h"
-#include "problems.h"
+#include "api/openapi.h"
 
 #define HEADING "\n## "
 
 void mo_api_get_problem(struct mo_request *request)
 {
-  const char *document = (const char *)problems_files[0].bytes; /* a NUL follows */
+  const char *document = (const char *)mo_problems;
   char heading[sizeof(HEADING) + MO_PATH_PARAMETER_BYTES + 1];
   snprintf(heading, sizeof(heading), HEADING "%s\n", request->parameters[0]);
   const char *part = strstr(document, heading);

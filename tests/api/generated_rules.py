@@ -23,7 +23,9 @@ RULES = [
     r"at most the population",
     r"fits? (in )?the workspace",
     # What must exist, and a key that was used before.
-    r"there is no (campaign|evaluation|controller)",
+    r"there is no (campaign|evaluation|controller|design)",
+    r"a parent is the number of a design",
+    r"more than \d+ of these words",
     r"the key was used with another body",
     r"no controller",
     r"controller .* is not stored",
@@ -39,6 +41,7 @@ RULES = [
     r"a population is that of exactly one job",
     r"zero-shot",
     r"simultaneous",
+    r"a study has none",
     r"campaign that learns",
     r"steps of learning are asked for",
     r"replicates from \d+ on go beyond",

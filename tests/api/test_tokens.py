@@ -15,7 +15,8 @@ RIGHTS = list(TOKENS)
 SUBMIT = {("POST", path) for path in (
     "/v1/evaluations", "/v1/trainings", "/v1/campaigns", "/v1/campaigns/{id}/extend",
     "/v1/campaigns/{id}/champions", "/v1/jobs/{id}/cancel", "/v1/jobs/{id}/pause",
-    "/v1/jobs/{id}/resume", "/v1/jobs/{id}/weight")}
+    "/v1/jobs/{id}/resume", "/v1/jobs/{id}/weight", "/v1/campaigns/{id}/tell",
+    "/v1/campaigns/{id}/finish")}
 ADMIN = {("PUT", "/v1/controllers/{name}/file"), ("DELETE", "/v1/controllers/{name}"),
          ("DELETE", "/v1/trainings/{id}/checkpoints"),
          ("DELETE", "/v1/trainings/{id}/checkpoints/{step}"),
@@ -124,7 +125,7 @@ def test_who_submitted(service):
     assert ids("jobs", "submitted_by=ada&label=a%20label&state=succeeded") == {theirs}
     assert ids("jobs", "submitted_by=sam&label=a%20label") == set()
     assert ids("jobs", "submitted_by=nobody") == set()
-    for bad in ("", "x" * 65):
+    for bad in ("", "x" * 65, "%C3%97"):
         reply = service.request("GET", f"/v1/jobs?submitted_by={bad}")
         assert reply.status == 400 and reply.json()["errors"][0]["parameter"] == "submitted_by"
 
