@@ -186,7 +186,7 @@ static void print_comparison_json(const struct side *sides, size_t n, int64_t ge
 
 int run_campaign_compare(struct ctl *ctl)
 {
-  struct side *sides = need(calloc(SIDES_MAX, sizeof(*sides)));
+  struct side sides[SIDES_MAX] = {0};
   json_t *campaigns[SIDES_MAX] = {0};
   const size_t n = ctl->n_operands;
   int64_t generation = INT64_MAX;
@@ -213,6 +213,5 @@ int run_campaign_compare(struct ctl *ctl)
     json_decref(sides[i].members);
     json_decref(sides[i].json);
   }
-  free(sides);
   return status;
 }
