@@ -1,4 +1,5 @@
--- Version 11: designs of a request that were skipped or repaired; studies.
+-- Version 11: designs of a request that were skipped or repaired; studies; experiments, notes,
+-- archived and deleted jobs, and what jobs have used.
 
 -- position: of the design in the request (for a campaign, the first of its group: in the list of
 -- its initial designs; for a study: in its newest batch). job_designs of an evaluation has no row
@@ -39,3 +40,35 @@ CREATE TABLE study_words(
 
 -- Doubles, in the order of the study's measures; NaN: not given. NULL: none.
 ALTER TABLE campaign_designs ADD COLUMN measures BLOB;
+
+-- experiment: what the job belongs to. worker_s, device_s: seconds that workers and devices have
+-- computed for it, up to its last event. State 6: being deleted, in steps of bounded size; for
+-- readers the job is gone.
+ALTER TABLE jobs ADD COLUMN experiment TEXT;
+ALTER TABLE jobs ADD COLUMN note TEXT;
+ALTER TABLE jobs ADD COLUMN archived_us INTEGER NOT NULL DEFAULT 0; -- 0: it is not
+ALTER TABLE jobs ADD COLUMN worker_s REAL NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN device_s REAL NOT NULL DEFAULT 0;
+CREATE INDEX jobs_by_experiment ON jobs(experiment, id) WHERE experiment IS NOT NULL;
+CREATE INDEX jobs_archived ON jobs(id) WHERE archived_us>0;
+-- The oldest that a rule of retention may delete.
+CREATE INDEX jobs_by_end ON jobs(kind, finished_us)
+  WHERE state>=3 AND state<6 AND archived_us=0 AND note IS NULL;
+
+-- What deleted jobs have used. '': none.
+CREATE TABLE past_usage(
+  kind INTEGER NOT NULL,
+  label TEXT NOT NULL,
+  experiment TEXT NOT NULL,
+  submitted_by TEXT NOT NULL,
+  jobs INTEGER NOT NULL,
+  worker_s REAL NOT NULL,
+  device_s REAL NOT NULL,
+  PRIMARY KEY(kind, label, experiment, submitted_by)
+) STRICT, WITHOUT ROWID;
+
+-- Who refers to a job, or was bred from its controller.
+CREATE INDEX idempotency_keys_of_job ON idempotency_keys(job);
+CREATE INDEX trainings_of_population ON trainings(population) WHERE population<>0;
+CREATE INDEX campaigns_of_initial ON campaigns(initial_campaign) WHERE initial_campaign<>0;
+CREATE INDEX runs_of_controller ON runs(controller) WHERE controller IS NOT NULL;

@@ -208,7 +208,7 @@ int run_campaign_compare(struct ctl *ctl)
     print_comparison_json(sides, n, generation);
   else if (status == STATUS_OK)
     print_comparison(ctl, sides, n, generation);
-  for (size_t i = 0; i < n && sides != NULL; i++) {
+  for (size_t i = 0; i < n; i++) {
     json_decref(campaigns[i]);
     json_decref(sides[i].members);
     json_decref(sides[i].json);

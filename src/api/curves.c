@@ -333,7 +333,7 @@ static int find_members(struct curve *curve)
   struct mo_campaign_status *all = malloc(MO_REPLICATES_MAX * sizeof(*all));
   int64_t n = all != NULL ? mo_store_campaign(curve->store, curve->id, all) : MO_ERR_NO_MEMORY;
   if (n == MO_OK) {
-    const struct mo_job_query query = {.state = -1, .group = all[0].record.group};
+    const struct mo_job_query query = {.state = -1, .group = all[0].record.group, .archived = -1};
     n = mo_store_campaigns(curve->store, &query, all, MO_REPLICATES_MAX);
   }
   curve->members = malloc(MO_REPLICATES_MAX * sizeof(*curve->members));
@@ -405,14 +405,16 @@ static bool read_members(struct mo_request *request, struct curve *curve, const 
 /* Finds the campaigns that the query names, in one way, or else all. False: the reply is made. */
 static bool find_exported(struct mo_request *request, struct curve *curve)
 {
-  const char *ids = mo_query(request, "campaigns"), *label = mo_query(request, "label");
-  struct mo_job_query query = {.state = -1, .kind = MO_JOB_CAMPAIGN, .label = label};
-  if (!mo_query_id(request, "group", "the id of a group, in decimal digits, is expected",
+  const char *ids = mo_query(request, "campaigns");
+  struct mo_job_query query = {.state = -1, .kind = MO_JOB_CAMPAIGN};
+  char label[MO_LABEL_BYTES_MAX + 1];
+  if (!mo_read_job_filters(request, &query, label) ||
+      !mo_query_id(request, "group", "the id of a group, in decimal digits, is expected",
                    &query.group))
     return false;
-  if ((ids != NULL) + (label != NULL) + (query.group > 0) > 1) {
+  if ((ids != NULL) + (query.label != NULL) + (query.experiment != NULL) + (query.group > 0) > 1) {
     mo_reply_bad_parameter(request, "campaigns",
-                           "only one of campaigns, group and label is expected");
+                           "only one of campaigns, group, label and experiment is expected");
     return false;
   }
   curve->members = malloc(EXPORTED_MAX * sizeof(*curve->members));
@@ -428,7 +430,7 @@ static bool find_exported(struct mo_request *request, struct curve *curve)
          curve->members[curve->member] < curve->after)
     curve->member++;
   if (error == MO_ERR_LIMIT)
-    mo_reply_bad_parameter(request, label != NULL ? "label" : "campaigns",
+    mo_reply_bad_parameter(request, query.label != NULL ? "label" : "campaigns",
                            "these are more than 10,000 campaigns; name fewer");
   else if (error != MO_OK)
     mo_reply_error(request, error, "campaign");

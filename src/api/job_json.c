@@ -163,6 +163,11 @@ void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const str
   mo_text_member_number(text, "weight", job->weight);
   mo_text_member(text, "device", job->back_end == MO_ON_DEVICE ? "cuda" : "cpu");
   mo_text_member(text, "label", job->has_label ? job->label : NULL);
+  mo_text_member(text, "experiment", job->experiment[0] != '\0' ? job->experiment : NULL);
+  mo_text_member(text, "note", job->note[0] != '\0' ? job->note : NULL);
+  mo_text_member_time(text, "archived_at", job->archived_us);
+  mo_text_member_number(text, "core_seconds", fmax(job->worker_s, live->worker_s));
+  mo_text_member_number(text, "device_seconds", fmax(job->device_s, live->device_s));
   mo_text_member(text, "submitted_by", job->submitted_by[0] != '\0' ? job->submitted_by : NULL);
   mo_text_member_time(text, "created_at", job->created_us);
   mo_text_member_time(text, "started_at", job->started_us);

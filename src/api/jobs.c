@@ -6,12 +6,14 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "api/edit.h"
 #include "api/job_json.h"
 #include "api/requests.h"
 #include "api/submission.h"
 #include "base/clock.h"
 #include "base/text.h"
 #include "http/pool.h"
+#include "store/deletion.h"
 
 static const struct mo_resource *const kinds[MO_JOB_KINDS] = {
     [MO_JOB_EVALUATION] = &mo_evaluation_resource,
@@ -191,21 +193,45 @@ static bool read_user(struct mo_request *request, const char **name)
   return true;
 }
 
+bool mo_read_job_filters(struct mo_request *request, struct mo_job_query *query,
+                         char label[MO_LABEL_BYTES_MAX + 1])
+{
+  static const char *const archived[] = {"false", "true", "all", NULL};
+  int which = 0;
+  if (!mo_query_word(request, "state", mo_job_state_words, &query->state) ||
+      !read_text(request, "label", 200,
+                 "the label of a job, of 1 to 200 characters, or its beginning and a star, is "
+                 "expected",
+                 &query->label) ||
+      !read_text(request, "experiment", 100,
+                 "the name of an experiment, of 1 to 100 characters, is expected",
+                 &query->experiment) ||
+      !read_user(request, &query->submitted_by) ||
+      !mo_query_word(request, "archived", archived, &which))
+    return false;
+  query->archived = which == 2 ? -1 : which;
+  const size_t size = query->label != NULL ? strlen(query->label) : 0;
+  query->label_is_prefix = size > 0 && query->label[size - 1] == '*';
+  if (query->label_is_prefix) {
+    memcpy(label, query->label, size - 1);
+    label[size - 1] = '\0';
+    query->label = label;
+  }
+  return true;
+}
+
 void mo_api_list_jobs(struct mo_request *request)
 {
   struct mo_api *api = mo_api_of(request);
   const struct mo_resource *listed = mo_resource_of(request);
   int64_t waiting[MO_WAITING_MAX];
+  char label[MO_LABEL_BYTES_MAX + 1];
   struct mo_job_query query = {.state = -1,
                                .kind = listed != NULL ? (int)listed->kind : -1,
                                .waiting = waiting,
                                .n_waiting = mo_jobs_waiting(api->jobs, waiting)};
   size_t limit;
-  if (!mo_query_limit(request, &limit) ||
-      !mo_query_word(request, "state", mo_job_state_words, &query.state) ||
-      !read_text(request, "label", 200, "the label of a job, of 1 to 200 characters, is expected",
-                 &query.label) ||
-      !read_user(request, &query.submitted_by) ||
+  if (!mo_query_limit(request, &limit) || !mo_read_job_filters(request, &query, label) ||
       !mo_query_id(request, "cursor", MO_CURSOR_WORDS, &query.before) ||
       !mo_query_word(request, "kind", mo_job_kind_words, &query.kind) ||
       !mo_query_id(request, "group", "the id of a group, in decimal digits, is expected",
@@ -279,4 +305,115 @@ void mo_api_set_job_weight(struct mo_request *request)
   else
     reply_changed(request, id, mo_jobs_set_weight(mo_api_of(request)->jobs, id, weight),
                   "has no use for a weight");
+}
+
+void mo_api_edit_job(struct mo_request *request)
+{
+  struct mo_faults faults = {0};
+  struct mo_parsed_edit parsed;
+  int64_t id;
+  if (!mo_path_id(request, 0, &id) || !mo_check_content(request, "application/json", NULL))
+    return;
+  int error = mo_edit_parse(request->body, request->body_size, &parsed, &faults);
+  if (error != MO_OK)
+    mo_reply_parse_error(request, error, &faults, "job");
+  else
+    reply_changed(request, id, mo_jobs_edit(mo_api_of(request)->jobs, id, &parsed.edit), "");
+}
+
+/* ---- deletion ---- */
+
+static void write_staying(struct mo_text *text, const char *what, const char *why)
+{
+  mo_text_object(text);
+  mo_text_member(text, "what", what);
+  mo_text_member(text, "why", why);
+  mo_text_add(text, "}");
+}
+
+/* Writes what is left of a job that was deleted. */
+static void write_deleted(struct mo_text *text, const union mo_job_status *status,
+                          const struct mo_deleted *deleted)
+{
+  const struct mo_job *job = &status->job;
+  char made[MO_MADE_BYTES], what[MO_NAME_BYTES_MAX + 16];
+  mo_text_object(text);
+  mo_text_member_id(text, "id", job->id);
+  mo_text_member(text, "kind", mo_job_kind_name(job->kind));
+  mo_text_member_count(text, "recorded_bytes", deleted->recorded_bytes);
+  mo_text_member_count(text, "checkpoints", deleted->n_checkpoints);
+  mo_text_member_count(text, "checkpoint_bytes", deleted->checkpoint_bytes);
+  mo_text_add(text, ",\"stays\":[");
+  write_staying(text, "designs", "every job that meets them shares them");
+  write_staying(text, "scores", "later jobs find them instead of computing them again");
+  if (job->has_result) {
+    snprintf(what, sizeof(what), "controller %s",
+             mo_result_name(job,
+                            job->kind == MO_JOB_TRAINING ? status->training.record.name
+                                                         : status->campaign.record.name,
+                            made));
+    write_staying(text, what, "it has a name of its own, and is deleted by it");
+  }
+  mo_text_add(text, "]}");
+}
+
+void mo_api_delete_job(struct mo_request *request)
+{
+  struct mo_store *store = mo_api_of(request)->store;
+  struct mo_message message;
+  struct mo_deleted deleted;
+  union mo_job_status status;
+  struct mo_text text = {0};
+  int64_t id;
+  if (!mo_path_id(request, 0, &id))
+    return;
+  int error = mo_store_job(store, id, &status.job);
+  const enum mo_job_state state = status.job.state;
+  if (error == MO_OK)
+    error = kinds[status.job.kind]->read(store, id, &status);
+  if (error == MO_OK)
+    error = mo_store_delete_job(store, id, &deleted, &message);
+  if (error == MO_ERR_CONFLICT && message.text[0] == '\0') {
+    mo_reply_problem(request, 409, NULL, "The job cannot be deleted: it is %s.",
+                     mo_job_state_name(state));
+  } else if (error == MO_ERR_CONFLICT) {
+    mo_reply_problem(request, 409, NULL, "The job stays: %s.", message.text);
+  } else if (error != MO_OK) {
+    mo_reply_error(request, error, "job");
+  } else {
+    write_deleted(&text, &status, &deleted);
+    mo_reply_json(request, 200, &text);
+  }
+}
+
+/* ---- usage ---- */
+
+void mo_api_get_usage(struct mo_request *request)
+{
+  static const char *const words[] = {"kind", "label", "experiment", "submitted_by", NULL};
+  struct mo_usage_row *rows;
+  struct mo_text text = {0};
+  size_t limit;
+  int by = MO_USAGE_LABEL;
+  if (!mo_query_word(request, "by", words, &by) || !mo_query_limit(request, &limit))
+    return;
+  rows = malloc(limit * sizeof(*rows));
+  const int64_t n =
+      rows == NULL ? MO_ERR_NO_MEMORY
+                   : mo_store_usage(mo_api_of(request)->store, (enum mo_usage_by)by, rows, limit);
+  mo_text_add(&text, "{\"items\":[");
+  for (int64_t i = 0; i < n; i++) {
+    const char *name = by == MO_USAGE_KIND
+                           ? mo_job_kind_name((enum mo_job_kind)(rows[i].name[0] - '0'))
+                           : rows[i].name;
+    mo_text_object(&text);
+    mo_text_member(&text, "name", name[0] != '\0' ? name : NULL);
+    mo_text_member_count(&text, "jobs", rows[i].jobs);
+    mo_text_member_number(&text, "core_seconds", rows[i].worker_s);
+    mo_text_member_number(&text, "device_seconds", rows[i].device_s);
+    mo_text_add(&text, "}");
+  }
+  mo_text_add(&text, "],\"next_cursor\":null}");
+  mo_reply_text(request, n < 0 ? (int)n : MO_OK, &text, "page");
+  free(rows);
 }

@@ -6,12 +6,16 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "api/edit.h"
 #include "base/text.h"
 #include "http/field.h"
 #include "jobs/evaluations.h"
 #include "store/store.h"
 
-#define SIGMA_MAX_M 10.0
+#define SIGMA_MAX_M    10.0
+#define LABEL_MAX      (MO_LABEL_BYTES_MAX / 4) /* characters */
+#define EXPERIMENT_MAX (MO_EXPERIMENT_BYTES_MAX / 4)
+#define NOTE_MAX       (MO_NOTE_BYTES_MAX / 4)
 
 /* ---- whole bodies ---- */
 
@@ -210,22 +214,102 @@ static void read_name(struct mo_json *json, void *value)
 }
 const struct mo_field_own mo_name_field = {.read = read_name};
 
-static void read_label(struct mo_json *json, void *value)
+/* Reads a text of `least` to `most` characters, four bytes each. False: a fault is added. */
+static bool read_text(struct mo_json *json, size_t least, size_t most, char *text)
 {
-  struct mo_parts *parts = value;
   struct mo_json_slice words;
   unsigned depth = json->depth;
   if (!mo_json_string(json, &words))
-    return;
+    return false;
   const size_t characters = mo_utf8_length(words.bytes, words.size);
-  if (characters > 200) {
-    mo_json_fault_at(json, depth, "", "%zu characters are given; at most 200 are expected",
-                     characters);
-    return;
+  if (characters < least || characters > most) {
+    mo_json_fault_at(json, depth, "", "%zu characters are given; %s%zu are expected", characters,
+                     least > 0 ? "1 to " : "at most ", most);
+    return false;
   }
-  parts->job.label = parts->label;
-  memcpy(parts->label, words.bytes, words.size);
-  parts->label[words.size] = '\0';
+  memcpy(text, words.bytes, words.size);
+  text[words.size] = '\0';
+  return true;
+}
+
+static void read_label(struct mo_json *json, void *value)
+{
+  struct mo_parts *parts = value;
+  if (read_text(json, 0, LABEL_MAX, parts->label))
+    parts->job.label = parts->label;
+}
+
+static void read_experiment(struct mo_json *json, void *value)
+{
+  struct mo_parts *parts = value;
+  if (read_text(json, 1, EXPERIMENT_MAX, parts->experiment))
+    parts->job.experiment = parts->experiment;
+}
+
+/* Reads a text, or null, which takes it away. has, words: of the edit. */
+static void read_edit(struct mo_json *json, size_t least, size_t most, char *text, bool *has,
+                      const char **words)
+{
+  if (mo_json_peek(json) == MO_JSON_NULL) {
+    mo_json_skip(json);
+    *has = true;
+    *words = NULL;
+  } else if (read_text(json, least, most, text)) {
+    *has = true;
+    *words = text;
+  }
+}
+
+static void edit_label(struct mo_json *json, void *value)
+{
+  struct mo_parsed_edit *parsed = value;
+  struct mo_job_edit *edit = &parsed->edit;
+  read_edit(json, 0, LABEL_MAX, parsed->label, &edit->has_label, &edit->label);
+}
+
+static void edit_experiment(struct mo_json *json, void *value)
+{
+  struct mo_parsed_edit *parsed = value;
+  struct mo_job_edit *edit = &parsed->edit;
+  read_edit(json, 1, EXPERIMENT_MAX, parsed->experiment, &edit->has_experiment, &edit->experiment);
+}
+
+static void edit_note(struct mo_json *json, void *value)
+{
+  struct mo_parsed_edit *parsed = value;
+  struct mo_job_edit *edit = &parsed->edit;
+  read_edit(json, 1, NOTE_MAX, parsed->note, &edit->has_note, &edit->note);
+}
+
+static void edit_archived(struct mo_json *json, void *value)
+{
+  struct mo_job_edit *edit = &((struct mo_parsed_edit *)value)->edit;
+  edit->has_archived = mo_json_bool(json, &edit->archived) || edit->has_archived;
+}
+
+static int check_edit(struct mo_json *json, void *any)
+{
+  const struct mo_job_edit *edit = &((struct mo_parsed_edit *)any)->edit;
+  if (!edit->has_label && !edit->has_experiment && !edit->has_note && !edit->has_archived &&
+      json->faults->n == 0)
+    mo_json_fault_at(json, 0, "", "nothing is to change: label, experiment, note or archived");
+  return MO_OK;
+}
+
+int mo_edit_parse(const char *text, size_t size, struct mo_parsed_edit *parsed,
+                  struct mo_faults *faults)
+{
+  static const struct mo_field_own own[] = {{.read = edit_label},
+                                            {.read = edit_experiment},
+                                            {.read = edit_note},
+                                            {.read = edit_archived}};
+  static const struct mo_field members[] = {{"label", MO_FIELD_OWN, .own = &own[0]},
+                                            {"experiment", MO_FIELD_OWN, .own = &own[1]},
+                                            {"note", MO_FIELD_OWN, .own = &own[2]},
+                                            {"archived", MO_FIELD_OWN, .own = &own[3]}};
+  static const struct mo_fields fields = MO_FIELDS(members);
+  parsed->edit = (struct mo_job_edit){.has_label = false};
+  return mo_read_body(text, size, &fields, parsed, NULL, check_edit, faults);
 }
 
 bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
@@ -247,7 +331,7 @@ bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
 static const char *const priority_words[] = {"batch", "interactive", NULL}; /* enum mo_urgency */
 static const char *const device_words[] = {"auto", "cpu", "cuda", NULL};    /* from −1 on */
 const struct mo_field_own mo_controller_field = {.read = read_controller};
-static const struct mo_field_own label = {.read = read_label};
+static const struct mo_field_own label = {.read = read_label}, experiment = {read_experiment};
 #define AT(member) offsetof(struct mo_parts, member)
 static const struct mo_field weight_rows[] = {
     {"weight", MO_FIELD_NUMBER, 0, 0, .min = MO_WEIGHT_MIN, .max = MO_WEIGHT_MAX, .unit = "",
@@ -258,6 +342,8 @@ static const struct mo_field rows[] = {
     {"controller", MO_FIELD_OWN, 0, 0, .own = &mo_controller_field, .unit = "",
      .help = "a controller by name or hash"},
     {"label", MO_FIELD_OWN, 0, 0, .own = &label, .unit = "", .help = "a text to find the job by"},
+    {"experiment", MO_FIELD_OWN, 0, 0, .own = &experiment, .unit = "",
+     .help = "what the job belongs to, with others"},
     {"priority", MO_FIELD_WORD, 0, AT(job.priority), .words = priority_words, .unit = "",
      .help = "among other work"},
     {NULL, MO_FIELD_INLINE, 0, AT(job.weight), .group = &mo_weight_fields},

@@ -25,7 +25,7 @@ struct mo_parts {
   struct mo_submission job;                        /* priority −1: not given */
   int device;                                      /* 0: any */
   bool has_controller, no_controller, has_designs; /* no_controller: null was given */
-  char label[MO_LABEL_BYTES_MAX + 1];
+  char label[MO_LABEL_BYTES_MAX + 1], experiment[MO_EXPERIMENT_BYTES_MAX + 1];
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
   struct mo_bits *genotypes;              /* (n_designs) those to take, as given, not placed */
@@ -36,7 +36,7 @@ struct mo_parts {
   uint32_t n_environments;
   int error; /* MO_ERR_NO_MEMORY */
 };
-/* controller, label, priority, weight, device. */
+/* controller, label, experiment, priority, weight, device. */
 extern const struct mo_fields mo_parts_fields;
 extern const struct mo_fields mo_weight_fields; /* of one double */
 /* Fields of struct mo_parts: 1 to MO_DESIGNS_MAX designs; "paper-test" or 1 to MO_ENVIRONMENTS_MAX

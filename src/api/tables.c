@@ -332,8 +332,9 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
 /* ---- the columns of each list of routes.inc ---- */
 
 #define JOB                                                                                        \
-  "state priority weight:n device label submitted_by created_at started_at finished_at attempts:n" \
-  " error.code error.detail"
+  "state priority weight:n device label experiment note archived_at core_seconds:n"                \
+  " device_seconds:n submitted_by created_at started_at finished_at attempts:n error.code"         \
+  " error.detail"
 #define JOBS                                                                                       \
   "id kind " JOB " controller.name environments n_designs:n rollouts_total:n rollouts_done:n"      \
   " training.kind training.name training.step:n training.steps:n campaign.mode"                    \
@@ -359,6 +360,7 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   " footprint:n masses:n springs:n measures"
 #define CHAMPIONS            BORN " distinctiveness:n"
 #define CONTROLLERS          "name sha256 bytes:n parameters:n sensor workspace metadata stored_at"
+#define USAGE                "name jobs:n core_seconds:n device_seconds:n"
 #define WORLDS               "sha256 light_xy_m.0:n light_xy_m.1:n terrain_heights_m"
 #define CHECKPOINTS          "step:n sha256 size:n stored_at"
 #define CAMPAIGN_CHECKPOINTS "generation:n step:n sha256 size:n stored_at"

@@ -398,12 +398,15 @@ static int open_store(struct service *service, const struct settings *settings,
   /* A migration, or the check after an unclean stop, takes time in proportion to the database:
    * systemd must not end it. */
   sd_notifyf(0, "STATUS=Opening the state folder\nEXTEND_TIMEOUT_USEC=%" PRIu64, OPEN_LIMIT_US);
-  const struct mo_store_config config = {.path = settings->state_dir,
-                                         .n_readers = STORE_READERS,
-                                         .events_kept = settings->events_kept,
-                                         .max_recordings_bytes = max_recordings_of(settings),
-                                         .fatal = store_is_broken,
-                                         .fatal_context = service};
+  const struct mo_store_config config = {
+      .path = settings->state_dir,
+      .n_readers = STORE_READERS,
+      .events_kept = settings->events_kept,
+      .max_recordings_bytes = max_recordings_of(settings),
+      .keep_evaluations_s = (int64_t)(settings->keep_evaluations_ms + 999) / 1000,
+      .keep_recordings_s = (int64_t)(settings->keep_recordings_ms + 999) / 1000,
+      .fatal = store_is_broken,
+      .fatal_context = service};
   mo_store_limit_memory(max_memory_of(settings) / 8);
   int error = make_folders(settings->state_dir, message);
   if (error == MO_OK)

@@ -14,6 +14,7 @@
 #define GIB                (MIB * KIB)
 #define SECOND             UINT64_C(1000)
 #define HOUR               (3600 * SECOND)
+#define DAY                (24 * HOUR)
 #define AT(settings, row)  ((void *)((char *)(settings) + (row)->offset))
 #define CAT(settings, row) ((const void *)((const char *)(settings) + (row)->offset))
 
@@ -100,6 +101,14 @@ const struct setting settings_table[] = {
     VALUE_ROW("max_recordings", SETTING_BYTES, max_recordings_bytes, 0, MIB *GIB, "8G", NULL,
               "Recorded trajectories of all evaluations; beyond it those of evaluations that have "
               "ended are removed, the oldest first. 0: no limit."),
+    VALUE_ROW(
+        "keep_evaluations", SETTING_DURATION, keep_evaluations_ms, 0, 36500 * DAY, "0", "for good",
+        "Time after its end for which an evaluation is kept, with its recordings; it stays if it "
+        "has a note, is archived, or a training learns on its designs. Scores stay."),
+    VALUE_ROW(
+        "keep_recordings", SETTING_DURATION, keep_recordings_ms, 0, 36500 * DAY, "0", "for good",
+        "Time after the end of an evaluation for which its recordings are kept; they stay if it "
+        "has a note or is archived."),
     VALUE_ROW("max_memory", SETTING_BYTES, max_memory, 0, MIB *GIB, "0",
               "seven eighths of the machine's memory, or of the limit of the cgroup or process if "
               "that is less, at least 64M",
@@ -208,12 +217,19 @@ static const struct unit {
   const char *name;
   uint64_t factor;
   bool is_other_name;
-} units[] = {{SETTING_NUMBER, "", 1, false},         {SETTING_BYTES, "G", GIB, false},
-             {SETTING_BYTES, "GiB", GIB, true},      {SETTING_BYTES, "M", MIB, false},
-             {SETTING_BYTES, "MiB", MIB, true},      {SETTING_BYTES, "K", KIB, false},
-             {SETTING_BYTES, "KiB", KIB, true},      {SETTING_BYTES, "", 1, false},
-             {SETTING_DURATION, "h", HOUR, false},   {SETTING_DURATION, "min", 60 * SECOND, true},
-             {SETTING_DURATION, "s", SECOND, false}, {SETTING_DURATION, "", SECOND, true},
+} units[] = {{SETTING_NUMBER, "", 1, false},
+             {SETTING_BYTES, "G", GIB, false},
+             {SETTING_BYTES, "GiB", GIB, true},
+             {SETTING_BYTES, "M", MIB, false},
+             {SETTING_BYTES, "MiB", MIB, true},
+             {SETTING_BYTES, "K", KIB, false},
+             {SETTING_BYTES, "KiB", KIB, true},
+             {SETTING_BYTES, "", 1, false},
+             {SETTING_DURATION, "d", DAY, false},
+             {SETTING_DURATION, "h", HOUR, false},
+             {SETTING_DURATION, "min", 60 * SECOND, true},
+             {SETTING_DURATION, "s", SECOND, false},
+             {SETTING_DURATION, "", SECOND, true},
              {SETTING_DURATION, "ms", 1, false}};
 enum { N_UNITS = sizeof(units) / sizeof(units[0]) };
 

@@ -7,7 +7,7 @@
  *
  * The name `max_body` gives the flag `--max-body` and the variable `MORPHOD_MAX_BODY`. The file has
  * `name = value` lines and `#` comments. Lists are separated by commas or white space; repeating a
- * flag adds to its list. Sizes take K, M, G (powers of 1024), durations ms, s, min, h. */
+ * flag adds to its list. Sizes take K, M, G (powers of 1024), durations ms, s, min, h, d. */
 #ifndef MORPHO_DAEMON_SETTINGS_H
 #define MORPHO_DAEMON_SETTINGS_H
 
@@ -60,6 +60,7 @@ struct settings {
   uint64_t max_open_jobs, max_open_rollouts, max_trainings, max_campaigns;
   uint64_t max_in_flight;
   uint64_t max_recorded_bytes, max_recordings_bytes; /* of one evaluation, of all; 0: no limit */
+  uint64_t keep_evaluations_ms, keep_recordings_ms;  /* after their end; 0: for good */
   uint64_t max_memory;                               /* 0: memory_limit() */
   uint64_t client_rate_per_s;
   uint64_t events_kept;

@@ -9,8 +9,8 @@
 static const struct {
   const char *name;
   enum mo_method method;
-} methods[] = {{"GET", MO_GET}, {"HEAD", MO_HEAD},     {"POST", MO_POST},
-               {"PUT", MO_PUT}, {"DELETE", MO_DELETE}, {"OPTIONS", MO_OPTIONS}};
+} methods[] = {{"GET", MO_GET},     {"HEAD", MO_HEAD},     {"POST", MO_POST},      {"PUT", MO_PUT},
+               {"PATCH", MO_PATCH}, {"DELETE", MO_DELETE}, {"OPTIONS", MO_OPTIONS}};
 
 enum mo_method mo_method_of(const char *name)
 {

@@ -13,6 +13,7 @@ enum mo_method {
   MO_PUT = 1 << 3,
   MO_DELETE = 1 << 4,
   MO_OPTIONS = 1 << 5,
+  MO_PATCH = 1 << 6,
   MO_OTHER_METHOD = 0
 };
 

@@ -190,6 +190,7 @@ static void stop(struct mo_jobs *jobs)
 
 static void free_jobs(struct mo_jobs *jobs)
 {
+  mo_store_meter(jobs->store, NULL, NULL);
   for (int kind = 0; kind < MO_JOB_KINDS; kind++)
     mo_runners_free(&jobs->runners[kind]);
   for (int kind = 0; kind < MO_JOB_KINDS; kind++)
@@ -231,6 +232,7 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
                                             [MO_JOB_TRAINING] = jobs->config.max_active_trainings,
                                             [MO_JOB_CAMPAIGN] = jobs->config.max_active_campaigns};
   atomic_store(&jobs->heartbeat_us, mo_clock_us());
+  mo_store_meter(store, mo_share_used, jobs);
   error = prepare(jobs, config->crash_marker, config->version);
   for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)
     if (mo_kinds[kind]->open != NULL)
@@ -327,6 +329,14 @@ int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight)
     return error;
   (void)mo_share_reweigh(jobs, id); /* unreadable: the weight counts from the next start */
   return MO_OK;
+}
+
+int mo_jobs_edit(struct mo_jobs *jobs, int64_t id, const struct mo_job_edit *edit)
+{
+  const int error = mo_store_edit_job(jobs->store, id, edit);
+  if (error == MO_OK && edit->has_label)
+    (void)mo_share_reweigh(jobs, id); /* unreadable: metrics tell the old label */
+  return error;
 }
 
 /* ---- figures ---- */

@@ -80,6 +80,9 @@ int mo_jobs_resume(struct mo_jobs *jobs, int64_t id);
  * MO_ERR_CONFLICT: the job has ended. */
 int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);
 
+/* Changes what clients say of a job, also while it runs. MO_ERR_NOT_FOUND. */
+int mo_jobs_edit(struct mo_jobs *jobs, int64_t id, const struct mo_job_edit *edit);
+
 /* ---- what is going on ---- */
 /* After so many crashes or errors a job fails. */
 #define MO_ATTEMPTS_MAX 3

@@ -31,8 +31,9 @@ struct mo_live {
                            campaign is timed; < 0: unknown */
   double best_score;    /* of a campaign's newest population; ≤ 0: none */
   double busy_s;        /* worker seconds since the last start; < 0: no share now */
-  char reason[160];     /* MO_PHASE_WAIT: why, and what to do; MO_PHASE_PREPARE: the campaign whose
-                           drawing this one waits for; else "" */
+  double worker_s, device_s; /* in all; of a job with a share */
+  char reason[160]; /* MO_PHASE_WAIT: why, and what to do; MO_PHASE_PREPARE: the campaign whose
+                       drawing this one waits for; else "" */
 };
 /* Idle if the job does not run. An evaluation that runs is in MO_PHASE_SCORE. */
 void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live);

@@ -198,10 +198,10 @@ const char *mo_phase_name(enum mo_phase phase)
 
 void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
 {
-  double busy_s;
+  struct mo_live used;
   bool runs;
   mo_share_live(jobs, id, live);
-  busy_s = live->busy_s;
+  used = *live;
   runs = live->phase != MO_PHASE_IDLE;
   for (int kind = 0; kind < MO_JOB_KINDS && !runs; kind++) {
     struct mo_runners *runners = &jobs->runners[kind];
@@ -217,7 +217,9 @@ void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
   }
   if (!runs && mo_memory_reason(jobs, id, live->reason))
     live->phase = MO_PHASE_WAIT;
-  live->busy_s = busy_s;
+  live->busy_s = used.busy_s;
+  live->worker_s = used.worker_s;
+  live->device_s = used.device_s;
 }
 
 size_t mo_jobs_running(struct mo_jobs *jobs, struct mo_running *rows, size_t limit)

@@ -27,7 +27,8 @@ static struct mo_job_share *find(const struct mo_jobs *jobs, int64_t id)
   return entry;
 }
 
-int mo_share_reweigh(struct mo_jobs *jobs, int64_t id)
+/* Brings a share up to the job's row. opens: it is new, and counts on from what the job used. */
+static int read_share(struct mo_jobs *jobs, int64_t id, bool opens)
 {
   struct mo_job_share *entry;
   struct mo_job job;
@@ -41,10 +42,17 @@ int mo_share_reweigh(struct mo_jobs *jobs, int64_t id)
     entry->is_batch = job.priority == MO_BATCH;
     entry->weight = job.weight;
     snprintf(entry->label, sizeof(entry->label), "%s", job.label);
+    entry->before_s = opens ? job.worker_s : entry->before_s;
+    entry->before_device_s = opens ? job.device_s : entry->before_device_s;
   }
   pthread_mutex_unlock(&jobs->shares_mutex);
   pthread_mutex_unlock(&jobs->weigh_mutex);
   return error;
+}
+
+int mo_share_reweigh(struct mo_jobs *jobs, int64_t id)
+{
+  return read_share(jobs, id, false);
 }
 
 int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind,
@@ -65,7 +73,7 @@ int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind,
   entry->next = jobs->shares;
   jobs->shares = entry;
   pthread_mutex_unlock(&jobs->shares_mutex);
-  error = mo_share_reweigh(jobs, id);
+  error = read_share(jobs, id, true);
   if (error != MO_OK)
     mo_share_close(jobs, id);
   return error;
@@ -108,8 +116,19 @@ void mo_share_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
     *live = entry->live;
     live->busy_s = 0;
     add(entry->share, &live->busy_s, &device_s);
+    live->worker_s = entry->before_s + live->busy_s;
+    live->device_s = entry->before_device_s + device_s;
   }
   pthread_mutex_unlock(&jobs->shares_mutex);
+}
+
+bool mo_share_used(void *context, int64_t id, double *worker_s, double *device_s)
+{
+  struct mo_live live;
+  mo_share_live(context, id, &live);
+  *worker_s = live.worker_s;
+  *device_s = live.device_s;
+  return live.busy_s >= 0;
 }
 
 size_t mo_shares_heaviest(struct mo_jobs *jobs, struct mo_running *rows, size_t limit)

@@ -17,6 +17,7 @@ struct mo_job_share {
   struct mo_compute_share *share;
   bool is_batch;
   double weight;
+  double before_s, before_device_s; /* seconds of earlier attempts */
   char label[MO_LABEL_BYTES_MAX + 1];
   struct mo_live live; /* of an evaluation, as shown last; others: idle */
   struct mo_job_share *next;
@@ -70,6 +71,8 @@ int mo_share_reweigh(struct mo_jobs *jobs, int64_t id); /* applies the weight in
 void mo_share_show(struct mo_jobs *jobs, int64_t id, const struct mo_live *live);
 /* Reads what the job's share knows: busy_s, and the other figures of an evaluation. */
 void mo_share_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live);
+/* A meter of the store (mo_store_meter); context: struct mo_jobs. */
+bool mo_share_used(void *context, int64_t id, double *worker_s, double *device_s);
 /* Lists the batch jobs that have a share, as mo_jobs_running does, without their live figures. */
 size_t mo_shares_heaviest(struct mo_jobs *jobs, struct mo_running *rows, size_t limit);
 void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],

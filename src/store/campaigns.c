@@ -18,7 +18,7 @@ int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
       "SELECT r.settings,m.generations,m.n_environments,m.replicates_of,m.physics,"
       "coalesce(r.controller,0),coalesce(m.environment_set,0),m.generation,m.n_designs,"
       "m.scored_generation,m.scored,m.diversity_max FROM campaigns m JOIN runs r ON r.job=m.job"
-      " WHERE m.job=?1";
+      " JOIN jobs j ON j.id=m.job AND j.state<>6 WHERE m.job=?1";
   struct mo_campaign_record record;
   sqlite3_stmt *row;
   int error = mo_sql_row(connection, &row, sql, mo_int(id));

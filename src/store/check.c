@@ -170,7 +170,7 @@ static const struct part {
      check_campaign_losses},
     {"a mean loss is damaged: set_scores, genotype",
      "SELECT genotype,ranking,score,checksum FROM set_scores", check_mean},
-    {"a job is damaged: jobs, row", "SELECT id FROM jobs", .check_in = check_job},
+    {"a job is damaged: jobs, row", "SELECT id FROM jobs WHERE state<>6", .check_in = check_job},
     {"a controller's file is missing or damaged: controllers, row",
      "SELECT id,sha256,size FROM controllers", .check_in = check_controller},
     {"a checkpoint's file is missing or damaged: job",

@@ -26,7 +26,8 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
 {
   static const char sql[] =
       "SELECT controller,physics,verify,n_designs,n_environments,coalesce(fingerprint,0),"
-      "coalesce(workers,0),state=3 FROM evaluations JOIN jobs ON id=job WHERE job=?1";
+      "coalesce(workers,0),state=3 FROM evaluations JOIN jobs ON id=job WHERE job=?1"
+      " AND state<>6";
   sqlite3_stmt *row;
   const int error = mo_sql_row(reader, &row, sql, mo_int(range->id));
   if (error != MO_OK)

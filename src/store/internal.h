@@ -66,7 +66,10 @@ struct mo_store {
   uint64_t events_since_prune;
   int64_t last_prune_us, last_probe_us, last_restart_us, next_reserve_us;
   int wal_frames, checkpoint_frames;
-  uint64_t max_recordings_bytes; /* 0: no limit */
+  uint64_t max_recordings_bytes;                   /* 0: no limit */
+  int64_t keep_evaluations_us, keep_recordings_us; /* after their end; 0: for good */
+  int64_t last_upkeep_us;
+  void (*upkeep)(struct mo_store *store); /* between batches; nullable */
   bool reserve_whole;
 
   pthread_mutex_t checkpoints_mutex; /* guards checkpoint files and their rows; locked before
@@ -82,6 +85,8 @@ struct mo_store {
   } listeners[MO_LISTENERS_MAX];
   unsigned n_listeners;
   int next_handle;
+  bool (*used)(void *context, int64_t job, double *worker_s, double *device_s); /* nullable */
+  void *used_context;
 
   atomic_uint_fast64_t commits, operations, operations_failed, queued, commit_ns;
   atomic_int_fast64_t database_bytes, wal_bytes, heartbeat_us;
@@ -131,14 +136,6 @@ int mo_read_integers(struct mo_store *store, const char *sql, struct mo_values v
 void *mo_read_whole(struct mo_store *store, size_t size,
                     int (*load)(struct mo_connection *reader, const void *key, void *ret),
                     const void *key, void (*release)(void *ret), int *error);
-
-/* ---- the reserve (reserve.c) ---- */
-
-/* Only the writer's thread calls these, and opening before that thread starts. */
-/* Makes the reserve whole again. If there is no space for it, the store is short of space. */
-void mo_reserve_make(struct mo_store *store);
-/* Frees the reserve. true: the store is short of space, and there may be some space now. */
-bool mo_reserve_free(struct mo_store *store);
 
 /* ---- shared queries ---- */
 

@@ -129,6 +129,11 @@ int mo_job_read(sqlite3_stmt *row, struct mo_job *job, void *record)
   job->back_end = sqlite3_column_int(row, MO_COLUMN_BACK_END) != 0 ? MO_ON_DEVICE : MO_ON_CPU;
   job->has_label = sqlite3_column_type(row, MO_COLUMN_LABEL) != SQLITE_NULL;
   mo_column_text(row, MO_COLUMN_LABEL, job->label, sizeof(job->label));
+  mo_column_text(row, MO_COLUMN_EXPERIMENT, job->experiment, sizeof(job->experiment));
+  mo_column_text(row, MO_COLUMN_NOTE, job->note, sizeof(job->note));
+  job->archived_us = sqlite3_column_int64(row, MO_COLUMN_ARCHIVED_US);
+  job->worker_s = sqlite3_column_double(row, MO_COLUMN_WORKER_S);
+  job->device_s = sqlite3_column_double(row, MO_COLUMN_DEVICE_S);
   mo_column_text(row, MO_COLUMN_SUBMITTED_BY, job->submitted_by, sizeof(job->submitted_by));
   job->created_us = sqlite3_column_int64(row, MO_COLUMN_CREATED_US);
   job->started_us = sqlite3_column_int64(row, MO_COLUMN_STARTED_US);
@@ -155,7 +160,7 @@ int mo_job_row(struct mo_connection *connection, int64_t id, int kind, sqlite3_s
                                         " LEFT JOIN physics p ON p.id=e.physics"
                                         " LEFT JOIN environment_sets s"
                                         " ON s.id=coalesce(e.environment_set,m.environment_set)"
-                                        " WHERE j.id=?1 AND (?2<0 OR j.kind=?2)";
+                                        " WHERE j.id=?1 AND j.state<>6 AND (?2<0 OR j.kind=?2)";
 #undef COLUMN
   return mo_sql_row(connection, row, sql, mo_int(id), mo_int(kind));
 }
@@ -238,17 +243,20 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
 /* ---- pages ---- */
 
 /* Queries for pages of jobs, newest first. `select` returns rows of jobs j with their id first;
- * `where` is a condition that an index answers, on ?4: kind, ?6: group, ?7: label, ?8: who
- * submitted. ?1: ids are below this; ?2: state; ?3: limit; ?5: ids of waiting jobs, which are shown
- * as paused while they run. No page needs sorting: each part comes in order from its index, and
- * SQLite merges two of them. */
-#define PAGE_OF_ALL(rows, where)     rows " WHERE " where " AND j.id<?1 ORDER BY j.id DESC LIMIT ?3"
+ * `where` is a condition that an index answers, on ?4: kind, ?6: group, ?7 and ?10: the least and
+ * the largest label, ?8: who submitted, ?11: experiment. ?1: ids are below this; ?2: state; ?3:
+ * limit; ?5: ids of waiting jobs, which are shown as paused while they run; ?9: whether they are
+ * archived. No page needs sorting, but that of a label's beginning: each part comes in order from
+ * its index, and SQLite merges two of them. */
+#define SHOWN " AND +j.state<>6 AND (?9<0 OR (j.archived_us>0)=?9)"
+#define PAGE_OF_ALL(rows, where)                                                                   \
+  rows " WHERE " where SHOWN " AND j.id<?1 ORDER BY j.id DESC LIMIT ?3"
 #define PAGE_OF_STATE(select, where) PAGE_OF_ALL(select, where " AND j.state=?2")
 #define PAGE_OF_SHOWN(select, where)                                                               \
   select                                                                                           \
-      " WHERE " where                                                                              \
+      " WHERE " where SHOWN                                                                        \
       " AND j.state=?2 AND (?2<>1 OR j.id NOT IN (SELECT value FROM json_each(?5))) AND j.id<?1"   \
-      " UNION ALL " select " WHERE " where                                                         \
+      " UNION ALL " select " WHERE " where SHOWN                                                   \
       " AND j.state=1 AND ?2=2 AND +j.id IN (SELECT value FROM json_each(?5))"                     \
       " AND j.id<?1 ORDER BY 1 DESC LIMIT ?3"
 #define PAGES(select, where)                                                                       \
@@ -263,6 +271,12 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
         PAGES(select, where " AND j.submitted_by=?8"),                                             \
         PAGES(select, where " AND j.submitted_by=?8 AND j.label=?7")                               \
   }
+
+/* Those in which an index finds few jobs, and the other conditions are looked at row by row. */
+#define NARROWED(select, where)                                                                    \
+  PAGES(select,                                                                                    \
+        where " AND (?4<0 OR +j.kind=?4) AND (?7 IS NULL OR (+j.label>=?7 AND +j.label<=?10))"     \
+              " AND (?8 IS NULL OR +j.submitted_by=?8) AND (?11 IS NULL OR +j.experiment=?11)")
 
 /* Returns the index in PAGES of the query. */
 static unsigned page_of(const struct mo_job_query *query)
@@ -286,15 +300,27 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
                      int (*load)(struct mo_connection *reader, int64_t id, void *status),
                      void *statuses, size_t status_size)
 {
-#define JOBS   "SELECT j.id FROM jobs j"
-#define GROUPS "SELECT j.id FROM campaigns m CROSS JOIN jobs j ON j.id=m.job"
-  /* By what is asked for: any job, those of a kind, those of a group. */
-  static const char *const sql[3][4][3] = {FILTERED(JOBS, "TRUE"), FILTERED(JOBS, "j.kind=?4"),
-                                           FILTERED(GROUPS, "m.replicates_of=?6 AND j.kind=?4")};
-#undef GROUPS
+#define JOBS       "SELECT j.id FROM jobs j"
+#define JOBS_BY(x) JOBS " INDEXED BY jobs_" x
+  /* Any job, those of a kind. */
+  static const char *const sql[2][4][3] = {FILTERED(JOBS, "TRUE"), FILTERED(JOBS, "j.kind=?4")};
+  enum { GROUP, EXPERIMENT, LABEL, ARCHIVED };
+  static const char *const narrowed[][3] = {
+      [GROUP] = NARROWED("SELECT j.id FROM campaigns m CROSS JOIN jobs j ON j.id=m.job",
+                         "m.replicates_of=?6"),
+      [EXPERIMENT] = NARROWED(JOBS_BY("by_experiment"), "j.experiment=?11"),
+      [LABEL] = NARROWED(JOBS_BY("by_label"), "j.label>=?7 AND j.label<=?10"),
+      [ARCHIVED] = NARROWED(JOBS_BY("archived"), "j.archived_us>0")};
+#undef JOBS_BY
 #undef JOBS
-  const int which = query->group != 0 ? 2 : query->kind >= 0 ? 1 : 0;
+  const bool is_prefix = query->label != NULL && query->label_is_prefix;
   const int filter = (query->label != NULL) + 2 * (query->submitted_by != NULL);
+  const char *const *pages = query->group != 0           ? narrowed[GROUP]
+                             : query->experiment != NULL ? narrowed[EXPERIMENT]
+                             : is_prefix                 ? narrowed[LABEL]
+                             : query->archived > 0       ? narrowed[ARCHIVED]
+                                                         : sql[query->kind >= 0][filter];
+  char label[MO_LABEL_BYTES_MAX + 8];
   char waiting[MO_WAITING_MAX * 24 + 8];
   int64_t ids[MO_PAGE_MAX] = {0}, n = 0;
   struct mo_connection *reader;
@@ -303,11 +329,15 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
   if (limit > MO_PAGE_MAX || query->n_waiting > MO_WAITING_MAX)
     return MO_ERR_LIMIT;
   write_waiting(query, waiting);
+  /* The largest character stands behind every label that begins so. */
+  snprintf(label, sizeof(label), "%s%s", query->label != NULL ? query->label : "",
+           is_prefix ? "\xf4\x8f\xbf\xbf" : "");
   reader = mo_reader_acquire(store);
-  row = mo_sql_rows(reader, &error, sql[which][filter][page_of(query)],
+  row = mo_sql_rows(reader, &error, pages[page_of(query)],
                     mo_int(query->before > 0 ? query->before : INT64_MAX), mo_int(query->state),
                     mo_int((int64_t)limit), mo_int(query->kind), mo_string(waiting),
-                    mo_int(query->group), mo_string(query->label), mo_string(query->submitted_by));
+                    mo_int(query->group), mo_string(query->label), mo_string(query->submitted_by),
+                    mo_int(query->archived), mo_string(label), mo_string(query->experiment));
   while (mo_sql_next(reader, row, &error))
     ids[n++] = sqlite3_column_int64(row, 0);
   for (int64_t i = 0; i < n && error == MO_OK; i++)

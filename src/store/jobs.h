@@ -16,6 +16,11 @@
   X(WEIGHT, "j.weight")                                                                            \
   X(BACK_END, "j.back_end")                                                                        \
   X(LABEL, "j.label")                                                                              \
+  X(EXPERIMENT, "j.experiment")                                                                    \
+  X(NOTE, "j.note")                                                                                \
+  X(ARCHIVED_US, "j.archived_us")                                                                  \
+  X(WORKER_S, "j.worker_s")                                                                        \
+  X(DEVICE_S, "j.device_s")                                                                        \
   X(SUBMITTED_BY, "j.submitted_by")                                                                \
   X(CREATED_US, "j.created_us")                                                                    \
   X(STARTED_US, "j.started_us")                                                                    \

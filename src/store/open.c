@@ -13,10 +13,11 @@
 #include <sys/utsname.h>
 #include <unistd.h>
 
+#include "base/clock.h"
 #include "schema.h"
 #include "store/folder.h"
-#include "store/recordings.h"
 #include "store/rows.h"
+#include "store/upkeep.h"
 
 /* The version of schema.sql, and the newest. Those before the first were of morphod 0.1. */
 #define FIRST_SCHEMA  9
@@ -297,6 +298,10 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
       .vfs = config->vfs,
       .files = config->files != NULL ? config->files : &mo_system_files,
       .max_recordings_bytes = config->max_recordings_bytes,
+      .keep_evaluations_us = config->keep_evaluations_s * 1000000,
+      .keep_recordings_us = config->keep_recordings_s * 1000000,
+      .upkeep = mo_upkeep,
+      .last_upkeep_us = mo_clock_us(),
       .must_exist = config->must_exist,
       .folder_fd = -1,
       .lock_fd = -1,
@@ -375,7 +380,7 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
     free_store(store);
     return error;
   }
-  mo_recordings_check(store);
+  mo_upkeep_begin(store);
   *ret = store;
   return MO_OK;
 }

@@ -1,6 +1,7 @@
 /* recordings.c: stores recordings of evaluations, and removes them: on request, or, while all of
- * them take more than max_recordings, those of the oldest evaluation. Recordings of evaluations
- * that have not ended stay: a restart continues from them.
+ * them take more than max_recordings, those of the oldest evaluation, or, where keep_recordings is
+ * set, those of evaluations that ended longer ago and are neither noted nor archived. Recordings of
+ * evaluations that have not ended stay: a restart continues from them.
  *
  * Each evaluation has the bytes of its recordings in its row, and `meta` the sum. Every change of
  * recordings changes both in the same transaction. */
@@ -34,13 +35,15 @@ static int add_bytes(struct mo_connection *writer, int64_t job, int64_t bytes)
   return error == MO_OK ? mo_sql_do(writer, sum_sql, mo_int(bytes)) : error;
 }
 
-/* Stores a trajectory and adds its bytes to *bytes. A trajectory that is stored stays as it is. */
+/* Stores a trajectory and adds its bytes to *bytes. A trajectory that is stored stays as it is;
+ * that of a job that was deleted meanwhile is dropped. */
 static int insert(struct mo_connection *writer, const struct mo_saved_trajectory *trajectory,
                   uint64_t *bytes)
 {
   static const char sql[] = "INSERT OR IGNORE INTO trajectories(job,position,environment,stride,"
                             "frames,n_masses,diverged_step,com,masses,actuation,contacts)"
-                            " VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11)";
+                            " SELECT ?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11"
+                            " FROM jobs WHERE id=?1 AND state<>6";
   unsigned channels = 0;
   const int error = mo_sql_do(
       writer, sql, mo_int(trajectory->job), mo_int(trajectory->design_position),
@@ -78,14 +81,19 @@ static int recorded_bytes_of(struct mo_connection *writer, int64_t job, int64_t 
   return mo_sql_find(writer, bytes, sql, mo_int(job));
 }
 
-int mo_trajectories_delete(struct mo_connection *writer, int64_t job)
+int mo_recordings_drop(struct mo_connection *writer, int64_t job, int64_t *bytes)
 {
   static const char sql[] = "DELETE FROM trajectories WHERE job=?1";
-  int64_t bytes = 0;
-  int error = recorded_bytes_of(writer, job, &bytes);
+  int error = recorded_bytes_of(writer, job, bytes);
   if (error == MO_OK)
     error = mo_sql_do(writer, sql, mo_int(job));
-  return error == MO_OK ? add_bytes(writer, job, -bytes) : error;
+  return error == MO_OK ? add_bytes(writer, job, -*bytes) : error;
+}
+
+int mo_trajectories_delete(struct mo_connection *writer, int64_t job)
+{
+  int64_t bytes;
+  return mo_recordings_drop(writer, job, &bytes);
 }
 
 /* ---- removal ---- */
@@ -99,7 +107,7 @@ bool mo_recordings_are_many(const struct mo_store *store)
 /* Removes the recordings of one evaluation. */
 struct removal {
   struct mo_store *store;
-  int64_t job;   /* 0: the oldest that has ended, if all take more than max_recordings */
+  int64_t job;   /* 0: the oldest that has ended, if there are too many, or it is too old */
   int64_t bytes; /* result */
 };
 
@@ -112,7 +120,7 @@ static int remove_of(struct mo_store *store, int64_t job, const char *reason, in
   int error = recorded_bytes_of(writer, job, bytes);
   if (error != MO_OK || *bytes == 0)
     return error;
-  error = mo_trajectories_delete(writer, job);
+  error = mo_recordings_drop(writer, job, bytes);
   if (error == MO_OK)
     error = mo_sql_do(writer, removed_sql, mo_int(job), mo_int(mo_clock_wall_us()));
   if (error == MO_OK)
@@ -129,6 +137,10 @@ static int remove_oldest(struct mo_store *store, void *arguments)
   static const char oldest_sql[] =
       "SELECT e.job FROM evaluations e JOIN jobs j ON j.id=e.job"
       " WHERE e.recorded_bytes>0 AND j.state>=3 ORDER BY e.job LIMIT 1";
+  static const char aged_sql[] =
+      "SELECT e.job FROM evaluations e JOIN jobs j ON j.id=e.job WHERE e.recorded_bytes>0"
+      " AND j.state>=3 AND j.finished_us<?1 AND j.archived_us=0 AND j.note IS NULL"
+      " ORDER BY e.job LIMIT 1";
   struct removal *removal = arguments;
   int64_t sum = 0;
   int error = mo_sql_find(&store->writer, &sum, sum_sql);
@@ -136,11 +148,14 @@ static int remove_oldest(struct mo_store *store, void *arguments)
   if (error != MO_OK)
     return error;
   atomic_store(&store->recorded_bytes, (uint64_t)sum);
-  if (!mo_recordings_are_many(store))
+  const bool are_many = mo_recordings_are_many(store);
+  if (!are_many && store->keep_recordings_us == 0)
     return MO_OK;
-  error = mo_sql_find(&store->writer, &removal->job, oldest_sql);
+  error = are_many ? mo_sql_find(&store->writer, &removal->job, oldest_sql)
+                   : mo_sql_find(&store->writer, &removal->job, aged_sql,
+                                 mo_int(mo_clock_wall_us() - store->keep_recordings_us));
   if (error == MO_OK)
-    error = remove_of(store, removal->job, "budget", &removal->bytes);
+    error = remove_of(store, removal->job, are_many ? "budget" : "age", &removal->bytes);
   return error == MO_ERR_NOT_FOUND ? MO_OK : error;
 }
 

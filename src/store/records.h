@@ -23,6 +23,8 @@
 #define MO_DESIGNS_MAX           10000 /* of one evaluation */
 #define MO_ENVIRONMENTS_MAX      64    /* of one evaluation */
 #define MO_LABEL_BYTES_MAX       800   /* 200 characters of UTF-8 */
+#define MO_EXPERIMENT_BYTES_MAX  400   /* 100 characters */
+#define MO_NOTE_BYTES_MAX        4000  /* 1000 characters */
 #define MO_USER_BYTES_MAX        64    /* the name of a token */
 #define MO_NAME_BYTES_MAX        64    /* of the name of a controller or a set of environments */
 #define MO_IDEMPOTENCY_BYTES_MAX 255
@@ -44,7 +46,7 @@ enum mo_job_state {
   MO_JOB_FAILED = 4,
   MO_JOB_CANCELLED = 5
 };
-#define MO_JOB_STATES 6
+#define MO_JOB_STATES 6 /* in the database 6 is a job that is being deleted */
 const char *mo_job_state_name(enum mo_job_state state); /* "queued" … "cancelled" */
 const char *mo_job_kind_name(enum mo_job_kind kind);    /* "evaluation", "training", "campaign" */
 extern const char *const mo_job_state_words[], *const mo_job_kind_words[]; /* base/words.h */
@@ -62,11 +64,11 @@ struct mo_request_key {
 
 /* What every submission of a job has besides what its kind computes. */
 struct mo_submission {
-  int priority;             /* enum mo_urgency */
-  int back_end;             /* enum mo_back_end */
-  double weight;            /* MO_WEIGHT_MIN … MO_WEIGHT_MAX; 0: 1 */
-  const char *label;        /* nullable */
-  const char *submitted_by; /* nullable: the name of a token */
+  int priority;                   /* enum mo_urgency */
+  int back_end;                   /* enum mo_back_end */
+  double weight;                  /* MO_WEIGHT_MIN … MO_WEIGHT_MAX; 0: 1 */
+  const char *label, *experiment; /* nullable */
+  const char *submitted_by;       /* nullable: the name of a token */
   struct mo_request_key key;
 };
 
@@ -81,10 +83,12 @@ struct mo_job {
   double weight; /* MO_WEIGHT_MIN … MO_WEIGHT_MAX: its share of the cores among batch jobs */
   enum mo_back_end back_end;          /* chosen at submission; never changes */
   char label[MO_LABEL_BYTES_MAX + 1]; /* "" when none was given */
-  bool has_label;
+  bool has_label, verify;             /* verify: of an evaluation */
+  char experiment[MO_EXPERIMENT_BYTES_MAX + 1], note[MO_NOTE_BYTES_MAX + 1]; /* "": none */
   char submitted_by[MO_USER_BYTES_MAX + 1]; /* the name of a token; "": submitted without one */
-  int64_t created_us, started_us, finished_us;
-  uint32_t attempts; /* crashes and runner errors so far */
+  int64_t created_us, started_us, finished_us, archived_us;
+  double worker_s, device_s; /* that were computed for it, up to its last event */
+  uint32_t attempts;         /* crashes and runner errors so far */
   int error; /* MO_OK or a code; set when the job failed, or by the last unsuccessful attempt;
                 MO_ERR_DEVICE: paused for lack of a device */
   char error_text[256];
@@ -101,11 +105,9 @@ struct mo_job {
   uint32_t n_environments, n_designs, n_skipped; /* n_skipped: of the designs of an evaluation */
   struct mo_physics physics;
   enum mo_precision precision;
-  bool verify;
-  unsigned record; /* channels */
-  uint32_t record_stride;
-  uint64_t recorded_bytes;       /* of its recordings that are stored */
-  int64_t recordings_removed_us; /* 0: they were not */
+  uint32_t record, record_stride; /* channels; steps between two frames */
+  uint64_t recorded_bytes;        /* of its recordings that are stored */
+  int64_t recordings_removed_us;  /* 0: they were not */
   /* 0 in a training; done includes cached. */
   uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged;
   /* Training: steps. Campaign: generations, without generation 0; done: committed. */

@@ -10,7 +10,7 @@
 #include <fcntl.h>
 #include <unistd.h>
 
-#include "store/internal.h"
+#include "store/upkeep.h"
 
 #include "base/clock.h"
 

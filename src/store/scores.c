@@ -221,7 +221,7 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_s
 {
   static const char sql[] =
       "INSERT OR IGNORE INTO recomputed(job,position,environment,diverged_step,loss,stored,"
-      "checksum) VALUES(?1,?2,?3,?4,?5,?6,?7)";
+      "checksum) SELECT ?1,?2,?3,?4,?5,?6,?7 FROM jobs WHERE id=?1 AND state<>6";
   const int64_t key[4] = {score->verify_job, score->design_position, score->environment_position,
                           score->diverged_step};
   struct mo_score before;

@@ -29,6 +29,7 @@
 #include "store/evaluations.h"
 #include "store/events.h"
 #include "store/files.h"
+#include "store/labels.h"
 
 struct mo_store_config {
   const char *path; /* the state folder; must exist and be writable */
@@ -42,7 +43,8 @@ struct mo_store_config {
   uint32_t checkpoint_frames; /* the log is copied into the database after so many pages; 0: 2000 */
   uint64_t max_recordings_bytes; /* beyond it recordings of evaluations that have ended are removed,
                                     the oldest first; 0: no limit */
-  bool must_exist;               /* MO_ERR_NOT_FOUND where there is no database yet */
+  int64_t keep_evaluations_s, keep_recordings_s; /* after an evaluation's end; 0: for good */
+  bool must_exist; /* MO_ERR_NOT_FOUND where there is no database yet */
   void (*fatal)(void *context, const char *what); /* once, on any thread; nullable */
   void *fatal_context;
 };
@@ -106,9 +108,11 @@ int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job);
 
 struct mo_job_query {
   int64_t before;           /* only ids below this; 0: from the newest */
-  int state;                /* enum mo_job_state or −1 */
-  int kind;                 /* enum mo_job_kind or −1 */
+  int state, kind;          /* enum mo_job_state, enum mo_job_kind, or −1 */
   const char *label;        /* only jobs with this one; nullable */
+  bool label_is_prefix;     /* also those whose label only begins so */
+  const char *experiment;   /* only jobs of this one; nullable */
+  int archived;             /* 0: only those that are not archived; 1: that are; −1: both */
   const char *submitted_by; /* only jobs that came with a token of this name; nullable */
   /* (n_waiting ≤ MO_WAITING_MAX) running jobs that are shown, and so found, as paused; nullable. */
   const int64_t *waiting;

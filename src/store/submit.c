@@ -49,12 +49,12 @@ int mo_job_insert(struct mo_connection *writer, const struct mo_submission *requ
 {
   static const char sql[] =
       "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
-      "finished_us,error,weight,back_end,submitted_by)"
-      " VALUES(?1,0,?2,1,0,0,?3,?4,0,0,0,?5,?6,?7)";
-  return mo_sql_insert(writer, id, sql, mo_int(kind), mo_int(request->priority),
-                       mo_string(request->label), mo_int(mo_clock_wall_us()),
-                       mo_real(request->weight > 0 ? request->weight : 1),
-                       mo_int(request->back_end), mo_string(request->submitted_by));
+      "finished_us,error,weight,back_end,submitted_by,experiment)"
+      " VALUES(?1,0,?2,1,0,0,?3,?4,0,0,0,?5,?6,?7,?8)";
+  return mo_sql_insert(
+      writer, id, sql, mo_int(kind), mo_int(request->priority), mo_string(request->label),
+      mo_int(mo_clock_wall_us()), mo_real(request->weight > 0 ? request->weight : 1),
+      mo_int(request->back_end), mo_string(request->submitted_by), mo_string(request->experiment));
 }
 
 struct submit_arguments {

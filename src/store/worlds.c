@@ -73,6 +73,7 @@ int mo_store_job_environments(struct mo_store *store, int64_t id, enum mo_job_ki
   static const char sql[] =
       "SELECT e.data,e.sha256 FROM jobs j LEFT JOIN campaigns c ON c.job=j.id"
       " JOIN job_environments x ON x.job=coalesce(c.replicates_of,j.id)"
-      " JOIN environments e ON e.id=x.environment WHERE j.id=?1 AND j.kind=?2 ORDER BY x.position";
+      " JOIN environments e ON e.id=x.environment WHERE j.id=?1 AND j.kind=?2 AND j.state<>6"
+      " ORDER BY x.position";
   return read_all(store, sql, MO_VALUES(mo_int(id), mo_int(kind)), environments, n);
 }

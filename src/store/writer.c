@@ -13,7 +13,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "store/internal.h"
+#include "store/upkeep.h"
 
 #include "base/clock.h"
 #include "base/thread.h"
@@ -25,6 +25,19 @@
 #define SPACE_PROBE_US  INT64_C(1000000)
 #define RESTART_US      INT64_C(5000000)
 #define RESTART_WAIT_MS 250
+
+/* Writes what a running job has used, with whatever an event of it tells. */
+static int meter(struct mo_store *store, int64_t job)
+{
+  static const char sql[] = "UPDATE jobs SET worker_s=?2,device_s=?3 WHERE id=?1";
+  double worker_s, device_s;
+  pthread_mutex_lock(&store->listeners_mutex);
+  const bool runs =
+      store->used != NULL && store->used(store->used_context, job, &worker_s, &device_s);
+  pthread_mutex_unlock(&store->listeners_mutex);
+  return runs ? mo_sql_do(&store->writer, sql, mo_int(job), mo_real(worker_s), mo_real(device_s))
+              : MO_OK;
+}
 
 int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const char *data)
 {
@@ -51,7 +64,7 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
   error = mo_sql_insert(writer, &event->sequence, sql, mo_int(event->time_us), mo_int(job),
                         mo_string(event->type), mo_string(event->data));
   store->n_events += error == MO_OK;
-  return error;
+  return error == MO_OK && job > 0 ? meter(store, job) : error;
 }
 
 void mo_store_declare_fatal(struct mo_store *store, const char *what)
@@ -318,6 +331,8 @@ static void maintain(struct mo_store *store)
       prune(store);
     if (store->wal_frames >= store->checkpoint_frames)
       checkpoint(store);
+    if (store->upkeep != NULL)
+      store->upkeep(store);
   }
   if (mo_sql_find(&store->writer, &pages, pages_sql) == MO_OK)
     atomic_store(&store->database_bytes, pages * 4096);

@@ -162,11 +162,13 @@ def test_nothing_there(service, ended, kind):
                 path = f"/v1/campaigns/{id}/{verb}"
                 assert service.request("POST", path, body).status == 404
     for id in absent:
+        assert service.request("DELETE", f"/v1/jobs/{id}").status == 404
+        assert service.request("PATCH", f"/v1/jobs/{id}", {"note": "!"}).status == 404
         assert {service.act(id, verb).status for verb in ("pause", "resume", "cancel")} == {404}
     service.refuses(f"/v1/{kind}/{ended[kind]['id']}", "/nothing", status=404)
     for method in ("PUT", "DELETE"):
         assert service.request(method, f"/v1/{kind}").status == 405
-        assert service.request(method, f"/v1/jobs/{other}").status == 405
+    assert service.request("PUT", f"/v1/jobs/{other}").status == 405
     service.refuses("/v1/jobs/1", "/pause", status=405)
 
 

@@ -15,10 +15,10 @@ RIGHTS = list(TOKENS)
 SUBMIT = {("POST", path) for path in (
     "/v1/evaluations", "/v1/trainings", "/v1/campaigns", "/v1/campaigns/{id}/extend",
     "/v1/campaigns/{id}/champions", "/v1/jobs/{id}/cancel", "/v1/jobs/{id}/pause",
-    "/v1/jobs/{id}/resume", "/v1/jobs/{id}/weight", "/v1/campaigns/{id}/tell",
-    "/v1/campaigns/{id}/finish")}
+    "/v1/jobs/{id}/resume", "/v1/jobs/{id}/weight",
+    "/v1/campaigns/{id}/tell", "/v1/campaigns/{id}/finish")} | {("PATCH", "/v1/jobs/{id}")}
 ADMIN = {("PUT", "/v1/controllers/{name}/file"), ("DELETE", "/v1/controllers/{name}"),
-         ("DELETE", "/v1/trainings/{id}/checkpoints"),
+         ("DELETE", "/v1/trainings/{id}/checkpoints"), ("DELETE", "/v1/jobs/{id}"),
          ("DELETE", "/v1/trainings/{id}/checkpoints/{step}"),
          ("DELETE", "/v1/campaigns/{id}/checkpoints"),
          ("DELETE", "/v1/evaluations/{id}/trajectories")}
@@ -49,7 +49,7 @@ def service(start, tokens):
 
 def routes():
     for path, methods in CONTRACT.document["paths"].items():
-        for method in set(methods) & {"get", "head", "post", "put", "delete"}:
+        for method in set(methods) & {"get", "head", "post", "put", "patch", "delete"}:
             yield method.upper(), path
 
 
@@ -68,7 +68,7 @@ def test_every_route_has_its_right(service):
         for right in RIGHTS:
             if path == "/v1/events":
                 target = path + "?format=json&after=0"
-            body = b"{}" if method in ("POST", "PUT") else None
+            body = b"{}" if method in ("POST", "PUT", "PATCH") else None
             reply = service.request(method, target, body=body, headers=as_(right))
             if RIGHTS.index(right) >= RIGHTS.index(needed):
                 assert reply.status not in (401, 403), (method, path, right)

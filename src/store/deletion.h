@@ -1,0 +1,20 @@
+/* deletion.h: deletes jobs: on request, and by age. Threads and errors as in store.h. */
+#ifndef MORPHO_STORE_DELETION_H
+#define MORPHO_STORE_DELETION_H
+
+#include "store/records.h"
+
+struct mo_store;
+
+struct mo_deleted {
+  uint64_t recorded_bytes;                  /* of recordings that went */
+  uint64_t n_checkpoints, checkpoint_bytes; /* that went */
+};
+/* Deletes a job that has ended: at once for every reader, and its rows later, in steps of bounded
+ * size, which a restart continues. May use the reserve. Designs, scores and controllers stay.
+ * MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job has not ended, or another needs it, which `message`
+ * names (else it is empty). */
+int mo_store_delete_job(struct mo_store *store, int64_t id, struct mo_deleted *deleted,
+                        struct mo_message *message);
+
+#endif

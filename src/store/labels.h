@@ -1,0 +1,37 @@
+/* labels.h: what clients say of jobs after their submission, and what jobs have used. Threads and
+ * errors as in store.h. */
+#ifndef MORPHO_STORE_LABELS_H
+#define MORPHO_STORE_LABELS_H
+
+#include "store/records.h"
+
+struct mo_store;
+
+/* What changes of a job. A text that is given as NULL is taken away. */
+struct mo_job_edit {
+  bool has_label, has_experiment, has_note, has_archived; /* whether it changes */
+  bool archived;
+  const char *label, *experiment, *note;
+};
+/* Changes a job, with its event. MO_ERR_NOT_FOUND. */
+int mo_store_edit_job(struct mo_store *store, int64_t id, const struct mo_job_edit *edit);
+
+enum mo_usage_by { MO_USAGE_KIND, MO_USAGE_LABEL, MO_USAGE_EXPERIMENT, MO_USAGE_SUBMITTED_BY };
+#define MO_USAGES 4
+struct mo_usage_row {
+  char name[MO_LABEL_BYTES_MAX + 1]; /* "": of the jobs that have none; of kinds: digits */
+  uint64_t jobs;
+  double worker_s, device_s;
+};
+/* Sums what jobs have used, deleted ones too; those that used most first. Returns the number of
+ * rows, at most `limit` ≤ MO_PAGE_MAX, or an error. */
+int64_t mo_store_usage(struct mo_store *store, enum mo_usage_by by, struct mo_usage_row *rows,
+                       size_t limit);
+
+/* Sets what tells the seconds that a running job has used in all, false: it does not run. The
+ * writer calls it with each event of a job. used NULL: nothing does any more. */
+void mo_store_meter(struct mo_store *store,
+                    bool (*used)(void *context, int64_t job, double *worker_s, double *device_s),
+                    void *context);
+
+#endif

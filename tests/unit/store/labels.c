@@ -1,0 +1,282 @@
+/* labels.c: what clients say of jobs afterwards, what jobs have used, and deletion: what goes, what
+ * stays, and who keeps a job from it. */
+#include <pthread.h>
+
+#include "by_hand.h"
+#include "campaign_fixture.h"
+#include "one_store.h"
+#include "store/deletion.h"
+#include "training_fixture.h"
+
+static struct mo_message message;
+static struct mo_deleted deleted;
+
+static int delete_job(int64_t id)
+{
+  return mo_store_delete_job(store, id, &deleted, &message);
+}
+
+/* Waits for the background to delete the rows of a job. */
+static bool is_gone(int64_t id)
+{
+  char sql[64];
+  snprintf(sql, sizeof(sql), "SELECT count(*) FROM jobs WHERE id=%lld", (long long)id);
+  for (int i = 0; i < 500 && outside_integer(sql) != 0; i++)
+    usleep(10000);
+  return outside_integer(sql) == 0;
+}
+
+/* Whether a query finds these jobs, in order, and no others. n: −1 ends them. */
+static bool finds(struct mo_job_query query, const int64_t *ids)
+{
+  struct mo_job page[8];
+  int64_t n = 0;
+  while (ids[n] >= 0)
+    n++;
+  bool good = mo_store_jobs(store, &query, page, 8) == n;
+  for (int64_t i = 0; i < n && good; i++)
+    good = page[i].id == ids[i];
+  return good;
+}
+#define FINDS(query, ...) CHECK(finds((struct mo_job_query)query, (const int64_t[]){__VA_ARGS__}))
+#define Q(...)                                                                                     \
+  {                                                                                                \
+    .state = -1, .kind = -1, __VA_ARGS__                                                           \
+  }
+
+static void finds_what_is_labeled(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(1, 1);
+  struct mo_training_request training = submission_of(5);
+  int64_t ids[5];
+  const char *const labels[] = {"gait a", "gait b", "gait", "gai"};
+  for (int i = 0; i < 4; i++) {
+    submission.job.label = labels[i];
+    submission.job.experiment = i < 2 ? "x" : NULL;
+    ids[i] = submit_evaluation(&submission);
+  }
+  training.job.label = "gait c";
+  training.job.experiment = "x";
+  ids[4] = submit_training(&training);
+  FINDS(Q(.label = "gait", .label_is_prefix = true), ids[4], ids[2], ids[1], ids[0], -1);
+  FINDS(Q(.label = "gait "), -1);
+  FINDS(Q(.label = "gait"), ids[2], -1);
+  FINDS(Q(.experiment = "x"), ids[4], ids[1], ids[0], -1);
+  FINDS(Q(.experiment = "x", .before = ids[4]), ids[1], ids[0], -1);
+  FINDS(Q(.experiment = "x", .label = "gait b"), ids[1], -1);
+  FINDS(Q(.experiment = "y"), -1);
+  struct mo_job_query query = Q(.experiment = "x");
+  query.kind = MO_JOB_TRAINING;
+  CHECK(finds(query, (const int64_t[]){ids[4], -1}));
+  /* Changes: what is not named stays. */
+  CHECK_OK(mo_store_edit_job(
+      store, ids[1],
+      &(struct mo_job_edit){
+          .has_note = true, .note = "good", .has_archived = true, .archived = true}));
+  struct mo_job job = job_of(ids[1]);
+  CHECK_TEXT(job.note, "good");
+  CHECK_TEXT(job.label, "gait b");
+  CHECK(job.archived_us > 0 && job.version == 2);
+  CHECK_TEXT(last_event(ids[1]).type, "job.changed");
+  FINDS(Q(.experiment = "x"), ids[4], ids[0], -1);
+  FINDS(Q(.experiment = "x", .archived = 1), ids[1], -1);
+  FINDS(Q(.archived = 1), ids[1], -1);
+  FINDS(Q(.archived = -1, .label = "gait", .label_is_prefix = true), ids[4], ids[2], ids[1], ids[0],
+        -1);
+  query = (struct mo_job_query){.state = MO_JOB_QUEUED, .kind = -1};
+  CHECK(finds(query, (const int64_t[]){ids[4], ids[3], ids[2], ids[0], -1}));
+  CHECK_OK(mo_store_edit_job(
+      store, ids[1],
+      &(struct mo_job_edit){
+          .has_label = true, .has_experiment = true, .experiment = "z", .has_archived = true}));
+  job = job_of(ids[1]);
+  CHECK(!job.has_label && job.archived_us == 0 && strcmp(job.experiment, "z") == 0);
+  CHECK_TEXT(job.note, "good");
+  CHECK_INT(mo_store_edit_job(store, 99, &(struct mo_job_edit){.has_label = true}),
+            MO_ERR_NOT_FOUND);
+}
+
+/* A meter of one job. */
+static int64_t metered;
+static double metered_s = 1.5;
+
+static bool meter(void *context, int64_t job, double *worker_s, double *device_s)
+{
+  (void)context;
+  *worker_s = metered_s;
+  *device_s = 2 * metered_s;
+  return job == metered;
+}
+
+static void counts_what_jobs_use(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(1, 1);
+  struct mo_usage_row rows[4];
+  int64_t ids[3];
+  mo_store_meter(store, meter, NULL);
+  for (int i = 0; i < 3; i++) {
+    submission.job.label = i < 2 ? "a" : NULL;
+    ids[i] = submit_evaluation(&submission);
+    metered = ids[i];
+    metered_s = 1.5 + i;
+    CHECK_OK(change(ids[i], MO_CHANGE_CANCEL)); /* its event writes them */
+    CHECK(job_of(ids[i]).worker_s == metered_s && job_of(ids[i]).device_s == 2 * metered_s);
+  }
+  mo_store_meter(store, NULL, NULL);
+  for (int round = 0; round < 2; round++) {
+    REQUIRE(mo_store_usage(store, MO_USAGE_LABEL, rows, 4) == 2);
+    CHECK(strcmp(rows[0].name, "a") == 0 && rows[0].jobs == 2 && rows[0].worker_s == 4);
+    CHECK(rows[1].name[0] == '\0' && rows[1].jobs == 1 && rows[1].device_s == 7);
+    CHECK_INT(mo_store_usage(store, MO_USAGE_KIND, rows, 4), 1);
+    CHECK(strcmp(rows[0].name, "0") == 0 && rows[0].jobs == 3);
+    for (int i = 0; i < 3 && round == 0; i++) /* deleted jobs count on */
+      CHECK_OK(delete_job(ids[i]));
+    CHECK(is_gone(ids[2]));
+  }
+}
+
+static void deletes_an_evaluation(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(4, 2);
+  struct mo_trajectory *trajectory = NULL;
+  struct mo_evaluation_results *results = NULL;
+  double com[9] = {1};
+  struct mo_saved_trajectory saved = {
+      .frames = 3, .n_masses = 2, .recording = {.stride = 500, .com_m = com}};
+  struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
+  submission.record = MO_RECORD_COM;
+  submission.job.key.text = "once";
+  const int64_t id = saved.job = submit_evaluation(&submission);
+  CHECK_OK(save_and_wait(&save));
+  CHECK_INT(delete_job(id), MO_ERR_CONFLICT);
+  CHECK_TEXT(message.text, "");
+  CHECK_OK(change(id, MO_CHANGE_CANCEL));
+  CHECK_OK(delete_job(id));
+  CHECK_INT(deleted.recorded_bytes, sizeof(com));
+  CHECK_TEXT(last_event(id).type, "job.deleted");
+  CHECK(strstr(last_event(id).data, "\"reason\":\"request\"") != NULL);
+  CHECK_INT(delete_job(id), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_results(store, id, &results), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_trajectory(store, id, 0, 0, &trajectory), MO_ERR_NOT_FOUND);
+  FINDS(Q(.archived = -1), -1);
+  CHECK_OK(save_and_wait(&save)); /* a block that was in flight */
+  CHECK(is_gone(id));
+  CHECK_OK(save_and_wait(&save));
+  CHECK_INT(outside_integer("SELECT count(*) FROM trajectories"), 0);
+  CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='recorded bytes'"), 0);
+  CHECK_INT(outside_integer("SELECT count(*) FROM genotypes"), 2);
+  CHECK(submit_evaluation(&submission) > id); /* the key is free again */
+  CHECK_OK(check_whole());
+}
+
+/* Commits a generation of a campaign, with a checkpoint of its learning. */
+static void commit_one(struct made *made)
+{
+  static const uint8_t state[] = "state";
+  REQUIRE_OK(mo_store_run_start(store, made->id));
+  made_next(made);
+  CHECK_OK(mo_store_campaign_commit(store, made->id, &made->commit));
+  made_apply(made);
+  CHECK_OK(mo_store_campaign_checkpoint(store, made->id, 1, 1, state, sizeof(state), NULL, 0));
+}
+
+/* What others were bred from stays, until they are gone; so does the first of a group. */
+static void keeps_what_others_need(void)
+{
+  struct mo_campaign_request submission = campaign_submission(MO_FEW_SHOT, MADE_POPULATION, 30);
+  struct mo_training_request training = submission_of(5);
+  submission.record.replicates = 2;
+  const int64_t id = submit_campaign(&submission);
+  struct made made = made_start(id, MO_FEW_SHOT, 3);
+  commit_one(&made);
+  submission.record.replicates = 1;
+  submission.record.initial_campaign = id;
+  const int64_t bred = submit_campaign(&submission);
+  training.record.population = id;
+  const int64_t taught = submit_training(&training);
+  REQUIRE(bred > 0 && taught > 0);
+  for (int64_t one = id; one <= taught; one++)
+    CHECK_OK(change(one, MO_CHANGE_CANCEL));
+  const int64_t needing[] = {taught, bred, id + 1};
+  const char *const words[] = {"training %lld learns on its designs",
+                               "campaign %lld was bred from its population",
+                               "campaign %lld, a replicate, shares its environments"};
+  CHECK_INT(files_of("campaigns", id), 1);
+  for (int i = 0; i < 3; i++) {
+    char expected[128];
+    snprintf(expected, sizeof(expected), words[i], (long long)needing[i]);
+    CHECK_INT(delete_job(id), MO_ERR_CONFLICT);
+    CHECK_TEXT(message.text, expected);
+    CHECK_OK(delete_job(needing[i]));
+  }
+  CHECK_OK(delete_job(id));
+  CHECK(deleted.n_checkpoints == 1 && deleted.checkpoint_bytes == 6);
+  CHECK_INT(files_of("campaigns", id), -1);
+  CHECK(is_gone(id) && is_gone(bred) && is_gone(taught));
+  CHECK_INT(outside_integer("SELECT (SELECT count(*) FROM campaign_designs)+(SELECT count(*) FROM "
+                            "campaign_populations)+(SELECT count(*) FROM campaign_steps)+(SELECT "
+                            "count(*) FROM campaign_generations)+(SELECT count(*) FROM runs)"),
+            0);
+  CHECK_OK(check_whole());
+}
+
+/* A process that ended after the first transaction: the next one deletes the rest, with the files.
+ */
+static void goes_on_after_an_end(void)
+{
+  struct mo_campaign_request submission = campaign_submission(MO_FEW_SHOT, MADE_POPULATION, 30);
+  const int64_t id = submit_campaign(&submission);
+  struct made made = made_start(id, MO_FEW_SHOT, 3);
+  commit_one(&made);
+  CHECK_OK(change(id, MO_CHANGE_CANCEL));
+  REQUIRE_OK(reopen_after("UPDATE jobs SET state=6"));
+  CHECK(is_gone(id));
+  CHECK_INT(files_of("campaigns", id), -1);
+  CHECK_OK(check_whole());
+}
+
+static void forgets_by_age(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(4, 2);
+  struct mo_training_request training = submission_of(5);
+  double com[9] = {1};
+  struct mo_saved_trajectory saved = {
+      .frames = 3, .n_masses = 2, .recording = {.stride = 500, .com_m = com}};
+  struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
+  int64_t ids[5];
+  submission.record = MO_RECORD_COM;
+  for (int i = 0; i < 5; i++) {
+    ids[i] = saved.job = submit_evaluation(&submission);
+    CHECK_OK(save_and_wait(&save));
+    if (i < 4)
+      CHECK_OK(change(ids[i], MO_CHANGE_CANCEL));
+  }
+  CHECK_OK(mo_store_edit_job(store, ids[0], &(struct mo_job_edit){.has_note = true, .note = "!"}));
+  CHECK_OK(mo_store_edit_job(store, ids[1],
+                             &(struct mo_job_edit){.has_archived = true, .archived = true}));
+  training.record.population = ids[2];
+  CHECK(submit_training(&training) > 0);
+  close_store();
+  CHECK_OK(outside("UPDATE jobs SET finished_us=1 WHERE finished_us>0"));
+  REQUIRE_OK(reopen_with((struct mo_store_config){.keep_recordings_s = 60}));
+  for (int i = 0; i < 500 && job_of(ids[3]).recorded_bytes > 0; i++)
+    usleep(10000);
+  CHECK(strstr(last_event(ids[3]).data, "\"reason\":\"age\"") != NULL);
+  for (int i = 0; i < 5; i++)
+    CHECK_INT(job_of(ids[i]).recorded_bytes, i == 2 || i == 3 ? 0 : sizeof(com));
+  REQUIRE_OK(reopen_with((struct mo_store_config){.keep_evaluations_s = 60}));
+  CHECK(is_gone(ids[3]));
+  FINDS(Q(.archived = -1), ids[4] + 1, ids[4], ids[2], ids[1], ids[0], -1);
+  CHECK_TEXT(last_event(ids[3]).type, "job.deleted");
+  CHECK_OK(check_whole());
+}
+
+static const struct check_case cases[] = {
+    {"finds what is labeled", finds_what_is_labeled},
+    {"counts what jobs use", counts_what_jobs_use},
+    {"deletes an evaluation", deletes_an_evaluation},
+    {"keeps what others need", keeps_what_others_need},
+    {"goes on after an end", goes_on_after_an_end},
+    {"forgets by age", forgets_by_age},
+};
+CHECK_MAIN_AROUND(cases, with_a_store)
