@@ -108,7 +108,8 @@ static int remember(void *context, const struct mo_bits *born)
   return error < 0 ? error : MO_OK;
 }
 
-/* Reads the numbers and bodies of the parents; of more than are asked for, some at random. */
+/* Reads the numbers and bodies of the parents: all, in their order, or as many as bodies are asked
+ * for, at random. So a study that asks for its whole population is a campaign. */
 static int read_parents(struct asking *asking, const struct mo_ask *ask)
 {
   struct mo_campaign_state *state = NULL;
@@ -129,7 +130,9 @@ static int read_parents(struct asking *asking, const struct mo_ask *ask)
   places = calloc((size_t)n + 1, sizeof(*places));
   if (asking->numbers == NULL || asking->parents == NULL || designs == NULL || places == NULL)
     error = MO_ERR_NO_MEMORY;
-  if (error == MO_OK)
+  for (uint32_t i = 0; i < n && error == MO_OK; i++)
+    places[i] = i;
+  if (error == MO_OK && asking->n_parents < n)
     mo_variation_parents(asking->settings.seed, asking->generation, n, asking->n_parents, places);
   for (uint32_t i = 0; i < asking->n_parents && error == MO_OK; i++)
     asking->numbers[i] = numbers[places[i]];
