@@ -19,11 +19,26 @@ TRAINING = {
 }
 
 
+def make_study(running):
+    """A study with two batches, which waits for its client."""
+    study = {"mode": "study", "label": "a study", "environments": CAMPAIGN["environments"],
+             "physics": CAMPAIGN["physics"]}
+    id = running.post("/v1/campaigns", study)["id"]
+    bodies = [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0], [1, 1, 0]]}]
+    for batch, parents in enumerate(([], [0, 1])):
+        children = [{"body": body, "parents": parents, "operator": "dice", "measures": {"reach": 2}}
+                    for body in bodies]
+        running.post(f"/v1/campaigns/{id}/tell", {"batch": batch, "children": children},
+                     headers={"Prefer": "wait=30"})
+    return id
+
+
 @pytest.fixture(scope="session")
 def service():
     """A daemon with something of everything."""
     running = Service()
     running.campaign = run(running, "campaigns", CAMPAIGN)["id"]
+    running.study = make_study(running)
     running.training = run(running, "trainings", TRAINING)["id"]
     running.evaluate({"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]})
     yield running

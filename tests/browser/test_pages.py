@@ -12,14 +12,15 @@ from service import DESIGN, await_end, run
 
 VIEWS = {
     "": "Overview", "campaigns": "Campaigns", "campaigns/{campaign}": "<b>walkers</b> & others",
-    "campaigns/{campaign}/phylogeny": "Phylogeny", "trainings": "Trainings",
+    "campaigns/{campaign}/phylogeny": "Phylogeny", "campaigns/{study}": "a study",
+    "campaigns/{study}/phylogeny": "Phylogeny", "trainings": "Trainings",
     "trainings/{training}": "Training {training}", "designs": "Designs", "editor": "Editor",
     "stage": "Stage"
 }
 
 
 def address(service, view):
-    return view.format(campaign=service.campaign, training=service.training)
+    return view.format(campaign=service.campaign, study=service.study, training=service.training)
 
 
 @pytest.mark.parametrize("theme", ("dark", "light"))

@@ -115,7 +115,7 @@ async function mountOne(main, id, parameters, app) {
       others.map((other, i) => h('a.state', { href: `#/campaigns/${other}` }, `with campaign ${other} (${['dashed', 'dotted', 'dash and dot'][i]})`)),
       h('div.actions', {}, h('a.button', { href: `#/campaigns/${id}/phylogeny` }, 'Phylogeny'),
         button('Export', () => exports()),
-        may('submit') ? button('Extend', () => extend()) : null,
+        may('submit') && !campaign.study ? button('Extend', () => extend()) : null,
         copyButton(() => requestOf(campaign.id))));
     fill(status, h('div', {}, progressBar(campaign)), trouble(campaign),
       h('div.row', {}, actions(campaign, refreshJob), weightField(campaign, refreshJob),

@@ -22,7 +22,7 @@ uniform vec2 zoom;
 uniform bool byKind;
 uniform vec3 low;
 uniform vec3 high;
-uniform vec3 kinds[5];
+uniform vec3 kinds[6];
 uniform float dim;
 out vec4 color;
 void main() {
@@ -124,7 +124,7 @@ export class PhylogenyCanvas {
       lives[at + 2] = y[i];
       lives[at + 3] = parentRow[i] < 0 ? -1 : y[parentRow[i]];
       let value = 0;
-      if (this.colorBy === 'operator') value = operator[i] / 255;
+      if (this.colorBy === 'operator') value = Math.min(operator[i], 5) / 255;
       else if (this.colorBy === 'age') value = Math.min(1, (end - born[i]) / Math.max(2, this.last * 0.5));
       else value = scores[i] > 0 ? 1 - Math.min(1, Math.max(0, Math.log(scores[i] / best) / span)) : 0;
       looks[2 * k] = Math.round(value * 255);
@@ -192,7 +192,7 @@ export class PhylogenyCanvas {
       lives: this.textures[0], looks: this.textures[1], dim: this.columns.number.length > MANY ? 0.35 : 0.6,
     });
     const kinds = this.program.places.get('kinds[0]');
-    const hues = [color('--grey'), color('--grey'), color('--green'), color('--orange'), color('--blue')];
+    const hues = [color('--grey'), color('--grey'), color('--green'), color('--orange'), color('--blue'), color('--pink')];
     if (kinds) gl.uniform3fv(kinds.at, hues.flat());
     gl.drawArrays(gl.LINES, 0, 4 * this.layout.order.length);
     if (this.measure) gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));

@@ -6,7 +6,7 @@ import { count, number } from '../lib/format.js';
 
 const FOOT_PX = 22;
 /** Operators by color, as the picture has them. */
-const KINDS = [['random or given', '--grey'], ['inherited', '--green'], ['mutation', '--orange'], ['crossover', '--blue']];
+const KINDS = [['random or given', '--grey'], ['inherited', '--green'], ['mutation', '--orange'], ['crossover', '--blue'], ['of the study', '--pink']];
 
 export class PhylogenyMarks {
   /** @param {import('./phylogeny.js').PhylogenyCanvas} view */
@@ -30,7 +30,7 @@ export class PhylogenyMarks {
     fill(this.legend, {
       score: () => ramp(`score ${number(scores[1])}`, `${number(scores[0])}, the best`),
       age: () => ramp('short life', 'long life'),
-      operator: () => KINDS.map(([name, color]) => h('span', {}, swatch(color), name)),
+      operator: () => KINDS.slice(0, this.view.columns.operator.some((kind) => kind > 4) ? 5 : 4).map(([name, color]) => h('span', {}, swatch(color), name)),
     }[colorBy](), h('span', {}, 'bright: ancestors of the living'));
   }
 

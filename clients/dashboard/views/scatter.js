@@ -13,6 +13,8 @@ export const TRAITS = {
   born: { name: 'born in generation', of: (design) => design.born },
 };
 const OPERATOR_COLORS = { mutation: '--orange', crossover: '--blue', random: '--grey', listed: '--green', inherited: '--grey' };
+/** Of an operator; those that the client of a study has named share one. */
+const colorOf = (operator) => OPERATOR_COLORS[operator] ?? '--pink';
 const MARGIN = { left: 56, right: 14, top: 28, bottom: 46 };
 
 export class Scatter {
@@ -55,12 +57,11 @@ export class Scatter {
 
   set(designs) {
     this.designs = designs;
-    fill(this.legend, Object.keys(OPERATOR_COLORS).filter((operator) => designs.some((design) => design.operator === operator))
-      .map((operator) => {
-        const swatch = h('i.swatch');
-        swatch.style.color = `var(${OPERATOR_COLORS[operator]})`;
-        return h('span', {}, swatch, operator);
-      }));
+    fill(this.legend, [...new Set(designs.map((design) => design.operator))].map((operator) => {
+      const swatch = h('i.swatch');
+      swatch.style.color = `var(${colorOf(operator)})`;
+      return h('span', {}, swatch, operator);
+    }));
     const numbers = new Set(designs.map((design) => design.number));
     this.selected = this.selected.filter((design) => numbers.has(design.number));
     this.canvas.setAttribute('aria-label', `Population of ${designs.length} designs: ${TRAITS[this.axes[1]].name} ` +
@@ -125,7 +126,7 @@ export class Scatter {
     const chosen = new Set(this.selected);
     for (const design of this.designs) {
       if (x.of(design) === null || y.of(design) === null) continue;
-      context.fillStyle = color(OPERATOR_COLORS[design.operator]);
+      context.fillStyle = color(colorOf(design.operator));
       context.globalAlpha = chosen.size && !chosen.has(design) ? 0.3 : 0.8;
       context.beginPath();
       context.arc(x.at(x.of(design)), y.at(y.of(design)), chosen.has(design) ? 5 : 3.2, 0, 7);
