@@ -1,5 +1,5 @@
 -- Version 11: designs of a request that were skipped or repaired; studies; experiments, notes,
--- archived and deleted jobs, and what jobs have used.
+-- archived and deleted jobs, and what jobs have used; campaigns that came in bundles.
 
 -- position: of the design in the request (for a campaign, the first of its group: in the list of
 -- its initial designs; for a study: in its newest batch). job_designs of an evaluation has no row
@@ -72,3 +72,13 @@ CREATE INDEX idempotency_keys_of_job ON idempotency_keys(job);
 CREATE INDEX trainings_of_population ON trainings(population) WHERE population<>0;
 CREATE INDEX campaigns_of_initial ON campaigns(initial_campaign) WHERE initial_campaign<>0;
 CREATE INDEX runs_of_controller ON runs(controller) WHERE controller IS NOT NULL;
+
+-- Where an imported campaign came from: the id of its store, and its own there. digest: the SHA-256
+-- of its history as the bundle had it (docs/bundles.md), so that it does not enter twice.
+CREATE TABLE imports(
+  job INTEGER PRIMARY KEY REFERENCES jobs(id) ON DELETE CASCADE,
+  store INTEGER NOT NULL,
+  campaign INTEGER NOT NULL,
+  digest BLOB NOT NULL UNIQUE CHECK(length(digest) = 32),
+  imported_us INTEGER NOT NULL
+) STRICT;

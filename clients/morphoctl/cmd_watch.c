@@ -31,6 +31,7 @@ static const struct {
                                     "{data.diversity:.4f}"},
     {"campaign.progress",
      "  generation {data.generation}  {data.phase} {data.done:,} of {data.total:,}"},
+    {"campaign.imported", "  campaign {data.campaign} of store {data.store}"},
     {"campaign.extended", "  to {data.generations:,} generations"},
     {"campaign.diversity_collapse", "  generation {data.generation}: diversity "
                                     "{data.diversity:.4f}, it was {data.maximum:.4f}"},

@@ -18,7 +18,8 @@ command_function run_eval, run_verify, run_design_show, run_design_list, run_des
     run_campaign_compare, run_campaign_champions, run_campaign_export, run_controller_list,
     run_controller_info, run_controller_get, run_controller_put, run_controller_delete, run_status,
     run_devices, run_version, run_completion, run_film, run_picture, run_dashboard, run_export,
-    run_study_ask, run_study_tell, run_study_sampler, run_study_finish;
+    run_study_ask, run_study_tell, run_study_sampler, run_study_finish, run_bundle_export,
+    run_bundle_import, run_bundle_verify;
 
 /* ---- request.c ---- */
 

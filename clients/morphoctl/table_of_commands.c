@@ -111,6 +111,15 @@ static const struct option_spec design_list_options[] = {
     {"limit", 'n', "N", "At most so many (default: 100)."},
     {UNLIMITED},
     {NULL}};
+static const struct option_spec bundle_export_options[] = {
+    {LABELED},
+    {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
+    {NULL}};
+static const struct option_spec bundle_import_options[] = {
+    {"recompute", 0, "N",
+     "Then compute the scores of the N best designs of each campaign again, 1 to 1000. Exit status "
+     "3 if one differs."},
+    {NULL}};
 static const struct option_spec export_options[] = {
     {"output", 'o', "FILE", "Where to put it (default: -, standard output)."},
     {"format", 'f', "csv|ndjson|newick|columns",
@@ -446,6 +455,15 @@ const struct command commands[] = {
      "LIST is a path of the API behind /v1/, with its parameters: jobs, designs?sort=score, "
      "campaigns/7/phylogeny, campaigns/generations?label=B (of several campaigns, in one table).",
      export_options, 1, 1, run_export},
+    {"bundle export", "FILE [ID]...", "Save campaigns that have ended as one file.",
+     "With their controllers, worlds, settings, designs, generations, learning curves and scores.",
+     bundle_export_options, 1, MANY, run_bundle_export},
+    {"bundle import", "FILE", "Enter the campaigns of a bundle.",
+     "All of them or, if the bundle is damaged, nothing. What is here already stays as it is.",
+     bundle_import_options, 1, 1, run_bundle_import},
+    {"bundle verify", "FILE", "Check a bundle, and tell what it has.",
+     "The server checks every hash and every line, and stores nothing.", NULL, 1, 1,
+     run_bundle_verify},
     {"controller list", "", "List controllers.", NULL, NULL, 0, 0, run_controller_list},
     {"controller info", "NAME", "Show a controller.", NULL, NULL, 1, 1, run_controller_info},
     {"controller get", "NAME", "Fetch a controller's safetensors file.", NULL,

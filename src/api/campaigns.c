@@ -158,6 +158,15 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
   } else {
     mo_text_member(text, "result", NULL);
   }
+  if (status->source_campaign > 0) {
+    mo_text_format(text, ",\"imported\":{\"store\":\"%016llx\"",
+                   (unsigned long long)status->source_store);
+    mo_text_member_id(text, "campaign", status->source_campaign);
+    mo_text_member_time(text, "at", status->imported_us);
+    mo_text_add(text, "}");
+  } else {
+    mo_text_member(text, "imported", NULL);
+  }
   mo_links_write(text, &status->job, below);
 }
 

@@ -12,8 +12,7 @@
 #include "http/download.h"
 
 #define PLACE_MAX     INT64_C(9999999999)
-#define ROWS_READ_MAX 5000  /* for one page of replicates, over all of them: 10 µs each */
-#define EXPORTED_MAX  10000 /* campaigns of one export */
+#define ROWS_READ_MAX 5000 /* for one page of replicates, over all of them: 10 µs each */
 
 struct curve;
 
@@ -355,86 +354,15 @@ static int find_members(struct curve *curve)
   return n < 0 ? (int)n : MO_OK;
 }
 
-/* Lists the campaigns of a label or a group, ascending. MO_ERR_LIMIT: too many. */
-static int list_members(struct curve *curve, struct mo_job_query query)
-{
-  struct mo_job *page = malloc(MO_LIST_MAX * sizeof(*page));
-  int64_t n = page != NULL ? MO_LIST_MAX : MO_ERR_NO_MEMORY;
-  uint32_t filled = EXPORTED_MAX; /* from the end: lists have the newest first */
-  while (n == MO_LIST_MAX) {
-    n = mo_store_jobs(curve->store, &query, page, MO_LIST_MAX);
-    for (int64_t i = 0; i < n && filled > 0; i++)
-      curve->members[--filled] = query.before = page[i].id;
-    if (n == MO_LIST_MAX && filled == 0)
-      n = MO_ERR_LIMIT;
-  }
-  free(page);
-  curve->n_members = EXPORTED_MAX - filled;
-  memmove(curve->members, curve->members + filled, curve->n_members * sizeof(*curve->members));
-  return n < 0 ? (int)n : MO_OK;
-}
-
-/* Reads `campaigns`, ids with commas between them, ascending. False: the reply is made. */
-static bool read_members(struct mo_request *request, struct curve *curve, const char *text)
-{
-  struct mo_job job;
-  for (;; text++) {
-    char id[24] = "";
-    int64_t *member = &curve->members[curve->n_members];
-    const size_t n = strcspn(text, ",");
-    snprintf(id, sizeof(id), "%.*s", (int)(n < sizeof(id) ? n : sizeof(id) - 1), text);
-    if (!mo_id(id, member) || (curve->n_members > 0 && *member <= member[-1])) {
-      mo_reply_bad_parameter(request, "campaigns",
-                             "ids of campaigns are expected, ascending, with commas between them");
-      return false;
-    }
-    int error = mo_store_job(curve->store, *member, &job);
-    if (error == MO_OK && job.kind != MO_JOB_CAMPAIGN)
-      error = MO_ERR_NOT_FOUND;
-    if (error != MO_OK) {
-      mo_reply_error(request, error, "campaign");
-      return false;
-    }
-    curve->n_members++;
-    text += n;
-    if (*text == '\0')
-      return true;
-  }
-}
-
-/* Finds the campaigns that the query names, in one way, or else all. False: the reply is made. */
+/* Finds the campaigns that the query names. False: the reply is made. */
 static bool find_exported(struct mo_request *request, struct curve *curve)
 {
-  const char *ids = mo_query(request, "campaigns");
-  struct mo_job_query query = {.state = -1, .kind = MO_JOB_CAMPAIGN};
-  char label[MO_LABEL_BYTES_MAX + 1];
-  if (!mo_read_job_filters(request, &query, label) ||
-      !mo_query_id(request, "group", "the id of a group, in decimal digits, is expected",
-                   &query.group))
+  if (!mo_find_campaigns(request, &curve->members, &curve->n_members))
     return false;
-  if ((ids != NULL) + (query.label != NULL) + (query.experiment != NULL) + (query.group > 0) > 1) {
-    mo_reply_bad_parameter(request, "campaigns",
-                           "only one of campaigns, group, label and experiment is expected");
-    return false;
-  }
-  curve->members = malloc(EXPORTED_MAX * sizeof(*curve->members));
-  int error = curve->members == NULL ? MO_ERR_NO_MEMORY : MO_OK;
-  if (error == MO_OK && ids != NULL) {
-    if (!read_members(request, curve, ids))
-      return false;
-  } else if (error == MO_OK) {
-    error = list_members(curve, query);
-  }
   /* Goes on behind the cursor: campaigns before its one are done. */
-  while (error == MO_OK && curve->member < curve->n_members &&
-         curve->members[curve->member] < curve->after)
+  while (curve->member < curve->n_members && curve->members[curve->member] < curve->after)
     curve->member++;
-  if (error == MO_ERR_LIMIT)
-    mo_reply_bad_parameter(request, query.label != NULL ? "label" : "campaigns",
-                           "these are more than 10,000 campaigns; name fewer");
-  else if (error != MO_OK)
-    mo_reply_error(request, error, "campaign");
-  return error == MO_OK;
+  return true;
 }
 
 /* Reads a cursor: "12", or "12.30" where a place has a step. Numbers have at most ten digits,

@@ -297,8 +297,10 @@ static uint64_t body_memory(const struct settings *settings)
   const uint64_t larger = settings->max_body_bytes > settings->max_controller_bytes
                               ? settings->max_body_bytes
                               : settings->max_controller_bytes;
+  const uint64_t bundles = 2 * settings->max_bundle_bytes;
+  const uint64_t wanted = 8 * larger > bundles ? 8 * larger : bundles;
   const uint64_t most = max_memory_of(settings) / 8;
-  return 8 * larger < most ? 8 * larger : most;
+  return wanted < most ? wanted : most;
 }
 
 static int start_http(struct service *service, const struct settings *settings,
@@ -332,6 +334,7 @@ static int start_http(struct service *service, const struct settings *settings,
       .client_rate_per_s = (uint32_t)settings->client_rate_per_s,
       .max_body_bytes = settings->max_body_bytes,
       .max_file_bytes = settings->max_controller_bytes,
+      .max_bundle_bytes = settings->max_bundle_bytes,
       .header_timeout_ms = (uint32_t)settings->header_timeout_ms,
       .body_timeout_ms = (uint32_t)settings->body_timeout_ms,
       .idle_timeout_ms = (uint32_t)settings->idle_timeout_ms,

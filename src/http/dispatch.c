@@ -72,6 +72,7 @@ static uint64_t body_limit(const struct mo_request *request)
   switch (request->route->body) {
   case MO_BODY_LARGE: return config->max_body_bytes;
   case MO_BODY_FILE: return config->max_file_bytes;
+  case MO_BODY_BUNDLE: return config->max_bundle_bytes;
   default: return DEFAULT_BODY_BYTES;
   }
 }

@@ -67,6 +67,7 @@ struct mo_http_config {
                                  429 */
   uint64_t max_body_bytes;    /* JSON body that submits work */
   uint64_t max_file_bytes;    /* a file in a body */
+  uint64_t max_bundle_bytes;  /* many of them as one */
   uint64_t max_body_memory; /* for bodies being received or handled, and large replies not yet read.
                                Bodies of one client take at most half; beyond: 429 */
   uint32_t header_timeout_ms; /* from the start of a request to the end of its header */

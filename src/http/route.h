@@ -49,7 +49,8 @@ struct mo_token {
 enum mo_body_limit {
   MO_BODY_SMALL, /* 64 KiB */
   MO_BODY_LARGE, /* max_body_bytes of the configuration; a length is required */
-  MO_BODY_FILE   /* max_file_bytes of the configuration; a length is required */
+  MO_BODY_FILE,  /* max_file_bytes of the configuration; a length is required */
+  MO_BODY_BUNDLE /* max_bundle_bytes, likewise */
 };
 
 struct mo_request;

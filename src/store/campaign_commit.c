@@ -120,43 +120,51 @@ static int64_t packed_size(const struct mo_design_size *size)
 }
 
 /* A parent's number, or NULL. */
-static struct mo_value parent_value(const struct mo_campaign_commit *commit, uint32_t child,
-                                    int which)
+static struct mo_value parent_value(const struct mo_descent *descent, int which)
 {
-  const uint32_t number = parent_number(commit, &commit->births[child], which);
-  return number == MO_NO_PARENT ? mo_null() : mo_int(number);
+  return descent->parents[which] == MO_NO_PARENT ? mo_null() : mo_int(descent->parents[which]);
+}
+
+int mo_campaign_design_row(struct mo_connection *writer, int64_t id, int64_t genotype,
+                           const struct mo_campaign_design *design, const double *measures,
+                           uint32_t n)
+{
+  static const char sql[] =
+      "INSERT INTO campaign_designs(job,number,genotype,operator,parent,other_parent,born,died,"
+      "score,size,measures) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11)";
+  return mo_sql_do(writer, sql, mo_int(id), mo_int(design->number), mo_int(genotype),
+                   mo_int(design->descent.op), parent_value(&design->descent, 0),
+                   parent_value(&design->descent, 1), mo_int(design->born),
+                   design->died < 0 ? mo_null() : mo_int(design->died), mo_blob(&design->score, 8),
+                   mo_int(packed_size(&design->size)),
+                   n > 0 ? mo_blob(measures, n * sizeof(*measures)) : mo_null());
 }
 
 static int insert_children(struct mo_connection *writer, struct commit_arguments *call,
                            int64_t now_us)
 {
-  static const char sql[] =
-      "INSERT INTO campaign_designs(job,number,genotype,operator,parent,other_parent,born,died,"
-      "score,size,measures) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11)";
   const struct mo_campaign_commit *commit = call->commit;
-  const struct mo_value born = mo_int(commit->row.generation);
+  const uint32_t born = commit->row.generation;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++)
     error = mo_genotype_row(writer, &commit->forms[i], &commit->genotypes[i], now_us,
                             &call->genotypes[i]);
-  for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++)
-    error = mo_sql_do(
-        writer, sql, mo_int(call->id), mo_int((int64_t)commit->row.born_before + i),
-        mo_int(call->genotypes[i]), mo_int(commit->births[i].op), parent_value(commit, i, 0),
-        parent_value(commit, i, 1), born, call->lives[commit->n_parents + i] ? mo_null() : born,
-        mo_blob(&commit->child_scores[i], 8), mo_int(packed_size(&commit->sizes[i])),
-        commit->n_measures > 0 ? mo_blob(commit->measures + (size_t)commit->n_measures * i,
-                                         commit->n_measures * sizeof(*commit->measures))
-                               : mo_null());
+  for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++) {
+    const struct mo_campaign_design design = {
+        .number = (uint32_t)commit->row.born_before + i,
+        .descent = {{parent_number(commit, &commit->births[i], 0),
+                     parent_number(commit, &commit->births[i], 1)},
+                    (uint8_t)commit->births[i].op},
+        .born = born,
+        .died = call->lives[commit->n_parents + i] ? -1 : (int64_t)born,
+        .score = commit->child_scores[i],
+        .size = commit->sizes[i]};
+    error = mo_campaign_design_row(
+        writer, call->id, call->genotypes[i], &design,
+        commit->n_measures > 0 ? commit->measures + (size_t)commit->n_measures * i : NULL,
+        commit->n_measures);
+  }
   return error;
-}
-
-static bool same_bits(double a, double b)
-{
-  uint64_t words[2];
-  memcpy(&words[0], &a, sizeof(a));
-  memcpy(&words[1], &b, sizeof(b));
-  return words[0] == words[1];
 }
 
 /* Updates parents that died or have a new score. */
@@ -167,7 +175,7 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
   const struct mo_campaign_commit *commit = call->commit;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->n_parents && error == MO_OK; i++) {
-    if (call->lives[i] && same_bits(commit->parent_scores[i], call->scores[i]))
+    if (call->lives[i] && mo_same_bits(commit->parent_scores[i], call->scores[i]))
       continue;
     error = mo_sql_change(writer, sql, mo_int(call->id), mo_int(commit->parent_numbers[i]),
                           call->lives[i] ? mo_null() : mo_int(commit->row.generation),

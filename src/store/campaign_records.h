@@ -84,6 +84,10 @@ struct mo_campaign_status {
   struct mo_study_words words;
   uint64_t sampler_bytes; /* state of the sampler of the newest generation; 0: none */
   struct mo_sha256 sampler_sha256;
+  /* Where a campaign came from that was imported: the id of its store, its own there; 0: it was
+   * not. */
+  uint64_t source_store;
+  int64_t source_campaign, imported_us;
 };
 
 #endif

@@ -45,6 +45,10 @@ int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_
 int mo_study_status_get(struct mo_connection *connection, int64_t id,
                         struct mo_campaign_status *status);
 int mo_study_words_get(struct mo_connection *connection, int64_t id, struct mo_study_words *words);
+/* Inserts a design whose genotype has a row. measures: (n), of a study. */
+int mo_campaign_design_row(struct mo_connection *writer, int64_t id, int64_t genotype,
+                           const struct mo_campaign_design *design, const double *measures,
+                           uint32_t n);
 
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id);
 

@@ -43,6 +43,19 @@ int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
                                                                                 : MO_OK;
 }
 
+static int load_source(struct mo_connection *reader, int64_t id, struct mo_campaign_status *status)
+{
+  static const char sql[] = "SELECT store,campaign,imported_us FROM imports WHERE job=?1";
+  sqlite3_stmt *row;
+  const int error = mo_sql_row(reader, &row, sql, mo_int(id));
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+  status->source_store = (uint64_t)sqlite3_column_int64(row, 0);
+  status->source_campaign = sqlite3_column_int64(row, 1);
+  status->imported_us = sqlite3_column_int64(row, 2);
+  return MO_OK;
+}
+
 static int load_status(struct mo_connection *reader, int64_t id, void *any)
 {
   struct mo_campaign_status *status = any;
@@ -61,6 +74,8 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   status->scored = mo_column_u32(row, MO_COLUMN_SCORED);
   if (error == MO_OK && status->record.settings.mode == MO_STUDY)
     error = mo_study_status_get(reader, id, status);
+  if (error == MO_OK)
+    error = load_source(reader, id, status);
   if (error == MO_OK && status->generation >= 0)
     error = mo_row_newest(reader, MO_CAMPAIGN_GENERATIONS, id, &status->last, &found);
   return error == MO_OK && !found ? MO_ERR_CORRUPT : error;

@@ -27,6 +27,12 @@ struct mo_controller_put {
   bool created, is_locked;
   int64_t row; /* result */
 };
+/* Writes the file alone, under the lock of controllers. */
+int mo_controller_write_file(struct mo_store *store, const struct mo_sha256 *sha256,
+                             const uint8_t *bytes, size_t size);
+/* Finds or inserts a row without a name. */
+int mo_controller_content_row(struct mo_connection *writer, const struct mo_controller *controller,
+                              const struct mo_sha256 *sha256, size_t size, int64_t now_us);
 int mo_controller_put_begin(struct mo_store *store, const char *name, const uint8_t *bytes,
                             size_t size, const struct mo_controller *controller,
                             struct mo_controller_put *call);

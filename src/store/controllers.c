@@ -31,8 +31,8 @@ char *mo_controller_path(const struct mo_store *store, const struct mo_sha256 *s
   return asprintf(&path, "%s/%s.safetensors", store->controllers_path, digits) >= 0 ? path : NULL;
 }
 
-static int write_file(struct mo_store *store, const struct mo_sha256 *sha256, const uint8_t *bytes,
-                      size_t size)
+int mo_controller_write_file(struct mo_store *store, const struct mo_sha256 *sha256,
+                             const uint8_t *bytes, size_t size)
 {
   char *path = mo_controller_path(store, sha256);
   const int error = path != NULL ? mo_file_write(store, store->controllers_path, path, bytes, size)
@@ -75,6 +75,19 @@ static int content_row(struct mo_connection *writer, const struct mo_controller_
                        mo_int(controller->workspace.ny), mo_int(controller->workspace.nz),
                        mo_int((int64_t)controller->n_parameters), mo_string(call->metadata),
                        mo_int(now_us));
+}
+
+int mo_controller_content_row(struct mo_connection *writer, const struct mo_controller *controller,
+                              const struct mo_sha256 *sha256, size_t size, int64_t now_us)
+{
+  struct mo_controller_put call = {.controller = controller,
+                                   .metadata = metadata_json(controller),
+                                   .sha256 = *sha256,
+                                   .size = size};
+  const int error =
+      call.metadata != NULL ? content_row(writer, &call, now_us, &call.row) : MO_ERR_NO_MEMORY;
+  free(call.metadata);
+  return error;
 }
 
 int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call)
@@ -130,7 +143,7 @@ int mo_controller_put_begin(struct mo_store *store, const char *name, const uint
   mo_sha256_of(bytes, size, &call->sha256);
   pthread_rwlock_rdlock(&store->controllers_lock);
   call->is_locked = true;
-  return write_file(store, &call->sha256, bytes, size);
+  return mo_controller_write_file(store, &call->sha256, bytes, size);
 }
 
 void mo_controller_put_end(struct mo_store *store, struct mo_controller_put *call)

@@ -122,14 +122,6 @@ static int load_designs(struct mo_connection *reader, const struct range *range,
   return error == MO_OK && found != results->n_designs ? MO_ERR_CORRUPT : error;
 }
 
-static bool same_bits(double a, double b)
-{
-  uint64_t words[2];
-  memcpy(&words[0], &a, sizeof(a));
-  memcpy(&words[1], &b, sizeof(b));
-  return words[0] == words[1];
-}
-
 static int load_recomputed(struct mo_connection *reader, const struct range *range,
                            struct mo_evaluation_results *results)
 {
@@ -158,7 +150,7 @@ static int load_recomputed(struct mo_connection *reader, const struct range *ran
     results->losses[cell] = values[0];
     results->stored_losses[cell] = values[1];
     results->diverged_steps[cell] = (int32_t)key[3];
-    if (has_stored && !same_bits(values[0], values[1]))
+    if (has_stored && !mo_same_bits(values[0], values[1]))
       results->agrees[n] = 0;
   }
   return error;

@@ -16,8 +16,8 @@ struct mo_event {
                      "training.progress",
                      "training.validation", "training.checkpoint", "training.code_changed",
                      "campaign.progress",  "campaign.generation", "campaign.diversity_collapse",
-                     "campaign.extended",  "campaign.lineage_unreadable", "controller.stored",
-                     "controller.removed" */
+                     "campaign.extended",  "campaign.imported", "campaign.lineage_unreadable",
+                     "controller.stored",  "controller.removed" */
   char data[512]; /* a JSON object */
 };
 

@@ -114,15 +114,23 @@ int mo_losses_insert(struct mo_store *store, const struct mo_condition *conditio
                      const double *losses, const uint32_t *diverged_steps, int64_t now_us,
                      bool *is_new)
 {
+  return mo_losses_insert_from(store, condition, genotype, store->origin, losses, diverged_steps,
+                               now_us, is_new);
+}
+
+int mo_losses_insert_from(struct mo_store *store, const struct mo_condition *condition,
+                          int64_t genotype, int64_t origin, const double *losses,
+                          const uint32_t *diverged_steps, int64_t computed_us, bool *is_new)
+{
   static const char sql[] =
       "INSERT OR IGNORE INTO scores(genotype,condition,origin,computed_us,losses)"
       " VALUES(?1,?2,?3,?4,?5)";
   uint8_t bytes[MO_PACKED_BYTES(MO_BLOCK_LANES)];
   int64_t key[KEY_WORDS];
-  const size_t size = mo_pack_losses(key, key_of(condition, genotype, store->origin, now_us, key),
+  const size_t size = mo_pack_losses(key, key_of(condition, genotype, origin, computed_us, key),
                                      losses, diverged_steps, condition->n, bytes);
   const int error = mo_sql_change(&store->writer, sql, mo_int(genotype), mo_int(condition->id),
-                                  mo_int(store->origin), mo_int(now_us), mo_blob(bytes, size));
+                                  mo_int(origin), mo_int(computed_us), mo_blob(bytes, size));
   *is_new = error == MO_OK;
   return error == MO_ERR_CONFLICT ? MO_OK : error; /* they are stored already */
 }

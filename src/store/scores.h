@@ -2,6 +2,8 @@
 #ifndef MORPHO_STORE_SCORES_H
 #define MORPHO_STORE_SCORES_H
 
+#include <string.h>
+
 #include <morpho/compute.h>
 
 #include "store/internal.h"
@@ -32,6 +34,10 @@ int mo_condition_row(struct mo_connection *writer, struct mo_condition *conditio
 int mo_losses_insert(struct mo_store *store, const struct mo_condition *condition, int64_t genotype,
                      const double *losses, const uint32_t *diverged_steps, int64_t now_us,
                      bool *is_new);
+/* Likewise with the origin and the time of another store. */
+int mo_losses_insert_from(struct mo_store *store, const struct mo_condition *condition,
+                          int64_t genotype, int64_t origin, const double *losses,
+                          const uint32_t *diverged_steps, int64_t computed_us, bool *is_new);
 /* Decodes a row of MO_SCORE_COLUMNS, from column `first` on; losses and steps (MO_BLOCK_LANES). */
 #define MO_SCORE_COLUMNS                                                                           \
   "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.origin,x.computed_us,x.losses"
@@ -47,6 +53,15 @@ uint64_t mo_recomputed_checksum(const int64_t key[4], const double *values, size
 /* Inserts scores, as they are saved for a job. */
 int mo_scores_insert(struct mo_store *store, const struct mo_saved_score *scores, size_t n,
                      int64_t now_us);
+
+/* Says whether two numbers have the same bits. */
+static inline bool mo_same_bits(double a, double b)
+{
+  uint64_t words[2];
+  memcpy(&words[0], &a, sizeof(a));
+  memcpy(&words[1], &b, sizeof(b));
+  return words[0] == words[1];
+}
 
 /* ---- means over named sets ---- */
 

@@ -22,14 +22,15 @@ ROOMS = {
     "store": ["sqlite3.h", "nettle/"],
     "jobs": [],
     "http": ["microhttpd.h"],
-    "api": [],
+    "api": ["zstd.h"],
     "daemon": ["systemd/"],
 }
 # A room that includes only these others, although more come before it: the protocol knows no job.
 ONLY = {"http": ["base", "store/hash.h"]}
 CLIENTS = ["base/text.h", "base/words.h"]  # what clients share with the service
 LIBRARY = list(ROOMS)[:list(ROOMS).index("store")]  # libmorpho: no output, no exit
-FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "systemd/", "curl/"]
+FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "systemd/", "curl/",
+           "zstd.h"]
 PUBLIC = {
     "error.h": "base", "random.h": "base", "morphospace.h": "morphospace", "world.h": "world",
     "controller.h": "controller", "rollout.h": "rollout", "gradient.h": "rollout",

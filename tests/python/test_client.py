@@ -179,6 +179,23 @@ def test_lists_are_saved_as_files(m, service, campaign, tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["born.csv", "jobs.jsonl", "two.csv"]
 
 
+def test_bundles_travel(m, start, campaign, tmp_path):
+    other = start()
+    with morphod.Client(f"http://{other.host}:{other.port}") as there:
+        path = m.bundle(tmp_path / "two.tar.zst", ids=campaign)
+        table = there.verify_bundle(path)
+        assert table["source_campaign"].tolist() == campaign and table["campaign"].isna().all()
+        entered = there.import_bundle(path)
+        assert [member.id for member in entered] == ["1", "2"] and entered[0].ended
+        assert there.curves(group="1")["score_mean"].tolist() == m.curves(
+            ids=campaign)["score_mean"].tolist()
+        assert [member.id for member in there.import_bundle(path)] == ["1", "2"]
+        path.write_bytes(path.read_bytes()[:-9])
+        with pytest.raises(morphod.InvalidError):
+            there.import_bundle(path)
+    assert m.import_bundle(m.bundle(path, label="for tests"))[0].id == campaign[0], "its own"
+
+
 def test_a_phylogeny(m, service, campaign):
     phylogeny = m.get_campaign(campaign[0]).phylogeny()
     rows = {}

@@ -558,6 +558,8 @@ def test_watch_tells_what_happened():
          "  generation 7 of 30  mean 0.5000  best –  diversity 0.2500"),
         ("campaign.progress", {"generation": 7, "phase": "scoring", "done": 3, "total": 1234},
          "  generation 7  scoring 3 of 1,234"),
+        ("campaign.imported", {"campaign": "7", "store": "a4eb17c601a62c16"},
+         "  campaign 7 of store a4eb17c601a62c16"),
         ("campaign.extended", {"generations": 1234}, "  to 1,234 generations"),
         ("campaign.diversity_collapse", {"generation": 7, "diversity": 0.1, "maximum": 0.5},
          "  generation 7: diversity 0.1000, it was 0.5000"),

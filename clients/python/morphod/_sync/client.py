@@ -263,6 +263,36 @@ class Client:
             return curves_of(self._connection, ids, stride)
         return curves(self._connection, stride, **_given(label=label, group=group))
 
+    def bundle(self, path: str | os.PathLike[str], *,
+                     ids: Iterable[str | int] | None = None, label: str | None = None,
+                     group: str | None = None) -> pathlib.Path:
+        """Saves up to 100 campaigns that have ended as one file, a .tar.zst with all that belongs
+        to them: by ids, by label or by group."""
+        named = None if ids is None else ",".join(str(id) for id in sorted({int(id) for id in ids}))
+        target = pathlib.Path(path)
+        self._connection.save(Request.get("/v1/bundles", accept="application/zstd",
+                                                campaigns=named, label=label, group=group), target)
+        return target
+
+    def import_bundle(self, path: str | os.PathLike[str]) -> Campaigns:
+        """Enters the campaigns of a bundle; those that are here already stay as they are. A bundle
+        that is damaged is refused with `InvalidError`, and nothing of it is stored."""
+        entered = self._connection.json(self._bundle_request(path, "enter"))
+        return Campaigns(self._connection, [self.get_campaign(row["campaign"])
+                                                 for row in entered["items"]])
+
+    def verify_bundle(self, path: str | os.PathLike[str]) -> pd.DataFrame:
+        """Checks every hash and line of a bundle, and stores nothing. A table of its campaigns:
+        campaign (its id here, None where it is not), source_store, source_campaign, designs, …"""
+        told = self._connection.json(self._bundle_request(path, "verify"))
+        return frame(told["items"]).drop(columns="entered")
+
+    @staticmethod
+    def _bundle_request(path: str | os.PathLike[str], mode: str) -> Request:
+        return Request("POST", "/v1/bundles", params={"mode": mode},
+                       content=pathlib.Path(path).read_bytes(),
+                       headers={"Content-Type": "application/zstd"}, timeout_s=600.0)
+
     # ---- trainings and controllers ----
 
     def pretrain(self, *, preset: Literal["workstation", "phototaxis", "paper"] | None = None,

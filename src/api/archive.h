@@ -1,0 +1,44 @@
+/* archive.h: the archive of a bundle: tar (ustar), compressed with zstd. Its last member,
+ * SHA256SUMS, has a line for each member before it, as sha256sum writes them.
+ *
+ * An archive of given members has one form. The reader accepts no other: no links, no folders, no
+ * other owner or time, nothing behind the end. */
+#ifndef MORPHO_API_ARCHIVE_H
+#define MORPHO_API_ARCHIVE_H
+
+#include <morpho/error.h>
+
+#include "base/text.h"
+#include "store/hash.h"
+
+#define MO_ARCHIVE_TYPE       "application/zstd"
+#define MO_ARCHIVE_NAME_BYTES 100                /* of a member, with its NUL */
+#define MO_ARCHIVE_MEMBER_MAX ((size_t)64 << 20) /* bytes of a member */
+#define MO_ARCHIVE_MEMBERS    200000
+
+struct mo_archive_writer;
+struct mo_archive_writer *mo_archive_create(void); /* NULL: no memory */
+/* Adds a member; appends to `out` what is ready of the archive, perhaps nothing. */
+int mo_archive_add(struct mo_archive_writer *writer, const char *name, const void *bytes,
+                   size_t size, struct mo_text *out);
+/* Adds SHA256SUMS, and appends all that is left. */
+int mo_archive_end(struct mo_archive_writer *writer, struct mo_text *out);
+void mo_archive_writer_free(struct mo_archive_writer *writer); /* NULL-safe */
+
+struct mo_archive_member {
+  char name[MO_ARCHIVE_NAME_BYTES];
+  char *bytes; /* until the next member; a NUL follows the last byte; may be changed */
+  size_t size;
+  struct mo_sha256 sha256;
+};
+struct mo_archive_reader;
+/* Reads an archive in memory, which must stay. NULL: no memory. */
+struct mo_archive_reader *mo_archive_open(const void *bytes, size_t size);
+/* Reads the next member. Returns 1, or 0 after the last one: then the archive is whole, and
+ * SHA256SUMS agrees. MO_ERR_FORMAT: it is none, it is damaged, or it ends early. MO_ERR_NO_MEMORY.
+ */
+int mo_archive_next(struct mo_archive_reader *reader, struct mo_archive_member *member,
+                    struct mo_message *message);
+void mo_archive_close(struct mo_archive_reader *reader); /* NULL-safe */
+
+#endif

@@ -1,0 +1,85 @@
+/* bundle.h: bundles: campaigns that travel between services, in the form of docs/bundles.md. */
+#ifndef MORPHO_API_BUNDLE_H
+#define MORPHO_API_BUNDLE_H
+
+#include "api/archive.h"
+#include "base/text.h"
+#include "store/imports.h"
+
+#define MO_BUNDLE_VERSION   1
+#define MO_BUNDLE_CAMPAIGNS MO_REPLICATES_MAX /* of one bundle */
+
+/* ---- lines (bundle_lines.c) ---- */
+
+void mo_bundle_write_campaign(struct mo_text *text, const struct mo_imported_campaign *campaign);
+void mo_bundle_write_design(struct mo_text *text, const struct mo_campaign_design *design);
+void mo_bundle_write_generation(struct mo_text *text, const struct mo_campaign_generation *row,
+                                const struct mo_campaign_member *members, uint32_t n);
+void mo_bundle_write_step(struct mo_text *text, const struct mo_campaign_step *step);
+void mo_bundle_write_score(struct mo_text *text, const struct mo_campaign_score *score);
+
+struct mo_bundle_lines; /* reads them */
+/* is_checked: the same lines were read before. */
+struct mo_bundle_lines *mo_bundle_lines_create(const struct mo_lattice *lattice, bool is_checked);
+void mo_bundle_lines_free(struct mo_bundle_lines *lines); /* NULL-safe */
+/* Read one line, which a NUL ends. Each line must be the one that the function above writes of what
+ * was read. MO_ERR_FORMAT: it is not; MO_ERR_NO_MEMORY. */
+int mo_bundle_read_campaign(struct mo_bundle_lines *lines, const char *line, size_t size,
+                            struct mo_imported_campaign *campaign, struct mo_message *message);
+int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, size_t size,
+                               struct mo_environment *environment, struct mo_message *message);
+int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_t size,
+                          struct mo_campaign_design *design, struct mo_message *message);
+/* members: room for `room`; *n: how many there are. */
+int mo_bundle_read_generation(struct mo_bundle_lines *lines, const char *line, size_t size,
+                              struct mo_campaign_generation *row,
+                              struct mo_campaign_member *members, uint32_t room, uint32_t *n,
+                              struct mo_message *message);
+int mo_bundle_read_step(struct mo_bundle_lines *lines, const char *line, size_t size,
+                        struct mo_campaign_step *step, struct mo_message *message);
+int mo_bundle_read_score(struct mo_bundle_lines *lines, const char *line, size_t size,
+                         struct mo_campaign_score *score, struct mo_message *message);
+
+/* ---- whole bundles (bundle_read.c) ---- */
+
+/* What takes the content, in its order. Any function may be NULL. An error ends the reading. */
+struct mo_bundle_sink {
+  void *context;
+  int (*controller)(void *context, const struct mo_controller *controller,
+                    const struct mo_sha256 *sha256, const char *bytes, size_t size);
+  /* Returns 1 to take what follows of the campaign, 0 to skip it. */
+  int (*campaign)(void *context, const struct mo_imported_campaign *campaign);
+  int (*design)(void *context, const struct mo_campaign_design *design);
+  int (*generation)(void *context, const struct mo_campaign_generation *row,
+                    const struct mo_descent *births, const struct mo_campaign_member *members,
+                    uint32_t n);
+  int (*step)(void *context, const struct mo_campaign_step *step);
+  int (*score)(void *context, const struct mo_campaign_score *score);
+};
+struct mo_bundle_campaign {
+  struct mo_import_source source;
+  uint64_t n_designs, n_scores;
+  int64_t generation;
+};
+struct mo_bundle_summary {
+  uint32_t n, n_controllers;
+  struct mo_bundle_campaign campaigns[MO_BUNDLE_CAMPAIGNS];
+};
+/* Reads a bundle in memory and checks all of it: every hash, every line, and that the lines of a
+ * campaign agree with each other. known: the summary of an earlier reading, from which the digests
+ * of the sources come; what it checked of single lines is not checked again. NULL: they are zero.
+ * MO_ERR_FORMAT: the message says what is wrong. */
+int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *lattice,
+                   const struct mo_bundle_sink *sink, const struct mo_bundle_summary *known,
+                   struct mo_bundle_summary *summary, struct mo_message *message);
+
+/* ---- making one (bundle_export.c) ---- */
+
+struct mo_bundle_export;
+/* ids: (n) ascending, taken over. NULL: no memory. */
+struct mo_bundle_export *mo_bundle_export_create(struct mo_store *store, const char *program,
+                                                 int64_t *ids, uint32_t n);
+int mo_bundle_export_more(void *context, struct mo_text *text); /* a mo_download_more */
+void mo_bundle_export_free(void *context);
+
+#endif

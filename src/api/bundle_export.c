@@ -1,0 +1,324 @@
+/* bundle_export.c: makes a bundle of campaigns that have ended, member by member, as it is read. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/bundle.h"
+#include "api/scene.h"
+#include "store/campaigns.h"
+#include "store/store.h"
+#include "store/worlds.h"
+
+#define SCORED_DESIGNS 1000    /* of a member with scores */
+#define PART_BYTES     1000000 /* of a member with generations, about */
+
+enum phase {
+  HEAD,
+  CONTROLLERS,
+  CAMPAIGN,
+  ENVIRONMENTS,
+  DESIGNS,
+  GENERATIONS,
+  LEARNING,
+  SCORES,
+  END
+};
+
+struct mo_bundle_export {
+  struct mo_store *store;
+  char program[48];
+  int64_t *ids;
+  uint32_t n, i; /* i: the campaign that is written */
+  enum phase phase;
+  struct mo_archive_writer *writer;
+  uint32_t n_controllers; /* that were written */
+  struct mo_sha256 *controllers;
+  struct mo_campaign_status status;
+  int64_t after; /* what was written of the phase: the newest number or generation */
+  uint32_t step, parts;
+  struct mo_text member;
+};
+
+struct mo_bundle_export *mo_bundle_export_create(struct mo_store *store, const char *program,
+                                                 int64_t *ids, uint32_t n)
+{
+  struct mo_bundle_export *export = calloc(1, sizeof(*export));
+  if (export == NULL) {
+    free(ids);
+    return NULL;
+  }
+  *export = (struct mo_bundle_export){.store = store, .ids = ids, .n = n};
+  snprintf(export->program, sizeof(export->program), "%s", program);
+  export->writer = mo_archive_create();
+  export->controllers = calloc(2 * (size_t)n + 1, sizeof(*export->controllers));
+  if (export->writer == NULL || export->controllers == NULL) {
+    mo_bundle_export_free(export);
+    return NULL;
+  }
+  return export;
+}
+
+void mo_bundle_export_free(void *context)
+{
+  struct mo_bundle_export *export = context;
+  mo_archive_writer_free(export->writer);
+  mo_text_free(&export->member);
+  free(export->controllers);
+  free(export->ids);
+  free(export);
+}
+
+/* Adds the member that was written, if it is not empty. part: its folder and number, or its name
+ * alone. */
+static int add(struct mo_bundle_export *export, const char *part, bool is_numbered,
+               struct mo_text *out)
+{
+  char name[MO_ARCHIVE_NAME_BYTES];
+  const long long id = (long long)export->ids[export->i];
+  if (is_numbered)
+    snprintf(name, sizeof(name), "campaigns/%lld/%s/%08u.ndjson", id, part, export->parts++);
+  else
+    snprintf(name, sizeof(name), "campaigns/%lld/%s", id, part);
+  const int error =
+      export->member.failed ? MO_ERR_NO_MEMORY
+      : export->member.size == 0
+          ? MO_OK
+          : mo_archive_add(export->writer, name, export->member.data, export->member.size, out);
+  export->member.size = 0;
+  return error;
+}
+
+static void next_phase(struct mo_bundle_export *export)
+{
+  export->phase++;
+  export->after = -1;
+  export->step = export->parts = 0;
+}
+
+/* ---- head and controllers ---- */
+
+static int write_head(struct mo_bundle_export *export, struct mo_text *out)
+{
+  struct mo_text *text = &export->member;
+  mo_text_format(text, "{\"format\":\"morphod-bundle\",\"version\":%d", MO_BUNDLE_VERSION);
+  mo_text_member(text, "program", export->program);
+  mo_text_add(text, ",\"campaigns\":[");
+  for (uint32_t i = 0; i < export->n; i++)
+    mo_text_format(text, i > 0 ? ",\"%lld\"" : "\"%lld\"", (long long)export->ids[i]);
+  mo_text_add(text, "]}\n");
+  const int error =
+      text->failed ? MO_ERR_NO_MEMORY
+                   : mo_archive_add(export->writer, "bundle.json", text->data, text->size, out);
+  text->size = 0;
+  next_phase(export);
+  return error;
+}
+
+static int write_controller(struct mo_bundle_export *export, const struct mo_sha256 *sha256,
+                            struct mo_text *out)
+{
+  char name[MO_ARCHIVE_NAME_BYTES], digits[MO_SHA256_DIGITS + 1];
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  for (uint32_t i = 0; i < export->n_controllers; i++)
+    if (mo_sha256_equal(&export->controllers[i], sha256))
+      return MO_OK;
+  export->controllers[export->n_controllers++] = *sha256;
+  mo_sha256_to_hex(sha256, digits);
+  snprintf(name, sizeof(name), "controllers/%s.safetensors", digits);
+  int error = mo_store_controller_bytes(export->store, sha256, &bytes, &size);
+  if (error == MO_OK)
+    error = mo_archive_add(export->writer, name, bytes, size, out);
+  free(bytes);
+  return error;
+}
+
+/* Writes the controllers of one campaign. */
+static int write_controllers(struct mo_bundle_export *export, struct mo_text *out)
+{
+  const struct mo_campaign_status *status = &export->status;
+  int error = mo_store_campaign(export->store, export->ids[export->i], &export->status);
+  if (error == MO_OK && status->job.has_controller)
+    error = write_controller(export, &status->job.controller_sha256, out);
+  if (error == MO_OK && status->job.has_result)
+    error = write_controller(export, &status->job.result_sha256, out);
+  if (++export->i == export->n) {
+    export->i = 0;
+    next_phase(export);
+  }
+  return error;
+}
+
+/* ---- a campaign ---- */
+
+static int write_campaign(struct mo_bundle_export *export, struct mo_text *out)
+{
+  struct mo_campaign_status *status = &export->status;
+  struct mo_imported_campaign *campaign = calloc(1, sizeof(*campaign));
+  int error = campaign != NULL ? mo_store_campaign(export->store, export->ids[export->i], status)
+                               : MO_ERR_NO_MEMORY;
+  if (error == MO_OK && !mo_job_state_is_final(status->job.state))
+    error = MO_ERR_CONFLICT; /* it was extended meanwhile */
+  if (error == MO_OK) {
+    *campaign = (struct mo_imported_campaign){.record = status->record,
+                                              .state = status->job.state,
+                                              .has_label = status->job.has_label,
+                                              .weight = status->job.weight,
+                                              .back_end = status->job.back_end,
+                                              .created_us = status->job.created_us,
+                                              .started_us = status->job.started_us,
+                                              .finished_us = status->job.finished_us,
+                                              .generation = status->generation,
+                                              .n_designs = status->n_designs,
+                                              .diversity_max = status->diversity_max,
+                                              .end = status->end,
+                                              .has_controller = status->job.has_controller,
+                                              .controller_sha256 = status->job.controller_sha256,
+                                              .has_result = status->job.has_result,
+                                              .result_sha256 = status->job.result_sha256};
+    campaign->record.settings.sensor = status->job.sensor;
+    memcpy(campaign->label, status->job.label, sizeof(campaign->label));
+    memcpy(campaign->controller_name, status->job.controller_name,
+           sizeof(campaign->controller_name));
+    if (status->source_campaign > 0)
+      campaign->source = (struct mo_import_source){.store = status->source_store,
+                                                   .campaign = status->source_campaign};
+    else
+      campaign->source = (struct mo_import_source){.store = mo_store_id(export->store),
+                                                   .campaign = status->job.id};
+    mo_bundle_write_campaign(&export->member, campaign);
+    error = add(export, "campaign.json", false, out);
+  }
+  free(campaign);
+  next_phase(export);
+  return error;
+}
+
+static int write_environments(struct mo_bundle_export *export, struct mo_text *out)
+{
+  struct mo_environment *environments = NULL;
+  uint32_t n = 0;
+  const int error = mo_store_job_environments(export->store, export->ids[export->i],
+                                              MO_JOB_CAMPAIGN, &environments, &n);
+  for (uint32_t i = 0; error == MO_OK && i < n; i++) {
+    struct mo_text line = {0};
+    mo_scene_write_environment(&line, NULL, &environments[i]);
+    mo_text_add(&line, "\n");
+    mo_text_bytes(&export->member, line.data, line.size);
+    mo_text_free(&line);
+  }
+  free(environments);
+  next_phase(export);
+  return error == MO_OK ? add(export, "environments.ndjson", false, out) : error;
+}
+
+static int write_designs(struct mo_bundle_export *export, struct mo_text *out)
+{
+  struct mo_campaign_design *rows = malloc(MO_PAGE_MAX * sizeof(*rows));
+  const int64_t n = rows != NULL ? mo_store_campaign_designs(export->store, export->ids[export->i],
+                                                             export->after, rows, MO_PAGE_MAX)
+                                 : MO_ERR_NO_MEMORY;
+  for (int64_t i = 0; i < n; i++) {
+    mo_bundle_write_design(&export->member, &rows[i]);
+    mo_text_add(&export->member, "\n");
+    export->after = rows[i].number;
+  }
+  free(rows);
+  const int error = n < 0 ? (int)n : add(export, "designs", true, out);
+  if (n < MO_PAGE_MAX)
+    next_phase(export);
+  return error;
+}
+
+/* Writes generations until the member is large enough. */
+static int write_generations(struct mo_bundle_export *export, struct mo_text *out)
+{
+  const int64_t id = export->ids[export->i];
+  int error = MO_OK;
+  while (error == MO_OK && export->after < export->status.generation &&
+         export->member.size < PART_BYTES) {
+    struct mo_campaign_generation row;
+    struct mo_campaign_member *members = NULL;
+    uint32_t n = 0;
+    const int64_t read = mo_store_campaign_generations(export->store, id, export->after, &row, 1);
+    error = read < 0 ? (int)read : read == 0 ? MO_ERR_CORRUPT : MO_OK;
+    if (error == MO_OK)
+      error = mo_store_campaign_members(export->store, id, row.generation, &members, &n);
+    if (error == MO_OK) {
+      mo_bundle_write_generation(&export->member, &row, members, n);
+      mo_text_add(&export->member, "\n");
+    }
+    free(members);
+    export->after++;
+  }
+  if (error == MO_OK)
+    error = add(export, "generations", true, out);
+  if (export->after >= export->status.generation)
+    next_phase(export);
+  return error;
+}
+
+static int write_learning(struct mo_bundle_export *export, struct mo_text *out)
+{
+  struct mo_campaign_step *rows = malloc(MO_PAGE_MAX * sizeof(*rows));
+  const int64_t n = rows != NULL
+                        ? mo_store_campaign_steps(export->store, export->ids[export->i],
+                                                  export->after > 0 ? (uint32_t) export->after : 0,
+                                                  export->step, rows, MO_PAGE_MAX)
+                        : MO_ERR_NO_MEMORY;
+  int64_t i = 0;
+  for (; i < n && rows[i].generation <= export->status.generation; i++) {
+    mo_bundle_write_step(&export->member, &rows[i]);
+    mo_text_add(&export->member, "\n");
+    export->after = rows[i].generation;
+    export->step = rows[i].step;
+  }
+  free(rows);
+  const int error = n < 0 ? (int)n : add(export, "learning", true, out);
+  if (i < MO_PAGE_MAX) /* further steps are of a generation that was never committed */
+    next_phase(export);
+  return error;
+}
+
+static int take_score(void *context, const struct mo_campaign_score *score)
+{
+  struct mo_bundle_export *export = context;
+  mo_bundle_write_score(&export->member, score);
+  mo_text_add(&export->member, "\n");
+  return export->member.failed ? MO_ERR_NO_MEMORY : MO_OK;
+}
+
+/* Writes the scores of some designs; only those of a controller that does not learn are stored. */
+static int write_scores(struct mo_bundle_export *export, struct mo_text *out)
+{
+  const struct mo_campaign_status *status = &export->status;
+  const uint32_t first = (uint32_t)(export->after + 1);
+  int error = MO_OK;
+  if (status->record.settings.mode == MO_ZERO_SHOT && first < status->n_designs)
+    error = mo_store_campaign_scores(export->store, export->ids[export->i], first,
+                                     first + SCORED_DESIGNS - 1, take_score, export);
+  export->after += SCORED_DESIGNS;
+  if (error == MO_OK)
+    error = add(export, "scores", true, out);
+  if (status->record.settings.mode == MO_ZERO_SHOT &&
+      export->after + 1 < (int64_t)status->n_designs)
+    return error;
+  next_phase(export);
+  if (++export->i < export->n)
+    export->phase = CAMPAIGN;
+  return error;
+}
+
+int mo_bundle_export_more(void *context, struct mo_text *text)
+{
+  static int (*const write[])(struct mo_bundle_export * export, struct mo_text * out) = {
+      [HEAD] = write_head,         [CONTROLLERS] = write_controllers,
+      [CAMPAIGN] = write_campaign, [ENVIRONMENTS] = write_environments,
+      [DESIGNS] = write_designs,   [GENERATIONS] = write_generations,
+      [LEARNING] = write_learning, [SCORES] = write_scores};
+  struct mo_bundle_export *export = context;
+  if (export->phase == END)
+    return mo_archive_end(export->writer, text);
+  const int error = write[export->phase](export, text);
+  return error != MO_OK ? error : 1;
+}

@@ -1,0 +1,489 @@
+/* bundle_read.c: reads a bundle and checks it as a whole: which members there are and in which
+ * order, and what the lines of a campaign say of each other. See docs/bundles.md. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/bundle.h"
+#include "base/json.h"
+#include "store/store.h"
+
+#define ALIVE UINT32_MAX
+
+/* The members of a campaign, in their order. */
+enum part { NOTHING, CAMPAIGN, ENVIRONMENTS, DESIGNS, GENERATIONS, LEARNING, SCORES };
+static const char *const parts[] = {
+    [CAMPAIGN] = "campaign.json", [ENVIRONMENTS] = "environments.ndjson",
+    [DESIGNS] = "designs/",       [GENERATIONS] = "generations/",
+    [LEARNING] = "learning/",     [SCORES] = "scores/"};
+
+/* What is known of a design. */
+struct born {
+  struct mo_descent descent;
+  uint32_t born, died, stamp; /* stamp: the last population that has it, plus 1 */
+  double score;
+};
+
+struct known_controller {
+  struct mo_sha256 sha256;
+  enum mo_sensor sensor;
+};
+
+struct reading {
+  struct mo_archive_reader *archive;
+  struct mo_archive_member member;
+  struct mo_bundle_lines *lines;
+  const struct mo_bundle_sink *sink;
+  const struct mo_bundle_summary *known;
+  struct mo_bundle_summary *summary;
+  struct mo_message *message;
+  bool begun; /* bundle.json was read */
+  uint32_t n_controllers;
+  struct known_controller controllers[2 * MO_BUNDLE_CAMPAIGNS];
+  /* The campaign that is read. */
+  enum part part;
+  bool taken; /* the sink takes it */
+  char folder[64];
+  struct mo_imported_campaign campaign;
+  uint32_t n_environments;
+  struct born *born; /* (n_born) */
+  uint32_t n_born, room;
+  uint32_t *births, *deaths; /* (generation + 1) */
+  int64_t generation;        /* of the newest row */
+  uint32_t n_alive;
+  struct mo_campaign_member *members; /* (MO_POPULATION_MAX) */
+  uint32_t step_generation, step;     /* of the newest step of learning */
+  struct mo_text digest;              /* lines of the members that make the history */
+};
+
+/* Says what is wrong with a line of a member. line 0: with the member. */
+static int refuse(struct reading *reading, uint32_t line, const char *words)
+{
+  struct mo_message inner;
+  snprintf(inner.text, sizeof(inner.text), "%s", words);
+  return line == 0 ? mo_fail(reading->message, MO_ERR_FORMAT, "%.90s: %.150s", reading->member.name,
+                             inner.text)
+                   : mo_fail(reading->message, MO_ERR_FORMAT, "%.90s, line %u: %.140s",
+                             reading->member.name, line, inner.text);
+}
+
+/* Finds the line that begins at *at, and ends it with a NUL. False: there is none. */
+static bool next_line(struct mo_archive_member *member, size_t *at, char **line, size_t *size)
+{
+  if (*at >= member->size)
+    return false;
+  *line = member->bytes + *at;
+  char *end = memchr(*line, '\n', member->size - *at);
+  *size = end != NULL ? (size_t)(end - *line) : member->size - *at;
+  *at += *size + 1;
+  if (end != NULL)
+    *end = '\0';
+  return true;
+}
+
+/* ---- the head and the controllers ---- */
+
+static int read_head(struct reading *reading)
+{
+  char expected[80];
+  snprintf(expected, sizeof(expected), "{\"format\":\"morphod-bundle\",\"version\":%d,",
+           MO_BUNDLE_VERSION);
+  if (strcmp(reading->member.name, "bundle.json") != 0)
+    return refuse(reading, 0, "a bundle begins with bundle.json");
+  if (strncmp(reading->member.bytes, expected, strlen(expected)) != 0)
+    return refuse(reading, 0, "not a bundle of a version that this program reads");
+  reading->begun = true;
+  return MO_OK;
+}
+
+static int read_controller(struct reading *reading)
+{
+  struct mo_archive_member *member = &reading->member;
+  struct mo_controller *controller = NULL;
+  struct mo_message words = {""};
+  char name[MO_ARCHIVE_NAME_BYTES], digits[MO_SHA256_DIGITS + 1];
+  mo_sha256_to_hex(&member->sha256, digits);
+  snprintf(name, sizeof(name), "controllers/%s.safetensors", digits);
+  if (strcmp(name, member->name) != 0)
+    return refuse(reading, 0, "the name is not the hash of the file");
+  if (reading->n_controllers == sizeof(reading->controllers) / sizeof(reading->controllers[0]))
+    return refuse(reading, 0, "too many controllers");
+  int error =
+      mo_controller_decode((const uint8_t *)member->bytes, member->size, &controller, &words);
+  if (error == MO_ERR_NO_MEMORY)
+    return error;
+  if (error != MO_OK)
+    return refuse(reading, 0, words.text);
+  reading->controllers[reading->n_controllers++] =
+      (struct known_controller){member->sha256, controller->sensor};
+  reading->summary->n_controllers++;
+  if (reading->sink->controller != NULL)
+    error = reading->sink->controller(reading->sink->context, controller, &member->sha256,
+                                      member->bytes, member->size);
+  mo_controller_free(controller);
+  return error;
+}
+
+static const struct known_controller *find_controller(const struct reading *reading,
+                                                      const struct mo_sha256 *sha256)
+{
+  for (uint32_t i = 0; i < reading->n_controllers; i++)
+    if (mo_sha256_equal(&reading->controllers[i].sha256, sha256))
+      return &reading->controllers[i];
+  return NULL;
+}
+
+/* ---- a campaign begins and ends ---- */
+
+static struct mo_bundle_campaign *summary_of(struct reading *reading)
+{
+  return &reading->summary->campaigns[reading->summary->n - 1];
+}
+
+static int end_campaign(struct reading *reading)
+{
+  const struct mo_imported_campaign *campaign = &reading->campaign;
+  if (reading->part == NOTHING)
+    return MO_OK;
+  if (reading->part < ENVIRONMENTS || reading->n_environments != campaign->record.n_environments ||
+      reading->n_born != campaign->n_designs || reading->generation != campaign->generation)
+    return mo_fail(reading->message, MO_ERR_FORMAT,
+                   "%s: there are fewer environments, designs or generations than the campaign has",
+                   reading->folder);
+  if (reading->digest.failed)
+    return MO_ERR_NO_MEMORY;
+  mo_sha256_of(reading->digest.data, reading->digest.size, &summary_of(reading)->source.digest);
+  reading->part = NOTHING;
+  return MO_OK;
+}
+
+static int begin_campaign(struct reading *reading)
+{
+  struct mo_imported_campaign *campaign = &reading->campaign;
+  const struct mo_campaign_record *record = &campaign->record;
+  struct mo_bundle_summary *summary = reading->summary;
+  struct mo_message words = {""};
+  const struct known_controller *start;
+  int error = mo_bundle_read_campaign(reading->lines, reading->member.bytes, reading->member.size,
+                                      campaign, &words);
+  if (error != MO_OK)
+    return error == MO_ERR_FORMAT ? refuse(reading, 1, words.text) : error;
+  start = campaign->has_controller ? find_controller(reading, &campaign->controller_sha256) : NULL;
+  if ((campaign->has_controller && (start == NULL || start->sensor != record->settings.sensor)) ||
+      (campaign->has_result && find_controller(reading, &campaign->result_sha256) == NULL))
+    return refuse(reading, 1, "the bundle lacks the controller, or its sensor is another one");
+  if (summary->n == MO_BUNDLE_CAMPAIGNS)
+    return refuse(reading, 0, "too many campaigns");
+  summary->campaigns[summary->n] = (struct mo_bundle_campaign){.source = campaign->source,
+                                                               .n_designs = campaign->n_designs,
+                                                               .generation = campaign->generation};
+  if (reading->known != NULL)
+    campaign->source.digest = reading->known->campaigns[summary->n].source.digest;
+  summary->n++;
+  free(reading->births);
+  free(reading->deaths);
+  reading->births = calloc((size_t)campaign->generation + 2, sizeof(*reading->births));
+  reading->deaths = calloc((size_t)campaign->generation + 2, sizeof(*reading->deaths));
+  if (reading->births == NULL || reading->deaths == NULL)
+    return MO_ERR_NO_MEMORY;
+  reading->n_environments = reading->n_born = reading->n_alive = 0;
+  reading->step_generation = reading->step = 0;
+  reading->generation = -1;
+  reading->digest.size = 0;
+  return MO_OK;
+}
+
+/* Reads the environments, and hands the campaign over. */
+static int read_environments(struct reading *reading)
+{
+  struct mo_imported_campaign *campaign = &reading->campaign;
+  size_t at = 0, size;
+  char *line;
+  while (next_line(&reading->member, &at, &line, &size)) {
+    struct mo_message words = {""};
+    if (reading->n_environments == campaign->record.n_environments)
+      return refuse(reading, reading->n_environments + 1, "one environment too many");
+    const int error = mo_bundle_read_environment(
+        reading->lines, line, size, &campaign->environments[reading->n_environments++], &words);
+    if (error != MO_OK)
+      return error == MO_ERR_FORMAT ? refuse(reading, reading->n_environments, words.text) : error;
+  }
+  const int taken = reading->sink->campaign != NULL
+                        ? reading->sink->campaign(reading->sink->context, campaign)
+                        : 1;
+  reading->taken = taken == 1;
+  return taken < 0 ? taken : MO_OK;
+}
+
+/* ---- lines of a campaign ---- */
+
+/* Says whether a design agrees with its parents and with the campaign; NULL: it does. */
+static const char *check_design(const struct reading *reading,
+                                const struct mo_campaign_design *design)
+{
+  static const int n_parents[] = {0, 0, 0, 1, 2};
+  const struct mo_descent *descent = &design->descent;
+  const struct mo_campaign_record *record = &reading->campaign.record;
+  const int n = (descent->parents[0] != MO_NO_PARENT) + (descent->parents[1] != MO_NO_PARENT);
+  struct mo_bits moved;
+  if (design->number != reading->n_born || design->number >= reading->campaign.n_designs)
+    return "designs are not numbered in order, or are too many";
+  if (n != n_parents[descent->op])
+    return "another number of parents than the operator has";
+  if (design->born > reading->campaign.generation ||
+      (reading->n_born > 0 && design->born < reading->born[reading->n_born - 1].born) ||
+      (design->died >= 0 && design->died < design->born) ||
+      design->died > reading->campaign.generation)
+    return "born or died out of turn";
+  if (design->score < 0)
+    return "a score is a loss, and not below 0";
+  if (memcmp(&record->settings.workspace, &MO_DEFAULT_WORKSPACE,
+             sizeof(record->settings.workspace)) != 0 &&
+      mo_workspace_words(record->settings.workspace) <= MO_DEFAULT_WORDS &&
+      mo_genotype_move(MO_DEFAULT_WORKSPACE, design->genotype.words, record->settings.workspace,
+                       moved.words) != MO_OK)
+    return "the body does not fit the workspace of the campaign";
+  for (int p = 0; p < n; p++) {
+    const uint32_t parent = descent->parents[p];
+    if (parent >= design->number || reading->born[parent].born >= design->born ||
+        reading->born[parent].died < design->born)
+      return "a parent did not live then";
+  }
+  return NULL;
+}
+
+static int read_design(struct reading *reading, uint32_t n, const char *line, size_t size)
+{
+  struct mo_campaign_design design;
+  struct mo_message words = {""};
+  int error = mo_bundle_read_design(reading->lines, line, size, &design, &words);
+  if (error != MO_OK)
+    return error == MO_ERR_FORMAT ? refuse(reading, n, words.text) : error;
+  const char *fault = check_design(reading, &design);
+  if (fault != NULL)
+    return refuse(reading, n, fault);
+  if (reading->n_born == reading->room) {
+    const uint32_t room = reading->room > 0 ? 2 * reading->room : 4096;
+    struct born *born = realloc(reading->born, room * sizeof(*born));
+    if (born == NULL)
+      return MO_ERR_NO_MEMORY;
+    reading->born = born;
+    reading->room = room;
+  }
+  reading->born[reading->n_born++] =
+      (struct born){.descent = design.descent,
+                    .born = design.born,
+                    .died = design.died >= 0 ? (uint32_t)design.died : ALIVE,
+                    .score = design.score};
+  reading->births[design.born]++;
+  if (design.died >= 0)
+    reading->deaths[design.died]++;
+  return reading->taken && reading->sink->design != NULL
+             ? reading->sink->design(reading->sink->context, &design)
+             : MO_OK;
+}
+
+static bool same_bits(double a, double b)
+{
+  uint64_t words[2];
+  memcpy(&words[0], &a, sizeof(a));
+  memcpy(&words[1], &b, sizeof(b));
+  return words[0] == words[1];
+}
+
+/* Says whether a population is that of its generation; NULL: it is. */
+static const char *check_population(struct reading *reading, uint32_t generation, uint32_t n)
+{
+  for (uint32_t i = 0; i < n; i++) {
+    const struct mo_campaign_member *member = &reading->members[i];
+    struct born *born = member->number < reading->n_born ? &reading->born[member->number] : NULL;
+    if (born == NULL || born->born > generation ||
+        (born->died != ALIVE && born->died <= generation) || born->stamp == generation + 1)
+      return "the population has a design twice, or one that did not live then";
+    born->stamp = generation + 1;
+    if (member->score < 0 ||
+        (generation == reading->campaign.generation && !same_bits(member->score, born->score)))
+      return "a score of the population is not that of the design";
+  }
+  return n == reading->n_alive ? NULL : "the population lacks a design that lived then";
+}
+
+static int read_generation(struct reading *reading, uint32_t n, const char *line, size_t size)
+{
+  struct mo_campaign_generation row;
+  struct mo_message words = {""};
+  uint32_t n_members = 0;
+  int error = mo_bundle_read_generation(reading->lines, line, size, &row, reading->members,
+                                        MO_POPULATION_MAX, &n_members, &words);
+  if (error != MO_OK)
+    return error == MO_ERR_FORMAT ? refuse(reading, n, words.text) : error;
+  const uint32_t generation = (uint32_t)(reading->generation + 1);
+  if (row.generation != generation || generation > reading->campaign.generation)
+    return refuse(reading, n, "a generation out of turn");
+  reading->n_alive += reading->births[generation] - reading->deaths[generation];
+  const char *fault = check_population(reading, generation, n_members);
+  if (fault == NULL &&
+      (row.stats.n != n_members || row.n_children != reading->births[generation] ||
+       row.born_before + row.n_children > reading->n_born ||
+       (row.n_children > 0 && reading->born[row.born_before].born != generation) ||
+       (row.born_before > 0 && reading->born[row.born_before - 1].born >= generation)))
+    fault = "the statistics are of another population";
+  if (fault != NULL)
+    return refuse(reading, n, fault);
+  reading->generation = generation;
+  if (!reading->taken || reading->sink->generation == NULL)
+    return MO_OK;
+  struct mo_descent *births = malloc(((size_t)row.n_children + 1) * sizeof(*births));
+  if (births == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < row.n_children; i++)
+    births[i] = reading->born[row.born_before + i].descent;
+  error =
+      reading->sink->generation(reading->sink->context, &row, births, reading->members, n_members);
+  free(births);
+  return error;
+}
+
+static int read_step(struct reading *reading, uint32_t n, const char *line, size_t size)
+{
+  struct mo_campaign_step step;
+  struct mo_message words = {""};
+  const int error = mo_bundle_read_step(reading->lines, line, size, &step, &words);
+  if (error != MO_OK)
+    return error == MO_ERR_FORMAT ? refuse(reading, n, words.text) : error;
+  if (step.step < 1 || step.generation > reading->campaign.generation ||
+      step.generation < reading->step_generation ||
+      (step.generation == reading->step_generation && step.step <= reading->step))
+    return refuse(reading, n, "a step out of turn");
+  reading->step_generation = step.generation;
+  reading->step = step.step;
+  return reading->taken && reading->sink->step != NULL
+             ? reading->sink->step(reading->sink->context, &step)
+             : MO_OK;
+}
+
+static int read_score(struct reading *reading, uint32_t n, const char *line, size_t size)
+{
+  struct mo_campaign_score score;
+  struct mo_message words = {""};
+  uint64_t places = 0;
+  const int error = mo_bundle_read_score(reading->lines, line, size, &score, &words);
+  if (error != MO_OK)
+    return error == MO_ERR_FORMAT ? refuse(reading, n, words.text) : error;
+  for (uint32_t k = 0; k < score.n; k++) {
+    if (score.environments[k] >= reading->n_environments ||
+        (places >> score.environments[k] & 1) != 0 ||
+        score.diverged_steps[k] > reading->campaign.record.settings.physics.n_steps)
+      return refuse(reading, n, "an environment twice or unknown, or a step beyond the last");
+    places |= UINT64_C(1) << score.environments[k];
+  }
+  if (score.number >= reading->n_born || !reading->campaign.has_controller)
+    return refuse(reading, n, "a score of no design of the campaign");
+  summary_of(reading)->n_scores += score.n;
+  return reading->taken && reading->sink->score != NULL
+             ? reading->sink->score(reading->sink->context, &score)
+             : MO_OK;
+}
+
+static int read_lines(struct reading *reading)
+{
+  static int (*const read[])(struct reading * reading, uint32_t n, const char *line,
+                             size_t size) = {[DESIGNS] = read_design,
+                                             [GENERATIONS] = read_generation,
+                                             [LEARNING] = read_step,
+                                             [SCORES] = read_score};
+  size_t at = 0, size;
+  uint32_t n = 0;
+  int error = MO_OK;
+  char *line;
+  while (error == MO_OK && next_line(&reading->member, &at, &line, &size))
+    error = read[reading->part](reading, ++n, line, size);
+  return error;
+}
+
+/* ---- members ---- */
+
+/* Reads a member of campaigns/ID/. */
+static int read_of_campaign(struct reading *reading)
+{
+  const char *name = reading->member.name, *slash = strchr(name + strlen("campaigns/"), '/');
+  const size_t folder = slash != NULL ? (size_t)(slash - name) + 1 : 0;
+  enum part part = CAMPAIGN;
+  int error = MO_OK;
+  if (folder == 0 || folder >= sizeof(reading->folder))
+    return refuse(reading, 0, "not a member of a bundle");
+  while (part <= SCORES && strncmp(name + folder, parts[part], strlen(parts[part])) != 0)
+    part++;
+  if (part > SCORES)
+    return refuse(reading, 0, "not a member of a bundle");
+  if (part == CAMPAIGN) {
+    error = end_campaign(reading);
+    snprintf(reading->folder, sizeof(reading->folder), "%.*s", (int)folder, name);
+    reading->part = CAMPAIGN;
+    return error == MO_OK ? begin_campaign(reading) : error;
+  }
+  if (strncmp(name, reading->folder, folder) != 0 || part < reading->part ||
+      reading->part == NOTHING || (part > ENVIRONMENTS && reading->part < ENVIRONMENTS) ||
+      (part == ENVIRONMENTS && reading->part == ENVIRONMENTS) ||
+      (part > DESIGNS && reading->n_born != reading->campaign.n_designs))
+    return refuse(reading, 0, "the member is out of turn");
+  reading->part = part;
+  if (part != SCORES) { /* scores may grow later */
+    char digits[MO_SHA256_DIGITS + 1];
+    mo_sha256_to_hex(&reading->member.sha256, digits);
+    mo_text_format(&reading->digest, "%s  %s\n", digits, name + folder);
+  }
+  return part == ENVIRONMENTS ? read_environments(reading) : read_lines(reading);
+}
+
+static int read_members(struct reading *reading)
+{
+  int more = 1, error = MO_OK;
+  while (error == MO_OK &&
+         (more = mo_archive_next(reading->archive, &reading->member, reading->message)) > 0) {
+    const char *name = reading->member.name;
+    if (!reading->begun)
+      error = read_head(reading);
+    else if (strncmp(name, "campaigns/", strlen("campaigns/")) == 0)
+      error = read_of_campaign(reading);
+    else if (strncmp(name, "controllers/", strlen("controllers/")) == 0 && reading->summary->n == 0)
+      error = read_controller(reading);
+    else
+      error = refuse(reading, 0, "not a member of a bundle, or out of turn");
+  }
+  if (error == MO_OK && more == 0)
+    error = end_campaign(reading);
+  return error != MO_OK ? error : more;
+}
+
+int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *lattice,
+                   const struct mo_bundle_sink *sink, const struct mo_bundle_summary *known,
+                   struct mo_bundle_summary *summary, struct mo_message *message)
+{
+  struct reading *reading = calloc(1, sizeof(*reading));
+  int error = MO_ERR_NO_MEMORY;
+  memset(summary, 0, sizeof(*summary));
+  if (reading == NULL)
+    return error;
+  reading->sink = sink;
+  reading->known = known;
+  reading->summary = summary;
+  reading->message = message;
+  reading->archive = mo_archive_open(bytes, size);
+  reading->lines = mo_bundle_lines_create(lattice, known != NULL);
+  reading->members = malloc(MO_POPULATION_MAX * sizeof(*reading->members));
+  if (reading->archive != NULL && reading->lines != NULL && reading->members != NULL)
+    error = read_members(reading);
+  if (error == MO_OK && summary->n == 0)
+    error = mo_fail(message, MO_ERR_FORMAT, "the bundle has no campaign");
+  mo_archive_close(reading->archive);
+  mo_bundle_lines_free(reading->lines);
+  mo_text_free(&reading->digest);
+  free(reading->members);
+  free(reading->births);
+  free(reading->deaths);
+  free(reading->born);
+  free(reading);
+  return error;
+}

@@ -1,0 +1,468 @@
+/* imports.c: see imports.h. Rows are those that mo_store_submit_campaign and
+ * mo_store_campaign_commit write, but for the times and the origins, which stay those of the
+ * source. */
+#include "store/imports.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/clock.h"
+#include "store/campaign_rows.h"
+#include "store/contents.h"
+#include "store/controller_rows.h"
+#include "store/rows.h"
+#include "store/scores.h"
+
+struct mo_import {
+  struct mo_store *store;
+  int64_t now_us;
+  /* The groups so far: of the source, and here. */
+  int64_t groups[MO_REPLICATES_MAX][2];
+  uint32_t n_groups;
+  /* The campaign that is entered. */
+  int64_t id, controller, physics, set, ranking;
+  uint32_t n_environments;
+  int64_t environments[MO_ENVIRONMENTS_MAX]; /* rows */
+  /* Of the score before: rows that the next one mostly shares. */
+  char fingerprint[MO_FINGERPRINT_BYTES], origin[65];
+  int64_t origin_row;
+  struct mo_condition condition;
+};
+
+/* ---- the transaction ---- */
+
+struct call {
+  int (*run)(void *context, struct mo_import *import);
+  void *context;
+};
+
+static int import_all(struct mo_store *store, void *arguments)
+{
+  const struct call *call = arguments;
+  struct mo_import *import = calloc(1, sizeof(*import));
+  if (import == NULL)
+    return MO_ERR_NO_MEMORY;
+  import->store = store;
+  import->now_us = mo_clock_wall_us();
+  const int error = call->run(call->context, import);
+  free(import);
+  return error;
+}
+
+int mo_store_import(struct mo_store *store, int (*run)(void *context, struct mo_import *import),
+                    void *context)
+{
+  return mo_write(store, import_all, &(struct call){run, context});
+}
+
+void mo_store_import_begin(struct mo_store *store)
+{
+  pthread_rwlock_rdlock(&store->controllers_lock);
+}
+
+void mo_store_import_end(struct mo_store *store)
+{
+  pthread_rwlock_unlock(&store->controllers_lock);
+}
+
+int mo_store_import_file(struct mo_store *store, const struct mo_sha256 *sha256,
+                         const uint8_t *bytes, size_t size)
+{
+  return mo_controller_write_file(store, sha256, bytes, size);
+}
+
+/* ---- what is here already ---- */
+
+static int find(struct mo_connection *connection, uint64_t own,
+                const struct mo_import_source *source, int64_t *id)
+{
+  static const char own_sql[] = "SELECT id FROM jobs WHERE id=?1 AND kind=2 AND state<6";
+  static const char sql[] = "SELECT job FROM imports WHERE digest=?1";
+  const int error = source->store == own
+                        ? mo_sql_find(connection, id, own_sql, mo_int(source->campaign))
+                        : MO_ERR_NOT_FOUND;
+  return error == MO_ERR_NOT_FOUND ? mo_sql_find(connection, id, sql, mo_hash(&source->digest))
+                                   : error;
+}
+
+int mo_store_import_find(struct mo_store *store, const struct mo_import_source *source, int64_t *id)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  const int error = find(reader, mo_store_id(store), source, id);
+  mo_reader_release(store, reader);
+  return error;
+}
+
+int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t *id)
+{
+  return find(&import->store->writer, mo_store_id(import->store), source, id);
+}
+
+/* ---- rows ---- */
+
+int mo_import_controller(struct mo_import *import, const struct mo_controller *controller,
+                         const struct mo_sha256 *sha256, size_t size)
+{
+  return mo_controller_content_row(&import->store->writer, controller, sha256, size,
+                                   import->now_us);
+}
+
+static int controller_row(struct mo_connection *writer, const struct mo_sha256 *sha256,
+                          int64_t *row)
+{
+  static const char sql[] = "SELECT id FROM controllers WHERE sha256=?1";
+  return mo_sql_find(writer, row, sql, mo_hash(sha256));
+}
+
+/* Finds the group here that has the campaigns of the same group there; 0: none yet. */
+static int64_t *group_of(struct mo_import *import, int64_t source)
+{
+  uint32_t i = 0;
+  while (i < import->n_groups && import->groups[i][0] != source)
+    i++;
+  if (i == import->n_groups && i < MO_REPLICATES_MAX) {
+    import->groups[import->n_groups][0] = source;
+    import->groups[import->n_groups++][1] = 0;
+  }
+  return i < MO_REPLICATES_MAX ? &import->groups[i][1] : NULL;
+}
+
+static int insert_job(struct mo_import *import, const struct mo_imported_campaign *campaign)
+{
+  static const char sql[] =
+      "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
+      "finished_us,error,weight,back_end) VALUES(?1,?2,0,1,0,0,?3,?4,?5,?6,0,?7,?8)";
+  return mo_sql_insert(
+      &import->store->writer, &import->id, sql, mo_int(MO_JOB_CAMPAIGN), mo_int(campaign->state),
+      campaign->has_label ? mo_string(campaign->label) : mo_null(), mo_int(campaign->created_us),
+      mo_int(campaign->started_us), mo_int(campaign->finished_us), mo_real(campaign->weight),
+      mo_int(campaign->back_end));
+}
+
+static int insert_run(struct mo_import *import, const struct mo_imported_campaign *campaign)
+{
+  static const char sql[] = "UPDATE runs SET result=?2 WHERE job=?1";
+  struct mo_connection *writer = &import->store->writer;
+  const struct mo_campaign_record *record = &campaign->record;
+  int64_t result = 0;
+  int error = MO_OK;
+  import->controller = 0;
+  if (campaign->has_controller)
+    error = controller_row(writer, &campaign->controller_sha256, &import->controller);
+  if (error == MO_OK && campaign->has_result)
+    error = controller_row(writer, &campaign->result_sha256, &result);
+  if (error == MO_OK)
+    error = mo_run_insert(writer, import->id, MO_JOB_CAMPAIGN, record, record->name,
+                          import->controller, campaign->controller_name);
+  return error == MO_OK && result != 0 ? mo_sql_do(writer, sql, mo_int(import->id), mo_int(result))
+                                       : error;
+}
+
+/* Finds the set whose environments are those of the campaign; 0: there is none. */
+static int find_set(struct mo_import *import, const struct mo_campaign_record *record)
+{
+  static const char sql[] = "SELECT count(*) FROM environment_set_members m JOIN job_environments e"
+                            " ON e.position=m.position AND e.environment=m.environment"
+                            " WHERE m.environment_set=?1 AND e.job=?2";
+  struct mo_connection *writer = &import->store->writer;
+  int64_t n = 0, same = 0;
+  import->set = 0;
+  int error = record->environment_set[0] != '\0'
+                  ? mo_environment_set_find(writer, record->environment_set, &import->set, &n)
+                  : MO_ERR_NOT_FOUND;
+  if (error == MO_OK)
+    error = mo_sql_find(writer, &same, sql, mo_int(import->set), mo_int(import->id));
+  if (error != MO_OK || same != n || n != record->n_environments)
+    import->set = 0;
+  return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+}
+
+static int insert_source(struct mo_import *import, const struct mo_import_source *source)
+{
+  static const char sql[] =
+      "INSERT INTO imports(job,store,campaign,digest,imported_us) VALUES(?1,?2,?3,?4,?5)";
+  char more[96];
+  const int error =
+      mo_sql_do(&import->store->writer, sql, mo_int(import->id), mo_int((int64_t)source->store),
+                mo_int(source->campaign), mo_hash(&source->digest), mo_int(import->now_us));
+  snprintf(more, sizeof(more), ",\"store\":\"%016llx\",\"campaign\":\"%lld\"",
+           (unsigned long long)source->store, (long long)source->campaign);
+  return error == MO_OK ? mo_run_announce(import->store, import->id, MO_JOB_CAMPAIGN,
+                                          "campaign.imported", MO_JOB_SUCCEEDED, more)
+                        : error;
+}
+
+static int insert_campaign(struct mo_import *import, const struct mo_imported_campaign *campaign,
+                           int64_t group)
+{
+  static const char sql[] =
+      "INSERT INTO campaigns(job,generations,preset,physics,environment_set,n_environments,"
+      "n_listed,initial_campaign,replicates_of,replicate,replicates,generation,n_designs,"
+      "best_score,diversity_max,ended,scored_generation,scored)"
+      " VALUES(?1,?2,?3,?4,NULL,?5,?6,0,?7,?8,?9,?10,?11,NULL,?12,?13,-1,0)";
+  const struct mo_campaign_record *record = &campaign->record;
+  return mo_sql_do(&import->store->writer, sql, mo_int(import->id),
+                   mo_int(record->settings.generations), mo_string(record->preset),
+                   mo_int(import->physics), mo_int(record->n_environments),
+                   mo_int(record->n_listed), mo_int(group), mo_int(record->replicate),
+                   mo_int(record->replicates), mo_int(campaign->generation),
+                   mo_int((int64_t)campaign->n_designs), mo_real(campaign->diversity_max),
+                   mo_int(campaign->end));
+}
+
+/* Inserts the environments of the first campaign of a group; those of the others are the same. */
+static int insert_environments(struct mo_import *import,
+                               const struct mo_imported_campaign *campaign, int64_t group)
+{
+  static const char sql[] = "UPDATE campaigns SET environment_set=?2 WHERE job=?1";
+  struct mo_connection *writer = &import->store->writer;
+  const struct mo_campaign_record *record = &campaign->record;
+  struct mo_environment known[MO_ENVIRONMENTS_MAX];
+  int error = group == import->id ? mo_environments_insert(writer, group, 0, campaign->environments,
+                                                           record->n_environments)
+                                  : MO_OK;
+  if (error == MO_OK)
+    error =
+        mo_environments_read(writer, group, record->n_environments, known, import->environments);
+  if (error == MO_ERR_CORRUPT ||
+      (error == MO_OK &&
+       memcmp(known, campaign->environments, record->n_environments * sizeof(*known)) != 0))
+    return MO_ERR_INVALID; /* replicates in other worlds */
+  import->n_environments = record->n_environments;
+  if (error == MO_OK && group == import->id)
+    error = find_set(import, record);
+  return error == MO_OK && import->set != 0
+             ? mo_sql_do(writer, sql, mo_int(import->id), mo_int(import->set))
+             : error;
+}
+
+int mo_import_campaign(struct mo_import *import, const struct mo_imported_campaign *campaign,
+                       int64_t *id)
+{
+  const struct mo_campaign_settings *settings = &campaign->record.settings;
+  int64_t *group = group_of(import, campaign->record.group);
+  int error = group == NULL ? MO_ERR_LIMIT : insert_job(import, campaign);
+  if (error == MO_OK && *group == 0)
+    *group = import->id;
+  if (error == MO_OK)
+    error = insert_run(import, campaign);
+  if (error == MO_OK)
+    error = mo_physics_row(&import->store->writer, &settings->physics, MO_FLOAT32, settings->sensor,
+                           &import->physics);
+  if (error == MO_OK)
+    error = insert_campaign(import, campaign, *group);
+  if (error == MO_OK)
+    error = insert_environments(import, campaign, *group);
+  import->ranking = 0;
+  import->condition = (struct mo_condition){.id = 0};
+  import->fingerprint[0] = import->origin[0] = '\0';
+  *id = import->id;
+  return error == MO_OK ? insert_source(import, &campaign->source) : error;
+}
+
+int mo_import_design(struct mo_import *import, const struct mo_campaign_design *design)
+{
+  int64_t genotype = 0;
+  const int error = mo_genotype_row(&import->store->writer, &design->form, &design->genotype,
+                                    import->now_us, &genotype);
+  return error == MO_OK
+             ? mo_campaign_design_row(&import->store->writer, import->id, genotype, design, NULL, 0)
+             : error;
+}
+
+int mo_import_generation(struct mo_import *import, const struct mo_campaign_generation *row,
+                         const struct mo_descent *births, const struct mo_campaign_member *members,
+                         uint32_t n_members)
+{
+  static const char sql[] =
+      "INSERT INTO campaign_populations(job,generation,births,population) VALUES(?1,?2,?3,?4)";
+  static const char best_sql[] =
+      "UPDATE campaigns SET best_score=?2 WHERE job=?1 AND generation=?3";
+  struct mo_connection *writer = &import->store->writer;
+  struct mo_birth_row *born = calloc(row->n_children + 1, sizeof(*born));
+  struct mo_member_row *population = calloc((size_t)n_members + 1, sizeof(*population));
+  int error = born != NULL && population != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; error == MO_OK && i < row->n_children; i++)
+    born[i] = (struct mo_birth_row){births[i].op, {births[i].parents[0], births[i].parents[1]}};
+  for (uint32_t i = 0; error == MO_OK && i < n_members; i++)
+    population[i] = (struct mo_member_row){members[i].number, members[i].score};
+  if (error == MO_OK)
+    error = mo_sql_do(writer, sql, mo_int(import->id), mo_int(row->generation),
+                      mo_blob(born, row->n_children * sizeof(*born)),
+                      mo_blob(population, n_members * sizeof(*population)));
+  if (error == MO_OK)
+    error = mo_row_write(writer, MO_CAMPAIGN_GENERATIONS, import->id, row);
+  if (error == MO_OK && n_members > 0)
+    error = mo_sql_do(writer, best_sql, mo_int(import->id), mo_real(members[0].score),
+                      mo_int(row->generation));
+  free(born);
+  free(population);
+  return error;
+}
+
+int mo_import_step(struct mo_import *import, const struct mo_campaign_step *step)
+{
+  return mo_row_write(&import->store->writer, MO_CAMPAIGN_STEPS, import->id, step);
+}
+
+/* ---- scores ---- */
+
+static int origin_row(struct mo_connection *writer, const char *text, int64_t *id)
+{
+  static const char insert_sql[] = "INSERT OR IGNORE INTO origins(text) VALUES(?1)";
+  static const char find_sql[] = "SELECT id FROM origins WHERE text=?1";
+  const int error = mo_sql_do(writer, insert_sql, mo_string(text));
+  return error == MO_OK ? mo_sql_find(writer, id, find_sql, mo_string(text)) : error;
+}
+
+/* Finds the rows of class, origin and condition, unless they are those of the score before. */
+static int find_condition(struct mo_import *import, const struct mo_campaign_score *score)
+{
+  struct mo_connection *writer = &import->store->writer;
+  struct mo_condition *condition = &import->condition;
+  int64_t environments[MO_BLOCK_LANES] = {0};
+  int error = MO_OK;
+  if (strcmp(import->origin, score->origin) != 0)
+    error = origin_row(writer, score->origin, &import->origin_row);
+  for (uint32_t k = 0; k < score->n; k++)
+    environments[k] = import->environments[score->environments[k]];
+  if (error == MO_OK && condition->id != 0 && condition->n == score->n &&
+      strcmp(import->fingerprint, score->fingerprint) == 0 &&
+      memcmp(condition->environments, environments, score->n * sizeof(*environments)) == 0)
+    return MO_OK;
+  *condition = (struct mo_condition){
+      .controller = import->controller, .physics = import->physics, .n = score->n};
+  memcpy(condition->environments, environments, sizeof(environments));
+  if (error == MO_OK)
+    error = mo_fingerprint_row(writer, score->fingerprint, &condition->fingerprint);
+  import->ranking = 0;
+  const struct mo_saved_design design = {.controller = import->controller,
+                                         .physics = import->physics,
+                                         .environment_set = import->set,
+                                         .fingerprint = condition->fingerprint};
+  if (error == MO_OK && import->set != 0)
+    error = mo_ranking_row(writer, &design, &import->ranking);
+  if (error == MO_OK)
+    error = mo_condition_row(writer, condition);
+  memcpy(import->fingerprint, score->fingerprint, sizeof(import->fingerprint));
+  memcpy(import->origin, score->origin, sizeof(import->origin));
+  return error;
+}
+
+/* Compares losses with those that are stored. */
+static int compare(struct mo_import *import, int64_t genotype,
+                   const struct mo_campaign_score *score)
+{
+  const struct mo_condition *condition = &import->condition;
+  const struct mo_saved_design design = {.genotype = genotype,
+                                         .controller = condition->controller,
+                                         .physics = condition->physics,
+                                         .fingerprint = condition->fingerprint};
+  struct mo_score stored[MO_BLOCK_LANES];
+  const int error = mo_losses_read(&import->store->writer, &design, condition->environments,
+                                   condition->n, stored);
+  for (uint32_t k = 0; error == MO_OK && k < condition->n; k++)
+    if (stored[k].known && (!mo_same_bits(stored[k].loss, score->losses[k]) ||
+                            stored[k].diverged_step != (int32_t)score->diverged_steps[k]))
+      return MO_ERR_CONFLICT;
+  return error;
+}
+
+int mo_import_score(struct mo_import *import, const struct mo_campaign_score *score, bool *is_new)
+{
+  static const char sql[] = "SELECT genotype FROM campaign_designs WHERE job=?1 AND number=?2";
+  struct mo_connection *writer = &import->store->writer;
+  int64_t genotype = 0;
+  double sum = 0;
+  int error = mo_sql_find(writer, &genotype, sql, mo_int(import->id), mo_int(score->number));
+  if (error == MO_OK)
+    error = find_condition(import, score);
+  if (error == MO_OK)
+    error = mo_losses_insert_from(import->store, &import->condition, genotype, import->origin_row,
+                                  score->losses, score->diverged_steps, score->computed_us, is_new);
+  if (error == MO_OK && !*is_new)
+    return compare(import, genotype, score);
+  if (error != MO_OK || import->set == 0)
+    return error;
+  bool is_whole = score->n == import->n_environments;
+  for (uint32_t k = 0; k < score->n; k++) {
+    sum += score->losses[k];
+    is_whole = is_whole && score->environments[k] == k;
+  }
+  const struct mo_saved_design design = {.genotype = genotype,
+                                         .controller = import->controller,
+                                         .physics = import->physics,
+                                         .environment_set = import->set,
+                                         .fingerprint = import->condition.fingerprint};
+  return is_whole ? mo_set_score_insert_mean(writer, import->ranking, genotype, sum / score->n)
+                  : mo_set_score_insert(writer, &design, import->ranking);
+}
+
+/* ---- out of a store ---- */
+
+int mo_store_campaign_members(struct mo_store *store, int64_t id, int64_t generation,
+                              struct mo_campaign_member **ret, uint32_t *n)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  struct mo_campaign_members found = {.n = 0};
+  struct mo_campaign_member *members = NULL;
+  int error = mo_campaign_members_get(reader, id, generation, &found);
+  if (error == MO_OK && (members = malloc((found.n + 1) * sizeof(*members))) == NULL)
+    error = MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; error == MO_OK && i < found.n; i++)
+    members[i] = (struct mo_campaign_member){found.population[i].number, found.population[i].score};
+  *n = found.n;
+  mo_reader_release(store, reader);
+  *ret = members;
+  return error;
+}
+
+/* Turns a stored block into places of the campaign's environments; others are left out. */
+static void keep_own(const int64_t *environments, uint32_t n, const struct mo_condition *condition,
+                     struct mo_campaign_score *score)
+{
+  score->n = 0;
+  for (uint32_t i = 0; i < condition->n; i++)
+    for (uint32_t k = 0; k < n; k++)
+      if (environments[k] == condition->environments[i]) {
+        score->environments[score->n] = k;
+        score->losses[score->n] = score->losses[i];
+        score->diverged_steps[score->n++] = score->diverged_steps[i];
+        break;
+      }
+}
+
+int mo_store_campaign_scores(struct mo_store *store, int64_t id, uint32_t first, uint32_t last,
+                             int (*take)(void *context, const struct mo_campaign_score *score),
+                             void *context)
+{
+  static const char sql[] =
+      "SELECT " MO_SCORE_COLUMNS ",d.number,f.text,o.text FROM campaign_designs d"
+      " CROSS JOIN scores x ON x.genotype=d.genotype CROSS JOIN conditions c ON c.id=x.condition"
+      " CROSS JOIN fingerprints f ON f.id=c.fingerprint CROSS JOIN origins o ON o.id=x.origin"
+      " WHERE d.job=?1 AND d.number BETWEEN ?2 AND ?3 AND c.controller=?4 AND c.physics=?5"
+      " ORDER BY d.number,x.condition";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  struct mo_campaign_head head = {0};
+  int64_t environments[MO_ENVIRONMENTS_MAX] = {0};
+  int error = mo_campaign_head_get(reader, id, &head);
+  if (error == MO_OK)
+    error = mo_environments_read(reader, head.group, head.n_environments, NULL, environments);
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id), mo_int(first), mo_int(last),
+                                  mo_int(head.controller), mo_int(head.physics));
+  while (mo_sql_next(reader, row, &error)) {
+    struct mo_condition condition = {.n = 0};
+    struct mo_campaign_score score = {.number = mo_column_u32(row, 8),
+                                      .computed_us = sqlite3_column_int64(row, 6)};
+    error = mo_score_from_row(row, 0, &condition, score.losses, score.diverged_steps);
+    mo_column_text(row, 9, score.fingerprint, sizeof(score.fingerprint));
+    mo_column_text(row, 10, score.origin, sizeof(score.origin));
+    keep_own(environments, head.n_environments, &condition, &score);
+    if (error == MO_OK && score.n > 0)
+      error = take(context, &score);
+  }
+  mo_reader_release(store, reader);
+  return error;
+}

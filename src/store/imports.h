@@ -1,0 +1,99 @@
+/* imports.h: campaigns of other stores, entered in one transaction: all of them or nothing. The
+ * caller has checked what it enters. Threads and errors as in store.h. */
+#ifndef MORPHO_STORE_IMPORTS_H
+#define MORPHO_STORE_IMPORTS_H
+
+#include "store/campaign_designs.h"
+
+struct mo_store;
+
+/* Where a campaign came from. */
+struct mo_import_source {
+  uint64_t store;          /* the id of its store */
+  int64_t campaign;        /* its id there */
+  struct mo_sha256 digest; /* of its history */
+};
+
+/* A campaign that has ended. */
+struct mo_imported_campaign {
+  struct mo_campaign_record record; /* group: as in the source */
+  enum mo_job_state state;          /* succeeded or cancelled */
+  bool has_label;
+  char label[MO_LABEL_BYTES_MAX + 1];
+  double weight;
+  enum mo_back_end back_end;
+  int64_t created_us, started_us, finished_us;
+  int64_t generation; /* the newest; −1: none */
+  uint64_t n_designs;
+  double diversity_max;
+  enum mo_campaign_end end;
+  bool has_controller;
+  char controller_name[MO_NAME_BYTES_MAX + 8]; /* as requested; "": by hash */
+  struct mo_sha256 controller_sha256;
+  bool has_result;
+  struct mo_sha256 result_sha256;
+  struct mo_environment environments[MO_ENVIRONMENTS_MAX]; /* (record.n_environments) */
+  struct mo_import_source source;
+};
+
+/* The losses of a design in a block of the campaign's environments. */
+struct mo_campaign_score {
+  uint32_t number;
+  char fingerprint[MO_FINGERPRINT_BYTES], origin[65];
+  int64_t computed_us;
+  uint32_t n;                            /* ≤ MO_BLOCK_LANES */
+  uint32_t environments[MO_BLOCK_LANES]; /* places */
+  double losses[MO_BLOCK_LANES];         /* +infinity: diverged */
+  uint32_t diverged_steps[MO_BLOCK_LANES];
+};
+
+/* One member of a population. */
+struct mo_campaign_member {
+  uint32_t number;
+  double score;
+};
+
+/* ---- out of a store ---- */
+
+/* Reads the population after a generation, best first: (n) malloc. MO_ERR_NOT_FOUND. */
+int mo_store_campaign_members(struct mo_store *store, int64_t id, int64_t generation,
+                              struct mo_campaign_member **members, uint32_t *n);
+/* Calls `take` for the stored losses of designs from `first` up to `last` under the campaign's
+ * controller and physics, in its environments, by design. An error of `take` ends it. */
+int mo_store_campaign_scores(struct mo_store *store, int64_t id, uint32_t first, uint32_t last,
+                             int (*take)(void *context, const struct mo_campaign_score *score),
+                             void *context);
+/* Finds the campaign that came from this source, or is it. MO_ERR_NOT_FOUND. */
+int mo_store_import_find(struct mo_store *store, const struct mo_import_source *source,
+                         int64_t *id);
+
+/* ---- into a store ---- */
+
+/* Between these two, files of weights that have no row yet stay. */
+void mo_store_import_begin(struct mo_store *store);
+void mo_store_import_end(struct mo_store *store);
+/* Writes a file of weights, before the transaction. */
+int mo_store_import_file(struct mo_store *store, const struct mo_sha256 *sha256,
+                         const uint8_t *bytes, size_t size);
+
+struct mo_import;
+/* Runs `run` in one transaction of the writer, perhaps several times; all other writes wait. */
+int mo_store_import(struct mo_store *store, int (*run)(void *context, struct mo_import *import),
+                    void *context);
+/* Only inside of `run`. mo_import_find: as mo_store_import_find. */
+int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t *id);
+int mo_import_controller(struct mo_import *import, const struct mo_controller *controller,
+                         const struct mo_sha256 *sha256, size_t size);
+/* Begins a campaign, to which the calls below belong. */
+int mo_import_campaign(struct mo_import *import, const struct mo_imported_campaign *campaign,
+                       int64_t *id);
+int mo_import_design(struct mo_import *import, const struct mo_campaign_design *design);
+/* births: (row->n_children) operator and parents. */
+int mo_import_generation(struct mo_import *import, const struct mo_campaign_generation *row,
+                         const struct mo_descent *births, const struct mo_campaign_member *members,
+                         uint32_t n_members);
+int mo_import_step(struct mo_import *import, const struct mo_campaign_step *step);
+/* MO_ERR_CONFLICT: another loss is stored for the same rollout. *is_new: it was not stored. */
+int mo_import_score(struct mo_import *import, const struct mo_campaign_score *score, bool *is_new);
+
+#endif
