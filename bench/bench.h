@@ -15,7 +15,6 @@ struct bench_options {
   bool quick;
   const char *controller; /* path */
   const char *csv, *svg;  /* NULL: not written */
-  const char *morphod;    /* path of the daemon */
 };
 
 int bench_rollout(const struct bench_options *options);
@@ -27,8 +26,6 @@ int bench_space(int argc, char **argv);
 int bench_store(int argc, char **argv);
 int bench_stream(int argc, char **argv);
 int bench_evolution(int argc, char **argv);
-int bench_load(const struct bench_options *options);
-int bench_shares(const struct bench_options *options);
 
 /* Everything that rollouts need; ends the program with a message if it cannot be had. */
 struct bench_scene {

@@ -6,8 +6,8 @@
 
 static const char usage[] =
     "Usage: morpho-bench "
-    "rollout|gradient|gradient-accuracy|accuracy|stability|load|shares|space|store|stream|"
-    "evolution [OPTION…]\n"
+    "rollout|gradient|gradient-accuracy|accuracy|stability|space|store|stream|evolution "
+    "[OPTION…]\n"
     "\n"
     "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its "
     "best sgemm rate\n"
@@ -17,9 +17,6 @@ static const char usage[] =
     "  accuracy  run time against error for precisions, impact modes and time steps, as CSV\n"
     "  stability  time steps and stiffnesses that rollouts survive, beside the linear bound, as "
     "CSV\n"
-    "  load      replies of a running morphod while it computes\n"
-    "  shares    parts of the cores that several jobs of a running morphod get, and small "
-    "evaluations beside them\n"
     "  space     speed of drawing, naming and varying random bodies\n"
     "  store     speed of durable submissions, saves and queries, in a new folder of the folder "
     "named (default /tmp)\n"
@@ -32,7 +29,6 @@ static const char usage[] =
     "per processor)\n"
     "  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n"
     "  --controller PATH  safetensors file (default data/controllers/bootstrap.safetensors)\n"
-    "  --morphod PATH     `load`, `shares`: the daemon (default build/src/daemon/morphod)\n"
     "  --csv PATH         `accuracy`, `stability`: write the table here (default: standard "
     "output)\n"
     "  --svg PATH         `accuracy`, `stability`: draw the table here\n"
@@ -47,8 +43,6 @@ static const struct {
                   {"gradient-accuracy", bench_gradient_accuracy, NULL},
                   {"accuracy", bench_accuracy, NULL},
                   {"stability", bench_stability, NULL},
-                  {"load", bench_load, NULL},
-                  {"shares", bench_shares, NULL},
                   {"space", NULL, bench_space},
                   {"store", NULL, bench_store},
                   {"stream", NULL, bench_stream}};
@@ -62,14 +56,11 @@ int main(int argc, char **argv)
                                                {"controller", required_argument, NULL, 'c'},
                                                {"csv", required_argument, NULL, 'C'},
                                                {"svg", required_argument, NULL, 'S'},
-                                               {"morphod", required_argument, NULL, 'm'},
                                                {"quick", no_argument, NULL, 'q'},
                                                {"help", no_argument, NULL, 'h'},
                                                {NULL, 0, NULL, 0}};
-  struct bench_options options = {.seed = 1,
-                                  .isa = mo_isa_best(),
-                                  .controller = "data/controllers/bootstrap.safetensors",
-                                  .morphod = "build/src/daemon/morphod"};
+  struct bench_options options = {
+      .seed = 1, .isa = mo_isa_best(), .controller = "data/controllers/bootstrap.safetensors"};
   bench_sgemm_choose(argv);
   if (argc > 1 && strcmp(argv[1], "evolution") == 0) /* has options of its own */
     return bench_evolution(argc - 1, argv + 1);
@@ -83,7 +74,6 @@ int main(int argc, char **argv)
     case 'c': options.controller = optarg; break;
     case 'C': options.csv = optarg; break;
     case 'S': options.svg = optarg; break;
-    case 'm': options.morphod = optarg; break;
     case 'q': options.quick = true; break;
     case 'h': fputs(usage, stdout); return 0;
     default: fputs(usage, stderr); return 2;
