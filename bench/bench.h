@@ -14,7 +14,6 @@ struct bench_options {
   enum mo_isa isa;
   bool quick;
   const char *controller; /* path */
-  const char *csv, *svg;  /* NULL: not written */
 };
 
 int bench_rollout(const struct bench_options *options);
@@ -77,26 +76,5 @@ bench_thread_s(void); /* processor time of this thread: other work on the machin
 double bench_median(double *values, size_t n);             /* sorts */
 double bench_quantile(double *values, size_t n, double q); /* sorts; nearest rank */
 void bench_check(int status, const char *what);            /* ends the program unless MO_OK */
-
-#define BENCH_POINTS 1024
-/* One series of points (x, y > 0, logarithmic axes), joined by a line. */
-struct bench_series {
-  char name[48];
-  const char *color; /* NULL: by its place */
-  bool marks;        /* squares in place of the line */
-  size_t n;
-  double x[BENCH_POINTS], y[BENCH_POINTS];
-};
-struct bench_panel {
-  const char *title, *y_name;
-  const struct bench_series *series;
-  size_t n_series;
-};
-/* The file for rows of CSV; ends the program if it cannot be written. */
-FILE *bench_table(const struct bench_options *options);
-/* Ends that file and draws charts one below the other as an SVG file, each where it is asked for.
- * The benchmark's exit status. */
-int bench_finish(const struct bench_options *options, FILE *table, const char *x_name,
-                 const struct bench_panel *panels, size_t n_panels);
 
 #endif

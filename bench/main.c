@@ -29,9 +29,6 @@ static const char usage[] =
     "per processor)\n"
     "  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n"
     "  --controller PATH  safetensors file (default data/controllers/bootstrap.safetensors)\n"
-    "  --csv PATH         `accuracy`, `stability`: write the table here (default: standard "
-    "output)\n"
-    "  --svg PATH         `accuracy`, `stability`: draw the table here\n"
     "  --quick            a tenth of the bodies\n";
 
 static const struct {
@@ -54,8 +51,6 @@ int main(int argc, char **argv)
                                                {"workers", required_argument, NULL, 'w'},
                                                {"isa", required_argument, NULL, 'i'},
                                                {"controller", required_argument, NULL, 'c'},
-                                               {"csv", required_argument, NULL, 'C'},
-                                               {"svg", required_argument, NULL, 'S'},
                                                {"quick", no_argument, NULL, 'q'},
                                                {"help", no_argument, NULL, 'h'},
                                                {NULL, 0, NULL, 0}};
@@ -72,8 +67,6 @@ int main(int argc, char **argv)
     case 'w': options.workers = (uint32_t)bench_number(optarg, 0, 1024); break;
     case 'i': options.isa = bench_isa(optarg); break;
     case 'c': options.controller = optarg; break;
-    case 'C': options.csv = optarg; break;
-    case 'S': options.svg = optarg; break;
     case 'q': options.quick = true; break;
     case 'h': fputs(usage, stdout); return 0;
     default: fputs(usage, stderr); return 2;

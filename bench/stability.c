@@ -20,8 +20,7 @@ enum {
   STIFFNESSES = 31,
   CELLS = TIMES * STIFFNESSES,
   HALVINGS = 9,
-  LOOKS = 80,
-  SERIES = 5
+  LOOKS = 80
 };
 
 static const char *const mode_names[MODES] = {"passive", "trained"};
@@ -170,13 +169,13 @@ static void explore(const struct runner *runner, struct map *map, int mode)
   free(blocks);
 }
 
-static void write_rows(FILE *file, const struct map *map, int mode)
+static void write_rows(const struct map *map, int mode)
 {
   for (int c = 0; c < CELLS; c++) {
     const double dt = dt_s(c / STIFFNESSES), stiffness = stiffness_n_per_m(c % STIFFNESSES);
-    fprintf(file, "%s,%s,%.3f,%.0f,%u,%d,%.0f,%.0f\n", map->name, mode_names[mode], 1e3 * dt,
-            stiffness, map->diverged[mode][c], map->first_step[mode][c], linear_bound(map, dt),
-            map->border[mode][c / STIFFNESSES]);
+    printf("%s,%s,%.3f,%.0f,%u,%d,%.0f,%.0f\n", map->name, mode_names[mode], 1e3 * dt, stiffness,
+           map->diverged[mode][c], map->first_step[mode][c], linear_bound(map, dt),
+           map->border[mode][c / STIFFNESSES]);
   }
 }
 
@@ -203,49 +202,12 @@ static void print_summary(const struct map *map, int mode)
           wrong, CELLS);
 }
 
-static void add_point(struct bench_series *series, double x, double y)
-{
-  if (series->n < BENCH_POINTS && y >= 1e3 && y <= 1e6) {
-    series->x[series->n] = x;
-    series->y[series->n++] = y;
-  }
-}
-
-/* Stable, partly and wholly diverged points; the linear bound. */
-static void draw_map(const struct map *map, int mode, struct bench_series series[SERIES])
-{
-  static const char *const names[] = {"all ten lives go on", "some diverge", "all ten diverge",
-                                      "the default", "linear bound"};
-  static const char *const colors[] = {"#58b368", "#f0a30a", "#d6604d", "#1b6ca8", "#111111"};
-  const struct mo_physics physics = mo_default_physics();
-  for (int s = 0; s < SERIES; s++) {
-    series[s] = (struct bench_series){.color = colors[s], .marks = s < SERIES - 1};
-    snprintf(series[s].name, sizeof(series[s].name), "%s", names[s]);
-  }
-  for (int c = 0; c < CELLS; c++) {
-    const uint32_t diverged = map->diverged[mode][c];
-    add_point(&series[diverged == 0                    ? 0
-                      : diverged < MO_PAPER_TEST_COUNT ? 1
-                                                       : 2],
-              1e3 * dt_s(c / STIFFNESSES), stiffness_n_per_m(c % STIFFNESSES));
-  }
-  add_point(&series[3], 1e3 * physics.dt_s, physics.stiffness_n_per_m);
-  for (int look = 0; look <= LOOKS; look++) {
-    const double dt = 1e-3 * pow(10.0, look / (double)LOOKS);
-    add_point(&series[4], 1e3 * dt, linear_bound(map, dt));
-  }
-}
-
 int bench_stability(const struct bench_options *options)
 {
   static struct map maps[BODIES] = {
       {.name = "one voxel"}, {.name = "random body"}, {.name = "full"}};
-  static struct bench_series series[BODIES * MODES][SERIES];
-  static char titles[BODIES * MODES][96];
-  struct bench_panel panels[BODIES * MODES];
   struct bench_scene scene;
   struct runner runner = {.scene = &scene};
-  FILE *file = bench_table(options);
   bench_scene_create(&scene, options, 0);
   runner.compute = bench_compute(options->workers, options->isa);
   bench_check(mo_compute_controller_create(runner.compute, NULL, &runner.controller[0]),
@@ -255,23 +217,16 @@ int bench_stability(const struct bench_options *options)
   maps[0].body = bench_box(&scene, 1, 1, 1);
   maps[1].body = random_body(&scene, options->seed, 23);
   maps[2].body = bench_box(&scene, 6, 6, 4);
-  fprintf(
-      file,
+  printf(
       "body,mode,dt_ms,stiffness_n_per_m,diverged_of_10,first_diverged_step,linear_bound_n_per_m,"
       "border_n_per_m\n");
   for (int b = 0; b < BODIES; b++) {
     maps[b].eigenvalue = largest_eigenvalue(maps[b].body);
     for (int mode = 0; mode < MODES; mode++) {
-      const int p = b * MODES + mode;
       explore(&runner, maps + b, mode);
-      write_rows(file, maps + b, mode);
+      write_rows(maps + b, mode);
       print_summary(maps + b, mode);
-      draw_map(maps + b, mode, series[p]);
-      snprintf(titles[p], sizeof(titles[p]), "%s (%u voxels, λ = %.2f k), %s", maps[b].name,
-               maps[b].body->n_voxels, maps[b].eigenvalue,
-               mode == 0 ? "passive" : "with the trained controller");
-      panels[p] = (struct bench_panel){titles[p], "stiffness, N/m", series[p], SERIES};
     }
   }
-  return bench_finish(options, file, "time step, ms", panels, BODIES * MODES);
+  return 0;
 }

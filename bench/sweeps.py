@@ -1,0 +1,112 @@
+#!/usr/bin/python3
+"""accuracy, stability: tables of morpho-bench, and their charts."""
+import argparse
+import contextlib
+import math
+import pathlib
+import subprocess
+import sys
+
+SOURCE = pathlib.Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(SOURCE / "experiments"))
+
+import records  # noqa: E402
+from charts import Chart, Panel, Scale, decades  # noqa: E402
+
+WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 860, 560, 80, 230, 50, 60
+COLORS = ("#1b6ca8", "#c0392b", "#1e8449", "#b7950b", "#7d3c98",  # float32
+          "#5dade2", "#ec7063", "#58d68d", "#f5b041", "#af7ac5")  # float64
+LIVES = 10
+
+
+def scale_of(values):
+    """Of many decades only they have a mark."""
+    low, high = decades(values)
+    powers = [10.0**k for k in range(-12, 13) if low <= 10.0**k * 1.001 and 10.0**k <= high * 1.001]
+    return Scale(low, high, log=True, ticks=powers if len(powers) > 3 else None)
+
+
+def panel_of(chart, place, title, x_name, y_name, x_values, y_values):
+    top = place * HEIGHT + TOP
+    panel = Panel(chart, LEFT, top, WIDTH - RIGHT, top + HEIGHT - TOP - BOTTOM,
+                  scale_of(x_values), scale_of(y_values))
+    panel.title(title)
+    panel.axes(x_name, x_grid=True)
+    middle = top + (HEIGHT - TOP - BOTTOM) / 2
+    chart.text(18, middle, y_name, text_anchor="middle", transform=f"rotate(-90 18 {middle})")
+    return panel
+
+
+def name(panel, place, text, color):
+    panel.chart.legend(panel.right + 16, panel.top + 20 * place + 12, [(text, color, "")])
+
+
+def draw_accuracy(rows, path):
+    chart = Chart(WIDTH, 2 * HEIGHT)
+    error = "path_error_m_1s_median"
+    for place, (title, column) in enumerate((
+        ("Against float64 exact at a sixteenth of the time step (4, 2, 1, 0.5 ms from left to "
+         "right)", error),
+        ("Against float64 exact at the same time step: precision and impact mode alone",
+         "same_dt_" + error))):
+        shown = [row for row in rows if 0 < row[column] < math.inf]  # float64 exact is 0 off itself
+        panel = panel_of(chart, place, title, "milliseconds per rollout of 4 s, one core",
+                         "error of the center of mass in the first second, median, m",
+                         [row["time_ms_per_rollout"] for row in shown],
+                         [row[column] for row in shown])
+        for i, (words, group) in enumerate(records.group(rows, "precision", "impact").items()):
+            color = COLORS[i]
+            points = [(row["time_ms_per_rollout"], row[column]) for row in group if row in shown]
+            panel.line(points, color)
+            panel.dots(points, color, 3)
+            name(panel, i, " ".join(words), color)
+    chart.save(path)
+
+
+def draw_stability(rows, path):
+    """Stable, partly and wholly diverged points; the linear bound."""
+    maps = records.group(rows, "body", "mode").items()
+    chart = Chart(WIDTH, len(maps) * HEIGHT)
+    for place, ((body, mode), group) in enumerate(maps):
+        moved = "passive" if mode == "passive" else "with the trained controller"
+        panel = panel_of(chart, place, f"{body}, {moved}", "time step, ms", "stiffness, N/m",
+                         (1, 10), (1e3, 1e6))
+        for i, (words, color, shown) in enumerate((
+            ("all ten lives go on", "#58b368", lambda n: n == 0),
+            ("some diverge", "#f0a30a", lambda n: 0 < n < LIVES),
+            ("all ten diverge", "#d6604d", lambda n: n == LIVES))):
+            squares = "".join(
+                f"M{panel.at_x(row['dt_ms']) - 4:.0f} "
+                f"{panel.at_y(row['stiffness_n_per_m']) - 4:.0f}h8v8h-8z"
+                for row in group if shown(row["diverged_of_10"]))
+            chart.out.append(f'<path fill="{color}" d="{squares}"/>')
+            name(panel, i, words, color)
+        panel.dots([(4, 15000)], "#1b6ca8", 5)
+        name(panel, 3, "the default", "#1b6ca8")
+        bound = {row["dt_ms"]: row["linear_bound_n_per_m"] for row in group}
+        panel.line([(dt, most) for dt, most in bound.items() if 1e3 <= most <= 1e6], "#111")
+        name(panel, 4, "linear bound", "#111")
+    chart.save(path)
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="tools/bench", description=__doc__,
+                                     epilog="Other options go to morpho-bench.")
+    parser.add_argument("what", choices=("accuracy", "stability"))
+    parser.add_argument("--csv", help="the table (default: standard output)")
+    parser.add_argument("--svg", help="the chart of the table, with --csv")
+    parser.add_argument("--report", action="store_true", help="measure nothing: draw the table")
+    arguments, others = parser.parse_known_args()
+    if not arguments.report:
+        command = [SOURCE / "build/bench/morpho-bench", arguments.what, *others]
+        with open(arguments.csv, "w") if arguments.csv else contextlib.nullcontext() as table:
+            status = subprocess.run(command, stdout=table, check=False).returncode
+        if status != 0:
+            sys.exit(status)
+    if arguments.csv and arguments.svg:
+        draw = draw_accuracy if arguments.what == "accuracy" else draw_stability
+        draw(records.read(arguments.csv, ("precision", "impact", "body", "mode")), arguments.svg)
+
+
+if __name__ == "__main__":
+    main()
