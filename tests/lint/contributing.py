@@ -36,12 +36,14 @@ def run(command, folder, **options):
     return done.returncode, done.stdout + done.stderr
 
 
-def service_faults(rooms, compiler, copy):
-    """Checks rooms of the service: their sources compile, and the contract has their routes."""
+def service_faults(rooms, compiler, built, copy):
+    """Checks rooms of the service: their sources compile, with headers that are generated in the
+    folder `built`, and the contract has their routes."""
     faults = []
     for room in rooms:
         error, output = run([compiler, *FLAGS, "-Wmissing-prototypes", "-fsyntax-only", "-Iinclude",
-                             "-Isrc", *map(str, sorted((copy / "src" / room).glob("*.c")))], copy)
+                             "-Isrc", f"-I{built / room}",
+                             *map(str, sorted((copy / "src" / room).glob("*.c")))], copy)
         faults += [f"room {room} does not compile:", *output.splitlines()] if error != 0 else []
     if "api" in rooms:
         paths = yaml.safe_load((copy / "schema/openapi.yaml").read_text())["paths"]
@@ -64,11 +66,11 @@ def follow(diff, compiler, library, copy):
     library_rooms = sorted(rooms.difference(SERVICE))
     sources = [str(path) for room in library_rooms
                for path in sorted((copy / "src" / room).glob("*.c"))]
-    faults = service_faults(sorted(rooms.intersection(SERVICE)), compiler, copy)
+    faults = service_faults(sorted(rooms.intersection(SERVICE)), compiler, library.parent, copy)
     cases = ADDED_CASE.findall(diff)
     for test in tests:
         error, output = run([compiler, *FLAGS, "-Iinclude", "-Isrc", "-o", "test", test, *sources,
-                             library, "-ljansson", "-lm", "-ldl", "-lpthread"], copy)
+                             str(library), "-ljansson", "-lm", "-ldl", "-lpthread"], copy)
         if error != 0:
             return [f"{test} does not compile:", *output.splitlines()]
         error, output = run(["./test"], copy)
@@ -87,7 +89,7 @@ def main(compiler, library):
     print(f"{'ok' if found else 'not ok'} 1 - docs/contributing.md has examples")
     for number, (title, diff) in enumerate(found, 2):
         with tempfile.TemporaryDirectory() as folder:
-            faults = follow(diff, compiler, str(Path(library).resolve()), Path(folder))
+            faults = follow(diff, compiler, Path(library).resolve(), Path(folder))
         for fault in faults:
             print(f"# {fault}")
         print(f"{'not ok' if faults else 'ok'} {number} - {title}")
