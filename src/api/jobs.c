@@ -413,7 +413,7 @@ void mo_api_get_usage(struct mo_request *request)
     mo_text_member_number(&text, "device_seconds", rows[i].device_s);
     mo_text_add(&text, "}");
   }
-  mo_text_add(&text, "],\"next_cursor\":null}");
+  mo_text_add(&text, "]}");
   mo_reply_text(request, n < 0 ? (int)n : MO_OK, &text, "page");
   free(rows);
 }
