@@ -1,11 +1,14 @@
 /* cmd_job.c: job list, show, cancel, pause, resume, weight; the same and prune for trainings and
- * campaigns. */
+ * campaigns; job label, experiment, note, archive, restore, delete; usage. */
 #include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "commands.h"
+#include "table.h"
+#include "template.h"
 #include "transport.h"
 
 int run_job_list(struct ctl *ctl)
@@ -18,7 +21,8 @@ int run_job_list(struct ctl *ctl)
                     "|>done=[{training.step/training.steps:%}"
                     "|{campaign.generation/campaign.generations:%}"
                     "|{rollouts_done/rollouts_total:%}|0 %]"
-                    "|created={created_at:time}|label={label}");
+                    "|>core time={core_seconds:duration}|created={created_at:time}|label={label}"
+                    "|experiment={experiment}");
 }
 
 static void print_job(const struct ctl *ctl, const json_t *job)
@@ -140,5 +144,105 @@ int run_job_weight(struct ctl *ctl)
   if (job != NULL)
     tell(ctl, job, "job {id} has the weight {weight:g}");
   json_decref(job);
+  return status;
+}
+
+/* ---- in order ---- */
+
+/* Sends a change of each job that the operands name: n of them. */
+static int edit_jobs(struct ctl *ctl, size_t n, json_t *edit, const char *words)
+{
+  char *body = edit != NULL ? dump_json(edit, JSON_COMPACT) : NULL;
+  const size_t n_operands = ctl->n_operands;
+  json_decref(edit);
+  if (body == NULL)
+    return complain(STATUS_USAGE, "the text is not UTF-8");
+  ctl->n_operands = n;
+  const int status = each_job(ctl,
+                              (struct request){.method = "PATCH",
+                                               .body = body,
+                                               .body_bytes = strlen(body),
+                                               .content_type = "application/json"},
+                              "job", "", words, words);
+  ctl->n_operands = n_operands;
+  free(body);
+  return status;
+}
+
+/* job label, experiment, note: without a text, takes the one away that there is. */
+int run_job_text(struct ctl *ctl)
+{
+  const char *member = strchr(ctl->command->name, ' ') + 1,
+             *text = ctl->n_operands > 1 ? ctl->operands[1] : "";
+  char words[64];
+  snprintf(words, sizeof(words), "[ has the %s \"{%s}\"| has no %s]", member, member, member);
+  return edit_jobs(ctl, 1, json_pack("{s:s?}", member, *text != 0 ? text : NULL), words);
+}
+
+int run_job_archive(struct ctl *ctl)
+{
+  const bool archives = strcmp(ctl->command->name, "job archive") == 0;
+  return edit_jobs(ctl, ctl->n_operands, json_pack("{s:b}", "archived", archives),
+                   archives ? " is archived" : " is back in lists");
+}
+
+/* Asks whether the jobs of the operands are to go. False: they stay, and *status says how. */
+static bool asks(struct ctl *ctl, int *status)
+{
+  char answer[16] = "";
+  *status = STATUS_OK;
+  for (size_t i = 0; i < ctl->n_operands && *status == STATUS_OK; i++) {
+    json_t *job;
+    *status = check_job_id(ctl->operands[i]) ? get_json(ctl, &job, "/v1/jobs/%s", ctl->operands[i])
+                                             : STATUS_USAGE;
+    if (*status == STATUS_OK)
+      print_from(stderr, job,
+                 "{kind} {id}[ \"{label}\"], {state}[, {recorded_bytes>0:MB} MB of recordings]"
+                 "[, {campaign.generations:,} generations|, {training.steps:,} steps"
+                 "|, {n_designs:,} designs]");
+    if (*status == STATUS_OK)
+      json_decref(job);
+  }
+  if (*status != STATUS_OK)
+    return false;
+  if (!isatty(STDIN_FILENO)) {
+    *status = complain(STATUS_USAGE, "nobody is there to ask: --yes deletes without a question");
+    return false;
+  }
+  fputs("Results, recordings, curves and phylogeny go for good; designs, scores and controllers "
+        "stay.\nDelete? [y/N] ",
+        stderr);
+  const bool yes = fgets(answer, sizeof(answer), stdin) != NULL &&
+                   (strcmp(answer, "y\n") == 0 || strcmp(answer, "yes\n") == 0);
+  *status = yes ? STATUS_OK : STATUS_NEGATIVE;
+  return yes;
+}
+
+int run_job_delete(struct ctl *ctl)
+{
+  static const char words[] = " is deleted[, {recorded_bytes>0:MB} MB of recordings]"
+                              "[, {checkpoint_bytes>0:MB} MB of checkpoints]";
+  int status = STATUS_OK;
+  if (!option_is_set(ctl, "yes") && !asks(ctl, &status))
+    return status;
+  return each_job(ctl, (struct request){.method = "DELETE"}, "job", "", words, words);
+}
+
+int run_usage(struct ctl *ctl)
+{
+  static const char *const names[] = {"label", "experiment", "submitted_by", "kind"};
+  const char *by = option_text(ctl, "by", "label");
+  json_t *page;
+  if (!is_one_of(by, names, 4))
+    return complain(STATUS_USAGE, "--by: \"%s\" is not label, experiment, submitted_by or kind",
+                    by);
+  int status = get_json(ctl, &page, "/v1/usage?by=%s&limit=1000", by);
+  if (status == STATUS_OK && ctl->json)
+    print_json(page);
+  else if (status == STATUS_OK)
+    print_table(stdout, ctl, json_object_get(page, "items"),
+                "name=[{name}|–]|>jobs={jobs:,}|>core time={core_seconds:duration}"
+                "|>device time={device_seconds:duration}");
+  json_decref(page);
   return status;
 }

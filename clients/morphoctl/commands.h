@@ -12,14 +12,15 @@ struct request;
 
 command_function run_eval, run_verify, run_design_show, run_design_list, run_design_draw,
     run_design_random, run_design_made /* mutate, cross, canonical */, run_job_list, run_job_show,
-    run_job_change /* cancel, pause, resume */, run_job_weight, run_job_prune, run_watch, run_wait,
-    run_train_start, run_train_list, run_live_show, run_live_watch, run_train_export,
-    run_train_compare, run_campaign_start, run_campaign_list, run_campaign_extend,
-    run_campaign_compare, run_campaign_champions, run_campaign_export, run_controller_list,
-    run_controller_info, run_controller_get, run_controller_put, run_controller_delete, run_status,
-    run_devices, run_version, run_completion, run_film, run_picture, run_dashboard, run_export,
-    run_study_ask, run_study_tell, run_study_sampler, run_study_finish, run_bundle_export,
-    run_bundle_import, run_bundle_verify;
+    run_job_change /* cancel, pause, resume */, run_job_weight, run_job_prune, run_job_text,
+    run_job_archive, run_job_delete, run_usage, run_watch, run_wait, run_train_start,
+    run_train_list, run_live_show, run_live_watch, run_train_export, run_train_compare,
+    run_campaign_start, run_campaign_list, run_campaign_extend, run_campaign_compare,
+    run_campaign_champions, run_campaign_export, run_controller_list, run_controller_info,
+    run_controller_get, run_controller_put, run_controller_delete, run_status, run_devices,
+    run_version, run_completion, run_film, run_picture, run_dashboard, run_export, run_study_ask,
+    run_study_tell, run_study_sampler, run_study_finish, run_bundle_export, run_bundle_import,
+    run_bundle_verify;
 
 /* ---- request.c ---- */
 
@@ -108,12 +109,15 @@ void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *f
   "[[{" place ".name}, ]sha256:{" place ".sha256}" otherwise "]"
 #define JOB_STATE_FACTS(phase)                                                                     \
   {"state", "{state}"}, {"reason", "{reason}"}, {"phase", phase}, {"weight", "{weight:g}"},        \
-      {"device", "{device}"}, {"label", "{label}"}, {"error", "[{error.code}: {error.detail}]"},   \
+      {"device", "{device}"}, {"label", "{label}"}, {"experiment", "{experiment}"},                \
+      {"note", "{note}"}, {"archived", "[{archived_at:time}]"},                                    \
+      {"error", "[{error.code}: {error.detail}]"},                                                 \
   {                                                                                                \
     "attempts", "[{attempts>0}]"                                                                   \
   }
 #define JOB_TIME_FACTS                                                                             \
-  {"created", "{created_at:time}"}, {"started", "{started_at:time}"},                              \
+  {"core time", "[{core_seconds>0:duration}]"}, {"device time", "[{device_seconds>0:duration}]"},  \
+      {"created", "{created_at:time}"}, {"started", "{started_at:time}"},                          \
   {                                                                                                \
     "finished", "{finished_at:time}"                                                               \
   }

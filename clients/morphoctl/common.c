@@ -206,8 +206,14 @@ static char *list_path(const struct ctl *ctl, const char *list)
 {
   static const struct {
     const char *option, *parameter;
-  } filters[] = {{"state", "state"},          {"label", "label"}, {"submitted-by", "submitted_by"},
-                 {"group", "group"},          {"sort", "sort"},   {"order", "order"},
+  } filters[] = {{"state", "state"},
+                 {"label", "label"},
+                 {"submitted-by", "submitted_by"},
+                 {"experiment", "experiment"},
+                 {"archived", "archived"},
+                 {"group", "group"},
+                 {"sort", "sort"},
+                 {"order", "order"},
                  {"controller", "controller"}};
   char *path = NULL, between = '?';
   size_t size = 0;

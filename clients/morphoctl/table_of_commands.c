@@ -53,10 +53,13 @@
         FIELD_WORD                                                                                 \
   }
 #define LABEL "label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD
+#define EXPERIMENT                                                                                 \
+  "experiment", 0, "NAME", "What the job belongs to, with others.", "experiment", FIELD_WORD
 /* Options of both commands that start a job of hours. */
 #define OF_LONG_JOBS(job, command)                                                                 \
   {"priority", 0, "interactive|batch", "Default: batch.", "priority", FIELD_WORD}, {WEIGHT},       \
-      {DEVICE}, {LABEL}, {"watch", 'w', NULL, "Watch it to its end, as " command " watch does."},  \
+      {DEVICE}, {LABEL}, {EXPERIMENT},                                                             \
+      {"watch", 'w', NULL, "Watch it to its end, as " command " watch does."},                     \
   {                                                                                                \
     KEY(job)                                                                                       \
   }
@@ -64,7 +67,13 @@
 #define STATE(jobs)                                                                                \
   "state", 0, "STATE",                                                                             \
       "Only " jobs " that are queued, running, paused, succeeded, failed or cancelled."
-#define LABELED   "label", 'l', "TEXT", "Only those with this label."
+#define LABELED                                                                                    \
+  "label", 'l', "TEXT", "Only those with this label; with * at its end: that begin so."
+#define FILTERED                                                                                   \
+  {LABELED}, {"experiment", 0, "NAME", "Only those of this experiment."},                          \
+  {                                                                                                \
+    "archived", 0, "true|all", "Only those that are archived; all: these, too."                    \
+  }
 #define OF_USER   "submitted-by", 0, "NAME", "Only those submitted with the token of this name."
 #define NEWEST    "limit", 'n', "N", "At most so many, newest first (default: 50)."
 #define UNLIMITED "all", 'a', NULL, "No limit."
@@ -89,6 +98,7 @@ static const struct option_spec eval_options[] = {
     {WEIGHT},
     {DEVICE},
     {LABEL},
+    {EXPERIMENT},
     {"wait", 0, NULL, "Wait for the result (the default)."},
     {"no-wait", 0, NULL, "Print the id of the evaluation and do not wait."},
     {"sort", 0, "input|score", "Order of the table (default: input)."},
@@ -148,8 +158,12 @@ static const struct option_spec mutate_options[] = {
     RULES(""),
     {NULL}};
 static const struct option_spec made_options[] = {RULES(""), {NULL}};
-static const struct option_spec job_list_options[] = {{STATE("jobs")}, {LABELED},   {OF_USER},
+static const struct option_spec job_list_options[] = {{STATE("jobs")}, FILTERED,    {OF_USER},
                                                       {NEWEST},        {UNLIMITED}, {NULL}};
+static const struct option_spec job_delete_options[] = {{"yes", 'y', NULL, "Do not ask."}, {NULL}};
+static const struct option_spec usage_options[] = {
+    {"by", 0, "label|experiment|submitted_by|kind", "What the sums are by (default: label)."},
+    {NULL}};
 static const struct option_spec job_show_options[] = {{"results", 'r', NULL, "The results, too."},
                                                       {NULL}};
 static const struct option_spec watch_options[] = {
@@ -198,7 +212,7 @@ static const struct option_spec train_start_options[] = {
     OF_LONG_JOBS("training", "train"),
     {NULL}};
 static const struct option_spec train_list_options[] = {
-    {STATE("trainings")}, {LABELED}, {OF_USER}, {NEWEST}, {UNLIMITED}, {NULL}};
+    {STATE("trainings")}, FILTERED, {OF_USER}, {NEWEST}, {UNLIMITED}, {NULL}};
 static const struct option_spec train_export_options[] = {
     {"output", 'o', "FILE",
      "Where to put the controller (default: training-ID-step-N.safetensors; -: standard output)."},
@@ -247,7 +261,7 @@ static const struct option_spec campaign_start_options[] = {
     {NULL}};
 static const struct option_spec campaign_list_options[] = {
     {STATE("campaigns")},
-    {LABELED},
+    FILTERED,
     {OF_USER},
     {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
     {NEWEST},
@@ -352,6 +366,24 @@ const struct command commands[] = {
      "0.001 to 1000; a job with twice the weight of another gets twice the time. It counts at "
      "once, also while the job runs.",
      NULL, 2, 2, run_job_weight},
+    {"job label", "ID [TEXT]", "Give a job another label, or none.", NULL, NULL, 1, 2,
+     run_job_text},
+    {"job experiment", "ID [NAME]", "Make a job belong to an experiment, or to none.", NULL, NULL,
+     1, 2, run_job_text},
+    {"job note", "ID [TEXT]", "Say something of a job; without a text, take it away.",
+     "Plain text of up to 1,000 characters. Rules of retention leave jobs with a note alone.", NULL,
+     1, 2, run_job_text},
+    {"job archive", "ID...", "Hide jobs from lists.", "Nothing else changes.", NULL, 1, MANY,
+     run_job_archive},
+    {"job restore", "ID...", "Show archived jobs in lists again.", NULL, NULL, 1, MANY,
+     run_job_archive},
+    {"job delete", "ID...", "Delete jobs that have ended, for good.",
+     "Says what goes, and asks. Designs, scores and controllers stay. What another job needs is "
+     "not "
+     "deleted: exit status 3. Of replicates the first goes last.",
+     job_delete_options, 1, MANY, run_job_delete},
+    {"usage", "", "Show how much time of cores and devices jobs have used.",
+     "Deleted jobs count, too.", usage_options, 0, 0, run_usage},
     {"watch", "[JOB]", "Follow a job to its end, or all events.",
      "With --json one event per line. After a break the stream goes on where it was. Exit status "
      "of a job: 0 if it succeeded, 3 if not.",

@@ -197,6 +197,34 @@ def test_jobs(ctl):
     assert ctl("job show 999999")[0] == 3
 
 
+def test_jobs_in_order(service, ctl):
+    job = ctl(f"eval {SHORT} --random 2 --seed 3 --label 'tidy one' --experiment tidy --no-wait "
+              "-q")[1].strip()
+    assert ctl(f"wait {job}")[0] == 0
+
+    def found(query):
+        return [item["id"] for item in json.loads(ctl(f"job list {query} --json")[1])["items"]]
+
+    assert found("--label 'tidy*'") == found("--experiment tidy") == [job]
+    out = ctl(f"job note {job}", "a \x1b[31mred note")[1]
+    assert out == f'job {job} has the note "a ?[31mred note"\n'
+    shown = ctl(f"job show {job}")[1]
+    assert re.search(r"^note +a \?\[31mred note$", shown, re.M) and "core time" in shown
+    assert ctl(f"job label {job} new")[1] == f'job {job} has the label "new"\n'
+    assert ctl(f"job note {job}")[1] == f"job {job} has no note\n"
+    assert ctl(f"job archive {job}")[1] == f"job {job} is archived\n"
+    assert found("--experiment tidy") == [] and found("--archived true --label new") == [job]
+    assert ctl(f"job restore {job}")[0] == 0 and found("--label new") == [job]
+    used = json.loads(ctl("usage --by experiment --json")[1])["items"]
+    assert any(row["name"] == "tidy" and row["jobs"] == 1 for row in used)
+    assert re.search(r"^tidy +1 ", ctl("usage --by experiment")[1], re.M)
+    status, _, err = ctl(f"job delete {job}")
+    assert status == 2 and f'evaluation {job} "new", succeeded' in err and "--yes" in err
+    status, out, _ = ctl(f"job delete {job} --yes")
+    assert (status, out) == (0, f"job {job} is deleted\n")
+    assert ctl(f"job delete {job} -y")[0] == 3 and ctl("usage --by state")[0] == 2
+
+
 def test_watch_a_job(ctl):
     job = ctl(f"eval {SHORT} --no-wait --random 20 --seed 6")[1].strip()
     status, out, err = ctl(f"watch {job}")
