@@ -52,8 +52,8 @@ bool mo_await_job(struct mo_request *request, const struct mo_resource *kind, in
  * reply is made. */
 bool mo_read_job_filters(struct mo_request *request, struct mo_job_query *query,
                          char label[MO_LABEL_BYTES_MAX + 1]);
-/* Finds the campaigns that the parameters campaigns, group, label and experiment name, ascending, or all: (n)
- * malloc. False: the reply is made. */
+/* Finds the campaigns that the parameters campaigns, group, label and experiment name, ascending,
+ * or all: (n) malloc. False: the reply is made. */
 bool mo_find_campaigns(struct mo_request *request, int64_t **ids, uint32_t *n);
 /* Reads the id in the path of a job of the route's kind. False: the 404 is made. */
 bool mo_path_job(struct mo_request *request, int64_t *id);

@@ -55,8 +55,7 @@ struct settings {
   uint64_t max_connections;
   uint64_t max_streams;
   uint64_t max_body_bytes;
-  uint64_t max_controller_bytes;
-  uint64_t max_bundle_bytes;
+  uint64_t max_controller_bytes, max_bundle_bytes;
   uint64_t header_timeout_ms, body_timeout_ms, idle_timeout_ms;
   uint64_t max_open_jobs, max_open_rollouts, max_trainings, max_campaigns;
   uint64_t max_in_flight;

@@ -61,6 +61,7 @@ static int mark(struct mo_store *store, void *arguments)
       "worker_s,device_s FROM jobs WHERE id=?1 ON CONFLICT DO UPDATE SET jobs=jobs+1,"
       "worker_s=worker_s+excluded.worker_s,device_s=device_s+excluded.device_s";
   static const char sql[] = "UPDATE jobs SET state=6," MO_NEXT_VERSION " WHERE id=?1";
+  static const char import_sql[] = "DELETE FROM imports WHERE job=?1";
   struct mark *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_state state;
@@ -83,6 +84,8 @@ static int mark(struct mo_store *store, void *arguments)
     error = mo_sql_do(writer, usage_sql, mo_int(call->id));
   if (error == MO_OK)
     error = mo_sql_do(writer, sql, mo_int(call->id));
+  if (error == MO_OK) /* its bundle may enter again at once */
+    error = mo_sql_do(writer, import_sql, mo_int(call->id));
   snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"reason\":\"%s\"}",
            (long long)call->id, mo_job_kind_name(call->kind), call->reason);
   return error == MO_OK ? mo_writer_event(store, call->id, "job.deleted", data) : error;

@@ -109,6 +109,11 @@ def test_entering_twice_changes_nothing(service, start, source, bundle):
     assert counts == [len(other.pages("/v1/designs")), len(other.get("/v1/jobs")["items"]),
                       other.get("/v1/events?format=json")["newest"]]
     assert enter(service, bundle).json()["items"][0]["campaign"] == source[0]
+    # One that was deleted enters again.
+    learned = first[2]["campaign"]
+    assert other.request("DELETE", f"/v1/jobs/{learned}").status == 200
+    back = enter(other, bundle)
+    assert [item["entered"] for item in back.json()["items"]] == [False, False, True, False]
     # An imported campaign runs on here.
     other.post(f"/v1/campaigns/{first[0]['campaign']}/extend", {"generations": 1})
     grown = await_end(other, f"/v1/campaigns/{first[0]['campaign']}").json()

@@ -69,6 +69,13 @@ def walk(service):
                  f"{of}/phylogeny?limit=1", f"{of}/champions?count=1", f"{of}/environments",
                  f"{of}/checkpoints"):
         call("GET", path)
+    bundle = service.request("GET", f"/v1/bundles?campaigns={campaign}").body
+    call("POST", "/v1/bundles", body=bundle)
+    second = service.post("/v1/campaigns", EXAMPLES["CampaignRequest"] | {"seed": 99})["id"]
+    await_end(service, f"/v1/campaigns/{second}")
+    bundle = service.request("GET", f"/v1/bundles?campaigns={second}").body
+    assert service.request("DELETE", f"/v1/jobs/{second}").status == 200
+    call("POST", "/v1/bundles", body=bundle)
     call("POST", f"{of}/champions", "ChampionsRequest")
     call("POST", f"{of}/extend", "ExtensionRequest")
     await_end(service, of)
