@@ -10,6 +10,7 @@
 #include <pthread.h>
 #include <sqlite3.h>
 #include <stdlib.h>
+#include <string.h>
 
 #define DESIGNS      10000
 #define ENVIRONMENTS 10
@@ -134,7 +135,7 @@ static void save_now(struct mo_store *store, struct mo_save *save)
 static void save_all(const struct bed *bed, int64_t id)
 {
   struct mo_job_update update = {.job = id, .step = MO_STEP_START};
-  struct mo_saved_score scores[SAVE_ROWS];
+  struct mo_saved_block blocks[SAVE_ROWS / ENVIRONMENTS];
   struct mo_save save = {.updates = &update, .n_updates = 1};
   struct mo_work *work = NULL;
   int64_t fingerprint = 0;
@@ -145,17 +146,21 @@ static void save_all(const struct bed *bed, int64_t id)
   update.fingerprint = update.workers = fingerprint;
   save_now(bed->store, &save);
   const double start = bench_now_s();
-  save.scores = scores;
+  save.blocks = blocks;
   for (uint32_t n = 0; n < DESIGNS;) {
-    save.n_scores = 0;
-    for (; n < DESIGNS && save.n_scores + ENVIRONMENTS <= SAVE_ROWS; n++)
+    save.n_blocks = 0;
+    for (; n < DESIGNS && save.n_blocks < SAVE_ROWS / ENVIRONMENTS; n++) {
+      struct mo_saved_block *block = &blocks[save.n_blocks++];
+      *block = (struct mo_saved_block){.genotype = work->genotype_rows[n],
+                                       .condition = {.controller = work->controller,
+                                                     .physics = work->physics,
+                                                     .fingerprint = fingerprint,
+                                                     .n = ENVIRONMENTS}};
+      memcpy(block->condition.environments, work->environment_rows,
+             ENVIRONMENTS * sizeof(*work->environment_rows));
       for (uint32_t k = 0; k < ENVIRONMENTS; k++)
-        scores[save.n_scores++] = (struct mo_saved_score){.genotype = work->genotype_rows[n],
-                                                          .controller = work->controller,
-                                                          .physics = work->physics,
-                                                          .environment = work->environment_rows[k],
-                                                          .fingerprint = fingerprint,
-                                                          .loss = 0.5};
+        block->losses[k] = 0.5;
+    }
     update.step = n == DESIGNS ? MO_STEP_SUCCEED : MO_STEP_PROGRESS;
     save_now(bed->store, &save);
     saves++;

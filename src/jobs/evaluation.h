@@ -61,10 +61,10 @@ struct mo_rows {
 };
 /* What one save writes. */
 struct mo_pending {
-  struct mo_rows scores, trajectories, designs, updates; /* an update refers to its active */
+  struct mo_rows blocks, trajectories, designs, updates; /* an update refers to its active */
   struct mo_rollout *rollouts;                           /* to forget after the commit */
   struct mo_save save; /* points to the rows, while it is in progress */
-  uint64_t recorded_bytes;
+  uint64_t n_losses, recorded_bytes;
   int64_t since_us; /* time of the first entry; 0: empty */
   bool urgent;
 };

@@ -110,15 +110,18 @@ static void count_cell(struct mo_evaluations *all, struct mo_active *active, int
   mo_pending_touch(all);
 }
 
+static struct mo_saved_design design_of(const struct mo_work *work, uint32_t design)
+{
+  return (struct mo_saved_design){work->genotype_rows[design], work->controller,  work->physics,
+                                  work->environment_set,       work->fingerprint, work->workers};
+}
+
 /* Saves the mean of a design whose cells are done. */
 static int finish_design(struct mo_evaluations *all, const struct mo_active *active,
                          uint32_t design)
 {
-  const struct mo_work *work = active->work;
-  const struct mo_saved_design saved = {
-      work->genotype_rows[design], work->controller,  work->physics,
-      work->environment_set,       work->fingerprint, work->workers};
-  return work->environment_set == 0 ||
+  const struct mo_saved_design saved = design_of(active->work, design);
+  return saved.environment_set == 0 ||
                  mo_pending_add(all, &all->pending.designs, &saved, sizeof(saved)) != NULL
              ? MO_OK
              : MO_ERR_NO_MEMORY;
@@ -144,6 +147,7 @@ static int look_up(void *context, uint32_t design)
   struct mo_active *active = context;
   struct mo_evaluations *all = active->all;
   const struct mo_work *work = active->work;
+  struct mo_saved_design key = design_of(work, design);
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
   bool any = false, is_done = false;
   int error;
@@ -151,9 +155,9 @@ static int look_up(void *context, uint32_t design)
     any = mo_grid_is_open(&active->grid, design, k) && !must_wait(all, active, design, k);
   if (!any)
     return MO_OK;
-  error = mo_store_scores(all->jobs->store, work->genotype_rows[design], work->controller,
-                          work->physics, work->fingerprint, work->environment_rows,
-                          work->n_environments, scores);
+  key.workers = 0; /* only the job's own class */
+  error =
+      mo_store_scores(all->jobs->store, &key, work->environment_rows, work->n_environments, scores);
   for (uint32_t k = 0; k < work->n_environments && error == MO_OK; k++)
     if (scores[k].known && mo_grid_is_open(&active->grid, design, k))
       is_done = finish_known(all, active, design, k, scores[k].diverged_step);
@@ -234,39 +238,45 @@ static int save_recording(struct mo_evaluations *all, const struct mo_active *ac
   return MO_OK;
 }
 
-static int take(struct mo_evaluations *all, struct mo_active *active, struct flight *flight,
-                uint32_t i)
+static int take(struct mo_evaluations *all, struct mo_active *active, struct flight *flight)
 {
   const struct mo_block *block = &flight->flight.block;
-  const struct mo_outcome *outcome = &block->outcomes[i];
   const struct mo_work *work = active->work;
-  const uint32_t design = flight->flight.design, k = flight->flight.places[i];
-  const struct mo_saved_score score = {
-      .genotype = work->genotype_rows[design],
-      .controller = work->controller,
-      .physics = work->physics,
-      .environment = work->environment_rows[k],
-      .fingerprint = block->computed_on == MO_ON_DEVICE ? all->jobs->classes.device
-                                                        : all->jobs->classes.cpu[block->precision],
-      .loss = outcome->loss,
-      .diverged_step = outcome->diverged_step,
+  struct mo_saved_block saved = {
+      .genotype = work->genotype_rows[flight->flight.design],
+      .condition = {.controller = work->controller,
+                    .physics = work->physics,
+                    .fingerprint = block->computed_on == MO_ON_DEVICE
+                                       ? all->jobs->classes.device
+                                       : all->jobs->classes.cpu[block->precision],
+                    .n = block->n_environments},
       .verify_job = work->job.verify ? active->id : 0,
-      .design_position = work->positions[design],
-      .environment_position = k};
-  int error = block->recordings != NULL ? save_recording(all, active, flight, i) : MO_OK;
-  if (error == MO_OK && mo_pending_add(all, &all->pending.scores, &score, sizeof(score)) == NULL)
+      .design_position = work->positions[flight->flight.design]};
+  int error = MO_OK;
+  memcpy(saved.places, flight->flight.places, sizeof(saved.places));
+  for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++) {
+    saved.condition.environments[i] = work->environment_rows[saved.places[i]];
+    saved.losses[i] = block->outcomes[i].loss;
+    saved.diverged_steps[i] = (uint32_t)block->outcomes[i].diverged_step;
+    if (block->recordings != NULL)
+      error = save_recording(all, active, flight, i);
+  }
+  if (error == MO_OK && mo_pending_add(all, &all->pending.blocks, &saved, sizeof(saved)) == NULL)
     error = MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++) {
+    if (flight->rollouts[i] != NULL) { /* forgotten after the commit */
+      flight->rollouts[i]->next_save = all->pending.rollouts;
+      all->pending.rollouts = flight->rollouts[i];
+      flight->rollouts[i] = NULL;
+    }
+    atomic_fetch_add(&all->jobs->rollouts_diverged, saved.diverged_steps[i] != 0);
+    count_cell(all, active, block->outcomes[i].diverged_step);
+  }
   if (error != MO_OK)
     return error;
-  if (flight->rollouts[i] != NULL) { /* forgotten after the commit */
-    flight->rollouts[i]->next_save = all->pending.rollouts;
-    all->pending.rollouts = flight->rollouts[i];
-    flight->rollouts[i] = NULL;
-  }
-  active->computed++;
-  atomic_fetch_add(&all->jobs->rollouts_computed, 1);
-  atomic_fetch_add(&all->jobs->rollouts_diverged, outcome->diverged_step != 0);
-  count_cell(all, active, outcome->diverged_step);
+  all->pending.n_losses += block->n_environments;
+  active->computed += block->n_environments;
+  atomic_fetch_add(&all->jobs->rollouts_computed, block->n_environments);
   return MO_OK;
 }
 
@@ -299,8 +309,8 @@ void mo_active_take_back(struct mo_evaluations *all, struct mo_flight *finished)
   char text[128] = "out of memory";
   bool is_done;
   int error = mo_window_take(&active->window, finished, &is_done, text);
-  for (uint32_t i = 0; i < finished->block.n_environments && error == MO_OK; i++)
-    error = take(all, active, flight, i);
+  if (error == MO_OK)
+    error = take(all, active, flight);
   if (error == MO_OK && is_done)
     error = finish_design(all, active, finished->design);
   if (error != MO_OK && error != MO_ERR_CANCELLED)

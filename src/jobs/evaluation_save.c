@@ -13,8 +13,8 @@
 
 #define EVENT_EVERY_US 1000000
 #define SAVE_EVERY_US  100000
-#define SCORES_AT_ONCE 4096
-#define SCORES_BEHIND  16384
+#define LOSSES_AT_ONCE 4096
+#define LOSSES_BEHIND  16384
 #define BYTES_BEHIND   (UINT64_C(64) << 20)
 
 static uint64_t larger(uint64_t a, uint64_t b)
@@ -71,14 +71,14 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
 void mo_pending_clear(struct mo_pending *pending)
 {
   struct mo_saved_trajectory *trajectories = pending->trajectories.rows;
-  struct mo_rows *const arrays[] = {&pending->scores, &pending->trajectories, &pending->designs,
+  struct mo_rows *const arrays[] = {&pending->blocks, &pending->trajectories, &pending->designs,
                                     &pending->updates};
   for (size_t i = 0; i < pending->trajectories.n; i++)
     mo_recording_free(&trajectories[i].recording);
   for (size_t i = 0; i < sizeof(arrays) / sizeof(arrays[0]); i++)
     arrays[i]->n = 0;
   pending->rollouts = NULL;
-  pending->recorded_bytes = 0;
+  pending->n_losses = pending->recorded_bytes = 0;
   pending->since_us = 0;
   pending->urgent = false;
 }
@@ -86,7 +86,7 @@ void mo_pending_clear(struct mo_pending *pending)
 void mo_pending_free(struct mo_pending *pending)
 {
   mo_pending_clear(pending);
-  free(pending->scores.rows);
+  free(pending->blocks.rows);
   free(pending->trajectories.rows);
   free(pending->designs.rows);
   free(pending->updates.rows);
@@ -102,7 +102,7 @@ bool mo_saver_is_behind(const struct mo_evaluations *all)
   const struct mo_pending *pending = &all->pending;
   if (all->saving.since_us != 0 && !all->is_saving)
     return true; /* the save failed and will be tried again */
-  return pending->scores.n + pending->designs.n >= SCORES_BEHIND ||
+  return pending->n_losses + pending->designs.n >= LOSSES_BEHIND ||
          pending->recorded_bytes >= BYTES_BEHIND;
 }
 
@@ -129,8 +129,8 @@ static void start(struct mo_evaluations *all)
   struct mo_pending *saving = &all->saving;
   int error;
   all->is_saving = true;
-  saving->save = (struct mo_save){.scores = saving->scores.rows,
-                                  .n_scores = saving->scores.n,
+  saving->save = (struct mo_save){.blocks = saving->blocks.rows,
+                                  .n_blocks = saving->blocks.n,
                                   .trajectories = saving->trajectories.rows,
                                   .n_trajectories = saving->trajectories.n,
                                   .designs = saving->designs.rows,
@@ -190,7 +190,7 @@ int64_t mo_saver_run(struct mo_evaluations *all, bool at_once)
   if (all->pending.since_us == 0)
     return INT64_MAX;
   due = all->pending.since_us + SAVE_EVERY_US;
-  if (!at_once && now < due && !all->pending.urgent && all->pending.scores.n < SCORES_AT_ONCE &&
+  if (!at_once && now < due && !all->pending.urgent && all->pending.n_losses < LOSSES_AT_ONCE &&
       !interactive_ended(all))
     return due;
   add_counts(all);

@@ -5,6 +5,7 @@
 #ifndef MORPHO_STORE_RUNNER_H
 #define MORPHO_STORE_RUNNER_H
 
+#include "store/save.h"
 #include "store/store.h"
 
 /* ---- submission ---- */
@@ -80,71 +81,9 @@ struct mo_score {
   int32_t diverged_step;
   bool known;
 };
-/* Reads the stored scores of one genotype in one class into scores (n ≤ MO_ENVIRONMENTS_MAX). */
-int mo_store_scores(struct mo_store *store, int64_t genotype, int64_t controller, int64_t physics,
-                    int64_t fingerprint, const int64_t *environment_rows, uint32_t n,
-                    struct mo_score *scores);
-
-/* ---- saving: results of many blocks and jobs in one transaction ---- */
-
-struct mo_saved_score {
-  int64_t genotype, controller, physics, environment, fingerprint;
-  double loss;
-  int32_t diverged_step;
-  /* The verify job that recomputed this score, which is stored for it too; 0: none. */
-  int64_t verify_job;
-  uint32_t design_position, environment_position;
-};
-struct mo_saved_trajectory {
-  int64_t job;
-  uint32_t design_position, environment_position;
-  uint32_t frames, n_masses, n_springs;
-  int32_t diverged_step;
-  struct mo_recording recording;
-};
-/* A genotype whose losses over a named set are complete. */
-struct mo_saved_design {
-  int64_t genotype, controller, physics, environment_set, fingerprint, workers;
-};
-enum mo_job_step {
-  MO_STEP_START,    /* queued, or already running under this epoch → running under this epoch */
-  MO_STEP_PROGRESS, /* counts */
-  MO_STEP_SUCCEED,  /* running → succeeded, with counts */
-  MO_STEP_RETRY,    /* running (or queued: its start was not written) → queued, attempts + 1; at
-                       max_attempts → failed */
-  MO_STEP_PARK,     /* running → queued */
-  MO_STEP_HALT      /* running (or queued) → paused, with an error: no device can compute it */
-};
-struct mo_job_update {
-  int64_t job;
-  enum mo_job_step step;
-  uint64_t total, done, cached, diverged; /* total 0: the counts do not change */
-  int64_t started_us;                     /* start */
-  int64_t fingerprint, workers;           /* start: the class, as in struct mo_work */
-  int error;                              /* retry */
-  char error_text[256];
-  uint32_t max_attempts;
-  bool quiet;              /* no event */
-  void *owner;             /* the caller's */
-  bool applied;            /* result: false: the job was not in a state that the step starts from */
-  enum mo_job_state state; /* result, if applied: the state now */
-};
-struct mo_save {
-  struct mo_saved_score *scores;
-  size_t n_scores;
-  struct mo_saved_trajectory *trajectories;
-  size_t n_trajectories;
-  struct mo_saved_design *designs;
-  size_t n_designs;
-  struct mo_job_update *updates; /* in order */
-  size_t n_updates;
-  void (*done)(struct mo_save *save,
-               int status); /* on the writer's thread, after the commit or its failure */
-  void *context;
-  struct mo_store *store; /* set by mo_store_save */
-};
-/* Queues a save, which is stored completely or not at all. `save` and what it points to must stay
- * until `done`. MO_ERR_NO_MEMORY: not queued. */
-int mo_store_save(struct mo_store *store, struct mo_save *save);
+/* Reads the stored scores of one genotype into scores (n ≤ MO_ENVIRONMENTS_MAX): those of the class
+ * `fingerprint`, and where there are none those of the class `workers` (0: none). */
+int mo_store_scores(struct mo_store *store, const struct mo_saved_design *design,
+                    const int64_t *environment_rows, uint32_t n, struct mo_score *scores);
 
 #endif

@@ -202,16 +202,11 @@ int mo_losses_read(struct mo_connection *connection, const struct mo_saved_desig
   return error;
 }
 
-int mo_store_scores(struct mo_store *store, int64_t genotype, int64_t controller, int64_t physics,
-                    int64_t fingerprint, const int64_t *environment_rows, uint32_t n,
-                    struct mo_score *scores)
+int mo_store_scores(struct mo_store *store, const struct mo_saved_design *design,
+                    const int64_t *environment_rows, uint32_t n, struct mo_score *scores)
 {
-  const struct mo_saved_design design = {.genotype = genotype,
-                                         .controller = controller,
-                                         .physics = physics,
-                                         .fingerprint = fingerprint};
   struct mo_connection *reader = mo_runner_acquire(store);
-  const int error = mo_losses_read(reader, &design, environment_rows, n, scores);
+  const int error = mo_losses_read(reader, design, environment_rows, n, scores);
   mo_reader_release(store, reader);
   return error;
 }
@@ -224,21 +219,21 @@ uint64_t mo_recomputed_checksum(const int64_t key[4], const double *values, size
 }
 
 /* Stores what a verify job computed, beside the loss of its class that was stored before. */
-static int note_recomputed(struct mo_connection *writer, const struct mo_saved_score *score,
-                           bool *is_known)
+static int note_recomputed(struct mo_connection *writer, const struct mo_saved_block *block,
+                           uint32_t i, bool *is_known)
 {
   static const char sql[] =
       "INSERT OR IGNORE INTO recomputed(job,position,environment,diverged_step,loss,stored,"
       "checksum) SELECT ?1,?2,?3,?4,?5,?6,?7 FROM jobs WHERE id=?1 AND state<>6";
-  const int64_t key[4] = {score->verify_job, score->design_position, score->environment_position,
-                          score->diverged_step};
+  const int64_t key[4] = {block->verify_job, block->design_position, block->places[i],
+                          block->diverged_steps[i]};
   struct mo_score before;
-  double values[2] = {score->loss, 0};
-  const struct mo_saved_design design = {.genotype = score->genotype,
-                                         .controller = score->controller,
-                                         .physics = score->physics,
-                                         .fingerprint = score->fingerprint};
-  const int error = mo_losses_read(writer, &design, &score->environment, 1, &before);
+  double values[2] = {block->losses[i], 0};
+  const struct mo_saved_design design = {.genotype = block->genotype,
+                                         .controller = block->condition.controller,
+                                         .physics = block->condition.physics,
+                                         .fingerprint = block->condition.fingerprint};
+  const int error = mo_losses_read(writer, &design, &block->condition.environments[i], 1, &before);
   if (error != MO_OK)
     return error;
   *is_known = before.known;
@@ -248,18 +243,6 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_s
                    mo_int((int64_t)mo_recomputed_checksum(key, values, before.known ? 2 : 1)));
 }
 
-/* Returns how many scores, from the first on, become one row. */
-static uint32_t run_of_scores(const struct mo_saved_score *scores, size_t n)
-{
-  uint32_t i = 1;
-  while (i < n && i < MO_BLOCK_LANES && scores[i].genotype == scores[0].genotype &&
-         scores[i].controller == scores[0].controller && scores[i].physics == scores[0].physics &&
-         scores[i].fingerprint == scores[0].fingerprint &&
-         scores[i].verify_job == scores[0].verify_job)
-    i++;
-  return i;
-}
-
 static bool same_condition(const struct mo_condition *a, const struct mo_condition *b)
 {
   return a->controller == b->controller && a->physics == b->physics &&
@@ -267,48 +250,34 @@ static bool same_condition(const struct mo_condition *a, const struct mo_conditi
          memcmp(a->environments, b->environments, a->n * sizeof(*a->environments)) == 0;
 }
 
-/* Inserts a run of scores. *condition: that of the run before, whose id is used again if it suits.
- */
-static int insert_run(struct mo_store *store, const struct mo_saved_score *scores, uint32_t n,
-                      int64_t now_us, struct mo_condition *condition)
+/* Inserts a block. *condition: that of the block before, whose id is used again if it suits. */
+static int insert_block(struct mo_store *store, const struct mo_saved_block *block, int64_t now_us,
+                        struct mo_condition *condition)
 {
-  struct mo_condition wanted = {.controller = scores[0].controller,
-                                .physics = scores[0].physics,
-                                .fingerprint = scores[0].fingerprint,
-                                .n = n};
-  double losses[MO_BLOCK_LANES] = {0};
-  uint32_t steps[MO_BLOCK_LANES] = {0};
-  bool all_known = scores[0].verify_job != 0, is_known = false, is_new = false;
+  bool all_known = block->verify_job != 0, is_known = false, is_new = false;
   int error = MO_OK;
-  for (uint32_t k = 0; k < n && error == MO_OK; k++) {
-    wanted.environments[k] = scores[k].environment;
-    losses[k] = scores[k].loss;
-    steps[k] = (uint32_t)scores[k].diverged_step;
-    if (scores[k].verify_job != 0)
-      error = note_recomputed(&store->writer, &scores[k], &is_known);
+  for (uint32_t i = 0; i < block->condition.n && block->verify_job != 0 && error == MO_OK; i++) {
+    error = note_recomputed(&store->writer, block, i, &is_known);
     all_known = all_known && is_known;
   }
   if (error != MO_OK || all_known)
     return error;
-  if (!same_condition(&wanted, condition)) {
-    error = mo_condition_row(&store->writer, &wanted);
-    *condition = wanted;
+  if (!same_condition(&block->condition, condition)) {
+    *condition = block->condition;
+    error = mo_condition_row(&store->writer, condition);
   }
-  return error == MO_OK ? mo_losses_insert(store, condition, scores[0].genotype, losses, steps,
-                                           now_us, &is_new)
+  return error == MO_OK ? mo_losses_insert(store, condition, block->genotype, block->losses,
+                                           block->diverged_steps, now_us, &is_new)
                         : error;
 }
 
-int mo_scores_insert(struct mo_store *store, const struct mo_saved_score *scores, size_t n,
+int mo_blocks_insert(struct mo_store *store, const struct mo_saved_block *blocks, size_t n,
                      int64_t now_us)
 {
   struct mo_condition condition = {.n = 0};
   int error = MO_OK;
-  for (size_t i = 0; i < n && error == MO_OK;) {
-    const uint32_t run = run_of_scores(scores + i, n - i);
-    error = insert_run(store, scores + i, run, now_us, &condition);
-    i += run;
-  }
+  for (size_t i = 0; i < n && error == MO_OK; i++)
+    error = insert_block(store, &blocks[i], now_us, &condition);
   return error;
 }
 

@@ -22,12 +22,6 @@ int mo_unpack_losses(const int64_t *key, size_t n_key, const uint8_t *bytes, siz
 
 /* ---- rows ---- */
 
-/* What a loss depends on besides the genotype: a row of `conditions`. */
-struct mo_condition {
-  int64_t id, controller, physics, fingerprint;
-  uint32_t n;
-  int64_t environments[MO_BLOCK_LANES];
-};
 /* Finds or inserts a condition, and sets its id. */
 int mo_condition_row(struct mo_connection *writer, struct mo_condition *condition);
 /* Inserts the losses of a genotype under a condition with an id, unless they are stored. */
@@ -50,8 +44,8 @@ int mo_losses_read(struct mo_connection *connection, const struct mo_saved_desig
 /* Returns the checksum of a row of `recomputed`, whose key is {job, position, environment, step};
  * values: the loss and, if n is 2, the stored one. */
 uint64_t mo_recomputed_checksum(const int64_t key[4], const double *values, size_t n);
-/* Inserts scores, as they are saved for a job. */
-int mo_scores_insert(struct mo_store *store, const struct mo_saved_score *scores, size_t n,
+/* Inserts the losses of blocks, as they are saved for a job. */
+int mo_blocks_insert(struct mo_store *store, const struct mo_saved_block *blocks, size_t n,
                      int64_t now_us);
 
 /* Says whether two numbers have the same bits. */

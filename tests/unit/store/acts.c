@@ -362,7 +362,7 @@ static void answered(struct mo_save *save, int status)
 
 struct part {
   struct mo_save save;
-  struct mo_saved_score scores[MO_PAPER_TEST_COUNT];
+  struct mo_saved_block blocks[MO_PAPER_TEST_COUNT];
   struct mo_saved_trajectory trajectory;
   double com_m[9];
   struct mo_saved_design design;
@@ -377,15 +377,12 @@ static void make_part(struct life *life, const struct act *act, const struct mo_
   const uint64_t total = (uint64_t)n_designs_of(evaluation->seed) * MO_PAPER_TEST_COUNT;
   size_t n_updates = 0;
   memset(part, 0, sizeof(*part));
+  part->save.blocks = part->blocks;
   for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++) {
-    struct mo_saved_score *score = &part->scores[k];
-    *score = (struct mo_saved_score){.genotype = work->genotype_rows[design],
-                                     .controller = work->controller,
-                                     .physics = work->physics,
-                                     .environment = work->environment_rows[k],
-                                     .fingerprint = life->fingerprint};
-    score->loss = life_loss(evaluation->seed, design, k, &score->diverged_step);
-    *diverged += score->diverged_step != 0;
+    int32_t step;
+    const double loss = life_loss(evaluation->seed, design, k, &step);
+    fixture_loss(&part->save, work, design, k, life->fingerprint, loss, step);
+    *diverged += step != 0;
   }
   for (int i = 0; i < 9; i++)
     part->com_m[i] = design + i * 0.125;
@@ -409,8 +406,8 @@ static void make_part(struct life *life, const struct act *act, const struct mo_
       .total = total,
       .done = (uint64_t)(design + 1) * MO_PAPER_TEST_COUNT,
       .diverged = *diverged};
-  part->save = (struct mo_save){.scores = part->scores,
-                                .n_scores = MO_PAPER_TEST_COUNT,
+  part->save = (struct mo_save){.blocks = part->blocks,
+                                .n_blocks = part->save.n_blocks,
                                 .trajectories = &part->trajectory,
                                 .n_trajectories = 1,
                                 .designs = &part->design,

@@ -91,7 +91,6 @@ static inline int run_by_hand(int64_t id, double (*loss)(uint32_t n, uint32_t k)
   struct mo_work *work = NULL;
   struct mo_job_update updates[2] = {{.job = id, .step = MO_STEP_START},
                                      {.job = id, .step = MO_STEP_SUCCEED}};
-  struct mo_saved_score *scores;
   struct mo_saved_design *designs;
   struct mo_save save = {.updates = updates, .n_updates = 2};
   int64_t fingerprint = 0;
@@ -101,29 +100,19 @@ static inline int run_by_hand(int64_t id, double (*loss)(uint32_t n, uint32_t k)
   if (error != MO_OK)
     return error;
   updates[0].fingerprint = updates[0].workers = fingerprint;
-  scores = make_zeros((size_t)work->n_designs * work->n_environments, sizeof(*scores));
+  save.blocks = make_zeros((size_t)work->n_designs * work->n_environments, sizeof(*save.blocks));
   designs = make_zeros(work->n_designs, sizeof(*designs));
   for (uint32_t n = 0; n < work->n_designs; n++) {
     for (uint32_t k = 0; k < work->n_environments; k++) {
       double value = loss(n, k);
-      scores[save.n_scores++] = (struct mo_saved_score){.genotype = work->genotype_rows[n],
-                                                        .controller = work->controller,
-                                                        .physics = work->physics,
-                                                        .environment = work->environment_rows[k],
-                                                        .fingerprint = fingerprint,
-                                                        .loss = value,
-                                                        .diverged_step = isinf(value) ? 17 : 0,
-                                                        .verify_job = work->job.verify ? id : 0,
-                                                        .design_position = work->positions[n],
-                                                        .environment_position = k};
+      fixture_loss(&save, work, n, k, fingerprint, value, isinf(value) ? 17 : 0);
     }
     designs[n] = (struct mo_saved_design){work->genotype_rows[n], work->controller, work->physics,
                                           work->environment_set,  fingerprint,      fingerprint};
   }
-  save.scores = scores;
   save.designs = designs;
   save.n_designs = work->environment_set != 0 ? work->n_designs : 0;
-  updates[1].done = updates[1].total = save.n_scores;
+  updates[1].done = updates[1].total = (uint64_t)work->n_designs * work->n_environments;
   error = save_and_wait(&save);
   if (error == MO_OK && (!updates[0].applied || !updates[1].applied))
     error = MO_ERR_CONFLICT;

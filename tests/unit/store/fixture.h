@@ -161,6 +161,30 @@ fixture_submission(const struct mo_bits *forms, const struct mo_bits *genotypes,
                                         .record_stride = 10};
 }
 
+/* Adds a loss of design n to the last block of a save, or to a new one. */
+static inline void fixture_loss(struct mo_save *save, const struct mo_work *work, uint32_t n,
+                                uint32_t k, int64_t fingerprint, double loss, int32_t step)
+{
+  struct mo_saved_block *block = save->blocks + save->n_blocks;
+  if (save->n_blocks > 0 && block[-1].genotype == work->genotype_rows[n] &&
+      block[-1].condition.n < MO_BLOCK_LANES) {
+    block--;
+  } else {
+    *block = (struct mo_saved_block){.genotype = work->genotype_rows[n],
+                                     .condition = {.controller = work->controller,
+                                                   .physics = work->physics,
+                                                   .fingerprint = fingerprint},
+                                     .verify_job = work->job.verify ? work->job.id : 0,
+                                     .design_position = work->positions[n]};
+    save->n_blocks++;
+  }
+  const uint32_t i = block->condition.n++;
+  block->condition.environments[i] = work->environment_rows[k];
+  block->places[i] = (uint8_t)k;
+  block->losses[i] = loss;
+  block->diverged_steps[i] = (uint32_t)step;
+}
+
 /* Settings of learning, each with another value than its default. */
 static inline struct mo_learning fixture_learning(void)
 {

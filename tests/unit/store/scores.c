@@ -58,23 +58,21 @@ static struct mo_work *load(int64_t id, int64_t fingerprint)
 
 static int save_one(const struct mo_work *work, const uint32_t *places, uint32_t n, double loss)
 {
-  struct mo_saved_score scores[MO_BLOCK_LANES];
-  struct mo_save save = {.scores = scores, .n_scores = n};
+  struct mo_saved_block block;
+  struct mo_save save = {.blocks = &block};
   for (uint32_t i = 0; i < n; i++)
-    scores[i] = (struct mo_saved_score){.genotype = work->genotype_rows[0],
-                                        .controller = work->controller,
-                                        .physics = work->physics,
-                                        .environment = work->environment_rows[places[i]],
-                                        .fingerprint = work->fingerprint,
-                                        .loss = loss + places[i]};
+    fixture_loss(&save, work, 0, places[i], work->fingerprint, loss + places[i], 0);
   return save_and_wait(&save);
 }
 
 static uint32_t known_of(const struct mo_work *work, struct mo_score scores[MO_PAPER_TEST_COUNT])
 {
+  const struct mo_saved_design design = {.genotype = work->genotype_rows[0],
+                                         .controller = work->controller,
+                                         .physics = work->physics,
+                                         .fingerprint = work->fingerprint};
   uint32_t n = 0;
-  CHECK_OK(mo_store_scores(store, work->genotype_rows[0], work->controller, work->physics,
-                           work->fingerprint, work->environment_rows, MO_PAPER_TEST_COUNT, scores));
+  CHECK_OK(mo_store_scores(store, &design, work->environment_rows, MO_PAPER_TEST_COUNT, scores));
   for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
     n += scores[k].known;
   return n;
