@@ -29,7 +29,7 @@ static void reply_asset(struct mo_request *request, const struct mo_asset *asset
 {
   const struct mo_embedded bytes = {asset->bytes, asset->size, asset->gzip, asset->gzip_size};
   mo_reply_embedded(request, asset->type, &bytes, "%s-%s", mo_assets_version, asset->name);
-  mo_reply_policy(request, policy);
+  request->reply.policy = policy;
 }
 
 static const struct mo_asset *find(const char *name)
@@ -57,7 +57,7 @@ static void get_asset(struct mo_request *request, const char *version, const cha
     return;
   }
   reply_asset(request, asset);
-  mo_reply_keep(request);
+  request->reply.keep = true;
 }
 
 void mo_api_get_asset(struct mo_request *request)

@@ -80,5 +80,5 @@ void mo_api_get_design_picture(struct mo_request *request)
   }
   mo_reply_bytes(request, 200, "image/svg+xml", text.data, text.size);
   mo_reply_etag_of_body(request);
-  mo_reply_keep(request);
+  request->reply.keep = true;
 }

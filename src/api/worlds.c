@@ -22,8 +22,7 @@ static void reply_kept(struct mo_request *request, int error, struct mo_text *te
                        const char *what)
 {
   mo_reply_text(request, error, text, what);
-  if (error == MO_OK)
-    mo_reply_keep(request);
+  request->reply.keep = error == MO_OK;
 }
 
 void mo_api_get_environment(struct mo_request *request)

@@ -234,7 +234,6 @@ static enum MHD_Result receive(struct mo_request *request, const char *bytes, si
       mo_reply_problem(request, 429, NULL,
                        "The bodies of this client's requests in flight take half of the memory for "
                        "all clients, which is as much as is allowed.");
-      request->reply.retry_after_s = 1;
     } else if (error != MO_OK) {
       mo_reply_error(request, error, "request");
     }
@@ -272,7 +271,6 @@ static enum MHD_Result dispatch(struct mo_request *request)
                        http->config.max_in_flight);
     else
       mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
-    request->reply.retry_after_s = 1;
     return mo_reply_send(request);
   }
   if ((request->route->flags & MO_ROUTE_RATED) &&
@@ -281,7 +279,6 @@ static enum MHD_Result dispatch(struct mo_request *request)
     mo_reply_problem(request, 429, NULL,
                      "This client has sent more than %u submissions and uploads in a second.",
                      http->config.client_rate_per_s);
-    request->reply.retry_after_s = 1;
     return mo_reply_send(request);
   }
   int error = mo_pool_give(http, request);

@@ -87,7 +87,7 @@ void mo_reply_problem(struct mo_request *request, unsigned status, const struct 
   } else {
     mo_reply_bytes(request, status, "application/problem+json", text.data, text.size);
   }
-  if (request->reply.status == 503 || status == 507)
+  if (request->reply.status == 503 || status == 507 || status == 429)
     request->reply.retry_after_s = status == 507 ? 30 : 1;
   request->reply.authenticate = status == 401;
 }
@@ -112,36 +112,27 @@ void mo_reply_bad_header(struct mo_request *request, const char *name, const cha
 
 void mo_reply_error(struct mo_request *request, int code, const char *what)
 {
-  switch (code) {
-  case MO_ERR_NOT_FOUND: mo_reply_problem(request, 404, NULL, "There is no such %s.", what); break;
-  case MO_ERR_CONFLICT:
-    mo_reply_problem(request, 409, NULL, "The state of the %s does not allow this.", what);
-    break;
-  case MO_ERR_NO_SPACE:
-    mo_reply_problem(
-        request, 507, NULL,
-        "The disk of the service is full. Nothing was stored; try again when there is room.");
-    break;
-  case MO_ERR_BUSY:
-  case MO_ERR_NO_MEMORY:
-    mo_reply_problem(request, 503, NULL, "The service is too busy; try again later.");
-    request->reply.retry_after_s = 5;
-    break;
-  case MO_ERR_CANCELLED:
-    mo_reply_problem(request, 503, NULL, "The service is stopping; try again when it is back.");
-    request->reply.retry_after_s = 10;
-    break;
-  case MO_ERR_IO:
-    mo_reply_problem(request, 503, NULL,
-                     "The service cannot read or write its store; its operator has been told.");
-    request->reply.retry_after_s = 30;
-    break;
-  default:
-    mo_reply_problem(request, 500, NULL,
-                     "The service failed to handle the %s: %s. Its log has the request's id.", what,
-                     mo_error_text(code));
-    break;
-  }
+  static const struct {
+    int code;
+    unsigned status, retry_after_s; /* 0: that of the status */
+    const char *words;
+  } errors[] = {
+      {MO_ERR_NOT_FOUND, 404, 0, "There is no such %s."},
+      {MO_ERR_CONFLICT, 409, 0, "The state of the %s does not allow this."},
+      {MO_ERR_NO_SPACE, 507, 0,
+       "The disk of the service is full. Nothing was stored; try again when there is room."},
+      {MO_ERR_BUSY, 503, 5, "The service is too busy; try again later."},
+      {MO_ERR_NO_MEMORY, 503, 5, "The service is too busy; try again later."},
+      {MO_ERR_CANCELLED, 503, 10, "The service is stopping; try again when it is back."},
+      {MO_ERR_IO, 503, 30,
+       "The service cannot read or write its store; its operator has been told."},
+      {0, 500, 0, "The service failed to handle the %s: %s. Its log has the request's id."}};
+  size_t i = 0;
+  while (errors[i].code != code && errors[i].code != 0)
+    i++;
+  mo_reply_problem(request, errors[i].status, NULL, errors[i].words, what, mo_error_text(code));
+  if (errors[i].retry_after_s > 0)
+    request->reply.retry_after_s = errors[i].retry_after_s;
 }
 
 static void set_etag(struct mo_request *request, const char *format, va_list arguments)
@@ -202,16 +193,6 @@ void mo_reply_extra(struct mo_request *request, const char *name, const char *fo
   vsnprintf(reply->extra[reply->n_extra].value, sizeof(reply->extra[0].value), format, arguments);
   va_end(arguments);
   reply->extra[reply->n_extra++].name = name;
-}
-
-void mo_reply_policy(struct mo_request *request, const char *policy)
-{
-  request->reply.policy = policy;
-}
-
-void mo_reply_keep(struct mo_request *request)
-{
-  request->reply.keep = true;
 }
 
 bool mo_accepts_gzip(const struct mo_request *request)

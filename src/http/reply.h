@@ -33,10 +33,6 @@ void mo_reply_etag(struct mo_request *request, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 /* Sets the ETag to the hash of the body; status 200 and 201. */
 void mo_reply_etag_of_body(struct mo_request *request);
-/* Sets the Content-Security-Policy, a static text, in place of "frame-ancestors 'none'". */
-void mo_reply_policy(struct mo_request *request, const char *policy);
-/* Lets clients keep the reply for a year: what is at this path never changes. */
-void mo_reply_keep(struct mo_request *request);
 /* Whether replies of this kind are compressed (pack.h). */
 bool mo_reply_may_pack(const struct mo_request *request);
 /* Whether the client takes a compressed reply. */

@@ -34,7 +34,7 @@ struct mo_reply {
   size_t size;
   const char *policy; /* static: Content-Security-Policy; NULL: frame-ancestors 'none' */
   bool close, authenticate;
-  bool keep;  /* the reply to this path never changes */
+  bool keep;  /* the reply to this path never changes: clients may keep it for a year */
   bool packs; /* bytes that are worth compressing, though the type does not say so */
   unsigned retry_after_s;
   char etag[112], location[192], allow[64], applied[24];
