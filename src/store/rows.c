@@ -1,10 +1,10 @@
 /* rows.c: see rows.h. REAL keeps the bits of every number but NaN, which is NULL. */
 #include "store/rows.h"
 
-#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
+#include "base/text.h"
 #include "store/campaigns.h"
 #include "store/columns.h"
 #include "store/internal.h"
@@ -34,62 +34,55 @@ static char statements[MO_ROW_TABLES][STATEMENTS][SQL_MAX]; /* made once */
 
 /* ---- statements ---- */
 
-static void add(char *sql, const char *format, ...) __attribute__((format(printf, 2, 3)));
-static void add(char *sql, const char *format, ...)
-{
-  const size_t length = strlen(sql);
-  va_list arguments;
-  va_start(arguments, format);
-  vsnprintf(sql + length, SQL_MAX - length, format, arguments);
-  va_end(arguments);
-}
-
 /* Adds the names of the first n columns, with commas between them. */
-static void add_names(char *sql, const struct table *table, size_t n)
+static void add_names(struct mo_text *sql, const struct table *table, size_t n)
 {
   for (size_t i = 0; i < n; i++)
-    add(sql, "%s\"%s\"", i > 0 ? "," : "", mo_column_name(&table->columns->items[i]));
+    mo_text_format(sql, "%s\"%s\"", i > 0 ? "," : "", mo_column_name(&table->columns->items[i]));
 }
 
-static void make_statement(const struct table *table, int which, char *sql)
+static void make_statement(const struct table *table, int which, struct mo_text *sql)
 {
   const size_t n = table->columns->n + table->columns->n_stored;
   if (which == CREATE) {
-    add(sql, "CREATE TABLE %s(job INTEGER NOT NULL REFERENCES runs(job)", table->name);
+    mo_text_format(sql, "CREATE TABLE %s(job INTEGER NOT NULL REFERENCES runs(job)", table->name);
     for (size_t i = 0; i < n; i++)
-      add(sql, ",\"%s\" %s", mo_column_name(&table->columns->items[i]),
-          table->columns->items[i].type == MO_COLUMN_NUMBER ? "REAL" : "INTEGER NOT NULL");
-    add(sql, ",PRIMARY KEY(job,");
+      mo_text_format(sql, ",\"%s\" %s", mo_column_name(&table->columns->items[i]),
+                     table->columns->items[i].type == MO_COLUMN_NUMBER ? "REAL"
+                                                                       : "INTEGER NOT NULL");
+    mo_text_format(sql, ",PRIMARY KEY(job,");
     add_names(sql, table, table->n_keys);
-    add(sql, ")) STRICT, WITHOUT ROWID");
+    mo_text_format(sql, ")) STRICT, WITHOUT ROWID");
     return;
   }
   if (which == WRITE) {
-    add(sql, "INSERT OR REPLACE INTO %s(job,", table->name);
+    mo_text_format(sql, "INSERT OR REPLACE INTO %s(job,", table->name);
     add_names(sql, table, n);
-    add(sql, ") VALUES(?");
+    mo_text_format(sql, ") VALUES(?");
     for (size_t i = 0; i < n; i++)
-      add(sql, ",?");
-    add(sql, ")");
+      mo_text_format(sql, ",?");
+    mo_text_format(sql, ")");
     return;
   }
-  add(sql, "SELECT ");
+  mo_text_format(sql, "SELECT ");
   add_names(sql, table, n);
-  add(sql, " FROM %s WHERE job=?1", table->name);
+  mo_text_format(sql, " FROM %s WHERE job=?1", table->name);
   if (which == NEWEST) {
-    add(sql, " ORDER BY 1 DESC LIMIT 1");
+    mo_text_format(sql, " ORDER BY 1 DESC LIMIT 1");
   } else if (which == STRIDE) {
     /* Looks up each multiple: in a million rows, reading all rows between takes a third of a
      * second. */
-    add(sql,
+    mo_text_format(
+        sql,
         " AND %1$s IN (WITH RECURSIVE wanted(at) AS (SELECT (?2/?3+1)*?3 UNION ALL"
         " SELECT at+?3 FROM wanted WHERE at+?3<=(SELECT max(%1$s) FROM %2$s WHERE job=?1)"
         " LIMIT ?4) SELECT at FROM wanted) ORDER BY %1$s",
         mo_column_name(&table->columns->items[0]), table->name);
   } else {
-    add(sql, " AND (");
+    mo_text_format(sql, " AND (");
     add_names(sql, table, table->n_keys);
-    add(sql, table->n_keys == 1 ? ")>(?2) ORDER BY 1 LIMIT ?3" : ")>(?2,?3) ORDER BY 1,2 LIMIT ?4");
+    mo_text_format(sql, table->n_keys == 1 ? ")>(?2) ORDER BY 1 LIMIT ?3"
+                                           : ")>(?2,?3) ORDER BY 1,2 LIMIT ?4");
   }
 }
 
@@ -97,7 +90,9 @@ static void make_statements(void)
 {
   for (int t = 0; t < MO_ROW_TABLES; t++)
     for (int i = 0; i < STATEMENTS; i++)
-      make_statement(&tables[t], i, statements[t][i]);
+      make_statement(
+          &tables[t], i,
+          &(struct mo_text){.data = statements[t][i], .capacity = SQL_MAX, .is_fixed = true});
 }
 
 static const char *statement_of(enum mo_row_table which, int statement)
