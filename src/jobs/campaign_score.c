@@ -35,18 +35,13 @@ static int allocate(struct mo_campaign_run *run)
   run->n_scored = run->n_parents + run->n_children - run->first_scored;
   run->losses = calloc((size_t)run->n_scored + 1, sizeof(*run->losses));
   run->unsaved = calloc((size_t)run->n_scored + 1, sizeof(*run->unsaved));
-  *grid = (struct mo_grid){.block = {.lattice = run->jobs->lattice,
-                                     .physics = run->settings->physics,
-                                     .precision = MO_FLOAT32,
-                                     .urgency = run->status.job.priority,
-                                     .back_end = run->status.job.back_end,
-                                     .cancel = &run->runner->interrupt,
-                                     .tag = run->id,
-                                     .share = run->runner->share},
-                           .genotypes = run->rows->bits + run->first_scored,
-                           .environments = run->environments,
-                           .n_designs = run->n_scored,
-                           .n_environments = run->n_environments};
+  *grid =
+      (struct mo_grid){.block = mo_block_of(run->jobs, &run->status.job, &run->runner->interrupt),
+                       .genotypes = run->rows->bits + run->first_scored,
+                       .environments = run->environments,
+                       .n_designs = run->n_scored,
+                       .n_environments = run->n_environments};
+  grid->block.share = run->runner->share;
   if (run->losses == NULL || run->unsaved == NULL || mo_grid_create(grid) != MO_OK)
     return MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < run->n_scored; i++)

@@ -117,13 +117,7 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
   if (error != MO_OK)
     return error;
   work = active->work;
-  active->grid = (struct mo_grid){.block = {.lattice = all->jobs->lattice,
-                                            .physics = work->job.physics,
-                                            .precision = work->job.precision,
-                                            .urgency = work->job.priority,
-                                            .back_end = work->job.back_end,
-                                            .cancel = &active->cancel,
-                                            .tag = active->id},
+  active->grid = (struct mo_grid){.block = mo_block_of(all->jobs, &work->job, &active->cancel),
                                   .genotypes = work->genotypes,
                                   .environments = work->environments,
                                   .n_designs = work->n_designs,

@@ -1,6 +1,6 @@
 /* jobs.c: the table of kinds; start, stop, control, waiting and statistics of the jobs. */
 #include <errno.h>
-#include <fcntl.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
@@ -11,7 +11,7 @@
 #include "jobs/submission.h"
 #include "jobs/trainings.h"
 
-#define MARKER_BYTES_MAX 4096
+#define MARKER_LINE_BYTES 64
 
 const struct mo_kind *const mo_kinds[MO_JOB_KINDS] = {[MO_JOB_EVALUATION] = &mo_evaluation_kind,
                                                       [MO_JOB_TRAINING] = &mo_training_kind,
@@ -63,7 +63,7 @@ static size_t put_number(char *to, int64_t value)
 void mo_jobs_crash_note(int fd, int signal_number)
 {
   const int64_t tag = mo_thread_tag;
-  char line[64];
+  char line[MARKER_LINE_BYTES];
   size_t n;
   if (tag <= 0 || signal_number < 0)
     return;
@@ -75,31 +75,19 @@ void mo_jobs_crash_note(int fd, int signal_number)
     return; /* nothing more can be done here */
 }
 
-/* Reads the last line "<job> <signal>" of the marker; job 0: none. */
+/* Reads the last whole line "<job> <signal>" of the marker; job 0: none. */
 static void read_marker(const char *path, int64_t *job, int *signal_number)
 {
-  char text[MARKER_BYTES_MAX + 1];
-  ssize_t n;
-  char *line, *end;
-  int fd;
+  FILE *file = path != NULL ? fopen(path, "re") : NULL;
+  char line[MARKER_LINE_BYTES], *end;
   *job = 0;
   *signal_number = 0;
-  fd = path != NULL ? open(path, O_RDONLY | O_CLOEXEC) : -1;
-  if (fd < 0)
-    return;
-  n = read(fd, text, MARKER_BYTES_MAX);
-  close(fd);
-  if (n <= 0)
-    return;
-  text[n] = '\0';
-  end = strrchr(text, '\n');
-  if (end == NULL)
-    return; /* incomplete */
-  *end = '\0';
-  line = strrchr(text, '\n');
-  line = line != NULL ? line + 1 : text;
-  *job = strtoll(line, &end, 10);
-  *signal_number = (int)strtol(end, NULL, 10);
+  while (file != NULL && fgets(line, sizeof(line), file) != NULL && strchr(line, '\n') != NULL) {
+    *job = strtoll(line, &end, 10);
+    *signal_number = (int)strtol(end, NULL, 10);
+  }
+  if (file != NULL)
+    fclose(file);
   if (*job < 0)
     *job = 0;
 }

@@ -21,6 +21,18 @@
 
 /* ---- grids ---- */
 
+struct mo_block mo_block_of(const struct mo_jobs *jobs, const struct mo_job *job,
+                            const volatile int *cancel)
+{
+  return (struct mo_block){.lattice = jobs->lattice,
+                           .physics = job->physics,
+                           .precision = job->precision,
+                           .urgency = job->priority,
+                           .back_end = job->back_end,
+                           .cancel = cancel,
+                           .tag = job->id};
+}
+
 int mo_grid_create(struct mo_grid *grid)
 {
   grid->cells = calloc((size_t)grid->n_designs * grid->n_environments + 1, 1);

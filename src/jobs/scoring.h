@@ -23,6 +23,9 @@ struct mo_grid {
   uint8_t *left;   /* (n_designs) cells that are not done */
   uint32_t cursor; /* no earlier design has a cell to do */
 };
+/* Returns what the blocks of a job have in common, but for controller and share. */
+struct mo_block mo_block_of(const struct mo_jobs *jobs, const struct mo_job *job,
+                            const volatile int *cancel);
 /* Allocates the cells of a grid whose other fields are filled in. MO_ERR_NO_MEMORY. */
 int mo_grid_create(struct mo_grid *grid);
 void mo_grid_free(struct mo_grid *grid);

@@ -114,7 +114,8 @@ SERVICE_CASE(blames_crashes_on_their_job, 0)
     REQUIRE(fd >= 0);
     mo_jobs_crash_note(fd, SIGSEGV);
     CHECK_INT(lseek(fd, 0, SEEK_END), 0);
-    dprintf(fd, "%lld %d\n", (long long)id, SIGSEGV); /* what a worker's handler writes */
+    /* What a worker's handler writes, and a line that another was cut off at. */
+    dprintf(fd, "%lld %d\n%lld", (long long)id, SIGSEGV, (long long)other);
     close(fd);
     service_close();
     /* Running in the file, or still queued: the start of a job is written some time after it. */
