@@ -83,18 +83,25 @@ static int finding_error(struct mo_connection *connection, const char *text)
   return mo_sql_error(connection->db, code > 0 && code < INT_MAX ? (int)code : SQLITE_CORRUPT);
 }
 
+/* Reads the text in the first row; it stays if there are no rows. */
+static int read_text(struct mo_connection *connection, const char *sql, char *text, size_t size)
+{
+  sqlite3_stmt *row;
+  const int error = mo_sql_row(connection, &row, sql);
+  if (error == MO_OK)
+    mo_column_text(row, 0, text, size);
+  mo_sql_reset(connection);
+  return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+}
+
 /* Runs a check that answers "ok" in one row. */
 static int run_check(struct mo_connection *connection, const char *sql, struct mo_message *message)
 {
-  sqlite3_stmt *row;
   char text[160] = "ok";
-  int error = mo_sql_row(connection, &row, sql);
-  if (error == MO_OK)
-    mo_column_text(row, 0, text, sizeof(text));
-  mo_sql_reset(connection);
+  int error = read_text(connection, sql, text, sizeof(text));
   if (error == MO_OK && strcmp(text, "ok") != 0)
     error = finding_error(connection, text);
-  else if (error == MO_OK || error == MO_ERR_NOT_FOUND)
+  if (error == MO_OK)
     return MO_OK;
   return error == MO_ERR_CORRUPT && strcmp(text, "ok") != 0
              ? mo_fail(message, error, "the database is damaged: %s", text)
@@ -138,14 +145,10 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
 static int use_log(const struct mo_store *store, struct mo_connection *writer,
                    struct mo_message *message)
 {
-  sqlite3_stmt *row;
   char mode[16] = "";
-  const int error = mo_sql_row(writer, &row, "PRAGMA journal_mode=WAL");
-  if (error == MO_OK)
-    mo_column_text(row, 0, mode, sizeof(mode));
-  else if (error != MO_ERR_NOT_FOUND)
+  const int error = read_text(writer, "PRAGMA journal_mode=WAL", mode, sizeof(mode));
+  if (error != MO_OK)
     return error;
-  mo_sql_reset(writer);
   if (strcmp(mode, "wal") == 0)
     return MO_OK;
   return mo_fail(message, MO_ERR_UNSUPPORTED,

@@ -6,17 +6,16 @@
 #include "store/contents.h"
 #include "store/internal.h"
 
+static int take_environment(sqlite3_stmt *row, void *environment)
+{
+  return mo_column_environment(row, 0, 1, environment);
+}
+
 int mo_store_environment(struct mo_store *store, const struct mo_sha256 *sha256,
                          struct mo_environment *environment)
 {
   static const char sql[] = "SELECT data,sha256 FROM environments WHERE sha256=?1";
-  struct mo_connection *reader = mo_reader_acquire(store);
-  sqlite3_stmt *row;
-  int error = mo_sql_row(reader, &row, sql, mo_hash(sha256));
-  if (error == MO_OK)
-    error = mo_column_environment(row, 0, 1, environment);
-  mo_reader_release(store, reader);
-  return error;
+  return mo_read_one(store, sql, MO_VALUES(mo_hash(sha256)), take_environment, environment);
 }
 
 int mo_store_physics(struct mo_store *store, const struct mo_sha256 *sha256,
