@@ -4,7 +4,7 @@ import { announce, button, fill, h, select, toggle } from '../lib/dom.js';
 import { score } from '../lib/format.js';
 import { driveCamera } from './camera.js';
 import { Stage } from './stage.js';
-import { TAGS_MAX, Tags } from './tags.js';
+import { Tags } from './tags.js';
 
 const SPEEDS = [['2', '2 ×'], ['1', '1 ×'], ['0.5', '½ ×'], ['0.25', '¼ ×'], ['0.1', '⅒ ×']];
 /** A frame that takes longer than this lowers the resolution, then the shadow. */
@@ -13,6 +13,9 @@ const SLOW_FRAME_S = 0.028;
 const PATIENCE_MS = 1000;
 /** A picture that stands still is drawn in full after this pause. */
 const SETTLE_MS = 250;
+/** More names would hide the robots; more views would be too small. */
+const NAMES_MAX = 40;
+const APART_MAX = 64;
 
 export class Player {
   /**
@@ -212,8 +215,8 @@ export class Player {
     this.slider.max = String(duration || 1);
     if (!keepTime || this.stage.timeS > duration) this.stage.timeS = 0;
     this.sideToggle.parentElement.hidden = robots.length < 2;
-    // All robots start at the same place, so a few of them are first shown apart.
-    const apart = robots.length > 1 && robots.length <= 16;
+    // All robots start at the same place, so they are first shown apart, unless there are very many.
+    const apart = robots.length > 1 && robots.length <= APART_MAX;
     if (!this.arranged && this.stage.sideBySide !== apart) this.setSide(apart);
     this.arranged ||= robots.length > 1;
     this.actuationToggle.disabled = !robots.some((robot) => robot.actuation);
@@ -229,8 +232,7 @@ export class Player {
   /** The list of robots; side by side, the tags in the views tell the same. */
   #showNames() {
     const { robots, sideBySide } = this.stage;
-    this.names.hidden = robots.length === 0 || robots.length > 40 ||
-      (sideBySide && robots.length > 1 && robots.length <= TAGS_MAX);
+    this.names.hidden = robots.length === 0 || robots.length > NAMES_MAX || (sideBySide && robots.length > 1);
   }
 
   #name(robot, i) {

@@ -7,10 +7,14 @@
 
 import { Camera } from './camera.js';
 import { Program, dataTexture, shadowTarget, vertexArray } from './gl.js';
-import { lookAt, multiply, normalize, orthographic, project } from './math.js';
+import { lookAt, multiply, normalize, orthographic } from './math.js';
 import * as shaders from './shaders.js';
 
+/** Cells of the ground's mesh along each side, and of that in small views. */
 const GRID = 160;
+const COARSE_GRID = 56;
+/** Views that are less high than this, in pixels of the page, are small: the camera goes nearer. */
+const SMALL_PX = 260;
 
 /** Colors of robots in the order of the legend: told apart by color-blind people, too. */
 export const COLORS = ['#f0a030', '#4a9be8', '#57c08a', '#d070c0', '#e8e060', '#9a8cff', '#70d0e0', '#e07060'];
@@ -119,6 +123,27 @@ function trailOf(gl, robot) {
   return { ...ribbon, n: points.length * 2 };
 }
 
+/** A square of so many cells along each side, from -1 to 1. */
+function groundMesh(gl, cells) {
+  const corners = new Float32Array((cells + 1) * (cells + 1) * 2);
+  const triangles = new Uint32Array(cells * cells * 6);
+  for (let y = 0, at = 0, t = 0; y <= cells; y++) {
+    for (let x = 0; x <= cells; x++, at += 2) {
+      corners[at] = (2 * x) / cells - 1;
+      corners[at + 1] = (2 * y) / cells - 1;
+      if (x === cells || y === cells) continue;
+      const i = y * (cells + 1) + x;
+      triangles.set([i, i + 1, i + cells + 2, i, i + cells + 2, i + cells + 1], t);
+      t += 6;
+    }
+  }
+  const mesh = vertexArray(gl, corners, [{ at: 0, size: 2, type: gl.FLOAT, stride: 8 }]);
+  gl.bindVertexArray(mesh.array);
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, triangles, gl.STATIC_DRAW);
+  return { array: mesh.array, n: triangles.length };
+}
+
 /**
  * @typedef {Object} Robot
  * @property {ReturnType<import('../lib/body.js').bodyOf>} body
@@ -175,22 +200,8 @@ export class Stage {
       contacts: new Program(gl, shaders.CONTACT_SHADERS),
       lamp: new Program(gl, shaders.LAMP_SHADERS).prepare(),
     };
-    const corners = new Float32Array((GRID + 1) * (GRID + 1) * 2);
-    const triangles = new Uint32Array(GRID * GRID * 6);
-    for (let y = 0, at = 0, t = 0; y <= GRID; y++) {
-      for (let x = 0; x <= GRID; x++, at += 2) {
-        corners[at] = (2 * x) / GRID - 1;
-        corners[at + 1] = (2 * y) / GRID - 1;
-        if (x === GRID || y === GRID) continue;
-        const i = y * (GRID + 1) + x;
-        triangles.set([i, i + 1, i + GRID + 2, i, i + GRID + 2, i + GRID + 1], t);
-        t += 6;
-      }
-    }
-    this.ground = vertexArray(gl, corners, [{ at: 0, size: 2, type: gl.FLOAT, stride: 8 }]);
-    gl.bindVertexArray(this.ground.array);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, triangles, gl.STATIC_DRAW);
+    this.ground = groundMesh(gl, GRID);
+    this.coarseGround = groundMesh(gl, COARSE_GRID);
     this.empty = gl.createVertexArray();
     gl.bindVertexArray(null);
     this.shadow = shadowTarget(gl, 1024);
@@ -296,7 +307,13 @@ export class Stage {
       const center = centerOfMass(lead, this.frameOf(lead));
       camera.target = [center[0], center[1], Math.max(center[2] - 0.05, 0)];
     }
+    const { distanceM } = camera;
+    const shown = (view.height / this.canvas.height) * this.canvas.clientHeight;
+    camera.distanceM *= Math.min(1, 0.45 + 0.55 * (shown / SMALL_PX));
     const matrix = camera.matrix(view.width, view.height);
+    const eye = camera.eye();
+    camera.distanceM = distanceM;
+    const ground = shown < SMALL_PX ? this.coarseGround : this.ground;
     const world = lead?.world ?? { light: [2.5, 4.5], heights: new Float32Array(64).fill(0.05) };
     const sun = sunOf(world);
     const sunMatrix = this.#drawShadows(view, sun);
@@ -306,13 +323,13 @@ export class Stage {
     clear(gl, look.background);
     gl.enable(gl.DEPTH_TEST);
     const common = {
-      ...look, matrix, sunMatrix, sun, eye: camera.eye(), heights: this.#heights(world),
+      ...look, matrix, sunMatrix, sun, eye, heights: this.#heights(world),
       lightAt: [...world.light, heightAt(world.heights, ...world.light) + 0.06],
       shadowMap: this.shadow.texture, shadowStrength: this.shadows ? 0.62 : 0,
     };
     this.programs.terrain.use().set(common);
-    gl.bindVertexArray(this.ground.array);
-    gl.drawElements(gl.TRIANGLES, GRID * GRID * 6, gl.UNSIGNED_INT, 0);
+    gl.bindVertexArray(ground.array);
+    gl.drawElements(gl.TRIANGLES, ground.n, gl.UNSIGNED_INT, 0);
     // In a race the robots are told apart by their colors.
     const owned = view.robots.length > 1 ? 0.65 : 0;
     for (const robot of view.robots) this.#drawRobot(robot, { ...common, owned });
@@ -392,16 +409,6 @@ export class Stage {
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     gl.depthMask(true);
     gl.disable(gl.BLEND);
-  }
-
-  /** Where a mass appears, in pixels of the canvas from its upper left corner. */
-  positionOf(robotIndex, mass) {
-    const robot = this.robots[robotIndex];
-    const view = this.views()[this.sideBySide ? robotIndex : 0];
-    const frame = Math.round(this.frameOf(robot));
-    const at = 3 * (frame * robot.body.nMasses + mass);
-    const [x, y] = project(this.camera.matrix(view.width, view.height), robot.track.subarray(at, at + 3));
-    return [view.x + ((x + 1) / 2) * view.width, this.canvas.height - view.y - ((y + 1) / 2) * view.height];
   }
 }
 

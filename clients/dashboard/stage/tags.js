@@ -6,7 +6,7 @@ import { centerOfMass } from './stage.js';
 import { project } from './math.js';
 
 /** More names than these would hide the robots. */
-export const TAGS_MAX = 16;
+const TAGS_MAX = 16;
 const [HEIGHT_PX, WIDTH_PX] = [22, 90];
 
 export class Tags {
