@@ -225,6 +225,14 @@ def test_a_campaign_from_start_to_end_by_keyboard(service, browser):
     press("Extend")
     browser.until("!document.querySelector('dialog[open]')")
     assert service.get(f"/v1/campaigns/{number}")["settings"]["generations"] == 12
+    press("Resume by keyboard")
+    browser.until("document.querySelector('.state')?.textContent === 'running'")
+    browser.run("const { createObjectURL } = URL; URL.createObjectURL = (blob) => {"
+                "blob.text().then((text) => { window.saved = text; }); return createObjectURL(blob); }")
+    press("Export")
+    browser.until("document.querySelector('dialog[open]')")
+    press("Generations as CSV")
+    browser.until("/^generation,/.test(window.saved)")
     service.act(number, "cancel")
     assert browser.faults() == []
 

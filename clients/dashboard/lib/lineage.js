@@ -6,6 +6,9 @@
 /** In a column of parents: none. */
 export const NO_PARENT = 0xffffffff;
 
+/** Colors of operators: random, listed, inherited, mutation, crossover, and those of a study. */
+export const OPERATOR_HUES = ['--grey', '--grey', '--green', '--orange', '--blue', '--pink', '--bad', '--text'];
+
 /**
  * @typedef {Object} Columns
  * @property {Uint32Array} number ascending; not each number need be there
@@ -14,6 +17,7 @@ export const NO_PARENT = 0xffffffff;
  * @property {Uint16Array|Uint32Array} born generations
  * @property {Uint16Array|Uint32Array} died generations; the largest value: it lives
  * @property {Uint8Array} operator
+ * @property {string[]} [operators] what their numbers mean
  * @property {Float32Array} score NaN: a rollout diverged
  */
 
@@ -32,7 +36,7 @@ function placesOf(numbers) {
  * designs are ancestors of the living.
  * @param {Columns} columns
  * @returns {{y: Float32Array, parentRow: Int32Array, lineage: Uint8Array, order: Uint32Array,
- *            nLineage: number}} order: rows, the ancestors of the living last, to be drawn on top
+ *            size: Uint32Array, nLineage: number}} size: of the family, itself and its descendants; order: rows, the ancestors of the living last, to be drawn on top
  */
 export function layout(columns) {
   const { number, parent, other_parent: other, died } = columns;
@@ -77,7 +81,7 @@ export function layout(columns) {
   let [low, high] = [0, n];
   for (let i = n - 1; i >= 0; i--) if (lineage[i]) order[--high] = i;
   for (let i = 0; i < n; i++) if (!lineage[i]) order[low++] = i;
-  return { y, parentRow, lineage, order, nLineage: n - high };
+  return { y, parentRow, lineage, size, order, nLineage: n - high };
 }
 
 /** The row whose life passes nearest to a point, in units of the view; -1 if none is near. */

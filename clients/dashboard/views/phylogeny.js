@@ -3,7 +3,7 @@
 import { getJson, request, withQuery } from '../lib/api.js';
 import { announce, button, fill, h, select } from '../lib/dom.js';
 import { count, score } from '../lib/format.js';
-import { layout, nearest } from '../lib/lineage.js';
+import { OPERATOR_HUES, layout, nearest } from '../lib/lineage.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { decodeScene } from '../lib/scene.js';
@@ -22,7 +22,7 @@ uniform vec2 zoom;
 uniform bool byKind;
 uniform vec3 low;
 uniform vec3 high;
-uniform vec3 kinds[6];
+uniform vec3 kinds[8];
 uniform float dim;
 out vec4 color;
 void main() {
@@ -36,7 +36,7 @@ void main() {
   float x = corner == 3 ? life.y : life.x - (corner == 0 ? 1.0 : 0.0);
   float y = corner == 0 ? life.w : life.z;
   gl_Position = vec4((x + shift.x) * zoom.x, (y + shift.y) * zoom.y, 0.0, 1.0);
-  vec3 hue = byKind ? kinds[int(look.x * 255.0 + 0.5)] : mix(low, high, look.x);
+  vec3 hue = byKind ? kinds[min(int(look.x * 255.0 + 0.5), 7)] : mix(low, high, look.x);
   float weight = look.y > 0.5 ? (joint ? 0.6 : 0.95) : (joint ? dim * 0.3 : dim);
   color = vec4(hue, life.w < -0.5 && joint ? 0.0 : weight);
 }`,
@@ -50,7 +50,7 @@ void main() { result = color; }`,
 /** Designs in a row of a texture: the shader takes its low bits for the column. */
 const TEXELS = 2048;
 const MANY = 100000;
-const COLOR_BY = [['score', 'score'], ['age', 'age'], ['operator', 'operator']];
+const COLOR_BY = [['score', 'score'], ['age', 'age'], ['descendants', 'descendants'], ['operator', 'operator']];
 const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
 
 /** A canvas with the lives of designs; it knows nothing of the page around it. */
@@ -102,7 +102,7 @@ export class PhylogenyCanvas {
   }
 
   #fillTextures() {
-    const { columns, layout: { y, parentRow, lineage, order }, gl } = this;
+    const { columns, layout: { y, parentRow, lineage, order, size }, gl } = this;
     const { born, died, operator, score: scores } = columns;
     const n = order.length;
     const rows = Math.max(1, Math.ceil(n / TEXELS));
@@ -124,7 +124,8 @@ export class PhylogenyCanvas {
       lives[at + 2] = y[i];
       lives[at + 3] = parentRow[i] < 0 ? -1 : y[parentRow[i]];
       let value = 0;
-      if (this.colorBy === 'operator') value = Math.min(operator[i], 5) / 255;
+      if (this.colorBy === 'operator') value = operator[i] / 255;
+      else if (this.colorBy === 'descendants') value = Math.log(size[i]) / Math.log(Math.max(2, n));
       else if (this.colorBy === 'age') value = Math.min(1, (end - born[i]) / Math.max(2, this.last * 0.5));
       else value = scores[i] > 0 ? 1 - Math.min(1, Math.max(0, Math.log(scores[i] / best) / span)) : 0;
       looks[2 * k] = Math.round(value * 255);
@@ -192,8 +193,7 @@ export class PhylogenyCanvas {
       lives: this.textures[0], looks: this.textures[1], dim: this.columns.number.length > MANY ? 0.35 : 0.6,
     });
     const kinds = this.program.places.get('kinds[0]');
-    const hues = [color('--grey'), color('--grey'), color('--green'), color('--orange'), color('--blue'), color('--pink')];
-    if (kinds) gl.uniform3fv(kinds.at, hues.flat());
+    if (kinds) gl.uniform3fv(kinds.at, OPERATOR_HUES.flatMap(color));
     gl.drawArrays(gl.LINES, 0, 4 * this.layout.order.length);
     if (this.measure) gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     this.times.drawMs = performance.now() - started;
@@ -211,6 +211,7 @@ export async function loadColumns(id, keep, signal) {
   const { header, array } = decodeScene(await response.arrayBuffer());
   const columns = Object.fromEntries(Object.entries(header.columns).map(([name, where]) => [name, array(where)]));
   // Of all designs, the place is the number.
+  columns.operators = header.operators;
   columns.number ??= new Uint32Array(columns.born.length).map((_, i) => i);
   return columns;
 }

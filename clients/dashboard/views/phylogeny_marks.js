@@ -3,11 +3,9 @@
 import { ticks } from '../lib/chart.js';
 import { fill, h } from '../lib/dom.js';
 import { count, number } from '../lib/format.js';
+import { OPERATOR_HUES } from '../lib/lineage.js';
 
 const FOOT_PX = 22;
-/** Operators by color, as the picture has them. */
-const KINDS = [['random or given', '--grey'], ['inherited', '--green'], ['mutation', '--orange'], ['crossover', '--blue'], ['of the study', '--pink']];
-
 export class PhylogenyMarks {
   /** @param {import('./phylogeny.js').PhylogenyCanvas} view */
   constructor(view) {
@@ -20,7 +18,7 @@ export class PhylogenyMarks {
 
   /** Says what the colors mean. */
   tell() {
-    const { colorBy, scores } = this.view;
+    const { colorBy, scores, columns } = this.view;
     const swatch = (color) => {
       const element = h('i.swatch');
       element.style.color = `var(${color})`;
@@ -30,7 +28,9 @@ export class PhylogenyMarks {
     fill(this.legend, {
       score: () => ramp(`score ${number(scores[1])}`, `${number(scores[0])}, the best`),
       age: () => ramp('short life', 'long life'),
-      operator: () => KINDS.slice(0, this.view.columns.operator.some((kind) => kind > 4) ? 5 : 4).map(([name, color]) => h('span', {}, swatch(color), name)),
+      descendants: () => ramp('no descendants', 'most, on a scale of logarithms'),
+      operator: () => [...new Set(columns.operator)].sort().map((operator) =>
+        h('span', {}, swatch(OPERATOR_HUES[Math.min(operator, OPERATOR_HUES.length - 1)]), columns.operators[operator])),
     }[colorBy](), h('span', {}, 'bright: ancestors of the living'));
   }
 

@@ -13,8 +13,7 @@ export const TRAITS = {
   born: { name: 'born in generation', of: (design) => design.born },
 };
 const OPERATOR_COLORS = { mutation: '--orange', crossover: '--blue', random: '--grey', listed: '--green', inherited: '--grey' };
-/** Of an operator; those that the client of a study has named share one. */
-const colorOf = (operator) => OPERATOR_COLORS[operator] ?? '--pink';
+const colorOf = (operator) => OPERATOR_COLORS[operator] ?? '--pink'; // a study's own
 const MARGIN = { left: 56, right: 14, top: 28, bottom: 46 };
 
 export class Scatter {
@@ -57,11 +56,12 @@ export class Scatter {
 
   set(designs) {
     this.designs = designs;
-    fill(this.legend, [...new Set(designs.map((design) => design.operator))].map((operator) => {
-      const swatch = h('i.swatch');
-      swatch.style.color = `var(${colorOf(operator)})`;
-      return h('span', {}, swatch, operator);
-    }));
+    fill(this.legend, [...new Set(designs.map((design) => design.operator))].sort()
+      .map((operator) => {
+        const swatch = h('i.swatch');
+        swatch.style.color = `var(${colorOf(operator)})`;
+        return h('span', {}, swatch, operator);
+      }));
     const numbers = new Set(designs.map((design) => design.number));
     this.selected = this.selected.filter((design) => numbers.has(design.number));
     this.canvas.setAttribute('aria-label', `Population of ${designs.length} designs: ${TRAITS[this.axes[1]].name} ` +
