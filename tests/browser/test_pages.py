@@ -228,7 +228,8 @@ def test_a_campaign_from_start_to_end_by_keyboard(service, browser):
     press("Resume by keyboard")
     browser.until("document.querySelector('.state')?.textContent === 'running'")
     browser.run("const { createObjectURL } = URL; URL.createObjectURL = (blob) => {"
-                "blob.text().then((text) => { window.saved = text; }); return createObjectURL(blob); }")
+                "  blob.text().then((text) => { window.saved = text; });"
+                "  return createObjectURL(blob); }")
     press("Export")
     browser.until("document.querySelector('dialog[open]')")
     press("Generations as CSV")

@@ -79,7 +79,7 @@ export class Chart {
       tabindex: 0, role: 'img', 'aria-label': `${options.title}: no values yet`,
     });
     this.canvas.style.minHeight = `${this.options.height}px`;
-    this.readout = h('div.readout', { 'aria-live': 'polite', 'data-axis': this.options.xName });
+    this.readout = h('div.readout', { 'aria-live': 'polite' });
     this.legend = h('div.legend');
     this.element = h('figure.panel.chart', {},
       h('figcaption', {}, h('h3', {}, options.title), note ? h('span.muted', {}, note) : null, this.legend), this.canvas, this.readout);
@@ -94,6 +94,7 @@ export class Chart {
   set(series) {
     this.series = series;
     this.range = this.#range();
+    this.readout.dataset.axis = this.range ? this.options.xName : '';
     this.legend.replaceChildren(...series.filter((s) => !s.silent).map((s) => {
       const swatch = h(s.kind === 'band' ? 'i.swatch' : `i.swatch.line${s.dash?.length ? '.dashed' : ''}`);
       swatch.style.color = s.color.startsWith('--') ? `var(${s.color})` : s.color;

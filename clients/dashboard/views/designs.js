@@ -176,9 +176,9 @@ async function mountDesign(main, id, app) {
       h('div.stack', {}, h('strong', {}, inVoxels(design.voxels)), h('div', {}, `${design.masses} masses`),
         h('div', {}, `${design.springs} springs`), h('div.muted', {}, `first seen ${ago(design.first_seen_at)}`))),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
-    h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, h('table', {},
+    h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, h('table.cards', {},
       h('thead', {}, h('tr', {}, ['Score', 'Controller', 'Environments', 'Computed', 'Class', 'Origin'].map((name) => h('th', { scope: 'col' }, name)))),
-      h('tbody', {}, scored.map((one) => h('tr', {}, h('td', {}, score(one.score)), h('td', {}, h('code', {}, one.controller.slice(0, 12))),
+      h('tbody', {}, scored.map((one) => h('tr', {}, h('td', { 'data-name': 'Score' }, score(one.score)), h('td', { 'data-name': 'Controller' }, h('code', {}, one.controller.slice(0, 12))),
         h('td', {}, Array.isArray(one.environments) ? countOf(one.environments.length, 'environment') : String(one.environments)),
         h('td', {}, ago(one.computed_at)), h('td', {}, one.fingerprint), h('td', {}, one.origin))))))
       : h('p.empty', {}, 'No score is stored for this design.')),

@@ -239,7 +239,7 @@ export async function mount(main, id, parameters, app) {
         button('Whole', () => { view.reset(); view.draw(); }))),
     h('section.panel.flush', {}, h('div.overlaid', {}, canvas, marks.canvas), marks.legend),
     h('div.grid', {}, h('section.panel.stack', {}, detail, h('h3', {}, 'Ancestry'), ancestry),
-      h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)));
+      h('section.panel.flush.beside', { 'aria-label': 'Stage' }, player.element)));
   fill(detail, h('p.empty', {}, 'Touch a design: its robot walks, and its line of descent is shown. Drag to move, wheel or pinch to zoom. ' +
     'Arrow keys go from design to design.'));
   const redraw = () => view.draw();
@@ -281,7 +281,7 @@ export async function mount(main, id, parameters, app) {
     if (selected !== row) return;
     player.setRobots(robots);
     fill(ancestry, ancestors.items.map((one) => h('button.card', { type: 'button', onclick: () => find(String(one.number)) },
-      picture(one.genotype, `Ancestor ${one.number}`), h('span.number', {}, `#${one.number} · ${score(one.score)}`))),
+      picture(one.genotype, `Ancestor ${one.number}`), h('strong.number', {}, score(one.score)), h('span.muted', {}, `#${one.number}`))),
     ancestors.items.length ? null : h('p.empty', {}, 'It has no ancestors: it was in the initial population.'));
   }
 

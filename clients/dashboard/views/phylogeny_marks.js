@@ -31,7 +31,7 @@ export class PhylogenyMarks {
       descendants: () => ramp('no descendants', 'most, on a scale of logarithms'),
       operator: () => [...new Set(columns.operator)].sort().map((operator) =>
         h('span', {}, swatch(OPERATOR_HUES[Math.min(operator, OPERATOR_HUES.length - 1)]), columns.operators[operator])),
-    }[colorBy](), h('span', {}, 'bright: ancestors of the living'));
+    }[colorBy](), h('span', {}, 'bright: ancestors of the living'), h('span', {}, 'across: generations'));
   }
 
   draw() {
@@ -61,8 +61,6 @@ export class PhylogenyMarks {
       context.globalAlpha = 1;
       context.fillText(count(tick), Math.min(width - 14, Math.max(14, x)), height - 7);
     }
-    context.textAlign = 'right';
-    context.fillText('generation', width - 8, height - FOOT_PX - 6);
     if (this.selected >= 0) this.#descent(context, color('--text'));
   }
 

@@ -165,7 +165,7 @@ async function mountOne(main, id, parameters, app) {
   const loss = new Chart({ title: 'Mean loss of the batch', xName: 'step', log: true, height: 280, empty: 'No step has ended yet.' });
   const held = new Chart({ title: 'Held-out score', xName: 'step', log: true, height: 280, empty: 'No validation yet.' });
   const norm = new Chart({ title: 'Gradient norm', xName: 'step', log: true });
-  const clipped = new Chart({ title: 'Share of clipped adjoints', xName: 'step', minimum: 0 });
+  const clipped = new Chart({ title: 'Share of clipped adjoints', xName: 'step', minimum: 0, yText: percent });
   const charts = [loss, held, norm, clipped];
   main.replaceChildren(title, head, h('div.grid', {}, charts.map((chart) => chart.element)));
 
