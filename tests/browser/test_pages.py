@@ -322,6 +322,27 @@ def test_what_happens_while_a_page_loads_is_not_lost(service, browser):
     browser.until("document.querySelector('h1 ~ .state')?.innerText === 'cancelled'")
 
 
+def test_a_study_shows_its_measures_and_operators(service, browser):
+    from conftest import CAMPAIGN
+    id = service.post("/v1/campaigns", {key: CAMPAIGN[key] for key in (
+        "population", "physics", "environments")} | {"mode": "study", "label": "search"})["id"]
+    service.post(f"/v1/campaigns/{id}/tell", {"batch": 0, "children": [
+        {"body": DESIGN, "operator": "sampler", "measures": {"reach": 2.5}}]},
+        headers={"Prefer": "wait=30"})
+    browser.open(f"campaigns/{id}")
+    browser.until("[...document.querySelectorAll('option')].some((e) => e.innerText === 'reach')")
+    text = browser.run("return document.querySelector('main').innerText")
+    assert "1 batch told" in text and "Extend" not in browser.texts("main button")
+    assert browser.texts("section.chart .legend") == ["sampler"]
+    browser.open(f"campaigns/{id}/phylogeny")
+    browser.until("document.querySelector('.flush > .legend').innerText")
+    browser.run("const e = document.querySelector('select'); e.value = 'operator';"
+                "e.dispatchEvent(new Event('change'))")
+    assert browser.texts(".flush > .legend span")[0] == "sampler"
+    service.act(id, "cancel")
+    assert browser.faults() == []
+
+
 COPIED = [
     "", "campaigns", "campaigns/{campaign}", "campaigns/{campaign}/phylogeny", "trainings",
     "trainings/{training}", "designs", "designs?evaluation={evaluation}", "designs/{design}",

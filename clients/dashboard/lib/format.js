@@ -20,8 +20,8 @@ export function count(value) {
 }
 
 /** How many of a thing: "1 environment", "64 environments". */
-export function countOf(n, thing) {
-  return `${count(n)} ${thing}${n === 1 ? '' : 's'}`;
+export function countOf(n, thing, things = `${thing}s`) {
+  return `${count(n)} ${n === 1 ? thing : things}`;
 }
 
 export const voxels = (n) => countOf(n, 'voxel');

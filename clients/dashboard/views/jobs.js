@@ -2,7 +2,7 @@
 
 import { ApiError, post } from '../lib/api.js';
 import { announce, button, fill, h } from '../lib/dom.js';
-import { ago, count, duration } from '../lib/format.js';
+import { ago, count, countOf, duration } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { confirmDialog } from './share.js';
 
@@ -44,6 +44,9 @@ export function progressOf(job) {
       text: `step ${count(progress.step)} of ${count(progress.steps)}`,
       secondsLeft: progress.seconds_left,
     };
+  }
+  if ((job.mode ?? job.campaign?.mode) === 'study') {
+    return { share: 1, text: `${countOf((progress.generation ?? -1) + 1, 'batch', 'batches')} told`, secondsLeft: null };
   }
   const within = progress.total > 0 ? progress.done / progress.total : 0;
   const generation = progress.generation ?? 0;

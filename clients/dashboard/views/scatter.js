@@ -27,11 +27,12 @@ export class Scatter {
     this.canvas.style.minHeight = '340px';
     this.walk = button('Let the chosen walk', () => this.#choose(), { disabled: true });
     this.legend = h('div.legend');
-    const traits = Object.entries(TRAITS).map(([key, { name }]) => [key, name]);
+    this.traits = TRAITS;
+    this.selects = h('span.row');
     this.element = h('section.panel.chart', {}, h('div.title', {}, h('h2', {}, 'Population'),
       h('span.muted', {}, 'drag over points to choose designs'), h('div.actions', {},
-        select('Across', traits, this.axes[0], (key) => this.#axis(0, key)),
-        select('Up', traits, this.axes[1], (key) => this.#axis(1, key)), this.walk)), this.legend, this.canvas);
+        this.selects, this.walk)), this.legend, this.canvas);
+    this.#offer();
     this.canvas.addEventListener('pointerdown', (event) => {
       this.canvas.setPointerCapture(event.pointerId);
       this.brush = { x0: event.offsetX, y0: event.offsetY, x1: event.offsetX, y1: event.offsetY };
@@ -54,8 +55,19 @@ export class Scatter {
     this.observer.observe(this.canvas);
   }
 
+  /** Offers the traits, and the measures of a study. */
+  #offer(measures = []) {
+    this.traits = { ...TRAITS, ...Object.fromEntries(measures.map((name) =>
+      [`measures.${name}`, { name, of: (design) => design.measures?.[name] ?? null }])) };
+    const traits = Object.entries(this.traits).map(([key, { name }]) => [key, name]);
+    fill(this.selects, select('Across', traits, this.axes[0], (key) => this.#axis(0, key)),
+      select('Up', traits, this.axes[1], (key) => this.#axis(1, key)));
+  }
+
   set(designs) {
     this.designs = designs;
+    const measures = [...new Set(designs.flatMap((design) => Object.keys(design.measures ?? {})))].sort();
+    if (Object.keys(this.traits).length !== Object.keys(TRAITS).length + measures.length) this.#offer(measures);
     fill(this.legend, [...new Set(designs.map((design) => design.operator))].sort()
       .map((operator) => {
         const swatch = h('i.swatch');
@@ -64,8 +76,8 @@ export class Scatter {
       }));
     const numbers = new Set(designs.map((design) => design.number));
     this.selected = this.selected.filter((design) => numbers.has(design.number));
-    this.canvas.setAttribute('aria-label', `Population of ${designs.length} designs: ${TRAITS[this.axes[1]].name} ` +
-      `over ${TRAITS[this.axes[0]].name}. Enter lets the eight best walk.`);
+    this.canvas.setAttribute('aria-label', `Population of ${designs.length} designs: ${this.traits[this.axes[1]].name} ` +
+      `over ${this.traits[this.axes[0]].name}. Enter lets the eight best walk.`);
     this.draw();
   }
 
@@ -81,7 +93,7 @@ export class Scatter {
   #place() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     return this.axes.map((key, axis) => {
-      const values = this.designs.map(TRAITS[key].of).filter((v) => v !== null);
+      const values = this.designs.map(this.traits[key].of).filter((v) => v !== null);
       let [low, high] = [Infinity, -Infinity];
       for (const value of values) {
         low = Math.min(low, value);
@@ -91,7 +103,7 @@ export class Scatter {
       const room = (high - low || 1) * 0.05;
       [low, high] = [low - room, high + room];
       const [from, to] = axis === 0 ? [MARGIN.left, width - MARGIN.right] : [height - MARGIN.bottom, MARGIN.top];
-      return { low, high, of: TRAITS[key].of, at: (value) => from + ((value - low) / (high - low)) * (to - from) };
+      return { low, high, of: this.traits[key].of, at: (value) => from + ((value - low) / (high - low)) * (to - from) };
     });
   }
 
@@ -119,7 +131,7 @@ export class Scatter {
     }
     context.textAlign = 'center';
     for (const tick of ticks(x.low, x.high, 8)) context.fillText(number(tick), x.at(tick), height - MARGIN.bottom + 18);
-    const [across, up] = this.axes.map((key) => TRAITS[key].name);
+    const [across, up] = this.axes.map((key) => this.traits[key].name);
     context.fillText(across, (MARGIN.left + width - MARGIN.right) / 2, height - 6);
     context.textAlign = 'left';
     context.fillText(up, 8, 14);
