@@ -13,6 +13,7 @@
 #include "commands.h"
 #include "table.h"
 #include "template.h"
+#include "transport.h"
 
 #define ASK_S         5
 #define LINES_BESIDES 13
@@ -63,9 +64,8 @@ static int64_t newest_generation(const struct campaign *campaign)
 static int load(struct live *live)
 {
   struct campaign *campaign = (struct campaign *)live;
-  char path[64];
-  snprintf(path, sizeof(path), "/v1/campaigns/%s/generations", live->id);
-  int status = walk_items(live->ctl, path, newest_generation(campaign), 0, add_row, campaign);
+  int status = walk_items(live->ctl, path_to("/v1/campaigns/%s/generations", live->id),
+                          newest_generation(campaign), 0, add_row, campaign);
   /* A generation may have been committed between the two requests. */
   json_t *progress = json_object_get(live->job, "progress");
   const double known = real_at(progress, "generation");

@@ -71,15 +71,14 @@ int run_design_made(struct ctl *ctl)
   const char *verb = ctl->command->name + strlen("design ");
   struct designs designs = {0};
   json_t *request = json_object();
-  char path[40];
   int status = add_designs(ctl, 0, 0, 0, &designs);
-  snprintf(path, sizeof(path), "/v1/bodies/%s", verb);
   if (status == STATUS_OK)
     json_object_set(request, "designs", designs.list);
   if (status == STATUS_OK && strcmp(verb, "cross") == 0)
     status = fill_pairs(request, designs.n);
   if (status == STATUS_OK)
-    status = make(ctl, path, request, strcmp(verb, "canonical") == 0 ? "id" : "voxels");
+    status = make(ctl, path_to("/v1/bodies/%s", verb), request,
+                  strcmp(verb, "canonical") == 0 ? "id" : "voxels");
   json_decref(request);
   designs_free(&designs);
   return status;

@@ -110,15 +110,14 @@ int run_campaign_list(struct ctl *ctl)
 int run_campaign_extend(struct ctl *ctl)
 {
   const char *id = ctl->operands[0], *more = ctl->operands[1];
-  char path[64], *end;
+  char *end;
   long long generations = strtoll(more, &end, 10);
   if (!check_job_id(id))
     return STATUS_USAGE;
   if (*more == 0 || *end != 0 || generations < 1 || generations > 1000000)
     return complain(STATUS_USAGE, "\"%s\" is not a number of further generations", more);
-  snprintf(path, sizeof(path), "/v1/campaigns/%s/extend", id);
   json_t *request = json_pack("{sI}", "generations", (json_int_t)generations), *campaign = NULL;
-  int status = post_job(ctl, path, request, 0, &campaign);
+  int status = post_job(ctl, path_to("/v1/campaigns/%s/extend", id), request, 0, &campaign);
   if (campaign != NULL)
     tell(ctl, campaign, "campaign {id} is {state}, to generation {progress.generations}");
   json_decref(request);
@@ -133,16 +132,14 @@ int run_campaign_extend(struct ctl *ctl)
 static int record_champions(struct ctl *ctl, const char *id, int64_t count, const char *folder)
 {
   int64_t stride = 10;
-  char path[64];
   json_t *evaluation = NULL;
   if (!option_number(ctl, "record-stride", 1, 1000000, &stride))
     return STATUS_USAGE;
-  snprintf(path, sizeof(path), "/v1/campaigns/%s/champions", id);
   json_t *request =
       json_pack("{s:I, s:I}", "count", (json_int_t)count, "stride", (json_int_t)stride);
   int status = request_fill_record(ctl, request, folder != NULL ? "com" : NULL);
   if (status == STATUS_OK)
-    status = evaluate(ctl, path, request, true, &evaluation);
+    status = evaluate(ctl, path_to("/v1/campaigns/%s/champions", id), request, true, &evaluation);
   json_decref(request);
   if (status == STATUS_OK)
     status = job_outcome("job", evaluation);
@@ -159,7 +156,6 @@ int run_campaign_champions(struct ctl *ctl)
   const char *id = ctl->operands[0], *folder = option_text(ctl, "output", NULL);
   const bool records = folder != NULL || option_is_set(ctl, "film");
   int64_t count = 12, generation = -1;
-  char path[128];
   if (!check_job_id(id) || !option_number(ctl, "count", 1, 1000, &count) ||
       !option_number(ctl, "generation", 0, 1000000, &generation))
     return STATUS_USAGE;
@@ -171,11 +167,9 @@ int run_campaign_champions(struct ctl *ctl)
   const int checked = film_check(ctl);
   if (checked != STATUS_OK)
     return checked;
-  int n = snprintf(path, sizeof(path), "/v1/campaigns/%s/champions?count=%" PRId64, id, count);
-  if (generation >= 0)
-    snprintf(path + n, sizeof(path) - (size_t)n, "&generation=%" PRId64, generation);
   json_t *page;
-  int status = get_json(ctl, &page, "%s", path);
+  int status = get_json(ctl, &page, "/v1/campaigns/%s/champions?count=%" PRId64 "%s", id, count,
+                        generation >= 0 ? path_to("&generation=%" PRId64, generation) : "");
   if (status == STATUS_OK && ctl->json)
     print_json(page);
   else if (status == STATUS_OK)
@@ -193,14 +187,11 @@ int run_campaign_champions(struct ctl *ctl)
 static int export_population(struct ctl *ctl, const char *id, const char *output)
 {
   int64_t generation = -1;
-  char path[128];
   json_t *items;
   if (!option_number(ctl, "generation", 0, 1000000, &generation))
     return STATUS_USAGE;
-  int n = snprintf(path, sizeof(path), "/v1/campaigns/%s/population", id);
-  if (generation >= 0)
-    snprintf(path + n, sizeof(path) - (size_t)n, "?generation=%" PRId64, generation);
-  int status = collect(ctl, path, 0, &items);
+  const char *at = generation >= 0 ? path_to("?generation=%" PRId64, generation) : "";
+  int status = collect(ctl, path_to("/v1/campaigns/%s/population%s", id, at), 0, &items);
   if (status != STATUS_OK)
     return status;
   char *text = NULL;
@@ -250,12 +241,11 @@ int run_campaign_export(struct ctl *ctl)
     return STATUS_USAGE;
   for (size_t i = 0; i < sizeof(tables) / sizeof(tables[0]) && status == STATUS_OK; i++) {
     const char *output = option_text(ctl, tables[i].option, NULL);
-    char path[96];
     if (output == NULL)
       continue;
     n_given++;
-    snprintf(path, sizeof(path), "/v1/campaigns/%s/%s", id, tables[i].path);
-    status = save_reply(ctl, path, tables[i].accept, output);
+    status = save_reply(ctl, path_to("/v1/campaigns/%s/%s", id, tables[i].path), tables[i].accept,
+                        output);
   }
   if (status == STATUS_OK && option_is_set(ctl, "replicates") && !ctl->quiet)
     status = name_left_out(ctl, id);

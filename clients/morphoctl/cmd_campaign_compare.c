@@ -45,11 +45,9 @@ static int choose_members(struct ctl *ctl, json_t *campaign, bool alone, struct 
   int status = STATUS_OK;
   size_t i;
   if (!alone) {
-    char path[96];
     json_decref(group);
-    snprintf(path, sizeof(path), "/v1/campaigns?group=%s",
-             json_string_value(value_at(campaign, "group.id")));
-    status = collect(ctl, path, REPLICATES_MAX, &group);
+    const char *id = json_string_value(value_at(campaign, "group.id"));
+    status = collect(ctl, path_to("/v1/campaigns?group=%s", id), REPLICATES_MAX, &group);
   }
   side->members = json_array();
   json_array_foreach(group, i, one)

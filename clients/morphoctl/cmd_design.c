@@ -56,12 +56,10 @@ static void print_design(const struct ctl *ctl, const json_t *design)
 
 int run_design_show(struct ctl *ctl)
 {
-  char path[80];
   const char *id = ctl->operands[0];
   if (!is_id(id, strlen(id)))
     return complain(STATUS_USAGE, "\"%.60s\" is not an id: 36 hexadecimal digits", id);
-  snprintf(path, sizeof(path), "/v1/designs/%s", id);
-  return show(ctl, path, print_design);
+  return show(ctl, path_to("/v1/designs/%s", id), print_design);
 }
 
 #define DESIGN_COLUMNS(score)                                                                      \

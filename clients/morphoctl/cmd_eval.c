@@ -53,13 +53,10 @@ static size_t npy_head(const char *array, const char *shape, char head[256])
 static int save_array(struct ctl *ctl, const char *folder, const char *id, size_t design,
                       size_t environment, const char *array)
 {
-  char path[160];
-  snprintf(path, sizeof(path), "/v1/evaluations/%s/trajectories/%zu/file?environment=%zu&array=%s",
-           id, design, environment, array);
+  const char *path = path_to("/v1/evaluations/%s/trajectories/%zu/file?environment=%zu&array=%s",
+                             id, design, environment, array);
   struct reply reply;
-  int status = transport_send(
-      ctl, &(struct request){.method = "GET", .path = path, .accept = "application/octet-stream"},
-      &reply);
+  int status = transport_get(ctl, path, "application/octet-stream", &reply);
   if (status == STATUS_OK && strspn(reply.shape, "0123456789,") != strlen(reply.shape))
     status = complain(STATUS_ERROR, "the server's reply has no shape");
   if (status == STATUS_OK) {

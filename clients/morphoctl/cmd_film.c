@@ -283,10 +283,8 @@ static FILE *open_stream(const char *output, pid_t *ffmpeg)
     close(ends[0]);
     close(ends[1]);
     /* The name is that of a file, whatever it begins with. */
-    char path[4096];
-    snprintf(path, sizeof(path), "file:%s", output);
     execlp("ffmpeg", "ffmpeg", "-loglevel", "error", "-y", "-f", "yuv4mpegpipe", "-i", "-",
-           "-pix_fmt", "yuv420p", path, (char *)NULL);
+           "-pix_fmt", "yuv420p", path_to("file:%s", output), (char *)NULL);
     _exit(127);
   }
   close(ends[0]);
@@ -329,17 +327,10 @@ static int film_folder(struct film *film, const char *folder, uint32_t n_frames)
                    ? STATUS_OK
                    : complain(STATUS_ERROR, "%s: %s", folder, strerror(errno));
   for (uint32_t i = 0; i < n_frames && status == STATUS_OK && !interrupted(); i++) {
-    char path[4200];
-    snprintf(path, sizeof(path), "%s/%05u.png", folder, i);
     draw(film, i / film->rate);
-    status = save_png(film, path);
+    status = save_png(film, path_to("%s/%05u.png", folder, i));
   }
   return status;
-}
-
-static int check_output(const char *option, const char *output)
-{
-  return strlen(output) <= 4000 ? STATUS_OK : complain(STATUS_USAGE, "--%s is too long", option);
 }
 
 static int write_film(struct ctl *ctl, struct film *film, const char *output)
@@ -362,9 +353,7 @@ int run_film(struct ctl *ctl)
   if (output == NULL)
     return complain(STATUS_USAGE,
                     "--output is missing: film.mp4, film.y4m, - or a folder that ends with /");
-  int status = check_output("output", output);
-  if (status == STATUS_OK)
-    status = prepare(ctl, &film);
+  int status = prepare(ctl, &film);
   if (status == STATUS_OK)
     status = write_film(ctl, &film, output);
   release(&film);
@@ -405,9 +394,7 @@ int film_check(struct ctl *ctl)
                     "--film: film.mp4, film.y4m or a folder that ends with / is expected");
   if (!option_number(ctl, "environment", 0, 63, &place))
     return STATUS_USAGE;
-  int status = check_output("film", output);
-  if (status == STATUS_OK)
-    status = read_look(ctl, &film);
+  const int status = read_look(ctl, &film);
   return status == STATUS_OK && needs_ffmpeg(output) && !has_ffmpeg()
              ? complain(STATUS_ERROR, no_ffmpeg, "--film")
              : status;
@@ -430,14 +417,10 @@ static size_t choose_designs(const json_t *results, size_t places[ROBOTS_MAX])
 static int load_recording(struct ctl *ctl, struct film *film, const char *evaluation, size_t design,
                           int64_t environment, struct reply *reply)
 {
-  char path[128];
   struct scene scene;
-  snprintf(path, sizeof(path), "/v1/evaluations/%s/trajectories/%zu?environment=%" PRId64,
-           evaluation, design, environment);
-  const int status = transport_send(
-      ctl,
-      &(struct request){.method = "GET", .path = path, .accept = "application/vnd.morphod.scene"},
-      reply);
+  const char *path = path_to("/v1/evaluations/%s/trajectories/%zu?environment=%" PRId64, evaluation,
+                             design, environment);
+  const int status = transport_get(ctl, path, "application/vnd.morphod.scene", reply);
   if (status != STATUS_OK)
     return status;
   const char *fault = scene_read(reply->body, reply->body_bytes, &scene);

@@ -62,12 +62,10 @@ static void print_job(const struct ctl *ctl, const json_t *job)
 int run_job_show(struct ctl *ctl)
 {
   const char *id = ctl->operands[0];
-  char path[64];
   if (!check_job_id(id))
     return STATUS_USAGE;
-  snprintf(path, sizeof(path), "/v1/%s/%s", option_is_set(ctl, "results") ? "evaluations" : "jobs",
-           id);
-  return show(ctl, path, print_job);
+  const char *list = option_is_set(ctl, "results") ? "evaluations" : "jobs";
+  return show(ctl, path_to("/v1/%s/%s", list, id), print_job);
 }
 
 /* Sends a request to /v1/, noun + s, / + id + behind for each job that the operands name, and tells
@@ -78,13 +76,11 @@ static int each_job(struct ctl *ctl, struct request request, const char *noun, c
   int worst = STATUS_OK;
   for (size_t i = 0; i < ctl->n_operands; i++) {
     const char *id = ctl->operands[i];
-    char path[96];
     json_t *value;
     long code;
     if (!check_job_id(id))
       return STATUS_USAGE;
-    snprintf(path, sizeof(path), "/v1/%ss/%s%s", noun, id, behind);
-    request.path = path;
+    request.path = path_to("/v1/%ss/%s%s", noun, id, behind);
     int status = send_json(ctl, &request, &code, &value);
     if (value != NULL && !ctl->json && !ctl->quiet)
       printf("%s %s", noun, id);
@@ -101,7 +97,7 @@ static int each_job(struct ctl *ctl, struct request request, const char *noun, c
 
 int run_job_change(struct ctl *ctl)
 {
-  char verb[16];
+  char verb[16]; /* not by path_to: each job takes a path */
   snprintf(verb, sizeof(verb), "/%s", strchr(ctl->command->name, ' ') + 1);
   /* May be repeated, since a job that is in the state already stays in it. */
   return each_job(ctl, (struct request){.method = "POST", .repeatable = true}, "job", verb,
@@ -130,16 +126,15 @@ int run_job_prune(struct ctl *ctl)
 int run_job_weight(struct ctl *ctl)
 {
   const char *id = ctl->operands[0], *words = ctl->operands[1];
-  char *end, path[64];
+  char *end;
   double weight = strtod(words, &end);
   json_t *job;
   if (!check_job_id(id))
     return STATUS_USAGE;
   if (end == words || *end != 0 || !isfinite(weight))
     return complain(STATUS_USAGE, "\"%s\" is not a number", words);
-  snprintf(path, sizeof(path), "/v1/jobs/%s/weight", id);
   json_t *request = json_pack("{s:f}", "weight", weight);
-  const int status = post_again(ctl, path, request, &job);
+  const int status = post_again(ctl, path_to("/v1/jobs/%s/weight", id), request, &job);
   json_decref(request);
   if (job != NULL)
     tell(ctl, job, "job {id} has the weight {weight:g}");

@@ -94,22 +94,17 @@ static int export_controller(struct ctl *ctl, const char *id)
 {
   const char *output = option_text(ctl, "output", NULL);
   int64_t step = 0;
-  char path[96];
   if (!option_number(ctl, "step", 1, 1000000, &step))
     return STATUS_USAGE;
   if (output != NULL && strcmp(output, "-") == 0 && isatty(STDOUT_FILENO))
     return complain(STATUS_USAGE, "a controller is not for a terminal: give --output FILE");
-  int n = snprintf(path, sizeof(path), "/v1/trainings/%s/controller", id);
-  if (step > 0)
-    snprintf(path + n, sizeof(path) - (size_t)n, "?step=%" PRId64, step);
+  const char *path =
+      path_to("/v1/trainings/%s/controller%s", id, step > 0 ? path_to("?step=%" PRId64, step) : "");
   struct reply reply;
-  int status = transport_send(
-      ctl, &(struct request){.method = "GET", .path = path, .accept = "application/octet-stream"},
-      &reply);
+  int status = transport_get(ctl, path, "application/octet-stream", &reply);
   char *made = NULL;
-  if (status == STATUS_OK && output == NULL) {
+  if (status == STATUS_OK && output == NULL)
     output = made = format_text("training-%s-step-%.20s.safetensors", id, reply.step);
-  }
   if (status == STATUS_OK && strspn(reply.step, "0123456789") != strlen(reply.step))
     status = complain(STATUS_ERROR, "the server's reply has no step");
   if (status == STATUS_OK)
@@ -133,10 +128,9 @@ int run_train_export(struct ctl *ctl)
   int status = controller ? export_controller(ctl, id) : STATUS_OK;
   for (size_t i = 0; i < 2 && status == STATUS_OK; i++) {
     const char *output = option_text(ctl, curves[i][0], NULL);
-    char path[96];
-    snprintf(path, sizeof(path), "/v1/trainings/%s/%s", id, curves[i][1]);
     if (output != NULL)
-      status = save_reply(ctl, path, "text/csv", output);
+      status =
+          save_reply(ctl, path_to("/v1/trainings/%s/%s", id, curves[i][1]), "text/csv", output);
   }
   return status;
 }

@@ -79,16 +79,14 @@ static void print_verdict(const struct side sides[2], const struct paired *paire
   if (paired->n < 2)
     print_plain_line(stdout,
                      "Too few designs have a score with both controllers to say which is better.");
-  else if (paired->high < 0)
+  else if (paired->high < 0 || paired->low > 0)
     print_plain_line(stdout,
-                     "%s is better than %s on such designs: its mean score is lower by %.4f (%.0f "
-                     "%% confidence: %.4f to %.4f).",
-                     b, a, -paired->difference, 100 * CONFIDENCE, -paired->high, -paired->low);
-  else if (paired->low > 0)
-    print_plain_line(stdout,
-                     "%s is worse than %s on such designs: its mean score is higher by %.4f (%.0f "
-                     "%% confidence: %.4f to %.4f).",
-                     b, a, paired->difference, 100 * CONFIDENCE, paired->low, paired->high);
+                     "%s is %s than %s on such designs: its mean score is %s by %.4f (%.0f %% "
+                     "confidence: %.4f to %.4f).",
+                     b, verdict_of(paired->low, paired->high), a,
+                     paired->high < 0 ? "lower" : "higher", fabs(paired->difference),
+                     100 * CONFIDENCE, fmin(fabs(paired->low), fabs(paired->high)),
+                     fmax(fabs(paired->low), fabs(paired->high)));
   else
     print_plain_line(stdout,
                      "Which of %s and %s is better is not shown: the interval of the difference "

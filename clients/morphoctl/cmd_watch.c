@@ -148,10 +148,9 @@ int run_watch(struct ctl *ctl)
 /* Waits for the end of a job, over restarts of the server. state: as its reply tells. */
 static int wait_for_end(struct ctl *ctl, const char *id, char state[16])
 {
-  char path[64];
-  const struct request request = {.method = "GET", .path = path, .wait_s = 30};
+  const struct request request = {
+      .method = "GET", .path = path_to("/v1/jobs/%s", id), .wait_s = 30};
   int status = STATUS_OK;
-  snprintf(path, sizeof(path), "/v1/jobs/%s", id);
   while (status == STATUS_OK && !is_final(state)) {
     json_t *job;
     status = send_json(ctl, &request, NULL, &job);
@@ -166,21 +165,18 @@ static int wait_for_end(struct ctl *ctl, const char *id, char state[16])
 /* Runs a command with sh. Returns STATUS_OK if it succeeds. */
 static int run_then(const char *command, const struct ctl *ctl, const char *state)
 {
-  char shell[] = "sh", option[] = "-c", *copy = strdup(command);
+  char shell[] = "sh", option[] = "-c", *copy = need(strdup(command));
   char *const arguments[] = {shell, option, copy, NULL};
   char *ids = NULL;
   size_t size = 0;
-  FILE *file = open_memstream(&ids, &size);
+  FILE *file = need(open_memstream(&ids, &size));
   int end = 0;
-  pid_t process;
-  for (size_t i = 0; i < ctl->n_operands && file != NULL; i++)
+  pid_t process = 0;
+  for (size_t i = 0; i < ctl->n_operands; i++)
     fprintf(file, "%s%s", i > 0 ? " " : "", ctl->operands[i]);
-  int error = copy == NULL || file == NULL || fclose(file) != 0 ||
-                      setenv("MORPHOD_JOBS", ids, 1) != 0 || setenv("MORPHOD_STATE", state, 1) != 0
-                  ? ENOMEM
-                  : 0;
-  if (error == 0)
-    error = posix_spawn(&process, "/bin/sh", NULL, NULL, arguments, environ);
+  close_text(file);
+  const bool told = setenv("MORPHOD_JOBS", ids, 1) == 0 && setenv("MORPHOD_STATE", state, 1) == 0;
+  const int error = told ? posix_spawn(&process, "/bin/sh", NULL, NULL, arguments, environ) : errno;
   free(ids);
   free(copy);
   if (error != 0)

@@ -146,8 +146,7 @@ int save_output(const char *path, const void *head, size_t head_bytes, const voi
 int save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output)
 {
   struct reply reply;
-  int status = transport_send(
-      ctl, &(struct request){.method = "GET", .path = path, .accept = accept}, &reply);
+  int status = transport_get(ctl, path, accept, &reply);
   if (status == STATUS_OK)
     status = save_output(output, "", 0, reply.body, reply.body_bytes);
   if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)

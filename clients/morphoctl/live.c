@@ -205,10 +205,8 @@ static int watch(struct live *live)
 
 static int show_once(struct live *live)
 {
-  char path[64];
-  snprintf(path, sizeof(path), "/v1/%ss/%s", live->kind->noun, live->id);
   if (live->ctl->json)
-    return show(live->ctl, path, NULL);
+    return show(live->ctl, path_to("/v1/%ss/%s", live->kind->noun, live->id), NULL);
   int status = live_load(live);
   if (status == STATUS_OK)
     live->kind->print(live);
@@ -246,10 +244,9 @@ int live_start(struct ctl *ctl, const json_t *request)
 {
   const struct live_kind *kind = ctl->command->live;
   const bool watches = option_is_set(ctl, "watch");
-  char path[32], id[24];
+  char id[24];
   json_t *job;
-  snprintf(path, sizeof(path), "/v1/%ss", kind->noun);
-  int status = post_job(ctl, path, request, 0, &job);
+  int status = post_job(ctl, path_to("/v1/%ss", kind->noun), request, 0, &job);
   snprintf(id, sizeof(id), "%s", text_of(job, "id"));
   if (status == STATUS_OK && ctl->json && !watches) {
     print_json(job);

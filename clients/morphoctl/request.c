@@ -252,10 +252,8 @@ int request_fill(const struct ctl *ctl, json_t *request)
 static int wait_for(struct ctl *ctl, const char *id)
 {
   struct progress progress = {0};
-  char path[64];
-  struct request request = {.method = "GET", .path = path, .wait_s = 1};
+  struct request request = {.method = "GET", .path = path_to("/v1/jobs/%s", id), .wait_s = 1};
   int status = STATUS_OK;
-  snprintf(path, sizeof(path), "/v1/jobs/%s", id);
   catch_interrupts();
   for (;;) {
     json_t *job;

@@ -13,6 +13,7 @@
 #include "plot.h"
 #include "table.h"
 #include "template.h"
+#include "transport.h"
 
 #define ASK_S         10   /* waiting makes no events */
 #define LINES_BESIDES 6    /* lines of the view besides the plot */
@@ -64,10 +65,8 @@ static void add_row(void *context, json_t *row)
 /* Fetches the rows after the last point. */
 static int load_curve(struct live *live, const char *what, int64_t stride, struct curve *curve)
 {
-  char path[160];
-  int n = snprintf(path, sizeof(path), "/v1/trainings/%s/%s", live->id, what);
-  if (stride > 0)
-    snprintf(path + n, sizeof(path) - (size_t)n, "?stride=%" PRId64, stride);
+  const char *path = path_to("/v1/trainings/%s/%s%s", live->id, what,
+                             stride > 0 ? path_to("?stride=%" PRId64, stride) : "");
   return walk_items(live->ctl, path, curve->n > 0 ? (int64_t)curve->points[curve->n - 1].x : -1, 0,
                     add_row, curve);
 }

@@ -318,6 +318,25 @@ int transport_send(struct ctl *ctl, const struct request *request, struct reply 
   return status;
 }
 
+const char *path_to(const char *format, ...)
+{
+  static char *paths[4];
+  static size_t n;
+  char **path = &paths[n++ % 4];
+  va_list arguments;
+  free(*path);
+  va_start(arguments, format);
+  need(vasprintf(path, format, arguments) >= 0 ? *path : NULL);
+  va_end(arguments);
+  return *path;
+}
+
+int transport_get(struct ctl *ctl, const char *path, const char *accept, struct reply *reply)
+{
+  return transport_send(ctl, &(struct request){.method = "GET", .path = path, .accept = accept},
+                        reply);
+}
+
 int send_json(struct ctl *ctl, const struct request *request, long *code, json_t **json)
 {
   struct reply reply;

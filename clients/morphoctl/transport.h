@@ -39,9 +39,13 @@ struct transport;
 int transport_open(struct ctl *ctl);
 void transport_close(struct ctl *ctl);
 
+/* Makes a path, which stays until the fourth call after this one. */
+const char *path_to(const char *format, ...) __attribute__((format(printf, 1, 2)));
 /* Sends a request. STATUS_OK: *reply has a status below 400. Else the error was printed, for
  * problem details with all faults. Free *reply in both cases. */
 int transport_send(struct ctl *ctl, const struct request *request, struct reply *reply);
+/* Gets what a path has in one form, in the same way. */
+int transport_get(struct ctl *ctl, const char *path, const char *accept, struct reply *reply);
 /* Sends a request without complaining about the reply's status (connection errors are still
  * reported). */
 int transport_try(struct ctl *ctl, const struct request *request, struct reply *reply);

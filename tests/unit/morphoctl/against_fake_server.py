@@ -196,6 +196,15 @@ def test_json_is_the_apis():
     assert ask([hidden], "job show 7 --json")[0] == escaped
 
 
+def test_changes_many_jobs():
+    """Each job has a request of its own, however many there are."""
+    for command, sent in (("job cancel", "/v1/jobs/{}/cancel"),
+                          ("train prune --step 5", "/v1/trainings/{}/checkpoints/5")):
+        replies = [{**JOB, "items": [], "bytes": 0}] * 9
+        seen = ask(replies, f"{command} 1 2 3 4 5 6 7 8 9")[2]
+        assert [s[1] for s in seen] == [sent.format(i) for i in range(1, 10)]
+
+
 def test_waits_for_the_end():
     replies = [reply(202, {**JOB, "state": "queued"}),
                {**JOB, "state": "running", "rollouts_done": 1}, JOB, {**JOB, "results": [RESULT]}]
