@@ -189,6 +189,9 @@ int mo_jobs_ask(struct mo_jobs *jobs, int64_t id, const struct mo_ask *ask, stru
     return mo_fail(message, error, "there is no such study");
   if (mo_job_state_is_final(status.job.state))
     return mo_fail(message, MO_ERR_CONFLICT, "the study has ended");
+  if (status.n_designs > MO_COLUMNS_MAX) /* all of them are read, and their forms kept */
+    return mo_fail(message, MO_ERR_LIMIT, "a study of more than %lld designs is asked for nothing",
+                   (long long)MO_COLUMNS_MAX);
   if (status.told > status.generation)
     return mo_fail(message, MO_ERR_CONFLICT, "batch %lld is still being scored",
                    (long long)status.told);

@@ -29,7 +29,7 @@ struct mo_asked {
 /* Makes bodies that the study has never seen, by the settings' mutation and crossover. They depend
  * only on the settings, the study's designs so far, and what is asked for. Nothing is stored.
  * MO_ERR_NOT_FOUND: no such study; MO_ERR_CONFLICT: a batch is pending, or the study has ended;
- * MO_ERR_RANGE: a parent was never born. */
+ * MO_ERR_RANGE: a parent was never born; MO_ERR_LIMIT: more than MO_COLUMNS_MAX designs were. */
 int mo_jobs_ask(struct mo_jobs *jobs, int64_t id, const struct mo_ask *ask, struct mo_asked *asked,
                 struct mo_message *message);
 

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from service import awaited, until
+from service import await_end, awaited, until
 
 HERE = [{"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 7},
         {"light_xy_m": [0.5, 3.0], "terrain_sigma_m": 0.0, "seed": 1}]
@@ -37,6 +37,10 @@ def packed(data):
 
 def state(service, id):
     return service.get(f"/v1/campaigns/{id}")
+
+
+def rows_of(service, id):
+    return service.pages(f"/v1/campaigns/{id}/phylogeny")
 
 
 def history(service, id):
@@ -116,6 +120,12 @@ def test_a_study(service):
     assert service.get(path + "/champions?count=1")["items"][0]["number"] == 5
     ancestors = service.get(path + "/designs/4/ancestors")["items"]
     assert [row["number"] for row in ancestors] == [1, 3] and "measures" in ancestors[0]
+
+    value = STUDY | {"mode": "zero-shot", "generations": 0, "population": 4,
+                     "initial": {"campaign": id}}
+    inherits = await_end(service, f"/v1/campaigns/{service.post('/v1/campaigns', value)['id']}")
+    first = service.pages(inherits.json()["links"]["phylogeny"])[0]
+    assert first["operator"] == "inherited" and first["id"] == rows_of(service, id)[5]["id"]
 
     done = service.post(path + "/finish")
     assert done["state"] == "succeeded" and done["end"] == "completed" and done["phase"] == "idle"
