@@ -16,6 +16,11 @@ CREATE TABLE design_notes(
 -- How many of its n_designs were skipped.
 ALTER TABLE evaluations ADD COLUMN n_skipped INTEGER NOT NULL DEFAULT 0;
 
+-- The way of the center of mass from frame to frame, in meters; NULL: com was not recorded, or is
+-- not finite. The index is read without the recordings beside it.
+ALTER TABLE trajectories ADD COLUMN path_m REAL;
+CREATE INDEX trajectories_path ON trajectories(job, position, path_m);
+
 -- A study: a campaign whose children somebody else makes, batch by batch; a batch is a generation.
 -- batch: the newest that was told (-1: none); it is pending until that generation is committed.
 -- sha256: of its request. children: its children, and a checksum (src/store/studies.c). survivors:

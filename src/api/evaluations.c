@@ -18,6 +18,7 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
   mo_text_object(text);
   const int error =
       mo_members_design(text, lattice, &results->forms[d], &results->genotypes[d], note);
+  mo_text_member_number(text, "path_length_m", results->paths_m[d]);
   mo_text_member_number(text, "score", results->scores[d]);
   mo_member_numbers(text, "losses", &results->losses[(size_t)d * columns], columns);
   mo_text_add(text, ",\"diverged\":[");

@@ -58,15 +58,18 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
   results->genotypes = calloc(n, sizeof(*results->genotypes));
   results->scores = calloc(n, sizeof(*results->scores));
   results->losses = calloc(cells, sizeof(*results->losses));
+  results->paths_m = calloc(n, sizeof(*results->paths_m));
   results->diverged_steps = calloc(cells, sizeof(*results->diverged_steps));
   if (verify) {
     results->stored_losses = calloc(cells, sizeof(*results->stored_losses));
     results->agrees = calloc(n, sizeof(*results->agrees));
   }
   if (results->forms == NULL || results->genotypes == NULL || results->scores == NULL ||
-      results->losses == NULL || results->diverged_steps == NULL ||
+      results->losses == NULL || results->diverged_steps == NULL || results->paths_m == NULL ||
       (verify && (results->stored_losses == NULL || results->agrees == NULL)))
     return MO_ERR_NO_MEMORY;
+  for (size_t i = 0; i < n; i++)
+    results->paths_m[i] = NAN;
   for (size_t i = 0; i < cells; i++) {
     results->losses[i] = NAN;
     if (verify)
@@ -156,6 +159,25 @@ static int load_recomputed(struct mo_connection *reader, const struct range *ran
   return error;
 }
 
+static int load_paths(struct mo_connection *reader, const struct range *range,
+                      struct mo_evaluation_results *results)
+{
+  static const char sql[] = "SELECT position,sum(path_m) FROM trajectories"
+                            " WHERE job=?1 AND position>=?2 AND position<?3"
+                            " GROUP BY position HAVING count(path_m)=?4";
+  int error = MO_OK;
+  sqlite3_stmt *row =
+      mo_sql_rows(reader, &error, sql, mo_int(range->id), mo_int(range->first),
+                  mo_int((int64_t)range->first + range->n), mo_int(results->n_environments));
+  while (mo_sql_next(reader, row, &error)) {
+    const uint32_t n = mo_column_u32(row, 0) - range->first;
+    if (n >= results->n_designs)
+      return MO_ERR_CORRUPT;
+    results->paths_m[n] = sqlite3_column_double(row, 1) / results->n_environments;
+  }
+  return error;
+}
+
 static int load_results(struct mo_connection *reader, const void *key, void *ret)
 {
   struct range range = *(const struct range *)key;
@@ -170,6 +192,8 @@ static int load_results(struct mo_connection *reader, const void *key, void *ret
     error = load_designs(reader, &range, &keys, results);
   if (error == MO_OK && keys.verify)
     error = load_recomputed(reader, &range, results);
+  if (error == MO_OK)
+    error = load_paths(reader, &range, results);
   for (uint32_t n = 0; n < results->n_designs && error == MO_OK; n++) {
     double sum = 0;
     for (uint32_t k = 0; k < results->n_environments; k++)

@@ -47,6 +47,8 @@ struct mo_evaluation_results {
   /* Verify jobs only, else NULL: `losses` were recomputed by this job; these were stored before. */
   double *stored_losses; /* (n_designs, n_environments); NaN: none was stored */
   uint8_t *agrees; /* (n_designs): 1: every stored loss equals the recomputed one, bit for bit */
+  double *paths_m; /* (n_designs) mean way of the center of mass over the environments; NaN: not
+                      recorded in all of them */
   struct mo_design_note *notes; /* (n_notes) on all designs of the request, ascending */
   uint32_t n_notes;
 };

@@ -7,6 +7,7 @@
  * recordings changes both in the same transaction. */
 #include "store/recordings.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -35,14 +36,27 @@ static int add_bytes(struct mo_connection *writer, int64_t job, int64_t bytes)
   return error == MO_OK ? mo_sql_do(writer, sum_sql, mo_int(bytes)) : error;
 }
 
+/* Computes the way of the center of mass; NaN (which is stored as NULL): it is not known. */
+static double path_of(const struct mo_saved_trajectory *trajectory)
+{
+  const double *com_m = trajectory->recording.com_m;
+  double path_m = 0;
+  for (uint32_t f = 1; com_m != NULL && f < trajectory->frames; f++) {
+    const double *from = com_m + 3 * (size_t)(f - 1), *to = from + 3;
+    const double x = to[0] - from[0], y = to[1] - from[1], z = to[2] - from[2];
+    path_m += sqrt(x * x + y * y + z * z);
+  }
+  return com_m != NULL ? path_m : NAN;
+}
+
 /* Stores a trajectory and adds its bytes to *bytes. A trajectory that is stored stays as it is;
  * that of a job that was deleted meanwhile is dropped. */
 static int insert(struct mo_connection *writer, const struct mo_saved_trajectory *trajectory,
                   uint64_t *bytes)
 {
   static const char sql[] = "INSERT OR IGNORE INTO trajectories(job,position,environment,stride,"
-                            "frames,n_masses,diverged_step,com,masses,actuation,contacts)"
-                            " SELECT ?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11"
+                            "frames,n_masses,diverged_step,com,masses,actuation,contacts,path_m)"
+                            " SELECT ?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11,?12"
                             " FROM jobs WHERE id=?1 AND state<>6";
   unsigned channels = 0;
   const int error = mo_sql_do(
@@ -50,8 +64,8 @@ static int insert(struct mo_connection *writer, const struct mo_saved_trajectory
       mo_int(trajectory->environment_position), mo_int(trajectory->recording.stride),
       mo_int(trajectory->frames), mo_int(trajectory->n_masses), mo_int(trajectory->diverged_step),
       channel_value(trajectory, MO_RECORD_COM), channel_value(trajectory, MO_RECORD_MASSES),
-      channel_value(trajectory, MO_RECORD_ACTUATION),
-      channel_value(trajectory, MO_RECORD_CONTACTS));
+      channel_value(trajectory, MO_RECORD_ACTUATION), channel_value(trajectory, MO_RECORD_CONTACTS),
+      mo_real(path_of(trajectory)));
   for (unsigned channel = 1; channel < 1U << MO_CHANNELS; channel <<= 1)
     if (mo_recording_array(&trajectory->recording, (enum mo_channel)channel) != NULL)
       channels |= channel;

@@ -28,7 +28,8 @@ def test_scores_are_those_of_the_service(m, service):
     assert [result.score for result in evaluation] == evaluation.scores.tolist()
     table = evaluation.frame()
     assert list(table.columns) == ["id", "genotype", "score", "diverged", "voxels",
-                                   "masses", "springs", "footprint", "repaired", "fault",
+                                   "masses", "springs", "footprint", "repaired", "path_length_m",
+                                   "fault",
                                    *(f"loss_{n}" for n in range(10))]
     assert table["loss_3"].tolist() == evaluation.losses[:, 3].tolist()
     again = m.evaluation(evaluation.id)
@@ -70,6 +71,9 @@ def test_faults_are_told_per_design(m):
         own = np.stack([evaluation.recording(1, k, array) for k in range(10)])
         assert (recorded[1].astype(np.float32) == own).all()
         assert np.isnan(recorded[[0, 2, 3, 4]]).all()
+    path = np.linalg.norm(np.diff(evaluation.recordings("com")[1], axis=1), axis=-1).sum(axis=1)
+    told = evaluation.frame()["path_length_m"]
+    assert math.isclose(told[1], path.mean(), rel_tol=1e-12) and told.isna().sum() == 4
     group = m.campaign("zero-shot", preset="demo", population=4, generations=0, physics=SHORT,
                        initial=bodies, on_fault="skip", repair="largest")
     assert [row["place"] for row in group[0].data["founders"]] == [0, 2, 3, 4]

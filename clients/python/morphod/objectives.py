@@ -78,8 +78,7 @@ class Plan:
             return float(told[0]) if single else told
         table = self.values(bodies)
         if paths is not None:
-            ways = np.linalg.norm(np.diff(paths, axis=2), axis=-1).sum(axis=2)
-            table[there, list(self.measures).index(_PATH)] = ways.mean(axis=1)
+            table[there, list(self.measures).index(_PATH)] = paths
         return told, table
 
     @property

@@ -442,5 +442,5 @@ class AsyncObjective:
         if not present:
             return plan.write(bodies, None, None, single)
         evaluation = await self._client.evaluate(present, **settings)
-        paths = await evaluation.recordings("com") if plan.needs_path else None
+        paths = [row.data["path_length_m"] for row in evaluation] if plan.needs_path else None
         return plan.write(bodies, evaluation.scores, paths, single)

@@ -175,8 +175,9 @@ class Evaluation(Job):
 
     def frame(self) -> pd.DataFrame:
         """A table with a line per design: id, genotype, score, diverged (rollouts), voxels, masses,
-        springs, footprint, repaired (voxels that were dropped), fault (None, or why there was no
-        body), and a column loss_0, loss_1, … per environment."""
+        springs, footprint, repaired (voxels that were dropped), path_length_m (where com is
+        recorded), fault (None, or why there was no body), and a column loss_0, loss_1, … per
+        environment."""
         results = self._results
         losses = self.losses
         table: pd.DataFrame = pandas().DataFrame({
@@ -185,7 +186,8 @@ class Evaluation(Job):
             "score": self.scores,
             "diverged": [len(row["diverged"]) for row in results],
             **{name: [row[name] for row in results]
-               for name in ("voxels", "masses", "springs", "footprint", "repaired")},
+               for name in ("voxels", "masses", "springs", "footprint", "repaired",
+                            "path_length_m")},
             "fault": [result.fault for result in self],
             **{f"loss_{place}": losses[:, place] for place in range(losses.shape[1])},
         })
