@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import time
 
 import networkx
 import numpy as np
@@ -345,3 +346,20 @@ def test_tokens_and_addresses(start, monkeypatch, tmp_path):
     with morphod.Client("http://127.0.0.1:1", retry_s=0) as client:
         with pytest.raises(morphod.UnreachableError, match="is the service running"):
             client.jobs()
+
+
+def test_jobs_in_order(m):
+    """Labels, experiments, notes, the archive, usage, deletion."""
+    label = f"order {time.time()}"
+    job = m.evaluate([np.ones((2, 1, 1))], label=label, experiment=label, physics={"n_steps": 20})
+    assert job.experiment == label and job.note is None and job.core_seconds > 0
+    job.edit(note="walks", archived=True)
+    assert job.note == "walks" and job.label == label
+    assert len(m.jobs(experiment=label)) == 0
+    assert list(m.jobs(label=label[:-2] + "*", archived="all")["id"]) == [job.id]
+    used = m.usage("experiment").set_index("name").loc[label]
+    assert used["jobs"] == 1 and used["core_seconds"] == pytest.approx(job.core_seconds)
+    assert [one["what"] for one in job.delete()["stays"]] == ["designs", "scores"]
+    with pytest.raises(morphod.ApiError):
+        job.refresh()
+    assert len(m.campaigns(experiment=label)) == 0

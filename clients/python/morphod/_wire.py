@@ -74,9 +74,9 @@ class Request:
 
     @classmethod
     def post(cls, path: str, value: Mapping[str, Any] | None = None,
-             accept: str = "application/json") -> Request:
-        """A POST that does no more when it is repeated."""
-        request = cls("POST", path, headers={"Accept": accept})
+             accept: str = "application/json", method: str = "POST") -> Request:
+        """A POST, or a PATCH, that does no more when it is repeated."""
+        request = cls(method, path, headers={"Accept": accept})
         if value is not None:
             request.content = json.dumps(value, separators=(",", ":")).encode()
             request.headers["Content-Type"] = "application/json"

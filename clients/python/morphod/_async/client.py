@@ -70,7 +70,8 @@ class AsyncClient:
                        precision: Literal["float32", "float64"] = "float32",
                        priority: Literal["interactive", "batch"] | None = None,
                        weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
-                       label: str | None = None, verify: bool = False,
+                       label: str | None = None, experiment: str | None = None,
+                       verify: bool = False,
                        repair: Repair | None = None, on_fault: OnFault = "refuse",
                        wait: bool = True) -> AsyncEvaluation:
         """Scores up to 10,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest).
@@ -87,7 +88,8 @@ class AsyncClient:
             "designs": designs, "environments": environments, "controller": controller,
             "precision": precision, "weight": weight, "device": device, "verify": verify,
             "on_fault": on_fault,
-            **_given(physics=physics, priority=priority, label=label, repair=repair),
+            **_given(physics=physics, priority=priority, label=label, experiment=experiment,
+                     repair=repair),
         }
         if record:
             value.update(record=list(record), record_stride=record_stride)
@@ -243,25 +245,30 @@ class AsyncClient:
         return AsyncStudy(self._connection, await self._connection.json(
             Request.submit("/v1/campaigns", value)))
 
-    async def campaigns(self, *, label: str | None = None, state: str | None = None,
-                        group: str | None = None) -> AsyncCampaigns:
-        """Campaigns with this label, in this state, of this group; newest first."""
+    async def campaigns(self, *, label: str | None = None, experiment: str | None = None,
+                        state: str | None = None, group: str | None = None,
+                        archived: Literal["true", "all"] | None = None) -> AsyncCampaigns:
+        """Campaigns with this label (`"gait*"`: that begins so), of this experiment, in this state,
+        of this group; newest first."""
         return AsyncCampaigns(self._connection, [
             AsyncCampaign(self._connection, data) async for data in
-            self._connection.pages("/v1/campaigns", label=label, state=state, group=group)])
+            self._connection.pages("/v1/campaigns", label=label, experiment=experiment,
+                                   state=state, group=group, archived=archived)])
 
     async def get_campaign(self, id: str | int) -> AsyncCampaign:
         """The campaign of an id."""
         data = await self._connection.json(Request.get(f"/v1/campaigns/{id}"))
         return AsyncCampaign(self._connection, data)
 
-    async def curves(self, *, label: str | None = None, group: str | None = None,
+    async def curves(self, *, label: str | None = None, experiment: str | None = None,
+                     group: str | None = None,
                      ids: Iterable[str | int] | None = None, stride: int = 1) -> pd.DataFrame:
-        """One tidy table of the generations of many campaigns: by label, by group or by ids. With
-        a `stride` only generations that are multiples of it."""
+        """One tidy table of the generations of many campaigns: by label, by experiment, by group or
+        by ids. With a `stride` only generations that are multiples of it."""
         if ids is not None:
             return await curves_of(self._connection, ids, stride)
-        return await curves(self._connection, stride, **_given(label=label, group=group))
+        return await curves(self._connection, stride, **_given(label=label, experiment=experiment,
+                                                               group=group))
 
     async def bundle(self, path: str | os.PathLike[str], *,
                      ids: Iterable[str | int] | None = None, label: str | None = None,
@@ -355,10 +362,19 @@ class AsyncClient:
     # ---- the service ----
 
     async def jobs(self, *, state: str | None = None, label: str | None = None,
-                   kind: str | None = None) -> pd.DataFrame:
+                   experiment: str | None = None, kind: str | None = None,
+                   archived: Literal["true", "all"] | None = None) -> pd.DataFrame:
         """A table of jobs, newest first."""
-        return frame([row async for row in self._connection.pages("/v1/jobs", state=state,
-                                                                  label=label, kind=kind)])
+        return frame([row async for row in self._connection.pages(
+            "/v1/jobs", state=state, label=label, experiment=experiment, kind=kind,
+            archived=archived)])
+
+    async def usage(self, by: Literal["label", "experiment", "submitted_by", "kind"] = "label"
+                    ) -> pd.DataFrame:
+        """A table of what jobs have used, deleted ones too: name, jobs, core_seconds,
+        device_seconds; those that used most first."""
+        told = await self._connection.json(Request.get("/v1/usage", by=by, limit=1000))
+        return frame(told["items"])
 
     async def export(self, what: str, path: str | os.PathLike[str], *,
                      format: Literal["csv", "ndjson", "newick", "columns"] | None = None,

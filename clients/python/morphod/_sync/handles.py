@@ -50,9 +50,26 @@ class Job:
 
     @property
     def label(self) -> str | None:
-        """What it was submitted with."""
+        """A text to find it by; `edit` changes it."""
         label: str | None = self.data["label"]
         return label
+
+    @property
+    def experiment(self) -> str | None:
+        """What it belongs to, with other jobs."""
+        experiment: str | None = self.data["experiment"]
+        return experiment
+
+    @property
+    def note(self) -> str | None:
+        """What somebody said of it."""
+        note: str | None = self.data["note"]
+        return note
+
+    @property
+    def core_seconds(self) -> float:
+        """Seconds that cores have computed for it, as of the last look."""
+        return float(self.data["core_seconds"])
 
     @property
     def ended(self) -> bool:
@@ -124,6 +141,21 @@ class Job:
     def weigh(self, weight: float) -> None:
         """Sets its share of the computing threads beside other jobs; it changes no result."""
         self._act("weight", {"weight": weight})
+
+    def edit(self, **changes: str | bool | None) -> None:
+        """Changes `label`, `experiment` or `note` (None takes one away) and `archived`: an archived
+        job is hidden from lists. `job.edit(note="for the paper", archived=True)`."""
+        self._connection.send(Request.post(f"/v1/jobs/{self.id}", changes,
+                                                 method="PATCH"))
+        self.refresh()
+
+    def delete(self) -> dict[str, Any]:
+        """Deletes it for good, once it has ended, with all that only it has: results, recordings,
+        curves, phylogeny. Tells what `stays`, and why. Raises `ApiError` (409) where another job
+        needs it."""
+        told: dict[str, Any] = self._connection.json(
+            Request("DELETE", f"/v1/jobs/{self.id}"))
+        return told
 
 
 class Evaluation(Job):
