@@ -501,3 +501,28 @@ def test_the_page_says_that_the_service_is_down_and_comes_back(start, browser):
         browser.until(f"document.body.innerText.includes('evaluation {job}')")
     finally:
         browser.base = before
+
+
+def test_jobs_in_order(service, browser):
+    """A job is noted, archived, found again, and deleted after a question that names the loss."""
+    job = run(service, "evaluations", {"designs": [DESIGN], "physics": {"n_steps": 20},
+                                       "label": "in order"})["id"]
+    rows = "document.querySelectorAll('table.jobs tbody tr').length"
+    browser.open("?label=in%20ord")
+    browser.until(f"{rows} === 1")
+    browser.click("Edit", "table.jobs button")
+    browser.run("document.querySelector('dialog textarea').value = '<b>falls</b> over'")
+    browser.run("document.querySelector('dialog [type=checkbox]').click()")
+    browser.click("Save")
+    browser.until(f"{rows} === 0")
+    assert service.get(f"/v1/jobs/{job}")["note"] == "<b>falls</b> over"
+    browser.open("?label=in%20ord&archived=true")
+    browser.until(f"{rows} === 1")
+    assert "<b>falls</b> over" in browser.texts("table.jobs td.main")[0]
+    browser.click("Edit", "table.jobs button")
+    browser.click("Delete")
+    assert f"Evaluation {job} and its results" in browser.texts("[role=alertdialog] p")[0]
+    browser.click("Delete the job")
+    browser.until(f"{rows} === 0")
+    assert service.request("GET", f"/v1/jobs/{job}").status == 404
+    assert browser.texts("[aria-label=Use] tbody td") != [] and browser.faults() == []

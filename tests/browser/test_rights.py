@@ -14,7 +14,7 @@ CAMPAIGN = {
     "environments": [{"light_xy_m": [4.0, 3.0], "terrain_sigma_m": 0.05, "seed": 3}]
 }
 WRITES = ("New evaluation", "New training", "New campaign", "Pause", "Resume", "Cancel", "Extend",
-          "Breed these")
+          "Breed these", "Edit")
 BUTTONS = "main button:not(.stage *, [hidden])"  # the stage has a Pause of its own
 
 

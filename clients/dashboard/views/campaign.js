@@ -10,7 +10,7 @@ import { may } from '../lib/rights.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { breedButton, startButton } from './forms.js';
-import { actions, progressBar, stateChip, submitter, titleOf, trouble, weightField } from './jobs.js';
+import { actions, editButton, progressBar, remark, stateChip, submitter, titleOf, trouble, weightField } from './jobs.js';
 import { Comparison } from './comparison.js';
 import { Scatter } from './scatter.js';
 import { copyButton, saveLink, showDialog } from './share.js';
@@ -117,8 +117,8 @@ async function mountOne(main, id, parameters, app) {
         button('Export', () => exports()),
         may('submit') && !campaign.study ? button('Extend', () => extend()) : null,
         copyButton(() => requestOf(campaign.id))));
-    fill(status, h('div', {}, progressBar(campaign)), trouble(campaign),
-      h('div.row', {}, actions(campaign, refreshJob), weightField(campaign, refreshJob),
+    fill(status, h('div', {}, progressBar(campaign)), trouble(campaign), remark(campaign),
+      h('div.row', {}, actions(campaign, refreshJob), editButton(campaign, refreshJob), weightField(campaign, refreshJob),
         campaign.progress.rollouts_per_s ? h('span.muted', {}, `${number(campaign.progress.rollouts_per_s)} rollouts a second`) : null));
   }
 

@@ -1,10 +1,10 @@
 /** What views of jobs share: their state, progress, and the buttons that change them. */
 
-import { ApiError, post } from '../lib/api.js';
+import { ApiError, post, request } from '../lib/api.js';
 import { announce, button, fill, h } from '../lib/dom.js';
 import { ago, count, countOf, duration } from '../lib/format.js';
 import { may } from '../lib/rights.js';
-import { confirmDialog } from './share.js';
+import { confirmDialog, showDialog } from './share.js';
 
 /** The page of a job. */
 export function linkOf(job) {
@@ -98,6 +98,55 @@ export function actions(job, changed) {
   return list;
 }
 
+/** What somebody said of a job, and to what it belongs. Text, never markup. */
+export function remark(job) {
+  const parts = [job.experiment && `in ${job.experiment}`, job.note, job.archived_at && 'archived'].filter(Boolean);
+  return parts.length ? h('p.muted', { style: 'white-space: pre-wrap' }, parts.join(' – ')) : null;
+}
+
+/** Asks, naming what is lost, and deletes a job that has ended. */
+async function remove(job) {
+  const what = {
+    evaluation: 'its results and recordings', training: 'its curve and checkpoints',
+    campaign: 'its generations, population and phylogeny, and checkpoints',
+  }[job.kind];
+  if (!await confirmDialog(`Delete ${titleOf(job)}?`,
+    `${job.kind[0].toUpperCase()}${job.kind.slice(1)} ${job.id} and ${what} are lost for good. Designs, scores and controllers stay.`,
+    'Delete the job')) return false;
+  await request(`v1/jobs/${job.id}`, { method: 'DELETE' });
+  announce(`${titleOf(job)} is deleted`);
+  return true;
+}
+
+/** A button that opens what can be said of a job: label, experiment, note; the archive; deletion. */
+export function editButton(job, changed) {
+  if (!may('submit')) return null;
+  return button('Edit', () => {
+    const text = (tag, name, most) => h(tag, { name, maxlength: most, value: job[name] ?? '', ...(tag === 'textarea' ? { rows: 4 } : {}) });
+    const fields = { label: text('input', 'label', 200), experiment: text('input', 'experiment', 100), note: text('textarea', 'note', 1000) };
+    const archived = h('input', { type: 'checkbox', checked: job.archived_at !== null });
+    const fault = h('p.error', { role: 'alert' });
+    const attempt = (act) => async () => {
+      try {
+        if (await act() === false) return;
+        dialog.close();
+        changed();
+      } catch (error) {
+        fault.textContent = error.message;
+      }
+    };
+    const save = attempt(() => request(`v1/jobs/${job.id}`, { method: 'PATCH', body: {
+      ...Object.fromEntries(Object.entries(fields).map(([name, field]) => [name, field.value || null])), archived: archived.checked,
+    } }));
+    const dialog = showDialog(titleOf(job),
+      ...Object.entries(fields).map(([name, field]) => h('label.field', {}, h('span', {}, name[0].toUpperCase() + name.slice(1)), field)),
+      h('label.row', {}, archived, 'Archived: hidden from lists'), fault,
+      h('div.row', {}, button('Save', save, { class: 'primary' }),
+        may('admin') && ['succeeded', 'failed', 'cancelled'].includes(job.state)
+          ? button('Delete', attempt(() => remove(job)), { class: 'danger' }) : null));
+  }, { 'aria-label': `Edit ${titleOf(job)}` });
+}
+
 /** The weight of a job among others: twice the weight gets twice the time. */
 export function weightField(job, changed) {
   if (!may('submit') || !['queued', 'running', 'paused'].includes(job.state)) return null;
@@ -174,9 +223,10 @@ export class JobTable {
     row.drawn = true;
     const { job } = row;
     fill(element,
-      h('td.main', {}, h('a', { href: linkOf(job) }, titleOf(job)), h('div.muted', {}, `${job.kind} ${job.id}${submitter(job)}`)),
+      h('td.main', {}, h('a', { href: linkOf(job) }, titleOf(job)), h('div.muted', {}, `${job.kind} ${job.id}${submitter(job)}${
+        job.core_seconds >= 1 ? `, ${duration(job.core_seconds)} of cores` : ''}${job.note ? `: ${job.note.slice(0, 60)}` : ''}`)),
       h('td', {}, stateChip(job)), h('td.wide', {}, progressBar(job), trouble(job)),
-      h('td.muted', {}, ago(job.created_at)), h('td', {}, h('div.row', {}, actions(job, this.changed))));
+      h('td.muted', {}, ago(job.created_at)), h('td', {}, h('div.row', {}, actions(job, this.changed), editButton(job, this.changed))));
   }
 
   destroy() {

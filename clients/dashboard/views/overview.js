@@ -3,7 +3,7 @@
 import { getJson, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
 import { button, fill, h } from '../lib/dom.js';
-import { ago, bytes, count, number, percent } from '../lib/format.js';
+import { ago, bytes, count, duration, number, percent, shellWord } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { startButton } from './forms.js';
 import { copyButton } from './share.js';
@@ -29,6 +29,28 @@ export async function mount(main, path, parameters, app) {
     app.keep({ state });
     refresh();
   } }, states.map((name) => h('option', { value: name, selected: name === state }, name || 'all states')));
+  let search = parameters.get('label') ?? '';
+  let archived = parameters.get('archived') ?? '';
+  const searched = h('input', { type: 'search', value: search, placeholder: 'label begins with', 'aria-label': 'Labels that begin with',
+    oninput: (event) => {
+      search = event.target.value;
+      app.keep({ label: search });
+      refresh();
+    } });
+  const archive = h('select', { 'aria-label': 'Archived jobs', onchange: (event) => {
+    archived = event.target.value;
+    app.keep({ archived });
+    refresh();
+  } }, [['', 'not archived'], ['true', 'archived'], ['all', 'archived, too']].map(([value, name]) =>
+    h('option', { value, selected: value === archived }, name)));
+  /** What the list is filtered by, as the contract names it. */
+  const filters = () => ({ state, label: search && `${search}*`, archived });
+  let by = 'experiment';
+  const usage = h('tbody');
+  const usageBy = h('select', { 'aria-label': 'Use by', onchange: (event) => {
+    by = event.target.value;
+    showUsage();
+  } }, ['experiment', 'label', 'submitted_by', 'kind'].map((name) => h('option', { value: name }, name.replace('_', ' '))));
   const more = h('div.row');
   let wanted = 100;
 
@@ -37,15 +59,27 @@ export async function mount(main, path, parameters, app) {
       ['evaluation', 'training', 'campaign'].map((kind) =>
         startButton(app, kind, kind === 'campaign' ? { class: 'primary' } : {})),
       copyButton(() => ({
-        path: withQuery('v1/jobs', { state }), morphoctl: `job list${state ? ` --state ${state}` : ''}`,
-        python: `print(m.jobs(${state ? `state="${state}"` : ''}))`,
+        path: withQuery('v1/jobs', filters()),
+        morphoctl: `job list${Object.entries(filters()).map(([name, value]) => (value ? ` --${name} ${shellWord(value)}` : '')).join('')}`,
+        python: `print(m.jobs(${Object.entries(filters()).filter(([, value]) => value).map(([name, value]) =>
+          `${name}=${JSON.stringify(value)}`).join(', ')}))`,
       })))),
     tiles, running,
     h('div.grid', {}, load.element,
       h('section.panel', { 'aria-label': 'Newest events' }, h('h2', {}, 'Newest events'),
         h('div.scroll', {}, h('table', {}, events)))),
-    h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Jobs'), h('div.actions', {}, filter)),
-      table.element, more));
+    h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Jobs'), h('div.actions', {}, searched, filter, archive)),
+      table.element, more),
+    h('section.panel.stack', { 'aria-label': 'Use' }, h('div.title', {}, h('h2', {}, 'Use of cores and devices'), h('div.actions', {}, usageBy)),
+      h('div.scroll', {}, h('table', {}, h('thead', {}, h('tr', {}, ['Name', 'Jobs', 'Core time', 'Device time'].map((name, i) =>
+        h(i ? 'th.right' : 'th', { scope: 'col' }, name)))), usage))));
+
+  async function showUsage() {
+    const { items } = await get(withQuery('v1/usage', { by, limit: 20 }));
+    fill(usage, items.length ? items.map((row) => h('tr', {}, h('td', {}, row.name ?? '–'), h('td.right', {}, count(row.jobs)),
+      h('td.right', {}, duration(row.core_seconds)), h('td.right', {}, duration(row.device_seconds))))
+      : h('tr', {}, h('td.empty', {}, 'No job yet.')));
+  }
 
   function showEvents() {
     const rows = app.recent.slice(-6).reverse();
@@ -93,13 +127,13 @@ export async function mount(main, path, parameters, app) {
     const jobs = [];
     let cursor;
     do {
-      const page = await get(withQuery('v1/jobs', { state, limit: Math.min(1000, wanted - jobs.length), cursor }));
+      const page = await get(withQuery('v1/jobs', { ...filters(), limit: Math.min(1000, wanted - jobs.length), cursor }));
       jobs.push(...page.items);
       cursor = page.next_cursor;
     } while (cursor !== null && jobs.length < wanted);
     table.set(jobs);
     if (!jobs.length) {
-      fill(more, h('p.empty', {}, state ? `No job is ${state}.` : `No job yet.${may('submit') ? ' Start one above, or with morphoctl.' : ''}`));
+      fill(more, h('p.empty', {}, search || archived ? 'No job is like that.' : state ? `No job is ${state}.` : `No job yet.${may('submit') ? ' Start one above, or with morphoctl.' : ''}`));
     } else {
       fill(more, cursor === null ? null : button('Show more', () => {
         wanted += 1000;
@@ -114,7 +148,7 @@ export async function mount(main, path, parameters, app) {
       Promise.all([get('readyz').catch((error) => ({ status: error.message, version: '' })), get('v1/threads'),
         get('v1/devices')]).then((all) => showTiles(...all)),
       get('v1/jobs?state=running&limit=12').then((page) => Promise.all(page.items.map(whole))).then(showRunning),
-      showJobs(), showLoad(),
+      showJobs(), showLoad(), showUsage(),
     ]).finally(() => { busy = null; });
     return busy;
   }

@@ -10,7 +10,7 @@ import { environmentSet, roll } from '../lib/rollouts.js';
 import { CONFIDENCE, comparePairs } from '../lib/statistics.js';
 import { Player } from '../stage/player.js';
 import { startButton } from './forms.js';
-import { actions, progressBar, stateChip, titleOf, trouble, weightField } from './jobs.js';
+import { actions, editButton, progressBar, remark, stateChip, titleOf, trouble, weightField } from './jobs.js';
 import { copyButton, saveLink } from './share.js';
 
 const HUES = ['--blue', '--orange', '--green', '--pink'];
@@ -180,7 +180,7 @@ async function mountOne(main, id, parameters, app) {
           path: `v1/trainings/${id}`, morphoctl: `train show ${id}\ntrain watch ${id}`,
           python: `training = m.training(${id})\nprint(training.steps())\nprint(training.validations())`,
         }))));
-    fill(head, progressBar(job), trouble(job), h('div.row', {}, actions(job, showHead), weightField(job, showHead),
+    fill(head, progressBar(job), trouble(job), remark(job), h('div.row', {}, actions(job, showHead), editButton(job, showHead), weightField(job, showHead),
       job.progress.bodies_per_s ? h('span.muted', {}, `${number(job.progress.bodies_per_s)} bodies a second`) : null));
   }
 
