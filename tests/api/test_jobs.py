@@ -69,6 +69,7 @@ def test_the_end(service, ended, kind):
     done, path = ended[kind], f"/v1/{kind}/{ended[kind]['id']}"
     assert done["state"] == "succeeded" and done["error"] is None and done["attempts"] == 0
     assert done["label"] == "première" and done["weight"] == 2
+    assert service.post(f"/v1/{kind}", JOBS[kind])["label"] is None
     assert done["finished_at"] >= done["started_at"] >= done["created_at"]
     assert service.tagged(path).json() == done
     assert service.request("GET", path, headers={"If-None-Match": '"other"'}).status == 200

@@ -11,7 +11,7 @@ import socket
 
 import pytest
 
-from service import DESIGN, until
+from service import DESIGN, awaited, until
 from test_campaigns import HERE, LEARNS, NONE, SMALL, end, finished, run_campaign
 
 LARGE = {
@@ -278,9 +278,16 @@ def test_champions(service, evolved):
     service.refuses(path, "?count=0", "?count=1001", "?count=x", "?generation=-1", "?limit=3")
 
 
-@pytest.mark.parametrize("mode", ["zero-shot", "few-shot"])
+@pytest.mark.parametrize("mode", ["zero-shot", "few-shot", "few-shot, paused"])
 def test_champions_are_recorded(service, evolved, mode):
-    done = evolved if mode == "zero-shot" else run_campaign(service, LEARNS)
+    if mode == "few-shot, paused":
+        done = service.post("/v1/campaigns", LEARNS | {"generations": 1000})
+        path = f"/v1/campaigns/{done['id']}"
+        awaited(service, path, lambda now: (now["progress"]["generation"] or 0) >= 2)
+        service.act(done["id"], "pause")
+        awaited(service, path, lambda now: now["phase"] == "idle")
+    else:
+        done = evolved if mode == "zero-shot" else run_campaign(service, LEARNS)
     reply = service.request("POST", done["links"]["champions"], {"count": 3, "stride": 5})
     assert reply.status == 202, reply.body
     value = reply.json()
@@ -297,6 +304,8 @@ def test_champions_are_recorded(service, evolved, mode):
     seen = service.request("POST", done["links"]["champions"],
                            {"count": 1, "record": ["masses", "actuation"]}).json()
     assert seen["record"] == ["masses", "actuation"]
+    if mode == "few-shot, paused":
+        end(service, done["id"])
 
 
 @pytest.mark.parametrize("body, pointer", [

@@ -165,94 +165,6 @@ SERVICE_CASE(reports_its_generations, 1)
   CHECK_INT(live_of(id + 7).phase, MO_PHASE_IDLE);
 }
 
-/* Champions, their recordings, and a training on the population: with the controller that scored
- * them, also before the end. */
-__attribute__((unused)) static void shows_its_champions(void)
-{
-  for (int mode = MO_ZERO_SHOT; mode <= MO_FEW_SHOT; mode++) {
-    struct mo_campaign_design rows[20];
-    struct mo_evaluation_results *results = NULL;
-    struct mo_trajectory *trajectory = NULL;
-    double distinctiveness[20];
-    struct mo_champions_request asked = {4, 5, MO_RECORD_MASSES | MO_RECORD_ACTUATION, "anna"};
-    struct mo_job job;
-    uint32_t n = 0;
-    int64_t id, evaluation = 0;
-    REQUIRE_OK(service_start(1));
-    fake_plan.delay_us = 3000;
-    id = submit_one(mode);
-    REQUIRE(await_place(id, 2, MO_PHASE_SCORE));
-    CHECK_OK(mo_jobs_pause(service.jobs, id));
-    CHECK(await_phase(id, MO_PHASE_IDLE));
-    for (int round = 0; round < 2; round++) {
-      bool has_best = false;
-      CHECK_OK(mo_jobs_campaign_champions(service.jobs, id, -1, 4, rows, distinctiveness, &n));
-      CHECK_INT(n, 4);
-      for (uint32_t i = 0; i < n; i++) {
-        has_best = has_best || rows[i].score == status_of(id).best_score;
-        CHECK(distinctiveness[i] > 0 && (i == 0 || distinctiveness[i] <= distinctiveness[i - 1]));
-      }
-      CHECK(has_best);
-      CHECK_OK(mo_jobs_campaign_record_champions(service.jobs, id, &asked, NULL, &evaluation,
-                                                 &fixture.message));
-      CHECK(succeeds(evaluation, &job));
-      CHECK_INT(job.priority, MO_INTERACTIVE);
-      CHECK_TEXT(job.submitted_by, "anna");
-      REQUIRE_OK(mo_store_results(store, evaluation, &results));
-      for (uint32_t i = 0; i < n; i++)
-        CHECK(same_number(results->scores[i], rows[i].score));
-      mo_evaluation_results_free(results);
-      REQUIRE_OK(mo_store_trajectory(store, evaluation, 3, 9, &trajectory));
-      CHECK(trajectory->recording.com_m == NULL && trajectory->recording.mass_m != NULL &&
-            trajectory->recording.actuation != NULL && trajectory->n_springs > 0);
-      mo_trajectory_free(trajectory);
-      CHECK_INT(mo_jobs_resume(service.jobs, id), round == 0 ? MO_OK : MO_ERR_CONFLICT);
-      (void)end_of(id);
-    }
-    CHECK_OK(mo_jobs_campaign_champions(service.jobs, id, 0, 20, rows, distinctiveness, &n));
-    CHECK_INT(n, POPULATION);
-    CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 99, 4, rows, distinctiveness, &n),
-              MO_ERR_NOT_FOUND);
-    CHECK_INT(mo_jobs_campaign_champions(service.jobs, 99, -1, 4, rows, distinctiveness, &n),
-              MO_ERR_NOT_FOUND);
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, 99, &asked, NULL, &evaluation, NULL),
-              MO_ERR_NOT_FOUND);
-    asked.stride = 0;
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, &asked, NULL, &evaluation, NULL),
-              MO_ERR_RANGE);
-    asked.count = 0;
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, &asked, NULL, &evaluation, NULL),
-              MO_ERR_RANGE);
-  }
-}
-
-SERVICE_CASE(gives_its_population_to_a_training, 1)
-{
-  struct mo_training_request training = {
-      .record = {.settings = mo_training_defaults(MO_TRAINING_FINETUNE), .checkpoints_kept = 1},
-      .population_best = 3};
-  struct mo_campaign_design rows[3];
-  struct mo_bits *genotypes = NULL;
-  uint32_t n = 0;
-  training.record.settings.n_steps = 2;
-  training.record.settings.batch = 4;
-  fake_plan.delay_us = 1000000;
-  int64_t id = submit_one(MO_ZERO_SHOT);
-  training.record.population = id;
-  CHECK_INT(submit_training(&training), MO_ERR_CONFLICT);
-  CHECK_SAYS(fixture.message, "no generation yet");
-  fake_plan.delay_us = 0;
-  (void)end_of(id);
-  int64_t tuning = submit_training(&training);
-  CHECK(succeeds(tuning, NULL));
-  REQUIRE_OK(mo_store_job_designs(store, tuning, &genotypes, &n));
-  check_keep(genotypes, free);
-  CHECK_INT(n, 3);
-  REQUIRE(mo_store_campaign_population(store, id, -1, 0, rows, 3, &n) == 3);
-  for (int i = 0; i < 3; i++)
-    CHECK(memcmp(&genotypes[i], &rows[i].genotype, sizeof(struct mo_bits)) == 0);
-}
-
 /* What it shows to work on is never a generation behind its last, also while the end is saved. */
 SERVICE_CASE(shows_no_generation_behind_its_last, 1)
 {
@@ -280,9 +192,7 @@ static const struct check_case cases[] = {
     {"scores nothing twice", scores_nothing_twice},
     {"begins with what is given", begins_with_what_is_given},
     {"reports its generations", reports_its_generations},
-    {"shows its champions", shows_its_champions},
     {"shows no generation behind its last", shows_no_generation_behind_its_last},
-    {"gives its population to a training", gives_its_population_to_a_training},
 #endif
 };
 CHECK_MAIN(cases)

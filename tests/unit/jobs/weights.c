@@ -141,25 +141,6 @@ SERVICE_CASE(of_a_training, 1)
   CHECK_INT(count_events(id, "job.weight"), 3); /* the same weight again is none */
 }
 
-SERVICE_CASE(wrong_weights, 0)
-{
-  static const double wrong[] = {-1, 0.0009, 1000.1, NAN, INFINITY};
-  struct mo_training_request training = pretraining("");
-  struct mo_evaluation_request request = service_request(bodies(8, 100), 100);
-  fake_plan.delay_us = 5000;
-  int64_t id = submit_evaluation(&request);
-  for (int i = 0; i < 5; i++) {
-    request.job.weight = training.job.weight = wrong[i];
-    CHECK_INT(submit_evaluation(&request), MO_ERR_RANGE);
-    CHECK_SAYS(fixture.message, "weight");
-    CHECK_INT(submit_training(&training), MO_ERR_RANGE);
-    CHECK_INT(mo_jobs_set_weight(service.jobs, id, wrong[i]), MO_ERR_RANGE);
-  }
-  CHECK_INT(mo_jobs_set_weight(service.jobs, id, 0), MO_ERR_RANGE);
-  CHECK_INT(mo_jobs_set_weight(service.jobs, id + 100, 1), MO_ERR_NOT_FOUND);
-  CHECK(job_of(id).weight == 1);
-}
-
 /* ---- changed by many, while shares come and go ---- */
 
 struct changer {
@@ -211,8 +192,10 @@ static void the_newest_weight_counts(void)
 }
 
 static const struct check_case cases[] = {
-    {"of evaluations", of_evaluations}, {"the pace of an evaluation", pace_of_an_evaluation},
-    {"what runs", what_runs},           {"of a training", of_a_training},
-    {"wrong weights", wrong_weights},   {"the newest weight counts", the_newest_weight_counts},
+    {"of evaluations", of_evaluations},
+    {"the pace of an evaluation", pace_of_an_evaluation},
+    {"what runs", what_runs},
+    {"of a training", of_a_training},
+    {"the newest weight counts", the_newest_weight_counts},
 };
 CHECK_MAIN(cases)

@@ -1,53 +1,7 @@
-/* jobs.c: what the store keeps of jobs: evaluations with their results and trajectories, keys,
- * states, events, pages. */
+/* jobs.c: what the store keeps of jobs: keys, states, events, trajectories. That a job comes back
+ * as it was asked for, in pages, too, is tested over HTTP; what pages cost, in lists.c. */
 #include "by_hand.h"
 #include "one_store.h"
-
-static void submits_and_reads_back(void)
-{
-  struct mo_evaluation_request submission = draw_evaluation(1, 5);
-  struct mo_controller_record record;
-  struct mo_work *work = NULL;
-  struct mo_environment paper[MO_PAPER_TEST_COUNT];
-  int64_t id = 0, queued[4];
-  bool replayed = true;
-  submission.job.label = "first \xc3\xa9vidence";
-  submission.precision = MO_FLOAT64;
-  submission.physics.drop_height_m = 0.25;
-  CHECK_OK(mo_store_submit(store, &submission, &id, &replayed));
-  CHECK(!replayed);
-  CHECK_INT(id, 1);
-  struct mo_job job = job_of(id);
-  CHECK_INT(job.state, MO_JOB_QUEUED);
-  CHECK_INT(job.version, 1);
-  CHECK_TEXT(job.label, "first \xc3\xa9vidence");
-  CHECK(job.has_label);
-  CHECK_TEXT(job.environment_set, "paper-test");
-  CHECK_TEXT(job.controller_name, "default");
-  CHECK_INT(job.precision, MO_FLOAT64);
-  CHECK(job.physics.drop_height_m == 0.25 && job.physics.dt_s == 0.004 &&
-        job.physics.n_steps == 1000);
-  CHECK_INT(job.rollouts_total, 50);
-  CHECK(job.created_us > 0 && job.started_us == 0 && job.finished_us == 0);
-  CHECK_OK(mo_store_controller(store, "default", &record));
-  CHECK(mo_sha256_equal(&record.sha256, &job.controller_sha256));
-  CHECK_INT(mo_store_job(store, 2, &job), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_queued(store, MO_BATCH, 0, queued, 4), 1);
-  CHECK_INT(queued[0], id);
-  CHECK_INT(mo_store_queued(store, MO_INTERACTIVE, 0, queued, 4), 0);
-  REQUIRE_OK(mo_store_load_work(store, id, fixture_classes(1), &work));
-  mo_environment_paper_test(paper);
-  CHECK(memcmp(work->environments, paper, sizeof(paper)) == 0);
-  CHECK(memcmp(work->genotypes, genotypes, 5 * sizeof(*genotypes)) == 0);
-  mo_work_free(work);
-  submission.controller = "nobody";
-  CHECK_INT(mo_store_submit(store, &submission, &id, &replayed), MO_ERR_NOT_FOUND);
-  submission.controller = "default";
-  submission.environment_set = "no such set";
-  CHECK_INT(mo_store_submit(store, &submission, &id, &replayed), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_jobs(store, &any_job, &job, 1), 1);
-  CHECK_INT(job.id, 1); /* the refused ones left nothing */
-}
 
 static void answers_a_repeated_key(void)
 {
@@ -76,41 +30,6 @@ static void answers_a_repeated_key(void)
   }
   usleep(50000);
   CHECK_INT(mo_store_replay(store, &submission.job.key, &again), MO_ERR_NOT_FOUND);
-}
-
-static void pages_through_jobs(void)
-{
-  struct mo_evaluation_request submission = draw_evaluation(4, 1);
-  struct mo_job *page = calloc(10, sizeof(*page));
-  struct mo_job_query query = any_job;
-  uint64_t counts[MO_JOB_STATES];
-  int64_t expected = 25;
-  for (int i = 0; i < 25; i++)
-    REQUIRE(submit_evaluation(&submission) > 0);
-  CHECK_OK(change(10, MO_CHANGE_CANCEL));
-  CHECK_OK(change(20, MO_CHANGE_CANCEL));
-  for (;;) {
-    int64_t n = mo_store_jobs(store, &query, page, 10);
-    REQUIRE(n >= 0);
-    for (int64_t i = 0; i < n; i++)
-      CHECK_INT(page[i].id, expected--);
-    if (n == 0)
-      break;
-    query.before = page[n - 1].id;
-  }
-  CHECK_INT(expected, 0);
-  query = any_job;
-  query.state = MO_JOB_CANCELLED;
-  CHECK_INT(mo_store_jobs(store, &query, page, 10), 2);
-  CHECK_INT(page[0].id, 20);
-  CHECK_INT(page[1].id, 10);
-  query.before = 20;
-  CHECK_INT(mo_store_jobs(store, &query, page, 10), 1);
-  CHECK_INT(mo_store_jobs(store, &query, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
-  CHECK_OK(mo_store_job_counts(store, counts));
-  CHECK_INT(counts[MO_JOB_QUEUED], 23);
-  CHECK_INT(counts[MO_JOB_CANCELLED], 2);
-  free(page);
 }
 
 static void changes_states(void)
@@ -309,9 +228,7 @@ static void removes_the_oldest_recordings(void)
 }
 
 static const struct check_case cases[] = {
-    {"submits a job and reads it back", submits_and_reads_back},
     {"answers a repeated key with the same job", answers_a_repeated_key},
-    {"pages through jobs", pages_through_jobs},
     {"changes states only as the machine allows", changes_states},
     {"reports changes, in order, and prunes", reports_changes},
     {"keeps trajectories", keeps_trajectories},

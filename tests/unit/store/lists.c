@@ -194,6 +194,8 @@ static void pages_of_jobs(void)
 static void pages_name_the_states_that_are_shown(void)
 {
   struct mo_job jobs[40];
+  static struct mo_training_status trainings[40];
+  static const int64_t none[MO_WAITING_MAX + 1];
   REQUIRE_OK(start());
   const int64_t first =
       4 + ROWS; /* trainings: every sixth is queued, the next runs, the next is paused */
@@ -202,8 +204,9 @@ static void pages_name_the_states_that_are_shown(void)
       .state = MO_JOB_PAUSED, .kind = MO_JOB_TRAINING, .waiting = waiting, .n_waiting = 2};
   const int64_t paused[] = {first + 20, first + 14, first + 8, first + 7, first + 2, first + 1};
   REQUIRE(mo_store_jobs(store, &query, jobs, 40) == 6);
+  REQUIRE(mo_store_trainings(store, &query, trainings, 40) == 6);
   for (int i = 0; i < 6; i++)
-    CHECK_INT(jobs[i].id, paused[i]);
+    CHECK(jobs[i].id == paused[i] && trainings[i].job.id == paused[i]);
   CHECK_INT(mo_store_jobs(store, &query, jobs, 4), 4);
   CHECK_INT(jobs[3].id, paused[3]);
   query.before = paused[3];
@@ -240,6 +243,11 @@ static void pages_name_the_states_that_are_shown(void)
   CHECK_INT(mo_store_jobs(store, &query, jobs, 40), 0);
   query = (struct mo_job_query){.state = MO_JOB_SUCCEEDED, .kind = MO_JOB_CAMPAIGN};
   CHECK_INT(mo_store_jobs(store, &query, jobs, 40), 4);
+  CHECK_INT(mo_store_jobs(store, &query, jobs, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
+  query = (struct mo_job_query){
+      .state = MO_JOB_RUNNING, .waiting = none, .n_waiting = MO_WAITING_MAX + 1};
+  CHECK_INT(mo_store_jobs(store, &query, jobs, 40), MO_ERR_LIMIT);
+  CHECK_INT(mo_store_trainings(store, &query, trainings, 40), MO_ERR_LIMIT);
 }
 
 static void pages_of_everything_else(void)

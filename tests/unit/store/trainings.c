@@ -1,5 +1,5 @@
-/* trainings.c: what the store keeps of trainings: what was asked for, their curves, code, states
- * and results. */
+/* trainings.c: what the store keeps of trainings: settings, curves, code, states and results. That
+ * a training comes back as it was asked for is tested over HTTP. */
 #include "by_hand.h"
 #include "one_store.h"
 #include "store/internal.h"
@@ -35,94 +35,6 @@ static void encodes_every_setting(void)
             MO_ERR_CORRUPT);
   CHECK_INT(mo_settings_read(MO_JOB_TRAINING, "{\"batch\":0}", &back), MO_ERR_CORRUPT);
   mo_text_free(&text);
-}
-
-static void submits_and_reads_back(void)
-{
-  struct mo_bits *found = NULL;
-  struct mo_training_request submission = submission_of(1000), tune = submission_of(60);
-  struct mo_training_status status, page[5];
-  struct mo_controller_record record;
-  struct mo_controller *small = NULL;
-  struct mo_job jobs[5];
-  uint64_t counts[MO_JOB_STATES];
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  int64_t id, second, again = 0;
-  bool replayed = false, created;
-  uint32_t n = 0;
-  genotypes = make_bodies(5, 20, &forms);
-  submission.job.key.text = "key";
-  id = submit_training(&submission);
-  REQUIRE(id > 0);
-  status = training_of(id);
-  CHECK(same_settings(MO_JOB_TRAINING, &status.record, &submission.record));
-  CHECK_TEXT(status.record.name, "walker");
-  CHECK(!status.job.has_controller && !status.has_validation && !status.job.has_result);
-  CHECK_INT(status.record.validate_every_steps, 11);
-  CHECK_INT(status.record.checkpoint_every_steps, 12);
-  CHECK_INT(status.record.checkpoint_every_s, 13);
-  CHECK_INT(status.record.checkpoints_kept, 2);
-  CHECK_INT(status.job.kind, MO_JOB_TRAINING);
-  CHECK_TEXT(mo_job_kind_name(status.job.kind), "training");
-  CHECK_INT(status.job.state, MO_JOB_QUEUED);
-  CHECK_TEXT(status.job.label, "a label");
-  CHECK_INT(status.job.steps_total, 1000);
-  CHECK_INT(status.job.rollouts_total, 0);
-  CHECK_INT(status.step, 0);
-  CHECK_INT(status.checkpoint_step, 0);
-  /* The same key again. */
-  CHECK_OK(mo_store_submit_training(store, &submission, &again, &replayed));
-  CHECK(replayed && again == id);
-  mo_sha256_of("x", 1, &submission.job.key.sha256);
-  CHECK_INT(mo_store_submit_training(store, &submission, &again, &replayed), MO_ERR_CONFLICT);
-  /* With a parent and designs. */
-  tune.record.settings.kind = MO_TRAINING_FINETUNE;
-  tune.record.n_designs = 20;
-  tune.record.name[0] = '\0';
-  tune.forms = forms;
-  tune.genotypes = genotypes;
-  tune.parent = "default";
-  second = submit_training(&tune);
-  REQUIRE(second > id);
-  status = training_of(second);
-  CHECK_OK(mo_store_controller(store, "default", &record));
-  CHECK(status.job.has_controller &&
-        mo_sha256_equal(&status.job.controller_sha256, &record.sha256));
-  CHECK_TEXT(status.job.controller_name, "default");
-  CHECK_INT(status.record.settings.sensor, MO_SENSOR_INVERSE_SQRT); /* the parent's */
-  found = designs_of(second, &n);
-  CHECK_INT(n, 20);
-  CHECK(SAME(found, genotypes, 20));
-  CHECK_INT(mo_store_job_designs(store, second + 1, &found, &n), MO_ERR_NOT_FOUND);
-  tune.parent = "nobody";
-  CHECK_INT(submit_training(&tune), MO_ERR_NOT_FOUND);
-  REQUIRE_OK(mo_controller_create((struct mo_workspace){2, 2, 2}, MO_SENSOR_INVERSE_SQRT, &small));
-  REQUIRE_OK(mo_controller_encode(small, &bytes, &size));
-  REQUIRE_OK(mo_store_controller_put(store, "small", bytes, size, small, &record, &created));
-  free(bytes);
-  mo_controller_free(small);
-  tune.parent = "small";
-  CHECK_INT(submit_training(&tune), MO_ERR_UNSUPPORTED);
-  /* Lists. */
-  CHECK_INT(mo_store_trainings(store, &any_job, page, 5), 2);
-  CHECK(page[0].job.id == second && page[1].job.id == id);
-  CHECK_INT(mo_store_trainings(
-                store, &(struct mo_job_query){.before = second, .state = MO_JOB_QUEUED}, page, 5),
-            1);
-  CHECK_INT(mo_store_trainings(store, &(struct mo_job_query){.state = MO_JOB_RUNNING}, page, 5), 0);
-  CHECK_INT(mo_store_jobs(store, &any_job, jobs, 5), 2);
-  CHECK_INT(
-      mo_store_jobs(store, &(struct mo_job_query){.state = -1, .kind = MO_JOB_TRAINING}, jobs, 5),
-      2);
-  CHECK_INT(
-      mo_store_jobs(store, &(struct mo_job_query){.state = -1, .kind = MO_JOB_EVALUATION}, jobs, 5),
-      0);
-  CHECK_OK(mo_store_job_counts(store, counts));
-  CHECK_INT(counts[MO_JOB_QUEUED], 2);
-  CHECK_TEXT(job_of(second).controller_name, "default");
-  CHECK_OK(reopen());
-  CHECK_OK(check_whole());
 }
 
 static void keeps_the_queues_apart(void)
@@ -296,51 +208,6 @@ static void names_the_code(void)
   CHECK_OK(check_whole());
 }
 
-/* Whether both lists have just these jobs. other 0: only one. */
-static bool lists(const struct mo_job_query *query, uint32_t n, int64_t one, int64_t other)
-{
-  struct mo_training_status page[8];
-  struct mo_job jobs[8];
-  const int64_t found = other != 0 ? 2 : 1;
-  return mo_store_trainings(store, query, page, n) == found &&
-         mo_store_jobs(store, query, jobs, n) == found && page[0].job.id == one &&
-         jobs[0].id == one && (other == 0 || (page[1].job.id == other && jobs[1].id == other));
-}
-
-/* One that waits for room runs in the rows and is shown as paused: the filter goes by what is
- * shown, page by page. */
-static void finds_by_the_state_that_is_shown(void)
-{
-  const struct mo_training_request submission = submission_of(10);
-  struct mo_training_status page[8];
-  struct mo_job jobs[8];
-  int64_t ids[6], waiting[2], none[MO_WAITING_MAX + 1] = {0};
-  struct mo_job_query query = {.kind = -1, .waiting = waiting, .n_waiting = 2};
-  for (int i = 0; i < 6; i++) {
-    ids[i] = submit_training(&submission);
-    REQUIRE(i == 5 || mo_store_run_start(store, ids[i]) == MO_OK);
-  }
-  waiting[0] = ids[1];
-  waiting[1] = ids[3]; /* paused while it waited */
-  REQUIRE_OK(change(ids[3], MO_CHANGE_PAUSE));
-  REQUIRE_OK(change(ids[4], MO_CHANGE_PAUSE));
-  query.state = MO_JOB_RUNNING;
-  CHECK(lists(&query, 8, ids[2], ids[0]));
-  query.state = MO_JOB_PAUSED;
-  CHECK(lists(&query, 2, ids[4], ids[3]));
-  query.before = ids[3];
-  CHECK(lists(&query, 2, ids[1], 0));
-  query.before = 0;
-  query.state = MO_JOB_QUEUED;
-  CHECK(lists(&query, 8, ids[5], 0));
-  query = (struct mo_job_query){
-      .state = MO_JOB_RUNNING, .kind = -1, .waiting = none, .n_waiting = MO_WAITING_MAX};
-  CHECK_INT(mo_store_jobs(store, &query, jobs, 8), 3);
-  query.n_waiting++;
-  CHECK_INT(mo_store_jobs(store, &query, jobs, 8), MO_ERR_LIMIT);
-  CHECK_INT(mo_store_trainings(store, &query, page, 8), MO_ERR_LIMIT);
-}
-
 static void finishes_with_its_controller(void)
 {
   const struct mo_training_request submission = submission_of(100);
@@ -393,12 +260,10 @@ static void forgives_progress(void)
 
 static const struct check_case cases[] = {
     {"encodes every setting", encodes_every_setting},
-    {"submits and reads back", submits_and_reads_back},
     {"keeps the queues apart", keeps_the_queues_apart},
     {"keeps the learning curve", keeps_the_curve},
     {"finds steps in a long curve", finds_steps_in_a_long_curve},
     {"names the code", names_the_code},
-    {"finds by the state that is shown", finds_by_the_state_that_is_shown},
     {"finishes with its controller", finishes_with_its_controller},
     {"forgives errors with progress between them", forgives_progress},
 };
