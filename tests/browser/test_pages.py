@@ -323,23 +323,16 @@ def test_what_happens_while_a_page_loads_is_not_lost(service, browser):
 
 
 def test_a_study_shows_its_measures_and_operators(service, browser):
-    from conftest import CAMPAIGN
-    id = service.post("/v1/campaigns", {key: CAMPAIGN[key] for key in (
-        "population", "physics", "environments")} | {"mode": "study", "label": "search"})["id"]
-    service.post(f"/v1/campaigns/{id}/tell", {"batch": 0, "children": [
-        {"body": DESIGN, "operator": "sampler", "measures": {"reach": 2.5}}]},
-        headers={"Prefer": "wait=30"})
-    browser.open(f"campaigns/{id}")
+    browser.open(f"campaigns/{service.study}")
     browser.until("[...document.querySelectorAll('option')].some((e) => e.innerText === 'reach')")
     text = browser.run("return document.querySelector('main').innerText")
-    assert "1 batch told" in text and "Extend" not in browser.texts("main button")
-    assert browser.texts("section.chart .legend") == ["sampler"]
-    browser.open(f"campaigns/{id}/phylogeny")
+    assert "2 batches told" in text and "Extend" not in browser.texts("main button")
+    assert browser.texts("section.chart .legend") == ["dice"]
+    browser.open(f"campaigns/{service.study}/phylogeny")
     browser.until("document.querySelector('.flush > .legend').innerText")
     browser.run("const e = document.querySelector('select'); e.value = 'operator';"
                 "e.dispatchEvent(new Event('change'))")
-    assert browser.texts(".flush > .legend span")[0] == "sampler"
-    service.act(id, "cancel")
+    assert browser.texts(".flush > .legend span")[0] == "dice"
     assert browser.faults() == []
 
 
