@@ -13,7 +13,7 @@ SCHEMAS = DOCUMENT["components"]["schemas"]
 def operations():
     for path, item in DOCUMENT["paths"].items():
         for method, operation in item.items():
-            if method in ("get", "put", "post", "delete"):
+            if method in ("get", "put", "post", "patch", "delete"):
                 yield path, method, operation
 
 

@@ -74,7 +74,7 @@ def walk(service):
     second = service.post("/v1/campaigns", EXAMPLES["CampaignRequest"] | {"seed": 99})["id"]
     await_end(service, f"/v1/campaigns/{second}")
     bundle = service.request("GET", f"/v1/bundles?campaigns={second}").body
-    assert service.request("DELETE", f"/v1/jobs/{second}").status == 200
+    call("DELETE", f"/v1/jobs/{second}")
     call("POST", "/v1/bundles", body=bundle)
     call("POST", f"{of}/champions", "ChampionsRequest")
     call("POST", f"{of}/extend", "ExtensionRequest")
@@ -91,6 +91,8 @@ def walk(service):
     call("POST", f"{of}/tell", "TellRequest", wait=30)
     call("GET", f"{of}/batch")
     call("POST", f"/v1/jobs/{study}/weight", "WeightRequest")
+    call("PATCH", f"/v1/jobs/{study}", "JobEdit")
+    call("GET", "/v1/usage?limit=1")
     call("POST", f"/v1/jobs/{study}/pause")
     call("POST", f"/v1/jobs/{study}/resume")
     call("POST", f"{of}/finish")
@@ -166,7 +168,7 @@ def test_examples(start):
         return
     for item in CONTRACT.document["paths"].values():
         for method, operation in item.items():
-            if method not in ("get", "put", "post", "delete"):
+            if method not in ("get", "put", "post", "patch", "delete"):
                 continue
             for status, reply in operation["responses"].items():
                 if "application/json" in CONTRACT.resolve(reply).get("content", {}):
@@ -183,7 +185,7 @@ def test_examples_fit_the_contract(service):
         CONTRACT.validate({"$ref": f"#/components/schemas/{schema}"}, value, name)
     for path, item in document["paths"].items():
         for method, operation in item.items():
-            if method in ("get", "put", "post", "delete"):
+            if method in ("get", "put", "post", "patch", "delete"):
                 replies = [operation.get("requestBody", {}), *(
                     responses[reply["$ref"].rsplit("/", 1)[1]] if "$ref" in reply else reply
                     for reply in operation["responses"].values())]
