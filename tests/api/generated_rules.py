@@ -33,6 +33,8 @@ RULES = [
     r"at most n_steps",
     r"more than about a second of a core",
     r"rollouts are computed at once",
+    r"only one of campaigns, group, label and experiment",
+    r"the bundle is damaged",
     r"at most the peak",
     r"distinct bodies are expected",
     r"a finetuning ",
