@@ -6,8 +6,8 @@ reply's bytes: nothing is copied, and they cannot be written.
 
 from __future__ import annotations
 
+import ast
 import dataclasses
-import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Union
@@ -54,12 +54,11 @@ def read_envelope(data: bytes) -> dict[str, Any]:
 
 def read_npy(data: bytes) -> NDArray[Any]:
     """The array of a .npy file. It is a view of the bytes, and cannot be written."""
-    file = io.BytesIO(data)
-    version = np.lib.format.read_magic(file)
-    if version != (1, 0):
+    if data[:8] != b"\x93NUMPY\x01\x00":
         raise MorphodError("the bytes are no array of NumPy of version 1")
-    shape, _, kind = np.lib.format.read_array_header_1_0(file)
-    return np.frombuffer(data, kind, offset=file.tell()).reshape(shape)
+    start = 10 + int.from_bytes(data[8:10], "little")
+    header = ast.literal_eval(data[10:start].decode("latin-1"))
+    return np.frombuffer(data, header["descr"], offset=start).reshape(header["shape"])
 
 
 def _with_arrays(value: Any, data: bytes, first: int) -> Any:

@@ -451,7 +451,7 @@ class AsyncCampaigns:
         return await curves_of(self._connection, [member.id for member in self._members], stride)
 
 
-async def curves(connection: AsyncConnection, stride: int = 1, **which: str) -> pd.DataFrame:
+async def curves(connection: AsyncConnection, stride: int = 1, **which: Any) -> pd.DataFrame:
     """One tidy table of the generations of campaigns, by one request."""
     reply = await connection.send(Request.get(
         "/v1/campaigns/generations", accept=MEDIA_TYPE, stride=stride, **which))

@@ -450,7 +450,7 @@ class Campaigns:
         return curves_of(self._connection, [member.id for member in self._members], stride)
 
 
-def curves(connection: Connection, stride: int = 1, **which: str) -> pd.DataFrame:
+def curves(connection: Connection, stride: int = 1, **which: Any) -> pd.DataFrame:
     """One tidy table of the generations of campaigns, by one request."""
     reply = connection.send(Request.get(
         "/v1/campaigns/generations", accept=MEDIA_TYPE, stride=stride, **which))
