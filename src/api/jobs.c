@@ -360,7 +360,7 @@ static void write_deleted(struct mo_text *text, const union mo_job_status *statu
 void mo_api_delete_job(struct mo_request *request)
 {
   struct mo_store *store = mo_api_of(request)->store;
-  struct mo_message message;
+  struct mo_message message = {.text = ""};
   struct mo_deleted deleted;
   union mo_job_status status;
   struct mo_text text = {0};

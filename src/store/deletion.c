@@ -260,7 +260,7 @@ void mo_upkeep_begin(struct mo_store *store)
                             " ON c.job=j.id WHERE j.state=6 LIMIT 100";
   int64_t ids[100];
   enum mo_job_kind kinds[100];
-  struct mo_deleted deleted;
+  struct mo_deleted deleted = {.n_checkpoints = 0};
   size_t n = 0;
   int error = MO_OK;
   struct mo_connection *reader = mo_reader_acquire(store);

@@ -4,10 +4,12 @@ import contextlib
 import os
 import pathlib
 import shutil
+import sqlite3
 import subprocess
 import time
 
 import pytest
+import requests
 from daemon import MORPHOD, Daemon, bodies, stored_scores
 
 PHYSICS = {"n_steps": 100}
@@ -25,6 +27,12 @@ def fill(path):
     return filler
 
 
+def rows_of(daemon, job):
+    with contextlib.closing(sqlite3.connect(f"file:{daemon.state}/morphod.db?mode=ro",
+                                            uri=True)) as db:
+        return db.execute("SELECT id FROM jobs WHERE id=?", [job]).fetchall()
+
+
 @pytest.fixture(name="one")
 def daemon_on_small_disk(small_disk):
     """Its state is on the small disk, what it tells is not. Tests start it."""
@@ -36,6 +44,7 @@ def daemon_on_small_disk(small_disk):
 def test_full_disk(one, small_disk, seed):
     one.start()
     before = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
+    old = one.score({"designs": bodies(seed, 5), "physics": PHYSICS, "record": ["com"]})["id"]
     filler = fill(small_disk)
     refusals = 0
     accepted = []
@@ -56,6 +65,9 @@ def test_full_disk(one, small_disk, seed):
     assert one.get("/healthz").status_code == 200
     # What is stored can be read all the while.
     assert one.get(f"/v1/evaluations/{before['id']}").json()["results"] == before["results"]
+    # So can what has ended be deleted; its rows go when there is space.
+    assert requests.delete(f"{one.address}/v1/jobs/{old}").status_code == 200
+    assert one.get(f"/v1/jobs/{old}").status_code == 404
     filler.unlink()
     request = {"designs": bodies(seed + 7, 5), "physics": PHYSICS}
     reply = one.until(lambda: one.evaluate(request, key="after"), 20,
@@ -64,6 +76,9 @@ def test_full_disk(one, small_disk, seed):
         one.succeed(job)
     again = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
     assert again["results"] == before["results"]
+    one.end()
+    one.start()
+    one.until(lambda: not rows_of(one, old), 20)
     one.end()
 
 
