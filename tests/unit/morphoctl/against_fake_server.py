@@ -31,7 +31,8 @@ JOB = {
     "progress": {"rollouts_per_s": None, "seconds_left": None, "busy_s": None},
     "physics": {"dt_s": 0.004, "n_steps": 20, "impact": "exact"}
 }
-RESULT = {"id": ID, "genotype": VOXELS, "score": 0.75, "losses": [0.5, 1.0], "diverged": []}
+RESULT = {"id": ID, "genotype": VOXELS, "voxels": 1, "repaired": 0, "fault": None, "score": 0.75,
+          "losses": [0.5, 1.0], "diverged": []}
 
 
 class Server:
@@ -378,8 +379,9 @@ def test_train_start_finetune():
         seen = ask(replies, "train start finetune " + words)[2]
         assert json.loads(seen[-1][3]) == {"kind": "finetune", **sent}
         assert job is None or seen[0][1] == f"/v1/jobs/{words.split()[1]}"  # whose population it is
-    seen = ask([reply(202, TRAINING)], "train start finetune --random 5 --random-seed 9")[2]
-    assert len(json.loads(seen[0][3])["designs"]) == 5
+    bodies = {"items": [{"id": ID, "genotype": VOXELS}] * 5}
+    seen = ask([bodies, reply(202, TRAINING)], "train start finetune --random 5 --random-seed 9")[2]
+    assert seen[0][1] == "/v1/bodies/random" and len(json.loads(seen[1][3])["designs"]) == 5
 
 
 def test_train_start_that_makes_no_sense():
