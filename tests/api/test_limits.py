@@ -238,7 +238,8 @@ def whole(service, size):
 
 
 def test_half_sent_bodies_give_way_to_whole_ones(start):
-    service = start("--max-body=1M", "--max-controller=1M")  # 8 MiB, of which 4 for one client
+    # 8 MiB, of which 4 for one client.
+    service = start("--max-body=1M", "--max-controller=1M", "--max-bundle=1M")
     held = [half(dial(service), 1000000, 600000) for _ in range(4)]
     for _ in range(20):
         held[0].sendall(b" " * 17000)  # this one goes on, if slowly
@@ -260,7 +261,7 @@ def test_half_sent_bodies_give_way_to_whole_ones(start):
 
 @as_root
 def test_half_sent_bodies_of_all_users_give_way(start):
-    service = start("--max-body=1M", "--max-controller=1M")
+    service = start("--max-body=1M", "--max-controller=1M", "--max-bundle=1M")
     held = [half(dial(service, uid), 1000000, 600000) for uid in USERS for _ in range(4)]
     time.sleep(0.5)
     assert whole(service, 1000) == 202  # of the memory that is kept for small ones
