@@ -34,7 +34,7 @@ RULES = [
     r"more than about a second of a core",
     r"rollouts are computed at once",
     r"only one of campaigns, group, label and experiment",
-    r"the bundle is damaged",
+    r"the bundle (is damaged|ends early)",
     r"at most the peak",
     r"distinct bodies are expected",
     r"a finetuning ",
