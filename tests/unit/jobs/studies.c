@@ -84,7 +84,7 @@ SERVICE_CASE(is_a_campaign, 2)
   CHECK_OK(mo_store_campaign_checkpoint_of(store, id, GENERATIONS, &step, &bytes, &size));
   CHECK(size == sizeof("state") && memcmp(bytes, "state", size) == 0);
   free(bytes);
-  CHECK_INT(idle_stats().open_jobs, 1);
+  CHECK(AWAIT(stats_of().open_jobs == 1 && stats_of().active_campaigns == 0));
   CHECK_OK(mo_jobs_finish_study(service.jobs, id));
   CHECK_OK(mo_jobs_finish_study(service.jobs, id));
   CHECK_INT(idle_stats().open_jobs, 0);
