@@ -1,4 +1,4 @@
-/* phylogeny_columns.c: the phylogeny as columns, for programs that draw it whole: 17 bytes per
+/* phylogeny_columns.c: the phylogeny as columns, for programs that draw it whole: 19 bytes per
  * design in place of 243 as CSV. The form is that of a scene: a JSON header that describes arrays.
  */
 #include <stdio.h>
@@ -35,6 +35,8 @@ static void choose_rows(struct mo_campaign_columns *columns, const uint8_t *kept
     columns->died[n] = columns->died[i];
     columns->operators[n] = columns->operators[i];
     columns->scores[n] = columns->scores[i];
+    columns->voxels[n] = columns->voxels[i];
+    columns->footprints[n] = columns->footprints[i];
     for (uint32_t m = 0; m < columns->words.n_measures; m++)
       columns->measures[m][n] = columns->measures[m][i];
     n++;
@@ -95,6 +97,8 @@ static void write_columns(struct mo_text *text, struct mo_text *arrays,
   write_generations(text, arrays, "died", columns->died, columns->n, narrow);
   write_column(text, arrays, "operator", "uint8", columns->operators, 1, columns->n);
   write_column(text, arrays, "score", "float32", columns->scores, 4, columns->n);
+  write_column(text, arrays, "voxels", "uint8", columns->voxels, 1, columns->n);
+  write_column(text, arrays, "footprint", "uint8", columns->footprints, 1, columns->n);
   for (uint32_t m = 0; m < columns->words.n_measures; m++) {
     char name[MO_STUDY_WORD_MAX + 16];
     snprintf(name, sizeof(name), "measures.%s", columns->words.measures[m]);

@@ -48,6 +48,7 @@ struct mo_campaign_columns {
   uint32_t *born, *died; /* (n) generations; died: MO_ALIVE */
   uint8_t *operators;    /* (n) enum mo_operator, or MO_OPERATORS + place of a study's own word */
   float *scores;         /* (n) the last; NaN: a rollout diverged */
+  uint8_t *voxels, *footprints; /* (n) each */
   struct mo_study_words words;
   double *measures[MO_STUDY_MEASURES_MAX]; /* (words.n_measures, n) NaN: not given */
 };

@@ -57,6 +57,15 @@ static int column_measures(sqlite3_stmt *row, int column, double measures[MO_STU
   return MO_OK;
 }
 
+/* The reverse of packed_size (campaign_commit.c). */
+static struct mo_design_size unpacked_size(int64_t size)
+{
+  return (struct mo_design_size){.springs = (uint32_t)(size & 0xffff),
+                                 .masses = (uint32_t)(size >> 16 & 1023),
+                                 .voxels = (uint32_t)(size >> 26 & 1023),
+                                 .footprint = (uint32_t)(size >> 36 & 1023)};
+}
+
 static int design_from_row(sqlite3_stmt *row, void *any)
 {
   struct mo_campaign_design *design = any;
@@ -67,10 +76,7 @@ static int design_from_row(sqlite3_stmt *row, void *any)
                                         (uint8_t)sqlite3_column_int(row, 1)};
   design->born = (uint32_t)sqlite3_column_int64(row, 4);
   design->died = sqlite3_column_type(row, 5) == SQLITE_NULL ? -1 : sqlite3_column_int64(row, 5);
-  design->size = (struct mo_design_size){.springs = (uint32_t)(size & 0xffff),
-                                         .masses = (uint32_t)(size >> 16 & 1023),
-                                         .voxels = (uint32_t)(size >> 26 & 1023),
-                                         .footprint = (uint32_t)(size >> 36 & 1023)};
+  design->size = unpacked_size(size);
   mo_column_text(row, 10, design->own_operator, sizeof(design->own_operator));
   error = design->descent.op < MO_OPERATORS || design->own_operator[0] != '\0'
               ? mo_column_double(row, 6, &design->score)
@@ -203,6 +209,8 @@ void mo_campaign_columns_free(struct mo_campaign_columns *columns)
   free(columns->died);
   free(columns->operators);
   free(columns->scores);
+  free(columns->voxels);
+  free(columns->footprints);
   for (uint32_t m = 0; m < columns->words.n_measures; m++)
     free(columns->measures[m]);
   free(columns);
@@ -220,6 +228,8 @@ static struct mo_campaign_columns *make_columns(size_t n, const struct mo_study_
   columns->died = malloc(n * sizeof(uint32_t));
   columns->operators = malloc(n);
   columns->scores = malloc(n * sizeof(float));
+  columns->voxels = malloc(n);
+  columns->footprints = malloc(n);
   columns->words = *words;
   for (uint32_t m = 0; m < words->n_measures; m++) {
     columns->measures[m] = malloc(n * sizeof(double));
@@ -227,7 +237,7 @@ static struct mo_campaign_columns *make_columns(size_t n, const struct mo_study_
   }
   if (!is_whole || columns->parents[0] == NULL || columns->parents[1] == NULL ||
       columns->born == NULL || columns->died == NULL || columns->operators == NULL ||
-      columns->scores == NULL) {
+      columns->scores == NULL || columns->voxels == NULL || columns->footprints == NULL) {
     mo_campaign_columns_free(columns);
     return NULL;
   }
@@ -248,8 +258,9 @@ static int read_measures(sqlite3_stmt *row, int column, struct mo_campaign_colum
 static int read_columns(struct mo_connection *reader, int64_t id, int64_t n,
                         struct mo_campaign_columns *columns)
 {
-  static const char sql[] = "SELECT number,operator,parent,other_parent,born,died,score,measures"
-                            " FROM campaign_designs WHERE job=?1 ORDER BY number";
+  static const char sql[] =
+      "SELECT number,operator,parent,other_parent,born,died,score,size,measures"
+      " FROM campaign_designs WHERE job=?1 ORDER BY number";
   int error = MO_OK;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
   while (mo_sql_next(reader, row, &error)) {
@@ -266,8 +277,11 @@ static int read_columns(struct mo_connection *reader, int64_t id, int64_t n,
         sqlite3_column_type(row, 5) == SQLITE_NULL ? MO_ALIVE : mo_column_u32(row, 5);
     error = mo_column_double(row, 6, &score);
     columns->scores[i] = isfinite(score) ? (float)score : NAN;
+    const struct mo_design_size size = unpacked_size(sqlite3_column_int64(row, 7));
+    columns->voxels[i] = (uint8_t)size.voxels;
+    columns->footprints[i] = (uint8_t)size.footprint;
     if (error == MO_OK && columns->words.n_measures > 0)
-      error = read_measures(row, 7, columns);
+      error = read_measures(row, 8, columns);
     columns->n++;
   }
   return error;

@@ -212,9 +212,10 @@ def test_a_phylogeny_as_columns(service):
         assert columns["died"][i] == (alive if row["died"] is None else row["died"])
         assert operators[columns["operator"][i]] == row["operator"]
         assert columns["score"][i] == pytest.approx(row["score"], rel=1e-6)
+        assert (columns["voxels"][i], columns["footprint"][i]) == (row["voxels"], row["footprint"])
     assert header["designs"] == len(rows) and "number" not in columns
     sizes = [struct.calcsize(FORMATS[where["type"]]) for where in header["columns"].values()]
-    assert sum(sizes) == 17
+    assert sum(sizes) == 19
     header, array = scene(service.request("GET", path + "?format=columns&keep=lineages"))
     kept = {row["number"] for row in rows if row["died"] is None}
     for row in reversed(rows):

@@ -333,6 +333,10 @@ def test_a_study_shows_its_measures_and_operators(service, browser):
     browser.run("const e = document.querySelector('select'); e.value = 'operator';"
                 "e.dispatchEvent(new Event('change'))")
     assert browser.texts(".flush > .legend span")[0] == "dice"
+    for by, least in (("measures.reach", "reach "), ("voxels", "voxels ")):
+        browser.run(f"const e = document.querySelector('select'); e.value = '{by}';"
+                    "e.dispatchEvent(new Event('change'))")
+        assert browser.texts(".flush > .legend span")[0].startswith(least)
     assert browser.faults() == []
 
 

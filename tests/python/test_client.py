@@ -217,6 +217,7 @@ def test_a_phylogeny(m, service, campaign):
                    if parent is not pandas.NA]
         assert parents == row["parents"] and line["operator"] == row["operator"]
         assert line["score"] == np.float32(row["score"]) and line["born"] == row["born"]
+        assert (line["voxels"], line["footprint"]) == (row["voxels"], row["footprint"])
         assert (None if line["died"] is pandas.NA else line["died"]) == row["died"]
     graph = phylogeny.to_networkx()
     assert networkx.is_directed_acyclic_graph(graph) and set(graph.edges) == {

@@ -50,7 +50,7 @@ void main() { result = color; }`,
 /** Designs in a row of a texture: the shader takes its low bits for the column. */
 const TEXELS = 2048;
 const MANY = 100000;
-const COLOR_BY = [['score', 'score'], ['age', 'age'], ['descendants', 'descendants'], ['operator', 'operator']];
+const COLOR_BY = ['score', 'age', 'descendants', 'operator', 'voxels', 'footprint'];
 const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
 
 /** A canvas with the lives of designs; it knows nothing of the page around it. */
@@ -70,6 +70,8 @@ export class PhylogenyCanvas {
     this.times = {};
     /** Best and worst score on the scale of colors. */
     this.scores = [0, 2];
+    /** Least and largest value of another column that gives the colors. */
+    this.ends = [0, 1];
     this.drawn = () => {};
     this.reset();
   }
@@ -116,6 +118,15 @@ export class PhylogenyCanvas {
     }
     const span = Math.log(worst / best) || 1;
     this.scores = [best, worst];
+    // Any other column, on a straight scale from its least to its largest value.
+    const measure = columns[this.colorBy] && !['score', 'operator'].includes(this.colorBy)
+      ? columns[this.colorBy] : null;
+    let [least, most] = [Infinity, -Infinity];
+    for (let i = 0; measure && i < n; i++) {
+      if (measure[i] < least) least = measure[i];
+      if (measure[i] > most) most = measure[i];
+    }
+    this.ends = [least, most];
     for (let k = 0, at = 0; k < n; k++, at += 4) {
       const i = order[k];
       const end = died[i] === this.alive ? this.last + 0.6 : Math.max(died[i], born[i] + 0.4);
@@ -127,6 +138,7 @@ export class PhylogenyCanvas {
       if (this.colorBy === 'operator') value = operator[i] / 255;
       else if (this.colorBy === 'descendants') value = Math.log(size[i]) / Math.log(Math.max(2, n));
       else if (this.colorBy === 'age') value = Math.min(1, (end - born[i]) / Math.max(2, this.last * 0.5));
+      else if (measure) value = most > least && measure[i] >= least ? (measure[i] - least) / (most - least) : 0;
       else value = scores[i] > 0 ? 1 - Math.min(1, Math.max(0, Math.log(scores[i] / best) / span)) : 0;
       looks[2 * k] = Math.round(value * 255);
       looks[2 * k + 1] = lineage[i] * 255;
@@ -234,7 +246,7 @@ export async function mount(main, id, parameters, app) {
         path: `v1/campaigns/${id}/phylogeny?format=csv`, output: `phylogeny-${id}.csv`,
         morphoctl: `campaign export ${id} --phylogeny phylogeny-${id}.csv`,
         python: `print(m.get_campaign(${id}).phylogeny().frame())`,
-      })), select('Color', COLOR_BY, 'score', (by) => { view.setColor(by); view.draw(); marks.tell(); }),
+      })), select('Color', [...COLOR_BY, ...(campaign.study?.measures ?? []).map((name) => [`measures.${name}`, name])], 'score', (by) => { view.setColor(by); view.draw(); marks.tell(); }),
         h('form.row', { onsubmit: (event) => { event.preventDefault(); find(search.value.trim()); } }, search, h('button', { type: 'submit' }, 'Find')),
         button('Whole', () => { view.reset(); view.draw(); }))),
     h('section.panel.flush', {}, h('div.overlaid', {}, canvas, marks.canvas), marks.legend),

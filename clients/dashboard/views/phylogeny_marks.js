@@ -18,20 +18,22 @@ export class PhylogenyMarks {
 
   /** Says what the colors mean. */
   tell() {
-    const { colorBy, scores, columns } = this.view;
+    const { colorBy, scores, ends, columns } = this.view;
     const swatch = (color) => {
       const element = h('i.swatch');
       element.style.color = `var(${color})`;
       return element;
     };
     const ramp = (from, to) => [h('span', {}, from), h('i.ramp'), h('span', {}, to)];
-    fill(this.legend, {
+    const tellers = {
       score: () => ramp(`score ${number(scores[1])}`, `${number(scores[0])}, the best`),
       age: () => ramp('short life', 'long life'),
       descendants: () => ramp('no descendants', 'most, on a scale of logarithms'),
       operator: () => [...new Set(columns.operator)].sort().map((operator) =>
         h('span', {}, swatch(OPERATOR_HUES[Math.min(operator, OPERATOR_HUES.length - 1)]), columns.operators[operator])),
-    }[colorBy](), h('span', {}, 'bright: ancestors of the living'), h('span', {}, 'across: generations'));
+    };
+    const other = () => ramp(`${colorBy.replace(/^measures\./, '')} ${number(ends[0])}`, number(ends[1]));
+    fill(this.legend, (tellers[colorBy] ?? other)(), h('span', {}, 'bright: ancestors of the living'), h('span', {}, 'across: generations'));
   }
 
   draw() {

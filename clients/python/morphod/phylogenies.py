@@ -23,8 +23,8 @@ class Phylogeny:
 
     `number`, `parent` and `other_parent` are uint32 (`NONE`: no parent), `born` and `died`
     generations (`alive` tells who lives), `operator` places in `operators`, `score` float32 with
-    NaN where a rollout diverged, `measures` float64 by name, of a study. A million designs are a
-    few arrays of a few megabytes.
+    NaN where a rollout diverged, `voxels` and `footprint` uint8, `measures` float64 by name, of a
+    study. A million designs are a few arrays of a few megabytes.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -37,6 +37,8 @@ class Phylogeny:
         self.operator = columns["operator"]
         self.operators: tuple[str, ...] = tuple(header["operators"])
         self.score = columns["score"]
+        self.voxels = columns["voxels"]
+        self.footprint = columns["footprint"]
         self.measures = {name.partition(".")[2]: column for name, column in columns.items()
                          if name.startswith("measures.")}
         # A whole phylogeny may come without numbers: they are the places.
@@ -51,7 +53,7 @@ class Phylogeny:
 
     def frame(self) -> pd.DataFrame:
         """A table with the index `number`: parent and other_parent (nullable integers), born, died
-        (nullable), operator (categories), score, and the measures of a study."""
+        (nullable), operator (categories), score, voxels, footprint, and the measures of a study."""
         module = pandas()
 
         def nullable(column: NDArray[Any], absent: NDArray[np.bool_]) -> Any:
@@ -66,6 +68,8 @@ class Phylogeny:
                 "operator": module.Categorical.from_codes(self.operator.astype(np.int8),
                                                           self.operators),
                 "score": self.score,
+                "voxels": self.voxels.astype(np.int64),
+                "footprint": self.footprint.astype(np.int64),
                 **{f"measures_{name}": column for name, column in self.measures.items()},
             },
             index=module.Index(self.number.astype(np.int64), name="number"))
