@@ -23,10 +23,17 @@ def test_health(service):
     assert service.request("GET", "/readyz").json()["status"] == "ready"
 
 
+def plain(node):
+    """The contract without its examples, which are a file of their own."""
+    if isinstance(node, dict):
+        return {key: plain(value) for key, value in node.items() if key != "examples"}
+    return [plain(value) for value in node] if isinstance(node, list) else node
+
+
 def test_index_and_contract(service):
     assert b"openapi.json" in service.request("GET", "/").body
     reply = service.tagged("/openapi.json")
-    assert reply.json() == json.loads(json.dumps(CONTRACT.document))
+    assert plain(reply.json()) == plain(json.loads(json.dumps(CONTRACT.document)))
     again = service.request("GET", "/openapi.json",
                             headers={"If-None-Match": reply.headers["ETag"]})
     assert again.headers["Content-Length"] == str(len(reply.body)), "the length is that of the 200"
@@ -39,7 +46,7 @@ def test_contract_lists_every_operation(service):
     for path, item in CONTRACT.document["paths"].items():
         concrete = re.sub(r"\{(\w+)\}", lambda match: examples[match.group(1)], path)
         allow = service.request("OPTIONS", concrete).headers["Allow"].split(", ")
-        listed = {method.upper() for method in item if method in ("get", "put", "post", "delete")}
+        listed = {method.upper() for method in item} & {"GET", "PUT", "POST", "DELETE", "PATCH"}
         if "GET" in listed:
             listed.add("HEAD")
         assert set(allow) == listed | {"OPTIONS"}, path
