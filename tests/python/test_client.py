@@ -352,7 +352,7 @@ def test_tokens_and_addresses(start, monkeypatch, tmp_path):
 def test_jobs_in_order(m):
     """Labels, experiments, notes, the archive, usage, deletion."""
     label = f"order {time.time()}"
-    job = m.evaluate([np.ones((2, 1, 1))], label=label, experiment=label, physics={"n_steps": 20})
+    job = m.evaluate([np.ones((2, 1, 1))], label=label, experiment=label, physics={"n_steps": 23})
     assert job.experiment == label and job.note is None and job.core_seconds > 0
     job.edit(note="walks", archived=True)
     assert job.note == "walks" and job.label == label
