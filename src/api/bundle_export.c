@@ -303,6 +303,12 @@ static int write_scores(struct mo_bundle_export *export, struct mo_text *out)
   if (status->record.settings.mode == MO_ZERO_SHOT &&
       export->after + 1 < (int64_t)status->n_designs)
     return error;
+  if (error == MO_OK) { /* what was read is whole only if nobody extended or deleted it meanwhile */
+    struct mo_campaign_status now;
+    error = mo_store_campaign(export->store, export->ids[export->i], &now);
+    if (error == MO_OK && now.generation != status->generation)
+      error = MO_ERR_CONFLICT;
+  }
   next_phase(export);
   if (++export->i < export->n)
     export->phase = CAMPAIGN;

@@ -636,7 +636,8 @@ static void read_campaign_member(struct mo_json *json, struct mo_json_slice key,
   for (size_t i = 0; i < sizeof(numbers) / sizeof(numbers[0]); i++)
     if (mo_json_is(key, numbers[i].name)) {
       if (numbers[i].whole != NULL)
-        mo_json_integer(json, -1, numbers[i].max, numbers[i].whole);
+        mo_json_integer(json, numbers[i].whole == (int64_t *)&campaign->n_designs ? 0 : -1,
+                        numbers[i].max, numbers[i].whole);
       else
         read_u32(json, numbers[i].max, numbers[i].count);
       return;

@@ -12,7 +12,7 @@
 #include "base/json.h"
 #include "http/download.h"
 
-#define COLUMNS_MAX 32
+#define COLUMNS_MAX MO_GATHER_COLUMNS
 #define PATH_BYTES  96
 
 /* ---- forms ---- */

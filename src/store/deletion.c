@@ -16,9 +16,10 @@
 #include "store/runs.h"
 #include "store/upkeep.h"
 
-#define ROWS_MAX   1000 /* in one transaction, about */
-#define EXPIRE_MAX 100  /* jobs in one transaction */
-#define UPKEEP_US  INT64_C(60000000)
+#define ROWS_MAX     1000                /* in one transaction, about */
+#define EXPIRE_MAX   100                 /* jobs in one transaction */
+#define EXPIRE_BYTES (INT64_C(64) << 20) /* of recordings; at least one job's */
+#define UPKEEP_US    INT64_C(60000000)
 
 /* ---- the first transaction ---- */
 
@@ -165,9 +166,14 @@ static int expire(struct mo_store *store, void *arguments)
                   mo_int(mo_clock_wall_us() - store->keep_evaluations_us), mo_int(EXPIRE_MAX));
   while (mo_sql_next(&store->writer, row, &error))
     ids[n++] = sqlite3_column_int64(row, 0);
-  for (size_t i = 0; i < n && error == MO_OK; i++)
-    error = mark(store, &(struct mark){.id = ids[i], .reason = "age"});
-  round->n = n;
+  int64_t bytes = 0;
+  round->n = 0;
+  for (size_t i = 0; i < n && error == MO_OK && bytes < EXPIRE_BYTES; i++) {
+    struct mark one = {.id = ids[i], .reason = "age"};
+    error = mark(store, &one);
+    bytes += one.recorded_bytes;
+    round->n++;
+  }
   return error;
 }
 

@@ -161,7 +161,8 @@ static int insert_run(struct mo_import *import, const struct mo_imported_campaig
 }
 
 /* Finds the set whose environments are those of the campaign; 0: there is none. */
-static int find_set(struct mo_import *import, const struct mo_campaign_record *record)
+static int find_set(struct mo_import *import, const struct mo_campaign_record *record,
+                    int64_t group)
 {
   static const char sql[] = "SELECT count(*) FROM environment_set_members m JOIN job_environments e"
                             " ON e.position=m.position AND e.environment=m.environment"
@@ -173,7 +174,7 @@ static int find_set(struct mo_import *import, const struct mo_campaign_record *r
                   ? mo_environment_set_find(writer, record->environment_set, &import->set, &n)
                   : MO_ERR_NOT_FOUND;
   if (error == MO_OK)
-    error = mo_sql_find(writer, &same, sql, mo_int(import->set), mo_int(import->id));
+    error = mo_sql_find(writer, &same, sql, mo_int(import->set), mo_int(group));
   if (error != MO_OK || same != n || n != record->n_environments)
     import->set = 0;
   return error == MO_ERR_NOT_FOUND ? MO_OK : error;
@@ -231,8 +232,8 @@ static int insert_environments(struct mo_import *import,
        memcmp(known, campaign->environments, record->n_environments * sizeof(*known)) != 0))
     return MO_ERR_INVALID; /* replicates in other worlds */
   import->n_environments = record->n_environments;
-  if (error == MO_OK && group == import->id)
-    error = find_set(import, record);
+  if (error == MO_OK)
+    error = find_set(import, record, group);
   return error == MO_OK && import->set != 0
              ? mo_sql_do(writer, sql, mo_int(import->id), mo_int(import->set))
              : error;
@@ -262,9 +263,16 @@ int mo_import_campaign(struct mo_import *import, const struct mo_imported_campai
   return error == MO_OK ? insert_source(import, &campaign->source) : error;
 }
 
+/* Lets the watchdog see that the one long transaction of the writer makes progress. */
+static void beat(struct mo_import *import)
+{
+  atomic_store(&import->store->heartbeat_us, mo_clock_us());
+}
+
 int mo_import_design(struct mo_import *import, const struct mo_campaign_design *design)
 {
   int64_t genotype = 0;
+  beat(import);
   const int error = mo_genotype_row(&import->store->writer, &design->form, &design->genotype,
                                     import->now_us, &genotype);
   return error == MO_OK
@@ -304,6 +312,7 @@ int mo_import_generation(struct mo_import *import, const struct mo_campaign_gene
 
 int mo_import_step(struct mo_import *import, const struct mo_campaign_step *step)
 {
+  beat(import);
   return mo_row_write(&import->store->writer, MO_CAMPAIGN_STEPS, import->id, step);
 }
 
@@ -324,8 +333,10 @@ static int find_condition(struct mo_import *import, const struct mo_campaign_sco
   struct mo_condition *condition = &import->condition;
   int64_t environments[MO_BLOCK_LANES] = {0};
   int error = MO_OK;
-  if (strcmp(import->origin, score->origin) != 0)
+  if (strcmp(import->origin, score->origin) != 0) {
     error = origin_row(writer, score->origin, &import->origin_row);
+    memcpy(import->origin, score->origin, sizeof(import->origin));
+  }
   for (uint32_t k = 0; k < score->n; k++)
     environments[k] = import->environments[score->environments[k]];
   if (error == MO_OK && condition->id != 0 && condition->n == score->n &&
@@ -347,11 +358,10 @@ static int find_condition(struct mo_import *import, const struct mo_campaign_sco
   if (error == MO_OK)
     error = mo_condition_row(writer, condition);
   memcpy(import->fingerprint, score->fingerprint, sizeof(import->fingerprint));
-  memcpy(import->origin, score->origin, sizeof(import->origin));
   return error;
 }
 
-/* Compares losses with those that are stored. */
+/* Compares losses with those that are stored, in whichever block they are. */
 static int compare(struct mo_import *import, int64_t genotype,
                    const struct mo_campaign_score *score)
 {
@@ -376,15 +386,16 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
   struct mo_connection *writer = &import->store->writer;
   int64_t genotype = 0;
   double sum = 0;
+  beat(import);
   int error = mo_sql_find(writer, &genotype, sql, mo_int(import->id), mo_int(score->number));
   if (error == MO_OK)
     error = find_condition(import, score);
   if (error == MO_OK)
+    error = compare(import, genotype, score);
+  if (error == MO_OK)
     error = mo_losses_insert_from(import->store, &import->condition, genotype, import->origin_row,
                                   score->losses, score->diverged_steps, score->computed_us, is_new);
-  if (error == MO_OK && !*is_new)
-    return compare(import, genotype, score);
-  if (error != MO_OK || import->set == 0)
+  if (error != MO_OK || !*is_new || import->set == 0)
     return error;
   bool is_whole = score->n == import->n_environments;
   for (uint32_t k = 0; k < score->n; k++) {
