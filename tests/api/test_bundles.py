@@ -300,11 +300,14 @@ def test_a_score_that_contradicts_a_stored_one(start, bundle):
     move = put("source.store", "0" * 15 + "1")
     other_store = [(name, move(body) if name.endswith("campaign.json") else body)
                    for name, body in members]
-    forged = altered(other_store, "scores", put("losses", lambda losses: [0.5] + losses[1:]))
-    forged = altered(forged, "generations", put("seconds", lambda seconds: seconds + 1))
     newest = other.get("/v1/events?format=json")["newest"]
-    reply = enter(other, pack(forged))
-    assert reply.status == 409 and "a loss of design 0" in reply.json()["detail"]
+    other_store = altered(other_store, "generations", put("seconds", lambda seconds: seconds + 1))
+    for n in (None, 2):  # a whole block of environments, and a part of it, which is another block
+        forged = altered(other_store, "scores", put("losses", lambda old: ([0.5] + old[1:])[:n]))
+        for key in ("environments", "diverged_steps"):
+            forged = altered(forged, "scores", put(key, lambda values: values[:n]))
+        reply = enter(other, pack(forged))
+        assert reply.status == 409 and "a loss of design 0" in reply.json()["detail"], n
     assert other.get("/v1/events?format=json")["newest"] == newest
 
 
