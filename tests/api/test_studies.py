@@ -53,7 +53,7 @@ def history(service, id):
 
 def test_a_study(service):
     """Its whole life, as a client sees it."""
-    id = new(service, label="by hand")
+    id = new(service, label="told by hand")
     path = f"/v1/campaigns/{id}"
     first = state(service, id)
     assert first["mode"] == "study" and first["state"] == "queued" and first["phase"] == "waiting"
@@ -61,7 +61,7 @@ def test_a_study(service):
     assert first["study"] == {"next_batch": 0, "pending": False, "operators": [], "measures": [],
                               "sampler": None}
     assert service.get(f"/v1/jobs/{id}")["reason"] == first["reason"]
-    assert [one["id"] for one in service.pages("/v1/campaigns?label=by%20hand")] == [id]
+    assert [one["id"] for one in service.pages("/v1/campaigns?label=told%20by%20hand")] == [id]
     service.refuses(path, "/batch", "/sampler", status=404)
 
     children = [{"body": ONE, "measures": {"reach": 1}},
