@@ -169,6 +169,13 @@ def test_several_campaigns(service, campaign):
     service.refuses(path, f"?campaigns={evaluation}", status=404)
 
 
+def test_wide_tables_have_their_last_column(service, campaign):
+    for path, last in (("campaigns", "result_controller_sha256"),
+                       ("trainings", "controller_sha256")):
+        heading = service.request("GET", f"/v1/{path}?format=csv").body.split(b"\n")[0].decode()
+        assert heading.split(",")[-1] == last
+
+
 def test_a_phylogeny_for_trees(service, campaign):
     """parents=first names at most one parent; root=1 adds one root, behind all other ids."""
     path = f"/v1/campaigns/{campaign}/phylogeny"
