@@ -2,10 +2,9 @@
 
 import asyncio
 
+import morphod
 import numpy as np
 import pytest
-
-import morphod
 from service import DESIGN
 
 SHORT = {"n_steps": 20}

@@ -2,9 +2,14 @@
 
 import numpy as np
 import pytest
-
 from morphod import Body, BodyError
-from morphod.bodies import WORKSPACE, genotypes_of, largest_pieces, requests_of, voxels_of
+from morphod.bodies import (
+    WORKSPACE,
+    genotypes_of,
+    largest_pieces,
+    requests_of,
+    voxels_of,
+)
 
 ALL = np.ones(WORKSPACE, dtype=bool)
 

@@ -5,12 +5,11 @@ import math
 import re
 import time
 
+import morphod
 import networkx
 import numpy as np
 import pandas
 import pytest
-
-import morphod
 from morphod.bodies import largest_pieces
 from service import BOOTSTRAP, DESIGN
 
@@ -344,9 +343,9 @@ def test_tokens_and_addresses(start, monkeypatch, tmp_path):
         assert client.jobs().empty and url in repr(client)
     with pytest.raises(morphod.MorphodError, match="unix:/path"):
         morphod.Client("ftp://x")
-    with morphod.Client("http://127.0.0.1:1", retry_s=0) as client:
-        with pytest.raises(morphod.UnreachableError, match="is the service running"):
-            client.jobs()
+    with morphod.Client("http://127.0.0.1:1", retry_s=0) as client, pytest.raises(
+            morphod.UnreachableError, match="is the service running"):
+        client.jobs()
 
 
 def test_jobs_in_order(m):

@@ -6,7 +6,6 @@ import zlib
 
 import numpy as np
 import pytest
-
 from morphod import BodyError, read_bodies
 from morphod.imports import check_hashes
 

@@ -40,4 +40,4 @@ def test_examples_of_the_readme(service, monkeypatch, tmp_path):
     examples = re.findall(r"```py\n(.*?)```", (PACKAGE / "README.md").read_text(), re.DOTALL)
     assert len(examples) >= 5
     for example in examples:
-        exec(compile(example, "README.md", "exec"), names)
+        exec(compile(example, "README.md", "exec"), names)  # noqa: S102

@@ -4,9 +4,8 @@ import signal
 import threading
 import time
 
-import numpy as np
-
 import morphod
+import numpy as np
 from service import BINARY, BOOTSTRAP
 
 

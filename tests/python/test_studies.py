@@ -5,10 +5,9 @@ import pickle
 import random
 import signal
 
+import morphod
 import numpy as np
 import pytest
-
-import morphod
 from service import DESIGN
 
 WORLD = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]

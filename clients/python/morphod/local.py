@@ -9,14 +9,9 @@ import shutil
 import subprocess
 import tempfile
 import time
-from types import TracebackType
-from typing import TYPE_CHECKING
 
 from ._sync.client import Client
 from .errors import MorphodError, UnreachableError
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 _START_S = 60.0
 _STOP_S = 60.0

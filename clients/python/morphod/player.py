@@ -8,7 +8,7 @@ import json
 import os
 import re
 from collections.abc import Generator
-from typing import Any, Union
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class Player:
                 ' style="width:100%;height:480px;border:0"></iframe>')
 
 
-def player_of(index: str, scene: Scene, title: str) -> Generator[Union[str, Player], str, None]:
+def player_of(index: str, scene: Scene, title: str) -> Generator[str | Player, str, None]:
     """Makes a player. Yields the paths of the files of the dashboard that it needs, takes their
     texts, and yields the player at last. `index` is the text of the dashboard's page."""
     found = re.search(r"assets/[0-9a-f]{16}", index)

@@ -5,7 +5,10 @@ from __future__ import annotations
 import sys
 import time
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 class Bar:
@@ -36,7 +39,7 @@ class Bar:
             text = "".join(f", {name} {value:.4g}" for name, value in known.items())
             print(f"{self._title}: {done} of {total}{text}", file=sys.stderr)
 
-    def __enter__(self) -> Bar:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,

@@ -10,7 +10,7 @@ import ast
 import dataclasses
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Union
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from .errors import MorphodError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-Environments = Union[str, Sequence[Mapping[str, Any]]]
+Environments = str | Sequence[Mapping[str, Any]]
 """The name of a set ("paper-test"), or a list of environments: each with `light_xy_m` and either
 `terrain_heights_m` (64 numbers) or `terrain_sigma_m` and `seed`."""
 
