@@ -34,8 +34,9 @@ void bench_check(int status, const char *what)
 int bench_word(const char *const *words, const char *word)
 {
   const int i = mo_word_index(words, word);
+  char list[MO_WORDS_BYTES];
   if (i < 0) {
-    fprintf(stderr, "morpho-bench: unknown word \"%s\"\n", word);
+    fprintf(stderr, "morpho-bench: \"%s\" is not %s\n", word, mo_words_list(words, list));
     exit(2);
   }
   return i;

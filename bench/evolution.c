@@ -29,7 +29,7 @@ static const char usage[] =
     "  --generations N   default 100\n"
     "  --forms N         bodies of a pretraining that count as seen (default 12000000)\n"
     "  --threads N       that draw these (default 1)\n"
-    "  --selection NAME  truncation (default), tournament, novelty, age-layered\n"
+    "  --selection NAME  one of docs/evolution.md (default truncation)\n"
     "  --seed N          of the campaign (default 1)\n"
     "  --store PATH      commit every generation to a new state folder there, and read it back\n";
 

@@ -25,13 +25,14 @@ static const struct {
     {"mutation.share", "mutation-share", "0"},
     {"mutation.rate", "mutation-rate", "0"},
     {"mutation.growth", "mutation-growth", "0"},
+    {"selection.kind", "selection", "0"},
     {"selection.size", "tournament-size", "0"},
     {"selection.weight", "novelty-weight", "0"},
 };
 
 /* Settings whose options are written by hand, because their values are. */
-static const char *const by_hand[] = {"workspace", "exclude_pretraining", "selection.kind",
-                                      "schedule.kind", "learning.schedule.kind"};
+static const char *const by_hand[] = {"workspace", "exclude_pretraining", "schedule.kind",
+                                      "learning.schedule.kind"};
 
 /* The defaults of one kind of job: one settings struct for each preset or mode. */
 struct kind {

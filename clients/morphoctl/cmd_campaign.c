@@ -11,22 +11,6 @@
 
 /* ---- start ---- */
 
-/* Adds --selection NAME. The options of a kind need it. */
-static int fill_selection(const struct ctl *ctl, json_t *request)
-{
-  static const char *const options[][2] = {{"tournament", "tournament-size"},
-                                           {"novelty", "novelty-weight"},
-                                           {"age-layered", "layers"},
-                                           {"age-layered", "age-gap"}};
-  const char *kind = option_text(ctl, "selection", NULL);
-  for (size_t i = 0; i < sizeof(options) / sizeof(options[0]); i++)
-    if (option_is_set(ctl, options[i][1]) && (kind == NULL || strcmp(kind, options[i][0]) != 0))
-      return complain(STATUS_USAGE, "--%s needs --selection %s", options[i][1], options[i][0]);
-  if (kind != NULL)
-    json_object_set_new(request, "selection", json_pack("{s:s}", "kind", kind));
-  return STATUS_OK;
-}
-
 /* Adds --workspace X,Y,Z. */
 static int fill_workspace(const struct ctl *ctl, json_t *request)
 {
@@ -66,9 +50,7 @@ static int fill_initial(struct ctl *ctl, json_t *request)
 
 static int fill_request(struct ctl *ctl, json_t *request)
 {
-  int status = fill_selection(ctl, request);
-  if (status == STATUS_OK)
-    status = fill_workspace(ctl, request);
+  int status = fill_workspace(ctl, request);
   if (status == STATUS_OK)
     status = fill_schedule(ctl, request, "learning.schedule");
   if (status == STATUS_OK)

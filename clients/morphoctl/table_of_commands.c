@@ -244,7 +244,6 @@ static const struct option_spec campaign_start_options[] = {
     RULES("initial."),
     {"from", 0, "CAMPAIGN", "Begin with the newest population of another campaign."},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
-    {"selection", 0, "KIND", "truncation (default), tournament, novelty or age-layered."},
     {"no-exclusions", 0, NULL, "Let bodies be born that the controller was pretrained on."},
     {"schedule", 0, "NAME",
      "Learning rate: one-cosine, finetune-cosine, paper-pretrain, paper-finetune (default of "

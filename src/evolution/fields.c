@@ -55,7 +55,7 @@ static const struct mo_field_own workspace = {read_workspace, write_workspace, c
 #define AT(member) offsetof(struct mo_selection, member)
 static const struct mo_field selection_rows[] = {
     {"kind", MO_FIELD_WORD, 0, AT(kind), .words = mo_selection_words, .unit = "",
-     .help = "who lives"},
+     .help = "scheme by which designs survive"},
     {"size", MO_FIELD_COUNT, 0, AT(tournament_size), .min = 2, .max = 64, .unit = "designs",
      .help = "tournament: designs that are drawn for each place"},
     {"weight", MO_FIELD_NUMBER, 0, AT(novelty_weight), .min = 0, .max = 1, .unit = "",
