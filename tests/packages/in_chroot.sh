@@ -4,8 +4,9 @@
 set -euo pipefail
 state=/var/tmp/morphod-state
 morphod --version
-runuser -u nobody -- mkdir -p -m 0700 "$state"
-runuser -u nobody -- morphod --state-dir="$state" --listen=127.0.0.1:0 \
+as_nobody=(setpriv --reuid=nobody --regid=nogroup --clear-groups)
+"${as_nobody[@]}" mkdir -p -m 0700 "$state"
+"${as_nobody[@]}" morphod --state-dir="$state" --listen=127.0.0.1:0 \
   --port-file=/var/tmp/addresses >/var/tmp/morphod.log 2>&1 &
 daemon=$!
 trap 'kill $daemon 2>/dev/null || true' EXIT
