@@ -35,6 +35,7 @@ RULES = [
     r"rollouts are computed at once",
     r"only one of campaigns, group, label and experiment",
     r"the bundle (is damaged|ends early)",
+    r"a bundle has 1 to \d+",
     r"at most the peak",
     r"distinct bodies are expected",
     r"a finetuning ",
