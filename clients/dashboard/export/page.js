@@ -11,7 +11,8 @@ body{display:flex;flex-direction:column}canvas{flex:1;width:100%;min-height:0;to
 footer{display:flex;gap:12px;padding:10px 14px;background:#1b2027;align-items:center;flex-wrap:wrap}
 footer input[type=range]{flex:1;min-width:120px;accent-color:#f3a536}
 button{font:inherit;background:#232a32;color:inherit;border:1px solid #313a44;border-radius:7px;padding:6px 12px}
-button[aria-pressed=true]{border-color:#f3a536;color:#f3a536}i{display:inline-block;width:11px;height:11px;border-radius:3px;margin-right:5px}`;
+button[aria-pressed=true]{border-color:#f3a536;color:#f3a536}i{display:inline-block;width:11px;height:11px;border-radius:3px;margin-right:5px}
+#names{display:flex;flex-wrap:wrap;gap:4px 12px}`;
 
 const SCRIPT = `
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
