@@ -14,7 +14,7 @@
 
 int run_bundle_export(struct ctl *ctl)
 {
-  static const char *const filters[] = {"label", "group"};
+  static const char *const filters[] = {"label", "experiment", "group"};
   const char *output = ctl->operands[0];
   char *path = NULL;
   size_t size = 0;
@@ -30,19 +30,21 @@ int run_bundle_export(struct ctl *ctl)
     }
     fprintf(text, "%s%s", i == 1 ? "?campaigns=" : ",", ctl->operands[i]);
   }
+  int ways = ctl->n_operands > 1;
   for (size_t i = 0; i < sizeof(filters) / sizeof(filters[0]); i++) {
     const char *value = option_text(ctl, filters[i], NULL);
     char *escaped = value != NULL ? escape(value) : NULL;
     if (escaped != NULL)
-      fprintf(text, "%c%s=%s", ctl->n_operands > 1 || i > 0 ? '&' : '?', filters[i], escaped);
+      fprintf(text, "?%s=%s", filters[i], escaped);
+    ways += value != NULL;
     free(escaped);
   }
   int status = fclose(text) == 0 ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
-  if (ctl->n_operands == 1 && !option_is_set(ctl, "label") && !option_is_set(ctl, "group"))
-    status = complain(STATUS_USAGE, "which campaigns? Give their ids, --label or --group");
-  else if (ctl->n_operands > 1 ? option_is_set(ctl, "label") || option_is_set(ctl, "group")
-                               : option_is_set(ctl, "label") && option_is_set(ctl, "group"))
-    status = complain(STATUS_USAGE, "give either ids, --label or --group");
+  if (ways == 0)
+    status = complain(STATUS_USAGE, "which campaigns? Give their ids, --label, --experiment or "
+                                    "--group");
+  else if (ways > 1)
+    status = complain(STATUS_USAGE, "give either ids, --label, --experiment or --group");
   if (status == STATUS_OK)
     status = save_reply(ctl, path, BUNDLE_TYPE, output);
   free(path);

@@ -69,8 +69,9 @@
       "Only " jobs " that are queued, running, paused, succeeded, failed or cancelled."
 #define LABELED                                                                                    \
   "label", 'l', "TEXT", "Only those with this label; with * at its end: that begin so."
+#define OF_EXPERIMENT "experiment", 0, "NAME", "Only those of this experiment."
 #define FILTERED                                                                                   \
-  {LABELED}, {"experiment", 0, "NAME", "Only those of this experiment."},                          \
+  {LABELED}, {OF_EXPERIMENT},                                                                      \
   {                                                                                                \
     "archived", 0, "true|all", "Only those that are archived; all: these, too."                    \
   }
@@ -123,6 +124,7 @@ static const struct option_spec design_list_options[] = {
     {NULL}};
 static const struct option_spec bundle_export_options[] = {
     {LABELED},
+    {OF_EXPERIMENT},
     {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
     {NULL}};
 static const struct option_spec bundle_import_options[] = {

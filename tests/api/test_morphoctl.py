@@ -17,7 +17,7 @@ import termios
 import time
 
 import pytest
-from service import BINARY, BOOTSTRAP, DESIGN, SOURCE
+from service import BINARY, BOOTSTRAP, DESIGN, SOURCE, run
 
 MORPHOCTL = os.environ.get(
     "MORPHOCTL",
@@ -574,6 +574,24 @@ def test_wait_over_a_restart(start, ctl, tmp_path):
     assert waiting.communicate(timeout=60)[0] == f"job {job} has been cancelled\n"
     assert waiting.returncode == 3 and marks.read_text() == f"{done} {job} cancelled\n"
     assert ctl("wait 999999", server=address)[0] == 3
+
+
+def test_bundles(service, ctl, tmp_path):
+    """By each word that names campaigns, and by one only."""
+    path = str(tmp_path / "one.tar.zst")
+    id = run(service, "campaigns", {
+        "mode": "zero-shot", "population": 4, "generations": 1, "physics": {"n_steps": 5},
+        "exclude_pretraining": False, "label": "to go", "experiment": "a bundle",
+        "seed": 90})["id"]
+    for which in ([id], ["--label", "to go"], ["--experiment", "a bundle"], ["--group", id]):
+        status, _, err = ctl("bundle export", path, *which)
+        assert status == 0, (which, err)
+        status, out, err = ctl("bundle verify", path, "--json")
+        assert status == 0 and [item["source"]["campaign"] for item in
+                                json.loads(out)["items"]] == [id], (which, out, err)
+    for which in ([], [id, "--label", "to go"], ["--experiment", "a bundle", "--group", id]):
+        status, _, err = ctl("bundle export", path, *which)
+        assert status == 2 and "--experiment or --group" in err, (which, err)
 
 
 def test_wrong_campaigns(ctl):

@@ -197,7 +197,10 @@ def test_bundles_travel(m, start, campaign, tmp_path):
         path.write_bytes(path.read_bytes()[:-9])
         with pytest.raises(morphod.InvalidError):
             there.import_bundle(path)
-    assert m.import_bundle(m.bundle(path, label="for tests"))[0].id == campaign[0], "its own"
+    m.get_campaign(campaign[1]).edit(experiment="that travels")
+    for which, first in (({"label": "for tests"}, campaign[0]),
+                         ({"experiment": "that travels"}, campaign[1])):
+        assert m.import_bundle(m.bundle(path, **which))[0].id == first, "its own"
 
 
 def test_a_phylogeny(m, service, campaign):
