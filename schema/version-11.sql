@@ -78,12 +78,13 @@ CREATE INDEX trainings_of_population ON trainings(population) WHERE population<>
 CREATE INDEX campaigns_of_initial ON campaigns(initial_campaign) WHERE initial_campaign<>0;
 CREATE INDEX runs_of_controller ON runs(controller) WHERE controller IS NOT NULL;
 
--- Where an imported campaign came from: the id of its store, and its own there. digest: the SHA-256
--- of its history as the bundle had it (docs/bundles.md), so that it does not enter twice.
+-- Where an imported campaign, or evaluation with recordings, came from: the id of its store, and
+-- its own there. digest: so that it does not enter twice, the SHA-256 of a campaign's history as
+-- the bundle had it (docs/bundles.md), or of where an evaluation ran.
 CREATE TABLE imports(
   job INTEGER PRIMARY KEY REFERENCES jobs(id) ON DELETE CASCADE,
   store INTEGER NOT NULL,
-  campaign INTEGER NOT NULL,
+  source INTEGER NOT NULL,
   digest BLOB NOT NULL UNIQUE CHECK(length(digest) = 32),
   imported_us INTEGER NOT NULL
 ) STRICT;

@@ -39,6 +39,8 @@ int run_bundle_export(struct ctl *ctl)
     ways += value != NULL;
     free(escaped);
   }
+  if (option_is_set(ctl, "recordings"))
+    fputs("&recordings=true", text); /* behind what says which campaigns */
   int status = fclose(text) == 0 ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
   if (ways == 0)
     status = complain(STATUS_USAGE, "which campaigns? Give their ids, --label, --experiment or "
@@ -156,9 +158,11 @@ static void tell_entered(const struct ctl *ctl, const json_t *entered, bool veri
     const char *id = text_of(item, "campaign");
     if (!ctl->quiet)
       print_plain_line(stdout,
-                       "campaign %s of store %s: %" PRId64 " designs, %" PRId64 " losses; %s%s",
+                       "campaign %s of store %s: %" PRId64 " designs, %" PRId64 " losses, %" PRId64
+                       " recorded evaluations; %s%s",
                        text_of(source, "campaign"), text_of(source, "store"),
                        number_of(item, "designs"), number_of(item, "losses"),
+                       number_of(item, "recordings"),
                        json_is_true(json_object_get(item, "entered")) ? "entered as campaign "
                        : id[0] != '\0'                                ? "is here as campaign "
                        : verified                                     ? "whole; not here yet"

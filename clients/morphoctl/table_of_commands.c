@@ -126,6 +126,7 @@ static const struct option_spec bundle_export_options[] = {
     {LABELED},
     {OF_EXPERIMENT},
     {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
+    {"recordings", 0, NULL, "Also what evaluations recorded of the designs."},
     {NULL}};
 static const struct option_spec bundle_import_options[] = {
     {"recompute", 0, "N",

@@ -8,10 +8,13 @@
 
 #define MO_BUNDLE_VERSION   1
 #define MO_BUNDLE_CAMPAIGNS MO_REPLICATES_MAX /* of one bundle */
+#define MO_BUNDLE_ROLLOUTS  40000             /* recorded; each has up to MO_CHANNELS members */
 
-/* ---- lines (bundle_lines.c) ---- */
+/* ---- lines (bundle_lines.c, bundle_heads.c) ---- */
 
 void mo_bundle_write_campaign(struct mo_text *text, const struct mo_imported_campaign *campaign);
+void mo_bundle_write_evaluation(struct mo_text *text,
+                                const struct mo_imported_evaluation *evaluation);
 void mo_bundle_write_design(struct mo_text *text, const struct mo_campaign_design *design);
 void mo_bundle_write_generation(struct mo_text *text, const struct mo_campaign_generation *row,
                                 const struct mo_campaign_member *members, uint32_t n);
@@ -39,6 +42,35 @@ int mo_bundle_read_step(struct mo_bundle_lines *lines, const char *line, size_t 
                         struct mo_campaign_step *step, struct mo_message *message);
 int mo_bundle_read_score(struct mo_bundle_lines *lines, const char *line, size_t size,
                          struct mo_campaign_score *score, struct mo_message *message);
+int mo_bundle_read_evaluation(struct mo_bundle_lines *lines, const char *line, size_t size,
+                              struct mo_imported_evaluation *evaluation,
+                              struct mo_message *message);
+
+/* ---- recordings (bundle_recordings.c): an evaluation, then an array for each of its designs,
+ * environments and channels, in this order ---- */
+
+struct mo_bundle_recordings {
+  struct mo_imported_evaluation evaluation;
+  uint32_t n;      /* evaluations so far, with this one */
+  uint32_t frames; /* of each rollout */
+  /* The array that comes next. channel 0: the evaluation is whole, or there is none. */
+  uint32_t place, environment;
+  unsigned channel;
+  uint32_t n_masses, n_springs;  /* of its design */
+  struct mo_recording recording; /* the arrays of its rollout so far */
+};
+/* The name of the member that comes next, behind the folder of the campaign. */
+void mo_bundle_recordings_name(const struct mo_bundle_recordings *recordings,
+                               char name[MO_ARCHIVE_NAME_BYTES]);
+/* Begins an evaluation. */
+void mo_bundle_recordings_begin(struct mo_bundle_recordings *recordings,
+                                const struct mo_physics *physics);
+/* Goes on behind the array. Returns 1 where it was the last of its rollout. */
+int mo_bundle_recordings_next(struct mo_bundle_recordings *recordings);
+/* Writes the array, or reads it into the recording. MO_ERR_FORMAT: it is none, or another one. */
+int mo_bundle_write_array(struct mo_text *text, const struct mo_bundle_recordings *recordings,
+                          const struct mo_recording *recording);
+int mo_bundle_read_array(struct mo_bundle_recordings *recordings, const char *bytes, size_t size);
 
 /* ---- whole bundles (bundle_read.c) ---- */
 
@@ -55,10 +87,14 @@ struct mo_bundle_sink {
                     uint32_t n);
   int (*step)(void *context, const struct mo_campaign_step *step);
   int (*score)(void *context, const struct mo_campaign_score *score);
+  /* Returns 1 to take the rollouts, 0 to skip them. */
+  int (*evaluation)(void *context, const struct mo_imported_evaluation *evaluation);
+  int (*rollout)(void *context, const struct mo_saved_trajectory *rollout);
 };
 struct mo_bundle_campaign {
   struct mo_import_source source;
   uint64_t n_designs, n_scores;
+  uint32_t n_recordings; /* evaluations that recorded */
   int64_t generation;
 };
 struct mo_bundle_summary {
@@ -78,7 +114,7 @@ int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *latt
 struct mo_bundle_export;
 /* ids: (n) ascending, taken over. NULL: no memory. */
 struct mo_bundle_export *mo_bundle_export_create(struct mo_store *store, const char *program,
-                                                 int64_t *ids, uint32_t n);
+                                                 int64_t *ids, uint32_t n, bool with_recordings);
 int mo_bundle_export_more(void *context, struct mo_text *text); /* a mo_download_more */
 void mo_bundle_export_free(void *context);
 

@@ -21,6 +21,7 @@ enum phase {
   GENERATIONS,
   LEARNING,
   SCORES,
+  RECORDINGS,
   END
 };
 
@@ -36,22 +37,28 @@ struct mo_bundle_export {
   struct mo_campaign_status status;
   int64_t after; /* what was written of the phase: the newest number or generation */
   uint32_t step, parts;
+  bool with_recordings;
+  struct mo_bundle_recordings *recordings; /* of the campaign */
+  int64_t *evaluations;                    /* (n_evaluations), recordings->n of them so far */
+  uint32_t n_evaluations;
   struct mo_text member;
 };
 
 struct mo_bundle_export *mo_bundle_export_create(struct mo_store *store, const char *program,
-                                                 int64_t *ids, uint32_t n)
+                                                 int64_t *ids, uint32_t n, bool with_recordings)
 {
   struct mo_bundle_export *export = calloc(1, sizeof(*export));
   if (export == NULL) {
     free(ids);
     return NULL;
   }
-  *export = (struct mo_bundle_export){.store = store, .ids = ids, .n = n};
+  *export = (struct mo_bundle_export){
+      .store = store, .ids = ids, .n = n, .with_recordings = with_recordings};
   snprintf(export->program, sizeof(export->program), "%s", program);
   export->writer = mo_archive_create();
   export->controllers = calloc(2 * (size_t)n + 1, sizeof(*export->controllers));
-  if (export->writer == NULL || export->controllers == NULL) {
+  export->recordings = calloc(1, sizeof(*export->recordings));
+  if (export->writer == NULL || export->controllers == NULL || export->recordings == NULL) {
     mo_bundle_export_free(export);
     return NULL;
   }
@@ -64,6 +71,8 @@ void mo_bundle_export_free(void *context)
   mo_archive_writer_free(export->writer);
   mo_text_free(&export->member);
   free(export->controllers);
+  free(export->recordings);
+  free(export->evaluations);
   free(export->ids);
   free(export);
 }
@@ -73,7 +82,7 @@ void mo_bundle_export_free(void *context)
 static int add(struct mo_bundle_export *export, const char *part, bool is_numbered,
                struct mo_text *out)
 {
-  char name[MO_ARCHIVE_NAME_BYTES];
+  char name[32 + MO_ARCHIVE_NAME_BYTES];
   const long long id = (long long)export->ids[export->i];
   if (is_numbered)
     snprintf(name, sizeof(name), "campaigns/%lld/%s/%08u.ndjson", id, part, export->parts++);
@@ -178,14 +187,16 @@ static int write_campaign(struct mo_bundle_export *export, struct mo_text *out)
                                               .result_sha256 = status->job.result_sha256};
     campaign->record.settings.sensor = status->job.sensor;
     memcpy(campaign->label, status->job.label, sizeof(campaign->label));
+    memcpy(campaign->experiment, status->job.experiment, sizeof(campaign->experiment));
+    memcpy(campaign->note, status->job.note, sizeof(campaign->note));
     memcpy(campaign->controller_name, status->job.controller_name,
            sizeof(campaign->controller_name));
     if (status->source_campaign > 0)
-      campaign->source = (struct mo_import_source){.store = status->source_store,
-                                                   .campaign = status->source_campaign};
+      campaign->source =
+          (struct mo_import_source){.store = status->source_store, .job = status->source_campaign};
     else
-      campaign->source = (struct mo_import_source){.store = mo_store_id(export->store),
-                                                   .campaign = status->job.id};
+      campaign->source =
+          (struct mo_import_source){.store = mo_store_id(export->store), .job = status->job.id};
     mo_bundle_write_campaign(&export->member, campaign);
     error = add(export, "campaign.json", false, out);
   }
@@ -303,25 +314,87 @@ static int write_scores(struct mo_bundle_export *export, struct mo_text *out)
   if (status->record.settings.mode == MO_ZERO_SHOT &&
       export->after + 1 < (int64_t)status->n_designs)
     return error;
-  if (error == MO_OK) { /* what was read is whole only if nobody extended or deleted it meanwhile */
-    struct mo_campaign_status now;
-    error = mo_store_campaign(export->store, export->ids[export->i], &now);
-    if (error == MO_OK && now.generation != status->generation)
-      error = MO_ERR_CONFLICT;
-  }
+  next_phase(export);
+  return error;
+}
+
+/* ---- recordings, and the end of a campaign ---- */
+
+/* Goes on with the next campaign. */
+static int end_campaign(struct mo_bundle_export *export)
+{
+  struct mo_campaign_status now;
+  int error = mo_store_campaign(export->store, export->ids[export->i], &now);
+  if (error == MO_OK && now.generation != export->status.generation)
+    error = MO_ERR_CONFLICT; /* somebody extended it while it was read */
+  free(export->evaluations);
+  export->evaluations = NULL;
+  *export->recordings = (struct mo_bundle_recordings){.n = 0};
   next_phase(export);
   if (++export->i < export->n)
     export->phase = CAMPAIGN;
   return error;
 }
 
+static int write_array(struct mo_bundle_export *export)
+{
+  struct mo_bundle_recordings *recordings = export->recordings;
+  struct mo_trajectory *trajectory = NULL;
+  int error = mo_store_trajectory(export->store, export->evaluations[recordings->n - 1],
+                                  recordings->place, recordings->environment, &trajectory);
+  if (error == MO_OK && trajectory->n_frames != recordings->frames)
+    error = MO_ERR_CORRUPT;
+  if (error == MO_OK) {
+    recordings->n_masses = trajectory->n_masses;
+    recordings->n_springs = trajectory->n_springs;
+    error = mo_bundle_write_array(&export->member, recordings, &trajectory->recording);
+  }
+  mo_trajectory_free(trajectory);
+  (void)mo_bundle_recordings_next(recordings);
+  return error;
+}
+
+/* Writes the next evaluation, or the next array of the one before. */
+static int write_recordings(struct mo_bundle_export *export, struct mo_text *out)
+{
+  struct mo_bundle_recordings *recordings = export->recordings;
+  const int64_t id = export->ids[export->i];
+  char name[MO_ARCHIVE_NAME_BYTES];
+  uint64_t rollouts;
+  int error = MO_OK;
+  if (export->after < 0 && export->with_recordings &&
+      export->status.record.settings.mode == MO_ZERO_SHOT)
+    error = mo_store_campaign_recordings(export->store, id, &export->evaluations,
+                                         &export->n_evaluations, &rollouts);
+  else if (export->after < 0)
+    export->n_evaluations = 0;
+  export->after = 0;
+  if (error != MO_OK || (recordings->channel == 0 && recordings->n == export->n_evaluations))
+    return error != MO_OK ? error : end_campaign(export);
+  mo_bundle_recordings_name(recordings, name);
+  if (recordings->channel != 0) {
+    error = write_array(export);
+  } else {
+    error = mo_store_recorded_evaluation(export->store, id, export->evaluations[recordings->n],
+                                         &recordings->evaluation);
+    mo_bundle_write_evaluation(&export->member, &recordings->evaluation);
+    mo_bundle_recordings_begin(recordings, &export->status.record.settings.physics);
+  }
+  return error == MO_OK ? add(export, name, false, out) : error;
+}
+
 int mo_bundle_export_more(void *context, struct mo_text *text)
 {
-  static int (*const write[])(struct mo_bundle_export * export, struct mo_text * out) = {
-      [HEAD] = write_head,         [CONTROLLERS] = write_controllers,
-      [CAMPAIGN] = write_campaign, [ENVIRONMENTS] = write_environments,
-      [DESIGNS] = write_designs,   [GENERATIONS] = write_generations,
-      [LEARNING] = write_learning, [SCORES] = write_scores};
+  static int (*const write[])(struct mo_bundle_export * export,
+                              struct mo_text * out) = {[HEAD] = write_head,
+                                                       [CONTROLLERS] = write_controllers,
+                                                       [CAMPAIGN] = write_campaign,
+                                                       [ENVIRONMENTS] = write_environments,
+                                                       [DESIGNS] = write_designs,
+                                                       [GENERATIONS] = write_generations,
+                                                       [LEARNING] = write_learning,
+                                                       [SCORES] = write_scores,
+                                                       [RECORDINGS] = write_recordings};
   struct mo_bundle_export *export = context;
   if (export->phase == END)
     return mo_archive_end(export->writer, text);

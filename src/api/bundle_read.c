@@ -12,16 +12,18 @@
 #define ALIVE UINT32_MAX
 
 /* The members of a campaign, in their order. */
-enum part { NOTHING, CAMPAIGN, ENVIRONMENTS, DESIGNS, GENERATIONS, LEARNING, SCORES };
+enum part { NOTHING, CAMPAIGN, ENVIRONMENTS, DESIGNS, GENERATIONS, LEARNING, SCORES, RECORDINGS };
 static const char *const parts[] = {
     [CAMPAIGN] = "campaign.json", [ENVIRONMENTS] = "environments.ndjson",
     [DESIGNS] = "designs/",       [GENERATIONS] = "generations/",
-    [LEARNING] = "learning/",     [SCORES] = "scores/"};
+    [LEARNING] = "learning/",     [SCORES] = "scores/",
+    [RECORDINGS] = "recordings/"};
 
 /* What is known of a design. */
 struct born {
   struct mo_descent descent;
   uint32_t born, died, stamp; /* stamp: the last population that has it, plus 1 */
+  uint16_t masses, springs;
   double score;
 };
 
@@ -55,6 +57,8 @@ struct reading {
   struct mo_campaign_member *members; /* (MO_POPULATION_MAX) */
   uint32_t step_generation, step;     /* of the newest step of learning */
   struct mo_text digest;              /* lines of the members that make the history */
+  struct mo_bundle_recordings *recordings;
+  bool evaluation_taken;
 };
 
 /* Says what is wrong with a line of a member. line 0: with the member. */
@@ -151,6 +155,9 @@ static int end_campaign(struct reading *reading)
     return mo_fail(reading->message, MO_ERR_FORMAT,
                    "%s: there are fewer environments, designs or generations than the campaign has",
                    reading->folder);
+  if (reading->recordings->channel != 0)
+    return mo_fail(reading->message, MO_ERR_FORMAT, "%s: a recording lacks arrays",
+                   reading->folder);
   if (reading->digest.failed)
     return MO_ERR_NO_MEMORY;
   mo_sha256_of(reading->digest.data, reading->digest.size, &summary_of(reading)->source.digest);
@@ -191,6 +198,7 @@ static int begin_campaign(struct reading *reading)
   reading->step_generation = reading->step = 0;
   reading->generation = -1;
   reading->digest.size = 0;
+  reading->recordings->n = 0;
   return MO_OK;
 }
 
@@ -275,6 +283,8 @@ static int read_design(struct reading *reading, uint32_t n, const char *line, si
       (struct born){.descent = design.descent,
                     .born = design.born,
                     .died = design.died >= 0 ? (uint32_t)design.died : ALIVE,
+                    .masses = (uint16_t)design.size.masses,
+                    .springs = (uint16_t)design.size.springs,
                     .score = design.score};
   reading->births[design.born]++;
   if (design.died >= 0)
@@ -386,6 +396,73 @@ static int read_score(struct reading *reading, uint32_t n, const char *line, siz
              : MO_OK;
 }
 
+/* ---- recordings of a campaign ---- */
+
+static int read_evaluation(struct reading *reading)
+{
+  struct mo_bundle_recordings *recordings = reading->recordings;
+  const struct mo_imported_evaluation *evaluation = &recordings->evaluation;
+  const struct mo_campaign_settings *settings = &reading->campaign.record.settings;
+  struct mo_message words = {""};
+  uint64_t places = 0;
+  int error = mo_bundle_read_evaluation(reading->lines, reading->member.bytes, reading->member.size,
+                                        &recordings->evaluation, &words);
+  if (error != MO_OK)
+    return error == MO_ERR_FORMAT ? refuse(reading, 1, words.text) : error;
+  if (settings->mode != MO_ZERO_SHOT || evaluation->stride > settings->physics.n_steps)
+    return refuse(reading, 1, "the campaign learns, or the stride is longer than a rollout");
+  for (uint32_t k = 0; k < evaluation->n_environments; k++) {
+    if (evaluation->environments[k] >= reading->n_environments ||
+        (places >> evaluation->environments[k] & 1) != 0)
+      return refuse(reading, 1, "an environment twice or unknown");
+    places |= UINT64_C(1) << evaluation->environments[k];
+  }
+  for (uint32_t i = 0; i < evaluation->n_designs; i++)
+    if (evaluation->numbers[i] >= reading->n_born)
+      return refuse(reading, 1, "a recording of no design of the campaign");
+  mo_bundle_recordings_begin(recordings, &settings->physics);
+  summary_of(reading)->n_recordings++;
+  const int taken = reading->taken && reading->sink->evaluation != NULL
+                        ? reading->sink->evaluation(reading->sink->context, evaluation)
+                        : 0;
+  reading->evaluation_taken = taken == 1;
+  return taken < 0 ? taken : MO_OK;
+}
+
+static int read_array(struct reading *reading)
+{
+  struct mo_bundle_recordings *recordings = reading->recordings;
+  const struct born *born = &reading->born[recordings->evaluation.numbers[recordings->place]];
+  recordings->n_masses = born->masses;
+  recordings->n_springs = born->springs;
+  struct mo_saved_trajectory rollout = {.design_position = recordings->place,
+                                        .environment_position = recordings->environment,
+                                        .frames = recordings->frames,
+                                        .n_masses = born->masses,
+                                        .n_springs = born->springs};
+  int error = mo_bundle_read_array(recordings, reading->member.bytes, reading->member.size);
+  if (error != MO_OK)
+    return error == MO_ERR_FORMAT ? refuse(reading, 0, "not the array that was recorded") : error;
+  if (mo_bundle_recordings_next(recordings) == 0)
+    return MO_OK;
+  rollout.recording = recordings->recording;
+  if (reading->evaluation_taken && reading->sink->rollout != NULL)
+    error = reading->sink->rollout(reading->sink->context, &rollout);
+  mo_recording_free(&recordings->recording);
+  recordings->recording.stride = 0;
+  return error;
+}
+
+/* name: behind the folder of the campaign. */
+static int read_recordings(struct reading *reading, const char *name)
+{
+  char expected[MO_ARCHIVE_NAME_BYTES];
+  mo_bundle_recordings_name(reading->recordings, expected);
+  if (strcmp(name, expected) != 0)
+    return refuse(reading, 0, "the member is out of turn");
+  return reading->recordings->channel == 0 ? read_evaluation(reading) : read_array(reading);
+}
+
 static int read_lines(struct reading *reading)
 {
   static int (*const read[])(struct reading * reading, uint32_t n, const char *line,
@@ -413,9 +490,9 @@ static int read_of_campaign(struct reading *reading)
   int error = MO_OK;
   if (folder == 0 || folder >= sizeof(reading->folder))
     return refuse(reading, 0, "not a member of a bundle");
-  while (part <= SCORES && strncmp(name + folder, parts[part], strlen(parts[part])) != 0)
+  while (part <= RECORDINGS && strncmp(name + folder, parts[part], strlen(parts[part])) != 0)
     part++;
-  if (part > SCORES)
+  if (part > RECORDINGS)
     return refuse(reading, 0, "not a member of a bundle");
   if (part == CAMPAIGN) {
     error = end_campaign(reading);
@@ -429,12 +506,14 @@ static int read_of_campaign(struct reading *reading)
       (part > DESIGNS && reading->n_born != reading->campaign.n_designs))
     return refuse(reading, 0, "the member is out of turn");
   reading->part = part;
-  if (part != SCORES) { /* scores may grow later */
+  if (part < SCORES) { /* scores and recordings may grow later */
     char digits[MO_SHA256_DIGITS + 1];
     mo_sha256_to_hex(&reading->member.sha256, digits);
     mo_text_format(&reading->digest, "%s  %s\n", digits, name + folder);
   }
-  return part == ENVIRONMENTS ? read_environments(reading) : read_lines(reading);
+  return part == ENVIRONMENTS ? read_environments(reading)
+         : part == RECORDINGS ? read_recordings(reading, name + folder)
+                              : read_lines(reading);
 }
 
 static int read_members(struct reading *reading)
@@ -473,13 +552,18 @@ int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *latt
   reading->archive = mo_archive_open(bytes, size);
   reading->lines = mo_bundle_lines_create(lattice, known != NULL);
   reading->members = malloc(MO_POPULATION_MAX * sizeof(*reading->members));
-  if (reading->archive != NULL && reading->lines != NULL && reading->members != NULL)
+  reading->recordings = calloc(1, sizeof(*reading->recordings));
+  if (reading->archive != NULL && reading->lines != NULL && reading->members != NULL &&
+      reading->recordings != NULL)
     error = read_members(reading);
   if (error == MO_OK && summary->n == 0)
     error = mo_fail(message, MO_ERR_FORMAT, "the bundle has no campaign");
   mo_archive_close(reading->archive);
   mo_bundle_lines_free(reading->lines);
   mo_text_free(&reading->digest);
+  if (reading->recordings != NULL)
+    mo_recording_free(&reading->recordings->recording);
+  free(reading->recordings);
   free(reading->members);
   free(reading->births);
   free(reading->deaths);

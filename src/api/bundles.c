@@ -30,6 +30,32 @@ static bool check_ended(struct mo_request *request, int64_t id, struct mo_campai
   return false;
 }
 
+/* Checks that a reader would take as many recordings. */
+static bool check_recordings(struct mo_request *request, const int64_t *ids, uint32_t n)
+{
+  uint64_t sum = 0;
+  for (uint32_t i = 0; i < n; i++) {
+    int64_t *evaluations = NULL;
+    uint64_t rollouts = 0;
+    uint32_t found;
+    const int error = mo_store_campaign_recordings(mo_api_of(request)->store, ids[i], &evaluations,
+                                                   &found, &rollouts);
+    free(evaluations);
+    if (error != MO_OK) {
+      mo_reply_error(request, error, "campaign");
+      return false;
+    }
+    sum += rollouts;
+  }
+  if (sum <= MO_BUNDLE_ROLLOUTS)
+    return true;
+  mo_reply_problem(request, 409, NULL,
+                   "%llu rollouts of these campaigns' designs are recorded; a bundle takes up to "
+                   "%d. Name fewer campaigns, or delete recordings.",
+                   (unsigned long long)sum, MO_BUNDLE_ROLLOUTS);
+  return false;
+}
+
 static bool check_all(struct mo_request *request, const int64_t *ids, uint32_t n)
 {
   struct mo_campaign_status *status = malloc(sizeof(*status));
@@ -53,15 +79,19 @@ void mo_api_get_bundle(struct mo_request *request)
   char program[64];
   int64_t *ids = NULL;
   uint32_t n = 0;
-  int form;
-  if (!mo_accept(request, types, &form) || !mo_find_campaigns(request, &ids, &n))
+  static const char *const flags[] = {"false", "true", NULL};
+  int form, with_recordings = 0;
+  if (!mo_accept(request, types, &form) ||
+      !mo_query_word(request, "recordings", flags, &with_recordings) ||
+      !mo_find_campaigns(request, &ids, &n))
     return;
-  if (!check_all(request, ids, n)) {
+  if (!check_all(request, ids, n) || (with_recordings != 0 && !check_recordings(request, ids, n))) {
     free(ids);
     return;
   }
   snprintf(program, sizeof(program), "morphod %s", api->version);
-  struct mo_bundle_export *export = mo_bundle_export_create(api->store, program, ids, n);
+  struct mo_bundle_export *export =
+      mo_bundle_export_create(api->store, program, ids, n, with_recordings != 0);
   if (export == NULL)
     mo_reply_error(request, MO_ERR_NO_MEMORY, "bundle");
   else /* what a member and the compression take */
@@ -140,6 +170,22 @@ static int enter_step(void *context, const struct mo_campaign_step *step)
   return mo_import_step(((struct entry *)context)->import, step);
 }
 
+static int enter_evaluation(void *context, const struct mo_imported_evaluation *evaluation)
+{
+  struct entry *entry = context;
+  const int error = mo_import_evaluation(entry->import, evaluation);
+  return error == MO_ERR_NOT_FOUND
+             ? mo_fail(entry->message, MO_ERR_FORMAT,
+                       "the bundle lacks losses of what evaluation %lld recorded",
+                       (long long)evaluation->source.job)
+             : error;
+}
+
+static int enter_rollout(void *context, const struct mo_saved_trajectory *rollout)
+{
+  return mo_import_rollout(((struct entry *)context)->import, rollout);
+}
+
 static int enter_score(void *context, const struct mo_campaign_score *score)
 {
   struct entry *entry = context;
@@ -151,7 +197,7 @@ static int enter_score(void *context, const struct mo_campaign_score *score)
                        "a loss of design %u of campaign %lld is not the one that is stored here "
                        "for the same rollout and class",
                        score->number,
-                       (long long)entry->summary->campaigns[entry->at - 1].source.campaign)
+                       (long long)entry->summary->campaigns[entry->at - 1].source.job)
              : error;
 }
 
@@ -160,7 +206,7 @@ static int enter_all(void *context, struct mo_import *import)
 {
   static const struct mo_bundle_sink sink = {NULL,         enter_controller, enter_campaign,
                                              enter_design, enter_generation, enter_step,
-                                             enter_score};
+                                             enter_score,  enter_evaluation, enter_rollout};
   struct entry *entry = context;
   struct mo_bundle_sink own = sink;
   struct mo_bundle_summary *again = calloc(1, sizeof(*again));
@@ -224,7 +270,7 @@ static void reply_entered(struct mo_request *request, const struct entry *entry,
     mo_text_member_bool(&text, "entered", entry->entered[i]);
     mo_text_format(&text, ",\"source\":{\"store\":\"%016llx\"",
                    (unsigned long long)campaign->source.store);
-    mo_text_member_id(&text, "campaign", campaign->source.campaign);
+    mo_text_member_id(&text, "campaign", campaign->source.job);
     mo_text_add(&text, "}");
     mo_sha256_to_hex(&campaign->source.digest, digits);
     mo_text_member(&text, "digest", digits);
@@ -232,6 +278,7 @@ static void reply_entered(struct mo_request *request, const struct entry *entry,
     mo_member_count_if(&text, "generation", campaign->generation >= 0,
                        (uint64_t)campaign->generation);
     mo_text_member_count(&text, "losses", campaign->n_scores);
+    mo_text_member_count(&text, "recordings", campaign->n_recordings);
     mo_text_add(&text, "}");
   }
   mo_text_add(&text, "]");

@@ -11,8 +11,7 @@
 #include "api/recordings.h"
 #include "http/download.h"
 
-#define PIECE_BYTES  ((size_t)512 << 10)
-#define HEADER_BYTES 192 /* of an array of NumPy; a multiple of 64 */
+#define PIECE_BYTES ((size_t)512 << 10)
 
 struct recordings {
   struct mo_store *store;
@@ -42,28 +41,25 @@ static bool is_skipped(struct recordings *all, uint32_t design)
          mo_is_skipped(&all->notes[all->note]);
 }
 
-/* Appends the header of the file. */
-static void write_header(struct mo_text *text, const struct recordings *all)
+void mo_recording_header(struct mo_text *text, enum mo_channel channel, const char *leading,
+                         const struct mo_trajectory_sides *sides)
 {
   static const char *const types[MO_CHANNELS] = {"<f8", "<f4", "|i1", "|u1"};
-  const unsigned c = (unsigned)__builtin_ctz(all->channel);
-  char header[HEADER_BYTES + 1], sides[48] = "";
-  if (all->channel == MO_RECORD_MASSES)
-    snprintf(sides, sizeof(sides), "%u, 3", all->sides.masses);
+  const uint32_t numbers = mo_channel_numbers(channel, sides->masses, sides->springs);
+  char header[MO_NPY_HEADER + 1], last[48];
+  if (channel == MO_RECORD_MASSES)
+    snprintf(last, sizeof(last), "%u, 3", sides->masses);
   else
-    snprintf(sides, sizeof(sides), "%u",
-             all->channel == MO_RECORD_COM         ? 3
-             : all->channel == MO_RECORD_ACTUATION ? all->sides.springs
-                                                   : all->sides.masses);
+    snprintf(last, sizeof(last), "%u", numbers);
   memcpy(header, "\x93NUMPY\x01\x00", 8);
-  header[8] = (char)(HEADER_BYTES - 10);
+  header[8] = (char)(MO_NPY_HEADER - 10);
   header[9] = 0;
   const int n = snprintf(header + 10, sizeof(header) - 10,
-                         "{'descr': '%s', 'fortran_order': False, 'shape': (%u, %u, %u, %s), }",
-                         types[c], all->n_designs, all->n_environments, all->sides.frames, sides);
-  memset(header + 10 + n, ' ', HEADER_BYTES - 10 - (size_t)n);
-  header[HEADER_BYTES - 1] = '\n';
-  mo_text_bytes(text, header, HEADER_BYTES);
+                         "{'descr': '%s', 'fortran_order': False, 'shape': (%s%u, %s), }",
+                         types[__builtin_ctz(channel)], leading, sides->frames, last);
+  memset(header + 10 + n, ' ', MO_NPY_HEADER - 10 - (size_t)n);
+  header[MO_NPY_HEADER - 1] = '\n';
+  mo_text_bytes(text, header, MO_NPY_HEADER);
 }
 
 /* Appends what fills up a row of `missing` bytes. */
@@ -102,8 +98,11 @@ static int more_rollouts(void *context, struct mo_text *text)
   struct recordings *all = context;
   const uint32_t n = all->n_designs * all->n_environments;
   int error = MO_OK;
-  if (!all->begun)
-    write_header(text, all);
+  if (!all->begun) {
+    char leading[32];
+    snprintf(leading, sizeof(leading), "%u, %u, ", all->n_designs, all->n_environments);
+    mo_recording_header(text, all->channel, leading, &all->sides);
+  }
   all->begun = true;
   while (error == MO_OK && all->next < n && text->size < PIECE_BYTES) {
     const uint32_t design = all->next / all->n_environments, k = all->next++ % all->n_environments;

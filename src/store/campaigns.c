@@ -45,7 +45,7 @@ int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
 
 static int load_source(struct mo_connection *reader, int64_t id, struct mo_campaign_status *status)
 {
-  static const char sql[] = "SELECT store,campaign,imported_us FROM imports WHERE job=?1";
+  static const char sql[] = "SELECT store,source,imported_us FROM imports WHERE job=?1";
   sqlite3_stmt *row;
   const int error = mo_sql_row(reader, &row, sql, mo_int(id));
   if (error != MO_OK)

@@ -12,24 +12,10 @@
 #include "store/campaign_rows.h"
 #include "store/contents.h"
 #include "store/controller_rows.h"
+#include "store/import_state.h"
+#include "store/recordings.h"
 #include "store/rows.h"
 #include "store/scores.h"
-
-struct mo_import {
-  struct mo_store *store;
-  int64_t now_us;
-  /* The groups so far: of the source, and here. */
-  int64_t groups[MO_REPLICATES_MAX][2];
-  uint32_t n_groups;
-  /* The campaign that is entered. */
-  int64_t id, controller, physics, set, ranking;
-  uint32_t n_environments;
-  int64_t environments[MO_ENVIRONMENTS_MAX]; /* rows */
-  /* Of the score before: rows that the next one mostly shares. */
-  char fingerprint[MO_FINGERPRINT_BYTES], origin[65];
-  int64_t origin_row;
-  struct mo_condition condition;
-};
 
 /* ---- the transaction ---- */
 
@@ -47,6 +33,7 @@ static int import_all(struct mo_store *store, void *arguments)
   import->store = store;
   import->now_us = mo_clock_wall_us();
   const int error = call->run(call->context, import);
+  free(import->diverged_steps);
   free(import);
   return error;
 }
@@ -54,7 +41,10 @@ static int import_all(struct mo_store *store, void *arguments)
 int mo_store_import(struct mo_store *store, int (*run)(void *context, struct mo_import *import),
                     void *context)
 {
-  return mo_write(store, import_all, &(struct call){run, context});
+  const int error = mo_write(store, import_all, &(struct call){run, context});
+  if (error == MO_OK)
+    mo_recordings_check(store);
+  return error;
 }
 
 void mo_store_import_begin(struct mo_store *store)
@@ -75,13 +65,13 @@ int mo_store_import_file(struct mo_store *store, const struct mo_sha256 *sha256,
 
 /* ---- what is here already ---- */
 
-static int find(struct mo_connection *connection, uint64_t own,
-                const struct mo_import_source *source, int64_t *id)
+int mo_source_find(struct mo_connection *connection, uint64_t own, enum mo_job_kind kind,
+                   const struct mo_import_source *source, int64_t *id)
 {
-  static const char own_sql[] = "SELECT id FROM jobs WHERE id=?1 AND kind=2 AND state<6";
+  static const char own_sql[] = "SELECT id FROM jobs WHERE id=?1 AND kind=?2 AND state<6";
   static const char sql[] = "SELECT job FROM imports WHERE digest=?1";
   const int error = source->store == own
-                        ? mo_sql_find(connection, id, own_sql, mo_int(source->campaign))
+                        ? mo_sql_find(connection, id, own_sql, mo_int(source->job), mo_int(kind))
                         : MO_ERR_NOT_FOUND;
   return error == MO_ERR_NOT_FOUND ? mo_sql_find(connection, id, sql, mo_hash(&source->digest))
                                    : error;
@@ -90,14 +80,15 @@ static int find(struct mo_connection *connection, uint64_t own,
 int mo_store_import_find(struct mo_store *store, const struct mo_import_source *source, int64_t *id)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
-  const int error = find(reader, mo_store_id(store), source, id);
+  const int error = mo_source_find(reader, mo_store_id(store), MO_JOB_CAMPAIGN, source, id);
   mo_reader_release(store, reader);
   return error;
 }
 
 int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t *id)
 {
-  return find(&import->store->writer, mo_store_id(import->store), source, id);
+  return mo_source_find(&import->store->writer, mo_store_id(import->store), MO_JOB_CAMPAIGN, source,
+                        id);
 }
 
 /* ---- rows ---- */
@@ -133,12 +124,13 @@ static int insert_job(struct mo_import *import, const struct mo_imported_campaig
 {
   static const char sql[] =
       "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
-      "finished_us,error,weight,back_end) VALUES(?1,?2,0,1,0,0,?3,?4,?5,?6,0,?7,?8)";
+      "finished_us,error,weight,back_end,experiment,note)"
+      " VALUES(?1,?2,0,1,0,0,?3,?4,?5,?6,0,?7,?8,nullif(?9,''),nullif(?10,''))";
   return mo_sql_insert(
       &import->store->writer, &import->id, sql, mo_int(MO_JOB_CAMPAIGN), mo_int(campaign->state),
       campaign->has_label ? mo_string(campaign->label) : mo_null(), mo_int(campaign->created_us),
       mo_int(campaign->started_us), mo_int(campaign->finished_us), mo_real(campaign->weight),
-      mo_int(campaign->back_end));
+      mo_int(campaign->back_end), mo_string(campaign->experiment), mo_string(campaign->note));
 }
 
 static int insert_run(struct mo_import *import, const struct mo_imported_campaign *campaign)
@@ -180,19 +172,21 @@ static int find_set(struct mo_import *import, const struct mo_campaign_record *r
   return error == MO_ERR_NOT_FOUND ? MO_OK : error;
 }
 
-static int insert_source(struct mo_import *import, const struct mo_import_source *source)
+int mo_source_insert(struct mo_import *import, int64_t id, const struct mo_import_source *source)
 {
   static const char sql[] =
-      "INSERT INTO imports(job,store,campaign,digest,imported_us) VALUES(?1,?2,?3,?4,?5)";
+      "INSERT INTO imports(job,store,source,digest,imported_us) VALUES(?1,?2,?3,?4,?5)";
+  return mo_sql_do(&import->store->writer, sql, mo_int(id), mo_int((int64_t)source->store),
+                   mo_int(source->job), mo_hash(&source->digest), mo_int(import->now_us));
+}
+
+static int announce(struct mo_import *import, const struct mo_import_source *source)
+{
   char more[96];
-  const int error =
-      mo_sql_do(&import->store->writer, sql, mo_int(import->id), mo_int((int64_t)source->store),
-                mo_int(source->campaign), mo_hash(&source->digest), mo_int(import->now_us));
   snprintf(more, sizeof(more), ",\"store\":\"%016llx\",\"campaign\":\"%lld\"",
-           (unsigned long long)source->store, (long long)source->campaign);
-  return error == MO_OK ? mo_run_announce(import->store, import->id, MO_JOB_CAMPAIGN,
-                                          "campaign.imported", MO_JOB_SUCCEEDED, more)
-                        : error;
+           (unsigned long long)source->store, (long long)source->job);
+  return mo_run_announce(import->store, import->id, MO_JOB_CAMPAIGN, "campaign.imported",
+                         MO_JOB_SUCCEEDED, more);
 }
 
 static int insert_campaign(struct mo_import *import, const struct mo_imported_campaign *campaign,
@@ -260,7 +254,9 @@ int mo_import_campaign(struct mo_import *import, const struct mo_imported_campai
   import->condition = (struct mo_condition){.id = 0};
   import->fingerprint[0] = import->origin[0] = '\0';
   *id = import->id;
-  return error == MO_OK ? insert_source(import, &campaign->source) : error;
+  if (error == MO_OK)
+    error = mo_source_insert(import, import->id, &campaign->source);
+  return error == MO_OK ? announce(import, &campaign->source) : error;
 }
 
 /* Lets the watchdog see that the one long transaction of the writer makes progress. */

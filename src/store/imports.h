@@ -4,14 +4,15 @@
 #define MORPHO_STORE_IMPORTS_H
 
 #include "store/campaign_designs.h"
+#include "store/save.h"
 
 struct mo_store;
 
-/* Where a campaign came from. */
+/* Where a campaign, or an evaluation with recordings, came from. */
 struct mo_import_source {
   uint64_t store;          /* the id of its store */
-  int64_t campaign;        /* its id there */
-  struct mo_sha256 digest; /* of its history */
+  int64_t job;             /* its id there */
+  struct mo_sha256 digest; /* of a campaign's history; of an evaluation's source */
 };
 
 /* A campaign that has ended. */
@@ -20,6 +21,7 @@ struct mo_imported_campaign {
   enum mo_job_state state;          /* succeeded or cancelled */
   bool has_label;
   char label[MO_LABEL_BYTES_MAX + 1];
+  char experiment[MO_EXPERIMENT_BYTES_MAX + 1], note[MO_NOTE_BYTES_MAX + 1]; /* "": none */
   double weight;
   enum mo_back_end back_end;
   int64_t created_us, started_us, finished_us;
@@ -47,6 +49,24 @@ struct mo_campaign_score {
   uint32_t diverged_steps[MO_BLOCK_LANES];
 };
 
+/* An evaluation that recorded designs of a campaign, by its controller, in environments of it. */
+struct mo_imported_evaluation {
+  struct mo_import_source source;
+  bool has_label;
+  char label[MO_LABEL_BYTES_MAX + 1];
+  char experiment[MO_EXPERIMENT_BYTES_MAX + 1], note[MO_NOTE_BYTES_MAX + 1]; /* "": none */
+  enum mo_back_end back_end;
+  int64_t created_us, started_us, finished_us;
+  char controller_name[MO_NAME_BYTES_MAX + 8]; /* as requested; "": by hash */
+  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": they were listed */
+  char fingerprint[MO_FINGERPRINT_BYTES];      /* its class */
+  char workers[MO_FINGERPRINT_BYTES]; /* of bodies that devices left to workers; "": none */
+  uint32_t record, stride;            /* channels; steps between two frames */
+  uint32_t n_environments, n_designs;
+  uint32_t environments[MO_ENVIRONMENTS_MAX]; /* places */
+  uint32_t numbers[MO_DESIGNS_MAX];
+};
+
 /* One member of a population. */
 struct mo_campaign_member {
   uint32_t number;
@@ -63,6 +83,12 @@ int mo_store_campaign_members(struct mo_store *store, int64_t id, int64_t genera
 int mo_store_campaign_scores(struct mo_store *store, int64_t id, uint32_t first, uint32_t last,
                              int (*take)(void *context, const struct mo_campaign_score *score),
                              void *context);
+/* Lists the evaluations that have recorded designs of a campaign and nothing else, and still have
+ * all of it: (n) malloc, ascending. *rollouts: that they recorded. */
+int mo_store_campaign_recordings(struct mo_store *store, int64_t id, int64_t **evaluations,
+                                 uint32_t *n, uint64_t *rollouts);
+int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64_t id,
+                                 struct mo_imported_evaluation *evaluation);
 /* Finds the campaign that came from this source, or is it. MO_ERR_NOT_FOUND. */
 int mo_store_import_find(struct mo_store *store, const struct mo_import_source *source,
                          int64_t *id);
@@ -95,5 +121,11 @@ int mo_import_generation(struct mo_import *import, const struct mo_campaign_gene
 int mo_import_step(struct mo_import *import, const struct mo_campaign_step *step);
 /* MO_ERR_CONFLICT: another loss is stored for the same rollout. *is_new: it was not stored. */
 int mo_import_score(struct mo_import *import, const struct mo_campaign_score *score, bool *is_new);
+/* Begins an evaluation of the campaign's designs, behind all scores; the rollouts below belong to
+ * it. Returns 1, or 0: it is here already. MO_ERR_NOT_FOUND: the campaign lacks one of its losses.
+ */
+int mo_import_evaluation(struct mo_import *import, const struct mo_imported_evaluation *evaluation);
+/* Enters a recording; its job and step are those of the evaluation. */
+int mo_import_rollout(struct mo_import *import, const struct mo_saved_trajectory *rollout);
 
 #endif

@@ -284,6 +284,83 @@ def test_altered_bundles_leave_nothing(service, start, source):
     assert enter(other, bundle, "odd").status == 400
 
 
+@pytest.fixture(scope="module")
+def recorded(service, source):
+    """The evaluation that recorded three designs of the first campaign, and a bundle with it."""
+    best = service.get(f"/v1/campaigns/{source[0]}/population?limit=3")["items"]
+    request = {"designs": [{"voxels": row["genotype"]} for row in best], "physics": {"n_steps": 5},
+               "record": ["com", "masses", "contacts", "actuation"], "record_stride": 2,
+               "label": "champions", "experiment": "walks"}
+    id = service.evaluate(request).json()["id"]
+    service.evaluate(request | {"designs": [DESIGN, {"voxels": "1" * 144}]})
+    for job, words in ((source[0], "the campaign"), (id, "its champions")):
+        assert service.request("PATCH", f"/v1/jobs/{job}", {
+            "note": words, "experiment": "walks"}).status == 200
+    return id, service.request("GET", f"/v1/bundles?campaigns={source[0]}&recordings=true").body
+
+
+def test_recordings(service, start, source, recorded):
+    """They are the same there, bit for bit, with experiment and note; those of an evaluation with
+    another body stay."""
+    id, bundle = recorded
+    other = start()
+    entered = enter(other, bundle).json()["items"][0]
+    assert entered["recordings"] == 1
+    jobs = other.get("/v1/jobs")["items"]
+    assert [(job["kind"], job["note"], job["experiment"]) for job in jobs] == [
+        ("evaluation", "its champions", "walks"), ("campaign", "the campaign", "walks")]
+    new = jobs[0]["id"]
+    before, after = (one.get(f"/v1/evaluations/{job}")
+                     for one, job in ((service, id), (other, new)))
+    own = {"id", "priority", "weight", "core_seconds", "device_seconds", "submitted_by"}
+    assert {name for name in before if before[name] != after[name]} <= own
+    for array in ("com", "masses", "contacts", "actuation"):
+        here, there = (one.request("GET", f"/v1/evaluations/{job}/trajectories?array={array}")
+                       for one, job in ((service, id), (other, new)))
+        assert here.status == there.status == 200 and here.body == there.body, array
+    newest = other.get("/v1/events?format=json")["newest"]
+    assert enter(other, bundle).status == 200
+    again = other.request("GET", "/v1/bundles?recordings=true").body
+    assert [body for name, body in unpack(again) if "/recordings/" in name] == [
+        body for name, body in unpack(bundle) if "/recordings/" in name]
+    assert other.get("/v1/events?format=json")["newest"] == newest
+    # Where only the campaign was deleted, its recordings are here already.
+    other.request("DELETE", f"/v1/jobs/{entered['campaign']}")
+    assert enter(other, bundle).status == 201
+    assert len(other.get("/v1/evaluations")["items"]) == 1
+    assert enter(service, bundle).json()["items"][0]["campaign"] == source[0]
+
+
+def test_altered_recordings_are_refused(start, recorded):
+    other = start()
+    members = unpack(recorded[1])
+    first = next(i for i, (name, _) in enumerate(members) if "/recordings/" in name)
+    head = "recordings/00000000/evaluation.json"
+    for change in (put("numbers", lambda numbers: [10**6] + numbers[1:]), put("numbers", []),
+                   put("environments", lambda places: places[:1] * len(places)),
+                   put("environments", [64]), put("record", 0), put("record", 16),
+                   put("stride", 0), put("stride", 1), put("stride", 6), put("class", ""),
+                   put("workers_class", "\n"), put("note", "x" * 1001),
+                   put("experiment", ""), put("controller", "../x"), put("more", 1),
+                   put("source.evaluation", "0"), put("created_us", -1)):
+        reply = enter(other, pack(altered(members, head, change)))
+        assert reply.status == 422, [cell.cell_contents for cell in change.__closure__]
+    forged = altered(altered(members, head, put("class", "another")), head,
+                     put("workers_class", ""))
+    assert enter(other, pack(forged)).status == 422, "it has no losses of this class"
+    arrays = members[first + 1:-1]
+    assert len(arrays) == 3 * 10 * 4
+    for forged in (members[:first] + arrays, members[:-2], members[:first + 1],
+                   members[:first + 2] + members[first + 3:],
+                   members[:first + 1] + arrays[1::-1] + arrays[2:],
+                   members[:-1] + arrays[:1],
+                   members[:first + 1] + [(arrays[0][0], arrays[0][1][:-1])] + arrays[1:],
+                   members[:first + 1] + [(arrays[0][0], arrays[1][1])] + arrays[1:],
+                   [member for member in members if "/scores/" not in member[0]]):
+        assert enter(other, pack(forged)).status == 422
+    assert other.get("/v1/jobs")["items"] == [] and other.get("/v1/designs")["items"] == []
+
+
 def test_altered_learning_is_refused(service, start, source):
     other = start()
     members = unpack(service.request("GET", f"/v1/bundles?campaigns={source[2]}").body)

@@ -1,7 +1,8 @@
 /* bundle.c: bundles of campaigns. The input is the content of an archive: each member a line with
  * its name and size, then its bytes; the target packs them, since the hashes and the compression
- * would refuse nearly all other inputs. A second reading takes the input as the file itself. What
- * is accepted must be whole: as many designs and generations as the campaign says. */
+ * would refuse nearly all other inputs. A second reading takes the input as the file itself, a
+ * third one as the line of an evaluation that recorded. What is accepted must be whole: as many
+ * designs and generations as the campaign says. */
 #include "target.h"
 
 #include <stdlib.h>
@@ -123,6 +124,25 @@ static void pack(const uint8_t *data, size_t size, struct mo_text *archive)
   mo_archive_writer_free(writer);
 }
 
+static void read_evaluation(const uint8_t *data, size_t size, const struct mo_lattice *lattice)
+{
+  struct mo_bundle_lines *lines = mo_bundle_lines_create(lattice, false);
+  struct mo_imported_evaluation *evaluation = malloc(sizeof(*evaluation));
+  struct mo_message message = {""};
+  char *line = strndup((const char *)data, size);
+  FUZZ_PROMISE(lines != NULL && evaluation != NULL && line != NULL);
+  const int error = mo_bundle_read_evaluation(lines, line, strlen(line), evaluation, &message);
+  FUZZ_PROMISE(error == MO_OK || (error == MO_ERR_FORMAT && message.text[0] != '\0'));
+  if (error == MO_OK)
+    FUZZ_PROMISE(evaluation->n_designs >= 1 && evaluation->n_designs <= MO_DESIGNS_MAX &&
+                 evaluation->n_environments >= 1 &&
+                 evaluation->n_environments <= MO_ENVIRONMENTS_MAX && evaluation->record >= 1 &&
+                 evaluation->record < 1U << MO_CHANNELS);
+  mo_bundle_lines_free(lines);
+  free(evaluation);
+  free(line);
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
   static struct mo_lattice *lattice;
@@ -132,6 +152,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
   read_bundle(data, size, lattice);
   pack(data, size, &archive);
   read_bundle(archive.data, archive.size, lattice);
+  read_evaluation(data, size, lattice);
   mo_text_free(&archive);
   return 0;
 }

@@ -186,14 +186,18 @@ def test_lists_are_saved_as_files(m, service, campaign, tmp_path):
 def test_bundles_travel(m, start, campaign, tmp_path):
     other = start()
     with morphod.Client(f"http://{other.host}:{other.port}") as there:
-        path = m.bundle(tmp_path / "two.tar.zst", ids=campaign)
+        best = m.get_campaign(campaign[0]).population()["genotype"][:2]
+        seen = m.evaluate(list(best), record=["com"], physics={"n_steps": 60})
+        path = m.bundle(tmp_path / "two.tar.zst", ids=campaign, recordings=True)
         table = there.verify_bundle(path)
         assert table["source_campaign"].tolist() == campaign and table["campaign"].isna().all()
+        assert table["recordings"].tolist() == [1, 0]
         entered = there.import_bundle(path)
-        assert [member.id for member in entered] == ["1", "2"] and entered[0].ended
+        assert [member.id for member in entered] == ["1", "3"] and entered[0].ended
+        assert (there.evaluation("2").recordings("com") == seen.recordings("com")).all()
         assert there.curves(group="1")["score_mean"].tolist() == m.curves(
             ids=campaign)["score_mean"].tolist()
-        assert [member.id for member in there.import_bundle(path)] == ["1", "2"]
+        assert [member.id for member in there.import_bundle(path)] == ["1", "3"]
         path.write_bytes(path.read_bytes()[:-9])
         with pytest.raises(morphod.InvalidError):
             there.import_bundle(path)

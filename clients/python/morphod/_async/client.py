@@ -272,14 +272,17 @@ class AsyncClient:
 
     async def bundle(self, path: str | os.PathLike[str], *,
                      ids: Iterable[str | int] | None = None, label: str | None = None,
-                     experiment: str | None = None, group: str | None = None) -> pathlib.Path:
+                     experiment: str | None = None, group: str | None = None,
+                     recordings: bool = False) -> pathlib.Path:
         """Saves up to 100 campaigns that have ended as one file, a .tar.zst with all that belongs
-        to them: by ids, by label, by experiment or by group."""
+        to them: by ids, by label, by experiment or by group. `recordings`: also what evaluations
+        recorded of the designs of campaigns that do not learn."""
         named = None if ids is None else ",".join(str(id) for id in sorted({int(id) for id in ids}))
         target = pathlib.Path(path)
         await self._connection.save(Request.get("/v1/bundles", accept="application/zstd",
                                                 campaigns=named, label=label,
-                                                experiment=experiment, group=group), target)
+                                                experiment=experiment, group=group,
+                                                recordings=recordings or None), target)
         return target
 
     async def import_bundle(self, path: str | os.PathLike[str]) -> AsyncCampaigns:
