@@ -34,6 +34,11 @@ const struct act life_script[SCRIPT] = {
     {ACT_CAMPAIGN_GENERATION, 1, 0, 0, 1},
     {ACT_CAMPAIGN_GENERATION, 1, 0, 0, 1},
     {ACT_CAMPAIGN_PARK, 1, 0, 1, 1},
+    {ACT_CAMPAIGN, 2, 25, 0, 1}, /* a study */
+    {ACT_CAMPAIGN_TELL, 2, 0, 0, 1},
+    {ACT_CAMPAIGN_START, 2, 0, 0, 1},
+    {ACT_CAMPAIGN_GENERATION, 2, 0, 0, 1},
+    {ACT_CAMPAIGN_TELL, 2, 0, 0, 1},
 };
 
 /* ---- choosing ---- */
@@ -169,6 +174,7 @@ static void look(struct life *life, enum mo_job_kind kind, struct subject *subje
   if (kind == MO_JOB_CAMPAIGN) {
     subject->done = campaign.scored;
     subject->generation = campaign.generation;
+    subject->told = campaign.told;
     subject->until = campaign.record.settings.generations;
     subject->inside = n > 0 && rows[0].generation == campaign.generation + 1 ? rows[0].step : 0;
   }

@@ -7,6 +7,7 @@
 
 #include "campaign_fixture.h"
 #include "life.h"
+#include "store/studies.h"
 
 /* ---- generations ---- */
 
@@ -29,6 +30,11 @@ struct generation {
 static bool learns(const struct subject *campaign) /* else zero-shot */
 {
   return campaign->seed % 2 == 0;
+}
+
+static bool is_study(const struct subject *campaign)
+{
+  return campaign->seed % 4 == 1;
 }
 
 static double number(uint64_t hash)
@@ -133,6 +139,19 @@ static struct mo_campaign_loss saved_loss(const struct subject *campaign, uint32
 
 /* ---- choosing ---- */
 
+/* A study waits in the queue until a batch is told, and again behind its commit. */
+static bool study_fits(const struct subject *study, enum act_kind kind)
+{
+  const bool is_pending = study->told > study->generation;
+  switch (kind) {
+  case ACT_CAMPAIGN_TELL: return !is_pending && study->generation + 1 < GENERATIONS_MAX;
+  case ACT_CAMPAIGN_FINISH: return !is_pending && study->state == MO_JOB_QUEUED;
+  case ACT_CAMPAIGN_START: return is_pending;
+  case ACT_CAMPAIGN_EXTEND: return false;
+  default: return is_pending && study->state == MO_JOB_RUNNING;
+  }
+}
+
 bool campaign_fits(struct life *life, struct act *act)
 {
   const unsigned queued = 1u << MO_JOB_QUEUED, running = 1u << MO_JOB_RUNNING;
@@ -140,7 +159,11 @@ bool campaign_fits(struct life *life, struct act *act)
                           : act->kind == ACT_CAMPAIGN_EXTEND || act->kind == ACT_CAMPAIGN
                               ? queued | running
                               : running;
-  const int found = life_job_in(life, MO_JOB_CAMPAIGN, states, false);
+  const int found = life_job_in(life, MO_JOB_CAMPAIGN,
+                                act->kind == ACT_CAMPAIGN_TELL || act->kind == ACT_CAMPAIGN_FINISH
+                                    ? queued | running
+                                    : states,
+                                false);
   act->index = act->kind == ACT_CAMPAIGN ? life->n_jobs[MO_JOB_CAMPAIGN] : found;
   if (act->kind == ACT_CAMPAIGN)
     return act->index < CAMPAIGNS_MAX && found < 0;
@@ -148,6 +171,9 @@ bool campaign_fits(struct life *life, struct act *act)
     return false;
   const struct subject *campaign = &life->jobs[MO_JOB_CAMPAIGN][found];
   bool goes_on = campaign->generation + 1 < GENERATIONS_MAX;
+  if (is_study(campaign) ? !study_fits(campaign, act->kind)
+                         : act->kind == ACT_CAMPAIGN_TELL || (states >> campaign->state & 1) == 0)
+    return false;
   switch (act->kind) {
   case ACT_CAMPAIGN_LOSSES:
     if (!goes_on || campaign->done == 2 * MEMBERS)
@@ -173,13 +199,19 @@ static int submit(const struct life *life, struct mo_store *of, const struct act
   struct mo_campaign_request submission = campaign_submission(
       act->seed % 2 == 0 ? MO_SIMULTANEOUS : MO_ZERO_SHOT, MEMBERS, GENERATIONS_MAX);
   const size_t first = BODIES_OF_CAMPAIGNS + (size_t)act->index * GENERATIONS_MAX * MEMBERS;
+  const struct subject campaign = {.seed = act->seed};
   char key[32];
   bool replayed;
   life_key('c', act->index, key);
+  if (is_study(&campaign)) {
+    submission.record.settings.mode = MO_STUDY;
+    submission.record.settings.generations = 0;
+    submission.record.settings.exclude_pretraining = false;
+  }
   submission.record.settings.seed = act->seed;
   submission.forms = life->forms + first;
   submission.genotypes = life->genotypes + first;
-  submission.record.n_listed = LISTED;
+  submission.record.n_listed = is_study(&campaign) ? 0 : LISTED;
   submission.job.key.text = key;
   mo_sha256_of(&act->seed, sizeof(act->seed), &submission.job.key.sha256);
   return mo_store_submit_campaign(of, &submission, id, &replayed);
@@ -204,6 +236,52 @@ static int save_checkpoint(struct mo_store *of, const struct subject *campaign, 
     steps[i] = learned(campaign, generation, i + 1);
   int error =
       mo_store_campaign_checkpoint(of, campaign->id, generation, step, bytes, size, steps, step);
+  free(bytes);
+  return error;
+}
+
+/* What a study says of its children: a word of its own, and a measure. */
+static const char operator_word[] = "made", measure_word[] = "height";
+
+static struct mo_descent descent_of(const struct generation *generation, uint32_t child)
+{
+  const struct mo_birth *birth = &generation->births[child];
+  struct mo_descent descent = {.op = birth->op};
+  if (child == 0)
+    descent.op = MO_OPERATORS; /* the first word of the study */
+  for (int p = 0; p < 2; p++)
+    descent.parents[p] = birth->parents[p] == MO_NO_PARENT
+                             ? MO_NO_PARENT
+                             : generation->before.numbers[birth->parents[p]];
+  return descent;
+}
+
+static int tell(const struct life *life, struct mo_store *of, const struct subject *study,
+                int index)
+{
+  const uint32_t batch = (uint32_t)(study->generation + 1);
+  const size_t first = BODIES_OF_CAMPAIGNS + ((size_t)index * GENERATIONS_MAX + batch) * MEMBERS;
+  const uint64_t seed = seed_of(study, batch);
+  struct generation generation;
+  struct mo_study_child children[MEMBERS];
+  double measures[MEMBERS];
+  struct mo_study_telling telling = {
+      .batch = {batch, MEMBERS, 1, 0, children, measures, false, NULL},
+      .words = {.n_operators = 1, .n_measures = 1}};
+  struct mo_telling_reply reply;
+  uint8_t *bytes = NULL;
+  replay(study, batch, &generation);
+  for (uint32_t i = 0; i < MEMBERS; i++) {
+    children[i] =
+        (struct mo_study_child){life->genotypes[first + i], i, descent_of(&generation, i)};
+    measures[i] = number(life_hash(seed, i));
+  }
+  memcpy(telling.words.operators[0], operator_word, sizeof(operator_word));
+  memcpy(telling.words.measures[0], measure_word, sizeof(measure_word));
+  telling.sampler_size = life_checkpoint(seed, 0, &bytes);
+  telling.sampler = bytes;
+  mo_sha256_of(&seed, sizeof(seed), &telling.sha256);
+  const int error = mo_store_study_tell(of, study->id, &telling, &reply);
   free(bytes);
   return error;
 }
@@ -237,6 +315,14 @@ static int commit(const struct life *life, struct mo_store *of, const struct sub
                                   .n_survivors = MEMBERS,
                                   .fingerprint = life->fingerprint,
                                   .event_data = "{}"};
+  if (is_study(campaign)) {
+    call.is_study = true;
+    for (uint32_t i = 0; i < MEMBERS; i++) {
+      const struct mo_descent descent = descent_of(&generation, i);
+      generation.births[i].op = descent.op;
+      memcpy(generation.births[i].parents, descent.parents, sizeof(descent.parents));
+    }
+  }
   if (learns(campaign)) {
     call.steps = generation.steps;
     call.n_steps = LEARNING;
@@ -256,6 +342,9 @@ static int finish(struct mo_store *of, const struct subject *campaign, uint64_t 
 {
   struct put put;
   char name[32];
+  enum mo_job_state before;
+  if (is_study(campaign))
+    return mo_store_study_finish(of, campaign->id, &before);
   put_start(&put, seed);
   snprintf(name, sizeof(name), "campaign-%lld", (long long)campaign->id);
   int error =
@@ -271,6 +360,7 @@ int campaign_do(struct life *life, struct mo_store *of, const struct act *act, i
   enum mo_job_state before;
   switch (act->kind) {
   case ACT_CAMPAIGN: return submit(life, of, act, id);
+  case ACT_CAMPAIGN_TELL: return tell(life, of, campaign, act->index);
   case ACT_CAMPAIGN_START: return mo_store_run_start(of, campaign->id);
   case ACT_CAMPAIGN_LOSSES: return save_losses(of, campaign, act->n);
   case ACT_CAMPAIGN_CHECKPOINT: return save_checkpoint(of, campaign, act->n);

@@ -40,7 +40,7 @@ struct subject {
   uint32_t done; /* designs of an evaluation, steps of a training's current run, losses of a
                     campaign's next generation */
   uint32_t n_checkpoints, validated; /* validated: step of the newest validation */
-  int64_t generation;                /* of a campaign: the newest; −1: none */
+  int64_t generation, told;          /* of a campaign: the newest; −1: none; of a study, batch */
   uint32_t inside;                   /* step of the checkpoint inside the next one; 0: none */
   uint32_t until;                    /* generation */
 };
@@ -60,6 +60,7 @@ enum act_kind {
   ACT_TRAIN_FINISH,
   ACT_TRAIN_REMOVE, /* checkpoints that are not needed */
   ACT_CAMPAIGN,
+  ACT_CAMPAIGN_TELL, /* a batch of a study */
   ACT_CAMPAIGN_START,
   ACT_CAMPAIGN_LOSSES,
   ACT_CAMPAIGN_CHECKPOINT,
@@ -98,7 +99,7 @@ struct life {
 
 /* Acts in turn, with something of everything. Up to HELD a folder has what goes on: a training and
  * a campaign that run, with checkpoints. */
-enum { SCRIPT = 26, COUNTED_FROM = 4, HELD = 15 };
+enum { SCRIPT = 31, COUNTED_FROM = 4, HELD = 15 };
 extern const struct act life_script[SCRIPT];
 
 /* Draws from a seed that a thing has. */
