@@ -14,10 +14,10 @@ static int value_of(char c)
 
 bool mo_base64_decode(const char *text, size_t size, uint8_t *bytes, size_t *n)
 {
-  const size_t padding = size == 0 ? 0 : text[size - 1] != '=' ? 0 : text[size - 2] != '=' ? 1 : 2;
   *n = 0;
   if (size % 4 != 0)
     return false;
+  const size_t padding = size == 0 ? 0 : text[size - 1] != '=' ? 0 : text[size - 2] != '=' ? 1 : 2;
   for (size_t i = 0; i < size; i += 4) {
     const size_t given = i + 4 < size ? 4 : 4 - padding;
     uint32_t bits = 0;
