@@ -395,6 +395,11 @@ static uint64_t max_recordings_of(const struct settings *settings)
   return all > 0 && all < one ? one : all;
 }
 
+static int64_t seconds_of(uint64_t ms)
+{
+  return (int64_t)(ms + 999) / 1000;
+}
+
 static int open_store(struct service *service, const struct settings *settings,
                       struct mo_message *message)
 {
@@ -406,8 +411,10 @@ static int open_store(struct service *service, const struct settings *settings,
       .n_readers = STORE_READERS,
       .events_kept = settings->events_kept,
       .max_recordings_bytes = max_recordings_of(settings),
-      .keep_evaluations_s = (int64_t)(settings->keep_evaluations_ms + 999) / 1000,
-      .keep_recordings_s = (int64_t)(settings->keep_recordings_ms + 999) / 1000,
+      .keep_jobs_s = {[MO_JOB_EVALUATION] = seconds_of(settings->keep_evaluations_ms),
+                      [MO_JOB_TRAINING] = seconds_of(settings->keep_trainings_ms),
+                      [MO_JOB_CAMPAIGN] = seconds_of(settings->keep_campaigns_ms)},
+      .keep_recordings_s = seconds_of(settings->keep_recordings_ms),
       .fatal = store_is_broken,
       .fatal_context = service};
   mo_store_limit_memory(max_memory_of(settings) / 8);

@@ -107,6 +107,17 @@ const struct setting settings_table[] = {
         "keep_evaluations", SETTING_DURATION, keep_evaluations_ms, 0, 36500 * DAY, "0", "for good",
         "Time after its end for which an evaluation is kept, with its recordings; it stays if it "
         "has a note, is archived, or a training learns on its designs. Scores stay."),
+    VALUE_ROW("keep_trainings", SETTING_DURATION, keep_trainings_ms, 0, 36500 * DAY, "0",
+              "for good",
+              "Time after its end for which a training is kept, with its curve and checkpoints; it "
+              "stays if it has a note, is archived, or another job began with its controller. The "
+              "controller stays."),
+    VALUE_ROW("keep_campaigns", SETTING_DURATION, keep_campaigns_ms, 0, 36500 * DAY, "0",
+              "for good",
+              "Time after its end, or its import, for which a campaign or study is kept, with its "
+              "phylogeny and checkpoints; it stays if it has a note, is archived, or another job "
+              "began with its population or controller, or shares its environments. Designs, "
+              "scores and the controller stay."),
     VALUE_ROW(
         "keep_recordings", SETTING_DURATION, keep_recordings_ms, 0, 36500 * DAY, "0", "for good",
         "Time after the end of an evaluation for which its recordings are kept; they stay if it "

@@ -60,8 +60,8 @@ struct settings {
   uint64_t max_open_jobs, max_open_rollouts, max_trainings, max_campaigns;
   uint64_t max_in_flight;
   uint64_t max_recorded_bytes, max_recordings_bytes; /* of one evaluation, of all; 0: no limit */
-  uint64_t keep_evaluations_ms, keep_recordings_ms;  /* after their end; 0: for good */
-  uint64_t max_memory;                               /* 0: memory_limit() */
+  uint64_t keep_evaluations_ms, keep_trainings_ms, keep_campaigns_ms, keep_recordings_ms;
+  uint64_t max_memory; /* 0: memory_limit() */
   uint64_t client_rate_per_s;
   uint64_t events_kept;
   uint64_t drain_timeout_ms;

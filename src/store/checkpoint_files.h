@@ -29,6 +29,10 @@ int mo_checkpoint_row_write(struct mo_store *store, const struct mo_checkpoint *
  * step, ?4 free for the query; columns generation, step, size. */
 int mo_checkpoint_drop(struct mo_store *store, const char *list_sql, int64_t fourth,
                        struct mo_checkpoint *checkpoint);
+/* Deletes, in an operation, up to 16 checkpoints of jobs that are being deleted (deletion.c). Their
+ * files go first, since nothing reads or writes them any more: this makes room on a full disk, even
+ * if the operation fails. */
+int mo_checkpoints_forget(struct mo_store *store, uint64_t *n);
 /* Writes the file (unless bytes is NULL), then runs an operation, which calls the functions above,
  * then deletes the files of the rows that it dropped. After an error the new file goes. */
 int mo_checkpoint_write(struct mo_store *store, const uint8_t *bytes,

@@ -84,10 +84,11 @@ int mo_checkpoint_row_write(struct mo_store *store, const struct mo_checkpoint *
                    mo_int(mo_clock_wall_us()));
 }
 
+static const char drop_sql[] = "DELETE FROM checkpoints WHERE job=?1 AND generation=?2 AND step=?3";
+
 int mo_checkpoint_drop(struct mo_store *store, const char *list_sql, int64_t fourth,
                        struct mo_checkpoint *checkpoint)
 {
-  static const char sql[] = "DELETE FROM checkpoints WHERE job=?1 AND generation=?2 AND step=?3";
   struct mo_checkpoints_removed *dropped = &checkpoint->dropped;
   struct mo_connection *writer = &store->writer;
   const struct mo_value id = mo_int(checkpoint->id);
@@ -104,8 +105,43 @@ int mo_checkpoint_drop(struct mo_store *store, const char *list_sql, int64_t fou
     dropped->bytes += (uint64_t)sqlite3_column_int64(row, 2);
   }
   for (size_t i = 0; i < dropped->n && error == MO_OK; i++)
-    error = mo_sql_do(writer, sql, id, mo_int(dropped->places[i].generation),
+    error = mo_sql_do(writer, drop_sql, id, mo_int(dropped->places[i].generation),
                       mo_int(dropped->places[i].step));
+  return error;
+}
+
+int mo_checkpoints_forget(struct mo_store *store, uint64_t *n)
+{
+  static const char sql[] = "SELECT c.job,j.kind,c.generation,c.step FROM jobs j"
+                            " JOIN checkpoints c ON c.job=j.id WHERE j.state=6 LIMIT 16";
+  struct {
+    int64_t id;
+    enum mo_job_kind kind;
+    struct mo_checkpoint_place place;
+  } found[16];
+  int error = MO_OK;
+  sqlite3_stmt *row = mo_sql_rows(&store->writer, &error, sql);
+  *n = 0;
+  while (mo_sql_next(&store->writer, row, &error)) {
+    found[*n].id = sqlite3_column_int64(row, 0);
+    found[*n].kind = (enum mo_job_kind)sqlite3_column_int(row, 1);
+    found[(*n)++].place =
+        (struct mo_checkpoint_place){mo_column_u32(row, 2), mo_column_u32(row, 3)};
+  }
+  for (uint64_t i = 0; i < *n && error == MO_OK; i++) {
+    char *path = path_of(store, found[i].id, found[i].kind, &found[i].place);
+    char *folder = path_of(store, found[i].id, found[i].kind, NULL);
+    if (path != NULL && folder != NULL) {
+      (void)store->files->unlink(path);  /* if this fails, the next start names the file */
+      (void)store->files->rmdir(folder); /* if it is empty */
+      error = mo_sql_do(&store->writer, drop_sql, mo_int(found[i].id),
+                        mo_int(found[i].place.generation), mo_int(found[i].place.step));
+    } else {
+      error = MO_ERR_NO_MEMORY;
+    }
+    free(path);
+    free(folder);
+  }
   return error;
 }
 

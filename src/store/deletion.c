@@ -1,42 +1,45 @@
 /* deletion.c: see deletion.h.
  *
- * The first transaction sets the job's state to 6, which no reader finds, and deletes what takes
- * the most room: recordings, then checkpoints with their files. Then rows of its tables go, at most
- * ROWS_MAX in a transaction, so that a campaign of a million designs delays other writes by
- * milliseconds. Each such step finds its work in the database, so a restart continues it. On a full
- * disk the first transaction may use the reserve; the steps wait until there is space. */
+ * The first transaction sets the job's state to 6, which no reader finds, and deletes recordings.
+ * Then files of checkpoints and rows of its tables go, at most ROWS_MAX in a transaction, so that a
+ * campaign of a million designs delays other writes by milliseconds. Each such step finds its work
+ * in the database, so a restart continues it. On a full disk the first transaction may use the
+ * reserve, and files go; the other steps wait until there is space. */
 #include "store/deletion.h"
 
 #include <stdio.h>
 #include <stdlib.h>
 
 #include "base/clock.h"
-#include "store/checkpoints.h"
+#include "store/checkpoint_files.h"
 #include "store/recordings.h"
 #include "store/runs.h"
 #include "store/upkeep.h"
 
-#define ROWS_MAX     1000                /* in one transaction, about */
-#define EXPIRE_MAX   100                 /* jobs in one transaction */
-#define EXPIRE_BYTES (INT64_C(64) << 20) /* of recordings; at least one job's */
+#define ROWS_MAX     1000                 /* in one transaction, about */
+#define EXPIRE_MAX   100                  /* jobs in one transaction */
+#define EXPIRE_BYTES (UINT64_C(64) << 20) /* of recordings; at least one job's */
 #define UPKEEP_US    INT64_C(60000000)
 
 /* ---- the first transaction ---- */
 
+/* Selects, in words, the jobs that need one. */
+#define NEEDING(id)                                                                                \
+  "SELECT words FROM ("                                                                            \
+  "SELECT job,'training '||job||' learns on its designs' words FROM trainings"                     \
+  " WHERE population=" id " AND population<>0 UNION ALL"                                           \
+  " SELECT job,'campaign '||job||' was bred from its population' FROM campaigns"                   \
+  " WHERE initial_campaign=" id " AND initial_campaign<>0 UNION ALL"                               \
+  " SELECT job,'campaign '||job||', a replicate, shares its environments' FROM campaigns"          \
+  " WHERE replicates_of=" id " AND job<>" id " UNION ALL"                                          \
+  " SELECT r.job,'job '||r.job||' began with its controller' FROM runs o JOIN runs r"              \
+  " ON r.controller=o.result AND r.controller IS NOT NULL AND r.job<>o.job WHERE o.job=" id ")"    \
+  " JOIN jobs j ON j.id=job AND j.state<>6"
+
 /* Describes a job that needs this one. MO_ERR_NOT_FOUND: none does. */
 static int find_dependent(struct mo_connection *writer, int64_t id, struct mo_message *message)
 {
-  static const char sql[] =
-      "SELECT words FROM ("
-      "SELECT job,'training '||job||' learns on its designs' words FROM trainings"
-      " WHERE population=?1 AND population<>0 UNION ALL"
-      " SELECT job,'campaign '||job||' was bred from its population' FROM campaigns"
-      " WHERE initial_campaign=?1 AND initial_campaign<>0 UNION ALL"
-      " SELECT job,'campaign '||job||', a replicate, shares its environments' FROM campaigns"
-      " WHERE replicates_of=?1 AND job<>?1 UNION ALL"
-      " SELECT r.job,'job '||r.job||' began with its controller' FROM runs o JOIN runs r"
-      " ON r.controller=o.result AND r.controller IS NOT NULL AND r.job<>o.job WHERE o.job=?1)"
-      " JOIN jobs j ON j.id=job AND j.state<>6 ORDER BY job DESC LIMIT 1";
+  static const char sql[] = NEEDING("?1") " ORDER BY job DESC LIMIT 1";
   char words[128];
   sqlite3_stmt *row;
   const int error = mo_sql_row(writer, &row, sql, mo_int(id));
@@ -49,8 +52,7 @@ static int find_dependent(struct mo_connection *writer, int64_t id, struct mo_me
 struct mark {
   int64_t id;
   const char *reason;
-  enum mo_job_kind kind;
-  int64_t recorded_bytes;
+  struct mo_deleted deleted;
   struct mo_message *message; /* nullable */
 };
 
@@ -63,12 +65,16 @@ static int mark(struct mo_store *store, void *arguments)
       "worker_s=worker_s+excluded.worker_s,device_s=device_s+excluded.device_s";
   static const char sql[] = "UPDATE jobs SET state=6," MO_NEXT_VERSION " WHERE id=?1";
   static const char import_sql[] = "DELETE FROM imports WHERE job=?1";
+  static const char checkpoints_sql[] =
+      "SELECT count(*),coalesce(sum(size),0) FROM checkpoints WHERE job=?1";
   struct mark *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_state state;
+  enum mo_job_kind kind;
+  int64_t recorded_bytes = 0;
+  sqlite3_stmt *row;
   char data[128];
-  int error = mo_job_state_get(writer, call->id, &state, &call->kind);
-  call->recorded_bytes = 0;
+  int error = mo_job_state_get(writer, call->id, &state, &kind);
   if (error == MO_OK && (int)state == MO_JOB_STATES)
     error = MO_ERR_NOT_FOUND;
   if (error == MO_OK && !mo_job_state_is_final(state))
@@ -78,9 +84,13 @@ static int mark(struct mo_store *store, void *arguments)
   error = find_dependent(writer, call->id, call->message);
   if (error != MO_ERR_NOT_FOUND)
     return error == MO_OK ? MO_ERR_CONFLICT : error;
-  error = call->kind == MO_JOB_EVALUATION
-              ? mo_recordings_drop(writer, call->id, &call->recorded_bytes)
-              : MO_OK;
+  error = kind == MO_JOB_EVALUATION ? mo_recordings_drop(writer, call->id, &recorded_bytes) : MO_OK;
+  if (error == MO_OK)
+    error = mo_sql_row(writer, &row, checkpoints_sql, mo_int(call->id));
+  if (error == MO_OK)
+    call->deleted = (struct mo_deleted){.recorded_bytes = (uint64_t)recorded_bytes,
+                                        .n_checkpoints = (uint64_t)sqlite3_column_int64(row, 0),
+                                        .checkpoint_bytes = (uint64_t)sqlite3_column_int64(row, 1)};
   if (error == MO_OK)
     error = mo_sql_do(writer, usage_sql, mo_int(call->id));
   if (error == MO_OK)
@@ -88,7 +98,7 @@ static int mark(struct mo_store *store, void *arguments)
   if (error == MO_OK) /* its bundle may enter again at once */
     error = mo_sql_do(writer, import_sql, mo_int(call->id));
   snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"reason\":\"%s\"}",
-           (long long)call->id, mo_job_kind_name(call->kind), call->reason);
+           (long long)call->id, mo_job_kind_name(kind), call->reason);
   return error == MO_OK ? mo_writer_event(store, call->id, "job.deleted", data) : error;
 }
 
@@ -127,14 +137,12 @@ struct round {
 
 static int delete_some(struct mo_store *store, void *arguments)
 {
-  /* The files of checkpoints go before their rows, on another thread. */
   static const char next_sql[] = "SELECT id FROM jobs WHERE state=6 AND NOT EXISTS("
                                  "SELECT 1 FROM checkpoints WHERE job=id) ORDER BY id LIMIT 1";
   struct mo_connection *writer = &store->writer;
   struct round *round = arguments;
   int64_t id;
-  int error = MO_OK;
-  round->n = 0;
+  int error = mo_checkpoints_forget(store, &round->n);
   while (error == MO_OK && round->n < ROWS_MAX &&
          (error = mo_sql_find(writer, &id, next_sql)) == MO_OK) {
     size_t part = 0;
@@ -148,32 +156,41 @@ static int delete_some(struct mo_store *store, void *arguments)
   return error == MO_ERR_NOT_FOUND ? MO_OK : error;
 }
 
-/* Marks evaluations that ended long ago. One that a client has noted or archived stays, and one
- * that a training learns on. */
-static int expire(struct mo_store *store, void *arguments)
+/* Marks jobs of a kind that ended, or came in a bundle, long ago. What a client has noted or
+ * archived stays, and what another job needs. */
+static int expire_kind(struct mo_store *store, int kind, uint64_t *n_marked)
 {
   static const char sql[] =
-      "SELECT id FROM jobs INDEXED BY jobs_by_end WHERE kind=0 AND state>=3 AND state<6"
-      " AND archived_us=0 AND note IS NULL AND finished_us<?1"
-      " AND NOT EXISTS(SELECT 1 FROM trainings WHERE population=id AND population<>0)"
-      " ORDER BY finished_us LIMIT ?2";
-  struct round *round = arguments;
+      "SELECT d.id FROM jobs d INDEXED BY jobs_by_end WHERE d.kind=?1 AND d.state>=3 AND d.state<6"
+      " AND d.archived_us=0 AND d.note IS NULL AND d.finished_us<?2"
+      " AND NOT EXISTS(SELECT 1 FROM imports WHERE job=d.id AND imported_us>=?2)"
+      " AND NOT EXISTS(" NEEDING("d.id") ") ORDER BY d.finished_us LIMIT ?3";
   int64_t ids[EXPIRE_MAX];
   size_t n = 0;
   int error = MO_OK;
   sqlite3_stmt *row =
-      mo_sql_rows(&store->writer, &error, sql,
-                  mo_int(mo_clock_wall_us() - store->keep_evaluations_us), mo_int(EXPIRE_MAX));
+      mo_sql_rows(&store->writer, &error, sql, mo_int(kind),
+                  mo_int(mo_clock_wall_us() - store->keep_jobs_us[kind]), mo_int(EXPIRE_MAX));
   while (mo_sql_next(&store->writer, row, &error))
     ids[n++] = sqlite3_column_int64(row, 0);
-  int64_t bytes = 0;
-  round->n = 0;
+  uint64_t bytes = 0;
   for (size_t i = 0; i < n && error == MO_OK && bytes < EXPIRE_BYTES; i++) {
     struct mark one = {.id = ids[i], .reason = "age"};
     error = mark(store, &one);
-    bytes += one.recorded_bytes;
-    round->n++;
+    bytes += one.deleted.recorded_bytes;
+    ++*n_marked;
   }
+  return error;
+}
+
+static int expire(struct mo_store *store, void *arguments)
+{
+  struct round *round = arguments;
+  int error = MO_OK;
+  round->n = 0;
+  for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)
+    if (store->keep_jobs_us[kind] > 0)
+      error = expire_kind(store, kind, &round->n);
   return error;
 }
 
@@ -213,37 +230,22 @@ static void run(struct mo_store *store, int (*step)(struct mo_store *store, void
 
 /* ---- for the service ---- */
 
-/* Deletes the checkpoints of a marked job. */
-static int delete_checkpoints(struct mo_store *store, int64_t id, enum mo_job_kind kind,
-                              struct mo_deleted *deleted)
-{
-  struct mo_checkpoints_removed removed = {.n = 0};
-  int error = MO_OK;
-  if (kind == MO_JOB_EVALUATION)
-    return MO_OK;
-  do {
-    error = mo_store_checkpoints_remove(store, id, kind, 0, &removed);
-    deleted->n_checkpoints += removed.n;
-    deleted->checkpoint_bytes += removed.bytes;
-  } while (error == MO_OK && removed.n > 0);
-  return error;
-}
-
 int mo_store_delete_job(struct mo_store *store, int64_t id, struct mo_deleted *deleted,
                         struct mo_message *message)
 {
   struct mark call = {.id = id, .reason = "request", .message = message};
+  struct round round = {.store = store};
   int error;
   message->text[0] = '\0';
   error = mo_write_urgent(store, mark, &call);
   if (error != MO_OK)
     return error;
-  *deleted = (struct mo_deleted){.recorded_bytes = (uint64_t)call.recorded_bytes};
-  if (call.recorded_bytes > 0)
+  *deleted = call.deleted;
+  if (deleted->recorded_bytes > 0)
     mo_recordings_check(store);
-  /* The job is gone whatever becomes of its files: the next start deletes what this leaves. */
-  (void)delete_checkpoints(store, id, call.kind, deleted);
-  run(store, delete_some, deleted_some);
+  /* The job is gone whatever becomes of this: the next upkeep or start goes on. */
+  if (mo_write(store, delete_some, &round) == MO_OK && round.n > 0)
+    run(store, delete_some, deleted_some);
   return MO_OK;
 }
 
@@ -254,32 +256,14 @@ void mo_upkeep(struct mo_store *store)
     return;
   store->last_upkeep_us = now;
   run(store, delete_some, deleted_some);
-  if (store->keep_evaluations_us > 0)
-    run(store, expire, expired);
+  run(store, expire, expired);
   if (store->keep_recordings_us > 0)
     mo_recordings_check(store);
 }
 
 void mo_upkeep_begin(struct mo_store *store)
 {
-  static const char sql[] = "SELECT DISTINCT j.id,j.kind FROM jobs j JOIN checkpoints c"
-                            " ON c.job=j.id WHERE j.state=6 LIMIT 100";
-  int64_t ids[100];
-  enum mo_job_kind kinds[100];
-  struct mo_deleted deleted = {.n_checkpoints = 0};
-  size_t n = 0;
-  int error = MO_OK;
-  struct mo_connection *reader = mo_reader_acquire(store);
-  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql);
-  while (mo_sql_next(reader, row, &error)) {
-    ids[n] = sqlite3_column_int64(row, 0);
-    kinds[n++] = (enum mo_job_kind)sqlite3_column_int(row, 1);
-  }
-  mo_reader_release(store, reader);
-  for (size_t i = 0; i < n; i++)
-    (void)delete_checkpoints(store, ids[i], kinds[i], &deleted);
   run(store, delete_some, deleted_some);
-  if (store->keep_evaluations_us > 0)
-    run(store, expire, expired);
+  run(store, expire, expired);
   mo_recordings_check(store);
 }

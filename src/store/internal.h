@@ -66,8 +66,8 @@ struct mo_store {
   uint64_t events_since_prune;
   int64_t last_prune_us, last_probe_us, last_restart_us, next_reserve_us;
   int wal_frames, checkpoint_frames;
-  uint64_t max_recordings_bytes;                   /* 0: no limit */
-  int64_t keep_evaluations_us, keep_recordings_us; /* after their end; 0: for good */
+  uint64_t max_recordings_bytes;                          /* 0: no limit */
+  int64_t keep_jobs_us[MO_JOB_KINDS], keep_recordings_us; /* after their end; 0: for good */
   int64_t last_upkeep_us;
   void (*upkeep)(struct mo_store *store); /* between batches; nullable */
   bool reserve_whole;

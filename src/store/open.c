@@ -301,7 +301,6 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
       .vfs = config->vfs,
       .files = config->files != NULL ? config->files : &mo_system_files,
       .max_recordings_bytes = config->max_recordings_bytes,
-      .keep_evaluations_us = config->keep_evaluations_s * 1000000,
       .keep_recordings_us = config->keep_recordings_s * 1000000,
       .upkeep = mo_upkeep,
       .last_upkeep_us = mo_clock_us(),
@@ -330,6 +329,8 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
     free_store(store);
     return NULL;
   }
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    store->keep_jobs_us[kind] = config->keep_jobs_s[kind] * 1000000;
   return store;
 }
 

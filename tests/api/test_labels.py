@@ -166,3 +166,29 @@ def test_retention(start, tmp_path):
     last = start("--keep-recordings=12h", state=tmp_path)
     until(lambda: last.get(f"/v1/jobs/{jobs[1]}")["recorded_bytes"] == 0)
     assert all(last.get(f"/v1/jobs/{job}")["recorded_bytes"] for job in (jobs[0], jobs[3]))
+
+
+def test_retention_of_runs(start, tmp_path):
+    """Trainings and campaigns go by age, each kind by its own rule; what another needs stays, and
+    so does a controller."""
+    first = start(state=tmp_path)
+    taught = run(first, "trainings", {
+        "kind": "pretrain", "name": "stays", "steps": 1, "batch": 1, "physics": {"n_steps": 5},
+        "validation": {"designs": 1, "environments": 1}})["id"]
+    parent = run(first, "campaigns", SMALL)["id"]
+    bred = run(first, "campaigns", SMALL | {"initial": {"campaign": parent}})["id"]
+    alone = run(first, "campaigns", SMALL | {"seed": 2})["id"]
+    first.stop()
+    with sqlite3.connect(tmp_path / "morphod.db") as db:
+        db.execute("UPDATE jobs SET finished_us=finished_us-86400000000 WHERE id<>?", [bred])
+    db.close()
+    again = start("--keep-campaigns=12h", state=tmp_path)
+    until(lambda: ids(again, "archived=all") == [bred, parent, taught])
+    again.stop()
+    assert list((tmp_path / "trainings" / taught).iterdir())
+    last = start("--keep-trainings=12h", state=tmp_path)
+    until(lambda: ids(last, "archived=all") == [bred, parent])
+    until(lambda: not (tmp_path / "trainings" / taught).exists())
+    assert last.request("GET", "/v1/controllers/stays/file").status == 200
+    assert {one["job"] for one in last.get("/v1/events?format=json")["items"]
+            if one["type"] == "job.deleted"} == {alone, taught}

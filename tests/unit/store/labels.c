@@ -264,11 +264,54 @@ static void forgets_by_age(void)
   CHECK(strstr(last_event(ids[3]).data, "\"reason\":\"age\"") != NULL);
   for (int i = 0; i < 5; i++)
     CHECK_INT(job_of(ids[i]).recorded_bytes, i == 2 || i == 3 ? 0 : sizeof(com));
-  REQUIRE_OK(reopen_with((struct mo_store_config){.keep_evaluations_s = 60}));
+  REQUIRE_OK(reopen_with((struct mo_store_config){.keep_jobs_s = {60}}));
   CHECK(is_gone(ids[3]));
   FINDS(Q(.archived = -1), ids[4] + 1, ids[4], ids[2], ids[1], ids[0], -1);
   CHECK_TEXT(last_event(ids[3]).type, "job.deleted");
   CHECK_OK(check_whole());
+}
+
+/* Campaigns and trainings go with their files, each by its own rule. What is noted or needed stays,
+ * and an imported campaign until it has been here as long. */
+static void forgets_runs_by_age(void)
+{
+#define KEEPS(kind) ((struct mo_store_config){.keep_jobs_s = {[MO_JOB_##kind] = 60}})
+  static const char old[] =
+      "UPDATE jobs SET finished_us=1; INSERT OR REPLACE INTO imports SELECT max(job),1,1,"
+      "zeroblob(32),unixepoch()*1000000 FROM campaigns";
+  struct mo_campaign_request submission = campaign_submission(MO_FEW_SHOT, MADE_POPULATION, 30);
+  struct mo_training_request training = submission_of(5);
+  const int64_t trained = submit_training(&training);
+  submission.record.replicates = 2;
+  const int64_t id = submit_campaign(&submission);
+  struct made made = made_start(id, MO_FEW_SHOT, 3);
+  commit_one(&made);
+  submission.record.replicates = 1;
+  submission.record.initial_campaign = id;
+  const int64_t bred = submit_campaign(&submission);
+  submission.record.initial_campaign = 0;
+  const int64_t entered = submit_campaign(&submission);
+  for (int64_t one = trained; one <= entered; one++)
+    CHECK_OK(change(one, MO_CHANGE_CANCEL));
+  CHECK_OK(mo_store_edit_job(store, bred, &(struct mo_job_edit){.has_note = true, .note = "!"}));
+  close_store();
+  CHECK_OK(outside(old));
+  REQUIRE_OK(reopen_with(KEEPS(CAMPAIGN)));
+  CHECK(is_gone(id + 1));
+  FINDS(Q(.archived = -1), entered, bred, id, trained, -1);
+  CHECK_INT(files_of("campaigns", id), 1);
+  CHECK_OK(mo_store_edit_job(store, bred, &(struct mo_job_edit){.has_note = true, .note = NULL}));
+  close_store();
+  CHECK_OK(outside("UPDATE imports SET imported_us=1"));
+  REQUIRE_OK(reopen_with(KEEPS(CAMPAIGN)));
+  CHECK(is_gone(id) && is_gone(bred) && is_gone(entered));
+  CHECK_INT(files_of("campaigns", id), -1);
+  FINDS(Q(.archived = -1), trained, -1);
+  REQUIRE_OK(reopen_with(KEEPS(TRAINING)));
+  CHECK(is_gone(trained));
+  CHECK_TEXT(last_event(trained).type, "job.deleted");
+  CHECK_OK(check_whole());
+#undef KEEPS
 }
 
 static const struct check_case cases[] = {
@@ -278,5 +321,6 @@ static const struct check_case cases[] = {
     {"keeps what others need", keeps_what_others_need},
     {"goes on after an end", goes_on_after_an_end},
     {"forgets by age", forgets_by_age},
+    {"forgets runs by age", forgets_runs_by_age},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)
