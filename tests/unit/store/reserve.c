@@ -9,6 +9,7 @@
 
 #include "by_hand.h"
 #include "one_store.h"
+#include "store/deletion.h"
 #include "store/internal.h"
 #include "training_fixture.h"
 
@@ -192,6 +193,8 @@ static void keeps_it_for_people(void)
   struct mo_checkpoints_removed removed = {.n = 0};
   struct mo_saved_trajectory saved = {.frames = 4000, .n_masses = 100};
   struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
+  struct mo_deleted deleted;
+  struct mo_message message;
   uint64_t bytes = 0;
   int64_t ids[JOBS];
   enum mo_job_state before = MO_JOB_QUEUED;
@@ -220,6 +223,10 @@ static void keeps_it_for_people(void)
   CHECK_OK(mo_store_controller_remove(store, "spare"));
   CHECK_OK(mo_store_checkpoints_remove(store, trained, MO_JOB_TRAINING, 1, &removed));
   CHECK_INT(removed.n, 1);
+  CHECK_OK(change(trained, MO_CHANGE_CANCEL));
+  CHECK_OK(mo_store_delete_job(store, trained, &deleted, &message));
+  CHECK(deleted.n_checkpoints == 1 && deleted.checkpoint_bytes == 5);
+  CHECK_INT(files_of("trainings", trained), -1);
   CHECK_OK(mo_store_trajectories_remove(store, ids[0], &bytes));
   CHECK_INT(bytes, 4800000); /* more than the reserve */
   printf("# %d writes in vain\n", atomic_load(&retries.writes));
