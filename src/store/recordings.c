@@ -154,6 +154,7 @@ static int remove_oldest(struct mo_store *store, void *arguments)
   static const char aged_sql[] =
       "SELECT e.job FROM evaluations e JOIN jobs j ON j.id=e.job WHERE e.recorded_bytes>0"
       " AND j.state>=3 AND j.finished_us<?1 AND j.archived_us=0 AND j.note IS NULL"
+      " AND NOT EXISTS(SELECT 1 FROM imports WHERE job=e.job AND imported_us>=?1)"
       " ORDER BY e.job LIMIT 1";
   struct removal *removal = arguments;
   int64_t sum = 0;
