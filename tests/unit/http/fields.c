@@ -285,6 +285,39 @@ static void problems(void)
   mo_text_free(&text);
 }
 
+/* The fewest digits from 15 on that read back, as printf writes them. */
+static void shortest_numbers(void)
+{
+  struct mo_text text = {0};
+  uint64_t state = 1, wrong = 0;
+  for (int i = 0; i < 200000; i++) {
+    char expected[40];
+    double number;
+    state = state * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
+    memcpy(&number, &state, sizeof(number));
+    if (i % 4 == 1) /* of few digits */
+      number = (double)(int64_t)(state >> 20) * pow(10, -(int)(state % 30));
+    else if (i % 4 == 2) /* beside powers of ten, and powers of two */
+      number = i % 8 == 2 ? nextafter(pow(10, (int)(state >> 40) % 40 - 20), (double)(state % 3))
+                          : ldexp(1, (int)(state >> 40) % 70 - 18);
+    else if (i % 4 == 3) /* a score */
+      number = (double)(state >> 11) * 0x1p-53;
+    if (!isfinite(number) || (number == trunc(number) && fabs(number) < 1e15))
+      continue;
+    for (int digits = 15; digits <= 17; digits++) {
+      snprintf(expected, sizeof(expected), "%.*g", digits, number);
+      if (strtod(expected, NULL) == number)
+        break;
+    }
+    text.size = 0;
+    mo_text_json_number(&text, number);
+    if (strcmp(text.data, expected) != 0 && wrong++ == 0)
+      printf("# %s, expected %s\n", text.data, expected);
+  }
+  CHECK_INT(wrong, 0);
+  mo_text_free(&text);
+}
+
 static void texts(void)
 {
   struct mo_text text = {0};
@@ -393,6 +426,7 @@ static const struct check_case cases[] = {
     {"tokens", tokens},
     {"problems", problems},
     {"texts", texts},
+    {"shortest numbers", shortest_numbers},
     {"floats", floats},
 };
 CHECK_MAIN(cases)
