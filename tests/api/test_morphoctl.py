@@ -580,7 +580,7 @@ def test_bundles(service, ctl, tmp_path):
     """By each word that names campaigns, and by one only."""
     path = str(tmp_path / "one.tar.zst")
     id = run(service, "campaigns", {
-        "mode": "zero-shot", "population": 4, "generations": 1, "physics": {"n_steps": 5},
+        "mode": "zero-shot", "population": 4, "generations": 1, "physics": {"n_steps": 20},
         "exclude_pretraining": False, "label": "to go", "experiment": "a bundle",
         "seed": 90})["id"]
     for which in ([id], ["--label", "to go"], ["--experiment", "a bundle"], ["--group", id]):
@@ -589,6 +589,9 @@ def test_bundles(service, ctl, tmp_path):
         status, out, err = ctl("bundle verify", path, "--json")
         assert status == 0 and [item["source"]["campaign"] for item in
                                 json.loads(out)["items"]] == [id], (which, out, err)
+    assert ctl("campaign champions", id, "-n", "2", "-o", str(tmp_path / "paths"))[0] == 0
+    assert ctl("bundle export", path, id, "--recordings")[0] == 0
+    assert "1 recorded evaluations" in ctl("bundle verify", path)[1]
     for which in ([], [id, "--label", "to go"], ["--experiment", "a bundle", "--group", id]):
         status, _, err = ctl("bundle export", path, *which)
         assert status == 2 and "--experiment or --group" in err, (which, err)

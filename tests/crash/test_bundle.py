@@ -18,13 +18,22 @@ def send(daemon, bundle, replies):
         replies.append(None)
 
 
+def recordings(daemon, id):
+    return requests.get(f"{daemon.address}/v1/evaluations/{id}/trajectories", timeout=60).content
+
+
 def test_kill_while_a_bundle_enters(daemon, soak, seed):
     print(f"seed {seed}")
     generator = random.Random(seed)
     home = daemon("home")
     with home:
         campaign = home.succeed(home.submit(CAMPAIGN, "campaigns"), "campaigns")
-        bundle = requests.get(home.address + "/v1/bundles", timeout=60).content
+        best = home.json(f"/v1/campaigns/{campaign['id']}/population?limit=20")["items"]
+        seen = home.score({"designs": [{"voxels": row["genotype"]} for row in best],
+                           "environments": CAMPAIGN["environments"], "record": ["masses"],
+                           "physics": CAMPAIGN["physics"]})
+        recorded = recordings(home, seen["id"])
+        bundle = requests.get(home.address + "/v1/bundles?recordings=true", timeout=60).content
         designs = requests.get(
             f"{home.address}/v1/campaigns/{campaign['id']}/phylogeny?format=csv", timeout=60).text
         home.end()
@@ -50,8 +59,11 @@ def test_kill_while_a_bundle_enters(daemon, soak, seed):
         if items:
             table = f"{victim.address}/v1/campaigns/{items[0]['id']}/phylogeny?format=csv"
             assert requests.get(table, timeout=60).text == designs
+            entered = victim.json("/v1/evaluations")["items"][0]["id"]
+            assert recordings(victim, entered) == recorded
         else:
             assert victim.json("/v1/designs")["items"] == []
+            assert victim.json("/v1/evaluations")["items"] == []
         victim.end()
         if items:
             victim = daemon(f"victim-{len(seen)}-{generator.random()}")
