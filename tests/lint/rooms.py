@@ -20,6 +20,8 @@ ROOMS = {
     "learning": [],
     "evolution": [],
     "store": ["sqlite3.h", "nettle/"],
+    "fleet": [],
+    "worker": ["curl/"],
     "jobs": [],
     "http": ["microhttpd.h"],
     "api": ["zstd.h"],

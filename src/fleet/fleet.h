@@ -1,0 +1,145 @@
+/* fleet.h: the workers of other machines that compute for this daemon.
+ *
+ * A worker opens a session. It takes leases, which are blocks off the fair queue of its class, and
+ * returns their rows. A lease is memory: after a restart of the daemon it is computed again. A
+ * session that leaves, is silent, or is too slow with a lease loses it, and the lease is given out
+ * again. The first result counts; later ones are compared with it.
+ *
+ * This room knows neither HTTP nor SQL. Time is the argument `now_ns` (of mo_clock_ns), so that
+ * tests turn the clock. All functions may be called from any thread. */
+#ifndef MORPHO_FLEET_FLEET_H
+#define MORPHO_FLEET_FLEET_H
+
+#include <morpho/compute.h>
+
+#include "fleet/wire.h"
+
+#define MO_FLEET_SESSIONS_MAX 4096
+#define MO_FLEET_NAME_BYTES   64 /* of a session or host, without NUL */
+#define MO_FLEET_SILENCE_MS   6000
+#define MO_FLEET_LEASE_S      1.0 /* time that a lease should take */
+#define MO_FLEET_LEASES       2   /* of a session at one time */
+
+/* Where work comes from and results go: mo_compute's functions for remote takers in the service
+ * (mo_fleet_source_of), others in tests. */
+struct mo_fleet_source {
+  void *context;
+  struct mo_taken *(*take)(void *context, enum mo_back_end back_end, uint64_t max_steps);
+  void (*put_back)(void *context, struct mo_taken *taken);
+  struct mo_taken *(*split)(void *context, struct mo_taken *taken);
+  bool (*is_cancelled)(void *context, const struct mo_taken *taken);
+  void (*deliver)(void *context, struct mo_taken *taken, const struct mo_remote_result *result);
+  void (*want)(void *context, enum mo_back_end back_end, uint32_t blocks);
+};
+struct mo_fleet_source mo_fleet_source_of(struct mo_compute *compute);
+
+enum mo_session_state {
+  MO_SESSION_ACTIVE,
+  MO_SESSION_DRAINING,    /* gets no further leases */
+  MO_SESSION_QUARANTINED, /* gave other bits than two others; its later results are not taken */
+  MO_SESSION_LEFT         /* told so */,
+  MO_SESSION_LOST         /* its connection ended, or it was silent */
+};
+extern const char *const mo_session_state_words[]; /* "active", …; NULL */
+
+struct mo_fleet_config {
+  struct mo_fleet_source source;
+  struct mo_workspace workspace;
+  uint64_t epoch;
+  uint64_t seed;       /* of the choice of audits; the same in tests */
+  const char *version; /* of the program; other workers are refused */
+  /* By enum mo_back_end: the class, and the hash that its canary must have; class NULL: not served.
+   */
+  struct {
+    const char *scores, *gradients;
+    struct mo_sha256 canary;
+  } classes[2];
+  uint32_t silence_ms; /* 0: MO_FLEET_SILENCE_MS */
+  /* Called without locks. wake: the session may have orders or work for a request that waits.
+   * event: type such as "fleet.joined", data: a JSON object. Each nullable. */
+  void (*wake)(void *context, uint64_t session);
+  void (*event)(void *context, const char *type, const char *data);
+  void *context;
+};
+
+struct mo_fleet;
+int mo_fleet_create(const struct mo_fleet_config *config, struct mo_fleet **fleet);
+/* Puts all leases back. NULL-safe. Before mo_compute_free. */
+void mo_fleet_free(struct mo_fleet *fleet);
+
+/* ---- canary: frozen lives, whose losses have the same bits in one class ---- */
+/* Computes the canary of a class by the workers or the devices of a back end: 0.1 to 0.3 s.
+ * MO_ERR_DEVICE, MO_ERR_NO_MEMORY. */
+int mo_fleet_canary(struct mo_compute *compute, enum mo_back_end back_end, struct mo_sha256 *hash);
+
+/* ---- sessions ---- */
+struct mo_fleet_offer {
+  char name[MO_FLEET_NAME_BYTES + 1], host[MO_FLEET_NAME_BYTES + 1], version[32];
+  char user[MO_FLEET_NAME_BYTES + 1]; /* of its token; "": none */
+  uint32_t n_threads, n_devices;
+  struct {
+    char scores[128], gradients[128]; /* "": does not serve this back end */
+    struct mo_sha256 canary;
+  } classes[2]; /* by enum mo_back_end */
+};
+/* Opens a session. Returns its id, > 0, unguessable. MO_ERR_UNSUPPORTED: another version, no class
+ * that this daemon has; MO_ERR_CONFLICT: a wrong canary (with both hashes in the message), or the
+ * name is quarantined; MO_ERR_LIMIT. */
+int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer, uint64_t now_ns,
+                      struct mo_message *message);
+/* Closes a session and puts its leases back. why: "left", "connection ended". MO_ERR_NOT_FOUND. */
+int mo_fleet_leave(struct mo_fleet *fleet, uint64_t session, bool is_lost, uint64_t now_ns);
+/* Takes results, and gives leases while the session holds fewer than MO_FLEET_LEASES. `up`: a
+ * message of results, or size 0. `down` (malloc): a message of leases. *n_leases: how many; 0: call
+ * again after `wake`. MO_ERR_NOT_FOUND: no such session (any more): the worker joins again;
+ * MO_ERR_FORMAT: nothing was taken; MO_ERR_CONFLICT: quarantined. */
+int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t session, const uint8_t *up, size_t up_size,
+                      uint64_t now_ns, uint8_t **down, size_t *down_size, uint32_t *n_leases,
+                      struct mo_message *message);
+
+/* What a session is told on its watch: leases to drop, and whether to go on. */
+struct mo_fleet_orders {
+  enum mo_session_state state;
+  uint32_t n_dropped;
+  struct mo_lease_id dropped[16];
+};
+/* Reads the orders since the last call; counts as a sign of life. Returns 1: there are some; 0;
+ * MO_ERR_NOT_FOUND. */
+int mo_fleet_orders(struct mo_fleet *fleet, uint64_t session, uint64_t now_ns,
+                    struct mo_fleet_orders *orders);
+/* Encodes the weights of a lease that is out (malloc): a controller file with this SHA-256.
+ * MO_ERR_NOT_FOUND. */
+int mo_fleet_controller(struct mo_fleet *fleet, const struct mo_sha256 *hash, uint8_t **bytes,
+                        size_t *size);
+
+/* About every 20 ms: gives out again what is late, ends silent sessions, drops cancelled leases. */
+void mo_fleet_tick(struct mo_fleet *fleet, uint64_t now_ns);
+
+/* For operators. MO_ERR_NOT_FOUND. Quarantine holds for the session's name until `release`. */
+int mo_fleet_drain(struct mo_fleet *fleet, uint64_t session);
+int mo_fleet_quarantine(struct mo_fleet *fleet, uint64_t session, const char *why);
+int mo_fleet_release(struct mo_fleet *fleet, const char *name);
+
+/* ---- facts ---- */
+struct mo_session_status {
+  uint64_t id;
+  struct mo_fleet_offer offer;
+  enum mo_session_state state;
+  char why[128];                          /* it ended, or is quarantined; "": works */
+  uint64_t joined_ns, heard_ns, ended_ns; /* ended 0: open */
+  uint32_t leases, rows_out;              /* held now */
+  double rows_per_s;                      /* of about the last ten leases */
+  double busy_s;
+  uint64_t leases_done, leases_lost, rows_done, audits, audits_failed;
+};
+struct mo_fleet_status {
+  uint32_t n_sessions, n_threads, n_devices, n_quarantined; /* open ones */
+  uint32_t leases, rows_out;
+  double rows_per_s;
+  uint64_t joined, lost, leases_done, leases_again, rows_done, rows_twice, audits, audits_failed;
+};
+void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status);
+/* Lists open sessions and the newest 256 ended ones, open ones first (malloc). MO_ERR_NO_MEMORY. */
+int mo_fleet_sessions(struct mo_fleet *fleet, struct mo_session_status **items, size_t *n);
+
+#endif

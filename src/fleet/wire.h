@@ -1,0 +1,92 @@
+/* wire.h: the messages of an exchange between the daemon and a worker.
+ *
+ * A worker sends one message of results and receives one message of leases. A lease is work: bodies
+ * by their genotypes, the environments and the physics to score them in, and the hash of the
+ * weights. A result holds the rows of one lease. Numbers are little-endian, and floats keep their
+ * bits.
+ *
+ *   message    header, then the items one after the other
+ *   header     "MOFLEET" and kind ('L' leases, 'R' results); u32 version; u32 items; u64 bytes of
+ *              the whole message
+ *   lease      u64 epoch; u64 number; u32 flags; u32 environments; u32 blocks; u32 rows; 32 bytes
+ *              SHA-256 of the weights (zeros: passive bodies); physics (10 f64; u32 steps, impact,
+ *              bisections, 0); environments (66 f64 each); blocks: genotype (⌈voxels / 8⌉ bytes),
+ *              u8 n, n × u16 environment
+ *   result     u64 epoch; u64 number; u32 state; u32 rows; f64 processor seconds; f64 elapsed
+ *              seconds; rows × f64 loss; rows × u32 step of divergence
+ *
+ * A decoder accepts exactly what an encoder writes: every size is bounded, there is nothing
+ * after the last item, and values pass the checks of the API. */
+#ifndef MORPHO_FLEET_WIRE_H
+#define MORPHO_FLEET_WIRE_H
+
+#include <morpho/compute.h>
+
+#include "store/hash.h"
+
+#define MO_WIRE_VERSION          1
+#define MO_WIRE_LEASES_MAX       4      /* of a message */
+#define MO_WIRE_RESULTS_MAX      8      /* of a message */
+#define MO_WIRE_ROWS_MAX         131072 /* of a lease */
+#define MO_WIRE_ENVIRONMENTS_MAX 4096   /* of a lease */
+#define MO_WIRE_WORDS_MAX        16     /* of a genotype: 1024 voxels */
+
+/* The epoch is the number of the store's opening. A restarted daemon does not take a result of its
+ * previous life for one of its own leases. */
+struct mo_lease_id {
+  uint64_t epoch, number;
+};
+
+struct mo_wire_block {
+  uint64_t genotype[MO_WIRE_WORDS_MAX]; /* placed */
+  uint32_t n_environments;              /* 1 … MO_BLOCK_LANES */
+  uint16_t environments[MO_BLOCK_LANES];
+};
+struct mo_wire_lease {
+  struct mo_lease_id id;
+  struct mo_sha256 controller; /* of the file of mo_controller_encode; zeros: passive bodies */
+  struct mo_physics physics;
+  enum mo_back_end back_end; /* flag 1: on a device */
+  uint32_t n_environments, n_blocks, n_rows;
+  struct mo_environment *environments; /* (n_environments) */
+  struct mo_wire_block *blocks;        /* (n_blocks) */
+};
+
+enum mo_wire_state {
+  MO_RESULT_DONE = 0,
+  MO_RESULT_GIVEN_BACK = 1, /* not computed: the worker leaves, or the lease was cancelled */
+  MO_RESULT_FAILED = 2      /* the worker cannot compute it */
+};
+struct mo_wire_result {
+  struct mo_lease_id id;
+  enum mo_wire_state state;
+  uint32_t n_rows; /* of the blocks, in their order; 0 unless MO_RESULT_DONE */
+  double busy_s;   /* processor (or device) seconds */
+  double wall_s;
+  double *losses;           /* (n_rows) +infinity: diverged */
+  uint32_t *diverged_steps; /* (n_rows) 0: did not diverge */
+};
+
+struct mo_wire_leases {
+  uint32_t n;
+  struct mo_wire_lease items[MO_WIRE_LEASES_MAX];
+};
+struct mo_wire_results {
+  uint32_t n;
+  struct mo_wire_result items[MO_WIRE_RESULTS_MAX];
+};
+
+/* Encode a message (malloc). MO_ERR_NO_MEMORY, MO_ERR_LIMIT. */
+int mo_wire_put_leases(const struct mo_wire_leases *leases, struct mo_workspace workspace,
+                       uint8_t **bytes, size_t *size);
+int mo_wire_put_results(const struct mo_wire_results *results, uint8_t **bytes, size_t *size);
+/* Decode a message and check every value. MO_ERR_FORMAT: the message says what is wrong and where;
+ * MO_ERR_UNSUPPORTED: another version; MO_ERR_NO_MEMORY. After an error nothing is left to free. */
+int mo_wire_get_leases(const uint8_t *bytes, size_t size, struct mo_workspace workspace,
+                       struct mo_wire_leases *leases, struct mo_message *message);
+int mo_wire_get_results(const uint8_t *bytes, size_t size, struct mo_wire_results *results,
+                        struct mo_message *message);
+void mo_wire_free_leases(struct mo_wire_leases *leases);
+void mo_wire_free_results(struct mo_wire_results *results);
+
+#endif
