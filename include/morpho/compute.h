@@ -61,7 +61,7 @@ struct mo_block {
   struct mo_outcome outcomes[MO_BLOCK_LANES];
   int status;                   /* MO_OK, MO_ERR_CANCELLED, MO_ERR_NO_MEMORY, MO_ERR_DEVICE, … */
   enum mo_back_end computed_on; /* with MO_OK */
-  const char *origin;           /* with MO_OK: the remote taker that computed it; NULL: this machine */
+  int64_t origin;               /* with MO_OK: that of the remote taker's result; 0: this machine */
   /* Called once, on a worker's or a device's thread, after the results are written. Must be short;
    * may free the block. */
   void (*done)(struct mo_block *block, void *context);
@@ -215,13 +215,14 @@ const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute);
 
 /* ---- remote takers: machines that compute blocks of this back end's queues ---- */
 
-/* Blocks that a remote taker took together: batch blocks in float32 that record nothing and bring no
- * body, all of one share, one controller and one physics. The submitters still own the blocks. */
+/* Blocks that a remote taker took together: batch blocks in float32 that record nothing and bring
+ * no body, all of one share, one controller and one physics. The submitters still own the blocks.
+ */
 struct mo_taken {
   enum mo_back_end back_end;
-  uint32_t n_blocks, n_rows;                   /* a row is one rollout */
-  struct mo_block *const *blocks;              /* (n_blocks) */
-  const struct mo_controller *controller;      /* of all blocks; NULL: passive bodies */
+  uint32_t n_blocks, n_rows;                    /* a row is one rollout */
+  struct mo_block *const *blocks;               /* (n_blocks) */
+  const struct mo_controller *controller;       /* of all blocks; NULL: passive bodies */
   const struct mo_compute_controller *prepared; /* the same; identifies it while blocks are taken */
   /* Private to the back end behind this. */
 };
@@ -230,12 +231,12 @@ struct mo_remote_result {
   int status;               /* MO_OK, or an error for all blocks */
   const double *losses;     /* (n_rows) in the order of blocks and environments; with MO_OK */
   const uint32_t *diverged; /* (n_rows) steps of divergence; 0: none */
-  const char *origin;       /* who computed it; must live as long as the process */
+  int64_t origin;           /* who computed it, by the taker's own numbers; > 0 */
   double busy_s;            /* worker seconds, charged to the share */
 };
-/* Takes at least one block, and more while their rollout steps stay within max_steps. Does not wait.
- * NULL: no block suits, or out of memory. Each taken is either put back or delivered, once, before
- * mo_compute_free. */
+/* Takes at least one block, and more while their rollout steps stay within max_steps. Does not
+ * wait. NULL: no block suits, or out of memory. Each taken is either put back or delivered, once,
+ * before mo_compute_free. */
 struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end back_end,
                                  uint64_t max_steps);
 /* Puts the blocks back at the front of their share, charges nothing, and frees `taken`. */
@@ -249,13 +250,15 @@ bool mo_taken_is_cancelled(const struct mo_taken *taken);
  * Cancelled blocks end as cancelled. */
 void mo_compute_deliver(struct mo_compute *compute, struct mo_taken *taken,
                         const struct mo_remote_result *result);
-/* Says how many blocks remote takers of a back end can hold: submitters keep that many more
- * submitted (mo_compute_blocks_wanted). 0: there are no remote takers. */
+/* Says how many blocks remote takers of a back end can hold, 0 at first. Submitters keep that many
+ * more submitted. */
 void mo_compute_want_remote(struct mo_compute *compute, enum mo_back_end back_end, uint32_t blocks);
+uint32_t mo_compute_remote_wanted(const struct mo_compute *compute, enum mo_back_end back_end);
 /* Leaves to remote takers what suits them: workers take only other blocks. */
 void mo_compute_leave_remote(struct mo_compute *compute, bool leave);
-/* Called when a block that suits is queued while none was, with a lock held: it must be short and
- * must not call this room. Set it before the first block. */
+/* Sets what is called when a block that suits is queued, the first time after mo_compute_take found
+ * none. A lock is held: the call must be short and must not call this room. Set it before the first
+ * block. */
 void mo_compute_watch_remote(struct mo_compute *compute, void (*arrived)(void *context),
                              void *context);
 

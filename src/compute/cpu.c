@@ -261,6 +261,13 @@ void mo_compute_settle(const struct mo_compute *compute)
   }
 }
 
+static bool is_for_workers(const struct mo_block *block, void *context)
+{
+  const struct mo_compute *compute = context;
+  return !atomic_load_explicit(&compute->core.remote.leave, memory_order_relaxed) ||
+         atomic_load(&compute->stopping) || !mo_block_suits_remote(block);
+}
+
 static void *work(void *argument)
 {
   struct worker *worker = argument;
@@ -274,7 +281,7 @@ static void *work(void *argument)
       block = mo_queue_pop(&compute->queues[q]);
     const bool urgent = block != NULL;
     if (!urgent)
-      block = mo_fair_take(&compute->fair, &charge);
+      block = mo_fair_take(&compute->fair, &charge, is_for_workers, compute);
     if (block == NULL) {
       if (atomic_load(&compute->stopping))
         break;
@@ -309,6 +316,19 @@ static int start_worker(struct mo_compute *compute, struct worker *worker, uint3
 void mo_compute_set_gradient_bytes(struct mo_compute *compute, size_t bytes)
 {
   atomic_store(&compute->gradient_bytes, bytes);
+}
+
+void mo_compute_wake(struct mo_compute *compute)
+{
+  struct mo_devices *devices = compute->core.devices;
+  pthread_mutex_lock(&compute->fair.mutex);
+  pthread_cond_broadcast(&compute->wake);
+  pthread_mutex_unlock(&compute->fair.mutex);
+  if (devices == NULL)
+    return;
+  pthread_mutex_lock(&devices->fair.mutex);
+  pthread_cond_broadcast(&devices->wake);
+  pthread_mutex_unlock(&devices->fair.mutex);
 }
 
 void mo_compute_trim(struct mo_compute *compute)
@@ -351,6 +371,7 @@ int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_comp
            "cpu %s float32 gradient-%d", mo_isa_name(config->isa), MO_GRADIENT_VERSION);
   pthread_cond_init(&compute->wake, NULL);
   mo_fair_init(&compute->fair, wanted);
+  compute->core.fair = &compute->fair;
   compute->own.compute = compute;
   mo_fair_add(&compute->fair, &compute->own, 1);
   for (uint32_t i = 0; i < wanted; i++)
@@ -414,6 +435,7 @@ static int enqueue(struct mo_compute *compute, struct mo_block *block, int urgen
       mo_queue_push(&compute->queues[urgent_queue], block);
     else
       mo_fair_push(&compute->fair, block->share != NULL ? block->share : &compute->own, block);
+    mo_remote_arrived(&compute->core, block);
     pthread_cond_signal(&compute->wake);
   }
   pthread_mutex_unlock(&compute->fair.mutex);
@@ -431,6 +453,7 @@ int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
     return MO_ERR_INVALID;
   block->gradient = NULL;
   block->shards = NULL;
+  block->origin = 0;
   if (block->back_end == MO_ON_DEVICE && block->precision == MO_FLOAT32 &&
       block->recordings == NULL)
     return compute->core.devices != NULL ? mo_devices_submit(compute->core.devices, block)

@@ -75,7 +75,7 @@ bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk)
   struct mo_fair *fair = &unit->devices->fair;
   struct mo_block *block = mo_fair_take_from(fair, &unit->devices->urgent, &chunk->charge);
   if (block == NULL)
-    block = mo_fair_take(fair, &chunk->charge);
+    block = mo_fair_take(fair, &chunk->charge, NULL, NULL);
   if (block == NULL)
     return false;
   struct room room = {.like = block};

@@ -277,6 +277,7 @@ int mo_devices_submit(struct mo_devices *devices, struct mo_block *block)
     const bool nothing_waits = atomic_load(&devices->fair.waiting) == 0;
     devices->tasks_waiting += block->shards != NULL;
     mo_fair_push(&devices->fair, share_of(devices, block), block);
+    mo_remote_arrived(mo_core(devices->compute), block);
     if (nothing_waits || block->shards != NULL)
       pthread_cond_broadcast(&devices->wake);
   }

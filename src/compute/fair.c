@@ -61,8 +61,7 @@ void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, do
   pthread_mutex_unlock(&fair->mutex);
 }
 
-/* Counts rollout steps, to which the cost of a block is about proportional. */
-static double units_of(const struct mo_block *block)
+double mo_fair_units(const struct mo_block *block)
 {
   const uint32_t n = block->gradient != NULL ? block->gradient->n
                      : block->shards != NULL ? block->shards->n
@@ -84,7 +83,7 @@ static struct mo_block *take_first(struct mo_fair *fair, struct mo_fair_charge *
 {
   struct mo_compute_share *share = charge->share;
   struct mo_block *block = mo_queue_pop(&share->queue);
-  const double units = units_of(block), estimate_s = units * share->unit_s[charge->kind];
+  const double units = mo_fair_units(block), estimate_s = units * share->unit_s[charge->kind];
   atomic_fetch_sub(&fair->waiting, 1);
   charge->n_blocks++;
   charge->units += units;
@@ -93,11 +92,14 @@ static struct mo_block *take_first(struct mo_fair *fair, struct mo_fair_charge *
   return block;
 }
 
-struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge)
+struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge,
+                              bool (*fits)(const struct mo_block *block, void *context),
+                              void *context)
 {
   struct mo_compute_share *next = NULL;
   for (struct mo_compute_share *share = fair->shares; share != NULL; share = share->next)
-    if (share->queue.first != NULL && (next == NULL || share->virtual_s < next->virtual_s))
+    if (share->queue.first != NULL && (next == NULL || share->virtual_s < next->virtual_s) &&
+        (fits == NULL || fits(share->queue.first, context)))
       next = share;
   return next != NULL ? mo_fair_take_from(fair, next, charge) : NULL;
 }
@@ -122,6 +124,16 @@ struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *
 {
   const struct mo_block *next = charge->share->queue.first;
   return next != NULL && fits(next, context) ? take_first(fair, charge) : NULL;
+}
+
+void mo_fair_put_back(struct mo_fair *fair, const struct mo_fair_charge *charge,
+                      struct mo_block *const *blocks)
+{
+  struct mo_compute_share *share = charge->share;
+  share->virtual_s -= charge->estimate_s / share->weight;
+  for (uint32_t i = charge->n_blocks; i-- > 0;)
+    mo_queue_push_front(&share->queue, blocks[i]);
+  atomic_fetch_add(&fair->waiting, charge->n_blocks);
 }
 
 void mo_fair_settle(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds,

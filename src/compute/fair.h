@@ -40,6 +40,15 @@ static inline void mo_queue_push(struct mo_block_queue *queue, struct mo_block *
   atomic_fetch_add(&queue->n, 1);
 }
 
+static inline void mo_queue_push_front(struct mo_block_queue *queue, struct mo_block *block)
+{
+  block->next = queue->first;
+  queue->first = block;
+  if (block->next == NULL)
+    queue->last = block;
+  atomic_fetch_add(&queue->n, 1);
+}
+
 /* NULL: the queue is empty. */
 static inline struct mo_block *mo_queue_pop(struct mo_block_queue *queue)
 {
@@ -91,8 +100,11 @@ void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, do
 
 /* Call these under the mutex. */
 void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block);
-struct mo_block *mo_fair_take(struct mo_fair *fair,
-                              struct mo_fair_charge *charge); /* NULL: no block waits */
+/* Takes the first block of the share that is next, among the shares whose first block fits. fits
+ * NULL: any does. NULL: no such block waits. */
+struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge,
+                              bool (*fits)(const struct mo_block *block, void *context),
+                              void *context);
 /* Takes the next block of this share, even if another share is next; NULL: none waiting. */
 struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share *share,
                                    struct mo_fair_charge *charge);
@@ -101,6 +113,12 @@ struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share
 struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *charge,
                                    bool (*fits)(const struct mo_block *block, void *context),
                                    void *context);
+/* Puts blocks of a charge back at the front of its share, in order, and takes the charge back. Part
+ * of a charge: `charge` then holds what is charged for these blocks. */
+void mo_fair_put_back(struct mo_fair *fair, const struct mo_fair_charge *charge,
+                      struct mo_block *const *blocks);
+/* Counts rollout steps, to which the cost of a block is about proportional. */
+double mo_fair_units(const struct mo_block *block);
 /* Corrects a charge to the measured worker seconds. `whole`: the block was computed to its end, so
  * its cost updates the estimates. */
 void mo_fair_settle(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds,

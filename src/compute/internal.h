@@ -20,11 +20,20 @@ int mo_compute_controller_pack(struct mo_compute_controller *controller,
                                enum mo_precision precision, const struct mo_pack **pack);
 
 struct mo_devices;
+struct mo_fair;
 /* A back end begins with this. It lets files that cpu.c calls read it without calling cpu.c. */
 struct mo_compute_core {
   enum mo_isa isa;
   uint32_t n_workers;
+  struct mo_fair *fair;       /* the queue of the workers' batch blocks */
   struct mo_devices *devices; /* NULL: there are none */
+  struct {
+    atomic_uint blocks[2]; /* that takers can hold, by enum mo_back_end */
+    atomic_bool leave;     /* to takers what suits them */
+    atomic_bool hungry;    /* a taker found nothing since the last arrival */
+    void (*arrived)(void *context);
+    void *context;
+  } remote; /* remote.c */
   /* Queues a block for the workers that was submitted to devices, which cannot compute it.
    * MO_ERR_CANCELLED. */
   int (*submit_to_workers)(struct mo_compute *compute, struct mo_block *block);
@@ -33,6 +42,26 @@ struct mo_compute_core {
 static inline struct mo_compute_core *mo_core(const struct mo_compute *compute)
 {
   return (struct mo_compute_core *)compute;
+}
+
+/* Wakes all workers and gatherers, after blocks came back or may be taken now. */
+void mo_compute_wake(struct mo_compute *compute);
+
+/* Says whether a remote taker can compute a block. */
+static inline bool mo_block_suits_remote(const struct mo_block *block)
+{
+  return block->urgency == MO_BATCH && block->precision == MO_FLOAT32 &&
+         block->recordings == NULL && block->body == NULL && block->gradient == NULL &&
+         block->shards == NULL;
+}
+
+/* Under the mutex of the queue that the block joined: tells takers that found nothing. */
+static inline void mo_remote_arrived(struct mo_compute_core *core, const struct mo_block *block)
+{
+  if (core->remote.arrived != NULL && mo_block_suits_remote(block) &&
+      atomic_load_explicit(&core->remote.hungry, memory_order_relaxed) &&
+      atomic_exchange(&core->remote.hungry, false))
+    core->remote.arrived(core->remote.context);
 }
 
 /* Waits for blocks: `done` and `context` of each are mo_waiter_done and the waiter. */

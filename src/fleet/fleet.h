@@ -37,8 +37,8 @@ enum mo_session_state {
   MO_SESSION_ACTIVE,
   MO_SESSION_DRAINING,    /* gets no further leases */
   MO_SESSION_QUARANTINED, /* gave other bits than two others; its later results are not taken */
-  MO_SESSION_LEFT         /* told so */,
-  MO_SESSION_LOST         /* its connection ended, or it was silent */
+  MO_SESSION_LEFT /* told so */,
+  MO_SESSION_LOST /* its connection ended, or it was silent */
 };
 extern const char *const mo_session_state_words[]; /* "active", …; NULL */
 
@@ -55,8 +55,10 @@ struct mo_fleet_config {
     struct mo_sha256 canary;
   } classes[2];
   uint32_t silence_ms; /* 0: MO_FLEET_SILENCE_MS */
-  /* Called without locks. wake: the session may have orders or work for a request that waits.
+  /* Called without locks. origin: the number of "name@host" under which results are delivered; an
+   * error refuses the session. wake: the session may have orders or work for a request that waits.
    * event: type such as "fleet.joined", data: a JSON object. Each nullable. */
+  int (*origin)(void *context, const char *text, int64_t *number);
   void (*wake)(void *context, uint64_t session);
   void (*event)(void *context, const char *type, const char *data);
   void *context;

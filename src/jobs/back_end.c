@@ -76,8 +76,9 @@ uint32_t mo_back_end_window(const struct mo_jobs *jobs, enum mo_back_end back_en
 {
   struct mo_compute_stats stats;
   const uint32_t n_devices = mo_compute_devices(jobs->compute);
+  const uint32_t remote = mo_compute_remote_wanted(jobs->compute, back_end);
   if (back_end == MO_ON_DEVICE)
-    return BLOCKS_A_DEVICE * (n_devices > 0 ? n_devices : 1);
+    return remote + BLOCKS_A_DEVICE * (n_devices > 0 ? n_devices : 1);
   mo_compute_get_stats(jobs->compute, &stats);
-  return BLOCKS_A_WORKER * (stats.n_workers > 0 ? stats.n_workers : 1);
+  return remote + BLOCKS_A_WORKER * (stats.n_workers > 0 ? stats.n_workers : 1);
 }

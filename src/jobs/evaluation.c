@@ -128,7 +128,7 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
   if (error != MO_OK)
     return error;
   mark_finished(active);
-  mo_active_open_window(active, mo_back_end_window(all->jobs, work->job.back_end));
+  mo_active_open_window(active);
   error = mo_loaded_acquire(&all->jobs->controllers, &active->work->job.controller_sha256,
                             &active->controller);
   if (error == MO_OK)
@@ -272,6 +272,7 @@ static bool fill(struct mo_evaluations *all, struct mo_active *active)
 {
   unsigned budget = DESIGNS_A_ROUND;
   int launched = 1;
+  active->window.most = mo_back_end_window(all->jobs, active->work->job.back_end);
   while (launched > 0 && !active->detached && !active->finishing &&
          !(active->work->job.record != 0 && mo_saver_is_full(all)))
     launched = mo_window_launch(&active->window, &budget);

@@ -112,7 +112,7 @@ bool mo_saver_is_behind(const struct mo_evaluations *all);
 
 /* ---- evaluation_blocks.c ---- */
 /* Opens the window of a loaded job: its blocks come to mo_active_take_back. */
-void mo_active_open_window(struct mo_active *active, uint32_t most);
+void mo_active_open_window(struct mo_active *active);
 /* Makes no new blocks of the job, and ends those in flight. */
 void mo_active_detach(struct mo_active *active);
 /* Requeues the job with one more attempt; with MO_ERR_DEVICE, pauses it. */

@@ -194,6 +194,9 @@ static int fill(struct run *run)
   struct mo_compute *compute = run->window.compute;
   unsigned budget = UINT_MAX;
   int launched = 1;
+  /* It grows and shrinks as remote takers come and go. */
+  run->window.most =
+      mo_back_end_window(run->scoring->runner->jobs, run->scoring->grid.block.back_end);
   mo_compute_begin_blocks(compute);
   while (launched > 0)
     launched = mo_window_launch(&run->window, &budget);
@@ -248,6 +251,13 @@ static bool is_quiet(struct run *run)
   return quiet;
 }
 
+/* A device, or a machine far away, returns many blocks at once. */
+static bool come_in_crowds(const struct run *run)
+{
+  const enum mo_back_end back_end = run->scoring->grid.block.back_end;
+  return back_end == MO_ON_DEVICE || mo_compute_remote_wanted(run->window.compute, back_end) > 0;
+}
+
 /* Saves the results that arrived. A device returns thousands of designs within milliseconds, so
  * saving waits until it is quiet. Workers that compute what the device does not support return one
  * design after the other and may never be quiet, so saving waits at most SAVED_AFTER_US. */
@@ -259,8 +269,7 @@ static int save_what_came(struct run *run)
     return MO_OK;
   if (run->unsaved_us == 0)
     run->unsaved_us = now_us;
-  if (scoring->grid.block.back_end == MO_ON_DEVICE && now_us - run->unsaved_us < SAVED_AFTER_US &&
-      !is_quiet(run))
+  if (come_in_crowds(run) && now_us - run->unsaved_us < SAVED_AFTER_US && !is_quiet(run))
     return MO_OK;
   run->unsaved_us = 0;
   return scoring->save(scoring->context);
@@ -301,7 +310,6 @@ int mo_score(struct mo_scoring *scoring)
                     .window = {.compute = jobs->compute,
                                .inbox = &run.inbox,
                                .grid = &scoring->grid,
-                               .most = mo_back_end_window(jobs, scoring->grid.block.back_end),
                                .flight_bytes = sizeof(struct mo_flight)},
                     .begin_us = mo_clock_us(),
                     .mutex = PTHREAD_MUTEX_INITIALIZER,

@@ -77,7 +77,7 @@ static void run_until(double end_s)
     uint32_t first = WORKERS_MAX;
     for (uint32_t w = 0; w < world.n_workers; w++) {
       if (world.workers[w].block == NULL) {
-        world.workers[w].block = mo_fair_take(&world.fair, &world.workers[w].charge);
+        world.workers[w].block = mo_fair_take(&world.fair, &world.workers[w].charge, NULL, NULL);
         if (world.workers[w].block != NULL) {
           const struct submitter *submitter =
               (const struct submitter *)world.workers[w].charge.share;
@@ -237,7 +237,7 @@ static void estimates_spread_the_workers(void)
     for (int i = 0; i < 4; i++)
       submit(&world.submitters[k]);
   for (int k = 0; k < 3; k++) {
-    REQUIRE(mo_fair_take(&world.fair, &charge) != NULL);
+    REQUIRE(mo_fair_take(&world.fair, &charge, NULL, NULL) != NULL);
     CHECK(charge.share == &world.submitters[k].share);
   }
   CHECK_INT(atomic_load(&world.fair.waiting), 9);
@@ -254,12 +254,12 @@ static void first_in_first_out_and_removal(void)
   for (int i = 0; i < 3; i++)
     mo_fair_push(&world.fair, &c->share, &blocks[i]);
   for (int i = 0; i < 3; i++) {
-    struct mo_block *block = mo_fair_take(&world.fair, &charge);
+    struct mo_block *block = mo_fair_take(&world.fair, &charge, NULL, NULL);
     REQUIRE(block != NULL && charge.share == &c->share);
     CHECK_INT(block->tag, i);
     mo_fair_settle(&world.fair, &charge, 0, false);
   }
-  CHECK(mo_fair_take(&world.fair, &charge) == NULL);
+  CHECK(mo_fair_take(&world.fair, &charge, NULL, NULL) == NULL);
   mo_fair_remove(&world.fair, &c->share);
   mo_fair_remove(&world.fair, &a->share);
   CHECK(world.fair.shares == NULL);

@@ -405,6 +405,8 @@ NOTHING(mo_compute_gradient_forget, struct mo_gradient_state *state)
 NOTHING(mo_compute_settle, const struct mo_compute *compute)
 ONLY(uint32_t, 0, mo_compute_devices, const struct mo_compute *compute)
 ONLY(uint32_t, 0, mo_compute_devices_working, const struct mo_compute *compute)
+ONLY(uint32_t, 0, mo_compute_remote_wanted, const struct mo_compute *compute,
+     enum mo_back_end back_end)
 ONLY(int, MO_ERR_RANGE, mo_compute_device, struct mo_compute *compute, uint32_t position,
      struct mo_device_status *status)
 ONLY(const char *, NULL, mo_compute_device_fingerprint, const struct mo_compute *compute)

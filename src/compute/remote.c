@@ -1,0 +1,237 @@
+/* remote.c: remote takers: blocks that leave the queues for other machines, and their results.
+ *
+ * A taker chooses like a worker: the share that is next, of those whose first block suits. It takes
+ * more blocks of that share while they have the same controller and physics. The share is charged
+ * an estimate until the blocks come back. */
+#include "compute/devices.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+struct taken {
+  struct mo_taken shown;
+  struct mo_fair *fair;
+  struct mo_fair_charge charge;
+  struct mo_block **blocks; /* (n_blocks) */
+};
+
+static struct taken *mine(struct mo_taken *taken)
+{
+  return (struct taken *)taken;
+}
+
+/* ---- taking ---- */
+
+struct room {
+  const struct mo_block *like;
+  double steps; /* left */
+};
+
+static bool suits(const struct mo_block *block, void *context)
+{
+  (void)context;
+  return mo_block_suits_remote(block);
+}
+
+static bool fits(const struct mo_block *block, void *context)
+{
+  const struct room *room = context;
+  return mo_block_suits_remote(block) && block->controller == room->like->controller &&
+         mo_fair_units(block) <= room->steps &&
+         mo_same_physics(&block->physics, &room->like->physics);
+}
+
+static struct mo_fair *queue_of(struct mo_compute *compute, enum mo_back_end back_end)
+{
+  struct mo_compute_core *core = mo_core(compute);
+  if (back_end == MO_ON_CPU)
+    return core->fair;
+  return core->devices != NULL ? &core->devices->fair : NULL;
+}
+
+/* Appends a block; the array grows by doubling. */
+static bool keep(struct taken *taken, struct mo_block *block)
+{
+  const uint32_t n = taken->shown.n_blocks;
+  if ((n & (n - 1)) == 0) {
+    struct mo_block **more = realloc((void *)taken->blocks, (n > 0 ? 2 * n : 1) * sizeof(*more));
+    if (more == NULL)
+      return false;
+    taken->blocks = more;
+  }
+  taken->blocks[n] = block;
+  taken->shown.n_blocks++;
+  taken->shown.n_rows += block->n_environments;
+  return true;
+}
+
+/* Under the mutex. Undoes the take of one block, which has no place in `taken`. */
+static void undo(struct taken *taken, struct mo_block *block)
+{
+  struct mo_fair_charge charge = taken->charge;
+  charge.n_blocks = 1;
+  charge.units = mo_fair_units(block);
+  charge.estimate_s = charge.units * charge.share->unit_s[charge.kind];
+  taken->charge.n_blocks--;
+  taken->charge.units -= charge.units;
+  taken->charge.estimate_s -= charge.estimate_s;
+  mo_fair_put_back(taken->fair, &charge, &block);
+}
+
+/* Under the mutex. Takes blocks until `taken` is full. */
+static void fill(struct taken *taken, uint64_t max_steps)
+{
+  struct mo_block *block = mo_fair_take(taken->fair, &taken->charge, suits, NULL);
+  struct room room = {.like = block, .steps = (double)max_steps};
+  while (block != NULL) {
+    if (!keep(taken, block)) {
+      undo(taken, block);
+      return;
+    }
+    room.steps -= mo_fair_units(block);
+    block = mo_fair_take_more(taken->fair, &taken->charge, fits, &room);
+  }
+}
+
+static void show(struct taken *taken)
+{
+  taken->shown.blocks = taken->blocks;
+  taken->shown.prepared = taken->blocks[0]->controller;
+  taken->shown.controller = mo_compute_controller_weights(taken->blocks[0]->controller);
+}
+
+static void discard(struct taken *taken)
+{
+  free((void *)taken->blocks);
+  free(taken);
+}
+
+struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end back_end,
+                                 uint64_t max_steps)
+{
+  struct mo_fair *fair = queue_of(compute, back_end);
+  struct taken *taken = fair != NULL ? calloc(1, sizeof(*taken)) : NULL;
+  if (taken == NULL)
+    return NULL;
+  taken->shown.back_end = back_end;
+  taken->fair = fair;
+  pthread_mutex_lock(&fair->mutex);
+  fill(taken, max_steps);
+  if (taken->shown.n_blocks == 0)
+    atomic_store(&mo_core(compute)->remote.hungry, true);
+  pthread_mutex_unlock(&fair->mutex);
+  if (taken->shown.n_blocks == 0) {
+    discard(taken);
+    return NULL;
+  }
+  show(taken);
+  return &taken->shown;
+}
+
+struct mo_taken *mo_compute_split(struct mo_compute *compute, struct mo_taken *whole)
+{
+  struct taken *first = mine(whole);
+  const uint32_t n = whole->n_blocks, n_first = n / 2;
+  struct taken *second = n > 1 ? calloc(1, sizeof(*second)) : NULL;
+  double units = 0;
+  (void)compute;
+  if (second == NULL)
+    return NULL;
+  *second = (struct taken){.shown = *whole, .fair = first->fair, .charge = first->charge};
+  second->shown.n_blocks = second->shown.n_rows = 0;
+  for (uint32_t i = n_first; i < n; i++) {
+    if (!keep(second, first->blocks[i])) {
+      discard(second);
+      return NULL;
+    }
+    units += mo_fair_units(first->blocks[i]);
+  }
+  second->charge.n_blocks = n - n_first;
+  second->charge.units = units;
+  second->charge.estimate_s =
+      first->charge.units > 0 ? first->charge.estimate_s * (units / first->charge.units) : 0;
+  first->charge.n_blocks = n_first;
+  first->charge.units -= units;
+  first->charge.estimate_s -= second->charge.estimate_s;
+  first->shown.n_blocks = n_first;
+  first->shown.n_rows -= second->shown.n_rows;
+  show(second);
+  return &second->shown;
+}
+
+/* ---- returning ---- */
+
+bool mo_taken_is_cancelled(const struct mo_taken *taken)
+{
+  for (uint32_t i = 0; i < taken->n_blocks; i++)
+    if (!mo_block_is_cancelled(taken->blocks[i]))
+      return false;
+  return true;
+}
+
+void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *shown)
+{
+  struct taken *taken = mine(shown);
+  pthread_mutex_lock(&taken->fair->mutex);
+  mo_fair_put_back(taken->fair, &taken->charge, taken->blocks);
+  pthread_mutex_unlock(&taken->fair->mutex);
+  mo_compute_wake(compute);
+  discard(taken);
+}
+
+static void end_block(struct mo_block *block, const struct mo_remote_result *result, uint32_t row)
+{
+  block->status = mo_block_is_cancelled(block) ? MO_ERR_CANCELLED : result->status;
+  block->computed_on = block->back_end;
+  block->origin = result->origin;
+  for (uint32_t i = 0; i < block->n_environments && block->status == MO_OK; i++)
+    block->outcomes[i] = (struct mo_outcome){.loss = result->losses[row + i],
+                                             .diverged_step = (int32_t)result->diverged[row + i],
+                                             .com_start_m = {NAN, NAN, NAN},
+                                             .com_end_m = {NAN, NAN, NAN}};
+  block->done(block, block->context); /* the block may be gone now */
+}
+
+void mo_compute_deliver(struct mo_compute *compute, struct mo_taken *shown,
+                        const struct mo_remote_result *result)
+{
+  struct taken *taken = mine(shown);
+  uint32_t row = 0;
+  (void)compute;
+  pthread_mutex_lock(&taken->fair->mutex);
+  mo_fair_settle(taken->fair, &taken->charge, result->busy_s, result->status == MO_OK);
+  pthread_mutex_unlock(&taken->fair->mutex);
+  atomic_fetch_add(&taken->charge.share->busy_ns, (uint64_t)(1e9 * result->busy_s));
+  for (uint32_t i = 0; i < shown->n_blocks; i++) { /* the share may be freed after the last one */
+    const uint32_t n = taken->blocks[i]->n_environments;
+    end_block(taken->blocks[i], result, row);
+    row += n;
+  }
+  discard(taken);
+}
+
+/* ---- how many, and when ---- */
+
+void mo_compute_want_remote(struct mo_compute *compute, enum mo_back_end back_end, uint32_t blocks)
+{
+  atomic_store(&mo_core(compute)->remote.blocks[back_end], blocks);
+}
+
+uint32_t mo_compute_remote_wanted(const struct mo_compute *compute, enum mo_back_end back_end)
+{
+  return atomic_load(&mo_core(compute)->remote.blocks[back_end]);
+}
+
+void mo_compute_leave_remote(struct mo_compute *compute, bool leave)
+{
+  atomic_store(&mo_core(compute)->remote.leave, leave);
+  mo_compute_wake(compute);
+}
+
+void mo_compute_watch_remote(struct mo_compute *compute, void (*arrived)(void *context),
+                             void *context)
+{
+  mo_core(compute)->remote.arrived = arrived;
+  mo_core(compute)->remote.context = context;
+}
