@@ -88,3 +88,7 @@ CREATE TABLE imports(
   digest BLOB NOT NULL UNIQUE CHECK(length(digest) = 32),
   imported_us INTEGER NOT NULL
 ) STRICT;
+
+-- Who computed each block of 16 environments: rows of `origins`, 8 bytes each, little-endian; 0:
+-- this host. NULL: all by this host.
+ALTER TABLE campaign_losses ADD COLUMN origins BLOB;

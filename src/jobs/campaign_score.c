@@ -183,6 +183,7 @@ static void take(void *context, const struct mo_flight *flight, bool is_done)
     const uint32_t k = flight->places[i];
     loss->losses[k] = block->outcomes[i].loss;
     loss->diverged_steps[k] = block->outcomes[i].diverged_step;
+    loss->origins[k / MO_BLOCK_LANES] = block->origin;
     if (block->computed_on != block->back_end)
       loss->by_workers |= UINT64_C(1) << k;
   }

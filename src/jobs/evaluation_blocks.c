@@ -203,13 +203,12 @@ static int prepare_recording(void *context, struct mo_flight *any)
   return error;
 }
 
-void mo_active_open_window(struct mo_active *active, uint32_t most)
+void mo_active_open_window(struct mo_active *active)
 {
   struct mo_evaluations *all = active->all;
   active->window = (struct mo_window){.compute = all->jobs->compute,
                                       .inbox = &all->inbox,
                                       .grid = &active->grid,
-                                      .most = most,
                                       .flight_bytes = sizeof(struct flight),
                                       .context = active,
                                       .look_up = look_up,
@@ -250,6 +249,7 @@ static int take(struct mo_evaluations *all, struct mo_active *active, struct fli
                                        ? all->jobs->classes.device
                                        : all->jobs->classes.cpu[block->precision],
                     .n = block->n_environments},
+      .origin = block->origin,
       .verify_job = work->job.verify ? active->id : 0,
       .design_position = work->positions[flight->flight.design]};
   int error = MO_OK;

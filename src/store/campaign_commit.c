@@ -238,8 +238,9 @@ static int insert_child_scores(struct mo_store *store, const struct commit_argum
     if (condition->id == 0)
       error = mo_condition_row(&store->writer, condition);
     if (error == MO_OK)
-      error = mo_losses_insert(store, condition, genotype, loss->losses + k,
-                               (const uint32_t *)loss->diverged_steps + k, now_us, &is_new);
+      error = mo_losses_insert(store, condition, genotype, loss->origins[k / MO_BLOCK_LANES],
+                               loss->losses + k, (const uint32_t *)loss->diverged_steps + k, now_us,
+                               &is_new);
     all_new = all_new && is_new;
   }
   for (uint32_t k = 0; k < head->n_environments; k++)

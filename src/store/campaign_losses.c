@@ -26,19 +26,36 @@ int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
   return mo_sql_do(writer, sql, mo_int(id));
 }
 
+/* What a row's checksum covers beside the losses. Returns the number of words: origins are stored
+ * only if this host did not compute everything. */
+#define KEY_WORDS (2 + MO_ENVIRONMENTS_MAX / MO_BLOCK_LANES)
+static size_t key_of(int64_t id, const struct mo_campaign_loss *loss, int64_t key[KEY_WORDS])
+{
+  bool is_remote = false;
+  key[0] = id;
+  key[1] = loss->place;
+  for (size_t k = 0; k < KEY_WORDS - 2; k++) {
+    key[2 + k] = loss->origins[k];
+    is_remote = is_remote || loss->origins[k] != 0;
+  }
+  return is_remote ? KEY_WORDS : 2;
+}
+
 static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_campaign_loss *loss,
                      uint32_t n, int64_t *added)
 {
   static const char sql[] =
-      "INSERT OR IGNORE INTO campaign_losses(job,place,losses) VALUES(?1,?2,?3)";
-  const int64_t key[] = {id, loss->place};
+      "INSERT OR IGNORE INTO campaign_losses(job,place,losses,origins) VALUES(?1,?2,?3,?4)";
+  int64_t key[KEY_WORDS];
   uint8_t bytes[MO_PACKED_BYTES(MO_ENVIRONMENTS_MAX)];
   uint32_t steps[MO_ENVIRONMENTS_MAX];
   int error;
   for (uint32_t k = 0; k < n; k++)
     steps[k] = (uint32_t)loss->diverged_steps[k] | (loss->by_workers >> k & 1 ? BY_WORKERS : 0);
-  error = mo_sql_change(writer, sql, mo_int(id), mo_int(loss->place),
-                        mo_blob(bytes, mo_pack_losses(key, 2, loss->losses, steps, n, bytes)));
+  const size_t n_key = key_of(id, loss, key);
+  const size_t size = mo_pack_losses(key, n_key, loss->losses, steps, n, bytes);
+  error = mo_sql_change(writer, sql, mo_int(id), mo_int(loss->place), mo_blob(bytes, size),
+                        n_key > 2 ? mo_blob(loss->origins, sizeof(loss->origins)) : mo_null());
   *added += error == MO_OK;
   return error == MO_ERR_CONFLICT ? MO_OK : error; /* they are saved already */
 }
@@ -80,11 +97,13 @@ int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t g
 
 static int loss_from_row(sqlite3_stmt *row, int64_t id, uint32_t n, struct mo_campaign_loss *loss)
 {
-  const int64_t key[] = {id, sqlite3_column_int64(row, 0)};
+  int64_t key[KEY_WORDS];
   uint32_t steps[MO_ENVIRONMENTS_MAX];
-  int error = mo_unpack_losses(key, 2, sqlite3_column_blob(row, 1),
+  loss->place = (uint32_t)sqlite3_column_int64(row, 0);
+  if (sqlite3_column_bytes(row, 2) == sizeof(loss->origins))
+    memcpy(loss->origins, sqlite3_column_blob(row, 2), sizeof(loss->origins));
+  int error = mo_unpack_losses(key, key_of(id, loss, key), sqlite3_column_blob(row, 1),
                                (size_t)sqlite3_column_bytes(row, 1), n, loss->losses, steps);
-  loss->place = (uint32_t)key[1];
   loss->by_workers = 0;
   for (uint32_t k = 0; k < n && error == MO_OK; k++) {
     loss->diverged_steps[k] = (int32_t)(steps[k] & ~BY_WORKERS);
@@ -96,7 +115,8 @@ static int loss_from_row(sqlite3_stmt *row, int64_t id, uint32_t n, struct mo_ca
 int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation,
                              struct mo_campaign_loss **ret, size_t *ret_n)
 {
-  static const char sql[] = "SELECT place,losses FROM campaign_losses WHERE job=?1 ORDER BY place";
+  static const char sql[] =
+      "SELECT place,losses,origins FROM campaign_losses WHERE job=?1 ORDER BY place";
   struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_head head = {0};
   int error = mo_campaign_head_get(reader, id, &head);

@@ -36,8 +36,9 @@ int mo_store_campaign_each(struct mo_store *store, int64_t id,
  * (zero-shot: children; else parents, then children). */
 struct mo_campaign_loss {
   uint32_t place;
-  double losses[MO_ENVIRONMENTS_MAX];          /* (n_environments); +infinity: diverged */
-  int32_t diverged_steps[MO_ENVIRONMENTS_MAX]; /* ≥ 0 */
+  double losses[MO_ENVIRONMENTS_MAX];                    /* (n_environments); +infinity: diverged */
+  int32_t diverged_steps[MO_ENVIRONMENTS_MAX];           /* ≥ 0 */
+  int64_t origins[MO_ENVIRONMENTS_MAX / MO_BLOCK_LANES]; /* of each block, as in mo_saved_block */
   uint64_t by_workers; /* bit k: workers, not devices as for the rest, computed environment k */
 };
 /* Saves losses of `generation`, which must follow the newest committed one. Returns after the

@@ -72,6 +72,14 @@ int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *
   return error == MO_OK ? mo_sql_find(writer, id, find_sql, mo_string(text)) : error;
 }
 
+int mo_origin_row(struct mo_connection *writer, const char *text, int64_t *id)
+{
+  static const char insert_sql[] = "INSERT OR IGNORE INTO origins(text) VALUES(?1)";
+  static const char find_sql[] = "SELECT id FROM origins WHERE text=?1";
+  const int error = mo_sql_do(writer, insert_sql, mo_string(text));
+  return error == MO_OK ? mo_sql_find(writer, id, find_sql, mo_string(text)) : error;
+}
+
 /* ---- named sets ---- */
 
 #define FIND_SET "SELECT id,n FROM environment_sets WHERE name=?1"

@@ -14,6 +14,7 @@ int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physic
 int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,
                     const struct mo_bits *genotype, int64_t now_us, int64_t *row);
 int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *id);
+int mo_origin_row(struct mo_connection *writer, const char *text, int64_t *id);
 /* Finds a named set and its size. MO_ERR_NOT_FOUND. */
 int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row,
                             int64_t *n);

@@ -314,14 +314,6 @@ int mo_import_step(struct mo_import *import, const struct mo_campaign_step *step
 
 /* ---- scores ---- */
 
-static int origin_row(struct mo_connection *writer, const char *text, int64_t *id)
-{
-  static const char insert_sql[] = "INSERT OR IGNORE INTO origins(text) VALUES(?1)";
-  static const char find_sql[] = "SELECT id FROM origins WHERE text=?1";
-  const int error = mo_sql_do(writer, insert_sql, mo_string(text));
-  return error == MO_OK ? mo_sql_find(writer, id, find_sql, mo_string(text)) : error;
-}
-
 /* Finds the rows of class, origin and condition, unless they are those of the score before. */
 static int find_condition(struct mo_import *import, const struct mo_campaign_score *score)
 {
@@ -330,7 +322,7 @@ static int find_condition(struct mo_import *import, const struct mo_campaign_sco
   int64_t environments[MO_BLOCK_LANES] = {0};
   int error = MO_OK;
   if (strcmp(import->origin, score->origin) != 0) {
-    error = origin_row(writer, score->origin, &import->origin_row);
+    error = mo_origin_row(writer, score->origin, &import->origin_row);
     memcpy(import->origin, score->origin, sizeof(import->origin));
   }
   for (uint32_t k = 0; k < score->n; k++)
@@ -389,8 +381,8 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
   if (error == MO_OK)
     error = compare(import, genotype, score);
   if (error == MO_OK)
-    error = mo_losses_insert_from(import->store, &import->condition, genotype, import->origin_row,
-                                  score->losses, score->diverged_steps, score->computed_us, is_new);
+    error = mo_losses_insert(import->store, &import->condition, genotype, import->origin_row,
+                             score->losses, score->diverged_steps, score->computed_us, is_new);
   if (error != MO_OK || !*is_new || import->set == 0)
     return error;
   bool is_whole = score->n == import->n_environments;

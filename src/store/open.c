@@ -15,6 +15,7 @@
 
 #include "base/clock.h"
 #include "schema.h"
+#include "store/contents.h"
 #include "store/folder.h"
 #include "store/rows.h"
 #include "store/upkeep.h"
@@ -182,13 +183,8 @@ static int read_header(struct mo_store *store, struct header *header)
 /* Finds or inserts this host in `origins`. */
 static int find_origin(struct mo_connection *writer, int64_t *origin)
 {
-  static const char insert_sql[] = "INSERT INTO origins(text) VALUES(?1) ON CONFLICT DO NOTHING";
-  static const char find_sql[] = "SELECT id FROM origins WHERE text=?1";
   struct utsname host;
-  int error = uname(&host) == 0 ? MO_OK : MO_ERR_IO;
-  if (error == MO_OK)
-    error = mo_sql_do(writer, insert_sql, mo_string(host.nodename));
-  return error == MO_OK ? mo_sql_find(writer, origin, find_sql, mo_string(host.nodename)) : error;
+  return uname(&host) == 0 ? mo_origin_row(writer, host.nodename, origin) : MO_ERR_IO;
 }
 
 static int count_opening(struct mo_connection *writer, int64_t *origin)

@@ -164,21 +164,31 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
   return error;
 }
 
-struct fingerprint_arguments {
+struct row_arguments {
+  int (*row)(struct mo_connection *writer, const char *text, int64_t *id);
   const char *text;
   int64_t id;
 };
 
-static int fingerprint(struct mo_store *store, void *arguments)
+static int find_row(struct mo_store *store, void *arguments)
 {
-  struct fingerprint_arguments *call = arguments;
-  return mo_fingerprint_row(&store->writer, call->text, &call->id);
+  struct row_arguments *call = arguments;
+  return call->row(&store->writer, call->text, &call->id);
 }
 
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id)
 {
-  struct fingerprint_arguments call = {.text = text};
-  int error = mo_write_urgent(store, fingerprint, &call);
+  struct row_arguments call = {mo_fingerprint_row, text, 0};
+  int error = mo_write_urgent(store, find_row, &call);
+  if (error == MO_OK)
+    *id = call.id;
+  return error;
+}
+
+int mo_store_origin(struct mo_store *store, const char *text, int64_t *id)
+{
+  struct row_arguments call = {mo_origin_row, text, 0};
+  int error = mo_write_urgent(store, find_row, &call);
   if (error == MO_OK)
     *id = call.id;
   return error;

@@ -42,6 +42,8 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
 int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts,
                      const char *text);
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id);
+/* Likewise in `origins`: who computed a score. */
+int mo_store_origin(struct mo_store *store, const char *text, int64_t *id);
 /* Counts the jobs that are not final, of every kind, and the rollouts of evaluations among them. */
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts);
 

@@ -18,6 +18,7 @@ struct mo_saved_block {
   struct mo_condition condition;
   double losses[MO_BLOCK_LANES];
   uint32_t diverged_steps[MO_BLOCK_LANES];
+  int64_t origin; /* of mo_store_origin: who computed them; 0: this host */
   /* The verify job that recomputed these losses, which are stored for it too; 0: none. */
   int64_t verify_job;
   uint32_t design_position;

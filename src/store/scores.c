@@ -111,22 +111,16 @@ int mo_condition_row(struct mo_connection *writer, struct mo_condition *conditio
 }
 
 int mo_losses_insert(struct mo_store *store, const struct mo_condition *condition, int64_t genotype,
-                     const double *losses, const uint32_t *diverged_steps, int64_t now_us,
-                     bool *is_new)
-{
-  return mo_losses_insert_from(store, condition, genotype, store->origin, losses, diverged_steps,
-                               now_us, is_new);
-}
-
-int mo_losses_insert_from(struct mo_store *store, const struct mo_condition *condition,
-                          int64_t genotype, int64_t origin, const double *losses,
-                          const uint32_t *diverged_steps, int64_t computed_us, bool *is_new)
+                     int64_t origin, const double *losses, const uint32_t *diverged_steps,
+                     int64_t computed_us, bool *is_new)
 {
   static const char sql[] =
       "INSERT OR IGNORE INTO scores(genotype,condition,origin,computed_us,losses)"
       " VALUES(?1,?2,?3,?4,?5)";
   uint8_t bytes[MO_PACKED_BYTES(MO_BLOCK_LANES)];
   int64_t key[KEY_WORDS];
+  if (origin == 0)
+    origin = store->origin;
   const size_t size = mo_pack_losses(key, key_of(condition, genotype, origin, computed_us, key),
                                      losses, diverged_steps, condition->n, bytes);
   const int error = mo_sql_change(&store->writer, sql, mo_int(genotype), mo_int(condition->id),
@@ -266,8 +260,8 @@ static int insert_block(struct mo_store *store, const struct mo_saved_block *blo
     *condition = block->condition;
     error = mo_condition_row(&store->writer, condition);
   }
-  return error == MO_OK ? mo_losses_insert(store, condition, block->genotype, block->losses,
-                                           block->diverged_steps, now_us, &is_new)
+  return error == MO_OK ? mo_losses_insert(store, condition, block->genotype, block->origin,
+                                           block->losses, block->diverged_steps, now_us, &is_new)
                         : error;
 }
 

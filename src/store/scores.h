@@ -24,14 +24,11 @@ int mo_unpack_losses(const int64_t *key, size_t n_key, const uint8_t *bytes, siz
 
 /* Finds or inserts a condition, and sets its id. */
 int mo_condition_row(struct mo_connection *writer, struct mo_condition *condition);
-/* Inserts the losses of a genotype under a condition with an id, unless they are stored. */
+/* Inserts the losses of a genotype under a condition with an id, unless they are stored. origin: 0:
+ * this host. */
 int mo_losses_insert(struct mo_store *store, const struct mo_condition *condition, int64_t genotype,
-                     const double *losses, const uint32_t *diverged_steps, int64_t now_us,
-                     bool *is_new);
-/* Likewise with the origin and the time of another store. */
-int mo_losses_insert_from(struct mo_store *store, const struct mo_condition *condition,
-                          int64_t genotype, int64_t origin, const double *losses,
-                          const uint32_t *diverged_steps, int64_t computed_us, bool *is_new);
+                     int64_t origin, const double *losses, const uint32_t *diverged_steps,
+                     int64_t computed_us, bool *is_new);
 /* Decodes a row of MO_SCORE_COLUMNS, from column `first` on; losses and steps (MO_BLOCK_LANES). */
 #define MO_SCORE_COLUMNS                                                                           \
   "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.origin,x.computed_us,x.losses"
