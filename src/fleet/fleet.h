@@ -37,8 +37,8 @@ enum mo_session_state {
   MO_SESSION_ACTIVE,
   MO_SESSION_DRAINING,    /* gets no further leases */
   MO_SESSION_QUARANTINED, /* gave other bits than two others; its later results are not taken */
-  MO_SESSION_LEFT /* told so */,
-  MO_SESSION_LOST /* its connection ended, or it was silent */
+  MO_SESSION_LEFT,        /* it said so */
+  MO_SESSION_LOST         /* its connection ended, or it was silent */
 };
 extern const char *const mo_session_state_words[]; /* "active", …; NULL */
 

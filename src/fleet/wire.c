@@ -1,0 +1,451 @@
+/* wire.c: encodes and decodes the messages of an exchange.
+ *
+ * An encoder computes the size first and then writes. A decoder checks every count before it
+ * allocates: four leases need at most 100 MB, and memory beyond what the message holds is never
+ * touched. Values are checked here as far as they can be without the lease that they belong to. */
+#include "fleet/wire.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "messages are little-endian");
+
+struct header {
+  char magic[8];
+  uint32_t version, items;
+  uint64_t bytes;
+};
+struct lease {
+  struct mo_lease_id id;
+  uint32_t flags, n_environments, n_blocks, n_rows;
+  struct mo_sha256 controller;
+  double dt_s, stiffness_n_per_m, mass_kg, drag_per_s, gravity_m_per_s2, actuation, friction,
+      friction_cap, drop_height_m;
+  uint32_t n_steps, impact, bisections, zero;
+};
+struct result {
+  struct mo_lease_id id;
+  uint32_t state, n_rows;
+  double busy_s, wall_s;
+};
+_Static_assert(sizeof(struct header) == 24 && sizeof(struct lease) == 152 &&
+                   sizeof(struct result) == 40 && sizeof(struct mo_environment) == 66 * 8,
+               "without padding");
+
+#define ON_DEVICE 1u /* flag */
+
+static const char magics[2][9] = {"MOFLEETL", "MOFLEETR"};
+
+/* ---- bytes ---- */
+
+struct codec {
+  uint8_t *to; /* writes */
+  const uint8_t *from;
+  size_t at, size; /* size: of the whole message */
+};
+
+static void put(struct codec *codec, const void *value, size_t size)
+{
+  memcpy(codec->to + codec->at, value, size);
+  codec->at += size;
+}
+
+/* false: fewer bytes are left. */
+static bool get(struct codec *codec, void *value, size_t size)
+{
+  if (size > codec->size - codec->at)
+    return false;
+  memcpy(value, codec->from + codec->at, size);
+  codec->at += size;
+  return true;
+}
+
+static int open_message(int kind, uint32_t items, struct codec *codec)
+{
+  struct header header = {.version = MO_WIRE_VERSION, .items = items, .bytes = codec->size};
+  memcpy(header.magic, magics[kind], sizeof(header.magic));
+  codec->to = malloc(codec->size);
+  if (codec->to == NULL)
+    return MO_ERR_NO_MEMORY;
+  put(codec, &header, sizeof(header));
+  return MO_OK;
+}
+
+static int read_header(int kind, uint32_t items_max, struct codec *codec, uint32_t *items,
+                       struct mo_message *message)
+{
+  struct header header;
+  if (!get(codec, &header, sizeof(header)))
+    return mo_fail(message, MO_ERR_FORMAT, "a message has at least %zu bytes, got %zu",
+                   sizeof(header), codec->size);
+  if (memcmp(header.magic, magics[kind], sizeof(header.magic)) != 0)
+    return mo_fail(message, MO_ERR_FORMAT, "the message must begin with \"%s\"", magics[kind]);
+  if (header.version != MO_WIRE_VERSION)
+    return mo_fail(message, MO_ERR_UNSUPPORTED, "messages must be of version %d, got %u",
+                   MO_WIRE_VERSION, header.version);
+  if (header.bytes != codec->size)
+    return mo_fail(message, MO_ERR_FORMAT, "the header says %llu bytes, the message has %zu",
+                   (unsigned long long)header.bytes, codec->size);
+  if (header.items > items_max)
+    return mo_fail(message, MO_ERR_FORMAT, "a message has at most %u items, got %u", items_max,
+                   header.items);
+  *items = header.items;
+  return MO_OK;
+}
+
+static int read_end(const struct codec *codec, struct mo_message *message)
+{
+  if (codec->at == codec->size)
+    return MO_OK;
+  return mo_fail(message, MO_ERR_FORMAT, "%zu bytes follow the last item", codec->size - codec->at);
+}
+
+static int cut_off(struct mo_message *message, const char *item, uint32_t i)
+{
+  return mo_fail(message, MO_ERR_FORMAT, "%s %u is longer than the message", item, i);
+}
+
+/* ---- leases ---- */
+
+static size_t genotype_bytes(struct mo_workspace workspace)
+{
+  return (mo_workspace_voxels(workspace) + 7) / 8;
+}
+
+static int check_workspace(struct mo_workspace workspace, struct mo_message *message)
+{
+  if (mo_workspace_check(workspace) != MO_OK || mo_workspace_words(workspace) > MO_WIRE_WORDS_MAX)
+    return mo_fail(message, MO_ERR_LIMIT, "workers compute bodies of at most %d voxels",
+                   MO_WIRE_WORDS_MAX * 64);
+  return MO_OK;
+}
+
+/* The bounds of the counts of a lease, for both directions. */
+static bool counts_fit(uint32_t n_environments, uint32_t n_blocks, uint32_t n_rows)
+{
+  return n_environments >= 1 && n_environments <= MO_WIRE_ENVIRONMENTS_MAX && n_blocks >= 1 &&
+         n_rows >= n_blocks && n_rows <= MO_WIRE_ROWS_MAX &&
+         n_rows <= (uint64_t)n_blocks * MO_BLOCK_LANES;
+}
+
+static size_t lease_bytes(const struct mo_wire_lease *lease, struct mo_workspace workspace)
+{
+  return sizeof(struct lease) + lease->n_environments * sizeof(struct mo_environment) +
+         lease->n_blocks * (genotype_bytes(workspace) + 1) + lease->n_rows * sizeof(uint16_t);
+}
+
+static void put_lease(struct codec *codec, const struct mo_wire_lease *lease,
+                      struct mo_workspace workspace)
+{
+  const struct mo_physics *physics = &lease->physics;
+  const struct lease head = {.id = lease->id,
+                             .flags = lease->back_end == MO_ON_DEVICE ? ON_DEVICE : 0,
+                             .n_environments = lease->n_environments,
+                             .n_blocks = lease->n_blocks,
+                             .n_rows = lease->n_rows,
+                             .controller = lease->controller,
+                             .dt_s = physics->dt_s,
+                             .stiffness_n_per_m = physics->stiffness_n_per_m,
+                             .mass_kg = physics->mass_kg,
+                             .drag_per_s = physics->drag_per_s,
+                             .gravity_m_per_s2 = physics->gravity_m_per_s2,
+                             .actuation = physics->actuation,
+                             .friction = physics->friction,
+                             .friction_cap = physics->friction_cap,
+                             .drop_height_m = physics->drop_height_m,
+                             .n_steps = physics->n_steps,
+                             .impact = (uint32_t)physics->impact,
+                             .bisections = physics->bisections};
+  put(codec, &head, sizeof(head));
+  put(codec, lease->environments, lease->n_environments * sizeof(struct mo_environment));
+  for (uint32_t b = 0; b < lease->n_blocks; b++) {
+    const struct mo_wire_block *block = &lease->blocks[b];
+    const uint8_t n = (uint8_t)block->n_environments;
+    put(codec, block->genotype, genotype_bytes(workspace));
+    put(codec, &n, sizeof(n));
+    put(codec, block->environments, n * sizeof(uint16_t));
+  }
+}
+
+int mo_wire_put_leases(const struct mo_wire_leases *leases, struct mo_workspace workspace,
+                       uint8_t **bytes, size_t *size)
+{
+  struct codec codec = {.size = sizeof(struct header)};
+  if (leases->n > MO_WIRE_LEASES_MAX || check_workspace(workspace, NULL) != MO_OK)
+    return MO_ERR_LIMIT;
+  for (uint32_t i = 0; i < leases->n; i++) {
+    const struct mo_wire_lease *lease = &leases->items[i];
+    uint64_t rows = 0;
+    for (uint32_t b = 0; b < lease->n_blocks; b++) {
+      const uint32_t n = lease->blocks[b].n_environments;
+      rows += n;
+      if (n < 1 || n > MO_BLOCK_LANES)
+        return MO_ERR_LIMIT;
+    }
+    if (rows != lease->n_rows || !counts_fit(lease->n_environments, lease->n_blocks, lease->n_rows))
+      return MO_ERR_LIMIT;
+    codec.size += lease_bytes(lease, workspace);
+  }
+  int error = open_message(0, leases->n, &codec);
+  if (error != MO_OK)
+    return error;
+  for (uint32_t i = 0; i < leases->n; i++)
+    put_lease(&codec, &leases->items[i], workspace);
+  *bytes = codec.to;
+  *size = codec.at;
+  return MO_OK;
+}
+
+/* MO_ERR_FORMAT, MO_ERR_NO_MEMORY. */
+static int check_genotype(const uint64_t *genotype, struct mo_workspace workspace,
+                          struct mo_message *message, uint32_t i, uint32_t b)
+{
+  const uint32_t voxels = mo_workspace_voxels(workspace), words = mo_workspace_words(workspace);
+  uint64_t placed[MO_WIRE_WORDS_MAX];
+  if (voxels % 64 != 0 && genotype[words - 1] >> voxels % 64 != 0)
+    return mo_fail(message, MO_ERR_FORMAT, "lease %u, block %u: bits beyond voxel %u", i, b,
+                   voxels - 1);
+  int contiguous = mo_genotype_is_contiguous(workspace, genotype);
+  if (contiguous < 0)
+    return contiguous;
+  if (contiguous == 0)
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "lease %u, block %u: the body is empty or in several pieces", i, b);
+  memcpy(placed, genotype, words * sizeof(uint64_t));
+  mo_genotype_place(workspace, placed);
+  if (memcmp(placed, genotype, words * sizeof(uint64_t)) != 0)
+    return mo_fail(message, MO_ERR_FORMAT, "lease %u, block %u: the body is not placed", i, b);
+  return MO_OK;
+}
+
+static int get_block(struct codec *codec, struct mo_workspace workspace, uint32_t n_environments,
+                     struct mo_wire_block *block, uint32_t i, uint32_t b,
+                     struct mo_message *message)
+{
+  uint8_t n = 0;
+  memset(block, 0, sizeof(*block));
+  if (!get(codec, block->genotype, genotype_bytes(workspace)) || !get(codec, &n, sizeof(n)))
+    return cut_off(message, "lease", i);
+  if (n < 1 || n > MO_BLOCK_LANES)
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "lease %u, block %u: a block has 1 to %d environments, got %u", i, b,
+                   MO_BLOCK_LANES, n);
+  block->n_environments = n;
+  if (!get(codec, block->environments, n * sizeof(uint16_t)))
+    return cut_off(message, "lease", i);
+  for (uint32_t k = 0; k < n; k++)
+    if (block->environments[k] >= n_environments)
+      return mo_fail(message, MO_ERR_FORMAT, "lease %u, block %u: environment %u of %u", i, b,
+                     block->environments[k], n_environments);
+  return check_genotype(block->genotype, workspace, message, i, b);
+}
+
+static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i,
+                    struct mo_message *message)
+{
+  struct lease head;
+  struct mo_message why = {""};
+  if (!get(codec, &head, sizeof(head)))
+    return cut_off(message, "lease", i);
+  lease->id = head.id;
+  lease->controller = head.controller;
+  lease->back_end = head.flags & ON_DEVICE ? MO_ON_DEVICE : MO_ON_CPU;
+  lease->n_environments = head.n_environments;
+  lease->n_blocks = head.n_blocks;
+  lease->n_rows = head.n_rows;
+  lease->physics = (struct mo_physics){.dt_s = head.dt_s,
+                                       .n_steps = head.n_steps,
+                                       .stiffness_n_per_m = head.stiffness_n_per_m,
+                                       .mass_kg = head.mass_kg,
+                                       .drag_per_s = head.drag_per_s,
+                                       .gravity_m_per_s2 = head.gravity_m_per_s2,
+                                       .actuation = head.actuation,
+                                       .friction = head.friction,
+                                       .friction_cap = head.friction_cap,
+                                       .drop_height_m = head.drop_height_m,
+                                       .bisections = head.bisections};
+  if (head.flags > ON_DEVICE || head.zero != 0 || head.impact > MO_IMPACT_BISECTION)
+    return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);
+  lease->physics.impact = (enum mo_impact)head.impact;
+  if (mo_physics_check(&lease->physics, &why) != MO_OK)
+    return mo_fail(message, MO_ERR_FORMAT, "lease %u: %s", i, why.text);
+  if (!counts_fit(head.n_environments, head.n_blocks, head.n_rows))
+    return mo_fail(message, MO_ERR_FORMAT, "lease %u: %u environments, %u blocks, %u rows", i,
+                   head.n_environments, head.n_blocks, head.n_rows);
+  return MO_OK;
+}
+
+static int get_lease(struct codec *codec, struct mo_workspace workspace,
+                     struct mo_wire_lease *lease, uint32_t i, struct mo_message *message)
+{
+  int error = get_head(codec, lease, i, message);
+  if (error != MO_OK)
+    return error;
+  lease->environments = malloc(lease->n_environments * sizeof(*lease->environments));
+  lease->blocks = malloc(lease->n_blocks * sizeof(*lease->blocks));
+  if (lease->environments == NULL || lease->blocks == NULL)
+    return MO_ERR_NO_MEMORY;
+  if (!get(codec, lease->environments, lease->n_environments * sizeof(*lease->environments)))
+    return cut_off(message, "lease", i);
+  for (uint32_t e = 0; e < lease->n_environments; e++) {
+    uint32_t where = 0;
+    if (mo_environment_check(&lease->environments[e], &where) != MO_OK)
+      return mo_fail(message, MO_ERR_FORMAT,
+                     "lease %u, environment %u: number %u is not finite or beyond its limit", i, e,
+                     where);
+  }
+  uint32_t rows = 0;
+  for (uint32_t b = 0; b < lease->n_blocks && error == MO_OK; b++) {
+    error = get_block(codec, workspace, lease->n_environments, &lease->blocks[b], i, b, message);
+    rows += lease->blocks[b].n_environments;
+  }
+  if (error == MO_OK && rows != lease->n_rows)
+    error = mo_fail(message, MO_ERR_FORMAT, "lease %u: its blocks have %u rows, not %u", i, rows,
+                    lease->n_rows);
+  return error;
+}
+
+int mo_wire_get_leases(const uint8_t *bytes, size_t size, struct mo_workspace workspace,
+                       struct mo_wire_leases *leases, struct mo_message *message)
+{
+  struct codec codec = {.from = bytes, .size = size};
+  uint32_t n = 0;
+  memset(leases, 0, sizeof(*leases));
+  int error = check_workspace(workspace, message);
+  if (error == MO_OK)
+    error = read_header(0, MO_WIRE_LEASES_MAX, &codec, &n, message);
+  while (error == MO_OK && leases->n < n) {
+    const uint32_t i = leases->n++;
+    error = get_lease(&codec, workspace, &leases->items[i], i, message);
+  }
+  if (error == MO_OK)
+    error = read_end(&codec, message);
+  if (error != MO_OK)
+    mo_wire_free_leases(leases);
+  return error;
+}
+
+void mo_wire_free_leases(struct mo_wire_leases *leases)
+{
+  for (uint32_t i = 0; i < leases->n; i++) {
+    free(leases->items[i].environments);
+    free(leases->items[i].blocks);
+  }
+  memset(leases, 0, sizeof(*leases));
+}
+
+/* ---- results ---- */
+
+#define ROW_BYTES (sizeof(double) + sizeof(uint32_t))
+
+/* Done: at least one row; otherwise none. */
+static bool rows_fit(enum mo_wire_state state, uint32_t n_rows)
+{
+  return state == MO_RESULT_DONE ? n_rows >= 1 && n_rows <= MO_WIRE_ROWS_MAX : n_rows == 0;
+}
+
+int mo_wire_put_results(const struct mo_wire_results *results, uint8_t **bytes, size_t *size)
+{
+  struct codec codec = {.size = sizeof(struct header)};
+  if (results->n > MO_WIRE_RESULTS_MAX)
+    return MO_ERR_LIMIT;
+  for (uint32_t i = 0; i < results->n; i++) {
+    if (!rows_fit(results->items[i].state, results->items[i].n_rows))
+      return MO_ERR_LIMIT;
+    codec.size += sizeof(struct result) + results->items[i].n_rows * ROW_BYTES;
+  }
+  int error = open_message(1, results->n, &codec);
+  if (error != MO_OK)
+    return error;
+  for (uint32_t i = 0; i < results->n; i++) {
+    const struct mo_wire_result *result = &results->items[i];
+    const struct result head = {.id = result->id,
+                                .state = (uint32_t)result->state,
+                                .n_rows = result->n_rows,
+                                .busy_s = result->busy_s,
+                                .wall_s = result->wall_s};
+    put(&codec, &head, sizeof(head));
+    if (result->n_rows > 0) {
+      put(&codec, result->losses, result->n_rows * sizeof(double));
+      put(&codec, result->diverged_steps, result->n_rows * sizeof(uint32_t));
+    }
+  }
+  *bytes = codec.to;
+  *size = codec.at;
+  return MO_OK;
+}
+
+/* A rollout either has a finite loss, or diverged at a step. */
+static bool is_row(double loss, uint32_t diverged_step)
+{
+  return diverged_step == 0 ? isfinite(loss) && !signbit(loss)
+                            : isinf(loss) && loss > 0 && diverged_step <= MO_STEPS_MAX;
+}
+
+static bool is_time(double seconds)
+{
+  return isfinite(seconds) && !signbit(seconds);
+}
+
+static int get_result(struct codec *codec, struct mo_wire_result *result, uint32_t i,
+                      struct mo_message *message)
+{
+  struct result head;
+  if (!get(codec, &head, sizeof(head)))
+    return cut_off(message, "result", i);
+  if (head.state > MO_RESULT_FAILED)
+    return mo_fail(message, MO_ERR_FORMAT, "result %u: unknown state %u", i, head.state);
+  if (!rows_fit((enum mo_wire_state)head.state, head.n_rows))
+    return mo_fail(message, MO_ERR_FORMAT, "result %u: state %u with %u rows", i, head.state,
+                   head.n_rows);
+  if (!is_time(head.busy_s) || !is_time(head.wall_s))
+    return mo_fail(message, MO_ERR_FORMAT, "result %u: times must be finite and at least 0", i);
+  result->id = head.id;
+  result->state = (enum mo_wire_state)head.state;
+  result->n_rows = head.n_rows;
+  result->busy_s = head.busy_s;
+  result->wall_s = head.wall_s;
+  if (head.n_rows == 0)
+    return MO_OK;
+  result->losses = malloc(head.n_rows * sizeof(*result->losses));
+  result->diverged_steps = malloc(head.n_rows * sizeof(*result->diverged_steps));
+  if (result->losses == NULL || result->diverged_steps == NULL)
+    return MO_ERR_NO_MEMORY;
+  if (!get(codec, result->losses, head.n_rows * sizeof(double)) ||
+      !get(codec, result->diverged_steps, head.n_rows * sizeof(uint32_t)))
+    return cut_off(message, "result", i);
+  for (uint32_t row = 0; row < head.n_rows; row++)
+    if (!is_row(result->losses[row], result->diverged_steps[row]))
+      return mo_fail(message, MO_ERR_FORMAT,
+                     "result %u, row %u: loss %g with step of divergence %u", i, row,
+                     result->losses[row], result->diverged_steps[row]);
+  return MO_OK;
+}
+
+int mo_wire_get_results(const uint8_t *bytes, size_t size, struct mo_wire_results *results,
+                        struct mo_message *message)
+{
+  struct codec codec = {.from = bytes, .size = size};
+  uint32_t n = 0;
+  memset(results, 0, sizeof(*results));
+  int error = read_header(1, MO_WIRE_RESULTS_MAX, &codec, &n, message);
+  while (error == MO_OK && results->n < n) {
+    const uint32_t i = results->n++;
+    error = get_result(&codec, &results->items[i], i, message);
+  }
+  if (error == MO_OK)
+    error = read_end(&codec, message);
+  if (error != MO_OK)
+    mo_wire_free_results(results);
+  return error;
+}
+
+void mo_wire_free_results(struct mo_wire_results *results)
+{
+  for (uint32_t i = 0; i < results->n; i++) {
+    free(results->items[i].losses);
+    free(results->items[i].diverged_steps);
+  }
+  memset(results, 0, sizeof(*results));
+}

@@ -1,0 +1,244 @@
+/* wire.c: messages come back as they were sent, and no other message is accepted. */
+#include "messages.h"
+
+#define HEADER 24
+#define LEASE  152
+#define RESULT 40
+
+static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {5, 3, 2}, {16, 8, 8}};
+
+/* A message in either direction, decoded and encoded again. */
+struct message {
+  bool is_leases;
+  struct mo_workspace workspace;
+  uint8_t *bytes; /* kept until the end of the case */
+  size_t size;
+};
+
+static struct message leases_of(struct mo_workspace workspace, uint32_t n)
+{
+  struct message message = {true, workspace, NULL, 0};
+  struct mo_wire_leases leases = {.n = n};
+  for (uint32_t i = 0; i < n; i++)
+    leases.items[i] = lease_of(workspace, i, 1 + 2 * i, 1 + i);
+  make_check(mo_wire_put_leases(&leases, workspace, &message.bytes, &message.size), "leases");
+  mo_wire_free_leases(&leases);
+  check_keep(message.bytes, free);
+  return message;
+}
+
+static struct message results_of(uint32_t n)
+{
+  struct message message = {false, MO_DEFAULT_WORKSPACE, NULL, 0};
+  struct mo_wire_results results = {.n = n};
+  for (uint32_t i = 0; i < n; i++)
+    results.items[i] = result_of((struct mo_lease_id){9, i}, 3 * i);
+  make_check(mo_wire_put_results(&results, &message.bytes, &message.size), "results");
+  mo_wire_free_results(&results);
+  check_keep(message.bytes, free);
+  return message;
+}
+
+/* Decodes `size` bytes of a message, in a block of memory of just that size. An accepted message
+ * must be encoded as the same bytes; a refused one must be explained. */
+static int decode(const struct message *message, size_t size, struct mo_message *why)
+{
+  struct mo_wire_leases leases;
+  struct mo_wire_results results;
+  uint8_t *exact = make_zeros(size, 1), *again = NULL;
+  size_t again_size = 0;
+  memcpy(exact, message->bytes, size);
+  *why = (struct mo_message){""};
+  int error = message->is_leases ? mo_wire_get_leases(exact, size, message->workspace, &leases, why)
+                                 : mo_wire_get_results(exact, size, &results, why);
+  if (error == MO_OK) {
+    CHECK_OK(message->is_leases
+                 ? mo_wire_put_leases(&leases, message->workspace, &again, &again_size)
+                 : mo_wire_put_results(&results, &again, &again_size));
+    CHECK(again_size == size && memcmp(exact, again, size) == 0);
+    message->is_leases ? mo_wire_free_leases(&leases) : mo_wire_free_results(&results);
+    free(again);
+  } else {
+    CHECK(error == MO_ERR_FORMAT || error == MO_ERR_UNSUPPORTED);
+    CHECK(why->text[0] != '\0');
+  }
+  check_drop_from(exact);
+  return error;
+}
+
+static void round_trip(void)
+{
+  struct mo_message why;
+  for (size_t w = 0; w < COUNT(workspaces); w++) {
+    for (uint32_t n = 0; n <= MO_WIRE_LEASES_MAX; n++) {
+      const struct message message = leases_of(workspaces[w], n);
+      CHECK_OK(decode(&message, message.size, &why));
+    }
+  }
+  for (uint32_t n = 0; n <= MO_WIRE_RESULTS_MAX; n++) {
+    const struct message message = results_of(n);
+    CHECK_OK(decode(&message, message.size, &why));
+  }
+  /* Value by value, not only as bytes. */
+  struct mo_wire_leases leases;
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  struct mo_wire_lease sent = lease_of(workspace, 3, 7, 4);
+  const struct message message = leases_of(workspace, 4);
+  REQUIRE_OK(mo_wire_get_leases(message.bytes, message.size, workspace, &leases, &why));
+  const struct mo_wire_lease *got = &leases.items[3];
+  CHECK(got->id.epoch == 7 && got->id.number == 3 && got->back_end == MO_ON_DEVICE);
+  CHECK(mo_sha256_equal(&got->controller, &sent.controller));
+  CHECK(got->physics.n_steps == 103 && got->physics.impact == MO_IMPACT_BISECTION &&
+        got->physics.friction_cap == 0.95 && got->physics.stiffness_n_per_m == 15000.0);
+  CHECK(got->n_rows == sent.n_rows && SAME(got->environments, sent.environments, 7));
+  CHECK(SAME(got->blocks, sent.blocks, 4));
+  mo_wire_free_leases(&leases);
+  leases = (struct mo_wire_leases){1, {sent}};
+  mo_wire_free_leases(&leases);
+}
+
+static void cut_short(void)
+{
+  struct mo_message why;
+  const struct message messages[] = {leases_of(workspaces[0], 3), results_of(4)};
+  for (size_t m = 0; m < COUNT(messages); m++) {
+    struct message message = messages[m];
+    for (size_t size = 0; size < message.size; size++) {
+      const uint64_t claimed = size;
+      CHECK_INT(decode(&message, size, &why), MO_ERR_FORMAT);
+      if (size < HEADER)
+        continue; /* the header also says the shorter size */
+      memcpy(message.bytes + 16, &claimed, sizeof(claimed));
+      CHECK_INT(decode(&message, size, &why), MO_ERR_FORMAT);
+    }
+  }
+}
+
+/* Any bit of any byte: the message is refused, or it says exactly what its bytes say. */
+static void bits_flipped(void)
+{
+  struct mo_message why;
+  const struct message messages[] = {leases_of(workspaces[0], 2), leases_of(workspaces[1], 1),
+                                     results_of(3)};
+  for (size_t m = 0; m < COUNT(messages); m++) {
+    for (size_t bit = 0; bit < messages[m].size * 8; bit++) {
+      messages[m].bytes[bit / 8] ^= (uint8_t)(1u << bit % 8);
+      int error = decode(&messages[m], messages[m].size, &why);
+      if (bit < HEADER * 8)
+        CHECK_INT(error, bit / 32 == 2 ? MO_ERR_UNSUPPORTED : MO_ERR_FORMAT);
+      messages[m].bytes[bit / 8] ^= (uint8_t)(1u << bit % 8);
+    }
+  }
+}
+
+/* What a hostile peer writes over a good message: at an offset, a number of so many bytes. */
+static const struct hostile {
+  bool is_leases;
+  size_t at, size;
+  uint64_t number;
+  const char *says;
+} hostiles[] = {
+    {true, 0, 1, 'm', "must begin with \"MOFLEETL\""},
+    {true, 8, 4, 2, "version 1, got 2"},
+    {true, 12, 4, 5, "at most 4 items"},
+    {true, 12, 4, UINT32_MAX, "at most 4 items"},
+    {true, 12, 4, 0, "follow the last item"},
+    {true, 16, 8, UINT64_MAX, "the header says"},
+    {true, HEADER + 16, 4, 2, "unknown flags"},
+    {true, HEADER + 20, 4, 0, "0 environments"},
+    {true, HEADER + 20, 4, MO_WIRE_ENVIRONMENTS_MAX, "longer than the message"},
+    {true, HEADER + 20, 4, MO_WIRE_ENVIRONMENTS_MAX + 1, "4097 environments"},
+    {true, HEADER + 20, 4, UINT32_MAX, "4294967295 environments"},
+    {true, HEADER + 24, 4, 0, "0 blocks"},
+    {true, HEADER + 24, 4, UINT32_MAX, "4294967295 blocks"},
+    {true, HEADER + 28, 4, MO_WIRE_ROWS_MAX + 1, "131073 rows"},
+    {true, HEADER + 28, 4, 16, "its blocks have"},
+    {true, HEADER + 64, 8, UINT64_C(0x7ff8000000000000), "dt_s"},
+    {true, HEADER + 136, 4, 0, "n_steps"},
+    {true, HEADER + 140, 4, 2, "unknown flags"},
+    {true, HEADER + 144, 4, 53, "bisections"},
+    {true, HEADER + 148, 4, 1, "unknown flags"},
+    {true, HEADER + LEASE + 8, 8, UINT64_C(0x7ff0000000000000), "environment 0: number 1 is not"},
+    {true, HEADER + LEASE + 528, 8, 0, "empty or in several pieces"},
+    {true, HEADER + LEASE + 528 + 17, 1, 0x80, "the body is"},
+    {true, HEADER + LEASE + 528 + 18, 1, 0, "1 to 16 environments, got 0"},
+    {true, HEADER + LEASE + 528 + 18, 1, 17, "1 to 16 environments, got 17"},
+    {true, HEADER + LEASE + 528 + 19, 2, 1, "environment 1 of 1"},
+    {false, 12, 4, 9, "at most 8 items"},
+    {false, HEADER + 16, 4, 3, "unknown state 3"},
+    {false, HEADER + 16, 4, MO_RESULT_DONE, "state 0 with 0 rows"},
+    {false, HEADER + 20, 4, 1, "state 1 with 1 rows"},
+    {false, HEADER + 24, 8, UINT64_C(0xbff0000000000000), "times must be"},
+    {false, HEADER + 32, 8, UINT64_C(0x7ff8000000000000), "times must be"},
+    {false, HEADER + RESULT + 20, 4, MO_WIRE_ROWS_MAX + 1, "with 131073 rows"},
+    {false, HEADER + RESULT + 20, 4, MO_WIRE_ROWS_MAX, "longer than the message"},
+    {false, HEADER + 2 * RESULT, 8, UINT64_C(0x7ff8000000000000), "row 0: loss nan"},
+    {false, HEADER + 2 * RESULT, 8, UINT64_C(0x7ff0000000000000), "row 0: loss inf"},
+    {false, HEADER + 2 * RESULT, 8, UINT64_C(0xbff0000000000000), "row 0: loss -1"},
+    {false, HEADER + 2 * RESULT, 8, UINT64_C(0x8000000000000000), "row 0: loss -0"},
+    {false, HEADER + 2 * RESULT + 24, 4, 1, "step of divergence 1"},
+};
+
+static void hostile(void)
+{
+  struct mo_message why;
+  for (size_t h = 0; h < COUNT(hostiles); h++) {
+    struct message message = hostiles[h].is_leases ? leases_of(workspaces[0], 1) : results_of(2);
+    memcpy(message.bytes + hostiles[h].at, &hostiles[h].number, hostiles[h].size);
+    CHECK(decode(&message, message.size, &why) != MO_OK);
+    CHECK_SAYS(why, hostiles[h].says);
+  }
+}
+
+/* A body that is not where placement puts it, and a bit beyond the last voxel. */
+static void bodies(void)
+{
+  struct mo_message why;
+  struct message message = leases_of(workspaces[2], 1); /* 30 voxels in 4 bytes */
+  uint8_t *genotype = message.bytes + HEADER + LEASE + 528;
+  memset(genotype, 0, 4);
+  genotype[0] = 1;
+  CHECK_INT(decode(&message, message.size, &why), MO_ERR_FORMAT);
+  CHECK_SAYS(why, "not placed");
+  genotype[3] = 0x40;
+  CHECK_INT(decode(&message, message.size, &why), MO_ERR_FORMAT);
+  CHECK_SAYS(why, "bits beyond voxel 29");
+}
+
+/* What the format cannot hold is not sent. */
+static void too_large(void)
+{
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  struct mo_wire_leases leases = {1, {lease_of(workspace, 1, 3, 2)}};
+  struct mo_wire_results results = {1, {result_of((struct mo_lease_id){1, 1}, 2)}};
+  struct mo_message why;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  CHECK_INT(mo_wire_put_leases(&leases, (struct mo_workspace){41, 5, 5}, &bytes, &size),
+            MO_ERR_LIMIT);
+  CHECK_INT(mo_wire_get_leases(bytes, 0, (struct mo_workspace){41, 5, 5},
+                               &(struct mo_wire_leases){0}, &why),
+            MO_ERR_LIMIT);
+  CHECK_SAYS(why, "at most 1024 voxels");
+  leases.items[0].n_rows++;
+  CHECK_INT(mo_wire_put_leases(&leases, workspace, &bytes, &size), MO_ERR_LIMIT);
+  leases.items[0].n_rows--;
+  leases.items[0].n_environments = MO_WIRE_ENVIRONMENTS_MAX + 1;
+  CHECK_INT(mo_wire_put_leases(&leases, workspace, &bytes, &size), MO_ERR_LIMIT);
+  leases.items[0].n_environments = 3;
+  leases.items[0].blocks[1].n_environments = 0;
+  CHECK_INT(mo_wire_put_leases(&leases, workspace, &bytes, &size), MO_ERR_LIMIT);
+  results.items[0].n_rows = MO_WIRE_ROWS_MAX + 1;
+  CHECK_INT(mo_wire_put_results(&results, &bytes, &size), MO_ERR_LIMIT);
+  results.items[0].n_rows = 0;
+  CHECK_INT(mo_wire_put_results(&results, &bytes, &size), MO_ERR_LIMIT);
+  CHECK(bytes == NULL);
+  mo_wire_free_leases(&leases);
+  mo_wire_free_results(&results);
+}
+
+static const struct check_case cases[] = {
+    {"round trip", round_trip},   {"cut short", cut_short}, {"any bit flipped", bits_flipped},
+    {"hostile numbers", hostile}, {"bodies", bodies},       {"too large to send", too_large},
+};
+CHECK_MAIN(cases)
