@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include <nettle/base16.h>
+#include <nettle/base64.h>
 #include <nettle/sha2.h>
 
 #include "store/encode.h"
@@ -45,6 +46,22 @@ int mo_sha256_from_hex(const char *digits, size_t length, struct mo_sha256 *hash
 int mo_sha256_equal(const struct mo_sha256 *a, const struct mo_sha256 *b)
 {
   return memcmp(a->bytes, b->bytes, sizeof(a->bytes)) == 0;
+}
+
+void mo_sha256_to_content_digest(const struct mo_sha256 *hash, char text[MO_CONTENT_DIGEST_BYTES])
+{
+  char *end = stpcpy(text, "sha-256=:");
+  base64_encode_raw(end, sizeof(hash->bytes), hash->bytes);
+  strcpy(end + BASE64_ENCODE_RAW_LENGTH(sizeof(hash->bytes)), ":");
+}
+
+bool mo_content_digest_matches(const char *field, const void *data, size_t size)
+{
+  struct mo_sha256 hash;
+  char expected[MO_CONTENT_DIGEST_BYTES];
+  mo_sha256_of(data, size, &hash);
+  mo_sha256_to_content_digest(&hash, expected);
+  return field != NULL && strcmp(field, expected) == 0;
 }
 
 void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precision,
