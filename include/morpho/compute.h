@@ -254,6 +254,8 @@ void mo_compute_deliver(struct mo_compute *compute, struct mo_taken *taken,
  * more submitted. */
 void mo_compute_want_remote(struct mo_compute *compute, enum mo_back_end back_end, uint32_t blocks);
 uint32_t mo_compute_remote_wanted(const struct mo_compute *compute, enum mo_back_end back_end);
+/* Returns the rollout steps of waiting blocks that suit remote takers. */
+uint64_t mo_compute_remote_waiting(struct mo_compute *compute, enum mo_back_end back_end);
 /* Leaves to remote takers what suits them: workers take only other blocks. */
 void mo_compute_leave_remote(struct mo_compute *compute, bool leave);
 /* Sets what is called when a block that suits is queued, the first time after mo_compute_take found

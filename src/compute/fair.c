@@ -17,6 +17,7 @@ void mo_fair_init(struct mo_fair *fair, uint32_t n_workers)
   for (int kind = 0; kind < MO_FAIR_KINDS; kind++)
     fair->unit_s[kind] = unit_s_at_first[kind];
   atomic_store(&fair->waiting, 0);
+  atomic_store(&fair->remote_steps, 0);
 }
 
 static double within(double weight)
@@ -69,6 +70,11 @@ double mo_fair_units(const struct mo_block *block)
   return (double)n * block->physics.n_steps;
 }
 
+static uint64_t remote_steps_of(const struct mo_block *block)
+{
+  return mo_block_suits_remote(block) ? (uint64_t)mo_fair_units(block) : 0;
+}
+
 void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block)
 {
   const double least_s = fair->virtual_s - fair->credit_s / share->weight;
@@ -76,6 +82,7 @@ void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct m
     share->virtual_s = least_s;
   mo_queue_push(&share->queue, block);
   atomic_fetch_add(&fair->waiting, 1);
+  atomic_fetch_add(&fair->remote_steps, remote_steps_of(block));
 }
 
 /* Takes and charges the first block of the charge's share, which must have one waiting. */
@@ -85,6 +92,7 @@ static struct mo_block *take_first(struct mo_fair *fair, struct mo_fair_charge *
   struct mo_block *block = mo_queue_pop(&share->queue);
   const double units = mo_fair_units(block), estimate_s = units * share->unit_s[charge->kind];
   atomic_fetch_sub(&fair->waiting, 1);
+  atomic_fetch_sub(&fair->remote_steps, remote_steps_of(block));
   charge->n_blocks++;
   charge->units += units;
   charge->estimate_s += estimate_s;
@@ -131,8 +139,10 @@ void mo_fair_put_back(struct mo_fair *fair, const struct mo_fair_charge *charge,
 {
   struct mo_compute_share *share = charge->share;
   share->virtual_s -= charge->estimate_s / share->weight;
-  for (uint32_t i = charge->n_blocks; i-- > 0;)
+  for (uint32_t i = charge->n_blocks; i-- > 0;) {
     mo_queue_push_front(&share->queue, blocks[i]);
+    atomic_fetch_add(&fair->remote_steps, remote_steps_of(blocks[i]));
+  }
   atomic_fetch_add(&fair->waiting, charge->n_blocks);
 }
 

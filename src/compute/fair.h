@@ -78,8 +78,9 @@ struct mo_fair {
   struct mo_compute_share *shares;
   double credit_s; /* of all workers together */
   double virtual_s;
-  double unit_s[MO_FAIR_KINDS]; /* initial estimates of a new share */
-  atomic_uint_fast64_t waiting; /* in all shares; read anywhere */
+  double unit_s[MO_FAIR_KINDS];      /* initial estimates of a new share */
+  atomic_uint_fast64_t waiting;      /* in all shares; read anywhere */
+  atomic_uint_fast64_t remote_steps; /* of those that suit remote takers; read anywhere */
 };
 
 /* What a running block, or several that run together, were charged at their start. */

@@ -223,6 +223,12 @@ uint32_t mo_compute_remote_wanted(const struct mo_compute *compute, enum mo_back
   return atomic_load(&mo_core(compute)->remote.blocks[back_end]);
 }
 
+uint64_t mo_compute_remote_waiting(struct mo_compute *compute, enum mo_back_end back_end)
+{
+  const struct mo_fair *fair = queue_of(compute, back_end);
+  return fair != NULL ? atomic_load(&fair->remote_steps) : 0;
+}
+
 void mo_compute_leave_remote(struct mo_compute *compute, bool leave)
 {
   atomic_store(&mo_core(compute)->remote.leave, leave);

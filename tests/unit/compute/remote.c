@@ -113,6 +113,7 @@ static void takes_in_order(void)
   CHECK(mo_compute_take(world.compute, MO_ON_DEVICE, steps_of(4)) == NULL);
   submit(&world, 0, BODIES);
   CHECK_INT(atomic_load(&arrivals), 1); /* the first one only */
+  CHECK_INT(mo_compute_remote_waiting(world.compute, MO_ON_CPU), steps_of(BODIES));
   struct mo_taken *first = mo_compute_take(world.compute, MO_ON_CPU, steps_of(5));
   REQUIRE(first != NULL);
   CHECK_INT(first->n_blocks, 5);
@@ -130,6 +131,7 @@ static void takes_in_order(void)
   CHECK_INT(rest->n_blocks, BODIES - 2);
   for (uint32_t i = 0; i < rest->n_blocks; i++)
     CHECK(rest->blocks[i] == &blocks[i + 2]);
+  CHECK_INT(mo_compute_remote_waiting(world.compute, MO_ON_CPU), 0);
   deliver(&world, rest, 2);
   deliver(&world, first, 1);
   CHECK(await(&ended, BODIES));
