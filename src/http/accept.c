@@ -31,7 +31,7 @@ static void refuse(struct mo_http *http, struct mo_lingering *linger, int fd, un
   char id[17];
   snprintf(id, sizeof(id), "%016llx",
            (unsigned long long)(http->id_key ^ atomic_fetch_add(&http->next_id, 1)));
-  mo_write_refusal(fd, status, id, detail);
+  mo_write_refusal(http, fd, status, id, detail);
   shutdown(fd, SHUT_WR);
   mo_linger_add(linger, fd);
   atomic_fetch_add(&http->metrics.refused, 1);

@@ -1,7 +1,9 @@
 /* connection.c: the table of open connections, their deadlines, how one of them is cut, and how it
  * lingers. */
 #include <errno.h>
+#include <poll.h>
 #include <stdlib.h>
+#include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <sys/resource.h>
 #include <unistd.h>
@@ -13,11 +15,16 @@
 /* Descriptors for the database, files, devices, and connections that are ending. */
 #define OTHER_FILES 512
 
+#define WATCHED_MAX 64 /* clients that leave, of one look */
+
 #define LINGER_US    2000000
 #define LINGER_READS 16 /* per call: a client that keeps sending must not block the thread */
 
-void mo_write_refusal(int fd, unsigned status, const char *id, const char *detail)
+void mo_write_refusal(const struct mo_http *http, int fd, unsigned status, const char *id,
+                      const char *detail)
 {
+  if (http->is_tls)
+    return;
   struct mo_text body = {0}, head = {0};
   mo_problem_write(&body, status, detail, "", id, NULL);
   mo_text_format(&head,
@@ -62,6 +69,8 @@ void mo_connection_add(struct mo_http *http, struct mo_connection *connection)
   if (http->connections_top <= (size_t)connection->fd)
     http->connections_top = (size_t)connection->fd + 1;
   pthread_mutex_unlock(&http->connections_lock);
+  struct epoll_event left = {.events = EPOLLRDHUP | EPOLLET, .data.fd = connection->fd};
+  epoll_ctl(http->watch_fd, EPOLL_CTL_ADD, connection->fd, &left);
   atomic_fetch_add(&http->n_connections, 1);
 }
 
@@ -83,17 +92,34 @@ void mo_connection_cut(struct mo_http *http, const struct mo_connection *connect
   pthread_mutex_lock(&http->connections_lock);
   if (http->connections[connection->fd] == connection) {
     if (detail != NULL)
-      mo_write_refusal(connection->fd, 503, id, detail);
+      mo_write_refusal(http, connection->fd, 503, id, detail);
     shutdown(connection->fd, SHUT_RDWR);
   }
   pthread_mutex_unlock(&http->connections_lock);
 }
 
+bool mo_connections_watch(struct mo_http *http, int timeout_ms)
+{
+  struct epoll_event events[WATCHED_MAX];
+  const int n = epoll_wait(http->watch_fd, events, WATCHED_MAX, timeout_ms);
+  bool some = false;
+  pthread_mutex_lock(&http->connections_lock);
+  for (int i = 0; i < n; i++) {
+    struct mo_connection *connection = http->connections[events[i].data.fd];
+    struct pollfd now = {.fd = events[i].data.fd, .events = POLLRDHUP};
+    /* Look again: the descriptor may belong to a newer connection. */
+    if (connection != NULL && poll(&now, 1, 0) == 1) {
+      atomic_store(&connection->left, true);
+      some = true;
+    }
+  }
+  pthread_mutex_unlock(&http->connections_lock);
+  return some;
+}
+
 bool mo_connection_has_left(const struct mo_connection *connection)
 {
-  char byte;
-  ssize_t n = recv(connection->fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
-  return n == 0 || (n < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR);
+  return atomic_load(&connection->left);
 }
 
 void mo_connections_expire(struct mo_http *http, int64_t now_us)
@@ -115,7 +141,8 @@ void mo_connections_expire(struct mo_http *http, int64_t now_us)
 int mo_connections_init(struct mo_http *http, struct mo_message *message)
 {
   struct rlimit limit;
-  rlim_t wanted = (rlim_t)http->config.max_connections + OTHER_FILES;
+  const rlim_t other_files = (rlim_t)OTHER_FILES + http->config.other_files;
+  rlim_t wanted = (rlim_t)http->config.max_connections + other_files;
   if (getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < wanted) {
     limit.rlim_cur = limit.rlim_max < wanted ? limit.rlim_max : wanted;
     setrlimit(RLIMIT_NOFILE, &limit);
@@ -124,16 +151,18 @@ int mo_connections_init(struct mo_http *http, struct mo_message *message)
     limit.rlim_cur = 1024;
   if (limit.rlim_cur <
       wanted) { /* accept fewer connections: everything else needs descriptors, too */
-    rlim_t others = limit.rlim_cur / 2 < OTHER_FILES ? limit.rlim_cur / 2 : OTHER_FILES;
-    http->config.max_connections =
-        limit.rlim_cur > others ? (uint32_t)(limit.rlim_cur - others) : 1;
+    rlim_t others = limit.rlim_cur / 2 < other_files ? limit.rlim_cur / 2 : other_files;
+    const rlim_t most = limit.rlim_cur > others ? limit.rlim_cur - others : 1;
+    if (most < http->config.max_connections)
+      http->config.max_connections = (uint32_t)most;
   }
   http->connections_size = limit.rlim_cur < (1 << 20) ? (size_t)limit.rlim_cur : (1 << 20);
   http->connections =
       calloc(http->connections_size,
              sizeof(*http->connections)); /* NOLINT(bugprone-sizeof-expression): of pointers */
   http->stop_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
-  if (http->connections == NULL || http->stop_fd < 0)
+  http->watch_fd = epoll_create1(EPOLL_CLOEXEC);
+  if (http->connections == NULL || http->stop_fd < 0 || http->watch_fd < 0)
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the table of connections");
   return MO_OK;
 }

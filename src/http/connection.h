@@ -40,6 +40,7 @@ struct mo_connection {
    * no progress. MO_NEVER: a whole request has arrived. */
   atomic_bool receiving;
   _Atomic int64_t spare_us; /* MO_GAVE_WAY: already cut */
+  atomic_bool left;         /* the client has closed its end */
 };
 
 /* The table of connections by descriptor (in struct mo_http). */
@@ -56,10 +57,15 @@ bool mo_connection_spare(struct mo_connection *connection, int64_t since_us);
  * that is sent before, only in the middle of a request whose reply has not begun. */
 void mo_connection_cut(struct mo_http *http, const struct mo_connection *connection, const char *id,
                        const char *detail);
-/* Says whether the client of a suspended connection has left: libmicrohttpd does not watch it. */
+/* Waits for clients to leave, at most timeout_ms: libmicrohttpd does not watch connections that are
+ * suspended. Returns whether one has left. */
+bool mo_connections_watch(struct mo_http *http, int timeout_ms);
+/* Says whether the client of a connection has left. */
 bool mo_connection_has_left(const struct mo_connection *connection);
-/* Writes a refusal to a socket as a whole reply. */
-void mo_write_refusal(int fd, unsigned status, const char *id, const char *detail);
+/* Writes a refusal to a socket as a whole reply. With TLS it does nothing: only the thread of a
+ * connection can encrypt. */
+void mo_write_refusal(const struct mo_http *http, int fd, unsigned status, const char *id,
+                      const char *detail);
 
 /* For a moment, reads and discards what clients still send after their last reply: closing at once
  * would reset the connection and lose the reply. */

@@ -113,17 +113,17 @@ static bool admitted(struct mo_request *request)
   /* Who needs no token may do everything. Who sends one has its name and its right. */
   request->caller.right = MO_RIGHT_ADMIN;
   bool needed = request->connection->transport == MO_TRANSPORT_TCP ||
-                (http->config.token_on_loopback && !is_unix);
+                ((http->config.token_on_loopback || http->config.token_if_any) && !is_unix);
   int token = needed || framing->authorization != NULL
                   ? mo_tokens_check(&http->tokens, framing->authorization, &request->caller)
                   : -1;
-  if (token == 1 || (token == -1 && !needed) || is_unix)
+  if (token == 1 || is_unix || (token == -1 && (!needed || http->config.token_if_any)))
     return true;
   atomic_fetch_add(&http->metrics.unauthorized, 1);
   mo_reply_problem(request, 401, NULL,
                    framing->authorization == NULL
                        ? "A bearer token is needed: Authorization: Bearer <token>."
-                       : "The Authorization field has no valid bearer token.");
+                       : "The Authorization field has no bearer token that is valid here.");
   return false;
 }
 
@@ -401,9 +401,14 @@ int mo_daemon_start(struct mo_http *http, struct mo_message *message)
 {
   /* The library's limit on connections is set too high to be reached: the acceptor keeps the limit,
    * because it replies. */
+  struct MHD_OptionItem tls[] = {
+      {MHD_OPTION_HTTPS_MEM_CERT, 0, (void *)http->config.certificate},
+      {MHD_OPTION_HTTPS_MEM_KEY, 0, (void *)http->config.key},
+      {MHD_OPTION_HTTPS_PRIORITIES, 0, (void *)"NORMAL:-VERS-ALL:+VERS-TLS1.3"},
+      {MHD_OPTION_END, 0, NULL}};
   http->daemon = MHD_start_daemon(
       MHD_USE_EPOLL_INTERNAL_THREAD | MHD_ALLOW_SUSPEND_RESUME | MHD_USE_NO_LISTEN_SOCKET |
-          MHD_USE_ERROR_LOG,
+          MHD_USE_ERROR_LOG | (http->is_tls ? MHD_USE_TLS : 0),
       0, NULL, NULL, on_request, http, MHD_OPTION_EXTERNAL_LOGGER, on_log, NULL,
       MHD_OPTION_THREAD_POOL_SIZE, (unsigned)http->config.n_io_threads, MHD_OPTION_CONNECTION_LIMIT,
       (unsigned)(http->config.max_connections + 64) * http->config.n_io_threads,
@@ -411,7 +416,7 @@ int mo_daemon_start(struct mo_http *http, struct mo_message *message)
       MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)32768, MHD_OPTION_URI_LOG_CALLBACK, on_target,
       http, MHD_OPTION_UNESCAPE_CALLBACK, on_unescape, NULL, MHD_OPTION_STRICT_FOR_CLIENT, 1,
       MHD_OPTION_NOTIFY_COMPLETED, on_completed, http, MHD_OPTION_NOTIFY_CONNECTION, on_connection,
-      http, MHD_OPTION_END);
+      http, MHD_OPTION_ARRAY, http->is_tls ? tls : &tls[3], MHD_OPTION_END);
   return http->daemon != NULL ? MO_OK
                               : mo_fail(message, MO_ERR_NO_MEMORY, "cannot start the HTTP threads");
 }

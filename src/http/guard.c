@@ -206,7 +206,7 @@ bool mo_guard_fetch_site(const char *site)
 
 /* ---- tokens ---- */
 
-const char *const mo_right_words[] = {"read", "submit", "admin", NULL};
+const char *const mo_right_words[] = {"worker", "read", "submit", "admin", NULL};
 
 static void free_items(struct mo_token *items, size_t n)
 {

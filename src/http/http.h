@@ -53,6 +53,9 @@ struct mo_http_config {
   const struct mo_token *tokens; /* at most MO_TOKENS_MAX; see mo_http_set_tokens */
   size_t n_tokens;
   bool token_on_loopback;   /* require a token on loopback even if every listener is on loopback */
+  bool token_if_any;        /* require a token on loopback as soon as there is one */
+  const char *certificate;  /* NULL: plain HTTP. Else TLS 1.3: the chain, as text in PEM */
+  const char *key;          /* its private key, as text in PEM; both are read at the start only */
   const gid_t *unix_groups; /* groups whose members may use the unix socket, besides root and the
                                service's own user */
   size_t n_unix_groups;
@@ -60,9 +63,11 @@ struct mo_http_config {
   uint32_t max_connections; /* beyond, idle connections are cut, or new ones get 503 with
                                Retry-After. Lower if the limit of open files requires it: see
                                mo_http_get_stats */
+  uint32_t other_files;     /* descriptors that other servers of this process may need */
   uint32_t max_streams;     /* event streams */
   uint32_t max_in_flight;   /* requests of one client at a time, without those that wait for a job;
                                beyond: 429 */
+  uint32_t max_queued;      /* requests that wait for an API thread; beyond: 503; 0: 256 */
   uint32_t client_rate_per_s; /* submissions and uploads per second and client; 0: no limit; beyond:
                                  429 */
   uint64_t max_body_bytes;    /* JSON body that submits work */
@@ -84,10 +89,11 @@ struct mo_http_service {
   struct mo_routes routes; /* at most MO_ROUTES_MAX */
   void *context;           /* for the handlers */
   /* Each nullable. start: before the first connection is accepted; an error ends the start. tick:
-   * about once a second, on the clock thread. stop: after the last reply. */
+   * every tick_ms, on the clock thread. stop: after the last reply. */
   int (*start)(void *context, struct mo_http *http);
   void (*tick)(void *context);
   void (*stop)(void *context);
+  uint32_t tick_ms; /* 0: 1000 */
 };
 
 struct mo_http_stats {
@@ -109,11 +115,14 @@ int mo_http_listen(const char *where, int *fd, char *address, struct mo_message 
  * listening TCP or unix socket. */
 int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_message *message);
 
-/* Starts the server. GET /readyz is 503 until mo_http_set_ready. MO_ERR_INVALID: a listener beyond
- * loopback without tokens, a malformed token, no listener; MO_ERR_NO_MEMORY; MO_ERR_IO. Call before
- * other threads use JSON: this seeds the hash function of jansson. */
+/* Starts the server. A process may have several. GET /readyz is 503 until mo_http_set_ready.
+ * MO_ERR_INVALID: a listener beyond loopback without tokens, a malformed token, a certificate and a
+ * key that do not fit, no listener; MO_ERR_NO_MEMORY; MO_ERR_IO. */
 int mo_http_start(const struct mo_http_config *config, const struct mo_http_service *service,
                   struct mo_http **http, struct mo_message *message);
+
+/* Checks a certificate and its key. MO_ERR_INVALID, MO_ERR_NO_MEMORY. */
+int mo_http_check_certificate(const char *certificate, const char *key, struct mo_message *message);
 
 /* Closes the listening sockets, for a caller that fails before mo_http_start. */
 void mo_http_refuse_listeners(const struct mo_http_config *config);

@@ -33,8 +33,7 @@ void mo_reply_last(struct mo_request *request)
     mo_text_add(&text, "\r\n");
     if (request->method != MO_HEAD)
       mo_text_bytes(&text, reply->body != NULL ? reply->body : reply->fixed, reply->size);
-    if (!text.failed &&
-        send(request->connection->fd, text.data, text.size, MSG_NOSIGNAL | MSG_DONTWAIT) > 0) {
+    if (!text.failed && mo_connection_write_last(request, text.data, text.size)) {
       request->sent = request->method != MO_HEAD ? reply->size : 0;
       request->answered = true;
     }

@@ -59,7 +59,8 @@ static bool park(struct mo_request *request)
 {
   struct mo_pool *pool = &request->http->pool;
   pthread_mutex_lock(&pool->lock);
-  bool parked = !request->wait_fired && !pool->closed;
+  bool parked =
+      !request->wait_fired && !pool->closed && !mo_connection_has_left(request->connection);
   if (parked) {
     request->wait_parked = true;
     mo_client_park(&request->http->clients, request->client, true);
@@ -142,9 +143,9 @@ int mo_pool_give(struct mo_http *http, struct mo_request *request)
   struct mo_pool *pool = &http->pool;
   pthread_mutex_lock(&pool->lock);
   bool refill = request->stage == MO_STAGE_REPLY;
-  int error = pool->closed                                             ? MO_ERR_CANCELLED
-              : !refill && queue_of(pool, request)->n >= MO_QUEUED_MAX ? MO_ERR_BUSY
-                                                                       : MO_OK;
+  int error = pool->closed                                                       ? MO_ERR_CANCELLED
+              : !refill && queue_of(pool, request)->n >= http->config.max_queued ? MO_ERR_BUSY
+                                                                                 : MO_OK;
   if (error == MO_OK && !refill) {
     request->stage = MO_STAGE_HANDLING;
     pool->n_outside++;
@@ -163,7 +164,7 @@ void mo_wait_begin(struct mo_request *request, int64_t what, int64_t deadline_us
   request->wait_deadline_us = deadline_us;
   request->wait_fired = request->wait_parked = false;
   pthread_mutex_lock(&pool->lock);
-  LIST_INSERT_HEAD(&pool->waiting, request, others_waiting);
+  LIST_INSERT_HEAD(&pool->waiting[(uint64_t)what % MO_WAITING], request, others_waiting);
   pthread_mutex_unlock(&pool->lock);
 }
 
@@ -191,14 +192,17 @@ static void let_go(struct mo_pool *pool, struct mo_request *request)
 void mo_waits_end(struct mo_http *http, int64_t what, int64_t now_us)
 {
   struct mo_pool *pool = &http->pool;
+  const size_t first = what < 0 ? 0 : (uint64_t)what % MO_WAITING;
+  const size_t end = what < 0 ? MO_WAITING : first + 1;
   pthread_mutex_lock(&pool->lock);
-  for (struct mo_request *request = LIST_FIRST(&pool->waiting), *next; request != NULL;
-       request = next) {
-    next = LIST_NEXT(request, others_waiting);
-    if (request->wait_for == what || request->wait_deadline_us <= now_us ||
-        (what < 0 && request->wait_parked && mo_connection_has_left(request->connection)))
-      let_go(pool, request);
-  }
+  for (size_t i = first; i < end; i++)
+    for (struct mo_request *request = LIST_FIRST(&pool->waiting[i]), *next; request != NULL;
+         request = next) {
+      next = LIST_NEXT(request, others_waiting);
+      if (request->wait_for == what || request->wait_deadline_us <= now_us ||
+          (what < 0 && request->wait_parked && mo_connection_has_left(request->connection)))
+        let_go(pool, request);
+    }
   pthread_mutex_unlock(&pool->lock);
 }
 

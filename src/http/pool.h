@@ -6,6 +6,7 @@
 
 #define MO_API_THREADS 4
 #define MO_QUEUED_MAX  256 /* requests that wait for an API thread, lists and others apart */
+#define MO_WAITING     256 /* lists of waiting requests */
 
 struct mo_queue {
   STAILQ_HEAD(, mo_request) requests;
@@ -24,7 +25,7 @@ struct mo_pool {
   bool quit;
   pthread_t threads[MO_API_THREADS];
   uint32_t n_threads;
-  LIST_HEAD(, mo_request) waiting; /* parked, or about to park */
+  LIST_HEAD(, mo_request) waiting[MO_WAITING]; /* parked, or about to park; by what they wait for */
   _Atomic int64_t heartbeat_us;
 };
 
@@ -36,7 +37,7 @@ int mo_pool_give(struct mo_http *http, struct mo_request *request);
 /* Waiting. A handler calls mo_wait_begin, then looks whether `what` has ended. If so it calls
  * mo_wait_end and replies. If not it returns without a reply: the request is parked, and the
  * handler runs again, with request->wait_over, when mo_waits_end is called for `what`, when the
- * deadline passes, or when the client leaves. */
+ * deadline passes, or, within some 20 ms, when the client leaves (mo_connection_has_left). */
 void mo_wait_begin(struct mo_request *request, int64_t what, int64_t deadline_us);
 void mo_wait_end(struct mo_request *request);
 /* Ends the waits for `what`, or (−1) of clients that have left, and those whose deadline has passed

@@ -28,13 +28,15 @@ enum mo_route_flag {
   MO_ROUTE_JSON = 64   /* the reply is JSON; another Accept gets 406 */
 };
 
-/* What a token lets its holder do; each right includes those before it. */
+/* What a token lets its holder do; each right includes those before it. Workers have a server of
+ * their own, and no right on that of clients. */
 enum mo_right {
+  MO_RIGHT_WORKER, /* take leases and give their results */
   MO_RIGHT_READ,   /* look, and compute what is stored nowhere */
   MO_RIGHT_SUBMIT, /* submit jobs and control them */
   MO_RIGHT_ADMIN   /* remove or replace what others may use */
 };
-extern const char *const mo_right_words[]; /* "read", "submit", "admin", NULL */
+extern const char *const mo_right_words[]; /* "worker", "read", "submit", "admin", NULL */
 
 /* A bearer token. */
 #define MO_TOKEN_NAME_MAX 64

@@ -13,6 +13,8 @@
 #include "base/processors.h"
 
 #define MANY_CONNECTIONS 64 /* from so many on, freed memory is returned to the system */
+#define ROUND_MS         100
+#define TICK_MS          1000
 
 /* ---- the clock ---- */
 
@@ -27,26 +29,38 @@ static void trim_memory(uint32_t n_connections, uint32_t *peak)
   *peak = n_connections;
 }
 
+/* Says whether `period_ms` have passed since the last time. */
+static bool is_due(int64_t *last_us, int period_ms, int64_t now_us)
+{
+  const bool due = now_us - *last_us >= (int64_t)period_ms * 1000;
+  if (due)
+    *last_us = now_us;
+  return due;
+}
+
 static void *clock_thread(void *context)
 {
   struct mo_http *http = context;
-  int64_t second_us = 0;
+  const int tick_ms = http->service.tick_ms > 0 ? (int)http->service.tick_ms : TICK_MS;
+  int64_t round_us = 0, tick_us = 0, second_us = 0;
   uint32_t peak = 0;
   while (!atomic_load(&http->clock_stop)) {
-    struct timespec pause = {.tv_nsec = 100000000};
-    nanosleep(&pause, NULL);
-    int64_t now_us = mo_clock_us();
-    mo_connections_expire(http, now_us);
-    mo_waits_end(http, -1, now_us);
-    mo_linger_on(&http->lingering, now_us);
-    trim_memory(atomic_load(&http->n_connections), &peak);
-    if (now_us - second_us >= 1000000) {
-      second_us = now_us;
+    const bool some_left = mo_connections_watch(http, tick_ms < ROUND_MS ? tick_ms : ROUND_MS);
+    const int64_t now_us = mo_clock_us();
+    const bool is_round = is_due(&round_us, ROUND_MS, now_us);
+    if (some_left || is_round)
+      mo_waits_end(http, -1, now_us);
+    if (is_round) {
+      mo_connections_expire(http, now_us);
+      mo_linger_on(&http->lingering, now_us);
+      trim_memory(atomic_load(&http->n_connections), &peak);
+    }
+    if (is_due(&second_us, 1000, now_us)) {
       mo_streams_tick(http, now_us);
       mo_clients_sweep(&http->clients, now_us);
-      if (http->service.tick != NULL)
-        http->service.tick(http->service.context);
     }
+    if (http->service.tick != NULL && is_due(&tick_us, tick_ms, now_us))
+      http->service.tick(http->service.context);
     atomic_store(&http->clock_us, now_us);
   }
   return NULL;
@@ -98,6 +112,8 @@ static void destroy(struct mo_http *http)
     close(http->stop_fd);
   if (http->peers_fd >= 0)
     close(http->peers_fd);
+  if (http->watch_fd >= 0)
+    close(http->watch_fd);
   /* The library closes a connection that it has not begun to serve without a callback. */
   for (size_t fd = 0; fd < http->connections_top; fd++)
     free(http->connections[fd]);
@@ -117,6 +133,8 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
     http->config.n_io_threads = processors < 2 ? 2 : processors < 4 ? processors : 4;
   if (http->config.heartbeat_ms == 0)
     http->config.heartbeat_ms = 15000;
+  if (http->config.max_queued == 0)
+    http->config.max_queued = MO_QUEUED_MAX;
   if (getrandom(&http->id_key, sizeof(http->id_key), 0) != (ssize_t)sizeof(http->id_key))
     http->id_key = (uint64_t)mo_clock_us() << 20;
   http->id_key &= ~UINT64_C(0xFFFFFFFF); /* ids count up after a random prefix */
@@ -125,6 +143,8 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
     code = mo_connections_init(http, message);
   if (code == MO_OK)
     code = mo_tokens_set(&http->tokens, config->tokens, config->n_tokens, message);
+  if (code == MO_OK && http->is_tls)
+    code = mo_http_check_certificate(config->certificate, config->key, message);
   if (code == MO_OK && config->n_tokens == 0 &&
       (http->beyond_loopback || config->token_on_loopback))
     code = mo_fail(message, MO_ERR_INVALID,
@@ -145,7 +165,9 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
                        .service = *service,
                        .names = {config->allowed_hosts, config->n_allowed_hosts},
                        .tokens.lock = PTHREAD_RWLOCK_INITIALIZER,
+                       .is_tls = config->certificate != NULL,
                        .stop_fd = -1,
+                       .watch_fd = -1,
                        .peers_fd = socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_SOCK_DIAG),
                        .connections_lock = PTHREAD_MUTEX_INITIALIZER,
                        .lingering.lock = PTHREAD_MUTEX_INITIALIZER,

@@ -19,7 +19,7 @@ struct mo_http {
   struct mo_http_service service;
   struct mo_names names;
   struct mo_tokens tokens;
-  bool beyond_loopback;
+  bool beyond_loopback, is_tls;
   struct mo_listener {
     int fd;
     enum mo_transport transport;
@@ -30,6 +30,7 @@ struct mo_http {
   pthread_t acceptor, clock;
   bool acceptor_started, clock_started;
   int stop_fd;  /* eventfd: ends the acceptor */
+  int watch_fd; /* epoll: clients that leave */
   int peers_fd; /* netlink socket for the users of loopback peers; −1: not available */
   uint32_t peers_sequence;
   pthread_mutex_t connections_lock;
@@ -50,6 +51,10 @@ struct mo_http {
   _Atomic uint64_t next_id;
   uint64_t id_key;
 };
+
+/* Writes the last bytes of a connection, and the end of TLS (tls.c), on the I/O thread. Returns
+ * whether some were written. */
+bool mo_connection_write_last(struct mo_request *request, const char *bytes, size_t n);
 
 /* Starts libmicrohttpd with its callbacks (dispatch.c). */
 int mo_daemon_start(struct mo_http *http, struct mo_message *message);

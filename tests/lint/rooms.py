@@ -23,7 +23,7 @@ ROOMS = {
     "fleet": [],
     "worker": ["curl/"],
     "jobs": [],
-    "http": ["microhttpd.h"],
+    "http": ["microhttpd.h", "gnutls/"],
     "api": ["zstd.h"],
     "daemon": ["systemd/"],
 }
@@ -31,8 +31,8 @@ ROOMS = {
 ONLY = {"http": ["base", "store/hash.h"]}
 CLIENTS = ["base/text.h", "base/words.h"]  # what clients share with the service
 LIBRARY = list(ROOMS)[:list(ROOMS).index("store")]  # libmorpho: no output, no exit
-FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "systemd/", "curl/",
-           "zstd.h"]
+FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "gnutls/", "systemd/",
+           "curl/", "zstd.h"]
 PUBLIC = {
     "error.h": "base", "random.h": "base", "morphospace.h": "morphospace", "world.h": "world",
     "controller.h": "controller", "rollout.h": "rollout", "gradient.h": "rollout",
