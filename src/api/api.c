@@ -19,6 +19,12 @@ static const struct mo_route table[] = {
 };
 _Static_assert(sizeof(table) / sizeof(table[0]) <= MO_ROUTES_MAX, "metrics count by route");
 
+static const struct mo_route fleet_table[] = {
+#define ROUTE(PATH, METHOD, HANDLER, RIGHT, FLAGS, BODY, QUERY)                                    \
+  {PATH, MO_##METHOD, mo_api_##HANDLER, MO_RIGHT_##RIGHT, FLAGS, MO_BODY_##BODY, QUERY},
+#include "api/fleet_routes.inc"
+};
+
 static const struct mo_routes routes = {table, sizeof(table) / sizeof(table[0])};
 
 /* ---- start and stop ---- */
@@ -91,6 +97,19 @@ int mo_api_start(const struct mo_http_config *config, const struct mo_api_servic
   return error;
 }
 
+int mo_api_start_fleet(struct mo_api *api, const struct mo_http_config *config,
+                       struct mo_message *message)
+{
+  const struct mo_http_service service = {
+      .routes = {fleet_table, sizeof(fleet_table) / sizeof(fleet_table[0])}, .context = api};
+  return mo_http_start(config, &service, &api->fleet_http, message);
+}
+
+struct mo_http *mo_api_fleet_http(struct mo_api *api)
+{
+  return api->fleet_http;
+}
+
 struct mo_http *mo_api_http(struct mo_api *api)
 {
   return api->http;
@@ -100,6 +119,7 @@ void mo_api_stop(struct mo_api *api, uint32_t grace_ms)
 {
   if (api == NULL)
     return;
+  mo_http_stop(api->fleet_http, grace_ms);
   mo_http_stop(api->http, grace_ms);
   destroy(api);
 }

@@ -28,7 +28,12 @@ struct mo_api_services {
 int mo_api_start(const struct mo_http_config *config, const struct mo_api_services *services,
                  struct mo_api **api, struct mo_message *message);
 struct mo_http *mo_api_http(struct mo_api *api);
-/* As mo_http_stop. */
+/* Starts the server for workers, which has its own sockets, tokens and limits. Errors as
+ * mo_http_start. */
+int mo_api_start_fleet(struct mo_api *api, const struct mo_http_config *config,
+                       struct mo_message *message);
+struct mo_http *mo_api_fleet_http(struct mo_api *api); /* NULL: none */
+/* As mo_http_stop, for both. */
 void mo_api_stop(struct mo_api *api, uint32_t grace_ms);
 
 #endif

@@ -28,7 +28,7 @@ struct mo_api {
   struct mo_store *store;
   struct mo_jobs *jobs;
   struct mo_compute *compute;
-  struct mo_http *http;
+  struct mo_http *http, *fleet_http; /* for clients; for workers, NULL: none */
   struct mo_lattice *lattice;
   char version[32];
   char contract_tag[MO_SHA256_DIGITS + 1]; /* of openapi.json */

@@ -211,11 +211,16 @@ static int run(struct process *process, const sigset_t *set)
  * when it is complete. */
 static int announce(const struct process *process, struct mo_message *message)
 {
-  const char *const *addresses;
+  const char *const *addresses, *const *fleet;
   size_t n = service_addresses(process->service, &addresses);
+  const size_t n_fleet = service_fleet_addresses(process->service, &fleet);
   for (size_t i = 0; i < n; i++) {
     printf("morphod serves %s\n", addresses[i]);
     log_info("serving", LOG_TEXT("address", addresses[i]));
+  }
+  for (size_t i = 0; i < n_fleet; i++) {
+    printf("morphod serves workers at %s\n", fleet[i]);
+    log_info("serving workers", LOG_TEXT("address", fleet[i]));
   }
   fflush(stdout);
   const char *path = process->settings.port_file;
@@ -226,8 +231,8 @@ static int announce(const struct process *process, struct mo_message *message)
     return MO_ERR_NO_MEMORY;
   FILE *file = fopen(temporary, "we");
   int status = file != NULL ? MO_OK : MO_ERR_IO;
-  for (size_t i = 0; i < n && status == MO_OK; i++)
-    if (fprintf(file, "%s\n", addresses[i]) < 0)
+  for (size_t i = 0; i < n + n_fleet && status == MO_OK; i++)
+    if (fprintf(file, "%s\n", i < n ? addresses[i] : fleet[i - n]) < 0)
       status = MO_ERR_IO;
   if (file != NULL && fclose(file) != 0)
     status = MO_ERR_IO;

@@ -8,5 +8,10 @@
  * RLIMIT_AS without 1 GiB that is only reserved; minus the larger of an eighth and 64 MiB, but at
  * most minus half. > 0. */
 uint64_t memory_limit(void);
+/* Returns the setting max_memory, or memory_limit() for its default 0. */
+static inline uint64_t memory_limit_of(uint64_t max_memory)
+{
+  return max_memory > 0 ? max_memory : memory_limit();
+}
 
 #endif

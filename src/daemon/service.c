@@ -22,15 +22,15 @@
 #include "base/json.h"
 #include "daemon/crash.h"
 #include "daemon/devices.h"
+#include "daemon/fleet.h"
 #include "daemon/log.h"
 #include "daemon/memory.h"
+#include "daemon/sockets.h"
 #include "daemon/tokens.h"
 #include "jobs/jobs.h"
 #include "store/store.h"
 
-#define LISTENERS_MAX    64
 #define EVENT_FIELDS_MAX 16
-#define ADDRESS_BYTES    256
 #define OPEN_LIMIT_US    (UINT64_C(3600) * 1000000)
 #define STORE_READERS                                                                              \
   8 /* more than the threads that read: those of the API, the HTTP clock, the scheduler */
@@ -39,12 +39,8 @@
 
 struct service {
   char *state_dir;
-  int listeners[LISTENERS_MAX];
-  size_t n_listeners;
-  char address_text[LISTENERS_MAX][ADDRESS_BYTES];
-  const char *addresses[LISTENERS_MAX];
-  gid_t groups[64];                /* that may use unix sockets */
-  char *unix_paths[LISTENERS_MAX]; /* sockets created here, to be removed; else NULL */
+  struct sockets sockets, fleet_sockets; /* of `http`, of `fleet_http` */
+  gid_t groups[64];                      /* that may use unix sockets */
   struct mo_store *store;
   struct mo_compute *compute;
   struct mo_jobs *jobs;
@@ -81,26 +77,6 @@ static int make_folders(const char *path, struct mo_message *message)
   return status;
 }
 
-/* Takes a passed socket (address NULL), or listens on an address. */
-static int add_listener(struct service *service, int fd, const char *address,
-                        struct mo_message *message)
-{
-  const size_t place = service->n_listeners;
-  bool beyond;
-  if (place == LISTENERS_MAX)
-    return mo_fail(message, MO_ERR_LIMIT, "more than %d sockets", LISTENERS_MAX);
-  int status = address != NULL
-                   ? mo_http_listen(address, &fd, service->address_text[place], message)
-                   : mo_http_describe(fd, service->address_text[place], &beyond, message);
-  if (status != MO_OK)
-    return status;
-  service->addresses[place] = service->address_text[place];
-  service->listeners[service->n_listeners++] = fd;
-  if (address != NULL && strncmp(address, "unix:", 5) == 0)
-    service->unix_paths[place] = strdup(address + 5);
-  return MO_OK;
-}
-
 static int open_listeners(struct service *service, const struct settings *settings,
                           struct mo_message *message)
 {
@@ -111,21 +87,25 @@ static int open_listeners(struct service *service, const struct settings *settin
                    strerror(-n_passed));
   int status = MO_OK;
   for (int i = 0; i < n_passed && status == MO_OK; i++) {
-    status = add_listener(service, SD_LISTEN_FDS_START + i, NULL, message);
+    status = sockets_add(&service->sockets, SD_LISTEN_FDS_START + i, NULL, message);
     if (status == MO_OK)
       log_debug("socket taken", LOG_TEXT("name", names != NULL ? names[i] : NULL),
-                LOG_TEXT("address", service->addresses[i]));
+                LOG_TEXT("address", service->sockets.addresses[i]));
   }
   for (int i = 0; names != NULL && names[i] != NULL; i++)
     free(names[i]);
   free(names);
+  for (size_t i = 0; i < settings->fleet_listen.n && status == MO_OK; i++)
+    status = sockets_add(&service->fleet_sockets, -1, settings->fleet_listen.items[i], message);
+  if (settings->fleet_certificate != NULL)
+    sockets_use_tls(&service->fleet_sockets);
   size_t row = 0;
   while (settings_table[row].offset != offsetof(struct settings, listen))
     row++;
   if (n_passed > 0 && settings->source[row] == SOURCE_DEFAULT)
     return status;
   for (size_t i = 0; i < settings->listen.n && status == MO_OK; i++)
-    status = add_listener(service, -1, settings->listen.items[i], message);
+    status = sockets_add(&service->sockets, -1, settings->listen.items[i], message);
   return status;
 }
 
@@ -285,11 +265,6 @@ static int store_default_controller(struct service *service, const struct settin
   return status;
 }
 
-static uint64_t max_memory_of(const struct settings *settings)
-{
-  return settings->max_memory > 0 ? settings->max_memory : memory_limit();
-}
-
 /* Returns the memory for bodies: eight of the largest, but not more than an eighth of max_memory.
  */
 static uint64_t body_memory(const struct settings *settings)
@@ -299,7 +274,7 @@ static uint64_t body_memory(const struct settings *settings)
                               : settings->max_controller_bytes;
   const uint64_t bundles = 2 * settings->max_bundle_bytes;
   const uint64_t wanted = 8 * larger > bundles ? 8 * larger : bundles;
-  const uint64_t most = max_memory_of(settings) / 8;
+  const uint64_t most = memory_limit_of(settings->max_memory) / 8;
   return wanted < most ? wanted : most;
 }
 
@@ -319,16 +294,17 @@ static int start_http(struct service *service, const struct settings *settings,
       service->groups[i] = group->gr_gid;
   }
   struct mo_http_config config = {
-      .listeners = service->listeners,
-      .n_listeners = service->n_listeners,
+      .listeners = service->sockets.fd,
+      .n_listeners = service->sockets.n,
       .allowed_hosts = (const char *const *)settings->allowed_hosts.items,
       .n_allowed_hosts = settings->allowed_hosts.n,
-      .tokens = tokens.items,
-      .n_tokens = tokens.n,
+      .tokens = tokens.items + tokens.n_workers,
+      .n_tokens = tokens.n - tokens.n_workers,
       .token_on_loopback = settings->token_on_loopback != 0,
       .unix_groups = service->groups,
       .n_unix_groups = settings->unix_groups.n,
       .max_connections = (uint32_t)settings->max_connections,
+      .other_files = fleet_max_connections(settings),
       .max_streams = (uint32_t)settings->max_streams,
       .max_in_flight = (uint32_t)settings->max_in_flight,
       .client_rate_per_s = (uint32_t)settings->client_rate_per_s,
@@ -348,12 +324,8 @@ static int start_http(struct service *service, const struct settings *settings,
                                      .log_dropped = log_dropped,
                                      .dashboard = (enum mo_dashboard)settings->dashboard};
   if (status == MO_OK) {
-    service->n_listeners = 0; /* mo_api_start owns the listeners, even if it fails */
     status = mo_api_start(&config, &services, &service->api, message);
-    service->n_listeners = config.n_listeners;
-    if (status != MO_OK) /* closed by mo_api_start */
-      for (size_t i = 0; i < service->n_listeners; i++)
-        service->listeners[i] = -1;
+    sockets_hand_over(&service->sockets); /* even if the start failed */
   }
   if (status == MO_OK) {
     struct mo_http_stats stats;
@@ -367,6 +339,12 @@ static int start_http(struct service *service, const struct settings *settings,
   }
   tokens_free(&tokens);
   return status;
+}
+
+static int start_fleet(struct service *service, const struct settings *settings,
+                       struct mo_message *message)
+{
+  return fleet_start(settings, &service->fleet_sockets, service->api, log_request, message);
 }
 
 /* ---- start ---- */
@@ -417,7 +395,7 @@ static int open_store(struct service *service, const struct settings *settings,
       .keep_recordings_s = seconds_of(settings->keep_recordings_ms),
       .fatal = store_is_broken,
       .fatal_context = service};
-  mo_store_limit_memory(max_memory_of(settings) / 8);
+  mo_store_limit_memory(memory_limit_of(settings->max_memory) / 8);
   int error = make_folders(settings->state_dir, message);
   if (error == MO_OK)
     error = mo_store_open(&config, &service->store, message);
@@ -464,7 +442,7 @@ static int start_jobs(struct service *service, const struct settings *settings,
                                         .max_active_trainings = (uint32_t)settings->max_trainings,
                                         .max_active_campaigns = (uint32_t)settings->max_campaigns,
                                         .version = MORPHOD_VERSION,
-                                        .max_memory = max_memory_of(settings),
+                                        .max_memory = memory_limit_of(settings->max_memory),
                                         .crash_marker = service->last_marker,
                                         .killed_us = service->killed_us,
                                         .warn = job_has_failed};
@@ -486,6 +464,7 @@ static const struct part {
     {store_default_controller, EXIT_CONFIG, EXIT_STATE, {MO_ERR_NO_SPACE, MO_ERR_CORRUPT}},
     {start_jobs, EXIT_INTERNAL, EXIT_STATE, {MO_ERR_IO, MO_ERR_NO_SPACE}},
     {start_http, EXIT_CONFIG, EXIT_UNAVAILABLE, {MO_ERR_IO}},
+    {start_fleet, EXIT_CONFIG, EXIT_UNAVAILABLE, {MO_ERR_IO}},
 };
 
 /* Completes the message about a part that could not start, and returns the exit status. */
@@ -529,10 +508,16 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   return EXIT_OK;
 }
 
+size_t service_fleet_addresses(const struct service *service, const char *const **addresses)
+{
+  *addresses = service->fleet_sockets.addresses;
+  return service->fleet_sockets.n;
+}
+
 size_t service_addresses(const struct service *service, const char *const **addresses)
 {
-  *addresses = service->addresses;
-  return service->n_listeners;
+  *addresses = service->sockets.addresses;
+  return service->sockets.n;
 }
 
 int service_reload_tokens(struct service *service, const struct settings *settings,
@@ -540,8 +525,13 @@ int service_reload_tokens(struct service *service, const struct settings *settin
 {
   struct tokens tokens;
   int status = tokens_read(settings->token_file, &tokens, message);
-  if (status == MO_OK)
-    status = mo_http_set_tokens(service->http, tokens.items, tokens.n, message);
+  if (status != MO_OK)
+    return status;
+  struct mo_http *fleet = mo_api_fleet_http(service->api);
+  status = mo_http_set_tokens(service->http, tokens.items + tokens.n_workers,
+                              tokens.n - tokens.n_workers, message);
+  if (status == MO_OK && fleet != NULL)
+    status = mo_http_set_tokens(fleet, tokens.items, tokens.n_workers, message);
   tokens_free(&tokens);
   return status;
 }
@@ -597,20 +587,9 @@ void service_stop(struct service *service)
 {
   if (service->jobs != NULL && mo_jobs_stop(service->jobs, JOBS_STOP_MS) != MO_OK)
     log_warning("work was still being parked at its deadline; it is repeated at the next start");
-  /* Remove the sockets while they still listen: later, the path may belong to the next process,
-   * which found these sockets without a server. */
-  for (size_t i = 0; i < LISTENERS_MAX; i++)
-    if (service->unix_paths[i] != NULL) {
-      unlink(service->unix_paths[i]);
-      free(service->unix_paths[i]);
-    }
-  if (service->api != NULL) {
-    mo_api_stop(service->api, HTTP_GRACE_MS);
-  } else {
-    for (size_t i = 0; i < service->n_listeners; i++)
-      if (service->listeners[i] >= 0)
-        close(service->listeners[i]);
-  }
+  sockets_close(&service->sockets);
+  sockets_close(&service->fleet_sockets);
+  mo_api_stop(service->api, HTTP_GRACE_MS);
   mo_jobs_free(service->jobs);
   mo_compute_free(service->compute);
   if (service->subscription >= 0)

@@ -55,14 +55,26 @@ const struct setting settings_table[] = {
     TEXT_ROW("compute_module", SETTING_PATH, compute_module, "",
              "morphod-cuda.so of the installation, if it is there", false,
              "Module that computes on the devices."),
+    TEXT_ROW("fleet_listen", SETTING_LIST, fleet_listen, "", "none", false,
+             "Addresses where workers of other machines (morphod worker) take work: host:port or "
+             "[ipv6]:port. Beyond loopback they need fleet_certificate, fleet_key, and tokens with "
+             "the right worker."),
+    TEXT_ROW("fleet_certificate", SETTING_PATH, fleet_certificate, "", "none: without TLS", false,
+             "Certificate of fleet_listen, in PEM, with its chain; served with TLS 1.3."),
+    TEXT_ROW("fleet_key", SETTING_PATH, fleet_key, "", "none", false,
+             "Private key of fleet_certificate, in PEM."),
+    CHOICE_ROW("compute", compute, "both|local|fleet", "both", false,
+               "Who computes the scores of batch jobs: this machine beside the workers of "
+               "fleet_listen, this machine only, or those workers only. This machine always "
+               "computes what they cannot. Scores do not depend on it."),
     TEXT_ROW("default_controller", SETTING_PATH, default_controller, "",
              "phototaxis.safetensors of the installation", false,
              "Controller file that is stored at the first start: as \"default\", and by its own "
              "name where that can name a controller."),
     TEXT_ROW("token_file", SETTING_PATH, token_file, "",
              "credential \"token\", if systemd passes one", true,
-             "File with lines of NAME RIGHT TOKEN; rights are read, submit and admin. Required for "
-             "addresses beyond loopback."),
+             "File with lines of NAME RIGHT TOKEN; rights are read, submit and admin, and worker "
+             "for fleet_listen. Required for addresses beyond loopback."),
     CHOICE_ROW("token_on_loopback", token_on_loopback, "no|yes", "no", false,
                "Whether loopback addresses require a token, too."),
     CHOICE_ROW("dashboard", dashboard, "on|read-only|off", "on", false,

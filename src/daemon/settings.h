@@ -45,13 +45,13 @@ struct settings {
   int isa; /* 0: auto, else enum mo_isa + 1 */
   uint64_t worker_nice;
   struct setting_list devices;
-  char *compute_module;
-  char *default_controller;
-  char *token_file;
+  char *compute_module, *default_controller, *token_file;
+  struct setting_list fleet_listen;
+  char *fleet_certificate, *fleet_key;
+  int compute;           /* enum fleet_compute */
   int token_on_loopback; /* 0: no, 1: yes */
   int dashboard;         /* enum mo_dashboard */
-  struct setting_list allowed_hosts;
-  struct setting_list unix_groups;
+  struct setting_list allowed_hosts, unix_groups;
   uint64_t max_connections;
   uint64_t max_streams;
   uint64_t max_body_bytes;

@@ -13,6 +13,7 @@
 #include <morpho/rollout.h>
 
 #include "daemon/devices.h"
+#include "daemon/fleet.h"
 #include "http/server.h"
 #include "store/store.h"
 #include "tokens.h"
@@ -80,7 +81,17 @@ static void check_state_dir(const char *path, struct settings_faults *faults)
   free(parent);
 }
 
-static void check_token_file(const char *path, struct settings_faults *faults)
+static void warn_if_public(const char *name, const char *path, const struct stat *status,
+                           struct settings_faults *faults)
+{
+  if ((status->st_mode & 0007) != 0)
+    settings_fault(faults, false, "%s: %s can be read by everybody (mode %03o)", name, path,
+                   (unsigned)status->st_mode & 0777);
+}
+
+/* Counts the tokens of clients and of workers, too. */
+static void check_token_file(const char *path, size_t *n_clients, size_t *n_workers,
+                             struct settings_faults *faults)
 {
   struct stat status;
   if (stat(path, &status) != 0) { /* before opening: reading a pipe would wait without end */
@@ -90,13 +101,14 @@ static void check_token_file(const char *path, struct settings_faults *faults)
   } else {
     struct tokens tokens;
     struct mo_message message = {{0}};
-    if (tokens_read(path, &tokens, &message) == MO_OK)
+    if (tokens_read(path, &tokens, &message) == MO_OK) {
+      *n_workers = tokens.n_workers;
+      *n_clients = tokens.n - tokens.n_workers;
       tokens_free(&tokens);
-    else
+    } else {
       settings_fault(faults, true, "%s", message.text);
-    if ((status.st_mode & 0007) != 0)
-      settings_fault(faults, false, "token_file: %s can be read by everybody (mode %03o)", path,
-                     (unsigned)status.st_mode & 0777);
+    }
+    warn_if_public("token_file", path, &status, faults);
   }
 }
 
@@ -113,30 +125,71 @@ static void check_parent(const char *name, const char *path, struct settings_fau
   free(folder);
 }
 
-static void check_listen(const struct settings *settings, struct settings_faults *faults)
+/* Checks the addresses of a list. True: one is beyond loopback. */
+static bool check_addresses(const char *name, const struct setting_list *list,
+                            struct settings_faults *faults)
 {
   bool beyond = false;
-  if (settings->listen.n == 0)
-    settings_fault(faults, true, "listen: no address");
-  for (size_t i = 0; i < settings->listen.n; i++) {
+  for (size_t i = 0; i < list->n; i++) {
     struct mo_listen_address address = {0};
     struct mo_message message = {{0}};
-    const char *text = settings->listen.items[i];
+    const char *text = list->items[i];
     if (mo_http_parse_address(text, &address, &message) != MO_OK) {
-      settings_fault(faults, true, "listen: %s", message.text);
+      settings_fault(faults, true, "%s: %s", name, message.text);
       continue;
     }
     for (size_t j = 0; j < i; j++)
-      if (strcmp(text, settings->listen.items[j]) == 0 && !(address.port == 0 && !address.is_unix))
-        settings_fault(faults, true, "listen: %s is named twice", text);
+      if (strcmp(text, list->items[j]) == 0 && !(address.port == 0 && !address.is_unix))
+        settings_fault(faults, true, "%s: %s is named twice", name, text);
     if (address.is_unix)
-      check_parent("listen", address.host, faults);
+      check_parent(name, address.host, faults);
     beyond |= !address.is_loopback;
   }
+  return beyond;
+}
+
+static void check_listen(const struct settings *settings, size_t n_tokens,
+                         struct settings_faults *faults)
+{
+  const bool beyond = check_addresses("listen", &settings->listen, faults);
+  if (settings->listen.n == 0)
+    settings_fault(faults, true, "listen: no address");
   if (beyond && settings->token_file == NULL)
     settings_fault(faults, true, "listen: an address beyond loopback needs a token_file");
   else if (settings->token_on_loopback != 0 && settings->token_file == NULL)
     settings_fault(faults, true, "token_on_loopback: needs a token_file");
+  else if ((beyond || settings->token_on_loopback != 0) && n_tokens == 0 && faults->n_fatal == 0)
+    settings_fault(faults, true,
+                   "listen: token_file has tokens of workers only; add one with the right read, "
+                   "submit or admin");
+}
+
+static void check_fleet(const struct settings *settings, size_t n_tokens,
+                        struct settings_faults *faults)
+{
+  const bool beyond = check_addresses("fleet_listen", &settings->fleet_listen, faults);
+  const bool has_both = settings->fleet_certificate != NULL && settings->fleet_key != NULL;
+  struct fleet_certificate pair;
+  struct mo_message message = {{0}};
+  struct stat status;
+  if (!has_both && (settings->fleet_certificate != NULL || settings->fleet_key != NULL))
+    settings_fault(faults, true, "fleet_certificate and fleet_key: give both, or none");
+  else if (has_both && fleet_certificate_read(settings, &pair, &message) != MO_OK)
+    settings_fault(faults, true, "%s", message.text);
+  else if (has_both)
+    fleet_certificate_free(&pair);
+  if (has_both && stat(settings->fleet_key, &status) == 0)
+    warn_if_public("fleet_key", settings->fleet_key, &status, faults);
+  if (beyond && !has_both)
+    settings_fault(faults, true,
+                   "fleet_listen: an address beyond loopback needs fleet_certificate and "
+                   "fleet_key");
+  if (beyond && n_tokens == 0 && faults->n_fatal == 0)
+    settings_fault(faults, true,
+                   "fleet_listen: an address beyond loopback needs a token_file with a token of "
+                   "the right worker: NAME worker TOKEN");
+  if (settings->compute == COMPUTE_FLEET && settings->fleet_listen.n == 0)
+    settings_fault(faults, true, "compute: fleet needs fleet_listen, where workers take work");
 }
 
 static void check_controller(const char *path, struct settings_faults *faults)
@@ -171,9 +224,11 @@ void settings_check(const struct settings *settings, bool state_dir, struct sett
 {
   if (state_dir)
     check_state_dir(settings->state_dir, faults);
-  check_listen(settings, faults);
+  size_t n_clients = 0, n_workers = 0;
   if (settings->token_file != NULL)
-    check_token_file(settings->token_file, faults);
+    check_token_file(settings->token_file, &n_clients, &n_workers, faults);
+  check_listen(settings, n_clients, faults);
+  check_fleet(settings, n_workers, faults);
   if (settings->default_controller != NULL)
     check_controller(settings->default_controller, faults);
   else

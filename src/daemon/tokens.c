@@ -41,9 +41,14 @@ static int read_line(char *const *words, size_t n, struct mo_token *token,
                    n == 2 ? "two" : "more than three");
   if (n == 3 && (right = mo_word_index(mo_right_words, words[1])) < 0)
     return mo_fail(message, MO_ERR_INVALID,
-                   "the second word is no right; write read, submit or admin");
+                   "the second word is no right; write read, submit, admin or worker");
   *token = (struct mo_token){n == 3 ? words[0] : "admin", (enum mo_right)right, words[n - 1]};
   return mo_token_check(token, message);
+}
+
+static int compare_rights(const void *one, const void *other)
+{
+  return (int)((const struct mo_token *)one)->right - (int)((const struct mo_token *)other)->right;
 }
 
 /* Checks a token against those of the lines before it. */
@@ -84,6 +89,9 @@ static int read_lines(char *text, const char *path, struct tokens *tokens,
       return mo_fail(message, error, "token_file: %s, line %zu: %s", path, number, why.text);
     tokens->items[tokens->n++] = token;
   }
+  qsort(tokens->items, tokens->n, sizeof(tokens->items[0]), compare_rights);
+  while (tokens->n_workers < tokens->n && tokens->items[tokens->n_workers].right == MO_RIGHT_WORKER)
+    tokens->n_workers++;
   return tokens->n > 0
              ? MO_OK
              : mo_fail(message, MO_ERR_INVALID,

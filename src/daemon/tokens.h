@@ -5,9 +5,9 @@
 #include "http/http.h"
 
 struct tokens {
-  char *text; /* the contents of the file, split in place */
-  struct mo_token items[MO_TOKENS_MAX];
-  size_t n;
+  char *text;                           /* the contents of the file, split in place */
+  struct mo_token items[MO_TOKENS_MAX]; /* those of workers first */
+  size_t n, n_workers;
 };
 
 /* Reads lines of name, right and token. A line with a token only is one of "admin", with that

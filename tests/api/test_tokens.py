@@ -153,7 +153,7 @@ GOOD = "anna read a-token-of-more-than-16\n"
 @pytest.mark.parametrize("text, words", (
     (GOOD + "ben submit\n", ("line 2", "NAME RIGHT TOKEN")),
     (GOOD + "ben submit a token-of-more-than-16\n", ("line 2", "more than three")),
-    (GOOD + "\nben write b-token-of-more-than-16\n", ("line 3", "read, submit or admin")),
+    (GOOD + "\nben write b-token-of-more-than-16\n", ("line 3", "read, submit, admin or worker")),
     (GOOD + "ben submit short-secret\n", ("line 2", "12 characters", "16 to 512")),
     (GOOD + "ben submit b-tökèn-of-more-than-16\n", ("line 2", "printable ASCII")),
     (GOOD + "b" * 65 + " submit b-token-of-more-than-16\n", ("line 2", "65 characters", "64")),

@@ -103,6 +103,39 @@ def test_tokens():
     token.unlink()
 
 
+def test_fleet():
+    base = pathlib.Path(folder)
+    token, key, certificate = base / "token", base / "key.pem", base / "certificate.pem"
+    for name in ("", "other-"):
+        subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt",
+                        "ec_paramgen_curve:prime256v1", "-nodes", "-days", "1", "-subj", "/CN=test",
+                        "-keyout", base / f"{name}key.pem",
+                        "-out", base / f"{name}certificate.pem"], check=True, capture_output=True)
+    pair = (f"--fleet-certificate={certificate}", f"--fleet-key={key}")
+    beyond = ("--fleet-listen=0.0.0.0:8766", f"--token-file={token}")
+    token.write_text("w worker 0123456789abcdef\n")
+    token.chmod(0o600)
+    says(check("--fleet-listen=127.0.0.1:0"), 0)
+    says(check(*beyond, *pair), 0)
+    says(check("--fleet-listen=nowhere"), 78, "fleet_listen", "not host:port")
+    says(check(*beyond), 78, "needs fleet_certificate and fleet_key")
+    says(check("--fleet-listen=0.0.0.0:8766", *pair), 78, "fleet_listen", "NAME worker TOKEN")
+    says(check("--compute=fleet"), 78, "compute: fleet needs fleet_listen")
+    says(check(pair[0]), 78, "give both, or none")
+    says(check(pair[0], f"--fleet-key={base}/other-key.pem"), 78, "do not match")
+    says(check(pair[0], f"--fleet-key={token}"), 78, "fleet_certificate, fleet_key")
+    says(check(pair[0], f"--fleet-key={folder}"), 78, f"fleet_key: {folder}: not a file")
+    says(check(pair[0], "--fleet-key=/nonexistent"), 78, "fleet_key: /nonexistent: No such file")
+    key.chmod(0o644)
+    says(check(*pair), 0, "fleet_key", "can be read by everybody")
+    # Tokens of workers are none of clients, and the other way round.
+    says(check("--listen=0.0.0.0:8765", f"--token-file={token}"), 78, "tokens of workers only")
+    token.write_text("anna admin 0123456789abcdef\n")
+    says(check(*beyond, *pair), 78, "fleet_listen", "NAME worker TOKEN")
+    token.write_text("anna overlord 0123456789abcdef\n")
+    says(check(f"--token-file={token}"), 78, "read, submit, admin or worker")
+
+
 def test_controller():
     says(check(f"--default-controller={CONTROLLER}"), 0)
     says(check("--default-controller=/nonexistent"), 78, "default_controller")
