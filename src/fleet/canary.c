@@ -1,0 +1,84 @@
+/* canary.c: frozen rollouts whose losses have the same bits wherever a class is computed. A machine
+ * with other bits is refused before it computes anything that counts. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "fleet/fleet.h"
+
+#define SEED   UINT64_C(0x6d6f72706866)
+#define BODIES 4
+
+struct canary {
+  struct mo_lattice *lattice;
+  struct mo_controller *controller;
+  struct mo_compute_controller *prepared;
+  uint64_t genotypes[BODIES][MO_DEFAULT_WORDS];
+  struct mo_environment environments[BODIES][MO_BLOCK_LANES];
+  struct mo_block blocks[BODIES];
+};
+
+static void nothing(struct mo_block *block, void *context)
+{
+  (void)block, (void)context;
+}
+
+static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_back_end back_end)
+{
+  int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &canary->lattice);
+  if (error == MO_OK)
+    error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &canary->controller);
+  if (error == MO_OK) {
+    mo_controller_randomize(canary->controller, SEED);
+    error = mo_compute_controller_create(compute, canary->controller, &canary->prepared);
+  }
+  for (uint32_t b = 0; b < BODIES && error == MO_OK; b++) {
+    struct mo_random random;
+    struct mo_block *block = &canary->blocks[b];
+    mo_random_init(&random, SEED, MO_PURPOSE_CHECK, 0, b);
+    error = mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, canary->genotypes[b]);
+    *block = (struct mo_block){.lattice = canary->lattice,
+                               .genotype = canary->genotypes[b],
+                               .controller = canary->prepared,
+                               .n_environments = MO_BLOCK_LANES,
+                               .physics = mo_default_physics(),
+                               .precision = MO_FLOAT32,
+                               .back_end = back_end,
+                               .done = nothing};
+    for (uint32_t e = 0; e < MO_BLOCK_LANES; e++) {
+      mo_environment_training(SEED, b, e, &canary->environments[b][e]);
+      block->environments[e] = &canary->environments[b][e];
+    }
+  }
+  return error;
+}
+
+static void read_bits(const struct canary *canary, struct mo_sha256 *hash)
+{
+  struct {
+    double loss;
+    uint64_t diverged;
+  } rows[BODIES][MO_BLOCK_LANES];
+  for (uint32_t b = 0; b < BODIES; b++)
+    for (uint32_t e = 0; e < MO_BLOCK_LANES; e++) {
+      rows[b][e].loss = canary->blocks[b].outcomes[e].loss;
+      rows[b][e].diverged = (uint64_t)canary->blocks[b].outcomes[e].diverged_step;
+    }
+  mo_sha256_of(rows, sizeof(rows), hash);
+}
+
+int mo_fleet_canary(struct mo_compute *compute, enum mo_back_end back_end, struct mo_sha256 *hash)
+{
+  struct canary *canary = calloc(1, sizeof(*canary));
+  if (canary == NULL)
+    return MO_ERR_NO_MEMORY;
+  int error = prepare(canary, compute, back_end);
+  if (error == MO_OK)
+    error = mo_compute_run(compute, canary->blocks, BODIES);
+  if (error == MO_OK)
+    read_bits(canary, hash);
+  mo_compute_controller_free(canary->prepared);
+  mo_controller_free(canary->controller);
+  mo_lattice_free(canary->lattice);
+  free(canary);
+  return error;
+}
