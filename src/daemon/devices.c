@@ -75,28 +75,27 @@ static void log_devices(struct mo_compute *compute)
            LOG_TEXT("gradients", mo_compute_device_gradient_fingerprint(compute)));
 }
 
-int devices_open(struct mo_compute *compute, const struct settings *settings,
+int devices_open(struct mo_compute *compute, const struct setting_list *devices, const char *module,
                  struct mo_message *message)
 {
   struct device_choice choice = {0};
   struct mo_message words = {""};
   char found[PATH_MAX];
-  int status = devices_parse(&settings->devices, &choice, message);
+  int status = devices_parse(devices, &choice, message);
   if (status != MO_OK)
     return status;
   if (!choice.all && choice.n == 0) {
     log_info("no devices are asked for: the processors compute");
     return MO_OK;
   }
-  if (settings->compute_module == NULL)
+  if (module == NULL)
     find_module(found);
-  const struct mo_devices_config config = {
-      .module = settings->compute_module != NULL ? settings->compute_module : found,
-      .devices = choice.all ? NULL : choice.indices,
-      .n = choice.n,
-      .lost = device_is_lost};
+  const struct mo_devices_config config = {.module = module != NULL ? module : found,
+                                           .devices = choice.all ? NULL : choice.indices,
+                                           .n = choice.n,
+                                           .lost = device_is_lost};
   status = mo_compute_add_devices(compute, &config, &words);
-  const bool is_named = settings->compute_module != NULL || !choice.all;
+  const bool is_named = module != NULL || !choice.all;
   if (status == MO_OK)
     log_devices(compute);
   else if ((status == MO_ERR_NOT_FOUND && !is_named) ||

@@ -17,6 +17,7 @@
 #include "daemon/service.h"
 #include "daemon/settings.h"
 #include "daemon/store_command.h"
+#include "daemon/worker_command.h"
 
 #define STOP_LIMIT_S                                                                               \
   9 /* from the first SIGTERM, with a drain of at most 5 s, to the end of the process */
@@ -288,6 +289,8 @@ int main(int argc, char **argv)
   struct settings_faults faults = {0};
   if (argc > 1 && strcmp(argv[1], "store") == 0)
     return store_command(argc, process.argv);
+  if (argc > 1 && strcmp(argv[1], "worker") == 0)
+    return worker_command(argc, process.argv);
   load(&process, &process.settings, &process.request, &faults);
   enum settings_action action = process.request.action;
   int status = EXIT_OK;

@@ -430,7 +430,7 @@ static int start_workers(struct service *service, const struct settings *setting
 static int open_devices(struct service *service, const struct settings *settings,
                         struct mo_message *message)
 {
-  return devices_open(service->compute, settings, message);
+  return devices_open(service->compute, &settings->devices, settings->compute_module, message);
 }
 
 static int start_jobs(struct service *service, const struct settings *settings,

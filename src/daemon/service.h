@@ -18,7 +18,9 @@ enum exit_status {
   EXIT_INTERNAL = 70,
   EXIT_SYSTEM = 71,
   EXIT_STATE = 74,
-  EXIT_IN_USE = 75,
+  EXIT_IN_USE = 75, /* also: the daemon of a worker cannot be reached */
+  EXIT_PROTOCOL = 76,
+  EXIT_DENIED = 77,
   EXIT_CONFIG = 78
 };
 

@@ -1,6 +1,7 @@
 /* settings.c: the table, and the conversion of text to values. See settings.h; files, flags and
  * checks are in settings_load.c and settings_check.c. */
 #include "settings.h"
+#include "settings_rows.h"
 
 #include <ctype.h>
 #include <errno.h>
@@ -309,43 +310,58 @@ static int choice_at(const char *choices, const char *text)
   }
 }
 
-int settings_set(struct settings *settings, const struct setting *setting, const char *text,
-                 enum setting_source source, bool append, struct mo_message *message)
+int setting_read(void *values, const struct setting *setting, const char *text, bool append,
+                 struct mo_message *message)
 {
   int status = MO_OK;
   switch (setting->type) {
   case SETTING_PATH: {
     char *copy = NULL;
-    /* An empty text resets other settings to their default. Here it means an unset variable of a
-     * script. */
-    if (*text == 0 && source != SOURCE_DEFAULT &&
-        setting->offset == offsetof(struct settings, state_dir))
-      return mo_fail(message, MO_ERR_INVALID, "the path is empty");
     if (*text != 0 && (copy = strdup(text)) == NULL)
       return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-    char **value = AT(settings, setting);
+    char **value = AT(values, setting);
     free(*value);
     *value = copy;
     break;
   }
-  case SETTING_LIST: status = set_list(AT(settings, setting), text, append, message); break;
+  case SETTING_LIST: status = set_list(AT(values, setting), text, append, message); break;
   case SETTING_NUMBER:
   case SETTING_BYTES:
   case SETTING_DURATION: {
     uint64_t number = 0;
     status = set_number(setting, text, &number, message);
     if (status == MO_OK)
-      *(uint64_t *)AT(settings, setting) = number;
+      *(uint64_t *)AT(values, setting) = number;
     break;
   }
   case SETTING_CHOICE: {
     int position = choice_at(setting->choices, text);
     if (position < 0)
       return mo_fail(message, MO_ERR_INVALID, "\"%.60s\" is not one of %s", text, setting->choices);
-    *(int *)AT(settings, setting) = position;
+    *(int *)AT(values, setting) = position;
     break;
   }
   }
+  return status;
+}
+
+void setting_free(void *values, const struct setting *setting)
+{
+  if (setting->type == SETTING_PATH)
+    free(*(char **)AT(values, setting));
+  else if (setting->type == SETTING_LIST)
+    list_free(AT(values, setting));
+}
+
+int settings_set(struct settings *settings, const struct setting *setting, const char *text,
+                 enum setting_source source, bool append, struct mo_message *message)
+{
+  /* An empty text resets other settings to their default. Here it means an unset variable of a
+   * script. */
+  if (*text == 0 && source != SOURCE_DEFAULT &&
+      setting->offset == offsetof(struct settings, state_dir))
+    return mo_fail(message, MO_ERR_INVALID, "the path is empty");
+  const int status = setting_read(settings, setting, text, append, message);
   if (status == MO_OK)
     settings->source[setting - settings_table] = (uint8_t)source;
   return status;
@@ -367,13 +383,8 @@ int settings_init(struct settings *settings)
 
 void settings_free(struct settings *settings)
 {
-  for (size_t i = 0; i < settings_count; i++) {
-    const struct setting *setting = &settings_table[i];
-    if (setting->type == SETTING_PATH)
-      free(*(char **)AT(settings, setting));
-    else if (setting->type == SETTING_LIST)
-      list_free(AT(settings, setting));
-  }
+  for (size_t i = 0; i < settings_count; i++)
+    setting_free(settings, &settings_table[i]);
   *settings = (struct settings){0};
 }
 

@@ -1,6 +1,7 @@
 /* settings_load.c: reads file, environment and flags, and prints the table as help, as a file and
  * as Markdown. */
 #include "settings.h"
+#include "settings_rows.h"
 
 #include <ctype.h>
 #include <errno.h>
@@ -176,6 +177,7 @@ void settings_read_environment(struct settings *settings, const char *const *env
     bool other = false;
     for (size_t i = 0; i < sizeof(others) / sizeof(others[0]); i++)
       other |= strcmp(name, others[i]) == 0;
+    other |= strncmp(name, "worker_", 7) == 0 && find(name) == NULL; /* of `morphod worker` */
     if (other)
       continue;
     const struct setting *setting = find(name);
@@ -380,30 +382,13 @@ static void bounds_text(const struct setting *setting, char *text, size_t capaci
   }
 }
 
-void settings_print_help(FILE *file)
+void settings_print_rows(const struct setting *rows, size_t n, FILE *file)
 {
   static const char *const words[] = {
       [SETTING_PATH] = "PATH",  [SETTING_LIST] = "LIST",     [SETTING_NUMBER] = "NUMBER",
       [SETTING_BYTES] = "SIZE", [SETTING_DURATION] = "TIME", [SETTING_CHOICE] = NULL};
-  fputs("Usage: morphod [FLAG]...\n"
-        "       morphod store clean [--yes] [FLAG]...      removes files that nothing refers to\n"
-        "       morphod store check [--sample=N] [FLAG]... reads all that is stored and checks it; "
-        "see morphod(8)\n"
-        "Scores voxel robots over HTTP. Runs in the foreground until SIGTERM or SIGINT; SIGHUP "
-        "reloads tokens and log level.\n\n"
-        "  --config PATH\n"
-        "      Configuration file (default: $CONFIGURATION_DIRECTORY/morphod.conf, else\n"
-        "      /etc/morphod/morphod.conf, if it exists).\n",
-        file);
-  for (size_t i = 0; i < n_action_flags; i++) {
-    fprintf(file, "  %s\n", action_flags[i].name);
-    mo_words_wrap(file, 6, action_flags[i].help);
-  }
-  fputs("\nSettings: flag before environment variable before file before default. In the file\n"
-        "--state-dir is state_dir, in the environment MORPHOD_STATE_DIR, and so on.\n\n",
-        file);
-  for (size_t i = 0; i < settings_count; i++) {
-    const struct setting *setting = &settings_table[i];
+  for (size_t i = 0; i < n; i++) {
+    const struct setting *setting = &rows[i];
     char flag[80], bounds[128], text[1024];
     settings_flag_name(setting, flag, sizeof(flag));
     bounds_text(setting, bounds, sizeof(bounds));
@@ -417,6 +402,31 @@ void settings_print_help(FILE *file)
       snprintf(text, sizeof(text), "%s Default: %s (%s).", setting->help, initial, bounds);
     mo_words_wrap(file, 6, text);
   }
+}
+
+void settings_print_help(FILE *file)
+{
+  fputs("Usage: morphod [FLAG]...\n"
+        "       morphod store clean [--yes] [FLAG]...      removes files that nothing refers to\n"
+        "       morphod store check [--sample=N] [FLAG]... reads all that is stored and checks it; "
+        "see morphod(8)\n"
+        "       morphod worker --server URL [FLAG]...      computes for the daemon of another "
+        "machine; "
+        "see its --help\n"
+        "Scores voxel robots over HTTP. Runs in the foreground until SIGTERM or SIGINT; SIGHUP "
+        "reloads tokens and log level.\n\n"
+        "  --config PATH\n"
+        "      Configuration file (default: $CONFIGURATION_DIRECTORY/morphod.conf, else\n"
+        "      /etc/morphod/morphod.conf, if it exists).\n",
+        file);
+  for (size_t i = 0; i < n_action_flags; i++) {
+    fprintf(file, "  %s\n", action_flags[i].name);
+    mo_words_wrap(file, 6, action_flags[i].help);
+  }
+  fputs("\nSettings: flag before environment variable before file before default. In the file\n"
+        "--state-dir is state_dir, in the environment MORPHOD_STATE_DIR, and so on.\n\n",
+        file);
+  settings_print_rows(settings_table, settings_count, file);
 }
 
 void settings_print(const struct settings *settings, FILE *file)

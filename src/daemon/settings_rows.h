@@ -1,0 +1,16 @@
+/* settings_rows.h: rows like those of settings.h in the table of another program, `morphod worker`.
+ * `values` is the struct that the rows' offsets are of, zeros at first. */
+#ifndef MORPHO_DAEMON_SETTINGS_ROWS_H
+#define MORPHO_DAEMON_SETTINGS_ROWS_H
+
+#include "daemon/settings.h"
+
+/* Reads one value from its text. `append`: adds to a list. MO_ERR_INVALID, MO_ERR_RANGE with a
+ * message; MO_ERR_NO_MEMORY. */
+int setting_read(void *values, const struct setting *setting, const char *text, bool append,
+                 struct mo_message *message);
+void setting_free(void *values, const struct setting *setting);
+/* Prints what --help says of the rows. */
+void settings_print_rows(const struct setting *rows, size_t n, FILE *file);
+
+#endif

@@ -1,0 +1,416 @@
+/* holding.c: see holding.h. The mutex guards everything but what only the caller's thread reads. A
+ * block's `done` runs on a worker: it copies the losses and submits the next block in its place. */
+#include "worker/holding.h"
+
+#include <math.h>
+#include <pthread.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/clock.h"
+#include "worker/weights.h"
+
+#define SLOTS_PER_WORKER 2
+#define SLOTS_OF_DEVICES 16384 /* about two chunks */
+
+enum lease_state {
+  WAITING, /* for weights */
+  RUNNING, /* blocks are submitted or will be */
+  ENDING   /* nothing more is submitted */
+};
+
+struct lease {
+  struct mo_wire_lease wire;
+  enum lease_state state;
+  bool is_dropped, is_given_back;
+  int error; /* of the first block that failed */
+  struct mo_compute_controller *controller;
+  struct mo_compute_share *share;
+  volatile int cancel;
+  uint32_t n_submitted, n_out; /* blocks: submitted so far; in the back end */
+  uint32_t next_row;           /* of the next block */
+  uint64_t started_ns, ended_ns;
+  double *losses;
+  uint32_t *diverged;
+  struct lease *next;
+};
+
+struct slot {
+  struct mo_holding *holding;
+  struct lease *lease;
+  uint32_t first_row;
+  struct mo_block block;
+  struct slot *next; /* a free one */
+};
+
+struct mo_holding {
+  struct mo_holding_config config;
+  struct mo_weights *weights;
+  struct mo_lattice *lattice;
+  pthread_mutex_t mutex;
+  pthread_cond_t quiet; /* the last block is out of the back end */
+  struct lease *leases; /* in order of arrival */
+  struct slot *slots;
+  struct slot *free[2]; /* by enum mo_back_end */
+  uint32_t n_out;
+  uint64_t rows_done, leases_done;
+};
+
+/* ---- blocks ---- */
+
+static bool has_ended(const struct lease *lease)
+{
+  return lease->n_out == 0 &&
+         (lease->state == ENDING || lease->n_submitted == lease->wire.n_blocks);
+}
+
+/* Under the mutex: fills a slot with the next block; NULL: no slot or no block. */
+static struct slot *next_block(struct mo_holding *holding, enum mo_back_end back_end)
+{
+  struct lease *lease = holding->leases;
+  while (lease != NULL && (lease->state != RUNNING || lease->wire.back_end != back_end ||
+                           lease->n_submitted == lease->wire.n_blocks))
+    lease = lease->next;
+  struct slot *slot = lease != NULL ? holding->free[back_end] : NULL;
+  if (slot == NULL)
+    return NULL;
+  holding->free[back_end] = slot->next;
+  const struct mo_wire_block *from = &lease->wire.blocks[lease->n_submitted++];
+  slot->lease = lease;
+  slot->first_row = lease->next_row;
+  lease->next_row += from->n_environments;
+  lease->n_out++;
+  holding->n_out++;
+  slot->block.lattice = holding->lattice;
+  slot->block.genotype = from->genotype;
+  slot->block.controller = lease->controller;
+  slot->block.share = lease->share;
+  slot->block.n_environments = from->n_environments;
+  for (uint32_t k = 0; k < from->n_environments; k++)
+    slot->block.environments[k] = &lease->wire.environments[from->environments[k]];
+  slot->block.physics = lease->wire.physics;
+  slot->block.cancel = &lease->cancel;
+  return slot;
+}
+
+/* Under the mutex. Returns whether the lease has ended by this. */
+static bool take_block(struct slot *slot, int status)
+{
+  struct mo_holding *holding = slot->holding;
+  struct lease *lease = slot->lease;
+  if (status == MO_OK && slot->block.computed_on != lease->wire.back_end)
+    status = MO_ERR_UNSUPPORTED; /* the bits of another class */
+  for (uint32_t k = 0; status == MO_OK && k < slot->block.n_environments; k++) {
+    const struct mo_outcome *outcome = &slot->block.outcomes[k];
+    lease->losses[slot->first_row + k] = outcome->loss;
+    lease->diverged[slot->first_row + k] = (uint32_t)outcome->diverged_step;
+  }
+  if (status != MO_OK && lease->error == MO_OK) {
+    lease->error = status;
+    lease->state = ENDING;
+    lease->cancel = 1;
+  }
+  if (status == MO_OK)
+    holding->rows_done += slot->block.n_environments;
+  slot->lease = NULL;
+  slot->next = holding->free[lease->wire.back_end];
+  holding->free[lease->wire.back_end] = slot;
+  lease->n_out--;
+  holding->n_out--;
+  if (holding->n_out == 0)
+    pthread_cond_broadcast(&holding->quiet);
+  if (!has_ended(lease))
+    return false;
+  lease->ended_ns = mo_clock_ns();
+  return true;
+}
+
+/* Submits blocks while there are slots, and gives the mutex up meanwhile: a block can be done
+ * before its submission returns. */
+static void submit(struct mo_holding *holding, enum mo_back_end back_end)
+{
+  bool ended = false;
+  struct slot *slot;
+  while ((slot = next_block(holding, back_end)) != NULL) {
+    pthread_mutex_unlock(&holding->mutex);
+    const int error = mo_compute_submit(holding->config.compute, &slot->block);
+    pthread_mutex_lock(&holding->mutex);
+    if (error != MO_OK)
+      ended |= take_block(slot, error);
+  }
+  if (ended)
+    holding->config.ended(holding->config.context);
+}
+
+static void block_done(struct mo_block *block, void *context)
+{
+  struct slot *slot = context;
+  struct mo_holding *holding = slot->holding;
+  pthread_mutex_lock(&holding->mutex);
+  const enum mo_back_end back_end = block->back_end;
+  const bool ended = take_block(slot, block->status);
+  submit(holding, back_end);
+  if (ended)
+    holding->config.ended(holding->config.context);
+  pthread_mutex_unlock(&holding->mutex);
+}
+
+/* ---- leases ---- */
+
+static void free_lease(struct mo_holding *holding, struct lease *lease)
+{
+  if (lease->controller != NULL)
+    mo_weights_release(holding->weights, lease->controller);
+  mo_compute_share_free(lease->share);
+  free(lease->wire.environments);
+  free(lease->wire.blocks);
+  free(lease->losses);
+  free(lease->diverged);
+  free(lease);
+}
+
+int mo_holding_add(struct mo_holding *holding, struct mo_wire_lease *wire)
+{
+  struct lease *lease = calloc(1, sizeof(*lease));
+  if (lease == NULL)
+    return MO_ERR_NO_MEMORY;
+  lease->losses = malloc(wire->n_rows * sizeof(*lease->losses));
+  lease->diverged = malloc(wire->n_rows * sizeof(*lease->diverged));
+  int error = lease->losses != NULL && lease->diverged != NULL
+                  ? mo_compute_share_create(holding->config.compute, 1, &lease->share)
+                  : MO_ERR_NO_MEMORY;
+  pthread_mutex_lock(&holding->mutex);
+  struct lease **last = &holding->leases;
+  uint32_t n = 0;
+  for (; *last != NULL; last = &(*last)->next)
+    n++;
+  if (error == MO_OK && n >= MO_HELD_LEASES_MAX)
+    error = MO_ERR_LIMIT;
+  if (error == MO_OK) {
+    lease->wire = *wire;
+    *wire = (struct mo_wire_lease){0};
+    *last = lease;
+  }
+  pthread_mutex_unlock(&holding->mutex);
+  if (error != MO_OK)
+    free_lease(holding, lease);
+  return error;
+}
+
+bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash)
+{
+  bool lacks = false;
+  pthread_mutex_lock(&holding->mutex);
+  for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next) {
+    if (lease->state != WAITING)
+      continue;
+    lease->controller = mo_weights_take(holding->weights, &lease->wire.controller);
+    if (lease->controller == NULL) {
+      if (!lacks)
+        *hash = lease->wire.controller;
+      lacks = true;
+      continue;
+    }
+    lease->started_ns = mo_clock_ns();
+    lease->state = RUNNING;
+  }
+  const bool on_device = holding->free[MO_ON_DEVICE] != NULL;
+  if (on_device)
+    mo_compute_begin_blocks(holding->config.compute);
+  submit(holding, MO_ON_CPU);
+  submit(holding, MO_ON_DEVICE);
+  if (on_device)
+    mo_compute_end_blocks(holding->config.compute);
+  pthread_mutex_unlock(&holding->mutex);
+  return lacks;
+}
+
+int mo_holding_add_weights(struct mo_holding *holding, const struct mo_sha256 *hash,
+                           const uint8_t *bytes, size_t size, struct mo_message *message)
+{
+  return mo_weights_add(holding->weights, hash, holding->lattice->workspace, bytes, size, message);
+}
+
+/* Under the mutex: submits no more of a lease, and cancels what runs. */
+static void end(struct lease *lease, bool is_dropped)
+{
+  if (has_ended(lease) && !is_dropped)
+    return;
+  lease->is_dropped |= is_dropped;
+  lease->is_given_back = !is_dropped;
+  lease->state = ENDING;
+  lease->cancel = 1;
+}
+
+void mo_holding_miss_weights(struct mo_holding *holding, const struct mo_sha256 *hash)
+{
+  pthread_mutex_lock(&holding->mutex);
+  for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next)
+    if (lease->state == WAITING && mo_sha256_equal(&lease->wire.controller, hash))
+      end(lease, false);
+  pthread_mutex_unlock(&holding->mutex);
+}
+
+void mo_holding_drop(struct mo_holding *holding, struct mo_lease_id id)
+{
+  pthread_mutex_lock(&holding->mutex);
+  for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next)
+    if (lease->wire.id.epoch == id.epoch && lease->wire.id.number == id.number)
+      end(lease, true);
+  pthread_mutex_unlock(&holding->mutex);
+}
+
+void mo_holding_drop_all(struct mo_holding *holding)
+{
+  pthread_mutex_lock(&holding->mutex);
+  for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next)
+    end(lease, true);
+  pthread_mutex_unlock(&holding->mutex);
+}
+
+void mo_holding_give_back(struct mo_holding *holding, bool all)
+{
+  pthread_mutex_lock(&holding->mutex);
+  for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next)
+    if (lease->state != ENDING && (all || lease->n_submitted == 0))
+      end(lease, false);
+  pthread_mutex_unlock(&holding->mutex);
+}
+
+/* ---- results ---- */
+
+/* Moves the rows of a lease that has ended. */
+static void make_result(struct lease *lease, struct mo_wire_result *result)
+{
+  struct mo_compute_share_stats stats;
+  mo_compute_share_get_stats(lease->share, &stats);
+  *result = (struct mo_wire_result){.id = lease->wire.id,
+                                    .busy_s = lease->wire.back_end == MO_ON_DEVICE ? stats.device_s
+                                                                                   : stats.busy_s};
+  if (lease->is_given_back) {
+    result->state = MO_RESULT_GIVEN_BACK;
+  } else if (lease->error != MO_OK) {
+    result->state = MO_RESULT_FAILED;
+  } else {
+    result->n_rows = lease->wire.n_rows;
+    result->losses = lease->losses;
+    result->diverged_steps = lease->diverged;
+    lease->losses = NULL;
+    lease->diverged = NULL;
+  }
+  if (lease->started_ns > 0 && lease->ended_ns > lease->started_ns)
+    result->wall_s = 1e-9 * (double)(lease->ended_ns - lease->started_ns);
+}
+
+void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results *results)
+{
+  *results = (struct mo_wire_results){0};
+  pthread_mutex_lock(&holding->mutex);
+  for (struct lease **at = &holding->leases; *at != NULL;) {
+    struct lease *lease = *at;
+    if (!has_ended(lease) || (!lease->is_dropped && results->n == MO_WIRE_RESULTS_MAX)) {
+      at = &lease->next;
+      continue;
+    }
+    *at = lease->next;
+    if (!lease->is_dropped)
+      make_result(lease, &results->items[results->n++]);
+    holding->leases_done += !lease->is_dropped && !lease->is_given_back && lease->error == MO_OK;
+    free_lease(holding, lease);
+  }
+  pthread_mutex_unlock(&holding->mutex);
+}
+
+void mo_holding_get_status(struct mo_holding *holding, struct mo_holding_status *status)
+{
+  *status = (struct mo_holding_status){0};
+  pthread_mutex_lock(&holding->mutex);
+  for (const struct lease *lease = holding->leases; lease != NULL; lease = lease->next) {
+    if (!has_ended(lease))
+      status->n_leases += !lease->is_dropped;
+    else
+      status->n_results++;
+  }
+  status->n_blocks = holding->n_out;
+  status->rows_done = holding->rows_done;
+  status->leases_done = holding->leases_done;
+  pthread_mutex_unlock(&holding->mutex);
+}
+
+/* ---- beginning and end ---- */
+
+int mo_holding_create(const struct mo_holding_config *config, struct mo_holding **ret)
+{
+  struct mo_holding *holding = calloc(1, sizeof(*holding));
+  struct mo_compute_stats stats;
+  if (holding == NULL)
+    return MO_ERR_NO_MEMORY;
+  mo_compute_get_stats(config->compute, &stats);
+  const uint32_t n[2] = {SLOTS_PER_WORKER * stats.n_workers,
+                         mo_compute_devices(config->compute) > 0 ? SLOTS_OF_DEVICES : 0};
+  holding->config = *config;
+  holding->slots = calloc(n[0] + n[1], sizeof(*holding->slots));
+  int error = holding->slots != NULL ? mo_weights_create(config->compute, &holding->weights)
+                                     : MO_ERR_NO_MEMORY;
+  if (error != MO_OK) {
+    free(holding->slots);
+    free(holding);
+    return error;
+  }
+  pthread_mutex_init(&holding->mutex, NULL);
+  pthread_cond_init(&holding->quiet, NULL);
+  for (uint32_t i = 0; i < n[0] + n[1]; i++) {
+    struct slot *slot = &holding->slots[i];
+    const enum mo_back_end back_end = i < n[0] ? MO_ON_CPU : MO_ON_DEVICE;
+    *slot = (struct slot){.holding = holding,
+                          .block = {.precision = MO_FLOAT32,
+                                    .urgency = MO_BATCH,
+                                    .back_end = back_end,
+                                    .tag = -1,
+                                    .done = block_done,
+                                    .context = slot},
+                          .next = holding->free[back_end]};
+    holding->free[back_end] = slot;
+  }
+  *ret = holding;
+  return MO_OK;
+}
+
+/* Blocks end at their next pause point. */
+static void cancel_all(struct mo_holding *holding)
+{
+  struct mo_wire_results none;
+  mo_holding_drop_all(holding);
+  pthread_mutex_lock(&holding->mutex);
+  while (holding->n_out > 0)
+    pthread_cond_wait(&holding->quiet, &holding->mutex);
+  pthread_mutex_unlock(&holding->mutex);
+  mo_holding_take_results(holding, &none);
+}
+
+int mo_holding_set_workspace(struct mo_holding *holding, struct mo_workspace workspace)
+{
+  struct mo_lattice *lattice = NULL;
+  if (holding->lattice != NULL && mo_workspace_equal(holding->lattice->workspace, workspace))
+    return MO_OK;
+  const int error = mo_lattice_create(workspace, &lattice);
+  if (error != MO_OK)
+    return error;
+  cancel_all(holding);
+  mo_lattice_free(holding->lattice);
+  holding->lattice = lattice;
+  return MO_OK;
+}
+
+void mo_holding_free(struct mo_holding *holding)
+{
+  if (holding == NULL)
+    return;
+  cancel_all(holding);
+  mo_weights_free(holding->weights);
+  mo_lattice_free(holding->lattice);
+  pthread_mutex_destroy(&holding->mutex);
+  pthread_cond_destroy(&holding->quiet);
+  free(holding->slots);
+  free(holding);
+}

@@ -1,0 +1,55 @@
+/* holding.h: the leases that a worker holds, their blocks in its back end, and their results.
+ *
+ * One thread calls. Blocks are submitted in the order of the leases, a few more than there are
+ * workers, by the threads that finish others. So the first lease ends first, and its successor
+ * keeps all workers busy meanwhile. */
+#ifndef MORPHO_WORKER_HOLDING_H
+#define MORPHO_WORKER_HOLDING_H
+
+#include "fleet/wire.h"
+
+struct mo_holding_config {
+  struct mo_compute *compute;
+  void (*ended)(void *context); /* a lease has; called on any thread */
+  void *context;
+};
+
+struct mo_holding;
+int mo_holding_create(const struct mo_holding_config *config, struct mo_holding **holding);
+/* Cancels all, and waits for it. NULL-safe; before mo_compute_free. */
+void mo_holding_free(struct mo_holding *holding);
+/* Sets the workspace of later leases, and drops those of another. MO_ERR_NO_MEMORY, MO_ERR_LIMIT.
+ */
+int mo_holding_set_workspace(struct mo_holding *holding, struct mo_workspace workspace);
+
+/* Takes over a lease with its arrays. MO_ERR_LIMIT: it holds MO_HELD_LEASES_MAX; MO_ERR_NO_MEMORY:
+ * the lease still belongs to the caller. */
+#define MO_HELD_LEASES_MAX 8
+int mo_holding_add(struct mo_holding *holding, struct mo_wire_lease *lease);
+/* Starts the leases whose weights are here. Returns whether one lacks its weights: *hash. */
+bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash);
+/* Adds weights: the errors of mo_weights_add. */
+int mo_holding_add_weights(struct mo_holding *holding, const struct mo_sha256 *hash,
+                           const uint8_t *bytes, size_t size, struct mo_message *message);
+/* Gives back the leases that wait for these weights. */
+void mo_holding_miss_weights(struct mo_holding *holding, const struct mo_sha256 *hash);
+
+/* Ends a lease without a result. */
+void mo_holding_drop(struct mo_holding *holding, struct mo_lease_id id);
+void mo_holding_drop_all(struct mo_holding *holding);
+/* Gives back the leases of which no block has started; all: those that run, too. */
+void mo_holding_give_back(struct mo_holding *holding, bool all);
+
+/* Moves what has ended into a message; each lease once. Drops what was dropped. */
+void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results *results);
+
+struct mo_holding_status {
+  uint32_t n_leases;  /* that compute or wait */
+  uint32_t n_results; /* ended ones, not taken yet */
+  uint32_t n_blocks;  /* in the back end */
+  uint64_t rows_done, leases_done;
+};
+void mo_holding_get_status(struct mo_holding *holding,
+                           struct mo_holding_status *status); /* any thread */
+
+#endif

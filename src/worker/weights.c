@@ -1,0 +1,105 @@
+/* weights.c: see weights.h. */
+#include "worker/weights.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+struct kept {
+  struct mo_sha256 hash;
+  struct mo_controller *controller;       /* NULL: passive bodies */
+  struct mo_compute_controller *prepared; /* NULL: free */
+  uint32_t users;
+  uint64_t used; /* when it was last taken, in takes */
+};
+
+struct mo_weights {
+  struct mo_compute *compute;
+  uint64_t takes;
+  struct kept items[MO_WEIGHTS_KEPT]; /* the first: passive bodies */
+};
+
+static void forget(struct kept *item)
+{
+  mo_compute_controller_free(item->prepared);
+  mo_controller_free(item->controller);
+  *item = (struct kept){0};
+}
+
+int mo_weights_create(struct mo_compute *compute, struct mo_weights **ret)
+{
+  struct mo_weights *weights = calloc(1, sizeof(*weights));
+  if (weights == NULL)
+    return MO_ERR_NO_MEMORY;
+  weights->compute = compute;
+  const int error = mo_compute_controller_create(compute, NULL, &weights->items[0].prepared);
+  if (error != MO_OK) {
+    free(weights);
+    return error;
+  }
+  weights->items[0].users = 1; /* is never forgotten */
+  *ret = weights;
+  return MO_OK;
+}
+
+void mo_weights_free(struct mo_weights *weights)
+{
+  for (size_t i = 0; weights != NULL && i < MO_WEIGHTS_KEPT; i++)
+    forget(&weights->items[i]);
+  free(weights);
+}
+
+/* Returns the one that nobody used for the longest time, or a free one; NULL: all are in use. */
+static struct kept *oldest(struct mo_weights *weights)
+{
+  struct kept *found = NULL;
+  for (struct kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
+    if (item->users == 0 && (found == NULL || item->used < found->used))
+      found = item;
+  return found;
+}
+
+int mo_weights_add(struct mo_weights *weights, const struct mo_sha256 *hash,
+                   struct mo_workspace workspace, const uint8_t *bytes, size_t size,
+                   struct mo_message *message)
+{
+  struct mo_sha256 actual;
+  struct kept made = {.hash = *hash}, *place = oldest(weights);
+  mo_sha256_of(bytes, size, &actual);
+  if (!mo_sha256_equal(&actual, hash))
+    return mo_fail(message, MO_ERR_CORRUPT, "the weights are not what their hash says");
+  if (place == NULL)
+    return mo_fail(message, MO_ERR_EXHAUSTED, "%d controllers are in use", MO_WEIGHTS_KEPT);
+  int error = mo_controller_decode(bytes, size, &made.controller, message);
+  if (error != MO_OK)
+    return error;
+  if (!mo_workspace_equal(made.controller->workspace, workspace))
+    error = mo_fail(message, MO_ERR_FORMAT, "the weights are for another workspace");
+  if (error == MO_OK)
+    error = mo_compute_controller_create(weights->compute, made.controller, &made.prepared);
+  if (error != MO_OK) {
+    mo_controller_free(made.controller);
+    return error;
+  }
+  forget(place);
+  *place = made;
+  return MO_OK;
+}
+
+struct mo_compute_controller *mo_weights_take(struct mo_weights *weights,
+                                              const struct mo_sha256 *hash)
+{
+  for (struct kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
+    if (item->prepared != NULL && mo_sha256_equal(&item->hash, hash)) {
+      item->users++;
+      item->used = ++weights->takes;
+      return item->prepared;
+    }
+  return NULL;
+}
+
+void mo_weights_release(struct mo_weights *weights, const struct mo_compute_controller *controller)
+{
+  for (struct kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
+    if (item->prepared == controller)
+      item->users--;
+}

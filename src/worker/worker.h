@@ -1,0 +1,54 @@
+/* worker.h: computes leases of a daemon until told to end.
+ *
+ * mo_worker_run joins the daemon and runs the session; when the connection is lost it joins again.
+ * A session holds two leases, so that computing never waits for the network: results go up in the
+ * call that brings the next lease. One request for orders is open all the time; the daemon drops
+ * the session as soon as its connection ends. What is computed for a lost session is thrown away:
+ * the daemon has given it to others. */
+#ifndef MORPHO_WORKER_WORKER_H
+#define MORPHO_WORKER_WORKER_H
+
+#include "fleet/fleet.h"
+#include "worker/link.h"
+
+enum mo_worker_end {
+  MO_WORKER_LEFT,        /* as asked */
+  MO_WORKER_UNWANTED,    /* the daemon wants another version or class */
+  MO_WORKER_QUARANTINED, /* its bits are wrong: canary refused, or quarantined */
+  MO_WORKER_DENIED,      /* token or certificate */
+  MO_WORKER_MISPLACED,   /* the server is no daemon with a fleet */
+  MO_WORKER_UNREACHABLE, /* for longer than give_up_ms */
+  MO_WORKER_FAILED       /* out of memory, or no computing device left */
+};
+
+enum mo_worker_news { MO_WORKER_INFO, MO_WORKER_WARNING };
+
+struct mo_worker_config {
+  struct mo_link_config link;
+  struct mo_fleet_offer offer;
+  struct mo_compute *compute;
+  uint64_t idle_ms;    /* without a lease for so long: leaves; 0: never */
+  uint64_t give_up_ms; /* without the daemon for so long: ends; 0: never */
+  int64_t leave_at_us; /* of the wall clock: leaves; 0: never */
+  /* Says what happened. Any thread of the worker. */
+  void (*say)(void *context, enum mo_worker_news news, const char *what, const char *detail);
+  void *context;
+};
+
+struct mo_worker;
+/* The errors of mo_link_create. */
+int mo_worker_create(const struct mo_worker_config *config, struct mo_worker **worker,
+                     struct mo_message *message);
+void mo_worker_free(struct mo_worker *worker); /* NULL-safe; before mo_compute_free */
+
+/* Runs until the end; message: why, "" if it was asked for. */
+enum mo_worker_end mo_worker_run(struct mo_worker *worker, struct mo_message *message);
+/* Asks for the end, from any thread: the worker gives back what it has not begun, computes at most
+ * MO_WORKER_STOP_MS longer, sends what is done, and leaves. Again: at once. */
+#define MO_WORKER_STOP_MS 800
+void mo_worker_stop(struct mo_worker *worker);
+
+/* Writes one line of what it does, from any thread. */
+void mo_worker_describe(struct mo_worker *worker, char *text, size_t capacity);
+
+#endif
