@@ -29,8 +29,9 @@ enum mo_purpose {
   MO_PURPOSE_HELD_OUT_BODY = 10,
   MO_PURPOSE_HELD_OUT_TERRAIN = 11,
   MO_PURPOSE_HELD_OUT_LIGHT = 12,
-  MO_PURPOSE_POPULATION = 13,    /* initial populations of campaigns */
-  MO_PURPOSE_EVOLUTION_SEED = 14 /* seeds of the trainings inside a campaign */
+  MO_PURPOSE_POPULATION = 13,     /* initial populations of campaigns */
+  MO_PURPOSE_EVOLUTION_SEED = 14, /* seeds of the trainings inside a campaign */
+  MO_PURPOSE_AUDIT = 15           /* which leases are computed twice */
 };
 
 #define MO_RANDOM_INDEX_MAX ((UINT64_C(1) << 48) - 1)

@@ -10,28 +10,13 @@
 #ifndef MORPHO_FLEET_FLEET_H
 #define MORPHO_FLEET_FLEET_H
 
-#include <morpho/compute.h>
-
-#include "fleet/wire.h"
+#include "fleet/source.h"
 
 #define MO_FLEET_SESSIONS_MAX 4096
 #define MO_FLEET_NAME_BYTES   64 /* of a session or host, without NUL */
 #define MO_FLEET_SILENCE_MS   6000
 #define MO_FLEET_LEASE_S      1.0 /* time that a lease should take */
-#define MO_FLEET_LEASES       2   /* of a session at one time */
-
-/* Where work comes from and results go: mo_compute's functions for remote takers in the service
- * (mo_fleet_source_of), others in tests. */
-struct mo_fleet_source {
-  void *context;
-  struct mo_taken *(*take)(void *context, enum mo_back_end back_end, uint64_t max_steps);
-  void (*put_back)(void *context, struct mo_taken *taken);
-  struct mo_taken *(*split)(void *context, struct mo_taken *taken);
-  bool (*is_cancelled)(void *context, const struct mo_taken *taken);
-  void (*deliver)(void *context, struct mo_taken *taken, const struct mo_remote_result *result);
-  void (*want)(void *context, enum mo_back_end back_end, uint32_t blocks);
-};
-struct mo_fleet_source mo_fleet_source_of(struct mo_compute *compute);
+#define MO_FLEET_LEASES       2   /* of a session and back end at one time */
 
 enum mo_session_state {
   MO_SESSION_ACTIVE,
@@ -92,9 +77,10 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
 /* Closes a session and puts its leases back. why: "left", "connection ended". MO_ERR_NOT_FOUND. */
 int mo_fleet_leave(struct mo_fleet *fleet, uint64_t session, bool is_lost, uint64_t now_ns);
 /* Takes results, and gives leases while the session holds fewer than MO_FLEET_LEASES. `up`: a
- * message of results, or size 0. `down` (malloc): a message of leases. *n_leases: how many; 0: call
- * again after `wake`. MO_ERR_NOT_FOUND: no such session (any more): the worker joins again;
- * MO_ERR_FORMAT: nothing was taken; MO_ERR_CONFLICT: quarantined. */
+ * message of results, or size 0; results of leases that the session does not hold are ignored.
+ * `down` (malloc): a message of leases. *n_leases: how many; 0: call again after `wake`.
+ * MO_ERR_NOT_FOUND: no such session (any more): the worker joins again; MO_ERR_FORMAT: nothing was
+ * taken; MO_ERR_CONFLICT: quarantined. */
 int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t session, const uint8_t *up, size_t up_size,
                       uint64_t now_ns, uint8_t **down, size_t *down_size, uint32_t *n_leases,
                       struct mo_message *message);
@@ -114,8 +100,11 @@ int mo_fleet_orders(struct mo_fleet *fleet, uint64_t session, uint64_t now_ns,
 int mo_fleet_controller(struct mo_fleet *fleet, const struct mo_sha256 *hash, uint8_t **bytes,
                         size_t *size);
 
-/* About every 20 ms: gives out again what is late, ends silent sessions, drops cancelled leases. */
+/* About every 20 ms: gives out again what is late, ends silent sessions, drops cancelled leases,
+ * wakes sessions for which there is work. */
 void mo_fleet_tick(struct mo_fleet *fleet, uint64_t now_ns);
+/* Says that work was queued while none was: the next tick wakes sessions. Takes no lock. */
+void mo_fleet_arrived(struct mo_fleet *fleet);
 
 /* For operators. MO_ERR_NOT_FOUND. Quarantine holds for the session's name until `release`. */
 int mo_fleet_drain(struct mo_fleet *fleet, uint64_t session);
@@ -139,6 +128,7 @@ struct mo_fleet_status {
   uint32_t leases, rows_out;
   double rows_per_s;
   uint64_t joined, lost, leases_done, leases_again, rows_done, rows_twice, audits, audits_failed;
+  uint64_t results_ignored; /* of leases that their session did not hold */
 };
 void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status);
 /* Lists open sessions and the newest 256 ended ones, open ones first (malloc). MO_ERR_NO_MEMORY. */

@@ -1,0 +1,96 @@
+/* after.c: see after.h. Blocks that are put back go to the front of their share, so the last one
+ * goes first: they come to stand there in their order. */
+#include "fleet/after.h"
+
+#include <stdlib.h>
+
+struct mo_event {
+  const char *type;
+  char *data;
+  struct mo_event *next;
+};
+
+void mo_after_put_back(struct mo_after *after, struct mo_parcel *parcel)
+{
+  parcel->is_delivered = false;
+  after->is_put_back[parcel->taken->back_end] = true;
+  SLIST_INSERT_HEAD(&after->parcels, parcel, next);
+}
+
+void mo_after_deliver(struct mo_after *after, struct mo_parcel *parcel,
+                      const struct mo_remote_result *result)
+{
+  parcel->is_delivered = true;
+  parcel->result = *result;
+  SLIST_INSERT_HEAD(&after->parcels, parcel, next);
+}
+
+void mo_after_wake(struct mo_after *after, uint64_t session)
+{
+  if (after->n_wakes == after->wakes_capacity) {
+    const uint32_t capacity = after->wakes_capacity > 0 ? 2 * after->wakes_capacity : 16;
+    uint64_t *grown = realloc(after->wakes, capacity * sizeof(*grown));
+    if (grown == NULL)
+      return;
+    after->wakes = grown;
+    after->wakes_capacity = capacity;
+  }
+  after->wakes[after->n_wakes++] = session;
+}
+
+void mo_after_event(struct mo_after *after, const char *type, struct mo_text *data)
+{
+  struct mo_event *event = malloc(sizeof(*event));
+  mo_text_add(data, "}");
+  if (event == NULL || data->failed) {
+    free(event);
+    mo_text_free(data);
+    return;
+  }
+  struct mo_event **last = &after->events;
+  while (*last != NULL)
+    last = &(*last)->next;
+  *event = (struct mo_event){.type = type, .data = data->data};
+  *last = event;
+}
+
+static bool work_waits(const struct mo_fleet *fleet, const struct mo_after *after,
+                       enum mo_back_end back_end)
+{
+  const struct mo_fleet_source *source = &fleet->config.source;
+  return after->is_put_back[back_end] ||
+         (source->waiting != NULL && source->waiting(source->context, back_end) > 0);
+}
+
+void mo_after_run(struct mo_fleet *fleet, struct mo_after *after)
+{
+  const struct mo_fleet_config *config = &fleet->config;
+  struct mo_parcel *parcel;
+  while ((parcel = SLIST_FIRST(&after->parcels)) != NULL) {
+    SLIST_REMOVE_HEAD(&after->parcels, next);
+    if (parcel->is_delivered)
+      config->source.deliver(config->source.context, parcel->taken, &parcel->result);
+    else
+      config->source.put_back(config->source.context, parcel->taken);
+    free(parcel);
+  }
+  for (uint32_t b = 0; b < 2; b++) {
+    if (!after->is_emptied[b] || !work_waits(fleet, after, (enum mo_back_end)b))
+      continue;
+    struct mo_text data = {0};
+    mo_text_object(&data);
+    mo_text_member(&data, "class", config->classes[b].scores);
+    mo_after_event(after, "fleet.empty", &data);
+  }
+  for (struct mo_event *event = after->events, *next; event != NULL; event = next) {
+    next = event->next;
+    if (config->event != NULL)
+      config->event(config->context, event->type, event->data);
+    free(event->data);
+    free(event);
+  }
+  for (uint32_t i = 0; i < after->n_wakes && config->wake != NULL; i++)
+    config->wake(config->context, after->wakes[i]);
+  free(after->wakes);
+  *after = (struct mo_after){0};
+}

@@ -1,0 +1,31 @@
+/* after.h: what is left to do when the mutex is free again. */
+#ifndef MORPHO_FLEET_AFTER_H
+#define MORPHO_FLEET_AFTER_H
+
+#include "fleet/state.h"
+
+struct mo_event;
+
+/* Starts as {0}; mo_after_run empties it. */
+struct mo_after {
+  SLIST_HEAD(, mo_parcel) parcels;
+  struct mo_event *events;
+  uint64_t *wakes;
+  uint32_t n_wakes, wakes_capacity;
+  bool is_put_back[2], is_emptied[2]; /* by back end; emptied: its last session ended */
+};
+
+/* Blocks go back to the source, or get results; rows must live until mo_after_run. */
+void mo_after_put_back(struct mo_after *after, struct mo_parcel *parcel);
+void mo_after_deliver(struct mo_after *after, struct mo_parcel *parcel,
+                      const struct mo_remote_result *result);
+/* These two are lost without memory: sessions look for orders and work by themselves as well, and
+ * the counters still say what happened. */
+void mo_after_wake(struct mo_after *after, uint64_t session);
+/* data: a JSON object without its end; more members may have been added. Takes the text. */
+void mo_after_event(struct mo_after *after, const char *type, struct mo_text *data);
+
+/* Without the lock. */
+void mo_after_run(struct mo_fleet *fleet, struct mo_after *after);
+
+#endif

@@ -1,0 +1,223 @@
+/* checks.c: see checks.h. */
+#include "fleet/checks.h"
+
+#include <inttypes.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fleet/content.h"
+#include "store/scores.h"
+
+#define NEW_LEASES     500 /* of a session: after these it is audited less */
+#define AUDITS_NEW     10  /* one lease in so many */
+#define AUDITS_TRUSTED 200
+#define CHOOSY_NS      (2 * MO_S_NS) /* an audit waits so long for another name and host */
+
+/* ---- votes ---- */
+
+static bool add_vote(struct mo_lease *lease, const struct mo_session *session,
+                     const struct mo_wire_result *result)
+{
+  const size_t n = result->n_rows;
+  struct mo_vote *vote = &lease->votes[lease->n_votes];
+  *vote = (struct mo_vote){.losses = malloc(n * sizeof(*vote->losses)),
+                           .diverged_steps = malloc(n * sizeof(*vote->diverged_steps))};
+  if (vote->losses == NULL || vote->diverged_steps == NULL) {
+    free(vote->losses);
+    free(vote->diverged_steps);
+    return false;
+  }
+  memcpy(vote->losses, result->losses, n * sizeof(*vote->losses));
+  memcpy(vote->diverged_steps, result->diverged_steps, n * sizeof(*vote->diverged_steps));
+  if (session != NULL) {
+    vote->session = session->id;
+    vote->origin = session->origin;
+    memcpy(vote->name, session->offer.name, sizeof(vote->name));
+    memcpy(vote->host, session->offer.host, sizeof(vote->host));
+  }
+  lease->n_votes++;
+  return true;
+}
+
+/* Returns the first row that differs, or n. */
+static uint32_t first_difference(const struct mo_vote *a, const double *losses,
+                                 const uint32_t *diverged_steps, uint32_t n)
+{
+  uint32_t row = 0;
+  while (row < n && mo_same_bits(a->losses[row], losses[row]) &&
+         a->diverged_steps[row] == diverged_steps[row])
+    row++;
+  return row;
+}
+
+/* Keeps n blocks from the first on, and their rows of the votes. */
+static void cut(struct mo_lease *lease, uint32_t first, uint32_t n)
+{
+  const uint32_t row = mo_content_cut(&lease->content, first, n), rows = lease->content.n_rows;
+  lease->steps = (uint64_t)rows * lease->content.physics.n_steps;
+  for (uint32_t i = 0; i < lease->n_votes; i++) {
+    struct mo_vote *vote = &lease->votes[i];
+    memmove(vote->losses, vote->losses + row, rows * sizeof(*vote->losses));
+    memmove(vote->diverged_steps, vote->diverged_steps + row, rows * sizeof(*vote->diverged_steps));
+  }
+}
+
+void mo_check_fit(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t max_steps)
+{
+  const uint32_t n_blocks = lease->content.n_blocks;
+  if (lease->is_disputed || lease->steps <= max_steps || n_blocks == 1)
+    return;
+  const uint64_t fitting = max_steps * n_blocks / lease->steps;
+  const uint32_t n = fitting > 1 ? (uint32_t)fitting : 1;
+  struct mo_random random;
+  mo_random_init(&random, fleet->config.seed, MO_PURPOSE_AUDIT, 1, lease->number);
+  cut(lease, mo_random_below(&random, n_blocks - n + 1), n);
+  mo_lease_renumber(fleet, lease);
+}
+
+bool mo_check_suits(const struct mo_lease *lease, const struct mo_session *session, uint64_t now_ns)
+{
+  const bool is_choosy = now_ns - lease->listed_ns < CHOOSY_NS;
+  for (uint32_t i = 0; i < lease->n_votes; i++) {
+    const struct mo_vote *vote = &lease->votes[i];
+    if (vote->session == session->id)
+      return false;
+    if (is_choosy && (strcmp(vote->name, session->offer.name) == 0 ||
+                      strcmp(vote->host, session->offer.host) == 0))
+      return false;
+  }
+  return true;
+}
+
+/* ---- beginning ---- */
+
+/* The choice depends on the number of the lease only, which a session cannot choose. */
+static bool is_drawn(const struct mo_fleet *fleet, const struct mo_lease *lease,
+                     const struct mo_session *session)
+{
+  struct mo_random random;
+  mo_random_init(&random, fleet->config.seed, MO_PURPOSE_AUDIT, 0, lease->number);
+  return mo_random_below(&random,
+                         session->leases_done <= NEW_LEASES ? AUDITS_NEW : AUDITS_TRUSTED) == 0;
+}
+
+void mo_check_begin(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_session *session,
+                    const struct mo_wire_result *result, uint64_t now_ns, struct mo_after *after)
+{
+  const struct mo_class *class = &fleet->classes[lease->content.back_end];
+  lease->is_audit =
+      class->n_sessions >= 2 && fleet->n_checks < MO_CHECKS_MAX && is_drawn(fleet, lease, session);
+  fleet->n_checks += lease->is_audit;
+  if ((lease->n_holds == 0 && !lease->is_audit) || !add_vote(lease, session, result)) {
+    mo_lease_end(fleet, lease, after);
+    return;
+  }
+  for (uint32_t i = 0; i < lease->n_holds; i++)
+    mo_lease_drop(lease, lease->holds[i].session, after);
+  if (lease->n_holds == 0)
+    mo_lease_list(fleet, lease, now_ns, after);
+}
+
+/* ---- comparing ---- */
+
+static void count(struct mo_fleet *fleet, uint64_t id, bool has_failed)
+{
+  struct mo_session *session = mo_session_find(fleet, id);
+  if (session == NULL)
+    return;
+  session->audits++;
+  session->audits_failed += has_failed;
+}
+
+static void describe(struct mo_text *text, const struct mo_vote *vote, uint32_t row)
+{
+  mo_text_next(text);
+  mo_text_object(text);
+  mo_text_member(text, "name", vote->name);
+  mo_text_member(text, "host", vote->host);
+  mo_text_member_number(text, "loss", vote->losses[row]);
+  mo_text_member_count(text, "diverged_step", vote->diverged_steps[row]);
+  mo_text_add(text, "}");
+}
+
+/* Two sessions gave different rows: the block of the first is what a third computes. */
+static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row, uint64_t now_ns,
+                    struct mo_after *after)
+{
+  struct mo_text text = {0};
+  mo_text_object(&text);
+  mo_text_member(&text, "class", fleet->config.classes[lease->content.back_end].scores);
+  mo_text_name(&text, "results");
+  mo_text_add(&text, "[");
+  describe(&text, &lease->votes[0], row);
+  describe(&text, &lease->votes[1], row);
+  mo_text_add(&text, "]");
+  mo_after_event(after, "fleet.differs", &text);
+  uint32_t block = 0;
+  for (uint32_t end = lease->content.blocks[0].n_environments; end <= row; block++)
+    end += lease->content.blocks[block + 1].n_environments;
+  while (lease->n_holds > 0) {
+    mo_lease_drop(lease, lease->holds[0].session, after);
+    mo_lease_unhold(lease, 0);
+  }
+  cut(lease, block, 1);
+  mo_lease_renumber(fleet, lease);
+  fleet->n_checks += !lease->is_audit;
+  lease->is_audit = lease->is_disputed = true;
+  mo_lease_list(fleet, lease, now_ns, after);
+}
+
+/* The newest vote is that of vote `equal`: all others are wrong. */
+static void decide(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t equal, uint64_t now_ns,
+                   struct mo_after *after)
+{
+  const struct mo_vote *right = &lease->votes[equal];
+  const uint32_t rows = lease->content.n_rows;
+  fleet->counts.audits++;
+  for (uint32_t i = 0; i < lease->n_votes; i++) {
+    const struct mo_vote *vote = &lease->votes[i];
+    const uint32_t row = first_difference(right, vote->losses, vote->diverged_steps, rows);
+    count(fleet, vote->session, row < rows);
+    if (row == rows || vote->session == 0)
+      continue;
+    char why[128];
+    fleet->counts.audits_failed++;
+    snprintf(why, sizeof(why),
+             "gave a loss of %.17g (step of divergence %" PRIu32
+             ") where two others gave %.17g (%" PRIu32 ")",
+             vote->losses[row], vote->diverged_steps[row], right->losses[row],
+             right->diverged_steps[row]);
+    mo_name_quarantine(fleet, vote->name, vote->host, why, now_ns, after);
+  }
+  mo_lease_end(fleet, lease, after);
+}
+
+void mo_check_result(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_session *session,
+                     const struct mo_wire_result *result, uint64_t now_ns, struct mo_after *after)
+{
+  const uint32_t rows = lease->content.n_rows;
+  uint32_t equal = 0, row = rows;
+  fleet->counts.rows_twice += rows;
+  for (; equal < lease->n_votes; equal++) {
+    row = first_difference(&lease->votes[equal], result->losses, result->diverged_steps, rows);
+    if (row == rows)
+      break;
+  }
+  const bool agrees = equal < lease->n_votes;
+  if (agrees && !lease->is_disputed) {
+    fleet->counts.audits++;
+    count(fleet, lease->votes[0].session, false);
+    count(fleet, session->id, false);
+    mo_lease_end(fleet, lease, after);
+  } else if (!add_vote(lease, session, result)) {
+    mo_lease_end(fleet, lease, after);
+  } else if (!lease->is_disputed) {
+    dispute(fleet, lease, row, now_ns, after);
+  } else if (agrees) {
+    decide(fleet, lease, equal, now_ns, after);
+  } else if (lease->n_votes == MO_VOTES) {
+    mo_lease_end(fleet, lease, after);
+  } else {
+    mo_lease_list(fleet, lease, now_ns, after);
+  }
+}

@@ -1,0 +1,109 @@
+/* content.c: see content.h. Blocks of one job point to the same environments, so these are told
+ * apart by their addresses: comparing 528 bytes per row would cost more than sending some twice. */
+#include "fleet/content.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+/* Numbers of environments by address, with open addressing. */
+struct numbers {
+  uint32_t mask;
+  struct number {
+    const struct mo_environment *environment; /* NULL: empty */
+    uint16_t number;
+  } * slots;
+};
+
+/* Returns the number of an environment, which is added if it is new. MO_ERR_LIMIT: there are too
+ * many. */
+static int number_of(struct numbers *numbers, struct mo_wire_lease *content,
+                     const struct mo_environment *environment)
+{
+  uint64_t hash = ((uint64_t)(uintptr_t)environment >> 4) * UINT64_C(0x9e3779b97f4a7c15);
+  uint32_t at = (uint32_t)(hash >> 32) & numbers->mask;
+  while (numbers->slots[at].environment != NULL && numbers->slots[at].environment != environment)
+    at = (at + 1) & numbers->mask;
+  if (numbers->slots[at].environment == NULL) {
+    if (content->n_environments == MO_WIRE_ENVIRONMENTS_MAX)
+      return MO_ERR_LIMIT;
+    content->environments[content->n_environments] = *environment;
+    numbers->slots[at].environment = environment;
+    numbers->slots[at].number = (uint16_t)content->n_environments++;
+  }
+  return numbers->slots[at].number;
+}
+
+static int copy_blocks(const struct mo_taken *taken, struct mo_workspace workspace,
+                       struct numbers *numbers, struct mo_wire_lease *content)
+{
+  const size_t bytes = mo_workspace_words(workspace) * sizeof(uint64_t);
+  for (uint32_t b = 0; b < taken->n_blocks; b++) {
+    const struct mo_block *from = taken->blocks[b];
+    struct mo_wire_block *to = &content->blocks[b];
+    if (!mo_workspace_equal(from->lattice->workspace, workspace))
+      return MO_ERR_LIMIT;
+    memset(to, 0, sizeof(*to));
+    memcpy(to->genotype, from->genotype, bytes);
+    to->n_environments = from->n_environments;
+    for (uint32_t k = 0; k < from->n_environments; k++) {
+      int number = number_of(numbers, content, from->environments[k]);
+      if (number < 0)
+        return number;
+      to->environments[k] = (uint16_t)number;
+    }
+  }
+  return MO_OK;
+}
+
+int mo_content_of(const struct mo_taken *taken, struct mo_workspace workspace,
+                  struct mo_wire_lease *content)
+{
+  const uint32_t rows = taken->n_rows;
+  const uint32_t most = rows < MO_WIRE_ENVIRONMENTS_MAX ? rows : MO_WIRE_ENVIRONMENTS_MAX;
+  struct numbers numbers = {.mask = 1};
+  *content = (struct mo_wire_lease){.physics = taken->blocks[0]->physics,
+                                    .back_end = taken->back_end,
+                                    .n_blocks = taken->n_blocks,
+                                    .n_rows = rows};
+  if (rows > MO_WIRE_ROWS_MAX || mo_workspace_words(workspace) > MO_WIRE_WORDS_MAX)
+    return MO_ERR_LIMIT;
+  while (numbers.mask < 2 * most)
+    numbers.mask = 2 * numbers.mask + 1;
+  numbers.slots = calloc(numbers.mask + 1, sizeof(*numbers.slots));
+  content->environments = malloc(most * sizeof(*content->environments));
+  content->blocks = malloc(taken->n_blocks * sizeof(*content->blocks));
+  int error = numbers.slots != NULL && content->environments != NULL && content->blocks != NULL
+                  ? copy_blocks(taken, workspace, &numbers, content)
+                  : MO_ERR_NO_MEMORY;
+  free(numbers.slots);
+  if (error != MO_OK) {
+    mo_content_free(content);
+    return error;
+  }
+  struct mo_environment *fitted =
+      realloc(content->environments, content->n_environments * sizeof(*fitted));
+  if (fitted != NULL)
+    content->environments = fitted;
+  return MO_OK;
+}
+
+uint32_t mo_content_cut(struct mo_wire_lease *content, uint32_t first, uint32_t n)
+{
+  uint32_t row = 0;
+  for (uint32_t b = 0; b < first; b++)
+    row += content->blocks[b].n_environments;
+  memmove(content->blocks, content->blocks + first, n * sizeof(*content->blocks));
+  content->n_blocks = n;
+  content->n_rows = 0;
+  for (uint32_t b = 0; b < n; b++)
+    content->n_rows += content->blocks[b].n_environments;
+  return row;
+}
+
+void mo_content_free(struct mo_wire_lease *content)
+{
+  free(content->environments);
+  free(content->blocks);
+  content->environments = NULL;
+  content->blocks = NULL;
+}

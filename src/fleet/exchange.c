@@ -1,0 +1,128 @@
+/* exchange.c: what a session asks for: an exchange, its orders, a controller. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "fleet/give.h"
+#include "fleet/results.h"
+
+/* ---- exchange ---- */
+
+/* Encodes those of the leases that the session still holds. Without memory it gives them back. */
+static int encode(struct mo_fleet *fleet, struct mo_session *session, const uint64_t *numbers,
+                  uint32_t n, uint64_t now_ns, struct mo_after *after, uint8_t **down,
+                  size_t *down_size, uint32_t *n_leases)
+{
+  struct mo_wire_leases message = {0};
+  struct mo_lease *leases[MO_WIRE_LEASES_MAX];
+  for (uint32_t i = 0; i < n; i++) {
+    struct mo_lease *lease = mo_lease_find(fleet, numbers[i]);
+    if (lease == NULL || mo_lease_held_by(lease, session) < 0)
+      continue;
+    leases[message.n] = lease;
+    message.items[message.n++] = lease->content;
+  }
+  int error = mo_wire_put_leases(&message, fleet->config.workspace, down, down_size);
+  for (uint32_t i = 0; i < message.n && error != MO_OK; i++)
+    mo_lease_release(fleet, leases[i], (uint32_t)mo_lease_held_by(leases[i], session), false,
+                     now_ns, after);
+  *n_leases = message.n;
+  return error;
+}
+
+/* Lets the session wait where it could hold more. */
+static void wait_for_more(struct mo_fleet *fleet, struct mo_session *session)
+{
+  for (uint32_t b = 0; b < 2; b++)
+    if (session->serves[b] && session->n_held[b] + session->n_taking[b] < MO_FLEET_LEASES)
+      mo_session_wait(session, (enum mo_back_end)b, &fleet->classes[b]);
+}
+
+static int give(struct mo_fleet *fleet, struct mo_session *session, uint64_t now_ns,
+                struct mo_after *after, uint8_t **down, size_t *down_size, uint32_t *n_leases)
+{
+  uint64_t numbers[MO_WIRE_LEASES_MAX];
+  uint32_t n = 0;
+  if (session->state == MO_SESSION_ACTIVE && now_ns >= session->rest_ns) {
+    for (uint32_t b = 2; b-- > 0;)
+      if (session != NULL && session->serves[b])
+        session = mo_give(fleet, session, (enum mo_back_end)b, now_ns, after, numbers, &n);
+    if (session == NULL)
+      return MO_ERR_NOT_FOUND;
+    if (session->state == MO_SESSION_ACTIVE)
+      wait_for_more(fleet, session);
+  }
+  return encode(fleet, session, numbers, n, now_ns, after, down, down_size, n_leases);
+}
+
+int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, size_t up_size,
+                      uint64_t now_ns, uint8_t **down, size_t *down_size, uint32_t *n_leases,
+                      struct mo_message *message)
+{
+  struct mo_after after = {0};
+  struct mo_wire_results results = {0};
+  int error = up_size > 0 ? mo_wire_get_results(up, up_size, &results, message) : MO_OK;
+  if (error != MO_OK)
+    return error;
+  pthread_mutex_lock(&fleet->mutex);
+  struct mo_session *session = mo_session_find(fleet, id);
+  if (session == NULL) {
+    error = mo_fail(message, MO_ERR_NOT_FOUND, "no such session is open: join again");
+  } else if (session->state == MO_SESSION_QUARANTINED) {
+    error = mo_fail(message, MO_ERR_CONFLICT, "\"%s\" is quarantined: %s", session->offer.name,
+                    session->why);
+  } else {
+    session->heard_ns = now_ns;
+    for (uint32_t b = 0; b < 2; b++)
+      mo_session_wait(session, (enum mo_back_end)b, NULL);
+    error = mo_results_take(fleet, session, &results, now_ns, &after, message);
+    if (error == MO_OK)
+      error = give(fleet, session, now_ns, &after, down, down_size, n_leases);
+  }
+  pthread_mutex_unlock(&fleet->mutex);
+  mo_after_run(fleet, &after);
+  mo_wire_free_results(&results);
+  return error;
+}
+
+/* ---- orders and weights ---- */
+
+int mo_fleet_orders(struct mo_fleet *fleet, uint64_t id, uint64_t now_ns,
+                    struct mo_fleet_orders *orders)
+{
+  memset(orders, 0, sizeof(*orders));
+  pthread_mutex_lock(&fleet->mutex);
+  struct mo_session *session = mo_session_find(fleet, id);
+  if (session == NULL) {
+    pthread_mutex_unlock(&fleet->mutex);
+    return MO_ERR_NOT_FOUND;
+  }
+  const int has_orders = session->n_dropped > 0 || session->state != session->told;
+  session->heard_ns = now_ns;
+  session->told = session->state;
+  orders->state = session->state;
+  orders->n_dropped = session->n_dropped;
+  memcpy(orders->dropped, session->dropped, session->n_dropped * sizeof(*orders->dropped));
+  session->n_dropped = 0;
+  pthread_mutex_unlock(&fleet->mutex);
+  return has_orders;
+}
+
+int mo_fleet_controller(struct mo_fleet *fleet, const struct mo_sha256 *hash, uint8_t **bytes,
+                        size_t *size)
+{
+  pthread_mutex_lock(&fleet->mutex);
+  struct mo_weights *weights = mo_weights_of(fleet, hash);
+  pthread_mutex_unlock(&fleet->mutex);
+  if (weights == NULL)
+    return MO_ERR_NOT_FOUND;
+  uint8_t *copy = malloc(weights->size);
+  if (copy != NULL) {
+    memcpy(copy, weights->bytes, weights->size);
+    *bytes = copy;
+    *size = weights->size;
+  }
+  pthread_mutex_lock(&fleet->mutex);
+  mo_weights_release(weights);
+  pthread_mutex_unlock(&fleet->mutex);
+  return copy != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+}

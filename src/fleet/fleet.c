@@ -1,0 +1,212 @@
+/* fleet.c: creates and frees the fleet, lets sessions in and out, and turns its clock. */
+#include <inttypes.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <sys/random.h>
+
+#include "fleet/give.h"
+#include "fleet/suspects.h"
+
+#define BLOCK_STEPS 16000.0 /* until blocks were seen */
+#define REFUSED_NS  MO_S_NS /* one event of refusal in this time */
+
+/* ---- life ---- */
+
+int mo_fleet_create(const struct mo_fleet_config *config, struct mo_fleet **ret)
+{
+  if (mo_workspace_check(config->workspace) != MO_OK ||
+      mo_workspace_words(config->workspace) > MO_WIRE_WORDS_MAX)
+    return MO_ERR_LIMIT;
+  struct mo_fleet *fleet = calloc(1, sizeof(*fleet));
+  if (fleet == NULL || (fleet->suspects = mo_suspects_create()) == NULL) {
+    free(fleet);
+    return MO_ERR_NO_MEMORY;
+  }
+  fleet->config = *config;
+  fleet->silence_ns =
+      UINT64_C(1000000) * (config->silence_ms > 0 ? config->silence_ms : MO_FLEET_SILENCE_MS);
+  fleet->next_lease = 1;
+  pthread_mutex_init(&fleet->mutex, NULL);
+  TAILQ_INIT(&fleet->sessions);
+  TAILQ_INIT(&fleet->ended);
+  TAILQ_INIT(&fleet->leases);
+  for (uint32_t b = 0; b < 2; b++) {
+    fleet->classes[b].block_steps = BLOCK_STEPS;
+    TAILQ_INIT(&fleet->classes[b].listed);
+    TAILQ_INIT(&fleet->classes[b].idle);
+    TAILQ_INIT(&fleet->classes[b].busy);
+  }
+  *ret = fleet;
+  return MO_OK;
+}
+
+static void free_sessions(struct mo_session_list *list)
+{
+  struct mo_session *session;
+  while ((session = TAILQ_FIRST(list)) != NULL) {
+    TAILQ_REMOVE(list, session, all);
+    free(session);
+  }
+}
+
+void mo_fleet_free(struct mo_fleet *fleet)
+{
+  if (fleet == NULL)
+    return;
+  struct mo_after after = {0};
+  struct mo_lease *lease;
+  fleet->config.wake = NULL;
+  while ((lease = TAILQ_FIRST(&fleet->leases)) != NULL)
+    mo_lease_end(fleet, lease, &after);
+  mo_after_run(fleet, &after);
+  free_sessions(&fleet->sessions);
+  free_sessions(&fleet->ended);
+  mo_suspects_free(fleet->suspects);
+  pthread_mutex_destroy(&fleet->mutex);
+  free(fleet);
+}
+
+/* ---- joining ---- */
+
+/* Chooses the classes that a session serves. */
+static int choose_classes(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
+                          bool serves[2], struct mo_message *message)
+{
+  const struct mo_fleet_config *config = &fleet->config;
+  char got[MO_SHA256_DIGITS + 1], wanted[MO_SHA256_DIGITS + 1];
+  if (strcmp(offer->version, config->version) != 0)
+    return mo_fail(message, MO_ERR_UNSUPPORTED, "this daemon wants workers of version %s, got %s",
+                   config->version, offer->version);
+  for (uint32_t b = 0; b < 2; b++) {
+    serves[b] = config->classes[b].scores != NULL &&
+                strcmp(offer->classes[b].scores, config->classes[b].scores) == 0;
+    if (!serves[b] || mo_sha256_equal(&offer->classes[b].canary, &config->classes[b].canary))
+      continue;
+    mo_sha256_to_hex(&offer->classes[b].canary, got);
+    mo_sha256_to_hex(&config->classes[b].canary, wanted);
+    return mo_fail(message, MO_ERR_CONFLICT,
+                   "the canary of class \"%.60s\" must have the hash %s, got %s",
+                   config->classes[b].scores, wanted, got);
+  }
+  if (serves[MO_ON_CPU] || serves[MO_ON_DEVICE])
+    return MO_OK;
+  return mo_fail(message, MO_ERR_UNSUPPORTED, "this daemon wants workers of class \"%s\"%s%s%s",
+                 config->classes[0].scores != NULL ? config->classes[0].scores : "",
+                 config->classes[1].scores != NULL ? " or \"" : "",
+                 config->classes[1].scores != NULL ? config->classes[1].scores : "",
+                 config->classes[1].scores != NULL ? "\"" : "");
+}
+
+static void note_refusal(struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
+                         uint64_t now_ns, const struct mo_message *why, struct mo_after *after)
+{
+  struct mo_text text = {0};
+  if (fleet->refused_ns != 0 && now_ns - fleet->refused_ns < REFUSED_NS)
+    return;
+  fleet->refused_ns = now_ns;
+  mo_text_object(&text);
+  mo_text_member(&text, "name", offer->name);
+  mo_text_member(&text, "host", offer->host);
+  mo_text_member(&text, "why", why->text);
+  mo_after_event(after, "fleet.refused", &text);
+}
+
+/* Draws an id that nobody can guess and no session has. 0: no random numbers. */
+static uint64_t draw_id(struct mo_fleet *fleet)
+{
+  uint64_t id = 0;
+  do {
+    if (getrandom(&id, sizeof(id), 0) != (ssize_t)sizeof(id))
+      return 0;
+    id >>= 1;
+  } while (id == 0 || mo_session_find(fleet, id) != NULL);
+  return id;
+}
+
+int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer, uint64_t now_ns,
+                      struct mo_message *ret_message)
+{
+  const struct mo_fleet_config *config = &fleet->config;
+  struct mo_after after = {0};
+  struct mo_message message = {""};
+  struct mo_session *session = calloc(1, sizeof(*session));
+  char origin[2 * MO_FLEET_NAME_BYTES + 2];
+  if (session == NULL)
+    return MO_ERR_NO_MEMORY;
+  *session =
+      (struct mo_session){.offer = *offer, .origin = 1, .joined_ns = now_ns, .heard_ns = now_ns};
+  snprintf(origin, sizeof(origin), "%s@%s", offer->name, offer->host);
+  int error = choose_classes(fleet, offer, session->serves, &message);
+  if (error == MO_OK && config->origin != NULL)
+    error = config->origin(config->context, origin, &session->origin);
+  pthread_mutex_lock(&fleet->mutex);
+  if (error == MO_OK && mo_name_is_quarantined(fleet, offer->name))
+    error = mo_fail(&message, MO_ERR_CONFLICT, "\"%s\" is quarantined: it gave wrong bits",
+                    offer->name);
+  if (error == MO_OK && fleet->n_sessions == MO_FLEET_SESSIONS_MAX)
+    error =
+        mo_fail(&message, MO_ERR_LIMIT, "at most %d sessions can be open", MO_FLEET_SESSIONS_MAX);
+  if (error == MO_OK && (session->id = draw_id(fleet)) == 0)
+    error = mo_fail(&message, MO_ERR_IO, "there are no random numbers");
+  if (error == MO_ERR_CONFLICT || error == MO_ERR_UNSUPPORTED)
+    note_refusal(fleet, offer, now_ns, &message, &after);
+  const int64_t id = error == MO_OK ? (int64_t)session->id : error;
+  if (error == MO_OK)
+    mo_session_insert(fleet, session, &after);
+  else
+    free(session);
+  pthread_mutex_unlock(&fleet->mutex);
+  mo_after_run(fleet, &after);
+  if (ret_message != NULL)
+    *ret_message = message;
+  return id;
+}
+
+/* ---- leaving, and what operators do ---- */
+
+int mo_fleet_leave(struct mo_fleet *fleet, uint64_t id, bool is_lost, uint64_t now_ns)
+{
+  struct mo_after after = {0};
+  pthread_mutex_lock(&fleet->mutex);
+  struct mo_session *session = mo_session_find(fleet, id);
+  if (session != NULL)
+    mo_session_end(fleet, session, is_lost ? MO_SESSION_LOST : MO_SESSION_LEFT,
+                   is_lost ? "its connection ended" : "left", now_ns, &after);
+  pthread_mutex_unlock(&fleet->mutex);
+  mo_after_run(fleet, &after);
+  return session != NULL ? MO_OK : MO_ERR_NOT_FOUND;
+}
+
+int mo_fleet_drain(struct mo_fleet *fleet, uint64_t id)
+{
+  struct mo_after after = {0};
+  pthread_mutex_lock(&fleet->mutex);
+  struct mo_session *session = mo_session_find(fleet, id);
+  if (session != NULL)
+    mo_session_drain(fleet, session, "an operator asked for it", &after);
+  pthread_mutex_unlock(&fleet->mutex);
+  mo_after_run(fleet, &after);
+  return session != NULL ? MO_OK : MO_ERR_NOT_FOUND;
+}
+
+int mo_fleet_quarantine(struct mo_fleet *fleet, uint64_t id, const char *why)
+{
+  struct mo_after after = {0};
+  pthread_mutex_lock(&fleet->mutex);
+  struct mo_session *session = mo_session_find(fleet, id);
+  if (session != NULL)
+    mo_name_quarantine(fleet, session->offer.name, session->offer.host, why, session->heard_ns,
+                       &after);
+  pthread_mutex_unlock(&fleet->mutex);
+  mo_after_run(fleet, &after);
+  return session != NULL ? MO_OK : MO_ERR_NOT_FOUND;
+}
+
+int mo_fleet_release(struct mo_fleet *fleet, const char *name)
+{
+  pthread_mutex_lock(&fleet->mutex);
+  const bool was_quarantined = mo_name_release(fleet, name);
+  pthread_mutex_unlock(&fleet->mutex);
+  return was_quarantined ? MO_OK : MO_ERR_NOT_FOUND;
+}

@@ -1,0 +1,130 @@
+/* results.c: see results.h. */
+#include "fleet/results.h"
+
+#include "fleet/checks.h"
+#include "fleet/suspects.h"
+
+#define MEMORY       0.9 /* of the sums of a pace, per message: about ten leases */
+#define FAILURES_MAX 5   /* leases in a row, until a session gets no more */
+
+/* What the results of one message add to the pace of a session on one back end. */
+struct part {
+  uint64_t steps, rows, begun_ns;
+};
+
+/* Returns the lease that a result is of, if the session holds it. */
+static struct mo_lease *held_lease(struct mo_fleet *fleet, const struct mo_session *session,
+                                   struct mo_lease_id id, uint32_t *place)
+{
+  struct mo_lease *lease = id.epoch == fleet->config.epoch ? mo_lease_find(fleet, id.number) : NULL;
+  int at = lease != NULL ? mo_lease_held_by(lease, session) : MO_ERR_NOT_FOUND;
+  if (at < 0)
+    return NULL;
+  *place = (uint32_t)at;
+  return lease;
+}
+
+static int check(struct mo_fleet *fleet, const struct mo_session *session,
+                 const struct mo_wire_results *results, struct mo_message *message)
+{
+  for (uint32_t i = 0; i < results->n; i++) {
+    const struct mo_wire_result *result = &results->items[i];
+    uint32_t place = 0;
+    const struct mo_lease *lease = held_lease(fleet, session, result->id, &place);
+    if (lease == NULL || result->state != MO_RESULT_DONE)
+      continue;
+    if (result->n_rows != lease->content.n_rows)
+      return mo_fail(message, MO_ERR_FORMAT, "result %u: the lease has %u rows, got %u", i,
+                     lease->content.n_rows, result->n_rows);
+    for (uint32_t row = 0; row < result->n_rows; row++)
+      if (result->diverged_steps[row] > lease->content.physics.n_steps)
+        return mo_fail(message, MO_ERR_FORMAT, "result %u, row %u: diverged in step %u of %u", i,
+                       row, result->diverged_steps[row], lease->content.physics.n_steps);
+  }
+  return MO_OK;
+}
+
+static void take_rows(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_session *session,
+                      const struct mo_wire_result *result, uint64_t now_ns, struct mo_after *after)
+{
+  session->leases_done++;
+  session->rows_done += result->n_rows;
+  session->busy_s += result->busy_s;
+  session->n_failures = 0;
+  if (lease->parcel == NULL) {
+    mo_check_result(fleet, lease, session, result, now_ns, after);
+    return;
+  }
+  fleet->counts.leases_done++;
+  fleet->counts.rows_done += result->n_rows;
+  if (lease->is_suspect)
+    mo_suspects_clear(fleet->suspects, &lease->content);
+  mo_lease_deliver(lease,
+                   &(struct mo_remote_result){.status = MO_OK,
+                                              .losses = result->losses,
+                                              .diverged = result->diverged_steps,
+                                              .origin = session->origin,
+                                              .busy_s = result->busy_s},
+                   after);
+  mo_check_begin(fleet, lease, session, result, now_ns, after);
+}
+
+/* A worker that cannot compute gets a second of rest per failure, so that another one takes the
+ * bodies, and in the end no more work. */
+static void take_failure(struct mo_fleet *fleet, struct mo_session *session, uint64_t now_ns,
+                         struct mo_after *after)
+{
+  session->rest_ns = now_ns + ++session->n_failures * MO_S_NS;
+  if (session->n_failures == FAILURES_MAX)
+    mo_session_drain(fleet, session, "failed five leases in a row", after);
+}
+
+/* The time of a session is that of this process: since its result before, or since it got the
+ * lease. */
+static void keep_pace(struct mo_pace *pace, const struct part *part, uint64_t now_ns)
+{
+  const uint64_t since_ns = part->begun_ns > pace->result_ns ? part->begun_ns : pace->result_ns;
+  const double s = 1e-9 * (double)(now_ns > since_ns ? now_ns - since_ns : 1);
+  pace->steps = MEMORY * pace->steps + (double)part->steps;
+  pace->rows = MEMORY * pace->rows + (double)part->rows;
+  pace->s = MEMORY * pace->s + s;
+  pace->result_ns = now_ns;
+  pace->lease_steps = part->steps;
+}
+
+int mo_results_take(struct mo_fleet *fleet, struct mo_session *session,
+                    const struct mo_wire_results *results, uint64_t now_ns, struct mo_after *after,
+                    struct mo_message *message)
+{
+  struct part parts[2] = {{0, 0, UINT64_MAX}, {0, 0, UINT64_MAX}};
+  int error = check(fleet, session, results, message);
+  if (error != MO_OK)
+    return error;
+  for (uint32_t i = 0; i < results->n; i++) {
+    const struct mo_wire_result *result = &results->items[i];
+    uint32_t place = 0;
+    struct mo_lease *lease = held_lease(fleet, session, result->id, &place);
+    if (lease == NULL) {
+      fleet->counts.results_ignored++;
+      continue;
+    }
+    if (result->state != MO_RESULT_DONE) {
+      const bool has_failed = result->state == MO_RESULT_FAILED;
+      mo_lease_release(fleet, lease, place, has_failed, now_ns, after);
+      if (has_failed)
+        take_failure(fleet, session, now_ns, after);
+      continue;
+    }
+    struct part *part = &parts[lease->content.back_end];
+    const uint64_t given_ns = lease->holds[place].given_ns;
+    part->steps += lease->steps;
+    part->rows += lease->content.n_rows;
+    part->begun_ns = given_ns < part->begun_ns ? given_ns : part->begun_ns;
+    mo_lease_unhold(lease, place);
+    take_rows(fleet, lease, session, result, now_ns, after);
+  }
+  for (uint32_t b = 0; b < 2; b++)
+    if (parts[b].steps > 0)
+      keep_pace(&session->pace[b], &parts[b], now_ns);
+  return MO_OK;
+}

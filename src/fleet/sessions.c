@@ -1,0 +1,153 @@
+/* sessions.c: see sessions.h. */
+#include "fleet/sessions.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+const char *const mo_session_state_words[] = {"active", "draining", "quarantined",
+                                              "left",   "lost",     NULL};
+
+/* ---- the table ---- */
+
+struct mo_session *mo_session_find(struct mo_fleet *fleet, uint64_t id)
+{
+  struct mo_session *session = LIST_FIRST(&fleet->sessions_by_id[id % MO_SESSION_BUCKETS]);
+  while (session != NULL && session->id != id)
+    session = LIST_NEXT(session, by_id);
+  return session;
+}
+
+/* Begins the event of a session. */
+static void start_event(struct mo_text *text, const char *name, const char *host, const char *why)
+{
+  mo_text_object(text);
+  mo_text_member(text, "name", name);
+  mo_text_member(text, "host", host);
+  if (why[0] != '\0')
+    mo_text_member(text, "why", why);
+}
+
+void mo_session_insert(struct mo_fleet *fleet, struct mo_session *session, struct mo_after *after)
+{
+  struct mo_text text = {0};
+  LIST_INSERT_HEAD(&fleet->sessions_by_id[session->id % MO_SESSION_BUCKETS], session, by_id);
+  TAILQ_INSERT_TAIL(&fleet->sessions, session, all);
+  fleet->n_sessions++;
+  fleet->counts.joined++;
+  for (uint32_t b = 0; b < 2; b++)
+    fleet->classes[b].n_sessions += session->serves[b];
+  start_event(&text, session->offer.name, session->offer.host, "");
+  mo_text_member_count(&text, "n_threads", session->offer.n_threads);
+  mo_text_member_count(&text, "n_devices", session->offer.n_devices);
+  mo_after_event(after, "fleet.joined", &text);
+}
+
+/* ---- ends ---- */
+
+/* A session that was active becomes another thing: it gets no leases. */
+static void deactivate(struct mo_fleet *fleet, struct mo_session *session,
+                       enum mo_session_state state, const char *why, struct mo_after *after)
+{
+  for (uint32_t b = 0; b < 2; b++) {
+    if (session->state == MO_SESSION_ACTIVE && session->serves[b])
+      after->is_emptied[b] |= --fleet->classes[b].n_sessions == 0;
+    mo_session_wait(session, (enum mo_back_end)b, NULL);
+  }
+  session->state = state;
+  snprintf(session->why, sizeof(session->why), "%s", why);
+}
+
+void mo_session_drain(struct mo_fleet *fleet, struct mo_session *session, const char *why,
+                      struct mo_after *after)
+{
+  if (session->state != MO_SESSION_ACTIVE)
+    return;
+  deactivate(fleet, session, MO_SESSION_DRAINING, why, after);
+  mo_after_wake(after, session->id);
+}
+
+/* The oldest lease first: mo_after_run puts it back last, in front of the others. */
+static void release_all(struct mo_fleet *fleet, struct mo_session *session, bool is_lost,
+                        uint64_t now_ns, struct mo_after *after)
+{
+  for (uint32_t b = 0; b < 2; b++) {
+    while (session->n_held[b] > 0) {
+      struct mo_lease *lease = session->held[b][0];
+      mo_lease_release(fleet, lease, (uint32_t)mo_lease_held_by(lease, session), is_lost, now_ns,
+                       after);
+    }
+  }
+}
+
+void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_session_state state,
+                    const char *why, uint64_t now_ns, struct mo_after *after)
+{
+  if (session->state != MO_SESSION_QUARANTINED) {
+    struct mo_text text = {0};
+    fleet->counts.lost += state == MO_SESSION_LOST;
+    start_event(&text, session->offer.name, session->offer.host, why);
+    mo_text_member_count(&text, "leases", session->n_held[0] + session->n_held[1]);
+    mo_after_event(after, state == MO_SESSION_LOST ? "fleet.lost" : "fleet.left", &text);
+    deactivate(fleet, session, state, why, after);
+    release_all(fleet, session, state == MO_SESSION_LOST, now_ns, after);
+  }
+  session->ended_ns = now_ns;
+  LIST_REMOVE(session, by_id);
+  TAILQ_REMOVE(&fleet->sessions, session, all);
+  TAILQ_INSERT_HEAD(&fleet->ended, session, all);
+  fleet->n_sessions--;
+  if (++fleet->n_ended <= MO_ENDED_MAX)
+    return;
+  struct mo_session *oldest = TAILQ_LAST(&fleet->ended, mo_session_list);
+  TAILQ_REMOVE(&fleet->ended, oldest, all);
+  fleet->n_ended--;
+  free(oldest);
+}
+
+/* ---- quarantine ---- */
+
+bool mo_name_is_quarantined(const struct mo_fleet *fleet, const char *name)
+{
+  for (uint32_t i = 0; i < fleet->n_quarantined; i++)
+    if (strcmp(fleet->quarantined[i], name) == 0)
+      return true;
+  return false;
+}
+
+void mo_name_quarantine(struct mo_fleet *fleet, const char *name, const char *host, const char *why,
+                        uint64_t now_ns, struct mo_after *after)
+{
+  if (mo_name_is_quarantined(fleet, name))
+    return;
+  if (fleet->n_quarantined == MO_NAMES_MAX) {
+    fleet->n_quarantined--;
+    memmove(fleet->quarantined[0], fleet->quarantined[1],
+            fleet->n_quarantined * sizeof(fleet->quarantined[0]));
+  }
+  snprintf(fleet->quarantined[fleet->n_quarantined++], sizeof(fleet->quarantined[0]), "%s", name);
+  struct mo_text text = {0};
+  start_event(&text, name, host, why);
+  mo_after_event(after, "fleet.quarantined", &text);
+  struct mo_session *session;
+  TAILQ_FOREACH(session, &fleet->sessions, all)
+  {
+    if (session->state == MO_SESSION_QUARANTINED || strcmp(session->offer.name, name) != 0)
+      continue;
+    deactivate(fleet, session, MO_SESSION_QUARANTINED, why, after);
+    release_all(fleet, session, false, now_ns, after);
+    mo_after_wake(after, session->id);
+  }
+}
+
+bool mo_name_release(struct mo_fleet *fleet, const char *name)
+{
+  for (uint32_t i = 0; i < fleet->n_quarantined; i++) {
+    if (strcmp(fleet->quarantined[i], name) != 0)
+      continue;
+    fleet->n_quarantined--;
+    memmove(fleet->quarantined[i], fleet->quarantined[i + 1],
+            (fleet->n_quarantined - i) * sizeof(fleet->quarantined[0]));
+    return true;
+  }
+  return false;
+}

@@ -1,0 +1,24 @@
+/* sessions.h: the table of sessions, their ends, and quarantine. All functions: locked. */
+#ifndef MORPHO_FLEET_SESSIONS_H
+#define MORPHO_FLEET_SESSIONS_H
+
+#include "fleet/leases.h"
+
+struct mo_session *mo_session_find(struct mo_fleet *fleet, uint64_t id); /* NULL: none open */
+void mo_session_insert(struct mo_fleet *fleet, struct mo_session *session, struct mo_after *after);
+
+/* Gives no further leases to a session. */
+void mo_session_drain(struct mo_fleet *fleet, struct mo_session *session, const char *why,
+                      struct mo_after *after);
+/* Ends a session: its leases go back, and it moves to the ended ones (MO_SESSION_LEFT,
+ * MO_SESSION_LOST). A quarantined session keeps its state, and makes no event. */
+void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_session_state state,
+                    const char *why, uint64_t now_ns, struct mo_after *after);
+
+bool mo_name_is_quarantined(const struct mo_fleet *fleet, const char *name);
+/* Quarantines a name: its open sessions give their leases back and are told. */
+void mo_name_quarantine(struct mo_fleet *fleet, const char *name, const char *host, const char *why,
+                        uint64_t now_ns, struct mo_after *after);
+bool mo_name_release(struct mo_fleet *fleet, const char *name); /* false: it was not */
+
+#endif

@@ -1,0 +1,174 @@
+/* tick.c: what happens when time passes: silence, lateness, cancellation, and who is woken. */
+#include <stdlib.h>
+
+#include "fleet/checks.h"
+#include "fleet/give.h"
+
+#define STALE_NS    (30 * MO_S_NS)  /* an audit that nobody computed */
+#define DISPUTED_NS (600 * MO_S_NS) /* the same of a disputed one */
+#define ALONE_NS    (2 * MO_S_NS)   /* a disputed audit waits so long for a third session */
+#define WAKES       4               /* sessions per tick and back end; each wakes others */
+
+/* ---- sessions ---- */
+
+static void end_silent(struct mo_fleet *fleet, uint64_t now_ns, struct mo_after *after)
+{
+  double rates[2] = {0, 0};
+  struct mo_session *next;
+  for (struct mo_session *session = TAILQ_FIRST(&fleet->sessions); session != NULL;
+       session = next) {
+    next = TAILQ_NEXT(session, all);
+    if (now_ns > session->heard_ns && now_ns - session->heard_ns > fleet->silence_ns) {
+      mo_session_end(fleet, session, MO_SESSION_LOST, "it was silent", now_ns, after);
+      continue;
+    }
+    if (session->state != MO_SESSION_ACTIVE)
+      continue;
+    if (session->rest_ns != 0 && now_ns >= session->rest_ns) {
+      session->rest_ns = 0;
+      mo_after_wake(after, session->id);
+    }
+    for (uint32_t b = 0; b < 2; b++)
+      if (session->serves[b])
+        rates[b] += mo_session_rate(session, (enum mo_back_end)b);
+  }
+  for (uint32_t b = 0; b < 2; b++)
+    fleet->classes[b].steps_per_s = rates[b];
+}
+
+/* ---- leases ---- */
+
+/* Ends the holds of sessions that have a lease for far too long, or, of a check, too long. May free
+ * the lease: false. */
+static bool check_holds(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t now_ns,
+                        struct mo_after *after)
+{
+  for (uint32_t i = lease->n_holds; i-- > 0;) {
+    struct mo_hold *hold = &lease->holds[i];
+    if (now_ns >= hold->end_ns || (lease->parcel == NULL && now_ns >= hold->late_ns)) {
+      const bool is_last = lease->n_holds == 1;
+      mo_lease_drop(lease, hold->session, after);
+      mo_lease_release(fleet, lease, i, true, now_ns, after);
+      if (is_last)
+        return false;
+    } else if (!hold->is_late && now_ns >= hold->late_ns) {
+      hold->is_late = true;
+      mo_lease_list(fleet, lease, now_ns, after);
+    }
+  }
+  return true;
+}
+
+static void check_leases(struct mo_fleet *fleet, uint64_t now_ns, struct mo_after *after)
+{
+  const struct mo_fleet_source *source = &fleet->config.source;
+  struct mo_lease *next;
+  for (struct mo_lease *lease = TAILQ_FIRST(&fleet->leases); lease != NULL; lease = next) {
+    next = TAILQ_NEXT(lease, all);
+    if (lease->is_deciding)
+      continue;
+    if (lease->parcel != NULL && source->is_cancelled(source->context, lease->parcel->taken)) {
+      mo_lease_deliver(lease, &(struct mo_remote_result){.status = MO_ERR_CANCELLED}, after);
+      mo_lease_end(fleet, lease, after);
+    } else if (check_holds(fleet, lease, now_ns, after) && lease->parcel == NULL &&
+               lease->is_listed &&
+               now_ns - lease->listed_ns > (lease->is_disputed ? DISPUTED_NS : STALE_NS)) {
+      mo_lease_end(fleet, lease, after);
+    }
+  }
+}
+
+/* ---- who is woken ---- */
+
+static void wake_waiting(struct mo_fleet *fleet, uint64_t now_ns, struct mo_after *after)
+{
+  const bool arrived = atomic_exchange(&fleet->arrived, false);
+  for (uint32_t b = 0; b < 2; b++) {
+    struct mo_class *class = &fleet->classes[b];
+    const enum mo_back_end back_end = (enum mo_back_end)b;
+    class->may_have_work |= arrived;
+    for (uint32_t i = 0; i < WAKES && class->may_have_work; i++)
+      mo_class_wake(fleet, back_end, after);
+    if (!class->may_have_work &&
+        (!TAILQ_EMPTY(&class->listed) ||
+         (!TAILQ_EMPTY(&class->idle) && mo_give_overdue(fleet, NULL, back_end, now_ns) != NULL)))
+      mo_class_wake(fleet, back_end, after);
+  }
+}
+
+/* ---- deciding here ---- */
+
+/* Takes a disputed audit for which no third session came. NULL: there is none. */
+static struct mo_lease *take_disputed(struct mo_fleet *fleet, uint64_t now_ns)
+{
+  struct mo_lease *lease;
+  for (uint32_t b = 0; b < 2 && fleet->config.source.recompute != NULL; b++) {
+    TAILQ_FOREACH(lease, &fleet->classes[b].listed, listed)
+    {
+      if (!lease->is_disputed || now_ns - lease->listed_ns < ALONE_NS)
+        continue;
+      mo_lease_unlist(fleet, lease);
+      lease->is_deciding = true;
+      return lease;
+    }
+  }
+  return NULL;
+}
+
+/* Computes the block of a disputed audit. The lease is in no list meanwhile: nobody else ends it.
+ */
+static void decide(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t now_ns)
+{
+  const struct mo_fleet_source *source = &fleet->config.source;
+  const struct mo_weights *weights = lease->weights;
+  struct mo_after after = {0};
+  double losses[MO_BLOCK_LANES];
+  uint32_t diverged_steps[MO_BLOCK_LANES];
+  const struct mo_wire_result result = {
+      .n_rows = lease->content.n_rows, .losses = losses, .diverged_steps = diverged_steps};
+  int error =
+      source->recompute(source->context, &lease->content, weights != NULL ? weights->bytes : NULL,
+                        weights != NULL ? weights->size : 0, losses, diverged_steps);
+  pthread_mutex_lock(&fleet->mutex);
+  lease->is_deciding = false;
+  if (error == MO_OK)
+    mo_check_result(fleet, lease, NULL, &result, now_ns, &after);
+  else
+    mo_lease_list(fleet, lease, now_ns, &after);
+  pthread_mutex_unlock(&fleet->mutex);
+  mo_after_run(fleet, &after);
+}
+
+void mo_fleet_arrived(struct mo_fleet *fleet)
+{
+  atomic_store(&fleet->arrived, true);
+}
+
+void mo_fleet_tick(struct mo_fleet *fleet, uint64_t now_ns)
+{
+  const struct mo_fleet_source *source = &fleet->config.source;
+  struct mo_after after = {0};
+  uint32_t wanted[2];
+  bool has_changed[2];
+  pthread_mutex_lock(&fleet->mutex);
+  end_silent(fleet, now_ns, &after);
+  check_leases(fleet, now_ns, &after);
+  wake_waiting(fleet, now_ns, &after);
+  struct mo_lease *disputed = take_disputed(fleet, now_ns);
+  for (uint32_t b = 0; b < 2; b++) {
+    struct mo_class *class = &fleet->classes[b];
+    wanted[b] = mo_give_wanted(fleet, (enum mo_back_end)b);
+    const uint32_t change =
+        wanted[b] > class->wanted ? wanted[b] - class->wanted : class->wanted - wanted[b];
+    has_changed[b] = change > class->wanted / 10 || (wanted[b] == 0 && change > 0);
+    if (has_changed[b])
+      class->wanted = wanted[b];
+  }
+  pthread_mutex_unlock(&fleet->mutex);
+  for (uint32_t b = 0; b < 2; b++)
+    if (has_changed[b])
+      source->want(source->context, (enum mo_back_end)b, wanted[b]);
+  mo_after_run(fleet, &after);
+  if (disputed != NULL)
+    decide(fleet, disputed, now_ns);
+}

@@ -1,0 +1,81 @@
+/* weights.c: see weights.h. The address of a prepared controller names it only while its blocks are
+ * taken: with the last parcel the address is forgotten, since another controller may get it. */
+#include "fleet/weights.h"
+
+#include <stdlib.h>
+
+int mo_weights_create(const struct mo_taken *taken, struct mo_weights **ret)
+{
+  struct mo_weights *weights = calloc(1, sizeof(*weights));
+  if (weights == NULL)
+    return MO_ERR_NO_MEMORY;
+  int error = mo_controller_encode(taken->controller, &weights->bytes, &weights->size);
+  if (error != MO_OK) {
+    free(weights);
+    return error;
+  }
+  mo_sha256_of(weights->bytes, weights->size, &weights->hash);
+  weights->prepared = taken->prepared;
+  *ret = weights;
+  return MO_OK;
+}
+
+void mo_weights_free(struct mo_weights *weights)
+{
+  free(weights->bytes);
+  free(weights);
+}
+
+static struct mo_weights *use(struct mo_weights *weights)
+{
+  if (weights != NULL)
+    weights->n_users++;
+  return weights;
+}
+
+struct mo_weights *mo_weights_find(struct mo_fleet *fleet, const struct mo_taken *taken)
+{
+  struct mo_weights *weights = LIST_FIRST(&fleet->weights);
+  while (weights != NULL && weights->prepared != taken->prepared)
+    weights = LIST_NEXT(weights, next);
+  return use(weights);
+}
+
+static struct mo_weights *of(const struct mo_fleet *fleet, const struct mo_sha256 *hash)
+{
+  struct mo_weights *weights = LIST_FIRST(&fleet->weights);
+  while (weights != NULL && !mo_sha256_equal(&weights->hash, hash))
+    weights = LIST_NEXT(weights, next);
+  return weights;
+}
+
+struct mo_weights *mo_weights_of(struct mo_fleet *fleet, const struct mo_sha256 *hash)
+{
+  return use(of(fleet, hash));
+}
+
+struct mo_weights *mo_weights_add(struct mo_fleet *fleet, struct mo_weights *weights)
+{
+  struct mo_weights *same = of(fleet, &weights->hash);
+  if (same == NULL || (same->prepared != NULL && same->prepared != weights->prepared)) {
+    LIST_INSERT_HEAD(&fleet->weights, weights, next);
+    return use(weights);
+  }
+  same->prepared = weights->prepared;
+  mo_weights_free(weights);
+  return use(same);
+}
+
+void mo_weights_end_parcel(struct mo_weights *weights)
+{
+  if (weights != NULL && --weights->n_parcels == 0)
+    weights->prepared = NULL;
+}
+
+void mo_weights_release(struct mo_weights *weights)
+{
+  if (weights == NULL || --weights->n_users > 0)
+    return;
+  LIST_REMOVE(weights, next);
+  mo_weights_free(weights);
+}
