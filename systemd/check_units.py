@@ -1,6 +1,7 @@
-"""Checks the units with systemd's own tools: they parse, and the service is as closed as it can be.
+"""Checks the units with systemd's own tools: they parse, and the services are as closed as they can
+be.
 
-Usage: check_units.py SERVICE SOCKET. Status 77 (skipped) without systemd-analyze."""
+Usage: check_units.py SERVICE SOCKET WORKER. Status 77 (skipped) without systemd-analyze."""
 import pathlib
 import re
 import shutil
@@ -8,46 +9,56 @@ import subprocess
 import sys
 import tempfile
 
-THRESHOLD = 15  # tenths: exposure at most 1.5
+# Lines that each service has, and the most exposure, in tenths.
+SERVICES = {
+    "morphod.service": (15, [
+        "Type=notify", "WatchdogSec=", "DynamicUser=yes", "StateDirectory=morphod",
+        "StateDirectoryMode=0700", "LoadCredential=token", "RestartPreventExitStatus=64 78",
+        "ExecReload=kill -HUP $MAINPID"
+    ]),
+    "morphod-worker@.service": (20, [
+        "Type=notify", "DynamicUser=yes", "LoadCredential=token", "ExecStart=morphod worker",
+        "RestartPreventExitStatus=64 69 76 77 78", "EnvironmentFile=-/etc/morphod/worker-%i.env"
+    ])
+}
+
+
+def run(*command):
+    done = subprocess.run(["systemd-analyze", *command], capture_output=True, text=True)
+    return done.returncode, (done.stdout + done.stderr).strip()
+
+
+def fault_of(path, folder):
+    """What is wrong with a service whose other units are in the folder; None: nothing."""
+    threshold, lines = SERVICES[path.name]
+    text = path.read_text()
+    for line in lines:
+        if not re.search("^" + re.escape(line), text, re.M):
+            return f"no line {line}"
+    if "@" in re.search("^ExecStart=.*", text, re.M).group():
+        return "ExecStart is not complete"
+    # verify wants a program that exists: the one of the build is not installed yet.
+    copy = pathlib.Path(folder, path.name)
+    copy.write_text(re.sub("^ExecStart=.*", "ExecStart=/bin/true", text, flags=re.M))
+    status, said = run("verify", "--man=no", copy, *pathlib.Path(folder).glob("*.socket"))
+    if status != 0 or "morphod" in said:
+        return said
+    status, said = run("security", "--offline=true", f"--threshold={threshold}", "--no-pager", copy)
+    print(path.name, said.splitlines()[-1])
+    return "too exposed" if status != 0 else None
 
 
 def main():
     if shutil.which("systemd-analyze") is None:
         print("systemd-analyze is not installed")
         return 77
-    service, socket = (pathlib.Path(a) for a in sys.argv[1:])
-    text = service.read_text()
-    for line in ("Type=notify", "WatchdogSec=", "DynamicUser=yes", "StateDirectory=morphod",
-                 "StateDirectoryMode=0700", "LoadCredential=token",
-                 "RestartPreventExitStatus=64 78", "ExecReload=kill -HUP $MAINPID"):
-        if not re.search("^" + re.escape(line), text, re.M):
-            print(f"{service}: no line {line}")
-            return 1
-    if "@" in re.search("^ExecStart=.*", text, re.M).group():
-        print(f"{service}: ExecStart is not complete")
-        return 1
+    service, socket, worker = (pathlib.Path(a) for a in sys.argv[1:])
     with tempfile.TemporaryDirectory() as folder:
-        # verify wants a program that exists: the one of the build is not installed yet.
-        copy = pathlib.Path(folder, "morphod.service")
-        copy.write_text(re.sub("^ExecStart=.*", "ExecStart=/bin/true", text, flags=re.M))
         shutil.copy(socket, folder)
-        verify = subprocess.run(
-            ["systemd-analyze", "verify", "--man=no", copy,
-             pathlib.Path(folder, "morphod.socket")],
-            capture_output=True,
-            text=True)
-        complaints = [l for l in (verify.stdout + verify.stderr).splitlines() if "morphod" in l]
-        if verify.returncode != 0 or complaints:
-            print(verify.stdout, verify.stderr)
-            return 1
-        security = subprocess.run([
-            "systemd-analyze", "security", "--offline=true", f"--threshold={THRESHOLD}",
-            "--no-pager", copy
-        ],
-                                  capture_output=True,
-                                  text=True)
-        print((security.stdout + security.stderr).strip().splitlines()[-1])
-        return 1 if security.returncode != 0 else 0
+        faults = [f"{path}: {fault}" for path in (service, worker)
+                  if (fault := fault_of(path, folder)) is not None]
+    print(*faults, sep="\n")
+    return 1 if faults else 0
 
 
 sys.exit(main())

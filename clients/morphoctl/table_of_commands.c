@@ -310,6 +310,27 @@ static const struct option_spec controller_get_options[] = {
 
 #define MANY ((size_t)-1)
 
+#define OF_WORKERS                                                                                 \
+  {"fleet", 0, "URL", "Address of the daemon's fleet_listen, as workers reach it."},               \
+      {"worker-token-file", 0, "PATH", "File with the token of the workers, where they run."},     \
+      {"pin", 0, "sha256//BASE64", "Hash of the daemon's public key."},                            \
+  {                                                                                                \
+    "cpus", 0, "N", "Processors of a worker (default: 8; systemd: all)."                           \
+  }
+#define MANY_WORKERS "workers", 0, "N", "How many workers (default: 4)."
+static const struct option_spec fleet_slurm_options[] = {
+    OF_WORKERS,
+    {MANY_WORKERS},
+    {"time", 0, "TIME", "Time limit of a job (default: 1-00:00:00)."},
+    {"idle", 0, "TIME", "A worker leaves after this time without work (default: 10min)."},
+    {NULL}};
+static const struct option_spec fleet_systemd_options[] = {OF_WORKERS, {NULL}};
+static const struct option_spec fleet_kubernetes_options[] = {
+    OF_WORKERS,
+    {MANY_WORKERS},
+    {"image", 0, "IMAGE", "Image with the package of morphod."},
+    {NULL}};
+
 const struct command commands[] = {
     {"eval", "[DESIGN]...", "Score designs.",
      "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, or "
@@ -511,6 +532,14 @@ const struct command commands[] = {
      NULL, 1, 1, run_controller_delete},
     {"devices", "", "Show the GPUs that compute.", "Exit status 3 if one is lost.", NULL, 0, 0,
      run_devices},
+    {"fleet slurm", "", "Print a job array of Slurm that starts workers.",
+     "It is what the installation has as workers.sbatch, with the options filled in.",
+     fleet_slurm_options, 0, 0, run_fleet_launch},
+    {"fleet systemd", "", "Print a unit of systemd that runs a worker.",
+     "To be saved as morphod-worker@.service; the installation has it, too.", fleet_systemd_options,
+     0, 0, run_fleet_launch},
+    {"fleet kubernetes", "", "Print a Deployment of workers for Kubernetes.", NULL,
+     fleet_kubernetes_options, 0, 0, run_fleet_launch},
     {"status", "", "Show whether the server is ready and what it does.", NULL, NULL, 0, 0,
      run_status},
     {"version", "", "Print the version.", NULL, NULL, 0, 0, run_version},
