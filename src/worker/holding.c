@@ -327,7 +327,7 @@ void mo_holding_get_status(struct mo_holding *holding, struct mo_holding_status 
   pthread_mutex_lock(&holding->mutex);
   for (const struct lease *lease = holding->leases; lease != NULL; lease = lease->next) {
     if (!has_ended(lease))
-      status->n_leases += !lease->is_dropped;
+      status->n_leases[lease->wire.back_end] += !lease->is_dropped;
     else
       status->n_results++;
   }

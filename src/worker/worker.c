@@ -395,6 +395,16 @@ static void watch_clock(struct mo_worker *worker, int64_t now)
   }
 }
 
+/* Says whether a class that the worker serves has room for another lease. */
+static bool has_room(const struct mo_worker *worker, const struct mo_holding_status *status)
+{
+  for (size_t back_end = 0; back_end < 2; back_end++)
+    if (worker->config.offer.classes[back_end].scores[0] != '\0' &&
+        status->n_leases[back_end] < MO_FLEET_LEASES)
+      return true;
+  return false;
+}
+
 static void tend_session(struct mo_worker *worker, int64_t now)
 {
   struct mo_holding_status status;
@@ -413,13 +423,14 @@ static void tend_session(struct mo_worker *worker, int64_t now)
     return;
   }
   mo_holding_get_status(worker->holding, &status);
-  if (status.n_leases > 0)
+  const uint32_t n_leases = status.n_leases[MO_ON_CPU] + status.n_leases[MO_ON_DEVICE];
+  if (n_leases > 0)
     worker->leased_ms = now;
   if (worker->is_draining) {
-    if (status.n_leases + status.n_results == 0 && !is_sending)
+    if (n_leases + status.n_results == 0 && !is_sending)
       leave(worker);
-  } else if (status.n_leases < MO_FLEET_LEASES && !is_sending &&
-             !mo_link_is_busy(link, MO_CALL_LEASES) && now >= worker->next_leases_ms) {
+  } else if (has_room(worker, &status) && !is_sending && !mo_link_is_busy(link, MO_CALL_LEASES) &&
+             now >= worker->next_leases_ms) {
     worker->leases_asked_ms = now;
     worker->leases_wait_s = worker->session.wait_s < 30 ? worker->session.wait_s : 30;
     exchange(worker, &results, worker->leases_wait_s);
@@ -513,7 +524,8 @@ void mo_worker_describe(struct mo_worker *worker, char *text, size_t capacity)
 {
   struct mo_holding_status status;
   mo_holding_get_status(worker->holding, &status);
-  snprintf(text, capacity, "%s %s: %u leases held, %" PRIu64 " done, %" PRIu64 " rollouts",
-           worker->phase == ACTIVE ? "Computes for" : "Has no session with",
-           worker->config.link.server, status.n_leases, status.leases_done, status.rows_done);
+  snprintf(text, capacity, "%s: %s, %u leases held, %" PRIu64 " done, %" PRIu64 " rollouts",
+           worker->config.link.server, worker->phase == ACTIVE ? "joined" : "no session",
+           status.n_leases[MO_ON_CPU] + status.n_leases[MO_ON_DEVICE], status.leases_done,
+           status.rows_done);
 }

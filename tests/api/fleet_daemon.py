@@ -49,13 +49,13 @@ def genotype_bytes(text):
 class Lease:
     """blocks: [(genotype's text, [environment, …])]; environments: [66 numbers]."""
 
-    def __init__(self, epoch, number, controller, physics, environments, blocks):
-        self.id, self.controller = (epoch, number), controller
+    def __init__(self, epoch, number, controller, physics, environments, blocks, on_device=False):
+        self.id, self.controller, self.on_device = (epoch, number), controller, on_device
         self.physics, self.environments, self.blocks = physics, environments, blocks
         self.rows = sum(len(chosen) for _, chosen in blocks)
 
     def encode(self):
-        head = LEASE.pack(*self.id, 0, len(self.environments), len(self.blocks), self.rows,
+        head = LEASE.pack(*self.id, int(self.on_device), len(self.environments), len(self.blocks), self.rows,
                           self.controller, *physics_numbers(self.physics))
         worlds = b"".join(struct.pack("<66d", *numbers) for numbers in self.environments)
         return head + worlds + b"".join(
@@ -83,12 +83,12 @@ class FakeDaemon:
     """`answers` (path's end: function of the handler) replace what a route does; a function that
     gives False lets the route go on."""
 
-    def __init__(self, epoch=1, port=0, tls=None, sessions=1):
+    def __init__(self, epoch=1, port=0, tls=None, sessions=1, host="127.0.0.1"):
         self.epoch, self.first_session = epoch, sessions
         self.changed = threading.Condition(threading.RLock())
         self.queue, self.out, self.results, self.controllers = [], {}, [], {}
         self.sessions, self.offers, self.requests, self.answers = {}, [], [], {}
-        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", port), self.handler())
+        self.server = http.server.ThreadingHTTPServer((host, port), self.handler())
         self.server.daemon_threads = True
         self.server.handle_error = lambda *_: None  # workers that have left
         self.connections = []
@@ -97,7 +97,7 @@ class FakeDaemon:
             context.load_cert_chain(*tls)
             self.server.socket = context.wrap_socket(self.server.socket, server_side=True)
         self.port = self.server.server_address[1]
-        self.url = f"http{'s' if tls else ''}://127.0.0.1:{self.port}"
+        self.url = f"http{'s' if tls else ''}://{host}:{self.port}"
         threading.Thread(target=self.server.serve_forever, args=(0.02, ), daemon=True).start()
 
     def close(self):
@@ -166,7 +166,11 @@ class FakeDaemon:
 
         def can():
             session["held"] = [i for i in session["held"] if i in self.out]
-            return self.queue and len(session["held"]) < 2 and session["state"] == "active"
+            if not self.queue or session["state"] != "active":
+                return False
+            same = [i for i in session["held"]
+                    if self.out[i].on_device == getattr(self.queue[0], "on_device", False)]
+            return len(same) < 2
 
         if wait_s and not can():
             self.changed.wait_for(can, wait_s)
@@ -264,7 +268,8 @@ class Worker:
         self.log = open(pathlib.Path(self.folder.name) / "log", "w+b")
         inherited = {key: value for key, value in os.environ.items()
                      if not key.startswith(("MORPHOD", "SLURM"))}
-        command = [binary, "worker", f"--server={url}", "--threads=1", "--devices=none", *flags]
+        usual = ["--threads=1"] + ["--devices=none"] * ("--devices=auto" not in flags)
+        command = [binary, "worker", f"--server={url}", *usual, *flags]
         self.process = subprocess.Popen(command, stdout=self.log, stderr=self.log,
                                         env=inherited | (environment or {}))
 

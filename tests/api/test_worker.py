@@ -3,6 +3,7 @@
 
 import hashlib
 import json
+import pathlib
 import subprocess
 import time
 
@@ -10,10 +11,12 @@ import pytest
 
 from contract import SOURCE
 from fleet_daemon import DONE, GIVEN_BACK, PASSIVE, FakeDaemon, Lease, Worker, message
+from service import BINARY
 
 DESIGNS = [json.loads((SOURCE / "data/designs" / f"{name}.json").read_text())
            for name in ("voxel", "table", "wheel", "crawler")]
 N_STEPS = 200
+MODULE = pathlib.Path(BINARY).parents[2] / "tests" / "device" / "fake-device.so"
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +106,22 @@ def test_two_leases_are_held_all_the_time(daemon, launch, known):
     running(daemon, (1, 1), (1, 2))  # the result and the next lease share a call
     orders = [path for _, path in daemon.requests if path.endswith("/orders")]
     assert len(orders) >= 2
+
+
+def test_devices_compute_leases_of_their_own(daemon, launch, known, start):
+    flags = (f"--compute-module={MODULE}", "--devices=auto")
+    done = start(*flags).evaluate({
+        "designs": [{"cells": design["cells"]} for design in DESIGNS], "device": "cuda",
+        "physics": {"n_steps": N_STEPS}}).json()
+    launch(Worker, daemon.url, *flags)
+    daemon.give(*(long_lease(known, number) for number in range(2)),
+                *(lease(known, number, on_device=True) for number in range(2, 6)))
+    daemon.until(lambda: daemon.done((1, 5)))
+    on_device = sum((tuple(result["losses"]) for result in done["results"]), ())
+    assert all(daemon.done((1, number)) == on_device for number in range(2, 6))
+    assert daemon.done((1, 1)) is None  # four of the others were faster than two of these
+    assert daemon.offers[0]["n_devices"] > 0 and set(daemon.offers[0]["classes"]["device"]) == {
+        "scores", "gradients", "canary"}
 
 
 def test_sigterm_ends_a_worker_within_a_block(daemon, launch, known):
