@@ -45,7 +45,7 @@ struct slot {
 
 struct mo_holding {
   struct mo_holding_config config;
-  struct mo_weights *weights;
+  struct mo_kept_weights *weights;
   struct mo_lattice *lattice;
   pthread_mutex_t mutex;
   pthread_cond_t quiet; /* the last block is out of the back end */
@@ -160,7 +160,7 @@ static void block_done(struct mo_block *block, void *context)
 static void free_lease(struct mo_holding *holding, struct lease *lease)
 {
   if (lease->controller != NULL)
-    mo_weights_release(holding->weights, lease->controller);
+    mo_kept_weights_release(holding->weights, lease->controller);
   mo_compute_share_free(lease->share);
   free(lease->wire.environments);
   free(lease->wire.blocks);
@@ -204,7 +204,7 @@ bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash)
   for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next) {
     if (lease->state != WAITING)
       continue;
-    lease->controller = mo_weights_take(holding->weights, &lease->wire.controller);
+    lease->controller = mo_kept_weights_take(holding->weights, &lease->wire.controller);
     if (lease->controller == NULL) {
       if (!lacks)
         *hash = lease->wire.controller;
@@ -228,7 +228,8 @@ bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash)
 int mo_holding_add_weights(struct mo_holding *holding, const struct mo_sha256 *hash,
                            const uint8_t *bytes, size_t size, struct mo_message *message)
 {
-  return mo_weights_add(holding->weights, hash, holding->lattice->workspace, bytes, size, message);
+  return mo_kept_weights_add(holding->weights, hash, holding->lattice->workspace, bytes, size,
+                             message);
 }
 
 /* Under the mutex: submits no more of a lease, and cancels what runs. */
@@ -350,7 +351,7 @@ int mo_holding_create(const struct mo_holding_config *config, struct mo_holding 
                          mo_compute_devices(config->compute) > 0 ? SLOTS_OF_DEVICES : 0};
   holding->config = *config;
   holding->slots = calloc(n[0] + n[1], sizeof(*holding->slots));
-  int error = holding->slots != NULL ? mo_weights_create(config->compute, &holding->weights)
+  int error = holding->slots != NULL ? mo_kept_weights_create(config->compute, &holding->weights)
                                      : MO_ERR_NO_MEMORY;
   if (error != MO_OK) {
     free(holding->slots);
@@ -407,7 +408,7 @@ void mo_holding_free(struct mo_holding *holding)
   if (holding == NULL)
     return;
   cancel_all(holding);
-  mo_weights_free(holding->weights);
+  mo_kept_weights_free(holding->weights);
   mo_lattice_free(holding->lattice);
   pthread_mutex_destroy(&holding->mutex);
   pthread_cond_destroy(&holding->quiet);

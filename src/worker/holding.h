@@ -28,7 +28,7 @@ int mo_holding_set_workspace(struct mo_holding *holding, struct mo_workspace wor
 int mo_holding_add(struct mo_holding *holding, struct mo_wire_lease *lease);
 /* Starts the leases whose weights are here. Returns whether one lacks its weights: *hash. */
 bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash);
-/* Adds weights: the errors of mo_weights_add. */
+/* Adds weights: the errors of mo_kept_weights_add. */
 int mo_holding_add_weights(struct mo_holding *holding, const struct mo_sha256 *hash,
                            const uint8_t *bytes, size_t size, struct mo_message *message);
 /* Gives back the leases that wait for these weights. */

@@ -12,7 +12,7 @@ struct kept {
   uint64_t used; /* when it was last taken, in takes */
 };
 
-struct mo_weights {
+struct mo_kept_weights {
   struct mo_compute *compute;
   uint64_t takes;
   struct kept items[MO_WEIGHTS_KEPT]; /* the first: passive bodies */
@@ -25,9 +25,9 @@ static void forget(struct kept *item)
   *item = (struct kept){0};
 }
 
-int mo_weights_create(struct mo_compute *compute, struct mo_weights **ret)
+int mo_kept_weights_create(struct mo_compute *compute, struct mo_kept_weights **ret)
 {
-  struct mo_weights *weights = calloc(1, sizeof(*weights));
+  struct mo_kept_weights *weights = calloc(1, sizeof(*weights));
   if (weights == NULL)
     return MO_ERR_NO_MEMORY;
   weights->compute = compute;
@@ -41,7 +41,7 @@ int mo_weights_create(struct mo_compute *compute, struct mo_weights **ret)
   return MO_OK;
 }
 
-void mo_weights_free(struct mo_weights *weights)
+void mo_kept_weights_free(struct mo_kept_weights *weights)
 {
   for (size_t i = 0; weights != NULL && i < MO_WEIGHTS_KEPT; i++)
     forget(&weights->items[i]);
@@ -49,7 +49,7 @@ void mo_weights_free(struct mo_weights *weights)
 }
 
 /* Returns the one that nobody used for the longest time, or a free one; NULL: all are in use. */
-static struct kept *oldest(struct mo_weights *weights)
+static struct kept *oldest(struct mo_kept_weights *weights)
 {
   struct kept *found = NULL;
   for (struct kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
@@ -58,9 +58,9 @@ static struct kept *oldest(struct mo_weights *weights)
   return found;
 }
 
-int mo_weights_add(struct mo_weights *weights, const struct mo_sha256 *hash,
-                   struct mo_workspace workspace, const uint8_t *bytes, size_t size,
-                   struct mo_message *message)
+int mo_kept_weights_add(struct mo_kept_weights *weights, const struct mo_sha256 *hash,
+                        struct mo_workspace workspace, const uint8_t *bytes, size_t size,
+                        struct mo_message *message)
 {
   struct mo_sha256 actual;
   struct kept made = {.hash = *hash}, *place = oldest(weights);
@@ -85,8 +85,8 @@ int mo_weights_add(struct mo_weights *weights, const struct mo_sha256 *hash,
   return MO_OK;
 }
 
-struct mo_compute_controller *mo_weights_take(struct mo_weights *weights,
-                                              const struct mo_sha256 *hash)
+struct mo_compute_controller *mo_kept_weights_take(struct mo_kept_weights *weights,
+                                                   const struct mo_sha256 *hash)
 {
   for (struct kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
     if (item->prepared != NULL && mo_sha256_equal(&item->hash, hash)) {
@@ -97,7 +97,8 @@ struct mo_compute_controller *mo_weights_take(struct mo_weights *weights,
   return NULL;
 }
 
-void mo_weights_release(struct mo_weights *weights, const struct mo_compute_controller *controller)
+void mo_kept_weights_release(struct mo_kept_weights *weights,
+                             const struct mo_compute_controller *controller)
 {
   for (struct kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
     if (item->prepared == controller)

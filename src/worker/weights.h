@@ -8,20 +8,22 @@
 
 #define MO_WEIGHTS_KEPT 8
 
-struct mo_weights;
-int mo_weights_create(struct mo_compute *compute, struct mo_weights **weights);
-void mo_weights_free(struct mo_weights *weights); /* NULL-safe; no block uses one any more */
+struct mo_kept_weights;
+int mo_kept_weights_create(struct mo_compute *compute, struct mo_kept_weights **weights);
+void mo_kept_weights_free(
+    struct mo_kept_weights *weights); /* NULL-safe; no block uses one any more */
 
 /* Adds the bytes of a controller's file. MO_ERR_CORRUPT: they do not have this hash; MO_ERR_FORMAT,
  * MO_ERR_LIMIT: they are no controller of this workspace; MO_ERR_EXHAUSTED: all that are kept are
  * in use; MO_ERR_NO_MEMORY. */
-int mo_weights_add(struct mo_weights *weights, const struct mo_sha256 *hash,
-                   struct mo_workspace workspace, const uint8_t *bytes, size_t size,
-                   struct mo_message *message);
+int mo_kept_weights_add(struct mo_kept_weights *weights, const struct mo_sha256 *hash,
+                        struct mo_workspace workspace, const uint8_t *bytes, size_t size,
+                        struct mo_message *message);
 /* Returns a controller, to be released after its last block; NULL: it must be added. Zeros, passive
  * bodies, are always there. */
-struct mo_compute_controller *mo_weights_take(struct mo_weights *weights,
-                                              const struct mo_sha256 *hash);
-void mo_weights_release(struct mo_weights *weights, const struct mo_compute_controller *controller);
+struct mo_compute_controller *mo_kept_weights_take(struct mo_kept_weights *weights,
+                                                   const struct mo_sha256 *hash);
+void mo_kept_weights_release(struct mo_kept_weights *weights,
+                             const struct mo_compute_controller *controller);
 
 #endif
