@@ -42,6 +42,7 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
                                .n_environments = MO_BLOCK_LANES,
                                .physics = mo_default_physics(),
                                .precision = MO_FLOAT32,
+                               .urgency = MO_INTERACTIVE, /* remote takers get none */
                                .back_end = back_end,
                                .done = nothing};
     for (uint32_t e = 0; e < MO_BLOCK_LANES; e++) {

@@ -126,9 +126,9 @@ static void decide(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t now_
   uint32_t diverged_steps[MO_BLOCK_LANES];
   const struct mo_wire_result result = {
       .n_rows = lease->content.n_rows, .losses = losses, .diverged_steps = diverged_steps};
-  int error =
-      source->recompute(source->context, &lease->content, weights != NULL ? weights->bytes : NULL,
-                        weights != NULL ? weights->size : 0, losses, diverged_steps);
+  int error = source->recompute(source->context, &lease->content, fleet->config.workspace,
+                                weights != NULL ? weights->bytes : NULL,
+                                weights != NULL ? weights->size : 0, losses, diverged_steps);
   pthread_mutex_lock(&fleet->mutex);
   lease->is_deciding = false;
   if (error == MO_OK)

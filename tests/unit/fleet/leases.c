@@ -402,12 +402,13 @@ static void weights(void)
 
 /* ---- wrong bits ---- */
 
-static int recompute(void *context, const struct mo_wire_lease *lease, const uint8_t *file,
-                     size_t file_bytes, double *losses, uint32_t *diverged_steps)
+static int recompute(void *context, const struct mo_wire_lease *lease,
+                     struct mo_workspace workspace, const uint8_t *file, size_t file_bytes,
+                     double *losses, uint32_t *diverged_steps)
 {
   struct mo_wire_result result = fake_compute(lease, NULL);
   (void)context;
-  CHECK(lease->n_blocks == 1 && file == NULL && file_bytes == 0);
+  CHECK(lease->n_blocks == 1 && file == NULL && file_bytes == 0 && workspace.nz == 4);
   memcpy(losses, result.losses, result.n_rows * sizeof(*losses));
   memcpy(diverged_steps, result.diverged_steps, result.n_rows * sizeof(*diverged_steps));
   free(result.losses);

@@ -1,0 +1,108 @@
+/* source.c: see source.h. */
+#include "fleet/source.h"
+
+#include <stdlib.h>
+
+static struct mo_taken *take(void *compute, enum mo_back_end back_end, uint64_t max_steps)
+{
+  return mo_compute_take(compute, back_end, max_steps);
+}
+
+static void put_back(void *compute, struct mo_taken *taken)
+{
+  mo_compute_put_back(compute, taken);
+}
+
+static struct mo_taken *split(void *compute, struct mo_taken *taken)
+{
+  return mo_compute_split(compute, taken);
+}
+
+static bool is_cancelled(void *compute, const struct mo_taken *taken)
+{
+  (void)compute;
+  return mo_taken_is_cancelled(taken);
+}
+
+static void deliver(void *compute, struct mo_taken *taken, const struct mo_remote_result *result)
+{
+  mo_compute_deliver(compute, taken, result);
+}
+
+static void want(void *compute, enum mo_back_end back_end, uint32_t blocks)
+{
+  mo_compute_want_remote(compute, back_end, blocks);
+}
+
+static uint64_t waiting(void *compute, enum mo_back_end back_end)
+{
+  return mo_compute_remote_waiting(compute, back_end);
+}
+
+/* ---- recomputing ---- */
+
+static void nothing(struct mo_block *block, void *context)
+{
+  (void)block, (void)context;
+}
+
+/* As an urgent block: remote takers get none of these. */
+static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
+               const struct mo_lattice *lattice, struct mo_compute_controller *controller,
+               double *losses, uint32_t *diverged_steps)
+{
+  const struct mo_wire_block *from = &lease->blocks[0];
+  struct mo_block block = {.lattice = lattice,
+                           .genotype = from->genotype,
+                           .controller = controller,
+                           .n_environments = from->n_environments,
+                           .physics = lease->physics,
+                           .precision = MO_FLOAT32,
+                           .urgency = MO_INTERACTIVE,
+                           .back_end = lease->back_end,
+                           .done = nothing};
+  for (uint32_t k = 0; k < from->n_environments; k++)
+    block.environments[k] = &lease->environments[from->environments[k]];
+  int error = mo_compute_run(compute, &block, 1);
+  if (error == MO_OK && block.computed_on != lease->back_end)
+    error = MO_ERR_UNSUPPORTED; /* another class */
+  for (uint32_t k = 0; k < from->n_environments && error == MO_OK; k++) {
+    losses[k] = block.outcomes[k].loss;
+    diverged_steps[k] = (uint32_t)block.outcomes[k].diverged_step;
+  }
+  return error;
+}
+
+static int recompute(void *context, const struct mo_wire_lease *lease,
+                     struct mo_workspace workspace, const uint8_t *weights, size_t weights_bytes,
+                     double *losses, uint32_t *diverged_steps)
+{
+  struct mo_compute *compute = context;
+  struct mo_lattice *lattice = NULL;
+  struct mo_controller *controller = NULL;
+  struct mo_compute_controller *prepared = NULL;
+  int error = mo_lattice_create(workspace, &lattice);
+  if (error == MO_OK && weights != NULL)
+    error = mo_controller_decode(weights, weights_bytes, &controller, NULL);
+  if (error == MO_OK)
+    error = mo_compute_controller_create(compute, controller, &prepared);
+  if (error == MO_OK)
+    error = run(compute, lease, lattice, prepared, losses, diverged_steps);
+  mo_compute_controller_free(prepared);
+  mo_controller_free(controller);
+  mo_lattice_free(lattice);
+  return error;
+}
+
+struct mo_fleet_source mo_fleet_source_of(struct mo_compute *compute)
+{
+  return (struct mo_fleet_source){.context = compute,
+                                  .take = take,
+                                  .put_back = put_back,
+                                  .split = split,
+                                  .is_cancelled = is_cancelled,
+                                  .deliver = deliver,
+                                  .want = want,
+                                  .waiting = waiting,
+                                  .recompute = recompute};
+}
