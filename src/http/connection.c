@@ -162,7 +162,11 @@ int mo_connections_init(struct mo_http *http, struct mo_message *message)
              sizeof(*http->connections)); /* NOLINT(bugprone-sizeof-expression): of pointers */
   http->stop_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
   http->watch_fd = epoll_create1(EPOLL_CLOEXEC);
-  if (http->connections == NULL || http->stop_fd < 0 || http->watch_fd < 0)
+  http->tick_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+  /* Edges: each write is an event, and none need be read. */
+  struct epoll_event tick = {.events = EPOLLIN | EPOLLET, .data.fd = http->tick_fd};
+  if (http->connections == NULL || http->stop_fd < 0 || http->watch_fd < 0 || http->tick_fd < 0 ||
+      epoll_ctl(http->watch_fd, EPOLL_CTL_ADD, http->tick_fd, &tick) != 0)
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the table of connections");
   return MO_OK;
 }

@@ -36,7 +36,8 @@ struct mo_framing {
   uint64_t length;
   bool expects_continue;
   const char *host, *origin, *authorization, *accept, *accept_encoding, *content_type,
-      *content_encoding, *prefer, *idempotency_key, *if_none_match, *last_event_id, *fetch_site;
+      *content_encoding, *content_digest, *prefer, *idempotency_key, *if_none_match, *last_event_id,
+      *fetch_site;
 };
 
 /* Checks the header. False: *refusal is filled in. http10: the request is HTTP/1.0. */

@@ -145,6 +145,9 @@ int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size
  * NULL-safe. What is served must still exist. */
 void mo_http_stop(struct mo_http *http, uint32_t grace_ms);
 
+/* Makes the next tick of the service come at once. Takes no lock. */
+void mo_http_tick_soon(struct mo_http *http);
+
 void mo_http_get_stats(struct mo_http *http, struct mo_http_stats *stats);
 
 #endif

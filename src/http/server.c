@@ -59,11 +59,19 @@ static void *clock_thread(void *context)
       mo_streams_tick(http, now_us);
       mo_clients_sweep(&http->clients, now_us);
     }
-    if (http->service.tick != NULL && is_due(&tick_us, tick_ms, now_us))
+    const bool is_wanted = atomic_exchange(&http->tick_wanted, false);
+    if (http->service.tick != NULL && (is_due(&tick_us, tick_ms, now_us) || is_wanted))
       http->service.tick(http->service.context);
     atomic_store(&http->clock_us, now_us);
   }
   return NULL;
+}
+
+void mo_http_tick_soon(struct mo_http *http)
+{
+  const uint64_t one = 1;
+  atomic_store(&http->tick_wanted, true);
+  (void)!write(http->tick_fd, &one, sizeof(one));
 }
 
 /* ---- start and stop ---- */
@@ -114,6 +122,8 @@ static void destroy(struct mo_http *http)
     close(http->peers_fd);
   if (http->watch_fd >= 0)
     close(http->watch_fd);
+  if (http->tick_fd >= 0)
+    close(http->tick_fd);
   /* The library closes a connection that it has not begun to serve without a callback. */
   for (size_t fd = 0; fd < http->connections_top; fd++)
     free(http->connections[fd]);
@@ -168,6 +178,7 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
                        .is_tls = config->certificate != NULL,
                        .stop_fd = -1,
                        .watch_fd = -1,
+                       .tick_fd = -1,
                        .peers_fd = socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_SOCK_DIAG),
                        .connections_lock = PTHREAD_MUTEX_INITIALIZER,
                        .lingering.lock = PTHREAD_MUTEX_INITIALIZER,

@@ -30,7 +30,9 @@ struct mo_http {
   pthread_t acceptor, clock;
   bool acceptor_started, clock_started;
   int stop_fd;  /* eventfd: ends the acceptor */
-  int watch_fd; /* epoll: clients that leave */
+  int watch_fd; /* epoll: clients that leave, and tick_fd */
+  int tick_fd;  /* eventfd: a tick is wanted */
+  atomic_bool tick_wanted;
   int peers_fd; /* netlink socket for the users of loopback peers; −1: not available */
   uint32_t peers_sequence;
   pthread_mutex_t connections_lock;

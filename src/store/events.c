@@ -1,5 +1,38 @@
-/* events.c: reads the durable sequence of events. */
+/* events.c: the durable sequence of events. */
+#include <stdlib.h>
+#include <string.h>
+
 #include "store/internal.h"
+
+static int add(struct mo_store *store, void *arguments)
+{
+  const struct mo_event *event = arguments;
+  return mo_writer_event(store, 0, event->type, event->data);
+}
+
+static void free_event(void *arguments, int status)
+{
+  (void)status;
+  free(arguments);
+}
+
+int mo_store_event(struct mo_store *store, const char *type, const char *data)
+{
+  struct mo_event *event = calloc(1, sizeof(*event));
+  if (event == NULL)
+    return MO_ERR_NO_MEMORY;
+  const size_t type_size = strlen(type), data_size = strlen(data);
+  int error =
+      type_size < sizeof(event->type) && data_size < sizeof(event->data) ? MO_OK : MO_ERR_LIMIT;
+  if (error == MO_OK) {
+    memcpy(event->type, type, type_size);
+    memcpy(event->data, data, data_size);
+    error = mo_write_later(store, add, event, free_event);
+  }
+  if (error != MO_OK)
+    free(event);
+  return error;
+}
 
 int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, struct mo_event *events,
                         size_t limit, int64_t *oldest, int64_t *newest)

@@ -17,9 +17,15 @@ struct mo_event {
                      "training.validation", "training.checkpoint", "training.code_changed",
                      "campaign.progress",  "campaign.generation", "campaign.diversity_collapse",
                      "campaign.extended",  "campaign.imported", "campaign.lineage_unreadable",
-                     "controller.stored",  "controller.removed" */
+                     "controller.stored",  "controller.removed",
+                     "fleet.joined", "fleet.left", "fleet.lost", "fleet.refused",
+                     "fleet.quarantined", "fleet.empty" */
   char data[512]; /* a JSON object */
 };
+
+/* Adds an event about no job, later and without waiting. type: less than 32 bytes; data: a JSON
+ * object of less than 512. MO_ERR_LIMIT. */
+int mo_store_event(struct mo_store *store, const char *type, const char *data);
 
 /* Called on the writer's thread after each commit that made events, in order. It must be short and
  * must not call functions of the store that write. */

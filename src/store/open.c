@@ -410,6 +410,11 @@ uint64_t mo_store_id(const struct mo_store *store)
   return (uint64_t)store->id;
 }
 
+uint64_t mo_store_epoch(const struct mo_store *store)
+{
+  return (uint64_t)store->epoch;
+}
+
 static int check_connection(struct mo_connection *connection, struct mo_message *message)
 {
   sqlite3_stmt *row;

@@ -83,6 +83,8 @@ int mo_store_clean(struct mo_store *store,
                    void (*tell)(void *context, const char *name, uint64_t bytes), void *context);
 /* Random, chosen when the database was made: unique to this store. */
 uint64_t mo_store_id(const struct mo_store *store);
+/* How often the store was opened: no other opening has this number. */
+uint64_t mo_store_epoch(const struct mo_store *store);
 
 struct mo_store_stats {
   uint64_t commits, operations,
