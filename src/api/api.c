@@ -6,6 +6,10 @@
 
 #include "api/handlers.h"
 #include "api/openapi.h"
+#include "base/clock.h"
+#include "fleet/fleet.h"
+
+#define FLEET_TICK_MS 20
 
 /* ---- routes ---- */
 
@@ -97,17 +101,40 @@ int mo_api_start(const struct mo_http_config *config, const struct mo_api_servic
   return error;
 }
 
+static int start_fleet(void *context, struct mo_http *http)
+{
+  atomic_store(&((struct mo_api *)context)->fleet_http, http);
+  return MO_OK;
+}
+
+static void tick_fleet(void *context)
+{
+  struct mo_api *api = context;
+  mo_fleet_tick(atomic_load(&api->fleet), mo_clock_ns());
+}
+
 int mo_api_start_fleet(struct mo_api *api, const struct mo_http_config *config,
-                       struct mo_message *message)
+                       const struct mo_api_fleet *fleet, struct mo_message *message)
 {
   const struct mo_http_service service = {
-      .routes = {fleet_table, sizeof(fleet_table) / sizeof(fleet_table[0])}, .context = api};
-  return mo_http_start(config, &service, &api->fleet_http, message);
+      .routes = {fleet_table, sizeof(fleet_table) / sizeof(fleet_table[0])},
+      .context = api,
+      .start = start_fleet,
+      .tick = tick_fleet,
+      .tick_ms = FLEET_TICK_MS};
+  struct mo_http *http = NULL;
+  api->fleet_epoch = fleet->epoch;
+  api->fleet_compute = fleet->compute;
+  atomic_store(&api->fleet, fleet->fleet);
+  const int error = mo_http_start(config, &service, &http, message);
+  if (error != MO_OK) /* it is freed */
+    atomic_store(&api->fleet_http, NULL);
+  return error;
 }
 
 struct mo_http *mo_api_fleet_http(struct mo_api *api)
 {
-  return api->fleet_http;
+  return atomic_load(&api->fleet_http);
 }
 
 struct mo_http *mo_api_http(struct mo_api *api)
@@ -119,7 +146,7 @@ void mo_api_stop(struct mo_api *api, uint32_t grace_ms)
 {
   if (api == NULL)
     return;
-  mo_http_stop(api->fleet_http, grace_ms);
+  mo_http_stop(atomic_load(&api->fleet_http), grace_ms);
   mo_http_stop(api->http, grace_ms);
   destroy(api);
 }

@@ -8,6 +8,7 @@
 struct mo_store;
 struct mo_jobs;
 struct mo_compute;
+struct mo_fleet;
 struct mo_api;
 
 /* Whether the pages are served, and whether they offer what changes something. */
@@ -30,9 +31,16 @@ int mo_api_start(const struct mo_http_config *config, const struct mo_api_servic
 struct mo_http *mo_api_http(struct mo_api *api);
 /* Starts the server for workers, which has its own sockets, tokens and limits. Errors as
  * mo_http_start. */
+struct mo_api_fleet {
+  struct mo_fleet *fleet; /* must outlive the interface */
+  uint64_t epoch;         /* as in its configuration */
+  const char *compute;    /* the setting: "both", "local" or "fleet" */
+};
 int mo_api_start_fleet(struct mo_api *api, const struct mo_http_config *config,
-                       struct mo_message *message);
+                       const struct mo_api_fleet *fleet, struct mo_message *message);
 struct mo_http *mo_api_fleet_http(struct mo_api *api); /* NULL: none */
+/* Wakes the requests of a session that wait: for the configuration of the fleet. */
+void mo_api_wake_session(struct mo_api *api, uint64_t session);
 /* As mo_http_stop, for both. */
 void mo_api_stop(struct mo_api *api, uint32_t grace_ms);
 

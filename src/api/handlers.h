@@ -28,7 +28,11 @@ struct mo_api {
   struct mo_store *store;
   struct mo_jobs *jobs;
   struct mo_compute *compute;
-  struct mo_http *http, *fleet_http; /* for clients; for workers, NULL: none */
+  struct mo_http *http;                 /* for clients */
+  _Atomic(struct mo_http *) fleet_http; /* for workers; NULL: none */
+  _Atomic(struct mo_fleet *) fleet;     /* NULL: none */
+  uint64_t fleet_epoch;
+  const char *fleet_compute;
   struct mo_lattice *lattice;
   char version[32];
   char contract_tag[MO_SHA256_DIGITS + 1]; /* of openapi.json */
@@ -49,6 +53,9 @@ static inline struct mo_api *mo_api_of(const struct mo_request *request)
 #define ROUTE(PATH, METHOD, HANDLER, RIGHT, FLAGS, BODY, QUERY)                                    \
   void mo_api_##HANDLER(struct mo_request *request);
 #include "api/routes.inc"
+#define ROUTE(PATH, METHOD, HANDLER, RIGHT, FLAGS, BODY, QUERY)                                    \
+  void mo_api_##HANDLER(struct mo_request *request);
+#include "api/fleet_routes.inc"
 void mo_api_get_table(struct mo_request *request); /* of all lists: calls the handler of the page */
 
 /* What a request waits for that waits for the pending batch of a study, not for a job's end. */

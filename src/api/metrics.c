@@ -2,8 +2,10 @@
  * neither computation nor the store. */
 #include <math.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "api/handlers.h"
+#include "fleet/fleet.h"
 #include "http/metrics.h"
 #include "jobs/live.h"
 
@@ -74,6 +76,39 @@ static void write_devices(struct mo_api *api, struct mo_text *text)
       mo_metric_line(text, series[s].name, "device", index, values[s]);
     }
   }
+}
+
+/* Writes zeros where there is no fleet, so that rules need not ask. */
+static void write_fleet(struct mo_api *api, struct mo_text *text)
+{
+  static const char serving[] = "morphod_fleet_sessions";
+  struct mo_fleet *fleet = atomic_load(&api->fleet);
+  struct mo_fleet_status f = {0};
+  if (fleet != NULL)
+    mo_fleet_status(fleet, &f);
+  GAUGE("morphod_fleet_listening", fleet != NULL, "1 while workers of other machines can join.");
+  GAUGE("morphod_fleet_only", fleet != NULL && strcmp(api->fleet_compute, "fleet") == 0,
+        "1 while scores of batch jobs are left to workers of other machines.");
+  mo_metric_head(text, serving, "gauge", "Workers of other machines that take work, by class.");
+  mo_metric_line(text, serving, "class", "cpu", f.n_serving[MO_ON_CPU]);
+  mo_metric_line(text, serving, "class", "device", f.n_serving[MO_ON_DEVICE]);
+  GAUGE("morphod_fleet_quarantined", f.n_quarantined, "Names in quarantine.");
+  GAUGE("morphod_fleet_threads", f.n_threads, "Computing threads of these workers.");
+  GAUGE("morphod_fleet_devices", f.n_devices, "GPUs of these workers.");
+  GAUGE("morphod_fleet_leases", f.leases, "Leases that workers hold.");
+  GAUGE("morphod_fleet_rollouts_out", f.rows_out, "Rollouts of these leases.");
+  COUNTER("morphod_fleet_joined_total", f.joined, "Sessions that joined since the start.");
+  COUNTER("morphod_fleet_lost_total", f.lost,
+          "Sessions that ended without leaving since the start.");
+  COUNTER("morphod_fleet_leases_total", f.leases_done, "Leases computed since the start.");
+  COUNTER("morphod_fleet_leases_again_total", f.leases_again,
+          "Leases given out again since the start.");
+  COUNTER("morphod_fleet_rollouts_total", f.rows_done,
+          "Rollouts computed by workers of other machines since the start.");
+  COUNTER("morphod_fleet_rollouts_twice_total", f.rows_twice,
+          "Of these, rollouts that were computed before.");
+  COUNTER("morphod_fleet_audits_total", f.audits, "Leases computed twice and compared.");
+  COUNTER("morphod_fleet_audits_failed_total", f.audits_failed, "Audits that found other bits.");
 }
 
 static void write_jobs(struct mo_api *api, struct mo_text *text, const struct mo_jobs_stats *j)
@@ -232,6 +267,7 @@ void mo_api_metrics_write(struct mo_api *api, struct mo_text *text)
   mo_metrics_write(api->http, text);
   write_compute(api, text);
   write_devices(api, text);
+  write_fleet(api, text);
   write_jobs(api, text, &jobs);
   write_running(api, text);
   write_trainings(text, &jobs);

@@ -20,13 +20,29 @@ int fleet_certificate_read(const struct settings *settings, struct fleet_certifi
 /* Wipes and frees the texts. */
 void fleet_certificate_free(struct fleet_certificate *pair);
 
-/* Starts the server of workers, if fleet_listen names an address. log: as in mo_http_config. The
- * sockets are handed over. MO_ERR_INVALID, and errors of mo_http_start. */
-int fleet_start(const struct settings *settings, struct sockets *sockets, struct mo_api *api,
-                void (*log)(void *context, const struct mo_http_log_entry *entry),
-                struct mo_message *message);
-
+/* Whether workers of other machines are served: fleet_listen has an address, and compute is not
+ * local. */
+bool fleet_is_on(const struct settings *settings);
 /* Descriptors that the server of workers may need; 0: there is none. */
 uint32_t fleet_max_connections(const struct settings *settings);
+
+struct fleet;
+/* Computes the canaries of this machine's classes, which takes some tenths of a second, and makes
+ * the table of sessions and leases. Call it before the first block is submitted. NULL: the fleet is
+ * off. MO_ERR_NO_MEMORY, MO_ERR_DEVICE. */
+int fleet_create(const struct settings *settings, struct mo_store *store,
+                 struct mo_compute *compute, struct fleet **fleet, struct mo_message *message);
+/* Starts the server of workers. log: as in mo_http_config, with a context that is not
+ * NULL. The sockets are handed over. MO_ERR_INVALID, and errors of mo_http_start. */
+int fleet_serve(struct fleet *fleet, const struct settings *settings, struct sockets *sockets,
+                struct mo_api *api,
+                void (*log)(void *context, const struct mo_http_log_entry *entry),
+                struct mo_message *message);
+/* Ends the sessions whose user is none of the tokens' any more. */
+void fleet_end_others(struct fleet *fleet, const struct mo_token *tokens, size_t n);
+/* Before the server stops. NULL-safe. */
+void fleet_retire(struct fleet *fleet);
+/* Gives all leases back. After the server has stopped, before the jobs are freed. NULL-safe. */
+void fleet_free(struct fleet *fleet);
 
 #endif

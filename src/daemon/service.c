@@ -43,6 +43,7 @@ struct service {
   gid_t groups[64];                      /* that may use unix sockets */
   struct mo_store *store;
   struct mo_compute *compute;
+  struct fleet *fleet; /* NULL: off */
   struct mo_jobs *jobs;
   struct mo_api *api;
   struct mo_http *http; /* of `api` */
@@ -95,7 +96,7 @@ static int open_listeners(struct service *service, const struct settings *settin
   for (int i = 0; names != NULL && names[i] != NULL; i++)
     free(names[i]);
   free(names);
-  for (size_t i = 0; i < settings->fleet_listen.n && status == MO_OK; i++)
+  for (size_t i = 0; fleet_is_on(settings) && i < settings->fleet_listen.n && status == MO_OK; i++)
     status = sockets_add(&service->fleet_sockets, -1, settings->fleet_listen.items[i], message);
   if (settings->fleet_certificate != NULL)
     sockets_use_tls(&service->fleet_sockets);
@@ -166,13 +167,16 @@ static void job_has_failed(void *context, int64_t job, int error, const char *te
 
 static enum log_level level_of(const char *type)
 {
+  static const char *const warnings[] = {
+      "campaign.lineage_unreadable", "fleet.differs", "fleet.empty", "fleet.lost",
+      "fleet.quarantined",           "fleet.refused"};
   const char *what = strrchr(type, '.');
   if (what != NULL && strcmp(what, ".progress") == 0)
     return LOG_LEVEL_DEBUG;
-  return (what != NULL && strcmp(what, ".code_changed") == 0) ||
-                 strcmp(type, "campaign.lineage_unreadable") == 0
-             ? LOG_LEVEL_WARNING
-             : LOG_LEVEL_INFO;
+  bool is_warning = what != NULL && strcmp(what, ".code_changed") == 0;
+  for (size_t i = 0; i < sizeof(warnings) / sizeof(warnings[0]); i++)
+    is_warning = is_warning || strcmp(type, warnings[i]) == 0;
+  return is_warning ? LOG_LEVEL_WARNING : LOG_LEVEL_INFO;
 }
 
 static void log_events(void *context, const struct mo_event *events, size_t n)
@@ -185,13 +189,14 @@ static void log_events(void *context, const struct mo_event *events, size_t n)
   }
 }
 
+/* context: not NULL for the server of workers. */
 static void log_request(void *context, const struct mo_http_log_entry *entry)
 {
-  (void)context;
-  /* Successful health checks and scrapes arrive every few seconds and carry no information. */
+  /* Successful health checks, scrapes and exchanges of workers arrive every few seconds, and carry
+   * no information. */
   bool probe = entry->status == 200 &&
-               (strcmp(entry->path, "/healthz") == 0 || strcmp(entry->path, "/readyz") == 0 ||
-                strcmp(entry->path, "/metrics") == 0);
+               (context != NULL || strcmp(entry->path, "/healthz") == 0 ||
+                strcmp(entry->path, "/readyz") == 0 || strcmp(entry->path, "/metrics") == 0);
   enum log_level level = entry->status >= 500 || entry->reason != NULL ? LOG_LEVEL_WARNING
                          : probe                                       ? LOG_LEVEL_DEBUG
                                                                        : LOG_LEVEL_INFO;
@@ -341,10 +346,12 @@ static int start_http(struct service *service, const struct settings *settings,
   return status;
 }
 
-static int start_fleet(struct service *service, const struct settings *settings,
+static int serve_fleet(struct service *service, const struct settings *settings,
                        struct mo_message *message)
 {
-  return fleet_start(settings, &service->fleet_sockets, service->api, log_request, message);
+  return service->fleet == NULL ? MO_OK
+                                : fleet_serve(service->fleet, settings, &service->fleet_sockets,
+                                              service->api, log_request, message);
 }
 
 /* ---- start ---- */
@@ -433,6 +440,12 @@ static int open_devices(struct service *service, const struct settings *settings
   return devices_open(service->compute, &settings->devices, settings->compute_module, message);
 }
 
+static int create_fleet(struct service *service, const struct settings *settings,
+                        struct mo_message *message)
+{
+  return fleet_create(settings, service->store, service->compute, &service->fleet, message);
+}
+
 static int start_jobs(struct service *service, const struct settings *settings,
                       struct mo_message *message)
 {
@@ -461,10 +474,11 @@ static const struct part {
     {open_store, EXIT_STATE, EXIT_CONFIG, {MO_ERR_FORMAT, MO_ERR_INVALID, MO_ERR_CONFLICT}},
     {start_workers, EXIT_SYSTEM, EXIT_SYSTEM, {0}},
     {open_devices, EXIT_CONFIG, EXIT_CONFIG, {0}},
+    {create_fleet, EXIT_SYSTEM, EXIT_SYSTEM, {0}},
     {store_default_controller, EXIT_CONFIG, EXIT_STATE, {MO_ERR_NO_SPACE, MO_ERR_CORRUPT}},
     {start_jobs, EXIT_INTERNAL, EXIT_STATE, {MO_ERR_IO, MO_ERR_NO_SPACE}},
     {start_http, EXIT_CONFIG, EXIT_UNAVAILABLE, {MO_ERR_IO}},
-    {start_fleet, EXIT_CONFIG, EXIT_UNAVAILABLE, {MO_ERR_IO}},
+    {serve_fleet, EXIT_CONFIG, EXIT_UNAVAILABLE, {MO_ERR_IO}},
 };
 
 /* Completes the message about a part that could not start, and returns the exit status. */
@@ -504,6 +518,8 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
     }
   }
   mo_http_set_ready(service->http, true);
+  if (service->fleet != NULL)
+    mo_http_set_ready(mo_api_fleet_http(service->api), true);
   *ret_service = service;
   return EXIT_OK;
 }
@@ -532,6 +548,8 @@ int service_reload_tokens(struct service *service, const struct settings *settin
                               tokens.n - tokens.n_workers, message);
   if (status == MO_OK && fleet != NULL)
     status = mo_http_set_tokens(fleet, tokens.items, tokens.n_workers, message);
+  if (status == MO_OK && fleet != NULL)
+    fleet_end_others(service->fleet, tokens.items, tokens.n_workers);
   tokens_free(&tokens);
   return status;
 }
@@ -559,15 +577,18 @@ bool service_is_alive(struct service *service, int64_t limit_us, const char **wh
 {
   struct mo_store_stats store;
   struct mo_jobs_stats jobs;
-  struct mo_http_stats http;
+  struct mo_http_stats http, fleet = {.heartbeat_us = INT64_MAX};
   mo_store_get_stats(service->store, &store);
   mo_jobs_get_stats(service->jobs, &jobs);
   mo_http_get_stats(service->http, &http);
+  if (service->fleet != NULL)
+    mo_http_get_stats(mo_api_fleet_http(service->api), &fleet);
   int64_t oldest_allowed = mo_clock_us() - limit_us;
-  *who = store.heartbeat_us < oldest_allowed  ? "writer"
-         : jobs.heartbeat_us < oldest_allowed ? "scheduler"
-         : http.heartbeat_us < oldest_allowed ? "http"
-                                              : NULL;
+  *who = store.heartbeat_us < oldest_allowed   ? "writer"
+         : jobs.heartbeat_us < oldest_allowed  ? "scheduler"
+         : http.heartbeat_us < oldest_allowed  ? "http"
+         : fleet.heartbeat_us < oldest_allowed ? "fleet"
+                                               : NULL;
   return *who == NULL;
 }
 
@@ -589,7 +610,9 @@ void service_stop(struct service *service)
     log_warning("work was still being parked at its deadline; it is repeated at the next start");
   sockets_close(&service->sockets);
   sockets_close(&service->fleet_sockets);
+  fleet_retire(service->fleet);
   mo_api_stop(service->api, HTTP_GRACE_MS);
+  fleet_free(service->fleet);
   mo_jobs_free(service->jobs);
   mo_compute_free(service->compute);
   if (service->subscription >= 0)

@@ -26,6 +26,8 @@ void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status)
   const struct mo_session *session;
   pthread_mutex_lock(&fleet->mutex);
   *status = fleet->counts;
+  for (uint32_t b = 0; b < 2; b++)
+    status->n_serving[b] = fleet->classes[b].n_sessions;
   TAILQ_FOREACH(session, &fleet->sessions, all)
   {
     if (session->state == MO_SESSION_QUARANTINED) {

@@ -119,7 +119,7 @@ static uint64_t draw_id(struct mo_fleet *fleet)
   do {
     if (getrandom(&id, sizeof(id), 0) != (ssize_t)sizeof(id))
       return 0;
-    id >>= 1;
+    id >>= 5; /* below 10^18, as all ids of the API */
   } while (id == 0 || mo_session_find(fleet, id) != NULL);
   return id;
 }

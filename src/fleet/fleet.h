@@ -69,9 +69,9 @@ struct mo_fleet_offer {
     struct mo_sha256 canary;
   } classes[2]; /* by enum mo_back_end */
 };
-/* Opens a session. Returns its id, > 0, unguessable. MO_ERR_UNSUPPORTED: another version, no class
- * that this daemon has; MO_ERR_CONFLICT: a wrong canary (with both hashes in the message), or the
- * name is quarantined; MO_ERR_LIMIT. */
+/* Opens a session. Returns its id, unguessable, 1 to 10^18. MO_ERR_UNSUPPORTED: another version, no
+ * class that this daemon has; MO_ERR_CONFLICT: a wrong canary (with both hashes in the message), or
+ * the name is quarantined; MO_ERR_LIMIT. */
 int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer, uint64_t now_ns,
                       struct mo_message *message);
 /* Closes a session and puts its leases back. why: "left", "connection ended". MO_ERR_NOT_FOUND. */
@@ -125,6 +125,7 @@ struct mo_session_status {
 };
 struct mo_fleet_status {
   uint32_t n_sessions, n_threads, n_devices, n_quarantined; /* open ones */
+  uint32_t n_serving[2];                                    /* by enum mo_back_end: active ones */
   uint32_t leases, rows_out;
   double rows_per_s;
   uint64_t joined, lost, leases_done, leases_again, rows_done, rows_twice, audits, audits_failed;

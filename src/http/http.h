@@ -52,8 +52,8 @@ struct mo_http_config {
   size_t n_allowed_hosts;
   const struct mo_token *tokens; /* at most MO_TOKENS_MAX; see mo_http_set_tokens */
   size_t n_tokens;
-  bool token_on_loopback;   /* require a token on loopback even if every listener is on loopback */
-  bool token_if_any;        /* require a token on loopback as soon as there is one */
+  bool token_on_loopback;   /* require a token on loopback, too */
+  bool token_if_any;        /* require one there as soon as there is one */
   const char *certificate;  /* NULL: plain HTTP. Else TLS 1.3: the chain, as text in PEM */
   const char *key;          /* its private key, as text in PEM; both are read at the start only */
   const gid_t *unix_groups; /* groups whose members may use the unix socket, besides root and the
@@ -123,7 +123,6 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
 
 /* Checks a certificate and its key. MO_ERR_INVALID, MO_ERR_NO_MEMORY. */
 int mo_http_check_certificate(const char *certificate, const char *key, struct mo_message *message);
-
 /* Closes the listening sockets, for a caller that fails before mo_http_start. */
 void mo_http_refuse_listeners(const struct mo_http_config *config);
 
@@ -132,8 +131,7 @@ void mo_http_refuse_listeners(const struct mo_http_config *config);
 void mo_http_set_ready(struct mo_http *http, bool ready);
 bool mo_http_is_ready(const struct mo_http *http);
 
-/* Returns the context of the service that a request is for. */
-void *mo_http_context(const struct mo_request *request);
+void *mo_http_context(const struct mo_request *request); /* of the service that it is for */
 
 /* Replaces the tokens; requests in flight are not affected. MO_ERR_INVALID (none given though
  * needed, or malformed) and MO_ERR_NO_MEMORY: the old tokens stay. */
@@ -147,7 +145,6 @@ void mo_http_stop(struct mo_http *http, uint32_t grace_ms);
 
 /* Makes the next tick of the service come at once. Takes no lock. */
 void mo_http_tick_soon(struct mo_http *http);
-
 void mo_http_get_stats(struct mo_http *http, struct mo_http_stats *stats);
 
 #endif

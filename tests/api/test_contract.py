@@ -84,7 +84,7 @@ def test_every_event_has_a_type():
     written = set()
     for source in (SOURCE / "src").glob("*/*.c"):
         written |= set(re.findall(
-            r'"((?:job|controller|evaluation|training|campaign)\.[a-z_]+)"',
+            r'"((?:job|controller|evaluation|training|campaign|fleet)\.[a-z_]+)"',
             source.read_text(encoding="utf-8")))
     written -= {"job.", "campaign.json"}  # the latter is a file of bundles
     assert written == set(SCHEMAS["Event"]["discriminator"]["mapping"])

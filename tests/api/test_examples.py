@@ -38,7 +38,7 @@ def walk(service):
                  f"/v1/environments/{world}", "/v1/environment-sets/paper-test",
                  f"/v1/designs/{result['id']}/body", "/v1/designs?limit=1", "/v1/controllers",
                  "/v1/controllers/default", "/v1/held-out?designs=1&environments=1", "/v1/whoami",
-                 "/v1/threads", "/v1/devices", "/v1/load", "/healthz", "/readyz"):
+                 "/v1/threads", "/v1/devices", "/v1/load", "/v1/fleet", "/healthz", "/readyz"):
         call("GET", path)
     design = call("GET", f"/v1/designs/{result['id']}")
     score = design["orientations"][0]["scores"][0]

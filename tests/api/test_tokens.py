@@ -22,7 +22,10 @@ ADMIN = {("POST", "/v1/bundles"), ("PUT", "/v1/controllers/{name}/file"),
          ("DELETE", "/v1/trainings/{id}/checkpoints"), ("DELETE", "/v1/jobs/{id}"),
          ("DELETE", "/v1/trainings/{id}/checkpoints/{step}"),
          ("DELETE", "/v1/campaigns/{id}/checkpoints"),
-         ("DELETE", "/v1/evaluations/{id}/trajectories")}
+         ("DELETE", "/v1/evaluations/{id}/trajectories"),
+         ("POST", "/v1/fleet/sessions/{id}/drain"),
+         ("POST", "/v1/fleet/sessions/{id}/quarantine"),
+         ("DELETE", "/v1/fleet/quarantine/{name}")}
 WORK = {"designs": [DESIGN], "physics": {"n_steps": 20}}
 
 

@@ -1,0 +1,247 @@
+/* fleet.c: the routes of workers: sessions, leases and results, orders, weights.
+ *
+ * A request for leases or orders waits under its session's id, which mo_api_wake_session wakes. A
+ * request that wakes for nothing waits on. The orders that a worker keeps asking for are its sign
+ * of life: when the client of such a request leaves, the session is lost at once. */
+#include "api/fleet.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/submission.h"
+#include "base/clock.h"
+#include "http/connection.h"
+#include "http/pool.h"
+
+void mo_api_wake_session(struct mo_api *api, uint64_t session)
+{
+  struct mo_http *http = atomic_load(&api->fleet_http);
+  if (http != NULL)
+    mo_waits_end(http, (int64_t)session, INT64_MIN);
+}
+
+struct mo_fleet *mo_path_session(struct mo_request *request, uint64_t *session)
+{
+  struct mo_fleet *fleet = atomic_load(&mo_api_of(request)->fleet);
+  int64_t id;
+  if (fleet != NULL && mo_id(request->parameters[0], &id)) {
+    *session = (uint64_t)id;
+    return fleet;
+  }
+  mo_reply_error(request, MO_ERR_NOT_FOUND, "session");
+  return NULL;
+}
+
+/* ---- waiting ---- */
+
+/* Reads how long the request may wait. False: the reply is made. */
+static bool read_wait(struct mo_request *request)
+{
+  if (request->wait_over)
+    return true;
+  if (!mo_read_wait(request))
+    return false;
+  const int wait_s = request->wait_s < MO_FLEET_WAIT_S ? request->wait_s : MO_FLEET_WAIT_S;
+  request->wait_deadline_us = mo_clock_us() + (int64_t)wait_s * 1000000;
+  return true;
+}
+
+/* Begins to wait, if there is time left. Do this before looking: what comes then is not missed. */
+static bool begin_wait(struct mo_request *request, uint64_t session)
+{
+  const bool may_wait = request->wait_s > 0 && request->wait_deadline_us > mo_clock_us() &&
+                        !mo_connection_has_left(request->connection);
+  if (may_wait)
+    mo_wait_begin(request, (int64_t)session, request->wait_deadline_us);
+  return may_wait;
+}
+
+/* ---- sessions ---- */
+
+static void reply_session(struct mo_request *request, int64_t id)
+{
+  const struct mo_api *api = mo_api_of(request);
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  struct mo_text text = {0};
+  mo_text_object(&text);
+  mo_text_member_id(&text, "session", id);
+  mo_text_member_id(&text, "epoch", (int64_t)api->fleet_epoch);
+  mo_text_member_number(&text, "silence_s", MO_FLEET_SILENCE_MS / 1000.0);
+  mo_text_member_count(&text, "wait_s", MO_FLEET_WAIT_S);
+  mo_text_format(&text, ",\"workspace\":[%u,%u,%u]}", workspace.nx, workspace.ny, workspace.nz);
+  mo_reply_json(request, 201, &text);
+  snprintf(request->reply.location, sizeof(request->reply.location), "/v1/fleet/sessions/%lld",
+           (long long)id);
+}
+
+void mo_api_post_session(struct mo_request *request)
+{
+  struct mo_fleet *fleet = atomic_load(&mo_api_of(request)->fleet);
+  struct mo_message message = {""};
+  struct mo_faults faults = {0};
+  struct mo_parsed_offer parsed;
+  if (!mo_check_content(request, "application/json", NULL))
+    return;
+  int error = mo_offer_parse(request->body, request->body_size, &parsed, &faults);
+  if (error != MO_OK) {
+    mo_reply_parse_error(request, error, &faults, "session");
+    return;
+  }
+  if (parsed.protocol != MO_FLEET_PROTOCOL) {
+    mo_faults_add(&faults, MO_FAULT_BODY, "/protocol",
+                  "the worker speaks protocol %u; %d is wanted, of morphod %s", parsed.protocol,
+                  MO_FLEET_PROTOCOL, mo_api_of(request)->version);
+    mo_reply_problem(request, 422, &faults, NULL);
+    return;
+  }
+  memcpy(parsed.offer.user, request->caller.name, sizeof(parsed.offer.user));
+  const int64_t id = mo_fleet_join(fleet, &parsed.offer, mo_clock_ns(), &message);
+  if (id > 0)
+    reply_session(request, id);
+  else if (id == MO_ERR_UNSUPPORTED)
+    mo_reply_problem(request, 422, NULL, "%s.", message.text);
+  else if (id == MO_ERR_CONFLICT)
+    mo_reply_problem(request, 409, NULL, "%s.", message.text);
+  else
+    mo_reply_error(request, id == MO_ERR_LIMIT ? MO_ERR_BUSY : (int)id, "session");
+}
+
+void mo_api_delete_session(struct mo_request *request)
+{
+  uint64_t session;
+  struct mo_fleet *fleet = mo_path_session(request, &session);
+  if (fleet == NULL)
+    return;
+  const int error = mo_fleet_leave(fleet, session, false, mo_clock_ns());
+  if (error != MO_OK)
+    mo_reply_error(request, error, "session");
+  else
+    mo_reply_static(request, 204, NULL, "", 0);
+}
+
+/* ---- orders ---- */
+
+static void reply_orders(struct mo_request *request, const struct mo_fleet_orders *orders)
+{
+  struct mo_text text = {0};
+  mo_text_object(&text);
+  mo_text_member(&text, "state", mo_session_state_words[orders->state]);
+  mo_text_add(&text, ",\"dropped\":[");
+  for (uint32_t i = 0; i < orders->n_dropped; i++)
+    mo_text_format(&text, "%s[\"%llu\",\"%llu\"]", i > 0 ? "," : "",
+                   (unsigned long long)orders->dropped[i].epoch,
+                   (unsigned long long)orders->dropped[i].number);
+  mo_text_add(&text, "]}");
+  mo_reply_json(request, 200, &text);
+}
+
+void mo_api_get_orders(struct mo_request *request)
+{
+  struct mo_fleet_orders orders = {.state = MO_SESSION_ACTIVE};
+  uint64_t session;
+  struct mo_fleet *fleet = mo_path_session(request, &session);
+  if (fleet == NULL || !read_wait(request))
+    return;
+  if (request->wait_over && mo_connection_has_left(request->connection)) {
+    mo_fleet_leave(fleet, session, true, mo_clock_ns());
+    mo_reply_error(request, MO_ERR_NOT_FOUND, "session");
+    return;
+  }
+  const bool may_wait = begin_wait(request, session);
+  const int some = mo_fleet_orders(fleet, session, mo_clock_ns(), &orders);
+  if (some == 0 && may_wait)
+    return;
+  if (may_wait)
+    mo_wait_end(request);
+  if (some < 0)
+    mo_reply_error(request, some, "session");
+  else
+    reply_orders(request, &orders);
+}
+
+/* ---- leases and results ---- */
+
+static void reply_bytes(struct mo_request *request, uint8_t *bytes, size_t size)
+{
+  char digest[MO_CONTENT_DIGEST_BYTES];
+  struct mo_sha256 hash;
+  mo_sha256_of(bytes, size, &hash);
+  mo_sha256_to_content_digest(&hash, digest);
+  mo_reply_bytes(request, 200, "application/octet-stream", (char *)bytes, size);
+  mo_reply_extra(request, "Content-Digest", "%s", digest);
+}
+
+/* Checks what a worker sends. False: the reply is made. */
+static bool check_results(struct mo_request *request)
+{
+  if (!mo_check_content(request, "application/octet-stream", NULL))
+    return false;
+  if (mo_content_digest_matches(request->framing.content_digest, request->body, request->body_size))
+    return true;
+  mo_reply_bad_header(request, "Content-Digest",
+                      "sha-256 of the body is expected, as in sha-256=:…:; nothing was taken");
+  return false;
+}
+
+static void reply_refusal(struct mo_request *request, int error, const struct mo_message *message)
+{
+  if (error == MO_ERR_FORMAT)
+    mo_reply_problem(request, 400, NULL, "The exchange is not well formed: %s. Nothing was taken.",
+                     message->text);
+  else if (error == MO_ERR_UNSUPPORTED)
+    mo_reply_problem(request, 422, NULL, "%s.", message->text);
+  else if (error == MO_ERR_CONFLICT)
+    mo_reply_problem(request, 409, NULL, "%s.",
+                     message->text[0] != '\0' ? message->text : "The session is in quarantine");
+  else
+    mo_reply_error(request, error, "session");
+}
+
+void mo_api_post_exchange(struct mo_request *request)
+{
+  struct mo_message message = {""};
+  uint64_t session;
+  uint8_t *down = NULL;
+  size_t down_size = 0;
+  uint32_t n_leases = 0;
+  struct mo_fleet *fleet = mo_path_session(request, &session);
+  if (fleet == NULL || !read_wait(request) || (!request->wait_over && !check_results(request)))
+    return;
+  if (request->wait_over && (mo_connection_has_left(request->connection) ||
+                             !mo_http_is_ready(request->http))) { /* no lease for nobody */
+    mo_reply_error(request, MO_ERR_CANCELLED, "session");
+    return;
+  }
+  const bool may_wait = begin_wait(request, session);
+  const int error =
+      mo_fleet_exchange(fleet, session, (const uint8_t *)request->body, request->body_size,
+                        mo_clock_ns(), &down, &down_size, &n_leases, &message);
+  mo_request_drop_body(request); /* taken, and not needed while the request waits */
+  if (error == MO_OK && n_leases == 0 && may_wait) {
+    free(down);
+    return;
+  }
+  if (may_wait)
+    mo_wait_end(request);
+  if (error != MO_OK)
+    reply_refusal(request, error, &message);
+  else
+    reply_bytes(request, down, down_size);
+}
+
+void mo_api_get_weights(struct mo_request *request)
+{
+  struct mo_fleet *fleet = atomic_load(&mo_api_of(request)->fleet);
+  const char *digits = request->parameters[0];
+  struct mo_sha256 hash;
+  uint8_t *bytes;
+  size_t size;
+  int error = mo_sha256_from_hex(digits, strlen(digits), &hash);
+  if (error == MO_OK)
+    error = mo_fleet_controller(fleet, &hash, &bytes, &size);
+  if (error != MO_OK)
+    mo_reply_error(request, error == MO_ERR_FORMAT ? MO_ERR_NOT_FOUND : error, "controller");
+  else
+    reply_bytes(request, bytes, size);
+}

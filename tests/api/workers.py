@@ -1,0 +1,130 @@
+"""A worker in Python: the messages of src/fleet/wire.h, good and bad ones, and the workers' server
+of a service."""
+
+import base64
+import hashlib
+import http.client
+import json
+import re
+import ssl
+import struct
+
+VERSION = 1
+HEADER = struct.Struct("<8sIIQ")
+RESULT = struct.Struct("<QQIIdd")
+LEASE = struct.Struct("<QQIIII32s9d4I")
+ENVIRONMENT_BYTES, GENOTYPE_BYTES = 66 * 8, 18
+
+
+def result(lease, losses, steps=None, state=0, epoch=None, rows=None):
+    """The rows of a lease (a pair of epoch and number), as they travel."""
+    steps = steps or [0] * len(losses)
+    return (RESULT.pack(lease[0] if epoch is None else epoch, lease[1], state,
+                        len(losses) if rows is None else rows, 0.5, 0.5) +
+            struct.pack(f"<{len(losses)}d", *losses) + struct.pack(f"<{len(steps)}I", *steps))
+
+
+def results(*items, magic=b"MOFLEETR", version=VERSION, n=None, size=None):
+    body = b"".join(items)
+    return HEADER.pack(magic, version, len(items) if n is None else n,
+                       HEADER.size + len(body) if size is None else size) + body
+
+
+def read_leases(message):
+    """Pairs of a lease's id (epoch, number) and how many rows it has."""
+    magic, version, n, size = HEADER.unpack_from(message)
+    assert (magic, version, size) == (b"MOFLEETL", VERSION, len(message))
+    at, leases = HEADER.size, []
+    for _ in range(n):
+        epoch, number, _, n_environments, n_blocks, n_rows, *_ = LEASE.unpack_from(message, at)
+        at += LEASE.size + n_environments * ENVIRONMENT_BYTES
+        for _ in range(n_blocks):
+            at += GENOTYPE_BYTES + 1 + 2 * message[at + GENOTYPE_BYTES]
+        leases.append(((epoch, number), n_rows))
+    assert at == len(message)
+    return leases
+
+
+def digest(body):
+    return "sha-256=:" + base64.b64encode(hashlib.sha256(body).digest()).decode() + ":"
+
+
+class Workers:
+    """The workers' server of a service, as a worker sees it."""
+    def __init__(self, service, certificate=None, token=None):
+        self.service, self.token = service, token
+        scheme, _, address = service.addresses[-1].partition("://")
+        assert scheme == ("https" if certificate else "http")
+        self.host, port = address.rsplit(":", 1)
+        self.port, self.context = int(port), None
+        if certificate:
+            self.context = ssl.create_default_context(cafile=certificate[0])
+
+    def connection(self, context=None):
+        context = context or self.context
+        if context:
+            return http.client.HTTPSConnection(self.host, self.port, timeout=30, context=context)
+        return http.client.HTTPConnection(self.host, self.port, timeout=30)
+
+    def send(self, connection, method, path, body=None, **headers):
+        headers = {name.replace("_", "-"): value for name, value in headers.items() if value}
+        if self.token:
+            headers.setdefault("Authorization", f"Bearer {self.token}")
+        connection.request(method, path, body=body, headers=headers)
+        return connection
+
+    def request(self, method, path, body=None, connection=None, **headers):
+        """Status, header and body of a reply."""
+        connection = connection or self.connection()
+        try:
+            reply = self.send(connection, method, path, body, **headers).getresponse()
+            return reply.status, reply.headers, reply.read()
+        finally:
+            connection.close()
+
+    def refuses(self, status, words, *request, **how):
+        got, headers, body = self.request(*request, **how)
+        assert got == status and headers["Content-Type"] == "application/problem+json", (got, body)
+        assert words in json.loads(body)["detail"], body
+
+    def offer(self, **others):
+        """The request of a worker like this service, whose canary it tells who guesses wrong."""
+        kind = self.service.get("/v1/fleet")["classes"]["cpu"]
+        wanted = {"protocol": 1, "name": "node", "host": "node.test", "n_threads": 1,
+                  "n_devices": 0, "version": self.service.get("/healthz")["version"],
+                  "classes": {"cpu": {"scores": kind["scores"], "gradients": kind["gradients"],
+                                      "canary": "0" * 64}}}
+        refusal = self.request("POST", "/v1/fleet/sessions", json.dumps(wanted),
+                               Content_Type="application/json")
+        assert refusal[0] == 409, refusal[2]
+        hashes = re.findall("[0-9a-f]{64}", json.loads(refusal[2])["detail"])
+        wanted["classes"]["cpu"]["canary"] = next(one for one in hashes if one != "0" * 64)
+        return wanted | others
+
+    def join(self, **others):
+        """The path of a new session."""
+        status, headers, body = self.request("POST", "/v1/fleet/sessions",
+                                             json.dumps(self.offer(**others)),
+                                             Content_Type="application/json")
+        assert status == 201, body
+        assert headers["Location"] == "/v1/fleet/sessions/" + json.loads(body)["session"]
+        return headers["Location"]
+
+    def exchange(self, session, body=None, wait=None, **headers):
+        body = results() if body is None else body
+        headers = {"Content_Type": "application/octet-stream", "Content_Digest": digest(body),
+                   "Prefer": wait and f"wait={wait}"} | headers
+        return self.request("POST", session + "/exchange", body, **headers)
+
+    def take(self, session, wait=20):
+        """Leases."""
+        status, headers, body = self.exchange(session, wait=wait)
+        assert status == 200 and headers["Content-Digest"] == digest(body), body
+        return read_leases(body)
+
+    def orders(self, session, wait=None):
+        status, _, body = self.request("GET", session + "/orders", Prefer=wait and f"wait={wait}")
+        return json.loads(body) if status == 200 else status
+
+    def status(self):
+        return self.service.get("/v1/fleet")
