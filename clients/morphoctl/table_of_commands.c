@@ -307,6 +307,8 @@ static const struct option_spec study_sampler_options[] = {
 static const struct option_spec controller_get_options[] = {
     {"output", 'o', "FILE", "Where to put it (default: NAME.safetensors; -: standard output)."},
     {NULL}};
+static const struct option_spec fleet_options[] = {
+    {"all", 'a', NULL, "Also the newest sessions that have ended."}, {NULL}};
 
 #define MANY ((size_t)-1)
 
@@ -540,6 +542,15 @@ const struct command commands[] = {
      0, 0, run_fleet_launch},
     {"fleet kubernetes", "", "Print a Deployment of workers for Kubernetes.", NULL,
      fleet_kubernetes_options, 0, 0, run_fleet_launch},
+    {"fleet drain", "ID", "Give a worker of another machine no more work.",
+     "It finishes what it has and leaves.", NULL, 1, 1, run_fleet_drain},
+    {"fleet quarantine", "ID [WHY]", "Take no more results of a worker.",
+     "Its name is refused until fleet release. Workers that give other bits than two others get "
+     "there by themselves.",
+     NULL, 1, 2, run_fleet_quarantine},
+    {"fleet release", "NAME", "Let a worker that was in quarantine join again.", NULL, NULL, 1, 1,
+     run_fleet_release},
+    {"fleet", "", "Show the workers of other machines.", NULL, fleet_options, 0, 0, run_fleet},
     {"status", "", "Show whether the server is ready and what it does.", NULL, NULL, 0, 0,
      run_status},
     {"version", "", "Print the version.", NULL, NULL, 0, 0, run_version},

@@ -2,15 +2,21 @@
 
 import http.client
 import json
+import math
+import os
+import re
 import signal
 import socket
 import ssl
 import subprocess
+import time
 
 import pytest
 
-from service import until
+from service import SOURCE, until
+from workers import Workers, digest, read_leases, result, results
 
+CTL = os.environ.get("MORPHOCTL", str(SOURCE / "build/clients/morphoctl/morphoctl"))
 TOKENS = {"admin": "a-token-that-may-everything-here", "worker": "a-token-of-a-worker-and-no-more"}
 
 
@@ -39,48 +45,12 @@ def tokens(tmp_path):
     return path
 
 
-class Fleet:
-    """The workers' server of a service."""
-    def __init__(self, service, certificate=None):
-        self.service = service
-        scheme, _, address = service.addresses[-1].partition("://")
-        assert scheme == ("https" if certificate else "http")
-        self.host, port = address.rsplit(":", 1)
-        self.port, self.context, self.token = int(port), None, TOKENS["worker"]
-        if certificate:
-            self.context = ssl.create_default_context(cafile=certificate[0])
-
-    def connection(self, context=None):
-        context = context or self.context
-        if context:
-            return http.client.HTTPSConnection(self.host, self.port, timeout=30, context=context)
-        return http.client.HTTPConnection(self.host, self.port, timeout=30)
-
-    def request(self, method, path, body=None, connection=None, **headers):
-        """Status, header and body of a reply."""
-        headers = {name.replace("_", "-"): value for name, value in headers.items()}
-        if self.token:
-            headers.setdefault("Authorization", f"Bearer {self.token}")
-        connection = connection or self.connection()
-        try:
-            connection.request(method, path, body=body, headers=headers)
-            reply = connection.getresponse()
-            return reply.status, reply.headers, reply.read()
-        finally:
-            connection.close()
-
-    def refuses(self, status, words, *request, **how):
-        got, headers, body = self.request(*request, **how)
-        assert got == status and headers["Content-Type"] == "application/problem+json", (got, body)
-        assert words in json.loads(body)["detail"], body
-
-
 @pytest.fixture
 def fleet(start, tokens, certificate):
     service = start("--fleet-listen=127.0.0.1:0", f"--token-file={tokens}",
                     f"--fleet-certificate={certificate[0]}", f"--fleet-key={certificate[1]}",
                     token=TOKENS["admin"])
-    return Fleet(service, certificate)
+    return Workers(service, certificate, TOKENS["worker"])
 
 
 def test_only_tls_1_3(fleet):
@@ -107,29 +77,223 @@ def test_tokens_open_one_server_each(fleet, tokens):
         fleet.token = token
         fleet.refuses(401, "bearer token", "GET", "/v1/whoami")
     fleet.token = TOKENS["worker"]
+    session = fleet.join()
+    assert fleet.status()["sessions"][0]["user"] == "node"
     fleet.refuses(403, "Host field", "GET", "/healthz", Host="elsewhere.example")
     worker = {"Authorization": "Bearer " + TOKENS["worker"]}
     assert service.request("GET", "/v1/whoami", headers=worker).status == 401
     assert service.get("/v1/whoami")["right"] == "admin"
-    # Tokens are read again: that of the worker is another one now.
+    # Tokens are read again, and the sessions of one that is gone end.
     other = "the-token-of-another-node"
     write_tokens(tokens, ada=("admin", TOKENS["admin"]), other=("worker", other))
     service.process.send_signal(signal.SIGHUP)
     until(lambda: fleet.request("GET", "/v1/whoami")[0] == 401)
+    assert [one["state"] for one in fleet.status()["sessions"]] == ["lost"]
     fleet.token = other
     fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami")
 
 
 def test_loopback_needs_no_token_where_there_is_none(start, tokens):
-    fleet = Fleet(start("--fleet-listen=127.0.0.1:0"))
-    fleet.token = None
+    fleet = Workers(start("--fleet-listen=127.0.0.1:0"))
     fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami")
     # As soon as there is one of a worker, it is needed.
     write_tokens(tokens, ada=("admin", TOKENS["admin"]))
     service = start("--fleet-listen=127.0.0.1:0", f"--token-file={tokens}", token=TOKENS["admin"])
-    fleet = Fleet(service)
-    fleet.token = None
+    fleet = Workers(service)
     fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami")
     write_tokens(tokens, ada=("admin", TOKENS["admin"]), node=("worker", TOKENS["worker"]))
     service.process.send_signal(signal.SIGHUP)
     until(lambda: fleet.request("GET", "/v1/whoami")[0] == 401)
+
+
+@pytest.fixture
+def free(start):
+    """A service that leaves all scores to workers, and asks for no token."""
+    return Workers(start("--fleet-listen=127.0.0.1:0", "--compute=fleet"))
+
+
+CAMPAIGN = {"mode": "zero-shot", "population": 6, "generations": 1, "physics": {"n_steps": 20},
+            "exclude_pretraining": False,
+            "environments": [{"light_xy_m": [4.0, 3.0], "terrain_sigma_m": 0.05, "seed": 3}]}
+
+
+def refused(fleet, status, words, **offer):
+    fleet.refuses(status, words, "POST", "/v1/fleet/sessions", json.dumps(offer),
+                  Content_Type="application/json")
+
+
+def test_who_may_join(free):
+    good = free.offer()
+    kind = good["classes"]["cpu"]
+    assert free.join(name="n" * 64) != free.join(name="n" * 64)
+    refused(free, 422, "protocol 2", **good | {"protocol": 2, "unknown": []})
+    refused(free, 422, good["version"], **good | {"version": "0.0.1"})
+    refused(free, 422, kind["scores"], **good | {"classes": {"cpu": kind | {"scores": "other"}}})
+    refused(free, 409, kind["canary"],
+            **good | {"classes": {"cpu": kind | {"canary": "f" * 64}}})
+    for part in ({"name": ""}, {"name": "n" * 65}, {"name": "\u00e9"}, {"host": None},
+                 {"version": "v" * 32}, {"n_threads": -1}, {"n_devices": 1e9}, {"classes": {}},
+                 {"classes": {"cpu": {"scores": kind["scores"]}}}, {"more": 1},
+                 {"classes": {"cpu": kind | {"canary": "0"}}}):
+        refused(free, 422, "", **good | part)
+    for status, body, kind in ((400, "{", "application/json"), (415, "{}", "text/x"),
+                               (413, " " * 70000, "application/json")):
+        free.refuses(status, "", "POST", "/v1/fleet/sessions", body, Content_Type=kind)
+    status = free.status()
+    assert (status["joined"], status["n_sessions"], status["classes"]["cpu"]["sessions"]) == (
+        2, 2, 2)
+
+
+def test_hostile_exchanges_store_nothing(free):
+    service = free.service
+    session, other = free.join(name="one"), free.join(name="two")
+    job = service.post("/v1/campaigns", CAMPAIGN)["id"]
+    leases = free.take(session)
+    lease, rows = leases[0]
+    assert rows > 0 and sum(n for _, n in leases) <= 6
+    good = result(lease, [0.5] * rows)
+    # Messages that are none, or lie: nothing of them is taken, not even the good part.
+    wrong = [b"x", results(good)[:-1], results(good) + b"x", results(good, size=1 << 60),
+             results(good, n=2), results(good, n=0xFFFFFFFF), results(*[good] * 9),
+             results(good, magic=b"MOFLEETL"), results(result(lease, [0.5], rows=0xFFFFFFFF)),
+             results(good, result(lease, [0.5], rows=1 << 20)), results(result(lease, [], state=9)),
+             results(good, result(lease, [math.nan] * rows)),
+             results(result(lease, [-math.inf] * rows)),
+             results(result(lease, [0.5] * rows, [7] * rows)),
+             results(result(lease, [math.inf] * rows)), results(result(lease, [-0.5] * rows))]
+    for body in wrong:
+        status, _, reply = free.exchange(session, body)
+        assert status == 400 and b"Nothing was taken" in reply, (body, reply)
+    free.refuses(422, "version", "POST", session + "/exchange", results(good, version=2),
+                 Content_Type="application/octet-stream",
+                 Content_Digest=digest(results(good, version=2)))
+    for field in (None, "", digest(b"other"), "md5=:AAAA:", digest(results(good)) + ", a=:b:"):
+        status, _, reply = free.exchange(session, results(good), Content_Digest=field)
+        assert status == 400 and json.loads(reply)["errors"][0]["header"] == "Content-Digest"
+    assert free.exchange(session, results(good), Content_Type="text/x")[0] == 415
+    assert free.exchange(session, results(good) + bytes(9 << 20))[0] == 413
+    for path, status in (("/v1/fleet/sessions/1", 404), ("/v1/fleet/sessions/x", 404),
+                         (session + "0" * 18, 404)):
+        assert free.exchange(path, results(good))[0] == status
+        assert free.orders(path) == status and free.request("DELETE", path)[0] == status
+    # What another holds, what nobody holds, another epoch, too few rows: well formed, and ignored.
+    epoch, number = lease
+    for whose, body in ((other, good), (session, result((epoch, number + 1000), [0.5] * rows)),
+                        (session, result(lease, [0.5] * rows, epoch=epoch - 1)),
+                        (session, result(lease, [0.5] * rows, epoch=epoch + 1))):
+        assert free.exchange(whose, results(body))[0] == 200
+    status = free.status()
+    assert status["leases_done"] == 0 and status["rollouts_done"] == 0
+    assert service.get(f"/v1/campaigns/{job}")["state"] == "running"
+    assert service.get("/v1/designs")["items"] == []
+    assert free.request("GET", "/v1/fleet/controllers/" + "0" * 64)[0] == 404
+    assert free.request("GET", "/v1/fleet/controllers/x")[0] == 404
+
+
+def test_a_result_of_before_a_restart_is_ignored(start, tmp_path):
+    flags = ("--fleet-listen=127.0.0.1:0", "--compute=fleet")
+    service = start(*flags, state=tmp_path / "state")
+    free = Workers(service)
+    session = free.join()
+    service.post("/v1/campaigns", CAMPAIGN)
+    lease, rows = free.take(session)[0]
+    service.stop(signal.SIGKILL)
+    free = Workers(start(*flags, state=tmp_path / "state"))
+    assert free.exchange(session, results(result(lease, [0.5] * rows)))[0] == 404
+    session = free.join()
+    again = until(lambda: free.take(session))
+    assert again[0][0][0] != lease[0]
+    assert free.exchange(session, results(result(lease, [0.5] * rows)))[0] == 200
+    assert free.status()["rollouts_done"] == 0
+
+
+def told(service):
+    """The events of workers; they are stored a little later."""
+    events = service.get("/v1/events?format=json&after=0&limit=1000")["items"]
+    return [one["type"][6:] for one in events if one["type"].startswith("fleet.")]
+
+
+def test_a_session_is_lost_with_its_connection(free):
+    """A worker that dies while it waits for orders is known at once; its leases go to others."""
+    session, other = free.join(name="one"), free.join(name="two")
+    held = free.send(free.connection(), "GET", session + "/orders", Prefer="wait=20")
+    job = free.service.post("/v1/campaigns", CAMPAIGN)["id"]
+    assert free.take(session)
+    held.close()
+    begun = time.monotonic()
+    until(lambda: free.status()["lost"] == 1, every=0.005)
+    assert time.monotonic() - begun < 0.5
+    leases, n_done = free.take(other), 0
+    while leases or free.service.get(f"/v1/jobs/{job}")["state"] != "succeeded":
+        n_done += len(leases)
+        rows = [result(lease, [0.5] * n) for lease, n in leases]
+        leases = read_leases(free.exchange(other, results(*rows), wait=1)[2])
+    assert free.status()["leases_done"] == n_done
+    assert free.orders(session) == 404 and free.exchange(session)[0] == 404
+    assert free.request("DELETE", other)[0] == 204 and free.orders(other) == 404
+    until(lambda: told(free.service) == ["refused", "joined", "joined", "lost", "left"])
+
+
+def test_orders_come_at_once(free):
+    """Drain and quarantine reach a worker that waits; a quarantine holds until it is released."""
+    service = free.service
+    session = free.join()
+    number = session.rsplit("/", 1)[1]
+    begun = time.monotonic()
+    assert free.orders(session, wait=1) == {"state": "active", "dropped": []}
+    assert 0.9 < time.monotonic() - begun < 5
+    for verb, value, state in (("drain", None, "draining"),
+                               ("quarantine", {"why": "it is odd"}, "quarantined")):
+        held = free.send(free.connection(), "GET", session + "/orders", Prefer="wait=20")
+        time.sleep(0.1)
+        begun = time.monotonic()
+        assert service.request("POST", f"{session}/{verb}", value).status == 204
+        assert json.loads(held.getresponse().read())["state"] == state
+        assert time.monotonic() - begun < 1
+        held.close()
+    assert free.exchange(session)[0] == 409
+    refused(free, 409, "quarantine", **free.offer(name="other") | {"name": "node"})
+    (shown, ) = [one for one in free.status()["sessions"] if one["id"] == number]
+    assert (shown["state"], shown["why"]) == ("quarantined", "it is odd")
+    assert free.status()["n_quarantined"] == 1
+    for value in ({"why": ""}, {"why": "x" * 128}, {"what": 1}, []):
+        assert service.request("POST", f"{session}/quarantine", value).status == 422
+    assert service.request("DELETE", "/v1/fleet/quarantine/node").status == 204
+    assert service.request("DELETE", "/v1/fleet/quarantine/node").status == 404
+    assert service.request("POST", "/v1/fleet/sessions/1/drain").status == 404
+    free.join()
+
+
+def test_a_request_waits_for_work(free):
+    session = free.join()
+    begun = time.monotonic()
+    assert free.take(session, wait=1) == []
+    assert 0.9 < time.monotonic() - begun < 5
+    held = free.send(free.connection(), "POST", session + "/exchange", results(), Prefer="wait=20",
+                     Content_Type="application/octet-stream", Content_Digest=digest(results()))
+    time.sleep(0.1)
+    begun = time.monotonic()
+    free.service.post("/v1/campaigns", CAMPAIGN)
+    assert held.getresponse().read()[:8] == b"MOFLEETL" and time.monotonic() - begun < 5
+    held.close()
+    assert free.status()["leases"] >= 1
+
+
+def test_morphoctl_shows_and_changes_workers(free):
+    def ctl(*words):
+        return subprocess.run([CTL, "--server", free.service.addresses[0], *words],
+                              capture_output=True, text=True, timeout=30)
+
+    session = free.join(name="odd one").rsplit("/", 1)[1]
+    gone = free.join(name="gone")
+    free.request("DELETE", gone)
+    shown = ctl("fleet").stdout
+    assert re.search(rf"^{session} +odd one +node\.test +active", shown, re.M)
+    assert "gone" not in shown and re.search(r"gone +node\.test +left", ctl("fleet", "-a").stdout)
+    assert json.loads(ctl("fleet", "--json").stdout)["sessions"] == free.status()["sessions"]
+    assert ctl("fleet", "drain", session).stdout == f"{session} gets no more work\n"
+    assert ctl("fleet", "quarantine", session, "it is odd").returncode == 0
+    assert re.search("quarantined .* it is odd", ctl("fleet").stdout)
+    assert ctl("fleet", "release", "odd one").stdout == "odd one may join again\n"
+    assert ctl("fleet", "release", "odd one").returncode == 3
+    assert ctl("fleet", "drain", "x").returncode == 2 and ctl("fleet", "x").returncode == 2

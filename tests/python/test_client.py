@@ -12,6 +12,7 @@ import pandas
 import pytest
 from morphod.bodies import largest_pieces
 from service import BOOTSTRAP, DESIGN
+from workers import Workers
 
 SHORT = {"n_steps": 20}
 WORLD = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
@@ -370,3 +371,22 @@ def test_jobs_in_order(m):
     with pytest.raises(morphod.ApiError):
         job.refresh()
     assert len(m.campaigns(experiment=label)) == 0
+
+
+def test_fleet(start):
+    """Workers of other machines: what they do, and what is done about them."""
+    workers = Workers(start("--fleet-listen=127.0.0.1:0"))
+    session = workers.join(name="a node").rsplit("/", 1)[1]
+    m = morphod.Client(workers.service.addresses[0])
+    fleet = m.fleet()
+    assert repr(fleet) == "<1 workers with 1 threads and 0 GPUs, 0 rollouts/s>"
+    row = fleet.sessions.iloc[0]
+    assert (row["id"], row["name"], row["state"]) == (session, "a node", "active")
+    assert row["classes_cpu_scores"] == fleet.data["classes"]["cpu"]["scores"]
+    fleet.drain(session)
+    assert fleet.refresh().sessions.iloc[0]["state"] == "draining"
+    fleet.quarantine(session, "for a test")
+    assert fleet.refresh().sessions.iloc[0]["why"] == "for a test"
+    fleet.release("a node")
+    with pytest.raises(morphod.NotFoundError):
+        fleet.release("a node")

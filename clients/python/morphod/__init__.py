@@ -8,10 +8,12 @@
 """
 
 from ._async.client import AsyncClient, AsyncObjective
+from ._async.fleet import AsyncFleet
 from ._async.handles import (AsyncCampaign, AsyncCampaigns, AsyncEvaluation, AsyncJob,
                              AsyncTraining)
 from ._async.studies import AsyncStudy, AsyncStudyObjective
 from ._sync.client import Client, Objective
+from ._sync.fleet import Fleet
 from ._sync.handles import Campaign, Campaigns, Evaluation, Job, Training
 from ._sync.studies import Study, StudyObjective
 from .bodies import WORKSPACE, Body
@@ -29,10 +31,11 @@ __version__ = "0.1.0"
 
 __all__ = [
     "WORKSPACE", "AccessError", "ApiError", "Asked", "AsyncCampaign", "AsyncCampaigns",
-    "AsyncClient", "AsyncEvaluation", "AsyncJob", "AsyncObjective", "AsyncStudy",
+    "AsyncClient", "AsyncEvaluation", "AsyncFleet", "AsyncJob", "AsyncObjective", "AsyncStudy",
     "AsyncStudyObjective", "AsyncTraining", "Batch", "Body", "BodyError", "BusyError", "Campaign",
-    "Campaigns", "Client", "ConflictError", "Controller", "Evaluation", "InvalidError", "Job",
-    "JobError", "LocalClient", "MorphodError", "NotFoundError", "Objective", "Phylogeny", "Player",
-    "Result", "Rollout", "Scene", "Study", "StudyObjective", "Training", "UnreachableError",
-    "WaitError", "local", "read_bodies", "read_safetensors", "write_safetensors",
+    "Campaigns", "Client", "ConflictError", "Controller", "Evaluation", "Fleet", "InvalidError",
+    "Job", "JobError", "LocalClient", "MorphodError", "NotFoundError", "Objective", "Phylogeny",
+    "Player", "Result", "Rollout", "Scene", "Study", "StudyObjective", "Training",
+    "UnreachableError", "WaitError", "local", "read_bodies", "read_safetensors",
+    "write_safetensors",
 ]

@@ -18,6 +18,7 @@ from ..scenes import MEDIA_TYPE, Environments, Scene
 from ..weights import write_safetensors
 from .._wire import WAIT_S, Request, given as _given
 from .connection import AsyncConnection
+from .fleet import AsyncFleet
 from .handles import (AsyncCampaign, AsyncCampaigns, AsyncEvaluation, AsyncTraining, curves,
                       curves_of, player)
 from .studies import AsyncStudy
@@ -379,6 +380,10 @@ class AsyncClient:
         device_seconds; those that used most first."""
         told = await self._connection.json(Request.get("/v1/usage", by=by, limit=1000))
         return frame(told["items"])
+
+    async def fleet(self) -> AsyncFleet:
+        """The workers of other machines."""
+        return await AsyncFleet(self._connection, {}).refresh()
 
     async def export(self, what: str, path: str | os.PathLike[str], *,
                      format: Literal["csv", "ndjson", "newick", "columns"] | None = None,

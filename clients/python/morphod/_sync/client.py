@@ -18,6 +18,7 @@ from ..scenes import MEDIA_TYPE, Environments, Scene
 from ..weights import write_safetensors
 from .._wire import WAIT_S, Request, given as _given
 from .connection import Connection
+from .fleet import Fleet
 from .handles import (Campaign, Campaigns, Evaluation, Training, curves,
                       curves_of, player)
 from .studies import Study
@@ -379,6 +380,10 @@ class Client:
         device_seconds; those that used most first."""
         told = self._connection.json(Request.get("/v1/usage", by=by, limit=1000))
         return frame(told["items"])
+
+    def fleet(self) -> Fleet:
+        """The workers of other machines."""
+        return Fleet(self._connection, {}).refresh()
 
     def export(self, what: str, path: str | os.PathLike[str], *,
                      format: Literal["csv", "ndjson", "newick", "columns"] | None = None,

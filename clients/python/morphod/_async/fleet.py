@@ -1,0 +1,54 @@
+"""Workers of other machines."""
+
+from __future__ import annotations
+
+import urllib.parse
+from typing import TYPE_CHECKING, Any
+
+from ..frames import frame
+from .._wire import Request
+from .connection import AsyncConnection
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class AsyncFleet:
+    """The workers of other machines that compute for the service, as of the last look.
+
+    `data` is what the service told, by the names of the contract: whether workers can join
+    (`listening`), the classes, sums over all workers, and `sessions`.
+    """
+
+    def __init__(self, connection: AsyncConnection, data: dict[str, Any]) -> None:
+        self._connection = connection
+        self.data = data
+
+    def __repr__(self) -> str:
+        told = self.data
+        return (f"<{told['n_sessions']} workers with {told['n_threads']} threads and "
+                f"{told['n_devices']} GPUs, {told['rollouts_per_s']:,.0f} rollouts/s>")
+
+    @property
+    def sessions(self) -> pd.DataFrame:
+        """A table of the workers: open sessions, then the newest that have ended."""
+        return frame(self.data["sessions"])
+
+    async def refresh(self) -> AsyncFleet:
+        """Looks again."""
+        self.data = await self._connection.json(Request.get("/v1/fleet"))
+        return self
+
+    async def drain(self, session: str) -> None:
+        """Gives a worker, by its session's id, no more work: it finishes what it has and leaves."""
+        await self._connection.send(Request.post(f"/v1/fleet/sessions/{session}/drain"))
+
+    async def quarantine(self, session: str, why: str = "by an operator") -> None:
+        """Takes no more results of a worker, and refuses its name until `release`."""
+        await self._connection.send(
+            Request.post(f"/v1/fleet/sessions/{session}/quarantine", {"why": why}))
+
+    async def release(self, name: str) -> None:
+        """Lets a name join again."""
+        path = f"/v1/fleet/quarantine/{urllib.parse.quote(name, safe='')}"
+        await self._connection.send(Request.post(path, method="DELETE"))
