@@ -358,6 +358,8 @@ static inline void fake_check(const struct fake *fake)
       CHECK_INT(held, 1);
       for (uint32_t k = 0; k < i; k++)
         CHECK(lease->holds[k].session != session);
+      for (uint32_t k = 0; k < lease->n_votes; k++)
+        CHECK(lease->votes[k].session != session->id);
     }
   }
   CHECK_INT(blocks, fake->n_taken);

@@ -354,6 +354,14 @@ static void poison(void)
   CHECK(sessions >= 3 && sessions <= 16);
   for (uint32_t i = 0; i < GENOTYPES; i++)
     CHECK_INT(blocks[i]->status, i == 40 ? MO_ERR_EXHAUSTED : MO_OK);
+  /* Submitted again it gets the same patience. */
+  blocks[GENOTYPES] = fake_submit(fake, 40);
+  const uint64_t session = join("w");
+  struct mo_wire_leases leases = exchange(session);
+  CHECK_INT(leases.n, 1);
+  mo_wire_free_leases(&leases);
+  CHECK_OK(mo_fleet_leave(fake->fleet, session, true, fake->now_ns));
+  CHECK_INT(fake->n_waiting, 1);
 }
 
 /* A worker that fails everything rests, and then gets no more; the work is done by another. */
@@ -397,6 +405,30 @@ static void weights(void)
     advance(0.05);
     leases = finish(a, &leases, MO_RESULT_DONE);
   }
+  CHECK_INT(mo_fleet_controller(fake->fleet, &wanted, &bytes, &size), MO_ERR_NOT_FOUND);
+  /* An audit keeps the file, but not the name of the controller, which may be another one now. */
+  join("b");
+  for (uint32_t i = 4; i < 200 && fake->fleet->n_checks == 0; i++) {
+    blocks[i] = fake_submit(fake, i);
+    leases = exchange(a);
+    leases = finish(a, &leases, MO_RESULT_DONE);
+    mo_wire_free_leases(&leases);
+  }
+  CHECK_INT(fake->fleet->n_checks, 1);
+  mo_controller_randomize(fake->controller, 4);
+  blocks[200] = fake_submit(fake, 200);
+  leases = exchange(a);
+  REQUIRE(leases.n == 1);
+  CHECK(!mo_sha256_equal(&wanted, &leases.items[0].controller));
+  REQUIRE_OK(mo_fleet_controller(fake->fleet, &wanted, &bytes, &size));
+  free(bytes);
+  mo_wire_free_leases(&leases);
+  /* It is for another session, and nobody else comes. */
+  advance(20);
+  leases = exchange(a);
+  CHECK(leases.n == 0 && fake->fleet->n_checks == 1);
+  advance(11);
+  CHECK_INT(fake->fleet->n_checks, 0);
   CHECK_INT(mo_fleet_controller(fake->fleet, &wanted, &bytes, &size), MO_ERR_NOT_FOUND);
 }
 

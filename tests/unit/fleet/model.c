@@ -122,8 +122,10 @@ static void add_empty(struct mo_wire_results *results, struct mo_lease_id id,
 static void add_foreign(struct world *world, struct worker *worker, struct mo_wire_results *results)
 {
   const struct worker *other = &world->workers[mo_random_below(&world->random, WORKERS)];
+  const struct mo_wire_lease *own = &worker->jobs[0].lease;
+  const bool has_job = worker->n_jobs > 0;
   struct mo_lease_id ids[] = {
-      {4, 1 + mo_random_below(&world->random, 1000)},
+      {4, has_job ? own->id.number : 1},
       {5, UINT64_MAX},
       worker->n_old > 0 ? worker->old[mo_random_below(&world->random, worker->n_old)]
                         : (struct mo_lease_id){5, 0},
@@ -133,7 +135,7 @@ static void add_foreign(struct world *world, struct worker *worker, struct mo_wi
   for (uint32_t i = 0; i < worker->n_jobs; i++)
     if (memcmp(&worker->jobs[i].lease.id, &id, sizeof(id)) == 0)
       return; /* a lease may come to the same worker twice, or be held by two */
-  results->items[results->n++] = result_of(id, 3);
+  results->items[results->n++] = result_of(id, has_job ? own->n_rows : 3);
 }
 
 static bool holds(struct mo_fleet *fleet, const struct worker *worker, uint64_t number)
