@@ -108,7 +108,7 @@ static bool take_block(struct slot *slot, int status)
   if (status != MO_OK && lease->error == MO_OK) {
     lease->error = status;
     lease->state = ENDING;
-    lease->cancel = 1;
+    __atomic_store_n(&lease->cancel, 1, __ATOMIC_RELAXED);
   }
   if (status == MO_OK)
     holding->rows_done += slot->block.n_environments;
@@ -240,7 +240,7 @@ static void end(struct lease *lease, bool is_dropped)
   lease->is_dropped |= is_dropped;
   lease->is_given_back = !is_dropped;
   lease->state = ENDING;
-  lease->cancel = 1;
+  __atomic_store_n(&lease->cancel, 1, __ATOMIC_RELAXED);
 }
 
 void mo_holding_miss_weights(struct mo_holding *holding, const struct mo_sha256 *hash)

@@ -112,7 +112,7 @@ static void read_workspace(struct mo_json *json, struct mo_workspace *workspace)
     mo_json_fault(json, "must be three sides of at most %d voxels", 64 * MO_WIRE_WORDS_MAX);
 }
 
-int mo_protocol_get_session(const char *text, size_t size, struct mo_session *session,
+int mo_protocol_get_session(const char *text, size_t size, struct mo_worker_session *session,
                             struct mo_message *message)
 {
   struct reading *reading = begin(text, size);
@@ -121,7 +121,7 @@ int mo_protocol_get_session(const char *text, size_t size, struct mo_session *se
   if (reading == NULL)
     return MO_ERR_NO_MEMORY;
   struct mo_json *json = &reading->json;
-  *session = (struct mo_session){0};
+  *session = (struct mo_worker_session){0};
   if (mo_json_object(json))
     while (mo_json_member(json, &key)) {
       if (mo_json_is(key, "session"))

@@ -10,7 +10,7 @@
 /* Writes the request that opens a session. */
 void mo_protocol_put_offer(const struct mo_fleet_offer *offer, struct mo_text *text);
 
-struct mo_session {
+struct mo_worker_session {
   char id[24]; /* digits */
   struct mo_workspace workspace;
   uint32_t silence_ms; /* the daemon gives up a session that is silent for longer */
@@ -18,7 +18,7 @@ struct mo_session {
 };
 /* These two read what the daemon says, a text that ends with NUL. MO_ERR_FORMAT; MO_ERR_NO_MEMORY.
  */
-int mo_protocol_get_session(const char *text, size_t size, struct mo_session *session,
+int mo_protocol_get_session(const char *text, size_t size, struct mo_worker_session *session,
                             struct mo_message *message);
 int mo_protocol_get_orders(const char *text, size_t size, struct mo_fleet_orders *orders,
                            struct mo_message *message);

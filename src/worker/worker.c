@@ -36,7 +36,7 @@ struct mo_worker {
   struct mo_worker_config config;
   struct mo_link *link;
   struct mo_holding *holding;
-  struct mo_session session;
+  struct mo_worker_session session;
   enum mo_worker_end end;
   struct mo_message why;
   int64_t joined_ms, leased_ms; /* leased: when it last held a lease */
