@@ -10,7 +10,7 @@ import time
 import pytest
 
 from contract import SOURCE
-from fleet_daemon import DONE, GIVEN_BACK, PASSIVE, FakeDaemon, Lease, Worker, message
+from fleet_daemon import DONE, GIVEN_BACK, PASSIVE, FakeDaemon, Lease, Proxy, Worker, message
 from service import BINARY
 
 DESIGNS = [json.loads((SOURCE / "data/designs" / f"{name}.json").read_text())
@@ -303,6 +303,11 @@ def test_only_the_expected_daemon_gets_the_token(launch, known, certificate, tmp
         daemon.give(lease(known, n))
         daemon.until(lambda n=n: daemon.done((1, n)))
         assert seen[n] == "Bearer " + token.read_text().strip() and worker.stop()[0] == 0
+    proxy = launch(Proxy)
+    launch(Worker, daemon.url, *flags, f"--pin={pin}", f"--proxy={proxy.url}")
+    daemon.give(lease(known, 2))
+    daemon.until(lambda: daemon.done((1, 2)))
+    assert set(proxy.asked) == {f"127.0.0.1:{daemon.port}"} and len(proxy.asked) <= 3
 
 
 def test_wrong_configurations(launch, tmp_path):
