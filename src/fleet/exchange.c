@@ -122,7 +122,7 @@ int mo_fleet_controller(struct mo_fleet *fleet, const struct mo_sha256 *hash, ui
     *size = weights->size;
   }
   pthread_mutex_lock(&fleet->mutex);
-  mo_weights_release(weights);
+  mo_weights_release(fleet, weights);
   pthread_mutex_unlock(&fleet->mutex);
   return copy != NULL ? MO_OK : MO_ERR_NO_MEMORY;
 }

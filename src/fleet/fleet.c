@@ -60,6 +60,8 @@ void mo_fleet_free(struct mo_fleet *fleet)
   while ((lease = TAILQ_FIRST(&fleet->leases)) != NULL)
     mo_lease_end(fleet, lease, &after);
   mo_after_run(fleet, &after);
+  while (!LIST_EMPTY(&fleet->weights))
+    mo_weights_forget(LIST_FIRST(&fleet->weights));
   free_sessions(&fleet->sessions);
   free_sessions(&fleet->ended);
   mo_suspects_free(fleet->suspects);

@@ -179,7 +179,7 @@ static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back
     lease->is_only = is_only;
     return lease;
   }
-  mo_weights_release(*weights);
+  mo_weights_release(fleet, *weights);
   if (taken == NULL)
     return NULL;
   mo_content_free(&content);

@@ -183,7 +183,7 @@ static void free_lease(struct mo_fleet *fleet, struct mo_lease *lease)
     free(lease->votes[i].losses);
     free(lease->votes[i].diverged_steps);
   }
-  mo_weights_release(lease->weights);
+  mo_weights_release(fleet, lease->weights);
   mo_content_free(&lease->content);
   free(lease);
 }

@@ -1,13 +1,18 @@
 /* weights.h: the files of the controllers of leases, which workers ask for by their hashes. A file
- * is made once while leases of its controller are out. */
+ * is made once while leases of its controller are out, and some are kept longer: between two
+ * generations of a campaign nothing may be out. */
 #ifndef MORPHO_FLEET_WEIGHTS_H
 #define MORPHO_FLEET_WEIGHTS_H
 
 #include "fleet/state.h"
 
+#define MO_WEIGHTS_UNUSED 4 /* kept */
+
 struct mo_weights {
   const struct mo_compute_controller *prepared; /* NULL: no blocks of it are taken any more */
   struct mo_sha256 hash;
+  enum mo_sensor sensor;
+  struct mo_workspace workspace;
   uint8_t *bytes;
   size_t size;
   uint32_t n_users, n_parcels; /* leases and readers; of the leases, those with a parcel */
@@ -16,7 +21,6 @@ struct mo_weights {
 
 /* Makes the file; 10 ms. Without the lock. MO_ERR_NO_MEMORY. */
 int mo_weights_create(const struct mo_taken *taken, struct mo_weights **weights);
-void mo_weights_free(struct mo_weights *weights);
 
 /* Locked. find: the weights of taken blocks, NULL: not made yet. add: puts new weights into the
  * table, or frees them if they are there already, and returns those of the table. of: by hash,
@@ -26,6 +30,7 @@ struct mo_weights *mo_weights_add(struct mo_fleet *fleet, struct mo_weights *wei
 struct mo_weights *mo_weights_of(struct mo_fleet *fleet, const struct mo_sha256 *hash);
 /* Locked. Ends of a parcel and of a use; weights NULL: nothing to do. */
 void mo_weights_end_parcel(struct mo_weights *weights);
-void mo_weights_release(struct mo_weights *weights);
+void mo_weights_release(struct mo_fleet *fleet, struct mo_weights *weights);
+void mo_weights_forget(struct mo_weights *weights); /* frees unused weights */
 
 #endif
