@@ -13,7 +13,7 @@
 #include "jobs/scoring.h"
 #include "store/runner.h"
 
-#define MO_ROLLOUT_BUCKETS 4096
+#define MO_ROLLOUT_BUCKETS 131072
 
 struct mo_active {
   struct mo_evaluations *all;
