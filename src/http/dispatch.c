@@ -91,7 +91,11 @@ static bool admitted(struct mo_request *request)
   /* A unix socket has no name, so Host may be empty. Other hosts are checked even here: the socket
    * may be forwarded to a port that web pages can reach. */
   bool hosted = request->target.authority != NULL || (host != NULL && (host_size > 0 || !is_unix));
-  if (hosted && !mo_guard_host(host, host_size, is_unix, &http->names)) {
+  /* Workers name the service as their cluster does. No page of a rebound name has their token. */
+  const bool is_proven =
+      http->config.token_if_any &&
+      mo_tokens_check(&http->tokens, framing->authorization, &request->caller) == 1;
+  if (hosted && !is_proven && !mo_guard_host(host, host_size, is_unix, &http->names)) {
     refusal.header = "Host";
     refusal.detail = "the Host field names a host that this service does not serve";
   } else if (framing->origin != NULL &&

@@ -52,8 +52,8 @@ struct mo_http_config {
   size_t n_allowed_hosts;
   const struct mo_token *tokens; /* at most MO_TOKENS_MAX; see mo_http_set_tokens */
   size_t n_tokens;
-  bool token_on_loopback;   /* require a token on loopback, too */
-  bool token_if_any;        /* require one there as soon as there is one */
+  bool token_on_loopback; /* require a token on loopback, too */
+  bool token_if_any; /* require one there as soon as there is one; with it, any Host is right */
   const char *certificate;  /* NULL: plain HTTP. Else TLS 1.3: the chain, as text in PEM */
   const char *key;          /* its private key, as text in PEM; both are read at the start only */
   const gid_t *unix_groups; /* groups whose members may use the unix socket, besides root and the

@@ -84,7 +84,11 @@ def test_tokens_open_one_server_each(fleet, tokens):
     fleet.token = TOKENS["worker"]
     session = fleet.join()
     assert fleet.status()["sessions"][0]["user"] == "node"
+    # Workers may name the service as they like; without a token nobody may.
+    fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami", Host="daemon.cluster:8766")
+    fleet.token = None
     fleet.refuses(403, "Host field", "GET", "/healthz", Host="elsewhere.example")
+    fleet.token = TOKENS["worker"]
     worker = {"Authorization": "Bearer " + TOKENS["worker"]}
     assert service.request("GET", "/v1/whoami", headers=worker).status == 401
     assert service.get("/v1/whoami")["right"] == "admin"
@@ -100,6 +104,7 @@ def test_tokens_open_one_server_each(fleet, tokens):
 
 def test_loopback_needs_no_token_where_there_is_none(start, tokens):
     fleet = Workers(start("--fleet-listen=127.0.0.1:0"))
+    fleet.refuses(403, "Host field", "GET", "/v1/whoami", Host="elsewhere.example")
     fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami")
     # As soon as there is one of a worker, it is needed.
     write_tokens(tokens, ada=("admin", TOKENS["admin"]))
