@@ -1,7 +1,7 @@
 #!/usr/bin/python3
-"""Measures what idle workers cost: a morphod of its own holds sessions that wait for work, each with
-a request for orders and one for leases. How long does /healthz take meanwhile, how much of a core
-does the daemon use, and does the number of its descriptors stay the same?"""
+"""Measures what idle workers cost: a morphod of its own holds sessions that wait for work, each
+with a request for orders and one for leases. How long does /healthz take meanwhile, how much of a
+core does the daemon use, and does the number of its descriptors stay the same?"""
 import argparse
 import asyncio
 import json

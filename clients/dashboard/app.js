@@ -12,6 +12,7 @@ const VIEWS = {
   designs: { name: 'Designs', module: './views/designs.js' },
   editor: { name: 'Editor', module: './views/editor.js' },
   stage: { name: 'Stage', module: './views/stage.js' },
+  machines: { name: 'Machines', module: './views/machines.js' },
 };
 
 /** Loads a view and all that it imports at once; the page has the list. */

@@ -4,18 +4,21 @@ import json
 import os
 import statistics
 import subprocess
+import time
 
 import pytest
 
+from browser import Browser
 from contract import SOURCE
 from service import DESIGN, await_end, run
+from workers import Workers
 
 VIEWS = {
     "": "Overview", "campaigns": "Campaigns", "campaigns/{campaign}": "<b>walkers</b> & others",
     "campaigns/{campaign}/phylogeny": "Phylogeny", "campaigns/{study}": "a study",
     "campaigns/{study}/phylogeny": "Phylogeny", "trainings": "Trainings",
     "trainings/{training}": "Training {training}", "designs": "Designs", "editor": "Editor",
-    "stage": "Stage"
+    "stage": "Stage", "machines": "Machines"
 }
 
 
@@ -463,6 +466,39 @@ STATES = {  # what a page says where there is nothing, or not what the address n
     "stage?controller=nobody&designs=88" + "0" * 34: 'there is no controller "nobody"',
     "nowhere": "There is no such page"
 }
+
+
+def test_machines_are_shown_and_changed(start):
+    """Who computes, what was lost, and what an operator does about a worker."""
+    workers = Workers(start("--fleet-listen=127.0.0.1:0"))
+    service = workers.service
+    names = ["<b>one</b>", "two", "gone"]
+    sessions = [workers.join(name=name) for name in names]
+    workers.request("DELETE", sessions[2])
+    page = Browser(service)
+    try:
+        page.open("machines")
+        rows = """return [...document.querySelectorAll('[aria-label="%s"] tbody tr')]
+                  .map((row) => row.innerText.replace(/\\s+/g, ' '))"""
+        at_work = page.run(rows % "At work")
+        assert [name in row for name, row in zip(["this machine", *names], at_work)] == 3 * [True]
+        assert "gone node.test" in page.run(rows % "Gone")[0]
+        assert page.faults() == [] and page.run(ACCESSIBILITY) == []
+        page.run("""document.querySelector('[aria-label="Drain two"]').click()""")
+        page.until("document.querySelector('.state.paused')")
+        assert workers.orders(sessions[1])["state"] == "draining"
+        page.run("""document.querySelector('[aria-label="Quarantine two"]').click()""")
+        page.until("document.querySelector('[role=alertdialog]')")
+        page.run("document.querySelector('[role=alertdialog] .danger').click()")
+        page.until("""document.querySelector('[aria-label="Release two"]')""")
+        assert service.get("/v1/fleet")["n_quarantined"] == 1
+        page.run("""document.querySelector('[aria-label="Release two"]').click()""")
+        deadline = time.monotonic() + 10
+        while service.get("/v1/fleet")["n_quarantined"] and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert workers.join(name="two")
+    finally:
+        page.quit()
 
 
 def test_empty_and_wrong_places(start, browser):

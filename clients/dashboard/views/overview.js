@@ -180,6 +180,7 @@ function rateOf(job) {
 
 /** A link to the job of an event; its kind is in the event, or in the name of its type. */
 function linkTo({ type, job, data }) {
+  if (type.startsWith('fleet.')) return h('a', { href: '#/machines' }, data.name ?? 'machines');
   if (!job) return '';
   const kind = data.kind ?? type.split('.')[0];
   const known = ['evaluation', 'training', 'campaign'].includes(kind);
@@ -190,5 +191,6 @@ function detailOf({ type, data }) {
   if (type === 'campaign.generation') return `generation ${data.generation}: best ${number(data.best)}`;
   if (type === 'training.validation') return `step ${data.step}: ${number(data.mean_score)}`;
   if (type === 'controller.stored') return data.name ?? '';
+  if (type.startsWith('fleet.')) return data.why ?? data.class ?? data.host ?? '';
   return data.state ?? '';
 }

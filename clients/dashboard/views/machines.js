@@ -1,0 +1,141 @@
+/** Machines: who computes what, since when, how fast, and what was lost. */
+
+import { ApiError, getJson, post, request } from '../lib/api.js';
+import { announce, button, fill, h } from '../lib/dom.js';
+import { coalesced } from '../lib/events.js';
+import { ago, count, countOf, duration, number } from '../lib/format.js';
+import { may } from '../lib/rights.js';
+import { confirmDialog, copyButton } from './share.js';
+
+const REFRESH_MS = 2000;
+/** The colors of states, as jobs have them. */
+const COLORS = { active: 'running', draining: 'paused', quarantined: 'failed', left: 'succeeded', lost: 'failed' };
+
+export async function mount(main, path, parameters, app) {
+  const stop = new AbortController();
+  const get = (url) => getJson(url, { signal: stop.signal });
+  const tiles = h('section.tiles', { 'aria-label': 'All machines' });
+  const machines = h('tbody');
+  const ended = h('tbody');
+  const note = h('p.muted');
+  const heads = ['Machine', 'State', 'Computes with', 'Rollouts a second', 'Done', 'Now', 'Lost', 'Since', ''];
+  const endedPanel = h('section.panel.stack', { 'aria-label': 'Gone' }, h('h2', {}, 'Gone'),
+    table(['Machine', 'State', 'Done', 'Lost', 'Worked for', 'Ended'], ended));
+
+  main.replaceChildren(
+    h('div.title', {}, h('h1', {}, 'Machines'), h('div.actions', {}, copyButton(() => ({
+      path: 'v1/fleet', morphoctl: 'fleet', python: 'print(m.fleet().sessions)',
+    })))),
+    tiles, note,
+    h('section.panel.stack', { 'aria-label': 'At work' }, h('h2', {}, 'At work'), table(heads, machines)), endedPanel);
+
+  function table(names, body) {
+    return h('div.scroll', {}, h('table.cards', {}, h('thead', {}, h('tr', {}, names.map((name) =>
+      h(/second|Done|Lost|Now/.test(name) ? 'th.right' : 'th', { scope: 'col' }, name)))), body));
+  }
+
+  function tile(name, value, words) {
+    return h('div.panel.tile', {}, h('div.muted', {}, name), h('div.value', {}, value), h('div.muted', {}, words));
+  }
+
+  const nameOf = (session) => h('td.main', {}, session.name,
+    h('div.muted', {}, session.host === session.name ? session.version : `${session.host}, ${session.version}`));
+  const stateOf = (session) => h('td', {}, h(`span.state.${COLORS[session.state]}`, {}, session.state),
+    session.why && session.state !== 'left' ? h('div.muted', {}, session.why) : null);
+  const powerOf = (threads, devices) => [threads ? countOf(threads, 'thread') : '', devices ? countOf(devices, 'GPU') : '']
+    .filter(Boolean).join(', ');
+  const numberCell = (name, text) => h('td.right', { 'data-name': name }, text);
+
+  /** This machine, which computes beside the others. */
+  function ownRow(threads, devices, fleet) {
+    const only = fleet.compute === 'fleet';
+    return h('tr', {}, h('td.main', {}, 'this machine', h('div.muted', {}, only ? 'what workers cannot compute' : 'the service itself')),
+      h('td', {}, h('span.state.running', {}, threads.n_busy ? 'computing' : 'idle')),
+      h('td', {}, powerOf(threads.n_threads, devices.items.length)),
+      numberCell('Rollouts a second', '–'), numberCell('Done', count(threads.rollouts_done)),
+      numberCell('Now', countOf(threads.n_busy, 'block')), numberCell('Lost', '–'), h('td'), h('td'));
+  }
+
+  function row(session) {
+    return h('tr', {}, nameOf(session), stateOf(session), h('td', {}, powerOf(session.n_threads, session.n_devices)),
+      numberCell('Rollouts a second', number(session.rollouts_per_s)), numberCell('Done', count(session.rollouts_done)),
+      numberCell('Now', session.leases ? `${countOf(session.leases, 'lease')}, ${count(session.rollouts_out)}` : 'idle'),
+      numberCell('Lost', count(session.leases_lost)), h('td', { title: session.joined_at }, ago(session.joined_at)), h('td', {}, changes(session)));
+  }
+
+  function endedRow(session) {
+    const seconds = (Date.parse(session.ended_at) - Date.parse(session.joined_at)) / 1000;
+    return h('tr', {}, nameOf(session), stateOf(session), numberCell('Done', count(session.rollouts_done)),
+      numberCell('Lost', count(session.leases_lost)), h('td', {}, duration(seconds)), h('td', {}, ago(session.ended_at)));
+  }
+
+  /** Does something about a worker, and says what the service says against it. */
+  async function act(send, done) {
+    try {
+      await send();
+      announce(done);
+    } catch (error) {
+      announce(error instanceof ApiError ? error.message : String(error));
+    }
+    refresh();
+  }
+
+  function changes(session) {
+    if (!may('admin')) return null;
+    const at = `v1/fleet/sessions/${session.id}`;
+    if (session.state === 'quarantined') {
+      return button('Release', () => act(() => request(`v1/fleet/quarantine/${encodeURIComponent(session.name)}`, { method: 'DELETE' }),
+        `${session.name} may join again`), { 'aria-label': `Release ${session.name}` });
+    }
+    return h('div.row', {}, session.state === 'active' ? button('Drain', () => act(() => post(`${at}/drain`), `${session.name} gets no more work`),
+      { 'aria-label': `Drain ${session.name}`, title: 'It finishes what it has, and leaves' }) : null,
+    button('Quarantine', async () => {
+      if (await confirmDialog(`Take no more results of ${session.name}?`,
+        'Others compute what it has. Workers of this name cannot join until the name is released.', 'Quarantine')) {
+        act(() => post(`${at}/quarantine`, {}), `${session.name} is in quarantine`);
+      }
+    }, { 'aria-label': `Quarantine ${session.name}` }));
+  }
+
+  function show(fleet, threads, devices) {
+    const open = fleet.sessions.filter((session) => !session.ended_at)
+      .sort((a, b) => a.state.localeCompare(b.state) || a.name.localeCompare(b.name));
+    const gone = fleet.sessions.filter((session) => session.ended_at);
+    fill(tiles,
+      tile('Workers', count(fleet.n_sessions), powerOf(fleet.n_threads, fleet.n_devices) || 'of other machines'),
+      tile('Rollouts a second', number(fleet.rollouts_per_s), `${count(fleet.rollouts_out)} are out`),
+      tile('Computed elsewhere', count(fleet.rollouts_done), 'rollouts since the start'),
+      tile('Lost', count(fleet.lost), `of ${countOf(fleet.joined, 'session')}; ${countOf(fleet.leases_again, 'lease')} given out again`),
+      tile('Compared', count(fleet.audits), fleet.audits_failed ? `${count(fleet.audits_failed)} with other bits`
+        : fleet.audits ? 'leases, all with the same bits' : 'leases that two workers compute'));
+    note.textContent = fleet.listening
+      ? Object.values(fleet.classes).filter(Boolean).map((one) => `${one.scores}: ${countOf(one.sessions, 'worker')}`).join('; ')
+      : 'Only this machine computes. With the setting fleet_listen, workers of other machines can join (morphod worker).';
+    fill(machines, ownRow(threads, devices, fleet), open.map(row));
+    fill(ended, gone.slice(0, 50).map(endedRow));
+    endedPanel.hidden = gone.length === 0;
+  }
+
+  let busy = null;
+  function refresh() {
+    busy ??= Promise.all([get('v1/fleet'), get('v1/threads'), get('v1/devices')]).then((all) => show(...all))
+      .finally(() => { busy = null; });
+    return busy;
+  }
+
+  const later = coalesced(refresh, stop.signal);
+  await refresh();
+  const timer = setInterval(() => {
+    // Buttons are made anew: one that has the focus would lose it.
+    if (!document.hidden && !machines.contains(document.activeElement)) refresh().catch(() => {});
+  }, REFRESH_MS);
+  return {
+    update(event) {
+      if (event.type === 'reset' || event.type.startsWith('fleet.')) later();
+    },
+    unmount() {
+      clearInterval(timer);
+      stop.abort();
+    },
+  };
+}
