@@ -56,8 +56,8 @@ class Lease:
         self.rows = sum(len(chosen) for _, chosen in blocks)
 
     def encode(self):
-        head = LEASE.pack(*self.id, int(self.on_device), len(self.environments), len(self.blocks), self.rows,
-                          self.controller, *physics_numbers(self.physics))
+        head = LEASE.pack(*self.id, int(self.on_device), len(self.environments), len(self.blocks),
+                          self.rows, self.controller, *physics_numbers(self.physics))
         worlds = b"".join(struct.pack("<66d", *numbers) for numbers in self.environments)
         return head + worlds + b"".join(
             genotype_bytes(text) + struct.pack(f"<B{len(chosen)}H", len(chosen), *chosen)
