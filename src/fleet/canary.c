@@ -1,12 +1,16 @@
 /* canary.c: frozen rollouts whose losses have the same bits wherever a class is computed. A machine
- * with other bits is refused before it computes anything that counts. */
+ * with other bits is refused before it computes anything that counts.
+ *
+ * Half of the bodies live by the usual physics. The others fall from high on slippery ground, so
+ * that masses leave their cells of the terrain: the reference, not the kernels, computes such
+ * moves. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "fleet/fleet.h"
 
 #define SEED   UINT64_C(0x6d6f72706866)
-#define BODIES 4
+#define BODIES 8
 
 struct canary {
   struct mo_lattice *lattice;
@@ -20,6 +24,20 @@ struct canary {
 static void nothing(struct mo_block *block, void *context)
 {
   (void)block, (void)context;
+}
+
+static struct mo_physics physics_of(uint32_t body)
+{
+  struct mo_physics physics = mo_default_physics();
+  if (body < BODIES / 2)
+    return physics;
+  physics.n_steps = 500;
+  physics.gravity_m_per_s2 = 30;
+  physics.drag_per_s = 1;
+  physics.friction = 0.1;
+  physics.drop_height_m = 1;
+  physics.impact = body % 2 == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+  return physics;
 }
 
 static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_back_end back_end)
@@ -40,7 +58,7 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
                                .genotype = canary->genotypes[b],
                                .controller = canary->prepared,
                                .n_environments = MO_BLOCK_LANES,
-                               .physics = mo_default_physics(),
+                               .physics = physics_of(b),
                                .precision = MO_FLOAT32,
                                .urgency = MO_INTERACTIVE, /* remote takers get none */
                                .back_end = back_end,
