@@ -75,7 +75,7 @@ int run_fleet_launch(struct ctl *ctl)
   static const char *const names[] = {"fleet slurm", "fleet systemd", "fleet kubernetes"};
   enum engine engine = SLURM;
   int64_t number;
-  while (strcmp(ctl->command->name, names[engine]) != 0)
+  while (engine < KUBERNETES && strcmp(ctl->command->name, names[engine]) != 0)
     engine++;
   if (!option_number(ctl, "workers", 1, 100000, &number) ||
       !option_number(ctl, "cpus", 1, 1024, &number))

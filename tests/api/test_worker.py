@@ -3,7 +3,9 @@
 
 import hashlib
 import json
+import os
 import pathlib
+import re
 import subprocess
 import time
 
@@ -16,6 +18,7 @@ from service import BINARY
 DESIGNS = [json.loads((SOURCE / "data/designs" / f"{name}.json").read_text())
            for name in ("voxel", "table", "wheel", "crawler")]
 N_STEPS = 200
+LIAR = os.environ.get("MORPHO_LIAR")
 MODULE = pathlib.Path(BINARY).parents[2] / "tests" / "device" / "fake-device.so"
 
 
@@ -227,6 +230,17 @@ def test_a_refusal_ends_the_worker_with_its_reason(daemon, launch, end, reply, s
     daemon.answers[end] = lambda handler: handler.problem(reply, "version 9.9 is wanted")
     worker = launch(Worker, daemon.url)
     assert worker.ends() == status and f"{reply}: version 9.9 is wanted" in worker.log_text()
+
+
+@pytest.mark.skipif(LIAR is None, reason="MORPHO_LIAR names no program with other arithmetic")
+def test_a_worker_with_other_arithmetic_is_refused(launch, start):
+    service = start("--fleet-listen=127.0.0.1:0")
+    kind = service.get("/v1/fleet")["classes"]["cpu"]["scores"]
+    if "avx512" not in kind:
+        pytest.skip(f"fused operations have the same bits in {kind}")
+    worker = launch(Worker, service.addresses[-1], binary=LIAR)
+    assert worker.ends(60) == 76 and len(re.findall("[0-9a-f]{64}", worker.log_text())) >= 1
+    assert service.get("/v1/fleet")["joined"] == 0
 
 
 @pytest.mark.parametrize("reply", [429, 500, 503])

@@ -1,0 +1,104 @@
+"""The shipped file on a real Slurm: its workers compute a campaign for a daemon while a node
+crashes, jobs are cancelled, and a time limit comes. The campaign is that of one machine alone."""
+
+import os
+import re
+import subprocess
+import time
+
+import cluster
+from service import BINARY, SOURCE, run, until
+
+CTL = os.environ.get("MORPHOCTL", str(SOURCE / "build/clients/morphoctl/morphoctl"))
+TOKENS = {"admin": "a-token-that-may-everything-here", "worker": "a-token-of-a-worker-and-no-more"}
+CAMPAIGN = {"mode": "zero-shot", "population": 24, "generations": 100, "seed": 5,
+            "physics": {"n_steps": 300}}
+
+
+def rows_of(service, campaign):
+    """What a campaign found, without how long it took."""
+    lists = [service.pages(f"/v1/campaigns/{campaign}/{what}")
+             for what in ("generations", "population")]
+    return [{name: value for name, value in row.items() if name != "seconds"}
+            for rows in lists for row in rows]
+
+
+def a_daemon(start, folder, *flags):
+    """A daemon that is reached from the nodes, and what a user types to start workers for it."""
+    files = [str(folder / name) for name in ("fleet.pem", "fleet.key", "tokens", "token")]
+    subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt",
+                    "ec_paramgen_curve:prime256v1", "-nodes", "-days", "1", "-subj", "/CN=lab",
+                    "-out", files[0], "-keyout", files[1]], check=True, capture_output=True)
+    pin = subprocess.run(f"openssl x509 -in {files[0]} -pubkey -noout | openssl pkey -pubin "
+                         "-outform der | openssl dgst -sha256 -binary | base64", shell=True,
+                         check=True, capture_output=True, text=True).stdout.strip()
+    for path, lines in ((files[2], TOKENS.items()), (files[3], [("worker", TOKENS["worker"])])):
+        with open(path, "w", opener=lambda p, f: os.open(p, f, 0o600)) as file:
+            file.writelines(f"{right} {right} {token}\n" for right, token in lines)
+    service = start(f"--fleet-listen={cluster.ADDRESS}:0", f"--fleet-certificate={files[0]}",
+                    f"--fleet-key={files[1]}", f"--token-file={files[2]}", "--compute=fleet",
+                    *flags, token=TOKENS["admin"])
+    return service, [CTL, "fleet", "slurm", f"--fleet={service.addresses[-1]}",
+                     f"--pin=sha256//{pin}", f"--worker-token-file={files[3]}", "--cpus=2"]
+
+
+def sessions(service):
+    """Names of the hosts that compute."""
+    return sorted(session["host"] for session in service.get("/v1/fleet")["sessions"]
+                  if session["ended_at"] is None)
+
+
+def test_a_campaign_survives_what_slurm_does(slurm, start, tmp_path):
+    alone = start("--workers=2")
+    expected = rows_of(alone, run(alone, "campaigns", CAMPAIGN, 600)["id"])
+    alone.close()
+    service, command = a_daemon(start, tmp_path)
+    (slurm.base / "morphod").symlink_to(BINARY)
+    slurm.environment["PATH"] = f"{slurm.base}:{slurm.environment['PATH']}"
+    campaign = service.post("/v1/campaigns", CAMPAIGN)["id"]
+
+    def submit(*options):
+        made = subprocess.run([*command, *options], check=True, capture_output=True, text=True)
+        script = slurm.base / "workers.sbatch"
+        script.write_text(made.stdout)
+        return re.search(r"\d+$", slurm.slurm("sbatch", str(script)))[0]
+
+    def generation():
+        return service.get(f"/v1/campaigns/{campaign}")["progress"]["generation"] or 0
+
+    def goes_on(generations=2):
+        begin = generation()
+        until(lambda: generation() >= begin + generations, 60)
+
+    first = submit("--workers=2")
+    until(lambda: sessions(service) == ["n1", "n2"], 20)
+    goes_on()
+    # A node vanishes: its leases go to the other one after 6 s of silence. Slurm notices later.
+    slurm.crash("n1")
+    began = time.monotonic()
+    until(lambda: sessions(service) == ["n2"], 20)
+    assert time.monotonic() - began < 7.5
+    goes_on()
+    # scancel: the worker leaves in order, which costs no silence.
+    slurm.slurm("scancel", first)
+    began = time.monotonic()
+    until(lambda: sessions(service) == [], 20)
+    assert time.monotonic() - began < 3
+    # A job that reaches its limit of two minutes has left before it, as done.
+    slurm.revive("n1")
+    slurm.until(lambda: slurm.states() == ["idle", "idle"])
+    short = submit("--workers=1", "--time=2")
+    until(lambda: sessions(service) != [], 20)
+    goes_on()
+    assert service.act(campaign, "pause").status in (200, 202)
+    until(lambda: sessions(service) == [], 130)
+    slurm.until(lambda: f"JobId={short}" not in slurm.jobs("RUNNING"))
+    assert f"JobId={short}" in slurm.jobs("COMPLETED")
+    assert service.act(campaign, "resume").status in (200, 202)
+    # A further array finishes the campaign, and leaves when there is no more work.
+    last = submit("--workers=2", "--idle=2s")
+    until(lambda: service.get(f"/v1/campaigns/{campaign}")["state"] == "succeeded", 600)
+    slurm.until(lambda: f"ArrayJobId={last}" not in slurm.jobs("RUNNING"))
+    assert rows_of(service, campaign) == expected
+    status = service.get("/v1/fleet")
+    assert (status["lost"], status["audits_failed"]) == (1, 0)
