@@ -11,20 +11,10 @@ import time
 import pytest
 import requests
 from daemon import MORPHOD, Daemon, bodies, stored_scores
+from surroundings import fill
 
 PHYSICS = {"n_steps": 100}
 FULL = (503, 507)  # statuses
-
-
-def fill(path):
-    """Takes all room but nothing of what is there; returns the file that does."""
-    filler = pathlib.Path(path) / "filler"
-    with open(filler, "ab", buffering=0) as file:
-        for size in (65536, 512):
-            with contextlib.suppress(OSError):
-                while True:
-                    file.write(bytes(size))
-    return filler
 
 
 def rows_of(daemon, job):

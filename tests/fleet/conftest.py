@@ -1,0 +1,27 @@
+"""Options and fixtures of the tests of a fleet: those of the crash tests, and workers."""
+import os
+import pathlib
+import sys
+
+import pytest
+
+for folder_of in (pathlib.Path(__file__).parent, pathlib.Path(__file__).parents[1] / "crash"):
+    sys.path.insert(0, os.fspath(folder_of))
+
+from machines import Worker  # noqa: E402
+from surroundings import (  # noqa: E402, F401
+    daemon, folder, pytest_addoption, pytest_report_header, seed, small_disk, soak)
+
+
+@pytest.fixture
+def worker(folder):  # noqa: F811
+    """worker(address, name, …) starts one; all are gone at the end."""
+    started = []
+
+    def start(*arguments, **how):
+        started.append(Worker(folder, *arguments, **how))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.close()

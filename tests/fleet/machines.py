@@ -1,0 +1,51 @@
+"""Workers as processes, on this machine or on one of a network of their own."""
+import os
+import pathlib
+import signal
+import subprocess
+
+from daemon import ENDED, MORPHOD
+
+
+class Worker:
+    def __init__(self, folder, address, name, *flags, binary=MORPHOD, before=()):
+        """before: a command that runs it."""
+        self.name = name
+        self.log = pathlib.Path(folder) / f"worker-{name}.log"
+        inherited = {k: v for k, v in os.environ.items() if not k.startswith(("MORPHOD", "SLURM"))}
+        command = [*before, str(binary), "worker", f"--server={address}", f"--name={name}",
+                   "--threads=1", "--devices=none", *flags]
+        with open(self.log, "ab") as log:
+            self.process = subprocess.Popen(command, stdout=log, stderr=log, env=inherited)
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+
+    def stop(self):
+        """SIGTERM; the exit status."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(30)
+
+    def ended(self, timeout_s=60):
+        """The exit status of one that ends by itself, and its log."""
+        status = self.process.wait(timeout_s)
+        return status, self.log.read_text(errors="replace")
+
+    def close(self):
+        if self.process.poll() is None:
+            self.kill()
+
+
+def fleet_address(daemon):
+    """Of the workers' server: the last line of the port file."""
+    return daemon.port_file.read_text().split()[-1]
+
+
+def generation(daemon, job):
+    """The newest generation of a campaign; one more than all of them when it has ended."""
+    now = daemon.json(f"/v1/campaigns/{job}")
+    done = now["progress"]["generation"]
+    return now["settings"]["generations"] + 1 if now["state"] in ENDED else \
+        -1 if done is None else done
+

@@ -1,0 +1,39 @@
+"""Campaigns whose scores other machines compute end with the same designs, scores, phylogeny,
+populations and controller, bit for bit, while workers come and go."""
+import pytest
+from campaigns import MODES, history, request, rollouts, undisturbed
+from machines import fleet_address, generation
+
+NUMBERS = (1, 7, 2, 1)  # of workers, one after the other
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_same_bits(daemon, worker, seed, mode):
+    is_quick = mode == "zero-shot"  # it does not learn
+    value = request(mode, seed, 8 if is_quick else 4)
+    value |= {"population": 32, "physics": {"n_steps": 300 if is_quick else 80}}
+    expected, needed, _ = undisturbed(daemon, "alone", value)
+    last = value["generations"]
+    with daemon("remote", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
+        workers, names = [], 0
+        job = one.submit(value, "campaigns")
+        for phase, n in enumerate(NUMBERS):
+            for leaving in workers[n:]:
+                assert leaving.stop() == 0
+            workers = workers[:n]
+            while len(workers) < n:
+                names += 1
+                workers.append(worker(fleet_address(one), f"node-{names}"))
+            one.until(lambda n=n: one.json("/v1/fleet")["n_sessions"] == n)
+            one.until(lambda least=last * phase // len(NUMBERS): generation(one, job) >= least, 120)
+        one.succeed(job, "campaigns")
+        result = history(one, job)
+        for part, what in expected.items():
+            assert result[part] == what, f"{part} differ from those of one daemon"
+        assert rollouts(one) == needed
+        status = one.json("/v1/fleet")
+        # All were computed by workers, none was taken twice.
+        assert status["rollouts_done"] == needed
+        assert status["lost"] == 0 and status["audits_failed"] == 0
+        assert sum(session["rollouts_done"] > 0 for session in status["sessions"]) > 2
+        one.end()
