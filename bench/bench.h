@@ -25,6 +25,7 @@ int bench_space(int argc, char **argv);
 int bench_store(int argc, char **argv);
 int bench_stream(int argc, char **argv);
 int bench_evolution(int argc, char **argv);
+int bench_fleet_model(int argc, char **argv);
 
 /* Everything that rollouts need; ends the program with a message if it cannot be had. */
 struct bench_scene {

@@ -35,14 +35,12 @@ static const struct {
   const char *name;
   int (*run)(const struct bench_options *options);
   int (*run_with)(int argc, char **argv); /* in its place: takes what follows its name */
-} benchmarks[] = {{"rollout", bench_rollout, NULL},
-                  {"gradient", bench_gradient, NULL},
-                  {"gradient-accuracy", bench_gradient_accuracy, NULL},
-                  {"accuracy", bench_accuracy, NULL},
-                  {"stability", bench_stability, NULL},
-                  {"space", NULL, bench_space},
-                  {"store", NULL, bench_store},
-                  {"stream", NULL, bench_stream}};
+} benchmarks[] = {
+    {"rollout", bench_rollout, NULL},   {"fleet-model", NULL, bench_fleet_model},
+    {"gradient", bench_gradient, NULL}, {"gradient-accuracy", bench_gradient_accuracy, NULL},
+    {"accuracy", bench_accuracy, NULL}, {"stability", bench_stability, NULL},
+    {"space", NULL, bench_space},       {"store", NULL, bench_store},
+    {"stream", NULL, bench_stream}};
 
 int main(int argc, char **argv)
 {
