@@ -77,7 +77,7 @@ void mo_check_fit(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t max_s
 
 bool mo_check_suits(const struct mo_lease *lease, const struct mo_session *session, uint64_t now_ns)
 {
-  const bool is_choosy = now_ns - lease->listed_ns < CHOOSY_NS;
+  const bool is_choosy = now_ns < lease->listed_ns + CHOOSY_NS;
   for (uint32_t i = 0; i < lease->n_votes; i++) {
     const struct mo_vote *vote = &lease->votes[i];
     if (vote->session == session->id)

@@ -104,7 +104,7 @@ static void note_refusal(struct mo_fleet *fleet, const struct mo_fleet_offer *of
                          uint64_t now_ns, const struct mo_message *why, struct mo_after *after)
 {
   struct mo_text text = {0};
-  if (fleet->refused_ns != 0 && now_ns - fleet->refused_ns < REFUSED_NS)
+  if (fleet->refused_ns != 0 && now_ns < fleet->refused_ns + REFUSED_NS)
     return;
   fleet->refused_ns = now_ns;
   mo_text_object(&text);

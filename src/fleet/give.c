@@ -83,7 +83,7 @@ static bool fits(const struct mo_fleet *fleet, const struct mo_lease *lease,
 {
   const struct size size = size_of(fleet, session, lease->content.back_end);
   return lease->steps <= GROWTH * size.most ||
-         (lease->is_listed && now_ns - lease->listed_ns > PATIENCE_NS);
+         (lease->is_listed && now_ns > lease->listed_ns + PATIENCE_NS);
 }
 
 static struct mo_lease *find_listed(struct mo_fleet *fleet, const struct mo_session *session,

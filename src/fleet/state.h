@@ -2,7 +2,8 @@
  *
  * One mutex guards all of it. What must be called without it (the source, wake, event) is collected
  * in a struct mo_after while the mutex is held, and done by mo_after_run later. "Locked" in a
- * comment: call it with the mutex held.
+ * comment: call it with the mutex held. A thread reads the clock before it has the mutex, so that
+ * `now_ns` may be older than a time that is stored here.
  *
  * A lease is work while it has its parcel: the blocks, which are delivered or put back once. When
  * they were delivered it may live on as a check, until its rows are compared: votes[0] are the rows

@@ -72,7 +72,7 @@ static void check_leases(struct mo_fleet *fleet, uint64_t now_ns, struct mo_afte
       mo_lease_end(fleet, lease, after);
     } else if (check_holds(fleet, lease, now_ns, after) && lease->parcel == NULL &&
                lease->is_listed &&
-               now_ns - lease->listed_ns > (lease->is_disputed ? DISPUTED_NS : STALE_NS)) {
+               now_ns > lease->listed_ns + (lease->is_disputed ? DISPUTED_NS : STALE_NS)) {
       mo_lease_end(fleet, lease, after);
     }
   }
@@ -105,7 +105,7 @@ static struct mo_lease *take_disputed(struct mo_fleet *fleet, uint64_t now_ns)
   for (uint32_t b = 0; b < 2 && fleet->config.source.recompute != NULL; b++) {
     TAILQ_FOREACH(lease, &fleet->classes[b].listed, listed)
     {
-      if (!lease->is_disputed || now_ns - lease->listed_ns < ALONE_NS)
+      if (!lease->is_disputed || now_ns < lease->listed_ns + ALONE_NS)
         continue;
       mo_lease_unlist(fleet, lease);
       lease->is_deciding = true;
