@@ -208,9 +208,10 @@ void mo_api_post_exchange(struct mo_request *request)
   struct mo_fleet *fleet = mo_path_session(request, &session);
   if (fleet == NULL || !read_wait(request) || (!request->wait_over && !check_results(request)))
     return;
-  if (request->wait_over && (mo_connection_has_left(request->connection) ||
-                             !mo_http_is_ready(request->http))) { /* no lease for nobody */
-    mo_reply_error(request, MO_ERR_CANCELLED, "session");
+  /* No lease for nobody, and none of a daemon that ends. */
+  const bool has_left = mo_connection_has_left(request->connection);
+  if (request->wait_over && (has_left || !mo_http_is_ready(request->http))) {
+    mo_reply_error(request, has_left ? MO_ERR_NOT_FOUND : MO_ERR_CANCELLED, "session");
     return;
   }
   const bool may_wait = begin_wait(request, session);

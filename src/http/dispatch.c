@@ -91,10 +91,15 @@ static bool admitted(struct mo_request *request)
   /* A unix socket has no name, so Host may be empty. Other hosts are checked even here: the socket
    * may be forwarded to a port that web pages can reach. */
   bool hosted = request->target.authority != NULL || (host != NULL && (host_size > 0 || !is_unix));
-  /* Workers name the service as their cluster does. No page of a rebound name has their token. */
-  const bool is_proven =
-      http->config.token_if_any &&
-      mo_tokens_check(&http->tokens, framing->authorization, &request->caller) == 1;
+  const struct mo_route *route = request->route;
+  const bool is_open =
+      (route != NULL && (route->flags & MO_ROUTE_OPEN)) || request->method == MO_OPTIONS;
+  /* Workers name the service as their cluster does. No page of a rebound name has their token, and
+   * a wrong one is refused below. */
+  const int known = http->config.token_if_any
+                        ? mo_tokens_check(&http->tokens, framing->authorization, &request->caller)
+                        : -1;
+  const bool is_proven = known == 1 || (known == 0 && !is_open);
   if (hosted && !is_proven && !mo_guard_host(host, host_size, is_unix, &http->names)) {
     refusal.header = "Host";
     refusal.detail = "the Host field names a host that this service does not serve";
@@ -102,7 +107,7 @@ static bool admitted(struct mo_request *request)
              !mo_guard_origin(framing->origin, framing->host, &http->names)) {
     refusal.header = "Origin";
     refusal.detail = "pages of this origin may not use the service";
-  } else if (request->route != NULL && strncmp(request->route->path, "/v1/", 4) == 0 &&
+  } else if (route != NULL && strncmp(route->path, "/v1/", 4) == 0 &&
              !mo_guard_fetch_site(framing->fetch_site)) {
     refusal.header = "Sec-Fetch-Site";
     refusal.detail = "pages of other sites may not use the service";
@@ -111,8 +116,7 @@ static bool admitted(struct mo_request *request)
     refuse(request, &refusal);
     return false;
   }
-  const struct mo_route *route = request->route;
-  if (route != NULL && ((route->flags & MO_ROUTE_OPEN) || request->method == MO_OPTIONS))
+  if (route != NULL && is_open)
     return true;
   /* Who needs no token may do everything. Who sends one has its name and its right. */
   request->caller.right = MO_RIGHT_ADMIN;

@@ -25,8 +25,8 @@ int mo_store_event(struct mo_store *store, const char *type, const char *data)
   int error =
       type_size < sizeof(event->type) && data_size < sizeof(event->data) ? MO_OK : MO_ERR_LIMIT;
   if (error == MO_OK) {
-    memcpy(event->type, type, type_size);
-    memcpy(event->data, data, data_size);
+    memcpy(event->type, type, type_size + 1);
+    memcpy(event->data, data, data_size + 1);
     error = mo_write_later(store, add, event, free_event);
   }
   if (error != MO_OK)

@@ -87,6 +87,7 @@ def test_tokens_open_one_server_each(fleet, tokens):
     # Workers may name the service as they like; without a token nobody may.
     fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami", Host="daemon.cluster:8766")
     fleet.token = None
+    fleet.refuses(401, "bearer token", "GET", "/v1/whoami", Host="daemon.cluster:8766")
     fleet.refuses(403, "Host field", "GET", "/healthz", Host="elsewhere.example")
     fleet.token = TOKENS["worker"]
     worker = {"Authorization": "Bearer " + TOKENS["worker"]}
