@@ -55,8 +55,8 @@ int mo_fleet_create(const struct mo_fleet_config *config, struct mo_fleet **flee
 void mo_fleet_free(struct mo_fleet *fleet);
 
 /* ---- canary: frozen lives, whose losses have the same bits in one class ---- */
-/* Computes the canary of a class by the workers or the devices of a back end: 0.1 to 0.3 s.
- * MO_ERR_DEVICE, MO_ERR_NO_MEMORY. */
+/* Computes the canary of a class by the workers or the devices of a back end: half a second of one
+ * processor. MO_ERR_DEVICE, MO_ERR_NO_MEMORY. */
 int mo_fleet_canary(struct mo_compute *compute, enum mo_back_end back_end, struct mo_sha256 *hash);
 
 /* ---- sessions ---- */

@@ -11,7 +11,8 @@
 #include "worker/weights.h"
 
 #define SLOTS_PER_WORKER 2
-#define SLOTS_OF_DEVICES 16384 /* about two chunks */
+#define RESULT_ROWS_MAX  (5 * MO_WIRE_ROWS_MAX) /* of a message: 8 MB, which the daemon accepts */
+#define SLOTS_OF_DEVICES 16384                  /* about two chunks */
 
 enum lease_state {
   WAITING, /* for weights */
@@ -305,17 +306,22 @@ static void make_result(struct lease *lease, struct mo_wire_result *result)
 
 void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results *results)
 {
+  uint32_t rows = 0;
   *results = (struct mo_wire_results){0};
   pthread_mutex_lock(&holding->mutex);
   for (struct lease **at = &holding->leases; *at != NULL;) {
     struct lease *lease = *at;
-    if (!has_ended(lease) || (!lease->is_dropped && results->n == MO_WIRE_RESULTS_MAX)) {
+    if (!has_ended(lease) ||
+        (!lease->is_dropped &&
+         (results->n == MO_WIRE_RESULTS_MAX || rows + lease->wire.n_rows > RESULT_ROWS_MAX))) {
       at = &lease->next;
       continue;
     }
     *at = lease->next;
-    if (!lease->is_dropped)
-      make_result(lease, &results->items[results->n++]);
+    if (!lease->is_dropped) {
+      make_result(lease, &results->items[results->n]);
+      rows += results->items[results->n++].n_rows;
+    }
     holding->leases_done += !lease->is_dropped && !lease->is_given_back && lease->error == MO_OK;
     free_lease(holding, lease);
   }
