@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-for folder_of in (pathlib.Path(__file__).parent, pathlib.Path(__file__).parents[1] / "crash"):
-    sys.path.insert(0, os.fspath(folder_of))
+TESTS = pathlib.Path(__file__).parents[1]
+sys.path[:0] = [os.fspath(TESTS / name) for name in ("fleet", "crash", "api")]
 
 from machines import Worker  # noqa: E402
 from surroundings import (  # noqa: E402, F401

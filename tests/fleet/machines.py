@@ -49,3 +49,9 @@ def generation(daemon, job):
     return now["settings"]["generations"] + 1 if now["state"] in ENDED else \
         -1 if done is None else done
 
+
+
+def events(daemon, *kinds):
+    """Those of a kind, oldest first."""
+    items = daemon.json("/v1/events?format=json&after=0&limit=1000")["items"]
+    return [one for one in items if one["type"] in kinds]

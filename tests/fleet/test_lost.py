@@ -1,0 +1,89 @@
+"""How soon the leases of a worker that is gone are with another."""
+import contextlib
+import datetime
+import http.client
+import signal
+import threading
+import time
+import types
+
+import pytest
+from machines import events, fleet_address
+from workers import Workers
+
+# Three bodies, half a second or more each: two leases for a worker, one for the witness.
+VALUE = {"mode": "zero-shot", "population": 3, "generations": 1, "physics": {"n_steps": 10000},
+         "exclude_pretraining": False}
+SILENCE_S = 6
+
+
+class Witness(threading.Thread):
+    """A session that waits for a lease and notes when it comes. It gives signs of life."""
+
+    def __init__(self, daemon):
+        super().__init__(daemon=True)
+        service = types.SimpleNamespace(addresses=[fleet_address(daemon)], get=daemon.json)
+        self.fleet = Workers(service)
+        self.session = self.fleet.join(name="witness")
+        self.first = self.moment = None
+
+    def take(self):
+        """Its first lease; the thread waits for the next."""
+        self.first = self.fleet.take(self.session, wait=20)
+        assert len(self.first) == 1
+        self.start()
+
+    def run(self):
+        threading.Thread(target=self.live, daemon=True).start()
+        while self.moment is None:
+            if self.fleet.take(self.session, wait=20):
+                self.moment = time.monotonic()
+
+    def live(self):
+        with contextlib.suppress(OSError, http.client.HTTPException):  # the daemon ends
+            while self.moment is None:
+                self.fleet.orders(self.session, wait=1)
+
+
+@pytest.fixture
+def scene(daemon, worker):
+    """A daemon, a worker that was stopped with two leases, and a session that waits for them."""
+    one = daemon("one", workers=1, compute="fleet", fleet_listen="127.0.0.1:0").start()
+    victim = worker(fleet_address(one), "victim")
+    one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 1)
+    time.sleep(0.3)  # it waits for leases
+    one.submit(VALUE, "campaigns")
+    held = one.until(lambda: one.json("/v1/fleet")["leases"], every_s=0.002)
+    victim.process.send_signal(signal.SIGSTOP)
+    stopped = time.monotonic()
+    assert held == 2
+    witness = Witness(one)
+    witness.take()
+    time.sleep(0.1)
+    assert witness.moment is None
+    return one, victim, witness, stopped
+
+
+def test_of_a_dead_worker(scene):
+    one, victim, witness, _ = scene
+    killed = time.monotonic()
+    victim.process.kill()
+    one.until(lambda: witness.moment is not None, 20, every_s=0.001)
+    took = witness.moment - killed
+    print(f"leases of a dead worker: {1000 * took:.1f} ms")
+    assert took < 0.05
+    one.until(lambda: events(one, "fleet.lost"))
+
+
+def test_of_a_silent_worker(scene):
+    one, _, witness, stopped = scene
+    one.until(lambda: one.json("/v1/fleet")["lost"] == 1, 20)
+    one.until(lambda: witness.moment is not None, 20, every_s=0.001)
+    (session, ) = [s for s in one.json("/v1/fleet")["sessions"] if s["name"] == "victim"]
+    assert session["state"] == "lost" and session["why"] == "it was silent"
+    last, ended = (datetime.datetime.fromisoformat(session[name].replace("Z", "+00:00"))
+                   for name in ("heard_at", "ended_at"))
+    silent_s = (ended - last).total_seconds()
+    print(f"silent for {silent_s:.2f} s, its lease after {witness.moment - stopped:.2f} s")
+    assert SILENCE_S <= silent_s < SILENCE_S + 0.5
+    assert witness.moment - stopped < SILENCE_S + 0.5
