@@ -131,7 +131,6 @@ static void count(struct mo_fleet *fleet, uint64_t id, bool has_failed)
 
 static void describe(struct mo_text *text, const struct mo_vote *vote, uint32_t row)
 {
-  mo_text_next(text);
   mo_text_object(text);
   mo_text_member(text, "name", vote->name);
   mo_text_member(text, "host", vote->host);

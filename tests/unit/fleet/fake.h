@@ -3,6 +3,8 @@
 #ifndef MORPHO_TESTS_FLEET_FAKE_H
 #define MORPHO_TESTS_FLEET_FAKE_H
 
+#include <jansson.h>
+
 #include "../make.h"
 
 #include "fleet/state.h"
@@ -204,6 +206,9 @@ static inline void fake_event(void *context, const char *type, const char *data)
   struct fake *fake = context;
   fake->n_events++;
   snprintf(fake->event, sizeof(fake->event), "%s", type);
+  json_t *json = json_loads(data, 0, NULL);
+  CHECK(json_is_object(json));
+  json_decref(json);
   snprintf(fake->data, sizeof(fake->data), "%s", data);
 }
 
