@@ -272,6 +272,12 @@ SERVICE_CASE(refuses_nan, 1)
   fake_plan.poison = true;
   struct mo_job job = end_of(submit_one(MO_SIMULTANEOUS));
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "not a number") != NULL);
+  /* Nor does a design that no worker survives end a campaign as if there were no more children. */
+  fake_plan.poison = false;
+  fake_plan.fail_status = MO_ERR_EXHAUSTED;
+  fake_plan.fail_times = 1000;
+  job = end_of(submit_one(MO_ZERO_SHOT));
+  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "the design ") != NULL);
 }
 
 /* Damages what a generation has learned at its end. */
