@@ -170,6 +170,8 @@ struct mo_gradient_batch {
   int64_t tag;
   struct mo_compute_share *share; /* as in a block */
   enum mo_back_end back_end;
+  double weight;    /* of each robot's gradient; 0: 1 / n */
+  bool is_arranged; /* on the CPU: the robots already have the order of mo_gradient_arrange */
   /* Results. */
   enum mo_back_end computed_on;
   double *d_parameters; /* (n_parameters) the gradient of the mean loss over all n robots; those
@@ -178,15 +180,17 @@ struct mo_gradient_batch {
   struct mo_gradient_counts counts;
 };
 #define MO_GRADIENT_BATCH_MAX 65536
+#define MO_GRADIENT_SHARD     1024
 
 /* Computes the gradient of a batch and waits for it; for a thread that may block. The batch is cut
  * into blocks of MO_GRADIENT_ROBOTS, in the order of mo_gradient_arrange. Results are added in
- * float64: blocks in order within shards of 1024 robots, then the shards in order. The bits are
- * thus the same for any number of workers. Urgent scoring blocks can interrupt a gradient block.
+ * float64: blocks in order within shards of MO_GRADIENT_SHARD robots, then the shards in order. The
+ * bits are thus the same for any number of workers. Urgent scoring blocks can interrupt a gradient
+ * block. Remote takers compute whole shards, see below.
  *
- * `state` keeps what lasts between calls: a pack, at most two float32 gradients per worker, and the
- * sum of a shard. Create one state per training. It serves one call at a time, which must have
- * returned before mo_compute_free.
+ * `state` keeps what lasts between calls: a pack, and at most two float32 gradients per worker.
+ * Create one state per training. It serves one call at a time, which must have returned before
+ * mo_compute_free.
  *
  * MO_ERR_RANGE (n, a bound below 0, a weight outside its range), MO_ERR_INVALID (missing or not
  * finite, unknown rule, a body of another workspace, physics or an environment that fails its
@@ -217,29 +221,34 @@ const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute);
 
 /* Blocks that a remote taker took together: batch blocks in float32 that record nothing and bring
  * no body, all of one share, one controller and one physics. The submitters still own the blocks.
- */
+ * Or one shard of a gradient on the CPU: of a batch that has a share, is not urgent, and names its
+ * genotypes. */
 struct mo_taken {
   enum mo_back_end back_end;
-  uint32_t n_blocks, n_rows;                    /* a row is one rollout */
-  struct mo_block *const *blocks;               /* (n_blocks) */
-  const struct mo_controller *controller;       /* of all blocks; NULL: passive bodies */
-  const struct mo_compute_controller *prepared; /* the same; identifies it while blocks are taken */
+  uint32_t n_blocks, n_rows;              /* a row is one rollout; a shard counts as one block */
+  struct mo_block *const *blocks;         /* (n_blocks) */
+  const struct mo_gradient_batch *shard;  /* NULL: blocks; its robots are arranged */
+  const struct mo_controller *controller; /* of all blocks; NULL: passive bodies */
+  const void *identity;                   /* of the controller, while anything of it is taken */
   /* Private to the back end behind this. */
 };
-/* Results of blocks that were taken. */
+/* Results of blocks that were taken, or of a shard. */
 struct mo_remote_result {
-  int status;               /* MO_OK, or an error for all blocks */
-  const double *losses;     /* (n_rows) in the order of blocks and environments; with MO_OK */
-  const uint32_t *diverged; /* (n_rows) steps of divergence; 0: none */
-  int64_t origin;           /* who computed it, by the taker's own numbers; > 0 */
-  double busy_s;            /* worker seconds, charged to the share */
+  int status;                 /* MO_OK, or an error for all blocks */
+  const double *losses;       /* (n_rows) in the order of blocks and environments; with MO_OK */
+  const uint32_t *diverged;   /* (n_rows) steps of divergence; 0: none */
+  int64_t origin;             /* who computed it, by the taker's own numbers; > 0 */
+  double busy_s;              /* worker seconds, charged to the share */
+  const double *d_parameters; /* of a shard: (n_parameters) its sum */
+  struct mo_gradient_counts counts;
 };
-/* Takes at least one block, and more while their rollout steps stay within max_steps. Does not
- * wait. NULL: no block suits, or out of memory. Each taken is either put back or delivered, once,
- * before mo_compute_free. */
+/* Takes at least one block, and more while their rollout steps stay within max_steps; or a shard,
+ * whatever its size. Does not wait. NULL: no block suits, or out of memory. Each taken is either
+ * put back or delivered, once, before mo_compute_free. */
 struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end back_end,
                                  uint64_t max_steps);
-/* Puts the blocks back at the front of their share, charges nothing, and frees `taken`. */
+/* Puts the blocks back at the front of their share, charges nothing, and frees `taken`. A shard
+ * that came back three times, or was delivered with an error, is computed by the workers. */
 void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *taken);
 /* Cuts off the second half of the blocks as another taken. NULL: it has one block, or out of
  * memory. */

@@ -95,10 +95,11 @@ int mo_gradient_reference(const struct mo_body *body, const struct mo_controller
 #define MO_GRADIENT_ROBOTS        32                  /* most robots of one block */
 #define MO_GRADIENT_DEFAULT_BYTES ((size_t)384 << 20) /* budget of one worker's scratch */
 
-/* One robot of a batch; both pointers are borrowed. */
+/* One robot of a batch; its pointers are borrowed. */
 struct mo_robot {
   const struct mo_body *body;
   const struct mo_environment *environment;
+  const uint64_t *genotype; /* placed, of the body; NULL: only this machine can compute it */
 };
 
 /* Same as mo_pack_create with MO_FLOAT32, for rollouts and gradients. */

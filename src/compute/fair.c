@@ -75,40 +75,76 @@ static uint64_t remote_steps_of(const struct mo_block *block)
   return mo_block_suits_remote(block) ? (uint64_t)mo_fair_units(block) : 0;
 }
 
-void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block)
+/* Limits what a share without waiting blocks has gained. */
+static void join(const struct mo_fair *fair, struct mo_compute_share *share)
 {
   const double least_s = fair->virtual_s - fair->credit_s / share->weight;
   if (share->queue.first == NULL && share->virtual_s < least_s)
     share->virtual_s = least_s;
+}
+
+void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block)
+{
+  join(fair, share);
   mo_queue_push(&share->queue, block);
   atomic_fetch_add(&fair->waiting, 1);
   atomic_fetch_add(&fair->remote_steps, remote_steps_of(block));
 }
 
-/* Takes and charges the first block of the charge's share, which must have one waiting. */
-static struct mo_block *take_first(struct mo_fair *fair, struct mo_fair_charge *charge)
+static void add_charge(struct mo_fair_charge *charge, double units)
 {
   struct mo_compute_share *share = charge->share;
-  struct mo_block *block = mo_queue_pop(&share->queue);
-  const double units = mo_fair_units(block), estimate_s = units * share->unit_s[charge->kind];
-  atomic_fetch_sub(&fair->waiting, 1);
-  atomic_fetch_sub(&fair->remote_steps, remote_steps_of(block));
-  charge->n_blocks++;
+  const double estimate_s = units * share->unit_s[charge->kind];
   charge->units += units;
   charge->estimate_s += estimate_s;
   share->virtual_s += estimate_s / share->weight;
+}
+
+/* Lets a share be next: the queue's virtual time does not stay behind it. */
+static struct mo_fair_charge start_charge(struct mo_fair *fair, struct mo_compute_share *share,
+                                          enum mo_fair_kind kind)
+{
+  if (fair->virtual_s < share->virtual_s)
+    fair->virtual_s = share->virtual_s;
+  return (struct mo_fair_charge){.share = share, .kind = kind};
+}
+
+void mo_fair_charge_gradient(struct mo_fair *fair, struct mo_compute_share *share, double units,
+                             struct mo_fair_charge *charge)
+{
+  join(fair, share);
+  *charge = start_charge(fair, share, MO_FAIR_GRADIENT);
+  add_charge(charge, units);
+}
+
+/* Takes and charges the first block of the charge's share, which must have one waiting. */
+static struct mo_block *take_first(struct mo_fair *fair, struct mo_fair_charge *charge)
+{
+  struct mo_block *block = mo_queue_pop(&charge->share->queue);
+  atomic_fetch_sub(&fair->waiting, 1);
+  atomic_fetch_sub(&fair->remote_steps, remote_steps_of(block));
+  charge->n_blocks++;
+  add_charge(charge, mo_fair_units(block));
   return block;
 }
 
-struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge,
-                              bool (*fits)(const struct mo_block *block, void *context),
-                              void *context)
+struct mo_compute_share *mo_fair_next(const struct mo_fair *fair,
+                                      bool (*fits)(const struct mo_block *block, void *context),
+                                      void *context)
 {
   struct mo_compute_share *next = NULL;
   for (struct mo_compute_share *share = fair->shares; share != NULL; share = share->next)
     if (share->queue.first != NULL && (next == NULL || share->virtual_s < next->virtual_s) &&
         (fits == NULL || fits(share->queue.first, context)))
       next = share;
+  return next;
+}
+
+struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge,
+                              bool (*fits)(const struct mo_block *block, void *context),
+                              void *context)
+{
+  struct mo_compute_share *next = mo_fair_next(fair, fits, context);
   return next != NULL ? mo_fair_take_from(fair, next, charge) : NULL;
 }
 
@@ -117,12 +153,9 @@ struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share
 {
   if (share->queue.first == NULL)
     return NULL;
-  if (fair->virtual_s < share->virtual_s)
-    fair->virtual_s = share->virtual_s;
   const bool is_gradient =
       share->queue.first->gradient != NULL || share->queue.first->shards != NULL;
-  *charge = (struct mo_fair_charge){.share = share,
-                                    .kind = is_gradient ? MO_FAIR_GRADIENT : MO_FAIR_SCORING};
+  *charge = start_charge(fair, share, is_gradient ? MO_FAIR_GRADIENT : MO_FAIR_SCORING);
   return take_first(fair, charge);
 }
 

@@ -101,6 +101,13 @@ void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, do
 
 /* Call these under the mutex. */
 void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block);
+/* Returns the share that is next, among the shares whose first block fits; NULL: none. */
+struct mo_compute_share *mo_fair_next(const struct mo_fair *fair,
+                                      bool (*fits)(const struct mo_block *block, void *context),
+                                      void *context);
+/* Charges a share for a gradient of so many rollout steps that has no block in the queue. */
+void mo_fair_charge_gradient(struct mo_fair *fair, struct mo_compute_share *share, double units,
+                             struct mo_fair_charge *charge);
 /* Takes the first block of the share that is next, among the shares whose first block fits. fits
  * NULL: any does. NULL: no such block waits. */
 struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge,

@@ -5,20 +5,22 @@
  * waits for the sum, and memory does not grow with the batch.
  *
  * Sums are float64: 32 consecutive blocks make the sum of a shard, and the shards' sums make that
- * of the batch, so that a shard computed elsewhere can be passed as one sum instead of 32
- * gradients. The bits depend only on the batch. */
+ * of the batch. So a shard that a remote taker computed is one sum instead of 32 gradients; it is
+ * kept until those before it are added. The bits depend only on the batch. */
 #include "compute/devices.h"
+#include "compute/shards.h"
 
 #include <stdlib.h>
 #include <string.h>
 
 #include "base/memory.h"
 
-enum { BLOCKS_PER_WORKER = 2, SHARD_BLOCKS = MO_DEVICE_SHARD / MO_GRADIENT_ROBOTS };
+enum { BLOCKS_PER_WORKER = 2 };
 
 struct slot {
   struct mo_gradient_task task;
   struct mo_waiter waiter;
+  uint32_t shard, first; /* of its robots, the first in the shard */
 };
 
 /* Memory that grows to what the calls need. */
@@ -31,12 +33,23 @@ struct mo_gradient_state {
   struct mo_compute *compute;
   struct mo_pack *pack;
   uint32_t n_slots;
-  struct slot *slots;       /* (n_slots); block b of a batch is in slot b mod n_slots */
-  struct room d_parameters; /* float: of each slot in use */
-  struct room shard;        /* double (n_parameters): of batches of more than one shard */
-  struct room order;        /* uint32_t (n) */
+  struct slot *slots;                     /* (n_slots); used in turn */
+  struct room d_parameters;               /* float: of each slot in use */
+  struct room order;                      /* uint32_t (n) */
   struct mo_device_gradients *on_devices; /* NULL: there are none */
-  atomic_bool stop;                       /* the call failed: running blocks may end */
+};
+
+/* A call, as the thread that made it sees it. */
+struct call {
+  struct mo_gradient_state *state;
+  struct mo_gradient_batch *batch;
+  struct mo_offer offer;
+  int status;
+  uint32_t n_submitted, n_gathered; /* blocks */
+  int shard;                        /* whose blocks are submitted; below 0: none */
+  uint32_t first;                   /* robot in it of the next block */
+  struct mo_shard_result *sum;      /* of the shard whose blocks are gathered */
+  uint32_t n_added;                 /* shards */
 };
 
 int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_state **ret)
@@ -65,7 +78,6 @@ void mo_gradient_state_free(struct mo_gradient_state *state)
   mo_pack_free(state->pack);
   mo_device_gradients_free(state->on_devices);
   free(state->d_parameters.at);
-  free(state->shard.at);
   free(state->order.at);
   free(state->slots);
   free(state);
@@ -75,7 +87,7 @@ void mo_gradient_state_free(struct mo_gradient_state *state)
 static struct mo_gradient_options options_of(const struct mo_gradient_batch *batch)
 {
   return (struct mo_gradient_options){.adjoint_bound = batch->adjoint_bound,
-                                      .weight = 1.0 / batch->n,
+                                      .weight = batch->weight != 0 ? batch->weight : 1.0 / batch->n,
                                       .adjoint_rule = batch->adjoint_rule,
                                       .restart_weight = batch->restart_weight};
 }
@@ -134,70 +146,123 @@ static size_t stride_of(const struct mo_gradient_batch *batch)
   return (batch->controller->n_parameters + line - 1) / line * line;
 }
 
-static int prepare(struct mo_gradient_state *state, const struct mo_gradient_batch *batch,
-                   uint32_t n_blocks)
+static int prepare(struct mo_gradient_state *state, const struct mo_gradient_batch *batch)
 {
+  const uint32_t n_blocks = (batch->n + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS;
   const size_t n_slots = n_blocks < state->n_slots ? n_blocks : state->n_slots;
-  const size_t n_sums = n_blocks > SHARD_BLOCKS ? batch->controller->n_parameters : 0;
   if (!reserve(&state->d_parameters, n_slots * stride_of(batch) * sizeof(float)) ||
-      !reserve(&state->shard, n_sums * sizeof(double)) ||
       !reserve(&state->order, batch->n * sizeof(uint32_t)))
     return MO_ERR_NO_MEMORY;
+  uint32_t *order = state->order.at;
+  for (uint32_t i = 0; i < batch->n; i++)
+    order[i] = i;
   const int status = prepare_pack(state, batch->controller);
-  return status == MO_OK ? mo_gradient_arrange(batch->robots, batch->n, state->order.at) : status;
+  return status == MO_OK && !batch->is_arranged
+             ? mo_gradient_arrange(batch->robots, batch->n, order)
+             : status;
 }
 
-static int submit(struct mo_gradient_state *state, const struct mo_gradient_batch *batch,
-                  uint32_t number)
+/* ---- blocks ---- */
+
+/* Claims the next shard when the last one is submitted, or was computed elsewhere. */
+static bool has_block(struct call *call)
 {
-  struct slot *slot = state->slots + number % state->n_slots;
+  const struct mo_shard *items = call->offer.items;
+  while (call->shard < 0 || call->first >= items[call->shard].part.n ||
+         atomic_load(&items[call->shard].stop)) {
+    call->shard = mo_offer_claim(&call->offer);
+    call->first = 0;
+    if (call->shard < 0)
+      return false;
+  }
+  return true;
+}
+
+static int submit(struct call *call)
+{
+  struct mo_gradient_state *state = call->state;
+  struct mo_shard *shard = &call->offer.items[call->shard];
+  const struct mo_gradient_batch *part = &shard->part;
+  const uint32_t place = call->n_submitted % state->n_slots, left = part->n - call->first;
+  struct slot *slot = &state->slots[place];
   struct mo_gradient_task *task = &slot->task;
-  const uint32_t first = number * MO_GRADIENT_ROBOTS;
-  task->block = (struct mo_block){.physics = batch->physics,
-                                  .urgency = batch->urgency,
-                                  .cancel = batch->cancel,
-                                  .tag = batch->tag,
-                                  .share = batch->share,
+  task->block = (struct mo_block){.physics = part->physics,
+                                  .urgency = part->urgency,
+                                  .cancel = part->cancel,
+                                  .tag = part->tag,
+                                  .share = part->share,
                                   .done = mo_waiter_done,
                                   .context = &slot->waiter};
   task->pack = state->pack;
-  task->n = batch->n - first < MO_GRADIENT_ROBOTS ? batch->n - first : MO_GRADIENT_ROBOTS;
-  for (uint32_t i = 0; i < task->n; i++)
-    task->robots[i] = batch->robots[((const uint32_t *)state->order.at)[first + i]];
-  task->options = options_of(batch);
-  task->stop = &state->stop;
+  task->n = left < MO_GRADIENT_ROBOTS ? left : MO_GRADIENT_ROBOTS;
+  memcpy(task->robots, part->robots + call->first, task->n * sizeof(*task->robots));
+  task->options = options_of(part);
+  task->stop = &shard->stop;
   task->counts = (struct mo_gradient_counts){0};
-  task->d_parameters = (float *)state->d_parameters.at + number % state->n_slots * stride_of(batch);
+  task->d_parameters = (float *)state->d_parameters.at + place * stride_of(part);
+  slot->shard = (uint32_t)call->shard;
+  slot->first = call->first;
   slot->waiter = (struct mo_waiter)MO_WAITER(1);
-  return mo_compute_submit_gradient(state->compute, task);
+  call->first += task->n;
+  const int status = mo_compute_submit_gradient(state->compute, task);
+  call->n_submitted += status == MO_OK;
+  return status;
 }
 
-/* Adds a block to the sum of its shard, and that sum to the batch's after the shard's last block.
- * The first shard is summed in the batch's own array. */
-static void add_parameters(const struct mo_gradient_state *state, const float *block,
-                           uint32_t number, const struct mo_gradient_batch *batch)
+/* Adds a block to the sum of its shard. */
+static int add_block(struct call *call, const struct slot *slot)
 {
-  const size_t n = batch->controller->n_parameters;
-  const uint32_t in_shard = number % SHARD_BLOCKS, last = (batch->n - 1) / MO_GRADIENT_ROBOTS;
-  double *sum = number < SHARD_BLOCKS ? batch->d_parameters : state->shard.at;
-  if (in_shard == 0)
-    memset(sum, 0, n * sizeof(*sum));
+  const struct mo_gradient_task *task = &slot->task;
+  const size_t n = call->batch->controller->n_parameters;
+  if (slot->first == 0) {
+    free(call->sum); /* of a shard that a taker finished before */
+    call->sum = mo_shard_result_create(n);
+  }
+  struct mo_shard_result *sum = call->sum;
+  if (sum == NULL)
+    return MO_ERR_NO_MEMORY;
   for (size_t i = 0; i < n; i++)
-    sum[i] += (double)block[i];
-  if (sum != batch->d_parameters && (in_shard == SHARD_BLOCKS - 1 || number == last))
-    for (size_t i = 0; i < n; i++)
-      batch->d_parameters[i] += sum[i];
+    sum->d_parameters[i] += (double)task->d_parameters[i];
+  memcpy(sum->outcomes + slot->first, task->outcomes, task->n * sizeof(*task->outcomes));
+  mo_gradient_counts_add(&sum->counts, &task->counts);
+  if (slot->first + task->n == call->offer.items[slot->shard].part.n)
+    mo_offer_finish(&call->offer, slot->shard, &call->sum);
+  return MO_OK;
 }
 
-static void add(const struct mo_gradient_state *state, const struct mo_gradient_task *task,
-                uint32_t number, struct mo_gradient_batch *batch)
+/* Waits for the oldest block. One of a shard that is done, or not needed any more, is ignored. */
+static void gather(struct call *call)
 {
-  const uint32_t *order = (const uint32_t *)state->order.at + (size_t)number * MO_GRADIENT_ROBOTS;
-  add_parameters(state, task->d_parameters, number, batch);
-  for (uint32_t i = 0; i < task->n; i++)
-    batch->outcomes[order[i]] = task->outcomes[i];
-  mo_gradient_counts_add(&batch->counts, &task->counts);
+  struct slot *slot = &call->state->slots[call->n_gathered++ % call->state->n_slots];
+  mo_waiter_wait(&slot->waiter);
+  if (call->status != MO_OK || atomic_load(&call->offer.items[slot->shard].stop))
+    return;
+  call->status = slot->task.block.status == MO_OK ? add_block(call, slot) : slot->task.block.status;
 }
+
+/* Adds the shards that are done to the batch, in order. */
+static void add_shards(struct call *call)
+{
+  struct mo_gradient_batch *batch = call->batch;
+  const size_t n = batch->controller->n_parameters;
+  struct mo_shard_result *result;
+  while (call->n_added < call->offer.n &&
+         (result = mo_offer_collect(&call->offer, call->n_added)) != NULL) {
+    const struct mo_gradient_batch *part = &call->offer.items[call->n_added].part;
+    const uint32_t *order = (uint32_t *)call->state->order.at + (part->robots - call->offer.robots);
+    if (call->n_added++ == 0)
+      memcpy(batch->d_parameters, result->d_parameters, n * sizeof(double));
+    else
+      for (size_t i = 0; i < n; i++)
+        batch->d_parameters[i] += result->d_parameters[i];
+    for (uint32_t i = 0; i < part->n; i++)
+      batch->outcomes[order[i]] = result->outcomes[i];
+    mo_gradient_counts_add(&batch->counts, &result->counts);
+    free(result);
+  }
+}
+
+/* ---- batches ---- */
 
 static void clear(struct mo_gradient_batch *batch, enum mo_back_end back_end)
 {
@@ -225,6 +290,41 @@ void mo_compute_gradient_forget(struct mo_gradient_state *state)
     mo_device_gradients_forget(state->on_devices);
 }
 
+static bool is_cancelled(const struct mo_gradient_batch *batch)
+{
+  return batch->cancel != NULL && __atomic_load_n(batch->cancel, __ATOMIC_RELAXED) != 0;
+}
+
+static int compute_on_cpu(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
+{
+  struct call call = {.state = state, .batch = batch, .shard = -1};
+  int status = prepare(state, batch);
+  if (status == MO_OK)
+    status = mo_offer_open(&call.offer, state->compute, batch, state->order.at,
+                           options_of(batch).weight);
+  if (status != MO_OK)
+    return status;
+  clear(batch, MO_ON_CPU);
+  while (call.status == MO_OK && call.n_added < call.offer.n) {
+    while (call.status == MO_OK && call.n_submitted - call.n_gathered < state->n_slots &&
+           has_block(&call))
+      call.status = submit(&call);
+    if (call.n_submitted != call.n_gathered)
+      gather(&call);
+    else if (is_cancelled(batch))
+      call.status = MO_ERR_CANCELLED;
+    else
+      mo_offer_wait(&call.offer);
+    add_shards(&call);
+  }
+  mo_offer_stop(&call.offer);
+  while (call.n_submitted != call.n_gathered) /* only wait */
+    gather(&call);
+  mo_offer_close(&call.offer);
+  free(call.sum);
+  return call.status;
+}
+
 int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
   int status = check(state->compute, batch);
@@ -243,31 +343,5 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
     if (status != MO_ERR_UNSUPPORTED)
       return status;
   }
-  const uint32_t n_blocks = (batch->n + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS;
-  status = prepare(state, batch, n_blocks);
-  if (status != MO_OK)
-    return status;
-  clear(batch, MO_ON_CPU);
-  atomic_store(&state->stop, false);
-  uint32_t submitted = 0;
-  for (uint32_t b = 0; b < n_blocks && (status == MO_OK || b < submitted); b++) {
-    while (status == MO_OK && submitted < n_blocks && submitted < b + state->n_slots) {
-      status = submit(state, batch, submitted);
-      submitted += status == MO_OK;
-    }
-    if (status != MO_OK) /* report the first error by position; only wait for the rest */
-      atomic_store(&state->stop, true);
-    if (b >= submitted)
-      break;
-    struct slot *slot = state->slots + b % state->n_slots;
-    mo_waiter_wait(&slot->waiter);
-    const int block_status = slot->task.block.status;
-    if (status == MO_OK && block_status == MO_OK)
-      add(state, &slot->task, b, batch);
-    else if (status == MO_OK)
-      status = block_status;
-    if (status != MO_OK)
-      atomic_store(&state->stop, true);
-  }
-  return status;
+  return compute_on_cpu(state, batch);
 }

@@ -21,6 +21,7 @@ int mo_compute_controller_pack(struct mo_compute_controller *controller,
 
 struct mo_devices;
 struct mo_fair;
+struct mo_offer;
 /* A back end begins with this. It lets files that cpu.c calls read it without calling cpu.c. */
 struct mo_compute_core {
   enum mo_isa isa;
@@ -33,7 +34,8 @@ struct mo_compute_core {
     atomic_bool hungry;    /* a taker found nothing since the last arrival */
     void (*arrived)(void *context);
     void *context;
-  } remote; /* remote.c */
+    struct mo_offer *offers; /* gradients; under the mutex of `fair` */
+  } remote;                  /* remote.c */
   /* Queues a block for the workers that was submitted to devices, which cannot compute it.
    * MO_ERR_CANCELLED. */
   int (*submit_to_workers)(struct mo_compute *compute, struct mo_block *block);
@@ -55,13 +57,19 @@ static inline bool mo_block_suits_remote(const struct mo_block *block)
          block->shards == NULL;
 }
 
-/* Under the mutex of the queue that the block joined: tells takers that found nothing. */
-static inline void mo_remote_arrived(struct mo_compute_core *core, const struct mo_block *block)
+/* Under the mutex of the queue that work joined: tells takers that found nothing. */
+static inline void mo_remote_call(struct mo_compute_core *core)
 {
-  if (core->remote.arrived != NULL && mo_block_suits_remote(block) &&
+  if (core->remote.arrived != NULL &&
       atomic_load_explicit(&core->remote.hungry, memory_order_relaxed) &&
       atomic_exchange(&core->remote.hungry, false))
     core->remote.arrived(core->remote.context);
+}
+
+static inline void mo_remote_arrived(struct mo_compute_core *core, const struct mo_block *block)
+{
+  if (mo_block_suits_remote(block))
+    mo_remote_call(core);
 }
 
 /* Waits for blocks: `done` and `context` of each are mo_waiter_done and the waiter. */

@@ -1,9 +1,11 @@
-/* remote.c: remote takers: blocks that leave the queues for other machines, and their results.
+/* remote.c: remote takers: blocks and shards that leave for other machines, and their results.
  *
  * A taker chooses like a worker: the share that is next, of those whose first block suits. It takes
- * more blocks of that share while they have the same controller and physics. The share is charged
- * an estimate until the blocks come back. */
+ * more blocks of that share while they have the same controller and physics. Shards of gradients
+ * compete with the blocks by the shares of their batches. The share is charged an estimate until
+ * the blocks or the shard come back. */
 #include "compute/devices.h"
+#include "compute/shards.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -13,7 +15,9 @@ struct taken {
   struct mo_taken shown;
   struct mo_fair *fair;
   struct mo_fair_charge charge;
-  struct mo_block **blocks; /* (n_blocks) */
+  struct mo_block **blocks; /* (n_blocks); NULL: a shard */
+  struct mo_offer *offer;
+  struct mo_shard *shard;
 };
 
 static struct taken *mine(struct mo_taken *taken)
@@ -94,10 +98,31 @@ static void fill(struct taken *taken, uint64_t max_steps)
   }
 }
 
+/* Under the mutex. Takes a shard, if there is one and its share is next. here: instead of nothing,
+ * one that the workers compute. */
+static bool take_shard(struct mo_compute *compute, struct taken *taken, bool here)
+{
+  struct mo_offer *offer = mo_offer_next(mo_core(compute), here);
+  const struct mo_compute_share *other = mo_fair_next(taken->fair, suits, NULL);
+  if (offer == NULL || (other != NULL && other->virtual_s < offer->batch->share->virtual_s))
+    return false;
+  taken->offer = offer;
+  taken->shard = mo_offer_take(offer, here);
+  const struct mo_gradient_batch *part = &taken->shard->part;
+  mo_fair_charge_gradient(taken->fair, part->share, (double)part->n * part->physics.n_steps,
+                          &taken->charge);
+  taken->shown.n_blocks = 1;
+  taken->shown.n_rows = part->n;
+  taken->shown.shard = part;
+  taken->shown.controller = part->controller;
+  taken->shown.identity = offer;
+  return true;
+}
+
 static void show(struct taken *taken)
 {
   taken->shown.blocks = taken->blocks;
-  taken->shown.prepared = taken->blocks[0]->controller;
+  taken->shown.identity = taken->blocks[0]->controller;
   taken->shown.controller = mo_compute_controller_weights(taken->blocks[0]->controller);
 }
 
@@ -117,15 +142,17 @@ struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end ba
   taken->shown.back_end = back_end;
   taken->fair = fair;
   pthread_mutex_lock(&fair->mutex);
-  fill(taken, max_steps);
-  if (taken->shown.n_blocks == 0)
+  if (back_end != MO_ON_CPU || !take_shard(compute, taken, false))
+    fill(taken, max_steps);
+  if (taken->shown.n_blocks == 0 && (back_end != MO_ON_CPU || !take_shard(compute, taken, true)))
     atomic_store(&mo_core(compute)->remote.hungry, true);
   pthread_mutex_unlock(&fair->mutex);
   if (taken->shown.n_blocks == 0) {
     discard(taken);
     return NULL;
   }
-  show(taken);
+  if (taken->shard == NULL)
+    show(taken);
   return &taken->shown;
 }
 
@@ -164,6 +191,8 @@ struct mo_taken *mo_compute_split(struct mo_compute *compute, struct mo_taken *w
 
 bool mo_taken_is_cancelled(const struct mo_taken *taken)
 {
+  if (taken->shard != NULL)
+    return mo_shard_is_cancelled(((const struct taken *)taken)->shard);
   for (uint32_t i = 0; i < taken->n_blocks; i++)
     if (!mo_block_is_cancelled(taken->blocks[i]))
       return false;
@@ -175,9 +204,19 @@ void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *shown)
   struct taken *taken = mine(shown);
   pthread_mutex_lock(&taken->fair->mutex);
   mo_fair_put_back(taken->fair, &taken->charge, taken->blocks);
+  if (taken->shard != NULL)
+    mo_offer_return(taken->offer, taken->shard, false, NULL);
   pthread_mutex_unlock(&taken->fair->mutex);
   mo_compute_wake(compute);
   discard(taken);
+}
+
+static struct mo_outcome outcome_of(const struct mo_remote_result *result, uint32_t row)
+{
+  return (struct mo_outcome){.loss = result->losses[row],
+                             .diverged_step = (int32_t)result->diverged[row],
+                             .com_start_m = {NAN, NAN, NAN},
+                             .com_end_m = {NAN, NAN, NAN}};
 }
 
 static void end_block(struct mo_block *block, const struct mo_remote_result *result, uint32_t row)
@@ -186,23 +225,40 @@ static void end_block(struct mo_block *block, const struct mo_remote_result *res
   block->computed_on = block->back_end;
   block->origin = result->origin;
   for (uint32_t i = 0; i < block->n_environments && block->status == MO_OK; i++)
-    block->outcomes[i] = (struct mo_outcome){.loss = result->losses[row + i],
-                                             .diverged_step = (int32_t)result->diverged[row + i],
-                                             .com_start_m = {NAN, NAN, NAN},
-                                             .com_end_m = {NAN, NAN, NAN}};
+    block->outcomes[i] = outcome_of(result, row + i);
   block->done(block, block->context); /* the block may be gone now */
+}
+
+/* NULL: there is no result, or no memory for it. */
+static struct mo_shard_result *copy_of(const struct mo_gradient_batch *part,
+                                       const struct mo_remote_result *result)
+{
+  const size_t n = part->controller->n_parameters;
+  struct mo_shard_result *copy = result->status == MO_OK ? mo_shard_result_create(n) : NULL;
+  if (copy == NULL)
+    return NULL;
+  memcpy(copy->d_parameters, result->d_parameters, n * sizeof(double));
+  copy->counts = result->counts;
+  for (uint32_t i = 0; i < part->n; i++)
+    copy->outcomes[i] = outcome_of(result, i);
+  return copy;
 }
 
 void mo_compute_deliver(struct mo_compute *compute, struct mo_taken *shown,
                         const struct mo_remote_result *result)
 {
   struct taken *taken = mine(shown);
+  struct mo_shard_result *sum = shown->shard != NULL ? copy_of(shown->shard, result) : NULL;
   uint32_t row = 0;
   (void)compute;
   pthread_mutex_lock(&taken->fair->mutex);
   mo_fair_settle(taken->fair, &taken->charge, result->busy_s, result->status == MO_OK);
-  pthread_mutex_unlock(&taken->fair->mutex);
   atomic_fetch_add(&taken->charge.share->busy_ns, (uint64_t)(1e9 * result->busy_s));
+  if (taken->shard != NULL) {
+    mo_offer_return(taken->offer, taken->shard, result->status != MO_OK, sum);
+    shown->n_blocks = 0;
+  }
+  pthread_mutex_unlock(&taken->fair->mutex);
   for (uint32_t i = 0; i < shown->n_blocks; i++) { /* the share may be freed after the last one */
     const uint32_t n = taken->blocks[i]->n_environments;
     end_block(taken->blocks[i], result, row);
@@ -225,8 +281,16 @@ uint32_t mo_compute_remote_wanted(const struct mo_compute *compute, enum mo_back
 
 uint64_t mo_compute_remote_waiting(struct mo_compute *compute, enum mo_back_end back_end)
 {
-  const struct mo_fair *fair = queue_of(compute, back_end);
-  return fair != NULL ? atomic_load(&fair->remote_steps) : 0;
+  struct mo_fair *fair = queue_of(compute, back_end);
+  if (fair == NULL)
+    return 0;
+  double units = 0;
+  if (back_end == MO_ON_CPU) {
+    pthread_mutex_lock(&fair->mutex);
+    units = mo_offers_units(mo_core(compute));
+    pthread_mutex_unlock(&fair->mutex);
+  }
+  return atomic_load(&fair->remote_steps) + (uint64_t)units;
 }
 
 void mo_compute_leave_remote(struct mo_compute *compute, bool leave)

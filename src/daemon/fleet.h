@@ -6,7 +6,7 @@
 #include "daemon/settings.h"
 #include "daemon/sockets.h"
 
-/* Who computes the scores of batch jobs: the setting compute. */
+/* Who computes the scores and gradients of batch jobs: the setting compute. */
 enum fleet_compute { COMPUTE_BOTH, COMPUTE_LOCAL, COMPUTE_FLEET };
 
 /* The texts of fleet_certificate and fleet_key. */

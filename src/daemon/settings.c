@@ -64,10 +64,11 @@ const struct setting settings_table[] = {
              "Certificate of fleet_listen, in PEM, with its chain; served with TLS 1.3."),
     TEXT_ROW("fleet_key", SETTING_PATH, fleet_key, "", "none", false,
              "Private key of fleet_certificate, in PEM."),
-    CHOICE_ROW("compute", compute, "both|local|fleet", "both", false,
-               "Who computes the scores of batch jobs: this machine beside the workers of "
-               "fleet_listen, this machine only, or those workers only. This machine always "
-               "computes what they cannot. Scores do not depend on it."),
+    CHOICE_ROW(
+        "compute", compute, "both|local|fleet", "both", false,
+        "Who computes the scores and gradients of batch jobs: this machine beside the workers "
+        "of fleet_listen, this machine only, or those workers only. This machine always "
+        "computes what they cannot. Results do not depend on it."),
     TEXT_ROW("default_controller", SETTING_PATH, default_controller, "",
              "phototaxis.safetensors of the installation", false,
              "Controller file that is stored at the first start: as \"default\", and by its own "

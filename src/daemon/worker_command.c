@@ -16,6 +16,7 @@
 #include "base/thread.h"
 #include "daemon/devices.h"
 #include "daemon/log.h"
+#include "daemon/memory.h"
 #include "daemon/service.h"
 #include "daemon/settings_rows.h"
 #include "daemon/slurm.h"
@@ -256,6 +257,16 @@ static int make_offer(struct process *process, struct mo_fleet_offer *offer)
   return error;
 }
 
+/* Half of the memory is for the scratch of gradients, which grows only with the first. */
+static void limit_gradients(const struct process *process)
+{
+  struct mo_compute_stats stats;
+  mo_compute_get_stats(process->compute, &stats);
+  const uint64_t bytes = memory_limit() / 2 / stats.n_workers;
+  if (bytes < MO_GRADIENT_DEFAULT_BYTES)
+    mo_compute_set_gradient_bytes(process->compute, bytes);
+}
+
 static int prepare(struct process *process, struct mo_message *message)
 {
   const struct options *options = process->options;
@@ -282,6 +293,7 @@ static int prepare(struct process *process, struct mo_message *message)
     (void)mo_fail(message, error, "workers: %s", mo_error_text(error));
     return error == MO_ERR_UNSUPPORTED ? EXIT_CONFIG : EXIT_SYSTEM;
   }
+  limit_gradients(process);
   error = devices_open(process->compute, &options->devices, options->compute_module, message);
   if (error != MO_OK)
     return error == MO_ERR_INVALID ? EXIT_CONFIG : EXIT_SYSTEM;

@@ -15,13 +15,26 @@
 
 /* ---- votes ---- */
 
+/* 10 ms for a gradient. */
+static struct mo_sha256 sum_of(const struct mo_wire_result *result)
+{
+  struct mo_sha256 hashes[2] = {{{0}}}, hash = {{0}};
+  if (result->n_parameters == 0)
+    return hash;
+  mo_sha256_of(result->d_parameters, result->n_parameters * sizeof(double), &hashes[0]);
+  mo_sha256_of(&result->counts, sizeof(result->counts), &hashes[1]);
+  mo_sha256_of(hashes, sizeof(hashes), &hash);
+  return hash;
+}
+
 static bool add_vote(struct mo_lease *lease, const struct mo_session *session,
-                     const struct mo_wire_result *result)
+                     const struct mo_wire_result *result, const struct mo_sha256 *sum)
 {
   const size_t n = result->n_rows;
   struct mo_vote *vote = &lease->votes[lease->n_votes];
   *vote = (struct mo_vote){.losses = malloc(n * sizeof(*vote->losses)),
-                           .diverged_steps = malloc(n * sizeof(*vote->diverged_steps))};
+                           .diverged_steps = malloc(n * sizeof(*vote->diverged_steps)),
+                           .sum = *sum};
   if (vote->losses == NULL || vote->diverged_steps == NULL) {
     free(vote->losses);
     free(vote->diverged_steps);
@@ -39,15 +52,16 @@ static bool add_vote(struct mo_lease *lease, const struct mo_session *session,
   return true;
 }
 
-/* Returns the first row that differs, or n. */
+/* Returns the first row that differs, or n. Gradients that differ in their sums alone: 0. */
 static uint32_t first_difference(const struct mo_vote *a, const double *losses,
-                                 const uint32_t *diverged_steps, uint32_t n)
+                                 const uint32_t *diverged_steps, const struct mo_sha256 *sum,
+                                 uint32_t n)
 {
   uint32_t row = 0;
   while (row < n && mo_same_bits(a->losses[row], losses[row]) &&
          a->diverged_steps[row] == diverged_steps[row])
     row++;
-  return row;
+  return row == n && !mo_sha256_equal(&a->sum, sum) ? 0 : row;
 }
 
 /* Keeps n blocks from the first on, and their rows of the votes. */
@@ -65,7 +79,8 @@ static void cut(struct mo_lease *lease, uint32_t first, uint32_t n)
 void mo_check_fit(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t max_steps)
 {
   const uint32_t n_blocks = lease->content.n_blocks;
-  if (lease->is_disputed || lease->steps <= max_steps || n_blocks == 1)
+  if (lease->is_disputed || lease->content.n_parameters > 0 || lease->steps <= max_steps ||
+      n_blocks == 1)
     return;
   const uint64_t fitting = max_steps * n_blocks / lease->steps;
   const uint32_t n = fitting > 1 ? (uint32_t)fitting : 1;
@@ -108,7 +123,9 @@ void mo_check_begin(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_se
   lease->is_audit =
       class->n_sessions >= 2 && fleet->n_checks < MO_CHECKS_MAX && is_drawn(fleet, lease, session);
   fleet->n_checks += lease->is_audit;
-  if ((lease->n_holds == 0 && !lease->is_audit) || !add_vote(lease, session, result)) {
+  const bool is_checked = lease->n_holds > 0 || lease->is_audit;
+  const struct mo_sha256 sum = is_checked ? sum_of(result) : (struct mo_sha256){{0}};
+  if (!is_checked || !add_vote(lease, session, result, &sum)) {
     mo_lease_end(fleet, lease, after);
     return;
   }
@@ -139,7 +156,8 @@ static void describe(struct mo_text *text, const struct mo_vote *vote, uint32_t 
   mo_text_add(text, "}");
 }
 
-/* Two sessions gave different rows: the block of the first is what a third computes. */
+/* Two sessions gave different rows: the block of the first is what a third computes, and a shard as
+ * a whole. */
 static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row, uint64_t now_ns,
                     struct mo_after *after)
 {
@@ -152,14 +170,16 @@ static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row
   describe(&text, &lease->votes[1], row);
   mo_text_add(&text, "]");
   mo_after_event(after, "fleet.differs", &text);
-  uint32_t block = 0;
-  for (uint32_t end = lease->content.blocks[0].n_environments; end <= row; block++)
-    end += lease->content.blocks[block + 1].n_environments;
   while (lease->n_holds > 0) {
     mo_lease_drop(lease, lease->holds[0].session, after);
     mo_lease_unhold(lease, 0);
   }
-  cut(lease, block, 1);
+  if (lease->content.n_parameters == 0) {
+    uint32_t block = 0;
+    for (uint32_t end = lease->content.blocks[0].n_environments; end <= row; block++)
+      end += lease->content.blocks[block + 1].n_environments;
+    cut(lease, block, 1);
+  }
   mo_lease_renumber(fleet, lease);
   fleet->n_checks += !lease->is_audit;
   lease->is_audit = lease->is_disputed = true;
@@ -175,17 +195,22 @@ static void decide(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t equa
   fleet->counts.audits++;
   for (uint32_t i = 0; i < lease->n_votes; i++) {
     const struct mo_vote *vote = &lease->votes[i];
-    const uint32_t row = first_difference(right, vote->losses, vote->diverged_steps, rows);
+    const uint32_t row =
+        first_difference(right, vote->losses, vote->diverged_steps, &vote->sum, rows);
     count(fleet, vote->session, row < rows);
     if (row == rows || vote->session == 0)
       continue;
     char why[128];
     fleet->counts.audits_failed++;
-    snprintf(why, sizeof(why),
-             "gave a loss of %.17g (step of divergence %" PRIu32
-             ") where two others gave %.17g (%" PRIu32 ")",
-             vote->losses[row], vote->diverged_steps[row], right->losses[row],
-             right->diverged_steps[row]);
+    if (lease->content.n_parameters > 0)
+      snprintf(why, sizeof(why), "gave another gradient of %" PRIu32 " robots than two others",
+               rows);
+    else
+      snprintf(why, sizeof(why),
+               "gave a loss of %.17g (step of divergence %" PRIu32
+               ") where two others gave %.17g (%" PRIu32 ")",
+               vote->losses[row], vote->diverged_steps[row], right->losses[row],
+               right->diverged_steps[row]);
     mo_name_quarantine(fleet, vote->name, vote->host, why, now_ns, after);
   }
   mo_lease_end(fleet, lease, after);
@@ -195,10 +220,12 @@ void mo_check_result(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_s
                      const struct mo_wire_result *result, uint64_t now_ns, struct mo_after *after)
 {
   const uint32_t rows = lease->content.n_rows;
+  const struct mo_sha256 sum = sum_of(result);
   uint32_t equal = 0, row = rows;
   fleet->counts.rows_twice += rows;
   for (; equal < lease->n_votes; equal++) {
-    row = first_difference(&lease->votes[equal], result->losses, result->diverged_steps, rows);
+    row =
+        first_difference(&lease->votes[equal], result->losses, result->diverged_steps, &sum, rows);
     if (row == rows)
       break;
   }
@@ -208,7 +235,7 @@ void mo_check_result(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_s
     count(fleet, lease->votes[0].session, false);
     count(fleet, session->id, false);
     mo_lease_end(fleet, lease, after);
-  } else if (!add_vote(lease, session, result)) {
+  } else if (!add_vote(lease, session, result, &sum)) {
     mo_lease_end(fleet, lease, after);
   } else if (!lease->is_disputed) {
     dispute(fleet, lease, row, now_ns, after);

@@ -2,7 +2,8 @@
  *
  * One lease in ten of a new session is computed by a second session, too, and one in 200 after 500
  * leases; so are leases that were late. Two that differ are decided on the first block in which
- * they do: by a third session, or by this process. The sessions whose rows are not those of the
+ * they do: by a third session, or by this process; shards of gradients as a whole, by a third
+ * session only. The sessions whose rows are not those of the
  * majority are quarantined by name. */
 #ifndef MORPHO_FLEET_CHECKS_H
 #define MORPHO_FLEET_CHECKS_H

@@ -55,26 +55,53 @@ static int copy_blocks(const struct mo_taken *taken, struct mo_workspace workspa
   return MO_OK;
 }
 
+/* A robot of a shard is a block. */
+static int copy_robots(const struct mo_gradient_batch *shard, struct mo_workspace workspace,
+                       struct numbers *numbers, struct mo_wire_lease *content)
+{
+  const size_t bytes = mo_workspace_words(workspace) * sizeof(uint64_t);
+  if (!mo_workspace_equal(shard->controller->workspace, workspace) ||
+      shard->controller->n_parameters > MO_WIRE_PARAMETERS_MAX)
+    return MO_ERR_LIMIT;
+  content->n_parameters = (uint32_t)shard->controller->n_parameters;
+  content->gradient = (struct mo_gradient_options){.adjoint_bound = shard->adjoint_bound,
+                                                   .weight = shard->weight,
+                                                   .adjoint_rule = shard->adjoint_rule,
+                                                   .restart_weight = shard->restart_weight};
+  for (uint32_t i = 0; i < shard->n; i++) {
+    struct mo_wire_block *to = &content->blocks[i];
+    int number = number_of(numbers, content, shard->robots[i].environment);
+    if (number < 0)
+      return number;
+    *to = (struct mo_wire_block){.n_environments = 1, .environments = {(uint16_t)number}};
+    memcpy(to->genotype, shard->robots[i].genotype, bytes);
+  }
+  return MO_OK;
+}
+
 int mo_content_of(const struct mo_taken *taken, struct mo_workspace workspace,
                   struct mo_wire_lease *content)
 {
+  const struct mo_gradient_batch *shard = taken->shard;
   const uint32_t rows = taken->n_rows;
   const uint32_t most = rows < MO_WIRE_ENVIRONMENTS_MAX ? rows : MO_WIRE_ENVIRONMENTS_MAX;
   struct numbers numbers = {.mask = 1};
-  *content = (struct mo_wire_lease){.physics = taken->blocks[0]->physics,
-                                    .back_end = taken->back_end,
-                                    .n_blocks = taken->n_blocks,
-                                    .n_rows = rows};
+  *content =
+      (struct mo_wire_lease){.physics = shard != NULL ? shard->physics : taken->blocks[0]->physics,
+                             .back_end = taken->back_end,
+                             .n_blocks = shard != NULL ? rows : taken->n_blocks,
+                             .n_rows = rows};
   if (rows > MO_WIRE_ROWS_MAX || mo_workspace_words(workspace) > MO_WIRE_WORDS_MAX)
     return MO_ERR_LIMIT;
   while (numbers.mask < 2 * most)
     numbers.mask = 2 * numbers.mask + 1;
   numbers.slots = calloc(numbers.mask + 1, sizeof(*numbers.slots));
   content->environments = malloc(most * sizeof(*content->environments));
-  content->blocks = malloc(taken->n_blocks * sizeof(*content->blocks));
-  int error = numbers.slots != NULL && content->environments != NULL && content->blocks != NULL
-                  ? copy_blocks(taken, workspace, &numbers, content)
-                  : MO_ERR_NO_MEMORY;
+  content->blocks = malloc(content->n_blocks * sizeof(*content->blocks));
+  int error = MO_ERR_NO_MEMORY;
+  if (numbers.slots != NULL && content->environments != NULL && content->blocks != NULL)
+    error = shard != NULL ? copy_robots(shard, workspace, &numbers, content)
+                          : copy_blocks(taken, workspace, &numbers, content);
   free(numbers.slots);
   if (error != MO_OK) {
     mo_content_free(content);

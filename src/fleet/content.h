@@ -1,4 +1,4 @@
-/* content.h: what a lease says to a worker, made from the blocks that were taken. It is a copy: it
+/* content.h: what a lease says to a worker, made from what was taken. It is a copy: it
  * outlives the blocks, so that a lease can be given out twice after its first result. */
 #ifndef MORPHO_FLEET_CONTENT_H
 #define MORPHO_FLEET_CONTENT_H

@@ -82,7 +82,9 @@ static int choose_classes(const struct mo_fleet *fleet, const struct mo_fleet_of
                    config->version, offer->version);
   for (uint32_t b = 0; b < 2; b++) {
     serves[b] = config->classes[b].scores != NULL &&
-                strcmp(offer->classes[b].scores, config->classes[b].scores) == 0;
+                strcmp(offer->classes[b].scores, config->classes[b].scores) == 0 &&
+                (config->classes[b].gradients == NULL ||
+                 strcmp(offer->classes[b].gradients, config->classes[b].gradients) == 0);
     if (!serves[b] || mo_sha256_equal(&offer->classes[b].canary, &config->classes[b].canary))
       continue;
     mo_sha256_to_hex(&offer->classes[b].canary, got);

@@ -156,7 +156,7 @@ static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back
   bool is_suspect = false, is_only = false;
   int error = taken == NULL ? MO_ERR_EXHAUSTED : copy(fleet, taken, &content);
   pthread_mutex_lock(&fleet->mutex);
-  while (error == MO_OK) {
+  while (error == MO_OK && taken->shard == NULL) {
     const uint32_t limit = mo_suspects_limit(fleet->suspects, &content, &is_suspect);
     is_only = limit != UINT32_MAX;
     if (limit >= content.n_blocks)
@@ -230,6 +230,11 @@ static struct mo_session *give_new(struct mo_fleet *fleet, struct mo_session *se
   return session;
 }
 
+static bool is_second(const struct mo_session *session, enum mo_back_end back_end)
+{
+  return session->n_held[back_end] + session->n_taking[back_end] > 0;
+}
+
 struct mo_session *mo_give(struct mo_fleet *fleet, struct mo_session *session,
                            enum mo_back_end back_end, uint64_t now_ns, struct mo_after *after,
                            uint64_t *numbers, uint32_t *n)
@@ -238,6 +243,8 @@ struct mo_session *mo_give(struct mo_fleet *fleet, struct mo_session *session,
   while (session != NULL && has_room(session, back_end)) {
     struct mo_lease *lease = find_listed(fleet, session, back_end, now_ns);
     uint64_t number = 0;
+    if (lease == NULL && is_second(session, back_end) && !TAILQ_EMPTY(&class->idle))
+      break; /* a session that has none comes first */
     if (lease == NULL) {
       session = give_new(fleet, session, back_end, now_ns, after, &number);
       if (session == NULL)

@@ -6,11 +6,13 @@
 #include "fleet/content.h"
 #include "fleet/suspects.h"
 
-#define LATE      5 /* times the expected time: the lease is given out again */
-#define LATE_NS   (2 * MO_S_NS)
-#define HUNG      20 /* times the expected time: the session has it no more */
-#define HUNG_NS   (60 * MO_S_NS)
-#define MEAN_PART 0.05 /* of a new lease in the mean of block sizes */
+#define LATE                5 /* times the expected time: the lease is given out again */
+#define LATE_NS             (2 * MO_S_NS)
+#define HUNG                20 /* times the expected time: the session has it no more */
+#define HUNG_NS             (60 * MO_S_NS)
+#define UNKNOWN_STEPS_PER_S 1e5  /* and thread, of a session that was not measured */
+#define GRADIENT_COST       27   /* a step of a gradient, in steps of a rollout */
+#define MEAN_PART           0.05 /* of a new lease in the mean of block sizes */
 
 static uint64_t later(uint64_t now_ns, double seconds, uint64_t least_ns)
 {
@@ -33,6 +35,8 @@ struct mo_lease *mo_lease_create(struct mo_taken *taken, struct mo_wire_lease *c
   lease->parcel = parcel;
   lease->content = *content;
   lease->steps = (uint64_t)content->n_rows * content->physics.n_steps;
+  if (content->n_parameters > 0)
+    lease->steps *= GRADIENT_COST;
   return lease;
 }
 
@@ -92,12 +96,16 @@ void mo_lease_hold(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_ses
 {
   const enum mo_back_end back_end = lease->content.back_end;
   const double rate = mo_session_rate(session, back_end);
-  double expected_s = MO_FLEET_LEASE_S;
-  if (rate > 0) {
-    uint64_t steps = lease->steps;
-    for (uint32_t i = 0; i < session->n_held[back_end]; i++)
-      steps += session->held[back_end][i]->steps;
-    expected_s = (double)steps / rate;
+  uint64_t steps = lease->steps;
+  for (uint32_t i = 0; i < session->n_held[back_end]; i++)
+    steps += session->held[back_end][i]->steps;
+  double expected_s = (double)steps / rate;
+  if (rate <= 0) {
+    expected_s = back_end == MO_ON_CPU && session->offer.n_threads > 0
+                     ? (double)steps / (UNKNOWN_STEPS_PER_S * session->offer.n_threads)
+                     : 0;
+    if (expected_s < MO_FLEET_LEASE_S)
+      expected_s = MO_FLEET_LEASE_S;
   }
   mo_lease_unlist(fleet, lease);
   lease->holds[lease->n_holds++] =
@@ -222,7 +230,7 @@ void mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t p
   struct mo_session *session = lease->holds[place].session;
   bool is_proven = false;
   session->leases_lost += is_lost;
-  if (is_lost && lease->parcel != NULL)
+  if (is_lost && lease->parcel != NULL && lease->content.n_parameters == 0)
     is_proven = mo_suspects_add(fleet->suspects, &lease->content, session->id, lease->is_only);
   mo_lease_unhold(lease, place);
   if (lease->n_holds > 0)

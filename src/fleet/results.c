@@ -36,6 +36,9 @@ static int check(struct mo_fleet *fleet, const struct mo_session *session,
     if (result->n_rows != lease->content.n_rows)
       return mo_fail(message, MO_ERR_FORMAT, "result %u: the lease has %u rows, got %u", i,
                      lease->content.n_rows, result->n_rows);
+    if (result->n_parameters != lease->content.n_parameters)
+      return mo_fail(message, MO_ERR_FORMAT, "result %u: the sum has %u parameters, got %u", i,
+                     lease->content.n_parameters, result->n_parameters);
     for (uint32_t row = 0; row < result->n_rows; row++)
       if (result->diverged_steps[row] > lease->content.physics.n_steps)
         return mo_fail(message, MO_ERR_FORMAT, "result %u, row %u: diverged in step %u of %u", i,
@@ -64,7 +67,9 @@ static void take_rows(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_
                                               .losses = result->losses,
                                               .diverged = result->diverged_steps,
                                               .origin = session->origin,
-                                              .busy_s = result->busy_s},
+                                              .busy_s = result->busy_s,
+                                              .d_parameters = result->d_parameters,
+                                              .counts = result->counts},
                    after);
   mo_check_begin(fleet, lease, session, result, now_ns, after);
 }

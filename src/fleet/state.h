@@ -50,6 +50,7 @@ struct mo_vote {
   char name[MO_FLEET_NAME_BYTES + 1], host[MO_FLEET_NAME_BYTES + 1];
   double *losses;
   uint32_t *diverged_steps;
+  struct mo_sha256 sum; /* of a gradient: of its sum and counts; otherwise zeros */
 };
 
 struct mo_lease {

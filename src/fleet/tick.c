@@ -105,7 +105,8 @@ static struct mo_lease *take_disputed(struct mo_fleet *fleet, uint64_t now_ns)
   for (uint32_t b = 0; b < 2 && fleet->config.source.recompute != NULL; b++) {
     TAILQ_FOREACH(lease, &fleet->classes[b].listed, listed)
     {
-      if (!lease->is_disputed || now_ns < lease->listed_ns + ALONE_NS)
+      if (!lease->is_disputed || lease->content.n_parameters > 0 ||
+          now_ns < lease->listed_ns + ALONE_NS)
         continue;
       mo_lease_unlist(fleet, lease);
       lease->is_deciding = true;

@@ -1,5 +1,5 @@
-/* weights.c: see weights.h. The address of a prepared controller names it only while its blocks are
- * taken: with the last parcel the address is forgotten, since another controller may get it.
+/* weights.c: see weights.h. The identity of a controller names it only while its blocks are
+ * taken: with the last parcel it is forgotten, since another controller may get it.
  * Weights are then found by comparing them, which takes a fiftieth of the time of making the file.
  */
 #include "fleet/weights.h"
@@ -18,7 +18,7 @@ int mo_weights_create(const struct mo_taken *taken, struct mo_weights **ret)
     return error;
   }
   mo_sha256_of(weights->bytes, weights->size, &weights->hash);
-  weights->prepared = taken->prepared;
+  weights->identity = taken->identity;
   weights->sensor = taken->controller->sensor;
   weights->workspace = taken->controller->workspace;
   *ret = weights;
@@ -56,16 +56,16 @@ static bool same_weights(const struct mo_weights *weights, const struct mo_contr
 struct mo_weights *mo_weights_find(struct mo_fleet *fleet, const struct mo_taken *taken)
 {
   struct mo_weights *weights = LIST_FIRST(&fleet->weights);
-  while (weights != NULL && weights->prepared != taken->prepared)
+  while (weights != NULL && weights->identity != taken->identity)
     weights = LIST_NEXT(weights, next);
   if (weights != NULL)
     return use(weights);
   weights = LIST_FIRST(&fleet->weights);
   while (weights != NULL &&
-         (weights->prepared != NULL || !same_weights(weights, taken->controller)))
+         (weights->identity != NULL || !same_weights(weights, taken->controller)))
     weights = LIST_NEXT(weights, next);
   if (weights != NULL)
-    weights->prepared = taken->prepared;
+    weights->identity = taken->identity;
   return use(weights);
 }
 
@@ -85,11 +85,11 @@ struct mo_weights *mo_weights_of(struct mo_fleet *fleet, const struct mo_sha256 
 struct mo_weights *mo_weights_add(struct mo_fleet *fleet, struct mo_weights *weights)
 {
   struct mo_weights *same = of(fleet, &weights->hash);
-  if (same == NULL || (same->prepared != NULL && same->prepared != weights->prepared)) {
+  if (same == NULL || (same->identity != NULL && same->identity != weights->identity)) {
     LIST_INSERT_HEAD(&fleet->weights, weights, next);
     return use(weights);
   }
-  same->prepared = weights->prepared;
+  same->identity = weights->identity;
   discard(weights);
   return use(same);
 }
@@ -97,7 +97,7 @@ struct mo_weights *mo_weights_add(struct mo_fleet *fleet, struct mo_weights *wei
 void mo_weights_end_parcel(struct mo_weights *weights)
 {
   if (weights != NULL && --weights->n_parcels == 0)
-    weights->prepared = NULL;
+    weights->identity = NULL;
 }
 
 void mo_weights_release(struct mo_fleet *fleet, struct mo_weights *weights)

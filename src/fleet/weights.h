@@ -9,7 +9,7 @@
 #define MO_WEIGHTS_UNUSED 4 /* kept */
 
 struct mo_weights {
-  const struct mo_compute_controller *prepared; /* NULL: no blocks of it are taken any more */
+  const void *identity; /* of mo_taken; NULL: nothing of it is taken any more */
   struct mo_sha256 hash;
   enum mo_sensor sensor;
   struct mo_workspace workspace;

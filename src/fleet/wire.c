@@ -24,16 +24,24 @@ struct lease {
       friction_cap, drop_height_m;
   uint32_t n_steps, impact, bisections, zero;
 };
+struct gradient {
+  double adjoint_bound, weight, restart_weight;
+  uint32_t rule, n_parameters;
+};
 struct result {
   struct mo_lease_id id;
   uint32_t state, n_rows;
   double busy_s, wall_s;
 };
 _Static_assert(sizeof(struct header) == 24 && sizeof(struct lease) == 152 &&
-                   sizeof(struct result) == 40 && sizeof(struct mo_environment) == 66 * 8,
+                   sizeof(struct gradient) == 32 && sizeof(struct result) == 40 &&
+                   sizeof(struct mo_gradient_counts) == 56 &&
+                   sizeof(struct mo_environment) == 66 * 8,
                "without padding");
 
-#define ON_DEVICE 1u /* flag */
+#define ON_DEVICE          1u /* flags */
+#define GRADIENT           2u
+#define DONE_WITH_GRADIENT 3u /* state */
 
 static const char magics[2][9] = {"MOFLEETL", "MOFLEETR"};
 
@@ -129,9 +137,17 @@ static bool counts_fit(uint32_t n_environments, uint32_t n_blocks, uint32_t n_ro
          n_rows <= (uint64_t)n_blocks * MO_BLOCK_LANES;
 }
 
+/* The bounds of a gradient, likewise; robots are blocks of one environment. */
+static bool gradient_fits(const struct mo_wire_lease *lease)
+{
+  return lease->n_parameters <= MO_WIRE_PARAMETERS_MAX && lease->back_end == MO_ON_CPU &&
+         lease->n_blocks <= MO_GRADIENT_SHARD && lease->n_rows == lease->n_blocks;
+}
+
 static size_t lease_bytes(const struct mo_wire_lease *lease, struct mo_workspace workspace)
 {
-  return sizeof(struct lease) + lease->n_environments * sizeof(struct mo_environment) +
+  return sizeof(struct lease) + (lease->n_parameters > 0 ? sizeof(struct gradient) : 0) +
+         lease->n_environments * sizeof(struct mo_environment) +
          lease->n_blocks * (genotype_bytes(workspace) + 1) + lease->n_rows * sizeof(uint16_t);
 }
 
@@ -140,7 +156,8 @@ static void put_lease(struct codec *codec, const struct mo_wire_lease *lease,
 {
   const struct mo_physics *physics = &lease->physics;
   const struct lease head = {.id = lease->id,
-                             .flags = lease->back_end == MO_ON_DEVICE ? ON_DEVICE : 0,
+                             .flags = (lease->back_end == MO_ON_DEVICE ? ON_DEVICE : 0) |
+                                      (lease->n_parameters > 0 ? GRADIENT : 0),
                              .n_environments = lease->n_environments,
                              .n_blocks = lease->n_blocks,
                              .n_rows = lease->n_rows,
@@ -158,6 +175,14 @@ static void put_lease(struct codec *codec, const struct mo_wire_lease *lease,
                              .impact = (uint32_t)physics->impact,
                              .bisections = physics->bisections};
   put(codec, &head, sizeof(head));
+  if (lease->n_parameters > 0) {
+    const struct gradient gradient = {.adjoint_bound = lease->gradient.adjoint_bound,
+                                      .weight = lease->gradient.weight,
+                                      .restart_weight = lease->gradient.restart_weight,
+                                      .rule = (uint32_t)lease->gradient.adjoint_rule,
+                                      .n_parameters = lease->n_parameters};
+    put(codec, &gradient, sizeof(gradient));
+  }
   put(codec, lease->environments, lease->n_environments * sizeof(struct mo_environment));
   for (uint32_t b = 0; b < lease->n_blocks; b++) {
     const struct mo_wire_block *block = &lease->blocks[b];
@@ -183,7 +208,8 @@ int mo_wire_put_leases(const struct mo_wire_leases *leases, struct mo_workspace 
       if (n < 1 || n > MO_BLOCK_LANES)
         return MO_ERR_LIMIT;
     }
-    if (rows != lease->n_rows || !counts_fit(lease->n_environments, lease->n_blocks, lease->n_rows))
+    if (rows != lease->n_rows || (lease->n_parameters > 0 && !gradient_fits(lease)) ||
+        !counts_fit(lease->n_environments, lease->n_blocks, lease->n_rows))
       return MO_ERR_LIMIT;
     codec.size += lease_bytes(lease, workspace);
   }
@@ -197,8 +223,9 @@ int mo_wire_put_leases(const struct mo_wire_leases *leases, struct mo_workspace 
   return MO_OK;
 }
 
-/* MO_ERR_FORMAT, MO_ERR_NO_MEMORY. */
-static int check_genotype(const uint64_t *genotype, struct mo_workspace workspace,
+/* The robots of a gradient stand where they were drawn, other bodies are placed. MO_ERR_FORMAT,
+ * MO_ERR_NO_MEMORY. */
+static int check_genotype(const uint64_t *genotype, struct mo_workspace workspace, bool is_placed,
                           struct mo_message *message, uint32_t i, uint32_t b)
 {
   const uint32_t voxels = mo_workspace_voxels(workspace), words = mo_workspace_words(workspace);
@@ -212,6 +239,8 @@ static int check_genotype(const uint64_t *genotype, struct mo_workspace workspac
   if (contiguous == 0)
     return mo_fail(message, MO_ERR_FORMAT,
                    "lease %u, block %u: the body is empty or in several pieces", i, b);
+  if (!is_placed)
+    return MO_OK;
   memcpy(placed, genotype, words * sizeof(uint64_t));
   mo_genotype_place(workspace, placed);
   if (memcmp(placed, genotype, words * sizeof(uint64_t)) != 0)
@@ -219,10 +248,11 @@ static int check_genotype(const uint64_t *genotype, struct mo_workspace workspac
   return MO_OK;
 }
 
-static int get_block(struct codec *codec, struct mo_workspace workspace, uint32_t n_environments,
-                     struct mo_wire_block *block, uint32_t i, uint32_t b,
+static int get_block(struct codec *codec, struct mo_workspace workspace,
+                     const struct mo_wire_lease *lease, uint32_t i, uint32_t b,
                      struct mo_message *message)
 {
+  struct mo_wire_block *block = &lease->blocks[b];
   uint8_t n = 0;
   memset(block, 0, sizeof(*block));
   if (!get(codec, block->genotype, genotype_bytes(workspace)) || !get(codec, &n, sizeof(n)))
@@ -235,10 +265,31 @@ static int get_block(struct codec *codec, struct mo_workspace workspace, uint32_
   if (!get(codec, block->environments, n * sizeof(uint16_t)))
     return cut_off(message, "lease", i);
   for (uint32_t k = 0; k < n; k++)
-    if (block->environments[k] >= n_environments)
+    if (block->environments[k] >= lease->n_environments)
       return mo_fail(message, MO_ERR_FORMAT, "lease %u, block %u: environment %u of %u", i, b,
-                     block->environments[k], n_environments);
-  return check_genotype(block->genotype, workspace, message, i, b);
+                     block->environments[k], lease->n_environments);
+  return check_genotype(block->genotype, workspace, lease->n_parameters == 0, message, i, b);
+}
+
+static int get_gradient(struct codec *codec, struct mo_wire_lease *lease, uint32_t i,
+                        struct mo_message *message)
+{
+  struct gradient gradient;
+  if (!get(codec, &gradient, sizeof(gradient)))
+    return cut_off(message, "lease", i);
+  lease->n_parameters = gradient.n_parameters;
+  lease->gradient = (struct mo_gradient_options){.adjoint_bound = gradient.adjoint_bound,
+                                                 .weight = gradient.weight,
+                                                 .restart_weight = gradient.restart_weight};
+  if (gradient.rule > MO_ADJOINT_RESTART)
+    return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown rule %u", i, gradient.rule);
+  lease->gradient.adjoint_rule = (enum mo_adjoint_rule)gradient.rule;
+  if (lease->n_parameters == 0 || !gradient_fits(lease) || lease->gradient.weight == 0 ||
+      mo_gradient_options_check(&lease->gradient) != MO_OK)
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "lease %u: a gradient of %u robots and %u parameters, of weight %g", i,
+                   lease->n_blocks, lease->n_parameters, lease->gradient.weight);
+  return MO_OK;
 }
 
 static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i,
@@ -265,7 +316,7 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i
                                        .friction_cap = head.friction_cap,
                                        .drop_height_m = head.drop_height_m,
                                        .bisections = head.bisections};
-  if (head.flags > ON_DEVICE || head.zero != 0 || head.impact > MO_IMPACT_BISECTION)
+  if (head.flags > (ON_DEVICE | GRADIENT) || head.zero != 0 || head.impact > MO_IMPACT_BISECTION)
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);
   lease->physics.impact = (enum mo_impact)head.impact;
   if (mo_physics_check(&lease->physics, &why) != MO_OK)
@@ -273,7 +324,7 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i
   if (!counts_fit(head.n_environments, head.n_blocks, head.n_rows))
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: %u environments, %u blocks, %u rows", i,
                    head.n_environments, head.n_blocks, head.n_rows);
-  return MO_OK;
+  return head.flags & GRADIENT ? get_gradient(codec, lease, i, message) : MO_OK;
 }
 
 static int get_lease(struct codec *codec, struct mo_workspace workspace,
@@ -297,7 +348,7 @@ static int get_lease(struct codec *codec, struct mo_workspace workspace,
   }
   uint32_t rows = 0;
   for (uint32_t b = 0; b < lease->n_blocks && error == MO_OK; b++) {
-    error = get_block(codec, workspace, lease->n_environments, &lease->blocks[b], i, b, message);
+    error = get_block(codec, workspace, lease, i, b, message);
     rows += lease->blocks[b].n_environments;
   }
   if (error == MO_OK && rows != lease->n_rows)
@@ -340,8 +391,11 @@ void mo_wire_free_leases(struct mo_wire_leases *leases)
 #define ROW_BYTES (sizeof(double) + sizeof(uint32_t))
 
 /* Done: at least one row; otherwise none. */
-static bool rows_fit(enum mo_wire_state state, uint32_t n_rows)
+static bool rows_fit(enum mo_wire_state state, uint32_t n_rows, uint32_t n_parameters)
 {
+  if (n_parameters > 0)
+    return state == MO_RESULT_DONE && n_rows >= 1 && n_rows <= MO_GRADIENT_SHARD &&
+           n_parameters <= MO_WIRE_PARAMETERS_MAX;
   return state == MO_RESULT_DONE ? n_rows >= 1 && n_rows <= MO_WIRE_ROWS_MAX : n_rows == 0;
 }
 
@@ -351,9 +405,13 @@ int mo_wire_put_results(const struct mo_wire_results *results, uint8_t **bytes, 
   if (results->n > MO_WIRE_RESULTS_MAX)
     return MO_ERR_LIMIT;
   for (uint32_t i = 0; i < results->n; i++) {
-    if (!rows_fit(results->items[i].state, results->items[i].n_rows))
+    const struct mo_wire_result *result = &results->items[i];
+    if (!rows_fit(result->state, result->n_rows, result->n_parameters))
       return MO_ERR_LIMIT;
-    codec.size += sizeof(struct result) + results->items[i].n_rows * ROW_BYTES;
+    codec.size += sizeof(struct result) + result->n_rows * ROW_BYTES;
+    if (result->n_parameters > 0)
+      codec.size += sizeof(uint64_t) + sizeof(result->counts) +
+                    result->n_parameters * sizeof(*result->d_parameters);
   }
   int error = open_message(1, results->n, &codec);
   if (error != MO_OK)
@@ -361,7 +419,8 @@ int mo_wire_put_results(const struct mo_wire_results *results, uint8_t **bytes, 
   for (uint32_t i = 0; i < results->n; i++) {
     const struct mo_wire_result *result = &results->items[i];
     const struct result head = {.id = result->id,
-                                .state = (uint32_t)result->state,
+                                .state = result->n_parameters > 0 ? DONE_WITH_GRADIENT
+                                                                  : (uint32_t)result->state,
                                 .n_rows = result->n_rows,
                                 .busy_s = result->busy_s,
                                 .wall_s = result->wall_s};
@@ -369,6 +428,12 @@ int mo_wire_put_results(const struct mo_wire_results *results, uint8_t **bytes, 
     if (result->n_rows > 0) {
       put(&codec, result->losses, result->n_rows * sizeof(double));
       put(&codec, result->diverged_steps, result->n_rows * sizeof(uint32_t));
+    }
+    if (result->n_parameters > 0) {
+      const uint64_t n = result->n_parameters;
+      put(&codec, &n, sizeof(n));
+      put(&codec, &result->counts, sizeof(result->counts));
+      put(&codec, result->d_parameters, n * sizeof(double));
     }
   }
   *bytes = codec.to;
@@ -388,15 +453,49 @@ static bool is_time(double seconds)
   return isfinite(seconds) && !signbit(seconds);
 }
 
+static bool counts_are_possible(const struct mo_gradient_counts *counts, uint32_t n_rows)
+{
+  return counts->robots == n_rows && counts->steps <= (uint64_t)n_rows * MO_STEPS_MAX &&
+         counts->clipped_steps <= counts->steps && counts->clipped_robots <= n_rows &&
+         counts->zeroed_robots <= n_rows && counts->diverged_robots <= n_rows &&
+         isfinite(counts->largest) && !signbit(counts->largest);
+}
+
+static int get_sum(struct codec *codec, struct mo_wire_result *result, uint32_t i,
+                   struct mo_message *message)
+{
+  uint64_t n = 0;
+  if (!get(codec, &n, sizeof(n)) || !get(codec, &result->counts, sizeof(result->counts)))
+    return cut_off(message, "result", i);
+  if (n < 1 || n > MO_WIRE_PARAMETERS_MAX || result->n_rows > MO_GRADIENT_SHARD ||
+      !counts_are_possible(&result->counts, result->n_rows))
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "result %u: a gradient of %u robots and %llu parameters has impossible counts",
+                   i, result->n_rows, (unsigned long long)n);
+  result->d_parameters = malloc(n * sizeof(*result->d_parameters));
+  if (result->d_parameters == NULL)
+    return MO_ERR_NO_MEMORY;
+  result->n_parameters = (uint32_t)n;
+  if (!get(codec, result->d_parameters, n * sizeof(*result->d_parameters)))
+    return cut_off(message, "result", i);
+  for (uint32_t k = 0; k < n; k++)
+    if (!isfinite(result->d_parameters[k]))
+      return mo_fail(message, MO_ERR_FORMAT, "result %u: number %u of its sum is not finite", i, k);
+  return MO_OK;
+}
+
 static int get_result(struct codec *codec, struct mo_wire_result *result, uint32_t i,
                       struct mo_message *message)
 {
   struct result head;
   if (!get(codec, &head, sizeof(head)))
     return cut_off(message, "result", i);
+  const bool has_gradient = head.state == DONE_WITH_GRADIENT;
+  if (has_gradient)
+    head.state = MO_RESULT_DONE;
   if (head.state > MO_RESULT_FAILED)
     return mo_fail(message, MO_ERR_FORMAT, "result %u: unknown state %u", i, head.state);
-  if (!rows_fit((enum mo_wire_state)head.state, head.n_rows))
+  if (!rows_fit((enum mo_wire_state)head.state, head.n_rows, 0))
     return mo_fail(message, MO_ERR_FORMAT, "result %u: state %u with %u rows", i, head.state,
                    head.n_rows);
   if (!is_time(head.busy_s) || !is_time(head.wall_s))
@@ -420,7 +519,7 @@ static int get_result(struct codec *codec, struct mo_wire_result *result, uint32
       return mo_fail(message, MO_ERR_FORMAT,
                      "result %u, row %u: loss %g with step of divergence %u", i, row,
                      result->losses[row], result->diverged_steps[row]);
-  return MO_OK;
+  return has_gradient ? get_sum(codec, result, i, message) : MO_OK;
 }
 
 int mo_wire_get_results(const uint8_t *bytes, size_t size, struct mo_wire_results *results,
@@ -446,6 +545,7 @@ void mo_wire_free_results(struct mo_wire_results *results)
   for (uint32_t i = 0; i < results->n; i++) {
     free(results->items[i].losses);
     free(results->items[i].diverged_steps);
+    free(results->items[i].d_parameters);
   }
   memset(results, 0, sizeof(*results));
 }

@@ -2,18 +2,19 @@
  *
  * A worker sends one message of results and receives one message of leases. A lease is work: bodies
  * by their genotypes, the environments and the physics to score them in, and the hash of the
- * weights. A result holds the rows of one lease. Numbers are little-endian, and floats keep their
- * bits.
+ * weights; or a shard of a gradient, whose robots are blocks of one environment. A result holds the
+ * rows of one lease, and the sum of a shard. Numbers are little-endian, and floats keep their bits.
  *
  *   message    header, then the items one after the other
  *   header     "MOFLEET" and kind ('L' leases, 'R' results); u32 version; u32 items; u64 bytes of
  *              the whole message
  *   lease      u64 epoch; u64 number; u32 flags; u32 environments; u32 blocks; u32 rows; 32 bytes
  *              SHA-256 of the weights (zeros: passive bodies); physics (9 f64; u32 steps, impact,
- *              bisections, 0); environments (66 f64 each); blocks: genotype (⌈voxels / 8⌉ bytes),
- *              u8 n, n × u16 environment
- *   result     u64 epoch; u64 number; u32 state; u32 rows; f64 processor seconds; f64 elapsed
- *              seconds; rows × f64 loss; rows × u32 step of divergence
+ *              bisections, 0); with flag 2, a gradient: f64 bound of the adjoint, weight, weight of
+ *              restarts; u32 rule, parameters; environments (66 f64 each); blocks: genotype
+ * (⌈voxels / 8⌉ bytes), u8 n, n × u16 environment result     u64 epoch; u64 number; u32 state; u32
+ * rows; f64 processor seconds; f64 elapsed seconds; rows × f64 loss; rows × u32 step of divergence;
+ * in state 3, done with a gradient: u64 parameters; 6 u64, f64 counts; parameters × f64 sum
  *
  * A decoder accepts exactly what an encoder writes: every size is bounded, there is nothing
  * after the last item, and values pass the checks of the API. */
@@ -25,11 +26,12 @@
 #include "store/hash.h"
 
 #define MO_WIRE_VERSION          1
-#define MO_WIRE_LEASES_MAX       4      /* of a message */
-#define MO_WIRE_RESULTS_MAX      8      /* of a message */
-#define MO_WIRE_ROWS_MAX         131072 /* of a lease */
-#define MO_WIRE_ENVIRONMENTS_MAX 4096   /* of a lease */
-#define MO_WIRE_WORDS_MAX        16     /* of a genotype: 1024 voxels */
+#define MO_WIRE_LEASES_MAX       4         /* of a message */
+#define MO_WIRE_RESULTS_MAX      8         /* of a message */
+#define MO_WIRE_ROWS_MAX         131072    /* of a lease */
+#define MO_WIRE_ENVIRONMENTS_MAX 4096      /* of a lease */
+#define MO_WIRE_WORDS_MAX        16        /* of a genotype: 1024 voxels */
+#define MO_WIRE_PARAMETERS_MAX   (1 << 20) /* of a gradient */
 
 /* The epoch is the number of the store's opening. A restarted daemon does not take a result of its
  * previous life for one of its own leases. */
@@ -47,6 +49,8 @@ struct mo_wire_lease {
   struct mo_sha256 controller; /* of the file of mo_controller_encode; zeros: passive bodies */
   struct mo_physics physics;
   enum mo_back_end back_end; /* flag 1: on a device */
+  uint32_t n_parameters;     /* flag 2, a gradient; 0: scores */
+  struct mo_gradient_options gradient;
   uint32_t n_environments, n_blocks, n_rows;
   struct mo_environment *environments; /* (n_environments) */
   struct mo_wire_block *blocks;        /* (n_blocks) */
@@ -65,6 +69,9 @@ struct mo_wire_result {
   double wall_s;
   double *losses;           /* (n_rows) +infinity: diverged */
   uint32_t *diverged_steps; /* (n_rows) 0: did not diverge */
+  uint32_t n_parameters;    /* of a gradient; 0: scores */
+  double *d_parameters;     /* (n_parameters) */
+  struct mo_gradient_counts counts;
 };
 
 struct mo_wire_leases {

@@ -152,9 +152,11 @@ static int make_robots(struct mo_training *training, struct mo_hand *hand)
     return r;
   mo_parallel(training->n_threads, settings->batch, make_environments, &making);
   const uint64_t first = (uint64_t)hand->step * settings->batch;
-  for (uint32_t i = 0; i < settings->batch; i++)
-    hand->robots[i] = (struct mo_robot){making.bodies[pretrain ? i : (first + i) % n_bodies],
-                                        &hand->environments[i]};
+  for (uint32_t i = 0; i < settings->batch; i++) {
+    const size_t body = pretrain ? i : (first + i) % n_bodies;
+    hand->robots[i] = (struct mo_robot){making.bodies[body], &hand->environments[i],
+                                        making.genotypes + MO_DEFAULT_WORDS * body};
+  }
   hand->ready = true;
   return MO_OK;
 }

@@ -8,6 +8,8 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
+#include "compute/internal.h"
 #include "worker/weights.h"
 
 #define SLOTS_PER_WORKER 2
@@ -21,6 +23,7 @@ enum lease_state {
 };
 
 struct lease {
+  struct mo_holding *holding;
   struct mo_wire_lease wire;
   enum lease_state state;
   bool is_dropped, is_given_back;
@@ -33,6 +36,10 @@ struct lease {
   uint64_t started_ns, ended_ns;
   double *losses;
   uint32_t *diverged;
+  double *d_parameters; /* of a gradient */
+  struct mo_gradient_counts counts;
+  pthread_t thread; /* of a gradient, if has_thread */
+  bool has_thread;
   struct lease *next;
 };
 
@@ -156,10 +163,120 @@ static void block_done(struct mo_block *block, void *context)
   pthread_mutex_unlock(&holding->mutex);
 }
 
+/* ---- gradients ---- */
+
+/* Under the mutex. The oldest gradient goes first, and the next one fills the gaps. */
+static void prefer_first(struct mo_holding *holding)
+{
+  double weight = 1;
+  for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next)
+    if (lease->has_thread && lease->n_out > 0) {
+      mo_compute_share_set_weight(lease->share, weight);
+      weight = MO_SHARE_WEIGHT_MIN;
+    }
+}
+
+static void free_robots(struct mo_robot *robots, uint32_t n)
+{
+  for (uint32_t i = 0; robots != NULL && i < n; i++)
+    mo_body_free((struct mo_body *)robots[i].body);
+  free(robots);
+}
+
+static int make_robots(const struct lease *lease, struct mo_robot *robots)
+{
+  int error = MO_OK;
+  for (uint32_t i = 0; i < lease->wire.n_blocks && error == MO_OK; i++) {
+    const struct mo_wire_block *block = &lease->wire.blocks[i];
+    struct mo_body *body = NULL;
+    error = mo_body_create(lease->holding->lattice, block->genotype, &body);
+    robots[i].body = body;
+    robots[i].environment = &lease->wire.environments[block->environments[0]];
+  }
+  return error;
+}
+
+static int differentiate(struct lease *lease, struct mo_gradient_state *state,
+                         const struct mo_robot *robots, struct mo_outcome *outcomes)
+{
+  const struct mo_wire_lease *wire = &lease->wire;
+  const struct mo_controller *controller = mo_compute_controller_weights(lease->controller);
+  if (controller == NULL || controller->n_parameters != wire->n_parameters)
+    return MO_ERR_FORMAT;
+  struct mo_gradient_batch batch = {.controller = controller,
+                                    .robots = robots,
+                                    .n = wire->n_blocks,
+                                    .physics = wire->physics,
+                                    .adjoint_bound = wire->gradient.adjoint_bound,
+                                    .adjoint_rule = wire->gradient.adjoint_rule,
+                                    .restart_weight = wire->gradient.restart_weight,
+                                    .cancel = &lease->cancel,
+                                    .tag = -1,
+                                    .share = lease->share,
+                                    .weight = wire->gradient.weight,
+                                    .is_arranged = true,
+                                    .d_parameters = lease->d_parameters,
+                                    .outcomes = outcomes};
+  const int error = mo_compute_gradient(state, &batch);
+  lease->counts = batch.counts;
+  for (uint32_t i = 0; i < wire->n_blocks && error == MO_OK; i++) {
+    lease->losses[i] = outcomes[i].loss;
+    lease->diverged[i] = (uint32_t)outcomes[i].diverged_step;
+  }
+  return error;
+}
+
+static void *compute_gradient(void *argument)
+{
+  struct lease *lease = argument;
+  struct mo_holding *holding = lease->holding;
+  const uint32_t n = lease->wire.n_blocks;
+  struct mo_gradient_state *state = NULL;
+  struct mo_robot *robots = calloc(n, sizeof(*robots));
+  struct mo_outcome *outcomes = calloc(n, sizeof(*outcomes));
+  int error = robots != NULL && outcomes != NULL ? make_robots(lease, robots) : MO_ERR_NO_MEMORY;
+  if (error == MO_OK)
+    error = mo_gradient_state_create(holding->config.compute, &state);
+  if (error == MO_OK)
+    error = differentiate(lease, state, robots, outcomes);
+  mo_gradient_state_free(state);
+  free_robots(robots, n);
+  free(outcomes);
+  pthread_mutex_lock(&holding->mutex);
+  lease->error = error;
+  lease->n_out = 0;
+  lease->ended_ns = mo_clock_ns();
+  holding->rows_done += error == MO_OK ? n : 0;
+  if (--holding->n_out == 0)
+    pthread_cond_broadcast(&holding->quiet);
+  prefer_first(holding);
+  holding->config.ended(holding->config.context);
+  pthread_mutex_unlock(&holding->mutex);
+  return NULL;
+}
+
+/* Under the mutex. Its blocks count as one. */
+static void start_gradient(struct mo_holding *holding, struct lease *lease)
+{
+  lease->n_submitted = lease->wire.n_blocks;
+  lease->d_parameters = malloc(lease->wire.n_parameters * sizeof(*lease->d_parameters));
+  lease->has_thread = lease->d_parameters != NULL &&
+                      mo_thread_create(&lease->thread, NULL, compute_gradient, lease) == 0;
+  if (!lease->has_thread) {
+    lease->error = MO_ERR_NO_MEMORY;
+    return;
+  }
+  lease->n_out = 1;
+  holding->n_out++;
+  prefer_first(holding);
+}
+
 /* ---- leases ---- */
 
 static void free_lease(struct mo_holding *holding, struct lease *lease)
 {
+  if (lease->has_thread)
+    pthread_join(lease->thread, NULL);
   if (lease->controller != NULL)
     mo_kept_weights_release(holding->weights, lease->controller);
   mo_compute_share_free(lease->share);
@@ -167,6 +284,7 @@ static void free_lease(struct mo_holding *holding, struct lease *lease)
   free(lease->wire.blocks);
   free(lease->losses);
   free(lease->diverged);
+  free(lease->d_parameters);
   free(lease);
 }
 
@@ -175,6 +293,7 @@ int mo_holding_add(struct mo_holding *holding, struct mo_wire_lease *wire)
   struct lease *lease = calloc(1, sizeof(*lease));
   if (lease == NULL)
     return MO_ERR_NO_MEMORY;
+  lease->holding = holding;
   lease->losses = malloc(wire->n_rows * sizeof(*lease->losses));
   lease->diverged = malloc(wire->n_rows * sizeof(*lease->diverged));
   int error = lease->losses != NULL && lease->diverged != NULL
@@ -214,6 +333,8 @@ bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash)
     }
     lease->started_ns = mo_clock_ns();
     lease->state = RUNNING;
+    if (lease->wire.n_parameters > 0)
+      start_gradient(holding, lease);
   }
   const bool on_device = holding->free[MO_ON_DEVICE] != NULL;
   if (on_device)
@@ -297,8 +418,12 @@ static void make_result(struct lease *lease, struct mo_wire_result *result)
     result->n_rows = lease->wire.n_rows;
     result->losses = lease->losses;
     result->diverged_steps = lease->diverged;
+    result->n_parameters = lease->wire.n_parameters;
+    result->d_parameters = lease->d_parameters;
+    result->counts = lease->counts;
     lease->losses = NULL;
     lease->diverged = NULL;
+    lease->d_parameters = NULL;
   }
   if (lease->started_ns > 0 && lease->ended_ns > lease->started_ns)
     result->wall_s = 1e-9 * (double)(lease->ended_ns - lease->started_ns);
@@ -311,16 +436,16 @@ void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results 
   pthread_mutex_lock(&holding->mutex);
   for (struct lease **at = &holding->leases; *at != NULL;) {
     struct lease *lease = *at;
+    const uint32_t n = lease->wire.n_parameters > 0 ? RESULT_ROWS_MAX : lease->wire.n_rows;
     if (!has_ended(lease) ||
-        (!lease->is_dropped &&
-         (results->n == MO_WIRE_RESULTS_MAX || rows + lease->wire.n_rows > RESULT_ROWS_MAX))) {
+        (!lease->is_dropped && (results->n == MO_WIRE_RESULTS_MAX || rows + n > RESULT_ROWS_MAX))) {
       at = &lease->next;
       continue;
     }
     *at = lease->next;
     if (!lease->is_dropped) {
-      make_result(lease, &results->items[results->n]);
-      rows += results->items[results->n++].n_rows;
+      make_result(lease, &results->items[results->n++]);
+      rows += n;
     }
     holding->leases_done += !lease->is_dropped && !lease->is_given_back && lease->error == MO_OK;
     free_lease(holding, lease);

@@ -2,7 +2,8 @@
  *
  * One thread calls. Blocks are submitted in the order of the leases, a few more than there are
  * workers, by the threads that finish others. So the first lease ends first, and its successor
- * keeps all workers busy meanwhile. */
+ * keeps all workers busy meanwhile. A shard of a gradient is computed by a thread of its own, which
+ * waits for the workers. */
 #ifndef MORPHO_WORKER_HOLDING_H
 #define MORPHO_WORKER_HOLDING_H
 
@@ -40,7 +41,8 @@ void mo_holding_drop_all(struct mo_holding *holding);
 /* Gives back the leases of which no block has started; all: those that run, too. */
 void mo_holding_give_back(struct mo_holding *holding, bool all);
 
-/* Moves what has ended into a message; each lease once. Drops what was dropped. */
+/* Moves what has ended into a message; each lease once, a gradient alone in its message. Drops what
+ * was dropped. */
 void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results *results);
 
 struct mo_holding_status {

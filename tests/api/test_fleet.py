@@ -11,11 +11,13 @@ import socket
 import ssl
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
 
-from service import SOURCE, until
+from fleet_daemon import Worker
+from service import SOURCE, run, until
 from workers import Workers, digest, read_leases, result, results
 
 sys.path.append(str(SOURCE / "bench"))
@@ -314,3 +316,45 @@ def test_idle_sessions_cost_little(free):
     """tools/bench fleet does it with ten times as many, for as long as one likes."""
     p99_s, share, grown = asyncio.run(bench.measure(free, 100, 3))
     assert p99_s < 0.05 and share < 0.1 and grown <= 2
+
+
+BATCH = 1056  # two shards
+
+
+def learned(service, mode):
+    """What a training or a campaign gives: hashes of controllers, and scores."""
+    if mode == "training":
+        value = {"kind": "pretrain", "steps": 3, "batch": BATCH, "physics": {"n_steps": 20},
+                 "validation": {"every_steps": 0}, "name": "by-workers"}
+        return run(service, "trainings", value)["controller"]["sha256"]
+    learning = {"name": mode, "learning": {"parent_steps": 1, "child_steps": 1, "batch": BATCH}}
+    done = run(service, "campaigns", CAMPAIGN | {"mode": mode} |
+               (learning if mode != "zero-shot" else {}))
+    population = service.get(f"/v1/campaigns/{done['id']}/population")["items"]
+    return ([row["score"] for row in population],
+            ((done["result"] or {}).get("controller") or {}).get("sha256"))
+
+
+@pytest.mark.parametrize("mode", ["training", "zero-shot", "few-shot", "simultaneous"])
+def test_workers_learn_with_the_same_bits(free, start, mode):
+    """Two workers compute all that a daemon learns, the training although one is killed."""
+    alone = learned(start(), mode)
+    launched = [Worker(f"http://{free.host}:{free.port}") for _ in range(2)]
+    try:
+        until(lambda: free.status()["n_sessions"] == 2)
+        if mode == "training":
+            killing = threading.Thread(target=kill_busy, args=(free, launched[0]))
+            killing.start()
+        assert learned(free.service, mode) == alone
+        if mode == "training":
+            killing.join()
+        n = {"training": 3 * BATCH, "zero-shot": 6}.get(mode, BATCH)
+        assert free.status()["rollouts_done"] >= n  # also robots of gradients
+    finally:
+        for one in launched:
+            one.close()
+
+
+def kill_busy(fleet, worker):
+    until(lambda: fleet.status()["leases"] >= 2, every=0.005)
+    worker.process.kill()

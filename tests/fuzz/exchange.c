@@ -49,10 +49,13 @@ static void read_leases(const uint8_t *data, size_t size, struct mo_workspace wo
     uint32_t rows = 0;
     FUZZ_PROMISE(lease->n_rows >= lease->n_blocks && lease->n_rows <= MO_WIRE_ROWS_MAX);
     FUZZ_PROMISE(mo_physics_check(&lease->physics, NULL) == MO_OK);
+    FUZZ_PROMISE(lease->n_parameters <= MO_WIRE_PARAMETERS_MAX);
+    FUZZ_PROMISE(lease->n_parameters == 0 || mo_gradient_options_check(&lease->gradient) == MO_OK);
     for (uint32_t e = 0; e < lease->n_environments; e++)
       FUZZ_PROMISE(mo_environment_check(&lease->environments[e], NULL) == MO_OK);
     for (uint32_t b = 0; b < lease->n_blocks; b++) {
       const struct mo_wire_block *block = &lease->blocks[b];
+      FUZZ_PROMISE(lease->n_parameters == 0 || block->n_environments == 1);
       FUZZ_PROMISE(mo_genotype_is_contiguous(workspace, block->genotype) == 1);
       FUZZ_PROMISE(block->n_environments >= 1 && block->n_environments <= MO_BLOCK_LANES);
       for (uint32_t k = 0; k < block->n_environments; k++)
@@ -83,6 +86,9 @@ static void read_results(const uint8_t *data, size_t size)
     const struct mo_wire_result *result = &results.items[i];
     FUZZ_PROMISE((result->state == MO_RESULT_DONE) == (result->n_rows > 0));
     FUZZ_PROMISE(result->n_rows <= MO_WIRE_ROWS_MAX);
+    FUZZ_PROMISE(result->n_parameters <= MO_WIRE_PARAMETERS_MAX);
+    for (uint32_t k = 0; k < result->n_parameters; k++)
+      FUZZ_PROMISE(isfinite(result->d_parameters[k]));
     FUZZ_PROMISE(result->busy_s >= 0 && result->wall_s >= 0);
     for (uint32_t row = 0; row < result->n_rows; row++)
       FUZZ_PROMISE(result->losses[row] >= 0 &&

@@ -36,6 +36,7 @@ static struct {
   int status;
   atomic_int begun, inside, most_inside;
   atomic_int wrong_tags;
+  bool workers_hang; /* blocks with tag 7 end only when they are told to stop */
 } plan;
 
 int __real_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
@@ -71,6 +72,11 @@ int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_
                              float *gradient, struct mo_gradient_counts *counts)
 {
   if (plan.made_up != NULL) {
+    while (plan.workers_hang && mo_thread_tag == 7) {
+      if (pause->reached(pause->context) != 0)
+        return MO_ERR_CANCELLED;
+      usleep(1000);
+    }
     memset(results, 0, n * sizeof(*results));
     make_up((uint64_t)(list[0].environment - plan.made_up), gradient);
     return MO_OK;
@@ -263,6 +269,123 @@ static void *make_call(void *argument)
   call->status = mo_compute_gradient(call->state, &call->batch);
   atomic_store(&call->returned, 1);
   return NULL;
+}
+
+static void hear_nothing(void *context)
+{
+  (void)context;
+}
+
+/* A remote taker: a thread with a back end of its own. */
+struct taker {
+  struct mo_compute *from, *own;
+  struct mo_gradient_state *state;
+  bool refuses; /* returns the first shard, again and again, and fails with the second */
+  bool holds;   /* returns a shard when it is cancelled */
+  atomic_int end, taken;
+  pthread_t thread;
+};
+
+static void compute_shard(struct taker *taker, struct mo_taken *taken)
+{
+  static double sum[1 << 20];
+  static struct mo_outcome results[SHARD];
+  static double losses[SHARD];
+  static uint32_t diverged[SHARD];
+  struct mo_gradient_batch part = *taken->shard;
+  make_check(part.controller->n_parameters <= COUNT(sum) ? MO_OK : MO_ERR_LIMIT, "a sum");
+  part.share = NULL;
+  part.tag = 8;
+  part.d_parameters = sum;
+  part.outcomes = results;
+  make_check(mo_compute_gradient(taker->state, &part), "a shard");
+  for (uint32_t i = 0; i < part.n; i++) {
+    losses[i] = results[i].loss;
+    diverged[i] = (uint32_t)results[i].diverged_step;
+  }
+  mo_compute_deliver(
+      taker->from, taken,
+      &(struct mo_remote_result){
+          .losses = losses, .diverged = diverged, .d_parameters = sum, .counts = part.counts});
+}
+
+static void *take_shards(void *argument)
+{
+  struct taker *taker = argument;
+  while (!atomic_load(&taker->end)) {
+    struct mo_taken *taken = mo_compute_take(taker->from, MO_ON_CPU, 1);
+    if (taken == NULL) {
+      usleep(1000);
+      continue;
+    }
+    const int n = atomic_fetch_add(&taker->taken, 1);
+    while (taker->holds && !mo_taken_is_cancelled(taken))
+      usleep(1000);
+    if (taker->holds || (taker->refuses && n < 3))
+      mo_compute_put_back(taker->from, taken);
+    else if (taker->refuses && n == 3)
+      mo_compute_deliver(taker->from, taken,
+                         &(struct mo_remote_result){.status = MO_ERR_EXHAUSTED});
+    else
+      compute_shard(taker, taken);
+  }
+  return NULL;
+}
+
+/* Takers compute all shards, some, or those that the workers have begun: the bits are the same. A
+ * cancelled call waits until they have returned what they took. */
+static void takers_compute_shards(void)
+{
+  enum { ALL, SOME, BEGUN, CANCELLED, MODES };
+  static struct mo_environment many_environments[MANY];
+  static struct mo_robot many[MANY];
+  static struct mo_outcome many_outcomes[MANY];
+  static const uint64_t genotype;
+  double *in_one_row = make_zeros(controller->n_parameters, sizeof(double));
+  for (uint32_t i = 0; i < MANY; i++) {
+    many_environments[i] = *robots[i % ROBOTS].environment;
+    many[i] = (struct mo_robot){robots[i % ROBOTS].body, &many_environments[i], &genotype};
+  }
+  add_plainly(many, MANY, d_parameters[1], in_one_row);
+  plan.made_up = many_environments;
+  for (int mode = 0; mode < MODES; mode++) {
+    struct taker taker = {.from = make_compute(2),
+                          .own = make_compute(1),
+                          .refuses = mode == SOME,
+                          .holds = mode == CANCELLED};
+    struct mo_compute_share *share = NULL;
+    struct mo_gradient_batch batch = make_batch(MANY, 5000, 0);
+    volatile int cancel = 0;
+    struct call call = {.state = make_gradient_state(taker.from)};
+    taker.state = make_gradient_state(taker.own);
+    REQUIRE(mo_compute_share_create(taker.from, 1, &share) == MO_OK);
+    mo_compute_watch_remote(taker.from, hear_nothing, NULL);
+    mo_compute_leave_remote(taker.from, mode != BEGUN);
+    mo_compute_want_remote(taker.from, MO_ON_CPU, 1);
+    plan.workers_hang = mode == BEGUN;
+    batch.robots = many;
+    batch.outcomes = many_outcomes;
+    batch.share = share;
+    batch.cancel = &cancel;
+    call.batch = batch;
+    make_check(pthread_create(&taker.thread, NULL, take_shards, &taker) != 0, "a taker");
+    make_check(pthread_create(&call.thread, NULL, make_call, &call) != 0, "a thread");
+    while (mode == CANCELLED && atomic_load(&taker.taken) == 0)
+      usleep(1000);
+    __atomic_store_n(&cancel, mode == CANCELLED, __ATOMIC_RELAXED);
+    pthread_join(call.thread, NULL);
+    atomic_store(&taker.end, 1);
+    pthread_join(taker.thread, NULL);
+    CHECK_INT(call.status, mode == CANCELLED ? MO_ERR_CANCELLED : MO_OK);
+    CHECK(mode == CANCELLED || SAME(batch.d_parameters, d_parameters[1], controller->n_parameters));
+    CHECK_INT(atomic_load(&taker.taken), mode == CANCELLED ? 1 : mode == SOME ? 5 : 3);
+    CHECK_INT(stats_of(taker.from).gradient_robots_done, mode == SOME ? 2 * SHARD : 0);
+    CHECK_INT(mo_compute_remote_waiting(taker.from, MO_ON_CPU), 0);
+    mo_compute_share_free(share);
+    check_drop_from(taker.from);
+  }
+  plan.made_up = NULL;
+  plan.workers_hang = false;
 }
 
 static struct mo_block urgent_block(struct mo_compute_controller *brain, uint32_t i)
@@ -485,6 +608,7 @@ static void one_state_takes_any_controller(void)
 static const struct check_case cases[] = {
     {"the same bits for any workers", same_bits_for_any_workers},
     {"shards are added in order", shards_are_added_in_order},
+    {"takers compute shards", takers_compute_shards},
     {"urgent blocks overtake", urgent_blocks_overtake},
     {"urgent gradients go first", urgent_gradients_go_first},
     {"cancelled calls come back", cancelled_calls_come_back},

@@ -43,7 +43,8 @@ struct fake {
   uint64_t now_ns;
 };
 
-static const char fake_class[] = "cpu fake float32 kernels-1";
+static const char fake_class[] = "cpu fake float32 kernels-1",
+                  fake_gradients[] = "cpu fake gradient-1";
 
 static inline void fake_hash(uint64_t *h, const void *bytes, size_t n)
 {
@@ -85,7 +86,7 @@ static inline struct mo_taken *fake_take(void *context, enum mo_back_end back_en
   if (taken == NULL)
     return NULL;
   taken->shown.controller = fake->controller;
-  taken->shown.prepared = (const void *)fake->controller;
+  taken->shown.identity = (const void *)fake->controller;
   for (uint64_t rest = steps; block != NULL; block = TAILQ_FIRST(&fake->queue)) {
     const uint64_t cost = (uint64_t)block->block.n_environments * block->block.physics.n_steps;
     if (taken->shown.n_blocks > 0 && cost > rest)
@@ -128,7 +129,7 @@ static inline struct mo_taken *fake_split(void *context, struct mo_taken *shown)
   if (second == NULL)
     return NULL;
   second->shown.controller = shown->controller;
-  second->shown.prepared = shown->prepared;
+  second->shown.identity = shown->identity;
   for (uint32_t i = n_first; i < n; i++) {
     second->blocks[second->shown.n_blocks++] = first->blocks[i];
     second->shown.n_rows += first->blocks[i]->n_environments;
@@ -243,18 +244,18 @@ static inline struct fake *make_fake(uint64_t seed)
     make_check(mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, fake->genotypes[g]), "a body");
     mo_genotype_place(MO_DEFAULT_WORKSPACE, fake->genotypes[g]);
   }
-  struct mo_fleet_config config = {
-      .source = {fake, fake_take, fake_put_back, fake_split, fake_is_cancelled, fake_deliver,
-                 fake_want, fake_waiting, NULL},
-      .workspace = MO_DEFAULT_WORKSPACE,
-      .epoch = 5,
-      .seed = seed,
-      .version = "1.0.0",
-      .classes = {{.scores = fake_class, .gradients = "cpu fake gradient-1"}},
-      .origin = fake_origin,
-      .wake = fake_wake,
-      .event = fake_event,
-      .context = fake};
+  struct mo_fleet_config config = {.source = {fake, fake_take, fake_put_back, fake_split,
+                                              fake_is_cancelled, fake_deliver, fake_want,
+                                              fake_waiting, NULL},
+                                   .workspace = MO_DEFAULT_WORKSPACE,
+                                   .epoch = 5,
+                                   .seed = seed,
+                                   .version = "1.0.0",
+                                   .classes = {{.scores = fake_class, .gradients = fake_gradients}},
+                                   .origin = fake_origin,
+                                   .wake = fake_wake,
+                                   .event = fake_event,
+                                   .context = fake};
   make_check(mo_fleet_create(&config, &fake->fleet), "the fleet");
   return check_keep(fake, drop_fake);
 }
@@ -286,6 +287,7 @@ static inline struct mo_fleet_offer fake_offer(const char *name, const char *hos
   snprintf(offer.name, sizeof(offer.name), "%s", name);
   snprintf(offer.host, sizeof(offer.host), "%s", host);
   snprintf(offer.classes[0].scores, sizeof(offer.classes[0].scores), "%s", fake_class);
+  snprintf(offer.classes[0].gradients, sizeof(offer.classes[0].gradients), "%s", fake_gradients);
   return offer;
 }
 

@@ -1,5 +1,5 @@
-/* messages.h: messages that tests of the room send: leases of random bodies, and results. Freed by
- * the caller (mo_wire_free_…). */
+/* messages.h: messages that tests of the room send: leases of random bodies, and results; every
+ * fourth, from 2 on, is of a gradient. Freed by the caller (mo_wire_free_…). */
 #ifndef MORPHO_TESTS_FLEET_MESSAGES_H
 #define MORPHO_TESTS_FLEET_MESSAGES_H
 
@@ -15,7 +15,9 @@ static inline struct mo_wire_lease lease_of(struct mo_workspace workspace, uint6
                                 .physics = physics_of(100 + (uint32_t)number),
                                 .back_end = number % 2 ? MO_ON_DEVICE : MO_ON_CPU,
                                 .n_environments = n_environments,
-                                .n_blocks = n_blocks};
+                                .n_blocks = n_blocks,
+                                .n_parameters = number % 4 == 2 ? 1000 : 0,
+                                .gradient = mo_default_gradient_options()};
   lease.environments = calloc(n_environments, sizeof(*lease.environments));
   lease.blocks = calloc(n_blocks, sizeof(*lease.blocks));
   make_check(lease.environments && lease.blocks ? MO_OK : MO_ERR_NO_MEMORY, "a lease");
@@ -27,7 +29,8 @@ static inline struct mo_wire_lease lease_of(struct mo_workspace workspace, uint6
     struct mo_wire_block *block = &lease.blocks[b];
     make_check(mo_genotype_random(workspace, &random, block->genotype), "a body");
     mo_genotype_place(workspace, block->genotype);
-    block->n_environments = 1 + mo_random_below(&random, MO_BLOCK_LANES);
+    block->n_environments =
+        lease.n_parameters > 0 ? 1 : 1 + mo_random_below(&random, MO_BLOCK_LANES);
     for (uint32_t k = 0; k < block->n_environments; k++)
       block->environments[k] = (uint16_t)mo_random_below(&random, n_environments);
     lease.n_rows += block->n_environments;
@@ -51,6 +54,15 @@ static inline struct mo_wire_result result_of(struct mo_lease_id id, uint32_t n_
     result.losses[row] = row % 5 == 4 ? INFINITY : 1.0 / (row + 3);
     result.diverged_steps[row] = row % 5 == 4 ? row : 0;
   }
+  if (id.number % 4 != 2)
+    return result;
+  result.n_parameters = 5;
+  result.d_parameters = calloc(result.n_parameters, sizeof(*result.d_parameters));
+  make_check(result.d_parameters ? MO_OK : MO_ERR_NO_MEMORY, "a sum");
+  for (uint32_t k = 0; k < result.n_parameters; k++)
+    result.d_parameters[k] = k - 2.5;
+  result.counts = (struct mo_gradient_counts){
+      .robots = n_rows, .steps = 40, .clipped_steps = 3, .zeroed_robots = 1, .largest = 7};
   return result;
 }
 

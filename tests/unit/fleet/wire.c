@@ -92,6 +92,9 @@ static void round_trip(void)
         got->physics.friction_cap == 0.95 && got->physics.stiffness_n_per_m == 15000.0);
   CHECK(got->n_rows == sent.n_rows && SAME(got->environments, sent.environments, 7));
   CHECK(SAME(got->blocks, sent.blocks, 4));
+  got = &leases.items[2];
+  CHECK(got->n_parameters == 1000 && got->gradient.adjoint_bound == MO_ADJOINT_BOUND &&
+        got->gradient.weight == 1 && got->gradient.restart_weight == MO_RESTART_WEIGHT);
   mo_wire_free_leases(&leases);
   leases = (struct mo_wire_leases){1, {sent}};
   mo_wire_free_leases(&leases);
@@ -118,7 +121,7 @@ static void cut_short(void)
 static void bits_flipped(void)
 {
   struct mo_message why;
-  const struct message messages[] = {leases_of(workspaces[0], 2), leases_of(workspaces[1], 1),
+  const struct message messages[] = {leases_of(workspaces[0], 2), leases_of(workspaces[1], 3),
                                      results_of(3)};
   for (size_t m = 0; m < COUNT(messages); m++) {
     for (size_t bit = 0; bit < messages[m].size * 8; bit++) {
@@ -144,7 +147,7 @@ static const struct hostile {
     {true, 12, 4, UINT32_MAX, "at most 4 items"},
     {true, 12, 4, 0, "follow the last item"},
     {true, 16, 8, UINT64_MAX, "the header says"},
-    {true, HEADER + 16, 4, 2, "unknown flags"},
+    {true, HEADER + 16, 4, 4, "unknown flags"},
     {true, HEADER + 20, 4, 0, "0 environments"},
     {true, HEADER + 20, 4, MO_WIRE_ENVIRONMENTS_MAX, "longer than the message"},
     {true, HEADER + 20, 4, MO_WIRE_ENVIRONMENTS_MAX + 1, "4097 environments"},
@@ -165,7 +168,7 @@ static const struct hostile {
     {true, HEADER + LEASE + 528 + 18, 1, 17, "1 to 16 environments, got 17"},
     {true, HEADER + LEASE + 528 + 19, 2, 1, "environment 1 of 1"},
     {false, 12, 4, 9, "at most 8 items"},
-    {false, HEADER + 16, 4, 3, "unknown state 3"},
+    {false, HEADER + 16, 4, 4, "unknown state 4"},
     {false, HEADER + 16, 4, MO_RESULT_DONE, "state 0 with 0 rows"},
     {false, HEADER + 20, 4, 1, "state 1 with 1 rows"},
     {false, HEADER + 24, 8, UINT64_C(0xbff0000000000000), "times must be"},
@@ -205,6 +208,39 @@ static void bodies(void)
   CHECK_SAYS(why, "bits beyond voxel 29");
 }
 
+/* Gradients with numbers that none has. */
+static void gradients(void)
+{
+  for (int fault = 0; fault < 10; fault++) {
+    struct mo_wire_leases leases = {1, {lease_of(MO_DEFAULT_WORKSPACE, 2, 3, 4)}};
+    struct mo_wire_results results = {1, {result_of((struct mo_lease_id){9, 2}, 6)}};
+    struct mo_wire_lease *lease = &leases.items[0];
+    struct mo_wire_result *result = &results.items[0];
+    struct message message = {fault < 5, MO_DEFAULT_WORKSPACE, NULL, 0};
+    struct mo_message why;
+    switch (fault) {
+    case 0: lease->gradient.weight = 0; break;
+    case 1: lease->gradient.weight = NAN; break;
+    case 2: lease->gradient.adjoint_bound = -1; break;
+    case 3: lease->gradient.restart_weight = 2 * MO_RESTART_WEIGHT_MAX; break;
+    case 4: lease->gradient.adjoint_rule = (enum mo_adjoint_rule)2; break;
+    case 5: result->d_parameters[4] = INFINITY; break;
+    case 6: result->counts.robots++; break;
+    case 7: result->counts.clipped_steps = 41; break;
+    case 8: result->counts.largest = NAN; break;
+    default: result->counts.steps = UINT64_MAX; break;
+    }
+    make_check(message.is_leases
+                   ? mo_wire_put_leases(&leases, message.workspace, &message.bytes, &message.size)
+                   : mo_wire_put_results(&results, &message.bytes, &message.size),
+               "a message");
+    CHECK_INT(decode(&message, message.size, &why), MO_ERR_FORMAT);
+    free(message.bytes);
+    mo_wire_free_leases(&leases);
+    mo_wire_free_results(&results);
+  }
+}
+
 /* What the format cannot hold is not sent. */
 static void too_large(void)
 {
@@ -226,8 +262,14 @@ static void too_large(void)
   leases.items[0].n_environments = MO_WIRE_ENVIRONMENTS_MAX + 1;
   CHECK_INT(mo_wire_put_leases(&leases, workspace, &bytes, &size), MO_ERR_LIMIT);
   leases.items[0].n_environments = 3;
+  leases.items[0].n_parameters = 1; /* of blocks with more than one environment */
+  CHECK_INT(mo_wire_put_leases(&leases, workspace, &bytes, &size), MO_ERR_LIMIT);
+  leases.items[0].n_parameters = 0;
   leases.items[0].blocks[1].n_environments = 0;
   CHECK_INT(mo_wire_put_leases(&leases, workspace, &bytes, &size), MO_ERR_LIMIT);
+  results.items[0].n_parameters = MO_WIRE_PARAMETERS_MAX + 1;
+  CHECK_INT(mo_wire_put_results(&results, &bytes, &size), MO_ERR_LIMIT);
+  results.items[0].n_parameters = 0;
   results.items[0].n_rows = MO_WIRE_ROWS_MAX + 1;
   CHECK_INT(mo_wire_put_results(&results, &bytes, &size), MO_ERR_LIMIT);
   results.items[0].n_rows = 0;
@@ -238,7 +280,8 @@ static void too_large(void)
 }
 
 static const struct check_case cases[] = {
-    {"round trip", round_trip},   {"cut short", cut_short}, {"any bit flipped", bits_flipped},
-    {"hostile numbers", hostile}, {"bodies", bodies},       {"too large to send", too_large},
+    {"round trip", round_trip},       {"cut short", cut_short}, {"any bit flipped", bits_flipped},
+    {"hostile numbers", hostile},     {"bodies", bodies},       {"gradients", gradients},
+    {"too large to send", too_large},
 };
 CHECK_MAIN(cases)

@@ -1,0 +1,238 @@
+/* shards.c: see shards.h. */
+#include "compute/shards.h"
+
+#include <stdlib.h>
+#include <time.h>
+
+#define RETURNS_MAX 3
+#define WORTH_S     0.2 /* a batch that the workers compute in less time is not offered */
+#define WAIT_NS     50000000L
+
+struct mo_shard_result *mo_shard_result_create(size_t n_parameters)
+{
+  struct mo_shard_result *result = NULL;
+  return calloc(1, sizeof(*result) + n_parameters * sizeof(double));
+}
+
+static struct mo_compute_core *core_of(const struct mo_offer *offer)
+{
+  return mo_core(offer->compute);
+}
+
+static double units_of(const struct mo_gradient_batch *batch)
+{
+  return (double)batch->n * batch->physics.n_steps;
+}
+
+/* ---- opening and closing ---- */
+
+/* Under the mutex. Returns whether takers should see the shards: they need the genotypes, and a
+ * small batch is computed here before they have its weights. */
+static bool is_worth_listing(const struct mo_offer *offer)
+{
+  const struct mo_compute_core *core = core_of(offer);
+  const struct mo_gradient_batch *batch = offer->batch;
+  if (core->remote.arrived == NULL || batch->share == NULL || batch->urgency != MO_BATCH)
+    return false;
+  for (uint32_t i = 0; i < batch->n; i++)
+    if (batch->robots[i].genotype == NULL)
+      return false;
+  return atomic_load(&core->remote.leave) ||
+         units_of(batch) * batch->share->unit_s[MO_FAIR_GRADIENT] > WORTH_S * core->n_workers;
+}
+
+int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute,
+                  const struct mo_gradient_batch *batch, const uint32_t *order, double weight)
+{
+  struct mo_compute_core *core = mo_core(compute);
+  const uint32_t n = (batch->n + MO_GRADIENT_SHARD - 1) / MO_GRADIENT_SHARD;
+  *offer = (struct mo_offer){.compute = compute,
+                             .batch = batch,
+                             .robots = malloc(batch->n * sizeof(*offer->robots)),
+                             .n = n,
+                             .items = calloc(n, sizeof(*offer->items))};
+  if (offer->robots == NULL || offer->items == NULL) {
+    free(offer->robots);
+    free(offer->items);
+    return MO_ERR_NO_MEMORY;
+  }
+  pthread_cond_init(&offer->changed, NULL);
+  for (uint32_t i = 0; i < batch->n; i++)
+    offer->robots[i] = batch->robots[order[i]];
+  for (uint32_t i = 0; i < n; i++) {
+    const uint32_t first = i * MO_GRADIENT_SHARD, left = batch->n - first;
+    struct mo_gradient_batch *part = &offer->items[i].part;
+    *part = *batch;
+    part->robots = offer->robots + first;
+    part->n = left < MO_GRADIENT_SHARD ? left : MO_GRADIENT_SHARD;
+    part->weight = weight;
+    part->is_arranged = true;
+  }
+  pthread_mutex_lock(&core->fair->mutex);
+  offer->is_listed = is_worth_listing(offer);
+  if (offer->is_listed) {
+    offer->next = core->remote.offers;
+    core->remote.offers = offer;
+    mo_remote_call(core);
+  }
+  pthread_mutex_unlock(&core->fair->mutex);
+  return MO_OK;
+}
+
+void mo_offer_stop(struct mo_offer *offer)
+{
+  struct mo_compute_core *core = core_of(offer);
+  pthread_mutex_lock(&core->fair->mutex);
+  for (uint32_t i = 0; i < offer->n; i++)
+    atomic_store(&offer->items[i].stop, true);
+  if (offer->is_listed) {
+    struct mo_offer **link = &core->remote.offers;
+    while (*link != offer)
+      link = &(*link)->next;
+    *link = offer->next;
+    offer->is_listed = false;
+  }
+  pthread_mutex_unlock(&core->fair->mutex);
+}
+
+void mo_offer_close(struct mo_offer *offer)
+{
+  struct mo_fair *fair = core_of(offer)->fair;
+  pthread_mutex_lock(&fair->mutex);
+  while (offer->n_taken > 0)
+    pthread_cond_wait(&offer->changed, &fair->mutex);
+  pthread_mutex_unlock(&fair->mutex);
+  for (uint32_t i = 0; i < offer->n; i++)
+    free(offer->items[i].result);
+  pthread_cond_destroy(&offer->changed);
+  free(offer->items);
+  free(offer->robots);
+}
+
+/* ---- the calling thread ---- */
+
+static bool is_done(const struct mo_shard *shard)
+{
+  return atomic_load_explicit(&shard->stop, memory_order_relaxed);
+}
+
+int mo_offer_claim(struct mo_offer *offer)
+{
+  const struct mo_compute_core *core = core_of(offer);
+  int number = MO_ERR_EXHAUSTED;
+  pthread_mutex_lock(&core->fair->mutex);
+  const bool leaves = offer->is_listed && atomic_load(&core->remote.leave) &&
+                      atomic_load(&core->remote.blocks[MO_ON_CPU]) > 0;
+  for (uint32_t i = 0; i < offer->n && number < 0; i++) {
+    struct mo_shard *shard = &offer->items[i];
+    if (is_done(shard) || shard->is_here || shard->is_taken ||
+        (leaves && shard->n_returned < RETURNS_MAX))
+      continue;
+    shard->is_here = true;
+    number = (int)i;
+  }
+  pthread_mutex_unlock(&core->fair->mutex);
+  return number;
+}
+
+/* Under the mutex. */
+static void give(struct mo_shard *shard, struct mo_shard_result **result)
+{
+  if (*result == NULL || is_done(shard))
+    return;
+  shard->result = *result;
+  atomic_store(&shard->stop, true);
+  *result = NULL;
+}
+
+void mo_offer_finish(struct mo_offer *offer, uint32_t number, struct mo_shard_result **result)
+{
+  struct mo_fair *fair = core_of(offer)->fair;
+  pthread_mutex_lock(&fair->mutex);
+  give(&offer->items[number], result);
+  pthread_mutex_unlock(&fair->mutex);
+}
+
+struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number)
+{
+  struct mo_fair *fair = core_of(offer)->fair;
+  pthread_mutex_lock(&fair->mutex);
+  struct mo_shard_result *result = offer->items[number].result;
+  offer->items[number].result = NULL;
+  pthread_mutex_unlock(&fair->mutex);
+  return result;
+}
+
+void mo_offer_wait(struct mo_offer *offer)
+{
+  struct mo_fair *fair = core_of(offer)->fair;
+  struct timespec until;
+  clock_gettime(CLOCK_REALTIME, &until);
+  until.tv_nsec += WAIT_NS;
+  until.tv_sec += until.tv_nsec / 1000000000L;
+  until.tv_nsec %= 1000000000L;
+  pthread_mutex_lock(&fair->mutex);
+  bool has_result = false;
+  for (uint32_t i = 0; i < offer->n; i++)
+    has_result |= offer->items[i].result != NULL;
+  if (!has_result)
+    (void)pthread_cond_timedwait(&offer->changed, &fair->mutex, &until);
+  pthread_mutex_unlock(&fair->mutex);
+}
+
+/* ---- takers ---- */
+
+/* Returns the shard that a taker gets next; NULL: none. */
+static struct mo_shard *find(const struct mo_offer *offer, bool here)
+{
+  for (uint32_t i = 0; i < offer->n; i++) {
+    struct mo_shard *shard = &offer->items[i];
+    if (shard->is_here == here && !shard->is_taken && shard->n_returned < RETURNS_MAX &&
+        !mo_shard_is_cancelled(shard))
+      return shard;
+  }
+  return NULL;
+}
+
+struct mo_offer *mo_offer_next(const struct mo_compute_core *core, bool here)
+{
+  struct mo_offer *next = NULL;
+  for (struct mo_offer *offer = core->remote.offers; offer != NULL; offer = offer->next)
+    if ((next == NULL || offer->batch->share->virtual_s < next->batch->share->virtual_s) &&
+        find(offer, here) != NULL)
+      next = offer;
+  return next;
+}
+
+struct mo_shard *mo_offer_take(struct mo_offer *offer, bool here)
+{
+  struct mo_shard *shard = find(offer, here);
+  shard->is_taken = true;
+  offer->n_taken++;
+  return shard;
+}
+
+void mo_offer_return(struct mo_offer *offer, struct mo_shard *shard, bool has_failed,
+                     struct mo_shard_result *result)
+{
+  shard->is_taken = false;
+  shard->n_returned += result == NULL;
+  if (has_failed)
+    shard->n_returned = RETURNS_MAX;
+  give(shard, &result);
+  free(result);
+  offer->n_taken--;
+  pthread_cond_broadcast(&offer->changed); /* the offer may be gone when the mutex is free */
+}
+
+double mo_offers_units(const struct mo_compute_core *core)
+{
+  double units = 0;
+  for (const struct mo_offer *offer = core->remote.offers; offer != NULL; offer = offer->next)
+    for (uint32_t i = 0; i < offer->n; i++) {
+      const struct mo_shard *shard = &offer->items[i];
+      if (!shard->is_here && !shard->is_taken && !is_done(shard))
+        units += units_of(&shard->part);
+    }
+  return units;
+}

@@ -1,0 +1,78 @@
+/* shards.h: the shards of a gradient while it is computed, by the workers or by remote takers.
+ *
+ * The calling thread claims the first shard that nobody has and gives its blocks to the workers;
+ * remote takers take shards in the same order. So both get work at the rates at which they compute.
+ * A taker that finds nothing else takes a shard that the workers compute: the first result counts,
+ * and it has the same bits. Shards that takers return again and again are left to the workers.
+ *
+ * The mutex of the workers' queue guards everything but what the comments say. */
+#ifndef MORPHO_COMPUTE_SHARDS_H
+#define MORPHO_COMPUTE_SHARDS_H
+
+#include "compute/fair.h"
+
+struct mo_shard_result {
+  struct mo_gradient_counts counts;
+  struct mo_outcome outcomes[MO_GRADIENT_SHARD];
+  double d_parameters[]; /* (n_parameters) */
+};
+/* d_parameters are zeros; NULL: no memory. */
+struct mo_shard_result *mo_shard_result_create(size_t n_parameters);
+
+struct mo_shard {
+  struct mo_gradient_batch part; /* constant: its robots, in order */
+  bool is_here, is_taken;        /* the workers compute it, a taker has it */
+  uint32_t n_returned;           /* by takers */
+  atomic_bool stop;              /* it is done, or not needed any more; read anywhere */
+  struct mo_shard_result *result;
+};
+
+/* Of one call. Takers see it while it is listed. */
+struct mo_offer {
+  struct mo_compute *compute;
+  const struct mo_gradient_batch *batch;
+  struct mo_robot *robots; /* (batch->n) in the order of the shards */
+  uint32_t n, n_taken;
+  struct mo_shard *items; /* (n) */
+  pthread_cond_t changed;
+  bool is_listed;
+  struct mo_offer *next;
+};
+
+/* ---- for the calling thread; these take the mutex ---- */
+
+/* order: (batch->n), as arranged. MO_ERR_NO_MEMORY. */
+int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute,
+                  const struct mo_gradient_batch *batch, const uint32_t *order, double weight);
+/* Returns the number of a shard that is for the workers now. MO_ERR_EXHAUSTED: there is none. */
+int mo_offer_claim(struct mo_offer *offer);
+/* Gives the workers' result of a shard. If a taker was faster, *result stays. */
+void mo_offer_finish(struct mo_offer *offer, uint32_t number, struct mo_shard_result **result);
+/* Takes the result of a shard, which the caller frees. NULL: not done yet. */
+struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number);
+/* Waits until something changes, or 50 ms: cancellation and the coming and going of takers do not
+ * wake. */
+void mo_offer_wait(struct mo_offer *offer);
+void mo_offer_stop(struct mo_offer *offer); /* no shard is needed any more; before close */
+/* Waits until takers have returned all shards, and frees what the offer has. */
+void mo_offer_close(struct mo_offer *offer);
+
+/* ---- for takers; under the mutex ---- */
+
+/* Returns the offer with a shard for a taker whose share is next; NULL: none. here: a shard that
+ * the workers compute. */
+struct mo_offer *mo_offer_next(const struct mo_compute_core *core, bool here);
+struct mo_shard *mo_offer_take(struct mo_offer *offer, bool here);
+/* A taker returns a shard. result: NULL, or consumed. has_failed: takers cannot compute it. */
+void mo_offer_return(struct mo_offer *offer, struct mo_shard *shard, bool has_failed,
+                     struct mo_shard_result *result);
+double mo_offers_units(const struct mo_compute_core *core); /* rollout steps of waiting shards */
+
+static inline bool mo_shard_is_cancelled(const struct mo_shard *shard)
+{
+  const volatile int *cancel = shard->part.cancel;
+  return atomic_load_explicit(&shard->stop, memory_order_relaxed) ||
+         (cancel != NULL && __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0);
+}
+
+#endif
