@@ -30,7 +30,8 @@ struct fake_taken {
 /* A source. Each thing that goes wrong in it is a failed check. */
 struct fake {
   struct mo_lattice *lattice;
-  struct mo_controller *controller; /* nullable */
+  struct mo_controller *controller;      /* nullable */
+  const struct mo_gradient_batch *shard; /* taken again and again, instead of blocks; nullable */
   struct mo_environment environments[ENVIRONMENTS];
   uint64_t genotypes[GENOTYPES][MO_DEFAULT_WORDS];
   TAILQ_HEAD(, fake_block) queue;
@@ -77,10 +78,26 @@ static inline struct fake_taken *fake_taken_of(uint32_t n)
   return taken;
 }
 
+static inline struct mo_taken *fake_take_shard(struct fake *fake)
+{
+  struct fake_taken *taken = fake_taken_of(0);
+  if (taken == NULL)
+    return NULL;
+  taken->shown.n_blocks = 1;
+  taken->shown.n_rows = fake->shard->n;
+  taken->shown.shard = fake->shard;
+  taken->shown.controller = fake->controller;
+  taken->shown.identity = fake->controller;
+  fake->n_taken++;
+  return &taken->shown;
+}
+
 static inline struct mo_taken *fake_take(void *context, enum mo_back_end back_end, uint64_t steps)
 {
   struct fake *fake = context;
   struct fake_block *block = TAILQ_FIRST(&fake->queue);
+  if (fake->shard != NULL && back_end == MO_ON_CPU)
+    return fake_take_shard(fake);
   struct fake_taken *taken =
       block != NULL && back_end == MO_ON_CPU ? fake_taken_of(fake->n_waiting) : NULL;
   if (taken == NULL)
@@ -109,7 +126,9 @@ static inline void fake_put_back(void *context, struct mo_taken *shown)
   struct fake_taken *taken = (struct fake_taken *)shown;
   CHECK(taken->is_out);
   taken->is_out = false;
-  for (uint32_t i = shown->n_blocks; i-- > 0;) {
+  if (shown->shard != NULL)
+    fake->n_taken--;
+  for (uint32_t i = shown->shard != NULL ? 0 : shown->n_blocks; i-- > 0;) {
     struct fake_block *block = (struct fake_block *)taken->blocks[i];
     CHECK(block->state == FAKE_TAKEN);
     block->state = FAKE_WAITS;
@@ -142,6 +161,8 @@ static inline struct mo_taken *fake_split(void *context, struct mo_taken *shown)
 static inline bool fake_is_cancelled(void *context, const struct mo_taken *shown)
 {
   (void)context;
+  if (shown->shard != NULL)
+    return false;
   for (uint32_t i = 0; i < shown->n_blocks; i++)
     if (!((const struct fake_block *)shown->blocks[i])->cancel)
       return false;
@@ -156,7 +177,13 @@ static inline void fake_deliver(void *context, struct mo_taken *shown,
   uint32_t row = 0;
   CHECK(taken->is_out);
   taken->is_out = false;
-  for (uint32_t i = 0; i < shown->n_blocks; i++) {
+  if (shown->shard != NULL) {
+    CHECK(result->status == MO_OK && result->counts.robots == shown->shard->n);
+    fake->n_taken--;
+    fake->n_done++;
+    fake->n_wrong += result->d_parameters[0] != 0;
+  }
+  for (uint32_t i = 0; shown->shard == NULL && i < shown->n_blocks; i++) {
     struct fake_block *block = (struct fake_block *)taken->blocks[i];
     CHECK(block->state == FAKE_TAKEN);
     block->state = FAKE_DONE;
@@ -291,7 +318,8 @@ static inline struct mo_fleet_offer fake_offer(const char *name, const char *hos
   return offer;
 }
 
-/* Computes a lease. liar: nullable; one row in 1000 then has a wrong bit. */
+/* Computes a lease. liar: nullable; one row in 1000 then has a wrong bit, and the sum of every
+ * shard. */
 static inline struct mo_wire_result fake_compute(const struct mo_wire_lease *lease,
                                                  struct mo_random *liar)
 {
@@ -309,6 +337,13 @@ static inline struct mo_wire_result fake_compute(const struct mo_wire_lease *lea
         result.losses[row] = nextafter(result.losses[row], 2);
     }
   }
+  if (lease->n_parameters == 0)
+    return result;
+  result.n_parameters = lease->n_parameters;
+  result.d_parameters = calloc(lease->n_parameters, sizeof(double));
+  make_check(result.d_parameters != NULL ? MO_OK : MO_ERR_NO_MEMORY, "a sum");
+  result.d_parameters[0] = liar != NULL ? 0x1p-1000 : 0;
+  result.counts.robots = lease->n_rows;
   return result;
 }
 

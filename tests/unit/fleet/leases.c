@@ -491,6 +491,58 @@ static void decided(int by_process)
     mo_wire_free_leases(&leases[w]);
 }
 
+/* Shards of gradients: one per lease, shared out, compared as a whole. */
+static void shards(void)
+{
+  enum { N = 40, N_PARAMETERS = 7 };
+  static struct mo_robot robots[N];
+  struct mo_random random = dice(1, 0, 0);
+  begin(0);
+  fake->controller = make_random_controller(MO_SENSOR_INVERSE_SQRT, 1);
+  struct mo_controller small = *fake->controller;
+  small.n_parameters = N_PARAMETERS;
+  for (uint32_t i = 0; i < N; i++)
+    robots[i] =
+        (struct mo_robot){.environment = &fake->environments[i], .genotype = fake->genotypes[i]};
+  const struct mo_gradient_batch shard = {.controller = &small,
+                                          .robots = robots,
+                                          .n = N,
+                                          .physics = physics_of(1000),
+                                          .adjoint_bound = 2,
+                                          .weight = 0.25};
+  fake->shard = &shard;
+  const uint64_t ids[3] = {join("liar"), join("a"), join("b")};
+  struct mo_wire_leases leases[3] = {exchange(ids[0]), exchange(ids[1]), exchange(ids[2])};
+  const struct mo_wire_lease *first = &leases[0].items[0];
+  REQUIRE(leases[0].n >= 1 && leases[1].n >= 1 && leases[2].n >= 1);
+  CHECK(first->n_parameters == N_PARAMETERS && first->n_blocks == N && first->n_rows == N);
+  CHECK(first->gradient.weight == 0.25 && first->gradient.adjoint_bound == 2);
+  CHECK(SAME(first->blocks[N - 1].genotype, fake->genotypes[N - 1], MO_DEFAULT_WORDS));
+  struct mo_wire_results lacking = {1, {fake_compute(first, NULL)}};
+  struct mo_wire_leases none;
+  lacking.items[0].n_parameters--;
+  CHECK_INT(fake_exchange(fake, ids[0], &lacking, &none), MO_ERR_FORMAT);
+  for (int turn = 0; turn < 1000 && fake->fleet->n_quarantined == 0; turn++) {
+    for (int w = 0; w < 3; w++) {
+      struct mo_wire_results results = {0};
+      for (uint32_t i = 0; i < leases[w].n; i++)
+        results.items[results.n++] = fake_compute(&leases[w].items[i], w == 0 ? &random : NULL);
+      mo_wire_free_leases(&leases[w]);
+      if (fake_exchange(fake, ids[w], &results, &leases[w]) != MO_OK)
+        break;
+    }
+    advance(0.4);
+    fake_check(fake);
+  }
+  CHECK_INT(fake->fleet->n_quarantined, 1);
+  CHECK_TEXT(fake->fleet->quarantined[0], "liar");
+  CHECK_HAS(fake->data, "gave another gradient of 40 robots than two others");
+  CHECK(fake->n_done > 0 && fake->n_wrong > 0 && fake->n_wrong < fake->n_done);
+  for (int w = 0; w < 3; w++)
+    mo_wire_free_leases(&leases[w]);
+  CHECK_OK(mo_fleet_leave(fake->fleet, ids[1], true, fake->now_ns)); /* what it has goes back */
+}
+
 /* A worker of 128 rows a second. */
 struct worker {
   uint64_t id, ready_ns[2 * MO_FLEET_LEASES];
@@ -591,6 +643,7 @@ static const struct check_case cases[] = {
     {"weights", weights},
     {"a third session decides", WITH(decided, 0)},
     {"the process decides", WITH(decided, 1)},
+    {"shards of gradients", shards},
     {"liars are found", liars},
 };
 CHECK_MAIN_AROUND(cases, drop_blocks)
