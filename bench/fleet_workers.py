@@ -1,0 +1,82 @@
+#!/usr/bin/python3
+"""Measures what the way to workers costs: a morphod of its own leaves an evaluation to one worker
+with one thread, to three of them, and to one behind 150 ms of delay. The bounds: three compute at
+least 95 % of one's rollouts per processor second, and behind the delay the one has work for at
+least 95 % of the time. What three compute twice is counted and shown: audits take one lease in ten
+of a new session. Other load on the machine changes rates, but hardly the two ratios."""
+import argparse
+import pathlib
+import sys
+import tempfile
+import time
+
+TESTS = pathlib.Path(__file__).resolve().parents[1] / "tests"
+sys.path[:0] = [str(TESTS / name) for name in ("fleet", "crash", "api")]
+
+from daemon import Daemon, bodies  # noqa: E402
+from fleet import used  # noqa: E402
+from machines import Worker, fleet_address  # noqa: E402
+from network import Delay  # noqa: E402
+
+N_ENVIRONMENTS = 10  # the service's own
+LEAST = 0.95
+
+
+def runnable_s(worker):
+    """For how long the thread that computes had work: it ran, or waited for a processor."""
+    tasks = pathlib.Path(f"/proc/{worker.process.pid}/task").iterdir()
+    return max(sum(map(int, (task / "schedstat").read_text().split()[:2])) for task in tasks) / 1e9
+
+
+def rates(n_workers, delay_s, designs):
+    """Rollouts per processor second of the workers, and new ones per second; the share computed
+    twice; the share of the time in which the first worker had work."""
+    with tempfile.TemporaryDirectory(prefix="morphod-bench-") as folder:
+        settings = {"workers": 1, "compute": "fleet", "fleet_listen": "127.0.0.1:0"}
+        workers = []
+        try:
+            with Daemon(folder, **settings) as daemon:
+                address = fleet_address(daemon)
+                if delay_s > 0:
+                    delay = Delay(int(address.rpartition(":")[2]), delay_s, "127.0.0.1")
+                    address = f"http://127.0.0.1:{delay.port}"
+                workers = [Worker(folder, address, f"node-{i}") for i in range(n_workers)]
+                daemon.until(lambda: daemon.json("/v1/fleet")["n_sessions"] == n_workers)
+                before, had = sum(used(w.process.pid)[0] for w in workers), runnable_s(workers[0])
+                begun = time.monotonic()
+                job = daemon.submit({"designs": designs})
+                daemon.succeed(job, timeout_s=600)
+                elapsed = time.monotonic() - begun
+                had_work = (runnable_s(workers[0]) - had) / elapsed
+                processor_s = sum(used(w.process.pid)[0] for w in workers) - before
+                twice = daemon.json("/v1/fleet")["rollouts_twice"]
+        finally:
+            for worker in workers:
+                worker.close()
+    n = len(designs) * N_ENVIRONMENTS
+    return (n + twice) / processor_s, n / elapsed, twice / n, had_work
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--designs", type=int, default=2000)
+    parser.add_argument("--delay-s", type=float, default=0.15)
+    asked = parser.parse_args()
+    designs = bodies(1, asked.designs)
+    one, alone, _, direct = rates(1, 0, designs)
+    three, together, twice, _ = rates(3, 0, designs)
+    _, delayed, _, behind = rates(1, asked.delay_s, designs)
+    print(f"one worker: {one:.0f} rollouts per processor second, {alone:.0f}/s; three: "
+          f"{three:.0f}, {together:.0f}/s, {100 * twice:.1f} % twice; behind "
+          f"{1e3 * asked.delay_s:.0f} ms: {delayed:.0f}/s")
+    missed = 0
+    for what, value in (("three, of one's rollouts per processor second", three / one),
+                        ("behind the delay, of one's time with work", behind / direct)):
+        missed += value < LEAST
+        print(f"{what:<48} {value:6.3f}  bound {LEAST}  {'ok' if value >= LEAST else 'MISSED'}",
+              flush=True)
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
