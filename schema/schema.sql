@@ -108,9 +108,10 @@ CREATE TABLE condition_environments(
   PRIMARY KEY(condition, position)
 ) STRICT, WITHOUT ROWID;
 
--- The losses of a genotype under a condition. Rows are never changed or deleted. losses: doubles;
--- if any rollout diverged the 32-bit steps; a 64-bit checksum of the row and its condition
--- (src/store/scores.c). Where two rows hold the same environment, the one computed first counts.
+-- The losses of a genotype under a condition. Rows are never deleted, and only changed where losses
+-- of another origin are found wrong (src/store/origins.c). losses: doubles; if any rollout diverged
+-- the 32-bit steps; a 64-bit checksum of the row and its condition (src/store/scores.c). Where two
+-- rows hold the same environment, the one computed first counts.
 CREATE TABLE scores(
   genotype INTEGER NOT NULL REFERENCES genotypes(id),
   condition INTEGER NOT NULL REFERENCES conditions(id),

@@ -1,4 +1,4 @@
-/* cmd_fleet.c: fleet, fleet drain, quarantine, release: workers of other machines. */
+/* cmd_fleet.c: fleet, fleet drain, quarantine, release, verify: workers of other machines. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -102,5 +102,60 @@ int run_fleet_release(struct ctl *ctl)
   const int status = act(ctl, (struct request){.method = "DELETE", .path = path}, "may join again");
   free(path);
   free(escaped);
+  return status;
+}
+
+/* Adds what a page says to the whole: counts and what differs. */
+static void add_page(json_t *whole, const json_t *page)
+{
+  static const char *const counts[] = {"checked", "skipped"};
+  for (size_t i = 0; i < sizeof(counts) / sizeof(counts[0]); i++)
+    json_object_set_new(whole, counts[i],
+                        json_integer(number_of(whole, counts[i]) + number_of(page, counts[i])));
+  json_array_extend(json_object_get(whole, "different"), json_object_get(page, "different"));
+}
+
+/* Asks for page after page. The transport waits where the server says that it is busy. */
+static int verify_all(struct ctl *ctl, json_t *whole)
+{
+  json_t *request = json_pack("{s:s, s:b}", "origin", ctl->operands[0], "repair",
+                              option_is_set(ctl, "repair")),
+         *page = NULL;
+  int status;
+  do {
+    json_decref(page);
+    status = post_again(ctl, "/v1/fleet/verify", request, &page);
+    add_page(whole, page);
+    json_object_set(request, "after", json_object_get(page, "next"));
+  } while (status == STATUS_OK && !interrupted() && text_of(page, "next")[0] != '\0');
+  const bool is_cut = text_of(page, "next")[0] != '\0';
+  json_decref(page);
+  json_decref(request);
+  return status == STATUS_OK && is_cut ? STATUS_INTERRUPTED : status;
+}
+
+int run_fleet_verify(struct ctl *ctl)
+{
+  const bool repairs = option_is_set(ctl, "repair");
+  json_t *whole = json_pack("{s:s, s:i, s:i, s:b, s:[]}", "origin", ctl->operands[0], "checked", 0,
+                            "skipped", 0, "repaired", repairs, "different");
+  json_t *different = json_object_get(whole, "different");
+  catch_interrupts();
+  int status = verify_all(ctl, whole);
+  /* What was found is told in any case: after a repair nothing finds it again. */
+  if (json_array_size(different) > 0 && !ctl->json)
+    print_table(stdout, ctl, different,
+                "id={id}|>stored={stored.loss:.17g}|>computed={computed.loss:.17g}"
+                "|environment={environment:.12}|controller={controller:.12}"
+                "|physics={physics:.12}|computed={computed_at:time}");
+  if (status == STATUS_OK || json_array_size(different) > 0)
+    tell(ctl, whole,
+         repairs ? "{checked:,} losses computed again, {different:#} were replaced"
+                   "[; {skipped>0:,} are of a class that the server does not have]"
+                 : "{checked:,} losses computed again, {different:#} differ"
+                   "[; {skipped>0:,} are of a class that the server does not have]");
+  if (status == STATUS_OK && json_array_size(different) > 0 && !repairs)
+    status = STATUS_NEGATIVE;
+  json_decref(whole);
   return status;
 }

@@ -310,6 +310,9 @@ static const struct option_spec controller_get_options[] = {
 static const struct option_spec fleet_options[] = {
     {"all", 'a', NULL, "Also the newest sessions that have ended."}, {NULL}};
 
+static const struct option_spec fleet_verify_options[] = {
+    {"repair", 0, NULL, "Replace the losses that differ."}, {NULL}};
+
 #define MANY ((size_t)-1)
 
 #define OF_WORKERS                                                                                 \
@@ -550,6 +553,10 @@ const struct command commands[] = {
      NULL, 1, 2, run_fleet_quarantine},
     {"fleet release", "NAME", "Let a worker that was in quarantine join again.", NULL, NULL, 1, 1,
      run_fleet_release},
+    {"fleet verify", "NAME@HOST", "Compute again what a worker gave.",
+     "The server computes the stored losses of this origin by itself, and those that differ are "
+     "listed. Exit status 3 if some do, unless they are repaired.",
+     fleet_verify_options, 1, 1, run_fleet_verify},
     {"fleet", "", "Show the workers of other machines.", NULL, fleet_options, 0, 0, run_fleet},
     {"status", "", "Show whether the server is ready and what it does.", NULL, NULL, 0, 0,
      run_status},

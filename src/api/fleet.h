@@ -5,6 +5,7 @@
 #include "api/handlers.h"
 #include "base/faults.h"
 #include "fleet/fleet.h"
+#include "jobs/verification.h"
 
 #define MO_FLEET_PROTOCOL 1
 #define MO_FLEET_WAIT_S   30 /* longest wait for leases or orders */
@@ -21,6 +22,17 @@ int mo_offer_parse(const char *text, size_t size, struct mo_parsed_offer *parsed
 #define MO_WHY_BYTES 127
 /* The body of POST …/quarantine; `why` has MO_WHY_BYTES + 1 bytes. */
 int mo_quarantine_parse(const char *text, size_t size, char *why, struct mo_faults *faults);
+
+#define MO_VERIFIED_DEFAULT 16
+/* The body of POST /v1/fleet/verify. */
+struct mo_parsed_verification {
+  char origin[2 * MO_FLEET_NAME_BYTES + 2]; /* NAME@HOST, or a host */
+  struct mo_origin_place after;
+  uint32_t limit;
+  bool repair;
+};
+int mo_verification_parse(const char *text, size_t size, struct mo_parsed_verification *parsed,
+                          struct mo_faults *faults);
 
 /* Reads the id of a session from the path. NULL: there is no fleet, or no such session can be; the
  * reply is made. */

@@ -52,9 +52,32 @@ static void read_why(struct mo_json *json, void *value)
   read_ascii(json, value, MO_WHY_BYTES);
 }
 
+static void read_origin(struct mo_json *json, void *value)
+{
+  read_ascii(json, value, sizeof(((struct mo_parsed_verification *)NULL)->origin) - 1);
+}
+
+/* Reads "G-C", what the reply to the page before had as `next`. */
+static void read_place(struct mo_json *json, void *value)
+{
+  const unsigned depth = json->depth;
+  struct mo_origin_place place;
+  struct mo_json_slice text;
+  if (!mo_json_string(json, &text))
+    return;
+  const char *dash = memchr(text.bytes, '-', text.size);
+  const size_t n = dash != NULL ? (size_t)(dash - text.bytes) : 0;
+  if (dash != NULL && mo_decimal(text.bytes, n, 1, INT64_MAX, &place.genotype) &&
+      mo_decimal(dash + 1, text.size - n - 1, 1, INT64_MAX, &place.condition))
+    *(struct mo_origin_place *)value = place;
+  else
+    mo_json_fault_at(json, depth, "", "the `next` of an earlier reply is expected");
+}
+
 static const struct mo_field_own name = {.read = read_name}, version = {.read = read_version},
                                  class_name = {.read = read_class}, hash = {.read = read_hash},
-                                 why_text = {.read = read_why};
+                                 why_text = {.read = read_why}, origin_text = {.read = read_origin},
+                                 origin_place = {.read = read_place};
 
 #define AT(member)    offsetof(struct mo_parsed_offer, member)
 #define CLASS(member) (AT(offer.classes[0].member) - AT(offer.classes[0]))
@@ -119,4 +142,29 @@ int mo_quarantine_parse(const char *text, size_t size, char *why, struct mo_faul
   static const struct mo_fields fields = MO_FIELDS(rows);
   memcpy(why, "by an operator", sizeof("by an operator"));
   return mo_read_body(text, size, &fields, why, NULL, NULL, faults);
+}
+
+#define AT(member) offsetof(struct mo_parsed_verification, member)
+static const struct mo_field verification_rows[] = {
+    {"origin", MO_FIELD_OWN, 0, AT(origin), .own = &origin_text},
+    {"after", MO_FIELD_OWN, 0, AT(after), .own = &origin_place},
+    {"limit", MO_FIELD_COUNT, 0, AT(limit), .min = 1, .max = MO_VERIFIED_MAX, .unit = ""},
+    {"repair", MO_FIELD_FLAG, 0, AT(repair)},
+};
+#undef AT
+
+static int check_verification(struct mo_json *json, void *any)
+{
+  const struct mo_parsed_verification *parsed = any;
+  if (json->faults->n == 0 && parsed->origin[0] == '\0')
+    mo_json_fault_at(json, 0, "", "origin is expected");
+  return MO_OK;
+}
+
+int mo_verification_parse(const char *text, size_t size, struct mo_parsed_verification *parsed,
+                          struct mo_faults *faults)
+{
+  static const struct mo_fields fields = MO_FIELDS(verification_rows);
+  *parsed = (struct mo_parsed_verification){.limit = MO_VERIFIED_DEFAULT};
+  return mo_read_body(text, size, &fields, parsed, NULL, check_verification, faults);
 }

@@ -3,8 +3,8 @@
  * A row of `scores` holds the losses of one genotype in a block of up to 16 environments, as one
  * call computed them, under one condition: weights, physics, class and those environments. Losses
  * are found by environment, in whichever block it is. Readers check each row against its checksum,
- * which covers the row and its condition. Rows are never changed: where two of them hold the same
- * environment, the one computed first counts. */
+ * which covers the row and its condition. Rows are only changed by a repair (origins.c): where two
+ * of them hold the same environment, the one computed first counts. */
 #include "store/scores.h"
 
 #include <math.h>
@@ -110,6 +110,19 @@ int mo_condition_row(struct mo_connection *writer, struct mo_condition *conditio
   return error;
 }
 
+/* Runs a statement with the values of a row. */
+static int write_losses(struct mo_store *store, const char *sql,
+                        const struct mo_condition *condition, int64_t genotype, int64_t origin,
+                        const double *losses, const uint32_t *diverged_steps, int64_t computed_us)
+{
+  uint8_t bytes[MO_PACKED_BYTES(MO_BLOCK_LANES)];
+  int64_t key[KEY_WORDS];
+  const size_t size = mo_pack_losses(key, key_of(condition, genotype, origin, computed_us, key),
+                                     losses, diverged_steps, condition->n, bytes);
+  return mo_sql_change(&store->writer, sql, mo_int(genotype), mo_int(condition->id), mo_int(origin),
+                       mo_int(computed_us), mo_blob(bytes, size));
+}
+
 int mo_losses_insert(struct mo_store *store, const struct mo_condition *condition, int64_t genotype,
                      int64_t origin, const double *losses, const uint32_t *diverged_steps,
                      int64_t computed_us, bool *is_new)
@@ -117,16 +130,21 @@ int mo_losses_insert(struct mo_store *store, const struct mo_condition *conditio
   static const char sql[] =
       "INSERT OR IGNORE INTO scores(genotype,condition,origin,computed_us,losses)"
       " VALUES(?1,?2,?3,?4,?5)";
-  uint8_t bytes[MO_PACKED_BYTES(MO_BLOCK_LANES)];
-  int64_t key[KEY_WORDS];
-  if (origin == 0)
-    origin = store->origin;
-  const size_t size = mo_pack_losses(key, key_of(condition, genotype, origin, computed_us, key),
-                                     losses, diverged_steps, condition->n, bytes);
-  const int error = mo_sql_change(&store->writer, sql, mo_int(genotype), mo_int(condition->id),
-                                  mo_int(origin), mo_int(computed_us), mo_blob(bytes, size));
+  const int error =
+      write_losses(store, sql, condition, genotype, origin != 0 ? origin : store->origin, losses,
+                   diverged_steps, computed_us);
   *is_new = error == MO_OK;
   return error == MO_ERR_CONFLICT ? MO_OK : error; /* they are stored already */
+}
+
+int mo_losses_replace(struct mo_store *store, const struct mo_condition *condition,
+                      int64_t genotype, const double *losses, const uint32_t *diverged_steps,
+                      int64_t computed_us)
+{
+  static const char sql[] = "UPDATE scores SET origin=?3,computed_us=?4,losses=?5"
+                            " WHERE genotype=?1 AND condition=?2";
+  return write_losses(store, sql, condition, genotype, store->origin, losses, diverged_steps,
+                      computed_us);
 }
 
 int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,
@@ -298,16 +316,22 @@ int mo_ranking_row(struct mo_connection *writer, const struct mo_saved_design *d
                                    : error;
 }
 
-int mo_set_score_insert_mean(struct mo_connection *writer, int64_t ranking, int64_t genotype,
-                             double mean)
+static int write_mean(struct mo_connection *writer, const char *sql, int64_t ranking,
+                      int64_t genotype, double mean)
 {
-  static const char sql[] =
-      "INSERT OR IGNORE INTO set_scores(ranking,genotype,score,checksum) VALUES(?1,?2,?3,?4)";
   if (isnan(mean))
     return MO_ERR_CORRUPT;
   mean = mean == 0 ? 0 : mean; /* REAL has no −0 */
   return mo_sql_do(writer, sql, mo_int(ranking), mo_int(genotype), mo_real(mean),
                    mo_int((int64_t)set_score_checksum(ranking, genotype, mean)));
+}
+
+int mo_set_score_insert_mean(struct mo_connection *writer, int64_t ranking, int64_t genotype,
+                             double mean)
+{
+  static const char sql[] =
+      "INSERT OR IGNORE INTO set_scores(ranking,genotype,score,checksum) VALUES(?1,?2,?3,?4)";
+  return write_mean(writer, sql, ranking, genotype, mean);
 }
 
 int mo_set_score_from_row(sqlite3_stmt *statement, int first, int64_t ranking, int64_t genotype,
@@ -320,33 +344,53 @@ int mo_set_score_from_row(sqlite3_stmt *statement, int first, int64_t ranking, i
              : MO_ERR_CORRUPT;
 }
 
+/* Computes a genotype's mean over a set. MO_ERR_NOT_FOUND: losses are missing. */
+static int mean_of(struct mo_connection *writer, const struct mo_saved_design *design, double *mean)
+{
+  static const char set_sql[] = "SELECT environment FROM environment_set_members"
+                                " WHERE environment_set=?1 ORDER BY position LIMIT ?2";
+  struct mo_score scores[MO_ENVIRONMENTS_MAX];
+  int64_t environments[MO_ENVIRONMENTS_MAX];
+  uint32_t n = 0;
+  double sum = 0;
+  int error = MO_OK;
+  sqlite3_stmt *row = mo_sql_rows(writer, &error, set_sql, mo_int(design->environment_set),
+                                  mo_int(MO_ENVIRONMENTS_MAX));
+  while (mo_sql_next(writer, row, &error))
+    environments[n++] = sqlite3_column_int64(row, 0);
+  if (error == MO_OK)
+    error = n > 0 ? mo_losses_read(writer, design, environments, n, scores) : MO_ERR_NOT_FOUND;
+  for (uint32_t k = 0; k < n && error == MO_OK; k++) {
+    error = scores[k].known ? MO_OK : MO_ERR_NOT_FOUND;
+    sum += scores[k].loss;
+  }
+  *mean = sum / n;
+  return error;
+}
+
 int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design,
                         int64_t ranking)
 {
   static const char known_sql[] = "SELECT 1 FROM set_scores WHERE ranking=?1 AND genotype=?2";
-  static const char set_sql[] = "SELECT environment FROM environment_set_members"
-                                " WHERE environment_set=?1 ORDER BY position LIMIT ?2";
-  struct mo_score scores[MO_ENVIRONMENTS_MAX];
-  int64_t environments[MO_ENVIRONMENTS_MAX], known;
-  uint32_t n = 0;
-  double sum = 0;
-  sqlite3_stmt *row;
+  int64_t known;
+  double mean;
   int error = mo_sql_find(writer, &known, known_sql, mo_int(ranking), mo_int(design->genotype));
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  error = MO_OK;
-  row = mo_sql_rows(writer, &error, set_sql, mo_int(design->environment_set),
-                    mo_int(MO_ENVIRONMENTS_MAX));
-  while (mo_sql_next(writer, row, &error))
-    environments[n++] = sqlite3_column_int64(row, 0);
+  error = mean_of(writer, design, &mean);
   if (error == MO_OK)
-    error = mo_losses_read(writer, design, environments, n, scores);
-  for (uint32_t k = 0; k < n && error == MO_OK; k++) {
-    if (!scores[k].known)
-      return MO_OK;
-    sum += scores[k].loss;
-  }
-  return error == MO_OK && n > 0
-             ? mo_set_score_insert_mean(writer, ranking, design->genotype, sum / n)
-             : error;
+    error = mo_set_score_insert_mean(writer, ranking, design->genotype, mean);
+  return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+}
+
+int mo_set_score_replace(struct mo_connection *writer, const struct mo_saved_design *design,
+                         int64_t ranking)
+{
+  static const char sql[] =
+      "UPDATE set_scores SET score=?3,checksum=?4 WHERE ranking=?1 AND genotype=?2";
+  double mean;
+  const int error = mean_of(writer, design, &mean);
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+  return write_mean(writer, sql, ranking, design->genotype, mean);
 }

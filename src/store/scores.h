@@ -29,6 +29,10 @@ int mo_condition_row(struct mo_connection *writer, struct mo_condition *conditio
 int mo_losses_insert(struct mo_store *store, const struct mo_condition *condition, int64_t genotype,
                      int64_t origin, const double *losses, const uint32_t *diverged_steps,
                      int64_t computed_us, bool *is_new);
+/* Replaces the losses of a stored row; this host is their origin. */
+int mo_losses_replace(struct mo_store *store, const struct mo_condition *condition,
+                      int64_t genotype, const double *losses, const uint32_t *diverged_steps,
+                      int64_t computed_us);
 /* Decodes a row of MO_SCORE_COLUMNS, from column `first` on; losses and steps (MO_BLOCK_LANES). */
 #define MO_SCORE_COLUMNS                                                                           \
   "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.origin,x.computed_us,x.losses"
@@ -62,6 +66,9 @@ int mo_ranking_row(struct mo_connection *writer, const struct mo_saved_design *d
 /* Inserts a genotype's mean, if the set is complete and the mean is not stored yet. */
 int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design,
                         int64_t ranking);
+/* Computes a stored mean again, unless losses are missing. */
+int mo_set_score_replace(struct mo_connection *writer, const struct mo_saved_design *design,
+                         int64_t ranking);
 /* Like mo_set_score_insert for a caller that knows the mean. */
 int mo_set_score_insert_mean(struct mo_connection *writer, int64_t ranking, int64_t genotype,
                              double mean);

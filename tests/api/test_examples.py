@@ -43,6 +43,8 @@ def walk(service):
     design = call("GET", f"/v1/designs/{result['id']}")
     score = design["orientations"][0]["scores"][0]
     call("GET", f"/v1/physics/{score['physics']}")
+    reply = service.post("/v1/fleet/verify", {"origin": score["origin"]})
+    calls.append(("POST", "/v1/fleet/verify", 200, reply))
     for verb, name in (("random", "RandomBodiesRequest"), ("mutate", "MutatedBodiesRequest"),
                        ("cross", "CrossedBodiesRequest"), ("canonical", "CanonicalBodiesRequest")):
         call("POST", f"/v1/bodies/{verb}", name)

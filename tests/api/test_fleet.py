@@ -9,6 +9,7 @@ import re
 import signal
 import socket
 import ssl
+import struct
 import subprocess
 import sys
 import threading
@@ -310,6 +311,93 @@ def test_morphoctl_shows_and_changes_workers(free):
     assert ctl("fleet", "release", "odd one").stdout == "odd one may join again\n"
     assert ctl("fleet", "release", "odd one").returncode == 3
     assert ctl("fleet", "drain", "x").returncode == 2 and ctl("fleet", "x").returncode == 2
+
+
+def flipped(loss):
+    """With another lowest bit."""
+    return struct.unpack("<d", struct.pack("<Q", struct.unpack("<Q", struct.pack("<d", loss))[0]
+                                           ^ 1))[0]
+
+
+def lie(free, session, body, spoil=lambda loss: loss):
+    """Lets a worker score a body, and spoil the loss in the last of the environments. The
+    evaluation, and the true losses."""
+    asked = {"designs": [{"voxels": body}], "environments": "paper-test"}
+    truth = [one["loss"] for one in free.service.post("/v1/rollouts", asked)["rollouts"]]
+    told = truth[:-1] + [spoil(truth[-1])]
+    job = free.service.post("/v1/evaluations", asked | {"priority": "batch"})["id"]
+    at = 0
+    while at < len(told):
+        for lease, rows in free.take(session):
+            assert free.exchange(session, results(result(lease, told[at:at + rows])))[0] == 200
+            at += rows
+    path = f"/v1/evaluations/{job}"
+    until(lambda: free.service.get(path)["state"] == "succeeded")
+    assert free.service.get(path)["results"][0]["losses"] == told
+    return path, truth
+
+
+def test_what_a_liar_gave_is_named_and_repaired(free):
+    service = free.service
+
+    def ctl(*words):
+        return subprocess.run([CTL, "--server", service.addresses[0], "fleet", "verify", *words],
+                              capture_output=True, text=True, timeout=60)
+
+    def best():
+        items = service.get("/v1/designs?sort=score&environments=paper-test")["items"]
+        return {one["id"]: one["score"] for one in items}
+
+    def ask(status=200, **request):
+        reply = service.request("POST", "/v1/fleet/verify", request)
+        assert reply.status == status, reply.body
+        return reply.json()
+
+    session, origin = free.join(name="odd"), "odd@node.test"
+    bodies = [one["genotype"] for one in
+              service.post("/v1/bodies/random", {"count": 4, "seed": 77})["items"]]
+    path, truth = lie(free, session, bodies[0], flipped)
+    lie(free, session, bodies[1])
+    _, other = lie(free, session, bodies[2], lambda loss: loss / 2)
+    assert free.request("DELETE", session)[0] == 204
+    lie(free, free.join(name="honest"), bodies[3])
+    n = len(truth)
+    tag = service.request("GET", path).headers["ETag"]
+
+    # Page by page: what was odd's, and of it what differs.
+    pages, after = [], {}
+    while not pages or pages[-1]["next"]:
+        pages.append(ask(origin=origin, limit=1, **after))
+        after = {"after": pages[-1]["next"]}
+    different = [one for page in pages for one in page["different"]]
+    assert sum(page["checked"] for page in pages) == 3 * n
+    assert [one["genotype"] for one in different] == [bodies[0], bodies[2]]
+    worlds = service.get("/v1/environment-sets/paper-test")["items"]
+    assert different[0] | {"stored": {"loss": flipped(truth[-1]), "diverged_step": 0},
+                           "computed": {"loss": truth[-1], "diverged_step": 0},
+                           "environment": worlds[-1]["sha256"]} == different[0]
+    assert not any(page["repaired"] for page in pages)
+    assert ask(origin="honest@node.test")["different"] == []
+    ask(404, origin="odd@elsewhere")
+    for wrong in ({"after": "1"}, {"after": "0-1"}, {"limit": 65}, {"limit": 0}, {"origin": ""},
+                  {"origin": "o" * 130}, {"repair": 1}, {"more": 1}):
+        ask(422, **{"origin": origin} | wrong)
+    ask(422)
+
+    # In words; then the losses, their origin, the mean and the tag of the evaluation change.
+    shown = ctl(origin)
+    assert shown.returncode == 3 and f"{3 * n} losses computed again, 2 differ\n" in shown.stdout
+    assert different[0]["id"] in shown.stdout and repr(truth[-1]) in shown.stdout
+    before = best()
+    assert ctl(origin, "--repair").returncode == 0
+    now = service.request("GET", path, headers={"If-None-Match": tag})
+    assert now.status == 200 and now.json()["results"][0]["losses"] == truth
+    score = service.get(f"/v1/designs/{different[0]['id']}")["orientations"][0]["scores"][0]
+    assert score["losses"] == truth and "@" not in score["origin"]
+    means = {one["id"]: sum(losses) / n for one, losses in zip(different, (truth, other))}
+    assert before != best() == before | means
+    assert ctl(origin).stdout == f"{n} losses computed again, 0 differ\n"
+    assert ctl("odd@elsewhere").returncode == 3
 
 
 def test_idle_sessions_cost_little(free):

@@ -25,7 +25,8 @@ ADMIN = {("POST", "/v1/bundles"), ("PUT", "/v1/controllers/{name}/file"),
          ("DELETE", "/v1/evaluations/{id}/trajectories"),
          ("POST", "/v1/fleet/sessions/{id}/drain"),
          ("POST", "/v1/fleet/sessions/{id}/quarantine"),
-         ("DELETE", "/v1/fleet/quarantine/{name}")}
+         ("DELETE", "/v1/fleet/quarantine/{name}"),
+         ("POST", "/v1/fleet/verify")}
 WORK = {"designs": [DESIGN], "physics": {"n_steps": 20}}
 
 

@@ -1,0 +1,29 @@
+/* verification.h: losses that a worker of another machine gave, computed again by this host. */
+#ifndef MORPHO_JOBS_VERIFICATION_H
+#define MORPHO_JOBS_VERIFICATION_H
+
+#include "jobs/jobs.h"
+#include "store/origins.h"
+
+#define MO_VERIFIED_MAX 64 /* rows of losses in one call */
+
+struct mo_verification {
+  const char *origin;
+  struct mo_origin_place place; /* moves behind the last row */
+  size_t limit;                 /* 1 … MO_VERIFIED_MAX */
+  bool repair;
+  /* Results. */
+  struct mo_origin_row *rows; /* (n) malloc; those that differ, with what was computed */
+  size_t n;
+  uint64_t checked, skipped; /* losses; skipped: of a class that this host does not have */
+  bool is_last;
+};
+/* Computes the losses of the next rows of an origin again, ahead of all batch work and never on
+ * workers of other machines, and waits for it. With `repair`, replaces those that differ, in one
+ * transaction. The caller frees `rows`, also after an error.
+ * - MO_ERR_NOT_FOUND: nothing is of this origin
+ * - MO_ERR_DEVICE: they are of devices, and none works
+ * - MO_ERR_CANCELLED: the service is stopping */
+int mo_jobs_verify(struct mo_jobs *jobs, struct mo_verification *verification);
+
+#endif
