@@ -26,7 +26,7 @@ int mo_quarantine_parse(const char *text, size_t size, char *why, struct mo_faul
 #define MO_VERIFIED_DEFAULT 16
 /* The body of POST /v1/fleet/verify. */
 struct mo_parsed_verification {
-  char origin[2 * MO_FLEET_NAME_BYTES + 2]; /* NAME@HOST, or a host */
+  char origin[MO_ORIGIN_BYTES]; /* NAME@HOST, or a host */
   struct mo_origin_place after;
   uint32_t limit;
   bool repair;

@@ -5,6 +5,8 @@
 
 #include "api/requests.h"
 
+_Static_assert(MO_ORIGIN_BYTES == 2 * MO_FLEET_NAME_BYTES + 2, "a name, @, a host");
+
 /* Reads printable ASCII of 1 to `most` bytes. */
 static void read_ascii(struct mo_json *json, char *value, size_t most)
 {

@@ -28,7 +28,7 @@ struct mo_design_score {
   int32_t diverged_steps[MO_ENVIRONMENTS_MAX];
   int64_t computed_us;                    /* when the newest rollout was computed */
   char fingerprint[MO_FINGERPRINT_BYTES]; /* its class */
-  char origin[65];                        /* the host that computed the newest rollout */
+  char origin[MO_ORIGIN_BYTES];           /* the host that computed the newest rollout */
 };
 
 struct mo_design_orientation {

@@ -16,7 +16,7 @@ struct mo_import {
   uint32_t n_environments;
   int64_t environments[MO_ENVIRONMENTS_MAX]; /* rows */
   /* Of the score before: rows that the next one mostly shares. */
-  char fingerprint[MO_FINGERPRINT_BYTES], origin[65];
+  char fingerprint[MO_FINGERPRINT_BYTES], origin[MO_ORIGIN_BYTES];
   int64_t origin_row;
   struct mo_condition condition;
   /* The evaluation that is entered. */

@@ -41,7 +41,7 @@ struct mo_imported_campaign {
 /* The losses of a design in a block of the campaign's environments. */
 struct mo_campaign_score {
   uint32_t number;
-  char fingerprint[MO_FINGERPRINT_BYTES], origin[65];
+  char fingerprint[MO_FINGERPRINT_BYTES], origin[MO_ORIGIN_BYTES];
   int64_t computed_us;
   uint32_t n;                            /* ≤ MO_BLOCK_LANES */
   uint32_t environments[MO_BLOCK_LANES]; /* places */

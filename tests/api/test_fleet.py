@@ -353,7 +353,7 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
         assert reply.status == status, reply.body
         return reply.json()
 
-    session, origin = free.join(name="odd"), "odd@node.test"
+    session, origin = free.join(name="o" * 64, host="h" * 64), f"{'o' * 64}@{'h' * 64}"
     bodies = [one["genotype"] for one in
               service.post("/v1/bodies/random", {"count": 4, "seed": 77})["items"]]
     path, truth = lie(free, session, bodies[0], flipped)
@@ -388,11 +388,12 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
     shown = ctl(origin)
     assert shown.returncode == 3 and f"{3 * n} losses computed again, 2 differ\n" in shown.stdout
     assert different[0]["id"] in shown.stdout and repr(truth[-1]) in shown.stdout
-    before = best()
+    before, lied = best(), f"/v1/designs/{different[0]['id']}"
+    assert service.get(lied)["orientations"][0]["scores"][0]["origin"] == origin
     assert ctl(origin, "--repair").returncode == 0
     now = service.request("GET", path, headers={"If-None-Match": tag})
     assert now.status == 200 and now.json()["results"][0]["losses"] == truth
-    score = service.get(f"/v1/designs/{different[0]['id']}")["orientations"][0]["scores"][0]
+    score = service.get(lied)["orientations"][0]["scores"][0]
     assert score["losses"] == truth and "@" not in score["origin"]
     means = {one["id"]: sum(losses) / n for one, losses in zip(different, (truth, other))}
     assert before != best() == before | means
