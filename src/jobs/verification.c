@@ -6,6 +6,8 @@
 
 #include "jobs/state.h"
 
+#define STEPS_MAX ((uint64_t)1 << 20) /* of all rollouts of a call: some 4 s of a core */
+
 /* Finds what computes a class. False: this host does not have it. */
 static bool find_class(const struct mo_jobs *jobs, const struct mo_origin_row *row,
                        enum mo_back_end *back_end)
@@ -85,6 +87,22 @@ static int compute(struct mo_jobs *jobs, struct mo_verification *verification, s
   return error;
 }
 
+/* Drops rows from the end that would take too long, but never the first. */
+static size_t shorten(struct mo_verification *verification, size_t n)
+{
+  uint64_t steps = 0;
+  for (size_t i = 0; i < n; i++) {
+    const struct mo_origin_row *row = &verification->rows[i];
+    steps += (uint64_t)row->n * row->physics.n_steps;
+    if (i == 0 || steps <= STEPS_MAX)
+      continue;
+    verification->place = (struct mo_origin_place){row[-1].genotype_row, row[-1].condition};
+    verification->is_last = false;
+    return i;
+  }
+  return n;
+}
+
 int mo_jobs_verify(struct mo_jobs *jobs, struct mo_verification *verification)
 {
   verification->n = 0;
@@ -97,8 +115,9 @@ int mo_jobs_verify(struct mo_jobs *jobs, struct mo_verification *verification)
   const int64_t read =
       mo_store_origin_rows(jobs->store, verification->origin, &verification->place,
                            verification->rows, verification->limit, &verification->is_last);
-  int error = read < 0 ? (int)read : compute(jobs, verification, (size_t)read);
-  for (int64_t i = 0; i < read && error == MO_OK; i++)
+  const size_t n = read > 0 ? shorten(verification, (size_t)read) : 0;
+  const int error = read < 0 ? (int)read : compute(jobs, verification, n);
+  for (size_t i = 0; i < n && error == MO_OK; i++)
     if (verification->rows[i].differs)
       verification->rows[verification->n++] = verification->rows[i];
   return error == MO_OK && verification->repair && verification->n > 0

@@ -10,7 +10,7 @@
 struct mo_verification {
   const char *origin;
   struct mo_origin_place place; /* moves behind the last row */
-  size_t limit;                 /* 1 … MO_VERIFIED_MAX */
+  size_t limit;                 /* 1 … MO_VERIFIED_MAX; fewer of long rollouts */
   bool repair;
   /* Results. */
   struct mo_origin_row *rows; /* (n) malloc; those that differ, with what was computed */

@@ -401,6 +401,22 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
     assert ctl("odd@elsewhere").returncode == 3
 
 
+def test_long_rollouts_make_short_pages(free):
+    """A request computes for seconds at most, however long the rollouts are."""
+    service, session, n_steps = free.service, free.join(), 60000
+    job = service.post("/v1/evaluations", {
+        "designs": [{"cells": [[0, 0, 0], [1, 0, 0]]}, {"cells": [[0, 0, 0], [0, 0, 1]]}],
+        "environments": "paper-test", "physics": {"n_steps": n_steps}, "priority": "batch"})["id"]
+    while service.get(f"/v1/jobs/{job}")["state"] != "succeeded":
+        for lease, rows in free.take(session, wait=1):
+            free.exchange(session, results(result(lease, [0.5] * rows)))
+    asked, pages = {"origin": "node@node.test"}, []
+    while "after" not in asked or asked["after"]:
+        pages.append(service.post("/v1/fleet/verify", asked))
+        asked["after"] = pages[-1]["next"]
+    assert [len(page["different"]) for page in pages if page["checked"]] == [10, 10]
+
+
 def test_idle_sessions_cost_little(free):
     """tools/bench fleet does it with ten times as many, for as long as one likes."""
     p99_s, share, grown = asyncio.run(bench.measure(free, 100, 3))
