@@ -1,6 +1,7 @@
 """A worker that flips a bit in one of 1,000 rows is found; the honest ones beside it are not
-suspected."""
+suspected. What one spoiled that had nobody beside it is found again."""
 import contextlib
+import os
 
 from liar import Liar
 from machines import events, fleet_address
@@ -44,3 +45,34 @@ def test_a_liar_is_quarantined(daemon, worker, seed):
             assert session["state"] == "active" and session["audits_failed"] == 0
             assert session["audits"] > 0 and each.process.poll() is None
         one.act(job, "cancel")
+
+
+def verified(daemon, **request):
+    """The pages of POST /v1/fleet/verify as one: losses computed again, and those that differ."""
+    checked, different, page = 0, [], {}
+    while page.get("next", "") is not None:
+        page = daemon.post("/v1/fleet/verify", request | {"limit": 64})
+        request["after"] = page["next"]
+        checked += page["checked"]
+        different += page["different"]
+    return checked, different
+
+
+def test_every_lie_is_named(daemon, worker, seed):
+    origin = f"liar@{os.uname().nodename}"
+    with daemon("one", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
+        address = fleet_address(one).partition("://")[2]
+        with contextlib.closing(Liar(address, seed, share=0.01)) as liar:
+            odd = worker(liar.url, "liar")
+            job = one.submit(VALUE | {"population": 300, "generations": 4, "seed": seed},
+                             "campaigns")
+            one.succeed(job, "campaigns")
+            assert odd.stop() == 0
+        checked, different = verified(one, origin=origin)
+        print(f"{liar.rows} rows, {liar.flipped} lies")
+        assert checked == liar.rows and len(different) == liar.flipped > 0
+        assert all(lie["stored"]["loss"] != lie["computed"]["loss"] for lie in different)
+        assert verified(one, origin=origin, repair=True) == (checked, different)
+        again, still = verified(one, origin=origin)
+        assert still == [] and 0 < again < checked
+        one.end()
