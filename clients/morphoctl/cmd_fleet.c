@@ -147,7 +147,7 @@ int run_fleet_verify(struct ctl *ctl)
     print_table(stdout, ctl, different,
                 "id={id}|>stored={stored.loss:.17g}|>computed={computed.loss:.17g}"
                 "|environment={environment:.12}|controller={controller:.12}"
-                "|physics={physics:.12}|computed={computed_at:time}");
+                "|physics={physics:.12}|since={computed_at:time}");
   if (status == STATUS_OK || json_array_size(different) > 0)
     tell(ctl, whole,
          repairs ? "{checked:,} losses computed again, {different:#} were replaced"
