@@ -27,10 +27,11 @@
 extern "C" {
 #endif
 
-#define MO_POPULATION_MIN       2
-#define MO_POPULATION_MAX       65536
-#define MO_GENERATIONS_MAX      100000
-#define MO_CAMPAIGN_DESIGNS_MAX (UINT64_C(1) << 28) /* population × (generations + 1) */
+#define MO_POPULATION_MIN        2
+#define MO_POPULATION_MAX        65536
+#define MO_GENERATIONS_MAX       100000
+#define MO_RACE_ENVIRONMENTS_MAX 64
+#define MO_CAMPAIGN_DESIGNS_MAX  (UINT64_C(1) << 28) /* population × (generations + 1) */
 #define MO_CAMPAIGN_STEPS_MAX                                                                      \
   10000 /* learning steps of a generation, limit each for parents and children */
 
@@ -80,6 +81,11 @@ struct mo_selection {
                        layer */
 };
 
+/* Whether a child that cannot survive is scored to its end (racing.c). The choice changes no
+ * population, no birth, no death and no controller. */
+enum mo_racing { MO_RACING_LOSSLESS = 0, MO_RACING_OFF = 1 };
+extern const char *const mo_racing_words[]; /* "lossless", "off", NULL */
+
 struct mo_campaign_settings {
   enum mo_campaign_mode mode;
   uint64_t seed;
@@ -94,6 +100,7 @@ struct mo_campaign_settings {
   double mutation_growth; /* factor of the rate after each attempt that found nothing new; 1 …
                              2; 1.025 */
   struct mo_selection selection;
+  enum mo_racing racing;    /* lossless; has no effect where mo_race_is_possible says no */
   bool exclude_pretraining; /* count the controller's pretraining bodies as seen; true */
   double collapse_share;    /* warn when diversity falls below this share of its maximum so far; 0:
                                never; 0.5 */
@@ -225,6 +232,34 @@ struct mo_candidate {
 int mo_select(const struct mo_campaign_settings *settings, uint32_t generation,
               const uint64_t *genotypes, const struct mo_candidate *candidates, uint32_t n,
               uint32_t *survivors, uint32_t *n_survivors);
+
+/* ---- racing: scores of children that cannot survive are not computed to the end ---- */
+
+/* Losses are never negative, and rounded sums are monotone: the score of a design whose missing
+ * losses count as 0 is a lower bound of its score, bit for bit. Under truncation, a child whose
+ * lower bound is above the worst of N parents is dead, because N candidates are better.
+ * Environments are scored in waves, those that tell most first.
+ *
+ * Only truncation has such a bound. In a tournament, every candidate that did not diverge may live;
+ * novelty lets bad designs live; in layers of age, children compete with children first, and there
+ * are never more than N of them. A study gives its client every score. */
+bool mo_race_is_possible(const struct mo_campaign_settings *settings);
+#define MO_RACE_WAVES_MAX 6
+struct mo_race {
+  double bound; /* a child whose score is above it is dead; +infinity: none is */
+  uint32_t n_environments;
+  uint8_t order[MO_RACE_ENVIRONMENTS_MAX]; /* (n_environments) environments, the first first */
+  uint32_t n_waves;
+  uint8_t ends[MO_RACE_WAVES_MAX]; /* (n_waves) wave w scores order[ends[w − 1] … ends[w] − 1] */
+};
+/* Plans the race of a generation's children from the losses and scores of its parents: losses
+ * (n_parents, n_environments), NaN where one is not known; scores (n_parents). Depends on nothing
+ * else. With fewer than `population` parents there is one wave, and nothing is cut. */
+void mo_race_plan(const struct mo_campaign_settings *settings, const double *losses,
+                  const double *scores, uint32_t n_parents, uint32_t n_environments,
+                  struct mo_race *race);
+/* Computes the mean of n losses, in order; NaN, a loss that was not computed, counts as 0. */
+double mo_race_score(const double *losses, uint32_t n);
 
 /* ---- statistics ---- */
 

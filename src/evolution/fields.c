@@ -180,6 +180,8 @@ static const struct mo_field campaign_rows[] = {
      .help = "how designs mutate"},
     {"selection", MO_FIELD_OWN, 0, AT(selection), .group = &selection_fields, .own = &selection,
      .unit = "", .help = "who lives: a kind, or an object with its settings"},
+    {"racing", MO_FIELD_WORD, 0, AT(racing), .words = mo_racing_words, .unit = "",
+     .help = "whether the scores of children that cannot survive are cut short"},
     {"exclude_pretraining", MO_FIELD_FLAG, 0, AT(exclude_pretraining), .unit = "",
      .help = "bodies that the controller was pretrained on are never born"},
     {"collapse_share", MO_FIELD_NUMBER, 0, AT(collapse_share), .min = 0, .max = 1, .unit = "",
