@@ -89,6 +89,10 @@ CREATE TABLE imports(
   imported_us INTEGER NOT NULL
 ) STRICT;
 
--- Who computed each block of 16 environments: rows of `origins`, 8 bytes each, little-endian; 0:
--- this host. NULL: all by this host.
+-- Who computed each loss: rows of `origins`, 8 bytes each, little-endian; 0: this host. NULL: all by
+-- this host.
 ALTER TABLE campaign_losses ADD COLUMN origins BLOB;
+
+-- A child that cannot survive is scored in some of its environments only: losses of campaign_losses
+-- are then NaN where they were not computed, and the score of the design is a lower bound.
+ALTER TABLE campaign_designs ADD COLUMN is_cut INTEGER NOT NULL DEFAULT 0;

@@ -24,6 +24,7 @@
 static int allocate(struct mo_campaign_run *run)
 {
   const size_t n = run->settings->population, words = mo_workspace_words(run->settings->workspace);
+  const size_t e = run->n_environments;
   bool is_whole = true;
   for (int i = 0; i < 2; i++) {
     struct mo_campaign_rows *rows = &run->all_rows[i];
@@ -140,12 +141,14 @@ static int prepare(struct mo_campaign_run *run)
   if (error == MO_OK && run->status.job.has_controller)
     error = mo_runner_load(run->runner, &run->status.job.controller_sha256, &run->controller);
   if (error == MO_OK)
-    error = allocate(run);
-  if (error == MO_OK)
     error = mo_store_job_environments(run->jobs->store, run->id, MO_JOB_CAMPAIGN,
                                       &run->environments, &run->n_environments);
   if (error == MO_OK)
+    error = allocate(run);
+  if (error == MO_OK)
     error = read_population(run);
+  if (error == MO_OK)
+    error = mo_race_read(run);
   if (error == MO_OK && run->settings->mode != MO_STUDY &&
       run->generation <= run->settings->generations)
     error = read_seen(run);
@@ -266,7 +269,9 @@ static void gather(struct mo_campaign_run *run)
     to->scores[i] = from->scores[place];
     to->numbers[i] = from->numbers[place];
     to->born[i] = from->born[place];
+    to->cut[i] = 0;
   }
+  mo_race_keep(run, to);
 }
 
 /* Commits the generation, and makes the survivors the population. */

@@ -58,11 +58,14 @@ static void count_survivors(const struct mo_campaign_run *run, struct mo_campaig
 
 static void count_rollouts(const struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
-  row->rollouts = (uint64_t)run->n_scored * run->n_environments;
   row->rollouts_cached = (uint64_t)run->n_cached * run->n_environments;
   for (uint32_t i = 0; i < run->n_scored; i++)
-    for (uint32_t k = 0; k < run->n_environments; k++)
+    for (uint32_t k = 0; k < run->n_environments; k++) {
+      row->rollouts += !isnan(run->losses[i].losses[k]);
       row->rollouts_diverged += run->losses[i].diverged_steps[k] != 0;
+    }
+  for (uint32_t i = 0; i < run->n_children; i++)
+    row->children_cut += run->rows->cut[run->n_parents + i];
 }
 
 /* Warns once each time that diversity falls below its share of the maximum so far. */
@@ -170,6 +173,7 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
       .genotypes = rows->bits + run->n_parents,
       .sizes = rows->sizes + run->n_parents,
       .child_scores = rows->scores + run->n_parents,
+      .children_cut = rows->cut + run->n_parents,
       .measures = run->told != NULL ? run->told->measures : NULL,
       .n_measures = run->told != NULL ? run->told->n_measures : 0,
       .is_study = run->told != NULL,

@@ -13,13 +13,14 @@
 #include "store/studies.h"
 
 /* The candidates of a generation: type, name and length of each column. n: the population; words:
- * of a genotype. bits: in the default workspace; forms, births: of the children. */
+ * of a genotype; e: environments. bits: in the default workspace; forms, births: of the children;
+ * parent_losses: NaN: not known; cut: the score is a lower bound. */
 /* clang-format off */
 #define MO_CAMPAIGN_COLUMNS(X)                                                                     \
   X(uint64_t, genotypes, 2 * n * words) X(struct mo_bits, bits, 2 * n)                             \
   X(struct mo_design_size, sizes, 2 * n) X(double, scores, 2 * n) X(uint32_t, numbers, 2 * n)      \
   X(uint32_t, born, 2 * n) X(struct mo_bits, forms, n) X(struct mo_birth, births, n)               \
-  X(uint32_t, survivors, n)
+  X(uint32_t, survivors, n) X(double, parent_losses, n * e) X(uint8_t, cut, 2 * n)
 /* clang-format on */
 struct mo_campaign_rows {
 #define MO_COLUMN(type, name, length) type *name;
@@ -73,6 +74,11 @@ struct mo_campaign_run {
   uint32_t n_unsaved;
   uint32_t n_done;   /* of n_scored */
   uint32_t n_cached; /* of n_done, found in the table `scores` */
+
+  /* The race of the children (campaign_race.c). */
+  bool races;            /* it is possible, and has begun or will */
+  uint32_t parents_left; /* parents whose scores the plan waits for */
+  struct mo_race race;
 
   struct mo_campaign_writing *writing; /* the commit in progress (campaign_commit.c) */
 };
@@ -130,6 +136,20 @@ int mo_campaign_save_learning(struct mo_campaign_run *run);
 /* Loads the learning state at the end of the newest committed generation, for the result. */
 int mo_campaign_load_learning(struct mo_campaign_run *run);
 void mo_campaign_free_learning(struct mo_campaign_run *run);
+
+/* ---- campaign_race.c ---- */
+/* Closes the cells of the children until the race begins, if there is one. After the cells are
+ * made; MO_ERR_NO_MEMORY. */
+int mo_race_close(struct mo_campaign_run *run);
+/* Begins the race, unless parents have no scores yet. After what is known is marked. */
+void mo_race_begin(struct mo_campaign_run *run);
+/* Goes on with a candidate whose losses have come. is_done: it has no cell left. Returns whether it
+ * is done now: it may be cut short. */
+bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done);
+/* Keeps the losses of the survivors for the plan of the next generation, in `to`. */
+void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to);
+/* Reads the losses of the population that a campaign goes on with. */
+int mo_race_read(struct mo_campaign_run *run);
 
 /* ---- campaign_score.c ---- */
 /* Scores the children; in a campaign that learns, the parents, too. */

@@ -4,6 +4,7 @@
  * second (scoring.c). If losses arrive faster than the disk writes, one transaction saves several
  * candidates. Losses that an earlier process saved are not computed again; nor, in a zero-shot
  * campaign or a study, those that `scores` holds for a body under this controller. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -44,9 +45,12 @@ static int allocate(struct mo_campaign_run *run)
   grid->block.share = run->runner->share;
   if (run->losses == NULL || run->unsaved == NULL || mo_grid_create(grid) != MO_OK)
     return MO_ERR_NO_MEMORY;
-  for (uint32_t i = 0; i < run->n_scored; i++)
+  for (uint32_t i = 0; i < run->n_scored; i++) {
     run->losses[i].place = i;
-  return MO_OK;
+    for (uint32_t k = 0; k < run->n_environments; k++)
+      run->losses[i].losses[k] = NAN;
+  }
+  return mo_race_close(run);
 }
 
 static void know(struct mo_campaign_run *run, uint32_t place, const struct mo_campaign_loss *loss)
@@ -183,12 +187,12 @@ static void take(void *context, const struct mo_flight *flight, bool is_done)
     const uint32_t k = flight->places[i];
     loss->losses[k] = block->outcomes[i].loss;
     loss->diverged_steps[k] = block->outcomes[i].diverged_step;
-    loss->origins[k / MO_BLOCK_LANES] = block->origin;
+    loss->origins[k] = block->origin;
     if (block->computed_on != block->back_end)
       loss->by_workers |= UINT64_C(1) << k;
   }
   atomic_fetch_add(&run->jobs->campaign_rollouts, block->n_environments);
-  if (is_done) {
+  if (mo_race_take(run, flight->design, is_done)) {
     run->unsaved[run->n_unsaved++] = flight->design;
     run->n_done++;
   }
@@ -223,15 +227,18 @@ static int compute(struct mo_campaign_run *run)
   return error;
 }
 
-/* Computes each score as the mean over the environments; infinity if a rollout diverged. */
+/* Computes each score as the mean over the environments; infinity if a rollout diverged. Of a child
+ * that was cut short it is a lower bound. */
 static void read_scores(struct mo_campaign_run *run)
 {
   for (uint32_t i = 0; i < run->n_scored; i++) {
     const struct mo_campaign_loss *loss = &run->losses[i];
-    double sum = 0;
+    const double score = mo_race_score(loss->losses, run->n_environments);
+    bool is_whole = true;
     for (uint32_t k = 0; k < run->n_environments; k++)
-      sum += loss->losses[k];
-    run->rows->scores[run->first_scored + i] = sum / run->n_environments;
+      is_whole = is_whole && !isnan(loss->losses[k]);
+    run->rows->scores[run->first_scored + i] = score;
+    run->rows->cut[run->first_scored + i] = !is_whole && isfinite(score);
   }
 }
 
@@ -244,6 +251,7 @@ int mo_campaign_score(struct mo_campaign_run *run)
     error = read_known(run);
   if (error != MO_OK)
     return error;
+  mo_race_begin(run);
   mo_campaign_enter(run, MO_PHASE_SCORE, run->n_scored);
   mo_campaign_advance(run, run->n_done, 0);
   error = compute(run);

@@ -47,7 +47,33 @@ void mo_grid_free(struct mo_grid *grid)
 {
   free(grid->cells);
   free(grid->left);
+  free(grid->again);
   grid->cells = grid->left = NULL;
+  grid->again = NULL;
+}
+
+int mo_grid_close(struct mo_grid *grid, uint32_t design)
+{
+  if (grid->again == NULL)
+    grid->again = malloc(((size_t)grid->n_designs + 1) * sizeof(*grid->again));
+  if (grid->again == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (uint32_t k = 0; k < grid->n_environments; k++)
+    if (*mo_grid_cell(grid, design, k) == MO_CELL_TO_DO)
+      *mo_grid_cell(grid, design, k) = MO_CELL_LATER;
+  return MO_OK;
+}
+
+void mo_grid_open(struct mo_grid *grid, uint32_t design, const uint8_t *cells, uint32_t n)
+{
+  bool any = false;
+  for (uint32_t i = 0; i < n; i++)
+    if (*mo_grid_cell(grid, design, cells[i]) == MO_CELL_LATER) {
+      *mo_grid_cell(grid, design, cells[i]) = MO_CELL_TO_DO;
+      any = true;
+    }
+  if (any)
+    grid->again[(grid->first_again + grid->n_again++) % (grid->n_designs + 1)] = design;
 }
 
 bool mo_grid_finish(struct mo_grid *grid, uint32_t design, uint32_t k)
@@ -62,13 +88,36 @@ void mo_grid_finish_design(struct mo_grid *grid, uint32_t design)
   grid->left[design] = 0;
 }
 
-/* Moves the cursor to the first design with an open cell. false: there is none. */
-static bool seek(struct mo_grid *grid)
+static bool has_open(const struct mo_grid *grid, uint32_t design)
 {
-  for (; grid->cursor < grid->n_designs; grid->cursor++)
-    for (uint32_t k = 0; k < grid->n_environments; k++)
-      if (mo_grid_is_open(grid, grid->cursor, k))
-        return true;
+  for (uint32_t k = 0; k < grid->n_environments; k++)
+    if (mo_grid_is_open(grid, design, k))
+      return true;
+  return false;
+}
+
+/* Leaves the design that `seek` found. The ring may hold the first design twice: it is left only
+ * when it has no open cell, and may have been opened again since. */
+static void pass(struct mo_grid *grid)
+{
+  if (grid->n_again > 0) {
+    grid->first_again = (grid->first_again + 1) % (grid->n_designs + 1);
+    grid->n_again--;
+  } else {
+    grid->cursor++;
+  }
+}
+
+/* Finds the next design with an open cell: those that were opened again first. false: there is
+ * none. */
+static bool seek(struct mo_grid *grid, uint32_t *design)
+{
+  while (grid->n_again > 0 || grid->cursor < grid->n_designs) {
+    *design = grid->n_again > 0 ? grid->again[grid->first_again] : grid->cursor;
+    if (has_open(grid, *design))
+      return true;
+    pass(grid);
+  }
   return false;
 }
 
@@ -86,19 +135,19 @@ static void arrive(struct mo_block *block, void *context)
   pthread_mutex_unlock(inbox->mutex);
 }
 
-static struct mo_flight *begin(struct mo_window *window)
+static struct mo_flight *begin(struct mo_window *window, uint32_t design)
 {
   struct mo_grid *grid = window->grid;
   struct mo_flight *flight = calloc(1, window->flight_bytes);
   if (flight == NULL)
     return NULL;
   flight->block = grid->block;
-  flight->block.genotype = grid->genotypes[grid->cursor].words;
+  flight->block.genotype = grid->genotypes[design].words;
   flight->block.done = arrive;
   flight->block.context = flight;
   flight->grid = grid;
   flight->window = window;
-  flight->design = grid->cursor;
+  flight->design = design;
   return flight;
 }
 
@@ -122,12 +171,11 @@ static int gather(struct mo_window *window, struct mo_flight *flight)
   return MO_OK;
 }
 
-/* Submits a block of the design at the cursor. Returns 1; 0: all its cells are done or deferred. */
-static int launch(struct mo_window *window)
+/* Submits a block of a design. Returns 1; 0: all its cells are done or deferred. */
+static int launch(struct mo_window *window, uint32_t design)
 {
-  int error =
-      window->look_up != NULL ? window->look_up(window->context, window->grid->cursor) : MO_OK;
-  struct mo_flight *flight = error == MO_OK ? begin(window) : NULL;
+  int error = window->look_up != NULL ? window->look_up(window->context, design) : MO_OK;
+  struct mo_flight *flight = error == MO_OK ? begin(window, design) : NULL;
   if (flight == NULL)
     return error != MO_OK ? error : MO_ERR_NO_MEMORY;
   error = gather(window, flight);
@@ -149,10 +197,13 @@ static int launch(struct mo_window *window)
 
 int mo_window_launch(struct mo_window *window, unsigned *budget)
 {
+  uint32_t design;
   int launched = 0;
-  while (launched == 0 && window->n_flights<window->most && * budget> 0 && seek(window->grid)) {
-    launched = launch(window);
-    window->grid->cursor += launched == 0; /* what is left of the design is deferred */
+  while (launched == 0 && window->n_flights<window->most && * budget> 0 &&
+         seek(window->grid, &design)) {
+    launched = launch(window, design);
+    if (launched == 0) /* what is left of the design is deferred */
+      pass(window->grid);
     (*budget)--;
   }
   return launched;

@@ -10,7 +10,8 @@ enum mo_cell {
   MO_CELL_TO_DO = 0,
   MO_CELL_DEFERRED, /* another job computes it */
   MO_CELL_IN_FLIGHT,
-  MO_CELL_DONE
+  MO_CELL_DONE,
+  MO_CELL_LATER /* not to do yet: mo_grid_open */
 };
 
 /* Designs × environments, and what is known of them. */
@@ -21,7 +22,9 @@ struct mo_grid {
   uint32_t n_designs, n_environments;
   uint8_t *cells;  /* (n_designs, n_environments) enum mo_cell */
   uint8_t *left;   /* (n_designs) cells that are not done */
-  uint32_t cursor; /* no earlier design has a cell to do */
+  uint32_t cursor; /* no earlier design has a cell to do, but for those in `again` */
+  /* A ring of the designs of which mo_grid_open opened cells. NULL: none ever is. */
+  uint32_t *again, first_again, n_again;
 };
 /* Returns what the blocks of a job have in common, but for controller and share. */
 struct mo_block mo_block_of(const struct mo_jobs *jobs, const struct mo_job *job,
@@ -37,6 +40,10 @@ static inline bool mo_grid_is_open(const struct mo_grid *grid, uint32_t design, 
 {
   return *mo_grid_cell(grid, design, k) <= MO_CELL_DEFERRED;
 }
+/* Closes all cells of a design that are to do. The first call allocates; MO_ERR_NO_MEMORY. */
+int mo_grid_close(struct mo_grid *grid, uint32_t design);
+/* Opens the closed ones of n cells of a design, which are scored soon. */
+void mo_grid_open(struct mo_grid *grid, uint32_t design, const uint8_t *cells, uint32_t n);
 /* Marks a cell as done. Returns whether its design is. */
 bool mo_grid_finish(struct mo_grid *grid, uint32_t design, uint32_t k);
 void mo_grid_finish_design(struct mo_grid *grid, uint32_t design);

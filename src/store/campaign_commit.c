@@ -131,13 +131,13 @@ int mo_campaign_design_row(struct mo_connection *writer, int64_t id, int64_t gen
 {
   static const char sql[] =
       "INSERT INTO campaign_designs(job,number,genotype,operator,parent,other_parent,born,died,"
-      "score,size,measures) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11)";
-  return mo_sql_do(writer, sql, mo_int(id), mo_int(design->number), mo_int(genotype),
-                   mo_int(design->descent.op), parent_value(&design->descent, 0),
-                   parent_value(&design->descent, 1), mo_int(design->born),
-                   design->died < 0 ? mo_null() : mo_int(design->died), mo_blob(&design->score, 8),
-                   mo_int(packed_size(&design->size)),
-                   n > 0 ? mo_blob(measures, n * sizeof(*measures)) : mo_null());
+      "score,size,measures,is_cut) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11,?12)";
+  return mo_sql_do(
+      writer, sql, mo_int(id), mo_int(design->number), mo_int(genotype), mo_int(design->descent.op),
+      parent_value(&design->descent, 0), parent_value(&design->descent, 1), mo_int(design->born),
+      design->died < 0 ? mo_null() : mo_int(design->died), mo_blob(&design->score, 8),
+      mo_int(packed_size(&design->size)),
+      n > 0 ? mo_blob(measures, n * sizeof(*measures)) : mo_null(), mo_int(design->is_cut));
 }
 
 static int insert_children(struct mo_connection *writer, struct commit_arguments *call,
@@ -158,6 +158,7 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
         .born = born,
         .died = call->lives[commit->n_parents + i] ? -1 : (int64_t)born,
         .score = commit->child_scores[i],
+        .is_cut = commit->children_cut != NULL && commit->children_cut[i],
         .size = commit->sizes[i]};
     error = mo_campaign_design_row(
         writer, call->id, call->genotypes[i], &design,
@@ -186,11 +187,13 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
   return error;
 }
 
-/* The conditions of a campaign's blocks of environments, under the class of its back end (0) and
- * that of the workers (1); id 0: not found yet. */
+/* What the losses of a generation have in common. */
 struct conditions {
-  struct mo_condition of[MO_ENVIRONMENTS_MAX / MO_BLOCK_LANES][2];
+  const struct mo_campaign_head *head;
+  int64_t environments[MO_ENVIRONMENTS_MAX];
+  int64_t fingerprints[2]; /* of the campaign's back end, of the workers */
   int64_t ranking;
+  struct mo_condition last[MO_ENVIRONMENTS_MAX / MO_BLOCK_LANES]; /* of each block, with its id */
 };
 
 static int find_conditions(struct mo_connection *writer, const struct commit_arguments *call,
@@ -202,22 +205,64 @@ static int find_conditions(struct mo_connection *writer, const struct commit_arg
                                          .physics = head->physics,
                                          .environment_set = head->environment_set,
                                          .fingerprint = commit->fingerprint};
-  int64_t environments[MO_ENVIRONMENTS_MAX];
-  int error = mo_environments_read(writer, head->group, head->n_environments, NULL, environments);
-  for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k++)
-    for (int by_workers = 0; by_workers < 2; by_workers++) {
-      struct mo_condition *condition = &conditions->of[k / MO_BLOCK_LANES][by_workers];
-      condition->controller = head->controller;
-      condition->physics = head->physics;
-      condition->fingerprint = by_workers ? commit->workers_fingerprint : commit->fingerprint;
-      condition->environments[condition->n++] = environments[k];
-    }
+  conditions->head = head;
+  conditions->fingerprints[0] = commit->fingerprint;
+  conditions->fingerprints[1] = commit->workers_fingerprint;
+  const int error = mo_environments_read(writer, head->group, head->n_environments, NULL,
+                                         conditions->environments);
   return error == MO_OK && head->environment_set != 0
              ? mo_ranking_row(writer, &design, &conditions->ranking)
              : error;
 }
 
-/* Stores the losses of a child like those of an evaluation. One back end computes a whole block. */
+/* Losses that one machine computed, of a block of environments. */
+struct part {
+  struct mo_condition condition;
+  double losses[MO_BLOCK_LANES];
+  uint32_t diverged_steps[MO_BLOCK_LANES];
+  int64_t origin;
+};
+
+/* Takes the losses of a block that were computed where that of environment `first` was, and marks
+ * them in `taken`. */
+static void take_part(const struct conditions *conditions, const struct mo_campaign_loss *loss,
+                      uint32_t first, uint32_t end, uint64_t *taken, struct part *part)
+{
+  const uint64_t by_workers = loss->by_workers >> first & 1;
+  *part = (struct part){.origin = loss->origins[first],
+                        .condition = {.controller = conditions->head->controller,
+                                      .physics = conditions->head->physics,
+                                      .fingerprint = conditions->fingerprints[by_workers]}};
+  for (uint32_t k = first; k < end; k++) {
+    if (*taken >> k & 1 || isnan(loss->losses[k]) || loss->origins[k] != part->origin ||
+        (loss->by_workers >> k & 1) != by_workers)
+      continue;
+    const uint32_t n = part->condition.n++;
+    part->condition.environments[n] = conditions->environments[k];
+    part->losses[n] = loss->losses[k];
+    part->diverged_steps[n] = (uint32_t)loss->diverged_steps[k];
+    *taken |= UINT64_C(1) << k;
+  }
+}
+
+/* Finds the row of a part's condition, which is mostly that of the child before. */
+static int find_condition(struct mo_store *store, struct mo_condition *condition,
+                          struct mo_condition *last)
+{
+  if (last->id == 0 || last->n != condition->n || last->fingerprint != condition->fingerprint ||
+      memcmp(last->environments, condition->environments,
+             condition->n * sizeof(*condition->environments)) != 0) {
+    const int error = mo_condition_row(&store->writer, condition);
+    if (error != MO_OK)
+      return error;
+    *last = *condition;
+  }
+  condition->id = last->id;
+  return MO_OK;
+}
+
+/* Stores the losses of a child like those of an evaluation: a row for each block of environments,
+ * or more if several machines computed it. */
 static int insert_child_scores(struct mo_store *store, const struct commit_arguments *call,
                                const struct mo_campaign_loss *loss, struct conditions *conditions,
                                int64_t now_us)
@@ -230,22 +275,26 @@ static int insert_child_scores(struct mo_store *store, const struct commit_argum
                                          head->environment_set,
                                          call->commit->fingerprint,
                                          call->commit->workers_fingerprint};
-  bool all_new = true, is_new = false;
+  bool all_new = true, is_new = false, is_whole = true;
+  uint64_t taken = 0;
   double sum = 0;
   int error = MO_OK;
-  for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k += MO_BLOCK_LANES) {
-    struct mo_condition *condition = &conditions->of[k / MO_BLOCK_LANES][loss->by_workers >> k & 1];
-    if (condition->id == 0)
-      error = mo_condition_row(&store->writer, condition);
+  for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k++) {
+    const uint32_t block = k / MO_BLOCK_LANES, end = (block + 1) * MO_BLOCK_LANES;
+    struct part part;
+    is_whole = is_whole && !isnan(loss->losses[k]);
+    sum += loss->losses[k];
+    if (taken >> k & 1 || isnan(loss->losses[k]))
+      continue;
+    take_part(conditions, loss, k, end < head->n_environments ? end : head->n_environments, &taken,
+              &part);
+    error = find_condition(store, &part.condition, &conditions->last[block]);
     if (error == MO_OK)
-      error = mo_losses_insert(store, condition, genotype, loss->origins[k / MO_BLOCK_LANES],
-                               loss->losses + k, (const uint32_t *)loss->diverged_steps + k, now_us,
-                               &is_new);
+      error = mo_losses_insert(store, &part.condition, genotype, part.origin, part.losses,
+                               part.diverged_steps, now_us, &is_new);
     all_new = all_new && is_new;
   }
-  for (uint32_t k = 0; k < head->n_environments; k++)
-    sum += loss->losses[k];
-  if (error != MO_OK || head->environment_set == 0)
+  if (error != MO_OK || head->environment_set == 0 || !is_whole)
     return error;
   return all_new ? mo_set_score_insert_mean(&store->writer, conditions->ranking, genotype,
                                             sum / head->n_environments)

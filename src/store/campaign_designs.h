@@ -12,6 +12,7 @@ struct mo_campaign_design {
   uint32_t born;
   int64_t died; /* first generation whose population lacks it (`born`: never selected); −1: none */
   double score; /* its last score; +infinity: a rollout diverged */
+  bool is_cut;  /* the score is a lower bound: it was cut short, because it cannot survive */
   struct mo_design_size size;
   /* Of a study. */
   char own_operator[MO_STUDY_WORD_MAX + 1]; /* "": descent.op is one of enum mo_operator */
@@ -47,7 +48,7 @@ struct mo_campaign_columns {
   uint32_t *parents[2];  /* (n) each; MO_NO_PARENT */
   uint32_t *born, *died; /* (n) generations; died: MO_ALIVE */
   uint8_t *operators;    /* (n) enum mo_operator, or MO_OPERATORS + place of a study's own word */
-  float *scores;         /* (n) the last; NaN: a rollout diverged */
+  float *scores; /* (n) the last; NaN: a rollout diverged; below 0: a lower bound, negated */
   uint8_t *voxels, *footprints; /* (n) each */
   struct mo_study_words words;
   double *measures[MO_STUDY_MEASURES_MAX]; /* (words.n_measures, n) NaN: not given */

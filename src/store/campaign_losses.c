@@ -28,7 +28,7 @@ int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
 
 /* What a row's checksum covers beside the losses. Returns the number of words: origins are stored
  * only if this host did not compute everything. */
-#define KEY_WORDS (2 + MO_ENVIRONMENTS_MAX / MO_BLOCK_LANES)
+#define KEY_WORDS (2 + MO_ENVIRONMENTS_MAX)
 static size_t key_of(int64_t id, const struct mo_campaign_loss *loss, int64_t key[KEY_WORDS])
 {
   bool is_remote = false;

@@ -31,7 +31,7 @@ int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_
 #define DESIGN_COLUMNS                                                                             \
   "SELECT d.number,d.operator,d.parent,d.other_parent,d.born,d.died,d.score,d.size,g.bits,x.form," \
   "CASE WHEN d.operator>=5 THEN (SELECT word FROM study_words w WHERE w.job=d.job AND w.kind=0"    \
-  " AND w.place=d.operator-5) END,d.measures FROM"                                                 \
+  " AND w.place=d.operator-5) END,d.measures,d.is_cut FROM"                                        \
   " campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype CROSS JOIN designs x ON "         \
   "x.id=g.design"
 
@@ -77,6 +77,7 @@ static int design_from_row(sqlite3_stmt *row, void *any)
   design->born = (uint32_t)sqlite3_column_int64(row, 4);
   design->died = sqlite3_column_type(row, 5) == SQLITE_NULL ? -1 : sqlite3_column_int64(row, 5);
   design->size = unpacked_size(size);
+  design->is_cut = sqlite3_column_int(row, 12) != 0;
   mo_column_text(row, 10, design->own_operator, sizeof(design->own_operator));
   error = design->descent.op < MO_OPERATORS || design->own_operator[0] != '\0'
               ? mo_column_double(row, 6, &design->score)
@@ -259,7 +260,7 @@ static int read_columns(struct mo_connection *reader, int64_t id, int64_t n,
                         struct mo_campaign_columns *columns)
 {
   static const char sql[] =
-      "SELECT number,operator,parent,other_parent,born,died,score,size,measures"
+      "SELECT number,operator,parent,other_parent,born,died,score,size,measures,is_cut"
       " FROM campaign_designs WHERE job=?1 ORDER BY number";
   int error = MO_OK;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
@@ -277,6 +278,8 @@ static int read_columns(struct mo_connection *reader, int64_t id, int64_t n,
         sqlite3_column_type(row, 5) == SQLITE_NULL ? MO_ALIVE : mo_column_u32(row, 5);
     error = mo_column_double(row, 6, &score);
     columns->scores[i] = isfinite(score) ? (float)score : NAN;
+    if (sqlite3_column_int(row, 9) != 0)
+      columns->scores[i] = -columns->scores[i];
     const struct mo_design_size size = unpacked_size(sqlite3_column_int64(row, 7));
     columns->voxels[i] = (uint8_t)size.voxels;
     columns->footprints[i] = (uint8_t)size.footprint;

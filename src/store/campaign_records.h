@@ -41,9 +41,11 @@ struct mo_campaign_generation {
   uint32_t generation;
   uint64_t born_before; /* number of its first child: the designs born in earlier generations */
   uint32_t n_children;
+  uint32_t children_cut;            /* children whose score is a lower bound */
   struct mo_population_stats stats; /* of the population after selection */
   double mean_parents,
-      mean_children; /* mean scores before selection, without designs that diverged; NaN: none */
+      mean_children; /* mean scores before selection, without designs that diverged; NaN: none. That
+                        of the children has lower bounds in it, if any was cut */
   struct mo_variation_counts variation;
   uint32_t survived_mutants,
       survived_recombinants; /* children that selection kept; fallbacks count as mutants */

@@ -36,9 +36,10 @@ int mo_store_campaign_each(struct mo_store *store, int64_t id,
  * (zero-shot: children; else parents, then children). */
 struct mo_campaign_loss {
   uint32_t place;
-  double losses[MO_ENVIRONMENTS_MAX];                    /* (n_environments); +infinity: diverged */
-  int32_t diverged_steps[MO_ENVIRONMENTS_MAX];           /* ≥ 0 */
-  int64_t origins[MO_ENVIRONMENTS_MAX / MO_BLOCK_LANES]; /* of each block, as in mo_saved_block */
+  double losses[MO_ENVIRONMENTS_MAX]; /* (n_environments); +infinity: diverged; NaN: not computed,
+                                         because the child cannot survive */
+  int32_t diverged_steps[MO_ENVIRONMENTS_MAX]; /* ≥ 0 */
+  int64_t origins[MO_ENVIRONMENTS_MAX];        /* of each loss, as in mo_saved_block */
   uint64_t by_workers; /* bit k: workers, not devices as for the rest, computed environment k */
 };
 /* Saves losses of `generation`, which must follow the newest committed one. Returns after the
@@ -79,7 +80,8 @@ struct mo_campaign_commit {
   const struct mo_bits *forms, *genotypes; /* (row.n_children) of the children */
   const struct mo_design_size *sizes;      /* (row.n_children) */
   const double *child_scores;              /* (row.n_children) */
-  const double *measures;                  /* (row.n_children, n_measures) of a study */
+  const uint8_t *children_cut; /* (row.n_children) 1: the score is a lower bound; NULL: none is */
+  const double *measures;      /* (row.n_children, n_measures) of a study */
   uint32_t n_measures;
   bool is_study;                  /* whose state is queued after the commit */
   const uint32_t *parent_numbers; /* (n_parents) the population before, in its order */

@@ -85,6 +85,7 @@ static const struct mo_column generation_columns[] = {
     MO_SPREAD_COLUMNS("springs", AT(stats.springs)),
     {"parents_mean", NUMBER, AT(mean_parents)},
     {"children_mean", NUMBER, AT(mean_children)},
+    {"children_cut", COUNT, AT(children_cut)},
     {"learning.steps", COUNT, AT(learning_steps), "learning_steps"},
     {"learning.first_loss", NUMBER, AT(first_loss), "first_loss"},
     {"learning.last_loss", NUMBER, AT(last_loss), "last_loss"},

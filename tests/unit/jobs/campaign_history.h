@@ -125,13 +125,33 @@ static inline void plain_learning(const struct plain *plain, const struct origin
 
 static inline double plain_score(const struct plain *plain, const struct origin *origin,
                                  const struct mo_bits *genotype,
-                                 const struct mo_controller *controller)
+                                 const struct mo_controller *controller, double *losses)
 {
   double sum = 0;
   for (uint32_t k = 0; k < origin->n_environments; k++)
-    sum += plain->loss(plain->context, genotype, controller, &origin->environments[k],
-                       &origin->settings.physics);
+    sum += losses[k] = plain->loss(plain->context, genotype, controller, &origin->environments[k],
+                                   &origin->settings.physics);
   return sum / origin->n_environments;
+}
+
+/* Cuts a child short, after the first wave that shows that it cannot survive. Returns the rollouts
+ * up to there. */
+static inline uint32_t plain_race(const struct mo_race *race, const double *losses,
+                                  struct mo_campaign_design *design)
+{
+  for (uint32_t wave = 0; wave + 1 < race->n_waves; wave++) {
+    double known[MO_ENVIRONMENTS_MAX] = {0}, sum = 0;
+    for (uint32_t i = 0; i < race->ends[wave]; i++)
+      known[race->order[i]] = losses[race->order[i]];
+    for (uint32_t k = 0; k < race->n_environments; k++)
+      sum += known[k];
+    if (sum / race->n_environments > race->bound) {
+      design->score = sum / race->n_environments;
+      design->is_cut = isfinite(design->score);
+      return race->ends[wave];
+    }
+  }
+  return race->n_environments;
 }
 
 static inline void plain_move(const struct mo_bits *from, struct mo_workspace workspace,
@@ -189,17 +209,28 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
   }
   if (!is_zero_shot)
     plain_learning(plain, origin, bits, n_parents, n, training, row);
+  const uint32_t e = origin->n_environments;
+  double *losses = calloc((size_t)2 * HISTORY_POPULATION * e, sizeof(*losses));
+  double scores[2 * HISTORY_POPULATION];
+  struct mo_race race = {.n_waves = 0};
   for (uint32_t i = 0; i < n_parents + n; i++) {
     const uint32_t number = i < n_parents ? numbers[i] : history->n_designs + i - n_parents;
     struct mo_campaign_design *design = &history->designs[number];
-    if (!is_zero_shot || i >= n_parents) {
-      design->score =
-          plain_score(plain, origin, &bits[i],
-                      is_zero_shot ? origin->controller : mo_training_controller(*training));
-      row->rollouts += origin->n_environments;
-    }
+    scores[i] = plain_score(plain, origin, &bits[i],
+                            is_zero_shot ? origin->controller : mo_training_controller(*training),
+                            losses + (size_t)i * e);
+    design->score = scores[i];
     candidates[i] = (struct mo_candidate){design->score, number, design->born};
+    if (i + 1 == n_parents && mo_race_is_possible(settings))
+      mo_race_plan(settings, losses, scores, n_parents, e, &race);
+    if (i >= n_parents && race.n_waves > 0)
+      row->rollouts += plain_race(&race, losses + (size_t)i * e, design);
+    else if (i >= n_parents || !is_zero_shot)
+      row->rollouts += e;
+    row->children_cut += design->is_cut;
   }
+  free(losses);
+  /* Selected by all scores: who was cut short would not have survived. */
   CHECK_OK(mo_select(settings, g, genotypes, candidates, n_parents + n, survivors, &n_survivors));
   for (uint32_t i = 0; i < n_parents + n; i++)
     history->designs[candidates[i].number].died = g;
@@ -270,7 +301,7 @@ static inline bool same_design(const struct history *x, const struct history *y,
          memcmp(&a->genotype, &b->genotype, sizeof(a->genotype)) == 0 &&
          a->descent.op == b->descent.op && a->descent.parents[0] == b->descent.parents[0] &&
          a->descent.parents[1] == b->descent.parents[1] && a->born == b->born &&
-         a->died == b->died && same_number(a->score, b->score);
+         a->died == b->died && same_number(a->score, b->score) && a->is_cut == b->is_cut;
 }
 
 static inline bool same_generation(const struct history *x, const struct history *y, uint32_t g)
@@ -280,7 +311,8 @@ static inline bool same_generation(const struct history *x, const struct history
       a->generation == g && b->generation == g && x->populations[g].n == y->populations[g].n &&
       a->learning_steps == b->learning_steps && same_number(a->first_loss, b->first_loss) &&
       same_number(a->last_loss, b->last_loss) && a->variation.mutants == b->variation.mutants &&
-      a->variation.recombinants == b->variation.recombinants && a->rollouts == b->rollouts;
+      a->variation.recombinants == b->variation.recombinants && a->rollouts == b->rollouts &&
+      a->children_cut == b->children_cut;
   for (uint32_t i = 0; same && i < x->populations[g].n; i++)
     same = x->populations[g].numbers[i] == y->populations[g].numbers[i] &&
            same_number(x->populations[g].scores[i], y->populations[g].scores[i]);

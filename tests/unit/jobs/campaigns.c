@@ -33,6 +33,7 @@ static void evolves_in_every_mode(void)
 SERVICE_CASE(scores_nothing_twice, 1)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
+  request.record.settings.racing = MO_RACING_OFF; /* what was cut short is raced again */
   struct origin origin = origin_of(&request);
   struct mo_campaign_generation rows[GENERATIONS + 1];
   struct mo_campaign_design designs[POPULATION];
@@ -66,6 +67,7 @@ SERVICE_CASE(scores_nothing_twice, 1)
   CHECK_INT(end_of(id).rollouts_cached, POPULATION * MO_PAPER_TEST_COUNT);
   /* A campaign that learns asks its own controller. */
   request = campaign(MO_FEW_SHOT);
+  request.record.settings.racing = MO_RACING_OFF;
   request.record.settings.generations = 1;
   origin = origin_of(&request);
   id = submit_campaign(&request);

@@ -59,6 +59,7 @@ SERVICE_CASE(is_a_campaign, 2)
   size_t size = 0;
   uint32_t step;
   request.record.settings.exclude_pretraining = false;
+  request.record.settings.racing = MO_RACING_OFF; /* as in every study */
   const struct origin origin = origin_of(&request);
   study = study_of(&request);
   fake_plan.delay_us = 300;

@@ -1,0 +1,132 @@
+/* campaign_race.c: scores the children of a generation in waves of environments, and cuts short
+ * those that cannot survive (src/evolution/racing.c has the reason and the plan).
+ *
+ * The cells of the children are closed at first. The race begins when the scores of all parents are
+ * known: at once where they keep their scores, after their scoring where the controller has
+ * learned. Then each child goes its own way, and no worker waits for a wave to end. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "jobs/campaign_run.h"
+
+static uint32_t n_parents_scored(const struct mo_campaign_run *run)
+{
+  return run->n_parents - run->first_scored;
+}
+
+int mo_race_close(struct mo_campaign_run *run)
+{
+  struct mo_grid *grid = &run->scoring.grid;
+  run->races = mo_race_is_possible(run->settings) && run->n_parents > 0;
+  for (uint32_t i = n_parents_scored(run); i < run->n_scored && run->races; i++)
+    if (mo_grid_close(grid, i) != MO_OK)
+      return MO_ERR_NO_MEMORY;
+  return MO_OK;
+}
+
+/* Opens the next wave of a candidate. */
+static void open_wave(struct mo_campaign_run *run, uint32_t place, uint32_t wave)
+{
+  const struct mo_race *race = &run->race;
+  const uint32_t first = wave > 0 ? race->ends[wave - 1] : 0;
+  mo_grid_open(&run->scoring.grid, place, race->order + first, race->ends[wave] - first);
+}
+
+static void plan(struct mo_campaign_run *run)
+{
+  const uint32_t n = run->n_environments, n_scored = n_parents_scored(run);
+  struct mo_campaign_rows *rows = run->rows;
+  for (uint32_t i = 0; i < n_scored; i++) { /* they have learned, and have new losses */
+    memcpy(rows->parent_losses + (size_t)i * n, run->losses[i].losses, n * sizeof(double));
+    rows->scores[i] = mo_race_score(run->losses[i].losses, n);
+  }
+  mo_race_plan(run->settings, rows->parent_losses, rows->scores, run->n_parents, n, &run->race);
+}
+
+static void start(struct mo_campaign_run *run)
+{
+  plan(run);
+  for (uint32_t i = n_parents_scored(run); i < run->n_scored; i++)
+    open_wave(run, i, 0);
+}
+
+void mo_race_begin(struct mo_campaign_run *run)
+{
+  run->parents_left = 0;
+  for (uint32_t i = 0; i < n_parents_scored(run); i++)
+    run->parents_left += run->scoring.grid.left[i] > 0;
+  if (run->races && run->parents_left == 0)
+    start(run);
+}
+
+/* Returns the wave that a child has to begin. n_waves: it is inside one. */
+static uint32_t next_wave(const struct mo_campaign_run *run, uint32_t place)
+{
+  const struct mo_race *race = &run->race;
+  uint32_t wave = 0;
+  for (uint32_t i = 0; i < race->n_environments; i++) {
+    const uint8_t cell = *mo_grid_cell(&run->scoring.grid, place, race->order[i]);
+    while (i >= race->ends[wave])
+      wave++;
+    if (cell != MO_CELL_DONE)
+      return cell == MO_CELL_LATER ? wave : race->n_waves;
+  }
+  return race->n_waves;
+}
+
+bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done)
+{
+  if (!run->races)
+    return is_done;
+  if (place < n_parents_scored(run)) {
+    run->parents_left -= is_done;
+    if (is_done && run->parents_left == 0)
+      start(run);
+    return is_done;
+  }
+  const uint32_t wave = is_done ? run->race.n_waves : next_wave(run, place);
+  if (wave == run->race.n_waves)
+    return is_done;
+  if (mo_race_score(run->losses[place].losses, run->n_environments) > run->race.bound) {
+    mo_grid_finish_design(&run->scoring.grid, place);
+    return true;
+  }
+  open_wave(run, place, wave);
+  return false;
+}
+
+void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to)
+{
+  const size_t n = run->n_environments;
+  if (!mo_race_is_possible(run->settings) || mo_mode_learns(run->settings->mode))
+    return;
+  for (uint32_t i = 0; i < run->n_survivors; i++) {
+    const uint32_t place = run->rows->survivors[i];
+    memcpy(to->parent_losses + i * n,
+           place < run->n_parents ? run->rows->parent_losses + place * n
+                                  : run->losses[place - run->n_parents].losses,
+           n * sizeof(double));
+  }
+}
+
+int mo_race_read(struct mo_campaign_run *run)
+{
+  const size_t n = run->n_environments;
+  struct mo_campaign_loss *known;
+  int64_t found;
+  for (size_t i = 0; i < run->n_parents * n; i++)
+    run->rows->parent_losses[i] = NAN;
+  if (!mo_race_is_possible(run->settings) || mo_mode_learns(run->settings->mode))
+    return MO_OK;
+  known = calloc((size_t)run->n_parents + 1, sizeof(*known));
+  if (known == NULL)
+    return MO_ERR_NO_MEMORY;
+  found = mo_store_campaign_known(run->jobs->store, run->id,
+                                  mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
+                                  run->rows->bits, run->n_parents, known);
+  for (int64_t i = 0; i < found; i++)
+    memcpy(run->rows->parent_losses + known[i].place * n, known[i].losses, n * sizeof(double));
+  free(known);
+  return found < 0 ? (int)found : MO_OK;
+}
