@@ -124,6 +124,10 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
    * first opening's. */
   if (error == MO_OK && from == 0)
     error = mo_rows_create(writer);
+  /* These tables have a list of columns instead of a file: what it gained is added here. */
+  if (error == MO_OK && from > 0 && from < 11)
+    error = mo_sql_exec(writer, "ALTER TABLE campaign_generations"
+                                " ADD COLUMN children_cut INTEGER NOT NULL DEFAULT 0");
   if (error == MO_OK && from == 0)
     error = mo_sql_exec(writer, "INSERT INTO meta(key,value) VALUES('epoch',0),('clean',1)");
   if (error == MO_OK) {

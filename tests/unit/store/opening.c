@@ -65,6 +65,7 @@ static void refuses_version_0_1(void)
 static const char version_9[] =
     "DROP TABLE imports; ALTER TABLE campaign_losses DROP COLUMN origins;"
     "ALTER TABLE campaign_designs DROP COLUMN is_cut;"
+    "ALTER TABLE campaign_generations DROP COLUMN children_cut;"
     "DROP INDEX trajectories_path; ALTER TABLE trajectories DROP COLUMN path_m;"
     "DROP TABLE design_notes; ALTER TABLE evaluations DROP COLUMN n_skipped;"
     "DROP TABLE study_words; DROP TABLE studies;"
