@@ -14,7 +14,7 @@ static void print_orientation(const struct ctl *ctl, const json_t *orientation)
   if (json_array_size(scores) > 0) {
     putchar('\n');
     print_table(stdout, ctl, scores,
-                ">score={score:.4f}|controller={controller:.12}"
+                ">score=[{lower_bound=true}≥ ]{score:.4f}|controller={controller:.12}"
                 "|environments=[{environments:.30}|{environments:#} own]|physics={physics:.12}"
                 "|precision={precision}|computed={computed_at:time}");
   }

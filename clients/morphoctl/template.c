@@ -130,7 +130,9 @@ static bool is_there(const json_t *value, const char *form)
 
 static bool is_word(const json_t *value, const char *word)
 {
-  return json_is_string(value) && strcmp(json_string_value(value), word) == 0;
+  const char *text =
+      json_is_boolean(value) ? (json_is_true(value) ? "true" : "false") : json_string_value(value);
+  return text != NULL && strcmp(text, word) == 0;
 }
 
 /* Writes the value that the text behind a brace names; returns what follows it. */
