@@ -23,8 +23,9 @@ class Phylogeny:
 
     `number`, `parent` and `other_parent` are uint32 (`NONE`: no parent), `born` and `died`
     generations (`alive` tells who lives), `operator` places in `operators`, `score` float32 with
-    NaN where a rollout diverged, `voxels` and `footprint` uint8, `measures` float64 by name, of a
-    study. A million designs are a few arrays of a few megabytes.
+    NaN where a rollout diverged, `lower_bound` bool (it was cut short, because the design could not
+    survive: its score is at least this), `voxels` and `footprint` uint8, `measures` float64 by
+    name, of a study. A million designs are a few arrays of a few megabytes.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -36,7 +37,8 @@ class Phylogeny:
         self.died = columns["died"]
         self.operator = columns["operator"]
         self.operators: tuple[str, ...] = tuple(header["operators"])
-        self.score = columns["score"]
+        self.lower_bound: NDArray[np.bool_] = columns["score"] < 0
+        self.score = np.abs(columns["score"])
         self.voxels = columns["voxels"]
         self.footprint = columns["footprint"]
         self.measures = {name.partition(".")[2]: column for name, column in columns.items()
@@ -53,7 +55,8 @@ class Phylogeny:
 
     def frame(self) -> pd.DataFrame:
         """A table with the index `number`: parent and other_parent (nullable integers), born, died
-        (nullable), operator (categories), score, voxels, footprint, and the measures of a study."""
+        (nullable), operator (categories), score, lower_bound, voxels, footprint, and the measures
+        of a study."""
         module = pandas()
 
         def nullable(column: NDArray[Any], absent: NDArray[np.bool_]) -> Any:
@@ -68,6 +71,7 @@ class Phylogeny:
                 "operator": module.Categorical.from_codes(self.operator.astype(np.int8),
                                                           self.operators),
                 "score": self.score,
+                "lower_bound": self.lower_bound,
                 "voxels": self.voxels.astype(np.int64),
                 "footprint": self.footprint.astype(np.int64),
                 **{f"measures_{name}": column for name, column in self.measures.items()},
@@ -83,10 +87,11 @@ class Phylogeny:
             raise MorphodError("to_networkx needs networkx: pip install networkx") from None
         graph = networkx.DiGraph()
         rows = zip(self.number.tolist(), self.born.tolist(), self.died.tolist(),
-                   self.alive.tolist(), self.operator.tolist(), self.score.tolist())
-        for number, born, died, alive, operator, score in rows:
+                   self.alive.tolist(), self.operator.tolist(), self.score.tolist(),
+                   self.lower_bound.tolist())
+        for number, born, died, alive, operator, score, is_bound in rows:
             graph.add_node(number, born=born, died=None if alive else died,
-                           operator=self.operators[operator], score=score)
+                           operator=self.operators[operator], score=score, lower_bound=is_bound)
         for column in (self.parent, self.other_parent):
             present = column != NONE
             graph.add_edges_from(zip(column[present].tolist(), self.number[present].tolist()))
