@@ -15,6 +15,11 @@ export function score(value) {
   return value === null || value === undefined ? 'diverged' : value.toFixed(4);
 }
 
+/** The score of a design of a campaign, which may be a lower bound. */
+export function scoreOf(design) {
+  return `${design.lower_bound ? '≥ ' : ''}${score(design.score)}`;
+}
+
 export function count(value) {
   return value === null || value === undefined ? '–' : value.toLocaleString('en-US');
 }

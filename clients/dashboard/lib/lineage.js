@@ -19,6 +19,7 @@ export const OPERATOR_HUES = ['--grey', '--grey', '--green', '--orange', '--blue
  * @property {Uint8Array} operator
  * @property {string[]} [operators] what their numbers mean
  * @property {Float32Array} score NaN: a rollout diverged
+ * @property {Uint8Array} lower_bound 1: the score is one, because the design could not survive
  * @property {Uint8Array} voxels
  * @property {Uint8Array} footprint columns of the body that hold a voxel
  */

@@ -95,6 +95,10 @@ async function mountOne(main, id, parameters, app) {
     operators: new Chart({ title: 'Share of children that survive', minimum: 0, yText: percent }),
     size: new Chart({ title: 'Voxels and footprint', minimum: 0 }),
   };
+  const { racing, selection } = campaign.settings;
+  if (racing === 'lossless' && selection.kind === 'truncation' && !campaign.study) {
+    charts.race = new Chart({ title: 'Share of children cut short', note: 'they could not survive: their scores are lower bounds', minimum: 0, yText: percent });
+  }
   if (learns) charts.learning = new Chart({ title: 'Loss while learning, in each generation' });
   const champions = h('div.grid.small');
   const chosen = new Map(); // genotypes by number
@@ -189,6 +193,8 @@ async function mountOne(main, id, parameters, app) {
       { name: 'mean voxels', x, y: column(rows, (row) => row.voxels.mean), color: '--blue' },
       { name: 'mean footprint', x, y: column(rows, (row) => row.footprint.mean), color: '--orange', dash: [5, 4] },
     ]);
+    charts.race?.set([{ name: 'cut short', x, color: '--grey',
+      y: column(rows, (row) => (row.generation && row.born ? row.children_cut / row.born : null)) }]);
     charts.learning?.set([
       { name: 'first step', x, y: column(rows, (row) => row.learning.first_loss), color: '--grey', dash: [5, 4] },
       { name: 'last step', x, y: column(rows, (row) => row.learning.last_loss), color: '--blue' },

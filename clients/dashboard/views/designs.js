@@ -4,7 +4,7 @@ import { getJson, withQuery } from '../lib/api.js';
 import { button, fill, h, select } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { pythonOf } from '../lib/commands.js';
-import { ago, bytes, count, countOf, score, shellWord, voxels as inVoxels } from '../lib/format.js';
+import { ago, bytes, count, countOf, score, scoreOf, shellWord, voxels as inVoxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
@@ -178,13 +178,13 @@ async function mountDesign(main, id, app) {
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
     h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, h('table.cards', {},
       h('thead', {}, h('tr', {}, ['Score', 'Controller', 'Environments', 'Computed', 'Class', 'Origin'].map((name) => h('th', { scope: 'col' }, name)))),
-      h('tbody', {}, scored.map((one) => h('tr', {}, h('td', { 'data-name': 'Score' }, score(one.score)), h('td', { 'data-name': 'Controller' }, h('code', {}, one.controller.slice(0, 12))),
+      h('tbody', {}, scored.map((one) => h('tr', {}, h('td', { 'data-name': 'Score' }, scoreOf(one)), h('td', { 'data-name': 'Controller' }, h('code', {}, one.controller.slice(0, 12))),
         h('td', {}, Array.isArray(one.environments) ? countOf(one.environments.length, 'environment') : String(one.environments)),
         h('td', {}, ago(one.computed_at)), h('td', {}, one.fingerprint), h('td', {}, one.origin))))))
       : h('p.empty', {}, 'No score is stored for this design.')),
     h('section.panel.stack', {}, h('h2', {}, 'Campaigns'), design.campaigns.length ? h('ul', {}, design.campaigns.map((one) =>
       h('li', {}, h('a', { href: `#/campaigns/${one.campaign}` }, `campaign ${one.campaign}`),
-        `: number ${one.number}, ${one.operator}, born in generation ${one.born}, score ${score(one.score)}`)))
+        `: number ${one.number}, ${one.operator}, born in generation ${one.born}, score ${scoreOf(one)}`)))
       : h('p.empty', {}, 'No campaign has born it.')));
   const environments = await environmentSet('paper-test');
   roll([{ voxels: design.orientations[0]?.genotype ?? design.genotype }], [environments[0]], { signal: stop.signal })

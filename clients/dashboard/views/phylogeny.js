@@ -2,7 +2,7 @@
 
 import { getJson, request, withQuery } from '../lib/api.js';
 import { announce, button, fill, h, select } from '../lib/dom.js';
-import { count, score } from '../lib/format.js';
+import { count, score, scoreOf } from '../lib/format.js';
 import { OPERATOR_HUES, layout, nearest } from '../lib/lineage.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
@@ -16,7 +16,7 @@ const SHADERS = [
   `#version 300 es
 precision highp float;
 uniform highp sampler2D lives;   // a texel a design: born, end, y, y of the parent
-uniform highp sampler2D looks;   // value for the color, or operator / 255; 1: ancestor of the living
+uniform highp sampler2D looks;   // value for the color, or operator / 255; 1: ancestor of the living, 1/4: a lower bound
 uniform vec2 shift;
 uniform vec2 zoom;
 uniform bool byKind;
@@ -37,7 +37,8 @@ void main() {
   float y = corner == 0 ? life.w : life.z;
   gl_Position = vec4((x + shift.x) * zoom.x, (y + shift.y) * zoom.y, 0.0, 1.0);
   vec3 hue = byKind ? kinds[min(int(look.x * 255.0 + 0.5), 7)] : mix(low, high, look.x);
-  float weight = look.y > 0.5 ? (joint ? 0.6 : 0.95) : (joint ? dim * 0.3 : dim);
+  float faint = dim * (look.y > 0.1 ? 0.4 : 1.0);
+  float weight = look.y > 0.5 ? (joint ? 0.6 : 0.95) : (joint ? faint * 0.3 : faint);
   color = vec4(hue, life.w < -0.5 && joint ? 0.0 : weight);
 }`,
   `#version 300 es
@@ -105,14 +106,16 @@ export class PhylogenyCanvas {
 
   #fillTextures() {
     const { columns, layout: { y, parentRow, lineage, order, size }, gl } = this;
-    const { born, died, operator, score: scores } = columns;
+    const { born, died, operator, score: scores, lower_bound: isBound } = columns;
     const n = order.length;
     const rows = Math.max(1, Math.ceil(n / TEXELS));
     const lives = new Float32Array(rows * TEXELS * 4);
     const looks = new Uint8Array(rows * TEXELS * 2);
-    // Scores are ranked on a scale of logarithms, since they crowd near the best.
+    // Scores are ranked on a scale of logarithms, since they crowd near the best. Lower bounds are
+    // no scores: the scale is without them.
     let [best, worst] = [Infinity, 0];
     for (let i = 0; i < n; i++) {
+      if (isBound[i]) continue;
       if (scores[i] > 0 && scores[i] < best) best = scores[i];
       if (scores[i] > worst && scores[i] <= 2) worst = scores[i];
     }
@@ -141,7 +144,7 @@ export class PhylogenyCanvas {
       else if (measure) value = most > least && measure[i] >= least ? (measure[i] - least) / (most - least) : 0;
       else value = scores[i] > 0 ? 1 - Math.min(1, Math.max(0, Math.log(scores[i] / best) / span)) : 0;
       looks[2 * k] = Math.round(value * 255);
-      looks[2 * k + 1] = lineage[i] * 255;
+      looks[2 * k + 1] = lineage[i] ? 255 : isBound[i] && this.colorBy === 'score' ? 64 : 0;
     }
     this.textures.forEach((texture) => gl.deleteTexture(texture));
     this.textures = [dataTexture(gl, gl.RGBA32F, TEXELS, rows, gl.RGBA, gl.FLOAT, lives),
@@ -224,6 +227,8 @@ export async function loadColumns(id, keep, signal) {
   const columns = Object.fromEntries(Object.entries(header.columns).map(([name, where]) => [name, array(where)]));
   // Of all designs, the place is the number.
   columns.operators = header.operators;
+  columns.lower_bound = Uint8Array.from(columns.score, (value) => (value < 0 ? 1 : 0));
+  columns.score = columns.score.map(Math.abs);
   columns.number ??= new Uint32Array(columns.born.length).map((_, i) => i);
   return columns;
 }
@@ -283,10 +288,11 @@ export async function mount(main, id, parameters, app) {
     const number = view.columns.number[row];
     app.keep({ design: number });
     const design = await getJson(`v1/campaigns/${id}/designs/${number}?limit=1`, { signal: stop.signal });
-    announce(`Design ${number}, score ${score(design.score)}`);
+    announce(`Design ${number}, score ${scoreOf(design)}`);
     fill(detail, h('div.row', {}, h('div.card', {}, picture(design.genotype, `Design ${number}`)), h('div.stack', {},
-      h('h2', {}, `Design #${number}`), h('div', {}, `score ${score(design.score)}, ${design.voxels} voxels, ${design.operator}`),
+      h('h2', {}, `Design #${number}`), h('div', {}, `score ${scoreOf(design)}, ${design.voxels} voxels, ${design.operator}`),
       h('div.muted', {}, `born in generation ${design.born}, ${design.died === null ? 'it lives' : `died in ${design.died}`}`),
+      design.lower_bound ? h('div.muted', {}, 'A lower bound: it could not survive, so the rest of its score was not computed.') : null,
       h('a', { href: `#/designs/${design.id}` }, 'all its scores'), h('a', { href: `#/editor?voxels=${design.genotype}` }, 'edit'))));
     const [robots, ancestors] = await Promise.all([walk(design),
       getJson(`v1/campaigns/${id}/designs/${number}/ancestors?limit=24`, { signal: stop.signal })]);

@@ -26,7 +26,8 @@ export class PhylogenyMarks {
     };
     const ramp = (from, to) => [h('span', {}, from), h('i.ramp'), h('span', {}, to)];
     const tellers = {
-      score: () => ramp(`score ${number(scores[1])}`, `${number(scores[0])}, the best`),
+      score: () => [...ramp(`score ${number(scores[1])}`, `${number(scores[0])}, the best`),
+        columns.lower_bound.includes(1) ? h('span', {}, 'faint: lower bounds, of children that could not survive') : null],
       age: () => ramp('short life', 'long life'),
       descendants: () => ramp('no descendants', 'most, on a scale of logarithms'),
       operator: () => [...new Set(columns.operator)].sort().map((operator) =>
