@@ -6,7 +6,7 @@
 #include "base/text.h"
 #include "store/imports.h"
 
-#define MO_BUNDLE_VERSION   1
+#define MO_BUNDLE_VERSION   2
 #define MO_BUNDLE_CAMPAIGNS MO_REPLICATES_MAX /* of one bundle */
 #define MO_BUNDLE_ROLLOUTS  40000             /* recorded; each has up to MO_CHANNELS members */
 

@@ -407,6 +407,8 @@ int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_
         mo_json_integer(json, 0, MO_GENERATIONS_MAX, &design->died);
       else if (mo_json_is(key, "score"))
         read_double(json, (double)INFINITY, &design->score);
+      else if (mo_json_is(key, "lower_bound"))
+        mo_json_bool(json, &design->is_cut);
       else
         mo_json_skip(json); /* follows from the genotype, and is compared below */
     }

@@ -24,6 +24,7 @@ struct born {
   struct mo_descent descent;
   uint32_t born, died, stamp; /* stamp: the last population that has it, plus 1 */
   uint16_t masses, springs;
+  bool is_cut;
   double score;
 };
 
@@ -246,6 +247,8 @@ static const char *check_design(const struct reading *reading,
     return "born or died out of turn";
   if (design->score < 0)
     return "a score is a loss, and not below 0";
+  if (design->is_cut && (n == 0 || design->died != design->born || !isfinite(design->score)))
+    return "a score is a lower bound only of a child that was never selected";
   if (memcmp(&record->settings.workspace, &MO_DEFAULT_WORKSPACE,
              sizeof(record->settings.workspace)) != 0 &&
       mo_workspace_words(record->settings.workspace) <= MO_DEFAULT_WORDS &&
@@ -285,6 +288,7 @@ static int read_design(struct reading *reading, uint32_t n, const char *line, si
                     .died = design.died >= 0 ? (uint32_t)design.died : ALIVE,
                     .masses = (uint16_t)design.size.masses,
                     .springs = (uint16_t)design.size.springs,
+                    .is_cut = design.is_cut,
                     .score = design.score};
   reading->births[design.born]++;
   if (design.died >= 0)
@@ -319,6 +323,14 @@ static const char *check_population(struct reading *reading, uint32_t generation
   return n == reading->n_alive ? NULL : "the population lacks a design that lived then";
 }
 
+static uint32_t count_cut(const struct reading *reading, const struct mo_campaign_generation *row)
+{
+  uint32_t n = 0;
+  for (uint32_t i = 0; i < row->n_children; i++)
+    n += reading->born[row->born_before + i].is_cut;
+  return n;
+}
+
 static int read_generation(struct reading *reading, uint32_t n, const char *line, size_t size)
 {
   struct mo_campaign_generation row;
@@ -337,7 +349,8 @@ static int read_generation(struct reading *reading, uint32_t n, const char *line
       (row.stats.n != n_members || row.n_children != reading->births[generation] ||
        row.born_before + row.n_children > reading->n_born ||
        (row.n_children > 0 && reading->born[row.born_before].born != generation) ||
-       (row.born_before > 0 && reading->born[row.born_before - 1].born >= generation)))
+       (row.born_before > 0 && reading->born[row.born_before - 1].born >= generation) ||
+       row.children_cut != count_cut(reading, &row)))
     fault = "the statistics are of another population";
   if (fault != NULL)
     return refuse(reading, n, fault);

@@ -23,6 +23,17 @@ static void write_head(struct mo_text *text, const struct mo_bits *form, const s
   mo_text_member_time(text, "first_seen_at", first_seen_us);
 }
 
+/* Whether losses of the set are not known: of a design that was cut short, for example. */
+static bool is_partial(const struct mo_design_score *score)
+{
+  bool is_finite = true, is_whole = true;
+  for (uint32_t k = 0; k < score->n_losses; k++) {
+    is_finite = is_finite && !isinf(score->losses[k]);
+    is_whole = is_whole && !isnan(score->losses[k]);
+  }
+  return is_finite && !is_whole;
+}
+
 static void write_score(struct mo_text *text, const struct mo_design_score *score)
 {
   char digits[MO_SHA256_DIGITS + 1];
@@ -36,7 +47,8 @@ static void write_score(struct mo_text *text, const struct mo_design_score *scor
   }
   mo_member_hash(text, "physics", &score->physics_sha256);
   mo_text_member(text, "precision", score->precision == MO_FLOAT64 ? "float64" : "float32");
-  mo_text_member_number(text, "score", score->score);
+  mo_text_member_number(text, "score", mo_race_score(score->losses, score->n_losses));
+  mo_text_member_bool(text, "lower_bound", is_partial(score));
   mo_member_numbers(text, "losses", score->losses, score->n_losses);
   mo_text_member_time(text, "computed_at", score->computed_us);
   mo_text_member(text, "fingerprint", score->fingerprint);

@@ -43,6 +43,7 @@ void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design
   mo_text_member_count(text, "born", row->born);
   mo_member_count_if(text, "died", row->died >= 0, (uint64_t)row->died);
   mo_text_member_number(text, "score", row->score);
+  mo_text_member_bool(text, "lower_bound", row->is_cut);
 }
 
 void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
@@ -63,8 +64,9 @@ void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_desi
   mo_text_add(text, "}");
 }
 
-static const char csv_heading[] = "id,ancestor_list,origin_time,destruction_time,operator,"
-                                  "score,design,genotype,voxels,footprint,masses,springs";
+static const char csv_heading[] =
+    "id,ancestor_list,origin_time,destruction_time,operator,"
+    "score,design,genotype,voxels,footprint,masses,springs,lower_bound";
 
 void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row, int64_t end,
                             const struct mo_phylogeny_shape *shape)
@@ -91,8 +93,8 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
   mo_bits_write_id(text, &row->form);
   mo_text_add(text, ",g");
   mo_bits_write(text, &row->genotype);
-  mo_text_format(text, ",%u,%u,%u,%u", row->size.voxels, row->size.footprint, row->size.masses,
-                 row->size.springs);
+  mo_text_format(text, ",%u,%u,%u,%u,%d", row->size.voxels, row->size.footprint, row->size.masses,
+                 row->size.springs, row->is_cut);
   for (uint32_t m = 0; m < shape->n_measures; m++) {
     mo_text_add(text, ",");
     if (m < row->n_measures && isfinite(row->measures[m]))
@@ -365,7 +367,7 @@ static int more_lines(void *context, struct mo_text *text)
     mo_text_add(text, "\n");
   }
   if (!lines->headed && lines->shape.root >= 0) {
-    mo_text_format(text, "%lld,\"[none]\",0,inf,root,,,,,,,", (long long)lines->shape.root);
+    mo_text_format(text, "%lld,\"[none]\",0,inf,root,,,,,,,,", (long long)lines->shape.root);
     for (uint32_t m = 0; m < lines->words.n_measures; m++)
       mo_text_add(text, ",");
     mo_text_add(text, "\n");
@@ -526,7 +528,7 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
     reply_page(request, &status, after, limit);
     return;
   }
-  snprintf(tag, sizeof(tag), "%" PRIx64 "-phylogeny-3-%s-%lld-%lld-%llu-%u-%d-%d-%d-%lld",
+  snprintf(tag, sizeof(tag), "%" PRIx64 "-phylogeny-4-%s-%lld-%lld-%llu-%u-%d-%d-%d-%lld",
            mo_store_id(store), forms[form], (long long)id, (long long)status.generation,
            (unsigned long long)status.n_designs, (unsigned)status.words.n_measures, wanted.lineages,
            wanted.parents, (int)wanted.root, (long long)wanted.since);

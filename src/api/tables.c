@@ -357,7 +357,7 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   " scored_genotype:g"
 #define BORN                                                                                       \
   "number:n id:d genotype:g parents operator born:n died:n score:n voxels:n"                       \
-  " footprint:n masses:n springs:n measures"
+  " footprint:n masses:n springs:n lower_bound:n measures"
 #define CHAMPIONS            BORN " distinctiveness:n"
 #define CONTROLLERS          "name sha256 bytes:n parameters:n sensor workspace metadata stored_at"
 #define USAGE                "name jobs:n core_seconds:n device_seconds:n"

@@ -190,7 +190,7 @@ def put(key, value):
 
 
 CHANGES = [
-    ("bundle.json", lambda line: line.replace(b'"version":1', b'"version":2'), 0),
+    ("bundle.json", lambda line: line.replace(b'"version":2', b'"version":1'), 0),
     ("campaign.json", put("designs", lambda n: n + 1), 0),
     ("campaign.json", put("generation", lambda n: n - 1), 0),
     ("campaign.json", put("state", "running"), 0),
@@ -212,6 +212,7 @@ CHANGES = [
     ("designs", put("born", 99), 30),
     ("designs", put("died", 0), 30),
     ("designs", put("score", -1), 0),
+    ("designs", put("lower_bound", True), 0),
     ("designs", put("voxels", 1), 0),
     ("designs", put("genotype", lambda text: text[::-1]), 0),
     ("designs", put("genotype", "1" * 2000), 0),
@@ -221,6 +222,7 @@ CHANGES = [
     ("designs", lambda line: b"", 3),
     ("generations", put("population", 7), 1),
     ("generations", put("born", 7), 1),
+    ("generations", put("children_cut", 1), 1),
     ("generations", put("generation", 0), 1),
     ("generations", put("numbers", lambda numbers: numbers[:1] * len(numbers)), 1),
     ("generations", put("numbers", lambda numbers: numbers[:-1]), 1),

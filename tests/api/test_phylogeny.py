@@ -79,7 +79,7 @@ def read_standard(text):
         assert re.fullmatch(r"\[(none|[0-9]+(,[0-9]+)*)\]", row["ancestor_list"])
         ancestors = [] if row["ancestor_list"] == "[none]" else json.loads(row["ancestor_list"])
         origin, destruction = float(row["origin_time"]), float(row["destruction_time"])
-        assert 0 <= origin <= destruction and len(row) == 12 and None not in row
+        assert 0 <= origin <= destruction and len(row) == 13 and None not in row
         assert all(taxa[ancestor][1] < origin <= taxa[ancestor][2]
                    for ancestor in ancestors), "every ancestor exists, is older, and lived"
         taxa[int(row["id"])] = (ancestors, origin, destruction, row)
@@ -239,7 +239,8 @@ def test_lineage(service, evolved, designs):
 def test_designs_know_their_campaigns(service, evolved, designs):
     for row in (designs[0], designs[50]):
         campaigns = service.get(f"/v1/designs/{row['id']}")["campaigns"]
-        born = {key: row[key] for key in ("number", "parents", "operator", "born", "died", "score")}
+        born = {key: row[key] for key in ("number", "parents", "operator", "born", "died", "score",
+                                          "lower_bound")}
         assert [one for one in campaigns if one["campaign"] == evolved["id"]
                 ] == [{"campaign": evolved["id"], **born}]
         numbers = [int(one["campaign"]) for one in campaigns]

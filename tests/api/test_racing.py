@@ -1,0 +1,162 @@
+"""Children that cannot survive are cut short: the same campaign, with scores that are bounds."""
+
+import csv
+import io
+
+import pytest
+
+from service import Service, run
+from test_bundles import enter
+from test_worlds import scene
+
+# They walk: among random bodies, hardly any child is bad enough to be cut.
+FOUNDERS = """
+    000800cceec00c8a000c4e20000000000000 0c4e200c8a00cceec0000000000000000000
+    0219eb6fdd83fc9f9db8cc793ad1fb107f1a 0ae400c4680048ee00000000000000000000
+    0619ab6fdd83fc9f9db8cc793ad1fa107f1a 0619ab6fdd83fc8f9db8cc793ad1fa107f1a
+    04c4e200c8a0cc46e4000000000000000000 00c4e202e8a08ccee4000000000000000000
+    0219ab6fdd83fc9f9db8cc793ad1fa107f1a 0008eb686ab1fe3d5dfebe3d3de25b1407fa
+    07e2f40fd1f711ccdc3eb314000000000000 0008eb687ab9fe3d5dbeb63d3de25b1407fa
+""".split()
+CAMPAIGN = {"mode": "zero-shot", "population": 12, "generations": 4, "seed": 11,
+            "initial": {"designs": [{"id": id} for id in FOUNDERS]},
+            "exclude_pretraining": False}
+LIVES = ("number", "id", "genotype", "parents", "operator", "born", "died")
+
+
+def lives(row):
+    return [row[name] for name in LIVES]
+
+
+@pytest.fixture(scope="module")
+def raced(service):
+    return run(service, "campaigns", CAMPAIGN)["id"]
+
+
+@pytest.fixture(scope="module")
+def designs(service, raced):
+    return service.pages(f"/v1/campaigns/{raced}/phylogeny")
+
+
+@pytest.fixture(scope="module")
+def whole():
+    """The same campaign without races, on a service that has no score of it."""
+    other = Service()
+    yield other, run(other, "campaigns", CAMPAIGN | {"racing": "off"})["id"]
+    assert other.close() == 0, other.log_text()
+
+
+def generations(service, id):
+    return service.get(f"/v1/campaigns/{id}/generations")["items"]
+
+
+def test_the_same_campaign(service, raced, whole, designs):
+    """Populations, births, deaths and statistics are the same; a lower bound is below the score,
+    and the score of nobody who lived."""
+    other, id = whole
+    full = other.pages(f"/v1/campaigns/{id}/phylogeny")
+    assert service.get(f"/v1/campaigns/{raced}")["settings"]["racing"] == "lossless"
+    assert other.get(f"/v1/campaigns/{id}")["settings"]["racing"] == "off"
+    assert [lives(row) for row in designs] == [lives(row) for row in full]
+    assert not any(row["lower_bound"] for row in full)
+    for row, known in zip(designs, full):
+        if row["lower_bound"]:
+            assert row["died"] == row["born"] > 0 and row["score"] <= known["score"]
+        else:
+            assert row["score"] == known["score"]
+    for generation in range(5):
+        path = f"population?generation={generation}"
+        assert service.get(f"/v1/campaigns/{raced}/{path}") == other.get(
+            f"/v1/campaigns/{id}/{path}")
+    assert service.get(f"/v1/campaigns/{raced}/champions") == other.get(
+        f"/v1/campaigns/{id}/champions")
+    for row, known in zip(generations(service, raced), generations(other, id)):
+        born = [one for one in designs if one["born"] == row["generation"]]
+        assert row["children_cut"] == sum(one["lower_bound"] for one in born)
+        assert known["children_cut"] == 0 and known["rollouts"] == 10 * known["born"]
+        saved = 10 * row["born"] - row["rollouts"]
+        assert 0 <= saved <= 8 * row["children_cut"] and (saved > 0) == (row["children_cut"] > 0)
+        for name in set(row) - {"children_cut", "children_mean", "rollouts", "cached",
+                                "rollouts_diverged", "seconds"}:
+            assert row[name] == known[name], name
+        assert row["generation"] == 0 or row["children_mean"] <= known["children_mean"]
+    cut = sum(row["lower_bound"] for row in designs)
+    assert cut >= 20, "most children are far worse than the worst parent"
+
+
+def table(service, path):
+    text = service.request("GET", path + "?format=csv").body.decode()
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_every_form_says_so(service, raced, designs):
+    path = f"/v1/campaigns/{raced}/phylogeny"
+    flags = [row["lower_bound"] for row in designs]
+    assert [row["lower_bound"] == "1" for row in table(service, path)] == flags
+    bound = next(row for row in designs if row["lower_bound"])
+    parent = bound["parents"][0]
+    assert service.get(f"/v1/campaigns/{raced}/designs/{bound['number']}")["lower_bound"]
+    told = {row["number"]: row["lower_bound"] for row in table(
+        service, f"/v1/campaigns/{raced}/designs/{parent}/descendants")}
+    assert told[str(bound["number"])] == "1"
+    header, array = scene(service.request("GET", path + "?format=columns"))
+    scores = array(header["columns"]["score"])
+    assert [score < 0 for score in scores] == flags
+    assert all(abs(score) == pytest.approx(row["score"], rel=1e-6)
+               for score, row in zip(scores, designs))
+    page = service.get(f"/v1/designs/{bound['id']}")
+    assert [one["lower_bound"] for one in page["campaigns"] if one["campaign"] == raced] == [True]
+
+
+def test_a_bundle_keeps_them(service, start, raced, designs):
+    """Losses of a part of the environments enter, twice without effect, and leave again."""
+    other = start()
+    bundle = service.request("GET", f"/v1/bundles?campaigns={raced}").body
+    entered = enter(other, bundle)
+    assert entered.status == 201
+    rows = generations(service, raced)
+    assert entered.json()["losses_stored"] == sum(row["rollouts"] for row in rows)
+    id = entered.json()["items"][0]["campaign"]
+    assert other.pages(f"/v1/campaigns/{id}/phylogeny") == designs
+    assert generations(other, id) == rows
+    again = enter(other, bundle)
+    assert again.status == 200 and again.json()["losses_stored"] == 0
+    back = other.request("GET", f"/v1/bundles?campaigns={id}").body
+    assert enter(service, back, "verify").json()["items"][0]["campaign"] == raced
+    # The losses that a cut child has are used there, too.
+    bound = next(row for row in designs if row["lower_bound"])
+    assert evaluated(other, bound)["rollouts_cached"] in (2, 8)
+
+
+def evaluated(service, row):
+    return service.evaluate({"designs": [{"voxels": row["genotype"]}]}).json()
+
+
+def test_an_evaluation_computes_the_rest(service, raced, whole, designs):
+    """Stored losses are used; the whole score is that of the campaign without races, and does not
+    change what the campaign says."""
+    other, id = whole
+    bound = next(row for row in reversed(designs) if row["lower_bound"])
+    score = other.get(f"/v1/campaigns/{id}/designs/{bound['number']}")["score"]
+
+    def told():
+        stored = service.get(f"/v1/designs/{bound['id']}")["orientations"][0]["scores"]
+        best = service.pages("/v1/designs?sort=score")
+        return ([(one["score"], one["lower_bound"]) for one in stored],
+                bound["id"] in [one["id"] for one in best])
+
+    assert told() == ([(bound["score"], True)], False), "a lower bound is not ranked"
+    first = evaluated(service, bound)
+    assert first["rollouts_cached"] in (2, 8)
+    assert first["results"][0]["score"] == score
+    assert told() == ([(score, False)], True)
+    assert evaluated(service, bound)["rollouts_cached"] == 10
+    again = service.get(f"/v1/campaigns/{raced}/designs/{bound['number']}")
+    assert again["lower_bound"] and again["score"] == bound["score"]
+
+
+@pytest.mark.parametrize("selection", ["tournament", "novelty", "age-layered"])
+def test_only_truncation_has_a_bound(service, selection):
+    value = run(service, "campaigns", CAMPAIGN | {"generations": 1, "selection": selection})
+    assert value["settings"]["racing"] == "lossless"
+    assert [row["children_cut"] for row in generations(service, value["id"])] == [0] * 2
