@@ -11,6 +11,7 @@ import pytest
 from browser import Browser
 from contract import SOURCE
 from service import DESIGN, await_end, run
+from test_racing import CAMPAIGN as RACED
 from workers import Workers
 
 VIEWS = {
@@ -340,6 +341,25 @@ def test_a_study_shows_its_measures_and_operators(service, browser):
         browser.run(f"const e = document.querySelector('select'); e.value = '{by}';"
                     "e.dispatchEvent(new Event('change'))")
         assert browser.texts(".flush > .legend span")[0].startswith(least)
+    assert browser.faults() == []
+
+
+def test_lower_bounds_are_no_scores(service, browser):
+    """They are faint, off the scale of colors, and said to be bounds."""
+    id = run(service, "campaigns", RACED | {"generations": 1})["id"]
+    rows = service.pages(f"/v1/campaigns/{id}/phylogeny")
+    bound = next(row for row in rows if row["lower_bound"])
+    browser.open(f"campaigns/{id}/phylogeny?design={bound['number']}")
+    browser.until("document.querySelector('main h2')?.innerText.startsWith('Design #')")
+    text = browser.run("return document.querySelector('main').innerText")
+    assert f"score ≥ {bound['score']:.4f}" in text and "A lower bound" in text
+    legend = browser.texts(".flush > .legend span")
+    worst = max(row["score"] for row in rows if not row["lower_bound"])
+    assert legend[0] == f"score {float(f'{worst:.3g}')}" and "faint: lower bounds" in legend[2]
+    browser.open(f"designs/{bound['id']}")
+    browser.until(f"document.querySelector('main').innerText.includes('≥ {bound['score']:.4f}')")
+    browser.open(f"campaigns/{id}")
+    browser.until("document.querySelector('main').innerText.includes('Share of children cut')")
     assert browser.faults() == []
 
 

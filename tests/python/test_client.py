@@ -11,7 +11,8 @@ import numpy as np
 import pandas
 import pytest
 from morphod.bodies import largest_pieces
-from service import BOOTSTRAP, DESIGN
+from service import BOOTSTRAP, DESIGN, run
+from test_racing import CAMPAIGN as RACED
 from workers import Workers
 
 SHORT = {"n_steps": 20}
@@ -233,6 +234,19 @@ def test_a_phylogeny(m, service, campaign):
     assert sorted(phylogeny.to_newick().split()) == sorted(newick.decode().split())
     lineages = m.get_campaign(campaign[0]).phylogeny(lineages=True)
     assert lineages.alive.sum() == phylogeny.alive.sum() and len(lineages) < len(phylogeny)
+
+
+def test_a_phylogeny_with_lower_bounds(m, service):
+    id = run(service, "campaigns", RACED | {"generations": 1})["id"]
+    rows = service.pages(f"/v1/campaigns/{id}/phylogeny")
+    phylogeny = m.get_campaign(id).phylogeny()
+    table, graph = phylogeny.frame(), phylogeny.to_networkx()
+    assert table["lower_bound"].dtype == bool and phylogeny.lower_bound.any()
+    assert table["lower_bound"].tolist() == [row["lower_bound"] for row in rows]
+    assert table["score"].tolist() == [np.float32(row["score"]) for row in rows]
+    assert [graph.nodes[row["number"]]["lower_bound"] for row in rows] == [
+        row["lower_bound"] for row in rows]
+    assert m.get_campaign(id).curve()["children_cut"].sum() == phylogeny.lower_bound.sum()
 
 
 def test_a_campaign_goes_on(m, capsys):
