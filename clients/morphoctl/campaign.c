@@ -215,7 +215,7 @@ static void print(struct live *live)
                     "{group.id}]"},
       {"mutation", "{settings.mutation.share:.1%} of the population, rate "
                    "{settings.mutation.rate:.4g}, growth {settings.mutation.growth:.4g}"},
-      {"selection", "{settings.selection.kind}"},
+      {"selection", "{settings.selection.kind}[{settings.racing=off}, racing off]"},
       {"learning", "[{settings.learning.parent_steps} + {settings.learning.child_steps} steps a "
                    "generation, {settings.learning.schedule.kind} from "
                    "{settings.learning.schedule.peak:.4g} down to "

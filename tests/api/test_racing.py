@@ -7,6 +7,7 @@ import pytest
 
 from service import Service, run
 from test_bundles import enter
+from test_morphoctl import ctl  # noqa: F401
 from test_worlds import scene
 
 # They walk: among random bodies, hardly any child is bad enough to be cut.
@@ -132,7 +133,7 @@ def evaluated(service, row):
     return service.evaluate({"designs": [{"voxels": row["genotype"]}]}).json()
 
 
-def test_an_evaluation_computes_the_rest(service, raced, whole, designs):
+def test_an_evaluation_computes_the_rest(service, raced, whole, designs, ctl):  # noqa: F811
     """Stored losses are used; the whole score is that of the campaign without races, and does not
     change what the campaign says."""
     other, id = whole
@@ -146,6 +147,9 @@ def test_an_evaluation_computes_the_rest(service, raced, whole, designs):
                 bound["id"] in [one["id"] for one in best])
 
     assert told() == ([(bound["score"], True)], False), "a lower bound is not ranked"
+    assert f"≥ {bound['score']:.4f} " in ctl(f"design show {bound['id']}")[1]
+    assert "truncation, racing off\n" in ctl(f"campaign show {id}", server=other.addresses[0])[1]
+    assert "truncation\n" in ctl(f"campaign show {raced}")[1]
     first = evaluated(service, bound)
     assert first["rollouts_cached"] in (2, 8)
     assert first["results"][0]["score"] == score
