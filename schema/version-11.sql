@@ -89,8 +89,8 @@ CREATE TABLE imports(
   imported_us INTEGER NOT NULL
 ) STRICT;
 
--- Who computed each loss: rows of `origins`, 8 bytes each, little-endian; 0: this host. NULL: all by
--- this host.
+-- Who computed each loss: rows of `origins`, 8 bytes each, little-endian; 0: this host. NULL: this
+-- host computed all.
 ALTER TABLE campaign_losses ADD COLUMN origins BLOB;
 
 -- A child that cannot survive is scored in some of its environments only: losses of campaign_losses

@@ -13,6 +13,7 @@
 #include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/campaign_excluded.h"
+#include "jobs/campaign_race.h"
 #include "store/worlds.h"
 
 #define HISTORY_ROWS        64

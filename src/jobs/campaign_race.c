@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "jobs/campaign_run.h"
+#include "jobs/campaign_race.h"
 
 static uint32_t n_parents_scored(const struct mo_campaign_run *run)
 {
