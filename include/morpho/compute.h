@@ -269,7 +269,7 @@ uint64_t mo_compute_remote_waiting(struct mo_compute *compute, enum mo_back_end 
 void mo_compute_leave_remote(struct mo_compute *compute, bool leave);
 /* Sets what is called when a block that suits is queued, the first time after mo_compute_take found
  * none. A lock is held: the call must be short and must not call this room. Set it before the first
- * block. */
+ * block. NULL: nothing; when this returns, no call is in progress. */
 void mo_compute_watch_remote(struct mo_compute *compute, void (*arrived)(void *context),
                              void *context);
 

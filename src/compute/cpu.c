@@ -38,6 +38,7 @@ enum {
   PAUSE_SPRINGS = 2000, /* larger bodies check after every step */
   PAUSE_GRADIENT_STEPS = 4,
   PAUSE_GRADIENT_SPRINGS = MO_GRADIENT_ROBOTS * PAUSE_SPRINGS,
+  LOOK_AGAIN_US = 50000,
   DEPTHS = 2 /* a batch or gradient block, and an interactive one inside it */
 };
 
@@ -265,7 +266,8 @@ static bool is_for_workers(const struct mo_block *block, void *context)
 {
   const struct mo_compute *compute = context;
   return !atomic_load_explicit(&compute->core.remote.leave, memory_order_relaxed) ||
-         atomic_load(&compute->stopping) || !mo_block_suits_remote(block);
+         atomic_load(&compute->stopping) || !mo_block_suits_remote(block) ||
+         mo_block_is_cancelled(block);
 }
 
 static void *work(void *argument)
@@ -286,7 +288,11 @@ static void *work(void *argument)
       if (atomic_load(&compute->stopping))
         break;
       follow_trims(worker);
-      pthread_cond_wait(&compute->wake, &compute->fair.mutex);
+      /* Blocks that are left to remote takers may be cancelled, which wakes nobody. */
+      if (atomic_load(&compute->core.remote.leave) && atomic_load(&compute->fair.waiting) > 0)
+        (void)mo_wait_until(&compute->wake, &compute->fair.mutex, mo_clock_us() + LOOK_AGAIN_US);
+      else
+        pthread_cond_wait(&compute->wake, &compute->fair.mutex);
       continue;
     }
     atomic_fetch_add(&compute->n_busy, 1);

@@ -219,10 +219,13 @@ static struct mo_outcome outcome_of(const struct mo_remote_result *result, uint3
                              .com_end_m = {NAN, NAN, NAN}};
 }
 
-static void end_block(struct mo_block *block, const struct mo_remote_result *result, uint32_t row)
+/* back_end: whose queue the block was taken from. Workers also queue what devices cannot compute.
+ */
+static void end_block(struct mo_block *block, enum mo_back_end back_end,
+                      const struct mo_remote_result *result, uint32_t row)
 {
   block->status = mo_block_is_cancelled(block) ? MO_ERR_CANCELLED : result->status;
-  block->computed_on = block->back_end;
+  block->computed_on = back_end;
   block->origin = result->origin;
   for (uint32_t i = 0; i < block->n_environments && block->status == MO_OK; i++)
     block->outcomes[i] = outcome_of(result, row + i);
@@ -261,7 +264,7 @@ void mo_compute_deliver(struct mo_compute *compute, struct mo_taken *shown,
   pthread_mutex_unlock(&taken->fair->mutex);
   for (uint32_t i = 0; i < shown->n_blocks; i++) { /* the share may be freed after the last one */
     const uint32_t n = taken->blocks[i]->n_environments;
-    end_block(taken->blocks[i], result, row);
+    end_block(taken->blocks[i], shown->back_end, result, row);
     row += n;
   }
   discard(taken);
@@ -302,6 +305,13 @@ void mo_compute_leave_remote(struct mo_compute *compute, bool leave)
 void mo_compute_watch_remote(struct mo_compute *compute, void (*arrived)(void *context),
                              void *context)
 {
-  mo_core(compute)->remote.arrived = arrived;
-  mo_core(compute)->remote.context = context;
+  struct mo_compute_core *core = mo_core(compute);
+  pthread_mutex_lock(&core->fair->mutex);
+  if (core->devices != NULL)
+    pthread_mutex_lock(&core->devices->fair.mutex);
+  core->remote.arrived = arrived;
+  core->remote.context = context;
+  if (core->devices != NULL)
+    pthread_mutex_unlock(&core->devices->fair.mutex);
+  pthread_mutex_unlock(&core->fair->mutex);
 }

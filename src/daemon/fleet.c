@@ -186,8 +186,10 @@ void fleet_end_others(struct fleet *fleet, const struct mo_token *tokens, size_t
 
 void fleet_retire(struct fleet *fleet)
 {
-  if (fleet != NULL)
-    atomic_store(&fleet->api, NULL);
+  if (fleet == NULL)
+    return;
+  mo_compute_watch_remote(fleet->compute, NULL, NULL);
+  atomic_store(&fleet->api, NULL);
 }
 
 void fleet_free(struct fleet *fleet)

@@ -208,6 +208,7 @@ static struct mo_session *give_new(struct mo_fleet *fleet, struct mo_session *se
   const uint64_t id = session->id;
   struct mo_weights *weights = NULL;
   session->n_taking[back_end]++;
+  fleet->classes[back_end].may_have_work = false; /* what arrives from now on says so */
   pthread_mutex_unlock(&fleet->mutex);
   const uint64_t steps = spread(&fleet->config.source, back_end, &size);
   struct mo_lease *lease = take_lease(fleet, back_end, steps, &weights);
@@ -215,10 +216,9 @@ static struct mo_session *give_new(struct mo_fleet *fleet, struct mo_session *se
   session = mo_session_find(fleet, id);
   if (session != NULL)
     session->n_taking[back_end]--;
-  if (lease == NULL) {
-    fleet->classes[back_end].may_have_work = false;
+  if (lease == NULL)
     return session;
-  }
+  fleet->classes[back_end].may_have_work = true;
   mo_lease_insert(fleet, lease, weights);
   if (session == NULL || session->state != MO_SESSION_ACTIVE ||
       (lease->is_only && !holds_nothing(session))) {

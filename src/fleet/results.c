@@ -47,12 +47,26 @@ static int check(struct mo_fleet *fleet, const struct mo_session *session,
   return MO_OK;
 }
 
-static void take_rows(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_session *session,
-                      const struct mo_wire_result *result, uint64_t now_ns, struct mo_after *after)
+/* What a worker says of its time is charged to a share: at most all of its threads and devices
+ * since it got the lease. */
+static double busy_s_of(const struct mo_session *session, const struct mo_wire_result *result,
+                        uint64_t given_ns, uint64_t now_ns)
 {
+  const double units = (double)session->offer.n_threads + session->offer.n_devices;
+  const double most_s = 1e-9 * (double)(now_ns - given_ns) * (units > 1 ? units : 1);
+  return now_ns > given_ns && result->busy_s < most_s ? result->busy_s
+         : now_ns > given_ns                          ? most_s
+                                                      : 0;
+}
+
+static void take_rows(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_session *session,
+                      const struct mo_wire_result *result, uint64_t given_ns, uint64_t now_ns,
+                      struct mo_after *after)
+{
+  const double busy_s = busy_s_of(session, result, given_ns, now_ns);
   session->leases_done++;
   session->rows_done += result->n_rows;
-  session->busy_s += result->busy_s;
+  session->busy_s += busy_s;
   session->n_failures = 0;
   if (lease->parcel == NULL) {
     mo_check_result(fleet, lease, session, result, now_ns, after);
@@ -67,7 +81,7 @@ static void take_rows(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_
                                               .losses = result->losses,
                                               .diverged = result->diverged_steps,
                                               .origin = session->origin,
-                                              .busy_s = result->busy_s,
+                                              .busy_s = busy_s,
                                               .d_parameters = result->d_parameters,
                                               .counts = result->counts},
                    after);
@@ -126,7 +140,7 @@ int mo_results_take(struct mo_fleet *fleet, struct mo_session *session,
     part->rows += lease->content.n_rows;
     part->begun_ns = given_ns < part->begun_ns ? given_ns : part->begun_ns;
     mo_lease_unhold(lease, place);
-    take_rows(fleet, lease, session, result, now_ns, after);
+    take_rows(fleet, lease, session, result, given_ns, now_ns, after);
   }
   for (uint32_t b = 0; b < 2; b++)
     if (parts[b].steps > 0)

@@ -237,7 +237,8 @@ void *mo_http_context(const struct mo_request *request)
 int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size_t n,
                        struct mo_message *message)
 {
-  if (n == 0 && (http->beyond_loopback || http->config.token_on_loopback))
+  const bool is_closed = http->config.token_if_any && http->tokens.n > 0;
+  if (n == 0 && (http->beyond_loopback || http->config.token_on_loopback || is_closed))
     return mo_fail(message, MO_ERR_INVALID,
                    "at least one bearer token is needed; the old ones stay");
   return mo_tokens_set(&http->tokens, tokens, n, message);

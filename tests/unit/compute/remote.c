@@ -210,6 +210,22 @@ static void cancelled_blocks(void)
   close_world(&world);
 }
 
+/* Blocks that no taker has come for end soon after they are cancelled. */
+static void cancelled_without_a_taker(void)
+{
+  struct world world = open_world();
+  volatile int cancel = 0;
+  for (int i = 0; i < BODIES; i++)
+    blocks[i].cancel = &cancel;
+  submit(&world, 0, BODIES);
+  usleep(20000);
+  CHECK_INT(atomic_load(&ended), 0);
+  cancel = 1;
+  CHECK(await(&ended, BODIES));
+  CHECK_INT(blocks[BODIES - 1].status, MO_ERR_CANCELLED);
+  close_world(&world);
+}
+
 /* What takers put back is cancelled when the back end ends. */
 static void the_end_with_blocks_waiting(void)
 {
@@ -227,6 +243,7 @@ static const struct check_case cases[] = {
     {"workers keep the rest", workers_keep_the_rest},
     {"one physics at a time", one_physics_at_a_time},
     {"cancelled blocks", cancelled_blocks},
+    {"cancelled without a taker", cancelled_without_a_taker},
     {"the end with blocks waiting", the_end_with_blocks_waiting},
 };
 CHECK_MAIN_WITH(setup, cases)
