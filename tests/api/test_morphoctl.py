@@ -601,12 +601,11 @@ def test_wrong_campaigns(ctl):
     for arguments, words in ((["start", "sideways"], "zero-shot"), ([
             "start", "zero-shot", "--population", "1"
     ], "population"), (["start", "zero-shot", "--child-steps", "3"], "learning"), ([
-            "start", "zero-shot", "--controller", "random"
-    ], "controller")):
+            "start", "zero-shot", "--layers", "3"
+    ], "selection"), (["start", "zero-shot", "--controller", "random"], "controller")):
         status, _, err = ctl("campaign", *arguments)
         assert status == 6 and words in err, (arguments, err)
-    for arguments, words in ((["start", "zero-shot", "--layers", "3"], "--selection age-layered"),
-                             (["start", "zero-shot", "--workspace", "6,6"], "X,Y,Z"), ([
+    for arguments, words in ((["start", "zero-shot", "--workspace", "6,6"], "X,Y,Z"), ([
                                  "start", "zero-shot", "--from", "0"
                              ], "id of a job"), (["extend", "1", "none"], "further generations"), ([
                                  "export", "1"
