@@ -45,6 +45,7 @@ static bool add_vote(struct mo_lease *lease, const struct mo_session *session,
   if (session != NULL) {
     vote->session = session->id;
     vote->origin = session->origin;
+    memcpy(vote->user, session->offer.user, sizeof(vote->user));
     memcpy(vote->name, session->offer.name, sizeof(vote->name));
     memcpy(vote->host, session->offer.host, sizeof(vote->host));
   }
@@ -156,8 +157,8 @@ static void describe(struct mo_text *text, const struct mo_vote *vote, uint32_t 
   mo_text_add(text, "}");
 }
 
-/* Two sessions gave different rows: the block of the first is what a third computes, and a shard as
- * a whole. */
+/* Two sessions gave different rows: the block of the first row that differs is computed once more,
+ * and a shard as a whole. */
 static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row, uint64_t now_ns,
                     struct mo_after *after)
 {
@@ -180,13 +181,15 @@ static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row
       end += lease->content.blocks[block + 1].n_environments;
     cut(lease, block, 1);
   }
+  mo_lease_unlist(fleet, lease);
   mo_lease_renumber(fleet, lease);
   fleet->n_checks += !lease->is_audit;
   lease->is_audit = lease->is_disputed = true;
+  lease->is_ours = fleet->config.source.recompute != NULL && lease->content.n_parameters == 0;
   mo_lease_list(fleet, lease, now_ns, after);
 }
 
-/* The newest vote is that of vote `equal`: all others are wrong. */
+/* Vote `equal` is right, of this process or of two sessions: all others are wrong. */
 static void decide(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t equal, uint64_t now_ns,
                    struct mo_after *after)
 {
@@ -207,11 +210,11 @@ static void decide(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t equa
                rows);
     else
       snprintf(why, sizeof(why),
-               "gave a loss of %.17g (step of divergence %" PRIu32
-               ") where two others gave %.17g (%" PRIu32 ")",
-               vote->losses[row], vote->diverged_steps[row], right->losses[row],
-               right->diverged_steps[row]);
-    mo_name_quarantine(fleet, vote->name, vote->host, why, now_ns, after);
+               "gave a loss of %.17g (step of divergence %" PRIu32 ") where %s %.17g (%" PRIu32 ")",
+               vote->losses[row], vote->diverged_steps[row],
+               right->session == 0 ? "this machine computed" : "two others gave",
+               right->losses[row], right->diverged_steps[row]);
+    mo_quarantine(fleet, vote->user, vote->name, vote->host, why, now_ns, after);
   }
   mo_lease_end(fleet, lease, after);
 }
@@ -239,6 +242,8 @@ void mo_check_result(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_s
     mo_lease_end(fleet, lease, after);
   } else if (!lease->is_disputed) {
     dispute(fleet, lease, row, now_ns, after);
+  } else if (session == NULL) {
+    decide(fleet, lease, lease->n_votes - 1, now_ns, after);
   } else if (agrees) {
     decide(fleet, lease, equal, now_ns, after);
   } else if (lease->n_votes == MO_VOTES) {

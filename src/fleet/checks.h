@@ -2,9 +2,9 @@
  *
  * One lease in ten of a new session is computed by a second session, too, and one in 200 after 500
  * leases; so are leases that were late. Two that differ are decided on the first block in which
- * they do: by a third session, or by this process; shards of gradients as a whole, by a third
- * session only. The sessions whose rows are not those of the
- * majority are quarantined by name. */
+ * they do: by this process, if it can, whose rows are right, however many sessions say otherwise;
+ * if not, and for shards of gradients, as a whole, by a third session. Sessions that gave other
+ * rows are quarantined, by the names of their token and their own. */
 #ifndef MORPHO_FLEET_CHECKS_H
 #define MORPHO_FLEET_CHECKS_H
 

@@ -5,6 +5,7 @@
 
 #include <sys/random.h>
 
+#include "fleet/decide.h"
 #include "fleet/give.h"
 #include "fleet/suspects.h"
 
@@ -31,6 +32,7 @@ int mo_fleet_create(const struct mo_fleet_config *config, struct mo_fleet **ret)
   TAILQ_INIT(&fleet->sessions);
   TAILQ_INIT(&fleet->ended);
   TAILQ_INIT(&fleet->leases);
+  TAILQ_INIT(&fleet->disputed);
   for (uint32_t b = 0; b < 2; b++) {
     fleet->classes[b].block_steps = BLOCK_STEPS;
     TAILQ_INIT(&fleet->classes[b].listed);
@@ -56,6 +58,7 @@ void mo_fleet_free(struct mo_fleet *fleet)
     return;
   struct mo_after after = {0};
   struct mo_lease *lease;
+  mo_decide_end(fleet);
   fleet->config.wake = NULL;
   while ((lease = TAILQ_FIRST(&fleet->leases)) != NULL)
     mo_lease_end(fleet, lease, &after);
@@ -145,7 +148,7 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
   if (error == MO_OK && config->origin != NULL)
     error = config->origin(config->context, origin, &session->origin);
   pthread_mutex_lock(&fleet->mutex);
-  if (error == MO_OK && mo_name_is_quarantined(fleet, offer->name))
+  if (error == MO_OK && mo_offer_is_quarantined(fleet, offer))
     error = mo_fail(&message, MO_ERR_CONFLICT, "\"%s\" is quarantined: it gave wrong bits",
                     offer->name);
   if (error == MO_OK && fleet->n_sessions == MO_FLEET_SESSIONS_MAX)
@@ -200,8 +203,8 @@ int mo_fleet_quarantine(struct mo_fleet *fleet, uint64_t id, const char *why)
   pthread_mutex_lock(&fleet->mutex);
   struct mo_session *session = mo_session_find(fleet, id);
   if (session != NULL)
-    mo_name_quarantine(fleet, session->offer.name, session->offer.host, why, session->heard_ns,
-                       &after);
+    mo_quarantine(fleet, session->offer.user, session->offer.name, session->offer.host, why,
+                  session->heard_ns, &after);
   pthread_mutex_unlock(&fleet->mutex);
   mo_after_run(fleet, &after);
   return session != NULL ? MO_OK : MO_ERR_NOT_FOUND;
@@ -210,7 +213,7 @@ int mo_fleet_quarantine(struct mo_fleet *fleet, uint64_t id, const char *why)
 int mo_fleet_release(struct mo_fleet *fleet, const char *name)
 {
   pthread_mutex_lock(&fleet->mutex);
-  const bool was_quarantined = mo_name_release(fleet, name);
+  const bool was_quarantined = mo_quarantine_release(fleet, name);
   pthread_mutex_unlock(&fleet->mutex);
   return was_quarantined ? MO_OK : MO_ERR_NOT_FOUND;
 }

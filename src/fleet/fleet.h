@@ -21,7 +21,7 @@
 enum mo_session_state {
   MO_SESSION_ACTIVE,
   MO_SESSION_DRAINING,    /* gets no further leases */
-  MO_SESSION_QUARANTINED, /* gave other bits than two others; its later results are not taken */
+  MO_SESSION_QUARANTINED, /* gave wrong bits; its later results are not taken */
   MO_SESSION_LEFT,        /* it said so */
   MO_SESSION_LOST         /* its connection ended, or it was silent */
 };
@@ -106,7 +106,8 @@ void mo_fleet_tick(struct mo_fleet *fleet, uint64_t now_ns);
 /* Says that work was queued while none was: the next tick wakes sessions. Takes no lock. */
 void mo_fleet_arrived(struct mo_fleet *fleet);
 
-/* For operators. MO_ERR_NOT_FOUND. Quarantine holds for the session's name until `release`. */
+/* For operators. MO_ERR_NOT_FOUND. Quarantine holds for the session's token and
+ * name until `release`, which is by name, whatever the token, or the end of the process. */
 int mo_fleet_drain(struct mo_fleet *fleet, uint64_t session);
 int mo_fleet_quarantine(struct mo_fleet *fleet, uint64_t session, const char *why);
 int mo_fleet_release(struct mo_fleet *fleet, const char *name);

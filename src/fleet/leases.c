@@ -167,6 +167,10 @@ void mo_lease_list(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t now_
     return;
   lease->is_listed = true;
   lease->listed_ns = now_ns;
+  if (lease->is_ours) {
+    TAILQ_INSERT_TAIL(&fleet->disputed, lease, listed);
+    return;
+  }
   TAILQ_INSERT_TAIL(&fleet->classes[lease->content.back_end].listed, lease, listed);
   mo_class_wake(fleet, lease->content.back_end, after);
 }
@@ -176,7 +180,8 @@ void mo_lease_unlist(struct mo_fleet *fleet, struct mo_lease *lease)
   if (!lease->is_listed)
     return;
   lease->is_listed = false;
-  TAILQ_REMOVE(&fleet->classes[lease->content.back_end].listed, lease, listed);
+  TAILQ_REMOVE(lease->is_ours ? &fleet->disputed : &fleet->classes[lease->content.back_end].listed,
+               lease, listed);
 }
 
 /* ---- ends ---- */

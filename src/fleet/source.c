@@ -49,7 +49,7 @@ static void nothing(struct mo_block *block, void *context)
 /* As an urgent block: remote takers get none of these. */
 static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
                const struct mo_lattice *lattice, struct mo_compute_controller *controller,
-               double *losses, uint32_t *diverged_steps)
+               const volatile int *cancel, double *losses, uint32_t *diverged_steps)
 {
   const struct mo_wire_block *from = &lease->blocks[0];
   struct mo_block block = {.lattice = lattice,
@@ -60,6 +60,7 @@ static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
                            .precision = MO_FLOAT32,
                            .urgency = MO_INTERACTIVE,
                            .back_end = lease->back_end,
+                           .cancel = cancel,
                            .done = nothing};
   for (uint32_t k = 0; k < from->n_environments; k++)
     block.environments[k] = &lease->environments[from->environments[k]];
@@ -75,7 +76,7 @@ static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
 
 static int recompute(void *context, const struct mo_wire_lease *lease,
                      struct mo_workspace workspace, const uint8_t *weights, size_t weights_bytes,
-                     double *losses, uint32_t *diverged_steps)
+                     const volatile int *cancel, double *losses, uint32_t *diverged_steps)
 {
   struct mo_compute *compute = context;
   struct mo_lattice *lattice = NULL;
@@ -87,7 +88,7 @@ static int recompute(void *context, const struct mo_wire_lease *lease,
   if (error == MO_OK)
     error = mo_compute_controller_create(compute, controller, &prepared);
   if (error == MO_OK)
-    error = run(compute, lease, lattice, prepared, losses, diverged_steps);
+    error = run(compute, lease, lattice, prepared, cancel, losses, diverged_steps);
   mo_compute_controller_free(prepared);
   mo_controller_free(controller);
   mo_lattice_free(lattice);

@@ -20,11 +20,11 @@ struct mo_fleet_source {
    * the end of a queue. */
   uint64_t (*waiting)(void *context, enum mo_back_end back_end);
   /* Computes a lease of one block in this process, to decide which of two sessions gave wrong bits.
-   * weights: the file of its controller; NULL: passive bodies. Rows as in a result. NULL: only a
-   * third session decides. Returns MO_OK or an error. */
+   * weights: the file of its controller; NULL: passive bodies. Rows as in a result. *cancel ends it
+   * early. NULL: a third session decides. Returns MO_OK or an error. */
   int (*recompute)(void *context, const struct mo_wire_lease *lease, struct mo_workspace workspace,
-                   const uint8_t *weights, size_t weights_bytes, double *losses,
-                   uint32_t *diverged_steps);
+                   const uint8_t *weights, size_t weights_bytes, const volatile int *cancel,
+                   double *losses, uint32_t *diverged_steps);
 };
 struct mo_fleet_source mo_fleet_source_of(struct mo_compute *compute);
 

@@ -24,7 +24,7 @@
 #define MO_CHECKS_MAX      512
 #define MO_DROPPED_MAX     16 /* orders that wait for a session */
 #define MO_ENDED_MAX       256
-#define MO_NAMES_MAX       1024 /* quarantined; the oldest is forgotten */
+#define MO_OUTCASTS_MAX    1024 /* the oldest is forgotten */
 #define MO_SESSION_BUCKETS 4096
 #define MO_LEASE_BUCKETS   16384
 
@@ -47,7 +47,7 @@ struct mo_hold {
 struct mo_vote {
   uint64_t session; /* 0: this process */
   int64_t origin;
-  char name[MO_FLEET_NAME_BYTES + 1], host[MO_FLEET_NAME_BYTES + 1];
+  char user[MO_FLEET_NAME_BYTES + 1], name[MO_FLEET_NAME_BYTES + 1], host[MO_FLEET_NAME_BYTES + 1];
   double *losses;
   uint32_t *diverged_steps;
   struct mo_sha256 sum; /* of a gradient: of its sum and counts; otherwise zeros */
@@ -66,8 +66,9 @@ struct mo_lease {
   bool is_only;     /* the same, three: its session holds no other lease */
   bool is_audit;    /* a check that waits for more results, not only for those that are coming */
   bool is_disputed; /* its votes differ */
-  bool is_deciding; /* this process computes it */
-  bool is_listed;   /* in its class's list: another session should take it */
+  bool is_ours;     /* disputed: only this process decides it */
+  bool is_deciding; /* this process computes it now */
+  bool is_listed;   /* in its class's list: another session should take it; or in `disputed` */
   uint64_t listed_ns;
   LIST_ENTRY(mo_lease) by_number;
   TAILQ_ENTRY(mo_lease) all, listed;
@@ -124,11 +125,24 @@ struct mo_fleet {
   LIST_HEAD(, mo_lease) leases_by_number[MO_LEASE_BUCKETS];
   struct mo_session_list sessions, ended; /* in order of joining; newest end first */
   struct mo_lease_list leases;            /* oldest first */
+  struct mo_lease_list disputed;          /* for this process to decide, oldest first */
+  struct mo_decision {                    /* the block that this process computes */
+    struct mo_lease *lease;               /* NULL: none */
+    pthread_t thread;
+    atomic_bool is_done;
+    volatile int cancel;
+    int error;
+    uint64_t retry_ns; /* none before this */
+    double losses[MO_BLOCK_LANES];
+    uint32_t diverged_steps[MO_BLOCK_LANES];
+  } decision;
   uint32_t n_sessions, n_ended, n_checks; /* checks: audits */
   LIST_HEAD(, mo_weights) weights;
   struct mo_suspects *suspects;
-  char quarantined[MO_NAMES_MAX][MO_FLEET_NAME_BYTES + 1];
-  uint32_t n_quarantined; /* names, oldest first */
+  struct mo_outcast { /* a worker in quarantine, by its token and its own name */
+    char user[MO_FLEET_NAME_BYTES + 1], name[MO_FLEET_NAME_BYTES + 1];
+  } quarantined[MO_OUTCASTS_MAX]; /* oldest first */
+  uint32_t n_quarantined;
   struct mo_fleet_status counts;
 };
 

@@ -1,12 +1,11 @@
 /* tick.c: what happens when time passes: silence, lateness, cancellation, and who is woken. */
 #include <stdlib.h>
 
-#include "fleet/checks.h"
+#include "fleet/decide.h"
 #include "fleet/give.h"
 
 #define STALE_NS    (30 * MO_S_NS)  /* an audit that nobody computed */
 #define DISPUTED_NS (600 * MO_S_NS) /* the same of a disputed one */
-#define ALONE_NS    (2 * MO_S_NS)   /* a disputed audit waits so long for a third session */
 #define WAKES       4               /* sessions per tick and back end; each wakes others */
 
 /* ---- sessions ---- */
@@ -96,49 +95,7 @@ static void wake_waiting(struct mo_fleet *fleet, uint64_t now_ns, struct mo_afte
   }
 }
 
-/* ---- deciding here ---- */
-
-/* Takes a disputed audit for which no third session came. NULL: there is none. */
-static struct mo_lease *take_disputed(struct mo_fleet *fleet, uint64_t now_ns)
-{
-  struct mo_lease *lease;
-  for (uint32_t b = 0; b < 2 && fleet->config.source.recompute != NULL; b++) {
-    TAILQ_FOREACH(lease, &fleet->classes[b].listed, listed)
-    {
-      if (!lease->is_disputed || lease->content.n_parameters > 0 ||
-          now_ns < lease->listed_ns + ALONE_NS)
-        continue;
-      mo_lease_unlist(fleet, lease);
-      lease->is_deciding = true;
-      return lease;
-    }
-  }
-  return NULL;
-}
-
-/* Computes the block of a disputed audit. The lease is in no list meanwhile: nobody else ends it.
- */
-static void decide(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t now_ns)
-{
-  const struct mo_fleet_source *source = &fleet->config.source;
-  const struct mo_weights *weights = lease->weights;
-  struct mo_after after = {0};
-  double losses[MO_BLOCK_LANES];
-  uint32_t diverged_steps[MO_BLOCK_LANES];
-  const struct mo_wire_result result = {
-      .n_rows = lease->content.n_rows, .losses = losses, .diverged_steps = diverged_steps};
-  int error = source->recompute(source->context, &lease->content, fleet->config.workspace,
-                                weights != NULL ? weights->bytes : NULL,
-                                weights != NULL ? weights->size : 0, losses, diverged_steps);
-  pthread_mutex_lock(&fleet->mutex);
-  lease->is_deciding = false;
-  if (error == MO_OK)
-    mo_check_result(fleet, lease, NULL, &result, now_ns, &after);
-  else
-    mo_lease_list(fleet, lease, now_ns, &after);
-  pthread_mutex_unlock(&fleet->mutex);
-  mo_after_run(fleet, &after);
-}
+/* ---- all of it ---- */
 
 void mo_fleet_arrived(struct mo_fleet *fleet)
 {
@@ -155,7 +112,7 @@ void mo_fleet_tick(struct mo_fleet *fleet, uint64_t now_ns)
   end_silent(fleet, now_ns, &after);
   check_leases(fleet, now_ns, &after);
   wake_waiting(fleet, now_ns, &after);
-  struct mo_lease *disputed = take_disputed(fleet, now_ns);
+  mo_decide_tick(fleet, now_ns, &after);
   for (uint32_t b = 0; b < 2; b++) {
     struct mo_class *class = &fleet->classes[b];
     wanted[b] = mo_give_wanted(fleet, (enum mo_back_end)b);
@@ -170,6 +127,4 @@ void mo_fleet_tick(struct mo_fleet *fleet, uint64_t now_ns)
     if (has_changed[b])
       source->want(source->context, (enum mo_back_end)b, wanted[b]);
   mo_after_run(fleet, &after);
-  if (disputed != NULL)
-    decide(fleet, disputed, now_ns);
 }

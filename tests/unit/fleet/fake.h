@@ -387,7 +387,7 @@ static inline void fake_check(const struct fake *fake)
       blocks += lease->parcel->taken->n_blocks;
     } else {
       CHECK(lease->n_votes > 0);
-      CHECK(lease->n_holds > 0 || (lease->is_audit && lease->is_listed));
+      CHECK(lease->n_holds > 0 || (lease->is_audit && (lease->is_listed || lease->is_deciding)));
     }
     CHECK(!lease->is_disputed || (lease->is_audit && lease->n_votes > 1));
     n_checks += lease->is_audit;

@@ -244,7 +244,7 @@ static void check_counts(const struct world *world)
   CHECK(leases == status.leases && rows == status.rows_out && open == status.n_sessions);
   free(sessions);
   for (uint32_t i = 0; i < fake->fleet->n_quarantined; i++)
-    CHECK(strncmp(fake->fleet->quarantined[i], "liar-", 5) == 0);
+    CHECK(strncmp(fake->fleet->quarantined[i].name, "liar-", 5) == 0);
 }
 
 /* ---- the run ---- */

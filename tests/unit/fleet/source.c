@@ -59,7 +59,7 @@ static struct mo_wire_result result_of_lease(const struct mo_wire_lease *lease, 
   for (uint32_t b = 0; b < lease->n_blocks; b++) {
     struct mo_wire_lease one = *lease;
     one.blocks = &lease->blocks[b];
-    make_check(source.recompute(source.context, &one, MO_DEFAULT_WORKSPACE, file, file_bytes,
+    make_check(source.recompute(source.context, &one, MO_DEFAULT_WORKSPACE, file, file_bytes, NULL,
                                 &result.losses[row], &result.diverged_steps[row]),
                "a block");
     row += lease->blocks[b].n_environments;
@@ -153,7 +153,7 @@ static void real_queues(void)
   CHECK_INT(config.source.waiting(compute, MO_ON_CPU), 0);
   CHECK(fleet->counts.lost == 1 && fleet->counts.leases_again >= 2);
   CHECK(fleet->n_quarantined <= 1 &&
-        (fleet->n_quarantined == 0 || strcmp(fleet->quarantined[0], "w0") == 0));
+        (fleet->n_quarantined == 0 || strcmp(fleet->quarantined[0].name, "w0") == 0));
   mo_fleet_free(fleet);
   /* The same bits as here, but for what the liar gave. */
   uint32_t n_wrong = 0;
