@@ -70,6 +70,7 @@ struct mo_block {
   struct mo_block *next;
   struct mo_gradient_task *gradient;
   struct mo_device_task *shards;
+  bool stays; /* no remote taker gets it */
 };
 
 struct mo_compute_stats {
@@ -250,6 +251,8 @@ struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end ba
 /* Puts the blocks back at the front of their share, charges nothing, and frees `taken`. A shard
  * that came back three times, or was delivered with an error, is computed by the workers. */
 void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *taken);
+/* Puts blocks back that remote takers cannot compute: none gets them again. Not for shards. */
+void mo_compute_keep(struct mo_compute *compute, struct mo_taken *taken);
 /* Cuts off the second half of the blocks as another taken. NULL: it has one block, or out of
  * memory. */
 struct mo_taken *mo_compute_split(struct mo_compute *compute, struct mo_taken *taken);

@@ -459,6 +459,7 @@ int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
     return MO_ERR_INVALID;
   block->gradient = NULL;
   block->shards = NULL;
+  block->stays = false;
   block->origin = 0;
   if (block->back_end == MO_ON_DEVICE && block->precision == MO_FLOAT32 &&
       block->recordings == NULL)

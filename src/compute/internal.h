@@ -54,7 +54,7 @@ static inline bool mo_block_suits_remote(const struct mo_block *block)
 {
   return block->urgency == MO_BATCH && block->precision == MO_FLOAT32 &&
          block->recordings == NULL && block->body == NULL && block->gradient == NULL &&
-         block->shards == NULL;
+         block->shards == NULL && !block->stays;
 }
 
 /* Under the mutex of the queue that work joined: tells takers that found nothing. */

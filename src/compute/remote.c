@@ -211,6 +211,13 @@ void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *shown)
   discard(taken);
 }
 
+void mo_compute_keep(struct mo_compute *compute, struct mo_taken *taken)
+{
+  for (uint32_t i = 0; i < taken->n_blocks; i++)
+    mine(taken)->blocks[i]->stays = true;
+  mo_compute_put_back(compute, taken);
+}
+
 static struct mo_outcome outcome_of(const struct mo_remote_result *result, uint32_t row)
 {
   return (struct mo_outcome){.loss = result->losses[row],

@@ -70,6 +70,8 @@ void mo_after_run(struct mo_fleet *fleet, struct mo_after *after)
     SLIST_REMOVE_HEAD(&after->parcels, next);
     if (parcel->is_delivered)
       config->source.deliver(config->source.context, parcel->taken, &parcel->result);
+    else if (parcel->is_kept)
+      config->source.keep(config->source.context, parcel->taken);
     else
       config->source.put_back(config->source.context, parcel->taken);
     free(parcel);

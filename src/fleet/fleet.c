@@ -131,6 +131,17 @@ static uint64_t draw_id(struct mo_fleet *fleet)
   return id;
 }
 
+static uint64_t hash_of(const char *user, const char *origin)
+{
+  struct mo_sha256 hashes[2], hash;
+  uint64_t start;
+  mo_sha256_of(user, strlen(user), &hashes[0]);
+  mo_sha256_of(origin, strlen(origin), &hashes[1]);
+  mo_sha256_of(hashes, sizeof(hashes), &hash);
+  memcpy(&start, hash.bytes, sizeof(start));
+  return start;
+}
+
 int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer, uint64_t now_ns,
                       struct mo_message *ret_message)
 {
@@ -144,6 +155,7 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
   *session =
       (struct mo_session){.offer = *offer, .origin = 1, .joined_ns = now_ns, .heard_ns = now_ns};
   snprintf(origin, sizeof(origin), "%s@%s", offer->name, offer->host);
+  session->worker = hash_of(offer->user, origin);
   int error = choose_classes(fleet, offer, session->serves, &message);
   if (error == MO_OK && config->origin != NULL)
     error = config->origin(config->context, origin, &session->origin);

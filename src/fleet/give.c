@@ -73,11 +73,6 @@ uint32_t mo_give_wanted(const struct mo_fleet *fleet, enum mo_back_end back_end)
 
 /* ---- leases that are there ---- */
 
-static bool holds_nothing(const struct mo_session *session)
-{
-  return session->n_held[0] + session->n_taking[0] + session->n_held[1] + session->n_taking[1] == 0;
-}
-
 static bool fits(const struct mo_fleet *fleet, const struct mo_lease *lease,
                  const struct mo_session *session, uint64_t now_ns)
 {
@@ -94,9 +89,9 @@ static struct mo_lease *find_listed(struct mo_fleet *fleet, const struct mo_sess
   {
     if (mo_lease_held_by(lease, session) >= 0 || lease->n_holds == MO_HOLDS)
       continue;
-    if (lease->parcel != NULL
-            ? fits(fleet, lease, session, now_ns) && (!lease->is_only || holds_nothing(session))
-            : mo_check_suits(lease, session, now_ns))
+    if (lease->parcel != NULL ? fits(fleet, lease, session, now_ns) &&
+                                    (!lease->is_only || mo_session_is_free(session))
+                              : mo_check_suits(lease, session, now_ns))
       return lease;
   }
   return NULL;
@@ -221,7 +216,7 @@ static struct mo_session *give_new(struct mo_fleet *fleet, struct mo_session *se
   fleet->classes[back_end].may_have_work = true;
   mo_lease_insert(fleet, lease, weights);
   if (session == NULL || session->state != MO_SESSION_ACTIVE ||
-      (lease->is_only && !holds_nothing(session))) {
+      (lease->is_only && !mo_session_is_free(session))) {
     mo_lease_end(fleet, lease, after); /* its blocks go back */
     return session;
   }

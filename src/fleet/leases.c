@@ -91,6 +91,11 @@ double mo_session_rate(const struct mo_session *session, enum mo_back_end back_e
   return pace->s > 0 ? pace->steps / pace->s : 0;
 }
 
+bool mo_session_is_free(const struct mo_session *session)
+{
+  return session->n_held[0] + session->n_taking[0] + session->n_held[1] + session->n_taking[1] == 0;
+}
+
 void mo_lease_hold(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_session *session,
                    uint64_t now_ns)
 {
@@ -201,11 +206,31 @@ static void free_lease(struct mo_fleet *fleet, struct mo_lease *lease)
   free(lease);
 }
 
+/* Wakes a session that may take the lease of a suspect. Others would put it back, and wake the
+ * next; they come by themselves when they hold nothing. */
+static void wake_free(struct mo_fleet *fleet, enum mo_back_end back_end, struct mo_after *after)
+{
+  struct mo_session *session;
+  TAILQ_FOREACH(session, &fleet->classes[back_end].idle, waiting[back_end])
+  {
+    if (!mo_session_is_free(session))
+      continue;
+    mo_session_wait(session, back_end, NULL);
+    mo_after_wake(after, session->id);
+    return;
+  }
+}
+
 static void put_back(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_after *after)
 {
   mo_weights_end_parcel(lease->weights);
+  lease->parcel->is_kept = lease->is_kept;
   mo_after_put_back(after, lease->parcel);
   lease->parcel = NULL;
+  if (lease->is_only) {
+    wake_free(fleet, lease->content.back_end, after);
+    return;
+  }
   fleet->classes[lease->content.back_end].may_have_work = true;
   mo_class_wake(fleet, lease->content.back_end, after);
 }
@@ -236,7 +261,8 @@ void mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t p
   bool is_proven = false;
   session->leases_lost += is_lost;
   if (is_lost && lease->parcel != NULL && lease->content.n_parameters == 0)
-    is_proven = mo_suspects_add(fleet->suspects, &lease->content, session->id, lease->is_only);
+    is_proven = mo_suspects_add(fleet->suspects, &lease->content, session->id, session->worker,
+                                lease->is_only, &lease->is_kept);
   mo_lease_unhold(lease, place);
   if (lease->n_holds > 0)
     return;

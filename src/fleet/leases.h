@@ -19,6 +19,7 @@ void mo_lease_renumber(struct mo_fleet *fleet, struct mo_lease *lease);
 int mo_lease_held_by(const struct mo_lease *lease, const struct mo_session *session);
 /* Returns the steps that a session computes in a second; 0: not measured. */
 double mo_session_rate(const struct mo_session *session, enum mo_back_end back_end);
+bool mo_session_is_free(const struct mo_session *session); /* it holds nothing */
 void mo_lease_hold(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_session *session,
                    uint64_t now_ns);
 /* Ends a hold. Only that. */

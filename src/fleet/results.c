@@ -128,7 +128,10 @@ int mo_results_take(struct mo_fleet *fleet, struct mo_session *session,
       continue;
     }
     if (result->state != MO_RESULT_DONE) {
-      const bool has_failed = result->state == MO_RESULT_FAILED;
+      const bool is_shard = lease->content.n_parameters > 0;
+      const bool has_failed =
+          result->state == MO_RESULT_FAILED || (result->state == MO_RESULT_UNSUPPORTED && is_shard);
+      lease->is_kept |= result->state == MO_RESULT_UNSUPPORTED && !is_shard;
       mo_lease_release(fleet, lease, place, has_failed, now_ns, after);
       if (has_failed)
         take_failure(fleet, session, now_ns, after);

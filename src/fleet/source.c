@@ -13,6 +13,11 @@ static void put_back(void *compute, struct mo_taken *taken)
   mo_compute_put_back(compute, taken);
 }
 
+static void keep(void *compute, struct mo_taken *taken)
+{
+  mo_compute_keep(compute, taken);
+}
+
 static struct mo_taken *split(void *compute, struct mo_taken *taken)
 {
   return mo_compute_split(compute, taken);
@@ -100,6 +105,7 @@ struct mo_fleet_source mo_fleet_source_of(struct mo_compute *compute)
   return (struct mo_fleet_source){.context = compute,
                                   .take = take,
                                   .put_back = put_back,
+                                  .keep = keep,
                                   .split = split,
                                   .is_cancelled = is_cancelled,
                                   .deliver = deliver,

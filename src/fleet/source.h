@@ -12,6 +12,7 @@ struct mo_fleet_source {
   void *context;
   struct mo_taken *(*take)(void *context, enum mo_back_end back_end, uint64_t max_steps);
   void (*put_back)(void *context, struct mo_taken *taken);
+  void (*keep)(void *context, struct mo_taken *taken); /* puts back, and never gives again */
   struct mo_taken *(*split)(void *context, struct mo_taken *taken);
   bool (*is_cancelled)(void *context, const struct mo_taken *taken);
   void (*deliver)(void *context, struct mo_taken *taken, const struct mo_remote_result *result);

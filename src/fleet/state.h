@@ -33,7 +33,7 @@
 /* Blocks on their way back to the source. Allocated with the lease, so that nothing is lost. */
 struct mo_parcel {
   struct mo_taken *taken;
-  bool is_delivered; /* false: put back */
+  bool is_delivered, is_kept; /* neither: put back */
   struct mo_remote_result result;
   SLIST_ENTRY(mo_parcel) next;
 };
@@ -63,6 +63,7 @@ struct mo_lease {
   struct mo_hold holds[MO_HOLDS];
   struct mo_vote votes[MO_VOTES];
   bool is_suspect;  /* has bodies whose leases ended sessions */
+  bool is_kept;     /* goes back to be computed here: workers of its class cannot */
   bool is_only;     /* the same, three: its session holds no other lease */
   bool is_audit;    /* a check that waits for more results, not only for those that are coming */
   bool is_disputed; /* its votes differ */
@@ -84,7 +85,7 @@ struct mo_pace {
 };
 
 struct mo_session {
-  uint64_t id;
+  uint64_t id, worker; /* worker: a hash of its token, name and host */
   struct mo_fleet_offer offer;
   int64_t origin;
   enum mo_session_state state, told;

@@ -7,11 +7,12 @@
 
 #define SETS    4096
 #define WAYS    4
-#define PATIENT 3 /* lost sessions that are taken for chance */
+#define PATIENT 3 /* lost sessions that are taken for chance; workers that prove a body */
 
 struct suspect {
-  uint64_t hash, session; /* session: the last that was lost */
-  uint32_t lost, alone, limit;
+  uint64_t hash, session;  /* session: the last that was lost */
+  uint64_t alone[PATIENT]; /* workers that were lost with this body only */
+  uint32_t lost, lost_alone, n_alone, limit;
 };
 struct mo_suspects {
   uint32_t n;
@@ -62,22 +63,38 @@ static struct suspect *find_or_add(struct mo_suspects *suspects, uint64_t hash)
   return found;
 }
 
-bool mo_suspects_add(struct mo_suspects *suspects, const struct mo_wire_lease *lease,
-                     uint64_t session, bool is_only)
+/* A worker counts once, however often it joins. */
+static void add_alone(struct suspect *suspect, uint64_t worker)
 {
-  bool is_proven = false;
+  for (uint32_t i = 0; i < suspect->n_alone; i++)
+    if (suspect->alone[i] == worker)
+      return;
+  if (suspect->n_alone < PATIENT)
+    suspect->alone[suspect->n_alone++] = worker;
+}
+
+bool mo_suspects_add(struct mo_suspects *suspects, const struct mo_wire_lease *lease,
+                     uint64_t session, uint64_t worker, bool is_only, bool *is_kept)
+{
+  bool is_proven = false, is_stubborn = false;
   for (uint32_t b = 0; b < lease->n_blocks; b++) {
     struct suspect *suspect = find_or_add(suspects, hash_of(&lease->blocks[b]));
     if (suspect->session == session)
       continue;
     suspect->session = session;
     suspect->lost++;
-    suspect->alone += is_only && lease->n_blocks == 1;
+    if (is_only && lease->n_blocks == 1) {
+      suspect->lost_alone++;
+      add_alone(suspect, worker);
+    }
     if (suspect->lost >= PATIENT)
       suspect->limit = lease->n_blocks > 1 ? lease->n_blocks / 2 : 1;
-    is_proven = suspect->alone >= PATIENT;
+    is_proven = suspect->n_alone == PATIENT;
+    is_stubborn = suspect->lost_alone >= 2 * PATIENT;
   }
-  return is_proven && lease->n_blocks == 1;
+  is_proven &= lease->n_blocks == 1;
+  *is_kept = is_stubborn && !is_proven && lease->n_blocks == 1;
+  return is_proven;
 }
 
 uint32_t mo_suspects_limit(const struct mo_suspects *suspects, const struct mo_wire_lease *lease,

@@ -3,8 +3,9 @@
  * A body that ends the process of a worker would end one after the other. So every body of a lease
  * whose session was lost is remembered, by the hash of its genotype. After three lost sessions it
  * is leased among at most half as many bodies as the last time, and to a session that holds no
- * other lease. After three more in which it was the only body it is computed no more. A result
- * clears its bodies. */
+ * other lease. When three different workers were lost with it as their only body, it is computed no
+ * more: one bad worker condemns no body. When fewer workers lost six such sessions, this process
+ * computes it. A result clears its bodies. */
 #ifndef MORPHO_FLEET_SUSPECTS_H
 #define MORPHO_FLEET_SUSPECTS_H
 
@@ -14,10 +15,11 @@ struct mo_suspects;
 struct mo_suspects *mo_suspects_create(void); /* NULL: out of memory */
 void mo_suspects_free(struct mo_suspects *suspects);
 
-/* Notes that a session ended with this lease; a session counts once per body. is_only: it held no
- * other lease. Returns whether the lease is of one body, which is now proven. */
+/* Notes that a session ended with this lease; a session counts once per body, and its worker once
+ * for the proof. is_only: it held no other lease. *is_kept: this process should compute it. Returns
+ * whether the lease is of one body, which is now proven. */
 bool mo_suspects_add(struct mo_suspects *suspects, const struct mo_wire_lease *lease,
-                     uint64_t session, bool is_only);
+                     uint64_t session, uint64_t worker, bool is_only, bool *is_kept);
 /* Returns how many blocks a lease with these bodies may have, ≥ 1; UINT32_MAX: any number, beside
  * other leases. *is_suspect: it has a suspect. */
 uint32_t mo_suspects_limit(const struct mo_suspects *suspects, const struct mo_wire_lease *lease,

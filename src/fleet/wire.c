@@ -493,7 +493,7 @@ static int get_result(struct codec *codec, struct mo_wire_result *result, uint32
   const bool has_gradient = head.state == DONE_WITH_GRADIENT;
   if (has_gradient)
     head.state = MO_RESULT_DONE;
-  if (head.state > MO_RESULT_FAILED)
+  if (head.state > MO_RESULT_UNSUPPORTED)
     return mo_fail(message, MO_ERR_FORMAT, "result %u: unknown state %u", i, head.state);
   if (!rows_fit((enum mo_wire_state)head.state, head.n_rows, 0))
     return mo_fail(message, MO_ERR_FORMAT, "result %u: state %u with %u rows", i, head.state,

@@ -413,7 +413,7 @@ static void make_result(struct lease *lease, struct mo_wire_result *result)
   if (lease->is_given_back) {
     result->state = MO_RESULT_GIVEN_BACK;
   } else if (lease->error != MO_OK) {
-    result->state = MO_RESULT_FAILED;
+    result->state = lease->error == MO_ERR_UNSUPPORTED ? MO_RESULT_UNSUPPORTED : MO_RESULT_FAILED;
   } else {
     result->n_rows = lease->wire.n_rows;
     result->losses = lease->losses;

@@ -35,7 +35,8 @@ struct fake {
   struct mo_environment environments[ENVIRONMENTS];
   uint64_t genotypes[GENOTYPES][MO_DEFAULT_WORDS];
   TAILQ_HEAD(, fake_block) queue;
-  uint32_t n_waiting, n_taken, n_done, n_wrong, n_cancelled, n_failed, n_wakes, n_events, wanted;
+  uint32_t n_waiting, n_taken, n_done, n_wrong, n_cancelled, n_failed, n_kept, n_wakes, n_events,
+      wanted;
   uint64_t rows_done;
   bool frees_done;           /* blocks, as they are delivered; otherwise they are the test's */
   uint64_t woken[256];       /* the newest */
@@ -193,6 +194,7 @@ static inline void fake_deliver(void *context, struct mo_taken *shown,
     fake->n_done++;
     fake->n_cancelled += result->status == MO_ERR_CANCELLED;
     fake->n_failed += result->status == MO_ERR_EXHAUSTED;
+    fake->n_kept += result->status == MO_ERR_UNSUPPORTED;
     for (uint32_t k = 0; k < block->block.n_environments && result->status == MO_OK; k++, row++) {
       double loss;
       uint32_t diverged_step;
@@ -205,6 +207,12 @@ static inline void fake_deliver(void *context, struct mo_taken *shown,
       free(block);
   }
   free(taken);
+}
+
+/* Ends the blocks as if it had computed them. */
+static inline void fake_keep(void *context, struct mo_taken *shown)
+{
+  fake_deliver(context, shown, &(struct mo_remote_result){.status = MO_ERR_UNSUPPORTED});
 }
 
 static inline void fake_want(void *context, enum mo_back_end back_end, uint32_t blocks)
@@ -271,7 +279,7 @@ static inline struct fake *make_fake(uint64_t seed)
     make_check(mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, fake->genotypes[g]), "a body");
     mo_genotype_place(MO_DEFAULT_WORKSPACE, fake->genotypes[g]);
   }
-  struct mo_fleet_config config = {.source = {fake, fake_take, fake_put_back, fake_split,
+  struct mo_fleet_config config = {.source = {fake, fake_take, fake_put_back, fake_keep, fake_split,
                                               fake_is_cancelled, fake_deliver, fake_want,
                                               fake_waiting, NULL},
                                    .workspace = MO_DEFAULT_WORKSPACE,

@@ -327,15 +327,18 @@ static void cancelled(void)
 
 /* ---- bodies and workers that fail ---- */
 
-/* A body that ends every session that computes it is found, and no other body suffers. */
-static void poison(void)
+/* A body that ends every session that computes it is found, if three workers say so, and no other
+ * body suffers. */
+static void poison(int n_workers)
 {
   uint32_t sessions = 0;
   begin(GENOTYPES);
   for (uint32_t i = 0; i < GENOTYPES; i++)
     blocks[i]->block.n_environments = 1; /* many to a lease */
-  while (fake->n_done < GENOTYPES && sessions < 100) {
-    struct mo_fleet_offer offer = fake_offer("w", "h");
+  while (fake->n_done < GENOTYPES && sessions < 40) {
+    char name[16];
+    snprintf(name, sizeof(name), "w%u", sessions % n_workers);
+    struct mo_fleet_offer offer = fake_offer(name, "h");
     offer.n_threads = 4;
     const uint64_t session = (uint64_t)mo_fleet_join(fake->fleet, &offer, fake->now_ns, NULL);
     struct mo_wire_leases leases = exchange(session);
@@ -353,6 +356,10 @@ static void poison(void)
     CHECK_OK(mo_fleet_leave(fake->fleet, session, is_dead, fake->now_ns));
   }
   printf("# the body was found after %u sessions\n", sessions);
+  if (n_workers < 3) {
+    CHECK(fake->n_kept == 1 && fake->n_failed == 0 && blocks[40]->status == MO_ERR_UNSUPPORTED);
+    return;
+  }
   CHECK(sessions >= 3 && sessions <= 16);
   for (uint32_t i = 0; i < GENOTYPES; i++)
     CHECK_INT(blocks[i]->status, i == 40 ? MO_ERR_EXHAUSTED : MO_OK);
@@ -364,6 +371,56 @@ static void poison(void)
   mo_wire_free_leases(&leases);
   CHECK_OK(mo_fleet_leave(fake->fleet, session, true, fake->now_ns));
   CHECK_INT(fake->n_waiting, 1);
+}
+
+/* Sessions that hold a lease put a suspect back, and wake nobody but one that holds none. */
+static void suspected(void)
+{
+  uint64_t ids[3];
+  struct mo_wire_leases leases;
+  begin(1);
+  for (int i = 0; i < 3; i++) {
+    const uint64_t a = join("a");
+    leases = exchange(a);
+    CHECK_INT(leases.n, 1);
+    mo_wire_free_leases(&leases);
+    CHECK_OK(mo_fleet_leave(fake->fleet, a, true, fake->now_ns));
+  }
+  struct fake_block *suspect = TAILQ_FIRST(&fake->queue);
+  TAILQ_REMOVE(&fake->queue, suspect, next);
+  fake->n_waiting--;
+  for (int i = 0; i < 2; i++) {
+    blocks[1 + i] = fake_submit(fake, 1 + (uint64_t)i);
+    ids[i] = join("b");
+    leases = exchange(ids[i]);
+    CHECK_INT(leases.n, 1);
+    mo_wire_free_leases(&leases);
+  }
+  fake->n_waiting++;
+  TAILQ_INSERT_HEAD(&fake->queue, suspect, next);
+  fake->n_wakes = 0;
+  for (int i = 0; i < 2; i++) {
+    leases = exchange(ids[i]);
+    CHECK(leases.n == 0 && fake->n_wakes == 0 && fake->n_waiting == 1);
+    mo_wire_free_leases(&leases);
+  }
+  ids[2] = join("c");
+  leases = exchange(ids[2]);
+  CHECK(leases.n == 1 && same_body(&leases.items[0].blocks[0], 0));
+  leases = finish(ids[2], &leases, MO_RESULT_DONE);
+}
+
+/* What the workers of a class cannot compute stays here, and nobody suffers. */
+static void unsupported(void)
+{
+  begin(200);
+  const uint64_t a = join("a");
+  struct mo_wire_leases leases = exchange(a);
+  for (int i = 0; i < 10; i++)
+    leases = finish(a, &leases, MO_RESULT_UNSUPPORTED);
+  CHECK(fake->n_kept >= 20 && fake->n_kept == fake->n_done);
+  CHECK(orders_of(a).state == MO_SESSION_ACTIVE && leases.n == 2);
+  mo_wire_free_leases(&leases);
 }
 
 /* A worker that fails everything rests, and then gets no more; the work is done by another. */
@@ -670,7 +727,10 @@ static const struct check_case cases[] = {
     {"late leases", late},
     {"an idle session", idle},
     {"cancelled", cancelled},
-    {"a body that ends sessions", poison},
+    {"a body that ends sessions", WITH(poison, 3)},
+    {"workers that end with a body", WITH(poison, 2)},
+    {"a suspect and busy sessions", suspected},
+    {"what no worker computes", unsupported},
     {"a worker that fails", failing},
     {"weights", weights},
     {"a third session decides", WITH(decided, 0)},

@@ -168,7 +168,7 @@ static const struct hostile {
     {true, HEADER + LEASE + 528 + 18, 1, 17, "1 to 16 environments, got 17"},
     {true, HEADER + LEASE + 528 + 19, 2, 1, "environment 1 of 1"},
     {false, 12, 4, 9, "at most 8 items"},
-    {false, HEADER + 16, 4, 4, "unknown state 4"},
+    {false, HEADER + 16, 4, 5, "unknown state 5"},
     {false, HEADER + 16, 4, MO_RESULT_DONE, "state 0 with 0 rows"},
     {false, HEADER + 20, 4, 1, "state 1 with 1 rows"},
     {false, HEADER + 24, 8, UINT64_C(0xbff0000000000000), "times must be"},
