@@ -64,6 +64,8 @@ static int read_server(struct mo_link *link, const char *server, struct mo_messa
       if (is_plain && !link->is_loopback && link->token != NULL)
         error = mo_fail(message, MO_ERR_INVALID,
                         "server: the token would travel in clear text; use https://");
+      else if (is_plain && link->pin != NULL)
+        error = mo_fail(message, MO_ERR_INVALID, "pin: http:// has no key to pin; use https://");
       else if ((link->base = strdup(server)) == NULL)
         error = MO_ERR_NO_MEMORY;
       else if (link->base[strlen(link->base) - 1] == '/')

@@ -331,6 +331,7 @@ def test_wrong_configurations(launch, tmp_path):
     for url, status, flags in ((server, 64, ["--no-such"]), (server, 64, ["--threads=x"]),
                                (server, 64, ["--name"]), ("", 64, []), ("ftp://x", 78, []),
                                ("http://x/path", 78, []), (server, 78, ["--pin=md5//x"]),
+                               (server, 78, ["--pin=sha256//x"]),
                                (server, 78, ["--ca=/none"]), (server, 78, ["--token-file=/none"]),
                                (server, 78, ["--name=a b"]),
                                ("http://192.0.2.1:1", 78, [f"--token-file={token}"])):
