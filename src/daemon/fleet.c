@@ -210,6 +210,7 @@ static struct mo_http_config limits_of(const struct settings *settings)
       .max_connections = CONNECTIONS_MAX,
       .other_files = (uint32_t)settings->max_connections,
       .max_in_flight = CONNECTIONS_MAX, /* one address may have many workers */
+      .client_rate_per_s = (uint32_t)settings->client_rate_per_s,
       .max_queued = CONNECTIONS_MAX,
       .max_file_bytes = BODY_BYTES,
       .max_body_memory = memory < BODY_MEMORY ? memory : BODY_MEMORY,

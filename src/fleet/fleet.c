@@ -142,6 +142,17 @@ static uint64_t hash_of(const char *user, const char *origin)
   return start;
 }
 
+static int admit(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
+                 struct mo_message *message)
+{
+  if (mo_offer_is_quarantined(fleet, offer))
+    return mo_fail(message, MO_ERR_CONFLICT, "\"%s\" is quarantined: it gave wrong bits",
+                   offer->name);
+  if (fleet->n_sessions == MO_FLEET_SESSIONS_MAX)
+    return mo_fail(message, MO_ERR_LIMIT, "at most %d sessions can be open", MO_FLEET_SESSIONS_MAX);
+  return MO_OK;
+}
+
 int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer, uint64_t now_ns,
                       struct mo_message *ret_message)
 {
@@ -157,15 +168,16 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
   snprintf(origin, sizeof(origin), "%s@%s", offer->name, offer->host);
   session->worker = hash_of(offer->user, origin);
   int error = choose_classes(fleet, offer, session->serves, &message);
-  if (error == MO_OK && config->origin != NULL)
-    error = config->origin(config->context, origin, &session->origin);
   pthread_mutex_lock(&fleet->mutex);
-  if (error == MO_OK && mo_offer_is_quarantined(fleet, offer))
-    error = mo_fail(&message, MO_ERR_CONFLICT, "\"%s\" is quarantined: it gave wrong bits",
-                    offer->name);
-  if (error == MO_OK && fleet->n_sessions == MO_FLEET_SESSIONS_MAX)
-    error =
-        mo_fail(&message, MO_ERR_LIMIT, "at most %d sessions can be open", MO_FLEET_SESSIONS_MAX);
+  if (error == MO_OK)
+    error = admit(fleet, offer, &message);
+  if (error == MO_OK && config->origin != NULL) { /* a row of the store: not for who is refused */
+    pthread_mutex_unlock(&fleet->mutex);
+    error = config->origin(config->context, origin, &session->origin);
+    pthread_mutex_lock(&fleet->mutex);
+    if (error == MO_OK)
+      error = admit(fleet, offer, &message);
+  }
   if (error == MO_OK && (session->id = draw_id(fleet)) == 0)
     error = mo_fail(&message, MO_ERR_IO, "there are no random numbers");
   if (error == MO_ERR_CONFLICT || error == MO_ERR_UNSUPPORTED)

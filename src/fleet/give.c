@@ -14,6 +14,8 @@
 #define PATIENCE_NS        (10 * MO_S_NS) /* a late lease waits so long for a session of its size */
 #define SCANNED            64
 #define READY_S            4.0
+#define READY_BLOCKS_MAX   (1u << 17)
+#define OFFERED_MAX        256 /* threads, and devices, that count before a session is measured */
 
 /* ---- sizes ---- */
 
@@ -24,10 +26,12 @@ struct size {
   double share;
 };
 
+/* What a session offers is its word. */
 static uint64_t first_steps(const struct mo_session *session, enum mo_back_end back_end)
 {
-  return back_end == MO_ON_DEVICE ? (uint64_t)session->offer.n_devices * FIRST_DEVICE_STEPS
-                                  : (uint64_t)session->offer.n_threads * FIRST_STEPS;
+  const uint64_t steps = back_end == MO_ON_DEVICE ? FIRST_DEVICE_STEPS : FIRST_STEPS;
+  const uint32_t n = back_end == MO_ON_DEVICE ? session->offer.n_devices : session->offer.n_threads;
+  return steps * (n < OFFERED_MAX ? n : OFFERED_MAX);
 }
 
 static struct size size_of(const struct mo_fleet *fleet, const struct mo_session *session,
@@ -68,7 +72,7 @@ uint32_t mo_give_wanted(const struct mo_fleet *fleet, enum mo_back_end back_end)
     steps += rate > 0 ? READY_S * rate : (double)(4 * first_steps(session, back_end));
   }
   const double blocks = steps / class->block_steps;
-  return blocks < UINT32_MAX ? (uint32_t)blocks + (steps > 0) : UINT32_MAX;
+  return blocks < READY_BLOCKS_MAX ? (uint32_t)blocks + (steps > 0) : READY_BLOCKS_MAX;
 }
 
 /* ---- leases that are there ---- */

@@ -17,7 +17,7 @@ struct mo_session *mo_give(struct mo_fleet *fleet, struct mo_session *session,
 struct mo_lease *mo_give_overdue(struct mo_fleet *fleet, const struct mo_session *session,
                                  enum mo_back_end back_end, uint64_t now_ns);
 /* Locked. Returns the blocks that the source should have ready for a class: four seconds of its
- * sessions. */
+ * sessions, at most 2^17. */
 uint32_t mo_give_wanted(const struct mo_fleet *fleet, enum mo_back_end back_end);
 
 #endif

@@ -35,8 +35,8 @@ struct fake {
   struct mo_environment environments[ENVIRONMENTS];
   uint64_t genotypes[GENOTYPES][MO_DEFAULT_WORDS];
   TAILQ_HEAD(, fake_block) queue;
-  uint32_t n_waiting, n_taken, n_done, n_wrong, n_cancelled, n_failed, n_kept, n_wakes, n_events,
-      wanted;
+  uint32_t n_waiting, n_taken, n_done, n_wrong, n_cancelled, n_failed, n_kept, n_origins, n_wakes,
+      n_events, wanted;
   uint64_t rows_done;
   bool frees_done;           /* blocks, as they are delivered; otherwise they are the test's */
   uint64_t woken[256];       /* the newest */
@@ -250,7 +250,7 @@ static inline void fake_event(void *context, const char *type, const char *data)
 
 static inline int fake_origin(void *context, const char *text, int64_t *number)
 {
-  (void)context;
+  ((struct fake *)context)->n_origins++;
   uint64_t h = FNV_START;
   fake_hash(&h, text, strlen(text));
   *number = (int64_t)(h >> 1 | 1);

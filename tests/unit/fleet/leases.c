@@ -128,11 +128,13 @@ static void refused(void)
   CHECK_SAYS(message, "got ab00");
   CHECK_TEXT(fake->event, "fleet.refused");
   CHECK_HAS(fake->data, "\"name\":\"w\",\"host\":\"h\"");
+  CHECK_INT(fake->n_origins, 0);
   for (int i = 0; i < MO_FLEET_SESSIONS_MAX; i++)
     join("many");
   offer = fake_offer("w", "h");
   CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_LIMIT);
   CHECK_SAYS(message, "at most 4096 sessions");
+  CHECK_INT(fake->n_origins, MO_FLEET_SESSIONS_MAX);
 }
 
 static void quarantined(void)
@@ -152,6 +154,11 @@ static void quarantined(void)
   CHECK_INT(fake_exchange(fake, a, NULL, &leases), MO_ERR_CONFLICT);
   CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_CONFLICT);
   CHECK_SAYS(message, "\"a\" is quarantined");
+  CHECK_INT(fake->n_origins, 3);
+  offer.user[0] = 'u'; /* the name of another token */
+  CHECK_OK(mo_fleet_leave(fake->fleet, (uint64_t)mo_fleet_join(fake->fleet, &offer, 1, &message),
+                          false, fake->now_ns));
+  offer.user[0] = '\0';
   CHECK_OK(mo_fleet_leave(fake->fleet, a, false, fake->now_ns));
   CHECK_INT(fake_exchange(fake, a, NULL, &leases), MO_ERR_NOT_FOUND);
   CHECK_INT(status().n_quarantined, 1);
@@ -204,6 +211,21 @@ static void sizes(void)
     leases = finish(c, &leases, MO_RESULT_DONE);
   }
   CHECK(last <= 2 && fake->n_done == 4096 && fake->n_wrong == 0);
+}
+
+/* What sessions say of themselves makes the source hold little. */
+static void boasters(void)
+{
+  struct mo_fleet_offer offer = fake_offer("w", "h");
+  offer.n_threads = 65536;
+  begin(0);
+  CHECK(mo_fleet_join(fake->fleet, &offer, fake->now_ns, NULL) > 0);
+  advance(0.1);
+  CHECK(fake->wanted > 256 && fake->wanted <= 2048);
+  for (int i = 0; i < 1000; i++)
+    CHECK(mo_fleet_join(fake->fleet, &offer, fake->now_ns, NULL) > 0);
+  advance(0.1);
+  CHECK_INT(fake->wanted, 1 << 17);
 }
 
 /* Two sessions, one four times as fast: both get about a second, and end together. */
@@ -722,6 +744,7 @@ static const struct check_case cases[] = {
     {"refused", refused},
     {"quarantined and drained", quarantined},
     {"sizes of leases", sizes},
+    {"sessions that boast", boasters},
     {"sessions of different rates", shared},
     {"lost sessions", lost},
     {"late leases", late},
