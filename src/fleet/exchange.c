@@ -86,9 +86,26 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, si
 
 /* ---- orders and weights ---- */
 
+/* A session that was told to drop a lease has the room for another one. */
+static void end_told(struct mo_fleet *fleet, struct mo_session *session,
+                     const struct mo_fleet_orders *orders, uint64_t now_ns, struct mo_after *after)
+{
+  for (uint32_t i = 0; i < orders->n_dropped; i++) {
+    struct mo_lease *lease = mo_lease_find(fleet, orders->dropped[i].number);
+    const int place = lease != NULL ? mo_lease_held_by(lease, session) : MO_ERR_NOT_FOUND;
+    if (place < 0)
+      continue;
+    mo_lease_release(fleet, lease, (uint32_t)place, false, now_ns, after);
+    if (session->state == MO_SESSION_ACTIVE)
+      wait_for_more(fleet, session);
+    mo_after_wake(after, session->id);
+  }
+}
+
 int mo_fleet_orders(struct mo_fleet *fleet, uint64_t id, uint64_t now_ns,
                     struct mo_fleet_orders *orders)
 {
+  struct mo_after after = {0};
   memset(orders, 0, sizeof(*orders));
   pthread_mutex_lock(&fleet->mutex);
   struct mo_session *session = mo_session_find(fleet, id);
@@ -103,7 +120,9 @@ int mo_fleet_orders(struct mo_fleet *fleet, uint64_t id, uint64_t now_ns,
   orders->n_dropped = session->n_dropped;
   memcpy(orders->dropped, session->dropped, session->n_dropped * sizeof(*orders->dropped));
   session->n_dropped = 0;
+  end_told(fleet, session, orders, now_ns, &after);
   pthread_mutex_unlock(&fleet->mutex);
+  mo_after_run(fleet, &after);
   return has_orders;
 }
 
