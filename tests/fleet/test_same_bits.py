@@ -32,8 +32,10 @@ def test_same_bits(daemon, worker, seed, mode):
             assert result[part] == what, f"{part} differ from those of one daemon"
         assert rollouts(one) == needed
         status = one.json("/v1/fleet")
-        # All were computed by workers, none was taken twice.
-        assert status["rollouts_done"] == needed
+        # All were computed by workers, none was taken twice. Robots of gradients count, too; the
+        # daemon computes those of a moment without a worker.
+        steps = one.counted("morphod_campaign_learning_steps_total")
+        assert needed <= status["rollouts_done"] <= needed + value["population"] * steps
         assert status["lost"] == 0 and status["audits_failed"] == 0
         assert sum(session["rollouts_done"] > 0 for session in status["sessions"]) > 2
         one.end()
