@@ -59,7 +59,8 @@ static bool keep(struct taken *taken, struct mo_block *block)
 {
   const uint32_t n = taken->shown.n_blocks;
   if ((n & (n - 1)) == 0) {
-    struct mo_block **more = realloc((void *)taken->blocks, (n > 0 ? 2 * n : 1) * sizeof(*more));
+    const size_t bytes = (n > 0 ? 2 * (size_t)n : 1) * sizeof(struct mo_block *);
+    struct mo_block **more = realloc((void *)taken->blocks, bytes);
     if (more == NULL)
       return false;
     taken->blocks = more;
@@ -121,6 +122,8 @@ static bool take_shard(struct mo_compute *compute, struct taken *taken, bool her
 
 static void show(struct taken *taken)
 {
+  if (taken->blocks == NULL)
+    return; /* a shard shows itself */
   taken->shown.blocks = taken->blocks;
   taken->shown.identity = taken->blocks[0]->controller;
   taken->shown.controller = mo_compute_controller_weights(taken->blocks[0]->controller);
@@ -151,8 +154,7 @@ struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end ba
     discard(taken);
     return NULL;
   }
-  if (taken->shard == NULL)
-    show(taken);
+  show(taken);
   return &taken->shown;
 }
 

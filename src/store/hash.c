@@ -52,7 +52,7 @@ void mo_sha256_to_content_digest(const struct mo_sha256 *hash, char text[MO_CONT
 {
   char *end = stpcpy(text, "sha-256=:");
   base64_encode_raw(end, sizeof(hash->bytes), hash->bytes);
-  strcpy(end + BASE64_ENCODE_RAW_LENGTH(sizeof(hash->bytes)), ":");
+  memcpy(end + BASE64_ENCODE_RAW_LENGTH(sizeof(hash->bytes)), ":", 2);
 }
 
 bool mo_content_digest_matches(const char *field, const void *data, size_t size)
