@@ -196,7 +196,7 @@ static void cancelled_blocks(void)
   submit(&world, 0, 3);
   struct mo_taken *taken = mo_compute_take(world.compute, MO_ON_CPU, steps_of(2));
   REQUIRE(taken != NULL && !mo_taken_is_cancelled(taken));
-  cancel = 1;
+  __atomic_store_n(&cancel, 1, __ATOMIC_RELAXED);
   CHECK(mo_taken_is_cancelled(taken));
   deliver(&world, taken, 1);
   CHECK_INT(blocks[0].status, MO_ERR_CANCELLED);
@@ -220,7 +220,7 @@ static void cancelled_without_a_taker(void)
   submit(&world, 0, BODIES);
   usleep(20000);
   CHECK_INT(atomic_load(&ended), 0);
-  cancel = 1;
+  __atomic_store_n(&cancel, 1, __ATOMIC_RELAXED);
   CHECK(await(&ended, BODIES));
   CHECK_INT(blocks[BODIES - 1].status, MO_ERR_CANCELLED);
   close_world(&world);
