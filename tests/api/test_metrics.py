@@ -108,8 +108,8 @@ def promtool(tmp_path, *arguments, **files):
 def page():
     """/metrics of a service with a device and a running campaign."""
     service = Service(f"--compute-module={MODULE}", "--devices=auto")
-    service.post("/v1/campaigns", LONG["campaign"] | {"device": "cpu", "population": 32,
-                                                      "physics": {"n_steps": 200}})
+    # Its generations take more than the half second after which a rate is shown.
+    service.post("/v1/campaigns", LONG["campaign"] | {"device": "cpu", "population": 256})
     text = until(lambda: all(
         f"\nmorphod_job_{name}{{" in (body := service.request("GET", "/metrics").body.decode())
         for name in ("best_score", "left_seconds", "rollouts_per_second")) and body)
