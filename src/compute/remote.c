@@ -228,8 +228,7 @@ static struct mo_outcome outcome_of(const struct mo_remote_result *result, uint3
                              .com_end_m = {NAN, NAN, NAN}};
 }
 
-/* back_end: whose queue the block was taken from. Workers also queue what devices cannot compute.
- */
+/* back_end: whose queue the block came from. What devices cannot compute is queued for workers. */
 static void end_block(struct mo_block *block, enum mo_back_end back_end,
                       const struct mo_remote_result *result, uint32_t row)
 {

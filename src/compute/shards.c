@@ -2,11 +2,13 @@
 #include "compute/shards.h"
 
 #include <stdlib.h>
-#include <time.h>
+
+#include "base/clock.h"
+#include "base/thread.h"
 
 #define RETURNS_MAX 3
 #define WORTH_S     0.2 /* a batch that the workers compute in less time is not offered */
-#define WAIT_NS     50000000L
+#define WAIT_US     50000
 
 struct mo_shard_result *mo_shard_result_create(size_t n_parameters)
 {
@@ -166,17 +168,12 @@ struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number
 void mo_offer_wait(struct mo_offer *offer)
 {
   struct mo_fair *fair = core_of(offer)->fair;
-  struct timespec until;
-  clock_gettime(CLOCK_REALTIME, &until);
-  until.tv_nsec += WAIT_NS;
-  until.tv_sec += until.tv_nsec / 1000000000L;
-  until.tv_nsec %= 1000000000L;
   pthread_mutex_lock(&fair->mutex);
   bool has_result = false;
   for (uint32_t i = 0; i < offer->n; i++)
     has_result |= offer->items[i].result != NULL;
   if (!has_result)
-    (void)pthread_cond_timedwait(&offer->changed, &fair->mutex, &until);
+    (void)mo_wait_until(&offer->changed, &fair->mutex, mo_clock_us() + WAIT_US);
   pthread_mutex_unlock(&fair->mutex);
 }
 

@@ -10,6 +10,8 @@
 
 #include "jobs/campaign_race.h"
 
+_Static_assert(MO_RACE_ENVIRONMENTS_MAX == MO_ENVIRONMENTS_MAX, "a plan holds every environment");
+
 static uint32_t n_parents_scored(const struct mo_campaign_run *run)
 {
   return run->n_parents - run->first_scored;

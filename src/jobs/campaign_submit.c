@@ -11,8 +11,8 @@
 #define DRAWING_THREADS 16
 /* Measured, and rounded up. */
 #define CAMPAIGN_BYTES  (20 * MIB)          /* controller, packed for the kernels */
-#define CANDIDATE_BYTES ((uint64_t)1 << 10) /* of a population: parents and children */
-#define SCORED_BYTES    ((uint64_t)3 << 10) /* a candidate's losses: computed, saved, found */
+#define CANDIDATE_BYTES ((uint64_t)3 << 9)  /* of a population: parents and children */
+#define SCORED_BYTES    ((uint64_t)4 << 10) /* a candidate's losses: computed, saved, found */
 #define DRAWING_BYTES   (3 * MIB)           /* a thread that draws bodies again */
 
 /* ---- memory ---- */
