@@ -17,6 +17,7 @@ import tempfile
 import threading
 import time
 
+from relay import relay
 from service import BINARY
 
 HEADER, LEASE, RESULT = struct.Struct("<8sIIQ"), struct.Struct("<QQIIII32s9d4I"), \
@@ -285,17 +286,7 @@ class Proxy:
             host, port = self.asked[-1].split(":")
             daemon = socket.create_connection((host, int(port)))
             client.sendall(b"HTTP/1.1 200 OK\r\n\r\n")
-            for ends in ((client, daemon), (daemon, client)):
-                threading.Thread(target=self.copy, args=ends, daemon=True).start()
-
-    @staticmethod
-    def copy(source, target):
-        try:
-            while piece := source.recv(65536):
-                target.sendall(piece)
-            target.shutdown(socket.SHUT_WR)
-        except OSError:
-            pass
+            relay(client, daemon)
 
     def close(self):
         self.listener.close()

@@ -6,6 +6,7 @@ import threading
 
 import pytest
 
+from relay import relay
 from service import CONTRACT, DESIGN, run
 
 TOKENS = {right: f"a-token-that-may-{right}-and-no-more" for right in ("read", "submit", "admin")}
@@ -270,17 +271,7 @@ class Forwarder:
                 return
             far = socket.socket(socket.AF_UNIX)
             far.connect(self.path)
-            for one, other in ((near, far), (far, near)):
-                threading.Thread(target=self.copy, args=(one, other), daemon=True).start()
-
-    @staticmethod
-    def copy(source, sink):
-        try:
-            while data := source.recv(65536):
-                sink.sendall(data)
-            sink.shutdown(socket.SHUT_WR)
-        except OSError:
-            pass
+            relay(near, far)
 
     def status(self, method, path, **headers):
         """The status of a request with these header fields, and no others."""

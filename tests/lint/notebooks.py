@@ -9,6 +9,8 @@ import sys
 
 from text import ADVICE, TOP, WIDTH, WORD
 
+import tap
+
 FOLDER = TOP / "docs" / "notebooks"
 BYTES_MAX = 1_000_000  # of all together
 PLACE = re.compile(r"/(home|root|tmp|usr|var|work|mnt)/|"
@@ -93,12 +95,7 @@ def main():
     results += [("five notebooks of at most 1 MB together",
                  [] if len(files) == 5 and size <= BYTES_MAX else [f"{len(files)}, {size} bytes"]),
                 ("each rule can fail", self_test())]
-    print(f"1..{len(results)}")
-    for number, (name, faults) in enumerate(results, 1):
-        for fault in faults:
-            print(f"# {fault}")
-        print(f"{'not ok' if faults else 'ok'} {number} - {name}")
-    return any(faults for _, faults in results)
+    return tap.report(results)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import tap
+
 # Rooms in order of dependence, with the foreign headers that each may use beside the C library's.
 ROOMS = {
     "base": [],
@@ -205,12 +207,7 @@ def main():
     results = report(top) + [
         ("each rule can fail", [f"not noticed: {rule}" for rule in self_test()])
     ]
-    print(f"1..{len(results)}")
-    for number, (name, faults) in enumerate(results, 1):
-        for fault in faults:
-            print(f"# {fault}")
-        print(f"{'not ok' if faults else 'ok'} {number} - {name}")
-    return any(faults for _, faults in results)
+    return tap.report(results)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import tap
+
 TOP = Path(__file__).resolve().parents[2]
 PLACES = [
     ".ci", "CHANGELOG.md", "README.md", "bench", "clients", "data", "docs", "experiments", "include",
@@ -110,12 +112,8 @@ def self_test():
 def main(arguments):
     paths = [Path(a).resolve() for a in arguments] or [TOP / place for place in PLACES]
     results = report(paths) + [("each rule can fail", self_test())]
-    print(f"1..{len(results)}")
-    for number, (name, faults) in enumerate(results, 1):
-        for fault in faults:
-            print(f"# {fault.replace(f'{TOP}/', '')}")
-        print(f"{'not ok' if faults else 'ok'} {number} - {name}")
-    return any(faults for _, faults in results)
+    return tap.report([(name, [fault.replace(f"{TOP}/", "") for fault in faults])
+                       for name, faults in results])
 
 
 if __name__ == "__main__":
