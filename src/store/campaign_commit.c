@@ -193,7 +193,8 @@ struct conditions {
   int64_t environments[MO_ENVIRONMENTS_MAX];
   int64_t fingerprints[2]; /* of the campaign's back end, of the workers */
   int64_t ranking;
-  struct mo_condition last[MO_ENVIRONMENTS_MAX / MO_BLOCK_LANES]; /* of each block, with its id */
+  /* Of each block, with its id: the newest of children that were cut short, and of others. */
+  struct mo_condition last[MO_ENVIRONMENTS_MAX / MO_BLOCK_LANES][2];
 };
 
 static int find_conditions(struct mo_connection *writer, const struct commit_arguments *call,
@@ -245,7 +246,7 @@ static void take_part(const struct conditions *conditions, const struct mo_campa
   }
 }
 
-/* Finds the row of a part's condition, which is mostly that of the child before. */
+/* Finds the row of a part's condition, which is mostly that of a child before. */
 static int find_condition(struct mo_store *store, struct mo_condition *condition,
                           struct mo_condition *last)
 {
@@ -280,15 +281,16 @@ static int insert_child_scores(struct mo_store *store, const struct commit_argum
   double sum = 0;
   int error = MO_OK;
   for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k++) {
-    const uint32_t block = k / MO_BLOCK_LANES, end = (block + 1) * MO_BLOCK_LANES;
+    const uint32_t block = k / MO_BLOCK_LANES, full = (block + 1) * MO_BLOCK_LANES;
+    const uint32_t end = full < head->n_environments ? full : head->n_environments;
     struct part part;
     is_whole = is_whole && !isnan(loss->losses[k]);
     sum += loss->losses[k];
     if (taken >> k & 1 || isnan(loss->losses[k]))
       continue;
-    take_part(conditions, loss, k, end < head->n_environments ? end : head->n_environments, &taken,
-              &part);
-    error = find_condition(store, &part.condition, &conditions->last[block]);
+    take_part(conditions, loss, k, end, &taken, &part);
+    const bool is_full = part.condition.n == end - block * MO_BLOCK_LANES;
+    error = find_condition(store, &part.condition, &conditions->last[block][is_full]);
     if (error == MO_OK)
       error = mo_losses_insert(store, &part.condition, genotype, part.origin, part.losses,
                                part.diverged_steps, now_us, &is_new);
