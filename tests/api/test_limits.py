@@ -115,11 +115,18 @@ def test_waiting_takes_no_place(start):
     service = start("--max-in-flight=2")
     job = endless(service)
     waiting = [service.connection() for _ in range(20)]
-    for n, connection in enumerate(waiting):
-        # Until at most one is not parked yet.
-        until(lambda: service.request("GET", "/v1/jobs").status == 200)
-        until_in_flight(service, n)  # the list is answered
-        connection.request("GET", f"/v1/evaluations/{job}", headers={"Prefer": "wait=60"})
+    asking = service.connection()
+    for n, connection in enumerate(waiting, 1):
+        seen = 0  # times in a row that this one, the ones before, and the one that asks are there
+        while seen < 3:
+            if connection.sock is None or select.select([connection.sock], [], [], 0)[0]:
+                if connection.sock is not None:  # two others were not parked yet, or had just ended
+                    refused = connection.getresponse()
+                    assert refused.status == 429 and refused.read()
+                connection.request("GET", f"/v1/evaluations/{job}", headers={"Prefer": "wait=60"})
+                seen = 0
+            seen = seen + 1 if service.metric(IN_FLIGHT, connection=asking) == n + 1 else 0
+    asking.close()
     assert service.act(job, "cancel").status in (200, 202)
     # All are answered, more than may be in flight.
     for connection in waiting:
