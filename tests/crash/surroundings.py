@@ -1,4 +1,4 @@
-"""Options and fixtures of tests that disturb daemons. Seeds are printed, so that a failure can be
+"""Fixtures of tests that disturb daemons. Seeds are printed, so that a failure can be
 repeated: --seed N."""
 import contextlib
 import os
@@ -10,12 +10,6 @@ import time
 
 import pytest
 from daemon import MORPHOD, Daemon
-
-
-def pytest_addoption(parser):
-    parser.addoption("--soak", action="store_true", help="200 kills instead of 20")
-    parser.addoption("--seed", type=int, default=None,
-                     help="seed of the random moments (default: the time)")
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""Options and fixtures of the tests of a fleet: those of the crash tests, and workers."""
+"""Fixtures of the tests of a fleet: those of the crash tests, and workers."""
 import os
 import pathlib
 import sys
@@ -10,7 +10,7 @@ sys.path[:0] = [os.fspath(TESTS / name) for name in ("fleet", "crash", "api")]
 
 from machines import Worker  # noqa: E402
 from surroundings import (  # noqa: E402, F401
-    daemon, folder, pytest_addoption, pytest_report_header, seed, small_disk, soak)
+    daemon, folder, pytest_report_header, seed, small_disk, soak)
 
 
 @pytest.fixture
