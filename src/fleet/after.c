@@ -54,6 +54,27 @@ void mo_after_event(struct mo_after *after, const char *type, struct mo_text *da
   *last = event;
 }
 
+void mo_event_member(struct mo_text *text, const char *name, const char *words, size_t most)
+{
+  size_t n = 0;
+  for (size_t bytes = 0; words[n] != '\0'; n++) {
+    bytes += words[n] == '"' || words[n] == '\\' ? 2 : 1;
+    if (bytes > most)
+      break;
+  }
+  mo_text_name(text, name);
+  mo_text_json_string(text, words, n);
+}
+
+void mo_event_session(struct mo_text *text, const char *name, const char *host, const char *why)
+{
+  mo_text_object(text);
+  mo_event_member(text, "name", name, MO_EVENT_NAME_BYTES);
+  mo_event_member(text, "host", host, MO_EVENT_NAME_BYTES);
+  if (why[0] != '\0')
+    mo_event_member(text, "why", why, MO_EVENT_WHY_BYTES);
+}
+
 static bool work_waits(const struct mo_fleet *fleet, const struct mo_after *after,
                        enum mo_back_end back_end)
 {
@@ -81,7 +102,7 @@ void mo_after_run(struct mo_fleet *fleet, struct mo_after *after)
       continue;
     struct mo_text data = {0};
     mo_text_object(&data);
-    mo_text_member(&data, "class", config->classes[b].scores);
+    mo_event_member(&data, "class", config->classes[b].scores, MO_EVENT_NAME_BYTES);
     mo_after_event(after, "fleet.empty", &data);
   }
   for (struct mo_event *event = after->events, *next; event != NULL; event = next) {

@@ -150,8 +150,8 @@ static void count(struct mo_fleet *fleet, uint64_t id, bool has_failed)
 static void describe(struct mo_text *text, const struct mo_vote *vote, uint32_t row)
 {
   mo_text_object(text);
-  mo_text_member(text, "name", vote->name);
-  mo_text_member(text, "host", vote->host);
+  mo_event_member(text, "name", vote->name, MO_EVENT_NAME_BYTES);
+  mo_event_member(text, "host", vote->host, MO_EVENT_NAME_BYTES);
   mo_text_member_number(text, "loss", vote->losses[row]);
   mo_text_member_count(text, "diverged_step", vote->diverged_steps[row]);
   mo_text_add(text, "}");
@@ -164,7 +164,8 @@ static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row
 {
   struct mo_text text = {0};
   mo_text_object(&text);
-  mo_text_member(&text, "class", fleet->config.classes[lease->content.back_end].scores);
+  mo_event_member(&text, "class", fleet->config.classes[lease->content.back_end].scores,
+                  MO_EVENT_NAME_BYTES);
   mo_text_name(&text, "results");
   mo_text_add(&text, "[");
   describe(&text, &lease->votes[0], row);

@@ -112,10 +112,7 @@ static void note_refusal(struct mo_fleet *fleet, const struct mo_fleet_offer *of
   if (fleet->refused_ns != 0 && now_ns < fleet->refused_ns + REFUSED_NS)
     return;
   fleet->refused_ns = now_ns;
-  mo_text_object(&text);
-  mo_text_member(&text, "name", offer->name);
-  mo_text_member(&text, "host", offer->host);
-  mo_text_member(&text, "why", why->text);
+  mo_event_session(&text, offer->name, offer->host, why->text);
   mo_after_event(after, "fleet.refused", &text);
 }
 

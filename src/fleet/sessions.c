@@ -17,16 +17,6 @@ struct mo_session *mo_session_find(struct mo_fleet *fleet, uint64_t id)
   return session;
 }
 
-/* Begins the event of a session. */
-static void start_event(struct mo_text *text, const char *name, const char *host, const char *why)
-{
-  mo_text_object(text);
-  mo_text_member(text, "name", name);
-  mo_text_member(text, "host", host);
-  if (why[0] != '\0')
-    mo_text_member(text, "why", why);
-}
-
 void mo_session_insert(struct mo_fleet *fleet, struct mo_session *session, struct mo_after *after)
 {
   struct mo_text text = {0};
@@ -36,7 +26,7 @@ void mo_session_insert(struct mo_fleet *fleet, struct mo_session *session, struc
   fleet->counts.joined++;
   for (uint32_t b = 0; b < 2; b++)
     fleet->classes[b].n_sessions += session->serves[b];
-  start_event(&text, session->offer.name, session->offer.host, "");
+  mo_event_session(&text, session->offer.name, session->offer.host, "");
   mo_text_member_count(&text, "n_threads", session->offer.n_threads);
   mo_text_member_count(&text, "n_devices", session->offer.n_devices);
   mo_after_event(after, "fleet.joined", &text);
@@ -85,7 +75,7 @@ void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_
   if (session->state != MO_SESSION_QUARANTINED) {
     struct mo_text text = {0};
     fleet->counts.lost += state == MO_SESSION_LOST;
-    start_event(&text, session->offer.name, session->offer.host, why);
+    mo_event_session(&text, session->offer.name, session->offer.host, why);
     mo_text_member_count(&text, "leases", session->n_held[0] + session->n_held[1]);
     mo_after_event(after, state == MO_SESSION_LOST ? "fleet.lost" : "fleet.left", &text);
     deactivate(fleet, session, state, why, after);
@@ -144,7 +134,7 @@ void mo_quarantine(struct mo_fleet *fleet, const char *user, const char *name, c
   snprintf(outcast->user, sizeof(outcast->user), "%s", user);
   snprintf(outcast->name, sizeof(outcast->name), "%s", name);
   struct mo_text text = {0};
-  start_event(&text, name, host, why);
+  mo_event_session(&text, name, host, why);
   mo_after_event(after, "fleet.quarantined", &text);
   struct mo_session *session;
   TAILQ_FOREACH(session, &fleet->sessions, all)

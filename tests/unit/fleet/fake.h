@@ -243,7 +243,7 @@ static inline void fake_event(void *context, const char *type, const char *data)
   fake->n_events++;
   snprintf(fake->event, sizeof(fake->event), "%s", type);
   json_t *json = json_loads(data, 0, NULL);
-  CHECK(json_is_object(json));
+  CHECK(json_is_object(json) && strlen(data) < sizeof(fake->data));
   json_decref(json);
   snprintf(fake->data, sizeof(fake->data), "%s", data);
 }
