@@ -162,14 +162,19 @@ void mo_api_get_orders(struct mo_request *request)
 
 /* ---- leases and results ---- */
 
-static void reply_bytes(struct mo_request *request, uint8_t *bytes, size_t size)
+static void add_digest(struct mo_request *request, const struct mo_sha256 *hash)
 {
   char digest[MO_CONTENT_DIGEST_BYTES];
+  mo_sha256_to_content_digest(hash, digest);
+  mo_reply_extra(request, "Content-Digest", "%s", digest);
+}
+
+static void reply_bytes(struct mo_request *request, uint8_t *bytes, size_t size)
+{
   struct mo_sha256 hash;
   mo_sha256_of(bytes, size, &hash);
-  mo_sha256_to_content_digest(&hash, digest);
   mo_reply_bytes(request, 200, "application/octet-stream", (char *)bytes, size);
-  mo_reply_extra(request, "Content-Digest", "%s", digest);
+  add_digest(request, &hash);
 }
 
 /* Checks what a worker sends. False: the reply is made. */
@@ -236,13 +241,15 @@ void mo_api_get_weights(struct mo_request *request)
   struct mo_fleet *fleet = atomic_load(&mo_api_of(request)->fleet);
   const char *digits = request->parameters[0];
   struct mo_sha256 hash;
-  uint8_t *bytes;
-  size_t size;
+  struct mo_fleet_file *file;
   int error = mo_sha256_from_hex(digits, strlen(digits), &hash);
   if (error == MO_OK)
-    error = mo_fleet_controller(fleet, &hash, &bytes, &size);
-  if (error != MO_OK)
+    error = mo_fleet_controller(fleet, &hash, &file);
+  if (error != MO_OK) {
     mo_reply_error(request, error == MO_ERR_FORMAT ? MO_ERR_NOT_FOUND : error, "controller");
-  else
-    reply_bytes(request, bytes, size);
+    return;
+  }
+  mo_reply_borrowed(request, "application/octet-stream", file->bytes, file->size,
+                    mo_fleet_file_release, file);
+  add_digest(request, &hash);
 }

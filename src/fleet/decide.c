@@ -14,7 +14,7 @@ static void *compute(void *context)
   const struct mo_weights *weights = decision->lease->weights;
   decision->error = source->recompute(
       source->context, &decision->lease->content, fleet->config.workspace,
-      weights != NULL ? weights->bytes : NULL, weights != NULL ? weights->size : 0,
+      weights != NULL ? weights->file.bytes : NULL, weights != NULL ? weights->file.size : 0,
       &decision->cancel, decision->losses, decision->diverged_steps);
   atomic_store(&decision->is_done, true);
   return NULL;

@@ -126,22 +126,24 @@ int mo_fleet_orders(struct mo_fleet *fleet, uint64_t id, uint64_t now_ns,
   return has_orders;
 }
 
-int mo_fleet_controller(struct mo_fleet *fleet, const struct mo_sha256 *hash, uint8_t **bytes,
-                        size_t *size)
+int mo_fleet_controller(struct mo_fleet *fleet, const struct mo_sha256 *hash,
+                        struct mo_fleet_file **file)
 {
+  struct mo_weights *weights = NULL;
   pthread_mutex_lock(&fleet->mutex);
-  struct mo_weights *weights = mo_weights_of(fleet, hash);
+  const int error = mo_weights_read(fleet, hash, &weights);
   pthread_mutex_unlock(&fleet->mutex);
-  if (weights == NULL)
-    return MO_ERR_NOT_FOUND;
-  uint8_t *copy = malloc(weights->size);
-  if (copy != NULL) {
-    memcpy(copy, weights->bytes, weights->size);
-    *bytes = copy;
-    *size = weights->size;
-  }
+  if (error == MO_OK)
+    *file = &weights->file;
+  return error;
+}
+
+void mo_fleet_file_release(void *file)
+{
+  struct mo_weights *weights = file; /* of which the file is the first member */
+  struct mo_fleet *fleet = weights->file.fleet;
   pthread_mutex_lock(&fleet->mutex);
+  weights->n_readers--;
   mo_weights_release(fleet, weights);
   pthread_mutex_unlock(&fleet->mutex);
-  return copy != NULL ? MO_OK : MO_ERR_NO_MEMORY;
 }

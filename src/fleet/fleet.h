@@ -54,7 +54,7 @@ int mo_fleet_create(const struct mo_fleet_config *config, struct mo_fleet **flee
 /* Puts all leases back. NULL-safe. Before mo_compute_free. */
 void mo_fleet_free(struct mo_fleet *fleet);
 
-/* ---- canary: frozen lives, whose losses have the same bits in one class ---- */
+/* ---- canary: frozen rollouts and a gradient, which have the same bits in one class ---- */
 /* Computes the canary of a class by the workers or the devices of a back end: half a second of one
  * processor. MO_ERR_DEVICE, MO_ERR_NO_MEMORY. */
 int mo_fleet_canary(struct mo_compute *compute, enum mo_back_end back_end, struct mo_sha256 *hash);
@@ -95,10 +95,17 @@ struct mo_fleet_orders {
  * MO_ERR_NOT_FOUND. */
 int mo_fleet_orders(struct mo_fleet *fleet, uint64_t session, uint64_t now_ns,
                     struct mo_fleet_orders *orders);
-/* Encodes the weights of a lease that is out (malloc): a controller file with this SHA-256.
- * MO_ERR_NOT_FOUND. */
-int mo_fleet_controller(struct mo_fleet *fleet, const struct mo_sha256 *hash, uint8_t **bytes,
-                        size_t *size);
+/* Gives the weights of a lease that is out: the controller file with this SHA-256, which stays
+ * until it is released, before mo_fleet_free. MO_ERR_NOT_FOUND; MO_ERR_BUSY: too many files are
+ * kept for slow readers only. */
+struct mo_fleet_file {
+  struct mo_fleet *fleet;
+  const uint8_t *bytes;
+  size_t size;
+};
+int mo_fleet_controller(struct mo_fleet *fleet, const struct mo_sha256 *hash,
+                        struct mo_fleet_file **file);
+void mo_fleet_file_release(void *file);
 
 /* About every 20 ms: gives out again what is late, ends silent sessions, drops cancelled leases,
  * wakes sessions for which there is work. */

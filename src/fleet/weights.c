@@ -12,12 +12,14 @@ int mo_weights_create(const struct mo_taken *taken, struct mo_weights **ret)
   struct mo_weights *weights = calloc(1, sizeof(*weights));
   if (weights == NULL)
     return MO_ERR_NO_MEMORY;
-  int error = mo_controller_encode(taken->controller, &weights->bytes, &weights->size);
+  uint8_t *bytes = NULL;
+  int error = mo_controller_encode(taken->controller, &bytes, &weights->file.size);
   if (error != MO_OK) {
     free(weights);
     return error;
   }
-  mo_sha256_of(weights->bytes, weights->size, &weights->hash);
+  mo_sha256_of(bytes, weights->file.size, &weights->hash);
+  weights->file.bytes = bytes;
   weights->identity = taken->identity;
   weights->sensor = taken->controller->sensor;
   weights->workspace = taken->controller->workspace;
@@ -27,7 +29,7 @@ int mo_weights_create(const struct mo_taken *taken, struct mo_weights **ret)
 
 static void discard(struct mo_weights *weights)
 {
-  free(weights->bytes);
+  free((void *)weights->file.bytes);
   free(weights);
 }
 
@@ -48,9 +50,10 @@ static struct mo_weights *use(struct mo_weights *weights)
 static bool same_weights(const struct mo_weights *weights, const struct mo_controller *controller)
 {
   const size_t bytes = controller->n_parameters * sizeof(*controller->parameters);
-  return weights->sensor == controller->sensor && weights->size > bytes &&
+  const struct mo_fleet_file *file = &weights->file;
+  return weights->sensor == controller->sensor && file->size > bytes &&
          mo_workspace_equal(weights->workspace, controller->workspace) &&
-         memcmp(weights->bytes + weights->size - bytes, controller->parameters, bytes) == 0;
+         memcmp(file->bytes + file->size - bytes, controller->parameters, bytes) == 0;
 }
 
 struct mo_weights *mo_weights_find(struct mo_fleet *fleet, const struct mo_taken *taken)
@@ -77,9 +80,23 @@ static struct mo_weights *of(const struct mo_fleet *fleet, const struct mo_sha25
   return weights;
 }
 
-struct mo_weights *mo_weights_of(struct mo_fleet *fleet, const struct mo_sha256 *hash)
+int mo_weights_read(struct mo_fleet *fleet, const struct mo_sha256 *hash,
+                    struct mo_weights **weights)
 {
-  return use(of(fleet, hash));
+  const struct mo_weights *other;
+  uint32_t n_only_read = 0;
+  LIST_FOREACH(other, &fleet->weights, next)
+  n_only_read += other->n_readers > 0 && other->n_readers == other->n_users;
+  *weights = use(of(fleet, hash));
+  if (*weights == NULL)
+    return MO_ERR_NOT_FOUND;
+  if (n_only_read >= MO_WEIGHTS_READ) {
+    mo_weights_release(fleet, *weights);
+    return MO_ERR_BUSY;
+  }
+  (*weights)->n_readers++;
+  (*weights)->file.fleet = fleet;
+  return MO_OK;
 }
 
 struct mo_weights *mo_weights_add(struct mo_fleet *fleet, struct mo_weights *weights)

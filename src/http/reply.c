@@ -17,6 +17,8 @@
 void mo_reply_clear(struct mo_reply *reply)
 {
   free(reply->body);
+  if (reply->release != NULL)
+    reply->release(reply->owner);
   *reply = (struct mo_reply){0};
 }
 
@@ -35,6 +37,14 @@ void mo_reply_static(struct mo_request *request, unsigned status, const char *ty
 {
   mo_reply_bytes(request, status, type, NULL, size);
   request->reply.fixed = body;
+}
+
+void mo_reply_borrowed(struct mo_request *request, const char *type, const void *body, size_t size,
+                       void (*release)(void *owner), void *owner)
+{
+  mo_reply_static(request, 200, type, body, size);
+  request->reply.release = release;
+  request->reply.owner = owner;
 }
 
 void mo_reply_json(struct mo_request *request, unsigned status, struct mo_text *text)
@@ -329,6 +339,9 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
     response = MHD_create_response_from_callback(MHD_SIZE_UNKNOWN,
                                                  request->stream != NULL ? 16 * 1024 : 64 * 1024,
                                                  request->reader, request, NULL);
+  else if (reply->release != NULL)
+    response = MHD_create_response_from_buffer_with_free_callback_cls(
+        reply->size, (void *)reply->fixed, reply->release, reply->owner);
   else if (empty || reply->body == NULL)
     response = MHD_create_response_from_buffer(
         empty ? 0 : reply->size, (void *)(empty ? "" : reply->fixed), MHD_RESPMEM_PERSISTENT);
@@ -338,6 +351,7 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
     return MHD_NO;
   if (!empty)
     reply->body = NULL; /* the response owns it now */
+  reply->release = NULL;
   /* The library sends no body for these, only its length. */
   request->sent = request->method == MO_HEAD || reply->status == 304 || empty ? 0 : reply->size;
   /* Slow readers are cut off after a minute, plus a second for every 64 KiB. Those of streams and

@@ -16,6 +16,10 @@ void mo_reply_static(struct mo_request *request, unsigned status, const char *ty
                      const char *body, size_t size);
 void mo_reply_bytes(struct mo_request *request, unsigned status, const char *type, char *body,
                     size_t size);
+/* Replies with bytes that are not copied: `release` is called when they are sent, or are not needed
+ * any more, on any thread. */
+void mo_reply_borrowed(struct mo_request *request, const char *type, const void *body, size_t size,
+                       void (*release)(void *owner), void *owner);
 /* Replies with a problem document. faults nullable. detail NULL: that of the first fault, or the
  * title of the status. */
 void mo_reply_problem(struct mo_request *request, unsigned status, const struct mo_faults *faults,

@@ -30,8 +30,10 @@ struct mo_reply {
   unsigned status; /* 0: no reply yet */
   const char *type;
   char *body;        /* malloc; NULL: see fixed */
-  const char *fixed; /* static */
+  const char *fixed; /* static, or the owner's until it is released */
   size_t size;
+  void (*release)(void *owner); /* NULL: nothing to release */
+  void *owner;
   const char *policy; /* static: Content-Security-Policy; NULL: frame-ancestors 'none' */
   bool close, authenticate;
   bool keep;  /* the reply to this path never changes: clients may keep it for a year */

@@ -1,6 +1,8 @@
 /* leases.c: who gets which lease, and what becomes of it; model.c is the same by chance. */
 #include "scene.h"
 
+#include "fleet/weights.h"
+
 #define MANY 1000
 
 /* ---- sessions ---- */
@@ -375,25 +377,24 @@ static void failing(void)
 static void weights(void)
 {
   struct mo_sha256 hash;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
+  struct mo_fleet_file *file = NULL, *files[MO_WEIGHTS_READ];
   begin(4);
   fake->controller = make_random_controller(MO_SENSOR_INVERSE_SQRT, 3);
   const uint64_t a = join("a");
   struct mo_wire_leases leases = exchange(a);
   const struct mo_sha256 wanted = leases.items[0].controller;
   CHECK(leases.n == 2 && mo_sha256_equal(&wanted, &leases.items[1].controller));
-  REQUIRE_OK(mo_fleet_controller(fake->fleet, &wanted, &bytes, &size));
-  mo_sha256_of(bytes, size, &hash);
+  REQUIRE_OK(mo_fleet_controller(fake->fleet, &wanted, &file));
+  mo_sha256_of(file->bytes, file->size, &hash);
   CHECK(mo_sha256_equal(&hash, &wanted));
-  free(bytes);
+  mo_fleet_file_release(file);
   while (leases.n > 0) {
     advance(0.05);
     leases = finish(a, &leases, MO_RESULT_DONE);
   }
   /* The file is kept for a while; under the address of its controller there may be another one. */
-  REQUIRE_OK(mo_fleet_controller(fake->fleet, &wanted, &bytes, &size));
-  free(bytes);
+  REQUIRE_OK(mo_fleet_controller(fake->fleet, &wanted, &file));
+  mo_fleet_file_release(file);
   join("b");
   for (uint32_t i = 4; i < 200 && fake->fleet->n_checks == 0; i++) {
     blocks[i] = fake_submit(fake, i);
@@ -407,8 +408,8 @@ static void weights(void)
   leases = exchange(a);
   REQUIRE(leases.n == 1);
   CHECK(!mo_sha256_equal(&wanted, &leases.items[0].controller));
-  REQUIRE_OK(mo_fleet_controller(fake->fleet, &wanted, &bytes, &size));
-  free(bytes);
+  REQUIRE_OK(mo_fleet_controller(fake->fleet, &wanted, &file));
+  mo_fleet_file_release(file);
   leases = finish(a, &leases, MO_RESULT_DONE);
   mo_wire_free_leases(&leases);
   /* It is for another session, and nobody else comes. A tick that is late changes nothing. */
@@ -419,14 +420,21 @@ static void weights(void)
   CHECK(leases.n == 0 && fake->fleet->n_checks == 1);
   advance(11);
   CHECK_INT(fake->fleet->n_checks, 0);
-  for (uint32_t i = 0; i < 10; i++) {
+  /* Readers keep some files, and no more. */
+  for (uint32_t i = 0; i <= MO_WEIGHTS_READ; i++) {
     mo_controller_randomize(fake->controller, i);
     blocks[201 + i] = fake_submit(fake, i);
     leases = exchange(a);
+    const struct mo_sha256 newest = leases.items[0].controller;
     leases = finish(a, &leases, MO_RESULT_DONE);
     mo_wire_free_leases(&leases);
+    const bool is_full = i == MO_WEIGHTS_READ;
+    CHECK_INT(mo_fleet_controller(fake->fleet, &newest, is_full ? &file : &files[i]),
+              is_full ? MO_ERR_BUSY : MO_OK);
   }
-  CHECK_INT(mo_fleet_controller(fake->fleet, &wanted, &bytes, &size), MO_ERR_NOT_FOUND);
+  for (uint32_t i = 0; i < MO_WEIGHTS_READ; i++)
+    mo_fleet_file_release(files[i]);
+  CHECK_INT(mo_fleet_controller(fake->fleet, &wanted, &file), MO_ERR_NOT_FOUND);
 }
 
 static const struct check_case cases[] = {

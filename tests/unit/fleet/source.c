@@ -50,23 +50,22 @@ static struct mo_wire_result result_of_lease(const struct mo_wire_lease *lease, 
 {
   const struct mo_fleet_source source = mo_fleet_source_of(compute);
   struct mo_wire_result result = {.id = lease->id, .n_rows = lease->n_rows, .busy_s = 0.001};
-  uint8_t *file = NULL;
-  size_t file_bytes = 0;
-  make_check(mo_fleet_controller(fleet, &lease->controller, &file, &file_bytes), "weights");
+  struct mo_fleet_file *file = NULL;
+  make_check(mo_fleet_controller(fleet, &lease->controller, &file), "weights");
   result.losses = calloc(lease->n_rows, sizeof(*result.losses));
   result.diverged_steps = calloc(lease->n_rows, sizeof(*result.diverged_steps));
   uint32_t row = 0;
   for (uint32_t b = 0; b < lease->n_blocks; b++) {
     struct mo_wire_lease one = *lease;
     one.blocks = &lease->blocks[b];
-    make_check(source.recompute(source.context, &one, MO_DEFAULT_WORKSPACE, file, file_bytes, NULL,
-                                &result.losses[row], &result.diverged_steps[row]),
+    make_check(source.recompute(source.context, &one, MO_DEFAULT_WORKSPACE, file->bytes, file->size,
+                                NULL, &result.losses[row], &result.diverged_steps[row]),
                "a block");
     row += lease->blocks[b].n_environments;
   }
   if (is_wrong && result.diverged_steps[0] == 0)
     result.losses[0] = nextafter(result.losses[0], 2);
-  free(file);
+  mo_fleet_file_release(file);
   return result;
 }
 
