@@ -1,9 +1,10 @@
-/* canary.c: frozen rollouts whose losses have the same bits wherever a class is computed. A machine
- * with other bits is refused before it computes anything that counts.
+/* canary.c: frozen rollouts and a frozen gradient, which have the same bits wherever a class is
+ * computed. A machine with other bits is refused before it computes anything that counts.
  *
  * Half of the bodies live by the usual physics. The others fall from high on slippery ground, so
  * that masses leave their cells of the terrain: the reference, not the kernels, computes such
- * moves. */
+ * moves. The robots of the gradient stand on the ground, so that few steps have contacts; they fill
+ * one block of the CPU and a part of another. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -11,6 +12,8 @@
 
 #define SEED   UINT64_C(0x6d6f72706866)
 #define BODIES 8
+#define ROBOTS (MO_GRADIENT_ROBOTS + 8)
+#define STEPS  50 /* of the gradient */
 
 struct canary {
   struct mo_lattice *lattice;
@@ -19,6 +22,9 @@ struct canary {
   uint64_t genotypes[BODIES][MO_DEFAULT_WORDS];
   struct mo_environment environments[BODIES][MO_BLOCK_LANES];
   struct mo_block blocks[BODIES];
+  struct mo_body *bodies[ROBOTS];
+  struct mo_robot robots[ROBOTS];
+  struct mo_outcome outcomes[ROBOTS];
 };
 
 static void nothing(struct mo_block *block, void *context)
@@ -71,6 +77,61 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
   return error;
 }
 
+/* ---- the gradient ---- */
+
+static int make_robots(struct canary *canary)
+{
+  int error = MO_OK;
+  for (uint32_t i = 0; i < ROBOTS && error == MO_OK; i++) {
+    error = mo_body_create(canary->lattice, canary->genotypes[i % BODIES], &canary->bodies[i]);
+    canary->robots[i].body = canary->bodies[i];
+    canary->robots[i].environment = &canary->environments[i % BODIES][i / BODIES];
+  }
+  return error;
+}
+
+static int differentiate(struct canary *canary, struct mo_compute *compute,
+                         enum mo_back_end back_end, struct mo_sha256 *hash)
+{
+  struct mo_gradient_state *state = NULL;
+  struct mo_gradient_batch batch = {.controller = canary->controller,
+                                    .robots = canary->robots,
+                                    .n = ROBOTS,
+                                    .physics = mo_default_physics(),
+                                    .adjoint_bound = 10,
+                                    .tag = -1,
+                                    .urgency = MO_INTERACTIVE,
+                                    .back_end = back_end,
+                                    .outcomes = canary->outcomes};
+  const size_t n = canary->controller->n_parameters;
+  struct {
+    struct mo_sha256 sum;
+    double losses[ROBOTS];
+  } bits = {.losses = {0}};
+  batch.physics.n_steps = STEPS;
+  batch.physics.drop_height_m = 0;
+  batch.d_parameters = calloc(n, sizeof(*batch.d_parameters));
+  int error = batch.d_parameters != NULL ? make_robots(canary) : MO_ERR_NO_MEMORY;
+  if (error == MO_OK)
+    error = mo_gradient_state_create(compute, &state);
+  if (error == MO_OK)
+    error = mo_compute_gradient(state, &batch);
+  if (error == MO_OK) {
+    mo_sha256_of(batch.d_parameters, n * sizeof(*batch.d_parameters), &bits.sum);
+    for (uint32_t i = 0; i < ROBOTS; i++)
+      bits.losses[i] = canary->outcomes[i].loss;
+    mo_sha256_of(&bits, sizeof(bits), hash);
+  }
+  mo_gradient_state_free(state);
+  for (uint32_t i = 0; i < ROBOTS; i++)
+    mo_body_free(canary->bodies[i]);
+  free(batch.d_parameters);
+  mo_compute_trim(compute); /* it may never compute another gradient */
+  return error;
+}
+
+/* ---- both ---- */
+
 static void read_bits(const struct canary *canary, struct mo_sha256 *hash)
 {
   struct {
@@ -90,11 +151,16 @@ int mo_fleet_canary(struct mo_compute *compute, enum mo_back_end back_end, struc
   struct canary *canary = calloc(1, sizeof(*canary));
   if (canary == NULL)
     return MO_ERR_NO_MEMORY;
+  struct mo_sha256 parts[2];
   int error = prepare(canary, compute, back_end);
   if (error == MO_OK)
     error = mo_compute_run(compute, canary->blocks, BODIES);
   if (error == MO_OK)
-    read_bits(canary, hash);
+    error = differentiate(canary, compute, back_end, &parts[1]);
+  if (error == MO_OK) {
+    read_bits(canary, &parts[0]);
+    mo_sha256_of(parts, sizeof(parts), hash);
+  }
   mo_compute_controller_free(canary->prepared);
   mo_controller_free(canary->controller);
   mo_lattice_free(canary->lattice);

@@ -1,4 +1,6 @@
 /* canary.c: the canary depends on the class and on nothing else. */
+#include <math.h>
+
 #include "fleet/fleet.h"
 
 #include "../check.h"
@@ -30,8 +32,49 @@ static void differs_between_classes(void)
   }
 }
 
+/* One bit of one parameter of the gradient of one block. */
+int __real_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
+                             const struct mo_robot *robots, uint32_t n,
+                             const struct mo_physics *physics,
+                             const struct mo_gradient_options *options,
+                             const struct mo_pause_point *pause, struct mo_outcome *outcomes,
+                             float *d_parameters, struct mo_gradient_counts *counts);
+int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
+                             const struct mo_robot *robots, uint32_t n,
+                             const struct mo_physics *physics,
+                             const struct mo_gradient_options *options,
+                             const struct mo_pause_point *pause, struct mo_outcome *outcomes,
+                             float *d_parameters, struct mo_gradient_counts *counts);
+
+static bool is_wrong;
+
+int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
+                             const struct mo_robot *robots, uint32_t n,
+                             const struct mo_physics *physics,
+                             const struct mo_gradient_options *options,
+                             const struct mo_pause_point *pause, struct mo_outcome *outcomes,
+                             float *d_parameters, struct mo_gradient_counts *counts)
+{
+  const int error = __real_mo_gradient_block(memory, pack, robots, n, physics, options, pause,
+                                             outcomes, d_parameters, counts);
+  CHECK(error == MO_OK && counts->diverged_robots == 0 && counts->zeroed_robots == 0);
+  if (is_wrong && n < MO_GRADIENT_ROBOTS)
+    d_parameters[7] = nextafterf(d_parameters[7], 1);
+  return error;
+}
+
+static void differs_by_a_gradient(void)
+{
+  const struct mo_sha256 right = canary(mo_isa_best(), 2);
+  is_wrong = true;
+  const struct mo_sha256 wrong = canary(mo_isa_best(), 2);
+  is_wrong = false;
+  CHECK(!mo_sha256_equal(&right, &wrong));
+}
+
 static const struct check_case cases[] = {
     {"one hash for any number of workers", same_in_a_class},
     {"another hash for each instruction set", differs_between_classes},
+    {"another hash for a wrong bit of a gradient", differs_by_a_gradient},
 };
 CHECK_MAIN(cases)
