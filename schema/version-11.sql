@@ -1,5 +1,5 @@
 -- Version 11: designs of a request that were skipped or repaired; studies; experiments, notes,
--- archived and deleted jobs, and what jobs have used; campaigns that came in bundles.
+-- archived and deleted jobs, and what jobs have used; campaigns that came in bundles; quarantine.
 
 -- position: of the design in the request (for a campaign, the first of its group: in the list of
 -- its initial designs; for a study: in its newest batch). job_designs of an evaluation has no row
@@ -96,3 +96,14 @@ ALTER TABLE campaign_losses ADD COLUMN origins BLOB;
 -- A child that cannot survive is scored in some of its environments only: losses of campaign_losses
 -- are then NaN where they were not computed, and the score of the design is a lower bound.
 ALTER TABLE campaign_designs ADD COLUMN is_cut INTEGER NOT NULL DEFAULT 0;
+
+-- Workers of other machines that may not join, by their token ('': none) and their own name, until
+-- somebody releases the name.
+CREATE TABLE outcasts(
+  user TEXT NOT NULL,
+  name TEXT NOT NULL,
+  host TEXT NOT NULL,
+  why TEXT NOT NULL,
+  since_us INTEGER NOT NULL,
+  PRIMARY KEY(user, name)
+) STRICT, WITHOUT ROWID;

@@ -31,7 +31,6 @@ static void print_fleet(const struct ctl *ctl, const json_t *fleet)
       {"leases", "{leases_done:,} done, {leases:,} out, {leases_again:,} given out again"},
       {"audits", "{audits:,}, {audits_failed:,} with other bits"},
       {"lost", "{lost:,} of {joined:,} sessions"},
-      {"quarantine", "[{n_quarantined>0:,}]"},
       {NULL, NULL}};
   if (!json_is_true(json_object_get(fleet, "listening"))) {
     print_plain_line(stdout, "no workers can join: the server has no fleet_listen");
@@ -45,6 +44,11 @@ static void print_fleet(const struct ctl *ctl, const json_t *fleet)
                 "|>GPUs={n_devices:,}|>rollouts/s={rollouts_per_s:.0f}|>leases={leases:,}"
                 "|>done={rollouts_done:,}|>lost={leases_lost:,}|since={joined_at:time}|why={why}");
   json_decref(shown);
+  if (json_array_size(json_object_get(fleet, "quarantine")) > 0) {
+    print_plain_line(stdout, "In quarantine:");
+    print_table(stdout, ctl, json_object_get(fleet, "quarantine"),
+                "name={name}|host={host}|token={user}|since={quarantined_at:time}|why={why}");
+  }
 }
 
 int run_fleet(struct ctl *ctl)

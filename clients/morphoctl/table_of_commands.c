@@ -548,8 +548,9 @@ const struct command commands[] = {
     {"fleet drain", "ID", "Give a worker of another machine no more work.",
      "It finishes what it has and leaves.", NULL, 1, 1, run_fleet_drain},
     {"fleet quarantine", "ID [WHY]", "Take no more results of a worker.",
-     "Its name is refused until fleet release. Workers that give other bits than two others get "
-     "there by themselves.",
+     "Its name is refused until fleet release, also after restarts of the server. Workers that "
+     "give "
+     "other bits than two others get there by themselves.",
      NULL, 1, 2, run_fleet_quarantine},
     {"fleet release", "NAME", "Let a worker that was in quarantine join again.", NULL, NULL, 1, 1,
      run_fleet_release},

@@ -106,28 +106,48 @@ static void write_counts(struct mo_text *text, const struct mo_fleet_status *sta
   mo_text_member_count(text, "audits_failed", status->audits_failed);
 }
 
+static void write_outcasts(struct mo_text *text, const struct mo_outcast *outcasts, size_t n)
+{
+  mo_text_add(text, ",\"quarantine\":[");
+  for (size_t i = 0; i < n; i++) {
+    mo_text_object(text);
+    mo_text_member(text, "name", outcasts[i].name);
+    mo_text_member(text, "host", outcasts[i].host);
+    mo_text_member(text, "user", outcasts[i].user[0] != '\0' ? outcasts[i].user : NULL);
+    mo_text_member_time(text, "quarantined_at", outcasts[i].since_us);
+    mo_text_member(text, "why", outcasts[i].why);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+}
+
 void mo_api_get_fleet(struct mo_request *request)
 {
   const struct mo_api *api = mo_api_of(request);
   struct mo_fleet *fleet = atomic_load(&api->fleet);
   struct mo_fleet_status status = {0};
   struct mo_session_status *sessions = NULL;
-  size_t n = 0;
+  struct mo_outcast *outcasts = NULL;
+  size_t n = 0, n_outcasts = 0;
   struct mo_text text = {0};
   int error = MO_OK;
   if (fleet != NULL) {
     mo_fleet_status(fleet, &status);
     error = mo_fleet_sessions(fleet, &sessions, &n);
+    if (error == MO_OK)
+      error = mo_fleet_outcasts(fleet, &outcasts, &n_outcasts);
   }
   mo_text_object(&text);
   mo_text_member_bool(&text, "listening", fleet != NULL);
   mo_text_member(&text, "compute", fleet != NULL ? api->fleet_compute : "local");
   write_classes(&text, api, &status);
   write_counts(&text, &status);
+  write_outcasts(&text, outcasts, n_outcasts);
   mo_text_add(&text, ",\"sessions\":[");
   for (size_t i = 0; i < n; i++)
     write_session(&text, &sessions[i]);
   mo_text_add(&text, "]}");
+  free(outcasts);
   free(sessions);
   mo_reply_text(request, error, &text, "fleet");
 }

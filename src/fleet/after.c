@@ -4,6 +4,8 @@
 
 #include <stdlib.h>
 
+#include "fleet/outcasts.h"
+
 struct mo_event {
   const char *type;
   char *data;
@@ -83,7 +85,7 @@ static bool work_waits(const struct mo_fleet *fleet, const struct mo_after *afte
          (source->waiting != NULL && source->waiting(source->context, back_end) > 0);
 }
 
-void mo_after_run(struct mo_fleet *fleet, struct mo_after *after)
+int mo_after_run(struct mo_fleet *fleet, struct mo_after *after)
 {
   const struct mo_fleet_config *config = &fleet->config;
   struct mo_parcel *parcel;
@@ -112,8 +114,10 @@ void mo_after_run(struct mo_fleet *fleet, struct mo_after *after)
     free(event->data);
     free(event);
   }
+  const int error = after->has_outcast ? mo_outcasts_save(fleet, NULL) : MO_OK;
   for (uint32_t i = 0; i < after->n_wakes && config->wake != NULL; i++)
     config->wake(config->context, after->wakes[i]);
   free(after->wakes);
   *after = (struct mo_after){0};
+  return error;
 }

@@ -1,5 +1,6 @@
 /* facts.c: what there is to see of the fleet. */
 #include <stdlib.h>
+#include <string.h>
 
 #include "fleet/leases.h"
 
@@ -26,14 +27,13 @@ void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status)
   const struct mo_session *session;
   pthread_mutex_lock(&fleet->mutex);
   *status = fleet->counts;
+  status->n_quarantined = fleet->n_quarantined;
   for (uint32_t b = 0; b < 2; b++)
     status->n_serving[b] = fleet->classes[b].n_sessions;
   TAILQ_FOREACH(session, &fleet->sessions, all)
   {
-    if (session->state == MO_SESSION_QUARANTINED) {
-      status->n_quarantined++;
+    if (session->state == MO_SESSION_QUARANTINED)
       continue;
-    }
     const uint32_t held = session->n_held[0] + session->n_held[1];
     status->n_sessions++;
     status->n_threads += session->offer.n_threads;
@@ -83,4 +83,17 @@ int mo_fleet_sessions(struct mo_fleet *fleet, struct mo_session_status **ret, si
   }
   pthread_mutex_unlock(&fleet->mutex);
   return items != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
+int mo_fleet_outcasts(struct mo_fleet *fleet, struct mo_outcast **ret, size_t *n)
+{
+  struct mo_outcast *items = malloc(MO_OUTCASTS_MAX * sizeof(*items));
+  if (items == NULL)
+    return MO_ERR_NO_MEMORY;
+  pthread_mutex_lock(&fleet->mutex);
+  *n = fleet->n_quarantined;
+  memcpy(items, fleet->quarantined, *n * sizeof(*items));
+  pthread_mutex_unlock(&fleet->mutex);
+  *ret = items;
+  return MO_OK;
 }

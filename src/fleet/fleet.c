@@ -7,6 +7,7 @@
 
 #include "fleet/decide.h"
 #include "fleet/give.h"
+#include "fleet/outcasts.h"
 #include "fleet/suspects.h"
 
 #define BLOCK_STEPS 16000.0 /* until blocks were seen */
@@ -28,7 +29,10 @@ int mo_fleet_create(const struct mo_fleet_config *config, struct mo_fleet **ret)
   fleet->silence_ns =
       UINT64_C(1000000) * (config->silence_ms > 0 ? config->silence_ms : MO_FLEET_SILENCE_MS);
   fleet->next_lease = 1;
+  for (size_t i = 0; i < config->n_outcasts; i++)
+    mo_outcast_add(fleet, &config->outcasts[i]);
   pthread_mutex_init(&fleet->mutex, NULL);
+  pthread_mutex_init(&fleet->saving, NULL);
   TAILQ_INIT(&fleet->sessions);
   TAILQ_INIT(&fleet->ended);
   TAILQ_INIT(&fleet->leases);
@@ -68,6 +72,7 @@ void mo_fleet_free(struct mo_fleet *fleet)
   free_sessions(&fleet->sessions);
   free_sessions(&fleet->ended);
   mo_suspects_free(fleet->suspects);
+  pthread_mutex_destroy(&fleet->saving);
   pthread_mutex_destroy(&fleet->mutex);
   free(fleet);
 }
@@ -142,9 +147,10 @@ static uint64_t hash_of(const char *user, const char *origin)
 static int admit(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
                  struct mo_message *message)
 {
-  if (mo_offer_is_quarantined(fleet, offer))
-    return mo_fail(message, MO_ERR_CONFLICT, "\"%s\" is quarantined: it gave wrong bits",
-                   offer->name);
+  const struct mo_outcast *outcast = mo_outcast_find(fleet, offer->user, offer->name);
+  if (outcast != NULL)
+    return mo_fail(message, MO_ERR_CONFLICT, "\"%s\" is quarantined: %s", offer->name,
+                   outcast->why);
   if (fleet->n_sessions == MO_FLEET_SESSIONS_MAX)
     return mo_fail(message, MO_ERR_LIMIT, "at most %d sessions can be open", MO_FLEET_SESSIONS_MAX);
   return MO_OK;
@@ -227,14 +233,11 @@ int mo_fleet_quarantine(struct mo_fleet *fleet, uint64_t id, const char *why)
     mo_quarantine(fleet, session->offer.user, session->offer.name, session->offer.host, why,
                   session->heard_ns, &after);
   pthread_mutex_unlock(&fleet->mutex);
-  mo_after_run(fleet, &after);
-  return session != NULL ? MO_OK : MO_ERR_NOT_FOUND;
+  const int error = mo_after_run(fleet, &after);
+  return session != NULL ? error : MO_ERR_NOT_FOUND;
 }
 
 int mo_fleet_release(struct mo_fleet *fleet, const char *name)
 {
-  pthread_mutex_lock(&fleet->mutex);
-  const bool was_quarantined = mo_quarantine_release(fleet, name);
-  pthread_mutex_unlock(&fleet->mutex);
-  return was_quarantined ? MO_OK : MO_ERR_NOT_FOUND;
+  return mo_outcasts_save(fleet, name);
 }

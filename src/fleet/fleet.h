@@ -11,12 +11,14 @@
 #define MORPHO_FLEET_FLEET_H
 
 #include "fleet/source.h"
+#include "store/outcasts.h"
 
 #define MO_FLEET_SESSIONS_MAX 4096
 #define MO_FLEET_NAME_BYTES   64 /* of a session or host, without NUL */
 #define MO_FLEET_SILENCE_MS   6000
-#define MO_FLEET_LEASE_S      1.0 /* time that a lease should take */
-#define MO_FLEET_LEASES       2   /* of a session and back end at one time */
+#define MO_FLEET_LEASE_S      1.0  /* time that a lease should take */
+#define MO_FLEET_LEASES       2    /* of a session and back end at one time */
+#define MO_OUTCASTS_MAX       1024 /* workers in quarantine; the oldest is forgotten */
 
 enum mo_session_state {
   MO_SESSION_ACTIVE,
@@ -40,12 +42,17 @@ struct mo_fleet_config {
     struct mo_sha256 canary;
   } classes[2];
   uint32_t silence_ms; /* 0: MO_FLEET_SILENCE_MS */
+  /* In quarantine from the start, oldest first; copied. */
+  const struct mo_outcast *outcasts;
+  size_t n_outcasts;
   /* Called without locks. origin: the number of "name@host" under which results are delivered; an
    * error refuses the session. wake: the session may have orders or work for a request that waits.
-   * event: type such as "fleet.joined", data: a JSON object. Each nullable. */
+   * event: type such as "fleet.joined", data: a JSON object. save_outcasts: stores all that are in
+   * quarantine now; one call at a time. Each nullable. */
   int (*origin)(void *context, const char *text, int64_t *number);
   void (*wake)(void *context, uint64_t session);
   void (*event)(void *context, const char *type, const char *data);
+  int (*save_outcasts)(void *context, const struct mo_outcast *items, size_t n);
   void *context;
 };
 
@@ -113,8 +120,8 @@ void mo_fleet_tick(struct mo_fleet *fleet, uint64_t now_ns);
 /* Says that work was queued while none was: the next tick wakes sessions. Takes no lock. */
 void mo_fleet_arrived(struct mo_fleet *fleet);
 
-/* For operators. MO_ERR_NOT_FOUND. Quarantine holds for the session's token and
- * name until `release`, which is by name, whatever the token, or the end of the process. */
+/* For operators. MO_ERR_NOT_FOUND, and errors of save_outcasts. Quarantine holds for the session's
+ * token and name until `release`, which is by name, whatever the token. */
 int mo_fleet_drain(struct mo_fleet *fleet, uint64_t session);
 int mo_fleet_quarantine(struct mo_fleet *fleet, uint64_t session, const char *why);
 int mo_fleet_release(struct mo_fleet *fleet, const char *name);
@@ -132,8 +139,9 @@ struct mo_session_status {
   uint64_t leases_done, leases_lost, rows_done, audits, audits_failed;
 };
 struct mo_fleet_status {
-  uint32_t n_sessions, n_threads, n_devices, n_quarantined; /* open ones */
-  uint32_t n_serving[2];                                    /* by enum mo_back_end: active ones */
+  uint32_t n_sessions, n_threads, n_devices; /* open ones */
+  uint32_t n_quarantined;                    /* names */
+  uint32_t n_serving[2];                     /* by enum mo_back_end: active ones */
   uint32_t leases, rows_out;
   double rows_per_s;
   uint64_t joined, lost, leases_done, leases_again, rows_done, rows_twice, audits, audits_failed;
@@ -142,5 +150,7 @@ struct mo_fleet_status {
 void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status);
 /* Lists open sessions and the newest 256 ended ones, open ones first (malloc). MO_ERR_NO_MEMORY. */
 int mo_fleet_sessions(struct mo_fleet *fleet, struct mo_session_status **items, size_t *n);
+/* Lists who is in quarantine, oldest first (malloc). MO_ERR_NO_MEMORY. */
+int mo_fleet_outcasts(struct mo_fleet *fleet, struct mo_outcast **items, size_t *n);
 
 #endif

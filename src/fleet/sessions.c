@@ -4,6 +4,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
+#include "fleet/outcasts.h"
+
 const char *const mo_session_state_words[] = {"active", "draining", "quarantined",
                                               "left",   "lost",     NULL};
 
@@ -96,63 +99,29 @@ void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_
 
 /* ---- quarantine ---- */
 
-/* A name is its token's: nobody can put the workers of another into quarantine. */
-static bool is_of(const char *user, const char *name, const char *other_user,
-                  const char *other_name)
-{
-  return strcmp(user, other_user) == 0 && strcmp(name, other_name) == 0;
-}
-
-static bool is_quarantined(const struct mo_fleet *fleet, const char *user, const char *name)
-{
-  for (uint32_t i = 0; i < fleet->n_quarantined; i++)
-    if (is_of(fleet->quarantined[i].user, fleet->quarantined[i].name, user, name))
-      return true;
-  return false;
-}
-
-bool mo_offer_is_quarantined(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer)
-{
-  return is_quarantined(fleet, offer->user, offer->name);
-}
-
-static void forget(struct mo_fleet *fleet, uint32_t i)
-{
-  fleet->n_quarantined--;
-  memmove(&fleet->quarantined[i], &fleet->quarantined[i + 1],
-          (fleet->n_quarantined - i) * sizeof(fleet->quarantined[0]));
-}
-
 void mo_quarantine(struct mo_fleet *fleet, const char *user, const char *name, const char *host,
                    const char *why, uint64_t now_ns, struct mo_after *after)
 {
-  if (is_quarantined(fleet, user, name))
+  struct mo_outcast outcast = {.since_us = mo_clock_wall_us()};
+  if (mo_outcast_find(fleet, user, name) != NULL)
     return;
-  if (fleet->n_quarantined == MO_OUTCASTS_MAX)
-    forget(fleet, 0);
-  struct mo_outcast *outcast = &fleet->quarantined[fleet->n_quarantined++];
-  snprintf(outcast->user, sizeof(outcast->user), "%s", user);
-  snprintf(outcast->name, sizeof(outcast->name), "%s", name);
+  snprintf(outcast.user, sizeof(outcast.user), "%s", user);
+  snprintf(outcast.name, sizeof(outcast.name), "%s", name);
+  snprintf(outcast.host, sizeof(outcast.host), "%s", host);
+  snprintf(outcast.why, sizeof(outcast.why), "%s", why);
+  mo_outcast_add(fleet, &outcast);
+  after->has_outcast = true;
   struct mo_text text = {0};
   mo_event_session(&text, name, host, why);
   mo_after_event(after, "fleet.quarantined", &text);
   struct mo_session *session;
   TAILQ_FOREACH(session, &fleet->sessions, all)
   {
-    if (session->state == MO_SESSION_QUARANTINED ||
-        !is_of(session->offer.user, session->offer.name, user, name))
+    if (session->state == MO_SESSION_QUARANTINED || strcmp(session->offer.user, user) != 0 ||
+        strcmp(session->offer.name, name) != 0)
       continue;
     deactivate(fleet, session, MO_SESSION_QUARANTINED, why, after);
     release_all(fleet, session, false, now_ns, after);
     mo_after_wake(after, session->id);
   }
-}
-
-bool mo_quarantine_release(struct mo_fleet *fleet, const char *name)
-{
-  const uint32_t n = fleet->n_quarantined;
-  for (uint32_t i = n; i-- > 0;)
-    if (strcmp(fleet->quarantined[i].name, name) == 0)
-      forget(fleet, i);
-  return fleet->n_quarantined < n;
 }

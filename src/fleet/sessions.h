@@ -15,11 +15,8 @@ void mo_session_drain(struct mo_fleet *fleet, struct mo_session *session, const 
 void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_session_state state,
                     const char *why, uint64_t now_ns, struct mo_after *after);
 
-bool mo_offer_is_quarantined(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer);
 /* Quarantines a name of a user: its open sessions give their leases back and are told. */
 void mo_quarantine(struct mo_fleet *fleet, const char *user, const char *name, const char *host,
                    const char *why, uint64_t now_ns, struct mo_after *after);
-/* Of all users. false: it was not in quarantine. */
-bool mo_quarantine_release(struct mo_fleet *fleet, const char *name);
 
 #endif

@@ -24,7 +24,6 @@
 #define MO_CHECKS_MAX      512
 #define MO_DROPPED_MAX     16 /* orders that wait for a session */
 #define MO_ENDED_MAX       256
-#define MO_OUTCASTS_MAX    1024 /* the oldest is forgotten */
 #define MO_SESSION_BUCKETS 4096
 #define MO_LEASE_BUCKETS   16384
 
@@ -140,10 +139,9 @@ struct mo_fleet {
   uint32_t n_sessions, n_ended, n_checks; /* checks: audits */
   LIST_HEAD(, mo_weights) weights;
   struct mo_suspects *suspects;
-  struct mo_outcast { /* a worker in quarantine, by its token and its own name */
-    char user[MO_FLEET_NAME_BYTES + 1], name[MO_FLEET_NAME_BYTES + 1];
-  } quarantined[MO_OUTCASTS_MAX]; /* oldest first */
+  struct mo_outcast quarantined[MO_OUTCASTS_MAX]; /* oldest first */
   uint32_t n_quarantined;
+  pthread_mutex_t saving; /* of that list; locked before `mutex` */
   struct mo_fleet_status counts;
 };
 

@@ -221,6 +221,29 @@ def test_a_result_of_before_a_restart_is_ignored(start, tmp_path):
     assert free.status()["rollouts_done"] == 0
 
 
+def test_a_quarantine_outlives_the_daemon(start, tmp_path):
+    flags, state = ("--fleet-listen=127.0.0.1:0", ), tmp_path / "state"
+    free = Workers(start(*flags, state=state))
+    for name in ("one", "two", "two"):
+        session = free.join(name=name, host=f"{name}.test")
+    for name in ("one", "two"):
+        (one, *_) = [s["id"] for s in free.status()["sessions"] if s["name"] == name]
+        path = f"/v1/fleet/sessions/{one}/quarantine"
+        assert free.service.request("POST", path, {"why": f"{name} is odd"}).status == 204
+    assert free.orders(session)["state"] == "quarantined"
+    before = free.status()["quarantine"]
+    for outcasts in (before, before[:1], []):  # what was answered is kept
+        free.service.stop(signal.SIGKILL)
+        free = Workers(start(*flags, state=state))
+        assert free.status()["quarantine"] == outcasts
+        for one in outcasts:
+            refused(free, 409, f"{one['why']}", **free.offer(name="x") | {"name": one["name"]})
+        if outcasts:
+            path = f"/v1/fleet/quarantine/{outcasts[-1]['name']}"
+            assert free.service.request("DELETE", path).status == 204
+            free.join(name=outcasts[-1]["name"])
+
+
 def told(service):
     """The events of workers; they are stored a little later."""
     events = service.get("/v1/events?format=json&after=0&limit=1000")["items"]
@@ -269,7 +292,9 @@ def test_orders_come_at_once(free):
     refused(free, 409, "quarantine", **free.offer(name="other") | {"name": "node"})
     (shown, ) = [one for one in free.status()["sessions"] if one["id"] == number]
     assert (shown["state"], shown["why"]) == ("quarantined", "it is odd")
-    assert free.status()["n_quarantined"] == 1
+    (outcast, ) = free.status()["quarantine"]
+    assert (outcast["name"], outcast["host"], outcast["why"]) == ("node", "node.test", "it is odd")
+    assert free.status()["n_quarantined"] == 1 and outcast["user"] is None
     for value in ({"why": ""}, {"why": "x" * 128}, {"what": 1}, []):
         assert service.request("POST", f"{session}/quarantine", value).status == 422
     assert service.request("DELETE", "/v1/fleet/quarantine/node").status == 204
@@ -307,7 +332,9 @@ def test_morphoctl_shows_and_changes_workers(free):
     assert json.loads(ctl("fleet", "--json").stdout)["sessions"] == free.status()["sessions"]
     assert ctl("fleet", "drain", session).stdout == f"{session} gets no more work\n"
     assert ctl("fleet", "quarantine", session, "it is odd").returncode == 0
-    assert re.search("quarantined .* it is odd", ctl("fleet").stdout)
+    shown = ctl("fleet").stdout
+    assert re.search("quarantined .* it is odd", shown)
+    assert re.search(r"^odd one +node\.test +.*[0-9] +it is odd$", shown, re.M), shown
     assert ctl("fleet", "release", "odd one").stdout == "odd one may join again\n"
     assert ctl("fleet", "release", "odd one").returncode == 3
     assert ctl("fleet", "drain", "x").returncode == 2 and ctl("fleet", "x").returncode == 2

@@ -44,6 +44,13 @@ def test_a_liar_is_quarantined(daemon, worker, seed):
             session = session_of(one, each.name)
             assert session["state"] == "active" and session["audits_failed"] == 0
             assert session["audits"] > 0 and each.process.poll() is None
+        # Nor after a crash of the daemon.
+        one.kill()
+        one.start()
+        (outcast, ) = one.json("/v1/fleet")["quarantine"]
+        assert outcast["name"] == "liar" and "where this machine computed" in outcast["why"]
+        status, log = worker(fleet_address(one), "liar").ended()
+        assert status == QUARANTINED and "where this machine computed" in log
         one.act(job, "cancel")
 
 

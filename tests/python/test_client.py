@@ -401,6 +401,7 @@ def test_fleet(start):
     assert fleet.refresh().sessions.iloc[0]["state"] == "draining"
     fleet.quarantine(session, "for a test")
     assert fleet.refresh().sessions.iloc[0]["why"] == "for a test"
+    assert list(fleet.in_quarantine[["name", "why"]].iloc[0]) == ["a node", "for a test"]
     fleet.release("a node")
     with pytest.raises(morphod.NotFoundError):
         fleet.release("a node")

@@ -19,6 +19,10 @@ export async function mount(main, path, parameters, app) {
   const ended = h('tbody');
   const note = h('p.muted');
   const heads = ['Machine', 'State', 'Computes with', 'Rollouts a second', 'Done', 'Now', 'Lost', 'Since', ''];
+  const outcasts = h('tbody');
+  const outcastsPanel = h('section.panel.stack', { 'aria-label': 'Quarantine' }, h('h2', {}, 'Quarantine'),
+    h('p.muted', {}, 'Workers of these names cannot join until somebody releases them, also after a restart of the service.'),
+    table(['Machine', 'Why', 'When', ''], outcasts));
   const endedPanel = h('section.panel.stack', { 'aria-label': 'Gone' }, h('h2', {}, 'Gone'),
     table(['Machine', 'State', 'Done', 'Lost', 'Worked for', 'Ended'], ended));
 
@@ -27,7 +31,7 @@ export async function mount(main, path, parameters, app) {
       path: 'v1/fleet', morphoctl: 'fleet', python: 'print(m.fleet().sessions)',
     })))),
     tiles, note,
-    h('section.panel.stack', { 'aria-label': 'At work' }, h('h2', {}, 'At work'), table(heads, machines)), endedPanel);
+    h('section.panel.stack', { 'aria-label': 'At work' }, h('h2', {}, 'At work'), table(heads, machines)), outcastsPanel, endedPanel);
 
   function table(names, body) {
     return h('div.scroll', {}, h('table.cards', {}, h('thead', {}, h('tr', {}, names.map((name) =>
@@ -83,10 +87,7 @@ export async function mount(main, path, parameters, app) {
   function changes(session) {
     if (!may('admin')) return null;
     const at = `v1/fleet/sessions/${session.id}`;
-    if (session.state === 'quarantined') {
-      return button('Release', () => act(() => request(`v1/fleet/quarantine/${encodeURIComponent(session.name)}`, { method: 'DELETE' }),
-        `${session.name} may join again`), { 'aria-label': `Release ${session.name}` });
-    }
+    if (session.state === 'quarantined') return null;
     return h('div.row', {}, session.state === 'active' ? button('Drain', () => act(() => post(`${at}/drain`), `${session.name} gets no more work`),
       { 'aria-label': `Drain ${session.name}`, title: 'It finishes what it has, and leaves' }) : null,
     button('Quarantine', async () => {
@@ -95,6 +96,13 @@ export async function mount(main, path, parameters, app) {
         act(() => post(`${at}/quarantine`, {}), `${session.name} is in quarantine`);
       }
     }, { 'aria-label': `Quarantine ${session.name}` }));
+  }
+
+  function outcastRow({ name, host, user, why, quarantined_at: when }) {
+    return h('tr', {}, h('td.main', {}, name, h('div.muted', {}, user ? `${host}, token of ${user}` : host)), h('td', {}, why),
+      h('td', { title: when }, ago(when)), h('td', {}, may('admin') ? button('Release',
+        () => act(() => request(`v1/fleet/quarantine/${encodeURIComponent(name)}`, { method: 'DELETE' }), `${name} may join again`),
+        { 'aria-label': `Release ${name}` }) : null));
   }
 
   function show(fleet, threads, devices) {
@@ -113,6 +121,8 @@ export async function mount(main, path, parameters, app) {
       : 'Only this machine computes. With the setting fleet_listen, workers of other machines can join (morphod worker).';
     fill(machines, ownRow(threads, devices, fleet), open.map(row));
     fill(ended, gone.slice(0, 50).map(endedRow));
+    fill(outcasts, fleet.quarantine.map(outcastRow));
+    outcastsPanel.hidden = fleet.quarantine.length === 0;
     endedPanel.hidden = gone.length === 0;
   }
 
@@ -127,7 +137,7 @@ export async function mount(main, path, parameters, app) {
   await refresh();
   const timer = setInterval(() => {
     // Buttons are made anew: one that has the focus would lose it.
-    if (!document.hidden && !machines.contains(document.activeElement)) refresh().catch(() => {});
+    if (!document.hidden && ![machines, outcasts].some((body) => body.contains(document.activeElement))) refresh().catch(() => {});
   }, REFRESH_MS);
   return {
     update(event) {

@@ -41,6 +41,8 @@ struct fake {
   bool frees_done;           /* blocks, as they are delivered; otherwise they are the test's */
   uint64_t woken[256];       /* the newest */
   char event[64], data[512]; /* the newest */
+  size_t n_outcasts;         /* as last saved */
+  int save_error;
   struct mo_fleet *fleet;
   uint64_t now_ns;
 };
@@ -248,6 +250,15 @@ static inline void fake_event(void *context, const char *type, const char *data)
   snprintf(fake->data, sizeof(fake->data), "%s", data);
 }
 
+static inline int fake_save(void *context, const struct mo_outcast *items, size_t n)
+{
+  struct fake *fake = context;
+  if (fake->save_error == MO_OK)
+    fake->n_outcasts = n;
+  CHECK(n == 0 || items[n - 1].since_us > 0);
+  return fake->save_error;
+}
+
 static inline int fake_origin(void *context, const char *text, int64_t *number)
 {
   ((struct fake *)context)->n_origins++;
@@ -290,6 +301,7 @@ static inline struct fake *make_fake(uint64_t seed)
                                    .origin = fake_origin,
                                    .wake = fake_wake,
                                    .event = fake_event,
+                                   .save_outcasts = fake_save,
                                    .context = fake};
   make_check(mo_fleet_create(&config, &fake->fleet), "the fleet");
   return check_keep(fake, drop_fake);

@@ -51,7 +51,7 @@ static void quarantined(void)
   mo_wire_free_leases(&leases);
   CHECK_INT(fake_exchange(fake, a, NULL, &leases), MO_ERR_CONFLICT);
   CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_CONFLICT);
-  CHECK_SAYS(message, "\"a\" is quarantined");
+  CHECK_SAYS(message, "\"a\" is quarantined: an operator's words");
   CHECK_INT(fake->n_origins, 3);
   offer.user[0] = 'u'; /* the name of another token */
   CHECK_OK(mo_fleet_leave(fake->fleet, (uint64_t)mo_fleet_join(fake->fleet, &offer, 1, &message),
@@ -60,14 +60,24 @@ static void quarantined(void)
   CHECK_OK(mo_fleet_leave(fake->fleet, a, false, fake->now_ns));
   CHECK_INT(fake_exchange(fake, a, NULL, &leases), MO_ERR_NOT_FOUND);
   CHECK_INT(status().n_quarantined, 1);
+  /* The list is saved before a name is free. */
+  CHECK_INT(fake->n_outcasts, 1);
+  fake->save_error = MO_ERR_IO;
+  CHECK_INT(mo_fleet_release(fake->fleet, "a"), MO_ERR_IO);
+  CHECK_INT(mo_fleet_quarantine(fake->fleet, b, "a disk that fails"), MO_ERR_IO);
+  CHECK_INT(status().n_quarantined, 2);
+  fake->save_error = MO_OK;
+  CHECK_OK(mo_fleet_release(fake->fleet, "b"));
   CHECK_OK(mo_fleet_release(fake->fleet, "a"));
+  CHECK_INT(fake->n_outcasts, 0);
   CHECK_INT(mo_fleet_release(fake->fleet, "a"), MO_ERR_NOT_FOUND);
   CHECK(mo_fleet_join(fake->fleet, &offer, 1, &message) > 0);
   /* Drained: no more leases, and what it has is taken. */
-  leases = exchange(b);
-  CHECK_OK(mo_fleet_drain(fake->fleet, b));
-  CHECK(was_woken(b) && orders_of(b).state == MO_SESSION_DRAINING);
-  leases = finish(b, &leases, MO_RESULT_DONE);
+  const uint64_t c = join("c");
+  leases = exchange(c);
+  CHECK_OK(mo_fleet_drain(fake->fleet, c));
+  CHECK(was_woken(c) && orders_of(c).state == MO_SESSION_DRAINING);
+  leases = finish(c, &leases, MO_RESULT_DONE);
   CHECK(leases.n == 0 && status().leases_done == 2);
   /* Of ended sessions the newest are listed. */
   for (int i = 0; i < 300; i++)
@@ -75,8 +85,8 @@ static void quarantined(void)
   struct mo_session_status *items = NULL;
   size_t n = 0;
   CHECK_OK(mo_fleet_sessions(fake->fleet, &items, &n));
-  CHECK_INT(n, 3 + 256);
-  CHECK(items[0].ended_ns == 0 && items[3].state == MO_SESSION_LOST);
+  CHECK_INT(n, 4 + 256);
+  CHECK(items[0].ended_ns == 0 && items[4].state == MO_SESSION_LOST);
   CHECK_TEXT(items[n - 1].why, "its connection ended");
   free(items);
 }

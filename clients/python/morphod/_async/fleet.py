@@ -34,6 +34,11 @@ class AsyncFleet:
         """A table of the workers: open sessions, then the newest that have ended."""
         return frame(self.data["sessions"])
 
+    @property
+    def in_quarantine(self) -> pd.DataFrame:
+        """A table of the workers that may not join, with when and why; oldest first."""
+        return frame(self.data["quarantine"])
+
     async def refresh(self) -> AsyncFleet:
         """Looks again."""
         self.data = await self._connection.json(Request.get("/v1/fleet"))
@@ -44,11 +49,12 @@ class AsyncFleet:
         await self._connection.send(Request.post(f"/v1/fleet/sessions/{session}/drain"))
 
     async def quarantine(self, session: str, why: str = "by an operator") -> None:
-        """Takes no more results of a worker, and refuses its name until `release`."""
+        """Takes no more results of a worker, and refuses its name until `release`, also after
+        restarts of the service."""
         await self._connection.send(
             Request.post(f"/v1/fleet/sessions/{session}/quarantine", {"why": why}))
 
     async def release(self, name: str) -> None:
-        """Lets a name join again."""
+        """Lets a name that is in quarantine join again."""
         path = f"/v1/fleet/quarantine/{urllib.parse.quote(name, safe='')}"
         await self._connection.send(Request.post(path, method="DELETE"))

@@ -34,6 +34,11 @@ class Fleet:
         """A table of the workers: open sessions, then the newest that have ended."""
         return frame(self.data["sessions"])
 
+    @property
+    def in_quarantine(self) -> pd.DataFrame:
+        """A table of the workers that may not join, with when and why; oldest first."""
+        return frame(self.data["quarantine"])
+
     def refresh(self) -> Fleet:
         """Looks again."""
         self.data = self._connection.json(Request.get("/v1/fleet"))
@@ -44,11 +49,12 @@ class Fleet:
         self._connection.send(Request.post(f"/v1/fleet/sessions/{session}/drain"))
 
     def quarantine(self, session: str, why: str = "by an operator") -> None:
-        """Takes no more results of a worker, and refuses its name until `release`."""
+        """Takes no more results of a worker, and refuses its name until `release`, also after
+        restarts of the service."""
         self._connection.send(
             Request.post(f"/v1/fleet/sessions/{session}/quarantine", {"why": why}))
 
     def release(self, name: str) -> None:
-        """Lets a name join again."""
+        """Lets a name that is in quarantine join again."""
         path = f"/v1/fleet/quarantine/{urllib.parse.quote(name, safe='')}"
         self._connection.send(Request.post(path, method="DELETE"))
