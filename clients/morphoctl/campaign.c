@@ -61,17 +61,16 @@ static int64_t newest_generation(const struct campaign *campaign)
   return campaign->n > 0 ? campaign->rows[campaign->n - 1].generation : -1;
 }
 
-static int load(struct live *live)
+static void load(struct live *live)
 {
   struct campaign *campaign = (struct campaign *)live;
-  int status = walk_items(live->ctl, path_to("/v1/campaigns/%s/generations", live->id),
-                          newest_generation(campaign), 0, add_row, campaign);
+  walk_items(live->ctl, path_to("/v1/campaigns/%s/generations", live->id),
+             newest_generation(campaign), 0, add_row, campaign);
   /* A generation may have been committed between the two requests. */
   json_t *progress = json_object_get(live->job, "progress");
   const double known = real_at(progress, "generation");
   if (campaign->n > 0 && !((double)newest_generation(campaign) <= known))
     json_object_set_new(progress, "generation", json_integer(newest_generation(campaign)));
-  return status;
 }
 
 /* ---- sparklines ---- */
@@ -300,32 +299,30 @@ static void take_progress(json_t *job, json_t *data)
     json_object_set(job, "phase", json_object_get(data, "phase"));
 }
 
-static int take_event(struct live *live, const char *type, json_t *event, bool *draw)
+static bool take_event(struct live *live, const char *type, json_t *event, bool *draw)
 {
   const json_t *at = json_object_get(event, "at");
   json_t *data = json_object_get(event, "data");
   (void)draw;
   if (strcmp(type, "reset") == 0) {
     begin(live);
-    return STATUS_OK;
+    return true;
   }
   if (strcmp(type, "campaign.progress") == 0) {
     take_progress(live->job, data);
-    return STATUS_OK;
+    return true;
   }
-  int status = live_load(live);
-  if (status != STATUS_OK)
-    return status;
+  live_load(live);
   if (strcmp(type, "campaign.generation") == 0) {
     tell_generations((struct campaign *)live, number_of(data, "generation"), at);
-    return -1; /* more generations may be reported before the end is */
+    return false; /* more generations may be reported before the end is */
   }
   json_object_set(event, "state", json_object_get(live->job, "state"));
   char line[512] = "{type:.64}";
   snprintf(line + strlen(line), sizeof(line) - strlen(line), "%s",
            strncmp(type, "job.", 4) == 0 ? "  {state}" : event_words(type));
   live_words(live, at, event, line);
-  return STATUS_OK;
+  return true;
 }
 
 static void report_reason(const struct live *live, const char *phase_before,
@@ -337,7 +334,7 @@ static void report_reason(const struct live *live, const char *phase_before,
     live_words(live, NULL, live->job, "{phase}: {reason:.300}");
 }
 
-static int finish(struct live *live)
+static void finish(struct live *live)
 {
   begin(live);
   if (!live->ctl->quiet && strcmp(text_of(live->job, "end"), "exhausted") == 0)
@@ -345,18 +342,11 @@ static int finish(struct live *live)
   if (!live->ctl->quiet && value_at(live->job, "result.controller.sha256") != NULL)
     print_from(stdout, live->job,
                "controller {result.controller.name}: sha256:{result.controller.sha256}");
-  return job_outcome("campaign", live->job);
-}
-
-static void release(struct live *live)
-{
-  struct campaign *campaign = (struct campaign *)live;
-  free(campaign->rows);
+  expect_success("campaign", live->job);
 }
 
 const struct live_kind campaign_kind = {
     .size = sizeof(struct campaign),
-    .release = release,
     .noun = "campaign",
     .command = "campaign",
     .accepted = "campaign {id} is accepted: {mode}, {settings.population:,} designs, "

@@ -1,6 +1,5 @@
 /* cmd_bundle.c: campaigns as files: out of a server, checked, and into another one. */
 #include <inttypes.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "commands.h"
@@ -15,57 +14,44 @@
 int run_bundle_export(struct ctl *ctl)
 {
   static const char *const filters[] = {"label", "experiment", "group"};
-  const char *output = ctl->operands[0];
   char *path = NULL;
   size_t size = 0;
-  FILE *text = open_memstream(&path, &size);
-  if (text == NULL)
-    return complain(STATUS_ERROR, "out of memory");
-  fputs("/v1/bundles", text);
-  for (size_t i = 1; i < ctl->n_operands; i++) {
-    if (!check_job_id(ctl->operands[i])) {
-      fclose(text);
-      free(path);
-      return STATUS_USAGE;
-    }
-    fprintf(text, "%s%s", i == 1 ? "?campaigns=" : ",", ctl->operands[i]);
-  }
   int ways = ctl->n_operands > 1;
+  FILE *text = need(open_memstream(&path, &size));
+  fputs("/v1/bundles", text);
+  for (size_t i = 1; i < ctl->n_operands; i++)
+    fprintf(text, "%s%s", i == 1 ? "?campaigns=" : ",", job_id(ctl->operands[i]));
   for (size_t i = 0; i < sizeof(filters) / sizeof(filters[0]); i++) {
     const char *value = option_text(ctl, filters[i], NULL);
-    char *escaped = value != NULL ? escape(value) : NULL;
-    if (escaped != NULL)
-      fprintf(text, "?%s=%s", filters[i], escaped);
+    if (value != NULL)
+      fprintf(text, "?%s=%s", filters[i], escape(value));
     ways += value != NULL;
-    free(escaped);
   }
   if (option_is_set(ctl, "recordings"))
     fputs("&recordings=true", text); /* behind what says which campaigns */
-  int status = fclose(text) == 0 ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
+  close_text(text);
+  keep(path);
   if (ways == 0)
-    status = complain(STATUS_USAGE, "which campaigns? Give their ids, --label, --experiment or "
-                                    "--group");
-  else if (ways > 1)
-    status = complain(STATUS_USAGE, "give either ids, --label, --experiment or --group");
-  if (status == STATUS_OK)
-    status = save_reply(ctl, path, BUNDLE_TYPE, output);
-  free(path);
-  return status;
+    return complain(STATUS_USAGE, "which campaigns? Give their ids, --label, --experiment or "
+                                  "--group");
+  if (ways > 1)
+    return complain(STATUS_USAGE, "give either ids, --label, --experiment or --group");
+  return save_reply(ctl, path, BUNDLE_TYPE, ctl->operands[0]);
 }
 
 /* ---- in ---- */
 
-/* Makes the request that computes the stored scores of the best designs again. */
-static int recompute_request(struct ctl *ctl, const char *id, int64_t n, json_t **request)
+/* Makes the request that computes the stored scores of the best designs again. NULL: the campaign
+ * learns. */
+static json_t *recompute_request(struct ctl *ctl, const char *id, int64_t n)
 {
-  json_t *campaign = NULL, *population = NULL, *worlds = NULL, *item;
-  json_t *designs = json_array(), *environments = json_array();
+  const json_t *campaign = get_json(ctl, "/v1/campaigns/%s", id), *item;
+  if (strcmp(text_of(campaign, "mode"), "zero-shot") != 0)
+    return NULL;
+  const json_t *population = get_json(ctl, "/v1/campaigns/%s/population?limit=%" PRId64, id, n);
+  const json_t *worlds = get_json(ctl, "/v1/campaigns/%s/environments", id);
+  json_t *designs = keep(json_array()), *environments = keep(json_array());
   size_t i;
-  int status = get_json(ctl, &campaign, "/v1/campaigns/%s", id);
-  if (status == STATUS_OK)
-    status = get_json(ctl, &population, "/v1/campaigns/%s/population?limit=%" PRId64, id, n);
-  if (status == STATUS_OK)
-    status = get_json(ctl, &worlds, "/v1/campaigns/%s/environments", id);
   json_array_foreach(json_object_get(population, "items"), i, item)
   {
     json_array_append_new(designs, json_pack("{s:O}", "voxels", json_object_get(item, "genotype")));
@@ -76,36 +62,24 @@ static int recompute_request(struct ctl *ctl, const char *id, int64_t n, json_t 
         environments, json_pack("{s:O,s:O}", "light_xy_m", json_object_get(item, "light_xy_m"),
                                 "terrain_heights_m", json_object_get(item, "terrain_heights_m")));
   }
-  const char *hash = text_of(json_object_get(campaign, "controller"), "sha256");
-  *request = NULL;
-  if (status == STATUS_OK && strcmp(text_of(campaign, "mode"), "zero-shot") == 0)
-    *request =
-        json_pack("{s:O,s:O,s:s+,s:O,s:b}", "designs", designs, "environments", environments,
-                  "controller", "sha256:", hash, "physics",
-                  json_object_get(json_object_get(campaign, "settings"), "physics"), "verify", 1);
-  json_decref(campaign);
-  json_decref(population);
-  json_decref(worlds);
-  json_decref(designs);
-  json_decref(environments);
-  return status;
+  return keep(json_pack(
+      "{s:O,s:O,s:s+,s:O,s:b}", "designs", designs, "environments", environments, "controller",
+      "sha256:", text_of(json_object_get(campaign, "controller"), "sha256"), "physics",
+      json_object_get(json_object_get(campaign, "settings"), "physics"), "verify", 1));
 }
 
 /* Computes scores of a campaign again, and compares them with those that it brought. */
 static int recompute(struct ctl *ctl, const char *id, int64_t n)
 {
-  json_t *request, *evaluation = NULL, *item;
+  const json_t *request = recompute_request(ctl, id, n), *item;
   int64_t agree = 0, differ = 0, unknown = 0;
   size_t i;
-  int status = recompute_request(ctl, id, n, &request);
-  if (status == STATUS_OK && request == NULL) {
+  if (request == NULL) {
     print_plain_line(stderr, "campaign %s learns: its scores cannot be computed again", id);
     return STATUS_OK;
   }
-  if (status == STATUS_OK)
-    status = evaluate(ctl, "/v1/evaluations", request, true, &evaluation);
-  if (status == STATUS_OK)
-    status = job_outcome("recomputation", evaluation);
+  const json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, true);
+  expect_success("recomputation", evaluation);
   json_array_foreach(json_object_get(evaluation, "results"), i, item)
   {
     const json_t *agrees = json_object_get(item, "agrees");
@@ -113,10 +87,6 @@ static int recompute(struct ctl *ctl, const char *id, int64_t n)
     differ += json_is_false(agrees);
     unknown += json_is_null(agrees);
   }
-  json_decref(request);
-  json_decref(evaluation);
-  if (status != STATUS_OK)
-    return status;
   if (!ctl->quiet)
     print_plain_line(stderr,
                      "campaign %s: of %" PRId64 " designs the scores of %" PRId64
@@ -125,25 +95,22 @@ static int recompute(struct ctl *ctl, const char *id, int64_t n)
   return differ > 0 ? STATUS_NEGATIVE : STATUS_OK;
 }
 
-/* Sends the bundle, and tells of each campaign what became of it. */
-static int send_bundle(struct ctl *ctl, const char *path, json_t **entered)
+/* Sends the bundle. */
+static const json_t *send_bundle(struct ctl *ctl, const char *path)
 {
-  char *bytes = NULL;
-  size_t n = 0;
-  int status = read_input(ctl->operands[0], BUNDLE_BYTES_MAX, &bytes, &n);
-  if (status == STATUS_OK)
-    status = send_json(ctl,
-                       &(struct request){.method = "POST",
-                                         .path = path,
-                                         .content_type = BUNDLE_TYPE,
-                                         .body = bytes,
-                                         .body_bytes = n,
-                                         .repeatable = true},
-                       NULL, entered);
-  free(bytes);
-  return status;
+  size_t n;
+  const char *bytes = read_input(ctl->operands[0], BUNDLE_BYTES_MAX, &n);
+  return keep(send_json(ctl,
+                        &(struct request){.method = "POST",
+                                          .path = path,
+                                          .content_type = BUNDLE_TYPE,
+                                          .body = bytes,
+                                          .body_bytes = n,
+                                          .repeatable = true},
+                        NULL));
 }
 
+/* Tells of each campaign what became of it. */
 static void tell_entered(const struct ctl *ctl, const json_t *entered, bool verified)
 {
   const json_t *item;
@@ -173,29 +140,21 @@ static void tell_entered(const struct ctl *ctl, const json_t *entered, bool veri
 
 int run_bundle_import(struct ctl *ctl)
 {
-  int64_t n = 0;
-  json_t *entered = NULL, *item;
+  const int64_t n = option_number(ctl, "recompute", 1, RECOMPUTE_MAX, 0);
+  const json_t *entered = send_bundle(ctl, "/v1/bundles"), *item;
+  int status = STATUS_OK;
   size_t i;
-  if (!option_number(ctl, "recompute", 1, RECOMPUTE_MAX, &n))
-    return STATUS_USAGE;
-  int status = send_bundle(ctl, "/v1/bundles", &entered);
-  if (status == STATUS_OK)
-    tell_entered(ctl, entered, false);
+  tell_entered(ctl, entered, false);
   json_array_foreach(json_object_get(entered, "items"), i, item)
   {
     if (status == STATUS_OK && n > 0)
       status = recompute(ctl, text_of(item, "campaign"), n);
   }
-  json_decref(entered);
   return status;
 }
 
 int run_bundle_verify(struct ctl *ctl)
 {
-  json_t *entered = NULL;
-  const int status = send_bundle(ctl, "/v1/bundles?mode=verify", &entered);
-  if (status == STATUS_OK)
-    tell_entered(ctl, entered, true);
-  json_decref(entered);
-  return status;
+  tell_entered(ctl, send_bundle(ctl, "/v1/bundles?mode=verify"), true);
+  return STATUS_OK;
 }

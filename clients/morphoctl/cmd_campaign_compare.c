@@ -3,7 +3,6 @@
  * interval. */
 #include <inttypes.h>
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "commands.h"
@@ -15,8 +14,8 @@
 enum { SIDES_MAX = 8, REPLICATES_MAX = 100 };
 
 struct side {
-  json_t *json;    /* what is told of it */
-  json_t *members; /* the campaigns that count */
+  json_t *json;          /* what is told of it */
+  const json_t *members; /* the campaigns that count */
   double scores[REPLICATES_MAX];
   size_t n;
 };
@@ -39,39 +38,36 @@ static bool shares_group(const struct ctl *ctl, const json_t *const campaigns[],
 
 /* Fills a side with the replicates of a campaign. Those that ended early are only named, unless all
  * did. */
-static int choose_members(struct ctl *ctl, json_t *campaign, bool alone, struct side *side)
+static void choose_members(struct ctl *ctl, const json_t *campaign, bool alone, struct side *side)
 {
-  json_t *group = json_pack("[O]", campaign), *early = json_array(), *names = json_array(), *one;
-  int status = STATUS_OK;
+  json_t *early = json_array(), *names = json_array(), *members = keep(json_array());
+  const json_t *group = keep(json_pack("[O]", campaign)), *one;
   size_t i;
   if (!alone) {
-    json_decref(group);
     const char *id = json_string_value(value_at(campaign, "group.id"));
-    status = collect(ctl, path_to("/v1/campaigns?group=%s", id), REPLICATES_MAX, &group);
+    group = collect(ctl, path_to("/v1/campaigns?group=%s", id), REPLICATES_MAX);
   }
-  side->members = json_array();
   json_array_foreach(group, i, one)
   {
     if (!alone && ended_early(one))
       json_array_append_new(early, json_pack("{s:O, s:O}", "id", json_object_get(one, "id"),
                                              "state", json_object_get(one, "state")));
     else
-      json_array_append(side->members, one);
+      json_array_append(members, (json_t *)one);
   }
-  if (json_array_size(side->members) == 0 && group != NULL) {
-    json_array_extend(side->members, group);
+  if (json_array_size(members) == 0) {
+    members = (json_t *)group;
     json_array_clear(early);
   }
+  side->members = members;
   json_array_foreach(side->members, i, one) json_array_append(names, json_object_get(one, "id"));
   side->json =
-      need(json_pack("{s:O, s:O, s:o, s:o}", "campaign", json_object_get(campaign, "id"), "label",
+      keep(json_pack("{s:O, s:O, s:o, s:o}", "campaign", json_object_get(campaign, "id"), "label",
                      json_object_get(campaign, "label"), "replicates", names, "left_out", early));
-  json_decref(group);
-  return status;
 }
 
 /* Lowers *newest to the newest generation that all of a side have. */
-static int find_newest(const struct side *side, int64_t *newest)
+static void find_newest(const struct side *side, int64_t *newest)
 {
   const json_t *one;
   size_t i;
@@ -79,16 +75,14 @@ static int find_newest(const struct side *side, int64_t *newest)
   {
     const json_t *generation = value_at(one, "newest.generation");
     if (generation == NULL)
-      return complain(STATUS_NEGATIVE, "campaign %s has no generation yet", text_of(one, "id"));
+      fail(STATUS_NEGATIVE, "campaign %s has no generation yet", text_of(one, "id"));
     if (json_integer_value(generation) < *newest)
       *newest = json_integer_value(generation);
   }
-  return STATUS_OK;
 }
 
-static int read_scores(struct ctl *ctl, struct side *side, int64_t generation)
+static void read_scores(struct ctl *ctl, struct side *side, int64_t generation)
 {
-  int status = STATUS_OK;
   char cursor[32] = "";
   const json_t *one;
   size_t i;
@@ -96,15 +90,10 @@ static int read_scores(struct ctl *ctl, struct side *side, int64_t generation)
     snprintf(cursor, sizeof(cursor), "&cursor=%" PRId64, generation - 1);
   json_array_foreach(side->members, i, one)
   {
-    json_t *page = NULL;
-    if (status == STATUS_OK)
-      status = get_json(ctl, &page, "/v1/campaigns/%s/generations?limit=1%s", text_of(one, "id"),
-                        cursor);
-    side->scores[side->n++] =
-        real_at(json_array_get(json_object_get(page, "items"), 0), "score.quantiles.p0");
-    json_decref(page);
+    const json_t *page =
+        get_json(ctl, "/v1/campaigns/%s/generations?limit=1%s", text_of(one, "id"), cursor);
+    side->scores[side->n++] = real_at(page, "items.0.score.quantiles.p0");
   }
-  return status;
 }
 
 /* Adds to a side how it compares with the first. */
@@ -147,9 +136,14 @@ static void print_verdict(const struct side *first, const struct side *side)
 static void print_comparison(const struct ctl *ctl, const struct side *sides, size_t n,
                              int64_t generation)
 {
-  json_t *rows = json_array();
+  json_t *rows = keep(json_array());
   for (size_t i = 0; i < n; i++)
     json_array_append(rows, sides[i].json);
+  if (ctl->json) {
+    print_json(keep(json_pack("{s:I, s:f, s:O}", "generation", (json_int_t)generation, "confidence",
+                              CONFIDENCE, "sides", rows)));
+    return;
+  }
   print_fact(ctl, "generation",
              "%" PRId64 ", the newest that all have; best scores, lower is "
              "better",
@@ -158,7 +152,6 @@ static void print_comparison(const struct ctl *ctl, const struct side *sides, si
               ">campaign={campaign}|label={label}|>replicates={replicates:#}"
               "|>best score={best:.4f}|>difference=[{difference:.4f}|–]"
               "|>95 % from=[{low:.4f}|–]|>to=[{high:.4f}|–]|verdict=[{verdict}|–]");
-  json_decref(rows);
   for (size_t i = 0; i < n; i++) {
     const json_t *one;
     size_t k;
@@ -171,45 +164,22 @@ static void print_comparison(const struct ctl *ctl, const struct side *sides, si
     print_verdict(&sides[0], &sides[i]);
 }
 
-static void print_comparison_json(const struct side *sides, size_t n, int64_t generation)
-{
-  json_t *list = json_array();
-  for (size_t i = 0; i < n; i++)
-    json_array_append(list, sides[i].json);
-  json_t *json = json_pack("{s:I, s:f, s:o}", "generation", (json_int_t)generation, "confidence",
-                           CONFIDENCE, "sides", list);
-  print_json(json);
-  json_decref(json);
-}
-
 int run_campaign_compare(struct ctl *ctl)
 {
-  struct side sides[SIDES_MAX] = {0};
-  json_t *campaigns[SIDES_MAX] = {0};
+  static struct side sides[SIDES_MAX];
+  const json_t *campaigns[SIDES_MAX] = {0};
   const size_t n = ctl->n_operands;
   int64_t generation = INT64_MAX;
-  int status = STATUS_OK;
-  for (size_t i = 0; i < n && status == STATUS_OK; i++)
-    status = check_job_id(ctl->operands[i])
-                 ? get_json(ctl, &campaigns[i], "/v1/campaigns/%s", ctl->operands[i])
-                 : STATUS_USAGE;
-  for (size_t i = 0; i < n && status == STATUS_OK; i++)
-    status = choose_members(ctl, campaigns[i],
-                            shares_group(ctl, (const json_t *const *)campaigns, i), &sides[i]);
-  for (size_t i = 0; i < n && status == STATUS_OK; i++)
-    status = find_newest(&sides[i], &generation);
-  for (size_t i = 0; i < n && status == STATUS_OK; i++)
-    status = read_scores(ctl, &sides[i], generation);
-  for (size_t i = 0; i < n && status == STATUS_OK; i++)
+  for (size_t i = 0; i < n; i++)
+    campaigns[i] = get_json(ctl, "/v1/campaigns/%s", job_id(ctl->operands[i]));
+  for (size_t i = 0; i < n; i++)
+    choose_members(ctl, campaigns[i], shares_group(ctl, campaigns, i), &sides[i]);
+  for (size_t i = 0; i < n; i++)
+    find_newest(&sides[i], &generation);
+  for (size_t i = 0; i < n; i++)
+    read_scores(ctl, &sides[i], generation);
+  for (size_t i = 0; i < n; i++)
     compare(&sides[0], &sides[i]);
-  if (status == STATUS_OK && ctl->json)
-    print_comparison_json(sides, n, generation);
-  else if (status == STATUS_OK)
-    print_comparison(ctl, sides, n, generation);
-  for (size_t i = 0; i < n; i++) {
-    json_decref(campaigns[i]);
-    json_decref(sides[i].members);
-    json_decref(sides[i].json);
-  }
-  return status;
+  print_comparison(ctl, sides, n, generation);
+  return STATUS_OK;
 }

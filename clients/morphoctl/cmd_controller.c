@@ -1,5 +1,4 @@
 /* cmd_controller.c: controller list, info, get, put, delete. */
-#include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
@@ -9,13 +8,10 @@
 
 #define CONTROLLER_BYTES_MAX ((size_t)4 << 30)
 
-/* Makes the path of the controller that the first operand names (malloc). below: "" or "/file". */
-static char *controller_path(const struct ctl *ctl, const char *below)
+/* Makes the path of the controller that the first operand names. below: "" or "/file". */
+static const char *controller_path(const struct ctl *ctl, const char *below)
 {
-  char *escaped = escape(ctl->operands[0]);
-  char *path = format_text("/v1/controllers/%s%s", escaped, below);
-  free(escaped);
-  return path;
+  return path_to("/v1/controllers/%s%s", escape(ctl->operands[0]), below);
 }
 
 int run_controller_list(struct ctl *ctl)
@@ -49,10 +45,7 @@ static void print_controller(const struct ctl *ctl, const json_t *controller)
 
 int run_controller_info(struct ctl *ctl)
 {
-  char *path = controller_path(ctl, "");
-  int status = show(ctl, path, print_controller);
-  free(path);
-  return status;
+  return show(ctl, controller_path(ctl, ""), print_controller);
 }
 
 int run_controller_get(struct ctl *ctl)
@@ -60,49 +53,33 @@ int run_controller_get(struct ctl *ctl)
   const char *output = option_text(ctl, "output", NULL);
   if (output != NULL && strcmp(output, "-") == 0 && isatty(STDOUT_FILENO))
     return complain(STATUS_USAGE, "a controller is not for a terminal: give --output FILE");
-  char *path = controller_path(ctl, "/file");
-  char *file_name = format_text("%s.safetensors", ctl->operands[0]);
-  int status =
-      save_reply(ctl, path, "application/octet-stream", output != NULL ? output : file_name);
-  free(path);
-  free(file_name);
-  return status;
+  return save_reply(ctl, controller_path(ctl, "/file"), "application/octet-stream",
+                    output != NULL ? output : path_to("%s.safetensors", ctl->operands[0]));
 }
 
 int run_controller_put(struct ctl *ctl)
 {
-  char *path = controller_path(ctl, "/file"), *bytes = NULL;
-  size_t n = 0;
-  long code = 0;
-  json_t *controller = NULL;
-  int status = read_input(ctl->operands[1], CONTROLLER_BYTES_MAX, &bytes, &n);
-  if (status == STATUS_OK)
-    status = send_json(ctl,
-                       &(struct request){.method = "PUT",
-                                         .path = path,
-                                         .content_type = "application/octet-stream",
-                                         .body = bytes,
-                                         .body_bytes = n},
-                       &code, &controller);
-  if (controller != NULL)
-    tell(ctl, controller,
-         code == 201 ? "controller {name} stored: sha256:{sha256}"
-                     : "controller {name} now stands for this file: sha256:{sha256}");
-  json_decref(controller);
-  free(bytes);
-  free(path);
-  return status;
+  size_t n;
+  long code;
+  const char *bytes = read_input(ctl->operands[1], CONTROLLER_BYTES_MAX, &n);
+  const json_t *controller =
+      keep(send_json(ctl,
+                     &(struct request){.method = "PUT",
+                                       .path = controller_path(ctl, "/file"),
+                                       .content_type = "application/octet-stream",
+                                       .body = bytes,
+                                       .body_bytes = n},
+                     &code));
+  tell(ctl, controller,
+       code == 201 ? "controller {name} stored: sha256:{sha256}"
+                   : "controller {name} now stands for this file: sha256:{sha256}");
+  return STATUS_OK;
 }
 
 int run_controller_delete(struct ctl *ctl)
 {
   const char *name = ctl->operands[0];
-  char *path = controller_path(ctl, "");
-  struct reply reply = {0};
-  int status = transport_send(ctl, &(struct request){.method = "DELETE", .path = path}, &reply);
-  if (status == STATUS_OK && !ctl->quiet && !ctl->json)
-    printf("%s %s is gone\n", strncmp(name, "sha256:", 7) == 0 ? "the file" : "the name", name);
-  reply_free(&reply);
-  free(path);
-  return status;
+  return act(
+      ctl, (struct request){.method = "DELETE", .path = controller_path(ctl, "")},
+      path_to("%s %s is gone", strncmp(name, "sha256:", 7) == 0 ? "the file" : "the name", name));
 }

@@ -78,22 +78,20 @@ int run_design_list(struct ctl *ctl)
 
 int run_design_draw(struct ctl *ctl)
 {
-  struct designs designs = {0};
-  int status = add_designs(ctl, 0, 0, 0, &designs);
-  for (size_t i = 0; i < designs.n && status == STATUS_OK; i++) {
-    const json_t *design = json_array_get(designs.list, i);
+  const struct designs designs = given_designs(ctl, 0, 0, 0);
+  const json_t *design;
+  size_t i;
+  json_array_foreach(designs.list, i, design)
+  {
+    const char *name = json_string_value(json_array_get(designs.names, i));
     char voxels[VOXELS + 1];
-    if (!design_voxels(design, voxels) && !id_voxels(text_of(design, "id"), voxels)) {
-      status =
-          complain(STATUS_USAGE, "design %zu does not fit the workspace of 6 × 6 × 4 voxels", i);
-      break;
-    }
+    if (!design_voxels(design, voxels) && !id_voxels(text_of(design, "id"), voxels))
+      fail(STATUS_USAGE, "design %zu does not fit the workspace of 6 × 6 × 4 voxels", i);
     if (i > 0)
       putchar('\n');
-    if (designs.names[i] != NULL)
-      print_plain_line(stdout, "%s", designs.names[i]);
+    if (name != NULL)
+      print_plain_line(stdout, "%s", name);
     draw_body(stdout, voxels, ctl->utf8);
   }
-  designs_free(&designs);
-  return status;
+  return STATUS_OK;
 }

@@ -10,23 +10,15 @@
 #include "template.h"
 #include "transport.h"
 
-static int fill_record(const struct ctl *ctl, json_t *request)
+static void fill_record(const struct ctl *ctl, json_t *request)
 {
-  int64_t stride = 10;
-  if (!option_is_set(ctl, "record") && !option_is_set(ctl, "film")) {
-    if (option_is_set(ctl, "record-stride") || option_is_set(ctl, "output"))
-      return complain(STATUS_USAGE, "--record-stride and --output need --record, such as "
-                                    "--record com,masses");
-    return STATUS_OK;
-  }
-  const int status = request_fill_record(ctl, request, NULL);
-  if (status != STATUS_OK)
-    return status;
-  if (!option_number(ctl, "record-stride", 1, 1000000, &stride))
-    return STATUS_USAGE;
-  if (option_is_set(ctl, "record-stride"))
+  const int64_t stride = option_number(ctl, "record-stride", 1, 1000000, 0);
+  if (!option_is_set(ctl, "record") && !option_is_set(ctl, "film") &&
+      (stride > 0 || option_is_set(ctl, "output")))
+    fail(STATUS_USAGE, "--record-stride and --output need --record, such as --record com,masses");
+  request_fill_record(ctl, request, NULL);
+  if (stride > 0)
     json_object_set_new(request, "record_stride", json_integer(stride));
-  return STATUS_OK;
 }
 
 /* Writes the header of a NumPy .npy file, version 1: magic, version, length of the header, header
@@ -50,54 +42,45 @@ static size_t npy_head(const char *array, const char *shape, char head[256])
   return padded + 10;
 }
 
-static int save_array(struct ctl *ctl, const char *folder, const char *id, size_t design,
-                      size_t environment, const char *array)
+static void save_array(struct ctl *ctl, const char *folder, const char *id, size_t design,
+                       size_t environment, const char *array)
 {
   const char *path = path_to("/v1/evaluations/%s/trajectories/%zu/file?environment=%zu&array=%s",
                              id, design, environment, array);
   struct reply reply;
-  int status = transport_get(ctl, path, "application/octet-stream", &reply);
-  if (status == STATUS_OK && strspn(reply.shape, "0123456789,") != strlen(reply.shape))
-    status = complain(STATUS_ERROR, "the server's reply has no shape");
-  if (status == STATUS_OK) {
-    char head[256];
-    size_t n = npy_head(array, reply.shape, head);
-    char *file =
-        format_text("%s/design-%04zu-environment-%02zu-%s.npy", folder, design, environment, array);
-    status = save_output(file, head, n, reply.body, reply.body_bytes);
-    free(file);
-  }
+  char head[256];
+  transport_get(ctl, path, "application/octet-stream", &reply);
+  if (strspn(reply.shape, "0123456789,") != strlen(reply.shape))
+    fail(STATUS_ERROR, "the server's reply has no shape");
+  const size_t n = npy_head(array, reply.shape, head);
+  save_output(
+      path_to("%s/design-%04zu-environment-%02zu-%s.npy", folder, design, environment, array), head,
+      n, reply.body, reply.body_bytes);
   reply_free(&reply);
-  return status;
 }
 
-int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder)
+void save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder)
 {
+  const json_t *result, *array, *record = json_object_get(evaluation, "record");
+  const char *text = keep(dump_json(evaluation, JSON_INDENT(1)));
+  size_t n_files = 0, i, a;
   if (mkdir(folder, 0777) != 0 && errno != EEXIST)
-    return complain(STATUS_ERROR, "%s: %s", folder, strerror(errno));
-  char *path = format_text("%s/evaluation.json", folder),
-       *text = dump_json(evaluation, JSON_INDENT(1));
-  int status = save_output(path, "", 0, text, strlen(text));
-  free(text);
-  free(path);
-  const json_t *results = json_object_get(evaluation, "results"),
-               *record = json_object_get(evaluation, "record");
-  size_t n_files = 0;
-  for (size_t i = 0; i < json_array_size(results) && status == STATUS_OK; i++) {
-    const json_t *result = json_array_get(results, i);
-    size_t n_environments = json_array_size(json_object_get(result, "losses"));
+    fail(STATUS_ERROR, "%s: %s", folder, strerror(errno));
+  save_output(path_to("%s/evaluation.json", folder), "", 0, text, strlen(text));
+  json_array_foreach(json_object_get(evaluation, "results"), i, result)
+  {
+    const size_t n_environments = json_array_size(json_object_get(result, "losses"));
     if (json_is_object(json_object_get(result, "fault")))
       continue;
-    for (size_t k = 0; k < n_environments && status == STATUS_OK; k++)
-      for (size_t a = 0; a < json_array_size(record) && status == STATUS_OK; a++) {
-        status = save_array(ctl, folder, text_of(evaluation, "id"), i, k,
-                            json_string_value(json_array_get(record, a)));
+    for (size_t k = 0; k < n_environments; k++)
+      json_array_foreach(record, a, array)
+      {
+        save_array(ctl, folder, text_of(evaluation, "id"), i, k, json_string_value(array));
         n_files++;
       }
   }
-  if (status == STATUS_OK && !ctl->quiet)
+  if (!ctl->quiet)
     fprintf(stderr, "%zu trajectories in %s\n", n_files, folder);
-  return status;
 }
 
 /* ---- results ---- */
@@ -113,7 +96,7 @@ static int compare_ranked(const void *a, const void *b)
 struct ranked *rank_results(const json_t *results, bool by_score)
 {
   const size_t n = json_array_size(results);
-  struct ranked *order = need(calloc(n + 1, sizeof(*order)));
+  struct ranked *order = keep(calloc(n + 1, sizeof(*order)));
   for (size_t i = 0; i < n; i++) {
     const double score = real_at(json_array_get(results, i), "score");
     order[i] = (struct ranked){i, isnan(score) ? (double)INFINITY : score};
@@ -152,7 +135,7 @@ static json_t *result_row(const json_t *result, size_t number, const char *name)
 
 static const char *name_of(const struct designs *designs, size_t i)
 {
-  return designs != NULL && i < designs->n ? designs->names[i] : NULL;
+  return designs != NULL ? json_string_value(json_array_get(designs->names, i)) : NULL;
 }
 
 void print_results(const struct ctl *ctl, const json_t *evaluation, const struct designs *designs,
@@ -161,7 +144,7 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   const json_t *results = json_object_get(evaluation, "results");
   const size_t n = json_array_size(results), shown = top != 0 && top < n ? top : n;
   struct ranked *order = rank_results(results, by_score);
-  json_t *rows = json_array();
+  json_t *rows = keep(json_array());
   bool named = false, verified = false;
   char columns[512];
   for (size_t i = 0; i < n; i++) {
@@ -180,8 +163,6 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   print_table(stdout, ctl, rows, columns);
   if (shown < n)
     printf("… and %zu more\n", n - shown);
-  json_decref(rows);
-  free(order);
 }
 
 /* Prints an evaluation that was waited for. */
@@ -196,36 +177,26 @@ static void print_evaluation(const struct ctl *ctl, const json_t *evaluation,
 
 int run_eval(struct ctl *ctl)
 {
-  struct designs designs = {0};
-  json_t *request = json_object(), *evaluation = NULL;
   const bool wait = !option_is_set(ctl, "no-wait"), speaks = !ctl->json && !ctl->quiet;
-  int64_t n_random = 0, seed = 1, top = 0;
   const char *sort = option_text(ctl, "sort", "input"), *output = option_text(ctl, "output", NULL);
-  int status = option_number(ctl, "random", 1, DESIGNS_MAX, &n_random) &&
-                       option_number(ctl, "seed", 0, INT64_MAX, &seed)
-                   ? add_designs(ctl, 0, n_random, seed, &designs)
-                   : STATUS_USAGE;
-  if (status == STATUS_OK && !option_number(ctl, "top", 1, DESIGNS_MAX, &top))
-    status = STATUS_USAGE;
-  if (status == STATUS_OK && strcmp(sort, "input") != 0 && strcmp(sort, "score") != 0)
-    status = complain(STATUS_USAGE, "--sort: \"%s\" is not input or score", sort);
-  if (status == STATUS_OK && output != NULL && !wait)
-    status = complain(STATUS_USAGE, "--output needs the result: it goes with --wait");
-  if (status == STATUS_OK && option_is_set(ctl, "film") && !wait)
-    status = complain(STATUS_USAGE, "--film needs the result: it goes with --wait");
-  if (status == STATUS_OK)
-    status = film_check(ctl);
-  if (status == STATUS_OK)
-    status = request_fill(ctl, request);
-  if (status == STATUS_OK)
-    status = fill_record(ctl, request);
-  if (status == STATUS_OK) {
-    json_object_set(request, "designs", designs.list);
-    status = fill_fields(ctl, request);
-  }
-  if (status == STATUS_OK)
-    status = evaluate(ctl, "/v1/evaluations", request, wait, &evaluation);
-  if (status == STATUS_OK && !wait) {
+  const struct designs designs =
+      given_designs(ctl, 0, option_number(ctl, "random", 1, DESIGNS_MAX, 0),
+                    option_number(ctl, "seed", 0, INT64_MAX, 1));
+  const int64_t top = option_number(ctl, "top", 1, DESIGNS_MAX, 0);
+  json_t *request = keep(json_object());
+  if (strcmp(sort, "input") != 0 && strcmp(sort, "score") != 0)
+    return complain(STATUS_USAGE, "--sort: \"%s\" is not input or score", sort);
+  if (output != NULL && !wait)
+    return complain(STATUS_USAGE, "--output needs the result: it goes with --wait");
+  if (option_is_set(ctl, "film") && !wait)
+    return complain(STATUS_USAGE, "--film needs the result: it goes with --wait");
+  film_check(ctl);
+  request_fill(ctl, request);
+  fill_record(ctl, request);
+  json_object_set(request, "designs", designs.list);
+  fill_fields(ctl, request);
+  const json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, wait);
+  if (!wait) {
     if (ctl->json)
       print_json(evaluation);
     else
@@ -234,113 +205,76 @@ int run_eval(struct ctl *ctl)
       print_from(stderr, evaluation,
                  "evaluation {id} is accepted: {n_designs} designs, {rollouts_total} rollouts; "
                  "morphoctl watch {id}");
-  } else if (status == STATUS_OK) {
-    print_evaluation(ctl, evaluation, &designs, strcmp(sort, "score") == 0 || top > 0, (size_t)top);
-    if (speaks)
-      print_from(stderr, evaluation,
-                 "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them from "
-                 "the store");
-    status = job_outcome("job", evaluation);
-    if (status == STATUS_OK && output != NULL)
-      status = save_trajectories(ctl, evaluation, output);
-    if (status == STATUS_OK)
-      status = film_evaluation(ctl, evaluation);
+    return STATUS_OK;
   }
-  json_decref(evaluation);
-  json_decref(request);
-  designs_free(&designs);
-  return status;
+  print_evaluation(ctl, evaluation, &designs, strcmp(sort, "score") == 0 || top > 0, (size_t)top);
+  if (speaks)
+    print_from(stderr, evaluation,
+               "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them from "
+               "the store");
+  expect_success("job", evaluation);
+  if (output != NULL)
+    save_trajectories(ctl, evaluation, output);
+  film_evaluation(ctl, evaluation);
+  return STATUS_OK;
 }
 
 /* ---- verify ---- */
 
-/* Adds the orientations in which a design was scored: a score belongs to one oriented body, an id
- * to all of its orientations. */
-static int add_orientations(struct ctl *ctl, struct designs *designs, const char *id)
-{
-  json_t *design;
-  int status = get_json(ctl, &design, "/v1/designs/%s", id);
-  if (status == STATUS_OK)
-    status = designs_add_genotypes(designs, json_object_get(design, "orientations"));
-  json_decref(design);
-  return status;
-}
-
 /* Adds what an earlier evaluation requested. */
-static int add_evaluation(struct ctl *ctl, struct designs *designs, json_t *request, const char *id)
+static void add_evaluation(struct ctl *ctl, struct designs *designs, json_t *request,
+                           const char *id)
 {
-  json_t *evaluation;
-  if (!check_job_id(id))
-    return STATUS_USAGE;
-  int status = get_json(ctl, &evaluation, "/v1/evaluations/%s", id);
+  const json_t *evaluation = get_json(ctl, "/v1/evaluations/%s", job_id(id));
   const bool named = json_is_string(json_object_get(evaluation, "environments"));
-  if (status == STATUS_OK)
-    status = job_outcome("job", evaluation);
-  if (status == STATUS_OK && !named && !option_is_set(ctl, "environments"))
-    status = complain(
-        STATUS_USAGE,
-        "evaluation %s has environments of its own: give them again with --environments", id);
-  if (status == STATUS_OK)
-    status = designs_add_genotypes(designs, json_object_get(evaluation, "results"));
-  if (status == STATUS_OK) {
-    json_object_set_new(
-        request, "controller",
-        json_sprintf("sha256:%s", text_of(json_object_get(evaluation, "controller"), "sha256")));
-    json_object_set(request, "physics", json_object_get(evaluation, "physics"));
-    json_object_set(request, "precision", json_object_get(evaluation, "precision"));
-    if (named)
-      json_object_set(request, "environments", json_object_get(evaluation, "environments"));
-  }
-  json_decref(evaluation);
-  return status;
+  expect_success("job", evaluation);
+  if (!named && !option_is_set(ctl, "environments"))
+    fail(STATUS_USAGE,
+         "evaluation %s has environments of its own: give them again with --environments", id);
+  designs_add_genotypes(designs, json_object_get(evaluation, "results"));
+  json_object_set_new(
+      request, "controller",
+      json_sprintf("sha256:%s", text_of(json_object_get(evaluation, "controller"), "sha256")));
+  json_object_set(request, "physics", json_object_get(evaluation, "physics"));
+  json_object_set(request, "precision", json_object_get(evaluation, "precision"));
+  if (named)
+    json_object_set(request, "environments", json_object_get(evaluation, "environments"));
 }
 
 int run_verify(struct ctl *ctl)
 {
-  struct designs designs = {0};
-  json_t *request = json_object(), *evaluation = NULL;
+  struct designs designs = no_designs();
+  json_t *request = keep(json_pack("{s:O, s:b}", "designs", designs.list, "verify", 1));
+  const json_t *result;
   const char *earlier = option_text(ctl, "evaluation", NULL);
-  int status = STATUS_OK;
+  size_t agree = 0, differ = 0, absent = 0, i;
   if (earlier == NULL && ctl->n_operands == 0)
-    status = complain(STATUS_USAGE, "nothing to verify: give designs, or --evaluation ID");
-  if (status == STATUS_OK && earlier != NULL)
-    status = add_evaluation(ctl, &designs, request, earlier);
-  for (size_t i = 0; i < ctl->n_operands && status == STATUS_OK; i++) {
-    if (is_id(ctl->operands[i], strlen(ctl->operands[i])))
-      status = add_orientations(ctl, &designs, ctl->operands[i]);
-    else
-      status = designs_add_operand(&designs, ctl->operands[i]);
+    return complain(STATUS_USAGE, "nothing to verify: give designs, or --evaluation ID");
+  if (earlier != NULL)
+    add_evaluation(ctl, &designs, request, earlier);
+  for (i = 0; i < ctl->n_operands; i++) {
+    const char *operand = ctl->operands[i];
+    if (!is_id(operand, strlen(operand)))
+      designs_add_operand(&designs, operand);
+    else /* in all orientations in which it was scored: a score belongs to one oriented body */
+      designs_add_genotypes(
+          &designs, json_object_get(get_json(ctl, "/v1/designs/%s", operand), "orientations"));
   }
-  if (status == STATUS_OK)
-    status = request_fill(ctl, request);
-  if (status == STATUS_OK) {
-    json_object_set(request, "designs", designs.list);
-    json_object_set_new(request, "verify", json_true());
-    status = evaluate(ctl, "/v1/evaluations", request, true, &evaluation);
+  request_fill(ctl, request);
+  const json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, true);
+  expect_success("job", evaluation);
+  json_array_foreach(json_object_get(evaluation, "results"), i, result)
+  {
+    const json_t *agrees = json_object_get(result, "agrees");
+    agree += json_is_true(agrees);
+    differ += json_is_false(agrees);
+    absent += !json_is_boolean(agrees);
   }
-  if (status == STATUS_OK)
-    status = job_outcome("job", evaluation);
-  if (status == STATUS_OK) {
-    size_t agree = 0, differ = 0, absent = 0, i;
-    json_t *result;
-    json_array_foreach(json_object_get(evaluation, "results"), i, result)
-    {
-      const json_t *agrees = json_object_get(result, "agrees");
-      agree += json_is_true(agrees);
-      differ += json_is_false(agrees);
-      absent += !json_is_boolean(agrees);
-    }
-    print_evaluation(ctl, evaluation, &designs, false, 0);
-    if (!ctl->json && !ctl->quiet)
-      printf("%zu the same, %zu different, %zu not stored\n", agree, differ, absent);
-    if (differ > 0)
-      status = complain(STATUS_NEGATIVE,
-                        "%zu stored scores have other bits than their recomputation", differ);
-    else if (agree == 0)
-      status = complain(STATUS_NEGATIVE, "nothing is stored to compare with");
-  }
-  json_decref(evaluation);
-  json_decref(request);
-  designs_free(&designs);
-  return status;
+  print_evaluation(ctl, evaluation, &designs, false, 0);
+  if (!ctl->json && !ctl->quiet)
+    printf("%zu the same, %zu different, %zu not stored\n", agree, differ, absent);
+  if (differ > 0)
+    return complain(STATUS_NEGATIVE, "%zu stored scores have other bits than their recomputation",
+                    differ);
+  return agree > 0 ? STATUS_OK : complain(STATUS_NEGATIVE, "nothing is stored to compare with");
 }

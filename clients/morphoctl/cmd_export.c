@@ -1,5 +1,4 @@
 /* cmd_export.c: saves any list, curve or phylogeny of the server in a file. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "commands.h"
@@ -31,8 +30,6 @@ int run_export(struct ctl *ctl)
   for (const char *c = list; *c != '\0'; c++)
     if (*c <= ' ' || *c > '~' || *c == '#')
       return complain(STATUS_USAGE, "\"%s\" is not a list: write other characters as %%20", list);
-  char *path = format_text("/v1/%s%cformat=%s", list, strchr(list, '?') != NULL ? '&' : '?', form);
-  const int status = save_reply(ctl, path, "*/*", output);
-  free(path);
-  return status;
+  const char between = strchr(list, '?') != NULL ? '&' : '?';
+  return save_reply(ctl, path_to("/v1/%s%cformat=%s", list, between, form), "*/*", output);
 }

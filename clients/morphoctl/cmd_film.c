@@ -16,6 +16,7 @@
 #include "../film/png.h"
 #include "../film/raster.h"
 #include "commands.h"
+#include "template.h"
 #include "transport.h"
 
 #define ROBOTS_MAX     16
@@ -36,87 +37,66 @@ struct film {
 
 /* ---- the rollouts ---- */
 
-/* Chooses one environment of the set or file that --environments names. */
-static int choose_environment(struct ctl *ctl, json_t *request)
+static int64_t option_environment(const struct ctl *ctl)
 {
-  const char *set = option_text(ctl, "environments", "paper-test");
-  json_t *listed = json_object_get(request, "environments"), *page = NULL;
-  int64_t place = 0;
-  int status = STATUS_OK;
-  if (!option_number(ctl, "environment", 0, 63, &place))
-    return STATUS_USAGE;
-  if (!json_is_array(listed)) {
-    char *escaped = escape(set);
-    status = get_json(ctl, &page, "/v1/environment-sets/%s", escaped);
-    free(escaped);
-    listed = json_object_get(page, "items");
-  }
-  json_t *chosen = json_incref(json_array_get(listed, (size_t)place));
-  if (status == STATUS_OK && chosen == NULL)
-    status = complain(STATUS_USAGE, "--environment: there are %zu environments, counted from 0",
-                      json_array_size(listed));
-  json_object_del(chosen, "sha256");
-  if (status == STATUS_OK)
-    json_object_set_new(request, "environments", json_pack("[O]", chosen));
-  json_decref(chosen);
-  json_decref(page);
-  return status;
+  return option_number(ctl, "environment", 0, 63, 0);
 }
 
-static int load_scene(struct ctl *ctl, struct film *film)
+/* Chooses one environment of the set or file that --environments names. */
+static void choose_environment(struct ctl *ctl, json_t *request)
 {
-  struct designs designs = {0};
-  int64_t n_random = 0, seed = 1;
-  if (!option_number(ctl, "random", 0, ROBOTS_MAX, &n_random) ||
-      !option_number(ctl, "seed", 0, INT64_MAX, &seed))
-    return STATUS_USAGE;
-  int status = add_designs(ctl, 0, n_random, seed, &designs);
-  if (status == STATUS_OK && (designs.n < 1 || designs.n > ROBOTS_MAX))
-    status = complain(STATUS_USAGE, "a film has 1 to %d robots, not %zu", ROBOTS_MAX, designs.n);
-  json_t *request = json_pack("{s:O,s:[s]}", "designs", designs.list, "record", "masses");
-  if (status == STATUS_OK)
-    status = request_fill(ctl, request);
+  const json_t *listed = json_object_get(request, "environments");
+  if (!json_is_array(listed)) {
+    const char *set = escape(option_text(ctl, "environments", "paper-test"));
+    listed = json_object_get(get_json(ctl, "/v1/environment-sets/%s", set), "items");
+  }
+  json_t *chosen = json_array_get(listed, (size_t)option_environment(ctl));
+  if (chosen == NULL)
+    fail(STATUS_USAGE, "--environment: there are %zu environments, counted from 0",
+         json_array_size(listed));
+  json_object_del(chosen, "sha256");
+  json_object_set_new(request, "environments", json_pack("[O]", chosen));
+}
+
+static void load_scene(struct ctl *ctl, struct film *film)
+{
+  const struct designs designs =
+      given_designs(ctl, 0, option_number(ctl, "random", 0, ROBOTS_MAX, 0),
+                    option_number(ctl, "seed", 0, INT64_MAX, 1));
+  const size_t n = json_array_size(designs.list);
+  if (n < 1 || n > ROBOTS_MAX)
+    fail(STATUS_USAGE, "a film has 1 to %d robots, not %zu", ROBOTS_MAX, n);
+  json_t *request = keep(json_pack("{s:O,s:[s]}", "designs", designs.list, "record", "masses"));
+  request_fill(ctl, request);
   const json_t *n_steps = json_object_get(json_object_get(request, "physics"), "n_steps");
   const double steps = json_is_number(n_steps) ? json_number_value(n_steps) : STRIDE;
   json_object_set_new(request, "record_stride",
                       json_integer(steps < STRIDE ? (json_int_t)steps : STRIDE));
-  if (status == STATUS_OK)
-    status = choose_environment(ctl, request);
-  char *body = status == STATUS_OK ? json_dumps(request, JSON_COMPACT) : NULL;
-  if (status == STATUS_OK)
-    status = transport_send(ctl,
-                            &(struct request){.method = "POST",
-                                              .path = "/v1/rollouts",
-                                              .accept = "application/vnd.morphod.scene",
-                                              .content_type = "application/json",
-                                              .body = body,
-                                              .body_bytes = strlen(body),
-                                              .repeatable = true},
-                            &film->replies[0]);
-  const char *fault = status == STATUS_OK ? scene_read(film->replies[0].body,
-                                                       film->replies[0].body_bytes, &film->scene)
-                                          : NULL;
-  free(body);
-  json_decref(request);
-  designs_free(&designs);
-  return fault != NULL ? complain(STATUS_ERROR, "%s", fault) : status;
+  choose_environment(ctl, request);
+  struct request how = json_request("POST", "/v1/rollouts", request);
+  struct reply *reply = &film->replies[0];
+  how.accept = "application/vnd.morphod.scene";
+  how.repeatable = true;
+  transport_send(ctl, &how, reply);
+  const char *fault = scene_read(reply->body, reply->body_bytes, &film->scene);
+  if (fault != NULL)
+    fail(STATUS_ERROR, "%s", fault);
 }
 
 /* ---- drawing ---- */
 
-static bool option_real(const struct ctl *ctl, const char *name, double low, double high,
-                        double *value)
+static double option_real(const struct ctl *ctl, const char *name, double low, double high,
+                          double otherwise)
 {
   const char *text = option_text(ctl, name, NULL);
   char *end = NULL;
   if (text == NULL)
-    return true;
-  *value = strtod(text, &end);
-  if (end != text && *end == '\0' && *value >= low && *value <= high)
-    return true;
-  complain(STATUS_USAGE, "--%s: a number from %g to %g is expected, not \"%s\"", name, low, high,
-           text);
-  return false;
+    return otherwise;
+  const double value = strtod(text, &end);
+  if (end == text || *end != '\0' || !(value >= low && value <= high))
+    fail(STATUS_USAGE, "--%s: a number from %g to %g is expected, not \"%s\"", name, low, high,
+         text);
+  return value;
 }
 
 static double duration_s(const struct film *film)
@@ -139,32 +119,26 @@ static bool read_side(const char *from, const char *to, uint32_t *side)
 }
 
 /* Reads the options that say how to draw. */
-static int read_look(struct ctl *ctl, struct film *film)
+static void read_look(struct ctl *ctl, struct film *film)
 {
   const char *size = option_text(ctl, "size", "960x540");
   const char *cross = strchr(size, 'x');
   if (cross == NULL || !read_side(size, cross, &film->width) ||
       !read_side(cross + 1, size + strlen(size), &film->height))
-    return complain(STATUS_USAGE, "--size: WIDTHxHEIGHT of 64 to %d pixels is expected, not \"%s\"",
-                    RASTER_SIDE_MAX, size);
+    fail(STATUS_USAGE, "--size: WIDTHxHEIGHT of 64 to %d pixels is expected, not \"%s\"",
+         RASTER_SIDE_MAX, size);
   film->light = option_is_set(ctl, "light");
-  film->rate = 25;
-  film->distance_m = 2.2;
-  double yaw = 20, pitch = 23;
-  if (!option_real(ctl, "rate", 1, 120, &film->rate) ||
-      !option_real(ctl, "distance", 0.4, 14, &film->distance_m) ||
-      !option_real(ctl, "yaw", -360, 360, &yaw) || !option_real(ctl, "pitch", 1, 88, &pitch))
-    return STATUS_USAGE;
-  film->yaw = yaw * M_PI / 180;
-  film->pitch = pitch * M_PI / 180;
-  return STATUS_OK;
+  film->rate = option_real(ctl, "rate", 1, 120, 25);
+  film->distance_m = option_real(ctl, "distance", 0.4, 14, 2.2);
+  film->yaw = option_real(ctl, "yaw", -360, 360, 20) * M_PI / 180;
+  film->pitch = option_real(ctl, "pitch", 1, 88, 23) * M_PI / 180;
 }
 
 /* Lays out the views of the scene's robots. */
-static int lay_out(struct film *film)
+static void lay_out(struct film *film)
 {
   if (film->scene.n_rollouts > ROBOTS_MAX || !(duration_s(film) <= DURATION_MAX_S))
-    return complain(STATUS_ERROR, "the server sent more than was asked for");
+    fail(STATUS_ERROR, "the server sent more than was asked for");
   /* Views side by side, about as wide as the picture. */
   const uint32_t n = film->scene.n_rollouts;
   const uint32_t columns = n <= 1 ? 1 : n <= 4 ? 2 : n <= 9 ? 3 : 4;
@@ -173,29 +147,17 @@ static int lay_out(struct film *film)
   film->view_height = film->height / rows;
   film->raster = need(raster_create(film->view_width, film->view_height));
   const size_t bytes = (size_t)film->width * film->height * 3 + 1;
-  film->tile = need(calloc(bytes, 1));
-  film->frame = need(calloc(bytes, 1));
+  film->tile = keep(calloc(bytes, 1));
+  film->frame = keep(calloc(bytes, 1));
   for (size_t i = 0; i < (size_t)film->width * film->height; i++)
     raster_background(film->light, film->frame + 3 * i);
-  return STATUS_OK;
 }
 
-static int prepare(struct ctl *ctl, struct film *film)
+static void prepare(struct ctl *ctl, struct film *film)
 {
-  int status = read_look(ctl, film);
-  if (status == STATUS_OK)
-    status = load_scene(ctl, film);
-  return status == STATUS_OK ? lay_out(film) : status;
-}
-
-static void release(struct film *film)
-{
-  scene_free(&film->scene);
-  for (size_t i = 0; i < ROBOTS_MAX; i++)
-    reply_free(&film->replies[i]);
-  raster_free(film->raster);
-  free(film->tile);
-  free(film->frame);
+  read_look(ctl, film);
+  load_scene(ctl, film);
+  lay_out(film);
 }
 
 static void draw(struct film *film, double time_s)
@@ -219,13 +181,12 @@ static void draw(struct film *film, double time_s)
   }
 }
 
-static int save_png(const struct film *film, const char *path)
+static void save_png(const struct film *film, const char *path)
 {
   size_t size;
   unsigned char *file = png_encode(film->frame, film->width, film->height, &size);
-  const int status = save_output(path, "", 0, file, size);
+  save_output(path, "", 0, file, size);
   free(file);
-  return status;
 }
 
 /* ---- films ---- */
@@ -294,70 +255,68 @@ static FILE *open_stream(const char *output, pid_t *ffmpeg)
   return NULL;
 }
 
-static int close_stream(FILE *file, pid_t ffmpeg, const char *output, bool is_written)
+static void close_stream(FILE *file, pid_t ffmpeg, const char *output, bool is_written)
 {
   int status = 0;
   const bool flushed = file == stdout ? fflush(file) == 0 : fclose(file) == 0;
-  if (ffmpeg > 0 && waitpid(ffmpeg, &status, 0) == ffmpeg && status != 0)
-    return WIFEXITED(status) && WEXITSTATUS(status) == 127
-               ? complain(STATUS_ERROR, no_ffmpeg, output)
-               : complain(STATUS_ERROR, "ffmpeg could not write %s", output);
-  return is_written && flushed ? STATUS_OK
-                               : complain(STATUS_ERROR, "%s: %s", output, strerror(errno));
+  if (ffmpeg > 0 && waitpid(ffmpeg, &status, 0) == ffmpeg && status != 0) {
+    if (WIFEXITED(status) && WEXITSTATUS(status) == 127)
+      fail(STATUS_ERROR, no_ffmpeg, output);
+    fail(STATUS_ERROR, "ffmpeg could not write %s", output);
+  }
+  if (!is_written || !flushed)
+    fail(STATUS_ERROR, "%s: %s", output, strerror(errno));
 }
 
-static int film_stream(struct film *film, const char *output, uint32_t n_frames)
+static void film_stream(struct film *film, const char *output, uint32_t n_frames)
 {
   pid_t ffmpeg;
   FILE *file = open_stream(output, &ffmpeg);
   if (file == NULL)
-    return complain(STATUS_ERROR, "%s: %s", output, strerror(errno));
+    fail(STATUS_ERROR, "%s: %s", output, strerror(errno));
   bool good = fprintf(file, "YUV4MPEG2 W%u H%u F%u:1000 Ip A1:1 C444\n", film->width, film->height,
                       (unsigned)(film->rate * 1000 + 0.5)) > 0;
   for (uint32_t i = 0; i < n_frames && good && !interrupted(); i++) {
     draw(film, i / film->rate);
     good = put_y4m(film, file);
   }
-  return close_stream(file, ffmpeg, output, good);
+  close_stream(file, ffmpeg, output, good);
 }
 
-static int film_folder(struct film *film, const char *folder, uint32_t n_frames)
+static void film_folder(struct film *film, const char *folder, uint32_t n_frames)
 {
-  int status = mkdir(folder, 0777) == 0 || errno == EEXIST
-                   ? STATUS_OK
-                   : complain(STATUS_ERROR, "%s: %s", folder, strerror(errno));
-  for (uint32_t i = 0; i < n_frames && status == STATUS_OK && !interrupted(); i++) {
+  if (mkdir(folder, 0777) != 0 && errno != EEXIST)
+    fail(STATUS_ERROR, "%s: %s", folder, strerror(errno));
+  for (uint32_t i = 0; i < n_frames && !interrupted(); i++) {
     draw(film, i / film->rate);
-    status = save_png(film, path_to("%s/%05u.png", folder, i));
+    save_png(film, path_to("%s/%05u.png", folder, i));
   }
-  return status;
 }
 
-static int write_film(struct ctl *ctl, struct film *film, const char *output)
+static void write_film(struct ctl *ctl, struct film *film, const char *output)
 {
-  catch_interrupts();
+  catch_interrupts(NULL);
   const uint32_t n = (uint32_t)((duration_s(film) + LAST_S) * film->rate + 0.5);
-  const int status =
-      is_folder(output) ? film_folder(film, output, n) : film_stream(film, output, n);
+  if (is_folder(output))
+    film_folder(film, output, n);
+  else
+    film_stream(film, output, n);
   if (interrupted())
-    return STATUS_INTERRUPTED;
-  if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
+    leave(STATUS_INTERRUPTED);
+  if (!ctl->quiet && strcmp(output, "-") != 0)
     print_plain_line(stderr, "%s: %u frames", output, n);
-  return status;
 }
 
 int run_film(struct ctl *ctl)
 {
+  static struct film film;
   const char *output = option_text(ctl, "output", NULL);
-  struct film film = {0};
   if (output == NULL)
     return complain(STATUS_USAGE,
                     "--output is missing: film.mp4, film.y4m, - or a folder that ends with /");
-  int status = prepare(ctl, &film);
-  if (status == STATUS_OK)
-    status = write_film(ctl, &film, output);
-  release(&film);
-  return status;
+  prepare(ctl, &film);
+  write_film(ctl, &film, output);
+  return STATUS_OK;
 }
 
 /* ---- films of evaluations ---- */
@@ -376,28 +335,23 @@ static bool has_ffmpeg(void)
   return false;
 }
 
-int film_check(struct ctl *ctl)
+void film_check(struct ctl *ctl)
 {
   static const char *const looks[] = {"environment", "size",     "light", "yaw",
                                       "pitch",       "distance", "rate"};
   const char *output = option_text(ctl, "film", NULL);
-  struct film film = {0};
-  int64_t place = 0;
-  if (output == NULL) {
-    for (size_t i = 0; i < sizeof(looks) / sizeof(looks[0]); i++)
-      if (option_is_set(ctl, looks[i]))
-        return complain(STATUS_USAGE, "--%s is for --film", looks[i]);
-    return STATUS_OK;
-  }
+  struct film film;
+  for (size_t i = 0; i < sizeof(looks) / sizeof(looks[0]); i++)
+    if (output == NULL && option_is_set(ctl, looks[i]))
+      fail(STATUS_USAGE, "--%s is for --film", looks[i]);
+  if (output == NULL)
+    return;
   if (output[0] == '\0' || strcmp(output, "-") == 0)
-    return complain(STATUS_USAGE,
-                    "--film: film.mp4, film.y4m or a folder that ends with / is expected");
-  if (!option_number(ctl, "environment", 0, 63, &place))
-    return STATUS_USAGE;
-  const int status = read_look(ctl, &film);
-  return status == STATUS_OK && needs_ffmpeg(output) && !has_ffmpeg()
-             ? complain(STATUS_ERROR, no_ffmpeg, "--film")
-             : status;
+    fail(STATUS_USAGE, "--film: film.mp4, film.y4m or a folder that ends with / is expected");
+  option_environment(ctl);
+  read_look(ctl, &film);
+  if (needs_ffmpeg(output) && !has_ffmpeg())
+    fail(STATUS_ERROR, no_ffmpeg, "--film");
 }
 
 /* Chooses the designs that a film shows: all, or the best, best first. Returns their number. */
@@ -409,74 +363,58 @@ static size_t choose_designs(const json_t *results, size_t places[ROBOTS_MAX])
   for (size_t i = 0; i < n && chosen < ROBOTS_MAX; i++)
     if (!json_is_object(json_object_get(json_array_get(results, order[i].place), "fault")))
       places[chosen++] = order[i].place;
-  free(order);
   return chosen;
 }
 
 /* Gets the recording of a design and adds it to the scene. */
-static int load_recording(struct ctl *ctl, struct film *film, const char *evaluation, size_t design,
-                          int64_t environment, struct reply *reply)
+static void load_recording(struct ctl *ctl, struct film *film, const char *evaluation,
+                           size_t design, int64_t environment, struct reply *reply)
 {
   struct scene scene;
   const char *path = path_to("/v1/evaluations/%s/trajectories/%zu?environment=%" PRId64, evaluation,
                              design, environment);
-  const int status = transport_get(ctl, path, "application/vnd.morphod.scene", reply);
-  if (status != STATUS_OK)
-    return status;
+  transport_get(ctl, path, "application/vnd.morphod.scene", reply);
   const char *fault = scene_read(reply->body, reply->body_bytes, &scene);
   if (fault == NULL)
     fault = scene_append(&film->scene, &scene);
-  return fault != NULL ? complain(STATUS_ERROR, "%s", fault) : STATUS_OK;
+  if (fault != NULL)
+    fail(STATUS_ERROR, "%s", fault);
 }
 
-int film_evaluation(struct ctl *ctl, const json_t *evaluation)
+void film_evaluation(struct ctl *ctl, const json_t *evaluation)
 {
+  static struct film film;
   const json_t *results = json_object_get(evaluation, "results");
   const size_t n = json_array_size(results);
-  const size_t n_environments =
-      json_array_size(json_object_get(json_array_get(results, 0), "losses"));
+  const size_t n_environments = json_array_size(value_at(results, "0.losses"));
   const char *output = option_text(ctl, "film", NULL);
-  struct film film = {0};
   size_t places[ROBOTS_MAX];
-  int64_t environment = 0;
   if (output == NULL)
-    return STATUS_OK;
-  if (!option_number(ctl, "environment", 0, 63, &environment))
-    return STATUS_USAGE;
+    return;
+  const int64_t environment = option_environment(ctl);
   if ((size_t)environment >= n_environments)
-    return complain(STATUS_USAGE, "--environment: there are %zu environments, counted from 0",
-                    n_environments);
+    fail(STATUS_USAGE, "--environment: there are %zu environments, counted from 0", n_environments);
   const size_t chosen = choose_designs(results, places);
   if (chosen < n && !ctl->quiet)
     print_plain_line(stderr, "the film shows the %zu best of %zu designs", chosen, n);
-  int status = read_look(ctl, &film);
-  for (size_t i = 0; i < chosen && status == STATUS_OK; i++)
-    status = load_recording(ctl, &film, text_of(evaluation, "id"), places[i], environment,
-                            &film.replies[i]);
-  if (status == STATUS_OK)
-    status = lay_out(&film);
-  if (status == STATUS_OK)
-    status = write_film(ctl, &film, output);
-  release(&film);
-  return status;
+  read_look(ctl, &film);
+  for (size_t i = 0; i < chosen; i++)
+    load_recording(ctl, &film, text_of(evaluation, "id"), places[i], environment, &film.replies[i]);
+  lay_out(&film);
+  write_film(ctl, &film, output);
 }
 
 /* ---- pictures ---- */
 
 int run_picture(struct ctl *ctl)
 {
+  static struct film film;
   const char *output = option_text(ctl, "output", NULL);
-  struct film film = {0};
-  double time_s = 2;
+  const double time_s = option_real(ctl, "time", 0, 1e6, 2);
   if (output == NULL)
     return complain(STATUS_USAGE, "--output is missing: picture.png, or - for standard output");
-  if (!option_real(ctl, "time", 0, 1e6, &time_s))
-    return STATUS_USAGE;
-  int status = prepare(ctl, &film);
-  if (status == STATUS_OK) {
-    draw(&film, time_s);
-    status = save_png(&film, output);
-  }
-  release(&film);
-  return status;
+  prepare(ctl, &film);
+  draw(&film, time_s);
+  save_png(&film, output);
+  return STATUS_OK;
 }

@@ -61,9 +61,7 @@ static void print_job(const struct ctl *ctl, const json_t *job)
 
 int run_job_show(struct ctl *ctl)
 {
-  const char *id = ctl->operands[0];
-  if (!check_job_id(id))
-    return STATUS_USAGE;
+  const char *id = job_id(ctl->operands[0]);
   const char *list = option_is_set(ctl, "results") ? "evaluations" : "jobs";
   return show(ctl, path_to("/v1/%s/%s", list, id), print_job);
 }
@@ -75,13 +73,11 @@ static int each_job(struct ctl *ctl, struct request request, const char *noun, c
 {
   int worst = STATUS_OK;
   for (size_t i = 0; i < ctl->n_operands; i++) {
-    const char *id = ctl->operands[i];
+    const char *id = job_id(ctl->operands[i]);
     json_t *value;
     long code;
-    if (!check_job_id(id))
-      return STATUS_USAGE;
     request.path = path_to("/v1/%ss/%s%s", noun, id, behind);
-    int status = send_json(ctl, &request, &code, &value);
+    int status = try_json(ctl, &request, &code, &value);
     if (value != NULL && !ctl->json && !ctl->quiet)
       printf("%s %s", noun, id);
     if (value != NULL)
@@ -109,10 +105,8 @@ int run_job_prune(struct ctl *ctl)
   const char *command = ctl->command->name;
   const char *words = ": {items:#} checkpoint{items:s} deleted, {bytes:MB} MB",
              *recordings = ": recordings deleted, {bytes:MB} MB";
-  int64_t step = 0;
+  const int64_t step = option_number(ctl, "step", 1, 1000000, 0);
   char behind[48] = "/checkpoints";
-  if (!option_number(ctl, "step", 1, 1000000, &step))
-    return STATUS_USAGE;
   if (step > 0)
     snprintf(behind, sizeof(behind), "/checkpoints/%" PRId64, step);
   if (strncmp(command, "job", 3) == 0)
@@ -125,43 +119,25 @@ int run_job_prune(struct ctl *ctl)
 
 int run_job_weight(struct ctl *ctl)
 {
-  const char *id = ctl->operands[0], *words = ctl->operands[1];
+  const char *id = job_id(ctl->operands[0]), *words = ctl->operands[1];
   char *end;
   double weight = strtod(words, &end);
-  json_t *job;
-  if (!check_job_id(id))
-    return STATUS_USAGE;
   if (end == words || *end != 0 || !isfinite(weight))
     return complain(STATUS_USAGE, "\"%s\" is not a number", words);
-  json_t *request = json_pack("{s:f}", "weight", weight);
-  const int status = post_again(ctl, path_to("/v1/jobs/%s/weight", id), request, &job);
-  json_decref(request);
-  if (job != NULL)
-    tell(ctl, job, "job {id} has the weight {weight:g}");
-  json_decref(job);
-  return status;
+  const json_t *request = keep(json_pack("{s:f}", "weight", weight));
+  tell(ctl, post_again(ctl, path_to("/v1/jobs/%s/weight", id), request),
+       "job {id} has the weight {weight:g}");
+  return STATUS_OK;
 }
 
 /* ---- in order ---- */
 
-/* Sends a change of each job that the operands name: n of them. */
-static int edit_jobs(struct ctl *ctl, size_t n, json_t *edit, const char *words)
+/* Sends a change of each job that the operands name. */
+static int edit_jobs(struct ctl *ctl, json_t *edit, const char *words)
 {
-  char *body = edit != NULL ? dump_json(edit, JSON_COMPACT) : NULL;
-  const size_t n_operands = ctl->n_operands;
-  json_decref(edit);
-  if (body == NULL)
+  if (edit == NULL)
     return complain(STATUS_USAGE, "the text is not UTF-8");
-  ctl->n_operands = n;
-  const int status = each_job(ctl,
-                              (struct request){.method = "PATCH",
-                                               .body = body,
-                                               .body_bytes = strlen(body),
-                                               .content_type = "application/json"},
-                              "job", "", words, words);
-  ctl->n_operands = n_operands;
-  free(body);
-  return status;
+  return each_job(ctl, json_request("PATCH", NULL, keep(edit)), "job", "", words, words);
 }
 
 /* job label, experiment, note: without a text, takes the one away that there is. */
@@ -170,56 +146,42 @@ int run_job_text(struct ctl *ctl)
   const char *member = strchr(ctl->command->name, ' ') + 1,
              *text = ctl->n_operands > 1 ? ctl->operands[1] : "";
   char words[64];
+  ctl->n_operands = 1;
   snprintf(words, sizeof(words), "[ has the %s \"{%s}\"| has no %s]", member, member, member);
-  return edit_jobs(ctl, 1, json_pack("{s:s?}", member, *text != 0 ? text : NULL), words);
+  return edit_jobs(ctl, json_pack("{s:s?}", member, *text != 0 ? text : NULL), words);
 }
 
 int run_job_archive(struct ctl *ctl)
 {
   const bool archives = strcmp(ctl->command->name, "job archive") == 0;
-  return edit_jobs(ctl, ctl->n_operands, json_pack("{s:b}", "archived", archives),
+  return edit_jobs(ctl, json_pack("{s:b}", "archived", archives),
                    archives ? " is archived" : " is back in lists");
 }
 
-/* Asks whether the jobs of the operands are to go. False: they stay, and *status says how. */
-static bool asks(struct ctl *ctl, int *status)
+/* Asks whether the jobs of the operands are to go. */
+static bool asks(struct ctl *ctl)
 {
   char answer[16] = "";
-  *status = STATUS_OK;
-  for (size_t i = 0; i < ctl->n_operands && *status == STATUS_OK; i++) {
-    json_t *job;
-    *status = check_job_id(ctl->operands[i]) ? get_json(ctl, &job, "/v1/jobs/%s", ctl->operands[i])
-                                             : STATUS_USAGE;
-    if (*status == STATUS_OK)
-      print_from(stderr, job,
-                 "{kind} {id}[ \"{label}\"], {state}[, {recorded_bytes>0:MB} MB of recordings]"
-                 "[, {campaign.generations:,} generations|, {training.steps:,} steps"
-                 "|, {n_designs:,} designs]");
-    if (*status == STATUS_OK)
-      json_decref(job);
-  }
-  if (*status != STATUS_OK)
-    return false;
-  if (!isatty(STDIN_FILENO)) {
-    *status = complain(STATUS_USAGE, "nobody is there to ask: --yes deletes without a question");
-    return false;
-  }
+  for (size_t i = 0; i < ctl->n_operands; i++)
+    print_from(stderr, get_json(ctl, "/v1/jobs/%s", job_id(ctl->operands[i])),
+               "{kind} {id}[ \"{label}\"], {state}[, {recorded_bytes>0:MB} MB of recordings]"
+               "[, {campaign.generations:,} generations|, {training.steps:,} steps"
+               "|, {n_designs:,} designs]");
+  if (!isatty(STDIN_FILENO))
+    fail(STATUS_USAGE, "nobody is there to ask: --yes deletes without a question");
   fputs("Results, recordings, curves and phylogeny go for good; designs, scores and controllers "
         "stay.\nDelete? [y/N] ",
         stderr);
-  const bool yes = fgets(answer, sizeof(answer), stdin) != NULL &&
-                   (strcmp(answer, "y\n") == 0 || strcmp(answer, "yes\n") == 0);
-  *status = yes ? STATUS_OK : STATUS_NEGATIVE;
-  return yes;
+  return fgets(answer, sizeof(answer), stdin) != NULL &&
+         (strcmp(answer, "y\n") == 0 || strcmp(answer, "yes\n") == 0);
 }
 
 int run_job_delete(struct ctl *ctl)
 {
   static const char words[] = " is deleted[, {recorded_bytes>0:MB} MB of recordings]"
                               "[, {checkpoint_bytes>0:MB} MB of checkpoints]";
-  int status = STATUS_OK;
-  if (!option_is_set(ctl, "yes") && !asks(ctl, &status))
-    return status;
+  if (!option_is_set(ctl, "yes") && !asks(ctl))
+    return STATUS_NEGATIVE;
   return each_job(ctl, (struct request){.method = "DELETE"}, "job", "", words, words);
 }
 
@@ -227,17 +189,11 @@ int run_usage(struct ctl *ctl)
 {
   static const char *const names[] = {"label", "experiment", "submitted_by", "kind"};
   const char *by = option_text(ctl, "by", "label");
-  json_t *page;
   if (!is_one_of(by, names, 4))
     return complain(STATUS_USAGE, "--by: \"%s\" is not label, experiment, submitted_by or kind",
                     by);
-  int status = get_json(ctl, &page, "/v1/usage?by=%s&limit=1000", by);
-  if (status == STATUS_OK && ctl->json)
-    print_json(page);
-  else if (status == STATUS_OK)
-    print_table(stdout, ctl, json_object_get(page, "items"),
-                "name=[{name}|–]|>jobs={jobs:,}|>core time={core_seconds:duration}"
-                "|>device time={device_seconds:duration}");
-  json_decref(page);
-  return status;
+  print_items(ctl, get_json(ctl, "/v1/usage?by=%s&limit=1000", by),
+              "name=[{name}|–]|>jobs={jobs:,}|>core time={core_seconds:duration}"
+              "|>device time={device_seconds:duration}");
+  return STATUS_OK;
 }

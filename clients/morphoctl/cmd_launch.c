@@ -74,12 +74,10 @@ int run_fleet_launch(struct ctl *ctl)
 {
   static const char *const names[] = {"fleet slurm", "fleet systemd", "fleet kubernetes"};
   enum engine engine = SLURM;
-  int64_t number;
   while (engine < KUBERNETES && strcmp(ctl->command->name, names[engine]) != 0)
     engine++;
-  if (!option_number(ctl, "workers", 1, 100000, &number) ||
-      !option_number(ctl, "cpus", 1, 1024, &number))
-    return STATUS_USAGE;
+  option_number(ctl, "workers", 1, 100000, 0);
+  option_number(ctl, "cpus", 1, 1024, 0);
   for (const struct filling *filling = fillings; filling < fillings + N_FILLINGS; filling++)
     if (!is_safe(value_of(ctl, filling, engine)))
       return complain(STATUS_USAGE, "--%s: no blanks, quotes or backslashes, please",

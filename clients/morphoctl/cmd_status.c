@@ -1,25 +1,25 @@
 /* cmd_status.c: status, devices, version, completion. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "commands.h"
-#include "table.h"
 #include "template.h"
 #include "transport.h"
 
-/* Finds out whether the server is ready, and why not: a text or null. "Not ready" is a valid
+/* Finds out whether the server is ready, and why not: a text or NULL. "Not ready" is a valid
  * result, so there are no retries. */
-static int ask_ready(struct ctl *ctl, bool *is_ready, json_t **why)
+static bool is_ready(struct ctl *ctl, json_t **why)
 {
-  struct reply ready;
-  int status = transport_try(
-      ctl, &(struct request){.method = "GET", .path = "/readyz", .once = true}, &ready);
-  *is_ready = status == STATUS_OK && ready.status == 200;
-  json_t *problem = !*is_ready && ready.body != NULL ? json_loads(ready.body, 0, NULL) : NULL;
-  *why = json_incref(json_object_get(problem, "detail"));
-  json_decref(problem);
-  reply_free(&ready);
-  return status;
+  const struct request request = {.method = "GET", .path = "/readyz", .once = true};
+  struct reply reply;
+  const int status = transport_try(ctl, &request, &reply);
+  if (status != STATUS_OK)
+    leave(status);
+  json_t *problem =
+      reply.status != 200 && reply.body != NULL ? json_loads(reply.body, 0, NULL) : NULL;
+  *why = problem != NULL ? json_object_get(keep(problem), "detail") : NULL;
+  const bool ready = reply.status == 200;
+  reply_free(&reply);
+  return ready;
 }
 
 int run_status(struct ctl *ctl)
@@ -34,29 +34,20 @@ int run_status(struct ctl *ctl)
       {"float32", "{workers.fingerprints.float32}"},
       {"float64", "{workers.fingerprints.float64}"},
       {NULL, NULL}};
-  json_t *health = NULL, *workers = NULL, *why = NULL;
-  bool is_ready = false;
-  int status = get_json(ctl, &health, "/healthz");
-  if (status == STATUS_OK)
-    status = ask_ready(ctl, &is_ready, &why);
-  if (status == STATUS_OK)
-    status = get_json(ctl, &workers, "/v1/threads");
-  if (status == STATUS_OK && ctl->json) {
-    json_t *all =
-        json_pack("{s:O, s:b, s:O}", "health", health, "ready", is_ready, "workers", workers);
-    print_json(all);
-    json_decref(all);
-  } else if (status == STATUS_OK) {
-    json_t *all = json_pack("{s:O, s:s, s:O*, s:O}", "health", health, "word",
-                            is_ready ? "yes" : "no", "why", why, "workers", workers);
+  json_t *why, *health = get_json(ctl, "/healthz");
+  const bool ready = is_ready(ctl, &why);
+  json_t *workers = get_json(ctl, "/v1/threads");
+  if (ctl->json) {
+    print_json(
+        keep(json_pack("{s:O, s:b, s:O}", "health", health, "ready", ready, "workers", workers)));
+  } else {
     print_fact(ctl, "server", "%s", ctl->server);
-    print_facts(ctl, all, facts);
-    json_decref(all);
+    print_facts(ctl,
+                keep(json_pack("{s:O, s:s, s:O*, s:O}", "health", health, "word",
+                               ready ? "yes" : "no", "why", why, "workers", workers)),
+                facts);
   }
-  json_decref(health);
-  json_decref(workers);
-  json_decref(why);
-  return status == STATUS_OK && !is_ready ? STATUS_NEGATIVE : status;
+  return ready ? STATUS_OK : STATUS_NEGATIVE;
 }
 
 /* Returns STATUS_NEGATIVE if a device is lost. */
@@ -78,22 +69,15 @@ static int tell_lost(const struct ctl *ctl, const json_t *devices)
 
 int run_devices(struct ctl *ctl)
 {
-  json_t *answer = NULL;
-  int status = get_json(ctl, &answer, "/v1/devices");
-  const json_t *devices = json_object_get(answer, "items");
-  if (status == STATUS_OK && ctl->json)
-    print_json(answer);
-  else if (status == STATUS_OK && json_array_size(devices) == 0)
+  const json_t *page = get_json(ctl, "/v1/devices"), *devices = json_object_get(page, "items");
+  if (!ctl->json && json_array_size(devices) == 0)
     print_plain_line(stdout, "no devices: the processors compute");
-  else if (status == STATUS_OK)
-    print_table(stdout, ctl, devices,
+  else
+    print_items(ctl, page,
                 ">#={index}|name={name}|state={state}|>load={load:.0%}|>free GiB={free_bytes:GiB}"
                 "|>of GiB={memory_bytes:GiB}|>rollouts={rollouts_done:,}"
                 "|>gradients={gradient_robots_done:,}|id={id}");
-  if (status == STATUS_OK)
-    status = tell_lost(ctl, devices);
-  json_decref(answer);
-  return status;
+  return tell_lost(ctl, devices);
 }
 
 int run_version(struct ctl *ctl)

@@ -12,32 +12,26 @@
 
 struct side {
   const char *name; /* as given */
-  json_t *evaluation;
+  const json_t *evaluation;
   double *scores; /* (n) NaN: a rollout of the design diverged */
   size_t n;
   size_t diverged; /* number of designs */
   size_t rollouts, rollouts_diverged;
 };
 
-static int score_side(struct ctl *ctl, const json_t *held_out, struct side *side)
+static void score_side(struct ctl *ctl, const json_t *held_out, struct side *side)
 {
-  json_t *request = json_copy((json_t *)held_out);
-  if (request == NULL || json_object_set_new(request, "controller", json_string(side->name)) != 0) {
-    json_decref(request);
-    return complain(STATUS_USAGE, "\"%s\" is not the name of a controller", side->name);
-  }
-  int status = request_fill_physics(ctl, request);
-  if (status == STATUS_OK)
-    status = evaluate(ctl, "/v1/evaluations", request, true, &side->evaluation);
-  json_decref(request);
-  if (status == STATUS_OK)
-    status = job_outcome("job", side->evaluation);
-  const json_t *results = json_object_get(side->evaluation, "results"), *result;
+  json_t *request = keep(json_copy((json_t *)held_out));
+  const json_t *result;
   size_t i;
-  if (status != STATUS_OK)
-    return status;
+  if (json_object_set_new(request, "controller", json_string(side->name)) != 0)
+    fail(STATUS_USAGE, "\"%s\" is not the name of a controller", side->name);
+  request_fill_physics(ctl, request);
+  side->evaluation = evaluate(ctl, "/v1/evaluations", request, true);
+  expect_success("job", side->evaluation);
+  const json_t *results = json_object_get(side->evaluation, "results");
   side->n = json_array_size(results);
-  side->scores = need(calloc(side->n + 1, sizeof(*side->scores)));
+  side->scores = keep(calloc(side->n + 1, sizeof(*side->scores)));
   json_array_foreach(results, i, result)
   {
     side->scores[i] = real_at(result, "score");
@@ -45,7 +39,6 @@ static int score_side(struct ctl *ctl, const json_t *held_out, struct side *side
     side->rollouts += json_array_size(json_object_get(result, "losses"));
     side->rollouts_diverged += json_array_size(json_object_get(result, "diverged"));
   }
-  return STATUS_OK;
 }
 
 static json_t *side_json(const struct side *side, double mean)
@@ -60,7 +53,7 @@ static json_t *side_json(const struct side *side, double mean)
 static void print_comparison_json(const struct side sides[2], const struct paired *paired,
                                   int64_t seed, int64_t n_environments)
 {
-  json_t *json = json_pack(
+  print_json(keep(json_pack(
       "{s:o, s:o, s:{s:I, s:I, s:I}, s:I, s:o, s:o, s:f, s:o, s:o, s:I, s:I, s:s}", "a",
       side_json(&sides[0], paired->mean_a), "b", side_json(&sides[1], paired->mean_b), "held_out",
       "seed", (json_int_t)seed, "designs", (json_int_t)sides[0].n, "environments",
@@ -68,9 +61,7 @@ static void print_comparison_json(const struct side sides[2], const struct paire
       real_or_null(paired->difference), "standard_error", real_or_null(paired->error), "confidence",
       CONFIDENCE, "low", real_or_null(paired->low), "high", real_or_null(paired->high), "improved",
       (json_int_t)paired->improved, "equal", (json_int_t)paired->equal, "verdict",
-      verdict_of(paired->low, paired->high));
-  print_json(need(json));
-  json_decref(json);
+      verdict_of(paired->low, paired->high))));
 }
 
 static void print_verdict(const struct side sides[2], const struct paired *paired)
@@ -97,7 +88,7 @@ static void print_verdict(const struct side sides[2], const struct paired *paire
 static void print_comparison(const struct ctl *ctl, const struct side sides[2],
                              const struct paired *paired, int64_t seed, int64_t n_environments)
 {
-  json_t *rows = json_array();
+  json_t *rows = keep(json_array());
   for (int s = 0; s < 2; s++) {
     json_t *row = side_json(&sides[s], s == 0 ? paired->mean_a : paired->mean_b);
     json_object_set_new(row, "side", json_string(s == 0 ? "A" : "B"));
@@ -111,7 +102,6 @@ static void print_comparison(const struct ctl *ctl, const struct side sides[2],
               "={side}|controller={controller}|>mean score={mean_score:.4f}"
               "|>diverged designs={designs_diverged} of {designs}"
               "|>diverged rollouts={rollouts_diverged} of {rollouts}|sha256={sha256}");
-  json_decref(rows);
   if (paired->n >= 2)
     print_fact(ctl, "B - A", "%+.4f, %.0f %% confidence %+.4f to %+.4f (Student t, %zu pairs)",
                paired->difference, 100 * CONFIDENCE, paired->low, paired->high, paired->n);
@@ -128,30 +118,21 @@ static void print_comparison(const struct ctl *ctl, const struct side sides[2],
 int run_train_compare(struct ctl *ctl)
 {
   struct side sides[2] = {{.name = ctl->operands[0]}, {.name = ctl->operands[1]}};
-  int64_t seed = 1, n_designs = 64, n_environments = 8;
-  if (!option_number(ctl, "seed", 0, (INT64_C(1) << 53) - 1, &seed) ||
-      !option_number(ctl, "designs", 2, 1000, &n_designs) ||
-      !option_number(ctl, "environments", 1, 64, &n_environments))
-    return STATUS_USAGE;
-  json_t *held_out;
-  int status = get_json(ctl, &held_out,
-                        "/v1/held-out?seed=%" PRId64 "&designs=%" PRId64 "&environments=%" PRId64,
-                        seed, n_designs, n_environments);
-  for (int s = 0; s < 2 && status == STATUS_OK; s++)
-    status = score_side(ctl, held_out, &sides[s]);
-  if (status == STATUS_OK && sides[0].n != sides[1].n)
-    status = complain(STATUS_ERROR, "the server's replies have different numbers of designs");
-  if (status == STATUS_OK) {
-    struct paired paired = compare_pairs(sides[0].scores, sides[1].scores, sides[0].n, CONFIDENCE);
-    if (ctl->json)
-      print_comparison_json(sides, &paired, seed, n_environments);
-    else
-      print_comparison(ctl, sides, &paired, seed, n_environments);
-  }
-  for (int s = 0; s < 2; s++) {
-    json_decref(sides[s].evaluation);
-    free(sides[s].scores);
-  }
-  json_decref(held_out);
-  return status;
+  const int64_t seed = option_number(ctl, "seed", 0, (INT64_C(1) << 53) - 1, 1),
+                n_designs = option_number(ctl, "designs", 2, 1000, 64),
+                n_environments = option_number(ctl, "environments", 1, 64, 8);
+  const json_t *held_out =
+      get_json(ctl, "/v1/held-out?seed=%" PRId64 "&designs=%" PRId64 "&environments=%" PRId64, seed,
+               n_designs, n_environments);
+  for (int s = 0; s < 2; s++)
+    score_side(ctl, held_out, &sides[s]);
+  if (sides[0].n != sides[1].n)
+    return complain(STATUS_ERROR, "the server's replies have different numbers of designs");
+  const struct paired paired =
+      compare_pairs(sides[0].scores, sides[1].scores, sides[0].n, CONFIDENCE);
+  if (ctl->json)
+    print_comparison_json(sides, &paired, seed, n_environments);
+  else
+    print_comparison(ctl, sides, &paired, seed, n_environments);
+  return STATUS_OK;
 }

@@ -52,7 +52,6 @@ const char *event_words(const char *type)
 struct watch {
   struct ctl *ctl;
   const char *job; /* NULL: all jobs */
-  struct progress progress;
   bool finished, failed, reset;
 };
 
@@ -70,7 +69,6 @@ static int show_event(void *context, const char *type, const char *data)
   struct ctl *ctl = watch->ctl;
   if (strcmp(type, "reset") == 0) {
     watch->reset = true;
-    progress_end(&watch->progress);
     if (!ctl->quiet)
       complain(0, "some events are no longer kept");
     return 0;
@@ -82,10 +80,10 @@ static int show_event(void *context, const char *type, const char *data)
   if (ctl->json) {
     put_json(event, JSON_COMPACT);
   } else if (strcmp(type, "job.progress") == 0 && watch->job != NULL && ctl->progress) {
-    progress_show(&watch->progress, ctl, "running", number_of(details, "rollouts_done"),
+    progress_show(ctl, "running", number_of(details, "rollouts_done"),
                   number_of(details, "rollouts_total"));
   } else {
-    progress_end(&watch->progress);
+    progress_end();
     print_event(type, event);
   }
   fflush(stdout);
@@ -98,74 +96,62 @@ static int show_event(void *context, const char *type, const char *data)
 }
 
 /* Fetches the watched job to see whether it has ended. */
-static int ask(struct watch *watch)
+static void ask(struct watch *watch)
 {
-  json_t *job;
-  int status = get_json(watch->ctl, &job, "/v1/jobs/%s", watch->job);
-  if (status == STATUS_OK && is_final(text_of(job, "state"))) {
+  const json_t *job = get_json(watch->ctl, "/v1/jobs/%s", watch->job);
+  if (is_final(text_of(job, "state"))) {
     watch->finished = true;
     watch->failed = strcmp(text_of(job, "state"), "succeeded") != 0;
   }
-  json_decref(job);
-  return status;
 }
 
 /* Checks after a break for the end of the job: its event may no longer be kept. */
-static int look_again(void *context)
+static bool look_again(void *context)
 {
   struct watch *watch = context;
-  int status = watch->job != NULL && watch->reset ? ask(watch) : STATUS_OK;
-  return status == STATUS_OK && watch->finished ? -1 : status;
+  if (watch->job != NULL && watch->reset)
+    ask(watch);
+  return watch->finished;
 }
 
 int run_watch(struct ctl *ctl)
 {
-  struct watch watch = {.ctl = ctl, .job = ctl->n_operands > 0 ? ctl->operands[0] : NULL};
-  int64_t after = watch.job != NULL ? 0 : -1;
-  if (!option_number(ctl, "after", 0, INT64_MAX, &after))
-    return STATUS_USAGE;
-  if (watch.job != NULL && !check_job_id(watch.job))
-    return STATUS_USAGE;
-  int status = watch.job != NULL ? ask(&watch) : STATUS_OK; /* checks that the job exists */
-  watch.finished = false; /* show the events of an ended job, too */
+  struct watch watch = {.ctl = ctl, .job = ctl->n_operands > 0 ? job_id(ctl->operands[0]) : NULL};
   struct follow follow = {.ctl = ctl,
                           .job = watch.job,
-                          .after = after,
+                          .after =
+                              option_number(ctl, "after", 0, INT64_MAX, watch.job != NULL ? 0 : -1),
                           .event = show_event,
                           .broken = look_again,
                           .context = &watch};
-  catch_interrupts();
-  if (status == STATUS_OK)
-    status = follow_events(&follow);
-  progress_end(&watch.progress);
-  if (status == STATUS_OK && watch.failed)
-    status = STATUS_NEGATIVE;
-  return status;
+  if (watch.job != NULL)
+    ask(&watch);          /* checks that the job exists */
+  watch.finished = false; /* show the events of an ended job, too */
+  catch_interrupts(NULL);
+  follow_events(&follow);
+  return watch.failed ? STATUS_NEGATIVE : STATUS_OK;
 }
 
 /* ---- wait ---- */
 
 /* Waits for the end of a job, over restarts of the server. state: as its reply tells. */
-static int wait_for_end(struct ctl *ctl, const char *id, char state[16])
+static void wait_for_end(struct ctl *ctl, const char *id, char state[16])
 {
   const struct request request = {
       .method = "GET", .path = path_to("/v1/jobs/%s", id), .wait_s = 30};
-  int status = STATUS_OK;
-  while (status == STATUS_OK && !is_final(state)) {
-    json_t *job;
-    status = send_json(ctl, &request, NULL, &job);
+  while (!is_final(state)) {
+    json_t *job = send_json(ctl, &request, NULL);
     snprintf(state, 16, "%s", text_of(job, "state"));
     json_decref(job);
     if (ctl->retry_s < 0)
       ctl->retry_s = 3600; /* the server was there */
   }
-  return status;
 }
 
 /* Runs a command with sh. Returns STATUS_OK if it succeeds. */
 static int run_then(const char *command, const struct ctl *ctl, const char *state)
 {
-  char shell[] = "sh", option[] = "-c", *copy = need(strdup(command));
+  char shell[] = "sh", option[] = "-c", *copy = keep(strdup(command));
   char *const arguments[] = {shell, option, copy, NULL};
   char *ids = NULL;
   size_t size = 0;
@@ -175,10 +161,9 @@ static int run_then(const char *command, const struct ctl *ctl, const char *stat
   for (size_t i = 0; i < ctl->n_operands; i++)
     fprintf(file, "%s%s", i > 0 ? " " : "", ctl->operands[i]);
   close_text(file);
+  keep(ids);
   const bool told = setenv("MORPHOD_JOBS", ids, 1) == 0 && setenv("MORPHOD_STATE", state, 1) == 0;
   const int error = told ? posix_spawn(&process, "/bin/sh", NULL, NULL, arguments, environ) : errno;
-  free(ids);
-  free(copy);
   if (error != 0)
     return complain(STATUS_ERROR, "sh: %s", strerror(error));
   while (waitpid(process, &end, 0) < 0)
@@ -192,23 +177,19 @@ int run_wait(struct ctl *ctl)
 {
   const char *command = option_text(ctl, "run", NULL);
   char ended[16] = "succeeded";
-  int status = STATUS_OK;
   for (size_t i = 0; i < ctl->n_operands; i++)
-    if (!check_job_id(ctl->operands[i]))
-      return STATUS_USAGE;
-  catch_interrupts();
-  for (size_t i = 0; i < ctl->n_operands && status == STATUS_OK; i++) {
+    job_id(ctl->operands[i]);
+  catch_interrupts(NULL);
+  for (size_t i = 0; i < ctl->n_operands; i++) {
     char state[16] = "";
-    status = wait_for_end(ctl, ctl->operands[i], state);
-    if (status == STATUS_OK && !ctl->quiet)
+    wait_for_end(ctl, ctl->operands[i], state);
+    if (!ctl->quiet)
       print_plain_line(stdout, "job %s has %s%s", ctl->operands[i],
                        strcmp(state, "cancelled") == 0 ? "been " : "", state);
     fflush(stdout);
-    if (status == STATUS_OK && strcmp(ended, "succeeded") == 0)
+    if (strcmp(ended, "succeeded") == 0)
       memcpy(ended, state, sizeof(ended));
   }
-  const bool failed = strcmp(ended, "succeeded") != 0;
-  if (status == STATUS_OK && command != NULL)
-    status = run_then(command, ctl, ended);
-  return status == STATUS_OK && failed ? STATUS_NEGATIVE : status;
+  const int status = command != NULL ? run_then(command, ctl, ended) : STATUS_OK;
+  return status == STATUS_OK && strcmp(ended, "succeeded") != 0 ? STATUS_NEGATIVE : status;
 }

@@ -7,52 +7,51 @@
 #include "ctl.h"
 #include "designs.h"
 #include "runs.h"
+#include "transport.h"
 
-struct request;
+/* Most of these end the program when something is wrong; what they return is kept (memory.h). Those
+ * that return an int are the last of a command: the exit status. */
 
 /* ---- request.c ---- */
 
 /* Adds the given options of the command that have a place to the request. The server checks bounds
  * and reports them. */
-int fill_fields(const struct ctl *ctl, json_t *request);
+void fill_fields(const struct ctl *ctl, json_t *request);
 /* Adds --schedule, a name or a kind, at its place. The options of a kind need one. Call it before
  * fill_fields. */
-int fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
+void fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
 /* Fills in what says how designs are scored, for POST /v1/evaluations and campaigns: controller,
  * environments, physics, precision. */
-int request_fill(const struct ctl *ctl, json_t *request);
+void request_fill(const struct ctl *ctl, json_t *request);
 /* Adds as "record" the channels of --record, else `usual` (nullable), and the masses for --film. */
-int request_fill_record(const struct ctl *ctl, json_t *request, const char *usual);
-/* Adds one "key=value" of --physics to `physics`. */
-int request_physics(json_t *physics, const char *text);
-/* Adds the --physics options to a request as "physics". */
-int request_fill_physics(const struct ctl *ctl, json_t *request);
+void request_fill_record(const struct ctl *ctl, json_t *request, const char *usual);
+/* Adds the --physics options, "key=value" each, to a request as "physics". */
+void request_fill_physics(const struct ctl *ctl, json_t *request);
+/* Makes a request with a body of JSON; NULL: without one. */
+struct request json_request(const char *method, const char *path, const json_t *json);
 /* Posts what may be repeated, because it does nothing the second time. */
-int post_again(struct ctl *ctl, const char *path, const json_t *request, json_t **reply);
-/* Adds the designs of the operands from `first` on, and n_random random ones, which the server
+json_t *post_again(struct ctl *ctl, const char *path, const json_t *request);
+/* Returns the designs of the operands from `first` on, and n_random random ones, which the server
  * draws; those of standard input if there is neither. */
-int add_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed,
-                struct designs *designs);
-/* Posts a job with the key of --idempotency-key or a new key, so that repeating is safe. *job: the
- * server's reply. */
-int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s,
-             json_t **job);
+struct designs given_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed);
+/* Posts a job with the key of --idempotency-key or a new key, so that repeating is safe. Returns
+ * the server's reply. */
+json_t *post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s);
 
-/* Posts an evaluation. wait: waits for its end and shows progress; *evaluation is then final, with
- * results. */
-int evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait,
-             json_t **evaluation);
+/* Posts an evaluation. wait: waits for its end and shows progress; the evaluation is then final,
+ * with results. */
+json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait);
 
 /* ---- cmd_eval.c ---- */
 
 /* Saves the recorded trajectories of an evaluation as NumPy files, with evaluation.json, in a
  * folder, which is created. */
-int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder);
+void save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder);
 struct ranked {
   size_t place; /* position in the request */
   double score; /* +infinity: diverged */
 };
-/* Ranks results, in their order or the best first (malloc). */
+/* Ranks results, in their order or the best first. */
 struct ranked *rank_results(const json_t *results, bool by_score);
 /* Prints the results of a finished evaluation as a table. designs: nullable, for
  * their names. */
@@ -62,10 +61,10 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
 /* ---- cmd_film.c ---- */
 
 /* Checks --film, and the options that say how to draw, before anything is computed. */
-int film_check(struct ctl *ctl);
+void film_check(struct ctl *ctl);
 /* With --film, draws what a finished evaluation recorded of its masses: of up to 16 designs, the
  * best where there are more. */
-int film_evaluation(struct ctl *ctl, const json_t *evaluation);
+void film_evaluation(struct ctl *ctl, const json_t *evaluation);
 
 /* ---- common.c ---- */
 
@@ -76,11 +75,11 @@ json_t *real_or_null(double value);                    /* null: it is not finite
 
 bool is_one_of(const char *word, const char *const *words, size_t n);
 bool is_final(const char *state);
-/* Checks that an operand is the decimal id of a job; complains if not. */
-bool check_job_id(const char *text);
-/* Returns STATUS_OK if the job succeeded, else complains and returns STATUS_NEGATIVE. noun: what
- * the complaint calls it. */
-int job_outcome(const char *noun, const json_t *job);
+/* Returns an operand that is the decimal id of a job. */
+const char *job_id(const char *text);
+/* Ends the program with STATUS_NEGATIVE if the job did not succeed. noun: what the complaint calls
+ * it. */
+void expect_success(const char *noun, const json_t *job);
 
 /* Prints a fact on a line: "controller   default (sha256 …)". */
 void print_fact(const struct ctl *ctl, const char *name, const char *format, ...)
@@ -115,19 +114,24 @@ int show(struct ctl *ctl, const char *path,
          void (*print)(const struct ctl *ctl, const json_t *json));
 /* Prints JSON with --json, else a template filled with it, unless --quiet. */
 void tell(const struct ctl *ctl, const json_t *json, const char *words);
+/* Prints a page as JSON with --json, else its items as a table (table.h). */
+void print_items(const struct ctl *ctl, const json_t *page, const char *columns);
+/* Sends a request whose reply has no body, and says what it did. */
+int act(struct ctl *ctl, struct request request, const char *words);
 /* Writes a head and bytes to a file, or to standard output ("-"). */
-int save_output(const char *path, const void *head, size_t head_bytes, const void *bytes, size_t n);
+void save_output(const char *path, const void *head, size_t head_bytes, const void *bytes,
+                 size_t n);
 /* Saves the reply to a GET in the same way, and reports its size. */
 int save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output);
 
 /* Hands the items of a paged list to `take` in order, up to `limit` (0: all), those behind `after`
  * of a numbered list (−1: from the first). */
-int walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
-               void (*take)(void *context, json_t *item), void *context);
-/* Collects such items in the array *items. */
-int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
-/* Prints a list as a table (table.h) or as one page of JSON. The options --limit and --all override
- * the limit; others filter and sort it. */
+void walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
+                void (*take)(void *context, json_t *item), void *context);
+/* Returns such items in an array. */
+json_t *collect(struct ctl *ctl, const char *path, size_t limit);
+/* Prints a list as print_items does. The options --limit and --all override the limit; others
+ * filter and sort it. */
 int list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns);
 
 /* ---- dump.c ---- */

@@ -47,23 +47,20 @@ bool is_final(const char *state)
   return is_one_of(state, states, 3);
 }
 
-bool check_job_id(const char *text)
+const char *job_id(const char *text)
 {
   size_t length = strlen(text);
-  if (length > 0 && length <= 18 && strspn(text, "0123456789") == length && *text != '0')
-    return true;
-  complain(STATUS_USAGE, "\"%s\" is not the id of a job: a positive whole number", text);
-  return false;
+  if (length == 0 || length > 18 || strspn(text, "0123456789") != length || *text == '0')
+    fail(STATUS_USAGE, "\"%s\" is not the id of a job: a positive whole number", text);
+  return text;
 }
 
-int job_outcome(const char *noun, const json_t *job)
+void expect_success(const char *noun, const json_t *job)
 {
   if (strcmp(text_of(job, "state"), "succeeded") == 0)
-    return STATUS_OK;
-  char *words = text_from(job, "{id} [{state}: {error.detail}|is {state}]");
-  complain(0, "%s %s", noun, words);
-  free(words);
-  return STATUS_NEGATIVE;
+    return;
+  const char *words = keep(text_from(job, "{id} [{state}: {error.detail}|is {state}]"));
+  fail(STATUS_NEGATIVE, "%s %s", noun, words);
 }
 
 /* ---- output ---- */
@@ -84,14 +81,20 @@ void tell(const struct ctl *ctl, const json_t *json, const char *words)
 int show(struct ctl *ctl, const char *path,
          void (*print)(const struct ctl *ctl, const json_t *json))
 {
-  json_t *json;
-  int status = get_json(ctl, &json, "%s", path);
-  if (status == STATUS_OK && ctl->json)
+  const json_t *json = get_json(ctl, "%s", path);
+  if (ctl->json)
     print_json(json);
-  else if (status == STATUS_OK)
+  else
     print(ctl, json);
-  json_decref(json);
-  return status;
+  return STATUS_OK;
+}
+
+void print_items(const struct ctl *ctl, const json_t *page, const char *columns)
+{
+  if (ctl->json)
+    print_json(page);
+  else
+    print_table(stdout, ctl, json_object_get(page, "items"), columns);
 }
 
 static void print_name(const struct ctl *ctl, const char *name)
@@ -129,59 +132,64 @@ void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *f
   }
 }
 
-int save_output(const char *path, const void *head, size_t head_bytes, const void *bytes, size_t n)
+void save_output(const char *path, const void *head, size_t head_bytes, const void *bytes, size_t n)
 {
   bool standard = strcmp(path, "-") == 0;
   FILE *file = standard ? stdout : fopen(path, "we");
   bool ok = file != NULL && fwrite(head, 1, head_bytes, file) == head_bytes &&
             (n == 0 || fwrite(bytes, 1, n, file) == n) && fflush(file) == 0;
-  int error = errno;
-  if (file != NULL && !standard && fclose(file) != 0 && ok) {
-    ok = false;
-    error = errno;
-  }
-  return ok ? STATUS_OK : complain(STATUS_ERROR, "%s: %s", path, strerror(error));
+  if (ok && !standard)
+    ok = fclose(file) == 0;
+  if (!ok)
+    fail(STATUS_ERROR, "%s: %s", path, strerror(errno));
+}
+
+int act(struct ctl *ctl, struct request request, const char *words)
+{
+  struct reply reply;
+  transport_send(ctl, &request, &reply);
+  if (!ctl->quiet && !ctl->json)
+    print_plain_line(stdout, "%s", words);
+  reply_free(&reply);
+  return STATUS_OK;
 }
 
 int save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output)
 {
   struct reply reply;
-  int status = transport_get(ctl, path, accept, &reply);
-  if (status == STATUS_OK)
-    status = save_output(output, "", 0, reply.body, reply.body_bytes);
-  if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
+  transport_get(ctl, path, accept, &reply);
+  save_output(output, "", 0, reply.body, reply.body_bytes);
+  if (!ctl->quiet && strcmp(output, "-") != 0)
     print_plain_line(stderr, "%s: %zu bytes", output, reply.body_bytes);
   reply_free(&reply);
-  return status;
+  return STATUS_OK;
 }
 
 /* ---- lists ---- */
 
-int walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
-               void (*take)(void *context, json_t *item), void *context)
+void walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
+                void (*take)(void *context, json_t *item), void *context)
 {
-  char *cursor = after >= 0 ? format_text("%" PRId64, after) : NULL;
+  const char *cursor = after >= 0 ? path_to("%" PRId64, after) : NULL;
   size_t n = 0;
-  int status = STATUS_OK;
   do {
     const size_t left = limit == 0 ? 1000 : limit - n;
-    json_t *page, *item;
+    char *page_path = format_text("%s%climit=%zu%s%s", path, strchr(path, '?') != NULL ? '&' : '?',
+                                  left < 1000 ? left : 1000, cursor != NULL ? "&cursor=" : "",
+                                  cursor != NULL ? cursor : "");
+    json_t *item,
+        *page = send_json(ctl, &(struct request){.method = "GET", .path = page_path}, NULL);
     size_t i;
-    status = get_json(ctl, &page, "%s%climit=%zu%s%s", path, strchr(path, '?') != NULL ? '&' : '?',
-                      left < 1000 ? left : 1000, cursor != NULL ? "&cursor=" : "",
-                      cursor != NULL ? cursor : "");
     json_array_foreach(json_object_get(page, "items"), i, item)
     {
       take(context, item);
       n++;
     }
     const char *next = json_string_value(json_object_get(page, "next_cursor"));
-    free(cursor);
     cursor = next != NULL ? escape(next) : NULL;
     json_decref(page);
-  } while (status == STATUS_OK && cursor != NULL && (limit == 0 || n < limit));
-  free(cursor);
-  return status;
+    free(page_path);
+  } while (cursor != NULL && (limit == 0 || n < limit));
 }
 
 static void append(void *items, json_t *item)
@@ -189,18 +197,14 @@ static void append(void *items, json_t *item)
   json_array_append(items, item);
 }
 
-int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
+json_t *collect(struct ctl *ctl, const char *path, size_t limit)
 {
-  *items = json_array();
-  int status = walk_items(ctl, path, -1, limit, append, *items);
-  if (status != STATUS_OK) {
-    json_decref(*items);
-    *items = NULL;
-  }
-  return status;
+  json_t *items = keep(json_array());
+  walk_items(ctl, path, -1, limit, append, items);
+  return items;
 }
 
-/* Makes the path of a list with the options that filter or sort it (malloc). */
+/* Makes the path of a list with the options that filter or sort it (kept). */
 static char *list_path(const struct ctl *ctl, const char *list)
 {
   static const struct {
@@ -220,15 +224,13 @@ static char *list_path(const struct ctl *ctl, const char *list)
   fputs(list, file);
   for (size_t i = 0; i < sizeof(filters) / sizeof(filters[0]); i++) {
     const char *given = option_text(ctl, filters[i].option, NULL);
-    char *escaped = given != NULL ? escape(given) : NULL;
-    if (escaped != NULL) {
-      fprintf(file, "%c%s=%s", between, filters[i].parameter, escaped);
-      between = '&';
-    }
-    free(escaped);
+    if (given == NULL)
+      continue;
+    fprintf(file, "%c%s=%s", between, filters[i].parameter, escape(given));
+    between = '&';
   }
   close_text(file);
-  return path;
+  return keep(path);
 }
 
 int list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns)
@@ -236,27 +238,16 @@ int list_items(struct ctl *ctl, const char *list, int64_t limit, const char *col
   static const char *const states[] = {"queued",    "running", "paused",
                                        "succeeded", "failed",  "cancelled"};
   const char *state = option_text(ctl, "state", NULL), *group = option_text(ctl, "group", NULL);
-  if (!option_number(ctl, "limit", 1, 1000000, &limit))
-    return STATUS_USAGE;
+  limit = option_number(ctl, "limit", 1, 1000000, limit);
   if (option_is_set(ctl, "all"))
     limit = 0;
   if (state != NULL && !is_one_of(state, states, 6))
     return complain(
         STATUS_USAGE,
         "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled", state);
-  if (group != NULL && !check_job_id(group))
-    return STATUS_USAGE;
-  json_t *items = NULL;
-  char *path = list_path(ctl, list);
-  int status = collect(ctl, path, (size_t)limit, &items);
-  free(path);
-  if (status == STATUS_OK && ctl->json) {
-    json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");
-    print_json(page);
-    json_decref(page);
-  } else if (status == STATUS_OK) {
-    print_table(stdout, ctl, items, columns);
-  }
-  json_decref(items);
-  return status;
+  if (group != NULL)
+    job_id(group);
+  json_t *items = collect(ctl, list_path(ctl, list), (size_t)limit);
+  print_items(ctl, keep(json_pack("{s:O, s:n}", "items", items, "next_cursor")), columns);
+  return STATUS_OK;
 }

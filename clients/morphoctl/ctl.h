@@ -63,7 +63,7 @@ struct ctl {
   size_t n_operands;
 
   const char *server; /* "http://…" or "unix:/…" */
-  char *token;        /* NULL: none */
+  const char *token;  /* NULL: none */
   bool json;          /* plain JSON of the API on standard output */
   bool quiet;         /* no progress, no notes */
   bool color;         /* on standard output */
@@ -79,20 +79,18 @@ extern const struct option_spec common_options[];
 
 /* ---- options.c ---- */
 
-/* Finds the command and reads its options. Returns −1 to go on, or an exit status (help was
- * printed, or the usage is wrong). */
-int options_parse(struct ctl *ctl, int argc, const char *const *argv);
-void options_free(struct ctl *ctl);
+/* Finds the command and reads its options. Ends the program if help was printed, or the usage is
+ * wrong. */
+void options_parse(struct ctl *ctl, int argc, const char *const *argv);
 void options_print_help(FILE *file, const struct command *command); /* NULL: of the whole program */
 void options_print_completion(FILE *file);                          /* for bash */
 
 bool option_is_set(const struct ctl *ctl, const char *name);
 const char *option_text(const struct ctl *ctl, const char *name,
                         const char *otherwise); /* the last value given */
-/* Reads a whole number within bounds. Leaves *number if the option was not given. False: it is
- * invalid, and a message was printed. */
-bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
-                   int64_t *number);
+/* Returns a whole number within bounds, and the alternative if the option was not given. */
+int64_t option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
+                      int64_t otherwise);
 
 /* ---- plain.c: shows text from elsewhere without obeying its escapes ---- */
 
@@ -110,16 +108,9 @@ void print_plain_line(FILE *file, const char *format, ...)
 void print_plain_list(FILE *file, const char *format, va_list arguments)
     __attribute__((format(printf, 2, 0)));
 
-/* Prints "morphoctl: …" on standard error, as plain text; returns `status`. */
-int complain(int status, const char *format, ...) __attribute__((format(printf, 2, 3)));
 /* Returns "; did you mean --NAME?" with the one of n names that is nearest to a mistyped one, or
  * "". first, stride: as of mo_word_nearest. Valid until the next call. */
 const char *did_you_mean(const char *dashes, const char *name, const char *const *first, size_t n,
                          size_t stride);
-
-/* True after SIGINT or SIGTERM, once catch_interrupts was called. Commands call it before they wait
- * for something that goes on without them. */
-bool interrupted(void);
-void catch_interrupts(void);
 
 #endif

@@ -11,35 +11,30 @@
 #include "base/text.h"
 #include "commands.h"
 
-int read_input(const char *path, size_t limit, char **text, size_t *length)
+char *read_input(const char *path, size_t limit, size_t *length)
 {
   bool standard = strcmp(path, "-") == 0;
   FILE *file = standard ? stdin : fopen(path, "re");
-  if (file == NULL)
-    return complain(STATUS_USAGE, "%s: %s", path, strerror(errno));
   const char *name = standard ? "standard input" : path;
-  char block[65536];
+  char block[65536], *text = NULL;
   size_t n = 0;
-  *text = NULL;
-  FILE *memory = need(open_memstream(text, length));
+  if (file == NULL)
+    fail(STATUS_USAGE, "%s: %s", path, strerror(errno));
+  FILE *memory = need(open_memstream(&text, length));
   do {
     n = fread(block, 1, sizeof(block), file);
     need(fwrite(block, 1, n, memory) == n && fflush(memory) == 0 ? memory : NULL);
   } while (n > 0 && *length <= limit);
   const int error = ferror(file) ? errno : 0;
   close_text(memory);
+  keep(text);
   if (!standard)
     fclose(file);
-  int status = STATUS_OK;
   if (*length > limit)
-    status = complain(STATUS_USAGE, "%s is larger than %zu MiB", name, limit >> 20);
-  else if (error != 0)
-    status = complain(STATUS_USAGE, "%s: %s", name, strerror(error));
-  if (status != STATUS_OK) {
-    free(*text);
-    *text = NULL;
-  }
-  return status;
+    fail(STATUS_USAGE, "%s is larger than %zu MiB", name, limit >> 20);
+  if (error != 0)
+    fail(STATUS_USAGE, "%s: %s", name, strerror(error));
+  return text;
 }
 
 bool is_id(const char *text, size_t length)
@@ -57,18 +52,18 @@ bool is_voxels(const char *text, size_t length)
   return length == VOXELS + letter && strspn(text + letter, "01") >= VOXELS;
 }
 
-static int add(struct designs *designs, json_t *design, const char *name)
+struct designs no_designs(void)
 {
-  if (designs->list == NULL)
-    designs->list = need(json_array());
-  if (designs->n >= DESIGNS_MAX) {
-    json_decref(design);
-    return complain(STATUS_USAGE, "more than %d designs in one request; split them", DESIGNS_MAX);
-  }
-  designs->names = need(realloc(designs->names, (designs->n + 1) * sizeof(*designs->names)));
-  designs->names[designs->n++] = name != NULL ? need(strdup(name)) : NULL;
+  return (struct designs){keep(json_array()), keep(json_array())};
+}
+
+/* Takes the reference to the design. name: nullable. */
+static void add(struct designs *designs, json_t *design, const char *name)
+{
+  if (json_array_size(designs->list) >= DESIGNS_MAX)
+    fail(STATUS_USAGE, "more than %d designs in one request; split them", DESIGNS_MAX);
   json_array_append_new(designs->list, need(design));
-  return STATUS_OK;
+  json_array_append_new(designs->names, name != NULL ? json_string(name) : json_null());
 }
 
 static bool is_point(const json_t *json)
@@ -76,61 +71,55 @@ static bool is_point(const json_t *json)
   return json_array_size(json) == 3 && json_is_number(json_array_get(json, 0));
 }
 
-static int add_json(struct designs *designs, const char *source, size_t line, json_t *json,
-                    int depth)
+static void add_json(struct designs *designs, const char *source, size_t line, json_t *json,
+                     int depth)
 {
   static const char *const forms[] = {"cells", "voxels", "id"};
   if (json_is_string(json)) {
     const char *text = json_string_value(json);
     size_t length = json_string_length(json);
-    if (is_id(text, length) || is_voxels(text, length))
-      return add(designs, json_pack("{s:s}", is_id(text, length) ? "id" : "voxels", text), NULL);
-    return complain(STATUS_USAGE, "%s:%zu: a text is 144 digits 0 and 1, or 36 hexadecimal digits",
-                    source, line);
+    if (!is_id(text, length) && !is_voxels(text, length))
+      fail(STATUS_USAGE, "%s:%zu: a text is 144 digits 0 and 1, or 36 hexadecimal digits", source,
+           line);
+    add(designs, json_pack("{s:s}", is_id(text, length) ? "id" : "voxels", text), NULL);
+    return;
   }
-  if (json_is_array(json)) {
-    if (json_array_size(json) > 0 && is_point(json_array_get(json, 0)))
-      return add(designs, json_pack("{s:O}", "cells", json), NULL);
-    if (depth > 1)
-      return complain(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id",
-                      source, line);
+  if (json_is_array(json) && json_array_size(json) > 0 && is_point(json_array_get(json, 0))) {
+    add(designs, json_pack("{s:O}", "cells", json), NULL);
+    return;
+  }
+  if (json_is_array(json) && depth <= 1) {
     size_t i;
     json_t *entry;
-    int status = STATUS_OK;
     json_array_foreach(json, i, entry)
     {
-      status = add_json(designs, source, line, entry, depth + 1);
-      if (status != STATUS_OK)
-        break;
+      add_json(designs, source, line, entry, depth + 1);
     }
-    return status;
+    return;
   }
   if (!json_is_object(json))
-    return complain(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id", source,
-                    line);
+    fail(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id", source, line);
   json_t *many = json_object_get(json, "designs");
-  if (many != NULL && depth == 0)
-    return add_json(designs, source, line, many, 0);
-  json_t *design = json_object();
+  if (many != NULL && depth == 0) {
+    add_json(designs, source, line, many, 0);
+    return;
+  }
+  json_t *design = keep(json_object());
   const char *key;
   json_t *value;
   json_object_foreach(json, key, value)
   {
     if (strcmp(key, "name") == 0 || strcmp(key, "description") == 0)
       continue;
-    if (!is_one_of(key, forms, 3)) {
-      json_decref(design);
-      return complain(STATUS_USAGE,
-                      "%s:%zu: a design has cells, voxels or id, perhaps a name, but no \"%s\"%s",
-                      source, line, key, did_you_mean("", key, forms, 3, sizeof(*forms)));
-    }
+    if (!is_one_of(key, forms, 3))
+      fail(STATUS_USAGE,
+           "%s:%zu: a design has cells, voxels or id, perhaps a name, but no \"%s\"%s", source,
+           line, key, did_you_mean("", key, forms, 3, sizeof(*forms)));
     json_object_set(design, key, value);
   }
-  if (json_object_size(design) != 1) {
-    json_decref(design);
-    return complain(STATUS_USAGE, "%s:%zu: a design has one of cells, voxels and id", source, line);
-  }
-  return add(designs, design, json_string_value(json_object_get(json, "name")));
+  if (json_object_size(design) != 1)
+    fail(STATUS_USAGE, "%s:%zu: a design has one of cells, voxels and id", source, line);
+  add(designs, json_incref(design), json_string_value(json_object_get(json, "name")));
 }
 
 static size_t count_lines(const char *text, size_t n)
@@ -141,11 +130,10 @@ static size_t count_lines(const char *text, size_t n)
   return lines;
 }
 
-int designs_add_text(struct designs *designs, const char *source, const char *text, size_t length)
+void designs_add_text(struct designs *designs, const char *source, const char *text, size_t length)
 {
   size_t line = 1;
-  int status = STATUS_OK;
-  for (size_t i = 0; i < length && status == STATUS_OK;) {
+  for (size_t i = 0; i < length;) {
     if (text[i] == '\n')
       line++;
     if (isspace((unsigned char)text[i]) || text[i] == ',') {
@@ -158,10 +146,9 @@ int designs_add_text(struct designs *designs, const char *source, const char *te
       json_t *json =
           json_loadb(text + i, length - i, JSON_REJECT_DUPLICATES | JSON_DISABLE_EOF_CHECK, &error);
       if (json == NULL)
-        return complain(STATUS_USAGE, "%s:%zu: %s", source,
-                        line + (size_t)(error.line > 0 ? error.line - 1 : 0), error.text);
-      status = add_json(designs, source, line, json, 0);
-      json_decref(json);
+        fail(STATUS_USAGE, "%s:%zu: %s", source,
+             line + (size_t)(error.line > 0 ? error.line - 1 : 0), error.text);
+      add_json(designs, source, line, keep(json), 0);
       line += count_lines(text + i, (size_t)error.position);
       i += (size_t)error.position;
     } else {
@@ -169,63 +156,47 @@ int designs_add_text(struct designs *designs, const char *source, const char *te
       while (i + n < length && !isspace((unsigned char)text[i + n]) && text[i + n] != ',')
         n++;
       if (is_id(text + i, n))
-        status = add(designs, json_pack("{s:s%}", "id", text + i, n), NULL);
+        add(designs, json_pack("{s:s%}", "id", text + i, n), NULL);
       else if (is_voxels(text + i, n))
-        status = add(designs, json_pack("{s:s%}", "voxels", text + i, n), NULL);
+        add(designs, json_pack("{s:s%}", "voxels", text + i, n), NULL);
       else if (n == strspn(text + i, "01") && n > ID_DIGITS)
-        return complain(STATUS_USAGE, "%s:%zu: %zu digits; voxels are 144", source, line, n);
+        fail(STATUS_USAGE, "%s:%zu: %zu digits; voxels are 144", source, line, n);
       else
-        return complain(STATUS_USAGE,
-                        "%s:%zu: \"%.*s%s\" is not a design: JSON, 144 digits 0 and 1, or 36 "
-                        "hexadecimal digits",
-                        source, line, (int)(n < 40 ? n : 40), text + i, n < 40 ? "" : "…");
+        fail(STATUS_USAGE,
+             "%s:%zu: \"%.*s%s\" is not a design: JSON, 144 digits 0 and 1, or 36 hexadecimal "
+             "digits",
+             source, line, (int)(n < 40 ? n : 40), text + i, n < 40 ? "" : "…");
       i += n;
     }
   }
-  return status;
 }
 
-int designs_add_genotypes(struct designs *designs, const json_t *objects)
+void designs_add_genotypes(struct designs *designs, const json_t *objects)
 {
-  int status = STATUS_OK;
   size_t i;
   const json_t *object;
   json_array_foreach(objects, i, object)
   {
     const char *genotype = text_of(object, "genotype");
-    if (status == STATUS_OK)
-      status = designs_add_text(designs, "the server's reply", genotype, strlen(genotype));
+    designs_add_text(designs, "the server's reply", genotype, strlen(genotype));
   }
-  return status;
 }
 
-int designs_add_operand(struct designs *designs, const char *operand)
+void designs_add_operand(struct designs *designs, const char *operand)
 {
   size_t length = strlen(operand);
   if (strcmp(operand, "-") != 0 && access(operand, F_OK) != 0 &&
-      (is_id(operand, length) || is_voxels(operand, length) || *operand == '{' || *operand == '['))
-    return designs_add_text(designs, "operand", operand, length);
-  char *text = NULL;
-  int status = read_input(operand, INPUT_BYTES_MAX, &text, &length);
-  if (status != STATUS_OK)
-    return status;
-  size_t before = designs->n;
+      (is_id(operand, length) || is_voxels(operand, length) || *operand == '{' ||
+       *operand == '[')) {
+    designs_add_text(designs, "operand", operand, length);
+    return;
+  }
+  const char *text = read_input(operand, INPUT_BYTES_MAX, &length);
+  const size_t before = json_array_size(designs->list);
   const char *source = strcmp(operand, "-") == 0 ? "standard input" : operand;
-  if (text != NULL)
-    status = designs_add_text(designs, source, text, length);
-  free(text);
-  if (status == STATUS_OK && designs->n == before)
-    return complain(STATUS_USAGE, "%s holds no design", source);
-  return status;
-}
-
-void designs_free(struct designs *designs)
-{
-  for (size_t i = 0; i < designs->n; i++)
-    free(designs->names[i]);
-  free(designs->names);
-  json_decref(designs->list);
-  *designs = (struct designs){0};
+  designs_add_text(designs, source, text, length);
+  if (json_array_size(designs->list) == before)
+    fail(STATUS_USAGE, "%s holds no design", source);
 }
 
 /* ---- voxels of a design ---- */

@@ -23,20 +23,18 @@
 #define INPUT_BYTES_MAX (64 << 20)
 
 struct designs {
-  json_t *list; /* array of objects in the form of the API */
-  char **names; /* (n), entries may be NULL */
-  size_t n;
+  json_t *list;  /* array of objects in the form of the API; kept (memory.h) */
+  json_t *names; /* of the same length: texts, or null; kept */
 };
 
-/* Adds the designs in `text`. source: its name in messages. STATUS_OK, or STATUS_USAGE or
- * STATUS_ERROR with a complaint. */
-int designs_add_text(struct designs *designs, const char *source, const char *text, size_t length);
+struct designs no_designs(void);
+/* Adds the designs in `text`. source: its name in messages. A fault in it ends the program. */
+void designs_add_text(struct designs *designs, const char *source, const char *text, size_t length);
 /* Adds the designs of an operand: "-" is standard input; else a file; else the text itself if it is
  * a body or an id. */
-int designs_add_operand(struct designs *designs, const char *operand);
+void designs_add_operand(struct designs *designs, const char *operand);
 /* Adds the bodies of an array of objects with "genotype"; null is left out. */
-int designs_add_genotypes(struct designs *designs, const json_t *objects);
-void designs_free(struct designs *designs);
+void designs_add_genotypes(struct designs *designs, const json_t *objects);
 
 /* Writes the voxels of a design as 144 digits. False: the design is an id or invalid. */
 bool design_voxels(const json_t *design, char voxels[VOXELS + 1]);
@@ -45,8 +43,8 @@ bool id_voxels(const char *id, char voxels[VOXELS + 1]);
 bool is_id(const char *text, size_t length);
 bool is_voxels(const char *text, size_t length);
 
-/* Reads a whole file or standard input ("-"): malloc, NUL-terminated. */
-int read_input(const char *path, size_t limit, char **text, size_t *length);
+/* Reads a whole file or standard input ("-"): kept, NUL-terminated. */
+char *read_input(const char *path, size_t limit, size_t *length);
 
 /* Draws a body as layers side by side, the lowest first; layers above the body are left out. */
 void draw_body(FILE *file, const char voxels[VOXELS + 1], bool utf8);

@@ -60,11 +60,13 @@ void sse_free(struct sse *sse)
 static int feed(void *context, const char *bytes, size_t n)
 {
   struct follow *follow = context;
-  int end = sse_feed(&follow->sse, bytes, n, follow->event, follow->context);
+  const int end = sse_feed(&follow->sse, bytes, n, follow->event, follow->context);
+  if (end < 0)
+    fail(STATUS_ERROR, "the server sends an event of more than %d bytes", SSE_BYTES_MAX);
   return end == 0 && follow->alive != NULL ? follow->alive(follow->context) : end;
 }
 
-static int open_stream(struct follow *follow)
+static bool open_stream(struct follow *follow)
 {
   char path[128];
   const char *last = *follow->sse.last_id != 0 ? follow->sse.last_id : NULL;
@@ -77,17 +79,15 @@ static int open_stream(struct follow *follow)
   return transport_stream(follow->ctl, path, last, feed, follow);
 }
 
-int follow_events(struct follow *follow)
+void follow_events(struct follow *follow)
 {
   struct ctl *ctl = follow->ctl;
   double pause = 0.2, broken_since = monotonic_s();
-  int status = STATUS_OK;
-  while (status == STATUS_OK) {
+  for (;;) {
     char before[sizeof(follow->sse.last_id)];
     memcpy(before, follow->sse.last_id, sizeof(before));
     double begin = monotonic_s();
-    status = open_stream(follow);
-    if (status != STATUS_CONNECTION)
+    if (open_stream(follow))
       break;
     /* The stream broke: continue after the last event, for as long as --retry allows without a sign
      * of life. */
@@ -96,16 +96,14 @@ int follow_events(struct follow *follow)
       broken_since = monotonic_s();
       pause = 0.2;
     }
-    if (monotonic_s() - broken_since > limit) {
-      status = complain_about_server(ctl, "the event stream ended");
-      break;
-    }
+    if (monotonic_s() - broken_since > limit)
+      leave(complain_about_server(ctl, "the event stream ended"));
     pause_s(pause);
     pause = pause * 2 > 5 ? 5 : pause * 2;
-    status = interrupted() ? STATUS_INTERRUPTED : STATUS_OK;
-    if (status == STATUS_OK)
-      status = follow->broken(follow->context);
+    if (interrupted())
+      leave(STATUS_INTERRUPTED);
+    if (follow->broken(follow->context))
+      break;
   }
   sse_free(&follow->sse);
-  return status > STATUS_OK ? status : STATUS_OK;
 }

@@ -27,18 +27,16 @@ struct follow {
    * longer kept. Non-zero ends the following. */
   int (*event)(void *context, const char *type, const char *data);
   /* Called after the events of each sign of life, an event or a heartbeat (at least every 15 s).
-   * Nullable; non-zero ends the following. */
-  int (*alive)(void *context);
-  /* Called after each break, before the stream is opened again. STATUS_OK continues;
-   * −1: the job has ended. */
-  int (*broken)(void *context);
+   * Nullable; true ends the following. */
+  bool (*alive)(void *context);
+  /* Called after each break, before the stream is opened again. True ends the following. */
+  bool (*broken)(void *context);
   void *context;
   struct sse sse; /* private */
 };
 
-/* Follows events. STATUS_OK: `event` or `broken` ended the following; STATUS_INTERRUPTED;
- * STATUS_CONNECTION: no sign of life for as long as --retry says; else the status of an error that
- * was already reported. */
-int follow_events(struct follow *follow);
+/* Follows events until one of these functions ends it. An error ends the program, as does no sign
+ * of life for as long as --retry says. */
+void follow_events(struct follow *follow);
 
 #endif

@@ -104,130 +104,103 @@ void live_words(const struct live *live, const json_t *at, const json_t *json, c
 
 /* ---- the state ---- */
 
-int live_load(struct live *live)
+void live_load(struct live *live)
 {
-  json_t *job;
-  int status = get_json(live->ctl, &job, "/v1/%ss/%s", live->kind->noun, live->id);
-  if (status != STATUS_OK)
-    return status;
+  const struct request request = {.method = "GET",
+                                  .path = path_to("/v1/%ss/%s", live->kind->noun, live->id)};
+  json_t *job = send_json(live->ctl, &request, NULL);
   json_decref(live->job);
   live->job = job;
-  status = live->kind->load(live);
-  if (status != STATUS_OK)
-    return status;
+  live->kind->load(live);
   live->finished = is_final(text_of(live->job, "state"));
   live->told_s = monotonic_s();
-  return STATUS_OK;
 }
 
 static int show_event(void *context, const char *type, const char *data)
 {
   struct live *live = context;
   bool now = false;
-  int status = strcmp(type, "reset") == 0 ? live_load(live) : STATUS_OK;
+  if (strcmp(type, "reset") == 0)
+    live_load(live);
   json_t *event = json_loads(data, 0, NULL);
-  if (status == STATUS_OK)
-    status = live->kind->event(live, type, event, &now);
+  const bool may_end = live->kind->event(live, type, event, &now);
   json_decref(event);
   draw(live, now || live->finished);
-  return status > STATUS_OK || (live->finished && status == STATUS_OK);
+  return live->finished && may_end;
 }
 
-/* Fetches the state, and reports what changed without an event. */
-static int look_again(void *context)
+/* Fetches the state, and reports what changed without an event. Returns whether the job has ended.
+ */
+static bool look_again(void *context)
 {
   struct live *live = context;
   char phase[64], reason[320];
   snprintf(phase, sizeof(phase), "%s", text_of(live->job, "phase"));
   snprintf(reason, sizeof(reason), "%s", text_of(live->job, "reason"));
-  int status = live_load(live);
-  if (status != STATUS_OK)
-    return status;
+  live_load(live);
   live->kind->changed(live, phase, reason);
   draw(live, true);
-  return live->finished ? -1 : STATUS_OK;
+  return live->finished;
 }
 
-static int notice(void *context)
+static bool notice(void *context)
 {
   struct live *live = context;
   const bool late = monotonic_s() - live->told_s > live->kind->ask_s;
-  return (late && look_again(live) != STATUS_OK) || live->finished;
-}
-
-/* Finds the sequence of the newest event, as reported by a page that starts beyond it. */
-static int newest_event(struct ctl *ctl, int64_t *newest)
-{
-  json_t *page;
-  int status = get_json(ctl, &page, "/v1/events?format=json&limit=1&after=999999999999999999");
-  if (status == STATUS_OK)
-    *newest = strtoll(text_of(page, "newest"), NULL, 10);
-  json_decref(page);
-  return status;
+  return (late && look_again(live)) || live->finished;
 }
 
 /* ---- commands ---- */
 
 /* Follows the job to its end. An interrupt ends only the command, not the job. */
-static int watch(struct live *live)
+static void watch(struct live *live)
 {
   const char *id = live->ctl->operands[0], *command = live->kind->command;
-  int64_t newest = -1;
   live->is_drawn = can_draw(live->ctl);
-  catch_interrupts(); /* before the first output */
-  int status = newest_event(live->ctl, &newest);
-  if (status == STATUS_OK)
-    status = live_load(live);
-  if (status == STATUS_OK) {
-    live->kind->begin(live);
-    draw(live, true);
-  }
+  /* Before the first output. */
+  catch_interrupts(
+      live->ctl->quiet
+          ? NULL
+          : keep(format_text("The %s goes on. To watch it again: morphoctl %s watch %s; to set it "
+                             "aside: morphoctl %s pause %s; to stop it: morphoctl %s cancel %s",
+                             live->kind->noun, command, id, command, id, command, id)));
+  /* The newest event, as reported by a page that starts beyond it. */
+  const json_t *page =
+      get_json(live->ctl, "/v1/events?format=json&limit=1&after=999999999999999999");
+  live_load(live);
+  live->kind->begin(live);
+  draw(live, true);
   struct follow follow = {.ctl = live->ctl,
                           .job = id,
-                          .after = newest,
+                          .after = strtoll(text_of(page, "newest"), NULL, 10),
                           .event = show_event,
                           .alive = notice,
                           .broken = look_again,
                           .context = live};
-  if (status == STATUS_OK && !live->finished)
-    status = follow_events(&follow);
-  if (status == STATUS_INTERRUPTED && !live->ctl->quiet)
-    print_plain_line(stderr,
-                     "The %s goes on. To watch it again: morphoctl %s watch %s; to set it aside: "
-                     "morphoctl %s pause %s; to stop it: morphoctl %s cancel %s",
-                     live->kind->noun, command, id, command, id, command, id);
-  else if (status == STATUS_OK && live->finished)
-    status = live->kind->finish(live);
-  else if (status == STATUS_OK)
-    status = STATUS_ERROR; /* the error was already reported */
-  return status;
+  if (!live->finished)
+    follow_events(&follow);
+  live->kind->finish(live);
 }
 
-static int show_once(struct live *live)
+static void show_once(struct live *live)
 {
-  if (live->ctl->json)
-    return show(live->ctl, path_to("/v1/%ss/%s", live->kind->noun, live->id), NULL);
-  int status = live_load(live);
-  if (status == STATUS_OK)
-    live->kind->print(live);
-  return status;
+  if (live->ctl->json) {
+    print_json(get_json(live->ctl, "/v1/%ss/%s", live->kind->noun, live->id));
+    return;
+  }
+  live_load(live);
+  live->kind->print(live);
 }
 
 /* Runs a command on the job that the first operand names. */
-static int run(struct ctl *ctl, int (*command)(struct live *live))
+static int run(struct ctl *ctl, void (*command)(struct live *live))
 {
-  const struct live_kind *kind = ctl->command->live;
-  if (!check_job_id(ctl->operands[0]))
-    return STATUS_USAGE;
-  struct live *live = need(calloc(1, kind->size));
-  live->kind = kind;
+  struct live *live = keep(calloc(1, ctl->command->live->size));
+  live->kind = ctl->command->live;
   live->ctl = ctl;
-  live->id = ctl->operands[0];
-  int status = command(live);
-  json_decref(live->job);
-  kind->release(live);
-  free(live);
-  return status;
+  live->id = job_id(ctl->operands[0]);
+  command(live);
+  return STATUS_OK;
 }
 
 int run_live_watch(struct ctl *ctl)
@@ -244,28 +217,24 @@ int live_start(struct ctl *ctl, const json_t *request)
 {
   const struct live_kind *kind = ctl->command->live;
   const bool watches = option_is_set(ctl, "watch");
-  char id[24];
-  json_t *job;
-  int status = post_job(ctl, path_to("/v1/%ss", kind->noun), request, 0, &job);
-  snprintf(id, sizeof(id), "%s", text_of(job, "id"));
-  if (status == STATUS_OK && ctl->json && !watches) {
+  const json_t *job = post_job(ctl, path_to("/v1/%ss", kind->noun), request, 0);
+  const char *id = text_of(job, "id");
+  if (ctl->json && !watches) {
     print_json(job);
-  } else if (status == STATUS_OK) {
-    const int64_t replicates = number_of(json_object_get(job, "group"), "replicates");
-    for (int64_t i = 0; i < (replicates > 1 ? replicates : 1) && !watches; i++)
-      printf("%" PRId64 "\n", (int64_t)strtoll(id, NULL, 10) + i);
-    if (!ctl->quiet && !ctl->json) {
-      fill_template(stderr, job, kind->accepted);
-      if (!watches)
-        print_plain(stderr, "; morphoctl %s watch %s", kind->command, id);
-      fputc('\n', stderr);
-    }
-    if (watches) {
-      ctl->operands[0] = id;
-      ctl->n_operands = 1;
-      status = run_live_watch(ctl);
-    }
+    return STATUS_OK;
   }
-  json_decref(job);
-  return status;
+  const int64_t replicates = number_of(json_object_get(job, "group"), "replicates");
+  for (int64_t i = 0; i < (replicates > 1 ? replicates : 1) && !watches; i++)
+    printf("%" PRId64 "\n", (int64_t)strtoll(id, NULL, 10) + i);
+  if (!ctl->quiet && !ctl->json) {
+    fill_template(stderr, job, kind->accepted);
+    if (!watches)
+      print_plain(stderr, "; morphoctl %s watch %s", kind->command, id);
+    fputc('\n', stderr);
+  }
+  if (!watches)
+    return STATUS_OK;
+  ctl->operands[0] = id;
+  ctl->n_operands = 1;
+  return run_live_watch(ctl);
 }

@@ -10,23 +10,22 @@
 struct live;
 
 /* What differs between kinds of jobs. Functions get the `struct live` with which their own begins,
- * and return an exit status where they return one. */
+ * and end the program when something is wrong. */
 struct live_kind {
-  size_t size;                    /* of its own structure */
-  const char *noun, *command;     /* "training", "train" */
-  const char *accepted;           /* template of what is told of a job that was started */
-  double ask_s;                   /* without an event for this long, the state is fetched */
-  int (*load)(struct live *live); /* fetches what belongs to the job, after the job itself */
+  size_t size;                     /* of its own structure */
+  const char *noun, *command;      /* "training", "train" */
+  const char *accepted;            /* template of what is told of a job that was started */
+  double ask_s;                    /* without an event for this long, the state is fetched */
+  void (*load)(struct live *live); /* fetches what belongs to the job, after the job itself */
   void (*print)(struct live *live);
   void (*write)(const struct live *live, FILE *file, int columns, int rows); /* draws the view */
   void (*begin)(struct live *live); /* prints what is known at first */
-  /* Takes an event; *draw: the view is to be redrawn at once. −1: goes on, even if the job has
+  /* Takes an event; *draw: the view is to be redrawn at once. False: goes on, even if the job has
    * ended. `reset` says that events were missed; the job was fetched again. */
-  int (*event)(struct live *live, const char *type, json_t *event, bool *draw);
+  bool (*event)(struct live *live, const char *type, json_t *event, bool *draw);
   /* Prints what changed when the state was fetched without an event. */
   void (*changed)(const struct live *live, const char *phase, const char *reason);
-  int (*finish)(struct live *live);   /* prints the result */
-  void (*release)(struct live *live); /* frees what it has besides the job */
+  void (*finish)(struct live *live); /* prints the result */
 };
 
 struct live {
@@ -45,7 +44,7 @@ struct live {
 int live_start(struct ctl *ctl, const json_t *request);
 
 /* Fetches the job. */
-int live_load(struct live *live);
+void live_load(struct live *live);
 /* Prints a line with the time of an event (NULL: now; JSON's null: not known), if the view is not
  * drawn: `text`, or a template filled with JSON. */
 void live_line(const struct live *live, const json_t *at, const char *text);

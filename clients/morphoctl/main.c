@@ -13,62 +13,57 @@
 
 /* Takes the token of a line: one alone, which is that of "admin", or the third word after its name.
  * wanted: the name to look for; NULL: the first, which must be the only one. */
-static int take_line(struct ctl *ctl, const char *path, char *line, const char *wanted,
-                     char first[TOKEN_LINE])
+static void take_line(struct ctl *ctl, const char *path, char *line, const char *wanted,
+                      char first[TOKEN_LINE])
 {
   char *rest = NULL, *words[3] = {strtok_r(line, " \t\r\n", &rest)};
   if (words[0] == NULL || words[0][0] == '#')
-    return STATUS_OK;
+    return;
   for (int i = 1; i < 3 && words[i - 1] != NULL; i++)
     words[i] = strtok_r(NULL, " \t\r\n", &rest);
   const bool named = words[1] != NULL && words[1][0] != '#';
   const char *name = named ? words[0] : "admin", *token = named ? words[2] : words[0];
   if (token == NULL || token[0] == '#')
-    return complain(STATUS_USAGE, "%s: a line is not NAME RIGHT TOKEN, nor a token only", path);
+    fail(STATUS_USAGE, "%s: a line is not NAME RIGHT TOKEN, nor a token only", path);
   if (wanted != NULL ? strcmp(name, wanted) != 0 : first[0] != 0 && strcmp(name, first) == 0)
-    return STATUS_OK;
+    return;
   if (wanted == NULL && first[0] != 0)
-    return complain(STATUS_USAGE,
-                    "%s has tokens of \"%s\" and \"%s\": choose one with --token-name", path, first,
-                    name);
+    fail(STATUS_USAGE, "%s has tokens of \"%s\" and \"%s\": choose one with --token-name", path,
+         first, name);
   snprintf(first, TOKEN_LINE, "%s", name);
   if (ctl->token == NULL)
-    ctl->token = need(strdup(token));
-  return STATUS_OK;
+    ctl->token = keep(strdup(token));
 }
 
 /* Reads the token from the file or the environment. */
-static int read_token(struct ctl *ctl)
+static void read_token(struct ctl *ctl)
 {
   const char *path = option_text(ctl, "token-file", NULL), *variable = getenv("MORPHOD_TOKEN");
   const char *wanted = option_text(ctl, "token-name", NULL);
   char line[TOKEN_LINE], first[TOKEN_LINE] = "";
-  int status = STATUS_OK;
   if (path == NULL) {
     if (wanted != NULL)
-      return complain(STATUS_USAGE, "--token-name needs the file: --token-file");
+      fail(STATUS_USAGE, "--token-name needs the file: --token-file");
     if (variable != NULL && *variable != 0)
-      ctl->token = need(strdup(variable));
+      ctl->token = variable;
   } else {
     FILE *file = fopen(path, "re");
     if (file == NULL)
-      return complain(STATUS_USAGE, "%s: %s", path, strerror(errno));
-    while (status == STATUS_OK && fgets(line, sizeof(line), file) != NULL)
-      status = take_line(ctl, path, line, wanted, first);
+      fail(STATUS_USAGE, "%s: %s", path, strerror(errno));
+    while (fgets(line, sizeof(line), file) != NULL)
+      take_line(ctl, path, line, wanted, first);
     fclose(file);
-    if (status != STATUS_OK)
-      return status;
+    if (ctl->token == NULL && wanted != NULL)
+      fail(STATUS_USAGE, "%s has no token of \"%s\"", path, wanted);
     if (ctl->token == NULL)
-      return wanted != NULL ? complain(STATUS_USAGE, "%s has no token of \"%s\"", path, wanted)
-                            : complain(STATUS_USAGE, "%s holds no token", path);
+      fail(STATUS_USAGE, "%s holds no token", path);
   }
   for (const unsigned char *c = (const unsigned char *)ctl->token; c != NULL && *c != 0; c++)
     if (*c <= ' ' || *c >= 0x7f)
-      return complain(STATUS_USAGE, "the token holds a character that is not printable ASCII");
-  return STATUS_OK;
+      fail(STATUS_USAGE, "the token holds a character that is not printable ASCII");
 }
 
-static int surroundings(struct ctl *ctl)
+static void read_surroundings(struct ctl *ctl)
 {
   const char *server = getenv("MORPHOD_SERVER"), *no_color = getenv("NO_COLOR"),
              *terminal = getenv("TERM");
@@ -80,29 +75,16 @@ static int surroundings(struct ctl *ctl)
   ctl->color = isatty(STDOUT_FILENO) && !dumb && (no_color == NULL || *no_color == 0);
   ctl->progress = isatty(STDERR_FILENO) && !dumb;
   ctl->utf8 = strcmp(nl_langinfo(CODESET), "UTF-8") == 0;
-  int64_t retry = -1;
-  if (!option_number(ctl, "retry", 0, 86400, &retry))
-    return STATUS_USAGE;
-  ctl->retry_s = (double)retry;
-  return read_token(ctl);
+  ctl->retry_s = (double)option_number(ctl, "retry", 0, 86400, -1);
+  read_token(ctl);
 }
 
 int main(int argc, char **argv)
 {
   struct ctl ctl = {0};
   setlocale(LC_CTYPE, "");
-  int status = options_parse(&ctl, argc, (const char *const *)argv);
-  if (status < 0) { /* a command to run */
-    status = surroundings(&ctl);
-    if (status == STATUS_OK)
-      status = transport_open(&ctl);
-    if (status == STATUS_OK)
-      status = ctl.command->run(&ctl);
-    transport_close(&ctl);
-  }
-  if (fflush(stdout) != 0 || ferror(stdout))
-    status = complain(STATUS_ERROR, "standard output: %s", strerror(errno));
-  free(ctl.token);
-  options_free(&ctl);
-  return status;
+  options_parse(&ctl, argc, (const char *const *)argv);
+  read_surroundings(&ctl);
+  transport_open(&ctl);
+  leave(ctl.command->run(&ctl));
 }

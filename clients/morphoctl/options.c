@@ -4,8 +4,6 @@
 #include "ctl.h"
 
 #include <errno.h>
-#include <signal.h>
-#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -26,39 +24,6 @@ const struct option_spec common_options[] = {
     {"help", 'h', NULL, "Print this text."},
     {NULL, 0, NULL, NULL},
 };
-
-static volatile sig_atomic_t interrupt_seen;
-
-static void interrupt(int number)
-{
-  (void)number;
-  interrupt_seen = 1;
-}
-
-bool interrupted(void)
-{
-  return interrupt_seen != 0;
-}
-
-void catch_interrupts(void)
-{
-  struct sigaction action = {.sa_handler = interrupt,
-                             .sa_flags = (int)SA_RESETHAND}; /* the second ends the program */
-  sigemptyset(&action.sa_mask);
-  sigaction(SIGINT, &action, NULL);
-  sigaction(SIGTERM, &action, NULL);
-}
-
-int complain(int status, const char *format, ...)
-{
-  va_list arguments;
-  fputs("morphoctl: ", stderr);
-  va_start(arguments, format);
-  print_plain_list(stderr, format, arguments);
-  va_end(arguments);
-  fputc('\n', stderr);
-  return status;
-}
 
 const char *did_you_mean(const char *dashes, const char *name, const char *const *first, size_t n,
                          size_t stride)
@@ -179,7 +144,7 @@ static const struct option_spec *find_option(const struct command *command, cons
   return NULL;
 }
 
-static int unknown_option(const struct command *command, const char *text, size_t length)
+static _Noreturn void refuse_option(const struct command *command, const char *text, size_t length)
 {
   const char *names[64];
   char name[64] = "";
@@ -193,10 +158,9 @@ static int unknown_option(const struct command *command, const char *text, size_
     snprintf(name, sizeof(name), "%.*s", (int)length - 2, text + 2);
   const char *near = *name != 0 ? did_you_mean("--", name, names, n, sizeof(*names)) : "";
   if (*near != 0)
-    return complain(STATUS_USAGE, "%.*s is not an option of %s%s", (int)length, text, command->name,
-                    near);
-  return complain(STATUS_USAGE, "%.*s is not an option of %s; see morphoctl %s --help", (int)length,
-                  text, command->name, command->name);
+    fail(STATUS_USAGE, "%.*s is not an option of %s%s", (int)length, text, command->name, near);
+  fail(STATUS_USAGE, "%.*s is not an option of %s; see morphoctl %s --help", (int)length, text,
+       command->name, command->name);
 }
 
 /* Finds the command that the first words name. *used: number of its words. */
@@ -214,7 +178,7 @@ static const struct command *find_command(int argc, const char *const *argv, int
   return NULL;
 }
 
-static int unknown_command(int argc, const char *const *argv)
+static _Noreturn void refuse_command(int argc, const char *const *argv)
 {
   size_t length = strlen(argv[1]);
   bool group = false;
@@ -227,12 +191,12 @@ static int unknown_command(int argc, const char *const *argv)
       fprintf(stderr, "  morphoctl %-18s %s\n", commands[i].name, commands[i].summary);
     }
   if (group)
-    return argc > 2 && (strcmp(argv[2], "--help") == 0 || strcmp(argv[2], "-h") == 0)
-               ? STATUS_OK
-               : STATUS_USAGE;
+    leave(argc > 2 && (strcmp(argv[2], "--help") == 0 || strcmp(argv[2], "-h") == 0)
+              ? STATUS_OK
+              : STATUS_USAGE);
   const char *near = did_you_mean("", argv[1], &commands->name, n_commands, sizeof(*commands));
-  return complain(STATUS_USAGE, "there is no command \"%s\"%s", argv[1],
-                  *near != 0 ? near : "; see morphoctl --help");
+  fail(STATUS_USAGE, "there is no command \"%s\"%s", argv[1],
+       *near != 0 ? near : "; see morphoctl --help");
 }
 
 /* A word that is an option, cut into its parts. spec NULL: the command (or, for NULL, every
@@ -276,9 +240,8 @@ static int count_leading(int argc, const char *const *argv)
   return i - 1;
 }
 
-static int parse_words(struct ctl *ctl, int n, const char *const *words)
+static void parse_words(struct ctl *ctl, int n, const char *const *words)
 {
-  const struct command *command = ctl->command;
   bool ended = false;
   for (int i = 0; i < n; i++) {
     const char *word = words[i];
@@ -290,80 +253,69 @@ static int parse_words(struct ctl *ctl, int n, const char *const *words)
       ended = true;
       continue;
     }
-    struct option_word option = read_option(command, word);
+    struct option_word option = read_option(ctl->command, word);
     if (option.spec == NULL)
-      return unknown_option(command, word, option.length);
+      refuse_option(ctl->command, word, option.length);
     if (option.spec->value == NULL && option.value != NULL)
-      return complain(STATUS_USAGE, "--%s takes no value", option.spec->name);
+      fail(STATUS_USAGE, "--%s takes no value", option.spec->name);
     if (option.spec->value != NULL && option.value == NULL) {
       if (i + 1 == n)
-        return complain(STATUS_USAGE, "--%s needs a value: %s", option.spec->name,
-                        option.spec->value);
+        fail(STATUS_USAGE, "--%s needs a value: %s", option.spec->name, option.spec->value);
       option.value = words[++i];
     }
     ctl->given[ctl->n_given++] = (struct given){option.spec->name, option.value};
   }
-  return STATUS_OK;
 }
 
-int options_parse(struct ctl *ctl, int argc, const char *const *argv)
+/* Prints the help of the program, or of the command that words name, and ends. */
+static _Noreturn void print_help(FILE *file, const struct command *command, int status)
+{
+  options_print_help(file, command);
+  leave(status);
+}
+
+void options_parse(struct ctl *ctl, int argc, const char *const *argv)
 {
   const char *version[] = {argv[0], "version"};
   int leading = count_leading(argc, argv), n = argc - leading, used = 0;
   const char *const *words = argv + leading; /* words[1] is the command */
-  if (n < 2) {
-    options_print_help(stderr, NULL);
-    return STATUS_USAGE;
-  }
-  if (strcmp(words[1], "--help") == 0 || strcmp(words[1], "-h") == 0 ||
-      strcmp(words[1], "help") == 0) {
-    const bool asks =
-        n > 2 && strcmp(words[1], "help") == 0 && !is_option(words[2]); /* help COMMAND */
-    const struct command *asked = asks ? find_command(n - 1, words + 1, &used) : NULL;
-    if (asks && asked == NULL)
-      return unknown_command(n - 1, words + 1);
-    options_print_help(stdout, asked);
-    return STATUS_OK;
-  }
-  if (strcmp(words[1], "--version") == 0) {
+  if (n < 2)
+    print_help(stderr, NULL, STATUS_USAGE);
+  if (strcmp(words[1], "--help") == 0 || strcmp(words[1], "-h") == 0)
+    print_help(stdout, NULL, STATUS_OK);
+  const bool helps = strcmp(words[1], "help") == 0;
+  if (helps && (n < 3 || is_option(words[2])))
+    print_help(stdout, NULL, STATUS_OK);
+  if (helps) {
+    words++;
+    n--;
+  } else if (strcmp(words[1], "--version") == 0) {
     words = version;
     n = 2;
   }
   if (is_option(words[1]))
-    return complain(STATUS_USAGE,
-                    "%s is not an option of every command: the options of a command stand after it",
-                    words[1]);
-  const struct command *command = find_command(n, words, &used);
-  if (command == NULL)
-    return unknown_command(n, words);
-  ctl->command = command;
-  ctl->given = need(calloc((size_t)argc, sizeof(*ctl->given)));
-  ctl->operands = need(calloc((size_t)argc, sizeof(*ctl->operands)));
-  int status = parse_words(ctl, leading, argv + 1);
-  if (status == STATUS_OK)
-    status = parse_words(ctl, n - 1 - used, words + 1 + used);
-  if (status != STATUS_OK)
-    return status;
-  if (option_is_set(ctl, "help")) {
-    options_print_help(stdout, command);
-    return STATUS_OK;
-  }
-  if (ctl->n_operands < command->min_operands || ctl->n_operands > command->max_operands)
-    return complain(STATUS_USAGE, "usage: morphoctl %s [OPTION]... %s", command->name,
-                    command->operands);
-  return -1;
-}
-
-void options_free(struct ctl *ctl)
-{
-  free(ctl->given);
-  free(ctl->operands);
+    fail(STATUS_USAGE,
+         "%s is not an option of every command: the options of a command stand after it", words[1]);
+  ctl->command = find_command(n, words, &used);
+  if (ctl->command == NULL)
+    refuse_command(n, words);
+  if (helps)
+    print_help(stdout, ctl->command, STATUS_OK);
+  ctl->given = keep(calloc((size_t)argc, sizeof(*ctl->given)));
+  ctl->operands = keep(calloc((size_t)argc, sizeof(*ctl->operands)));
+  parse_words(ctl, leading, argv + 1);
+  parse_words(ctl, n - 1 - used, words + 1 + used);
+  if (option_is_set(ctl, "help"))
+    print_help(stdout, ctl->command, STATUS_OK);
+  if (ctl->n_operands < ctl->command->min_operands || ctl->n_operands > ctl->command->max_operands)
+    fail(STATUS_USAGE, "usage: morphoctl %s [OPTION]... %s", ctl->command->name,
+         ctl->command->operands);
 }
 
 bool option_is_set(const struct ctl *ctl, const char *name)
 {
   for (size_t i = 0; i < ctl->n_given; i++)
-    if (ctl->given[i].name != NULL && strcmp(ctl->given[i].name, name) == 0)
+    if (strcmp(ctl->given[i].name, name) == 0)
       return true;
   return false;
 }
@@ -371,25 +323,22 @@ bool option_is_set(const struct ctl *ctl, const char *name)
 const char *option_text(const struct ctl *ctl, const char *name, const char *otherwise)
 {
   for (size_t i = ctl->n_given; i-- > 0;)
-    if (ctl->given[i].name != NULL && strcmp(ctl->given[i].name, name) == 0)
+    if (strcmp(ctl->given[i].name, name) == 0)
       return ctl->given[i].value;
   return otherwise;
 }
 
-bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
-                   int64_t *number)
+int64_t option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
+                      int64_t otherwise)
 {
   const char *text = option_text(ctl, name, NULL);
   if (text == NULL)
-    return true;
+    return otherwise;
   char *end;
   errno = 0;
-  long long value = strtoll(text, &end, 10);
-  if (*text == 0 || *end != 0 || errno != 0 || value < min || value > max) {
-    complain(STATUS_USAGE, "--%s: \"%s\" is not a whole number from %lld to %lld", name, text,
-             (long long)min, (long long)max);
-    return false;
-  }
-  *number = value;
-  return true;
+  const long long value = strtoll(text, &end, 10);
+  if (*text == 0 || *end != 0 || errno != 0 || value < min || value > max)
+    fail(STATUS_USAGE, "--%s: \"%s\" is not a whole number from %lld to %lld", name, text,
+         (long long)min, (long long)max);
+  return value;
 }

@@ -50,7 +50,7 @@ static void fill_place(json_t *request, const char *place, json_t *value)
   json_object_set_new(object, place, value);
 }
 
-int fill_fields(const struct ctl *ctl, json_t *request)
+void fill_fields(const struct ctl *ctl, json_t *request)
 {
   for (const struct option_spec *spec = ctl->command->options; spec->name != NULL; spec++) {
     const char *text = spec->place != NULL ? option_text(ctl, spec->name, NULL) : NULL;
@@ -58,14 +58,12 @@ int fill_fields(const struct ctl *ctl, json_t *request)
       continue;
     json_t *value = field_value(spec->kind, text);
     if (value == NULL)
-      return complain(STATUS_USAGE, "--%s: \"%s\" is not a %s", spec->name, text,
-                      field_kind_name(spec->kind));
+      fail(STATUS_USAGE, "--%s: \"%s\" is not a %s", spec->name, text, field_kind_name(spec->kind));
     fill_place(request, spec->place, value);
   }
-  return STATUS_OK;
 }
 
-int fill_schedule(const struct ctl *ctl, json_t *request, const char *place)
+void fill_schedule(const struct ctl *ctl, json_t *request, const char *place)
 {
   static const char *const kinds[] = {"restarts", "cosine", "constant"};
   const char *name = option_text(ctl, "schedule", NULL);
@@ -74,42 +72,39 @@ int fill_schedule(const struct ctl *ctl, json_t *request, const char *place)
   for (const struct option_spec *spec = ctl->command->options; spec->name != NULL && !kind; spec++)
     if (spec->place != NULL && strncmp(spec->place, place, length) == 0 &&
         spec->place[length] == '.' && option_is_set(ctl, spec->name))
-      return complain(STATUS_USAGE, "--%s needs --schedule restarts, cosine or constant%s",
-                      spec->name, name != NULL ? ": the schedule that is named has its own" : "");
+      fail(STATUS_USAGE, "--%s needs --schedule restarts, cosine or constant%s", spec->name,
+           name != NULL ? ": the schedule that is named has its own" : "");
   if (name != NULL)
     fill_place(request, place, kind ? json_pack("{s:s}", "kind", name) : json_string(name));
-  return STATUS_OK;
 }
 
-int request_fill_record(const struct ctl *ctl, json_t *request, const char *usual)
+void request_fill_record(const struct ctl *ctl, json_t *request, const char *usual)
 {
   static const char *const channels[] = {"com", "masses", "actuation", "contacts"};
   const char *record = option_text(ctl, "record", usual);
   bool films = option_is_set(ctl, "film");
-  json_t *list = record != NULL || films ? json_array() : NULL;
+  if (record == NULL && !films)
+    return;
+  json_t *list = json_array();
+  json_object_set_new(request, "record", list);
   for (const char *c = record; c != NULL && *c != '\0';) {
     const size_t length = strcspn(c, ",");
     char word[16] = "";
     if (length < sizeof(word))
       memcpy(word, c, length);
-    if (!is_one_of(word, channels, sizeof(channels) / sizeof(channels[0]))) {
-      json_decref(list);
-      return complain(STATUS_USAGE,
-                      "--record: \"%s\" is not one or several of com, masses, actuation, contacts",
-                      record);
-    }
+    if (!is_one_of(word, channels, sizeof(channels) / sizeof(channels[0])))
+      fail(STATUS_USAGE,
+           "--record: \"%s\" is not one or several of com, masses, actuation, contacts", record);
     json_array_append_new(list, json_string(word));
     films = films && strcmp(word, "masses") != 0;
     c += length + (c[length] == ',');
   }
   if (films)
     json_array_append_new(list, json_string("masses"));
-  if (list != NULL)
-    json_object_set_new(request, "record", list);
-  return STATUS_OK;
 }
 
-int request_physics(json_t *physics, const char *text)
+/* Adds one "key=value" of --physics. */
+static void fill_setting(json_t *physics, const char *text)
 {
   static const struct {
     const char *key;
@@ -119,119 +114,94 @@ int request_physics(json_t *physics, const char *text)
   const char *equals = strchr(text, '=');
   char key[64];
   if (equals == NULL || equals == text || (size_t)(equals - text) >= sizeof(key))
-    return complain(STATUS_USAGE, "--physics: \"%s\" is not KEY=VALUE", text);
+    fail(STATUS_USAGE, "--physics: \"%s\" is not KEY=VALUE", text);
   snprintf(key, sizeof(key), "%.*s", (int)(equals - text), text);
   size_t k = 0;
   while (k < N_FIELDS && strcmp(fields[k].key, key) != 0)
     k++;
   if (k == N_FIELDS)
-    return complain(STATUS_USAGE, "--physics: there is no \"%s\"%s", key,
-                    did_you_mean("", key, &fields->key, N_FIELDS, sizeof(*fields)));
+    fail(STATUS_USAGE, "--physics: there is no \"%s\"%s", key,
+         did_you_mean("", key, &fields->key, N_FIELDS, sizeof(*fields)));
   json_t *json = field_value(fields[k].kind, equals + 1);
   if (json == NULL)
-    return complain(STATUS_USAGE, "--physics: \"%s\" is not a %s", equals + 1,
-                    field_kind_name(fields[k].kind));
+    fail(STATUS_USAGE, "--physics: \"%s\" is not a %s", equals + 1,
+         field_kind_name(fields[k].kind));
   json_object_set_new(physics, key, json);
-  return STATUS_OK;
 }
 
-int request_fill_physics(const struct ctl *ctl, json_t *request)
+void request_fill_physics(const struct ctl *ctl, json_t *request)
 {
-  json_t *physics = json_object();
-  int status = STATUS_OK;
-  for (size_t i = 0; i < ctl->n_given && status == STATUS_OK; i++)
+  json_t *physics = keep(json_object());
+  for (size_t i = 0; i < ctl->n_given; i++)
     if (strcmp(ctl->given[i].name, "physics") == 0)
-      status = request_physics(physics, ctl->given[i].value);
+      fill_setting(physics, ctl->given[i].value);
   if (json_object_size(physics) > 0)
     json_object_set(request, "physics", physics);
-  json_decref(physics);
-  return status;
 }
 
 /* ---- designs, environments, the whole ---- */
 
-/* Posts JSON to a path. how: the key, how long to wait, whether it may be repeated. */
-static int post(struct ctl *ctl, const char *path, const json_t *json, struct request how,
-                json_t **reply)
+struct request json_request(const char *method, const char *path, const json_t *json)
 {
-  char *body = dump_json(json, JSON_COMPACT);
-  how.method = "POST";
-  how.path = path;
-  how.content_type = "application/json";
-  how.body = body;
-  how.body_bytes = strlen(body);
-  const int status = send_json(ctl, &how, NULL, reply);
-  free(body);
-  return status;
+  const char *body = json != NULL ? keep(dump_json(json, JSON_COMPACT)) : NULL;
+  return (struct request){.method = method,
+                          .path = path,
+                          .content_type = "application/json",
+                          .body = body,
+                          .body_bytes = body != NULL ? strlen(body) : 0};
 }
 
-int post_again(struct ctl *ctl, const char *path, const json_t *request, json_t **reply)
+json_t *post_again(struct ctl *ctl, const char *path, const json_t *request)
 {
-  return post(ctl, path, request, (struct request){.repeatable = true}, reply);
+  struct request how = json_request("POST", path, request);
+  how.repeatable = true;
+  return keep(send_json(ctl, &how, NULL));
 }
 
-static int add_random(struct ctl *ctl, int64_t n, int64_t seed, struct designs *designs)
+struct designs given_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed)
 {
-  json_t *request = json_pack("{s:I, s:I}", "count", (json_int_t)n, "seed", (json_int_t)seed),
-         *reply = NULL;
-  int status = post_again(ctl, "/v1/bodies/random", request, &reply);
-  if (status == STATUS_OK)
-    status = designs_add_genotypes(designs, json_object_get(reply, "items"));
-  json_decref(request);
-  json_decref(reply);
-  return status;
-}
-
-int add_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed,
-                struct designs *designs)
-{
-  int status = STATUS_OK;
-  for (size_t i = first; i < ctl->n_operands && status == STATUS_OK; i++)
-    status = designs_add_operand(designs, ctl->operands[i]);
+  struct designs designs = no_designs();
+  for (size_t i = first; i < ctl->n_operands; i++)
+    designs_add_operand(&designs, ctl->operands[i]);
   if (ctl->n_operands == 0 && n_random == 0)
-    status = designs_add_operand(designs, "-");
-  if (status == STATUS_OK && n_random > 0)
-    status = add_random(ctl, n_random, seed, designs);
-  return status;
+    designs_add_operand(&designs, "-");
+  if (n_random > 0) {
+    const json_t *request =
+        keep(json_pack("{s:I, s:I}", "count", (json_int_t)n_random, "seed", (json_int_t)seed));
+    designs_add_genotypes(&designs,
+                          json_object_get(post_again(ctl, "/v1/bodies/random", request), "items"));
+  }
+  return designs;
 }
 
-static int fill_environments(const struct ctl *ctl, json_t *request)
+static void fill_environments(const struct ctl *ctl, json_t *request)
 {
   const char *name = option_text(ctl, "environments", NULL);
   if (name == NULL)
-    return STATUS_OK;
+    return;
   if (strcmp(name, "paper-test") == 0) {
     json_object_set_new(request, "environments", json_string(name));
-    return STATUS_OK;
+    return;
   }
-  char *text;
   size_t length;
-  int status = read_input(name, INPUT_BYTES_MAX, &text, &length);
-  if (status != STATUS_OK)
-    return status;
+  const char *text = read_input(name, INPUT_BYTES_MAX, &length);
   json_error_t error;
   json_t *json = json_loadb(text, length, JSON_REJECT_DUPLICATES, &error);
-  free(text);
   if (json == NULL)
-    return complain(STATUS_USAGE, "%s:%d: %s", name, error.line, error.text);
+    fail(STATUS_USAGE, "%s:%d: %s", name, error.line, error.text);
+  keep(json);
   json_t *list = json_is_object(json) ? json_object_get(json, "environments") : json;
   if (list == NULL && json_object_get(json, "light_xy_m") != NULL)
-    list = json_pack("[O]", json);
-  else
-    json_incref(list);
-  json_decref(json);
-  if (!json_is_array(list) && !json_is_string(list)) {
-    json_decref(list);
-    return complain(
+    list = keep(json_pack("[O]", json));
+  if (!json_is_array(list) && !json_is_string(list))
+    fail(
         STATUS_USAGE,
         "%s: not a list of environments: [{\"light_xy_m\": [x, y], \"terrain_heights_m\": […]}, …]",
         name);
-  }
-  json_object_set_new(request, "environments", list);
-  return STATUS_OK;
+  json_object_set(request, "environments", list);
 }
 
-int request_fill(const struct ctl *ctl, json_t *request)
+void request_fill(const struct ctl *ctl, json_t *request)
 {
   const char *controller = option_text(ctl, "controller", NULL),
              *precision = option_text(ctl, "precision", NULL);
@@ -239,72 +209,57 @@ int request_fill(const struct ctl *ctl, json_t *request)
     json_object_set_new(request, "controller", json_string(controller));
   if (precision != NULL) {
     if (strcmp(precision, "float32") != 0 && strcmp(precision, "float64") != 0)
-      return complain(STATUS_USAGE, "--precision: \"%s\" is not float32 or float64", precision);
+      fail(STATUS_USAGE, "--precision: \"%s\" is not float32 or float64", precision);
     json_object_set_new(request, "precision", json_string(precision));
   }
-  int status = request_fill_physics(ctl, request);
-  return status == STATUS_OK ? fill_environments(ctl, request) : status;
+  request_fill_physics(ctl, request);
+  fill_environments(ctl, request);
 }
 
 /* ---- jobs ---- */
 
 /* Waits until the job is final; each request waits up to a second at the server. */
-static int wait_for(struct ctl *ctl, const char *id)
+static void wait_for(struct ctl *ctl, const char *id)
 {
-  struct progress progress = {0};
-  struct request request = {.method = "GET", .path = path_to("/v1/jobs/%s", id), .wait_s = 1};
-  int status = STATUS_OK;
-  catch_interrupts();
-  for (;;) {
-    json_t *job;
-    status = send_json(ctl, &request, NULL, &job);
+  const struct request request = {.method = "GET", .path = path_to("/v1/jobs/%s", id), .wait_s = 1};
+  for (bool final = false; !final;) {
+    json_t *job = send_json(ctl, &request, NULL);
     const char *state = text_of(job, "state");
-    bool final = is_final(state);
-    if (status == STATUS_OK && !final)
-      progress_show(&progress, ctl, state, number_of(job, "rollouts_done"),
-                    number_of(job, "rollouts_total"));
-    bool resting = strcmp(state, "paused") == 0;
+    const bool rests = strcmp(state, "paused") == 0;
+    final = is_final(state);
+    if (!final)
+      progress_show(ctl, state, number_of(job, "rollouts_done"), number_of(job, "rollouts_total"));
     json_decref(job);
-    if (status != STATUS_OK || final || interrupted())
-      break;
-    if (resting)
+    if (!final && interrupted())
+      leave(STATUS_INTERRUPTED);
+    if (rests)
       pause_s(1);
   }
-  progress_end(&progress);
-  if (interrupted()) {
-    if (!ctl->quiet)
-      print_plain_line(
-          stderr,
-          "The evaluation goes on: morphoctl job show %s; to stop it: morphoctl job cancel %s", id,
-          id);
-    return STATUS_INTERRUPTED;
-  }
-  return status;
+  progress_end();
 }
 
-int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s,
-             json_t **job)
+json_t *post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s)
 {
+  struct request how = json_request("POST", path, request);
   char generated[33];
-  const int status = random_key(generated);
-  *job = NULL;
-  const struct request how = {.key = option_text(ctl, "idempotency-key", generated),
-                              .wait_s = wait_s};
-  return status == STATUS_OK ? post(ctl, path, request, how, job) : status;
+  random_key(generated);
+  how.key = option_text(ctl, "idempotency-key", generated);
+  how.wait_s = wait_s;
+  return keep(send_json(ctl, &how, NULL));
 }
 
-int evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait,
-             json_t **evaluation)
+json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait)
 {
-  int status = post_job(ctl, path, request, wait ? 1 : 0, evaluation);
-  const char *state = text_of(*evaluation, "state");
-  if (status != STATUS_OK || !wait || json_object_get(*evaluation, "results") != NULL ||
+  json_t *evaluation = post_job(ctl, path, request, wait ? 1 : 0);
+  const char *state = text_of(evaluation, "state"), *id = text_of(evaluation, "id");
+  if (!wait || json_object_get(evaluation, "results") != NULL ||
       (is_final(state) && strcmp(state, "succeeded") != 0))
-    return status;
-  char id[24];
-  snprintf(id, sizeof(id), "%s", text_of(*evaluation, "id"));
-  json_decref(*evaluation);
-  *evaluation = NULL;
-  status = wait_for(ctl, id);
-  return status == STATUS_OK ? get_json(ctl, evaluation, "/v1/evaluations/%s", id) : status;
+    return evaluation;
+  catch_interrupts(ctl->quiet
+                       ? NULL
+                       : keep(format_text("The evaluation goes on: morphoctl job show %s; to stop "
+                                          "it: morphoctl job cancel %s",
+                                          id, id)));
+  wait_for(ctl, id);
+  return get_json(ctl, "/v1/evaluations/%s", id);
 }

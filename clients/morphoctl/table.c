@@ -102,24 +102,27 @@ double monotonic_s(void)
   return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
 }
 
-void progress_show(struct progress *progress, const struct ctl *ctl, const char *state,
-                   int64_t done, int64_t total)
+static bool is_shown;
+
+void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64_t total)
 {
+  static double begin_s;
+  static int64_t first_done;
   if (!ctl->progress || ctl->quiet)
     return;
   double now = monotonic_s();
-  if (!progress->shown) {
-    progress->begin_s = now;
-    progress->first_done = done;
+  if (!is_shown) {
+    begin_s = now;
+    first_done = done;
   }
-  progress->shown = true;
+  is_shown = true;
   struct winsize window = {0};
   int columns =
       ioctl(STDERR_FILENO, TIOCGWINSZ, &window) == 0 && window.ws_col > 0 ? window.ws_col : 80;
   char a[32], b[32], tail[96] = "";
   double share = total > 0 ? (double)done / (double)total : 0;
-  double elapsed = now - progress->begin_s;
-  double rate = elapsed > 0.5 ? (double)(done - progress->first_done) / elapsed : 0;
+  double elapsed = now - begin_s;
+  double rate = elapsed > 0.5 ? (double)(done - first_done) / elapsed : 0;
   if (rate > 0) {
     double left = (double)(total - done) / rate;
     if (left < 360000)
@@ -143,9 +146,9 @@ void progress_show(struct progress *progress, const struct ctl *ctl, const char 
   fflush(stderr);
 }
 
-void progress_end(struct progress *progress)
+void progress_end(void)
 {
-  if (progress->shown)
+  if (is_shown)
     fputs("\r\033[K", stderr);
-  progress->shown = false;
+  is_shown = false;
 }

@@ -15,14 +15,8 @@ size_t text_width(const char *text);
 
 /* Shows progress in place on standard error: "  1,234 of 10,000 rollouts [#####     ]  12 %  456/s
  * 0:21 left". */
-struct progress {
-  bool shown;
-  double begin_s;
-  int64_t first_done;
-};
-void progress_show(struct progress *progress, const struct ctl *ctl, const char *state,
-                   int64_t done, int64_t total);
-void progress_end(struct progress *progress);
+void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64_t total);
+void progress_end(void);
 double monotonic_s(void);
 
 #endif

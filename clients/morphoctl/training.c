@@ -63,22 +63,22 @@ static void add_row(void *context, json_t *row)
 }
 
 /* Fetches the rows after the last point. */
-static int load_curve(struct live *live, const char *what, int64_t stride, struct curve *curve)
+static void load_curve(struct live *live, const char *what, int64_t stride, struct curve *curve)
 {
   const char *path = path_to("/v1/trainings/%s/%s%s", live->id, what,
                              stride > 0 ? path_to("?stride=%" PRId64, stride) : "");
-  return walk_items(live->ctl, path, curve->n > 0 ? (int64_t)curve->points[curve->n - 1].x : -1, 0,
-                    add_row, curve);
+  walk_items(live->ctl, path, curve->n > 0 ? (int64_t)curve->points[curve->n - 1].x : -1, 0,
+             add_row, curve);
 }
 
-static int load(struct live *live)
+static void load(struct live *live)
 {
   struct training *training = (struct training *)live;
   int64_t step = number_of(json_object_get(live->job, "progress"), "step");
   training->losses.key = "mean_loss";
   training->validations.key = "mean_score";
-  int status = load_curve(live, "steps", step / (POINTS_MAX / 2) + 1, &training->losses);
-  return status == STATUS_OK ? load_curve(live, "validations", 0, &training->validations) : status;
+  load_curve(live, "steps", step / (POINTS_MAX / 2) + 1, &training->losses);
+  load_curve(live, "validations", 0, &training->validations);
 }
 
 /* Plots both curves (malloc). NULL: there are none yet. */
@@ -202,7 +202,7 @@ static void merge(json_t *job, const char *key, json_t *data)
   json_object_update(json_object_get(job, key), data);
 }
 
-static int take_event(struct live *live, const char *type, json_t *event, bool *draw)
+static bool take_event(struct live *live, const char *type, json_t *event, bool *draw)
 {
   struct training *training = (struct training *)live;
   const json_t *at = json_object_get(event, "at");
@@ -224,12 +224,11 @@ static int take_event(struct live *live, const char *type, json_t *event, bool *
     json_object_set(live->job, "checkpoint_step", json_object_get(data, "step"));
     live_words(live, at, live->job, "checkpoint of step {checkpoint_step}");
   } else if (strncmp(type, "job.", 4) == 0) { /* fetches what else changed */
-    int status = live_load(live);
+    live_load(live);
     json_object_set(event, "state", json_object_get(live->job, "state"));
     live_words(live, at, event, "{type:.64}  {state}");
-    return status;
   }
-  return STATUS_OK;
+  return true;
 }
 
 static void report_phase(const struct live *live, const char *before, const char *reason_before)
@@ -249,23 +248,15 @@ static void begin(struct live *live)
   fflush(stdout);
 }
 
-static int finish(struct live *live)
+static void finish(struct live *live)
 {
   if (!live->ctl->quiet && json_is_object(json_object_get(live->job, "controller")))
     print_from(stdout, live->job, "controller {controller.name}: sha256:{controller.sha256}");
-  return job_outcome("training", live->job);
-}
-
-static void release(struct live *live)
-{
-  struct training *training = (struct training *)live;
-  free(training->losses.points);
-  free(training->validations.points);
+  expect_success("training", live->job);
 }
 
 const struct live_kind training_kind = {
     .size = sizeof(struct training),
-    .release = release,
     .noun = "training",
     .command = "train",
     .accepted = "training {id} is accepted: {settings.steps:,} steps of {settings.batch:,} robots",

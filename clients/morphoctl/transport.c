@@ -30,29 +30,27 @@ void pause_s(double seconds)
   nanosleep(&rest, NULL); /* a signal ends the pause early, as intended */
 }
 
-int random_key(char key[33])
+void random_key(char key[33])
 {
   unsigned char bytes[16];
   if (getrandom(bytes, sizeof(bytes), 0) != (ssize_t)sizeof(bytes))
-    return complain(STATUS_ERROR, "no random numbers: %s", strerror(errno));
+    fail(STATUS_ERROR, "no random numbers: %s", strerror(errno));
   for (size_t i = 0; i < sizeof(bytes); i++)
     snprintf(key + 2 * i, 3, "%02x", bytes[i]);
-  return STATUS_OK;
 }
 
 char *escape(const char *text)
 {
-  return need(curl_easy_escape(NULL, text, 0)); /* without callbacks for memory, free() frees it */
+  return keep(curl_easy_escape(NULL, text, 0));
 }
 
-int transport_open(struct ctl *ctl)
+void transport_open(struct ctl *ctl)
 {
   const char *server = ctl->server;
-  struct transport *transport = ctl->transport = need(calloc(1, sizeof(*transport)));
+  struct transport *transport = ctl->transport = keep(calloc(1, sizeof(*transport)));
   if (strncmp(server, "unix:", 5) == 0) {
     if (server[5] != '/')
-      return complain(STATUS_USAGE, "server \"%s\": the path of a unix socket starts with /",
-                      server);
+      fail(STATUS_USAGE, "server \"%s\": the path of a unix socket starts with /", server);
     transport->socket = need(strdup(server + 5));
     transport->base = need(strdup("http://localhost"));
   } else if (strncmp(server, "http://", 7) == 0 || strncmp(server, "https://", 8) == 0) {
@@ -62,28 +60,11 @@ int transport_open(struct ctl *ctl)
   } else if (*server != 0 && strstr(server, "://") == NULL) {
     transport->base = format_text("http://%s", server);
   } else {
-    return complain(STATUS_USAGE, "server \"%s\" is not http://host:port or unix:/path", server);
+    fail(STATUS_USAGE, "server \"%s\" is not http://host:port or unix:/path", server);
   }
   if (curl_global_init(CURL_GLOBAL_DEFAULT) == 0)
     transport->curl = curl_easy_init();
   need(transport->curl);
-  return STATUS_OK;
-}
-
-void transport_close(struct ctl *ctl)
-{
-  struct transport *transport = ctl->transport;
-  if (transport == NULL)
-    return;
-  if (transport->curl != NULL) {
-    curl_easy_cleanup(transport->curl);
-    curl_easy_cleanup(transport->aside);
-    curl_global_cleanup();
-  }
-  free(transport->base);
-  free(transport->socket);
-  free(transport);
-  ctl->transport = NULL;
 }
 
 void reply_free(struct reply *reply)
@@ -310,12 +291,18 @@ int complain_about_reply(const struct ctl *ctl, const struct reply *reply)
   }
 }
 
-int transport_send(struct ctl *ctl, const struct request *request, struct reply *reply)
+/* Sends a request, and complains about a reply's status from 400 on. */
+static int exchange(struct ctl *ctl, const struct request *request, struct reply *reply)
 {
-  int status = transport_try(ctl, request, reply);
-  if (status == STATUS_OK && reply->status >= 400)
-    status = complain_about_reply(ctl, reply);
-  return status;
+  const int status = transport_try(ctl, request, reply);
+  return status == STATUS_OK && reply->status >= 400 ? complain_about_reply(ctl, reply) : status;
+}
+
+void transport_send(struct ctl *ctl, const struct request *request, struct reply *reply)
+{
+  const int status = exchange(ctl, request, reply);
+  if (status != STATUS_OK)
+    leave(status);
 }
 
 const char *path_to(const char *format, ...)
@@ -331,18 +318,17 @@ const char *path_to(const char *format, ...)
   return *path;
 }
 
-int transport_get(struct ctl *ctl, const char *path, const char *accept, struct reply *reply)
+void transport_get(struct ctl *ctl, const char *path, const char *accept, struct reply *reply)
 {
-  return transport_send(ctl, &(struct request){.method = "GET", .path = path, .accept = accept},
-                        reply);
+  transport_send(ctl, &(struct request){.method = "GET", .path = path, .accept = accept}, reply);
 }
 
-int send_json(struct ctl *ctl, const struct request *request, long *code, json_t **json)
+int try_json(struct ctl *ctl, const struct request *request, long *code, json_t **json)
 {
   struct reply reply;
   json_error_t error;
   *json = NULL;
-  int status = transport_send(ctl, request, &reply);
+  int status = exchange(ctl, request, &reply);
   if (status == STATUS_OK) {
     *json = json_loadb(reply.body != NULL ? reply.body : "", reply.body_bytes, 0, &error);
     if (*json == NULL)
@@ -354,16 +340,23 @@ int send_json(struct ctl *ctl, const struct request *request, long *code, json_t
   return status;
 }
 
-int get_json(struct ctl *ctl, json_t **json, const char *format, ...)
+json_t *send_json(struct ctl *ctl, const struct request *request, long *code)
+{
+  json_t *json;
+  const int status = try_json(ctl, request, code, &json);
+  if (status != STATUS_OK)
+    leave(status);
+  return json;
+}
+
+json_t *get_json(struct ctl *ctl, const char *format, ...)
 {
   char *path = NULL;
   va_list arguments;
   va_start(arguments, format);
-  need(vasprintf(&path, format, arguments) >= 0 ? path : NULL);
+  keep(vasprintf(&path, format, arguments) >= 0 ? path : NULL);
   va_end(arguments);
-  int status = send_json(ctl, &(struct request){.method = "GET", .path = path}, NULL, json);
-  free(path);
-  return status;
+  return keep(send_json(ctl, &(struct request){.method = "GET", .path = path}, NULL));
 }
 
 /* ---- streams ---- */
@@ -395,25 +388,21 @@ static size_t take_stream(char *bytes, size_t size, size_t count, void *context)
   return n;
 }
 
-int transport_stream(struct ctl *ctl, const char *path, const char *last_event,
-                     int (*data)(void *context, const char *bytes, size_t n), void *context)
+bool transport_stream(struct ctl *ctl, const char *path, const char *last_event,
+                      int (*data)(void *context, const char *bytes, size_t n), void *context)
 {
   struct stream stream = {
       .ctl = ctl, .reply = {.retry_after_s = -1}, .data = data, .context = context};
   struct request request = {
       .method = "GET", .path = path, .accept = "text/event-stream", .last_event = last_event};
-  CURLcode code = perform(ctl, &request, &stream.reply, take_stream, &stream);
-  int status;
+  const CURLcode code = perform(ctl, &request, &stream.reply, take_stream, &stream);
+  const long status = stream.reply.status;
   if (interrupted())
-    status = STATUS_INTERRUPTED;
-  else if (stream.ended)
-    status = STATUS_OK;
-  else if (stream.reply.status >= 400 && stream.reply.status != 429 && stream.reply.status != 503)
-    status = complain_about_reply(ctl, &stream.reply);
-  else if (code == CURLE_OK || is_passing(code))
-    status = STATUS_CONNECTION; /* ended or broken: the caller connects again */
-  else
-    status = complain(STATUS_ERROR, "%s: %s", ctl->server, curl_easy_strerror(code));
+    leave(STATUS_INTERRUPTED);
+  if (!stream.ended && status >= 400 && status != 429 && status != 503)
+    leave(complain_about_reply(ctl, &stream.reply));
+  if (!stream.ended && code != CURLE_OK && !is_passing(code))
+    fail(STATUS_ERROR, "%s: %s", ctl->server, curl_easy_strerror(code));
   reply_free(&stream.reply);
-  return status;
+  return stream.ended;
 }

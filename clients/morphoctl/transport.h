@@ -35,20 +35,19 @@ struct reply {
 
 struct transport;
 
-/* Opens the transport. STATUS_OK, or STATUS_USAGE for an invalid server address. */
-int transport_open(struct ctl *ctl);
+void transport_open(struct ctl *ctl);
 void transport_close(struct ctl *ctl);
 
 /* Makes a path, which stays until the fourth call after this one. */
 const char *path_to(const char *format, ...) __attribute__((format(printf, 1, 2)));
-/* Sends a request. STATUS_OK: *reply has a status below 400. Else the error was printed, for
- * problem details with all faults. Free *reply in both cases. */
-int transport_send(struct ctl *ctl, const struct request *request, struct reply *reply);
-/* Gets what a path has in one form, in the same way. */
-int transport_get(struct ctl *ctl, const char *path, const char *accept, struct reply *reply);
 /* Sends a request without complaining about the reply's status (connection errors are still
- * reported). */
+ * reported). Free *reply in any case. */
 int transport_try(struct ctl *ctl, const struct request *request, struct reply *reply);
+/* Sends a request. *reply has a status below 400: any other error is printed, for problem details
+ * with all faults, and ends the program. */
+void transport_send(struct ctl *ctl, const struct request *request, struct reply *reply);
+/* Gets what a path has in one form, in the same way. */
+void transport_get(struct ctl *ctl, const char *path, const char *accept, struct reply *reply);
 void reply_free(struct reply *reply);
 
 /* Complains that no server answers: names the address, where it was configured, and what to do.
@@ -57,23 +56,24 @@ int complain_about_server(const struct ctl *ctl, const char *words);
 /* Prints what a reply of status ≥ 400 says, and returns the exit status for it. */
 int complain_about_reply(const struct ctl *ctl, const struct reply *reply);
 
-/* Sends a request and parses the reply. *json is NULL on failure; *code (nullable): the reply's
- * status. */
-int send_json(struct ctl *ctl, const struct request *request, long *code, json_t **json);
-/* Gets the JSON of a path, which printf makes. */
-int get_json(struct ctl *ctl, json_t **json, const char *format, ...)
-    __attribute__((format(printf, 3, 4)));
+/* Sends a request and parses the reply. Returns an exit status; an error was printed, and *json is
+ * NULL. code: nullable; the reply's status. */
+int try_json(struct ctl *ctl, const struct request *request, long *code, json_t **json);
+/* The same, but an error ends the program. Returns a new reference. */
+json_t *send_json(struct ctl *ctl, const struct request *request, long *code);
+/* Gets the JSON of a path, which printf makes. It is kept. */
+json_t *get_json(struct ctl *ctl, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
 /* Reads a stream. Calls `data` with each piece; `data` may send other requests. A non-zero result
- * ends the stream (STATUS_OK). STATUS_CONNECTION: the stream broke. last_event: nullable. */
-int transport_stream(struct ctl *ctl, const char *path, const char *last_event,
-                     int (*data)(void *context, const char *bytes, size_t n), void *context);
+ * ends the stream. False: the stream broke. last_event: nullable. */
+bool transport_stream(struct ctl *ctl, const char *path, const char *last_event,
+                      int (*data)(void *context, const char *bytes, size_t n), void *context);
 
 /* Sleeps, but wakes on an interrupt. */
 void pause_s(double seconds);
 /* Writes a random Idempotency-Key: 32 hexadecimal digits and a NUL. */
-int random_key(char key[33]);
-/* Escapes one component of a path or query (malloc). */
+void random_key(char key[33]);
+/* Escapes one component of a path or query (kept). */
 char *escape(const char *text);
 
 #endif

@@ -12,6 +12,20 @@ static int value_of(char c)
   return c == '+' ? 62 : c == '/' ? 63 : -1;
 }
 
+void mo_base64_encode(const void *bytes, size_t n, char text[])
+{
+  static const char digits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  const uint8_t *from = bytes;
+  for (size_t i = 0; i < n; i += 3) {
+    const size_t left = n - i;
+    const uint32_t bits = (uint32_t)from[i] << 16 | (left > 1 ? (uint32_t)from[i + 1] << 8 : 0) |
+                          (left > 2 ? from[i + 2] : 0);
+    for (size_t k = 0; k < 4; k++)
+      *text++ = k <= left ? digits[bits >> (18 - 6 * k) & 63] : '=';
+  }
+  *text = '\0';
+}
+
 bool mo_base64_decode(const char *text, size_t size, uint8_t *bytes, size_t *n)
 {
   *n = 0;

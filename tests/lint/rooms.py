@@ -31,7 +31,7 @@ ROOMS = {
 }
 # A room that includes only these others, although more come before it: the protocol knows no job.
 ONLY = {"http": ["base", "store/hash.h"]}
-CLIENTS = ["base/text.h", "base/words.h"]  # what clients share with the service
+CLIENTS = ["base/base64.h", "base/text.h", "base/words.h"]  # what clients share with the service
 LIBRARY = list(ROOMS)[:list(ROOMS).index("store")]  # libmorpho: no output, no exit
 FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "gnutls/", "systemd/",
            "curl/", "zstd.h"]

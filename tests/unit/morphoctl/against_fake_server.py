@@ -206,6 +206,23 @@ def test_changes_many_jobs():
         assert [s[1] for s in seen] == [sent.format(i) for i in range(1, 10)]
 
 
+def test_mistakes():
+    for words in ("", "evil", "--limit 3 job list", "--server", "--json=1 job list", "job",
+                  "job lost", "eval --verify", "eval --label", "eval --no-wait=1", "eval -qj",
+                  "design show", "status x", "job list -n 0", "job show ''", "job show 012",
+                  "job show 1x", "job show 1234567890123456789", "eval --precision float16",
+                  "eval -p dt=0.002", "eval -p dt_s", "eval -p =1", "eval -p dt_s=fast",
+                  "eval -p dt_s=inf", "eval -p n_steps=1.5", "eval /nonexistent/designs.json",
+                  "eval /dev/null"):
+        out, err, seen = ask([], words, status=2, input_text=VOXELS)
+        assert out == "" and err != "" and seen == [], (words, err)
+    for text in ("zebra", '{"cells": [[0,0,0]]', '{"cell": [[0,0,0]]}', "{}", "0" * 59 + "1",
+                 '{"cells": [[0,0,0]], "id": "x"}', '{"id": 1, "id": 2}', "[[[[0,0,0]]]] 3", "[3]",
+                 '["01"]', '{"designs": {"cells": [[0,0,0]], "what": 1}}', "[[0,0,0]]" * 10001):
+        err = ask([], "eval", status=2, input_text=text)[1]
+        assert "standard input:1: " in err or "more than 10000 designs" in err, (text[:80], err)
+
+
 def test_waits_for_the_end():
     replies = [reply(202, {**JOB, "state": "queued"}),
                {**JOB, "state": "running", "rollouts_done": 1}, JOB, {**JOB, "results": [RESULT]}]

@@ -61,7 +61,7 @@ static void texts(void)
 static char drawn[40][800];
 static int n_drawn;
 
-static void keep(void *context, const char *text)
+static void keep_line(void *context, const char *text)
 {
   (void)context;
   if (n_drawn < 40)
@@ -76,7 +76,7 @@ static void view(void)
         i, {1.0 / (i + 1), 0.5, 0.1, 0.2, i > 0 ? 25 : (double)NAN, 50, 20, 1}};
   struct ctl ctl = {.utf8 = true};
   struct campaign campaign = {.live.ctl = &ctl, .rows = rows, .n = 100};
-  campaign_draw(&campaign, 80, 5, keep, NULL);
+  campaign_draw(&campaign, 80, 5, keep_line, NULL);
   CHECK(n_drawn == 6 + 2 + 5);
   for (int i = 0; i < n_drawn; i++)
     CHECK(text_width(drawn[i]) <= (i < 6 ? 80 : 92));
@@ -86,11 +86,11 @@ static void view(void)
     CHECK(text_width(drawn[i]) == text_width(drawn[7])); /* columns stand under their heads */
   n_drawn = 0;
   campaign.n = 0;
-  campaign_draw(&campaign, 80, 5, keep, NULL);
+  campaign_draw(&campaign, 80, 5, keep_line, NULL);
   CHECK(n_drawn == 1);
   n_drawn = 0;
   campaign.n = 1;
-  campaign_draw(&campaign, 10, 0, keep, NULL); /* too narrow for curves */
+  campaign_draw(&campaign, 10, 0, keep_line, NULL); /* too narrow for curves */
   CHECK(n_drawn == 0);
 }
 
