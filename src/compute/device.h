@@ -3,8 +3,10 @@
  * A module is a shared object that is loaded at run time (devices.c). It exports one symbol,
  * mo_device_module. Queues, shares, jobs and the use of several devices belong to this side of the
  * table; a module knows only rows, weights and one device at a time. Calls on one device come from
- * one thread at a time; calls on different devices run concurrently. `lay_out`, `layout_free`,
- * `allocate` and `release` may be called from any thread, also during a call on a device.
+ * one thread at a time; calls on different devices run concurrently. A device may be opened twice:
+ * then it counts as two, and of calls on both the one that began first goes first. `lay_out`,
+ * `layout_free`, `allocate` and `release` may be called from any thread, also during a call on a
+ * device.
  *
  * What is passed was checked before: a module refuses only what its kernels lack.
  *

@@ -53,6 +53,32 @@ static bool fits(const struct mo_block *block, void *context)
          mo_same_physics(&block->physics, &room->like->physics);
 }
 
+uint32_t mo_unit_held(const struct mo_unit *unit)
+{
+  uint32_t n = 0;
+  for (uint32_t c = 0; c < MO_CALLERS; c++)
+    n += unit->callers[c].state != MO_CALLER_IDLE;
+  return n;
+}
+
+/* Returns among how many calls what waits is divided: those that could begin now. A device that has
+ * a call in flight or to come counts only if there is enough for all. */
+static uint64_t calls_now(const struct mo_devices *devices, uint64_t waiting)
+{
+  uint64_t n = 0, idle = 0;
+  for (uint32_t i = 0; i < devices->n; i++) {
+    const struct mo_unit *unit = &devices->units[i];
+    const uint32_t held = mo_unit_held(unit);
+    if (unit->status.state != MO_DEVICE_WORKS)
+      continue;
+    n += held < unit->n_callers ? unit->n_callers - held : 0;
+    idle += held == 0;
+  }
+  if (waiting < n * MO_CHUNK_ROWS_ENOUGH)
+    n = idle;
+  return n > 0 ? n : 1;
+}
+
 /* Returns the rows per call, if all that a share has waiting is cut evenly. */
 static uint32_t even_rows(const struct mo_unit *unit, const struct mo_compute_share *share,
                           const struct mo_block *first)
@@ -61,11 +87,10 @@ static uint32_t even_rows(const struct mo_unit *unit, const struct mo_compute_sh
                         atomic_load(&unit->devices->fair.waiting) == atomic_load(&share->queue.n);
   const uint32_t limit = is_alone ? MO_CHUNK_ROWS : MO_CHUNK_ROWS_SHARED;
   const uint64_t most = unit->row_limit < limit ? unit->row_limit : limit;
-  const uint64_t n_working = atomic_load(&unit->devices->n_working),
-                 n_devices = n_working > 0 ? n_working : 1;
   const uint64_t waiting = (1 + atomic_load(&share->queue.n)) * first->n_environments;
-  const uint64_t rounds = (waiting + most * n_devices - 1) / (most * n_devices);
-  const uint64_t rows = (waiting + rounds * n_devices - 1) / (rounds * n_devices);
+  const uint64_t n_calls = calls_now(unit->devices, waiting);
+  const uint64_t rounds = (waiting + most * n_calls - 1) / (most * n_calls);
+  const uint64_t rows = (waiting + rounds * n_calls - 1) / (rounds * n_calls);
   return rows < first->n_environments ? first->n_environments
                                       : (uint32_t)(rows < most ? rows : most);
 }

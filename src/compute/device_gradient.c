@@ -81,7 +81,7 @@ static const struct mo_device *working_device(struct mo_devices *devices, uint32
   pthread_mutex_lock(&devices->fair.mutex);
   for (uint32_t i = 0; i < devices->n && found == NULL; i++)
     if (devices->units[i].status.state == MO_DEVICE_WORKS && p-- == 0)
-      found = devices->units[i].device;
+      found = devices->units[i].callers[0].device;
   pthread_mutex_unlock(&devices->fair.mutex);
   return found;
 }

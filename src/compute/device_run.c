@@ -1,15 +1,21 @@
-/* device_run.c: the two threads of a device.
+/* device_run.c: the threads of a device.
  *
- * The gatherer takes a chunk when work waits, while the device is still busy with the previous one,
- * and builds its bodies. Submitters submit one block at a time, but a device needs as long for one
- * block as for a thousand. So the gatherer waits while a submitter announces more blocks, and then
- * a few milliseconds more until no new block arrives. It also cancels the running chunk when all of
- * it was cancelled.
+ * The gatherer takes a chunk for an idle caller when work waits, while the device is still busy
+ * with the previous one, and builds its bodies. Submitters submit one block at a time, but a device
+ * needs as long for one block as for a thousand. So the gatherer waits while a submitter announces
+ * more blocks, and then a few milliseconds more until no new block arrives. It also cancels a
+ * running chunk when all of it was cancelled.
  *
- * The runner calls the module. When the module lacks memory for a chunk, the runner halves it, and
- * grows chunks again later. It also halves a chunk that the module does not support, until only the
- * unsupported blocks are left: so the choice does not depend on a block's neighbors. A failure of
- * the device ends both threads; everything without a result is requeued. */
+ * Two callers call the module. While the last rollouts of a call end, most of the device would be
+ * idle: it begins those of the other call, whose rows are laid out and copied by then. A gradient
+ * wants the whole device and its memory, so it has no call beside it. The time of a device is
+ * charged once, to the call that began first.
+ *
+ * When the module lacks memory for a chunk, the caller halves it, and grows chunks again later; the
+ * second caller gives its chunk back and takes no more. A caller also halves a chunk that the
+ * module does not support, until only the unsupported blocks are left: so the choice does not
+ * depend on a block's neighbors. A failure of the device ends its threads; everything without a
+ * result is requeued. */
 #include "compute/devices.h"
 
 #include <errno.h>
@@ -44,14 +50,25 @@ static bool wait_ms(struct mo_devices *devices, int ms)
   return pthread_cond_timedwait(&devices->wake, &devices->fair.mutex, &end) != ETIMEDOUT;
 }
 
+static bool is_running(const struct mo_caller *caller)
+{
+  return caller->state == MO_CALLER_RUNS;
+}
+
+bool mo_unit_is_running(const struct mo_unit *unit)
+{
+  return is_running(&unit->callers[0]) || is_running(&unit->callers[1]);
+}
+
 void mo_unit_account(struct mo_unit *unit)
 {
   const uint64_t now_ns = mo_clock_ns();
   const double passed_s = 1e-9 * (double)(now_ns - unit->changed_ns),
                keep = exp(-passed_s / load_s);
+  const bool is_busy = mo_unit_is_running(unit);
   unit->changed_ns = now_ns;
-  unit->status.load = unit->status.load * keep + (unit->running != NULL ? 1 - keep : 0);
-  if (unit->running != NULL)
+  unit->status.load = unit->status.load * keep + (is_busy ? 1 - keep : 0);
+  if (is_busy)
     unit->status.busy_s += passed_s;
 }
 
@@ -64,8 +81,9 @@ static bool has_ended(const struct mo_unit *unit)
 
 static void watch(struct mo_unit *unit)
 {
-  if (unit->running != NULL && (unit->devices->stopping || mo_chunk_is_cancelled(unit->running)))
-    __atomic_store_n(&unit->cancel, 1, __ATOMIC_RELAXED);
+  for (struct mo_caller *caller = unit->callers; caller < unit->callers + MO_CALLERS; caller++)
+    if (is_running(caller) && (unit->devices->stopping || mo_chunk_is_cancelled(&caller->chunk)))
+      __atomic_store_n(&caller->cancel, 1, __ATOMIC_RELAXED);
 }
 
 /* Waits until no more blocks arrive, or there are enough for all devices. */
@@ -79,7 +97,7 @@ static void linger(struct mo_unit *unit)
   while (waiting > 0 && waiting < enough && devices->tasks_waiting == 0 && !has_ended(unit) &&
          mo_clock_ns() < end_ns) {
     const uint64_t patience_ns =
-        UINT64_C(1000000) * (unit->running != NULL ? LINGER_BUSY_MS : LINGER_IDLE_MS);
+        UINT64_C(1000000) * (mo_unit_is_running(unit) ? LINGER_BUSY_MS : LINGER_IDLE_MS);
     const bool are_submitting = atomic_load(&devices->submitting) > 0;
     if (were_submitting && !are_submitting)
       return; /* that was the last */
@@ -95,18 +113,24 @@ static void linger(struct mo_unit *unit)
   }
 }
 
+/* NULL: none. */
+static struct mo_caller *idle_caller(struct mo_unit *unit)
+{
+  for (uint32_t c = 0; c < unit->n_callers; c++)
+    if (unit->callers[c].state == MO_CALLER_IDLE)
+      return &unit->callers[c];
+  return NULL;
+}
+
 /* Returns whether there is nothing to take, or an idle device should take it instead. */
-static bool has_to_wait(const struct mo_unit *unit)
+static bool has_to_wait(struct mo_unit *unit)
 {
   const struct mo_devices *devices = unit->devices;
-  if (unit->ready != NULL || atomic_load(&devices->fair.waiting) == 0)
+  if (idle_caller(unit) == NULL || atomic_load(&devices->fair.waiting) == 0)
     return true;
-  for (uint32_t i = 0; i < devices->n && unit->held != NULL; i++) {
-    const struct mo_unit *other = &devices->units[i];
-    if (other->status.state == MO_DEVICE_WORKS && other->held == NULL && other->ready == NULL &&
-        !other->is_building)
+  for (uint32_t i = 0; i < devices->n && mo_unit_held(unit) > 0; i++)
+    if (devices->units[i].status.state == MO_DEVICE_WORKS && mo_unit_held(&devices->units[i]) == 0)
       return true;
-  }
   return false;
 }
 
@@ -115,7 +139,7 @@ static bool gather(struct mo_unit *unit)
   struct mo_devices *devices = unit->devices;
   while (!has_ended(unit) && has_to_wait(unit)) {
     watch(unit);
-    if (unit->held != NULL)
+    if (mo_unit_held(unit) > 0)
       (void)wait_ms(devices, WATCH_MS);
     else
       pthread_cond_wait(&devices->wake, &devices->fair.mutex);
@@ -132,18 +156,17 @@ void *mo_unit_gather(void *context)
   const uint32_t n_threads = mo_core(devices->compute)->n_workers;
   pthread_mutex_lock(&devices->fair.mutex);
   while (gather(unit)) {
-    struct mo_chunk *chunk = &unit->chunks[unit->held == &unit->chunks[0]];
-    if (has_to_wait(unit) || !mo_chunk_take(unit, chunk)) /* another device took it */
+    struct mo_caller *caller = idle_caller(unit);
+    if (has_to_wait(unit) || !mo_chunk_take(unit, &caller->chunk)) /* another device took it */
       continue;
-    unit->is_building = true;
+    caller->state = MO_CALLER_GETS;
     pthread_mutex_unlock(&devices->fair.mutex);
-    mo_chunk_build(chunk, n_threads < BUILD_THREADS_MAX ? n_threads : BUILD_THREADS_MAX);
+    mo_chunk_build(&caller->chunk, n_threads < BUILD_THREADS_MAX ? n_threads : BUILD_THREADS_MAX);
     pthread_mutex_lock(&devices->fair.mutex);
-    unit->is_building = false;
-    unit->ready = chunk;
+    caller->state = MO_CALLER_READY;
     pthread_cond_broadcast(&devices->wake);
   }
-  while (devices->stopping && unit->running != NULL) { /* it ends soon */
+  while (devices->stopping && mo_unit_is_running(unit)) { /* it ends soon */
     watch(unit);
     (void)wait_ms(devices, WATCH_MS);
   }
@@ -156,11 +179,11 @@ void *mo_unit_gather(void *context)
 /* ---- weights ---- */
 
 /* Under the mutex, which it releases meanwhile: frees the copies that are no longer needed. Only
- * the runner changes the list. */
-static void drop_copies(struct mo_unit *unit)
+ * the caller changes the list. */
+static void drop_copies(struct mo_caller *caller)
 {
-  struct mo_devices *devices = unit->devices;
-  struct mo_device_copy **link = &unit->copies;
+  struct mo_devices *devices = caller->unit->devices;
+  struct mo_device_copy **link = &caller->copies;
   while (*link != NULL) {
     struct mo_device_copy *copy = *link;
     if (copy->owner != NULL) {
@@ -169,24 +192,25 @@ static void drop_copies(struct mo_unit *unit)
     }
     *link = copy->next;
     pthread_mutex_unlock(&devices->fair.mutex);
-    devices->module->controller_free(unit->device, copy->controller);
+    devices->module->controller_free(caller->device, copy->controller);
     free(copy);
     pthread_mutex_lock(&devices->fair.mutex);
   }
 }
 
-/* Finds or creates this device's copy of the weights. *ret NULL: passive bodies.
+/* Finds or creates the caller's copy of the weights. *ret NULL: passive bodies.
  * MO_ERR_UNSUPPORTED, MO_ERR_NO_MEMORY, MO_ERR_DEVICE. */
-static int prepare_controller(struct mo_unit *unit, const struct mo_compute_controller *owner,
+static int prepare_controller(struct mo_caller *caller, const struct mo_compute_controller *owner,
                               struct mo_device_controller **ret)
 {
   const struct mo_controller *weights = mo_compute_controller_weights(owner);
-  pthread_mutex_t *mutex = &unit->devices->fair.mutex;
+  const struct mo_devices *devices = caller->unit->devices;
+  pthread_mutex_t *mutex = &caller->unit->devices->fair.mutex;
   *ret = NULL;
   if (weights == NULL)
     return MO_OK;
   pthread_mutex_lock(mutex);
-  struct mo_device_copy *copy = unit->copies;
+  struct mo_device_copy *copy = caller->copies;
   while (copy != NULL && copy->owner != owner)
     copy = copy->next;
   pthread_mutex_unlock(mutex);
@@ -195,22 +219,22 @@ static int prepare_controller(struct mo_unit *unit, const struct mo_compute_cont
     if (copy == NULL)
       return MO_ERR_NO_MEMORY;
     const int status =
-        unit->devices->module->controller_create(unit->device, weights, &copy->controller);
+        devices->module->controller_create(caller->device, weights, &copy->controller);
     if (status != MO_OK && status != MO_ERR_UNSUPPORTED) {
       free(copy);
       return status;
     }
     pthread_mutex_lock(mutex);
     copy->owner = owner;
-    copy->next = unit->copies;
-    unit->copies = copy;
+    copy->next = caller->copies;
+    caller->copies = copy;
     pthread_mutex_unlock(mutex);
   }
   *ret = copy->controller;
   return copy->controller != NULL ? MO_OK : MO_ERR_UNSUPPORTED;
 }
 
-/* ---- the runner ---- */
+/* ---- callers ---- */
 
 static void shrink(uint32_t *limit, uint32_t tried, struct mo_unit *unit)
 {
@@ -221,6 +245,19 @@ static void shrink(uint32_t *limit, uint32_t tried, struct mo_unit *unit)
   pthread_mutex_unlock(&unit->devices->fair.mutex);
 }
 
+/* Without memory for the second caller the first one has all. Returns whether that is the case: the
+ * blocks without a result are requeued. */
+static bool retires(struct mo_caller *caller, int status)
+{
+  struct mo_unit *unit = caller->unit;
+  if (status != MO_ERR_NO_MEMORY || caller == &unit->callers[0])
+    return false;
+  pthread_mutex_lock(&unit->devices->fair.mutex);
+  unit->n_callers = 1;
+  pthread_mutex_unlock(&unit->devices->fair.mutex);
+  return true;
+}
+
 static void set_status(struct mo_chunk *chunk, uint32_t first, uint32_t last, int status)
 {
   for (uint32_t i = first; i < last; i++)
@@ -229,56 +266,63 @@ static void set_status(struct mo_chunk *chunk, uint32_t first, uint32_t last, in
 
 /* Scores blocks first … last − 1 and sets their statuses. MO_ERR_DEVICE, or MO_OK for any other
  * result. */
-static int score(struct mo_unit *unit, struct mo_chunk *chunk,
-                 struct mo_device_controller *controller, uint32_t first, uint32_t last)
+static int score(struct mo_caller *caller, struct mo_device_controller *controller, uint32_t first,
+                 uint32_t last)
 {
-  const struct mo_devices *devices = unit->devices;
+  struct mo_unit *unit = caller->unit;
+  struct mo_chunk *chunk = &caller->chunk;
   const uint32_t row = chunk->items[first].first_row, middle = first + (last - first) / 2;
   struct mo_device_score call = {
       .controller = controller,
       .robots = chunk->robots + row,
       .n = (last < chunk->n_active ? chunk->items[last].first_row : chunk->n_rows) - row,
       .physics = chunk->items[first].block->physics,
-      .cancel = &unit->cancel,
+      .cancel = &caller->cancel,
       .outcomes = chunk->outcomes + row};
   const bool is_one = last - first == 1, is_too_large = !is_one && call.n > unit->row_limit;
-  int status = is_too_large ? MO_ERR_NO_MEMORY : devices->module->score(unit->device, &call);
+  int status =
+      is_too_large ? MO_ERR_NO_MEMORY : unit->devices->module->score(caller->device, &call);
   if (status == MO_ERR_DEVICE)
     return status;
   if (status == MO_OK || status == MO_ERR_CANCELLED) {
     set_status(chunk, first, last, status);
     return MO_OK;
   }
+  if (retires(caller, status))
+    return MO_OK;
   if (status == MO_ERR_NO_MEMORY && !is_too_large)
     shrink(&unit->row_limit, call.n, unit);
   if (is_one) {
     chunk->items[first].status = status == MO_ERR_UNSUPPORTED ? MO_CHUNK_TO_WORKERS : status;
     return MO_OK;
   }
-  status = score(unit, chunk, controller, first, middle);
-  return status == MO_OK ? score(unit, chunk, controller, middle, last) : status;
+  status = score(caller, controller, first, middle);
+  return status == MO_OK ? score(caller, controller, middle, last) : status;
 }
 
-static int run_blocks(struct mo_unit *unit, struct mo_chunk *chunk)
+static int run_blocks(struct mo_caller *caller)
 {
+  struct mo_chunk *chunk = &caller->chunk;
   struct mo_device_controller *controller = NULL;
   int status = MO_OK;
   if (chunk->n_active == 0)
     return MO_OK;
-  status = prepare_controller(unit, chunk->items[0].block->controller, &controller);
+  status = prepare_controller(caller, chunk->items[0].block->controller, &controller);
   if (status == MO_OK)
-    return score(unit, chunk, controller, 0, chunk->n_active);
+    return score(caller, controller, 0, chunk->n_active);
   if (status == MO_ERR_DEVICE)
     return status;
-  set_status(chunk, 0, chunk->n_active,
-             status == MO_ERR_UNSUPPORTED ? MO_CHUNK_TO_WORKERS : status);
+  if (!retires(caller, status))
+    set_status(chunk, 0, chunk->n_active,
+               status == MO_ERR_UNSUPPORTED ? MO_CHUNK_TO_WORKERS : status);
   return MO_OK;
 }
 
 /* Differentiates shards first … last − 1. */
-static int differentiate(struct mo_unit *unit, struct mo_device_task *task, uint32_t first,
+static int differentiate(struct mo_caller *caller, struct mo_device_task *task, uint32_t first,
                          uint32_t last)
 {
+  struct mo_unit *unit = caller->unit;
   const uint32_t row = first * MO_DEVICE_SHARD, n = last - first, middle = first + n / 2;
   const uint32_t end = last * MO_DEVICE_SHARD < task->n ? last * MO_DEVICE_SHARD : task->n;
   const struct mo_gradient_batch *batch = task->batch;
@@ -291,13 +335,13 @@ static int differentiate(struct mo_unit *unit, struct mo_device_task *task, uint
                                     .adjoint_rule = batch->adjoint_rule,
                                     .restart_weight = batch->restart_weight,
                                     .weight = 1.0 / batch->n,
-                                    .cancel = &unit->cancel,
+                                    .cancel = &caller->cancel,
                                     .d_parameters = task->d_parameters +
                                                     first * batch->controller->n_parameters,
                                     .outcomes = batch->outcomes + task->first + row};
   const bool is_too_large = n > 1 && n > unit->shard_limit;
-  int status =
-      is_too_large ? MO_ERR_NO_MEMORY : unit->devices->module->gradient(unit->device, &call);
+  int status = is_too_large ? MO_ERR_NO_MEMORY
+                            : unit->devices->module->gradient(unit->callers[0].device, &call);
   if (status == MO_OK)
     mo_gradient_counts_add(&task->counts, &call.counts);
   if (status != MO_ERR_NO_MEMORY)
@@ -306,17 +350,18 @@ static int differentiate(struct mo_unit *unit, struct mo_device_task *task, uint
     shrink(&unit->shard_limit, n, unit);
   if (n == 1)
     return status;
-  status = differentiate(unit, task, first, middle);
-  return status == MO_OK ? differentiate(unit, task, middle, last) : status;
+  status = differentiate(caller, task, first, middle);
+  return status == MO_OK ? differentiate(caller, task, middle, last) : status;
 }
 
-static int run_task(struct mo_unit *unit, struct mo_chunk *chunk)
+static int run_task(struct mo_caller *caller)
 {
+  struct mo_chunk *chunk = &caller->chunk;
   struct mo_device_task *task = chunk->task;
   int status = MO_ERR_CANCELLED;
   task->counts = (struct mo_gradient_counts){0};
   if (!mo_chunk_is_cancelled(chunk))
-    status = differentiate(unit, task, 0, (task->n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD);
+    status = differentiate(caller, task, 0, (task->n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD);
   if (status != MO_ERR_DEVICE)
     chunk->items[0].status = status;
   return status == MO_ERR_DEVICE ? status : MO_OK;
@@ -353,25 +398,29 @@ static void hand_back(struct mo_devices *devices, struct mo_chunk *chunk)
 }
 
 /* Under the mutex: ends what waits, when the back end stops or no device is left. */
-static void drain(struct mo_unit *unit)
+static void drain(struct mo_caller *caller)
 {
-  struct mo_devices *devices = unit->devices;
-  struct mo_chunk *chunk = &unit->chunks[0];
+  struct mo_devices *devices = caller->unit->devices;
+  struct mo_chunk *chunk = &caller->chunk;
   while ((devices->stopping || atomic_load(&devices->n_working) == 0) &&
-         mo_chunk_take(unit, chunk)) {
+         mo_chunk_take(caller->unit, chunk)) {
     mo_fair_settle(&devices->fair, &chunk->charge, 0, false);
     chunk->n_active = 0;
     hand_back(devices, chunk);
   }
 }
 
-/* Under the mutex. */
-static void lose(struct mo_unit *unit)
+/* Under the mutex. The other caller may find out, too. */
+static void lose(const struct mo_caller *caller)
 {
+  struct mo_unit *unit = caller->unit;
   struct mo_devices *devices = unit->devices;
+  if (unit->status.state == MO_DEVICE_LOST)
+    return;
   unit->status.state = MO_DEVICE_LOST;
   snprintf(unit->status.error, sizeof(unit->status.error), "%s",
-           devices->module->error(unit->device));
+           devices->module->error(caller->chunk.task != NULL ? unit->callers[0].device
+                                                             : caller->device));
   atomic_fetch_sub(&devices->n_working, 1);
   pthread_cond_broadcast(&devices->wake);
   if (devices->lost != NULL) {
@@ -382,67 +431,108 @@ static void lose(struct mo_unit *unit)
   }
 }
 
-/* Under the mutex: runs the ready chunk. */
-static void run_chunk(struct mo_unit *unit)
+static const struct mo_caller *other_of(const struct mo_caller *caller)
 {
+  return &caller->unit->callers[caller == caller->unit->callers];
+}
+
+static bool runs_gradient(const struct mo_caller *caller)
+{
+  return is_running(caller) && caller->chunk.task != NULL;
+}
+
+/* Returns whether the caller has a chunk that may run now: a gradient uses the first caller's
+ * device, and nothing runs beside it. */
+static bool may_run(const struct mo_caller *caller)
+{
+  const struct mo_caller *other = other_of(caller);
+  return caller->state == MO_CALLER_READY &&
+         (caller->chunk.task == NULL ? !runs_gradient(other)
+                                     : !is_running(other) && other->state != MO_CALLER_ASKS);
+}
+
+/* Under the mutex: the device time of a call that ends, without that of a call before it. */
+static uint64_t charge_ns(struct mo_unit *unit, uint64_t start_ns)
+{
+  const uint64_t now_ns = mo_clock_ns();
+  const uint64_t from_ns = start_ns > unit->charged_ns ? start_ns : unit->charged_ns;
+  unit->charged_ns = now_ns;
+  return now_ns - from_ns;
+}
+
+/* Under the mutex: runs the caller's chunk. */
+static void run_chunk(struct mo_caller *caller)
+{
+  struct mo_unit *unit = caller->unit;
   struct mo_devices *devices = unit->devices;
-  struct mo_chunk *chunk = unit->ready;
+  struct mo_chunk *chunk = &caller->chunk;
   mo_unit_account(unit);
-  unit->ready = NULL;
-  unit->running = unit->held = chunk;
-  unit->cancel = devices->stopping;
+  caller->state = MO_CALLER_RUNS;
+  caller->cancel = devices->stopping;
   pthread_cond_broadcast(&devices->wake);
   const uint64_t start_ns = mo_clock_ns();
   pthread_mutex_unlock(&devices->fair.mutex);
   mo_thread_tag = chunk->items[0].block->tag;
-  const int status = chunk->task != NULL ? run_task(unit, chunk) : run_blocks(unit, chunk);
+  const int status = chunk->task != NULL ? run_task(caller) : run_blocks(caller);
   mo_thread_tag = -1;
   pthread_mutex_lock(&devices->fair.mutex);
-  const uint64_t took_ns = mo_clock_ns() - start_ns;
+  const uint64_t took_ns = charge_ns(unit, start_ns);
   mo_unit_account(unit);
-  unit->running = NULL;
+  caller->state = MO_CALLER_DELIVERS;
   count(unit, chunk);
   mo_fair_settle(&devices->fair, &chunk->charge, 1e-9 * (double)took_ns, status == MO_OK);
   atomic_fetch_add(&chunk->charge.share->busy_ns, took_ns);
   if (status == MO_ERR_DEVICE)
-    lose(unit);
+    lose(caller);
   hand_back(devices, chunk);
-  unit->held = NULL;
+  caller->state = MO_CALLER_IDLE;
   pthread_cond_broadcast(&devices->wake);
 }
 
-static void look_up_memory(struct mo_unit *unit)
+static void look_up_memory(struct mo_caller *caller)
 {
+  struct mo_unit *unit = caller->unit;
+  struct mo_devices *devices = unit->devices;
   struct mo_device_info info = {.name = ""};
-  pthread_mutex_unlock(&unit->devices->fair.mutex);
-  const int status = unit->devices->module->info(unit->device, &info);
-  pthread_mutex_lock(&unit->devices->fair.mutex);
+  caller->state = MO_CALLER_ASKS;
+  pthread_mutex_unlock(&devices->fair.mutex);
+  const int status = devices->module->info(caller->device, &info);
+  pthread_mutex_lock(&devices->fair.mutex);
+  caller->state = MO_CALLER_IDLE;
   unit->wants_info = false;
   if (status == MO_OK)
     unit->status.free_bytes = info.free_bytes;
+  pthread_cond_broadcast(&devices->wake);
 }
 
-void *mo_unit_run(void *context)
+static bool wants_memory(const struct mo_caller *caller)
 {
-  struct mo_unit *unit = context;
+  const struct mo_unit *unit = caller->unit;
+  return unit->wants_info && caller == unit->callers && caller->state == MO_CALLER_IDLE &&
+         !runs_gradient(other_of(caller));
+}
+
+void *mo_caller_run(void *context)
+{
+  struct mo_caller *caller = context;
+  struct mo_unit *unit = caller->unit;
   struct mo_devices *devices = unit->devices;
   pthread_mutex_lock(&devices->fair.mutex);
   while (!has_ended(unit) || !unit->gathered_all) {
-    if (unit->ready != NULL && !has_ended(unit))
-      run_chunk(unit);
-    else if (unit->wants_info && !has_ended(unit))
-      look_up_memory(unit);
+    if (!has_ended(unit) && may_run(caller))
+      run_chunk(caller);
+    else if (!has_ended(unit) && wants_memory(caller))
+      look_up_memory(caller);
     else
       pthread_cond_wait(&devices->wake, &devices->fair.mutex);
-    drop_copies(unit);
+    drop_copies(caller);
   }
-  if (unit->ready != NULL) {
-    struct mo_chunk *chunk = unit->ready;
-    unit->ready = NULL;
-    mo_fair_settle(&devices->fair, &chunk->charge, 0, false);
-    hand_back(devices, chunk);
+  if (caller->state == MO_CALLER_READY) {
+    mo_fair_settle(&devices->fair, &caller->chunk.charge, 0, false);
+    hand_back(devices, &caller->chunk);
+    caller->state = MO_CALLER_IDLE;
   }
-  drain(unit);
+  drain(caller);
   pthread_mutex_unlock(&devices->fair.mutex);
   return NULL;
 }

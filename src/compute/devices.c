@@ -47,43 +47,52 @@ static int load(struct mo_devices *devices, const char *path, struct mo_message 
 static void close_unit(struct mo_unit *unit)
 {
   const struct mo_device_module *module = unit->devices->module;
-  while (unit->copies != NULL) {
-    struct mo_device_copy *copy = unit->copies;
-    unit->copies = copy->next;
-    module->controller_free(unit->device, copy->controller);
-    free(copy);
+  for (struct mo_caller *caller = unit->callers; caller < unit->callers + MO_CALLERS; caller++) {
+    while (caller->copies != NULL) {
+      struct mo_device_copy *copy = caller->copies;
+      caller->copies = copy->next;
+      module->controller_free(caller->device, copy->controller);
+      free(copy);
+    }
+    if (caller->device != NULL)
+      module->close(caller->device);
+    mo_chunk_destroy(&caller->chunk);
   }
-  if (unit->device != NULL)
-    module->close(unit->device);
-  for (size_t i = 0; i < sizeof(unit->chunks) / sizeof(unit->chunks[0]); i++)
-    mo_chunk_destroy(&unit->chunks[i]);
+}
+
+static int open_caller(struct mo_unit *unit, struct mo_caller *caller)
+{
+  caller->unit = unit;
+  const int status = mo_chunk_create(&caller->chunk);
+  return status == MO_OK ? unit->devices->module->open(unit->status.index, &caller->device)
+                         : status;
 }
 
 static int open_unit(struct mo_devices *devices, struct mo_unit *unit, uint32_t index)
 {
   struct mo_device_info info = {.name = ""};
-  int status = MO_OK;
   *unit = (struct mo_unit){.devices = devices,
+                           .n_callers = 1,
                            .status = {.index = index, .rows_at_once = MO_CHUNK_ROWS},
                            .changed_ns = mo_clock_ns(),
                            .row_limit = MO_CHUNK_ROWS,
                            .shard_limit = MO_DEVICE_ROWS_MAX / MO_DEVICE_SHARD};
-  for (size_t i = 0; i < sizeof(unit->chunks) / sizeof(unit->chunks[0]) && status == MO_OK; i++)
-    status = mo_chunk_create(&unit->chunks[i]);
+  struct mo_device **device = &unit->callers[0].device;
+  int status = open_caller(unit, &unit->callers[0]);
   if (status == MO_OK)
-    status = devices->module->open(index, &unit->device);
-  if (status == MO_OK)
-    status = devices->module->info(unit->device, &info);
+    status = devices->module->info(*device, &info);
   snprintf(unit->status.name, sizeof(unit->status.name), "%s", info.name);
   snprintf(unit->status.id, sizeof(unit->status.id), "%s", info.id);
   unit->status.memory_bytes = info.memory_bytes;
   unit->status.free_bytes = info.free_bytes;
   unit->status.multiprocessors = info.multiprocessors;
   unit->status.capability = info.capability;
+  if (status == MO_OK && open_caller(unit, &unit->callers[1]) == MO_OK)
+    unit->n_callers = 2; /* without it, calls follow each other */
   if (status != MO_OK) {
     unit->status.state = MO_DEVICE_LOST;
     snprintf(unit->status.error, sizeof(unit->status.error), "%s",
-             unit->device != NULL ? devices->module->error(unit->device) : mo_error_text(status));
+             *device != NULL ? devices->module->error(*device) : mo_error_text(status));
     close_unit(unit);
   }
   return status;
@@ -166,10 +175,13 @@ static int start(struct mo_devices *devices)
     snprintf(name, sizeof(name), "mo-gather-%u", (unsigned)i % 10000);
     unit->has_gatherer = mo_thread_create(&unit->gatherer, name, mo_unit_gather, unit) == 0;
     snprintf(name, sizeof(name), "mo-device-%u", (unsigned)i % 10000);
-    unit->has_runner =
-        unit->has_gatherer && mo_thread_create(&unit->runner, name, mo_unit_run, unit) == 0;
-    if (!unit->has_runner)
-      return MO_ERR_NO_MEMORY;
+    for (uint32_t c = 0; c < unit->n_callers; c++) {
+      struct mo_caller *caller = &unit->callers[c];
+      caller->has_thread =
+          unit->has_gatherer && mo_thread_create(&caller->thread, name, mo_caller_run, caller) == 0;
+      if (!caller->has_thread)
+        return MO_ERR_NO_MEMORY;
+    }
   }
   return MO_OK;
 }
@@ -220,7 +232,8 @@ void mo_devices_free(struct mo_devices *devices)
   pthread_mutex_lock(&devices->fair.mutex);
   devices->stopping = true;
   for (uint32_t i = 0; i < devices->n; i++) {
-    __atomic_store_n(&devices->units[i].cancel, 1, __ATOMIC_RELAXED);
+    for (uint32_t c = 0; c < MO_CALLERS; c++)
+      __atomic_store_n(&devices->units[i].callers[c].cancel, 1, __ATOMIC_RELAXED);
     devices->units[i].gathered_all =
         devices->units[i].gathered_all || !devices->units[i].has_gatherer;
   }
@@ -229,8 +242,9 @@ void mo_devices_free(struct mo_devices *devices)
   for (uint32_t i = 0; i < devices->n; i++) {
     if (devices->units[i].has_gatherer)
       pthread_join(devices->units[i].gatherer, NULL);
-    if (devices->units[i].has_runner)
-      pthread_join(devices->units[i].runner, NULL);
+    for (uint32_t c = 0; c < MO_CALLERS; c++)
+      if (devices->units[i].callers[c].has_thread)
+        pthread_join(devices->units[i].callers[c].thread, NULL);
   }
   for (uint32_t i = 0; i < devices->n; i++)
     close_unit(&devices->units[i]);
@@ -288,11 +302,13 @@ int mo_devices_submit(struct mo_devices *devices, struct mo_block *block)
 void mo_devices_forget(struct mo_devices *devices, const struct mo_compute_controller *controller)
 {
   pthread_mutex_lock(&devices->fair.mutex);
-  for (uint32_t i = 0; i < devices->n; i++)
-    for (struct mo_device_copy *copy = devices->units[i].copies; copy != NULL; copy = copy->next)
+  for (uint32_t i = 0; i < MO_CALLERS * devices->n; i++) {
+    const struct mo_caller *caller = &devices->units[i / MO_CALLERS].callers[i % MO_CALLERS];
+    for (struct mo_device_copy *copy = caller->copies; copy != NULL; copy = copy->next)
       if (copy->owner == controller)
         copy->owner = NULL;
-  pthread_cond_broadcast(&devices->wake); /* runners free the copies */
+  }
+  pthread_cond_broadcast(&devices->wake); /* callers free the copies */
   pthread_mutex_unlock(&devices->fair.mutex);
 }
 
@@ -320,7 +336,7 @@ int mo_compute_device(struct mo_compute *compute, uint32_t position,
   pthread_mutex_lock(&devices->fair.mutex);
   mo_unit_account(unit);
   *status = unit->status;
-  status->is_busy = unit->running != NULL;
+  status->is_busy = mo_unit_is_running(unit);
   unit->wants_info = true;
   pthread_cond_broadcast(&devices->wake);
   pthread_mutex_unlock(&devices->fair.mutex);

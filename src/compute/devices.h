@@ -1,19 +1,21 @@
 /* devices.h: the devices of a back end, for the files of this room.
  *
- * Each device has two threads: the gatherer collects the next chunk and builds its bodies, while
- * the runner is inside the module with the previous chunk. The mutex of the fair queue guards
- * everything here, unless a comment says otherwise. */
+ * Each device has three threads: two callers, each inside the module with a chunk of its own, and
+ * the gatherer, which collects the next chunk and builds its bodies. The mutex of the fair queue
+ * guards everything here, unless a comment says otherwise. */
 #ifndef MORPHO_COMPUTE_DEVICES_H
 #define MORPHO_COMPUTE_DEVICES_H
 
 #include "compute/device.h"
 #include "compute/fair.h"
 
-/* Most rollouts of one call of a module: a second or two. At the end of each call, multiprocessors
- * run idle for some tenths of a second, so fewer calls are faster. While several shares use the
+/* Most rollouts of one call of a module: a second or two. Multiprocessors that a call leaves idle
+ * at its end take work of the next one only if that is in flight, so an idle device is given its
+ * work in two calls, if each has enough for all multiprocessors. While several shares use the
  * devices, a call takes only some tenths of a second. */
 #define MO_CHUNK_ROWS        98304
 #define MO_CHUNK_ROWS_SHARED 32768
+#define MO_CHUNK_ROWS_ENOUGH 4096
 
 enum { MO_CHUNK_NOT_DONE = 1, MO_CHUNK_TO_WORKERS = 2 };
 
@@ -30,10 +32,8 @@ struct mo_chunk_item {
 struct mo_chunk {
   struct mo_fair_charge charge;
   struct mo_device_task *task; /* a gradient; else NULL */
-  /* A gradient has one block; scoring blocks also use: */
-  uint32_t n_blocks, n_rows;
-  uint32_t
-      n_active; /* only the first n_active blocks have rows; the others already have a result */
+  uint32_t n_blocks, n_rows;   /* of a gradient: one block */
+  uint32_t n_active;           /* the first blocks, which have rows; the others have a result */
   struct mo_chunk_item *items; /* (n_blocks) */
   struct mo_robot *robots;     /* (n_rows) those of a block are consecutive */
   struct mo_outcome *outcomes; /* (n_rows) */
@@ -46,23 +46,37 @@ struct mo_device_copy {
   struct mo_device_copy *next;
 };
 
+/* A thread that calls the module. For the second one the device is opened once more. */
+struct mo_caller {
+  struct mo_unit *unit;
+  struct mo_device *device; /* NULL: there is none */
+  pthread_t thread;
+  bool has_thread;
+  enum mo_caller_state {
+    MO_CALLER_IDLE = 0,
+    MO_CALLER_ASKS, /* for the device's free memory */
+    MO_CALLER_GETS, /* the gatherer fills its chunk */
+    MO_CALLER_READY,
+    MO_CALLER_RUNS,
+    MO_CALLER_DELIVERS
+  } state;
+  struct mo_chunk chunk;
+  volatile int cancel; /* the chunk that runs was cancelled; the module reads the flag */
+  struct mo_device_copy *copies;
+};
+
+enum { MO_CALLERS = 2 };
+
 struct mo_unit {
   struct mo_devices *devices;
-  struct mo_device *device;
-  struct mo_device_status status; /* busy_s and load: as of changed_ns */
-  uint64_t changed_ns;
-  bool wants_info; /* free memory was requested: read it */
-  pthread_t gatherer, runner;
-  bool has_gatherer, has_runner;
-  struct mo_chunk chunks[2];
-  struct mo_chunk *ready, *running; /* NULL: none */
-  struct mo_chunk *held;            /* the chunk that runs, until its results are delivered */
-  bool is_building;                 /* the gatherer is preparing a chunk */
-  bool gathered_all;                /* the gatherer has ended */
-  volatile int cancel;              /* the running chunk was cancelled; the module reads the flag */
-  struct mo_device_copy *copies;
-  /* Used by the runner. */
-  uint32_t row_limit, shard_limit; /* the gatherer reads row_limit, under the mutex */
+  struct mo_caller callers[MO_CALLERS];
+  uint32_t n_callers;              /* that may be used */
+  struct mo_device_status status;  /* busy_s and load: as of changed_ns */
+  uint64_t changed_ns, charged_ns; /* charged: up to here the device's time is charged to shares */
+  bool wants_info;                 /* free memory was requested: read it */
+  pthread_t gatherer;
+  bool has_gatherer, gathered_all; /* all: the gatherer has ended */
+  uint32_t row_limit, shard_limit; /* of a call */
   uint32_t good_chunks;            /* since a limit was lowered */
 };
 
@@ -113,8 +127,9 @@ bool mo_devices_have_laid_out(struct mo_device_gradients *gradients,
 /* ---- device_chunk.c ---- */
 int mo_chunk_create(struct mo_chunk *chunk); /* MO_ERR_NO_MEMORY */
 void mo_chunk_destroy(struct mo_chunk *chunk);
-/* Under the mutex: takes the next chunk for a device. False: nothing waits. */
+/* Under the mutex: takes the next chunk for a caller of a device. False: nothing waits. */
 bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk);
+uint32_t mo_unit_held(const struct mo_unit *unit); /* under the mutex: callers that are not idle */
 /* Without the mutex: builds the bodies, on at most n_threads threads, and lays out the rows. */
 void mo_chunk_build(struct mo_chunk *chunk, uint32_t n_threads);
 bool mo_same_physics(const struct mo_physics *a, const struct mo_physics *b);
@@ -127,7 +142,8 @@ void mo_chunk_deliver(struct mo_devices *devices, struct mo_chunk *chunk);
 
 /* ---- device_run.c ---- */
 void *mo_unit_gather(void *unit);
-void *mo_unit_run(void *unit);
+void *mo_caller_run(void *caller);
+bool mo_unit_is_running(const struct mo_unit *unit); /* under the mutex */
 /* Under the mutex: brings busy_s and load up to now. */
 void mo_unit_account(struct mo_unit *unit);
 

@@ -13,6 +13,7 @@
  *   MORPHO_FAKE_HASTE     a gradient whose robots were not laid out ahead is invalid
  *   MORPHO_FAKE_FAULT     laying out robots is a fault of memory
  *   MORPHO_FAKE_MEET      so many layouts run at a time: one that waits 20 s for the others fails
+ *   MORPHO_FAKE_BESIDE    the same of calls to `score`, until they have met once
  *   MORPHO_FAKE_OLDER     this device has compute capability 8.0, the others have 9.0
  *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE  what it reports of itself */
 #include "compute/device.h"
@@ -139,6 +140,34 @@ static void fake_controller_free(struct mo_device *device, struct mo_device_cont
   free(controller);
 }
 
+struct meeting {
+  pthread_mutex_t mutex;
+  pthread_cond_t came;
+  uint64_t met;
+};
+#define MEETING                                                                                    \
+  {                                                                                                \
+    .mutex = PTHREAD_MUTEX_INITIALIZER, .came = PTHREAD_COND_INITIALIZER                           \
+  }
+
+/* false: the others did not come. */
+static bool meet(struct meeting *meeting, uint32_t n, bool once)
+{
+  struct timespec end;
+  int status = 0;
+  clock_gettime(CLOCK_REALTIME, &end);
+  end.tv_sec += 20;
+  pthread_mutex_lock(&meeting->mutex);
+  const uint64_t all = once ? n : (meeting->met / n + 1) * n;
+  meeting->met++;
+  pthread_cond_broadcast(&meeting->came);
+  while (meeting->met < all && status == 0)
+    status = pthread_cond_timedwait(&meeting->came, &meeting->mutex, &end);
+  const bool there = meeting->met >= all;
+  pthread_mutex_unlock(&meeting->mutex);
+  return there;
+}
+
 static int look(void *context)
 {
   const struct mo_device *device = context;
@@ -166,6 +195,7 @@ static int begin(struct mo_device *device, const struct mo_robot *robots, uint32
 
 static int fake_score(struct mo_device *device, struct mo_device_score *score)
 {
+  static struct meeting meeting = MEETING;
   const struct mo_pause_point pause = {.interval = 10, .reached = look, .context = device};
   const struct mo_pack *pack =
       score->controller != NULL ? score->controller->pack : device->passive;
@@ -174,6 +204,9 @@ static int fake_score(struct mo_device *device, struct mo_device_score *score)
     return MO_ERR_INVALID;
   if (score->n > device->rows)
     return MO_ERR_NO_MEMORY;
+  const uint32_t beside = number("MORPHO_FAKE_BESIDE", 0);
+  if (beside > 0 && !meet(&meeting, beside, true))
+    return MO_ERR_DEVICE;
   status = begin(device, score->robots, score->n, score->cancel);
   for (uint32_t i = 0; i < score->n && status == MO_OK;) {
     const struct mo_environment *environments[MO_BLOCK_LANES];
@@ -198,34 +231,15 @@ static uint64_t springs_of(const struct mo_robot *robots, uint32_t n)
   return sum;
 }
 
-/* false: the others did not come. */
-static bool meet(uint32_t n)
-{
-  static pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
-  static pthread_cond_t came = PTHREAD_COND_INITIALIZER;
-  static uint64_t met;
-  struct timespec end;
-  int status = 0;
-  clock_gettime(CLOCK_REALTIME, &end);
-  end.tv_sec += 20;
-  pthread_mutex_lock(&mutex);
-  const uint64_t all = (met++ / n + 1) * n;
-  pthread_cond_broadcast(&came);
-  while (met < all && status == 0)
-    status = pthread_cond_timedwait(&came, &mutex, &end);
-  const bool there = met >= all;
-  pthread_mutex_unlock(&mutex);
-  return there;
-}
-
 static int fake_lay_out(const struct mo_device *device, const struct mo_robot *robots, uint32_t n,
                         const struct mo_physics *physics, struct mo_device_layout **layout)
 {
+  static struct meeting meeting = MEETING;
   (void)device;
   (void)physics;
   if (number("MORPHO_FAKE_FAULT", 0) > 0)
     raise(SIGSEGV);
-  if (!meet(number("MORPHO_FAKE_MEET", 1)))
+  if (!meet(&meeting, number("MORPHO_FAKE_MEET", 1), false))
     return MO_ERR_DEVICE;
   if (*layout == NULL && (*layout = malloc(sizeof(**layout))) == NULL)
     return MO_ERR_NO_MEMORY;

@@ -83,8 +83,29 @@ static void builds_what_is_wanted(void)
   CHECK(expected[3 * 7].status != MO_OK);
 }
 
+/* What an idle device gets is cut in two, and the calls run side by side: one that waits in vain
+ * for the other fails. */
+static void calls_run_side_by_side(void)
+{
+  enum { N = 1024, ROWS = 10 };
+  struct mo_device_status before, after;
+  uint64_t genotype[MO_DEFAULT_WORDS] = {1};
+  for (int i = 0; i < N; i++) {
+    blocks[i] = device_block(genotype, environments);
+    for (uint32_t *n = &blocks[i].n_environments; *n < ROWS; (*n)++)
+      blocks[i].environments[*n] = environments;
+  }
+  CHECK_OK(mo_compute_device(compute, 0, &before));
+  setenv("MORPHO_FAKE_BESIDE", "2", 1);
+  CHECK_OK(mo_compute_run(compute, blocks, N));
+  CHECK_OK(mo_compute_device(compute, 0, &after));
+  CHECK_INT(after.rollouts_done - before.rollouts_done, N * ROWS);
+  CHECK(after.calls - before.calls > 1);
+}
+
 static const struct check_case cases[] = {
     {"a trickle of blocks does not keep a device waiting", does_not_wait_for_ever},
     {"bodies are shared by neighbors, and built for those that are wanted", builds_what_is_wanted},
+    {"calls run side by side", calls_run_side_by_side},
 };
 CHECK_MAIN_WITH(setup, cases)
