@@ -1,7 +1,7 @@
 /* campaign_score.c: the scores of a generation.
  *
- * The candidates' losses are saved at once; on devices, when no more blocks arrive, or after a
- * second (scoring.c). If losses arrive faster than the disk writes, one transaction saves several
+ * The candidates' losses are saved at once; those of devices and other machines after a second
+ * (scoring.c). If losses arrive faster than the disk writes, one transaction saves several
  * candidates. Losses that an earlier process saved are not computed again; nor, in a zero-shot
  * campaign or a study, those that `scores` holds for a body under this controller. */
 #include <math.h>

@@ -16,7 +16,6 @@
 
 #define NOT_A_LOSS     MO_ERR_RANGE /* a code that back ends do not return */
 #define RATE_AFTER_US  INT64_C(500000)
-#define QUIET_US       INT64_C(20000)
 #define SAVED_AFTER_US INT64_C(1000000)
 
 /* ---- grids ---- */
@@ -273,14 +272,35 @@ static int take_back(struct run *run, struct mo_flight *flight)
   return error;
 }
 
-/* Waits for a block and takes the finished ones. A request cancels all blocks soon. */
+/* A device, or a machine far away, returns many blocks at once. */
+static bool come_in_crowds(const struct run *run)
+{
+  const enum mo_back_end back_end = run->scoring->grid.block.back_end;
+  return back_end == MO_ON_DEVICE || mo_compute_remote_wanted(run->window.compute, back_end) > 0;
+}
+
+/* Returns whether results wait to be saved. In crowds, as they come in fractions of a second, they
+ * wait for a second: a generation that takes less is saved only by its commit. */
+static bool saves_later(const struct run *run)
+{
+  return run->unsaved_us != 0 && come_in_crowds(run) &&
+         mo_clock_us() < run->unsaved_us + SAVED_AFTER_US;
+}
+
+/* Waits for a block, or until results have to be saved, and takes the finished ones. A request
+ * cancels all blocks soon. */
 static int take_all(struct run *run)
 {
   struct mo_flight *flight;
+  const bool later = saves_later(run);
+  bool in_time = true;
   int error = MO_OK;
   pthread_mutex_lock(&run->mutex);
-  while (run->inbox.finished == NULL)
-    pthread_cond_wait(&run->news, &run->mutex);
+  while (run->inbox.finished == NULL && in_time)
+    if (later)
+      in_time = mo_wait_until(&run->news, &run->mutex, run->unsaved_us + SAVED_AFTER_US);
+    else
+      pthread_cond_wait(&run->news, &run->mutex);
   flight = run->inbox.finished;
   run->inbox.finished = NULL;
   pthread_mutex_unlock(&run->mutex);
@@ -294,38 +314,15 @@ static int take_all(struct run *run)
   return error;
 }
 
-/* Waits for the next block. Returns whether none arrived within QUIET_US. */
-static bool is_quiet(struct run *run)
-{
-  const int64_t end_us = mo_clock_us() + QUIET_US;
-  bool in_time = true;
-  pthread_mutex_lock(&run->mutex);
-  while (run->inbox.finished == NULL && in_time)
-    in_time = mo_wait_until(&run->news, &run->mutex, end_us);
-  const bool quiet = run->inbox.finished == NULL;
-  pthread_mutex_unlock(&run->mutex);
-  return quiet;
-}
-
-/* A device, or a machine far away, returns many blocks at once. */
-static bool come_in_crowds(const struct run *run)
-{
-  const enum mo_back_end back_end = run->scoring->grid.block.back_end;
-  return back_end == MO_ON_DEVICE || mo_compute_remote_wanted(run->window.compute, back_end) > 0;
-}
-
-/* Saves the results that arrived. A device returns thousands of designs within milliseconds, so
- * saving waits until it is quiet. Workers that compute what the device does not support return one
- * design after the other and may never be quiet, so saving waits at most SAVED_AFTER_US. */
+/* Saves the results that arrived. */
 static int save_what_came(struct run *run)
 {
   const struct mo_scoring *scoring = run->scoring;
-  const int64_t now_us = mo_clock_us();
   if (scoring->save == NULL || *scoring->n_unsaved == 0)
     return MO_OK;
   if (run->unsaved_us == 0)
-    run->unsaved_us = now_us;
-  if (come_in_crowds(run) && now_us - run->unsaved_us < SAVED_AFTER_US && !is_quiet(run))
+    run->unsaved_us = mo_clock_us();
+  if (saves_later(run))
     return MO_OK;
   run->unsaved_us = 0;
   return scoring->save(scoring->context);
