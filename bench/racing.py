@@ -57,7 +57,8 @@ class Daemon:
 
 
 def run(daemon, options, racing):
-    """Runs the campaign to its end. Returns its generations and its last population."""
+    """Runs the campaign to its end. Returns its generations and its last population. Prints what
+    the device did: how long no call was in flight is the host's time between calls."""
     campaign = daemon.get("/v1/campaigns", {
         "mode": "zero-shot", "population": options.population, "generations": options.generations,
         "seed": options.seed, "exclude_pretraining": False, "racing": racing})["id"]
@@ -68,6 +69,12 @@ def run(daemon, options, racing):
         time.sleep(0.2)
     assert status["state"] == "succeeded", status
     generations = daemon.all_of(f"/v1/campaigns/{campaign}/generations?format=json")
+    for device in daemon.get("/v1/devices")["items"]:
+        wall_s, n = sum(row["seconds"] for row in generations), len(generations)
+        busy_s = device["busy_s"]
+        print(f"{racing:9} {device['name']}: {device['calls'] / n:.1f} calls a generation,"
+              f" {busy_s / n:.3f} s in calls, {(wall_s - busy_s) / n:.3f} s between them,"
+              f" busy {busy_s / wall_s:.3f}")
     population = daemon.all_of(f"/v1/campaigns/{campaign}/population?format=json")
     return generations, [(row["number"], row["score"]) for row in population]
 
