@@ -234,7 +234,6 @@ static int submit(struct mo_request *request, struct mo_post *post)
   struct mo_api *api = mo_api_of(request);
   struct mo_faults *faults = &post->faults;
   struct mo_parsed_campaign parsed;
-  uint32_t place = UINT32_MAX; /* of a listed design that the jobs room refused */
   bool replayed;
   int error = mo_campaign_parse(request->body, request->body_size, &parsed, faults);
   const int64_t initial = parsed.request.record.initial_campaign;
@@ -242,12 +241,9 @@ static int submit(struct mo_request *request, struct mo_post *post)
     post->parsed = true;
     post->pointers.conflict = initial > 0 ? "/initial/campaign" : NULL;
     mo_post_sign(request, post, &parsed.request.job);
-    error = mo_jobs_submit_campaign(api->jobs, &parsed.request, &request->kept, &replayed, &place,
+    error = mo_jobs_submit_campaign(api->jobs, &parsed.request, &request->kept, &replayed,
                                     &post->message);
   }
-  if (place != UINT32_MAX)
-    snprintf(post->place, sizeof(post->place), "/initial/designs/%u", place);
-  post->pointers.invalid = post->pointers.limit = post->place;
   if (mo_names_unknown(post, error)) {
     mo_look_up_controller(api->store, parsed.request.controller, faults);
     mo_look_up_job(api->store, initial, MO_JOB_CAMPAIGN, "/initial/campaign", faults);

@@ -86,7 +86,7 @@ static bool read_numbers(struct mo_json *json, double limit, size_t n, double *n
 
 static void read_environment(struct mo_json *json, struct mo_environment *environment)
 {
-  unsigned depth = json->depth;
+  unsigned depth = json->depth, before = json->faults->n;
   bool light = false, heights = false, has_sigma = false, has_seed = false;
   double sigma_m = 0;
   int64_t seed = 0;
@@ -119,6 +119,10 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
         "the terrain is given either by terrain_heights_m, or by terrain_sigma_m and seed");
   else if (!heights)
     mo_terrain_random((uint64_t)seed, 0, 0, sigma_m, environment->terrain_heights_m);
+  if (json->faults->n == before && mo_environment_check(environment, NULL) != MO_OK)
+    mo_json_fault_at(json, depth, "",
+                     "a height that is drawn is beyond %g m; another seed is expected",
+                     MO_HEIGHT_LIMIT_M);
 }
 
 static void read_environments(struct mo_json *json, void *value)

@@ -16,7 +16,6 @@ struct mo_post {
   struct mo_request_key key; /* of the body */
   bool parsed;               /* the body was read: what is wrong now is found by storing it */
   struct mo_refusal_pointers pointers;
-  char place[40];            /* for one of them */
   struct mo_message message; /* why it was not stored */
   struct mo_faults faults;   /* of the body, and of what it names */
 };

@@ -13,8 +13,6 @@ int mo_back_end_choose(const struct mo_jobs *jobs, struct mo_submission *request
 {
   const int asked = request->back_end;
   const bool is_there = mo_compute_devices_working(jobs->compute) > 0;
-  if (asked != MO_BACK_END_AUTO && asked != MO_ON_CPU && asked != MO_ON_DEVICE)
-    return mo_fail(message, MO_ERR_INVALID, "no such device");
   request->back_end =
       asked == MO_ON_DEVICE || (asked == MO_BACK_END_AUTO && is_there && suits && is_large)
           ? MO_ON_DEVICE

@@ -163,7 +163,15 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
       .job = {.priority = -1, .submitted_by = asked->submitted_by},
       .record = asked->record,
       .record_stride = asked->stride};
+  const uint32_t steps = request.physics.n_steps;
   int error = MO_OK;
+  if (n == 0) /* a study can leave an empty population */
+    return mo_fail(message, MO_ERR_RANGE, "an evaluation has 1 to %d designs, not 0",
+                   MO_DESIGNS_MAX);
+  if (asked->record != 0 && asked->stride > steps)
+    return mo_fail(message, MO_ERR_RANGE,
+                   "the stride of a recording is 1 to the number of steps (%u), not %u",
+                   (unsigned)steps, (unsigned)asked->stride);
   if (key != NULL)
     request.job.key = *key;
   mo_sha256_to_hex(sha256, controller + strlen(controller));
@@ -192,9 +200,6 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
   const uint32_t m = request->count;
   uint32_t n = 0;
   int error;
-  if (m < 1 || m > MO_DESIGNS_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "1 to %d champions can be recorded, not %u",
-                   MO_DESIGNS_MAX, (unsigned)m);
   if (key != NULL && mo_store_replay(jobs->store, key, evaluation) == MO_OK)
     return MO_OK;
   error = mo_store_campaign(jobs->store, id, &status);

@@ -1,5 +1,5 @@
-/* campaign_submit.c: checks, places and admits a campaign, then hands it to the store; adds
- * generations to one. */
+/* campaign_submit.c: places and admits a campaign, then hands it to the store; adds generations to
+ * one. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
@@ -70,59 +70,6 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *se
 
 /* ---- checks ---- */
 
-static int check_request(const struct mo_campaign_request *request, struct mo_message *message)
-{
-  const struct mo_campaign_record *record = &request->record;
-  int error = mo_campaign_settings_check(&record->settings, message);
-  if (error == MO_OK && record->n_listed > record->settings.population)
-    error = mo_fail(message, MO_ERR_RANGE, "%u designs are listed for a population of %u",
-                    (unsigned)record->n_listed, (unsigned)record->settings.population);
-  if (error == MO_OK && record->environment_set[0] == '\0')
-    error =
-        mo_environments_check(request->environments, record->n_environments, "a campaign", message);
-  if (error != MO_OK)
-    return error;
-  if (record->name[0] != '\0' && !mo_mode_learns(record->settings.mode))
-    return mo_fail(message, MO_ERR_INVALID,
-                   "a %s campaign makes no controller that could have a name",
-                   mo_campaign_mode_words[record->settings.mode]);
-  if (record->settings.mode == MO_STUDY &&
-      (record->settings.generations > 0 || record->replicates > 1 || record->n_listed > 0 ||
-       record->initial_campaign > 0 || record->settings.exclude_pretraining))
-    return mo_fail(message, MO_ERR_INVALID,
-                   "a study has no generations, replicates, initial population or excluded bodies: "
-                   "its client makes them");
-  if (record->replicates > MO_REPLICATES_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "1 to %d replicates are possible, not %u",
-                   MO_REPLICATES_MAX, (unsigned)record->replicates);
-  return mo_result_check(record->name, request->job.priority, message);
-}
-
-/* Checks that listed designs fit the campaign's workspace and that no two have one form. */
-static int check_designs(const struct mo_campaign_request *request, uint32_t *fault,
-                         struct mo_message *message)
-{
-  const struct mo_workspace workspace = request->record.settings.workspace;
-  struct mo_bits moved;
-  struct mo_form_set *seen = NULL;
-  int error = mo_form_set_create(MO_DEFAULT_WORKSPACE, &seen);
-  for (uint32_t i = 0; i < request->record.n_listed && error == MO_OK; i++) {
-    int added = mo_form_set_add(seen, request->forms[i].words);
-    *fault = i;
-    error = added < 0 ? added
-                      : mo_genotype_move(MO_DEFAULT_WORKSPACE, request->genotypes[i].words,
-                                         workspace, moved.words);
-    if (error == MO_OK && added == 0)
-      error = mo_fail(message, MO_ERR_DUPLICATE, "design %u has the form of an earlier one",
-                      (unsigned)i);
-    else if (error == MO_ERR_RANGE)
-      error = mo_fail(message, error, "design %u does not fit a workspace of %ux%ux%u voxels",
-                      (unsigned)i, workspace.nx, workspace.ny, workspace.nz);
-  }
-  mo_form_set_free(seen);
-  return error;
-}
-
 /* Checks that the environment set and the initial campaign of the record exist. */
 static int check_references(struct mo_jobs *jobs, const struct mo_campaign_record *record,
                             struct mo_message *message)
@@ -162,21 +109,17 @@ static int check_memory(struct mo_jobs *jobs, const struct mo_campaign_settings 
 }
 
 int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *asked,
-                            int64_t *id, bool *replayed, uint32_t *fault,
-                            struct mo_message *message)
+                            int64_t *id, bool *replayed, struct mo_message *message)
 {
   struct mo_campaign_request request = *asked;
   struct mo_campaign_record *record = &request.record;
   struct mo_placed placed = {NULL, NULL};
-  uint32_t which = 0;
   if (asked->controller == NULL && record->settings.mode != MO_SIMULTANEOUS)
     request.controller = "default";
   record->replicates = record->replicates > 0 ? record->replicates : 1;
   const struct mo_submitting submitting = {MO_JOB_CAMPAIGN, &asked->job, request.controller,
                                            record->replicates, 0};
-  int error = check_request(asked, message);
-  if (error == MO_OK)
-    error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
+  int error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
   if (error != MO_OK || *replayed)
     return error;
   error = mo_back_end_choose(jobs, &request.job, true, true, message);
@@ -186,11 +129,9 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
     error = check_memory(jobs, &record->settings, request.controller,
                          (enum mo_back_end)request.job.back_end, message);
   if (error == MO_OK)
-    error = mo_placed_create(asked->genotypes, record->n_listed, &placed, message);
+    error = mo_placed_create(asked->genotypes, record->n_listed, &placed);
   request.forms = placed.forms;
   request.genotypes = placed.genotypes;
-  if (error == MO_OK)
-    error = check_designs(&request, fault != NULL ? fault : &which, message);
   if (error == MO_OK)
     error = mo_jobs_admit(jobs, record->replicates, 0, message);
   if (error == MO_OK)
@@ -257,8 +198,6 @@ int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generatio
   int error;
   if (atomic_load(&jobs->is_stopping))
     return mo_fail(message, MO_ERR_CANCELLED, "the service is stopping");
-  if (generations == 0)
-    return mo_fail(message, MO_ERR_INVALID, "an extension has at least one generation");
   if (key != NULL && mo_store_replay(jobs->store, key, &known) == MO_OK)
     return MO_OK;
   error = check_extension(jobs, id, generations, message);

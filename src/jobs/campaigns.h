@@ -9,13 +9,10 @@
 #include "store/campaign_runs.h"
 #include "store/campaigns.h"
 
-/* Submits a campaign as mo_jobs_submit_training submits a training. controller NULL:
- * "default", or random weights in a simultaneous campaign. *fault: the listed design at fault.
- * MO_ERR_DUPLICATE: two listed designs have one form; MO_ERR_RANGE: a listed design does not fit
- * the campaign's workspace, or more designs are listed than the population holds. */
+/* Submits a campaign as mo_jobs_submit_training submits a training. controller NULL: "default", or
+ * random weights in a simultaneous campaign. */
 int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *request,
-                            int64_t *id, bool *replayed, uint32_t *fault,
-                            struct mo_message *message);
+                            int64_t *id, bool *replayed, struct mo_message *message);
 /* Extends a campaign as mo_store_extend_campaign does. key (nullable): a known key is answered even
  * when the queue is full. */
 int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations,
@@ -27,7 +24,7 @@ int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generat
                                struct mo_campaign_design *rows, double *distinctiveness,
                                uint32_t *n);
 struct mo_champions_request {
-  uint32_t count, stride;   /* 1 … MO_DESIGNS_MAX, steps between frames */
+  uint32_t count, stride;   /* ≥ 1; steps between frames */
   unsigned record;          /* channels */
   const char *submitted_by; /* nullable */
 };

@@ -1,4 +1,4 @@
-/* evaluation_submit.c: checks, places and admits an evaluation, then hands it to the store. */
+/* evaluation_submit.c: places and admits an evaluation, then hands it to the store. */
 #include <morpho/evolution.h>
 
 #include "jobs/evaluations.h"
@@ -10,36 +10,6 @@
  * much as 100 more springs per rollout. float64 takes twice as long. */
 #define INTERACTIVE_COST 40e6
 #define NETWORK_SPRINGS  100
-
-static int check_request(const struct mo_evaluation_request *request, struct mo_message *message)
-{
-  int error;
-  const uint32_t n_given = request->n_designs + request->n_skipped;
-  if (n_given < 1 || n_given > MO_DESIGNS_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "an evaluation has 1 to %d designs, not %u",
-                   MO_DESIGNS_MAX, (unsigned)n_given);
-  if (request->environment_set == NULL) {
-    error = mo_environments_check(request->environments, request->n_environments, "an evaluation",
-                                  message);
-    if (error != MO_OK)
-      return error;
-  }
-  error = mo_physics_check(&request->physics, message);
-  if (error != MO_OK)
-    return error;
-  if (request->precision != MO_FLOAT32 && request->precision != MO_FLOAT64)
-    return mo_fail(message, MO_ERR_INVALID, "no such precision");
-  if (request->job.priority < -1 || request->job.priority > MO_INTERACTIVE)
-    return mo_fail(message, MO_ERR_INVALID, "no such priority");
-  if (request->record >> MO_CHANNELS != 0)
-    return mo_fail(message, MO_ERR_INVALID, "no such channel of a recording");
-  if (request->record != 0 &&
-      (request->record_stride < 1 || request->record_stride > request->physics.n_steps))
-    return mo_fail(message, MO_ERR_RANGE,
-                   "the stride of a recording is 1 to the number of steps (%u), not %u",
-                   (unsigned)request->physics.n_steps, (unsigned)request->record_stride);
-  return MO_OK;
-}
 
 /* Checks the bytes that the recordings of an evaluation will take. */
 static int check_recording(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
@@ -113,15 +83,13 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
   request.controller = asked->controller != NULL ? asked->controller : "default";
   request.record_stride = asked->record != 0 ? asked->record_stride : 1;
   struct mo_submitting submitting = {MO_JOB_EVALUATION, &asked->job, request.controller, 1, 0};
-  int error = check_request(asked, message);
-  if (error == MO_OK)
-    error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
+  int error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
   if (error != MO_OK || *replayed)
     return error;
   if (request.environment_set != NULL)
     error = mo_environments_count(jobs, request.environment_set, &request.n_environments, message);
   if (error == MO_OK)
-    error = mo_placed_create(asked->genotypes, asked->n_designs, &placed, message);
+    error = mo_placed_create(asked->genotypes, asked->n_designs, &placed);
   request.forms = placed.forms;
   request.genotypes = placed.genotypes;
   if (error == MO_OK)

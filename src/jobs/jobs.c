@@ -309,10 +309,7 @@ int mo_jobs_resume(struct mo_jobs *jobs, int64_t id)
 
 int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight)
 {
-  int error;
-  if (!(weight >= MO_WEIGHT_MIN && weight <= MO_WEIGHT_MAX))
-    return MO_ERR_RANGE;
-  error = mo_store_set_weight(jobs->store, id, weight);
+  const int error = mo_store_set_weight(jobs->store, id, weight);
   if (error != MO_OK)
     return error;
   (void)mo_share_reweigh(jobs, id); /* unreadable: the weight counts from the next start */

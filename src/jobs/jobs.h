@@ -76,8 +76,8 @@ int mo_jobs_pause(struct mo_jobs *jobs, int64_t id);
  * is resumed, it is paused again. */
 int mo_jobs_resume(struct mo_jobs *jobs, int64_t id);
 
-/* Sets the weight at once, also while the job runs. MO_ERR_RANGE; MO_ERR_NOT_FOUND;
- * MO_ERR_CONFLICT: the job has ended. */
+/* Sets the weight at once, also while the job runs. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job has
+ * ended. */
 int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);
 
 /* Changes what clients say of a job, also while it runs. MO_ERR_NOT_FOUND. */

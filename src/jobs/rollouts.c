@@ -37,10 +37,6 @@ static int take_environments(struct mo_jobs *jobs, const struct mo_evaluation_re
                ? mo_fail(message, error, "there is no set of environments of this name")
                : error;
   }
-  error =
-      mo_environments_check(request->environments, request->n_environments, "a request", message);
-  if (error != MO_OK)
-    return error;
   rollouts->environments = malloc(request->n_environments * sizeof(*rollouts->environments));
   if (rollouts->environments == NULL)
     return MO_ERR_NO_MEMORY;
@@ -54,7 +50,7 @@ static int take_designs(struct mo_jobs *jobs, const struct mo_evaluation_request
                         struct mo_rollouts *rollouts, struct mo_message *message)
 {
   struct mo_placed placed;
-  int error = mo_placed_create(request->genotypes, request->n_designs, &placed, message);
+  int error = mo_placed_create(request->genotypes, request->n_designs, &placed);
   if (error != MO_OK)
     return error;
   rollouts->designs = calloc(request->n_designs, sizeof(*rollouts->designs));
@@ -205,10 +201,10 @@ int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *reque
                  struct mo_rollouts **ret, struct mo_message *message)
 {
   struct mo_rollouts *rollouts = calloc(1, sizeof(*rollouts));
-  int error = rollouts != NULL ? mo_physics_check(&request->physics, message) : MO_ERR_NO_MEMORY;
+  int error = rollouts != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   if (error == MO_OK && atomic_load(&jobs->is_stopping))
     error = MO_ERR_CANCELLED;
-  if (error == MO_OK && (request->n_designs < 1 || request->n_designs > MO_ROLLOUTS_MAX))
+  if (error == MO_OK && request->n_designs > MO_ROLLOUTS_MAX)
     error = mo_fail(message, MO_ERR_LIMIT,
                     "1 to %d designs are rolled out at once; submit an evaluation for more",
                     MO_ROLLOUTS_MAX);

@@ -13,9 +13,8 @@ struct mo_submitting {
   uint32_t n_jobs;        /* that the submission makes */
   uint64_t rollouts;
 };
-/* Checks weight, label and key, then looks whether the key is known: known keys are answered even
- * when the queue is full, or no device works any more. *replayed: *id is the earlier job, and
- * nothing is left to do. */
+/* Looks whether the key is known: known keys are answered even when the queue is full, or no device
+ * works any more. *replayed: *id is the earlier job, and nothing is left to do. */
 int mo_submitting_begin(struct mo_jobs *jobs, const struct mo_submitting *submitting, int64_t *id,
                         bool *replayed, struct mo_message *message);
 /* Ends a submission that mo_jobs_admit has admitted, after the store has returned `error`. */
@@ -27,16 +26,10 @@ struct mo_placed {
   struct mo_bits *forms;     /* (n) canonical */
   struct mo_bits *genotypes; /* (n) placed */
 };
-/* Places every genotype and finds its canonical form. MO_ERR_INVALID names the first invalid one.
- */
-int mo_placed_create(const struct mo_bits *asked, uint32_t n, struct mo_placed *placed,
-                     struct mo_message *message);
+/* Places every genotype, a body, and finds its canonical form. MO_ERR_NO_MEMORY. */
+int mo_placed_create(const struct mo_bits *asked, uint32_t n, struct mo_placed *placed);
 void mo_placed_free(struct mo_placed *placed);
 
-/* Checks 1 to MO_ENVIRONMENTS_MAX environments for simulation. MO_ERR_INVALID, MO_ERR_RANGE. whose:
- * "an evaluation". */
-int mo_environments_check(const struct mo_environment *environments, uint32_t n, const char *whose,
-                          struct mo_message *message);
 /* Reads the size of a named set. MO_ERR_NOT_FOUND with its message. */
 int mo_environments_count(struct mo_jobs *jobs, const char *set, uint32_t *n,
                           struct mo_message *message);
@@ -44,8 +37,6 @@ int mo_environments_count(struct mo_jobs *jobs, const char *set, uint32_t *n,
  * all designs together. */
 bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
                  const struct mo_physics *physics, enum mo_precision precision);
-/* Checks the name of a controller that a job will make ("": none), and a job's priority. */
-int mo_result_check(const char *name, int priority, struct mo_message *message);
 
 /* ---- admission.c: the open jobs of all kinds ---- */
 int mo_jobs_admit(struct mo_jobs *jobs, uint32_t n_jobs, uint64_t rollouts,

@@ -1,5 +1,5 @@
-/* training.c: the kind "training": checks and stores a submission, runs one training to its end or
- * until a request.
+/* training.c: the kind "training": stores a submission, runs one training to its end or until a
+ * request.
  *
  * A step draws robots, waits for their gradient and applies it. Rows of steps are written about
  * once a second and before every checkpoint. A checkpoint is written when it is due, at a pause, at
@@ -438,42 +438,6 @@ static struct mo_need estimate(const struct mo_jobs *jobs, const struct mo_train
   return need;
 }
 
-static int check_kind(const struct mo_training_request *request, struct mo_message *message)
-{
-  const struct mo_training_record *record = &request->record;
-  if (record->settings.kind == MO_TRAINING_PRETRAIN) {
-    if (record->n_designs > 0 || record->population != 0)
-      return mo_fail(message, MO_ERR_INVALID,
-                     "a pretraining draws its own bodies: it takes no designs and no population");
-    return MO_OK;
-  }
-  if (record->population != 0 && record->n_designs > 0)
-    return mo_fail(message, MO_ERR_INVALID, "a finetuning takes designs or a population, not both");
-  if (record->population == 0 &&
-      (record->n_designs < 1 || record->n_designs > MO_TRAINING_DESIGNS_MAX))
-    return mo_fail(message, MO_ERR_RANGE, "a finetuning learns on 1 to %d designs, not %u",
-                   MO_TRAINING_DESIGNS_MAX, (unsigned)record->n_designs);
-  return MO_OK;
-}
-
-static int check_request(const struct mo_training_request *request, struct mo_message *message)
-{
-  const struct mo_training_record *record = &request->record;
-  int error = mo_training_settings_check(&record->settings, message);
-  if (error == MO_OK)
-    error = check_kind(request, message);
-  if (error != MO_OK)
-    return error;
-  if (record->checkpoints_kept < 1 || record->checkpoints_kept > MO_CHECKPOINTS_KEPT_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "1 to %d checkpoints can be kept, not %u",
-                   MO_CHECKPOINTS_KEPT_MAX, (unsigned)record->checkpoints_kept);
-  if (record->validate_every_steps > 0 &&
-      (record->settings.held_out_designs == 0 || record->settings.held_out_environments == 0))
-    return mo_fail(message, MO_ERR_INVALID,
-                   "a validation needs at least one design and one environment");
-  return mo_result_check(record->name, request->job.priority, message);
-}
-
 static int load_population(struct mo_jobs *jobs, const struct mo_training_request *request,
                            struct mo_bits **genotypes, uint32_t *n, struct mo_message *message)
 {
@@ -518,7 +482,7 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
   }
   if (error == MO_OK)
     error = mo_placed_create(population != NULL ? population : request->genotypes,
-                             record->n_designs, placed, message);
+                             record->n_designs, placed);
   free(population);
   request->forms = placed->forms;
   request->genotypes = placed->genotypes;
@@ -533,9 +497,7 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
   if (asked->parent == NULL && asked->record.settings.kind == MO_TRAINING_FINETUNE)
     request.parent = "default";
   const struct mo_submitting submitting = {MO_JOB_TRAINING, &asked->job, request.parent, 1, 0};
-  int error = check_request(asked, message);
-  if (error == MO_OK)
-    error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
+  int error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
   if (error != MO_OK || *replayed)
     return error;
   error = complete(jobs, &request, &placed, message);

@@ -56,7 +56,7 @@ static bool live_on_campaign(int mode)
   bool replayed = false;
   fake_plan.delay_us = BLOCK_US;
   fake_plan.gradient_delay_us = STEP_US;
-  int error = mo_jobs_submit_campaign(service.jobs, &request, &id, &replayed, NULL, NULL);
+  int error = mo_jobs_submit_campaign(service.jobs, &request, &id, &replayed, NULL);
   /* It was refused, is another job, or was acknowledged before and is now unknown. */
   if (error != MO_OK || id != 1 || (atomic_exchange(&shared->acknowledged, true) && !replayed))
     return false;

@@ -178,19 +178,20 @@ static inline struct mo_evaluation_request service_request(const struct mo_bits 
 }
 
 /* submit_NAME: these return the job's id or the error. */
-#define SUBMIT(name, ...)                                                                          \
+#define SUBMIT(name)                                                                               \
   static inline int64_t submit_##name(const struct mo_##name##_request *request)                   \
   {                                                                                                \
     int64_t id = 0;                                                                                \
     bool replayed;                                                                                 \
-    const int error = mo_jobs_submit_##name(service.jobs, request, &id, &replayed, __VA_ARGS__);   \
+    const int error =                                                                              \
+        mo_jobs_submit_##name(service.jobs, request, &id, &replayed, &fixture.message);            \
     if (error != MO_OK)                                                                            \
       printf("# submission: %s\n", fixture.message.text);                                          \
     return error != MO_OK ? error : id;                                                            \
   }
-SUBMIT(evaluation, &fixture.message)
-SUBMIT(training, &fixture.message)
-SUBMIT(campaign, NULL, &fixture.message)
+SUBMIT(evaluation)
+SUBMIT(training)
+SUBMIT(campaign)
 #undef SUBMIT
 
 /* ---- while jobs run ---- */

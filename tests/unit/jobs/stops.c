@@ -213,7 +213,6 @@ __attribute__((unused)) static void extends(void)
     CHECK(AWAIT(status_of(id).generation == 5)); /* one may be over before the next */
     CHECK(ends_as_plain(id, &origin));
     CHECK_INT(idle_stats().open_jobs, 0);
-    CHECK_INT(extend(id, 0), MO_ERR_INVALID);
     CHECK_INT(extend(id, MO_GENERATIONS_MAX), MO_ERR_RANGE);
     CHECK_INT(extend(99, 1), MO_ERR_NOT_FOUND);
   }
