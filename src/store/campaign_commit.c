@@ -1,8 +1,7 @@
 /* campaign_commit.c: commits a generation of a campaign, completely or not at all.
  *
  * All results of a generation are one operation of the writer; the checkpoint's file is written
- * before. The operation compares the caller's data with the stored ones: a generation out of turn
- * is a conflict; parents that are not the stored population are a mistake. */
+ * before. A generation out of turn is a conflict. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,10 +22,9 @@ struct commit_arguments {
   uint8_t *lives;                   /* (n_parents + n_children) */
   struct mo_birth_row *births;      /* (n_children) */
   struct mo_member_row *population; /* (n_survivors) */
-  double *scores;                   /* (n_parents) as stored before */
 };
 
-/* ---- checks of the request ---- */
+/* ---- before the transaction ---- */
 
 static uint32_t parent_number(const struct mo_campaign_commit *commit, const struct mo_birth *birth,
                               int which)
@@ -41,17 +39,12 @@ static int prepare(struct commit_arguments *call)
 {
   const struct mo_campaign_commit *commit = call->commit;
   uint32_t n_children = commit->row.n_children, n_parents = commit->n_parents;
-  uint64_t n = (uint64_t)n_parents + n_children;
-  if (n_children > MO_POPULATION_MAX || n_parents > MO_POPULATION_MAX || commit->n_survivors > n ||
-      commit->row.born_before + n_children > MO_CAMPAIGN_DESIGNS_MAX)
-    return MO_ERR_RANGE;
   call->genotypes = calloc(n_children + 1, sizeof(*call->genotypes));
-  call->lives = calloc(n + 1, 1);
+  call->lives = calloc((size_t)n_parents + n_children + 1, 1);
   call->births = calloc(n_children + 1, sizeof(*call->births));
   call->population = calloc(commit->n_survivors + 1, sizeof(*call->population));
-  call->scores = calloc(n_parents + 1, sizeof(*call->scores));
   if (call->genotypes == NULL || call->lives == NULL || call->births == NULL ||
-      call->population == NULL || call->scores == NULL)
+      call->population == NULL)
     return MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < n_children; i++)
     call->births[i] = (struct mo_birth_row){(uint8_t)commit->births[i].op,
@@ -59,8 +52,6 @@ static int prepare(struct commit_arguments *call)
                                              parent_number(commit, &commit->births[i], 1)}};
   for (uint32_t i = 0; i < commit->n_survivors; i++) {
     const uint32_t place = commit->survivors[i];
-    if (place >= n || call->lives[place])
-      return MO_ERR_INVALID;
     call->lives[place] = 1;
     call->population[i] =
         place < n_parents
@@ -71,44 +62,20 @@ static int prepare(struct commit_arguments *call)
   return MO_OK;
 }
 
-/* Checks that the parents are the newest population in its order, and notes their stored scores. */
-static int check_parents(struct mo_connection *writer, struct commit_arguments *call)
-{
-  const struct mo_campaign_commit *commit = call->commit;
-  struct mo_campaign_members members;
-  int error = MO_OK;
-  if (call->head.generation < 0)
-    return commit->n_parents == 0 ? MO_OK : MO_ERR_INVALID;
-  error = mo_campaign_members_get(writer, call->id, call->head.generation, &members);
-  if (error != MO_OK)
-    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
-  if (members.n != commit->n_parents)
-    error = MO_ERR_INVALID;
-  for (uint32_t i = 0; i < members.n && error == MO_OK; i++) {
-    if (members.population[i].number != commit->parent_numbers[i])
-      error = MO_ERR_INVALID;
-    call->scores[i] = members.population[i].score;
-  }
-  return error;
-}
-
 static int check_turn(struct mo_store *store, struct commit_arguments *call)
 {
   /* A study waits for its next batch in the queue, where nobody takes it. */
   static const char sql[] =
       "UPDATE jobs SET " MO_NEXT_VERSION ",attempts=0,state=iif(?3 AND state=1,0,state)"
       " WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
-  const struct mo_campaign_generation *row = &call->commit->row;
   struct mo_connection *writer = &store->writer;
   int error = mo_sql_change(writer, sql, mo_int(call->id), mo_int(store->epoch),
                             mo_int(call->commit->is_study));
   if (error == MO_OK)
     error = mo_campaign_head_get(writer, call->id, &call->head);
-  if (error == MO_OK && call->head.generation + 1 != row->generation)
+  if (error == MO_OK && call->head.generation + 1 != call->commit->row.generation)
     error = MO_ERR_CONFLICT;
-  if (error == MO_OK && call->head.n_designs != row->born_before)
-    error = MO_ERR_INVALID;
-  return error == MO_OK ? check_parents(writer, call) : error;
+  return error;
 }
 
 /* ---- designs ---- */
@@ -168,7 +135,7 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
   return error;
 }
 
-/* Updates parents that died or have a new score. */
+/* Updates parents that died or, where the controller learns, have a new score. */
 static int update_parents(struct mo_connection *writer, const struct commit_arguments *call)
 {
   static const char sql[] =
@@ -176,7 +143,7 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
   const struct mo_campaign_commit *commit = call->commit;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->n_parents && error == MO_OK; i++) {
-    if (call->lives[i] && mo_same_bits(commit->parent_scores[i], call->scores[i]))
+    if (call->lives[i] && !mo_mode_learns(call->head.mode))
       continue;
     error = mo_sql_change(writer, sql, mo_int(call->id), mo_int(commit->parent_numbers[i]),
                           call->lives[i] ? mo_null() : mo_int(commit->row.generation),
@@ -311,8 +278,6 @@ static int insert_scores(struct mo_store *store, const struct commit_arguments *
   int error;
   if (commit->n_losses == 0)
     return MO_OK;
-  if (call->head.controller == 0)
-    return MO_ERR_INVALID;
   error = find_conditions(&store->writer, call, &conditions);
   for (uint32_t i = 0; i < commit->n_losses && error == MO_OK; i++)
     error = insert_child_scores(store, call, &commit->losses[i], &conditions, now_us);
@@ -400,6 +365,5 @@ int mo_store_campaign_commit(struct mo_store *store, int64_t id,
   free(call.lives);
   free(call.births);
   free(call.population);
-  free(call.scores);
   return error;
 }

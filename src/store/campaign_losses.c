@@ -77,9 +77,7 @@ static int save_losses(struct mo_store *store, void *arguments)
   else if (error == MO_OK)
     scored = head.scored;
   for (size_t i = 0; i < call->n && error == MO_OK; i++)
-    error = call->losses[i].place >= 2 * head.population
-                ? MO_ERR_RANGE
-                : save_loss(writer, call->id, &call->losses[i], head.n_environments, &scored);
+    error = save_loss(writer, call->id, &call->losses[i], head.n_environments, &scored);
   if (error == MO_OK)
     error = mo_sql_do(writer, sql, mo_int(call->id), mo_int(call->generation), mo_int(scored));
   if (error == MO_OK && call->event_data != NULL)

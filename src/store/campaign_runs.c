@@ -58,8 +58,6 @@ int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaig
 {
   const struct mo_run_result result = {name, bytes, size, controller};
   const struct end context = {end, generations};
-  if (end != MO_CAMPAIGN_COMPLETED && end != MO_CAMPAIGN_EXHAUSTED)
-    return MO_ERR_INVALID;
   return mo_run_finish(store, id, &result,
                        end == MO_CAMPAIGN_EXHAUSTED ? ",\"end\":\"exhausted\""
                                                     : ",\"end\":\"completed\"",

@@ -44,8 +44,7 @@ struct mo_campaign_loss {
 };
 /* Saves losses of `generation`, which must follow the newest committed one. Returns after the
  * commit. Deletes rows of other generations; a place that is saved already keeps its losses.
- * event_data: JSON of "campaign.progress"; NULL: no event. MO_ERR_CONFLICT as for trainings;
- * MO_ERR_RANGE: a place ≥ 2 populations. */
+ * event_data: JSON of "campaign.progress"; NULL: no event. MO_ERR_CONFLICT as for trainings. */
 int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t generation,
                                   const struct mo_campaign_loss *losses, size_t n,
                                   const char *event_data);
@@ -106,14 +105,12 @@ struct mo_campaign_commit {
 };
 /* Commits a generation. Generation 0 has no parents: its whole population are children.
  * MO_ERR_NO_SPACE: nothing changed. MO_ERR_CONFLICT: as for trainings, or another generation is
- * next. MO_ERR_INVALID, MO_ERR_RANGE: a mistake of the caller: parents are not the stored
- * population in its order, a survivor is named twice, or row.born_before is not the number of
- * designs so far. */
+ * next. */
 int mo_store_campaign_commit(struct mo_store *store, int64_t id,
                              const struct mo_campaign_commit *commit);
 /* running → succeeded. controller (nullable): stored under its name, as by
  * mo_store_training_finish. MO_ERR_CONFLICT: as for trainings, or the campaign was extended
- * meanwhile (generations > expected): continue. MO_ERR_INVALID: end is open. */
+ * meanwhile (generations > expected): continue. */
 int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaign_end end,
                              uint32_t generations, const char *name, const uint8_t *bytes,
                              size_t size, const struct mo_controller *controller);

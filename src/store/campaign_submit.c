@@ -31,11 +31,8 @@ static int resolve(struct mo_connection *writer, const struct mo_campaign_reques
     error =
         mo_physics_row(writer, &settings->physics, MO_FLOAT32, settings->sensor, &setting->physics);
   if (error == MO_OK && setting->record.environment_set[0] != '\0')
-    return mo_environment_set_find(writer, setting->record.environment_set, &setting->set,
-                                   &setting->n_environments);
-  if (error == MO_OK &&
-      (setting->n_environments < 1 || setting->n_environments > MO_ENVIRONMENTS_MAX))
-    error = MO_ERR_RANGE;
+    error = mo_environment_set_find(writer, setting->record.environment_set, &setting->set,
+                                    &setting->n_environments);
   return error;
 }
 
@@ -159,11 +156,6 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
 int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_request *request,
                              int64_t *id, bool *replayed)
 {
-  const struct mo_campaign_record *record = &request->record;
-  if (record->replicates < 1 || record->replicates > MO_REPLICATES_MAX ||
-      record->settings.population > MO_POPULATION_MAX ||
-      record->n_listed > record->settings.population)
-    return MO_ERR_RANGE;
   return mo_submit(store, &request->job.key, insert, request, id, replayed);
 }
 
@@ -262,8 +254,7 @@ int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t genera
                              const struct mo_request_key *key, enum mo_job_state *before)
 {
   struct extend_arguments call = {.id = id, .generations = generations, .key = key};
-  int error = generations == 0 ? MO_ERR_RANGE : mo_write(store, extend, &call);
-  if (error == MO_OK && before != NULL)
-    *before = call.before;
+  const int error = mo_write(store, extend, &call);
+  *before = call.before;
   return error;
 }

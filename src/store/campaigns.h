@@ -33,8 +33,7 @@ struct mo_campaign_request {
 };
 /* Stores all replicates (seed, seed + 1, …) in one transaction. *id: the first; the others have the
  * ids after it, without a gap. Errors as mo_store_submit; also MO_ERR_NOT_FOUND: no such initial
- * campaign; MO_ERR_CONFLICT: that has no population yet; MO_ERR_RANGE: replicates, more listed
- * designs than the population, no environments or too many. */
+ * campaign; MO_ERR_CONFLICT: that has no population yet. */
 int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_request *request,
                              int64_t *id, bool *replayed);
 /* Adds generations to a queued, running, paused or succeeded campaign; a succeeded one is queued

@@ -119,9 +119,8 @@ int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t st
                                  const uint8_t *bytes, size_t size, uint32_t keep)
 {
   struct checkpoint_arguments call = {
-      {.id = id, .kind = MO_JOB_TRAINING, .place.step = step, .size = size}, keep > 0 ? keep : 1};
-  return step == 0 ? MO_ERR_RANGE
-                   : mo_checkpoint_write(store, bytes, &call.checkpoint, write_checkpoint, &call);
+      {.id = id, .kind = MO_JOB_TRAINING, .place.step = step, .size = size}, keep};
+  return mo_checkpoint_write(store, bytes, &call.checkpoint, write_checkpoint, &call);
 }
 
 int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t step,
@@ -214,12 +213,5 @@ int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
                            const char *fingerprint, struct mo_training_lineage *lineage)
 {
   struct code_arguments call = {id, step, fingerprint, lineage};
-  size_t size = strlen(fingerprint);
-  if (size == 0 || size >= MO_FINGERPRINT_BYTES)
-    return MO_ERR_RANGE;
-  for (size_t i = 0; i < size; i++)
-    if (fingerprint[i] < ' ' || fingerprint[i] > '~' || fingerprint[i] == '"' ||
-        fingerprint[i] == '\\')
-      return MO_ERR_INVALID;
   return mo_write(store, note_code, &call);
 }

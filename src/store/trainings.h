@@ -104,7 +104,7 @@ int mo_store_training_progress(struct mo_store *store, int64_t id,
 /* Stores which code computes the run that starts now, after `step` learned steps. Replaces entries
  * from `step` on: their steps are computed again. *lineage: the whole lineage. Event
  * "training.code_changed" if the code before was another, or is unknown. After MO_LINEAGE_MAX
- * changes the last entry becomes "various". MO_ERR_RANGE, MO_ERR_INVALID: not a fingerprint. */
+ * changes the last entry becomes "various". */
 int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
                            const char *fingerprint, struct mo_training_lineage *lineage);
 /* Stores a checkpoint: the file, then the row. Then drops, rows before files, all but the newest
