@@ -84,13 +84,12 @@ static void reply_batch(struct mo_request *request, int64_t id, unsigned status_
   struct mo_api *api = mo_api_of(request);
   struct told told = {.n = 0};
   struct mo_text text = {0};
-  bool is_born;
   int error = mo_store_campaign(api->store, id, &told.status);
   if (error == MO_OK)
     error = mo_store_study_batch(api->store, id, &told.batch);
   if (error == MO_OK)
     error = mo_store_design_notes(api->store, id, &told.notes, &told.n_notes);
-  is_born = error == MO_OK && told.batch->number == told.status.generation;
+  bool is_born = error == MO_OK && told.batch->number == told.status.generation;
   if (is_born)
     error = read_designs(api, &told);
   if (error == MO_OK) {

@@ -42,7 +42,6 @@ static void read_operator(struct mo_json *json, struct mo_study_words *words, ui
 {
   const unsigned depth = json->depth;
   struct mo_json_slice word;
-  int place;
   if (!mo_json_string(json, &word))
     return;
   for (int i = 0; i < MO_OPERATORS; i++)
@@ -50,7 +49,7 @@ static void read_operator(struct mo_json *json, struct mo_study_words *words, ui
       *op = (uint8_t)i;
       return;
     }
-  place =
+  int place =
       place_word(json, word, depth, words->operators, &words->n_operators, MO_STUDY_OPERATORS_MAX);
   if (place >= 0)
     *op = (uint8_t)(MO_OPERATORS + place);

@@ -302,9 +302,8 @@ static int succeed(struct mo_campaign_run *run)
 /* MO_ERR_EXHAUSTED: no child was found. */
 static int run_generation(struct mo_campaign_run *run)
 {
-  int error;
   run->begin_us = mo_clock_us();
-  error = vary(run);
+  int error = vary(run);
   if (error == MO_OK && run->n_children == 0 && run->told == NULL)
     error = MO_ERR_EXHAUSTED;
   if (error == MO_OK)
@@ -435,13 +434,12 @@ static void clean_up(void *context)
 static int run_campaign(struct mo_runner *runner, void *context)
 {
   struct mo_campaign_run *run = context;
-  int error;
   run->runner = runner;
   run->jobs = runner->jobs;
   run->id = runner->id;
   run->settings = &run->status.record.settings;
   run->begin_us = run->progress_us = mo_clock_us();
-  error = prepare(run);
+  int error = prepare(run);
   if (run->generation == 0)
     run->prepared_s = (double)(mo_clock_us() - run->begin_us) * 1e-6;
   if (error == MO_OK)

@@ -194,15 +194,13 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
   struct mo_campaign_status status;
   struct mo_campaign_design *rows;
   struct mo_bits *genotypes;
-  struct mo_sha256 sha256;
   char name[MO_NAME_BYTES_MAX + 1];
   bool created = false;
   const uint32_t m = request->count;
   uint32_t n = 0;
-  int error;
   if (key != NULL && mo_store_replay(jobs->store, key, evaluation) == MO_OK)
     return MO_OK;
-  error = mo_store_campaign(jobs->store, id, &status);
+  int error = mo_store_campaign(jobs->store, id, &status);
   if (error == MO_OK && status.generation < 0)
     return mo_fail(message, MO_ERR_NOT_FOUND, "campaign %lld has no population yet", (long long)id);
   if (error != MO_OK)
@@ -214,7 +212,8 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
               : mo_jobs_campaign_champions(jobs, id, status.generation, m, rows, NULL, &n);
   for (uint32_t i = 0; i < n; i++)
     genotypes[i] = rows[i].genotype;
-  sha256 = status.job.has_result ? status.job.result_sha256 : status.job.controller_sha256;
+  struct mo_sha256 sha256 =
+      status.job.has_result ? status.job.result_sha256 : status.job.controller_sha256;
   if (error == MO_OK && mo_mode_learns(status.record.settings.mode) && !status.job.has_result)
     error = store_controller(jobs, &status, &sha256, name, &created);
   if (error != MO_OK)

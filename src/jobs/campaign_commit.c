@@ -85,7 +85,6 @@ static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_g
 {
   const bool learns = mo_mode_learns(run->settings->mode);
   const struct mo_campaign_rows *survivors = run->other_rows;
-  int error;
   *row = (struct mo_campaign_generation){
       .generation = run->generation,
       .born_before = run->n_designs,
@@ -96,8 +95,8 @@ static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_g
       .learning_steps = learns ? run->step : 0,
       .first_loss = learns ? run->first_loss : NAN,
       .last_loss = learns ? run->last_loss : NAN};
-  error = mo_population_stats(run->settings->workspace, survivors->genotypes, survivors->scores,
-                              survivors->sizes, run->n_survivors, &row->stats);
+  int error = mo_population_stats(run->settings->workspace, survivors->genotypes, survivors->scores,
+                                  survivors->sizes, run->n_survivors, &row->stats);
   if (error != MO_OK)
     return error;
   count_survivors(run, row);
@@ -241,7 +240,6 @@ static void *write_beside(void *context)
 int mo_campaign_commit(struct mo_campaign_run *run)
 {
   struct mo_campaign_writing *writing = run->writing;
-  int error;
   if (writing == NULL)
     writing = run->writing = calloc(1, sizeof(*writing));
   if (writing == NULL)
@@ -249,7 +247,7 @@ int mo_campaign_commit(struct mo_campaign_run *run)
   writing->jobs = run->jobs;
   writing->id = run->id;
   mo_campaign_enter(run, MO_PHASE_SAVE, 0);
-  error = take(run, writing);
+  int error = take(run, writing);
   if (error != MO_OK) {
     drop(writing);
     return error;
@@ -282,11 +280,10 @@ void mo_campaign_writing_join(struct mo_campaign_run *run)
 int mo_campaign_settle(struct mo_campaign_run *run)
 {
   struct mo_campaign_writing *writing = run->writing;
-  int error;
   if (writing == NULL || !writing->is_pending)
     return MO_OK;
   mo_campaign_writing_join(run);
-  error = writing->status;
+  int error = writing->status;
   if (mo_is_shortage(error))
     error = mo_runner_persist(run->runner, write_generation, writing, "a generation");
   if (error != MO_ERR_CANCELLED) /* a cancelled commit is still pending and precedes other writes */

@@ -152,13 +152,12 @@ static void take_out(struct mo_jobs *jobs, const struct mo_exclusion *exclusion)
 void mo_exclusion_release(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
 {
   struct mo_jobs *jobs = run->jobs;
-  bool is_last;
   if (exclusion == NULL)
     return;
   pthread_mutex_lock(&jobs->exclusions_mutex);
   if (exclusion->drawer == run->id)
     exclusion->drawer = 0;
-  is_last = --exclusion->users == 0;
+  bool is_last = --exclusion->users == 0;
   if (is_last)
     take_out(jobs, exclusion);
   pthread_mutex_unlock(&jobs->exclusions_mutex);
@@ -217,13 +216,12 @@ static int join(struct mo_campaign_run *run, const struct mo_lineage *lineage,
 {
   bool is_new;
   struct mo_exclusion *exclusion = find_or_add(run, lineage, &is_new);
-  int error;
   if (exclusion == NULL)
     return MO_ERR_NO_MEMORY;
   mo_campaign_enter(run, MO_PHASE_PREPARE, exclusion->n_bodies);
   if (is_new)
     begin(exclusion);
-  error = await(run, exclusion);
+  int error = await(run, exclusion);
   if (error == MO_OK)
     *joined = exclusion;
   else

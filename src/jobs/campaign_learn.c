@@ -64,10 +64,9 @@ static int write_checkpoint(void *context)
 int mo_campaign_save_learning(struct mo_campaign_run *run)
 {
   char what[96];
-  int error;
   if (run->steps == NULL || run->steps_saved == run->step)
     return MO_OK;
-  error = mo_campaign_settle(run);
+  int error = mo_campaign_settle(run);
   if (error != MO_OK)
     return error;
   snprintf(what, sizeof(what), "the checkpoint of generation %u, step %u",
@@ -120,10 +119,9 @@ static int tell(struct mo_campaign_run *run)
   char progress[256];
   const char *data =
       mo_campaign_progress(run, "learning", run->step, steps_of(run, run->generation), progress);
-  int error;
   if (data == NULL || mo_campaign_is_writing(run))
     return MO_OK;
-  error = mo_campaign_settle(run);
+  int error = mo_campaign_settle(run);
   if (error == MO_OK)
     error =
         mo_store_campaign_save_losses(run->jobs->store, run->id, run->generation, NULL, 0, data);
@@ -263,14 +261,13 @@ static int step(struct mo_campaign_run *run)
 int mo_campaign_learn(struct mo_campaign_run *run)
 {
   const uint32_t n_steps = steps_of(run, run->generation);
-  int error;
   if (!mo_mode_learns(run->settings->mode))
     return MO_OK;
   mo_campaign_enter(run, MO_PHASE_LEARN, n_steps);
   run->first_loss = run->last_loss = NAN;
   free(run->steps);
   run->steps = calloc((size_t)n_steps + 1, sizeof(*run->steps));
-  error = run->steps == NULL ? MO_ERR_NO_MEMORY : prepare_training(run);
+  int error = run->steps == NULL ? MO_ERR_NO_MEMORY : prepare_training(run);
   if (error == MO_OK && run->step > 0)
     error = read_losses(run);
   if (error == MO_OK && n_steps > run->step)

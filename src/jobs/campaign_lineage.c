@@ -130,14 +130,14 @@ static int add_part(const struct reading *reading)
 static int read_parent(const struct reading *reading, struct mo_sha256 *sha256)
 {
   const char *parent = mo_controller_get_metadata(reading->controller, "morphod.parent");
-  int error;
   if (parent == NULL || strcmp(parent, "random") == 0)
     return MO_ERR_NOT_FOUND;
   if (mo_sha256_from_hex(parent, strlen(parent), sha256) == MO_OK)
     return MO_OK;
-  error = tell(reading, "morphod.parent",
-               "the parent is neither random nor the hash of a file: what it was trained on is not "
-               "excluded");
+  int error =
+      tell(reading, "morphod.parent",
+           "the parent is neither random nor the hash of a file: what it was trained on is not "
+           "excluded");
   return error != MO_OK ? error : MO_ERR_NOT_FOUND;
 }
 

@@ -195,12 +195,11 @@ int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generatio
 {
   enum mo_job_state before = MO_JOB_RUNNING;
   int64_t known;
-  int error;
   if (atomic_load(&jobs->is_stopping))
     return mo_fail(message, MO_ERR_CANCELLED, "the service is stopping");
   if (key != NULL && mo_store_replay(jobs->store, key, &known) == MO_OK)
     return MO_OK;
-  error = check_extension(jobs, id, generations, message);
+  int error = check_extension(jobs, id, generations, message);
   if (error == MO_OK)
     error = mo_jobs_admit(jobs, 1, 0, message); /* a campaign that has succeeded is open again */
   if (error != MO_OK)

@@ -7,13 +7,12 @@
 int mo_campaign_read_told(struct mo_campaign_run *run)
 {
   const uint32_t most = run->settings->population;
-  struct mo_study_batch *batch;
   int error = MO_OK;
   if (run->told == NULL)
     error = mo_store_study_batch(run->jobs->store, run->id, &run->told);
   if (error != MO_OK)
     return mo_runner_fail_unreadable(run->runner, error);
-  batch = run->told;
+  struct mo_study_batch *batch = run->told;
   if (batch->number != run->generation || batch->n_children > most)
     return MO_ERR_CORRUPT;
   for (uint32_t i = 0; i < batch->n_children && error == MO_OK; i++) {

@@ -61,11 +61,10 @@ static int load(struct mo_controller_cache *cache, const struct mo_sha256 *sha25
                 struct mo_loaded **ret)
 {
   struct mo_loaded *loaded = calloc(1, sizeof(*loaded));
-  int error;
   if (loaded == NULL)
     return MO_ERR_NO_MEMORY;
   loaded->sha256 = *sha256;
-  error = mo_controller_load(cache->store, sha256, &loaded->controller);
+  int error = mo_controller_load(cache->store, sha256, &loaded->controller);
   if (error == MO_OK)
     error = mo_compute_controller_create(cache->compute, loaded->controller, &loaded->ready);
   if (error != MO_OK) {
@@ -80,10 +79,9 @@ static int load(struct mo_controller_cache *cache, const struct mo_sha256 *sha25
 int mo_loaded_acquire(struct mo_controller_cache *cache, const struct mo_sha256 *sha256,
                       struct mo_loaded **ret)
 {
-  struct mo_loaded *loaded;
   int error = MO_OK;
   pthread_mutex_lock(&cache->mutex);
-  loaded = cache->first;
+  struct mo_loaded *loaded = cache->first;
   while (loaded != NULL && !mo_sha256_equal(&loaded->sha256, sha256))
     loaded = loaded->next;
   if (loaded == NULL) {

@@ -64,10 +64,9 @@ void mo_jobs_crash_note(int fd, int signal_number)
 {
   const int64_t tag = mo_thread_tag;
   char line[MARKER_LINE_BYTES];
-  size_t n;
   if (tag <= 0 || signal_number < 0)
     return;
-  n = put_number(line, tag);
+  size_t n = put_number(line, tag);
   line[n++] = ' ';
   n += put_number(line + n, signal_number);
   line[n++] = '\n';
@@ -197,7 +196,6 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
                    struct mo_message *message)
 {
   struct mo_jobs *jobs = malloc(sizeof(*jobs));
-  int error;
   if (jobs == NULL)
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
   *jobs = (struct mo_jobs){
@@ -221,7 +219,7 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
                                             [MO_JOB_CAMPAIGN] = jobs->config.max_active_campaigns};
   atomic_store(&jobs->heartbeat_us, mo_clock_us());
   mo_store_meter(store, mo_share_used, jobs);
-  error = prepare(jobs, config->crash_marker, config->version);
+  int error = prepare(jobs, config->crash_marker, config->version);
   for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)
     if (mo_kinds[kind]->open != NULL)
       error = mo_kinds[kind]->open(jobs);
@@ -263,13 +261,12 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
   struct mo_job job;
   struct mo_runners *runners;
   enum mo_job_state before = MO_JOB_QUEUED;
-  bool reopens;
   int error = mo_store_job(jobs->store, id, &job);
   if (error != MO_OK)
     return error;
   runners = &jobs->runners[job.kind];
-  reopens = runners->kind->run != NULL && change_to == MO_CHANGE_RESUME &&
-            job.state == MO_JOB_FAILED; /* the queue must have space for it */
+  bool reopens = runners->kind->run != NULL && change_to == MO_CHANGE_RESUME &&
+                 job.state == MO_JOB_FAILED; /* the queue must have space for it */
   if (reopens)
     error = mo_jobs_admit(jobs, 1, 0, NULL);
   if (error != MO_OK)

@@ -139,12 +139,11 @@ int mo_learned_create(const struct mo_training *training, const struct mo_sha256
                       struct mo_learned *learned)
 {
   char digits[MO_SHA256_DIGITS + 1];
-  int error;
   *learned = (struct mo_learned){.controller = NULL};
   if (parent != NULL)
     mo_sha256_to_hex(parent, digits);
-  error = mo_training_export(training, parent != NULL ? digits : NULL, code_version, code,
-                             &learned->controller);
+  int error = mo_training_export(training, parent != NULL ? digits : NULL, code_version, code,
+                                 &learned->controller);
   return error == MO_OK ? mo_controller_encode(learned->controller, &learned->bytes, &learned->size)
                         : error;
 }

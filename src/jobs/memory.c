@@ -205,12 +205,11 @@ static struct mo_memory_user **place_of(struct mo_jobs *jobs, const struct mo_ki
 bool mo_memory_take(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id)
 {
   struct mo_memory *memory = &jobs->memory;
-  struct mo_memory_user *user, **link;
-  bool taken;
   pthread_mutex_lock(&memory->mutex);
-  link = place_of(jobs, kind, id);
-  user = *link; /* NULL: an earlier run has not ended yet, or another thread took the job */
-  taken = user != NULL && fits(jobs, user);
+  struct mo_memory_user **link = place_of(jobs, kind, id);
+  struct mo_memory_user *user =
+      *link; /* NULL: an earlier run has not ended yet, or another thread took the job */
+  bool taken = user != NULL && fits(jobs, user);
   if (taken) {
     for (struct mo_memory_user *before = memory->waiting; before != user; before = before->next)
       before->overtaken++;
@@ -281,9 +280,8 @@ void mo_memory_renew(struct mo_jobs *jobs, enum mo_job_kind kind, int64_t id)
 {
   struct mo_need need = {0};
   const int error = jobs->runners[kind].kind->need(jobs, id, &need);
-  struct mo_memory_user *user;
   pthread_mutex_lock(&jobs->memory.mutex);
-  user = *find(&jobs->memory.users, id);
+  struct mo_memory_user *user = *find(&jobs->memory.users, id);
   if (user != NULL && error == MO_OK)
     user->need = need;
   pthread_mutex_unlock(&jobs->memory.mutex);
@@ -292,11 +290,9 @@ void mo_memory_renew(struct mo_jobs *jobs, enum mo_job_kind kind, int64_t id)
 
 void mo_memory_prove(struct mo_jobs *jobs, int64_t id)
 {
-  struct mo_memory_user *user;
-  bool is_news;
   pthread_mutex_lock(&jobs->memory.mutex);
-  user = *find(&jobs->memory.users, id);
-  is_news = clear(&jobs->memory, user);
+  struct mo_memory_user *user = *find(&jobs->memory.users, id);
+  bool is_news = clear(&jobs->memory, user);
   if (user != NULL)
     user->is_proven = true;
   pthread_mutex_unlock(&jobs->memory.mutex);
@@ -306,9 +302,8 @@ void mo_memory_prove(struct mo_jobs *jobs, int64_t id)
 
 bool mo_memory_reason(struct mo_jobs *jobs, int64_t id, char reason[160])
 {
-  const struct mo_memory_user *user;
   pthread_mutex_lock(&jobs->memory.mutex);
-  user = *find(&jobs->memory.waiting, id);
+  const struct mo_memory_user *user = *find(&jobs->memory.waiting, id);
   if (user != NULL && user->reason[0] != '\0')
     memcpy(reason, user->reason, sizeof(user->reason));
   else

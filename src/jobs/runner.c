@@ -39,9 +39,8 @@ void mo_runner_put_request(struct mo_runner *runner, enum mo_job_request request
 
 void mo_runners_request(struct mo_runners *runners, int64_t id, enum mo_job_request request)
 {
-  struct mo_runner *runner;
   pthread_mutex_lock(&runners->mutex);
-  runner = mo_runners_find(runners, id);
+  struct mo_runner *runner = mo_runners_find(runners, id);
   if (runner != NULL)
     mo_runner_put_request(runner, request);
   runners->requests++;
@@ -87,10 +86,9 @@ void mo_runner_sleep(struct mo_runner *runner, uint32_t ms, enum mo_job_request 
 enum mo_phase mo_runner_set_waiting(struct mo_runner *runner, bool waits, enum mo_phase phase,
                                     const char *reason)
 {
-  enum mo_phase before;
   pthread_mutex_lock(&runner->runners->mutex);
   runner->waits = waits;
-  before = runner->live.phase;
+  enum mo_phase before = runner->live.phase;
   runner->live.phase = phase;
   snprintf(runner->live.reason, sizeof(runner->live.reason), "%s", reason);
   pthread_mutex_unlock(&runner->runners->mutex);
@@ -195,12 +193,11 @@ static int write_park(void *context)
 /* Ends a stopped attempt: saves computed results and requeues the job, unless it was cancelled. */
 static void wind_down(struct mo_runner *runner, void *run)
 {
-  int error, parked;
   runner->winding_down = true;
   if (mo_runner_requested(runner) == MO_REQUEST_CANCEL)
     return;
-  error = runner->runners->kind->save(run);
-  parked = mo_runner_persist(runner, write_park, runner, "its place in the queue");
+  int error = runner->runners->kind->save(run);
+  int parked = mo_runner_persist(runner, write_park, runner, "its place in the queue");
   if (error == MO_OK || error == MO_ERR_CANCELLED)
     error = parked != MO_OK ? parked : error;
   if (error != MO_OK && error != MO_ERR_CONFLICT && mo_runner_requested(runner) == MO_REQUEST_STOP)

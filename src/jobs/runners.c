@@ -83,15 +83,13 @@ static bool attempt(struct mo_runner *runner)
 {
   const struct mo_kind *kind = runner->runners->kind;
   void *run = calloc(1, kind->run_bytes);
-  bool failed;
-  int error;
   if (run == NULL) {
     runner->is_short = true;
     return false;
   }
-  error = mo_share_open(runner->jobs, runner->id, kind->kind, &runner->share);
+  int error = mo_share_open(runner->jobs, runner->id, kind->kind, &runner->share);
   error = error == MO_OK ? kind->run(runner, run) : mo_runner_fail_unreadable(runner, error);
-  failed = mo_runner_settle(runner, error, run);
+  bool failed = mo_runner_settle(runner, error, run);
   kind->clean_up(run);
   mo_share_close(runner->jobs, runner->id);
   free(run);
@@ -127,16 +125,14 @@ static bool run_next(struct mo_runner *runner, bool *again)
   struct mo_jobs *jobs = runner->jobs;
   int64_t ids[CLAIMS_MAX];
   int64_t n = mo_store_queued_runs(jobs->store, kind->kind, ids, CLAIMS_MAX);
-  int64_t id;
   bool failed = false;
-  int error;
   if (n >= 0)
     mo_memory_keep(jobs, kind, ids, n);
-  id = reserve(runner, ids, n);
+  int64_t id = reserve(runner, ids, n);
   *again = n < 0;
   if (id == 0)
     return false;
-  error = mo_store_run_start(jobs->store, id);
+  int error = mo_store_run_start(jobs->store, id);
   if (error == MO_OK) {
     mo_thread_tag = id;
     failed = run(runner);
@@ -198,11 +194,9 @@ const char *mo_phase_name(enum mo_phase phase)
 
 void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
 {
-  struct mo_live used;
-  bool runs;
   mo_share_live(jobs, id, live);
-  used = *live;
-  runs = live->phase != MO_PHASE_IDLE;
+  struct mo_live used = *live;
+  bool runs = live->phase != MO_PHASE_IDLE;
   for (int kind = 0; kind < MO_JOB_KINDS && !runs; kind++) {
     struct mo_runners *runners = &jobs->runners[kind];
     const struct mo_runner *runner;
@@ -288,11 +282,10 @@ void mo_runners_stop(struct mo_runners *runners)
 
 bool mo_runners_wait(struct mo_runners *runners, int64_t until_us)
 {
-  bool ended;
   pthread_mutex_lock(&runners->mutex);
   while (runners->alive > 0 && mo_wait_until(&runners->news, &runners->mutex, until_us))
     ;
-  ended = runners->alive == 0;
+  bool ended = runners->alive == 0;
   pthread_mutex_unlock(&runners->mutex);
   return ended;
 }

@@ -291,7 +291,6 @@ static bool saves_later(const struct run *run)
  * cancels all blocks soon. */
 static int take_all(struct run *run)
 {
-  struct mo_flight *flight;
   const bool later = saves_later(run);
   bool in_time = true;
   int error = MO_OK;
@@ -301,7 +300,7 @@ static int take_all(struct run *run)
       in_time = mo_wait_until(&run->news, &run->mutex, run->unsaved_us + SAVED_AFTER_US);
     else
       pthread_cond_wait(&run->news, &run->mutex);
-  flight = run->inbox.finished;
+  struct mo_flight *flight = run->inbox.finished;
   run->inbox.finished = NULL;
   pthread_mutex_unlock(&run->mutex);
   while (flight != NULL) {

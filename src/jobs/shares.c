@@ -30,13 +30,11 @@ static struct mo_job_share *find(const struct mo_jobs *jobs, int64_t id)
 /* Brings a share up to the job's row. opens: it is new, and counts on from what the job used. */
 static int read_share(struct mo_jobs *jobs, int64_t id, bool opens)
 {
-  struct mo_job_share *entry;
   struct mo_job job;
-  int error;
   pthread_mutex_lock(&jobs->weigh_mutex);
-  error = mo_store_job(jobs->store, id, &job);
+  int error = mo_store_job(jobs->store, id, &job);
   pthread_mutex_lock(&jobs->shares_mutex);
-  entry = find(jobs, id);
+  struct mo_job_share *entry = find(jobs, id);
   if (error == MO_OK && entry != NULL) {
     mo_compute_share_set_weight(entry->share, job.weight);
     entry->is_batch = job.priority == MO_BATCH;
@@ -97,9 +95,8 @@ void mo_share_close(struct mo_jobs *jobs, int64_t id)
 
 void mo_share_show(struct mo_jobs *jobs, int64_t id, const struct mo_live *live)
 {
-  struct mo_job_share *entry;
   pthread_mutex_lock(&jobs->shares_mutex);
-  entry = find(jobs, id);
+  struct mo_job_share *entry = find(jobs, id);
   if (entry != NULL)
     entry->live = *live;
   pthread_mutex_unlock(&jobs->shares_mutex);
@@ -107,11 +104,10 @@ void mo_share_show(struct mo_jobs *jobs, int64_t id, const struct mo_live *live)
 
 void mo_share_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
 {
-  const struct mo_job_share *entry;
   double device_s = 0;
   *live = idle;
   pthread_mutex_lock(&jobs->shares_mutex);
-  entry = find(jobs, id);
+  const struct mo_job_share *entry = find(jobs, id);
   if (entry != NULL) {
     *live = entry->live;
     live->busy_s = 0;

@@ -67,7 +67,6 @@ static int write_rows(void *context)
   const struct mo_training_report *report = &run->rows[run->n_rows - 1].report;
   const struct mo_live *live = &run->runner->live; /* only this thread changes it */
   char data[480];
-  int error;
   snprintf(
       data, sizeof(data),
       "{\"id\":\"%lld\",\"step\":%u,\"steps\":%u,\"mean_loss\":%s,\"gradient_norm\":%s,\"rate\":%s,"
@@ -75,7 +74,8 @@ static int write_rows(void *context)
       (long long)run->id, (unsigned)report->step, (unsigned)run->status.record.settings.n_steps,
       MO_FIGURE(report->mean_loss), MO_FIGURE(report->gradient_norm), MO_FIGURE(report->rate),
       MO_FIGURE(report->clipped_share), MO_FIGURE(live->rate), MO_FIGURE(live->seconds_left));
-  error = mo_store_training_progress(run->jobs->store, run->id, run->rows, run->n_rows, NULL, data);
+  int error =
+      mo_store_training_progress(run->jobs->store, run->id, run->rows, run->n_rows, NULL, data);
   if (error == MO_OK) {
     run->n_rows = 0;
     run->rows_us = mo_clock_us();
@@ -113,11 +113,10 @@ static int write_checkpoint(void *context)
 static int save(struct run *run)
 {
   char what[64];
-  enum mo_phase phase;
   int error = flush(run);
   if (error != MO_OK || step_of(run) == run->checkpoint_step)
     return error;
-  phase = enter(run, MO_PHASE_SAVE);
+  enum mo_phase phase = enter(run, MO_PHASE_SAVE);
   snprintf(what, sizeof(what), "the checkpoint of step %u", (unsigned)step_of(run));
   error = mo_runner_persist(run->runner, write_checkpoint, run, what);
   (void)mo_runner_enter(run->runner, phase);
@@ -209,15 +208,14 @@ static int draw(struct run *run, const struct mo_robot **robots)
 {
   const struct mo_training_settings *settings = &run->status.record.settings;
   bool replays = settings->kind == MO_TRAINING_PRETRAIN && run->n_rates == 0 && step_of(run) > 0;
-  int error;
   if (replays) {
     pthread_mutex_lock(&run->runner->runners->mutex);
     run->runner->live.total = (uint64_t)step_of(run) * settings->batch;
     pthread_mutex_unlock(&run->runner->runners->mutex);
     (void)enter(run, MO_PHASE_REPLAY);
   }
-  error = mo_training_draw(run->learner.training, &run->runner->interrupt, &run->runner->replayed,
-                           robots);
+  int error = mo_training_draw(run->learner.training, &run->runner->interrupt,
+                               &run->runner->replayed, robots);
   if (replays)
     (void)enter(run, MO_PHASE_LEARN);
   if (error == MO_ERR_CORRUPT)
@@ -245,10 +243,9 @@ static int write_code(void *context)
  */
 static int note_code(struct run *run)
 {
-  int error;
   if (run->code_noted && run->noted == run->learner.batch.computed_on)
     return MO_OK;
-  error = mo_runner_persist(run->runner, write_code, run, "the lineage");
+  int error = mo_runner_persist(run->runner, write_code, run, "the lineage");
   run->code_noted = error == MO_OK;
   run->noted = run->learner.batch.computed_on;
   return error;
@@ -280,13 +277,12 @@ static int step(struct run *run)
 {
   const struct mo_training_settings *settings = &run->status.record.settings;
   const struct mo_robot *robots = NULL;
-  struct mo_training_step_row *row;
   int error = draw(run, &robots);
   if (error == MO_OK)
     error = mo_learner_gradient(&run->learner, robots);
   if (error == MO_OK)
     error = note_code(run);
-  row = &run->rows[run->n_rows];
+  struct mo_training_step_row *row = &run->rows[run->n_rows];
   if (error == MO_OK)
     error = mo_learner_apply(&run->learner, &row->report, &row->seconds);
   if (error != MO_OK)
@@ -311,11 +307,10 @@ static int write_validation(void *context)
 static int validate(struct run *run)
 {
   uint32_t every = run->status.record.validate_every_steps, here = step_of(run);
-  int error;
   if (every == 0 || (here % every != 0 && here != run->status.record.settings.n_steps) ||
       here <= run->validated)
     return MO_OK;
-  error = flush(run);
+  int error = flush(run);
   if (error != MO_OK)
     return error;
   (void)enter(run, MO_PHASE_VALIDATE);
@@ -412,11 +407,10 @@ static void clean_up(void *context)
 static int run_training(struct mo_runner *runner, void *context)
 {
   struct run *run = context;
-  int error;
   run->runner = runner;
   run->jobs = runner->jobs;
   run->id = runner->id;
-  error = prepare(run);
+  int error = prepare(run);
   return error == MO_OK ? learn(run) : error;
 }
 

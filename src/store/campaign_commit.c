@@ -275,10 +275,9 @@ static int insert_scores(struct mo_store *store, const struct commit_arguments *
 {
   const struct mo_campaign_commit *commit = call->commit;
   struct conditions conditions = {.ranking = 0};
-  int error;
   if (commit->n_losses == 0)
     return MO_OK;
-  error = find_conditions(&store->writer, call, &conditions);
+  int error = find_conditions(&store->writer, call, &conditions);
   for (uint32_t i = 0; i < commit->n_losses && error == MO_OK; i++)
     error = insert_child_scores(store, call, &commit->losses[i], &conditions, now_us);
   return error;

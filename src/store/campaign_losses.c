@@ -49,13 +49,12 @@ static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_c
   int64_t key[KEY_WORDS];
   uint8_t bytes[MO_PACKED_BYTES(MO_ENVIRONMENTS_MAX)];
   uint32_t steps[MO_ENVIRONMENTS_MAX];
-  int error;
   for (uint32_t k = 0; k < n; k++)
     steps[k] = (uint32_t)loss->diverged_steps[k] | (loss->by_workers >> k & 1 ? BY_WORKERS : 0);
   const size_t n_key = key_of(id, loss, key);
   const size_t size = mo_pack_losses(key, n_key, loss->losses, steps, n, bytes);
-  error = mo_sql_change(writer, sql, mo_int(id), mo_int(loss->place), mo_blob(bytes, size),
-                        n_key > 2 ? mo_blob(loss->origins, sizeof(loss->origins)) : mo_null());
+  int error = mo_sql_change(writer, sql, mo_int(id), mo_int(loss->place), mo_blob(bytes, size),
+                            n_key > 2 ? mo_blob(loss->origins, sizeof(loss->origins)) : mo_null());
   *added += error == MO_OK;
   return error == MO_ERR_CONFLICT ? MO_OK : error; /* they are saved already */
 }
@@ -122,10 +121,9 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
   const size_t most = is_current ? (size_t)head.scored : 0;
   struct mo_campaign_loss *losses = calloc(most + 1, sizeof(*losses));
   size_t n = 0;
-  sqlite3_stmt *row;
   if (error == MO_OK && losses == NULL)
     error = MO_ERR_NO_MEMORY;
-  row = mo_sql_rows(reader, &error, sql, mo_int(id));
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
   while (n < most && mo_sql_next(reader, row, &error))
     error = loss_from_row(row, id, head.n_environments, &losses[n++]);
   mo_reader_release(store, reader);
@@ -148,9 +146,8 @@ static int find_known(struct mo_connection *reader, struct mo_saved_design *desi
   static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
   uint8_t bits[MO_BITS_BYTES];
-  int error;
   mo_encode_bits(genotype, bits);
-  error = mo_sql_find(reader, &design->genotype, find_sql, mo_blob(bits, sizeof(bits)));
+  int error = mo_sql_find(reader, &design->genotype, find_sql, mo_blob(bits, sizeof(bits)));
   if (error == MO_OK)
     error = mo_losses_read(reader, design, environments, n, scores);
   if (error != MO_OK)

@@ -15,11 +15,10 @@ int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_
       "SELECT population FROM campaign_populations WHERE job=?1 AND generation=?2";
   sqlite3_stmt *row;
   const int error = mo_sql_row(connection, &row, sql, mo_int(id), mo_int(generation));
-  size_t size;
   if (error != MO_OK)
     return error;
   members->population = sqlite3_column_blob(row, 0);
-  size = (size_t)sqlite3_column_bytes(row, 0);
+  size_t size = (size_t)sqlite3_column_bytes(row, 0);
   members->n = (uint32_t)(size / sizeof(*members->population));
   return size % sizeof(*members->population) == 0 && (members->population != NULL || size == 0)
              ? MO_OK
@@ -70,7 +69,6 @@ static int design_from_row(sqlite3_stmt *row, void *any)
 {
   struct mo_campaign_design *design = any;
   uint64_t size = (uint64_t)sqlite3_column_int64(row, 7);
-  int error;
   design->number = (uint32_t)sqlite3_column_int64(row, 0);
   design->descent = (struct mo_descent){{column_parent(row, 2), column_parent(row, 3)},
                                         (uint8_t)sqlite3_column_int(row, 1)};
@@ -79,9 +77,9 @@ static int design_from_row(sqlite3_stmt *row, void *any)
   design->size = unpacked_size(size);
   design->is_cut = sqlite3_column_int(row, 12) != 0;
   mo_column_text(row, 10, design->own_operator, sizeof(design->own_operator));
-  error = design->descent.op < MO_OPERATORS || design->own_operator[0] != '\0'
-              ? mo_column_double(row, 6, &design->score)
-              : MO_ERR_CORRUPT;
+  int error = design->descent.op < MO_OPERATORS || design->own_operator[0] != '\0'
+                  ? mo_column_double(row, 6, &design->score)
+                  : MO_ERR_CORRUPT;
   if (error == MO_OK)
     error = column_measures(row, 11, design->measures, &design->n_measures);
   return error == MO_OK ? mo_column_genotype(row, 8, 9, &design->genotype, &design->form) : error;
@@ -145,12 +143,10 @@ int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t
                                      uint32_t offset, struct mo_campaign_design *rows, size_t limit,
                                      uint32_t *n)
 {
-  struct mo_connection *reader;
-  int64_t filled;
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  filled = load_population(reader, id, generation, offset, rows, limit, n);
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int64_t filled = load_population(reader, id, generation, offset, rows, limit, n);
   mo_reader_release(store, reader);
   return filled;
 }
@@ -167,10 +163,9 @@ int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_des
   int error = mo_campaign_head_get(reader, id, &head);
   struct mo_descent *descents = malloc((head.n_designs + 1) * sizeof(*descents));
   uint32_t *born = malloc((head.n_designs + 1) * sizeof(*born)), filled = 0;
-  sqlite3_stmt *row;
   if (error == MO_OK && (descents == NULL || born == NULL))
     error = MO_ERR_NO_MEMORY;
-  row = mo_sql_rows(reader, &error, sql, mo_int(id));
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
   while (descents != NULL && born != NULL && mo_sql_next(reader, row, &error)) {
     const struct mo_birth_row *births = sqlite3_column_blob(row, 1);
     const size_t n = (size_t)sqlite3_column_bytes(row, 1) / sizeof(*births);

@@ -212,7 +212,6 @@ static int extend(struct mo_store *store, void *arguments)
   enum mo_job_state state = MO_JOB_QUEUED;
   uint64_t generations;
   int64_t known;
-  int ended;
   char more[96];
   sqlite3_stmt *row;
   int error = call->key != NULL ? mo_key_find(writer, call->key, &known) : MO_ERR_NOT_FOUND;
@@ -227,7 +226,7 @@ static int extend(struct mo_store *store, void *arguments)
   if (error != MO_OK)
     return error;
   generations = (uint64_t)sqlite3_column_int64(row, 1) + call->generations;
-  ended = sqlite3_column_int(row, 2);
+  int ended = sqlite3_column_int(row, 2);
   error = state > MO_JOB_SUCCEEDED || ended == MO_CAMPAIGN_EXHAUSTED
               ? MO_ERR_CONFLICT
               : check_extension(&record.settings, generations);

@@ -114,11 +114,10 @@ static int check_file(struct walk *walk, const char *path, uint64_t size,
 static int check_controller(struct walk *walk, sqlite3_stmt *row)
 {
   struct mo_sha256 sha256;
-  char *path;
   int error = mo_column_hash(row, 1, &sha256);
   if (error != MO_OK)
     return error;
-  path = mo_controller_path(walk->store, &sha256);
+  char *path = mo_controller_path(walk->store, &sha256);
   error = path == NULL ? MO_ERR_NO_MEMORY
                        : check_file(walk, path, (uint64_t)sqlite3_column_int64(row, 2), &sha256);
   free(path);

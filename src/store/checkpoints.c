@@ -171,9 +171,8 @@ int mo_checkpoint_write(struct mo_store *store, const uint8_t *bytes,
                         struct mo_checkpoint *checkpoint,
                         int (*run)(struct mo_store *store, void *arguments), void *arguments)
 {
-  int error;
   pthread_mutex_lock(&store->checkpoints_mutex);
-  error = checkpoint->check != NULL ? checkpoint->check(store, arguments) : MO_OK;
+  int error = checkpoint->check != NULL ? checkpoint->check(store, arguments) : MO_OK;
   if (error == MO_OK && bytes != NULL)
     error = begin(store, bytes, checkpoint);
   if (error == MO_OK)
@@ -266,11 +265,10 @@ int mo_store_checkpoints_remove(struct mo_store *store, int64_t id, enum mo_job_
 {
   struct mo_checkpoint call = {.id = id, .kind = kind, .place.step = step};
   char *folder = path_of(store, id, kind, NULL);
-  int error;
   if (folder == NULL)
     return MO_ERR_NO_MEMORY;
   pthread_mutex_lock(&store->checkpoints_mutex);
-  error = mo_write_urgent(store, remove_rows, &call);
+  int error = mo_write_urgent(store, remove_rows, &call);
   end(store, &call, error);
   if (error == MO_OK)
     (void)store->files->rmdir(folder); /* if it is empty */

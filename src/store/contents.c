@@ -12,9 +12,8 @@ static int content_row(struct mo_connection *writer, const char *find_sql, const
                        const uint8_t *bytes, size_t size, int64_t *row)
 {
   struct mo_sha256 hash;
-  int error;
   mo_sha256_of(bytes, size, &hash);
-  error = mo_sql_find(writer, row, find_sql, mo_hash(&hash));
+  int error = mo_sql_find(writer, row, find_sql, mo_hash(&hash));
   return error != MO_ERR_NOT_FOUND
              ? error
              : mo_sql_insert(writer, row, insert_sql, mo_hash(&hash), mo_blob(bytes, size));
@@ -49,9 +48,8 @@ int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,
   static const char insert_sql[] = "INSERT INTO genotypes(bits,design) VALUES(?1,?2)";
   uint8_t bits[MO_BITS_BYTES], canonical[MO_BITS_BYTES];
   int64_t design = 0;
-  int error;
   mo_encode_bits(genotype, bits);
-  error = mo_sql_find(writer, row, find_sql, mo_blob(bits, sizeof(bits)));
+  int error = mo_sql_find(writer, row, find_sql, mo_blob(bits, sizeof(bits)));
   if (error != MO_ERR_NOT_FOUND)
     return error;
   mo_encode_bits(form, canonical);

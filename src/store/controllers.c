@@ -101,10 +101,9 @@ int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call
   char digits[MO_SHA256_DIGITS + 1], data[256];
   int64_t known = 0;
   sqlite3_stmt *name;
-  int error;
   call->record.stored_us = mo_clock_wall_us();
   call->record.version = 0;
-  error = content_row(writer, call, call->record.stored_us, &call->row);
+  int error = content_row(writer, call, call->record.stored_us, &call->row);
   if (error == MO_OK)
     error = mo_sql_row(writer, &name, find_sql, mo_string(call->name));
   call->created = error == MO_ERR_NOT_FOUND;
@@ -338,11 +337,10 @@ static int remove_content(struct mo_store *store, void *id)
 static int remove_row_and_file(struct mo_store *store, int64_t id, const struct mo_sha256 *sha256)
 {
   char *path = mo_controller_path(store, sha256);
-  int error;
   if (path == NULL)
     return MO_ERR_NO_MEMORY;
   pthread_rwlock_wrlock(&store->controllers_lock);
-  error = mo_write_urgent(store, remove_content, &id);
+  int error = mo_write_urgent(store, remove_content, &id);
   if (error == MO_OK)
     (void)store->files->unlink(path); /* if this fails, the next start reports the file */
   pthread_rwlock_unlock(&store->controllers_lock);

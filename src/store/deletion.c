@@ -235,9 +235,8 @@ int mo_store_delete_job(struct mo_store *store, int64_t id, struct mo_deleted *d
 {
   struct mark call = {.id = id, .reason = "request", .message = message};
   struct round round = {.store = store};
-  int error;
   message->text[0] = '\0';
-  error = mo_write_urgent(store, mark, &call);
+  int error = mo_write_urgent(store, mark, &call);
   if (error != MO_OK)
     return error;
   *deleted = call.deleted;

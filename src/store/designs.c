@@ -52,13 +52,12 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
   const bool is_first = query->after_row == 0, is_descending = query->is_descending;
   const double after = is_first ? (is_descending ? INFINITY : -INFINITY) : query->after_score;
   int64_t ranking = 0, n = 0;
-  sqlite3_stmt *row;
   int error = find_ranking(reader, query, &ranking);
   if (error == MO_ERR_NOT_FOUND)
     return 0;
-  row = mo_sql_rows(reader, &error, sql[is_descending], mo_int(ranking), mo_real(after),
-                    mo_int(is_first && is_descending ? INT64_MAX : query->after_row),
-                    mo_int((int64_t)limit));
+  sqlite3_stmt *row = mo_sql_rows(
+      reader, &error, sql[is_descending], mo_int(ranking), mo_real(after),
+      mo_int(is_first && is_descending ? INT64_MAX : query->after_row), mo_int((int64_t)limit));
   while (mo_sql_next(reader, row, &error)) {
     struct mo_design_row *design = &rows[n++];
     *design = (struct mo_design_row){.row = sqlite3_column_int64(row, 4),
@@ -78,8 +77,6 @@ int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *q
       "SELECT id,form,first_seen_us FROM designs WHERE id>?1 ORDER BY id LIMIT ?2",
       "SELECT id,form,first_seen_us FROM designs WHERE id<?1 ORDER BY id DESC LIMIT ?2"};
   const bool is_newest = query->is_descending && query->after_row == 0;
-  struct mo_connection *reader;
-  int64_t n;
   if (query->sort != MO_DESIGNS_BY_SCORE)
     return mo_read_page(
         store, sql[query->is_descending],
@@ -87,8 +84,8 @@ int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *q
         read_by_row, rows, sizeof(*rows));
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  n = list_by_score(reader, query, rows, limit);
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int64_t n = list_by_score(reader, query, rows, limit);
   mo_reader_release(store, reader);
   return n;
 }
@@ -248,9 +245,8 @@ static int load_design(struct mo_connection *reader, const void *form, void *ret
   int64_t genotypes[ORIENTATIONS_MAX] = {0};
   uint32_t room = ROLLOUTS_MAX;
   sqlite3_stmt *row;
-  int error;
   mo_encode_bits(form, bytes);
-  error = mo_sql_row(reader, &row, sql, mo_blob(bytes, sizeof(bytes)));
+  int error = mo_sql_row(reader, &row, sql, mo_blob(bytes, sizeof(bytes)));
   if (error != MO_OK)
     return error;
   design->form = *(const struct mo_bits *)form;

@@ -43,18 +43,15 @@ int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, stru
   static const char all_sql[] = EVENTS " ORDER BY sequence LIMIT ?2";
   static const char job_sql[] = EVENTS " AND job=?3 ORDER BY sequence LIMIT ?2";
 #undef EVENTS
-  struct mo_connection *reader;
-  sqlite3_stmt *row;
   int64_t first = 0, last = 0, n = 0;
-  int error;
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  error = mo_sql_find(reader, &first, oldest_sql);
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = mo_sql_find(reader, &first, oldest_sql);
   if (error == MO_OK)
     error = mo_sql_find(reader, &last, newest_sql);
-  row = mo_sql_rows(reader, &error, job != 0 ? job_sql : all_sql, mo_int(after),
-                    mo_int((int64_t)limit), mo_int(job));
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, job != 0 ? job_sql : all_sql, mo_int(after),
+                                  mo_int((int64_t)limit), mo_int(job));
   while (mo_sql_next(reader, row, &error)) {
     struct mo_event *event = &events[n++];
     event->sequence = sqlite3_column_int64(row, 0);

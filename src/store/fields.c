@@ -87,7 +87,6 @@ void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text
 int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
 {
   struct mo_message message;
-  int error;
   /* What is not stored has its default: a setting that is newer than the row, the parameters of
    * other kinds of selection, bisections with an exact time of impact. */
   if (kind == MO_JOB_TRAINING)
@@ -96,6 +95,6 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
   else
     ((struct mo_campaign_record *)record)->settings =
         mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);
-  error = mo_fields_parse(json, strlen(json), &stored_fields[kind], record, &message);
+  int error = mo_fields_parse(json, strlen(json), &stored_fields[kind], record, &message);
   return error == MO_ERR_FORMAT ? MO_ERR_CORRUPT : error;
 }

@@ -113,13 +113,12 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path,
 {
   const struct mo_file_operations *files = store->files;
   char *temporary;
-  int fd, error;
   if (has_bytes(path, bytes, size)) /* a crash may have left it without its row */
     return mo_folder_sync(store, folder);
   if (asprintf(&temporary, "%s/.tmp-%u", folder, atomic_fetch_add(&store->file_counter, 1)) < 0)
     return MO_ERR_NO_MEMORY;
-  fd = files->open(temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, 0600);
-  error = fd < 0 ? write_error() : write_and_sync(store, fd, bytes, size);
+  int fd = files->open(temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, 0600);
+  int error = fd < 0 ? write_error() : write_and_sync(store, fd, bytes, size);
   if (fd >= 0 && files->close(fd) != 0 && error == MO_OK)
     error = write_error();
   if (error == MO_OK && files->rename(temporary, path) != 0)

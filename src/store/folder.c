@@ -27,11 +27,10 @@ static int check_link(const char *path, struct mo_message *message)
 {
   struct stat status;
   size_t length = strlen(path);
-  char *name;
   int error = MO_OK;
   while (length > 1 && path[length - 1] == '/')
     length--;
-  name = strndup(path, length);
+  char *name = strndup(path, length);
   if (name == NULL)
     return MO_ERR_NO_MEMORY;
   if (lstat(name, &status) == 0 && S_ISLNK(status.st_mode) && status.st_uid != 0 &&
@@ -105,7 +104,6 @@ static int resolve(const char *path, const struct stat *opened, char **ret,
 int mo_state_folder_open(const char *path, char **real, struct mo_message *message)
 {
   struct stat status;
-  int error;
   const int fd = open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
   if (fd < 0 && (errno == ENOENT || errno == ENOTDIR))
     return mo_fail(message, MO_ERR_NOT_FOUND,
@@ -113,7 +111,7 @@ int mo_state_folder_open(const char *path, char **real, struct mo_message *messa
   if (fd < 0)
     return mo_fail(message, MO_ERR_IO, "cannot open the state folder %s: %s", path,
                    strerrordesc_np(errno));
-  error = check_folder(fd, path, &status, message);
+  int error = check_folder(fd, path, &status, message);
   if (error == MO_OK && real != NULL)
     error = resolve(path, &status, real, message);
   if (error == MO_OK)

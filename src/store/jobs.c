@@ -323,8 +323,6 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
   char label[MO_LABEL_BYTES_MAX + 8];
   char waiting[MO_WAITING_MAX * 24 + 8];
   int64_t ids[MO_PAGE_MAX] = {0}, n = 0;
-  struct mo_connection *reader;
-  sqlite3_stmt *row;
   int error = MO_OK;
   if (limit > MO_PAGE_MAX || query->n_waiting > MO_WAITING_MAX)
     return MO_ERR_LIMIT;
@@ -332,12 +330,12 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
   /* The largest character stands behind every label that begins so. */
   snprintf(label, sizeof(label), "%s%s", query->label != NULL ? query->label : "",
            is_prefix ? "\xf4\x8f\xbf\xbf" : "");
-  reader = mo_reader_acquire(store);
-  row = mo_sql_rows(reader, &error, pages[page_of(query)],
-                    mo_int(query->before > 0 ? query->before : INT64_MAX), mo_int(query->state),
-                    mo_int((int64_t)limit), mo_int(query->kind), mo_string(waiting),
-                    mo_int(query->group), mo_string(query->label), mo_string(query->submitted_by),
-                    mo_int(query->archived), mo_string(label), mo_string(query->experiment));
+  struct mo_connection *reader = mo_reader_acquire(store);
+  sqlite3_stmt *row = mo_sql_rows(
+      reader, &error, pages[page_of(query)], mo_int(query->before > 0 ? query->before : INT64_MAX),
+      mo_int(query->state), mo_int((int64_t)limit), mo_int(query->kind), mo_string(waiting),
+      mo_int(query->group), mo_string(query->label), mo_string(query->submitted_by),
+      mo_int(query->archived), mo_string(label), mo_string(query->experiment));
   while (mo_sql_next(reader, row, &error))
     ids[n++] = sqlite3_column_int64(row, 0);
   for (int64_t i = 0; i < n && error == MO_OK; i++)

@@ -337,23 +337,21 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
 int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
                   struct mo_message *message)
 {
-  struct mo_store *store;
   char *path = NULL;
-  int error, fd;
   if (config->path == NULL || config->path[0] == '\0')
     return mo_fail(message, MO_ERR_INVALID, "a state folder must be named");
   if (message != NULL)
     message->text[0] = '\0';
-  fd = mo_state_folder_open(config->path, &path, message);
+  int fd = mo_state_folder_open(config->path, &path, message);
   if (fd < 0)
     return fd;
-  store = create_store(config, path);
+  struct mo_store *store = create_store(config, path);
   if (store == NULL) {
     close(fd);
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
   }
   store->folder_fd = fd;
-  error = mo_state_folder_lock(fd, config->path, &store->lock_fd, message);
+  int error = mo_state_folder_lock(fd, config->path, &store->lock_fd, message);
   if (error == MO_OK)
     error = look_for_database(store, message);
   if (error == MO_OK)

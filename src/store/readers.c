@@ -59,15 +59,13 @@ void mo_reader_release(struct mo_store *store, struct mo_connection *connection)
 int64_t mo_read_page(struct mo_store *store, const char *sql, struct mo_values values,
                      int (*take)(sqlite3_stmt *statement, void *row), void *rows, size_t row_size)
 {
-  struct mo_connection *reader;
-  sqlite3_stmt *row;
   char *at = rows;
   int64_t n = 0;
   int error = MO_OK;
   if (values.at[values.n - 1].integer > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  row = mo_sql_rows_with(reader, &error, sql, values);
+  struct mo_connection *reader = mo_reader_acquire(store);
+  sqlite3_stmt *row = mo_sql_rows_with(reader, &error, sql, values);
   for (; mo_sql_next(reader, row, &error); n++, at += row_size)
     error = take(row, at);
   mo_reader_release(store, reader);
@@ -103,12 +101,11 @@ void *mo_read_whole(struct mo_store *store, size_t size,
                     const void *key, void (*release)(void *ret), int *error)
 {
   void *ret = calloc(1, size);
-  struct mo_connection *reader;
   if (ret == NULL) {
     *error = MO_ERR_NO_MEMORY;
     return NULL;
   }
-  reader = mo_reader_acquire(store);
+  struct mo_connection *reader = mo_reader_acquire(store);
   *error = load(reader, key, ret);
   mo_reader_release(store, reader);
   if (*error == MO_OK)

@@ -20,20 +20,18 @@
 void mo_reserve_make(struct mo_store *store)
 {
   const int64_t now = mo_clock_us();
-  int error, fd;
-  bool is_full;
   if (store->reserve_whole || now < store->next_reserve_us)
     return;
   store->next_reserve_us = now + RETRY_US;
-  fd = open(store->reserve_path, O_WRONLY | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
+  int fd = open(store->reserve_path, O_WRONLY | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
   /* Also allocates the holes that the file may have in a copy of the folder. */
-  error = fd < 0 ? errno : posix_fallocate(fd, 0, RESERVE_BYTES);
+  int error = fd < 0 ? errno : posix_fallocate(fd, 0, RESERVE_BYTES);
   if (fd >= 0 && error != 0)
     (void)ftruncate(fd, 0); /* give back what the failed call took */
   if (fd >= 0)
     close(fd);
   store->reserve_whole = error == 0;
-  is_full = error == ENOSPC || error == EDQUOT;
+  bool is_full = error == ENOSPC || error == EDQUOT;
   atomic_store(&store->is_short, is_full);
   if (is_full)
     atomic_store(&store->no_space, true);

@@ -286,14 +286,13 @@ static int load_finished(struct mo_connection *reader, int64_t id, struct mo_wor
 static int load_work(struct mo_connection *reader, int64_t id, const struct mo_classes *classes,
                      struct mo_work *work)
 {
-  bool reruns;
   int64_t before = 0;
   int error = load_head(reader, id, work, &before);
   if (error != MO_OK)
     return error;
   work->workers = classes->cpu[work->job.precision];
   work->fingerprint = work->job.back_end == MO_ON_DEVICE ? classes->device : work->workers;
-  reruns = work->job.verify || work->job.record != 0;
+  bool reruns = work->job.verify || work->job.record != 0;
   work->environment_rows = calloc(work->n_environments, sizeof(*work->environment_rows));
   work->environments = calloc(work->n_environments, sizeof(*work->environments));
   if (reruns)
@@ -314,12 +313,10 @@ int mo_store_load_work(struct mo_store *store, int64_t id, const struct mo_class
                        struct mo_work **ret)
 {
   struct mo_work *work = calloc(1, sizeof(*work));
-  struct mo_connection *reader;
-  int error;
   if (work == NULL)
     return MO_ERR_NO_MEMORY;
-  reader = mo_runner_acquire(store);
-  error = load_work(reader, id, classes, work);
+  struct mo_connection *reader = mo_runner_acquire(store);
+  int error = load_work(reader, id, classes, work);
   mo_reader_release(store, reader);
   if (error != MO_OK) {
     mo_work_free(work);

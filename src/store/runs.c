@@ -141,10 +141,9 @@ int mo_store_run_park(struct mo_store *store, int64_t id, int error, const char 
                                                                   : MO_STEP_RETRY,
                                  .error = error,
                                  .max_attempts = max_attempts};
-  int result;
   snprintf(update.error_text, sizeof(update.error_text), "%s",
            error_text != NULL ? error_text : "");
-  result = mo_write(store, run_step, &update);
+  int result = mo_write(store, run_step, &update);
   if (result == MO_OK && after != NULL)
     *after = update.state;
   return result;

@@ -43,7 +43,6 @@ size_t mo_pack_losses(const int64_t *key, size_t n_key, const double *losses,
 {
   size_t size = (size_t)8 * n;
   uint32_t any = 0;
-  uint64_t sum;
   memcpy(bytes, losses, size);
   for (uint32_t k = 0; k < n; k++)
     any |= diverged_steps[k];
@@ -51,7 +50,7 @@ size_t mo_pack_losses(const int64_t *key, size_t n_key, const double *losses,
     memcpy(bytes + size, diverged_steps, (size_t)4 * n);
     size += (size_t)4 * n;
   }
-  sum = mo_row_checksum(key, n_key, bytes, size);
+  uint64_t sum = mo_row_checksum(key, n_key, bytes, size);
   memcpy(bytes + size, &sum, 8);
   return size + 8;
 }
@@ -153,7 +152,6 @@ int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *c
   const void *environments = sqlite3_column_blob(statement, first + 4);
   const int size = sqlite3_column_bytes(statement, first + 4);
   int64_t key[KEY_WORDS];
-  size_t n_key;
   if (environments == NULL || size < 8 || size > 8 * MO_BLOCK_LANES || size % 8 != 0)
     return MO_ERR_CORRUPT;
   condition->controller = sqlite3_column_int64(statement, first + 1);
@@ -161,9 +159,9 @@ int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *c
   condition->fingerprint = sqlite3_column_int64(statement, first + 3);
   condition->n = (uint32_t)size / 8;
   memcpy(condition->environments, environments, (size_t)size);
-  n_key = key_of(condition, sqlite3_column_int64(statement, first),
-                 sqlite3_column_int64(statement, first + 5),
-                 sqlite3_column_int64(statement, first + 6), key);
+  size_t n_key = key_of(condition, sqlite3_column_int64(statement, first),
+                        sqlite3_column_int64(statement, first + 5),
+                        sqlite3_column_int64(statement, first + 6), key);
   return mo_unpack_losses(key, n_key, sqlite3_column_blob(statement, first + 7),
                           (size_t)sqlite3_column_bytes(statement, first + 7), condition->n, losses,
                           diverged_steps);
@@ -203,9 +201,8 @@ int mo_losses_read(struct mo_connection *connection, const struct mo_saved_desig
                    const int64_t *environments, uint32_t n, struct mo_score *scores)
 {
   uint32_t n_known = 0;
-  int error;
   memset(scores, 0, n * sizeof(*scores));
-  error = read_class(connection, design, design->fingerprint, environments, n, scores);
+  int error = read_class(connection, design, design->fingerprint, environments, n, scores);
   for (uint32_t k = 0; k < n; k++)
     n_known += scores[k].known;
   if (error == MO_OK && n_known < n && design->workers != 0 &&

@@ -73,9 +73,9 @@ int mo_connection_open(const struct mo_store *store, bool writable,
 {
   int flags = (writable ? SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE : SQLITE_OPEN_READONLY) |
               SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE | SQLITE_OPEN_NOFOLLOW;
-  int result, error;
+  int error;
   memset(connection, 0, sizeof(*connection));
-  result = sqlite3_open_v2(store->database_path, &connection->db, flags, store->vfs);
+  int result = sqlite3_open_v2(store->database_path, &connection->db, flags, store->vfs);
   if (result == SQLITE_OK) {
     sqlite3_busy_timeout(connection->db, MO_BUSY_MS);
     (void)sqlite3_db_config(connection->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
@@ -146,7 +146,6 @@ struct mo_value mo_hash(const struct mo_sha256 *hash)
 static sqlite3_stmt *prepared(struct mo_connection *connection, const char *sql, int *error)
 {
   sqlite3_stmt *statement;
-  int result;
   for (unsigned i = 0; i < connection->n_cached; i++)
     if (connection->cache[i].sql == sql) {
       (void)sqlite3_reset(connection->cache[i].statement);
@@ -156,7 +155,8 @@ static sqlite3_stmt *prepared(struct mo_connection *connection, const char *sql,
     *error = MO_ERR_LIMIT;
     return NULL;
   }
-  result = sqlite3_prepare_v3(connection->db, sql, -1, SQLITE_PREPARE_PERSISTENT, &statement, NULL);
+  int result =
+      sqlite3_prepare_v3(connection->db, sql, -1, SQLITE_PREPARE_PERSISTENT, &statement, NULL);
   if (result != SQLITE_OK) {
     /* If a statement does not fit the schema, the schema is not that of its version. */
     *error =
@@ -172,10 +172,9 @@ static sqlite3_stmt *prepared(struct mo_connection *connection, const char *sql,
 sqlite3_stmt *mo_sql_rows_with(struct mo_connection *connection, int *error, const char *sql,
                                struct mo_values values)
 {
-  sqlite3_stmt *statement;
   if (*error == MO_OK)
     *error = connection->error;
-  statement = *error == MO_OK ? prepared(connection, sql, error) : NULL;
+  sqlite3_stmt *statement = *error == MO_OK ? prepared(connection, sql, error) : NULL;
   /* A statement without one of the parameters refuses its value, which is no error. */
   for (int i = 0; i < values.n && statement != NULL; i++) {
     const struct mo_value *value = &values.at[i];

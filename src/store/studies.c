@@ -18,13 +18,12 @@ static int64_t place_word(struct mo_connection *writer, int64_t id, int kind, co
                           char known[][MO_STUDY_WORD_MAX + 1], uint32_t *n, uint32_t most)
 {
   static const char sql[] = "INSERT INTO study_words(job,kind,place,word) VALUES(?1,?2,?3,?4)";
-  int error;
   for (uint32_t i = 0; i < *n; i++)
     if (strcmp(known[i], word) == 0)
       return i;
   if (*n == most)
     return MO_ERR_LIMIT;
-  error = mo_sql_do(writer, sql, mo_int(id), mo_int(kind), mo_int(*n), mo_string(word));
+  int error = mo_sql_do(writer, sql, mo_int(id), mo_int(kind), mo_int(*n), mo_string(word));
   memcpy(known[*n], word, MO_STUDY_WORD_MAX + 1);
   return error == MO_OK ? (int64_t)(*n)++ : error;
 }
@@ -54,7 +53,6 @@ static uint8_t *encode(int64_t id, const struct mo_study_batch *batch, const str
   const uint32_t n = places->n_measures;
   const size_t bytes = sizeof(n) + batch->n_children * row_bytes(n);
   uint8_t *encoded = malloc(bytes + 8), *at = encoded;
-  uint64_t checksum;
   if (encoded == NULL)
     return NULL;
   memcpy(at, &n, sizeof(n));
@@ -76,7 +74,7 @@ static uint8_t *encode(int64_t id, const struct mo_study_batch *batch, const str
     memcpy(at, &row, sizeof(row));
     memcpy(at + sizeof(row), measures, n * sizeof(*measures));
   }
-  checksum = mo_row_checksum(&id, 1, encoded, bytes);
+  uint64_t checksum = mo_row_checksum(&id, 1, encoded, bytes);
   memcpy(at, &checksum, sizeof(checksum));
   *size = bytes + sizeof(checksum);
   return encoded;

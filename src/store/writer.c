@@ -43,8 +43,6 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
 {
   static const char sql[] = "INSERT INTO events(time_us,job,type,data) VALUES(?1,?2,?3,?4)";
   struct mo_connection *writer = &store->writer;
-  struct mo_event *event;
-  int error;
   if (store->n_events == store->events_capacity) {
     size_t capacity = store->events_capacity > 0 ? store->events_capacity * 2 : 64;
     struct mo_event *events = realloc(store->events, capacity * sizeof(*events));
@@ -53,7 +51,7 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
     store->events = events;
     store->events_capacity = capacity;
   }
-  event = &store->events[store->n_events];
+  struct mo_event *event = &store->events[store->n_events];
   memset(event, 0, sizeof(*event));
   if (strlen(type) >= sizeof(event->type) || strlen(data) >= sizeof(event->data))
     return MO_ERR_LIMIT;
@@ -61,8 +59,8 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
   memcpy(event->data, data, strlen(data) + 1);
   event->time_us = mo_clock_wall_us();
   event->job = job;
-  error = mo_sql_insert(writer, &event->sequence, sql, mo_int(event->time_us), mo_int(job),
-                        mo_string(event->type), mo_string(event->data));
+  int error = mo_sql_insert(writer, &event->sequence, sql, mo_int(event->time_us), mo_int(job),
+                            mo_string(event->type), mo_string(event->data));
   store->n_events += error == MO_OK;
   return error == MO_OK && job > 0 ? meter(store, job) : error;
 }
@@ -149,10 +147,9 @@ static void abandon(struct mo_store *store)
 
 static int run_alone(struct mo_store *store, struct mo_operation *operation)
 {
-  int error;
   if (atomic_load(&store->is_fatal))
     return MO_ERR_IO;
-  error = mo_sql_do(&store->writer, begin_sql);
+  int error = mo_sql_do(&store->writer, begin_sql);
   if (error == MO_OK)
     error = run_operation(store, operation);
   if (error == MO_OK)
@@ -221,12 +218,11 @@ static void finish_alone(struct mo_store *store, struct mo_operation *operation)
 static void run_batch(struct mo_store *store, struct mo_operation *first)
 {
   struct mo_operation *operation, *next;
-  bool each_alone;
   int error = MO_OK;
   store->n_events = 0;
   if (atomic_load(&store->is_short))
     mo_reserve_make(store);
-  each_alone = first->next == NULL || atomic_load(&store->is_short);
+  bool each_alone = first->next == NULL || atomic_load(&store->is_short);
   if (!each_alone)
     error = run_together(store, first);
   if (error == MO_ERR_IO)
@@ -279,13 +275,12 @@ static void prune(struct mo_store *store)
 static void probe_space(struct mo_store *store)
 {
   int64_t now = mo_clock_us();
-  int error;
   if (!atomic_load(&store->no_space) || atomic_load(&store->is_short) ||
       now - store->last_probe_us < SPACE_PROBE_US)
     return;
   store->last_probe_us = now;
-  error = mo_sql_exec(&store->writer, "INSERT INTO meta(key,value) VALUES('space probes',1)"
-                                      " ON CONFLICT(key) DO UPDATE SET value=value+1");
+  int error = mo_sql_exec(&store->writer, "INSERT INTO meta(key,value) VALUES('space probes',1)"
+                                          " ON CONFLICT(key) DO UPDATE SET value=value+1");
   if (error == MO_OK)
     atomic_store(&store->no_space, false);
   else if (error == MO_ERR_IO)
@@ -302,14 +297,13 @@ static void checkpoint(struct mo_store *store)
   sqlite3 *db = store->writer.db;
   int64_t now = mo_clock_us();
   int mode = SQLITE_CHECKPOINT_PASSIVE;
-  int result;
   if (store->wal_frames >= MO_WAL_LONG * store->checkpoint_frames &&
       now - store->last_restart_us >= RESTART_US) {
     store->last_restart_us = now;
     mode = SQLITE_CHECKPOINT_RESTART;
     sqlite3_busy_timeout(db, RESTART_WAIT_MS);
   }
-  result = sqlite3_wal_checkpoint_v2(db, NULL, mode, NULL, NULL);
+  int result = sqlite3_wal_checkpoint_v2(db, NULL, mode, NULL, NULL);
   if (result != SQLITE_OK && mo_sql_error(db, result) == MO_ERR_IO)
     declare_fatal(store);
   sqlite3_busy_timeout(db, MO_BUSY_MS);
@@ -466,13 +460,12 @@ int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, vo
                    void *arguments, void (*done)(void *arguments, int status))
 {
   struct mo_operation *operation = calloc(1, sizeof(*operation));
-  int error;
   if (operation == NULL)
     return MO_ERR_NO_MEMORY;
   operation->run = run;
   operation->arguments = arguments;
   operation->done = done;
-  error = enqueue(store, operation);
+  int error = enqueue(store, operation);
   if (error != MO_OK)
     free(operation);
   return error;
