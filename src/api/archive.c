@@ -47,9 +47,7 @@ static size_t padding_of(size_t size)
 
 static void add_sum(struct mo_text *sums, const struct mo_sha256 *sha256, const char *name)
 {
-  char digits[MO_SHA256_DIGITS + 1];
-  mo_sha256_to_hex(sha256, digits);
-  mo_text_format(sums, "%s  %s\n", digits, name);
+  mo_text_format(sums, "%s  %s\n", MO_SHA256_HEX(sha256), name);
 }
 
 /* ---- writing ---- */

@@ -36,14 +36,12 @@ static bool is_partial(const struct mo_design_score *score)
 
 static void write_score(struct mo_text *text, const struct mo_design_score *score)
 {
-  char digits[MO_SHA256_DIGITS + 1];
   mo_text_object(text);
   mo_member_hash(text, "controller", &score->controller_sha256);
   if (score->environment_set[0] != '\0') {
     mo_text_member(text, "environments", score->environment_set);
   } else {
-    mo_sha256_to_hex(&score->environment_sha256, digits);
-    mo_text_format(text, ",\"environments\":[\"%s\"]", digits);
+    mo_text_format(text, ",\"environments\":[\"%s\"]", MO_SHA256_HEX(&score->environment_sha256));
   }
   mo_member_hash(text, "physics", &score->physics_sha256);
   mo_text_member(text, "precision", score->precision == MO_FLOAT64 ? "float64" : "float32");

@@ -88,9 +88,7 @@ int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
 
 void mo_member_hash(struct mo_text *text, const char *name, const struct mo_sha256 *hash)
 {
-  char digits[MO_SHA256_DIGITS + 1];
-  mo_sha256_to_hex(hash, digits);
-  mo_text_member(text, name, digits);
+  mo_text_member(text, name, MO_SHA256_HEX(hash));
 }
 
 void mo_member_controller(struct mo_text *text, const char *member, bool known, const char *name,

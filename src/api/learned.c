@@ -51,12 +51,11 @@ static void reply_damaged(struct mo_request *request, const struct mo_training_s
 {
   static const char words[] = "in the state folder of the service is missing or damaged.";
   struct mo_checkpoint_row newest = {.step = step};
-  char digits[MO_SHA256_DIGITS + 1];
-  mo_sha256_to_hex(&status->job.result_sha256, digits);
   if (step == 0 && !result)
     (void)mo_store_checkpoints(mo_api_of(request)->store, status->job.id, &newest, 1);
   if (result)
-    mo_reply_problem(request, 500, NULL, "The file controllers/%s.safetensors %s", digits, words);
+    mo_reply_problem(request, 500, NULL, "The file controllers/%s.safetensors %s",
+                     MO_SHA256_HEX(&status->job.result_sha256), words);
   else
     mo_reply_problem(request, 500, NULL, "The file trainings/%lld/%u.checkpoint %s",
                      (long long)status->job.id, newest.step, words);
@@ -104,12 +103,10 @@ void mo_api_get_training_controller(struct mo_request *request)
     mo_reply_error(request, code, "controller");
   else {
     struct mo_sha256 hash;
-    char digits[MO_SHA256_DIGITS + 1];
     mo_sha256_of(bytes, size, &hash);
-    mo_sha256_to_hex(&hash, digits);
     mo_reply_bytes(request, 200, types[form], (char *)bytes, size);
     mo_reply_extra(request, "Morphod-Step", "%u", at);
-    mo_reply_etag(request, "%s", digits);
+    mo_reply_etag(request, "%s", MO_SHA256_HEX(&hash));
   }
 }
 

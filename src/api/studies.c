@@ -271,7 +271,6 @@ void mo_api_get_study_sampler(struct mo_request *request)
   uint32_t step;
   size_t size = 0;
   int64_t id;
-  char digits[MO_SHA256_DIGITS + 1];
   if (!mo_path_id(request, 0, &id))
     return;
   int error = mo_store_campaign(store, id, &status);
@@ -288,10 +287,9 @@ void mo_api_get_study_sampler(struct mo_request *request)
     return;
   }
   mo_sha256_of(bytes, size, &status.sampler_sha256);
-  mo_sha256_to_hex(&status.sampler_sha256, digits);
   mo_reply_bytes(request, 200, "application/octet-stream", (char *)bytes, size);
   mo_reply_extra(request, "Morphod-Batch", "%" PRId64, status.generation);
-  mo_reply_etag(request, "%s", digits);
+  mo_reply_etag(request, "%s", MO_SHA256_HEX(&status.sampler_sha256));
 }
 
 void mo_api_post_study_finish(struct mo_request *request)

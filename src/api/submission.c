@@ -51,9 +51,9 @@ const char *mo_post_words(const struct mo_post *post, int error)
 const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const char *what,
                                             int64_t id, struct mo_request_key *known)
 {
-  char digits[MO_SHA256_DIGITS + 1], text[MO_SHA256_DIGITS + 64];
-  mo_sha256_to_hex(&post->key.sha256, digits);
-  int n = snprintf(text, sizeof(text), "%s %lld %s", what, (long long)id, digits);
+  char text[MO_SHA256_DIGITS + 64];
+  int n = snprintf(text, sizeof(text), "%s %lld %s", what, (long long)id,
+                   MO_SHA256_HEX(&post->key.sha256));
   known->text = post->key.text;
   mo_sha256_of(text, (size_t)n, &known->sha256);
   return known->text != NULL ? known : NULL;

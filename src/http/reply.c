@@ -174,12 +174,10 @@ void mo_reply_etag(struct mo_request *request, const char *format, ...)
 void mo_reply_etag_of_body(struct mo_request *request)
 {
   struct mo_sha256 hash;
-  char digits[MO_SHA256_DIGITS + 1];
   if (request->reply.status != 200 && request->reply.status != 201)
     return;
   mo_sha256_of(request->reply.body, request->reply.size, &hash);
-  mo_sha256_to_hex(&hash, digits);
-  mo_reply_etag(request, "%.32s", digits);
+  mo_reply_etag(request, "%.32s", MO_SHA256_HEX(&hash));
 }
 
 void mo_reply_text(struct mo_request *request, int error, struct mo_text *text, const char *what)

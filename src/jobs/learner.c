@@ -138,12 +138,9 @@ int mo_learned_create(const struct mo_training *training, const struct mo_sha256
                       const char *code_version, const struct mo_training_lineage *code,
                       struct mo_learned *learned)
 {
-  char digits[MO_SHA256_DIGITS + 1];
   *learned = (struct mo_learned){.controller = NULL};
-  if (parent != NULL)
-    mo_sha256_to_hex(parent, digits);
-  int error = mo_training_export(training, parent != NULL ? digits : NULL, code_version, code,
-                                 &learned->controller);
+  int error = mo_training_export(training, parent != NULL ? MO_SHA256_HEX(parent) : NULL,
+                                 code_version, code, &learned->controller);
   return error == MO_OK ? mo_controller_encode(learned->controller, &learned->bytes, &learned->size)
                         : error;
 }

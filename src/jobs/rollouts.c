@@ -47,7 +47,7 @@ static int take_environments(struct mo_jobs *jobs, const struct mo_evaluation_re
 }
 
 static int take_designs(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
-                        struct mo_rollouts *rollouts, struct mo_message *message)
+                        struct mo_rollouts *rollouts)
 {
   struct mo_placed placed;
   int error = mo_placed_create(request->genotypes, request->n_designs, &placed);
@@ -213,7 +213,7 @@ int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *reque
   if (error == MO_OK)
     error = find_controller(jobs, request->controller, &rollouts->controller, message);
   if (error == MO_OK)
-    error = take_designs(jobs, request, rollouts, message);
+    error = take_designs(jobs, request, rollouts);
   if (error == MO_OK) {
     rollouts->physics = request->physics;
     rollouts->precision = request->precision;

@@ -340,9 +340,10 @@ static int commit_generation(struct mo_store *store, void *arguments)
   if (error == MO_OK)
     error = update_campaign(writer, call);
   if (error == MO_OK && commit->event_data != NULL)
-    error = mo_writer_event(store, call->id, "campaign.generation", commit->event_data);
+    error = mo_writer_event(store, call->id, "campaign.generation", "%s", commit->event_data);
   if (error == MO_OK && commit->collapse_data != NULL)
-    error = mo_writer_event(store, call->id, "campaign.diversity_collapse", commit->collapse_data);
+    error = mo_writer_event(store, call->id, "campaign.diversity_collapse", "%s",
+                            commit->collapse_data);
   return error;
 }
 

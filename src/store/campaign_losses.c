@@ -80,7 +80,7 @@ static int save_losses(struct mo_store *store, void *arguments)
   if (error == MO_OK)
     error = mo_sql_do(writer, sql, mo_int(call->id), mo_int(call->generation), mo_int(scored));
   if (error == MO_OK && call->event_data != NULL)
-    error = mo_writer_event(store, call->id, "campaign.progress", call->event_data);
+    error = mo_writer_event(store, call->id, "campaign.progress", "%s", call->event_data);
   return error;
 }
 

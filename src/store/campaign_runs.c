@@ -12,28 +12,27 @@
 
 struct fault_arguments {
   int64_t id;
-  const char *data;
+  const struct mo_sha256 *sha256;
+  const char *field, *detail;
 };
 
 static int tell_fault(struct mo_store *store, void *arguments)
 {
   const struct fault_arguments *call = arguments;
   int error = mo_run_touch(store, call->id);
-  return error == MO_OK
-             ? mo_writer_event(store, call->id, "campaign.lineage_unreadable", call->data)
-             : error;
+  return error == MO_OK ? mo_writer_event(store, call->id, "campaign.lineage_unreadable",
+                                          "{\"id\":\"%lld\",\"controller\":\"%s\",\"field\":\"%."
+                                          "40s\",\"detail\":\"%.240s\"}",
+                                          (long long)call->id, MO_SHA256_HEX(call->sha256),
+                                          call->field, call->detail)
+                        : error;
 }
 
 int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id,
                                     const struct mo_sha256 *sha256, const char *field,
                                     const char *detail)
 {
-  char data[480], digits[MO_SHA256_DIGITS + 1];
-  struct fault_arguments call = {id, data};
-  mo_sha256_to_hex(sha256, digits);
-  snprintf(data, sizeof(data),
-           "{\"id\":\"%lld\",\"controller\":\"%s\",\"field\":\"%.40s\",\"detail\":\"%.240s\"}",
-           (long long)id, digits, field, detail);
+  struct fault_arguments call = {id, sha256, field, detail};
   return mo_write(store, tell_fault, &call);
 }
 

@@ -106,7 +106,6 @@ static int insert_replicate(struct mo_store *store, const struct mo_campaign_req
   struct mo_connection *writer = &store->writer;
   struct mo_campaign_record record = setting->record;
   const struct mo_value generations = mo_int(record.settings.generations);
-  char data[192];
   int64_t id = 0;
   int error = mo_job_insert(writer, &request->job, MO_JOB_CAMPAIGN, &id);
   if (replicate == 0)
@@ -125,11 +124,13 @@ static int insert_replicate(struct mo_store *store, const struct mo_campaign_req
                   mo_int(replicate), mo_int(record.replicates));
   if (error == MO_OK && record.settings.mode == MO_STUDY)
     error = mo_sql_do(writer, study_sql, mo_int(id));
-  snprintf(data, sizeof(data),
-           "{\"id\":\"%lld\",\"kind\":\"campaign\",\"state\":\"queued\",\"generations\":%u,"
-           "\"replicates_of\":\"%lld\"}",
-           (long long)id, (unsigned)record.settings.generations, (long long)*group);
-  return error == MO_OK ? mo_writer_event(store, id, "job.created", data) : error;
+  if (error != MO_OK)
+    return error;
+  return mo_writer_event(
+      store, id, "job.created",
+      "{\"id\":\"%lld\",\"kind\":\"campaign\",\"state\":\"queued\",\"generations\":%u,"
+      "\"replicates_of\":\"%lld\"}",
+      (long long)id, (unsigned)record.settings.generations, (long long)*group);
 }
 
 static int insert(struct mo_store *store, const void *any, int64_t *id)

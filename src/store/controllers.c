@@ -26,9 +26,10 @@ int mo_controller_name_check(const char *name)
 /* Returns "<folder>/<sha256>.safetensors" (malloc). */
 char *mo_controller_path(const struct mo_store *store, const struct mo_sha256 *sha256)
 {
-  char digits[MO_SHA256_DIGITS + 1], *path;
-  mo_sha256_to_hex(sha256, digits);
-  return asprintf(&path, "%s/%s.safetensors", store->controllers_path, digits) >= 0 ? path : NULL;
+  char *path;
+  return asprintf(&path, "%s/%s.safetensors", store->controllers_path, MO_SHA256_HEX(sha256)) >= 0
+             ? path
+             : NULL;
 }
 
 int mo_controller_write_file(struct mo_store *store, const struct mo_sha256 *sha256,
@@ -98,7 +99,6 @@ int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call
       "INSERT INTO controller_names(name,controller,version,stored_us) VALUES(?1,?2,?3,?4)"
       " ON CONFLICT(name) DO UPDATE SET controller=?2,version=?3,stored_us=?4";
   struct mo_connection *writer = &store->writer;
-  char digits[MO_SHA256_DIGITS + 1], data[256];
   int64_t known = 0;
   sqlite3_stmt *name;
   call->record.stored_us = mo_clock_wall_us();
@@ -118,9 +118,10 @@ int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call
   call->record.version++;
   error = mo_sql_do(writer, set_sql, mo_string(call->name), mo_int(call->row),
                     mo_int(call->record.version), mo_int(call->record.stored_us));
-  mo_sha256_to_hex(&call->sha256, digits);
-  snprintf(data, sizeof(data), "{\"name\":\"%s\",\"sha256\":\"%s\"}", call->name, digits);
-  return error == MO_OK ? mo_writer_event(store, 0, "controller.stored", data) : error;
+  if (error != MO_OK)
+    return error;
+  return mo_writer_event(store, 0, "controller.stored", "{\"name\":\"%s\",\"sha256\":\"%s\"}",
+                         call->name, MO_SHA256_HEX(&call->sha256));
 }
 
 static int put(struct mo_store *store, void *arguments)
@@ -181,12 +182,10 @@ static int remove_name(struct mo_store *store, void *arguments)
 {
   static const char sql[] = "DELETE FROM controller_names WHERE name=?1";
   const char *name = arguments;
-  char data[128];
   const int error = mo_sql_change(&store->writer, sql, mo_string(name));
   if (error != MO_OK)
     return error == MO_ERR_CONFLICT ? MO_ERR_NOT_FOUND : error;
-  snprintf(data, sizeof(data), "{\"name\":\"%s\"}", name);
-  return mo_writer_event(store, 0, "controller.removed", data);
+  return mo_writer_event(store, 0, "controller.removed", "{\"name\":\"%s\"}", name);
 }
 
 int mo_store_controller_remove(struct mo_store *store, const char *name)
@@ -377,15 +376,14 @@ int mo_controllers_clean(struct mo_store *store,
       " UNION SELECT result FROM runs WHERE result IS NOT NULL"
       " UNION SELECT controller FROM rankings UNION SELECT controller FROM conditions) ORDER BY id";
   struct mo_connection *reader = mo_reader_acquire(store);
-  char digits[MO_SHA256_DIGITS + 1], name[128];
+  char name[128];
   struct mo_sha256 sha256;
   int error = MO_OK;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql);
   while (mo_sql_next(reader, row, &error)) {
     error = mo_column_hash(row, 1, &sha256);
     if (error == MO_OK && tell != NULL) {
-      mo_sha256_to_hex(&sha256, digits);
-      snprintf(name, sizeof(name), "controllers/%s.safetensors", digits);
+      snprintf(name, sizeof(name), "controllers/%s.safetensors", MO_SHA256_HEX(&sha256));
       tell(context, name, (uint64_t)sqlite3_column_int64(row, 2));
     } else if (error == MO_OK) {
       error = remove_row_and_file(store, sqlite3_column_int64(row, 0), &sha256);

@@ -73,7 +73,6 @@ static int mark(struct mo_store *store, void *arguments)
   enum mo_job_kind kind;
   int64_t recorded_bytes = 0;
   sqlite3_stmt *row;
-  char data[128];
   int error = mo_job_state_get(writer, call->id, &state, &kind);
   if (error == MO_OK && (int)state == MO_JOB_STATES)
     error = MO_ERR_NOT_FOUND;
@@ -97,9 +96,11 @@ static int mark(struct mo_store *store, void *arguments)
     error = mo_sql_do(writer, sql, mo_int(call->id));
   if (error == MO_OK) /* its bundle may enter again at once */
     error = mo_sql_do(writer, import_sql, mo_int(call->id));
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"reason\":\"%s\"}",
-           (long long)call->id, mo_job_kind_name(kind), call->reason);
-  return error == MO_OK ? mo_writer_event(store, call->id, "job.deleted", data) : error;
+  if (error != MO_OK)
+    return error;
+  return mo_writer_event(store, call->id, "job.deleted",
+                         "{\"id\":\"%lld\",\"kind\":\"%s\",\"reason\":\"%s\"}", (long long)call->id,
+                         mo_job_kind_name(kind), call->reason);
 }
 
 /* ---- the steps ---- */

@@ -7,7 +7,7 @@
 static int add(struct mo_store *store, void *arguments)
 {
   const struct mo_event *event = arguments;
-  return mo_writer_event(store, 0, event->type, event->data);
+  return mo_writer_event(store, 0, event->type, "%s", event->data);
 }
 
 static void free_event(void *arguments, int status)

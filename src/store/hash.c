@@ -23,10 +23,11 @@ void mo_sha256_of(const void *data, size_t size, struct mo_sha256 *hash)
   sha256_digest(&context, sizeof(hash->bytes), hash->bytes);
 }
 
-void mo_sha256_to_hex(const struct mo_sha256 *hash, char digits[MO_SHA256_DIGITS + 1])
+char *mo_sha256_to_hex(const struct mo_sha256 *hash, char digits[MO_SHA256_DIGITS + 1])
 {
   base16_encode_update(digits, sizeof(hash->bytes), hash->bytes);
   digits[MO_SHA256_DIGITS] = '\0';
+  return digits;
 }
 
 int mo_sha256_from_hex(const char *digits, size_t length, struct mo_sha256 *hash)

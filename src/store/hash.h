@@ -16,8 +16,10 @@ struct mo_sha256 {
 };
 
 void mo_sha256_of(const void *data, size_t size, struct mo_sha256 *hash);
-void mo_sha256_to_hex(const struct mo_sha256 *hash,
-                      char digits[MO_SHA256_DIGITS + 1]); /* lower case */
+/* Writes a hash in lower case; returns `digits`. */
+char *mo_sha256_to_hex(const struct mo_sha256 *hash, char digits[MO_SHA256_DIGITS + 1]);
+/* Makes the same text as an argument of "%s"; valid until the end of the block. */
+#define MO_SHA256_HEX(hash) mo_sha256_to_hex((hash), (char[MO_SHA256_DIGITS + 1]){0})
 int mo_sha256_from_hex(const char *digits, size_t length,
                        struct mo_sha256 *hash);                            /* MO_ERR_FORMAT */
 int mo_sha256_equal(const struct mo_sha256 *a, const struct mo_sha256 *b); /* 1 or 0 */

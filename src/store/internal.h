@@ -111,8 +111,9 @@ int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, vo
 void mo_store_declare_fatal(struct mo_store *store, const char *what);
 int mo_writer_start(struct mo_store *store);
 void mo_writer_stop(struct mo_store *store);
-/* Adds an event; only inside an operation. `data`: a JSON object. */
-int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const char *data);
+/* Adds an event; only inside an operation. The format makes a JSON object. */
+int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const char *format, ...)
+    __attribute__((format(printf, 4, 5)));
 
 /* ---- reading ---- */
 

@@ -130,7 +130,6 @@ static int remove_of(struct mo_store *store, int64_t job, const char *reason, in
   static const char removed_sql[] = "UPDATE evaluations SET recordings_removed_us=?2 WHERE job=?1";
   static const char version_sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1";
   struct mo_connection *writer = &store->writer;
-  char data[96];
   int error = recorded_bytes_of(writer, job, bytes);
   if (error != MO_OK || *bytes == 0)
     return error;
@@ -139,10 +138,11 @@ static int remove_of(struct mo_store *store, int64_t job, const char *reason, in
     error = mo_sql_do(writer, removed_sql, mo_int(job), mo_int(mo_clock_wall_us()));
   if (error == MO_OK)
     error = mo_sql_do(writer, version_sql, mo_int(job));
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"bytes\":%lld,\"reason\":\"%s\"}", (long long)job,
-           (long long)*bytes, reason);
-  return error == MO_OK ? mo_writer_event(store, job, "evaluation.recordings_removed", data)
-                        : error;
+  if (error != MO_OK)
+    return error;
+  return mo_writer_event(store, job, "evaluation.recordings_removed",
+                         "{\"id\":\"%lld\",\"bytes\":%lld,\"reason\":\"%s\"}", (long long)job,
+                         (long long)*bytes, reason);
 }
 
 static int remove_oldest(struct mo_store *store, void *arguments)

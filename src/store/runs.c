@@ -85,10 +85,8 @@ int mo_run_touch(struct mo_store *store, int64_t id)
 int mo_run_announce(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *type,
                     enum mo_job_state state, const char *more)
 {
-  char data[400];
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"%s}",
-           (long long)id, mo_job_kind_name(kind), mo_job_state_name(state), more);
-  return mo_writer_event(store, id, type, data);
+  return mo_writer_event(store, id, type, "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"%s}",
+                         (long long)id, mo_job_kind_name(kind), mo_job_state_name(state), more);
 }
 
 /* ---- the queue and the attempt ---- */
@@ -166,7 +164,7 @@ static int finish(struct mo_store *store, void *arguments)
   struct mo_connection *writer = &store->writer;
   const int64_t id = call->update.job;
   enum mo_job_kind kind;
-  char more[256], digits[MO_SHA256_DIGITS + 1];
+  char more[256];
   int error = mo_job_step(store, &call->update, &kind);
   if (error == MO_OK && call->end != NULL)
     error = call->end(writer, id, call->context);
@@ -175,9 +173,8 @@ static int finish(struct mo_store *store, void *arguments)
     error = mo_controller_put_row(store, call->put);
     if (error == MO_OK)
       error = mo_sql_do(writer, sql, mo_int(id), mo_int(call->put->row));
-    mo_sha256_to_hex(&call->put->sha256, digits);
     snprintf(more, sizeof(more), "%s,\"controller\":\"%s\",\"sha256\":\"%s\"", call->more,
-             call->put->name, digits);
+             call->put->name, MO_SHA256_HEX(&call->put->sha256));
   }
   return error == MO_OK ? mo_run_announce(store, id, kind, "job.finished", MO_JOB_SUCCEEDED, more)
                         : error;

@@ -31,15 +31,14 @@ static int announce(struct mo_store *store, const struct mo_job_update *update)
                      : update->step == MO_STEP_HALT         ? "job.paused"
                      : mo_job_state_is_final(update->state) ? "job.finished"
                                                             : "job.requeued";
-  char data[320];
-  snprintf(data, sizeof(data),
-           "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"%s\",\"rollouts_total\":%llu,"
-           "\"rollouts_done\":%llu,"
-           "\"rollouts_cached\":%llu,\"rollouts_diverged\":%llu}",
-           (long long)update->job, mo_job_state_name(update->state),
-           (unsigned long long)update->total, (unsigned long long)update->done,
-           (unsigned long long)update->cached, (unsigned long long)update->diverged);
-  return mo_writer_event(store, update->job, type, data);
+  return mo_writer_event(
+      store, update->job, type,
+      "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"%s\",\"rollouts_total\":%llu,"
+      "\"rollouts_done\":%llu,"
+      "\"rollouts_cached\":%llu,\"rollouts_diverged\":%llu}",
+      (long long)update->job, mo_job_state_name(update->state), (unsigned long long)update->total,
+      (unsigned long long)update->done, (unsigned long long)update->cached,
+      (unsigned long long)update->diverged);
 }
 
 /* Stores the class of a job that starts. If the process that ran it before had another one, the job
@@ -53,14 +52,13 @@ static int set_class(struct mo_store *store, const struct mo_job_update *update)
   static const char recomputed_sql[] = "DELETE FROM recomputed WHERE job=?1";
   struct mo_connection *writer = &store->writer;
   const struct mo_value job = mo_int(update->job), now = mo_int(update->fingerprint);
-  char data[320];
   sqlite3_stmt *row;
   int error = mo_sql_row(writer, &row, before_sql, job, now);
   if (error == MO_OK) {
-    snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"before\":\"%s\",\"fingerprint\":\"%s\"}",
-             (long long)update->job, (const char *)sqlite3_column_text(row, 0),
-             (const char *)sqlite3_column_text(row, 1));
-    error = mo_writer_event(store, update->job, "evaluation.code_changed", data);
+    error = mo_writer_event(store, update->job, "evaluation.code_changed",
+                            "{\"id\":\"%lld\",\"before\":\"%s\",\"fingerprint\":\"%s\"}",
+                            (long long)update->job, (const char *)sqlite3_column_text(row, 0),
+                            (const char *)sqlite3_column_text(row, 1));
     if (error == MO_OK)
       error = mo_trajectories_delete(writer, update->job);
     if (error == MO_OK)

@@ -116,7 +116,6 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   const char *name = strncmp(request->controller, "sha256:", 7) == 0 ? "" : request->controller;
   struct mo_connection *writer = &store->writer;
   int64_t controller, physics, set, n_environments;
-  char data[160];
   int error = resolve(writer, request, &controller, &physics, &set, &n_environments);
   if (error == MO_OK)
     error = mo_job_insert(writer, &request->job, MO_JOB_EVALUATION, id);
@@ -134,10 +133,13 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
                               request->notes, request->n_notes, mo_clock_wall_us());
   if (error == MO_OK)
     error = mo_notes_insert(writer, *id, request->notes, request->n_notes);
-  snprintf(data, sizeof(data),
-           "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\",\"rollouts_total\":%llu}",
-           (long long)*id, (unsigned long long)request->n_designs * (uint64_t)n_environments);
-  return error == MO_OK ? mo_writer_event(store, *id, "job.created", data) : error;
+  if (error != MO_OK)
+    return error;
+  return mo_writer_event(store, *id, "job.created",
+                         "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\","
+                         "\"rollouts_total\":%llu}",
+                         (long long)*id,
+                         (unsigned long long)request->n_designs * (uint64_t)n_environments);
 }
 
 int mo_store_submit(struct mo_store *store, const struct mo_evaluation_request *request,

@@ -38,15 +38,16 @@ struct progress_arguments {
 static int write_validation(struct mo_store *store, int64_t id,
                             const struct mo_training_validation_row *row)
 {
-  char data[256], mean[32], deviation[32];
+  char mean[32], deviation[32];
   const int error = mo_row_write(&store->writer, MO_TRAINING_VALIDATIONS, id, row);
-  snprintf(data, sizeof(data),
-           "{\"id\":\"%lld\",\"step\":%u,\"mean_score\":%s,\"standard_error\":%s,\"rollouts\":%u,"
-           "\"diverged\":%u}",
-           (long long)id, (unsigned)row->step, number(row->mean_score, mean),
-           number(row->standard_error, deviation), (unsigned)row->rollouts,
-           (unsigned)row->diverged);
-  return error == MO_OK ? mo_writer_event(store, id, "training.validation", data) : error;
+  if (error != MO_OK)
+    return error;
+  return mo_writer_event(store, id, "training.validation",
+                         "{\"id\":\"%lld\",\"step\":%u,\"mean_score\":%s,"
+                         "\"standard_error\":%s,\"rollouts\":%u,\"diverged\":%u}",
+                         (long long)id, (unsigned)row->step, number(row->mean_score, mean),
+                         number(row->standard_error, deviation), (unsigned)row->rollouts,
+                         (unsigned)row->diverged);
 }
 
 static int progress(struct mo_store *store, void *arguments)
@@ -61,7 +62,7 @@ static int progress(struct mo_store *store, void *arguments)
     error = mo_sql_do(writer, sql, mo_int(call->id),
                       mo_int(call->steps[call->n_steps - 1].report.step));
   if (error == MO_OK && call->n_steps > 0 && call->event_data != NULL)
-    error = mo_writer_event(store, call->id, "training.progress", call->event_data);
+    error = mo_writer_event(store, call->id, "training.progress", "%s", call->event_data);
   if (error == MO_OK && call->validation != NULL)
     error = write_validation(store, call->id, call->validation);
   return error;
@@ -98,7 +99,6 @@ static int write_checkpoint(struct mo_store *store, void *arguments)
       " (SELECT step FROM checkpoints WHERE job=?1 AND step<=?3 ORDER BY step DESC LIMIT ?4))";
   struct checkpoint_arguments *call = arguments;
   struct mo_checkpoint *checkpoint = &call->checkpoint;
-  char data[256], digits[MO_SHA256_DIGITS + 1];
   int error = mo_run_touch(store, checkpoint->id);
   if (error == MO_OK)
     error = mo_sql_do(&store->writer, forgive_sql, mo_int(checkpoint->id),
@@ -107,12 +107,12 @@ static int write_checkpoint(struct mo_store *store, void *arguments)
     error = mo_checkpoint_row_write(store, checkpoint);
   if (error == MO_OK)
     error = mo_checkpoint_drop(store, replaced_sql, call->keep, checkpoint);
-  mo_sha256_to_hex(&checkpoint->sha256, digits);
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"step\":%u,\"sha256\":\"%s\",\"size\":%llu}",
-           (long long)checkpoint->id, (unsigned)checkpoint->place.step, digits,
-           (unsigned long long)checkpoint->size);
-  return error == MO_OK ? mo_writer_event(store, checkpoint->id, "training.checkpoint", data)
-                        : error;
+  if (error != MO_OK)
+    return error;
+  return mo_writer_event(store, checkpoint->id, "training.checkpoint",
+                         "{\"id\":\"%lld\",\"step\":%u,\"sha256\":\"%s\",\"size\":%llu}",
+                         (long long)checkpoint->id, (unsigned)checkpoint->place.step,
+                         MO_SHA256_HEX(&checkpoint->sha256), (unsigned long long)checkpoint->size);
 }
 
 int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step,
@@ -175,11 +175,10 @@ struct code_arguments {
 static int announce_code(struct mo_store *store, const struct code_arguments *call,
                          const char *before)
 {
-  char data[320];
-  snprintf(data, sizeof(data),
-           "{\"id\":\"%lld\",\"from_step\":%u,\"before\":\"%s\",\"fingerprint\":\"%s\"}",
-           (long long)call->id, (unsigned)call->step, before, call->fingerprint);
-  return mo_writer_event(store, call->id, "training.code_changed", data);
+  return mo_writer_event(
+      store, call->id, "training.code_changed",
+      "{\"id\":\"%lld\",\"from_step\":%u,\"before\":\"%s\",\"fingerprint\":\"%s\"}",
+      (long long)call->id, (unsigned)call->step, before, call->fingerprint);
 }
 
 static int note_code(struct mo_store *store, void *arguments)

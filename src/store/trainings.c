@@ -25,7 +25,6 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   struct mo_training_record record = request->record;
   struct mo_connection *writer = &store->writer;
   int64_t parent = 0;
-  char data[160];
   int error = MO_OK;
   if (request->parent != NULL)
     error = mo_controller_find(writer, request->parent, &parent, &record.settings.sensor);
@@ -40,10 +39,12 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   if (error == MO_OK)
     error = mo_designs_insert(writer, *id, request->forms, request->genotypes, record.n_designs,
                               NULL, 0, mo_clock_wall_us());
-  snprintf(data, sizeof(data),
-           "{\"id\":\"%lld\",\"kind\":\"training\",\"state\":\"queued\",\"steps\":%u}",
-           (long long)*id, (unsigned)record.settings.n_steps);
-  return error == MO_OK ? mo_writer_event(store, *id, "job.created", data) : error;
+  if (error != MO_OK)
+    return error;
+  return mo_writer_event(
+      store, *id, "job.created",
+      "{\"id\":\"%lld\",\"kind\":\"training\",\"state\":\"queued\",\"steps\":%u}", (long long)*id,
+      (unsigned)record.settings.n_steps);
 }
 
 int mo_store_submit_training(struct mo_store *store, const struct mo_training_request *request,

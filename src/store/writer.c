@@ -10,6 +10,8 @@
  * Any other I/O error is fatal at once. After a failed fsync the content of the disk is unknown,
  * and a second fsync may succeed without having written. So nothing is tried again: the process
  * must end and recover from the log. */
+#include <stdarg.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -39,7 +41,7 @@ static int meter(struct mo_store *store, int64_t job)
               : MO_OK;
 }
 
-int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const char *data)
+int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const char *format, ...)
 {
   static const char sql[] = "INSERT INTO events(time_us,job,type,data) VALUES(?1,?2,?3,?4)";
   struct mo_connection *writer = &store->writer;
@@ -53,10 +55,13 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
   }
   struct mo_event *event = &store->events[store->n_events];
   memset(event, 0, sizeof(*event));
-  if (strlen(type) >= sizeof(event->type) || strlen(data) >= sizeof(event->data))
+  va_list arguments;
+  va_start(arguments, format);
+  const int size = vsnprintf(event->data, sizeof(event->data), format, arguments);
+  va_end(arguments);
+  if (strlen(type) >= sizeof(event->type) || (size_t)size >= sizeof(event->data))
     return MO_ERR_LIMIT;
   memcpy(event->type, type, strlen(type) + 1);
-  memcpy(event->data, data, strlen(data) + 1);
   event->time_us = mo_clock_wall_us();
   event->job = job;
   int error = mo_sql_insert(writer, &event->sequence, sql, mo_int(event->time_us), mo_int(job),
