@@ -193,12 +193,6 @@ static int read_status(struct mo_store *store, int64_t id, union mo_job_status *
   return mo_store_campaign(store, id, &status->campaign);
 }
 
-static int64_t read_page(struct mo_store *store, const struct mo_job_query *query, void *statuses,
-                         size_t limit)
-{
-  return mo_store_campaigns(store, query, statuses, limit);
-}
-
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
                        const struct mo_live *live)
 {
@@ -221,7 +215,7 @@ const struct mo_resource mo_campaign_resource = {.kind = MO_JOB_CAMPAIGN,
                                                  .path = "/v1/campaigns",
                                                  .status_size = sizeof(struct mo_campaign_status),
                                                  .read = read_status,
-                                                 .page = read_page,
+                                                 .page = mo_store_campaigns,
                                                  .write = write_whole,
                                                  .write_listed = write_listed,
                                                  .write_job = mo_campaign_json_job};

@@ -107,12 +107,6 @@ static int read_status(struct mo_store *store, int64_t id, union mo_job_status *
   return mo_store_job(store, id, &status->job);
 }
 
-static int64_t read_page(struct mo_store *store, const struct mo_job_query *query, void *statuses,
-                         size_t limit)
-{
-  return mo_store_jobs(store, query, statuses, limit);
-}
-
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
                        const struct mo_live *live)
 {
@@ -141,7 +135,7 @@ const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,
                                                    .path = "/v1/evaluations",
                                                    .status_size = sizeof(struct mo_job),
                                                    .read = read_status,
-                                                   .page = read_page,
+                                                   .page = mo_store_jobs,
                                                    .write = write_whole,
                                                    .write_job = write_item,
                                                    .versioned = true};

@@ -240,7 +240,7 @@ void mo_api_list_jobs(struct mo_request *request)
   const size_t size = listed != NULL ? listed->status_size : sizeof(struct mo_job);
   char *page = malloc(limit * size);
   int64_t n = page == NULL     ? MO_ERR_NO_MEMORY
-              : listed == NULL ? mo_store_jobs(api->store, &query, (struct mo_job *)page, limit)
+              : listed == NULL ? mo_store_jobs(api->store, &query, page, limit)
                                : listed->page(api->store, &query, page, limit);
   struct mo_text text = {0};
   int64_t last = 0;

@@ -133,12 +133,6 @@ static int read_status(struct mo_store *store, int64_t id, union mo_job_status *
   return mo_store_training(store, id, &status->training);
 }
 
-static int64_t read_page(struct mo_store *store, const struct mo_job_query *query, void *statuses,
-                         size_t limit)
-{
-  return mo_store_trainings(store, query, statuses, limit);
-}
-
 /* Returns the kind of the job whose designs a training learns from. */
 static enum mo_job_kind population_kind(struct mo_store *store,
                                         const struct mo_training_status *status)
@@ -159,7 +153,7 @@ const struct mo_resource mo_training_resource = {.kind = MO_JOB_TRAINING,
                                                  .path = "/v1/trainings",
                                                  .status_size = sizeof(struct mo_training_status),
                                                  .read = read_status,
-                                                 .page = read_page,
+                                                 .page = mo_store_trainings,
                                                  .write = write_whole,
                                                  .write_listed = write_whole,
                                                  .write_job = mo_training_json_job};

@@ -86,10 +86,11 @@ int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_sta
   return mo_read_job(store, id, load_status, status);
 }
 
-int64_t mo_store_campaigns(struct mo_store *store, const struct mo_job_query *query,
-                           struct mo_campaign_status *statuses, size_t limit)
+int64_t mo_store_campaigns(struct mo_store *store, const struct mo_job_query *query, void *statuses,
+                           size_t limit)
 {
   struct mo_job_query campaigns = *query;
   campaigns.kind = MO_JOB_CAMPAIGN;
-  return mo_read_jobs(store, &campaigns, limit, load_status, statuses, sizeof(*statuses));
+  return mo_read_jobs(store, &campaigns, limit, load_status, statuses,
+                      sizeof(struct mo_campaign_status));
 }

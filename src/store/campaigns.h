@@ -51,7 +51,7 @@ int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t genera
 /* MO_ERR_NOT_FOUND. */
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status);
 int64_t mo_store_campaigns(struct mo_store *store, const struct mo_job_query *query,
-                           struct mo_campaign_status *statuses, size_t limit);
+                           void *statuses /* struct mo_campaign_status */, size_t limit);
 /* Reads generations > after (−1: from the first), ascending. */
 int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_t after,
                                       struct mo_campaign_generation *rows, size_t limit);

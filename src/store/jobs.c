@@ -344,10 +344,10 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
   return error != MO_OK ? error : n;
 }
 
-int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs,
+int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, void *jobs,
                       size_t limit)
 {
-  return mo_read_jobs(store, query, limit, load_job, jobs, sizeof(*jobs));
+  return mo_read_jobs(store, query, limit, load_job, jobs, sizeof(struct mo_job));
 }
 
 int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES])

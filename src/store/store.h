@@ -125,8 +125,8 @@ struct mo_job_query {
 #define MO_WAITING_MAX 80 /* all trainings and campaigns that can run at once */
 /* Reads a page of jobs, newest first, at most `limit` ≤ MO_PAGE_MAX. Returns the number or an
  * error. Next page: before = last id. */
-int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs,
-                      size_t limit);
+int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query,
+                      void *jobs /* struct mo_job */, size_t limit);
 /* Counts the jobs in each state. */
 int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES]);
 

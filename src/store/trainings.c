@@ -83,12 +83,13 @@ int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_sta
   return mo_read_job(store, id, load_status, status);
 }
 
-int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,
-                           struct mo_training_status *statuses, size_t limit)
+int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query, void *statuses,
+                           size_t limit)
 {
   struct mo_job_query trainings = *query;
   trainings.kind = MO_JOB_TRAINING;
-  return mo_read_jobs(store, &trainings, limit, load_status, statuses, sizeof(*statuses));
+  return mo_read_jobs(store, &trainings, limit, load_status, statuses,
+                      sizeof(struct mo_training_status));
 }
 
 /* ---- populations ---- */

@@ -74,7 +74,7 @@ int mo_store_submit_training(struct mo_store *store, const struct mo_training_re
 int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status);
 /* As mo_store_jobs, but only trainings, whatever the query's kind. */
 int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,
-                           struct mo_training_status *statuses, size_t limit);
+                           void *statuses /* struct mo_training_status */, size_t limit);
 /* Reads steps > after, ascending, at most `limit` ≤ MO_PAGE_MAX. stride ≥ 1: only steps that are
  * multiples of it. */
 int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t after, uint32_t stride,
