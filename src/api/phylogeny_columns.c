@@ -136,7 +136,7 @@ void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after,
     if (joined == NULL)
       error = MO_ERR_NO_MEMORY;
   }
-  mo_campaign_columns_free(columns);
+  free(columns);
   free(numbers);
   free(kept);
   if (error == MO_ERR_LIMIT) {

@@ -42,7 +42,7 @@ int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t
  * designs. */
 int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_descent **descents,
                                uint32_t **born, uint32_t *n);
-/* Every design so far, by number. */
+/* Every design so far, by number. One block of memory: free frees all of it. */
 struct mo_campaign_columns {
   uint32_t n;
   uint32_t *parents[2];  /* (n) each; MO_NO_PARENT */
@@ -58,7 +58,6 @@ struct mo_campaign_columns {
 /* MO_ERR_LIMIT: there are more. */
 int mo_store_campaign_columns(struct mo_store *store, int64_t id,
                               struct mo_campaign_columns **columns);
-void mo_campaign_columns_free(struct mo_campaign_columns *columns); /* NULL-safe */
 /* One birth of a form. */
 struct mo_campaign_place {
   int64_t campaign;

@@ -195,48 +195,34 @@ int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_des
 
 /* ---- the whole phylogeny as columns ---- */
 
-void mo_campaign_columns_free(struct mo_campaign_columns *columns)
+/* Takes an array from the block. */
+static void *take_array(char **block, size_t bytes)
 {
-  if (columns == NULL)
-    return;
-  free(columns->parents[0]);
-  free(columns->parents[1]);
-  free(columns->born);
-  free(columns->died);
-  free(columns->operators);
-  free(columns->scores);
-  free(columns->voxels);
-  free(columns->footprints);
-  for (uint32_t m = 0; m < columns->words.n_measures; m++)
-    free(columns->measures[m]);
-  free(columns);
+  char *array = *block;
+  *block += bytes;
+  return array;
 }
 
+/* Makes room for n designs, in one block: the widest numbers come first, so that all are aligned.
+ */
 static struct mo_campaign_columns *make_columns(size_t n, const struct mo_study_words *words)
 {
-  bool is_whole = true;
-  struct mo_campaign_columns *columns = calloc(1, sizeof(*columns));
+  const size_t row = words->n_measures * sizeof(double) + 5 * sizeof(uint32_t) + 3;
+  struct mo_campaign_columns *columns = malloc(sizeof(*columns) + n * row);
   if (columns == NULL)
     return NULL;
-  columns->parents[0] = malloc(n * sizeof(uint32_t));
-  columns->parents[1] = malloc(n * sizeof(uint32_t));
-  columns->born = malloc(n * sizeof(uint32_t));
-  columns->died = malloc(n * sizeof(uint32_t));
-  columns->operators = malloc(n);
-  columns->scores = malloc(n * sizeof(float));
-  columns->voxels = malloc(n);
-  columns->footprints = malloc(n);
-  columns->words = *words;
-  for (uint32_t m = 0; m < words->n_measures; m++) {
-    columns->measures[m] = malloc(n * sizeof(double));
-    is_whole = is_whole && columns->measures[m] != NULL;
-  }
-  if (!is_whole || columns->parents[0] == NULL || columns->parents[1] == NULL ||
-      columns->born == NULL || columns->died == NULL || columns->operators == NULL ||
-      columns->scores == NULL || columns->voxels == NULL || columns->footprints == NULL) {
-    mo_campaign_columns_free(columns);
-    return NULL;
-  }
+  char *block = (char *)(columns + 1);
+  *columns = (struct mo_campaign_columns){.words = *words};
+  for (uint32_t m = 0; m < words->n_measures; m++)
+    columns->measures[m] = take_array(&block, n * sizeof(double));
+  columns->parents[0] = take_array(&block, n * sizeof(uint32_t));
+  columns->parents[1] = take_array(&block, n * sizeof(uint32_t));
+  columns->born = take_array(&block, n * sizeof(uint32_t));
+  columns->died = take_array(&block, n * sizeof(uint32_t));
+  columns->scores = take_array(&block, n * sizeof(float));
+  columns->operators = take_array(&block, n);
+  columns->voxels = take_array(&block, n);
+  columns->footprints = take_array(&block, n);
   return columns;
 }
 
@@ -303,7 +289,7 @@ int mo_store_campaign_columns(struct mo_store *store, int64_t id, struct mo_camp
     error = read_columns(reader, id, n, columns);
   mo_reader_release(store, reader);
   if (error != MO_OK) {
-    mo_campaign_columns_free(columns);
+    free(columns);
     return error;
   }
   *ret = columns;

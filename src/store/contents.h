@@ -13,8 +13,8 @@ int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physic
 /* A design and one of its orientations. */
 int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,
                     const struct mo_bits *genotype, int64_t now_us, int64_t *row);
-int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *id);
-int mo_origin_row(struct mo_connection *writer, const char *text, int64_t *id);
+enum mo_texts { MO_FINGERPRINTS, MO_ORIGINS };
+int mo_text_row(struct mo_connection *writer, enum mo_texts table, const char *text, int64_t *id);
 /* Finds a named set and its size. MO_ERR_NOT_FOUND. */
 int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row,
                             int64_t *n);

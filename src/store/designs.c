@@ -228,12 +228,6 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
       mo_column_text(statement, ORIGIN, score->origin, sizeof(score->origin));
     }
   }
-  for (uint32_t i = 0; i < orientation->n_scores; i++) {
-    double sum = 0;
-    for (uint32_t k = 0; k < orientation->scores[i].n_losses; k++)
-      sum += orientation->scores[i].losses[k];
-    orientation->scores[i].score = sum / orientation->scores[i].n_losses;
-  }
   return error;
 }
 

@@ -22,7 +22,6 @@ struct mo_design_score {
   enum mo_sensor sensor;
   char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": one environment, named by its hash */
   struct mo_sha256 environment_sha256;         /* when environment_set is "" */
-  double score; /* mean; +infinity when a rollout diverged; NaN when the set is incomplete */
   uint32_t n_losses;
   double losses[MO_ENVIRONMENTS_MAX]; /* NaN: not computed yet */
   int32_t diverged_steps[MO_ENVIRONMENTS_MAX];

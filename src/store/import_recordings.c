@@ -234,9 +234,9 @@ int mo_import_evaluation(struct mo_import *import, const struct mo_imported_eval
                                   sizeof(*import->diverged_steps));
   if (import->diverged_steps == NULL)
     return MO_ERR_NO_MEMORY;
-  error = mo_fingerprint_row(writer, evaluation->fingerprint, &design.fingerprint);
+  error = mo_text_row(writer, MO_FINGERPRINTS, evaluation->fingerprint, &design.fingerprint);
   if (error == MO_OK && evaluation->workers[0] != '\0')
-    error = mo_fingerprint_row(writer, evaluation->workers, &design.workers);
+    error = mo_text_row(writer, MO_FINGERPRINTS, evaluation->workers, &design.workers);
   if (error == MO_OK)
     error = insert_job(import, evaluation);
   if (error == MO_OK)

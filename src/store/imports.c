@@ -322,7 +322,7 @@ static int find_condition(struct mo_import *import, const struct mo_campaign_sco
   int64_t environments[MO_BLOCK_LANES] = {0};
   int error = MO_OK;
   if (strcmp(import->origin, score->origin) != 0) {
-    error = mo_origin_row(writer, score->origin, &import->origin_row);
+    error = mo_text_row(writer, MO_ORIGINS, score->origin, &import->origin_row);
     memcpy(import->origin, score->origin, sizeof(import->origin));
   }
   for (uint32_t k = 0; k < score->n; k++)
@@ -335,7 +335,7 @@ static int find_condition(struct mo_import *import, const struct mo_campaign_sco
       .controller = import->controller, .physics = import->physics, .n = score->n};
   memcpy(condition->environments, environments, sizeof(environments));
   if (error == MO_OK)
-    error = mo_fingerprint_row(writer, score->fingerprint, &condition->fingerprint);
+    error = mo_text_row(writer, MO_FINGERPRINTS, score->fingerprint, &condition->fingerprint);
   import->ranking = 0;
   const struct mo_saved_design design = {.controller = import->controller,
                                          .physics = import->physics,

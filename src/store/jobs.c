@@ -20,37 +20,29 @@ static bool read_hash(sqlite3_stmt *row, int column, bool *is_there, struct mo_s
   return !*is_there || mo_column_hash(row, column, sha256) == MO_OK;
 }
 
-static int read_environments(sqlite3_stmt *row, struct mo_job *job)
+static void read_environments(sqlite3_stmt *row, struct mo_job *job)
 {
-  const int64_t n = sqlite3_column_int64(row, MO_COLUMN_N_ENVIRONMENTS);
   mo_column_text(row, MO_COLUMN_ENVIRONMENT_SET, job->environment_set,
                  sizeof(job->environment_set));
-  job->n_environments = (uint32_t)n;
-  return n < 1 || n > MO_ENVIRONMENTS_MAX ? MO_ERR_CORRUPT : MO_OK;
+  job->n_environments = mo_column_u32(row, MO_COLUMN_N_ENVIRONMENTS);
 }
 
 static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
 {
-  const int64_t n_designs = sqlite3_column_int64(row, MO_COLUMN_N_DESIGNS),
-                n_skipped = sqlite3_column_int64(row, MO_COLUMN_N_SKIPPED);
   (void)record;
-  if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || n_skipped < 0 || n_skipped > n_designs ||
-      read_environments(row, job) != MO_OK || !job->has_controller ||
-      mo_column_physics(row, MO_COLUMN_PHYSICS, &job->physics, &job->precision, &job->sensor) !=
-          MO_OK)
-    return MO_ERR_CORRUPT;
-  job->n_designs = (uint32_t)n_designs;
-  job->n_skipped = (uint32_t)n_skipped;
+  read_environments(row, job);
+  job->n_designs = mo_column_u32(row, MO_COLUMN_N_DESIGNS);
+  job->n_skipped = mo_column_u32(row, MO_COLUMN_N_SKIPPED);
   job->verify = sqlite3_column_int(row, MO_COLUMN_VERIFY) != 0;
   job->record = mo_column_u32(row, MO_COLUMN_RECORD) & ((1U << MO_CHANNELS) - 1);
   job->record_stride = mo_column_u32(row, MO_COLUMN_RECORD_STRIDE);
   job->recorded_bytes = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_RECORDED_BYTES);
   job->recordings_removed_us = sqlite3_column_int64(row, MO_COLUMN_RECORDINGS_REMOVED_US);
-  job->rollouts_total = (uint64_t)(n_designs - n_skipped) * job->n_environments;
+  job->rollouts_total = (uint64_t)(job->n_designs - job->n_skipped) * job->n_environments;
   job->rollouts_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DONE);
   job->rollouts_cached = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_CACHED);
   job->rollouts_diverged = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DIVERGED);
-  return MO_OK;
+  return mo_column_physics(row, MO_COLUMN_PHYSICS, &job->physics, &job->precision, &job->sensor);
 }
 
 int mo_column_settings(sqlite3_stmt *row, int column, enum mo_job_kind kind, void *record)
@@ -80,11 +72,10 @@ static int read_campaign(sqlite3_stmt *row, struct mo_job *job, void *any)
 {
   struct mo_campaign_record *record = any;
   const int64_t generation = sqlite3_column_int64(row, MO_COLUMN_GENERATION);
-  int error = mo_column_settings(row, MO_COLUMN_SETTINGS, job->kind, record);
-  if (error == MO_OK)
-    error = read_environments(row, job);
+  const int error = mo_column_settings(row, MO_COLUMN_SETTINGS, job->kind, record);
   if (error != MO_OK)
     return error;
+  read_environments(row, job);
   record->settings.generations = mo_column_u32(row, MO_COLUMN_GENERATIONS);
   job->n_designs = record->settings.population;
   job->physics = record->settings.physics;

@@ -188,7 +188,7 @@ static int read_header(struct mo_store *store, struct header *header)
 static int find_origin(struct mo_connection *writer, int64_t *origin)
 {
   struct utsname host;
-  return uname(&host) == 0 ? mo_origin_row(writer, host.nodename, origin) : MO_ERR_IO;
+  return uname(&host) == 0 ? mo_text_row(writer, MO_ORIGINS, host.nodename, origin) : MO_ERR_IO;
 }
 
 static int count_opening(struct mo_connection *writer, int64_t *origin)

@@ -164,34 +164,26 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
   return error;
 }
 
-struct row_arguments {
-  int (*row)(struct mo_connection *writer, const char *text, int64_t *id);
+struct text_arguments {
+  enum mo_texts table;
   const char *text;
-  int64_t id;
+  int64_t *id;
 };
 
-static int find_row(struct mo_store *store, void *arguments)
+static int find_text(struct mo_store *store, void *arguments)
 {
-  struct row_arguments *call = arguments;
-  return call->row(&store->writer, call->text, &call->id);
+  const struct text_arguments *call = arguments;
+  return mo_text_row(&store->writer, call->table, call->text, call->id);
 }
 
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id)
 {
-  struct row_arguments call = {mo_fingerprint_row, text, 0};
-  int error = mo_write_urgent(store, find_row, &call);
-  if (error == MO_OK)
-    *id = call.id;
-  return error;
+  return mo_write_urgent(store, find_text, &(struct text_arguments){MO_FINGERPRINTS, text, id});
 }
 
 int mo_store_origin(struct mo_store *store, const char *text, int64_t *id)
 {
-  struct row_arguments call = {mo_origin_row, text, 0};
-  int error = mo_write_urgent(store, find_row, &call);
-  if (error == MO_OK)
-    *id = call.id;
-  return error;
+  return mo_write_urgent(store, find_text, &(struct text_arguments){MO_ORIGINS, text, id});
 }
 
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts)

@@ -161,7 +161,7 @@ static int insert_code(struct mo_connection *writer, int64_t id, uint32_t step,
   static const char sql[] =
       "INSERT OR REPLACE INTO training_code(job,from_step,fingerprint) VALUES(?1,?2,?3)";
   int64_t row = 0;
-  const int error = mo_fingerprint_row(writer, fingerprint, &row);
+  const int error = mo_text_row(writer, MO_FINGERPRINTS, fingerprint, &row);
   return error == MO_OK ? mo_sql_do(writer, sql, mo_int(id), mo_int(step), mo_int(row)) : error;
 }
 
