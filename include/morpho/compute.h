@@ -84,7 +84,7 @@ struct mo_compute_stats {
   size_t worker_bytes_max; /* largest scratch of one worker */
 };
 
-/* Creates the CPU back end. MO_ERR_RANGE, MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED (isa). */
+/* Creates the CPU back end. MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED (isa). */
 int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_compute **compute);
 /* Cancels queued and running blocks (their `done` gets MO_ERR_CANCELLED) and joins the workers.
  * NULL-safe. */
@@ -139,9 +139,9 @@ void mo_compute_set_gradient_bytes(struct mo_compute *compute, size_t bytes);
  * later gradient allocates its scratch again. */
 void mo_compute_trim(struct mo_compute *compute);
 
-/* Queues a block and returns at once. Fails only for an invalid block (MO_ERR_INVALID), after
- * mo_compute_free began (MO_ERR_CANCELLED), or when no device works (MO_ERR_DEVICE, for devices
- * only). */
+/* Queues a block and returns at once. Environments and physics were checked before
+ * (mo_environment_check, mo_physics_check). Fails only after mo_compute_free began
+ * (MO_ERR_CANCELLED), or when no device works (MO_ERR_DEVICE, for devices only). */
 int mo_compute_submit(struct mo_compute *compute, struct mo_block *block);
 
 /* Mark the beginning and end of a series of submissions: devices then wait for the last block (50
@@ -193,9 +193,9 @@ struct mo_gradient_batch {
  * Create one state per training. It serves one call at a time, which must have returned before
  * mo_compute_free.
  *
- * MO_ERR_RANGE (n, a bound below 0, a weight outside its range), MO_ERR_INVALID (missing or not
- * finite, unknown rule, a body of another workspace, physics or an environment that fails its
- * check), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED, MO_ERR_DEVICE. On error the results are undefined.
+ * Environments, physics and options were checked before (mo_gradient_options_check).
+ * MO_ERR_INVALID (a body of another workspace), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED, MO_ERR_DEVICE.
+ * On error the results are undefined.
  *
  * On devices a shard is 1024 consecutive robots in the order of the batch, with a float32 sum.
  * Shards are spread over the devices and added in float64 in order: the same bits for any number of
@@ -209,8 +209,7 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
  * wait for the layout. Call it from another thread while mo_compute_gradient computes the previous
  * one. The robots and what they point to must not change until their gradient is computed or
  * mo_compute_gradient_forget is called. Only the newest layout is kept. Changes no bit; does
- * nothing without devices. MO_ERR_RANGE, MO_ERR_INVALID, MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED,
- * MO_ERR_DEVICE: the gradient then works as if this had not been called. */
+ * nothing without devices. On error the gradient works as if this had not been called. */
 int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots,
                                 uint32_t n, const struct mo_physics *physics);
 void mo_compute_gradient_forget(

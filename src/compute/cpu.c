@@ -32,7 +32,6 @@
 #include <unistd.h>
 
 enum {
-  WORKERS_MAX = 1024,
   PAUSE_STEPS =
       20, /* between checks of the queue, for bodies of the default workspace: about 1 ms */
   PAUSE_SPRINGS = 2000, /* larger bodies check after every step */
@@ -349,9 +348,6 @@ static int submit_to_workers(struct mo_compute *compute, struct mo_block *block)
 
 int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_compute **ret)
 {
-  if (config->n_workers > WORKERS_MAX || config->nice < 0 || config->nice > 19 ||
-      (unsigned)config->isa >= MO_ISA_COUNT)
-    return MO_ERR_RANGE;
   if (config->isa > mo_isa_best())
     return MO_ERR_UNSUPPORTED;
   const uint32_t wanted = config->n_workers > 0 ? config->n_workers : mo_processors();
@@ -415,23 +411,6 @@ void mo_compute_free(struct mo_compute *compute)
 
 /* ---- submitting ---- */
 
-static bool is_valid(const struct mo_compute *compute, const struct mo_block *block)
-{
-  if (block == NULL || (block->share != NULL && block->share->compute != compute) ||
-      block->done == NULL || block->controller == NULL || block->n_environments < 1 ||
-      block->n_environments > MO_BLOCK_LANES ||
-      (block->body == NULL && (block->lattice == NULL || block->genotype == NULL)))
-    return false;
-  if ((block->precision != MO_FLOAT32 && block->precision != MO_FLOAT64) ||
-      (block->urgency != MO_BATCH && block->urgency != MO_INTERACTIVE))
-    return false;
-  for (uint32_t i = 0; i < block->n_environments; i++)
-    if (block->environments[i] == NULL ||
-        mo_environment_check(block->environments[i], NULL) != MO_OK)
-      return false;
-  return mo_physics_check(&block->physics, NULL) == MO_OK;
-}
-
 static int enqueue(struct mo_compute *compute, struct mo_block *block, int urgent_queue)
 {
   pthread_mutex_lock(&compute->fair.mutex);
@@ -455,8 +434,6 @@ static int submit_to_workers(struct mo_compute *compute, struct mo_block *block)
 
 int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
 {
-  if (!is_valid(compute, block))
-    return MO_ERR_INVALID;
   block->gradient = NULL;
   block->shards = NULL;
   block->stays = false;

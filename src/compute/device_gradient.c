@@ -191,15 +191,6 @@ static bool is_of(const struct laid_out *laid, const struct mo_gradient_batch *b
          mo_same_physics(&laid->physics, &batch->physics);
 }
 
-bool mo_devices_have_laid_out(struct mo_device_gradients *gradients,
-                              const struct mo_gradient_batch *batch)
-{
-  pthread_mutex_lock(&gradients->mutex);
-  const bool found = is_of(&gradients->batches[0], batch) || is_of(&gradients->batches[1], batch);
-  pthread_mutex_unlock(&gradients->mutex);
-  return found;
-}
-
 /* Returns the ready layout of a batch, in use until give_back; NULL: there is none. */
 static struct laid_out *take(struct mo_device_gradients *gradients,
                              const struct mo_gradient_batch *batch, uint32_t n_parts)

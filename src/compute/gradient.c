@@ -92,29 +92,6 @@ static struct mo_gradient_options options_of(const struct mo_gradient_batch *bat
                                       .restart_weight = batch->restart_weight};
 }
 
-static int check(const struct mo_compute *compute, const struct mo_gradient_batch *batch)
-{
-  if (batch->n < 1 || batch->n > MO_GRADIENT_BATCH_MAX)
-    return MO_ERR_RANGE;
-  if (batch->controller == NULL || batch->robots == NULL || batch->d_parameters == NULL ||
-      batch->outcomes == NULL || (batch->urgency != MO_BATCH && batch->urgency != MO_INTERACTIVE) ||
-      mo_physics_check(&batch->physics, NULL) != MO_OK ||
-      (batch->share != NULL && batch->share->compute != compute))
-    return MO_ERR_INVALID;
-  const struct mo_gradient_options options = options_of(batch);
-  return mo_gradient_options_check(&options);
-}
-
-static int check_robots(const struct mo_robot *robots, uint32_t n, struct mo_workspace workspace)
-{
-  for (uint32_t i = 0; i < n; i++)
-    if (robots[i].body == NULL || robots[i].environment == NULL ||
-        !mo_workspace_equal(robots[i].body->workspace, workspace) ||
-        mo_environment_check(robots[i].environment, NULL) != MO_OK)
-      return MO_ERR_INVALID;
-  return MO_OK;
-}
-
 /* Prepares a pack of the batch's controller; reuses the old one if it fits. */
 static int prepare_pack(struct mo_gradient_state *state, const struct mo_controller *controller)
 {
@@ -273,15 +250,8 @@ static void clear(struct mo_gradient_batch *batch, enum mo_back_end back_end)
 int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots,
                                 uint32_t n, const struct mo_physics *physics)
 {
-  int status;
-  if (state->on_devices == NULL)
-    return MO_OK;
-  if (n < 1 || n > MO_GRADIENT_BATCH_MAX)
-    return MO_ERR_RANGE;
-  if (robots == NULL || mo_physics_check(physics, NULL) != MO_OK)
-    return MO_ERR_INVALID;
-  status = check_robots(robots, n, MO_DEFAULT_WORKSPACE);
-  return status == MO_OK ? mo_devices_lay_out(state->on_devices, robots, n, physics) : status;
+  return state->on_devices != NULL ? mo_devices_lay_out(state->on_devices, robots, n, physics)
+                                   : MO_OK;
 }
 
 void mo_compute_gradient_forget(struct mo_gradient_state *state)
@@ -327,18 +297,9 @@ static int compute_on_cpu(struct mo_gradient_state *state, struct mo_gradient_ba
 
 int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
-  int status = check(state->compute, batch);
-  const bool was_checked = status == MO_OK && batch->back_end == MO_ON_DEVICE &&
-                           state->on_devices != NULL &&
-                           mo_workspace_equal(batch->controller->workspace, MO_DEFAULT_WORKSPACE) &&
-                           mo_devices_have_laid_out(state->on_devices, batch);
-  if (status == MO_OK && !was_checked)
-    status = check_robots(batch->robots, batch->n, batch->controller->workspace);
-  if (status != MO_OK)
-    return status;
   if (batch->back_end == MO_ON_DEVICE) {
     clear(batch, MO_ON_DEVICE);
-    status =
+    const int status =
         state->on_devices == NULL ? MO_ERR_DEVICE : mo_devices_gradient(state->on_devices, batch);
     if (status != MO_ERR_UNSUPPORTED)
       return status;

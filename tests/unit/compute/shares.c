@@ -344,7 +344,7 @@ static void shares_come_and_go(void)
 static void the_end_with_blocks_waiting(void)
 {
   enum { N = 8 };
-  struct mo_compute *compute = make_compute(1), *other = make_compute(1);
+  struct mo_compute *compute = make_compute(1);
   struct mo_compute_share *shares[2];
   struct mo_block blocks[N];
   atomic_int done = 0;
@@ -355,18 +355,8 @@ static void the_end_with_blocks_waiting(void)
     fill_block(blocks + i, brain, shares[i % 2], MO_STEPS_MAX);
     blocks[i].done = count_one;
     blocks[i].context = &done;
-    CHECK_INT(mo_compute_submit(other, blocks + i), MO_ERR_INVALID); /* not its share */
     REQUIRE(mo_compute_submit(compute, blocks + i) == MO_OK);
   }
-  struct mo_gradient_batch batch = {.controller = controller,
-                                    .robots = robots,
-                                    .n = 1,
-                                    .physics = mo_default_physics(),
-                                    .share = shares[0],
-                                    .d_parameters = (double[1]){0},
-                                    .outcomes = blocks[0].outcomes};
-  struct mo_gradient_state *state = make_gradient_state(other);
-  CHECK_INT(mo_compute_gradient(state, &batch), MO_ERR_INVALID);
   mo_compute_free(check_take(compute));
   CHECK_INT(atomic_load(&done), N);
   for (int i = 0; i < N; i++)
