@@ -166,10 +166,10 @@ static int pull(struct mo_archive_reader *reader, void *bytes, size_t n, struct 
     const size_t left =
         reader->ended ? 0 : ZSTD_decompressStream(reader->stream, &out, &reader->in);
     if (ZSTD_isError(left))
-      return mo_fail(message, MO_ERR_FORMAT, "the bundle is damaged or no zstd: %s",
+      return mo_fail(message, MO_ERR_FORMAT, "the file is damaged or no zstd: %s",
                      ZSTD_getErrorName(left));
     if (out.pos == before && reader->in.pos == at)
-      return mo_fail(message, MO_ERR_FORMAT, "the bundle ends early");
+      return mo_fail(message, MO_ERR_FORMAT, "the file ends early");
     reader->ended = left == 0;
   }
   return MO_OK;
@@ -195,12 +195,12 @@ static int finish(struct mo_archive_reader *reader, struct mo_message *message)
     const size_t at = reader->in.pos;
     const size_t left = ZSTD_decompressStream(reader->stream, &out, &reader->in);
     if (ZSTD_isError(left) || (left > 0 && reader->in.pos == at))
-      return mo_fail(message, MO_ERR_FORMAT, "the bundle ends early, or is damaged at its end");
+      return mo_fail(message, MO_ERR_FORMAT, "the file ends early, or is damaged at its end");
     reader->ended = left == 0;
   }
   if (out.pos > 0 || reader->in.pos < reader->in.size || !is_zero(block, sizeof(block)))
-    return mo_fail(message, MO_ERR_FORMAT, "something follows the end of the bundle");
-  return reader->summed ? 0 : mo_fail(message, MO_ERR_FORMAT, "the bundle lacks " SUMS);
+    return mo_fail(message, MO_ERR_FORMAT, "something follows the end of the file");
+  return reader->summed ? 0 : mo_fail(message, MO_ERR_FORMAT, "the file lacks " SUMS);
 }
 
 /* Reads name and size of a header, which must be the one that they make. */
@@ -235,7 +235,7 @@ int mo_archive_next(struct mo_archive_reader *reader, struct mo_archive_member *
   if (is_zero((const char *)&header, sizeof(header)))
     return finish(reader, message);
   if (reader->summed || !read_header(&header, member) || reader->n == MO_ARCHIVE_MEMBERS)
-    return mo_fail(message, MO_ERR_FORMAT, "member %u is none of a bundle: its header is damaged",
+    return mo_fail(message, MO_ERR_FORMAT, "member %u has no header as these files have",
                    reader->n);
   reader->n++;
   free(reader->bytes);
@@ -257,9 +257,32 @@ int mo_archive_next(struct mo_archive_reader *reader, struct mo_archive_member *
         (member->size == 0 || memcmp(member->bytes, reader->sums.data, member->size) == 0);
     return reader->summed
                ? mo_archive_next(reader, member, message)
-               : mo_fail(message, MO_ERR_FORMAT, SUMS " does not agree with what the bundle has");
+               : mo_fail(message, MO_ERR_FORMAT, SUMS " does not agree with what the file has");
   }
   mo_sha256_of(member->bytes, member->size, &member->sha256);
   add_sum(&reader->sums, &member->sha256, member->name);
   return reader->sums.failed ? MO_ERR_NO_MEMORY : 1;
+}
+
+bool mo_archive_line(struct mo_archive_member *member, size_t *at, char **line, size_t *size)
+{
+  if (*at >= member->size)
+    return false;
+  *line = member->bytes + *at;
+  char *end = memchr(*line, '\n', member->size - *at);
+  *size = end != NULL ? (size_t)(end - *line) : member->size - *at;
+  *at += *size + 1;
+  if (end != NULL)
+    *end = '\0';
+  return true;
+}
+
+int mo_archive_refuse(const struct mo_archive_member *member, uint32_t line, const char *words,
+                      struct mo_message *message)
+{
+  struct mo_message inner; /* the words may be those of the message */
+  snprintf(inner.text, sizeof(inner.text), "%s", words);
+  return line == 0 ? mo_fail(message, MO_ERR_FORMAT, "%.90s: %.150s", member->name, inner.text)
+                   : mo_fail(message, MO_ERR_FORMAT, "%.90s, line %u: %.140s", member->name, line,
+                             inner.text);
 }

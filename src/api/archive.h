@@ -1,5 +1,5 @@
-/* archive.h: the archive of a bundle: tar (ustar), compressed with zstd. Its last member,
- * SHA256SUMS, has a line for each member before it, as sha256sum writes them.
+/* archive.h: the archive of a bundle, or of a block of scores: tar (ustar), compressed with zstd.
+ * Its last member, SHA256SUMS, has a line for each member before it, as sha256sum writes them.
  *
  * An archive of given members has one form. The reader accepts no other: no links, no folders, no
  * other owner or time, nothing behind the end. */
@@ -39,6 +39,11 @@ struct mo_archive_reader *mo_archive_open(const void *bytes, size_t size);
  */
 int mo_archive_next(struct mo_archive_reader *reader, struct mo_archive_member *member,
                     struct mo_message *message);
+/* Finds the line that begins at *at, and ends it with a NUL. False: there is none. */
+bool mo_archive_line(struct mo_archive_member *member, size_t *at, char **line, size_t *size);
+/* Says what is wrong with a line of a member; line 0: with the member. MO_ERR_FORMAT. */
+int mo_archive_refuse(const struct mo_archive_member *member, uint32_t line, const char *words,
+                      struct mo_message *message);
 void mo_archive_close(struct mo_archive_reader *reader); /* NULL-safe */
 
 #endif

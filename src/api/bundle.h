@@ -45,6 +45,10 @@ int mo_bundle_read_score(struct mo_bundle_lines *lines, const char *line, size_t
 int mo_bundle_read_evaluation(struct mo_bundle_lines *lines, const char *line, size_t size,
                               struct mo_imported_evaluation *evaluation,
                               struct mo_message *message);
+/* A controller's file as a member: its content (MO_ERR_FORMAT), and its name. */
+int mo_bundle_read_weights(const struct mo_archive_member *member,
+                           struct mo_controller **controller, struct mo_message *message);
+void mo_bundle_weights_name(const struct mo_sha256 *sha256, char name[MO_ARCHIVE_NAME_BYTES]);
 
 /* ---- recordings (bundle_recordings.c): an evaluation, then an array for each of its designs,
  * environments and channels, in this order ---- */

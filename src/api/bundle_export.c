@@ -126,15 +126,14 @@ static int write_head(struct mo_bundle_export *export, struct mo_text *out)
 static int write_controller(struct mo_bundle_export *export, const struct mo_sha256 *sha256,
                             struct mo_text *out)
 {
-  char name[MO_ARCHIVE_NAME_BYTES], digits[MO_SHA256_DIGITS + 1];
+  char name[MO_ARCHIVE_NAME_BYTES];
   uint8_t *bytes = NULL;
   size_t size = 0;
   for (uint32_t i = 0; i < export->n_controllers; i++)
     if (mo_sha256_equal(&export->controllers[i], sha256))
       return MO_OK;
   export->controllers[export->n_controllers++] = *sha256;
-  mo_sha256_to_hex(sha256, digits);
-  snprintf(name, sizeof(name), "controllers/%s.safetensors", digits);
+  mo_bundle_weights_name(sha256, name);
   int error = mo_store_controller_bytes(export->store, sha256, &bytes, &size);
   if (error == MO_OK)
     error = mo_archive_add(export->writer, name, bytes, size, out);

@@ -1,5 +1,6 @@
 /* bundle_heads.c: the lines of a bundle that a campaign, or an evaluation with recordings, begins
  * with. See bundle_lines.c. */
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -89,13 +90,6 @@ void mo_bundle_write_evaluation(struct mo_text *text,
 
 /* ---- reading ---- */
 
-static void read_hash(struct mo_json *json, struct mo_sha256 *sha256)
-{
-  struct mo_json_slice slice;
-  if (mo_json_string(json, &slice) && mo_sha256_from_hex(slice.bytes, slice.size, sha256) != MO_OK)
-    mo_line_refuse(json, "64 hexadecimal digits are expected");
-}
-
 static void read_id(struct mo_json *json, int64_t *id)
 {
   char digits[24] = "";
@@ -144,7 +138,7 @@ static void read_controller(struct mo_json *json, bool *known, char *name, size_
   if (mo_json_object(json))
     while (mo_json_member(json, &key)) {
       if (mo_json_is(key, "sha256"))
-        read_hash(json, sha256);
+        mo_line_hash(json, sha256);
       else if (mo_json_is(key, "name") && name != NULL && mo_json_peek(json) == MO_JSON_STRING)
         mo_line_text(json, name, size);
       else
@@ -375,4 +369,28 @@ int mo_bundle_read_evaluation(struct mo_bundle_lines *lines, const char *line, s
   mo_sha256_of(source, strlen(source), &evaluation->source.digest);
   mo_bundle_write_evaluation(&lines->again, evaluation);
   return mo_line_compare(lines, line, size, message);
+}
+
+/* ---- controllers ---- */
+
+int mo_bundle_read_weights(const struct mo_archive_member *member,
+                           struct mo_controller **controller, struct mo_message *message)
+{
+  struct mo_message words = {""};
+  char name[MO_ARCHIVE_NAME_BYTES];
+  mo_bundle_weights_name(&member->sha256, name);
+  if (strcmp(name, member->name) != 0)
+    return mo_archive_refuse(member, 0, "the name is not the hash of the file", message);
+  const int error =
+      mo_controller_decode((const uint8_t *)member->bytes, member->size, controller, &words);
+  return error == MO_OK || error == MO_ERR_NO_MEMORY
+             ? error
+             : mo_archive_refuse(member, 0, words.text, message);
+}
+
+void mo_bundle_weights_name(const struct mo_sha256 *sha256, char name[MO_ARCHIVE_NAME_BYTES])
+{
+  char digits[MO_SHA256_DIGITS + 1];
+  mo_sha256_to_hex(sha256, digits);
+  snprintf(name, MO_ARCHIVE_NAME_BYTES, "controllers/%s.safetensors", digits);
 }

@@ -1,5 +1,5 @@
-/* bundle_line.h: what the readers and writers of lines share. Only for bundle_lines.c and
- * bundle_heads.c. */
+/* bundle_line.h: what the readers and writers of lines share. Only for bundle_lines.c,
+ * bundle_heads.c and score_blocks.c. */
 #ifndef MORPHO_API_BUNDLE_LINE_H
 #define MORPHO_API_BUNDLE_LINE_H
 
@@ -36,6 +36,9 @@ void mo_line_text(struct mo_json *json, char *text, size_t size);
 void mo_line_word(struct mo_json *json, const char *const *words, int *word);
 /* Reads up to `room` numbers, and counts all. */
 void mo_line_u32s(struct mo_json *json, int64_t max, uint32_t *numbers, uint32_t room, uint32_t *n);
+void mo_line_hash(struct mo_json *json, struct mo_sha256 *sha256);
+/* Reads a genotype that is placed as bodies are scored. */
+void mo_line_genotype(struct mo_json *json, struct mo_bits *genotype);
 bool mo_line_is_printable(const char *text);
 
 #endif

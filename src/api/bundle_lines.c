@@ -121,7 +121,7 @@ int mo_line_end(struct mo_bundle_lines *lines, struct mo_message *message)
     return MO_OK;
   return mo_fail(message, MO_ERR_FORMAT, "%s%s%s", faults->n > 0 ? faults->items[0].where : "",
                  faults->n > 0 && faults->items[0].where[0] != '\0' ? ": " : "",
-                 faults->n > 0 ? faults->items[0].detail : "not a line of a bundle");
+                 faults->n > 0 ? faults->items[0].detail : "not a line of such a file");
 }
 
 int mo_line_compare(struct mo_bundle_lines *lines, const char *line, size_t size,
@@ -136,7 +136,7 @@ int mo_line_compare(struct mo_bundle_lines *lines, const char *line, size_t size
   while (same < size && same < again->size && again->data[same] == line[same])
     same++;
   return mo_fail(message, MO_ERR_FORMAT,
-                 "column %zu: \"%.20s\" is not how a bundle writes this: \"%.20s\"", same + 1,
+                 "column %zu: \"%.20s\" is not how this is written: \"%.20s\"", same + 1,
                  line + same, same < again->size ? again->data + same : "");
 }
 
@@ -196,6 +196,13 @@ void mo_line_word(struct mo_json *json, const char *const *words, int *word)
     mo_line_refuse(json, "no such word");
     *word = 0;
   }
+}
+
+void mo_line_hash(struct mo_json *json, struct mo_sha256 *sha256)
+{
+  struct mo_json_slice slice;
+  if (mo_json_string(json, &slice) && mo_sha256_from_hex(slice.bytes, slice.size, sha256) != MO_OK)
+    mo_line_refuse(json, "64 hexadecimal digits are expected");
 }
 
 /* ---- rows of numbers ---- */
@@ -353,21 +360,20 @@ int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, 
   return error == MO_OK ? mo_line_compare(lines, line, size, message) : error;
 }
 
-static void read_genotype(struct mo_json *json, struct mo_campaign_design *design)
+void mo_line_genotype(struct mo_json *json, struct mo_bits *genotype)
 {
   const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
   struct mo_json_slice slice;
   struct mo_bits placed;
   if (!mo_json_string(json, &slice))
     return;
-  if (mo_genotype_from_text(workspace, slice.bytes, slice.size, design->genotype.words, NULL) !=
-      MO_OK) {
+  if (mo_genotype_from_text(workspace, slice.bytes, slice.size, genotype->words, NULL) != MO_OK) {
     mo_line_refuse(json, "144 digits 0 and 1 are expected, of a body in one piece");
     return;
   }
-  placed = design->genotype;
+  placed = *genotype;
   mo_genotype_place(workspace, placed.words);
-  if (memcmp(&placed, &design->genotype, sizeof(placed)) != 0)
+  if (memcmp(&placed, genotype, sizeof(placed)) != 0)
     mo_line_refuse(json, "the body is not placed in the middle of the ground");
 }
 
@@ -396,7 +402,7 @@ int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_
       if (mo_json_is(key, "number"))
         mo_line_u32(json, UINT32_MAX - 1, &design->number);
       else if (mo_json_is(key, "genotype"))
-        read_genotype(json, design);
+        mo_line_genotype(json, &design->genotype);
       else if (mo_json_is(key, "parents"))
         read_parents(json, &design->descent);
       else if (mo_json_is(key, "operator"))

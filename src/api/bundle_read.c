@@ -62,29 +62,9 @@ struct reading {
   bool evaluation_taken;
 };
 
-/* Says what is wrong with a line of a member. line 0: with the member. */
 static int refuse(struct reading *reading, uint32_t line, const char *words)
 {
-  struct mo_message inner;
-  snprintf(inner.text, sizeof(inner.text), "%s", words);
-  return line == 0 ? mo_fail(reading->message, MO_ERR_FORMAT, "%.90s: %.150s", reading->member.name,
-                             inner.text)
-                   : mo_fail(reading->message, MO_ERR_FORMAT, "%.90s, line %u: %.140s",
-                             reading->member.name, line, inner.text);
-}
-
-/* Finds the line that begins at *at, and ends it with a NUL. False: there is none. */
-static bool next_line(struct mo_archive_member *member, size_t *at, char **line, size_t *size)
-{
-  if (*at >= member->size)
-    return false;
-  *line = member->bytes + *at;
-  char *end = memchr(*line, '\n', member->size - *at);
-  *size = end != NULL ? (size_t)(end - *line) : member->size - *at;
-  *at += *size + 1;
-  if (end != NULL)
-    *end = '\0';
-  return true;
+  return mo_archive_refuse(&reading->member, line, words, reading->message);
 }
 
 /* ---- the head and the controllers ---- */
@@ -104,22 +84,13 @@ static int read_head(struct reading *reading)
 
 static int read_controller(struct reading *reading)
 {
-  struct mo_archive_member *member = &reading->member;
+  const struct mo_archive_member *member = &reading->member;
   struct mo_controller *controller = NULL;
-  struct mo_message words = {""};
-  char name[MO_ARCHIVE_NAME_BYTES], digits[MO_SHA256_DIGITS + 1];
-  mo_sha256_to_hex(&member->sha256, digits);
-  snprintf(name, sizeof(name), "controllers/%s.safetensors", digits);
-  if (strcmp(name, member->name) != 0)
-    return refuse(reading, 0, "the name is not the hash of the file");
   if (reading->n_controllers == sizeof(reading->controllers) / sizeof(reading->controllers[0]))
     return refuse(reading, 0, "too many controllers");
-  int error =
-      mo_controller_decode((const uint8_t *)member->bytes, member->size, &controller, &words);
-  if (error == MO_ERR_NO_MEMORY)
-    return error;
+  int error = mo_bundle_read_weights(member, &controller, reading->message);
   if (error != MO_OK)
-    return refuse(reading, 0, words.text);
+    return error;
   reading->controllers[reading->n_controllers++] =
       (struct known_controller){member->sha256, controller->sensor};
   reading->summary->n_controllers++;
@@ -209,7 +180,7 @@ static int read_environments(struct reading *reading)
   struct mo_imported_campaign *campaign = &reading->campaign;
   size_t at = 0, size;
   char *line;
-  while (next_line(&reading->member, &at, &line, &size)) {
+  while (mo_archive_line(&reading->member, &at, &line, &size)) {
     struct mo_message words = {""};
     if (reading->n_environments == campaign->record.n_environments)
       return refuse(reading, reading->n_environments + 1, "one environment too many");
@@ -487,7 +458,7 @@ static int read_lines(struct reading *reading)
   uint32_t n = 0;
   int error = MO_OK;
   char *line;
-  while (error == MO_OK && next_line(&reading->member, &at, &line, &size))
+  while (error == MO_OK && mo_archive_line(&reading->member, &at, &line, &size))
     error = read[reading->part](reading, ++n, line, size);
   return error;
 }

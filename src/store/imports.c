@@ -349,29 +349,11 @@ static int find_condition(struct mo_import *import, const struct mo_campaign_sco
   return error;
 }
 
-/* Compares losses with those that are stored, in whichever block they are. */
-static int compare(struct mo_import *import, int64_t genotype,
-                   const struct mo_campaign_score *score)
-{
-  const struct mo_condition *condition = &import->condition;
-  const struct mo_saved_design design = {.genotype = genotype,
-                                         .controller = condition->controller,
-                                         .physics = condition->physics,
-                                         .fingerprint = condition->fingerprint};
-  struct mo_score stored[MO_BLOCK_LANES];
-  const int error = mo_losses_read(&import->store->writer, &design, condition->environments,
-                                   condition->n, stored);
-  for (uint32_t k = 0; error == MO_OK && k < condition->n; k++)
-    if (stored[k].known && (!mo_same_bits(stored[k].loss, score->losses[k]) ||
-                            stored[k].diverged_step != (int32_t)score->diverged_steps[k]))
-      return MO_ERR_CONFLICT;
-  return error;
-}
-
 int mo_import_score(struct mo_import *import, const struct mo_campaign_score *score, bool *is_new)
 {
   static const char sql[] = "SELECT genotype FROM campaign_designs WHERE job=?1 AND number=?2";
   struct mo_connection *writer = &import->store->writer;
+  struct mo_score stored[MO_BLOCK_LANES];
   int64_t genotype = 0;
   double sum = 0;
   beat(import);
@@ -379,7 +361,8 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
   if (error == MO_OK)
     error = find_condition(import, score);
   if (error == MO_OK)
-    error = compare(import, genotype, score);
+    error = mo_losses_compare(writer, &import->condition, genotype, score->losses,
+                              score->diverged_steps, stored);
   if (error == MO_OK)
     error = mo_losses_insert(import->store, &import->condition, genotype, import->origin_row,
                              score->losses, score->diverged_steps, score->computed_us, is_new);

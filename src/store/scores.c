@@ -211,6 +211,23 @@ int mo_losses_read(struct mo_connection *connection, const struct mo_saved_desig
   return error;
 }
 
+int mo_losses_compare(struct mo_connection *connection, const struct mo_condition *condition,
+                      int64_t genotype, const double *losses, const uint32_t *diverged_steps,
+                      struct mo_score stored[MO_BLOCK_LANES])
+{
+  const struct mo_saved_design design = {.genotype = genotype,
+                                         .controller = condition->controller,
+                                         .physics = condition->physics,
+                                         .fingerprint = condition->fingerprint};
+  const int error =
+      mo_losses_read(connection, &design, condition->environments, condition->n, stored);
+  for (uint32_t k = 0; error == MO_OK && k < condition->n; k++)
+    if (stored[k].known && (!mo_same_bits(stored[k].loss, losses[k]) ||
+                            stored[k].diverged_step != (int32_t)diverged_steps[k]))
+      return MO_ERR_CONFLICT;
+  return error;
+}
+
 int mo_store_scores(struct mo_store *store, const struct mo_saved_design *design,
                     const int64_t *environment_rows, uint32_t n, struct mo_score *scores)
 {

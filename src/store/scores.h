@@ -42,6 +42,11 @@ int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *c
  * `fingerprint`, and where there are none those of the class `workers` (0: none). */
 int mo_losses_read(struct mo_connection *connection, const struct mo_saved_design *design,
                    const int64_t *environments, uint32_t n, struct mo_score *scores);
+/* Reads what is stored for the rollouts of a row, in whichever blocks they are. MO_ERR_CONFLICT: a
+ * stored loss has other bits. */
+int mo_losses_compare(struct mo_connection *connection, const struct mo_condition *condition,
+                      int64_t genotype, const double *losses, const uint32_t *diverged_steps,
+                      struct mo_score stored[MO_BLOCK_LANES]);
 /* Returns the checksum of a row of `recomputed`, whose key is {job, position, environment, step};
  * values: the loss and, if n is 2, the stored one. */
 uint64_t mo_recomputed_checksum(const int64_t key[4], const double *values, size_t n);

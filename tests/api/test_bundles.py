@@ -1,13 +1,11 @@
 """Bundles: campaigns that leave one service and enter another, and what is refused."""
 
-import hashlib
-import json
 import random
-import subprocess
 import tarfile
 
 import pytest
 
+from archives import altered, pack, put, unpack, zstd
 from service import DESIGN, await_end, run
 
 ZSTD = {"Content-Type": "application/zstd"}
@@ -132,62 +130,6 @@ def test_what_cannot_leave(service, source):
 
 
 # ---- what is refused ----
-
-
-def zstd(data, *flags):
-    return subprocess.run(["zstd", "-q", "-c", *flags], input=data, stdout=subprocess.PIPE,
-                          check=True).stdout
-
-
-def unpack(bundle):
-    """[(name, bytes)] of all members."""
-    data, at, members = zstd(bundle, "-d"), 0, []
-    while data[at]:
-        info = tarfile.TarInfo.frombuf(data[at:at + 512], "ascii", "strict")
-        members.append((info.name, data[at + 512:at + 512 + info.size]))
-        at += 512 + (info.size + 511) // 512 * 512
-    assert data[at:] == bytes(1024)
-    return members
-
-
-def pack(members, sums=True, **header):
-    """A bundle of these members, with right sums."""
-    if sums:
-        members = [(name, body) for name, body in members if name != "SHA256SUMS"]
-        text = "".join(f"{hashlib.sha256(body).hexdigest()}  {name}\n" for name, body in members)
-        members.append(("SHA256SUMS", text.encode()))
-    data = b""
-    for name, body in members:
-        info = tarfile.TarInfo(name)
-        info.size = len(body)
-        for key, value in header.items():
-            setattr(info, key, value)
-        data += info.tobuf(tarfile.USTAR_FORMAT, "ascii") + body + bytes(-len(body) % 512)
-    return zstd(data + bytes(1024))
-
-
-def altered(members, name, change, line=0):
-    """The members with a changed line of the first member whose name has `name` in it."""
-    for place, (own, body) in enumerate(members):
-        if name in own:
-            lines = body.split(b"\n")
-            lines[line] = change(lines[line])
-            return members[:place] + [(own, b"\n".join(lines))] + members[place + 1:]
-    raise AssertionError(name)
-
-
-def put(key, value):
-    """Sets a value, and writes the line as the service does."""
-    def change(line):
-        row = json.loads(line)
-        *path, last = key.split(".")
-        inner = row
-        for name in path:
-            inner = inner[name]
-        inner[last] = value(inner[last]) if callable(value) else value
-        return json.dumps(row, separators=(",", ":"), ensure_ascii=False).encode()
-    return change
-
 
 CHANGES = [
     ("bundle.json", lambda line: line.replace(b'"version":2', b'"version":1'), 0),

@@ -1,8 +1,8 @@
-/* bundle.c: bundles of campaigns. The input is the content of an archive: each member a line with
- * its name and size, then its bytes; the target packs them, since the hashes and the compression
- * would refuse nearly all other inputs. A second reading takes the input as the file itself, a
- * third one as the line of an evaluation that recorded. What is accepted must be whole: as many
- * designs and generations as the campaign says. */
+/* bundle.c: bundles of campaigns. The input is the content of an archive (members.h). A second
+ * reading takes the input as the file itself, a third one as the line of an evaluation that
+ * recorded. What is accepted must be whole: as many designs and generations as the campaign says.
+ */
+#include "members.h"
 #include "target.h"
 
 #include <stdlib.h>
@@ -10,8 +10,6 @@
 
 #include "api/bundle.h"
 #include "jobs/rollouts.h"
-
-#define MEMBERS_MAX 64
 
 struct seen {
   const struct mo_lattice *lattice;
@@ -96,32 +94,6 @@ static void read_bundle(const void *bytes, size_t size, const struct mo_lattice 
   }
   free(seen);
   free(summary);
-}
-
-/* Packs the members that the input names: "<name> <size>\n<bytes>" each. */
-static void pack(const uint8_t *data, size_t size, struct mo_text *archive)
-{
-  struct mo_archive_writer *writer = mo_archive_create();
-  FUZZ_PROMISE(writer != NULL);
-  for (int n = 0; n < MEMBERS_MAX && size > 0; n++) {
-    const uint8_t *end = memchr(data, '\n', size);
-    char head[160], name[MO_ARCHIVE_NAME_BYTES];
-    size_t bytes = 0;
-    if (end == NULL || (size_t)(end - data) >= sizeof(head))
-      break;
-    memcpy(head, data, (size_t)(end - data));
-    head[end - data] = '\0';
-    size -= (size_t)(end - data) + 1;
-    data = end + 1;
-    if (sscanf(head, "%99s %zu", name, &bytes) != 2) /* NOLINT(cert-err34-c): a wrong size is one */
-      break;
-    bytes = bytes < size ? bytes : size;
-    FUZZ_PROMISE(mo_archive_add(writer, name, data, bytes, archive) == MO_OK);
-    data += bytes;
-    size -= bytes;
-  }
-  FUZZ_PROMISE(mo_archive_end(writer, archive) == MO_OK);
-  mo_archive_writer_free(writer);
 }
 
 static void read_evaluation(const uint8_t *data, size_t size, const struct mo_lattice *lattice)
