@@ -34,6 +34,8 @@ struct mo_parsed_verification {
 int mo_verification_parse(const char *text, size_t size, struct mo_parsed_verification *parsed,
                           struct mo_faults *faults);
 
+/* Writes an object for each loss of a row that is not the one computed again. */
+void mo_json_differences(struct mo_text *text, const struct mo_origin_row *row);
 /* Reads the id of a session from the path. NULL: there is no fleet, or no such session can be; the
  * reply is made. */
 struct mo_fleet *mo_path_session(struct mo_request *request, uint64_t *session);

@@ -16,7 +16,7 @@ static void write_loss(struct mo_text *text, const char *name, const struct mo_l
   mo_text_add(text, "}");
 }
 
-static void write_row(struct mo_text *text, const struct mo_origin_row *row)
+void mo_json_differences(struct mo_text *text, const struct mo_origin_row *row)
 {
   for (uint32_t k = 0; k < row->n; k++) {
     const struct mo_loss_row stored = {{row->stored.losses[k]}, {row->stored.diverged_steps[k]}},
@@ -47,7 +47,7 @@ static void reply(struct mo_request *request, const struct mo_verification *done
   mo_text_member_bool(&text, "repaired", done->repair && done->n > 0);
   mo_text_add(&text, ",\"different\":[");
   for (size_t i = 0; i < done->n; i++)
-    write_row(&text, &done->rows[i]);
+    mo_json_differences(&text, &done->rows[i]);
   mo_text_add(&text, "]");
   if (done->is_last)
     mo_text_member(&text, "next", NULL);

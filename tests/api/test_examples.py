@@ -78,6 +78,7 @@ def walk(service):
     bundle = service.request("GET", f"/v1/bundles?campaigns={second}").body
     call("DELETE", f"/v1/jobs/{second}")
     call("POST", "/v1/bundles", body=bundle)
+    call("POST", "/v1/scores", body=service.request("GET", "/v1/scores").body)
     call("POST", f"{of}/champions", "ChampionsRequest")
     call("POST", f"{of}/extend", "ExtensionRequest")
     await_end(service, of)

@@ -1,0 +1,77 @@
+/* score_blocks.h: scores by their content, in blocks of bounded size, out of a store and into
+ * another one. Rows of the database have other numbers there. Threads and errors as in store.h. */
+#ifndef MORPHO_STORE_SCORE_BLOCKS_H
+#define MORPHO_STORE_SCORE_BLOCKS_H
+
+#include "store/imports.h"
+#include "store/origins.h"
+
+#define MO_SCORED_ROWS         4096 /* of a block */
+#define MO_SCORED_CONDITIONS   64
+#define MO_SCORED_ENVIRONMENTS 1024
+
+/* What scores depend on besides body, environments and class. */
+struct mo_scored_condition {
+  struct mo_sha256 controller;
+  struct mo_physics physics;
+  enum mo_precision precision;
+  enum mo_sensor sensor; /* of the controller */
+};
+struct mo_scored_design {
+  struct mo_bits genotype, form;
+};
+/* A file of scores has one or more blocks. Each can be read without the others, but for the weights
+ * of controllers: they are in the first block with scores of theirs. */
+struct mo_score_block {
+  uint64_t store;             /* the id of the store that it came from, */
+  char host[MO_ORIGIN_BYTES]; /* and the host */
+  uint32_t number;            /* of the block in the file, from 0 */
+  bool is_last;
+  uint32_t n_conditions, n_environments, n_designs, n_scores;
+  struct mo_scored_condition conditions[MO_SCORED_CONDITIONS];
+  struct mo_environment environments[MO_SCORED_ENVIRONMENTS];
+  struct mo_scored_design designs[MO_SCORED_ROWS];
+  /* number: place of the design; environments: places. */
+  struct mo_campaign_score scores[MO_SCORED_ROWS];
+  uint32_t condition_of[MO_SCORED_ROWS]; /* place of each score's condition */
+  uint8_t *weights;                      /* (weights_size) a controller's file; NULL: none */
+  size_t weights_size;
+  struct mo_sha256 weights_sha256;
+  struct mo_controller *controller; /* its content, of a block that was read */
+};
+/* NULL: no memory. */
+struct mo_score_block *mo_score_block_create(void);
+void mo_score_block_clear(struct mo_score_block *block);
+void mo_score_block_free(struct mo_score_block *block); /* NULL-safe */
+
+/* ---- out of a store ---- */
+
+struct mo_score_query {
+  const char *controller;  /* only its scores: a name or "sha256:…"; nullable */
+  const char *fingerprint; /* only this class; nullable */
+  int64_t since_us;        /* only scores computed then or later; 0: all */
+};
+struct mo_score_walk;
+/* MO_ERR_NOT_FOUND: no such controller. */
+int mo_score_walk_create(struct mo_store *store, const struct mo_score_query *query,
+                         struct mo_score_walk **walk);
+void mo_score_walk_free(struct mo_score_walk *walk); /* NULL-safe */
+/* Reads the next block. Scores that are stored meanwhile may be left out. */
+int mo_score_walk_next(struct mo_score_walk *walk, struct mo_score_block *block);
+
+/* ---- into a store ---- */
+
+#define MO_DIFFERENCES_MAX 16
+/* Counts of rollouts. A row that disagrees with a stored loss in any rollout is left out as a
+ * whole. */
+struct mo_scores_entered {
+  uint64_t n_new, n_known, n_different;
+  uint32_t n; /* of the rows that differ, the first ones: what is stored, and what came */
+  struct mo_origin_row differences[MO_DIFFERENCES_MAX];
+};
+/* Enters a block that was checked, in one transaction. Adds to *entered. MO_ERR_INVALID: a
+ * controller is missing here, or is none for these scores; the message says which. */
+int mo_store_scores_enter(struct mo_store *store, const struct mo_score_block *block,
+                          struct mo_scores_entered *entered, struct mo_message *message);
+
+#endif
