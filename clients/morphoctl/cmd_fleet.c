@@ -87,10 +87,8 @@ int run_fleet_release(struct ctl *ctl)
 /* Adds what a page says to the whole: counts and what differs. */
 static void add_page(json_t *whole, const json_t *page)
 {
-  static const char *const counts[] = {"checked", "skipped"};
-  for (size_t i = 0; i < sizeof(counts) / sizeof(counts[0]); i++)
-    json_object_set_new(whole, counts[i],
-                        json_integer(number_of(whole, counts[i]) + number_of(page, counts[i])));
+  add_number(whole, page, "checked");
+  add_number(whole, page, "skipped");
   json_array_extend(json_object_get(whole, "different"), json_object_get(page, "different"));
 }
 
@@ -115,6 +113,15 @@ static int verify_all(struct ctl *ctl, json_t *whole)
   }
 }
 
+void print_differences(const struct ctl *ctl, const json_t *different)
+{
+  if (json_array_size(different) > 0 && !ctl->json)
+    print_table(stdout, ctl, different,
+                "id={id}|>stored={stored.loss:.17g}|>computed={computed.loss:.17g}"
+                "|environment={environment:.12}|controller={controller:.12}"
+                "|physics={physics:.12}|since={computed_at:time}");
+}
+
 int run_fleet_verify(struct ctl *ctl)
 {
   const bool repairs = option_is_set(ctl, "repair");
@@ -124,11 +131,7 @@ int run_fleet_verify(struct ctl *ctl)
   catch_interrupts(NULL);
   int status = verify_all(ctl, whole);
   /* What was found is told in any case: after a repair nothing finds it again. */
-  if (json_array_size(different) > 0 && !ctl->json)
-    print_table(stdout, ctl, different,
-                "id={id}|>stored={stored.loss:.17g}|>computed={computed.loss:.17g}"
-                "|environment={environment:.12}|controller={controller:.12}"
-                "|physics={physics:.12}|since={computed_at:time}");
+  print_differences(ctl, different);
   if (status == STATUS_OK || json_array_size(different) > 0)
     tell(ctl, whole,
          repairs ? "{checked:,} losses computed again, {different:#} were replaced"

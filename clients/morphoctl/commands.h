@@ -70,6 +70,7 @@ void film_evaluation(struct ctl *ctl, const json_t *evaluation);
 
 const char *text_of(const json_t *object, const char *key); /* "" if absent */
 int64_t number_of(const json_t *object, const char *key);
+void add_number(json_t *sum, const json_t *part, const char *key);
 double real_at(const json_t *json, const char *place); /* NaN if absent; see template.h */
 json_t *real_or_null(double value);                    /* null: it is not finite */
 
@@ -116,6 +117,8 @@ int show(struct ctl *ctl, const char *path,
 void tell(const struct ctl *ctl, const json_t *json, const char *words);
 /* Prints a page as JSON with --json, else its items as a table (table.h). */
 void print_items(const struct ctl *ctl, const json_t *page, const char *columns);
+/* Prints losses that differ as a table, unless --json is given (cmd_fleet.c). */
+void print_differences(const struct ctl *ctl, const json_t *different);
 /* Sends a request whose reply has no body, and says what it did. */
 int act(struct ctl *ctl, struct request request, const char *words);
 /* Writes a head and bytes to a file, or to standard output ("-"). */

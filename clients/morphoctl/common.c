@@ -22,6 +22,11 @@ int64_t number_of(const json_t *object, const char *key)
   return json_integer_value(json_object_get(object, key));
 }
 
+void add_number(json_t *sum, const json_t *part, const char *key)
+{
+  json_object_set_new(sum, key, json_integer(number_of(sum, key) + number_of(part, key)));
+}
+
 double real_at(const json_t *json, const char *place)
 {
   const json_t *value = value_at(json, place);

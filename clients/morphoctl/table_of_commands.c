@@ -128,6 +128,11 @@ static const struct option_spec bundle_export_options[] = {
     {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
     {"recordings", 0, NULL, "Also what evaluations recorded of the designs."},
     {NULL}};
+static const struct option_spec scores_export_options[] = {
+    {"controller", 'c', "NAME", "Only scores of this controller."},
+    {"class", 0, "TEXT", "Only scores of this class, the fingerprint that designs show."},
+    {"since", 0, "TIME", "Only scores computed then or later, in UTC: 2026-11-21T11:34:04Z."},
+    {NULL}};
 static const struct option_spec bundle_import_options[] = {
     {"recompute", 0, "N",
      "Then compute the scores of the N best designs of each campaign again, 1 to 1000. Exit status "
@@ -524,6 +529,14 @@ const struct command commands[] = {
     {"bundle verify", "FILE", "Check a bundle, and tell what it has.",
      "The server checks every hash and every line, and stores nothing.", NULL, 1, 1,
      run_bundle_verify},
+    {"scores export", "[FILE]", "Save stored scores as one file.",
+     "With what they depend on: bodies, environments, physics, weights, class, and who computed "
+     "them. FILE is standard output by default.",
+     scores_export_options, 0, 1, run_scores_export},
+    {"scores import", "FILE", "Enter the scores of a file of another server.",
+     "Block by block; - is standard input. What is stored with the same bits changes nothing; what "
+     "is stored with other bits stays, and is listed: exit status 3.",
+     NULL, 1, 1, run_scores_import},
     {"controller list", "", "List controllers.", NULL, NULL, 0, 0, run_controller_list},
     {"controller info", "NAME", "Show a controller.", NULL, NULL, 1, 1, run_controller_info},
     {"controller get", "NAME", "Fetch a controller's safetensors file.", NULL,

@@ -406,3 +406,21 @@ bool transport_stream(struct ctl *ctl, const char *path, const char *last_event,
   reply_free(&stream.reply);
   return stream.ended;
 }
+
+void transport_download(struct ctl *ctl, const char *path, const char *accept,
+                        int (*data)(void *context, const char *bytes, size_t n), void *context)
+{
+  struct stream stream = {
+      .ctl = ctl, .reply = {.retry_after_s = -1}, .data = data, .context = context};
+  struct request request = {.method = "GET", .path = path, .accept = accept};
+  const CURLcode code = perform(ctl, &request, &stream.reply, take_stream, &stream);
+  if (interrupted())
+    leave(STATUS_INTERRUPTED);
+  if (code == CURLE_OK && stream.reply.status >= 400)
+    leave(complain_about_reply(ctl, &stream.reply));
+  if (code != CURLE_OK && is_passing(code) && !ctl->transport->has_answered)
+    leave(complain_about_server(ctl, curl_easy_strerror(code)));
+  if (code != CURLE_OK)
+    fail(STATUS_CONNECTION, "%s: the reply broke off: %s", ctl->server, curl_easy_strerror(code));
+  reply_free(&stream.reply);
+}

@@ -69,6 +69,10 @@ json_t *get_json(struct ctl *ctl, const char *format, ...) __attribute__((format
 bool transport_stream(struct ctl *ctl, const char *path, const char *last_event,
                       int (*data)(void *context, const char *bytes, size_t n), void *context);
 
+/* Reads a long reply in the same way, to its end. */
+void transport_download(struct ctl *ctl, const char *path, const char *accept,
+                        int (*data)(void *context, const char *bytes, size_t n), void *context);
+
 /* Sleeps, but wakes on an interrupt. */
 void pause_s(double seconds);
 /* Writes a random Idempotency-Key: 32 hexadecimal digits and a NUL. */

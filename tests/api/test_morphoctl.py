@@ -17,6 +17,7 @@ import termios
 import time
 
 import pytest
+from archives import blocks, lies
 from service import BINARY, BOOTSTRAP, DESIGN, SOURCE, run
 
 MORPHOCTL = os.environ.get(
@@ -595,6 +596,34 @@ def test_bundles(service, ctl, tmp_path):
     for which in ([], [id, "--label", "to go"], ["--experiment", "a bundle", "--group", id]):
         status, _, err = ctl("bundle export", path, *which)
         assert status == 2 and "--experiment or --group" in err, (which, err)
+
+
+def test_scores(service, start, ctl, tmp_path):
+    service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 20}})
+    other, path = start(), tmp_path / "scores"
+    there = {"server": other.addresses[0]}
+    status, _, err = ctl("scores export", path, "--controller", "default")
+    assert status == 0 and f"{path.stat().st_size} bytes" in err
+    status, out, err = ctl("scores import", path, "--json", **there)
+    entered = json.loads(out)
+    assert status == 0 and entered["new"] > 0 == entered["known"], err
+    status, out, _ = ctl("scores import", path, **there)
+    assert status == 0 and f"0 rollouts are new, {entered['new']:,} were here, from store" in out
+    data = path.read_bytes()
+    for broken, words in ((data[:-1], "ends early, in the block at byte"), (b"", "ends early"),
+                          (data[:5], "ends early"), (b"x" * 20, "no block of scores begins at"),
+                          (data[:60] + b"x" + data[61:], "block at byte 0 was not entered")):
+        path.write_bytes(broken)
+        status, _, err = ctl("scores import", path, **there)
+        assert status in (2, 6) and words in err, (words, err)
+    path.write_bytes(lies(blocks(data)[0]))
+    status, out, _ = ctl("scores import", path, **there)
+    assert status == 3 and "1 are stored with other bits" in out and " 0.5 " in out
+    assert ctl("scores export", path, "--since", "2120-01-01T00:00:00Z")[0] == 0
+    assert "0 rollouts are new, 0 were here" in ctl("scores import", path, **there)[1]
+    assert ctl("scores export", path, "--controller", "nobody")[0] == 3
+    assert ctl("scores export", tmp_path / "no" / "folder")[0] == 1
+    assert ctl("scores import", tmp_path / "none")[0] == 2
 
 
 def test_wrong_campaigns(ctl):

@@ -1,0 +1,171 @@
+/* cmd_scores.c: scores as files: out of a server, and into another one. A file is a row of blocks,
+ * each with 12 bytes before it that say how long it is; each is sent by itself, so that neither
+ * side ever holds more. */
+#include <errno.h>
+#include <inttypes.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "commands.h"
+
+#define SCORES_TYPE "application/zstd"
+#define MAGIC       0x184D2A5DU /* of a frame that zstd skips */
+#define HEAD_BYTES  12
+#define BLOCK_MAX   ((size_t)96 << 20)
+
+/* Shows how many bytes have passed, on a terminal. what NULL: takes that away. */
+static void show_bytes(const struct ctl *ctl, const char *what, uint64_t bytes)
+{
+  if (!ctl->progress || ctl->quiet)
+    return;
+  fputs("\r\033[K", stderr);
+  if (what != NULL)
+    fprintf(stderr, "%s  %.1f MB", what, (double)bytes / 1e6);
+}
+
+/* ---- out ---- */
+
+struct saving {
+  const struct ctl *ctl;
+  const char *path;
+  FILE *file; /* opened when the first bytes come */
+  uint64_t bytes;
+};
+
+static int save_piece(void *context, const char *bytes, size_t n)
+{
+  struct saving *saving = context;
+  if (saving->file == NULL)
+    saving->file = strcmp(saving->path, "-") == 0 ? stdout : fopen(saving->path, "we");
+  if (saving->file == NULL || fwrite(bytes, 1, n, saving->file) != n)
+    fail(STATUS_ERROR, "%s: %s", saving->path, strerror(errno));
+  saving->bytes += n;
+  show_bytes(saving->ctl, "received", saving->bytes);
+  return 0;
+}
+
+int run_scores_export(struct ctl *ctl)
+{
+  static const char *const filters[] = {"controller", "class", "since"};
+  struct saving saving = {.ctl = ctl, .path = ctl->n_operands > 0 ? ctl->operands[0] : "-"};
+  const char *path = "/v1/scores";
+  if (strcmp(saving.path, "-") == 0 && isatty(STDOUT_FILENO))
+    fail(STATUS_USAGE, "the file is not for terminals: name one, or use a pipe");
+  for (size_t i = 0; i < sizeof(filters) / sizeof(filters[0]); i++) {
+    const char *value = option_text(ctl, filters[i], NULL);
+    if (value != NULL)
+      path = path_to("%s%c%s=%s", path, strchr(path, '?') != NULL ? '&' : '?', filters[i],
+                     escape(value));
+  }
+  catch_interrupts(NULL);
+  transport_download(ctl, path, SCORES_TYPE, save_piece, &saving);
+  show_bytes(ctl, NULL, 0);
+  if (saving.file != NULL && saving.file != stdout && fclose(saving.file) != 0)
+    fail(STATUS_ERROR, "%s: %s", saving.path, strerror(errno));
+  if (!ctl->quiet && saving.file != stdout)
+    print_plain_line(stderr, "%s: %" PRIu64 " bytes", saving.path, saving.bytes);
+  return STATUS_OK;
+}
+
+/* ---- in ---- */
+
+struct sending {
+  struct ctl *ctl;
+  const char *name;
+  FILE *file;
+  uint64_t at; /* where the next block begins */
+  json_t *sum;
+  bool is_last; /* the newest block that was entered */
+};
+
+/* Reads the next block, of *size bytes (malloc); *size 0: the file has ended. */
+static int read_block(const struct sending *sending, char **block, size_t *size)
+{
+  uint32_t head[HEAD_BYTES / 4] = {0};
+  const size_t n = fread(head, 1, sizeof(head), sending->file);
+  *size = 0;
+  *block = NULL;
+  if (n == 0 && !ferror(sending->file))
+    return STATUS_OK;
+  if (n == sizeof(head) && (head[0] != MAGIC || head[1] != 4 || head[2] > BLOCK_MAX))
+    return complain(STATUS_USAGE, "%s: no block of scores begins at byte %" PRIu64, sending->name,
+                    sending->at);
+  *size = sizeof(head) + head[2];
+  *block = need(malloc(*size));
+  memcpy(*block, head, sizeof(head));
+  if (n == sizeof(head) && fread(*block + sizeof(head), 1, head[2], sending->file) == head[2])
+    return STATUS_OK;
+  return ferror(sending->file)
+             ? complain(STATUS_USAGE, "%s: %s", sending->name, strerror(errno))
+             : complain(STATUS_USAGE, "%s ends early, in the block at byte %" PRIu64, sending->name,
+                        sending->at);
+}
+
+static int send_block(struct sending *sending, const char *block, size_t size)
+{
+  static const char *const counts[] = {"blocks", "new", "known", "different"};
+  json_t *entered;
+  const int status = try_json(sending->ctl,
+                              &(struct request){.method = "POST",
+                                                .path = "/v1/scores",
+                                                .content_type = SCORES_TYPE,
+                                                .body = block,
+                                                .body_bytes = size,
+                                                .repeatable = true},
+                              NULL, &entered);
+  if (status != STATUS_OK)
+    return complain(status, "%s: the block at byte %" PRIu64 " was not entered", sending->name,
+                    sending->at);
+  for (size_t i = 0; i < sizeof(counts) / sizeof(counts[0]); i++)
+    add_number(sending->sum, entered, counts[i]);
+  json_object_set(sending->sum, "source", json_object_get(entered, "source"));
+  json_array_extend(json_object_get(sending->sum, "differences"),
+                    json_object_get(entered, "differences"));
+  sending->is_last = json_is_true(json_object_get(entered, "last"));
+  sending->at += size;
+  show_bytes(sending->ctl, "entered", sending->at);
+  json_decref(entered);
+  return STATUS_OK;
+}
+
+static int send_file(struct sending *sending)
+{
+  int status = STATUS_OK;
+  size_t size = 1;
+  while (status == STATUS_OK && size > 0) {
+    char *block = NULL;
+    status = interrupted() ? STATUS_INTERRUPTED : read_block(sending, &block, &size);
+    if (status == STATUS_OK && size > 0)
+      status = send_block(sending, block, size);
+    free(block);
+  }
+  show_bytes(sending->ctl, NULL, 0);
+  return status == STATUS_OK && !sending->is_last
+             ? complain(STATUS_USAGE, "%s ends early: its last block is missing", sending->name)
+             : status;
+}
+
+int run_scores_import(struct ctl *ctl)
+{
+  const char *path = ctl->operands[0];
+  const bool standard = strcmp(path, "-") == 0;
+  struct sending sending = {
+      .ctl = ctl,
+      .name = standard ? "standard input" : path,
+      .file = standard ? stdin : fopen(path, "re"),
+      .sum = keep(json_pack("{s:i,s:n,s:i,s:i,s:i,s:[]}", "blocks", 0, "source", "new", 0, "known",
+                            0, "different", 0, "differences"))};
+  if (sending.file == NULL)
+    fail(STATUS_USAGE, "%s: %s", path, strerror(errno));
+  catch_interrupts(NULL);
+  const int status = send_file(&sending);
+  if (!standard)
+    fclose(sending.file);
+  print_differences(ctl, json_object_get(sending.sum, "differences"));
+  if (sending.at > 0) /* what was entered stays, whatever followed */
+    tell(ctl, sending.sum,
+         "{new:,} rollouts are new, {known:,} were here[, {different>0:,} are stored with other "
+         "bits and were left out], from store {source.store} on {source.host}");
+  return status == STATUS_OK && number_of(sending.sum, "different") > 0 ? STATUS_NEGATIVE : status;
+}
