@@ -8,6 +8,7 @@
 
 #include "api/submission.h"
 #include "base/clock.h"
+#include "fleet/facts.h"
 
 /* ---- the status ---- */
 

@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "api/handlers.h"
-#include "fleet/fleet.h"
+#include "fleet/facts.h"
 #include "http/metrics.h"
 #include "jobs/live.h"
 

@@ -13,7 +13,7 @@
 #include "daemon/log.h"
 #include "daemon/memory.h"
 #include "daemon/tokens.h"
-#include "fleet/fleet.h"
+#include "fleet/facts.h"
 #include "store/runner.h"
 #include "store/store.h"
 

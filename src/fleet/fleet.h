@@ -126,31 +126,4 @@ int mo_fleet_drain(struct mo_fleet *fleet, uint64_t session);
 int mo_fleet_quarantine(struct mo_fleet *fleet, uint64_t session, const char *why);
 int mo_fleet_release(struct mo_fleet *fleet, const char *name);
 
-/* ---- facts ---- */
-struct mo_session_status {
-  uint64_t id;
-  struct mo_fleet_offer offer;
-  enum mo_session_state state;
-  char why[128];                          /* it ended, or is quarantined; "": works */
-  uint64_t joined_ns, heard_ns, ended_ns; /* ended 0: open */
-  uint32_t leases, rows_out;              /* held now */
-  double rows_per_s;                      /* of about the last ten leases */
-  double busy_s;
-  uint64_t leases_done, leases_lost, rows_done, audits, audits_failed;
-};
-struct mo_fleet_status {
-  uint32_t n_sessions, n_threads, n_devices; /* open ones */
-  uint32_t n_quarantined;                    /* names */
-  uint32_t n_serving[2];                     /* by enum mo_back_end: active ones */
-  uint32_t leases, rows_out;
-  double rows_per_s;
-  uint64_t joined, lost, leases_done, leases_again, rows_done, rows_twice, audits, audits_failed;
-  uint64_t results_ignored; /* of leases that their session did not hold */
-};
-void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status);
-/* Lists open sessions and the newest 256 ended ones, open ones first (malloc). MO_ERR_NO_MEMORY. */
-int mo_fleet_sessions(struct mo_fleet *fleet, struct mo_session_status **items, size_t *n);
-/* Lists who is in quarantine, oldest first (malloc). MO_ERR_NO_MEMORY. */
-int mo_fleet_outcasts(struct mo_fleet *fleet, struct mo_outcast **items, size_t *n);
-
 #endif

@@ -17,7 +17,7 @@
 #include <sys/queue.h>
 
 #include "base/text.h"
-#include "fleet/fleet.h"
+#include "fleet/facts.h"
 
 #define MO_HOLDS           3 /* sessions that hold a lease at one time */
 #define MO_VOTES           5 /* results of a check, before it is given up */
