@@ -261,6 +261,30 @@ void mo_race_plan(const struct mo_campaign_settings *settings, const double *los
 /* Computes the mean of n losses, in order; NaN, a loss that was not computed, counts as 0. */
 double mo_race_score(const double *losses, uint32_t n);
 
+/* ---- the k best of n designs ---- */
+
+/* A race of n designs (best.c): those whose score is at most the k-th best one get all their
+ * losses, the others as many as prove that they do not. It goes in rounds: mo_best_ask asks for
+ * losses, and is called again when all of them were given by mo_best_give. What it asks depends on
+ * the losses asked before and on nothing else. */
+struct mo_best {
+  uint32_t n_designs, n_environments, k;
+  uint64_t n_cut;        /* losses that will never be asked for */
+  uint64_t *asked;       /* (n_designs) the environments asked for so far, as bits */
+  double *losses;        /* (n_designs, n_environments) NaN: not known */
+  struct mo_rank *ranks; /* (n_designs) scratch */
+  struct mo_race race;   /* its bound is that of the designs that are whole */
+  uint32_t round, wave;  /* rounds and waves asked for */
+};
+/* 1 ≤ k ≤ n_designs; 1 ≤ n_environments ≤ MO_RACE_ENVIRONMENTS_MAX. MO_ERR_NO_MEMORY. */
+int mo_best_create(uint32_t n_designs, uint32_t n_environments, uint32_t k, struct mo_best **best);
+void mo_best_free(struct mo_best *best); /* NULL-safe */
+/* Gives a loss that was asked for; +infinity: diverged. */
+void mo_best_give(struct mo_best *best, uint32_t design, uint32_t environment, double loss);
+/* Asks for the next losses: adds bits to `asked`. Returns the number of losses that it adds; 0: the
+ * race is over, and designs with all bits have their scores. */
+uint64_t mo_best_ask(struct mo_best *best);
+
 /* ---- statistics ---- */
 
 /* The size of a design. footprint: voxel columns (x, y) that hold at least one voxel. */

@@ -27,6 +27,10 @@ struct mo_rank {
 /* statistics.c: sorts ascending by score, then by number, so that no two have the same rank. */
 void mo_rank_sort(struct mo_rank *ranks, uint32_t n);
 
+/* racing.c: cuts the environments of a race into waves of these sizes; one that would leave a
+ * single environment takes it. */
+void mo_race_cut_waves(struct mo_race *race, const uint8_t sizes[MO_RACE_WAVES_MAX]);
+
 /* statistics.c: computes each genotype's exact sum of Hamming distances to all others;
  * mo_distinctiveness divides it by (n − 1) · voxels. */
 void mo_distance_sums(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,

@@ -54,14 +54,11 @@ static void rank_environments(const double *losses, uint32_t n_parents, struct m
     race->order[k] = (uint8_t)ranks[k].number;
 }
 
-/* Cuts the environments into waves of 2, 8, then 16. On a processor a block costs about as much as
- * two rollouts more than it has, so more waves would cost more than they save: 2 + 8 take the least
- * time of all cuts of ten environments (docs/performance.md). */
-static void cut_waves(struct mo_race *race)
+void mo_race_cut_waves(struct mo_race *race, const uint8_t sizes[MO_RACE_WAVES_MAX])
 {
-  static const uint8_t sizes[MO_RACE_WAVES_MAX] = {2, 8, 16, 16, 16, 16};
   uint32_t end = 0;
-  for (race->n_waves = 0; end < race->n_environments; race->n_waves++) {
+  for (race->n_waves = 0; end < race->n_environments && race->n_waves < MO_RACE_WAVES_MAX;
+       race->n_waves++) {
     const uint32_t left = race->n_environments - end, size = sizes[race->n_waves];
     end += left < size + 2 ? left : size;
     race->ends[race->n_waves] = (uint8_t)end;
@@ -72,6 +69,10 @@ void mo_race_plan(const struct mo_campaign_settings *settings, const double *los
                   const double *scores, uint32_t n_parents, uint32_t n_environments,
                   struct mo_race *race)
 {
+  /* On a processor a block costs about as much as two rollouts more than it has, so more waves
+   * would cost more than they save: 2 + 8 take the least time of all cuts of ten environments
+   * (docs/performance.md). */
+  static const uint8_t sizes[MO_RACE_WAVES_MAX] = {2, 8, 16, 16, 16, 16};
   *race = (struct mo_race){.bound = INFINITY, .n_environments = n_environments};
   if (n_parents >= settings->population) {
     race->bound = -INFINITY;
@@ -80,7 +81,7 @@ void mo_race_plan(const struct mo_campaign_settings *settings, const double *los
   }
   if (race->bound < INFINITY) {
     rank_environments(losses, n_parents, race);
-    cut_waves(race);
+    mo_race_cut_waves(race, sizes);
     return;
   }
   for (uint32_t k = 0; k < n_environments; k++)

@@ -29,6 +29,15 @@ static int initial(void)
   return r;
 }
 
+static int the_best(void)
+{
+  struct mo_best *best = NULL;
+  const int r = mo_best_create(N, 3, 2, &best);
+  CHECK((best != NULL) == (r == MO_OK));
+  mo_best_free(best);
+  return r;
+}
+
 static struct mo_seen *seen_population(void)
 {
   struct mo_seen *seen = NULL;
@@ -139,6 +148,7 @@ static void functions(void)
 {
   settings = small_campaign(1, N);
   each_fails(initial, 2 + N);
+  each_fails(the_best, 4);
   each_fails(vary, 5);
   for (uint32_t i = 0; i < 2 * N; i++) {
     scores[i] = i;

@@ -144,10 +144,86 @@ static void unknown_losses(void)
   CHECK_INT(race.n_waves, 2);
 }
 
+/* ---- the k best ---- */
+
+enum { DESIGNS = 3 * N };
+
+/* The plain reference: all losses, all sorted. Designs with a score up to the k-th best have it to
+ * the last bit; the others have lower bounds above it. Returns the losses that the race asked for.
+ */
+static uint64_t race_best(const double (*all)[MO_RACE_ENVIRONMENTS_MAX], uint32_t n, uint32_t e,
+                          uint32_t k)
+{
+  const uint64_t whole = UINT64_MAX >> (64 - e);
+  struct mo_best *best;
+  double sorted[DESIGNS], scores[DESIGNS];
+  uint64_t before[DESIGNS] = {0}, n_asked, computed = 0;
+  if (mo_best_create(n, e, k, &best) != MO_OK)
+    abort();
+  while ((n_asked = mo_best_ask(best)) > 0) {
+    computed += n_asked;
+    for (uint32_t i = 0; i < n; i++) {
+      CHECK((before[i] & ~best->asked[i]) == 0);
+      for (uint64_t more = best->asked[i] & ~before[i]; more != 0; more &= more - 1, n_asked--) {
+        const uint32_t cell = (uint32_t)__builtin_ctzll(more);
+        mo_best_give(best, i, cell, all[i][cell]);
+      }
+      before[i] = best->asked[i];
+    }
+    CHECK_INT(n_asked, 0);
+  }
+  CHECK(computed + best->n_cut == (uint64_t)n * e);
+  for (uint32_t i = 0; i < n; i++)
+    sorted[i] = scores[i] = mo_race_score(all[i], e);
+  for (uint32_t i = 1; i < n; i++)
+    for (uint32_t j = i; j > 0 && sorted[j] < sorted[j - 1]; j--) {
+      const double swap = sorted[j];
+      sorted[j] = sorted[j - 1];
+      sorted[j - 1] = swap;
+    }
+  for (uint32_t i = 0; i < n; i++) {
+    const double known = mo_race_score(best->losses + (size_t)i * e, e);
+    CHECK(best->asked[i] == whole ? known == scores[i] : known > sorted[k - 1]);
+    CHECK(known <= scores[i] && (best->asked[i] == whole || scores[i] > sorted[k - 1]));
+  }
+  mo_best_free(best);
+  return computed;
+}
+
+static void the_best(void)
+{
+  static double all[DESIGNS][MO_RACE_ENVIRONMENTS_MAX];
+  uint64_t computed = 0, whole = 0;
+  for (uint32_t round = 0; round < ROUNDS; round++) {
+    struct mo_random random;
+    mo_random_init(&random, 4, MO_PURPOSE_CHECK, round, 0);
+    const uint32_t n = 1 + mo_random_below(&random, DESIGNS),
+                   e = 1 + mo_random_below(&random, MO_RACE_ENVIRONMENTS_MAX),
+                   k = 1 + mo_random_below(&random, round % 2 == 0 ? n : 1 + n / 16);
+    for (uint32_t i = 0; i < n; i++) {
+      const double talent = mo_random_uniform(&random);
+      for (uint32_t j = 0; j < e; j++)
+        all[i][j] = talent * draw(&random, round);
+    }
+    computed += race_best(all, n, e, k);
+    whole += (uint64_t)n * e;
+  }
+  printf("# %.3f of the rollouts\n", (double)computed / (double)whole);
+  CHECK(computed < whole);
+  for (uint32_t i = 0; i < DESIGNS; i++) /* all the same: nothing can be cut */
+    for (uint32_t j = 0; j < 10; j++)
+      all[i][j] = 0.1 * j;
+  CHECK(race_best(all, DESIGNS, 10, 1) == 10 * DESIGNS);
+  for (uint32_t i = 0; i < DESIGNS; i++) /* all diverge somewhere, and none of them is best */
+    all[i][i % 10] = INFINITY;
+  CHECK(race_best(all, DESIGNS, 10, 1) == 10 * DESIGNS);
+}
+
 static const struct check_case cases[] = {
     {"the same survivors", same_survivors},
     {"plans", plans},
     {"without a bound", without_a_bound},
     {"unknown losses", unknown_losses},
+    {"the best", the_best},
 };
 CHECK_MAIN(cases)
