@@ -16,6 +16,14 @@ CREATE TABLE design_notes(
 -- How many of its n_designs were skipped.
 ALTER TABLE evaluations ADD COLUMN n_skipped INTEGER NOT NULL DEFAULT 0;
 
+-- best: how many of the best designs get whole scores; 0: all. cut: rollouts of the others that
+-- were not computed; `done` has them, too.
+ALTER TABLE evaluations ADD COLUMN best INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE evaluations ADD COLUMN cut INTEGER NOT NULL DEFAULT 0;
+-- Of a design that cannot be among the best: the environments whose losses count, as bits. NULL:
+-- all. Losses that are stored later do not change what the evaluation says.
+ALTER TABLE job_designs ADD COLUMN counted INTEGER;
+
 -- The way of the center of mass from frame to frame, in meters; NULL: com was not recorded, or is
 -- not finite. The index is read without the recordings beside it.
 ALTER TABLE trajectories ADD COLUMN path_m REAL;

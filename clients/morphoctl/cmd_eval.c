@@ -88,6 +88,8 @@ void save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *fo
 static int compare_ranked(const void *a, const void *b)
 {
   const struct ranked *x = a, *y = b;
+  if (x->is_bound != y->is_bound)
+    return x->is_bound ? 1 : -1;
   if (x->score != y->score)
     return x->score < y->score ? -1 : 1;
   return x->place < y->place ? -1 : x->place > y->place;
@@ -98,8 +100,10 @@ struct ranked *rank_results(const json_t *results, bool by_score)
   const size_t n = json_array_size(results);
   struct ranked *order = keep(calloc(n + 1, sizeof(*order)));
   for (size_t i = 0; i < n; i++) {
-    const double score = real_at(json_array_get(results, i), "score");
-    order[i] = (struct ranked){i, isnan(score) ? (double)INFINITY : score};
+    const json_t *result = json_array_get(results, i);
+    const double score = real_at(result, "score");
+    order[i] = (struct ranked){i, isnan(score) ? (double)INFINITY : score,
+                               json_is_true(json_object_get(result, "lower_bound"))};
   }
   if (by_score)
     qsort(order, n, sizeof(*order), compare_ranked);
@@ -156,7 +160,8 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
     json_array_append_new(rows, result_row(json_array_get(results, i), i, name_of(designs, i)));
   }
   snprintf(columns, sizeof(columns),
-           ">#={number}%s|design={id}|>voxels={voxels}|>score={score:.4f}|>best={best:.4f}"
+           ">#={number}%s|design={id}|>voxels={voxels}|>score=[{lower_bound=true}≥ "
+           "]{score:.4f}|>best={best:.4f}"
            "|>worst={worst:.4f}|%s=[skipped: {fault.detail}|{note}|diverged in {diverged:#} of "
            "{losses:#} (environment {diverged.0.environment}, step {diverged.0.step})]",
            named ? "|name={name}" : "", verified ? "bits" : "note");
@@ -178,11 +183,14 @@ static void print_evaluation(const struct ctl *ctl, const json_t *evaluation,
 int run_eval(struct ctl *ctl)
 {
   const bool wait = !option_is_set(ctl, "no-wait"), speaks = !ctl->json && !ctl->quiet;
-  const char *sort = option_text(ctl, "sort", "input"), *output = option_text(ctl, "output", NULL);
+  const bool races = option_is_set(ctl, "best");
+  const char *sort = option_text(ctl, "sort", races ? "score" : "input"),
+             *output = option_text(ctl, "output", NULL);
   const struct designs designs =
       given_designs(ctl, 0, option_number(ctl, "random", 1, DESIGNS_MAX, 0),
                     option_number(ctl, "seed", 0, INT64_MAX, 1));
-  const int64_t top = option_number(ctl, "top", 1, DESIGNS_MAX, 0);
+  const bool is_top = races && !option_is_set(ctl, "sort") && !option_is_set(ctl, "top");
+  const int64_t top = option_number(ctl, is_top ? "best" : "top", 1, DESIGNS_MAX, 0);
   json_t *request = keep(json_object());
   if (strcmp(sort, "input") != 0 && strcmp(sort, "score") != 0)
     return complain(STATUS_USAGE, "--sort: \"%s\" is not input or score", sort);
@@ -211,7 +219,7 @@ int run_eval(struct ctl *ctl)
   if (speaks)
     print_from(stderr, evaluation,
                "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them from "
-               "the store");
+               "the store[, {rollouts_cut>0:,} not needed]");
   expect_success("job", evaluation);
   if (output != NULL)
     save_trajectories(ctl, evaluation, output);

@@ -42,10 +42,11 @@ static void print_job(const struct ctl *ctl, const json_t *job)
       {"environments", "[{environments}|{environments.count} of the request]"},
       {"precision", "{precision}"},
       {"physics", "{physics.n_steps} steps of {physics.dt_s:g} s, impact {physics.impact}"},
-      {"designs", "{n_designs:,}"},
+      {"designs", "{n_designs:,}[, the {best:,} best of them]"},
       {"rollouts", "{rollouts_done:,} of {rollouts_total:,}[  {progress.rollouts_per_s:.0f} "
                    "rollouts/s][  {progress.seconds_left:duration} left]"},
       {"from store", "[{rollouts_cached>0:,}]"},
+      {"not needed", "[{rollouts_cut>0:,}]"},
       {"diverged", "[{rollouts_diverged>0:,}]"},
       {NULL, NULL}};
   static const struct fact times[] = {JOB_TIME_FACTS, {NULL, NULL}};

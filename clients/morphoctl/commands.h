@@ -48,8 +48,9 @@ json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool 
  * folder, which is created. */
 void save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder);
 struct ranked {
-  size_t place; /* position in the request */
-  double score; /* +infinity: diverged */
+  size_t place;  /* position in the request */
+  double score;  /* +infinity: diverged */
+  bool is_bound; /* a lower bound, which is behind every score */
 };
 /* Ranks results, in their order or the best first. */
 struct ranked *rank_results(const json_t *results, bool by_score);

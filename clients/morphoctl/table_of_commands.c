@@ -102,8 +102,11 @@ static const struct option_spec eval_options[] = {
     {EXPERIMENT},
     {"wait", 0, NULL, "Wait for the result (the default)."},
     {"no-wait", 0, NULL, "Print the id of the evaluation and do not wait."},
-    {"sort", 0, "input|score", "Order of the table (default: input)."},
-    {"top", 0, "N", "Only the N best of the table."},
+    {"sort", 0, "input|score", "Order of the table (default: input; with --best: score)."},
+    {"top", 0, "N", "Only the N best of the table (default with --best K: K)."},
+    {"best", 0, "K",
+     "Compute whole scores of the K best only; the others are cut short, and get lower bounds.",
+     "best", FIELD_WHOLE},
     {KEY("evaluation")},
     {NULL}};
 static const struct option_spec verify_options[] = {

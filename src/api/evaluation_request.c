@@ -54,6 +54,8 @@ static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &scored},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_on_fault_fields},
     {"verify", MO_FIELD_FLAG, 0, AT(request.verify)},
+    {"best", MO_FIELD_COUNT, 0, AT(request.best), .min = 1, .max = MO_DESIGNS_MAX,
+     .unit = "designs", .help = "how many of the best get whole scores"},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
 };
 #undef AT
@@ -74,6 +76,14 @@ static int check(struct mo_json *json, void *any)
     mo_json_fault_at(json, 0, "/record_stride",
                      "%u is given; at most n_steps, which is %u, is expected",
                      request->record_stride, steps);
+  if (parsed->parts.has_designs &&
+      request->best > parsed->parts.n_designs + parsed->parts.n_skipped)
+    mo_json_fault_at(json, 0, "/best",
+                     "%u is given; at most the number of designs, which is %u, is expected",
+                     request->best, parsed->parts.n_designs + parsed->parts.n_skipped);
+  if (request->best > 0 && (request->verify || request->record != 0))
+    mo_json_fault_at(json, 0, "/best", "this is given with %s; only one of them is expected",
+                     request->verify ? "verify" : "record");
   if (request->record_stride == 0)
     request->record_stride = steps < 10 ? steps : 10;
   return MO_OK;

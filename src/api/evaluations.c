@@ -20,6 +20,7 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
       mo_members_design(text, lattice, &results->forms[d], &results->genotypes[d], note);
   mo_text_member_number(text, "path_length_m", results->paths_m[d]);
   mo_text_member_number(text, "score", results->scores[d]);
+  mo_text_member_bool(text, "lower_bound", results->is_bound[d]);
   mo_member_numbers(text, "losses", &results->losses[(size_t)d * columns], columns);
   mo_text_add(text, ",\"diverged\":[");
   for (uint32_t k = 0; k < columns; k++)
@@ -93,12 +94,14 @@ static void write_job(struct mo_text *text, const struct mo_job *job, const stru
   mo_text_member_count(text, "recorded_bytes", job->recorded_bytes);
   mo_text_member_time(text, "recordings_removed_at", job->recordings_removed_us);
   mo_text_member_bool(text, "verify", job->verify);
+  mo_member_count_if(text, "best", job->best > 0, job->best);
   mo_text_member_count(text, "n_designs", job->n_designs);
   mo_text_member_count(text, "n_skipped", job->n_skipped);
   mo_text_member_count(text, "rollouts_total", job->rollouts_total);
   mo_text_member_count(text, "rollouts_done", job->rollouts_done);
   mo_text_member_count(text, "rollouts_cached", job->rollouts_cached);
   mo_text_member_count(text, "rollouts_diverged", job->rollouts_diverged);
+  mo_text_member_count(text, "rollouts_cut", job->rollouts_cut);
   write_progress(text, job, live);
 }
 

@@ -342,7 +342,7 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
 #define EVALUATIONS                                                                                \
   "id " JOB " controller.name controller.sha256 environments precision n_designs:n"                \
   " rollouts_total:n rollouts_done:n rollouts_cached:n rollouts_diverged:n record"                 \
-  " recorded_bytes:n verify:n"
+  " recorded_bytes:n verify:n best:n rollouts_cut:n"
 #define TRAININGS                                                                                  \
   "id kind name " JOB " phase parent.name parent.sha256 settings.seed:n settings.steps:n"          \
   " settings.batch:n progress.step:n progress.mean_loss:n progress.bodies_per_s:n"                 \

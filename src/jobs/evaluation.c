@@ -29,6 +29,7 @@ static void free_active(struct mo_evaluations *all, struct mo_active *active)
 {
   mo_loaded_release(&all->jobs->controllers, active->controller);
   mo_work_free(active->work);
+  mo_best_free(active->race);
   mo_grid_free(&active->grid);
   mo_share_close(all->jobs, active->id);
   free(active);
@@ -96,8 +97,10 @@ static void mark_finished(struct mo_active *active)
     active->done_before = work->job.rollouts_done;
     active->cached_before = work->job.rollouts_cached;
     active->diverged_before = work->job.rollouts_diverged;
-    if (work->job.rollouts_done > work->job.rollouts_cached)
-      active->own_before = work->job.rollouts_done - work->job.rollouts_cached;
+    active->cut_before = work->job.rollouts_cut;
+    if (work->job.rollouts_done > work->job.rollouts_cached + work->job.rollouts_cut)
+      active->own_before =
+          work->job.rollouts_done - work->job.rollouts_cached - work->job.rollouts_cut;
     return;
   }
   for (uint32_t design = 0; design < work->n_designs; design++)
@@ -128,6 +131,9 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
   if (error != MO_OK)
     return error;
   mark_finished(active);
+  error = mo_active_race(active);
+  if (error != MO_OK)
+    return error;
   mo_active_open_window(active);
   error = mo_loaded_acquire(&all->jobs->controllers, &active->work->job.controller_sha256,
                             &active->controller);
@@ -272,8 +278,10 @@ static bool fill(struct mo_evaluations *all, struct mo_active *active)
 {
   unsigned budget = DESIGNS_A_ROUND;
   int launched = 1;
+  if (active->detached || active->finishing)
+    return false;
   active->window.most = mo_back_end_window(all->jobs, active->work->job.back_end);
-  while (launched > 0 && !active->detached && !active->finishing &&
+  while ((launched > 0 || (launched == 0 && mo_active_race_on(active))) &&
          !(active->work->job.record != 0 && mo_saver_is_full(all)))
     launched = mo_window_launch(&active->window, &budget);
   if (launched < 0)

@@ -9,6 +9,8 @@
 #ifndef MORPHO_JOBS_EVALUATION_H
 #define MORPHO_JOBS_EVALUATION_H
 
+#include <morpho/evolution.h>
+
 #include "jobs/controllers.h"
 #include "jobs/scoring.h"
 #include "store/runner.h"
@@ -23,10 +25,13 @@ struct mo_active {
   struct mo_loaded *controller;
   struct mo_grid grid;
   struct mo_window window; /* of the grid */
-  uint64_t total, done, cached, diverged;
+  struct mo_best *race;    /* NULL: all rollouts are computed */
+  uint64_t n_asked;        /* rollouts of the race's round that are not done */
+  /* done has cut: rollouts that a race does not need. */
+  uint64_t total, done, cached, diverged, cut;
   /* Counts reported before this claim of a job that shares rollouts. The job finds its cells in the
    * store again, in any order; meanwhile the reported counts never decrease. */
-  uint64_t done_before, cached_before, diverged_before;
+  uint64_t done_before, cached_before, diverged_before, cut_before;
   uint64_t own_before; /* rollouts computed before this claim; found in the store, but not counted
                           as cached */
   bool private_runs;   /* verify or recording: shares no rollouts and skips look-ups */
@@ -109,6 +114,13 @@ bool mo_saver_idle(const struct mo_evaluations *all); /* nothing pending or in p
 bool mo_saver_is_full(const struct mo_evaluations *all);
 /* Returns whether the store lags so far that no new work may start. */
 bool mo_saver_is_behind(const struct mo_evaluations *all);
+
+/* ---- evaluation_race.c ---- */
+/* Begins the race of a loaded job that asks for its best designs, with its grid. MO_ERR_NO_MEMORY.
+ */
+int mo_active_race(struct mo_active *active);
+/* Begins the race's next round when the one before is done. Returns whether there is one. */
+bool mo_active_race_on(struct mo_active *active);
 
 /* ---- evaluation_blocks.c ---- */
 /* Opens the window of a loaded job: its blocks come to mo_active_take_back. */

@@ -102,8 +102,13 @@ void mo_rollout_forget(struct mo_evaluations *all, struct mo_rollout *rollout)
 
 /* ---- cells ---- */
 
-static void count_cell(struct mo_evaluations *all, struct mo_active *active, int32_t diverged_step)
+static void count_cell(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
+                       uint32_t k, double loss, int32_t diverged_step)
 {
+  if (active->race != NULL) {
+    mo_best_give(active->race, design, k, loss);
+    active->n_asked--;
+  }
   active->done++;
   active->diverged += diverged_step != 0;
   active->changed = true;
@@ -129,7 +134,7 @@ static int finish_design(struct mo_evaluations *all, const struct mo_active *act
 
 /* Finishes a cell whose score the store has. Returns whether its design is done. */
 static bool finish_known(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
-                         uint32_t k, int32_t diverged_step)
+                         uint32_t k, const struct mo_score *score)
 {
   const bool was_deferred = *mo_grid_cell(&active->grid, design, k) == MO_CELL_DEFERRED;
   if (!was_deferred && active->own_before > 0)
@@ -137,7 +142,7 @@ static bool finish_known(struct mo_evaluations *all, struct mo_active *active, u
   else
     active->cached++;
   atomic_fetch_add(was_deferred ? &all->jobs->rollouts_shared : &all->jobs->rollouts_cached, 1);
-  count_cell(all, active, diverged_step);
+  count_cell(all, active, design, k, score->loss, score->diverged_step);
   return mo_grid_finish(&active->grid, design, k);
 }
 
@@ -160,7 +165,7 @@ static int look_up(void *context, uint32_t design)
       mo_store_scores(all->jobs->store, &key, work->environment_rows, work->n_environments, scores);
   for (uint32_t k = 0; k < work->n_environments && error == MO_OK; k++)
     if (scores[k].known && mo_grid_is_open(&active->grid, design, k))
-      is_done = finish_known(all, active, design, k, scores[k].diverged_step);
+      is_done = finish_known(all, active, design, k, &scores[k]);
   return is_done ? finish_design(all, active, design) : error;
 }
 
@@ -270,7 +275,8 @@ static int take(struct mo_evaluations *all, struct mo_active *active, struct fli
       flight->rollouts[i] = NULL;
     }
     atomic_fetch_add(&all->jobs->rollouts_diverged, saved.diverged_steps[i] != 0);
-    count_cell(all, active, block->outcomes[i].diverged_step);
+    count_cell(all, active, flight->flight.design, saved.places[i], saved.losses[i],
+               block->outcomes[i].diverged_step);
   }
   if (error != MO_OK)
     return error;

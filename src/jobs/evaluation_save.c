@@ -51,6 +51,7 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
                                  .done = larger(active->done, active->done_before),
                                  .cached = larger(active->cached, active->cached_before),
                                  .diverged = larger(active->diverged, active->diverged_before),
+                                 .cut = larger(active->cut, active->cut_before),
                                  .started_us = step == MO_STEP_START ? mo_clock_wall_us() : 0,
                                  .error = error,
                                  .max_attempts = MO_ATTEMPTS_MAX,
@@ -59,7 +60,12 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
   if (active->work != NULL) {
     update.fingerprint = active->work->fingerprint;
     update.workers = active->work->workers;
+    update.positions = active->work->positions;
+    update.n_designs = active->work->n_designs;
+    update.n_environments = active->work->n_environments;
   }
+  if (active->race != NULL && step == MO_STEP_SUCCEED)
+    update.counted = active->race->asked;
   if (text != NULL)
     snprintf(update.error_text, sizeof(update.error_text), "%s", text);
   added = mo_pending_add(all, &all->pending.updates, &update, sizeof(update));

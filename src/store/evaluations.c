@@ -57,6 +57,7 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
   results->forms = calloc(n, sizeof(*results->forms));
   results->genotypes = calloc(n, sizeof(*results->genotypes));
   results->scores = calloc(n, sizeof(*results->scores));
+  results->is_bound = calloc(n, sizeof(*results->is_bound));
   results->losses = calloc(cells, sizeof(*results->losses));
   results->paths_m = calloc(n, sizeof(*results->paths_m));
   results->diverged_steps = calloc(cells, sizeof(*results->diverged_steps));
@@ -65,7 +66,8 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
     results->agrees = calloc(n, sizeof(*results->agrees));
   }
   if (results->forms == NULL || results->genotypes == NULL || results->scores == NULL ||
-      results->losses == NULL || results->diverged_steps == NULL || results->paths_m == NULL ||
+      results->is_bound == NULL || results->losses == NULL || results->diverged_steps == NULL ||
+      results->paths_m == NULL ||
       (verify && (results->stored_losses == NULL || results->agrees == NULL)))
     return MO_ERR_NO_MEMORY;
   for (size_t i = 0; i < n; i++)
@@ -78,16 +80,18 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
   return MO_OK;
 }
 
-/* Reads the stored losses of the keys' genotype into row `n` of the results. */
+/* Reads the stored losses of the keys' genotype that count into row `n` of the results. */
 static int load_losses(struct mo_connection *reader, const struct result_keys *keys, size_t n,
-                       struct mo_evaluation_results *results)
+                       uint64_t counted, struct mo_evaluation_results *results)
 {
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
   const size_t first = n * results->n_environments;
   int error =
       mo_losses_read(reader, &keys->design, keys->environments, results->n_environments, scores);
   for (uint32_t k = 0; k < results->n_environments && error == MO_OK; k++)
-    if (scores[k].known) {
+    if (!(counted >> k & 1)) {
+      results->is_bound[n] = 1;
+    } else if (scores[k].known) {
       results->losses[first + k] = scores[k].loss;
       results->diverged_steps[first + k] = scores[k].diverged_step;
     } else if (keys->is_complete) {
@@ -100,10 +104,11 @@ static int load_losses(struct mo_connection *reader, const struct result_keys *k
 static int load_designs(struct mo_connection *reader, const struct range *range,
                         struct result_keys *keys, struct mo_evaluation_results *results)
 {
-  static const char sql[] = "SELECT x.position,x.genotype,g.bits,d.form FROM job_designs x"
-                            " JOIN genotypes g ON g.id=x.genotype JOIN designs d ON d.id=g.design"
-                            " WHERE x.job=?1 AND x.position>=?2 AND x.position<?3"
-                            " ORDER BY x.position";
+  static const char sql[] =
+      "SELECT x.position,x.genotype,g.bits,d.form,coalesce(x.counted,-1) FROM job_designs x"
+      " JOIN genotypes g ON g.id=x.genotype JOIN designs d ON d.id=g.design"
+      " WHERE x.job=?1 AND x.position>=?2 AND x.position<?3"
+      " ORDER BY x.position";
   int error = MO_OK;
   uint32_t found = 0;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(range->id), mo_int(range->first),
@@ -115,7 +120,7 @@ static int load_designs(struct mo_connection *reader, const struct range *range,
     error = mo_column_genotype(row, 2, 3, &results->genotypes[n], &results->forms[n]);
     keys->design.genotype = sqlite3_column_int64(row, 1);
     if (error == MO_OK && !keys->verify && keys->design.fingerprint != 0)
-      error = load_losses(reader, keys, n, results);
+      error = load_losses(reader, keys, n, (uint64_t)sqlite3_column_int64(row, 4), results);
   }
   for (uint32_t i = 0; i < results->n_notes; i++) {
     const struct mo_design_note *note = &results->notes[i];
@@ -178,6 +183,16 @@ static int load_paths(struct mo_connection *reader, const struct range *range,
   return error;
 }
 
+static void finish_score(struct mo_evaluation_results *results, uint32_t n)
+{
+  const double *losses = &results->losses[(size_t)n * results->n_environments];
+  double sum = 0;
+  for (uint32_t k = 0; k < results->n_environments; k++)
+    sum += results->is_bound[n] && isnan(losses[k]) ? 0 : losses[k];
+  results->scores[n] = sum / results->n_environments;
+  results->is_bound[n] = results->is_bound[n] && isfinite(sum);
+}
+
 static int load_results(struct mo_connection *reader, const void *key, void *ret)
 {
   struct range range = *(const struct range *)key;
@@ -194,12 +209,8 @@ static int load_results(struct mo_connection *reader, const void *key, void *ret
     error = load_recomputed(reader, &range, results);
   if (error == MO_OK)
     error = load_paths(reader, &range, results);
-  for (uint32_t n = 0; n < results->n_designs && error == MO_OK; n++) {
-    double sum = 0;
-    for (uint32_t k = 0; k < results->n_environments; k++)
-      sum += results->losses[(size_t)n * results->n_environments + k];
-    results->scores[n] = sum / results->n_environments;
-  }
+  for (uint32_t n = 0; n < results->n_designs && error == MO_OK; n++)
+    finish_score(results, n);
   return error;
 }
 

@@ -23,6 +23,7 @@ struct mo_evaluation_request {
   const char *controller;                    /* name or "sha256:<64 hex>" */
   struct mo_physics physics;                 /* checked */
   enum mo_precision precision;
+  uint32_t best; /* how many of the best designs get whole scores; 0: all */
   bool verify;
   unsigned record;        /* channels */
   uint32_t record_stride; /* 1 … n_steps; ignored when nothing is recorded */
@@ -41,8 +42,10 @@ struct mo_evaluation_results {
   struct mo_bits *forms;     /* (n_designs) canonical */
   struct mo_bits *genotypes; /* (n_designs) placed, as evaluated */
   double *scores;            /* (n_designs) mean loss; +infinity when a rollout diverged */
-  double *losses; /* (n_designs, n_environments); +infinity: diverged; NaN: not computed yet (never
-                     in a succeeded job) */
+  uint8_t *is_bound; /* (n_designs) 1: the score is a lower bound: losses that were not computed
+                        count as 0, because the design cannot be among the best */
+  double *losses;    /* (n_designs, n_environments); +infinity: diverged; NaN: not computed yet, or
+                        not at all */
   int32_t *diverged_steps; /* (n_designs, n_environments); 0: did not diverge */
   /* Verify jobs only, else NULL: `losses` were recomputed by this job; these were stored before. */
   double *stored_losses; /* (n_designs, n_environments); NaN: none was stored */

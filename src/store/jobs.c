@@ -33,6 +33,7 @@ static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
   read_environments(row, job);
   job->n_designs = mo_column_u32(row, MO_COLUMN_N_DESIGNS);
   job->n_skipped = mo_column_u32(row, MO_COLUMN_N_SKIPPED);
+  job->best = mo_column_u32(row, MO_COLUMN_BEST);
   job->verify = sqlite3_column_int(row, MO_COLUMN_VERIFY) != 0;
   job->record = mo_column_u32(row, MO_COLUMN_RECORD) & ((1U << MO_CHANNELS) - 1);
   job->record_stride = mo_column_u32(row, MO_COLUMN_RECORD_STRIDE);
@@ -42,6 +43,7 @@ static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
   job->rollouts_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DONE);
   job->rollouts_cached = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_CACHED);
   job->rollouts_diverged = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DIVERGED);
+  job->rollouts_cut = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_CUT);
   return mo_column_physics(row, MO_COLUMN_PHYSICS, &job->physics, &job->precision, &job->sensor);
 }
 

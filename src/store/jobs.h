@@ -34,6 +34,7 @@
   X(N_ENVIRONMENTS, "coalesce(e.n_environments,m.n_environments)")                                 \
   X(N_DESIGNS, "coalesce(e.n_designs,t.n_designs)")                                                \
   X(N_SKIPPED, "e.n_skipped")                                                                      \
+  X(BEST, "e.best")                                                                                \
   X(PHYSICS, "p.encoding")                                                                         \
   X(VERIFY, "e.verify")                                                                            \
   X(RECORD, "e.record")                                                                            \
@@ -43,6 +44,7 @@
   X(DONE, "e.done")                                                                                \
   X(CACHED, "e.cached")                                                                            \
   X(DIVERGED, "e.diverged")                                                                        \
+  X(CUT, "e.cut")                                                                                  \
   X(SETTINGS, "r.settings")                                                                        \
   X(NAME, "r.name")                                                                                \
   X(RESULT, "x.sha256")                                                                            \

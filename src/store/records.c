@@ -43,6 +43,7 @@ void mo_evaluation_results_free(void *any)
   free(results->stored_losses);
   free(results->agrees);
   free(results->notes);
+  free(results->is_bound);
   free(results->paths_m);
   free(results);
 }

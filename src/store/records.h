@@ -104,13 +104,14 @@ struct mo_job {
   struct mo_sha256 result_sha256;
   char environment_set[MO_NAME_BYTES_MAX + 1];   /* "paper-test", or "": listed in the request */
   uint32_t n_environments, n_designs, n_skipped; /* n_skipped: of the designs of an evaluation */
+  uint32_t best; /* how many of its best designs have whole scores; 0: all */
   struct mo_physics physics;
   enum mo_precision precision;
   uint32_t record, record_stride; /* channels; steps between two frames */
   uint64_t recorded_bytes;        /* of its recordings that are stored */
   int64_t recordings_removed_us;  /* 0: they were not */
-  /* 0 in a training; done includes cached. */
-  uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged;
+  /* 0 in a training; done includes cached, and cut: rollouts that are not computed. */
+  uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged, rollouts_cut;
   /* Training: steps. Campaign: generations, without generation 0; done: committed. */
   uint32_t steps_total, steps_done;
 };

@@ -17,11 +17,26 @@
 
 static int apply_counts(struct mo_connection *writer, const struct mo_job_update *update)
 {
-  static const char sql[] = "UPDATE evaluations SET done=?2,cached=?3,diverged=?4 WHERE job=?1";
+  static const char sql[] =
+      "UPDATE evaluations SET done=?2,cached=?3,diverged=?4,cut=?5 WHERE job=?1";
   return update->total == 0
              ? MO_OK
              : mo_sql_do(writer, sql, mo_int(update->job), mo_int((int64_t)update->done),
-                         mo_int((int64_t)update->cached), mo_int((int64_t)update->diverged));
+                         mo_int((int64_t)update->cached), mo_int((int64_t)update->diverged),
+                         mo_int((int64_t)update->cut));
+}
+
+/* Stores which losses of the designs that were cut short count. */
+static int set_counted(struct mo_connection *writer, const struct mo_job_update *update)
+{
+  static const char sql[] = "UPDATE job_designs SET counted=?3 WHERE job=?1 AND position=?2";
+  const uint64_t all = UINT64_MAX >> (64 - update->n_environments);
+  int error = MO_OK;
+  for (uint32_t i = 0; i < update->n_designs && error == MO_OK; i++)
+    if (update->counted[i] != all)
+      error = mo_sql_do(writer, sql, mo_int(update->job), mo_int(update->positions[i]),
+                        mo_int((int64_t)update->counted[i]));
+  return error;
 }
 
 static int announce(struct mo_store *store, const struct mo_job_update *update)
@@ -84,6 +99,8 @@ static int apply_update(struct mo_store *store, struct mo_job_update *update)
     error = set_class(store, update);
   if (error == MO_OK)
     error = apply_counts(&store->writer, update);
+  if (error == MO_OK && update->applied && update->counted != NULL)
+    error = set_counted(&store->writer, update);
   if (error == MO_OK && update->applied && !update->quiet)
     error = announce(store, update);
   return error == MO_ERR_CONFLICT ? MO_OK : error;

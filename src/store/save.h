@@ -47,10 +47,14 @@ enum mo_job_step {
 struct mo_job_update {
   int64_t job;
   enum mo_job_step step;
-  uint64_t total, done, cached, diverged; /* total 0: the counts do not change */
-  int64_t started_us;                     /* start */
-  int64_t fingerprint, workers;           /* start: the class, as in struct mo_work */
-  int error;                              /* retry */
+  uint64_t total, done, cached, diverged, cut; /* total 0: the counts do not change */
+  /* Succeed, of a race: the environments whose losses count, as bits; NULL: all do. */
+  const uint64_t *counted;   /* (n_designs) */
+  const uint32_t *positions; /* (n_designs) in the request */
+  uint32_t n_designs, n_environments;
+  int64_t started_us;           /* start */
+  int64_t fingerprint, workers; /* start: the class, as in struct mo_work */
+  int error;                    /* retry */
   char error_text[256];
   uint32_t max_attempts;
   bool quiet;              /* no event */

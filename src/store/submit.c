@@ -110,8 +110,8 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
 {
   static const char sql[] = "INSERT INTO evaluations(job,controller,controller_name,physics,"
                             "environment_set,n_designs,n_environments,verify,record,record_stride,"
-                            "done,cached,diverged,n_skipped)"
-                            " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11)";
+                            "done,cached,diverged,n_skipped,best)"
+                            " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11,?12)";
   const struct mo_evaluation_request *request = any;
   const char *name = strncmp(request->controller, "sha256:", 7) == 0 ? "" : request->controller;
   struct mo_connection *writer = &store->writer;
@@ -120,11 +120,11 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   if (error == MO_OK)
     error = mo_job_insert(writer, &request->job, MO_JOB_EVALUATION, id);
   if (error == MO_OK)
-    error =
-        mo_sql_do(writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics),
-                  mo_int(set), mo_int((int64_t)request->n_designs + request->n_skipped),
-                  mo_int(n_environments), mo_int(request->verify), mo_int(request->record),
-                  mo_int(request->record_stride), mo_int(request->n_skipped));
+    error = mo_sql_do(
+        writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics), mo_int(set),
+        mo_int((int64_t)request->n_designs + request->n_skipped), mo_int(n_environments),
+        mo_int(request->verify), mo_int(request->record), mo_int(request->record_stride),
+        mo_int(request->n_skipped), mo_int(request->best));
   if (error == MO_OK)
     error =
         mo_environments_insert(writer, *id, set, request->environments, request->n_environments);

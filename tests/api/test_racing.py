@@ -164,3 +164,89 @@ def test_only_truncation_has_a_bound(service, selection):
     value = run(service, "campaigns", CAMPAIGN | {"generations": 1, "selection": selection})
     assert value["settings"]["racing"] == "lossless"
     assert [row["children_cut"] for row in generations(service, value["id"])] == [0] * 2
+
+
+# ---- the best of many ----
+
+LIGHTS = [{"light_xy_m": [4.5 - 0.4 * k, 2.0 + 0.1 * k], "terrain_sigma_m": 0.03, "seed": k}
+          for k in range(9)]
+MANY = {"environments": LIGHTS, "physics": {"n_steps": 800}}
+
+
+@pytest.fixture(scope="module")
+def many(service):
+    """Bodies, two of them twice, and one that is none."""
+    items = service.post("/v1/bodies/random", {"count": 100, "seed": 5})["items"]
+    bodies = [{"voxels": item["genotype"]} for item in items]
+    return [*bodies[:60], bodies[3], {"cells": [[9, 0, 0]]}, *bodies[60:], bodies[90]]
+
+
+def best_of(results, k):
+    """What the k best and their equals have, by their places."""
+    scores = sorted(row["score"] for row in results if row["score"] is not None)
+    return {place: row for place, row in enumerate(results)
+            if row["score"] is not None and row["score"] <= scores[k - 1]}
+
+
+def test_the_best_are_exact(service, start, many, ctl):  # noqa: F811
+    """Those of the evaluation of all, with their equals; bounds of the others are true, and stay
+    what they are. The same from another service with more workers."""
+    request = MANY | {"designs": many, "on_fault": "skip", "best": 5}
+    raced = run(service, "evaluations", request)
+    assert raced["best"] == 5 and raced["n_skipped"] == 1 and raced["rollouts_cut"] > 0
+    assert raced["rollouts_done"] == raced["rollouts_total"] == 9 * 102
+    full = run(service, "evaluations", {name: request[name] for name in request if name != "best"})
+    assert full["best"] is None and full["rollouts_cut"] == 0
+    # A body that is there twice has its losses from the store.
+    assert full["rollouts_cached"] >= full["rollouts_total"] - raced["rollouts_cut"]
+    best = best_of(full["results"], 5)
+    assert len(best) >= 5 and {place: raced["results"][place] for place in best} == best
+    worst = max(row["score"] for row in best.values())
+    for row, known in zip(raced["results"], full["results"]):
+        if row["lower_bound"]:
+            assert worst < row["score"] <= known["score"]
+            known_losses = [loss or 0 for loss in row["losses"]]
+            assert row["score"] == pytest.approx(sum(known_losses) / 9, rel=1e-12)
+            assert all(a in (None, b) for a, b in zip(row["losses"], known["losses"]))
+        else:
+            assert row == known
+    assert service.get(f"/v1/evaluations/{raced['id']}") == raced
+    # What the store has does not change what is computed, and is not computed again.
+    again = run(service, "evaluations", request | {"label": "again"})
+    assert again["results"] == raced["results"] and again["rollouts_cut"] == raced["rollouts_cut"]
+    assert again["rollouts_cached"] == again["rollouts_total"] - again["rollouts_cut"]
+    other = start("--workers=7")
+    assert run(other, "evaluations", request)["results"] == raced["results"]
+    shown = ctl(f"job show {raced['id']} --results")[1]
+    assert "103, the 5 best of them" in shown
+    assert shown.count("≥ ") == sum(row["lower_bound"] for row in raced["results"])
+
+
+def test_what_goes_with_best(service, many):
+    """A number of designs; no recording and no second computation."""
+    request = MANY | {"designs": many[:4]}
+    for more in ({"best": 5}, {"best": 2, "record": ["com"]}, {"best": 2, "verify": True}):
+        reply = service.request("POST", "/v1/evaluations", request | more)
+        assert reply.status == 422 and reply.pointers() == ["/best"], more
+    for more in ({"best": 0}, {"best": 1.5}, {"best": None}, {"best": 10001}):
+        reply = service.request("POST", "/v1/evaluations", request | more)
+        assert reply.status == 422 and reply.pointers() == ["/best"], more
+    # All of them are asked for: nothing is cut.
+    value = run(service, "evaluations", request | {"best": 4})
+    assert value["rollouts_cut"] == 0 and not any(row["lower_bound"] for row in value["results"])
+    skipped = run(service, "evaluations", MANY | {
+        "designs": [*many[:3], {"cells": [[9, 0, 0]]}], "on_fault": "skip", "best": 4})
+    assert [row["score"] for row in skipped["results"][:3]] == [
+        row["score"] for row in value["results"][:3]]
+    assert not any(row["lower_bound"] for row in skipped["results"])
+    none = run(service, "evaluations", MANY | {
+        "designs": [{"cells": [[9, 0, 0]]}], "on_fault": "skip", "best": 1})
+    assert none["state"] == "succeeded" and none["rollouts_total"] == 0
+
+
+def test_the_best_where_all_diverge(service, many):
+    """No design is better than another, and none has a bound."""
+    value = run(service, "evaluations", {
+        "designs": many[:40], "best": 2, "physics": {"dt_s": 0.05, "n_steps": 400}})
+    assert value["rollouts_diverged"] == value["rollouts_total"] and value["rollouts_cut"] == 0
+    assert {(row["score"], row["lower_bound"]) for row in value["results"]} == {(None, False)}

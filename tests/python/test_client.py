@@ -29,13 +29,28 @@ def test_scores_are_those_of_the_service(m, service):
     assert evaluation[1].body.footprint() == 2 and evaluation[1].lost == ()
     assert [result.score for result in evaluation] == evaluation.scores.tolist()
     table = evaluation.frame()
-    assert list(table.columns) == ["id", "genotype", "score", "diverged", "voxels",
+    assert list(table.columns) == ["id", "genotype", "score", "lower_bound", "diverged", "voxels",
                                    "masses", "springs", "footprint", "repaired", "path_length_m",
                                    "fault",
                                    *(f"loss_{n}" for n in range(10))]
     assert table["loss_3"].tolist() == evaluation.losses[:, 3].tolist()
     again = m.evaluation(evaluation.id)
     assert (again.losses == evaluation.losses).all() and again[0].lost == ()
+
+
+def test_the_best_of_many(m):
+    bodies = m.random_bodies(40, seed=8)
+    whole = m.evaluate(bodies)
+    raced = m.evaluate(bodies, best=3)
+    exact = ~raced.lower_bound
+    assert raced.data["best"] == 3 and not whole.lower_bound.any()
+    assert exact[np.argsort(whole.scores)[:3]].all()
+    assert (raced.scores[exact] == whole.scores[exact]).all()
+    assert (raced.scores[~exact] > np.sort(whole.scores)[2]).all()
+    assert raced.frame()["lower_bound"].tolist() == [result.lower_bound for result in raced]
+    assert raced.lower_bound.any() and np.isnan(raced.losses[~exact]).any(axis=1).all()
+    with pytest.raises(morphod.ApiError):
+        m.evaluate(bodies, best=41)
 
 
 def test_diverged_rollouts_are_nan(m):

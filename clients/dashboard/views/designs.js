@@ -39,9 +39,11 @@ class Wall {
     this.breed = breedButton(app, 'Breed these', () => this.#founders(), { disabled: true });
   }
 
-  card({ id, genotype, score: value, voxels, row }) {
+  card(design) {
+    const { id, genotype, voxels, row } = design;
+    const told = design.score === undefined ? '–' : scoreOf(design);
     const card = h('button.card', {
-      type: 'button', 'aria-pressed': 'false', 'aria-label': `Design ${id}, score ${score(value)}, ${inVoxels(voxels)}`,
+      type: 'button', 'aria-pressed': 'false', 'aria-label': `Design ${id}, score ${told}, ${inVoxels(voxels)}`,
       onclick: () => {
         const on = !this.chosen.delete(genotype);
         if (on) this.chosen.set(genotype, { id, row });
@@ -49,7 +51,7 @@ class Wall {
         this.walk.disabled = this.breed.disabled = this.chosen.size === 0;
       },
       ondblclick: () => this.app.go(`designs/${id}`),
-    }, picture(genotype), h('strong.number', {}, value === undefined ? '–' : score(value)), h('span.muted', {}, inVoxels(voxels)));
+    }, picture(genotype), h('strong.number', {}, told), h('span.muted', {}, inVoxels(voxels)));
     return h('div.pick', {}, card, h('a', { href: `#/designs/${id}`, 'aria-label': `Design ${id}` }, `${id.slice(0, 10)}…`));
   }
 
@@ -139,9 +141,13 @@ async function mountEvaluation(main, id, app) {
       done = true;
       const order = job.results.map((result, row) => ({ ...result, row }))
         .filter((result) => !result.fault)
-        .sort((x, y) => (x.score ?? Infinity) - (y.score ?? Infinity)).slice(0, 500);
+        .sort((x, y) => Number(x.lower_bound) - Number(y.lower_bound) || (x.score ?? Infinity) - (y.score ?? Infinity))
+        .slice(0, 500);
       best = order.map(({ row }) => row);
       wall.add(order);
+      if (job.best !== null) {
+        head.append(h('p.muted', {}, `The best ${count(job.best)} were asked for. A score after ≥ is a lower bound: the design cannot be among them, so the rest was not computed.`));
+      }
       if (job.n_skipped > 0) head.append(h('p.muted', {}, `${count(job.n_skipped)} designs were skipped.`));
       if (job.n_designs - job.n_skipped > order.length) {
         head.append(h('p.muted', {}, `The best ${order.length} of ${count(job.n_designs)} designs are shown.`));

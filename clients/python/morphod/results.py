@@ -23,7 +23,8 @@ class Result:
 
     `id` is the canonical form of the design, `genotype` what was simulated, `lost` what the
     conversion and the repair of the body left out. `fault` is None, or why there was no body to
-    score: then `id` and `genotype` are empty, and the score is NaN.
+    score: then `id` and `genotype` are empty, and the score is NaN. `lower_bound` says that the
+    score is one, because the design cannot be among the `best` that were asked for.
     """
 
     def __init__(self, data: Mapping[str, Any], lost: tuple[str, ...],
@@ -36,6 +37,7 @@ class Result:
         self.genotype = str(data["genotype"] or "")
         score = data["score"]
         self.score = float("nan") if score is None else float(score)
+        self.lower_bound = bool(data["lower_bound"])
 
     @property
     def body(self) -> Body:
@@ -44,7 +46,7 @@ class Result:
 
     @property
     def losses(self) -> NDArray[np.float64]:
-        """One per environment; NaN where the rollout diverged."""
+        """One per environment; NaN where the rollout diverged, or was not needed."""
         return np.array(self.data["losses"], dtype=np.float64)
 
     def __repr__(self) -> str:

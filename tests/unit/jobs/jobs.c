@@ -335,6 +335,110 @@ SERVICE_CASE(records, 0)
   CHECK_SAYS(fixture.message, "67108864");
 }
 
+static struct mo_evaluation_results *results_of(int64_t id)
+{
+  struct mo_evaluation_results *results = NULL;
+  CHECK_OK(mo_store_results(store, id, &results));
+  return results;
+}
+
+/* Whether two evaluations of the same designs say the same. */
+static bool same_results(const struct mo_evaluation_results *a,
+                         const struct mo_evaluation_results *b)
+{
+  const size_t n = a->n_designs;
+  bool same = b->n_designs == n;
+  for (size_t i = 0; i < n && same; i++)
+    same = same_number(a->scores[i], b->scores[i]) && a->is_bound[i] == b->is_bound[i];
+  for (size_t i = 0; i < n * a->n_environments && same; i++)
+    same = same_number(a->losses[i], b->losses[i]);
+  return same;
+}
+
+/* Whether the best of `whole`, with those that equal the last of them, have their scores in
+ * `raced`, and all others a score or a lower bound that is worse. */
+static bool has_best(const struct mo_evaluation_results *raced,
+                     const struct mo_evaluation_results *whole, uint32_t k)
+{
+  bool is_right = true;
+  for (uint32_t i = 0; i < whole->n_designs; i++) {
+    uint32_t better = 0;
+    for (uint32_t j = 0; j < whole->n_designs; j++)
+      better += whole->scores[j] < whole->scores[i];
+    is_right = is_right && (raced->is_bound[i] ? better >= k && raced->scores[i] <= whole->scores[i]
+                                               : same_number(raced->scores[i], whole->scores[i]));
+    better = 0; /* the bound alone shows that it is not among the best */
+    for (uint32_t j = 0; j < whole->n_designs; j++)
+      better += !raced->is_bound[j] && raced->scores[j] < raced->scores[i];
+    is_right = is_right && (!raced->is_bound[i] || better >= k);
+  }
+  return is_right;
+}
+
+/* The same result and no rollout more after pauses and restarts, with more workers, and where
+ * losses are known; a later evaluation of the rest does not change it. */
+SERVICE_CASE(finds_the_best, 0)
+{
+  enum { DESIGNS = 300, BEST = 7 };
+  struct mo_evaluation_results *first, *whole, *again;
+  struct mo_job job;
+  uint64_t needed, spent = 0;
+  const struct mo_bits *genotypes = bodies(18, DESIGNS);
+  struct mo_evaluation_request request = service_request(genotypes, DESIGNS);
+  request.best = BEST;
+  int64_t id = submit_evaluation(&request);
+  CHECK(succeeds(id, &job));
+  needed = computed();
+  CHECK(needed < 10 * DESIGNS);
+  CHECK_INT(job.best, BEST);
+  CHECK_INT(job.rollouts_done, 10 * DESIGNS);
+  CHECK_INT(job.rollouts_cut, 10 * DESIGNS - needed);
+  first = results_of(id);
+  int64_t all = evaluate(genotypes, DESIGNS);
+  CHECK(right(all, genotypes));
+  CHECK_INT(computed(), 10 * DESIGNS);
+  whole = results_of(all);
+  CHECK(has_best(first, whole, BEST));
+  again = results_of(id);
+  CHECK(same_results(first, again));
+  mo_evaluation_results_free(again);
+  all = submit_evaluation(&request); /* from the store */
+  CHECK(succeeds(all, &job));
+  CHECK_INT(job.rollouts_cached, needed);
+  CHECK_INT(computed(), 10 * DESIGNS);
+  again = results_of(all);
+  CHECK(same_results(first, again));
+  mo_evaluation_results_free(again);
+
+  REQUIRE_OK(service_begin());
+  service.n_workers = 7;
+  REQUIRE_OK(service_open());
+  fake_plan.delay_us = 2000;
+  request.genotypes = bodies(18, DESIGNS);
+  id = submit_evaluation(&request);
+  for (uint64_t part = 1; part < 6; part++) {
+    CHECK(AWAIT(spent + computed() >= part * needed / 6));
+    if (part % 2 == 0) {
+      CHECK_OK(mo_jobs_pause(service.jobs, id));
+      CHECK(AWAIT(stats_of().blocks_in_flight == 0));
+      CHECK_OK(mo_jobs_resume(service.jobs, id));
+    } else {
+      CHECK_OK(mo_jobs_stop(service.jobs, 5000));
+      spent += computed();
+      REQUIRE_OK(service_reopen());
+    }
+  }
+  CHECK(succeeds(id, &job));
+  CHECK_INT(spent + computed(), needed);
+  CHECK_INT(job.rollouts_cached, 0);
+  CHECK_INT(job.rollouts_cut, 10 * DESIGNS - needed);
+  again = results_of(id);
+  CHECK(same_results(first, again));
+  mo_evaluation_results_free(again);
+  mo_evaluation_results_free(first);
+  mo_evaluation_results_free(whole);
+}
+
 static const struct check_case cases[] = {
     {"evaluates", evaluates},
     {"computes nothing twice", computes_nothing_twice},
@@ -346,5 +450,6 @@ static const struct check_case cases[] = {
     {"parks at a stop and goes on after it", parks_and_goes_on},
     {"verifies bits", verifies},
     {"records", records},
+    {"finds the best", finds_the_best},
 };
 CHECK_MAIN(cases)

@@ -68,6 +68,8 @@ static const char version_9[] =
     "ALTER TABLE campaign_generations DROP COLUMN children_cut;"
     "DROP INDEX trajectories_path; ALTER TABLE trajectories DROP COLUMN path_m;"
     "DROP TABLE design_notes; ALTER TABLE evaluations DROP COLUMN n_skipped;"
+    "ALTER TABLE evaluations DROP COLUMN best; ALTER TABLE evaluations DROP COLUMN cut;"
+    "ALTER TABLE job_designs DROP COLUMN counted;"
     "DROP TABLE study_words; DROP TABLE studies;"
     "ALTER TABLE campaign_designs DROP COLUMN measures;"
     "DROP INDEX jobs_by_experiment; DROP INDEX jobs_archived; DROP INDEX jobs_by_end;"

@@ -72,7 +72,7 @@ class AsyncClient:
                        priority: Literal["interactive", "batch"] | None = None,
                        weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
                        label: str | None = None, experiment: str | None = None,
-                       verify: bool = False,
+                       verify: bool = False, best: int | None = None,
                        repair: Repair | None = None, on_fault: OnFault = "refuse",
                        wait: bool = True) -> AsyncEvaluation:
         """Scores up to 10,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest).
@@ -81,6 +81,8 @@ class AsyncClient:
         "masses", kept at every `record_stride` steps. `physics` overrides single numbers, such as
         `{"n_steps": 500}`. `repair="largest"` keeps the largest piece of bodies that are not in one
         piece. `on_fault="skip"` leaves out what is no body; its result has a `fault`, and NaN.
+        `best=10` computes the whole scores of the ten best only; the others are cut short, and have
+        lower bounds.
         """
         designs, lost, faults = requests_of(bodies, on_fault)
         if not 0 < len(designs) <= _DESIGNS_MAX:
@@ -90,7 +92,7 @@ class AsyncClient:
             "precision": precision, "weight": weight, "device": device, "verify": verify,
             "on_fault": on_fault,
             **_given(physics=physics, priority=priority, label=label, experiment=experiment,
-                     repair=repair),
+                     repair=repair, best=best),
         }
         if record:
             value.update(record=list(record), record_stride=record_stride)

@@ -186,8 +186,15 @@ class AsyncEvaluation(AsyncJob):
         return np.array([row["score"] for row in self._results], dtype=np.float64)
 
     @property
+    def lower_bound(self) -> NDArray[np.bool_]:
+        """(designs,): with `best`, whether the score is a lower bound, because the design cannot be
+        among the best."""
+        return np.array([row["lower_bound"] for row in self._results], dtype=np.bool_)
+
+    @property
     def losses(self) -> NDArray[np.float64]:
-        """(designs, environments); NaN where the rollout diverged."""
+        """(designs, environments); NaN where the rollout diverged or, with `best`, was not needed.
+        """
         return np.array([row["losses"] for row in self._results], dtype=np.float64)
 
     @property
@@ -207,16 +214,17 @@ class AsyncEvaluation(AsyncJob):
         return (self[place] for place in range(len(self)))
 
     def frame(self) -> pd.DataFrame:
-        """A table with a line per design: id, genotype, score, diverged (rollouts), voxels, masses,
-        springs, footprint, repaired (voxels that were dropped), path_length_m (where com is
-        recorded), fault (None, or why there was no body), and a column loss_0, loss_1, … per
-        environment."""
+        """A table, a line per design: id, genotype, score, lower_bound (with `best`: whether the
+        score is one), diverged (rollouts), voxels, masses, springs, footprint, repaired (voxels
+        that were dropped), path_length_m (where com is recorded), fault (None, or why there was no
+        body), and a column loss_0, loss_1, … per environment."""
         results = self._results
         losses = self.losses
         table: pd.DataFrame = pandas().DataFrame({
             "id": [row["id"] for row in results],
             "genotype": [row["genotype"] for row in results],
             "score": self.scores,
+            "lower_bound": self.lower_bound,
             "diverged": [len(row["diverged"]) for row in results],
             **{name: [row[name] for row in results]
                for name in ("voxels", "masses", "springs", "footprint", "repaired",

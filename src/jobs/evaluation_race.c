@@ -1,0 +1,45 @@
+/* evaluation_race.c: an evaluation that asks for its k best designs (src/evolution/best.c).
+ *
+ * The cells of the grid are closed, but for those of the race's round. The next round begins when
+ * all losses of this one are known: computed, or found in the store. Rounds follow from losses, so
+ * the result depends neither on the number of workers nor on what the store held: after a crash
+ * the race runs again from its start, and what was saved is found. */
+#include "jobs/evaluation.h"
+
+static void open_cells(struct mo_active *active, uint32_t design)
+{
+  uint8_t cells[MO_RACE_ENVIRONMENTS_MAX];
+  uint32_t n = 0;
+  for (uint64_t left = active->race->asked[design]; left != 0; left &= left - 1)
+    cells[n++] = (uint8_t)__builtin_ctzll(left);
+  mo_grid_open(&active->grid, design, cells, n);
+}
+
+bool mo_active_race_on(struct mo_active *active)
+{
+  struct mo_best *race = active->race;
+  if (race == NULL || active->n_asked > 0 || active->done == active->total)
+    return false;
+  active->n_asked = mo_best_ask(race);
+  active->done += race->n_cut - active->cut;
+  active->cut = race->n_cut;
+  active->changed = true;
+  mo_pending_touch(active->all);
+  for (uint32_t i = 0; i < race->n_designs && active->n_asked > 0; i++)
+    open_cells(active, i);
+  return active->n_asked > 0;
+}
+
+int mo_active_race(struct mo_active *active)
+{
+  const struct mo_job *job = &active->work->job;
+  struct mo_grid *grid = &active->grid;
+  int error = MO_OK;
+  if (job->best == 0 || grid->n_designs == 0)
+    return MO_OK;
+  error = mo_best_create(grid->n_designs, grid->n_environments,
+                         job->best < grid->n_designs ? job->best : grid->n_designs, &active->race);
+  for (uint32_t i = 0; i < grid->n_designs && error == MO_OK; i++)
+    error = mo_grid_close(grid, i);
+  return error;
+}
