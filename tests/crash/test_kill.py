@@ -4,7 +4,7 @@ import pathlib
 import random
 
 import requests
-from daemon import bodies, stored_scores
+from daemon import CONTROLLER, bodies, stored_scores
 
 PHYSICS = {"n_steps": 150}
 N_BATCHES = 3
@@ -116,6 +116,41 @@ def test_kill_at_random_moments(daemon, soak, seed):
         run_to_end(replay, batches(seed))
         assert replay.stop()[0] == 0
     assert stored_scores(replay.state) == after
+
+
+def test_kill_in_a_race(daemon, soak, seed):
+    """An evaluation of the best designs ends with the same result after kills in every round of its
+    race, and computes nothing again that was saved."""
+    print(f"seed {seed}")
+    generator = random.Random(seed)
+    n_kills = 100 if soak else 8
+    distinct = [body for body in bodies(seed, 250) if body["voxels"].count("1") > 12]
+    request = {"designs": distinct, "best": 4}
+    walker = CONTROLLER.with_name("phototaxis.safetensors")  # some bodies are far better
+    quiet = daemon("undisturbed", workers=1, default_controller=walker)
+    with quiet:
+        expected = quiet.score(request)
+        quiet.end()
+    needed = expected["rollouts_total"] - expected["rollouts_cut"]
+    assert len(stored_scores(quiet.state)) == needed < 0.8 * expected["rollouts_total"]
+
+    victim = daemon("victim", workers=2, default_controller=walker)
+    for kill in range(n_kills):
+        victim.start()
+        job = victim.submit(request, key="race")
+        least = generator.uniform(0, 2 * needed / n_kills)
+        victim.until(lambda least=least: victim.counted("morphod_rollouts_total") >= least or
+                     victim.json(f"/v1/jobs/{job}")["state"] == "succeeded", 120)
+        victim.kill()
+    saved = len(stored_scores(victim.state))
+    print(f"{saved} of {needed} rollouts were saved before the last life")
+    with victim:
+        result = victim.succeed(victim.submit(request, key="race"))
+        assert victim.counted("morphod_rollouts_total") == needed - saved
+        victim.end()
+    assert result["results"] == expected["results"]
+    assert (result["rollouts_cached"], result["rollouts_cut"]) == (0, expected["rollouts_cut"])
+    assert stored_scores(victim.state) == stored_scores(quiet.state)
 
 
 def calls(daemon):
