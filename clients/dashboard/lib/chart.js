@@ -4,7 +4,7 @@
  * one column of pixels is drawn as its range.
  */
 
-import { h } from './dom.js';
+import { h, paint, swatch } from './dom.js';
 import { number } from './format.js';
 
 /**
@@ -48,6 +48,9 @@ function logTicks(from, to) {
   }
   return all.length >= 2 ? all : ticks(from, to, 4);
 }
+
+/** Rows as a list of numbers; NaN: no value. */
+export const column = (rows, take) => Float64Array.from(rows, (row) => take(row) ?? NaN);
 
 /** Index of the last value of an ascending list that is at most `value`; -1 if there is none. */
 export function lastAtMost(list, value) {
@@ -96,10 +99,9 @@ export class Chart {
     this.range = this.#range();
     this.readout.dataset.axis = this.range ? this.options.xName : '';
     this.legend.replaceChildren(...series.filter((s) => !s.silent).map((s) => {
-      const swatch = h(s.kind === 'band' ? 'i.swatch' : `i.swatch.line${s.dash?.length ? '.dashed' : ''}`);
-      swatch.style.color = s.color.startsWith('--') ? `var(${s.color})` : s.color;
-      swatch.style.opacity = String(s.opacity ?? 1);
-      return h('span', {}, swatch, s.name);
+      const sample = swatch(s.color, s.kind === 'band' ? '' : `.line${s.dash?.length ? '.dashed' : ''}`);
+      sample.style.opacity = String(s.opacity ?? 1);
+      return h('span', {}, sample, s.name);
     }));
     this.canvas.setAttribute('aria-label', this.#summary());
     this.draw();
@@ -150,18 +152,9 @@ export class Chart {
 
   /** Draws the chart at the present size of its canvas. */
   draw() {
-    const { canvas } = this;
-    const width = canvas.clientWidth;
-    const height = canvas.clientHeight;
-    if (!width || !height) return;
-    const ratio = devicePixelRatio;
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-    const context = canvas.getContext('2d');
-    context.scale(ratio, ratio);
-    const style = getComputedStyle(canvas);
-    const color = (name) => (name.startsWith('--') ? style.getPropertyValue(name).trim() : name);
-    context.font = `12px ${style.fontFamily}`;
+    const painting = paint(this.canvas);
+    if (!painting) return;
+    const { context, width, height, color } = painting;
     const { range } = this;
     if (!range) {
       context.fillStyle = color('--muted');

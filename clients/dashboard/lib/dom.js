@@ -76,6 +76,38 @@ export function select(label, choices, value, onchange) {
     h('select', { onchange: (event) => onchange(event.target.value) }, options));
 }
 
+/** A table with its head. isRight: of a name and its place; numbers stand at the right. */
+export function table(names, body, isRight = (name, i) => false, tag = 'table.cards') {
+  return h(tag, {}, h('thead', {}, h('tr', {}, names.map((name, i) =>
+    h(isRight(name, i) ? 'th.right' : 'th', { scope: 'col' }, name)))), body);
+}
+
+/** A value with its name above it, and words below. */
+export function tile(name, value, words) {
+  return h('div.panel.tile', {}, h('div.muted', {}, name), h('div.value', {}, value), h('div.muted', {}, words));
+}
+
+/** What a color means, in a legend. color: the name of a custom property of CSS, or a color. */
+export function swatch(color, kind = '') {
+  const element = h(`i.swatch${kind}`);
+  element.style.color = color.startsWith('--') ? `var(${color})` : color;
+  return element;
+}
+
+/** Prepares a canvas to be drawn anew at its present size; null: it has none. color: of a name as above. */
+export function paint(canvas) {
+  const { clientWidth: width, clientHeight: height } = canvas;
+  if (!width || !height) return null;
+  canvas.width = Math.round(width * devicePixelRatio);
+  canvas.height = Math.round(height * devicePixelRatio);
+  const context = canvas.getContext('2d');
+  context.scale(devicePixelRatio, devicePixelRatio);
+  const style = getComputedStyle(canvas);
+  context.font = `12px ${style.fontFamily}`;
+  const color = (name) => (name.startsWith('--') ? style.getPropertyValue(name).trim() : name);
+  return { context, width, height, color };
+}
+
 /** Tells a screen reader what happened, politely. */
 export function announce(text) {
   const region = document.getElementById('announcer');

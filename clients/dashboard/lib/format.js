@@ -20,6 +20,11 @@ export function scoreOf(design) {
   return `${design.lower_bound ? '≥ ' : ''}${score(design.score)}`;
 }
 
+/** A difference of scores, with its sign. */
+export function signed(value) {
+  return `${value < 0 ? '−' : '+'}${Math.abs(value).toFixed(4)}`;
+}
+
 export function count(value) {
   return value === null || value === undefined ? '–' : value.toLocaleString('en-US');
 }

@@ -76,39 +76,55 @@ export class Camera {
   }
 }
 
-/** Lets pointers, wheel and keys drive a camera. `changed` is called after each change. */
-export function driveCamera(canvas, camera, changed) {
+/**
+ * Tells of pointers on a canvas: drag(dx, dy, event) of one, pinch(factor, x, y) of two, and click(x, y)
+ * of one that hardly moved.
+ */
+export function onPointers(canvas, { drag, pinch, click = (x, y) => {} }) {
   const pointers = new Map();
-  let pinch = 0;
-
+  let [moved, spread] = [0, 0];
   canvas.addEventListener('pointerdown', (event) => {
     canvas.setPointerCapture(event.pointerId);
-    pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    pinch = 0;
+    pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
+    [moved, spread] = [0, 0];
   });
   canvas.addEventListener('pointermove', (event) => {
     const before = pointers.get(event.pointerId);
     if (!before) return;
-    const [dx, dy] = [event.clientX - before[0], event.clientY - before[1]];
-    pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    if (pointers.size === 2) {
-      const [a, b] = [...pointers.values()];
-      const spread = Math.hypot(a[0] - b[0], a[1] - b[1]);
-      if (pinch > 0 && spread > 0) camera.zoom(pinch / spread);
-      pinch = spread;
-    } else if (event.shiftKey || event.buttons === 4 || event.buttons === 2) {
-      const perPixel = camera.distanceM / canvas.clientHeight;
-      camera.move(-dx * perPixel, dy * perPixel);
-      changed('moved');
+    const [dx, dy] = [event.offsetX - before[0], event.offsetY - before[1]];
+    pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
+    moved += Math.abs(dx) + Math.abs(dy);
+    if (pointers.size !== 2) {
+      drag(dx, dy, event);
       return;
-    } else {
-      camera.turn(dx * 0.006, dy * 0.005);
     }
-    changed('turned');
+    const [a, b] = [...pointers.values()];
+    const now = Math.hypot(a[0] - b[0], a[1] - b[1]);
+    if (spread && now) pinch(spread / now, (a[0] + b[0]) / 2, (a[1] + b[1]) / 2);
+    spread = now;
   });
-  for (const type of ['pointerup', 'pointercancel']) {
-    canvas.addEventListener(type, (event) => pointers.delete(event.pointerId));
-  }
+  canvas.addEventListener('pointerup', (event) => {
+    pointers.delete(event.pointerId);
+    if (moved < 5) click(event.offsetX, event.offsetY);
+  });
+  canvas.addEventListener('pointercancel', (event) => pointers.delete(event.pointerId));
+}
+
+/** Lets pointers, wheel and keys drive a camera. `changed` is called after each change. */
+export function driveCamera(canvas, camera, changed) {
+  onPointers(canvas, {
+    drag(dx, dy, event) {
+      const moves = event.shiftKey || event.buttons === 4 || event.buttons === 2;
+      const perPixel = camera.distanceM / canvas.clientHeight;
+      if (moves) camera.move(-dx * perPixel, dy * perPixel);
+      else camera.turn(dx * 0.006, dy * 0.005);
+      changed(moves ? 'moved' : 'turned');
+    },
+    pinch(factor) {
+      camera.zoom(factor);
+      changed('turned');
+    },
+  });
   canvas.addEventListener('contextmenu', (event) => event.preventDefault());
   canvas.addEventListener('wheel', (event) => {
     event.preventDefault();

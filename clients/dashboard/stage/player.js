@@ -1,6 +1,6 @@
 /** A stage with its controls: play, scrub, slow motion, what is shown, who is followed. */
 
-import { announce, button, fill, h, select, toggle } from '../lib/dom.js';
+import { announce, button, fill, h, select, swatch, toggle } from '../lib/dom.js';
 import { score } from '../lib/format.js';
 import { driveCamera } from './camera.js';
 import { Stage } from './stage.js';
@@ -236,13 +236,11 @@ export class Player {
   }
 
   #name(robot, i) {
-    const swatch = h('i.swatch');
-    swatch.style.background = robot.color;
     return h('button', {
       type: 'button', 'aria-pressed': String(i === this.stage.followed),
       title: 'Follow this robot',
       onclick: () => this.#followRobot(i),
-    }, h('span.row', {}, swatch, robot.label ?? ''), h('span.number', {}, score(robot.loss)));
+    }, h('span.row', {}, swatch(robot.color), robot.label ?? ''), h('span.number', {}, score(robot.loss)));
   }
 
   #followRobot(i) {

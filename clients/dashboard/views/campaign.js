@@ -1,8 +1,8 @@
 /** Campaigns: the list, and one campaign with its curves, champions, population and phylogeny. */
 
 import { Curve, getJson, post, withQuery } from '../lib/api.js';
-import { Chart } from '../lib/chart.js';
-import { announce, button, fill, h } from '../lib/dom.js';
+import { Chart, column } from '../lib/chart.js';
+import { announce, button, fill, h, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { ago, count, number, percent, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
@@ -10,10 +10,10 @@ import { may } from '../lib/rights.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { breedButton, startButton } from './forms.js';
-import { actions, editButton, progressBar, remark, stateChip, submitter, titleOf, trouble, weightField } from './jobs.js';
+import { actions, comparing, editButton, progressBar, remark, stateChip, submitter, titleOf, trouble, weightField } from './jobs.js';
 import { Comparison } from './comparison.js';
 import { Scatter } from './scatter.js';
-import { copyButton, saveLink, showDialog } from './share.js';
+import { actDialog, copyButton, saveLink, showDialog } from './share.js';
 
 const CHAMPIONS = 8;
 const HUES = ['--blue', '--green', '--pink', '--grey'];
@@ -27,20 +27,11 @@ export async function mount(main, [id, part], parameters, app) {
 
 async function mountList(main, app) {
   const stop = new AbortController();
-  const chosen = new Set();
   const list = h('div');
-  const compare = button('Compare', () => {
-    const [first, ...others] = chosen;
-    app.go(`campaigns/${first}`, { compare: others.join(',') });
-  }, { disabled: true });
+  const { compare, box } = comparing(app, 'campaigns', 'Compare');
 
   const row = (job) => h('tr', {},
-    h('td', {}, h('input', { type: 'checkbox', checked: chosen.has(job.id), 'aria-label': `Compare ${titleOf(job)}`,
-      onchange: (event) => {
-        if (event.target.checked) chosen.add(job.id);
-        else chosen.delete(job.id);
-        compare.disabled = chosen.size < 2;
-      } })),
+    box(job),
     h('td.main', {}, h('a', { href: `#/campaigns/${job.id}` }, titleOf(job)), h('div.muted', {}, job.mode)),
     h('td', {}, stateChip(job)), h('td.right', { 'data-name': 'Population' }, count(job.settings.population)),
     h('td.wide', {}, progressBar(job)),
@@ -49,10 +40,9 @@ async function mountList(main, app) {
 
   async function refresh() {
     const { items } = await getJson('v1/campaigns?limit=200', { signal: stop.signal });
-    fill(list, items.length ? h('section.panel.scroll', {}, h('table.cards', {}, h('thead', {}, h('tr', {},
-      ['', 'Campaign', 'State', 'Population', 'Progress', 'Best score', 'Created'].map((name) =>
-        h(/Population|Best/.test(name) ? 'th.right' : 'th', { scope: 'col' }, name)))),
-    h('tbody', {}, items.map((job) => row({ ...job, kind: 'campaign' })))))
+    fill(list, items.length ? h('section.panel.scroll', {}, table(
+      ['', 'Campaign', 'State', 'Population', 'Progress', 'Best score', 'Created'],
+      h('tbody', {}, items.map((job) => row({ ...job, kind: 'campaign' }))), (name) => /Population|Best/.test(name)))
       : h('p.empty', {}, 'No campaign yet. A campaign evolves a population of designs over generations' +
         `${may('submit') ? '; the button above starts one' : ''}.`));
   }
@@ -70,9 +60,6 @@ async function mountList(main, app) {
     unmount: () => stop.abort(),
   };
 }
-
-/** One campaign's rows as lists of numbers, for charts. */
-const column = (rows, take) => Float64Array.from(rows, (row) => take(row) ?? NaN);
 
 async function mountOne(main, id, parameters, app) {
   const stop = new AbortController();
@@ -137,19 +124,11 @@ async function mountOne(main, id, parameters, app) {
 
   function extend() {
     const input = h('input', { type: 'number', min: 1, max: 100000, value: 10, required: true });
-    const fault = h('p.error', { role: 'alert' });
-    const dialog = showDialog('Extend the campaign', h('p', {}, 'It goes on from its last generation.'),
-      h('label.field', {}, h('span', {}, 'Further generations'), input), fault,
-      button('Extend', async () => {
-        try {
-          await post(`v1/campaigns/${id}/extend`, { generations: Number(input.value) });
-          dialog.close();
-          announce(`Extended by ${input.value} generations`);
-          refreshJob();
-        } catch (error) {
-          fault.textContent = error.message;
-        }
-      }, { class: 'primary' }));
+    actDialog('Extend the campaign', 'Extend', async () => {
+      await post(`v1/campaigns/${id}/extend`, { generations: Number(input.value) });
+      announce(`Extended by ${input.value} generations`);
+      refreshJob();
+    }, h('p', {}, 'It goes on from its last generation.'), h('label.field', {}, h('span', {}, 'Further generations'), input));
   }
 
   function showCharts() {

@@ -1,8 +1,8 @@
 /** Campaigns compared: their scores at the newest generation that all have, with an interval. */
 
 import { Chart } from '../lib/chart.js';
-import { fill, h } from '../lib/dom.js';
-import { score } from '../lib/format.js';
+import { fill, h, table } from '../lib/dom.js';
+import { score, signed } from '../lib/format.js';
 import { CONFIDENCE, compareMeans } from '../lib/statistics.js';
 import { Curve } from '../lib/api.js';
 
@@ -20,9 +20,8 @@ export class Comparison {
     this.body = h('tbody');
     this.note = h('p.muted');
     this.element = h('section.grid', { 'aria-label': 'Comparison' }, this.chart.element,
-      h('section.panel.stack', {}, h('h2', {}, 'Comparison'), this.note, h('div.scroll', {}, h('table', {}, h('thead', {}, h('tr', {},
-        ['Campaign', 'Replicates', 'Best score', 'Difference', `${100 * CONFIDENCE} % interval`].map((name, i) =>
-          h(i ? 'th.right' : 'th', { scope: 'col' }, name)))), this.body))));
+      h('section.panel.stack', {}, h('h2', {}, 'Comparison'), this.note, h('div.scroll', {}, table(
+        ['Campaign', 'Replicates', 'Best score', 'Difference', `${100 * CONFIDENCE} % interval`], this.body, (name, i) => i > 0, 'table'))));
   }
 
   /** The campaigns of a side, with their curves. */
@@ -71,7 +70,6 @@ export class Comparison {
     fill(this.body, this.sides.map(({ id, name }, i) => {
       const { difference, low, high } = compareMeans(values[0], values[i]);
       const mean = values[i].reduce((sum, one) => sum + one, 0) / values[i].length;
-      const signed = (value) => `${value < 0 ? '−' : '+'}${Math.abs(value).toFixed(4)}`;
       const interval = Number.isFinite(low) ? `${signed(low)} to ${signed(high)}` : 'needs replicates';
       return h('tr', {}, h('td', {}, h('a', { href: `#/campaigns/${id}` }, name), h('div.muted', {}, `campaign ${id}`)),
         h('td.right', {}, values[i].length), h('td.right', {}, score(mean)),

@@ -1,7 +1,7 @@
 /** Designs: the leaderboard, the results of one evaluation, and one design. */
 
 import { getJson, withQuery } from '../lib/api.js';
-import { button, fill, h, select } from '../lib/dom.js';
+import { button, fill, h, select, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { pythonOf } from '../lib/commands.js';
 import { ago, bytes, count, countOf, score, scoreOf, shellWord, voxels as inVoxels } from '../lib/format.js';
@@ -182,8 +182,7 @@ async function mountDesign(main, id, app) {
       h('div.stack', {}, h('strong', {}, inVoxels(design.voxels)), h('div', {}, `${design.masses} masses`),
         h('div', {}, `${design.springs} springs`), h('div.muted', {}, `first seen ${ago(design.first_seen_at)}`))),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
-    h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, h('table.cards', {},
-      h('thead', {}, h('tr', {}, ['Score', 'Controller', 'Environments', 'Computed', 'Class', 'Origin'].map((name) => h('th', { scope: 'col' }, name)))),
+    h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, table(['Score', 'Controller', 'Environments', 'Computed', 'Class', 'Origin'],
       h('tbody', {}, scored.map((one) => h('tr', {}, h('td', { 'data-name': 'Score' }, scoreOf(one)), h('td', { 'data-name': 'Controller' }, h('code', {}, one.controller.slice(0, 12))),
         h('td', {}, Array.isArray(one.environments) ? countOf(one.environments.length, 'environment') : String(one.environments)),
         h('td', {}, ago(one.computed_at)), h('td', {}, one.fingerprint), h('td', {}, one.origin))))))

@@ -9,7 +9,7 @@ import { environmentSet, roll } from '../lib/rollouts.js';
 import { cross, flip, grow, isConnected, mirror, mutate, readBody, shift } from '../lib/variation.js';
 import { Player } from '../stage/player.js';
 import { breedButton } from './forms.js';
-import { copyButton, showDialog } from './share.js';
+import { actDialog, copyButton } from './share.js';
 
 const FIRST = [[1, 1, 0], [2, 1, 0], [3, 1, 0], [4, 1, 0], [1, 4, 0], [2, 4, 0], [3, 4, 0], [4, 4, 0],
   [2, 2, 0], [3, 2, 0], [2, 3, 0], [3, 3, 0], [2, 2, 1], [3, 3, 1], [2, 3, 1], [3, 2, 1]];
@@ -162,18 +162,10 @@ export async function mount(main, path, parameters, app) {
 
   function importBody() {
     const text = h('textarea', { rows: 6, 'aria-label': 'Body' });
-    const fault = h('p.error', { role: 'alert' });
-    const dialog = showDialog('Import a body', h('p', {}, 'An id, 144 digits of voxels, a list of cells as [[x,y,z], …], ' +
-      'or an array of EvoGym (it becomes two voxels deep).'), text, fault,
-    button('Import', () => {
-      try {
-        const body = readBody(text.value);
-        dialog.close();
-        change(body.genotype ?? genotypeOfId(body.id));
-      } catch (error) {
-        fault.textContent = error.message;
-      }
-    }, { class: 'primary' }));
+    actDialog('Import a body', 'Import', () => {
+      const body = readBody(text.value);
+      change(body.genotype ?? genotypeOfId(body.id));
+    }, h('p', {}, 'An id, 144 digits of voxels, a list of cells as [[x,y,z], …], or an array of EvoGym (it becomes two voxels deep).'), text);
   }
 
   const move = (name, step) => button(name, () => {

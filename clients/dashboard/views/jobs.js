@@ -1,7 +1,7 @@
 /** What views of jobs share: their state, progress, and the buttons that change them. */
 
 import { ApiError, post, request } from '../lib/api.js';
-import { announce, button, fill, h } from '../lib/dom.js';
+import { announce, button, fill, h, table } from '../lib/dom.js';
 import { ago, count, countOf, duration } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { confirmDialog, showDialog } from './share.js';
@@ -98,6 +98,22 @@ export function actions(job, changed) {
   return list;
 }
 
+/** Boxes that choose jobs of a list, and the button that shows the chosen on one page. */
+export function comparing(app, path, text) {
+  const chosen = new Set();
+  const compare = button(text, () => {
+    const [first, ...others] = chosen;
+    app.go(`${path}/${first}`, { compare: others.join(',') });
+  }, { disabled: true });
+  const box = (job) => h('td', {}, h('input', { type: 'checkbox', checked: chosen.has(job.id), 'aria-label': `Compare ${titleOf(job)}`,
+    onchange: (event) => {
+      if (event.target.checked) chosen.add(job.id);
+      else chosen.delete(job.id);
+      compare.disabled = chosen.size < 2;
+    } }));
+  return { compare, box };
+}
+
 /** What somebody said of a job, and to what it belongs. Text, never markup. */
 export function remark(job) {
   const parts = [job.experiment && `in ${job.experiment}`, job.note, job.archived_at && 'archived'].filter(Boolean);
@@ -171,8 +187,7 @@ export class JobTable {
   constructor(changed) {
     this.changed = changed;
     this.body = h('tbody');
-    this.element = h('div.scroll', {}, h('table.cards.jobs', {}, h('thead', {}, h('tr', {},
-      ['Job', 'State', 'Progress', 'Created', ''].map((name) => h('th', { scope: 'col' }, name)))), this.body));
+    this.element = h('div.scroll', {}, table(['Job', 'State', 'Progress', 'Created', ''], this.body, undefined, 'table.cards.jobs'));
     this.rows = new Map();
     // An observer of intersections would tell of a row after the frame in which it appears.
     this.onScroll = () => this.#drawSeen();

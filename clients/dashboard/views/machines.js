@@ -1,7 +1,7 @@
 /** Machines: who computes what, since when, how fast, and what was lost. */
 
 import { ApiError, getJson, post, request } from '../lib/api.js';
-import { announce, button, fill, h } from '../lib/dom.js';
+import { announce, button, fill, h, table, tile } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { ago, count, countOf, duration, number } from '../lib/format.js';
 import { may } from '../lib/rights.js';
@@ -24,22 +24,17 @@ export async function mount(main, path, parameters, app) {
     h('p.muted', {}, 'Workers of these names cannot join until somebody releases them, also after a restart of the service.'),
     table(['Machine', 'Why', 'When', ''], outcasts));
   const endedPanel = h('section.panel.stack', { 'aria-label': 'Gone' }, h('h2', {}, 'Gone'),
-    table(['Machine', 'State', 'Done', 'Lost', 'Worked for', 'Ended'], ended));
+    listOf(['Machine', 'State', 'Done', 'Lost', 'Worked for', 'Ended'], ended));
 
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Machines'), h('div.actions', {}, copyButton(() => ({
       path: 'v1/fleet', morphoctl: 'fleet', python: 'print(m.fleet().sessions)',
     })))),
     tiles, note,
-    h('section.panel.stack', { 'aria-label': 'At work' }, h('h2', {}, 'At work'), table(heads, machines)), outcastsPanel, endedPanel);
+    h('section.panel.stack', { 'aria-label': 'At work' }, h('h2', {}, 'At work'), listOf(heads, machines)), outcastsPanel, endedPanel);
 
-  function table(names, body) {
-    return h('div.scroll', {}, h('table.cards', {}, h('thead', {}, h('tr', {}, names.map((name) =>
-      h(/second|Done|Lost|Now/.test(name) ? 'th.right' : 'th', { scope: 'col' }, name)))), body));
-  }
-
-  function tile(name, value, words) {
-    return h('div.panel.tile', {}, h('div.muted', {}, name), h('div.value', {}, value), h('div.muted', {}, words));
+  function listOf(names, body) {
+    return h('div.scroll', {}, table(names, body, (name) => /second|Done|Lost|Now/.test(name)));
   }
 
   const nameOf = (session) => h('td.main', {}, session.name,

@@ -2,7 +2,7 @@
 
 import { getJson, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
-import { button, fill, h } from '../lib/dom.js';
+import { button, fill, h, table as tableOf, tile } from '../lib/dom.js';
 import { ago, bytes, count, duration, number, percent, shellWord } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { startButton } from './forms.js';
@@ -24,11 +24,15 @@ export async function mount(main, path, parameters, app) {
   let state = parameters.get('state') ?? '';
   const table = new JobTable(() => refresh());
   const states = ['', 'queued', 'running', 'paused', 'succeeded', 'failed', 'cancelled'];
-  const filter = h('select', { 'aria-label': 'State of the jobs', onchange: (event) => {
-    state = event.target.value;
+  /** A choice without a visible name. */
+  const choice = (label, choices, value, chosen) =>
+    h('select', { 'aria-label': label, onchange: (event) => chosen(event.target.value) },
+      choices.map(([key, text]) => h('option', { value: key, selected: key === value }, text)));
+  const filter = choice('State of the jobs', states.map((name) => [name, name || 'all states']), state, (value) => {
+    state = value;
     app.keep({ state });
     refresh();
-  } }, states.map((name) => h('option', { value: name, selected: name === state }, name || 'all states')));
+  });
   let search = parameters.get('label') ?? '';
   let archived = parameters.get('archived') ?? '';
   const searched = h('input', { type: 'search', value: search, placeholder: 'label begins with', 'aria-label': 'Labels that begin with',
@@ -37,20 +41,19 @@ export async function mount(main, path, parameters, app) {
       app.keep({ label: search });
       refresh();
     } });
-  const archive = h('select', { 'aria-label': 'Archived jobs', onchange: (event) => {
-    archived = event.target.value;
+  const archive = choice('Archived jobs', [['', 'not archived'], ['true', 'archived'], ['all', 'archived, too']], archived, (value) => {
+    archived = value;
     app.keep({ archived });
     refresh();
-  } }, [['', 'not archived'], ['true', 'archived'], ['all', 'archived, too']].map(([value, name]) =>
-    h('option', { value, selected: value === archived }, name)));
+  });
   /** What the list is filtered by, as the contract names it. */
   const filters = () => ({ state, label: search && `${search}*`, archived });
   let by = 'experiment';
   const usage = h('tbody');
-  const usageBy = h('select', { 'aria-label': 'Use by', onchange: (event) => {
-    by = event.target.value;
+  const usageBy = choice('Use by', ['experiment', 'label', 'submitted_by', 'kind'].map((name) => [name, name.replace('_', ' ')]), by, (value) => {
+    by = value;
     showUsage();
-  } }, ['experiment', 'label', 'submitted_by', 'kind'].map((name) => h('option', { value: name }, name.replace('_', ' '))));
+  });
   const more = h('div.row');
   let wanted = 100;
 
@@ -71,8 +74,7 @@ export async function mount(main, path, parameters, app) {
     h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Jobs'), h('div.actions', {}, searched, filter, archive)),
       table.element, more),
     h('section.panel.stack', { 'aria-label': 'Use' }, h('div.title', {}, h('h2', {}, 'Use of cores and devices'), h('div.actions', {}, usageBy)),
-      h('div.scroll', {}, h('table', {}, h('thead', {}, h('tr', {}, ['Name', 'Jobs', 'Core time', 'Device time'].map((name, i) =>
-        h(i ? 'th.right' : 'th', { scope: 'col' }, name)))), usage))));
+      h('div.scroll', {}, tableOf(['Name', 'Jobs', 'Core time', 'Device time'], usage, (name, i) => i > 0, 'table'))));
 
   async function showUsage() {
     const { items } = await get(withQuery('v1/usage', { by, limit: 20 }));
@@ -86,10 +88,6 @@ export async function mount(main, path, parameters, app) {
     fill(events, rows.length ? rows.map((event) => h('tr', {},
       h('td', {}, linkTo(event), h('div.muted', {}, event.type)), h('td', {}, detailOf(event)), h('td.right.muted', {}, ago(event.at))))
       : h('tr', {}, h('td.empty', {}, 'Nothing has happened yet.')));
-  }
-
-  function tile(name, value, note) {
-    return h('div.panel.tile', {}, h('div.muted', {}, name), h('div.value', {}, value), h('div.muted', {}, note));
   }
 
   function showTiles(health, threads, devices) {

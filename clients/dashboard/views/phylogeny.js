@@ -7,6 +7,7 @@ import { OPERATOR_HUES, layout, nearest } from '../lib/lineage.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { decodeScene } from '../lib/scene.js';
+import { onPointers } from '../stage/camera.js';
 import { Program, dataTexture } from '../stage/gl.js';
 import { Player } from '../stage/player.js';
 import { PhylogenyMarks } from './phylogeny_marks.js';
@@ -350,40 +351,24 @@ export async function mount(main, id, parameters, app) {
 
 /** Drag moves, wheel and pinch zoom, a click chooses. */
 function drive(canvas, view, choose) {
-  const pointers = new Map();
-  let moved = 0;
-  let pinch = 0;
-  canvas.addEventListener('pointerdown', (event) => {
-    canvas.setPointerCapture(event.pointerId);
-    pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
-    moved = 0;
-    pinch = 0;
-  });
-  canvas.addEventListener('pointermove', (event) => {
-    const before = pointers.get(event.pointerId);
-    if (!before) return;
-    const [dx, dy] = [event.offsetX - before[0], event.offsetY - before[1]];
-    pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
-    moved += Math.abs(dx) + Math.abs(dy);
-    if (pointers.size === 2) {
-      const [a, b] = [...pointers.values()];
-      const spread = Math.hypot(a[0] - b[0], a[1] - b[1]);
-      if (pinch && spread) view.zoom(pinch / spread, (a[0] + b[0]) / 2, (a[1] + b[1]) / 2);
-      pinch = spread;
-    } else {
+  const redraw = () => requestAnimationFrame(() => view.draw());
+  onPointers(canvas, {
+    drag(dx, dy) {
       view.center[0] -= (dx / canvas.clientWidth) * view.span[0];
       view.center[1] -= (dy / canvas.clientHeight) * view.span[1];
-    }
-    requestAnimationFrame(() => view.draw());
+      redraw();
+    },
+    pinch(factor, x, y) {
+      view.zoom(factor, x, y);
+      redraw();
+    },
+    click(x, y) {
+      if (view.columns) choose(view.pick(x, y));
+    },
   });
-  canvas.addEventListener('pointerup', (event) => {
-    pointers.delete(event.pointerId);
-    if (moved < 5 && view.columns) choose(view.pick(event.offsetX, event.offsetY));
-  });
-  canvas.addEventListener('pointercancel', (event) => pointers.delete(event.pointerId));
   canvas.addEventListener('wheel', (event) => {
     event.preventDefault();
     view.zoom(Math.exp(event.deltaY * 0.0015), event.offsetX, event.offsetY);
-    requestAnimationFrame(() => view.draw());
+    redraw();
   }, { passive: false });
 }

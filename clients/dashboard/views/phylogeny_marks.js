@@ -1,7 +1,7 @@
 /** What lies over the picture of a phylogeny: generations, the chosen design and its line of descent. */
 
 import { ticks } from '../lib/chart.js';
-import { fill, h } from '../lib/dom.js';
+import { fill, h, paint, swatch } from '../lib/dom.js';
 import { count, number } from '../lib/format.js';
 import { OPERATOR_HUES } from '../lib/lineage.js';
 
@@ -19,11 +19,6 @@ export class PhylogenyMarks {
   /** Says what the colors mean. */
   tell() {
     const { colorBy, scores, ends, columns } = this.view;
-    const swatch = (color) => {
-      const element = h('i.swatch');
-      element.style.color = `var(${color})`;
-      return element;
-    };
     const ramp = (from, to) => [h('span', {}, from), h('i.ramp'), h('span', {}, to)];
     const tellers = {
       score: () => [...ramp(`score ${number(scores[1])}`, `${number(scores[0])}, the best`),
@@ -38,16 +33,10 @@ export class PhylogenyMarks {
   }
 
   draw() {
-    const { canvas, view } = this;
-    const { clientWidth: width, clientHeight: height } = canvas;
-    if (!width || !view.columns) return;
-    canvas.width = Math.round(width * devicePixelRatio);
-    canvas.height = Math.round(height * devicePixelRatio);
-    const context = canvas.getContext('2d');
-    context.scale(devicePixelRatio, devicePixelRatio);
-    const style = getComputedStyle(canvas);
-    const color = (name) => style.getPropertyValue(name).trim();
-    context.font = `12px ${style.fontFamily}`;
+    const { view } = this;
+    const painting = view.columns ? paint(this.canvas) : null;
+    if (!painting) return;
+    const { context, width, height, color } = painting;
     const [from] = view.at(0, 0);
     const [to] = view.at(width, 0);
     context.fillStyle = color('--panel');

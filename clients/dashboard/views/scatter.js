@@ -1,7 +1,7 @@
 /** A population as points: any two traits, and a brush that chooses designs. */
 
 import { ticks } from '../lib/chart.js';
-import { announce, button, fill, h, select } from '../lib/dom.js';
+import { announce, button, fill, h, paint, select, swatch } from '../lib/dom.js';
 import { number } from '../lib/format.js';
 
 /** What a design is measured by. */
@@ -69,11 +69,7 @@ export class Scatter {
     const measures = [...new Set(designs.flatMap((design) => Object.keys(design.measures ?? {})))].sort();
     if (Object.keys(this.traits).length !== Object.keys(TRAITS).length + measures.length) this.#offer(measures);
     fill(this.legend, [...new Set(designs.map((design) => design.operator))].sort()
-      .map((operator) => {
-        const swatch = h('i.swatch');
-        swatch.style.color = `var(${colorOf(operator)})`;
-        return h('span', {}, swatch, operator);
-      }));
+      .map((operator) => h('span', {}, swatch(colorOf(operator)), operator)));
     const numbers = new Set(designs.map((design) => design.number));
     this.selected = this.selected.filter((design) => numbers.has(design.number));
     this.canvas.setAttribute('aria-label', `Population of ${designs.length} designs: ${this.traits[this.axes[1]].name} ` +
@@ -108,16 +104,9 @@ export class Scatter {
   }
 
   draw() {
-    const { canvas } = this;
-    const { clientWidth: width, clientHeight: height } = canvas;
-    if (!width || !height) return;
-    canvas.width = Math.round(width * devicePixelRatio);
-    canvas.height = Math.round(height * devicePixelRatio);
-    const context = canvas.getContext('2d');
-    context.scale(devicePixelRatio, devicePixelRatio);
-    const style = getComputedStyle(canvas);
-    const color = (name) => style.getPropertyValue(name).trim();
-    context.font = `12px ${style.fontFamily}`;
+    const painting = paint(this.canvas);
+    if (!painting) return;
+    const { context, width, height, color } = painting;
     const [x, y] = this.#place();
     context.strokeStyle = color('--grid');
     context.fillStyle = color('--muted');

@@ -15,6 +15,19 @@ export function showDialog(title, ...children) {
   return dialog;
 }
 
+/** A dialog that does something and closes; what fails is told in it. */
+export function actDialog(title, action, work, ...children) {
+  const fault = h('p.error', { role: 'alert' });
+  const dialog = showDialog(title, ...children, fault, button(action, async () => {
+    try {
+      await work();
+      dialog.close();
+    } catch (error) {
+      fault.textContent = error.message;
+    }
+  }, { class: 'primary' }));
+}
+
 /** Asks before something is lost; true if it is to be done. */
 export function confirmDialog(title, text, action) {
   return new Promise((resolve) => {

@@ -7,7 +7,7 @@ import { Player } from '../stage/player.js';
 import { commandsOf, pythonOf } from '../lib/commands.js';
 import { breedButton } from './forms.js';
 import { titleOf } from './jobs.js';
-import { copyDialog, exportDialog, filmCommand, showDialog } from './share.js';
+import { actDialog, copyDialog, exportDialog, filmCommand } from './share.js';
 
 /** At most so many robots walk at once. */
 const ROBOTS_MAX = 256;
@@ -97,20 +97,13 @@ async function rollouts(parameters) {
   function choose(changed) {
     const text = h('textarea', { rows: 8, 'aria-label': 'Designs' });
     text.value = ids.join('\n');
-    const fault = h('p.error', { role: 'alert' });
-    const dialog = showDialog('Robots on the stage',
-      h('p', {}, `One design a line: an id of 36 digits, or 144 digits of voxels; at most ${ROBOTS_MAX}.`), text, fault,
-      button('Let them walk', () => {
-        const lines = text.value.split(/[\s,]+/).filter(Boolean);
-        const wrong = lines.find((line) => !isDesign(line.toLowerCase()));
-        if (wrong || !lines.length) {
-          fault.textContent = wrong ? `${wrong.slice(0, 40)} is neither an id nor 144 digits.` : 'Name a design.';
-          return;
-        }
-        ids = lines.slice(0, ROBOTS_MAX).map((line) => line.toLowerCase());
-        dialog.close();
-        changed();
-      }, { class: 'primary' }));
+    actDialog('Robots on the stage', 'Let them walk', () => {
+      const lines = text.value.split(/[\s,]+/).filter(Boolean);
+      const wrong = lines.find((line) => !isDesign(line.toLowerCase()));
+      if (wrong || !lines.length) throw new Error(wrong ? `${wrong.slice(0, 40)} is neither an id nor 144 digits.` : 'Name a design.');
+      ids = lines.slice(0, ROBOTS_MAX).map((line) => line.toLowerCase());
+      changed();
+    }, h('p', {}, `One design a line: an id of 36 digits, or 144 digits of voxels; at most ${ROBOTS_MAX}.`), text);
   }
 
   return {

@@ -1,16 +1,16 @@
 /** Trainings and controllers: curves over each other, validations, lineage, and two controllers compared. */
 
 import { Curve, getJson, patient, post } from '../lib/api.js';
-import { Chart } from '../lib/chart.js';
-import { button, fill, h, select } from '../lib/dom.js';
+import { Chart, column } from '../lib/chart.js';
+import { button, fill, h, select, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
-import { ago, bytes, count, number, percent, score } from '../lib/format.js';
+import { ago, bytes, count, number, percent, score, signed } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { CONFIDENCE, comparePairs } from '../lib/statistics.js';
 import { Player } from '../stage/player.js';
 import { startButton } from './forms.js';
-import { actions, editButton, progressBar, remark, stateChip, titleOf, trouble, weightField } from './jobs.js';
+import { actions, comparing, editButton, progressBar, remark, stateChip, titleOf, trouble, weightField } from './jobs.js';
 import { copyButton, saveLink } from './share.js';
 
 const HUES = ['--blue', '--orange', '--green', '--pink'];
@@ -20,23 +20,14 @@ export async function mount(main, [id], parameters, app) {
 }
 
 async function mountList(main, app) {
-  const chosen = new Set();
   const list = h('div');
   const files = h('section.panel.stack');
-  const compare = button('Compare curves', () => {
-    const [first, ...others] = chosen;
-    app.go(`trainings/${first}`, { compare: others.join(',') });
-  }, { disabled: true });
+  const { compare, box } = comparing(app, 'trainings', 'Compare curves');
 
   function row(item) {
     const job = { ...item, trainingKind: item.kind, kind: 'training' };
     return h('tr', {},
-      h('td', {}, h('input', { type: 'checkbox', checked: chosen.has(job.id), 'aria-label': `Compare ${titleOf(job)}`,
-        onchange: (event) => {
-          if (event.target.checked) chosen.add(job.id);
-          else chosen.delete(job.id);
-          compare.disabled = chosen.size < 2;
-        } })),
+      box(job),
       h('td.main', {}, h('a', { href: `#/trainings/${job.id}` }, titleOf(job)), h('div.muted', {}, `${job.trainingKind}, ${job.name ?? 'unnamed'}`)),
       h('td', {}, stateChip(job)), h('td.wide', {}, progressBar(job)),
       h('td.right', { 'data-name': 'Loss' }, number(job.progress.mean_loss)),
@@ -48,12 +39,11 @@ async function mountList(main, app) {
     const [trainings, controllers] = await Promise.all([
       getJson('v1/trainings?limit=200'), getJson('v1/controllers?limit=200')]);
     const named = controllers.items.filter(({ name }) => name);
-    fill(list, trainings.items.length ? h('section.panel.scroll', {}, h('table.cards', {}, h('thead', {}, h('tr', {},
-      ['', 'Training', 'State', 'Progress', 'Loss', 'Held-out score', 'Created'].map((name) =>
-        h(/Loss|score/.test(name) ? 'th.right' : 'th', { scope: 'col' }, name)))), h('tbody', {}, trainings.items.map(row))))
+    fill(list, trainings.items.length ? h('section.panel.scroll', {}, table(
+      ['', 'Training', 'State', 'Progress', 'Loss', 'Held-out score', 'Created'], h('tbody', {}, trainings.items.map(row)),
+      (name) => /Loss|score/.test(name)))
       : h('p.empty', {}, 'No training yet. A training teaches a controller by backpropagation through the simulation.'));
-    fill(files, h('h2', {}, 'Controllers'), h('div.scroll', {}, h('table.cards', {},
-      h('thead', {}, h('tr', {}, ['Name', 'File', 'Parameters', 'Sensor', 'Made by', 'From', 'Stored'].map((name) => h('th', { scope: 'col' }, name)))),
+    fill(files, h('h2', {}, 'Controllers'), h('div.scroll', {}, table(['Name', 'File', 'Parameters', 'Sensor', 'Made by', 'From', 'Stored'],
       h('tbody', {}, named.map((one) => h('tr', {},
         h('td.main', {}, saveLink(`v1/controllers/${encodeURIComponent(one.name)}/file`, `${one.name}.safetensors`, one.name)),
         h('td', {}, h('code', {}, one.sha256.slice(0, 12)), h('span.muted', {}, ` ${bytes(one.bytes)}`)),
@@ -114,7 +104,6 @@ function comparison(app, controllers) {
       const [first, second] = await Promise.all([evaluate(a), evaluate(b)]);
       const scores = [first, second].map(({ results }) => results.map((one) => one.score ?? NaN));
       const { n, difference, low, high, improved } = comparePairs(scores[0], scores[1]);
-      const signed = (value) => `${value < 0 ? '−' : '+'}${Math.abs(value).toFixed(4)}`;
       const better = high < 0 ? `${b} is better on such bodies` : low > 0 ? `${b} is worse on such bodies`
         : 'which is better is not shown: more bodies make the interval narrower';
       const left = designs.length - n;
@@ -184,7 +173,6 @@ async function mountOne(main, id, parameters, app) {
       job.progress.bodies_per_s ? h('span.muted', {}, `${number(job.progress.bodies_per_s)} bodies a second`) : null));
   }
 
-  const column = (rows, take) => Float64Array.from(rows, (row) => take(row) ?? NaN);
   /** Trainings that differ in their seeds alone are replicates: a band of them is one curve. */
   let groups = ids.map((one, i) => ({ name: ids.length > 1 ? `training ${one}` : '', members: [i] }));
 
