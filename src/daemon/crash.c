@@ -11,6 +11,7 @@
 #include <unistd.h>
 
 #include "daemon/log.h"
+#include "daemon/memory.h"
 #include "jobs/jobs.h"
 
 static const int signals[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
@@ -35,11 +36,6 @@ static void crashed(int number)
   static const char text[] = "morphod: crashed\n";
   log_last_words(text, sizeof(text) - 1);
   raise(number); /* blocked until this handler returns */
-}
-
-static int join(const char *folder, const char *name, char **path)
-{
-  return asprintf(path, "%s/%s", folder, name) < 0 ? MO_ERR_NO_MEMORY : MO_OK;
 }
 
 #define BOOT_BYTES 64
@@ -76,25 +72,17 @@ static void look(const char *path, const char *boot, size_t size, bool *noted, i
 
 int crash_open(const char *state_dir, char **last, int64_t *killed_us, struct mo_message *message)
 {
-  char *current = NULL, *old = NULL;
+  char *current = format_text("%s/crash-marker", state_dir), *old = format_text("%s.last", current);
   struct stat status;
   char boot[BOOT_BYTES];
   const size_t boot_size = read_boot(boot);
   bool noted = false;
+  int result = MO_OK, fd = -1;
   *last = NULL;
-  *killed_us = 0;
-  int result = join(state_dir, "crash-marker", &current);
-  if (result == MO_OK)
-    result = join(state_dir, "crash-marker.last", &old);
-  if (result != MO_OK) {
-    free(current);
-    return result;
-  }
   /* Rename first: a crash before the note is read must not overwrite the note. */
   look(current, boot, boot_size, &noted, killed_us);
   if (noted && rename(current, old) != 0)
     result = mo_fail(message, MO_ERR_IO, "%s: %s", current, strerror(errno));
-  int fd = -1;
   if (result == MO_OK) {
     /* Written over what is there: on a full disk there is no room for another block. */
     fd = open(current, O_WRONLY | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
@@ -123,14 +111,12 @@ int crash_open(const char *state_dir, char **last, int64_t *killed_us, struct mo
 
 void crash_close(const char *state_dir)
 {
-  char *path;
+  char *path = format_text("%s/crash-marker", state_dir);
   for (size_t i = 0; i < N_SIGNALS; i++)
     signal(signals[i], SIG_DFL);
   if (marker >= 0)
     close((int)marker);
   marker = -1;
-  if (join(state_dir, "crash-marker", &path) == MO_OK) {
-    unlink(path);
-    free(path);
-  }
+  unlink(path);
+  free(path);
 }

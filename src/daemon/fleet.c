@@ -31,18 +31,14 @@ static int read_pem(const char *name, const char *path, char **text, struct mo_m
 {
   struct stat status;
   FILE *file = NULL;
-  size_t n = 0;
   errno = 0;
   if (stat(path, &status) != 0 || !S_ISREG(status.st_mode) || (file = fopen(path, "re")) == NULL)
     return mo_fail(message, MO_ERR_INVALID, "%s: %s: %s", name, path,
                    errno != 0 ? strerror(errno) : "not a file");
-  *text = calloc(1, PEM_MAX + 1);
-  if (*text != NULL)
-    n = fread(*text, 1, PEM_MAX + 1, file);
+  *text = enough(calloc(1, PEM_MAX + 1));
+  const size_t n = fread(*text, 1, PEM_MAX + 1, file);
   const bool failed = ferror(file) != 0;
   fclose(file);
-  if (*text == NULL)
-    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
   if (failed || n == 0 || n > PEM_MAX)
     return mo_fail(message, MO_ERR_INVALID, "%s: %s: %s", name, path,
                    failed   ? strerror(errno)
@@ -160,9 +156,7 @@ int fleet_create(const struct settings *settings, struct mo_store *store,
 {
   if (!fleet_is_on(settings))
     return MO_OK;
-  struct fleet *fleet = calloc(1, sizeof(*fleet));
-  if (fleet == NULL)
-    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  struct fleet *fleet = enough(calloc(1, sizeof(*fleet)));
   *fleet = (struct fleet){.store = store, .compute = compute};
   struct mo_fleet_config config = {.source = mo_fleet_source_of(compute),
                                    .workspace = MO_DEFAULT_WORKSPACE,

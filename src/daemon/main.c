@@ -14,6 +14,7 @@
 #include "base/clock.h"
 #include "daemon/crash.h"
 #include "daemon/log.h"
+#include "daemon/memory.h"
 #include "daemon/service.h"
 #include "daemon/settings.h"
 #include "daemon/store_command.h"
@@ -56,14 +57,10 @@ static void report_faults(const struct settings_faults *faults)
 static void load(struct process *process, struct settings *settings,
                  struct settings_request *request, struct settings_faults *faults)
 {
-  if (settings_init(settings) != MO_OK) {
-    settings_fault(faults, true, "out of memory");
-    return;
-  }
+  settings_init(settings);
   settings_load(settings, process->argc, process->argv, (const char *const *)environ, request,
                 faults);
-  if (settings_complete(settings, (const char *const *)environ) != MO_OK)
-    settings_fault(faults, true, "out of memory");
+  settings_complete(settings, (const char *const *)environ);
 }
 
 /* Logs that a setting has another value now, which it takes if it can be reloaded. Others keep
@@ -73,13 +70,13 @@ static void apply(struct settings *current, const struct settings *read,
 {
   struct mo_message ignored;
   char *old = settings_value_text(current, setting), *fresh = settings_value_text(read, setting);
-  const bool differs = old != NULL && fresh != NULL && strcmp(old, fresh) != 0;
+  const bool differs = strcmp(old, fresh) != 0;
   if (differs && setting->reloads)
     log_info("setting changed", LOG_TEXT("setting", setting->name), LOG_TEXT("value", fresh));
   else if (differs)
     log_warning("setting needs a restart to change", LOG_TEXT("setting", setting->name),
                 LOG_TEXT("value", old), LOG_TEXT("new_value", fresh));
-  if (setting->reloads && fresh != NULL)
+  if (setting->reloads)
     settings_set(current, setting, fresh,
                  (enum setting_source)read->source[setting - settings_table], false, &ignored);
   free(old);
@@ -227,9 +224,7 @@ static int announce(const struct process *process, struct mo_message *message)
   const char *path = process->settings.port_file;
   if (path == NULL)
     return MO_OK;
-  char *temporary = NULL;
-  if (asprintf(&temporary, "%s.new", path) < 0)
-    return MO_ERR_NO_MEMORY;
+  char *temporary = format_text("%s.new", path);
   FILE *file = fopen(temporary, "we");
   int status = file != NULL ? MO_OK : MO_ERR_IO;
   for (size_t i = 0; i < n + n_fleet && status == MO_OK; i++)

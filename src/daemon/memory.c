@@ -1,10 +1,14 @@
 /* memory.c: see memory.h. */
 #include "memory.h"
 
+#include <stdarg.h>
+#include <stdio.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
 #include "base/processors.h"
+#include "daemon/log.h"
+#include "daemon/service.h"
 
 #define MARGIN   (UINT64_C(64) << 20)
 #define LEAST    (UINT64_C(128) << 20) /* the service itself takes half of it */
@@ -32,4 +36,23 @@ uint64_t memory_limit(void)
     limit = lesser(limit, space.rlim_cur > RESERVED ? space.rlim_cur - RESERVED : 0);
   limit -= lesser(limit / 2, limit / 8 > MARGIN ? limit / 8 : MARGIN);
   return limit > LEAST ? limit : LEAST;
+}
+
+void *enough(void *memory)
+{
+  static const char text[] = "morphod: out of memory\n";
+  if (memory != NULL)
+    return memory;
+  log_last_words(text, sizeof(text) - 1);
+  _exit(EXIT_SYSTEM);
+}
+
+char *format_text(const char *format, ...)
+{
+  char *text = NULL;
+  va_list arguments;
+  va_start(arguments, format);
+  const int n = vasprintf(&text, format, arguments);
+  va_end(arguments);
+  return enough(n < 0 ? NULL : text);
 }

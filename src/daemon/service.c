@@ -58,9 +58,7 @@ struct service {
 
 static int make_folders(const char *path, struct mo_message *message)
 {
-  char *copy = strdup(path);
-  if (copy == NULL)
-    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  char *copy = enough(strdup(path));
   int status = MO_OK;
   for (char *slash = copy + 1;; slash++) {
     if (*slash != '/' && *slash != 0)
@@ -502,12 +500,8 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
                   struct service **ret_service, struct mo_message *message)
 {
   message->text[0] = 0;
-  struct service *service = calloc(1, sizeof(*service));
-  if (service == NULL || (service->state_dir = strdup(settings->state_dir)) == NULL) {
-    free(service);
-    mo_fail(message, MO_ERR_NO_MEMORY, "%s", mo_error_text(MO_ERR_NO_MEMORY));
-    return EXIT_SYSTEM;
-  }
+  struct service *service = enough(calloc(1, sizeof(*service)));
+  service->state_dir = enough(strdup(settings->state_dir));
   service->fatal = fatal;
   service->subscription = -1;
   for (size_t i = 0; i < sizeof(parts) / sizeof(parts[0]); i++) {

@@ -10,6 +10,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "daemon/memory.h"
+
 #define KIB                UINT64_C(1024)
 #define MIB                (KIB * KIB)
 #define GIB                (MIB * KIB)
@@ -166,21 +168,14 @@ _Static_assert(sizeof(settings_table) / sizeof(settings_table[0]) <= SETTINGS_MA
 
 void settings_fault(struct settings_faults *faults, bool fatal, const char *format, ...)
 {
-  struct settings_fault *items =
-      realloc(faults->items, (faults->n + 1) * sizeof(*items)); /* without memory, only counted */
   char *text = NULL;
   va_list arguments;
   va_start(arguments, format);
-  if (vasprintf(&text, format, arguments) < 0)
-    text = NULL;
+  const int n = vasprintf(&text, format, arguments);
   va_end(arguments);
+  faults->items = enough(realloc(faults->items, (faults->n + 1) * sizeof(*faults->items)));
+  faults->items[faults->n++] = (struct settings_fault){enough(n < 0 ? NULL : text), fatal};
   faults->n_fatal += fatal;
-  if (items != NULL)
-    faults->items = items;
-  if (items != NULL && text != NULL)
-    faults->items[faults->n++] = (struct settings_fault){text, fatal};
-  else
-    free(text);
 }
 
 void settings_faults_print(const struct settings_faults *faults)
@@ -206,19 +201,6 @@ static void list_free(struct setting_list *list)
   *list = (struct setting_list){0};
 }
 
-static int list_add(struct setting_list *list, const char *text, size_t length)
-{
-  char **items = realloc(list->items, (list->n + 1) * sizeof(*items));
-  if (items == NULL)
-    return MO_ERR_NO_MEMORY;
-  list->items = items;
-  items[list->n] = strndup(text, length);
-  if (items[list->n] == NULL)
-    return MO_ERR_NO_MEMORY;
-  list->n++;
-  return MO_OK;
-}
-
 static int set_list(struct setting_list *list, const char *text, bool append,
                     struct mo_message *message)
 {
@@ -230,8 +212,10 @@ static int set_list(struct setting_list *list, const char *text, bool append,
     size_t length = strcspn(c, ", \t");
     if (length > 0 && list->n >= 64)
       return mo_fail(message, MO_ERR_LIMIT, "a list holds at most 64 items");
-    if (length > 0 && list_add(list, c, length) != MO_OK)
-      return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+    if (length > 0) {
+      list->items = enough(realloc(list->items, (list->n + 1) * sizeof(*list->items)));
+      list->items[list->n++] = enough(strndup(c, length));
+    }
     c += length;
   }
   return MO_OK;
@@ -317,12 +301,9 @@ int setting_read(void *values, const struct setting *setting, const char *text, 
   int status = MO_OK;
   switch (setting->type) {
   case SETTING_PATH: {
-    char *copy = NULL;
-    if (*text != 0 && (copy = strdup(text)) == NULL)
-      return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
     char **value = AT(values, setting);
     free(*value);
-    *value = copy;
+    *value = *text != 0 ? enough(strdup(text)) : NULL;
     break;
   }
   case SETTING_LIST: status = set_list(AT(values, setting), text, append, message); break;
@@ -368,18 +349,12 @@ int settings_set(struct settings *settings, const struct setting *setting, const
   return status;
 }
 
-int settings_init(struct settings *settings)
+void settings_init(struct settings *settings)
 {
   *settings = (struct settings){0};
-  for (size_t i = 0; i < settings_count; i++) {
-    int status = settings_set(settings, &settings_table[i], settings_table[i].initial,
-                              SOURCE_DEFAULT, false, NULL);
-    if (status != MO_OK) {
-      settings_free(settings);
-      return status;
-    }
-  }
-  return MO_OK;
+  for (size_t i = 0; i < settings_count; i++)
+    (void)settings_set(settings, &settings_table[i], settings_table[i].initial, SOURCE_DEFAULT,
+                       false, NULL);
 }
 
 void settings_free(struct settings *settings)
@@ -395,28 +370,28 @@ char *settings_value_text(const struct settings *settings, const struct setting 
   switch (setting->type) {
   case SETTING_PATH: {
     const char *path = *(char *const *)CAT(settings, setting);
-    return strdup(path != NULL ? path : "");
+    return enough(strdup(path != NULL ? path : ""));
   }
   case SETTING_LIST: {
     const struct setting_list *list = CAT(settings, setting);
     char *text = NULL;
     size_t length = 0;
-    FILE *file = open_memstream(&text, &length);
-    for (size_t i = 0; file != NULL && i < list->n; i++)
+    FILE *file = enough(open_memstream(&text, &length));
+    for (size_t i = 0; i < list->n; i++)
       fprintf(file, "%s%s", i > 0 ? ", " : "", list->items[i]);
-    return file != NULL && fclose(file) == 0 ? text : NULL;
+    return enough(fclose(file) == 0 ? text : NULL);
   }
   case SETTING_NUMBER:
   case SETTING_BYTES:
   case SETTING_DURATION:
     settings_number_text(setting->type, *(const uint64_t *)CAT(settings, setting), number,
                          sizeof(number));
-    return strdup(number);
+    return enough(strdup(number));
   case SETTING_CHOICE: {
     const char *c = setting->choices;
     for (int position = *(const int *)CAT(settings, setting); position > 0; position--)
       c += strcspn(c, "|") + 1;
-    return strndup(c, strcspn(c, "|"));
+    return enough(strndup(c, strcspn(c, "|")));
   }
   }
   return NULL;

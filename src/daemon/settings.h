@@ -102,8 +102,8 @@ struct settings_request {
   bool usage_fault;   /* the command line itself is invalid (unknown flag, missing value) */
 };
 
-/* Sets all values to their defaults. MO_ERR_NO_MEMORY. */
-int settings_init(struct settings *settings);
+/* Sets all values to their defaults. */
+void settings_init(struct settings *settings);
 void settings_free(struct settings *settings);
 
 /* Reads flags, then file and environment, and applies them in order of precedence. Continues after
@@ -120,12 +120,12 @@ void settings_read_environment(struct settings *settings, const char *const *env
                                struct settings_faults *faults);
 
 /* Sets one value from its text. `append`: adds to a list. MO_ERR_INVALID, MO_ERR_RANGE with a
- * message; MO_ERR_NO_MEMORY. */
+ * message. */
 int settings_set(struct settings *settings, const struct setting *setting, const char *text,
                  enum setting_source source, bool append, struct mo_message *message);
 
 /* Derives values from the environment: state_dir, token_file from a credential. */
-int settings_complete(struct settings *settings, const char *const *environment);
+void settings_complete(struct settings *settings, const char *const *environment);
 
 /* Checks folders, files and addresses to which the values refer, and contradictions. Reads only,
  * never writes. `state_dir`: checks the state folder, too. (A start does not need this check: it
@@ -138,7 +138,7 @@ void settings_print(const struct settings *settings,
                     FILE *file);       /* prints a file with these values */
 void settings_print_table(FILE *file); /* Markdown */
 
-/* Returns the value of a setting as text (malloc; NULL without memory). */
+/* Returns the value of a setting as text (malloc). */
 char *settings_value_text(const struct settings *settings, const struct setting *setting);
 /* Writes a number of a type of settings: the shortest text that reads back as the same value. */
 void settings_number_text(enum setting_type type, uint64_t value, char *text, size_t capacity);

@@ -14,6 +14,7 @@
 
 #include "daemon/devices.h"
 #include "daemon/fleet.h"
+#include "daemon/memory.h"
 #include "http/server.h"
 #include "store/store.h"
 #include "tokens.h"
@@ -53,11 +54,7 @@ static void check_state_dir(const char *path, struct settings_faults *faults)
     settings_fault(faults, true, "state_dir: %s: %s", path, strerror(errno));
     return;
   }
-  char *parent = strdup(path);
-  if (parent == NULL) {
-    settings_fault(faults, true, "out of memory");
-    return;
-  }
+  char *parent = enough(strdup(path));
   for (;;) {
     char *slash = strrchr(parent, '/');
     if (slash == parent)
@@ -115,8 +112,7 @@ static void check_token_file(const char *path, size_t *n_clients, size_t *n_work
 /* Checks that the folder of a file to be created is writable. */
 static void check_parent(const char *name, const char *path, struct settings_faults *faults)
 {
-  char *folder = strdup(path);
-  char *slash = folder != NULL ? strrchr(folder, '/') : NULL;
+  char *folder = enough(strdup(path)), *slash = strrchr(folder, '/');
   if (slash != NULL)
     slash[slash == folder] = 0;
   const char *where = slash != NULL ? folder : ".";
@@ -209,11 +205,7 @@ static void check_controller(const char *path, struct settings_faults *faults)
 static void check_shipped_controller(const char *state_dir, struct settings_faults *faults)
 {
   static const char path[] = MORPHOD_DATADIR "/controllers/phototaxis.safetensors";
-  char *database = NULL;
-  if (asprintf(&database, "%s/morphod.db", state_dir) < 0) {
-    settings_fault(faults, true, "out of memory");
-    return;
-  }
+  char *database = format_text("%s/morphod.db", state_dir);
   if (access(path, R_OK) != 0 && access(database, F_OK) != 0)
     settings_fault(faults, false, "default_controller: %s: %s; the first start needs a controller",
                    path, strerror(errno));

@@ -9,8 +9,10 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "base/words.h"
 #include <unistd.h>
+
+#include "base/words.h"
+#include "daemon/memory.h"
 
 #define FILE_MAX (1 << 20)
 
@@ -114,11 +116,7 @@ void settings_read_text(struct settings *settings, const char *file, const char 
     if (memchr(text + start, 0, n) != NULL) {
       settings_fault(faults, true, "%s:%zu: NUL byte", file, number);
     } else {
-      char *line = strndup(text + start, n);
-      if (line == NULL) {
-        settings_fault(faults, true, "%s: out of memory", file);
-        return;
-      }
+      char *line = enough(strndup(text + start, n));
       read_line(settings, file, number, line, lines_seen, faults);
       free(line);
     }
@@ -142,11 +140,9 @@ static bool read_file(struct settings *settings, const char *path, bool required
       settings_fault(faults, true, "%s: %s", path, strerror(errno));
     return false;
   }
-  char *text = malloc(FILE_MAX + 1);
-  size_t n = text != NULL ? fread(text, 1, FILE_MAX + 1, file) : 0;
-  if (text == NULL)
-    settings_fault(faults, true, "%s: out of memory", path);
-  else if (ferror(file))
+  char *text = enough(malloc(FILE_MAX + 1));
+  const size_t n = fread(text, 1, FILE_MAX + 1, file);
+  if (ferror(file))
     settings_fault(faults, true, "%s: %s", path, strerror(errno));
   else if (n > FILE_MAX)
     settings_fault(faults, true, "%s: larger than %d bytes", path, FILE_MAX);
@@ -303,15 +299,13 @@ void settings_load(struct settings *settings, int argc, const char *const *argv,
     request->config = variable(environment, "MORPHOD_CONFIG");
   if (request->config != NULL && *request->config != 0) {
     if (read_file(settings, request->config, true, faults))
-      request->config_found = strdup(request->config);
+      request->config_found = enough(strdup(request->config));
   } else if (request->config == NULL) {
     /* systemd names the folder of ConfigurationDirectory=; otherwise the usual place. */
     const char *folder = variable(environment, "CONFIGURATION_DIRECTORY");
-    char *path = NULL;
-    if (asprintf(&path, "%s/morphod.conf",
-                 folder != NULL && *folder != 0 ? folder : "/etc/morphod") < 0)
-      settings_fault(faults, true, "out of memory");
-    else if (read_file(settings, path, false, faults))
+    char *path =
+        format_text("%s/morphod.conf", folder != NULL && *folder != 0 ? folder : "/etc/morphod");
+    if (read_file(settings, path, false, faults))
       request->config_found = path;
     else
       free(path);
@@ -326,40 +320,31 @@ void settings_request_free(struct settings_request *request)
   *request = (struct settings_request){0};
 }
 
-int settings_complete(struct settings *settings, const char *const *environment)
+char *credential_path(const char *folder)
 {
-  if (settings->state_dir == NULL) {
-    /* systemd gives a list separated by colons; morphod's has one folder. */
-    const char *state = variable(environment, "STATE_DIRECTORY");
-    const char *xdg = variable(environment, "XDG_STATE_HOME");
-    const char *home = variable(environment, "HOME");
-    int n = 0;
-    if (state != NULL && *state != 0)
-      settings->state_dir = strndup(state, strcspn(state, ":"));
-    else if (xdg != NULL && *xdg == '/')
-      n = asprintf(&settings->state_dir, "%s/morphod", xdg);
-    else if (home != NULL && *home == '/')
-      n = asprintf(&settings->state_dir, "%s/.local/state/morphod", home);
-    else
-      settings->state_dir = strdup("/var/lib/morphod");
-    if (n < 0)
-      settings->state_dir = NULL;
-    if (settings->state_dir == NULL)
-      return MO_ERR_NO_MEMORY;
-  }
-  if (settings->token_file == NULL) {
-    const char *credentials = variable(environment, "CREDENTIALS_DIRECTORY");
-    if (credentials != NULL && *credentials != 0) {
-      char *path = NULL;
-      if (asprintf(&path, "%s/token", credentials) < 0)
-        return MO_ERR_NO_MEMORY;
-      if (access(path, R_OK) == 0)
-        settings->token_file = path;
-      else
-        free(path);
-    }
-  }
-  return MO_OK;
+  char *path = folder != NULL && *folder != 0 ? format_text("%s/token", folder) : NULL;
+  if (path != NULL && access(path, R_OK) == 0)
+    return path;
+  free(path);
+  return NULL;
+}
+
+void settings_complete(struct settings *settings, const char *const *environment)
+{
+  /* systemd gives a list separated by colons; morphod's has one folder. */
+  const char *state = variable(environment, "STATE_DIRECTORY");
+  const char *xdg = variable(environment, "XDG_STATE_HOME");
+  const char *home = variable(environment, "HOME");
+  if (settings->state_dir == NULL && state != NULL && *state != 0)
+    settings->state_dir = enough(strndup(state, strcspn(state, ":")));
+  else if (settings->state_dir == NULL && xdg != NULL && *xdg == '/')
+    settings->state_dir = format_text("%s/morphod", xdg);
+  else if (settings->state_dir == NULL && home != NULL && *home == '/')
+    settings->state_dir = format_text("%s/.local/state/morphod", home);
+  else if (settings->state_dir == NULL)
+    settings->state_dir = enough(strdup("/var/lib/morphod"));
+  if (settings->token_file == NULL)
+    settings->token_file = credential_path(variable(environment, "CREDENTIALS_DIRECTORY"));
 }
 
 static void bounds_text(const struct setting *setting, char *text, size_t capacity)
@@ -435,7 +420,7 @@ void settings_print(const struct settings *settings, FILE *file)
   for (size_t i = 0; i < settings_count; i++) {
     const struct setting *setting = &settings_table[i];
     char *text = settings_value_text(settings, setting);
-    if (text == NULL || *text == 0)
+    if (*text == 0)
       fprintf(file, "# %s =  # %s\n", setting->name,
               setting->initial_words != NULL ? setting->initial_words : "empty");
     else

@@ -6,9 +6,11 @@
 #include "daemon/settings.h"
 
 /* Reads one value from its text. `append`: adds to a list. MO_ERR_INVALID, MO_ERR_RANGE with a
- * message; MO_ERR_NO_MEMORY. */
+ * message. */
 int setting_read(void *values, const struct setting *setting, const char *text, bool append,
                  struct mo_message *message);
+/* Returns the path of the credential "token", if systemd passes one in this folder (malloc). */
+char *credential_path(const char *folder);
 void setting_free(void *values, const struct setting *setting);
 /* Prints what --help says of the rows. */
 void settings_print_rows(const struct setting *rows, size_t n, FILE *file);

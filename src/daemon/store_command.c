@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "daemon/memory.h"
 #include "daemon/service.h"
 #include "daemon/settings.h"
 #include "jobs/controllers.h"
@@ -52,13 +53,12 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
                        const struct mo_lattice *lattice, const char *fingerprint, size_t n,
                        uint64_t *n_differ)
 {
-  struct mo_score_sample *samples = calloc(n > 0 ? n : 1, sizeof(*samples));
+  struct mo_score_sample *samples = enough(calloc(n > 0 ? n : 1, sizeof(*samples)));
   struct mo_controller_cache controllers = {
       .store = store, .compute = compute, .mutex = PTHREAD_MUTEX_INITIALIZER};
   uint64_t before = *n_differ;
-  int64_t found = samples != NULL ? mo_store_sample(store, fingerprint,
-                                                    (uint64_t)mo_clock_wall_us(), samples, n)
-                                  : MO_ERR_NO_MEMORY;
+  const int64_t found =
+      mo_store_sample(store, fingerprint, (uint64_t)mo_clock_wall_us(), samples, n);
   int error = found < 0 ? (int)found : MO_OK;
   for (int64_t i = 0; i < found && error == MO_OK; i++) {
     struct mo_loaded *loaded = NULL;
@@ -200,14 +200,13 @@ int store_command(int argc, const char *const *argv)
   struct settings settings = {0};
   struct settings_request request = {0};
   struct settings_faults faults = {0};
-  const char **flags = calloc((size_t)argc, sizeof(*flags));
+  const char **flags = enough(calloc((size_t)argc, sizeof(*flags)));
   const bool is_clean = argc > 2 && strcmp(argv[2], "clean") == 0,
              is_check = argc > 2 && strcmp(argv[2], "check") == 0;
   struct command command = {.checks = is_check, .n_sample = SAMPLE};
   bool is_wrong = !is_clean && !is_check;
-  int n = 0, status = EXIT_SYSTEM;
-  if (flags == NULL || settings_init(&settings) != MO_OK)
-    goto out;
+  int n = 0;
+  settings_init(&settings);
   for (int i = is_wrong ? 1 : 2; i < argc; i++) /* flags[0] is the program's name */
     if (is_clean && strcmp(argv[i], "--yes") == 0)
       command.yes = true;
@@ -216,10 +215,9 @@ int store_command(int argc, const char *const *argv)
     else
       flags[n++] = argv[i];
   settings_load(&settings, n, flags, (const char *const *)environ, &request, &faults);
-  if (settings_complete(&settings, (const char *const *)environ) != MO_OK)
-    settings_fault(&faults, true, "out of memory");
+  settings_complete(&settings, (const char *const *)environ);
   settings_faults_print(&faults);
-  status = faults.n_fatal > 0 ? EXIT_CONFIG : EXIT_OK;
+  int status = faults.n_fatal > 0 ? EXIT_CONFIG : EXIT_OK;
   if (request.action == ACTION_HELP) {
     settings_print_help(stdout);
   } else if (is_wrong || request.usage_fault || request.action != ACTION_RUN) {
@@ -230,7 +228,6 @@ int store_command(int argc, const char *const *argv)
   } else if (status == EXIT_OK) {
     status = run(settings.state_dir, &command);
   }
-out:
   settings_faults_free(&faults);
   settings_request_free(&request);
   settings_free(&settings);

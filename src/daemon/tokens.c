@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "base/words.h"
+#include "daemon/memory.h"
 #include "http/guard.h"
 
 #define TOKEN_FILE_MAX 65536
@@ -106,13 +107,11 @@ int tokens_read(const char *path, struct tokens *tokens, struct mo_message *mess
   FILE *file = fopen(path, "re");
   if (file == NULL)
     return mo_fail(message, MO_ERR_IO, "token_file: %s: %s", path, strerror(errno));
-  tokens->text = calloc(1, TOKEN_FILE_MAX + 1);
-  size_t n = tokens->text != NULL ? fread(tokens->text, 1, TOKEN_FILE_MAX + 1, file) : 0;
+  tokens->text = enough(calloc(1, TOKEN_FILE_MAX + 1));
+  const size_t n = fread(tokens->text, 1, TOKEN_FILE_MAX + 1, file);
   fclose(file);
   int error;
-  if (tokens->text == NULL)
-    error = mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-  else if (n > TOKEN_FILE_MAX)
+  if (n > TOKEN_FILE_MAX)
     error = mo_fail(message, MO_ERR_LIMIT, "token_file: %s is larger than %d bytes", path,
                     TOKEN_FILE_MAX);
   else

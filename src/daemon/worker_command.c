@@ -153,21 +153,6 @@ static int read_flags(struct options *options, int argc, const char *const *argv
   return EXIT_OK;
 }
 
-static int use_credential(struct options *options)
-{
-  const char *folder = getenv("CREDENTIALS_DIRECTORY");
-  char *path = NULL;
-  if (options->token_file != NULL || folder == NULL || *folder == '\0')
-    return EXIT_OK;
-  if (asprintf(&path, "%s/token", folder) < 0)
-    return complain(EXIT_SYSTEM, "", "out of memory");
-  if (access(path, R_OK) == 0)
-    options->token_file = path;
-  else
-    free(path);
-  return EXIT_OK;
-}
-
 static int read_options(struct options *options, int argc, const char *const *argv)
 {
   int status = EXIT_OK;
@@ -179,7 +164,9 @@ static int read_options(struct options *options, int argc, const char *const *ar
     status = read_flags(options, argc, argv);
   if (status == EXIT_OK && options->server == NULL)
     status = complain(EXIT_USAGE, "--server", "is required: the daemon's fleet_listen");
-  return status == EXIT_OK ? use_credential(options) : status;
+  if (options->token_file == NULL)
+    options->token_file = credential_path(getenv("CREDENTIALS_DIRECTORY"));
+  return status;
 }
 
 static void print_help(void)
