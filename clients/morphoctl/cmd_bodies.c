@@ -31,16 +31,15 @@ static void print_bodies(const struct ctl *ctl, const json_t *reply, const char 
 }
 
 /* Sends the options and what `request` has, and prints the reply. */
-static int make(struct ctl *ctl, const char *path, json_t *request, const char *as)
+static void make(struct ctl *ctl, const char *path, json_t *request, const char *as)
 {
   fill_fields(ctl, request);
   print_bodies(ctl, post_again(ctl, path, request), as);
-  return STATUS_OK;
 }
 
-int run_design_random(struct ctl *ctl)
+void run_design_random(struct ctl *ctl)
 {
-  return make(ctl, "/v1/bodies/random", keep(json_object()), "voxels");
+  make(ctl, "/v1/bodies/random", keep(json_object()), "voxels");
 }
 
 /* Adds the pairs of neighbors: designs 0 and 1, 2 and 3, … */
@@ -54,13 +53,13 @@ static void fill_pairs(json_t *request, size_t n)
     json_array_append_new(pairs, json_pack("[I, I]", (json_int_t)i, (json_int_t)i + 1));
 }
 
-int run_design_made(struct ctl *ctl)
+void run_design_made(struct ctl *ctl)
 {
   const char *verb = ctl->command->name + strlen("design ");
   const struct designs designs = given_designs(ctl, 0, 0, 0);
   json_t *request = keep(json_pack("{s:O}", "designs", designs.list));
   if (strcmp(verb, "cross") == 0)
     fill_pairs(request, json_array_size(designs.list));
-  return make(ctl, path_to("/v1/bodies/%s", verb), request,
-              strcmp(verb, "canonical") == 0 ? "id" : "voxels");
+  make(ctl, path_to("/v1/bodies/%s", verb), request,
+       strcmp(verb, "canonical") == 0 ? "id" : "voxels");
 }

@@ -11,7 +11,7 @@
 
 /* ---- out ---- */
 
-int run_bundle_export(struct ctl *ctl)
+void run_bundle_export(struct ctl *ctl)
 {
   static const char *const filters[] = {"label", "experiment", "group"};
   char *path = NULL;
@@ -32,11 +32,11 @@ int run_bundle_export(struct ctl *ctl)
   close_text(text);
   keep(path);
   if (ways == 0)
-    return complain(STATUS_USAGE, "which campaigns? Give their ids, --label, --experiment or "
-                                  "--group");
+    fail(STATUS_USAGE, "which campaigns? Give their ids, --label, --experiment or "
+                       "--group");
   if (ways > 1)
-    return complain(STATUS_USAGE, "give either ids, --label, --experiment or --group");
-  return save_reply(ctl, path, BUNDLE_TYPE, ctl->operands[0]);
+    fail(STATUS_USAGE, "give either ids, --label, --experiment or --group");
+  save_reply(ctl, path, BUNDLE_TYPE, ctl->operands[0]);
 }
 
 /* ---- in ---- */
@@ -69,14 +69,14 @@ static json_t *recompute_request(struct ctl *ctl, const char *id, int64_t n)
 }
 
 /* Computes scores of a campaign again, and compares them with those that it brought. */
-static int recompute(struct ctl *ctl, const char *id, int64_t n)
+static void recompute(struct ctl *ctl, const char *id, int64_t n)
 {
   const json_t *request = recompute_request(ctl, id, n), *item;
   int64_t agree = 0, differ = 0, unknown = 0;
   size_t i;
   if (request == NULL) {
     print_plain_line(stderr, "campaign %s learns: its scores cannot be computed again", id);
-    return STATUS_OK;
+    return;
   }
   const json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, true);
   expect_success("recomputation", evaluation);
@@ -92,7 +92,8 @@ static int recompute(struct ctl *ctl, const char *id, int64_t n)
                      "campaign %s: of %" PRId64 " designs the scores of %" PRId64
                      " agree bit for bit, %" PRId64 " differ, %" PRId64 " are of another class",
                      id, agree + differ + unknown, agree, differ, unknown);
-  return differ > 0 ? STATUS_NEGATIVE : STATUS_OK;
+  if (differ > 0)
+    leave(STATUS_NEGATIVE);
 }
 
 /* Sends the bundle. */
@@ -138,23 +139,20 @@ static void tell_entered(const struct ctl *ctl, const json_t *entered, bool veri
   }
 }
 
-int run_bundle_import(struct ctl *ctl)
+void run_bundle_import(struct ctl *ctl)
 {
   const int64_t n = option_number(ctl, "recompute", 1, RECOMPUTE_MAX, 0);
   const json_t *entered = send_bundle(ctl, "/v1/bundles"), *item;
-  int status = STATUS_OK;
   size_t i;
   tell_entered(ctl, entered, false);
   json_array_foreach(json_object_get(entered, "items"), i, item)
   {
-    if (status == STATUS_OK && n > 0)
-      status = recompute(ctl, text_of(item, "campaign"), n);
+    if (n > 0)
+      recompute(ctl, text_of(item, "campaign"), n);
   }
-  return status;
 }
 
-int run_bundle_verify(struct ctl *ctl)
+void run_bundle_verify(struct ctl *ctl)
 {
   tell_entered(ctl, send_bundle(ctl, "/v1/bundles?mode=verify"), true);
-  return STATUS_OK;
 }

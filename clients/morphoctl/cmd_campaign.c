@@ -38,12 +38,12 @@ static void fill_initial(struct ctl *ctl, json_t *request)
                         json_pack("{s:O}", "designs", given_designs(ctl, 1, 0, 0).list));
 }
 
-int run_campaign_start(struct ctl *ctl)
+void run_campaign_start(struct ctl *ctl)
 {
   json_t *request = json_pack("{s:s}", "mode", ctl->operands[0]);
   const char *controller = option_text(ctl, "controller", NULL);
   if (request == NULL)
-    return complain(STATUS_USAGE, "the mode is not UTF-8");
+    fail(STATUS_USAGE, "the mode is not UTF-8");
   fill_workspace(ctl, keep(request));
   fill_schedule(ctl, request, "learning.schedule");
   fill_initial(ctl, request);
@@ -53,31 +53,30 @@ int run_campaign_start(struct ctl *ctl)
     json_object_set_new(request, "controller", json_null());
   if (option_is_set(ctl, "no-exclusions"))
     json_object_set_new(request, "exclude_pretraining", json_false());
-  return live_start(ctl, request);
+  live_start(ctl, request);
 }
 
-int run_campaign_list(struct ctl *ctl)
+void run_campaign_list(struct ctl *ctl)
 {
-  return list_items(ctl, "/v1/campaigns", 50,
-                    ">campaign={id}|mode={mode}|state={state}|>designs={settings.population:,}"
-                    "|>generation=[{newest.generation:,}|–]|>of={progress.generations:,}"
-                    "|>mean={newest.score.mean:.4f}|>best={newest.score.quantiles.p0:.4f}"
-                    "|>diversity={newest.diversity:.4f}|created={created_at:time}|label={label}");
+  list_items(ctl, "/v1/campaigns", 50,
+             ">campaign={id}|mode={mode}|state={state}|>designs={settings.population:,}"
+             "|>generation=[{newest.generation:,}|–]|>of={progress.generations:,}"
+             "|>mean={newest.score.mean:.4f}|>best={newest.score.quantiles.p0:.4f}"
+             "|>diversity={newest.diversity:.4f}|created={created_at:time}|label={label}");
 }
 
 /* ---- extend ---- */
 
-int run_campaign_extend(struct ctl *ctl)
+void run_campaign_extend(struct ctl *ctl)
 {
   const char *id = job_id(ctl->operands[0]), *more = ctl->operands[1];
   char *end;
   long long generations = strtoll(more, &end, 10);
   if (*more == 0 || *end != 0 || generations < 1 || generations > 1000000)
-    return complain(STATUS_USAGE, "\"%s\" is not a number of further generations", more);
+    fail(STATUS_USAGE, "\"%s\" is not a number of further generations", more);
   const json_t *request = keep(json_pack("{sI}", "generations", (json_int_t)generations));
   tell(ctl, post_job(ctl, path_to("/v1/campaigns/%s/extend", id), request, 0),
        "campaign {id} is {state}, to generation {progress.generations}");
-  return STATUS_OK;
 }
 
 /* ---- champions ---- */
@@ -98,17 +97,17 @@ static void record_champions(struct ctl *ctl, const char *id, int64_t count, con
   film_evaluation(ctl, evaluation);
 }
 
-int run_campaign_champions(struct ctl *ctl)
+void run_campaign_champions(struct ctl *ctl)
 {
   const char *id = job_id(ctl->operands[0]), *folder = option_text(ctl, "output", NULL);
   const bool records = folder != NULL || option_is_set(ctl, "film");
   const int64_t count = option_number(ctl, "count", 1, 1000, 12),
                 generation = option_number(ctl, "generation", 0, 1000000, -1);
   if (!records && (option_is_set(ctl, "record-stride") || option_is_set(ctl, "record")))
-    return complain(STATUS_USAGE, "--record and --record-stride are for --output and --film");
+    fail(STATUS_USAGE, "--record and --record-stride are for --output and --film");
   if (records && generation >= 0)
-    return complain(STATUS_USAGE, "the newest generation is recorded: --output and --film go "
-                                  "without --generation");
+    fail(STATUS_USAGE, "the newest generation is recorded: --output and --film go "
+                       "without --generation");
   film_check(ctl);
   print_items(ctl,
               get_json(ctl, "/v1/campaigns/%s/champions?count=%" PRId64 "%s", id, count,
@@ -118,7 +117,6 @@ int run_campaign_champions(struct ctl *ctl)
               "|>generation={born:,}");
   if (records)
     record_champions(ctl, id, count, folder);
-  return STATUS_OK;
 }
 
 /* ---- export ---- */
@@ -152,7 +150,7 @@ static void name_left_out(struct ctl *ctl, const char *id)
       stderr, one, "campaign {id} is left out: it has [{state=failed}failed|been {state}]");
 }
 
-int run_campaign_export(struct ctl *ctl)
+void run_campaign_export(struct ctl *ctl)
 {
   static const struct {
     const char *option, *path, *accept;
@@ -177,7 +175,6 @@ int run_campaign_export(struct ctl *ctl)
   if (population != NULL)
     export_population(ctl, id, population);
   if (n_given == 0)
-    return complain(STATUS_USAGE, "what is to be exported? --curve, --population, --phylogeny, "
-                                  "--newick, --learning or --replicates FILE");
-  return STATUS_OK;
+    fail(STATUS_USAGE, "what is to be exported? --curve, --population, --phylogeny, "
+                       "--newick, --learning or --replicates FILE");
 }

@@ -164,7 +164,7 @@ static void print_comparison(const struct ctl *ctl, const struct side *sides, si
     print_verdict(&sides[0], &sides[i]);
 }
 
-int run_campaign_compare(struct ctl *ctl)
+void run_campaign_compare(struct ctl *ctl)
 {
   static struct side sides[SIDES_MAX];
   const json_t *campaigns[SIDES_MAX] = {0};
@@ -181,5 +181,4 @@ int run_campaign_compare(struct ctl *ctl)
   for (size_t i = 0; i < n; i++)
     compare(&sides[0], &sides[i]);
   print_comparison(ctl, sides, n, generation);
-  return STATUS_OK;
 }

@@ -14,11 +14,11 @@ static const char *controller_path(const struct ctl *ctl, const char *below)
   return path_to("/v1/controllers/%s%s", escape(ctl->operands[0]), below);
 }
 
-int run_controller_list(struct ctl *ctl)
+void run_controller_list(struct ctl *ctl)
 {
-  return list_items(ctl, "/v1/controllers", 0,
-                    "name={name}|sensor={sensor}|>parameters={parameters:,}|>bytes={bytes:,}"
-                    "|stored={stored_at:time}|sha256={sha256}");
+  list_items(ctl, "/v1/controllers", 0,
+             "name={name}|sensor={sensor}|>parameters={parameters:,}|>bytes={bytes:,}"
+             "|stored={stored_at:time}|sha256={sha256}");
 }
 
 static void print_controller(const struct ctl *ctl, const json_t *controller)
@@ -43,21 +43,21 @@ static void print_controller(const struct ctl *ctl, const json_t *controller)
   }
 }
 
-int run_controller_info(struct ctl *ctl)
+void run_controller_info(struct ctl *ctl)
 {
-  return show(ctl, controller_path(ctl, ""), print_controller);
+  show(ctl, controller_path(ctl, ""), print_controller);
 }
 
-int run_controller_get(struct ctl *ctl)
+void run_controller_get(struct ctl *ctl)
 {
   const char *output = option_text(ctl, "output", NULL);
   if (output != NULL && strcmp(output, "-") == 0 && isatty(STDOUT_FILENO))
-    return complain(STATUS_USAGE, "a controller is not for a terminal: give --output FILE");
-  return save_reply(ctl, controller_path(ctl, "/file"), "application/octet-stream",
-                    output != NULL ? output : path_to("%s.safetensors", ctl->operands[0]));
+    fail(STATUS_USAGE, "a controller is not for a terminal: give --output FILE");
+  save_reply(ctl, controller_path(ctl, "/file"), "application/octet-stream",
+             output != NULL ? output : path_to("%s.safetensors", ctl->operands[0]));
 }
 
-int run_controller_put(struct ctl *ctl)
+void run_controller_put(struct ctl *ctl)
 {
   size_t n;
   long code;
@@ -73,13 +73,11 @@ int run_controller_put(struct ctl *ctl)
   tell(ctl, controller,
        code == 201 ? "controller {name} stored: sha256:{sha256}"
                    : "controller {name} now stands for this file: sha256:{sha256}");
-  return STATUS_OK;
 }
 
-int run_controller_delete(struct ctl *ctl)
+void run_controller_delete(struct ctl *ctl)
 {
   const char *name = ctl->operands[0];
-  return act(
-      ctl, (struct request){.method = "DELETE", .path = controller_path(ctl, "")},
+  act(ctl, (struct request){.method = "DELETE", .path = controller_path(ctl, "")},
       path_to("%s %s is gone", strncmp(name, "sha256:", 7) == 0 ? "the file" : "the name", name));
 }

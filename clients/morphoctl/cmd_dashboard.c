@@ -7,26 +7,27 @@
 #include "transport.h"
 
 /* Prints the address. The token is handed over in the part of it that is never sent. */
-static int print_address(const char *server, const char *token)
+static void print_address(const char *server, const char *token)
 {
   size_t length = strlen(server);
   while (length > 0 && server[length - 1] == '/')
     length--;
   print_plain_line(stdout, "%.*s/%s%s", (int)length, server, token != NULL ? "#token=" : "",
                    token != NULL ? escape(token) : "");
-  return STATUS_OK;
 }
 
-int run_dashboard(struct ctl *ctl)
+void run_dashboard(struct ctl *ctl)
 {
   char host[256] = "this-machine";
   get_json(ctl, "/readyz");
-  if (strncmp(ctl->server, "unix:", 5) != 0)
-    return print_address(ctl->server, ctl->token);
+  if (strncmp(ctl->server, "unix:", 5) != 0) {
+    print_address(ctl->server, ctl->token);
+    return;
+  }
   gethostname(host, sizeof(host) - 1);
   const struct passwd *user = getpwuid(getuid());
   printf("A browser cannot open a unix socket. On the machine with the browser, type\n\n"
          "  ssh -N -L 8765:%s %s@%s\n\nand open\n\n  ",
          ctl->server + 5, user != NULL ? user->pw_name : "you", host);
-  return print_address("http://127.0.0.1:8765", ctl->token);
+  print_address("http://127.0.0.1:8765", ctl->token);
 }

@@ -54,29 +54,29 @@ static void print_design(const struct ctl *ctl, const json_t *design)
   }
 }
 
-int run_design_show(struct ctl *ctl)
+void run_design_show(struct ctl *ctl)
 {
   const char *id = ctl->operands[0];
   if (!is_id(id, strlen(id)))
-    return complain(STATUS_USAGE, "\"%.60s\" is not an id: 36 hexadecimal digits", id);
-  return show(ctl, path_to("/v1/designs/%s", id), print_design);
+    fail(STATUS_USAGE, "\"%.60s\" is not an id: 36 hexadecimal digits", id);
+  show(ctl, path_to("/v1/designs/%s", id), print_design);
 }
 
 #define DESIGN_COLUMNS(score)                                                                      \
   "design={id}|>voxels={voxels}|>masses={masses}|>springs={springs}" score                         \
   "|first seen={first_seen_at:time}"
 
-int run_design_list(struct ctl *ctl)
+void run_design_list(struct ctl *ctl)
 {
   const char *sort = option_text(ctl, "sort", "id");
   const bool by_score = strcmp(sort, "score") == 0;
   if (!by_score && strcmp(sort, "id") != 0)
-    return complain(STATUS_USAGE, "--sort: \"%s\" is not id or score", sort);
-  return list_items(ctl, "/v1/designs", 100,
-                    by_score ? DESIGN_COLUMNS("|>score={score:.4f}") : DESIGN_COLUMNS(""));
+    fail(STATUS_USAGE, "--sort: \"%s\" is not id or score", sort);
+  list_items(ctl, "/v1/designs", 100,
+             by_score ? DESIGN_COLUMNS("|>score={score:.4f}") : DESIGN_COLUMNS(""));
 }
 
-int run_design_draw(struct ctl *ctl)
+void run_design_draw(struct ctl *ctl)
 {
   const struct designs designs = given_designs(ctl, 0, 0, 0);
   const json_t *design;
@@ -93,5 +93,4 @@ int run_design_draw(struct ctl *ctl)
       print_plain_line(stdout, "%s", name);
     draw_body(stdout, voxels, ctl->utf8);
   }
-  return STATUS_OK;
 }

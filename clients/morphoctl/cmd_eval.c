@@ -180,7 +180,7 @@ static void print_evaluation(const struct ctl *ctl, const json_t *evaluation,
     print_results(ctl, evaluation, designs, by_score, top);
 }
 
-int run_eval(struct ctl *ctl)
+void run_eval(struct ctl *ctl)
 {
   const bool wait = !option_is_set(ctl, "no-wait"), speaks = !ctl->json && !ctl->quiet;
   const bool races = option_is_set(ctl, "best");
@@ -193,11 +193,11 @@ int run_eval(struct ctl *ctl)
   const int64_t top = option_number(ctl, is_top ? "best" : "top", 1, DESIGNS_MAX, 0);
   json_t *request = keep(json_object());
   if (strcmp(sort, "input") != 0 && strcmp(sort, "score") != 0)
-    return complain(STATUS_USAGE, "--sort: \"%s\" is not input or score", sort);
+    fail(STATUS_USAGE, "--sort: \"%s\" is not input or score", sort);
   if (output != NULL && !wait)
-    return complain(STATUS_USAGE, "--output needs the result: it goes with --wait");
+    fail(STATUS_USAGE, "--output needs the result: it goes with --wait");
   if (option_is_set(ctl, "film") && !wait)
-    return complain(STATUS_USAGE, "--film needs the result: it goes with --wait");
+    fail(STATUS_USAGE, "--film needs the result: it goes with --wait");
   film_check(ctl);
   request_fill(ctl, request);
   fill_record(ctl, request);
@@ -213,7 +213,7 @@ int run_eval(struct ctl *ctl)
       print_from(stderr, evaluation,
                  "evaluation {id} is accepted: {n_designs} designs, {rollouts_total} rollouts; "
                  "morphoctl watch {id}");
-    return STATUS_OK;
+    return;
   }
   print_evaluation(ctl, evaluation, &designs, strcmp(sort, "score") == 0 || top > 0, (size_t)top);
   if (speaks)
@@ -224,7 +224,6 @@ int run_eval(struct ctl *ctl)
   if (output != NULL)
     save_trajectories(ctl, evaluation, output);
   film_evaluation(ctl, evaluation);
-  return STATUS_OK;
 }
 
 /* ---- verify ---- */
@@ -249,7 +248,7 @@ static void add_evaluation(struct ctl *ctl, struct designs *designs, json_t *req
     json_object_set(request, "environments", json_object_get(evaluation, "environments"));
 }
 
-int run_verify(struct ctl *ctl)
+void run_verify(struct ctl *ctl)
 {
   struct designs designs = no_designs();
   json_t *request = keep(json_pack("{s:O, s:b}", "designs", designs.list, "verify", 1));
@@ -257,7 +256,7 @@ int run_verify(struct ctl *ctl)
   const char *earlier = option_text(ctl, "evaluation", NULL);
   size_t agree = 0, differ = 0, absent = 0, i;
   if (earlier == NULL && ctl->n_operands == 0)
-    return complain(STATUS_USAGE, "nothing to verify: give designs, or --evaluation ID");
+    fail(STATUS_USAGE, "nothing to verify: give designs, or --evaluation ID");
   if (earlier != NULL)
     add_evaluation(ctl, &designs, request, earlier);
   for (i = 0; i < ctl->n_operands; i++) {
@@ -282,7 +281,7 @@ int run_verify(struct ctl *ctl)
   if (!ctl->json && !ctl->quiet)
     printf("%zu the same, %zu different, %zu not stored\n", agree, differ, absent);
   if (differ > 0)
-    return complain(STATUS_NEGATIVE, "%zu stored scores have other bits than their recomputation",
-                    differ);
-  return agree > 0 ? STATUS_OK : complain(STATUS_NEGATIVE, "nothing is stored to compare with");
+    fail(STATUS_NEGATIVE, "%zu stored scores have other bits than their recomputation", differ);
+  if (agree == 0)
+    fail(STATUS_NEGATIVE, "nothing is stored to compare with");
 }

@@ -16,7 +16,7 @@ static const char *form_of(const char *output)
   return NULL;
 }
 
-int run_export(struct ctl *ctl)
+void run_export(struct ctl *ctl)
 {
   static const char *const forms[] = {"csv", "ndjson", "newick", "columns"};
   const char *list = ctl->operands[0], *output = option_text(ctl, "output", "-");
@@ -26,10 +26,10 @@ int run_export(struct ctl *ctl)
   if (form == NULL)
     form = "csv";
   if (!is_one_of(form, forms, sizeof(forms) / sizeof(forms[0])))
-    return complain(STATUS_USAGE, "--format: \"%s\" is not csv, ndjson, newick or columns", form);
+    fail(STATUS_USAGE, "--format: \"%s\" is not csv, ndjson, newick or columns", form);
   for (const char *c = list; *c != '\0'; c++)
     if (*c <= ' ' || *c > '~' || *c == '#')
-      return complain(STATUS_USAGE, "\"%s\" is not a list: write other characters as %%20", list);
+      fail(STATUS_USAGE, "\"%s\" is not a list: write other characters as %%20", list);
   const char between = strchr(list, '?') != NULL ? '&' : '?';
-  return save_reply(ctl, path_to("/v1/%s%cformat=%s", list, between, form), "*/*", output);
+  save_reply(ctl, path_to("/v1/%s%cformat=%s", list, between, form), "*/*", output);
 }

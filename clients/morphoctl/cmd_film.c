@@ -307,16 +307,14 @@ static void write_film(struct ctl *ctl, struct film *film, const char *output)
     print_plain_line(stderr, "%s: %u frames", output, n);
 }
 
-int run_film(struct ctl *ctl)
+void run_film(struct ctl *ctl)
 {
   static struct film film;
   const char *output = option_text(ctl, "output", NULL);
   if (output == NULL)
-    return complain(STATUS_USAGE,
-                    "--output is missing: film.mp4, film.y4m, - or a folder that ends with /");
+    fail(STATUS_USAGE, "--output is missing: film.mp4, film.y4m, - or a folder that ends with /");
   prepare(ctl, &film);
   write_film(ctl, &film, output);
-  return STATUS_OK;
 }
 
 /* ---- films of evaluations ---- */
@@ -406,15 +404,14 @@ void film_evaluation(struct ctl *ctl, const json_t *evaluation)
 
 /* ---- pictures ---- */
 
-int run_picture(struct ctl *ctl)
+void run_picture(struct ctl *ctl)
 {
   static struct film film;
   const char *output = option_text(ctl, "output", NULL);
   const double time_s = option_real(ctl, "time", 0, 1e6, 2);
   if (output == NULL)
-    return complain(STATUS_USAGE, "--output is missing: picture.png, or - for standard output");
+    fail(STATUS_USAGE, "--output is missing: picture.png, or - for standard output");
   prepare(ctl, &film);
   draw(&film, time_s);
   save_png(&film, output);
-  return STATUS_OK;
 }

@@ -49,22 +49,21 @@ static void print_fleet(const struct ctl *ctl, const json_t *fleet)
   }
 }
 
-int run_fleet(struct ctl *ctl)
+void run_fleet(struct ctl *ctl)
 {
-  return show(ctl, "/v1/fleet", print_fleet);
+  show(ctl, "/v1/fleet", print_fleet);
 }
 
-int run_fleet_drain(struct ctl *ctl)
+void run_fleet_drain(struct ctl *ctl)
 {
   const char *id = job_id(ctl->operands[0]);
-  return act(ctl,
-             (struct request){.method = "POST",
-                              .path = path_to("/v1/fleet/sessions/%s/drain", id),
-                              .repeatable = true},
-             path_to("%s gets no more work", id));
+  act(ctl,
+      (struct request){
+          .method = "POST", .path = path_to("/v1/fleet/sessions/%s/drain", id), .repeatable = true},
+      path_to("%s gets no more work", id));
 }
 
-int run_fleet_quarantine(struct ctl *ctl)
+void run_fleet_quarantine(struct ctl *ctl)
 {
   const char *id = job_id(ctl->operands[0]);
   const json_t *why =
@@ -72,16 +71,16 @@ int run_fleet_quarantine(struct ctl *ctl)
   struct request request =
       json_request("POST", path_to("/v1/fleet/sessions/%s/quarantine", id), why);
   request.repeatable = true;
-  return act(ctl, request, path_to("%s is in quarantine", id));
+  act(ctl, request, path_to("%s is in quarantine", id));
 }
 
-int run_fleet_release(struct ctl *ctl)
+void run_fleet_release(struct ctl *ctl)
 {
   const char *name = ctl->operands[0];
-  return act(ctl,
-             (struct request){.method = "DELETE",
-                              .path = path_to("/v1/fleet/quarantine/%s", escape(name))},
-             path_to("%s may join again", name));
+  act(ctl,
+      (struct request){.method = "DELETE",
+                       .path = path_to("/v1/fleet/quarantine/%s", escape(name))},
+      path_to("%s may join again", name));
 }
 
 /* Adds what a page says to the whole: counts and what differs. */
@@ -122,7 +121,7 @@ void print_differences(const struct ctl *ctl, const json_t *different)
                 "|physics={physics:.12}|since={computed_at:time}");
 }
 
-int run_fleet_verify(struct ctl *ctl)
+void run_fleet_verify(struct ctl *ctl)
 {
   const bool repairs = option_is_set(ctl, "repair");
   json_t *whole = keep(json_pack("{s:s, s:i, s:i, s:b, s:[]}", "origin", ctl->operands[0],
@@ -140,5 +139,5 @@ int run_fleet_verify(struct ctl *ctl)
                    "[; {skipped>0:,} are of a class that the server does not have]");
   if (status == STATUS_OK && json_array_size(different) > 0 && !repairs)
     status = STATUS_NEGATIVE;
-  return status;
+  leave(status);
 }

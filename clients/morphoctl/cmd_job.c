@@ -11,18 +11,18 @@
 #include "template.h"
 #include "transport.h"
 
-int run_job_list(struct ctl *ctl)
+void run_job_list(struct ctl *ctl)
 {
-  return list_items(ctl, "/v1/jobs", 50,
-                    ">job={id}|kind=[{training.kind}|{campaign.mode}|{kind}]|state={state}"
-                    "|priority={priority}|>designs=[{campaign.population:,}|{n_designs:,}]"
-                    "|>work=[{training.steps:,} steps|{campaign.generations:,} generations"
-                    "|{rollouts_total:,} rollouts]"
-                    "|>done=[{training.step/training.steps:%}"
-                    "|{campaign.generation/campaign.generations:%}"
-                    "|{rollouts_done/rollouts_total:%}|0 %]"
-                    "|>core time={core_seconds:duration}|created={created_at:time}|label={label}"
-                    "|experiment={experiment}");
+  list_items(ctl, "/v1/jobs", 50,
+             ">job={id}|kind=[{training.kind}|{campaign.mode}|{kind}]|state={state}"
+             "|priority={priority}|>designs=[{campaign.population:,}|{n_designs:,}]"
+             "|>work=[{training.steps:,} steps|{campaign.generations:,} generations"
+             "|{rollouts_total:,} rollouts]"
+             "|>done=[{training.step/training.steps:%}"
+             "|{campaign.generation/campaign.generations:%}"
+             "|{rollouts_done/rollouts_total:%}|0 %]"
+             "|>core time={core_seconds:duration}|created={created_at:time}|label={label}"
+             "|experiment={experiment}");
 }
 
 static void print_job(const struct ctl *ctl, const json_t *job)
@@ -60,17 +60,17 @@ static void print_job(const struct ctl *ctl, const json_t *job)
   }
 }
 
-int run_job_show(struct ctl *ctl)
+void run_job_show(struct ctl *ctl)
 {
   const char *id = job_id(ctl->operands[0]);
   const char *list = option_is_set(ctl, "results") ? "evaluations" : "jobs";
-  return show(ctl, path_to("/v1/%s/%s", list, id), print_job);
+  show(ctl, path_to("/v1/%s/%s", list, id), print_job);
 }
 
 /* Sends a request to /v1/, noun + s, / + id + behind for each job that the operands name, and tells
  * of each reply: `accepted`, if the work goes on for now (202), else `words`. */
-static int each_job(struct ctl *ctl, struct request request, const char *noun, const char *behind,
-                    const char *words, const char *accepted)
+static void each_job(struct ctl *ctl, struct request request, const char *noun, const char *behind,
+                     const char *words, const char *accepted)
 {
   int worst = STATUS_OK;
   for (size_t i = 0; i < ctl->n_operands; i++) {
@@ -89,19 +89,20 @@ static int each_job(struct ctl *ctl, struct request request, const char *noun, c
     if (status == STATUS_CONNECTION || status == STATUS_INTERRUPTED)
       break;
   }
-  return worst;
+  if (worst != STATUS_OK)
+    leave(worst);
 }
 
-int run_job_change(struct ctl *ctl)
+void run_job_change(struct ctl *ctl)
 {
   char verb[16]; /* not by path_to: each job takes a path */
   snprintf(verb, sizeof(verb), "/%s", strchr(ctl->command->name, ' ') + 1);
   /* May be repeated, since a job that is in the state already stays in it. */
-  return each_job(ctl, (struct request){.method = "POST", .repeatable = true}, "job", verb,
-                  " is {state}", " is {state}, its running work is being stopped");
+  each_job(ctl, (struct request){.method = "POST", .repeatable = true}, "job", verb, " is {state}",
+           " is {state}, its running work is being stopped");
 }
 
-int run_job_prune(struct ctl *ctl)
+void run_job_prune(struct ctl *ctl)
 {
   const char *command = ctl->command->name;
   const char *words = ": {items:#} checkpoint{items:s} deleted, {bytes:MB} MB",
@@ -111,52 +112,51 @@ int run_job_prune(struct ctl *ctl)
   if (step > 0)
     snprintf(behind, sizeof(behind), "/checkpoints/%" PRId64, step);
   if (strncmp(command, "job", 3) == 0)
-    return each_job(ctl, (struct request){.method = "DELETE"}, "evaluation", "/trajectories",
-                    recordings, recordings);
-  return each_job(ctl, (struct request){.method = "DELETE"},
-                  strncmp(command, "train", 5) == 0 ? "training" : "campaign", behind, words,
-                  words);
+    each_job(ctl, (struct request){.method = "DELETE"}, "evaluation", "/trajectories", recordings,
+             recordings);
+  else
+    each_job(ctl, (struct request){.method = "DELETE"},
+             strncmp(command, "train", 5) == 0 ? "training" : "campaign", behind, words, words);
 }
 
-int run_job_weight(struct ctl *ctl)
+void run_job_weight(struct ctl *ctl)
 {
   const char *id = job_id(ctl->operands[0]), *words = ctl->operands[1];
   char *end;
   double weight = strtod(words, &end);
   if (end == words || *end != 0 || !isfinite(weight))
-    return complain(STATUS_USAGE, "\"%s\" is not a number", words);
+    fail(STATUS_USAGE, "\"%s\" is not a number", words);
   const json_t *request = keep(json_pack("{s:f}", "weight", weight));
   tell(ctl, post_again(ctl, path_to("/v1/jobs/%s/weight", id), request),
        "job {id} has the weight {weight:g}");
-  return STATUS_OK;
 }
 
 /* ---- in order ---- */
 
 /* Sends a change of each job that the operands name. */
-static int edit_jobs(struct ctl *ctl, json_t *edit, const char *words)
+static void edit_jobs(struct ctl *ctl, json_t *edit, const char *words)
 {
   if (edit == NULL)
-    return complain(STATUS_USAGE, "the text is not UTF-8");
-  return each_job(ctl, json_request("PATCH", NULL, keep(edit)), "job", "", words, words);
+    fail(STATUS_USAGE, "the text is not UTF-8");
+  each_job(ctl, json_request("PATCH", NULL, keep(edit)), "job", "", words, words);
 }
 
 /* job label, experiment, note: without a text, takes the one away that there is. */
-int run_job_text(struct ctl *ctl)
+void run_job_text(struct ctl *ctl)
 {
   const char *member = strchr(ctl->command->name, ' ') + 1,
              *text = ctl->n_operands > 1 ? ctl->operands[1] : "";
   char words[64];
   ctl->n_operands = 1;
   snprintf(words, sizeof(words), "[ has the %s \"{%s}\"| has no %s]", member, member, member);
-  return edit_jobs(ctl, json_pack("{s:s?}", member, *text != 0 ? text : NULL), words);
+  edit_jobs(ctl, json_pack("{s:s?}", member, *text != 0 ? text : NULL), words);
 }
 
-int run_job_archive(struct ctl *ctl)
+void run_job_archive(struct ctl *ctl)
 {
   const bool archives = strcmp(ctl->command->name, "job archive") == 0;
-  return edit_jobs(ctl, json_pack("{s:b}", "archived", archives),
-                   archives ? " is archived" : " is back in lists");
+  edit_jobs(ctl, json_pack("{s:b}", "archived", archives),
+            archives ? " is archived" : " is back in lists");
 }
 
 /* Asks whether the jobs of the operands are to go. */
@@ -177,24 +177,22 @@ static bool asks(struct ctl *ctl)
          (strcmp(answer, "y\n") == 0 || strcmp(answer, "yes\n") == 0);
 }
 
-int run_job_delete(struct ctl *ctl)
+void run_job_delete(struct ctl *ctl)
 {
   static const char words[] = " is deleted[, {recorded_bytes>0:MB} MB of recordings]"
                               "[, {checkpoint_bytes>0:MB} MB of checkpoints]";
   if (!option_is_set(ctl, "yes") && !asks(ctl))
-    return STATUS_NEGATIVE;
-  return each_job(ctl, (struct request){.method = "DELETE"}, "job", "", words, words);
+    leave(STATUS_NEGATIVE);
+  each_job(ctl, (struct request){.method = "DELETE"}, "job", "", words, words);
 }
 
-int run_usage(struct ctl *ctl)
+void run_usage(struct ctl *ctl)
 {
   static const char *const names[] = {"label", "experiment", "submitted_by", "kind"};
   const char *by = option_text(ctl, "by", "label");
   if (!is_one_of(by, names, 4))
-    return complain(STATUS_USAGE, "--by: \"%s\" is not label, experiment, submitted_by or kind",
-                    by);
+    fail(STATUS_USAGE, "--by: \"%s\" is not label, experiment, submitted_by or kind", by);
   print_items(ctl, get_json(ctl, "/v1/usage?by=%s&limit=1000", by),
               "name=[{name}|–]|>jobs={jobs:,}|>core time={core_seconds:duration}"
               "|>device time={device_seconds:duration}");
-  return STATUS_OK;
 }

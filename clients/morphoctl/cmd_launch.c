@@ -70,7 +70,7 @@ static void print_line(const struct ctl *ctl, enum engine engine, const char *li
   putchar('\n');
 }
 
-int run_fleet_launch(struct ctl *ctl)
+void run_fleet_launch(struct ctl *ctl)
 {
   static const char *const names[] = {"fleet slurm", "fleet systemd", "fleet kubernetes"};
   enum engine engine = SLURM;
@@ -80,12 +80,10 @@ int run_fleet_launch(struct ctl *ctl)
   option_number(ctl, "cpus", 1, 1024, 0);
   for (const struct filling *filling = fillings; filling < fillings + N_FILLINGS; filling++)
     if (!is_safe(value_of(ctl, filling, engine)))
-      return complain(STATUS_USAGE, "--%s: no blanks, quotes or backslashes, please",
-                      filling->option);
+      fail(STATUS_USAGE, "--%s: no blanks, quotes or backslashes, please", filling->option);
   const char *text = (const char *)launch_files[engine].bytes;
   for (size_t length; *text != 0; text += length + 1) {
     length = strcspn(text, "\n");
     print_line(ctl, engine, text, length);
   }
-  return STATUS_OK;
 }

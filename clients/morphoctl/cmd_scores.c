@@ -45,7 +45,7 @@ static int save_piece(void *context, const char *bytes, size_t n)
   return 0;
 }
 
-int run_scores_export(struct ctl *ctl)
+void run_scores_export(struct ctl *ctl)
 {
   static const char *const filters[] = {"controller", "class", "since"};
   struct saving saving = {.ctl = ctl, .path = ctl->n_operands > 0 ? ctl->operands[0] : "-"};
@@ -65,7 +65,6 @@ int run_scores_export(struct ctl *ctl)
     fail(STATUS_ERROR, "%s: %s", saving.path, strerror(errno));
   if (!ctl->quiet && saving.file != stdout)
     print_plain_line(stderr, "%s: %" PRIu64 " bytes", saving.path, saving.bytes);
-  return STATUS_OK;
 }
 
 /* ---- in ---- */
@@ -146,7 +145,7 @@ static int send_file(struct sending *sending)
              : status;
 }
 
-int run_scores_import(struct ctl *ctl)
+void run_scores_import(struct ctl *ctl)
 {
   const char *path = ctl->operands[0];
   const bool standard = strcmp(path, "-") == 0;
@@ -167,5 +166,5 @@ int run_scores_import(struct ctl *ctl)
     tell(ctl, sending.sum,
          "{new:,} rollouts are new, {known:,} were here[, {different>0:,} are stored with other "
          "bits and were left out], from store {source.store} on {source.host}");
-  return status == STATUS_OK && number_of(sending.sum, "different") > 0 ? STATUS_NEGATIVE : status;
+  leave(status == STATUS_OK && number_of(sending.sum, "different") > 0 ? STATUS_NEGATIVE : status);
 }

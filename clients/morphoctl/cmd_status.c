@@ -22,7 +22,7 @@ static bool is_ready(struct ctl *ctl, json_t **why)
   return ready;
 }
 
-int run_status(struct ctl *ctl)
+void run_status(struct ctl *ctl)
 {
   static const struct fact facts[] = {
       {"version", "{health.version}"},
@@ -47,27 +47,29 @@ int run_status(struct ctl *ctl)
                                ready ? "yes" : "no", "why", why, "workers", workers)),
                 facts);
   }
-  return ready ? STATUS_OK : STATUS_NEGATIVE;
+  if (!ready)
+    leave(STATUS_NEGATIVE);
 }
 
-/* Returns STATUS_NEGATIVE if a device is lost. */
-static int tell_lost(const struct ctl *ctl, const json_t *devices)
+/* Ends with STATUS_NEGATIVE if a device is lost. */
+static void tell_lost(const struct ctl *ctl, const json_t *devices)
 {
-  int status = STATUS_OK;
+  bool is_lost = false;
   size_t i;
   const json_t *device;
   json_array_foreach(devices, i, device)
   {
     if (strcmp(text_of(device, "state"), "lost") != 0)
       continue;
-    status = STATUS_NEGATIVE;
+    is_lost = true;
     if (!ctl->json)
       print_from(stderr, device, "device {index} is lost: {error}");
   }
-  return status;
+  if (is_lost)
+    leave(STATUS_NEGATIVE);
 }
 
-int run_devices(struct ctl *ctl)
+void run_devices(struct ctl *ctl)
 {
   const json_t *page = get_json(ctl, "/v1/devices"), *devices = json_object_get(page, "items");
   if (!ctl->json && json_array_size(devices) == 0)
@@ -77,21 +79,19 @@ int run_devices(struct ctl *ctl)
                 ">#={index}|name={name}|state={state}|>load={load:.0%}|>free GiB={free_bytes:GiB}"
                 "|>of GiB={memory_bytes:GiB}|>rollouts={rollouts_done:,}"
                 "|>gradients={gradient_robots_done:,}|id={id}");
-  return tell_lost(ctl, devices);
+  tell_lost(ctl, devices);
 }
 
-int run_version(struct ctl *ctl)
+void run_version(struct ctl *ctl)
 {
   if (ctl->json)
     printf("{\"version\":\"%s\"}\n", MORPHOD_VERSION);
   else
     printf("morphoctl %s\n", MORPHOD_VERSION);
-  return STATUS_OK;
 }
 
-int run_completion(struct ctl *ctl)
+void run_completion(struct ctl *ctl)
 {
   (void)ctl;
   options_print_completion(stdout);
-  return STATUS_OK;
 }

@@ -42,7 +42,7 @@ static void fill_numbers(const struct ctl *ctl, const char *name, json_t *reques
 
 /* ---- ask ---- */
 
-int run_study_ask(struct ctl *ctl)
+void run_study_ask(struct ctl *ctl)
 {
   char *end;
   const long long n = strtoll(ctl->operands[1], &end, 10);
@@ -50,7 +50,7 @@ int run_study_ask(struct ctl *ctl)
   size_t i;
   job_id(ctl->operands[0]);
   if (*end != 0 || n < 1)
-    return complain(STATUS_USAGE, "\"%s\" is not a number of bodies", ctl->operands[1]);
+    fail(STATUS_USAGE, "\"%s\" is not a number of bodies", ctl->operands[1]);
   json_t *request = keep(json_pack("{sI}", "n", (json_int_t)n));
   if (option_is_set(ctl, "random"))
     json_object_set_new(request, "by", json_string("random"));
@@ -63,7 +63,6 @@ int run_study_ask(struct ctl *ctl)
     {
       put_json(child, JSON_COMPACT);
     }
-  return STATUS_OK;
 }
 
 /* ---- tell ---- */
@@ -165,7 +164,7 @@ static void print_batch(const struct ctl *ctl, const json_t *batch)
               "|>score={score:.4f}");
 }
 
-int run_study_tell(struct ctl *ctl)
+void run_study_tell(struct ctl *ctl)
 {
   job_id(ctl->operands[0]);
   json_t *request = keep(json_object());
@@ -175,20 +174,18 @@ int run_study_tell(struct ctl *ctl)
   fill_sampler(ctl, request);
   fill_fields(ctl, request);
   print_batch(ctl, await_batch(ctl, post(ctl, "tell", request)));
-  return STATUS_OK;
 }
 
 /* ---- the rest ---- */
 
-int run_study_sampler(struct ctl *ctl)
+void run_study_sampler(struct ctl *ctl)
 {
-  return save_reply(ctl, path_to("/v1/campaigns/%s/sampler", job_id(ctl->operands[0])),
-                    "application/octet-stream", option_text(ctl, "output", "-"));
+  save_reply(ctl, path_to("/v1/campaigns/%s/sampler", job_id(ctl->operands[0])),
+             "application/octet-stream", option_text(ctl, "output", "-"));
 }
 
-int run_study_finish(struct ctl *ctl)
+void run_study_finish(struct ctl *ctl)
 {
   job_id(ctl->operands[0]);
   tell(ctl, post(ctl, "finish", NULL), "study {id} is {state}, with {progress.designs:,} designs");
-  return STATUS_OK;
 }

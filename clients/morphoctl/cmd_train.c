@@ -43,27 +43,27 @@ static void fill_designs(struct ctl *ctl, bool finetune, json_t *request)
     json_object_set(request, "designs", given_designs(ctl, 1, n_random, seed).list);
 }
 
-int run_train_start(struct ctl *ctl)
+void run_train_start(struct ctl *ctl)
 {
   const char *kind = ctl->operands[0];
   bool finetune = strcmp(kind, "finetune") == 0;
   if (!finetune && strcmp(kind, "pretrain") != 0)
-    return complain(STATUS_USAGE, "\"%s\" is not pretrain or finetune", kind);
+    fail(STATUS_USAGE, "\"%s\" is not pretrain or finetune", kind);
   json_t *request = keep(json_pack("{s:s}", "kind", kind));
   fill_designs(ctl, finetune, request);
   fill_schedule(ctl, request, "schedule");
   fill_fields(ctl, request);
   request_fill_physics(ctl, request);
-  return live_start(ctl, request);
+  live_start(ctl, request);
 }
 
-int run_train_list(struct ctl *ctl)
+void run_train_list(struct ctl *ctl)
 {
-  return list_items(ctl, "/v1/trainings", 50,
-                    ">training={id}|kind={kind}|name={name}|state={state}|>step={progress.step:,}"
-                    "|>of={progress.steps:,}|>loss={progress.mean_loss:.4f}"
-                    "|>validation={validation.mean_score:.4f}|created={created_at:time}"
-                    "|label={label}");
+  list_items(ctl, "/v1/trainings", 50,
+             ">training={id}|kind={kind}|name={name}|state={state}|>step={progress.step:,}"
+             "|>of={progress.steps:,}|>loss={progress.mean_loss:.4f}"
+             "|>validation={validation.mean_score:.4f}|created={created_at:time}"
+             "|label={label}");
 }
 
 /* ---- export ---- */
@@ -89,7 +89,7 @@ static void export_controller(struct ctl *ctl, const char *id)
   reply_free(&reply);
 }
 
-int run_train_export(struct ctl *ctl)
+void run_train_export(struct ctl *ctl)
 {
   static const char *const curves[][2] = {{"curve", "steps"}, {"validations", "validations"}};
   const char *id = job_id(ctl->operands[0]);
@@ -101,5 +101,4 @@ int run_train_export(struct ctl *ctl)
     if (output != NULL)
       save_reply(ctl, path_to("/v1/trainings/%s/%s", id, curves[i][1]), "text/csv", output);
   }
-  return STATUS_OK;
 }

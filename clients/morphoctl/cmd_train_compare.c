@@ -115,7 +115,7 @@ static void print_comparison(const struct ctl *ctl, const struct side sides[2],
   print_verdict(sides, paired);
 }
 
-int run_train_compare(struct ctl *ctl)
+void run_train_compare(struct ctl *ctl)
 {
   struct side sides[2] = {{.name = ctl->operands[0]}, {.name = ctl->operands[1]}};
   const int64_t seed = option_number(ctl, "seed", 0, (INT64_C(1) << 53) - 1, 1),
@@ -127,12 +127,11 @@ int run_train_compare(struct ctl *ctl)
   for (int s = 0; s < 2; s++)
     score_side(ctl, held_out, &sides[s]);
   if (sides[0].n != sides[1].n)
-    return complain(STATUS_ERROR, "the server's replies have different numbers of designs");
+    fail(STATUS_ERROR, "the server's replies have different numbers of designs");
   const struct paired paired =
       compare_pairs(sides[0].scores, sides[1].scores, sides[0].n, CONFIDENCE);
   if (ctl->json)
     print_comparison_json(sides, &paired, seed, n_environments);
   else
     print_comparison(ctl, sides, &paired, seed, n_environments);
-  return STATUS_OK;
 }

@@ -114,7 +114,7 @@ static bool look_again(void *context)
   return watch->finished;
 }
 
-int run_watch(struct ctl *ctl)
+void run_watch(struct ctl *ctl)
 {
   struct watch watch = {.ctl = ctl, .job = ctl->n_operands > 0 ? job_id(ctl->operands[0]) : NULL};
   struct follow follow = {.ctl = ctl,
@@ -129,7 +129,8 @@ int run_watch(struct ctl *ctl)
   watch.finished = false; /* show the events of an ended job, too */
   catch_interrupts(NULL);
   follow_events(&follow);
-  return watch.failed ? STATUS_NEGATIVE : STATUS_OK;
+  if (watch.failed)
+    leave(STATUS_NEGATIVE);
 }
 
 /* ---- wait ---- */
@@ -148,8 +149,8 @@ static void wait_for_end(struct ctl *ctl, const char *id, char state[16])
   }
 }
 
-/* Runs a command with sh. Returns STATUS_OK if it succeeds. */
-static int run_then(const char *command, const struct ctl *ctl, const char *state)
+/* Runs a command with sh, which must succeed. */
+static void run_then(const char *command, const struct ctl *ctl, const char *state)
 {
   char shell[] = "sh", option[] = "-c", *copy = keep(strdup(command));
   char *const arguments[] = {shell, option, copy, NULL};
@@ -165,15 +166,15 @@ static int run_then(const char *command, const struct ctl *ctl, const char *stat
   const bool told = setenv("MORPHOD_JOBS", ids, 1) == 0 && setenv("MORPHOD_STATE", state, 1) == 0;
   const int error = told ? posix_spawn(&process, "/bin/sh", NULL, NULL, arguments, environ) : errno;
   if (error != 0)
-    return complain(STATUS_ERROR, "sh: %s", strerror(error));
+    fail(STATUS_ERROR, "sh: %s", strerror(error));
   while (waitpid(process, &end, 0) < 0)
     if (errno != EINTR)
-      return complain(STATUS_ERROR, "sh: %s", strerror(errno));
-  return WIFEXITED(end) && WEXITSTATUS(end) == 0 ? STATUS_OK
-                                                 : complain(STATUS_ERROR, "\"%s\" failed", command);
+      fail(STATUS_ERROR, "sh: %s", strerror(errno));
+  if (!WIFEXITED(end) || WEXITSTATUS(end) != 0)
+    fail(STATUS_ERROR, "\"%s\" failed", command);
 }
 
-int run_wait(struct ctl *ctl)
+void run_wait(struct ctl *ctl)
 {
   const char *command = option_text(ctl, "run", NULL);
   char ended[16] = "succeeded";
@@ -190,6 +191,8 @@ int run_wait(struct ctl *ctl)
     if (strcmp(ended, "succeeded") == 0)
       memcpy(ended, state, sizeof(ended));
   }
-  const int status = command != NULL ? run_then(command, ctl, ended) : STATUS_OK;
-  return status == STATUS_OK && strcmp(ended, "succeeded") != 0 ? STATUS_NEGATIVE : status;
+  if (command != NULL)
+    run_then(command, ctl, ended);
+  if (strcmp(ended, "succeeded") != 0)
+    leave(STATUS_NEGATIVE);
 }

@@ -9,8 +9,7 @@
 #include "runs.h"
 #include "transport.h"
 
-/* Most of these end the program when something is wrong; what they return is kept (memory.h). Those
- * that return an int are the last of a command: the exit status. */
+/* Most of these end the program when something is wrong; what they return is kept (memory.h). */
 
 /* ---- request.c ---- */
 
@@ -112,8 +111,8 @@ void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *f
   }
 
 /* Prints the reply to a GET: JSON with --json, else what `print` makes of it. */
-int show(struct ctl *ctl, const char *path,
-         void (*print)(const struct ctl *ctl, const json_t *json));
+void show(struct ctl *ctl, const char *path,
+          void (*print)(const struct ctl *ctl, const json_t *json));
 /* Prints JSON with --json, else a template filled with it, unless --quiet. */
 void tell(const struct ctl *ctl, const json_t *json, const char *words);
 /* Prints a page as JSON with --json, else its items as a table (table.h). */
@@ -121,12 +120,12 @@ void print_items(const struct ctl *ctl, const json_t *page, const char *columns)
 /* Prints losses that differ as a table, unless --json is given (cmd_fleet.c). */
 void print_differences(const struct ctl *ctl, const json_t *different);
 /* Sends a request whose reply has no body, and says what it did. */
-int act(struct ctl *ctl, struct request request, const char *words);
+void act(struct ctl *ctl, struct request request, const char *words);
 /* Writes a head and bytes to a file, or to standard output ("-"). */
 void save_output(const char *path, const void *head, size_t head_bytes, const void *bytes,
                  size_t n);
 /* Saves the reply to a GET in the same way, and reports its size. */
-int save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output);
+void save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output);
 
 /* Hands the items of a paged list to `take` in order, up to `limit` (0: all), those behind `after`
  * of a numbered list (−1: from the first). */
@@ -136,7 +135,7 @@ void walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
 json_t *collect(struct ctl *ctl, const char *path, size_t limit);
 /* Prints a list as print_items does. The options --limit and --all override the limit; others
  * filter and sort it. */
-int list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns);
+void list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns);
 
 /* ---- dump.c ---- */
 

@@ -83,15 +83,14 @@ void tell(const struct ctl *ctl, const json_t *json, const char *words)
     print_from(stdout, json, words);
 }
 
-int show(struct ctl *ctl, const char *path,
-         void (*print)(const struct ctl *ctl, const json_t *json))
+void show(struct ctl *ctl, const char *path,
+          void (*print)(const struct ctl *ctl, const json_t *json))
 {
   const json_t *json = get_json(ctl, "%s", path);
   if (ctl->json)
     print_json(json);
   else
     print(ctl, json);
-  return STATUS_OK;
 }
 
 void print_items(const struct ctl *ctl, const json_t *page, const char *columns)
@@ -149,17 +148,16 @@ void save_output(const char *path, const void *head, size_t head_bytes, const vo
     fail(STATUS_ERROR, "%s: %s", path, strerror(errno));
 }
 
-int act(struct ctl *ctl, struct request request, const char *words)
+void act(struct ctl *ctl, struct request request, const char *words)
 {
   struct reply reply;
   transport_send(ctl, &request, &reply);
   if (!ctl->quiet && !ctl->json)
     print_plain_line(stdout, "%s", words);
   reply_free(&reply);
-  return STATUS_OK;
 }
 
-int save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output)
+void save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output)
 {
   struct reply reply;
   transport_get(ctl, path, accept, &reply);
@@ -167,7 +165,6 @@ int save_reply(struct ctl *ctl, const char *path, const char *accept, const char
   if (!ctl->quiet && strcmp(output, "-") != 0)
     print_plain_line(stderr, "%s: %zu bytes", output, reply.body_bytes);
   reply_free(&reply);
-  return STATUS_OK;
 }
 
 /* ---- lists ---- */
@@ -238,7 +235,7 @@ static char *list_path(const struct ctl *ctl, const char *list)
   return keep(path);
 }
 
-int list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns)
+void list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns)
 {
   static const char *const states[] = {"queued",    "running", "paused",
                                        "succeeded", "failed",  "cancelled"};
@@ -247,12 +244,10 @@ int list_items(struct ctl *ctl, const char *list, int64_t limit, const char *col
   if (option_is_set(ctl, "all"))
     limit = 0;
   if (state != NULL && !is_one_of(state, states, 6))
-    return complain(
-        STATUS_USAGE,
-        "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled", state);
+    fail(STATUS_USAGE,
+         "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled", state);
   if (group != NULL)
     job_id(group);
   json_t *items = collect(ctl, list_path(ctl, list), (size_t)limit);
   print_items(ctl, keep(json_pack("{s:O, s:n}", "items", items, "next_cursor")), columns);
-  return STATUS_OK;
 }

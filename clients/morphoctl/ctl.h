@@ -41,7 +41,7 @@ struct given {
 
 struct ctl;
 struct live_kind;
-typedef int command_function(struct ctl *ctl);
+typedef void command_function(struct ctl *ctl);
 
 struct command {
   const char *name;                  /* "job list" */

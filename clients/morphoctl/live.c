@@ -193,27 +193,29 @@ static void show_once(struct live *live)
 }
 
 /* Runs a command on the job that the first operand names. */
-static int run(struct ctl *ctl, void (*command)(struct live *live))
+static void run(struct ctl *ctl, void (*command)(struct live *live))
 {
   struct live *live = keep(calloc(1, ctl->command->live->size));
   live->kind = ctl->command->live;
   live->ctl = ctl;
   live->id = job_id(ctl->operands[0]);
   command(live);
-  return STATUS_OK;
 }
 
-int run_live_watch(struct ctl *ctl)
+void run_live_watch(struct ctl *ctl)
 {
-  return ctl->json ? run_watch(ctl) : run(ctl, watch);
+  if (ctl->json)
+    run_watch(ctl);
+  else
+    run(ctl, watch);
 }
 
-int run_live_show(struct ctl *ctl)
+void run_live_show(struct ctl *ctl)
 {
-  return run(ctl, show_once);
+  run(ctl, show_once);
 }
 
-int live_start(struct ctl *ctl, const json_t *request)
+void live_start(struct ctl *ctl, const json_t *request)
 {
   const struct live_kind *kind = ctl->command->live;
   const bool watches = option_is_set(ctl, "watch");
@@ -221,7 +223,7 @@ int live_start(struct ctl *ctl, const json_t *request)
   const char *id = text_of(job, "id");
   if (ctl->json && !watches) {
     print_json(job);
-    return STATUS_OK;
+    return;
   }
   const int64_t replicates = number_of(json_object_get(job, "group"), "replicates");
   for (int64_t i = 0; i < (replicates > 1 ? replicates : 1) && !watches; i++)
@@ -233,8 +235,8 @@ int live_start(struct ctl *ctl, const json_t *request)
     fputc('\n', stderr);
   }
   if (!watches)
-    return STATUS_OK;
+    return;
   ctl->operands[0] = id;
   ctl->n_operands = 1;
-  return run_live_watch(ctl);
+  run_live_watch(ctl);
 }

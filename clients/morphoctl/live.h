@@ -41,7 +41,7 @@ struct live {
 };
 
 /* These are of the command's kind. Posts a job, and prints its id, or watches it with --watch. */
-int live_start(struct ctl *ctl, const json_t *request);
+void live_start(struct ctl *ctl, const json_t *request);
 
 /* Fetches the job. */
 void live_load(struct live *live);
