@@ -445,9 +445,7 @@ static void draw_trail(struct raster *raster, const struct scene *scene, uint32_
 
 struct raster *raster_create(uint32_t width, uint32_t height)
 {
-  if (width < 16 || height < 16 || width > RASTER_SIDE_MAX || height > RASTER_SIDE_MAX)
-    return NULL;
-  struct raster *raster = need(calloc(1, sizeof(*raster)));
+  struct raster *raster = keep(calloc(1, sizeof(*raster)));
   raster->width = width * SAMPLES;
   raster->height = height * SAMPLES;
   const size_t n = (size_t)raster->width * raster->height;
@@ -455,16 +453,6 @@ struct raster *raster_create(uint32_t width, uint32_t height)
   raster->color = need(malloc(n * 3 * sizeof(float)));
   raster->shadow = need(malloc((size_t)SHADOW_SIDE * SHADOW_SIDE * sizeof(float)));
   return raster;
-}
-
-void raster_free(struct raster *raster)
-{
-  if (raster == NULL)
-    return;
-  free(raster->depth);
-  free(raster->color);
-  free(raster->shadow);
-  free(raster);
 }
 
 /* Places the camera and clears the buffers. */

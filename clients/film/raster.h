@@ -19,10 +19,9 @@ struct raster_camera {
 
 struct raster;
 
-/* Allocates the buffers of a picture of so many pixels, drawn with 2 × 2 samples each. NULL: a
- * side outside 16 … RASTER_SIDE_MAX. */
+/* Allocates the buffers of a picture of so many pixels, each side 16 … RASTER_SIDE_MAX, drawn with
+ * 2 × 2 samples each (kept, memory.h). */
 struct raster *raster_create(uint32_t width, uint32_t height);
-void raster_free(struct raster *raster);
 
 /* Draws a rollout at a time; after its end, the last frame. light: a bright background in place of
  * a dark one. rgb: (height, width, 3), written. */

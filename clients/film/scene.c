@@ -1,87 +1,78 @@
 /* scene.c: reads a scene. Every offset and size comes from the network and is checked. */
 #include "scene.h"
 
-#include "../morphoctl/memory.h"
+#include "../morphoctl/ctl.h"
 
 #include <math.h>
-#include <stdbool.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #define FAR_M 1e4F
 
+/* The bytes behind the header. */
 struct reader {
   const unsigned char *arrays;
   size_t size;
-  const char *fault; /* the first */
 };
 
-static void fault(struct reader *reader, const char *text)
+static _Noreturn void refuse(const char *what)
 {
-  if (reader->fault == NULL)
-    reader->fault = text;
+  fail(STATUS_ERROR, "the server's scene is damaged: %s", what);
 }
 
 /* Finds an array: {"offset", "type", "shape"}. sizes: (n_sizes), written; the last must be
  * `last`. */
-static const void *array(struct reader *reader, const json_t *described, const char *type,
+static const void *array(const struct reader *reader, const json_t *described, const char *type,
                          size_t width, uint32_t *sizes, size_t n_sizes, uint32_t last)
 {
   const json_t *shape = json_object_get(described, "shape");
   const char *given = json_string_value(json_object_get(described, "type"));
   const json_int_t offset = json_integer_value(json_object_get(described, "offset"));
   size_t bytes = width;
-  if (given == NULL || strcmp(given, type) != 0 || json_array_size(shape) != n_sizes) {
-    fault(reader, "an array of the scene is missing, or is not of the expected type and shape");
-    return NULL;
-  }
+  if (given == NULL || strcmp(given, type) != 0 || json_array_size(shape) != n_sizes)
+    refuse("an array is missing, or is not of the expected type and shape");
   for (size_t i = 0; i < n_sizes; i++) {
     const json_int_t n = json_integer_value(json_array_get(shape, i));
-    if (n < 0 || n > 1 << 24 || (n > 0 && bytes > ((size_t)1 << 40) / (size_t)n)) {
-      fault(reader, "an array of the scene is too large");
-      return NULL;
-    }
+    if (n < 0 || n > 1 << 24 || (n > 0 && bytes > ((size_t)1 << 40) / (size_t)n))
+      refuse("an array is too large");
     sizes[i] = (uint32_t)n;
     bytes *= (size_t)n;
   }
   if (sizes[n_sizes - 1] != last)
-    fault(reader, "an array of the scene is not of the expected shape");
+    refuse("an array is not of the expected shape");
   if (offset < 0 || offset % 4 != 0 || (size_t)offset > reader->size ||
-      bytes > reader->size - (size_t)offset) {
-    fault(reader, "an array of the scene lies outside of it");
-    return NULL;
-  }
+      bytes > reader->size - (size_t)offset)
+    refuse("an array lies outside of it");
   return reader->arrays + offset;
 }
 
-static void *list(struct reader *reader, const json_t *items, size_t width, uint32_t *n)
+static void *list(const json_t *items, size_t width, uint32_t *n)
 {
   const size_t size = json_array_size(items);
-  *n = size <= 4096 ? (uint32_t)size : 0;
-  if (*n == 0)
-    fault(reader, "the scene has no rollouts, or too many");
-  return need(calloc(*n + 1, width));
+  if (size == 0 || size > 4096)
+    refuse("it has no rollouts, or too many");
+  *n = (uint32_t)size;
+  return keep(calloc(size, width));
 }
 
-static void check_indices(struct reader *reader, const uint16_t *indices, size_t n, size_t stride,
-                          size_t used, uint32_t limit)
+static void check_indices(const uint16_t *indices, size_t n, size_t stride, size_t used,
+                          uint32_t limit)
 {
-  for (size_t i = 0; i < n && reader->fault == NULL; i++)
+  for (size_t i = 0; i < n; i++)
     for (size_t k = 0; k < used; k++)
       if (indices[i * stride + k] >= limit)
-        fault(reader, "an index in the scene is out of range");
+        refuse("an index is out of range");
 }
 
 /* Refuses numbers that are not places within FAR_M: what draws them relies on it. */
-static void check_places(struct reader *reader, const float *places_m, size_t n)
+static void check_places(const float *places_m, size_t n)
 {
-  for (size_t i = 0; i < n && reader->fault == NULL; i++)
+  for (size_t i = 0; i < n; i++)
     if (!(fabsf(places_m[i]) <= FAR_M))
-      fault(reader, "a position in the scene is not finite, or far outside of the world");
+      refuse("a position is not finite, or far outside of the world");
 }
 
-static void read_body(struct reader *reader, const json_t *item, struct scene_body *body)
+static void read_body(const struct reader *reader, const json_t *item, struct scene_body *body)
 {
   uint32_t sizes[2] = {0, 0};
   const char *id = json_string_value(json_object_get(item, "id"));
@@ -98,15 +89,13 @@ static void read_body(struct reader *reader, const json_t *item, struct scene_bo
   body->n_faces = sizes[0];
   body->voxels = array(reader, json_object_get(item, "voxels"), "uint16", 2, sizes, 2, 8);
   body->n_voxels = sizes[0];
-  if (reader->fault != NULL)
-    return;
-  check_indices(reader, body->springs, body->n_springs, 2, 2, body->n_masses);
-  check_indices(reader, body->faces, body->n_faces, 5, 4, body->n_masses);
-  check_indices(reader, body->faces + 4, body->n_faces, 5, 1, body->n_voxels);
-  check_indices(reader, body->voxels, body->n_voxels, 8, 8, body->n_masses);
+  check_indices(body->springs, body->n_springs, 2, 2, body->n_masses);
+  check_indices(body->faces, body->n_faces, 5, 4, body->n_masses);
+  check_indices(body->faces + 4, body->n_faces, 5, 1, body->n_voxels);
+  check_indices(body->voxels, body->n_voxels, 8, 8, body->n_masses);
 }
 
-static void read_world(struct reader *reader, const json_t *item, struct scene_world *world)
+static void read_world(const struct reader *reader, const json_t *item, struct scene_world *world)
 {
   uint32_t sizes[2] = {0, 0};
   const json_t *light = json_object_get(item, "light_xy_m");
@@ -114,106 +103,89 @@ static void read_world(struct reader *reader, const json_t *item, struct scene_w
     world->light_xy_m[axis] = json_number_value(json_array_get(light, axis));
   world->heights_m =
       array(reader, json_object_get(item, "terrain_heights_m"), "float32", 4, sizes, 2, 8);
-  if (reader->fault == NULL && sizes[0] != 8)
-    fault(reader, "a terrain of the scene does not have 8 by 8 heights");
+  if (sizes[0] != 8)
+    refuse("a terrain does not have 8 by 8 heights");
   if (!(fabs(world->light_xy_m[0]) <= FAR_M && fabs(world->light_xy_m[1]) <= FAR_M))
-    fault(reader, "a light of the scene is far outside of the world");
-  if (reader->fault == NULL)
-    check_places(reader, world->heights_m, 64);
+    refuse("a light is far outside of the world");
+  check_places(world->heights_m, 64);
 }
 
-static void read_rollout(struct reader *reader, const struct scene *scene, const json_t *item,
+static void read_rollout(const struct reader *reader, const struct scene *scene, const json_t *item,
                          struct scene_rollout *rollout)
 {
   uint32_t sizes[3] = {0, 0, 0};
   const json_int_t body = json_integer_value(json_object_get(item, "design"));
   const json_int_t world = json_integer_value(json_object_get(item, "environment"));
   const json_t *loss = json_object_get(item, "loss");
-  if (body < 0 || body >= scene->n_bodies || world < 0 || world >= scene->n_worlds) {
-    fault(reader, "a rollout of the scene names a design or environment that is not in it");
-    return;
-  }
+  if (body < 0 || body >= scene->n_bodies || world < 0 || world >= scene->n_worlds)
+    refuse("a rollout names a design or environment that is not in it");
   rollout->body = (uint32_t)body;
   rollout->world = (uint32_t)world;
   rollout->loss = json_is_number(loss) ? json_number_value(loss) : (double)NAN;
   rollout->masses_m = array(reader, json_object_get(item, "masses_m"), "float32", 4, sizes, 3, 3);
-  if (reader->fault != NULL)
-    return;
   rollout->n_frames = sizes[0];
   if (sizes[0] == 0 || sizes[1] != scene->bodies[body].n_masses)
-    fault(reader, "a recording of the scene does not fit its body");
-  if (reader->fault == NULL)
-    check_places(reader, rollout->masses_m, (size_t)sizes[0] * sizes[1] * 3);
+    refuse("a recording does not fit its body");
+  check_places(rollout->masses_m, (size_t)sizes[0] * sizes[1] * 3);
 }
 
-const char *scene_read(const void *bytes, size_t size, struct scene *scene)
+struct scene scene_read(const void *bytes, size_t size)
 {
   const unsigned char *b = bytes;
-  *scene = (struct scene){0};
   if (size < 4)
-    return "the scene ends before its header";
+    refuse("it ends before its header");
   const size_t length = b[0] | (size_t)b[1] << 8 | (size_t)b[2] << 16 | (size_t)b[3] << 24;
   const size_t start = (4 + length + 3) / 4 * 4;
   if (start > size)
-    return "the scene ends within its header";
-  scene->header = json_loadb((const char *)b + 4, length, 0, NULL);
-  struct reader reader = {b + start, size - start, NULL};
-  const json_t *designs = json_object_get(scene->header, "designs"),
-               *environments = json_object_get(scene->header, "environments"),
-               *rollouts = json_object_get(scene->header, "rollouts");
-  scene->frame_s = json_number_value(json_object_get(scene->header, "frame_s"));
-  if (!(scene->frame_s > 0))
-    fault(&reader, "the scene does not tell the time between its frames");
-  scene->bodies = list(&reader, designs, sizeof(*scene->bodies), &scene->n_bodies);
-  scene->worlds = list(&reader, environments, sizeof(*scene->worlds), &scene->n_worlds);
-  scene->rollouts = list(&reader, rollouts, sizeof(*scene->rollouts), &scene->n_rollouts);
-  for (uint32_t i = 0; i < scene->n_bodies && reader.fault == NULL; i++)
-    read_body(&reader, json_array_get(designs, i), &scene->bodies[i]);
-  for (uint32_t i = 0; i < scene->n_worlds && reader.fault == NULL; i++)
-    read_world(&reader, json_array_get(environments, i), &scene->worlds[i]);
-  for (uint32_t i = 0; i < scene->n_rollouts && reader.fault == NULL; i++)
-    read_rollout(&reader, scene, json_array_get(rollouts, i), &scene->rollouts[i]);
-  if (reader.fault != NULL)
-    scene_free(scene);
-  return reader.fault;
+    refuse("it ends within its header");
+  json_t *header = json_loadb((const char *)b + 4, length, 0, NULL);
+  if (header == NULL)
+    refuse("its header is not JSON");
+  const struct reader reader = {b + start, size - start};
+  const json_t *designs = json_object_get(keep(header), "designs"),
+               *environments = json_object_get(header, "environments"),
+               *rollouts = json_object_get(header, "rollouts");
+  struct scene scene = {.frame_s = json_number_value(json_object_get(header, "frame_s"))};
+  if (!(scene.frame_s > 0))
+    refuse("it does not tell the time between its frames");
+  scene.bodies = list(designs, sizeof(*scene.bodies), &scene.n_bodies);
+  scene.worlds = list(environments, sizeof(*scene.worlds), &scene.n_worlds);
+  scene.rollouts = list(rollouts, sizeof(*scene.rollouts), &scene.n_rollouts);
+  for (uint32_t i = 0; i < scene.n_bodies; i++)
+    read_body(&reader, json_array_get(designs, i), &scene.bodies[i]);
+  for (uint32_t i = 0; i < scene.n_worlds; i++)
+    read_world(&reader, json_array_get(environments, i), &scene.worlds[i]);
+  for (uint32_t i = 0; i < scene.n_rollouts; i++)
+    read_rollout(&reader, &scene, json_array_get(rollouts, i), &scene.rollouts[i]);
+  return scene;
 }
 
-/* Returns a list of n items grown by more of them. */
-static void *extend(void *list, uint32_t n, const void *more, uint32_t n_more, size_t width)
+/* Returns a list of n items and then n_more others. */
+static void *joined(const void *list, uint32_t n, const void *more, uint32_t n_more, size_t width)
 {
-  char *grown = need(realloc(list, ((size_t)n + n_more) * width + 1));
-  memcpy(grown + n * width, more, n_more * width);
-  return grown;
+  char *both = keep(malloc(((size_t)n + n_more) * width + 1));
+  if (n > 0)
+    memcpy(both, list, n * width);
+  memcpy(both + n * width, more, n_more * width);
+  return both;
 }
 
-const char *scene_append(struct scene *scene, struct scene *other)
+void scene_append(struct scene *scene, const struct scene *other)
 {
-  const bool fits = scene->n_rollouts == 0 || scene->frame_s == other->frame_s;
+  if (scene->n_rollouts > 0 && scene->frame_s != other->frame_s)
+    refuse("others have other times between their frames");
   for (uint32_t i = 0; i < other->n_rollouts; i++) {
     other->rollouts[i].body += scene->n_bodies;
     other->rollouts[i].world += scene->n_worlds;
   }
-  if (fits) {
-    scene->bodies = extend(scene->bodies, scene->n_bodies, other->bodies, other->n_bodies,
-                           sizeof(*scene->bodies));
-    scene->worlds = extend(scene->worlds, scene->n_worlds, other->worlds, other->n_worlds,
-                           sizeof(*scene->worlds));
-    scene->rollouts = extend(scene->rollouts, scene->n_rollouts, other->rollouts, other->n_rollouts,
-                             sizeof(*scene->rollouts));
-    scene->frame_s = other->frame_s;
-    scene->n_bodies += other->n_bodies;
-    scene->n_worlds += other->n_worlds;
-    scene->n_rollouts += other->n_rollouts;
-  }
-  scene_free(other);
-  return fits ? NULL : "the scenes have other times between their frames";
-}
-
-void scene_free(struct scene *scene)
-{
-  json_decref(scene->header);
-  free(scene->bodies);
-  free(scene->worlds);
-  free(scene->rollouts);
-  *scene = (struct scene){0};
+  *scene = (struct scene){.frame_s = other->frame_s,
+                          .n_bodies = scene->n_bodies + other->n_bodies,
+                          .n_worlds = scene->n_worlds + other->n_worlds,
+                          .n_rollouts = scene->n_rollouts + other->n_rollouts,
+                          .bodies = joined(scene->bodies, scene->n_bodies, other->bodies,
+                                           other->n_bodies, sizeof(*scene->bodies)),
+                          .worlds = joined(scene->worlds, scene->n_worlds, other->worlds,
+                                           other->n_worlds, sizeof(*scene->worlds)),
+                          .rollouts = joined(scene->rollouts, scene->n_rollouts, other->rollouts,
+                                             other->n_rollouts, sizeof(*scene->rollouts))};
 }

@@ -37,14 +37,12 @@ struct scene {
   struct scene_body *bodies;
   struct scene_world *worlds;
   struct scene_rollout *rollouts;
-  json_t *header;
 };
 
-/* Reads `size` bytes, which must be aligned to 4 and outlive the scene. Returns NULL, or what is
- * wrong with them; the scene is then empty. */
-const char *scene_read(const void *bytes, size_t size, struct scene *scene);
-/* Adds what another scene has, which is then empty. Returns NULL, or why it does not fit. */
-const char *scene_append(struct scene *scene, struct scene *other);
-void scene_free(struct scene *scene);
+/* Reads `size` bytes, which must be aligned to 4 and outlive the scene. Its lists are kept
+ * (memory.h). Bytes that are no scene end the program. */
+struct scene scene_read(const void *bytes, size_t size);
+/* Adds what another scene has, which must have the same time between its frames. */
+void scene_append(struct scene *scene, const struct scene *other);
 
 #endif

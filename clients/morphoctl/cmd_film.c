@@ -78,9 +78,7 @@ static void load_scene(struct ctl *ctl, struct film *film)
   how.accept = "application/vnd.morphod.scene";
   how.repeatable = true;
   transport_send(ctl, &how, reply);
-  const char *fault = scene_read(reply->body, reply->body_bytes, &film->scene);
-  if (fault != NULL)
-    fail(STATUS_ERROR, "%s", fault);
+  film->scene = scene_read(reply->body, reply->body_bytes);
 }
 
 /* ---- drawing ---- */
@@ -145,7 +143,7 @@ static void lay_out(struct film *film)
   const uint32_t rows = n > columns ? (n + columns - 1) / columns : 1;
   film->view_width = film->width / columns;
   film->view_height = film->height / rows;
-  film->raster = need(raster_create(film->view_width, film->view_height));
+  film->raster = raster_create(film->view_width, film->view_height);
   const size_t bytes = (size_t)film->width * film->height * 3 + 1;
   film->tile = keep(calloc(bytes, 1));
   film->frame = keep(calloc(bytes, 1));
@@ -368,15 +366,11 @@ static size_t choose_designs(const json_t *results, size_t places[ROBOTS_MAX])
 static void load_recording(struct ctl *ctl, struct film *film, const char *evaluation,
                            size_t design, int64_t environment, struct reply *reply)
 {
-  struct scene scene;
   const char *path = path_to("/v1/evaluations/%s/trajectories/%zu?environment=%" PRId64, evaluation,
                              design, environment);
   transport_get(ctl, path, "application/vnd.morphod.scene", reply);
-  const char *fault = scene_read(reply->body, reply->body_bytes, &scene);
-  if (fault == NULL)
-    fault = scene_append(&film->scene, &scene);
-  if (fault != NULL)
-    fail(STATUS_ERROR, "%s", fault);
+  const struct scene scene = scene_read(reply->body, reply->body_bytes);
+  scene_append(&film->scene, &scene);
 }
 
 void film_evaluation(struct ctl *ctl, const json_t *evaluation)
