@@ -58,7 +58,7 @@ static void count_survivors(const struct mo_campaign_run *run, struct mo_campaig
 
 static void count_rollouts(const struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
-  row->rollouts_cached = (uint64_t)run->n_cached * run->n_environments;
+  row->rollouts_cached = run->n_cached;
   for (uint32_t i = 0; i < run->n_scored; i++)
     for (uint32_t k = 0; k < run->n_environments; k++) {
       row->rollouts += !isnan(run->losses[i].losses[k]);

@@ -46,22 +46,6 @@ static void plan(struct mo_campaign_run *run)
   mo_race_plan(run->settings, rows->parent_losses, rows->scores, run->n_parents, n, &run->race);
 }
 
-static void start(struct mo_campaign_run *run)
-{
-  plan(run);
-  for (uint32_t i = n_parents_scored(run); i < run->n_scored; i++)
-    open_wave(run, i, 0);
-}
-
-void mo_race_begin(struct mo_campaign_run *run)
-{
-  run->parents_left = 0;
-  for (uint32_t i = 0; i < n_parents_scored(run); i++)
-    run->parents_left += run->scoring.grid.left[i] > 0;
-  if (run->races && run->parents_left == 0)
-    start(run);
-}
-
 /* Returns the wave that a child has to begin. n_waves: it is inside one. */
 static uint32_t next_wave(const struct mo_campaign_run *run, uint32_t place)
 {
@@ -77,6 +61,39 @@ static uint32_t next_wave(const struct mo_campaign_run *run, uint32_t place)
   return race->n_waves;
 }
 
+/* Begins the next wave of a child that is inside none, or cuts it short. Returns whether it is
+ * done.
+ */
+static bool go_on(struct mo_campaign_run *run, uint32_t place)
+{
+  const uint32_t wave = next_wave(run, place);
+  if (wave == run->race.n_waves)
+    return false;
+  if (mo_race_score(run->losses[place].losses, run->n_environments) > run->race.bound) {
+    mo_grid_finish_design(&run->scoring.grid, place);
+    return true;
+  }
+  open_wave(run, place, wave);
+  return false;
+}
+
+/* A child with stored losses may be cut at once. It is not saved: they are found again. */
+static void start(struct mo_campaign_run *run)
+{
+  plan(run);
+  for (uint32_t i = n_parents_scored(run); i < run->n_scored; i++)
+    run->n_done += go_on(run, i);
+}
+
+void mo_race_begin(struct mo_campaign_run *run)
+{
+  run->parents_left = 0;
+  for (uint32_t i = 0; i < n_parents_scored(run); i++)
+    run->parents_left += run->scoring.grid.left[i] > 0;
+  if (run->races && run->parents_left == 0)
+    start(run);
+}
+
 bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done)
 {
   if (!run->races)
@@ -87,15 +104,7 @@ bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done)
       start(run);
     return is_done;
   }
-  const uint32_t wave = is_done ? run->race.n_waves : next_wave(run, place);
-  if (wave == run->race.n_waves)
-    return is_done;
-  if (mo_race_score(run->losses[place].losses, run->n_environments) > run->race.bound) {
-    mo_grid_finish_design(&run->scoring.grid, place);
-    return true;
-  }
-  open_wave(run, place, wave);
-  return false;
+  return is_done || go_on(run, place);
 }
 
 void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to)

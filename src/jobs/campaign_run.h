@@ -73,7 +73,7 @@ struct mo_campaign_run {
   uint32_t *unsaved;               /* (n_scored) places whose losses are not saved yet */
   uint32_t n_unsaved;
   uint32_t n_done;   /* of n_scored */
-  uint32_t n_cached; /* of n_done, found in the table `scores` */
+  uint64_t n_cached; /* losses that were found in the table `scores` */
 
   /* The race of the children (campaign_race.c). */
   bool races;            /* it is possible, and has begun or will */

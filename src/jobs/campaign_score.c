@@ -25,7 +25,8 @@ void mo_campaign_free_scores(struct mo_campaign_run *run)
   free(run->unsaved);
   run->losses = NULL;
   run->unsaved = NULL;
-  run->n_scored = run->n_unsaved = run->n_done = run->n_cached = 0;
+  run->n_scored = run->n_unsaved = run->n_done = 0;
+  run->n_cached = 0;
 }
 
 static int allocate(struct mo_campaign_run *run)
@@ -63,6 +64,21 @@ static void know(struct mo_campaign_run *run, uint32_t place, const struct mo_ca
   run->n_done++;
 }
 
+/* Takes the stored losses of a candidate, which need not be all. */
+static void know_some(struct mo_campaign_run *run, uint32_t place,
+                      const struct mo_campaign_loss *known)
+{
+  struct mo_campaign_loss *loss = &run->losses[place];
+  loss->stored = known->stored;
+  for (uint32_t k = 0; k < run->n_environments; k++)
+    if (known->stored >> k & 1) {
+      loss->losses[k] = known->losses[k];
+      loss->diverged_steps[k] = known->diverged_steps[k];
+      run->n_cached++;
+      run->n_done += mo_grid_finish(&run->scoring.grid, place, k);
+    }
+}
+
 static int read_saved(struct mo_campaign_run *run)
 {
   struct mo_campaign_loss *saved = NULL;
@@ -98,10 +114,8 @@ static void look_up(void *context, size_t first, size_t end)
   pthread_mutex_lock(&looking->mutex);
   if (found < 0)
     looking->error = (int)found;
-  for (int64_t i = 0; i < found; i++) {
-    know(run, looking->places[first + known[i].place], &known[i]);
-    run->n_cached++;
-  }
+  for (int64_t i = 0; i < found; i++)
+    know_some(run, looking->places[first + known[i].place], &known[i]);
   pthread_mutex_unlock(&looking->mutex);
   free(known);
 }
@@ -116,7 +130,7 @@ static int read_known(struct mo_campaign_run *run)
   if (asked == NULL || places == NULL)
     looking.error = MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < run->n_scored && looking.error == MO_OK; i++)
-    if (run->scoring.grid.left[i] > 0) {
+    if (run->scoring.grid.left[i] > 0) { /* nothing of it is saved */
       asked[n] = run->rows->bits[run->first_scored + i];
       places[n++] = i;
     }

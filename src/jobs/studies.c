@@ -258,7 +258,7 @@ int mo_jobs_study_losses(struct mo_jobs *jobs, int64_t id, const struct mo_bits 
                                       genotypes, n, found);
   for (int64_t i = 0; i < n_found; i++) {
     losses[found[i].place] = found[i];
-    known[found[i].place] = 1;
+    known[found[i].place] = found[i].stored == UINT64_MAX >> (64 - job.n_environments);
   }
   free(found);
   return n_found < 0 ? (int)n_found : error;

@@ -243,8 +243,8 @@ static int insert_child_scores(struct mo_store *store, const struct commit_argum
                                          head->environment_set,
                                          call->commit->fingerprint,
                                          call->commit->workers_fingerprint};
-  bool all_new = true, is_new = false, is_whole = true;
-  uint64_t taken = 0;
+  bool all_new = loss->stored == 0, is_new = false, is_whole = true;
+  uint64_t taken = loss->stored;
   double sum = 0;
   int error = MO_OK;
   for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k++) {

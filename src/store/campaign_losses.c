@@ -1,5 +1,6 @@
 /* campaign_losses.c: losses of a campaign: those of the current generation, saved as they come, and
  * those stored earlier as scores. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -17,8 +18,10 @@ struct losses_arguments {
   const char *event_data;
 };
 
-/* A bit beside the step: workers computed this loss of a campaign that devices compute. */
+/* Bits beside the step: those of struct mo_campaign_loss. Steps are smaller. */
 #define BY_WORKERS (UINT32_C(1) << 31)
+#define STORED     (UINT32_C(1) << 30)
+_Static_assert(MO_STEPS_MAX < STORED, "a step has room beside the bits");
 
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
 {
@@ -50,7 +53,8 @@ static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_c
   uint8_t bytes[MO_PACKED_BYTES(MO_ENVIRONMENTS_MAX)];
   uint32_t steps[MO_ENVIRONMENTS_MAX];
   for (uint32_t k = 0; k < n; k++)
-    steps[k] = (uint32_t)loss->diverged_steps[k] | (loss->by_workers >> k & 1 ? BY_WORKERS : 0);
+    steps[k] = (uint32_t)loss->diverged_steps[k] | (loss->by_workers >> k & 1 ? BY_WORKERS : 0) |
+               (loss->stored >> k & 1 ? STORED : 0);
   const size_t n_key = key_of(id, loss, key);
   const size_t size = mo_pack_losses(key, n_key, loss->losses, steps, n, bytes);
   int error = mo_sql_change(writer, sql, mo_int(id), mo_int(loss->place), mo_blob(bytes, size),
@@ -101,10 +105,11 @@ static int loss_from_row(sqlite3_stmt *row, int64_t id, uint32_t n, struct mo_ca
     memcpy(loss->origins, sqlite3_column_blob(row, 2), sizeof(loss->origins));
   int error = mo_unpack_losses(key, key_of(id, loss, key), sqlite3_column_blob(row, 1),
                                (size_t)sqlite3_column_bytes(row, 1), n, loss->losses, steps);
-  loss->by_workers = 0;
+  loss->by_workers = loss->stored = 0;
   for (uint32_t k = 0; k < n && error == MO_OK; k++) {
-    loss->diverged_steps[k] = (int32_t)(steps[k] & ~BY_WORKERS);
-    loss->by_workers |= (uint64_t)(steps[k] >> 31) << k;
+    loss->diverged_steps[k] = (int32_t)(steps[k] & ~(BY_WORKERS | STORED));
+    loss->by_workers |= (uint64_t)((steps[k] & BY_WORKERS) != 0) << k;
+    loss->stored |= (uint64_t)((steps[k] & STORED) != 0) << k;
   }
   return error;
 }
@@ -124,7 +129,7 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
   if (error == MO_OK && losses == NULL)
     error = MO_ERR_NO_MEMORY;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
-  while (n < most && mo_sql_next(reader, row, &error))
+  while (losses != NULL && n < most && mo_sql_next(reader, row, &error))
     error = loss_from_row(row, id, head.n_environments, &losses[n++]);
   mo_reader_release(store, reader);
   if (error != MO_OK || n != most) {
@@ -138,7 +143,7 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
 
 /* ---- losses that are stored as scores ---- */
 
-/* Returns 1 if all losses of a genotype in n environments are known. */
+/* Returns 1 if a loss of a genotype in n environments is known. */
 static int find_known(struct mo_connection *reader, struct mo_saved_design *design,
                       const int64_t *environments, uint32_t n, const struct mo_bits *genotype,
                       struct mo_campaign_loss *loss)
@@ -152,14 +157,13 @@ static int find_known(struct mo_connection *reader, struct mo_saved_design *desi
     error = mo_losses_read(reader, design, environments, n, scores);
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? 0 : error;
-  loss->by_workers = 0;
+  loss->by_workers = loss->stored = 0;
   for (uint32_t k = 0; k < n; k++) {
-    if (!scores[k].known)
-      return 0;
-    loss->losses[k] = scores[k].loss;
+    loss->losses[k] = scores[k].known ? scores[k].loss : (double)NAN;
     loss->diverged_steps[k] = scores[k].diverged_step;
+    loss->stored |= (uint64_t)scores[k].known << k;
   }
-  return 1;
+  return loss->stored != 0;
 }
 
 int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,

@@ -40,7 +40,9 @@ struct mo_campaign_loss {
                                          because the child cannot survive */
   int32_t diverged_steps[MO_ENVIRONMENTS_MAX]; /* ≥ 0 */
   int64_t origins[MO_ENVIRONMENTS_MAX];        /* of each loss, as in mo_saved_block */
-  uint64_t by_workers; /* bit k: workers, not devices as for the rest, computed environment k */
+  /* Bit k of environment k: workers, not devices as for the rest, computed it; it is in `scores`
+   * already. */
+  uint64_t by_workers, stored;
 };
 /* Saves losses of `generation`, which must follow the newest committed one. Returns after the
  * commit. Deletes rows of other generations; a place that is saved already keeps its losses.
@@ -51,9 +53,9 @@ int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t g
 /* Reads the saved losses of a generation, by place (malloc). */
 int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation,
                              struct mo_campaign_loss **losses, size_t *n);
-/* Finds genotypes whose losses in all environments of the campaign are stored, under its controller
- * and physics (zero-shot), by code of this fingerprint. losses: room for n; place: index in
- * `genotypes`. Returns their number. */
+/* Finds genotypes with stored losses in environments of the campaign, under its controller and
+ * physics (zero-shot), by code of this fingerprint. losses: room for n; place: index in
+ * `genotypes`; NaN: not stored. Returns their number. */
 int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
                                 const struct mo_bits *genotypes, uint32_t n,
                                 struct mo_campaign_loss *losses);

@@ -77,6 +77,32 @@ SERVICE_CASE(scores_nothing_twice, 1)
   CHECK_INT(idle_stats().campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
 }
 
+/* What is stored of children that were cut short is not computed again: neither by the same
+ * campaign nor by one that scores them to their end. */
+SERVICE_CASE(scores_no_loss_twice, 1)
+{
+  struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
+  struct origin origin = origin_of(&request);
+  int64_t id = submit_campaign(&request);
+  CHECK(ends_as_plain(id, &origin));
+  const uint64_t computed = idle_stats().campaign_rollouts;
+  id = submit_campaign(&request);
+  CHECK(ends_as_plain(id, &origin));
+  CHECK_INT(idle_stats().campaign_rollouts, computed);
+  CHECK_INT(idle_stats().campaign_cached, computed);
+  request.record.settings.racing = MO_RACING_OFF;
+  origin = origin_of(&request);
+  id = submit_campaign(&request);
+  CHECK(ends_as_plain(id, &origin));
+  const uint64_t all = status_of(id).n_designs * MO_PAPER_TEST_COUNT;
+  CHECK(all > computed);
+  CHECK_INT(idle_stats().campaign_rollouts, all);
+  CHECK_INT(idle_stats().campaign_cached, 2 * computed);
+  CHECK_INT(outside_integer("SELECT sum(length(c.environments)/8) FROM scores s"
+                            " JOIN conditions c ON c.id=s.condition"),
+            all);
+}
+
 /* Listed designs, in a smaller workspace; then another campaign that begins with what the first
  * ended with. */
 SERVICE_CASE(begins_with_what_is_given, 1)
@@ -192,6 +218,7 @@ static const struct check_case cases[] = {
     {"evolves in every mode", evolves_in_every_mode},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"scores nothing twice", scores_nothing_twice},
+    {"computes no stored loss of a child that was cut", scores_no_loss_twice},
     {"begins with what is given", begins_with_what_is_given},
     {"reports its generations", reports_its_generations},
     {"shows no generation behind its last", shows_no_generation_behind_its_last},
