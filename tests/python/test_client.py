@@ -1,5 +1,6 @@
 """Scores, recordings, campaigns, trainings and controllers through the package."""
 
+import datetime
 import json
 import math
 import re
@@ -222,6 +223,32 @@ def test_bundles_travel(m, start, campaign, tmp_path):
     for which, first in (({"label": "for tests"}, campaign[0]),
                          ({"experiment": "that travels"}, campaign[1])):
         assert m.import_bundle(m.bundle(path, **which))[0].id == first, "its own"
+
+
+def test_scores_travel(m, start, tmp_path):
+    seen = m.evaluate([[[0, 0, 0], [1, 0, 0], [1, 0, 1]]], physics={"n_steps": 61})
+    other = start()
+    with morphod.Client(f"http://{other.host}:{other.port}") as there:
+        path = m.save_scores(tmp_path / "scores", controller="default")
+        entered = there.import_scores(path)
+        assert entered.new >= 10 and entered.known == entered.different == 0
+        assert there.import_scores(path) == morphod.Entered(known=entered.new)
+        again = there.evaluate([[[0, 0, 0], [1, 0, 0], [1, 0, 1]]], physics={"n_steps": 61})
+        assert again.data["rollouts_cached"] == 10 and (again.scores == seen.scores).all()
+        own = there.save_scores(tmp_path / "own", fingerprint="no such class",
+                                since=datetime.datetime.now(datetime.timezone.utc))
+        assert there.import_scores(own) == morphod.Entered()
+        whole = path.read_bytes()
+        for broken, words in ((whole[:-9], "ends early"), (whole[:7], "ends early"),
+                              (b"", "its last block"), (b"x" * 12, "begins at byte 0")):
+            path.write_bytes(broken)
+            with pytest.raises(morphod.MorphodError, match=words):
+                there.import_scores(path)
+        path.write_bytes(whole[:90] + b"x" + whole[91:])
+        with pytest.raises(morphod.InvalidError):
+            there.import_scores(path)
+    with pytest.raises(ValueError):
+        m.save_scores(path, since=datetime.datetime(2026, 11, 21))
 
 
 def test_a_phylogeny(m, service, campaign):

@@ -25,6 +25,7 @@ from .phylogenies import Phylogeny
 from .player import Player
 from .results import Asked, Batch, Controller, Result
 from .scenes import Rollout, Scene
+from .scores import Entered
 from .weights import read_safetensors, write_safetensors
 
 __version__ = "0.1.0"
@@ -33,9 +34,9 @@ __all__ = [
     "WORKSPACE", "AccessError", "ApiError", "Asked", "AsyncCampaign", "AsyncCampaigns",
     "AsyncClient", "AsyncEvaluation", "AsyncFleet", "AsyncJob", "AsyncObjective", "AsyncStudy",
     "AsyncStudyObjective", "AsyncTraining", "Batch", "Body", "BodyError", "BusyError", "Campaign",
-    "Campaigns", "Client", "ConflictError", "Controller", "Evaluation", "Fleet", "InvalidError",
-    "Job", "JobError", "LocalClient", "MorphodError", "NotFoundError", "Objective", "Phylogeny",
-    "Player", "Result", "Rollout", "Scene", "Study", "StudyObjective", "Training",
+    "Campaigns", "Client", "ConflictError", "Controller", "Entered", "Evaluation", "Fleet",
+    "InvalidError", "Job", "JobError", "LocalClient", "MorphodError", "NotFoundError", "Objective",
+    "Phylogeny", "Player", "Result", "Rollout", "Scene", "Study", "StudyObjective", "Training",
     "UnreachableError", "WaitError", "local", "read_bodies", "read_safetensors",
     "write_safetensors",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import os
 import pathlib
 from collections.abc import Iterator, Callable, Iterable, Mapping, Sequence
@@ -15,6 +16,7 @@ from ..objectives import Plan
 from ..player import Player
 from ..results import Controller
 from ..scenes import MEDIA_TYPE, Environments, Scene
+from ..scores import Entered, blocks
 from ..weights import write_safetensors
 from .._wire import WAIT_S, Request, given as _given
 from .connection import Connection
@@ -306,6 +308,37 @@ class Client:
         return Request("POST", "/v1/bundles", params={"mode": mode},
                        content=pathlib.Path(path).read_bytes(),
                        headers={"Content-Type": "application/zstd"}, timeout_s=600.0)
+
+    # ---- scores ----
+
+    def save_scores(self, path: str | os.PathLike[str], *, controller: str | None = None,
+                          fingerprint: str | None = None,
+                          since: datetime.datetime | None = None) -> pathlib.Path:
+        """Saves stored scores as one file, with what they depend on, for another service: all of
+        them, or those of a controller, of a class, computed at a time or later."""
+        if since is not None and since.tzinfo is None:
+            raise ValueError("since needs a time zone")
+        moment = since and since.astimezone(datetime.timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
+        target = pathlib.Path(path)
+        self._connection.save(Request.get("/v1/scores", accept="application/zstd",
+                                                controller=controller, since=moment,
+                                                **_given(**{"class": fingerprint})), target)
+        return target
+
+    def import_scores(self, path: str | os.PathLike[str]) -> Entered:
+        """Enters the scores of a file, block by block. Those that are here already change nothing,
+        so an import that was interrupted is repeated. A block that is damaged is refused with
+        `InvalidError`, and nothing of it is stored."""
+        entered, is_last = Entered(), False
+        for block in blocks(path):
+            told = self._connection.json(Request(
+                "POST", "/v1/scores", content=block, timeout_s=600.0,
+                headers={"Content-Type": "application/zstd"}))
+            entered.add(told)
+            is_last = told["last"]
+        if not is_last:
+            raise MorphodError(f"{path} ends early: its last block is missing")
+        return entered
 
     # ---- trainings and controllers ----
 

@@ -1,0 +1,51 @@
+"""Files of scores: blocks, each with 12 bytes before it that say how long it is."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import struct
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from .errors import MorphodError
+
+_MAGIC = 0x184D2A5D
+_BLOCK_MAX = 96 << 20
+
+
+@dataclasses.dataclass
+class Entered:
+    """What became of the scores of a file, in rollouts.
+
+    `new` were not stored, `known` were, with the same bits; `different` are stored with other bits
+    and were left out. `differences` has the first of each block, as the service tells them.
+    """
+
+    new: int = 0
+    known: int = 0
+    different: int = 0
+    differences: list[Mapping[str, Any]] = dataclasses.field(default_factory=list)
+
+    def add(self, told: Mapping[str, Any]) -> None:
+        """Counts what the service tells of a block."""
+        self.new += told["new"]
+        self.known += told["known"]
+        self.different += told["different"]
+        self.differences += told["differences"]
+
+
+def blocks(path: str | os.PathLike[str]) -> Iterator[bytes]:
+    """The blocks of a file, one after the other."""
+    with open(path, "rb") as file:
+        while head := file.read(12):
+            size = 0
+            if len(head) == 12:
+                magic, four, size = struct.unpack("<3I", head)
+                if magic != _MAGIC or four != 4 or size > _BLOCK_MAX:
+                    raise MorphodError(f"{path}: no block of scores begins at byte "
+                                       f"{file.tell() - 12}")
+            block = head + file.read(size)
+            if len(block) != 12 + size:
+                raise MorphodError(f"{path} ends early")
+            yield block
