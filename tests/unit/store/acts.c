@@ -6,6 +6,7 @@
 
 #include "fixture.h"
 #include "life.h"
+#include "store/score_blocks.h"
 
 const struct act life_script[SCRIPT] = {
     {ACT_PUT, 0, 9, 0, 1},
@@ -39,6 +40,7 @@ const struct act life_script[SCRIPT] = {
     {ACT_CAMPAIGN_START, 2, 0, 0, 1},
     {ACT_CAMPAIGN_GENERATION, 2, 0, 0, 1},
     {ACT_CAMPAIGN_TELL, 2, 0, 0, 1},
+    {ACT_SCORES, 0, 26, 0, 1},
 };
 
 /* ---- choosing ---- */
@@ -115,6 +117,7 @@ static bool fits(struct life *life, struct act *act)
   switch (act->kind) {
   case ACT_REQUEUE:
   case ACT_KINDS: return false;
+  case ACT_SCORES: return true;
   case ACT_PUT: /* a quarter: what is there already, perhaps under another name */
     act->index = life_some(life, NAMES - 1) + 1;
     if (life->n_puts > 0 && life_some(life, 4) == 0)
@@ -220,6 +223,7 @@ void life_apply(struct life *life, struct act *act, uint32_t parts)
   case ACT_PUT: life->puts[life->n_puts++] = act->seed;
   /* fall through */
   case ACT_REMOVE: life->named[act->index] = act->kind == ACT_PUT; return;
+  case ACT_SCORES: return;
   case ACT_SUBMIT:
   case ACT_TRAIN:
   case ACT_CAMPAIGN:
@@ -244,6 +248,46 @@ static int do_put(struct mo_store *of, const struct act *act)
   life_name(act->index, name);
   int error =
       mo_store_controller_put(of, name, put.bytes, put.size, &put.controller, &record, &created);
+  put_end(&put);
+  return error;
+}
+
+/* Scores of bodies with a controller that is only theirs. */
+static int do_scores(const struct life *life, struct mo_store *of, const struct act *act)
+{
+  static struct mo_score_block block;
+  static struct mo_scores_entered entered;
+  struct mo_scored_condition *condition = &block.conditions[0];
+  struct put put;
+  put_start(&put, act->seed);
+  block.store = 7;
+  block.host[0] = 'x';
+  condition->physics = mo_default_physics();
+  mo_sha256_of(put.bytes, put.size, &condition->controller);
+  block.weights = put.bytes;
+  block.weights_size = put.size;
+  block.weights_sha256 = condition->controller;
+  block.controller = &put.controller;
+  block.environments[1].light_xy_m[0] = (double)(act->seed % 50);
+  block.n_conditions = 1;
+  block.n_environments = 2;
+  block.n_designs = block.n_scores = DESIGNS_MAX;
+  for (uint32_t i = 0; i < DESIGNS_MAX; i++) {
+    const size_t body = (size_t)(life_hash(act->seed, i) % BODIES);
+    struct mo_campaign_score *score = &block.scores[i];
+    block.designs[i] = (struct mo_scored_design){life->genotypes[body], life->forms[body]};
+    *score = (struct mo_campaign_score){.number = i,
+                                        .fingerprint = "another class",
+                                        .origin = "y@x",
+                                        .n = 2,
+                                        .environments = {0, 1}};
+    for (uint32_t k = 0; k < 2; k++) {
+      int32_t step;
+      score->losses[k] = life_loss(act->seed, i, k, &step);
+      score->diverged_steps[k] = (uint32_t)step;
+    }
+  }
+  const int error = mo_store_scores_enter(of, &block, &entered, NULL);
   put_end(&put);
   return error;
 }
@@ -497,6 +541,7 @@ uint32_t life_do(struct life *life, struct mo_store *of, const struct act *act, 
     life_name(act->index, name);
     *error = mo_store_controller_remove(of, name);
     break;
+  case ACT_SCORES: *error = do_scores(life, of, act); break;
   case ACT_SUBMIT: *error = do_submit(life, of, act, &id); break;
   case ACT_SAVE: return do_save(life, of, act, error);
   case ACT_CHANGE:

@@ -49,6 +49,7 @@ enum act_kind {
   ACT_REQUEUE,
   ACT_PUT,
   ACT_REMOVE,
+  ACT_SCORES, /* of another store */
   ACT_SUBMIT,
   ACT_SAVE,
   ACT_CHANGE,
@@ -99,7 +100,7 @@ struct life {
 
 /* Acts in turn, with something of everything. Up to HELD a folder has what goes on: a training and
  * a campaign that run, with checkpoints. */
-enum { SCRIPT = 31, COUNTED_FROM = 4, HELD = 15 };
+enum { SCRIPT = 32, COUNTED_FROM = 4, HELD = 15 };
 extern const struct act life_script[SCRIPT];
 
 /* Draws from a seed that a thing has. */
