@@ -32,6 +32,8 @@ static const struct {
     {"campaign.progress",
      "  generation {data.generation}  {data.phase} {data.done:,} of {data.total:,}"},
     {"campaign.imported", "  campaign {data.campaign} of store {data.store}"},
+    {"scores.imported", "  {data.new:,} rollouts of store {data.store} on {data.host}"},
+    {"scores.differ", "  {data.different:,} rollouts of store {data.store} on {data.host}"},
     {"campaign.extended", "  to {data.generations:,} generations"},
     {"campaign.diversity_collapse", "  generation {data.generation}: diversity "
                                     "{data.diversity:.4f}, it was {data.maximum:.4f}"},
