@@ -36,6 +36,7 @@ int mo_best_create(uint32_t n_designs, uint32_t n_environments, uint32_t k, stru
   *best = (struct mo_best){.n_designs = n_designs,
                            .n_environments = n_environments,
                            .k = k,
+                           .share = 1,
                            .asked = calloc(n_designs, sizeof(*best->asked)),
                            .losses = calloc(n_losses, sizeof(*best->losses)),
                            .ranks = calloc(n_designs, sizeof(*best->ranks)),
@@ -96,19 +97,46 @@ static void plan(struct mo_best *best)
   mo_race_cut_waves(race, sizes);
 }
 
+/* Returns how many losses a design needs until it is out. */
+static uint32_t needed(const struct mo_best *best, uint32_t design, double bound)
+{
+  const struct mo_race *race = &best->race;
+  double sum = 0;
+  for (uint32_t wave = 0, i = 0; wave < race->n_waves; wave++) {
+    for (; i < race->ends[wave]; i++)
+      sum += losses_of(best, design)[race->order[i]];
+    if (sum / race->n_environments > bound)
+      return i;
+  }
+  return race->n_environments;
+}
+
+/* Estimates the share of the losses that the race needs, from n designs that are whole and ranked,
+ * as if the bound were the score that has as many of them before it as the k-th best has of all. */
+static void estimate(struct mo_best *best, uint32_t n)
+{
+  const uint64_t rank = (uint64_t)(best->k - 1) * n / best->n_designs;
+  uint64_t sum = 0;
+  for (uint32_t i = 0; i < n; i++)
+    sum += needed(best, (uint32_t)best->ranks[i].number, best->ranks[rank].score);
+  best->share = (double)sum / ((double)n * best->n_environments);
+}
+
 /* ---- rounds ---- */
 
-/* Sets the bound: the k-th best of the whole scores. */
-static void find_bound(struct mo_best *best)
+/* Sets the bound: the k-th best of the whole scores. Ranks the designs that have one, and returns
+ * their number. */
+static uint32_t find_bound(struct mo_best *best)
 {
   uint32_t n = 0;
   for (uint32_t i = 0; i < best->n_designs; i++)
     if (best->asked[i] == all_environments(best))
-      best->ranks[n++] =
-          (struct mo_rank){.score = mo_race_score(losses_of(best, i), best->n_environments)};
+      best->ranks[n++] = (struct mo_rank){
+          .score = mo_race_score(losses_of(best, i), best->n_environments), .number = i};
   mo_rank_sort(best->ranks, n);
   if (n >= best->k)
     best->race.bound = best->ranks[best->k - 1].score;
+  return n;
 }
 
 /* Ranks the designs that are neither whole nor out, those that look best first. Returns their
@@ -164,9 +192,11 @@ uint64_t mo_best_ask(struct mo_best *best)
       n_asked += ask(best, (uint32_t)((uint64_t)i * best->n_designs / few), all_environments(best));
     return n_asked;
   }
-  if (round == 1)
+  const uint32_t n_whole = find_bound(best);
+  if (round == 1) {
     plan(best);
-  find_bound(best);
+    estimate(best, n_whole);
+  }
   const uint32_t n_open = rank_open(best), promising = best->k + best->k / 2 + few;
   const bool completes = round % 2 == 0 || n_open <= few; /* those that look best */
   const uint64_t environments = completes ? all_environments(best) : next_wave(best);

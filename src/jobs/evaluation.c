@@ -421,7 +421,7 @@ static void show(struct mo_evaluations *all, struct mo_active *active)
                                                                        : active->done_before,
                             .total = active->total,
                             .rate = rate_of(active, now_us)};
-    live.seconds_left = live.rate > 0 ? (double)(live.total - live.done) / live.rate : -1;
+    live.seconds_left = live.rate > 0 ? mo_active_left(active, live.done) / live.rate : -1;
   }
   mo_share_show(all->jobs, active->id, &live);
 }

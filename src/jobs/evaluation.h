@@ -121,6 +121,8 @@ bool mo_saver_is_behind(const struct mo_evaluations *all);
 int mo_active_race(struct mo_active *active);
 /* Begins the race's next round when the one before is done. Returns whether there is one. */
 bool mo_active_race_on(struct mo_active *active);
+/* Estimates the rollouts that a job has left, of which it has done so many. */
+double mo_active_left(const struct mo_active *active, uint64_t done);
 
 /* ---- evaluation_blocks.c ---- */
 /* Opens the window of a loaded job: its blocks come to mo_active_take_back. */

@@ -4,6 +4,8 @@
  * all losses of this one are known: computed, or found in the store. Rounds follow from losses, so
  * the result depends neither on the number of workers nor on what the store held: after a crash
  * the race runs again from its start, and what was saved is found. */
+#include <math.h>
+
 #include "jobs/evaluation.h"
 
 static void open_cells(struct mo_active *active, uint32_t design)
@@ -42,4 +44,14 @@ int mo_active_race(struct mo_active *active)
   for (uint32_t i = 0; i < grid->n_designs && error == MO_OK; i++)
     error = mo_grid_close(grid, i);
   return error;
+}
+
+double mo_active_left(const struct mo_active *active, uint64_t done)
+{
+  const double left = (double)(active->total - done);
+  if (active->race == NULL)
+    return left;
+  const double more =
+      active->race->share * (double)active->total - (double)(active->done - active->cut);
+  return fmin(left, fmax(more, (double)active->n_asked));
 }

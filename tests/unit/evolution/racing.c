@@ -173,6 +173,7 @@ static uint64_t race_best(const double (*all)[MO_RACE_ENVIRONMENTS_MAX], uint32_
     CHECK_INT(n_asked, 0);
   }
   CHECK(computed + best->n_cut == (uint64_t)n * e);
+  CHECK(best->share > 0 && best->share <= 1);
   for (uint32_t i = 0; i < n; i++)
     sorted[i] = scores[i] = mo_race_score(all[i], e);
   for (uint32_t i = 1; i < n; i++)
