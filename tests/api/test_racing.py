@@ -7,6 +7,7 @@ import pytest
 
 from service import Service, run
 from test_bundles import enter
+from test_devices import FLAGS, fake
 from test_morphoctl import ctl  # noqa: F401
 from test_worlds import scene
 
@@ -190,7 +191,7 @@ def best_of(results, k):
 
 def test_the_best_are_exact(service, start, many, ctl):  # noqa: F811
     """Those of the evaluation of all, with their equals; bounds of the others are true, and stay
-    what they are. The same from another service with more workers."""
+    what they are. The same from services with more workers, and with devices."""
     request = MANY | {"designs": many, "on_fault": "skip", "best": 5}
     raced = run(service, "evaluations", request)
     assert raced["best"] == 5 and raced["n_skipped"] == 1 and raced["rollouts_cut"] > 0
@@ -215,8 +216,10 @@ def test_the_best_are_exact(service, start, many, ctl):  # noqa: F811
     again = run(service, "evaluations", request | {"label": "again"})
     assert again["results"] == raced["results"] and again["rollouts_cut"] == raced["rollouts_cut"]
     assert again["rollouts_cached"] == again["rollouts_total"] - again["rollouts_cut"]
-    other = start("--workers=7")
-    assert run(other, "evaluations", request)["results"] == raced["results"]
+    for flags, devices in ((("--workers=7", ), {}), (FLAGS, fake(devices=2))):
+        other = run(start(*flags, environment=devices), "evaluations",
+                    request | ({"device": "cuda"} if devices else {}))
+        assert other["results"] == raced["results"]
     shown = ctl(f"job show {raced['id']} --results")[1]
     assert "103, the 5 best of them" in shown
     assert shown.count("≥ ") == sum(row["lower_bound"] for row in raced["results"])

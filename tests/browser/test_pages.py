@@ -363,6 +363,23 @@ def test_lower_bounds_are_no_scores(service, browser):
     assert browser.faults() == []
 
 
+def test_the_best_of_many_come_first(service, browser):
+    """Behind them stand lower bounds, which are said to be such."""
+    bodies = service.post("/v1/bodies/random", {"count": 30, "seed": 12})["items"]
+    value = run(service, "evaluations", {
+        "designs": [{"voxels": body["genotype"]} for body in bodies], "best": 2})
+    rows = sorted(value["results"], key=lambda row: (row["lower_bound"], row["score"]))
+    bounds = sum(row["lower_bound"] for row in rows)
+    browser.open(f"designs?evaluation={value['id']}")
+    browser.until("document.querySelectorAll('.pick').length === 30")
+    shown = browser.texts(".pick .number")
+    assert shown[0] == f"{rows[0]['score']:.4f}" and shown[-1] == f"≥ {rows[-1]['score']:.4f}"
+    assert 0 < bounds == sum(text.startswith("≥") for text in shown)
+    assert "The best 2 were asked for" in browser.run(
+        "return document.querySelector('main').innerText")
+    assert browser.faults() == []
+
+
 COPIED = [
     "", "campaigns", "campaigns/{campaign}", "campaigns/{campaign}/phylogeny", "trainings",
     "trainings/{training}", "designs", "designs?evaluation={evaluation}", "designs/{design}",

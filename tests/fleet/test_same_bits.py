@@ -2,6 +2,7 @@
 populations and controller, bit for bit, while workers come and go."""
 import pytest
 from campaigns import MODES, history, request, rollouts, undisturbed
+from daemon import CONTROLLER, bodies
 from machines import fleet_address, generation
 
 NUMBERS = (1, 7, 2, 1)  # of workers, one after the other
@@ -38,4 +39,27 @@ def test_same_bits(daemon, worker, seed, mode):
         assert needed <= status["rollouts_done"] <= needed + value["population"] * steps
         assert status["lost"] == 0 and status["audits_failed"] == 0
         assert sum(session["rollouts_done"] > 0 for session in status["sessions"]) > 2
+        one.end()
+
+
+def test_the_best_of_many(daemon, worker, seed):
+    """A race whose rounds other machines compute ends with the same result, though one of them is
+    lost in the middle."""
+    walker = CONTROLLER.with_name("phototaxis.safetensors")  # some bodies are far better
+    value = {"designs": bodies(seed, 150), "best": 5}
+    with daemon("alone", workers=2, default_controller=walker) as one:
+        expected = one.score(value)
+        one.end()
+    needed = expected["rollouts_total"] - expected["rollouts_cut"]
+    with daemon("remote", workers=1, compute="fleet", fleet_listen="127.0.0.1:0",
+                default_controller=walker) as one:
+        lost, *_ = [worker(fleet_address(one), name) for name in ("lost", "left", "right")]
+        one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 3)
+        job = one.submit(value)
+        one.until(lambda: one.json(f"/v1/jobs/{job}")["rollouts_done"] > needed / 3, 120)
+        lost.kill()
+        result = one.succeed(job)
+        assert result["results"] == expected["results"]
+        assert result["rollouts_cut"] == expected["rollouts_cut"] > 0
+        assert one.json("/v1/fleet")["rollouts_done"] >= needed - expected["rollouts_cached"]
         one.end()
