@@ -79,8 +79,7 @@ static void write_progress(struct mo_text *text, const struct mo_campaign_status
 static void write_words(struct mo_text *text, const char *name,
                         const char words[][MO_STUDY_WORD_MAX + 1], uint32_t n)
 {
-  mo_text_name(text, name);
-  mo_text_add(text, "[");
+  mo_text_open(text, name, "[");
   for (uint32_t i = 0; i < n; i++)
     mo_text_format(text, i > 0 ? ",\"%s\"" : "\"%s\"", words[i]);
   mo_text_add(text, "]");

@@ -61,8 +61,7 @@ static void write_progress(struct mo_text *text, const struct mo_job *job,
                            const struct mo_live *live)
 {
   const bool runs = job->state == MO_JOB_RUNNING && live->phase != MO_PHASE_IDLE;
-  mo_text_name(text, "progress");
-  mo_text_object(text);
+  mo_text_open(text, "progress", "{");
   mo_member_number_if(text, "rollouts_per_s", runs && live->rate > 0, live->rate);
   mo_member_number_if(text, "seconds_left", runs && live->seconds_left >= 0, live->seconds_left);
   mo_member_number_if(text, "busy_s", runs && live->busy_s >= 0, live->busy_s);
@@ -82,8 +81,7 @@ static void write_job(struct mo_text *text, const struct mo_job *job, const stru
   mo_text_name(text, "physics");
   mo_fields_write_object(text, &mo_physics_fields, &job->physics);
   mo_text_member(text, "precision", job->precision == MO_FLOAT64 ? "float64" : "float32");
-  mo_text_name(text, "record");
-  mo_text_add(text, "[");
+  mo_text_open(text, "record", "[");
   for (unsigned i = 0; i < MO_CHANNELS; i++)
     if (job->record >> i & 1) {
       mo_text_next(text);

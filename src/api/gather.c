@@ -91,8 +91,7 @@ static char *join(struct mo_gather *gather, size_t *size)
   struct mo_text header = {0}, arrays = {0};
   mo_text_object(&header);
   mo_text_member_count(&header, "rows", gather->n_rows);
-  mo_text_name(&header, "columns");
-  mo_text_object(&header);
+  mo_text_open(&header, "columns", "{");
   for (unsigned i = 0; i < gather->n; i++) {
     struct mo_gathered *column = &gather->columns[i];
     if (column->type != NULL) {

@@ -43,8 +43,7 @@ void mo_members_note(struct mo_text *text, const struct mo_design_note *note)
     mo_text_member(text, "fault", NULL);
     return;
   }
-  mo_text_name(text, "fault");
-  mo_text_object(text);
+  mo_text_open(text, "fault", "{");
   mo_text_member(text, "pointer", note->fault.where);
   mo_text_member(text, "detail", note->fault.detail);
   mo_text_add(text, "}");
@@ -53,8 +52,7 @@ void mo_members_note(struct mo_text *text, const struct mo_design_note *note)
 void mo_member_notes(struct mo_text *text, const char *name, const struct mo_design_note *notes,
                      uint32_t n)
 {
-  mo_text_name(text, name);
-  mo_text_add(text, "[");
+  mo_text_open(text, name, "[");
   for (uint32_t i = 0; i < n; i++) {
     mo_text_object(text);
     mo_text_member_count(text, "place", notes[i].place);
@@ -98,8 +96,7 @@ void mo_member_controller(struct mo_text *text, const char *member, bool known, 
     mo_text_member(text, member, NULL);
     return;
   }
-  mo_text_name(text, member);
-  mo_text_object(text);
+  mo_text_open(text, member, "{");
   mo_text_member(text, "name", name[0] != '\0' ? name : NULL);
   mo_member_hash(text, "sha256", sha256);
   mo_text_add(text, "}");

@@ -57,8 +57,7 @@ void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_desi
                  row->size.voxels, row->size.footprint, row->size.masses, row->size.springs);
   if (words == NULL || words->n_measures == 0)
     return;
-  mo_text_name(text, "measures");
-  mo_text_object(text);
+  mo_text_open(text, "measures", "{");
   for (uint32_t m = 0; m < words->n_measures; m++)
     mo_text_member_number(text, words->measures[m], m < row->n_measures ? row->measures[m] : NAN);
   mo_text_add(text, "}");
@@ -108,8 +107,7 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
 static void write_rows(struct mo_text *text, const struct mo_campaign_design *rows, size_t n,
                        const struct mo_study_words *words)
 {
-  mo_text_name(text, "items");
-  mo_text_add(text, "[");
+  mo_text_open(text, "items", "[");
   for (size_t i = 0; i < n; i++) {
     mo_text_object(text);
     mo_campaign_json_design(text, &rows[i], words);

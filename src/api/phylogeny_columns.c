@@ -80,15 +80,13 @@ static void write_columns(struct mo_text *text, struct mo_text *arrays,
   const bool narrow = is_narrow(columns);
   mo_text_object(text);
   mo_text_member_count(text, "designs", total);
-  mo_text_name(text, "operators");
-  mo_text_add(text, "[");
+  mo_text_open(text, "operators", "[");
   for (uint32_t i = 0; i < MO_OPERATORS + columns->words.n_operators; i++)
     mo_text_format(text, i > 0 ? ",\"%s\"" : "\"%s\"",
                    i < MO_OPERATORS ? mo_operator_words[i]
                                     : columns->words.operators[i - MO_OPERATORS]);
   mo_text_add(text, "]");
-  mo_text_name(text, "columns");
-  mo_text_object(text);
+  mo_text_open(text, "columns", "{");
   if (numbers != NULL)
     write_column(text, arrays, "number", "uint32", numbers, 4, columns->n);
   write_column(text, arrays, "parent", "uint32", columns->parents[0], 4, columns->n);

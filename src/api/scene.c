@@ -13,8 +13,7 @@
 
 static void write_shape(struct mo_text *text, const struct mo_scene_array *array)
 {
-  mo_text_name(text, "shape");
-  mo_text_add(text, "[");
+  mo_text_open(text, "shape", "[");
   for (unsigned i = 0; i < array->dimensions; i++)
     mo_text_format(text, i > 0 ? ",%u" : "%u", array->shape[i]);
   mo_text_add(text, "]");
@@ -239,8 +238,7 @@ static int write_designs(struct mo_text *text, struct mo_text *arrays,
                          const struct mo_lattice *lattice, const struct mo_rollouts *rollouts)
 {
   int error = MO_OK;
-  mo_text_name(text, "designs");
-  mo_text_add(text, "[");
+  mo_text_open(text, "designs", "[");
   for (uint32_t i = 0; i < rollouts->n_designs && error == MO_OK; i++) {
     const struct mo_rolled_design *design = &rollouts->designs[i];
     mo_text_object(text);
@@ -272,14 +270,12 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
   if (arrays != NULL)
     mo_text_member_number(text, "frame_s",
                           rollouts->rollouts[0].recording.stride * rollouts->physics.dt_s);
-  mo_text_name(text, "environments");
-  mo_text_add(text, "[");
+  mo_text_open(text, "environments", "[");
   for (uint32_t k = 0; k < n; k++)
     mo_scene_write_environment(text, arrays, &rollouts->environments[k]);
   mo_text_add(text, "]");
   const int error = write_designs(text, arrays, lattice, rollouts);
-  mo_text_name(text, "rollouts");
-  mo_text_add(text, "[");
+  mo_text_open(text, "rollouts", "[");
   for (uint32_t i = 0; i < rollouts->n_designs && error == MO_OK; i++)
     for (uint32_t k = 0; k < n; k++) {
       const struct mo_rolled *rolled = &rollouts->rollouts[i * n + k];

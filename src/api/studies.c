@@ -97,8 +97,7 @@ static void reply_batch(struct mo_request *request, int64_t id, unsigned status_
     mo_text_member_id(&text, "campaign", id);
     mo_text_member_count(&text, "batch", told.batch->number);
     mo_text_member(&text, "state", is_born ? "committed" : "pending");
-    mo_text_name(&text, "children");
-    mo_text_add(&text, "[");
+    mo_text_open(&text, "children", "[");
     for (uint32_t i = 0; i < told.n; i++)
       write_child(&text, &told, i);
     mo_text_add(&text, "]");
@@ -214,8 +213,7 @@ static void write_asked(struct mo_text *text, const struct mo_asked *asked)
 {
   mo_text_object(text);
   mo_text_member_count(text, "batch", asked->batch);
-  mo_text_name(text, "children");
-  mo_text_add(text, "[");
+  mo_text_open(text, "children", "[");
   for (uint32_t i = 0; i < asked->n; i++) {
     const struct mo_study_child *child = &asked->children[i];
     mo_text_next(text);

@@ -9,8 +9,7 @@
 static void write_loss(struct mo_text *text, const char *name, const struct mo_loss_row *row,
                        uint32_t k)
 {
-  mo_text_name(text, name);
-  mo_text_object(text);
+  mo_text_open(text, name, "{");
   mo_text_member_number(text, "loss", row->losses[k]);
   mo_text_member_count(text, "diverged_step", row->diverged_steps[k]);
   mo_text_add(text, "}");

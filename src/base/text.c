@@ -337,6 +337,12 @@ void mo_text_name(struct mo_text *text, const char *name)
   mo_text_bytes(text, "\":", 2);
 }
 
+void mo_text_open(struct mo_text *text, const char *name, const char *bracket)
+{
+  mo_text_name(text, name);
+  mo_text_add(text, bracket);
+}
+
 void mo_text_member(struct mo_text *text, const char *name, const char *words)
 {
   mo_text_name(text, name);

@@ -65,6 +65,8 @@ void mo_text_next(struct mo_text *text);
 void mo_text_object(struct mo_text *text);
 /* Appends "name": before a value. */
 void mo_text_name(struct mo_text *text, const char *name);
+/* Opens a member that is an object or an array, with this bracket. */
+void mo_text_open(struct mo_text *text, const char *name, const char *bracket);
 /* Append a member: "name":value. */
 void mo_text_member(struct mo_text *text, const char *name, const char *words); /* NULL: null */
 void mo_text_member_number(struct mo_text *text, const char *name,
