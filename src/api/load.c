@@ -4,6 +4,7 @@
 
 #include "api/handlers.h"
 #include "base/clock.h"
+#include "base/thread.h"
 
 #define SAMPLE_US 10000000
 
@@ -26,14 +27,13 @@ void mo_load_sample(struct mo_api *api)
       if (mo_compute_device(api->compute, i, &status) == MO_OK)
         devices += status.load;
     }
-    pthread_mutex_lock(&load->mutex);
+    MO_GUARD(&load->mutex);
     *sample = (struct mo_load_sample){
         .at_us = now_us,
         .busy_share = fmin(1, (stats.busy_s - load->busy_s) / seconds / stats.n_workers),
         .device_share = n > 0 ? devices / n : NAN,
         .rollouts_per_s = (double)(stats.rollouts_done - load->rollouts) / seconds};
     load->n++;
-    pthread_mutex_unlock(&load->mutex);
   }
   load->sampled_us = now_us;
   load->busy_s = stats.busy_s;

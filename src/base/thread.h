@@ -17,6 +17,19 @@ extern __thread volatile int64_t mo_thread_tag;
 int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *context),
                      void *context);
 
+static inline pthread_mutex_t *mo_lock(pthread_mutex_t *mutex)
+{
+  pthread_mutex_lock(mutex);
+  return mutex;
+}
+static inline void mo_unlock(pthread_mutex_t *const *mutex)
+{
+  pthread_mutex_unlock(*mutex);
+}
+/* Locks a mutex until the end of the block, however the block is left. */
+#define MO_GUARD(mutex)                                                                            \
+  pthread_mutex_t *const mo_guard __attribute__((cleanup(mo_unlock))) = mo_lock(mutex)
+
 /* Waits on a condition until a time of mo_clock_us. false: that time has come. */
 bool mo_wait_until(pthread_cond_t *condition, pthread_mutex_t *mutex, int64_t until_us);
 

@@ -19,6 +19,7 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 #include "http/server.h"
 
 #define UNACKED_MS  30000 /* a peer that acknowledges nothing for this long is gone */
@@ -238,13 +239,12 @@ static enum mo_place find_place(struct mo_http *http, bool is_unix)
     return MO_PLACE_ORDINARY;
   uint32_t n[MO_PLACES] = {0};
   struct mo_connection *first[MO_PLACES] = {NULL};
-  pthread_mutex_lock(&http->connections_lock);
+  MO_GUARD(&http->connections_lock);
   look_around(http, mo_clock_us(), n, first);
   enum mo_place place = MO_PLACE_ORDINARY;
   while (place < MO_PLACES && ((place == MO_PLACE_UNIX && !is_unix) ||
                                (n[place] >= places[place] && !give_way(http, first[place]))))
     place++;
-  pthread_mutex_unlock(&http->connections_lock);
   return place;
 }
 

@@ -13,6 +13,7 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 #include "http/server.h"
 
 #define SMALL_BYTES ((UINT64_C(64) << 10) + 1)
@@ -121,7 +122,7 @@ int mo_body_add(struct mo_request *request, const char *bytes, size_t n)
 {
   struct mo_http *http = request->http;
   int code = MO_ERR_CANCELLED;
-  pthread_mutex_lock(&http->bodies_lock);
+  MO_GUARD(&http->bodies_lock);
   if (!request->body_gave_way)
     do
       code = reserve(request, n);
@@ -132,17 +133,14 @@ int mo_body_add(struct mo_request *request, const char *bytes, size_t n)
     request->body[request->body_size] = '\0';
     join_list(request);
   }
-  pthread_mutex_unlock(&http->bodies_lock);
   return code;
 }
 
 bool mo_body_end(struct mo_request *request)
 {
-  pthread_mutex_lock(&request->http->bodies_lock);
+  MO_GUARD(&request->http->bodies_lock);
   leave_list(request);
-  bool whole = !request->body_gave_way;
-  pthread_mutex_unlock(&request->http->bodies_lock);
-  return whole;
+  return !request->body_gave_way;
 }
 
 void mo_request_drop_body(struct mo_request *request)

@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/thread.h"
 #include "http/client.h"
 
 #define KEEP_US 10000000
@@ -53,7 +54,7 @@ struct mo_client *mo_client_enter(struct mo_clients *clients, const unsigned cha
                                   uint32_t max, bool *refused)
 {
   *refused = false;
-  pthread_mutex_lock(&clients->lock);
+  MO_GUARD(&clients->lock);
   struct mo_client *client = find_or_add(clients, key);
   if (client != NULL && client->in_flight >= max) {
     *refused = true;
@@ -61,46 +62,41 @@ struct mo_client *mo_client_enter(struct mo_clients *clients, const unsigned cha
   }
   if (client != NULL)
     client->in_flight++;
-  pthread_mutex_unlock(&clients->lock);
   return client;
 }
 
 void mo_client_leave(struct mo_clients *clients, struct mo_client *client, int64_t now_us)
 {
-  pthread_mutex_lock(&clients->lock);
+  MO_GUARD(&clients->lock);
   client->in_flight--;
   client->left_us = now_us;
-  pthread_mutex_unlock(&clients->lock);
 }
 
 void mo_client_park(struct mo_clients *clients, struct mo_client *client, bool parked)
 {
-  pthread_mutex_lock(&clients->lock);
+  MO_GUARD(&clients->lock);
   client->in_flight += parked ? -1U : 1;
   client->parked += parked ? 1 : -1U;
-  pthread_mutex_unlock(&clients->lock);
 }
 
 struct mo_client *mo_client_hold(struct mo_clients *clients, const unsigned char key[16],
                                  uint64_t held, uint64_t more, uint64_t most)
 {
-  pthread_mutex_lock(&clients->lock);
+  MO_GUARD(&clients->lock);
   struct mo_client *client = find_or_add(clients, key);
   if (client != NULL && client->body_bytes > held && client->body_bytes + more > most)
     client = NULL;
   if (client != NULL)
     client->body_bytes += more;
-  pthread_mutex_unlock(&clients->lock);
   return client;
 }
 
 void mo_client_give_back(struct mo_clients *clients, struct mo_client *client, uint64_t bytes,
                          int64_t now_us)
 {
-  pthread_mutex_lock(&clients->lock);
+  MO_GUARD(&clients->lock);
   client->body_bytes -= bytes;
   client->left_us = now_us;
-  pthread_mutex_unlock(&clients->lock);
 }
 
 bool mo_client_spend(struct mo_clients *clients, struct mo_client *client, uint32_t rate_per_s,
@@ -108,7 +104,7 @@ bool mo_client_spend(struct mo_clients *clients, struct mo_client *client, uint3
 {
   if (rate_per_s == 0)
     return true;
-  pthread_mutex_lock(&clients->lock);
+  MO_GUARD(&clients->lock);
   double most = rate_per_s;
   client->allowance =
       client->allowance_us == 0
@@ -120,13 +116,12 @@ bool mo_client_spend(struct mo_clients *clients, struct mo_client *client, uint3
   bool allowed = client->allowance >= 1;
   if (allowed)
     client->allowance -= 1;
-  pthread_mutex_unlock(&clients->lock);
   return allowed;
 }
 
 void mo_clients_sweep(struct mo_clients *clients, int64_t now_us)
 {
-  pthread_mutex_lock(&clients->lock);
+  MO_GUARD(&clients->lock);
   for (size_t b = 0; b < 256; b++)
     for (struct mo_client **at = &clients->buckets[b]; *at != NULL;) {
       struct mo_client *client = *at;
@@ -138,5 +133,4 @@ void mo_clients_sweep(struct mo_clients *clients, int64_t now_us)
         at = &client->next;
       }
     }
-  pthread_mutex_unlock(&clients->lock);
 }

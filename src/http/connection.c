@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 #include "http/problem.h"
 #include "http/server.h"
 
@@ -54,12 +55,8 @@ bool mo_connection_spare(struct mo_connection *connection, int64_t since_us)
 
 struct mo_connection *mo_connection_find(struct mo_http *http, int fd)
 {
-  struct mo_connection *connection = NULL;
-  pthread_mutex_lock(&http->connections_lock);
-  if (fd >= 0 && (size_t)fd < http->connections_size)
-    connection = http->connections[fd];
-  pthread_mutex_unlock(&http->connections_lock);
-  return connection;
+  MO_GUARD(&http->connections_lock);
+  return fd >= 0 && (size_t)fd < http->connections_size ? http->connections[fd] : NULL;
 }
 
 void mo_connection_add(struct mo_http *http, struct mo_connection *connection)
@@ -89,13 +86,12 @@ void mo_connection_forget(struct mo_http *http, struct mo_connection *connection
 void mo_connection_cut(struct mo_http *http, const struct mo_connection *connection, const char *id,
                        const char *detail)
 {
-  pthread_mutex_lock(&http->connections_lock);
+  MO_GUARD(&http->connections_lock);
   if (http->connections[connection->fd] == connection) {
     if (detail != NULL)
       mo_write_refusal(http, connection->fd, 503, id, detail);
     shutdown(connection->fd, SHUT_RDWR);
   }
-  pthread_mutex_unlock(&http->connections_lock);
 }
 
 bool mo_connections_watch(struct mo_http *http, int timeout_ms)
@@ -103,7 +99,7 @@ bool mo_connections_watch(struct mo_http *http, int timeout_ms)
   struct epoll_event events[WATCHED_MAX];
   const int n = epoll_wait(http->watch_fd, events, WATCHED_MAX, timeout_ms);
   bool some = false;
-  pthread_mutex_lock(&http->connections_lock);
+  MO_GUARD(&http->connections_lock);
   for (int i = 0; i < n; i++) {
     struct mo_connection *connection = http->connections[events[i].data.fd];
     struct pollfd now = {.fd = events[i].data.fd, .events = POLLRDHUP};
@@ -113,7 +109,6 @@ bool mo_connections_watch(struct mo_http *http, int timeout_ms)
       some = true;
     }
   }
-  pthread_mutex_unlock(&http->connections_lock);
   return some;
 }
 
@@ -126,7 +121,7 @@ void mo_connections_expire(struct mo_http *http, int64_t now_us)
 {
   /* The lock keeps the descriptors open until after the shutdown, so that none can be another
    * connection's. */
-  pthread_mutex_lock(&http->connections_lock);
+  MO_GUARD(&http->connections_lock);
   for (size_t fd = 0; fd < http->connections_top; fd++) {
     struct mo_connection *connection = http->connections[fd];
     if (connection != NULL && atomic_load(&connection->deadline_us) <= now_us) {
@@ -135,7 +130,6 @@ void mo_connections_expire(struct mo_http *http, int64_t now_us)
       shutdown(connection->fd, SHUT_RDWR);
     }
   }
-  pthread_mutex_unlock(&http->connections_lock);
 }
 
 int mo_connections_init(struct mo_http *http, struct mo_message *message)
@@ -189,7 +183,7 @@ void mo_linger_add(struct mo_lingering *lingering, int fd)
 void mo_linger_on(struct mo_lingering *lingering, int64_t now_us)
 {
   char waste[16384];
-  pthread_mutex_lock(&lingering->lock);
+  MO_GUARD(&lingering->lock);
   for (size_t i = 0; i < lingering->n;) {
     ssize_t n = 1;
     for (int k = 0; k < LINGER_READS && n > 0; k++)
@@ -204,7 +198,6 @@ void mo_linger_on(struct mo_lingering *lingering, int64_t now_us)
       i++;
     }
   }
-  pthread_mutex_unlock(&lingering->lock);
 }
 
 void mo_linger_end(struct mo_lingering *lingering)

@@ -2,6 +2,7 @@
 
 #include "base/clock.h"
 #include "base/processors.h"
+#include "base/thread.h"
 #include "http/pack.h"
 #include "http/query.h"
 #include "http/server.h"
@@ -58,7 +59,7 @@ static void unlink_waiting(struct mo_request *request)
 static bool park(struct mo_request *request)
 {
   struct mo_pool *pool = &request->http->pool;
-  pthread_mutex_lock(&pool->lock);
+  MO_GUARD(&pool->lock);
   bool parked =
       !request->wait_fired && !pool->closed && !mo_connection_has_left(request->connection);
   if (parked) {
@@ -67,7 +68,6 @@ static bool park(struct mo_request *request)
   } else {
     unlink_waiting(request);
   }
-  pthread_mutex_unlock(&pool->lock);
   return parked;
 }
 
@@ -141,7 +141,7 @@ int mo_pool_start(struct mo_http *http)
 int mo_pool_give(struct mo_http *http, struct mo_request *request)
 {
   struct mo_pool *pool = &http->pool;
-  pthread_mutex_lock(&pool->lock);
+  MO_GUARD(&pool->lock);
   bool refill = request->stage == MO_STAGE_REPLY;
   int error = pool->closed                                                       ? MO_ERR_CANCELLED
               : !refill && queue_of(pool, request)->n >= http->config.max_queued ? MO_ERR_BUSY
@@ -153,7 +153,6 @@ int mo_pool_give(struct mo_http *http, struct mo_request *request)
   }
   if (error == MO_OK)
     push(pool, request);
-  pthread_mutex_unlock(&pool->lock);
   return error;
 }
 
@@ -163,17 +162,15 @@ void mo_wait_begin(struct mo_request *request, int64_t what, int64_t deadline_us
   request->wait_for = what;
   request->wait_deadline_us = deadline_us;
   request->wait_fired = request->wait_parked = false;
-  pthread_mutex_lock(&pool->lock);
+  MO_GUARD(&pool->lock);
   LIST_INSERT_HEAD(&pool->waiting[(uint64_t)what % MO_WAITING], request, others_waiting);
-  pthread_mutex_unlock(&pool->lock);
 }
 
 void mo_wait_end(struct mo_request *request)
 {
   struct mo_pool *pool = &request->http->pool;
-  pthread_mutex_lock(&pool->lock);
+  MO_GUARD(&pool->lock);
   unlink_waiting(request);
-  pthread_mutex_unlock(&pool->lock);
 }
 
 /* Ends the wait of a request. A parked one is queued again; one about to park will see wait_fired.
@@ -194,7 +191,7 @@ void mo_waits_end(struct mo_http *http, int64_t what, int64_t now_us)
   struct mo_pool *pool = &http->pool;
   const size_t first = what < 0 ? 0 : (uint64_t)what % MO_WAITING;
   const size_t end = what < 0 ? MO_WAITING : first + 1;
-  pthread_mutex_lock(&pool->lock);
+  MO_GUARD(&pool->lock);
   for (size_t i = first; i < end; i++)
     for (struct mo_request *request = LIST_FIRST(&pool->waiting[i]), *next; request != NULL;
          request = next) {
@@ -203,7 +200,6 @@ void mo_waits_end(struct mo_http *http, int64_t what, int64_t now_us)
           (what < 0 && request->wait_parked && mo_connection_has_left(request->connection)))
         let_go(pool, request);
     }
-  pthread_mutex_unlock(&pool->lock);
 }
 
 void mo_pool_close(struct mo_http *http)

@@ -15,6 +15,7 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 #include "http/server.h"
 
 #define BUFFER_BYTES (256 * 1024) /* a live stream with more unread bytes falls behind */
@@ -129,10 +130,9 @@ static void refill(struct mo_request *request)
   struct mo_stream *stream = request->stream;
   while (fill(http, stream))
     ;
-  pthread_mutex_lock(&http->streams.lock);
+  MO_GUARD(&http->streams.lock);
   stream->busy = false;
   wake(stream);
-  pthread_mutex_unlock(&http->streams.lock);
 }
 
 /* Gives libmicrohttpd the next bytes. */
@@ -143,7 +143,7 @@ static ssize_t reader(void *context, uint64_t position, char *out, size_t capaci
   struct mo_http *http = request->http;
   struct mo_stream *stream = request->stream;
   ssize_t result = 0;
-  pthread_mutex_lock(&http->streams.lock);
+  MO_GUARD(&http->streams.lock);
   size_t ready = stream->buffer.size - stream->read;
   stream->taken_us = mo_clock_us();
   if (ready > 0) {
@@ -166,7 +166,6 @@ static ssize_t reader(void *context, uint64_t position, char *out, size_t capaci
       wake(stream);
     }
   }
-  pthread_mutex_unlock(&http->streams.lock);
   return result;
 }
 
@@ -225,7 +224,7 @@ void mo_streams_tick(struct mo_http *http, int64_t now_us)
 {
   static const char beat[] = ": \n\n";
   struct mo_stream *stream;
-  pthread_mutex_lock(&http->streams.lock);
+  MO_GUARD(&http->streams.lock);
   LIST_FOREACH(stream, &http->streams.open, others)
   {
     bool unread = stream->buffer.size > stream->read;
@@ -244,18 +243,16 @@ void mo_streams_tick(struct mo_http *http, int64_t now_us)
       mo_connection_cut(http, stream->request->connection, NULL, NULL);
     }
   }
-  pthread_mutex_unlock(&http->streams.lock);
 }
 
 void mo_streams_close(struct mo_http *http)
 {
   struct mo_stream *stream;
-  pthread_mutex_lock(&http->streams.lock);
+  MO_GUARD(&http->streams.lock);
   http->streams.closed = true;
   LIST_FOREACH(stream, &http->streams.open, others)
   {
     stream->ended = true;
     wake(stream);
   }
-  pthread_mutex_unlock(&http->streams.lock);
 }

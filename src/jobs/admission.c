@@ -1,5 +1,6 @@
 /* admission.c: counts the open jobs (queued, running, paused) and their rollouts, and holds them to
  * the limits. */
+#include "base/thread.h"
 #include "jobs/submission.h"
 
 int mo_jobs_admit(struct mo_jobs *jobs, uint32_t n_jobs, uint64_t rollouts,
@@ -7,7 +8,7 @@ int mo_jobs_admit(struct mo_jobs *jobs, uint32_t n_jobs, uint64_t rollouts,
 {
   const uint64_t most = jobs->config.max_open_jobs;
   int error = MO_OK;
-  pthread_mutex_lock(&jobs->admission_mutex);
+  MO_GUARD(&jobs->admission_mutex);
   if (jobs->open_jobs + n_jobs > most)
     error =
         mo_fail(message, MO_ERR_BUSY, "%llu jobs are open, which is the limit",
@@ -22,16 +23,14 @@ int mo_jobs_admit(struct mo_jobs *jobs, uint32_t n_jobs, uint64_t rollouts,
     jobs->open_jobs += n_jobs;
     jobs->open_rollouts += rollouts;
   }
-  pthread_mutex_unlock(&jobs->admission_mutex);
   return error;
 }
 
 void mo_jobs_closed(struct mo_jobs *jobs, uint32_t n_jobs, uint64_t rollouts)
 {
-  pthread_mutex_lock(&jobs->admission_mutex);
+  MO_GUARD(&jobs->admission_mutex);
   jobs->open_jobs -= n_jobs < jobs->open_jobs ? n_jobs : jobs->open_jobs;
   jobs->open_rollouts -= rollouts < jobs->open_rollouts ? rollouts : jobs->open_rollouts;
-  pthread_mutex_unlock(&jobs->admission_mutex);
 }
 
 int mo_jobs_recount(struct mo_jobs *jobs)
@@ -40,9 +39,8 @@ int mo_jobs_recount(struct mo_jobs *jobs)
   int error = mo_store_open_work(jobs->store, &open_jobs, &open_rollouts);
   if (error != MO_OK)
     return error;
-  pthread_mutex_lock(&jobs->admission_mutex);
+  MO_GUARD(&jobs->admission_mutex);
   jobs->open_jobs = open_jobs;
   jobs->open_rollouts = open_rollouts;
-  pthread_mutex_unlock(&jobs->admission_mutex);
   return MO_OK;
 }

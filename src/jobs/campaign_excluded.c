@@ -48,17 +48,15 @@ const struct mo_form_set *mo_exclusion_forms(const struct mo_exclusion *exclusio
 
 static void end_part(struct mo_exclusion *exclusion, uint64_t n_bodies)
 {
-  pthread_mutex_lock(&exclusion->jobs->exclusions_mutex);
+  MO_GUARD(&exclusion->jobs->exclusions_mutex);
   exclusion->n_before += n_bodies;
   __atomic_store_n(&exclusion->n_drawn, 0, __ATOMIC_RELAXED);
-  pthread_mutex_unlock(&exclusion->jobs->exclusions_mutex);
 }
 
 static void end(struct mo_exclusion *exclusion, int error)
 {
-  pthread_mutex_lock(&exclusion->jobs->exclusions_mutex);
+  MO_GUARD(&exclusion->jobs->exclusions_mutex);
   exclusion->status = error;
-  pthread_mutex_unlock(&exclusion->jobs->exclusions_mutex);
 }
 
 static void *draw(void *context)
@@ -177,7 +175,6 @@ static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusio
                 struct mo_campaign_drawing *drawing)
 {
   const double passed_s = (double)(mo_clock_us() - exclusion->begin_us) * 1e-6;
-  int status;
   pthread_mutex_lock(&run->jobs->exclusions_mutex);
   if (exclusion->drawer == 0)
     exclusion->drawer = run->id;
@@ -186,7 +183,7 @@ static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusio
       .total = exclusion->n_bodies,
       .seconds_left = -1,
       .drawer = exclusion->drawer};
-  status = exclusion->status;
+  const int status = exclusion->status;
   pthread_mutex_unlock(&run->jobs->exclusions_mutex);
   /* All bodies take about as long: between a second and a minute, the rate changes by a few
    * percent. */

@@ -2,6 +2,7 @@
 #include <math.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 #include "jobs/campaign_run.h"
 
 #define PROGRESS_EVERY_US INT64_C(1000000)
@@ -41,12 +42,11 @@ static double seconds_left(const struct mo_campaign_run *run, const struct mo_li
 void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done, double rollouts_per_s)
 {
   struct mo_runner *runner = run->runner;
-  pthread_mutex_lock(&runner->runners->mutex);
+  MO_GUARD(&runner->runners->mutex);
   runner->live.done = done;
   if (rollouts_per_s > 0)
     runner->live.rate = rollouts_per_s;
   runner->live.seconds_left = seconds_left(run, &runner->live);
-  pthread_mutex_unlock(&runner->runners->mutex);
 }
 
 /* Estimates all remaining generations from the newest one; 0: unknown. */
@@ -63,7 +63,7 @@ void mo_campaign_show_drawing(struct mo_campaign_run *run,
   struct mo_runner *runner = run->runner;
   struct mo_live *live = &runner->live;
   const double after_s = generations_s(run);
-  pthread_mutex_lock(&runner->runners->mutex);
+  MO_GUARD(&runner->runners->mutex);
   live->done = drawing != NULL ? drawing->done : 0;
   live->total = drawing != NULL ? drawing->total : 0;
   live->reason[0] = '\0';
@@ -76,7 +76,6 @@ void mo_campaign_show_drawing(struct mo_campaign_run *run,
              "campaign %lld draws the bodies again that the controller was pretrained on: this one "
              "waits for the same",
              (long long)drawing->drawer);
-  pthread_mutex_unlock(&runner->runners->mutex);
 }
 
 const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done,

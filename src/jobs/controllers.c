@@ -5,6 +5,8 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "base/thread.h"
+
 #define KEPT 8
 
 int mo_controller_load(struct mo_store *store, const struct mo_sha256 *sha256,
@@ -78,7 +80,7 @@ int mo_loaded_acquire(struct mo_controller_cache *cache, const struct mo_sha256 
                       struct mo_loaded **ret)
 {
   int error = MO_OK;
-  pthread_mutex_lock(&cache->mutex);
+  MO_GUARD(&cache->mutex);
   struct mo_loaded *loaded = cache->first;
   while (loaded != NULL && !mo_sha256_equal(&loaded->sha256, sha256))
     loaded = loaded->next;
@@ -91,7 +93,6 @@ int mo_loaded_acquire(struct mo_controller_cache *cache, const struct mo_sha256 
     loaded->last_used = ++cache->clock;
     *ret = loaded;
   }
-  pthread_mutex_unlock(&cache->mutex);
   return error;
 }
 
@@ -99,10 +100,9 @@ void mo_loaded_release(struct mo_controller_cache *cache, struct mo_loaded *load
 {
   if (loaded == NULL)
     return;
-  pthread_mutex_lock(&cache->mutex);
+  MO_GUARD(&cache->mutex);
   loaded->users--;
   trim(cache, KEPT);
-  pthread_mutex_unlock(&cache->mutex);
 }
 
 void mo_loaded_free_all(struct mo_controller_cache *cache)

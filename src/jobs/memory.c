@@ -16,6 +16,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/thread.h"
 #include "jobs/state.h"
 
 #define MIB           ((uint64_t)1 << 20)
@@ -205,7 +206,7 @@ static struct mo_memory_user **place_of(struct mo_jobs *jobs, const struct mo_ki
 bool mo_memory_take(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id)
 {
   struct mo_memory *memory = &jobs->memory;
-  pthread_mutex_lock(&memory->mutex);
+  MO_GUARD(&memory->mutex);
   struct mo_memory_user **link = place_of(jobs, kind, id);
   struct mo_memory_user *user =
       *link; /* NULL: an earlier run has not ended yet, or another thread took the job */
@@ -217,7 +218,6 @@ bool mo_memory_take(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id
     user->next = memory->users;
     memory->users = user;
   }
-  pthread_mutex_unlock(&memory->mutex);
   return taken;
 }
 
@@ -263,7 +263,7 @@ void mo_memory_forget(struct mo_jobs *jobs, int64_t id)
 void mo_memory_keep(struct mo_jobs *jobs, const struct mo_kind *kind, const int64_t *ids, int64_t n)
 {
   struct mo_memory_user **link = &jobs->memory.waiting;
-  pthread_mutex_lock(&jobs->memory.mutex);
+  MO_GUARD(&jobs->memory.mutex);
   while (*link != NULL) {
     bool is_there = (*link)->kind != kind;
     for (int64_t i = 0; i < n && !is_there; i++)
@@ -273,7 +273,6 @@ void mo_memory_keep(struct mo_jobs *jobs, const struct mo_kind *kind, const int6
     else
       drop(link);
   }
-  pthread_mutex_unlock(&jobs->memory.mutex);
 }
 
 void mo_memory_renew(struct mo_jobs *jobs, enum mo_job_kind kind, int64_t id)
@@ -302,14 +301,12 @@ void mo_memory_prove(struct mo_jobs *jobs, int64_t id)
 
 bool mo_memory_reason(struct mo_jobs *jobs, int64_t id, char reason[160])
 {
-  pthread_mutex_lock(&jobs->memory.mutex);
+  MO_GUARD(&jobs->memory.mutex);
   const struct mo_memory_user *user = *find(&jobs->memory.waiting, id);
-  if (user != NULL && user->reason[0] != '\0')
-    memcpy(reason, user->reason, sizeof(user->reason));
-  else
-    user = NULL;
-  pthread_mutex_unlock(&jobs->memory.mutex);
-  return user != NULL;
+  if (user == NULL || user->reason[0] == '\0')
+    return false;
+  memcpy(reason, user->reason, sizeof(user->reason));
+  return true;
 }
 
 void mo_memory_free(struct mo_jobs *jobs)

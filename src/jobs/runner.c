@@ -39,30 +39,25 @@ void mo_runner_put_request(struct mo_runner *runner, enum mo_job_request request
 
 void mo_runners_request(struct mo_runners *runners, int64_t id, enum mo_job_request request)
 {
-  pthread_mutex_lock(&runners->mutex);
+  MO_GUARD(&runners->mutex);
   struct mo_runner *runner = mo_runners_find(runners, id);
   if (runner != NULL)
     mo_runner_put_request(runner, request);
   runners->requests++;
   pthread_cond_broadcast(&runners->news);
-  pthread_mutex_unlock(&runners->mutex);
 }
 
 void mo_runners_wake(struct mo_runners *runners)
 {
-  pthread_mutex_lock(&runners->mutex);
+  MO_GUARD(&runners->mutex);
   runners->look++;
   pthread_cond_broadcast(&runners->news);
-  pthread_mutex_unlock(&runners->mutex);
 }
 
 enum mo_job_request mo_runner_requested(struct mo_runner *runner)
 {
-  enum mo_job_request request;
-  pthread_mutex_lock(&runner->runners->mutex);
-  request = runner->request;
-  pthread_mutex_unlock(&runner->runners->mutex);
-  return request;
+  MO_GUARD(&runner->runners->mutex);
+  return runner->request;
 }
 
 bool mo_runner_is_interrupted(const struct mo_runner *runner)
@@ -74,11 +69,10 @@ void mo_runner_sleep(struct mo_runner *runner, uint32_t ms, enum mo_job_request 
 {
   struct mo_runners *runners = runner->runners;
   const int64_t end_us = mo_clock_us() + (int64_t)ms * 1000;
-  pthread_mutex_lock(&runners->mutex);
+  MO_GUARD(&runners->mutex);
   while (runner->request < least && !runners->stopping &&
          mo_wait_until(&runners->news, &runners->mutex, end_us))
     ;
-  pthread_mutex_unlock(&runners->mutex);
 }
 
 /* ---- live figures ---- */
@@ -86,12 +80,11 @@ void mo_runner_sleep(struct mo_runner *runner, uint32_t ms, enum mo_job_request 
 enum mo_phase mo_runner_set_waiting(struct mo_runner *runner, bool waits, enum mo_phase phase,
                                     const char *reason)
 {
-  pthread_mutex_lock(&runner->runners->mutex);
+  MO_GUARD(&runner->runners->mutex);
   runner->waits = waits;
   enum mo_phase before = runner->live.phase;
   runner->live.phase = phase;
   snprintf(runner->live.reason, sizeof(runner->live.reason), "%s", reason);
-  pthread_mutex_unlock(&runner->runners->mutex);
   return before;
 }
 

@@ -152,12 +152,11 @@ static void serve_one_at_a_time(struct mo_runner *runner)
   uint64_t seen = 0;
   bool again = true;
   for (;;) {
-    bool stopping;
     pthread_mutex_lock(&runners->mutex);
     while (!runners->stopping && runners->look == seen && !again)
       pthread_cond_wait(&runners->news, &runners->mutex);
     seen = runners->look;
-    stopping = runners->stopping;
+    const bool stopping = runners->stopping;
     pthread_mutex_unlock(&runners->mutex);
     if (stopping)
       return;
@@ -176,10 +175,9 @@ static void *serve(void *context)
     runners->kind->serve(runner);
   else
     serve_one_at_a_time(runner);
-  pthread_mutex_lock(&runners->mutex);
+  MO_GUARD(&runners->mutex);
   runners->alive--;
   pthread_cond_broadcast(&runners->news);
-  pthread_mutex_unlock(&runners->mutex);
   return NULL;
 }
 
@@ -199,15 +197,13 @@ void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
   bool runs = live->phase != MO_PHASE_IDLE;
   for (int kind = 0; kind < MO_JOB_KINDS && !runs; kind++) {
     struct mo_runners *runners = &jobs->runners[kind];
-    const struct mo_runner *runner;
-    pthread_mutex_lock(&runners->mutex);
-    runner = mo_runners_find(runners, id);
+    MO_GUARD(&runners->mutex);
+    const struct mo_runner *runner = mo_runners_find(runners, id);
     runs = runner != NULL;
     if (runs) {
       *live = runner->live;
       live->done += __atomic_load_n(&runner->replayed, __ATOMIC_RELAXED);
     }
-    pthread_mutex_unlock(&runners->mutex);
   }
   if (!runs && mo_memory_reason(jobs, id, live->reason))
     live->phase = MO_PHASE_WAIT;
@@ -233,11 +229,10 @@ size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX])
   size_t n = 0;
   for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
     struct mo_runners *runners = &jobs->runners[kind];
-    pthread_mutex_lock(&runners->mutex);
+    MO_GUARD(&runners->mutex);
     for (uint32_t i = 0; i < runners->n && n < MO_WAITING_MAX; i++)
       if (runners->runner[i].id != 0 && runners->runner[i].waits)
         ids[n++] = runners->runner[i].id;
-    pthread_mutex_unlock(&runners->mutex);
   }
   return n;
 }
@@ -255,7 +250,7 @@ int mo_runners_start(struct mo_jobs *jobs, struct mo_runners *runners, uint32_t 
   struct mo_runner *made = calloc(n, sizeof(*made));
   if (made == NULL)
     return MO_ERR_NO_MEMORY;
-  pthread_mutex_lock(&runners->mutex);
+  MO_GUARD(&runners->mutex);
   runners->runner = made;
   runners->n = n;
   for (uint32_t i = 0; i < n; i++) {
@@ -265,29 +260,25 @@ int mo_runners_start(struct mo_jobs *jobs, struct mo_runners *runners, uint32_t 
     runners->alive += made[i].has_thread;
   }
   n -= runners->alive;
-  pthread_mutex_unlock(&runners->mutex);
   return n == 0 ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
 void mo_runners_stop(struct mo_runners *runners)
 {
-  pthread_mutex_lock(&runners->mutex);
+  MO_GUARD(&runners->mutex);
   runners->stopping = true;
   runners->look++;
   for (uint32_t i = 0; i < runners->n; i++)
     mo_runner_put_request(&runners->runner[i], MO_REQUEST_STOP);
   pthread_cond_broadcast(&runners->news);
-  pthread_mutex_unlock(&runners->mutex);
 }
 
 bool mo_runners_wait(struct mo_runners *runners, int64_t until_us)
 {
-  pthread_mutex_lock(&runners->mutex);
+  MO_GUARD(&runners->mutex);
   while (runners->alive > 0 && mo_wait_until(&runners->news, &runners->mutex, until_us))
     ;
-  bool ended = runners->alive == 0;
-  pthread_mutex_unlock(&runners->mutex);
-  return ended;
+  return runners->alive == 0;
 }
 
 void mo_runners_free(struct mo_runners *runners)

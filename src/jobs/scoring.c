@@ -127,11 +127,10 @@ static void arrive(struct mo_block *block, void *context)
   struct mo_flight *flight = context;
   struct mo_inbox *inbox = flight->window->inbox;
   (void)block;
-  pthread_mutex_lock(inbox->mutex);
+  MO_GUARD(inbox->mutex);
   flight->next = inbox->finished;
   inbox->finished = flight;
   pthread_cond_broadcast(inbox->news);
-  pthread_mutex_unlock(inbox->mutex);
 }
 
 static struct mo_flight *begin(struct mo_window *window, uint32_t design)

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/thread.h"
 #include "jobs/state.h"
 
 static const struct mo_live idle = {.phase = MO_PHASE_IDLE, .seconds_left = -1, .busy_s = -1};
@@ -95,18 +96,17 @@ void mo_share_close(struct mo_jobs *jobs, int64_t id)
 
 void mo_share_show(struct mo_jobs *jobs, int64_t id, const struct mo_live *live)
 {
-  pthread_mutex_lock(&jobs->shares_mutex);
+  MO_GUARD(&jobs->shares_mutex);
   struct mo_job_share *entry = find(jobs, id);
   if (entry != NULL)
     entry->live = *live;
-  pthread_mutex_unlock(&jobs->shares_mutex);
 }
 
 void mo_share_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
 {
   double device_s = 0;
   *live = idle;
-  pthread_mutex_lock(&jobs->shares_mutex);
+  MO_GUARD(&jobs->shares_mutex);
   const struct mo_job_share *entry = find(jobs, id);
   if (entry != NULL) {
     *live = entry->live;
@@ -115,7 +115,6 @@ void mo_share_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
     live->worker_s = entry->before_s + live->busy_s;
     live->device_s = entry->before_device_s + device_s;
   }
-  pthread_mutex_unlock(&jobs->shares_mutex);
 }
 
 bool mo_share_used(void *context, int64_t id, double *worker_s, double *device_s)
@@ -130,7 +129,7 @@ bool mo_share_used(void *context, int64_t id, double *worker_s, double *device_s
 size_t mo_shares_heaviest(struct mo_jobs *jobs, struct mo_running *rows, size_t limit)
 {
   size_t n = 0;
-  pthread_mutex_lock(&jobs->shares_mutex);
+  MO_GUARD(&jobs->shares_mutex);
   for (const struct mo_job_share *entry = jobs->shares; entry != NULL; entry = entry->next) {
     size_t place = n;
     while (place > 0 &&
@@ -145,19 +144,17 @@ size_t mo_shares_heaviest(struct mo_jobs *jobs, struct mo_running *rows, size_t 
         (struct mo_running){.id = entry->id, .kind = entry->kind, .weight = entry->weight};
     memcpy(rows[place].label, entry->label, sizeof(entry->label));
   }
-  pthread_mutex_unlock(&jobs->shares_mutex);
   return n;
 }
 
 void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
                        double device_s[MO_JOB_KINDS])
 {
-  pthread_mutex_lock(&jobs->shares_mutex);
+  MO_GUARD(&jobs->shares_mutex);
   for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
     worker_s[kind] = jobs->ended_s[kind];
     device_s[kind] = jobs->ended_device_s[kind];
   }
   for (const struct mo_job_share *entry = jobs->shares; entry != NULL; entry = entry->next)
     add(entry->share, &worker_s[entry->kind], &device_s[entry->kind]);
-  pthread_mutex_unlock(&jobs->shares_mutex);
 }

@@ -12,6 +12,7 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 #include "jobs/held_out.h"
 #include "jobs/learner.h"
 #include "jobs/submission.h"
@@ -195,13 +196,12 @@ static void note_speed(struct run *run, double seconds)
     if (run->rates[i].end_us < oldest)
       oldest = run->rates[i].end_us;
   }
-  pthread_mutex_lock(&run->runner->runners->mutex);
+  MO_GUARD(&run->runner->runners->mutex);
   run->runner->live.position = step_of(run);
   run->runner->live.rate = sum > 0 ? (double)settings->batch * (double)n / sum : 0;
   /* Includes the time between steps: validations, checkpoints. */
   run->runner->live.seconds_left =
       left * (n > 1 ? (double)(now - oldest) * 1e-6 / (double)(n - 1) : seconds);
-  pthread_mutex_unlock(&run->runner->runners->mutex);
 }
 
 static int draw(struct run *run, const struct mo_robot **robots)

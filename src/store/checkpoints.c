@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 #include "store/folder.h"
 #include "store/runs.h"
 
@@ -171,14 +172,13 @@ int mo_checkpoint_write(struct mo_store *store, const uint8_t *bytes,
                         struct mo_checkpoint *checkpoint,
                         int (*run)(struct mo_store *store, void *arguments), void *arguments)
 {
-  pthread_mutex_lock(&store->checkpoints_mutex);
+  MO_GUARD(&store->checkpoints_mutex);
   int error = checkpoint->check != NULL ? checkpoint->check(store, arguments) : MO_OK;
   if (error == MO_OK && bytes != NULL)
     error = begin(store, bytes, checkpoint);
   if (error == MO_OK)
     error = mo_write(store, run, arguments);
   end(store, checkpoint, error);
-  pthread_mutex_unlock(&store->checkpoints_mutex);
   return error;
 }
 

@@ -2,6 +2,7 @@
 #include "store/labels.h"
 
 #include "base/clock.h"
+#include "base/thread.h"
 #include "store/runs.h"
 
 /* ---- changes ---- */
@@ -70,8 +71,7 @@ void mo_store_meter(struct mo_store *store,
                     bool (*used)(void *context, int64_t job, double *worker_s, double *device_s),
                     void *context)
 {
-  pthread_mutex_lock(&store->listeners_mutex);
+  MO_GUARD(&store->listeners_mutex);
   store->used = used;
   store->used_context = context;
-  pthread_mutex_unlock(&store->listeners_mutex);
 }

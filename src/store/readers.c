@@ -2,6 +2,7 @@
  * release. The last one is the scheduler's, which so never waits for clients. */
 #include <stdlib.h>
 
+#include "base/thread.h"
 #include "store/internal.h"
 
 static const char commit_sql[] = "COMMIT";
@@ -50,10 +51,9 @@ void mo_reader_release(struct mo_store *store, struct mo_connection *connection)
   connection->error = MO_OK;
   if (!sqlite3_get_autocommit(connection->db))
     (void)mo_sql_do(connection, commit_sql);
-  pthread_mutex_lock(&store->readers_mutex);
+  MO_GUARD(&store->readers_mutex);
   connection->busy = false;
   pthread_cond_broadcast(&store->reader_free);
-  pthread_mutex_unlock(&store->readers_mutex);
 }
 
 int64_t mo_read_page(struct mo_store *store, const char *sql, struct mo_values values,

@@ -189,10 +189,9 @@ static void release(struct mo_store *store, struct mo_operation *operation)
     free(operation);
     return;
   }
-  pthread_mutex_lock(&store->mutex);
+  MO_GUARD(&store->mutex);
   operation->finished = true;
   pthread_cond_signal(&operation->released);
-  pthread_mutex_unlock(&store->mutex);
 }
 
 /* Runs all operations in one transaction. */
@@ -353,7 +352,7 @@ static struct mo_operation *take(struct mo_store *store, bool *closing)
 {
   struct mo_operation *first, *last;
   const int64_t until_us = mo_clock_us() + 1000000;
-  pthread_mutex_lock(&store->mutex);
+  MO_GUARD(&store->mutex);
   while (store->first == NULL && !store->closing &&
          mo_wait_until(&store->work, &store->mutex, until_us))
     ;
@@ -367,7 +366,6 @@ static struct mo_operation *take(struct mo_store *store, bool *closing)
     last->next = NULL;
   }
   *closing = store->closing && first == NULL;
-  pthread_mutex_unlock(&store->mutex);
   return first;
 }
 
@@ -418,11 +416,9 @@ static int enqueue(struct mo_store *store, struct mo_operation *operation)
 {
   if (atomic_load(&store->is_fatal))
     return MO_ERR_IO;
-  pthread_mutex_lock(&store->mutex);
-  if (store->closing) {
-    pthread_mutex_unlock(&store->mutex);
+  MO_GUARD(&store->mutex);
+  if (store->closing)
     return MO_ERR_CANCELLED;
-  }
   operation->next = NULL;
   if (store->last != NULL)
     store->last->next = operation;
@@ -434,7 +430,6 @@ static int enqueue(struct mo_store *store, struct mo_operation *operation)
   if (operation->done == NULL)
     while (!operation->finished)
       pthread_cond_wait(&operation->released, &store->mutex);
-  pthread_mutex_unlock(&store->mutex);
   return MO_OK;
 }
 
@@ -479,24 +474,20 @@ int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, vo
 int mo_store_subscribe(struct mo_store *store, mo_store_listener listener, void *context,
                        int *ret_handle)
 {
-  int error = MO_OK;
-  pthread_mutex_lock(&store->listeners_mutex);
-  if (store->n_listeners == MO_LISTENERS_MAX) {
-    error = MO_ERR_LIMIT;
-  } else {
-    store->listeners[store->n_listeners].handle = ++store->next_handle;
-    store->listeners[store->n_listeners].call = listener;
-    store->listeners[store->n_listeners].context = context;
-    store->n_listeners++;
-    *ret_handle = store->next_handle;
-  }
-  pthread_mutex_unlock(&store->listeners_mutex);
-  return error;
+  MO_GUARD(&store->listeners_mutex);
+  if (store->n_listeners == MO_LISTENERS_MAX)
+    return MO_ERR_LIMIT;
+  store->listeners[store->n_listeners].handle = ++store->next_handle;
+  store->listeners[store->n_listeners].call = listener;
+  store->listeners[store->n_listeners].context = context;
+  store->n_listeners++;
+  *ret_handle = store->next_handle;
+  return MO_OK;
 }
 
 void mo_store_unsubscribe(struct mo_store *store, int handle)
 {
-  pthread_mutex_lock(&store->listeners_mutex);
+  MO_GUARD(&store->listeners_mutex);
   for (unsigned i = 0; i < store->n_listeners; i++)
     if (store->listeners[i].handle == handle) {
       for (unsigned k = i + 1; k < store->n_listeners; k++)
@@ -504,7 +495,6 @@ void mo_store_unsubscribe(struct mo_store *store, int handle)
       store->n_listeners--;
       break;
     }
-  pthread_mutex_unlock(&store->listeners_mutex);
 }
 
 void mo_store_get_stats(struct mo_store *store, struct mo_store_stats *stats)
