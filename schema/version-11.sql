@@ -80,6 +80,14 @@ CREATE TABLE past_usage(
   PRIMARY KEY(kind, label, experiment, submitted_by)
 ) STRICT, WITHOUT ROWID;
 
+-- The class of GPUs that the service had last, or, where it had none, its workers: fingerprints of
+-- scores and gradients.
+CREATE TABLE device_class(
+  id INTEGER PRIMARY KEY CHECK(id = 1),
+  scores TEXT NOT NULL,
+  gradients TEXT NOT NULL
+) STRICT;
+
 -- Who refers to a job, or was bred from its controller.
 CREATE INDEX idempotency_keys_of_job ON idempotency_keys(job);
 CREATE INDEX trainings_of_population ON trainings(population) WHERE population<>0;

@@ -173,6 +173,7 @@ struct mo_gradient_batch {
   enum mo_back_end back_end;
   double weight;    /* of each robot's gradient; 0: 1 / n */
   bool is_arranged; /* on the CPU: the robots already have the order of mo_gradient_arrange */
+  bool is_strict;   /* on devices: what they do not support is MO_ERR_UNSUPPORTED */
   /* Results. */
   enum mo_back_end computed_on;
   double *d_parameters; /* (n_parameters) the gradient of the mean loss over all n robots; those
@@ -200,7 +201,7 @@ struct mo_gradient_batch {
  * On devices a shard is 1024 consecutive robots in the order of the batch, with a float32 sum.
  * Shards are spread over the devices and added in float64 in order: the same bits for any number of
  * devices. Devices ignore `urgency`. If they do not support the batch, the workers compute all of
- * it. */
+ * it, unless it is strict. */
 struct mo_gradient_state;
 int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_state **state);
 void mo_gradient_state_free(struct mo_gradient_state *state); /* NULL-safe; before the compute */
@@ -221,8 +222,8 @@ const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute);
 
 /* Blocks that a remote taker took together: batch blocks in float32 that record nothing and bring
  * no body, all of one share, one controller and one physics. The submitters still own the blocks.
- * Or one shard of a gradient on the CPU: of a batch that has a share, is not urgent, and names its
- * genotypes. */
+ * Or one shard of a gradient on the CPU or on expected devices: of a batch that has a share, is not
+ * urgent, and names its genotypes. */
 struct mo_taken {
   enum mo_back_end back_end;
   uint32_t n_blocks, n_rows;              /* a row is one rollout; a shard counts as one block */
@@ -248,9 +249,11 @@ struct mo_remote_result {
 struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end back_end,
                                  uint64_t max_steps);
 /* Puts the blocks back at the front of their share, charges nothing, and frees `taken`. A shard
- * that came back three times, or was delivered with an error, is computed by the workers. */
+ * that came back three times, or was delivered with an error, is computed by the workers; for
+ * expected devices, one that came back 32 times ends its batch with MO_ERR_DEVICE. */
 void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *taken);
-/* Puts blocks back that remote takers cannot compute: none gets them again. Not for shards. */
+/* Puts blocks back that remote takers cannot compute: none gets them again. The workers
+ * then compute all of the gradient that a shard for devices is of. */
 void mo_compute_keep(struct mo_compute *compute, struct mo_taken *taken);
 /* Cuts off the second half of the blocks as another taken. NULL: it has one block, or out of
  * memory. */
@@ -274,6 +277,20 @@ void mo_compute_leave_remote(struct mo_compute *compute, bool leave);
  * block. NULL: nothing; when this returns, no call is in progress. */
 void mo_compute_watch_remote(struct mo_compute *compute, void (*arrived)(void *context),
                              void *context);
+
+/* Opens a queue for devices that only other machines have: remote takers compute all of its blocks,
+ * which wait until takers come. Call it once, as early as mo_compute_add_devices and instead of it.
+ * MO_ERR_CONFLICT: there are devices; MO_ERR_NO_MEMORY. */
+int mo_compute_expect_devices(struct mo_compute *compute);
+bool mo_compute_expects_devices(const struct mo_compute *compute);
+/* Names the class of expected devices for good: its fingerprints of scores and gradients. Before
+ * that no block is accepted. For one thread at a time. MO_ERR_CONFLICT: it has a name;
+ * MO_ERR_LIMIT: too long. */
+int mo_compute_name_devices(struct mo_compute *compute, const char *scores, const char *gradients);
+/* Returns whether blocks for devices are accepted: one works, or their class is named. */
+bool mo_compute_serves_devices(const struct mo_compute *compute);
+/* Returns whether only remote takers compute what suits them, and none is there. */
+bool mo_compute_lacks_takers(const struct mo_compute *compute, enum mo_back_end back_end);
 
 /* ---- devices: GPUs, through a module that is loaded at run time ---- */
 
@@ -325,7 +342,7 @@ uint32_t mo_compute_devices_working(const struct mo_compute *compute); /* withou
 int mo_compute_device(struct mo_compute *compute, uint32_t position,
                       struct mo_device_status *status);
 /* Like the fingerprints below, for scores and gradients that devices compute, such as "cuda float32
- * score 4 sm90". NULL: no devices. */
+ * score 4 sm90". NULL: no devices, or their class is not named yet. */
 const char *mo_compute_device_fingerprint(const struct mo_compute *compute);
 const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *compute);
 

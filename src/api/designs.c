@@ -193,8 +193,8 @@ static bool is_class(const char *text)
  * which compute large batches, or else of the workers. */
 static const char *own_class(const struct mo_compute *compute)
 {
-  const char *devices = mo_compute_device_fingerprint(compute);
-  return devices != NULL ? devices : mo_compute_fingerprint(compute, MO_FLOAT32);
+  return mo_compute_devices(compute) > 0 ? mo_compute_device_fingerprint(compute)
+                                         : mo_compute_fingerprint(compute, MO_FLOAT32);
 }
 
 void mo_api_list_designs(struct mo_request *request)

@@ -71,11 +71,12 @@ static void write_progress(struct mo_text *text, const struct mo_job *job,
 /* Writes an evaluation without its results and its end. */
 static void write_job(struct mo_text *text, const struct mo_job *job, const struct mo_live *live)
 {
+  struct mo_live shown = *live;
+  shown.phase = MO_PHASE_IDLE;
   mo_text_object(text);
   mo_text_member_id(text, "id", job->id);
   mo_text_member(text, "kind", mo_job_kind_name(job->kind));
-  mo_job_write_head(text, job,
-                    &(struct mo_live){.worker_s = live->worker_s, .device_s = live->device_s});
+  mo_job_write_head(text, job, &shown);
   mo_member_controller(text, "controller", true, job->controller_name, &job->controller_sha256);
   mo_member_environments(text, job->environment_set, job->n_environments);
   mo_text_name(text, "physics");

@@ -177,11 +177,7 @@ void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const str
     mo_text_member(text, "error", NULL);
   }
   const bool waits = live->reason[0] != '\0' && !mo_job_state_is_final(job->state);
-  if (job->kind != MO_JOB_EVALUATION)
-    mo_text_member(text, "reason",
-                   waits               ? live->reason
-                   : lacks_device(job) ? job->error_text
-                                       : NULL);
+  mo_text_member(text, "reason", waits ? live->reason : lacks_device(job) ? job->error_text : NULL);
 }
 
 void mo_links_write(struct mo_text *text, const struct mo_job *job, const char *const *below)

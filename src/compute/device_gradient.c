@@ -7,7 +7,7 @@
  *
  * The robots of the next batch do not depend on the weights: another thread may lay out the next
  * batch while one is computed. */
-#include "compute/devices.h"
+#include "compute/device_gradient.h"
 
 #include <stdlib.h>
 #include <string.h>

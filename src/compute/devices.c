@@ -120,10 +120,12 @@ static void write_fingerprints(struct mo_devices *devices)
 {
   const struct mo_device_module *module = devices->module;
   const unsigned capability = devices->units[0].status.capability;
-  snprintf(devices->fingerprint, sizeof(devices->fingerprint), "%s float32 %s sm%u", module->name,
+  struct mo_device_class *class = &devices->class;
+  snprintf(class->scores, sizeof(class->scores), "%s float32 %s sm%u", module->name,
            module->score_code, capability);
-  snprintf(devices->gradient_fingerprint, sizeof(devices->gradient_fingerprint),
-           "%s float32 %s sm%u", module->name, module->gradient_code, capability);
+  snprintf(class->gradients, sizeof(class->gradients), "%s float32 %s sm%u", module->name,
+           module->gradient_code, capability);
+  atomic_store(&devices->is_named, true);
 }
 
 /* Opens the requested devices, or all that open and have the first one's capability. */
@@ -186,33 +188,46 @@ static int start(struct mo_devices *devices)
   return MO_OK;
 }
 
-int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_config *config,
-                           struct mo_message *message)
+struct mo_devices *mo_devices_create(struct mo_compute *compute)
 {
-  if (mo_core(compute)->devices != NULL)
-    return mo_fail(message, MO_ERR_CONFLICT, "there are devices already");
   struct mo_devices *devices = calloc(1, sizeof(*devices));
   pthread_condattr_t monotonic;
   if (devices == NULL)
-    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+    return NULL;
   devices->compute = compute;
-  devices->lost = config->lost;
-  devices->context = config->context;
   pthread_condattr_init(&monotonic);
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
   pthread_cond_init(&devices->wake, &monotonic);
   mo_fair_init(&devices->fair, 0);
   pthread_condattr_destroy(&monotonic);
+  return devices;
+}
+
+void mo_devices_open_queue(struct mo_devices *devices, uint32_t n)
+{
+  devices->fair.credit_s = MO_FAIR_CREDIT_S * n;
+  devices->fair.unit_s[MO_FAIR_SCORING] = SCORING_S;
+  devices->fair.unit_s[MO_FAIR_GRADIENT] = GRADIENT_S;
+  mo_fair_add(&devices->fair, &devices->own, 1);
+  mo_fair_add(&devices->fair, &devices->urgent, MO_SHARE_WEIGHT_MAX);
+}
+
+int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_config *config,
+                           struct mo_message *message)
+{
+  if (mo_core(compute)->devices != NULL)
+    return mo_fail(message, MO_ERR_CONFLICT, "there are devices already");
+  struct mo_devices *devices = mo_devices_create(compute);
+  if (devices == NULL)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  devices->lost = config->lost;
+  devices->context = config->context;
   int status = load(devices, config->module, message);
   if (status == MO_OK)
     status = open_units(devices, config, message);
   if (status == MO_OK) {
     write_fingerprints(devices);
-    devices->fair.credit_s = MO_FAIR_CREDIT_S * devices->n;
-    devices->fair.unit_s[MO_FAIR_SCORING] = SCORING_S;
-    devices->fair.unit_s[MO_FAIR_GRADIENT] = GRADIENT_S;
-    mo_fair_add(&devices->fair, &devices->own, 1);
-    mo_fair_add(&devices->fair, &devices->urgent, MO_SHARE_WEIGHT_MAX);
+    mo_devices_open_queue(devices, devices->n);
     atomic_store(&devices->n_working, devices->n);
     status = start(devices);
     if (status != MO_OK)
@@ -246,6 +261,8 @@ void mo_devices_free(struct mo_devices *devices)
       if (devices->units[i].callers[c].has_thread)
         pthread_join(devices->units[i].callers[c].thread, NULL);
   }
+  if (devices->has_keeper)
+    pthread_join(devices->keeper, NULL);
   for (uint32_t i = 0; i < devices->n; i++)
     close_unit(&devices->units[i]);
   free(devices->units);
@@ -285,7 +302,8 @@ int mo_devices_submit(struct mo_devices *devices, struct mo_block *block)
   pthread_mutex_lock(&devices->fair.mutex);
   if (devices->stopping)
     status = MO_ERR_CANCELLED;
-  else if (atomic_load(&devices->n_working) == 0)
+  else if (devices->is_absent ? !atomic_load(&devices->is_named) || !mo_block_suits_remote(block)
+                              : atomic_load(&devices->n_working) == 0)
     status = MO_ERR_DEVICE;
   if (status == MO_OK) {
     const bool nothing_waits = atomic_load(&devices->fair.waiting) == 0;
@@ -343,14 +361,20 @@ int mo_compute_device(struct mo_compute *compute, uint32_t position,
   return MO_OK;
 }
 
-const char *mo_compute_device_fingerprint(const struct mo_compute *compute)
+static const struct mo_device_class *class_of(const struct mo_compute *compute)
 {
   const struct mo_devices *devices = mo_core(compute)->devices;
-  return devices != NULL ? devices->fingerprint : NULL;
+  return devices != NULL && atomic_load(&devices->is_named) ? &devices->class : NULL;
+}
+
+const char *mo_compute_device_fingerprint(const struct mo_compute *compute)
+{
+  const struct mo_device_class *class = class_of(compute);
+  return class != NULL ? class->scores : NULL;
 }
 
 const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *compute)
 {
-  const struct mo_devices *devices = mo_core(compute)->devices;
-  return devices != NULL ? devices->gradient_fingerprint : NULL;
+  const struct mo_device_class *class = class_of(compute);
+  return class != NULL ? class->gradients : NULL;
 }

@@ -80,13 +80,22 @@ struct mo_unit {
   uint32_t good_chunks;            /* since a limit was lowered */
 };
 
+/* What the bits of devices depend on; constant. */
+struct mo_device_class {
+  char scores[128], gradients[128];
+};
+
 struct mo_devices {
   struct mo_compute *compute;
   const struct mo_device_module *module;
   void *library;
   void (*lost)(void *context, const struct mo_device_status *status);
   void *context;
-  char fingerprint[128], gradient_fingerprint[128];
+  struct mo_device_class class;
+  atomic_bool is_named; /* the class is there, and constant; read anywhere */
+  bool is_absent;       /* constant: only other machines have such devices (absent.c) */
+  bool has_keeper;
+  pthread_t keeper;
   struct mo_fair fair;
   pthread_cond_t wake;
   struct mo_compute_share own, urgent; /* for blocks that name no share; for interactive blocks */
@@ -100,27 +109,16 @@ struct mo_devices {
 };
 
 /* ---- devices.c ---- */
-/* Queues a block. MO_ERR_DEVICE: no device works; MO_ERR_CANCELLED. */
+struct mo_devices *mo_devices_create(struct mo_compute *compute); /* NULL: no memory */
+/* Opens the queue of so many devices. */
+void mo_devices_open_queue(struct mo_devices *devices, uint32_t n);
+/* Queues a block. MO_ERR_DEVICE: no device works, or the block needs one of this machine;
+ * MO_ERR_CANCELLED. */
 int mo_devices_submit(struct mo_devices *devices, struct mo_block *block);
 /* Marks the copies of a controller that is being freed as no longer needed. */
 void mo_devices_forget(struct mo_devices *devices, const struct mo_compute_controller *controller);
 /* Cancels what is queued and running, joins the threads, closes the devices. NULL-safe. */
 void mo_devices_free(struct mo_devices *devices);
-
-/* ---- device_gradient.c ---- */
-/* What lasts from one gradient to the next: memory, and what was laid out ahead. */
-struct mo_device_gradients;
-int mo_device_gradients_create(struct mo_devices *devices,
-                               struct mo_device_gradients **ret);     /* MO_ERR_NO_MEMORY */
-void mo_device_gradients_free(struct mo_device_gradients *gradients); /* NULL-safe */
-/* Computes the gradient of a batch. Adds to counts, which are 0. One call at a time. */
-int mo_devices_gradient(struct mo_device_gradients *gradients, struct mo_gradient_batch *batch);
-/* Lays out robots, which must not change until their gradient is computed or forgotten. One
- * call at a time; one of mo_devices_gradient may run concurrently. Forgets an older layout that is
- * not in use. MO_ERR_CONFLICT: two are in use. */
-int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_robot *robots,
-                       uint32_t n, const struct mo_physics *physics);
-void mo_device_gradients_forget(struct mo_device_gradients *gradients);
 
 /* ---- device_chunk.c ---- */
 int mo_chunk_create(struct mo_chunk *chunk); /* MO_ERR_NO_MEMORY */

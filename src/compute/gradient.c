@@ -7,7 +7,7 @@
  * Sums are float64: 32 consecutive blocks make the sum of a shard, and the shards' sums make that
  * of the batch. So a shard that a remote taker computed is one sum instead of 32 gradients; it is
  * kept until those before it are added. The bits depend only on the batch. */
-#include "compute/devices.h"
+#include "compute/device_gradient.h"
 #include "compute/shards.h"
 
 #include <stdlib.h>
@@ -62,7 +62,7 @@ int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_stat
   state->n_slots = BLOCKS_PER_WORKER * mo_core(compute)->n_workers;
   state->slots = calloc(state->n_slots, sizeof(*state->slots));
   int status = state->slots != NULL ? MO_OK : MO_ERR_NO_MEMORY;
-  if (status == MO_OK && devices != NULL)
+  if (status == MO_OK && devices != NULL && !devices->is_absent)
     status = mo_device_gradients_create(devices, &state->on_devices);
   if (status == MO_OK)
     *ret = state;

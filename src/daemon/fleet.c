@@ -14,6 +14,7 @@
 #include "daemon/memory.h"
 #include "daemon/tokens.h"
 #include "fleet/facts.h"
+#include "jobs/jobs.h"
 #include "store/runner.h"
 #include "store/store.h"
 
@@ -91,6 +92,7 @@ struct fleet {
   struct mo_fleet *fleet;
   struct mo_store *store;
   struct mo_compute *compute;
+  struct mo_jobs *jobs;         /* of when it is served */
   _Atomic(struct mo_api *) api; /* NULL: not served yet */
 };
 
@@ -118,6 +120,19 @@ static int save_outcasts(void *context, const struct mo_outcast *items, size_t n
   if (error != MO_OK)
     log_warning("the quarantine was not stored", LOG_TEXT("reason", mo_error_text(error)));
   return error;
+}
+
+static int name_class(void *context, enum mo_back_end back_end, const char *scores,
+                      const char *gradients, const char *names[2])
+{
+  const struct fleet *fleet = context;
+  const int error = back_end == MO_ON_DEVICE ? mo_jobs_name_devices(fleet->jobs, scores, gradients)
+                                             : MO_ERR_INVALID;
+  names[0] = mo_compute_device_fingerprint(fleet->compute);
+  names[1] = mo_compute_device_gradient_fingerprint(fleet->compute);
+  if (error == MO_OK)
+    log_info("workers have devices", LOG_TEXT("scores", names[0]), LOG_TEXT("gradients", names[1]));
+  return error == MO_ERR_CONFLICT && names[0] != NULL ? MO_OK : error;
 }
 
 static int origin(void *context, const char *text, int64_t *number)
@@ -162,6 +177,7 @@ int fleet_create(const struct settings *settings, struct mo_store *store,
                                    .workspace = MO_DEFAULT_WORKSPACE,
                                    .epoch = mo_store_epoch(store),
                                    .version = MORPHOD_VERSION,
+                                   .name_class = name_class,
                                    .origin = origin,
                                    .wake = wake,
                                    .event = tell,
@@ -171,9 +187,10 @@ int fleet_create(const struct settings *settings, struct mo_store *store,
   config.classes[MO_ON_CPU].gradients = mo_compute_gradient_fingerprint(compute);
   config.classes[MO_ON_DEVICE].scores = mo_compute_device_fingerprint(compute);
   config.classes[MO_ON_DEVICE].gradients = mo_compute_device_gradient_fingerprint(compute);
+  config.classes[MO_ON_DEVICE].is_absent = mo_compute_expects_devices(compute);
   int error = getrandom(&config.seed, sizeof(config.seed), 0) > 0 ? MO_OK : MO_ERR_IO;
   for (int i = 0; i < 2 && error == MO_OK; i++)
-    if (config.classes[i].scores != NULL)
+    if (config.classes[i].scores != NULL && !config.classes[i].is_absent)
       error = mo_fleet_canary(compute, (enum mo_back_end)i, &config.classes[i].canary);
   struct mo_outcast *outcasts = error == MO_OK ? read_outcasts(store, &config, &error) : NULL;
   if (error == MO_OK)
@@ -253,7 +270,7 @@ static void warn_of_few_files(const struct mo_http *http)
 }
 
 int fleet_serve(struct fleet *fleet, const struct settings *settings, struct sockets *sockets,
-                struct mo_api *api,
+                struct mo_jobs *jobs, struct mo_api *api,
                 void (*log)(void *context, const struct mo_http_log_entry *entry),
                 struct mo_message *message)
 {
@@ -280,6 +297,7 @@ int fleet_serve(struct fleet *fleet, const struct settings *settings, struct soc
     config.key = pair.key;
     config.log = log;
     config.log_context = fleet;
+    fleet->jobs = jobs;
     atomic_store(&fleet->api, api);
     error = mo_api_start_fleet(api, &config, &shared, message);
     sockets_hand_over(sockets);

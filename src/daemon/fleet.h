@@ -35,7 +35,7 @@ int fleet_create(const struct settings *settings, struct mo_store *store,
 /* Starts the server of workers. log: as in mo_http_config, with a context that is not
  * NULL. The sockets are handed over. MO_ERR_INVALID, and errors of mo_http_start. */
 int fleet_serve(struct fleet *fleet, const struct settings *settings, struct sockets *sockets,
-                struct mo_api *api,
+                struct mo_jobs *jobs, struct mo_api *api,
                 void (*log)(void *context, const struct mo_http_log_entry *entry),
                 struct mo_message *message);
 /* Ends the sessions whose user is none of the tokens' any more. */

@@ -349,7 +349,7 @@ static int serve_fleet(struct service *service, const struct settings *settings,
 {
   return service->fleet == NULL ? MO_OK
                                 : fleet_serve(service->fleet, settings, &service->fleet_sockets,
-                                              service->api, log_request, message);
+                                              service->jobs, service->api, log_request, message);
 }
 
 /* ---- start ---- */
@@ -435,7 +435,11 @@ static int start_workers(struct service *service, const struct settings *setting
 static int open_devices(struct service *service, const struct settings *settings,
                         struct mo_message *message)
 {
-  return devices_open(service->compute, &settings->devices, settings->compute_module, message);
+  const int error =
+      devices_open(service->compute, &settings->devices, settings->compute_module, message);
+  return error == MO_OK && mo_compute_devices(service->compute) == 0 && fleet_is_on(settings)
+             ? mo_compute_expect_devices(service->compute) /* workers may have some */
+             : error;
 }
 
 static int create_fleet(struct service *service, const struct settings *settings,

@@ -186,7 +186,8 @@ static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row
   mo_lease_renumber(fleet, lease);
   fleet->n_checks += !lease->is_audit;
   lease->is_audit = lease->is_disputed = true;
-  lease->is_ours = fleet->config.source.recompute != NULL && lease->content.n_parameters == 0;
+  lease->is_ours = fleet->config.source.recompute != NULL && lease->content.n_parameters == 0 &&
+                   !fleet->config.classes[lease->content.back_end].is_absent;
   mo_lease_list(fleet, lease, now_ns, after);
 }
 

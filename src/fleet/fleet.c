@@ -79,21 +79,27 @@ void mo_fleet_free(struct mo_fleet *fleet)
 
 /* ---- joining ---- */
 
-/* Chooses the classes that a session serves. */
+/* Locked. Says that no worker of an absent class has joined yet. */
+static bool lacks_canary(const struct mo_fleet *fleet, uint32_t back_end)
+{
+  static const struct mo_sha256 none;
+  return fleet->config.classes[back_end].is_absent &&
+         mo_sha256_equal(&fleet->config.classes[back_end].canary, &none);
+}
+
+/* Locked. Chooses the classes that a session serves. */
 static int choose_classes(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
                           bool serves[2], struct mo_message *message)
 {
   const struct mo_fleet_config *config = &fleet->config;
   char got[MO_SHA256_DIGITS + 1], wanted[MO_SHA256_DIGITS + 1];
-  if (strcmp(offer->version, config->version) != 0)
-    return mo_fail(message, MO_ERR_UNSUPPORTED, "this daemon wants workers of version %s, got %s",
-                   config->version, offer->version);
   for (uint32_t b = 0; b < 2; b++) {
     serves[b] = config->classes[b].scores != NULL &&
                 strcmp(offer->classes[b].scores, config->classes[b].scores) == 0 &&
                 (config->classes[b].gradients == NULL ||
                  strcmp(offer->classes[b].gradients, config->classes[b].gradients) == 0);
-    if (!serves[b] || mo_sha256_equal(&offer->classes[b].canary, &config->classes[b].canary))
+    if (!serves[b] || lacks_canary(fleet, b) ||
+        mo_sha256_equal(&offer->classes[b].canary, &config->classes[b].canary))
       continue;
     mo_sha256_to_hex(&offer->classes[b].canary, got);
     mo_sha256_to_hex(&config->classes[b].canary, wanted);
@@ -144,6 +150,17 @@ static uint64_t hash_of(const char *user, const char *origin)
   return start;
 }
 
+static int check_version(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
+                         struct mo_message *message)
+{
+  const char *version = fleet->config.version;
+  return strcmp(offer->version, version) == 0
+             ? MO_OK
+             : mo_fail(message, MO_ERR_UNSUPPORTED,
+                       "this daemon wants workers of version %s, got %s", version, offer->version);
+}
+
+/* Locked. */
 static int admit(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
                  struct mo_message *message)
 {
@@ -154,6 +171,40 @@ static int admit(const struct mo_fleet *fleet, const struct mo_fleet_offer *offe
   if (fleet->n_sessions == MO_FLEET_SESSIONS_MAX)
     return mo_fail(message, MO_ERR_LIMIT, "at most %d sessions can be open", MO_FLEET_SESSIONS_MAX);
   return MO_OK;
+}
+
+/* Locked, but not while it calls. Gives names to the absent classes that an offer has. */
+static int name_classes(struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
+                        struct mo_message *message)
+{
+  struct mo_fleet_config *config = &fleet->config;
+  int error = MO_OK;
+  for (uint32_t b = 0; b < 2 && error == MO_OK; b++) {
+    const char *names[2] = {NULL, NULL};
+    if (!config->classes[b].is_absent || config->classes[b].scores != NULL ||
+        offer->classes[b].scores[0] == '\0')
+      continue;
+    pthread_mutex_unlock(&fleet->mutex);
+    error = config->name_class(config->context, (enum mo_back_end)b, offer->classes[b].scores,
+                               offer->classes[b].gradients, names);
+    pthread_mutex_lock(&fleet->mutex);
+    if (error == MO_OK) {
+      config->classes[b].scores = names[0];
+      config->classes[b].gradients = names[1];
+    } else if (error == MO_ERR_LIMIT) {
+      error = mo_fail(message, MO_ERR_UNSUPPORTED, "the fingerprints of a class are shorter");
+    }
+  }
+  return error;
+}
+
+/* Locked. Opens the session, which is the measure of an absent class if it is its first. */
+static void open_session(struct mo_fleet *fleet, struct mo_session *session, struct mo_after *after)
+{
+  for (uint32_t b = 0; b < 2; b++)
+    if (session->serves[b] && lacks_canary(fleet, b))
+      fleet->config.classes[b].canary = session->offer.classes[b].canary;
+  mo_session_insert(fleet, session, after);
 }
 
 int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer, uint64_t now_ns,
@@ -170,8 +221,12 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
       (struct mo_session){.offer = *offer, .origin = 1, .joined_ns = now_ns, .heard_ns = now_ns};
   snprintf(origin, sizeof(origin), "%s@%s", offer->name, offer->host);
   session->worker = hash_of(offer->user, origin);
-  int error = choose_classes(fleet, offer, session->serves, &message);
   pthread_mutex_lock(&fleet->mutex);
+  int error = check_version(fleet, offer, &message);
+  if (error == MO_OK && admit(fleet, offer, NULL) == MO_OK)
+    error = name_classes(fleet, offer, &message);
+  if (error == MO_OK)
+    error = choose_classes(fleet, offer, session->serves, &message);
   if (error == MO_OK)
     error = admit(fleet, offer, &message);
   if (error == MO_OK && config->origin != NULL) { /* a row of the store: not for who is refused */
@@ -180,6 +235,8 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
     pthread_mutex_lock(&fleet->mutex);
     if (error == MO_OK)
       error = admit(fleet, offer, &message);
+    if (error == MO_OK) /* the canary of an absent class may be there now */
+      error = choose_classes(fleet, offer, session->serves, &message);
   }
   if (error == MO_OK && (session->id = draw_id(fleet)) == 0)
     error = mo_fail(&message, MO_ERR_IO, "there are no random numbers");
@@ -187,7 +244,7 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
     note_refusal(fleet, offer, now_ns, &message, &after);
   const int64_t id = error == MO_OK ? (int64_t)session->id : error;
   if (error == MO_OK)
-    mo_session_insert(fleet, session, &after);
+    open_session(fleet, session, &after);
   else
     free(session);
   pthread_mutex_unlock(&fleet->mutex);

@@ -36,19 +36,24 @@ struct mo_fleet_config {
   uint64_t seed;       /* of the choice of audits; the same in tests */
   const char *version; /* of the program; other workers are refused */
   /* By enum mo_back_end: the class, and the hash that its canary must have; class NULL: not served.
-   */
+   * is_absent: only workers have it, and the first one's canary counts; `name_class` names it. */
   struct {
     const char *scores, *gradients;
     struct mo_sha256 canary;
+    bool is_absent;
   } classes[2];
   uint32_t silence_ms; /* 0: MO_FLEET_SILENCE_MS */
   /* In quarantine from the start, oldest first; copied. */
   const struct mo_outcast *outcasts;
   size_t n_outcasts;
-  /* Called without locks. origin: the number of "name@host" under which results are delivered; an
-   * error refuses the session. wake: the session may have orders or work for a request that waits.
-   * event: type such as "fleet.joined", data: a JSON object. save_outcasts: stores all that are in
-   * quarantine now; one call at a time. Each nullable. */
+  /* Called without locks. name_class: a worker has an absent class, which has no name yet; returns
+   * the names that it has from now on, which last. origin: the number of "name@host" under which
+   * results are delivered; an error of these two refuses the session. wake: the session may have
+   * orders or work for a request that waits. event: type such as "fleet.joined", data: a JSON
+   * object. save_outcasts: stores all that are in quarantine now; one call at a time. Each
+   * nullable. */
+  int (*name_class)(void *context, enum mo_back_end back_end, const char *scores,
+                    const char *gradients, const char *names[2]);
   int (*origin)(void *context, const char *text, int64_t *number);
   void (*wake)(void *context, uint64_t session);
   void (*event)(void *context, const char *type, const char *data);
@@ -102,9 +107,8 @@ struct mo_fleet_orders {
  * MO_ERR_NOT_FOUND. */
 int mo_fleet_orders(struct mo_fleet *fleet, uint64_t session, uint64_t now_ns,
                     struct mo_fleet_orders *orders);
-/* Gives the weights of a lease that is out: the controller file with this SHA-256, which stays
- * until it is released, before mo_fleet_free. MO_ERR_NOT_FOUND; MO_ERR_BUSY: too many files are
- * kept for slow readers only. */
+/* Gives the weights of a lease that is out: the file with this SHA-256, until it is released.
+ * MO_ERR_NOT_FOUND; MO_ERR_BUSY: slow readers keep too many files. */
 struct mo_fleet_file {
   struct mo_fleet *fleet;
   const uint8_t *bytes;
@@ -112,7 +116,7 @@ struct mo_fleet_file {
 };
 int mo_fleet_controller(struct mo_fleet *fleet, const struct mo_sha256 *hash,
                         struct mo_fleet_file **file);
-void mo_fleet_file_release(void *file);
+void mo_fleet_file_release(void *file); /* before mo_fleet_free */
 
 /* About every 20 ms: gives out again what is late, ends silent sessions, drops cancelled leases,
  * wakes sessions for which there is work. */

@@ -260,9 +260,12 @@ void mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t p
   struct mo_session *session = lease->holds[place].session;
   bool is_proven = false;
   session->leases_lost += is_lost;
-  if (is_lost && lease->parcel != NULL && lease->content.n_parameters == 0)
+  if (is_lost && lease->parcel != NULL && lease->content.n_parameters == 0) {
     is_proven = mo_suspects_add(fleet->suspects, &lease->content, session->id, session->worker,
                                 lease->is_only, &lease->is_kept);
+    if (lease->is_kept && fleet->config.classes[lease->content.back_end].is_absent)
+      is_proven = true; /* nobody else computes it */
+  }
   mo_lease_unhold(lease, place);
   if (lease->n_holds > 0)
     return;

@@ -2,13 +2,115 @@
  *
  * The back end is chosen at submission and never changes. Bits differ between devices and workers,
  * so a training or campaign that continued elsewhere would no longer be a function of its settings.
- * A job whose devices are lost waits for them, paused. */
+ * A job whose devices are lost waits for them, paused.
+ *
+ * A service without devices may expect those of workers. Their class is named once: by the first
+ * worker that has some, or, when a job needs it before, by what the store knows of an earlier
+ * process. From then on it is the class of all jobs on devices, which wait for such workers. */
+#include <stdlib.h>
+#include <string.h>
+
 #include "jobs/state.h"
+#include "jobs/trainings.h"
 
 #define BLOCKS_A_DEVICE 16384 /* more than one call, at ten environments per block */
 #define BLOCKS_A_WORKER 2
 
-int mo_back_end_choose(const struct mo_jobs *jobs, struct mo_submission *request, bool suits,
+/* ---- classes ---- */
+
+/* Composes the code version, on which the bits of a trained controller depend besides its settings.
+ */
+static int name_code(struct mo_jobs *jobs, enum mo_back_end back_end, const char *fingerprint)
+{
+  const char *version = jobs->config.version != NULL ? jobs->config.version : "";
+  char *text = NULL;
+  if (asprintf(&text, "%s%s%s", version, version[0] != '\0' ? " " : "", fingerprint) < 0)
+    return MO_ERR_NO_MEMORY;
+  __atomic_store_n(&jobs->code_versions[back_end], text, __ATOMIC_RELEASE);
+  return MO_OK;
+}
+
+/* Under class_mutex. */
+static int enter_device_class(struct mo_jobs *jobs, const char *scores, const char *gradients)
+{
+  int64_t row = 0;
+  int error = mo_store_keep_device_class(jobs->store, scores, gradients);
+  if (error == MO_OK)
+    error = mo_store_fingerprint(jobs->store, scores, &row);
+  if (error == MO_OK)
+    error = name_code(jobs, MO_ON_DEVICE, gradients);
+  if (error == MO_OK)
+    __atomic_store_n(&jobs->classes.device, row, __ATOMIC_RELEASE);
+  return error;
+}
+
+/* Under class_mutex. */
+static int name_devices(struct mo_jobs *jobs, const char *scores, const char *gradients)
+{
+  const char *named = mo_compute_device_fingerprint(jobs->compute);
+  if (named != NULL)
+    return strcmp(named, scores) == 0 &&
+                   strcmp(mo_compute_device_gradient_fingerprint(jobs->compute), gradients) == 0
+               ? MO_OK
+               : MO_ERR_CONFLICT;
+  const int error = enter_device_class(jobs, scores, gradients);
+  return error == MO_OK ? mo_compute_name_devices(jobs->compute, scores, gradients) : error;
+}
+
+int mo_jobs_name_devices(struct mo_jobs *jobs, const char *scores, const char *gradients)
+{
+  pthread_mutex_lock(&jobs->class_mutex);
+  const int error = mo_compute_expects_devices(jobs->compute)
+                        ? name_devices(jobs, scores, gradients)
+                        : MO_ERR_CONFLICT;
+  pthread_mutex_unlock(&jobs->class_mutex);
+  return error;
+}
+
+int mo_back_end_prepare(struct mo_jobs *jobs)
+{
+  struct mo_compute *compute = jobs->compute;
+  struct mo_device_memory *known = &jobs->known_device;
+  int error = name_code(jobs, MO_ON_CPU, mo_compute_gradient_fingerprint(compute));
+  for (int precision = 0; precision < 2 && error == MO_OK; precision++)
+    error = mo_store_fingerprint(jobs->store,
+                                 mo_compute_fingerprint(compute, (enum mo_precision)precision),
+                                 &jobs->classes.cpu[precision]);
+  if (error == MO_OK && mo_compute_devices(compute) > 0)
+    return enter_device_class(jobs, mo_compute_device_fingerprint(compute),
+                              mo_compute_device_gradient_fingerprint(compute));
+  if (error == MO_OK && mo_compute_expects_devices(compute))
+    error = mo_store_device_memory(jobs->store, known);
+  if (error == MO_OK && known->scores[0] != '\0' && known->open_jobs > 0)
+    error = mo_jobs_name_devices(jobs, known->scores, known->gradients);
+  return error;
+}
+
+/* Returns whether jobs on devices are computed, now or when workers are there. */
+static bool serves_devices(struct mo_jobs *jobs)
+{
+  if (mo_compute_serves_devices(jobs->compute))
+    return true;
+  const struct mo_device_memory *known = &jobs->known_device;
+  return known->scores[0] != '\0' &&
+         mo_jobs_name_devices(jobs, known->scores, known->gradients) == MO_OK;
+}
+
+const char *mo_jobs_code_version(const struct mo_jobs *jobs, enum mo_back_end back_end)
+{
+  const char *text = __atomic_load_n(&jobs->code_versions[back_end], __ATOMIC_ACQUIRE);
+  return text != NULL ? text : "no device";
+}
+
+int64_t mo_back_end_fingerprint(const struct mo_jobs *jobs, enum mo_back_end back_end)
+{
+  return back_end == MO_ON_DEVICE ? __atomic_load_n(&jobs->classes.device, __ATOMIC_ACQUIRE)
+                                  : jobs->classes.cpu[MO_FLOAT32];
+}
+
+/* ---- jobs ---- */
+
+int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, bool suits,
                        bool is_large, struct mo_message *message)
 {
   const int asked = request->back_end;
@@ -21,19 +123,22 @@ int mo_back_end_choose(const struct mo_jobs *jobs, struct mo_submission *request
     return mo_fail(message, MO_ERR_DEVICE,
                    "devices compute batches in float32 that record nothing: ask for \"cpu\" or "
                    "\"auto\", or for such a batch");
-  if (request->back_end == MO_ON_DEVICE && !is_there)
-    return mo_fail(
-        message, MO_ERR_DEVICE,
-        "%s: ask for \"cpu\" or \"auto\", or restart the service when its devices are in order",
-        mo_compute_devices(jobs->compute) > 0 ? "no device works any more"
-                                              : "the service has no devices");
-  return MO_OK;
+  if (request->back_end == MO_ON_CPU || serves_devices(jobs))
+    return MO_OK;
+  if (mo_compute_expects_devices(jobs->compute))
+    return mo_fail(message, MO_ERR_DEVICE,
+                   "the service has no devices, and no worker with devices has joined it yet: ask "
+                   "for \"cpu\" or \"auto\", or start such a worker");
+  return mo_fail(
+      message, MO_ERR_DEVICE,
+      "%s: ask for \"cpu\" or \"auto\", or restart the service when its devices are in order",
+      mo_compute_devices(jobs->compute) > 0 ? "no device works any more"
+                                            : "the service has no devices");
 }
 
-int mo_back_end_check(const struct mo_jobs *jobs, enum mo_back_end back_end)
+int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end)
 {
-  return back_end == MO_ON_DEVICE && mo_compute_devices_working(jobs->compute) == 0 ? MO_ERR_DEVICE
-                                                                                    : MO_OK;
+  return back_end == MO_ON_CPU || serves_devices(jobs) ? MO_OK : MO_ERR_DEVICE;
 }
 
 int mo_back_end_error(enum mo_back_end back_end, int error)
@@ -55,7 +160,15 @@ void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size)
   while (i < n && mo_compute_device(jobs->compute, i, &status) == MO_OK &&
          status.state == MO_DEVICE_WORKS)
     i++;
-  if (i == n)
+  if (i == n && mo_compute_serves_devices(jobs->compute))
+    snprintf(text, size,
+             "workers ended again and again while they computed a part of this job: see to them, "
+             "then resume the job");
+  else if (i == n && mo_compute_expects_devices(jobs->compute))
+    snprintf(text, size,
+             "workers with devices compute this job, and none has joined: start one, then resume "
+             "the job");
+  else if (i == n)
     snprintf(text, size,
              "devices compute this job, and there are none: start the service with devices, then "
              "resume the job");
@@ -65,9 +178,14 @@ void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size)
              status.name, status.error);
 }
 
-int64_t mo_back_end_fingerprint(const struct mo_jobs *jobs, enum mo_back_end back_end)
+void mo_back_end_describe_wait(const struct mo_jobs *jobs, enum mo_back_end back_end, char *text,
+                               size_t size)
 {
-  return back_end == MO_ON_DEVICE ? jobs->classes.device : jobs->classes.cpu[MO_FLOAT32];
+  const char *class = back_end == MO_ON_DEVICE ? mo_compute_device_fingerprint(jobs->compute)
+                                               : mo_compute_fingerprint(jobs->compute, MO_FLOAT32);
+  text[0] = '\0';
+  if (class != NULL && mo_compute_lacks_takers(jobs->compute, back_end))
+    snprintf(text, size, "waits for a worker of class \"%s\"", class);
 }
 
 uint32_t mo_back_end_window(const struct mo_jobs *jobs, enum mo_back_end back_end)

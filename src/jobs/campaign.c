@@ -14,6 +14,7 @@
 #include "base/thread.h"
 #include "jobs/campaign_excluded.h"
 #include "jobs/campaign_race.h"
+#include "jobs/trainings.h"
 #include "store/worlds.h"
 
 #define HISTORY_ROWS        64
@@ -330,10 +331,10 @@ static int write_end(void *context)
   char made[MO_MADE_BYTES];
   int error = MO_OK;
   if (run->learner.training != NULL)
-    error = mo_learned_create(run->learner.training,
-                              run->status.job.has_controller ? &run->status.job.controller_sha256
-                                                             : NULL,
-                              run->jobs->code_versions[run->status.job.back_end], NULL, &learned);
+    error = mo_learned_create(
+        run->learner.training,
+        run->status.job.has_controller ? &run->status.job.controller_sha256 : NULL,
+        mo_jobs_code_version(run->jobs, run->status.job.back_end), NULL, &learned);
   if (error == MO_OK)
     error = mo_store_campaign_finish(
         run->jobs->store, run->id, ending->end, record->settings.generations,

@@ -6,6 +6,7 @@
 
 #include "jobs/evaluations.h"
 #include "jobs/learner.h"
+#include "jobs/trainings.h"
 #include "store/runner.h"
 #include "store/worlds.h"
 
@@ -130,7 +131,7 @@ static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_statu
   if (error == MO_OK)
     error = mo_learned_create(training,
                               status->job.has_controller ? &status->job.controller_sha256 : NULL,
-                              jobs->code_versions[status->job.back_end], NULL, &learned);
+                              mo_jobs_code_version(jobs, status->job.back_end), NULL, &learned);
   mo_training_free(training);
   if (error == MO_OK) {
     mo_sha256_of(learned.bytes, learned.size, sha256);

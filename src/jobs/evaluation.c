@@ -114,7 +114,10 @@ static void mark_finished(struct mo_active *active)
 static int load_active(struct mo_evaluations *all, struct mo_active *active, char text[256])
 {
   const struct mo_work *work;
-  int error = mo_store_load_work(all->jobs->store, active->id, &all->jobs->classes, &active->work);
+  const int64_t *cpu = all->jobs->classes.cpu;
+  const struct mo_classes classes = {.cpu = {cpu[0], cpu[1]},
+                                     .device = mo_back_end_fingerprint(all->jobs, MO_ON_DEVICE)};
+  int error = mo_store_load_work(all->jobs->store, active->id, &classes, &active->work);
   snprintf(text, 256, "the job could not be prepared: %s",
            mo_error_text(error != MO_OK ? error : MO_ERR_NO_MEMORY));
   if (error != MO_OK)
@@ -131,6 +134,8 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
   if (error != MO_OK)
     return error;
   mark_finished(active);
+  if (work->fingerprint == 0 && active->done < active->total)
+    return MO_ERR_DEVICE; /* of no class that this process knows */
   error = mo_active_race(active);
   if (error != MO_OK)
     return error;

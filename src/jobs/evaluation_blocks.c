@@ -251,7 +251,7 @@ static int take(struct mo_evaluations *all, struct mo_active *active, struct fli
       .condition = {.controller = work->controller,
                     .physics = work->physics,
                     .fingerprint = block->computed_on == MO_ON_DEVICE
-                                       ? all->jobs->classes.device
+                                       ? work->fingerprint
                                        : all->jobs->classes.cpu[block->precision],
                     .n = block->n_environments},
       .origin = block->origin,

@@ -59,7 +59,7 @@ static int is_short(const struct mo_jobs *jobs, const struct mo_evaluation_reque
   return MO_OK;
 }
 
-static int choose(const struct mo_jobs *jobs, struct mo_evaluation_request *request,
+static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
                   struct mo_message *message)
 {
   struct mo_submission *job = &request->job;

@@ -131,35 +131,11 @@ static int recover(struct mo_jobs *jobs, const char *marker)
 
 /* ---- start and stop ---- */
 
-/* Composes the code versions, on which the bits of a trained controller depend besides its
- * settings. */
-static int name_code(struct mo_jobs *jobs, const char *version)
-{
-  const char *const fingerprints[] = {mo_compute_gradient_fingerprint(jobs->compute),
-                                      mo_compute_device_gradient_fingerprint(jobs->compute)};
-  for (int back_end = MO_ON_CPU; back_end <= MO_ON_DEVICE; back_end++) {
-    const char *fingerprint = fingerprints[back_end] != NULL ? fingerprints[back_end] : "no device";
-    if (asprintf(&jobs->code_versions[back_end], "%s%s%s", version, version[0] != '\0' ? " " : "",
-                 fingerprint) < 0) {
-      jobs->code_versions[back_end] = NULL;
-      return MO_ERR_NO_MEMORY;
-    }
-  }
-  return MO_OK;
-}
-
-static int prepare(struct mo_jobs *jobs, const char *marker, const char *version)
+static int prepare(struct mo_jobs *jobs, const char *marker)
 {
   int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &jobs->lattice);
   if (error == MO_OK)
-    error = name_code(jobs, version != NULL ? version : "");
-  for (int precision = 0; precision < 2 && error == MO_OK; precision++)
-    error = mo_store_fingerprint(
-        jobs->store, mo_compute_fingerprint(jobs->compute, (enum mo_precision)precision),
-        &jobs->classes.cpu[precision]);
-  if (error == MO_OK && mo_compute_device_fingerprint(jobs->compute) != NULL)
-    error = mo_store_fingerprint(jobs->store, mo_compute_device_fingerprint(jobs->compute),
-                                 &jobs->classes.device);
+    error = mo_back_end_prepare(jobs);
   if (error == MO_OK)
     error = recover(jobs, marker);
   if (error == MO_OK)
@@ -204,6 +180,7 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
       .config = *config,
       .memory.mutex = PTHREAD_MUTEX_INITIALIZER,
       .admission_mutex = PTHREAD_MUTEX_INITIALIZER,
+      .class_mutex = PTHREAD_MUTEX_INITIALIZER,
       .weigh_mutex = PTHREAD_MUTEX_INITIALIZER,
       .shares_mutex = PTHREAD_MUTEX_INITIALIZER,
       .exclusions_mutex = PTHREAD_MUTEX_INITIALIZER,
@@ -219,7 +196,7 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
                                             [MO_JOB_CAMPAIGN] = jobs->config.max_active_campaigns};
   atomic_store(&jobs->heartbeat_us, mo_clock_us());
   mo_store_meter(store, mo_share_used, jobs);
-  int error = prepare(jobs, config->crash_marker, config->version);
+  int error = prepare(jobs, config->crash_marker);
   for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)
     if (mo_kinds[kind]->open != NULL)
       error = mo_kinds[kind]->open(jobs);
@@ -337,9 +314,4 @@ void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
       .stopping = atomic_load(&jobs->is_stopping),
   };
   mo_shares_seconds(jobs, stats->worker_s, stats->device_s);
-}
-
-const char *mo_jobs_code_version(const struct mo_jobs *jobs, enum mo_back_end back_end)
-{
-  return jobs->code_versions[back_end];
 }

@@ -63,6 +63,11 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
 int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms);
 void mo_jobs_free(struct mo_jobs *jobs); /* stops first if needed; NULL-safe */
 
+/* Names the class of the devices that only workers of other machines have: the first one of the
+ * process stays. MO_ERR_CONFLICT: there is another class, or the service has devices itself;
+ * MO_ERR_LIMIT: too long; errors of the store. */
+int mo_jobs_name_devices(struct mo_jobs *jobs, const char *scores, const char *gradients);
+
 /* ---- control: each returns after its commit. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: not possible in
  * the job's state. A request for the state that the job already has is a conflict, except pausing a
  * paused job and cancelling a cancelled one. ---- */

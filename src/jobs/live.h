@@ -31,9 +31,11 @@ struct mo_live {
                            campaign is timed; < 0: unknown */
   double best_score;    /* of a campaign's newest population; ≤ 0: none */
   double busy_s;        /* worker seconds since the last start; < 0: no share now */
-  double worker_s, device_s; /* in all; of a job with a share */
+  double worker_s, device_s; /* in all; of a job with a share, as is back_end */
+  enum mo_back_end back_end;
   char reason[160]; /* MO_PHASE_WAIT: why, and what to do; MO_PHASE_PREPARE: the campaign whose
-                       drawing this one waits for; else "" */
+                       drawing this one waits for; of a job that computes: the workers of other
+                       machines that it waits for; else "" */
 };
 /* Idle if the job does not run. An evaluation that runs is in MO_PHASE_SCORE. */
 void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live);

@@ -207,6 +207,11 @@ void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
   }
   if (!runs && mo_memory_reason(jobs, id, live->reason))
     live->phase = MO_PHASE_WAIT;
+  /* Gradients on the CPU wait for nobody. */
+  if (used.busy_s >= 0 && live->reason[0] == '\0' &&
+      (used.back_end == MO_ON_DEVICE || live->phase == MO_PHASE_SCORE ||
+       live->phase == MO_PHASE_VALIDATE))
+    mo_back_end_describe_wait(jobs, used.back_end, live->reason, sizeof(live->reason));
   live->busy_s = used.busy_s;
   live->worker_s = used.worker_s;
   live->device_s = used.device_s;

@@ -40,6 +40,7 @@ static int read_share(struct mo_jobs *jobs, int64_t id, bool opens)
     mo_compute_share_set_weight(entry->share, job.weight);
     entry->is_batch = job.priority == MO_BATCH;
     entry->weight = job.weight;
+    entry->back_end = job.back_end;
     snprintf(entry->label, sizeof(entry->label), "%s", job.label);
     entry->before_s = opens ? job.worker_s : entry->before_s;
     entry->before_device_s = opens ? job.device_s : entry->before_device_s;
@@ -114,6 +115,7 @@ void mo_share_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
     add(entry->share, &live->busy_s, &device_s);
     live->worker_s = entry->before_s + live->busy_s;
     live->device_s = entry->before_device_s + device_s;
+    live->back_end = entry->back_end;
   }
 }
 

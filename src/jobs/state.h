@@ -17,6 +17,7 @@ struct mo_job_share {
   struct mo_compute_share *share;
   bool is_batch;
   double weight;
+  enum mo_back_end back_end;
   double before_s, before_device_s; /* seconds of earlier attempts */
   char label[MO_LABEL_BYTES_MAX + 1];
   struct mo_live live; /* of an evaluation, as shown last; others: idle */
@@ -28,8 +29,13 @@ struct mo_jobs {
   struct mo_compute *compute;
   struct mo_jobs_config config;
   struct mo_lattice *lattice;
+  /* classes.device and code_versions[MO_ON_DEVICE] are there when devices are served: see
+   * back_end.c.
+   */
   struct mo_classes classes;
-  char *code_versions[2]; /* by back end */
+  char *code_versions[2];               /* by back end */
+  pthread_mutex_t class_mutex;          /* of naming the class of devices */
+  struct mo_device_memory known_device; /* the class of an earlier process; "": none */
   struct mo_runners runners[MO_JOB_KINDS];
   struct mo_memory memory;
 
@@ -81,11 +87,16 @@ void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
 /* ---- back_end.c ---- */
 /* Chooses the back end if the request leaves it open. suits: devices can compute the job; is_large:
  * devices are worth it. MO_ERR_DEVICE. */
-int mo_back_end_choose(const struct mo_jobs *jobs, struct mo_submission *request, bool suits,
+int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, bool suits,
                        bool is_large, struct mo_message *message);
-/* MO_ERR_DEVICE: the job needs devices and none works. Check before a job starts: drawing its
- * bodies again can take minutes. */
-int mo_back_end_check(const struct mo_jobs *jobs, enum mo_back_end back_end);
+/* MO_ERR_DEVICE: the job needs devices, none works, and no worker had any. Check before a job
+ * starts: drawing its bodies again can take minutes. */
+int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end);
+/* Names the classes of this process, in the store and for lineages. */
+int mo_back_end_prepare(struct mo_jobs *jobs);
+/* Says that a running job waits for workers of other machines. "": it does not. */
+void mo_back_end_describe_wait(const struct mo_jobs *jobs, enum mo_back_end back_end, char *text,
+                               size_t size);
 /* Maps an error of a block or gradient to that of its job. Lack of device memory pauses the job as
  * a lost device does, because the lack may last. */
 int mo_back_end_error(enum mo_back_end back_end, int error);

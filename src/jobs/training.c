@@ -339,7 +339,7 @@ static int write_result(void *context)
   int error = mo_learned_create(
       run->learner.training,
       run->status.job.has_controller ? &run->status.job.controller_sha256 : NULL,
-      run->jobs->code_versions[run->status.job.back_end], &run->status.code, &learned);
+      mo_jobs_code_version(run->jobs, run->status.job.back_end), &run->status.code, &learned);
   if (error == MO_OK)
     error = mo_store_training_finish(run->jobs->store, run->id,
                                      mo_result_name(&run->status.job, record->name, made),

@@ -12,7 +12,9 @@
 static bool find_class(const struct mo_jobs *jobs, const struct mo_origin_row *row,
                        enum mo_back_end *back_end)
 {
-  const char *device = mo_compute_device_fingerprint(jobs->compute);
+  const char *device = mo_compute_devices(jobs->compute) > 0
+                           ? mo_compute_device_fingerprint(jobs->compute)
+                           : NULL; /* not that of workers */
   *back_end = device != NULL && strcmp(row->fingerprint, device) == 0 ? MO_ON_DEVICE : MO_ON_CPU;
   return *back_end == MO_ON_DEVICE ||
          strcmp(row->fingerprint, mo_compute_fingerprint(jobs->compute, row->precision)) == 0;

@@ -181,6 +181,42 @@ int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id)
   return mo_write_urgent(store, find_text, &(struct text_arguments){MO_FINGERPRINTS, text, id});
 }
 
+static int read_memory(sqlite3_stmt *row, void *ret)
+{
+  struct mo_device_memory *memory = ret;
+  memory->open_jobs = (uint64_t)sqlite3_column_int64(row, 0);
+  mo_column_text(row, 1, memory->scores, sizeof(memory->scores));
+  mo_column_text(row, 2, memory->gradients, sizeof(memory->gradients));
+  return MO_OK;
+}
+
+int mo_store_device_memory(struct mo_store *store, struct mo_device_memory *memory)
+{
+  static const char sql[] =
+      "SELECT (SELECT count(*) FROM jobs WHERE back_end=?1 AND state<=?2),d.scores,d.gradients"
+      " FROM (SELECT 1) LEFT JOIN device_class d ON d.id=1";
+  return mo_read_one(store, sql, MO_VALUES(mo_int(MO_ON_DEVICE), mo_int(MO_JOB_PAUSED)),
+                     read_memory, memory);
+}
+
+static int keep_class(struct mo_store *store, void *arguments)
+{
+  const struct mo_device_memory *memory = arguments;
+  return mo_sql_do(&store->writer,
+                   "INSERT OR REPLACE INTO device_class(id,scores,gradients) VALUES(1,?1,?2)",
+                   mo_string(memory->scores), mo_string(memory->gradients));
+}
+
+int mo_store_keep_device_class(struct mo_store *store, const char *scores, const char *gradients)
+{
+  struct mo_device_memory memory;
+  if (strlen(scores) >= sizeof(memory.scores) || strlen(gradients) >= sizeof(memory.gradients))
+    return MO_ERR_LIMIT;
+  snprintf(memory.scores, sizeof(memory.scores), "%s", scores);
+  snprintf(memory.gradients, sizeof(memory.gradients), "%s", gradients);
+  return mo_write_urgent(store, keep_class, &memory);
+}
+
 int mo_store_origin(struct mo_store *store, const char *text, int64_t *id)
 {
   return mo_write_urgent(store, find_text, &(struct text_arguments){MO_ORIGINS, text, id});

@@ -42,6 +42,14 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
 int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts,
                      const char *text);
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id);
+/* The class of devices that the service had last, its own or those of workers; "": none. */
+struct mo_device_memory {
+  char scores[MO_FINGERPRINT_BYTES], gradients[MO_FINGERPRINT_BYTES];
+  uint64_t open_jobs; /* on devices */
+};
+int mo_store_device_memory(struct mo_store *store, struct mo_device_memory *memory);
+/* MO_ERR_LIMIT: too long. */
+int mo_store_keep_device_class(struct mo_store *store, const char *scores, const char *gradients);
 /* Likewise in `origins`: who computed a score. */
 int mo_store_origin(struct mo_store *store, const char *text, int64_t *id);
 /* Counts the jobs that are not final, of every kind, and the rollouts of evaluations among them. */

@@ -1,6 +1,7 @@
 """Devices, with a module that computes on the processor (tests/device/fake.c): what jobs take and
 show, the same results with any number of devices and whatever happens to them."""
 
+import json
 import os
 import pathlib
 import platform
@@ -13,7 +14,9 @@ import urllib.parse
 
 import pytest
 
+from fleet_daemon import Worker
 from service import BINARY, SOURCE, Service, awaited, until
+from workers import Workers
 
 MODULE = pathlib.Path(BINARY).parents[2] / "tests" / "device" / "fake-device.so"
 MORPHOCTL = pathlib.Path(
@@ -280,6 +283,93 @@ def test_interactive_evaluations_do_not_wait_for_devices(start):
         "rollouts_cached"] == 0
     assert service.get(f"/v1/jobs/{large}")["rollouts_done"] == 0
     assert service.act(large, "cancel").status == 200
+
+
+class Cluster:
+    """A service without devices, and workers that have some."""
+
+    def __init__(self, start, state):
+        self.service = start("--devices=none", "--fleet-listen=127.0.0.1:0", state=state)
+        self.fleet, self.workers = Workers(self.service), []
+
+    def launch(self, **more):
+        self.workers.append(Worker(f"http://{self.fleet.host}:{self.fleet.port}", *FLAGS,
+                                   f"--name=gpu-{len(self.workers)}", environment=fake(**more)))
+        return self.workers[-1]
+
+    def until_there(self, n):
+        until(lambda: (self.fleet.status()["classes"]["device"] or {}).get("sessions") == n)
+
+    def waiting(self, kind, job):
+        """The reason of a job, which waits for workers with devices."""
+        def waits(shown):
+            return shown["state"] == "running" and (shown["reason"] or "").startswith(
+                'waits for a worker of class "fake float32 score-1 sm90"')
+        awaited(self.service, f"/v1/{kind}/{job}", waits, 30)
+
+    def close(self):
+        for worker in self.workers:
+            worker.close()
+
+
+@pytest.fixture
+def cluster(start, tmp_path):
+    cluster = Cluster(start, tmp_path / "state")
+    yield cluster
+    cluster.close()
+
+
+def test_workers_alone_have_devices(cluster, start, undisturbed, tmp_path):
+    """Their class is known from the first one on. Jobs of it wait for them, also after a restart,
+    and end with the bits of a service with a device."""
+    service = cluster.service
+    for kind, request in (("evaluations", LARGE), ("campaigns", CAMPAIGN)):
+        reply = service.request("POST", f"/v1/{kind}", {**request, "device": "cuda"})
+        assert reply.status == 422 and "no worker with devices has joined" in reply.body.decode()
+    assert cluster.fleet.status()["classes"]["device"] is None
+    worker = cluster.launch()
+    cluster.until_there(1)
+    assert devices(service) == {"items": [], "fingerprints": {
+        "scores": "fake float32 score-1 sm90", "gradients": "fake float32 gradient-1 sm90"}}
+    # Large work stays with the processors unless it is asked for.
+    assert run(service, "evaluations", {**LARGE, "physics": {"n_steps": 3}})["device"] == "cpu"
+    done = run(service, "evaluations", {**LARGE, "device": "cuda"})
+    assert done["state"] == "succeeded" and done["device"] == "cuda"
+    design = service.get(f"/v1/designs/{done['results'][0]['id']}")
+    scores = {score["fingerprint"]: score for score in design["orientations"][0]["scores"]
+              if score["origin"].startswith("gpu-0@")}
+    assert list(scores) == ["fake float32 score-1 sm90"]
+    # Devices of another class are not served, nor is a wrong canary.
+    cluster.launch(code="other-2")
+    until(lambda: cluster.fleet.status()["n_sessions"] == 2)
+    cluster.until_there(1)
+    offer = cluster.fleet.offer()
+    offer["classes"] = {"device": devices(service)["fingerprints"] | {"canary": "0" * 64}}
+    cluster.fleet.refuses(409, "the canary of class", "POST", "/v1/fleet/sessions",
+                          json.dumps(offer), Content_Type="application/json")
+    assert worker.stop()[0] == 0
+    cluster.until_there(0)
+    jobs = [(kind, service.post(f"/v1/{kind}", {**request, "device": "cuda"})["id"])
+            for kind, request in (("campaigns", CAMPAIGN), ("evaluations", {
+                **LARGE, "physics": {"n_steps": 21}}))]
+    for kind, job in jobs:
+        cluster.waiting(kind, job)
+    assert service.stop() == 0
+    cluster = Cluster(start, tmp_path / "state")
+    try:
+        service = cluster.service
+        for kind, job in jobs:
+            cluster.waiting(kind, job)
+        dropped = service.post("/v1/evaluations", {**LARGE, "physics": {"n_steps": 22},
+                                                   "device": "cuda"})["id"]
+        cluster.waiting("evaluations", dropped)
+        assert service.act(dropped, "cancel").status == 200
+        assert await_state(service, f"/v1/evaluations/{dropped}", "cancelled")
+        cluster.launch(springs=300)  # larger bodies are left to the processors of the service
+        ended = [await_state(service, f"/v1/{kind}/{job}", "succeeded") for kind, job in jobs]
+        assert population(service, ended[0]) == undisturbed["population"]
+    finally:
+        cluster.close()
 
 
 def test_known_keys_are_answered_without_devices(start, tmp_path):

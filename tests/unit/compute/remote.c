@@ -238,6 +238,64 @@ static void the_end_with_blocks_waiting(void)
   CHECK_INT(blocks[0].status, MO_ERR_CANCELLED);
 }
 
+/* Devices that only takers have: nothing is accepted before their class is known. Takers get the
+ * blocks; the others end as cancelled, or are left to the workers. */
+static void devices_of_takers(void)
+{
+  struct world world = {.compute = make_compute(2)};
+  volatile int cancel = 0;
+  atomic_store(&ended, 0);
+  atomic_store(&arrivals, 0);
+  CHECK(!mo_compute_expects_devices(world.compute) && !mo_compute_serves_devices(world.compute));
+  REQUIRE_OK(mo_compute_expect_devices(world.compute));
+  CHECK_INT(mo_compute_expect_devices(world.compute), MO_ERR_CONFLICT);
+  mo_compute_watch_remote(world.compute, arrived, NULL);
+  make_check(mo_compute_controller_create(world.compute, controller, &world.brain), "a controller");
+  for (int i = 0; i < 6; i++) {
+    blocks[i] = block_at(&world, i);
+    blocks[i].back_end = MO_ON_DEVICE;
+    blocks[i].cancel = i == 3 ? &cancel : NULL;
+  }
+  CHECK(mo_compute_device_fingerprint(world.compute) == NULL);
+  CHECK_INT(mo_compute_submit(world.compute, &blocks[0]), MO_ERR_DEVICE);
+  REQUIRE_OK(mo_compute_name_devices(world.compute, "scores-1", "gradients-1"));
+  CHECK_INT(mo_compute_name_devices(world.compute, "scores-2", "gradients-1"), MO_ERR_CONFLICT);
+  CHECK_TEXT(mo_compute_device_fingerprint(world.compute), "scores-1");
+  CHECK_TEXT(mo_compute_device_gradient_fingerprint(world.compute), "gradients-1");
+  CHECK(mo_compute_serves_devices(world.compute) && mo_compute_devices(world.compute) == 0);
+  CHECK(mo_compute_lacks_takers(world.compute, MO_ON_DEVICE));
+  mo_compute_want_remote(world.compute, MO_ON_DEVICE, 1);
+  CHECK(!mo_compute_lacks_takers(world.compute, MO_ON_DEVICE));
+  blocks[5].urgency = MO_INTERACTIVE; /* takers get no such block */
+  CHECK_INT(mo_compute_submit(world.compute, &blocks[5]), MO_ERR_DEVICE);
+  CHECK(mo_compute_take(world.compute, MO_ON_DEVICE, steps_of(1)) == NULL);
+  submit(&world, 0, 3);
+  CHECK_INT(atomic_load(&arrivals), 1);
+  CHECK(mo_compute_take(world.compute, MO_ON_CPU, steps_of(BODIES)) == NULL);
+  struct mo_taken *one = mo_compute_take(world.compute, MO_ON_DEVICE, steps_of(1)),
+                  *two = mo_compute_take(world.compute, MO_ON_DEVICE, steps_of(1));
+  REQUIRE(one != NULL && two != NULL && one->back_end == MO_ON_DEVICE);
+  deliver(&world, one, 4);
+  check_block(0, 4);
+  CHECK_INT(blocks[0].computed_on, MO_ON_DEVICE);
+  mo_compute_keep(world.compute, two); /* takers cannot */
+  CHECK(await(&ended, 2));
+  check_block(1, 0);
+  CHECK_INT(blocks[1].computed_on, MO_ON_CPU);
+  submit(&world, 3, 5);
+  one = mo_compute_take(world.compute, MO_ON_DEVICE, steps_of(1));
+  REQUIRE(one != NULL && one->blocks[0] == &blocks[2]);
+  __atomic_store_n(&cancel, 1, __ATOMIC_RELAXED);
+  CHECK(await(&ended, 3));
+  CHECK_INT(blocks[3].status, MO_ERR_CANCELLED);
+  mo_compute_put_back(world.compute, one);
+  CHECK_INT(atomic_load(&ended), 3);
+  mo_compute_controller_free(world.brain);
+  mo_compute_free(check_take(world.compute));
+  CHECK_INT(atomic_load(&ended), 5);
+  CHECK_INT(blocks[2].status, MO_ERR_CANCELLED);
+}
+
 static const struct check_case cases[] = {
     {"takes in order", takes_in_order},
     {"workers keep the rest", workers_keep_the_rest},
@@ -245,5 +303,6 @@ static const struct check_case cases[] = {
     {"cancelled blocks", cancelled_blocks},
     {"cancelled without a taker", cancelled_without_a_taker},
     {"the end with blocks waiting", the_end_with_blocks_waiting},
+    {"devices of takers", devices_of_takers},
 };
 CHECK_MAIN_WITH(setup, cases)

@@ -411,3 +411,9 @@ ONLY(int, MO_ERR_RANGE, mo_compute_device, struct mo_compute *compute, uint32_t 
      struct mo_device_status *status)
 ONLY(const char *, NULL, mo_compute_device_fingerprint, const struct mo_compute *compute)
 ONLY(const char *, NULL, mo_compute_device_gradient_fingerprint, const struct mo_compute *compute)
+ONLY(bool, false, mo_compute_expects_devices, const struct mo_compute *compute)
+ONLY(bool, false, mo_compute_serves_devices, const struct mo_compute *compute)
+ONLY(int, MO_ERR_CONFLICT, mo_compute_name_devices, struct mo_compute *compute, const char *scores,
+     const char *gradients)
+ONLY(bool, false, mo_compute_lacks_takers, const struct mo_compute *compute,
+     enum mo_back_end back_end)
