@@ -334,7 +334,7 @@ static int differentiate(struct mo_caller *caller, struct mo_device_task *task, 
                                     .adjoint_bound = batch->adjoint_bound,
                                     .adjoint_rule = batch->adjoint_rule,
                                     .restart_weight = batch->restart_weight,
-                                    .weight = 1.0 / batch->n,
+                                    .weight = batch->weight != 0 ? batch->weight : 1.0 / batch->n,
                                     .cancel = &caller->cancel,
                                     .d_parameters = task->d_parameters +
                                                     first * batch->controller->n_parameters,

@@ -270,7 +270,7 @@ static int compute_on_cpu(struct mo_gradient_state *state, struct mo_gradient_ba
   struct call call = {.state = state, .batch = batch, .shard = -1};
   int status = prepare(state, batch);
   if (status == MO_OK)
-    status = mo_offer_open(&call.offer, state->compute, batch, state->order.at,
+    status = mo_offer_open(&call.offer, state->compute, MO_ON_CPU, batch, state->order.at,
                            options_of(batch).weight);
   if (status != MO_OK)
     return status;
@@ -295,13 +295,38 @@ static int compute_on_cpu(struct mo_gradient_state *state, struct mo_gradient_ba
   return call.status;
 }
 
+/* Waits until remote takers have computed all shards, as devices compute them: their robots have
+ * the order of the batch. */
+static int compute_elsewhere(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
+{
+  struct call call = {.state = state, .batch = batch};
+  if (!mo_compute_expects_devices(state->compute) || !mo_compute_serves_devices(state->compute))
+    return MO_ERR_DEVICE;
+  if (!reserve(&state->order, batch->n * sizeof(uint32_t)))
+    return MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < batch->n; i++)
+    ((uint32_t *)state->order.at)[i] = i;
+  int status = mo_offer_open(&call.offer, state->compute, MO_ON_DEVICE, batch, state->order.at,
+                             options_of(batch).weight);
+  if (status != MO_OK)
+    return status;
+  while (status == MO_OK && call.n_added < call.offer.n) {
+    mo_offer_wait(&call.offer);
+    add_shards(&call);
+    status = is_cancelled(batch) ? MO_ERR_CANCELLED : mo_offer_error(&call.offer);
+  }
+  mo_offer_stop(&call.offer);
+  mo_offer_close(&call.offer);
+  return status;
+}
+
 int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
   if (batch->back_end == MO_ON_DEVICE) {
     clear(batch, MO_ON_DEVICE);
-    const int status =
-        state->on_devices == NULL ? MO_ERR_DEVICE : mo_devices_gradient(state->on_devices, batch);
-    if (status != MO_ERR_UNSUPPORTED)
+    const int status = state->on_devices == NULL ? compute_elsewhere(state, batch)
+                                                 : mo_devices_gradient(state->on_devices, batch);
+    if (status != MO_ERR_UNSUPPORTED || batch->is_strict)
       return status;
   }
   return compute_on_cpu(state, batch);

@@ -34,8 +34,8 @@ struct mo_compute_core {
     atomic_bool hungry;    /* a taker found nothing since the last arrival */
     void (*arrived)(void *context);
     void *context;
-    struct mo_offer *offers; /* gradients; under the mutex of `fair` */
-  } remote;                  /* remote.c */
+    struct mo_offer *offers[2]; /* gradients, by back end; under the mutex of its queue */
+  } remote;                     /* remote.c */
   /* Queues a block for the workers that was submitted to devices, which cannot compute it.
    * MO_ERR_CANCELLED. */
   int (*submit_to_workers)(struct mo_compute *compute, struct mo_block *block);

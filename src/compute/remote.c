@@ -103,14 +103,14 @@ static void fill(struct taken *taken, uint64_t max_steps)
  * one that the workers compute. */
 static bool take_shard(struct mo_compute *compute, struct taken *taken, bool here)
 {
-  struct mo_offer *offer = mo_offer_next(mo_core(compute), here);
+  struct mo_offer *offer = mo_offer_next(mo_core(compute), taken->shown.back_end, here);
   const struct mo_compute_share *other = mo_fair_next(taken->fair, suits, NULL);
-  if (offer == NULL || (other != NULL && other->virtual_s < offer->batch->share->virtual_s))
+  if (offer == NULL || (other != NULL && other->virtual_s < offer->share->virtual_s))
     return false;
   taken->offer = offer;
   taken->shard = mo_offer_take(offer, here);
   const struct mo_gradient_batch *part = &taken->shard->part;
-  mo_fair_charge_gradient(taken->fair, part->share, (double)part->n * part->physics.n_steps,
+  mo_fair_charge_gradient(taken->fair, offer->share, (double)part->n * part->physics.n_steps,
                           &taken->charge);
   taken->shown.n_blocks = 1;
   taken->shown.n_rows = part->n;
@@ -145,9 +145,9 @@ struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end ba
   taken->shown.back_end = back_end;
   taken->fair = fair;
   pthread_mutex_lock(&fair->mutex);
-  if (back_end != MO_ON_CPU || !take_shard(compute, taken, false))
+  if (!take_shard(compute, taken, false))
     fill(taken, max_steps);
-  if (taken->shown.n_blocks == 0 && (back_end != MO_ON_CPU || !take_shard(compute, taken, true)))
+  if (taken->shown.n_blocks == 0 && !take_shard(compute, taken, true))
     atomic_store(&mo_core(compute)->remote.hungry, true);
   pthread_mutex_unlock(&fair->mutex);
   if (taken->shown.n_blocks == 0) {
@@ -201,23 +201,28 @@ bool mo_taken_is_cancelled(const struct mo_taken *taken)
   return true;
 }
 
-void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *shown)
+/* is_refused: takers cannot compute it. */
+static void put_back(struct mo_compute *compute, struct taken *taken, bool is_refused)
 {
-  struct taken *taken = mine(shown);
   pthread_mutex_lock(&taken->fair->mutex);
   mo_fair_put_back(taken->fair, &taken->charge, taken->blocks);
   if (taken->shard != NULL)
-    mo_offer_return(taken->offer, taken->shard, false, NULL);
+    mo_offer_return(taken->offer, taken->shard, is_refused, NULL);
   pthread_mutex_unlock(&taken->fair->mutex);
   mo_compute_wake(compute);
   discard(taken);
 }
 
+void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *taken)
+{
+  put_back(compute, mine(taken), false);
+}
+
 void mo_compute_keep(struct mo_compute *compute, struct mo_taken *taken)
 {
-  for (uint32_t i = 0; i < taken->n_blocks; i++)
+  for (uint32_t i = 0; taken->shard == NULL && i < taken->n_blocks; i++)
     mine(taken)->blocks[i]->stays = true;
-  mo_compute_put_back(compute, taken);
+  put_back(compute, mine(taken), true);
 }
 
 static struct mo_outcome outcome_of(const struct mo_remote_result *result, uint32_t row)
@@ -295,12 +300,9 @@ uint64_t mo_compute_remote_waiting(struct mo_compute *compute, enum mo_back_end 
   struct mo_fair *fair = queue_of(compute, back_end);
   if (fair == NULL)
     return 0;
-  double units = 0;
-  if (back_end == MO_ON_CPU) {
-    pthread_mutex_lock(&fair->mutex);
-    units = mo_offers_units(mo_core(compute));
-    pthread_mutex_unlock(&fair->mutex);
-  }
+  pthread_mutex_lock(&fair->mutex);
+  const double units = mo_offers_units(mo_core(compute), back_end);
+  pthread_mutex_unlock(&fair->mutex);
   return atomic_load(&fair->remote_steps) + (uint64_t)units;
 }
 

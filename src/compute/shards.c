@@ -1,14 +1,17 @@
 /* shards.c: see shards.h. */
 #include "compute/shards.h"
 
+#include "compute/devices.h"
+
 #include <stdlib.h>
 
 #include "base/clock.h"
 #include "base/thread.h"
 
-#define RETURNS_MAX 3
-#define WORTH_S     0.2 /* a batch that the workers compute in less time is not offered */
-#define WAIT_US     50000
+#define RETURNS_MAX        3
+#define RETURNS_ABSENT_MAX 32  /* of a shard that only takers compute: they come and go */
+#define WORTH_S            0.2 /* a batch that the workers compute in less time is not offered */
+#define WAIT_US            50000
 
 struct mo_shard_result *mo_shard_result_create(size_t n_parameters)
 {
@@ -34,21 +37,36 @@ static bool is_worth_listing(const struct mo_offer *offer)
 {
   const struct mo_compute_core *core = core_of(offer);
   const struct mo_gradient_batch *batch = offer->batch;
-  if (core->remote.arrived == NULL || batch->share == NULL || batch->urgency != MO_BATCH)
+  if (core->remote.arrived == NULL || offer->share == NULL || batch->urgency != MO_BATCH)
     return false;
   for (uint32_t i = 0; i < batch->n; i++)
     if (batch->robots[i].genotype == NULL)
       return false;
-  return atomic_load(&core->remote.leave) ||
+  return offer->back_end == MO_ON_DEVICE || atomic_load(&core->remote.leave) ||
          units_of(batch) * batch->share->unit_s[MO_FAIR_GRADIENT] > WORTH_S * core->n_workers;
 }
 
-int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute,
+/* Under the mutex. Shows the shards to takers. */
+static void list(struct mo_offer *offer)
+{
+  struct mo_compute_core *core = core_of(offer);
+  offer->is_listed = true;
+  offer->next = core->remote.offers[offer->back_end];
+  core->remote.offers[offer->back_end] = offer;
+  mo_remote_call(core);
+}
+
+int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute, enum mo_back_end back_end,
                   const struct mo_gradient_batch *batch, const uint32_t *order, double weight)
 {
   struct mo_compute_core *core = mo_core(compute);
+  const bool on_device = back_end == MO_ON_DEVICE;
   const uint32_t n = (batch->n + MO_GRADIENT_SHARD - 1) / MO_GRADIENT_SHARD;
   *offer = (struct mo_offer){.compute = compute,
+                             .back_end = back_end,
+                             .fair = on_device ? &core->devices->fair : core->fair,
+                             .share = on_device && batch->share != NULL ? batch->share->on_devices
+                                                                        : batch->share,
                              .batch = batch,
                              .robots = malloc(batch->n * sizeof(*offer->robots)),
                              .n = n,
@@ -70,36 +88,34 @@ int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute,
     part->weight = weight;
     part->is_arranged = true;
   }
-  pthread_mutex_lock(&core->fair->mutex);
-  offer->is_listed = is_worth_listing(offer);
-  if (offer->is_listed) {
-    offer->next = core->remote.offers;
-    core->remote.offers = offer;
-    mo_remote_call(core);
-  }
-  pthread_mutex_unlock(&core->fair->mutex);
-  return MO_OK;
+  pthread_mutex_lock(&offer->fair->mutex);
+  if (is_worth_listing(offer))
+    list(offer);
+  pthread_mutex_unlock(&offer->fair->mutex);
+  if (offer->is_listed || !on_device)
+    return MO_OK;
+  mo_offer_close(offer);
+  return MO_ERR_DEVICE;
 }
 
 void mo_offer_stop(struct mo_offer *offer)
 {
-  struct mo_compute_core *core = core_of(offer);
-  pthread_mutex_lock(&core->fair->mutex);
+  pthread_mutex_lock(&offer->fair->mutex);
   for (uint32_t i = 0; i < offer->n; i++)
     atomic_store(&offer->items[i].stop, true);
   if (offer->is_listed) {
-    struct mo_offer **link = &core->remote.offers;
+    struct mo_offer **link = &core_of(offer)->remote.offers[offer->back_end];
     while (*link != offer)
       link = &(*link)->next;
     *link = offer->next;
     offer->is_listed = false;
   }
-  pthread_mutex_unlock(&core->fair->mutex);
+  pthread_mutex_unlock(&offer->fair->mutex);
 }
 
 void mo_offer_close(struct mo_offer *offer)
 {
-  struct mo_fair *fair = core_of(offer)->fair;
+  struct mo_fair *fair = offer->fair;
   pthread_mutex_lock(&fair->mutex);
   while (offer->n_taken > 0)
     pthread_cond_wait(&offer->changed, &fair->mutex);
@@ -122,18 +138,18 @@ int mo_offer_claim(struct mo_offer *offer)
 {
   const struct mo_compute_core *core = core_of(offer);
   int number = MO_ERR_EXHAUSTED;
-  pthread_mutex_lock(&core->fair->mutex);
+  pthread_mutex_lock(&offer->fair->mutex);
   const bool leaves = offer->is_listed && atomic_load(&core->remote.leave) &&
                       atomic_load(&core->remote.blocks[MO_ON_CPU]) > 0;
   for (uint32_t i = 0; i < offer->n && number < 0; i++) {
     struct mo_shard *shard = &offer->items[i];
     if (is_done(shard) || shard->is_here || shard->is_taken ||
-        (leaves && shard->n_returned < RETURNS_MAX))
+        (leaves && !shard->is_refused && shard->n_returned < RETURNS_MAX))
       continue;
     shard->is_here = true;
     number = (int)i;
   }
-  pthread_mutex_unlock(&core->fair->mutex);
+  pthread_mutex_unlock(&offer->fair->mutex);
   return number;
 }
 
@@ -149,7 +165,7 @@ static void give(struct mo_shard *shard, struct mo_shard_result **result)
 
 void mo_offer_finish(struct mo_offer *offer, uint32_t number, struct mo_shard_result **result)
 {
-  struct mo_fair *fair = core_of(offer)->fair;
+  struct mo_fair *fair = offer->fair;
   pthread_mutex_lock(&fair->mutex);
   give(&offer->items[number], result);
   pthread_mutex_unlock(&fair->mutex);
@@ -157,7 +173,7 @@ void mo_offer_finish(struct mo_offer *offer, uint32_t number, struct mo_shard_re
 
 struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number)
 {
-  struct mo_fair *fair = core_of(offer)->fair;
+  struct mo_fair *fair = offer->fair;
   pthread_mutex_lock(&fair->mutex);
   struct mo_shard_result *result = offer->items[number].result;
   offer->items[number].result = NULL;
@@ -167,7 +183,7 @@ struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number
 
 void mo_offer_wait(struct mo_offer *offer)
 {
-  struct mo_fair *fair = core_of(offer)->fair;
+  struct mo_fair *fair = offer->fair;
   pthread_mutex_lock(&fair->mutex);
   bool has_result = false;
   for (uint32_t i = 0; i < offer->n; i++)
@@ -177,6 +193,27 @@ void mo_offer_wait(struct mo_offer *offer)
   pthread_mutex_unlock(&fair->mutex);
 }
 
+static bool came_back_too_often(const struct mo_offer *offer, const struct mo_shard *shard)
+{
+  return shard->n_returned >= (offer->back_end == MO_ON_DEVICE ? RETURNS_ABSENT_MAX : RETURNS_MAX);
+}
+
+int mo_offer_error(struct mo_offer *offer)
+{
+  int error = MO_OK;
+  pthread_mutex_lock(&offer->fair->mutex);
+  for (uint32_t i = 0; i < offer->n && error == MO_OK; i++) {
+    const struct mo_shard *shard = &offer->items[i];
+    if (is_done(shard) || shard->is_taken)
+      continue;
+    error = shard->is_refused                   ? MO_ERR_UNSUPPORTED
+            : came_back_too_often(offer, shard) ? MO_ERR_DEVICE
+                                                : MO_OK;
+  }
+  pthread_mutex_unlock(&offer->fair->mutex);
+  return error;
+}
+
 /* ---- takers ---- */
 
 /* Returns the shard that a taker gets next; NULL: none. */
@@ -184,18 +221,19 @@ static struct mo_shard *find(const struct mo_offer *offer, bool here)
 {
   for (uint32_t i = 0; i < offer->n; i++) {
     struct mo_shard *shard = &offer->items[i];
-    if (shard->is_here == here && !shard->is_taken && shard->n_returned < RETURNS_MAX &&
-        !mo_shard_is_cancelled(shard))
+    if (shard->is_here == here && !shard->is_taken && !shard->is_refused &&
+        !came_back_too_often(offer, shard) && !mo_shard_is_cancelled(shard))
       return shard;
   }
   return NULL;
 }
 
-struct mo_offer *mo_offer_next(const struct mo_compute_core *core, bool here)
+struct mo_offer *mo_offer_next(const struct mo_compute_core *core, enum mo_back_end back_end,
+                               bool here)
 {
   struct mo_offer *next = NULL;
-  for (struct mo_offer *offer = core->remote.offers; offer != NULL; offer = offer->next)
-    if ((next == NULL || offer->batch->share->virtual_s < next->batch->share->virtual_s) &&
+  for (struct mo_offer *offer = core->remote.offers[back_end]; offer != NULL; offer = offer->next)
+    if ((next == NULL || offer->share->virtual_s < next->share->virtual_s) &&
         find(offer, here) != NULL)
       next = offer;
   return next;
@@ -214,18 +252,18 @@ void mo_offer_return(struct mo_offer *offer, struct mo_shard *shard, bool has_fa
 {
   shard->is_taken = false;
   shard->n_returned += result == NULL;
-  if (has_failed)
-    shard->n_returned = RETURNS_MAX;
+  shard->is_refused |= has_failed;
   give(shard, &result);
   free(result);
   offer->n_taken--;
   pthread_cond_broadcast(&offer->changed); /* the offer may be gone when the mutex is free */
 }
 
-double mo_offers_units(const struct mo_compute_core *core)
+double mo_offers_units(const struct mo_compute_core *core, enum mo_back_end back_end)
 {
   double units = 0;
-  for (const struct mo_offer *offer = core->remote.offers; offer != NULL; offer = offer->next)
+  for (const struct mo_offer *offer = core->remote.offers[back_end]; offer != NULL;
+       offer = offer->next)
     for (uint32_t i = 0; i < offer->n; i++) {
       const struct mo_shard *shard = &offer->items[i];
       if (!shard->is_here && !shard->is_taken && !is_done(shard))

@@ -5,7 +5,9 @@
  * A taker that finds nothing else takes a shard that the workers compute: the first result counts,
  * and it has the same bits. Shards that takers return again and again are left to the workers.
  *
- * The mutex of the workers' queue guards everything but what the comments say. */
+ * Shards for absent devices (absent.c) are for takers alone.
+ *
+ * The mutex of the back end's queue guards everything but what the comments say. */
 #ifndef MORPHO_COMPUTE_SHARDS_H
 #define MORPHO_COMPUTE_SHARDS_H
 
@@ -23,6 +25,7 @@ struct mo_shard {
   struct mo_gradient_batch part; /* constant: its robots, in order */
   bool is_here, is_taken;        /* the workers compute it, a taker has it */
   uint32_t n_returned;           /* by takers */
+  bool is_refused;               /* takers cannot compute it */
   atomic_bool stop;              /* it is done, or not needed any more; read anywhere */
   struct mo_shard_result *result;
 };
@@ -30,6 +33,9 @@ struct mo_shard {
 /* Of one call. Takers see it while it is listed. */
 struct mo_offer {
   struct mo_compute *compute;
+  enum mo_back_end back_end;
+  struct mo_fair *fair;
+  struct mo_compute_share *share; /* in this queue; NULL: none */
   const struct mo_gradient_batch *batch;
   struct mo_robot *robots; /* (batch->n) in the order of the shards */
   uint32_t n, n_taken;
@@ -41,8 +47,9 @@ struct mo_offer {
 
 /* ---- for the calling thread; these take the mutex ---- */
 
-/* order: (batch->n), as arranged. MO_ERR_NO_MEMORY. */
-int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute,
+/* order: (batch->n), as arranged. MO_ERR_NO_MEMORY; MO_ERR_DEVICE: takers, which alone could, do
+ * not see the batch. */
+int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute, enum mo_back_end back_end,
                   const struct mo_gradient_batch *batch, const uint32_t *order, double weight);
 /* Returns the number of a shard that is for the workers now. MO_ERR_EXHAUSTED: there is none. */
 int mo_offer_claim(struct mo_offer *offer);
@@ -53,6 +60,9 @@ struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number
 /* Waits until something changes, or 50 ms: cancellation and the coming and going of takers do not
  * wake. */
 void mo_offer_wait(struct mo_offer *offer);
+/* Of shards for takers alone. MO_ERR_UNSUPPORTED: they cannot compute one; MO_ERR_DEVICE: they
+ * return one again and again. */
+int mo_offer_error(struct mo_offer *offer);
 void mo_offer_stop(struct mo_offer *offer); /* no shard is needed any more; before close */
 /* Waits until takers have returned all shards, and frees what the offer has. */
 void mo_offer_close(struct mo_offer *offer);
@@ -61,12 +71,14 @@ void mo_offer_close(struct mo_offer *offer);
 
 /* Returns the offer with a shard for a taker whose share is next; NULL: none. here: a shard that
  * the workers compute. */
-struct mo_offer *mo_offer_next(const struct mo_compute_core *core, bool here);
+struct mo_offer *mo_offer_next(const struct mo_compute_core *core, enum mo_back_end back_end,
+                               bool here);
 struct mo_shard *mo_offer_take(struct mo_offer *offer, bool here);
 /* A taker returns a shard. result: NULL, or consumed. has_failed: takers cannot compute it. */
 void mo_offer_return(struct mo_offer *offer, struct mo_shard *shard, bool has_failed,
                      struct mo_shard_result *result);
-double mo_offers_units(const struct mo_compute_core *core); /* rollout steps of waiting shards */
+/* Returns the rollout steps of waiting shards. */
+double mo_offers_units(const struct mo_compute_core *core, enum mo_back_end back_end);
 
 static inline bool mo_shard_is_cancelled(const struct mo_shard *shard)
 {

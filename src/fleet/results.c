@@ -128,7 +128,8 @@ int mo_results_take(struct mo_fleet *fleet, struct mo_session *session,
       continue;
     }
     if (result->state != MO_RESULT_DONE) {
-      const bool is_shard = lease->content.n_parameters > 0;
+      /* What devices cannot compute the daemon's processors can; theirs can do all. */
+      const bool is_shard = lease->content.n_parameters > 0 && lease->content.back_end == MO_ON_CPU;
       const bool has_failed =
           result->state == MO_RESULT_FAILED || (result->state == MO_RESULT_UNSUPPORTED && is_shard);
       lease->is_kept |= result->state == MO_RESULT_UNSUPPORTED && !is_shard;

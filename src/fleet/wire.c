@@ -140,8 +140,8 @@ static bool counts_fit(uint32_t n_environments, uint32_t n_blocks, uint32_t n_ro
 /* The bounds of a gradient, likewise; robots are blocks of one environment. */
 static bool gradient_fits(const struct mo_wire_lease *lease)
 {
-  return lease->n_parameters <= MO_WIRE_PARAMETERS_MAX && lease->back_end == MO_ON_CPU &&
-         lease->n_blocks <= MO_GRADIENT_SHARD && lease->n_rows == lease->n_blocks;
+  return lease->n_parameters <= MO_WIRE_PARAMETERS_MAX && lease->n_blocks <= MO_GRADIENT_SHARD &&
+         lease->n_rows == lease->n_blocks;
 }
 
 static size_t lease_bytes(const struct mo_wire_lease *lease, struct mo_workspace workspace)

@@ -60,7 +60,7 @@ enum mo_wire_state {
   MO_RESULT_DONE = 0,
   MO_RESULT_GIVEN_BACK = 1, /* not computed: the worker leaves, or the lease was cancelled */
   MO_RESULT_FAILED = 2,     /* the worker failed */
-  MO_RESULT_UNSUPPORTED = 4 /* no worker of its class computes this; not for shards */
+  MO_RESULT_UNSUPPORTED = 4 /* no worker of its class computes this; not for shards of the CPU */
 };
 struct mo_wire_result {
   struct mo_lease_id id;

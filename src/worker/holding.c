@@ -213,8 +213,10 @@ static int differentiate(struct lease *lease, struct mo_gradient_state *state,
                                     .cancel = &lease->cancel,
                                     .tag = -1,
                                     .share = lease->share,
+                                    .back_end = wire->back_end,
                                     .weight = wire->gradient.weight,
                                     .is_arranged = true,
+                                    .is_strict = true,
                                     .d_parameters = lease->d_parameters,
                                     .outcomes = outcomes};
   const int error = mo_compute_gradient(state, &batch);

@@ -372,6 +372,43 @@ def test_workers_alone_have_devices(cluster, start, undisturbed, tmp_path):
         cluster.close()
 
 
+@pytest.mark.parametrize("kind", ["trainings", "campaigns"])
+def test_workers_alone_learn(cluster, start, kind):
+    """Shards of gradients go to the devices of workers, of which one is killed. The sums have the
+    bits of a service with a device."""
+    requests = {"trainings": {**TRAINING, "batch": 1100, "validation": {"every_steps": 0}},
+                "campaigns": {**CAMPAIGN, "mode": "few-shot", "name": "learned", "learning": {
+                    "parent_steps": 1, "child_steps": 1, "batch": 1100}, "generations": 1}}
+    request = {**requests[kind], "device": "cuda", "physics": {"n_steps": 4}}
+    alone = run(start(*FLAGS, environment=fake()), kind, request)
+    workers = [cluster.launch(delay_ms=delay_ms) for delay_ms in (0, 3000)]
+    cluster.until_there(2)
+    job = cluster.service.post(f"/v1/{kind}", request)["id"]
+    until(lambda: any(one["leases"] for one in cluster.fleet.status()["sessions"]
+                      if one["name"] == "gpu-1"))
+    workers[1].process.kill()
+    ended = await_state(cluster.service, f"/v1/{kind}/{job}", "succeeded")
+    if kind == "trainings":
+        assert ended["controller"] == alone["controller"] and ended["code"] == alone["code"]
+        assert workers[0].stop()[0] == 0
+        job = cluster.service.post("/v1/trainings", {**request, "name": "second"})["id"]
+        cluster.waiting("trainings", job)
+        assert cluster.service.act(job, "cancel").status == 200
+        await_state(cluster.service, f"/v1/trainings/{job}", "cancelled")
+    else:
+        assert ended["result"]["controller"]["sha256"] == alone["result"]["controller"]["sha256"]
+
+
+def test_a_gradient_that_devices_of_workers_do_not_support(cluster, start):
+    """The processors of the service compute all of it."""
+    request = {**TRAINING, "validation": {"every_steps": 0}}
+    alone = run(start(), "trainings", request)
+    cluster.launch(springs=30)
+    cluster.until_there(1)
+    ended = run(cluster.service, "trainings", {**request, "device": "cuda"})
+    assert ended["device"] == "cuda" and ended["code"] == alone["code"]
+
+
 def test_known_keys_are_answered_without_devices(start, tmp_path):
     state = tmp_path / "state"
     requests = [(kind, {**request, "device": "cuda"}, {"Idempotency-Key": kind})
