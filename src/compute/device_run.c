@@ -236,7 +236,7 @@ static int prepare_controller(struct mo_caller *caller, const struct mo_compute_
 
 /* ---- callers ---- */
 
-static void shrink(uint32_t *limit, uint32_t tried, struct mo_unit *unit)
+static void shrink(_Atomic uint32_t *limit, uint32_t tried, struct mo_unit *unit)
 {
   pthread_mutex_lock(&unit->devices->fair.mutex);
   if (*limit > tried / 2)

@@ -75,9 +75,9 @@ struct mo_unit {
   uint64_t changed_ns, charged_ns; /* charged: up to here the device's time is charged to shares */
   bool wants_info;                 /* free memory was requested: read it */
   pthread_t gatherer;
-  bool has_gatherer, gathered_all; /* all: the gatherer has ended */
-  uint32_t row_limit, shard_limit; /* of a call */
-  uint32_t good_chunks;            /* since a limit was lowered */
+  bool has_gatherer, gathered_all;         /* all: the gatherer has ended */
+  _Atomic uint32_t row_limit, shard_limit; /* of a call; read anywhere */
+  uint32_t good_chunks;                    /* since a limit was lowered */
 };
 
 /* What the bits of devices depend on; constant. */
