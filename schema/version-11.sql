@@ -123,3 +123,7 @@ CREATE TABLE outcasts(
   since_us INTEGER NOT NULL,
   PRIMARY KEY(user, name)
 ) STRICT, WITHOUT ROWID;
+
+-- 1: the children of the next generation are scored in one wave, because cutting those of the last
+-- one saved no time, or would have saved none.
+ALTER TABLE campaigns ADD COLUMN one_wave INTEGER NOT NULL DEFAULT 0;

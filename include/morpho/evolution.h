@@ -251,13 +251,18 @@ struct mo_race {
   uint8_t order[MO_RACE_ENVIRONMENTS_MAX]; /* (n_environments) environments, the first first */
   uint32_t n_waves;
   uint8_t ends[MO_RACE_WAVES_MAX]; /* (n_waves) wave w scores order[ends[w − 1] … ends[w] − 1] */
+  bool is_whole;                   /* nobody is cut: all waves are scored at once */
 };
 /* Plans the race of a generation's children from the losses and scores of its parents: losses
- * (n_parents, n_environments), NaN where one is not known; scores (n_parents). Depends on nothing
- * else. With fewer than `population` parents there is one wave, and nothing is cut. */
+ * (n_parents, n_environments), NaN where one is not known; scores (n_parents). is_whole: races of
+ * the generation before have not paid. Depends on nothing else. With fewer than `population`
+ * parents there is one wave, and nothing is cut. */
 void mo_race_plan(const struct mo_campaign_settings *settings, const double *losses,
-                  const double *scores, uint32_t n_parents, uint32_t n_environments,
+                  const double *scores, uint32_t n_parents, uint32_t n_environments, bool is_whole,
                   struct mo_race *race);
+/* Returns how many rollouts' time a race saves with a child, negative: takes more, whether it was
+ * cut, or all its losses are known. */
+int mo_race_saved(const struct mo_race *race, const double *losses);
 /* Computes the mean of n losses, in order; NaN, a loss that was not computed, counts as 0. */
 double mo_race_score(const double *losses, uint32_t n);
 

@@ -1,12 +1,16 @@
 /* racing.c: which children of a generation cannot survive, before all their losses are known.
  *
  * The plan depends only on the parents: their worst score is the bound, and the spread of their
- * losses says which environments tell designs apart. So a child is cut at the same wave whatever
- * else runs, and an interrupted generation repeats with the same bits. A bound that sinks with the
- * scores of children would save one rollout in a hundred more. */
+ * losses says which environments tell designs apart. Whether there are waves at all depends on what
+ * they would have saved a generation ago. So a child is cut at the same wave whatever else runs,
+ * and an interrupted generation repeats with the same bits. A bound that sinks with the scores of
+ * children would save one rollout in a hundred more. */
 #include "evolution/internal.h"
 
 #include <math.h>
+
+#define BLOCK_LANES    16
+#define BLOCK_ROLLOUTS 2 /* a processor's time for a block beside its rollouts, in rollouts */
 
 bool mo_race_is_possible(const struct mo_campaign_settings *settings)
 {
@@ -66,14 +70,14 @@ void mo_race_cut_waves(struct mo_race *race, const uint8_t sizes[MO_RACE_WAVES_M
 }
 
 void mo_race_plan(const struct mo_campaign_settings *settings, const double *losses,
-                  const double *scores, uint32_t n_parents, uint32_t n_environments,
+                  const double *scores, uint32_t n_parents, uint32_t n_environments, bool is_whole,
                   struct mo_race *race)
 {
-  /* On a processor a block costs about as much as two rollouts more than it has, so more waves
-   * would cost more than they save: 2 + 8 take the least time of all cuts of ten environments
-   * (docs/performance.md). */
+  /* More waves would cost more blocks than they save rollouts: 2 + 8 take the least time of all
+   * cuts of ten environments (docs/performance.md). */
   static const uint8_t sizes[MO_RACE_WAVES_MAX] = {2, 8, 16, 16, 16, 16};
-  *race = (struct mo_race){.bound = INFINITY, .n_environments = n_environments};
+  *race =
+      (struct mo_race){.bound = INFINITY, .n_environments = n_environments, .is_whole = is_whole};
   if (n_parents >= settings->population) {
     race->bound = -INFINITY;
     for (uint32_t i = 0; i < n_parents; i++)
@@ -88,4 +92,26 @@ void mo_race_plan(const struct mo_campaign_settings *settings, const double *los
     race->order[k] = (uint8_t)k;
   race->n_waves = 1;
   race->ends[0] = (uint8_t)n_environments;
+}
+
+static int time_of(uint32_t n)
+{
+  return (int)(n + BLOCK_ROLLOUTS * ((n + BLOCK_LANES - 1) / BLOCK_LANES));
+}
+
+int mo_race_saved(const struct mo_race *race, const double *losses)
+{
+  double known[MO_RACE_ENVIRONMENTS_MAX];
+  int raced = 0;
+  uint32_t n = 0;
+  for (uint32_t k = 0; k < race->n_environments; k++)
+    known[k] = NAN;
+  for (uint32_t wave = 0; wave < race->n_waves; wave++) {
+    raced += time_of(race->ends[wave] - n);
+    for (; n < race->ends[wave]; n++)
+      known[race->order[n]] = losses[race->order[n]];
+    if (mo_race_score(known, race->n_environments) > race->bound)
+      break;
+  }
+  return time_of(race->n_environments) - raced;
 }

@@ -27,12 +27,13 @@ int mo_race_close(struct mo_campaign_run *run)
   return MO_OK;
 }
 
-/* Opens the next wave of a candidate. */
+/* Opens the next wave of a candidate, or all. */
 static void open_wave(struct mo_campaign_run *run, uint32_t place, uint32_t wave)
 {
   const struct mo_race *race = &run->race;
   const uint32_t first = wave > 0 ? race->ends[wave - 1] : 0;
-  mo_grid_open(&run->scoring.grid, place, race->order + first, race->ends[wave] - first);
+  const uint32_t end = race->is_whole ? race->n_environments : race->ends[wave];
+  mo_grid_open(&run->scoring.grid, place, race->order + first, end - first);
 }
 
 static void plan(struct mo_campaign_run *run)
@@ -43,7 +44,8 @@ static void plan(struct mo_campaign_run *run)
     memcpy(rows->parent_losses + (size_t)i * n, run->losses[i].losses, n * sizeof(double));
     rows->scores[i] = mo_race_score(run->losses[i].losses, n);
   }
-  mo_race_plan(run->settings, rows->parent_losses, rows->scores, run->n_parents, n, &run->race);
+  mo_race_plan(run->settings, rows->parent_losses, rows->scores, run->n_parents, n, run->one_wave,
+               &run->race);
 }
 
 /* Returns the wave that a child has to begin. n_waves: it is inside one. */
@@ -105,6 +107,16 @@ bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done)
     return is_done;
   }
   return is_done || go_on(run, place);
+}
+
+bool mo_race_was_idle(const struct mo_campaign_run *run)
+{
+  int64_t saved = 0;
+  if (!run->races || isinf(run->race.bound))
+    return run->one_wave;
+  for (uint32_t i = n_parents_scored(run); i < run->n_scored; i++)
+    saved += mo_race_saved(&run->race, run->losses[i].losses);
+  return saved <= 0;
 }
 
 void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to)

@@ -26,19 +26,26 @@ static double draw(struct mo_random *random, uint32_t sort)
   return exp(8 * u - 6);
 }
 
-/* Returns the score of a child up to where it is cut, and the losses that it needed. */
+/* Returns the score of a child up to where it is cut, and the losses that it needed. What a race
+ * saves is known from these as from all losses. */
 static double race_child(const struct mo_race *race, const double *all, uint32_t *needed)
 {
   double known[MO_RACE_ENVIRONMENTS_MAX];
+  uint32_t blocks = 0, whole = (race->n_environments + 15) / 16;
   for (uint32_t k = 0; k < race->n_environments; k++)
     known[k] = NAN;
   *needed = 0;
   for (uint32_t wave = 0; wave < race->n_waves; wave++) {
+    const uint32_t first = *needed;
     for (; *needed < race->ends[wave]; (*needed)++)
       known[race->order[*needed]] = all[race->order[*needed]];
+    blocks += (*needed - first + 15) / 16;
     if (mo_race_score(known, race->n_environments) > race->bound)
       break;
   }
+  const int saved = (int)(race->n_environments + 2 * whole) - (int)(*needed + 2 * blocks);
+  CHECK_INT(mo_race_saved(race, known), saved);
+  CHECK_INT(mo_race_saved(race, all), saved);
   return mo_race_score(known, race->n_environments);
 }
 
@@ -65,7 +72,7 @@ static void same_survivors(void)
       for (uint32_t k = 0; k < e && i < N; k++)
         packed[i * e + k] = losses[i][k];
     }
-    mo_race_plan(&settings, packed, scores, N, e, &race);
+    mo_race_plan(&settings, packed, scores, N, e, false, &race);
     for (uint32_t i = 0; i < 2 * N; i++) {
       uint32_t needed = e;
       raced[i] = full[i];
@@ -96,7 +103,7 @@ static void plans(void)
       two[k] = 1;
       two[e + k] = 1 + k;
     }
-    mo_race_plan(&settings, two, (const double[]){1, 7}, 2, e, &race);
+    mo_race_plan(&settings, two, (const double[]){1, 7}, 2, e, false, &race);
     CHECK(race.bound == 7 && race.n_environments == e);
     for (uint32_t i = 0; i < e; i++) {
       CHECK_INT(race.order[i], e - 1 - i);
@@ -116,10 +123,10 @@ static void without_a_bound(void)
   struct mo_campaign_settings settings = settings_of(3);
   const double two[4] = {1, 2, 3, 4};
   struct mo_race race;
-  mo_race_plan(&settings, two, (const double[]){1, 2}, 2, 2, &race);
+  mo_race_plan(&settings, two, (const double[]){1, 2}, 2, 2, false, &race);
   CHECK(race.bound == INFINITY && race.n_waves == 1 && race.ends[0] == 2);
   settings.population = 2;
-  mo_race_plan(&settings, two, (const double[]){1, INFINITY}, 2, 2, &race);
+  mo_race_plan(&settings, two, (const double[]){1, INFINITY}, 2, 2, false, &race);
   CHECK(race.bound == INFINITY && race.n_waves == 1);
   CHECK(mo_race_is_possible(&settings));
   for (int kind = MO_SELECT_TOURNAMENT; mo_selection_words[kind] != NULL; kind++) {
@@ -139,7 +146,7 @@ static void unknown_losses(void)
   const struct mo_campaign_settings settings = settings_of(2);
   const double two[8] = {1, NAN, 3, INFINITY, 1, NAN, 7, 5};
   struct mo_race race;
-  mo_race_plan(&settings, two, (const double[]){1, 2}, 2, 4, &race);
+  mo_race_plan(&settings, two, (const double[]){1, 2}, 2, 4, false, &race);
   CHECK_INT(race.order[0], 2);
   CHECK_INT(race.n_waves, 2);
 }

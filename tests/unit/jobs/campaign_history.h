@@ -135,11 +135,12 @@ static inline double plain_score(const struct plain *plain, const struct origin 
 }
 
 /* Cuts a child short, after the first wave that shows that it cannot survive. Returns the rollouts
- * up to there. */
+ * up to there; *blocks: how many there are. */
 static inline uint32_t plain_race(const struct mo_race *race, const double *losses,
-                                  struct mo_campaign_design *design)
+                                  struct mo_campaign_design *design, uint32_t *blocks)
 {
-  for (uint32_t wave = 0; wave + 1 < race->n_waves; wave++) {
+  *blocks = 1;
+  for (uint32_t wave = 0; wave + 1 < race->n_waves; wave++, ++*blocks) {
     double known[MO_ENVIRONMENTS_MAX] = {0}, sum = 0;
     for (uint32_t i = 0; i < race->ends[wave]; i++)
       known[race->order[i]] = losses[race->order[i]];
@@ -213,6 +214,9 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
   double *losses = calloc((size_t)2 * HISTORY_POPULATION * e, sizeof(*losses));
   double scores[2 * HISTORY_POPULATION];
   struct mo_race race = {.n_waves = 0};
+  static bool one_wave; /* a race would not have paid in the generation before */
+  double saved = 0;     /* by a race, where a block costs as much as two rollouts */
+  one_wave = one_wave && g > 0;
   for (uint32_t i = 0; i < n_parents + n; i++) {
     const uint32_t number = i < n_parents ? numbers[i] : history->n_designs + i - n_parents;
     struct mo_campaign_design *design = &history->designs[number];
@@ -222,14 +226,23 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
     design->score = scores[i];
     candidates[i] = (struct mo_candidate){design->score, number, design->born};
     if (i + 1 == n_parents && mo_race_is_possible(settings))
-      mo_race_plan(settings, losses, scores, n_parents, e, &race);
-    if (i >= n_parents && race.n_waves > 0)
-      row->rollouts += plain_race(&race, losses + (size_t)i * e, design);
-    else if (i >= n_parents || !is_zero_shot)
-      row->rollouts += e;
+      mo_race_plan(settings, losses, scores, n_parents, e, one_wave, &race);
+    uint32_t rollouts = i >= n_parents || !is_zero_shot ? e : 0, blocks;
+    if (i >= n_parents && race.n_waves > 0) {
+      struct mo_campaign_design raced = *design;
+      const uint32_t n_raced = plain_race(&race, losses + (size_t)i * e, &raced, &blocks);
+      saved += (double)(e - n_raced) + 2.0 * (e > 16 ? 2 : 1) - 2.0 * blocks;
+      if (!one_wave) {
+        *design = raced;
+        rollouts = n_raced;
+      }
+    }
+    row->rollouts += rollouts;
     row->children_cut += design->is_cut;
   }
   free(losses);
+  if (race.n_waves > 0 && isfinite(race.bound))
+    one_wave = saved <= 0;
   /* Selected by all scores: who was cut short would not have survived. */
   CHECK_OK(mo_select(settings, g, genotypes, candidates, n_parents + n, survivors, &n_survivors));
   for (uint32_t i = 0; i < n_parents + n; i++)

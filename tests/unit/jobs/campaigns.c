@@ -157,6 +157,7 @@ SERVICE_CASE(reports_its_generations, 1)
   bool warned_since = false;
   int expected = 0;
   request.record.settings.collapse_share = 1; /* any fall */
+  request.record.settings.seed = 2;           /* there is one */
   snprintf(request.record.name, sizeof(request.record.name), "walker");
   fake_plan.delay_us = 2000;
   int64_t id = submit_campaign(&request);

@@ -96,19 +96,21 @@ struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_control
   uint64_t h = UINT64_C(0xCBF29CE484222325);
   int kind = precision;
   h = mix(h, genotype, MO_DEFAULT_WORDS * sizeof(*genotype));
+  const int talent = (int)(h >> 20 & 7);
   h = mix(h, environment, sizeof(*environment));
   h = mix(h, &physics->dt_s, sizeof(physics->dt_s));
   h = mix(h, &physics->n_steps, sizeof(physics->n_steps));
   h = mix(h, &kind, sizeof(kind));
+  const bool diverges = h % 31 == 0;
   if (controller != NULL)
     h = mix(h, controller->parameters, 64 * sizeof(float));
   if (atomic_load(&fake_plan.poison)) {
     outcome.loss = NAN;
-  } else if (h % 31 == 0) {
+  } else if (diverges) {
     outcome.loss = INFINITY;
     outcome.diverged_step = (int32_t)(1 + (h >> 20) % physics->n_steps);
   } else {
-    outcome.loss = (double)(h >> 11) * 0x1p-53 + atomic_load(&fake_plan.skew);
+    outcome.loss = ldexp((double)(h >> 11), -53 - talent) + atomic_load(&fake_plan.skew);
   }
   return outcome;
 }

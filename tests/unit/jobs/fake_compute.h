@@ -1,7 +1,9 @@
 /* fake_compute.h: a back end for tests: made-up losses, at once or slowly, wrong on demand.
  *
  * Linked in place of the real one. A loss depends on genotype, environment, physics, precision and
- * the controller's first weights alone, like a real one; one in about 30 "diverges". */
+ * the controller's first weights alone, like a real one; one in about 30 "diverges", under any
+ * weights. Some genotypes are a hundred times as good as others, so that races cut children short.
+ */
 #ifndef MORPHO_TESTS_FAKE_COMPUTE_H
 #define MORPHO_TESTS_FAKE_COMPUTE_H
 
