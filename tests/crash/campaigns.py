@@ -1,6 +1,16 @@
 """Small campaigns, and what must be the same however often they run."""
+import csv
 
 MODES = ("zero-shot", "few-shot", "simultaneous")
+
+
+# Of campaigns in which children are cut short: lights near the start, where a step counts much.
+RACE = {
+    "population": 10, "generations": 6, "physics": {"n_steps": 300},
+    "environments": [{"light_xy_m": [2.5 + x, 2.5 + y],
+                      "terrain_heights_m": [0.02 * ((7 * k + 3 * i) % 5) for k in range(64)]}
+                     for i, (x, y) in enumerate(((.01, 0), (0, .01), (.3, .1), (-.3, -.1)))]
+}
 
 
 def request(mode, seed, generations):
@@ -16,7 +26,7 @@ def request(mode, seed, generations):
 
 def without(text, *columns):
     """A CSV without these columns."""
-    rows = [line.split(",") for line in text.splitlines()]
+    rows = list(csv.reader(text.splitlines()))
     keep = [i for i, name in enumerate(rows[0]) if name not in columns]
     return [[row[i] for i in keep] for row in rows]
 
@@ -39,6 +49,30 @@ def history(daemon, job):
         "populations": populations,
         "weights": now["result"] and daemon.result(now["result"]["controller"])
     }
+
+
+def check_same_lives(raced, whole):
+    """Of two histories, without and with races: all the same, but for what is told of children that
+    were cut short. Returns how many were."""
+    told = {"generations": ("children_cut", "children_mean", "rollouts", "cached",
+                            "rollouts_diverged"), "phylogeny": ("score", "lower_bound")}
+    for table, columns in told.items():
+        head = raced[table][0]
+        for one, other in zip(raced[table], whole[table], strict=True):
+            assert [x for name, x in zip(head, one) if name not in columns] == [
+                x for name, x in zip(head, other) if name not in columns]
+    for part in ("learning", "populations", "weights"):
+        assert raced[part] == whole[part], f"{part} differ from those without races"
+    lives = [[dict(zip(history["phylogeny"][0], row)) for row in history["phylogeny"][1:]]
+             for history in (raced, whole)]
+    for one, other in zip(*lives):
+        assert other["lower_bound"] == "0"
+        if one["lower_bound"] == "1":
+            assert one["origin_time"] == one["destruction_time"]
+            assert float(one["score"]) <= float(other["score"])
+        else:
+            assert one["score"] == other["score"]
+    return sum(one["lower_bound"] == "1" for one in lives[0])
 
 
 def undisturbed(daemon, name, value):

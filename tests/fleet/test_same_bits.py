@@ -1,7 +1,7 @@
 """Campaigns whose scores other machines compute end with the same designs, scores, phylogeny,
-populations and controller, bit for bit, while workers come and go."""
+populations and controller, bit for bit, while workers come and go; and as without races."""
 import pytest
-from campaigns import MODES, history, request, rollouts, undisturbed
+from campaigns import MODES, RACE, check_same_lives, history, request, rollouts, undisturbed
 from daemon import CONTROLLER, bodies
 from machines import fleet_address, generation
 
@@ -11,9 +11,12 @@ NUMBERS = (1, 7, 2, 1)  # of workers, one after the other
 @pytest.mark.parametrize("mode", MODES)
 def test_same_bits(daemon, worker, seed, mode):
     is_quick = mode == "zero-shot"  # it does not learn
-    value = request(mode, seed, 8 if is_quick else 4)
+    value = request(mode, seed, 16 if is_quick else 4)
     value |= {"population": 32, "physics": {"n_steps": 300 if is_quick else 80}}
+    if is_quick:
+        value |= {"environments": RACE["environments"]}
     expected, needed, _ = undisturbed(daemon, "alone", value)
+    whole = undisturbed(daemon, "whole", value | {"racing": "off"})[0]
     last = value["generations"]
     with daemon("remote", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
         workers, names = [], 0
@@ -31,6 +34,7 @@ def test_same_bits(daemon, worker, seed, mode):
         result = history(one, job)
         for part, what in expected.items():
             assert result[part] == what, f"{part} differ from those of one daemon"
+        assert check_same_lives(result, whole) > 0 or not is_quick
         assert rollouts(one) == needed
         status = one.json("/v1/fleet")
         # All were computed by workers, none was taken twice. Robots of gradients count, too; the

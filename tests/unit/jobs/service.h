@@ -18,6 +18,7 @@ static struct {
   struct mo_jobs *jobs;
   struct mo_jobs_config config;
   const char *vfs;
+  const struct mo_file_operations *files;
   uint32_t n_workers; /* 0: 2 */
 } service;
 
@@ -64,7 +65,7 @@ static inline int service_open(void)
   const struct mo_compute_config config = {
       .n_workers = service.n_workers > 0 ? service.n_workers : 2, .isa = mo_isa_best()};
   struct mo_controller_record record;
-  int error = reopen_with((struct mo_store_config){.vfs = service.vfs});
+  int error = reopen_with((struct mo_store_config){.vfs = service.vfs, .files = service.files});
   if (error == MO_OK && mo_store_controller(store, "default", &record) == MO_ERR_NOT_FOUND)
     error = put_weights("default", 1, NULL);
   if (error == MO_OK)

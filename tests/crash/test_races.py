@@ -1,0 +1,63 @@
+"""Campaigns whose children race are those without races, bit for bit, but for what is told of
+children that were cut short; also when kills disturb them, for any number of workers. Power cuts:
+tests/unit/jobs/races.c; workers of other machines: tests/fleet/test_same_bits.py."""
+import random
+
+import pytest
+from campaigns import MODES, RACE, check_same_lives, history, work
+
+SEEDS = (1, 2, 3)
+
+
+def values(mode, soak):
+    """Small ones, in whose environments robots differ much after few steps; with --soak the preset
+    "demo", and "workstation" with shorter rollouts and fewer steps of learning."""
+    for seed in SEEDS:
+        value = {"mode": mode, "seed": seed, "exclude_pretraining": False}
+        few = {} if mode == "zero-shot" else {"controller": "default"}
+        learning = {"parent_steps": 1, "child_steps": 1, "checkpoint_every_s": 1}
+        if not soak:
+            yield value | few | RACE | ({"learning": learning | {"batch": 4}} if few else {})
+            continue
+        yield value | few | {"preset": "demo"}
+        yield value | few | {"preset": "workstation", "generations": 10, "physics": {
+            "n_steps": 300}} | ({"learning": learning} if few else {})
+
+
+def start(one, requests):
+    """Submits them, or finds them again; returns their jobs."""
+    one.start()
+    jobs = [one.submit(value, "campaigns", key=str(i)) for i, value in enumerate(requests)]
+    for job in jobs:  # killed in three lives without a generation
+        if one.json(f"/v1/campaigns/{job}")["state"] == "failed":
+            one.act(job, "resume")
+    return jobs
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_same_campaigns(daemon, soak, seed, mode):
+    print(f"seed {seed}")
+    generator = random.Random(f"{seed} {mode}")
+    requests, n_kills, cut = list(values(mode, soak)), 40 if soak else 3, []
+    quiet = daemon("whole", workers=2)
+    jobs = start(quiet, [value | {"racing": "off"} for value in requests])
+    for job in jobs:
+        quiet.succeed(job, "campaigns", 7200)
+    whole, all_work = [history(quiet, job) for job in jobs], work(quiet)
+    quiet.end()
+    victim = daemon("raced")
+    for _ in range(n_kills):
+        victim.settings["workers"] = generator.choice((1, 2, 7))
+        jobs = start(victim, requests)
+        least = generator.uniform(0, 1.5 * all_work / n_kills)
+        victim.until(lambda least=least, jobs=jobs: work(victim) >= least or all(
+            victim.json(f"/v1/campaigns/{job}")["state"] == "succeeded" for job in jobs),
+                     7200, every_s=0.2 if soak else 0.01)
+        victim.kill()
+    victim.settings["workers"] = 2
+    for job, expected in zip(start(victim, requests), whole):
+        victim.succeed(job, "campaigns", 7200, attempts=2)
+        cut.append(check_same_lives(history(victim, job), expected))
+    victim.end()
+    print(f"{mode}: {cut} children cut short")
+    assert sum(cut) > 0 or (mode != "zero-shot" and not soak)
