@@ -124,6 +124,6 @@ CREATE TABLE outcasts(
   PRIMARY KEY(user, name)
 ) STRICT, WITHOUT ROWID;
 
--- 1: the children of the next generation are scored in one wave, because cutting those of the last
--- one saved no time, or would have saved none.
-ALTER TABLE campaigns ADD COLUMN one_wave INTEGER NOT NULL DEFAULT 0;
+-- 1: the children of the next generation race, because that saved time in the last one, or would
+-- have.
+ALTER TABLE campaigns ADD COLUMN race_pays INTEGER NOT NULL DEFAULT 0;

@@ -254,11 +254,11 @@ struct mo_race {
   bool is_whole;                   /* nobody is cut: all waves are scored at once */
 };
 /* Plans the race of a generation's children from the losses and scores of its parents: losses
- * (n_parents, n_environments), NaN where one is not known; scores (n_parents). is_whole: races of
- * the generation before have not paid. Depends on nothing else. With fewer than `population`
- * parents there is one wave, and nothing is cut. */
+ * (n_parents, n_environments), NaN where one is not known; scores (n_parents). pays: a race saved
+ * time in the generation before, or would have. Depends on nothing else. With fewer than
+ * `population` parents there is one wave, and nothing is cut. */
 void mo_race_plan(const struct mo_campaign_settings *settings, const double *losses,
-                  const double *scores, uint32_t n_parents, uint32_t n_environments, bool is_whole,
+                  const double *scores, uint32_t n_parents, uint32_t n_environments, bool pays,
                   struct mo_race *race);
 /* Returns how many rollouts' time a race saves with a child, negative: takes more, whether it was
  * cut, or all its losses are known. */

@@ -70,14 +70,13 @@ void mo_race_cut_waves(struct mo_race *race, const uint8_t sizes[MO_RACE_WAVES_M
 }
 
 void mo_race_plan(const struct mo_campaign_settings *settings, const double *losses,
-                  const double *scores, uint32_t n_parents, uint32_t n_environments, bool is_whole,
+                  const double *scores, uint32_t n_parents, uint32_t n_environments, bool pays,
                   struct mo_race *race)
 {
   /* More waves would cost more blocks than they save rollouts: 2 + 8 take the least time of all
    * cuts of ten environments (docs/performance.md). */
   static const uint8_t sizes[MO_RACE_WAVES_MAX] = {2, 8, 16, 16, 16, 16};
-  *race =
-      (struct mo_race){.bound = INFINITY, .n_environments = n_environments, .is_whole = is_whole};
+  *race = (struct mo_race){.bound = INFINITY, .n_environments = n_environments, .is_whole = !pays};
   if (n_parents >= settings->population) {
     race->bound = -INFINITY;
     for (uint32_t i = 0; i < n_parents; i++)

@@ -101,7 +101,7 @@ static int read_population(struct mo_campaign_run *run)
     run->n_parents = state->n;
     run->generation = state->generation + 1;
     run->n_designs = state->n_designs;
-    run->one_wave = state->one_wave;
+    run->race_pays = state->race_pays;
     error = read_history(run);
   }
   mo_campaign_state_free(state);

@@ -181,7 +181,7 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
       .n_parents = run->n_parents,
       .survivors = rows->survivors,
       .n_survivors = run->n_survivors,
-      .one_wave = mo_race_was_idle(run),
+      .race_pays = mo_race_pays(run),
       .fingerprint = mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
       .workers_fingerprint = mo_back_end_fingerprint(run->jobs, MO_ON_CPU),
       .event_data = writing->generation_data,
@@ -254,7 +254,7 @@ int mo_campaign_commit(struct mo_campaign_run *run)
     return error;
   }
   run->steps_saved = run->step;
-  run->one_wave = writing->commit.one_wave;
+  run->race_pays = writing->commit.race_pays;
   run->n_unsaved = 0; /* losses are in the commit */
   writing->is_pending = true;
   writing->status = MO_ERR_BUSY;

@@ -44,7 +44,7 @@ static void plan(struct mo_campaign_run *run)
     memcpy(rows->parent_losses + (size_t)i * n, run->losses[i].losses, n * sizeof(double));
     rows->scores[i] = mo_race_score(run->losses[i].losses, n);
   }
-  mo_race_plan(run->settings, rows->parent_losses, rows->scores, run->n_parents, n, run->one_wave,
+  mo_race_plan(run->settings, rows->parent_losses, rows->scores, run->n_parents, n, run->race_pays,
                &run->race);
 }
 
@@ -109,14 +109,14 @@ bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done)
   return is_done || go_on(run, place);
 }
 
-bool mo_race_was_idle(const struct mo_campaign_run *run)
+bool mo_race_pays(const struct mo_campaign_run *run)
 {
   int64_t saved = 0;
   if (!run->races || isinf(run->race.bound))
-    return run->one_wave;
+    return run->race_pays;
   for (uint32_t i = n_parents_scored(run); i < run->n_scored; i++)
     saved += mo_race_saved(&run->race, run->losses[i].losses);
-  return saved <= 0;
+  return saved > 0;
 }
 
 void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to)

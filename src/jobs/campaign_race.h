@@ -13,9 +13,9 @@ void mo_race_begin(struct mo_campaign_run *run);
 /* Goes on with a candidate whose losses have come. is_done: it has no cell left. Returns whether it
  * is done now: it may be cut short. */
 bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done);
-/* Returns whether a race saved no time in this generation, or would have saved none; if that cannot
- * be said, as before it. */
-bool mo_race_was_idle(const struct mo_campaign_run *run);
+/* Returns whether a race saved time in this generation, or would have; if that cannot be said, as
+ * before it. */
+bool mo_race_pays(const struct mo_campaign_run *run);
 /* Keeps the losses of the survivors for the plan of the next generation, in `to`. */
 void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to);
 /* Reads the losses of the population that a campaign goes on with. */

@@ -77,7 +77,7 @@ struct mo_campaign_run {
 
   /* The race of the children (campaign_race.c). */
   bool races;            /* it is possible, and has begun or will */
-  bool one_wave;         /* it does not pay: the last generation's would have saved nothing */
+  bool race_pays;        /* in the generation before it saved time, or would have */
   uint32_t parents_left; /* parents whose scores the plan waits for */
   struct mo_race race;
 

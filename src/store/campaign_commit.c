@@ -299,13 +299,13 @@ static int update_campaign(struct mo_connection *writer, const struct commit_arg
 {
   static const char sql[] =
       "UPDATE campaigns SET generation=?2,n_designs=?3,best_score=?4,diversity_max=?5,"
-      "one_wave=?6,scored=0,scored_generation=-1 WHERE job=?1";
+      "race_pays=?6,scored=0,scored_generation=-1 WHERE job=?1";
   const struct mo_campaign_commit *commit = call->commit;
   const double diversity = commit->row.stats.diversity, most = call->head.diversity_max;
   return mo_sql_do(writer, sql, mo_int(call->id), mo_int(commit->row.generation),
                    mo_int((int64_t)commit->row.born_before + commit->row.n_children),
                    commit->n_survivors > 0 ? mo_real(call->population[0].score) : mo_null(),
-                   mo_real(diversity > most ? diversity : most), mo_int(commit->one_wave));
+                   mo_real(diversity > most ? diversity : most), mo_int(commit->race_pays));
 }
 
 static int commit_generation(struct mo_store *store, void *arguments)

@@ -28,7 +28,7 @@ struct mo_campaign_head {
   uint64_t n_designs;
   int64_t scored_generation, scored;
   double diversity_max;
-  bool one_wave;
+  bool race_pays;
 };
 int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
                          struct mo_campaign_head *head);

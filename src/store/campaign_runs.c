@@ -165,7 +165,7 @@ static int load_state(struct mo_connection *reader, const void *key, void *ret)
   state->n = members.n;
   state->n_designs = head.n_designs;
   state->diversity_max = head.diversity_max;
-  state->one_wave = head.one_wave;
+  state->race_pays = head.race_pays;
   state->numbers = calloc(members.n + 1, sizeof(*state->numbers));
   state->born = calloc(members.n + 1, sizeof(*state->born));
   state->genotypes = calloc(members.n + 1, sizeof(*state->genotypes));

@@ -23,7 +23,7 @@ struct mo_campaign_state {
   double *scores;            /* (n) */
   uint64_t n_designs;
   double diversity_max;
-  bool one_wave; /* as committed */
+  bool race_pays; /* as committed; false at first */
 };
 int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campaign_state **state);
 void mo_campaign_state_free(void *state); /* NULL-safe */
@@ -92,7 +92,7 @@ struct mo_campaign_commit {
   const uint32_t *survivors; /* (n_survivors) places in parents, then children; in the order of the
                                 new population */
   uint32_t n_survivors;
-  bool one_wave; /* the next generation's children do not race */
+  bool race_pays; /* the next generation's children race */
   /* (n_losses) zero-shot: losses of the children, stored in `scores` like those of evaluations;
    * else NULL. */
   const struct mo_campaign_loss *losses;

@@ -17,7 +17,7 @@ int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
   static const char sql[] =
       "SELECT r.settings,m.generations,m.n_environments,m.replicates_of,m.physics,"
       "coalesce(r.controller,0),coalesce(m.environment_set,0),m.generation,m.n_designs,"
-      "m.scored_generation,m.scored,m.diversity_max,m.one_wave FROM campaigns m JOIN runs r ON "
+      "m.scored_generation,m.scored,m.diversity_max,m.race_pays FROM campaigns m JOIN runs r ON "
       "r.job=m.job"
       " JOIN jobs j ON j.id=m.job AND j.state<>6 WHERE m.job=?1";
   struct mo_campaign_record record;
@@ -40,7 +40,7 @@ int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
                                     .scored_generation = sqlite3_column_int64(row, 9),
                                     .scored = sqlite3_column_int64(row, 10),
                                     .diversity_max = sqlite3_column_double(row, 11),
-                                    .one_wave = sqlite3_column_int(row, 12) != 0};
+                                    .race_pays = sqlite3_column_int(row, 12) != 0};
   return head->n_environments < 1 || head->n_environments > MO_ENVIRONMENTS_MAX ? MO_ERR_CORRUPT
                                                                                 : MO_OK;
 }

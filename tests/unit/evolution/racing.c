@@ -72,7 +72,7 @@ static void same_survivors(void)
       for (uint32_t k = 0; k < e && i < N; k++)
         packed[i * e + k] = losses[i][k];
     }
-    mo_race_plan(&settings, packed, scores, N, e, false, &race);
+    mo_race_plan(&settings, packed, scores, N, e, true, &race);
     for (uint32_t i = 0; i < 2 * N; i++) {
       uint32_t needed = e;
       raced[i] = full[i];
@@ -103,7 +103,7 @@ static void plans(void)
       two[k] = 1;
       two[e + k] = 1 + k;
     }
-    mo_race_plan(&settings, two, (const double[]){1, 7}, 2, e, false, &race);
+    mo_race_plan(&settings, two, (const double[]){1, 7}, 2, e, true, &race);
     CHECK(race.bound == 7 && race.n_environments == e);
     for (uint32_t i = 0; i < e; i++) {
       CHECK_INT(race.order[i], e - 1 - i);
@@ -123,10 +123,10 @@ static void without_a_bound(void)
   struct mo_campaign_settings settings = settings_of(3);
   const double two[4] = {1, 2, 3, 4};
   struct mo_race race;
-  mo_race_plan(&settings, two, (const double[]){1, 2}, 2, 2, false, &race);
+  mo_race_plan(&settings, two, (const double[]){1, 2}, 2, 2, true, &race);
   CHECK(race.bound == INFINITY && race.n_waves == 1 && race.ends[0] == 2);
   settings.population = 2;
-  mo_race_plan(&settings, two, (const double[]){1, INFINITY}, 2, 2, false, &race);
+  mo_race_plan(&settings, two, (const double[]){1, INFINITY}, 2, 2, true, &race);
   CHECK(race.bound == INFINITY && race.n_waves == 1);
   CHECK(mo_race_is_possible(&settings));
   for (int kind = MO_SELECT_TOURNAMENT; mo_selection_words[kind] != NULL; kind++) {
@@ -146,7 +146,7 @@ static void unknown_losses(void)
   const struct mo_campaign_settings settings = settings_of(2);
   const double two[8] = {1, NAN, 3, INFINITY, 1, NAN, 7, 5};
   struct mo_race race;
-  mo_race_plan(&settings, two, (const double[]){1, 2}, 2, 4, false, &race);
+  mo_race_plan(&settings, two, (const double[]){1, 2}, 2, 4, true, &race);
   CHECK_INT(race.order[0], 2);
   CHECK_INT(race.n_waves, 2);
 }

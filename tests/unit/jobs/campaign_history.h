@@ -214,9 +214,9 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
   double *losses = calloc((size_t)2 * HISTORY_POPULATION * e, sizeof(*losses));
   double scores[2 * HISTORY_POPULATION];
   struct mo_race race = {.n_waves = 0};
-  static bool one_wave; /* a race would not have paid in the generation before */
-  double saved = 0;     /* by a race, where a block costs as much as two rollouts */
-  one_wave = one_wave && g > 0;
+  static bool race_pays; /* a race saved time in the generation before, or would have */
+  double saved = 0;      /* by a race, where a block costs as much as two rollouts */
+  race_pays = race_pays && g > 0;
   for (uint32_t i = 0; i < n_parents + n; i++) {
     const uint32_t number = i < n_parents ? numbers[i] : history->n_designs + i - n_parents;
     struct mo_campaign_design *design = &history->designs[number];
@@ -226,13 +226,13 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
     design->score = scores[i];
     candidates[i] = (struct mo_candidate){design->score, number, design->born};
     if (i + 1 == n_parents && mo_race_is_possible(settings))
-      mo_race_plan(settings, losses, scores, n_parents, e, one_wave, &race);
+      mo_race_plan(settings, losses, scores, n_parents, e, race_pays, &race);
     uint32_t rollouts = i >= n_parents || !is_zero_shot ? e : 0, blocks;
     if (i >= n_parents && race.n_waves > 0) {
       struct mo_campaign_design raced = *design;
       const uint32_t n_raced = plain_race(&race, losses + (size_t)i * e, &raced, &blocks);
       saved += (double)(e - n_raced) + 2.0 * (e > 16 ? 2 : 1) - 2.0 * blocks;
-      if (!one_wave) {
+      if (race_pays) {
         *design = raced;
         rollouts = n_raced;
       }
@@ -242,7 +242,7 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
   }
   free(losses);
   if (race.n_waves > 0 && isfinite(race.bound))
-    one_wave = saved <= 0;
+    race_pays = saved > 0;
   /* Selected by all scores: who was cut short would not have survived. */
   CHECK_OK(mo_select(settings, g, genotypes, candidates, n_parents + n, survivors, &n_survivors));
   for (uint32_t i = 0; i < n_parents + n; i++)
