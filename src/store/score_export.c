@@ -268,8 +268,8 @@ int mo_score_walk_next(struct mo_score_walk *walk, struct mo_score_block *block)
     mo_reader_release(walk->store, reader);
   }
   block->is_last = error == MO_OK;
-  if (error == MO_ERR_LIMIT)
-    error = MO_OK;
+  if (error == MO_ERR_LIMIT) /* an empty block has room for any row */
+    error = block->n_scores > 0 ? MO_OK : MO_ERR_CORRUPT;
   if (error == MO_OK && block->weights_size > 0)
     error = mo_store_controller_bytes(walk->store, &block->weights_sha256, &block->weights,
                                       &block->weights_size);
