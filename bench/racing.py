@@ -2,7 +2,8 @@
 """Measures what racing saves: the same zero-shot campaign without and with it, each in a state
 folder of its own. Prints rollouts and seconds of both, whether their populations are the same, and
 what could be saved: reckoned beforehand from the losses of the campaign without racing, for several
-ways to cut the environments into waves, and for three orders of the environments."""
+ways to cut the environments into waves, and for three orders of the environments. With --best, the
+same for an evaluation of the best of random bodies."""
 import argparse
 import json
 import math
@@ -15,6 +16,8 @@ import sys
 import tempfile
 import time
 import urllib.request
+
+import racing_best
 
 SOURCE = pathlib.Path(__file__).resolve().parents[1]
 WAVES = ((2, 8), (4, 6), (2, 3, 5), (2, 2, 2, 4), (1,) * 10)  # of ten environments
@@ -131,6 +134,8 @@ def main():
     parser = argparse.ArgumentParser(prog="tools/bench racing", description=__doc__)
     parser.add_argument("--population", type=int, default=512)
     parser.add_argument("--generations", type=int, default=100)
+    parser.add_argument("--best", type=int, help="an evaluation that asks for so many")
+    parser.add_argument("--designs", type=int, default=10000, help="of so many random bodies")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--device", choices=("cpu", "gpu"), default="cpu")
     parser.add_argument("--workers", type=int, default=0, help="0: one per processor")
@@ -139,6 +144,8 @@ def main():
     parser.add_argument("--controller", type=pathlib.Path,
                         default=SOURCE / "data/controllers/phototaxis.safetensors")
     options = parser.parse_args()
+    if options.best is not None:
+        return racing_best.measure(options, Daemon)
     found = {}
     for racing in ("off", "lossless"):
         with tempfile.TemporaryDirectory(prefix="morphod-racing-") as folder:
