@@ -18,7 +18,8 @@ SERVICES = {
     ]),
     "morphod-worker@.service": (20, [
         "Type=notify", "DynamicUser=yes", "LoadCredential=token", "ExecStart=morphod worker",
-        "RestartPreventExitStatus=64 69 76 77 78", "EnvironmentFile=-/etc/morphod/worker-%i.env"
+        "RestartPreventExitStatus=64 76 77 78", "RestartSec=30",
+        "EnvironmentFile=-/etc/morphod/worker-%i.env"
     ])
 }
 

@@ -6,6 +6,11 @@
 #include "template.h"
 #include "transport.h"
 
+static bool is_open(const json_t *session)
+{
+  return json_is_null(json_object_get(session, "ended_at"));
+}
+
 /* Returns the open sessions, or with --all all of them. */
 static json_t *shown_of(const struct ctl *ctl, const json_t *sessions)
 {
@@ -13,7 +18,7 @@ static json_t *shown_of(const struct ctl *ctl, const json_t *sessions)
   size_t i;
   json_array_foreach(sessions, i, session)
   {
-    if (option_is_set(ctl, "all") || json_is_null(json_object_get(session, "ended_at")))
+    if (option_is_set(ctl, "all") || is_open(session))
       json_array_append(shown, session);
   }
   return shown;
@@ -25,6 +30,7 @@ static void print_fleet(const struct ctl *ctl, const json_t *fleet)
       {"compute", "{compute}"},
       {"workers", "{classes.cpu.sessions:,} of class {classes.cpu.scores}"},
       {"workers", "[{classes.device.sessions:,} of class {classes.device.scores}]"},
+      {"older", "[{n_older>0:,} than version {version}]"},
       {"threads", "{n_threads:,}[, {n_devices>0:,} GPUs]"},
       {"rollouts", "{rollouts_done:,} done, {rollouts_out:,} out, {rollouts_per_s:.0f} a second"},
       {"leases", "{leases_done:,} done, {leases:,} out, {leases_again:,} given out again"},
@@ -38,10 +44,11 @@ static void print_fleet(const struct ctl *ctl, const json_t *fleet)
   print_facts(ctl, fleet, facts);
   const json_t *shown = shown_of(ctl, json_object_get(fleet, "sessions"));
   if (json_array_size(shown) > 0)
-    print_table(stdout, ctl, shown,
-                "id={id}|name={name}|host={host}|state={state}|>threads={n_threads:,}"
-                "|>GPUs={n_devices:,}|>rollouts/s={rollouts_per_s:.0f}|>leases={leases:,}"
-                "|>done={rollouts_done:,}|>lost={leases_lost:,}|since={joined_at:time}|why={why}");
+    print_table(
+        stdout, ctl, shown,
+        "id={id}|name={name}|host={host}|version={version}|state={state}|>threads={n_threads:,}"
+        "|>GPUs={n_devices:,}|>rollouts/s={rollouts_per_s:.0f}|>leases={leases:,}"
+        "|>done={rollouts_done:,}|>lost={leases_lost:,}|since={joined_at:time}|why={why}");
   if (json_array_size(json_object_get(fleet, "quarantine")) > 0) {
     print_plain_line(stdout, "In quarantine:");
     print_table(stdout, ctl, json_object_get(fleet, "quarantine"),
@@ -54,14 +61,135 @@ void run_fleet(struct ctl *ctl)
   show(ctl, "/v1/fleet", print_fleet);
 }
 
+/* ---- drains ---- */
+
+#define LOOK_S  0.5
+#define LEAVE_S 40 /* a worker computes what it has for at most 22 s */
+
+static bool is_same(const json_t *session, const json_t *other, const char *key)
+{
+  return strcmp(text_of(session, key), text_of(other, key)) == 0;
+}
+
+static const json_t *find(const json_t *fleet, const json_t *session)
+{
+  const json_t *found;
+  size_t i;
+  json_array_foreach(json_object_get(fleet, "sessions"), i, found)
+  {
+    if (is_same(found, session, "id"))
+      return found;
+  }
+  return NULL;
+}
+
+/* Returns the session of a worker that has come since `before`; NULL: there is none. */
+static const json_t *find_return(const json_t *before, const json_t *now, const json_t *worker)
+{
+  const json_t *session;
+  size_t i;
+  json_array_foreach(json_object_get(now, "sessions"), i, session)
+  {
+    if (is_open(session) && is_same(session, worker, "name") && is_same(session, worker, "host") &&
+        find(before, session) == NULL)
+      return session;
+  }
+  return NULL;
+}
+
+/* Waits until a worker has left and is back. Returns the version that it has then, "" if it is not
+ * back. */
+static const char *await_return(struct ctl *ctl, const json_t *before, const json_t *worker,
+                                int64_t within_s)
+{
+  static char version[64];
+  const struct request look = {.method = "GET", .path = "/v1/fleet"};
+  double left_s = LEAVE_S;
+  bool has_left = false;
+  version[0] = '\0';
+  while (version[0] == '\0' && left_s > 0) {
+    pause_s(LOOK_S);
+    if (interrupted())
+      leave(STATUS_INTERRUPTED);
+    left_s -= LOOK_S;
+    json_t *now = send_json(ctl, &look, NULL);
+    const json_t *old = find(now, worker);
+    if (!has_left && (old == NULL || !is_open(old))) {
+      has_left = true;
+      left_s = (double)within_s;
+    }
+    const json_t *back = has_left ? find_return(before, now, worker) : NULL;
+    if (back != NULL)
+      snprintf(version, sizeof(version), "%s", text_of(back, "version"));
+    json_decref(now);
+  }
+  if (!has_left)
+    fail(STATUS_NEGATIVE, "%s does not leave", text_of(worker, "name"));
+  return version;
+}
+
+/* Drains one worker, and says what became of it. */
+static void upgrade(struct ctl *ctl, const json_t *worker, const char *wanted, int64_t within_s)
+{
+  const char *name = text_of(worker, "name"), *old = text_of(worker, "version");
+  struct request drain = {
+      .method = "POST",
+      .path = path_to("/v1/fleet/sessions/%s/drain?upgrade=true", text_of(worker, "id")),
+      .repeatable = true};
+  struct reply reply;
+  json_t *before = send_json(ctl, &(struct request){.method = "GET", .path = "/v1/fleet"}, NULL);
+  transport_send(ctl, &drain, &reply);
+  reply_free(&reply);
+  const char *version = await_return(ctl, before, worker, within_s);
+  json_decref(before);
+  if (strcmp(version, old) == 0)
+    fail(STATUS_NEGATIVE, "%s is back with version %s: install %s there first", name, old, wanted);
+  if (!ctl->quiet && !ctl->json)
+    print_plain_line(stdout, "%s has left, and is %s%s", name,
+                     *version != '\0' ? "back with version " : "not back", version);
+  fflush(stdout);
+}
+
+static void upgrade_all(struct ctl *ctl)
+{
+  const char *version = option_text(ctl, "version", "");
+  const int64_t within_s = option_number(ctl, "within", 0, 86400, 60);
+  const json_t *fleet = get_json(ctl, "/v1/fleet"), *session;
+  const char *wanted = text_of(fleet, "version");
+  size_t i, n = 0;
+  if (strcmp(version, wanted) == 0)
+    fail(STATUS_USAGE, "--version: %s is the version of the server", version);
+  catch_interrupts(NULL);
+  json_array_foreach(json_object_get(fleet, "sessions"), i, session)
+  {
+    const bool is_meant = *version != '\0' ? strcmp(text_of(session, "version"), version) == 0
+                                           : json_is_true(json_object_get(session, "older"));
+    if (!is_meant || strcmp(text_of(session, "state"), "active") != 0)
+      continue;
+    upgrade(ctl, session, wanted, within_s);
+    n++;
+  }
+  if (n == 0 && !ctl->quiet && !ctl->json)
+    print_plain_line(stdout, "no worker is of %s version", *version != '\0' ? "that" : "an older");
+}
+
 void run_fleet_drain(struct ctl *ctl)
 {
+  const bool is_one = ctl->n_operands == 1;
+  if (is_one + option_is_set(ctl, "older") + option_is_set(ctl, "version") != 1)
+    fail(STATUS_USAGE, "fleet drain needs an ID, --older, or --version");
+  if (!is_one) {
+    upgrade_all(ctl);
+    return;
+  }
   const char *id = job_id(ctl->operands[0]);
   act(ctl,
       (struct request){
           .method = "POST", .path = path_to("/v1/fleet/sessions/%s/drain", id), .repeatable = true},
       path_to("%s gets no more work", id));
 }
+
+/* ---- quarantine ---- */
 
 void run_fleet_quarantine(struct ctl *ctl)
 {

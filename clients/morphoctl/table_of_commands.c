@@ -318,6 +318,11 @@ static const struct option_spec controller_get_options[] = {
 static const struct option_spec fleet_options[] = {
     {"all", 'a', NULL, "Also the newest sessions that have ended."}, {NULL}};
 
+static const struct option_spec fleet_drain_options[] = {
+    {"older", 0, NULL, "All workers of an older version than the server's."},
+    {"version", 0, "VERSION", "All workers of this version."},
+    {"within", 0, "SECONDS", "How long each is waited for (default: 60)."},
+    {NULL}};
 static const struct option_spec fleet_verify_options[] = {
     {"repair", 0, NULL, "Replace the losses that differ."}, {NULL}};
 
@@ -561,8 +566,11 @@ const struct command commands[] = {
      0, 0, run_fleet_launch},
     {"fleet kubernetes", "", "Print a Deployment of workers for Kubernetes.", NULL,
      fleet_kubernetes_options, 0, 0, run_fleet_launch},
-    {"fleet drain", "ID", "Give a worker of another machine no more work.",
-     "It finishes what it has and leaves.", NULL, 1, 1, run_fleet_drain},
+    {"fleet drain", "[ID]", "Give a worker of another machine no more work.",
+     "It finishes what it has and leaves. With --older or --version workers are drained for an "
+     "upgrade, one after the other: each ends with status 69, says which version is wanted, and is "
+     "waited for until it is back. Exit status 3 if one is back with the same version.",
+     fleet_drain_options, 0, 1, run_fleet_drain},
     {"fleet quarantine", "ID [WHY]", "Take no more results of a worker.",
      "Its name is refused until fleet release, also after restarts of the server. Workers that "
      "give "

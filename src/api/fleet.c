@@ -132,7 +132,10 @@ static void reply_orders(struct mo_request *request, const struct mo_fleet_order
     mo_text_format(&text, "%s[\"%llu\",\"%llu\"]", i > 0 ? "," : "",
                    (unsigned long long)orders->dropped[i].epoch,
                    (unsigned long long)orders->dropped[i].number);
-  mo_text_add(&text, "]}");
+  mo_text_add(&text, "]");
+  if (orders->wanted[0] != '\0')
+    mo_text_member(&text, "wanted", orders->wanted);
+  mo_text_add(&text, "}");
   mo_reply_json(request, 200, &text);
 }
 

@@ -7,6 +7,8 @@
 #include "fleet/fleet.h"
 #include "jobs/verification.h"
 
+/* Raised with every change of what travels. Workers of any version of the program may join that
+ * have this protocol and compute the same bits. */
 #define MO_FLEET_PROTOCOL 1
 #define MO_FLEET_WAIT_S   30 /* longest wait for leases or orders */
 

@@ -42,6 +42,7 @@ static void write_session(struct mo_text *text, const struct mo_session_status *
   mo_text_member(text, "host", offer->host);
   mo_text_member(text, "user", offer->user[0] != '\0' ? offer->user : NULL);
   mo_text_member(text, "version", offer->version);
+  mo_text_member_bool(text, "older", session->is_older);
   mo_text_member(text, "state", mo_session_state_words[session->state]);
   mo_text_member(text, "why", session->why[0] != '\0' ? session->why : NULL);
   mo_text_member_count(text, "n_threads", offer->n_threads);
@@ -93,6 +94,7 @@ static void write_counts(struct mo_text *text, const struct mo_fleet_status *sta
   mo_text_member_count(text, "n_sessions", status->n_sessions);
   mo_text_member_count(text, "n_threads", status->n_threads);
   mo_text_member_count(text, "n_devices", status->n_devices);
+  mo_text_member_count(text, "n_older", status->n_older);
   mo_text_member_count(text, "n_quarantined", status->n_quarantined);
   mo_text_member_count(text, "leases", status->leases);
   mo_text_member_count(text, "rollouts_out", status->rows_out);
@@ -140,6 +142,7 @@ void mo_api_get_fleet(struct mo_request *request)
   }
   mo_text_object(&text);
   mo_text_member_bool(&text, "listening", fleet != NULL);
+  mo_text_member(&text, "version", api->version);
   mo_text_member(&text, "compute", fleet != NULL ? api->fleet_compute : "local");
   write_classes(&text, api, &status);
   write_counts(&text, &status);
@@ -165,10 +168,12 @@ static void reply_done(struct mo_request *request, int error, const char *what)
 
 void mo_api_drain_session(struct mo_request *request)
 {
+  static const char *const flags[] = {"false", "true", NULL};
+  int for_upgrade = 0;
   uint64_t session;
   struct mo_fleet *fleet = mo_path_session(request, &session);
-  if (fleet != NULL)
-    reply_done(request, mo_fleet_drain(fleet, session), "session");
+  if (fleet != NULL && mo_query_word(request, "upgrade", flags, &for_upgrade))
+    reply_done(request, mo_fleet_drain(fleet, session, for_upgrade), "session");
 }
 
 void mo_api_quarantine_session(struct mo_request *request)

@@ -117,6 +117,8 @@ int mo_fleet_orders(struct mo_fleet *fleet, uint64_t id, uint64_t now_ns,
   session->heard_ns = now_ns;
   session->told = session->state;
   orders->state = session->state;
+  if (session->for_upgrade)
+    snprintf(orders->wanted, sizeof(orders->wanted), "%s", fleet->config.version);
   orders->n_dropped = session->n_dropped;
   memcpy(orders->dropped, session->dropped, session->n_dropped * sizeof(*orders->dropped));
   session->n_dropped = 0;

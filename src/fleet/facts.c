@@ -1,4 +1,4 @@
-/* facts.c: what there is to see of the fleet. */
+/* facts.c: see facts.h. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -36,6 +36,7 @@ void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status)
       continue;
     const uint32_t held = session->n_held[0] + session->n_held[1];
     status->n_sessions++;
+    status->n_older += session->is_older;
     status->n_threads += session->offer.n_threads;
     status->n_devices += session->offer.n_devices;
     status->leases += held;
@@ -50,6 +51,7 @@ static struct mo_session_status status_of(const struct mo_session *session)
   struct mo_session_status status = {.id = session->id,
                                      .offer = session->offer,
                                      .state = session->state,
+                                     .is_older = session->is_older,
                                      .joined_ns = session->joined_ns,
                                      .heard_ns = session->heard_ns,
                                      .ended_ns = session->ended_ns,

@@ -8,6 +8,7 @@ struct mo_session_status {
   uint64_t id;
   struct mo_fleet_offer offer;
   enum mo_session_state state;
+  bool is_older;                          /* its version, than this program's */
   char why[128];                          /* it ended, or is quarantined; "": works */
   uint64_t joined_ns, heard_ns, ended_ns; /* ended 0: open */
   uint32_t leases, rows_out;              /* held now */
@@ -17,6 +18,7 @@ struct mo_session_status {
 };
 struct mo_fleet_status {
   uint32_t n_sessions, n_threads, n_devices; /* open ones */
+  uint32_t n_older;                          /* open ones of an older version */
   uint32_t n_quarantined;                    /* names */
   uint32_t n_serving[2];                     /* by enum mo_back_end: active ones */
   uint32_t leases, rows_out;

@@ -109,11 +109,13 @@ static int choose_classes(const struct mo_fleet *fleet, const struct mo_fleet_of
   }
   if (serves[MO_ON_CPU] || serves[MO_ON_DEVICE])
     return MO_OK;
-  return mo_fail(message, MO_ERR_UNSUPPORTED, "this daemon wants workers of class \"%s\"%s%s%s",
-                 config->classes[0].scores != NULL ? config->classes[0].scores : "",
-                 config->classes[1].scores != NULL ? " or \"" : "",
-                 config->classes[1].scores != NULL ? config->classes[1].scores : "",
-                 config->classes[1].scores != NULL ? "\"" : "");
+  const char *const device = config->classes[MO_ON_DEVICE].scores;
+  return mo_fail(
+      message, MO_ERR_UNSUPPORTED,
+      "version %s with class \"%.60s\"%s%.60s%s is wanted, got version %s with \"%.60s\"",
+      config->version, config->classes[MO_ON_CPU].scores, device != NULL ? " or \"" : "",
+      device != NULL ? device : "", device != NULL ? "\"" : "", offer->version,
+      offer->classes[MO_ON_CPU].scores);
 }
 
 static void note_refusal(struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
@@ -219,6 +221,7 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
     return MO_ERR_NO_MEMORY;
   *session =
       (struct mo_session){.offer = *offer, .origin = 1, .joined_ns = now_ns, .heard_ns = now_ns};
+  session->is_older = strverscmp(offer->version, config->version) < 0;
   snprintf(origin, sizeof(origin), "%s@%s", offer->name, offer->host);
   session->worker = hash_of(offer->user, origin);
   pthread_mutex_lock(&fleet->mutex);
@@ -269,13 +272,18 @@ int mo_fleet_leave(struct mo_fleet *fleet, uint64_t id, bool is_lost, uint64_t n
   return session != NULL ? MO_OK : MO_ERR_NOT_FOUND;
 }
 
-int mo_fleet_drain(struct mo_fleet *fleet, uint64_t id)
+int mo_fleet_drain(struct mo_fleet *fleet, uint64_t id, bool for_upgrade)
 {
   struct mo_after after = {0};
+  char why[64] = "an operator asked for it";
+  if (for_upgrade)
+    snprintf(why, sizeof(why), "for an upgrade to version %s", fleet->config.version);
   pthread_mutex_lock(&fleet->mutex);
   struct mo_session *session = mo_session_find(fleet, id);
+  if (session != NULL && session->state == MO_SESSION_ACTIVE)
+    session->for_upgrade = for_upgrade;
   if (session != NULL)
-    mo_session_drain(fleet, session, "an operator asked for it", &after);
+    mo_session_drain(fleet, session, why, &after);
   pthread_mutex_unlock(&fleet->mutex);
   mo_after_run(fleet, &after);
   return session != NULL ? MO_OK : MO_ERR_NOT_FOUND;

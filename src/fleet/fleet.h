@@ -34,7 +34,7 @@ struct mo_fleet_config {
   struct mo_workspace workspace;
   uint64_t epoch;
   uint64_t seed;       /* of the choice of audits; the same in tests */
-  const char *version; /* of the program; other workers are refused */
+  const char *version; /* of the program; workers of any may join whose class is one of these */
   /* By enum mo_back_end: the class, and the hash that its canary must have; class NULL: not served.
    * is_absent: only workers have it, and the first one's canary counts; `name_class` names it. */
   struct {
@@ -81,9 +81,9 @@ struct mo_fleet_offer {
     struct mo_sha256 canary;
   } classes[2]; /* by enum mo_back_end */
 };
-/* Opens a session. Returns its id, unguessable, 1 to 10^18. MO_ERR_UNSUPPORTED: another version, no
- * class that this daemon has; MO_ERR_CONFLICT: a wrong canary (with both hashes in the message), or
- * the name is quarantined; MO_ERR_LIMIT. */
+/* Opens a session. Returns its id, unguessable, 1 to 10^18. MO_ERR_UNSUPPORTED: no class that this
+ * daemon has; MO_ERR_CONFLICT: a wrong canary (with both hashes in the message), or the name is
+ * quarantined; MO_ERR_LIMIT. */
 int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer, uint64_t now_ns,
                       struct mo_message *message);
 /* Closes a session and puts its leases back. why: "left", "connection ended". MO_ERR_NOT_FOUND. */
@@ -100,6 +100,8 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t session, const uint8_t *u
 /* What a session is told on its watch: leases to drop, and whether to go on. */
 struct mo_fleet_orders {
   enum mo_session_state state;
+  char
+      wanted[32]; /* draining: the version that its worker should be started again with; "": none */
   uint32_t n_dropped;
   struct mo_lease_id dropped[16];
 };
@@ -126,7 +128,7 @@ void mo_fleet_arrived(struct mo_fleet *fleet);
 
 /* For operators. MO_ERR_NOT_FOUND, and errors of save_outcasts. Quarantine holds for the session's
  * token and name until `release`, which is by name, whatever the token. */
-int mo_fleet_drain(struct mo_fleet *fleet, uint64_t session);
+int mo_fleet_drain(struct mo_fleet *fleet, uint64_t session, bool for_upgrade);
 int mo_fleet_quarantine(struct mo_fleet *fleet, uint64_t session, const char *why);
 int mo_fleet_release(struct mo_fleet *fleet, const char *name);
 

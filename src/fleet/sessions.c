@@ -20,6 +20,21 @@ struct mo_session *mo_session_find(struct mo_fleet *fleet, uint64_t id)
   return session;
 }
 
+/* One event for a fleet of them: for the first. */
+static void note_older(const struct mo_fleet *fleet, const struct mo_session *session,
+                       struct mo_after *after)
+{
+  const struct mo_session *other;
+  struct mo_text text = {0};
+  TAILQ_FOREACH(other, &fleet->sessions, all)
+  if (other->is_older && other != session)
+    return;
+  mo_event_session(&text, session->offer.name, session->offer.host, "");
+  mo_text_member(&text, "version", session->offer.version);
+  mo_text_member(&text, "wanted", fleet->config.version);
+  mo_after_event(after, "fleet.older", &text);
+}
+
 void mo_session_insert(struct mo_fleet *fleet, struct mo_session *session, struct mo_after *after)
 {
   struct mo_text text = {0};
@@ -33,6 +48,8 @@ void mo_session_insert(struct mo_fleet *fleet, struct mo_session *session, struc
   mo_text_member_count(&text, "n_threads", session->offer.n_threads);
   mo_text_member_count(&text, "n_devices", session->offer.n_devices);
   mo_after_event(after, "fleet.joined", &text);
+  if (session->is_older)
+    note_older(fleet, session, after);
 }
 
 /* ---- ends ---- */

@@ -90,7 +90,7 @@ struct mo_session {
   enum mo_session_state state, told;
   char why[128];
   uint64_t joined_ns, heard_ns, ended_ns, rest_ns; /* rest: no lease before this */
-  bool serves[2];
+  bool serves[2], is_older, for_upgrade; /* older: its version; for_upgrade: it was drained so */
   struct mo_lease *held[2][MO_FLEET_LEASES];
   uint32_t n_held[2], n_taking[2]; /* taking: between the source and the table */
   struct mo_pace pace[2];

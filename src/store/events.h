@@ -19,7 +19,7 @@ struct mo_event {
                      "campaign.extended",  "campaign.imported", "campaign.lineage_unreadable",
                      "controller.stored",  "controller.removed",
                      "fleet.joined", "fleet.left", "fleet.lost", "fleet.refused",
-                     "fleet.quarantined", "fleet.empty", "scores.imported",
+                     "fleet.older", "fleet.quarantined", "fleet.empty", "scores.imported",
                      "scores.differ" */
   char data[512]; /* a JSON object */
 };

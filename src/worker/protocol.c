@@ -173,6 +173,9 @@ int mo_protocol_get_orders(const char *text, size_t size, struct mo_fleet_orders
     while (mo_json_member(json, &key)) {
       if (mo_json_is(key, "dropped")) {
         read_dropped(json, orders);
+      } else if (mo_json_is(key, "wanted")) {
+        if (mo_json_string(json, &word))
+          snprintf(orders->wanted, sizeof(orders->wanted), "%.*s", (int)word.size, word.bytes);
       } else if (!mo_json_is(key, "state")) {
         mo_json_skip(json);
       } else if (mo_json_string(json, &word)) {

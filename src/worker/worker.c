@@ -47,6 +47,7 @@ struct mo_worker {
   uint32_t calm_ms, leases_wait_s;
   int64_t leases_asked_ms;
   bool is_draining;
+  char wanted[32]; /* version, of a drain for an upgrade; "": none */
   struct mo_sha256 weights_asked;
   atomic_int phase, stops; /* stops: how often the end was asked for */
 };
@@ -67,6 +68,17 @@ static void finish(struct mo_worker *worker, enum mo_worker_end end, const char 
   worker->end = end;
   snprintf(worker->why.text, sizeof(worker->why.text), "%s", why);
   worker->phase = ENDED;
+}
+
+/* Ends a drain. */
+static void finish_leaving(struct mo_worker *worker)
+{
+  char why[64];
+  snprintf(why, sizeof(why), "the daemon wants version %s", worker->wanted);
+  if (worker->wanted[0] != '\0')
+    finish(worker, MO_WORKER_UNWANTED, why);
+  else
+    finish(worker, MO_WORKER_LEFT, "");
 }
 
 static bool out_of_memory(struct mo_worker *worker, int error)
@@ -105,7 +117,7 @@ static void lose(struct mo_worker *worker, uint32_t retry_after_s, const char *w
     mo_link_abort(worker->link, (enum mo_call)call);
   mo_holding_drop_all(worker->holding);
   if (worker->is_draining) {
-    finish(worker, MO_WORKER_LEFT, "");
+    finish_leaving(worker);
     return;
   }
   if (worker->lost_ms < 0)
@@ -327,7 +339,7 @@ static void drain(struct mo_worker *worker, int64_t limit_ms, const char *why)
   say(worker, MO_WORKER_INFO, "leaving", why);
   mo_link_abort(worker->link, MO_CALL_LEASES);
   if (worker->phase != ACTIVE)
-    finish(worker, MO_WORKER_LEFT, "");
+    finish_leaving(worker);
 }
 
 static void take_orders(struct mo_worker *worker, const struct mo_link_reply *reply)
@@ -347,8 +359,12 @@ static void take_orders(struct mo_worker *worker, const struct mo_link_reply *re
     mo_holding_drop(worker->holding, orders.dropped[i]);
   if (orders.state == MO_SESSION_QUARANTINED)
     finish(worker, MO_WORKER_QUARANTINED, "the daemon has quarantined this worker");
-  else if (orders.state == MO_SESSION_DRAINING && !worker->is_draining)
-    drain(worker, DRAIN_MS, "the daemon drains this worker");
+  else if (orders.state == MO_SESSION_DRAINING && !worker->is_draining) {
+    memcpy(worker->wanted, orders.wanted, sizeof(worker->wanted));
+    drain(worker, DRAIN_MS,
+          orders.wanted[0] != '\0' ? "the daemon drains this worker for an upgrade"
+                                   : "the daemon drains this worker");
+  }
   if (now_ms() - worker->joined_ms >= STEADY_MS)
     found(worker);
 }
@@ -358,7 +374,7 @@ static void handle(struct mo_worker *worker, enum mo_call call, const struct mo_
   switch (call) {
   case MO_CALL_SESSION:
     if (worker->phase == LEAVING)
-      finish(worker, MO_WORKER_LEFT, "");
+      finish_leaving(worker);
     else
       joined(worker, reply);
     break;
@@ -377,8 +393,10 @@ static void watch_clock(struct mo_worker *worker, int64_t now)
 {
   const struct mo_worker_config *config = &worker->config;
   const int stops = worker->stops;
+  if (stops > 0)
+    worker->wanted[0] = '\0'; /* it ends because it was asked to here */
   if (stops > 1 || (worker->is_draining && now >= worker->end_ms))
-    finish(worker, MO_WORKER_LEFT, "");
+    finish_leaving(worker);
   else if (stops == 1 && (!worker->is_draining || worker->give_back_ms > now + MO_WORKER_STOP_MS)) {
     drain(worker, MO_WORKER_STOP_MS, "asked to end");
     mo_holding_give_back(worker->holding, false);

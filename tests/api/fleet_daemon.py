@@ -250,7 +250,8 @@ class FakeDaemon:
                         return
                     told = [[str(part) for part in i] for i in session["dropped"]]
                     session["dropped"] = []
-                    self.reply(200, {"state": session["state"], "dropped": told})
+                    wanted = {"wanted": session["wanted"]} if "wanted" in session else {}
+                    self.reply(200, {"state": session["state"], "dropped": told} | wanted)
                 else:
                     assert self.command == "DELETE" and what == ""
                     fake.forget()

@@ -27,7 +27,7 @@ def test_a_slurm_job_starts_a_worker(tmp_path):
     comments = [line for line in lines[1:lines.index("")]]
     assert all(line.startswith("#") for line in comments)  # Slurm reads no further
     for line in ("--array=1-7", "--cpus-per-task=1", "--time=30", "--requeue",
-                 "--signal=B:TERM@30"):
+                 "--signal=B:USR1@30"):
         assert "#SBATCH " + line in comments
     (tmp_path / "morphod").symlink_to(BINARY)
     done = subprocess.run(["bash", script], capture_output=True, text=True, timeout=30, env={

@@ -13,7 +13,7 @@ import pytest
 
 from contract import SOURCE
 from fleet_daemon import DONE, GIVEN_BACK, PASSIVE, FakeDaemon, Lease, Proxy, Worker, message
-from service import BINARY
+from service import BINARY, until
 
 DESIGNS = [json.loads((SOURCE / "data/designs" / f"{name}.json").read_text())
            for name in ("voxel", "table", "wheel", "crawler")]
@@ -262,6 +262,22 @@ def test_orders_drain_and_quarantine(daemon, launch, known):
             daemon.changed.notify_all()
         assert worker.ends() == status
         assert n == 0 or daemon.done((1, 0)) == losses(known)
+        daemon.forget()
+
+
+def test_an_upgrade_is_another_end(daemon, launch, known):
+    """Status 69 and the version that is wanted, unless a signal comes first."""
+    for stops, status in ((False, 69), (True, 0)):
+        worker = launch(Worker, daemon.url)
+        daemon.until(lambda: daemon.sessions)
+        daemon.give(long_lease(known, 0) if stops else lease(known, 0))
+        running(daemon, (1, 0))
+        with daemon.changed:
+            next(iter(daemon.sessions.values())).update(state="draining", wanted="9.8")
+            daemon.changed.notify_all()
+        until(lambda: "for an upgrade" in worker.log_text())
+        assert (worker.stop()[0] if stops else worker.ends()) == status
+        assert ("version 9.8" in worker.log_text()) == (not stops)
         daemon.forget()
 
 

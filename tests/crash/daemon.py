@@ -15,6 +15,7 @@ import requests
 REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
 BUILD = pathlib.Path(os.environ.get("MORPHOD_BUILD", REPOSITORY / "build"))
 MORPHOD = BUILD / "src" / "daemon" / "morphod"
+OLDER = BUILD / "tests" / "morphod-older"
 MORPHOCTL = BUILD / "clients" / "morphoctl" / "morphoctl"
 ACCEPTED = (200, 202)
 ENDED = ("succeeded", "failed", "cancelled")
@@ -42,6 +43,8 @@ def bodies(seed, n):
 
 
 class Daemon:
+    binary = MORPHOD
+
     def __init__(self, folder, beside=None, **settings):
         """Its log and address are in the folder too, or in one beside it."""
         self.folder = pathlib.Path(folder)
@@ -56,7 +59,7 @@ class Daemon:
     def command(self, *more):
         flags = [f"--{k.replace('_', '-')}={v}" for k, v in self.settings.items()]
         return [
-            str(MORPHOD), f"--state-dir={self.state}", "--listen=127.0.0.1:0",
+            str(self.binary), f"--state-dir={self.state}", "--listen=127.0.0.1:0",
             f"--port-file={self.port_file}", f"--default-controller={CONTROLLER}", *flags, *more
         ]
 

@@ -439,8 +439,9 @@ def test_fleet(start):
     row = fleet.sessions.iloc[0]
     assert (row["id"], row["name"], row["state"]) == (session, "a node", "active")
     assert row["classes_cpu_scores"] == fleet.data["classes"]["cpu"]["scores"]
-    fleet.drain(session)
-    assert fleet.refresh().sessions.iloc[0]["state"] == "draining"
+    fleet.drain(session, upgrade=True)
+    row = fleet.refresh().sessions.iloc[0]
+    assert row["state"] == "draining" and row["why"].startswith("for an upgrade to version ")
     fleet.quarantine(session, "for a test")
     assert fleet.refresh().sessions.iloc[0]["why"] == "for a test"
     assert list(fleet.in_quarantine[["name", "why"]].iloc[0]) == ["a node", "for a test"]

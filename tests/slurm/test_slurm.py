@@ -2,6 +2,7 @@
 crashes, jobs are cancelled, and a time limit comes. The campaign is that of one machine alone."""
 
 import os
+import pathlib
 import re
 import subprocess
 import time
@@ -42,6 +43,21 @@ def a_daemon(start, folder, *flags):
                      f"--pin=sha256//{pin}", f"--worker-token-file={files[3]}", "--cpus=2"]
 
 
+def install(slurm, binary):
+    """Puts a program where the jobs find it."""
+    place = slurm.base / "morphod"
+    place.unlink(missing_ok=True)
+    place.symlink_to(binary)
+    slurm.environment["PATH"] = f"{slurm.base}:{os.environ['PATH']}"
+
+
+def submit_job(slurm, command, *options):
+    made = subprocess.run([*command, *options], check=True, capture_output=True, text=True)
+    script = slurm.base / "workers.sbatch"
+    script.write_text(made.stdout)
+    return re.search(r"\d+$", slurm.slurm("sbatch", str(script)))[0]
+
+
 def sessions(service):
     """Names of the hosts that compute."""
     return sorted(session["host"] for session in service.get("/v1/fleet")["sessions"]
@@ -53,15 +69,11 @@ def test_a_campaign_survives_what_slurm_does(slurm, start, tmp_path):
     expected = rows_of(alone, run(alone, "campaigns", CAMPAIGN, 600)["id"])
     alone.close()
     service, command = a_daemon(start, tmp_path)
-    (slurm.base / "morphod").symlink_to(BINARY)
-    slurm.environment["PATH"] = f"{slurm.base}:{slurm.environment['PATH']}"
+    install(slurm, BINARY)
     campaign = service.post("/v1/campaigns", CAMPAIGN)["id"]
 
     def submit(*options):
-        made = subprocess.run([*command, *options], check=True, capture_output=True, text=True)
-        script = slurm.base / "workers.sbatch"
-        script.write_text(made.stdout)
-        return re.search(r"\d+$", slurm.slurm("sbatch", str(script)))[0]
+        return submit_job(slurm, command, *options)
 
     def generation():
         return service.get(f"/v1/campaigns/{campaign}")["progress"]["generation"] or 0
@@ -102,3 +114,22 @@ def test_a_campaign_survives_what_slurm_does(slurm, start, tmp_path):
     assert rows_of(service, campaign) == expected
     status = service.get("/v1/fleet")
     assert (status["lost"], status["audits_failed"]) == (1, 0)
+
+
+def test_an_upgrade_starts_the_job_again(slurm, start, tmp_path):
+    service, command = a_daemon(start, tmp_path)
+    install(slurm, pathlib.Path(BINARY).parents[2] / "tests" / "morphod-older")
+    job = submit_job(slurm, command, "--workers=1", "--idle=1h")
+    until(lambda: sessions(service) != [], 30)
+    (old, ) = service.get("/v1/fleet")["sessions"]
+    install(slurm, BINARY)
+    path = f"/v1/fleet/sessions/{old['id']}/drain?upgrade=true"
+    assert old["older"] and service.request("POST", path).status == 204
+    began = time.monotonic()
+    until(lambda: sessions(service) == [], 10)
+    slurm.until(lambda: f"ArrayJobId={job}" in slurm.jobs("PENDING"))
+    until(lambda: sessions(service) != [], 300)
+    print(f"back after {time.monotonic() - began:.0f} s")
+    new, *_ = service.get("/v1/fleet")["sessions"]
+    assert new["version"] == service.get("/healthz")["version"] != old["version"]
+    slurm.slurm("scancel", job)

@@ -37,8 +37,8 @@ export async function mount(main, path, parameters, app) {
     return h('div.scroll', {}, table(names, body, (name) => /second|Done|Lost|Now/.test(name)));
   }
 
-  const nameOf = (session) => h('td.main', {}, session.name,
-    h('div.muted', {}, session.host === session.name ? session.version : `${session.host}, ${session.version}`));
+  const nameOf = (session) => h('td.main', {}, session.name, h('div.muted', {},
+    [session.host === session.name ? '' : session.host, session.version + (session.older ? ' (older)' : '')].filter(Boolean).join(', ')));
   const stateOf = (session) => h('td', {}, h(`span.state.${COLORS[session.state]}`, {}, session.state),
     session.why && session.state !== 'left' ? h('div.muted', {}, session.why) : null);
   const powerOf = (threads, devices) => [threads ? countOf(threads, 'thread') : '', devices ? countOf(devices, 'GPU') : '']
@@ -112,7 +112,7 @@ export async function mount(main, path, parameters, app) {
       tile('Compared', count(fleet.audits), fleet.audits_failed ? `${count(fleet.audits_failed)} with other bits`
         : fleet.audits ? 'leases, all with the same bits' : 'leases that two workers compute'));
     note.textContent = fleet.listening
-      ? Object.values(fleet.classes).filter(Boolean).map((one) => `${one.scores}: ${countOf(one.sessions, 'worker')}`).join('; ')
+      ? (fleet.n_older ? `${countOf(fleet.n_older, 'worker')} of an older version than ${fleet.version}, with the same bits; morphoctl fleet drain --older lets them be upgraded. ` : '') + Object.values(fleet.classes).filter(Boolean).map((one) => `${one.scores}: ${countOf(one.sessions, 'worker')}`).join('; ')
       : 'Only this machine computes. With the setting fleet_listen, workers of other machines can join (morphod worker).';
     fill(machines, ownRow(threads, devices, fleet), open.map(row));
     fill(ended, gone.slice(0, 50).map(endedRow));

@@ -13,12 +13,10 @@ static void refused(void)
   struct mo_fleet_offer offer = fake_offer("w", "h");
   begin(0);
   snprintf(offer.version, sizeof(offer.version), "0.9.0");
-  CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_UNSUPPORTED);
-  CHECK_SAYS(message, "version 1.0.0, got 0.9.0");
-  offer = fake_offer("w", "h");
   snprintf(offer.classes[0].scores, sizeof(offer.classes[0].scores), "cpu avx2");
   CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_UNSUPPORTED);
-  CHECK_SAYS(message, fake_class);
+  CHECK_SAYS(message, "version 1.0.0 with class \"cpu fake float32 kernels-1\" is wanted");
+  CHECK_SAYS(message, "got version 0.9.0 with \"cpu avx2\"");
   offer = fake_offer("w", "h");
   offer.classes[0].canary.bytes[0] = 0xab;
   CHECK_INT(mo_fleet_join(fake->fleet, &offer, fake->now_ns, &message), MO_ERR_CONFLICT);
@@ -75,7 +73,7 @@ static void quarantined(void)
   /* Drained: no more leases, and what it has is taken. */
   const uint64_t c = join("c");
   leases = exchange(c);
-  CHECK_OK(mo_fleet_drain(fake->fleet, c));
+  CHECK_OK(mo_fleet_drain(fake->fleet, c, false));
   CHECK(was_woken(c) && orders_of(c).state == MO_SESSION_DRAINING);
   leases = finish(c, &leases, MO_RESULT_DONE);
   CHECK(leases.n == 0 && status().leases_done == 2);
@@ -89,6 +87,40 @@ static void quarantined(void)
   CHECK(items[0].ended_ns == 0 && items[4].state == MO_SESSION_LOST);
   CHECK_TEXT(items[n - 1].why, "its connection ended");
   free(items);
+}
+
+/* Workers of any version may join that compute the same bits. */
+static void versions(void)
+{
+  static const struct {
+    const char *version;
+    bool is_older;
+  } offers[] = {{"1.0.0", false}, {"0.10.1", true}, {"0.9.0", true}, {"1.0.10", false}};
+  uint64_t ids[COUNT(offers)];
+  begin(0);
+  for (size_t i = 0; i < COUNT(offers); i++) {
+    struct mo_fleet_offer offer = fake_offer("w", "h");
+    snprintf(offer.version, sizeof(offer.version), "%s", offers[i].version);
+    const uint32_t n_events = fake->n_events;
+    ids[i] = (uint64_t)mo_fleet_join(fake->fleet, &offer, fake->now_ns, NULL);
+    /* Its joining, and once that there are older ones. */
+    CHECK_INT(fake->n_events, n_events + (i == 1 ? 2 : 1));
+    CHECK_TEXT(fake->event, i == 1 ? "fleet.older" : "fleet.joined");
+    CHECK(i != 1 || strstr(fake->data, "\"version\":\"0.10.1\",\"wanted\":\"1.0.0\"") != NULL);
+  }
+  struct mo_session_status *items = NULL;
+  size_t n = 0;
+  CHECK_OK(mo_fleet_sessions(fake->fleet, &items, &n));
+  CHECK_INT(status().n_older, 2);
+  for (size_t i = 0; i < n; i++)
+    CHECK(items[i].is_older == offers[i].is_older);
+  free(items);
+  /* Only who is drained for an upgrade is told what is wanted. */
+  CHECK_OK(mo_fleet_drain(fake->fleet, ids[1], true));
+  CHECK_OK(mo_fleet_drain(fake->fleet, ids[2], false));
+  CHECK_OK(mo_fleet_drain(fake->fleet, ids[2], true));
+  CHECK_TEXT(orders_of(ids[1]).wanted, "1.0.0");
+  CHECK_TEXT(orders_of(ids[2]).wanted, "");
 }
 
 /* ---- sizes ---- */
@@ -450,6 +482,7 @@ static void weights(void)
 static const struct check_case cases[] = {
     {"refused", refused},
     {"quarantined and drained", quarantined},
+    {"other versions", versions},
     {"sizes of leases", sizes},
     {"sessions that boast", boasters},
     {"sessions of different rates", shared},

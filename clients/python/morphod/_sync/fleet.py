@@ -44,9 +44,14 @@ class Fleet:
         self.data = self._connection.json(Request.get("/v1/fleet"))
         return self
 
-    def drain(self, session: str) -> None:
-        """Gives a worker, by its session's id, no more work: it finishes what it has and leaves."""
-        self._connection.send(Request.post(f"/v1/fleet/sessions/{session}/drain"))
+    def drain(self, session: str, upgrade: bool = False) -> None:
+        """Gives a worker, by its session's id, no more work: it finishes what it has and leaves.
+
+        For an upgrade its process ends with status 69 and names the service's version, so that
+        what supervises it starts what is installed by then.
+        """
+        query = "?upgrade=true" if upgrade else ""
+        self._connection.send(Request.post(f"/v1/fleet/sessions/{session}/drain{query}"))
 
     def quarantine(self, session: str, why: str = "by an operator") -> None:
         """Takes no more results of a worker, and refuses its name until `release`, also after
