@@ -85,6 +85,19 @@ static bool fits(const struct mo_fleet *fleet, const struct mo_lease *lease,
          (lease->is_listed && now_ns > lease->listed_ns + PATIENCE_NS);
 }
 
+/* Suspects go back first, to be leased among fewer: with sessions that are noticed late to be lost,
+ * somebody would always hold the lease. */
+static bool may_repeat(const struct mo_fleet *fleet, const struct mo_lease *lease,
+                       const struct mo_session *session)
+{
+  bool is_suspect = false;
+  if (lease->content.n_parameters > 0)
+    return true;
+  if (lease->is_only && lease->content.n_blocks == 1)
+    return session == NULL || mo_session_is_free(session);
+  return mo_suspects_limit(fleet->suspects, &lease->content, &is_suspect) == UINT32_MAX;
+}
+
 static struct mo_lease *find_listed(struct mo_fleet *fleet, const struct mo_session *session,
                                     enum mo_back_end back_end, uint64_t now_ns)
 {
@@ -93,9 +106,9 @@ static struct mo_lease *find_listed(struct mo_fleet *fleet, const struct mo_sess
   {
     if (mo_lease_held_by(lease, session) >= 0 || lease->n_holds == MO_HOLDS)
       continue;
-    if (lease->parcel != NULL ? fits(fleet, lease, session, now_ns) &&
-                                    (!lease->is_only || mo_session_is_free(session))
-                              : mo_check_suits(lease, session, now_ns))
+    if (lease->parcel != NULL
+            ? fits(fleet, lease, session, now_ns) && may_repeat(fleet, lease, session)
+            : mo_check_suits(lease, session, now_ns))
       return lease;
   }
   return NULL;
@@ -112,6 +125,7 @@ struct mo_lease *mo_give_overdue(struct mo_fleet *fleet, const struct mo_session
       return NULL;
     if (lease->content.back_end == back_end && lease->parcel != NULL && lease->n_holds == 1 &&
         !lease->is_listed && now_ns >= lease->holds[0].due_ns &&
+        may_repeat(fleet, lease, session) &&
         (session == NULL ||
          (lease->holds[0].session != session && fits(fleet, lease, session, now_ns))))
       return lease;

@@ -258,16 +258,17 @@ void mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t p
                       uint64_t now_ns, struct mo_after *after)
 {
   struct mo_session *session = lease->holds[place].session;
-  bool is_proven = false;
+  bool is_proven = false, is_stubborn = false;
   session->leases_lost += is_lost;
   if (is_lost && lease->parcel != NULL && lease->content.n_parameters == 0) {
     is_proven = mo_suspects_add(fleet->suspects, &lease->content, session->id, session->worker,
-                                lease->is_only, &lease->is_kept);
-    if (lease->is_kept && fleet->config.classes[lease->content.back_end].is_absent)
+                                lease->is_only, &is_stubborn);
+    if (is_stubborn && fleet->config.classes[lease->content.back_end].is_absent)
       is_proven = true; /* nobody else computes it */
   }
+  lease->is_kept |= is_stubborn;
   mo_lease_unhold(lease, place);
-  if (lease->n_holds > 0)
+  if (lease->n_holds > 0 && !is_proven && !is_stubborn)
     return;
   if (lease->parcel == NULL && lease->is_audit) {
     mo_lease_list(fleet, lease, now_ns, after);

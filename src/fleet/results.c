@@ -6,6 +6,7 @@
 
 #define MEMORY       0.9 /* of the sums of a pace, per message: about ten leases */
 #define FAILURES_MAX 5   /* leases in a row, until a session gets no more */
+#define REFUSALS_MAX 10  /* likewise, whose seconds of rest grow */
 
 /* What the results of one message add to the pace of a session on one back end. */
 struct part {
@@ -67,7 +68,7 @@ static void take_rows(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_
   session->leases_done++;
   session->rows_done += result->n_rows;
   session->busy_s += busy_s;
-  session->n_failures = 0;
+  session->n_failures = session->n_refusals = 0;
   if (lease->parcel == NULL) {
     mo_check_result(fleet, lease, session, result, now_ns, after);
     return;
@@ -96,6 +97,14 @@ static void take_failure(struct mo_fleet *fleet, struct mo_session *session, uin
   session->rest_ns = now_ns + ++session->n_failures * MO_S_NS;
   if (session->n_failures == FAILURES_MAX)
     mo_session_drain(fleet, session, "failed five leases in a row", after);
+}
+
+/* What a worker cannot compute is computed here. One that says so of one lease after the other
+ * would empty the queue: it rests, too, longer each time, and goes on. */
+static void take_refusal(struct mo_session *session, uint64_t now_ns)
+{
+  session->rest_ns = now_ns + session->n_refusals * MO_S_NS;
+  session->n_refusals += session->n_refusals < REFUSALS_MAX;
 }
 
 /* The time of a session is that of this process: since its result before, or since it got the
@@ -136,6 +145,8 @@ int mo_results_take(struct mo_fleet *fleet, struct mo_session *session,
       mo_lease_release(fleet, lease, place, has_failed, now_ns, after);
       if (has_failed)
         take_failure(fleet, session, now_ns, after);
+      else if (result->state == MO_RESULT_UNSUPPORTED)
+        take_refusal(session, now_ns);
       continue;
     }
     struct part *part = &parts[lease->content.back_end];

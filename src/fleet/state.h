@@ -94,7 +94,7 @@ struct mo_session {
   struct mo_lease *held[2][MO_FLEET_LEASES];
   uint32_t n_held[2], n_taking[2]; /* taking: between the source and the table */
   struct mo_pace pace[2];
-  uint32_t n_dropped, n_failures; /* failures: leases in a row */
+  uint32_t n_dropped, n_failures, n_refusals; /* the last two: leases in a row */
   struct mo_lease_id dropped[MO_DROPPED_MAX];
   double busy_s;
   uint64_t leases_done, leases_lost, rows_done, audits, audits_failed;

@@ -1,6 +1,8 @@
 /* leases.c: who gets which lease, and what becomes of it; model.c is the same by chance. */
 #include "scene.h"
 
+#include "fleet/sessions.h"
+
 #include "fleet/weights.h"
 
 #define MANY 1000
@@ -344,6 +346,43 @@ static void poison(int n_workers)
   CHECK_INT(fake->n_waiting, 1);
 }
 
+/* The same, where it takes seconds to see that a session is lost: at the end of the queue the next
+ * ones get the lease while others still hold it. */
+static void poison_seen_late(void)
+{
+  static const char *const names[] = {"w0", "w1", "w2"};
+  uint64_t stuck[3] = {0};
+  uint32_t sessions = 0;
+  begin(GENOTYPES);
+  for (; fake->n_done < GENOTYPES && sessions < 60; sessions++) {
+    struct mo_fleet_offer offer = fake_offer(names[sessions % 3], "h");
+    offer.n_threads = 4;
+    const uint64_t session = (uint64_t)mo_fleet_join(fake->fleet, &offer, fake->now_ns, NULL);
+    struct mo_wire_leases leases = exchange(session);
+    bool is_stuck = false;
+    while (!is_stuck && leases.n > 0) {
+      for (uint32_t i = 0; i < leases.n; i++)
+        for (uint32_t b = 0; b < leases.items[i].n_blocks; b++)
+          is_stuck |= same_body(&leases.items[i].blocks[b], 40);
+      advance(0.05);
+      if (!is_stuck)
+        leases = finish(session, &leases, MO_RESULT_DONE);
+    }
+    mo_wire_free_leases(&leases);
+    uint64_t *place = &stuck[sessions % 3];
+    if (*place != 0)
+      CHECK_OK(mo_fleet_leave(fake->fleet, *place, true, fake->now_ns));
+    *place = is_stuck ? session : 0;
+    if (!is_stuck)
+      CHECK_OK(mo_fleet_leave(fake->fleet, session, false, fake->now_ns));
+    advance(1.5);
+  }
+  printf("# the body was found after %u sessions\n", sessions);
+  CHECK(sessions <= 40);
+  for (uint32_t i = 0; i < GENOTYPES; i++)
+    CHECK_INT(blocks[i]->status, i == 40 ? MO_ERR_EXHAUSTED : MO_OK);
+}
+
 /* Sessions that hold a lease put a suspect back, and wake nobody but one that holds none. */
 static void suspected(void)
 {
@@ -381,16 +420,31 @@ static void suspected(void)
   leases = finish(ids[2], &leases, MO_RESULT_DONE);
 }
 
-/* What the workers of a class cannot compute stays here, and nobody suffers. */
+/* What the workers of a class cannot compute stays here. One that says so of everything gets
+ * little, and leaves the rest to others, until it computes again. */
 static void unsupported(void)
 {
-  begin(200);
-  const uint64_t a = join("a");
-  struct mo_wire_leases leases = exchange(a);
-  for (int i = 0; i < 10; i++)
+  begin(MANY);
+  const uint64_t a = join("a"), b = join("b");
+  struct mo_wire_leases leases = exchange(a), of_b;
+  for (int i = 0; i < 120; i++) {
     leases = finish(a, &leases, MO_RESULT_UNSUPPORTED);
-  CHECK(fake->n_kept >= 20 && fake->n_kept == fake->n_done);
-  CHECK(orders_of(a).state == MO_SESSION_ACTIVE && leases.n == 2);
+    advance(0.5);
+    if (leases.n == 0)
+      leases = exchange(a);
+  }
+  CHECK(fake->n_kept >= 10 && fake->n_kept <= 30 && fake->n_kept == fake->n_done);
+  CHECK(orders_of(a).state == MO_SESSION_ACTIVE);
+  of_b = warm(b, 320);
+  CHECK(of_b.n == 2);
+  mo_wire_free_leases(&of_b);
+  for (int i = 0; i < 25 && leases.n == 0; i++) {
+    advance(0.5);
+    leases = exchange(a);
+  }
+  CHECK(leases.n > 0 && mo_session_find(fake->fleet, a)->n_refusals > 0);
+  leases = finish(a, &leases, MO_RESULT_DONE);
+  CHECK_INT(mo_session_find(fake->fleet, a)->n_refusals, 0);
   mo_wire_free_leases(&leases);
 }
 
@@ -492,6 +546,7 @@ static const struct check_case cases[] = {
     {"cancelled", cancelled},
     {"a body that ends sessions", WITH(poison, 3)},
     {"workers that end with a body", WITH(poison, 2)},
+    {"a body that ends sessions, seen late", poison_seen_late},
     {"a suspect and busy sessions", suspected},
     {"what no worker computes", unsupported},
     {"a worker that fails", failing},
