@@ -284,7 +284,7 @@ static int compute_on_cpu(struct mo_gradient_state *state, struct mo_gradient_ba
     else if (is_cancelled(batch))
       call.status = MO_ERR_CANCELLED;
     else
-      mo_offer_wait(&call.offer);
+      mo_offer_wait(&call.offer, call.n_added);
     add_shards(&call);
   }
   mo_offer_stop(&call.offer);
@@ -311,7 +311,7 @@ static int compute_elsewhere(struct mo_gradient_state *state, struct mo_gradient
   if (status != MO_OK)
     return status;
   while (status == MO_OK && call.n_added < call.offer.n) {
-    mo_offer_wait(&call.offer);
+    mo_offer_wait(&call.offer, call.n_added);
     add_shards(&call);
     status = is_cancelled(batch) ? MO_ERR_CANCELLED : mo_offer_error(&call.offer);
   }

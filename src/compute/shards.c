@@ -181,14 +181,11 @@ struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number
   return result;
 }
 
-void mo_offer_wait(struct mo_offer *offer)
+void mo_offer_wait(struct mo_offer *offer, uint32_t number)
 {
   struct mo_fair *fair = offer->fair;
   pthread_mutex_lock(&fair->mutex);
-  bool has_result = false;
-  for (uint32_t i = 0; i < offer->n; i++)
-    has_result |= offer->items[i].result != NULL;
-  if (!has_result)
+  if (offer->items[number].result == NULL)
     (void)mo_wait_until(&offer->changed, &fair->mutex, mo_clock_us() + WAIT_US);
   pthread_mutex_unlock(&fair->mutex);
 }

@@ -57,9 +57,9 @@ int mo_offer_claim(struct mo_offer *offer);
 void mo_offer_finish(struct mo_offer *offer, uint32_t number, struct mo_shard_result **result);
 /* Takes the result of a shard, which the caller frees. NULL: not done yet. */
 struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number);
-/* Waits until something changes, or 50 ms: cancellation and the coming and going of takers do not
- * wake. */
-void mo_offer_wait(struct mo_offer *offer);
+/* Waits for the result of a shard, until something changes, or 50 ms: cancellation and the coming
+ * and going of takers do not wake. */
+void mo_offer_wait(struct mo_offer *offer, uint32_t number);
 /* Of shards for takers alone. MO_ERR_UNSUPPORTED: they cannot compute one; MO_ERR_DEVICE: they
  * return one again and again. */
 int mo_offer_error(struct mo_offer *offer);
