@@ -95,7 +95,6 @@ int mo_weights_read(struct mo_fleet *fleet, const struct mo_sha256 *hash,
     return MO_ERR_BUSY;
   }
   (*weights)->n_readers++;
-  (*weights)->file.fleet = fleet;
   return MO_OK;
 }
 
@@ -103,6 +102,7 @@ struct mo_weights *mo_weights_add(struct mo_fleet *fleet, struct mo_weights *wei
 {
   struct mo_weights *same = of(fleet, &weights->hash);
   if (same == NULL || (same->identity != NULL && same->identity != weights->identity)) {
+    weights->file.fleet = fleet;
     LIST_INSERT_HEAD(&fleet->weights, weights, next);
     return use(weights);
   }
