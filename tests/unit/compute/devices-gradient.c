@@ -2,6 +2,8 @@
  * memory is short or one is lost. */
 #include "devices_fixture.h"
 
+#include <unistd.h>
+
 struct gradient {
   int status;
   enum mo_back_end computed_on;
@@ -144,9 +146,154 @@ static void gradients_say_what_failed(void)
   CHECK_INT(differentiate(NULL, MO_ON_DEVICE, NULL).status, MO_ERR_DEVICE);
 }
 
+/* ---- devices of takers ---- */
+
+/* What a taker does with a shard for devices that only takers have. */
+enum answer { COMPUTE, RETURN, CANNOT, HOLD };
+
+struct taker {
+  struct mo_compute *from, *own;
+  enum answer answer;
+  int n;
+  atomic_bool end;
+};
+
+static void compute_shard(struct taker *taker, struct mo_taken *taken)
+{
+  static struct mo_outcome results[MO_GRADIENT_SHARD];
+  static double losses[MO_GRADIENT_SHARD];
+  static uint32_t diverged[MO_GRADIENT_SHARD];
+  struct mo_gradient_state *state = NULL;
+  struct mo_gradient_batch part = *taken->shard;
+  part.share = NULL;
+  part.is_strict = true;
+  part.d_parameters = calloc(controller->n_parameters, sizeof(double));
+  part.outcomes = results;
+  make_check(mo_gradient_state_create(taker->own, &state), "gradients");
+  make_check(mo_compute_gradient(state, &part), "a shard");
+  CHECK(part.computed_on == MO_ON_DEVICE && part.n <= MO_GRADIENT_SHARD);
+  for (uint32_t i = 0; i < part.n; i++) {
+    losses[i] = results[i].loss;
+    diverged[i] = (uint32_t)results[i].diverged_step;
+  }
+  mo_compute_deliver(taker->from, taken,
+                     &(struct mo_remote_result){.losses = losses,
+                                                .diverged = diverged,
+                                                .d_parameters = part.d_parameters,
+                                                .counts = part.counts});
+  mo_gradient_state_free(state);
+  free(part.d_parameters);
+}
+
+static void *take_shards(void *argument)
+{
+  struct taker *taker = argument;
+  while (!atomic_load(&taker->end)) {
+    struct mo_taken *taken = mo_compute_take(taker->from, MO_ON_DEVICE, 1);
+    if (taken == NULL) {
+      usleep(1000);
+      continue;
+    }
+    taker->n++;
+    CHECK(taken->shard != NULL && taken->back_end == MO_ON_DEVICE);
+    while (taker->answer == HOLD && !mo_taken_is_cancelled(taken))
+      usleep(1000);
+    if (taker->answer == COMPUTE)
+      compute_shard(taker, taken);
+    else if (taker->answer == CANNOT)
+      mo_compute_keep(taker->from, taken);
+    else
+      mo_compute_put_back(taker->from, taken);
+  }
+  return NULL;
+}
+
+static void no_call(void *context)
+{
+  (void)context;
+}
+
+/* Differentiates all robots on devices that only this taker has. */
+static struct gradient differentiate_by(struct taker *taker, bool is_strict,
+                                        const volatile int *cancel)
+{
+  struct gradient gradient = {.d_parameters = make_zeros(controller->n_parameters, sizeof(double)),
+                              .outcomes = make_zeros(ROBOTS, sizeof(struct mo_outcome))};
+  struct mo_compute_share *share = NULL;
+  struct mo_gradient_state *state = NULL;
+  pthread_t thread;
+  taker->from = make_compute(2);
+  make_check(mo_compute_expect_devices(taker->from), "devices");
+  make_check(mo_compute_name_devices(taker->from, "scores", "gradients"), "their class");
+  mo_compute_watch_remote(taker->from, no_call, NULL);
+  make_check(mo_compute_share_create(taker->from, 1, &share), "a share");
+  make_check(mo_gradient_state_create(taker->from, &state), "gradients");
+  CHECK(pthread_create(&thread, NULL, take_shards, taker) == 0);
+  struct mo_gradient_batch batch = {.controller = controller,
+                                    .robots = robots,
+                                    .n = ROBOTS,
+                                    .physics = physics_of(ROBOT_STEPS),
+                                    .adjoint_bound = 0.01,
+                                    .adjoint_rule = MO_ADJOINT_RESTART,
+                                    .restart_weight = 2.5,
+                                    .back_end = MO_ON_DEVICE,
+                                    .is_strict = is_strict,
+                                    .share = share,
+                                    .cancel = cancel,
+                                    .d_parameters = gradient.d_parameters,
+                                    .outcomes = gradient.outcomes};
+  gradient.status = mo_compute_gradient(state, &batch);
+  gradient.computed_on = batch.computed_on;
+  gradient.counts = batch.counts;
+  atomic_store(&taker->end, true);
+  pthread_join(thread, NULL);
+  mo_gradient_state_free(state);
+  mo_compute_share_free(share);
+  mo_compute_free(check_take(taker->from));
+  return gradient;
+}
+
+static void *set_soon(void *flag)
+{
+  usleep(50000);
+  __atomic_store_n((volatile int *)flag, 1, __ATOMIC_RELAXED);
+  return NULL;
+}
+
+/* Takers give the bits of devices. What they cannot compute goes to the workers, unless that is an
+ * error; what they return again and again is one. */
+static void gradients_on_devices_of_takers(void)
+{
+  static const uint64_t genotype;
+  volatile int cancel = 0;
+  pthread_t thread;
+  reset();
+  for (uint32_t i = 0; i < ROBOTS; i++)
+    robots[i].genotype = &genotype;
+  struct gradient plain = differentiate("1", MO_ON_DEVICE, NULL);
+  struct gradient on_workers = differentiate("1", MO_ON_CPU, NULL);
+  struct taker computes = {.own = open_devices("1")}, returns = {.answer = RETURN},
+               cannot = {.answer = CANNOT}, refuses = {.answer = CANNOT}, holds = {.answer = HOLD};
+  const struct gradient far = differentiate_by(&computes, false, NULL);
+  CHECK(far.status == MO_OK && far.computed_on == MO_ON_DEVICE && computes.n == 3);
+  CHECK(SAME(far.d_parameters, plain.d_parameters, controller->n_parameters));
+  CHECK(SAME(&far.counts, &plain.counts, 1));
+  for (uint32_t i = 0; i < ROBOTS; i++)
+    CHECK(far.outcomes[i].loss == plain.outcomes[i].loss);
+  CHECK_INT(differentiate_by(&returns, false, NULL).status, MO_ERR_DEVICE);
+  CHECK(returns.n >= 32);
+  struct gradient here = differentiate_by(&cannot, false, NULL);
+  expect_same(&here, &on_workers);
+  CHECK_INT(differentiate_by(&refuses, true, NULL).status, MO_ERR_UNSUPPORTED);
+  REQUIRE(pthread_create(&thread, NULL, set_soon, (void *)&cancel) == 0);
+  CHECK_INT(differentiate_by(&holds, false, &cancel).status, MO_ERR_CANCELLED);
+  pthread_join(thread, NULL);
+}
+
 static const struct check_case cases[] = {
     {"gradients do not depend on devices", gradients_do_not_depend_on_devices},
     {"gradients are laid out ahead", gradients_are_laid_out_ahead},
     {"gradients say what failed", gradients_say_what_failed},
+    {"gradients on devices of takers", gradients_on_devices_of_takers},
 };
 CHECK_MAIN_WITH(make_robots_of_designs, cases)

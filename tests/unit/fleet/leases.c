@@ -533,6 +533,52 @@ static void weights(void)
   CHECK_INT(mo_fleet_controller(fake->fleet, &wanted, &file), MO_ERR_NOT_FOUND);
 }
 
+static int name_error; /* of the next name */
+
+static int name_class(void *context, enum mo_back_end back_end, const char *scores,
+                      const char *gradients, const char *names[2])
+{
+  CHECK(context == fake && back_end == MO_ON_DEVICE && strncmp(gradients, "g", 1) == 0);
+  names[0] = strcmp(scores, "s-1") == 0 ? "s-1" : "another";
+  names[1] = "g-1";
+  return name_error;
+}
+
+/* Joins with devices; canary: its first byte. */
+static int64_t join_with_devices(const char *name, const char *scores, uint8_t canary)
+{
+  struct mo_fleet_offer offer = fake_offer(name, name);
+  snprintf(offer.classes[1].scores, sizeof(offer.classes[1].scores), "%s", scores);
+  snprintf(offer.classes[1].gradients, sizeof(offer.classes[1].gradients), "g-1");
+  offer.classes[1].canary.bytes[0] = canary;
+  return mo_fleet_join(fake->fleet, &offer, fake->now_ns, NULL);
+}
+
+/* A class that only workers have: its first worker names it and is its measure, unless it may not
+ * join at all. */
+static void absent_class(void)
+{
+  begin(0);
+  fake->fleet->config.classes[1].is_absent = true;
+  fake->fleet->config.name_class = name_class;
+  name_error = MO_ERR_LIMIT;
+  CHECK_INT(join_with_devices("a", "s-1", 1), MO_ERR_UNSUPPORTED);
+  name_error = MO_ERR_NO_SPACE;
+  CHECK_INT(join_with_devices("a", "s-1", 1), MO_ERR_NO_SPACE);
+  name_error = MO_OK;
+  const uint64_t outcast = join("b");
+  REQUIRE_OK(mo_fleet_quarantine(fake->fleet, outcast, "it lies"));
+  CHECK_INT(join_with_devices("b", "s-2", 2), MO_ERR_CONFLICT);
+  CHECK(fake->fleet->config.classes[1].scores == NULL && status().n_serving[1] == 0);
+  CHECK(join_with_devices("a", "s-1", 1) > 0);
+  CHECK_TEXT(fake->fleet->config.classes[1].scores, "s-1");
+  CHECK_INT(join_with_devices("c", "s-1", 2), MO_ERR_CONFLICT);
+  CHECK(join_with_devices("d", "s-2", 2) > 0); /* serves with its processors */
+  CHECK(status().n_serving[0] == 2 && status().n_serving[1] == 1);
+  CHECK(join_with_devices("e", "s-1", 1) > 0);
+  CHECK(status().n_serving[0] == 3 && status().n_serving[1] == 2);
+}
+
 static const struct check_case cases[] = {
     {"refused", refused},
     {"quarantined and drained", quarantined},
@@ -551,5 +597,6 @@ static const struct check_case cases[] = {
     {"what no worker computes", unsupported},
     {"a worker that fails", failing},
     {"weights", weights},
+    {"a class that only workers have", absent_class},
 };
 CHECK_MAIN_AROUND(cases, drop_blocks)
