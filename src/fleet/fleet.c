@@ -152,16 +152,6 @@ static uint64_t hash_of(const char *user, const char *origin)
   return start;
 }
 
-static int check_version(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
-                         struct mo_message *message)
-{
-  const char *version = fleet->config.version;
-  return strcmp(offer->version, version) == 0
-             ? MO_OK
-             : mo_fail(message, MO_ERR_UNSUPPORTED,
-                       "this daemon wants workers of version %s, got %s", version, offer->version);
-}
-
 /* Locked. */
 static int admit(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
                  struct mo_message *message)
@@ -225,8 +215,8 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
   snprintf(origin, sizeof(origin), "%s@%s", offer->name, offer->host);
   session->worker = hash_of(offer->user, origin);
   pthread_mutex_lock(&fleet->mutex);
-  int error = check_version(fleet, offer, &message);
-  if (error == MO_OK && admit(fleet, offer, NULL) == MO_OK)
+  int error = MO_OK;
+  if (admit(fleet, offer, NULL) == MO_OK)
     error = name_classes(fleet, offer, &message);
   if (error == MO_OK)
     error = choose_classes(fleet, offer, session->serves, &message);
