@@ -346,7 +346,7 @@ def test_a_study_shows_its_measures_and_operators(service, browser):
 
 def test_lower_bounds_are_no_scores(service, browser):
     """They are faint, off the scale of colors, and said to be bounds."""
-    id = run(service, "campaigns", RACED | {"generations": 1})["id"]
+    id = run(service, "campaigns", RACED | {"generations": 2})["id"]
     rows = service.pages(f"/v1/campaigns/{id}/phylogeny")
     bound = next(row for row in rows if row["lower_bound"])
     browser.open(f"campaigns/{id}/phylogeny?design={bound['number']}")

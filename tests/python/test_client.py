@@ -279,7 +279,7 @@ def test_a_phylogeny(m, service, campaign):
 
 
 def test_a_phylogeny_with_lower_bounds(m, service):
-    id = run(service, "campaigns", RACED | {"generations": 1})["id"]
+    id = run(service, "campaigns", RACED | {"generations": 2})["id"]
     rows = service.pages(f"/v1/campaigns/{id}/phylogeny")
     phylogeny = m.get_campaign(id).phylogeny()
     table, graph = phylogeny.frame(), phylogeny.to_networkx()
