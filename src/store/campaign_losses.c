@@ -119,7 +119,7 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
 {
   static const char sql[] =
       "SELECT place,losses,origins FROM campaign_losses WHERE job=?1 ORDER BY place";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_head head = {0};
   int error = mo_campaign_head_get(reader, id, &head);
   const bool is_current = head.scored_generation == generation && head.generation + 1 == generation;
@@ -131,7 +131,6 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
   while (losses != NULL && n < most && mo_sql_next(reader, row, &error))
     error = loss_from_row(row, id, head.n_environments, &losses[n++]);
-  mo_reader_release(store, reader);
   if (error != MO_OK || n != most) {
     free(losses);
     return error != MO_OK ? error : MO_ERR_CORRUPT;
@@ -170,7 +169,7 @@ int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fing
                                 const struct mo_bits *genotypes, uint32_t n,
                                 struct mo_campaign_loss *losses)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_head head = {0};
   struct mo_saved_design design = {.fingerprint = fingerprint};
   int64_t environments[MO_ENVIRONMENTS_MAX], n_known = 0;
@@ -189,6 +188,5 @@ int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fing
     else if (known > 0)
       losses[n_known++].place = i;
   }
-  mo_reader_release(store, reader);
   return error != MO_OK ? error : n_known;
 }

@@ -106,11 +106,10 @@ static int load_design(struct mo_connection *reader, int64_t id, uint32_t number
 int mo_store_campaign_designs_of(struct mo_store *store, int64_t id, const uint32_t *numbers,
                                  size_t n, struct mo_campaign_design *rows)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   for (size_t i = 0; i < n && error == MO_OK; i++)
     error = load_design(reader, id, numbers[i], &rows[i]);
-  mo_reader_release(store, reader);
   return error;
 }
 
@@ -145,10 +144,8 @@ int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t
 {
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int64_t filled = load_population(reader, id, generation, offset, rows, limit, n);
-  mo_reader_release(store, reader);
-  return filled;
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return load_population(reader, id, generation, offset, rows, limit, n);
 }
 
 /* ---- descents ---- */
@@ -158,7 +155,7 @@ int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_des
 {
   static const char sql[] =
       "SELECT generation,births FROM campaign_populations WHERE job=?1 ORDER BY generation";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_head head = {0};
   int error = mo_campaign_head_get(reader, id, &head);
   struct mo_descent *descents = malloc((head.n_designs + 1) * sizeof(*descents));
@@ -179,7 +176,6 @@ int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_des
   }
   if (error == MO_OK && filled != head.n_designs)
     error = MO_ERR_CORRUPT;
-  mo_reader_release(store, reader);
   if (error == MO_OK) {
     *ret = descents;
     *ret_n = filled;
@@ -274,7 +270,7 @@ static int read_columns(struct mo_connection *reader, int64_t id, int64_t n,
 int mo_store_campaign_columns(struct mo_store *store, int64_t id, struct mo_campaign_columns **ret)
 {
   static const char sql[] = "SELECT count(*) FROM campaign_designs WHERE job=?1";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_columns *columns = NULL;
   struct mo_study_words words;
   int64_t n = 0;
@@ -287,7 +283,6 @@ int mo_store_campaign_columns(struct mo_store *store, int64_t id, struct mo_camp
     error = MO_ERR_NO_MEMORY;
   if (error == MO_OK)
     error = read_columns(reader, id, n, columns);
-  mo_reader_release(store, reader);
   if (error != MO_OK) {
     free(columns);
     return error;

@@ -196,7 +196,7 @@ static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, stru
   static const char sql[] =
       "SELECT d.number,g.bits FROM campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype"
       " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int64_t n = 0;
   int error = MO_OK;
   sqlite3_stmt *row =
@@ -204,7 +204,6 @@ static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, stru
   for (; mo_sql_next(reader, row, &error); n++)
     error = sqlite3_column_int64(row, 0) == after + 1 + n ? mo_column_bits(row, 1, &designs[n])
                                                           : MO_ERR_CORRUPT;
-  mo_reader_release(store, reader);
   return error != MO_OK ? error : n;
 }
 

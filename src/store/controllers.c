@@ -264,11 +264,9 @@ int mo_controller_find(struct mo_connection *connection, const char *name, int64
 int mo_store_controller(struct mo_store *store, const char *name,
                         struct mo_controller_record *record)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int64_t row;
-  const int error = find_record(reader, name, &row, record);
-  mo_reader_release(store, reader);
-  return error;
+  return find_record(reader, name, &row, record);
 }
 
 int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sha256,
@@ -375,7 +373,7 @@ int mo_controllers_clean(struct mo_store *store,
       " UNION SELECT controller FROM runs WHERE controller IS NOT NULL"
       " UNION SELECT result FROM runs WHERE result IS NOT NULL"
       " UNION SELECT controller FROM rankings UNION SELECT controller FROM conditions) ORDER BY id";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   char name[128];
   struct mo_sha256 sha256;
   int error = MO_OK;
@@ -389,6 +387,5 @@ int mo_controllers_clean(struct mo_store *store,
       error = remove_row_and_file(store, sqlite3_column_int64(row, 0), &sha256);
     }
   }
-  mo_reader_release(store, reader);
   return error;
 }

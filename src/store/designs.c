@@ -84,10 +84,8 @@ int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *q
         read_by_row, rows, sizeof(*rows));
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int64_t n = list_by_score(reader, query, rows, limit);
-  mo_reader_release(store, reader);
-  return n;
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return list_by_score(reader, query, rows, limit);
 }
 
 /* ---- one design ---- */

@@ -46,7 +46,7 @@ int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, stru
   int64_t first = 0, last = 0, n = 0;
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int error = mo_sql_find(reader, &first, oldest_sql);
   if (error == MO_OK)
     error = mo_sql_find(reader, &last, newest_sql);
@@ -60,7 +60,6 @@ int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, stru
     mo_column_text(row, 3, event->type, sizeof(event->type));
     mo_column_text(row, 4, event->data, sizeof(event->data));
   }
-  mo_reader_release(store, reader);
   if (error != MO_OK)
     return error;
   if (oldest != NULL)

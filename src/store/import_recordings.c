@@ -28,7 +28,7 @@ int mo_store_campaign_recordings(struct mo_store *store, int64_t id, int64_t **e
       " (SELECT environment FROM job_environments WHERE job=?4))"
       " AND e.n_designs*e.n_environments="
       "(SELECT count(*) FROM trajectories t WHERE t.job=e.job) ORDER BY e.job";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_head head = {0};
   size_t room = 0;
   *evaluations = NULL;
@@ -49,7 +49,6 @@ int mo_store_campaign_recordings(struct mo_store *store, int64_t id, int64_t **e
     (*evaluations)[(*n)++] = sqlite3_column_int64(row, 0);
     *rollouts += (uint64_t)sqlite3_column_int64(row, 1);
   }
-  mo_reader_release(store, reader);
   return error;
 }
 
@@ -119,7 +118,7 @@ int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64
   memcpy(evaluation->note, job.note, sizeof(job.note));
   memcpy(evaluation->controller_name, job.controller_name, sizeof(job.controller_name));
   memcpy(evaluation->environment_set, job.environment_set, sizeof(job.environment_set));
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   error = mo_campaign_head_get(reader, campaign, &head);
   if (error == MO_OK)
     error = read_origin(reader, mo_store_id(store), id, evaluation);
@@ -127,7 +126,6 @@ int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64
     error = read_places(reader, head.group, id, evaluation);
   if (error == MO_OK)
     error = read_numbers(reader, campaign, id, evaluation);
-  mo_reader_release(store, reader);
   return error == MO_OK && (evaluation->n_designs != job.n_designs ||
                             evaluation->n_environments != job.n_environments)
              ? MO_ERR_NOT_FOUND /* one of them was deleted meanwhile */

@@ -117,12 +117,6 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
 
 /* ---- reading ---- */
 
-/* Wait for a free reader, and for the scheduler's. It reads in one transaction until its release.
- * If that cannot start, all its statements return the error. */
-struct mo_connection *mo_reader_acquire(struct mo_store *store);
-struct mo_connection *mo_runner_acquire(struct mo_store *store);
-void mo_reader_release(struct mo_store *store, struct mo_connection *connection);
-int mo_readers_open(struct mo_store *store);
 /* Calls `take` for each row of a page and its place in `rows`, on a pooled connection. The last
  * value is the limit. Returns the number of rows or an error. MO_ERR_LIMIT: limit > MO_PAGE_MAX. */
 int64_t mo_read_page(struct mo_store *store, const char *sql, struct mo_values values,

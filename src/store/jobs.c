@@ -167,10 +167,9 @@ static int load_job(struct mo_connection *connection, int64_t id, void *job)
 
 int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_job found = {0};
   int error = load_job(reader, id, &found);
-  mo_reader_release(store, reader);
   if (error == MO_OK || error == MO_ERR_CORRUPT)
     *job = found;
   return error;
@@ -179,10 +178,8 @@ int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job)
 int mo_read_job(struct mo_store *store, int64_t id,
                 int (*load)(struct mo_connection *reader, int64_t id, void *status), void *status)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
-  const int error = load(reader, id, status);
-  mo_reader_release(store, reader);
-  return error;
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return load(reader, id, status);
 }
 
 static int load_designs(struct mo_connection *reader, int64_t id, void *designs)
@@ -323,7 +320,7 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
   /* The largest character stands behind every label that begins so. */
   snprintf(label, sizeof(label), "%s%s", query->label != NULL ? query->label : "",
            is_prefix ? "\xf4\x8f\xbf\xbf" : "");
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   sqlite3_stmt *row = mo_sql_rows(
       reader, &error, pages[page_of(query)], mo_int(query->before > 0 ? query->before : INT64_MAX),
       mo_int(query->state), mo_int((int64_t)limit), mo_int(query->kind), mo_string(waiting),
@@ -333,7 +330,6 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
     ids[n++] = sqlite3_column_int64(row, 0);
   for (int64_t i = 0; i < n && error == MO_OK; i++)
     error = load(reader, ids[i], (char *)statuses + (size_t)i * status_size);
-  mo_reader_release(store, reader);
   return error != MO_OK ? error : n;
 }
 
@@ -347,12 +343,11 @@ int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES])
 {
   static const char sql[] =
       "SELECT state,count(*) FROM jobs WHERE state BETWEEN 0 AND 5 GROUP BY state";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql);
   memset(counts, 0, MO_JOB_STATES * sizeof(*counts));
   while (mo_sql_next(reader, row, &error))
     counts[sqlite3_column_int(row, 0)] = (uint64_t)sqlite3_column_int64(row, 1);
-  mo_reader_release(store, reader);
   return error;
 }

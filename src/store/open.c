@@ -433,8 +433,6 @@ static int check_connection(struct mo_connection *connection, struct mo_message 
 
 int mo_store_check(struct mo_store *store, struct mo_message *message)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int error = check_connection(reader, message);
-  mo_reader_release(store, reader);
-  return error;
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return check_connection(reader, message);
 }

@@ -68,7 +68,7 @@ int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
   static const char origin_sql[] = "SELECT id FROM origins WHERE text=?1";
   static const char sql[] = "SELECT genotype,condition,origin FROM scores"
                             " WHERE (genotype,condition)>(?1,?2) ORDER BY genotype,condition";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int64_t id = 0;
   size_t n = 0, visited = 0;
   int error = mo_sql_find(reader, &id, origin_sql, mo_string(origin));
@@ -84,7 +84,6 @@ int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
     if (sqlite3_column_int64(row, 2) == id)
       error = read_row(reader, *place, &rows[n++]);
   }
-  mo_reader_release(store, reader);
   return error != MO_OK ? error : (int64_t)n;
 }
 

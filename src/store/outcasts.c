@@ -7,7 +7,7 @@ int64_t mo_store_outcasts(struct mo_store *store, struct mo_outcast *items, size
 {
   static const char sql[] =
       "SELECT user,name,host,why,since_us FROM outcasts ORDER BY since_us,user,name";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   int64_t n = 0;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql);
@@ -19,7 +19,6 @@ int64_t mo_store_outcasts(struct mo_store *store, struct mo_outcast *items, size
     mo_column_text(row, 3, item->why, sizeof(item->why));
     item->since_us = sqlite3_column_int64(row, 4);
   }
-  mo_reader_release(store, reader);
   return error != MO_OK ? error : n;
 }
 

@@ -10,8 +10,10 @@ static const char commit_sql[] = "COMMIT";
 int mo_readers_open(struct mo_store *store)
 {
   int error = MO_OK;
-  for (uint32_t i = 0; i <= store->n_readers && error == MO_OK; i++)
+  for (uint32_t i = 0; i <= store->n_readers && error == MO_OK; i++) {
     error = mo_connection_open(store, false, &store->readers[i]);
+    store->readers[i].store = store;
+  }
   return error;
 }
 
@@ -64,35 +66,30 @@ int64_t mo_read_page(struct mo_store *store, const char *sql, struct mo_values v
   int error = MO_OK;
   if (values.at[values.n - 1].integer > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   sqlite3_stmt *row = mo_sql_rows_with(reader, &error, sql, values);
   for (; mo_sql_next(reader, row, &error); n++, at += row_size)
     error = take(row, at);
-  mo_reader_release(store, reader);
   return error != MO_OK ? error : n;
 }
 
 int mo_read_one(struct mo_store *store, const char *sql, struct mo_values values,
                 int (*take)(sqlite3_stmt *statement, void *row), void *ret)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   sqlite3_stmt *row;
-  int error = mo_sql_row_with(reader, &row, sql, values);
-  if (error == MO_OK)
-    error = take(row, ret);
-  mo_reader_release(store, reader);
-  return error;
+  const int error = mo_sql_row_with(reader, &row, sql, values);
+  return error == MO_OK ? take(row, ret) : error;
 }
 
 int mo_read_integers(struct mo_store *store, const char *sql, struct mo_values values, int n,
                      int64_t *integers)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   sqlite3_stmt *row;
   const int error = mo_sql_row_with(reader, &row, sql, values);
   for (int i = 0; i < n && error == MO_OK; i++)
     integers[i] = sqlite3_column_int64(row, i);
-  mo_reader_release(store, reader);
   return error;
 }
 
@@ -105,9 +102,8 @@ void *mo_read_whole(struct mo_store *store, size_t size,
     *error = MO_ERR_NO_MEMORY;
     return NULL;
   }
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   *error = load(reader, key, ret);
-  mo_reader_release(store, reader);
   if (*error == MO_OK)
     return ret;
   release(ret);

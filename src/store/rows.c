@@ -172,11 +172,10 @@ static int64_t read_page(struct mo_store *store, enum mo_row_table which, int st
   int error = MO_OK;
   if (values.at[values.n - 1].integer > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   sqlite3_stmt *row = mo_sql_rows_with(reader, &error, statement_of(which, statement), values);
   for (; mo_sql_next(reader, row, &error); n++, at += table->size)
     read_row(row, table, at);
-  mo_reader_release(store, reader);
   return error != MO_OK ? error : n;
 }
 

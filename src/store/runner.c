@@ -242,14 +242,13 @@ int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_
   static const char sql[] = "SELECT id FROM jobs INDEXED BY jobs_queued WHERE state=0 AND "
                             "priority=?1 AND id>?2 AND kind=0"
                             " ORDER BY id LIMIT ?3";
-  struct mo_connection *reader = mo_runner_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_runner_acquire(store);
   int64_t n = 0;
   int error = MO_OK;
   sqlite3_stmt *row =
       mo_sql_rows(reader, &error, sql, mo_int(priority), mo_int(after), mo_int((int64_t)limit));
   while (mo_sql_next(reader, row, &error))
     ids[n++] = sqlite3_column_int64(row, 0);
-  mo_reader_release(store, reader);
   return error != MO_OK ? error : n;
 }
 
@@ -343,9 +342,8 @@ int mo_store_load_work(struct mo_store *store, int64_t id, const struct mo_class
   struct mo_work *work = calloc(1, sizeof(*work));
   if (work == NULL)
     return MO_ERR_NO_MEMORY;
-  struct mo_connection *reader = mo_runner_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_runner_acquire(store);
   int error = load_work(reader, id, classes, work);
-  mo_reader_release(store, reader);
   if (error != MO_OK) {
     mo_work_free(work);
     return error;

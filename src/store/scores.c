@@ -231,10 +231,8 @@ int mo_losses_compare(struct mo_connection *connection, const struct mo_conditio
 int mo_store_scores(struct mo_store *store, const struct mo_saved_design *design,
                     const int64_t *environment_rows, uint32_t n, struct mo_score *scores)
 {
-  struct mo_connection *reader = mo_runner_acquire(store);
-  const int error = mo_losses_read(reader, design, environment_rows, n, scores);
-  mo_reader_release(store, reader);
-  return error;
+  MO_SCOPED struct mo_connection *reader = mo_runner_acquire(store);
+  return mo_losses_read(reader, design, environment_rows, n, scores);
 }
 
 /* ---- scores of evaluations ---- */

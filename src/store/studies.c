@@ -216,10 +216,8 @@ static int check_turn(struct mo_connection *connection, struct tell_arguments *c
 
 static int check_file(struct mo_store *store, void *arguments)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
-  const int error = check_turn(reader, arguments);
-  mo_reader_release(store, reader);
-  return error;
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return check_turn(reader, arguments);
 }
 
 static int by_number(const void *a, const void *b)

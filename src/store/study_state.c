@@ -25,10 +25,8 @@ int mo_study_words_get(struct mo_connection *connection, int64_t id, struct mo_s
 
 int mo_store_study_words(struct mo_store *store, int64_t id, struct mo_study_words *words)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
-  const int error = mo_study_words_get(reader, id, words);
-  mo_reader_release(store, reader);
-  return error;
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return mo_study_words_get(reader, id, words);
 }
 
 int mo_study_status_get(struct mo_connection *connection, int64_t id,

@@ -36,10 +36,8 @@ int mo_key_insert(struct mo_connection *writer, const struct mo_request_key *key
 
 int mo_store_replay(struct mo_store *store, const struct mo_request_key *key, int64_t *id)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int error = mo_key_find(reader, key, id);
-  mo_reader_release(store, reader);
-  return error;
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return mo_key_find(reader, key, id);
 }
 
 /* ---- jobs of every kind ---- */

@@ -23,27 +23,23 @@ int mo_store_physics(struct mo_store *store, const struct mo_sha256 *sha256,
                      enum mo_sensor *sensor)
 {
   static const char sql[] = "SELECT encoding FROM physics WHERE sha256=?1";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   sqlite3_stmt *row;
-  int error = mo_sql_row(reader, &row, sql, mo_hash(sha256));
-  if (error == MO_OK)
-    error = mo_column_physics(row, 0, physics, precision, sensor);
-  mo_reader_release(store, reader);
-  return error;
+  const int error = mo_sql_row(reader, &row, sql, mo_hash(sha256));
+  return error == MO_OK ? mo_column_physics(row, 0, physics, precision, sensor) : error;
 }
 
 /* Reads all rows of a query, whose columns are data and hash. */
 static int read_all(struct mo_store *store, const char *sql, struct mo_values values,
                     struct mo_environment **environments, uint32_t *ret_n)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_environment *all = calloc(MO_ENVIRONMENTS_MAX, sizeof(*all));
   uint32_t n = 0;
   int error = all != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   sqlite3_stmt *row = mo_sql_rows_with(reader, &error, sql, values);
   while (mo_sql_next(reader, row, &error))
     error = n < MO_ENVIRONMENTS_MAX ? mo_column_environment(row, 0, 1, &all[n++]) : MO_ERR_CORRUPT;
-  mo_reader_release(store, reader);
   if (error == MO_OK && n == 0)
     error = MO_ERR_NOT_FOUND;
   if (error != MO_OK) {
