@@ -153,12 +153,12 @@ void mo_held_out_environments(uint64_t seed, uint32_t n, struct mo_environment *
 struct mo_training;
 
 /* parent: nullable for MO_TRAINING_PRETRAIN (random weights then); borrowed for the call. designs:
- * (n_designs, MO_DEFAULT_WORDS) placed genotypes for MO_TRAINING_FINETUNE, copied; else NULL, 0.
- * Default workspace only. MO_ERR_INVALID, MO_ERR_RANGE, MO_ERR_UNSUPPORTED (the parent's
- * workspace), MO_ERR_NO_MEMORY. */
+ * (n_designs, MO_DEFAULT_WORDS) placed genotypes for MO_TRAINING_FINETUNE, at most
+ * MO_TRAINING_DESIGNS_MAX, copied; else NULL, 0. The caller has checked what it gives; the parent
+ * is for the default workspace. MO_ERR_NO_MEMORY. */
 int mo_training_create(const struct mo_training_settings *settings,
                        const struct mo_controller *parent, const uint64_t *designs,
-                       size_t n_designs, struct mo_training **training, struct mo_message *message);
+                       size_t n_designs, struct mo_training **training);
 void mo_training_free(struct mo_training *training); /* NULL-safe */
 
 uint32_t
@@ -191,10 +191,9 @@ mo_training_robots_ahead(struct mo_training *training); /* the robots drawn ahea
 void mo_training_set_threads(struct mo_training *training, uint32_t n_threads);
 
 /* Replaces the designs of a finetuning, as a campaign does between steps: from the current step on
- * it learns on these (copied; as in mo_training_create). Discards a drawn step. MO_ERR_CONFLICT: it
- * is a pretraining; MO_ERR_INVALID, MO_ERR_RANGE, MO_ERR_NO_MEMORY: nothing changed. */
-int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n,
-                            struct mo_message *message);
+ * it learns on these (copied; as in mo_training_create). Discards a drawn step. MO_ERR_NO_MEMORY:
+ * nothing changed. */
+int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n);
 /* Makes a training longer or shorter: n_steps ≥ the steps applied. Only a schedule that does not
  * depend on n_steps leaves the applied steps as they were; others give MO_ERR_UNSUPPORTED. */
 int mo_training_set_steps(struct mo_training *training, uint32_t n_steps);

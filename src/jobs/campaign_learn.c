@@ -155,7 +155,6 @@ static int begin_training(struct mo_campaign_run *run)
 {
   struct mo_training_settings settings = mo_campaign_training(run->settings, run->generation);
   struct mo_controller *random = NULL;
-  struct mo_message message = {.text = ""};
   int error = MO_OK;
   if (run->controller == NULL) {
     error = mo_controller_create(MO_DEFAULT_WORKSPACE, settings.sensor, &random);
@@ -164,9 +163,7 @@ static int begin_training(struct mo_campaign_run *run)
   }
   if (error == MO_OK)
     error = mo_training_create(&settings, random != NULL ? random : run->controller, children(run),
-                               run->n_children, &run->learner.training, &message);
-  if (error != MO_OK && error != MO_ERR_NO_MEMORY)
-    (void)mo_runner_fail(run->runner, error, message.text);
+                               run->n_children, &run->learner.training);
   mo_controller_free(random);
   return error;
 }
@@ -228,13 +225,9 @@ static int read_losses(struct mo_campaign_run *run)
 static int set_designs(struct mo_campaign_run *run)
 {
   const bool on_children = run->step >= parent_steps(run, run->generation);
-  struct mo_message message = {.text = ""};
-  int error =
-      mo_learner_set_designs(&run->learner, on_children ? children(run) : run->rows->bits[0].words,
-                             on_children ? run->n_children : run->n_parents, &message);
-  return error == MO_OK || error == MO_ERR_NO_MEMORY
-             ? error
-             : mo_runner_fail(run->runner, error, message.text);
+  return mo_learner_set_designs(&run->learner,
+                                on_children ? children(run) : run->rows->bits[0].words,
+                                on_children ? run->n_children : run->n_parents);
 }
 
 static int step(struct mo_campaign_run *run)

@@ -59,11 +59,10 @@ int mo_learner_prepare(struct mo_learner *learner, struct mo_runner *runner,
              : mo_gradient_state_create(runner->jobs->compute, &learner->gradients);
 }
 
-int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, uint32_t n,
-                           struct mo_message *message)
+int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, uint32_t n)
 {
   mo_compute_gradient_forget(learner->gradients);
-  return mo_training_set_designs(learner->training, designs, n, message);
+  return mo_training_set_designs(learner->training, designs, n);
 }
 
 static void begin(struct mo_learner *learner)

@@ -158,7 +158,6 @@ static int load_checkpoint(struct run *run)
 static int start_over(struct run *run)
 {
   const struct mo_training_record *record = &run->status.record;
-  struct mo_message message = {.text = ""};
   struct mo_controller *parent = NULL;
   struct mo_bits *genotypes = NULL;
   uint32_t n = 0;
@@ -170,10 +169,7 @@ static int start_over(struct run *run)
   if (error == MO_OK)
     error =
         mo_training_create(&record->settings, parent, genotypes != NULL ? genotypes[0].words : NULL,
-                           n, &run->learner.training, &message);
-  if (error != MO_OK && run->runner->text[0] == '\0' && message.text[0] != '\0')
-    snprintf(run->runner->text, sizeof(run->runner->text),
-             "the training cannot be prepared: %.200s", message.text);
+                           n, &run->learner.training);
   free(genotypes);
   mo_controller_free(parent);
   return error;

@@ -42,8 +42,8 @@ struct mo_training {
 /* training.c: allocates everything that a checkpoint holds, but fills in only the settings. */
 int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs,
                          struct mo_training **training);
-/* Checks that designs are placed, contiguous and not empty; else message names the design. */
-int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_message *message);
+/* Returns 1 if a design is in one piece (so not empty) and placed; else 0, or MO_ERR_NO_MEMORY. */
+int mo_training_design_is_placed(const uint64_t *design);
 
 /* draw.c */
 struct mo_hand *mo_training_hand(struct mo_training *training, uint32_t step);

@@ -5,75 +5,16 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/text.h"
-
-int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_message *message)
+int mo_training_design_is_placed(const uint64_t *design)
 {
-  for (size_t i = 0; i < n; i++) {
-    const uint64_t *design = designs + MO_DEFAULT_WORDS * i;
-    uint64_t placed[MO_DEFAULT_WORDS];
-    memcpy(placed, design, sizeof(placed));
-    if (design[MO_DEFAULT_WORDS - 1] >> (MO_DEFAULT_VOXELS % 64) != 0)
-      return mo_fail(message, MO_ERR_INVALID, "design %zu has bits past the last voxel", i);
-    const int whole = mo_genotype_is_contiguous(MO_DEFAULT_WORKSPACE, design);
-    if (whole < 0)
-      return mo_fail(message, whole, "out of memory");
-    if (whole == 0)
-      return mo_fail(message, MO_ERR_INVALID, "design %zu is empty or not in one piece", i);
-    mo_genotype_place(MO_DEFAULT_WORKSPACE, placed);
-    if (memcmp(placed, design, sizeof(placed)) != 0)
-      return mo_fail(message, MO_ERR_INVALID,
-                     "design %zu is not placed in the middle of the workspace", i);
-  }
-  return MO_OK;
-}
-
-static int check_parent(const struct mo_controller *parent, struct mo_message *message)
-{
-  if (!mo_workspace_equal(parent->workspace, MO_DEFAULT_WORKSPACE))
-    return mo_fail(
-        message, MO_ERR_UNSUPPORTED,
-        "the controller is for a workspace of %ux%ux%u voxels; trainings need one for 6x6x4",
-        parent->workspace.nx, parent->workspace.ny, parent->workspace.nz);
-  for (size_t i = 0; i < parent->n_parameters; i++)
-    if (!(fabsf(parent->parameters[i]) <= MO_WEIGHT_LIMIT))
-      return mo_fail(message, MO_ERR_INVALID,
-                     "parameter %zu of the controller is not finite or beyond ±%s", i,
-                     MO_NUMBER((double)MO_WEIGHT_LIMIT));
-  return MO_OK;
-}
-
-/* Checks the designs of a finetuning. */
-static int check_designs(const uint64_t *designs, size_t n, struct mo_message *message)
-{
-  if (designs == NULL || n == 0)
-    return mo_fail(message, MO_ERR_INVALID, "a finetuning needs 1 to %d designs to learn on",
-                   MO_TRAINING_DESIGNS_MAX);
-  if (n > MO_TRAINING_DESIGNS_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "%zu designs; a finetuning takes 1 to %d", n,
-                   MO_TRAINING_DESIGNS_MAX);
-  return mo_training_check_designs(designs, n, message);
-}
-
-static int check_request(const struct mo_training_settings *settings,
-                         const struct mo_controller *parent, const uint64_t *designs,
-                         size_t n_designs, struct mo_message *message)
-{
-  int r = mo_training_settings_check(settings, message);
-  if (r < 0)
-    return r;
-  if (settings->kind == MO_TRAINING_FINETUNE) {
-    if (parent == NULL)
-      return mo_fail(message, MO_ERR_INVALID, "a finetuning needs a controller to start from");
-    r = check_designs(designs, n_designs, message);
-  } else if (designs != NULL || n_designs != 0) {
-    return mo_fail(
-        message, MO_ERR_INVALID,
-        "a pretraining draws its own bodies; designs are for a finetuning: leave them out");
-  }
-  if (r == MO_OK && parent != NULL)
-    r = check_parent(parent, message);
-  return r;
+  uint64_t placed[MO_DEFAULT_WORDS];
+  if (design[MO_DEFAULT_WORDS - 1] >> (MO_DEFAULT_VOXELS % 64) != 0)
+    return 0;
+  memcpy(placed, design, sizeof(placed));
+  mo_genotype_place(MO_DEFAULT_WORKSPACE, placed);
+  return memcmp(placed, design, sizeof(placed)) == 0
+             ? mo_genotype_is_contiguous(MO_DEFAULT_WORKSPACE, design)
+             : 0;
 }
 
 int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs,
@@ -106,18 +47,15 @@ int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n
 
 int mo_training_create(const struct mo_training_settings *settings,
                        const struct mo_controller *parent, const uint64_t *designs,
-                       size_t n_designs, struct mo_training **training, struct mo_message *message)
+                       size_t n_designs, struct mo_training **training)
 {
-  int r = check_request(settings, parent, designs, n_designs, message);
-  if (r < 0)
-    return r;
   struct mo_training_settings completed = *settings;
   if (parent != NULL)
     completed.sensor = parent->sensor;
   struct mo_training *made = NULL;
-  r = mo_training_allocate(&completed, (uint32_t)n_designs, &made);
+  const int r = mo_training_allocate(&completed, (uint32_t)n_designs, &made);
   if (r < 0)
-    return mo_fail(message, r, "the training does not fit in memory");
+    return r;
   if (parent != NULL)
     memcpy(made->controller->parameters, parent->parameters, parent->n_parameters * sizeof(float));
   else
@@ -128,18 +66,11 @@ int mo_training_create(const struct mo_training_settings *settings,
   return MO_OK;
 }
 
-int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n,
-                            struct mo_message *message)
+int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n)
 {
-  if (training->settings.kind != MO_TRAINING_FINETUNE)
-    return mo_fail(message, MO_ERR_CONFLICT,
-                   "a pretraining draws its own bodies; designs are for a finetuning");
-  int r = check_designs(designs, n, message);
-  if (r < 0)
-    return r;
   uint64_t *copy = calloc(n, MO_DEFAULT_WORDS * sizeof(*copy));
   if (copy == NULL)
-    return mo_fail(message, MO_ERR_NO_MEMORY, "the designs do not fit in memory");
+    return MO_ERR_NO_MEMORY;
   memcpy(copy, designs, n * MO_DEFAULT_WORDS * sizeof(*copy));
   mo_training_forget_designs(training);
   free(training->designs);

@@ -47,7 +47,7 @@ MAKE(gradient_state, (struct mo_compute * compute), compute, &made)
 MAKE(training,
      (const struct mo_training_settings *settings, const struct mo_controller *parent,
       const uint64_t *designs, size_t n),
-     settings, parent, designs, n, &made, NULL)
+     settings, parent, designs, n, &made)
 MAKE(seen, (struct mo_workspace workspace, const struct mo_form_set *excluded), workspace, excluded,
      &made)
 #undef MAKE

@@ -98,7 +98,7 @@ static inline struct mo_training *plain_training(const struct origin *origin, ui
       mo_controller_create(MO_DEFAULT_WORKSPACE, settings.sensor, &random) == MO_OK)
     mo_controller_randomize(random, settings.seed);
   CHECK_OK(mo_training_create(&settings, random != NULL ? random : origin->controller,
-                              designs[0].words, n, &training, NULL));
+                              designs[0].words, n, &training));
   mo_controller_free(random);
   return training;
 }
@@ -114,11 +114,11 @@ static inline void plain_learning(const struct plain *plain, const struct origin
     *training = plain_training(origin, row->generation, bits + n_parents, n);
   }
   if (n_parents > 0 && settings->parent_steps > 0) {
-    CHECK_OK(mo_training_set_designs(*training, bits[0].words, n_parents, NULL));
+    CHECK_OK(mo_training_set_designs(*training, bits[0].words, n_parents));
     plain_steps(plain, *training, settings->parent_steps, row);
   }
   if (settings->child_steps > 0) {
-    CHECK_OK(mo_training_set_designs(*training, bits[n_parents].words, n, NULL));
+    CHECK_OK(mo_training_set_designs(*training, bits[n_parents].words, n));
     plain_steps(plain, *training, settings->child_steps, row);
   }
 }

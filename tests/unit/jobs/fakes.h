@@ -103,7 +103,7 @@ static inline struct mo_sha256 expect(const struct mo_training_request *request,
   const struct mo_training_settings *settings = &request->record.settings;
   struct mo_training *training = NULL;
   CHECK_OK(mo_training_create(settings, parent, designs != NULL ? designs[0].words : NULL, n,
-                              &training, NULL));
+                              &training));
   plain_steps(&fake_plain, training, settings->n_steps, NULL);
   struct mo_sha256 sha256 = plain_result(training, parent_digits, "fake gradient", lineage);
   mo_training_free(training);

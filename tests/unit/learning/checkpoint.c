@@ -202,7 +202,7 @@ static void wrong_contents(void)
       {N_DESIGNS, 8, {UINT64_MAX}, "number of its designs"},
       {N_DESIGNS, 8, {13}, "size does not agree"},
       {N_PARAMETERS, 8, {UINT64_MAX}, "another number of parameters"},
-      {arrays + 16, 8, {UINT64_MAX}, "design 0 has bits past"},
+      {arrays + 16, 8, {UINT64_MAX}, "a design is empty, not in one piece or not placed"},
       {arrays + designs, 4, {.f32 = INFINITY}, "a weight is not finite"},
       {arrays + designs + 4 * (n - 1), 4, {.f32 = 2e6F}, "a weight is not finite or beyond"},
       {first, 8, {.f64 = NAN}, "a moment is not finite"},

@@ -2,6 +2,8 @@
  * as campaigns need them. */
 #include "fixture.h"
 
+#include "learning/internal.h"
+
 #define W    MO_DEFAULT_WORDS
 #define MANY 7
 
@@ -36,7 +38,7 @@ static void takes_them_in_turn(void)
     const bool late = step >= 4;
     if (step == 4) { /* also where a step has been drawn */
       CHECK(is_body_of(draw(training)[0].body, lattice, first + (size_t)W * (4 * 5 % 3)));
-      CHECK_INT(mo_training_set_designs(training, second, MANY, NULL), MO_OK);
+      CHECK_INT(mo_training_set_designs(training, second, MANY), MO_OK);
       CHECK_INT(apply(training, made_up, NULL), MO_ERR_CONFLICT); /* it is forgotten */
     }
     const struct mo_robot *robots = draw(training);
@@ -63,8 +65,8 @@ static void goes_on(void)
   struct made_up *made_up = make_made_up(all[WHOLE]);
   advance_all(all, N, made_up, 3);
   CHECK(same_state(all[WHOLE], all[UNCHANGED]));
-  CHECK_INT(mo_training_set_designs(all[WHOLE], second, MANY, NULL), MO_OK);
-  CHECK_INT(mo_training_set_designs(all[SAVED], second, MANY, NULL), MO_OK);
+  CHECK_INT(mo_training_set_designs(all[WHOLE], second, MANY), MO_OK);
+  CHECK_INT(mo_training_set_designs(all[SAVED], second, MANY), MO_OK);
   CHECK(!same_state(all[WHOLE], all[UNCHANGED]));
   const float *changed = mo_training_controller(all[WHOLE])->parameters,
               *unchanged = mo_training_controller(all[UNCHANGED])->parameters;
@@ -75,35 +77,19 @@ static void goes_on(void)
   CHECK(!SAME(changed, unchanged, made_up->n));
 }
 
-static void refused(void)
+static void placed(void)
 {
-  struct mo_training *training = begin(9, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]),
-                     *same = begin(9, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]);
-  const struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
-  struct mo_training *pretraining = make_training(&settings, NULL, NULL, 0);
-  static const uint64_t empty[W];
-  uint64_t bad[2 * W];
-  memcpy(bad, second, sizeof(bad));
-  bad[W + 2] |= UINT64_C(1) << 40;
-  const struct {
-    struct mo_training *training;
-    const uint64_t *designs;
-    uint32_t n;
-    int code;
-    const char *says;
-  } cases[] = {{pretraining, second, 1, MO_ERR_CONFLICT, "pretraining"},
-               {training, second, 0, MO_ERR_INVALID, ""},
-               {training, NULL, 3, MO_ERR_INVALID, ""},
-               {training, second, 10001, MO_ERR_RANGE, "10001 designs"},
-               {training, bad, 2, MO_ERR_INVALID, "design 1"},
-               {training, empty, 1, MO_ERR_INVALID, ""}};
-  for (size_t i = 0; i < COUNT(cases); i++) {
-    struct mo_message message = {""};
-    CHECK_INT(mo_training_set_designs(cases[i].training, cases[i].designs, cases[i].n, &message),
-              cases[i].code);
-    CHECK_SAYS(message, cases[i].says);
-  }
-  CHECK(same_state(training, same));
+  static const uint64_t empty[W], corner[W] = {1};
+  static const uint64_t apart[W] = {1, 0, UINT64_C(1) << (MO_DEFAULT_VOXELS - 1) % 64};
+  uint64_t beyond[W];
+  REQUIRE(mo_held_out_designs(4, MANY, second) == MO_OK);
+  memcpy(beyond, second, sizeof(beyond));
+  beyond[W - 1] |= UINT64_C(1) << 63;
+  CHECK_INT(mo_training_design_is_placed(second), 1);
+  CHECK_INT(mo_training_design_is_placed(empty), 0);
+  CHECK_INT(mo_training_design_is_placed(corner), 0);
+  CHECK_INT(mo_training_design_is_placed(apart), 0);
+  CHECK_INT(mo_training_design_is_placed(beyond), 0);
 }
 
 /* A training of 4 steps that is made one of 9 ends where one of 9 does. */
@@ -146,7 +132,7 @@ static void shorter_and_never(void)
 static const struct check_case cases[] = {
     {"new designs are taken in turn from the current step on", takes_them_in_turn},
     {"new designs, the same weights and moments, saved or not", goes_on},
-    {"designs that are refused change nothing", refused},
+    {"which designs are placed", placed},
     {"a training made longer", longer},
     {"a training made shorter, and those that cannot be changed", shorter_and_never},
 };

@@ -14,7 +14,7 @@ static int create(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
   struct mo_training *training = NULL;
-  const int r = mo_training_create(&settings, parent, designs, 2, &training, NULL);
+  const int r = mo_training_create(&settings, parent, designs, 2, &training);
   CHECK((training != NULL) == (r == MO_OK));
   mo_training_free(training);
   return r;
@@ -52,7 +52,7 @@ static int set_designs(void)
 {
   uint64_t other[MO_DEFAULT_WORDS];
   memcpy(other, designs, sizeof(other));
-  return mo_training_set_designs(shared, other, 1, NULL);
+  return mo_training_set_designs(shared, other, 1);
 }
 
 static int hold_out(void)

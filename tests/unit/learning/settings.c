@@ -1,4 +1,4 @@
-/* settings.c: presets, and requests that must be refused with a reason. */
+/* settings.c: presets, settings that must be refused with a reason, and first weights. */
 #include "fixture.h"
 
 static void presets(void)
@@ -113,15 +113,11 @@ static void refused_settings(void)
   };
   struct mo_message message;
   for (size_t i = 0; i < COUNT(cases); i++) {
-    struct mo_training *training = NULL;
     s = mo_training_defaults(MO_TRAINING_PRETRAIN);
     set_field(cases[i].field, cases[i].size, cases[i].value);
     message.text[0] = '\0';
     CHECK_INT(mo_training_settings_check(&s, &message), cases[i].code);
     CHECK_SAYS(message, cases[i].says);
-    if (cases[i].code != MO_OK)
-      CHECK_INT(mo_training_create(&s, NULL, NULL, 0, &training, NULL), cases[i].code);
-    CHECK(training == NULL);
   }
   s = mo_training_defaults(MO_TRAINING_PRETRAIN);
   s.n_steps = MO_TRAINING_STEPS_MAX;
@@ -133,57 +129,13 @@ static void refused_settings(void)
   CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
 }
 
-enum { W = MO_DEFAULT_WORDS };
-
-static void refused_requests(void)
+/* A parent hands on its weights and its sensor. */
+static void from_a_parent(void)
 {
-  const struct mo_training_settings pretrain = mo_training_defaults(MO_TRAINING_PRETRAIN),
-                                    finetune = mo_training_defaults(MO_TRAINING_FINETUNE);
+  const struct mo_training_settings pretrain = mo_training_defaults(MO_TRAINING_PRETRAIN);
   struct mo_controller *parent = make_controller(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQUARE);
-  struct mo_controller *tiny =
-      make_controller((struct mo_workspace){1, 2, 3}, MO_SENSOR_INVERSE_SQRT);
-  uint64_t good[2 * W], empty[2 * W], apart[2 * W], beyond[2 * W];
-  REQUIRE(mo_held_out_designs(1, 2, good) == MO_OK);
-  memcpy(empty, good, sizeof(good));
-  memset(empty + W, 0, W * sizeof(uint64_t));
-  memcpy(apart, empty, sizeof(good));
-  apart[W] = 1; /* a corner of the workspace */
-  memcpy(beyond, apart, sizeof(good));
-  beyond[2 * W - 1] = UINT64_C(1) << 63;
-  const struct {
-    const struct mo_training_settings *settings;
-    const struct mo_controller *parent;
-    const uint64_t *designs;
-    size_t n;
-    int code;
-    const char *says;
-  } cases[] = {
-      {&finetune, NULL, good, 2, MO_ERR_INVALID, "needs a controller to start from"},
-      {&finetune, parent, NULL, 0, MO_ERR_INVALID, "needs 1 to 10000 designs"},
-      {&finetune, parent, good, 10001, MO_ERR_RANGE, "10001 designs"},
-      {&pretrain, NULL, good, 2, MO_ERR_INVALID, "draws its own bodies"},
-      {&pretrain, tiny, NULL, 0, MO_ERR_UNSUPPORTED, "1x2x3 voxels; trainings need one for 6x6x4"},
-      {&finetune, tiny, good, 2, MO_ERR_UNSUPPORTED, "1x2x3"},
-      {&finetune, parent, empty, 2, MO_ERR_INVALID, "design 1 is empty or not in one piece"},
-      {&finetune, parent, apart, 2, MO_ERR_INVALID, "design 1 is not placed"},
-      {&finetune, parent, beyond, 2, MO_ERR_INVALID, "design 1 has bits past the last voxel"},
-  };
-  struct mo_training *training = NULL;
-  struct mo_message message;
-  for (size_t i = 0; i < COUNT(cases); i++) {
-    CHECK_INT(mo_training_create(cases[i].settings, cases[i].parent, cases[i].designs, cases[i].n,
-                                 &training, &message),
-              cases[i].code);
-    CHECK_SAYS(message, cases[i].says);
-  }
-  for (int i = 0; i < 2; i++) {
-    parent->parameters[17] = i == 0 ? NAN : -2e6F;
-    CHECK_INT(mo_training_create(&pretrain, parent, NULL, 0, &training, &message), MO_ERR_INVALID);
-    CHECK_SAYS(message, "parameter 17");
-  }
-  CHECK(training == NULL);
-  parent->parameters[17] = 0.25F; /* a good one keeps its weights and its sensor */
-  training = make_training(&pretrain, parent, NULL, 0);
+  parent->parameters[17] = 0.25F;
+  struct mo_training *training = make_training(&pretrain, parent, NULL, 0);
   CHECK(mo_training_controller(training)->parameters[17] == 0.25F);
   CHECK_INT(mo_training_controller(training)->sensor, MO_SENSOR_INVERSE_SQUARE);
   CHECK_INT(mo_training_settings_of(training)->sensor, MO_SENSOR_INVERSE_SQUARE);
@@ -209,7 +161,7 @@ static const struct check_case cases[] = {
     {"names of presets", preset_names},
     {"the shipped controller has the settings of its preset", shipped},
     {"bad settings are refused with a reason", refused_settings},
-    {"bad requests are refused with a reason", refused_requests},
+    {"the weights and the sensor of a parent", from_a_parent},
     {"initial weights", initial_weights},
 };
 CHECK_MAIN(cases)
