@@ -3,7 +3,10 @@
  * The sessions and leases are the real ones of src/fleet, on a clock that jumps from event to
  * event. Hosts, the network and the rest of the daemon are a few numbers: rates and costs that were
  * measured (docs/fleet.md). The daemon serves exchanges on some threads; what was delivered then
- * passes one thread that stores it. Printed: what the cores do, and how busy both stages are. */
+ * passes one thread that stores it. Printed: what the cores do, and how busy both stages are.
+ *
+ * With `forecast WORKERS CORES RATE ROLLOUTS`: the seconds in which so many new workers of one
+ * thread, which share so many cores of that rate, compute one evaluation (fleet_workers.py). */
 #include "../tests/unit/fleet/fake.h"
 
 #include "bench.h"
@@ -45,6 +48,8 @@ struct model {
   struct event *heap;
   size_t n_events, capacity;
   uint32_t n_hosts, cores, campaigns; /* campaigns 0: evaluations without end */
+  double host_rate;                   /* rollouts per second */
+  bool is_finite;                     /* one evaluation, which is there from the start */
   uint64_t api_free_ns[API_THREADS], store_free_ns, api_ns, submitted;
 };
 
@@ -111,7 +116,7 @@ static void store(struct model *model, uint64_t rows)
 static void refill(struct model *model)
 {
   struct fake *fake = model->fake;
-  if (model->campaigns > 0)
+  if (model->campaigns > 0 || model->is_finite)
     return;
   const uint64_t there = fake->n_waiting + fake->n_taken + unstored(model) / BODY_ROWS;
   if (there < fake->wanted)
@@ -160,11 +165,9 @@ static void exchange(struct model *model, int number)
   make_check(fake_exchange(fake, host->session, &results, &leases), "an exchange");
   store(model, fake->rows_done - before);
   const uint64_t there_ns = *free_ns + LATENCY_NS;
-  const double rate = ROLLOUTS_PER_S * HOST_CORES *
-                      (model->cores < HOST_CORES ? (double)model->cores / HOST_CORES : 1);
   for (uint32_t i = 0; i < leases.n; i++) {
     host->free_ns = (host->free_ns > there_ns ? host->free_ns : there_ns) +
-                    (uint64_t)(1e9 * leases.items[i].n_rows / rate);
+                    (uint64_t)(1e9 * leases.items[i].n_rows / model->host_rate);
     host->held[host->n_held].id = leases.items[i].id;
     host->held[host->n_held].rows = leases.items[i].n_rows;
     host->held[host->n_held++].ready_ns = host->free_ns;
@@ -207,28 +210,64 @@ static void handle(struct model *model, const struct event *event)
   follow_wakes(model, wakes);
 }
 
-/* ---- the table ---- */
-
-static void simulate(uint32_t cores, uint32_t campaigns, double seconds)
+static struct model *make_model(uint32_t n_hosts, uint32_t threads, double host_rate)
 {
   struct model *model = make_zeros(1, sizeof(*model));
   struct fake *fake = model->fake = make_fake(1);
   fake->frees_done = true;
-  model->cores = cores;
-  model->campaigns = campaigns;
-  model->n_hosts = cores > HOST_CORES ? cores / HOST_CORES : 1;
-  model->hosts = make_zeros(model->n_hosts, sizeof(*model->hosts));
-  for (uint32_t h = 0; h < model->n_hosts; h++) {
+  model->n_hosts = n_hosts;
+  model->host_rate = host_rate;
+  model->hosts = make_zeros(n_hosts, sizeof(*model->hosts));
+  for (uint32_t h = 0; h < n_hosts; h++) {
     char name[16];
     snprintf(name, sizeof(name), "host %u", h);
     struct mo_fleet_offer offer = fake_offer(name, name);
-    offer.n_threads = cores < HOST_CORES ? cores : HOST_CORES;
+    offer.n_threads = threads;
     model->hosts[h].session = (uint64_t)mo_fleet_join(fake->fleet, &offer, fake->now_ns, NULL);
-    /* One that is trusted: audits of the first 500 leases cost a tenth. */
-    mo_session_find(fake->fleet, model->hosts[h].session)->leases_done = 501;
     push(model, (struct event){fake->now_ns, (int)h, false});
   }
   push(model, (struct event){fake->now_ns, -1, false});
+  return model;
+}
+
+/* ---- a run that is measured, too ---- */
+
+static int forecast(char **argv)
+{
+  const uint32_t workers = (uint32_t)strtoul(argv[0], NULL, 10);
+  const double cores = strtod(argv[1], NULL), rate = strtod(argv[2], NULL);
+  const uint32_t rollouts = (uint32_t)strtoul(argv[3], NULL, 10);
+  if (workers < 1 || workers > 100 || !(cores > 0) || !(rate > 0) || rollouts < BODY_ROWS)
+    return 2;
+  struct model *model = make_model(workers, 1, rate * (cores < workers ? cores / workers : 1));
+  struct fake *fake = model->fake;
+  const uint64_t begin_ns = fake->now_ns;
+  model->is_finite = true;
+  submit(model, rollouts / BODY_ROWS);
+  while (fake->n_waiting + fake->n_taken > 0) {
+    const struct event event = pop(model);
+    fake->now_ns = event.ns > fake->now_ns ? event.ns : fake->now_ns;
+    handle(model, &event);
+  }
+  printf("%.3f\n", 1e-9 * (double)(fake->now_ns - begin_ns));
+  free(model->heap);
+  check_drop_to(0);
+  return 0;
+}
+
+/* ---- the table ---- */
+
+static void simulate(uint32_t cores, uint32_t campaigns, double seconds)
+{
+  const uint32_t threads = cores < HOST_CORES ? cores : HOST_CORES;
+  struct model *model =
+      make_model(cores > HOST_CORES ? cores / HOST_CORES : 1, threads, ROLLOUTS_PER_S * threads);
+  struct fake *fake = model->fake;
+  model->cores = cores;
+  model->campaigns = campaigns;
+  /* Trusted ones: audits of the first 500 leases cost a tenth. */
+  for (uint32_t h = 0; h < model->n_hosts; h++)
+    mo_session_find(fake->fleet, model->hosts[h].session)->leases_done = 501;
   if (campaigns > 0)
     push(model, (struct event){fake->now_ns, -2, false});
   /* A fifth of the time is the start, in which rates are found. */
@@ -263,6 +302,8 @@ int bench_fleet_model(int argc, char **argv)
 {
   const uint32_t cores[] = {10, 100, 1000, 2000, 3000, 5000, 10000};
   const uint32_t campaigns[] = {0, 1, 4};
+  if (argc == 6 && strcmp(argv[1], "forecast") == 0)
+    return forecast(argv + 2);
   const bool is_quick = argc > 1 && strcmp(argv[1], "--quick") == 0;
   printf("   cores  hosts  campaigns   rollouts/s   of cores   storing   exchanges  rows/lease\n");
   for (size_t k = 0; k < COUNT(campaigns); k++)

@@ -3,9 +3,15 @@
 with one thread, to three of them, and to one behind 150 ms of delay. The bounds: three compute at
 least 95 % of one's rollouts per processor second, and behind the delay the one has work for at
 least 95 % of the time. What three compute twice is counted and shown: audits take one lease in ten
-of a new session. Other load on the machine changes rates, but hardly the two ratios."""
+of a new session. Other load on the machine changes rates, but hardly the two ratios.
+
+With --model: rollouts per second of one, two and three workers beside what the model of a fleet
+(fleet_model.c) says for as many that share the cores of this machine, and for the processor time
+that they had. The bound: the latter differ by at most 10 %."""
 import argparse
+import os
 import pathlib
+import subprocess
 import sys
 import tempfile
 import time
@@ -13,13 +19,14 @@ import time
 TESTS = pathlib.Path(__file__).resolve().parents[1] / "tests"
 sys.path[:0] = [str(TESTS / name) for name in ("fleet", "crash", "api")]
 
-from daemon import Daemon, bodies  # noqa: E402
+from daemon import BUILD, Daemon, bodies  # noqa: E402
 from fleet import used  # noqa: E402
 from machines import Worker, fleet_address  # noqa: E402
 from network import Delay  # noqa: E402
 
 N_ENVIRONMENTS = 10  # the service's own
 LEAST = 0.95
+DIFFERENCE = 0.1
 
 
 def runnable_s(worker):
@@ -30,7 +37,8 @@ def runnable_s(worker):
 
 def rates(n_workers, delay_s, designs):
     """Rollouts per processor second of the workers, and new ones per second; the share computed
-    twice; the share of the time in which the first worker had work."""
+    twice; the share of the time in which the first worker had work; the processors that they
+    had."""
     with tempfile.TemporaryDirectory(prefix="morphod-bench-") as folder:
         settings = {"workers": 1, "compute": "fleet", "fleet_listen": "127.0.0.1:0"}
         workers = []
@@ -54,18 +62,46 @@ def rates(n_workers, delay_s, designs):
             for worker in workers:
                 worker.close()
     n = len(designs) * N_ENVIRONMENTS
-    return (n + twice) / processor_s, n / elapsed, twice / n, had_work
+    return (n + twice) / processor_s, n / elapsed, twice / n, had_work, processor_s / elapsed
+
+
+def modeled(n_workers, cores, rate, n_designs):
+    """Rollouts per second, as the model says."""
+    n = n_designs * N_ENVIRONMENTS
+    told = subprocess.run([BUILD / "bench" / "morpho-bench", "fleet-model", "forecast",
+                           str(n_workers), str(cores), str(rate), str(n)], check=True,
+                          capture_output=True, text=True).stdout
+    return n / float(told)
+
+
+def compare(designs):
+    """Measured rates beside those of the model; how many of them differ too much."""
+    missed = 0
+    for n_workers in (1, 2, 3):
+        of_core, rate, twice, _, had = rates(n_workers, 0, designs)
+        on_paper = modeled(n_workers, os.cpu_count(), of_core, len(designs))
+        as_given = modeled(n_workers, had, of_core, len(designs))
+        differs = rate / as_given - 1
+        missed += abs(differs) > DIFFERENCE
+        print(f"{n_workers} workers: {rate:.0f} rollouts/s, {100 * twice:.1f} % twice; "
+              f"{of_core:.0f} per processor second; the model says {on_paper:.0f} on "
+              f"{os.cpu_count()} cores, {as_given:.0f} on the {had:.2f} that they had: "
+              f"{100 * differs:+.1f} %", flush=True)
+    return missed
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--designs", type=int, default=2000)
     parser.add_argument("--delay-s", type=float, default=0.15)
+    parser.add_argument("--model", action="store_true", help="beside the model's forecast")
     asked = parser.parse_args()
     designs = bodies(1, asked.designs)
-    one, alone, _, direct = rates(1, 0, designs)
-    three, together, twice, _ = rates(3, 0, designs)
-    _, delayed, _, behind = rates(1, asked.delay_s, designs)
+    if asked.model:
+        return 1 if compare(designs) else 0
+    one, alone, _, direct, _ = rates(1, 0, designs)
+    three, together, twice, _, _ = rates(3, 0, designs)
+    _, delayed, _, behind, _ = rates(1, asked.delay_s, designs)
     print(f"one worker: {one:.0f} rollouts per processor second, {alone:.0f}/s; three: "
           f"{three:.0f}, {together:.0f}/s, {100 * twice:.1f} % twice; behind "
           f"{1e3 * asked.delay_s:.0f} ms: {delayed:.0f}/s")

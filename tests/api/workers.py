@@ -13,7 +13,8 @@ VERSION = 1
 HEADER = struct.Struct("<8sIIQ")
 RESULT = struct.Struct("<QQIIdd")
 LEASE = struct.Struct("<QQIIII32s9d4I")
-ENVIRONMENT_BYTES, GENOTYPE_BYTES = 66 * 8, 18
+ENVIRONMENT_BYTES, GENOTYPE_BYTES, GRADIENT_BYTES = 66 * 8, 18, 32
+GRADIENT = 2  # flag of a lease
 
 
 def result(lease, losses, steps=None, state=0, epoch=None, rows=None):
@@ -36,8 +37,9 @@ def read_leases(message):
     assert (magic, version, size) == (b"MOFLEETL", VERSION, len(message))
     at, leases = HEADER.size, []
     for _ in range(n):
-        epoch, number, _, n_environments, n_blocks, n_rows, *_ = LEASE.unpack_from(message, at)
+        epoch, number, flags, n_environments, n_blocks, n_rows, *_ = LEASE.unpack_from(message, at)
         at += LEASE.size + n_environments * ENVIRONMENT_BYTES
+        at += GRADIENT_BYTES if flags & GRADIENT else 0
         for _ in range(n_blocks):
             at += GENOTYPE_BYTES + 1 + 2 * message[at + GENOTYPE_BYTES]
         leases.append(((epoch, number), n_rows))
