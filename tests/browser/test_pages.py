@@ -510,7 +510,7 @@ def test_machines_are_shown_and_changed(start):
     workers = Workers(start("--fleet-listen=127.0.0.1:0"))
     service = workers.service
     names = ["<b>one</b>", "two", "gone"]
-    sessions = [workers.join(name=name) for name in names]
+    sessions = [workers.join(name=name, version="0.0.1") for name in names]
     workers.request("DELETE", sessions[2])
     page = Browser(service)
     try:
@@ -519,6 +519,7 @@ def test_machines_are_shown_and_changed(start):
                   .map((row) => row.innerText.replace(/\\s+/g, ' '))"""
         at_work = page.run(rows % "At work")
         assert [name in row for name, row in zip(["this machine", *names], at_work)] == 3 * [True]
+        assert all("0.0.1 (older)" in row for row in at_work[1:])
         assert "gone node.test" in page.run(rows % "Gone")[0]
         assert page.faults() == [] and page.run(ACCESSIBILITY) == []
         page.run("""document.querySelector('[aria-label="Drain two"]').click()""")
