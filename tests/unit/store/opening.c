@@ -63,7 +63,8 @@ static void refuses_version_0_1(void)
 
 /* A database of version 9: what later ones added is not there. */
 static const char version_9[] =
-    "DROP TABLE imports; DROP TABLE outcasts; ALTER TABLE campaign_losses DROP COLUMN origins;"
+    "DROP TABLE imports; DROP TABLE outcasts; DROP TABLE device_class; ALTER TABLE campaign_losses "
+    "DROP COLUMN origins;"
     "ALTER TABLE campaign_designs DROP COLUMN is_cut; ALTER TABLE campaigns DROP COLUMN race_pays;"
     "ALTER TABLE campaign_generations DROP COLUMN children_cut;"
     "DROP INDEX trajectories_path; ALTER TABLE trajectories DROP COLUMN path_m;"
