@@ -60,8 +60,8 @@ class Daemon:
 
 
 def run(daemon, options, racing):
-    """Runs the campaign to its end. Returns its generations and its last population. Prints what
-    the device did: how long no call was in flight is the host's time between calls."""
+    """Runs the campaign to its end. Returns its generations, the seconds of cores and devices, and
+    its last population. Prints what the device did: how long no call was in flight is the host's time between calls."""
     campaign = daemon.get("/v1/campaigns", {
         "mode": "zero-shot", "population": options.population, "generations": options.generations,
         "seed": options.seed, "exclude_pretraining": False, "racing": racing})["id"]
@@ -79,7 +79,8 @@ def run(daemon, options, racing):
               f" {busy_s / n:.3f} s in calls, {(wall_s - busy_s) / n:.3f} s between them,"
               f" busy {busy_s / wall_s:.3f}")
     population = daemon.all_of(f"/v1/campaigns/{campaign}/population?format=json")
-    return generations, [(row["number"], row["score"]) for row in population]
+    return (generations, status["core_seconds"] + status["device_seconds"],
+            [(row["number"], row["score"]) for row in population])
 
 
 def read_losses(folder):
@@ -151,18 +152,20 @@ def main():
         with tempfile.TemporaryDirectory(prefix="morphod-racing-") as folder:
             daemon = Daemon(options, folder)
             try:
-                generations, population = run(daemon, options, racing)
+                generations, cores_s, population = run(daemon, options, racing)
             finally:
                 daemon.stop()
             found[racing] = (sum(row["rollouts"] for row in generations[1:]),
-                             sum(row["seconds"] for row in generations[1:]), population)
+                             sum(row["seconds"] for row in generations[1:]), cores_s, population)
             print(f"{racing:9} {found[racing][0]:9} rollouts of children, {found[racing][1]:8.2f} s"
-                  f" in {len(generations) - 1} generations", flush=True)
+                  f" in {len(generations) - 1} generations, {cores_s:8.2f} s of cores and devices",
+                  flush=True)
             if racing == "off":
                 designs = read_losses(folder)
-    same = found["off"][2] == found["lossless"][2]
+    same = found["off"][3] == found["lossless"][3]
     print(f"share     {found['lossless'][0] / found['off'][0]:9.3f} of the rollouts,"
-          f" {found['lossless'][1] / found['off'][1]:.3f} of the time;"
+          f" {found['lossless'][1] / found['off'][1]:.3f} of the time,"
+          f" {found['lossless'][2] / found['off'][2]:.3f} of that of cores and devices;"
           f" {'the same population' if same else 'ANOTHER POPULATION'}")
     print("reckoned beforehand, rollouts of children by order of the environments:")
     print("waves       largest spread first   hardest first   as in the set")
