@@ -91,6 +91,10 @@ static int read_controller(struct reading *reading)
   int error = mo_bundle_read_weights(member, &controller, reading->message);
   if (error != MO_OK)
     return error;
+  if (!mo_workspace_equal(controller->workspace, MO_DEFAULT_WORKSPACE)) {
+    mo_controller_free(controller);
+    return refuse(reading, 0, "the controller has another workspace");
+  }
   reading->controllers[reading->n_controllers++] =
       (struct known_controller){member->sha256, controller->sensor};
   reading->summary->n_controllers++;

@@ -35,9 +35,14 @@ static void read_version(struct mo_json *json, void *value)
   read_ascii(json, value, sizeof(((struct mo_fleet_offer *)NULL)->version) - 1);
 }
 
+/* A class stands in events, as it is. */
 static void read_class(struct mo_json *json, void *value)
 {
-  read_ascii(json, value, sizeof(((struct mo_fleet_offer *)NULL)->classes[0].scores) - 1);
+  const unsigned depth = json->depth;
+  char *class = value;
+  read_ascii(json, class, sizeof(((struct mo_fleet_offer *)NULL)->classes[0].scores) - 1);
+  if (strpbrk(class, "\"\\") != NULL)
+    mo_json_fault_at(json, depth, "", "a class has no quotation mark and no backslash");
 }
 
 static void read_hash(struct mo_json *json, void *value)

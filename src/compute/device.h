@@ -5,8 +5,8 @@
  * table; a module knows only rows, weights and one device at a time. Calls on one device come from
  * one thread at a time; calls on different devices run concurrently. A device may be opened twice:
  * then it counts as two, and of calls on both the one that began first goes first. `lay_out`,
- * `layout_free`, `allocate` and `release` may be called from any thread, also during a call on a
- * device.
+ * `layout_free`, `allocate`, `release` and `controller_free` may be called from any thread, also
+ * during a call on a device.
  *
  * What is passed was checked before: a module refuses only what its kernels lack.
  *

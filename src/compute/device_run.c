@@ -288,7 +288,7 @@ static int score(struct mo_caller *caller, struct mo_device_controller *controll
     set_status(chunk, first, last, status);
     return MO_OK;
   }
-  if (retires(caller, status))
+  if (!is_too_large && retires(caller, status))
     return MO_OK;
   if (status == MO_ERR_NO_MEMORY && !is_too_large)
     shrink(&unit->row_limit, call.n, unit);

@@ -228,9 +228,9 @@ static int announce(struct mo_store *store, const struct entry *entry)
            "{\"store\":\"%016llx\",\"host\":\"%s\",\"new\":%llu,\"known\":%llu,\"different\":%llu}",
            (unsigned long long)block->store, block->host, (unsigned long long)own->n_new,
            (unsigned long long)own->n_known, (unsigned long long)own->n_different);
-  int error = own->n_new > 0 ? mo_writer_event(store, 0, "scores.imported", data) : MO_OK;
+  int error = own->n_new > 0 ? mo_writer_event(store, 0, "scores.imported", "%s", data) : MO_OK;
   if (error == MO_OK && own->n_different > 0)
-    error = mo_writer_event(store, 0, "scores.differ", data);
+    error = mo_writer_event(store, 0, "scores.differ", "%s", data);
   return error;
 }
 
