@@ -598,11 +598,11 @@ def test_bundles(service, ctl, tmp_path):
         assert status == 2 and "--experiment or --group" in err, (which, err)
 
 
-def test_scores(service, start, ctl, tmp_path):
-    service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 20}})
-    other, path = start(), tmp_path / "scores"
+def test_scores(start, ctl, tmp_path):
+    here, other, path = start(), start(), tmp_path / "scores"
+    here.evaluate({"designs": [DESIGN], "physics": {"n_steps": 20}})
     there = {"server": other.addresses[0]}
-    status, _, err = ctl("scores export", path, "--controller", "default")
+    status, _, err = ctl("scores export", path, "--controller", "default", server=here.addresses[0])
     assert status == 0 and f"{path.stat().st_size} bytes" in err
     status, out, err = ctl("scores import", path, "--json", **there)
     entered = json.loads(out)

@@ -192,6 +192,15 @@ def test_altered_files_leave_nothing(home, start, file):
     assert other.request("POST", "/v1/scores", body=file).status == 415
 
 
+def test_a_host_is_no_format(start, file):
+    other = start()
+    members = altered(unpack(blocks(file)[0]), "scores.json", put("host", "%s%n%p"))
+    assert counts(enter(other, block(members)))[0] > 0
+    events = other.get("/v1/events?format=json&after=0&limit=1000")["items"]
+    assert [event["data"]["host"] for event in events
+            if event["type"] == "scores.imported"] == ["%s%n%p"]
+
+
 def test_other_bits_are_told_and_not_stored(home, start, file):
     """A liar's losses do not replace those that are stored. Where they come first they are stored
     with their origin, by which they are found and repaired."""

@@ -231,8 +231,9 @@ def test_scores_travel(m, start, tmp_path):
     with morphod.Client(f"http://{other.host}:{other.port}") as there:
         path = m.save_scores(tmp_path / "scores", controller="default")
         entered = there.import_scores(path)
-        assert entered.new >= 10 and entered.known == entered.different == 0
-        assert there.import_scores(path) == morphod.Entered(known=entered.new)
+        assert entered.new >= 10 and entered.different == 0
+        all_of_it = entered.new + entered.known  # a loss can be in two rows
+        assert there.import_scores(path) == morphod.Entered(known=all_of_it)
         again = there.evaluate([[[0, 0, 0], [1, 0, 0], [1, 0, 1]]], physics={"n_steps": 61})
         assert again.data["rollouts_cached"] == 10 and (again.scores == seen.scores).all()
         own = there.save_scores(tmp_path / "own", fingerprint="no such class",
