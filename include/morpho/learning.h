@@ -154,8 +154,8 @@ struct mo_training;
 
 /* parent: nullable for MO_TRAINING_PRETRAIN (random weights then); borrowed for the call. designs:
  * (n_designs, MO_DEFAULT_WORDS) placed genotypes for MO_TRAINING_FINETUNE, at most
- * MO_TRAINING_DESIGNS_MAX, copied; else NULL, 0. The caller has checked what it gives; the parent
- * is for the default workspace. MO_ERR_NO_MEMORY. */
+ * MO_TRAINING_DESIGNS_MAX, copied; else NULL, 0. The caller has checked what it gives.
+ * MO_ERR_UNSUPPORTED: the parent is not for the default workspace; MO_ERR_NO_MEMORY. */
 int mo_training_create(const struct mo_training_settings *settings,
                        const struct mo_controller *parent, const uint64_t *designs,
                        size_t n_designs, struct mo_training **training);

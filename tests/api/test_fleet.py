@@ -149,7 +149,8 @@ def test_who_may_join(free):
     for part in ({"name": ""}, {"name": "n" * 65}, {"name": "\u00e9"}, {"host": None},
                  {"version": "v" * 32}, {"n_threads": -1}, {"n_devices": 1e9}, {"classes": {}},
                  {"classes": {"cpu": {"scores": kind["scores"]}}}, {"more": 1},
-                 {"classes": {"cpu": kind | {"canary": "0"}}}):
+                 {"classes": {"cpu": kind | {"canary": "0"}}},
+                 {"classes": {"cpu": kind | {"gradients": 'x","id":"1'}}}):
         refused(free, 422, "", **good | part)
     for status, body, kind in ((400, "{", "application/json"), (415, "{}", "text/x"),
                                (413, " " * 70000, "application/json")):

@@ -129,11 +129,23 @@ static void shorter_and_never(void)
   CHECK_INT(mo_training_set_steps(pretraining, 4097), MO_ERR_RANGE); /* bodies */
 }
 
+/* Weights of another workspace would not fit. */
+static void another_workspace(void)
+{
+  const struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
+  struct mo_training *training = NULL;
+  const struct mo_controller *tiny =
+      make_controller((struct mo_workspace){1, 2, 3}, MO_SENSOR_INVERSE_SQRT);
+  make_check(mo_held_out_designs(3, 3, first), "designs");
+  CHECK_INT(mo_training_create(&settings, tiny, first, 3, &training), MO_ERR_UNSUPPORTED);
+}
+
 static const struct check_case cases[] = {
     {"new designs are taken in turn from the current step on", takes_them_in_turn},
     {"new designs, the same weights and moments, saved or not", goes_on},
     {"which designs are placed", placed},
     {"a training made longer", longer},
     {"a training made shorter, and those that cannot be changed", shorter_and_never},
+    {"a parent of another workspace", another_workspace},
 };
 CHECK_MAIN(cases)
