@@ -70,7 +70,8 @@ struct mo_scores_entered {
   struct mo_origin_row differences[MO_DIFFERENCES_MAX];
 };
 /* Enters a block that was checked, in one transaction. Adds to *entered. MO_ERR_INVALID: a
- * controller is missing here, or is none for these scores; the message says which. */
+ * controller is missing here, or is none for these scores, or a score has the same environment
+ * twice; the message says which. */
 int mo_store_scores_enter(struct mo_store *store, const struct mo_score_block *block,
                           struct mo_scores_entered *entered, struct mo_message *message);
 

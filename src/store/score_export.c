@@ -189,6 +189,29 @@ void mo_score_walk_free(struct mo_score_walk *walk)
   free(walk);
 }
 
+/* Takes the rollouts of a row, of each environment the first: a row of a campaign or of a verify
+ * job may have an environment twice, and readers of blocks refuse that. */
+static int take_rollouts(struct mo_score_walk *walk, struct mo_connection *reader,
+                         struct mo_score_block *block, const struct mo_condition *condition,
+                         struct mo_campaign_score *score)
+{
+  int error = MO_OK;
+  score->n = 0;
+  for (uint32_t k = 0; k < condition->n && error == MO_OK; k++) {
+    uint32_t place, i = 0;
+    error = environment_place(walk, reader, block, condition->environments[k], &place);
+    while (i < score->n && score->environments[i] != place)
+      i++;
+    if (error != MO_OK || i < score->n)
+      continue;
+    score->environments[i] = place;
+    score->losses[i] = score->losses[k];
+    score->diverged_steps[i] = score->diverged_steps[k];
+    score->n++;
+  }
+  return error;
+}
+
 /* Takes a row into the block, unless it is none of those asked for. */
 static int take(struct mo_score_walk *walk, struct mo_connection *reader, sqlite3_stmt *row,
                 struct mo_score_block *block)
@@ -204,10 +227,8 @@ static int take(struct mo_score_walk *walk, struct mo_connection *reader, sqlite
   int error = mo_score_from_row(row, 0, &condition, score->losses, score->diverged_steps);
   if (error == MO_OK)
     error = condition_place(walk, reader, block, &condition, &block->condition_of[block->n_scores]);
-  score->n = condition.n;
-  for (uint32_t k = 0; k < score->n && error == MO_OK; k++)
-    error =
-        environment_place(walk, reader, block, condition.environments[k], &score->environments[k]);
+  if (error == MO_OK)
+    error = take_rollouts(walk, reader, block, &condition, score);
   if (error == MO_OK)
     error = design_place(walk, reader, block, sqlite3_column_int64(row, 0), &score->number);
   if (error != MO_OK)

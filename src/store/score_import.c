@@ -107,6 +107,23 @@ static int find_sets(struct mo_connection *writer, struct entry *entry)
   return error;
 }
 
+/* Refuses a condition with an environment twice, which two lines of the block may be: the losses
+ * of one rollout could differ within a row. */
+static int check_environments(const struct entry *entry, uint32_t i)
+{
+  const struct mo_campaign_score *score = &entry->block->scores[i];
+  const struct mo_condition *condition = &entry->condition;
+  for (uint32_t k = 0; k < condition->n; k++)
+    for (uint32_t j = 0; j < k; j++)
+      if (condition->environments[j] == condition->environments[k])
+        return mo_fail(entry->message, MO_ERR_INVALID,
+                       "scores/%08u.ndjson has a row with one environment twice: lines %u and %u "
+                       "of environments.ndjson, from 0, are the same; name one of them",
+                       entry->block->condition_of[i], score->environments[j],
+                       score->environments[k]);
+  return MO_OK;
+}
+
 /* Finds the rows of origin, class and condition, unless they are those of the score before. */
 static int find_condition(struct mo_store *store, struct entry *entry, uint32_t i)
 {
@@ -128,7 +145,9 @@ static int find_condition(struct mo_store *store, struct entry *entry, uint32_t 
   *condition = (struct mo_condition){.controller = rows[0], .physics = rows[1], .n = score->n};
   for (uint32_t k = 0; k < score->n; k++)
     condition->environments[k] = entry->environments[score->environments[k]];
-  error = mo_text_row(writer, MO_FINGERPRINTS, score->fingerprint, &condition->fingerprint);
+  error = check_environments(entry, i);
+  if (error == MO_OK)
+    error = mo_text_row(writer, MO_FINGERPRINTS, score->fingerprint, &condition->fingerprint);
   if (error == MO_OK)
     error = mo_condition_row(writer, condition);
   return error == MO_OK ? find_sets(writer, entry) : error;

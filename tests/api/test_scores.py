@@ -1,5 +1,6 @@
 """Scores: they travel between services by their content, and what is refused."""
 
+import json
 import random
 
 import pytest
@@ -102,6 +103,31 @@ def test_the_same_scores(home, start, file):
     assert home.get(ranked)["items"][0]["id"] == other.get(ranked)["items"][0]["id"]
 
 
+@pytest.mark.parametrize("kind", ["campaign", "verify"])
+def test_an_environment_twice(start, kind):
+    """A row with an environment twice leaves with it once, and is used there."""
+    here, other = start(), start()
+    names = [HERE[0], HERE[1], HERE[0], HERE[0]]
+    campaign = CAMPAIGN | {"population": 4, "generations": 1, "environments": names}
+    evaluation = {"designs": [DESIGN], "physics": {"n_steps": 5}, "environments": names}
+    if kind == "campaign":
+        run(here, "campaigns", campaign)
+    else:
+        assert here.evaluate(evaluation | {"verify": True}).json()["state"] == "succeeded"
+    file = fetch(here)
+    archive, = blocks(file)
+    places = [json.loads(line)["environments"] for name, body in unpack(archive)
+              if name.startswith("scores/") for line in body.splitlines()]
+    assert len(places) > 0 and all(row == [0, 1] for row in places)
+    assert counts(enter(other, file)) == [2 * len(places), 0, 0]
+    assert counts(enter(here, file)) == [0, 2 * len(places), 0]
+    if kind == "campaign":
+        run(other, "campaigns", campaign)
+        assert other.metric("morphod_rollouts_total") == 0
+    else:
+        assert other.evaluate(evaluation).json()["rollouts_cached"] == len(names)
+
+
 def test_which_scores(home, start, file):
     def rows(query):
         return sum(body.count(b"\n") for archive in blocks(fetch(home, query))
@@ -186,6 +212,10 @@ def test_altered_files_leave_nothing(home, start, file):
     assert len(list((other.state / "controllers").iterdir())) == 1
     without = [one for one in unpack(second) if not one[0].startswith("controllers/")]
     assert "is not here" in refused(block(without), "its weights are in an earlier block")
+    alike = members[3][1].splitlines(keepends=True)
+    alike = ("environments.ndjson", b"".join(alike[:1] + alike[:1] + alike[2:]))
+    assert "one environment twice: lines 0 and 1" in refused(
+        block(members[:3] + [alike] + members[4:]), "two lines with one environment")
     at = len(file) - len(second) // 2
     refused(file[:at] + bytes([file[at] ^ 4]) + file[at + 1:], "the second block", entered=1)
     assert other.get("/v1/designs")["items"] != [] and counts(enter(other, file))[1] > 0
