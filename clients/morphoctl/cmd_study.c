@@ -128,19 +128,24 @@ static void fill_batch(struct ctl *ctl, json_t *request)
   json_object_set_new(request, "batch", json_integer(batch));
 }
 
-/* Waits until the batch is committed. */
+/* Waits until the batch is committed. Keeps the last reply only: that may take days. */
 static const json_t *await_batch(struct ctl *ctl, const json_t *batch)
 {
   const char *id = ctl->operands[0];
-  const struct request request = {
-      .method = "GET", .path = keep(format_text("/v1/campaigns/%s/batch", id)), .wait_s = WAIT_S};
+  const struct request of_job = {.method = "GET", .path = path_to("/v1/jobs/%s", id)},
+                       of_batch = {.method = "GET",
+                                   .path = path_to("/v1/campaigns/%s/batch", id),
+                                   .wait_s = WAIT_S};
+  json_t *last = NULL;
   while (strcmp(text_of(batch, "state"), "committed") != 0) {
-    const json_t *job = get_json(ctl, "/v1/jobs/%s", id);
+    json_t *job = send_json(ctl, &of_job, NULL);
     if (is_final(text_of(job, "state")))
       expect_success("study", job);
-    batch = keep(send_json(ctl, &request, NULL));
+    json_decref(job);
+    json_decref(last);
+    batch = last = send_json(ctl, &of_batch, NULL);
   }
-  return batch;
+  return last != NULL ? keep(last) : batch;
 }
 
 static void print_batch(const struct ctl *ctl, const json_t *batch)

@@ -100,11 +100,13 @@ static int show_event(void *context, const char *type, const char *data)
 /* Fetches the watched job to see whether it has ended. */
 static void ask(struct watch *watch)
 {
-  const json_t *job = get_json(watch->ctl, "/v1/jobs/%s", watch->job);
+  const struct request request = {.method = "GET", .path = path_to("/v1/jobs/%s", watch->job)};
+  json_t *job = send_json(watch->ctl, &request, NULL);
   if (is_final(text_of(job, "state"))) {
     watch->finished = true;
     watch->failed = strcmp(text_of(job, "state"), "succeeded") != 0;
   }
+  json_decref(job);
 }
 
 /* Checks after a break for the end of the job: its event may no longer be kept. */
