@@ -86,9 +86,10 @@ int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_
 int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t step,
                                        uint8_t **bytes, size_t *size);
 /* Reads the placed genotypes of a succeeded evaluation, or of a campaign's newest population
- * (malloc): best score first, each once, at most `best` (0: all). Designs that diverged are left
- * out, so *n may be 0. MO_ERR_NOT_FOUND: no such evaluation or campaign; MO_ERR_CONFLICT: the
- * evaluation has not succeeded, or the campaign has no generation yet. */
+ * (malloc): best score first, each once, at most `best` (0: all). Designs that diverged or have
+ * only a lower bound are left out, so *n may be less than `best`, or 0. MO_ERR_NOT_FOUND: no such
+ * evaluation or campaign; MO_ERR_CONFLICT: the evaluation has not succeeded, or the campaign has no
+ * generation yet. */
 int mo_store_population(struct mo_store *store, int64_t id, uint32_t best,
                         struct mo_bits **genotypes, uint32_t *n);
 

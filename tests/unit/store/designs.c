@@ -252,6 +252,13 @@ static void ranks_a_population(void)
         SAME(&best[2], &genotypes[0], 1) && SAME(&best[3], &genotypes[3], 1));
   best = best_of(id, 2, &n);
   CHECK_INT(n, 2);
+  /* Lower bounds, though below all scores, are not ranked; another entry of the genotype is. */
+  REQUIRE_OK(reopen_after("UPDATE job_designs SET counted=3 WHERE position IN (1,4)"));
+  best = best_of(id, 4, &n);
+  CHECK(n == 3 && SAME(&best[0], &genotypes[5], 1) && SAME(&best[1], &genotypes[0], 1) &&
+        SAME(&best[2], &genotypes[3], 1));
+  best = best_of(id, 1, &n);
+  CHECK(n == 1 && SAME(&best[0], &genotypes[5], 1));
   CHECK_INT(mo_store_population(store, submit_training(&training), 0, &best, &n), MO_ERR_NOT_FOUND);
 }
 
