@@ -54,12 +54,14 @@ static int allocate(struct mo_campaign_run *run)
   return mo_race_close(run);
 }
 
+/* Takes the saved losses of a candidate, among them those that an earlier process found stored. */
 static void know(struct mo_campaign_run *run, uint32_t place, const struct mo_campaign_loss *loss)
 {
   if (place >= run->n_scored || run->scoring.grid.left[place] == 0)
     return;
   run->losses[place] = *loss;
   run->losses[place].place = place;
+  run->n_cached += (uint64_t)__builtin_popcountll(loss->stored);
   mo_grid_finish_design(&run->scoring.grid, place);
   run->n_done++;
 }

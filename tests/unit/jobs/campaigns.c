@@ -104,6 +104,38 @@ SERVICE_CASE(scores_no_loss_twice, 1)
             all);
 }
 
+/* What was stored is counted once, also of children that a process saved before it was stopped. */
+SERVICE_CASE(counts_what_was_stored_through_stops, 1)
+{
+  enum { UNTIL = 12, STOPS = 4 };
+  struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
+  struct mo_campaign_generation rows[UNTIL + 1];
+  uint64_t saved = 0, cached = 0;
+  request.record.settings.generations = UNTIL;
+  struct origin origin = origin_of(&request);
+  int64_t id = submit_campaign(&request);
+  CHECK(ends_as_plain(id, &origin));
+  const uint64_t stored = idle_stats().campaign_rollouts;
+  fake_plan.delay_us = 10000;
+  request.record.settings.racing = MO_RACING_OFF; /* children have some losses, and get the rest */
+  origin = origin_of(&request);
+  id = submit_campaign(&request);
+  for (uint32_t stop = 0; stop < STOPS; stop++) {
+    REQUIRE(await_place(id, UNTIL - 2 * (STOPS - stop), MO_PHASE_SCORE));
+    REQUIRE(AWAIT(live_of(id).done > POPULATION / 2));
+    CHECK_OK(mo_jobs_stop(service.jobs, 5000));
+    saved += status_of(id).scored;
+    REQUIRE_OK(service_reopen());
+  }
+  CHECK(saved > 0);
+  fake_plan.delay_us = 0;
+  CHECK(ends_as_plain(id, &origin));
+  CHECK_INT(mo_store_campaign_generations(store, id, -1, rows, UNTIL + 1), UNTIL + 1);
+  for (int g = 0; g <= UNTIL; g++)
+    cached += rows[g].rollouts_cached;
+  CHECK_INT(cached, stored);
+}
+
 /* Listed designs, in a smaller workspace; then another campaign that begins with what the first
  * ended with. */
 SERVICE_CASE(begins_with_what_is_given, 1)
@@ -221,6 +253,7 @@ static const struct check_case cases[] = {
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"scores nothing twice", scores_nothing_twice},
     {"computes no stored loss of a child that was cut", scores_no_loss_twice},
+    {"counts what was stored through stops", counts_what_was_stored_through_stops},
     {"begins with what is given", begins_with_what_is_given},
     {"reports its generations", reports_its_generations},
     {"shows no generation behind its last", shows_no_generation_behind_its_last},
