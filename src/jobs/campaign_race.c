@@ -133,6 +133,8 @@ void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to
   }
 }
 
+/* Also reads what workers computed for a campaign of devices: mo_race_keep keeps it, and the order
+ * of the environments must not depend on a restart. */
 int mo_race_read(struct mo_campaign_run *run)
 {
   const size_t n = run->n_environments;
@@ -145,9 +147,9 @@ int mo_race_read(struct mo_campaign_run *run)
   known = calloc((size_t)run->n_parents + 1, sizeof(*known));
   if (known == NULL)
     return MO_ERR_NO_MEMORY;
-  found = mo_store_campaign_known(run->jobs->store, run->id,
-                                  mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
-                                  run->rows->bits, run->n_parents, known);
+  found = mo_store_campaign_known(
+      run->jobs->store, run->id, mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
+      mo_back_end_fingerprint(run->jobs, MO_ON_CPU), run->rows->bits, run->n_parents, known);
   for (int64_t i = 0; i < found; i++)
     memcpy(run->rows->parent_losses + known[i].place * n, known[i].losses, n * sizeof(double));
   free(known);

@@ -111,7 +111,7 @@ static void look_up(void *context, size_t first, size_t end)
       known == NULL
           ? MO_ERR_NO_MEMORY
           : mo_store_campaign_known(run->jobs->store, run->id,
-                                    mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
+                                    mo_back_end_fingerprint(run->jobs, run->status.job.back_end), 0,
                                     looking->asked + first, (uint32_t)(end - first), known);
   pthread_mutex_lock(&looking->mutex);
   if (found < 0)

@@ -255,7 +255,7 @@ int mo_jobs_study_losses(struct mo_jobs *jobs, int64_t id, const struct mo_bits 
   int64_t n_found = 0;
   if (error == MO_OK)
     n_found = mo_store_campaign_known(jobs->store, id, mo_back_end_fingerprint(jobs, job.back_end),
-                                      genotypes, n, found);
+                                      0, genotypes, n, found);
   for (int64_t i = 0; i < n_found; i++) {
     losses[found[i].place] = found[i];
     known[found[i].place] = found[i].stored == UINT64_MAX >> (64 - job.n_environments);

@@ -166,12 +166,12 @@ static int find_known(struct mo_connection *reader, struct mo_saved_design *desi
 }
 
 int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
-                                const struct mo_bits *genotypes, uint32_t n,
+                                int64_t workers, const struct mo_bits *genotypes, uint32_t n,
                                 struct mo_campaign_loss *losses)
 {
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_head head = {0};
-  struct mo_saved_design design = {.fingerprint = fingerprint};
+  struct mo_saved_design design = {.fingerprint = fingerprint, .workers = workers};
   int64_t environments[MO_ENVIRONMENTS_MAX], n_known = 0;
   int error = mo_campaign_head_get(reader, id, &head);
   if (error == MO_OK)

@@ -55,10 +55,11 @@ int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t g
 int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation,
                              struct mo_campaign_loss **losses, size_t *n);
 /* Finds genotypes with stored losses in environments of the campaign, under its controller and
- * physics (zero-shot), by code of this fingerprint. losses: room for n; place: index in
- * `genotypes`; NaN: not stored. Returns their number. */
+ * physics (zero-shot), by code of this fingerprint, and where there are none by that of `workers`
+ * (0: none). losses: room for n; place: index in `genotypes`; NaN: not stored. Returns the number
+ * of those found. */
 int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
-                                const struct mo_bits *genotypes, uint32_t n,
+                                int64_t workers, const struct mo_bits *genotypes, uint32_t n,
                                 struct mo_campaign_loss *losses);
 
 /* Stores a checkpoint of the learning: the file campaigns/<job>/<generation>-<step>.checkpoint,

@@ -32,7 +32,7 @@ static struct mo_campaign_loss known[MADE_POPULATION + 2];
 /* Which of n bodies have scores already: writes to `known`. */
 static int64_t known_of(int64_t id, int64_t fingerprint, const struct mo_bits *bits, uint32_t n)
 {
-  return mo_store_campaign_known(store, id, fingerprint, bits, n, known);
+  return mo_store_campaign_known(store, id, fingerprint, 0, bits, n, known);
 }
 
 /* What is saved of a generation. */
@@ -207,6 +207,11 @@ static void names_who_computed(void)
   CHECK_INT(known_of(id, fingerprint, made.children, MADE_POPULATION), MADE_POPULATION - 1);
   CHECK_INT(known_of(id, made.commit.workers_fingerprint, made.children, MADE_POPULATION), 1);
   CHECK_INT(known[0].place, 2);
+  CHECK_INT(mo_store_campaign_known(store, id, fingerprint, made.commit.workers_fingerprint,
+                                    made.children, MADE_POPULATION, known),
+            MADE_POPULATION);
+  for (uint32_t i = 0; i < MADE_POPULATION; i++)
+    CHECK(same_losses(&known[i], &made.losses[i]));
   made_apply(&made);
 }
 
