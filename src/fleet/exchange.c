@@ -23,8 +23,8 @@ static int encode(struct mo_fleet *fleet, struct mo_session *session, const uint
   }
   int error = mo_wire_put_leases(&message, fleet->config.workspace, down, down_size);
   for (uint32_t i = 0; i < message.n && error != MO_OK; i++)
-    mo_lease_release(fleet, leases[i], (uint32_t)mo_lease_held_by(leases[i], session), false,
-                     now_ns, after);
+    (void)mo_lease_release(fleet, leases[i], (uint32_t)mo_lease_held_by(leases[i], session), false,
+                           now_ns, after);
   *n_leases = message.n;
   return error;
 }
@@ -95,7 +95,7 @@ static void end_told(struct mo_fleet *fleet, struct mo_session *session,
     const int place = lease != NULL ? mo_lease_held_by(lease, session) : MO_ERR_NOT_FOUND;
     if (place < 0)
       continue;
-    mo_lease_release(fleet, lease, (uint32_t)place, false, now_ns, after);
+    (void)mo_lease_release(fleet, lease, (uint32_t)place, false, now_ns, after);
     if (session->state == MO_SESSION_ACTIVE)
       wait_for_more(fleet, session);
     mo_after_wake(after, session->id);

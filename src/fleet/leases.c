@@ -254,7 +254,7 @@ void mo_lease_end(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_afte
   free_lease(fleet, lease);
 }
 
-void mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t place, bool is_lost,
+bool mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t place, bool is_lost,
                       uint64_t now_ns, struct mo_after *after)
 {
   struct mo_session *session = lease->holds[place].session;
@@ -269,10 +269,10 @@ void mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t p
   lease->is_kept |= is_stubborn;
   mo_lease_unhold(lease, place);
   if (lease->n_holds > 0 && !is_proven && !is_stubborn)
-    return;
+    return true;
   if (lease->parcel == NULL && lease->is_audit) {
     mo_lease_list(fleet, lease, now_ns, after);
-    return;
+    return true;
   }
   if (is_proven) {
     mo_suspects_clear(fleet->suspects, &lease->content);
@@ -281,4 +281,5 @@ void mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t p
     fleet->counts.leases_again++;
   }
   mo_lease_end(fleet, lease, after);
+  return false;
 }

@@ -24,9 +24,10 @@ void mo_lease_hold(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_ses
                    uint64_t now_ns);
 /* Ends a hold. Only that. */
 void mo_lease_unhold(struct mo_lease *lease, uint32_t place);
-/* Ends a hold without a result. The last one: work goes back, and an audit to the list; the lease
- * may be freed. is_lost: the session ended with it, or failed. */
-void mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t place, bool is_lost,
+/* Ends a hold without a result. The last one: work goes back, and an audit to the list. With a body
+ * that was lost too often the lease ends although others hold it. is_lost: the session ended with
+ * it, or failed. false: the lease was freed. */
+bool mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t place, bool is_lost,
                       uint64_t now_ns, struct mo_after *after);
 /* Orders a session to drop a lease. */
 void mo_lease_drop(const struct mo_lease *lease, struct mo_session *session,

@@ -142,7 +142,7 @@ int mo_results_take(struct mo_fleet *fleet, struct mo_session *session,
       const bool has_failed =
           result->state == MO_RESULT_FAILED || (result->state == MO_RESULT_UNSUPPORTED && is_shard);
       lease->is_kept |= result->state == MO_RESULT_UNSUPPORTED && !is_shard;
-      mo_lease_release(fleet, lease, place, has_failed, now_ns, after);
+      (void)mo_lease_release(fleet, lease, place, has_failed, now_ns, after);
       if (has_failed)
         take_failure(fleet, session, now_ns, after);
       else if (result->state == MO_RESULT_UNSUPPORTED)

@@ -83,8 +83,8 @@ static void release_all(struct mo_fleet *fleet, struct mo_session *session, bool
   for (uint32_t b = 0; b < 2; b++) {
     while (session->n_held[b] > 0) {
       struct mo_lease *lease = session->held[b][0];
-      mo_lease_release(fleet, lease, (uint32_t)mo_lease_held_by(lease, session), is_lost, now_ns,
-                       after);
+      (void)mo_lease_release(fleet, lease, (uint32_t)mo_lease_held_by(lease, session), is_lost,
+                             now_ns, after);
     }
   }
 }

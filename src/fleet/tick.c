@@ -37,18 +37,16 @@ static void end_silent(struct mo_fleet *fleet, uint64_t now_ns, struct mo_after 
 
 /* ---- leases ---- */
 
-/* Ends the holds of sessions that have a lease for far too long, or, of a check, too long. May free
- * the lease: false. */
+/* Ends the holds of sessions that have a lease for far too long, or, of a check, too long. false:
+ * the lease was freed. */
 static bool check_holds(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t now_ns,
                         struct mo_after *after)
 {
   for (uint32_t i = lease->n_holds; i-- > 0;) {
     struct mo_hold *hold = &lease->holds[i];
     if (now_ns >= hold->end_ns || (lease->parcel == NULL && now_ns >= hold->late_ns)) {
-      const bool is_last = lease->n_holds == 1;
       mo_lease_drop(lease, hold->session, after);
-      mo_lease_release(fleet, lease, i, true, now_ns, after);
-      if (is_last)
+      if (!mo_lease_release(fleet, lease, i, true, now_ns, after))
         return false;
     } else if (!hold->is_late && now_ns >= hold->late_ns) {
       hold->is_late = true;

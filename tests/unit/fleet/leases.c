@@ -383,6 +383,34 @@ static void poison_seen_late(void)
     CHECK_INT(blocks[i]->status, i == 40 ? MO_ERR_EXHAUSTED : MO_OK);
 }
 
+/* Two sessions hold a body alone. The one that has it for too long is the third worker that is lost
+ * with it: the lease ends, and the other session is told to drop it. */
+static void poison_held_twice(void)
+{
+  static const char *const names[] = {"w0", "w1", "w2", "w0", "w1"};
+  struct mo_wire_leases leases;
+  begin(1);
+  for (size_t i = 0; i < COUNT(names); i++) {
+    const uint64_t session = join(names[i]);
+    leases = exchange(session);
+    CHECK_INT(leases.n, 1);
+    mo_wire_free_leases(&leases);
+    CHECK_OK(mo_fleet_leave(fake->fleet, session, true, fake->now_ns));
+  }
+  const uint64_t hung = join("w2"), other = join("w3");
+  leases = exchange(hung);
+  CHECK_INT(leases.n, 1);
+  mo_wire_free_leases(&leases);
+  advance(6);
+  leases = exchange(other);
+  CHECK(leases.n == 1 && fake->n_done == 0);
+  mo_wire_free_leases(&leases);
+  advance(55);
+  CHECK(fake->n_done == 1 && blocks[0]->status == MO_ERR_EXHAUSTED);
+  CHECK(TAILQ_EMPTY(&fake->fleet->leases));
+  CHECK(orders_of(hung).n_dropped == 1 && orders_of(other).n_dropped == 1);
+}
+
 /* Sessions that hold a lease put a suspect back, and wake nobody but one that holds none. */
 static void suspected(void)
 {
@@ -593,6 +621,7 @@ static const struct check_case cases[] = {
     {"a body that ends sessions", WITH(poison, 3)},
     {"workers that end with a body", WITH(poison, 2)},
     {"a body that ends sessions, seen late", poison_seen_late},
+    {"a body that ends sessions, held twice", poison_held_twice},
     {"a suspect and busy sessions", suspected},
     {"what no worker computes", unsupported},
     {"a worker that fails", failing},
