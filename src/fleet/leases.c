@@ -260,12 +260,9 @@ bool mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t p
   struct mo_session *session = lease->holds[place].session;
   bool is_proven = false, is_stubborn = false;
   session->leases_lost += is_lost;
-  if (is_lost && lease->parcel != NULL && lease->content.n_parameters == 0) {
+  if (is_lost && lease->parcel != NULL && lease->content.n_parameters == 0)
     is_proven = mo_suspects_add(fleet->suspects, &lease->content, session->id, session->worker,
                                 lease->is_only, &is_stubborn);
-    if (is_stubborn && fleet->config.classes[lease->content.back_end].is_absent)
-      is_proven = true; /* nobody else computes it */
-  }
   lease->is_kept |= is_stubborn;
   mo_lease_unhold(lease, place);
   if (lease->n_holds > 0 && !is_proven && !is_stubborn)

@@ -301,11 +301,13 @@ static void cancelled(void)
 /* ---- bodies and workers that fail ---- */
 
 /* A body that ends every session that computes it is found, if three workers say so, and no other
- * body suffers. */
-static void poison(int n_workers)
+ * body suffers. With fewer it is kept: a worker that joins again and again proves nothing, though
+ * only workers have the class. */
+static void poison_of(int n_workers, bool is_absent)
 {
   uint32_t sessions = 0;
   begin(GENOTYPES);
+  fake->fleet->config.classes[0].is_absent = is_absent;
   for (uint32_t i = 0; i < GENOTYPES; i++)
     blocks[i]->block.n_environments = 1; /* many to a lease */
   while (fake->n_done < GENOTYPES && sessions < 40) {
@@ -344,6 +346,16 @@ static void poison(int n_workers)
   mo_wire_free_leases(&leases);
   CHECK_OK(mo_fleet_leave(fake->fleet, session, true, fake->now_ns));
   CHECK_INT(fake->n_waiting, 1);
+}
+
+static void poison(int n_workers)
+{
+  poison_of(n_workers, false);
+}
+
+static void poison_of_absent(int n_workers)
+{
+  poison_of(n_workers, true);
 }
 
 /* The same, where it takes seconds to see that a session is lost: at the end of the queue the next
@@ -620,6 +632,7 @@ static const struct check_case cases[] = {
     {"cancelled", cancelled},
     {"a body that ends sessions", WITH(poison, 3)},
     {"workers that end with a body", WITH(poison, 2)},
+    {"a worker that ends with a body of an absent class", WITH(poison_of_absent, 1)},
     {"a body that ends sessions, seen late", poison_seen_late},
     {"a body that ends sessions, held twice", poison_held_twice},
     {"a suspect and busy sessions", suspected},
