@@ -61,7 +61,8 @@ class Daemon:
 
 def run(daemon, options, racing):
     """Runs the campaign to its end. Returns its generations, the seconds of cores and devices, and
-    its last population. Prints what the device did: how long no call was in flight is the host's time between calls."""
+    its last population. Prints what the device did: how long no call was in flight is the host's
+    time between calls."""
     campaign = daemon.get("/v1/campaigns", {
         "mode": "zero-shot", "population": options.population, "generations": options.generations,
         "seed": options.seed, "exclude_pretraining": False, "racing": racing})["id"]

@@ -405,10 +405,14 @@ int mo_store_campaign_members(struct mo_store *store, int64_t id, int64_t genera
 static void keep_own(const int64_t *environments, uint32_t n, const struct mo_condition *condition,
                      struct mo_campaign_score *score)
 {
+  uint64_t taken = 0; /* a campaign may have an environment twice */
   score->n = 0;
   for (uint32_t i = 0; i < condition->n; i++)
     for (uint32_t k = 0; k < n; k++)
       if (environments[k] == condition->environments[i]) {
+        if (taken >> k & 1)
+          break;
+        taken |= UINT64_C(1) << k;
         score->environments[score->n] = k;
         score->losses[score->n] = score->losses[i];
         score->diverged_steps[score->n++] = score->diverged_steps[i];

@@ -111,7 +111,9 @@ def test_an_environment_twice(start, kind):
     campaign = CAMPAIGN | {"population": 4, "generations": 1, "environments": names}
     evaluation = {"designs": [DESIGN], "physics": {"n_steps": 5}, "environments": names}
     if kind == "campaign":
-        run(here, "campaigns", campaign)
+        id = run(here, "campaigns", campaign)["id"]
+        bundle = here.request("GET", f"/v1/bundles?campaigns={id}").body
+        assert start().request("POST", "/v1/bundles", body=bundle, headers=ZSTD).status == 201
     else:
         assert here.evaluate(evaluation | {"verify": True}).json()["state"] == "succeeded"
     file = fetch(here)
