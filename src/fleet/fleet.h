@@ -110,7 +110,7 @@ struct mo_fleet_orders {
 int mo_fleet_orders(struct mo_fleet *fleet, uint64_t session, uint64_t now_ns,
                     struct mo_fleet_orders *orders);
 /* Gives the weights of a lease that is out: the file with this SHA-256, until it is released.
- * MO_ERR_NOT_FOUND; MO_ERR_BUSY: slow readers keep too many files. */
+ * MO_ERR_NOT_FOUND; MO_ERR_BUSY: no lease has it now, and slow readers keep too many files. */
 struct mo_fleet_file {
   struct mo_fleet *fleet;
   const uint8_t *bytes;

@@ -90,7 +90,8 @@ int mo_weights_read(struct mo_fleet *fleet, const struct mo_sha256 *hash,
   *weights = use(of(fleet, hash));
   if (*weights == NULL)
     return MO_ERR_NOT_FOUND;
-  if (n_only_read >= MO_WEIGHTS_READ) {
+  const bool is_leased = (*weights)->n_users > (*weights)->n_readers + 1;
+  if (!is_leased && n_only_read >= MO_WEIGHTS_READ) {
     mo_weights_release(fleet, *weights);
     return MO_ERR_BUSY;
   }

@@ -20,6 +20,7 @@
 #define STEADY_MS     5000 /* after so long a session counts as good */
 #define CALM_MS       50   /* first pause after an empty reply that came at once */
 #define CALM_MAX_MS   250
+#define BUSY_MS       1000  /* until weights are asked for again that the daemon could not give */
 #define DRAIN_MS      20000 /* a drain without haste still ends */
 #define LEAVE_MS      1000  /* of the last request */
 #define ORDERS_WAIT_S 2
@@ -41,7 +42,7 @@ struct mo_worker {
   struct mo_message why;
   int64_t joined_ms, leased_ms; /* leased: when it last held a lease */
   int64_t lost_ms;              /* since when there is no good session; −1: there is */
-  int64_t next_join_ms, next_leases_ms;
+  int64_t next_join_ms, next_leases_ms, next_weights_ms;
   int64_t warned_ms;
   int64_t give_back_ms, end_ms; /* of a drain: running leases are cancelled; it ends anyway */
   uint32_t calm_ms, leases_wait_s;
@@ -315,7 +316,11 @@ static void take_leases(struct mo_worker *worker, const struct mo_link_reply *re
 static void take_weights(struct mo_worker *worker, const struct mo_link_reply *reply)
 {
   struct mo_message why = {""};
-  if (reply->error == MO_OK && reply->status == 404) { /* its leases are gone, too */
+  if (reply->error == MO_OK && (reply->status == 404 || reply->status == 503)) {
+    /* 404: its leases are gone, too. 503: they go back, since a lost session with leases makes
+     * their bodies suspects. */
+    if (reply->status == 503)
+      worker->next_weights_ms = now_ms() + BUSY_MS;
     mo_holding_miss_weights(worker->holding, &worker->weights_asked);
     return;
   }
@@ -431,7 +436,8 @@ static void tend_session(struct mo_worker *worker, int64_t now)
   struct mo_link *link = worker->link;
   if (!mo_link_is_busy(link, MO_CALL_ORDERS))
     ask_for_orders(worker);
-  if (mo_holding_start(worker->holding, &hash) && !mo_link_is_busy(link, MO_CALL_WEIGHTS))
+  if (mo_holding_start(worker->holding, &hash) && !mo_link_is_busy(link, MO_CALL_WEIGHTS) &&
+      now >= worker->next_weights_ms)
     ask_for_weights(worker, &hash);
   const bool is_sending = mo_link_is_busy(link, MO_CALL_RESULTS);
   if (!is_sending)
@@ -471,6 +477,8 @@ static uint32_t tend(struct mo_worker *worker)
     tend_session(worker, now);
     if (worker->next_leases_ms > now && worker->next_leases_ms < next)
       next = worker->next_leases_ms;
+    if (worker->next_weights_ms > now && worker->next_weights_ms < next)
+      next = worker->next_weights_ms;
   }
   if (worker->is_draining && worker->give_back_ms > now && worker->give_back_ms < next)
     next = worker->give_back_ms;

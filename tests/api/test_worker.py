@@ -220,6 +220,20 @@ def test_weights_that_are_gone_give_the_lease_back(daemon, launch, known):
     assert {i: state for i, state, *_ in daemon.results} == {(1, 0): GIVEN_BACK, (1, 1): DONE}
 
 
+def test_weights_that_the_daemon_is_too_busy_for_give_the_lease_back(daemon, launch, known):
+    busy = {"/controllers/" + known["controller"].hex(): lambda handler: (
+        daemon.answers.clear(), handler.problem(503))}
+    with daemon.changed:
+        daemon.answers.update(busy)
+    launch(Worker, daemon.url)
+    daemon.give(lease(known, 0))
+    daemon.until(lambda: len(daemon.results) == 1)
+    daemon.give(lease(known, 1))
+    daemon.until(lambda: len(daemon.results) == 2)
+    assert {i: state for i, state, *_ in daemon.results} == {(1, 0): GIVEN_BACK, (1, 1): DONE}
+    assert len(daemon.offers) == 1
+
+
 REFUSALS = [("/sessions", 409, 76), ("/sessions", 422, 69), ("/sessions", 401, 77),
             ("/sessions", 403, 77), ("/sessions", 404, 78), ("/sessions", 405, 78),
             ("/exchange", 409, 76), ("/exchange", 401, 77), ("/orders", 409, 76)]

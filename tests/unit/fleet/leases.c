@@ -568,6 +568,14 @@ static void weights(void)
     CHECK_INT(mo_fleet_controller(fake->fleet, &newest, is_full ? &file : &files[i]),
               is_full ? MO_ERR_BUSY : MO_OK);
   }
+  /* A file that a lease keeps anyway is not refused. */
+  blocks[202 + MO_WEIGHTS_READ] = fake_submit(fake, 0);
+  leases = exchange(a);
+  REQUIRE(leases.n == 1);
+  REQUIRE_OK(mo_fleet_controller(fake->fleet, &leases.items[0].controller, &file));
+  mo_fleet_file_release(file);
+  leases = finish(a, &leases, MO_RESULT_DONE);
+  mo_wire_free_leases(&leases);
   for (uint32_t i = 0; i < MO_WEIGHTS_READ; i++)
     mo_fleet_file_release(files[i]);
   CHECK_INT(mo_fleet_controller(fake->fleet, &wanted, &file), MO_ERR_NOT_FOUND);
