@@ -141,6 +141,12 @@ int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end)
   return back_end == MO_ON_CPU || serves_devices(jobs) ? MO_OK : MO_ERR_DEVICE;
 }
 
+enum mo_urgency mo_back_end_urgency(const struct mo_jobs *jobs, const struct mo_job *job)
+{
+  return job->back_end == MO_ON_DEVICE && mo_compute_expects_devices(jobs->compute) ? MO_BATCH
+                                                                                    : job->priority;
+}
+
 int mo_back_end_error(enum mo_back_end back_end, int error)
 {
   return back_end == MO_ON_DEVICE && error == MO_ERR_NO_MEMORY ? MO_ERR_DEVICE : error;

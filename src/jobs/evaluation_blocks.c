@@ -312,6 +312,7 @@ void mo_active_take_back(struct mo_evaluations *all, struct mo_flight *finished)
 {
   struct flight *flight = (struct flight *)finished;
   struct mo_active *active = finished->window->context;
+  const bool is_interactive = active->priority == MO_INTERACTIVE;
   char text[128] = "out of memory";
   bool is_done;
   int error = mo_window_take(&active->window, finished, &is_done, text);
@@ -321,7 +322,7 @@ void mo_active_take_back(struct mo_evaluations *all, struct mo_flight *finished)
     error = finish_design(all, active, finished->design);
   if (error != MO_OK && error != MO_ERR_CANCELLED)
     mo_active_fail(all, active, error, text);
-  if (finished->block.urgency == MO_INTERACTIVE || somebody_waits(all))
+  if (is_interactive || somebody_waits(all))
     all->pending.urgent = true;
   free_flight(all, flight);
 }

@@ -40,7 +40,7 @@ int mo_learner_prepare(struct mo_learner *learner, struct mo_runner *runner,
   struct mo_compute_stats stats;
   mo_compute_get_stats(runner->jobs->compute, &stats);
   learner->runner = runner;
-  learner->urgency = job->priority;
+  learner->urgency = mo_back_end_urgency(runner->jobs, job);
   learner->back_end = job->back_end;
   learner->write = write;
   learner->context = context;

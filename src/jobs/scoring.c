@@ -26,7 +26,7 @@ struct mo_block mo_block_of(const struct mo_jobs *jobs, const struct mo_job *job
   return (struct mo_block){.lattice = jobs->lattice,
                            .physics = job->physics,
                            .precision = job->precision,
-                           .urgency = job->priority,
+                           .urgency = mo_back_end_urgency(jobs, job),
                            .back_end = job->back_end,
                            .cancel = cancel,
                            .tag = job->id};

@@ -92,6 +92,9 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, bool
 /* MO_ERR_DEVICE: the job needs devices, none works, and no worker had any. Check before a job
  * starts: drawing its bodies again can take minutes. */
 int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end);
+/* Returns the urgency of a job's blocks and gradients. Workers of other machines get only those of
+ * batch urgency, so on devices that only they have there is no other. */
+enum mo_urgency mo_back_end_urgency(const struct mo_jobs *jobs, const struct mo_job *job);
 /* Names the classes of this process, in the store and for lineages. */
 int mo_back_end_prepare(struct mo_jobs *jobs);
 /* Says that a running job waits for workers of other machines. "": it does not. */
