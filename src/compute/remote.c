@@ -201,10 +201,24 @@ bool mo_taken_is_cancelled(const struct mo_taken *taken)
   return true;
 }
 
+/* Under the mutex. Says that all devices of the queue are lost: its threads have ended what waited,
+ * and nobody looks at it again. */
+static bool is_lost(const struct mo_compute *compute, const struct taken *taken)
+{
+  const struct mo_devices *devices = mo_core(compute)->devices;
+  return taken->shown.back_end == MO_ON_DEVICE && !devices->is_absent &&
+         atomic_load(&devices->n_working) == 0;
+}
+
 /* is_refused: takers cannot compute it. */
 static void put_back(struct mo_compute *compute, struct taken *taken, bool is_refused)
 {
   pthread_mutex_lock(&taken->fair->mutex);
+  if (is_lost(compute, taken)) {
+    pthread_mutex_unlock(&taken->fair->mutex);
+    mo_compute_deliver(compute, &taken->shown, &(struct mo_remote_result){.status = MO_ERR_DEVICE});
+    return;
+  }
   mo_fair_put_back(taken->fair, &taken->charge, taken->blocks);
   if (taken->shard != NULL)
     mo_offer_return(taken->offer, taken->shard, is_refused, NULL);

@@ -287,6 +287,33 @@ static void ends_without_any_device(void)
   CHECK(as_expected(0));
 }
 
+/* Blocks that a remote taker has when the last device is lost end when it puts them back: nobody
+ * looks at the queue any more. */
+static void ends_what_takers_put_back(void)
+{
+  atomic_int done = 0;
+  reset();
+  set("MORPHO_FAKE_DELAY_MS", "20");
+  set("MORPHO_FAKE_ROWS", "40");
+  set("MORPHO_FAKE_LOSE", "0:2");
+  struct mo_compute *compute = open_devices("1");
+  struct mo_compute_controller *brain = make_compute_controller(compute, controller);
+  for (uint32_t d = 0; d < DESIGNS; d++) {
+    blocks[d] = design_block(d, brain, STEPS);
+    blocks[d].done = count_one;
+    blocks[d].context = &done;
+    CHECK_INT(mo_compute_submit(compute, &blocks[d]), MO_OK);
+  }
+  struct mo_taken *taken = mo_compute_take(compute, MO_ON_DEVICE, 1);
+  REQUIRE(taken != NULL && taken->n_blocks == 1);
+  struct mo_block *block = taken->blocks[0];
+  REQUIRE(await(&done, DESIGNS - 1));
+  usleep(50000);
+  mo_compute_put_back(compute, taken);
+  CHECK(await(&done, DESIGNS));
+  CHECK_INT(block->status, MO_ERR_DEVICE);
+}
+
 /* Half of the blocks are cancelled, then all: those that run end soon, the others have the same
  * bits. */
 static void cancels(void)
@@ -459,6 +486,7 @@ static const struct check_case cases[] = {
     {"workers compute what devices do not support", workers_do_the_rest},
     {"the others go on when one device is lost", goes_on_without_a_device},
     {"the last device's loss ends its work, and that alone", ends_without_any_device},
+    {"ends what takers put back", ends_what_takers_put_back},
     {"what is cancelled ends soon", cancels},
     {"the end hands everything back", hands_everything_back_at_the_end},
     {"devices are shared by weight", devices_are_shared_by_weight},
