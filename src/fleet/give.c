@@ -192,6 +192,8 @@ static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back
     lease->is_only = is_only;
     return lease;
   }
+  if (*weights != NULL && (*weights)->n_parcels == 0)
+    (*weights)->identity = NULL; /* the address may become that of another controller */
   mo_weights_release(fleet, *weights);
   if (taken == NULL)
     return NULL;
