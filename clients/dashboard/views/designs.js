@@ -146,7 +146,7 @@ async function mountEvaluation(main, id, app) {
       best = order.map(({ row }) => row);
       wall.add(order);
       if (job.best !== null) {
-        head.append(h('p.muted', {}, `The best ${count(job.best)} were asked for. A score after ≥ is a lower bound: the design cannot be among them, so the rest was not computed.`));
+        head.append(h('p.muted', {}, `The best ${count(job.best)} were asked for; ${count(job.rollouts_cut)} rollouts of the others were not computed. A score after ≥ is a lower bound.`));
       }
       if (job.n_skipped > 0) head.append(h('p.muted', {}, `${count(job.n_skipped)} designs were skipped.`));
       if (job.n_designs - job.n_skipped > order.length) {
