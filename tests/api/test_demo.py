@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 import service as module
-from test_morphoctl import MORPHOCTL
+from ctl import MORPHOCTL
 
 SHIPPED, OLD = "data/controllers/phototaxis.safetensors", "data/controllers/bootstrap.safetensors"
 

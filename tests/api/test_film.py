@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from service import run
-from test_morphoctl import CELLS, SHORT, ctl  # noqa: F401
+from ctl import CELLS, SHORT, ctl  # noqa: F401
 
 SMALL = "--size 96x64 --physics n_steps=60"
 

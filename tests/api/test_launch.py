@@ -9,7 +9,7 @@ import yaml
 
 from fleet_daemon import FakeDaemon, Worker
 from service import BINARY, SOURCE
-from test_morphoctl import MORPHOCTL
+from ctl import MORPHOCTL
 
 
 def printed(engine, *options, status=0):

@@ -8,7 +8,7 @@ import pytest
 from service import Service, run
 from test_bundles import enter
 from test_devices import FLAGS, fake
-from test_morphoctl import ctl  # noqa: F401
+from ctl import ctl  # noqa: F401
 from test_worlds import scene
 
 # They walk: among random bodies, hardly any child is bad enough to be cut.
