@@ -383,7 +383,8 @@ def test_workers_alone_learn(cluster, start, kind):
     alone = run(start(*FLAGS, environment=fake()), kind, request)
     workers = [cluster.launch(delay_ms=delay_ms) for delay_ms in (0, 3000)]
     cluster.until_there(2)
-    job = cluster.service.post(f"/v1/{kind}", request)["id"]
+    # Workers take no urgent work: there these jobs are like others.
+    job = cluster.service.post(f"/v1/{kind}", {**request, "priority": "interactive"})["id"]
     until(lambda: any(one["leases"] for one in cluster.fleet.status()["sessions"]
                       if one["name"] == "gpu-1"))
     workers[1].process.kill()
