@@ -268,7 +268,7 @@ static int do_scores(const struct life *life, struct mo_store *of, const struct 
   block.weights_size = put.size;
   block.weights_sha256 = condition->controller;
   block.controller = &put.controller;
-  block.environments[1].light_xy_m[0] = (double)(act->seed % 50);
+  block.environments[1].light_xy_m[0] = (double)(1 + act->seed % 50);
   block.n_conditions = 1;
   block.n_environments = 2;
   block.n_designs = block.n_scores = DESIGNS_MAX;
