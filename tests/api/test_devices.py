@@ -336,9 +336,9 @@ def test_workers_alone_have_devices(cluster, start, undisturbed, tmp_path):
     done = run(service, "evaluations", {**LARGE, "device": "cuda"})
     assert done["state"] == "succeeded" and done["device"] == "cuda"
     design = service.get(f"/v1/designs/{done['results'][0]['id']}")
-    scores = {score["fingerprint"]: score for score in design["orientations"][0]["scores"]
-              if score["origin"].startswith("gpu-0@")}
-    assert list(scores) == ["fake float32 score-1 sm90"]
+    by_device, = [score for score in design["orientations"][0]["scores"]
+                  if score["fingerprint"] == "fake float32 score-1 sm90"]
+    assert by_device["origin"].startswith("gpu-0@")
     # Devices of another class are not served, nor is a wrong canary.
     cluster.launch(code="other-2")
     until(lambda: cluster.fleet.status()["n_sessions"] == 2)
