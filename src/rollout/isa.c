@@ -1,5 +1,5 @@
 /* isa.c: chooses the compiled kernels that this processor can run. */
-#include "rollout/fast.h"
+#include "rollout/block_physics.h"
 
 #include <cpuid.h>
 #include <stdbool.h>
@@ -38,6 +38,24 @@ const char *mo_isa_name(enum mo_isa isa)
 uint32_t mo_isa_vector_bytes(enum mo_isa isa)
 {
   return UINT32_C(16) << isa;
+}
+
+const struct mo_block_physics *mo_block_physics_find(enum mo_isa isa, enum mo_precision precision,
+                                                     uint32_t n)
+{
+  /* By instruction set, precision and width of the vectors. */
+  static const struct mo_block_physics *const found[MO_ISA_COUNT][2][MO_ISA_COUNT] = {
+      {{&mo_physics_baseline_float_16}, {&mo_physics_baseline_double_16}},
+      {{&mo_physics_avx2_float_16, &mo_physics_avx2_float_32},
+       {&mo_physics_avx2_double_16, &mo_physics_avx2_double_32}},
+      {{&mo_physics_avx512_float_16, &mo_physics_avx512_float_32, &mo_physics_avx512_float_64},
+       {&mo_physics_avx512_double_16, &mo_physics_avx512_double_32, &mo_physics_avx512_double_64}},
+  };
+  const struct mo_block_physics *const *widths = found[isa][precision];
+  enum mo_isa width = MO_ISA_BASELINE;
+  while (width < isa && widths[width]->n_lanes < n)
+    width++;
+  return widths[width];
 }
 
 mo_fast_function *mo_fast_find(enum mo_isa isa, enum mo_precision precision)

@@ -1,0 +1,36 @@
+/* block_physics.h: the physics of a block, as block_physics.inc is compiled for each instruction
+ * set and width of vectors. Internal to this room. */
+#ifndef MORPHO_ROLLOUT_BLOCK_PHYSICS_H
+#define MORPHO_ROLLOUT_BLOCK_PHYSICS_H
+
+#include "rollout/fast.h"
+
+/* The physics of one vector of lanes of a block: positions, velocities and what else has lanes are
+ * arrays of the run's reals, from the first of these lanes on. `shared` is a struct lane_physics.
+ */
+struct mo_block_physics {
+  uint32_t n_lanes;
+  /* Light at the masses less the body's mean. lights: (3, lanes). */
+  void (*sense_light)(enum mo_sensor kind, uint32_t n_masses, const void *positions,
+                      const void *lights, void *sensors);
+  /* n springs. activations: (n, lanes). */
+  void (*pull_springs)(const void *shared, uint32_t n, const uint32_t *ends, const void *rests,
+                       const void *activations, const void *positions, void *velocities);
+  /* Moves all masses by a step; returns the lanes whose state is no longer finite or sane.
+   * used_lanes: those that count; tops: no terrain of the lane is above it. */
+  uint32_t (*move)(const struct mo_fast_run *run, const void *shared, uint32_t first_lane,
+                   uint32_t used_lanes, const void *tops, const void *positions,
+                   void *next_positions, void *velocities);
+};
+extern const struct mo_block_physics mo_physics_baseline_float_16, mo_physics_baseline_double_16;
+extern const struct mo_block_physics mo_physics_avx2_float_16, mo_physics_avx2_double_16;
+extern const struct mo_block_physics mo_physics_avx2_float_32, mo_physics_avx2_double_32;
+extern const struct mo_block_physics mo_physics_avx512_float_16, mo_physics_avx512_double_16;
+extern const struct mo_block_physics mo_physics_avx512_float_32, mo_physics_avx512_double_32;
+extern const struct mo_block_physics mo_physics_avx512_float_64, mo_physics_avx512_double_64;
+
+/* Returns that of the narrowest vectors that hold n lanes, or of the widest. */
+const struct mo_block_physics *mo_block_physics_find(enum mo_isa isa, enum mo_precision precision,
+                                                     uint32_t n);
+
+#endif

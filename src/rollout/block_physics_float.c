@@ -1,0 +1,7 @@
+/* block_physics_float.c: the physics of blocks in float; MO_FAST_ISA names the instruction set, and
+ * MO_VBYTES the size of its vectors. */
+#define MO_FAST_DOUBLE         0
+#define MO_NAME_OF(isa, bytes) mo_physics_##isa##_float_##bytes
+#define MO_NAME(isa, bytes)    MO_NAME_OF(isa, bytes)
+#define MO_BLOCK_PHYSICS       MO_NAME(MO_FAST_ISA, MO_VBYTES)
+#include "rollout/block_physics.inc"
