@@ -139,6 +139,12 @@ static void opens_in_spite_of_errors(int i)
 
 /* ---- memory ---- */
 
+#ifdef __SANITIZE_ADDRESS__ /* slow there: fewer places */
+enum { DENSE = 4, LAST_STRIDE = 4 };
+#else
+enum { DENSE = 16, LAST_STRIDE = 1 };
+#endif
+
 /* The last ones are of the writer's first operation: none of those is left out. */
 enum { PLENTY = 1000000, AT_THE_END = 160 };
 
@@ -149,7 +155,7 @@ static void opens_without_memory(bool first_time, long stride)
   long n = 0, all = PLENTY, failed = 0, tolerated = 0;
   bool reached = true;
   REQUIRE_OK(fill(&life));
-  for (; reached && n < PLENTY; n += n + AT_THE_END < all ? stride : 1) {
+  for (; reached && n < PLENTY; n += n + AT_THE_END < all ? stride : LAST_STRIDE) {
     struct mo_store_config config = {.path = disk_folder(life.disk),
                                      .n_readers = 1}; /* the disk's own memory stays */
     if (first_time) {
@@ -209,12 +215,6 @@ static uint64_t digest(const struct life *life)
   life_contents(disk_folder(life->disk), &contents);
   return contents.sum;
 }
-
-#ifdef __SANITIZE_ADDRESS__ /* slow there */
-#define DENSE 4
-#else
-#define DENSE 16
-#endif
 
 /* Every act of a life, one part at a time, is tried with ever more of what is short, until that is
  * enough: the store says so each time, does not die of it, and keeps nothing. */
