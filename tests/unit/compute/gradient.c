@@ -474,7 +474,8 @@ static void urgent_gradients_go_first(void)
   struct call calls[2] = {{0}, {0}};
   for (int i = 0; i < 2; i++) {
     calls[i].state = make_gradient_state(compute);
-    calls[i].batch = make_batch(i == 0 ? ROBOTS : 3, LIVES(30), i);
+    /* Long enough that the first is not done before the second begins. */
+    calls[i].batch = make_batch(i == 0 ? ROBOTS : 3, 100, i);
     calls[i].batch.urgency = i == 0 ? MO_BATCH : MO_INTERACTIVE;
   }
   begin_call(&calls[0], 1);
