@@ -81,8 +81,10 @@ class Canned(threading.Thread):
                               Content_Type="application/octet-stream", Content_Digest=digest(body))
             reply = connection.getresponse()
             down = reply.read()
+            if reply.status != 200 and self.over:
+                return
             if reply.status != 200:
-                sys.exit(f"the exchange was refused: {down.decode()}")
+                raise RuntimeError(f"the exchange was refused: {down.decode()}")
             leases += read_leases(down)
 
 
@@ -129,14 +131,17 @@ def main():
             how["answer"] = shards(service.get("/v1/controllers/default")["parameters"])
             how["most"] = 1  # an exchange has room for one sum
         workers = Workers(service)
-        canned = [Canned(workers, 1000 + i, **how) for i in range(asked.sessions)]
         jobs = train(service, asked.gradients) if asked.gradients else \
             submit(service, asked.evaluations, 1)
+        # They join last: a session that says nothing for six seconds is lost.
+        canned = [Canned(workers, 1000 + i, **how) for i in range(asked.sessions)]
         begun, used = time.monotonic(), used_s(service.process.pid)
         for one in canned:
             one.start()
         for job in jobs:
             while service.get(f"/v1/jobs/{job}")["state"] not in ("succeeded", "failed"):
+                if not all(one.is_alive() for one in canned):
+                    return 1  # the thread has said why
                 time.sleep(0.05)
         took, used = time.monotonic() - begun, used_s(service.process.pid) - used
         states = [service.get(f"/v1/jobs/{job}")["state"] for job in jobs]

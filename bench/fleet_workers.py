@@ -5,11 +5,10 @@ least 95 % of one's rollouts per processor second, and behind the delay the one 
 least 95 % of the time. What three compute twice is counted and shown: audits take one lease in ten
 of a new session. Other load on the machine changes rates, but hardly the two ratios.
 
-With --model: rollouts per second of one, two and three workers (--counts) beside what the model of
-a fleet (fleet_model.c) says for as many that share the cores of this machine, when a core computes
-as many per processor second as in the same run. The bound: they differ by at most 10 %. The daemon
-needs a core, too: of --counts those below the number of cores can fulfill it, on an idle
-machine."""
+With --model: rollouts per second of one, two, four and more workers (--counts), as many as leave
+the daemon a core, beside what the model of a fleet (fleet_model.c) says for so many on the cores of
+this machine, when a core computes as many per processor second as in the same run. The bound: they
+differ by at most 10 %, on an idle machine."""
 import argparse
 import os
 import pathlib
@@ -97,10 +96,12 @@ def main():
     parser.add_argument("--designs", type=int, default=2000)
     parser.add_argument("--delay-s", type=float, default=0.15)
     parser.add_argument("--model", action="store_true", help="beside the model's forecast")
-    parser.add_argument("--counts", default="1,2,3", help="of workers, with --model")
+    parser.add_argument("--counts", help="of workers, with --model: 1,2,4,…")
     asked = parser.parse_args()
     if asked.model:
-        return 1 if compare(asked.designs, [int(n) for n in asked.counts.split(",")]) else 0
+        counts = asked.counts.split(",") if asked.counts else \
+            [1 << i for i in range((os.cpu_count() - 1).bit_length())]
+        return 1 if compare(asked.designs, [int(n) for n in counts]) else 0
     designs = bodies(1, asked.designs)
     one, alone, _, direct, _ = rates(1, 0, designs)
     three, together, twice, _, _ = rates(3, 0, designs)

@@ -145,7 +145,8 @@ enum { DENSE = 4, LAST_STRIDE = 4 };
 enum { DENSE = 16, LAST_STRIDE = 1 };
 #endif
 
-/* The last ones are of the writer's first operation: none of those is left out. */
+/* The last ones are of the writer's first operation: none of those is left out, but with the
+ * address sanitizer. */
 enum { PLENTY = 1000000, AT_THE_END = 160 };
 
 static void opens_without_memory(bool first_time, long stride)
