@@ -43,7 +43,8 @@ uint32_t mo_isa_vector_bytes(enum mo_isa isa)
 const struct mo_block_physics *mo_block_physics_find(enum mo_isa isa, enum mo_precision precision,
                                                      uint32_t n)
 {
-  /* By instruction set, precision and width of the vectors. */
+  /* Of each instruction set and precision, from the narrowest vectors on: each instruction set adds
+   * one width. */
   static const struct mo_block_physics *const found[MO_ISA_COUNT][2][MO_ISA_COUNT] = {
       {{&mo_physics_baseline_float_16}, {&mo_physics_baseline_double_16}},
       {{&mo_physics_avx2_float_16, &mo_physics_avx2_float_32},
@@ -52,10 +53,9 @@ const struct mo_block_physics *mo_block_physics_find(enum mo_isa isa, enum mo_pr
        {&mo_physics_avx512_double_16, &mo_physics_avx512_double_32, &mo_physics_avx512_double_64}},
   };
   const struct mo_block_physics *const *widths = found[isa][precision];
-  enum mo_isa width = MO_ISA_BASELINE;
-  while (width < isa && widths[width]->n_lanes < n)
-    width++;
-  return widths[width];
+  while (widths != &found[isa][precision][isa] && (*widths)->n_lanes < n)
+    widths++;
+  return *widths;
 }
 
 mo_fast_function *mo_fast_find(enum mo_isa isa, enum mo_precision precision)
