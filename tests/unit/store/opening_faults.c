@@ -85,6 +85,12 @@ static void check_contents(struct life *life)
   leave(life);
 }
 
+#ifdef __SANITIZE_ADDRESS__ /* slow there: fewer places */
+enum { SPARSE = 2, DENSE = 4, LAST_STRIDE = 4 };
+#else
+enum { SPARSE = 1, DENSE = 16, LAST_STRIDE = 1 };
+#endif
+
 /* ---- the disk ---- */
 
 static void opens_on_a_failing_disk(bool first_time, bool lasting, long stride)
@@ -134,16 +140,11 @@ static const struct {
 
 static void opens_in_spite_of_errors(int i)
 {
-  opens_on_a_failing_disk(disk_cases[i].first_time, disk_cases[i].lasting, disk_cases[i].stride);
+  opens_on_a_failing_disk(disk_cases[i].first_time, disk_cases[i].lasting,
+                          SPARSE * disk_cases[i].stride);
 }
 
 /* ---- memory ---- */
-
-#ifdef __SANITIZE_ADDRESS__ /* slow there: fewer places */
-enum { DENSE = 4, LAST_STRIDE = 4 };
-#else
-enum { DENSE = 16, LAST_STRIDE = 1 };
-#endif
 
 /* The last ones are of the writer's first operation: none of those is left out, but with the
  * address sanitizer. */
@@ -194,7 +195,7 @@ static void opens_without_memory(bool first_time, long stride)
 
 static void opens_when_memory_is_short(int first_time)
 {
-  opens_without_memory(first_time, first_time ? 197 : 67);
+  opens_without_memory(first_time, SPARSE * (first_time ? 197 : 67));
 }
 
 /* ---- while it is open ---- */
