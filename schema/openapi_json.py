@@ -26,6 +26,14 @@ def check_references(node, root):
             check_references(value, root)
 
 
+def put_in_order(paths):
+    """Puts replies in the order of their codes: what `<<` merges comes first."""
+    for item in paths.values():
+        for method, operation in item.items():
+            if method != "parameters":
+                operation["responses"] = dict(sorted(operation["responses"].items()))
+
+
 def add_examples(node, examples):
     """To media types whose schema has an example."""
     if isinstance(node, dict):
@@ -44,6 +52,8 @@ def main():
     source, of_examples, target = sys.argv[1:]
     with open(source, encoding="utf-8") as file:
         document = yaml.safe_load(file)
+    del document["x-shared"]
+    put_in_order(document["paths"])
     with open(of_examples, encoding="utf-8") as file:
         examples = json.load(file)
     components = document["components"]
