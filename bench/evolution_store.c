@@ -155,7 +155,7 @@ static int64_t read_page(struct bench_campaign *campaign, enum page kind, uint32
                                         number % (campaign->population / 2 + 1), rows, PAGE_ROWS,
                                         &n);
   case GENERATIONS:
-    return mo_store_campaign_generations(campaign->store, campaign->id, number % (last / 2 + 1),
+    return mo_store_campaign_generations(campaign->store, campaign->id, number % (last / 2 + 1), 1,
                                          generations, 100);
   case DESCENTS:
   case ANCESTORS: return read_descents(campaign, kind == ANCESTORS, number);

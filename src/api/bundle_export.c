@@ -250,7 +250,8 @@ static int write_generations(struct mo_bundle_export *export, struct mo_text *ou
     struct mo_campaign_generation row;
     struct mo_campaign_member *members = NULL;
     uint32_t n = 0;
-    const int64_t read = mo_store_campaign_generations(export->store, id, export->after, &row, 1);
+    const int64_t read =
+        mo_store_campaign_generations(export->store, id, export->after, 1, &row, 1);
     error = read < 0 ? (int)read : read == 0 ? MO_ERR_CORRUPT : MO_OK;
     if (error == MO_OK)
       error = mo_store_campaign_members(export->store, id, row.generation, &members, &n);

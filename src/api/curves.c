@@ -76,8 +76,8 @@ static int64_t read_validations(struct curve *curve, void *rows, size_t limit)
 
 static int64_t read_generations(struct curve *curve, void *rows, size_t limit)
 {
-  int64_t n = mo_store_campaign_generations_by(curve->store, curve->id, curve->after,
-                                               (uint32_t)curve->stride, rows, limit);
+  int64_t n = mo_store_campaign_generations(curve->store, curve->id, curve->after,
+                                            (uint32_t)curve->stride, rows, limit);
   if (n > 0)
     curve->after = ((struct mo_campaign_generation *)rows)[n - 1].generation;
   return n;
@@ -128,8 +128,8 @@ static int64_t read_exported(struct curve *curve, void *rows, size_t limit)
     const bool begun = curve->after == id;
     n = mo_store_campaign(curve->store, id, status);
     if (n == MO_OK)
-      n = mo_store_campaign_generations_by(curve->store, id, begun ? (int64_t)curve->step : -1,
-                                           (uint32_t)curve->stride, generations, limit);
+      n = mo_store_campaign_generations(curve->store, id, begun ? (int64_t)curve->step : -1,
+                                        (uint32_t)curve->stride, generations, limit);
     if (n > 0) {
       curve->after = id;
       curve->step = generations[n - 1].generation;
@@ -171,7 +171,7 @@ static int64_t read_replicates(struct curve *curve, void *rows, size_t limit)
     return MO_ERR_NO_MEMORY;
   memset(sums, 0, (size_t)n * sizeof(*sums));
   for (uint32_t m = 0; m < curve->n_members && error >= 0; m++) {
-    error = mo_store_campaign_generations(curve->store, curve->members[m], curve->after, of_one,
+    error = mo_store_campaign_generations(curve->store, curve->members[m], curve->after, 1, of_one,
                                           (size_t)n);
     for (int64_t i = 0; i < error; i++)
       if (of_one[i].generation >= first && of_one[i].generation < first + n)

@@ -63,7 +63,7 @@ static int read_history(struct mo_campaign_run *run)
   if (rows == NULL)
     return MO_ERR_NO_MEMORY;
   while (n == HISTORY_ROWS) {
-    n = mo_store_campaign_generations(run->jobs->store, run->id, after, rows, HISTORY_ROWS);
+    n = mo_store_campaign_generations(run->jobs->store, run->id, after, 1, rows, HISTORY_ROWS);
     for (int64_t i = 0; i < n; i++) {
       after = rows[i].generation;
       if (rows[i].stats.diversity > run->diversity_max) {

@@ -52,13 +52,10 @@ int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t genera
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status);
 int64_t mo_store_campaigns(struct mo_store *store, const struct mo_job_query *query,
                            void *statuses /* struct mo_campaign_status */, size_t limit);
-/* Reads generations > after (−1: from the first), ascending. */
+/* Reads generations > after (−1: from the first), ascending. stride > 1: only multiples of it. */
 int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_t after,
-                                      struct mo_campaign_generation *rows, size_t limit);
-/* Reads only those whose number is a multiple of `stride`. */
-int64_t mo_store_campaign_generations_by(struct mo_store *store, int64_t id, int64_t after,
-                                         uint32_t stride, struct mo_campaign_generation *rows,
-                                         size_t limit);
+                                      uint32_t stride, struct mo_campaign_generation *rows,
+                                      size_t limit);
 int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t after_generation,
                                 uint32_t after_step, struct mo_campaign_step *rows, size_t limit);
 

@@ -179,40 +179,35 @@ static int64_t read_page(struct mo_store *store, enum mo_row_table which, int st
   return error != MO_OK ? error : n;
 }
 
+/* Reads the rows behind `after`, or those of them whose number is a multiple of `stride`. */
+static int64_t read_curve(struct mo_store *store, enum mo_row_table which, int64_t id,
+                          int64_t after, uint32_t stride, void *rows, size_t limit)
+{
+  const struct mo_value last = mo_int((int64_t)limit);
+  const int64_t before_first = after < 0 ? -(int64_t)stride : after; /* 0 is a multiple, too */
+  return stride > 1
+             ? read_page(store, which, STRIDE,
+                         MO_VALUES(mo_int(id), mo_int(before_first), mo_int(stride), last), rows)
+             : read_page(store, which, AFTER, MO_VALUES(mo_int(id), mo_int(after), last), rows);
+}
+
 int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t after, uint32_t stride,
                                 struct mo_training_step_row *rows, size_t limit)
 {
-  const struct mo_value last = mo_int((int64_t)limit);
-  return stride > 1 ? read_page(store, MO_TRAINING_STEPS, STRIDE,
-                                MO_VALUES(mo_int(id), mo_int(after), mo_int(stride), last), rows)
-                    : read_page(store, MO_TRAINING_STEPS, AFTER,
-                                MO_VALUES(mo_int(id), mo_int(after), last), rows);
+  return read_curve(store, MO_TRAINING_STEPS, id, after, stride, rows, limit);
 }
 
 int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_t after,
                                       struct mo_training_validation_row *rows, size_t limit)
 {
-  return read_page(store, MO_TRAINING_VALIDATIONS, AFTER,
-                   MO_VALUES(mo_int(id), mo_int(after), mo_int((int64_t)limit)), rows);
+  return read_curve(store, MO_TRAINING_VALIDATIONS, id, after, 1, rows, limit);
 }
 
 int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_t after,
-                                      struct mo_campaign_generation *rows, size_t limit)
+                                      uint32_t stride, struct mo_campaign_generation *rows,
+                                      size_t limit)
 {
-  return mo_store_campaign_generations_by(store, id, after, 1, rows, limit);
-}
-
-int64_t mo_store_campaign_generations_by(struct mo_store *store, int64_t id, int64_t after,
-                                         uint32_t stride, struct mo_campaign_generation *rows,
-                                         size_t limit)
-{
-  const struct mo_value last = mo_int((int64_t)limit);
-  const int64_t before_first = after < 0 ? -(int64_t)stride : after; /* 0 is a multiple, too */
-  return stride > 1
-             ? read_page(store, MO_CAMPAIGN_GENERATIONS, STRIDE,
-                         MO_VALUES(mo_int(id), mo_int(before_first), mo_int(stride), last), rows)
-             : read_page(store, MO_CAMPAIGN_GENERATIONS, AFTER,
-                         MO_VALUES(mo_int(id), mo_int(after), last), rows);
+  return read_curve(store, MO_CAMPAIGN_GENERATIONS, id, after, stride, rows, limit);
 }
 
 int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t after_generation,

@@ -403,7 +403,7 @@ __attribute__((unused)) static void reports_how_long_it_draws(void)
   REQUIRE(await_place(id, 2, MO_PHASE_SCORE));
   CHECK_OK(mo_jobs_pause(service.jobs, id));
   REQUIRE(await_phase(id, MO_PHASE_IDLE));
-  int64_t n = mo_store_campaign_generations(store, id, -1, rows, SEEN);
+  int64_t n = mo_store_campaign_generations(store, id, -1, 1, rows, SEEN);
   REQUIRE(n >= 2 && n < SEEN);
   int64_t committed = n;
   CHECK(rows[0].seconds > drawing_s && rows[0].seconds < drawing_s + 20 * rows[1].seconds);
@@ -423,7 +423,7 @@ __attribute__((unused)) static void reports_how_long_it_draws(void)
       await_place(id, (uint32_t)committed + 2,
                   MO_PHASE_SCORE)); /* a commit is written while the next generation is scored */
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
-  REQUIRE(mo_store_campaign_generations(store, id, -1, rows, SEEN) > committed);
+  REQUIRE(mo_store_campaign_generations(store, id, -1, 1, rows, SEEN) > committed);
   CHECK(rows[committed].seconds < drawing_s); /* what was drawn after the pause is no part of it */
 }
 

@@ -284,7 +284,7 @@ static inline struct history *stored_history(int64_t id)
   struct mo_campaign_status status;
   int64_t n_designs = mo_store_campaign_designs(store, id, -1, history->designs, MO_PAGE_MAX);
   int64_t n =
-      mo_store_campaign_generations(store, id, -1, history->generations, HISTORY_GENERATIONS);
+      mo_store_campaign_generations(store, id, -1, 1, history->generations, HISTORY_GENERATIONS);
   CHECK(n_designs >= 0 && n >= 0);
   CHECK_OK(mo_store_campaign(store, id, &status));
   history->n_designs = (uint32_t)n_designs;

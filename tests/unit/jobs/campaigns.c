@@ -54,7 +54,8 @@ SERVICE_CASE(scores_nothing_twice, 1)
   stats = idle_stats();
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, rollouts);
-  CHECK_INT(mo_store_campaign_generations(store, id, -1, rows, GENERATIONS + 1), GENERATIONS + 1);
+  CHECK_INT(mo_store_campaign_generations(store, id, -1, 1, rows, GENERATIONS + 1),
+            GENERATIONS + 1);
   for (int g = 0; g <= GENERATIONS; g++)
     CHECK(rows[g].rollouts_cached == rows[g].rollouts &&
           rows[g].rollouts == rows[g].n_children * MO_PAPER_TEST_COUNT);
@@ -130,7 +131,7 @@ SERVICE_CASE(counts_what_was_stored_through_stops, 1)
   CHECK(saved > 0);
   fake_plan.delay_us = 0;
   CHECK(ends_as_plain(id, &origin));
-  CHECK_INT(mo_store_campaign_generations(store, id, -1, rows, UNTIL + 1), UNTIL + 1);
+  CHECK_INT(mo_store_campaign_generations(store, id, -1, 1, rows, UNTIL + 1), UNTIL + 1);
   for (int g = 0; g <= UNTIL; g++)
     cached += rows[g].rollouts_cached;
   CHECK_INT(cached, stored);
@@ -203,7 +204,8 @@ SERVICE_CASE(reports_its_generations, 1)
     CHECK(events[i].data[strlen(events[i].data) - 1] == '}' && strlen(events[i].data) < 480);
   CHECK_INT(count_events(id, "campaign.generation"), GENERATIONS + 1);
   CHECK_TEXT(events[n - 1].type, "job.finished");
-  REQUIRE(mo_store_campaign_generations(store, id, -1, rows, GENERATIONS + 1) == GENERATIONS + 1);
+  REQUIRE(mo_store_campaign_generations(store, id, -1, 1, rows, GENERATIONS + 1) ==
+          GENERATIONS + 1);
   for (int g = 0; g <= GENERATIONS; g++) { /* once of every fall, again only after a new maximum */
     if (rows[g].stats.diversity > most) {
       most = rows[g].stats.diversity;

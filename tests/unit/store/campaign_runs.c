@@ -70,7 +70,7 @@ static void commits_generations(int mode)
   CHECK_INT(status.job.steps_done, UNTIL);
   CHECK_INT(status.n_designs, (UNTIL + 1) * MADE_POPULATION);
   CHECK(same_bits(status.best_score, made.scores[0]));
-  CHECK_INT(mo_store_campaign_generations(store, id, -1, rows, UNTIL + 2), UNTIL + 1);
+  CHECK_INT(mo_store_campaign_generations(store, id, -1, 1, rows, UNTIL + 2), UNTIL + 1);
   struct mo_campaign_generation last = made.commit.row;
   last.stored_us = rows[UNTIL].stored_us;
   CHECK(last.stored_us > 0);
@@ -85,10 +85,10 @@ static void commits_generations(int mode)
   CHECK(rows[UNTIL].mean_children == last.mean_children && rows[UNTIL].turnover == last.turnover);
   CHECK(rows[UNTIL].rollouts == last.rollouts && rows[UNTIL].collapse == last.collapse);
   CHECK(rows[UNTIL].seconds == 1.5 && rows[UNTIL].born_before == UNTIL * MADE_POPULATION);
-  CHECK_INT(mo_store_campaign_generations(store, id, 2, rows, 2), 2);
+  CHECK_INT(mo_store_campaign_generations(store, id, 2, 1, rows, 2), 2);
   CHECK(rows[0].generation == 3 && rows[1].generation == 4);
-  CHECK_INT(mo_store_campaign_generations(store, id, UNTIL, rows, 2), 0);
-  CHECK_INT(mo_store_campaign_generations(store, id, 0, rows, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
+  CHECK_INT(mo_store_campaign_generations(store, id, UNTIL, 1, rows, 2), 0);
+  CHECK_INT(mo_store_campaign_generations(store, id, 0, 1, rows, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
   CHECK_INT(mo_store_campaign_steps(store, id, -1, 0, steps, 2 * UNTIL + 3),
             mode == MO_ZERO_SHOT ? 0 : 2 * UNTIL + 2);
   if (mode != MO_ZERO_SHOT) {
