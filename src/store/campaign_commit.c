@@ -159,29 +159,9 @@ struct conditions {
   const struct mo_campaign_head *head;
   int64_t environments[MO_ENVIRONMENTS_MAX];
   int64_t fingerprints[2]; /* of the campaign's back end, of the workers */
-  int64_t ranking;
   /* Of each block, with its id: the newest of children that were cut short, and of others. */
   struct mo_condition last[MO_ENVIRONMENTS_MAX / MO_BLOCK_LANES][2];
 };
-
-static int find_conditions(struct mo_connection *writer, const struct commit_arguments *call,
-                           struct conditions *conditions)
-{
-  const struct mo_campaign_commit *commit = call->commit;
-  const struct mo_campaign_head *head = &call->head;
-  const struct mo_saved_design design = {.controller = head->controller,
-                                         .physics = head->physics,
-                                         .environment_set = head->environment_set,
-                                         .fingerprint = commit->fingerprint};
-  conditions->head = head;
-  conditions->fingerprints[0] = commit->fingerprint;
-  conditions->fingerprints[1] = commit->workers_fingerprint;
-  const int error = mo_environments_read(writer, head->group, head->n_environments, NULL,
-                                         conditions->environments);
-  return error == MO_OK && head->environment_set != 0
-             ? mo_ranking_row(writer, &design, &conditions->ranking)
-             : error;
-}
 
 /* Losses that one machine computed, of a block of environments. */
 struct part {
@@ -265,19 +245,21 @@ static int insert_child_scores(struct mo_store *store, const struct commit_argum
   }
   if (error != MO_OK || head->environment_set == 0 || !is_whole)
     return error;
-  return all_new ? mo_set_score_insert_mean(&store->writer, conditions->ranking, genotype,
-                                            sum / head->n_environments)
-                 : mo_set_score_insert(&store->writer, &design, conditions->ranking);
+  return all_new ? mo_set_score_insert_mean(&store->writer, &design, sum / head->n_environments)
+                 : mo_set_score_insert(&store->writer, &design);
 }
 
 static int insert_scores(struct mo_store *store, const struct commit_arguments *call,
                          int64_t now_us)
 {
   const struct mo_campaign_commit *commit = call->commit;
-  struct conditions conditions = {.ranking = 0};
+  const struct mo_campaign_head *head = &call->head;
+  struct conditions conditions = {
+      .head = head, .fingerprints = {commit->fingerprint, commit->workers_fingerprint}};
   if (commit->n_losses == 0)
     return MO_OK;
-  int error = find_conditions(&store->writer, call, &conditions);
+  int error = mo_environments_read(&store->writer, head->group, head->n_environments, NULL,
+                                   conditions.environments);
   for (uint32_t i = 0; i < commit->n_losses && error == MO_OK; i++)
     error = insert_child_scores(store, call, &commit->losses[i], &conditions, now_us);
   return error;

@@ -152,8 +152,9 @@ static int load_recomputed(struct mo_connection *reader, const struct range *ran
     cell = (size_t)n * results->n_environments + k;
     for (int i = 0; i <= has_stored && error == MO_OK; i++)
       error = mo_column_double(row, 3 + i, &values[i]);
-    if (error == MO_OK && mo_recomputed_checksum(key, values, has_stored ? 2 : 1) !=
-                              (uint64_t)sqlite3_column_int64(row, 5))
+    if (error == MO_OK &&
+        mo_row_checksum(key, 4, values, has_stored ? sizeof(values) : sizeof(values[0])) !=
+            (uint64_t)sqlite3_column_int64(row, 5))
       error = MO_ERR_CORRUPT;
     results->losses[cell] = values[0];
     results->stored_losses[cell] = values[1];

@@ -12,7 +12,7 @@ struct mo_import {
   int64_t groups[MO_REPLICATES_MAX][2];
   uint32_t n_groups;
   /* The campaign that is entered. */
-  int64_t id, controller, physics, set, ranking;
+  int64_t id, controller, physics, set;
   uint32_t n_environments;
   int64_t environments[MO_ENVIRONMENTS_MAX]; /* rows */
   /* Of the score before: rows that the next one mostly shares. */

@@ -250,7 +250,6 @@ int mo_import_campaign(struct mo_import *import, const struct mo_imported_campai
     error = insert_campaign(import, campaign, *group);
   if (error == MO_OK)
     error = insert_environments(import, campaign, *group);
-  import->ranking = 0;
   import->condition = (struct mo_condition){.id = 0};
   import->fingerprint[0] = import->origin[0] = '\0';
   *id = import->id;
@@ -336,13 +335,6 @@ static int find_condition(struct mo_import *import, const struct mo_campaign_sco
   memcpy(condition->environments, environments, sizeof(environments));
   if (error == MO_OK)
     error = mo_text_row(writer, MO_FINGERPRINTS, score->fingerprint, &condition->fingerprint);
-  import->ranking = 0;
-  const struct mo_saved_design design = {.controller = import->controller,
-                                         .physics = import->physics,
-                                         .environment_set = import->set,
-                                         .fingerprint = condition->fingerprint};
-  if (error == MO_OK && import->set != 0)
-    error = mo_ranking_row(writer, &design, &import->ranking);
   if (error == MO_OK)
     error = mo_condition_row(writer, condition);
   memcpy(import->fingerprint, score->fingerprint, sizeof(import->fingerprint));
@@ -373,13 +365,9 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
     sum += score->losses[k];
     is_whole = is_whole && score->environments[k] == k;
   }
-  const struct mo_saved_design design = {.genotype = genotype,
-                                         .controller = import->controller,
-                                         .physics = import->physics,
-                                         .environment_set = import->set,
-                                         .fingerprint = import->condition.fingerprint};
-  return is_whole ? mo_set_score_insert_mean(writer, import->ranking, genotype, sum / score->n)
-                  : mo_set_score_insert(writer, &design, import->ranking);
+  const struct mo_saved_design design = mo_design_under(&import->condition, genotype, import->set);
+  return is_whole ? mo_set_score_insert_mean(writer, &design, sum / score->n)
+                  : mo_set_score_insert(writer, &design);
 }
 
 /* ---- out of a store ---- */

@@ -110,15 +110,11 @@ static int save(struct mo_store *store, void *arguments)
 {
   struct mo_save *call = arguments;
   struct mo_connection *writer = &store->writer;
-  int64_t ranking = 0;
   int error = mo_blocks_insert(store, call->blocks, call->n_blocks, mo_clock_wall_us());
   if (error == MO_OK)
     error = mo_trajectories_insert(writer, call->trajectories, call->n_trajectories);
-  for (size_t i = 0; i < call->n_designs && error == MO_OK; i++) {
-    error = mo_ranking_row(writer, &call->designs[i], &ranking);
-    if (error == MO_OK)
-      error = mo_set_score_insert(writer, &call->designs[i], ranking);
-  }
+  for (size_t i = 0; i < call->n_designs && error == MO_OK; i++)
+    error = mo_set_score_insert(writer, &call->designs[i]);
   for (size_t i = 0; i < call->n_updates && error == MO_OK; i++)
     error = apply_update(store, &call->updates[i]);
   return error;

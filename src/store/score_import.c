@@ -16,7 +16,7 @@
 
 /* A named set that has environments of a condition. */
 struct named_set {
-  int64_t set, ranking;
+  int64_t set;
   bool is_whole; /* the condition has its environments, in their order */
 };
 
@@ -97,13 +97,6 @@ static int find_sets(struct mo_connection *writer, struct entry *entry)
         (struct named_set){.set = sqlite3_column_int64(row, 0),
                            .is_whole = sqlite3_column_int64(row, 1) == condition->n &&
                                        sqlite3_column_int64(row, 2) == condition->n};
-  for (uint32_t i = 0; i < entry->n_sets && error == MO_OK; i++) {
-    const struct mo_saved_design design = {.controller = condition->controller,
-                                           .physics = condition->physics,
-                                           .environment_set = entry->sets[i].set,
-                                           .fingerprint = condition->fingerprint};
-    error = mo_ranking_row(writer, &design, &entry->sets[i].ranking);
-  }
   return error;
 }
 
@@ -186,21 +179,15 @@ static void note_difference(struct entry *entry, uint32_t i, const struct mo_sco
 static int enter_means(struct mo_connection *writer, const struct entry *entry,
                        const struct mo_campaign_score *score)
 {
-  const int64_t genotype = entry->designs[score->number];
-  const struct mo_condition *condition = &entry->condition;
   double sum = 0;
   int error = MO_OK;
   for (uint32_t k = 0; k < score->n; k++)
     sum += score->losses[k];
   for (uint32_t i = 0; i < entry->n_sets && error == MO_OK; i++) {
-    const struct mo_saved_design design = {.genotype = genotype,
-                                           .controller = condition->controller,
-                                           .physics = condition->physics,
-                                           .environment_set = entry->sets[i].set,
-                                           .fingerprint = condition->fingerprint};
-    error = entry->sets[i].is_whole
-                ? mo_set_score_insert_mean(writer, entry->sets[i].ranking, genotype, sum / score->n)
-                : mo_set_score_insert(writer, &design, entry->sets[i].ranking);
+    const struct mo_saved_design design =
+        mo_design_under(&entry->condition, entry->designs[score->number], entry->sets[i].set);
+    error = entry->sets[i].is_whole ? mo_set_score_insert_mean(writer, &design, sum / score->n)
+                                    : mo_set_score_insert(writer, &design);
   }
   return error;
 }

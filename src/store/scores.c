@@ -215,10 +215,7 @@ int mo_losses_compare(struct mo_connection *connection, const struct mo_conditio
                       int64_t genotype, const double *losses, const uint32_t *diverged_steps,
                       struct mo_score stored[MO_BLOCK_LANES])
 {
-  const struct mo_saved_design design = {.genotype = genotype,
-                                         .controller = condition->controller,
-                                         .physics = condition->physics,
-                                         .fingerprint = condition->fingerprint};
+  const struct mo_saved_design design = mo_design_under(condition, genotype, 0);
   const int error =
       mo_losses_read(connection, &design, condition->environments, condition->n, stored);
   for (uint32_t k = 0; error == MO_OK && k < condition->n; k++)
@@ -237,11 +234,6 @@ int mo_store_scores(struct mo_store *store, const struct mo_saved_design *design
 
 /* ---- scores of evaluations ---- */
 
-uint64_t mo_recomputed_checksum(const int64_t key[4], const double *values, size_t n)
-{
-  return mo_row_checksum(key, 4, values, n * sizeof(*values));
-}
-
 /* Stores what a verify job computed, beside the loss of its class that was stored before. */
 static int note_recomputed(struct mo_connection *writer, const struct mo_saved_block *block,
                            uint32_t i, bool *is_known)
@@ -253,10 +245,7 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_b
                           block->diverged_steps[i]};
   struct mo_score before;
   double values[2] = {block->losses[i], 0};
-  const struct mo_saved_design design = {.genotype = block->genotype,
-                                         .controller = block->condition.controller,
-                                         .physics = block->condition.physics,
-                                         .fingerprint = block->condition.fingerprint};
+  const struct mo_saved_design design = mo_design_under(&block->condition, block->genotype, 0);
   const int error = mo_losses_read(writer, &design, &block->condition.environments[i], 1, &before);
   if (error != MO_OK)
     return error;
@@ -264,7 +253,8 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_b
   values[1] = before.loss;
   return mo_sql_do(writer, sql, mo_int(key[0]), mo_int(key[1]), mo_int(key[2]), mo_int(key[3]),
                    mo_blob(&values[0], 8), before.known ? mo_blob(&values[1], 8) : mo_null(),
-                   mo_int((int64_t)mo_recomputed_checksum(key, values, before.known ? 2 : 1)));
+                   mo_int((int64_t)mo_row_checksum(
+                       key, 4, values, before.known ? sizeof(values) : sizeof(values[0]))));
 }
 
 static bool same_condition(const struct mo_condition *a, const struct mo_condition *b)
@@ -313,8 +303,9 @@ static uint64_t set_score_checksum(int64_t ranking, int64_t genotype, double mea
   return mo_row_checksum(key, 2, &mean, sizeof(mean));
 }
 
-int mo_ranking_row(struct mo_connection *writer, const struct mo_saved_design *design,
-                   int64_t *ranking)
+/* Finds or inserts the row of `rankings`. */
+static int ranking_row(struct mo_connection *writer, const struct mo_saved_design *design,
+                       int64_t *ranking)
 {
   static const char insert_sql[] =
       "INSERT INTO rankings(controller,physics,fingerprint,environment_set) VALUES(?1,?2,?3,?4)";
@@ -338,12 +329,14 @@ static int write_mean(struct mo_connection *writer, const char *sql, int64_t ran
                    mo_int((int64_t)set_score_checksum(ranking, genotype, mean)));
 }
 
-int mo_set_score_insert_mean(struct mo_connection *writer, int64_t ranking, int64_t genotype,
+int mo_set_score_insert_mean(struct mo_connection *writer, const struct mo_saved_design *design,
                              double mean)
 {
   static const char sql[] =
       "INSERT OR IGNORE INTO set_scores(ranking,genotype,score,checksum) VALUES(?1,?2,?3,?4)";
-  return write_mean(writer, sql, ranking, genotype, mean);
+  int64_t ranking = 0;
+  const int error = ranking_row(writer, design, &ranking);
+  return error == MO_OK ? write_mean(writer, sql, ranking, design->genotype, mean) : error;
 }
 
 int mo_set_score_from_row(sqlite3_stmt *statement, int first, int64_t ranking, int64_t genotype,
@@ -380,18 +373,21 @@ static int mean_of(struct mo_connection *writer, const struct mo_saved_design *d
   return error;
 }
 
-int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design,
-                        int64_t ranking)
+int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design)
 {
-  static const char known_sql[] = "SELECT 1 FROM set_scores WHERE ranking=?1 AND genotype=?2";
+  static const char known_sql[] =
+      "SELECT 1 FROM rankings r JOIN set_scores s ON s.ranking=r.id AND s.genotype=?5"
+      " WHERE r.controller=?1 AND r.physics=?2 AND r.fingerprint=?3 AND r.environment_set=?4";
   int64_t known;
   double mean;
-  int error = mo_sql_find(writer, &known, known_sql, mo_int(ranking), mo_int(design->genotype));
+  int error = mo_sql_find(writer, &known, known_sql, mo_int(design->controller),
+                          mo_int(design->physics), mo_int(design->fingerprint),
+                          mo_int(design->environment_set), mo_int(design->genotype));
   if (error != MO_ERR_NOT_FOUND)
     return error;
   error = mean_of(writer, design, &mean);
   if (error == MO_OK)
-    error = mo_set_score_insert_mean(writer, ranking, design->genotype, mean);
+    error = mo_set_score_insert_mean(writer, design, mean);
   return error == MO_ERR_NOT_FOUND ? MO_OK : error;
 }
 

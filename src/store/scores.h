@@ -22,6 +22,16 @@ int mo_unpack_losses(const int64_t *key, size_t n_key, const uint8_t *bytes, siz
 
 /* ---- rows ---- */
 
+/* Returns a genotype with what its losses under a condition depend on. */
+static inline struct mo_saved_design mo_design_under(const struct mo_condition *condition,
+                                                     int64_t genotype, int64_t environment_set)
+{
+  return (struct mo_saved_design){.genotype = genotype,
+                                  .controller = condition->controller,
+                                  .physics = condition->physics,
+                                  .environment_set = environment_set,
+                                  .fingerprint = condition->fingerprint};
+}
 /* Finds or inserts a condition, and sets its id. */
 int mo_condition_row(struct mo_connection *writer, struct mo_condition *condition);
 /* Inserts the losses of a genotype under a condition with an id, unless they are stored. origin: 0:
@@ -47,9 +57,6 @@ int mo_losses_read(struct mo_connection *connection, const struct mo_saved_desig
 int mo_losses_compare(struct mo_connection *connection, const struct mo_condition *condition,
                       int64_t genotype, const double *losses, const uint32_t *diverged_steps,
                       struct mo_score stored[MO_BLOCK_LANES]);
-/* Returns the checksum of a row of `recomputed`, whose key is {job, position, environment, step};
- * values: the loss and, if n is 2, the stored one. */
-uint64_t mo_recomputed_checksum(const int64_t key[4], const double *values, size_t n);
 /* Inserts the losses of blocks, as they are saved for a job. */
 int mo_blocks_insert(struct mo_store *store, const struct mo_saved_block *blocks, size_t n,
                      int64_t now_us);
@@ -65,17 +72,13 @@ static inline bool mo_same_bits(double a, double b)
 
 /* ---- means over named sets ---- */
 
-/* Finds or inserts a row of `rankings`. */
-int mo_ranking_row(struct mo_connection *writer, const struct mo_saved_design *design,
-                   int64_t *ranking);
 /* Inserts a genotype's mean, if the set is complete and the mean is not stored yet. */
-int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design,
-                        int64_t ranking);
+int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design);
 /* Computes a stored mean again, unless losses are missing. */
 int mo_set_score_replace(struct mo_connection *writer, const struct mo_saved_design *design,
                          int64_t ranking);
 /* Like mo_set_score_insert for a caller that knows the mean. */
-int mo_set_score_insert_mean(struct mo_connection *writer, int64_t ranking, int64_t genotype,
+int mo_set_score_insert_mean(struct mo_connection *writer, const struct mo_saved_design *design,
                              double mean);
 /* Reads a row's mean in column `first` and checks it against the checksum in the next column. */
 int mo_set_score_from_row(sqlite3_stmt *statement, int first, int64_t ranking, int64_t genotype,
