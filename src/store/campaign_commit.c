@@ -193,22 +193,6 @@ static void take_part(const struct conditions *conditions, const struct mo_campa
   }
 }
 
-/* Finds the row of a part's condition, which is mostly that of a child before. */
-static int find_condition(struct mo_store *store, struct mo_condition *condition,
-                          struct mo_condition *last)
-{
-  if (last->id == 0 || last->n != condition->n || last->fingerprint != condition->fingerprint ||
-      memcmp(last->environments, condition->environments,
-             condition->n * sizeof(*condition->environments)) != 0) {
-    const int error = mo_condition_row(&store->writer, condition);
-    if (error != MO_OK)
-      return error;
-    *last = *condition;
-  }
-  condition->id = last->id;
-  return MO_OK;
-}
-
 /* Stores the losses of a child like those of an evaluation: a row for each block of environments,
  * or more if several machines computed it. */
 static int insert_child_scores(struct mo_store *store, const struct commit_arguments *call,
@@ -237,7 +221,8 @@ static int insert_child_scores(struct mo_store *store, const struct commit_argum
       continue;
     take_part(conditions, loss, k, end, &taken, &part);
     const bool is_full = part.condition.n == end - block * MO_BLOCK_LANES;
-    error = find_condition(store, &part.condition, &conditions->last[block][is_full]);
+    error =
+        mo_condition_row_after(&store->writer, &part.condition, &conditions->last[block][is_full]);
     if (error == MO_OK)
       error = mo_losses_insert(store, &part.condition, genotype, part.origin, part.losses,
                                part.diverged_steps, now_us, &is_new);

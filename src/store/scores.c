@@ -109,6 +109,22 @@ int mo_condition_row(struct mo_connection *writer, struct mo_condition *conditio
   return error;
 }
 
+int mo_condition_row_after(struct mo_connection *writer, struct mo_condition *condition,
+                           struct mo_condition *last)
+{
+  const bool is_same = last->controller == condition->controller &&
+                       last->physics == condition->physics &&
+                       last->fingerprint == condition->fingerprint && last->n == condition->n &&
+                       memcmp(last->environments, condition->environments,
+                              condition->n * sizeof(*condition->environments)) == 0;
+  const int error = is_same ? MO_OK : mo_condition_row(writer, condition);
+  if (is_same)
+    condition->id = last->id;
+  else if (error == MO_OK)
+    *last = *condition;
+  return error;
+}
+
 /* Runs a statement with the values of a row. */
 static int write_losses(struct mo_store *store, const char *sql,
                         const struct mo_condition *condition, int64_t genotype, int64_t origin,
@@ -257,17 +273,10 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_b
                        key, 4, values, before.known ? sizeof(values) : sizeof(values[0]))));
 }
 
-static bool same_condition(const struct mo_condition *a, const struct mo_condition *b)
-{
-  return a->controller == b->controller && a->physics == b->physics &&
-         a->fingerprint == b->fingerprint && a->n == b->n &&
-         memcmp(a->environments, b->environments, a->n * sizeof(*a->environments)) == 0;
-}
-
-/* Inserts a block. *condition: that of the block before, whose id is used again if it suits. */
 static int insert_block(struct mo_store *store, const struct mo_saved_block *block, int64_t now_us,
-                        struct mo_condition *condition)
+                        struct mo_condition *last)
 {
+  struct mo_condition condition = block->condition;
   bool all_known = block->verify_job != 0, is_known = false, is_new = false;
   int error = MO_OK;
   for (uint32_t i = 0; i < block->condition.n && block->verify_job != 0 && error == MO_OK; i++) {
@@ -276,11 +285,8 @@ static int insert_block(struct mo_store *store, const struct mo_saved_block *blo
   }
   if (error != MO_OK || all_known)
     return error;
-  if (!same_condition(&block->condition, condition)) {
-    *condition = block->condition;
-    error = mo_condition_row(&store->writer, condition);
-  }
-  return error == MO_OK ? mo_losses_insert(store, condition, block->genotype, block->origin,
+  error = mo_condition_row_after(&store->writer, &condition, last);
+  return error == MO_OK ? mo_losses_insert(store, &condition, block->genotype, block->origin,
                                            block->losses, block->diverged_steps, now_us, &is_new)
                         : error;
 }
@@ -288,10 +294,10 @@ static int insert_block(struct mo_store *store, const struct mo_saved_block *blo
 int mo_blocks_insert(struct mo_store *store, const struct mo_saved_block *blocks, size_t n,
                      int64_t now_us)
 {
-  struct mo_condition condition = {.n = 0};
+  struct mo_condition last = {.n = 0};
   int error = MO_OK;
   for (size_t i = 0; i < n && error == MO_OK; i++)
-    error = insert_block(store, &blocks[i], now_us, &condition);
+    error = insert_block(store, &blocks[i], now_us, &last);
   return error;
 }
 

@@ -34,6 +34,9 @@ static inline struct mo_saved_design mo_design_under(const struct mo_condition *
 }
 /* Finds or inserts a condition, and sets its id. */
 int mo_condition_row(struct mo_connection *writer, struct mo_condition *condition);
+/* The same. *last: the condition of the call before ({0}: none), which is mostly the same one. */
+int mo_condition_row_after(struct mo_connection *writer, struct mo_condition *condition,
+                           struct mo_condition *last);
 /* Inserts the losses of a genotype under a condition with an id, unless they are stored. origin: 0:
  * this host. */
 int mo_losses_insert(struct mo_store *store, const struct mo_condition *condition, int64_t genotype,
