@@ -4,7 +4,6 @@
  * before. A generation out of turn is a conflict. */
 #include <math.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "store/campaign_rows.h"
 #include "store/scores.h"

@@ -20,23 +20,23 @@ int mo_controllers_clean(struct mo_store *store,
 struct mo_controller_put {
   const char *name;
   const struct mo_controller *controller;
-  char *metadata;
   struct mo_sha256 sha256;
   size_t size;
-  struct mo_controller_record record;
   bool created, is_locked;
-  int64_t row; /* result */
+  int64_t row, version, stored_us; /* results */
 };
 /* Writes the file alone, under the lock of controllers. */
 int mo_controller_write_file(struct mo_store *store, const struct mo_sha256 *sha256,
                              const uint8_t *bytes, size_t size);
 /* Finds or inserts a row without a name. */
 int mo_controller_content_row(struct mo_connection *writer, const struct mo_controller *controller,
-                              const struct mo_sha256 *sha256, size_t size, int64_t now_us);
+                              const struct mo_sha256 *sha256, size_t size, int64_t now_us,
+                              int64_t *row);
 int mo_controller_put_begin(struct mo_store *store, const char *name, const uint8_t *bytes,
                             size_t size, const struct mo_controller *controller,
                             struct mo_controller_put *call);
-char *mo_controller_path(const struct mo_store *store, const struct mo_sha256 *sha256); /* malloc */
+/* Returns the path of the file (malloc). */
+char *mo_controller_path(const struct mo_store *store, const struct mo_sha256 *sha256);
 int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call);
 void mo_controller_put_end(struct mo_store *store, struct mo_controller_put *call);
 

@@ -23,7 +23,6 @@ int mo_controller_name_check(const char *name)
   return strspn(name, others) == length ? MO_OK : MO_ERR_FORMAT;
 }
 
-/* Returns "<folder>/<sha256>.safetensors" (malloc). */
 char *mo_controller_path(const struct mo_store *store, const struct mo_sha256 *sha256)
 {
   char *path;
@@ -60,34 +59,26 @@ static char *metadata_json(const struct mo_controller *controller)
   return text.data;
 }
 
-static int content_row(struct mo_connection *writer, const struct mo_controller_put *call,
-                       int64_t now_us, int64_t *row)
+int mo_controller_content_row(struct mo_connection *writer, const struct mo_controller *controller,
+                              const struct mo_sha256 *sha256, size_t size, int64_t now_us,
+                              int64_t *row)
 {
   static const char find_sql[] = "SELECT id FROM controllers WHERE sha256=?1";
   static const char insert_sql[] =
       "INSERT INTO controllers(sha256,size,sensor,nx,ny,nz,n_parameters,metadata,stored_us) "
       "VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9)";
-  const struct mo_controller *controller = call->controller;
-  int error = mo_sql_find(writer, row, find_sql, mo_hash(&call->sha256));
+  int error = mo_sql_find(writer, row, find_sql, mo_hash(sha256));
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  return mo_sql_insert(writer, row, insert_sql, mo_hash(&call->sha256), mo_int((int64_t)call->size),
-                       mo_int(controller->sensor), mo_int(controller->workspace.nx),
-                       mo_int(controller->workspace.ny), mo_int(controller->workspace.nz),
-                       mo_int((int64_t)controller->n_parameters), mo_string(call->metadata),
-                       mo_int(now_us));
-}
-
-int mo_controller_content_row(struct mo_connection *writer, const struct mo_controller *controller,
-                              const struct mo_sha256 *sha256, size_t size, int64_t now_us)
-{
-  struct mo_controller_put call = {.controller = controller,
-                                   .metadata = metadata_json(controller),
-                                   .sha256 = *sha256,
-                                   .size = size};
-  const int error =
-      call.metadata != NULL ? content_row(writer, &call, now_us, &call.row) : MO_ERR_NO_MEMORY;
-  free(call.metadata);
+  char *metadata = metadata_json(controller);
+  error = metadata == NULL
+              ? MO_ERR_NO_MEMORY
+              : mo_sql_insert(writer, row, insert_sql, mo_hash(sha256), mo_int((int64_t)size),
+                              mo_int(controller->sensor), mo_int(controller->workspace.nx),
+                              mo_int(controller->workspace.ny), mo_int(controller->workspace.nz),
+                              mo_int((int64_t)controller->n_parameters), mo_string(metadata),
+                              mo_int(now_us));
+  free(metadata);
   return error;
 }
 
@@ -101,23 +92,24 @@ int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call
   struct mo_connection *writer = &store->writer;
   int64_t known = 0;
   sqlite3_stmt *name;
-  call->record.stored_us = mo_clock_wall_us();
-  call->record.version = 0;
-  int error = content_row(writer, call, call->record.stored_us, &call->row);
+  call->stored_us = mo_clock_wall_us();
+  call->version = 0;
+  int error = mo_controller_content_row(writer, call->controller, &call->sha256, call->size,
+                                        call->stored_us, &call->row);
   if (error == MO_OK)
     error = mo_sql_row(writer, &name, find_sql, mo_string(call->name));
   call->created = error == MO_ERR_NOT_FOUND;
   if (error == MO_OK) {
     known = sqlite3_column_int64(name, 0);
-    call->record.version = sqlite3_column_int64(name, 1);
+    call->version = sqlite3_column_int64(name, 1);
     if (known == call->row)
-      call->record.stored_us = sqlite3_column_int64(name, 2);
+      call->stored_us = sqlite3_column_int64(name, 2);
   }
   if ((error != MO_OK && error != MO_ERR_NOT_FOUND) || known == call->row)
     return error;
-  call->record.version++;
+  call->version++;
   error = mo_sql_do(writer, set_sql, mo_string(call->name), mo_int(call->row),
-                    mo_int(call->record.version), mo_int(call->record.stored_us));
+                    mo_int(call->version), mo_int(call->stored_us));
   if (error != MO_OK)
     return error;
   return mo_writer_event(store, 0, "controller.stored", "{\"name\":\"%s\",\"sha256\":\"%s\"}",
@@ -137,9 +129,6 @@ int mo_controller_put_begin(struct mo_store *store, const char *name, const uint
   *call = (struct mo_controller_put){.name = name, .controller = controller, .size = size};
   if (error != MO_OK)
     return error;
-  call->metadata = metadata_json(controller);
-  if (call->metadata == NULL)
-    return MO_ERR_NO_MEMORY;
   mo_sha256_of(bytes, size, &call->sha256);
   pthread_rwlock_rdlock(&store->controllers_lock);
   call->is_locked = true;
@@ -150,9 +139,6 @@ void mo_controller_put_end(struct mo_store *store, struct mo_controller_put *cal
 {
   if (call->is_locked)
     pthread_rwlock_unlock(&store->controllers_lock);
-  call->is_locked = false;
-  free(call->metadata);
-  call->metadata = NULL;
 }
 
 int mo_store_controller_put(struct mo_store *store, const char *name, const uint8_t *bytes,
@@ -166,13 +152,13 @@ int mo_store_controller_put(struct mo_store *store, const char *name, const uint
   mo_controller_put_end(store, &call);
   if (error != MO_OK)
     return error;
-  *record = (struct mo_controller_record){.version = call.record.version,
+  *record = (struct mo_controller_record){.version = call.version,
                                           .sha256 = call.sha256,
                                           .size = size,
                                           .sensor = controller->sensor,
                                           .workspace = controller->workspace,
                                           .n_parameters = controller->n_parameters,
-                                          .stored_us = call.record.stored_us};
+                                          .stored_us = call.stored_us};
   snprintf(record->name, sizeof(record->name), "%s", name);
   *created = call.created;
   return MO_OK;

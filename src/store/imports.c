@@ -96,8 +96,9 @@ int mo_import_find(struct mo_import *import, const struct mo_import_source *sour
 int mo_import_controller(struct mo_import *import, const struct mo_controller *controller,
                          const struct mo_sha256 *sha256, size_t size)
 {
-  return mo_controller_content_row(&import->store->writer, controller, sha256, size,
-                                   import->now_us);
+  int64_t row = 0;
+  return mo_controller_content_row(&import->store->writer, controller, sha256, size, import->now_us,
+                                   &row);
 }
 
 static int controller_row(struct mo_connection *writer, const struct mo_sha256 *sha256,

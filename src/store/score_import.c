@@ -63,10 +63,11 @@ static int enter_condition(struct mo_store *store, struct entry *entry, uint32_t
 static int enter_tables(struct mo_store *store, struct entry *entry)
 {
   const struct mo_score_block *block = entry->block;
+  int64_t row = 0;
   int error =
       block->controller != NULL
           ? mo_controller_content_row(&store->writer, block->controller, &block->weights_sha256,
-                                      block->weights_size, entry->now_us)
+                                      block->weights_size, entry->now_us, &row)
           : MO_OK;
   for (uint32_t i = 0; i < block->n_conditions && error == MO_OK; i++)
     error = enter_condition(store, entry, i);
