@@ -168,34 +168,20 @@ static int load_job(struct mo_connection *connection, int64_t id, void *job)
 int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job)
 {
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
-  struct mo_job found = {0};
-  int error = load_job(reader, id, &found);
-  if (error == MO_OK || error == MO_ERR_CORRUPT)
-    *job = found;
-  return error;
-}
-
-int mo_read_job(struct mo_store *store, int64_t id,
-                int (*load)(struct mo_connection *reader, int64_t id, void *status), void *status)
-{
-  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
-  return load(reader, id, status);
-}
-
-static int load_designs(struct mo_connection *reader, int64_t id, void *designs)
-{
-  static const char sql[] = "SELECT coalesce(m.replicates_of,j.id) FROM jobs j"
-                            " LEFT JOIN campaigns m ON m.job=j.id WHERE j.id=?1";
-  int64_t owner;
-  const int error = mo_sql_find(reader, &owner, sql, mo_int(id));
-  return error == MO_OK ? mo_designs_read(reader, owner, designs) : error;
+  return load_job(reader, id, job);
 }
 
 int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
                          uint32_t *n)
 {
+  static const char sql[] = "SELECT coalesce(m.replicates_of,j.id) FROM jobs j"
+                            " LEFT JOIN campaigns m ON m.job=j.id WHERE j.id=?1";
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_designs designs = {.n = 0};
-  const int error = mo_read_job(store, id, load_designs, &designs);
+  int64_t owner;
+  int error = mo_sql_find(reader, &owner, sql, mo_int(id));
+  if (error == MO_OK)
+    error = mo_designs_read(reader, owner, &designs);
   free(designs.rows);
   free(designs.positions);
   if (error != MO_OK) {
@@ -207,26 +193,16 @@ int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **ge
   return MO_OK;
 }
 
-struct notes {
-  struct mo_design_note *notes;
-  uint32_t n;
-};
-
-static int load_notes(struct mo_connection *reader, int64_t id, void *any)
-{
-  struct notes *notes = any;
-  return mo_notes_read(reader, id, &notes->notes, &notes->n);
-}
-
 int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_note **ret,
                           uint32_t *n)
 {
-  struct notes notes = {NULL, 0};
-  const int error = mo_read_job(store, id, load_notes, &notes);
-  *ret = error == MO_OK ? notes.notes : NULL;
-  *n = error == MO_OK ? notes.n : 0;
-  if (error != MO_OK)
-    free(notes.notes);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  const int error = mo_notes_read(reader, id, ret, n);
+  if (error != MO_OK) {
+    free(*ret);
+    *ret = NULL;
+    *n = 0;
+  }
   return error;
 }
 

@@ -76,9 +76,6 @@ int mo_job_read(sqlite3_stmt *row, struct mo_job *job, void *record);
 /* Reads settings from a column into the record of their kind. MO_ERR_CORRUPT. */
 int mo_column_settings(sqlite3_stmt *row, int column, enum mo_job_kind kind, void *record);
 
-/* Runs `load` on a pooled connection. */
-int mo_read_job(struct mo_store *store, int64_t id,
-                int (*load)(struct mo_connection *reader, int64_t id, void *status), void *status);
 /* Reads a page of jobs, newest first, in one transaction: `load` reads each into its
  * place. A query with a group has the kind of campaigns. */
 int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, size_t limit,

@@ -80,7 +80,8 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
 
 int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status)
 {
-  return mo_read_job(store, id, load_status, status);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return load_status(reader, id, status);
 }
 
 int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query, void *statuses,
