@@ -89,25 +89,14 @@ int mo_trajectories_insert(struct mo_connection *writer,
   return error;
 }
 
-static int recorded_bytes_of(struct mo_connection *writer, int64_t job, int64_t *bytes)
-{
-  static const char sql[] = "SELECT recorded_bytes FROM evaluations WHERE job=?1";
-  return mo_sql_find(writer, bytes, sql, mo_int(job));
-}
-
 int mo_recordings_drop(struct mo_connection *writer, int64_t job, int64_t *bytes)
 {
+  static const char bytes_sql[] = "SELECT recorded_bytes FROM evaluations WHERE job=?1";
   static const char sql[] = "DELETE FROM trajectories WHERE job=?1";
-  int error = recorded_bytes_of(writer, job, bytes);
+  int error = mo_sql_find(writer, bytes, bytes_sql, mo_int(job));
   if (error == MO_OK)
     error = mo_sql_do(writer, sql, mo_int(job));
-  return error == MO_OK ? add_bytes(writer, job, -*bytes) : error;
-}
-
-int mo_trajectories_delete(struct mo_connection *writer, int64_t job)
-{
-  int64_t bytes;
-  return mo_recordings_drop(writer, job, &bytes);
+  return error == MO_OK && *bytes > 0 ? add_bytes(writer, job, -*bytes) : error;
 }
 
 /* ---- removal ---- */
@@ -130,12 +119,10 @@ static int remove_of(struct mo_store *store, int64_t job, const char *reason, in
   static const char removed_sql[] = "UPDATE evaluations SET recordings_removed_us=?2 WHERE job=?1";
   static const char version_sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1";
   struct mo_connection *writer = &store->writer;
-  int error = recorded_bytes_of(writer, job, bytes);
+  int error = mo_recordings_drop(writer, job, bytes);
   if (error != MO_OK || *bytes == 0)
     return error;
-  error = mo_recordings_drop(writer, job, bytes);
-  if (error == MO_OK)
-    error = mo_sql_do(writer, removed_sql, mo_int(job), mo_int(mo_clock_wall_us()));
+  error = mo_sql_do(writer, removed_sql, mo_int(job), mo_int(mo_clock_wall_us()));
   if (error == MO_OK)
     error = mo_sql_do(writer, version_sql, mo_int(job));
   if (error != MO_OK)

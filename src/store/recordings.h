@@ -7,9 +7,7 @@
 /* Stores trajectories and counts their bytes; only inside an operation. */
 int mo_trajectories_insert(struct mo_connection *writer,
                            const struct mo_saved_trajectory *trajectories, size_t n);
-/* Deletes those of a job that is computed again; only inside an operation. */
-int mo_trajectories_delete(struct mo_connection *writer, int64_t job);
-/* The same; *bytes: what they took. */
+/* Deletes those of a job; only inside an operation. *bytes: what they took. */
 int mo_recordings_drop(struct mo_connection *writer, int64_t job, int64_t *bytes);
 
 /* Returns whether the recordings take more than max_recordings: evaluations that have not ended

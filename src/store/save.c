@@ -67,6 +67,7 @@ static int set_class(struct mo_store *store, const struct mo_job_update *update)
   static const char recomputed_sql[] = "DELETE FROM recomputed WHERE job=?1";
   struct mo_connection *writer = &store->writer;
   const struct mo_value job = mo_int(update->job), now = mo_int(update->fingerprint);
+  int64_t recorded_bytes;
   sqlite3_stmt *row;
   int error = mo_sql_row(writer, &row, before_sql, job, now);
   if (error == MO_OK) {
@@ -75,7 +76,7 @@ static int set_class(struct mo_store *store, const struct mo_job_update *update)
                             (long long)update->job, (const char *)sqlite3_column_text(row, 0),
                             (const char *)sqlite3_column_text(row, 1));
     if (error == MO_OK)
-      error = mo_trajectories_delete(writer, update->job);
+      error = mo_recordings_drop(writer, update->job, &recorded_bytes);
     if (error == MO_OK)
       error = mo_sql_do(writer, recomputed_sql, job);
   }
