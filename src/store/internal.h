@@ -28,7 +28,6 @@ struct mo_operation {
   bool is_urgent;                            /* may use the reserve */
   int status;
   bool finished;
-  size_t first_event; /* index of the operation's first event in the batch */
   pthread_cond_t released;
   struct mo_operation *next;
 };

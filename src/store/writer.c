@@ -76,11 +76,6 @@ void mo_store_declare_fatal(struct mo_store *store, const char *what)
     store->fatal(store->fatal_context, what);
 }
 
-static void declare_fatal(struct mo_store *store)
-{
-  mo_store_declare_fatal(store, sqlite3_errmsg(store->writer.db));
-}
-
 /* Prepared when the writer starts, because ending a transaction must not depend on free memory. */
 static const char begin_sql[] = "BEGIN IMMEDIATE";
 static const char commit_sql[] = "COMMIT";
@@ -117,16 +112,15 @@ static int run_operation(struct mo_store *store, struct mo_operation *operation)
 static int run_in_savepoint(struct mo_store *store, struct mo_operation *operation)
 {
   struct mo_connection *writer = &store->writer;
-  int error = MO_OK;
-  operation->first_event = store->n_events;
-  error = mo_sql_do(&store->writer, savepoint_sql);
+  const size_t first_event = store->n_events;
+  int error = mo_sql_do(&store->writer, savepoint_sql);
   if (error != MO_OK)
     return error; /* there is no savepoint to roll back to */
   operation->status = run_operation(store, operation);
   if (sqlite3_get_autocommit(writer->db) || operation->status == MO_ERR_IO)
     return operation->status != MO_OK ? operation->status : MO_ERR_IO;
   if (operation->status != MO_OK) {
-    store->n_events = operation->first_event;
+    store->n_events = first_event;
     error = mo_sql_do(&store->writer, rollback_to_sql);
   }
   return error == MO_OK ? mo_sql_do(&store->writer, release_sql) : error;
@@ -143,8 +137,13 @@ static int commit(struct mo_store *store)
   return error;
 }
 
-static void abandon(struct mo_store *store)
+/* Rolls back after an error, and declares the store fatal after one that is. */
+static void abandon(struct mo_store *store, int error)
 {
+  if (error == MO_OK)
+    return;
+  if (error == MO_ERR_IO)
+    mo_store_declare_fatal(store, sqlite3_errmsg(store->writer.db));
   if (!sqlite3_get_autocommit(store->writer.db))
     (void)mo_sql_do(&store->writer, rollback_sql);
   store->n_events = 0;
@@ -198,7 +197,6 @@ static void release(struct mo_store *store, struct mo_operation *operation)
 static int run_together(struct mo_store *store, struct mo_operation *first)
 {
   int error = atomic_load(&store->is_fatal) ? MO_ERR_IO : mo_sql_do(&store->writer, begin_sql);
-  store->n_events = 0;
   for (struct mo_operation *operation = first; operation != NULL && error == MO_OK;
        operation = operation->next)
     error = run_in_savepoint(store, operation);
@@ -209,10 +207,7 @@ static int run_together(struct mo_store *store, struct mo_operation *first)
 static void finish_alone(struct mo_store *store, struct mo_operation *operation)
 {
   operation->status = run_alone(store, operation);
-  if (operation->status == MO_ERR_IO)
-    declare_fatal(store);
-  if (operation->status != MO_OK)
-    abandon(store);
+  abandon(store, operation->status);
   tell(store);
 }
 
@@ -229,10 +224,7 @@ static void run_batch(struct mo_store *store, struct mo_operation *first)
   bool each_alone = first->next == NULL || atomic_load(&store->is_short);
   if (!each_alone)
     error = run_together(store, first);
-  if (error == MO_ERR_IO)
-    declare_fatal(store); /* run_alone() refuses all from now on */
-  if (error != MO_OK)
-    abandon(store);
+  abandon(store, error); /* if it is fatal, run_alone() refuses all from now on */
   if (each_alone || error != MO_OK)
     for (operation = first; operation != NULL; operation = operation->next)
       finish_alone(store, operation);
@@ -267,12 +259,9 @@ static void prune(struct mo_store *store)
     error = mo_sql_do(writer, keys_sql, mo_int(mo_clock_wall_us() - store->idempotency_keep_us));
   if (error == MO_OK)
     error = commit(store);
-  if (error == MO_ERR_IO)
-    declare_fatal(store);
-  if (error != MO_OK) {
+  if (error != MO_OK)
     store->events_since_prune = 0;
-    abandon(store);
-  }
+  abandon(store, error);
 }
 
 /* Probes for free space periodically, so that /readyz recovers without a client's write. */
@@ -287,10 +276,7 @@ static void probe_space(struct mo_store *store)
                                           " ON CONFLICT(key) DO UPDATE SET value=value+1");
   if (error == MO_OK)
     atomic_store(&store->no_space, false);
-  else if (error == MO_ERR_IO)
-    declare_fatal(store);
-  if (error != MO_OK)
-    abandon(store);
+  abandon(store, error);
 }
 
 /* Copies the log into the database. The log restarts only when no connection reads it, and
@@ -308,8 +294,7 @@ static void checkpoint(struct mo_store *store)
     sqlite3_busy_timeout(db, RESTART_WAIT_MS);
   }
   int result = sqlite3_wal_checkpoint_v2(db, NULL, mode, NULL, NULL);
-  if (result != SQLITE_OK && mo_sql_error(db, result) == MO_ERR_IO)
-    declare_fatal(store);
+  abandon(store, mo_sql_error(db, result));
   sqlite3_busy_timeout(db, MO_BUSY_MS);
   store->wal_frames = 0; /* the hook counts again at the next commit */
 }
