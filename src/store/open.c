@@ -30,12 +30,16 @@ static char *join(const char *folder, const char *name)
   return asprintf(&path, "%s/%s", folder, name) >= 0 ? path : NULL;
 }
 
-static int prepare_folder(struct mo_store *store, const char *path, struct mo_message *message)
+static int prepare_folders(struct mo_store *store, struct mo_message *message)
 {
-  int error = mo_folder_make(store, store->path, path);
-  return error == MO_OK
-             ? MO_OK
-             : mo_fail(message, error, "cannot create %s: %s", path, strerrordesc_np(errno));
+  const char *const paths[] = {store->controllers_path, store->trainings_path,
+                               store->campaigns_path};
+  for (size_t i = 0; i < sizeof(paths) / sizeof(paths[0]); i++) {
+    const int error = mo_folder_make(store, store->path, paths[i]);
+    if (error != MO_OK)
+      return mo_fail(message, error, "cannot create %s: %s", paths[i], strerrordesc_np(errno));
+  }
+  return MO_OK;
 }
 
 static off_t size_of(const struct mo_store *store, const char *ending)
@@ -109,10 +113,20 @@ static int run_check(struct mo_connection *connection, const char *sql, struct m
              : mo_fail(message, error, "the database cannot be read: %s", mo_error_text(error));
 }
 
+/* Commits, or rolls back after an error. */
+static int end_transaction(struct mo_connection *writer, int error)
+{
+  if (error == MO_OK)
+    error = mo_sql_exec(writer, "COMMIT");
+  if (error != MO_OK && !sqlite3_get_autocommit(writer->db))
+    (void)mo_sql_exec(writer, "ROLLBACK");
+  return error;
+}
+
 /* Makes a new database (from = 0), or brings one of an older schema up to date. */
 static int migrate(struct mo_connection *writer, int64_t from, struct mo_message *message)
 {
-  char sql[64];
+  char sql[96];
   int error = mo_sql_exec(writer, "BEGIN EXCLUSIVE");
   for (int64_t i = from == 0 ? 0 : from - FIRST_SCHEMA + 1; i < schema_count && error == MO_OK;
        i++) {
@@ -131,18 +145,11 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
   if (error == MO_OK && from == 0)
     error = mo_sql_exec(writer, "INSERT INTO meta(key,value) VALUES('epoch',0),('clean',1)");
   if (error == MO_OK) {
-    snprintf(sql, sizeof(sql), "PRAGMA user_version=%d", NEWEST_SCHEMA);
+    snprintf(sql, sizeof(sql), "PRAGMA user_version=%d; PRAGMA application_id=%d", NEWEST_SCHEMA,
+             MO_APPLICATION_ID);
     error = mo_sql_exec(writer, sql);
   }
-  if (error == MO_OK) {
-    snprintf(sql, sizeof(sql), "PRAGMA application_id=%d", MO_APPLICATION_ID);
-    error = mo_sql_exec(writer, sql);
-  }
-  if (error == MO_OK)
-    error = mo_sql_exec(writer, "COMMIT");
-  if (error != MO_OK && !sqlite3_get_autocommit(writer->db))
-    (void)mo_sql_exec(writer, "ROLLBACK");
-  return error;
+  return end_transaction(writer, error);
 }
 
 /* Turns the write-ahead log on. If SQLite cannot use it (for example without shared memory), it
@@ -184,15 +191,10 @@ static int read_header(struct mo_store *store, struct header *header)
   return error;
 }
 
-/* Finds or inserts this host in `origins`. */
-static int find_origin(struct mo_connection *writer, int64_t *origin)
-{
-  struct utsname host;
-  return uname(&host) == 0 ? mo_text_row(writer, MO_ORIGINS, host.nodename, origin) : MO_ERR_IO;
-}
-
+/* Counts the opening, and finds or inserts this host in `origins`. */
 static int count_opening(struct mo_connection *writer, int64_t *origin)
 {
+  struct utsname host;
   int error = mo_sql_exec(
       writer, "BEGIN IMMEDIATE;"
               "INSERT INTO meta(key,value) VALUES('epoch',1)"
@@ -201,12 +203,8 @@ static int count_opening(struct mo_connection *writer, int64_t *origin)
               " ON CONFLICT(key) DO UPDATE SET value=0;"
               "INSERT INTO meta(key,value) VALUES('id',random()) ON CONFLICT(key) DO NOTHING;");
   if (error == MO_OK)
-    error = find_origin(writer, origin);
-  if (error == MO_OK)
-    error = mo_sql_exec(writer, "COMMIT");
-  if (error != MO_OK && !sqlite3_get_autocommit(writer->db))
-    (void)mo_sql_exec(writer, "ROLLBACK");
-  return error;
+    error = uname(&host) == 0 ? mo_text_row(writer, MO_ORIGINS, host.nodename, origin) : MO_ERR_IO;
+  return end_transaction(writer, error);
 }
 
 static int prepare_database(struct mo_store *store, struct mo_message *message)
@@ -355,11 +353,7 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
   if (error == MO_OK)
     error = look_for_database(store, message);
   if (error == MO_OK)
-    error = prepare_folder(store, store->controllers_path, message);
-  if (error == MO_OK)
-    error = prepare_folder(store, store->trainings_path, message);
-  if (error == MO_OK)
-    error = prepare_folder(store, store->campaigns_path, message);
+    error = prepare_folders(store, message);
   if (error == MO_OK)
     error = prepare_database(store, message);
   if (error == MO_OK)
@@ -370,12 +364,10 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
     mo_reserve_make(store);
     error = mo_writer_start(store);
   }
-  if (error == MO_OK) {
+  if (error == MO_OK)
     error = mo_make_paper_test(store);
-    if (error != MO_OK)
-      mo_writer_stop(store);
-  }
   if (error != MO_OK) {
+    mo_writer_stop(store);
     if (message != NULL && message->text[0] == '\0')
       mo_fail(message, error, "cannot open the state folder %s: %s", store->path,
               mo_error_text(error));
@@ -417,22 +409,17 @@ uint64_t mo_store_epoch(const struct mo_store *store)
   return (uint64_t)store->epoch;
 }
 
-static int check_connection(struct mo_connection *connection, struct mo_message *message)
+int mo_store_check(struct mo_store *store, struct mo_message *message)
 {
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   sqlite3_stmt *row;
   char table[64];
-  int error = run_check(connection, "PRAGMA integrity_check(1)", message);
+  int error = run_check(reader, "PRAGMA integrity_check(1)", message);
   if (error == MO_OK)
-    error = mo_sql_row(connection, &row, "PRAGMA foreign_key_check");
+    error = mo_sql_row(reader, &row, "PRAGMA foreign_key_check");
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? MO_OK : error;
   mo_column_text(row, 0, table, sizeof(table));
   return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: a row of %s refers to nothing",
                  table);
-}
-
-int mo_store_check(struct mo_store *store, struct mo_message *message)
-{
-  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
-  return check_connection(reader, message);
 }
