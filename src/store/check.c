@@ -202,12 +202,12 @@ int mo_store_check_contents(struct mo_store *store,
                             void (*tell)(void *context, const char *finding), void *context,
                             struct mo_check_counts *counts)
 {
-  struct walk walk = {store, mo_reader_acquire(store), tell, context, counts};
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  struct walk walk = {store, reader, tell, context, counts};
   int error = MO_OK;
   *counts = (struct mo_check_counts){0};
   for (size_t i = 0; i < sizeof(parts) / sizeof(parts[0]) && error == MO_OK; i++)
     error = walk_part(&walk, &parts[i]);
-  mo_reader_release(store, walk.reader);
   return error;
 }
 
@@ -216,12 +216,10 @@ int mo_store_check_contents(struct mo_store *store,
 static int take_sample(struct mo_connection *reader, sqlite3_stmt *row, uint64_t seed,
                        struct mo_score_sample *sample)
 {
-  static const char sql[] = "SELECT data,sha256 FROM environments WHERE id=?1";
   struct mo_condition condition;
   double losses[MO_BLOCK_LANES];
   uint32_t steps[MO_BLOCK_LANES], k;
   enum mo_sensor sensor;
-  sqlite3_stmt *environment;
   int error = mo_score_from_row(row, 0, &condition, losses, steps);
   if (error == MO_OK)
     error = mo_column_bits(row, 8, &sample->genotype);
@@ -234,10 +232,7 @@ static int take_sample(struct mo_connection *reader, sqlite3_stmt *row, uint64_t
   k = (uint32_t)(seed % condition.n);
   sample->loss = losses[k];
   sample->diverged_step = (int32_t)steps[k];
-  error = mo_sql_row(reader, &environment, sql, mo_int(condition.environments[k]));
-  return error == MO_OK ? mo_column_environment(environment, 0, 1, &sample->environment)
-         : error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT
-                                     : error;
+  return mo_environment_get(reader, condition.environments[k], &sample->environment, NULL);
 }
 
 int64_t mo_store_sample(struct mo_store *store, const char *fingerprint, uint64_t seed,
@@ -250,7 +245,7 @@ int64_t mo_store_sample(struct mo_store *store, const char *fingerprint, uint64_
       " JOIN controllers k ON k.id=c.controller JOIN physics p ON p.id=c.physics"
       " WHERE x.genotype>=?1 AND c.fingerprint=(SELECT id FROM fingerprints WHERE text=?2)"
       " ORDER BY x.genotype LIMIT 1";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int64_t last = 0, found = 0;
   int error = mo_sql_find(reader, &last, last_sql);
   for (size_t i = 0; i < n && error == MO_OK && last > 0; i++) {
@@ -260,6 +255,5 @@ int64_t mo_store_sample(struct mo_store *store, const char *fingerprint, uint64_
     if (mo_sql_next(reader, row, &error))
       error = take_sample(reader, row, seed + i, &samples[found++]);
   }
-  mo_reader_release(store, reader);
   return error != MO_OK ? error : found;
 }

@@ -79,10 +79,8 @@ int mo_source_find(struct mo_connection *connection, uint64_t own, enum mo_job_k
 
 int mo_store_import_find(struct mo_store *store, const struct mo_import_source *source, int64_t *id)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
-  const int error = mo_source_find(reader, mo_store_id(store), MO_JOB_CAMPAIGN, source, id);
-  mo_reader_release(store, reader);
-  return error;
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return mo_source_find(reader, mo_store_id(store), MO_JOB_CAMPAIGN, source, id);
 }
 
 int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t *id)
@@ -376,7 +374,7 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
 int mo_store_campaign_members(struct mo_store *store, int64_t id, int64_t generation,
                               struct mo_campaign_member **ret, uint32_t *n)
 {
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_members found = {.n = 0};
   struct mo_campaign_member *members = NULL;
   int error = mo_campaign_members_get(reader, id, generation, &found);
@@ -385,7 +383,6 @@ int mo_store_campaign_members(struct mo_store *store, int64_t id, int64_t genera
   for (uint32_t i = 0; error == MO_OK && i < found.n; i++)
     members[i] = (struct mo_campaign_member){found.population[i].number, found.population[i].score};
   *n = found.n;
-  mo_reader_release(store, reader);
   *ret = members;
   return error;
 }
@@ -419,7 +416,7 @@ int mo_store_campaign_scores(struct mo_store *store, int64_t id, uint32_t first,
       " CROSS JOIN fingerprints f ON f.id=c.fingerprint CROSS JOIN origins o ON o.id=x.origin"
       " WHERE d.job=?1 AND d.number BETWEEN ?2 AND ?3 AND c.controller=?4 AND c.physics=?5"
       " ORDER BY d.number,x.condition";
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_head head = {0};
   int64_t environments[MO_ENVIRONMENTS_MAX] = {0};
   int error = mo_campaign_head_get(reader, id, &head);
@@ -438,6 +435,5 @@ int mo_store_campaign_scores(struct mo_store *store, int64_t id, uint32_t first,
     if (error == MO_OK && score.n > 0)
       error = take(context, &score);
   }
-  mo_reader_release(store, reader);
   return error;
 }

@@ -17,23 +17,6 @@
 
 /* ---- reading ---- */
 
-static int read_environments(struct mo_connection *reader, const struct mo_condition *condition,
-                             struct mo_origin_row *row)
-{
-  static const char sql[] = "SELECT data,sha256 FROM environments WHERE id=?1";
-  int error = MO_OK;
-  row->n = condition->n;
-  for (uint32_t k = 0; k < row->n && error == MO_OK; k++) {
-    sqlite3_stmt *found;
-    error = mo_sql_row(reader, &found, sql, mo_int(condition->environments[k]));
-    if (error == MO_OK)
-      error = mo_column_environment(found, 0, 1, &row->environments[k]);
-    if (error == MO_OK)
-      error = mo_column_hash(found, 1, &row->environment_sha256[k]);
-  }
-  return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
-}
-
 static int read_row(struct mo_connection *reader, struct mo_origin_place place,
                     struct mo_origin_row *row)
 {
@@ -58,7 +41,11 @@ static int read_row(struct mo_connection *reader, struct mo_origin_place place,
     return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
   row->computed_us = sqlite3_column_int64(found, 6);
   mo_column_text(found, 13, row->fingerprint, sizeof(row->fingerprint));
-  return read_environments(reader, &condition, row);
+  row->n = condition.n;
+  for (uint32_t k = 0; k < row->n && error == MO_OK; k++)
+    error = mo_environment_get(reader, condition.environments[k], &row->environments[k],
+                               &row->environment_sha256[k]);
+  return error;
 }
 
 int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
@@ -75,11 +62,10 @@ int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
   sqlite3_stmt *row =
       mo_sql_rows(reader, &error, sql, mo_int(place->genotype), mo_int(place->condition));
   *is_last = false;
-  while (n < limit && visited < VISITED_MAX && !*is_last && error == MO_OK) {
+  while (n < limit && visited++ < VISITED_MAX && error == MO_OK) {
     *is_last = !mo_sql_next(reader, row, &error);
     if (*is_last)
       break;
-    visited++;
     *place = (struct mo_origin_place){sqlite3_column_int64(row, 0), sqlite3_column_int64(row, 1)};
     if (sqlite3_column_int64(row, 2) == id)
       error = read_row(reader, *place, &rows[n++]);

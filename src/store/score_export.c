@@ -112,18 +112,14 @@ static int condition_place(struct mo_score_walk *walk, struct mo_connection *rea
 static int environment_place(struct mo_score_walk *walk, struct mo_connection *reader,
                              struct mo_score_block *block, int64_t environment, uint32_t *place)
 {
-  static const char sql[] = "SELECT data,sha256 FROM environments WHERE id=?1";
-  sqlite3_stmt *row;
   for (*place = 0; *place < block->n_environments; ++*place)
     if (walk->environments[*place] == environment)
       return MO_OK;
   if (*place == MO_SCORED_ENVIRONMENTS)
     return MO_ERR_LIMIT;
-  int error = mo_sql_row(reader, &row, sql, mo_int(environment));
-  if (error == MO_OK)
-    error = mo_column_environment(row, 0, 1, &block->environments[*place]);
+  const int error = mo_environment_get(reader, environment, &block->environments[*place], NULL);
   if (error != MO_OK)
-    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
+    return error;
   walk->environments[*place] = environment;
   block->n_environments++;
   return MO_OK;
@@ -163,7 +159,7 @@ int mo_score_walk_create(struct mo_store *store, const struct mo_score_query *qu
   int error = MO_OK;
   if (walk == NULL)
     return MO_ERR_NO_MEMORY;
-  struct mo_connection *reader = mo_reader_acquire(store);
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   *walk = (struct mo_score_walk){.store = store, .since_us = query->since_us};
   if (query->controller != NULL)
     error = mo_controller_find(reader, query->controller, &walk->controller, &sensor);
@@ -174,7 +170,6 @@ int mo_score_walk_create(struct mo_store *store, const struct mo_score_query *qu
       error = MO_OK;
     }
   }
-  mo_reader_release(store, reader);
   if (error != MO_OK)
     free(walk);
   else
@@ -282,11 +277,10 @@ int mo_score_walk_next(struct mo_score_walk *walk, struct mo_score_block *block)
   block->weights_size = 0;
   int error = 1;
   while (error == 1) {
-    struct mo_connection *reader = mo_reader_acquire(walk->store);
+    MO_SCOPED struct mo_connection *reader = mo_reader_acquire(walk->store);
     error = read_host(reader, walk->store->origin, block);
     if (error == MO_OK)
       error = read_page(walk, reader, block);
-    mo_reader_release(walk->store, reader);
   }
   block->is_last = error == MO_OK;
   if (error == MO_ERR_LIMIT) /* an empty block has room for any row */

@@ -299,6 +299,19 @@ int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
   return MO_OK;
 }
 
+int mo_environment_get(struct mo_connection *connection, int64_t id,
+                       struct mo_environment *environment, struct mo_sha256 *sha256)
+{
+  static const char sql[] = "SELECT data,sha256 FROM environments WHERE id=?1";
+  sqlite3_stmt *row;
+  int error = mo_sql_row(connection, &row, sql, mo_int(id));
+  if (error == MO_OK)
+    error = mo_column_environment(row, 0, 1, environment);
+  if (error == MO_OK && sha256 != NULL)
+    error = mo_column_hash(row, 1, sha256);
+  return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
+}
+
 int mo_column_physics(sqlite3_stmt *statement, int column, struct mo_physics *physics,
                       enum mo_precision *precision, enum mo_sensor *sensor)
 {

@@ -121,6 +121,9 @@ int mo_column_genotype(sqlite3_stmt *statement, int bits_column, int form_column
 /* Reads an environment and checks its hash. */
 int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
                           struct mo_environment *environment);
+/* Reads the environment of a row, and its hash (nullable). */
+int mo_environment_get(struct mo_connection *connection, int64_t id,
+                       struct mo_environment *environment, struct mo_sha256 *sha256);
 int mo_column_physics(sqlite3_stmt *statement, int column, struct mo_physics *physics,
                       enum mo_precision *precision, enum mo_sensor *sensor);
 int mo_column_double(sqlite3_stmt *statement, int column, double *value); /* 8-byte BLOB */
