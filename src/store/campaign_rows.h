@@ -42,9 +42,7 @@ struct mo_campaign_members {
 int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_t generation,
                             struct mo_campaign_members *members);
 
-/* Reads what only a study has: the newest batch, its words, the state of its sampler. */
-int mo_study_status_get(struct mo_connection *connection, int64_t id,
-                        struct mo_campaign_status *status);
+/* Reads a study's own words. */
 int mo_study_words_get(struct mo_connection *connection, int64_t id, struct mo_study_words *words);
 /* Inserts a design whose genotype has a row. measures: (n), of a study. */
 int mo_campaign_design_row(struct mo_connection *writer, int64_t id, int64_t genotype,

@@ -9,7 +9,6 @@
 #include "store/contents.h"
 #include "store/controller_rows.h"
 #include "store/jobs.h"
-#include "store/submit.h"
 
 struct setting {
   int64_t controller, physics, set; /* 0: none */

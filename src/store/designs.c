@@ -250,6 +250,17 @@ static int load_design(struct mo_connection *reader, const void *form, void *ret
   return error;
 }
 
+void mo_design_free(void *any)
+{
+  struct mo_design *design = any;
+  if (design == NULL)
+    return;
+  for (uint32_t i = 0; i < design->n_orientations; i++)
+    free(design->orientations[i].scores);
+  free(design->orientations);
+  free(design);
+}
+
 int mo_store_design(struct mo_store *store, const struct mo_bits *form, struct mo_design **ret)
 {
   int error;

@@ -215,6 +215,24 @@ static int load_results(struct mo_connection *reader, const void *key, void *ret
   return error;
 }
 
+void mo_evaluation_results_free(void *any)
+{
+  struct mo_evaluation_results *results = any;
+  if (results == NULL)
+    return;
+  free(results->forms);
+  free(results->genotypes);
+  free(results->scores);
+  free(results->losses);
+  free(results->diverged_steps);
+  free(results->stored_losses);
+  free(results->agrees);
+  free(results->notes);
+  free(results->is_bound);
+  free(results->paths_m);
+  free(results);
+}
+
 static int read_results(struct mo_store *store, struct range range,
                         struct mo_evaluation_results **ret)
 {
@@ -274,6 +292,15 @@ static int read_trajectory(sqlite3_stmt *row, void *any)
       error = MO_ERR_NO_MEMORY; /* a long BLOB is copied */
   }
   return error;
+}
+
+void mo_trajectory_free(void *any)
+{
+  struct mo_trajectory *trajectory = any;
+  if (trajectory == NULL)
+    return;
+  mo_recording_free(&trajectory->recording);
+  free(trajectory);
 }
 
 int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t k,

@@ -5,11 +5,26 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/words.h"
 #include "store/campaigns.h"
 #include "store/contents.h"
 #include "store/fields.h"
 #include "store/internal.h"
 #include "store/trainings.h"
+
+const char *const mo_job_state_words[] = {"queued", "running",   "paused", "succeeded",
+                                          "failed", "cancelled", NULL};
+const char *const mo_job_kind_words[] = {"evaluation", "training", "campaign", NULL};
+
+const char *mo_job_state_name(enum mo_job_state state)
+{
+  return mo_word(mo_job_state_words, state);
+}
+
+const char *mo_job_kind_name(enum mo_job_kind kind)
+{
+  return mo_word(mo_job_kind_words, kind);
+}
 
 /* ---- one job ---- */
 

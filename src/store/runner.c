@@ -336,6 +336,19 @@ static int load_work(struct mo_connection *reader, int64_t id, const struct mo_c
   return error;
 }
 
+void mo_work_free(struct mo_work *work)
+{
+  if (work == NULL)
+    return;
+  free(work->environment_rows);
+  free(work->environments);
+  free(work->genotype_rows);
+  free(work->positions);
+  free(work->genotypes);
+  free(work->finished);
+  free(work);
+}
+
 int mo_store_load_work(struct mo_store *store, int64_t id, const struct mo_classes *classes,
                        struct mo_work **ret)
 {

@@ -1,5 +1,5 @@
-/* runs.h: changes of a job's state, and trainings and campaigns as jobs that run on a thread of
- * their own: queue, fence, end of an attempt, result. Only for this room.
+/* runs.h: submission and changes of state of any job, and trainings and campaigns as jobs that run
+ * on a thread of their own: queue, fence, end of an attempt, result. Only for this room.
  *
  * Writes are fenced by the epoch: the job must have been started under this opening of the store
  * and must not be final. A job that was paused, or paused and resumed at once, still takes writes,
@@ -12,6 +12,21 @@
 /* What each change of a job counts. */
 #define MO_NEXT_VERSION "version=version+1"
 #define MO_NEXT_ATTEMPT "(attempts+1)"
+
+/* ---- submission (submit.c) ---- */
+
+/* Stores a job in one transaction: `insert` stores all of it but the key. A known key gives its job
+ * (*replayed). Errors as mo_store_submit. */
+int mo_submit(struct mo_store *store, const struct mo_request_key *key,
+              int (*insert)(struct mo_store *store, const void *request, int64_t *id),
+              const void *request, int64_t *id, bool *replayed);
+/* Inserts the row that every job has. */
+int mo_job_insert(struct mo_connection *writer, const struct mo_submission *request,
+                  enum mo_job_kind kind, int64_t *id);
+/* Finds the job of an idempotency key. MO_ERR_NOT_FOUND: it is unknown, or there is none;
+ * MO_ERR_CONFLICT: it was used with another request. */
+int mo_key_find(struct mo_connection *connection, const struct mo_request_key *key, int64_t *id);
+int mo_key_insert(struct mo_connection *writer, const struct mo_request_key *key, int64_t id);
 
 /* ---- inside an operation ---- */
 

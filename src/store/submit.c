@@ -1,5 +1,5 @@
 /* submit.c: accepts jobs: stores all that a job needs later, in one transaction. */
-#include "store/submit.h"
+#include "store/runs.h"
 
 #include <stdio.h>
 #include <string.h>

@@ -13,7 +13,6 @@
 #include "store/jobs.h"
 #include "store/rows.h"
 #include "store/runs.h"
-#include "store/submit.h"
 
 /* ---- submission ---- */
 
