@@ -14,7 +14,6 @@
 #include "store/checkpoint_files.h"
 #include "store/recordings.h"
 #include "store/runs.h"
-#include "store/upkeep.h"
 
 #define ROWS_MAX     1000                 /* in one transaction, about */
 #define EXPIRE_MAX   100                  /* jobs in one transaction */

@@ -9,7 +9,6 @@
 #include "store/runner.h"
 #include "store/sql.h"
 #include "store/store.h"
-#include "store/trainings.h"
 
 #define MO_APPLICATION_ID    0x6D727068 /* "mrph" */
 #define MO_CHECKPOINT_FRAMES 2000
@@ -131,10 +130,17 @@ void *mo_read_whole(struct mo_store *store, size_t size,
                     int (*load)(struct mo_connection *reader, const void *key, void *ret),
                     const void *key, void (*release)(void *ret), int *error);
 
-/* ---- shared queries ---- */
+/* ---- what the store does by itself ---- */
 
-int mo_training_code_load(struct mo_connection *connection, int64_t id,
-                          struct mo_training_lineage *lineage);
+/* Make the reserve whole again; if there is no space for it, the store is short of space. Free the
+ * reserve; true: the store is short of space, and there may be some space now. Only the writer's
+ * thread calls these, and opening before that thread starts. */
+void mo_reserve_make(struct mo_store *store);
+bool mo_reserve_free(struct mo_store *store);
+/* Continues the deletions that the last process left. When the writer has started. */
+void mo_upkeep_begin(struct mo_store *store);
+/* The writer calls it between batches: queues what is due, once a minute. */
+void mo_upkeep(struct mo_store *store);
 /* Makes the paper's test set if it is missing. When the writer has started. */
 int mo_make_paper_test(struct mo_store *store);
 

@@ -18,7 +18,6 @@
 #include "store/contents.h"
 #include "store/folder.h"
 #include "store/rows.h"
-#include "store/upkeep.h"
 
 /* The version of schema.sql, and the newest. Those before the first were of morphod 0.1. */
 #define FIRST_SCHEMA  9

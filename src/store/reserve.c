@@ -10,7 +10,7 @@
 #include <fcntl.h>
 #include <unistd.h>
 
-#include "store/upkeep.h"
+#include "store/internal.h"
 
 #include "base/clock.h"
 

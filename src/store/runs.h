@@ -8,6 +8,7 @@
 #define MORPHO_STORE_RUNS_H
 
 #include "store/internal.h"
+#include "store/trainings.h"
 
 /* What each change of a job counts. */
 #define MO_NEXT_VERSION "version=version+1"
@@ -46,6 +47,9 @@ int mo_run_touch(struct mo_store *store, int64_t id);
  * comma. */
 int mo_run_announce(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *type,
                     enum mo_job_state state, const char *more);
+
+int mo_training_code_load(struct mo_connection *connection, int64_t id,
+                          struct mo_training_lineage *lineage);
 
 /* ---- an operation of its own ---- */
 

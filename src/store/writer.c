@@ -15,7 +15,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "store/upkeep.h"
+#include "store/internal.h"
 
 #include "base/clock.h"
 #include "base/thread.h"
