@@ -132,6 +132,7 @@ static const char *const parts[] = {PART("recomputed", "position", "16"),
 
 struct round {
   struct mo_store *store;
+  int (*step)(struct mo_store *store, void *arguments);
   uint64_t n; /* rows deleted, or jobs marked */
 };
 
@@ -194,36 +195,28 @@ static int expire(struct mo_store *store, void *arguments)
   return error;
 }
 
-static void run(struct mo_store *store, int (*step)(struct mo_store *store, void *arguments),
-                void (*done)(void *arguments, int status));
+static void run(struct mo_store *store, int (*step)(struct mo_store *store, void *arguments));
 
-static void deleted_some(void *arguments, int status)
-{
-  struct round *round = arguments;
-  if (status == MO_OK && round->n > 0)
-    run(round->store, delete_some, deleted_some);
-  free(round);
-}
-
-static void expired(void *arguments, int status)
+/* Goes on where a step found something. */
+static void done(void *arguments, int status)
 {
   struct round *round = arguments;
   if (status == MO_OK && round->n > 0) {
-    run(round->store, expire, expired);
-    run(round->store, delete_some, deleted_some);
+    run(round->store, round->step);
+    if (round->step == expire)
+      run(round->store, delete_some);
   }
   free(round);
 }
 
 /* Queues a step; each is behind the writes that came before it. Without memory the next upkeep
  * does it. */
-static void run(struct mo_store *store, int (*step)(struct mo_store *store, void *arguments),
-                void (*done)(void *arguments, int status))
+static void run(struct mo_store *store, int (*step)(struct mo_store *store, void *arguments))
 {
-  struct round *round = calloc(1, sizeof(*round));
+  struct round *round = malloc(sizeof(*round));
   if (round == NULL)
     return;
-  round->store = store;
+  *round = (struct round){store, step, 0};
   if (mo_write_later(store, step, round, done) != MO_OK)
     free(round);
 }
@@ -244,8 +237,15 @@ int mo_store_delete_job(struct mo_store *store, int64_t id, struct mo_deleted *d
     mo_recordings_check(store);
   /* The job is gone whatever becomes of this: the next upkeep or start goes on. */
   if (mo_write(store, delete_some, &round) == MO_OK && round.n > 0)
-    run(store, delete_some, deleted_some);
+    run(store, delete_some);
   return MO_OK;
+}
+
+void mo_upkeep_begin(struct mo_store *store)
+{
+  run(store, delete_some);
+  run(store, expire);
+  mo_recordings_check(store);
 }
 
 void mo_upkeep(struct mo_store *store)
@@ -254,15 +254,5 @@ void mo_upkeep(struct mo_store *store)
   if (now - store->last_upkeep_us < UPKEEP_US)
     return;
   store->last_upkeep_us = now;
-  run(store, delete_some, deleted_some);
-  run(store, expire, expired);
-  if (store->keep_recordings_us > 0)
-    mo_recordings_check(store);
-}
-
-void mo_upkeep_begin(struct mo_store *store)
-{
-  run(store, delete_some, deleted_some);
-  run(store, expire, expired);
-  mo_recordings_check(store);
+  mo_upkeep_begin(store);
 }

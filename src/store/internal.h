@@ -137,9 +137,10 @@ void *mo_read_whole(struct mo_store *store, size_t size,
  * thread calls these, and opening before that thread starts. */
 void mo_reserve_make(struct mo_store *store);
 bool mo_reserve_free(struct mo_store *store);
-/* Continues the deletions that the last process left. When the writer has started. */
+/* Queues deletions that are due, also those that the last process left. When the writer has
+ * started. */
 void mo_upkeep_begin(struct mo_store *store);
-/* The writer calls it between batches: queues what is due, once a minute. */
+/* The same once a minute: the writer calls it between batches. */
 void mo_upkeep(struct mo_store *store);
 /* Makes the paper's test set if it is missing. When the writer has started. */
 int mo_make_paper_test(struct mo_store *store);
