@@ -258,16 +258,26 @@ int mo_store_result(struct mo_store *store, int64_t id, uint32_t n,
 /* Columns 4 to 7 of a row have the channels, in their order. */
 #define FIRST_CHANNEL 4
 
-static int read_trajectory(sqlite3_stmt *row, void *any)
+/* key: evaluation, design, environment. */
+static int load_trajectory(struct mo_connection *reader, const void *any, void *ret)
 {
-  struct mo_trajectory *trajectory = any;
+  static const char sql[] =
+      "SELECT t.stride,t.frames,t.n_masses,p.encoding,t.com,t.masses,t.actuation,t.contacts"
+      " FROM trajectories t"
+      " JOIN evaluations e ON e.job=t.job JOIN physics p ON p.id=e.physics"
+      " WHERE t.job=?1 AND t.position=?2 AND t.environment=?3";
+  const int64_t *key = any;
+  struct mo_trajectory *trajectory = ret;
   struct mo_physics physics;
   enum mo_precision precision;
   enum mo_sensor sensor;
   unsigned channels = 0;
-  int error = mo_column_physics(row, 3, &physics, &precision, &sensor);
+  sqlite3_stmt *row;
+  int error = mo_sql_row(reader, &row, sql, mo_int(key[0]), mo_int(key[1]), mo_int(key[2]));
+  if (error == MO_OK)
+    error = mo_column_physics(row, 3, &physics, &precision, &sensor);
   if (error != MO_OK)
-    return MO_ERR_CORRUPT;
+    return error;
   trajectory->dt_s = physics.dt_s;
   trajectory->n_frames = mo_column_u32(row, 1);
   trajectory->n_masses = mo_column_u32(row, 2);
@@ -306,22 +316,10 @@ void mo_trajectory_free(void *any)
 int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t k,
                         struct mo_trajectory **ret)
 {
-  static const char sql[] =
-      "SELECT t.stride,t.frames,t.n_masses,p.encoding,t.com,t.masses,t.actuation,t.contacts"
-      " FROM trajectories t"
-      " JOIN evaluations e ON e.job=t.job JOIN physics p ON p.id=e.physics"
-      " WHERE t.job=?1 AND t.position=?2 AND t.environment=?3";
-  struct mo_trajectory *trajectory = calloc(1, sizeof(*trajectory));
-  const int error = trajectory != NULL
-                        ? mo_read_one(store, sql, MO_VALUES(mo_int(id), mo_int(n), mo_int(k)),
-                                      read_trajectory, trajectory)
-                        : MO_ERR_NO_MEMORY;
-  if (error != MO_OK) {
-    mo_trajectory_free(trajectory);
-    return error;
-  }
-  *ret = trajectory;
-  return MO_OK;
+  const int64_t key[] = {id, n, k};
+  int error;
+  *ret = mo_read_whole(store, sizeof(**ret), load_trajectory, key, mo_trajectory_free, &error);
+  return error;
 }
 
 int mo_store_trajectory_sides(struct mo_store *store, int64_t id, struct mo_trajectory_sides *sides)
