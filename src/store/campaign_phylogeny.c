@@ -36,9 +36,8 @@ int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_
 
 static uint32_t column_parent(sqlite3_stmt *row, int column)
 {
-  return sqlite3_column_type(row, column) == SQLITE_NULL
-             ? MO_NO_PARENT
-             : (uint32_t)sqlite3_column_int64(row, column);
+  return sqlite3_column_type(row, column) == SQLITE_NULL ? MO_NO_PARENT
+                                                         : mo_column_u32(row, column);
 }
 
 static int column_measures(sqlite3_stmt *row, int column, double measures[MO_STUDY_MEASURES_MAX],
@@ -248,8 +247,7 @@ static int read_columns(struct mo_connection *reader, int64_t id, int64_t n,
       return MO_ERR_CORRUPT;
     columns->operators[i] = (uint8_t)sqlite3_column_int(row, 1);
     for (int p = 0; p < 2; p++)
-      columns->parents[p][i] =
-          sqlite3_column_type(row, 2 + p) == SQLITE_NULL ? MO_NO_PARENT : mo_column_u32(row, 2 + p);
+      columns->parents[p][i] = column_parent(row, 2 + p);
     columns->born[i] = mo_column_u32(row, 4);
     columns->died[i] =
         sqlite3_column_type(row, 5) == SQLITE_NULL ? MO_ALIVE : mo_column_u32(row, 5);

@@ -32,8 +32,7 @@ int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id,
                                     const struct mo_sha256 *sha256, const char *field,
                                     const char *detail)
 {
-  struct fault_arguments call = {id, sha256, field, detail};
-  return mo_write(store, tell_fault, &call);
+  return mo_write(store, tell_fault, &(struct fault_arguments){id, sha256, field, detail});
 }
 
 /* ---- the end ---- */

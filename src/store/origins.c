@@ -156,6 +156,5 @@ static int replace(struct mo_store *store, void *arguments)
 
 int mo_store_origin_replace(struct mo_store *store, const struct mo_origin_row *rows, size_t n)
 {
-  struct replacing call = {rows, n};
-  return mo_write(store, replace, &call);
+  return mo_write(store, replace, &(struct replacing){rows, n});
 }

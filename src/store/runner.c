@@ -104,8 +104,7 @@ static int set_weight(struct mo_store *store, void *arguments)
 
 int mo_store_set_weight(struct mo_store *store, int64_t id, double weight)
 {
-  struct weight_arguments call = {.id = id, .weight = weight};
-  return mo_write(store, set_weight, &call);
+  return mo_write(store, set_weight, &(struct weight_arguments){id, weight});
 }
 
 /* ---- start ---- */
@@ -144,8 +143,7 @@ static int requeue(struct mo_store *store, void *arguments)
 int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts,
                      const char *text)
 {
-  struct requeue_arguments call = {crashed, max_attempts, text};
-  return mo_write_urgent(store, requeue, &call);
+  return mo_write_urgent(store, requeue, &(struct requeue_arguments){crashed, max_attempts, text});
 }
 
 int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint32_t *n_idle,

@@ -211,6 +211,5 @@ static int note_code(struct mo_store *store, void *arguments)
 int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
                            const char *fingerprint, struct mo_training_lineage *lineage)
 {
-  struct code_arguments call = {id, step, fingerprint, lineage};
-  return mo_write(store, note_code, &call);
+  return mo_write(store, note_code, &(struct code_arguments){id, step, fingerprint, lineage});
 }

@@ -99,13 +99,6 @@ struct ranked {
   struct mo_bits genotype;
 };
 
-/* Only whole scores are ranked: a design that an evaluation of the best cut short has a lower
- * bound, unless another entry of its genotype has a score. */
-static bool is_ranked(const struct mo_evaluation_results *results, uint32_t n)
-{
-  return isfinite(results->scores[n]) && !results->is_bound[n];
-}
-
 /* Compares by score, then by bits, so that equal genotypes, which have equal scores, become
  * neighbors. */
 static int compare_ranked(const void *a, const void *b)
@@ -161,8 +154,10 @@ int mo_store_population(struct mo_store *store, int64_t id, uint32_t best, struc
   genotypes = calloc(results->n_designs, sizeof(*genotypes));
   if (ranked == NULL || genotypes == NULL)
     error = MO_ERR_NO_MEMORY;
+  /* Only whole scores are ranked: a design that an evaluation of the best cut short has a lower
+   * bound, unless another entry of its genotype has a score. */
   for (uint32_t i = 0; i < results->n_designs && error == MO_OK; i++)
-    if (is_ranked(results, i))
+    if (isfinite(results->scores[i]) && !results->is_bound[i])
       ranked[n_ranked++] = (struct ranked){results->scores[i], results->genotypes[i]};
   if (n_ranked > 0)
     qsort(ranked, n_ranked, sizeof(*ranked), compare_ranked);
