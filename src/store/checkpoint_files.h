@@ -20,6 +20,7 @@ struct mo_checkpoint {
   char *path;
   /* Nullable: looks, before the file is written, whether it may be. */
   int (*check)(struct mo_store *store, void *arguments);
+  bool is_urgent; /* may use the reserve */
   bool was_there;
   struct mo_checkpoints_removed dropped; /* that it replaces */
 };

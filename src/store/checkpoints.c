@@ -151,21 +151,21 @@ static void end(struct mo_store *store, struct mo_checkpoint *checkpoint, int er
 {
   const struct mo_file_operations *files = store->files;
   /* After an I/O error it is unknown whether the row exists, so the file stays. */
-  if (error != MO_OK && error != MO_ERR_IO && checkpoint->path != NULL && !checkpoint->was_there) {
-    char *folder = path_of(store, checkpoint->id, checkpoint->kind, NULL);
+  const bool drops_new =
+      error != MO_OK && error != MO_ERR_IO && checkpoint->path != NULL && !checkpoint->was_there;
+  char *folder = path_of(store, checkpoint->id, checkpoint->kind, NULL);
+  if (drops_new)
     (void)files->unlink(checkpoint->path);
-    if (folder != NULL)
-      (void)files->rmdir(folder); /* if it was made for this one */
-    free(folder);
-  }
   for (size_t i = 0; i < checkpoint->dropped.n && error == MO_OK; i++) {
     char *path = path_of(store, checkpoint->id, checkpoint->kind, &checkpoint->dropped.places[i]);
     if (path != NULL)
       (void)files->unlink(path); /* if this fails, the next start removes it */
     free(path);
   }
+  if (folder != NULL && (drops_new || checkpoint->dropped.n > 0))
+    (void)files->rmdir(folder); /* if it is empty */
+  free(folder);
   free(checkpoint->path);
-  checkpoint->path = NULL;
 }
 
 int mo_checkpoint_write(struct mo_store *store, const uint8_t *bytes,
@@ -177,7 +177,8 @@ int mo_checkpoint_write(struct mo_store *store, const uint8_t *bytes,
   if (error == MO_OK && bytes != NULL)
     error = begin(store, bytes, checkpoint);
   if (error == MO_OK)
-    error = mo_write(store, run, arguments);
+    error = checkpoint->is_urgent ? mo_write_urgent(store, run, arguments)
+                                  : mo_write(store, run, arguments);
   end(store, checkpoint, error);
   return error;
 }
@@ -263,17 +264,8 @@ static int remove_rows(struct mo_store *store, void *arguments)
 int mo_store_checkpoints_remove(struct mo_store *store, int64_t id, enum mo_job_kind kind,
                                 uint32_t step, struct mo_checkpoints_removed *removed)
 {
-  struct mo_checkpoint call = {.id = id, .kind = kind, .place.step = step};
-  char *folder = path_of(store, id, kind, NULL);
-  if (folder == NULL)
-    return MO_ERR_NO_MEMORY;
-  pthread_mutex_lock(&store->checkpoints_mutex);
-  int error = mo_write_urgent(store, remove_rows, &call);
-  end(store, &call, error);
-  if (error == MO_OK)
-    (void)store->files->rmdir(folder); /* if it is empty */
-  pthread_mutex_unlock(&store->checkpoints_mutex);
-  free(folder);
+  struct mo_checkpoint call = {.id = id, .kind = kind, .place.step = step, .is_urgent = true};
+  const int error = mo_checkpoint_write(store, NULL, &call, remove_rows, &call);
   if (error == MO_OK)
     *removed = call.dropped;
   return error;
