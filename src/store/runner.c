@@ -34,14 +34,12 @@ static int check_change(const struct change_arguments *call, enum mo_job_kind ki
 
 static int change_job(struct mo_store *store, void *arguments)
 {
-  /* A change clears MO_ERR_DEVICE, which is shown only while the job waits for a device. */
+  /* A change clears MO_ERR_DEVICE, which is shown only while the job waits for a device; a retry
+   * clears any error. */
   static const char sql[] =
-      "UPDATE jobs SET state=?2," MO_NEXT_VERSION ",finished_us=?3,"
-      "error=CASE error WHEN ?4 THEN 0 ELSE error END,"
-      "error_text=CASE error WHEN ?4 THEN NULL ELSE error_text END WHERE id=?1";
-  static const char retry_sql[] =
-      "UPDATE jobs SET state=?2," MO_NEXT_VERSION ",finished_us=?3,attempts=0,error=0,"
-      "error_text=NULL WHERE id=?1";
+      "UPDATE jobs SET state=?2," MO_NEXT_VERSION ",finished_us=?3,attempts=iif(?5,0,attempts),"
+      "error=iif(?5 OR error=?4,0,error),error_text=iif(?5 OR error=?4,NULL,error_text)"
+      " WHERE id=?1";
   static const char *const types[] = {"job.finished", "job.paused", "job.resumed", "job.resumed"};
   static const enum mo_job_state targets[] = {MO_JOB_CANCELLED, MO_JOB_PAUSED, MO_JOB_QUEUED,
                                               MO_JOB_QUEUED};
@@ -54,10 +52,9 @@ static int change_job(struct mo_store *store, void *arguments)
     error = check_change(call, kind, &is_idle);
   if (error != MO_OK || is_idle)
     return error;
-  error =
-      mo_sql_do(&store->writer, call->change == MO_CHANGE_RETRY ? retry_sql : sql, mo_int(call->id),
-                mo_int(target), mo_int(target == MO_JOB_CANCELLED ? mo_clock_wall_us() : 0),
-                mo_int(MO_ERR_DEVICE));
+  error = mo_sql_do(&store->writer, sql, mo_int(call->id), mo_int(target),
+                    mo_int(target == MO_JOB_CANCELLED ? mo_clock_wall_us() : 0),
+                    mo_int(MO_ERR_DEVICE), mo_int(call->change == MO_CHANGE_RETRY));
   return error == MO_OK ? mo_run_announce(store, call->id, kind, types[call->change], target, "")
                         : error;
 }
