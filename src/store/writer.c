@@ -418,8 +418,14 @@ static int enqueue(struct mo_store *store, struct mo_operation *operation)
   return MO_OK;
 }
 
-static int write_and_wait(struct mo_store *store, struct mo_operation operation)
+static int write_and_wait(struct mo_store *store,
+                          int (*run)(struct mo_store *store, void *arguments), void *arguments,
+                          bool is_urgent)
 {
+  struct mo_operation operation = {.run = run,
+                                   .arguments = arguments,
+                                   .is_urgent = is_urgent,
+                                   .released = PTHREAD_COND_INITIALIZER};
   const int error = enqueue(store, &operation);
   return error != MO_OK ? error : operation.status;
 }
@@ -427,29 +433,22 @@ static int write_and_wait(struct mo_store *store, struct mo_operation operation)
 int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
              void *arguments)
 {
-  return write_and_wait(store, (struct mo_operation){.run = run,
-                                                     .arguments = arguments,
-                                                     .released = PTHREAD_COND_INITIALIZER});
+  return write_and_wait(store, run, arguments, false);
 }
 
 int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
                     void *arguments)
 {
-  return write_and_wait(store, (struct mo_operation){.run = run,
-                                                     .arguments = arguments,
-                                                     .is_urgent = true,
-                                                     .released = PTHREAD_COND_INITIALIZER});
+  return write_and_wait(store, run, arguments, true);
 }
 
 int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
                    void *arguments, void (*done)(void *arguments, int status))
 {
-  struct mo_operation *operation = calloc(1, sizeof(*operation));
+  struct mo_operation *operation = malloc(sizeof(*operation));
   if (operation == NULL)
     return MO_ERR_NO_MEMORY;
-  operation->run = run;
-  operation->arguments = arguments;
-  operation->done = done;
+  *operation = (struct mo_operation){.run = run, .arguments = arguments, .done = done};
   int error = enqueue(store, operation);
   if (error != MO_OK)
     free(operation);
