@@ -12,14 +12,6 @@
 #include "store/internal.h"
 #include "store/scores.h"
 
-#define SETS_MAX 8 /* named sets whose means are made again, of those that have an environment */
-
-/* A named set that has environments of a condition. */
-struct named_set {
-  int64_t set;
-  bool is_whole; /* the condition has its environments, in their order */
-};
-
 struct entry {
   const struct mo_score_block *block;
   struct mo_message *message;
@@ -33,8 +25,8 @@ struct entry {
   const struct mo_campaign_score *before;
   int64_t origin;
   struct mo_condition condition;
-  struct named_set sets[SETS_MAX];
-  uint32_t n_sets;
+  int64_t set;   /* named set that has environments of the condition; 0: none */
+  bool is_whole; /* the condition has its environments, in their order */
 };
 
 /* ---- the tables of the block ---- */
@@ -81,24 +73,24 @@ static int enter_tables(struct mo_store *store, struct entry *entry)
 
 /* ---- a score ---- */
 
-/* Finds the named sets that have environments of the condition. */
-static int find_sets(struct mo_connection *writer, struct entry *entry)
+/* Finds the named set that has environments of the condition: there is one at most, the paper's. */
+static int find_set(struct mo_connection *writer, struct entry *entry)
 {
   static const char sql[] =
       "SELECT m.environment_set,s.n,sum(m.position=v.position) FROM condition_environments v"
       " JOIN environment_set_members m ON m.environment=v.environment"
       " JOIN environment_sets s ON s.id=m.environment_set WHERE v.condition=?1"
-      " GROUP BY m.environment_set ORDER BY m.environment_set";
+      " GROUP BY m.environment_set";
   const struct mo_condition *condition = &entry->condition;
-  int error = MO_OK;
-  entry->n_sets = 0;
-  sqlite3_stmt *row = mo_sql_rows(writer, &error, sql, mo_int(condition->id));
-  while (entry->n_sets < SETS_MAX && mo_sql_next(writer, row, &error))
-    entry->sets[entry->n_sets++] =
-        (struct named_set){.set = sqlite3_column_int64(row, 0),
-                           .is_whole = sqlite3_column_int64(row, 1) == condition->n &&
-                                       sqlite3_column_int64(row, 2) == condition->n};
-  return error;
+  sqlite3_stmt *row;
+  const int error = mo_sql_row(writer, &row, sql, mo_int(condition->id));
+  entry->set = 0;
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+  entry->set = sqlite3_column_int64(row, 0);
+  entry->is_whole =
+      sqlite3_column_int64(row, 1) == condition->n && sqlite3_column_int64(row, 2) == condition->n;
+  return MO_OK;
 }
 
 /* Refuses a condition with an environment twice, which two lines of the block may be: the losses
@@ -144,7 +136,7 @@ static int find_condition(struct mo_store *store, struct entry *entry, uint32_t 
     error = mo_text_row(writer, MO_FINGERPRINTS, score->fingerprint, &condition->fingerprint);
   if (error == MO_OK)
     error = mo_condition_row(writer, condition);
-  return error == MO_OK ? find_sets(writer, entry) : error;
+  return error == MO_OK ? find_set(writer, entry) : error;
 }
 
 /* Describes a row that differs. */
@@ -177,20 +169,18 @@ static void note_difference(struct entry *entry, uint32_t i, const struct mo_sco
   }
 }
 
-static int enter_means(struct mo_connection *writer, const struct entry *entry,
-                       const struct mo_campaign_score *score)
+static int enter_mean(struct mo_connection *writer, const struct entry *entry,
+                      const struct mo_campaign_score *score)
 {
+  const struct mo_saved_design design =
+      mo_design_under(&entry->condition, entry->designs[score->number], entry->set);
   double sum = 0;
-  int error = MO_OK;
+  if (entry->set == 0)
+    return MO_OK;
   for (uint32_t k = 0; k < score->n; k++)
     sum += score->losses[k];
-  for (uint32_t i = 0; i < entry->n_sets && error == MO_OK; i++) {
-    const struct mo_saved_design design =
-        mo_design_under(&entry->condition, entry->designs[score->number], entry->sets[i].set);
-    error = entry->sets[i].is_whole ? mo_set_score_insert_mean(writer, &design, sum / score->n)
-                                    : mo_set_score_insert(writer, &design);
-  }
-  return error;
+  return entry->is_whole ? mo_set_score_insert_mean(writer, &design, sum / score->n)
+                         : mo_set_score_insert(writer, &design);
 }
 
 static int enter_score(struct mo_store *store, struct entry *entry, uint32_t i)
@@ -219,7 +209,7 @@ static int enter_score(struct mo_store *store, struct entry *entry, uint32_t i)
     return MO_OK;
   error = mo_losses_insert(store, &entry->condition, genotype, entry->origin, score->losses,
                            score->diverged_steps, score->computed_us, &is_new);
-  return error == MO_OK ? enter_means(&store->writer, entry, score) : error;
+  return error == MO_OK ? enter_mean(&store->writer, entry, score) : error;
 }
 
 /* ---- the block ---- */
