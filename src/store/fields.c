@@ -8,8 +8,6 @@
 #include "store/campaigns.h"
 #include "store/trainings.h"
 
-#define COUNT(array) (sizeof(array) / sizeof((array)[0]))
-
 /* ---- trainings ---- */
 
 #define AT(member) offsetof(struct mo_training_record, member)
@@ -22,7 +20,7 @@ static const struct mo_field validation_rows[] = {
     {"environments", MO_FIELD_COUNT, 0, AT(settings.held_out_environments), .min = 1,
      .max = MO_HELD_OUT_ENVIRONMENTS_MAX, .unit = "environments", .help = "held-out environments"},
 };
-static const struct mo_fields validation = {validation_rows, COUNT(validation_rows)};
+static const struct mo_fields validation = MO_FIELDS(validation_rows);
 static const struct mo_field checkpoint_rows[] = {
     {"every_steps", MO_FIELD_COUNT, 0, AT(checkpoint_every_steps), .min = 0,
      .max = MO_TRAINING_STEPS_MAX, .unit = "steps",
@@ -33,7 +31,7 @@ static const struct mo_field checkpoint_rows[] = {
     {"keep", MO_FIELD_COUNT, 0, AT(checkpoints_kept), .min = 1, .max = MO_CHECKPOINTS_KEPT_MAX,
      .unit = "checkpoints", .help = "newest checkpoints that are kept"},
 };
-static const struct mo_fields checkpoint = {checkpoint_rows, COUNT(checkpoint_rows)};
+static const struct mo_fields checkpoint = MO_FIELDS(checkpoint_rows);
 static const struct mo_field training_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_training_fields},
     {"validation", MO_FIELD_GROUP, 0, 0, .group = &validation, .unit = "",
@@ -41,7 +39,7 @@ static const struct mo_field training_rows[] = {
     {"checkpoint", MO_FIELD_GROUP, 0, 0, .group = &checkpoint, .unit = "",
      .help = "when checkpoints are written"},
 };
-const struct mo_fields mo_training_record_fields = {training_rows, COUNT(training_rows)};
+const struct mo_fields mo_training_record_fields = MO_FIELDS(training_rows);
 static const struct mo_field stored_training_rows[] = {
     {"kind", MO_FIELD_WORD, 0, AT(settings.kind), .words = mo_training_kind_words, .unit = "",
      .help = ""},
@@ -55,14 +53,14 @@ static const struct mo_field stored_training_rows[] = {
 static const struct mo_field campaign_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_fields},
 };
-const struct mo_fields mo_campaign_record_fields = {campaign_rows, COUNT(campaign_rows)};
+const struct mo_fields mo_campaign_record_fields = MO_FIELDS(campaign_rows);
 static const struct mo_field learning_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_learning_fields},
     {"checkpoint_every_s", MO_FIELD_COUNT, 0, AT(checkpoint_every_s), .min = 0,
      .max = MO_CHECKPOINT_SECONDS_MAX, .unit = "s",
      .help = "seconds between two checkpoints within a generation; 0: at its end only"},
 };
-const struct mo_fields mo_campaign_record_learning_fields = {learning_rows, COUNT(learning_rows)};
+const struct mo_fields mo_campaign_record_learning_fields = MO_FIELDS(learning_rows);
 static const struct mo_field stored_campaign_rows[] = {
     {"mode", MO_FIELD_WORD, 0, AT(settings.mode), .words = mo_campaign_mode_words, .unit = "",
      .help = ""},
@@ -76,8 +74,8 @@ static const struct mo_field stored_campaign_rows[] = {
 
 /* By kind of job. */
 static const struct mo_fields stored_fields[MO_JOB_KINDS] = {
-    [MO_JOB_TRAINING] = {stored_training_rows, COUNT(stored_training_rows)},
-    [MO_JOB_CAMPAIGN] = {stored_campaign_rows, COUNT(stored_campaign_rows)}};
+    [MO_JOB_TRAINING] = MO_FIELDS(stored_training_rows),
+    [MO_JOB_CAMPAIGN] = MO_FIELDS(stored_campaign_rows)};
 
 void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text)
 {
