@@ -64,14 +64,15 @@ int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,
 
 int mo_text_row(struct mo_connection *writer, enum mo_texts table, const char *text, int64_t *id)
 {
-  static const char *const insert_sql[] = {
-      [MO_FINGERPRINTS] = "INSERT OR IGNORE INTO fingerprints(text) VALUES(?1)",
-      [MO_ORIGINS] = "INSERT OR IGNORE INTO origins(text) VALUES(?1)"};
+  static const char *const insert_sql[] = {[MO_FINGERPRINTS] =
+                                               "INSERT INTO fingerprints(text) VALUES(?1)",
+                                           [MO_ORIGINS] = "INSERT INTO origins(text) VALUES(?1)"};
   static const char *const find_sql[] = {[MO_FINGERPRINTS] =
                                              "SELECT id FROM fingerprints WHERE text=?1",
                                          [MO_ORIGINS] = "SELECT id FROM origins WHERE text=?1"};
-  const int error = mo_sql_do(writer, insert_sql[table], mo_string(text));
-  return error == MO_OK ? mo_sql_find(writer, id, find_sql[table], mo_string(text)) : error;
+  const int error = mo_sql_find(writer, id, find_sql[table], mo_string(text));
+  return error == MO_ERR_NOT_FOUND ? mo_sql_insert(writer, id, insert_sql[table], mo_string(text))
+                                   : error;
 }
 
 /* ---- named sets ---- */

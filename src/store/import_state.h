@@ -15,10 +15,7 @@ struct mo_import {
   int64_t id, controller, physics, set;
   uint32_t n_environments;
   int64_t environments[MO_ENVIRONMENTS_MAX]; /* rows */
-  /* Of the score before: rows that the next one mostly shares. */
-  char fingerprint[MO_FINGERPRINT_BYTES], origin[MO_ORIGIN_BYTES];
-  int64_t origin_row;
-  struct mo_condition condition;
+  struct mo_condition last; /* of the score before, which the next one mostly shares */
   /* The evaluation that is entered. */
   int64_t evaluation;
   int32_t *diverged_steps; /* (designs, recorded_environments) malloc */

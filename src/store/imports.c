@@ -249,8 +249,6 @@ int mo_import_campaign(struct mo_import *import, const struct mo_imported_campai
     error = insert_campaign(import, campaign, *group);
   if (error == MO_OK)
     error = insert_environments(import, campaign, *group);
-  import->condition = (struct mo_condition){.id = 0};
-  import->fingerprint[0] = import->origin[0] = '\0';
   *id = import->id;
   if (error == MO_OK)
     error = mo_source_insert(import, import->id, &campaign->source);
@@ -312,32 +310,19 @@ int mo_import_step(struct mo_import *import, const struct mo_campaign_step *step
 
 /* ---- scores ---- */
 
-/* Finds the rows of class, origin and condition, unless they are those of the score before. */
-static int find_condition(struct mo_import *import, const struct mo_campaign_score *score)
+/* Finds the rows of origin, class and condition. */
+static int find_condition(struct mo_import *import, const struct mo_campaign_score *score,
+                          int64_t *origin, struct mo_condition *condition)
 {
   struct mo_connection *writer = &import->store->writer;
-  struct mo_condition *condition = &import->condition;
-  int64_t environments[MO_BLOCK_LANES] = {0};
-  int error = MO_OK;
-  if (strcmp(import->origin, score->origin) != 0) {
-    error = mo_text_row(writer, MO_ORIGINS, score->origin, &import->origin_row);
-    memcpy(import->origin, score->origin, sizeof(import->origin));
-  }
-  for (uint32_t k = 0; k < score->n; k++)
-    environments[k] = import->environments[score->environments[k]];
-  if (error == MO_OK && condition->id != 0 && condition->n == score->n &&
-      strcmp(import->fingerprint, score->fingerprint) == 0 &&
-      memcmp(condition->environments, environments, score->n * sizeof(*environments)) == 0)
-    return MO_OK;
   *condition = (struct mo_condition){
       .controller = import->controller, .physics = import->physics, .n = score->n};
-  memcpy(condition->environments, environments, sizeof(environments));
+  for (uint32_t k = 0; k < score->n; k++)
+    condition->environments[k] = import->environments[score->environments[k]];
+  int error = mo_text_row(writer, MO_ORIGINS, score->origin, origin);
   if (error == MO_OK)
     error = mo_text_row(writer, MO_FINGERPRINTS, score->fingerprint, &condition->fingerprint);
-  if (error == MO_OK)
-    error = mo_condition_row(writer, condition);
-  memcpy(import->fingerprint, score->fingerprint, sizeof(import->fingerprint));
-  return error;
+  return error == MO_OK ? mo_condition_row_after(writer, condition, &import->last) : error;
 }
 
 int mo_import_score(struct mo_import *import, const struct mo_campaign_score *score, bool *is_new)
@@ -345,18 +330,19 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
   static const char sql[] = "SELECT genotype FROM campaign_designs WHERE job=?1 AND number=?2";
   struct mo_connection *writer = &import->store->writer;
   struct mo_score stored[MO_BLOCK_LANES];
-  int64_t genotype = 0;
+  struct mo_condition condition;
+  int64_t genotype = 0, origin = 0;
   double sum = 0;
   beat(import);
   int error = mo_sql_find(writer, &genotype, sql, mo_int(import->id), mo_int(score->number));
   if (error == MO_OK)
-    error = find_condition(import, score);
+    error = find_condition(import, score, &origin, &condition);
   if (error == MO_OK)
-    error = mo_losses_compare(writer, &import->condition, genotype, score->losses,
-                              score->diverged_steps, stored);
+    error = mo_losses_compare(writer, &condition, genotype, score->losses, score->diverged_steps,
+                              stored);
   if (error == MO_OK)
-    error = mo_losses_insert(import->store, &import->condition, genotype, import->origin_row,
-                             score->losses, score->diverged_steps, score->computed_us, is_new);
+    error = mo_losses_insert(import->store, &condition, genotype, origin, score->losses,
+                             score->diverged_steps, score->computed_us, is_new);
   if (error != MO_OK || !*is_new || import->set == 0)
     return error;
   bool is_whole = score->n == import->n_environments;
@@ -364,7 +350,7 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
     sum += score->losses[k];
     is_whole = is_whole && score->environments[k] == k;
   }
-  const struct mo_saved_design design = mo_design_under(&import->condition, genotype, import->set);
+  const struct mo_saved_design design = mo_design_under(&condition, genotype, import->set);
   return is_whole ? mo_set_score_insert_mean(writer, &design, sum / score->n)
                   : mo_set_score_insert(writer, &design);
 }
