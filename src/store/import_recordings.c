@@ -52,29 +52,14 @@ int mo_store_campaign_recordings(struct mo_store *store, int64_t id, int64_t **e
   return error;
 }
 
-static int read_places(struct mo_connection *reader, int64_t group, int64_t id,
-                       struct mo_imported_evaluation *evaluation)
+/* Reads a column of numbers, at most `most`. */
+static int read_list(struct mo_connection *reader, const char *sql, int64_t id, int64_t other,
+                     uint32_t *list, uint32_t most, uint32_t *n)
 {
-  static const char sql[] = "SELECT min(y.position) FROM job_environments x JOIN job_environments y"
-                            " ON y.environment=x.environment AND y.job=?2 WHERE x.job=?1"
-                            " GROUP BY x.position ORDER BY x.position";
   int error = MO_OK;
-  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id), mo_int(group));
-  while (evaluation->n_environments < MO_ENVIRONMENTS_MAX && mo_sql_next(reader, row, &error))
-    evaluation->environments[evaluation->n_environments++] = mo_column_u32(row, 0);
-  return error;
-}
-
-static int read_numbers(struct mo_connection *reader, int64_t campaign, int64_t id,
-                        struct mo_imported_evaluation *evaluation)
-{
-  static const char sql[] = "SELECT min(d.number) FROM job_designs x CROSS JOIN campaign_designs d"
-                            " ON d.genotype=x.genotype AND d.job=?2 WHERE x.job=?1"
-                            " GROUP BY x.position ORDER BY x.position";
-  int error = MO_OK;
-  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id), mo_int(campaign));
-  while (evaluation->n_designs < MO_DESIGNS_MAX && mo_sql_next(reader, row, &error))
-    evaluation->numbers[evaluation->n_designs++] = mo_column_u32(row, 0);
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id), mo_int(other));
+  while (*n < most && mo_sql_next(reader, row, &error))
+    list[(*n)++] = mo_column_u32(row, 0);
   return error;
 }
 
@@ -101,6 +86,14 @@ static int read_origin(struct mo_connection *reader, uint64_t own, int64_t id,
 int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64_t id,
                                  struct mo_imported_evaluation *evaluation)
 {
+  static const char places_sql[] =
+      "SELECT min(y.position) FROM job_environments x JOIN job_environments y"
+      " ON y.environment=x.environment AND y.job=?2 WHERE x.job=?1"
+      " GROUP BY x.position ORDER BY x.position";
+  static const char numbers_sql[] =
+      "SELECT min(d.number) FROM job_designs x CROSS JOIN campaign_designs d"
+      " ON d.genotype=x.genotype AND d.job=?2 WHERE x.job=?1"
+      " GROUP BY x.position ORDER BY x.position";
   struct mo_job job;
   struct mo_campaign_head head;
   int error = mo_store_job(store, id, &job);
@@ -123,9 +116,11 @@ int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64
   if (error == MO_OK)
     error = read_origin(reader, mo_store_id(store), id, evaluation);
   if (error == MO_OK)
-    error = read_places(reader, head.group, id, evaluation);
+    error = read_list(reader, places_sql, id, head.group, evaluation->environments,
+                      MO_ENVIRONMENTS_MAX, &evaluation->n_environments);
   if (error == MO_OK)
-    error = read_numbers(reader, campaign, id, evaluation);
+    error = read_list(reader, numbers_sql, id, campaign, evaluation->numbers, MO_DESIGNS_MAX,
+                      &evaluation->n_designs);
   return error == MO_OK && (evaluation->n_designs != job.n_designs ||
                             evaluation->n_environments != job.n_environments)
              ? MO_ERR_NOT_FOUND /* one of them was deleted meanwhile */
