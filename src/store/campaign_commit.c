@@ -118,9 +118,7 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
   for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++) {
     const struct mo_campaign_design design = {
         .number = (uint32_t)commit->row.born_before + i,
-        .descent = {{parent_number(commit, &commit->births[i], 0),
-                     parent_number(commit, &commit->births[i], 1)},
-                    (uint8_t)commit->births[i].op},
+        .descent = {{call->births[i].parents[0], call->births[i].parents[1]}, call->births[i].op},
         .born = born,
         .died = call->lives[commit->n_parents + i] ? -1 : (int64_t)born,
         .score = commit->child_scores[i],

@@ -114,13 +114,16 @@ int mo_store_campaign_designs_of(struct mo_store *store, int64_t id, const uint3
 
 /* ---- populations ---- */
 
-static int64_t load_population(struct mo_connection *reader, int64_t id, int64_t generation,
-                               uint32_t offset, struct mo_campaign_design *rows, size_t limit,
-                               uint32_t *n)
+int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t generation,
+                                     uint32_t offset, struct mo_campaign_design *rows, size_t limit,
+                                     uint32_t *n)
 {
   struct mo_campaign_members members;
   struct mo_campaign_head head = {0};
   int64_t filled = 0;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int error = mo_campaign_head_get(reader, id, &head);
   if (error == MO_OK)
     error = mo_campaign_members_get(reader, id, generation < 0 ? head.generation : generation,
@@ -135,16 +138,6 @@ static int64_t load_population(struct mo_connection *reader, int64_t id, int64_t
     rows[filled++].score = members.population[i].score;
   }
   return filled;
-}
-
-int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t generation,
-                                     uint32_t offset, struct mo_campaign_design *rows, size_t limit,
-                                     uint32_t *n)
-{
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
-  return load_population(reader, id, generation, offset, rows, limit, n);
 }
 
 /* ---- descents ---- */

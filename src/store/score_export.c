@@ -50,20 +50,13 @@ void mo_score_block_free(struct mo_score_block *block)
 
 /* ---- the tables of a block. MO_ERR_LIMIT: it has no more room ---- */
 
-static bool is_sent(const struct mo_score_walk *walk, const struct mo_sha256 *sha256)
-{
-  for (size_t i = 0; i < walk->n_sent; i++)
-    if (mo_sha256_equal(&walk->sent[i], sha256))
-      return true;
-  return false;
-}
-
 /* Notes that the block takes the weights of a controller, of which it has room for one. */
 static int send_weights(struct mo_score_walk *walk, struct mo_score_block *block,
                         const struct mo_sha256 *sha256)
 {
-  if (is_sent(walk, sha256))
-    return MO_OK;
+  for (size_t i = 0; i < walk->n_sent; i++)
+    if (mo_sha256_equal(&walk->sent[i], sha256))
+      return MO_OK;
   if (block->weights_size > 0)
     return MO_ERR_LIMIT;
   if (walk->n_sent == walk->room) {

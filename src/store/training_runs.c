@@ -172,15 +172,6 @@ struct code_arguments {
   struct mo_training_lineage *lineage;
 };
 
-static int announce_code(struct mo_store *store, const struct code_arguments *call,
-                         const char *before)
-{
-  return mo_writer_event(
-      store, call->id, "training.code_changed",
-      "{\"id\":\"%lld\",\"from_step\":%u,\"before\":\"%s\",\"fingerprint\":\"%s\"}",
-      (long long)call->id, (unsigned)call->step, before, call->fingerprint);
-}
-
 static int note_code(struct mo_store *store, void *arguments)
 {
   static const char sql[] = "DELETE FROM training_code WHERE job=?1 AND from_step>=?2";
@@ -205,7 +196,12 @@ static int note_code(struct mo_store *store, void *arguments)
     error = insert_code(writer, call->id, call->lineage->codes[n - 1].from_step, VARIOUS);
   if (error == MO_OK)
     error = mo_training_code_load(writer, call->id, call->lineage);
-  return error == MO_OK && n > 0 ? announce_code(store, call, before) : error;
+  if (error != MO_OK || n == 0)
+    return error;
+  return mo_writer_event(
+      store, call->id, "training.code_changed",
+      "{\"id\":\"%lld\",\"from_step\":%u,\"before\":\"%s\",\"fingerprint\":\"%s\"}",
+      (long long)call->id, (unsigned)call->step, before, call->fingerprint);
 }
 
 int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
