@@ -1,11 +1,8 @@
 /* campaign_runs.c: what the runner of a campaign does between generations: start, park, checkpoints
  * inside a generation, the end, the state from which it resumes. Writes are fenced as in runs.h. */
-#include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "store/campaign_rows.h"
-#include "store/contents.h"
 #include "store/rows.h"
 
 /* ---- warnings ---- */

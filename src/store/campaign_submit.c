@@ -1,7 +1,5 @@
 /* campaign_submit.c: accepts a campaign with its replicates, and extends a campaign. */
 #include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 
 #include "store/campaign_rows.h"
 

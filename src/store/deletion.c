@@ -7,7 +7,6 @@
  * reserve, and files go; the other steps wait until there is space. */
 #include "store/deletion.h"
 
-#include <stdio.h>
 #include <stdlib.h>
 
 #include "base/clock.h"

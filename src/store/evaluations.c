@@ -1,6 +1,5 @@
 /* evaluations.c: reads the results and trajectories of evaluations. */
 #include <math.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 

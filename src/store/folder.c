@@ -6,8 +6,6 @@
  * the lock: a lock on a file in the folder is lost when the file is deleted. */
 #include <errno.h>
 #include <fcntl.h>
-#include <limits.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/file.h>

@@ -3,7 +3,6 @@
  * source. */
 #include "store/imports.h"
 
-#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

@@ -3,7 +3,6 @@
 #include "store/origins.h"
 
 #include "base/clock.h"
-#include "store/contents.h"
 #include "store/runs.h"
 #include "store/scores.h"
 

@@ -8,7 +8,6 @@
 #include "store/recordings.h"
 
 #include <math.h>
-#include <stdio.h>
 #include <stdlib.h>
 
 #include "base/clock.h"

@@ -1,9 +1,6 @@
 /* rows.c: see rows.h. REAL keeps the bits of every number but NaN, which is NULL. */
 #include "store/rows.h"
 
-#include <stdio.h>
-#include <string.h>
-
 #include "base/text.h"
 #include "store/campaigns.h"
 #include "store/columns.h"

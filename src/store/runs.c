@@ -7,7 +7,6 @@
 #include "base/clock.h"
 #include "store/controller_rows.h"
 #include "store/fields.h"
-#include "store/jobs.h"
 
 int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
                      enum mo_job_kind *kind)

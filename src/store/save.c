@@ -4,9 +4,6 @@
  * (its epoch). So a job that a client has cancelled or paused meanwhile keeps that state. Scores
  * are stored in any case, because they are true. So are the counts of a job that is not final;
  * otherwise blocks that finish after a pause would seem to be another job's work. */
-#include <stdio.h>
-#include <string.h>
-
 #include "store/recordings.h"
 #include "store/runs.h"
 #include "store/scores.h"

@@ -4,7 +4,6 @@
 #include "store/score_blocks.h"
 
 #include <stdlib.h>
-#include <string.h>
 
 #include "store/controller_rows.h"
 #include "store/internal.h"

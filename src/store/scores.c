@@ -10,8 +10,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/clock.h"
-
 _Static_assert(MO_BLOCK_LANES == 16, "the schema limits the length of rows");
 
 #define KEY_WORDS (6 + MO_BLOCK_LANES)

@@ -4,7 +4,6 @@
  * prepared once per connection. */
 #include <errno.h>
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "store/internal.h"

@@ -1,7 +1,6 @@
 /* submit.c: accepts jobs: stores all that a job needs later, in one transaction. */
 #include "store/runs.h"
 
-#include <stdio.h>
 #include <string.h>
 
 #include "base/clock.h"

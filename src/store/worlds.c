@@ -3,7 +3,6 @@
 
 #include <stdlib.h>
 
-#include "store/contents.h"
 #include "store/internal.h"
 
 static int take_environment(sqlite3_stmt *row, void *environment)
