@@ -106,8 +106,7 @@ static const json_t *send_bundle(struct ctl *ctl, const char *path)
                                           .path = path,
                                           .content_type = BUNDLE_TYPE,
                                           .body = bytes,
-                                          .body_bytes = n,
-                                          .repeatable = true},
+                                          .body_bytes = n},
                         NULL));
 }
 

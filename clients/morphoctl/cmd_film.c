@@ -76,7 +76,6 @@ static void load_scene(struct ctl *ctl, struct film *film)
   struct request how = json_request("POST", "/v1/rollouts", request);
   struct reply *reply = &film->replies[0];
   how.accept = "application/vnd.morphod.scene";
-  how.repeatable = true;
   transport_send(ctl, &how, reply);
   film->scene = scene_read(reply->body, reply->body_bytes);
 }

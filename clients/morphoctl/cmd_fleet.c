@@ -132,10 +132,9 @@ static const char *await_return(struct ctl *ctl, const json_t *before, const jso
 static void upgrade(struct ctl *ctl, const json_t *worker, const char *wanted, int64_t within_s)
 {
   const char *name = text_of(worker, "name"), *old = text_of(worker, "version");
-  struct request drain = {
+  const struct request drain = {
       .method = "POST",
-      .path = path_to("/v1/fleet/sessions/%s/drain?upgrade=true", text_of(worker, "id")),
-      .repeatable = true};
+      .path = path_to("/v1/fleet/sessions/%s/drain?upgrade=true", text_of(worker, "id"))};
   struct reply reply;
   json_t *before = send_json(ctl, &(struct request){.method = "GET", .path = "/v1/fleet"}, NULL);
   transport_send(ctl, &drain, &reply);
@@ -183,9 +182,7 @@ void run_fleet_drain(struct ctl *ctl)
     return;
   }
   const char *id = job_id(ctl->operands[0]);
-  act(ctl,
-      (struct request){
-          .method = "POST", .path = path_to("/v1/fleet/sessions/%s/drain", id), .repeatable = true},
+  act(ctl, (struct request){.method = "POST", .path = path_to("/v1/fleet/sessions/%s/drain", id)},
       path_to("%s gets no more work", id));
 }
 
@@ -196,10 +193,8 @@ void run_fleet_quarantine(struct ctl *ctl)
   const char *id = job_id(ctl->operands[0]);
   const json_t *why =
       keep(ctl->n_operands > 1 ? json_pack("{s:s}", "why", ctl->operands[1]) : json_object());
-  struct request request =
-      json_request("POST", path_to("/v1/fleet/sessions/%s/quarantine", id), why);
-  request.repeatable = true;
-  act(ctl, request, path_to("%s is in quarantine", id));
+  act(ctl, json_request("POST", path_to("/v1/fleet/sessions/%s/quarantine", id), why),
+      path_to("%s is in quarantine", id));
 }
 
 void run_fleet_release(struct ctl *ctl)
@@ -225,9 +220,8 @@ static int verify_all(struct ctl *ctl, json_t *whole)
   json_t *request = keep(
       json_pack("{s:s, s:b}", "origin", ctl->operands[0], "repair", option_is_set(ctl, "repair")));
   for (;;) {
-    struct request how = json_request("POST", "/v1/fleet/verify", request);
+    const struct request how = json_request("POST", "/v1/fleet/verify", request);
     json_t *page;
-    how.repeatable = true;
     const int status = try_json(ctl, &how, NULL, &page);
     add_page(whole, page);
     json_object_set(request, "after", json_object_get(page, "next"));

@@ -97,8 +97,7 @@ void run_job_change(struct ctl *ctl)
 {
   char verb[16]; /* not by path_to: each job takes a path */
   snprintf(verb, sizeof(verb), "/%s", strchr(ctl->command->name, ' ') + 1);
-  /* May be repeated, since a job that is in the state already stays in it. */
-  each_job(ctl, (struct request){.method = "POST", .repeatable = true}, "job", verb, " is {state}",
+  each_job(ctl, (struct request){.method = "POST"}, "job", verb, " is {state}",
            " is {state}, its running work is being stopped");
 }
 

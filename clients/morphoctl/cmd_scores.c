@@ -110,8 +110,7 @@ static int send_block(struct sending *sending, const char *block, size_t size)
                                                 .path = "/v1/scores",
                                                 .content_type = SCORES_TYPE,
                                                 .body = block,
-                                                .body_bytes = size,
-                                                .repeatable = true},
+                                                .body_bytes = size},
                               NULL, &entered);
   if (status != STATUS_OK)
     return complain(status, "%s: the block at byte %" PRIu64 " was not entered", sending->name,

@@ -12,13 +12,12 @@
 #define SAMPLER_BYTES_MAX  ((size_t)16 << 20)
 #define WAIT_S             50
 
-/* Posts to a path below the study; the request may be repeated. */
+/* Posts to a path below the study. */
 static json_t *post(struct ctl *ctl, const char *verb, const json_t *request)
 {
   struct request how =
       json_request("POST", path_to("/v1/campaigns/%s/%s", ctl->operands[0], verb), request);
   how.wait_s = WAIT_S;
-  how.repeatable = true;
   return keep(send_json(ctl, &how, NULL));
 }
 

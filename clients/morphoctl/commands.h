@@ -28,7 +28,7 @@ void request_fill_record(const struct ctl *ctl, json_t *request, const char *usu
 void request_fill_physics(const struct ctl *ctl, json_t *request);
 /* Makes a request with a body of JSON; NULL: without one. */
 struct request json_request(const char *method, const char *path, const json_t *json);
-/* Posts what may be repeated, because it does nothing the second time. */
+/* Posts what does nothing the second time. */
 json_t *post_again(struct ctl *ctl, const char *path, const json_t *request);
 /* Returns the designs of the operands from `first` on, and n_random random ones, which the server
  * draws; those of standard input if there is neither. */

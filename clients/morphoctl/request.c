@@ -153,8 +153,7 @@ struct request json_request(const char *method, const char *path, const json_t *
 
 json_t *post_again(struct ctl *ctl, const char *path, const json_t *request)
 {
-  struct request how = json_request("POST", path, request);
-  how.repeatable = true;
+  const struct request how = json_request("POST", path, request);
   return keep(send_json(ctl, &how, NULL));
 }
 

@@ -189,12 +189,6 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
   return code;
 }
 
-static bool may_repeat(const struct request *request)
-{
-  return !request->once &&
-         (request->repeatable || request->key != NULL || strcmp(request->method, "POST") != 0);
-}
-
 static bool is_passing(CURLcode code)
 {
   switch (code) {
@@ -237,13 +231,13 @@ int transport_try(struct ctl *ctl, const struct request *request, struct reply *
       ctl->transport->has_answered = true;
       bool later = reply->status == 429 || (reply->status == 503 && reply->retry_after_s >= 0);
       double asked_s = reply->retry_after_s > 0 ? (double)reply->retry_after_s : 0.2;
-      if (!later || !may_repeat(request) || asked_s > left_s)
+      if (!later || request->once || asked_s > left_s)
         return STATUS_OK;
       pause_s(asked_s);
     } else {
       if (!is_passing(code))
         return complain(STATUS_ERROR, "%s: %s", ctl->server, curl_easy_strerror(code));
-      if (!may_repeat(request) || pause > left_s)
+      if (request->once || pause > left_s)
         return complain_about_server(ctl, curl_easy_strerror(code));
       pause_s(pause);
       pause = pause * 2 > 5 ? 5 : pause * 2;

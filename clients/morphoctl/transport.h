@@ -1,8 +1,8 @@
 /* transport.h: sends requests to the server over HTTP, with libcurl.
  *
- * Requests that are safe to repeat are repeated: after a broken connection with growing pauses,
- * after 429 and 503 when Retry-After says. Safe to repeat are GET, PUT, DELETE, and a POST with an
- * Idempotency-Key. */
+ * Requests are repeated: after a broken connection with growing pauses, after 429 and 503 when
+ * Retry-After says. All of them are safe to repeat: a POST has an Idempotency-Key, or does nothing
+ * the second time. */
 #ifndef MORPHOCTL_TRANSPORT_H
 #define MORPHOCTL_TRANSPORT_H
 
@@ -21,7 +21,6 @@ struct request {
   const char *last_event; /* Last-Event-ID; NULL: none */
   unsigned wait_s;        /* seconds for Prefer: wait (0: none) */
   bool once;              /* never repeat this request */
-  bool repeatable;        /* a POST that may be repeated, because it does nothing the second time */
 };
 
 struct reply {
@@ -36,7 +35,6 @@ struct reply {
 struct transport;
 
 void transport_open(struct ctl *ctl);
-void transport_close(struct ctl *ctl);
 
 /* Makes a path, which stays until the fourth call after this one. */
 const char *path_to(const char *format, ...) __attribute__((format(printf, 1, 2)));
