@@ -68,10 +68,8 @@ void run_design_show(struct ctl *ctl)
 
 void run_design_list(struct ctl *ctl)
 {
-  const char *sort = option_text(ctl, "sort", "id");
-  const bool by_score = strcmp(sort, "score") == 0;
-  if (!by_score && strcmp(sort, "id") != 0)
-    fail(STATUS_USAGE, "--sort: \"%s\" is not id or score", sort);
+  static const char *const orders[] = {"id", "score", NULL};
+  const bool by_score = strcmp(option_word(ctl, "sort", orders, "id"), "score") == 0;
   list_items(ctl, "/v1/designs", 100,
              by_score ? DESIGN_COLUMNS("|>score={score:.4f}") : DESIGN_COLUMNS(""));
 }

@@ -184,7 +184,8 @@ void run_eval(struct ctl *ctl)
 {
   const bool wait = !option_is_set(ctl, "no-wait"), speaks = !ctl->json && !ctl->quiet;
   const bool races = option_is_set(ctl, "best");
-  const char *sort = option_text(ctl, "sort", races ? "score" : "input"),
+  static const char *const orders[] = {"input", "score", NULL};
+  const char *sort = option_word(ctl, "sort", orders, races ? "score" : "input"),
              *output = option_text(ctl, "output", NULL);
   const struct designs designs =
       given_designs(ctl, 0, option_number(ctl, "random", 1, DESIGNS_MAX, 0),
@@ -192,8 +193,6 @@ void run_eval(struct ctl *ctl)
   const bool is_top = races && !option_is_set(ctl, "sort") && !option_is_set(ctl, "top");
   const int64_t top = option_number(ctl, is_top ? "best" : "top", 1, DESIGNS_MAX, 0);
   json_t *request = keep(json_object());
-  if (strcmp(sort, "input") != 0 && strcmp(sort, "score") != 0)
-    fail(STATUS_USAGE, "--sort: \"%s\" is not input or score", sort);
   if (output != NULL && !wait)
     fail(STATUS_USAGE, "--output needs the result: it goes with --wait");
   if (option_is_set(ctl, "film") && !wait)

@@ -3,7 +3,7 @@
 
 #include "commands.h"
 
-/* Returns the form that the end of a file's name tells; NULL: none. */
+/* Returns the form that the end of a file's name tells, else csv. */
 static const char *form_of(const char *output)
 {
   static const struct {
@@ -13,20 +13,16 @@ static const char *form_of(const char *output)
   for (size_t i = 0; end != NULL && i < sizeof(ends) / sizeof(ends[0]); i++)
     if (strcmp(end, ends[i].end) == 0)
       return ends[i].form;
-  return NULL;
+  return "csv";
 }
 
 void run_export(struct ctl *ctl)
 {
-  static const char *const forms[] = {"csv", "ndjson", "newick", "columns"};
+  static const char *const forms[] = {"csv", "ndjson", "newick", "columns", NULL};
   const char *list = ctl->operands[0], *output = option_text(ctl, "output", "-");
-  const char *form = option_text(ctl, "format", form_of(output));
+  const char *form = option_word(ctl, "format", forms, form_of(output));
   if (strncmp(list, "/v1/", 4) == 0)
     list += 4;
-  if (form == NULL)
-    form = "csv";
-  if (!is_one_of(form, forms, sizeof(forms) / sizeof(forms[0])))
-    fail(STATUS_USAGE, "--format: \"%s\" is not csv, ndjson, newick or columns", form);
   for (const char *c = list; *c != '\0'; c++)
     if (*c <= ' ' || *c > '~' || *c == '#')
       fail(STATUS_USAGE, "\"%s\" is not a list: write other characters as %%20", list);

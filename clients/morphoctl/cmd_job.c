@@ -187,10 +187,8 @@ void run_job_delete(struct ctl *ctl)
 
 void run_usage(struct ctl *ctl)
 {
-  static const char *const names[] = {"label", "experiment", "submitted_by", "kind"};
-  const char *by = option_text(ctl, "by", "label");
-  if (!is_one_of(by, names, 4))
-    fail(STATUS_USAGE, "--by: \"%s\" is not label, experiment, submitted_by or kind", by);
+  static const char *const names[] = {"label", "experiment", "submitted_by", "kind", NULL};
+  const char *by = option_word(ctl, "by", names, "label");
   print_items(ctl, get_json(ctl, "/v1/usage?by=%s&limit=1000", by),
               "name=[{name}|–]|>jobs={jobs:,}|>core time={core_seconds:duration}"
               "|>device time={device_seconds:duration}");

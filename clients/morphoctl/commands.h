@@ -74,7 +74,6 @@ void add_number(json_t *sum, const json_t *part, const char *key);
 double real_at(const json_t *json, const char *place); /* NaN if absent; see template.h */
 json_t *real_or_null(double value);                    /* null: it is not finite */
 
-bool is_one_of(const char *word, const char *const *words, size_t n);
 bool is_final(const char *state);
 /* Returns an operand that is the decimal id of a job. */
 const char *job_id(const char *text);

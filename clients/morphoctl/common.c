@@ -6,6 +6,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "base/words.h"
 #include "commands.h"
 #include "table.h"
 #include "template.h"
@@ -38,18 +39,10 @@ json_t *real_or_null(double value)
   return isfinite(value) ? json_real(value) : json_null();
 }
 
-bool is_one_of(const char *word, const char *const *words, size_t n)
-{
-  for (size_t i = 0; i < n; i++)
-    if (strcmp(words[i], word) == 0)
-      return true;
-  return false;
-}
-
 bool is_final(const char *state)
 {
-  static const char *const states[] = {"succeeded", "failed", "cancelled"};
-  return is_one_of(state, states, 3);
+  static const char *const states[] = {"succeeded", "failed", "cancelled", NULL};
+  return mo_word_index(states, state) >= 0;
 }
 
 const char *job_id(const char *text)
@@ -237,15 +230,13 @@ static char *list_path(const struct ctl *ctl, const char *list)
 
 void list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns)
 {
-  static const char *const states[] = {"queued",    "running", "paused",
-                                       "succeeded", "failed",  "cancelled"};
-  const char *state = option_text(ctl, "state", NULL), *group = option_text(ctl, "group", NULL);
+  static const char *const states[] = {"queued", "running",   "paused", "succeeded",
+                                       "failed", "cancelled", NULL};
+  const char *group = option_text(ctl, "group", NULL);
   limit = option_number(ctl, "limit", 1, 1000000, limit);
   if (option_is_set(ctl, "all"))
     limit = 0;
-  if (state != NULL && !is_one_of(state, states, 6))
-    fail(STATUS_USAGE,
-         "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled", state);
+  option_word(ctl, "state", states, NULL);
   if (group != NULL)
     job_id(group);
   json_t *items = collect(ctl, list_path(ctl, list), (size_t)limit);

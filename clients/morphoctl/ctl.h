@@ -88,6 +88,10 @@ void options_print_completion(FILE *file);                          /* for bash 
 bool option_is_set(const struct ctl *ctl, const char *name);
 const char *option_text(const struct ctl *ctl, const char *name,
                         const char *otherwise); /* the last value given */
+/* Returns a value that is one of the words (base/words.h), and the alternative if the option was
+ * not given. */
+const char *option_word(const struct ctl *ctl, const char *name, const char *const *words,
+                        const char *otherwise);
 /* Returns a whole number within bounds, and the alternative if the option was not given. */
 int64_t option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
                       int64_t otherwise);

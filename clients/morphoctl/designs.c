@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include "base/text.h"
+#include "base/words.h"
 #include "commands.h"
 
 char *read_input(const char *path, size_t limit, size_t *length)
@@ -74,7 +75,7 @@ static bool is_point(const json_t *json)
 static void add_json(struct designs *designs, const char *source, size_t line, json_t *json,
                      int depth)
 {
-  static const char *const forms[] = {"cells", "voxels", "id"};
+  static const char *const forms[] = {"cells", "voxels", "id", NULL};
   if (json_is_string(json)) {
     const char *text = json_string_value(json);
     size_t length = json_string_length(json);
@@ -111,7 +112,7 @@ static void add_json(struct designs *designs, const char *source, size_t line, j
   {
     if (strcmp(key, "name") == 0 || strcmp(key, "description") == 0)
       continue;
-    if (!is_one_of(key, forms, 3))
+    if (mo_word_index(forms, key) < 0)
       fail(STATUS_USAGE,
            "%s:%zu: a design has cells, voxels or id, perhaps a name, but no \"%s\"%s", source,
            line, key, did_you_mean("", key, forms, 3, sizeof(*forms)));

@@ -328,6 +328,16 @@ const char *option_text(const struct ctl *ctl, const char *name, const char *oth
   return otherwise;
 }
 
+const char *option_word(const struct ctl *ctl, const char *name, const char *const *words,
+                        const char *otherwise)
+{
+  const char *text = option_text(ctl, name, otherwise);
+  char list[MO_WORDS_BYTES];
+  if (text != NULL && mo_word_index(words, text) < 0)
+    fail(STATUS_USAGE, "--%s: \"%s\" is not %s", name, text, mo_words_join(words, "", list));
+  return text;
+}
+
 int64_t option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
                       int64_t otherwise)
 {

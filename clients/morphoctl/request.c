@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/words.h"
 #include "commands.h"
 #include "settings.inc"
 #include "table.h"
@@ -65,10 +66,10 @@ void fill_fields(const struct ctl *ctl, json_t *request)
 
 void fill_schedule(const struct ctl *ctl, json_t *request, const char *place)
 {
-  static const char *const kinds[] = {"restarts", "cosine", "constant"};
+  static const char *const kinds[] = {"restarts", "cosine", "constant", NULL};
   const char *name = option_text(ctl, "schedule", NULL);
   const size_t length = strlen(place);
-  const bool kind = name != NULL && is_one_of(name, kinds, 3);
+  const bool kind = name != NULL && mo_word_index(kinds, name) >= 0;
   for (const struct option_spec *spec = ctl->command->options; spec->name != NULL && !kind; spec++)
     if (spec->place != NULL && strncmp(spec->place, place, length) == 0 &&
         spec->place[length] == '.' && option_is_set(ctl, spec->name))
@@ -80,7 +81,7 @@ void fill_schedule(const struct ctl *ctl, json_t *request, const char *place)
 
 void request_fill_record(const struct ctl *ctl, json_t *request, const char *usual)
 {
-  static const char *const channels[] = {"com", "masses", "actuation", "contacts"};
+  static const char *const channels[] = {"com", "masses", "actuation", "contacts", NULL};
   const char *record = option_text(ctl, "record", usual);
   bool films = option_is_set(ctl, "film");
   if (record == NULL && !films)
@@ -92,7 +93,7 @@ void request_fill_record(const struct ctl *ctl, json_t *request, const char *usu
     char word[16] = "";
     if (length < sizeof(word))
       memcpy(word, c, length);
-    if (!is_one_of(word, channels, sizeof(channels) / sizeof(channels[0])))
+    if (mo_word_index(channels, word) < 0)
       fail(STATUS_USAGE,
            "--record: \"%s\" is not one or several of com, masses, actuation, contacts", record);
     json_array_append_new(list, json_string(word));
@@ -202,15 +203,13 @@ static void fill_environments(const struct ctl *ctl, json_t *request)
 
 void request_fill(const struct ctl *ctl, json_t *request)
 {
+  static const char *const precisions[] = {"float32", "float64", NULL};
   const char *controller = option_text(ctl, "controller", NULL),
-             *precision = option_text(ctl, "precision", NULL);
+             *precision = option_word(ctl, "precision", precisions, NULL);
   if (controller != NULL)
     json_object_set_new(request, "controller", json_string(controller));
-  if (precision != NULL) {
-    if (strcmp(precision, "float32") != 0 && strcmp(precision, "float64") != 0)
-      fail(STATUS_USAGE, "--precision: \"%s\" is not float32 or float64", precision);
+  if (precision != NULL)
     json_object_set_new(request, "precision", json_string(precision));
-  }
   request_fill_physics(ctl, request);
   fill_environments(ctl, request);
 }
