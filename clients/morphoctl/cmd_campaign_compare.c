@@ -169,6 +169,8 @@ void run_campaign_compare(struct ctl *ctl)
   static struct side sides[SIDES_MAX];
   const json_t *campaigns[SIDES_MAX] = {0};
   const size_t n = ctl->n_operands;
+  if (n > SIDES_MAX)
+    fail(STATUS_USAGE, "at most %d campaigns are compared, not %zu", SIDES_MAX, n);
   int64_t generation = INT64_MAX;
   for (size_t i = 0; i < n; i++)
     campaigns[i] = get_json(ctl, "/v1/campaigns/%s", job_id(ctl->operands[i]));

@@ -44,14 +44,13 @@ struct live_kind;
 typedef void command_function(struct ctl *ctl);
 
 struct command {
-  const char *name;                  /* "job list" */
-  const char *operands;              /* "[DESIGN]…", or "" */
-  const char *summary;               /* one line */
+  const char *name;     /* "job list" */
+  const char *operands; /* "ID [DESIGN]...", or "": how many there may be, too */
+  const char *summary;  /* one line */
+  command_function *run;
   const char *details;               /* further text, or NULL */
   const struct option_spec *options; /* NULL: only the common options */
-  size_t min_operands, max_operands;
-  command_function *run;
-  const struct live_kind *live; /* of a command that starts, shows or watches a job (live.h) */
+  const struct live_kind *live;      /* of a command that starts, shows or watches a job (live.h) */
 };
 
 /* One run of the program. */

@@ -13,8 +13,7 @@ const struct option_spec common_options[] = {
      "http://127.0.0.1:8765)."},
     {"token-file", 0, "FILE",
      "File with the bearer token, or with lines of NAME RIGHT TOKEN as morphod reads them "
-     "(default: "
-     "the token in $MORPHOD_TOKEN)."},
+     "(default: the token in $MORPHOD_TOKEN)."},
     {"token-name", 0, "NAME", "Whose token of the file is used, where it has those of several."},
     {"json", 'j', NULL, "Print the API's JSON instead of tables."},
     {"quiet", 'q', NULL, "No progress and no remarks."},
@@ -121,13 +120,12 @@ void options_print_completion(FILE *file)
       fprintf(file, "%s ", commands[j].name + length + 1);
     fputs("\" ;;\n", file);
   }
-  fputs(
-      "    *) options= ;;\n  esac\n"
-      "  mapfile -t COMPREPLY < <(compgen -W \"$options\" -- \"$word\")\n"
-      "  case \"$word\" in -*) ;; *) [ \"${#COMPREPLY[@]}\" -gt 0 ] && [ \"$COMP_CWORD\" -eq 2 ] ||"
-      " mapfile -t COMPREPLY < <(compgen -f -- \"$word\") ;; esac\n"
-      "}\ncomplete -F _morphoctl morphoctl\n",
-      file);
+  fputs("    *) options= ;;\n  esac\n"
+        "  mapfile -t COMPREPLY < <(compgen -W \"$options\" -- \"$word\")\n"
+        "  case \"$word\" in -*) ;; *) [ \"${#COMPREPLY[@]}\" -gt 0 ] && [ \"$COMP_CWORD\" -eq 2 ] "
+        "|| mapfile -t COMPREPLY < <(compgen -f -- \"$word\") ;; esac\n"
+        "}\ncomplete -F _morphoctl morphoctl\n",
+        file);
 }
 
 /* ---- parsing ---- */
@@ -267,6 +265,18 @@ static void parse_words(struct ctl *ctl, int n, const char *const *words)
   }
 }
 
+/* Says whether there may be n operands: "A" is one, "[A]" at most one, "..." any further number. */
+static bool is_number_of_operands(const char *operands, size_t n)
+{
+  size_t min = 0, max = 0;
+  for (size_t length; *operands != 0; operands += length + (operands[length] == ' ')) {
+    length = strcspn(operands, " ");
+    min += *operands != '[';
+    max = operands[length - 1] == '.' ? SIZE_MAX : max + 1;
+  }
+  return n >= min && n <= max;
+}
+
 /* Prints the help of the program, or of the command that words name, and ends. */
 static _Noreturn void print_help(FILE *file, const struct command *command, int status)
 {
@@ -307,7 +317,7 @@ void options_parse(struct ctl *ctl, int argc, const char *const *argv)
   parse_words(ctl, n - 1 - used, words + 1 + used);
   if (option_is_set(ctl, "help"))
     print_help(stdout, ctl->command, STATUS_OK);
-  if (ctl->n_operands < ctl->command->min_operands || ctl->n_operands > ctl->command->max_operands)
+  if (!is_number_of_operands(ctl->command->operands, ctl->n_operands))
     fail(STATUS_USAGE, "usage: morphoctl %s [OPTION]... %s", ctl->command->name,
          ctl->command->operands);
 }

@@ -22,7 +22,7 @@ static struct ctl parse(const char *line)
 static void commands_are_sound(void)
 {
   for (size_t i = 0; i < n_commands; i++) {
-    CHECK(commands[i].run != NULL && commands[i].max_operands >= commands[i].min_operands);
+    CHECK(commands[i].run != NULL);
     CHECK(commands[i].summary[strlen(commands[i].summary) - 1] == '.');
     for (const struct option_spec *spec = commands[i].options; spec != NULL && spec->name != NULL;
          spec++)
