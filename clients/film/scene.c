@@ -72,24 +72,24 @@ static void check_places(const float *places_m, size_t n)
       refuse("a position is not finite, or far outside of the world");
 }
 
-static void read_body(const struct reader *reader, const json_t *item, struct scene_body *body)
+/* Finds an array of `columns` indices in each of *n rows. */
+static const uint16_t *rows(const struct reader *reader, const json_t *item, const char *key,
+                            uint32_t columns, uint32_t *n)
 {
   uint32_t sizes[2] = {0, 0};
-  const char *id = json_string_value(json_object_get(item, "id"));
-  const char *genotype = json_string_value(json_object_get(item, "genotype"));
-  if (id != NULL && strlen(id) < sizeof(body->id))
-    snprintf(body->id, sizeof(body->id), "%s", id);
-  if (genotype != NULL && strlen(genotype) < sizeof(body->genotype))
-    snprintf(body->genotype, sizeof(body->genotype), "%s", genotype);
-  array(reader, json_object_get(item, "masses"), "uint16", 2, sizes, 2, 3);
-  body->n_masses = sizes[0];
-  body->springs = array(reader, json_object_get(item, "springs"), "uint16", 2, sizes, 2, 2);
-  body->n_springs = sizes[0];
-  body->faces = array(reader, json_object_get(item, "faces"), "uint16", 2, sizes, 2, 5);
-  body->n_faces = sizes[0];
-  body->voxels = array(reader, json_object_get(item, "voxels"), "uint16", 2, sizes, 2, 8);
-  body->n_voxels = sizes[0];
-  check_indices(body->springs, body->n_springs, 2, 2, body->n_masses);
+  const void *found = array(reader, json_object_get(item, key), "uint16", 2, sizes, 2, columns);
+  *n = sizes[0];
+  return found;
+}
+
+static void read_body(const struct reader *reader, const json_t *item, struct scene_body *body)
+{
+  uint32_t n_springs;
+  rows(reader, item, "masses", 3, &body->n_masses);
+  const uint16_t *springs = rows(reader, item, "springs", 2, &n_springs);
+  body->faces = rows(reader, item, "faces", 5, &body->n_faces);
+  body->voxels = rows(reader, item, "voxels", 8, &body->n_voxels);
+  check_indices(springs, n_springs, 2, 2, body->n_masses);
   check_indices(body->faces, body->n_faces, 5, 4, body->n_masses);
   check_indices(body->faces + 4, body->n_faces, 5, 1, body->n_voxels);
   check_indices(body->voxels, body->n_voxels, 8, 8, body->n_masses);
@@ -116,12 +116,10 @@ static void read_rollout(const struct reader *reader, const struct scene *scene,
   uint32_t sizes[3] = {0, 0, 0};
   const json_int_t body = json_integer_value(json_object_get(item, "design"));
   const json_int_t world = json_integer_value(json_object_get(item, "environment"));
-  const json_t *loss = json_object_get(item, "loss");
   if (body < 0 || body >= scene->n_bodies || world < 0 || world >= scene->n_worlds)
     refuse("a rollout names a design or environment that is not in it");
   rollout->body = (uint32_t)body;
   rollout->world = (uint32_t)world;
-  rollout->loss = json_is_number(loss) ? json_number_value(loss) : (double)NAN;
   rollout->masses_m = array(reader, json_object_get(item, "masses_m"), "float32", 4, sizes, 3, 3);
   rollout->n_frames = sizes[0];
   if (sizes[0] == 0 || sizes[1] != scene->bodies[body].n_masses)

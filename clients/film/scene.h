@@ -10,13 +10,10 @@
 
 /* A body: where its parts lie is told by a track. Arrays belong to the scene. */
 struct scene_body {
-  char id[40], genotype[152];
-  uint32_t n_masses, n_springs, n_faces;
-  const uint16_t *springs; /* (n_springs, 2) masses */
-  const uint16_t *faces;   /* (n_faces, 5) four masses, counter-clockwise from outside, and the
-                              voxel */
-  const uint16_t *voxels;  /* (n_voxels, 8) masses */
-  uint32_t n_voxels;
+  uint32_t n_masses, n_faces, n_voxels;
+  const uint16_t *faces;  /* (n_faces, 5) four masses, counter-clockwise from outside, and the
+                             voxel */
+  const uint16_t *voxels; /* (n_voxels, 8) masses */
 };
 
 struct scene_world {
@@ -25,9 +22,7 @@ struct scene_world {
 };
 
 struct scene_rollout {
-  uint32_t body, world;
-  double loss; /* NaN: diverged */
-  uint32_t n_frames;
+  uint32_t body, world, n_frames;
   const float *masses_m; /* (n_frames, n_masses, 3) */
 };
 
