@@ -17,6 +17,7 @@
 #define NEAR_M      0.05f
 #define HALF_VIEW   0.3443f /* tangent of half the angle of view, 38 degrees high */
 #define TRAIL_M     0.014f
+#define SHADOW_M    0.8f  /* of the map of shadows, from its middle to its edge */
 #define MIDDLE_M    2.5f  /* of the map, along each axis */
 #define SUN_YAW     0.75f /* of the sun, from the view towards the light */
 
@@ -38,7 +39,7 @@ struct look {
 struct raster {
   uint32_t width, height; /* in samples */
   float *depth;           /* (height, width) 1 / w; 0: nothing */
-  float *color;           /* (height, width, 3) */
+  struct vector *color;   /* (height, width) */
   float *shadow;          /* (SHADOW_SIDE, SHADOW_SIDE) height towards the sun */
   /* Of the present picture. */
   const struct look *look;
@@ -161,19 +162,26 @@ static struct vector lamp_light(const struct raster *raster, struct vector at, s
   return times(raster->look->glow, share * 0.16f / (d2 + 0.12f));
 }
 
+/* Returns the place of a point on the map of shadows; z: its height towards the sun. */
+static struct vector on_shadow(const struct raster *raster, struct vector at)
+{
+  const struct vector from = subtract(at, raster->middle);
+  return (struct vector){(dot(from, raster->sun_right) / SHADOW_M + 1) * SHADOW_SIDE / 2,
+                         (dot(from, raster->sun_up) / SHADOW_M + 1) * SHADOW_SIDE / 2,
+                         dot(from, raster->sun)};
+}
+
 /* Returns how much of the sun reaches a point, 0.38 in the shadow to 1. */
 static float sunlight(const struct raster *raster, struct vector at)
 {
-  const struct vector from = subtract(at, raster->middle);
-  const float reach = 0.8f, x = (dot(from, raster->sun_right) / reach + 1) * SHADOW_SIDE / 2,
-              y = (dot(from, raster->sun_up) / reach + 1) * SHADOW_SIDE / 2;
-  if (!(x >= 1 && y >= 1 && x < SHADOW_SIDE - 1 && y < SHADOW_SIDE - 1))
+  const struct vector p = on_shadow(raster, at);
+  if (!(p.x >= 1 && p.y >= 1 && p.x < SHADOW_SIDE - 1 && p.y < SHADOW_SIDE - 1))
     return 1;
-  const float height = dot(from, raster->sun) + 0.008f;
   float lit = 0;
   for (int i = 0; i < 4; i++) {
-    const int row = (int)(y + (float)(i >> 1) - 0.5f), column = (int)(x + (float)(i & 1) - 0.5f);
-    lit += height >= raster->shadow[row * SHADOW_SIDE + column] ? 0.25f : 0;
+    const int row = (int)(p.y + (float)(i >> 1) - 0.5f),
+              column = (int)(p.x + (float)(i & 1) - 0.5f);
+    lit += p.z + 0.008f >= raster->shadow[row * SHADOW_SIDE + column] ? 0.25f : 0;
   }
   return 0.38f + 0.62f * lit;
 }
@@ -261,10 +269,17 @@ static bool see(const struct raster *raster, struct vector at, struct vertex *ve
   return true;
 }
 
-/* Draws a triangle. facing: of a face; NULL: the ground. */
-static void fill(struct raster *raster, const struct vertex *const v[3],
-                 const struct vector *facing, float swelling)
+/* The two triangles of four corners. */
+static const int turns[2][3] = {{0, 1, 2}, {0, 2, 3}};
+
+/* Draws a triangle. swelling: of a face; NULL: the ground. */
+static void fill(struct raster *raster, const struct vertex corners[4], const int turn[3],
+                 const float *swelling)
 {
+  const struct vertex *const v[3] = {&corners[turn[0]], &corners[turn[1]], &corners[turn[2]]};
+  struct vector facing = normal(cross(subtract(v[1]->at, v[0]->at), subtract(v[2]->at, v[0]->at)));
+  if (dot(facing, subtract(raster->eye, v[0]->at)) < 0)
+    facing = times(facing, -1);
   const float area =
       (v[1]->x - v[0]->x) * (v[2]->y - v[0]->y) - (v[2]->x - v[0]->x) * (v[1]->y - v[0]->y);
   if (fabsf(area) < 1e-6f)
@@ -298,25 +313,21 @@ static void fill(struct raster *raster, const struct vertex *const v[3],
               times(add(add(times(v[0]->at, qa), times(v[1]->at, qb)), times(v[2]->at, qc)), 1 / q),
           .u = (v[0]->u * qa + v[1]->u * qb + v[2]->u * qc) / q,
           .v = (v[0]->v * qa + v[1]->v * qb + v[2]->v * qc) / q};
-      const struct vector color = facing != NULL
-                                      ? shade_skin(raster, &at, *facing, swelling, uv_per_sample)
-                                      : shade_ground(raster, at.at, at.w);
-      raster->color[3 * i] = color.x;
-      raster->color[3 * i + 1] = color.y;
-      raster->color[3 * i + 2] = color.z;
+      raster->color[i] = swelling != NULL
+                             ? shade_skin(raster, &at, facing, *swelling, uv_per_sample)
+                             : shade_ground(raster, at.at, at.w);
     }
 }
 
 static void draw_ground(struct raster *raster)
 {
-  static const int turns[2][3] = {{0, 1, 3}, {0, 3, 2}};
   for (int j = 0; j < MESH; j++)
     for (int i = 0; i < MESH; i++) {
       struct vertex corners[4];
       bool seen = true;
       for (int k = 0; k < 4; k++) {
         /* Finer in the middle, where robots walk. */
-        const float cx = 2 * (float)(i + (k & 1)) / MESH - 1,
+        const float cx = 2 * (float)(i + (k == 1 || k == 2)) / MESH - 1,
                     cy = 2 * (float)(j + (k >> 1)) / MESH - 1;
         const float x = 2.5f + cx * (0.55f + 0.45f * fabsf(cx)) * 6,
                     y = 2.5f + cy * (0.55f + 0.45f * fabsf(cy)) * 6;
@@ -324,43 +335,34 @@ static void draw_ground(struct raster *raster)
         seen &= see(raster, (struct vector){x, y, z}, &corners[k]);
       }
       for (int t = 0; seen && t < 2; t++)
-        fill(raster,
-             (const struct vertex *const[3]){&corners[turns[t][0]], &corners[turns[t][1]],
-                                             &corners[turns[t][2]]},
-             NULL, 0);
+        fill(raster, corners, turns[t], NULL);
     }
 }
 
 /* Marks the highest point towards the sun under each triangle of a face. */
 static void cast(struct raster *raster, const struct vector corners[3])
 {
-  float x[3], y[3], h[3];
-  for (int k = 0; k < 3; k++) {
-    const struct vector from = subtract(corners[k], raster->middle);
-    x[k] = (dot(from, raster->sun_right) / 0.8f + 1) * SHADOW_SIDE / 2;
-    y[k] = (dot(from, raster->sun_up) / 0.8f + 1) * SHADOW_SIDE / 2;
-    h[k] = dot(from, raster->sun);
-  }
-  const float area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
+  struct vector p[3];
+  for (int k = 0; k < 3; k++)
+    p[k] = on_shadow(raster, corners[k]);
+  const float area = (p[1].x - p[0].x) * (p[2].y - p[0].y) - (p[2].x - p[0].x) * (p[1].y - p[0].y);
   if (fabsf(area) < 1e-6f)
     return;
-  const int x0 = (int)clamp(fminf(fminf(x[0], x[1]), x[2]), 0, SHADOW_SIDE - 1),
-            x1 = (int)clamp(fmaxf(fmaxf(x[0], x[1]), x[2]), 0, SHADOW_SIDE - 1),
-            y0 = (int)clamp(fminf(fminf(y[0], y[1]), y[2]), 0, SHADOW_SIDE - 1),
-            y1 = (int)clamp(fmaxf(fmaxf(y[0], y[1]), y[2]), 0, SHADOW_SIDE - 1);
+  const int x0 = (int)clamp(fminf(fminf(p[0].x, p[1].x), p[2].x), 0, SHADOW_SIDE - 1),
+            x1 = (int)clamp(fmaxf(fmaxf(p[0].x, p[1].x), p[2].x), 0, SHADOW_SIDE - 1),
+            y0 = (int)clamp(fminf(fminf(p[0].y, p[1].y), p[2].y), 0, SHADOW_SIDE - 1),
+            y1 = (int)clamp(fmaxf(fmaxf(p[0].y, p[1].y), p[2].y), 0, SHADOW_SIDE - 1);
   for (int py = y0; py <= y1; py++)
     for (int px = x0; px <= x1; px++) {
       const float fx = (float)px + 0.5f, fy = (float)py + 0.5f;
-      const float a = ((x[1] - fx) * (y[2] - fy) - (x[2] - fx) * (y[1] - fy)) / area;
-      const float b = ((x[2] - fx) * (y[0] - fy) - (x[0] - fx) * (y[2] - fy)) / area;
-      const float height = a * h[0] + b * h[1] + (1 - a - b) * h[2];
+      const float a = ((p[1].x - fx) * (p[2].y - fy) - (p[2].x - fx) * (p[1].y - fy)) / area;
+      const float b = ((p[2].x - fx) * (p[0].y - fy) - (p[0].x - fx) * (p[2].y - fy)) / area;
+      const float height = a * p[0].z + b * p[1].z + (1 - a - b) * p[2].z;
       float *cell = &raster->shadow[py * SHADOW_SIDE + px];
       if (a >= 0 && b >= 0 && a + b <= 1 && height > *cell)
         *cell = height;
     }
 }
-
-static const int face_turns[2][3] = {{0, 1, 2}, {0, 2, 3}};
 
 static void draw_skin(struct raster *raster, const struct scene_body *body,
                       const struct vector *masses)
@@ -382,15 +384,8 @@ static void draw_skin(struct raster *raster, const struct scene_body *body,
       corners[k].u = u[k];
       corners[k].v = v[k];
     }
-    for (int t = 0; seen && t < 2; t++) {
-      const struct vertex *const three[3] = {&corners[face_turns[t][0]], &corners[face_turns[t][1]],
-                                             &corners[face_turns[t][2]]};
-      struct vector facing =
-          normal(cross(subtract(three[1]->at, three[0]->at), subtract(three[2]->at, three[0]->at)));
-      if (dot(facing, subtract(raster->eye, three[0]->at)) < 0)
-        facing = times(facing, -1);
-      fill(raster, three, &facing, swelling);
-    }
+    for (int t = 0; seen && t < 2; t++)
+      fill(raster, corners, turns[t], &swelling);
   }
 }
 
@@ -413,10 +408,7 @@ static void blend_disc(struct raster *raster, struct vector at, float radius_m, 
       if (r >= 1 || raster->depth[i] > 1.02f / v.w)
         continue;
       const float share = strength * (soft ? (1 - r) * (1 - r) * (1 - r) : 1);
-      const float channels[3] = {color.x, color.y, color.z};
-      for (int c = 0; c < 3; c++)
-        raster->color[3 * i + (size_t)c] +=
-            (channels[c] - raster->color[3 * i + (size_t)c]) * share;
+      raster->color[i] = add(raster->color[i], times(subtract(color, raster->color[i]), share));
     }
 }
 
@@ -450,7 +442,7 @@ struct raster *raster_create(uint32_t width, uint32_t height)
   raster->height = height * SAMPLES;
   const size_t n = (size_t)raster->width * raster->height;
   raster->depth = need(malloc(n * sizeof(float)));
-  raster->color = need(malloc(n * 3 * sizeof(float)));
+  raster->color = need(malloc(n * sizeof(*raster->color)));
   raster->shadow = need(malloc((size_t)SHADOW_SIDE * SHADOW_SIDE * sizeof(float)));
   return raster;
 }
@@ -476,13 +468,17 @@ static void begin(struct raster *raster, const struct raster_camera *camera)
   raster->sun_right = normal(cross(raster->sun, (struct vector){0, 0, 1}));
   raster->sun_up = cross(raster->sun, raster->sun_right);
   memset(raster->depth, 0, n * sizeof(float));
-  for (size_t i = 0; i < n; i++) {
-    raster->color[3 * i] = raster->look->background.x;
-    raster->color[3 * i + 1] = raster->look->background.y;
-    raster->color[3 * i + 2] = raster->look->background.z;
-  }
+  for (size_t i = 0; i < n; i++)
+    raster->color[i] = raster->look->background;
   for (size_t i = 0; i < (size_t)SHADOW_SIDE * SHADOW_SIDE; i++)
     raster->shadow[i] = -1e9f;
+}
+
+static void write_pixel(struct vector color, uint8_t rgb[3])
+{
+  rgb[0] = (uint8_t)(clamp(color.x, 0, 1) * 255 + 0.5f);
+  rgb[1] = (uint8_t)(clamp(color.y, 0, 1) * 255 + 0.5f);
+  rgb[2] = (uint8_t)(clamp(color.z, 0, 1) * 255 + 0.5f);
 }
 
 /* Means the samples of each pixel. */
@@ -490,24 +486,20 @@ static void resolve(const struct raster *raster, uint8_t *rgb)
 {
   const uint32_t width = raster->width / SAMPLES, height = raster->height / SAMPLES;
   for (uint32_t y = 0; y < height; y++)
-    for (uint32_t x = 0; x < width; x++)
-      for (uint32_t c = 0; c < 3; c++) {
-        float sum = 0;
-        for (uint32_t k = 0; k < SAMPLES * SAMPLES; k++) {
-          const size_t row = (size_t)y * SAMPLES + k / SAMPLES;
-          const size_t column = (size_t)x * SAMPLES + k % SAMPLES;
-          sum += clamp(raster->color[3 * (row * raster->width + column) + c], 0, 1);
-        }
-        rgb[((size_t)y * width + x) * 3 + c] = (uint8_t)(sum / (SAMPLES * SAMPLES) * 255 + 0.5f);
+    for (uint32_t x = 0; x < width; x++) {
+      struct vector sum = {0, 0, 0};
+      for (uint32_t k = 0; k < SAMPLES * SAMPLES; k++) {
+        const size_t row = (size_t)y * SAMPLES + k / SAMPLES;
+        const size_t column = (size_t)x * SAMPLES + k % SAMPLES;
+        sum = add(sum, raster->color[row * raster->width + column]);
       }
+      write_pixel(times(sum, 1.0f / (SAMPLES * SAMPLES)), rgb + ((size_t)y * width + x) * 3);
+    }
 }
 
 void raster_background(bool light, uint8_t rgb[3])
 {
-  const struct vector color = looks[light].background;
-  rgb[0] = (uint8_t)(color.x * 255 + 0.5f);
-  rgb[1] = (uint8_t)(color.y * 255 + 0.5f);
-  rgb[2] = (uint8_t)(color.z * 255 + 0.5f);
+  write_pixel(looks[light].background, rgb);
 }
 
 void raster_draw(struct raster *raster, const struct scene *scene, uint32_t rollout, double time_s,
@@ -528,9 +520,8 @@ void raster_draw(struct raster *raster, const struct scene *scene, uint32_t roll
   for (uint32_t f = 0; f < body->n_faces; f++) {
     const uint16_t *face = body->faces + (size_t)f * 5;
     for (int k = 0; k < 2; k++)
-      cast(raster,
-           (struct vector[3]){masses[face[face_turns[k][0]]], masses[face[face_turns[k][1]]],
-                              masses[face[face_turns[k][2]]]});
+      cast(raster, (struct vector[3]){masses[face[turns[k][0]]], masses[face[turns[k][1]]],
+                                      masses[face[turns[k][2]]]});
   }
   draw_ground(raster);
   draw_trail(raster, scene, rollout, t);
