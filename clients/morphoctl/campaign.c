@@ -137,70 +137,62 @@ void campaign_row_text(const struct campaign_row *row, char *text, size_t size)
   snprintf(text + n, size - (size_t)n, " s");
 }
 
-static void draw_curves(const struct campaign *campaign, int columns,
-                        void (*line)(void *context, const char *text), void *context)
+static void draw_curves(const struct campaign *campaign, int columns, FILE *file)
 {
   int width = columns - 26 > 200 ? 200 : columns - 26;
   if (width < 4)
     return;
   double *curve = need(malloc(campaign->n * sizeof(*curve)));
   for (size_t k = 0; k < CAMPAIGN_VALUES; k++) {
-    char spark[3 * 200 + 1], text[700], number[32];
+    char spark[3 * 200 + 1], number[32];
     if (measures[k].name == NULL)
       continue;
     for (size_t i = 0; i < campaign->n; i++)
       curve[i] = campaign->rows[i].values[k];
     sparkline(curve, campaign->n, width, campaign->live.ctl->utf8, spark);
     const char *newest = value_text(curve[campaign->n - 1], &measures[k], number);
-    snprintf(text, sizeof(text), "%-13s %*s%s  %s", measures[k].name, (int)(9 - text_width(newest)),
-             "", newest, spark);
-    line(context, text);
+    fprintf(file, "%-13s %*s%s  %s\n", measures[k].name, (int)(9 - text_width(newest)), "", newest,
+            spark);
   }
   free(curve);
 }
 
-/* Writes a row of the table of generations; row NULL: its heads. */
-static void draw_row(const struct campaign_row *row, char *text, size_t size)
+/* Draws a row of the table of generations; row NULL: its heads. */
+static void draw_row(const struct campaign_row *row, FILE *file)
 {
-  int n = row != NULL ? snprintf(text, size, "%10" PRId64, row->generation)
-                      : snprintf(text, size, "generation");
+  if (row != NULL)
+    fprintf(file, "%10" PRId64, row->generation);
+  else
+    fputs("generation", file);
   for (size_t k = 0; k < CAMPAIGN_VALUES; k++) {
     char number[32];
     const char *cell =
         row != NULL ? value_text(row->values[k], &measures[k], number) : measures[k].head;
-    n += snprintf(text + n, size - (size_t)n, "%*s%s", measures[k].width - (int)text_width(cell),
-                  "", cell);
+    fprintf(file, "%*s%s", measures[k].width - (int)text_width(cell), "", cell);
   }
+  fputc('\n', file);
 }
 
-void campaign_draw(const struct campaign *campaign, int columns, int table_rows,
-                   void (*line)(void *context, const char *text), void *context)
+char *campaign_draw(const struct campaign *campaign, int columns, int table_rows)
 {
-  char text[256];
-  if (campaign->n == 0) {
-    line(context, "no generation yet");
-    return;
+  char *text = NULL;
+  size_t size = 0, rows = table_rows > 0 ? (size_t)table_rows : 0;
+  FILE *file = need(open_memstream(&text, &size));
+  if (campaign->n == 0)
+    fputs("no generation yet\n", file);
+  else
+    draw_curves(campaign, columns, file);
+  if (campaign->n > 0 && rows > 0) {
+    fputc('\n', file);
+    draw_row(NULL, file);
+    for (size_t i = campaign->n > rows ? campaign->n - rows : 0; i < campaign->n; i++)
+      draw_row(&campaign->rows[i], file);
   }
-  draw_curves(campaign, columns, line, context);
-  if (table_rows <= 0)
-    return;
-  line(context, "");
-  draw_row(NULL, text, sizeof(text));
-  line(context, text);
-  size_t first = campaign->n > (size_t)table_rows ? campaign->n - (size_t)table_rows : 0;
-  for (size_t i = first; i < campaign->n; i++) {
-    draw_row(&campaign->rows[i], text, sizeof(text));
-    line(context, text);
-  }
+  close_text(file);
+  return text;
 }
 
 /* ---- show ---- */
-
-static void print_line(void *context, const char *text)
-{
-  (void)context;
-  puts(text);
-}
 
 static void print(struct live *live)
 {
@@ -229,35 +221,26 @@ static void print(struct live *live)
   json_t *group = json_object_get(live->job, "group");
   json_object_set_new(group, "number", json_integer(number_of(group, "replicate") + 1));
   print_facts(live->ctl, live->job, facts);
-  if (campaign->n > 0) {
-    putchar('\n');
-    campaign_draw(campaign, 92, 10, print_line, NULL);
-  }
+  if (campaign->n == 0)
+    return;
+  char *text = campaign_draw(campaign, 92, 10);
+  printf("\n%s", text);
+  free(text);
 }
 
 /* ---- watch ---- */
 
-struct lines {
-  FILE *file;
-  int columns;
-};
-
-static void put_line(void *context, const char *text)
-{
-  const struct lines *lines = context;
-  view_line(lines->file, lines->columns, text);
-}
-
 static void write_view(const struct live *live, FILE *file, int columns, int rows)
 {
   const bool color = live->ctl->color, ended = is_final(text_of(live->job, "state"));
-  struct lines lines = {file, columns};
   fputs(color ? "\033[1m" : "", file);
   view_words(file, columns, live->job,
              "{mode}[  {label:.64}]  {state}  " GENERATION_WORDS("progress.") "   campaign {id}");
   fputs(color ? "\033[0m" : "", file);
-  campaign_draw((const struct campaign *)live, columns,
-                rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES, put_line, &lines);
+  char *text = campaign_draw((const struct campaign *)live, columns,
+                             rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES);
+  view_lines(file, columns, text);
+  free(text);
   view_words(file, columns, live->job, CAMPAIGN_NOW_WORDS);
   view_words(file, columns, live->job,
              ended ? "{reason}" : "[{reason}|Ctrl-C leaves; the campaign goes on.]");

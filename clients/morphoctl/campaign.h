@@ -41,9 +41,8 @@ extern const struct live_kind campaign_kind;
 void sparkline(const double *values, size_t n, int width, bool utf8, char *text);
 /* Writes one generation as a line. */
 void campaign_row_text(const struct campaign_row *row, char *text, size_t size);
-/* Draws the curves as labeled sparklines, then the newest `table_rows` generations as a table, in
- * `columns`. Calls `line` for each line. */
-void campaign_draw(const struct campaign *campaign, int columns, int table_rows,
-                   void (*line)(void *context, const char *text), void *context);
+/* Draws the curves as labeled sparklines, in `columns`, then the newest `table_rows` generations as
+ * a table (malloc). */
+char *campaign_draw(const struct campaign *campaign, int columns, int table_rows);
 
 #endif

@@ -19,30 +19,26 @@
 
 /* ---- the view ---- */
 
-void view_line(FILE *file, int columns, const char *text)
+void view_lines(FILE *file, int columns, const char *text)
 {
-  size_t n = 0;
-  for (int width = 0; text[n] != 0; n++) {
-    width += ((unsigned char)text[n] & 0xc0) != 0x80;
-    if (width > columns)
-      break;
-  }
-  fprintf(file, "%.*s\033[K\n", (int)n, text);
+  do {
+    int n = 0;
+    for (int width = 0; text[n] != 0 && text[n] != '\n'; n++) {
+      width += ((unsigned char)text[n] & 0xc0) != 0x80;
+      if (width > columns)
+        break;
+    }
+    fprintf(file, "%.*s\033[K\n", n, text);
+    text += strcspn(text, "\n");
+    text += *text == '\n';
+  } while (*text != 0);
 }
 
 void view_words(FILE *file, int columns, const json_t *json, const char *words)
 {
   char *text = text_from(json, words);
-  view_line(file, columns, text);
+  view_lines(file, columns, text);
   free(text);
-}
-
-void view_lines(FILE *file, const char *text)
-{
-  for (size_t n; *text != 0; text += n + (text[n] == '\n')) {
-    n = strcspn(text, "\n");
-    fprintf(file, "%.*s\033[K\n", (int)n, text);
-  }
 }
 
 static bool can_draw(const struct ctl *ctl)

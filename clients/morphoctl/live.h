@@ -49,10 +49,9 @@ void live_load(struct live *live);
  * drawn: `text`, or a template filled with JSON. */
 void live_line(const struct live *live, const json_t *at, const char *text);
 void live_words(const struct live *live, const json_t *at, const json_t *json, const char *words);
-/* Write lines of a view: a text cut to the width; a filled template; lines drawn before. */
-void view_line(FILE *file, int columns, const char *text);
+/* Write lines of a view, each cut to the width: those of a text; a filled template. */
+void view_lines(FILE *file, int columns, const char *text);
 void view_words(FILE *file, int columns, const json_t *json, const char *words);
-void view_lines(FILE *file, const char *text);
 
 /* Returns the template of what an event tells, or NULL (cmd_watch.c). */
 const char *event_words(const char *type);

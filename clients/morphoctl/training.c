@@ -5,6 +5,7 @@
 #include "training.h"
 
 #include <inttypes.h>
+#include <limits.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -178,7 +179,7 @@ static void write_view(const struct live *live, FILE *file, int columns, int row
   int height = rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES;
   char *plot = draw_plot(training, columns > 110 ? 110 : columns - 1, height);
   if (plot != NULL && height >= 4)
-    view_lines(file, plot);
+    view_lines(file, INT_MAX, plot); /* as wide as it is; its colors take bytes */
   free(plot);
   /* The pace is beside the step: with the numbers it does not fit into 80 columns. */
   view_words(file, columns, live->job, NUMBER_WORDS("progress."));
