@@ -3,8 +3,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "campaign.h"
 #include "commands.h"
+#include "live.h"
 #include "table.h"
 #include "template.h"
 #include "transport.h"

@@ -4,7 +4,7 @@
 #include <unistd.h>
 
 #include "commands.h"
-#include "training.h"
+#include "live.h"
 #include "transport.h"
 
 /* ---- start ---- */
