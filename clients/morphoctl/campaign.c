@@ -12,7 +12,6 @@
 
 #include "commands.h"
 #include "table.h"
-#include "template.h"
 #include "transport.h"
 
 #define ASK_S         5

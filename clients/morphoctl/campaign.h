@@ -4,7 +4,7 @@
 
 #include "live.h"
 
-/* Templates (template.h): "generation 12 of 30" of values below a place, "progress." or the like.
+/* Templates (table.h): "generation 12 of 30" of values below a place, "progress." or the like.
  */
 #define GENERATION_WORDS(place)                                                                    \
   "[generation {" place "generation:,}|before generation 0] of {" place "generations:,}"

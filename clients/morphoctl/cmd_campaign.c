@@ -6,7 +6,6 @@
 #include "commands.h"
 #include "live.h"
 #include "table.h"
-#include "template.h"
 #include "transport.h"
 
 /* ---- start ---- */

@@ -8,7 +8,6 @@
 #include "commands.h"
 #include "stats.h"
 #include "table.h"
-#include "template.h"
 #include "transport.h"
 
 enum { SIDES_MAX = 8, REPLICATES_MAX = 100 };

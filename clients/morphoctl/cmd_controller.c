@@ -3,7 +3,7 @@
 #include <unistd.h>
 
 #include "commands.h"
-#include "template.h"
+#include "table.h"
 #include "transport.h"
 
 #define CONTROLLER_BYTES_MAX ((size_t)4 << 30)

@@ -7,7 +7,6 @@
 
 #include "commands.h"
 #include "table.h"
-#include "template.h"
 #include "transport.h"
 
 static void fill_record(const struct ctl *ctl, json_t *request)

@@ -16,7 +16,7 @@
 #include "../film/png.h"
 #include "../film/raster.h"
 #include "commands.h"
-#include "template.h"
+#include "table.h"
 #include "transport.h"
 
 #define ROBOTS_MAX     16

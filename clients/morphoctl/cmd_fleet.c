@@ -3,7 +3,6 @@
 
 #include "commands.h"
 #include "table.h"
-#include "template.h"
 #include "transport.h"
 
 static bool is_open(const json_t *session)

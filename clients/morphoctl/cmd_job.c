@@ -8,7 +8,6 @@
 
 #include "commands.h"
 #include "table.h"
-#include "template.h"
 #include "transport.h"
 
 void run_job_list(struct ctl *ctl)

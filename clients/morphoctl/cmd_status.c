@@ -5,7 +5,7 @@
 #include <unistd.h>
 
 #include "commands.h"
-#include "template.h"
+#include "table.h"
 #include "transport.h"
 
 /* Finds out whether the server is ready, and why not: a text or NULL. "Not ready" is a valid

@@ -11,7 +11,6 @@
 #include "commands.h"
 #include "follow.h"
 #include "table.h"
-#include "template.h"
 #include "training.h"
 #include "transport.h"
 

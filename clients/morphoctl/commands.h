@@ -71,7 +71,7 @@ void film_evaluation(struct ctl *ctl, const json_t *evaluation);
 const char *text_of(const json_t *object, const char *key); /* "" if absent */
 int64_t number_of(const json_t *object, const char *key);
 void add_number(json_t *sum, const json_t *part, const char *key);
-double real_at(const json_t *json, const char *place); /* NaN if absent; see template.h */
+double real_at(const json_t *json, const char *place); /* NaN if absent; see table.h */
 json_t *real_or_null(double value);                    /* null: it is not finite */
 
 bool is_final(const char *state);

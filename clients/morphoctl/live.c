@@ -12,7 +12,6 @@
 #include "commands.h"
 #include "follow.h"
 #include "table.h"
-#include "template.h"
 #include "transport.h"
 
 #define REDRAW_S 0.1

@@ -1,6 +1,8 @@
 /* table.c: see table.h. */
 #include "table.h"
 
+#include <inttypes.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
@@ -8,9 +10,229 @@
 #include <unistd.h>
 
 #include "base/text.h"
-#include "template.h"
 
+#define DASH        "–"
+#define WORD_BYTES  64
 #define COLUMNS_MAX 16
+
+const json_t *value_at(const json_t *json, const char *place)
+{
+  char key[WORD_BYTES];
+  while (*place != 0) {
+    const size_t n = strcspn(place, ".");
+    snprintf(key, sizeof(key), "%.*s", (int)n, place);
+    json = json_is_array(json) ? json_array_get(json, strtoul(key, NULL, 10))
+                               : json_object_get(json, key);
+    place += n + (place[n] == '.');
+  }
+  return json;
+}
+
+/* ---- forms ---- */
+
+const char *count_text(int64_t n, char text[32])
+{
+  char digits[24];
+  int length = snprintf(digits, sizeof(digits), "%" PRId64, n < 0 ? -n : n);
+  char *out = text;
+  if (n < 0)
+    *out++ = '-';
+  for (int i = 0; i < length; i++) {
+    if (i > 0 && (length - i) % 3 == 0)
+      *out++ = ',';
+    *out++ = digits[i];
+  }
+  *out = 0;
+  return text;
+}
+
+static void put_time(FILE *file, const char *value)
+{
+  char text[32];
+  struct tm utc = {0}, local;
+  const char *rest = strptime(value, "%Y-%m-%dT%H:%M:%S", &utc);
+  const time_t seconds = rest != NULL ? timegm(&utc) : 0;
+  if (rest == NULL || localtime_r(&seconds, &local) == NULL ||
+      strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S", &local) == 0)
+    snprintf(text, sizeof(text), "%s", value);
+  print_plain(file, "%s", text);
+}
+
+static void put_duration(FILE *file, double seconds)
+{
+  if (!(seconds >= 0) || seconds > 1e9) {
+    fputs(DASH, file);
+    return;
+  }
+  const long whole = lround(seconds);
+  if (whole >= 2 * 86400)
+    fprintf(file, "%ld d %02ld:%02ld", whole / 86400, whole / 3600 % 24, whole / 60 % 60);
+  else
+    fprintf(file, "%ld:%02ld:%02ld", whole / 3600, whole / 60 % 60, whole % 60);
+}
+
+/* Writes a number in the form .4f, .4g, g, .1%, duration, GiB or MB. */
+static void put_number(FILE *file, double number, const char *form)
+{
+  char *end = NULL;
+  const int precision = *form == '.' ? (int)strtol(form + 1, &end, 10) : 6;
+  const char kind = end != NULL ? *end : *form;
+  if (strcmp(form, "duration") == 0)
+    put_duration(file, number);
+  else if (strcmp(form, "GiB") == 0)
+    fprintf(file, "%.1f", number / (1 << 30));
+  else if (strcmp(form, "MB") == 0)
+    fprintf(file, "%.1f", number * 1e-6);
+  else if (kind == '%')
+    fprintf(file, "%.*f %%", precision, 100 * number);
+  else
+    fprintf(file, kind == 'f' ? "%.*f" : "%.*g", precision, number);
+}
+
+static void put_value(FILE *file, const json_t *value, const char *form)
+{
+  char digits[32];
+  if (*form == '#')
+    fputs(count_text((int64_t)json_array_size(value), digits), file);
+  else if (*form == 's')
+    fputs(json_array_size(value) == 1 ? "" : "s", file);
+  else if (*form == ',')
+    fputs(count_text(json_integer_value(value), digits), file);
+  else if (json_is_string(value) && strcmp(form, "time") == 0)
+    put_time(file, json_string_value(value));
+  else if (json_is_string(value))
+    print_plain(file, "%.*s", *form == '.' ? (int)strtol(form + 1, NULL, 10) : -1,
+                json_string_value(value));
+  else if (json_is_integer(value) && *form == 0)
+    fprintf(file, "%" PRId64, (int64_t)json_integer_value(value));
+  else if (json_is_number(value))
+    put_number(file, json_number_value(value), form);
+  else if (*form != 0 && strspn(form + 1, "0123456789") + 1 != strlen(form))
+    fputs(DASH, file);
+}
+
+/* ---- templates ---- */
+
+/* Writes the share of two counts, "part/whole". */
+static bool put_share(FILE *file, const json_t *json, char *places)
+{
+  char *slash = strchr(places, '/');
+  *slash = 0;
+  const json_int_t part = json_integer_value(value_at(json, places)),
+                   whole = json_integer_value(value_at(json, slash + 1));
+  fprintf(file, "%d %%", whole > 0 ? (int)(100 * part / whole) : 0);
+  return whole > 0;
+}
+
+static bool is_there(const json_t *value, const char *form)
+{
+  return *form == '#'
+             ? json_is_array(value)
+             : json_is_number(value) || json_is_boolean(value) || json_string_length(value) > 0;
+}
+
+static bool is_word(const json_t *value, const char *word)
+{
+  const char *text =
+      json_is_boolean(value) ? (json_is_true(value) ? "true" : "false") : json_string_value(value);
+  return text != NULL && strcmp(text, word) == 0;
+}
+
+/* Writes the value that the text behind a brace names; returns what follows it. */
+static const char *put_place(FILE *file, const json_t *json, const char *at, bool *all_there)
+{
+  char text[WORD_BYTES], *place = text;
+  const size_t n = strcspn(at, "}");
+  snprintf(text, sizeof(text), "%.*s", (int)n, at);
+  char *form = strchr(text, ':');
+  if (form != NULL)
+    *form++ = 0;
+  else
+    form = text + strlen(text);
+  at += n + 1;
+  const bool is_absence = *place == '!';
+  place += is_absence;
+  char *condition = strpbrk(place, ">!=/");
+  const char kind = condition != NULL ? *condition : 0;
+  if (kind == '/') {
+    *all_there &= put_share(file, json, place);
+    return at;
+  }
+  if (condition != NULL)
+    *condition = 0;
+  const json_t *value = value_at(json, place);
+  bool there = is_there(value, form) != is_absence;
+  if (kind == '>')
+    there = json_number_value(value) > strtod(condition + 1, NULL);
+  else if (kind == '!')
+    there = there && !is_word(value, condition + 2);
+  else if (kind == '=')
+    there = is_word(value, condition + 1);
+  *all_there &= there;
+  if (kind != '=' && !is_absence && *form != '-')
+    put_value(file, value, form);
+  return at;
+}
+
+static const char *put_choice(FILE *file, const json_t *json, const char *at);
+
+static const char *put_part(FILE *file, const json_t *json, const char *at, bool *all_there)
+{
+  while (*at != 0 && *at != '|' && *at != ']') {
+    if (*at == '{')
+      at = put_place(file, json, at + 1, all_there);
+    else if (*at == '[')
+      at = put_choice(file, json, at + 1);
+    else
+      fputc(*at++, file);
+  }
+  return at;
+}
+
+/* Writes the first alternative whose values are all there; returns what follows the brackets. */
+static const char *put_choice(FILE *file, const json_t *json, const char *at)
+{
+  for (bool chosen = false; *at != 0; at++) {
+    char *text = NULL;
+    size_t size = 0;
+    bool all_there = true;
+    FILE *part = need(open_memstream(&text, &size));
+    at = put_part(part, json, at, &all_there);
+    close_text(part);
+    if (all_there && !chosen) {
+      fputs(text, file);
+      chosen = true;
+    }
+    free(text);
+    if (*at != '|')
+      return at + (*at == ']');
+  }
+  return at;
+}
+
+const char *fill_template(FILE *file, const json_t *json, const char *template)
+{
+  bool all_there = true;
+  return put_part(file, json, template, &all_there);
+}
+
+char *text_from(const json_t *json, const char *template)
+{
+  char *text = NULL;
+  size_t size = 0;
+  FILE *file = need(open_memstream(&text, &size));
+  fill_template(file, json, template);
+  close_text(file);
+  return text;
+}
+
+void print_from(FILE *file, const json_t *json, const char *template)
+{
+  fill_template(file, json, template);
+  fputc('\n', file);
+}
+
+/* ---- tables ---- */
 
 struct column {
   const char *head, *words; /* words: its template, up to a | */

@@ -13,7 +13,6 @@
 #include "commands.h"
 #include "plot.h"
 #include "table.h"
-#include "template.h"
 #include "transport.h"
 
 #define ASK_S         10   /* waiting makes no events */

@@ -1,4 +1,4 @@
-/* training.h: how parts of a training's progress are told: templates (template.h) of values below
+/* training.h: how parts of a training's progress are told: templates (table.h) of values below
  * a place, "progress." or the like. */
 #ifndef MORPHOCTL_TRAINING_H
 #define MORPHOCTL_TRAINING_H

@@ -11,7 +11,6 @@
 #include <curl/curl.h>
 
 #include "table.h"
-#include "template.h"
 
 #define REPLY_BYTES_MAX (UINT64_C(2) << 30)
 

@@ -1,7 +1,6 @@
 /* How campaigns are shown: sparklines, lines of generations, the view. */
 #include "campaign.h"
 #include "table.h"
-#include "template.h"
 
 #include <math.h>
 

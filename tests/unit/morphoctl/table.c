@@ -5,7 +5,6 @@
 
 #include "commands.h"
 #include "table.h"
-#include "template.h"
 
 static void templates(void)
 {
