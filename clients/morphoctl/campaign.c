@@ -11,8 +11,6 @@
 #include <string.h>
 
 #include "commands.h"
-#include "table.h"
-#include "transport.h"
 
 #define ASK_S         5
 #define LINES_BESIDES 13

@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "commands.h"
-#include "transport.h"
 
 #define BUNDLE_TYPE      "application/zstd"
 #define BUNDLE_BYTES_MAX ((size_t)4 << 30)

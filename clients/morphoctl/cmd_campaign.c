@@ -5,8 +5,6 @@
 
 #include "commands.h"
 #include "live.h"
-#include "table.h"
-#include "transport.h"
 
 /* ---- start ---- */
 

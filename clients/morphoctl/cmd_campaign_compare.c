@@ -7,8 +7,6 @@
 
 #include "commands.h"
 #include "stats.h"
-#include "table.h"
-#include "transport.h"
 
 enum { SIDES_MAX = 8, REPLICATES_MAX = 100 };
 

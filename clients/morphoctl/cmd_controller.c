@@ -3,8 +3,6 @@
 #include <unistd.h>
 
 #include "commands.h"
-#include "table.h"
-#include "transport.h"
 
 #define CONTROLLER_BYTES_MAX ((size_t)4 << 30)
 

@@ -3,8 +3,6 @@
 #include <string.h>
 
 #include "commands.h"
-#include "table.h"
-#include "transport.h"
 
 static void print_orientation(const struct ctl *ctl, const json_t *orientation)
 {

@@ -6,8 +6,6 @@
 #include <sys/stat.h>
 
 #include "commands.h"
-#include "table.h"
-#include "transport.h"
 
 static void fill_record(const struct ctl *ctl, json_t *request)
 {

@@ -16,8 +16,6 @@
 #include "../film/png.h"
 #include "../film/raster.h"
 #include "commands.h"
-#include "table.h"
-#include "transport.h"
 
 #define ROBOTS_MAX     16
 #define LAST_S         1.0 /* how long the last frame stays */

@@ -2,8 +2,6 @@
 #include <string.h>
 
 #include "commands.h"
-#include "table.h"
-#include "transport.h"
 
 static bool is_open(const json_t *session)
 {

@@ -7,8 +7,6 @@
 #include <unistd.h>
 
 #include "commands.h"
-#include "table.h"
-#include "transport.h"
 
 void run_job_list(struct ctl *ctl)
 {

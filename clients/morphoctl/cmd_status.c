@@ -5,8 +5,6 @@
 #include <unistd.h>
 
 #include "commands.h"
-#include "table.h"
-#include "transport.h"
 
 /* Finds out whether the server is ready, and why not: a text or NULL. "Not ready" is a valid
  * result, so there are no retries. */

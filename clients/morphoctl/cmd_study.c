@@ -5,8 +5,6 @@
 
 #include "base/base64.h"
 #include "commands.h"
-#include "table.h"
-#include "transport.h"
 
 #define CHILDREN_BYTES_MAX ((size_t)64 << 20)
 #define SAMPLER_BYTES_MAX  ((size_t)16 << 20)

@@ -5,7 +5,6 @@
 
 #include "commands.h"
 #include "live.h"
-#include "transport.h"
 
 /* ---- start ---- */
 

@@ -7,8 +7,6 @@
 
 #include "commands.h"
 #include "stats.h"
-#include "table.h"
-#include "transport.h"
 
 struct side {
   const char *name; /* as given */

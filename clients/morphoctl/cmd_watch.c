@@ -10,9 +10,7 @@
 #include "campaign.h"
 #include "commands.h"
 #include "follow.h"
-#include "table.h"
 #include "training.h"
-#include "transport.h"
 
 /* ---- what events tell ---- */
 

@@ -1,4 +1,4 @@
-/* commands.h: what the commands share. */
+/* commands.h: what the commands share, with the headers that nearly all of them need. */
 #ifndef MORPHOCTL_COMMANDS_H
 #define MORPHOCTL_COMMANDS_H
 
@@ -7,6 +7,7 @@
 #include "ctl.h"
 #include "designs.h"
 #include "runs.h"
+#include "table.h"
 #include "transport.h"
 
 /* Most of these end the program when something is wrong; what they return is kept (memory.h). */

@@ -8,8 +8,6 @@
 
 #include "base/words.h"
 #include "commands.h"
-#include "table.h"
-#include "transport.h"
 
 const char *text_of(const json_t *object, const char *key)
 {

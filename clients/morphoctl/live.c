@@ -11,8 +11,6 @@
 
 #include "commands.h"
 #include "follow.h"
-#include "table.h"
-#include "transport.h"
 
 #define REDRAW_S 0.1
 

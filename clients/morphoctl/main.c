@@ -7,7 +7,6 @@
 #include <unistd.h>
 
 #include "commands.h"
-#include "transport.h"
 
 #define TOKEN_LINE 1024
 

@@ -6,8 +6,6 @@
 #include "base/words.h"
 #include "commands.h"
 #include "settings.inc"
-#include "table.h"
-#include "transport.h"
 
 /* ---- options that are fields ---- */
 

@@ -12,8 +12,6 @@
 
 #include "commands.h"
 #include "plot.h"
-#include "table.h"
-#include "transport.h"
 
 #define ASK_S         10   /* waiting makes no events */
 #define LINES_BESIDES 6    /* lines of the view besides the plot */
