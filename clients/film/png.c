@@ -1,7 +1,7 @@
 /* png.c: see png.h. */
 #include "png.h"
 
-#include "../morphoctl/memory.h"
+#include "../morphoctl/ctl.h"
 
 #include <stdlib.h>
 #include <string.h>

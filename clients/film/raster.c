@@ -5,7 +5,7 @@
  * depth buffer, seen from the sun. */
 #include "raster.h"
 
-#include "../morphoctl/memory.h"
+#include "../morphoctl/ctl.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -20,7 +20,7 @@ struct raster_camera {
 struct raster;
 
 /* Allocates the buffers of a picture of so many pixels, each side 16 … RASTER_SIDE_MAX, drawn with
- * 2 × 2 samples each (kept, memory.h). */
+ * 2 × 2 samples each (kept, ctl.h). */
 struct raster *raster_create(uint32_t width, uint32_t height);
 
 /* Draws a rollout at a time; after its end, the last frame. light: a bright background in place of

@@ -35,7 +35,7 @@ struct scene {
 };
 
 /* Reads `size` bytes, which must be aligned to 4 and outlive the scene. Its lists are kept
- * (memory.h). Bytes that are no scene end the program. */
+ * (ctl.h). Bytes that are no scene end the program. */
 struct scene scene_read(const void *bytes, size_t size);
 /* Adds what another scene has, which must have the same time between its frames. */
 void scene_append(struct scene *scene, const struct scene *other);

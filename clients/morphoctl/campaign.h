@@ -1,23 +1,8 @@
-/* campaign.h: a campaign with its curves, and how parts of its progress are told. */
+/* campaign.h: a campaign with its curves. */
 #ifndef MORPHOCTL_CAMPAIGN_H
 #define MORPHOCTL_CAMPAIGN_H
 
 #include "live.h"
-
-/* Templates (table.h): "generation 12 of 30" of values below a place, "progress." or the like.
- */
-#define GENERATION_WORDS(place)                                                                    \
-  "[generation {" place "generation:,}|before generation 0] of {" place "generations:,}"
-/* "generation 12: scoring 34 of 64 designs  210 rollouts/s  0:03:12 left"; nothing when the
- * campaign is not running. */
-#define CAMPAIGN_NOW_WORDS                                                                         \
-  "[{phase!=idle:-}[generation {progress.under_way:,}: ]{phase}"                                   \
-  "[{phase=scoring}" DONE_WORDS " designs|{phase=learning}" DONE_WORDS " steps"                    \
-  "|{phase=preparing}" DONE_WORDS " bodies of the pretraining]"                                    \
-  "[  {progress.rollouts_per_s>0:.0f} rollouts/s]"                                                 \
-  "[  {progress.seconds_left:duration}"                                                            \
-  "[{phase!=preparing:-} left|{progress.generation>0:-} left| until they are drawn]]]"
-#define DONE_WORDS "{progress.total>0:-} {progress.done:,} of {progress.total:,}"
 
 enum { CAMPAIGN_VALUES = 8 }; /* mean, median, best, diversity, mutants, recombinants, voxels, s */
 
@@ -32,8 +17,6 @@ struct campaign {
   size_t n, capacity;
   size_t told; /* rows already printed, if not on a terminal */
 };
-
-extern const struct live_kind campaign_kind;
 
 /* Draws a curve in `width` characters, the newest value at the right. Characters from least to
  * most: ▁▂▃▄▅▆▇█ if the locale has them, else digits 0 to 9; blanks for missing values. If there

@@ -7,10 +7,9 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "campaign.h"
 #include "commands.h"
 #include "follow.h"
-#include "training.h"
+#include "live.h"
 
 /* ---- what events tell ---- */
 

@@ -10,7 +10,7 @@
 #include "table.h"
 #include "transport.h"
 
-/* Most of these end the program when something is wrong; what they return is kept (memory.h). */
+/* Most of these end the program when something is wrong; what they return is kept (ctl.h). */
 
 /* ---- request.c ---- */
 

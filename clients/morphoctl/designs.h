@@ -23,7 +23,7 @@
 #define INPUT_BYTES_MAX (64 << 20)
 
 struct designs {
-  json_t *list;  /* array of objects in the form of the API; kept (memory.h) */
+  json_t *list;  /* array of objects in the form of the API; kept (ctl.h) */
   json_t *names; /* of the same length: texts, or null; kept */
 };
 

@@ -28,6 +28,8 @@ struct live_kind {
   void (*finish)(struct live *live); /* prints the result */
 };
 
+extern const struct live_kind training_kind, campaign_kind;
+
 struct live {
   const struct live_kind *kind;
   struct ctl *ctl;
@@ -53,7 +55,34 @@ void live_words(const struct live *live, const json_t *at, const json_t *json, c
 void view_lines(FILE *file, int columns, const char *text);
 void view_words(FILE *file, int columns, const json_t *json, const char *words);
 
-/* Returns the template of what an event tells, or NULL (cmd_watch.c). */
+/* Returns the template of what an event tells (cmd_watch.c). */
 const char *event_words(const char *type);
+
+/* ---- how parts of progress are told: templates (table.h) of values below a place, "progress." or
+ * the like ---- */
+
+#define STEP_WORDS(place) "step {" place "step:,} of {" place "steps:,}"
+#define NUMBER_WORDS(place)                                                                        \
+  "loss {" place "mean_loss:.4f}  gradient {" place "gradient_norm:.4g}  rate {" place             \
+  "rate:.4g}  clipped {" place "clipped_share:.1%}"
+#define PACE_WORDS(place)                                                                          \
+  "[  {" place "bodies_per_s:.4g} bodies/s][  {" place "seconds_left:duration} left]"
+/* "0.2450 ± 0.0110 at step 1,200", with the diverged rollouts if there are any. */
+#define VALIDATION_WORDS(place)                                                                    \
+  "[[{" place "mean_score:.4f}|–] ± [{" place "standard_error:.4f}|–] at step {" place             \
+  "step:,}|–][, {" place "diverged>0} of {" place "rollouts} rollouts diverged]"
+/* "generation 12 of 30" */
+#define GENERATION_WORDS(place)                                                                    \
+  "[generation {" place "generation:,}|before generation 0] of {" place "generations:,}"
+/* "generation 12: scoring 34 of 64 designs  210 rollouts/s  0:03:12 left"; nothing when the
+ * campaign is not running. */
+#define CAMPAIGN_NOW_WORDS                                                                         \
+  "[{phase!=idle:-}[generation {progress.under_way:,}: ]{phase}"                                   \
+  "[{phase=scoring}" DONE_WORDS " designs|{phase=learning}" DONE_WORDS " steps"                    \
+  "|{phase=preparing}" DONE_WORDS " bodies of the pretraining]"                                    \
+  "[  {progress.rollouts_per_s>0:.0f} rollouts/s]"                                                 \
+  "[  {progress.seconds_left:duration}"                                                            \
+  "[{phase!=preparing:-} left|{progress.generation>0:-} left| until they are drawn]]]"
+#define DONE_WORDS "{progress.total>0:-} {progress.done:,} of {progress.total:,}"
 
 #endif

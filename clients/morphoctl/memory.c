@@ -1,4 +1,4 @@
-/* memory.c: see memory.h. */
+/* memory.c: see ctl.h. */
 #include <errno.h>
 #include <signal.h>
 #include <stdlib.h>

@@ -1,8 +1,7 @@
 /* table_of_commands.c: all commands with their options and help, in the order of the help text. */
-#include "campaign.h"
 #include "commands.h"
+#include "live.h"
 #include "settings.inc"
-#include "training.h"
 
 /* Options of several commands. */
 #define PHYSICS                                                                                    \

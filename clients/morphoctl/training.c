@@ -2,8 +2,6 @@
  *
  * On a terminal train watch draws a plot of the loss and the numbers of the newest step; elsewhere
  * it prints a line per event. */
-#include "training.h"
-
 #include <inttypes.h>
 #include <limits.h>
 #include <math.h>
@@ -11,6 +9,7 @@
 #include <string.h>
 
 #include "commands.h"
+#include "live.h"
 #include "plot.h"
 
 #define ASK_S         10   /* waiting makes no events */
