@@ -44,8 +44,7 @@ void run_campaign_start(struct ctl *ctl)
   fill_workspace(ctl, keep(request));
   fill_schedule(ctl, request, "learning.schedule");
   fill_initial(ctl, request);
-  fill_fields(ctl, request);
-  request_fill(ctl, request); /* controller, environments, physics */
+  request_fill(ctl, request);
   if (controller != NULL && strcmp(controller, "random") == 0)
     json_object_set_new(request, "controller", json_null());
   if (option_is_set(ctl, "no-exclusions"))

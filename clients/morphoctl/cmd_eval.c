@@ -198,7 +198,6 @@ void run_eval(struct ctl *ctl)
   request_fill(ctl, request);
   fill_record(ctl, request);
   json_object_set(request, "designs", designs.list);
-  fill_fields(ctl, request);
   const json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, wait);
   if (!wait) {
     if (ctl->json)

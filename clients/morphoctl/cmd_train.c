@@ -51,8 +51,7 @@ void run_train_start(struct ctl *ctl)
   json_t *request = keep(json_pack("{s:s}", "kind", kind));
   fill_designs(ctl, finetune, request);
   fill_schedule(ctl, request, "schedule");
-  fill_fields(ctl, request);
-  request_fill_physics(ctl, request);
+  request_fill(ctl, request);
   live_start(ctl, request);
 }
 

@@ -20,8 +20,7 @@ void fill_fields(const struct ctl *ctl, json_t *request);
 /* Adds --schedule, a name or a kind, at its place. The options of a kind need one. Call it before
  * fill_fields. */
 void fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
-/* Fills in what says how designs are scored, for POST /v1/evaluations and campaigns: controller,
- * environments, physics, precision. */
+/* Fills in all options that have a place, --physics and --environments. */
 void request_fill(const struct ctl *ctl, json_t *request);
 /* Adds as "record" the channels of --record, else `usual` (nullable), and the masses for --film. */
 void request_fill_record(const struct ctl *ctl, json_t *request, const char *usual);

@@ -21,7 +21,7 @@ enum status {
   STATUS_INTERRUPTED = 130
 };
 
-enum field_kind { FIELD_WORD, FIELD_WHOLE, FIELD_REAL };
+enum field_kind { FIELD_WORD, FIELD_WHOLE, FIELD_REAL }; /* a word where nothing else is told */
 
 struct option_spec {
   const char *name;  /* without dashes; NULL ends a list */

@@ -202,12 +202,8 @@ static void fill_environments(const struct ctl *ctl, json_t *request)
 void request_fill(const struct ctl *ctl, json_t *request)
 {
   static const char *const precisions[] = {"float32", "float64", NULL};
-  const char *controller = option_text(ctl, "controller", NULL),
-             *precision = option_word(ctl, "precision", precisions, NULL);
-  if (controller != NULL)
-    json_object_set_new(request, "controller", json_string(controller));
-  if (precision != NULL)
-    json_object_set_new(request, "precision", json_string(precision));
+  option_word(ctl, "precision", precisions, NULL);
+  fill_fields(ctl, request);
   request_fill_physics(ctl, request);
   fill_environments(ctl, request);
 }

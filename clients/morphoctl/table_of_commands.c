@@ -4,6 +4,11 @@
 #include "settings.inc"
 
 /* Options of several commands. */
+#define CONTROLLER                                                                                 \
+  "controller", 'c', "NAME", "Controller: a name or sha256:<64 digits> (default: default).",       \
+      "controller"
+#define PRECISION                                                                                  \
+  "precision", 0, "float32|float64", "Precision of the simulation (default: float32).", "precision"
 #define PHYSICS                                                                                    \
   "physics", 'p', "KEY=VALUE",                                                                     \
       "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."
@@ -17,7 +22,7 @@
   "device", 0, "auto|cpu|cuda",                                                                    \
       "What computes it: processors, GPUs, or GPUs if one works and it suits them (default: "      \
       "auto).",                                                                                    \
-      "device", FIELD_WORD
+      "device"
 #define KEY(job)                                                                                   \
   "idempotency-key", 0, "KEY",                                                                     \
       "Repeating the same request with the same key gives the same " job " (default: a new key)."
@@ -39,25 +44,20 @@
       LOOK
 /* What to do about designs that are no bodies. */
 #define RULES(place)                                                                               \
-  {"on-fault",                                                                                     \
-   0,                                                                                              \
-   "refuse|skip",                                                                                  \
+  {"on-fault", 0, "refuse|skip",                                                                   \
    "What a design that is no body does to the request: refuse it, or be left out (default: "       \
    "refuse).",                                                                                     \
-   place "on_fault",                                                                               \
-   FIELD_WORD},                                                                                    \
+   place "on_fault"},                                                                              \
   {                                                                                                \
     "repair", 0, "none|largest",                                                                   \
-        "Of a body in several pieces keep none, or the largest (default: none).", place "repair",  \
-        FIELD_WORD                                                                                 \
+        "Of a body in several pieces keep none, or the largest (default: none).", place "repair"   \
   }
-#define LABEL "label", 'l', "TEXT", "A label to find the job by.", "label", FIELD_WORD
-#define EXPERIMENT                                                                                 \
-  "experiment", 0, "NAME", "What the job belongs to, with others.", "experiment", FIELD_WORD
+#define LABEL      "label", 'l', "TEXT", "A label to find the job by.", "label"
+#define EXPERIMENT "experiment", 0, "NAME", "What the job belongs to, with others.", "experiment"
 /* Options of both commands that start a job of hours. */
 #define OF_LONG_JOBS(job, command)                                                                 \
-  {"priority", 0, "interactive|batch", "Default: batch.", "priority", FIELD_WORD}, {WEIGHT},       \
-      {DEVICE}, {LABEL}, {EXPERIMENT},                                                             \
+  {"priority", 0, "interactive|batch", "Default: batch.", "priority"}, {WEIGHT}, {DEVICE},         \
+      {LABEL}, {EXPERIMENT},                                                                       \
       {"watch", 'w', NULL, "Watch it to its end, as " command " watch does."},                     \
   {                                                                                                \
     KEY(job)                                                                                       \
@@ -79,10 +79,10 @@
 #define UNLIMITED "all", 'a', NULL, "No limit."
 
 static const struct option_spec eval_options[] = {
-    {"controller", 'c', "NAME", "Controller: a name or sha256:<64 digits> (default: default)."},
+    {CONTROLLER},
     {ENVIRONMENTS},
     {PHYSICS},
-    {"precision", 0, "float32|float64", "Precision of the simulation (default: float32)."},
+    {PRECISION},
     RULES(""),
     {"random", 0, "N", "Score N random bodies (besides those given)."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
@@ -94,7 +94,7 @@ static const struct option_spec eval_options[] = {
      "Where to put recorded trajectories, as NumPy files, and evaluation.json."},
     FILM,
     {"priority", 0, "interactive|batch", "Default: interactive up to 64 rollouts, else batch.",
-     "priority", FIELD_WORD},
+     "priority"},
     {WEIGHT},
     {DEVICE},
     {LABEL},
@@ -109,10 +109,10 @@ static const struct option_spec eval_options[] = {
     {KEY("evaluation")},
     {NULL}};
 static const struct option_spec verify_options[] = {
-    {"controller", 'c', "NAME", "Controller: a name or sha256:<64 digits> (default: default)."},
+    {CONTROLLER},
     {ENVIRONMENTS},
     {PHYSICS},
-    {"precision", 0, "float32|float64", "Precision of the simulation (default: float32)."},
+    {PRECISION},
     {"evaluation", 0, "ID", "Verify all designs of an earlier evaluation, with its settings."},
     {NULL}};
 static const struct option_spec design_list_options[] = {
@@ -147,7 +147,7 @@ static const struct option_spec export_options[] = {
      "is for phylogenies."},
     {NULL}};
 static const struct option_spec film_options[] = {
-    {"controller", 'c', "NAME", "Controller: a name or sha256:<64 digits> (default: default)."},
+    {CONTROLLER},
     {ENVIRONMENTS},
     {"environment", 0, "N", "Which of the environments, from 0 (default: 0)."},
     {PHYSICS},
@@ -187,13 +187,13 @@ static const struct option_spec train_start_options[] = {
     {"preset", 0, "workstation|phototaxis|paper",
      "What is not given: workstation, the defaults below (default); phototaxis, as the shipped "
      "controller was pretrained; paper, as in the paper.",
-     "preset", FIELD_WORD},
-    {"name", 0, "NAME", "Name of the resulting controller (default: training- and the id).", "name",
-     FIELD_WORD},
+     "preset"},
+    {"name", 0, "NAME", "Name of the resulting controller (default: training- and the id).",
+     "name"},
     {"controller", 'c', "NAME",
      "Controller to start from: a name or sha256:<64 digits> (default: random weights; finetune: "
      "default).",
-     "controller", FIELD_WORD},
+     "controller"},
     {"random", 0, "N", "finetune: N random bodies (besides those given)."},
     {"random-seed", 0, "SEED", "Seed of these bodies (default: 1)."},
     {"population", 0, "JOB",
@@ -243,13 +243,13 @@ static const struct option_spec train_compare_options[] = {
     {NULL}};
 static const struct option_spec campaign_start_options[] = {
     {"preset", 0, "paper|workstation|demo",
-     "8192, 512 (default) or 64 designs, and as many generations as suit them.", "preset",
-     FIELD_WORD},
+     "8192, 512 (default) or 64 designs, and as many generations as suit them.", "preset"},
     {"replicates", 'r', "N", "Start N campaigns with seeds from SEED on, 1 to 100 (default: 1).",
      "replicates", FIELD_WHOLE},
     {"controller", 'c', "NAME",
      "A name or sha256:<64 digits>; random: random weights (default: default; simultaneous: "
-     "random)."},
+     "random).",
+     "controller"},
     {ENVIRONMENTS},
     RULES("initial."),
     {"from", 0, "CAMPAIGN", "Begin with the newest population of another campaign."},
@@ -265,7 +265,7 @@ static const struct option_spec campaign_start_options[] = {
     {PHYSICS},
     {"name", 0, "NAME",
      "Name of the controller that a learning campaign makes (default: campaign- and the id).",
-     "name", FIELD_WORD},
+     "name"},
     OF_LONG_JOBS("campaign", "campaign"),
     {NULL}};
 static const struct option_spec campaign_list_options[] = {
