@@ -122,7 +122,7 @@ static void print_bodies(const struct ctl *ctl, const json_t *reply, const char 
 /* Sends the options and what `request` has, and prints the reply. */
 static void make(struct ctl *ctl, const char *path, json_t *request, const char *as)
 {
-  fill_fields(ctl, request);
+  request_fill(ctl, request);
   print_bodies(ctl, post_again(ctl, path, request), as);
 }
 

@@ -174,7 +174,7 @@ void run_study_tell(struct ctl *ctl)
   fill_batch(ctl, request);
   fill_numbers(ctl, "survivors", request);
   fill_sampler(ctl, request);
-  fill_fields(ctl, request);
+  request_fill(ctl, request);
   print_batch(ctl, await_batch(ctl, post(ctl, "tell", request)));
 }
 

@@ -14,13 +14,11 @@
 
 /* ---- request.c ---- */
 
-/* Adds the given options of the command that have a place to the request. The server checks bounds
- * and reports them. */
-void fill_fields(const struct ctl *ctl, json_t *request);
 /* Adds --schedule, a name or a kind, at its place. The options of a kind need one. Call it before
- * fill_fields. */
+ * request_fill. */
 void fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
-/* Fills in all options that have a place, --physics and --environments. */
+/* Adds the given options of the command that have a place, --physics and --environments to the
+ * request. The server checks bounds and reports them. */
 void request_fill(const struct ctl *ctl, json_t *request);
 /* Adds as "record" the channels of --record, else `usual` (nullable), and the masses for --film. */
 void request_fill_record(const struct ctl *ctl, json_t *request, const char *usual);

@@ -49,7 +49,7 @@ static void fill_place(json_t *request, const char *place, json_t *value)
   json_object_set_new(object, place, value);
 }
 
-void fill_fields(const struct ctl *ctl, json_t *request)
+static void fill_fields(const struct ctl *ctl, json_t *request)
 {
   for (const struct option_spec *spec = ctl->command->options; spec->name != NULL; spec++) {
     const char *text = spec->place != NULL ? option_text(ctl, spec->name, NULL) : NULL;
