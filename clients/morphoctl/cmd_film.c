@@ -103,23 +103,19 @@ static double duration_s(const struct film *film)
   return (frames - 1) * film->scene.frame_s;
 }
 
-/* Reads a side of a picture from the digits between two places. */
-static bool read_side(const char *from, const char *to, uint32_t *side)
+static bool is_side(uint32_t pixels)
 {
-  uint32_t value = 0;
-  for (; from < to && *from >= '0' && *from <= '9' && value <= RASTER_SIDE_MAX; from++)
-    value = value * 10 + (uint32_t)(*from - '0');
-  *side = value;
-  return from == to && value >= 64 && value <= RASTER_SIDE_MAX;
+  return pixels >= 64 && pixels <= RASTER_SIDE_MAX;
 }
 
 /* Reads the options that say how to draw. */
 static void read_look(struct ctl *ctl, struct film *film)
 {
   const char *size = option_text(ctl, "size", "960x540");
-  const char *cross = strchr(size, 'x');
-  if (cross == NULL || !read_side(size, cross, &film->width) ||
-      !read_side(cross + 1, size + strlen(size), &film->height))
+  int end = 0;
+  /* NOLINTNEXTLINE(cert-err34-c): 5 digits fit */
+  if (sscanf(size, "%5ux%5u%n", &film->width, &film->height, &end) != 2 || size[end] != 0 ||
+      !is_side(film->width) || !is_side(film->height))
     fail(STATUS_USAGE, "--size: WIDTHxHEIGHT of 64 to %d pixels is expected, not \"%s\"",
          RASTER_SIDE_MAX, size);
   film->light = option_is_set(ctl, "light");
