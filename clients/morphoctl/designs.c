@@ -251,11 +251,9 @@ bool design_voxels(const json_t *design, char voxels[VOXELS + 1])
 void draw_body(FILE *file, const char voxels[VOXELS + 1], bool utf8)
 {
   int highest = 0;
-  for (int x = 0; x < WORKSPACE_X; x++)
-    for (int y = 0; y < WORKSPACE_Y; y++)
-      for (int z = 0; z < WORKSPACE_Z; z++)
-        if (voxels[voxel_index(x, y, z)] == '1' && z > highest)
-          highest = z;
+  for (int i = 0; i < VOXELS; i++)
+    if (voxels[i] == '1' && i % WORKSPACE_Z > highest)
+      highest = i % WORKSPACE_Z;
   const char *full = utf8 ? "██" : "##";
   const char *empty = utf8 ? "· " : ". ";
   for (int z = 0; z <= highest; z++)
