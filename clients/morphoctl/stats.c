@@ -74,13 +74,8 @@ double student_quantile(double p, double freedom)
 
 struct paired compare_pairs(const double *a, const double *b, size_t n, double confidence)
 {
-  struct paired paired = {.mean_a = NAN,
-                          .mean_b = NAN,
-                          .difference = NAN,
-                          .deviation = NAN,
-                          .error = NAN,
-                          .low = NAN,
-                          .high = NAN};
+  struct paired paired = {
+      .mean_a = NAN, .mean_b = NAN, .difference = NAN, .error = NAN, .low = NAN, .high = NAN};
   double sum_a = 0, sum_b = 0, sum = 0, squares = 0;
   for (size_t i = 0; i < n; i++) {
     if (!isfinite(a[i]) || !isfinite(b[i]))
@@ -105,8 +100,7 @@ struct paired compare_pairs(const double *a, const double *b, size_t n, double c
     if (isfinite(a[i]) && isfinite(b[i]))
       squares += off * off;
   }
-  paired.deviation = sqrt(squares / (pairs - 1));
-  paired.error = paired.deviation / sqrt(pairs);
+  paired.error = sqrt(squares / (pairs - 1)) / sqrt(pairs);
   double t = student_quantile(0.5 + confidence / 2, pairs - 1);
   paired.low = paired.difference - t * paired.error;
   paired.high = paired.difference + t * paired.error;

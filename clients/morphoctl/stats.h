@@ -17,8 +17,7 @@ struct paired {
   size_t n;               /* pairs in which both scores are finite; only these count below */
   double mean_a, mean_b;  /* over these pairs; NaN: none */
   double difference;      /* mean of b − a */
-  double deviation;       /* standard deviation of b − a; NaN below two pairs */
-  double error;           /* its standard error */
+  double error;           /* its standard error; NaN below two pairs */
   double low, high;       /* confidence interval of the difference; NaN below two pairs */
   size_t improved, equal; /* pairs with b < a, with b = a */
 };

@@ -35,7 +35,7 @@ static void pairs(void)
   CHECK_NEAR(paired.mean_a, 3.25, 1e-15);
   CHECK_NEAR(paired.mean_b, 1.75, 1e-15);
   CHECK_NEAR(paired.difference, -1.5, 1e-15);
-  CHECK_NEAR(paired.deviation, sqrt(5.0 / 3), 1e-15);
+  CHECK_NEAR(paired.error, sqrt(5.0 / 12), 1e-15);
   CHECK_NEAR(paired.high - paired.low, 2 * 3.182446305284263 * sqrt(5.0 / 12), 1e-9);
   CHECK_NEAR(paired.low + paired.high, -3, 1e-12);
   paired = compare_pairs(a, b, 1, 0.95);
