@@ -111,7 +111,7 @@ static const json_t *send_bundle(struct ctl *ctl, const char *path)
 }
 
 /* Tells of each campaign what became of it. */
-static void tell_entered(const struct ctl *ctl, const json_t *entered, bool verified)
+static void tell_entered(const struct ctl *ctl, const json_t *entered)
 {
   const json_t *item;
   size_t i;
@@ -121,20 +121,11 @@ static void tell_entered(const struct ctl *ctl, const json_t *entered, bool veri
   }
   json_array_foreach(json_object_get(entered, "items"), i, item)
   {
-    const json_t *source = json_object_get(item, "source");
-    const char *id = text_of(item, "campaign");
     if (!ctl->quiet)
-      print_plain_line(stdout,
-                       "campaign %s of store %s: %" PRId64 " designs, %" PRId64 " losses, %" PRId64
-                       " recorded evaluations; %s%s",
-                       text_of(source, "campaign"), text_of(source, "store"),
-                       number_of(item, "designs"), number_of(item, "losses"),
-                       number_of(item, "recordings"),
-                       json_is_true(json_object_get(item, "entered")) ? "entered as campaign "
-                       : id[0] != '\0'                                ? "is here as campaign "
-                       : verified                                     ? "whole; not here yet"
-                                                                      : "not here",
-                       id);
+      print_from(stdout, item,
+                 "campaign {source.campaign} of store {source.store}: {designs} designs, {losses} "
+                 "losses, {recordings} recorded evaluations; [{entered=true}entered as campaign "
+                 "{campaign}|is here as campaign {campaign}|whole; not here yet]");
   }
 }
 
@@ -143,7 +134,7 @@ void run_bundle_import(struct ctl *ctl)
   const int64_t n = option_number(ctl, "recompute", 1, RECOMPUTE_MAX, 0);
   const json_t *entered = send_bundle(ctl, "/v1/bundles"), *item;
   size_t i;
-  tell_entered(ctl, entered, false);
+  tell_entered(ctl, entered);
   json_array_foreach(json_object_get(entered, "items"), i, item)
   {
     if (n > 0)
@@ -153,7 +144,7 @@ void run_bundle_import(struct ctl *ctl)
 
 void run_bundle_verify(struct ctl *ctl)
 {
-  tell_entered(ctl, send_bundle(ctl, "/v1/bundles?mode=verify"), true);
+  tell_entered(ctl, send_bundle(ctl, "/v1/bundles?mode=verify"));
 }
 
 /* ---- any list ---- */

@@ -155,11 +155,8 @@ static void print_batch(const struct ctl *ctl, const json_t *batch)
   }
   json_array_foreach(json_object_get(batch, "notes"), i, note)
   {
-    const json_t *fault = json_object_get(note, "fault");
-    if (json_is_object(fault) && !ctl->quiet)
-      print_plain_line(stderr, "child %" JSON_INTEGER_FORMAT " is left out: %s: %s",
-                       (json_int_t)number_of(note, "place"), text_of(fault, "pointer"),
-                       text_of(fault, "detail"));
+    if (json_is_object(json_object_get(note, "fault")) && !ctl->quiet)
+      print_from(stderr, note, "child {place} is left out: {fault.pointer}: {fault.detail}");
   }
   print_table(stdout, ctl, json_object_get(batch, "children"),
               ">number={number}|design={id}|operator={operator}|>voxels={voxels}"
