@@ -63,6 +63,7 @@ struct ctl {
   const char *token;  /* NULL: none */
   bool json;          /* plain JSON of the API on standard output */
   bool quiet;         /* no progress, no notes */
+  bool terminal;      /* standard output is one that obeys escapes */
   bool color;         /* on standard output */
   bool progress;      /* standard error is a terminal */
   bool utf8;          /* the locale can show box characters */

@@ -38,12 +38,6 @@ void view_words(FILE *file, int columns, const json_t *json, const char *words)
   free(text);
 }
 
-static bool can_draw(const struct ctl *ctl)
-{
-  const char *terminal = getenv("TERM");
-  return isatty(STDOUT_FILENO) && terminal != NULL && strcmp(terminal, "dumb") != 0 && !ctl->quiet;
-}
-
 /* Redraws the view, at most ten times per second unless `now`. */
 static void draw(struct live *live, bool now)
 {
@@ -149,7 +143,7 @@ static bool notice(void *context)
 static void watch(struct live *live)
 {
   const char *id = live->ctl->operands[0], *command = live->kind->command;
-  live->is_drawn = can_draw(live->ctl);
+  live->is_drawn = live->ctl->terminal && !live->ctl->quiet;
   /* Before the first output. */
   catch_interrupts(
       live->ctl->quiet

@@ -71,7 +71,8 @@ static void read_surroundings(struct ctl *ctl)
   ctl->json = option_is_set(ctl, "json");
   ctl->quiet = option_is_set(ctl, "quiet");
   bool dumb = terminal == NULL || strcmp(terminal, "dumb") == 0;
-  ctl->color = isatty(STDOUT_FILENO) && !dumb && (no_color == NULL || *no_color == 0);
+  ctl->terminal = isatty(STDOUT_FILENO) && !dumb;
+  ctl->color = ctl->terminal && (no_color == NULL || *no_color == 0);
   ctl->progress = isatty(STDERR_FILENO) && !dumb;
   ctl->utf8 = strcmp(nl_langinfo(CODESET), "UTF-8") == 0;
   ctl->retry_s = (double)option_number(ctl, "retry", 0, 86400, -1);
