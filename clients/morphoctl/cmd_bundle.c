@@ -13,24 +13,17 @@
 
 void run_bundle_export(struct ctl *ctl)
 {
-  static const char *const filters[] = {"label", "experiment", "group"};
-  char *path = NULL;
-  size_t size = 0;
+  static const char *const filters[] = {"label", "experiment", "group", NULL};
+  const char *path = "/v1/bundles";
   int ways = ctl->n_operands > 1;
-  FILE *text = need(open_memstream(&path, &size));
-  fputs("/v1/bundles", text);
   for (size_t i = 1; i < ctl->n_operands; i++)
-    fprintf(text, "%s%s", i == 1 ? "?campaigns=" : ",", job_id(ctl->operands[i]));
-  for (size_t i = 0; i < sizeof(filters) / sizeof(filters[0]); i++) {
-    const char *value = option_text(ctl, filters[i], NULL);
-    if (value != NULL)
-      fprintf(text, "?%s=%s", filters[i], escape(value));
-    ways += value != NULL;
-  }
+    path =
+        keep(format_text("%s%s%s", path, i == 1 ? "?campaigns=" : ",", job_id(ctl->operands[i])));
+  path = path_with(ctl, path, filters);
+  for (size_t i = 0; filters[i] != NULL; i++)
+    ways += option_is_set(ctl, filters[i]);
   if (option_is_set(ctl, "recordings"))
-    fputs("&recordings=true", text); /* behind what says which campaigns */
-  close_text(text);
-  keep(path);
+    path = path_to("%s&recordings=true", path); /* behind what says which campaigns */
   if (ways == 0)
     fail(STATUS_USAGE, "which campaigns? Give their ids, --label, --experiment or "
                        "--group");

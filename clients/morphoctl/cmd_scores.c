@@ -47,19 +47,12 @@ static int save_piece(void *context, const char *bytes, size_t n)
 
 void run_scores_export(struct ctl *ctl)
 {
-  static const char *const filters[] = {"controller", "class", "since"};
+  static const char *const filters[] = {"controller", "class", "since", NULL};
   struct saving saving = {.ctl = ctl, .path = ctl->n_operands > 0 ? ctl->operands[0] : "-"};
-  const char *path = "/v1/scores";
   if (strcmp(saving.path, "-") == 0 && isatty(STDOUT_FILENO))
     fail(STATUS_USAGE, "the file is not for terminals: name one, or use a pipe");
-  for (size_t i = 0; i < sizeof(filters) / sizeof(filters[0]); i++) {
-    const char *value = option_text(ctl, filters[i], NULL);
-    if (value != NULL)
-      path = path_to("%s%c%s=%s", path, strchr(path, '?') != NULL ? '&' : '?', filters[i],
-                     escape(value));
-  }
   catch_interrupts(NULL);
-  transport_download(ctl, path, SCORES_TYPE, save_piece, &saving);
+  transport_download(ctl, path_with(ctl, "/v1/scores", filters), SCORES_TYPE, save_piece, &saving);
   show_bytes(ctl, NULL, 0);
   if (saving.file != NULL && saving.file != stdout && fclose(saving.file) != 0)
     fail(STATUS_ERROR, "%s: %s", saving.path, strerror(errno));

@@ -130,6 +130,8 @@ void walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
                 void (*take)(void *context, json_t *item), void *context);
 /* Returns such items in an array. */
 json_t *collect(struct ctl *ctl, const char *path, size_t limit);
+/* Adds those of the options (up to NULL) that are given to a path, as its parameters. */
+const char *path_with(const struct ctl *ctl, const char *path, const char *const *options);
 /* Prints a list as print_items does. The options --limit and --all override the limit; others
  * filter and sort it. */
 void list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns);

@@ -196,39 +196,27 @@ json_t *collect(struct ctl *ctl, const char *path, size_t limit)
   return items;
 }
 
-/* Makes the path of a list with the options that filter or sort it (kept). */
-static char *list_path(const struct ctl *ctl, const char *list)
+const char *path_with(const struct ctl *ctl, const char *path, const char *const *options)
 {
-  static const struct {
-    const char *option, *parameter;
-  } filters[] = {{"state", "state"},
-                 {"label", "label"},
-                 {"submitted-by", "submitted_by"},
-                 {"experiment", "experiment"},
-                 {"archived", "archived"},
-                 {"group", "group"},
-                 {"sort", "sort"},
-                 {"order", "order"},
-                 {"controller", "controller"}};
-  char *path = NULL, between = '?';
-  size_t size = 0;
-  FILE *file = need(open_memstream(&path, &size));
-  fputs(list, file);
-  for (size_t i = 0; i < sizeof(filters) / sizeof(filters[0]); i++) {
-    const char *given = option_text(ctl, filters[i].option, NULL);
-    if (given == NULL)
+  for (; *options != NULL; options++) {
+    const char *value = option_text(ctl, *options, NULL);
+    if (value == NULL)
       continue;
-    fprintf(file, "%c%s=%s", between, filters[i].parameter, escape(given));
-    between = '&';
+    char *longer = keep(format_text("%s%c%s=%s", path, strchr(path, '?') != NULL ? '&' : '?',
+                                    *options, escape(value)));
+    for (char *c = longer + strlen(path); *c != '=' && *c != 0; c++)
+      *c = *c == '-' ? '_' : *c; /* --submitted-by */
+    path = longer;
   }
-  close_text(file);
-  return keep(path);
+  return path;
 }
 
 void list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns)
 {
   static const char *const states[] = {"queued", "running",   "paused", "succeeded",
                                        "failed", "cancelled", NULL};
+  static const char *const filters[] = {"state", "label", "submitted-by", "experiment", "archived",
+                                        "group", "sort",  "order",        "controller", NULL};
   const char *group = option_text(ctl, "group", NULL);
   limit = option_number(ctl, "limit", 1, 1000000, limit);
   if (option_is_set(ctl, "all"))
@@ -236,6 +224,6 @@ void list_items(struct ctl *ctl, const char *list, int64_t limit, const char *co
   option_word(ctl, "state", states, NULL);
   if (group != NULL)
     job_id(group);
-  json_t *items = collect(ctl, list_path(ctl, list), (size_t)limit);
+  json_t *items = collect(ctl, path_with(ctl, list, filters), (size_t)limit);
   print_items(ctl, keep(json_pack("{s:O, s:n}", "items", items, "next_cursor")), columns);
 }
