@@ -3,17 +3,20 @@
 import { getJson, patient, request } from './api.js';
 import { decodeScene, robotsOf } from './scene.js';
 
-const sets = new Map();
+const lists = new Map();
 
-/** The environments of a named set: [{sha256, light_xy_m, terrain_heights_m}]. */
-export async function environmentSet(name) {
-  if (!sets.has(name)) {
-    const load = getJson(`v1/environment-sets/${encodeURIComponent(name)}`);
-    load.catch(() => sets.delete(name));
-    sets.set(name, load);
+/** The environments at a path, which never change: [{sha256, light_xy_m, terrain_heights_m}]. */
+async function environmentsAt(path) {
+  if (!lists.has(path)) {
+    const load = getJson(path);
+    load.catch(() => lists.delete(path));
+    lists.set(path, load);
   }
-  return (await sets.get(name)).items;
+  return (await lists.get(path)).items;
 }
+
+/** The environments of a named set. */
+export const environmentSet = (name) => environmentsAt(`v1/environment-sets/${encodeURIComponent(name)}`);
 
 const requested = ({ light_xy_m, terrain_heights_m }) => ({ light_xy_m, terrain_heights_m });
 
@@ -60,4 +63,15 @@ export async function roll(designs, environments, options = {}) {
     robots.push(...robotsOf(decodeScene(await response.arrayBuffer())));
   }
   return robots;
+}
+
+/** Rolls designs of a campaign out in its first environment, under the newest controller that it has. */
+export async function rollOfCampaign(campaign, designs, signal) {
+  const { environments: named, physics } = campaign.settings;
+  const [environment] = await (named === 'paper-test' ? environmentSet(named)
+    : environmentsAt(`v1/campaigns/${campaign.id}/environments`));
+  const file = campaign.result?.controller ?? campaign.controller;
+  const robots = await roll(designs.map(({ genotype }) => ({ voxels: genotype })), [environment],
+    { controller: file?.sha256 ? `sha256:${file.sha256}` : 'default', physics, signal });
+  return robots.map((robot, i) => ({ ...robot, label: `#${designs[i].number}` }));
 }

@@ -7,7 +7,7 @@ import { coalesced } from '../lib/events.js';
 import { ago, count, number, percent, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { may } from '../lib/rights.js';
-import { environmentSet, roll } from '../lib/rollouts.js';
+import { rollOfCampaign } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { breedButton, startButton } from './forms.js';
 import { actions, comparing, editButton, progressBar, remark, stateChip, submitter, titleOf, trouble, weightField } from './jobs.js';
@@ -219,23 +219,11 @@ async function mountOne(main, id, parameters, app) {
     if (!designs.length) return;
     player.setNote('Walking…');
     try {
-      const environments = await campaignEnvironments();
-      const robots = await roll(designs.map((design) => ({ voxels: design.genotype })), [environments[0]],
-        { controller: controllerOf(campaign), physics: campaign.settings.physics, signal: stop.signal });
-      robots.forEach((robot, i) => { robot.label = `#${designs[i].number}`; });
-      player.setRobots(robots);
+      player.setRobots(await rollOfCampaign(campaign, designs, stop.signal));
       player.setNote('');
     } catch (error) {
       if (!stop.signal.aborted) player.setNote(error.message);
     }
-  }
-
-  let environmentsLoad = null;
-  function campaignEnvironments() {
-    const named = campaign.settings.environments;
-    environmentsLoad ??= named === 'paper-test' ? environmentSet(named)
-      : get(`v1/campaigns/${id}/environments`).then((page) => page.items);
-    return environmentsLoad;
   }
 
   async function refreshJob() {
@@ -276,11 +264,6 @@ async function mountOne(main, id, parameters, app) {
       player.destroy();
     },
   };
-}
-
-function controllerOf(campaign) {
-  const result = campaign.result?.controller ?? campaign.controller;
-  return result?.sha256 ? `sha256:${result.sha256}` : 'default';
 }
 
 const requestOf = (id) => ({

@@ -5,7 +5,7 @@ import { announce, button, fill, h, select } from '../lib/dom.js';
 import { count, score, scoreOf } from '../lib/format.js';
 import { OPERATOR_HUES, layout, nearest } from '../lib/lineage.js';
 import { picture } from '../lib/picture.js';
-import { environmentSet, roll } from '../lib/rollouts.js';
+import { rollOfCampaign } from '../lib/rollouts.js';
 import { decodeScene } from '../lib/scene.js';
 import { onPointers } from '../stage/camera.js';
 import { Program, dataTexture } from '../stage/gl.js';
@@ -295,23 +295,13 @@ export async function mount(main, id, parameters, app) {
       h('div.muted', {}, `born in generation ${design.born}, ${design.died === null ? 'it lives' : `died in ${design.died}`}`),
       design.lower_bound ? h('div.muted', {}, 'A lower bound: it could not survive, so the rest of its score was not computed.') : null,
       h('a', { href: `#/designs/${design.id}` }, 'all its scores'), h('a', { href: `#/editor?voxels=${design.genotype}` }, 'edit'))));
-    const [robots, ancestors] = await Promise.all([walk(design),
+    const [robots, ancestors] = await Promise.all([rollOfCampaign(campaign, [design], stop.signal),
       getJson(`v1/campaigns/${id}/designs/${number}/ancestors?limit=24`, { signal: stop.signal })]);
     if (selected !== row) return;
     player.setRobots(robots);
     fill(ancestry, ancestors.items.map((one) => h('button.card', { type: 'button', onclick: () => find(String(one.number)) },
       picture(one.genotype, `Ancestor ${one.number}`), h('strong.number', {}, score(one.score)), h('span.muted', {}, `#${one.number}`))),
     ancestors.items.length ? null : h('p.empty', {}, 'It has no ancestors: it was in the initial population.'));
-  }
-
-  async function walk(design) {
-    const named = campaign.settings.environments;
-    const environments = named === 'paper-test' ? await environmentSet(named)
-      : (await getJson(`v1/campaigns/${id}/environments`, { signal: stop.signal })).items;
-    const controller = campaign.result?.controller ?? campaign.controller;
-    const [robot] = await roll([{ voxels: design.genotype }], [environments[0]],
-      { controller: controller ? `sha256:${controller.sha256}` : 'default', physics: campaign.settings.physics, signal: stop.signal });
-    return [{ ...robot, label: `#${design.number}` }];
   }
 
   const chosen = (row) => choose(row).catch((error) => { if (!stop.signal.aborted) note.textContent = error.message; });
