@@ -1,6 +1,6 @@
 /** The dashboard: its frame, its routes, and what all views share. */
 
-import { connection, decoded, getJson, getToken, setToken, tokenOfAddress } from './lib/api.js';
+import { connection, decoded, getJson, getToken, setToken, storing, tokenOfAddress } from './lib/api.js';
 import { button, fill, h, svg } from './lib/dom.js';
 import { Events, isNews } from './lib/events.js';
 import { callerName, whoAmI, whyNot } from './lib/rights.js';
@@ -66,23 +66,14 @@ function setTheme(theme) {
 
 function startTheme() {
   const system = matchMedia('(prefers-color-scheme: light)');
-  let chosen = null;
-  try {
-    chosen = localStorage.getItem(THEME_KEY);
-  } catch {
-    // Storage may be forbidden.
-  }
+  let chosen = storing(() => localStorage.getItem(THEME_KEY));
   setTheme(chosen ?? (system.matches ? 'light' : 'dark'));
   system.addEventListener('change', () => {
     if (!chosen) setTheme(system.matches ? 'light' : 'dark');
   });
   return (theme) => {
     chosen = theme;
-    try {
-      localStorage.setItem(THEME_KEY, theme);
-    } catch {
-      // As above.
-    }
+    storing(() => localStorage.setItem(THEME_KEY, theme));
     setTheme(theme);
   };
 }

@@ -18,6 +18,15 @@ export class ApiError extends Error {
 
 let memoryToken = null;
 
+/** Uses the storage of the browser; undefined where that is forbidden. What it keeps then lasts as long as the page. */
+export function storing(use) {
+  try {
+    return use();
+  } catch {
+    return undefined;
+  }
+}
+
 /** A part of an address; what is not well formed stays as it is. */
 export function decoded(text) {
   try {
@@ -41,20 +50,11 @@ export function tokenOfAddress() {
 
 export function setToken(token) {
   memoryToken = token;
-  try {
-    if (token) sessionStorage.setItem(TOKEN_KEY, token);
-    else sessionStorage.removeItem(TOKEN_KEY);
-  } catch {
-    // Storage may be forbidden; the token then lasts as long as the page.
-  }
+  storing(() => sessionStorage.setItem(TOKEN_KEY, token));
 }
 
 export function getToken() {
-  try {
-    memoryToken ??= sessionStorage.getItem(TOKEN_KEY);
-  } catch {
-    // As above.
-  }
+  memoryToken ??= storing(() => sessionStorage.getItem(TOKEN_KEY));
   return memoryToken;
 }
 
