@@ -4,14 +4,9 @@ import { ticks } from '../lib/chart.js';
 import { announce, button, fill, h, paint, select, swatch } from '../lib/dom.js';
 import { number } from '../lib/format.js';
 
-/** What a design is measured by. */
-export const TRAITS = {
-  score: { name: 'score', of: (design) => design.score },
-  voxels: { name: 'voxels', of: (design) => design.voxels },
-  footprint: { name: 'footprint', of: (design) => design.footprint },
-  springs: { name: 'springs', of: (design) => design.springs },
-  born: { name: 'born in generation', of: (design) => design.born },
-};
+/** What a design is measured by, besides the measures of a study: names by key. */
+const TRAITS = { score: 'score', voxels: 'voxels', footprint: 'footprint', springs: 'springs', born: 'born in generation' };
+const valueOf = (design, key) => (key in TRAITS ? design[key] : design.measures?.[key.slice('measures.'.length)]) ?? null;
 const OPERATOR_COLORS = { mutation: '--orange', crossover: '--blue', random: '--grey', listed: '--green', inherited: '--grey' };
 const colorOf = (operator) => OPERATOR_COLORS[operator] ?? '--pink'; // a study's own
 const MARGIN = { left: 56, right: 14, top: 28, bottom: 46 };
@@ -57,9 +52,8 @@ export class Scatter {
 
   /** Offers the traits, and the measures of a study. */
   #offer(measures = []) {
-    this.traits = { ...TRAITS, ...Object.fromEntries(measures.map((name) =>
-      [`measures.${name}`, { name, of: (design) => design.measures?.[name] ?? null }])) };
-    const traits = Object.entries(this.traits).map(([key, { name }]) => [key, name]);
+    this.traits = { ...TRAITS, ...Object.fromEntries(measures.map((name) => [`measures.${name}`, name])) };
+    const traits = Object.entries(this.traits);
     fill(this.selects, select('Across', traits, this.axes[0], (key) => this.#axis(0, key)),
       select('Up', traits, this.axes[1], (key) => this.#axis(1, key)));
   }
@@ -72,8 +66,8 @@ export class Scatter {
       .map((operator) => h('span', {}, swatch(colorOf(operator)), operator)));
     const numbers = new Set(designs.map((design) => design.number));
     this.selected = this.selected.filter((design) => numbers.has(design.number));
-    this.canvas.setAttribute('aria-label', `Population of ${designs.length} designs: ${this.traits[this.axes[1]].name} ` +
-      `over ${this.traits[this.axes[0]].name}. Enter lets the eight best walk.`);
+    this.canvas.setAttribute('aria-label', `Population of ${designs.length} designs: ${this.traits[this.axes[1]]} ` +
+      `over ${this.traits[this.axes[0]]}. Enter lets the eight best walk.`);
     this.draw();
   }
 
@@ -89,7 +83,8 @@ export class Scatter {
   #place() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     return this.axes.map((key, axis) => {
-      const values = this.designs.map(this.traits[key].of).filter((v) => v !== null);
+      const of = (design) => valueOf(design, key);
+      const values = this.designs.map(of).filter((v) => v !== null);
       let [low, high] = [Infinity, -Infinity];
       for (const value of values) {
         low = Math.min(low, value);
@@ -99,7 +94,7 @@ export class Scatter {
       const room = (high - low || 1) * 0.05;
       [low, high] = [low - room, high + room];
       const [from, to] = axis === 0 ? [MARGIN.left, width - MARGIN.right] : [height - MARGIN.bottom, MARGIN.top];
-      return { low, high, of: this.traits[key].of, at: (value) => from + ((value - low) / (high - low)) * (to - from) };
+      return { low, high, of, at: (value) => from + ((value - low) / (high - low)) * (to - from) };
     });
   }
 
@@ -120,7 +115,7 @@ export class Scatter {
     }
     context.textAlign = 'center';
     for (const tick of ticks(x.low, x.high, 8)) context.fillText(number(tick), x.at(tick), height - MARGIN.bottom + 18);
-    const [across, up] = this.axes.map((key) => this.traits[key].name);
+    const [across, up] = this.axes.map((key) => this.traits[key]);
     context.fillText(across, (MARGIN.left + width - MARGIN.right) / 2, height - 6);
     context.textAlign = 'left';
     context.fillText(up, 8, 14);
