@@ -1,7 +1,7 @@
 /** The editor: a body, voxel by voxel, that walks and is scored at every click. */
 
 import { getJson, patient, post } from '../lib/api.js';
-import { WORKSPACE, bodyOf, cellsOf, genotypeOfId, hasVoxel } from '../lib/body.js';
+import { WORKSPACE, bodyOf, cellsOf, genotypeOf, genotypeOfId, hasVoxel } from '../lib/body.js';
 import { announce, button, fill, h, toggle } from '../lib/dom.js';
 import { count, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
@@ -21,7 +21,6 @@ export async function mount(main, path, parameters, app) {
   const kept = [];
   const known = new Map(); // ids by genotype
   let mirrored = false;
-  let turn = 0;
   let stop = new AbortController();
 
   const layers = h('div.layers', { role: 'group', 'aria-label': 'Body, layer by layer' });
@@ -100,7 +99,6 @@ export async function mount(main, path, parameters, app) {
   async function walk() {
     stop.abort();
     stop = new AbortController();
-    const mine = ++turn;
     const { signal } = stop;
     const started = performance.now();
     const body = bodyOf(genotype);
@@ -114,18 +112,18 @@ export async function mount(main, path, parameters, app) {
     player.hold(true);
     try {
       const [robot] = await roll([design], [environments[0]], { signal });
-      if (mine !== turn) return;
+      if (signal.aborted) return;
       robot.label = 'this body';
       known.set(genotype, robot.id);
       player.setRobots([robot]);
       // It walks first: ten rollouts would delay the frame that shows it.
       await new Promise(requestAnimationFrame);
-      if (mine !== turn) return;
+      if (signal.aborted) return;
       const shownMs = Math.round(performance.now() - started);
       const reply = await patient(() => post('v1/rollouts', {
         designs: [design], environments: 'paper-test', record: [],
       }, { signal, headers: { Accept: 'application/json' } }));
-      if (mine !== turn) return;
+      if (signal.aborted) return;
       const losses = reply.rollouts.map((rollout) => rollout.loss);
       const diverged = losses.some((loss) => loss === null);
       const mean = diverged ? null : reply.designs[0].score;
@@ -218,7 +216,5 @@ async function startBody(parameters) {
     const design = await getJson(`v1/designs/${encodeURIComponent(id)}`);
     return design.orientations[0]?.genotype ?? design.genotype;
   }
-  let genotype = '0'.repeat(144);
-  for (const cell of FIRST) genotype = flip(genotype, cell);
-  return genotype;
+  return genotypeOf(FIRST);
 }
