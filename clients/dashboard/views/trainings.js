@@ -180,15 +180,13 @@ async function mountOne(main, id, parameters, app) {
     if (ids.length < 2) return;
     const items = await Promise.all(ids.map((one) => get(`v1/trainings/${one}`)));
     const keys = items.map(({ kind, parent, settings: { seed, ...rest } }) => JSON.stringify([kind, parent, rest]));
-    groups = [...new Set(keys)].map((key) => {
+    groups = [...new Set(keys)].flatMap((key) => {
       const members = keys.flatMap((one, i) => (one === key ? [i] : []));
-      const seeds = members.map((i) => items[i].settings.seed);
-      const isReplicated = members.length > 1 && new Set(seeds).size === members.length;
-      return { members, name: isReplicated ? `mean of ${members.length} replicates` : `training ${members.map((i) => ids[i]).join(', ')}` };
+      const seeds = new Set(members.map((i) => items[i].settings.seed));
+      // Equal trainings of one seed are no replicates.
+      return members.length > 1 && seeds.size === members.length ? [{ members, name: `mean of ${members.length} replicates` }]
+        : members.map((i) => ({ name: `training ${ids[i]}`, members: [i] }));
     });
-    // Equal trainings of one seed are no replicates.
-    groups = groups.flatMap((group) => (group.name.startsWith('mean') || group.members.length === 1 ? [group]
-      : group.members.map((i) => ({ name: `training ${ids[i]}`, members: [i] }))));
   }
 
   /** The curve of a group: its rows, or the mean, least and most over its replicates where all have a row. */
