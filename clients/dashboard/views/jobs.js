@@ -1,10 +1,10 @@
 /** What views of jobs share: their state, progress, and the buttons that change them. */
 
-import { ApiError, post, request } from '../lib/api.js';
+import { post, request } from '../lib/api.js';
 import { announce, button, fill, h, table } from '../lib/dom.js';
 import { ago, count, countOf, duration } from '../lib/format.js';
 import { may } from '../lib/rights.js';
-import { confirmDialog, showDialog } from './share.js';
+import { announced, confirmDialog, showDialog } from './share.js';
 
 /** The page of a job. */
 export function linkOf(job) {
@@ -74,13 +74,7 @@ export function trouble(job) {
 /** Pause, resume and cancel, as the state and the caller's right allow. `changed` is called after each. */
 export function actions(job, changed) {
   const act = (name, done) => async () => {
-    try {
-      await post(`v1/jobs/${job.id}/${name}`);
-      announce(`${titleOf(job)} ${done}`);
-    } catch (error) {
-      announce(error.message);
-      if (!(error instanceof ApiError)) throw error;
-    }
+    await announced(() => post(`v1/jobs/${job.id}/${name}`), `${titleOf(job)} ${done}`);
     changed();
   };
   if (!may('submit')) return [];
@@ -168,13 +162,8 @@ export function weightField(job, changed) {
   if (!may('submit') || !['queued', 'running', 'paused'].includes(job.state)) return null;
   return h('label.field.inline', {}, h('span', {}, 'Weight'), h('input', {
     type: 'number', min: 0.001, max: 1000, step: 'any', value: job.weight, size: 6,
-    onchange: async (event) => {
-      try {
-        await post(`v1/jobs/${job.id}/weight`, { weight: Number(event.target.value) });
-        announce(`Weight of ${titleOf(job)} is ${event.target.value}`);
-      } catch (error) {
-        announce(error.message);
-      }
+    onchange: async ({ target: { value } }) => {
+      await announced(() => post(`v1/jobs/${job.id}/weight`, { weight: Number(value) }), `Weight of ${titleOf(job)} is ${value}`);
       changed();
     },
   }));

@@ -1,11 +1,11 @@
 /** Machines: who computes what, since when, how fast, and what was lost. */
 
-import { ApiError, getJson, post, request } from '../lib/api.js';
-import { announce, button, fill, h, table, tile } from '../lib/dom.js';
+import { getJson, post, request } from '../lib/api.js';
+import { button, fill, h, table, tile } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { ago, count, countOf, duration, number } from '../lib/format.js';
 import { may } from '../lib/rights.js';
-import { confirmDialog, copyButton } from './share.js';
+import { announced, confirmDialog, copyButton } from './share.js';
 
 const REFRESH_MS = 2000;
 /** The colors of states, as jobs have them. */
@@ -70,12 +70,7 @@ export async function mount(main, path, parameters, app) {
 
   /** Does something about a worker, and says what the service says against it. */
   async function act(send, done) {
-    try {
-      await send();
-      announce(done);
-    } catch (error) {
-      announce(error instanceof ApiError ? error.message : String(error));
-    }
+    await announced(send, done);
     refresh();
   }
 

@@ -5,6 +5,16 @@ import { request } from '../lib/api.js';
 import { commandsOf } from '../lib/commands.js';
 import { percent, shellWord } from '../lib/format.js';
 
+/** Does something, and announces that it is done, or what failed. */
+export async function announced(work, done) {
+  try {
+    await work();
+    if (done) announce(done);
+  } catch (error) {
+    announce(error.message);
+  }
+}
+
 /** Shows a dialog with a title; resolves when it is closed. */
 export function showDialog(title, ...children) {
   const dialog = h('dialog', { 'aria-label': title, onclose: () => dialog.remove() },
@@ -71,13 +81,9 @@ export function filmCommand(ids, { environment, set, controller, output }) {
 
 /** A link that saves a reply of the service: the token goes along, which a plain link would not send. */
 export function saveLink(path, name, text, attributes = {}) {
-  return h('a', { href: path, download: name, ...attributes, onclick: async (event) => {
+  return h('a', { href: path, download: name, ...attributes, onclick: (event) => {
     event.preventDefault();
-    try {
-      save(await (await request(path)).blob(), name);
-    } catch (error) {
-      announce(error.message);
-    }
+    announced(async () => save(await (await request(path)).blob(), name));
   } }, text);
 }
 
