@@ -127,40 +127,33 @@ export function withQuery(path, parameters) {
   return query ? `${path}?${query}` : path;
 }
 
+/** Makes work that is never done twice at once: calls at the same time share one. */
+export function shared(work) {
+  let busy = null;
+  return (...given) => (busy ??= work(...given).finally(() => { busy = null; }));
+}
+
 /**
  * A curve that grows: keeps its rows and brings those that came since. The newest row's number is the
  * cursor of what follows.
  */
 export class Curve {
-  constructor(path, { limit = 1000, parameters = {} } = {}) {
+  constructor(path) {
     this.path = path;
-    this.limit = limit;
-    this.parameters = parameters;
     this.rows = [];
     this.cursor = undefined;
-    this.loading = null;
-  }
-
-  /** Brings new rows; true if there were any. Calls at the same time share one request. */
-  async refresh(signal) {
-    this.loading ??= this.#refresh(signal).finally(() => {
-      this.loading = null;
-    });
-    return this.loading;
+    /** Brings new rows; true if there were any. */
+    this.refresh = shared((signal) => this.#refresh(signal));
   }
 
   async #refresh(signal) {
     const before = this.rows.length;
     for (;;) {
-      const page = await getJson(
-        withQuery(this.path, { ...this.parameters, cursor: this.cursor, limit: this.limit }), { signal });
+      const page = await getJson(withQuery(this.path, { cursor: this.cursor, limit: 1000 }), { signal });
       this.rows.push(...page.items);
-      if (page.items.length) this.cursor = this.cursorOf(page.items.at(-1));
+      const last = page.items.at(-1);
+      if (last) this.cursor = last.step ?? last.generation;
       if (page.next_cursor === null || !page.items.length) return this.rows.length > before;
     }
-  }
-
-  cursorOf(row) {
-    return row.step ?? row.generation;
   }
 }

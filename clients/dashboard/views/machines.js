@@ -1,6 +1,6 @@
 /** Machines: who computes what, since when, how fast, and what was lost. */
 
-import { getJson, post, request } from '../lib/api.js';
+import { getJson, post, request, shared } from '../lib/api.js';
 import { button, fill, h, table, tile } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { ago, count, countOf, duration, number } from '../lib/format.js';
@@ -116,13 +116,8 @@ export async function mount(main, path, parameters, app) {
     endedPanel.hidden = gone.length === 0;
   }
 
-  let busy = null;
-  function refresh() {
-    busy ??= Promise.all([get('v1/fleet'), get('v1/threads'), get('v1/devices')]).then((all) => show(...all))
-      .finally(() => { busy = null; });
-    return busy;
-  }
-
+  const refresh = shared(() => Promise.all([get('v1/fleet'), get('v1/threads'), get('v1/devices')])
+    .then((all) => show(...all)));
   const later = coalesced(refresh, stop.signal);
   await refresh();
   const timer = setInterval(() => {

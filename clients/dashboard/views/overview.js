@@ -1,6 +1,6 @@
 /** The overview: is the service well, what does it do, how far is it, and what happened. */
 
-import { getJson, withQuery } from '../lib/api.js';
+import { getJson, shared, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
 import { button, fill, h, table as tableOf, tile } from '../lib/dom.js';
 import { ago, bytes, count, duration, number, percent, shellWord } from '../lib/format.js';
@@ -140,16 +140,12 @@ export async function mount(main, path, parameters, app) {
     }
   }
 
-  let busy = null;
-  function refresh() {
-    busy ??= Promise.all([
-      Promise.all([get('readyz').catch((error) => ({ status: error.message, version: '' })), get('v1/threads'),
-        get('v1/devices')]).then((all) => showTiles(...all)),
-      get('v1/jobs?state=running&limit=12').then((page) => Promise.all(page.items.map(whole))).then(showRunning),
-      showJobs(), showLoad(), showUsage(),
-    ]).finally(() => { busy = null; });
-    return busy;
-  }
+  const refresh = shared(() => Promise.all([
+    Promise.all([get('readyz').catch((error) => ({ status: error.message, version: '' })), get('v1/threads'),
+      get('v1/devices')]).then((all) => showTiles(...all)),
+    get('v1/jobs?state=running&limit=12').then((page) => Promise.all(page.items.map(whole))).then(showRunning),
+    showJobs(), showLoad(), showUsage(),
+  ]));
 
   await refresh();
   showEvents();
