@@ -18,7 +18,8 @@ async function environmentsAt(path) {
 /** The environments of a named set. */
 export const environmentSet = (name) => environmentsAt(`v1/environment-sets/${encodeURIComponent(name)}`);
 
-const requested = ({ light_xy_m, terrain_heights_m }) => ({ light_xy_m, terrain_heights_m });
+/** An environment as a request has it. */
+export const requested = ({ light_xy_m, terrain_heights_m }) => ({ light_xy_m, terrain_heights_m });
 
 /** What an evaluation recorded of one of its designs in one of its environments, as a scene. */
 export const recordingPath = (evaluation, row, environment) =>
@@ -35,29 +36,27 @@ export async function recorded(evaluation, rows, environment, signal) {
 }
 
 /** What the stage shows. */
-const CHANNELS = ['masses', 'actuation', 'contacts'];
+export const CHANNELS = ['masses', 'actuation', 'contacts'];
 
 /** At most so many rollouts go into one request. */
-export const ROLLOUTS_AT_ONCE = 16;
+const ROLLOUTS_AT_ONCE = 16;
 
 /**
- * Rolls designs out and gives them as the stage takes them, in the order of the request: design by
- * design, each in every environment.
+ * Rolls designs out in one environment and gives them as the stage takes them, in their order.
  * @param {Object[]} designs {voxels} or {id}, as in any request
- * @param {Object[]} environments
- * @param {{controller?: string, physics?: Object, record?: string[], stride?: number, signal?: AbortSignal}} [options]
+ * @param {Object} environment
+ * @param {{controller?: string, physics?: Object, signal?: AbortSignal}} [options]
  */
-export async function roll(designs, environments, options = {}) {
-  const { controller = 'default', physics, record = CHANNELS, stride = 10, signal } = options;
+export async function roll(designs, environment, options = {}) {
+  const { controller = 'default', physics, signal } = options;
   const robots = [];
-  const atOnce = Math.max(1, Math.floor(ROLLOUTS_AT_ONCE / environments.length));
-  for (let i = 0; i < designs.length; i += atOnce) {
+  for (let i = 0; i < designs.length; i += ROLLOUTS_AT_ONCE) {
     const response = await patient(() => request('v1/rollouts', {
       method: 'POST', signal,
       headers: { Accept: 'application/vnd.morphod.scene' },
       body: {
-        designs: designs.slice(i, i + atOnce), environments: environments.map(requested), controller, physics,
-        record, record_stride: stride,
+        designs: designs.slice(i, i + ROLLOUTS_AT_ONCE), environments: [requested(environment)], controller, physics,
+        record: CHANNELS, record_stride: 10,
       },
     }));
     robots.push(...robotsOf(decodeScene(await response.arrayBuffer())));
@@ -71,7 +70,7 @@ export async function rollOfCampaign(campaign, designs, signal) {
   const [environment] = await (named === 'paper-test' ? environmentSet(named)
     : environmentsAt(`v1/campaigns/${campaign.id}/environments`));
   const file = campaign.result?.controller ?? campaign.controller;
-  const robots = await roll(designs.map(({ genotype }) => ({ voxels: genotype })), [environment],
+  const robots = await roll(designs.map(({ genotype }) => ({ voxels: genotype })), environment,
     { controller: file?.sha256 ? `sha256:${file.sha256}` : 'default', physics, signal });
   return robots.map((robot, i) => ({ ...robot, label: `#${designs[i].number}` }));
 }

@@ -192,7 +192,7 @@ async function mountDesign(main, id, app) {
         `: number ${one.number}, ${one.operator}, born in generation ${one.born}, score ${scoreOf(one)}`)))
       : h('p.empty', {}, 'No campaign has born it.')));
   const environments = await environmentSet('paper-test');
-  roll([{ voxels: design.orientations[0]?.genotype ?? design.genotype }], [environments[0]], { signal: stop.signal })
+  roll([{ voxels: design.orientations[0]?.genotype ?? design.genotype }], environments[0], { signal: stop.signal })
     .then((robots) => player.setRobots(robots.map((robot) => ({ ...robot, label: 'this design' }))))
     .catch((error) => { if (!stop.signal.aborted) player.setNote(error.message); });
   return {

@@ -111,7 +111,7 @@ export async function mount(main, path, parameters, app) {
     result.textContent = `${size}; scoring…`;
     player.hold(true);
     try {
-      const [robot] = await roll([design], [environments[0]], { signal });
+      const [robot] = await roll([design], environments[0], { signal });
       if (signal.aborted) return;
       robot.label = 'this body';
       known.set(genotype, robot.id);

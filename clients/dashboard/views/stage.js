@@ -1,7 +1,7 @@
 /** The stage as a page of its own: any designs, or recordings, side by side or in a race. */
 
 import { announce, button, h, select } from '../lib/dom.js';
-import { environmentSet, recorded, recordingPath, roll } from '../lib/rollouts.js';
+import { CHANNELS, environmentSet, recorded, recordingPath, requested, roll } from '../lib/rollouts.js';
 import { getJson, withQuery } from '../lib/api.js';
 import { Player } from '../stage/player.js';
 import { commandsOf, pythonOf } from '../lib/commands.js';
@@ -87,7 +87,7 @@ async function rollouts(parameters) {
   async function walk(environment, signal) {
     const robots = [];
     for (const one of controllers) {
-      const more = await roll(ids.map(designOf), [environments[environment]], { controller: one, signal });
+      const more = await roll(ids.map(designOf), environments[environment], { controller: one, signal });
       more.forEach((robot, i) => { robot.label = controllers.length > 1 ? one : labelOf(ids, i); });
       robots.push(...more);
     }
@@ -164,13 +164,11 @@ function labelOf(ids, i) {
 
 /** How a shell or a program rolls out the same. */
 function sameCommands(ids, { environments, environment, set, controller }) {
-  const { light_xy_m, terrain_heights_m } = environments[environment];
   const [, ...film] = filmCommand(ids, { environment, set, controller, output: 'race.mp4' }).split(' ');
   return commandsOf({
     path: 'v1/rollouts', output: 'race.scene', headers: ['Accept: application/vnd.morphod.scene'],
     body: {
-      designs: ids.map(designOf), controller, record: ['masses', 'actuation', 'contacts'],
-      environments: [{ light_xy_m, terrain_heights_m }],
+      designs: ids.map(designOf), controller, record: CHANNELS, environments: [requested(environments[environment])],
     },
     morphoctl: film.join(' '),
     python: `m.show(${pythonOf(ids)}, ${pythonOf(set)}, environment=${environment}, controller=${pythonOf(controller)}).save("race.html")`,

@@ -115,7 +115,7 @@ function comparison(app, controllers) {
       const [environment] = await environmentSet('paper-test');
       const robots = [];
       for (const controller of [a, b]) {
-        const [robot] = await roll([design], [environment], { controller });
+        const [robot] = await roll([design], environment, { controller });
         robots.push({ ...robot, label: controller });
       }
       stage.hidden = false;
