@@ -39,7 +39,8 @@ function placesOf(numbers) {
  * designs are ancestors of the living.
  * @param {Columns} columns
  * @returns {{y: Float32Array, parentRow: Int32Array, lineage: Uint8Array, order: Uint32Array,
- *            size: Uint32Array, nLineage: number}} size: of the family, itself and its descendants; order: rows, the ancestors of the living last, to be drawn on top
+ *            size: Uint32Array, nLineage: number, alive: number}} size: of the family, itself and its descendants; order: rows,
+ *   the ancestors of the living last, to be drawn on top; alive: `died` of the living
  */
 export function layout(columns) {
   const { number, parent, other_parent: other, died } = columns;
@@ -84,13 +85,11 @@ export function layout(columns) {
   let [low, high] = [0, n];
   for (let i = n - 1; i >= 0; i--) if (lineage[i]) order[--high] = i;
   for (let i = 0; i < n; i++) if (!lineage[i]) order[low++] = i;
-  return { y, parentRow, lineage, size, order, nLineage: n - high };
+  return { y, parentRow, lineage, size, order, nLineage: n - high, alive };
 }
 
 /** The row whose life passes nearest to a point, in units of the view; -1 if none is near. */
-export function nearest(columns, { y }, x, at, perX, perY, reach) {
-  const { born, died } = columns;
-  const alive = died instanceof Uint16Array ? 0xffff : 0xffffffff;
+export function nearest({ born, died }, { y, alive }, x, at, perX, perY, reach) {
   let best = -1;
   let bestDistance = reach * reach;
   for (let i = 0; i < y.length; i++) {

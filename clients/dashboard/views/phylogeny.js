@@ -91,10 +91,10 @@ export class PhylogenyCanvas {
     this.times.layoutMs = performance.now() - started;
     this.last = 1;
     const { born, died } = columns;
-    this.alive = died instanceof Uint16Array ? 0xffff : 0xffffffff;
+    const { alive } = this.layout;
     for (let i = 0; i < born.length; i++) {
       if (born[i] > this.last) this.last = born[i];
-      if (died[i] !== this.alive && died[i] > this.last) this.last = died[i];
+      if (died[i] !== alive && died[i] > this.last) this.last = died[i];
     }
     this.#fillTextures();
     this.times.readyMs = performance.now() - started;
@@ -106,7 +106,7 @@ export class PhylogenyCanvas {
   }
 
   #fillTextures() {
-    const { columns, layout: { y, parentRow, lineage, order, size }, gl } = this;
+    const { columns, layout: { y, parentRow, lineage, order, size, alive }, gl } = this;
     const { born, died, operator, score: scores, lower_bound: isBound } = columns;
     const n = order.length;
     const rows = Math.max(1, Math.ceil(n / TEXELS));
@@ -133,7 +133,7 @@ export class PhylogenyCanvas {
     this.ends = [least, most];
     for (let k = 0, at = 0; k < n; k++, at += 4) {
       const i = order[k];
-      const end = died[i] === this.alive ? this.last + 0.6 : Math.max(died[i], born[i] + 0.4);
+      const end = died[i] === alive ? this.last + 0.6 : Math.max(died[i], born[i] + 0.4);
       lives[at] = born[i];
       lives[at + 1] = end;
       lives[at + 2] = y[i];
