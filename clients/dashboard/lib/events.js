@@ -47,7 +47,6 @@ export class Events {
   /** Calls `listener` with every event: {id, type, job, at, data}; type "reset": read afresh. */
   listen(listener) {
     this.listeners.add(listener);
-    return () => this.listeners.delete(listener);
   }
 
   /** Begins behind the newest event: what is read after that misses none. Returns its number. */
@@ -146,6 +145,6 @@ export class Events {
       if (this.last !== null && id <= this.last) return;
       this.last = id;
     }
-    for (const listener of [...this.listeners]) listener(event);
+    for (const listener of this.listeners) listener(event);
   }
 }

@@ -128,6 +128,7 @@ layout(location = 2) in uint side;
 uniform mat4 matrix;
 const uint CORNERS[24] = uint[24](0u,1u,3u,2u, 4u,6u,7u,5u, 0u,4u,5u,1u, 2u,3u,7u,6u,
                                   0u,2u,6u,4u, 1u,5u,7u,3u);
+const int TURN[6] = int[6](0, 1, 2, 0, 2, 3);
 uint mass(uint corner) { return corner < 4u ? low[corner] : high[corner - 4u]; }
 `;
 
@@ -136,7 +137,6 @@ export const SKIN_SHADERS = [
 out vec3 at;
 out vec2 uv;
 flat out float swelling;
-const int TURN[6] = int[6](0, 1, 2, 0, 2, 3);
 void main() {
   int turn = TURN[gl_VertexID];
   at = massAt(mass(CORNERS[int(side) * 4 + turn]));
@@ -180,7 +180,6 @@ void main() {
 /** The same faces as seen from the sun: depth alone. */
 export const DEPTH_SHADERS = [
   `${SKIN_VERTEX}
-const int TURN[6] = int[6](0, 1, 2, 0, 2, 3);
 void main() {
   gl_Position = matrix * vec4(massAt(mass(CORNERS[int(side) * 4 + TURN[gl_VertexID]])), 1.0);
 }`,

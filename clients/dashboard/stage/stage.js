@@ -215,9 +215,7 @@ export class Stage {
     const { gl } = this;
     for (const { gpu } of this.robots) {
       if (!gpu) continue;
-      gl.deleteTexture(gpu.track);
-      if (gpu.actuation) gl.deleteTexture(gpu.actuation);
-      if (gpu.contacts) gl.deleteTexture(gpu.contacts);
+      for (const texture of [gpu.track, gpu.actuation, gpu.contacts]) gl.deleteTexture(texture);
       for (const part of [gpu.skin, gpu.springs, gpu.trail]) part.free();
     }
     for (const texture of this.terrains.values()) gl.deleteTexture(texture);

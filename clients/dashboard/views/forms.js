@@ -15,7 +15,6 @@ const FIELDS = {
     'weight', 'device', 'label'],
 };
 const SCHEMAS = { evaluation: 'EvaluationRequest', training: 'TrainingRequest', campaign: 'CampaignRequest' };
-const PATHS = { evaluation: 'v1/evaluations', training: 'v1/trainings', campaign: 'v1/campaigns' };
 
 /** A schema with its references followed, and its alternatives reduced to the plain one. */
 export function resolve(contract, schema) {
@@ -122,7 +121,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
 
   function commands() {
     const request = body();
-    return commandsOf({ path: PATHS[kind], body: request, morphoctl: morphoctlOf(kind, request) });
+    return commandsOf({ path: `v1/${kind}s`, body: request, morphoctl: morphoctlOf(kind, request) });
   }
 
   async function submit(event) {
@@ -130,7 +129,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
     message.textContent = '';
     for (const field of fields) field.fault.textContent = '';
     try {
-      const job = await post(PATHS[kind], body());
+      const job = await post(`v1/${kind}s`, body());
       const id = job.id ?? job.items?.[0]?.id;
       dialog.close();
       app.go(kind === 'evaluation' ? 'designs' : `${kind}s/${id}`, kind === 'evaluation' ? { evaluation: id } : {});
