@@ -96,8 +96,7 @@ static void read_scores(struct ctl *ctl, struct side *side, int64_t generation)
 /* Adds to a side how it compares with the first. */
 static void compare(const struct side *first, struct side *side)
 {
-  const struct interval found =
-      compare_means(first->scores, first->n, side->scores, side->n, CONFIDENCE);
+  const struct interval found = compare_means(first->scores, first->n, side->scores, side->n);
   double sum = 0;
   for (size_t i = 0; i < side->n; i++)
     sum += side->scores[i];

@@ -126,8 +126,7 @@ void run_train_compare(struct ctl *ctl)
     score_side(ctl, held_out, &sides[s]);
   if (sides[0].n != sides[1].n)
     fail(STATUS_ERROR, "the server's replies have different numbers of designs");
-  const struct paired paired =
-      compare_pairs(sides[0].scores, sides[1].scores, sides[0].n, CONFIDENCE);
+  const struct paired paired = compare_pairs(sides[0].scores, sides[1].scores, sides[0].n);
   if (ctl->json)
     print_comparison_json(sides, &paired, seed, n_environments);
   else

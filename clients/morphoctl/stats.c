@@ -72,7 +72,7 @@ double student_quantile(double p, double freedom)
   return low + (high - low) / 2;
 }
 
-struct paired compare_pairs(const double *a, const double *b, size_t n, double confidence)
+struct paired compare_pairs(const double *a, const double *b, size_t n)
 {
   struct paired paired = {
       .mean_a = NAN, .mean_b = NAN, .difference = NAN, .error = NAN, .low = NAN, .high = NAN};
@@ -101,7 +101,7 @@ struct paired compare_pairs(const double *a, const double *b, size_t n, double c
       squares += off * off;
   }
   paired.error = sqrt(squares / (pairs - 1)) / sqrt(pairs);
-  double t = student_quantile(0.5 + confidence / 2, pairs - 1);
+  double t = student_quantile(0.5 + CONFIDENCE / 2, pairs - 1);
   paired.low = paired.difference - t * paired.error;
   paired.high = paired.difference + t * paired.error;
   return paired;
@@ -120,8 +120,7 @@ static double mean_of(const double *values, size_t n, double *error)
   return mean;
 }
 
-struct interval compare_means(const double *a, size_t n_a, const double *b, size_t n_b,
-                              double confidence)
+struct interval compare_means(const double *a, size_t n_a, const double *b, size_t n_b)
 {
   double error_a, error_b;
   const double mean_a = mean_of(a, n_a, &error_a), mean_b = mean_of(b, n_b, &error_b),
@@ -130,7 +129,7 @@ struct interval compare_means(const double *a, size_t n_a, const double *b, size
   const double freedom =
       both * both / (error_a * error_a / ((double)n_a - 1) + error_b * error_b / ((double)n_b - 1));
   const double half =
-      both > 0 ? student_quantile(0.5 + confidence / 2, freedom) * sqrt(both) : both;
+      both > 0 ? student_quantile(0.5 + CONFIDENCE / 2, freedom) * sqrt(both) : both;
   interval.low = interval.difference - half;
   interval.high = interval.difference + half;
   return interval;

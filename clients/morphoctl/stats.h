@@ -22,15 +22,14 @@ struct paired {
   size_t improved, equal; /* pairs with b < a, with b = a */
 };
 /* Compares paired scores. a, b: (n); not finite for a missing score. */
-struct paired compare_pairs(const double *a, const double *b, size_t n, double confidence);
+struct paired compare_pairs(const double *a, const double *b, size_t n);
 
 struct interval {
   double difference; /* mean of b − mean of a */
   double low, high;  /* its confidence interval; NaN: a set has fewer than two values */
 };
 /* Compares the means of two sets that are not paired, by Welch's interval. */
-struct interval compare_means(const double *a, size_t n_a, const double *b, size_t n_b,
-                              double confidence);
+struct interval compare_means(const double *a, size_t n_a, const double *b, size_t n_b);
 
 /* Returns what an interval of score differences says of b, as a word for programs. */
 const char *verdict_of(double low, double high);

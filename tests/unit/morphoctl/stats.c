@@ -28,7 +28,7 @@ static void pairs(void)
 {
   /* Differences −1, −2, −3, 0, and one pair that is not there. */
   const double a[] = {2, 4, 6, 1, NAN, 5}, b[] = {1, 2, 3, 1, 3, INFINITY};
-  struct paired paired = compare_pairs(a, b, 6, 0.95);
+  struct paired paired = compare_pairs(a, b, 6);
   CHECK_INT(paired.n, 4);
   CHECK_INT(paired.improved, 3);
   CHECK_INT(paired.equal, 1);
@@ -38,9 +38,9 @@ static void pairs(void)
   CHECK_NEAR(paired.error, sqrt(5.0 / 12), 1e-15);
   CHECK_NEAR(paired.high - paired.low, 2 * 3.182446305284263 * sqrt(5.0 / 12), 1e-9);
   CHECK_NEAR(paired.low + paired.high, -3, 1e-12);
-  paired = compare_pairs(a, b, 1, 0.95);
+  paired = compare_pairs(a, b, 1);
   CHECK(paired.n == 1 && paired.difference == -1 && isnan(paired.low));
-  paired = compare_pairs(a + 4, b + 4, 2, 0.95);
+  paired = compare_pairs(a + 4, b + 4, 2);
   CHECK(paired.n == 0 && isnan(paired.mean_a) && isnan(paired.difference));
 }
 
@@ -48,16 +48,16 @@ static void means(void)
 {
   /* Means 2 and 4, squared errors 1/3 and 4/3: 2 standard errors of sqrt(5/3) at 50/17 degrees. */
   const double a[] = {1, 2, 3}, b[] = {2, 4, 6};
-  struct interval interval = compare_means(a, 3, b, 3, 0.95);
+  struct interval interval = compare_means(a, 3, b, 3);
   CHECK_NEAR(interval.difference, 2, 1e-15);
   CHECK_NEAR(interval.high - 2, student_quantile(0.975, 50.0 / 17) * sqrt(5.0 / 3), 1e-12);
   CHECK_NEAR(interval.low + interval.high, 4, 1e-12);
   CHECK(strcmp(verdict_of(interval.low, interval.high), "undecided") == 0);
-  interval = compare_means(a, 3, b, 1, 0.95);
+  interval = compare_means(a, 3, b, 1);
   CHECK(interval.difference == 0 && isnan(interval.low) && isnan(interval.high));
   CHECK(strcmp(verdict_of(interval.low, interval.high), "undecided") == 0);
   const double same[] = {3, 3};
-  interval = compare_means(same, 2, (const double[]){1, 1}, 2, 0.95);
+  interval = compare_means(same, 2, (const double[]){1, 1}, 2);
   CHECK(interval.low == -2 && interval.high == -2);
   CHECK(strcmp(verdict_of(interval.low, interval.high), "better") == 0);
 }
