@@ -136,7 +136,7 @@ const char *path_with(const struct ctl *ctl, const char *path, const char *const
  * filter and sort it. */
 void list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns);
 
-/* ---- dump.c ---- */
+/* ---- plain.c ---- */
 
 /* Writes JSON as text; numbers have the fewest digits that read back (malloc). flags: jansson's. */
 char *dump_json(const json_t *json, size_t flags);

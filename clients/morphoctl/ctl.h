@@ -121,10 +121,6 @@ int64_t option_number(const struct ctl *ctl, const char *name, int64_t min, int6
 /* Replaces control characters (C0, DEL, C1) by question marks, and escapes characters that only
  * change how others are shown, such as bidirectional ones: \u202e (malloc). */
 char *plain_text(const char *text);
-bool is_control(unsigned long c);
-bool is_format_control(unsigned long c);
-/* Returns the next character and its bytes. An invalid byte counts as a character. */
-unsigned long character_at(const char *text, size_t *bytes);
 /* Prints text in this way. The format must have no control characters either. */
 void print_plain(FILE *file, const char *format, ...) __attribute__((format(printf, 2, 3)));
 void print_plain_line(FILE *file, const char *format, ...)
