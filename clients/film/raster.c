@@ -447,7 +447,6 @@ struct raster *raster_create(uint32_t width, uint32_t height)
   return raster;
 }
 
-/* Places the camera and clears the buffers. */
 static void begin(struct raster *raster, const struct raster_camera *camera)
 {
   const size_t n = (size_t)raster->width * raster->height;

@@ -266,7 +266,6 @@ static void begin(struct live *live)
   tell_generations((struct campaign *)live, INT64_MAX, NULL);
 }
 
-/* Updates "progress" from an event. */
 static void take_progress(json_t *job, json_t *data)
 {
   static const char *const keys[][2] = {

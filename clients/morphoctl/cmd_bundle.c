@@ -89,7 +89,6 @@ static void recompute(struct ctl *ctl, const char *id, int64_t n)
     leave(STATUS_NEGATIVE);
 }
 
-/* Sends the bundle. */
 static const json_t *send_bundle(struct ctl *ctl, const char *path)
 {
   size_t n;
@@ -103,7 +102,6 @@ static const json_t *send_bundle(struct ctl *ctl, const char *path)
                         NULL));
 }
 
-/* Tells of each campaign what became of it. */
 static void tell_entered(const struct ctl *ctl, const json_t *entered)
 {
   const json_t *item;

@@ -8,7 +8,6 @@
 
 /* ---- start ---- */
 
-/* Adds --workspace X,Y,Z. */
 static void fill_workspace(const struct ctl *ctl, json_t *request)
 {
   const char *text = option_text(ctl, "workspace", NULL);

@@ -167,7 +167,6 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
     printf("… and %zu more\n", n - shown);
 }
 
-/* Prints an evaluation that was waited for. */
 static void print_evaluation(const struct ctl *ctl, const json_t *evaluation,
                              const struct designs *designs, bool by_score, size_t top)
 {

@@ -108,7 +108,6 @@ static bool is_side(uint32_t pixels)
   return pixels >= 64 && pixels <= RASTER_SIDE_MAX;
 }
 
-/* Reads the options that say how to draw. */
 static void read_look(struct ctl *ctl, struct film *film)
 {
   const char *size = option_text(ctl, "size", "960x540");
@@ -125,7 +124,6 @@ static void read_look(struct ctl *ctl, struct film *film)
   film->pitch = option_real(ctl, "pitch", 1, 88, 23) * M_PI / 180;
 }
 
-/* Lays out the views of the scene's robots. */
 static void lay_out(struct film *film)
 {
   if (film->scene.n_rollouts > ROBOTS_MAX || !(duration_s(film) <= DURATION_MAX_S))
@@ -355,7 +353,6 @@ static size_t choose_designs(const json_t *results, size_t places[ROBOTS_MAX])
   return chosen;
 }
 
-/* Gets the recording of a design and adds it to the scene. */
 static void load_recording(struct ctl *ctl, struct film *film, const char *evaluation,
                            size_t design, int64_t environment, struct reply *reply)
 {

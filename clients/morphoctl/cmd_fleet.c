@@ -125,7 +125,6 @@ static const char *await_return(struct ctl *ctl, const json_t *before, const jso
   return version;
 }
 
-/* Drains one worker, and says what became of it. */
 static void upgrade(struct ctl *ctl, const json_t *worker, const char *wanted, int64_t within_s)
 {
   const char *name = text_of(worker, "name"), *old = text_of(worker, "version");

@@ -129,7 +129,6 @@ void run_job_weight(struct ctl *ctl)
 
 /* ---- in order ---- */
 
-/* Sends a change of each job that the operands name. */
 static void edit_jobs(struct ctl *ctl, json_t *edit, const char *words)
 {
   if (edit == NULL)
@@ -155,7 +154,6 @@ void run_job_archive(struct ctl *ctl)
             archives ? " is archived" : " is back in lists");
 }
 
-/* Asks whether the jobs of the operands are to go. */
 static bool asks(struct ctl *ctl)
 {
   char answer[16] = "";

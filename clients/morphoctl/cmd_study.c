@@ -10,7 +10,6 @@
 #define SAMPLER_BYTES_MAX  ((size_t)16 << 20)
 #define WAIT_S             50
 
-/* Posts to a path below the study. */
 static json_t *post(struct ctl *ctl, const char *verb, const json_t *request)
 {
   struct request how =
@@ -99,7 +98,6 @@ static json_t *read_children(const char *path)
   return children;
 }
 
-/* Adds the bytes of the file --sampler. */
 static void fill_sampler(const struct ctl *ctl, json_t *request)
 {
   const char *path = option_text(ctl, "sampler", NULL);

@@ -93,7 +93,6 @@ static int show_event(void *context, const char *type, const char *data)
   return watch->finished;
 }
 
-/* Fetches the watched job to see whether it has ended. */
 static void ask(struct watch *watch)
 {
   const struct request request = {.method = "GET", .path = path_to("/v1/jobs/%s", watch->job)};

@@ -34,7 +34,6 @@ static void take_line(struct ctl *ctl, const char *path, char *line, const char 
     ctl->token = keep(strdup(token));
 }
 
-/* Reads the token from the file or the environment. */
 static void read_token(struct ctl *ctl)
 {
   const char *path = option_text(ctl, "token-file", NULL), *variable = getenv("MORPHOD_TOKEN");

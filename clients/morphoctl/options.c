@@ -277,7 +277,6 @@ static bool is_number_of_operands(const char *operands, size_t n)
   return n >= min && n <= max;
 }
 
-/* Prints the help of the program, or of the command that words name, and ends. */
 static _Noreturn void print_help(FILE *file, const struct command *command, int status)
 {
   options_print_help(file, command);

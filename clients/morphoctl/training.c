@@ -59,7 +59,6 @@ static void add_row(void *context, json_t *row)
   add_point(curve, (double)number_of(row, "step"), real_at(row, curve->key));
 }
 
-/* Fetches the rows after the last point. */
 static void load_curve(struct live *live, const char *what, int64_t stride, struct curve *curve)
 {
   const char *path = path_to("/v1/trainings/%s/%s%s", live->id, what,
