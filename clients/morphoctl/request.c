@@ -86,17 +86,13 @@ void request_fill_record(const struct ctl *ctl, json_t *request, const char *usu
     return;
   json_t *list = json_array();
   json_object_set_new(request, "record", list);
-  for (const char *c = record; c != NULL && *c != '\0';) {
-    const size_t length = strcspn(c, ",");
-    char word[16] = "";
-    if (length < sizeof(word))
-      memcpy(word, c, length);
+  char *rest = keep(strdup(record != NULL ? record : "")), *word;
+  while ((word = strsep(&rest, ",")) != NULL && (*word != 0 || rest != NULL)) {
     if (mo_word_index(channels, word) < 0)
       fail(STATUS_USAGE,
            "--record: \"%s\" is not one or several of com, masses, actuation, contacts", record);
     json_array_append_new(list, json_string(word));
     films = films && strcmp(word, "masses") != 0;
-    c += length + (c[length] == ',');
   }
   if (films)
     json_array_append_new(list, json_string("masses"));
