@@ -132,11 +132,10 @@ static void upgrade(struct ctl *ctl, const json_t *worker, const char *wanted, i
       .method = "POST",
       .path = path_to("/v1/fleet/sessions/%s/drain?upgrade=true", text_of(worker, "id"))};
   struct reply reply;
-  json_t *before = send_json(ctl, &(struct request){.method = "GET", .path = "/v1/fleet"}, NULL);
+  const json_t *before = get_json(ctl, "/v1/fleet");
   transport_send(ctl, &drain, &reply);
   reply_free(&reply);
   const char *version = await_return(ctl, before, worker, within_s);
-  json_decref(before);
   if (strcmp(version, old) == 0)
     fail(STATUS_NEGATIVE, "%s is back with version %s: install %s there first", name, old, wanted);
   if (!ctl->quiet && !ctl->json)
