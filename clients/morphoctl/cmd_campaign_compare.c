@@ -80,11 +80,9 @@ static void find_newest(const struct side *side, int64_t *newest)
 
 static void read_scores(struct ctl *ctl, struct side *side, int64_t generation)
 {
-  char cursor[32] = "";
+  const char *cursor = generation > 0 ? keep(format_text("&cursor=%" PRId64, generation - 1)) : "";
   const json_t *one;
   size_t i;
-  if (generation > 0)
-    snprintf(cursor, sizeof(cursor), "&cursor=%" PRId64, generation - 1);
   json_array_foreach(side->members, i, one)
   {
     const json_t *page =

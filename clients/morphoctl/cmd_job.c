@@ -92,8 +92,7 @@ static void each_job(struct ctl *ctl, struct request request, const char *noun, 
 
 void run_job_change(struct ctl *ctl)
 {
-  char verb[16]; /* not by path_to: each job takes a path */
-  snprintf(verb, sizeof(verb), "/%s", strchr(ctl->command->name, ' ') + 1);
+  const char *verb = keep(format_text("/%s", strchr(ctl->command->name, ' ') + 1));
   each_job(ctl, (struct request){.method = "POST"}, "job", verb, " is {state}",
            " is {state}, its running work is being stopped");
 }
@@ -141,9 +140,9 @@ void run_job_text(struct ctl *ctl)
 {
   const char *member = strchr(ctl->command->name, ' ') + 1,
              *text = ctl->n_operands > 1 ? ctl->operands[1] : "";
-  char words[64];
   ctl->n_operands = 1;
-  snprintf(words, sizeof(words), "[ has the %s \"{%s}\"| has no %s]", member, member, member);
+  const char *words =
+      keep(format_text("[ has the %s \"{%s}\"| has no %s]", member, member, member));
   edit_jobs(ctl, json_pack("{s:s?}", member, *text != 0 ? text : NULL), words);
 }
 

@@ -153,15 +153,11 @@ static void run_then(const char *command, const struct ctl *ctl, const char *sta
 {
   char shell[] = "sh", option[] = "-c", *copy = keep(strdup(command));
   char *const arguments[] = {shell, option, copy, NULL};
-  char *ids = NULL;
-  size_t size = 0;
-  FILE *file = need(open_memstream(&ids, &size));
+  const char *ids = ctl->operands[0];
   int end = 0;
   pid_t process = 0;
-  for (size_t i = 0; i < ctl->n_operands; i++)
-    fprintf(file, "%s%s", i > 0 ? " " : "", ctl->operands[i]);
-  close_text(file);
-  keep(ids);
+  for (size_t i = 1; i < ctl->n_operands; i++)
+    ids = keep(format_text("%s %s", ids, ctl->operands[i]));
   const bool told = setenv("MORPHOD_JOBS", ids, 1) == 0 && setenv("MORPHOD_STATE", state, 1) == 0;
   const int error = told ? posix_spawn(&process, "/bin/sh", NULL, NULL, arguments, environ) : errno;
   if (error != 0)

@@ -68,13 +68,10 @@ static int feed(void *context, const char *bytes, size_t n)
 
 static bool open_stream(struct follow *follow)
 {
-  char path[128];
   const char *last = *follow->sse.last_id != 0 ? follow->sse.last_id : NULL;
-  int n = snprintf(path, sizeof(path), "/v1/events%s%s", follow->job != NULL ? "?job=" : "",
-                   follow->job != NULL ? follow->job : "");
+  const char *path = follow->job != NULL ? path_to("/v1/events?job=%s", follow->job) : "/v1/events";
   if (last == NULL && follow->after >= 0)
-    snprintf(path + n, sizeof(path) - (size_t)n, "%cafter=%" PRId64,
-             follow->job != NULL ? '&' : '?', follow->after);
+    path = path_to("%s%cafter=%" PRId64, path, follow->job != NULL ? '&' : '?', follow->after);
   follow->sse.n_bytes = 0; /* of an incomplete event */
   return transport_stream(follow->ctl, path, last, feed, follow);
 }
