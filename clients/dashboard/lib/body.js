@@ -1,15 +1,13 @@
 /**
  * The body that a genotype expresses: its masses, springs and outer faces, in the orders of the
- * daemon's arrays (docs/scenes.md). A workspace of nx × ny × nz voxels has a lattice of
+ * daemon's arrays (docs/scenes.md). The workspace of nx × ny × nz voxels has a lattice of
  * (nx+1) × (ny+1) × (nz+1) masses; voxel index (x·ny + y)·nz + z, mass index
  * (x·(ny+1) + y)·(nz+1) + z.
  */
 
-/**
- * Sides of the default workspace, in voxels.
- * @type {readonly number[]}
- */
+/** Sides of the workspace, in voxels. @type {readonly number[]} */
 export const WORKSPACE = Object.freeze([6, 6, 4]);
+const [NX, NY, NZ] = WORKSPACE;
 
 /**
  * The four corners of each side of a voxel, as indices into its eight masses (ascending, so that
@@ -43,39 +41,36 @@ for (let a = 0; a < 8; a++) {
 }
 
 /** Tells whether a genotype (a text of '0' and '1') has a voxel at (x, y, z). */
-export function hasVoxel(genotype, x, y, z, workspace = WORKSPACE) {
-  const [nx, ny, nz] = workspace;
-  if (x < 0 || y < 0 || z < 0 || x >= nx || y >= ny || z >= nz) return false;
-  return genotype[(x * ny + y) * nz + z] === '1';
+export function hasVoxel(genotype, x, y, z) {
+  if (x < 0 || y < 0 || z < 0 || x >= NX || y >= NY || z >= NZ) return false;
+  return genotype[(x * NY + y) * NZ + z] === '1';
 }
 
 /** The cells [x, y, z] of a genotype, in voxel order. */
-export function cellsOf(genotype, [nx, ny, nz] = WORKSPACE) {
+export function cellsOf(genotype) {
   const cells = [];
-  for (let v = 0; v < nx * ny * nz; v++) {
-    if (genotype[v] === '1') cells.push([Math.floor(v / (ny * nz)), Math.floor(v / nz) % ny, v % nz]);
+  for (let v = 0; v < NX * NY * NZ; v++) {
+    if (genotype[v] === '1') cells.push([Math.floor(v / (NY * NZ)), Math.floor(v / NZ) % NY, v % NZ]);
   }
   return cells;
 }
 
 /** The genotype with voxels at the given cells. */
-export function genotypeOf(cells, [nx, ny, nz] = WORKSPACE) {
-  const voxels = new Array(nx * ny * nz).fill('0');
-  for (const [x, y, z] of cells) voxels[(x * ny + y) * nz + z] = '1';
+export function genotypeOf(cells) {
+  const voxels = new Array(NX * NY * NZ).fill('0');
+  for (const [x, y, z] of cells) voxels[(x * NY + y) * NZ + z] = '1';
   return voxels.join('');
 }
 
 /** The genotype that an id (36 hexadecimal digits) spells: its canonical form. */
-export function genotypeOfId(id, [nx, ny, nz] = WORKSPACE) {
-  const bits = [...id].map((digit) => parseInt(digit, 16).toString(2).padStart(4, '0')).join('');
-  return bits.slice(0, nx * ny * nz);
+export function genotypeOfId(id) {
+  return [...id].map((digit) => parseInt(digit, 16).toString(2).padStart(4, '0')).join('');
 }
 
 /**
  * Expresses a genotype.
  *
  * @param {string} genotype '0' and '1', one per voxel, in voxel order
- * @param {readonly number[]} workspace voxels along x, y and z
  * @returns {{masses: Uint16Array, springs: Uint16Array, diagonal: Uint8Array, voxels: Uint16Array,
  *            faces: Uint16Array, nMasses: number, nSprings: number, nVoxels: number,
  *            nFaces: number}}
@@ -83,10 +78,9 @@ export function genotypeOfId(id, [nx, ny, nz] = WORKSPACE) {
  *   (n) 1 for a face diagonal; voxels (n, 8) positions of their masses; faces (n, 2) voxel and
  *   side, of the sides that no other voxel covers
  */
-export function bodyOf(genotype, workspace = WORKSPACE) {
-  const [nx, ny, nz] = workspace;
-  const cells = cellsOf(genotype, workspace);
-  const massOf = (x, y, z) => (x * (ny + 1) + y) * (nz + 1) + z;
+export function bodyOf(genotype) {
+  const cells = cellsOf(genotype);
+  const massOf = (x, y, z) => (x * (NY + 1) + y) * (NZ + 1) + z;
   const corners = cells.map(([x, y, z]) =>
     Array.from({ length: 8 }, (_, c) => massOf(x + (c >> 2), y + ((c >> 1) & 1), z + (c & 1))),
   );
@@ -95,9 +89,9 @@ export function bodyOf(genotype, workspace = WORKSPACE) {
   const place = new Map(lattice.map((mass, i) => [mass, i]));
   const masses = new Uint16Array(lattice.length * 3);
   lattice.forEach((mass, i) => {
-    masses[3 * i] = Math.floor(mass / ((ny + 1) * (nz + 1)));
-    masses[3 * i + 1] = Math.floor(mass / (nz + 1)) % (ny + 1);
-    masses[3 * i + 2] = mass % (nz + 1);
+    masses[3 * i] = Math.floor(mass / ((NY + 1) * (NZ + 1)));
+    masses[3 * i + 1] = Math.floor(mass / (NZ + 1)) % (NY + 1);
+    masses[3 * i + 2] = mass % (NZ + 1);
   });
 
   const voxels = Uint16Array.from(corners.flat(), (mass) => place.get(mass));
@@ -115,7 +109,7 @@ export function bodyOf(genotype, workspace = WORKSPACE) {
   const faces = [];
   cells.forEach(([x, y, z], v) => {
     FACE_STEPS.forEach(([dx, dy, dz], side) => {
-      if (!hasVoxel(genotype, x + dx, y + dy, z + dz, workspace)) faces.push(v, side);
+      if (!hasVoxel(genotype, x + dx, y + dy, z + dz)) faces.push(v, side);
     });
   });
   return {
