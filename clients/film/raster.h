@@ -1,9 +1,10 @@
 /* raster.h: draws robots on their terrain into an array of pixels, without a display or a graphics
- * processor. The picture is that of the dashboard's stage. */
+ * processor, and encodes it. The picture is that of the dashboard's stage. */
 #ifndef MORPHOCTL_FILM_RASTER_H
 #define MORPHOCTL_FILM_RASTER_H
 
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 
 #include "scene.h"
@@ -33,5 +34,8 @@ void raster_background(bool light, uint8_t rgb[3]);
 
 /* Computes the mean position of a rollout's masses at a time, which a camera may follow. */
 void raster_center(const struct scene *scene, uint32_t rollout, double time_s, double center_m[3]);
+
+/* Encodes (height, width, 3) bytes as PNG; *size bytes, malloc. */
+unsigned char *png_encode(const uint8_t *rgb, uint32_t width, uint32_t height, size_t *size);
 
 #endif

@@ -13,7 +13,6 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "../film/png.h"
 #include "../film/raster.h"
 #include "commands.h"
 

@@ -6,7 +6,6 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "../../../clients/film/png.h"
 #include "../../../clients/film/raster.h"
 #include "ctl.h"
 
