@@ -6,8 +6,6 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/text.h"
-
 static const void *at_const(const void *settings, const struct mo_field *field)
 {
   return (const char *)settings + field->offset;
@@ -280,17 +278,17 @@ static int check_word(const struct mo_field *field, const char *path, int value,
                  mo_words_list(field->words, list), value);
 }
 
-/* Checks the rows. above: the path of the struct with a period after it, or "". */
-static int check(const struct mo_fields *fields, const char *above, const void *settings,
-                 struct mo_message *message)
+int mo_fields_check(const struct mo_fields *fields, const char *above, const void *settings,
+                    struct mo_message *message)
 {
   int error = MO_OK;
   for (size_t i = 0; i < fields->n && error == MO_OK; i++) {
     const struct mo_field *field = &fields->rows[i];
     const void *value = at_const(settings, field);
     char path[PATH_BYTES];
-    snprintf(path, sizeof(path), "%s%s%s", above, field->name != NULL ? field->name : "",
-             field->type == MO_FIELD_GROUP ? "." : "");
+    snprintf(path, sizeof(path), "%s%s%s", above,
+             above[0] != '\0' && field->name != NULL ? "." : "",
+             field->name != NULL ? field->name : "");
     switch (field->type) {
     case MO_FIELD_COUNT:
       error = check_number(field, path, (double)count_at(field, value), message);
@@ -298,7 +296,7 @@ static int check(const struct mo_fields *fields, const char *above, const void *
     case MO_FIELD_NUMBER: error = check_number(field, path, *(const double *)value, message); break;
     case MO_FIELD_WORD: error = check_word(field, path, *(const int *)value, message); break;
     case MO_FIELD_INLINE:
-    case MO_FIELD_GROUP: error = check(field->group, path, value, message); break;
+    case MO_FIELD_GROUP: error = mo_fields_check(field->group, path, value, message); break;
     case MO_FIELD_OWN:
       if (field->own->check != NULL)
         error = field->own->check(path, value, message);
@@ -308,18 +306,4 @@ static int check(const struct mo_fields *fields, const char *above, const void *
     }
   }
   return error;
-}
-
-int mo_fields_check(const struct mo_fields *fields, const void *settings,
-                    struct mo_message *message)
-{
-  return check(fields, "", settings, message);
-}
-
-int mo_fields_check_below(const struct mo_fields *fields, const char *name, const void *settings,
-                          struct mo_message *message)
-{
-  char above[PATH_BYTES];
-  snprintf(above, sizeof(above), "%s.", name);
-  return check(fields, above, settings, message);
 }

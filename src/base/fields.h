@@ -92,12 +92,9 @@ void mo_fields_write_object(struct mo_text *text, const struct mo_fields *fields
                             const void *settings);
 
 /* Checks all settings against their bounds. MO_ERR_INVALID (not finite, not one of the words) or
- * MO_ERR_RANGE for the first bad one; `message` gives its name, value and bounds. */
-int mo_fields_check(const struct mo_fields *fields, const void *settings,
+ * MO_ERR_RANGE for the first bad one; `message` gives its name, value and bounds. above: what
+ * messages call the struct, as in "schedule.peak …"; "": nothing. */
+int mo_fields_check(const struct mo_fields *fields, const char *above, const void *settings,
                     struct mo_message *message);
-
-/* Checks the fields of a struct that messages call `name`: "schedule.peak …". */
-int mo_fields_check_below(const struct mo_fields *fields, const char *name, const void *settings,
-                          struct mo_message *message);
 
 #endif

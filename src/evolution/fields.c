@@ -150,7 +150,7 @@ static void write_selection(struct mo_text *text, const void *value)
 
 static int check_selection(const char *name, const void *value, struct mo_message *message)
 {
-  return mo_fields_check_below(&selection_fields, name, value, message);
+  return mo_fields_check(&selection_fields, name, value, message);
 }
 
 static const struct mo_field_own selection = {read_selection, write_selection, check_selection};

@@ -91,7 +91,7 @@ static int check_learning(const struct mo_campaign_settings *settings, struct mo
                    "population is %" PRIu32
                    "; it must be at most %d in a campaign that learns (few-shot, simultaneous)",
                    settings->population, MO_TRAINING_DESIGNS_MAX);
-  int r = mo_fields_check(&mo_campaign_learning_fields, settings, message);
+  int r = mo_fields_check(&mo_campaign_learning_fields, "", settings, message);
   if (r == MO_OK)
     r = check_steps(settings, message);
   if (r != MO_OK)
@@ -108,7 +108,7 @@ int mo_campaign_settings_check(const struct mo_campaign_settings *settings,
                    "mode must be 0 (zero-shot), 1 (few-shot), 2 (simultaneous) or 3 (study), got "
                    "%d",
                    (int)settings->mode);
-  int r = mo_fields_check(&mo_campaign_fields, settings, message);
+  int r = mo_fields_check(&mo_campaign_fields, "", settings, message);
   if (r == MO_OK)
     r = check_designs(settings, message);
   return r == MO_OK && mo_mode_learns(settings->mode) ? check_learning(settings, message) : r;

@@ -101,7 +101,7 @@ static void write_schedule(struct mo_text *text, const void *value)
 static int check_schedule(const char *name, const void *value, struct mo_message *message)
 {
   const struct mo_schedule *schedule = value;
-  int error = mo_fields_check_below(&schedule_fields, name, schedule, message);
+  int error = mo_fields_check(&schedule_fields, name, schedule, message);
   if (error == MO_OK && schedule->floor > schedule->peak)
     error = mo_fail(message, MO_ERR_RANGE, "%s.floor must be at most the peak, which is %s, got %s",
                     name, MO_NUMBER(schedule->peak), MO_NUMBER(schedule->floor));

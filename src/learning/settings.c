@@ -104,6 +104,6 @@ int mo_training_settings_check(const struct mo_training_settings *settings,
     return mo_fail(message, MO_ERR_INVALID,
                    "kind of training must be %d (pretrain) or %d (finetune), got %d",
                    (int)MO_TRAINING_PRETRAIN, (int)MO_TRAINING_FINETUNE, (int)settings->kind);
-  int error = mo_fields_check(&mo_training_fields, settings, message);
+  int error = mo_fields_check(&mo_training_fields, "", settings, message);
   return error != MO_OK ? error : check_together(settings, message);
 }

@@ -104,5 +104,5 @@ const struct mo_fields mo_physics_fields = MO_FIELDS(rows);
 
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message)
 {
-  return mo_fields_check(&mo_physics_fields, physics, message);
+  return mo_fields_check(&mo_physics_fields, "", physics, message);
 }

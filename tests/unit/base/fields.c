@@ -140,16 +140,16 @@ static void checks_bounds(void)
 {
   struct mo_message message = {""};
   struct outer outer = start;
-  CHECK_INT(mo_fields_check(&fields, &outer, &message), MO_OK);
+  CHECK_INT(mo_fields_check(&fields, "", &outer, &message), MO_OK);
   outer.inner.share = 1;
-  CHECK_INT(mo_fields_check(&fields, &outer, &message), MO_ERR_RANGE);
+  CHECK_INT(mo_fields_check(&fields, "", &outer, &message), MO_ERR_RANGE);
   CHECK_TEXT(message.text, "inner.share must be at least 0 and below 1, got 1");
   outer = start;
   outer.rate = NAN;
-  CHECK_INT(mo_fields_check(&fields, &outer, &message), MO_ERR_INVALID);
+  CHECK_INT(mo_fields_check(&fields, "", &outer, &message), MO_ERR_INVALID);
   outer = start;
   outer.color = (enum color)2;
-  CHECK_INT(mo_fields_check(&fields, &outer, &message), MO_ERR_INVALID);
+  CHECK_INT(mo_fields_check(&fields, "", &outer, &message), MO_ERR_INVALID);
   CHECK_TEXT(message.text, "color must be \"red\" or \"green\", got number 2");
 }
 
