@@ -201,30 +201,19 @@ static bool literal(struct mo_json *json, const char *words)
 
 enum mo_json_kind mo_json_peek(struct mo_json *json)
 {
+  static const struct {
+    const char *words;
+    enum mo_json_kind kind;
+  } starts[] = {{"[", MO_JSON_ARRAY},   {"{", MO_JSON_OBJECT},    {"\"", MO_JSON_STRING},
+                {"true", MO_JSON_TRUE}, {"false", MO_JSON_FALSE}, {"null", MO_JSON_NULL}};
   if (json->stop)
     return MO_JSON_NONE;
-  char c = next_byte(json);
-  switch (c) {
-  case '{': return MO_JSON_OBJECT;
-  case '[': return MO_JSON_ARRAY;
-  case '"': return MO_JSON_STRING;
-  case 't':
-    if (literal(json, "true"))
-      return MO_JSON_TRUE;
-    break;
-  case 'f':
-    if (literal(json, "false"))
-      return MO_JSON_FALSE;
-    break;
-  case 'n':
-    if (literal(json, "null"))
-      return MO_JSON_NULL;
-    break;
-  default:
-    if (c == '-' || (c >= '0' && c <= '9'))
-      return MO_JSON_NUMBER;
-    break;
-  }
+  const char c = next_byte(json);
+  if (c == '-' || (c >= '0' && c <= '9'))
+    return MO_JSON_NUMBER;
+  for (size_t i = 0; i < sizeof(starts) / sizeof(starts[0]); i++)
+    if (literal(json, starts[i].words))
+      return starts[i].kind;
   if (json->at >= json->size)
     syntax(json, "the text ends where a value is expected");
   else if (literal(json, "NaN") || literal(json, "Infinity") || literal(json, "-Infinity"))
@@ -317,25 +306,24 @@ static bool raw_number(struct mo_json *json, struct mo_json_slice *raw)
 
 /* ---- values ---- */
 
-static bool mismatch(struct mo_json *json, enum mo_json_kind kind, const char *expected)
+/* Says whether the next value is of this kind; else adds a fault and skips it. */
+static bool expect(struct mo_json *json, enum mo_json_kind kind, const char *expected)
 {
   static const char *const words[] = {"nothing",  "an object", "an array", "a string",
                                       "a number", "true",      "false",    "null"};
-  if (kind != MO_JSON_NONE) {
-    mo_json_fault(json, "%s is given; %s is expected", words[kind], expected);
+  const enum mo_json_kind found = mo_json_peek(json);
+  if (found != kind && found != MO_JSON_NONE) {
+    mo_json_fault(json, "%s is given; %s is expected", words[found], expected);
     mo_json_skip(json);
   }
-  return false;
+  return found == kind;
 }
 
 bool mo_json_string(struct mo_json *json, struct mo_json_slice *value)
 {
-  enum mo_json_kind kind = mo_json_peek(json);
-  if (kind != MO_JSON_STRING)
-    return mismatch(json, kind, "a string");
   bool plain;
   struct mo_json_slice raw;
-  if (!raw_string(json, &raw, &plain))
+  if (!expect(json, MO_JSON_STRING, "a string") || !raw_string(json, &raw, &plain))
     return false;
   if (plain && raw.size <= MO_JSON_STRING_MAX) {
     *value = raw;
@@ -353,11 +341,8 @@ bool mo_json_string(struct mo_json *json, struct mo_json_slice *value)
 
 bool mo_json_text(struct mo_json *json, struct mo_json_slice *value)
 {
-  const enum mo_json_kind kind = mo_json_peek(json);
   bool plain;
-  if (kind != MO_JSON_STRING)
-    return mismatch(json, kind, "a string");
-  if (!raw_string(json, value, &plain))
+  if (!expect(json, MO_JSON_STRING, "a string") || !raw_string(json, value, &plain))
     return false;
   if (!plain)
     mo_json_fault(json, "a string without escapes is expected");
@@ -366,21 +351,18 @@ bool mo_json_text(struct mo_json *json, struct mo_json_slice *value)
 
 bool mo_json_bool(struct mo_json *json, bool *value)
 {
-  enum mo_json_kind kind = mo_json_peek(json);
-  if (kind != MO_JSON_TRUE && kind != MO_JSON_FALSE)
-    return mismatch(json, kind, "true or false");
-  *value = kind == MO_JSON_TRUE;
+  const bool is_true = mo_json_peek(json) == MO_JSON_TRUE;
+  if (!is_true && !expect(json, MO_JSON_FALSE, "true or false"))
+    return false;
+  *value = is_true;
   json->at += *value ? 4 : 5;
   return true;
 }
 
 bool mo_json_number(struct mo_json *json, double *value)
 {
-  enum mo_json_kind kind = mo_json_peek(json);
   struct mo_json_slice raw;
-  if (kind != MO_JSON_NUMBER)
-    return mismatch(json, kind, "a number");
-  if (!raw_number(json, &raw))
+  if (!expect(json, MO_JSON_NUMBER, "a number") || !raw_number(json, &raw))
     return false;
   double number = strtod(raw.bytes, NULL); /* strtod stops where the checked number ends */
   if (!isfinite(number)) {
@@ -450,12 +432,9 @@ static int whole_number(struct mo_json_slice raw, int64_t *number)
 
 bool mo_json_integer(struct mo_json *json, int64_t min, int64_t max, int64_t *value)
 {
-  enum mo_json_kind kind = mo_json_peek(json);
   struct mo_json_slice raw;
   int64_t number;
-  if (kind != MO_JSON_NUMBER)
-    return mismatch(json, kind, "an integer");
-  if (!raw_number(json, &raw))
+  if (!expect(json, MO_JSON_NUMBER, "an integer") || !raw_number(json, &raw))
     return false;
   const int code = whole_number(raw, &number);
   if (code == MO_ERR_RANGE)
@@ -484,14 +463,12 @@ static bool open_level(struct mo_json *json, bool object)
 
 bool mo_json_array(struct mo_json *json)
 {
-  enum mo_json_kind kind = mo_json_peek(json);
-  return kind == MO_JSON_ARRAY ? open_level(json, false) : mismatch(json, kind, "an array");
+  return expect(json, MO_JSON_ARRAY, "an array") && open_level(json, false);
 }
 
 bool mo_json_object(struct mo_json *json)
 {
-  enum mo_json_kind kind = mo_json_peek(json);
-  return kind == MO_JSON_OBJECT ? open_level(json, true) : mismatch(json, kind, "an object");
+  return expect(json, MO_JSON_OBJECT, "an object") && open_level(json, true);
 }
 
 /* Moves to the next item or member. False: at the closing bracket (the level is closed), or an
