@@ -40,7 +40,6 @@ enum mo_sensor {
 };
 extern const char *const mo_sensor_words[]; /* "inverse_sqrt", "inverse_square", NULL */
 const char *mo_sensor_name(enum mo_sensor sensor);
-int mo_sensor_from_name(const char *name, enum mo_sensor *sensor); /* MO_ERR_NOT_FOUND */
 
 struct mo_metadata_entry {
   char *key, *value;

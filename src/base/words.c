@@ -28,15 +28,6 @@ int mo_word_index(const char *const *words, const char *name)
   return MO_ERR_NOT_FOUND;
 }
 
-int mo_word_find(const char *const *words, const char *name, void *value)
-{
-  const int i = mo_word_index(words, name);
-  if (i < 0)
-    return i;
-  memcpy(value, &i, sizeof(i));
-  return MO_OK;
-}
-
 const char *mo_words_join(const char *const *words, const char *quote, char text[MO_WORDS_BYTES])
 {
   size_t size = 0;

@@ -13,8 +13,6 @@ size_t mo_words_count(const char *const *words);
 const char *mo_word(const char *const *words, unsigned i);
 /* Returns the index of a word, or MO_ERR_NOT_FOUND. */
 int mo_word_index(const char *const *words, const char *name);
-/* Sets an enumeration, whose names the words are, by name. MO_ERR_NOT_FOUND: it is unchanged. */
-int mo_word_find(const char *const *words, const char *name, void *value);
 /* Lists all words as in a sentence, the quote around each: red, green or blue. Returns text. */
 const char *mo_words_join(const char *const *words, const char *quote, char text[MO_WORDS_BYTES]);
 #define mo_words_list(words, text) mo_words_join(words, "\"", text)

@@ -22,11 +22,6 @@ const char *mo_sensor_name(enum mo_sensor sensor)
   return mo_word(mo_sensor_words, (unsigned)sensor);
 }
 
-int mo_sensor_from_name(const char *name, enum mo_sensor *sensor)
-{
-  return mo_word_find(mo_sensor_words, name, sensor);
-}
-
 void mo_controller_mass_order(struct mo_workspace workspace, char text[64])
 {
   snprintf(text, 64, "x-major lattice (x*%u+y)*%u+z", workspace.ny + 1U, workspace.nz + 1U);

@@ -20,6 +20,7 @@
 #include <jansson.h>
 
 #include "base/text.h"
+#include "base/words.h"
 
 struct printable {
   char text[49];
@@ -141,10 +142,12 @@ static int check_metadata(json_t *metadata, struct mo_workspace *workspace, enum
                      printable(text).text, MO_VOXELS_MAX);
   }
   text = json_string_value(json_object_get(metadata, "sensor"));
-  if (text != NULL && mo_sensor_from_name(text, sensor) < 0)
+  const int word = text != NULL ? mo_word_index(mo_sensor_words, text) : MO_SENSOR_INVERSE_SQRT;
+  if (word < 0)
     return mo_fail(message, MO_ERR_FORMAT,
                    "metadata \"sensor\" is \"%s\"; expected \"inverse_sqrt\" or \"inverse_square\"",
                    printable(text).text);
+  *sensor = (enum mo_sensor)word;
   char mass_order[64];
   mo_controller_mass_order(*workspace, mass_order);
   const int r = check_entry(metadata, "mass_order", mass_order, message);

@@ -3,6 +3,8 @@
 
 #include <morpho/controller.h>
 
+#include "base/words.h"
+
 static const struct mo_workspace tiny = {1, 1, 1};
 
 static void sizes(void)
@@ -134,12 +136,9 @@ static void metadata(void)
 
 static void sensors(void)
 {
-  enum mo_sensor sensor = MO_SENSOR_INVERSE_SQRT;
-  CHECK_INT(mo_sensor_from_name("inverse_square", &sensor), MO_OK);
-  CHECK_INT(sensor, MO_SENSOR_INVERSE_SQUARE);
-  CHECK_INT(mo_sensor_from_name("inverse_sqrt", &sensor), MO_OK);
-  CHECK_INT(sensor, MO_SENSOR_INVERSE_SQRT);
-  CHECK_INT(mo_sensor_from_name("Inverse_sqrt", &sensor), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_word_index(mo_sensor_words, "inverse_square"), MO_SENSOR_INVERSE_SQUARE);
+  CHECK_INT(mo_word_index(mo_sensor_words, "inverse_sqrt"), MO_SENSOR_INVERSE_SQRT);
+  CHECK_INT(mo_word_index(mo_sensor_words, "Inverse_sqrt"), MO_ERR_NOT_FOUND);
   CHECK_TEXT(mo_sensor_name(MO_SENSOR_INVERSE_SQUARE), "inverse_square");
   CHECK_TEXT(mo_sensor_name((enum mo_sensor)9), "unknown");
 }
