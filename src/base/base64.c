@@ -1,20 +1,18 @@
 /* base64.c: see base64.h. */
 #include "base/base64.h"
 
+#include <string.h>
+
+static const char digits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+
 static int value_of(char c)
 {
-  if (c >= 'A' && c <= 'Z')
-    return c - 'A';
-  if (c >= 'a' && c <= 'z')
-    return c - 'a' + 26;
-  if (c >= '0' && c <= '9')
-    return c - '0' + 52;
-  return c == '+' ? 62 : c == '/' ? 63 : -1;
+  const char *digit = c != '\0' ? strchr(digits, c) : NULL;
+  return digit != NULL ? (int)(digit - digits) : -1;
 }
 
 void mo_base64_encode(const void *bytes, size_t n, char text[])
 {
-  static const char digits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
   const uint8_t *from = bytes;
   for (size_t i = 0; i < n; i += 3) {
     const size_t left = n - i;
