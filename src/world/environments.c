@@ -31,18 +31,12 @@ static void draw_terrain(struct mo_random *random, double sigma_m,
     heights_m[k] = (heights_m[k] - lowest) + MO_TERRAIN_FLOOR_M;
 }
 
-static void random_terrain(uint64_t seed, enum mo_purpose purpose, uint32_t step, uint64_t index,
-                           double sigma_m, double heights_m[MO_TERRAIN_HEIGHTS])
-{
-  struct mo_random random;
-  mo_random_init(&random, seed, purpose, step, index);
-  draw_terrain(&random, sigma_m, heights_m);
-}
-
 void mo_terrain_random(uint64_t seed, uint32_t step, uint64_t index, double sigma_m,
                        double heights_m[MO_TERRAIN_HEIGHTS])
 {
-  random_terrain(seed, MO_PURPOSE_TERRAIN, step, index, sigma_m, heights_m);
+  struct mo_random random;
+  mo_random_init(&random, seed, MO_PURPOSE_TERRAIN, step, index);
+  draw_terrain(&random, sigma_m, heights_m);
 }
 
 /* Returns σ. */
@@ -62,22 +56,26 @@ static double draw_light(struct mo_random *random, double light_xy_m[2])
   return sigma_m;
 }
 
+static void draw_environment(uint64_t seed, enum mo_purpose light, enum mo_purpose terrain,
+                             uint32_t step, uint64_t index, struct mo_environment *environment)
+{
+  struct mo_random random;
+  mo_random_init(&random, seed, light, step, index);
+  const double sigma_m = draw_light(&random, environment->light_xy_m);
+  mo_random_init(&random, seed, terrain, step, index);
+  draw_terrain(&random, sigma_m, environment->terrain_heights_m);
+}
+
 void mo_environment_training(uint64_t seed, uint32_t step, uint64_t index,
                              struct mo_environment *environment)
 {
-  struct mo_random random;
-  mo_random_init(&random, seed, MO_PURPOSE_LIGHT, step, index);
-  double sigma_m = draw_light(&random, environment->light_xy_m);
-  random_terrain(seed, MO_PURPOSE_TERRAIN, step, index, sigma_m, environment->terrain_heights_m);
+  draw_environment(seed, MO_PURPOSE_LIGHT, MO_PURPOSE_TERRAIN, step, index, environment);
 }
 
 void mo_environment_held_out(uint64_t seed, uint64_t index, struct mo_environment *environment)
 {
-  struct mo_random random;
-  mo_random_init(&random, seed, MO_PURPOSE_HELD_OUT_LIGHT, 0, index);
-  double sigma_m = draw_light(&random, environment->light_xy_m);
-  random_terrain(seed, MO_PURPOSE_HELD_OUT_TERRAIN, 0, index, sigma_m,
-                 environment->terrain_heights_m);
+  draw_environment(seed, MO_PURPOSE_HELD_OUT_LIGHT, MO_PURPOSE_HELD_OUT_TERRAIN, 0, index,
+                   environment);
 }
 
 void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_COUNT])

@@ -69,25 +69,15 @@ double mo_terrain_highest(const double heights_m[MO_TERRAIN_HEIGHTS])
   return highest;
 }
 
-static int check_number(double value, double limit, uint32_t place, uint32_t *where)
-{
-  int code = !isfinite(value) ? MO_ERR_INVALID : fabs(value) > limit ? MO_ERR_RANGE : MO_OK;
-  if (code != MO_OK && where != NULL)
-    *where = place;
-  return code;
-}
-
 int mo_environment_check(const struct mo_environment *environment, uint32_t *where)
 {
-  for (uint32_t axis = 0; axis < 2; axis++) {
-    int code = check_number(environment->light_xy_m[axis], MO_LIGHT_LIMIT_M, axis, where);
-    if (code != MO_OK)
-      return code;
-  }
-  for (uint32_t k = 0; k < MO_TERRAIN_HEIGHTS; k++) {
-    int code = check_number(environment->terrain_heights_m[k], MO_HEIGHT_LIMIT_M, 2 + k, where);
-    if (code != MO_OK)
-      return code;
+  for (uint32_t k = 0; k < 2 + MO_TERRAIN_HEIGHTS; k++) {
+    const double value = k < 2 ? environment->light_xy_m[k] : environment->terrain_heights_m[k - 2];
+    if (fabs(value) <= (k < 2 ? MO_LIGHT_LIMIT_M : MO_HEIGHT_LIMIT_M))
+      continue;
+    if (where != NULL)
+      *where = k;
+    return isfinite(value) ? MO_ERR_RANGE : MO_ERR_INVALID;
   }
   return MO_OK;
 }
