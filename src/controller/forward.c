@@ -4,39 +4,27 @@
 
 #include <math.h>
 
+#define SIDE_BY_SIDE 4
+
 /* sums[i] = bias + row · inputs for the n rows listed in `rows` (NULL: 0 … n−1) of a matrix with
  * `width` columns. */
 static void dense(const float *weight, const float *bias, const uint32_t *rows, uint32_t n,
                   uint32_t width, const double *inputs, double *sums)
 {
-  uint32_t i = 0;
-  for (; i + 4 <= n; i += 4) {
-    uint32_t r[4];
-    const float *w[4];
-    for (int k = 0; k < 4; k++) {
-      r[k] = rows != NULL ? rows[i + (uint32_t)k] : i + (uint32_t)k;
-      w[k] = weight + (size_t)r[k] * width;
+  for (uint32_t i = 0; i < n; i += SIDE_BY_SIDE) {
+    uint32_t row[SIDE_BY_SIDE];
+    const float *w[SIDE_BY_SIDE];
+    double sum[SIDE_BY_SIDE] = {0};
+    for (uint32_t k = 0; k < SIDE_BY_SIDE; k++) {
+      const uint32_t at = i + k < n ? i + k : n - 1;
+      row[k] = rows != NULL ? rows[at] : at;
+      w[k] = weight + (size_t)row[k] * width;
     }
-    double s0 = 0, s1 = 0, s2 = 0, s3 = 0;
-    for (uint32_t j = 0; j < width; j++) {
-      const double x = inputs[j];
-      s0 += (double)w[0][j] * x;
-      s1 += (double)w[1][j] * x;
-      s2 += (double)w[2][j] * x;
-      s3 += (double)w[3][j] * x;
-    }
-    sums[i] = s0 + (double)bias[r[0]];
-    sums[i + 1] = s1 + (double)bias[r[1]];
-    sums[i + 2] = s2 + (double)bias[r[2]];
-    sums[i + 3] = s3 + (double)bias[r[3]];
-  }
-  for (; i < n; i++) {
-    const uint32_t r = rows != NULL ? rows[i] : i;
-    const float *w = weight + (size_t)r * width;
-    double s = 0;
     for (uint32_t j = 0; j < width; j++)
-      s += (double)w[j] * inputs[j];
-    sums[i] = s + (double)bias[r];
+      for (uint32_t k = 0; k < SIDE_BY_SIDE; k++)
+        sum[k] += (double)w[k][j] * inputs[j];
+    for (uint32_t k = 0; k < SIDE_BY_SIDE && i + k < n; k++)
+      sums[i + k] = sum[k] + (double)bias[row[k]];
   }
 }
 
