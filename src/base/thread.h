@@ -17,6 +17,12 @@ extern __thread volatile int64_t mo_thread_tag;
 int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *context),
                      void *context);
 
+/* Reads the flag of a caller that may cancel; NULL: nobody can. */
+static inline bool mo_is_cancelled(const volatile int *cancel)
+{
+  return cancel != NULL && __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0;
+}
+
 static inline pthread_mutex_t *mo_lock(pthread_mutex_t *mutex)
 {
   pthread_mutex_lock(mutex);

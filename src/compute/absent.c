@@ -8,7 +8,6 @@
 #include <string.h>
 
 #include "base/clock.h"
-#include "base/thread.h"
 
 #define LOOK_AGAIN_US 50000 /* a cancellation wakes nobody */
 

@@ -16,15 +16,10 @@
  * Counters are atomics: reading them takes no lock. */
 #include "compute/devices.h"
 
-#include <morpho/error.h>
-
 #include "base/clock.h"
 #include "base/processors.h"
-#include "base/thread.h"
 
-#include <pthread.h>
 #include <sched.h>
-#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

@@ -8,8 +8,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/thread.h"
-
 enum { BODIES_PER_THREAD = 100 }; /* about a millisecond */
 
 int mo_chunk_create(struct mo_chunk *chunk)

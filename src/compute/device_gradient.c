@@ -12,8 +12,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/thread.h"
-
 enum { SUM_THREADS_MAX = 16 };
 
 /* A batch, cut into parts, each with its own layout. */

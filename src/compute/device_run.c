@@ -26,7 +26,6 @@
 #include <time.h>
 
 #include "base/clock.h"
-#include "base/thread.h"
 
 enum {
   LINGER_IDLE_MS = 2,  /* without a new block, before an idle device starts on what waits */

@@ -9,7 +9,6 @@
 #include <unistd.h>
 
 #include "base/clock.h"
-#include "base/thread.h"
 
 #define DEVICES_MAX 64
 /* Estimated seconds of a rollout step before any measurement. */

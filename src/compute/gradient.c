@@ -260,11 +260,6 @@ void mo_compute_gradient_forget(struct mo_gradient_state *state)
     mo_device_gradients_forget(state->on_devices);
 }
 
-static bool is_cancelled(const struct mo_gradient_batch *batch)
-{
-  return batch->cancel != NULL && __atomic_load_n(batch->cancel, __ATOMIC_RELAXED) != 0;
-}
-
 static int compute_on_cpu(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
   struct call call = {.state = state, .batch = batch, .shard = -1};
@@ -281,7 +276,7 @@ static int compute_on_cpu(struct mo_gradient_state *state, struct mo_gradient_ba
       call.status = submit(&call);
     if (call.n_submitted != call.n_gathered)
       gather(&call);
-    else if (is_cancelled(batch))
+    else if (mo_is_cancelled(batch->cancel))
       call.status = MO_ERR_CANCELLED;
     else
       mo_offer_wait(&call.offer, call.n_added);
@@ -313,7 +308,7 @@ static int compute_elsewhere(struct mo_gradient_state *state, struct mo_gradient
   while (status == MO_OK && call.n_added < call.offer.n) {
     mo_offer_wait(&call.offer, call.n_added);
     add_shards(&call);
-    status = is_cancelled(batch) ? MO_ERR_CANCELLED : mo_offer_error(&call.offer);
+    status = mo_is_cancelled(batch->cancel) ? MO_ERR_CANCELLED : mo_offer_error(&call.offer);
   }
   mo_offer_stop(&call.offer);
   mo_offer_close(&call.offer);

@@ -4,8 +4,9 @@
 
 #include <morpho/compute.h>
 
-#include <pthread.h>
 #include <stdatomic.h>
+
+#include "base/thread.h"
 
 /* Part of every fingerprint: raise it by one whenever a change to the fast path changes any bit of
  * a result. tests/unit/rollout/bits.c detects such a change. */
@@ -119,7 +120,7 @@ static inline bool mo_block_is_cancelled(const struct mo_block *block)
   const atomic_bool *stop = block->gradient != NULL ? block->gradient->stop
                             : block->shards != NULL ? block->shards->stop
                                                     : NULL;
-  return (block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0) ||
+  return mo_is_cancelled(block->cancel) ||
          (stop != NULL && atomic_load_explicit(stop, memory_order_relaxed));
 }
 

@@ -6,7 +6,6 @@
 #include <stdlib.h>
 
 #include "base/clock.h"
-#include "base/thread.h"
 
 #define RETURNS_MAX        3
 #define RETURNS_ABSENT_MAX 32  /* of a shard that only takers compute: they come and go */

@@ -82,9 +82,8 @@ double mo_offers_units(const struct mo_compute_core *core, enum mo_back_end back
 
 static inline bool mo_shard_is_cancelled(const struct mo_shard *shard)
 {
-  const volatile int *cancel = shard->part.cancel;
   return atomic_load_explicit(&shard->stop, memory_order_relaxed) ||
-         (cancel != NULL && __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0);
+         mo_is_cancelled(shard->part.cancel);
 }
 
 #endif

@@ -36,9 +36,4 @@ void mo_race_cut_waves(struct mo_race *race, const uint8_t sizes[MO_RACE_WAVES_M
 void mo_distance_sums(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
                       double *sums);
 
-static inline int mo_is_cancelled(const volatile int *cancel)
-{
-  return cancel != NULL && __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0;
-}
-
 #endif

@@ -13,6 +13,7 @@
  * Only children that are kept take a place; discarded ones take none. */
 #include "evolution/internal.h"
 
+#include "base/thread.h"
 #include "morphospace/bits.h"
 
 #include <string.h>

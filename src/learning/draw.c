@@ -34,8 +34,7 @@ static int take(struct mo_training *training, uint64_t *body)
 
 static bool is_cancelled(const struct mo_training *training, const volatile int *cancel)
 {
-  return cancel != NULL && training->taken % ASK_EVERY == 0 &&
-         __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0;
+  return training->taken % ASK_EVERY == 0 && mo_is_cancelled(cancel);
 }
 
 /* Replays the stream of a restored training. A failed draw may leave the stream past the start of
