@@ -64,7 +64,6 @@ int mo_compute_expect_devices(struct mo_compute *compute)
   if (devices == NULL)
     return MO_ERR_NO_MEMORY;
   devices->is_absent = true;
-  mo_devices_open_queue(devices, 1);
   devices->has_keeper = mo_thread_create(&devices->keeper, "mo-absent", keep, devices) == 0;
   if (!devices->has_keeper) {
     mo_devices_free(devices);

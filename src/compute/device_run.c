@@ -18,12 +18,10 @@
  * result is requeued. */
 #include "compute/devices.h"
 
-#include <errno.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #include "base/clock.h"
 
@@ -38,15 +36,10 @@ enum {
 
 static const double load_s = 10; /* time constant of the load's average */
 
-/* Waits for a wake-up, under the mutex; false: the time is over. */
-static bool wait_ms(struct mo_devices *devices, int ms)
+/* Waits for a wake-up, under the mutex. */
+static void wait_ms(struct mo_devices *devices, int64_t ms)
 {
-  struct timespec end;
-  clock_gettime(CLOCK_MONOTONIC, &end);
-  end.tv_nsec += ms * 1000000L;
-  end.tv_sec += end.tv_nsec / 1000000000L;
-  end.tv_nsec %= 1000000000L;
-  return pthread_cond_timedwait(&devices->wake, &devices->fair.mutex, &end) != ETIMEDOUT;
+  (void)mo_wait_until(&devices->wake, &devices->fair.mutex, mo_clock_us() + ms * 1000);
 }
 
 static bool is_running(const struct mo_caller *caller)
@@ -106,7 +99,7 @@ static void linger(struct mo_unit *unit)
     else if (mo_clock_ns() - since_ns >= patience_ns)
       return;
     before = waiting;
-    (void)wait_ms(devices, 1);
+    wait_ms(devices, 1);
     watch(unit);
     waiting = atomic_load(&devices->fair.waiting);
   }
@@ -139,7 +132,7 @@ static bool gather(struct mo_unit *unit)
   while (!has_ended(unit) && has_to_wait(unit)) {
     watch(unit);
     if (mo_unit_held(unit) > 0)
-      (void)wait_ms(devices, WATCH_MS);
+      wait_ms(devices, WATCH_MS);
     else
       pthread_cond_wait(&devices->wake, &devices->fair.mutex);
   }
@@ -167,7 +160,7 @@ void *mo_unit_gather(void *context)
   }
   while (devices->stopping && mo_unit_is_running(unit)) { /* it ends soon */
     watch(unit);
-    (void)wait_ms(devices, WATCH_MS);
+    wait_ms(devices, WATCH_MS);
   }
   unit->gathered_all = true;
   pthread_cond_broadcast(&devices->wake);

@@ -190,25 +190,16 @@ static int start(struct mo_devices *devices)
 struct mo_devices *mo_devices_create(struct mo_compute *compute)
 {
   struct mo_devices *devices = calloc(1, sizeof(*devices));
-  pthread_condattr_t monotonic;
   if (devices == NULL)
     return NULL;
   devices->compute = compute;
-  pthread_condattr_init(&monotonic);
-  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
-  pthread_cond_init(&devices->wake, &monotonic);
-  mo_fair_init(&devices->fair, 0);
-  pthread_condattr_destroy(&monotonic);
-  return devices;
-}
-
-void mo_devices_open_queue(struct mo_devices *devices, uint32_t n)
-{
-  devices->fair.credit_s = MO_FAIR_CREDIT_S * n;
+  pthread_cond_init(&devices->wake, NULL);
+  mo_fair_init(&devices->fair, 1);
   devices->fair.unit_s[MO_FAIR_SCORING] = SCORING_S;
   devices->fair.unit_s[MO_FAIR_GRADIENT] = GRADIENT_S;
   mo_fair_add(&devices->fair, &devices->own, 1);
   mo_fair_add(&devices->fair, &devices->urgent, MO_SHARE_WEIGHT_MAX);
+  return devices;
 }
 
 int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_config *config,
@@ -226,7 +217,7 @@ int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_c
     status = open_units(devices, config, message);
   if (status == MO_OK) {
     write_fingerprints(devices);
-    mo_devices_open_queue(devices, devices->n);
+    devices->fair.credit_s = MO_FAIR_CREDIT_S * devices->n;
     atomic_store(&devices->n_working, devices->n);
     status = start(devices);
     if (status != MO_OK)

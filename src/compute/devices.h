@@ -110,8 +110,6 @@ struct mo_devices {
 
 /* ---- devices.c ---- */
 struct mo_devices *mo_devices_create(struct mo_compute *compute); /* NULL: no memory */
-/* Opens the queue of so many devices. */
-void mo_devices_open_queue(struct mo_devices *devices, uint32_t n);
 /* Queues a block. MO_ERR_DEVICE: no device works, or the block needs one of this machine;
  * MO_ERR_CANCELLED. */
 int mo_devices_submit(struct mo_devices *devices, struct mo_block *block);
