@@ -17,19 +17,6 @@ static bool is_for_keeper(const struct mo_block *block, void *context)
   return devices->stopping || !mo_block_suits_remote(block) || mo_block_is_cancelled(block);
 }
 
-/* Without the mutex. */
-static void end_block(struct mo_devices *devices, struct mo_block *block, bool is_stopping)
-{
-  int status = MO_ERR_CANCELLED;
-  if (!is_stopping && !mo_block_is_cancelled(block))
-    status = mo_core(devices->compute)->submit_to_workers(devices->compute, block);
-  if (status == MO_OK)
-    return;
-  block->status = status;
-  block->computed_on = MO_ON_DEVICE;
-  block->done(block, block->context);
-}
-
 static void *keep(void *context)
 {
   struct mo_devices *devices = context;
@@ -39,10 +26,11 @@ static void *keep(void *context)
     struct mo_fair_charge charge;
     struct mo_block *block = mo_fair_take(fair, &charge, is_for_keeper, devices);
     if (block != NULL) {
-      const bool is_stopping = devices->stopping;
+      const bool is_cancelled = devices->stopping || mo_block_is_cancelled(block);
       mo_fair_settle(fair, &charge, 0, false);
       pthread_mutex_unlock(&fair->mutex);
-      end_block(devices, block, is_stopping);
+      mo_chunk_end_block(devices, block, is_cancelled ? MO_ERR_CANCELLED : MO_CHUNK_TO_WORKERS,
+                         NULL);
       pthread_mutex_lock(&fair->mutex);
     } else if (devices->stopping) {
       break;

@@ -226,10 +226,8 @@ void mo_chunk_return(struct mo_devices *devices, struct mo_chunk *chunk)
   pthread_cond_broadcast(&devices->wake);
 }
 
-/* Calls `done`, or passes the block to the workers. outcomes: for a scoring block that has rows;
- * else NULL. */
-static void end_block(struct mo_devices *devices, struct mo_block *block, int status,
-                      const struct mo_outcome *outcomes)
+void mo_chunk_end_block(struct mo_devices *devices, struct mo_block *block, int status,
+                        const struct mo_outcome *outcomes)
 {
   if (status == MO_CHUNK_TO_WORKERS) {
     status = mo_core(devices->compute)->submit_to_workers(devices->compute, block);
@@ -248,9 +246,9 @@ void mo_chunk_deliver(struct mo_devices *devices, struct mo_chunk *chunk)
   for (uint32_t i = 0; i < chunk->n_blocks; i++) {
     const struct mo_chunk_item *item = &chunk->items[i];
     if (item->block != NULL)
-      end_block(devices, item->block, item->status,
-                chunk->task == NULL && i < chunk->n_active ? chunk->outcomes + item->first_row
-                                                           : NULL);
+      mo_chunk_end_block(
+          devices, item->block, item->status,
+          chunk->task == NULL && i < chunk->n_active ? chunk->outcomes + item->first_row : NULL);
   }
   for (uint32_t i = 0; i < chunk->n_active; i++) /* owned by this chunk */
     mo_body_free(chunk->items[i].body);

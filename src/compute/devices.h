@@ -131,6 +131,10 @@ bool mo_same_physics(const struct mo_physics *a, const struct mo_physics *b);
 bool mo_chunk_is_cancelled(const struct mo_chunk *chunk);
 /* Under the mutex: requeues what is not done, or ends it with an error if no device is left. */
 void mo_chunk_return(struct mo_devices *devices, struct mo_chunk *chunk);
+/* Without the mutex: calls `done`, or passes the block to the workers. outcomes: of a scoring block
+ * that has rows; else NULL. */
+void mo_chunk_end_block(struct mo_devices *devices, struct mo_block *block, int status,
+                        const struct mo_outcome *outcomes);
 /* Without the mutex: calls `done` of what has a result, and frees the bodies. */
 void mo_chunk_deliver(struct mo_devices *devices, struct mo_chunk *chunk);
 
