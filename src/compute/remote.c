@@ -15,7 +15,7 @@ struct taken {
   struct mo_taken shown;
   struct mo_fair *fair;
   struct mo_fair_charge charge;
-  struct mo_block **blocks; /* (n_blocks); NULL: a shard */
+  struct mo_block **blocks; /* (n_blocks) unless it is a shard */
   struct mo_offer *offer;
   struct mo_shard *shard;
 };
@@ -54,48 +54,39 @@ static struct mo_fair *queue_of(struct mo_compute *compute, enum mo_back_end bac
   return core->devices != NULL ? &core->devices->fair : NULL;
 }
 
-/* Appends a block; the array grows by doubling. */
-static bool keep(struct taken *taken, struct mo_block *block)
+/* Makes a place for another block; the array grows by doubling. */
+static bool reserve(struct taken *taken)
 {
   const uint32_t n = taken->shown.n_blocks;
-  if ((n & (n - 1)) == 0) {
-    const size_t bytes = (n > 0 ? 2 * (size_t)n : 1) * sizeof(struct mo_block *);
-    struct mo_block **more = realloc((void *)taken->blocks, bytes);
-    if (more == NULL)
-      return false;
-    taken->blocks = more;
-  }
-  taken->blocks[n] = block;
-  taken->shown.n_blocks++;
-  taken->shown.n_rows += block->n_environments;
+  if ((n & (n - 1)) != 0)
+    return true;
+  const size_t bytes = (n > 0 ? 2 * (size_t)n : 1) * sizeof(struct mo_block *);
+  struct mo_block **more = realloc((void *)taken->blocks, bytes);
+  if (more == NULL)
+    return false;
+  taken->blocks = more;
   return true;
 }
 
-/* Under the mutex. Undoes the take of one block, which has no place in `taken`. */
-static void undo(struct taken *taken, struct mo_block *block)
+static void keep(struct taken *taken, struct mo_block *block)
 {
-  struct mo_fair_charge charge = taken->charge;
-  charge.n_blocks = 1;
-  charge.units = mo_fair_units(block);
-  charge.estimate_s = charge.units * charge.share->unit_s[charge.kind];
-  taken->charge.n_blocks--;
-  taken->charge.units -= charge.units;
-  taken->charge.estimate_s -= charge.estimate_s;
-  mo_fair_put_back(taken->fair, &charge, &block);
+  taken->blocks[taken->shown.n_blocks++] = block;
+  taken->shown.n_rows += block->n_environments;
 }
 
 /* Under the mutex. Takes blocks until `taken` is full. */
 static void fill(struct taken *taken, uint64_t max_steps)
 {
-  struct mo_block *block = mo_fair_take(taken->fair, &taken->charge, suits, NULL);
-  struct room room = {.like = block, .steps = (double)max_steps};
-  while (block != NULL) {
-    if (!keep(taken, block)) {
-      undo(taken, block);
+  struct room room = {.steps = (double)max_steps};
+  while (reserve(taken)) {
+    struct mo_block *block = room.like == NULL
+                                 ? mo_fair_take(taken->fair, &taken->charge, suits, NULL)
+                                 : mo_fair_take_more(taken->fair, &taken->charge, fits, &room);
+    if (block == NULL)
       return;
-    }
+    keep(taken, block);
+    room.like = block;
     room.steps -= mo_fair_units(block);
-    block = mo_fair_take_more(taken->fair, &taken->charge, fits, &room);
   }
 }
 
@@ -122,8 +113,8 @@ static bool take_shard(struct mo_compute *compute, struct taken *taken, bool her
 
 static void show(struct taken *taken)
 {
-  if (taken->blocks == NULL)
-    return; /* a shard shows itself */
+  if (taken->shard != NULL)
+    return; /* it shows itself */
   taken->shown.blocks = taken->blocks;
   taken->shown.identity = taken->blocks[0]->controller;
   taken->shown.controller = mo_compute_controller_weights(taken->blocks[0]->controller);
@@ -170,10 +161,11 @@ struct mo_taken *mo_compute_split(struct mo_compute *compute, struct mo_taken *w
   *second = (struct taken){.shown = *whole, .fair = first->fair, .charge = first->charge};
   second->shown.n_blocks = second->shown.n_rows = 0;
   for (uint32_t i = n_first; i < n; i++) {
-    if (!keep(second, first->blocks[i])) {
+    if (!reserve(second)) {
       discard(second);
       return NULL;
     }
+    keep(second, first->blocks[i]);
     units += mo_fair_units(first->blocks[i]);
   }
   second->charge.n_blocks = n - n_first;
