@@ -36,8 +36,6 @@ struct mo_compute_config {
   enum mo_isa isa;    /* from mo_isa_best(), or lower for tests */
   int nice; /* added to the process's niceness, 0 … 19, so that the service's threads stay
                responsive */
-  size_t gradient_bytes; /* budget of one worker's scratch for gradients; 0:
-                            MO_GRADIENT_DEFAULT_BYTES */
 };
 
 /* The submitter fills in a block, and owns it and all it points to until `done` is called. */
@@ -132,8 +130,8 @@ struct mo_compute_share_stats {
 void mo_compute_share_get_stats(const struct mo_compute_share *share,
                                 struct mo_compute_share_stats *stats); /* lock-free reads */
 
-/* Sets the budget of a worker's scratch for gradients. It applies to scratch that a worker creates
- * from now on, and changes no bit. */
+/* Sets the budget of a worker's scratch for gradients, at first MO_GRADIENT_DEFAULT_BYTES. It
+ * applies to scratch that a worker creates from now on, and changes no bit. */
 void mo_compute_set_gradient_bytes(struct mo_compute *compute, size_t bytes);
 /* Makes workers free their gradient scratch. Call it when no gradients are expected for now; a
  * later gradient allocates its scratch again. */
@@ -160,7 +158,7 @@ int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n
 struct mo_gradient_batch {
   const struct mo_controller *controller;
   const struct mo_robot *robots; /* (n) */
-  uint32_t n;                    /* 1 … MO_GRADIENT_BATCH_MAX */
+  uint32_t n;                    /* 1 … 65536 */
   struct mo_physics physics;
   double adjoint_bound; /* ≥ 0; 0: off */
   enum mo_adjoint_rule adjoint_rule;
@@ -181,8 +179,7 @@ struct mo_gradient_batch {
   struct mo_outcome *outcomes; /* (n) */
   struct mo_gradient_counts counts;
 };
-#define MO_GRADIENT_BATCH_MAX 65536
-#define MO_GRADIENT_SHARD     1024
+#define MO_GRADIENT_SHARD 1024
 
 /* Computes the gradient of a batch and waits for it; for a thread that may block. The batch is cut
  * into blocks of MO_GRADIENT_ROBOTS, in the order of mo_gradient_arrange. Results are added in

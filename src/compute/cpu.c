@@ -358,8 +358,7 @@ int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_comp
   compute->core.n_workers = wanted;
   compute->core.submit_to_workers = submit_to_workers;
   compute->nice = config->nice;
-  compute->gradient_bytes =
-      config->gradient_bytes > 0 ? config->gradient_bytes : MO_GRADIENT_DEFAULT_BYTES;
+  compute->gradient_bytes = MO_GRADIENT_DEFAULT_BYTES;
   for (int precision = 0; precision < 2; precision++)
     snprintf(compute->fingerprint[precision], sizeof(compute->fingerprint[precision]),
              "cpu %s %s kernel-%d", mo_isa_name(config->isa),
