@@ -128,9 +128,7 @@ static struct mo_block *take_first(struct mo_fair *fair, struct mo_fair_charge *
   return block;
 }
 
-struct mo_compute_share *mo_fair_next(const struct mo_fair *fair,
-                                      bool (*fits)(const struct mo_block *block, void *context),
-                                      void *context)
+struct mo_compute_share *mo_fair_next(const struct mo_fair *fair, mo_fair_fits *fits, void *context)
 {
   struct mo_compute_share *next = NULL;
   for (struct mo_compute_share *share = fair->shares; share != NULL; share = share->next)
@@ -141,8 +139,7 @@ struct mo_compute_share *mo_fair_next(const struct mo_fair *fair,
 }
 
 struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge,
-                              bool (*fits)(const struct mo_block *block, void *context),
-                              void *context)
+                              mo_fair_fits *fits, void *context)
 {
   struct mo_compute_share *next = mo_fair_next(fair, fits, context);
   return next != NULL ? mo_fair_take_from(fair, next, charge) : NULL;
@@ -160,8 +157,7 @@ struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share
 }
 
 struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *charge,
-                                   bool (*fits)(const struct mo_block *block, void *context),
-                                   void *context)
+                                   mo_fair_fits *fits, void *context)
 {
   const struct mo_block *next = charge->share->queue.first;
   return next != NULL && fits(next, context) ? take_first(fair, charge) : NULL;

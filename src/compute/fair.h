@@ -91,6 +91,9 @@ struct mo_fair_charge {
   double units, estimate_s;
 };
 
+/* Says whether a block may be taken. */
+typedef bool mo_fair_fits(const struct mo_block *block, void *context);
+
 void mo_fair_init(struct mo_fair *fair, uint32_t n_workers);
 /* These three take the mutex. */
 void mo_fair_add(struct mo_fair *fair, struct mo_compute_share *share, double weight);
@@ -102,8 +105,7 @@ void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, do
 /* Call these under the mutex. */
 void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block);
 /* Returns the share that is next, among the shares whose first block fits; NULL: none. */
-struct mo_compute_share *mo_fair_next(const struct mo_fair *fair,
-                                      bool (*fits)(const struct mo_block *block, void *context),
+struct mo_compute_share *mo_fair_next(const struct mo_fair *fair, mo_fair_fits *fits,
                                       void *context);
 /* Charges a share for a gradient of so many rollout steps that has no block in the queue. */
 void mo_fair_charge_gradient(struct mo_fair *fair, struct mo_compute_share *share, double units,
@@ -111,16 +113,14 @@ void mo_fair_charge_gradient(struct mo_fair *fair, struct mo_compute_share *shar
 /* Takes the first block of the share that is next, among the shares whose first block fits. fits
  * NULL: any does. NULL: no such block waits. */
 struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge,
-                              bool (*fits)(const struct mo_block *block, void *context),
-                              void *context);
+                              mo_fair_fits *fits, void *context);
 /* Takes the next block of this share, even if another share is next; NULL: none waiting. */
 struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share *share,
                                    struct mo_fair_charge *charge);
 /* Takes another block of the charge's share, to run together with those taken before; NULL: none
  * waits, or it does not fit. */
 struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *charge,
-                                   bool (*fits)(const struct mo_block *block, void *context),
-                                   void *context);
+                                   mo_fair_fits *fits, void *context);
 /* Puts blocks of a charge back at the front of its share, in order, and takes the charge back. Part
  * of a charge: `charge` then holds what is charged for these blocks. */
 void mo_fair_put_back(struct mo_fair *fair, const struct mo_fair_charge *charge,
