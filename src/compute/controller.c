@@ -48,11 +48,10 @@ int mo_compute_controller_pack(struct mo_compute_controller *controller,
                                enum mo_precision precision, const struct mo_pack **ret)
 {
   int status = MO_OK;
-  pthread_mutex_lock(&controller->making);
+  MO_GUARD(&controller->making);
   if (controller->pack[precision] == NULL)
     status = mo_pack_create(controller->controller, controller->isa, precision,
                             &controller->pack[precision]);
   *ret = controller->pack[precision];
-  pthread_mutex_unlock(&controller->making);
   return status;
 }

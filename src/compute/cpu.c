@@ -333,10 +333,9 @@ void mo_compute_wake(struct mo_compute *compute)
 
 void mo_compute_trim(struct mo_compute *compute)
 {
-  pthread_mutex_lock(&compute->fair.mutex);
+  MO_GUARD(&compute->fair.mutex);
   atomic_fetch_add(&compute->trims, 1);
   pthread_cond_broadcast(&compute->wake);
-  pthread_mutex_unlock(&compute->fair.mutex);
 }
 
 static int submit_to_workers(struct mo_compute *compute, struct mo_block *block);
@@ -407,18 +406,16 @@ void mo_compute_free(struct mo_compute *compute)
 
 static int enqueue(struct mo_compute *compute, struct mo_block *block, int urgent_queue)
 {
-  pthread_mutex_lock(&compute->fair.mutex);
-  const bool stopping = atomic_load(&compute->stopping);
-  if (!stopping) {
-    if (block->urgency == MO_INTERACTIVE)
-      mo_queue_push(&compute->queues[urgent_queue], block);
-    else
-      mo_fair_push(&compute->fair, block->share != NULL ? block->share : &compute->own, block);
-    mo_remote_arrived(&compute->core, block);
-    pthread_cond_signal(&compute->wake);
-  }
-  pthread_mutex_unlock(&compute->fair.mutex);
-  return stopping ? MO_ERR_CANCELLED : MO_OK;
+  MO_GUARD(&compute->fair.mutex);
+  if (atomic_load(&compute->stopping))
+    return MO_ERR_CANCELLED;
+  if (block->urgency == MO_INTERACTIVE)
+    mo_queue_push(&compute->queues[urgent_queue], block);
+  else
+    mo_fair_push(&compute->fair, block->share != NULL ? block->share : &compute->own, block);
+  mo_remote_arrived(&compute->core, block);
+  pthread_cond_signal(&compute->wake);
+  return MO_OK;
 }
 
 static int submit_to_workers(struct mo_compute *compute, struct mo_block *block)

@@ -75,13 +75,11 @@ void mo_device_gradients_free(struct mo_device_gradients *gradients)
 /* Returns the p-th working device; NULL: there are fewer. */
 static const struct mo_device *working_device(struct mo_devices *devices, uint32_t p)
 {
-  const struct mo_device *found = NULL;
-  pthread_mutex_lock(&devices->fair.mutex);
-  for (uint32_t i = 0; i < devices->n && found == NULL; i++)
+  MO_GUARD(&devices->fair.mutex);
+  for (uint32_t i = 0; i < devices->n; i++)
     if (devices->units[i].status.state == MO_DEVICE_WORKS && p-- == 0)
-      found = devices->units[i].callers[0].device;
-  pthread_mutex_unlock(&devices->fair.mutex);
-  return found;
+      return devices->units[i].callers[0].device;
+  return NULL;
 }
 
 static int reserve(struct mo_device_gradients *gradients, size_t n)
@@ -123,11 +121,10 @@ static struct part part_of(uint32_t n, uint32_t n_parts, uint32_t p)
 
 void mo_device_gradients_forget(struct mo_device_gradients *gradients)
 {
-  pthread_mutex_lock(&gradients->mutex);
+  MO_GUARD(&gradients->mutex);
   for (int b = 0; b < 2; b++)
     if (gradients->batches[b].state == READY)
       gradients->batches[b].state = FREE;
-  pthread_mutex_unlock(&gradients->mutex);
 }
 
 struct laying_out {
@@ -194,7 +191,7 @@ static struct laid_out *take(struct mo_device_gradients *gradients,
                              const struct mo_gradient_batch *batch, uint32_t n_parts)
 {
   struct laid_out *found = NULL;
-  pthread_mutex_lock(&gradients->mutex);
+  MO_GUARD(&gradients->mutex);
   for (int b = 0; b < 2 && found == NULL; b++)
     if (is_of(&gradients->batches[b], batch))
       found = &gradients->batches[b];
@@ -204,16 +201,14 @@ static struct laid_out *take(struct mo_device_gradients *gradients,
   }
   if (found != NULL)
     found->state = IN_USE;
-  pthread_mutex_unlock(&gradients->mutex);
   return found;
 }
 
 static void give_back(struct mo_device_gradients *gradients, struct laid_out *laid)
 {
-  pthread_mutex_lock(&gradients->mutex);
+  MO_GUARD(&gradients->mutex);
   if (laid != NULL)
     laid->state = FREE;
-  pthread_mutex_unlock(&gradients->mutex);
 }
 
 /* ---- computing ---- */

@@ -230,11 +230,10 @@ static int prepare_controller(struct mo_caller *caller, const struct mo_compute_
 
 static void shrink(_Atomic uint32_t *limit, uint32_t tried, struct mo_unit *unit)
 {
-  pthread_mutex_lock(&unit->devices->fair.mutex);
+  MO_GUARD(&unit->devices->fair.mutex);
   if (*limit > tried / 2)
     *limit = tried / 2 > 0 ? tried / 2 : 1;
   unit->good_chunks = 0;
-  pthread_mutex_unlock(&unit->devices->fair.mutex);
 }
 
 /* Without memory for the second caller the first one has all. Returns whether that is the case: the
@@ -244,9 +243,8 @@ static bool retires(struct mo_caller *caller, int status)
   struct mo_unit *unit = caller->unit;
   if (status != MO_ERR_NO_MEMORY || caller == &unit->callers[0])
     return false;
-  pthread_mutex_lock(&unit->devices->fair.mutex);
+  MO_GUARD(&unit->devices->fair.mutex);
   unit->n_callers = 1;
-  pthread_mutex_unlock(&unit->devices->fair.mutex);
   return true;
 }
 

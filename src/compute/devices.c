@@ -288,28 +288,24 @@ void mo_compute_end_blocks(struct mo_compute *compute)
 
 int mo_devices_submit(struct mo_devices *devices, struct mo_block *block)
 {
-  int status = MO_OK;
-  pthread_mutex_lock(&devices->fair.mutex);
+  MO_GUARD(&devices->fair.mutex);
   if (devices->stopping)
-    status = MO_ERR_CANCELLED;
-  else if (devices->is_absent ? !atomic_load(&devices->is_named) || !mo_block_suits_remote(block)
-                              : atomic_load(&devices->n_working) == 0)
-    status = MO_ERR_DEVICE;
-  if (status == MO_OK) {
-    const bool nothing_waits = atomic_load(&devices->fair.waiting) == 0;
-    devices->tasks_waiting += block->shards != NULL;
-    mo_fair_push(&devices->fair, share_of(devices, block), block);
-    mo_remote_arrived(mo_core(devices->compute), block);
-    if (nothing_waits || block->shards != NULL)
-      pthread_cond_broadcast(&devices->wake);
-  }
-  pthread_mutex_unlock(&devices->fair.mutex);
-  return status;
+    return MO_ERR_CANCELLED;
+  if (devices->is_absent ? !atomic_load(&devices->is_named) || !mo_block_suits_remote(block)
+                         : atomic_load(&devices->n_working) == 0)
+    return MO_ERR_DEVICE;
+  const bool nothing_waits = atomic_load(&devices->fair.waiting) == 0;
+  devices->tasks_waiting += block->shards != NULL;
+  mo_fair_push(&devices->fair, share_of(devices, block), block);
+  mo_remote_arrived(mo_core(devices->compute), block);
+  if (nothing_waits || block->shards != NULL)
+    pthread_cond_broadcast(&devices->wake);
+  return MO_OK;
 }
 
 void mo_devices_forget(struct mo_devices *devices, const struct mo_compute_controller *controller)
 {
-  pthread_mutex_lock(&devices->fair.mutex);
+  MO_GUARD(&devices->fair.mutex);
   for (uint32_t i = 0; i < MO_CALLERS * devices->n; i++) {
     const struct mo_caller *caller = &devices->units[i / MO_CALLERS].callers[i % MO_CALLERS];
     for (struct mo_device_copy *copy = caller->copies; copy != NULL; copy = copy->next)
@@ -317,7 +313,6 @@ void mo_devices_forget(struct mo_devices *devices, const struct mo_compute_contr
         copy->owner = NULL;
   }
   pthread_cond_broadcast(&devices->wake); /* callers free the copies */
-  pthread_mutex_unlock(&devices->fair.mutex);
 }
 
 /* ---- status ---- */
@@ -341,13 +336,12 @@ int mo_compute_device(struct mo_compute *compute, uint32_t position,
   if (devices == NULL || position >= devices->n)
     return MO_ERR_RANGE;
   struct mo_unit *unit = &devices->units[position];
-  pthread_mutex_lock(&devices->fair.mutex);
+  MO_GUARD(&devices->fair.mutex);
   mo_unit_account(unit);
   *status = unit->status;
   status->is_busy = mo_unit_is_running(unit);
   unit->wants_info = true;
   pthread_cond_broadcast(&devices->wake);
-  pthread_mutex_unlock(&devices->fair.mutex);
   return MO_OK;
 }
 

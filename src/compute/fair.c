@@ -29,7 +29,7 @@ static double within(double weight)
 
 void mo_fair_add(struct mo_fair *fair, struct mo_compute_share *share, double weight)
 {
-  pthread_mutex_lock(&fair->mutex);
+  MO_GUARD(&fair->mutex);
   struct mo_compute_share **link = &fair->shares;
   while (*link != NULL)
     link = &(*link)->next;
@@ -40,26 +40,23 @@ void mo_fair_add(struct mo_fair *fair, struct mo_compute_share *share, double we
   share->virtual_s = fair->virtual_s;
   for (int kind = 0; kind < MO_FAIR_KINDS; kind++)
     share->unit_s[kind] = fair->unit_s[kind];
-  pthread_mutex_unlock(&fair->mutex);
 }
 
 void mo_fair_remove(struct mo_fair *fair, struct mo_compute_share *share)
 {
-  pthread_mutex_lock(&fair->mutex);
+  MO_GUARD(&fair->mutex);
   struct mo_compute_share **link = &fair->shares;
   while (*link != share)
     link = &(*link)->next;
   *link = share->next;
-  pthread_mutex_unlock(&fair->mutex);
 }
 
 void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, double weight)
 {
-  pthread_mutex_lock(&fair->mutex);
+  MO_GUARD(&fair->mutex);
   const double lead_s = (share->virtual_s - fair->virtual_s) * share->weight;
   share->weight = within(weight);
   share->virtual_s = fair->virtual_s + lead_s / share->weight;
-  pthread_mutex_unlock(&fair->mutex);
 }
 
 double mo_fair_units(const struct mo_block *block)

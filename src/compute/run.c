@@ -4,12 +4,11 @@
 void mo_waiter_done(struct mo_block *block, void *context)
 {
   struct mo_waiter *waiter = context;
-  pthread_mutex_lock(&waiter->mutex);
+  MO_GUARD(&waiter->mutex);
   if (block->status != MO_OK)
     atomic_store(&waiter->failed, true);
   if (--waiter->left == 0)
     pthread_cond_signal(&waiter->all_done);
-  pthread_mutex_unlock(&waiter->mutex);
 }
 
 void mo_waiter_wait(struct mo_waiter *waiter)

@@ -14,8 +14,7 @@
 
 struct mo_shard_result *mo_shard_result_create(size_t n_parameters)
 {
-  struct mo_shard_result *result = NULL;
-  return calloc(1, sizeof(*result) + n_parameters * sizeof(double));
+  return calloc(1, sizeof(struct mo_shard_result) + n_parameters * sizeof(double));
 }
 
 static struct mo_compute_core *core_of(const struct mo_offer *offer)
@@ -99,17 +98,16 @@ int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute, enum mo_ba
 
 void mo_offer_stop(struct mo_offer *offer)
 {
-  pthread_mutex_lock(&offer->fair->mutex);
+  MO_GUARD(&offer->fair->mutex);
   for (uint32_t i = 0; i < offer->n; i++)
     atomic_store(&offer->items[i].stop, true);
-  if (offer->is_listed) {
-    struct mo_offer **link = &core_of(offer)->remote.offers[offer->back_end];
-    while (*link != offer)
-      link = &(*link)->next;
-    *link = offer->next;
-    offer->is_listed = false;
-  }
-  pthread_mutex_unlock(&offer->fair->mutex);
+  if (!offer->is_listed)
+    return;
+  struct mo_offer **link = &core_of(offer)->remote.offers[offer->back_end];
+  while (*link != offer)
+    link = &(*link)->next;
+  *link = offer->next;
+  offer->is_listed = false;
 }
 
 void mo_offer_close(struct mo_offer *offer)
@@ -136,20 +134,18 @@ static bool is_done(const struct mo_shard *shard)
 int mo_offer_claim(struct mo_offer *offer)
 {
   const struct mo_compute_core *core = core_of(offer);
-  int number = MO_ERR_EXHAUSTED;
-  pthread_mutex_lock(&offer->fair->mutex);
+  MO_GUARD(&offer->fair->mutex);
   const bool leaves = offer->is_listed && atomic_load(&core->remote.leave) &&
                       atomic_load(&core->remote.blocks[MO_ON_CPU]) > 0;
-  for (uint32_t i = 0; i < offer->n && number < 0; i++) {
+  for (uint32_t i = 0; i < offer->n; i++) {
     struct mo_shard *shard = &offer->items[i];
     if (is_done(shard) || shard->is_here || shard->is_taken ||
         (leaves && !shard->is_refused && shard->n_returned < RETURNS_MAX))
       continue;
     shard->is_here = true;
-    number = (int)i;
+    return (int)i;
   }
-  pthread_mutex_unlock(&offer->fair->mutex);
-  return number;
+  return MO_ERR_EXHAUSTED;
 }
 
 /* Under the mutex. */
@@ -164,29 +160,23 @@ static void give(struct mo_shard *shard, struct mo_shard_result **result)
 
 void mo_offer_finish(struct mo_offer *offer, uint32_t number, struct mo_shard_result **result)
 {
-  struct mo_fair *fair = offer->fair;
-  pthread_mutex_lock(&fair->mutex);
+  MO_GUARD(&offer->fair->mutex);
   give(&offer->items[number], result);
-  pthread_mutex_unlock(&fair->mutex);
 }
 
 struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number)
 {
-  struct mo_fair *fair = offer->fair;
-  pthread_mutex_lock(&fair->mutex);
+  MO_GUARD(&offer->fair->mutex);
   struct mo_shard_result *result = offer->items[number].result;
   offer->items[number].result = NULL;
-  pthread_mutex_unlock(&fair->mutex);
   return result;
 }
 
 void mo_offer_wait(struct mo_offer *offer, uint32_t number)
 {
-  struct mo_fair *fair = offer->fair;
-  pthread_mutex_lock(&fair->mutex);
+  MO_GUARD(&offer->fair->mutex);
   if (offer->items[number].result == NULL)
-    (void)mo_wait_until(&offer->changed, &fair->mutex, mo_clock_us() + WAIT_US);
-  pthread_mutex_unlock(&fair->mutex);
+    (void)mo_wait_until(&offer->changed, &offer->fair->mutex, mo_clock_us() + WAIT_US);
 }
 
 static bool came_back_too_often(const struct mo_offer *offer, const struct mo_shard *shard)
@@ -196,18 +186,17 @@ static bool came_back_too_often(const struct mo_offer *offer, const struct mo_sh
 
 int mo_offer_error(struct mo_offer *offer)
 {
-  int error = MO_OK;
-  pthread_mutex_lock(&offer->fair->mutex);
-  for (uint32_t i = 0; i < offer->n && error == MO_OK; i++) {
+  MO_GUARD(&offer->fair->mutex);
+  for (uint32_t i = 0; i < offer->n; i++) {
     const struct mo_shard *shard = &offer->items[i];
     if (is_done(shard) || shard->is_taken)
       continue;
-    error = shard->is_refused                   ? MO_ERR_UNSUPPORTED
-            : came_back_too_often(offer, shard) ? MO_ERR_DEVICE
-                                                : MO_OK;
+    if (shard->is_refused)
+      return MO_ERR_UNSUPPORTED;
+    if (came_back_too_often(offer, shard))
+      return MO_ERR_DEVICE;
   }
-  pthread_mutex_unlock(&offer->fair->mutex);
-  return error;
+  return MO_OK;
 }
 
 /* ---- takers ---- */
