@@ -16,12 +16,15 @@ enum { SUM_THREADS_MAX = 16 };
 
 /* A batch, cut into parts, each with its own layout. */
 struct laid_out {
+  struct mo_devices *devices;
   enum { FREE = 0, READY, IN_USE } state;
   const struct mo_robot *robots;
   uint32_t n, n_parts;
   struct mo_physics physics;
-  struct mo_device_layout **parts; /* (devices) layouts keep their memory */
-  int *statuses;                   /* (devices) result of each layout */
+  struct {
+    struct mo_device_layout *layout; /* keeps its memory */
+    int status;
+  } * parts; /* (devices) */
 };
 
 struct mo_device_gradients {
@@ -43,15 +46,13 @@ int mo_device_gradients_create(struct mo_devices *devices, struct mo_device_grad
   made->devices = devices;
   made->n_threads = n_workers < SUM_THREADS_MAX ? n_workers : SUM_THREADS_MAX;
   pthread_mutex_init(&made->mutex, NULL);
-  bool there = true;
-  for (int b = 0; b < 2; b++) {
-    made->batches[b].parts = calloc(devices->n, sizeof(struct mo_device_layout *));
-    made->batches[b].statuses = calloc(devices->n, sizeof(int));
-    there = there && made->batches[b].parts != NULL && made->batches[b].statuses != NULL;
-  }
-  if (!there) {
-    mo_device_gradients_free(made);
-    return MO_ERR_NO_MEMORY;
+  for (struct laid_out *batch = made->batches; batch < made->batches + 2; batch++) {
+    batch->devices = devices;
+    batch->parts = calloc(devices->n, sizeof(*batch->parts));
+    if (batch->parts == NULL) {
+      mo_device_gradients_free(made);
+      return MO_ERR_NO_MEMORY;
+    }
   }
   *ret = made;
   return MO_OK;
@@ -63,9 +64,8 @@ void mo_device_gradients_free(struct mo_device_gradients *gradients)
     return;
   for (int b = 0; b < 2; b++) {
     for (uint32_t p = 0; gradients->batches[b].parts != NULL && p < gradients->devices->n; p++)
-      gradients->devices->module->layout_free(gradients->batches[b].parts[p]);
+      gradients->devices->module->layout_free(gradients->batches[b].parts[p].layout);
     free(gradients->batches[b].parts);
-    free(gradients->batches[b].statuses);
   }
   gradients->devices->module->release(gradients->shards);
   pthread_mutex_destroy(&gradients->mutex);
@@ -127,24 +127,18 @@ void mo_device_gradients_forget(struct mo_device_gradients *gradients)
       gradients->batches[b].state = FREE;
 }
 
-struct laying_out {
-  struct mo_devices *devices;
-  struct laid_out *batch;
-};
-
 static void lay_out_parts(void *context, size_t first, size_t end)
 {
-  const struct laying_out *laying = context;
-  struct mo_devices *devices = laying->devices;
-  struct laid_out *batch = laying->batch;
+  struct laid_out *batch = context;
+  struct mo_devices *devices = batch->devices;
   for (uint32_t p = (uint32_t)first; p < end; p++) {
     const struct part part = part_of(batch->n, batch->n_parts, p);
     const struct mo_device *device = working_device(devices, p);
-    batch->statuses[p] =
+    batch->parts[p].status =
         device == NULL
             ? MO_ERR_DEVICE
             : devices->module->lay_out(device, batch->robots + part.first, part.end - part.first,
-                                       &batch->physics, &batch->parts[p]);
+                                       &batch->physics, &batch->parts[p].layout);
   }
 }
 
@@ -153,7 +147,6 @@ static void lay_out_parts(void *context, size_t first, size_t end)
 int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_robot *robots,
                        uint32_t n, const struct mo_physics *physics)
 {
-  struct mo_devices *devices = gradients->devices;
   struct laid_out *batch = NULL;
   int status = MO_OK;
   mo_device_gradients_forget(gradients);
@@ -169,11 +162,10 @@ int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_ro
   batch->robots = robots;
   batch->n = n;
   batch->physics = *physics;
-  batch->n_parts = parts_of(devices, n);
-  struct laying_out laying = {devices, batch};
-  mo_parallel(batch->n_parts, batch->n_parts, lay_out_parts, &laying);
+  batch->n_parts = parts_of(gradients->devices, n);
+  mo_parallel(batch->n_parts, batch->n_parts, lay_out_parts, batch);
   for (uint32_t p = 0; p < batch->n_parts && status == MO_OK; p++)
-    status = batch->statuses[p];
+    status = batch->parts[p].status;
   pthread_mutex_lock(&gradients->mutex);
   batch->state = status == MO_OK ? READY : FREE;
   pthread_mutex_unlock(&gradients->mutex);
@@ -232,7 +224,7 @@ static void submit(struct mo_device_gradients *gradients, const struct mo_gradie
                                        .batch = batch,
                                        .first = part.first,
                                        .n = part.end - part.first,
-                                       .layout = laid != NULL ? laid->parts[p] : NULL,
+                                       .layout = laid != NULL ? laid->parts[p].layout : NULL,
                                        .stop = &waiter->failed,
                                        .d_parameters = gradients->shards +
                                                        part.first / MO_DEVICE_SHARD * n_parameters};
