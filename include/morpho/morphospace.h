@@ -89,12 +89,6 @@ void mo_genotype_place(struct mo_workspace workspace, uint64_t *bits);
  * empty. */
 void mo_genotype_canonical(struct mo_workspace workspace, const uint64_t *bits, uint64_t *form);
 
-/* Computes the k-th of the 8 images (k = 0 … 7), aligned to the origin: x and y swapped if k & 4,
- * then mirrored in x if k & 1 and in y if k & 2. MO_ERR_RANGE if it does not fit the workspace.
- * `image` must not overlap `bits`. */
-int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k,
-                      uint64_t *image);
-
 /* Writes the id: the canonical form as lower-case hexadecimal digits, first voxel in the top bit:
  * ceil(voxels / 4) digits + NUL. MO_ERR_NO_MEMORY, but only above MO_SMALL_VOXELS. */
 #define MO_SMALL_VOXELS 4096

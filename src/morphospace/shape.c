@@ -89,18 +89,6 @@ void mo_genotype_canonical(struct mo_workspace workspace, const uint64_t *bits, 
   });
 }
 
-int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k,
-                      uint64_t *image)
-{
-  if (k > 7)
-    return MO_ERR_RANGE;
-  struct mo_grid_view view;
-  int code = mo_grid_view_image(workspace, bits, k, &view);
-  if (code == MO_OK)
-    mo_grid_view_write(workspace, bits, &view, image);
-  return code;
-}
-
 int mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id)
 {
   static const char digits[] = "0123456789abcdef";

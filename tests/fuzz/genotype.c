@@ -3,6 +3,7 @@
  * Byte 0 chooses the reader, byte 1 the workspace, the rest is the input. What a reader accepts
  * must be valid, come back unchanged from the matching writer, and keep its id under placement and
  * all images that fit. */
+#include "../unit/image.h"
 #include "target.h"
 
 #include <morpho/morphospace.h>
@@ -36,7 +37,7 @@ static void check_body(struct mo_workspace workspace, const uint64_t *bits)
   FUZZ_PROMISE(mo_genotype_from_id(workspace, id, strlen(id), again) == MO_OK);
   FUZZ_PROMISE(mo_genotype_count(workspace, again) == count);
   for (unsigned k = 0; k < 8; k++) {
-    if (mo_genotype_image(workspace, bits, k, again) == MO_OK) {
+    if (make_image(workspace, bits, k, again) == MO_OK) {
       mo_genotype_id(workspace, again, other);
       FUZZ_PROMISE(strcmp(id, other) == 0);
     }

@@ -1,5 +1,6 @@
 /* campaign.c: whole campaigns: the same bits for the same settings, whatever was computed before
  * and however often a generation is made again; what is given in the beginning; what was seen. */
+#include "../image.h"
 #include "fixture.h"
 
 #include <pthread.h>
@@ -125,7 +126,7 @@ static void given(void)
 
   /* Twice one form, though mirrored. */
   for (unsigned k = 1; k < 8; k++)
-    if (mo_genotype_image(settings.workspace, alone + 2 * W, k, mirrored) == MO_OK) {
+    if (make_image(settings.workspace, alone + 2 * W, k, mirrored) == MO_OK) {
       mo_genotype_place(settings.workspace, mirrored);
       memcpy(genotypes + 2 * W, mirrored, sizeof(mirrored));
     }

@@ -3,6 +3,7 @@
  * 1.43 million distinct bodies are known to average 79 masses, 389 springs and 23 voxels, 32 % of
  * draws being new. By default a smaller stream is drawn, whose averages are smaller too, because
  * the small bodies run out slowly; the full size is drawn when MORPHO_TEST_FULL is set. */
+#include "../image.h"
 #include "../make.h"
 
 static const struct mo_workspace home = {6, 6, 4};
@@ -78,7 +79,7 @@ static void million_springs(void)
     CHECK_INT(mo_genotype_is_contiguous(large, bits), 1);
     big += mo_genotype_count(large, bits) > 1000;
     for (unsigned k = 0; k < 8; k++) {
-      if (mo_genotype_image(large, bits, k, other) == MO_OK) {
+      if (make_image(large, bits, k, other) == MO_OK) {
         mo_genotype_id(large, bits, id);
         mo_genotype_id(large, other, other_id);
         CHECK(strcmp(id, other_id) == 0);

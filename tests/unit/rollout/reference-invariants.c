@@ -1,5 +1,6 @@
 /* reference-invariants.c: what holds for any body on any ground: random bodies and environments,
  * step by step. */
+#include "../image.h"
 #include "../make.h"
 
 #include "rollout/reference.h"
@@ -142,7 +143,7 @@ static void translation(void)
     struct mo_random random = dice(79, 0, i);
     uint64_t bits[MO_DEFAULT_WORDS], aligned[MO_DEFAULT_WORDS], moved[MO_DEFAULT_WORDS] = {0};
     REQUIRE(mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, bits) == MO_OK);
-    REQUIRE(mo_genotype_image(MO_DEFAULT_WORKSPACE, bits, 0, aligned) == MO_OK);
+    REQUIRE(make_image(MO_DEFAULT_WORKSPACE, bits, 0, aligned) == MO_OK);
     int fits = 1;
     for (uint32_t v = 0; v < MO_DEFAULT_VOXELS; v++)
       if (aligned[v >> 6] >> (v & 63) & 1) {

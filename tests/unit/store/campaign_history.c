@@ -1,6 +1,7 @@
 /* campaign_history.c: every design that a campaign bore, as each reader gives it. Who lived when,
  * with which score and parents, is tested with the campaigns of jobs, against plain loops. */
 #include "../check.h"
+#include "../image.h"
 #include "campaign_fixture.h"
 #include "one_store.h"
 
@@ -163,7 +164,7 @@ static void finds_where_a_form_was_born(void)
     made[i] = made_start(ids[i], MO_ZERO_SHOT, i == 1 ? 8 : 9);
     made_next(&made[i]);
     if (i == 2) { /* the same body, turned */
-      mo_genotype_image(MO_DEFAULT_WORKSPACE, made[i].children[4].words, 1, turned.words);
+      make_image(MO_DEFAULT_WORKSPACE, made[i].children[4].words, 1, turned.words);
       mo_genotype_place(MO_DEFAULT_WORKSPACE, turned.words);
       CHECK(memcmp(&turned, &made[i].children[4], sizeof(turned)) != 0);
       made[i].children[4] = turned;

@@ -1,5 +1,6 @@
 /* campaigns.c: what the store keeps of campaigns: what was asked for, how they wait, end and go on.
  */
+#include "../image.h"
 #include "campaign_fixture.h"
 #include "one_store.h"
 #include "store/worlds.h"
@@ -192,7 +193,7 @@ static void inherits_a_population(void)
   /* One of its designs is listed, turned or not: it comes once, first. The last ones have no place.
    */
   memcpy(before, made.genotypes, sizeof(before));
-  mo_genotype_image(MO_DEFAULT_WORKSPACE, before[1].words, 1, listed.words);
+  make_image(MO_DEFAULT_WORKSPACE, before[1].words, 1, listed.words);
   mo_genotype_place(MO_DEFAULT_WORKSPACE, listed.words);
   mo_genotype_canonical(MO_DEFAULT_WORKSPACE, listed.words, form.words);
   submission.forms = &form;

@@ -2,6 +2,7 @@
  */
 #include <math.h>
 
+#include "../image.h"
 #include "by_hand.h"
 #include "one_store.h"
 #include "training_fixture.h"
@@ -13,7 +14,7 @@ static void shares_designs_between_orientations(void)
   genotypes = make_bodies(5, 40, &forms);
   images[0] = genotypes[0];
   for (unsigned i = 0; i < 40; i++) { /* a body that is not its own mirror image */
-    REQUIRE_OK(mo_genotype_image(MO_DEFAULT_WORKSPACE, genotypes[i].words, 4, images[1].words));
+    REQUIRE_OK(make_image(MO_DEFAULT_WORKSPACE, genotypes[i].words, 4, images[1].words));
     mo_genotype_place(MO_DEFAULT_WORKSPACE, images[1].words);
     images[0] = genotypes[i];
     same_forms[0] = same_forms[1] = forms[i];
