@@ -34,8 +34,6 @@ enum mo_purpose {
   MO_PURPOSE_AUDIT = 15           /* which leases are computed twice */
 };
 
-#define MO_RANDOM_INDEX_MAX ((UINT64_C(1) << 48) - 1)
-
 struct mo_random {
   uint32_t key[2];
   uint32_t counter[4];
@@ -46,7 +44,7 @@ struct mo_random {
 /* Applies the bijection once: out = Philox4x32-10(counter, key). */
 void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t out[4]);
 
-/* index ≤ MO_RANDOM_INDEX_MAX (higher bits are ignored). */
+/* index: 48 bits; higher ones are ignored. */
 void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose purpose, uint32_t step,
                     uint64_t index);
 

@@ -111,9 +111,8 @@ static size_t draw_next(struct mo_body_stream *stream)
   const uint64_t at = stream->draws - stream->first;
   if (at < stream->n && stream->codes[at] == MO_OK)
     return (size_t)at;
-  const uint64_t left = MO_RANDOM_INDEX_MAX - stream->draws + 1;
   stream->first = stream->draws;
-  stream->n = stream->room < left ? stream->room : (size_t)left;
+  stream->n = stream->room;
   mo_parallel(stream->n_threads, stream->n, draw, stream);
   return 0;
 }
@@ -121,8 +120,6 @@ static size_t draw_next(struct mo_body_stream *stream)
 int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form)
 {
   for (uint32_t fruitless = 0; fruitless < FRUITLESS_MAX; fruitless++) {
-    if (stream->draws > MO_RANDOM_INDEX_MAX)
-      return MO_ERR_EXHAUSTED;
     const size_t at = draw_next(stream);
     const uint64_t *body = stream->ahead + 2 * stream->words * at;
     int code = stream->codes[at];

@@ -22,6 +22,20 @@ static uint64_t threshold(double p)
   return (uint64_t)(p * 0x1p32);
 }
 
+/* Makes a valid, placed genotype from the raw result of a draw. */
+static int finish(struct mo_workspace workspace, uint64_t *made, uint64_t *bits)
+{
+  uint32_t words = mo_workspace_words(workspace);
+  if (mo_bits_empty(made, words))
+    return MO_ERR_EMPTY;
+  int code = mo_genotype_keep_largest(workspace, made);
+  if (code == MO_OK) {
+    mo_genotype_place(workspace, made);
+    memcpy(bits, made, words * sizeof(uint64_t));
+  }
+  return code;
+}
+
 /* ---- random bodies ---- */
 
 struct box {
@@ -122,30 +136,12 @@ int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, 
     p = p < ACTIVE_LEAST ? ACTIVE_LEAST : p > ACTIVE_MOST ? ACTIVE_MOST : p;
     active = activate(workspace, box, threshold(p), random, body.bits);
   }
-  int code = mo_genotype_keep_largest(workspace, body.bits);
-  if (code == MO_OK) {
-    mo_genotype_place(workspace, body.bits);
-    memcpy(bits, body.bits, words * sizeof(uint64_t));
-  }
+  int code = finish(workspace, body.bits, bits);
   mo_scratch_close(&body);
   return code;
 }
 
 /* ---- children ---- */
-
-/* Makes a valid, placed child from the raw result of a variation. */
-static int finish(struct mo_workspace workspace, uint64_t *made, uint64_t *child)
-{
-  uint32_t words = mo_workspace_words(workspace);
-  if (mo_bits_empty(made, words))
-    return MO_ERR_EMPTY;
-  int code = mo_genotype_keep_largest(workspace, made);
-  if (code == MO_OK) {
-    mo_genotype_place(workspace, made);
-    memcpy(child, made, words * sizeof(uint64_t));
-  }
-  return code;
-}
 
 int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, double rate,
                        struct mo_random *random, uint64_t *child)
