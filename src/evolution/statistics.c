@@ -9,7 +9,7 @@
 #include "evolution/internal.h"
 
 #include "morphospace/bits.h"
-#include "morphospace/shape.h"
+#include "morphospace/grid.h"
 
 #include <math.h>
 

@@ -7,7 +7,7 @@
 
 #include "base/memory.h"
 #include "morphospace/bits.h"
-#include "morphospace/shape.h"
+#include "morphospace/grid.h"
 
 #include <stdlib.h>
 

@@ -4,7 +4,7 @@
 
 #include "base/text.h"
 #include "morphospace/bits.h"
-#include "morphospace/shape.h"
+#include "morphospace/grid.h"
 
 #include <string.h>
 

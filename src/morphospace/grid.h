@@ -1,5 +1,6 @@
 /* grid.h: operations on genotypes of any workspace, one voxel at a time. The word-parallel ones of
- * slabs.inc must agree with them; shape.c chooses. */
+ * slabs.inc must agree with them; shape.c chooses. Also what the files of this room share about
+ * shapes. */
 #ifndef MORPHO_MORPHOSPACE_GRID_H
 #define MORPHO_MORPHOSPACE_GRID_H
 
@@ -7,6 +8,14 @@
 
 /* Sets in `reached` (zeroed by the caller) the component of `bits` that holds voxel `start`, which
  * must be set. */
+int mo_shape_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
+                       uint64_t *reached);
+/* Sets the lattice's masses and springs that a genotype expresses, in zeroed bit arrays (body.c).
+ */
+void mo_body_mark(const struct mo_lattice *lattice, const uint64_t *bits, uint64_t *masses,
+                  uint64_t *springs);
+
+/* As mo_shape_component. */
 int mo_grid_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
                       uint64_t *reached);
 int mo_grid_keep_largest(struct mo_workspace workspace, uint64_t *bits);

@@ -1,7 +1,5 @@
 /* shape.c: components, placement, canonical forms. Chooses between words of voxels (slabs.inc) and
  * single voxels (grid.h). */
-#include "morphospace/shape.h"
-
 #include "morphospace/bits.h"
 #include "morphospace/grid.h"
 #include "morphospace/slabs.inc"
