@@ -1,14 +1,56 @@
-/* lattice.c: all masses and springs of a workspace, and which of them each voxel expresses.
+/* lattice.c: how many voxels, masses and springs a workspace has; all of them, and which of them
+ * each voxel expresses.
  *
  * From a mass, springs lead to at most nine masses of higher index: three edges and six face
  * diagonals, `steps` below, in the order of the far end. A spring's index is therefore first[a] +
  * the number of earlier steps that exist at a, where first[a] counts the springs of all lower
- * masses. */
+ * masses. One allocation holds a lattice and its arrays. */
 #include <morpho/morphospace.h>
 
-#include "base/memory.h"
-
 #include <stdlib.h>
+
+/* ---- workspaces ---- */
+
+int mo_workspace_check(struct mo_workspace workspace)
+{
+  if (workspace.nx == 0 || workspace.ny == 0 || workspace.nz == 0)
+    return MO_ERR_RANGE;
+  uint64_t voxels = (uint64_t)workspace.nx * workspace.ny * workspace.nz;
+  return voxels > MO_VOXELS_MAX ? MO_ERR_LIMIT : MO_OK;
+}
+
+bool mo_workspace_equal(struct mo_workspace a, struct mo_workspace b)
+{
+  return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
+}
+
+uint32_t mo_workspace_voxels(struct mo_workspace workspace)
+{
+  return (uint32_t)workspace.nx * workspace.ny * workspace.nz;
+}
+
+uint32_t mo_workspace_words(struct mo_workspace workspace)
+{
+  return (mo_workspace_voxels(workspace) + 63) / 64;
+}
+
+uint32_t mo_workspace_masses(struct mo_workspace workspace)
+{
+  return (workspace.nx + UINT32_C(1)) * (workspace.ny + UINT32_C(1)) * (workspace.nz + UINT32_C(1));
+}
+
+/* Edges along x, y, z, and two diagonals for each unit square normal to z, y, x. */
+uint32_t mo_workspace_springs(struct mo_workspace workspace)
+{
+  uint32_t nx = workspace.nx;
+  uint32_t ny = workspace.ny;
+  uint32_t nz = workspace.nz;
+  uint32_t edges = nx * (ny + 1) * (nz + 1) + (nx + 1) * ny * (nz + 1) + (nx + 1) * (ny + 1) * nz;
+  uint32_t squares = nx * ny * (nz + 1) + nx * (ny + 1) * nz + (nx + 1) * ny * nz;
+  return edges + 2 * squares;
+}
+
+/* ---- lattices ---- */
 
 #define STEPS 9
 
@@ -99,30 +141,28 @@ int mo_lattice_create(struct mo_workspace workspace, struct mo_lattice **lattice
   int code = mo_workspace_check(workspace);
   if (code != MO_OK)
     return code;
-  struct mo_lattice *made = calloc(1, sizeof(*made));
-  if (made == NULL)
-    return MO_ERR_NO_MEMORY;
-  made->workspace = workspace;
-  made->n_voxels = mo_workspace_voxels(workspace);
-  made->n_masses = mo_workspace_masses(workspace);
-  made->n_springs = mo_workspace_springs(workspace);
-  uint32_t *spring_a = mo_alloc_aligned(made->n_springs, sizeof(uint32_t));
-  uint32_t *spring_b = mo_alloc_aligned(made->n_springs, sizeof(uint32_t));
-  uint8_t *diagonal = mo_alloc_aligned(made->n_springs, 1);
-  uint32_t *voxel_mass = mo_alloc_aligned(made->n_voxels, 8 * sizeof(uint32_t));
-  uint32_t *voxel_spring = mo_alloc_aligned(made->n_voxels, 24 * sizeof(uint32_t));
-  uint32_t *first = mo_alloc_aligned(made->n_masses, sizeof(uint32_t));
-  made->spring_a = spring_a;
-  made->spring_b = spring_b;
-  made->spring_diagonal = diagonal;
-  made->voxel_mass = voxel_mass;
-  made->voxel_spring = voxel_spring;
-  if (spring_a == NULL || spring_b == NULL || diagonal == NULL || voxel_mass == NULL ||
-      voxel_spring == NULL || first == NULL) {
+  const size_t n_voxels = mo_workspace_voxels(workspace), n_masses = mo_workspace_masses(workspace),
+               n_springs = mo_workspace_springs(workspace);
+  struct mo_lattice *made =
+      malloc(sizeof(*made) + (32 * n_voxels + 2 * n_springs) * sizeof(uint32_t) + n_springs);
+  uint32_t *first = malloc(n_masses * sizeof(*first));
+  if (made == NULL || first == NULL) {
+    free(made);
     free(first);
-    mo_lattice_free(made);
     return MO_ERR_NO_MEMORY;
   }
+  uint32_t *voxel_mass = (uint32_t *)(made + 1), *voxel_spring = voxel_mass + 8 * n_voxels;
+  uint32_t *spring_a = voxel_spring + 24 * n_voxels, *spring_b = spring_a + n_springs;
+  uint8_t *diagonal = (uint8_t *)(spring_b + n_springs);
+  *made = (struct mo_lattice){.workspace = workspace,
+                              .n_voxels = (uint32_t)n_voxels,
+                              .n_masses = (uint32_t)n_masses,
+                              .n_springs = (uint32_t)n_springs,
+                              .spring_a = spring_a,
+                              .spring_b = spring_b,
+                              .spring_diagonal = diagonal,
+                              .voxel_mass = voxel_mass,
+                              .voxel_spring = voxel_spring};
   fill_springs(workspace, spring_a, spring_b, diagonal, first);
   size_t voxel = 0;
   for (int32_t x = 0; x < workspace.nx; x++) {
@@ -140,12 +180,5 @@ int mo_lattice_create(struct mo_workspace workspace, struct mo_lattice **lattice
 
 void mo_lattice_free(struct mo_lattice *lattice)
 {
-  if (lattice == NULL)
-    return;
-  free((void *)lattice->spring_a);
-  free((void *)lattice->spring_b);
-  free((void *)lattice->spring_diagonal);
-  free((void *)lattice->voxel_mass);
-  free((void *)lattice->voxel_spring);
   free(lattice);
 }

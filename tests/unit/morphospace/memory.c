@@ -121,7 +121,7 @@ static void every_allocation(void)
     REQUIRE(mo_genotype_random(large, &random, body_bits) == MO_OK);
   REQUIRE(mo_genotype_random(large, &random, other_bits) == MO_OK);
   lattice = make_lattice(large);
-  each_fails(create_lattice, 7);
+  each_fails(create_lattice, 2);
   each_fails(create_body, 2);
   each_fails(draw_random, 3);
   each_fails(mutate, 3);
