@@ -54,8 +54,6 @@ int mo_gradient_reserve(struct mo_gradient_buffer *buffer, size_t bytes)
 {
   if (bytes <= buffer->size)
     return MO_OK;
-  if (bytes > SIZE_MAX / 2)
-    return MO_ERR_NO_MEMORY;
   if (bytes >= HUGE_PAGE)
     return reserve_pages(buffer, bytes);
   release(buffer);
