@@ -59,14 +59,6 @@ static int begin_packing(struct mo_request *request, struct mo_download *downloa
   return error != MO_OK || download->piece.size > 0 ? error : make_piece(download);
 }
 
-static bool reserve(struct mo_request *request, uint64_t bytes)
-{
-  mo_request_drop_body(request); /* the body is no longer needed */
-  bool taken = mo_body_memory_take(request->http, 0, bytes, false);
-  request->body_reserved = taken ? bytes : 0;
-  return taken;
-}
-
 static void discard(struct mo_download *download)
 {
   download->free_context(download->context);
@@ -127,31 +119,30 @@ void mo_download_open(struct mo_request *request, const char *type, const char *
     return;
   }
   *download = (struct mo_download){.more = more, .context = context, .free_context = free_context};
-  int code = MO_OK;
-  if (!reserve(request, held + PIECE_BYTES + MO_PACKER_BYTES)) {
-    mo_reply_problem(request, 503, NULL, "Too many large replies are being read; try again later.");
-    request->reply.retry_after_s = 5;
-  } else if ((code = make_piece(download)) != MO_OK) {
-    mo_reply_error(request, code, "reply");
-  } else if (download->last) {
+  if (!mo_reply_reserve(request, held + PIECE_BYTES + MO_PACKER_BYTES)) {
+    discard(download);
+    return;
+  }
+  int code = make_piece(download);
+  if (code == MO_OK && download->last) {
     mo_reply_bytes(request, 200, type, download->piece.data, download->piece.size);
     download->piece = (struct mo_text){0};
     if (tag != NULL)
       mo_reply_etag(request, "%s", tag);
     else
       mo_reply_etag_of_body(request);
-  } else {
+  } else if (code == MO_OK) {
     if (tag == NULL)
       mo_reply_etag(request, "once-%s", request->id);
     code = request->reply.status == 200 ? begin_packing(request, download) : MO_OK;
-    if (code != MO_OK) {
-      mo_reply_error(request, code, "reply");
-    } else if (request->reply.status == 200) {
+    if (code == MO_OK && request->reply.status == 200) {
       request->download = download;
       request->refill = refill;
       request->reader = reader;
       return;
     }
+  if (code != MO_OK)
+    mo_reply_error(request, code, "reply");
   }
   discard(download);
 }

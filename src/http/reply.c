@@ -309,29 +309,26 @@ enum MHD_Result mo_queue_response(struct MHD_Connection *mhd, unsigned status,
   return library_queue(mhd, status, response);
 }
 
-/* Frees the request's body, and counts a large reply in the limit on memory until it is sent: slow
- * readers could otherwise hold any amount. A reply always passes if nothing else is counted. */
-static bool reserve_reply(struct mo_request *request)
+bool mo_reply_reserve(struct mo_request *request, uint64_t bytes)
 {
-  struct mo_http *http = request->http;
   mo_request_drop_body(request);
-  uint64_t size = request->reply.size;
-  if (request->reply.body == NULL || size <= SMALL_BYTES)
+  if (mo_body_memory_take(request->http, 0, bytes, false)) {
+    request->body_reserved = bytes;
     return true;
-  if (!mo_body_memory_take(http, 0, size, false))
-    return false;
-  request->body_reserved = size;
-  return true;
+  }
+  mo_reply_problem(request, 503, NULL, "Too many large replies are being read; try again later.");
+  request->reply.retry_after_s = 5;
+  return false;
 }
 
 enum MHD_Result mo_reply_send(struct mo_request *request)
 {
   struct mo_reply *reply = &request->reply;
   struct MHD_Response *response;
-  if (request->reader == NULL && !reserve_reply(request)) {
-    mo_reply_problem(request, 503, NULL, "Too many large replies are being read; try again later.");
-    reply->retry_after_s = 5;
-  }
+  if (request->reader == NULL)
+    mo_request_drop_body(request);
+  if (request->reader == NULL && reply->body != NULL && reply->size > SMALL_BYTES)
+    (void)mo_reply_reserve(request, reply->size);
   bool empty = reply->status == 204;
   if (request->reader != NULL)
     response = MHD_create_response_from_callback(MHD_SIZE_UNKNOWN,

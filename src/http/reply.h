@@ -61,6 +61,10 @@ enum MHD_Result mo_reply_send(struct mo_request *request);
 
 /* last_reply.c: replies that bypass libmicrohttpd and end their connection. */
 #define MO_HEADER_BYTES 16384
+/* Frees the request's body, and counts a large reply in the limit on memory until it is sent: slow
+ * readers could otherwise hold any amount. A reply always passes if nothing else is counted. False:
+ * the reply is a problem now. */
+bool mo_reply_reserve(struct mo_request *request, uint64_t bytes);
 #define MO_HEADER_WORDS "request line and header may have 16384 bytes together."
 /* Sends request->reply. Call on the I/O thread before any reply was queued; libmicrohttpd must
  * close the connection afterwards. */
