@@ -265,6 +265,17 @@ bool mo_idempotency_key(const char *field, char out[256])
   return size > 0;
 }
 
+bool mo_host_is_loopback(const char *host)
+{
+  struct in_addr v4;
+  struct in6_addr v6;
+  if (inet_pton(AF_INET, host, &v4) == 1)
+    return ntohl(v4.s_addr) >> 24 == 127;
+  if (inet_pton(AF_INET6, host, &v6) == 1)
+    return IN6_IS_ADDR_LOOPBACK(&v6);
+  return strcmp(host, "localhost") == 0;
+}
+
 bool mo_authority_split(const char *text, size_t n, char host[256], unsigned *port, bool *literal)
 {
   size_t size;

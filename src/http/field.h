@@ -47,6 +47,9 @@ bool mo_content_type(const char *field, char type[64], char charset[32]);
 
 /* Reads an Idempotency-Key, bare or as a quoted structured string, into out (≥ 256 bytes). False:
  * empty, too long, or not printable ASCII. */
+/* Says whether a host is loopback by its number or name. */
+bool mo_host_is_loopback(const char *host);
+
 bool mo_idempotency_key(const char *field, char out[256]);
 
 /* Splits "host", "host:port", "[v6]:port" into host (lower case, brackets removed; NUL-terminated)

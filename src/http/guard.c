@@ -1,7 +1,6 @@
 /* guard.c: see guard.h. */
 #include "http/guard.h"
 
-#include <arpa/inet.h>
 #include <ctype.h>
 #include <stdlib.h>
 #include <string.h>
@@ -156,14 +155,6 @@ static bool is_named(const char *host, unsigned port, const struct mo_names *nam
   return false;
 }
 
-/* Says whether a numeric address is one of loopback. */
-static bool is_loopback(const char *name)
-{
-  struct in6_addr v6;
-  return strncmp(name, "127.", 4) == 0 ||
-         (inet_pton(AF_INET6, name, &v6) == 1 && IN6_IS_ADDR_LOOPBACK(&v6));
-}
-
 bool mo_guard_host(const char *host, size_t n, bool local, const struct mo_names *names)
 {
   char name[256];
@@ -171,13 +162,12 @@ bool mo_guard_host(const char *host, size_t n, bool local, const struct mo_names
   bool literal;
   if (!mo_authority_split(host, n, name, &port, &literal))
     return false;
-  /* DNS rebinding cannot fake a numeric address: the browser would already have to be at that
-   * address. */
-  literal = literal && (!local || is_loopback(name));
   for (size_t i = 0; i < names->n; i++)
     if (strcmp(names->items[i], "*") == 0)
       return true;
-  return literal || strcmp(name, "localhost") == 0 || is_named(name, port, names);
+  /* DNS rebinding cannot fake a numeric address: the browser would already have to be at that
+   * address. */
+  return (literal && !local) || mo_host_is_loopback(name) || is_named(name, port, names);
 }
 
 bool mo_guard_origin(const char *origin, const char *host, const struct mo_names *names)

@@ -10,6 +10,7 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include "http/field.h"
 #include "http/server.h"
 
 #define BACKLOG 1024
@@ -59,18 +60,6 @@ int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_mes
   return MO_OK;
 }
 
-/* Says whether a host to listen on is loopback by its number or name. */
-static bool is_loopback_host(const char *host)
-{
-  struct in_addr v4;
-  struct in6_addr v6;
-  if (inet_pton(AF_INET, host, &v4) == 1)
-    return (ntohl(v4.s_addr) >> 24) == 127;
-  if (inet_pton(AF_INET6, host, &v6) == 1)
-    return IN6_IS_ADDR_LOOPBACK(&v6);
-  return strcmp(host, "localhost") == 0;
-}
-
 int mo_http_parse_address(const char *text, struct mo_listen_address *address,
                           struct mo_message *message)
 {
@@ -114,7 +103,7 @@ int mo_http_parse_address(const char *text, struct mo_listen_address *address,
                    "\"%.100s\" has no host; 0.0.0.0 stands for every address", text);
   memcpy(result.host, host, length);
   result.port = (uint16_t)port;
-  result.is_loopback = is_loopback_host(result.host);
+  result.is_loopback = mo_host_is_loopback(result.host);
   *address = result;
   return MO_OK;
 }
