@@ -50,12 +50,11 @@ static void give_back(struct mo_request *request)
   request->body = NULL;
   request->body_size = request->body_capacity = 0;
   atomic_fetch_sub(&request->http->body_memory, request->body_reserved);
-  request->body_reserved = 0;
   if (request->body_client != NULL)
-    mo_client_give_back(&request->http->clients, request->body_client, request->body_held,
+    mo_client_give_back(&request->http->clients, request->body_client, request->body_reserved,
                         mo_clock_us());
   request->body_client = NULL;
-  request->body_held = 0;
+  request->body_reserved = 0;
 }
 
 /* Makes room for n more bytes. MO_ERR_LIMIT: the client has used its share. */
@@ -71,7 +70,7 @@ static int reserve(struct mo_request *request, size_t n)
   struct mo_http *http = request->http;
   uint64_t more = capacity - request->body_capacity;
   struct mo_client *client =
-      mo_client_hold(&http->clients, request->connection->client_key, request->body_held, more,
+      mo_client_hold(&http->clients, request->connection->client_key, request->body_reserved, more,
                      http->config.max_body_memory / 2);
   if (client == NULL)
     return MO_ERR_LIMIT;
@@ -84,7 +83,6 @@ static int reserve(struct mo_request *request, size_t n)
     return MO_ERR_NO_MEMORY;
   }
   request->body_client = client;
-  request->body_held += more;
   request->body_reserved += more;
   request->body = body;
   request->body_capacity = capacity;

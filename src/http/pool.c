@@ -1,6 +1,5 @@
 /* pool.c: see pool.h. request.h says which thread owns a request. */
 
-#include "base/clock.h"
 #include "base/processors.h"
 #include "base/thread.h"
 #include "http/pack.h"
@@ -74,7 +73,7 @@ static bool park(struct mo_request *request)
 /* Runs the handler of a request. False: the request is parked, and may have ended meanwhile. */
 static bool handle(struct mo_request *request)
 {
-  if (request->begun || mo_query_begin(request))
+  if (request->wait_over || mo_query_begin(request))
     request->route->handler(request);
   while (request->wait_for != 0) {
     if (park(request))
@@ -102,7 +101,6 @@ static void *worker(void *context)
       continue;
     }
     pthread_mutex_unlock(&pool->lock);
-    atomic_store(&pool->heartbeat_us, mo_clock_us());
     struct MHD_Connection *mhd = request->mhd;
     bool back = false;
     if (request->stage == MO_STAGE_REPLY)
@@ -129,7 +127,6 @@ int mo_pool_start(struct mo_http *http)
   struct mo_pool *pool = &http->pool;
   STAILQ_INIT(&pool->others.requests);
   STAILQ_INIT(&pool->lists.requests);
-  atomic_store(&pool->heartbeat_us, mo_clock_us());
   uint32_t half = mo_processors() / 2, most = MO_API_THREADS / 2;
   pool->max_lists = half < 1 ? 1 : half < most ? half : most;
   for (; pool->n_threads < MO_API_THREADS; pool->n_threads++)

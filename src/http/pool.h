@@ -26,7 +26,6 @@ struct mo_pool {
   pthread_t threads[MO_API_THREADS];
   uint32_t n_threads;
   LIST_HEAD(, mo_request) waiting[MO_WAITING]; /* parked, or about to park; by what they wait for */
-  _Atomic int64_t heartbeat_us;
 };
 
 int mo_pool_start(struct mo_http *http);

@@ -72,7 +72,6 @@ bool mo_query_begin(struct mo_request *request)
 {
   static const char *const json[] = {"application/json", NULL};
   int form;
-  request->begun = true;
   return read_query(request) &&
          (!(request->route->flags & MO_ROUTE_JSON) || mo_accept(request, json, &form));
 }

@@ -99,7 +99,6 @@ void mo_reply_problem(struct mo_request *request, unsigned status, const struct 
   }
   if (request->reply.status == 503 || status == 507 || status == 429)
     request->reply.retry_after_s = status == 507 ? 30 : 1;
-  request->reply.authenticate = status == 401;
 }
 
 static void reply_fault(struct mo_request *request, enum mo_fault_place place, const char *name,
@@ -270,7 +269,7 @@ bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response)
       add(response, "ETag", reply->etag) && add(response, "Location", reply->location) &&
       add(response, "Retry-After", retry) && add(response, "Allow", reply->allow) &&
       add(response, "Preference-Applied", reply->applied) &&
-      add(response, "WWW-Authenticate", reply->authenticate ? "Bearer realm=\"morphod\"" : "") &&
+      add(response, "WWW-Authenticate", reply->status == 401 ? "Bearer realm=\"morphod\"" : "") &&
       add(response, "Connection", reply->close ? "close" : "");
   const bool by_type = request->route != NULL && (request->route->flags & MO_ROUTE_VARY);
   const bool by_coding =

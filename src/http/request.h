@@ -35,7 +35,7 @@ struct mo_reply {
   void (*release)(void *owner); /* NULL: nothing to release */
   void *owner;
   const char *policy; /* static: Content-Security-Policy; NULL: frame-ancestors 'none' */
-  bool close, authenticate;
+  bool close;
   bool keep;  /* the reply to this path never changes: clients may keep it for a year */
   bool packs; /* bytes that are worth compressing, though the type does not say so */
   unsigned retry_after_s;
@@ -77,12 +77,11 @@ struct mo_request {
   char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES];
   struct mo_framing framing;
   struct mo_caller caller;
-  bool begun; /* the route's own rules are checked, and `query` is read */
   struct mo_query query;
   /* Body. */
   uint64_t body_limit, body_seen, body_reserved;
-  struct mo_client *body_client; /* the client whose share `body_held` counts in */
-  uint64_t body_held;
+  struct mo_client
+      *body_client; /* the client whose share `body_reserved` counts in; NULL: none's */
   char *body;
   size_t body_size, body_capacity;
   bool body_coming, body_gave_way; /* body.c */
