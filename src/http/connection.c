@@ -10,7 +10,6 @@
 
 #include "base/clock.h"
 #include "base/thread.h"
-#include "http/problem.h"
 #include "http/server.h"
 
 /* Descriptors for the database, files, devices, and connections that are ending. */

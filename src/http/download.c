@@ -13,7 +13,6 @@
 #include <string.h>
 
 #include "base/clock.h"
-#include "http/pack.h"
 #include "http/server.h"
 
 #define STALL_US    60000000            /* a reader that takes nothing for this long is cut off */
@@ -141,9 +140,9 @@ void mo_download_open(struct mo_request *request, const char *type, const char *
       request->reader = reader;
       return;
     }
+  }
   if (code != MO_OK)
     mo_reply_error(request, code, "reply");
-  }
   discard(download);
 }
 

@@ -6,8 +6,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "http/problem.h"
-
 /* Decodes percent escapes of a path segment or query value into `out` (NUL-terminated). False: a
  * malformed escape, a control byte (also %00), invalid UTF-8, or too little room. plus: '+' means a
  * space (queries). */
@@ -47,10 +45,10 @@ bool mo_content_type(const char *field, char type[64], char charset[32]);
 
 /* Reads an Idempotency-Key, bare or as a quoted structured string, into out (≥ 256 bytes). False:
  * empty, too long, or not printable ASCII. */
+bool mo_idempotency_key(const char *field, char out[256]);
+
 /* Says whether a host is loopback by its number or name. */
 bool mo_host_is_loopback(const char *host);
-
-bool mo_idempotency_key(const char *field, char out[256]);
 
 /* Splits "host", "host:port", "[v6]:port" into host (lower case, brackets removed; NUL-terminated)
  * and port (0: none). */

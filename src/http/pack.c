@@ -1,15 +1,13 @@
-/* pack.c: see pack.h.
+/* pack.c: see reply.h.
  *
  * Level 1 takes an API thread 6 to 9 ms per megabyte, and saves two thirds of a phylogeny and four
  * fifths of JSON. Only API threads compress. Small replies, which are polled, stay plain. A whole
  * reply is compressed into a buffer of three quarters of its size; if it does not fit, the plain
  * one is sent. */
-#include "http/pack.h"
+#include "http/reply.h"
 
 #include <stdlib.h>
 #include <zlib.h>
-
-#include "http/reply.h"
 
 #define OUT_BYTES 65536
 

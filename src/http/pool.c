@@ -2,7 +2,6 @@
 
 #include "base/processors.h"
 #include "base/thread.h"
-#include "http/pack.h"
 #include "http/query.h"
 #include "http/server.h"
 

@@ -1,7 +1,5 @@
-/* problem.c: see problem.h. */
-#include "http/problem.h"
-
-#include <microhttpd.h>
+/* problem.c: problem documents. */
+#include "http/reply.h"
 
 static const struct {
   unsigned status;

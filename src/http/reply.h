@@ -2,9 +2,14 @@
 #ifndef MORPHO_HTTP_REPLY_H
 #define MORPHO_HTTP_REPLY_H
 
+#include "base/faults.h"
 #include "base/text.h"
-#include "http/problem.h"
 #include "http/request.h"
+
+/* Writes a problem document (RFC 9457), which says what is wrong with a request. Its type is the
+ * path of a page that explains it: docs/problems.md has a part for each. faults nullable. */
+void mo_problem_write(struct mo_text *text, unsigned status, const char *detail,
+                      const char *instance, const char *request_id, const struct mo_faults *faults);
 
 /* Notes something for the log line of the request, which becomes a warning. */
 void mo_request_note(struct mo_request *request, const char *format, ...)
@@ -56,15 +61,33 @@ void mo_reply_mark_gzip(struct mo_request *request);
 void mo_reply_extra(struct mo_request *request, const char *name, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 void mo_reply_clear(struct mo_reply *reply);
-bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response);
-enum MHD_Result mo_reply_send(struct mo_request *request);
-
-/* last_reply.c: replies that bypass libmicrohttpd and end their connection. */
-#define MO_HEADER_BYTES 16384
 /* Frees the request's body, and counts a large reply in the limit on memory until it is sent: slow
  * readers could otherwise hold any amount. A reply always passes if nothing else is counted. False:
  * the reply is a problem now. */
 bool mo_reply_reserve(struct mo_request *request, uint64_t bytes);
+bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response);
+enum MHD_Result mo_reply_send(struct mo_request *request);
+
+/* ---- pack.c: compresses replies with gzip, at the fastest level, where the client takes it ----
+ */
+
+/* Compresses a whole reply of at least MO_PACK_BYTES if that saves a quarter of it. Call on an API
+ * thread, when the reply is complete. The reply's ETag gets a suffix: it names the bytes. */
+#define MO_PACK_BYTES 32768
+void mo_pack_reply(struct mo_request *request);
+
+/* Compresses a reply that is made piece by piece. */
+struct mo_packer;
+#define MO_PACKER_BYTES 300000 /* memory of a packer */
+/* Begins: marks the reply as compressed. NULL: the reply stays plain. */
+struct mo_packer *mo_packer_create(struct mo_request *request);
+/* Appends what is ready of a piece, perhaps nothing; of the last piece, all. */
+int mo_packer_add(struct mo_packer *packer, const struct mo_text *piece, bool last,
+                  struct mo_text *out);
+void mo_packer_free(struct mo_packer *packer); /* NULL-safe */
+
+/* last_reply.c: replies that bypass libmicrohttpd and end their connection. */
+#define MO_HEADER_BYTES 16384
 #define MO_HEADER_WORDS "request line and header may have 16384 bytes together."
 /* Sends request->reply. Call on the I/O thread before any reply was queued; libmicrohttpd must
  * close the connection afterwards. */

@@ -8,7 +8,7 @@
 
 #include "http/field.h"
 #include "http/guard.h"
-#include "http/problem.h"
+#include "http/reply.h"
 #include "http/route.h"
 
 static void percent(void)
@@ -60,7 +60,7 @@ static void prefer(void)
   CHECK_INT(mo_prefer_wait("wait=99999999999999999999999", 60), -2);
 }
 
-static void accept(void)
+static void accepts(void)
 {
   static const char *const types[] = {"application/octet-stream", "application/json"};
   CHECK_INT(mo_accept_choose(NULL, types, 2), 0);
@@ -415,7 +415,7 @@ static const struct check_case cases[] = {
     {"percent escapes", percent},
     {"queries and numbers", queries},
     {"Prefer", prefer},
-    {"Accept", accept},
+    {"Accept", accepts},
     {"Accept-Encoding", codings},
     {"entity tags", etags},
     {"content types", content_types},
