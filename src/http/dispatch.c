@@ -69,12 +69,11 @@ static void refuse(struct mo_request *request, const struct mo_refusal *refusal)
 static uint64_t body_limit(const struct mo_request *request)
 {
   const struct mo_http_config *config = &request->http->config;
-  switch (request->route->body) {
-  case MO_BODY_LARGE: return config->max_body_bytes;
-  case MO_BODY_FILE: return config->max_file_bytes;
-  case MO_BODY_BUNDLE: return config->max_bundle_bytes;
-  default: return DEFAULT_BODY_BYTES;
-  }
+  const uint64_t limits[] = {[MO_BODY_SMALL] = DEFAULT_BODY_BYTES,
+                             [MO_BODY_LARGE] = config->max_body_bytes,
+                             [MO_BODY_FILE] = config->max_file_bytes,
+                             [MO_BODY_BUNDLE] = config->max_bundle_bytes};
+  return limits[request->route->body];
 }
 
 /* Checks tokens and origins. */
@@ -317,16 +316,14 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
       mo_reply_last(request);
       return MHD_NO;
     }
-    if (request->reply.status != 0) {
-      /* Reply before the body only if the client waits for that (100-continue) or the body is too
-       * long to read and discard. */
-      if (request->framing.expects_continue || request->framing.length > DRAIN_BYTES) {
-        request->reply.close = true;
-        request->stage = MO_STAGE_REPLY;
-        return mo_connection_spare(request->connection, MO_NEVER) ? mo_reply_send(request) : MHD_NO;
-      }
-    }
-    return MHD_YES;
+    /* Reply before the body only if the client waits for that (100-continue) or the body is too
+     * long to read and discard. */
+    if (request->reply.status == 0 ||
+        (!request->framing.expects_continue && request->framing.length <= DRAIN_BYTES))
+      return MHD_YES;
+    request->reply.close = true;
+    request->stage = MO_STAGE_REPLY;
+    return mo_connection_spare(request->connection, MO_NEVER) ? mo_reply_send(request) : MHD_NO;
   case MO_STAGE_BODY:
     if (*size > 0) {
       enum MHD_Result result = receive(request, bytes, *size);

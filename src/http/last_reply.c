@@ -47,25 +47,25 @@ void mo_reply_last(struct mo_request *request)
 static void refuse_unparsed(struct mo_connection *connection, struct MHD_Connection *mhd,
                             unsigned status)
 {
+  static const struct {
+    unsigned status;
+    const char *detail;
+  } refusals[] = {
+      {400, "Not HTTP as it is read here: a malformed request line, header field, length or chunk, "
+            "or no Host."},
+      {413, "The length of the body, or of a chunk of it, is beyond all bounds."},
+      {414, "The request line is too long; " MO_HEADER_WORDS},
+      {431, "The header is too large; " MO_HEADER_WORDS},
+      {505, "This service speaks HTTP/1.0 and HTTP/1.1."},
+      /* The library has 500 for a line of a chunk that its memory cannot hold. */
+      {0, "The request cannot be read."}};
   struct mo_request *request = connection->request;
   if (request == NULL && (request = mo_request_begin(connection, mhd, "")) == NULL)
     return;
-  const char *detail;
-  switch (status) {
-  case 400:
-    detail = "Not HTTP as it is read here: a malformed request line, header field, length or "
-             "chunk, or no Host.";
-    break;
-  case 413: detail = "The length of the body, or of a chunk of it, is beyond all bounds."; break;
-  case 414: detail = "The request line is too long; " MO_HEADER_WORDS; break;
-  case 431: detail = "The header is too large; " MO_HEADER_WORDS; break;
-  case 505: detail = "This service speaks HTTP/1.0 and HTTP/1.1."; break;
-  default:
-    status = 400; /* the library has 500 for a line of a chunk that its memory cannot hold */
-    detail = "The request cannot be read.";
-    break;
-  }
-  mo_reply_problem(request, status, NULL, "%s", detail);
+  size_t i = 0;
+  while (refusals[i].status != status && refusals[i].status != 0)
+    i++;
+  mo_reply_problem(request, refusals[i].status != 0 ? status : 400, NULL, "%s", refusals[i].detail);
   mo_reply_last(request);
 }
 
