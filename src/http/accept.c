@@ -26,15 +26,14 @@
 #define KEPT_MAX    16
 #define LEAVING_MAX 32
 
-static void refuse(struct mo_http *http, struct mo_lingering *linger, int fd, unsigned status,
-                   const char *detail)
+static void refuse(struct mo_http *http, int fd, unsigned status, const char *detail)
 {
   char id[17];
   snprintf(id, sizeof(id), "%016llx",
            (unsigned long long)(http->id_key ^ atomic_fetch_add(&http->next_id, 1)));
   mo_write_refusal(http, fd, status, id, detail);
   shutdown(fd, SHUT_WR);
-  mo_linger_add(linger, fd);
+  mo_linger_add(&http->lingering, fd);
   atomic_fetch_add(&http->metrics.refused, 1);
 }
 
@@ -248,8 +247,8 @@ static enum mo_place find_place(struct mo_http *http, bool is_unix)
   return place;
 }
 
-static void take(struct mo_http *http, struct mo_lingering *linger, size_t listener, int fd,
-                 struct sockaddr_storage *name, socklen_t size)
+static void take(struct mo_http *http, size_t listener, int fd, struct sockaddr_storage *name,
+                 socklen_t size)
 {
   atomic_fetch_add(&http->metrics.accepted, 1);
   /* An old entry for a new descriptor: the library ran out of memory and closed that connection
@@ -262,12 +261,12 @@ static void take(struct mo_http *http, struct mo_lingering *linger, size_t liste
                             ? find_place(http, transport == MO_TRANSPORT_UNIX)
                             : MO_PLACES;
   if (place == MO_PLACES) {
-    refuse(http, linger, fd, 503, "All connections of the service are in use; try again later.");
+    refuse(http, fd, 503, "All connections of the service are in use; try again later.");
     return;
   }
   struct mo_connection *connection = calloc(1, sizeof(*connection));
   if (connection == NULL) {
-    refuse(http, linger, fd, 503, "The service is too busy; try again later.");
+    refuse(http, fd, 503, "The service is too busy; try again later.");
     return;
   }
   connection->fd = fd;
@@ -276,7 +275,7 @@ static void take(struct mo_http *http, struct mo_lingering *linger, size_t liste
   if (connection->transport == MO_TRANSPORT_UNIX) {
     if (!peer_allowed(http, fd, connection)) {
       free(connection);
-      refuse(http, linger, fd, 403, "Your user may not use this socket.");
+      refuse(http, fd, 403, "Your user may not use this socket.");
       return;
     }
   } else {
@@ -329,7 +328,7 @@ static void *acceptor(void *context)
         int fd = accept4(http->listeners[i].fd, (struct sockaddr *)&name, &size,
                          SOCK_CLOEXEC | SOCK_NONBLOCK);
         if (fd >= 0) {
-          take(http, &http->lingering, i, fd, &name, size);
+          take(http, i, fd, &name, size);
           continue;
         }
         if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM)

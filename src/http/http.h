@@ -107,7 +107,7 @@ struct mo_http_stats {
 
 /* Opens a listening socket: "127.0.0.1:8765", "[::1]:0", "name:8765" (first address of the name),
  * "unix:/run/morphod.sock". A unix socket replaces a stale one that no server uses; its mode is
- * 0666, because peers are checked by their credentials. `address` (nullable, ≥ 128 bytes) receives
+ * 0666, because peers are checked by their credentials. `address` (≥ 128 bytes) receives
  * the address with the real port: "http://127.0.0.1:41234" or "unix:/run/…". MO_ERR_INVALID,
  * MO_ERR_NOT_FOUND (unknown name), MO_ERR_CONFLICT (address in use), MO_ERR_IO. */
 int mo_http_listen(const char *where, int *fd, char *address, struct mo_message *message);

@@ -40,13 +40,11 @@ int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_mes
   if (name.ss_family == AF_UNIX) {
     const struct sockaddr_un *path = (const struct sockaddr_un *)&name;
     *beyond_loopback = false;
-    if (address != NULL) {
-      int n = (int)(size - offsetof(struct sockaddr_un, sun_path));
-      if (n > 0 && path->sun_path[0] == '\0')
-        snprintf(address, 128, "unix:@%.*s", n - 1, path->sun_path + 1);
-      else
-        snprintf(address, 128, "unix:%.*s", n, path->sun_path);
-    }
+    int n = (int)(size - offsetof(struct sockaddr_un, sun_path));
+    if (n > 0 && path->sun_path[0] == '\0')
+      snprintf(address, 128, "unix:@%.*s", n - 1, path->sun_path + 1);
+    else
+      snprintf(address, 128, "unix:%.*s", n, path->sun_path);
     return MO_OK;
   }
   *beyond_loopback = !mo_address_is_loopback(&name);
@@ -54,9 +52,8 @@ int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_mes
   if (getnameinfo((struct sockaddr *)&name, size, host, sizeof(host), port, sizeof(port),
                   NI_NUMERICHOST | NI_NUMERICSERV) != 0)
     return mo_fail(message, MO_ERR_INVALID, "descriptor %d has no printable address", fd);
-  if (address != NULL)
-    snprintf(address, 128, name.ss_family == AF_INET6 ? "http://[%s]:%s" : "http://%s:%s", host,
-             port);
+  snprintf(address, 128, name.ss_family == AF_INET6 ? "http://[%s]:%s" : "http://%s:%s", host,
+           port);
   return MO_OK;
 }
 

@@ -116,14 +116,10 @@ static void destroy(struct mo_http *http)
   mo_tokens_free(&http->tokens);
   mo_clients_free(&http->clients);
   mo_linger_end(&http->lingering);
-  if (http->stop_fd >= 0)
-    close(http->stop_fd);
-  if (http->peers_fd >= 0)
-    close(http->peers_fd);
-  if (http->watch_fd >= 0)
-    close(http->watch_fd);
-  if (http->tick_fd >= 0)
-    close(http->tick_fd);
+  const int files[] = {http->stop_fd, http->peers_fd, http->watch_fd, http->tick_fd};
+  for (size_t i = 0; i < sizeof(files) / sizeof(files[0]); i++)
+    if (files[i] >= 0)
+      close(files[i]);
   /* The library closes a connection that it has not begun to serve without a callback. */
   for (size_t fd = 0; fd < http->connections_top; fd++)
     free(http->connections[fd]);

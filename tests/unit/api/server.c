@@ -203,7 +203,7 @@ static void addresses(void)
   REQUIRE(mo_http_listen("127.0.0.1:0", &fd, address, &message) == MO_OK);
   CHECK(strncmp(address, "http://127.0.0.1:", 17) == 0);
   CHECK_INT(mo_http_listen(address + 7, &other, NULL, &message), MO_ERR_CONFLICT);
-  CHECK(mo_http_describe(fd, NULL, &beyond, &message) == MO_OK && !beyond);
+  CHECK(mo_http_describe(fd, address, &beyond, &message) == MO_OK && !beyond);
   close(fd);
   CHECK_INT(mo_http_describe(0, NULL, &beyond, &message), MO_ERR_INVALID);
   snprintf(path, sizeof(path), "%s/socket", fixture.path);
@@ -212,7 +212,7 @@ static void addresses(void)
   CHECK_TEXT(address, where);
   CHECK_INT(mo_http_listen(where, &other, NULL, &message), MO_ERR_CONFLICT); /* somebody listens */
   close(fd);
-  REQUIRE(mo_http_listen(where, &fd, NULL, &message) == MO_OK); /* nobody does any more */
+  REQUIRE(mo_http_listen(where, &fd, address, &message) == MO_OK); /* nobody does any more */
   close(fd);
   unlink(path);
   FILE *file = fopen(path, "w");
