@@ -303,19 +303,6 @@ void mo_text_json_float(struct mo_text *text, float value)
   mo_text_bytes(text, digits, (size_t)n);
 }
 
-void mo_text_json_time(struct mo_text *text, int64_t time_us)
-{
-  time_t seconds = (time_t)(time_us / 1000000);
-  struct tm parts;
-  if (time_us <= 0 || gmtime_r(&seconds, &parts) == NULL) {
-    mo_text_add(text, "null");
-    return;
-  }
-  mo_text_format(text, "\"%04d-%02d-%02dT%02d:%02d:%02d.%03dZ\"", parts.tm_year + 1900,
-                 parts.tm_mon + 1, parts.tm_mday, parts.tm_hour, parts.tm_min, parts.tm_sec,
-                 (int)(time_us / 1000 % 1000));
-}
-
 void mo_text_next(struct mo_text *text)
 {
   const char last = text->size > 0 ? text->data[text->size - 1] : '{';
@@ -378,6 +365,14 @@ void mo_text_member_bool(struct mo_text *text, const char *name, bool value)
 
 void mo_text_member_time(struct mo_text *text, const char *name, int64_t time_us)
 {
+  time_t seconds = (time_t)(time_us / 1000000);
+  struct tm parts;
   mo_text_name(text, name);
-  mo_text_json_time(text, time_us);
+  if (time_us <= 0 || gmtime_r(&seconds, &parts) == NULL) {
+    mo_text_add(text, "null");
+    return;
+  }
+  mo_text_format(text, "\"%04d-%02d-%02dT%02d:%02d:%02d.%03dZ\"", parts.tm_year + 1900,
+                 parts.tm_mon + 1, parts.tm_mday, parts.tm_hour, parts.tm_min, parts.tm_sec,
+                 (int)(time_us / 1000 % 1000));
 }

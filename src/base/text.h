@@ -55,8 +55,6 @@ void mo_text_json_stored(struct mo_text *text, const char *json);
 void mo_text_json_number(struct mo_text *text, double value);
 void mo_text_json_float(struct mo_text *text,
                         float value); /* the same for float32 with 6 to 9 digits */
-/* Appends "2026-11-21T11:34:04.123Z" in quotes; null for 0. */
-void mo_text_json_time(struct mo_text *text, int64_t time_us);
 
 /* Appends a comma, unless the text ends with an opening bracket or a colon: before the next item of
  * an array. The functions below do so themselves. */
@@ -75,6 +73,7 @@ void mo_text_member_count(struct mo_text *text, const char *name, uint64_t value
 /* Digits in quotes; null below 0. */
 void mo_text_member_id(struct mo_text *text, const char *name, int64_t id);
 void mo_text_member_bool(struct mo_text *text, const char *name, bool value);
+/* "2026-11-21T11:34:04.123Z" in quotes; null for 0. */
 void mo_text_member_time(struct mo_text *text, const char *name, int64_t time_us);
 
 #endif

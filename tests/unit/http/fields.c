@@ -355,8 +355,8 @@ static void texts(void)
     CHECK_TEXT(text.data, expected);
   }
   text.size = 0;
-  mo_text_json_time(&text, INT64_C(1763724844123456));
-  CHECK_TEXT(text.data, "\"2025-11-21T11:34:04.123Z\"");
+  mo_text_member_time(&text, "at", INT64_C(1763724844123456));
+  CHECK_TEXT(text.data, "\"at\":\"2025-11-21T11:34:04.123Z\"");
   mo_text_free(&text);
 }
 
