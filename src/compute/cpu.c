@@ -232,9 +232,8 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
   count(worker, block);
   read_meter(&run);
   if (charge != NULL) {
-    pthread_mutex_lock(&compute->fair.mutex);
+    MO_GUARD(&compute->fair.mutex);
     mo_fair_settle(&compute->fair, charge, 1e-9 * (double)run.total_ns, block->status == MO_OK);
-    pthread_mutex_unlock(&compute->fair.mutex);
   } else {
     atomic_fetch_add(&run.share->blocks_done, 1);
   }

@@ -306,10 +306,8 @@ uint64_t mo_compute_remote_waiting(struct mo_compute *compute, enum mo_back_end 
   struct mo_fair *fair = queue_of(compute, back_end);
   if (fair == NULL)
     return 0;
-  pthread_mutex_lock(&fair->mutex);
-  const double units = mo_offers_units(mo_core(compute), back_end);
-  pthread_mutex_unlock(&fair->mutex);
-  return atomic_load(&fair->remote_steps) + (uint64_t)units;
+  MO_GUARD(&fair->mutex);
+  return atomic_load(&fair->remote_steps) + (uint64_t)mo_offers_units(mo_core(compute), back_end);
 }
 
 void mo_compute_leave_remote(struct mo_compute *compute, bool leave)

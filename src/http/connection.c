@@ -60,11 +60,10 @@ struct mo_connection *mo_connection_find(struct mo_http *http, int fd)
 
 void mo_connection_add(struct mo_http *http, struct mo_connection *connection)
 {
-  pthread_mutex_lock(&http->connections_lock);
+  MO_GUARD(&http->connections_lock);
   http->connections[connection->fd] = connection;
   if (http->connections_top <= (size_t)connection->fd)
     http->connections_top = (size_t)connection->fd + 1;
-  pthread_mutex_unlock(&http->connections_lock);
   struct epoll_event left = {.events = EPOLLRDHUP | EPOLLET, .data.fd = connection->fd};
   epoll_ctl(http->watch_fd, EPOLL_CTL_ADD, connection->fd, &left);
   atomic_fetch_add(&http->n_connections, 1);
@@ -72,10 +71,9 @@ void mo_connection_add(struct mo_http *http, struct mo_connection *connection)
 
 void mo_connection_forget(struct mo_http *http, struct mo_connection *connection)
 {
-  pthread_mutex_lock(&http->connections_lock);
+  MO_GUARD(&http->connections_lock);
   if (http->connections[connection->fd] == connection)
     http->connections[connection->fd] = NULL;
-  pthread_mutex_unlock(&http->connections_lock);
   if (atomic_load(&connection->spare_us) == MO_GAVE_WAY)
     atomic_fetch_sub(&http->n_leaving, 1);
   free(connection);
@@ -168,15 +166,13 @@ int mo_connections_init(struct mo_http *http, struct mo_message *message)
 
 void mo_linger_add(struct mo_lingering *lingering, int fd)
 {
-  pthread_mutex_lock(&lingering->lock);
-  bool room = lingering->n < MO_LINGER_MAX;
-  if (room) {
-    lingering->fd[lingering->n] = fd;
-    lingering->until_us[lingering->n++] = mo_clock_us() + LINGER_US;
-  }
-  pthread_mutex_unlock(&lingering->lock);
-  if (!room)
+  MO_GUARD(&lingering->lock);
+  if (lingering->n == MO_LINGER_MAX) {
     close(fd);
+    return;
+  }
+  lingering->fd[lingering->n] = fd;
+  lingering->until_us[lingering->n++] = mo_clock_us() + LINGER_US;
 }
 
 void mo_linger_on(struct mo_lingering *lingering, int64_t now_us)

@@ -211,10 +211,9 @@ void mo_stream_free(struct mo_request *request)
 {
   struct mo_streams *streams = &request->http->streams;
   struct mo_stream *stream = request->stream;
-  pthread_mutex_lock(&streams->lock);
+  MO_GUARD(&streams->lock);
   LIST_REMOVE(stream, others);
   streams->n--;
-  pthread_mutex_unlock(&streams->lock);
   mo_text_free(&stream->buffer);
   free(stream);
   request->stream = NULL;
