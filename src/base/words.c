@@ -2,7 +2,6 @@
 #include "base/words.h"
 
 #include <stdint.h>
-#include <stdio.h>
 #include <string.h>
 
 #include <morpho/error.h>

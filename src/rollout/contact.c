@@ -13,7 +13,6 @@
 #include "rollout/contact.h"
 
 #include <math.h>
-#include <stdbool.h>
 
 #define CELLS       (MO_TERRAIN_SIDE - 1)
 #define CELLS_PER_M (CELLS / MO_TERRAIN_SIZE_M)
