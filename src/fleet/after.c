@@ -81,8 +81,7 @@ static bool work_waits(const struct mo_fleet *fleet, const struct mo_after *afte
                        enum mo_back_end back_end)
 {
   const struct mo_fleet_source *source = &fleet->config.source;
-  return after->is_put_back[back_end] ||
-         (source->waiting != NULL && source->waiting(source->context, back_end) > 0);
+  return after->is_put_back[back_end] || source->waiting(source->compute, back_end) > 0;
 }
 
 int mo_after_run(struct mo_fleet *fleet, struct mo_after *after)
@@ -92,11 +91,11 @@ int mo_after_run(struct mo_fleet *fleet, struct mo_after *after)
   while ((parcel = SLIST_FIRST(&after->parcels)) != NULL) {
     SLIST_REMOVE_HEAD(&after->parcels, next);
     if (parcel->is_delivered)
-      config->source.deliver(config->source.context, parcel->taken, &parcel->result);
+      config->source.deliver(config->source.compute, parcel->taken, &parcel->result);
     else if (parcel->is_kept)
-      config->source.keep(config->source.context, parcel->taken);
+      config->source.keep(config->source.compute, parcel->taken);
     else
-      config->source.put_back(config->source.context, parcel->taken);
+      config->source.put_back(config->source.compute, parcel->taken);
     free(parcel);
   }
   for (uint32_t b = 0; b < 2; b++) {

@@ -27,11 +27,6 @@ struct canary {
   struct mo_outcome outcomes[ROBOTS];
 };
 
-static void nothing(struct mo_block *block, void *context)
-{
-  (void)block, (void)context;
-}
-
 static struct mo_physics physics_of(uint32_t body)
 {
   struct mo_physics physics = mo_default_physics();
@@ -67,8 +62,7 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
                                .physics = physics_of(b),
                                .precision = MO_FLOAT32,
                                .urgency = MO_INTERACTIVE, /* remote takers get none */
-                               .back_end = back_end,
-                               .done = nothing};
+                               .back_end = back_end};
     for (uint32_t e = 0; e < MO_BLOCK_LANES; e++) {
       mo_environment_training(SEED, b, e, &canary->environments[b][e]);
       block->environments[e] = &canary->environments[b][e];

@@ -13,7 +13,7 @@ static void *compute(void *context)
   struct mo_decision *decision = &fleet->decision;
   const struct mo_weights *weights = decision->lease->weights;
   decision->error = source->recompute(
-      source->context, &decision->lease->content, fleet->config.workspace,
+      source->compute, &decision->lease->content, fleet->config.workspace,
       weights != NULL ? weights->file.bytes : NULL, weights != NULL ? weights->file.size : 0,
       &decision->cancel, decision->losses, decision->diverged_steps);
   atomic_store(&decision->is_done, true);

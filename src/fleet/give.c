@@ -52,9 +52,7 @@ static struct size size_of(const struct mo_fleet *fleet, const struct mo_session
 static uint64_t spread(const struct mo_fleet_source *source, enum mo_back_end back_end,
                        const struct size *size)
 {
-  if (source->waiting == NULL)
-    return size->most;
-  const double part = 0.5 * size->share * (double)source->waiting(source->context, back_end);
+  const double part = 0.5 * size->share * (double)source->waiting(source->compute, back_end);
   uint64_t steps = part < (double)size->most ? (uint64_t)part : size->most;
   return steps > size->least ? steps : size->least;
 }
@@ -139,10 +137,10 @@ struct mo_lease *mo_give_overdue(struct mo_fleet *fleet, const struct mo_session
 static bool trim(const struct mo_fleet_source *source, struct mo_taken *taken, uint32_t n)
 {
   while (taken->n_blocks > n) {
-    struct mo_taken *rest = source->split(source->context, taken);
+    struct mo_taken *rest = source->split(source->compute, taken);
     if (rest == NULL)
       return false;
-    source->put_back(source->context, rest);
+    source->put_back(source->compute, rest);
   }
   return true;
 }
@@ -163,7 +161,7 @@ static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back
                                    uint64_t steps, struct mo_weights **weights)
 {
   const struct mo_fleet_source *source = &fleet->config.source;
-  struct mo_taken *taken = source->take(source->context, back_end, steps);
+  struct mo_taken *taken = source->take(source->compute, back_end, steps);
   struct mo_wire_lease content = {0};
   struct mo_lease *lease = NULL;
   bool is_suspect = false, is_only = false;
@@ -199,7 +197,7 @@ static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back
     return NULL;
   mo_content_free(&content);
   pthread_mutex_unlock(&fleet->mutex);
-  source->put_back(source->context, taken);
+  source->put_back(source->compute, taken);
   pthread_mutex_lock(&fleet->mutex);
   return NULL;
 }

@@ -3,54 +3,6 @@
 
 #include <stdlib.h>
 
-static struct mo_taken *take(void *compute, enum mo_back_end back_end, uint64_t max_steps)
-{
-  return mo_compute_take(compute, back_end, max_steps);
-}
-
-static void put_back(void *compute, struct mo_taken *taken)
-{
-  mo_compute_put_back(compute, taken);
-}
-
-static void keep(void *compute, struct mo_taken *taken)
-{
-  mo_compute_keep(compute, taken);
-}
-
-static struct mo_taken *split(void *compute, struct mo_taken *taken)
-{
-  return mo_compute_split(compute, taken);
-}
-
-static bool is_cancelled(void *compute, const struct mo_taken *taken)
-{
-  (void)compute;
-  return mo_taken_is_cancelled(taken);
-}
-
-static void deliver(void *compute, struct mo_taken *taken, const struct mo_remote_result *result)
-{
-  mo_compute_deliver(compute, taken, result);
-}
-
-static void want(void *compute, enum mo_back_end back_end, uint32_t blocks)
-{
-  mo_compute_want_remote(compute, back_end, blocks);
-}
-
-static uint64_t waiting(void *compute, enum mo_back_end back_end)
-{
-  return mo_compute_remote_waiting(compute, back_end);
-}
-
-/* ---- recomputing ---- */
-
-static void nothing(struct mo_block *block, void *context)
-{
-  (void)block, (void)context;
-}
-
 /* As an urgent block: remote takers get none of these. */
 static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
                const struct mo_lattice *lattice, struct mo_compute_controller *controller,
@@ -65,8 +17,7 @@ static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
                            .precision = MO_FLOAT32,
                            .urgency = MO_INTERACTIVE,
                            .back_end = lease->back_end,
-                           .cancel = cancel,
-                           .done = nothing};
+                           .cancel = cancel};
   for (uint32_t k = 0; k < from->n_environments; k++)
     block.environments[k] = &lease->environments[from->environments[k]];
   int error = mo_compute_run(compute, &block, 1);
@@ -79,11 +30,10 @@ static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
   return error;
 }
 
-static int recompute(void *context, const struct mo_wire_lease *lease,
+static int recompute(struct mo_compute *compute, const struct mo_wire_lease *lease,
                      struct mo_workspace workspace, const uint8_t *weights, size_t weights_bytes,
                      const volatile int *cancel, double *losses, uint32_t *diverged_steps)
 {
-  struct mo_compute *compute = context;
   struct mo_lattice *lattice = NULL;
   struct mo_controller *controller = NULL;
   struct mo_compute_controller *prepared = NULL;
@@ -102,14 +52,14 @@ static int recompute(void *context, const struct mo_wire_lease *lease,
 
 struct mo_fleet_source mo_fleet_source_of(struct mo_compute *compute)
 {
-  return (struct mo_fleet_source){.context = compute,
-                                  .take = take,
-                                  .put_back = put_back,
-                                  .keep = keep,
-                                  .split = split,
-                                  .is_cancelled = is_cancelled,
-                                  .deliver = deliver,
-                                  .want = want,
-                                  .waiting = waiting,
+  return (struct mo_fleet_source){.compute = compute,
+                                  .take = mo_compute_take,
+                                  .put_back = mo_compute_put_back,
+                                  .keep = mo_compute_keep,
+                                  .split = mo_compute_split,
+                                  .is_cancelled = mo_taken_is_cancelled,
+                                  .deliver = mo_compute_deliver,
+                                  .want = mo_compute_want_remote,
+                                  .waiting = mo_compute_remote_waiting,
                                   .recompute = recompute};
 }

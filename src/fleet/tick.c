@@ -64,7 +64,7 @@ static void check_leases(struct mo_fleet *fleet, uint64_t now_ns, struct mo_afte
     next = TAILQ_NEXT(lease, all);
     if (lease->is_deciding)
       continue;
-    if (lease->parcel != NULL && source->is_cancelled(source->context, lease->parcel->taken)) {
+    if (lease->parcel != NULL && source->is_cancelled(lease->parcel->taken)) {
       mo_lease_deliver(lease, &(struct mo_remote_result){.status = MO_ERR_CANCELLED}, after);
       mo_lease_end(fleet, lease, after);
     } else if (check_holds(fleet, lease, now_ns, after) && lease->parcel == NULL &&
@@ -123,6 +123,6 @@ void mo_fleet_tick(struct mo_fleet *fleet, uint64_t now_ns)
   pthread_mutex_unlock(&fleet->mutex);
   for (uint32_t b = 0; b < 2; b++)
     if (has_changed[b])
-      source->want(source->context, (enum mo_back_end)b, wanted[b]);
+      source->want(source->compute, (enum mo_back_end)b, wanted[b]);
   mo_after_run(fleet, &after);
 }

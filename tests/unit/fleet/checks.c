@@ -9,12 +9,12 @@
 
 static atomic_bool may_recompute;
 
-static int recompute(void *context, const struct mo_wire_lease *lease,
+static int recompute(struct mo_compute *compute, const struct mo_wire_lease *lease,
                      struct mo_workspace workspace, const uint8_t *file, size_t file_bytes,
                      const volatile int *cancel, double *losses, uint32_t *diverged_steps)
 {
   struct mo_wire_result result = fake_compute(lease, NULL);
-  (void)context;
+  (void)compute;
   while (!atomic_load(&may_recompute) && !*cancel)
     usleep(100);
   CHECK(lease->n_blocks == 1 && file == NULL && file_bytes == 0 && workspace.nz == 4);

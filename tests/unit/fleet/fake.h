@@ -95,9 +95,10 @@ static inline struct mo_taken *fake_take_shard(struct fake *fake)
   return &taken->shown;
 }
 
-static inline struct mo_taken *fake_take(void *context, enum mo_back_end back_end, uint64_t steps)
+static inline struct mo_taken *fake_take(struct mo_compute *context, enum mo_back_end back_end,
+                                         uint64_t steps)
 {
-  struct fake *fake = context;
+  struct fake *fake = (struct fake *)context;
   struct fake_block *block = TAILQ_FIRST(&fake->queue);
   if (fake->shard != NULL && back_end == MO_ON_CPU)
     return fake_take_shard(fake);
@@ -123,9 +124,9 @@ static inline struct mo_taken *fake_take(void *context, enum mo_back_end back_en
   return &taken->shown;
 }
 
-static inline void fake_put_back(void *context, struct mo_taken *shown)
+static inline void fake_put_back(struct mo_compute *context, struct mo_taken *shown)
 {
-  struct fake *fake = context;
+  struct fake *fake = (struct fake *)context;
   struct fake_taken *taken = (struct fake_taken *)shown;
   CHECK(taken->is_out);
   taken->is_out = false;
@@ -142,7 +143,7 @@ static inline void fake_put_back(void *context, struct mo_taken *shown)
   free(taken);
 }
 
-static inline struct mo_taken *fake_split(void *context, struct mo_taken *shown)
+static inline struct mo_taken *fake_split(struct mo_compute *context, struct mo_taken *shown)
 {
   struct fake_taken *first = (struct fake_taken *)shown;
   const uint32_t n = shown->n_blocks, n_first = n / 2;
@@ -161,9 +162,8 @@ static inline struct mo_taken *fake_split(void *context, struct mo_taken *shown)
   return &second->shown;
 }
 
-static inline bool fake_is_cancelled(void *context, const struct mo_taken *shown)
+static inline bool fake_is_cancelled(const struct mo_taken *shown)
 {
-  (void)context;
   if (shown->shard != NULL)
     return false;
   for (uint32_t i = 0; i < shown->n_blocks; i++)
@@ -172,10 +172,10 @@ static inline bool fake_is_cancelled(void *context, const struct mo_taken *shown
   return true;
 }
 
-static inline void fake_deliver(void *context, struct mo_taken *shown,
+static inline void fake_deliver(struct mo_compute *context, struct mo_taken *shown,
                                 const struct mo_remote_result *result)
 {
-  struct fake *fake = context;
+  struct fake *fake = (struct fake *)context;
   struct fake_taken *taken = (struct fake_taken *)shown;
   uint32_t row = 0;
   CHECK(taken->is_out);
@@ -212,20 +212,20 @@ static inline void fake_deliver(void *context, struct mo_taken *shown,
 }
 
 /* Ends the blocks as if it had computed them. */
-static inline void fake_keep(void *context, struct mo_taken *shown)
+static inline void fake_keep(struct mo_compute *context, struct mo_taken *shown)
 {
   fake_deliver(context, shown, &(struct mo_remote_result){.status = MO_ERR_UNSUPPORTED});
 }
 
-static inline void fake_want(void *context, enum mo_back_end back_end, uint32_t blocks)
+static inline void fake_want(struct mo_compute *context, enum mo_back_end back_end, uint32_t blocks)
 {
   if (back_end == MO_ON_CPU)
     ((struct fake *)context)->wanted = blocks;
 }
 
-static inline uint64_t fake_waiting(void *context, enum mo_back_end back_end)
+static inline uint64_t fake_waiting(struct mo_compute *context, enum mo_back_end back_end)
 {
-  const struct fake *fake = context;
+  const struct fake *fake = (const struct fake *)context;
   const struct fake_block *first = TAILQ_FIRST(&fake->queue);
   return back_end != MO_ON_CPU || first == NULL
              ? 0
@@ -290,9 +290,9 @@ static inline struct fake *make_fake(uint64_t seed)
     make_check(mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, fake->genotypes[g]), "a body");
     mo_genotype_place(MO_DEFAULT_WORKSPACE, fake->genotypes[g]);
   }
-  struct mo_fleet_config config = {.source = {fake, fake_take, fake_put_back, fake_keep, fake_split,
-                                              fake_is_cancelled, fake_deliver, fake_want,
-                                              fake_waiting, NULL},
+  struct mo_fleet_config config = {.source = {(struct mo_compute *)fake, fake_take, fake_put_back,
+                                              fake_keep, fake_split, fake_is_cancelled,
+                                              fake_deliver, fake_want, fake_waiting, NULL},
                                    .workspace = MO_DEFAULT_WORKSPACE,
                                    .epoch = 5,
                                    .seed = seed,

@@ -58,7 +58,7 @@ static struct mo_wire_result result_of_lease(const struct mo_wire_lease *lease, 
   for (uint32_t b = 0; b < lease->n_blocks; b++) {
     struct mo_wire_lease one = *lease;
     one.blocks = &lease->blocks[b];
-    make_check(source.recompute(source.context, &one, MO_DEFAULT_WORKSPACE, file->bytes, file->size,
+    make_check(source.recompute(source.compute, &one, MO_DEFAULT_WORKSPACE, file->bytes, file->size,
                                 NULL, &result.losses[row], &result.diverged_steps[row]),
                "a block");
     row += lease->blocks[b].n_environments;
