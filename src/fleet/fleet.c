@@ -8,7 +8,6 @@
 #include "fleet/decide.h"
 #include "fleet/give.h"
 #include "fleet/outcasts.h"
-#include "fleet/suspects.h"
 
 #define BLOCK_STEPS 16000.0 /* until blocks were seen */
 #define REFUSED_NS  MO_S_NS /* one event of refusal in this time */
@@ -21,10 +20,8 @@ int mo_fleet_create(const struct mo_fleet_config *config, struct mo_fleet **ret)
       mo_workspace_words(config->workspace) > MO_WIRE_WORDS_MAX)
     return MO_ERR_LIMIT;
   struct mo_fleet *fleet = calloc(1, sizeof(*fleet));
-  if (fleet == NULL || (fleet->suspects = mo_suspects_create()) == NULL) {
-    free(fleet);
+  if (fleet == NULL)
     return MO_ERR_NO_MEMORY;
-  }
   fleet->config = *config;
   fleet->silence_ns =
       UINT64_C(1000000) * (config->silence_ms > 0 ? config->silence_ms : MO_FLEET_SILENCE_MS);
@@ -71,7 +68,6 @@ void mo_fleet_free(struct mo_fleet *fleet)
     mo_weights_forget(LIST_FIRST(&fleet->weights));
   free_sessions(&fleet->sessions);
   free_sessions(&fleet->ended);
-  mo_suspects_free(fleet->suspects);
   pthread_mutex_destroy(&fleet->saving);
   pthread_mutex_destroy(&fleet->mutex);
   free(fleet);

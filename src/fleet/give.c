@@ -5,7 +5,6 @@
 
 #include "fleet/checks.h"
 #include "fleet/content.h"
-#include "fleet/suspects.h"
 
 #define FIRST_STEPS        16000   /* rollout steps per thread of the first lease: some 40 ms */
 #define FIRST_DEVICE_STEPS 2000000 /* per device */
@@ -93,7 +92,7 @@ static bool may_repeat(const struct mo_fleet *fleet, const struct mo_lease *leas
     return true;
   if (lease->is_only && lease->content.n_blocks == 1)
     return session == NULL || mo_session_is_free(session);
-  return mo_suspects_limit(fleet->suspects, &lease->content, &is_suspect) == UINT32_MAX;
+  return mo_suspects_limit(&fleet->suspects, &lease->content, &is_suspect) == UINT32_MAX;
 }
 
 static struct mo_lease *find_listed(struct mo_fleet *fleet, const struct mo_session *session,
@@ -168,7 +167,7 @@ static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back
   int error = taken == NULL ? MO_ERR_EXHAUSTED : copy(fleet, taken, &content);
   pthread_mutex_lock(&fleet->mutex);
   while (error == MO_OK && taken->shard == NULL) {
-    const uint32_t limit = mo_suspects_limit(fleet->suspects, &content, &is_suspect);
+    const uint32_t limit = mo_suspects_limit(&fleet->suspects, &content, &is_suspect);
     is_only = limit != UINT32_MAX;
     if (limit >= content.n_blocks)
       break;

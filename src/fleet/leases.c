@@ -4,7 +4,6 @@
 #include <stdlib.h>
 
 #include "fleet/content.h"
-#include "fleet/suspects.h"
 
 #define LATE                5 /* times the expected time: the lease is given out again */
 #define LATE_NS             (2 * MO_S_NS)
@@ -261,7 +260,7 @@ bool mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t p
   bool is_proven = false, is_stubborn = false;
   session->leases_lost += is_lost;
   if (is_lost && lease->parcel != NULL && lease->content.n_parameters == 0)
-    is_proven = mo_suspects_add(fleet->suspects, &lease->content, session->id, session->worker,
+    is_proven = mo_suspects_add(&fleet->suspects, &lease->content, session->id, session->worker,
                                 lease->is_only, &is_stubborn);
   lease->is_kept |= is_stubborn;
   mo_lease_unhold(lease, place);
@@ -272,7 +271,7 @@ bool mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t p
     return true;
   }
   if (is_proven) {
-    mo_suspects_clear(fleet->suspects, &lease->content);
+    mo_suspects_clear(&fleet->suspects, &lease->content);
     mo_lease_deliver(lease, &(struct mo_remote_result){.status = MO_ERR_EXHAUSTED}, after);
   } else if (lease->parcel != NULL) {
     fleet->counts.leases_again++;

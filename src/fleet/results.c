@@ -2,7 +2,6 @@
 #include "fleet/results.h"
 
 #include "fleet/checks.h"
-#include "fleet/suspects.h"
 
 #define MEMORY       0.9 /* of the sums of a pace, per message: about ten leases */
 #define FAILURES_MAX 5   /* leases in a row, until a session gets no more */
@@ -76,7 +75,7 @@ static void take_rows(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_
   fleet->counts.leases_done++;
   fleet->counts.rows_done += result->n_rows;
   if (lease->is_suspect)
-    mo_suspects_clear(fleet->suspects, &lease->content);
+    mo_suspects_clear(&fleet->suspects, &lease->content);
   mo_lease_deliver(lease,
                    &(struct mo_remote_result){.status = MO_OK,
                                               .losses = result->losses,

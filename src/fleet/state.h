@@ -18,6 +18,7 @@
 
 #include "base/text.h"
 #include "fleet/facts.h"
+#include "fleet/suspects.h"
 
 #define MO_HOLDS           3 /* sessions that hold a lease at one time */
 #define MO_VOTES           5 /* results of a check, before it is given up */
@@ -138,7 +139,7 @@ struct mo_fleet {
   } decision;
   uint32_t n_sessions, n_ended, n_checks; /* checks: audits */
   LIST_HEAD(, mo_weights) weights;
-  struct mo_suspects *suspects;
+  struct mo_suspects suspects;
   struct mo_outcast quarantined[MO_OUTCASTS_MAX]; /* oldest first */
   uint32_t n_quarantined;
   pthread_mutex_t saving; /* of that list; locked before `mutex` */

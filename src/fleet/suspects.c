@@ -2,33 +2,6 @@
  * gives way, so that what ends sessions again and again stays. */
 #include "fleet/suspects.h"
 
-#include <stdlib.h>
-#include <string.h>
-
-#define SETS    4096
-#define WAYS    4
-#define PATIENT 3 /* lost sessions that are taken for chance; workers that prove a body */
-
-struct suspect {
-  uint64_t hash, session;  /* session: the last that was lost */
-  uint64_t alone[PATIENT]; /* workers that were lost with this body only */
-  uint32_t lost, lost_alone, n_alone, limit;
-};
-struct mo_suspects {
-  uint32_t n;
-  struct suspect sets[SETS][WAYS];
-};
-
-struct mo_suspects *mo_suspects_create(void)
-{
-  return calloc(1, sizeof(struct mo_suspects));
-}
-
-void mo_suspects_free(struct mo_suspects *suspects)
-{
-  free(suspects);
-}
-
 /* Never 0, which marks an empty entry. */
 static uint64_t hash_of(const struct mo_wire_block *block)
 {
@@ -40,36 +13,36 @@ static uint64_t hash_of(const struct mo_wire_block *block)
   return hash != 0 ? hash : 1;
 }
 
-static struct suspect *find(const struct mo_suspects *suspects, uint64_t hash)
+static struct mo_suspect *find(const struct mo_suspects *suspects, uint64_t hash)
 {
-  const struct suspect *set = suspects->sets[hash % SETS];
-  for (uint32_t i = 0; i < WAYS; i++)
+  const struct mo_suspect *set = suspects->sets[hash % MO_SUSPECT_SETS];
+  for (uint32_t i = 0; i < MO_SUSPECT_WAYS; i++)
     if (set[i].hash == hash)
-      return (struct suspect *)&set[i];
+      return (struct mo_suspect *)&set[i];
   return NULL;
 }
 
-static struct suspect *find_or_add(struct mo_suspects *suspects, uint64_t hash)
+static struct mo_suspect *find_or_add(struct mo_suspects *suspects, uint64_t hash)
 {
-  struct suspect *found = find(suspects, hash), *set = suspects->sets[hash % SETS];
+  struct mo_suspect *found = find(suspects, hash), *set = suspects->sets[hash % MO_SUSPECT_SETS];
   if (found != NULL)
     return found;
   found = &set[0];
-  for (uint32_t i = 1; i < WAYS; i++)
+  for (uint32_t i = 1; i < MO_SUSPECT_WAYS; i++)
     if (set[i].lost < found->lost)
       found = &set[i];
   suspects->n += found->hash == 0;
-  *found = (struct suspect){.hash = hash, .limit = UINT32_MAX};
+  *found = (struct mo_suspect){.hash = hash, .limit = UINT32_MAX};
   return found;
 }
 
 /* A worker counts once, however often it joins. */
-static void add_alone(struct suspect *suspect, uint64_t worker)
+static void add_alone(struct mo_suspect *suspect, uint64_t worker)
 {
   for (uint32_t i = 0; i < suspect->n_alone; i++)
     if (suspect->alone[i] == worker)
       return;
-  if (suspect->n_alone < PATIENT)
+  if (suspect->n_alone < MO_PATIENT)
     suspect->alone[suspect->n_alone++] = worker;
 }
 
@@ -78,7 +51,7 @@ bool mo_suspects_add(struct mo_suspects *suspects, const struct mo_wire_lease *l
 {
   bool is_proven = false, is_stubborn = false;
   for (uint32_t b = 0; b < lease->n_blocks; b++) {
-    struct suspect *suspect = find_or_add(suspects, hash_of(&lease->blocks[b]));
+    struct mo_suspect *suspect = find_or_add(suspects, hash_of(&lease->blocks[b]));
     if (suspect->session == session)
       continue;
     suspect->session = session;
@@ -87,10 +60,10 @@ bool mo_suspects_add(struct mo_suspects *suspects, const struct mo_wire_lease *l
       suspect->lost_alone++;
       add_alone(suspect, worker);
     }
-    if (suspect->lost >= PATIENT)
+    if (suspect->lost >= MO_PATIENT)
       suspect->limit = lease->n_blocks > 1 ? lease->n_blocks / 2 : 1;
-    is_proven = suspect->n_alone == PATIENT;
-    is_stubborn = suspect->lost_alone >= 2 * PATIENT;
+    is_proven = suspect->n_alone == MO_PATIENT;
+    is_stubborn = suspect->lost_alone >= 2 * MO_PATIENT;
   }
   is_proven &= lease->n_blocks == 1;
   *is_kept = is_stubborn && !is_proven && lease->n_blocks == 1;
@@ -103,7 +76,7 @@ uint32_t mo_suspects_limit(const struct mo_suspects *suspects, const struct mo_w
   uint32_t limit = UINT32_MAX;
   *is_suspect = false;
   for (uint32_t b = 0; b < lease->n_blocks && suspects->n > 0; b++) {
-    const struct suspect *suspect = find(suspects, hash_of(&lease->blocks[b]));
+    const struct mo_suspect *suspect = find(suspects, hash_of(&lease->blocks[b]));
     if (suspect == NULL)
       continue;
     *is_suspect = true;
@@ -115,10 +88,10 @@ uint32_t mo_suspects_limit(const struct mo_suspects *suspects, const struct mo_w
 void mo_suspects_clear(struct mo_suspects *suspects, const struct mo_wire_lease *lease)
 {
   for (uint32_t b = 0; b < lease->n_blocks && suspects->n > 0; b++) {
-    struct suspect *suspect = find(suspects, hash_of(&lease->blocks[b]));
+    struct mo_suspect *suspect = find(suspects, hash_of(&lease->blocks[b]));
     if (suspect == NULL)
       continue;
-    *suspect = (struct suspect){0};
+    *suspect = (struct mo_suspect){0};
     suspects->n--;
   }
 }

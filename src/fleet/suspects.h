@@ -11,9 +11,19 @@
 
 #include "fleet/wire.h"
 
-struct mo_suspects;
-struct mo_suspects *mo_suspects_create(void); /* NULL: out of memory */
-void mo_suspects_free(struct mo_suspects *suspects);
+#define MO_SUSPECT_SETS 4096
+#define MO_SUSPECT_WAYS 4
+#define MO_PATIENT      3 /* lost sessions that are taken for chance; workers that prove a body */
+
+/* Zeros at first. */
+struct mo_suspects {
+  uint32_t n;
+  struct mo_suspect {
+    uint64_t hash, session;     /* session: the last that was lost */
+    uint64_t alone[MO_PATIENT]; /* workers that were lost with this body only */
+    uint32_t lost, lost_alone, n_alone, limit;
+  } sets[MO_SUSPECT_SETS][MO_SUSPECT_WAYS];
+};
 
 /* Notes that a session ended with this lease; a session counts once per body, and its worker once
  * for the proof. is_only: it held no other lease. *is_kept: this process should compute it. Returns

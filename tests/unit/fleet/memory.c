@@ -115,10 +115,10 @@ static void creating(void)
   struct mo_fleet *fleet = NULL;
   const struct mo_fleet_config config = {.workspace = MO_DEFAULT_WORKSPACE};
   int error = MO_ERR_NO_MEMORY;
-  for (left = 0; error != MO_OK; left = left < 0 ? 2 : left + 1) {
+  for (left = 0; error != MO_OK; left = left < 0 ? 1 : left + 1) {
     const long now = left;
     error = mo_fleet_create(&config, &fleet);
-    CHECK(error == (now < 2 ? MO_ERR_NO_MEMORY : MO_OK));
+    CHECK(error == (now < 1 ? MO_ERR_NO_MEMORY : MO_OK));
     left = now;
   }
   left = -1;
