@@ -24,7 +24,8 @@ struct place {
 
 struct mo_link {
   CURLM *multi;
-  char *base, *token, *pin, *ca, *proxy, *user_agent; /* base: without a / at its end */
+  struct mo_link_config config;
+  char *base; /* the server, without a / at its end */
   bool is_loopback;
   struct place places[MO_CALLS];
 };
@@ -44,8 +45,9 @@ static char *part_of(CURLU *url, CURLUPart part)
 }
 
 /* Reads "https://host:port", with nothing behind it. */
-static int read_server(struct mo_link *link, const char *server, struct mo_message *message)
+static int read_server(struct mo_link *link, struct mo_message *message)
 {
+  const char *server = link->config.server;
   CURLU *url = curl_url();
   int error = MO_ERR_INVALID;
   char *scheme = NULL, *host = NULL, *path = NULL;
@@ -61,10 +63,10 @@ static int read_server(struct mo_link *link, const char *server, struct mo_messa
         (is_plain || (scheme != NULL && strcmp(scheme, "https") == 0))) {
       link->is_loopback = is_loopback(host);
       error = MO_OK;
-      if (is_plain && !link->is_loopback && link->token != NULL)
+      if (is_plain && !link->is_loopback && link->config.token != NULL)
         error = mo_fail(message, MO_ERR_INVALID,
                         "server: the token would travel in clear text; use https://");
-      else if (is_plain && link->pin != NULL)
+      else if (is_plain && link->config.pin != NULL)
         error = mo_fail(message, MO_ERR_INVALID, "pin: http:// has no key to pin; use https://");
       else if ((link->base = strdup(server)) == NULL)
         error = MO_ERR_NO_MEMORY;
@@ -84,12 +86,6 @@ static int read_server(struct mo_link *link, const char *server, struct mo_messa
   return error;
 }
 
-/* Copies a nullable text. false: out of memory. */
-static bool copy(char **to, const char *text)
-{
-  return text == NULL || (*to = strdup(text)) != NULL;
-}
-
 int mo_link_create(const struct mo_link_config *config, struct mo_link **ret,
                    struct mo_message *message)
 {
@@ -99,21 +95,20 @@ int mo_link_create(const struct mo_link_config *config, struct mo_link **ret,
     free(link);
     return error;
   }
+  link->config = *config;
   link->multi = curl_multi_init();
-  if (link->multi == NULL || !copy(&link->token, config->token) || !copy(&link->pin, config->pin) ||
-      !copy(&link->ca, config->ca) || !copy(&link->proxy, config->proxy) ||
-      !copy(&link->user_agent, config->user_agent))
+  if (link->multi == NULL)
     error = MO_ERR_NO_MEMORY;
   for (int call = 0; call < MO_CALLS && error == MO_OK; call++)
     if ((link->places[call].curl = curl_easy_init()) == NULL)
       error = MO_ERR_NO_MEMORY;
   if (error == MO_OK)
-    error = read_server(link, config->server, message);
-  if (error == MO_OK && link->pin != NULL && strncmp(link->pin, "sha256//", 8) != 0)
-    error =
-        mo_fail(message, MO_ERR_INVALID, "pin: \"%.80s\" does not begin with sha256//", link->pin);
-  if (error == MO_OK && link->ca != NULL && access(link->ca, R_OK) != 0)
-    error = mo_fail(message, MO_ERR_INVALID, "ca: %.200s cannot be read", link->ca);
+    error = read_server(link, message);
+  if (error == MO_OK && config->pin != NULL && strncmp(config->pin, "sha256//", 8) != 0)
+    error = mo_fail(message, MO_ERR_INVALID, "pin: \"%.80s\" does not begin with sha256//",
+                    config->pin);
+  if (error == MO_OK && config->ca != NULL && access(config->ca, R_OK) != 0)
+    error = mo_fail(message, MO_ERR_INVALID, "ca: %.200s cannot be read", config->ca);
   if (error != MO_OK) {
     mo_link_free(link);
     return error;
@@ -141,11 +136,6 @@ void mo_link_free(struct mo_link *link)
   }
   curl_multi_cleanup(link->multi);
   free(link->base);
-  free(link->token);
-  free(link->pin);
-  free(link->ca);
-  free(link->proxy);
-  free(link->user_agent);
   free(link);
   curl_global_cleanup();
 }
@@ -198,16 +188,17 @@ static bool make_headers(struct place *place, const struct mo_link_request *requ
 /* Whom to trust: with a pin only its key, with a file its authorities, otherwise the system's. */
 static void set_trust(const struct mo_link *link, CURL *curl)
 {
-  const bool pin_only = link->pin != NULL && link->ca == NULL;
+  const struct mo_link_config *config = &link->config;
+  const bool pin_only = config->pin != NULL && config->ca == NULL;
   curl_easy_setopt(curl, CURLOPT_SSLVERSION, (long)CURL_SSLVERSION_TLSv1_3);
   curl_easy_setopt(curl, CURLOPT_SSL_VERIFYPEER, pin_only ? 0L : 1L);
   curl_easy_setopt(curl, CURLOPT_SSL_VERIFYHOST, pin_only ? 0L : 2L);
-  if (link->pin != NULL)
-    curl_easy_setopt(curl, CURLOPT_PINNEDPUBLICKEY, link->pin);
-  if (link->ca != NULL)
-    curl_easy_setopt(curl, CURLOPT_CAINFO, link->ca);
-  if (link->proxy != NULL)
-    curl_easy_setopt(curl, CURLOPT_PROXY, link->proxy);
+  if (config->pin != NULL)
+    curl_easy_setopt(curl, CURLOPT_PINNEDPUBLICKEY, config->pin);
+  if (config->ca != NULL)
+    curl_easy_setopt(curl, CURLOPT_CAINFO, config->ca);
+  if (config->proxy != NULL)
+    curl_easy_setopt(curl, CURLOPT_PROXY, config->proxy);
   else if (link->is_loopback) /* a proxy from the environment is another machine */
     curl_easy_setopt(curl, CURLOPT_PROXY, "");
 }
@@ -229,13 +220,13 @@ int mo_link_start(struct mo_link *link, enum mo_call call, const struct mo_link_
   curl_easy_setopt(curl, CURLOPT_NOSIGNAL, 1L);
   curl_easy_setopt(curl, CURLOPT_PROTOCOLS_STR, "http,https");
   curl_easy_setopt(curl, CURLOPT_HTTP_VERSION, (long)CURL_HTTP_VERSION_1_1);
-  curl_easy_setopt(curl, CURLOPT_USERAGENT, link->user_agent);
+  curl_easy_setopt(curl, CURLOPT_USERAGENT, link->config.user_agent);
   curl_easy_setopt(curl, CURLOPT_ERRORBUFFER, place->error);
   curl_easy_setopt(curl, CURLOPT_PRIVATE, place);
   set_trust(link, curl);
-  if (link->token != NULL) {
+  if (link->config.token != NULL) {
     curl_easy_setopt(curl, CURLOPT_HTTPAUTH, CURLAUTH_BEARER);
-    curl_easy_setopt(curl, CURLOPT_XOAUTH2_BEARER, link->token);
+    curl_easy_setopt(curl, CURLOPT_XOAUTH2_BEARER, link->config.token);
   }
   if (request->body != NULL) {
     curl_easy_setopt(curl, CURLOPT_POSTFIELDSIZE_LARGE, (curl_off_t)request->size);

@@ -20,6 +20,7 @@ enum mo_call {
   MO_CALLS
 };
 
+/* Texts that outlive the link. */
 struct mo_link_config {
   const char *server;           /* "https://host:port" */
   const char *token;            /* nullable */
