@@ -259,13 +259,12 @@ static void put_line(const char *line, size_t n)
     (void)write_all(line, n);
     return;
   }
-  pthread_mutex_lock(&writer.lock);
+  MO_GUARD(&writer.lock);
   tell_dropped();
   /* Drop lines until their number can be reported, so that the notice stands where they are
    * missing. */
   if (writer.untold > 0 || !push(line, n))
     drop(line, n);
-  pthread_mutex_unlock(&writer.lock);
 }
 
 void log_stop(int timeout_ms)

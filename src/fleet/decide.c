@@ -2,8 +2,6 @@
  * being decided is in no list, and nobody else ends it. */
 #include "fleet/decide.h"
 
-#include "base/thread.h"
-
 #define RETRY_NS (2 * MO_S_NS) /* after an error */
 
 static void *compute(void *context)

@@ -132,9 +132,8 @@ int mo_fleet_controller(struct mo_fleet *fleet, const struct mo_sha256 *hash,
                         struct mo_fleet_file **file)
 {
   struct mo_weights *weights = NULL;
-  pthread_mutex_lock(&fleet->mutex);
+  MO_GUARD(&fleet->mutex);
   const int error = mo_weights_read(fleet, hash, &weights);
-  pthread_mutex_unlock(&fleet->mutex);
   if (error == MO_OK)
     *file = &weights->file;
   return error;
@@ -144,8 +143,7 @@ void mo_fleet_file_release(void *file)
 {
   struct mo_weights *weights = file; /* of which the file is the first member */
   struct mo_fleet *fleet = weights->file.fleet;
-  pthread_mutex_lock(&fleet->mutex);
+  MO_GUARD(&fleet->mutex);
   weights->n_readers--;
   mo_weights_release(fleet, weights);
-  pthread_mutex_unlock(&fleet->mutex);
 }

@@ -25,7 +25,7 @@ static uint32_t rows_out(const struct mo_session *session)
 void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status)
 {
   const struct mo_session *session;
-  pthread_mutex_lock(&fleet->mutex);
+  MO_GUARD(&fleet->mutex);
   *status = fleet->counts;
   status->n_quarantined = fleet->n_quarantined;
   for (uint32_t b = 0; b < 2; b++)
@@ -43,7 +43,6 @@ void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status)
     status->rows_out += rows_out(session);
     status->rows_per_s += held > 0 ? rows_per_s(session) : 0;
   }
-  pthread_mutex_unlock(&fleet->mutex);
 }
 
 static struct mo_session_status status_of(const struct mo_session *session)
@@ -72,7 +71,7 @@ int mo_fleet_sessions(struct mo_fleet *fleet, struct mo_session_status **ret, si
 {
   const struct mo_session *session;
   size_t n = 0;
-  pthread_mutex_lock(&fleet->mutex);
+  MO_GUARD(&fleet->mutex);
   struct mo_session_status *items =
       malloc((fleet->n_sessions + fleet->n_ended + 1) * sizeof(*items));
   if (items != NULL) {
@@ -83,7 +82,6 @@ int mo_fleet_sessions(struct mo_fleet *fleet, struct mo_session_status **ret, si
     *ret = items;
     *ret_n = n;
   }
-  pthread_mutex_unlock(&fleet->mutex);
   return items != NULL ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
@@ -92,10 +90,9 @@ int mo_fleet_outcasts(struct mo_fleet *fleet, struct mo_outcast **ret, size_t *n
   struct mo_outcast *items = malloc(MO_OUTCASTS_MAX * sizeof(*items));
   if (items == NULL)
     return MO_ERR_NO_MEMORY;
-  pthread_mutex_lock(&fleet->mutex);
+  MO_GUARD(&fleet->mutex);
   *n = fleet->n_quarantined;
   memcpy(items, fleet->quarantined, *n * sizeof(*items));
-  pthread_mutex_unlock(&fleet->mutex);
   *ret = items;
   return MO_OK;
 }

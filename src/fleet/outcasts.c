@@ -33,23 +33,21 @@ void mo_outcast_add(struct mo_fleet *fleet, const struct mo_outcast *outcast)
 static uint32_t copy(struct mo_fleet *fleet, const char *without, struct mo_outcast *items)
 {
   uint32_t n = 0;
-  pthread_mutex_lock(&fleet->mutex);
+  MO_GUARD(&fleet->mutex);
   for (uint32_t i = 0; i < fleet->n_quarantined; i++)
     if (without == NULL || strcmp(fleet->quarantined[i].name, without) != 0)
       items[n++] = fleet->quarantined[i];
   if (without != NULL && n == fleet->n_quarantined)
     n = UINT32_MAX;
-  pthread_mutex_unlock(&fleet->mutex);
   return n;
 }
 
 static void release(struct mo_fleet *fleet, const char *name)
 {
-  pthread_mutex_lock(&fleet->mutex);
+  MO_GUARD(&fleet->mutex);
   for (uint32_t i = fleet->n_quarantined; i-- > 0;)
     if (strcmp(fleet->quarantined[i].name, name) == 0)
       forget(fleet, i);
-  pthread_mutex_unlock(&fleet->mutex);
 }
 
 int mo_outcasts_save(struct mo_fleet *fleet, const char *without)

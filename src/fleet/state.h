@@ -11,12 +11,12 @@
 #ifndef MORPHO_FLEET_STATE_H
 #define MORPHO_FLEET_STATE_H
 
-#include <pthread.h>
 #include <stdatomic.h>
 #include <stdio.h>
 #include <sys/queue.h>
 
 #include "base/text.h"
+#include "base/thread.h"
 #include "fleet/facts.h"
 #include "fleet/suspects.h"
 

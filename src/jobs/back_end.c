@@ -10,6 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/thread.h"
 #include "jobs/state.h"
 #include "jobs/trainings.h"
 
@@ -59,12 +60,9 @@ static int name_devices(struct mo_jobs *jobs, const char *scores, const char *gr
 
 int mo_jobs_name_devices(struct mo_jobs *jobs, const char *scores, const char *gradients)
 {
-  pthread_mutex_lock(&jobs->class_mutex);
-  const int error = mo_compute_expects_devices(jobs->compute)
-                        ? name_devices(jobs, scores, gradients)
-                        : MO_ERR_CONFLICT;
-  pthread_mutex_unlock(&jobs->class_mutex);
-  return error;
+  MO_GUARD(&jobs->class_mutex);
+  return mo_compute_expects_devices(jobs->compute) ? name_devices(jobs, scores, gradients)
+                                                   : MO_ERR_CONFLICT;
 }
 
 int mo_back_end_prepare(struct mo_jobs *jobs)

@@ -3,7 +3,6 @@
 #include "worker/holding.h"
 
 #include <math.h>
-#include <pthread.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -154,13 +153,12 @@ static void block_done(struct mo_block *block, void *context)
 {
   struct slot *slot = context;
   struct mo_holding *holding = slot->holding;
-  pthread_mutex_lock(&holding->mutex);
+  MO_GUARD(&holding->mutex);
   const enum mo_back_end back_end = block->back_end;
   const bool ended = take_block(slot, block->status);
   submit(holding, back_end);
   if (ended)
     holding->config.ended(holding->config.context);
-  pthread_mutex_unlock(&holding->mutex);
 }
 
 /* ---- gradients ---- */
@@ -244,7 +242,7 @@ static void *compute_gradient(void *argument)
   mo_gradient_state_free(state);
   free_robots(robots, n);
   free(outcomes);
-  pthread_mutex_lock(&holding->mutex);
+  MO_GUARD(&holding->mutex);
   lease->error = error;
   lease->n_out = 0;
   lease->ended_ns = mo_clock_ns();
@@ -253,7 +251,6 @@ static void *compute_gradient(void *argument)
     pthread_cond_broadcast(&holding->quiet);
   prefer_first(holding);
   holding->config.ended(holding->config.context);
-  pthread_mutex_unlock(&holding->mutex);
   return NULL;
 }
 
@@ -322,7 +319,7 @@ int mo_holding_add(struct mo_holding *holding, struct mo_wire_lease *wire)
 bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash)
 {
   bool lacks = false;
-  pthread_mutex_lock(&holding->mutex);
+  MO_GUARD(&holding->mutex);
   for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next) {
     if (lease->state != WAITING)
       continue;
@@ -345,7 +342,6 @@ bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash)
   submit(holding, MO_ON_DEVICE);
   if (on_device)
     mo_compute_end_blocks(holding->config.compute);
-  pthread_mutex_unlock(&holding->mutex);
   return lacks;
 }
 
@@ -369,37 +365,33 @@ static void end(struct lease *lease, bool is_dropped)
 
 void mo_holding_miss_weights(struct mo_holding *holding, const struct mo_sha256 *hash)
 {
-  pthread_mutex_lock(&holding->mutex);
+  MO_GUARD(&holding->mutex);
   for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next)
     if (lease->state == WAITING && mo_sha256_equal(&lease->wire.controller, hash))
       end(lease, false);
-  pthread_mutex_unlock(&holding->mutex);
 }
 
 void mo_holding_drop(struct mo_holding *holding, struct mo_lease_id id)
 {
-  pthread_mutex_lock(&holding->mutex);
+  MO_GUARD(&holding->mutex);
   for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next)
     if (lease->wire.id.epoch == id.epoch && lease->wire.id.number == id.number)
       end(lease, true);
-  pthread_mutex_unlock(&holding->mutex);
 }
 
 void mo_holding_drop_all(struct mo_holding *holding)
 {
-  pthread_mutex_lock(&holding->mutex);
+  MO_GUARD(&holding->mutex);
   for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next)
     end(lease, true);
-  pthread_mutex_unlock(&holding->mutex);
 }
 
 void mo_holding_give_back(struct mo_holding *holding, bool all)
 {
-  pthread_mutex_lock(&holding->mutex);
+  MO_GUARD(&holding->mutex);
   for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next)
     if (lease->state != ENDING && (all || lease->n_submitted == 0))
       end(lease, false);
-  pthread_mutex_unlock(&holding->mutex);
 }
 
 /* ---- results ---- */
@@ -435,7 +427,7 @@ void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results 
 {
   uint32_t rows = 0;
   *results = (struct mo_wire_results){0};
-  pthread_mutex_lock(&holding->mutex);
+  MO_GUARD(&holding->mutex);
   for (struct lease **at = &holding->leases; *at != NULL;) {
     struct lease *lease = *at;
     const uint32_t n = lease->wire.n_parameters > 0 ? RESULT_ROWS_MAX : lease->wire.n_rows;
@@ -452,13 +444,12 @@ void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results 
     holding->leases_done += !lease->is_dropped && !lease->is_given_back && lease->error == MO_OK;
     free_lease(holding, lease);
   }
-  pthread_mutex_unlock(&holding->mutex);
 }
 
 void mo_holding_get_status(struct mo_holding *holding, struct mo_holding_status *status)
 {
   *status = (struct mo_holding_status){0};
-  pthread_mutex_lock(&holding->mutex);
+  MO_GUARD(&holding->mutex);
   for (const struct lease *lease = holding->leases; lease != NULL; lease = lease->next) {
     if (!has_ended(lease))
       status->n_leases[lease->wire.back_end] += !lease->is_dropped;
@@ -468,7 +459,6 @@ void mo_holding_get_status(struct mo_holding *holding, struct mo_holding_status 
   status->n_blocks = holding->n_out;
   status->rows_done = holding->rows_done;
   status->leases_done = holding->leases_done;
-  pthread_mutex_unlock(&holding->mutex);
 }
 
 /* ---- beginning and end ---- */
