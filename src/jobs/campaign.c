@@ -222,16 +222,40 @@ static int describe_children(struct mo_campaign_run *run)
   return atomic_load(&describing.error);
 }
 
+/* Reads the pending batch of a study, whose client makes the children. */
+static int read_told(struct mo_campaign_run *run, uint32_t *n)
+{
+  int error = mo_store_study_batch(run->jobs->store, run->id, &run->told);
+  if (error != MO_OK)
+    return mo_runner_fail_unreadable(run->runner, error);
+  const struct mo_study_batch *batch = run->told;
+  if (batch->number != run->generation || batch->n_children > run->settings->population)
+    return MO_ERR_CORRUPT;
+  for (uint32_t i = 0; i < batch->n_children && error == MO_OK; i++) {
+    const struct mo_descent *descent = &batch->children[i].descent;
+    run->rows->births[i] = (struct mo_birth){.op = (enum mo_operator)descent->op,
+                                             .parents = {descent->parents[0], descent->parents[1]},
+                                             .attempts = 1};
+    run->variation.mutants += descent->op == MO_BORN_MUTATION;
+    run->variation.recombinants += descent->op == MO_BORN_CROSSOVER;
+    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, batch->children[i].genotype.words,
+                             run->settings->workspace, genotype(run, run->n_parents + i));
+  }
+  run->variation.mutation_attempts = run->variation.mutants;
+  run->variation.crossover_attempts = run->variation.recombinants;
+  *n = batch->n_children;
+  return error;
+}
+
 static int vary(struct mo_campaign_run *run)
 {
   int error;
   uint32_t n = 0;
   mo_campaign_enter(run, MO_PHASE_VARY, 0);
   run->variation = (struct mo_variation_counts){.mutants = 0};
-  if (run->settings->mode == MO_STUDY) {
-    error = mo_campaign_read_told(run);
-    n = error == MO_OK ? run->told->n_children : 0;
-  } else if (run->generation == 0)
+  if (run->settings->mode == MO_STUDY)
+    error = read_told(run, &n);
+  else if (run->generation == 0)
     error = make_first(run, &n);
   else
     error = mo_variation(run->settings, run->generation, run->rows->genotypes, run->n_parents,
@@ -243,18 +267,44 @@ static int vary(struct mo_campaign_run *run)
 
 /* ---- selection ---- */
 
+static int by_number(const void *a, const void *b)
+{
+  const uint32_t x = *(const uint32_t *)a, y = *(const uint32_t *)b;
+  return x < y ? -1 : x > y;
+}
+
+/* Selects the survivors. The client of a study may choose the parents among them; all children then
+ * survive, too. */
 static int select_survivors(struct mo_campaign_run *run)
 {
   const uint32_t n = run->n_parents + run->n_children;
-  struct mo_candidate *candidates = calloc(n, sizeof(*candidates));
-  int error = candidates == NULL ? MO_ERR_NO_MEMORY : MO_OK;
-  for (uint32_t i = 0; i < n && error == MO_OK; i++)
-    candidates[i] =
+  const struct mo_study_batch *told = run->told != NULL && run->told->selects ? run->told : NULL;
+  struct mo_campaign_settings settings = *run->settings;
+  struct mo_candidate *candidates = calloc((size_t)n + 1, sizeof(*candidates));
+  uint32_t *places = calloc((size_t)n + 1, sizeof(*places)), n_kept = 0;
+  int error = candidates == NULL || places == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  if (told != NULL)
+    qsort(told->survivors, told->n_survivors, sizeof(*told->survivors), by_number);
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    if (told != NULL && i < run->n_parents &&
+        bsearch(&run->rows->numbers[i], told->survivors, told->n_survivors,
+                sizeof(*told->survivors), by_number) == NULL)
+      continue;
+    candidates[n_kept] =
         (struct mo_candidate){run->rows->scores[i], run->rows->numbers[i], run->rows->born[i]};
+    places[n_kept++] = i;
+  }
+  if (told != NULL) {
+    settings.selection.kind = MO_SELECT_TRUNCATION; /* of all: it only ranks them */
+    settings.population = n_kept;
+  }
   if (error == MO_OK)
-    error = mo_select(run->settings, run->generation, run->rows->genotypes, candidates, n,
+    error = mo_select(&settings, run->generation, run->rows->genotypes, candidates, n_kept,
                       run->rows->survivors, &run->n_survivors);
+  for (uint32_t i = 0; i < run->n_survivors && error == MO_OK; i++)
+    run->rows->survivors[i] = places[run->rows->survivors[i]];
   free(candidates);
+  free(places);
   return error;
 }
 
@@ -313,8 +363,7 @@ static int run_generation(struct mo_campaign_run *run)
   if (error == MO_OK)
     error = mo_campaign_score(run);
   if (error == MO_OK)
-    error = run->told != NULL && run->told->selects ? mo_campaign_select_told(run)
-                                                    : select_survivors(run);
+    error = select_survivors(run);
   return error == MO_OK ? succeed(run) : error;
 }
 

@@ -108,12 +108,6 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *se
                      const struct mo_sha256 *controller, enum mo_back_end back_end,
                      struct mo_need *need, struct mo_message *message);
 
-/* ---- campaign_told.c: the generations of a study ---- */
-/* Reads the pending batch into the rows of the children, in the campaign's workspace. */
-int mo_campaign_read_told(struct mo_campaign_run *run);
-/* Keeps the survivors that the client chose, and all children, best first. */
-int mo_campaign_select_told(struct mo_campaign_run *run);
-
 /* ---- campaign_commit.c ---- */
 /* Describes the selected generation and starts its commit, once the one before has ended. The
  * commit reads run->rows until it has ended, and takes the losses of a zero-shot campaign. The
