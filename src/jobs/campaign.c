@@ -367,15 +367,9 @@ static int run_generation(struct mo_campaign_run *run)
   return error == MO_OK ? succeed(run) : error;
 }
 
-struct ending {
-  struct mo_campaign_run *run;
-  enum mo_campaign_end end;
-};
-
 static int write_end(void *context)
 {
-  const struct ending *ending = context;
-  struct mo_campaign_run *run = ending->run;
+  struct mo_campaign_run *run = context;
   const struct mo_campaign_record *record = &run->status.record;
   struct mo_learned learned = {.controller = NULL};
   char made[MO_MADE_BYTES];
@@ -387,7 +381,9 @@ static int write_end(void *context)
         mo_jobs_code_version(run->jobs, run->status.job.back_end), NULL, &learned);
   if (error == MO_OK)
     error = mo_store_campaign_finish(
-        run->jobs->store, run->id, ending->end, record->settings.generations,
+        run->jobs->store, run->id,
+        run->is_exhausted ? MO_CAMPAIGN_EXHAUSTED : MO_CAMPAIGN_COMPLETED,
+        record->settings.generations,
         learned.controller != NULL ? mo_result_name(&run->status.job, record->name, made) : NULL,
         learned.bytes, learned.size, learned.controller);
   mo_learned_free(&learned);
@@ -395,9 +391,8 @@ static int write_end(void *context)
 }
 
 /* MO_ERR_CONFLICT: the campaign was extended, paused or cancelled. */
-static int finish(struct mo_campaign_run *run, enum mo_campaign_end end)
+static int finish(struct mo_campaign_run *run)
 {
-  struct ending ending = {run, end};
   int error = MO_OK;
   if (mo_mode_learns(run->settings->mode) && run->generation > 0) {
     /* The result is the state of the last committed generation. This run has that state unless it
@@ -407,20 +402,18 @@ static int finish(struct mo_campaign_run *run, enum mo_campaign_end end)
   } else {
     mo_campaign_free_learning(run);
   }
-  return error == MO_OK
-             ? mo_runner_persist(run->runner, write_end, &ending, "the end of the campaign")
-             : error;
+  return error == MO_OK ? mo_runner_persist(run->runner, write_end, run, "the end of the campaign")
+                        : error;
 }
 
 /* Runs generations to the end of the campaign. Reads the campaign again after each one, because
  * generations may have been added. */
 static int evolve(struct mo_campaign_run *run)
 {
-  bool exhausted = false;
   int error = MO_OK;
   while (error == MO_OK) {
     const uint32_t generations = run->settings->generations;
-    const bool is_over = exhausted || run->generation > generations;
+    const bool is_over = run->is_exhausted || run->generation > generations;
     if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
     if (!is_over && run->seen == NULL) /* complete at first, extended since */
@@ -432,11 +425,10 @@ static int evolve(struct mo_campaign_run *run)
         return error;
     }
     if (error == MO_OK)
-      error = is_over ? finish(run, exhausted ? MO_CAMPAIGN_EXHAUSTED : MO_CAMPAIGN_COMPLETED)
-                      : run_generation(run);
+      error = is_over ? finish(run) : run_generation(run);
     if (is_over ? error != MO_ERR_CONFLICT : error != MO_OK && error != MO_ERR_EXHAUSTED)
       return error;
-    exhausted = exhausted || error == MO_ERR_EXHAUSTED;
+    run->is_exhausted = run->is_exhausted || error == MO_ERR_EXHAUSTED;
     error = mo_store_campaign(run->jobs->store, run->id, &run->status);
     if (error == MO_OK && is_over && run->settings->generations == generations)
       error = MO_ERR_CONFLICT; /* paused or cancelled */

@@ -44,6 +44,7 @@ struct mo_campaign_run {
 
   uint32_t generation; /* the current one */
   uint32_t n_parents, n_children;
+  bool is_exhausted; /* no child was found */
   /* A commit may still read other_rows (mo_campaign_settle). */
   struct mo_campaign_rows *rows, *other_rows, all_rows[2];
   uint32_t n_survivors;
