@@ -30,9 +30,7 @@ static int export_checkpoint(struct mo_api *api, const struct mo_training_status
   free(stored);
   if (code == MO_OK) {
     *at = mo_training_step(training);
-    code =
-        mo_learned_create(training, job->has_controller ? &job->controller_sha256 : NULL,
-                          mo_jobs_code_version(api->jobs, job->back_end), &status->code, &learned);
+    code = mo_learned_create(api->jobs, job, training, &status->code, &learned);
   }
   if (code == MO_OK) {
     *bytes = learned.bytes;

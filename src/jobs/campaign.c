@@ -375,10 +375,7 @@ static int write_end(void *context)
   char made[MO_MADE_BYTES];
   int error = MO_OK;
   if (run->learner.training != NULL)
-    error = mo_learned_create(
-        run->learner.training,
-        run->status.job.has_controller ? &run->status.job.controller_sha256 : NULL,
-        mo_jobs_code_version(run->jobs, run->status.job.back_end), NULL, &learned);
+    error = mo_learned_create(run->jobs, &run->status.job, run->learner.training, NULL, &learned);
   if (error == MO_OK)
     error = mo_store_campaign_finish(
         run->jobs->store, run->id,

@@ -129,9 +129,7 @@ static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_statu
     error = mo_training_decode(bytes, size, &training, NULL);
   free(bytes);
   if (error == MO_OK)
-    error = mo_learned_create(training,
-                              status->job.has_controller ? &status->job.controller_sha256 : NULL,
-                              mo_jobs_code_version(jobs, status->job.back_end), NULL, &learned);
+    error = mo_learned_create(jobs, &status->job, training, NULL, &learned);
   mo_training_free(training);
   if (error == MO_OK) {
     mo_sha256_of(learned.bytes, learned.size, sha256);

@@ -133,13 +133,14 @@ void mo_learner_free(struct mo_learner *learner)
   *learner = (struct mo_learner){.training = NULL};
 }
 
-int mo_learned_create(const struct mo_training *training, const struct mo_sha256 *parent,
-                      const char *code_version, const struct mo_training_lineage *code,
+int mo_learned_create(const struct mo_jobs *jobs, const struct mo_job *job,
+                      const struct mo_training *training, const struct mo_training_lineage *code,
                       struct mo_learned *learned)
 {
   *learned = (struct mo_learned){.controller = NULL};
-  int error = mo_training_export(training, parent != NULL ? MO_SHA256_HEX(parent) : NULL,
-                                 code_version, code, &learned->controller);
+  int error = mo_training_export(
+      training, job->has_controller ? MO_SHA256_HEX(&job->controller_sha256) : NULL,
+      mo_jobs_code_version(jobs, job->back_end), code, &learned->controller);
   return error == MO_OK ? mo_controller_encode(learned->controller, &learned->bytes, &learned->size)
                         : error;
 }

@@ -332,10 +332,8 @@ static int write_result(void *context)
   const struct mo_training_record *record = &run->status.record;
   struct mo_learned learned;
   char made[MO_MADE_BYTES];
-  int error = mo_learned_create(
-      run->learner.training,
-      run->status.job.has_controller ? &run->status.job.controller_sha256 : NULL,
-      mo_jobs_code_version(run->jobs, run->status.job.back_end), &run->status.code, &learned);
+  int error = mo_learned_create(run->jobs, &run->status.job, run->learner.training,
+                                &run->status.code, &learned);
   if (error == MO_OK)
     error = mo_store_training_finish(run->jobs->store, run->id,
                                      mo_result_name(&run->status.job, record->name, made),

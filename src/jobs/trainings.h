@@ -25,9 +25,9 @@ struct mo_learned {
   uint8_t *bytes;
   size_t size;
 };
-/* parent, code: nullable. */
-int mo_learned_create(const struct mo_training *training, const struct mo_sha256 *parent,
-                      const char *code_version, const struct mo_training_lineage *code,
+/* job: that the training is of. code: nullable. */
+int mo_learned_create(const struct mo_jobs *jobs, const struct mo_job *job,
+                      const struct mo_training *training, const struct mo_training_lineage *code,
                       struct mo_learned *learned);
 void mo_learned_free(struct mo_learned *learned);
 
